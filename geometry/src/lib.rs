@@ -1,0 +1,27 @@
+//! Rotations, poses with covariance, cameras, triangulation, PnP and RANSAC: the mathematics both sides share.
+//!
+//! # Conventions
+//! * A pose is named by what it maps: `global_from_camera` takes camera coordinates to global ones.
+//! * A pose error is `[dtheta, dp]` in the parent frame: `R = Exp(dtheta) R^`, `p = p^ + dp`; covariances are of it.
+//! * Camera frames: x right, y down, z forward. Pixel (0, 0) is the centre of the top-left pixel.
+//! * Metres, radians, pixels. Everything is `f64`; invalid input is an error, never a panic.
+
+#![cfg_attr(test, allow(clippy::unwrap_used))]
+
+pub mod camera;
+pub mod numeric;
+pub mod pnp;
+pub mod pose;
+mod robust;
+pub mod rotation;
+pub mod triangulation;
+pub mod uncertain_pose;
+
+pub use camera::{Camera, CameraError, Distortion, ProjectionError};
+pub use pnp::{Correspondence, Gravity, PnpError, PnpSolution, RansacOptions};
+pub use pose::Pose;
+pub use rotation::Rotation;
+pub use triangulation::{
+    Triangulated, TriangulationError, TriangulationOptions, View, reprojection_error, triangulate,
+};
+pub use uncertain_pose::{PoseWithCovariance, compose_jacobians, inverse_jacobian};

@@ -1,0 +1,83 @@
+//! The pose of a camera from points known in a world frame and the pixels that saw them.
+//!
+//! Minimal solvers ([`p3p`], [`gravity_two_point`]), a linear one for many points ([`epnp`]), a search that stands
+//! outliers ([`solve_ransac`]), and the refinement that gives the pose its covariance ([`refine`]). All return
+//! `world_from_camera`.
+
+mod align;
+mod epnp;
+mod gravity;
+mod p3p;
+mod ransac;
+mod refine;
+
+pub use epnp::epnp;
+pub use gravity::{Gravity, gravity_two_point};
+pub use p3p::p3p;
+pub use ransac::{PnpSolution, RansacOptions, solve_ransac};
+pub use refine::refine;
+
+use crate::camera::Camera;
+use crate::pose::Pose;
+use nalgebra::{Vector2, Vector3};
+
+/// A point of the world and the pixel that saw it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Correspondence {
+    /// In the world frame, metres.
+    pub point: Vector3<f64>,
+    /// Distorted pixel, as the camera saw it.
+    pub pixel: Vector2<f64>,
+}
+
+impl Correspondence {
+    fn is_finite(&self) -> bool {
+        self.point.iter().chain(self.pixel.iter()).all(|value| value.is_finite())
+    }
+
+    /// Distance (pixels) between the pixel and the projection of the point; `None` where it has no projection, for
+    /// example behind the camera.
+    pub fn reprojection_error(&self, camera: &Camera, world_from_camera: &Pose) -> Option<f64> {
+        let pixel = camera.project(&world_from_camera.inverse_transform(&self.point)).ok()?;
+        Some((self.pixel - pixel).norm())
+    }
+}
+
+/// Why a pose could not be found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum PnpError {
+    /// Fewer correspondences than the method needs.
+    #[error("{given} correspondences; at least {needed} are needed")]
+    TooFew {
+        /// Number of correspondences given.
+        given: usize,
+        /// Number of correspondences needed.
+        needed: usize,
+    },
+    /// Two lists that belong together differ in length.
+    #[error("{points} points for {rays} rays")]
+    LengthMismatch {
+        /// Number of points given.
+        points: usize,
+        /// Number of rays given.
+        rays: usize,
+    },
+    /// NaN or infinity in the input, or an option out of its range.
+    #[error("a point, pixel, pose or option is not finite or out of its range")]
+    InvalidInput,
+    /// The geometry does not fix the pose: points in a line, in a plane (EPnP), one above the other (two-point), or rays
+    /// that coincide.
+    #[error("the points or rays are in a degenerate position")]
+    Degenerate,
+    /// No pose in front of the camera explains the correspondences.
+    #[error("no pose explains the correspondences")]
+    NoSolution,
+    /// The best pose explains fewer correspondences than asked for.
+    #[error("only {found} inliers; {needed} are needed")]
+    TooFewInliers {
+        /// Inliers of the best pose.
+        found: usize,
+        /// `min_inliers` of the options.
+        needed: usize,
+    },
+}

@@ -1,0 +1,134 @@
+//! Refinement of a pose on the pixels, and its covariance.
+
+use super::{Correspondence, PnpError};
+use crate::camera::Camera;
+use crate::pose::Pose;
+use crate::robust::huber;
+use crate::uncertain_pose::{PoseWithCovariance, symmetric};
+use nalgebra::{Matrix6, Vector6};
+
+/// First damping, as a part of the diagonal of the normal matrix.
+const INITIAL_DAMPING: f64 = 1e-6;
+/// Relative fall of the cost below which the iteration has converged.
+const CONVERGED: f64 = 1e-10;
+/// Length (standard deviations) of the residual of a point that has no pixel. It only keeps steps from pushing points
+/// behind the camera.
+const UNSEEN_SIGMAS: f64 = 1e3;
+/// Smallest ratio of the eigenvalues of the normal matrix, scaled to a unit diagonal, of a pose that is fixed by its
+/// points.
+const MIN_CONDITION: f64 = 1e-12;
+
+/// Refines a pose by Levenberg-Marquardt on the pixel residuals.
+///
+/// # Arguments
+/// * `initial`: `world_from_camera` to start from.
+/// * `sigma_pixel`: standard deviation of a pixel in u and in v.
+/// * `iterations`: at most so many; from a RANSAC pose 3 to 6 are used.
+/// * `huber_sigmas`: residual, in standard deviations, from which on Huber's weight falls; `None` for least squares.
+///
+/// # Returns
+/// `world_from_camera` with the covariance `(J^T W J)^-1` of `[dtheta, dp]` in the world frame, for points that are known
+/// exactly. Points behind the camera have no part in it.
+///
+/// # Errors
+/// [`PnpError::TooFew`] below three points in front of the camera, [`PnpError::Degenerate`] where they do not fix the
+/// pose, [`PnpError::InvalidInput`] on NaN or infinity or a sigma that is not positive.
+pub fn refine(
+    camera: &Camera,
+    correspondences: &[Correspondence],
+    initial: &Pose,
+    sigma_pixel: f64,
+    iterations: usize,
+    huber_sigmas: Option<f64>,
+) -> Result<PoseWithCovariance, PnpError> {
+    let valid_sigma = sigma_pixel.is_finite() && sigma_pixel > 0.0;
+    if !valid_sigma || !initial.is_finite() || !correspondences.iter().all(Correspondence::is_finite) {
+        return Err(PnpError::InvalidInput);
+    }
+    let threshold = huber_sigmas.unwrap_or(f64::INFINITY);
+    let problem = Problem { camera, correspondences, inverse_sigma: 1.0 / sigma_pixel, threshold };
+    let mut pose = *initial;
+    let mut current = problem.linearize(&pose);
+    let mut damping = INITIAL_DAMPING;
+    for _ in 0..iterations {
+        let mut damped = current.information;
+        for i in 0..6 {
+            damped[(i, i)] *= 1.0 + damping;
+        }
+        let Some(step) = damped.cholesky().map(|factor| factor.solve(&current.gradient)) else { break };
+        let candidate = pose.retract(&step);
+        let next = problem.linearize(&candidate);
+        if next.cost <= current.cost {
+            let converged = current.cost - next.cost <= CONVERGED * next.cost;
+            (pose, current) = (candidate, next);
+            damping *= 0.1;
+            if converged {
+                break;
+            }
+        } else {
+            damping = (damping * 100.0).max(1e-3);
+        }
+    }
+    if current.seen < 3 {
+        return Err(PnpError::TooFew { given: current.seen, needed: 3 });
+    }
+    let covariance = invert_information(&current.information).ok_or(PnpError::Degenerate)?;
+    Ok(PoseWithCovariance::new(pose, covariance))
+}
+
+struct Problem<'a> {
+    camera: &'a Camera,
+    correspondences: &'a [Correspondence],
+    inverse_sigma: f64,
+    threshold: f64,
+}
+
+/// Cost, gradient and Gauss-Newton matrix at one pose.
+struct Linearization {
+    cost: f64,
+    gradient: Vector6<f64>,
+    information: Matrix6<f64>,
+    /// Number of points that have a pixel.
+    seen: usize,
+}
+
+impl Problem<'_> {
+    fn linearize(&self, world_from_camera: &Pose) -> Linearization {
+        let unseen_length = UNSEEN_SIGMAS.max(f64::from(self.camera.width) * self.inverse_sigma);
+        let mut sum =
+            Linearization { cost: 0.0, gradient: Vector6::zeros(), information: Matrix6::zeros(), seen: 0 };
+        for correspondence in self.correspondences {
+            let in_camera = world_from_camera.inverse_transform(&correspondence.point);
+            let Ok((pixel, by_point)) = self.camera.project_with_jacobian(&in_camera) else {
+                sum.cost += huber(unseen_length, self.threshold).1;
+                continue;
+            };
+            let residual = (correspondence.pixel - pixel) * self.inverse_sigma;
+            let (by_pose, _) = world_from_camera.inverse_transform_jacobians(&correspondence.point);
+            let jacobian = by_point * self.inverse_sigma * by_pose;
+            let (weight, loss) = huber(residual.norm(), self.threshold);
+            sum.cost += loss;
+            sum.gradient += jacobian.tr_mul(&residual) * weight;
+            sum.information += jacobian.tr_mul(&jacobian) * weight;
+            sum.seen += 1;
+        }
+        sum
+    }
+}
+
+/// The covariance, where the information is well-conditioned apart from the units of its rows.
+fn invert_information(information: &Matrix6<f64>) -> Option<Matrix6<f64>> {
+    let scale = information.diagonal().map(|value| 1.0 / value.sqrt());
+    if !scale.iter().all(|value| value.is_finite()) {
+        return None;
+    }
+    let scale = Matrix6::from_diagonal(&scale);
+    let eigen = symmetric(&(scale * information * scale)).symmetric_eigen();
+    if eigen.eigenvalues.min() < MIN_CONDITION * eigen.eigenvalues.max() {
+        return None;
+    }
+    let inverse = eigen.eigenvectors
+        * Matrix6::from_diagonal(&eigen.eigenvalues.map(|value| 1.0 / value))
+        * eigen.eigenvectors.transpose();
+    Some(symmetric(&(scale * inverse * scale)))
+}

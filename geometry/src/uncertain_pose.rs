@@ -1,0 +1,139 @@
+//! Poses with a covariance of their `[dtheta, dp]` error in the parent frame, and how it travels.
+//!
+//! First order throughout:
+//!
+//! ```text
+//! a * b:      dtheta = dtheta_a + R_a dtheta_b,   dp = dp_a - [R_a p_b]x dtheta_a + R_a dp_b
+//! a^-1:       dtheta = -R^T dtheta,               dp = -R^T [p]x dtheta - R^T dp
+//! ```
+
+use crate::pose::Pose;
+use crate::rotation::skew;
+use nalgebra::{Matrix6, Vector6};
+use serde::{Deserialize, Serialize};
+
+/// A pose whose error `[dtheta, dp]` (radians, metres; parent frame) is zero-mean with `covariance`.
+///
+/// # Example
+/// ```
+/// use geometry::{Pose, PoseWithCovariance};
+/// use nalgebra::Matrix6;
+///
+/// let global_from_keyframe = PoseWithCovariance::new(Pose::identity(), Matrix6::identity() * 1e-4);
+/// let keyframe_from_camera = PoseWithCovariance::exact(Pose::identity());
+/// let global_from_camera = global_from_keyframe.compose(&keyframe_from_camera);
+/// assert_eq!(global_from_camera.covariance, global_from_keyframe.covariance);
+/// ```
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PoseWithCovariance {
+    /// The estimate, `parent_from_child`.
+    pub pose: Pose,
+    /// Covariance of `[dtheta, dp]` in the parent frame (rad^2, rad m, m^2).
+    pub covariance: Matrix6<f64>,
+}
+
+impl PoseWithCovariance {
+    /// A pose with the covariance of its error.
+    pub fn new(pose: Pose, covariance: Matrix6<f64>) -> Self {
+        Self { pose, covariance }
+    }
+
+    /// A pose that is known exactly.
+    pub fn exact(pose: Pose) -> Self {
+        Self { pose, covariance: Matrix6::zeros() }
+    }
+
+    /// `child_from_parent`, with its error in the child frame.
+    pub fn inverse(&self) -> Self {
+        let jacobian = inverse_jacobian(&self.pose);
+        Self {
+            pose: self.pose.inverse(),
+            covariance: symmetric(&(jacobian * self.covariance * jacobian.transpose())),
+        }
+    }
+
+    /// `a_from_c` of `a_from_b` (self) and `b_from_c`, whose errors are independent.
+    pub fn compose(&self, other: &Self) -> Self {
+        self.compose_correlated(other, &Matrix6::zeros())
+    }
+
+    /// [`PoseWithCovariance::compose`] of two poses with the cross-covariance `E[error_self error_other^T]`.
+    pub fn compose_correlated(&self, other: &Self, cross_covariance: &Matrix6<f64>) -> Self {
+        let (by_a, by_b) = compose_jacobians(&self.pose, &other.pose);
+        let cross = by_a * cross_covariance * by_b.transpose();
+        let covariance = by_a * self.covariance * by_a.transpose()
+            + by_b * other.covariance * by_b.transpose()
+            + cross
+            + cross.transpose();
+        Self { pose: self.pose * other.pose, covariance: symmetric(&covariance) }
+    }
+
+    /// The same pose told in another parent frame, which is known exactly: `new_from_child = new_from_parent * self`.
+    pub fn change_of_parent(&self, new_from_parent: &Pose) -> Self {
+        let (_, by_self) = compose_jacobians(new_from_parent, &self.pose);
+        let covariance = symmetric(&(by_self * self.covariance * by_self.transpose()));
+        Self { pose: new_from_parent * self.pose, covariance }
+    }
+
+    /// The pose of another child that is fixed to this one: `parent_from_other = self * child_from_other`.
+    pub fn change_of_child(&self, child_from_other: &Pose) -> Self {
+        let (by_self, _) = compose_jacobians(&self.pose, child_from_other);
+        let covariance = symmetric(&(by_self * self.covariance * by_self.transpose()));
+        Self { pose: self.pose * child_from_other, covariance }
+    }
+
+    /// Normalized estimation error squared against the truth: `e^T P^-1 e`, chi-square with 6 degrees of freedom for a
+    /// consistent estimate. `None` where the covariance is not positive definite.
+    pub fn nees(&self, truth: &Pose) -> Option<f64> {
+        let error: Vector6<f64> = self.pose.local(truth);
+        let information_times_error = self.covariance.cholesky()?.solve(&error);
+        Some(error.dot(&information_times_error))
+    }
+
+    /// Whether pose and covariance are finite, the quaternion is of unit length, and the covariance is symmetric with a
+    /// non-negative diagonal. For decoded data.
+    pub fn is_plausible(&self) -> bool {
+        let scale = self.covariance.amax();
+        self.pose.check_unit()
+            && scale.is_finite()
+            && self.covariance.iter().all(|value| value.is_finite())
+            && self.covariance.diagonal().iter().all(|&variance| variance >= 0.0)
+            && (self.covariance - self.covariance.transpose()).amax() <= 1e-6 * scale
+    }
+}
+
+/// Jacobians of `a * b` with respect to the `[dtheta, dp]` errors of a and of b.
+///
+/// ```text
+/// d(ab)/da = |  I           0 |    d(ab)/db = | R_a  0   |
+///            | -[R_a p_b]x  I |               | 0    R_a |
+/// ```
+pub fn compose_jacobians(a: &Pose, b: &Pose) -> (Matrix6<f64>, Matrix6<f64>) {
+    let mut by_a = Matrix6::identity();
+    by_a.fixed_view_mut::<3, 3>(3, 0).copy_from(&-skew(&(a.rotation * b.translation)));
+    let rotation = a.rotation.to_rotation_matrix().into_inner();
+    let mut by_b = Matrix6::zeros();
+    by_b.fixed_view_mut::<3, 3>(0, 0).copy_from(&rotation);
+    by_b.fixed_view_mut::<3, 3>(3, 3).copy_from(&rotation);
+    (by_a, by_b)
+}
+
+/// Jacobian of `pose.inverse()` with respect to the `[dtheta, dp]` error of `pose`.
+///
+/// ```text
+/// | -R^T        0    |
+/// | -R^T [p]x  -R^T  |
+/// ```
+pub fn inverse_jacobian(pose: &Pose) -> Matrix6<f64> {
+    let minus_transposed = -pose.rotation.to_rotation_matrix().into_inner().transpose();
+    let mut jacobian = Matrix6::zeros();
+    jacobian.fixed_view_mut::<3, 3>(0, 0).copy_from(&minus_transposed);
+    jacobian.fixed_view_mut::<3, 3>(3, 0).copy_from(&(minus_transposed * skew(&pose.translation)));
+    jacobian.fixed_view_mut::<3, 3>(3, 3).copy_from(&minus_transposed);
+    jacobian
+}
+
+/// Takes the rounding errors off a matrix that is symmetric by construction.
+pub(crate) fn symmetric(matrix: &Matrix6<f64>) -> Matrix6<f64> {
+    (matrix + matrix.transpose()) * 0.5
+}

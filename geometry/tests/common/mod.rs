@@ -1,0 +1,108 @@
+//! Seeded random scenes that the tests of this crate share.
+#![allow(dead_code, clippy::unreadable_literal)]
+
+use geometry::{Camera, Distortion, Pose, rotation};
+use nalgebra::{SVector, Vector2, Vector3};
+use rand::rngs::Xoshiro256PlusPlus;
+use rand::{RngExt, SeedableRng};
+
+/// A generator of random numbers for tests.
+pub struct Random(Xoshiro256PlusPlus);
+
+impl Random {
+    pub fn new(seed: u64) -> Self {
+        Self(Xoshiro256PlusPlus::seed_from_u64(seed))
+    }
+
+    pub fn uniform(&mut self, low: f64, high: f64) -> f64 {
+        self.0.random_range(low..high)
+    }
+
+    pub fn index(&mut self, count: usize) -> usize {
+        self.0.random_range(0..count)
+    }
+
+    /// Box & Muller.
+    pub fn normal(&mut self) -> f64 {
+        let u = self.uniform(1e-300, 1.0);
+        (-2.0 * u.ln()).sqrt() * (std::f64::consts::TAU * self.uniform(0.0, 1.0)).cos()
+    }
+
+    pub fn normal_vector<const N: usize>(&mut self) -> SVector<f64, N> {
+        SVector::from_fn(|_, _| self.normal())
+    }
+
+    pub fn vector(&mut self, size: f64) -> Vector3<f64> {
+        Vector3::from_fn(|_, _| self.uniform(-size, size))
+    }
+
+    /// Any orientation, a position within `size` metres.
+    pub fn pose(&mut self, size: f64) -> Pose {
+        Pose::new(rotation::exp(&self.vector(2.0)), self.vector(size))
+    }
+
+    /// A pixel of the image.
+    pub fn pixel(&mut self, camera: &Camera) -> Vector2<f64> {
+        Vector2::new(self.uniform(0.0, f64::from(camera.width)), self.uniform(0.0, f64::from(camera.height)))
+    }
+
+    /// A point in the camera frame that the camera sees, at a depth (metres) in the range.
+    pub fn visible_point(&mut self, camera: &Camera, near: f64, far: f64) -> Vector3<f64> {
+        let normalized = loop {
+            // The corners of a fisheye image see nothing.
+            if let Ok(normalized) = camera.unproject(&self.pixel(camera)) {
+                break normalized;
+            }
+        };
+        Vector3::new(normalized.x, normalized.y, 1.0) * self.uniform(near, far)
+    }
+}
+
+/// cam0 of the EuRoC recordings.
+pub fn euroc() -> Camera {
+    Camera {
+        width: 752,
+        height: 480,
+        focal: [458.654, 457.296],
+        centre: [367.215, 248.375],
+        distortion: Distortion::RadialTangential([-0.28340811, 0.07395907, 0.00019359, 1.76187114e-05]),
+    }
+}
+
+/// A wide camera with the FOV model.
+pub fn fov() -> Camera {
+    Camera {
+        width: 640,
+        height: 480,
+        focal: [257.67, 257.67],
+        centre: [319.5, 239.5],
+        distortion: Distortion::Fov(0.932),
+    }
+}
+
+/// A fisheye camera of the TUM-VI kind.
+pub fn fisheye() -> Camera {
+    Camera {
+        width: 512,
+        height: 512,
+        focal: [190.978, 190.973],
+        centre: [254.93, 256.897],
+        distortion: Distortion::Equidistant([0.003482389, 0.000715034, -0.002053236, 0.000202937]),
+    }
+}
+
+/// A camera without distortion.
+pub fn pinhole() -> Camera {
+    Camera {
+        width: 640,
+        height: 480,
+        focal: [500.0, 510.0],
+        centre: [320.0, 240.0],
+        distortion: Distortion::None,
+    }
+}
+
+/// One camera of each model.
+pub fn cameras() -> [Camera; 4] {
+    [pinhole(), euroc(), fisheye(), fov()]
+}

@@ -1,0 +1,118 @@
+//! What a map is made of: keyframes, landmarks in their anchors, observations, cross-covariances.
+//!
+//! # Frames
+//! Everything hangs on keyframe poses `global_from_keyframe` (G from the keyframe's camera frame, metres). A
+//! landmark is a point in the camera frame of its *anchor* keyframe, so that it moves with the keyframe when
+//! the map is re-optimized. Pose errors are `[δθ, δp]` in the parent frame G (radians, metres).
+
+use geometry::camera::Camera;
+use geometry::uncertain_pose::PoseWithCovariance;
+use nalgebra::{Matrix6, Vector3};
+use protocol::{DescriptorKind, FeatureSet, KeyframeId, LandmarkId};
+
+/// Standard deviation of a map pixel (px) where the builder of a map says nothing else.
+pub const DEFAULT_PIXEL_SIGMA: f64 = 1.0;
+
+/// What holds for the map as a whole.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MapInfo {
+    /// A name for people; the name under which a server serves the map is given to the server.
+    pub name: String,
+    /// The program and input that made the map, for people.
+    pub created_by: String,
+    /// Grows by one with every batch of changes. A store sets it; the value given in a batch is not used.
+    pub version: u64,
+    /// Unit vector of the direction in which gravity points (downwards), in G. `None`: not known.
+    pub gravity_in_global: Option<Vector3<f64>>,
+    /// The kind of all descriptors of the map.
+    pub descriptor_kind: DescriptorKind,
+    /// Bytes in each descriptor.
+    pub descriptor_width: u16,
+    /// Standard deviation of the map's pixels (px), one value for both axes.
+    pub pixel_sigma: f64,
+}
+
+impl MapInfo {
+    /// Info of a new map: version 0, gravity unknown, [`DEFAULT_PIXEL_SIGMA`].
+    ///
+    /// # Arguments
+    /// * `descriptor_width`: bytes in one descriptor.
+    pub fn new(
+        name: impl Into<String>,
+        created_by: impl Into<String>,
+        descriptor_kind: DescriptorKind,
+        descriptor_width: u16,
+    ) -> MapInfo {
+        MapInfo {
+            name: name.into(),
+            created_by: created_by.into(),
+            version: 0,
+            gravity_in_global: None,
+            descriptor_kind,
+            descriptor_width,
+            pixel_sigma: DEFAULT_PIXEL_SIGMA,
+        }
+    }
+}
+
+/// One camera pose of the map.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Keyframe {
+    /// Identity within the map.
+    pub id: KeyframeId,
+    /// When the image was taken (ns).
+    pub stamp_ns: i64,
+    /// Pose of the camera in G with its 6x6 covariance, `[δθ, δp]` in G (rad, m).
+    pub global_from_keyframe: PoseWithCovariance,
+    /// The camera that took it.
+    pub camera: Camera,
+    /// All features seen in the image, with or without a landmark. `None` where the builder kept none:
+    /// recognition needs only the observations of landmarks.
+    pub features: Option<FeatureSet>,
+}
+
+/// One point of the map.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Landmark {
+    /// Identity within the map.
+    pub id: LandmarkId,
+    /// The keyframe in whose camera frame the position is given. It is one of those that observe the landmark.
+    pub anchor: KeyframeId,
+    /// Position in the camera frame of the anchor (m).
+    pub position_in_anchor: Vector3<f64>,
+    /// Where keyframes saw it, at most once each, the anchor included.
+    pub observations: Vec<Observation>,
+}
+
+/// A landmark as one keyframe saw it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Observation {
+    /// The observing keyframe.
+    pub keyframe: KeyframeId,
+    /// Distorted pixel; (0, 0) is the centre of the top-left pixel.
+    pub pixel: [f32; 2],
+    /// What it looked like: as many bytes as [`MapInfo::descriptor_width`].
+    pub descriptor: Vec<u8>,
+}
+
+/// Covariance between the pose errors of two keyframes; pairs that a map does not list are independent.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CrossCovariance {
+    /// The keyframe of the rows. In a stored map `a < b`, see [`CrossCovariance::ordered`].
+    pub a: KeyframeId,
+    /// The keyframe of the columns.
+    pub b: KeyframeId,
+    /// `E[e_a e_bᵀ]` with `e = [δθ, δp]` in G (rad, m).
+    pub block: Matrix6<f64>,
+}
+
+impl CrossCovariance {
+    /// The same fact with `a <= b`: the block is transposed where the two change places.
+    pub fn ordered(&self) -> CrossCovariance {
+        if self.a <= self.b {
+            self.clone()
+        } else {
+            CrossCovariance { a: self.b, b: self.a, block: self.block.transpose() }
+        }
+    }
+}

@@ -1,0 +1,78 @@
+//! One place or none: verified keyframes must agree on where the camera is.
+//!
+//! Two halls that look alike both verify. The places are told apart by the camera pose in G that each keyframe
+//! implies: keyframes whose poses agree within their covariances form a place, the place that explains most of the
+//! image wins, and where another explains nearly as much nobody wins.
+
+use geometry::PoseWithCovariance;
+use nalgebra::{Matrix6, Vector6};
+
+use super::options::RecognitionOptions;
+use super::verify::{Verified, distinct_features};
+
+/// 99.9 % of consistent poses have a smaller squared distance (chi-square, 6 degrees of freedom).
+const CHI_SQUARE_6_999: f64 = 22.458;
+
+/// What verified keyframes say together.
+pub(crate) enum Consensus {
+    /// They were none.
+    Nothing,
+    /// They say that the image is from two different places.
+    Ambiguous,
+    /// They agree: the keyframes of the place, most inliers first.
+    Place(Vec<Verified>),
+}
+
+/// Finds the one place that the verified keyframes agree on.
+pub(crate) fn agree(mut verified: Vec<Verified>, options: &RecognitionOptions) -> Consensus {
+    verified.sort_by_key(|verified| (std::cmp::Reverse(verified.inliers.len()), verified.keyframe));
+    let members_of = |seed: usize, among: &[usize]| -> Vec<usize> {
+        let consistent = |&other: &usize| {
+            let (a, b) = (&verified[seed].global_from_camera, &verified[other].global_from_camera);
+            seed == other || is_consistent(a, b, options)
+        };
+        among.iter().copied().filter(consistent).collect()
+    };
+    let best_place = |among: &[usize]| -> (usize, Vec<usize>) {
+        let places = among.iter().map(|&seed| members_of(seed, among));
+        let supported = places.map(|members| (support(&verified, &members), members));
+        // Of equal support the first, whose seed has most inliers.
+        supported.reduce(|best, next| if next.0 > best.0 { next } else { best }).unwrap_or_default()
+    };
+
+    let all: Vec<usize> = (0..verified.len()).collect();
+    let (winner_support, winner) = best_place(&all);
+    if winner.is_empty() {
+        return Consensus::Nothing;
+    }
+    let rest: Vec<usize> = all.into_iter().filter(|at| !winner.contains(at)).collect();
+    let (rival_support, _) = best_place(&rest);
+    if rival_support as f64 >= options.ambiguity_ratio * winner_support as f64 {
+        return Consensus::Ambiguous;
+    }
+    let mut at = 0;
+    verified.retain(|_| {
+        at += 1;
+        winner.contains(&(at - 1))
+    });
+    Consensus::Place(verified)
+}
+
+/// How many query features a place explains.
+fn support(verified: &[Verified], members: &[usize]) -> usize {
+    distinct_features(members.iter().map(|&member| &verified[member]))
+}
+
+/// Whether two estimates of one camera pose can both be right.
+pub(crate) fn is_consistent(
+    a: &PoseWithCovariance,
+    b: &PoseWithCovariance,
+    options: &RecognitionOptions,
+) -> bool {
+    let (theta, p) = (options.tolerance_theta.powi(2), options.tolerance_p.powi(2));
+    let tolerance = Matrix6::from_diagonal(&Vector6::new(theta, theta, theta, p, p, p));
+    let difference = a.pose.local(&b.pose);
+    let covariance = a.covariance + b.covariance + tolerance;
+    let squared = covariance.cholesky().map(|factor| difference.dot(&factor.solve(&difference)));
+    squared.is_some_and(|squared| squared <= CHI_SQUARE_6_999)
+}

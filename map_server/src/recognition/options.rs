@@ -1,0 +1,63 @@
+//! What recognition is asked to be content with.
+
+/// Settings of place recognition and geometric verification.
+///
+/// The defaults are generous on purpose: a server only rejects what cannot be, and ranks. Landmarks of recorded maps
+/// are off by decimetres (right matches of the `yq_real` recording reproject with a median of 9 px at a focal length
+/// of 855 px), and the robot has its own, sharper gates.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RecognitionOptions {
+    /// How many of the keyframes with the most votes are matched feature by feature.
+    pub candidates: usize,
+    /// Fewest query features that must vote for a keyframe to be looked at.
+    pub min_votes: usize,
+    /// Largest reprojection error of an inlier, as an angle (rad); times the focal length it is a pixel threshold.
+    /// One degree: 15 px at a focal length of 855 px.
+    pub inlier_angle: f64,
+    /// Fewest inliers of a verified keyframe.
+    pub min_inliers: usize,
+    /// Standard deviation of a query pixel (px).
+    pub query_pixel_sigma: f64,
+    /// RANSAC samples at most.
+    pub max_iterations: usize,
+    /// Probability with which RANSAC finds the pose if there is one.
+    pub confidence: f64,
+    /// Seed of RANSAC: the same query always has the same answer.
+    pub seed: u64,
+    /// A pose known less well than this in rotation (rad, one standard deviation) is no verification.
+    pub max_sigma_theta: f64,
+    /// A pose known less well than this part of the inliers' mean distance is no verification.
+    pub max_relative_sigma_p: f64,
+    /// Rotation error (rad, one standard deviation) that two verified poses may have beyond their covariances.
+    pub tolerance_theta: f64,
+    /// Position error (m, one standard deviation) that two verified poses may have beyond their covariances.
+    pub tolerance_p: f64,
+    /// Two places of which the weaker has at least this part of the support of the stronger are ambiguous.
+    pub ambiguity_ratio: f64,
+    /// Fewest matched landmarks that a keyframe must observe to be sent as covisible.
+    pub min_covisible: usize,
+    /// Most keyframes in an answer, whatever the query asks for.
+    pub max_keyframes: usize,
+}
+
+impl Default for RecognitionOptions {
+    fn default() -> RecognitionOptions {
+        RecognitionOptions {
+            candidates: 10,
+            min_votes: 4,
+            inlier_angle: 0.0175,
+            min_inliers: 8,
+            query_pixel_sigma: 1.0,
+            max_iterations: 500,
+            confidence: 0.999,
+            seed: 0x6d61_7020_7365_7276,
+            max_sigma_theta: 0.1,
+            max_relative_sigma_p: 0.2,
+            tolerance_theta: 0.02,
+            tolerance_p: 0.1,
+            ambiguity_ratio: 0.7,
+            min_covisible: 4,
+            max_keyframes: 32,
+        }
+    }
+}

@@ -1,0 +1,226 @@
+//! Every switch and every number of the filter, with the reason for its default.
+
+use serde::{Deserialize, Serialize};
+
+/// What the estimator does with the map.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum MapMode {
+    /// Ignores the map: plain visual-inertial odometry.
+    Odometry,
+    /// SM in the paper: only the best keyframe of an answer.
+    Single,
+    /// MM in the paper: all keyframes of an answer, and every observation that they hold of a landmark.
+    Multi,
+    /// Takes poses and landmarks of the map for exact. Overconfident by construction; exists to be compared with.
+    MapConst,
+}
+
+/// What is re-computed from the PnP solution when the map disagrees with the prediction (the paper's R).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Relinearization {
+    /// Always linearize at the newest estimate.
+    Off,
+    /// Move the linearization point of `global_from_local`.
+    Transform,
+    /// Move the linearization point of the clone that saw the matched image.
+    Clone,
+}
+
+/// IMU noise as continuous-time densities, the numbers of a Kalibr or EuRoC `sensor.yaml`.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ImuNoise {
+    /// Gyroscope white noise, rad/s/sqrt(Hz).
+    pub gyroscope: f64,
+    /// Gyroscope bias random walk, rad/s^2/sqrt(Hz).
+    pub gyroscope_walk: f64,
+    /// Accelerometer white noise, m/s^2/sqrt(Hz).
+    pub accelerometer: f64,
+    /// Accelerometer bias random walk, m/s^3/sqrt(Hz).
+    pub accelerometer_walk: f64,
+}
+
+impl ImuNoise {
+    /// The same sensor with its white noise taken `factor` times larger.
+    ///
+    /// Data sheets state a sensor at rest; on a vehicle vibration and scale errors come on top.
+    pub fn inflated(self, factor: f64) -> Self {
+        Self { gyroscope: self.gyroscope * factor, accelerometer: self.accelerometer * factor, ..self }
+    }
+}
+
+impl Default for ImuNoise {
+    /// The ADIS16448 of EuRoC as its `sensor.yaml` states it.
+    fn default() -> Self {
+        Self {
+            gyroscope: 1.6968e-4,
+            gyroscope_walk: 1.9393e-5,
+            accelerometer: 2.0e-3,
+            accelerometer_walk: 3.0e-3,
+        }
+    }
+}
+
+/// Standard deviations of the state that the filter starts from.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct InitialSigmas {
+    /// Roll and pitch, rad.
+    pub tilt: f64,
+    /// Rotation about gravity, rad. By definition of the odometry frame it is known exactly; a filter
+    /// that pins it behaves the same in G.
+    pub yaw: f64,
+    /// Position, metres. Known exactly by definition, as the yaw.
+    pub position: f64,
+    /// Velocity, m/s.
+    pub velocity: f64,
+    /// Gyroscope bias, rad/s.
+    pub gyroscope_bias: f64,
+    /// Accelerometer bias, m/s^2.
+    pub accelerometer_bias: f64,
+}
+
+impl Default for InitialSigmas {
+    /// OpenVINS's figures for a start from ground truth, so that runs compare.
+    fn default() -> Self {
+        Self {
+            tilt: 0.017,
+            yaw: 0.017,
+            position: 0.05,
+            velocity: 0.01,
+            gyroscope_bias: 0.02,
+            accelerometer_bias: 0.02,
+        }
+    }
+}
+
+/// All settings of the [`Estimator`](super::Estimator).
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct EstimatorConfig {
+    /// What to do with the map.
+    pub mode: MapMode,
+    /// What to do when the map disagrees by more than [`Self::relinearize_above_px`].
+    pub relinearization: Relinearization,
+    /// Jacobians of clones and propagation at first estimates (keeps yaw and position unobservable).
+    pub first_estimates: bool,
+    /// Clones in the sliding window. 20 beats 12 by 15 % on `loops`, and costs twice the time.
+    pub window: usize,
+    /// IMU noise densities.
+    pub imu_noise: ImuNoise,
+    /// Gravity, m/s^2.
+    pub gravity: f64,
+    /// Standard deviations of the start.
+    pub initial: InitialSigmas,
+    /// Noise of a tracked pixel, px.
+    pub sigma_track_px: f64,
+    /// Noise of a matched pixel in the current image, px.
+    pub sigma_match_px: f64,
+    /// Noise of a pixel stored in the map, px; unset, the map's own statement is used.
+    pub sigma_map_px: Option<f64>,
+    /// Significance of the chi-square gate on a track.
+    pub track_gate: f64,
+    /// Significance of the chi-square gate on one landmark of the map.
+    pub landmark_gate: f64,
+    /// Significance of the chi-square gate on one whole map update.
+    pub frame_gate: f64,
+    /// Mean reprojection error of the verified matches above which the linearization point moves, px.
+    /// The paper's 20 px.
+    pub relinearize_above_px: f64,
+    /// Gauss-Newton iterations of a map update (1 is the plain extended Kalman filter).
+    pub map_iterations: usize,
+    /// Matches that the PnP solution of a keyframe must explain before the answer counts as verified.
+    pub min_inliers: usize,
+    /// What "explain" means: reprojection error as an angle, rad. Generous, because the depth of a map
+    /// landmark is uncertain; the chi-square gates decide afterwards.
+    pub verify_angle: f64,
+    /// Prior standard deviation of `global_from_local` before its first update: rotation, rad.
+    /// Too small a value ruins the filter in a way that the pose in G does not show.
+    pub transform_sigma_rotation: f64,
+    /// Prior standard deviation of `global_from_local` before its first update: position, metres.
+    pub transform_sigma_position: f64,
+    /// Verified answers in a row that the gate may reject before the robot says that it is lost and
+    /// finds `global_from_local` anew.
+    pub lost_after_rejections: usize,
+    /// Held keyframes that are updated with every step; further ones are parked (exactly, see `nuisance`).
+    pub max_active_keyframes: usize,
+}
+
+impl Default for EstimatorConfig {
+    fn default() -> Self {
+        Self {
+            mode: MapMode::Multi,
+            relinearization: Relinearization::Transform,
+            first_estimates: true,
+            window: 20,
+            imu_noise: ImuNoise::default(),
+            gravity: 9.81,
+            initial: InitialSigmas::default(),
+            sigma_track_px: 1.0,
+            sigma_match_px: 1.0,
+            sigma_map_px: None,
+            track_gate: 0.95,
+            landmark_gate: 0.95,
+            frame_gate: 0.999,
+            relinearize_above_px: 20.0,
+            map_iterations: 1,
+            min_inliers: 8,
+            verify_angle: 0.0175,
+            transform_sigma_rotation: 1.0,
+            transform_sigma_position: 10.0,
+            lost_after_rejections: 5,
+            max_active_keyframes: 24,
+        }
+    }
+}
+
+impl EstimatorConfig {
+    /// Says which setting cannot work, and what is expected.
+    ///
+    /// # Errors
+    /// A sentence that names the setting.
+    pub fn validate(&self) -> Result<(), String> {
+        let positive = [
+            ("imu_noise.gyroscope", self.imu_noise.gyroscope),
+            ("imu_noise.gyroscope_walk", self.imu_noise.gyroscope_walk),
+            ("imu_noise.accelerometer", self.imu_noise.accelerometer),
+            ("imu_noise.accelerometer_walk", self.imu_noise.accelerometer_walk),
+            ("gravity", self.gravity),
+            ("initial.tilt", self.initial.tilt),
+            ("initial.yaw", self.initial.yaw),
+            ("initial.position", self.initial.position),
+            ("initial.velocity", self.initial.velocity),
+            ("initial.gyroscope_bias", self.initial.gyroscope_bias),
+            ("initial.accelerometer_bias", self.initial.accelerometer_bias),
+            ("sigma_track_px", self.sigma_track_px),
+            ("sigma_match_px", self.sigma_match_px),
+            ("sigma_map_px", self.sigma_map_px.unwrap_or(1.0)),
+            ("relinearize_above_px", self.relinearize_above_px),
+            ("verify_angle", self.verify_angle),
+            ("transform_sigma_rotation", self.transform_sigma_rotation),
+            ("transform_sigma_position", self.transform_sigma_position),
+        ];
+        for (name, value) in positive {
+            if !(value.is_finite() && value > 0.0) {
+                return Err(format!("{name} is {value}; it must be a positive number"));
+            }
+        }
+        for (name, value) in [
+            ("track_gate", self.track_gate),
+            ("landmark_gate", self.landmark_gate),
+            ("frame_gate", self.frame_gate),
+        ] {
+            if !(value > 0.0 && value < 1.0) {
+                return Err(format!("{name} is {value}; a significance lies between 0 and 1"));
+            }
+        }
+        if self.window < 3 {
+            return Err(format!("window is {}; a track needs at least 3 clones", self.window));
+        }
+        if self.map_iterations == 0 || self.min_inliers < 4 || self.max_active_keyframes == 0 {
+            return Err("map_iterations and max_active_keyframes must be at least 1, min_inliers at least 4".into());
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,353 @@
+//! Takes an answer of the map into the filter: verify, initialize, linearize, gate, update.
+
+use super::config::{MapMode, Relinearization};
+use super::covariance::{Columns, Information};
+use super::gate::Gate;
+use super::map_answer::{MapAnswer, MatchedLandmark};
+use super::map_rows::{Linearization, MapPoint, RowSettings, landmark_rows};
+use super::state::{Block, CloneId, POSE_DIM};
+use super::verification::{NotVerified, VerificationSettings, Verified, verify};
+use super::{Estimator, EstimatorError, propagation::IMU_DIM};
+use geometry::Pose;
+use nalgebra::{DMatrix, DVector, Vector3};
+use protocol::KeyframeId;
+
+/// Why an answer did not correct the state.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum Rejection {
+    /// The clone of its image is gone: the answer came after its deadline.
+    #[error("the answer came too late, the pose of its image is gone")]
+    TooLate,
+    /// The mode ignores the map.
+    #[error("odometry only, by configuration")]
+    Odometry,
+    /// Geometry does not support it.
+    #[error(transparent)]
+    NotVerified(#[from] NotVerified),
+    /// Too few landmarks passed their gates.
+    #[error("{accepted} of {verified} verified landmarks passed the gate, {need} are needed")]
+    FewLandmarks {
+        /// Passed.
+        accepted: usize,
+        /// Verified by geometry.
+        verified: usize,
+        /// Needed.
+        need: usize,
+    },
+    /// The whole contradicts the state.
+    #[error("contradicts the state: innovation {innovation:.0} over {rows} rows, {bound:.0} is acceptable")]
+    Implausible {
+        /// Normalized innovation squared.
+        innovation: f64,
+        /// Rows.
+        rows: usize,
+        /// Bound of the gate.
+        bound: f64,
+    },
+}
+
+/// What an answer did.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MapReport {
+    /// Keyframes of the answer that were considered.
+    pub keyframes: usize,
+    /// Landmarks of the answer.
+    pub matches: usize,
+    /// Landmarks that one camera pose explains.
+    pub verified: usize,
+    /// Landmarks that corrected the state.
+    pub accepted: usize,
+    /// Mean reprojection error of the verified landmarks at the prediction, px.
+    pub mean_reprojection_px: Option<f64>,
+    /// The linearization point was moved.
+    pub relinearized: bool,
+    /// `global_from_local` was initialized by this answer.
+    pub initialized: bool,
+    /// Normalized innovation squared and its rows.
+    pub innovation: Option<(f64, usize)>,
+    /// Why it did not correct the state.
+    pub rejection: Option<Rejection>,
+}
+
+/// An update that is ready to be made.
+struct Prepared {
+    information: Information,
+    accepted: usize,
+}
+
+impl Estimator {
+    /// Corrects the state by the map's answer to the image of `clone`.
+    ///
+    /// A rejected answer is a report, not an error, and leaves the state as it was.
+    ///
+    /// # Errors
+    /// [`EstimatorError::Diverged`] when the filter itself is broken.
+    pub fn map_update(&mut self, clone: CloneId, answer: &MapAnswer) -> Result<MapReport, EstimatorError> {
+        let answer = self.restrict(answer);
+        let mut report = MapReport {
+            keyframes: answer.keyframes.len(),
+            matches: answer.landmarks.len(),
+            verified: 0,
+            accepted: 0,
+            mean_reprojection_px: None,
+            relinearized: false,
+            initialized: false,
+            innovation: None,
+            rejection: None,
+        };
+        report.rejection = self.try_map_update(clone, &answer, &mut report)?.err();
+        match &report.rejection {
+            None => {
+                self.rejections_in_a_row = 0;
+                self.lost = None;
+                self.last_map_update_ns = Some(self.state.stamp_ns);
+            }
+            Some(Rejection::Implausible { .. } | Rejection::FewLandmarks { .. }) => self.note_contradiction(),
+            Some(_) => {}
+        }
+        self.covariance.held.park_unused();
+        Ok(report)
+    }
+
+    /// What the mode lets through.
+    fn restrict(&self, answer: &MapAnswer) -> MapAnswer {
+        let mut restricted = answer.clone();
+        if self.config.mode == MapMode::Single {
+            restricted.keyframes.truncate(1);
+        }
+        let known = |id: KeyframeId| restricted.keyframes.iter().any(|keyframe| keyframe.id == id);
+        restricted.landmarks.retain(|landmark| known(landmark.anchor));
+        for landmark in &mut restricted.landmarks {
+            landmark.observations.retain(|(id, _)| known(*id));
+        }
+        restricted
+    }
+
+    fn try_map_update(
+        &mut self,
+        clone: CloneId,
+        answer: &MapAnswer,
+        report: &mut MapReport,
+    ) -> Result<Result<(), Rejection>, EstimatorError> {
+        if self.config.mode == MapMode::Odometry {
+            return Ok(Err(Rejection::Odometry));
+        }
+        let Some(place) = self.state.place_of(clone) else { return Ok(Err(Rejection::TooLate)) };
+        let local_from_imu = self.state.clones[place].local_from_imu;
+        let settings = VerificationSettings {
+            angle: self.config.verify_angle,
+            min_inliers: self.config.min_inliers,
+            gravity_in_camera: Some(self.gravity_in_camera(&local_from_imu)),
+        };
+        let verified = match verify(answer, &self.rig[0], &settings) {
+            Ok(verified) => verified,
+            Err(rejection) => return Ok(Err(rejection.into())),
+        };
+        report.verified = verified.inliers.len();
+        self.meet_map_version(answer.map_version);
+
+        let Some(best) = answer.keyframe(verified.best) else { return Ok(Err(Rejection::TooLate)) };
+        let global_from_imu = self.pose_of(best.id, answer).unwrap_or(best.global_from_keyframe.pose)
+            * verified.best_from_camera
+            * self.rig[0].imu_from_camera.inverse();
+        let solved_transform = global_from_imu * local_from_imu.inverse();
+        report.initialized = self.state.transform.is_none();
+        let transform = self.state.transform.unwrap_or(solved_transform);
+        let estimate = MapPoint { local_from_imu, global_from_local: transform };
+
+        let mean_error = self.mean_reprojection(answer, &verified, &estimate);
+        report.mean_reprojection_px = mean_error;
+        // A landmark that the prediction cannot even see is an infinite error.
+        let moves = mean_error.is_none_or(|error| error > self.config.relinearize_above_px);
+        let mut at = estimate;
+        if moves && !report.initialized {
+            match self.config.relinearization {
+                Relinearization::Off => {}
+                Relinearization::Transform => at.global_from_local = solved_transform,
+                Relinearization::Clone => at.local_from_imu = transform.inverse() * global_from_imu,
+            }
+            report.relinearized = at != estimate;
+        }
+
+        if report.initialized {
+            self.insert_transform(solved_transform);
+        }
+        let outcome = self.iterate(clone, answer, &verified, Linearization { estimate, at }, report)?;
+        if outcome.is_err() && report.initialized {
+            self.remove_transform();
+            report.initialized = false;
+        }
+        Ok(outcome)
+    }
+
+    /// Gauss-Newton on the map rows, then the update at the last linearization point.
+    fn iterate(
+        &mut self,
+        clone: CloneId,
+        answer: &MapAnswer,
+        verified: &Verified,
+        mut point: Linearization,
+        report: &mut MapReport,
+    ) -> Result<Result<(), Rejection>, EstimatorError> {
+        let inliers: Vec<&MatchedLandmark> = verified.inliers.iter().map(|&k| &answer.landmarks[k]).collect();
+        let keyframes = self.keyframes_of(&inliers, answer);
+        let columns = self.map_columns(clone, &keyframes, answer);
+        let exact = self.config.mode == MapMode::MapConst;
+        for iteration in 1..=self.config.map_iterations {
+            let prepared = self.prepare(&inliers, answer, &keyframes, &columns, &point);
+            report.accepted = prepared.accepted;
+            if prepared.accepted < self.config.min_inliers.div_ceil(2) {
+                let (accepted, verified, need) =
+                    (prepared.accepted, inliers.len(), self.config.min_inliers.div_ceil(2));
+                return Ok(Err(Rejection::FewLandmarks { accepted, verified, need }));
+            }
+            let rows = prepared.information.rows;
+            let innovation = self.covariance.innovation_squared(&prepared.information)?;
+            report.innovation = Some((innovation, rows));
+            // Taking the map for exact contradicts itself all the time; its gate is the landmarks'.
+            if !exact && !self.frame_gate.accepts(innovation, rows) {
+                let bound = self.frame_gate.bound(rows);
+                return Ok(Err(Rejection::Implausible { innovation, rows, bound }));
+            }
+            if iteration < self.config.map_iterations {
+                point.at = self.next_point(clone, &prepared.information, &point)?;
+                continue;
+            }
+            let correction = self.covariance.measurement_update(&prepared.information)?;
+            self.state.retract(&correction);
+            self.check_health()?;
+        }
+        Ok(Ok(()))
+    }
+
+    /// Where one Gauss-Newton step leads the clone and the transform, without changing the filter.
+    fn next_point(
+        &self,
+        clone: CloneId,
+        information: &Information,
+        point: &Linearization,
+    ) -> Result<MapPoint, EstimatorError> {
+        let correction = self.covariance.clone().measurement_update(information)?;
+        let mut moved = self.state.clone();
+        moved.retract(&correction);
+        let local_from_imu =
+            moved.place_of(clone).map_or(point.at.local_from_imu, |place| moved.clones[place].local_from_imu);
+        Ok(MapPoint { local_from_imu, global_from_local: moved.transform.unwrap_or(point.at.global_from_local) })
+    }
+
+    /// The keyframes that rows will refer to, best first. None where the map is taken for exact.
+    fn keyframes_of(&self, landmarks: &[&MatchedLandmark], answer: &MapAnswer) -> Vec<KeyframeId> {
+        if self.config.mode == MapMode::MapConst {
+            return Vec::new();
+        }
+        let used = |id: KeyframeId| {
+            landmarks
+                .iter()
+                .any(|landmark| landmark.anchor == id || landmark.observations.iter().any(|(seen, _)| *seen == id))
+        };
+        answer.keyframes.iter().map(|keyframe| keyframe.id).filter(|&id| used(id)).collect()
+    }
+
+    /// Pulls the keyframes into the state and names all columns of the rows.
+    fn map_columns(&mut self, clone: CloneId, keyframes: &[KeyframeId], answer: &MapAnswer) -> Columns {
+        for keyframe in answer.keyframes.iter().filter(|keyframe| keyframes.contains(&keyframe.id)) {
+            self.covariance.held.pull(keyframe.id, &keyframe.global_from_keyframe, &keyframe.cross_covariances);
+        }
+        let slots = keyframes.iter().filter_map(|id| self.covariance.held.slot_of(*id)).collect();
+        let place = self.state.place_of(clone).map_or(Block::ImuPose, Block::Clone);
+        let active =
+            [place, Block::Transform].into_iter().filter_map(|block| self.state.range(block)).flatten().collect();
+        Columns { active, keyframes: slots }
+    }
+
+    /// Rows of all landmarks that pass their own gate.
+    fn prepare(
+        &self,
+        landmarks: &[&MatchedLandmark],
+        answer: &MapAnswer,
+        keyframes: &[KeyframeId],
+        columns: &Columns,
+        point: &Linearization,
+    ) -> Prepared {
+        let settings = RowSettings {
+            sigma_match_px: self.config.sigma_match_px,
+            sigma_map_px: self.config.sigma_map_px.unwrap_or(answer.sigma_map_px),
+            map_is_exact: self.config.mode == MapMode::MapConst,
+        };
+        let joint = self.covariance.joint(columns);
+        let poses = |id: KeyframeId| self.pose_of(id, answer);
+        let mut prepared = Prepared { information: Information::new(columns.clone()), accepted: 0 };
+        for landmark in landmarks {
+            let rows = landmark_rows(landmark, answer, keyframes, &poses, &self.rig[0], point, &settings);
+            let Some((jacobian, residual)) = rows else { continue };
+            if passes(&self.landmark_gate, &joint, &jacobian, &residual) {
+                prepared.information.add(&jacobian, &residual);
+                prepared.accepted += 1;
+            }
+        }
+        prepared
+    }
+
+    /// The pose that rows are linearized at: the one that the filter entered the keyframe with.
+    fn pose_of(&self, id: KeyframeId, answer: &MapAnswer) -> Option<Pose> {
+        let held = self.covariance.held.slot_of(id).map(|slot| self.covariance.held.get(slot));
+        held.map(|keyframe| keyframe.global_from_keyframe.pose)
+            .or_else(|| answer.keyframe(id).map(|keyframe| keyframe.global_from_keyframe.pose))
+    }
+
+    /// Mean reprojection error at a point; `None` when a verified landmark is not in view there.
+    fn mean_reprojection(&self, answer: &MapAnswer, verified: &Verified, point: &MapPoint) -> Option<f64> {
+        let eye = &self.rig[0];
+        let global_from_camera = point.global_from_local * point.local_from_imu * eye.imu_from_camera;
+        let mut sum = 0.0;
+        for &k in &verified.inliers {
+            let landmark = &answer.landmarks[k];
+            let in_global = self.pose_of(landmark.anchor, answer)?.transform(&landmark.position_in_anchor);
+            let pixel = eye.camera.project(&global_from_camera.inverse_transform(&in_global)).ok()?;
+            sum += (pixel - landmark.pixel).norm();
+        }
+        Some(sum / verified.inliers.len().max(1) as f64)
+    }
+
+    fn gravity_in_camera(&self, local_from_imu: &Pose) -> Vector3<f64> {
+        let local_from_camera = local_from_imu.rotation * self.rig[0].imu_from_camera.rotation;
+        local_from_camera.inverse() * -Vector3::z()
+    }
+
+    /// `global_from_local` enters at the PnP solution, with a prior so wide that the update decides.
+    fn insert_transform(&mut self, transform: Pose) {
+        let rotation = self.config.transform_sigma_rotation.powi(2);
+        let position = self.config.transform_sigma_position.powi(2);
+        let sigmas = DVector::from_fn(POSE_DIM, |k, _| if k < 3 { rotation } else { position });
+        self.covariance.insert_independent(IMU_DIM, &DMatrix::from_diagonal(&sigmas));
+        self.state.transform = Some(transform);
+    }
+
+    /// Forgets `global_from_local`; what the filter knows of L stays.
+    pub(super) fn remove_transform(&mut self) {
+        if let Some(range) = self.state.range(Block::Transform) {
+            let kept: Vec<usize> = (0..self.state.dim()).filter(|k| !range.contains(k)).collect();
+            self.covariance.gather(&kept);
+            self.state.transform = None;
+        }
+    }
+
+    /// A map that changed is another map: what was held of the old one is given up, and
+    /// `global_from_local` is found anew with its wide prior.
+    fn meet_map_version(&mut self, version: u64) {
+        if self.map_version.is_some_and(|held| held != version) {
+            self.covariance.held.clear();
+            self.remove_transform();
+        }
+        self.map_version = Some(version);
+    }
+}
+
+/// The chi-square gate of one landmark.
+fn passes(gate: &Gate, joint: &DMatrix<f64>, jacobian: &DMatrix<f64>, residual: &DVector<f64>) -> bool {
+    let mut innovation = jacobian * (joint * jacobian.transpose());
+    for k in 0..innovation.nrows() {
+        innovation[(k, k)] += 1.0;
+    }
+    innovation.cholesky().is_some_and(|factor| gate.accepts(residual.dot(&factor.solve(residual)), residual.len()))
+}

@@ -1,0 +1,229 @@
+//! The MSCKF update: what tracks say about the clones that saw them.
+//!
+//! A track is triangulated from the clones' newest estimates, its rows are linearized (at the clones'
+//! first estimates, if so configured), the landmark is projected out, the chi-square gate decides.
+//! An outlying observation is dropped, not its whole track.
+
+use super::covariance::{Columns, Information, JointCovariance, NotPositiveDefinite};
+use super::gate::Gate;
+use super::null_space::project_out;
+use super::state::{ActiveState, Block, POSE_DIM};
+use super::tracks::{Sighting, Track};
+use geometry::triangulation::{TriangulationOptions, View, triangulate};
+use geometry::{Camera, Pose};
+use nalgebra::{DMatrix, DVector, Matrix2x3, Matrix2x6, Vector2, Vector3};
+
+/// A camera of the robot's rig.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RigCamera {
+    /// Its intrinsics.
+    pub camera: Camera,
+    /// Where it sits on the body.
+    pub imu_from_camera: Pose,
+}
+
+/// What became of the tracks of one frame.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct TrackReport {
+    /// Tracks that corrected the state.
+    pub used: usize,
+    /// Tracks that could not be triangulated.
+    pub not_triangulated: usize,
+    /// Tracks that the gate rejected.
+    pub gated: usize,
+    /// Single observations that were dropped as outliers.
+    pub dropped_observations: usize,
+}
+
+/// Settings of the update.
+#[derive(Clone, Debug)]
+pub struct TrackSettings {
+    /// Pixel noise, px.
+    pub sigma_px: f64,
+    /// Linearize at first estimates.
+    pub first_estimates: bool,
+    /// The gate on a whole track.
+    pub gate: Gate,
+    /// An observation whose residual after triangulation exceeds this many sigmas is an outlier.
+    /// Wide, because at that time the clones' own errors are still in the residual.
+    pub outlier_sigmas: f64,
+}
+
+/// Fewest clones that must have seen a track: two always fit some point well.
+const MIN_CLONES: usize = 3;
+
+/// A track as rows free of its landmark.
+struct TrackRows {
+    places: Vec<usize>,
+    jacobian: DMatrix<f64>,
+    residual: DVector<f64>,
+}
+
+/// Collects what `tracks` say.
+///
+/// # Errors
+/// [`NotPositiveDefinite`] when the filter's covariance is broken.
+pub fn collect(
+    state: &ActiveState,
+    covariance: &JointCovariance,
+    rig: &[RigCamera],
+    tracks: &[Track],
+    settings: &TrackSettings,
+) -> Result<(Option<Information>, TrackReport), NotPositiveDefinite> {
+    let mut report = TrackReport::default();
+    let all: Vec<usize> =
+        (0..state.clones.len()).filter_map(|place| state.range(Block::Clone(place))).flatten().collect();
+    let mut information = Information::new(Columns { active: all, keyframes: Vec::new() });
+    let joint = covariance.joint(&information.columns);
+    for track in tracks {
+        if track.clones() < MIN_CLONES {
+            continue;
+        }
+        let mut sightings = track.sightings.clone();
+        let Some(landmark) = triangulate_robustly(state, rig, &mut sightings, settings, &mut report) else {
+            report.not_triangulated += 1;
+            continue;
+        };
+        let Some(rows) = linearize(state, rig, &sightings, &landmark, settings) else {
+            report.not_triangulated += 1;
+            continue;
+        };
+        let indices: Vec<usize> =
+            rows.places.iter().flat_map(|place| POSE_DIM * place..POSE_DIM * (place + 1)).collect();
+        let part = joint.select_rows(&indices).select_columns(&indices);
+        let Some(innovation) = innovation_squared(&part, &rows.jacobian, &rows.residual) else {
+            return Err(NotPositiveDefinite);
+        };
+        if !settings.gate.accepts(innovation, rows.residual.len()) {
+            report.gated += 1;
+            continue;
+        }
+        report.used += 1;
+        add_rows(&mut information, &indices, &rows);
+    }
+    Ok(((information.rows > 0).then_some(information), report))
+}
+
+/// `rᵀ (H P Hᵀ + I)⁻¹ r`.
+fn innovation_squared(covariance: &DMatrix<f64>, jacobian: &DMatrix<f64>, residual: &DVector<f64>) -> Option<f64> {
+    let mut innovation = jacobian * (covariance * jacobian.transpose());
+    for k in 0..innovation.nrows() {
+        innovation[(k, k)] += 1.0;
+    }
+    let factor = innovation.cholesky()?;
+    Some(factor.l_dirty().solve_lower_triangular(residual)?.norm_squared())
+}
+
+/// Adds rows over the columns `indices` of the information's columns.
+fn add_rows(information: &mut Information, indices: &[usize], rows: &TrackRows) {
+    let square = rows.jacobian.tr_mul(&rows.jacobian);
+    let vector = rows.jacobian.tr_mul(&rows.residual);
+    for (j, &column) in indices.iter().enumerate() {
+        for (i, &row) in indices.iter().enumerate() {
+            information.matrix[(row, column)] += square[(i, j)];
+        }
+        information.vector[column] += vector[j];
+    }
+    information.residual += rows.residual.norm_squared();
+    information.rows += rows.residual.len();
+}
+
+/// Triangulates in L, dropping the worst observation as long as it is an outlier and enough are left.
+fn triangulate_robustly(
+    state: &ActiveState,
+    rig: &[RigCamera],
+    sightings: &mut Vec<Sighting>,
+    settings: &TrackSettings,
+    report: &mut TrackReport,
+) -> Option<Vector3<f64>> {
+    let max_dropped = sightings.len() / 4;
+    sightings.retain(|sighting| {
+        state.place_of(sighting.clone).is_some() && usize::from(sighting.camera) < rig.len()
+    });
+    for dropped in 0..=max_dropped {
+        if sightings.len() < MIN_CLONES {
+            return None;
+        }
+        let mut cameras = Vec::with_capacity(sightings.len());
+        let mut views = Vec::with_capacity(sightings.len());
+        for sighting in sightings.iter() {
+            let eye = &rig[usize::from(sighting.camera)];
+            let clone = &state.clones[state.place_of(sighting.clone)?];
+            cameras.push(&eye.camera);
+            views.push(View {
+                parent_from_camera: clone.local_from_imu * eye.imu_from_camera,
+                pixel: sighting.pixel,
+                sigma_pixel: settings.sigma_px,
+            });
+        }
+        let landmark = triangulate(&cameras, &views, &TriangulationOptions::default()).ok()?.position;
+        let mut worst = (0, 0.0);
+        for (place, (camera, view)) in cameras.iter().zip(&views).enumerate() {
+            let point = view.parent_from_camera.inverse_transform(&landmark);
+            let error = camera.project(&point).map_or(f64::INFINITY, |pixel| (pixel - view.pixel).norm());
+            if error > worst.1 {
+                worst = (place, error);
+            }
+        }
+        if worst.1 <= settings.outlier_sigmas * settings.sigma_px {
+            return Some(landmark);
+        }
+        if dropped < max_dropped {
+            sightings.remove(worst.0);
+            report.dropped_observations += 1;
+        }
+    }
+    None
+}
+
+/// Stacks the whitened rows of a track and projects its landmark out.
+fn linearize(
+    state: &ActiveState,
+    rig: &[RigCamera],
+    sightings: &[Sighting],
+    landmark: &Vector3<f64>,
+    settings: &TrackSettings,
+) -> Option<TrackRows> {
+    let mut places: Vec<usize> =
+        sightings.iter().filter_map(|sighting| state.place_of(sighting.clone)).collect();
+    places.sort_unstable();
+    places.dedup();
+    let rows = 2 * sightings.len();
+    let mut of_landmark = DMatrix::zeros(rows, 3);
+    let mut of_state = DMatrix::zeros(rows, POSE_DIM * places.len());
+    let mut residual = DVector::zeros(rows);
+    for (k, sighting) in sightings.iter().enumerate() {
+        let place = state.place_of(sighting.clone)?;
+        let clone = &state.clones[place];
+        let eye = &rig[usize::from(sighting.camera)];
+        let at = if settings.first_estimates { &clone.first_estimate } else { &clone.local_from_imu };
+        let newest = predict(eye, &clone.local_from_imu, landmark)?;
+        let (_, of_pose, of_point) = predict_with_jacobians(eye, at, landmark)?;
+        let whiten = 1.0 / settings.sigma_px;
+        let column = POSE_DIM * places.binary_search(&place).ok()?;
+        of_landmark.fixed_view_mut::<2, 3>(2 * k, 0).copy_from(&(of_point * whiten));
+        of_state.fixed_view_mut::<2, 6>(2 * k, column).copy_from(&(of_pose * whiten));
+        residual.fixed_rows_mut::<2>(2 * k).copy_from(&((sighting.pixel - newest) * whiten));
+    }
+    let (jacobian, residual) = project_out(of_landmark, of_state, residual);
+    Some(TrackRows { places, jacobian, residual })
+}
+
+fn predict(eye: &RigCamera, local_from_imu: &Pose, landmark: &Vector3<f64>) -> Option<Vector2<f64>> {
+    let in_camera = eye.imu_from_camera.inverse_transform(&local_from_imu.inverse_transform(landmark));
+    eye.camera.project(&in_camera).ok()
+}
+
+/// The pixel of a point in L, with Jacobians by the pose error of the body (2x6) and by the point (2x3).
+pub fn predict_with_jacobians(
+    eye: &RigCamera,
+    local_from_imu: &Pose,
+    landmark: &Vector3<f64>,
+) -> Option<(Vector2<f64>, Matrix2x6<f64>, Matrix2x3<f64>)> {
+    let in_imu = local_from_imu.inverse_transform(landmark);
+    let (of_pose, of_point) = local_from_imu.inverse_transform_jacobians(landmark);
+    let in_camera = eye.imu_from_camera.inverse_transform(&in_imu);
+    let (pixel, of_ray) = eye.camera.project_with_jacobian(&in_camera).ok()?;
+    let of_imu = of_ray * eye.imu_from_camera.rotation.inverse().to_rotation_matrix().into_inner();
+    Some((pixel, of_imu * of_pose, of_imu * of_point))
+}

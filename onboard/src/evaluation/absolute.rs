@@ -1,0 +1,48 @@
+//! Absolute trajectory error: how far each pose is from the true one.
+
+use super::{Pair, Statistics};
+use crate::trajectory::StampedPose;
+use geometry::pose::Pose;
+use serde::Serialize;
+
+/// Errors of poses or motions, in rotation and translation.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct PoseErrors {
+    /// Angle between estimated and true rotation, degrees.
+    pub degrees: Vec<f64>,
+    /// Distance between estimated and true position, metres.
+    pub metres: Vec<f64>,
+}
+
+impl PoseErrors {
+    /// Adds the difference of two poses (or motions).
+    pub fn push(&mut self, truth: &Pose, estimate: &Pose) {
+        self.degrees.push(truth.rotation.angle_to(&estimate.rotation).to_degrees());
+        self.metres.push((truth.translation - estimate.translation).norm());
+    }
+
+    /// Statistics of the rotation, degrees; `None` without any.
+    pub fn rotation(&self) -> Option<Statistics> {
+        Statistics::of(&self.degrees)
+    }
+
+    /// Statistics of the translation, metres; `None` without any.
+    pub fn translation(&self) -> Option<Statistics> {
+        Statistics::of(&self.metres)
+    }
+}
+
+/// The error of each pair, after the estimate was moved by `reference_from_estimate`.
+pub fn absolute_errors(
+    reference: &[StampedPose],
+    estimate: &[StampedPose],
+    pairs: &[Pair],
+    reference_from_estimate: &Pose,
+) -> PoseErrors {
+    let mut errors = PoseErrors::default();
+    for pair in pairs {
+        let moved = reference_from_estimate.compose(&estimate[pair.estimate].pose);
+        errors.push(&reference[pair.reference].pose, &moved);
+    }
+    errors
+}

@@ -1,0 +1,113 @@
+//! Laying an estimated trajectory over the true one, where the estimate has a frame of its own.
+
+use geometry::pose::Pose;
+use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
+use thiserror::Error;
+
+/// Singular values of the covariance of positions below this (relative to the largest) count as zero.
+const DEGENERATE: f64 = 1e-12;
+
+/// How an estimate is laid over the truth.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Alignment {
+    /// Not at all: both are in the same frame.
+    None,
+    /// Turned about gravity and moved: what odometry cannot know. Unit directions in which gravity pulls.
+    Yaw {
+        /// In the frame of the reference.
+        gravity_in_reference: Vector3<f64>,
+        /// In the frame of the estimate.
+        gravity_in_estimate: Vector3<f64>,
+    },
+    /// Turned and moved in any way.
+    Se3,
+}
+
+/// Why trajectories could not be aligned.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+pub enum AlignmentError {
+    /// There is nothing to align.
+    #[error("the trajectories have no poses in common: check their times, or allow a larger time difference")]
+    NoPairs,
+    /// The positions are on a line, or all the same.
+    #[error("the positions lie on one line, so a rotation cannot be told: align with yaw or none")]
+    Degenerate,
+}
+
+/// The motion that lays the estimated positions over the true ones with the least sum of squared distances.
+///
+/// # Arguments
+/// * `pairs`: position in the reference, position in the estimate, metres.
+///
+/// # Returns
+/// `reference_from_estimate`.
+///
+/// # Errors
+/// [`AlignmentError`].
+///
+/// Source: Umeyama, PAMI 1991, without scale; about gravity, the angle that maximizes the same sum in closed form.
+pub fn align(
+    pairs: &[(Vector3<f64>, Vector3<f64>)],
+    alignment: &Alignment,
+) -> Result<Pose, AlignmentError> {
+    if pairs.is_empty() {
+        return Err(AlignmentError::NoPairs);
+    }
+    let count = pairs.len() as f64;
+    let mean_reference = pairs.iter().map(|(reference, _)| reference).sum::<Vector3<f64>>() / count;
+    let mean_estimate = pairs.iter().map(|(_, estimate)| estimate).sum::<Vector3<f64>>() / count;
+    let correlation = pairs.iter().fold(Matrix3::zeros(), |sum, (reference, estimate)| {
+        sum + (reference - mean_reference) * (estimate - mean_estimate).transpose()
+    }) / count;
+    let rotation = match alignment {
+        Alignment::None => return Ok(Pose::identity()),
+        Alignment::Yaw { gravity_in_reference, gravity_in_estimate } => {
+            about_gravity(&correlation, gravity_in_reference, gravity_in_estimate)
+        }
+        Alignment::Se3 => best_rotation(&correlation)?,
+    };
+    Ok(Pose::new(rotation, mean_reference - rotation * mean_estimate))
+}
+
+/// The rotation `R` that maximizes `trace(R^T correlation)`.
+fn best_rotation(correlation: &Matrix3<f64>) -> Result<UnitQuaternion<f64>, AlignmentError> {
+    let svd = correlation.svd(true, true);
+    let (Some(u), Some(v_t)) = (svd.u, svd.v_t) else { return Err(AlignmentError::Degenerate) };
+    let mut order = [0, 1, 2];
+    order.sort_unstable_by(|a, b| svd.singular_values[*b].total_cmp(&svd.singular_values[*a]));
+    if svd.singular_values[order[1]] <= DEGENERATE * svd.singular_values[order[0]].max(f64::MIN_POSITIVE) {
+        return Err(AlignmentError::Degenerate);
+    }
+    let mut signs = Matrix3::identity();
+    if u.determinant() * v_t.determinant() < 0.0 {
+        signs[(order[2], order[2])] = -1.0;
+    }
+    let rotation = Rotation3::from_matrix_unchecked(u * signs * v_t);
+    Ok(UnitQuaternion::new_normalize(UnitQuaternion::from_rotation_matrix(&rotation).into_inner()))
+}
+
+/// The same among the rotations that take one gravity to the other.
+fn about_gravity(
+    correlation: &Matrix3<f64>,
+    gravity_in_reference: &Vector3<f64>,
+    gravity_in_estimate: &Vector3<f64>,
+) -> UnitQuaternion<f64> {
+    let level = levelling(gravity_in_reference, gravity_in_estimate);
+    // Correlation of the reference with the levelled estimate. With R = Exp(angle axis),
+    // trace(R^T C) = const + cos(angle) * (trace(C) - axis^T C axis) + sin(angle) * axis^T vee(C - C^T).
+    let levelled = correlation * level.to_rotation_matrix().matrix().transpose();
+    let axis = gravity_in_reference.normalize();
+    let skew = levelled - levelled.transpose();
+    let sine = axis.dot(&Vector3::new(skew[(2, 1)], skew[(0, 2)], skew[(1, 0)]));
+    let cosine = levelled.trace() - axis.dot(&(levelled * axis));
+    UnitQuaternion::from_scaled_axis(axis * sine.atan2(cosine)) * level
+}
+
+/// The shortest rotation that takes `from` to `to`.
+pub(crate) fn levelling(to: &Vector3<f64>, from: &Vector3<f64>) -> UnitQuaternion<f64> {
+    UnitQuaternion::rotation_between(from, to).unwrap_or_else(|| {
+        // Opposite directions: half a turn about any axis across.
+        let across = from.cross(&Vector3::ith(from.iamin(), 1.0)).normalize();
+        UnitQuaternion::from_scaled_axis(across * std::f64::consts::PI)
+    })
+}

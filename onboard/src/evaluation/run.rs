@@ -1,0 +1,257 @@
+//! The score of a run: local pose, `global_from_local` and pose in G, each with its error and its consistency.
+//!
+//! Looking at the pose in G alone hides a filter that gains yaw information which is not there: the local pose and
+//! the transform can be ruined while their product is fine. So all three are always scored.
+//!
+//! The odometry frame L is defined by the run itself, so its true place is too: L's z axis is against gravity, and
+//! L lies where the first estimate has no error in position and none in the rotation about z.
+
+use super::alignment::levelling;
+use super::{Alignment, Nees, NeesSum, Statistics, align, nees};
+use crate::sequence::{TruthRow, TruthTrack};
+use crate::trajectory::{StateKind, StateRow};
+use geometry::pose::Pose;
+use geometry::uncertain_pose::PoseWithCovariance;
+use nalgebra::{UnitQuaternion, Vector3, Vector6};
+use serde::Serialize;
+use thiserror::Error;
+
+/// Truth is interpolated between rows that are at most so far apart.
+const MAX_TRUTH_GAP_NS: i64 = 250_000_000;
+
+/// Which part of a run is scored.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ScoreOptions {
+    /// The transform and the pose in G count from so long after the first fix on, seconds.
+    pub skip_after_first_fix_s: f64,
+}
+
+impl Default for ScoreOptions {
+    fn default() -> Self {
+        Self { skip_after_first_fix_s: 5.0 }
+    }
+}
+
+/// Why a run could not be scored.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+pub enum ScoreError {
+    /// There is no instant at which both the estimate and the truth are known.
+    #[error("no estimate lies within the time of the ground truth: is it the truth of this run?")]
+    NoOverlap,
+}
+
+/// The score of one of the three poses.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Score {
+    /// Root mean square of the rotation error, degrees.
+    pub rmse_deg: f64,
+    /// Root mean square of the position error, metres.
+    pub rmse_m: f64,
+    /// Largest rotation error, degrees.
+    pub max_deg: f64,
+    /// Largest position error, metres.
+    pub max_m: f64,
+    /// Mean NEES per degree of freedom of the rotation; `None` where no covariance was positive definite.
+    pub nees_rotation: Option<f64>,
+    /// The same of the position.
+    pub nees_position: Option<f64>,
+    /// The same of the whole pose.
+    pub nees_pose: Option<f64>,
+    /// How many instants were scored.
+    pub samples: usize,
+}
+
+/// The score of a run.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct RunScore {
+    /// `local_from_imu`, over the whole run.
+    pub local: Score,
+    /// `global_from_local`, from some time after the first fix on.
+    pub transform: Option<Score>,
+    /// `global_from_imu`, from some time after the first fix on; not aligned.
+    pub pose: Option<Score>,
+    /// Position error of `local_from_imu` over the whole run when it is laid over the truth as well as a rotation
+    /// about gravity and a shift can, metres.
+    pub odometry_yaw_aligned_m: Statistics,
+    /// Rotation error of the same, degrees.
+    pub odometry_yaw_aligned_deg: Statistics,
+    /// True length of the path, metres.
+    pub distance_m: f64,
+    /// Time from the first to the last scored estimate, seconds.
+    pub duration_s: f64,
+    /// Time from the first estimate to the first fix, seconds.
+    pub first_fix_s: Option<f64>,
+}
+
+/// One error of one pose, and what the filter thought of it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ErrorSample {
+    /// Time, nanoseconds.
+    pub stamp_ns: i64,
+    /// `[dtheta, dp]` from the estimate to the truth, parent frame, rad and metres.
+    pub error: Vector6<f64>,
+    /// Standard deviation of each, by the filter.
+    pub sigma: Vector6<f64>,
+    /// NEES, where the covariance was positive definite.
+    pub nees: Option<Nees>,
+}
+
+/// All errors of a run.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RunErrors {
+    /// Where L truly lies.
+    pub true_global_from_local: Pose,
+    /// Of `local_from_imu`.
+    pub local: Vec<ErrorSample>,
+    /// Of `global_from_local`.
+    pub transform: Vec<ErrorSample>,
+    /// Of `global_from_imu`.
+    pub pose: Vec<ErrorSample>,
+}
+
+impl RunErrors {
+    /// The errors of one of the three poses.
+    pub fn get(&self, kind: StateKind) -> &[ErrorSample] {
+        match kind {
+            StateKind::LocalFromImu => &self.local,
+            StateKind::GlobalFromLocal => &self.transform,
+            StateKind::GlobalFromImu => &self.pose,
+        }
+    }
+}
+
+/// The errors of each output of a run.
+///
+/// # Arguments
+/// * `truth`: of the IMU in G; interpolated over gaps up to 0.25 s.
+/// * `gravity_in_truth`: unit direction in which gravity pulls, in the truth's frame.
+///
+/// # Errors
+/// [`ScoreError::NoOverlap`].
+pub fn run_errors(
+    states: &[StateRow],
+    truth: &[TruthRow],
+    gravity_in_truth: Vector3<f64>,
+) -> Result<RunErrors, ScoreError> {
+    let known = known_states(states, truth);
+    let (first, first_true) = known.first().ok_or(ScoreError::NoOverlap)?;
+    let global_from_local = place_of_local(&first.local_from_imu.pose, first_true, &gravity_in_truth);
+    let local_from_global = global_from_local.inverse();
+    let mut errors = RunErrors {
+        true_global_from_local: global_from_local,
+        local: Vec::with_capacity(known.len()),
+        transform: Vec::new(),
+        pose: Vec::new(),
+    };
+    for (state, global_from_imu) in &known {
+        let local_from_imu = local_from_global.compose(global_from_imu);
+        errors.local.push(sample(state.stamp_ns, &state.local_from_imu, &local_from_imu));
+        if let Some(estimate) = &state.global_from_local {
+            errors.transform.push(sample(state.stamp_ns, estimate, &global_from_local));
+        }
+        if let Some(estimate) = &state.global_from_imu {
+            errors.pose.push(sample(state.stamp_ns, estimate, global_from_imu));
+        }
+    }
+    Ok(errors)
+}
+
+/// Scores a run; see [`run_errors`] for the arguments.
+///
+/// # Errors
+/// [`ScoreError::NoOverlap`].
+pub fn score_run(
+    states: &[StateRow],
+    truth: &[TruthRow],
+    gravity_in_truth: Vector3<f64>,
+    options: &ScoreOptions,
+) -> Result<RunScore, ScoreError> {
+    let errors = run_errors(states, truth, gravity_in_truth)?;
+    let known = known_states(states, truth);
+    let first_fix = states.iter().find(|state| state.global_from_imu.is_some()).map(|state| state.stamp_ns);
+    let from = first_fix.map_or(i64::MAX, |fix| fix + (options.skip_after_first_fix_s * 1e9) as i64);
+    let late = |samples: &[ErrorSample]| {
+        let begin = samples.partition_point(|sample| sample.stamp_ns < from);
+        score(&samples[begin..])
+    };
+    let odometry = odometry_statistics(&known, &gravity_in_truth).ok_or(ScoreError::NoOverlap)?;
+    let times = (known.first().zip(known.last())).ok_or(ScoreError::NoOverlap)?;
+    Ok(RunScore {
+        local: score(&errors.local).ok_or(ScoreError::NoOverlap)?,
+        transform: late(&errors.transform),
+        pose: late(&errors.pose),
+        odometry_yaw_aligned_m: odometry.0,
+        odometry_yaw_aligned_deg: odometry.1,
+        distance_m: known.windows(2).map(|pair| (pair[1].1.translation - pair[0].1.translation).norm()).sum(),
+        duration_s: seconds(times.0.0.stamp_ns, times.1.0.stamp_ns),
+        first_fix_s: first_fix.zip(states.first()).map(|(fix, first)| seconds(first.stamp_ns, fix)),
+    })
+}
+
+fn seconds(from_ns: i64, to_ns: i64) -> f64 {
+    (to_ns - from_ns) as f64 * 1e-9
+}
+
+/// The states whose truth is known, with it.
+fn known_states<'a>(states: &'a [StateRow], truth: &[TruthRow]) -> Vec<(&'a StateRow, Pose)> {
+    let track = TruthTrack::new(truth);
+    let known = |state: &'a StateRow| track.pose(state.stamp_ns, MAX_TRUTH_GAP_NS).map(|pose| (state, pose));
+    states.iter().filter_map(known).collect()
+}
+
+/// The true `global_from_local`: L's z axis against gravity, and no error of the first estimate in position and in
+/// the rotation about z.
+fn place_of_local(local_from_imu: &Pose, global_from_imu: &Pose, gravity_in_global: &Vector3<f64>) -> Pose {
+    let level = levelling(gravity_in_global, &-Vector3::z());
+    // The rotation error is Exp(e) = Rz(-yaw) level^T R_GI R_LI^T; its quaternion must have no z component.
+    let error = level.inverse() * global_from_imu.rotation * local_from_imu.rotation.inverse();
+    let yaw = 2.0 * error.k.atan2(error.w);
+    let rotation = level * UnitQuaternion::from_scaled_axis(Vector3::z() * yaw);
+    Pose::new(rotation, global_from_imu.translation - rotation * local_from_imu.translation)
+}
+
+fn sample(stamp_ns: i64, estimate: &PoseWithCovariance, truth: &Pose) -> ErrorSample {
+    ErrorSample {
+        stamp_ns,
+        error: estimate.pose.local(truth),
+        sigma: estimate.covariance.diagonal().map(|variance| variance.max(0.0).sqrt()),
+        nees: nees(estimate, truth),
+    }
+}
+
+fn score(samples: &[ErrorSample]) -> Option<Score> {
+    let part = |start: usize| -> Vec<f64> {
+        samples.iter().map(|sample| sample.error.fixed_rows::<3>(start).norm()).collect()
+    };
+    let (rotation, position) = (Statistics::of(&part(0))?, Statistics::of(&part(3))?);
+    let mut sum = NeesSum::default();
+    samples.iter().filter_map(|sample| sample.nees.as_ref()).for_each(|nees| sum.push(nees));
+    let mean = sum.mean();
+    Some(Score {
+        rmse_deg: rotation.rmse.to_degrees(),
+        rmse_m: position.rmse,
+        max_deg: rotation.max.to_degrees(),
+        max_m: position.max,
+        nees_rotation: mean.map(|nees| nees.rotation),
+        nees_position: mean.map(|nees| nees.position),
+        nees_pose: mean.map(|nees| nees.pose),
+        samples: samples.len(),
+    })
+}
+
+/// Errors of the odometry, laid over the truth about gravity: metres, degrees.
+fn odometry_statistics(
+    known: &[(&StateRow, Pose)],
+    gravity_in_truth: &Vector3<f64>,
+) -> Option<(Statistics, Statistics)> {
+    let positions: Vec<_> =
+        known.iter().map(|(state, truth)| (truth.translation, state.local_from_imu.pose.translation)).collect();
+    let alignment =
+        Alignment::Yaw { gravity_in_reference: *gravity_in_truth, gravity_in_estimate: -Vector3::z() };
+    let global_from_local = align(&positions, &alignment).ok()?;
+    let mut errors = super::PoseErrors::default();
+    for (state, truth) in known {
+        errors.push(truth, &global_from_local.compose(&state.local_from_imu.pose));
+    }
+    errors.translation().zip(errors.rotation())
+}

@@ -1,0 +1,164 @@
+//! The robot's switches, shared by `onboard` and `driftless run`.
+
+use crate::estimator::{EstimatorConfig, MapMode, Relinearization};
+use crate::sequence::Sequence;
+use anyhow::{Context as _, Result, bail};
+use clap::{Args, ValueEnum};
+use std::path::{Path, PathBuf};
+
+/// Cameras to use.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Cameras {
+    /// Only cam0.
+    Mono,
+    /// cam0 and cam1.
+    Stereo,
+}
+
+/// What to do with the map.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Mode {
+    /// No map: visual-inertial odometry only.
+    Odometry,
+    /// The best keyframe of each answer (SM in the paper).
+    Single,
+    /// Several keyframes of each answer (MM in the paper).
+    Multi,
+    /// Takes the map for exact. Overconfident; for comparison only.
+    Mapconst,
+}
+
+impl From<Mode> for MapMode {
+    fn from(mode: Mode) -> Self {
+        match mode {
+            Mode::Odometry => Self::Odometry,
+            Mode::Single => Self::Single,
+            Mode::Multi => Self::Multi,
+            Mode::Mapconst => Self::MapConst,
+        }
+    }
+}
+
+/// How the first state is found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Init {
+    /// The first half second at rest within the first ten seconds.
+    Auto,
+    /// The first half second, which must be at rest.
+    Static,
+    /// The first row of the ground truth, for recordings that start in motion.
+    Truth,
+}
+
+/// Switches of the robot.
+#[derive(Args, Clone, Debug)]
+pub struct RobotArguments {
+    /// Cameras to use [default: stereo where the recording has cam1]
+    #[arg(long, value_enum)]
+    pub cameras: Option<Cameras>,
+    /// What to do with the map
+    #[arg(long, value_enum, default_value = "multi")]
+    pub mode: Mode,
+    /// Never move the linearization point to the PnP solution (switches the paper's R off)
+    #[arg(long)]
+    pub no_relinearize: bool,
+    /// How the first state is found
+    #[arg(long, value_enum, default_value = "auto")]
+    pub init: Init,
+    /// Folder for trajectories, states, events and summary
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// Play the recording at the speed it was made, instead of as fast as possible
+    #[arg(long)]
+    pub realtime: bool,
+    /// Name of this robot on the network
+    #[arg(long, default_value = "robot")]
+    pub robot: String,
+    /// Most keyframes that one answer may bring (with --mode multi or mapconst)
+    #[arg(long, value_name = "N", default_value_t = 4)]
+    pub max_keyframes: u16,
+    /// Seconds to wait for the map's answer to one image
+    #[arg(long, value_name = "SECONDS", default_value_t = 2.0)]
+    pub deadline: f64,
+    /// YAML file with estimator settings; the switches below override it
+    #[arg(long, value_name = "FILE")]
+    pub settings: Option<PathBuf>,
+    /// Factor on the IMU's white noise as its sensor.yaml states it (real sensors on vehicles: about 3)
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
+    pub imu_noise_scale: f64,
+    /// Noise of tracked pixels, px
+    #[arg(long, value_name = "PX")]
+    pub track_sigma: Option<f64>,
+    /// Noise of matched pixels in the robot's image, px
+    #[arg(long, value_name = "PX")]
+    pub match_sigma: Option<f64>,
+    /// Noise of the map's pixels, px [default: what the map says]
+    #[arg(long, value_name = "PX")]
+    pub map_sigma: Option<f64>,
+    /// Initial standard deviation of the gyroscope bias, rad/s
+    #[arg(long, value_name = "RAD/S")]
+    pub gyroscope_bias_sigma: Option<f64>,
+    /// Initial standard deviation of the accelerometer bias, m/s^2
+    #[arg(long, value_name = "M/S2")]
+    pub accelerometer_bias_sigma: Option<f64>,
+    /// Clones in the sliding window
+    #[arg(long, value_name = "N")]
+    pub window: Option<usize>,
+}
+
+impl RobotArguments {
+    /// The estimator's settings: the file's, then the sensor's noise, then the switches.
+    ///
+    /// # Errors
+    /// An unreadable settings file, or a setting that cannot work.
+    pub fn estimator_config(&self, sequence: &Sequence) -> Result<EstimatorConfig> {
+        let Some(imu) = &sequence.imu else {
+            bail!("{} has no IMU (mav0/imu0); a robot needs one", sequence.root.display())
+        };
+        let mut config = match &self.settings {
+            Some(path) => read_settings(path)?,
+            None => EstimatorConfig { imu_noise: imu.noise, ..EstimatorConfig::default() },
+        };
+        if let Some(gravity) = imu.gravity_magnitude {
+            config.gravity = gravity;
+        }
+        if !(self.imu_noise_scale.is_finite() && self.imu_noise_scale > 0.0) {
+            bail!("--imu-noise-scale is {}; it must be a positive number", self.imu_noise_scale);
+        }
+        config.imu_noise = config.imu_noise.inflated(self.imu_noise_scale);
+        config.mode = self.mode.into();
+        if self.no_relinearize {
+            config.relinearization = Relinearization::Off;
+        }
+        let override_with = |target: &mut f64, value: Option<f64>| *target = value.unwrap_or(*target);
+        override_with(&mut config.sigma_track_px, self.track_sigma);
+        override_with(&mut config.sigma_match_px, self.match_sigma);
+        override_with(&mut config.initial.gyroscope_bias, self.gyroscope_bias_sigma);
+        override_with(&mut config.initial.accelerometer_bias, self.accelerometer_bias_sigma);
+        config.sigma_map_px = self.map_sigma.or(config.sigma_map_px);
+        config.window = self.window.unwrap_or(config.window);
+        config.validate().map_err(|reason| anyhow::anyhow!("the estimator's settings: {reason}"))?;
+        Ok(config)
+    }
+
+    /// How many cameras of the recording to use.
+    ///
+    /// # Errors
+    /// Stereo is asked for and the recording has one camera.
+    pub fn camera_count(&self, sequence: &Sequence) -> Result<usize> {
+        match self.cameras {
+            Some(Cameras::Mono) => Ok(1),
+            None => Ok(sequence.cameras.len().min(2)),
+            Some(Cameras::Stereo) if sequence.cameras.len() >= 2 => Ok(2),
+            Some(Cameras::Stereo) => bail!(
+                "{} has one camera; give it mav0/cam1, or use --cameras mono",
+                sequence.root.display()
+            ),
+        }
+    }
+}
+
+fn read_settings(path: &Path) -> Result<EstimatorConfig> {
+    let text = std::fs::read_to_string(path).with_context(|| format!("cannot read settings {}", path.display()))?;
+    serde_saphyr::from_str(&text).with_context(|| format!("settings {} are not understood", path.display()))
+}

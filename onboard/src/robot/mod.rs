@@ -1,0 +1,16 @@
+//! The robot program around the estimator: plays a recording, asks the map, publishes, records.
+//!
+//! The estimator runs on the caller's thread. Queries and publications run on the async runtime and
+//! are handed over through channels: the estimator never waits for the network.
+
+pub mod answer;
+pub mod arguments;
+pub mod publisher;
+pub mod query_client;
+pub mod recorder;
+pub mod run;
+pub mod start;
+pub mod summary;
+
+pub use arguments::RobotArguments;
+pub use run::{RobotRun, RunError, run};

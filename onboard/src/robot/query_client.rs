@@ -1,0 +1,236 @@
+//! Asks the map about images, in the background: deadline, retry, never waiting.
+
+use super::answer::map_answer;
+use crate::estimator::{CloneId, MapAnswer};
+use protocol::{ErrorReply, Format, MatchOutcome, MatchReply, MatchRequest, MatchStatus, MatchedKeyframe, keys};
+use std::sync::Arc;
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::time::{Duration, Instant};
+use tokio::runtime::Handle;
+use zenoh::query::{ConsolidationMode, QueryTarget};
+
+/// First pause before an unanswered query is sent again; doubled each time.
+const FIRST_PAUSE: Duration = Duration::from_millis(20);
+/// Longest such pause.
+const LONGEST_PAUSE: Duration = Duration::from_millis(500);
+
+/// How a query ended.
+#[derive(Clone, Debug)]
+pub enum Outcome {
+    /// The map recognized the place.
+    Matched(MapAnswer),
+    /// The map was searched and does not know the place.
+    NoMatch(MatchOutcome),
+    /// No answer: no server, a dead one, or one that refused. With the reason, for a person.
+    Failed(String),
+}
+
+/// The end of one query.
+#[derive(Clone, Debug)]
+pub struct Answered {
+    /// The clone of the image that was asked about.
+    pub clone: CloneId,
+    /// Time of the image, nanoseconds.
+    pub stamp_ns: i64,
+    /// What came of it.
+    pub outcome: Outcome,
+    /// From asking to here.
+    pub elapsed: Duration,
+    /// Payload bytes sent, repetitions included.
+    pub bytes_sent: usize,
+    /// Payload bytes received.
+    pub bytes_received: usize,
+}
+
+/// Sends match queries over a Zenoh session and hands back their answers through a channel.
+#[derive(Debug)]
+pub struct QueryClient {
+    session: zenoh::Session,
+    runtime: Handle,
+    key: String,
+    deadline: Duration,
+    sender: Sender<Answered>,
+    receiver: Receiver<Answered>,
+    pending: usize,
+    /// Whether the last query found nobody: then the next one is tried once only, so that a robot
+    /// without a server does not pile up queries.
+    nobody_there: bool,
+}
+
+impl QueryClient {
+    /// A client for one map.
+    ///
+    /// # Errors
+    /// [`keys::NameError`] for a map name that no key can hold.
+    pub fn new(
+        session: zenoh::Session,
+        runtime: Handle,
+        map: &str,
+        deadline: Duration,
+    ) -> Result<Self, keys::NameError> {
+        let (sender, receiver) = channel();
+        let key = keys::map_match(map)?;
+        Ok(Self { session, runtime, key, deadline, sender, receiver, pending: 0, nobody_there: false })
+    }
+
+    /// Sends a query and returns at once.
+    pub fn ask(&mut self, clone: CloneId, request: MatchRequest) {
+        self.pending += 1;
+        let (session, key, sender) = (self.session.clone(), self.key.clone(), self.sender.clone());
+        let (deadline, persistent) = (self.deadline, !self.nobody_there);
+        self.runtime.spawn(async move {
+            let begin = Instant::now();
+            let stamp_ns = request.stamp_ns;
+            let mut traffic = Traffic::default();
+            let outcome = ask_until(&session, &key, Arc::new(request), begin + deadline, persistent, &mut traffic).await;
+            let answered = Answered {
+                clone,
+                stamp_ns,
+                outcome,
+                elapsed: begin.elapsed(),
+                bytes_sent: traffic.sent,
+                bytes_received: traffic.received,
+            };
+            // Nobody listens any more: the run is over.
+            let _ = sender.send(answered);
+        });
+    }
+
+    /// Queries on their way.
+    pub fn pending(&self) -> usize {
+        self.pending
+    }
+
+    /// The next answer that is already here.
+    pub fn poll(&mut self) -> Option<Answered> {
+        let answered = self.receiver.try_recv().ok()?;
+        Some(self.note(answered))
+    }
+
+    /// The next answer; for a player that stops its recording meanwhile, not for a robot.
+    pub fn wait(&mut self) -> Option<Answered> {
+        if self.pending == 0 {
+            return None;
+        }
+        match self.receiver.recv_timeout(self.deadline + Duration::from_secs(1)) {
+            Ok(answered) => Some(self.note(answered)),
+            Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => None,
+        }
+    }
+
+    fn note(&mut self, answered: Answered) -> Answered {
+        self.pending = self.pending.saturating_sub(1);
+        self.nobody_there = matches!(answered.outcome, Outcome::Failed(_)) && answered.bytes_received == 0;
+        answered
+    }
+}
+
+#[derive(Default)]
+struct Traffic {
+    sent: usize,
+    received: usize,
+}
+
+/// One attempt's end.
+enum Attempt {
+    Finished(Outcome),
+    /// Worth another try, with the reason.
+    Again(String),
+}
+
+async fn ask_until(
+    session: &zenoh::Session,
+    key: &str,
+    request: Arc<MatchRequest>,
+    deadline: Instant,
+    persistent: bool,
+    traffic: &mut Traffic,
+) -> Outcome {
+    let payload = match protocol::encode(Format::Bincode, request.as_ref()) {
+        Ok(payload) => payload,
+        Err(error) => return Outcome::Failed(format!("the query cannot be sent: {error}")),
+    };
+    let mut pause = FIRST_PAUSE;
+    loop {
+        traffic.sent += payload.len();
+        let reason = match attempt(session, key, &payload, &request, deadline, traffic).await {
+            Attempt::Finished(outcome) => return outcome,
+            Attempt::Again(reason) => reason,
+        };
+        if !persistent || Instant::now() + pause >= deadline {
+            return Outcome::Failed(reason);
+        }
+        tokio::time::sleep(pause).await;
+        pause = (pause * 2).min(LONGEST_PAUSE);
+    }
+}
+
+async fn attempt(
+    session: &zenoh::Session,
+    key: &str,
+    payload: &[u8],
+    request: &MatchRequest,
+    deadline: Instant,
+    traffic: &mut Traffic,
+) -> Attempt {
+    let left = deadline.saturating_duration_since(Instant::now());
+    let sent = session
+        .get(key)
+        .payload(payload)
+        .encoding(Format::Bincode.encoding())
+        .target(QueryTarget::BestMatching)
+        .consolidation(ConsolidationMode::None)
+        .timeout(left)
+        .await;
+    let replies = match sent {
+        Ok(replies) => replies,
+        Err(error) => return Attempt::Again(format!("the query could not be sent: {error}")),
+    };
+    let mut keyframes: Vec<MatchedKeyframe> = Vec::new();
+    let mut any = false;
+    loop {
+        let reply = match tokio::time::timeout_at(deadline.into(), replies.recv_async()).await {
+            Ok(Ok(reply)) => reply,
+            // The channel closes without a final status: nobody there, or one that died in between.
+            Ok(Err(_)) if any => return Attempt::Again("the map server stopped in the middle of its answer".into()),
+            Ok(Err(_)) => return Attempt::Again("no map server answers; is it running and serving this map?".into()),
+            Err(_) => return Attempt::Again("no answer before the deadline".into()),
+        };
+        any = true;
+        let sample = match reply.result() {
+            Ok(sample) => sample,
+            Err(error) => {
+                let bytes = error.payload().to_bytes();
+                traffic.received += bytes.len();
+                return refused(&bytes);
+            }
+        };
+        let bytes = sample.payload().to_bytes();
+        traffic.received += bytes.len();
+        match protocol::decode::<MatchReply>(Format::Bincode, &bytes) {
+            Ok(MatchReply::Keyframe(keyframe)) => keyframes.push(keyframe),
+            Ok(MatchReply::Done(status)) => return finish(request, &status, keyframes),
+            Err(error) => return Attempt::Finished(Outcome::Failed(format!("the map server's answer is unreadable: {error}"))),
+        }
+    }
+}
+
+fn finish(request: &MatchRequest, status: &MatchStatus, keyframes: Vec<MatchedKeyframe>) -> Attempt {
+    if status.outcome != MatchOutcome::Matched {
+        return Attempt::Finished(Outcome::NoMatch(status.outcome));
+    }
+    if keyframes.len() != usize::from(status.keyframes_sent) {
+        return Attempt::Again(format!("{} of {} keyframes arrived", keyframes.len(), status.keyframes_sent));
+    }
+    Attempt::Finished(Outcome::Matched(map_answer(&request.features, status, keyframes)))
+}
+
+/// An error reply. Those that time heals are tried again.
+fn refused(bytes: &[u8]) -> Attempt {
+    match protocol::decode::<ErrorReply>(Format::Bincode, bytes) {
+        Ok(error) if error.code == protocol::ErrorCode::Busy => Attempt::Again(error.message),
+        Ok(error) => Attempt::Finished(Outcome::Failed(error.message)),
+        // Zenoh itself says "Timeout" when a server hangs.
+        Err(_) => Attempt::Again(format!("no answer: {}", String::from_utf8_lossy(bytes))),
+    }
+}

@@ -1,0 +1,202 @@
+//! Plays a recording through the estimator.
+
+use super::publisher::{Publisher, QueryCounts};
+use super::query_client::{Answered, Outcome, QueryClient};
+use super::recorder::{Event, Recorder};
+use super::summary::{Timings, Traffic};
+use crate::estimator::{CloneId, Estimator, EstimatorError, MapMode};
+use crate::sequence::{Frame, Sequence};
+use nalgebra::Vector3;
+use protocol::{MatchRequest, PosePrior};
+use std::time::{Duration, Instant};
+
+/// Why a run ended early. What was recorded up to there is kept.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum RunError {
+    /// The filter broke.
+    #[error("at {seconds:.1} s of the recording: {source}")]
+    Estimator {
+        /// Time since the first frame.
+        seconds: f64,
+        /// What broke.
+        source: EstimatorError,
+    },
+}
+
+/// Everything that a run needs beside the recording.
+#[derive(Debug)]
+pub struct RobotRun<'a> {
+    /// The recording.
+    pub sequence: &'a Sequence,
+    /// How many of its cameras to use.
+    pub cameras: usize,
+    /// The filter, at its first state.
+    pub estimator: Estimator,
+    /// Name of the robot.
+    pub robot: String,
+    /// Most keyframes of one answer.
+    pub max_keyframes: u16,
+    /// Play at the speed of the recording.
+    pub realtime: bool,
+    /// Asks the map; none with odometry only.
+    pub queries: Option<QueryClient>,
+    /// Publishes; none without a network.
+    pub publisher: Option<Publisher>,
+}
+
+/// Runs to the end of the recording.
+///
+/// As fast as possible (not `realtime`) the recording stands still while an answer is outstanding, and
+/// the answer to one image is delivered with the next image: results then do not depend on how fast
+/// this machine is. In real time answers are delivered when they come.
+///
+/// # Errors
+/// [`RunError`]; `recorder` holds what was done up to there.
+pub fn run(
+    mut robot: RobotRun<'_>,
+    recorder: &mut Recorder,
+    mut progress: impl FnMut(usize),
+) -> Result<(), RunError> {
+    let first_ns = robot.estimator.stamp_ns();
+    let begin = Instant::now();
+    let mut next_imu = 0;
+    for (index, frame) in robot.sequence.frames.iter().enumerate() {
+        progress(index);
+        if frame.stamp_ns < first_ns {
+            continue;
+        }
+        if robot.realtime {
+            let due = Duration::from_nanos((frame.stamp_ns - first_ns).max(0) as u64);
+            std::thread::sleep(due.saturating_sub(begin.elapsed()));
+        }
+        let broken = |source| RunError::Estimator { seconds: (frame.stamp_ns - first_ns) as f64 * 1e-9, source };
+        robot.frame(frame, &mut next_imu, recorder).map_err(broken)?;
+    }
+    robot.close(recorder).map_err(|source| RunError::Estimator {
+        seconds: (robot.estimator.stamp_ns() - first_ns) as f64 * 1e-9,
+        source,
+    })?;
+    recorder.wall_seconds = begin.elapsed().as_secs_f64();
+    Ok(())
+}
+
+impl RobotRun<'_> {
+    fn frame(&mut self, frame: &Frame, next_imu: &mut usize, recorder: &mut Recorder) -> Result<(), EstimatorError> {
+        let mut timings = Timings::default();
+        let begin = Instant::now();
+        let rate = self.feed_imu(frame.stamp_ns, next_imu, recorder);
+        let clone = match self.estimator.time_update(frame.stamp_ns) {
+            Ok(clone) => clone,
+            Err(error @ (EstimatorError::NoImu { .. } | EstimatorError::OldFrame { .. })) => {
+                tracing::warn!(%error, "frame skipped");
+                recorder.skipped_frames += 1;
+                return Ok(());
+            }
+            Err(error) => return Err(error),
+        };
+        timings.propagation = begin.elapsed();
+
+        let begin = Instant::now();
+        let cameras = self.cameras;
+        let seen: Vec<_> =
+            frame.tracks.iter().filter(|track| usize::from(track.camera) < cameras).copied().collect();
+        let report = self.estimator.track_update(&seen)?;
+        timings.tracks = begin.elapsed();
+        recorder.note_tracks(&report);
+
+        // Answers to earlier images come before this one is asked about.
+        let begin = Instant::now();
+        let waited = self.deliver(recorder)?;
+        timings.map = begin.elapsed().saturating_sub(waited);
+
+        recorder.note_state(&self.estimator);
+        recorder.timings.add(&timings);
+        if let Some(publisher) = &self.publisher {
+            publisher.publish(&self.estimator, rate, recorder.query_counts());
+        }
+        self.ask(clone, frame, recorder);
+        Ok(())
+    }
+
+    /// Hands over the IMU readings up to the first one after the frame.
+    fn feed_imu(&mut self, stamp_ns: i64, next: &mut usize, recorder: &mut Recorder) -> Vector3<f64> {
+        let samples = &self.sequence.imu_samples;
+        while *next < samples.len() && (*next == 0 || samples[*next - 1].stamp_ns < stamp_ns) {
+            if let Err(error) = self.estimator.imu(samples[*next]) {
+                tracing::warn!(%error);
+                recorder.dropped_imu += 1;
+            }
+            *next += 1;
+        }
+        let newest = samples.get(next.saturating_sub(1)).map_or_else(Vector3::zeros, |sample| sample.gyroscope);
+        newest - self.estimator.biases().0
+    }
+
+    fn ask(&mut self, clone: CloneId, frame: &Frame, recorder: &mut Recorder) {
+        let (Some(queries), Some(features)) = (&mut self.queries, &frame.features) else { return };
+        if features.is_empty() || self.estimator.config().mode == MapMode::Odometry {
+            return;
+        }
+        let max_keyframes =
+            if self.estimator.config().mode == MapMode::Single { 1 } else { self.max_keyframes.max(1) };
+        let request = MatchRequest {
+            robot: self.robot.clone(),
+            stamp_ns: frame.stamp_ns,
+            camera: self.sequence.cameras[0].camera.clone(),
+            features: features.clone(),
+            prior: self.estimator.global_from_camera().map(|global_from_camera| PosePrior { global_from_camera }),
+            gravity_in_camera: Some(self.estimator.gravity_in_first_camera().into()),
+            held: self.estimator.held_keyframes(),
+            map_version_held: self.estimator.map_version(),
+            max_keyframes,
+        };
+        self.estimator.pin(clone);
+        recorder.queries_sent += 1;
+        queries.ask(clone, request);
+    }
+
+    /// Takes in the answers that are here; as fast as possible, waits for all of them.
+    fn deliver(&mut self, recorder: &mut Recorder) -> Result<Duration, EstimatorError> {
+        let mut waited = Duration::ZERO;
+        while let Some(queries) = &mut self.queries {
+            let begin = Instant::now();
+            let answered = if self.realtime { queries.poll() } else { queries.wait() };
+            waited += begin.elapsed();
+            let Some(answered) = answered else { break };
+            self.take(&answered, recorder)?;
+        }
+        Ok(waited)
+    }
+
+    fn take(&mut self, answered: &Answered, recorder: &mut Recorder) -> Result<(), EstimatorError> {
+        let mut event = Event::new(answered, self.estimator.stamp_ns());
+        match &answered.outcome {
+            Outcome::Matched(answer) => {
+                let report = self.estimator.map_update(answered.clone, answer)?;
+                event.note_report(&report);
+            }
+            Outcome::NoMatch(outcome) => event.note_no_match(*outcome),
+            Outcome::Failed(reason) => event.note_failure(reason),
+        }
+        self.estimator.unpin(answered.clone);
+        recorder.traffic.add(&Traffic { sent: answered.bytes_sent, received: answered.bytes_received });
+        recorder.note_event(event);
+        Ok(())
+    }
+
+    /// Takes in what is still on its way at the end of the recording.
+    fn close(&mut self, recorder: &mut Recorder) -> Result<(), EstimatorError> {
+        while let Some(answered) = self.queries.as_mut().and_then(QueryClient::wait) {
+            self.take(&answered, recorder)?;
+        }
+        recorder.final_status = Some(self.estimator.status());
+        Ok(())
+    }
+}
+
+impl Recorder {
+    fn query_counts(&self) -> QueryCounts {
+        QueryCounts { sent: self.queries_sent, answered: self.queries_answered }
+    }
+}
+

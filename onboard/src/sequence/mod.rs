@@ -1,0 +1,132 @@
+//! Recorded runs on disk: the EuRoC ASL layout, and what stands in for images where there are none.
+//!
+//! ```text
+//! SEQ/mav0/imu0/{sensor.yaml,data.csv}                   the IMU, if there was one
+//! SEQ/mav0/cam0/{sensor.yaml,data.csv}                   a camera and the stamps of its images; cam1 alike
+//! SEQ/mav0/cam0/tracks.csv                               what an odometry front end tracked
+//! SEQ/mav0/cam0/features.csv                             what a place-recognition extractor saw
+//! SEQ/mav0/state_groundtruth_estimate0/data.csv          the truth, if known
+//! SEQ/reference_poses.csv                                poses to build a map from
+//! ```
+//! The body frame is the IMU's. Everything is read into memory and checked at once: a [`Sequence`] that exists is
+//! in order of time, finite, and calibrated.
+//!
+//! ```no_run
+//! let sequence = onboard::sequence::Sequence::open("recording".as_ref())?;
+//! println!("{} frames, {} IMU samples", sequence.frames.len(), sequence.imu_samples.len());
+//! # Ok::<(), onboard::sequence::SequenceError>(())
+//! ```
+
+mod error;
+mod frames;
+mod gravity;
+mod rows;
+mod sensor;
+mod table;
+mod truth;
+pub mod writer;
+
+#[cfg(test)]
+mod tests;
+
+pub use crate::estimator::{ImuNoise, ImuSample, TrackObservation};
+pub use error::SequenceError;
+pub use frames::Frame;
+pub use rows::{ReferencePose, TruthRow, read_groundtruth, read_reference_poses};
+pub use sensor::{CameraSensor, ImuSensor};
+pub use truth::TruthTrack;
+
+pub(crate) use rows::pose as pose_cells;
+pub(crate) use table::{Table, check_order};
+
+use nalgebra::Vector3;
+use std::path::{Path, PathBuf};
+
+/// A recorded run.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Sequence {
+    /// Where it lies.
+    pub root: PathBuf,
+    /// The IMU; recordings that only serve to build maps may have none.
+    pub imu: Option<ImuSensor>,
+    /// Its samples, strictly increasing in time and finite; empty without an IMU.
+    pub imu_samples: Vec<ImuSample>,
+    /// One camera, or two of a stereo pair.
+    pub cameras: Vec<CameraSensor>,
+    /// All instants at which a camera looked, strictly increasing in time.
+    pub frames: Vec<Frame>,
+    /// Ground truth, if there is any.
+    pub groundtruth: Option<Vec<TruthRow>>,
+    /// Poses to build a map from, if there are any.
+    pub reference_poses: Option<Vec<ReferencePose>>,
+}
+
+impl Sequence {
+    /// Reads a recording.
+    ///
+    /// # Errors
+    /// [`SequenceError`] with the file, the line, and what to do: a missing calibration or table, a row that is cut
+    /// off or not finite, time stamps out of order, tracks or features of an image that is not listed, a lens or a
+    /// descriptor that cannot be understood.
+    pub fn open(root: &Path) -> Result<Self, SequenceError> {
+        let mav = root.join("mav0");
+        if !mav.is_dir() {
+            let advice = "a recording is a folder with mav0/cam0 in it, as EuRoC lays it out; check the path";
+            return Err(SequenceError::missing(&mav, advice));
+        }
+        let imu_folder = mav.join("imu0");
+        let (imu, imu_samples) = if imu_folder.is_dir() {
+            let sensor = sensor::read_imu(&imu_folder.join("sensor.yaml"))?;
+            (Some(sensor), rows::read_imu_samples(&imu_folder.join("data.csv"))?)
+        } else {
+            (None, Vec::new())
+        };
+        let (cameras, frames) = read_cameras(&mav)?;
+        let groundtruth_path = mav.join("state_groundtruth_estimate0/data.csv");
+        let reference_path = root.join("reference_poses.csv");
+        Ok(Self {
+            root: root.to_path_buf(),
+            imu,
+            imu_samples,
+            cameras,
+            frames,
+            groundtruth: if_there(&groundtruth_path, read_groundtruth)?,
+            reference_poses: if_there(&reference_path, read_reference_poses)?,
+        })
+    }
+
+    /// Unit direction in which gravity pulls, in the frame of the ground truth.
+    ///
+    /// Estimated from truth and IMU over the run, and taken for a coordinate axis within 3 degrees of one. `None`
+    /// where truth or IMU is missing, or where they contradict each other.
+    pub fn truth_gravity(&self) -> Option<Vector3<f64>> {
+        gravity::direction(self.groundtruth.as_deref()?, &self.imu_samples)
+    }
+}
+
+fn if_there<T>(
+    path: &Path,
+    read: impl Fn(&Path) -> Result<T, SequenceError>,
+) -> Result<Option<T>, SequenceError> {
+    path.exists().then(|| read(path)).transpose()
+}
+
+/// Both cameras' calibrations and what they saw.
+fn read_cameras(mav: &Path) -> Result<(Vec<CameraSensor>, Vec<Frame>), SequenceError> {
+    let mut cameras = Vec::new();
+    let mut stamps = Vec::new();
+    for name in ["cam0", "cam1"] {
+        let folder = mav.join(name);
+        if name == "cam1" && !folder.is_dir() {
+            break;
+        }
+        cameras.push(sensor::read_camera(&folder.join("sensor.yaml"))?);
+        stamps.push(frames::read_stamps(&folder)?);
+    }
+    let mut all = frames::empty_frames(&stamps);
+    for (camera, (own_stamps, name)) in stamps.iter().zip(["cam0", "cam1"]).enumerate() {
+        frames::read_tracks(&mav.join(name), camera as u8, own_stamps, &mut all)?;
+    }
+    frames::read_features(&mav.join("cam0"), &stamps[0], &mut all)?;
+    Ok((cameras, all))
+}

@@ -1,0 +1,105 @@
+//! Laws of recordings on disk.
+
+mod bad_input;
+mod gravity;
+mod round_trip;
+
+use super::*;
+use geometry::camera::{Camera, Distortion};
+use geometry::pose::Pose;
+use nalgebra::{UnitQuaternion, Vector2};
+use protocol::{DescriptorKind, Descriptors, FeatureSet};
+use rand::rngs::StdRng;
+use rand::{RngExt, SeedableRng};
+
+const START_NS: i64 = 1_403_636_625_938_517_094;
+
+fn vector(rng: &mut StdRng, scale: f64) -> Vector3<f64> {
+    Vector3::from_fn(|_, _| rng.random_range(-scale..scale))
+}
+
+fn pose(rng: &mut StdRng) -> Pose {
+    Pose::new(UnitQuaternion::from_scaled_axis(vector(rng, 1.5)), vector(rng, 100.0))
+}
+
+fn camera(rng: &mut StdRng, distortion: Distortion) -> CameraSensor {
+    let camera =
+        Camera { width: 752, height: 480, focal: [458.654, 457.296], centre: [367.215, 248.375], distortion };
+    CameraSensor { camera, imu_from_camera: pose(rng), rate_hz: 10.0 }
+}
+
+/// A small recording with everything in it, and with the gaps that real ones have.
+fn sequence(seed: u64) -> Sequence {
+    let mut rng = StdRng::seed_from_u64(seed);
+    let distortions = [
+        Distortion::None,
+        Distortion::RadialTangential([-0.28, 0.07, 1.9e-4, 1.8e-5]),
+        Distortion::Equidistant([0.01, -0.02, 0.003, -4e-4]),
+        Distortion::Fov(0.93),
+    ];
+    let stereo = seed.is_multiple_of(2);
+    let cameras =
+        (0..if stereo { 2 } else { 1 }).map(|_| distortions[rng.random_range(0..4)].clone()).collect::<Vec<_>>();
+    let cameras = cameras.into_iter().map(|distortion| camera(&mut rng, distortion)).collect::<Vec<_>>();
+    let frames = (0..8).map(|index| frame(&mut rng, index, cameras.len() as u8)).collect();
+    let groundtruth = (0..10).map(|index| truth_row(&mut rng, index)).collect();
+    let reference = (0..5).map(|index| ReferencePose {
+        stamp_ns: START_NS + index * 1_000_000_000,
+        pose: pose(&mut rng),
+        sigma_theta: 0.0158,
+        sigma_p: 0.1,
+    });
+    Sequence {
+        root: PathBuf::new(),
+        reference_poses: Some(reference.collect()),
+        imu: Some(ImuSensor {
+            noise: ImuNoise::default(),
+            rate_hz: 200.0,
+            gravity_magnitude: stereo.then_some(9.808_084),
+        }),
+        imu_samples: (0..50)
+            .map(|index| ImuSample {
+                stamp_ns: START_NS + index * 4_999_777,
+                gyroscope: vector(&mut rng, 1.0),
+                accelerometer: vector(&mut rng, 12.0),
+            })
+            .collect(),
+        cameras,
+        frames,
+        groundtruth: Some(groundtruth),
+    }
+}
+
+fn frame(rng: &mut StdRng, index: i64, cameras: u8) -> Frame {
+    let mut tracks = Vec::new();
+    // The third image shows nothing: fog.
+    if index != 2 {
+        for camera in 0..cameras {
+            tracks.extend((0..5).map(|feature| TrackObservation {
+                camera,
+                feature_id: feature + index as u64,
+                pixel: Vector2::new(rng.random_range(0.0..752.0), rng.random_range(0.0..480.0)),
+            }));
+        }
+    }
+    let features = (index % 3 == 0).then(|| FeatureSet {
+        pixels: (0..4).map(|_| [rng.random_range(0.0..752.0), rng.random_range(0.0..480.0)]).collect(),
+        descriptors: Descriptors {
+            kind: DescriptorKind::Binary,
+            width: 32,
+            bytes: (0..4 * 32).map(|_| rng.random()).collect(),
+        },
+    });
+    Frame { stamp_ns: START_NS + index * 100_000_001, tracks, features }
+}
+
+fn truth_row(rng: &mut StdRng, index: i64) -> TruthRow {
+    let known = index != 4;
+    TruthRow {
+        stamp_ns: START_NS + index * 100_000_001 - 97_500_000,
+        pose: pose(rng),
+        velocity: known.then(|| vector(rng, 2.0)),
+        gyroscope_bias: known.then(|| vector(rng, 0.01)),
+        accelerometer_bias: (known && index != 5).then(|| vector(rng, 0.1)),
+    }
+}

@@ -1,0 +1,178 @@
+//! Writes a [`Sequence`] in the layout that [`Sequence::open`] reads.
+//!
+//! Numbers are written so that reading them gives the same bits back, except where reading normalizes: rotations
+//! return to 15 digits.
+
+use super::{CameraSensor, Frame, ImuSensor, Sequence, SequenceError};
+use geometry::camera::Distortion;
+use geometry::pose::Pose;
+use nalgebra::Vector3;
+use std::fs::File;
+use std::io::{BufWriter, Write};
+use std::path::Path;
+
+/// Writes every file of a recording below `root`, which is created.
+///
+/// Images are listed but not written: the recording lives from its tracks and features.
+///
+/// # Errors
+/// [`SequenceError::Io`] with the file that could not be written.
+pub fn write(sequence: &Sequence, root: &Path) -> Result<(), SequenceError> {
+    let mav = root.join("mav0");
+    if let Some(imu) = &sequence.imu {
+        write_file(&mav.join("imu0/sensor.yaml"), |out| imu_yaml(out, imu))?;
+        write_file(&mav.join("imu0/data.csv"), |out| imu_rows(out, sequence))?;
+    }
+    for (index, camera) in sequence.cameras.iter().enumerate() {
+        let folder = mav.join(format!("cam{index}"));
+        write_file(&folder.join("sensor.yaml"), |out| camera_yaml(out, camera))?;
+        write_file(&folder.join("data.csv"), |out| image_rows(out, &sequence.frames))?;
+        let tracked =
+            |frame: &Frame| frame.tracks.iter().any(|track| usize::from(track.camera) == index);
+        if sequence.frames.iter().any(tracked) {
+            write_file(&folder.join("tracks.csv"), |out| track_rows(out, &sequence.frames, index))?;
+        }
+    }
+    if sequence.frames.iter().any(|frame| frame.features.is_some()) {
+        write_file(&mav.join("cam0/features.csv"), |out| feature_rows(out, &sequence.frames))?;
+    }
+    if let Some(truth) = &sequence.groundtruth {
+        write_file(&mav.join("state_groundtruth_estimate0/data.csv"), |out| {
+            writeln!(
+                out,
+                "#timestamp [ns],p_x [m],p_y,p_z,q_w,q_x,q_y,q_z,v_x [m s^-1],v_y,v_z,\
+                 b_w_x [rad s^-1],b_w_y,b_w_z,b_a_x [m s^-2],b_a_y,b_a_z"
+            )?;
+            for row in truth {
+                write!(out, "{},{}", row.stamp_ns, pose_cells(&row.pose))?;
+                for vector in [row.velocity, row.gyroscope_bias, row.accelerometer_bias] {
+                    match vector {
+                        Some(vector) => write!(out, ",{}", vector_cells(&vector))?,
+                        None => write!(out, ",nan,nan,nan")?,
+                    }
+                }
+                writeln!(out)?;
+            }
+            Ok(())
+        })?;
+    }
+    if let Some(poses) = &sequence.reference_poses {
+        write_file(&root.join("reference_poses.csv"), |out| {
+            writeln!(
+                out,
+                "#timestamp [ns],p_x [m],p_y [m],p_z [m],q_w,q_x,q_y,q_z,sigma_theta [rad],sigma_p [m]"
+            )?;
+            poses.iter().try_for_each(|row| {
+                let pose = pose_cells(&row.pose);
+                writeln!(out, "{},{pose},{},{}", row.stamp_ns, row.sigma_theta, row.sigma_p)
+            })
+        })?;
+    }
+    Ok(())
+}
+
+type Out = BufWriter<File>;
+
+fn write_file(path: &Path, fill: impl FnOnce(&mut Out) -> std::io::Result<()>) -> Result<(), SequenceError> {
+    let create = || {
+        if let Some(folder) = path.parent() {
+            std::fs::create_dir_all(folder)?;
+        }
+        let mut out = BufWriter::new(File::create(path)?);
+        fill(&mut out)?;
+        out.flush()
+    };
+    create().map_err(|source| SequenceError::io(path, source))
+}
+
+fn vector_cells(vector: &Vector3<f64>) -> String {
+    format!("{},{},{}", vector.x, vector.y, vector.z)
+}
+
+fn pose_cells(pose: &Pose) -> String {
+    let q = pose.rotation.quaternion();
+    format!("{},{},{},{},{}", vector_cells(&pose.translation), q.w, q.i, q.j, q.k)
+}
+
+fn matrix_yaml(out: &mut Out, pose: &Pose) -> std::io::Result<()> {
+    let rotation = pose.rotation.to_rotation_matrix();
+    writeln!(out, "T_BS:\n  cols: 4\n  rows: 4")?;
+    for row in 0..3 {
+        let cells = (0..3).map(|column| rotation[(row, column)].to_string() + ", ").collect::<String>();
+        let opening = if row == 0 { "  data: [" } else { "         " };
+        writeln!(out, "{opening}{cells}{},", pose.translation[row])?;
+    }
+    writeln!(out, "         0.0, 0.0, 0.0, 1.0]")
+}
+
+fn imu_yaml(out: &mut Out, imu: &ImuSensor) -> std::io::Result<()> {
+    writeln!(out, "sensor_type: imu")?;
+    matrix_yaml(out, &Pose::identity())?;
+    writeln!(out, "rate_hz: {}", imu.rate_hz)?;
+    if let Some(gravity) = imu.gravity_magnitude {
+        writeln!(out, "gravity_magnitude: {gravity}")?;
+    }
+    writeln!(out, "gyroscope_noise_density: {}", imu.noise.gyroscope)?;
+    writeln!(out, "gyroscope_random_walk: {}", imu.noise.gyroscope_walk)?;
+    writeln!(out, "accelerometer_noise_density: {}", imu.noise.accelerometer)?;
+    writeln!(out, "accelerometer_random_walk: {}", imu.noise.accelerometer_walk)
+}
+
+fn imu_rows(out: &mut Out, sequence: &Sequence) -> std::io::Result<()> {
+    writeln!(out, "#timestamp [ns],w_x [rad s^-1],w_y,w_z,a_x [m s^-2],a_y,a_z")?;
+    sequence.imu_samples.iter().try_for_each(|sample| {
+        let rates = vector_cells(&sample.gyroscope);
+        writeln!(out, "{},{rates},{}", sample.stamp_ns, vector_cells(&sample.accelerometer))
+    })
+}
+
+fn camera_yaml(out: &mut Out, sensor: &CameraSensor) -> std::io::Result<()> {
+    let camera = &sensor.camera;
+    let (model, coefficients): (&str, &[f64]) = match &camera.distortion {
+        Distortion::None => ("none", &[]),
+        Distortion::RadialTangential(k) => ("radial-tangential", k),
+        Distortion::Equidistant(k) => ("equidistant", k),
+        Distortion::Fov(omega) => ("fov", std::slice::from_ref(omega)),
+    };
+    writeln!(out, "sensor_type: camera")?;
+    matrix_yaml(out, &sensor.imu_from_camera)?;
+    writeln!(out, "rate_hz: {}", sensor.rate_hz)?;
+    writeln!(out, "resolution: [{}, {}]", camera.width, camera.height)?;
+    writeln!(out, "camera_model: pinhole")?;
+    let ([fu, fv], [cu, cv]) = (camera.focal, camera.centre);
+    writeln!(out, "intrinsics: [{fu}, {fv}, {cu}, {cv}]")?;
+    writeln!(out, "distortion_model: {model}")?;
+    let list = coefficients.iter().map(f64::to_string).collect::<Vec<_>>().join(", ");
+    writeln!(out, "distortion_coefficients: [{list}]")
+}
+
+fn image_rows(out: &mut Out, frames: &[Frame]) -> std::io::Result<()> {
+    writeln!(out, "#timestamp [ns],filename")?;
+    frames.iter().try_for_each(|frame| writeln!(out, "{0},{0}.png", frame.stamp_ns))
+}
+
+fn track_rows(out: &mut Out, frames: &[Frame], camera: usize) -> std::io::Result<()> {
+    writeln!(out, "#timestamp [ns],feature_id,u [px],v [px]")?;
+    for frame in frames {
+        for track in frame.tracks.iter().filter(|track| usize::from(track.camera) == camera) {
+            let (stamp, pixel) = (frame.stamp_ns, track.pixel);
+            writeln!(out, "{stamp},{},{},{}", track.feature_id, pixel.x, pixel.y)?;
+        }
+    }
+    Ok(())
+}
+
+fn feature_rows(out: &mut Out, frames: &[Frame]) -> std::io::Result<()> {
+    writeln!(out, "#timestamp [ns],u [px],v [px],descriptor [hex]")?;
+    for frame in frames {
+        let Some(features) = &frame.features else { continue };
+        for (index, [u, v]) in features.pixels.iter().enumerate() {
+            write!(out, "{},{u},{v},", frame.stamp_ns)?;
+            for byte in features.descriptors.get(index).unwrap_or_default() {
+                write!(out, "{byte:02x}")?;
+            }
+            writeln!(out)?;
+        }
+    }
+    Ok(())
+}

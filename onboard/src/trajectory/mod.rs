@@ -1,0 +1,25 @@
+//! Trajectories on disk: TUM files, EuRoC ground truth, and `states.csv` with covariances.
+//!
+//! | file | what | module |
+//! |---|---|---|
+//! | `*.tum` | `t x y z qx qy qz qw`, seconds with 9 decimals | [`tum`] |
+//! | `states.csv` | each output of a run with its 6x6 covariance | [`states`] |
+//! | EuRoC `data.csv` | ground truth | [`read_any`] |
+
+mod any;
+pub mod states;
+pub mod tum;
+
+pub use any::{TrajectoryFile, read_any};
+pub use states::{StateKind, StateRow};
+
+use geometry::pose::Pose;
+
+/// A pose at an instant.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StampedPose {
+    /// Time, nanoseconds.
+    pub stamp_ns: i64,
+    /// The pose; the file says of what in what.
+    pub pose: Pose,
+}

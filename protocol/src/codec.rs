@@ -1,0 +1,309 @@
+//! Messages to bytes and back, trusting nothing.
+//!
+//! Bincode payloads travel in an envelope, because most random bytes decode to *something*:
+//!
+//! | bytes | little-endian |
+//! |---|---|
+//! | 0..4 | magic `DRFT` |
+//! | 4..6 | schema version |
+//! | 6..8 | message type, [`Message::TAG`] |
+//! | 8..12 | payload length |
+//! | 12..16 | CRC-32 (IEEE) of bytes 4..12 and the payload |
+//! | 16.. | payload: bincode, little-endian, variable-length integers |
+//!
+//! JSON payloads are one object with `"schema"` and `"type"` beside the message's own fields.
+//!
+//! The order of checks is: total length, magic, schema version, length, checksum, type, decoding within the limit of
+//! the bytes that are there, no bytes left over, and what the message says ([`Validate`]). A length that lies costs
+//! nothing: nothing is reserved for it.
+
+use crate::validate::{InvalidField, Validate};
+use crate::{MAX_MESSAGE_BYTES, SCHEMA_VERSION};
+use bincode::Options;
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+const MAGIC: [u8; 4] = *b"DRFT";
+const HEADER_BYTES: usize = 16;
+
+/// A type that travels as a payload of its own.
+pub trait Message: Serialize + DeserializeOwned + Validate {
+    /// Its number in the bincode envelope, unique in this crate and never used again.
+    const TAG: u16;
+    /// Its name in JSON's `"type"` and in error texts.
+    const NAME: &'static str;
+
+    /// Reads the message's own fields from the flat JSON object.
+    ///
+    /// # Errors
+    /// What serde_json says.
+    fn from_json(bytes: &[u8]) -> Result<Self, serde_json::Error> {
+        serde_json::from_slice(bytes)
+    }
+}
+
+/// How a payload is written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Default)]
+pub enum Format {
+    /// Compact and checked, between Driftless programs.
+    #[default]
+    Bincode,
+    /// For everyone else.
+    Json,
+}
+
+impl Format {
+    /// Both formats.
+    pub const ALL: [Self; 2] = [Self::Bincode, Self::Json];
+
+    /// What Zenoh's `Encoding` says of such a payload.
+    pub fn encoding(self) -> &'static str {
+        match self {
+            Self::Bincode => "application/x-driftless-bincode",
+            Self::Json => "application/json",
+        }
+    }
+
+    /// The format that an `Encoding` names, a schema suffix (`;..`) ignored; `None` for any other.
+    ///
+    /// ```
+    /// use protocol::Format;
+    /// assert_eq!(Format::from_encoding("application/json;utf-8"), Some(Format::Json));
+    /// assert_eq!(Format::from_encoding("image/png"), None);
+    /// ```
+    pub fn from_encoding(encoding: &str) -> Option<Self> {
+        let name = encoding.split(';').next().unwrap_or_default().trim();
+        Self::ALL.into_iter().find(|format| format.encoding() == name)
+    }
+
+    /// The format in which a query wants its answer: the `format` among its selector's parameters (`json` or
+    /// `bincode`; without one bincode).
+    ///
+    /// ```
+    /// use protocol::Format;
+    /// assert_eq!(Format::from_parameters("format=json")?, Format::Json);
+    /// assert_eq!(Format::from_parameters("")?, Format::Bincode);
+    /// assert!(Format::from_parameters("format=xml").is_err());
+    /// # Ok::<(), protocol::CodecError>(())
+    /// ```
+    ///
+    /// # Errors
+    /// [`CodecError::UnknownFormat`] for any other value.
+    pub fn from_parameters(parameters: &str) -> Result<Self, CodecError> {
+        match parameters.split([';', '&']).find_map(|parameter| parameter.trim().strip_prefix("format=")) {
+            None | Some("bincode") => Ok(Self::Bincode),
+            Some("json") => Ok(Self::Json),
+            Some(other) => Err(CodecError::UnknownFormat(other.chars().take(32).collect())),
+        }
+    }
+}
+
+/// Why bytes are not a message, or a message cannot become bytes.
+#[derive(Debug, Error)]
+pub enum CodecError {
+    /// The payload exceeds [`MAX_MESSAGE_BYTES`].
+    #[error("a payload of {length} bytes exceeds the limit of {MAX_MESSAGE_BYTES}")]
+    TooLong {
+        /// Its bytes; of an encoder that stopped early, the least it would have been.
+        length: usize,
+    },
+    /// The payload ends within the envelope's header.
+    #[error("the payload is truncated: {length} bytes are fewer than the header's {HEADER_BYTES}")]
+    Truncated {
+        /// Its bytes.
+        length: usize,
+    },
+    /// The payload does not start with `DRFT`.
+    #[error(
+        "this is not a Driftless bincode payload (it does not start with \"DRFT\"); for JSON set the encoding to application/json"
+    )]
+    WrongMagic,
+    /// The other side speaks another version of the schema.
+    #[error(
+        "the payload is of schema {found}, this program speaks schema {expected}: update whichever of the two programs is older"
+    )]
+    SchemaMismatch {
+        /// The payload's version.
+        found: u64,
+        /// Ours, [`SCHEMA_VERSION`].
+        expected: u16,
+    },
+    /// A JSON payload without a schema version.
+    #[error("the JSON object has no \"schema\" number: add \"schema\": {SCHEMA_VERSION}")]
+    MissingSchema,
+    /// The length in the envelope is not that of the payload.
+    #[error(
+        "the envelope announces {announced} bytes but {present} follow it: the payload was cut or joined on its way"
+    )]
+    WrongLength {
+        /// What the envelope says.
+        announced: u64,
+        /// What there is.
+        present: usize,
+    },
+    /// The checksum does not fit.
+    #[error("the payload's checksum is wrong: it was damaged on its way")]
+    WrongChecksum,
+    /// The payload is another message than was expected here.
+    #[error("expected a {expected}, got {found}")]
+    WrongType {
+        /// What was expected.
+        expected: &'static str,
+        /// What is there.
+        found: String,
+    },
+    /// The bytes are not the fields of such a message.
+    #[error("the payload is not a {message}: {reason}")]
+    Malformed {
+        /// What was expected.
+        message: &'static str,
+        /// What the decoder says.
+        reason: String,
+    },
+    /// A field makes no sense.
+    #[error("a {message} with an invalid value: {violation}")]
+    Invalid {
+        /// The message.
+        message: &'static str,
+        /// The field and what is wrong with it.
+        #[source]
+        violation: InvalidField,
+    },
+    /// A format that nobody here writes.
+    #[error("unknown format {0:?}: use format=json or format=bincode")]
+    UnknownFormat(String),
+}
+
+/// Puts a message into bytes.
+///
+/// # Errors
+/// [`CodecError::Invalid`] for a message that [`decode`] would refuse, [`CodecError::TooLong`].
+pub fn encode<M: Message>(format: Format, message: &M) -> Result<Vec<u8>, CodecError> {
+    validated(message)?;
+    let bytes = match format {
+        Format::Bincode => encode_bincode(message)?,
+        Format::Json => encode_json(message)?,
+    };
+    check_length(bytes.len())?;
+    Ok(bytes)
+}
+
+/// Takes a message out of bytes.
+///
+/// # Errors
+/// Every [`CodecError`] but [`CodecError::UnknownFormat`]; the module says in which order they are looked for.
+pub fn decode<M: Message>(format: Format, bytes: &[u8]) -> Result<M, CodecError> {
+    check_length(bytes.len())?;
+    let message = match format {
+        Format::Bincode => decode_bincode(bytes)?,
+        Format::Json => decode_json(bytes)?,
+    };
+    validated(&message)?;
+    Ok(message)
+}
+
+fn check_length(length: usize) -> Result<(), CodecError> {
+    if length > MAX_MESSAGE_BYTES { Err(CodecError::TooLong { length }) } else { Ok(()) }
+}
+
+fn check_schema(found: u64) -> Result<(), CodecError> {
+    if found == u64::from(SCHEMA_VERSION) {
+        Ok(())
+    } else {
+        Err(CodecError::SchemaMismatch { found, expected: SCHEMA_VERSION })
+    }
+}
+
+fn validated<M: Message>(message: &M) -> Result<(), CodecError> {
+    message.validate().map_err(|violation| CodecError::Invalid { message: M::NAME, violation })
+}
+
+fn malformed<M: Message>(error: &dyn std::fmt::Display) -> CodecError {
+    CodecError::Malformed { message: M::NAME, reason: error.to_string() }
+}
+
+fn bincode_options(limit: usize) -> impl Options {
+    bincode::DefaultOptions::new().with_limit(limit as u64).reject_trailing_bytes()
+}
+
+/// CRC-32 of the header's fields (all but the magic and itself) and the payload.
+fn checksum(header_fields: &[u8], payload: &[u8]) -> u32 {
+    let mut hasher = crc32fast::Hasher::new();
+    hasher.update(header_fields);
+    hasher.update(payload);
+    hasher.finalize()
+}
+
+fn encode_bincode<M: Message>(message: &M) -> Result<Vec<u8>, CodecError> {
+    let options = bincode_options(MAX_MESSAGE_BYTES);
+    let mut bytes = vec![0; HEADER_BYTES];
+    options.serialize_into(&mut bytes, message).map_err(|error| match *error {
+        bincode::ErrorKind::SizeLimit => CodecError::TooLong { length: MAX_MESSAGE_BYTES + 1 },
+        other => malformed::<M>(&other),
+    })?;
+    let payload_length = (bytes.len() - HEADER_BYTES) as u32;
+    bytes[0..4].copy_from_slice(&MAGIC);
+    bytes[4..6].copy_from_slice(&SCHEMA_VERSION.to_le_bytes());
+    bytes[6..8].copy_from_slice(&M::TAG.to_le_bytes());
+    bytes[8..12].copy_from_slice(&payload_length.to_le_bytes());
+    let crc = checksum(&bytes[4..12], &bytes[HEADER_BYTES..]);
+    bytes[12..16].copy_from_slice(&crc.to_le_bytes());
+    Ok(bytes)
+}
+
+fn decode_bincode<M: Message>(bytes: &[u8]) -> Result<M, CodecError> {
+    let (header, payload) =
+        bytes.split_first_chunk::<HEADER_BYTES>().ok_or(CodecError::Truncated { length: bytes.len() })?;
+    let [m0, m1, m2, m3, s0, s1, t0, t1, l0, l1, l2, l3, c0, c1, c2, c3] = *header;
+    if [m0, m1, m2, m3] != MAGIC {
+        return Err(CodecError::WrongMagic);
+    }
+    check_schema(u64::from(u16::from_le_bytes([s0, s1])))?;
+    let announced = u64::from(u32::from_le_bytes([l0, l1, l2, l3]));
+    if announced != payload.len() as u64 {
+        return Err(CodecError::WrongLength { announced, present: payload.len() });
+    }
+    if checksum(&header[4..12], payload) != u32::from_le_bytes([c0, c1, c2, c3]) {
+        return Err(CodecError::WrongChecksum);
+    }
+    let tag = u16::from_le_bytes([t0, t1]);
+    if tag != M::TAG {
+        return Err(CodecError::WrongType {
+            expected: M::NAME,
+            found: format!("the message with tag {tag}"),
+        });
+    }
+    bincode_options(payload.len()).deserialize(payload).map_err(|error| malformed::<M>(&error))
+}
+
+fn encode_json<M: Message>(message: &M) -> Result<Vec<u8>, CodecError> {
+    let object = serde_json::to_vec(message).map_err(|error| malformed::<M>(&error))?;
+    let fields = object.strip_prefix(b"{").ok_or_else(|| malformed::<M>(&"it is no JSON object"))?;
+    let mut bytes = format!("{{\"schema\":{SCHEMA_VERSION},\"type\":\"{}\",", M::NAME).into_bytes();
+    bytes.extend_from_slice(fields);
+    Ok(bytes)
+}
+
+fn decode_json<M: Message>(bytes: &[u8]) -> Result<M, CodecError> {
+    #[derive(Deserialize)]
+    struct Header {
+        schema: Option<u64>,
+        #[serde(rename = "type")]
+        name: Option<String>,
+    }
+    let header: Header = serde_json::from_slice(bytes).map_err(|error| malformed::<M>(&error))?;
+    check_schema(header.schema.ok_or(CodecError::MissingSchema)?)?;
+    match header.name {
+        Some(name) if name != M::NAME => {
+            let shown: String = name.chars().take(64).collect();
+            Err(CodecError::WrongType { expected: M::NAME, found: format!("{shown:?}") })
+        }
+        _ => M::from_json(bytes).map_err(|error| malformed::<M>(&error)),
+    }
+}
+
+/// An error of serde_json for what serde cannot say itself.
+pub(crate) fn malformed_json(reason: &str) -> serde_json::Error {
+    <serde_json::Error as serde::de::Error>::custom(reason)
+}

@@ -1,0 +1,73 @@
+//! Why a query could not be answered, sent as Zenoh's error reply.
+//!
+//! "Nothing matched" is an answer, not an error: see [`crate::MatchOutcome`].
+
+use crate::codec::{CodecError, Message};
+use crate::validate::{InvalidField, Validate, require_short};
+use serde::{Deserialize, Serialize};
+
+/// What kind of failure, for programs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ErrorCode {
+    /// The payload cannot be decoded, or a field makes no sense. Asking again with the same bytes is useless.
+    BadRequest,
+    /// The payload is of another schema version: update the older side.
+    SchemaMismatch,
+    /// The query's descriptors are not of the map's kind and width.
+    DescriptorMismatch,
+    /// The server has no such map.
+    UnknownMap,
+    /// The map has no such keyframe.
+    UnknownKeyframe,
+    /// The server has more to do than it can: ask again later.
+    Busy,
+    /// A fault of the server, like an unreadable database.
+    Internal,
+}
+
+/// A query that could not be answered.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ErrorReply {
+    /// What kind of failure.
+    pub code: ErrorCode,
+    /// What happened, to what, and what to do, for people.
+    pub message: String,
+}
+
+impl ErrorReply {
+    /// An error reply; an overlong message is cut at [`crate::MAX_TEXT_BYTES`].
+    pub fn new(code: ErrorCode, message: impl Into<String>) -> Self {
+        let mut message = message.into();
+        message.truncate(message.floor_char_boundary(crate::MAX_TEXT_BYTES));
+        Self { code, message }
+    }
+}
+
+/// The reply to a payload that did not decode.
+impl From<&CodecError> for ErrorReply {
+    fn from(error: &CodecError) -> Self {
+        let code = match error {
+            CodecError::SchemaMismatch { .. } => ErrorCode::SchemaMismatch,
+            _ => ErrorCode::BadRequest,
+        };
+        Self::new(code, error.to_string())
+    }
+}
+
+impl std::fmt::Display for ErrorReply {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        formatter.write_str(&self.message)
+    }
+}
+
+impl Validate for ErrorReply {
+    fn validate(&self) -> Result<(), InvalidField> {
+        require_short(&self.message, "message")
+    }
+}
+
+impl Message for ErrorReply {
+    const TAG: u16 = 11;
+    const NAME: &'static str = "error_reply";
+}

@@ -1,0 +1,170 @@
+//! Key expressions, below the session's namespace (one namespace is one fleet), and the names that go into them.
+//!
+//! | key | kind |
+//! |---|---|
+//! | [`map_match`], [`map_localize`], [`map_info`], [`map_keyframe`] | queryable |
+//! | [`map_changes`] | publisher |
+//! | [`robot_pose`], [`robot_odometry`], [`robot_status`] | publisher |
+//! | [`robot`], [`map_server`] | liveliness |
+//!
+//! ```
+//! assert_eq!(protocol::keys::map_match("cellar")?, "map/cellar/match");
+//! assert!(protocol::keys::map_match("cellar/*").is_err());
+//! # Ok::<(), protocol::keys::NameError>(())
+//! ```
+
+use crate::KeyframeId;
+use thiserror::Error;
+
+/// Longest name, bytes.
+pub const MAX_NAME_BYTES: usize = 64;
+
+/// A name that cannot be one chunk of a key expression.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+pub enum NameError {
+    /// The name is the empty string.
+    #[error("a name of a map, robot or server cannot be empty")]
+    Empty,
+    /// The name exceeds [`MAX_NAME_BYTES`].
+    #[error("a name of {length} bytes is too long: at most {MAX_NAME_BYTES}")]
+    TooLong {
+        /// Its bytes.
+        length: usize,
+    },
+    /// The name holds a character with a meaning in key expressions, or one that cannot be seen.
+    #[error("the name {name:?} holds {character:?}; use letters, digits, '-', '_' and '.'")]
+    Character {
+        /// The name.
+        name: String,
+        /// The first such character.
+        character: char,
+    },
+}
+
+/// Checks that a name can be one chunk of a key: not empty, not too long, and without `/ * $ # ? @`, white space and
+/// control characters (a leading `@` would hide the key from wildcards).
+///
+/// # Errors
+/// [`NameError`] says which of these.
+pub fn validate_name(name: &str) -> Result<(), NameError> {
+    if name.is_empty() {
+        return Err(NameError::Empty);
+    }
+    if name.len() > MAX_NAME_BYTES {
+        return Err(NameError::TooLong { length: name.len() });
+    }
+    let forbidden = |&character: &char| {
+        matches!(character, '/' | '*' | '$' | '#' | '?' | '@')
+            || character.is_whitespace()
+            || character.is_control()
+    };
+    match name.chars().find(forbidden) {
+        Some(character) => Err(NameError::Character { name: name.to_owned(), character }),
+        None => Ok(()),
+    }
+}
+
+fn key(prefix: &str, name: &str, suffix: &str) -> Result<String, NameError> {
+    validate_name(name)?;
+    Ok(format!("{prefix}/{name}{suffix}"))
+}
+
+/// `map/{map}/match`: [`crate::MatchRequest`] in, [`crate::MatchReply`]s out.
+///
+/// # Errors
+/// [`NameError`] if the name cannot be part of a key.
+pub fn map_match(map: &str) -> Result<String, NameError> {
+    key("map", map, "/match")
+}
+
+/// `map/{map}/localize`: [`crate::LocalizeRequest`] in, [`crate::LocalizeReply`] out.
+///
+/// # Errors
+/// [`NameError`] if the name cannot be part of a key.
+pub fn map_localize(map: &str) -> Result<String, NameError> {
+    key("map", map, "/localize")
+}
+
+/// `map/{map}/info`: nothing in, [`crate::MapInfo`] out.
+///
+/// # Errors
+/// [`NameError`] if the name cannot be part of a key.
+pub fn map_info(map: &str) -> Result<String, NameError> {
+    key("map", map, "/info")
+}
+
+/// `map/{map}/keyframes/{id}`: nothing in, [`crate::KeyframeReply`] out.
+///
+/// # Errors
+/// [`NameError`] if the name cannot be part of a key.
+pub fn map_keyframe(map: &str, id: KeyframeId) -> Result<String, NameError> {
+    key("map", map, &format!("/keyframes/{id}"))
+}
+
+/// `map/{map}/keyframes/*`: what the server declares.
+///
+/// # Errors
+/// [`NameError`] if the name cannot be part of a key.
+pub fn map_keyframes(map: &str) -> Result<String, NameError> {
+    key("map", map, "/keyframes/*")
+}
+
+/// The id at the end of a key of [`map_keyframe`]; `None` for anything else.
+///
+/// ```
+/// assert_eq!(protocol::keys::keyframe_of("map/cellar/keyframes/17"), Some(17));
+/// assert_eq!(protocol::keys::keyframe_of("map/cellar/keyframes/*"), None);
+/// ```
+pub fn keyframe_of(key: &str) -> Option<KeyframeId> {
+    let (parent, id) = key.rsplit_once('/')?;
+    let digits_only = id.bytes().all(|byte| byte.is_ascii_digit());
+    if parent.ends_with("/keyframes") && digits_only { id.parse().ok() } else { None }
+}
+
+/// `map/{map}/changes`: [`crate::MapChange`].
+///
+/// # Errors
+/// [`NameError`] if the name cannot be part of a key.
+pub fn map_changes(map: &str) -> Result<String, NameError> {
+    key("map", map, "/changes")
+}
+
+/// `robot/{robot}/pose`: [`crate::RobotPose`].
+///
+/// # Errors
+/// [`NameError`] if the name cannot be part of a key.
+pub fn robot_pose(robot: &str) -> Result<String, NameError> {
+    key("robot", robot, "/pose")
+}
+
+/// `robot/{robot}/odometry`: [`crate::RobotOdometry`].
+///
+/// # Errors
+/// [`NameError`] if the name cannot be part of a key.
+pub fn robot_odometry(robot: &str) -> Result<String, NameError> {
+    key("robot", robot, "/odometry")
+}
+
+/// `robot/{robot}/status`: [`crate::RobotStatus`].
+///
+/// # Errors
+/// [`NameError`] if the name cannot be part of a key.
+pub fn robot_status(robot: &str) -> Result<String, NameError> {
+    key("robot", robot, "/status")
+}
+
+/// `robot/{robot}`: liveliness of a robot.
+///
+/// # Errors
+/// [`NameError`] if the name cannot be part of a key.
+pub fn robot(name: &str) -> Result<String, NameError> {
+    key("robot", name, "")
+}
+
+/// `map_server/{server}`: liveliness of a map server.
+///
+/// # Errors
+/// [`NameError`] if the name cannot be part of a key.
+pub fn map_server(server: &str) -> Result<String, NameError> {
+    key("map_server", server, "")
+}

@@ -1,0 +1,92 @@
+//! `map/{map}/localize`: features and a camera in, its global pose out, for clients that run no estimator.
+
+use crate::codec::Message;
+use crate::features::FeatureSet;
+use crate::matching::{MatchOutcome, PosePrior};
+use crate::validate::{InvalidField, Validate, require, require_unit};
+use crate::{KeyframeId, wire};
+use geometry::camera::Camera;
+use geometry::uncertain_pose::PoseWithCovariance;
+use serde::{Deserialize, Serialize};
+
+/// Where was this image taken?
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct LocalizeRequest {
+    /// The camera that took it.
+    #[serde(with = "wire::camera")]
+    pub camera: Camera,
+    /// What was seen.
+    pub features: FeatureSet,
+    /// Where the camera probably is; none means anywhere in the map.
+    #[serde(default)]
+    pub prior: Option<PosePrior>,
+    /// Unit vector along which things fall, in the camera frame, if known.
+    #[serde(default)]
+    pub gravity_in_camera: Option<[f64; 3]>,
+}
+
+impl Validate for LocalizeRequest {
+    fn validate(&self) -> Result<(), InvalidField> {
+        Validate::validate(&self.camera).map_err(|violation| violation.within("camera"))?;
+        self.features.validate().map_err(|violation| violation.within("features"))?;
+        if let Some(prior) = &self.prior {
+            prior.validate().map_err(|violation| violation.within("prior"))?;
+        }
+        self.gravity_in_camera.as_ref().map_or(Ok(()), |gravity| require_unit(gravity, "gravity_in_camera"))
+    }
+}
+
+impl Message for LocalizeRequest {
+    const TAG: u16 = 3;
+    const NAME: &'static str = "localize_request";
+}
+
+/// The answer to a [`LocalizeRequest`]: a pose exactly where the outcome is [`MatchOutcome::Matched`].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct LocalizeReply {
+    /// Version of the map that was searched.
+    pub map_version: u64,
+    /// How the search ended.
+    pub outcome: MatchOutcome,
+    /// The pose that was found.
+    #[serde(default)]
+    pub fix: Option<LocalizedPose>,
+}
+
+impl Validate for LocalizeReply {
+    fn validate(&self) -> Result<(), InvalidField> {
+        let consistent = self.fix.is_some() == (self.outcome == MatchOutcome::Matched);
+        require(consistent, "fix", "must be there exactly when the outcome is `matched`")?;
+        self.fix.as_ref().map_or(Ok(()), |fix| fix.validate().map_err(|violation| violation.within("fix")))
+    }
+}
+
+impl Message for LocalizeReply {
+    const TAG: u16 = 4;
+    const NAME: &'static str = "localize_reply";
+}
+
+/// A pose found from one image.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct LocalizedPose {
+    /// The camera in the map's frame; the covariance includes the map's own.
+    #[serde(with = "wire::uncertain_pose")]
+    pub global_from_camera: PoseWithCovariance,
+    /// The keyframe that matched best.
+    pub keyframe: KeyframeId,
+    /// Query features that matched a landmark.
+    pub matched_features: u32,
+    /// Those of them that agree with the pose.
+    pub inliers: u32,
+    /// Mean reprojection error of the inliers, pixels.
+    pub mean_error_px: f64,
+}
+
+impl Validate for LocalizedPose {
+    fn validate(&self) -> Result<(), InvalidField> {
+        self.global_from_camera.validate().map_err(|violation| violation.within("global_from_camera"))?;
+        require(self.inliers <= self.matched_features, "inliers", "exceeds matched_features")?;
+        let sensible = self.mean_error_px.is_finite() && self.mean_error_px >= 0.0;
+        require(sensible, "mean_error_px", "is not a finite, non-negative number")
+    }
+}

@@ -1,0 +1,114 @@
+//! `robot/{robot}/pose`, `/odometry` and `/status`: what a robot publishes.
+
+use crate::codec::Message;
+use crate::validate::{InvalidField, Validate, require_finite, require_short};
+use crate::{keys, wire};
+use geometry::uncertain_pose::PoseWithCovariance;
+use serde::{Deserialize, Serialize};
+
+/// Where a robot is in its map.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct RobotPose {
+    /// Sensor time, nanoseconds.
+    pub stamp_ns: i64,
+    /// Name of the map whose frame is meant.
+    pub map: String,
+    /// Version of that map at the last update from it.
+    pub map_version: u64,
+    /// The IMU in the map's frame.
+    #[serde(with = "wire::uncertain_pose")]
+    pub global_from_imu: PoseWithCovariance,
+    /// The odometry frame in the map's frame.
+    #[serde(with = "wire::uncertain_pose")]
+    pub global_from_local: PoseWithCovariance,
+}
+
+impl Validate for RobotPose {
+    fn validate(&self) -> Result<(), InvalidField> {
+        keys::validate_name(&self.map).map_err(|error| InvalidField::new("map", error.to_string()))?;
+        self.global_from_imu.validate().map_err(|violation| violation.within("global_from_imu"))?;
+        self.global_from_local.validate().map_err(|violation| violation.within("global_from_local"))
+    }
+}
+
+impl Message for RobotPose {
+    const TAG: u16 = 8;
+    const NAME: &'static str = "robot_pose";
+}
+
+/// Where a robot is in the frame of its own odometry: smooth, drifting, there without any map.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct RobotOdometry {
+    /// Sensor time, nanoseconds.
+    pub stamp_ns: i64,
+    /// The IMU in the odometry frame.
+    #[serde(with = "wire::uncertain_pose")]
+    pub local_from_imu: PoseWithCovariance,
+    /// Velocity of the IMU in the odometry frame, m/s.
+    pub velocity_in_local: [f64; 3],
+    /// Angular velocity in the IMU frame, bias removed, rad/s.
+    pub angular_velocity_in_imu: [f64; 3],
+}
+
+impl Validate for RobotOdometry {
+    fn validate(&self) -> Result<(), InvalidField> {
+        self.local_from_imu.validate().map_err(|violation| violation.within("local_from_imu"))?;
+        require_finite(&self.velocity_in_local, "velocity_in_local")?;
+        require_finite(&self.angular_velocity_in_imu, "angular_velocity_in_imu")
+    }
+}
+
+impl Message for RobotOdometry {
+    const TAG: u16 = 9;
+    const NAME: &'static str = "robot_odometry";
+}
+
+/// How well a robot knows where it is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum RobotState {
+    /// Good odometry, but no place in the map yet (or no map at all).
+    OdometryOnly,
+    /// A pose in the map, confirmed recently enough.
+    Localized,
+    /// It had a pose, or odometry, that can no longer be trusted.
+    Lost,
+}
+
+/// Health of a robot.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct RobotStatus {
+    /// Sensor time, nanoseconds.
+    pub stamp_ns: i64,
+    /// How well it knows where it is.
+    pub state: RobotState,
+    /// Why it is in that state, for people.
+    pub reason: String,
+    /// The map that it localizes in, if any.
+    #[serde(default)]
+    pub map: Option<String>,
+    /// Sensor time of the last accepted update from the map, nanoseconds.
+    #[serde(default)]
+    pub last_map_update_ns: Option<i64>,
+    /// Keyframes of the map that it holds.
+    pub keyframes_held: u32,
+    /// Match queries sent since its start.
+    pub queries_sent: u64,
+    /// Those that were answered completely and in time.
+    pub queries_answered: u64,
+}
+
+impl Validate for RobotStatus {
+    fn validate(&self) -> Result<(), InvalidField> {
+        require_short(&self.reason, "reason")?;
+        let check = |map: &String| {
+            keys::validate_name(map).map_err(|error| InvalidField::new("map", error.to_string()))
+        };
+        self.map.as_ref().map_or(Ok(()), check)
+    }
+}
+
+impl Message for RobotStatus {
+    const TAG: u16 = 10;
+    const NAME: &'static str = "robot_status";
+}

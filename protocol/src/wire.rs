@@ -1,0 +1,162 @@
+//! How poses, matrices and cameras are written, the same fields in both formats.
+//!
+//! ```json
+//! {"rotation_wxyz": [1, 0, 0, 0], "translation": [0, 0, 0], "covariance": [[..6 numbers..], ..6 rows..]}
+//! {"width": 752, "height": 480, "focal": [458.6, 457.3], "centre": [367.2, 248.4],
+//!  "distortion": {"radial_tangential": [-0.283, 0.074, 0.0002, 0.00002]}}
+//! ```
+//! The forms are spelled out here, so that a renamed field of another crate is not a change of the wire.
+//!
+//! nalgebra's own form (quaternions as x, y, z, w; matrices as one flat column-major list) invites mistakes in
+//! scripts, so the order of the quaternion is in its name and a matrix is a list of its rows.
+
+use geometry::camera::{Camera, Distortion};
+use geometry::pose::Pose;
+use geometry::uncertain_pose::PoseWithCovariance;
+use nalgebra::{Matrix6, Quaternion, UnitQuaternion, Vector3};
+use serde::{Deserialize, Serialize};
+
+/// Deviation of a norm from 1 below which a quaternion is taken as it is.
+///
+/// Quaternions computed in f64 come back bit by bit; those written with few decimals are normalized.
+const EXACT_NORM_TOLERANCE: f64 = 1e-12;
+
+#[derive(Serialize, Deserialize)]
+struct PoseForm {
+    rotation_wxyz: [f64; 4],
+    translation: [f64; 3],
+    covariance: [[f64; 6]; 6],
+}
+
+fn rows_of(matrix: &Matrix6<f64>) -> [[f64; 6]; 6] {
+    matrix.transpose().into()
+}
+
+fn from_rows(rows: &[[f64; 6]; 6]) -> Matrix6<f64> {
+    Matrix6::from_fn(|row, column| rows[row][column])
+}
+
+/// Normalizes what is nearly a unit quaternion; leaves the rest for validation to refuse.
+fn rotation_from_wxyz([w, x, y, z]: [f64; 4]) -> UnitQuaternion<f64> {
+    let quaternion = Quaternion::new(w, x, y, z);
+    let deviation = (quaternion.norm() - 1.0).abs();
+    if deviation > EXACT_NORM_TOLERANCE && deviation <= crate::validate::UNIT_TOLERANCE {
+        UnitQuaternion::new_normalize(quaternion)
+    } else {
+        UnitQuaternion::new_unchecked(quaternion)
+    }
+}
+
+impl From<&PoseWithCovariance> for PoseForm {
+    fn from(uncertain: &PoseWithCovariance) -> Self {
+        let rotation = uncertain.pose.rotation;
+        Self {
+            rotation_wxyz: [rotation.w, rotation.i, rotation.j, rotation.k],
+            translation: uncertain.pose.translation.into(),
+            covariance: rows_of(&uncertain.covariance),
+        }
+    }
+}
+
+impl From<PoseForm> for PoseWithCovariance {
+    fn from(form: PoseForm) -> Self {
+        PoseWithCovariance {
+            pose: Pose {
+                rotation: rotation_from_wxyz(form.rotation_wxyz),
+                translation: Vector3::from(form.translation),
+            },
+            covariance: from_rows(&form.covariance),
+        }
+    }
+}
+
+/// `#[serde(with = "wire::uncertain_pose")]`
+pub(crate) mod uncertain_pose {
+    use super::{PoseForm, PoseWithCovariance};
+    use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+    pub(crate) fn serialize<S: Serializer>(
+        value: &PoseWithCovariance,
+        serializer: S,
+    ) -> Result<S::Ok, S::Error> {
+        PoseForm::from(value).serialize(serializer)
+    }
+
+    pub(crate) fn deserialize<'de, D: Deserializer<'de>>(
+        deserializer: D,
+    ) -> Result<PoseWithCovariance, D::Error> {
+        PoseForm::deserialize(deserializer).map(Into::into)
+    }
+}
+
+/// `#[serde(with = "wire::matrix6")]`: six rows of six.
+pub(crate) mod matrix6 {
+    use super::{Matrix6, from_rows, rows_of};
+    use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+    pub(crate) fn serialize<S: Serializer>(value: &Matrix6<f64>, serializer: S) -> Result<S::Ok, S::Error> {
+        rows_of(value).serialize(serializer)
+    }
+
+    pub(crate) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Matrix6<f64>, D::Error> {
+        <[[f64; 6]; 6]>::deserialize(deserializer).map(|rows| from_rows(&rows))
+    }
+}
+
+#[derive(Serialize, Deserialize)]
+struct CameraForm {
+    width: u32,
+    height: u32,
+    focal: [f64; 2],
+    centre: [f64; 2],
+    distortion: DistortionForm,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum DistortionForm {
+    None,
+    RadialTangential([f64; 4]),
+    Equidistant([f64; 4]),
+    Fov(f64),
+}
+
+impl From<&Camera> for CameraForm {
+    fn from(camera: &Camera) -> Self {
+        let distortion = match camera.distortion {
+            Distortion::None => DistortionForm::None,
+            Distortion::RadialTangential(coefficients) => DistortionForm::RadialTangential(coefficients),
+            Distortion::Equidistant(coefficients) => DistortionForm::Equidistant(coefficients),
+            Distortion::Fov(omega) => DistortionForm::Fov(omega),
+        };
+        let Camera { width, height, focal, centre, .. } = *camera;
+        Self { width, height, focal, centre, distortion }
+    }
+}
+
+impl From<CameraForm> for Camera {
+    fn from(form: CameraForm) -> Self {
+        let CameraForm { width, height, focal, centre, distortion } = form;
+        let distortion = match distortion {
+            DistortionForm::None => Distortion::None,
+            DistortionForm::RadialTangential(coefficients) => Distortion::RadialTangential(coefficients),
+            DistortionForm::Equidistant(coefficients) => Distortion::Equidistant(coefficients),
+            DistortionForm::Fov(omega) => Distortion::Fov(omega),
+        };
+        Camera { width, height, focal, centre, distortion }
+    }
+}
+
+/// `#[serde(with = "wire::camera")]`
+pub(crate) mod camera {
+    use super::{Camera, CameraForm};
+    use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+    pub(crate) fn serialize<S: Serializer>(value: &Camera, serializer: S) -> Result<S::Ok, S::Error> {
+        CameraForm::from(value).serialize(serializer)
+    }
+
+    pub(crate) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Camera, D::Error> {
+        CameraForm::deserialize(deserializer).map(Into::into)
+    }
+}

@@ -1,0 +1,360 @@
+//! Strategies for every message.
+#![allow(dead_code)] // each test file uses its part
+
+use geometry::camera::{Camera, Distortion};
+use geometry::pose::Pose;
+use geometry::uncertain_pose::PoseWithCovariance;
+use nalgebra::{Matrix6, Quaternion, UnitQuaternion, Vector3};
+use proptest::collection::vec;
+use proptest::option;
+use proptest::prelude::*;
+use protocol::*;
+
+pub fn poses() -> impl Strategy<Value = PoseWithCovariance> {
+    let factor = prop::array::uniform32(-1.0..1.0f64);
+    (vec(-1.0..1.0f64, 4), prop::array::uniform3(-1e4..1e4f64), factor, 1e-6..1e3f64)
+        .prop_filter("a rotation needs a direction", |(rotation, ..)| rotation.iter().any(|x| x.abs() > 1e-3))
+        .prop_map(|(rotation, translation, factor, scale)| {
+            let factor = Matrix6::from_fn(|row, column| factor[(6 * row + column) % 32]);
+            let product = factor * factor.transpose() * scale;
+            PoseWithCovariance {
+                pose: Pose {
+                    rotation: UnitQuaternion::new_normalize(Quaternion::from(nalgebra::Vector4::from_vec(
+                        rotation,
+                    ))),
+                    translation: Vector3::from(translation),
+                },
+                covariance: (product + product.transpose()) * 0.5,
+            }
+        })
+}
+
+pub fn cameras() -> impl Strategy<Value = Camera> {
+    let distortion = prop_oneof![
+        Just(Distortion::None),
+        Just(Distortion::RadialTangential([-0.283, 0.0739, 0.00019, 1.7e-5])),
+        Just(Distortion::Equidistant([-0.01, 0.02, -0.03, 0.004])),
+        (0.1..1.5f64).prop_map(Distortion::Fov),
+    ];
+    (
+        1..4000u32,
+        1..4000u32,
+        prop::array::uniform2(100.0..1000.0f64),
+        prop::array::uniform2(0.0..1000.0f64),
+        distortion,
+    )
+        .prop_map(|(width, height, focal, centre, distortion)| Camera {
+            width,
+            height,
+            focal,
+            centre,
+            distortion,
+        })
+}
+
+pub fn features() -> impl Strategy<Value = FeatureSet> {
+    let binary = (1..65u16).prop_map(|width| (DescriptorKind::Binary, width));
+    let float = (1..17u16).prop_map(|dimension| (DescriptorKind::Float, 4 * dimension));
+    (prop_oneof![binary, float], 0..12usize).prop_flat_map(|((kind, width), count)| {
+        let size = usize::from(width) * count;
+        let bytes = match kind {
+            DescriptorKind::Binary => vec(any::<u8>(), size).boxed(),
+            DescriptorKind::Float => vec(-1e3..1e3f32, size / 4)
+                .prop_map(|numbers| numbers.iter().flat_map(|number| number.to_le_bytes()).collect())
+                .boxed(),
+        };
+        (vec(pixels(), count), bytes).prop_map(move |(pixels, bytes)| FeatureSet {
+            pixels,
+            descriptors: Descriptors { kind, width, bytes },
+        })
+    })
+}
+
+fn pixels() -> impl Strategy<Value = [f32; 2]> {
+    prop::array::uniform2(-10.0..4000.0f32)
+}
+
+pub fn points() -> impl Strategy<Value = [f64; 3]> {
+    prop::array::uniform3(-1e3..1e3f64)
+}
+
+pub fn directions() -> impl Strategy<Value = [f64; 3]> {
+    points()
+        .prop_filter("a direction needs a length", |point| Vector3::from(*point).norm() > 1e-3)
+        .prop_map(|point| Vector3::from(point).normalize().into())
+}
+
+pub fn names() -> impl Strategy<Value = String> {
+    "[a-zA-Z0-9_.é-]{1,30}"
+}
+
+fn priors() -> impl Strategy<Value = Option<PosePrior>> {
+    option::of(poses().prop_map(|global_from_camera| PosePrior { global_from_camera }))
+}
+
+pub fn match_requests() -> impl Strategy<Value = MatchRequest> {
+    let first = (names(), any::<i64>(), cameras(), features(), priors());
+    let second = (option::of(directions()), vec(any::<u64>(), 0..5), option::of(any::<u64>()), 1..u16::MAX);
+    (first, second).prop_map(
+        |(
+            (robot, stamp_ns, camera, features, prior),
+            (gravity_in_camera, held, map_version_held, max_keyframes),
+        )| {
+            MatchRequest {
+                robot,
+                stamp_ns,
+                camera,
+                features,
+                prior,
+                gravity_in_camera,
+                held,
+                map_version_held,
+                max_keyframes,
+            }
+        },
+    )
+}
+
+fn keyframes() -> impl Strategy<Value = KeyframeRecord> {
+    (any::<u64>(), any::<i64>(), poses(), cameras()).prop_map(
+        |(id, stamp_ns, global_from_keyframe, camera)| KeyframeRecord {
+            id,
+            stamp_ns,
+            global_from_keyframe,
+            camera,
+        },
+    )
+}
+
+fn landmark_matches() -> impl Strategy<Value = Vec<LandmarkMatch>> {
+    let observation =
+        (any::<u64>(), pixels()).prop_map(|(keyframe, pixel)| KeyframePixel { keyframe, pixel });
+    let one = (any::<u64>(), any::<u64>(), points(), 0.0..1.0f32, vec(observation, 0..4));
+    vec(one, 0..6).prop_map(|parts| {
+        (0..)
+            .zip(parts)
+            .map(|(feature, (landmark, anchor, position_in_anchor, distance, observations))| LandmarkMatch {
+                feature,
+                landmark,
+                anchor,
+                position_in_anchor,
+                distance,
+                observations,
+            })
+            .collect()
+    })
+}
+
+fn cross_covariances() -> impl Strategy<Value = CrossCovariance> {
+    (any::<u64>(), vec(-1.0..1.0f64, 36))
+        .prop_map(|(other, block)| CrossCovariance { other, block: Matrix6::from_row_slice(&block) })
+}
+
+pub fn matched_keyframes() -> impl Strategy<Value = MatchedKeyframe> {
+    (any::<u64>(), any::<u16>(), keyframes(), vec(cross_covariances(), 0..3), landmark_matches()).prop_map(
+        |(map_version, rank, keyframe, cross_covariances, matches)| MatchedKeyframe {
+            map_version,
+            rank,
+            keyframe,
+            cross_covariances,
+            matches,
+        },
+    )
+}
+
+fn outcomes() -> impl Strategy<Value = MatchOutcome> {
+    prop::sample::select(vec![
+        MatchOutcome::Matched,
+        MatchOutcome::NoMatch,
+        MatchOutcome::NotVerified,
+        MatchOutcome::TooFewFeatures,
+        MatchOutcome::EmptyMap,
+    ])
+}
+
+pub fn match_replies() -> impl Strategy<Value = MatchReply> {
+    let numbers = (any::<u64>(), any::<u16>(), any::<u32>(), any::<u64>());
+    let status = (numbers, outcomes(), option::of(directions()), 0.1..5.0f64).prop_map(
+        |(
+            (map_version, keyframes_sent, searched_keyframes, elapsed_us),
+            outcome,
+            gravity_in_global,
+            map_pixel_sigma,
+        )| {
+            MatchStatus {
+                map_version,
+                outcome,
+                keyframes_sent,
+                searched_keyframes,
+                elapsed_us,
+                gravity_in_global,
+                map_pixel_sigma,
+            }
+        },
+    );
+    prop_oneof![matched_keyframes().prop_map(MatchReply::Keyframe), status.prop_map(MatchReply::Done)]
+}
+
+pub fn localize_requests() -> impl Strategy<Value = LocalizeRequest> {
+    (cameras(), features(), priors(), option::of(directions())).prop_map(
+        |(camera, features, prior, gravity_in_camera)| LocalizeRequest {
+            camera,
+            features,
+            prior,
+            gravity_in_camera,
+        },
+    )
+}
+
+pub fn localize_replies() -> impl Strategy<Value = LocalizeReply> {
+    let fix = (poses(), any::<u64>(), 0..1000u32, 0..1000u32, 0.0..20.0f64).prop_map(
+        |(global_from_camera, keyframe, inliers, outliers, mean_error_px)| LocalizedPose {
+            global_from_camera,
+            keyframe,
+            matched_features: inliers + outliers,
+            inliers,
+            mean_error_px,
+        },
+    );
+    (any::<u64>(), option::of(fix)).prop_map(|(map_version, fix)| LocalizeReply {
+        map_version,
+        outcome: if fix.is_some() { MatchOutcome::Matched } else { MatchOutcome::NoMatch },
+        fix,
+    })
+}
+
+pub fn map_infos() -> impl Strategy<Value = MapInfo> {
+    let counts = prop::array::uniform5(any::<u64>());
+    let extent = (points(), points()).prop_map(|(a, b)| Extent {
+        min: std::array::from_fn(|axis| a[axis].min(b[axis])),
+        max: std::array::from_fn(|axis| a[axis].max(b[axis])),
+    });
+    let format = features().prop_map(|features| features.descriptors.format());
+    (
+        names(),
+        any::<u16>(),
+        counts,
+        option::of(directions()),
+        option::of(extent),
+        option::of(format),
+        0.1..5.0f64,
+    )
+        .prop_map(
+            |(name, database_schema, counts, gravity_in_global, extent, descriptors, pixel_sigma)| MapInfo {
+                name,
+                version: counts[0],
+                database_schema,
+                keyframes: counts[1],
+                landmarks: counts[2],
+                observations: counts[3],
+                cross_covariances: counts[4],
+                gravity_in_global,
+                extent,
+                descriptors,
+                pixel_sigma,
+            },
+        )
+}
+
+pub fn keyframe_replies() -> impl Strategy<Value = KeyframeReply> {
+    let landmark = (any::<u64>(), any::<u64>(), points(), pixels()).prop_map(
+        |(landmark, anchor, position_in_anchor, pixel)| KeyframeLandmark {
+            landmark,
+            anchor,
+            position_in_anchor,
+            pixel,
+        },
+    );
+    (any::<u64>(), keyframes(), vec(landmark, 0..5))
+        .prop_map(|(map_version, keyframe, landmarks)| KeyframeReply { map_version, keyframe, landmarks })
+}
+
+pub fn map_changes() -> impl Strategy<Value = MapChange> {
+    let stated =
+        (0.0..1.0f64, 0.0..10.0f64).prop_map(|(sigma_theta, sigma_p)| StatedChange { sigma_theta, sigma_p });
+    (names(), any::<u64>(), vec(any::<u64>(), 0..5), vec(any::<u64>(), 0..5), option::of(stated)).prop_map(
+        |(map, version, changed, removed, stated_change)| MapChange {
+            map,
+            version,
+            changed,
+            removed,
+            stated_change,
+        },
+    )
+}
+
+pub fn robot_poses() -> impl Strategy<Value = RobotPose> {
+    (any::<i64>(), names(), any::<u64>(), poses(), poses()).prop_map(
+        |(stamp_ns, map, map_version, global_from_imu, global_from_local)| RobotPose {
+            stamp_ns,
+            map,
+            map_version,
+            global_from_imu,
+            global_from_local,
+        },
+    )
+}
+
+pub fn robot_odometries() -> impl Strategy<Value = RobotOdometry> {
+    (any::<i64>(), poses(), points(), points()).prop_map(
+        |(stamp_ns, local_from_imu, velocity_in_local, angular_velocity_in_imu)| RobotOdometry {
+            stamp_ns,
+            local_from_imu,
+            velocity_in_local,
+            angular_velocity_in_imu,
+        },
+    )
+}
+
+pub fn robot_statuses() -> impl Strategy<Value = RobotStatus> {
+    let states = vec![RobotState::OdometryOnly, RobotState::Localized, RobotState::Lost];
+    let numbers = (any::<u32>(), any::<u64>(), any::<u64>());
+    (
+        any::<i64>(),
+        prop::sample::select(states),
+        ".{0,40}",
+        option::of(names()),
+        option::of(any::<i64>()),
+        numbers,
+    )
+        .prop_map(
+            |(
+                stamp_ns,
+                state,
+                reason,
+                map,
+                last_map_update_ns,
+                (keyframes_held, queries_sent, queries_answered),
+            )| {
+                RobotStatus {
+                    stamp_ns,
+                    state,
+                    reason,
+                    map,
+                    last_map_update_ns,
+                    keyframes_held,
+                    queries_sent,
+                    queries_answered,
+                }
+            },
+        )
+}
+
+pub fn error_replies() -> impl Strategy<Value = ErrorReply> {
+    let codes = vec![
+        ErrorCode::BadRequest,
+        ErrorCode::SchemaMismatch,
+        ErrorCode::DescriptorMismatch,
+        ErrorCode::UnknownMap,
+        ErrorCode::UnknownKeyframe,
+        ErrorCode::Busy,
+        ErrorCode::Internal,
+    ];
+    (prop::sample::select(codes), ".{0,40}").prop_map(|(code, message)| ErrorReply::new(code, message))
+}
+
+/// One value of a strategy, the same every time.
+pub fn example<T: std::fmt::Debug>(strategy: impl Strategy<Value = T>) -> T {
+    let mut runner = proptest::test_runner::TestRunner::deterministic();
+    proptest::strategy::ValueTree::current(&strategy.new_tree(&mut runner).unwrap())
+}

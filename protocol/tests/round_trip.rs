@@ -1,0 +1,117 @@
+//! What is encoded is what is decoded, in both formats, to the last bit.
+#![allow(clippy::unwrap_used, missing_docs)]
+
+mod common;
+
+use common::*;
+use proptest::prelude::*;
+use protocol::*;
+
+fn assert_round_trip<M: Message + PartialEq + std::fmt::Debug>(message: &M) -> Result<(), TestCaseError> {
+    for format in Format::ALL {
+        let bytes = encode(format, message).unwrap();
+        prop_assert_eq!(&decode::<M>(format, &bytes).unwrap(), message, "through {:?}", format);
+    }
+    Ok(())
+}
+
+macro_rules! round_trips {
+    ($($name:ident: $strategy:ident),* $(,)?) => {
+        proptest! {
+            #![proptest_config(ProptestConfig::with_cases(64))]
+            $(#[test] fn $name(message in $strategy()) { assert_round_trip(&message)?; })*
+        }
+    };
+}
+
+round_trips! {
+    match_request: match_requests,
+    match_reply: match_replies,
+    localize_request: localize_requests,
+    localize_reply: localize_replies,
+    map_info: map_infos,
+    keyframe_reply: keyframe_replies,
+    map_change: map_changes,
+    robot_pose: robot_poses,
+    robot_odometry: robot_odometries,
+    robot_status: robot_statuses,
+    error_reply: error_replies,
+}
+
+#[test]
+fn every_message_has_its_own_tag_and_name() {
+    let all = [
+        (MatchRequest::TAG, MatchRequest::NAME),
+        (MatchReply::TAG, MatchReply::NAME),
+        (LocalizeRequest::TAG, LocalizeRequest::NAME),
+        (LocalizeReply::TAG, LocalizeReply::NAME),
+        (MapInfo::TAG, MapInfo::NAME),
+        (KeyframeReply::TAG, KeyframeReply::NAME),
+        (MapChange::TAG, MapChange::NAME),
+        (RobotPose::TAG, RobotPose::NAME),
+        (RobotOdometry::TAG, RobotOdometry::NAME),
+        (RobotStatus::TAG, RobotStatus::NAME),
+        (ErrorReply::TAG, ErrorReply::NAME),
+    ];
+    let tags: std::collections::HashSet<_> = all.iter().map(|(tag, _)| tag).collect();
+    let names: std::collections::HashSet<_> = all.iter().map(|(_, name)| name).collect();
+    assert_eq!((tags.len(), names.len()), (all.len(), all.len()));
+}
+
+/// The shape that scripts rely on.
+#[test]
+fn json_is_what_the_documentation_shows() {
+    let mut request = example(localize_requests());
+    request.features = FeatureSet {
+        pixels: vec![[1.5, 2.0], [3.0, 4.0]],
+        descriptors: Descriptors {
+            kind: DescriptorKind::Binary,
+            width: 2,
+            bytes: vec![0xab, 0x01, 0xff, 0x00],
+        },
+    };
+    let pose = example(poses());
+    request.prior = Some(PosePrior { global_from_camera: pose });
+    let value: serde_json::Value = serde_json::from_slice(&encode(Format::Json, &request).unwrap()).unwrap();
+    assert_eq!(value["schema"], 1);
+    assert_eq!(value["type"], "localize_request");
+    let descriptors = serde_json::json!({"kind": "binary", "width": 2, "hex": ["ab01", "ff00"]});
+    assert_eq!(value["features"]["descriptors"], descriptors);
+    let prior = &value["prior"]["global_from_camera"];
+    assert_eq!(prior["rotation_wxyz"][0], pose.pose.rotation.w);
+    assert_eq!(prior["translation"][2], pose.pose.translation.z);
+    assert_eq!(prior["covariance"][1][4], pose.covariance[(1, 4)]);
+
+    let reply = MatchReply::Keyframe(example(matched_keyframes()));
+    let value: serde_json::Value = serde_json::from_slice(&encode(Format::Json, &reply).unwrap()).unwrap();
+    assert!(value["keyframe"]["keyframe"]["global_from_keyframe"]["covariance"].is_array());
+}
+
+/// A person's request: optional fields left out, few decimals, fields of a newer program ignored.
+#[test]
+fn json_written_by_hand_is_understood() {
+    let text = r#"{
+        "schema": 1, "comment": "by hand",
+        "camera": {"width": 640, "height": 480, "focal": [500, 500], "centre": [319.5, 239.5], "distortion": {"fov": 0.9}},
+        "features": {"pixels": [[10, 20]], "descriptors": {"kind": "binary", "width": 2, "hex": ["A0ff"]}},
+        "prior": {"global_from_camera": {"rotation_wxyz": [0.707107, 0, 0.707107, 0], "translation": [1, 2, 3],
+            "covariance": [[0.1,0,0,0,0,0],[0,0.1,0,0,0,0],[0,0,0.1,0,0,0],[0,0,0,1,0,0],[0,0,0,0,1,0],[0,0,0,0,0,1]]}}
+    }"#;
+    let request: LocalizeRequest = decode(Format::Json, text.as_bytes()).unwrap();
+    assert_eq!(request.features.descriptors.get(0), Some(&[0xa0, 0xff][..]));
+    let rotation = request.prior.unwrap().global_from_camera.pose.rotation;
+    assert!((rotation.norm() - 1.0).abs() < 1e-15, "few decimals are normalized");
+}
+
+#[test]
+fn a_large_image_fits_by_far() {
+    let count = 2000;
+    let mut request = example(match_requests());
+    request.features = FeatureSet {
+        pixels: vec![[1.0, 2.0]; count],
+        descriptors: Descriptors { kind: DescriptorKind::Float, width: 512, bytes: vec![0; 512 * count] },
+    };
+    let bytes = encode(Format::Bincode, &request).unwrap();
+    assert!(bytes.len() < 1_100_000, "{} bytes", bytes.len());
+    assert_eq!(decode::<MatchRequest>(Format::Bincode, &bytes).unwrap(), request);
+}

@@ -1,0 +1,1 @@
+//! End to end tests over real Zenoh sessions and real databases.

@@ -1,0 +1,206 @@
+//! `driftless build-map`: a reference sequence becomes a map.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use anyhow::{Context, bail};
+use indicatif::{ProgressBar, ProgressStyle};
+use onboard::sequence::{ReferencePose, Sequence, read_reference_poses};
+use serde_json::json;
+
+use super::import_map::{gravity_direction, hint};
+use crate::map_building::{BuildOptions, BuildReport, Spread, Stage, build_map};
+use crate::map_files::save_map;
+
+/// Arguments.
+#[derive(Clone, Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    driftless build-map target/data/yq/map --map yq.db\n  \
+    driftless build-map target/data/walk --map walk.db --until 10\n  \
+    driftless build-map my_run --map my.db --sigma-theta 0.005 --sigma-p 0.02 --gravity 0,0,-1\n\n\
+    SEQ holds mav0/cam0/{sensor.yaml,data.csv,features.csv} and reference_poses.csv. Without the latter the ground \
+    truth is taken for the poses, and the sigmas must be given.")]
+pub struct Args {
+    /// Folder of the reference sequence
+    #[arg(value_name = "SEQ")]
+    pub sequence: PathBuf,
+    /// Database to make
+    #[arg(long, value_name = "DB")]
+    pub map: PathBuf,
+    /// Poses of the IMU in the map's frame [default: SEQ/reference_poses.csv, else the ground truth]
+    #[arg(long, value_name = "FILE")]
+    pub poses: Option<PathBuf>,
+    /// Standard deviation of every pose's rotation about each axis, rad [default: as in the file of poses]
+    #[arg(long, value_name = "RAD")]
+    pub sigma_theta: Option<f64>,
+    /// Standard deviation of every pose's position along each axis, m [default: as in the file of poses]
+    #[arg(long, value_name = "M")]
+    pub sigma_p: Option<f64>,
+    /// Direction in which gravity points in the map's frame, for example 0,0,-1 [default: unknown]
+    #[arg(long, value_name = "X,Y,Z", value_delimiter = ',', num_args = 3, allow_hyphen_values = true)]
+    pub gravity: Option<Vec<f64>>,
+    /// Standard deviation of a feature's pixel, px
+    #[arg(long, value_name = "PX", default_value_t = 1.0)]
+    pub pixel_sigma: f64,
+    /// Leave out what comes before this time, s from the first frame
+    #[arg(long, value_name = "SECONDS")]
+    pub from: Option<f64>,
+    /// Leave out what comes after this time, s from the first frame
+    #[arg(long, value_name = "SECONDS")]
+    pub until: Option<f64>,
+    /// Take a keyframe when the camera has moved this far, m
+    #[arg(long, value_name = "M", default_value_t = 0.3)]
+    pub min_distance: f64,
+    /// ... or has turned by this angle, deg
+    #[arg(long, value_name = "DEG", default_value_t = 10.0)]
+    pub min_rotation: f64,
+    /// Match each keyframe with this many that follow it
+    #[arg(long, value_name = "N", default_value_t = 10)]
+    pub time_neighbours: usize,
+    /// ... and with this many others near it that look the same way
+    #[arg(long, value_name = "N", default_value_t = 10)]
+    pub space_neighbours: usize,
+    /// Replace a map that is there already
+    #[arg(long)]
+    pub force: bool,
+    /// Print the report as JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// A sequence without features or poses, a file that cannot be read (with its line), a database that exists already.
+pub fn run(args: Args) -> anyhow::Result<()> {
+    if args.map.exists() && !args.force {
+        bail!("{} exists already: choose another path, or replace the map with --force", args.map.display());
+    }
+    let sequence = Sequence::open(&args.sequence)?;
+    let references = references(&args, &sequence)?;
+    let options = options(&args)?;
+    let bar = progress_bar(args.json);
+    let mut stage_shown = None;
+    let mut show = |stage: Stage, done: usize, all: usize| {
+        if stage_shown != Some(stage) {
+            stage_shown = Some(stage);
+            bar.set_message(stage.label());
+        }
+        bar.set_length(all as u64);
+        bar.set_position(done as u64);
+    };
+    let built = build_map(&sequence, &references, &options, &mut show);
+    bar.finish_and_clear();
+    let (contents, report) = built?;
+    let version =
+        save_map(&args.map, &contents, args.force).with_context(|| hint(&args.map, args.force))?;
+    if args.json {
+        println!("{:#}", json!({ "map": args.map, "version": version, "report": report }));
+    } else {
+        println!("{}: version {version}", args.map.display());
+        print_report(&report);
+    }
+    Ok(())
+}
+
+fn progress_bar(hidden: bool) -> ProgressBar {
+    if hidden {
+        return ProgressBar::hidden();
+    }
+    let bar = ProgressBar::new(0);
+    if let Ok(style) = ProgressStyle::with_template("{msg:>9} [{wide_bar}] {pos}/{len} {elapsed_precise}") {
+        bar.set_style(style.progress_chars("=> "));
+    }
+    bar.enable_steady_tick(Duration::from_millis(200));
+    bar
+}
+
+/// The poses to build from: those of `--poses`, of the sequence, or the ground truth.
+fn references(args: &Args, sequence: &Sequence) -> anyhow::Result<Vec<ReferencePose>> {
+    if let Some(path) = &args.poses {
+        return Ok(read_reference_poses(path)?);
+    }
+    if let Some(poses) = &sequence.reference_poses {
+        return Ok(poses.clone());
+    }
+    let Some(truth) = &sequence.groundtruth else {
+        bail!(
+            "{} has neither reference_poses.csv nor ground truth: give the poses of the IMU with --poses FILE",
+            args.sequence.display()
+        );
+    };
+    let (Some(sigma_theta), Some(sigma_p)) = (args.sigma_theta, args.sigma_p) else {
+        bail!(
+            "{} has no reference_poses.csv; to build from its ground truth, say how good that is with --sigma-theta \
+             RAD and --sigma-p M",
+            args.sequence.display()
+        );
+    };
+    let reference = |row: &onboard::sequence::TruthRow| ReferencePose {
+        stamp_ns: row.stamp_ns,
+        pose: row.pose,
+        sigma_theta,
+        sigma_p,
+    };
+    Ok(truth.iter().map(reference).collect())
+}
+
+fn options(args: &Args) -> anyhow::Result<BuildOptions> {
+    let [from_s, until_s] = [args.from.unwrap_or(0.0), args.until.unwrap_or(f64::INFINITY)];
+    if until_s.is_nan() || from_s.is_nan() || until_s < from_s {
+        bail!("--until {until_s} comes before --from {from_s}");
+    }
+    let name = args.map.file_stem().unwrap_or(args.map.as_os_str()).to_string_lossy().into_owned();
+    Ok(BuildOptions {
+        name,
+        created_by: format!("driftless build-map {}", args.sequence.display()),
+        gravity_in_global: args.gravity.as_deref().map(gravity_direction).transpose()?,
+        from_s,
+        until_s,
+        sigma_theta: args.sigma_theta,
+        sigma_p: args.sigma_p,
+        pixel_sigma: args.pixel_sigma,
+        min_distance: args.min_distance,
+        min_rotation: args.min_rotation.to_radians(),
+        time_neighbours: args.time_neighbours,
+        space_neighbours: args.space_neighbours,
+        ..BuildOptions::default()
+    })
+}
+
+fn print_report(report: &BuildReport) {
+    let spread = |spread: &Spread, digits: usize| {
+        let Spread { mean, median, p95 } = spread;
+        format!("mean {mean:.digits$}, median {median:.digits$}, 95 % below {p95:.digits$}")
+    };
+    let mean_length = report.observations as f64 / report.landmarks.max(1) as f64;
+    println!("keyframes                   {}", report.keyframes);
+    println!("landmarks                   {}", report.landmarks);
+    println!("observations                {} ({mean_length:.1} a landmark)", report.observations);
+    println!("  landmarks with 2, 3, ...  {}", histogram(&report.track_lengths));
+    println!("landmarks a keyframe        {}", spread(&report.landmarks_per_keyframe, 0));
+    println!("pairs matched               {} with {} matches", report.pairs, report.matches);
+    println!("observations dropped        {}", report.dropped_observations);
+    println!("reprojection error, px      {}", spread(&report.reprojection_px, 2));
+    println!("  through the given poses   {}", spread(&report.reprojection_through_map_px, 2));
+    println!("poses corrected by, deg     {}", spread(&report.pose_correction_deg, 2));
+    println!("                    m       {}", spread(&report.pose_correction_m, 3));
+    let few = BuildReport::FEW_LANDMARKS;
+    println!("keyframes below {few} landmarks {}", report.poor_keyframes.len());
+    if !report.poor_keyframes.is_empty() {
+        let shown: Vec<String> = report.poor_keyframes.iter().take(20).map(ToString::to_string).collect();
+        let more = if report.poor_keyframes.len() > 20 { ", ..." } else { "" };
+        println!("  ids                       {}{more}", shown.join(", "));
+    }
+    println!("time                        {:.1} s", report.seconds);
+}
+
+/// The first counts, and the sum of the rest.
+fn histogram(counts: &[usize]) -> String {
+    const SHOWN: usize = 9;
+    let mut text: Vec<String> = counts.iter().take(SHOWN).map(ToString::to_string).collect();
+    if counts.len() > SHOWN {
+        text.push(format!("and more: {}", counts[SHOWN..].iter().sum::<usize>()));
+    }
+    text.join(", ")
+}

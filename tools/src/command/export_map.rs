@@ -1,0 +1,53 @@
+//! `driftless export-map`: a database becomes a plain-text map.
+
+use std::path::PathBuf;
+
+use map_server::store::{MapStore, SledStore};
+use serde_json::json;
+
+use crate::map_files::write_map;
+
+/// Arguments.
+#[derive(Clone, Debug, clap::Args)]
+#[command(after_help = "Example:\n  driftless export-map --map yq.db --to yq_text\n\n\
+                        `driftless import-map yq_text --map copy.db` then makes an equal map.")]
+pub struct Args {
+    /// Database of the map
+    #[arg(long, value_name = "DB")]
+    pub map: PathBuf,
+    /// Folder to write, made if needed
+    #[arg(long, value_name = "DIR")]
+    pub to: PathBuf,
+    /// Print the result as JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// A database that is missing, damaged or in use, a folder that holds a map already or cannot be written.
+pub fn run(args: Args) -> anyhow::Result<()> {
+    let contents = SledStore::open(&args.map)?.read_contents()?;
+    write_map(&args.to, &contents)?;
+    let observations = contents.observation_count();
+    if args.json {
+        let result = json!({
+            "folder": args.to,
+            "version": contents.info.version,
+            "keyframes": contents.keyframes.len(),
+            "landmarks": contents.landmarks.len(),
+            "observations": observations,
+            "cross_covariances": contents.cross_covariances.len(),
+        });
+        println!("{result:#}");
+    } else {
+        println!(
+            "{}: {} keyframes, {} landmarks, {observations} observations",
+            args.to.display(),
+            contents.keyframes.len(),
+            contents.landmarks.len(),
+        );
+    }
+    Ok(())
+}

@@ -1,0 +1,52 @@
+//! The subcommands, one file each: its arguments and what it prints. The work itself is in the libraries.
+
+use clap::Subcommand;
+
+pub mod build_map;
+pub mod evaluate;
+pub mod export_map;
+pub mod import_map;
+pub mod map_info;
+pub mod plot;
+pub mod query;
+pub mod simulate;
+
+/// What `driftless` can do.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Simulate a place and two runs through it, as sequences on disk
+    Simulate(simulate::Args),
+    /// Build a map from a reference sequence
+    BuildMap(build_map::Args),
+    /// Import a plain-text map
+    ImportMap(import_map::Args),
+    /// Export a map as plain text
+    ExportMap(export_map::Args),
+    /// Print what a map holds
+    MapInfo(map_info::Args),
+    /// Ask a running map server
+    Query(query::Args),
+    /// Compare an estimated trajectory with the truth
+    Evaluate(evaluate::Args),
+    /// Draw the pictures of a run
+    Plot(plot::Args),
+}
+
+impl Command {
+    /// Runs the subcommand.
+    ///
+    /// # Errors
+    /// Whatever the subcommand could not do, in words for the person at the shell.
+    pub fn run(self) -> anyhow::Result<()> {
+        match self {
+            Self::Simulate(args) => simulate::run(args),
+            Self::BuildMap(args) => build_map::run(args),
+            Self::ImportMap(args) => import_map::run(args),
+            Self::ExportMap(args) => export_map::run(args),
+            Self::MapInfo(args) => map_info::run(args),
+            Self::Query(args) => query::run(args),
+            Self::Evaluate(args) => evaluate::run(args),
+            Self::Plot(args) => plot::run(args),
+        }
+    }
+}

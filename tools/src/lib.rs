@@ -1,0 +1,11 @@
+//! The `driftless` command: simulate, build maps, query, evaluate, plot and demo.
+//!
+//! Each subcommand is one file in [`command`]; what it does is a library beside it, so that tests and other programs
+//! can do the same without a shell.
+#![cfg_attr(test, allow(clippy::unwrap_used))]
+
+pub mod command;
+pub mod map_building;
+pub mod map_files;
+pub mod plotting;
+pub mod simulation;

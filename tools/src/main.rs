@@ -1,0 +1,23 @@
+//! The `driftless` command.
+
+use clap::Parser;
+use tools::command::Command;
+
+/// Driftless: localize robots in one shared, drift-free map.
+#[derive(Debug, Parser)]
+#[command(name = "driftless", version, arg_required_else_help = true)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+fn main() -> anyhow::Result<()> {
+    tracing_subscriber::fmt()
+        .with_env_filter(
+            tracing_subscriber::EnvFilter::try_from_default_env()
+                .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("warn")),
+        )
+        .with_writer(std::io::stderr)
+        .init();
+    Cli::parse().command.run()
+}

@@ -1,0 +1,119 @@
+//! What map building can be told, what it can fail for, and how it says how far it is.
+
+use nalgebra::Vector3;
+
+/// Settings of [`super::build_map`].
+#[derive(Clone, Debug, PartialEq)]
+pub struct BuildOptions {
+    /// Name of the map, for people.
+    pub name: String,
+    /// What the map is made from, for people.
+    pub created_by: String,
+    /// Direction in which gravity points in G (unit vector), where known.
+    pub gravity_in_global: Option<Vector3<f64>>,
+    /// Only frames from this time on, seconds from the first frame.
+    pub from_s: f64,
+    /// Only frames up to this time, seconds from the first frame.
+    pub until_s: f64,
+    /// Replaces the rotation sigma of every reference pose (rad).
+    pub sigma_theta: Option<f64>,
+    /// Replaces the position sigma of every reference pose (m).
+    pub sigma_p: Option<f64>,
+    /// Standard deviation of a feature's pixel (px).
+    pub pixel_sigma: f64,
+    /// A keyframe is taken when the camera has moved this far from the last one (m), or turned by `min_rotation`.
+    pub min_distance: f64,
+    /// See `min_distance` (rad).
+    pub min_rotation: f64,
+    /// Each keyframe is matched with this many that follow it in time.
+    pub time_neighbours: usize,
+    /// Each keyframe is matched with this many others that look at the same place from nearby.
+    pub space_neighbours: usize,
+    /// Largest descriptor distance, in the unit of the descriptors' metric; the metric's default where not given.
+    pub max_descriptor_distance: Option<f32>,
+    /// Landmarks seen by fewer keyframes than this are dropped; at least 2.
+    pub min_observations: usize,
+    /// Whether poses are refined along with the landmarks while these are located. The stored poses are the given
+    /// ones either way. Off only for comparisons.
+    pub refine_poses: bool,
+}
+
+impl Default for BuildOptions {
+    fn default() -> Self {
+        Self {
+            name: "map".to_owned(),
+            created_by: "driftless build-map".to_owned(),
+            gravity_in_global: None,
+            from_s: 0.0,
+            until_s: f64::INFINITY,
+            sigma_theta: None,
+            sigma_p: None,
+            pixel_sigma: 1.0,
+            min_distance: 0.3,
+            min_rotation: 10.0_f64.to_radians(),
+            time_neighbours: 10,
+            space_neighbours: 10,
+            max_descriptor_distance: None,
+            min_observations: 2,
+            refine_poses: true,
+        }
+    }
+}
+
+/// Why no map could be built.
+#[derive(Debug, thiserror::Error)]
+pub enum BuildError {
+    /// A setting is impossible.
+    #[error("{0}")]
+    Options(String),
+    /// The recording has no features for place recognition.
+    #[error("{sequence} has no mav0/cam0/features.csv, or it is empty: a map is built from its features")]
+    NoFeatures {
+        /// The recording.
+        sequence: String,
+    },
+    /// Features and poses do not meet.
+    #[error(
+        "no image has both features and a reference pose at its very time stamp ({features} images with features, \
+         {poses} poses, {in_time} images between --from and --until): check that both are of one recording"
+    )]
+    NoCommonStamps {
+        /// Images with features.
+        features: usize,
+        /// Reference poses.
+        poses: usize,
+        /// Images with features in the stretch of time asked for.
+        in_time: usize,
+    },
+    /// Descriptors cannot be compared.
+    #[error("the descriptors of features.csv cannot be matched: {0}")]
+    Descriptors(#[from] vision::DescriptorError),
+    /// The result breaks a law of maps.
+    #[error("the map that was built is invalid, which is a fault of this program: {0}")]
+    Contents(#[from] map_server::contents::ContentsError),
+}
+
+/// A step of map building that can take long.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stage {
+    /// Matching pairs of keyframes.
+    Matching,
+    /// Finding where the landmarks are, one by one.
+    Locating,
+    /// Refining all of them, and the poses with them.
+    Refining,
+}
+
+impl Stage {
+    /// A word for a progress bar.
+    pub fn label(self) -> &'static str {
+        match self {
+            Self::Matching => "matching",
+            Self::Locating => "locating",
+            Self::Refining => "refining",
+        }
+    }
+}
+
+/// Told how far a stage is: the stage, steps done, steps in all.
+pub type Progress<'a> = &'a mut dyn FnMut(Stage, usize, usize);

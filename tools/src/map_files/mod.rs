@@ -1,0 +1,74 @@
+//! Maps as plain text, so that other programs can make and read them.
+//!
+//! # Files
+//! | file | a line |
+//! |---|---|
+//! | `keyframes.csv` | id, time (ns), pose of the camera in G (m, Hamilton quaternion, w first), isotropic sigmas of its error `[δθ, δp]` (rad, m) |
+//! | `landmarks.csv` | id, anchor keyframe, position in the anchor's camera frame (m) |
+//! | `observations.csv` | landmark, keyframe, pixel, descriptor in hexadecimal digits |
+//! | `camera.yaml` | resolution, intrinsics and distortion as in a `sensor.yaml` of the EuRoC layout |
+//!
+//! What these cannot say is in further files, which are written only where they are needed:
+//! | file | content |
+//! |---|---|
+//! | `map.yaml` | name, origin, direction of gravity in G, kind of the descriptors, sigma of the map's pixels |
+//! | `covariances.csv` | keyframe, 6x6 covariance of `[δθ, δp]` in G by rows: replaces the two sigmas |
+//! | `cross_covariances.csv` | two keyframes, 6x6 block `E[e_a e_bᵀ]` by rows |
+//! | `features.csv` | keyframe, pixel, descriptor: all features of an image, also those without a landmark |
+//! | `camera_1.yaml` ... | further cameras; `keyframes.csv` then has a column with the camera's number |
+//!
+//! Reading what was written gives an equal map, and writing what was read gives the same numbers.
+
+mod camera_yaml;
+mod database;
+mod error;
+mod info_yaml;
+mod read;
+mod table;
+#[cfg(test)]
+mod tests;
+mod write;
+
+pub use camera_yaml::read_camera;
+pub use database::save_map;
+pub use error::MapFileError;
+use nalgebra::{Matrix6, Vector6};
+pub use read::read_map;
+pub use write::write_map;
+
+/// File names.
+mod names {
+    pub(super) const KEYFRAMES: &str = "keyframes.csv";
+    pub(super) const LANDMARKS: &str = "landmarks.csv";
+    pub(super) const OBSERVATIONS: &str = "observations.csv";
+    pub(super) const CAMERA: &str = "camera.yaml";
+    pub(super) const INFO: &str = "map.yaml";
+    pub(super) const COVARIANCES: &str = "covariances.csv";
+    pub(super) const CROSS_COVARIANCES: &str = "cross_covariances.csv";
+    pub(super) const FEATURES: &str = "features.csv";
+    /// All of them.
+    pub(super) const ALL: [&str; 8] =
+        [KEYFRAMES, LANDMARKS, OBSERVATIONS, CAMERA, INFO, COVARIANCES, CROSS_COVARIANCES, FEATURES];
+
+    /// The file of one of several cameras.
+    pub(super) fn camera(index: u32) -> String {
+        if index == 0 { CAMERA.to_owned() } else { format!("camera_{index}.yaml") }
+    }
+}
+
+/// First lines of the tables.
+mod columns {
+    pub(super) const KEYFRAMES: &str = "id,timestamp [ns],p_x [m],p_y [m],p_z [m],q_w,q_x,q_y,q_z,\
+                                        sigma_theta [rad],sigma_p [m]";
+    pub(super) const LANDMARKS: &str = "id,anchor_keyframe,x [m],y [m],z [m]";
+    pub(super) const OBSERVATIONS: &str = "landmark,keyframe,u [px],v [px],descriptor [hex]";
+    pub(super) const COVARIANCES: &str = "keyframe,36 entries of the 6x6 covariance by rows";
+    pub(super) const CROSS_COVARIANCES: &str = "keyframe_a,keyframe_b,36 entries of the 6x6 block by rows";
+    pub(super) const FEATURES: &str = "keyframe,u [px],v [px],descriptor [hex]";
+}
+
+/// The covariance of `[δθ, δp]` that two standard deviations (rad, m) mean.
+pub fn isotropic_covariance(sigma_theta: f64, sigma_p: f64) -> Matrix6<f64> {
+    let [theta, position] = [sigma_theta * sigma_theta, sigma_p * sigma_p];
+    Matrix6::from_diagonal(&Vector6::new(theta, theta, theta, position, position, position))
+}

@@ -1,0 +1,1 @@
+//! Simulates a place and two runs through it.

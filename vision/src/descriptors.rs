@@ -1,0 +1,278 @@
+//! Descriptors as they lie in memory, and how far apart two of them are.
+
+use thiserror::Error;
+
+/// How two descriptors are compared, and what a distance between them means.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Metric {
+    /// Binary descriptors: the fraction of bits that differ, 0 to 1; unrelated ones are near 0.5.
+    Hamming,
+    /// `f32` descriptors: 1 minus the cosine of the angle between them, 0 to 2; unrelated ones are near 1. The
+    /// distance to a descriptor of norm zero is 1.
+    Cosine,
+    /// `f32` descriptors: Euclidean distance, in the descriptor's own unit.
+    Euclidean,
+}
+
+impl Metric {
+    /// Whether descriptors are bits rather than `f32` numbers.
+    pub fn is_binary(self) -> bool {
+        self == Self::Hamming
+    }
+}
+
+/// Bytes that are no descriptors, or descriptors that cannot be compared.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+pub enum DescriptorError {
+    /// A descriptor's width is zero, or not a multiple of 4 although it holds `f32` numbers.
+    #[error("descriptors of {width} bytes cannot be compared by {metric:?} distance")]
+    Width {
+        /// Bytes a descriptor.
+        width: usize,
+        /// How they were to be compared.
+        metric: Metric,
+    },
+    /// The bytes are not a whole number of descriptors.
+    #[error("{bytes} bytes are not a whole number of descriptors of {width} bytes")]
+    Length {
+        /// Number of bytes.
+        bytes: usize,
+        /// Bytes a descriptor.
+        width: usize,
+    },
+    /// Two sets differ in metric or width, or a descriptor does not have the index's width.
+    #[error(
+        "descriptors of {left} bytes cannot be compared with descriptors of {right} bytes, or their metrics differ"
+    )]
+    Mismatch {
+        /// Bytes a descriptor on one side.
+        left: usize,
+        /// Bytes a descriptor on the other.
+        right: usize,
+    },
+    /// The list of groups is not as long as the list of descriptors.
+    #[error("{groups} group numbers were given for {descriptors} descriptors")]
+    Groups {
+        /// Number of group numbers.
+        groups: usize,
+        /// Number of descriptors.
+        descriptors: usize,
+    },
+    /// The index numbers its entries with 32 bits and is full.
+    #[error("the index is full")]
+    Full,
+}
+
+/// Borrowed descriptors of one width, one after the other without gaps.
+///
+/// ```
+/// use vision::{DescriptorView, Metric};
+/// let view = DescriptorView::new(Metric::Hamming, 2, &[0xff, 0x00, 0x0f, 0x00])?;
+/// assert_eq!(view.len(), 2);
+/// assert_eq!(view.get(1), Some(&[0x0f, 0x00][..]));
+/// assert_eq!(vision::distance(Metric::Hamming, &view.bytes()[..2], &view.bytes()[2..]), 4.0 / 16.0);
+/// # Ok::<(), vision::DescriptorError>(())
+/// ```
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct DescriptorView<'a> {
+    metric: Metric,
+    width: usize,
+    bytes: &'a [u8],
+}
+
+impl<'a> DescriptorView<'a> {
+    /// Views `bytes` as descriptors of `width` bytes; `f32` numbers are little-endian.
+    ///
+    /// # Errors
+    /// [`DescriptorError::Width`], [`DescriptorError::Length`].
+    pub fn new(metric: Metric, width: usize, bytes: &'a [u8]) -> Result<Self, DescriptorError> {
+        if width == 0 || !(metric.is_binary() || width.is_multiple_of(4)) {
+            return Err(DescriptorError::Width { width, metric });
+        }
+        if !bytes.len().is_multiple_of(width) {
+            return Err(DescriptorError::Length { bytes: bytes.len(), width });
+        }
+        Ok(Self { metric, width, bytes })
+    }
+
+    /// How they are compared.
+    pub fn metric(&self) -> Metric {
+        self.metric
+    }
+
+    /// Bytes a descriptor.
+    pub fn width(&self) -> usize {
+        self.width
+    }
+
+    /// All of them.
+    pub fn bytes(&self) -> &'a [u8] {
+        self.bytes
+    }
+
+    /// Number of descriptors.
+    pub fn len(&self) -> usize {
+        self.bytes.len() / self.width
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.bytes.is_empty()
+    }
+
+    /// Descriptor `index`, `None` beyond the last.
+    pub fn get(&self, index: usize) -> Option<&'a [u8]> {
+        let start = index.checked_mul(self.width)?;
+        self.bytes.get(start..start.checked_add(self.width)?)
+    }
+
+    /// Every descriptor in order.
+    pub fn iter(&self) -> std::slice::ChunksExact<'a, u8> {
+        self.bytes.chunks_exact(self.width)
+    }
+}
+
+impl<'a> IntoIterator for &DescriptorView<'a> {
+    type Item = &'a [u8];
+    type IntoIter = std::slice::ChunksExact<'a, u8>;
+    fn into_iter(self) -> Self::IntoIter {
+        self.iter()
+    }
+}
+
+/// Number of bits that differ.
+///
+/// Both must have the same length; bytes beyond the shorter one are not compared.
+///
+/// ```
+/// assert_eq!(vision::hamming(&[0b1010; 32], &[0b0010; 32]), 32);
+/// ```
+pub fn hamming(a: &[u8], b: &[u8]) -> u32 {
+    let (words_a, rest_a) = a.as_chunks::<8>();
+    let (words_b, rest_b) = b.as_chunks::<8>();
+    let word = |bytes: &[u8; 8]| u64::from_le_bytes(*bytes);
+    let in_words: u32 = words_a.iter().zip(words_b).map(|(x, y)| (word(x) ^ word(y)).count_ones()).sum();
+    let in_rest: u32 = rest_a.iter().zip(rest_b).map(|(x, y)| (x ^ y).count_ones()).sum();
+    in_words + in_rest
+}
+
+/// The numbers of a float descriptor.
+pub(crate) fn floats(bytes: &[u8]) -> impl Iterator<Item = f32> {
+    bytes.as_chunks::<4>().0.iter().map(|&number| f32::from_le_bytes(number))
+}
+
+/// A distance that is not a number (the descriptors held NaN or infinity) is infinite: such descriptors match nothing.
+fn number_or_infinite(distance: f32) -> f32 {
+    if distance.is_nan() { f32::INFINITY } else { distance }
+}
+
+/// Rounding can take a cosine beyond 1; the distance stays non-negative. (`NaN.max(0.0)` would be 0, a perfect match.)
+fn distance_of_cosine(cosine: f32) -> f32 {
+    number_or_infinite(1.0 - cosine).max(0.0)
+}
+
+/// Distance of two descriptors of the same width, as [`Metric`] defines it; infinite where it is not a number.
+pub fn distance(metric: Metric, a: &[u8], b: &[u8]) -> f32 {
+    match metric {
+        Metric::Hamming => hamming(a, b) as f32 / (8 * a.len()).max(1) as f32,
+        Metric::Cosine => {
+            let (mut dot, mut norm_a, mut norm_b) = (0.0, 0.0, 0.0);
+            for (x, y) in floats(a).zip(floats(b)) {
+                dot += x * y;
+                norm_a += x * x;
+                norm_b += y * y;
+            }
+            let norms = (norm_a * norm_b).sqrt();
+            if norms == 0.0 { 1.0 } else { distance_of_cosine(dot / norms) }
+        }
+        Metric::Euclidean => {
+            number_or_infinite(floats(a).zip(floats(b)).map(|(x, y)| (x - y) * (x - y)).sum::<f32>().sqrt())
+        }
+    }
+}
+
+/// Descriptors made ready to be compared many times: words of bits, or numbers (of norm 1 for the cosine).
+pub(crate) enum Prepared {
+    /// Words a descriptor, and all words; the last word of each is filled up with zeros.
+    Bits { words: usize, bits: usize, data: Vec<u64> },
+    /// Numbers a descriptor, all numbers, and whether they are unit vectors compared by their cosine.
+    Floats { dimension: usize, data: Vec<f32>, cosine: bool },
+}
+
+impl Prepared {
+    /// Converts each descriptor once.
+    pub(crate) fn new(view: &DescriptorView<'_>) -> Self {
+        match view.metric {
+            Metric::Hamming => {
+                let words = view.width.div_ceil(8);
+                let mut data = Vec::with_capacity(words * view.len());
+                for descriptor in view {
+                    data.extend(descriptor.chunks(8).map(|chunk| {
+                        let mut word = [0; 8];
+                        word[..chunk.len()].copy_from_slice(chunk);
+                        u64::from_le_bytes(word)
+                    }));
+                }
+                Self::Bits { words, bits: 8 * view.width, data }
+            }
+            Metric::Euclidean => {
+                Self::Floats { dimension: view.width / 4, data: floats(view.bytes).collect(), cosine: false }
+            }
+            Metric::Cosine => {
+                let mut data: Vec<f32> = floats(view.bytes).collect();
+                for descriptor in data.chunks_exact_mut(view.width / 4) {
+                    let norm = descriptor.iter().map(|x| x * x).sum::<f32>().sqrt();
+                    if norm > 0.0 {
+                        for number in descriptor {
+                            *number /= norm;
+                        }
+                    }
+                }
+                Self::Floats { dimension: view.width / 4, data, cosine: true }
+            }
+        }
+    }
+
+    /// Writes the distances from descriptor `index` to every one of `others`, which must be of the same format.
+    pub(crate) fn distances_to(&self, index: usize, others: &Self, row: &mut Vec<f32>) {
+        row.clear();
+        match (self, others) {
+            (Self::Bits { words, bits, data }, Self::Bits { data: others, .. }) => {
+                let own = &data[index * words..(index + 1) * words];
+                let scale = *bits as f32;
+                row.extend(others.chunks_exact(*words).map(|other| {
+                    let flips: u32 = own.iter().zip(other).map(|(x, y)| (x ^ y).count_ones()).sum();
+                    flips as f32 / scale
+                }));
+            }
+            (Self::Floats { dimension, data, cosine }, Self::Floats { data: others, .. }) => {
+                let own = &data[index * dimension..(index + 1) * dimension];
+                row.extend(others.chunks_exact(*dimension).map(|other| {
+                    if *cosine { distance_of_cosine(dot(own, other)) } else { euclidean(own, other) }
+                }));
+            }
+            _ => {}
+        }
+    }
+}
+
+/// Sums in eight lanes, which the compiler turns into vector instructions (a plain sum must keep its order).
+fn lanes(a: &[f32], b: &[f32], term: impl Fn(f32, f32) -> f32) -> f32 {
+    let (blocks_a, rest_a) = a.as_chunks::<8>();
+    let (blocks_b, rest_b) = b.as_chunks::<8>();
+    let mut sums = [0.0; 8];
+    for (x, y) in blocks_a.iter().zip(blocks_b) {
+        for lane in 0..8 {
+            sums[lane] += term(x[lane], y[lane]);
+        }
+    }
+    sums.iter().sum::<f32>() + rest_a.iter().zip(rest_b).map(|(x, y)| term(*x, *y)).sum::<f32>()
+}
+
+fn dot(a: &[f32], b: &[f32]) -> f32 {
+    lanes(a, b, |x, y| x * y)
+}
+
+fn euclidean(a: &[f32], b: &[f32]) -> f32 {
+    number_or_infinite(lanes(a, b, |x, y| (x - y) * (x - y)).sqrt())
+}
