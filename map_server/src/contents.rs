@@ -142,7 +142,7 @@ pub(crate) fn check_info(info: &MapInfo) -> Result<(), ContentsError> {
     if info.descriptor_width == 0 {
         return fail("descriptors must have at least one byte".to_owned());
     }
-    if info.descriptor_kind == protocol::DescriptorKind::Float && info.descriptor_width % 4 != 0 {
+    if info.descriptor_kind == protocol::DescriptorKind::Float && !info.descriptor_width.is_multiple_of(4) {
         return fail(format!(
             "a float descriptor of {} bytes is no whole number of f32",
             info.descriptor_width

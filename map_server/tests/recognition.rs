@@ -326,7 +326,7 @@ fn a_map_that_is_damaged_in_places_is_still_served() {
     let store = map_server::SledStore::create(&path, &place.map.info).unwrap();
     map_server::MapStore::replace_all(&store, &place.map).unwrap();
     drop(store);
-    let database = sled::open(&path).unwrap();
+    let database = common::open_database(&path);
     let tree = database.open_tree("keyframes").unwrap();
     tree.insert(place.map.keyframes[5].id.to_be_bytes(), b"damaged".as_slice()).unwrap();
     drop((tree, database));

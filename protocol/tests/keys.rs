@@ -4,7 +4,9 @@
 use proptest::prelude::*;
 use protocol::keys::{self, NameError};
 
-const BUILDERS: [fn(&str) -> Result<String, NameError>; 10] = [
+type Builder = fn(&str) -> Result<String, NameError>;
+
+const BUILDERS: [Builder; 10] = [
     keys::map_match,
     keys::map_localize,
     keys::map_info,

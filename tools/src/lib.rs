@@ -5,6 +5,7 @@
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 pub mod command;
+pub mod in_process;
 pub mod map_building;
 pub mod map_files;
 pub mod plotting;

@@ -61,6 +61,20 @@ proptest! {
     }
 }
 
+/// A descriptor of one chunk leaves the pigeonholes no luck: all that lies within the radius, and nothing else.
+#[test]
+fn every_way_to_flip_as_many_bits_as_the_radius_is_looked_up() {
+    for radius in 0..3 {
+        let mut index = MultiIndex::with_radius(2, radius).unwrap();
+        index.insert(&[0x3c, 0x5a], 1).unwrap();
+        for flips in 0..=u16::MAX {
+            let [high, low] = flips.to_be_bytes();
+            let found = index.query(&[0x3c ^ high, 0x5a ^ low], 16).unwrap();
+            assert_eq!(found.len(), usize::from(flips.count_ones() <= u32::from(radius)), "{flips:b}");
+        }
+    }
+}
+
 /// Independent flips at a rate p keep a chunk within one flip with `q = (1-p)^16 + 16 p (1-p)^15`, and one of 16 chunks
 /// with `1 - (1-q)^16`: 0.9999 at the recorded mean rate of 0.095, 0.998 at 0.14.
 #[test]

@@ -33,7 +33,6 @@ use std::sync::{Arc, PoisonError, RwLock};
 use std::time::Duration;
 
 use protocol::{Format, KeyframeId, MapChange, StatedChange, keys};
-use tokio::sync::mpsc;
 use tokio::task::JoinHandle;
 use zenoh::Session;
 use zenoh::bytes::Encoding;
@@ -160,23 +159,105 @@ impl MapServer {
         let maps = Arc::new(served);
 
         let (queue, jobs) = Queue::new(options.queue_length, options.queue_bytes);
-        let workers = queue::start_workers(jobs, options.workers, options.recognition, &queue);
+        let workers = queue::start_workers(jobs, options.workers, &options.recognition, &queue);
         let mut queryables = Vec::new();
         for map in maps.values() {
             for kind in Kind::ALL {
+                let key = kind.key(&map.name)?;
                 let (queue, map) = (Arc::clone(&queue), Arc::clone(map));
-                let handle = move |query: Query| queue.put(Job { query, kind, map: map.current(), name: map.name.clone() });
-                let declared = session.declare_queryable(kind.key(&map_name(&handle, &maps, kind)?)?);
-                queryables.push(declared.complete(true).callback(handle).await?);
+                let callback = move |query: Query| queue.put(Job { query, kind, map: Arc::clone(&map) });
+                queryables.push(session.declare_queryable(key).callback(callback).complete(true).await?);
             }
         }
         for kind in Kind::ALL {
             let known = Arc::clone(&maps);
-            let handle = move |query: Query| handlers::unknown_map(&query, &known);
-            queryables.push(session.declare_queryable(kind.key_of_any_map()).callback(handle).await?);
+            let callback = move |query: Query| handlers::refuse_unknown_map(&query, &known);
+            queryables.push(session.declare_queryable(kind.key_of_any_map()).callback(callback).await?);
         }
         let token = session.liveliness().declare_token(token_key).await?;
         tracing::info!(server, maps = ?maps.keys().collect::<Vec<_>>(), "serving");
         Ok(MapServer { session, maps, token, queryables, queue, workers })
     }
+
+    /// What the server has done so far.
+    pub fn statistics(&self) -> ServerStatistics {
+        self.queue.statistics()
+    }
+
+    /// Exchanges a map while it is served and publishes what changed on `map/{map}/changes`. Queries that are being
+    /// answered end with the old one.
+    ///
+    /// # Arguments
+    /// * `stated_change`: how far the map's frame moved under the robots, where that is known.
+    ///
+    /// # Errors
+    /// [`ServeError::UnknownMap`]; [`ServeError::Zenoh`] where the map was exchanged but not announced.
+    pub async fn replace(
+        &self,
+        name: &str,
+        map: Arc<LoadedMap>,
+        stated_change: Option<StatedChange>,
+    ) -> Result<(), ServeError> {
+        let served = self.maps.get(name).ok_or_else(|| ServeError::UnknownMap(name.to_owned()))?;
+        let new = Arc::clone(&map);
+        let old = std::mem::replace(&mut *served.map.write().unwrap_or_else(PoisonError::into_inner), map);
+        let (changed, removed) = difference(&old, &new);
+        tracing::info!(name, version = new.info().version, changed = changed.len(), "replaced a map");
+        let change =
+            MapChange { map: name.to_owned(), version: new.info().version, changed, removed, stated_change };
+        let payload = protocol::encode(Format::Bincode, &change)?;
+        let publication = self.session.put(keys::map_changes(name)?, payload);
+        publication
+            .encoding(Encoding::from(Format::Bincode.encoding()))
+            .congestion_control(CongestionControl::Block)
+            .await?;
+        Ok(())
+    }
+
+    /// Stops serving: leaves the network first, then answers what has been asked already (for 5 s at most).
+    ///
+    /// # Errors
+    /// [`ServeError::Zenoh`] where something could not be undeclared, which happens when the session is closed.
+    pub async fn stop(self) -> Result<(), ServeError> {
+        let MapServer { token, queryables, queue, workers, .. } = self;
+        let mut result = token.undeclare().await;
+        for queryable in queryables {
+            let undeclared = queryable.undeclare().await;
+            result = result.and(undeclared);
+        }
+        queue.close();
+        let all_done = async {
+            for worker in workers {
+                if let Err(error) = worker.await {
+                    tracing::warn!("a worker of the map server ended badly: {error}");
+                }
+            }
+        };
+        if tokio::time::timeout(STOP_TIMEOUT, all_done).await.is_err() {
+            tracing::warn!("some queries were still being answered after {STOP_TIMEOUT:?}, left them");
+        }
+        tracing::info!(statistics = ?queue.statistics(), "stopped serving");
+        Ok(result?)
+    }
+}
+
+/// Keyframes that are not in the new map as they were in the old one, and those that are gone.
+fn difference(old: &LoadedMap, new: &LoadedMap) -> (Vec<KeyframeId>, Vec<KeyframeId>) {
+    let mut changed = Vec::new();
+    let mut removed = Vec::new();
+    for loaded in &old.keyframes {
+        let id = loaded.keyframe.id;
+        match new.keyframe_reply(id) {
+            None => removed.push(id),
+            Some(now) => {
+                let before = old.keyframe_reply(id);
+                if before
+                    .is_none_or(|before| before.keyframe != now.keyframe || before.landmarks != now.landmarks)
+                {
+                    changed.push(id);
+                }
+            }
+        }
+    }
+    (changed, removed)
 }

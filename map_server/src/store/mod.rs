@@ -2,6 +2,7 @@
 
 mod pending;
 mod record;
+mod sled_records;
 mod sled_store;
 mod tables;
 

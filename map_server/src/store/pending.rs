@@ -74,11 +74,11 @@ impl<'a> Pending<'a> {
 
         let mut known = KnownKeyframes { pending: &self.keyframes, loaded: BTreeMap::new() };
         for landmark in self.landmarks.values().flatten() {
-            self.check_landmark(store, info, landmark, &mut known)?;
+            known.check_landmark(store, info, landmark)?;
         }
         for id in self.dependent_landmarks(store)? {
             if let Some(landmark) = super::MapStore::landmark(store, id)? {
-                self.check_landmark(store, info, &landmark, &mut known)?;
+                known.check_landmark(store, info, &landmark)?;
             }
         }
         for cross in self.cross_covariances.values().flatten() {
@@ -91,18 +91,6 @@ impl<'a> Pending<'a> {
                 contents::check_cross_covariance(&cross, |id| known.get(id))?;
             }
         }
-        Ok(())
-    }
-
-    fn check_landmark(
-        &self,
-        store: &SledStore,
-        info: &MapInfo,
-        landmark: &Landmark,
-        known: &mut KnownKeyframes<'_>,
-    ) -> Result<(), StoreError> {
-        known.load(store, landmark.observations.iter().map(|observation| observation.keyframe))?;
-        contents::check_landmark(info, landmark, |id| known.get(id))?;
         Ok(())
     }
 
@@ -157,6 +145,17 @@ impl KnownKeyframes<'_> {
                 self.loaded.insert(id, light);
             }
         }
+        Ok(())
+    }
+
+    fn check_landmark(
+        &mut self,
+        store: &SledStore,
+        info: &MapInfo,
+        landmark: &Landmark,
+    ) -> Result<(), StoreError> {
+        self.load(store, landmark.observations.iter().map(|observation| observation.keyframe))?;
+        contents::check_landmark(info, landmark, |id| self.get(id))?;
         Ok(())
     }
 

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
 
 use protocol::{KeyframeId, LandmarkId};
 use serde::Serialize;
@@ -9,16 +10,20 @@ use serde::de::DeserializeOwned;
 use sled::transaction::{TransactionError, Transactional};
 
 use super::pending::Pending;
-use super::record::{self, CrossRecord, InfoRecord, KeyframeRecord, LandmarkRecord};
-use super::tables::{
-    CORRELATED, INFO_KEY, OBSERVES, SCHEMA_KEY, SCHEMA_MAGIC, Table, Writes, pair_key, reference_key,
-};
+use super::record::{self, InfoRecord};
+use super::tables::{CORRELATED, INFO_KEY, OBSERVES, SCHEMA_KEY, SCHEMA_MAGIC, Table, Writes, pair_key};
 use super::{Change, MapStore, Records, STORE_SCHEMA, StoreError};
 use crate::contents::MapContents;
 use crate::model::{CrossCovariance, Keyframe, Landmark, MapInfo};
 
 /// The database's page cache. A map is read once into memory, so a large cache would hold everything twice.
 const CACHE_BYTES: u64 = 128 * 1024 * 1024;
+
+/// How long opening waits for the lock of a database. One that was closed a moment ago, even by this process, is
+/// locked until sled's background threads have let go of it.
+const UNLOCK_TIME: Duration = Duration::from_millis(500);
+/// How long to wait before the lock is tried again.
+const UNLOCK_POLL: Duration = Duration::from_millis(10);
 
 /// A map in a sled database.
 pub struct SledStore {
@@ -45,10 +50,10 @@ impl SledStore {
             return Err(StoreError::Exists { path: path.to_owned() });
         }
         crate::contents::check_info(info)?;
-        let store = SledStore::open_database(path)?;
+        let store = SledStore::with_tables(path, open_database(path)?)?;
         let mut writes = Writes::default();
         writes.insert(Table::Info, SCHEMA_KEY, [SCHEMA_MAGIC, &STORE_SCHEMA.to_le_bytes()].concat());
-        writes.insert(Table::Info, INFO_KEY, store.seal(Table::Info, INFO_KEY, &InfoRecord::new(info, 0))?);
+        store.write_info(&mut writes, info, 0)?;
         store.commit(&writes)?;
         Ok(store)
     }
@@ -68,9 +73,9 @@ impl SledStore {
             let problem = "it holds no database".to_owned();
             return Err(StoreError::NotAMap { path: path.to_owned(), problem });
         }
-        let store = SledStore::open_database(path)?;
-        store.check_schema()?;
-        Ok(store)
+        let database = open_database(path)?;
+        check_schema(path, &database)?;
+        SledStore::with_tables(path, database)
     }
 
     /// The directory of the map.
@@ -86,40 +91,14 @@ impl SledStore {
         self.database.size_on_disk().map_err(|source| self.failed(source))
     }
 
-    fn open_database(path: &Path) -> Result<SledStore, StoreError> {
-        let failed = |source: sled::Error| {
-            let path = path.to_owned();
-            match &source {
-                sled::Error::Io(error) if error.to_string().contains("lock") => StoreError::InUse { path },
-                _ => StoreError::Database { path, source },
-            }
+    fn with_tables(path: &Path, database: sled::Db) -> Result<SledStore, StoreError> {
+        let tree = |table: Table| {
+            let failed = |source| StoreError::Database { path: path.to_owned(), source };
+            database.open_tree(table.name()).map_err(failed)
         };
-        let config = sled::Config::new()
-            .path(path)
-            .cache_capacity(CACHE_BYTES)
-            // Every batch is flushed before it is acknowledged; nothing is left for a timer.
-            .flush_every_ms(None);
-        let database = config.open().map_err(failed)?;
-        let tree = |table: Table| database.open_tree(table.name()).map_err(failed);
         let [info, keyframes, landmarks, cross_covariances, references] = Table::ALL.map(tree);
         let trees = [info?, keyframes?, landmarks?, cross_covariances?, references?];
         Ok(SledStore { path: path.to_owned(), database, trees, writer: Mutex::new(()) })
-    }
-
-    fn check_schema(&self) -> Result<(), StoreError> {
-        let path = self.path.clone();
-        let bytes = self.get(Table::Info, SCHEMA_KEY)?;
-        let number = bytes.as_deref().and_then(|bytes| bytes.strip_prefix(SCHEMA_MAGIC));
-        match number.map(<[u8; 2]>::try_from) {
-            Some(Ok(number)) => match u16::from_le_bytes(number) {
-                STORE_SCHEMA => Ok(()),
-                found => Err(StoreError::Schema { path, found, expected: STORE_SCHEMA }),
-            },
-            _ => {
-                let problem = "its database holds no map schema".to_owned();
-                Err(StoreError::NotAMap { path, problem })
-            }
-        }
     }
 
     /// Ids of the landmarks that a keyframe observes, as far as references tell.
@@ -159,11 +138,21 @@ impl SledStore {
         self.tree(table).get(key).map_err(|source| self.failed(source))
     }
 
-    fn seal<T: Serialize>(&self, table: Table, key: &[u8], record: &T) -> Result<Vec<u8>, StoreError> {
+    pub(super) fn seal<T: Serialize>(
+        &self,
+        table: Table,
+        key: &[u8],
+        record: &T,
+    ) -> Result<Vec<u8>, StoreError> {
         record::seal(table.name(), key, record).map_err(|problem| self.corrupt(table.describe(key), problem))
     }
 
-    fn unseal<T: DeserializeOwned>(&self, table: Table, key: &[u8], bytes: &[u8]) -> Result<T, StoreError> {
+    pub(super) fn unseal<T: DeserializeOwned>(
+        &self,
+        table: Table,
+        key: &[u8],
+        bytes: &[u8],
+    ) -> Result<T, StoreError> {
         record::unseal(table.name(), key, bytes).map_err(|problem| self.corrupt(table.describe(key), problem))
     }
 
@@ -179,107 +168,9 @@ impl SledStore {
         }))
     }
 
-    fn decode_keyframe(&self, key: &[u8], value: &[u8]) -> Result<Keyframe, StoreError> {
-        let id = self.id_of(Table::Keyframes, key)?;
-        let record: KeyframeRecord = self.unseal(Table::Keyframes, key, value)?;
-        record.into_keyframe(id).map_err(|problem| self.corrupt(Table::Keyframes.describe(key), problem))
-    }
-
-    fn decode_landmark(&self, key: &[u8], value: &[u8]) -> Result<Landmark, StoreError> {
-        let id = self.id_of(Table::Landmarks, key)?;
-        let record: LandmarkRecord = self.unseal(Table::Landmarks, key, value)?;
-        Ok(record.into_landmark(id))
-    }
-
-    fn decode_cross_covariance(&self, key: &[u8], value: &[u8]) -> Result<CrossCovariance, StoreError> {
-        let (a, b) = key.split_at(key.len() / 2);
-        let (a, b) = (self.id_of(Table::CrossCovariances, a)?, self.id_of(Table::CrossCovariances, b)?);
-        let record: CrossRecord = self.unseal(Table::CrossCovariances, key, value)?;
-        Ok(record.into_cross(a, b))
-    }
-
-    fn id_of(&self, table: Table, key: &[u8]) -> Result<u64, StoreError> {
-        let id = key.try_into().map(u64::from_be_bytes);
-        id.map_err(|_| self.corrupt(table.describe(key), "its key is malformed".to_owned()))
-    }
-
     fn locked(&self) -> MutexGuard<'_, ()> {
         // The lock guards no data, so a writer that panicked left nothing half done.
         self.writer.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// Turns a checked batch into writes. A damaged old landmark can be replaced or removed: references that it
-    /// leaves behind are passed over by [`MapStore::landmarks_of_keyframe`].
-    fn writes_of(&self, pending: &Pending<'_>, info: &MapInfo, version: u64) -> Result<Writes, StoreError> {
-        let mut writes = Writes::default();
-        writes.insert(
-            Table::Info,
-            INFO_KEY,
-            self.seal(Table::Info, INFO_KEY, &InfoRecord::new(info, version))?,
-        );
-        for (&id, keyframe) in &pending.keyframes {
-            match keyframe {
-                Some(keyframe) => self.write_keyframe(&mut writes, keyframe)?,
-                None => writes.remove(Table::Keyframes, id.to_be_bytes()),
-            }
-        }
-        for (&id, landmark) in &pending.landmarks {
-            if let Ok(Some(old)) = self.landmark(id) {
-                for observation in &old.observations {
-                    writes.remove(Table::References, reference_key(OBSERVES, observation.keyframe, id));
-                }
-            }
-            match landmark {
-                Some(landmark) => self.write_landmark(&mut writes, landmark)?,
-                None => writes.remove(Table::Landmarks, id.to_be_bytes()),
-            }
-        }
-        for (&(a, b), cross) in &pending.cross_covariances {
-            if let Some(cross) = cross {
-                self.write_cross_covariance(&mut writes, cross)?;
-            } else {
-                writes.remove(Table::CrossCovariances, pair_key(a, b));
-                writes.remove(Table::References, reference_key(CORRELATED, a, b));
-                writes.remove(Table::References, reference_key(CORRELATED, b, a));
-            }
-        }
-        Ok(writes)
-    }
-
-    fn write_keyframe(&self, writes: &mut Writes, keyframe: &Keyframe) -> Result<(), StoreError> {
-        let key = keyframe.id.to_be_bytes();
-        writes.insert(
-            Table::Keyframes,
-            key,
-            self.seal(Table::Keyframes, &key, &KeyframeRecord::new(keyframe))?,
-        );
-        Ok(())
-    }
-
-    fn write_landmark(&self, writes: &mut Writes, landmark: &Landmark) -> Result<(), StoreError> {
-        let key = landmark.id.to_be_bytes();
-        writes.insert(
-            Table::Landmarks,
-            key,
-            self.seal(Table::Landmarks, &key, &LandmarkRecord::new(landmark))?,
-        );
-        for observation in &landmark.observations {
-            writes.insert(
-                Table::References,
-                reference_key(OBSERVES, observation.keyframe, landmark.id),
-                Vec::new(),
-            );
-        }
-        Ok(())
-    }
-
-    fn write_cross_covariance(&self, writes: &mut Writes, cross: &CrossCovariance) -> Result<(), StoreError> {
-        let key = pair_key(cross.a, cross.b);
-        let record = self.seal(Table::CrossCovariances, &key, &CrossRecord::new(cross))?;
-        writes.insert(Table::CrossCovariances, key, record);
-        writes.insert(Table::References, reference_key(CORRELATED, cross.a, cross.b), Vec::new());
-        writes.insert(Table::References, reference_key(CORRELATED, cross.b, cross.a), Vec::new());
-        Ok(())
     }
 
     /// Makes the writes in one transaction over all trees and waits until they are on the disk.
@@ -303,7 +194,7 @@ impl SledStore {
         StoreError::Database { path: self.path.clone(), source }
     }
 
-    fn corrupt(&self, record: String, problem: String) -> StoreError {
+    pub(super) fn corrupt(&self, record: String, problem: String) -> StoreError {
         StoreError::Corrupt { path: self.path.clone(), record, problem }
     }
 }
@@ -380,8 +271,7 @@ impl MapStore for SledStore {
                 writes.remove(table, key.map_err(|source| self.failed(source))?);
             }
         }
-        let info = InfoRecord::new(&contents.info, version);
-        writes.insert(Table::Info, INFO_KEY, self.seal(Table::Info, INFO_KEY, &info)?);
+        self.write_info(&mut writes, &contents.info, version)?;
         for keyframe in &contents.keyframes {
             self.write_keyframe(&mut writes, keyframe)?;
         }
@@ -393,5 +283,46 @@ impl MapStore for SledStore {
         }
         self.commit(&writes)?;
         Ok(version)
+    }
+}
+
+/// Opens a database, or makes an empty one.
+fn open_database(path: &Path) -> Result<sled::Db, StoreError> {
+    let config = sled::Config::new()
+        .path(path)
+        .cache_capacity(CACHE_BYTES)
+        // Every batch is flushed before it is acknowledged; nothing is left for a timer.
+        .flush_every_ms(None);
+    let is_locked =
+        |error: &sled::Error| matches!(error, sled::Error::Io(error) if error.to_string().contains("lock"));
+    let started = Instant::now();
+    loop {
+        match config.open() {
+            Err(source) if is_locked(&source) && started.elapsed() < UNLOCK_TIME => {
+                std::thread::sleep(UNLOCK_POLL);
+            }
+            Err(source) if is_locked(&source) => return Err(StoreError::InUse { path: path.to_owned() }),
+            Err(source) => return Err(StoreError::Database { path: path.to_owned(), source }),
+            Ok(database) => return Ok(database),
+        }
+    }
+}
+
+/// Makes sure that a database holds a map that this program reads, without writing to it.
+fn check_schema(path: &Path, database: &sled::Db) -> Result<(), StoreError> {
+    let failed = |source| StoreError::Database { path: path.to_owned(), source };
+    let no_map = || StoreError::NotAMap {
+        path: path.to_owned(),
+        problem: "its database holds no map schema".to_owned(),
+    };
+    if !database.tree_names().iter().any(|name| name == Table::Info.name().as_bytes()) {
+        return Err(no_map());
+    }
+    let info = database.open_tree(Table::Info.name()).map_err(failed)?;
+    let bytes = info.get(SCHEMA_KEY).map_err(failed)?.ok_or_else(no_map)?;
+    let number = bytes.strip_prefix(SCHEMA_MAGIC).and_then(|number| number.try_into().ok());
+    match number.map(u16::from_le_bytes).ok_or_else(no_map)? {
+        STORE_SCHEMA => Ok(()),
+        found => Err(StoreError::Schema { path: path.to_owned(), found, expected: STORE_SCHEMA }),
     }
 }

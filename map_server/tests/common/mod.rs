@@ -232,3 +232,15 @@ pub fn normal(rng: &mut StdRng) -> f64 {
     let radius = (-2.0 * rng.random_range(f64::MIN_POSITIVE..1.0).ln()).sqrt();
     radius * (std::f64::consts::TAU * rng.random_range(0.0..1.0f64)).cos()
 }
+
+/// The database under a map, opened behind the store's back to damage it. A map that was just closed is locked for a
+/// moment longer.
+pub fn open_database(path: &std::path::Path) -> sled::Db {
+    loop {
+        match sled::open(path) {
+            Ok(database) => return database,
+            Err(error) => assert!(error.to_string().contains("lock"), "{error}"),
+        }
+        std::thread::sleep(std::time::Duration::from_millis(10));
+    }
+}

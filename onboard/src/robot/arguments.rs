@@ -115,9 +115,10 @@ impl RobotArguments {
         let Some(imu) = &sequence.imu else {
             bail!("{} has no IMU (mav0/imu0); a robot needs one", sequence.root.display())
         };
+        let of_sensor = EstimatorConfig { imu_noise: imu.noise, ..EstimatorConfig::default() };
         let mut config = match &self.settings {
-            Some(path) => read_settings(path)?,
-            None => EstimatorConfig { imu_noise: imu.noise, ..EstimatorConfig::default() },
+            Some(path) => read_settings(path, &of_sensor)?,
+            None => of_sensor,
         };
         if let Some(gravity) = imu.gravity_magnitude {
             config.gravity = gravity;
@@ -158,7 +159,24 @@ impl RobotArguments {
     }
 }
 
-fn read_settings(path: &Path) -> Result<EstimatorConfig> {
+/// Settings of a YAML file; what it leaves out is as in `defaults`.
+fn read_settings(path: &Path, defaults: &EstimatorConfig) -> Result<EstimatorConfig> {
+    let misunderstood = || format!("settings {} are not understood", path.display());
     let text = std::fs::read_to_string(path).with_context(|| format!("cannot read settings {}", path.display()))?;
-    serde_saphyr::from_str(&text).with_context(|| format!("settings {} are not understood", path.display()))
+    let given: serde_json::Value = serde_saphyr::from_str(&text).with_context(misunderstood)?;
+    let mut settings = serde_json::to_value(defaults)?;
+    overlay(&mut settings, given);
+    serde_json::from_value(settings).with_context(misunderstood)
+}
+
+/// Replaces what `given` names, field by field.
+fn overlay(settings: &mut serde_json::Value, given: serde_json::Value) {
+    match (settings, given) {
+        (serde_json::Value::Object(fields), serde_json::Value::Object(given)) => {
+            for (name, value) in given {
+                overlay(fields.entry(name).or_insert(serde_json::Value::Null), value);
+            }
+        }
+        (setting, value) => *setting = value,
+    }
 }

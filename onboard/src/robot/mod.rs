@@ -5,6 +5,8 @@
 
 pub mod answer;
 pub mod arguments;
+pub mod program;
+pub mod progress;
 pub mod publisher;
 pub mod query_client;
 pub mod recorder;
@@ -13,4 +15,5 @@ pub mod start;
 pub mod summary;
 
 pub use arguments::RobotArguments;
+pub use program::{MapLink, Outcome, run_robot};
 pub use run::{RobotRun, RunError, run};

@@ -1,7 +1,7 @@
 //! What a run comes to: `summary.json`.
 
 use crate::estimator::{EstimatorConfig, Status};
-type RunScore = serde_json::Value;
+use crate::evaluation::RunScore;
 use serde::Serialize;
 use std::time::Duration;
 

@@ -3,12 +3,13 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
-use anyhow::{Context, bail};
+use anyhow::bail;
 use indicatif::{ProgressBar, ProgressStyle};
+use nalgebra::Vector3;
 use onboard::sequence::{ReferencePose, Sequence, read_reference_poses};
 use serde_json::json;
 
-use super::import_map::{gravity_direction, hint};
+use super::import_map::{check_free, parse_direction};
 use crate::map_building::{BuildOptions, BuildReport, Spread, Stage, build_map};
 use crate::map_files::save_map;
 
@@ -37,8 +38,8 @@ pub struct Args {
     #[arg(long, value_name = "M")]
     pub sigma_p: Option<f64>,
     /// Direction in which gravity points in the map's frame, for example 0,0,-1 [default: unknown]
-    #[arg(long, value_name = "X,Y,Z", value_delimiter = ',', num_args = 3, allow_hyphen_values = true)]
-    pub gravity: Option<Vec<f64>>,
+    #[arg(long, value_name = "X,Y,Z", value_parser = parse_direction, allow_hyphen_values = true)]
+    pub gravity: Option<Vector3<f64>>,
     /// Standard deviation of a feature's pixel, px
     #[arg(long, value_name = "PX", default_value_t = 1.0)]
     pub pixel_sigma: f64,
@@ -49,10 +50,10 @@ pub struct Args {
     #[arg(long, value_name = "SECONDS")]
     pub until: Option<f64>,
     /// Take a keyframe when the camera has moved this far, m
-    #[arg(long, value_name = "M", default_value_t = 0.3)]
+    #[arg(long, value_name = "M", default_value_t = 0.2)]
     pub min_distance: f64,
     /// ... or has turned by this angle, deg
-    #[arg(long, value_name = "DEG", default_value_t = 10.0)]
+    #[arg(long, value_name = "DEG", default_value_t = 5.0)]
     pub min_rotation: f64,
     /// Match each keyframe with this many that follow it
     #[arg(long, value_name = "N", default_value_t = 10)]
@@ -73,9 +74,7 @@ pub struct Args {
 /// # Errors
 /// A sequence without features or poses, a file that cannot be read (with its line), a database that exists already.
 pub fn run(args: Args) -> anyhow::Result<()> {
-    if args.map.exists() && !args.force {
-        bail!("{} exists already: choose another path, or replace the map with --force", args.map.display());
-    }
+    check_free(&args.map, args.force)?;
     let sequence = Sequence::open(&args.sequence)?;
     let references = references(&args, &sequence)?;
     let options = options(&args)?;
@@ -92,8 +91,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     let built = build_map(&sequence, &references, &options, &mut show);
     bar.finish_and_clear();
     let (contents, report) = built?;
-    let version =
-        save_map(&args.map, &contents, args.force).with_context(|| hint(&args.map, args.force))?;
+    let version = save_map(&args.map, &contents, args.force)?;
     if args.json {
         println!("{:#}", json!({ "map": args.map, "version": version, "report": report }));
     } else {
@@ -154,7 +152,7 @@ fn options(args: &Args) -> anyhow::Result<BuildOptions> {
     Ok(BuildOptions {
         name,
         created_by: format!("driftless build-map {}", args.sequence.display()),
-        gravity_in_global: args.gravity.as_deref().map(gravity_direction).transpose()?,
+        gravity_in_global: args.gravity,
         from_s,
         until_s,
         sigma_theta: args.sigma_theta,

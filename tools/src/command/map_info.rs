@@ -1,13 +1,172 @@
-//! `driftless map-info`.
+//! `driftless map-info`: what a map holds.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+use map_server::contents::MapContents;
+use map_server::store::{MapStore, STORE_SCHEMA, SledStore};
+use nalgebra::Vector3;
+use protocol::DescriptorKind;
+use serde::Serialize;
+
+use crate::map_building::Spread;
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
-pub struct Args {}
+#[command(after_help = "Example:\n  driftless map-info --map yq.db")]
+pub struct Args {
+    /// Database of the map
+    #[arg(long, value_name = "DB")]
+    pub map: PathBuf,
+    /// Print the result as JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// All that is printed.
+#[derive(Serialize)]
+struct Summary {
+    map: PathBuf,
+    name: String,
+    created_by: String,
+    version: u64,
+    schema: u16,
+    bytes_on_disk: u64,
+    keyframes: usize,
+    landmarks: usize,
+    observations: usize,
+    cross_covariances: usize,
+    damaged_records: Vec<String>,
+    descriptor_kind: &'static str,
+    descriptor_bytes: u16,
+    pixel_sigma_px: f64,
+    gravity_in_global: Option<[f64; 3]>,
+    /// Corners of the box around all keyframes (m).
+    extent_min_m: Option<[f64; 3]>,
+    extent_max_m: Option<[f64; 3]>,
+    /// Time between the first and the last keyframe (s).
+    duration_s: f64,
+    /// Root mean square over the axes, by keyframe.
+    sigma_theta_deg: Spread,
+    sigma_p_m: Spread,
+    observations_per_landmark: Spread,
+    landmarks_per_keyframe: Spread,
+    landmark_depth_m: Spread,
+}
 
 /// Runs the command.
 ///
 /// # Errors
-/// It is not written yet.
-pub fn run(_args: Args) -> anyhow::Result<()> {
-    anyhow::bail!("map-info is not there yet")
+/// A database that is missing or in use, or whose info cannot be read. Other damaged records are listed.
+pub fn run(args: Args) -> anyhow::Result<()> {
+    let store = SledStore::open(&args.map)?;
+    let (contents, errors) = store.read_readable()?;
+    let damaged = errors.iter().map(ToString::to_string).collect();
+    let summary = summary(args.map, &contents, damaged, store.size_on_disk()?);
+    if args.json {
+        println!("{}", serde_json::to_string_pretty(&summary)?);
+    } else {
+        print_summary(&summary);
+    }
+    Ok(())
+}
+
+fn summary(
+    map: PathBuf,
+    contents: &MapContents,
+    damaged_records: Vec<String>,
+    bytes_on_disk: u64,
+) -> Summary {
+    let positions =
+        || contents.keyframes.iter().map(|keyframe| keyframe.global_from_keyframe.pose.translation);
+    let corner = |pick: fn(f64, f64) -> f64| -> Option<[f64; 3]> {
+        positions().reduce(|a: Vector3<f64>, b| a.zip_map(&b, pick)).map(Into::into)
+    };
+    let sigma = |first: usize| {
+        let variances = contents.keyframes.iter().map(move |keyframe| {
+            let diagonal = keyframe.global_from_keyframe.covariance.diagonal();
+            diagonal.rows(first, 3).sum() / 3.0
+        });
+        Spread::of(variances.map(|variance| variance.max(0.0).sqrt()))
+    };
+    let mut seen: BTreeMap<u64, usize> = contents.keyframes.iter().map(|keyframe| (keyframe.id, 0)).collect();
+    for observation in contents.landmarks.iter().flat_map(|landmark| &landmark.observations) {
+        *seen.entry(observation.keyframe).or_default() += 1;
+    }
+    let stamps = || contents.keyframes.iter().map(|keyframe| keyframe.stamp_ns);
+    let duration_ns =
+        stamps().max().zip(stamps().min()).map_or(0, |(last, first)| last.saturating_sub(first));
+    let theta = sigma(0);
+    let degrees = |radians: f64| radians.to_degrees();
+    Summary {
+        map,
+        name: contents.info.name.clone(),
+        created_by: contents.info.created_by.clone(),
+        version: contents.info.version,
+        schema: STORE_SCHEMA,
+        bytes_on_disk,
+        keyframes: contents.keyframes.len(),
+        landmarks: contents.landmarks.len(),
+        observations: contents.observation_count(),
+        cross_covariances: contents.cross_covariances.len(),
+        damaged_records,
+        descriptor_kind: match contents.info.descriptor_kind {
+            DescriptorKind::Binary => "binary",
+            DescriptorKind::Float => "float",
+        },
+        descriptor_bytes: contents.info.descriptor_width,
+        pixel_sigma_px: contents.info.pixel_sigma,
+        gravity_in_global: contents.info.gravity_in_global.map(Into::into),
+        extent_min_m: corner(f64::min),
+        extent_max_m: corner(f64::max),
+        duration_s: duration_ns as f64 * 1e-9,
+        sigma_theta_deg: Spread {
+            mean: degrees(theta.mean),
+            median: degrees(theta.median),
+            p95: degrees(theta.p95),
+        },
+        sigma_p_m: sigma(3),
+        observations_per_landmark: Spread::of(
+            contents.landmarks.iter().map(|landmark| landmark.observations.len() as f64),
+        ),
+        landmarks_per_keyframe: Spread::of(seen.values().map(|&count| count as f64)),
+        landmark_depth_m: Spread::of(contents.landmarks.iter().map(|landmark| landmark.position_in_anchor.z)),
+    }
+}
+
+fn print_summary(summary: &Summary) {
+    let vector = |values: Option<[f64; 3]>, unknown: &str| {
+        values.map_or_else(|| unknown.to_owned(), |[x, y, z]| format!("({x:.2}, {y:.2}, {z:.2})"))
+    };
+    let spread = |spread: &Spread, digits: usize| {
+        let Spread { mean, median, p95 } = spread;
+        format!("mean {mean:.digits$}, median {median:.digits$}, 95 % below {p95:.digits$}")
+    };
+    println!("map                      {}", summary.map.display());
+    println!("  name                   {}, by {}", summary.name, summary.created_by);
+    println!("  version                {} (schema {})", summary.version, summary.schema);
+    println!("  size on disk           {:.2} MB", summary.bytes_on_disk as f64 * 1e-6);
+    println!("keyframes                {} over {:.1} s", summary.keyframes, summary.duration_s);
+    println!(
+        "  extent, m              {} to {}",
+        vector(summary.extent_min_m, "none"),
+        vector(summary.extent_max_m, "none")
+    );
+    println!("  sigma, deg             {}", spread(&summary.sigma_theta_deg, 3));
+    println!("  sigma, m               {}", spread(&summary.sigma_p_m, 3));
+    println!("  cross-covariances      {}", summary.cross_covariances);
+    println!("landmarks                {}", summary.landmarks);
+    println!("  depth in anchor, m     {}", spread(&summary.landmark_depth_m, 1));
+    println!("  a keyframe             {}", spread(&summary.landmarks_per_keyframe, 0));
+    println!("observations             {}", summary.observations);
+    println!("  a landmark             {}", spread(&summary.observations_per_landmark, 1));
+    println!("descriptors              {}, {} bytes", summary.descriptor_kind, summary.descriptor_bytes);
+    println!("pixel sigma, px          {}", summary.pixel_sigma_px);
+    println!("gravity points to        {}", vector(summary.gravity_in_global, "unknown"));
+    if !summary.damaged_records.is_empty() {
+        println!("damaged records          {}", summary.damaged_records.len());
+        for record in &summary.damaged_records {
+            println!("  {record}");
+        }
+    }
 }

@@ -9,6 +9,7 @@ pub mod import_map;
 pub mod map_info;
 pub mod plot;
 pub mod query;
+pub mod run;
 pub mod simulate;
 
 /// What `driftless` can do.
@@ -26,6 +27,8 @@ pub enum Command {
     MapInfo(map_info::Args),
     /// Ask a running map server
     Query(query::Args),
+    /// Run a robot through a recording, with a map server in the same process
+    Run(run::Args),
     /// Compare an estimated trajectory with the truth
     Evaluate(evaluate::Args),
     /// Draw the pictures of a run
@@ -45,6 +48,7 @@ impl Command {
             Self::ExportMap(args) => export_map::run(args),
             Self::MapInfo(args) => map_info::run(args),
             Self::Query(args) => query::run(args),
+            Self::Run(args) => run::run(args),
             Self::Evaluate(args) => evaluate::run(args),
             Self::Plot(args) => plot::run(args),
         }

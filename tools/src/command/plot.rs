@@ -1,13 +1,63 @@
-//! `driftless plot`.
+//! `driftless plot`: the pictures of a run.
+
+use crate::plotting::{RunFiles, draw_run, read_keyframes};
+use anyhow::{Context, ensure};
+use nalgebra::Vector3;
+use serde_json::json;
+use std::path::PathBuf;
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
-pub struct Args {}
+#[command(after_help = "Examples:\n  driftless plot out\n  \
+    driftless plot out --groundtruth SEQ/mav0/state_groundtruth_estimate0/data.csv --keyframes map/keyframes.csv\n\n\
+    Draws trajectory.svg, over_time.svg, error_local.svg, error_transform.svg, error_pose.svg and reprojection.svg;\n\
+    what the run's files do not tell is left out, and said.")]
+pub struct Args {
+    /// Output folder of a run, with its states.csv
+    #[arg(value_name = "DIR")]
+    run: PathBuf,
+    /// The truth; left out, that of the recording which summary.json names
+    #[arg(long, value_name = "FILE")]
+    groundtruth: Option<PathBuf>,
+    /// Direction in which gravity pulls in the truth's frame; left out, it is worked out from the recording
+    #[arg(long, value_name = "X,Y,Z", value_delimiter = ',', allow_hyphen_values = true)]
+    gravity: Option<Vec<f64>>,
+    /// keyframes.csv of the map in plain text, to be drawn from above
+    #[arg(long, value_name = "FILE")]
+    keyframes: Option<PathBuf>,
+    /// Folder for the pictures; left out, the run's
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// Print what was drawn as JSON
+    #[arg(long)]
+    json: bool,
+}
 
 /// Runs the command.
 ///
 /// # Errors
-/// It is not written yet.
-pub fn run(_args: Args) -> anyhow::Result<()> {
-    anyhow::bail!("plot is not there yet")
+/// A run without `states.csv`, a file that cannot be understood, a picture that cannot be written.
+pub fn run(args: Args) -> anyhow::Result<()> {
+    let gravity = args.gravity.as_deref().map(direction).transpose()?;
+    let mut run = RunFiles::read(&args.run, args.groundtruth.as_deref(), gravity).context("the run cannot be drawn")?;
+    if let Some(path) = &args.keyframes {
+        run.keyframes = read_keyframes(path).context("the keyframes cannot be drawn")?;
+    }
+    let drawn = draw_run(&run, args.out.as_deref().unwrap_or(&args.run))?;
+    if args.json {
+        println!("{}", serde_json::to_string_pretty(&json!({"pictures": drawn.pictures, "missing": drawn.missing}))?);
+        return Ok(());
+    }
+    for picture in &drawn.pictures {
+        println!("{}", picture.display());
+    }
+    for sentence in &drawn.missing {
+        eprintln!("{sentence}");
+    }
+    Ok(())
+}
+
+fn direction(given: &[f64]) -> anyhow::Result<Vector3<f64>> {
+    ensure!(given.len() == 3, "--gravity takes three numbers, as in 0,0,-1");
+    Vector3::from_column_slice(given).try_normalize(1e-9).context("--gravity must be a direction, as in 0,0,-1")
 }

@@ -1,13 +1,123 @@
-//! `driftless simulate`.
+//! `driftless simulate`: a place and two runs through it, as recordings on disk.
+
+use crate::simulation::{SimulationOptions, simulate};
+use anyhow::Context;
+use onboard::sequence::{Sequence, writer};
+use onboard::trajectory::{StampedPose, tum};
+use serde::Serialize;
+use std::path::{Path, PathBuf};
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
-pub struct Args {}
+#[command(after_help = "Examples:\n  driftless simulate --out town --seed 3\n  \
+    driftless simulate --out hall --trajectory MH_01.tum --live-trajectory MH_03.tum\n\n\
+    Writes OUT/map (build a map from it with `driftless build-map OUT/map --map town.db`) and OUT/live.")]
+pub struct Args {
+    /// Folder to write to; `map` and `live` are created in it
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Same seed, same files
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Way of the map's run instead of the built-in one: a TUM trajectory of the body (x forward, z up)
+    #[arg(long, value_name = "TUM")]
+    trajectory: Option<PathBuf>,
+    /// Way of the live run; left out, the map's way a metre to the left
+    #[arg(long, value_name = "TUM")]
+    live_trajectory: Option<PathBuf>,
+    /// Cruising speed on the built-in way, m/s
+    #[arg(long, default_value_t = SimulationOptions::default().speed)]
+    speed: f64,
+    /// Noise of tracked pixels, px
+    #[arg(long, value_name = "PX", default_value_t = SimulationOptions::default().sigma_track_px)]
+    pixel_noise: f64,
+    /// Fraction of tracked pixels that are 10 to 50 px off
+    #[arg(long, value_name = "FRACTION", default_value_t = 0.0)]
+    outliers: f64,
+    /// Fraction of the live run without features to match
+    #[arg(long, value_name = "FRACTION", default_value_t = SimulationOptions::default().dropout_fraction)]
+    dropout: f64,
+    /// Error of the map's reference poses, metres along each axis
+    #[arg(long, value_name = "M", default_value_t = SimulationOptions::default().reference_sigma_p)]
+    reference_sigma_p: f64,
+    /// Error of the map's reference poses, rad about each axis
+    #[arg(long, value_name = "RAD", default_value_t = SimulationOptions::default().reference_sigma_theta)]
+    reference_sigma_theta: f64,
+    /// Print what was written as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// What one recording holds.
+#[derive(Serialize)]
+struct Summary {
+    path: PathBuf,
+    duration_s: f64,
+    distance_m: f64,
+    frames: usize,
+    imu_samples: usize,
+    track_observations: usize,
+    images_with_features: usize,
+}
 
 /// Runs the command.
 ///
 /// # Errors
-/// It is not written yet.
-pub fn run(_args: Args) -> anyhow::Result<()> {
-    anyhow::bail!("simulate is not there yet")
+/// Options that make no sense, a trajectory that cannot be read, a folder that cannot be written.
+pub fn run(args: Args) -> anyhow::Result<()> {
+    let options = SimulationOptions {
+        seed: args.seed,
+        speed: args.speed,
+        map_trajectory: args.trajectory.as_deref().map(read_way).transpose()?,
+        live_trajectory: args.live_trajectory.as_deref().map(read_way).transpose()?,
+        sigma_track_px: args.pixel_noise,
+        outlier_fraction: args.outliers,
+        dropout_fraction: args.dropout,
+        reference_sigma_p: args.reference_sigma_p,
+        reference_sigma_theta: args.reference_sigma_theta,
+        ..SimulationOptions::default()
+    };
+    let place = simulate(&options).context("nothing was simulated")?;
+    let mut summaries = Vec::new();
+    for (name, sequence) in [("map", &place.map), ("live", &place.live)] {
+        let root = args.out.join(name);
+        writer::write(sequence, &root).context("the recording was not written")?;
+        summaries.push(summary(root, sequence));
+    }
+    if args.json {
+        println!("{}", serde_json::to_string_pretty(&summaries)?);
+        return Ok(());
+    }
+    for summary in &summaries {
+        println!(
+            "{}: {:.0} m in {:.0} s, {} frames, {} tracked pixels, {} images with features, {} IMU samples",
+            summary.path.display(),
+            summary.distance_m,
+            summary.duration_s,
+            summary.frames,
+            summary.track_observations,
+            summary.images_with_features,
+            summary.imu_samples
+        );
+    }
+    Ok(())
+}
+
+fn read_way(path: &Path) -> anyhow::Result<Vec<StampedPose>> {
+    tum::read(path).context("the trajectory cannot be followed")
+}
+
+fn summary(path: PathBuf, sequence: &Sequence) -> Summary {
+    let truth = sequence.groundtruth.as_deref().unwrap_or_default();
+    let step = |pair: &[onboard::sequence::TruthRow]| (pair[1].pose.translation - pair[0].pose.translation).norm();
+    let span = truth.first().zip(truth.last()).map_or(0, |(first, last)| last.stamp_ns - first.stamp_ns);
+    Summary {
+        path,
+        duration_s: span as f64 * 1e-9,
+        distance_m: truth.windows(2).map(step).sum(),
+        frames: sequence.frames.len(),
+        imu_samples: sequence.imu_samples.len(),
+        track_observations: sequence.frames.iter().map(|frame| frame.tracks.len()).sum(),
+        images_with_features: sequence.frames.iter().filter(|frame| frame.features.is_some()).count(),
+    }
 }

@@ -65,7 +65,12 @@ impl<'a> Problem<'a> {
     /// # Arguments
     /// * `from_priors`: the poses are still the given ones, so start with a wide scale.
     /// * `progress`: told the steps done and the most there will be.
-    pub(super) fn refine(&self, start: Bundle, from_priors: bool, mut progress: impl FnMut(usize, usize)) -> Bundle {
+    pub(super) fn refine(
+        &self,
+        start: Bundle,
+        from_priors: bool,
+        mut progress: impl FnMut(usize, usize),
+    ) -> Bundle {
         let mut bundle = start;
         let mut scale = if from_priors { FIRST_SCALE } else { LAST_SCALE };
         let [mut damping, least, most] = DAMPING;

@@ -43,8 +43,7 @@ pub(super) fn map_contents(
             features: None,
         })
         .collect();
-    contents.landmarks =
-        (1..).zip(&bundle.points).map(|(id, point)| landmark(id, point, views)).collect();
+    contents.landmarks = (1..).zip(&bundle.points).map(|(id, point)| landmark(id, point, views)).collect();
     contents.sort();
     contents.validate()?;
     Ok(contents)

@@ -72,7 +72,11 @@ pub(super) fn match_pair(
     Ok(matches
         .iter()
         .filter(|found| possible(found))
-        .map(|found| FeatureMatch { first: (i, found.query), second: (j, found.train), distance: found.distance })
+        .map(|found| FeatureMatch {
+            first: (i, found.query),
+            second: (j, found.train),
+            distance: found.distance,
+        })
         .collect())
 }
 
@@ -110,7 +114,8 @@ fn epipolar_error(
         let rotation_covariance: Matrix3<f64> = covariance.fixed_view::<3, 3>(0, 0).into_owned();
         let position_covariance: Matrix3<f64> = covariance.fixed_view::<3, 3>(3, 3).into_owned();
         variance += quadratic(&rotation_covariance, &by_rotation) + quadratic(&position_covariance, &normal);
-        variance += pixel_variance(camera, &rotation[index], &rays[index], &by_direction[index], pixel_sigma)?;
+        variance +=
+            pixel_variance(camera, &rotation[index], &rays[index], &by_direction[index], pixel_sigma)?;
     }
     Some(baseline.dot(&normal).abs() / variance.sqrt())
 }

@@ -91,7 +91,13 @@ fn measured() {
         let mut report = BuildReport::default();
         let start = Instant::now();
         let matches = match_all(camera, &views, &options, &mut report, &mut |_, _, _| ()).unwrap();
-        println!("{place}: {} views, {} pairs, {} matches, {:?}", views.len(), report.pairs, report.matches, start.elapsed());
+        println!(
+            "{place}: {} views, {} pairs, {} matches, {:?}",
+            views.len(),
+            report.pairs,
+            report.matches,
+            start.elapsed()
+        );
         let points = locate_all(camera, &views, matches, &options, &mut report, &mut |_, _, _| ());
         println!("located {:?}", start.elapsed());
         report_accuracy("located alone", &points, &scene, &views);
@@ -101,7 +107,8 @@ fn measured() {
         let errors = |poses: &mut dyn Iterator<Item = (geometry::pose::Pose, &View<'_>)>| {
             let errors: Vec<_> = poses.map(|(pose, truth)| truth.prior.pose.local(&pose)).collect();
             let rms = |from: usize| {
-                (errors.iter().map(|e| e.rows(from, 3).norm_squared()).sum::<f64>() / errors.len() as f64).sqrt()
+                (errors.iter().map(|e| e.rows(from, 3).norm_squared()).sum::<f64>() / errors.len() as f64)
+                    .sqrt()
             };
             (rms(0).to_degrees(), rms(3))
         };

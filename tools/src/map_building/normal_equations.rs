@@ -86,10 +86,9 @@ impl NormalEquations {
             .points
             .iter()
             .map(|point| {
-                let known = point
-                    .couplings
-                    .iter()
-                    .fold(Vector3::zeros(), |sum, (view, coupling)| sum + coupling.transpose() * poses[*view]);
+                let known = point.couplings.iter().fold(Vector3::zeros(), |sum, (view, coupling)| {
+                    sum + coupling.transpose() * poses[*view]
+                });
                 point.information * (point.gradient - known)
             })
             .collect();

@@ -87,7 +87,12 @@ impl Point {
     }
 
     /// The pixel in a view other than the anchor; `None` where it cannot see the point.
-    pub(super) fn project(&self, camera: &Camera, anchor: &CameraPose, view: &CameraPose) -> Option<Vector2<f64>> {
+    pub(super) fn project(
+        &self,
+        camera: &Camera,
+        anchor: &CameraPose,
+        view: &CameraPose,
+    ) -> Option<Vector2<f64>> {
         let scaled = self.direction(anchor) + (anchor.position - view.position) * self.inverse_depth;
         camera.project(&(view.rotation.transpose() * scaled)).ok()
     }
@@ -101,7 +106,12 @@ impl Point {
     /// dd/dtheta_v =  R_v^T [s]x               dd/dp_v = -rho R_v^T
     /// dd/dray = R_v^T R_a [e1 e2]             dd/drho = R_v^T (p_a - p_v)
     /// ```
-    pub(super) fn predict(&self, camera: &Camera, anchor: &CameraPose, view: &CameraPose) -> Option<Prediction> {
+    pub(super) fn predict(
+        &self,
+        camera: &Camera,
+        anchor: &CameraPose,
+        view: &CameraPose,
+    ) -> Option<Prediction> {
         let direction = self.direction(anchor);
         let baseline = anchor.position - view.position;
         let scaled = direction + baseline * self.inverse_depth;

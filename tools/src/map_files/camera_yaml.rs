@@ -35,10 +35,11 @@ fn none() -> String {
 /// # Errors
 /// [`MapFileError::Read`] where the file is missing, [`MapFileError::File`] where it states no usable camera.
 pub fn read_camera(path: &Path) -> Result<Camera, MapFileError> {
-    let text = std::fs::read_to_string(path).map_err(|source| MapFileError::Read {
+    let text = std::fs::read_to_string(path).map_err(|reason| MapFileError::Read {
         path: path.to_owned(),
-        source,
-        remedy: "a map needs its camera: copy the sensor.yaml of the camera that took the keyframes".to_owned(),
+        reason,
+        remedy: "a map needs its camera: copy the sensor.yaml of the camera that took the keyframes"
+            .to_owned(),
     })?;
     parse_camera(path, &text)
 }

@@ -2,26 +2,26 @@
 
 use std::path::{Path, PathBuf};
 
-/// Why a plain-text map could not be read or written.
+/// Why a plain-text map could not be read or written. Each says its reason itself, so it names no source.
 #[derive(Debug, thiserror::Error)]
 pub enum MapFileError {
     /// A file or folder could not be read.
-    #[error("cannot read {}: {source}; {remedy}", path.display())]
+    #[error("cannot read {}: {reason}; {remedy}", path.display())]
     Read {
         /// The file.
         path: PathBuf,
         /// What the system says.
-        source: std::io::Error,
+        reason: std::io::Error,
         /// What to do.
         remedy: String,
     },
     /// A file or folder could not be written.
-    #[error("cannot write {}: {source}; check the folder's rights and free space", path.display())]
+    #[error("cannot write {}: {reason}; check the folder's rights and free space", path.display())]
     Write {
         /// The file.
         path: PathBuf,
         /// What the system says.
-        source: std::io::Error,
+        reason: std::io::Error,
     },
     /// One line is unusable.
     #[error("{}, line {line}: {problem}; {remedy}", path.display())]
@@ -54,12 +54,12 @@ pub enum MapFileError {
         file: String,
     },
     /// Every line can be read, but together they are no map.
-    #[error("{}: {source}; correct the named record and import again", path.display())]
+    #[error("{}: {reason}; correct the named record and import again", path.display())]
     Contents {
         /// The folder.
         path: PathBuf,
         /// The law that is broken.
-        source: map_server::contents::ContentsError,
+        reason: map_server::contents::ContentsError,
     },
 }
 

@@ -35,9 +35,9 @@ impl InfoYaml {
         let text = match std::fs::read_to_string(path) {
             Ok(text) => text,
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(InfoYaml::default()),
-            Err(source) => {
+            Err(reason) => {
                 let remedy = "make it readable, or remove it".to_owned();
-                return Err(MapFileError::Read { path: path.to_owned(), source, remedy });
+                return Err(MapFileError::Read { path: path.to_owned(), reason, remedy });
             }
         };
         serde_saphyr::from_str(&text).map_err(|error| {

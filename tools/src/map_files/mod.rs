@@ -22,6 +22,7 @@
 mod camera_yaml;
 mod database;
 mod error;
+mod features;
 mod info_yaml;
 mod read;
 mod table;
@@ -32,6 +33,7 @@ mod write;
 pub use camera_yaml::read_camera;
 pub use database::save_map;
 pub use error::MapFileError;
+pub use features::read_image_features;
 use nalgebra::{Matrix6, Vector6};
 pub use read::read_map;
 pub use write::write_map;

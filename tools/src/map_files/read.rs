@@ -52,13 +52,18 @@ pub fn read_map(folder: &Path) -> Result<MapContents, MapFileError> {
         landmarks: landmarks.into_values().collect(),
     };
     contents.sort();
-    contents.validate().map_err(|source| MapFileError::Contents { path: folder.to_owned(), source })?;
+    contents.validate().map_err(|reason| MapFileError::Contents { path: folder.to_owned(), reason })?;
     Ok(contents)
 }
 
 fn read_keyframes(folder: &Path) -> Result<BTreeMap<KeyframeId, Keyframe>, MapFileError> {
-    let remedy =
-        format!("a map folder has {}, {}, {} and {}", names::KEYFRAMES, names::LANDMARKS, names::OBSERVATIONS, names::CAMERA);
+    let remedy = format!(
+        "a map folder has {}, {}, {} and {}",
+        names::KEYFRAMES,
+        names::LANDMARKS,
+        names::OBSERVATIONS,
+        names::CAMERA
+    );
     let table = Table::read(&folder.join(names::KEYFRAMES), &remedy)?;
     let mut cameras: HashMap<u32, Camera> = HashMap::new();
     let mut keyframes = BTreeMap::new();

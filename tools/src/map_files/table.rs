@@ -25,9 +25,9 @@ impl Table {
     /// # Errors
     /// [`MapFileError::Read`] with `remedy` where the file is missing, unreadable or not UTF-8.
     pub(super) fn read(path: &Path, remedy: &str) -> Result<Table, MapFileError> {
-        let text = std::fs::read_to_string(path).map_err(|source| MapFileError::Read {
+        let text = std::fs::read_to_string(path).map_err(|reason| MapFileError::Read {
             path: path.to_owned(),
-            source,
+            reason,
             remedy: remedy.to_owned(),
         })?;
         Ok(Table { path: path.to_owned(), text })
@@ -149,13 +149,21 @@ impl<'a> Row<'a> {
 /// The shortest decimal text that reads back as exactly this number.
 pub(super) fn shortest(value: f64) -> String {
     let magnitude = value.abs();
-    if magnitude == 0.0 || (1e-5..1e15).contains(&magnitude) { format!("{value}") } else { format!("{value:e}") }
+    if magnitude == 0.0 || (1e-5..1e15).contains(&magnitude) {
+        format!("{value}")
+    } else {
+        format!("{value:e}")
+    }
 }
 
 /// As [`shortest`], in single precision.
 pub(super) fn shortest_single(value: f32) -> String {
     let magnitude = value.abs();
-    if magnitude == 0.0 || (1e-5..1e9).contains(&magnitude) { format!("{value}") } else { format!("{value:e}") }
+    if magnitude == 0.0 || (1e-5..1e9).contains(&magnitude) {
+        format!("{value}")
+    } else {
+        format!("{value:e}")
+    }
 }
 
 /// Bytes as hexadecimal digits.

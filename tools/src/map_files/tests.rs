@@ -40,8 +40,7 @@ fn random_map(seed: u64, rich: bool) -> MapContents {
     ];
     if rich {
         info.name = "an \"odd\" name: with, commas\nand lines".to_owned();
-        info.gravity_in_global =
-            Some(Vector3::new(rng.random_range(-1.0..1.0), 0.3, -1.0).normalize());
+        info.gravity_in_global = Some(Vector3::new(rng.random_range(-1.0..1.0), 0.3, -1.0).normalize());
         info.pixel_sigma = 1.0 / 3.0;
         info.descriptor_kind = DescriptorKind::Float;
     }
@@ -50,7 +49,8 @@ fn random_map(seed: u64, rich: bool) -> MapContents {
         let rotation = geometry::rotation::exp(&Vector3::from_fn(|_, _| rng.random_range(-1.5..1.5)));
         let pose = Pose::new(rotation, Vector3::from_fn(|_, _| rng.random_range(-100.0..100.0)));
         let full = rich && id % 2 == 0;
-        let covariance = if full { covariance(&mut rng) } else { isotropic_covariance(0.0158, 0.1 / id as f64) };
+        let covariance =
+            if full { covariance(&mut rng) } else { isotropic_covariance(0.0158, 0.1 / id as f64) };
         let features = full.then(|| FeatureSet {
             pixels: (0..id - 2).map(|_| [rng.random_range(0.0..700.0), 1.0e-7]).collect(),
             descriptors: Descriptors {
@@ -171,9 +171,8 @@ fn a_reference_to_nothing_is_named() {
 
 #[test]
 fn a_quaternion_that_is_none_is_named() {
-    let said = complaint_about("keyframes.csv", |text| {
-        format!("{text}99,1,0,0,0,0.5,0.5,0.5,0.1,0.01,0.1\n")
-    });
+    let said =
+        complaint_about("keyframes.csv", |text| format!("{text}99,1,0,0,0,0.5,0.5,0.5,0.1,0.01,0.1\n"));
     assert!(said.contains("keyframes.csv, line 10") && said.contains("quaternion"), "{said}");
 }
 
@@ -197,7 +196,10 @@ fn the_cameras_of_euroc_are_read() {
     std::fs::write(folder.path().join("camera.yaml"), text).unwrap();
     let camera = &read_map(folder.path()).unwrap().keyframes[0].camera;
     assert_eq!(camera.focal, [458.654, 457.296]);
-    assert_eq!(camera.distortion, Distortion::RadialTangential([-0.28340811, 0.07395907, 0.00019359, 1.76187114e-05]));
+    assert_eq!(
+        camera.distortion,
+        Distortion::RadialTangential([-0.28340811, 0.07395907, 0.00019359, 1.76187114e-05])
+    );
 }
 
 /// The recorded maps, where they are unpacked.

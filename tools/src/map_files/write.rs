@@ -23,15 +23,15 @@ use super::{columns, names};
 /// [`MapFileError::Contents`] for a map that breaks a law, [`MapFileError::Occupied`] where the folder already holds
 /// a file of a map, [`MapFileError::Write`].
 pub fn write_map(folder: &Path, contents: &MapContents) -> Result<(), MapFileError> {
-    contents.validate().map_err(|source| MapFileError::Contents { path: folder.to_owned(), source })?;
+    contents.validate().map_err(|reason| MapFileError::Contents { path: folder.to_owned(), reason })?;
     let mut sorted = contents.clone();
     sorted.sort();
     check_free(folder)?;
     std::fs::create_dir_all(folder)
-        .map_err(|source| MapFileError::Write { path: folder.to_owned(), source })?;
+        .map_err(|reason| MapFileError::Write { path: folder.to_owned(), reason })?;
     for (name, text) in texts(&sorted) {
         let path = folder.join(name);
-        std::fs::write(&path, text).map_err(|source| MapFileError::Write { path, source })?;
+        std::fs::write(&path, text).map_err(|reason| MapFileError::Write { path, reason })?;
     }
     Ok(())
 }

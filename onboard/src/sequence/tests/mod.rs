@@ -39,7 +39,7 @@ fn sequence(seed: u64) -> Sequence {
     ];
     let stereo = seed.is_multiple_of(2);
     let cameras =
-        (0..if stereo { 2 } else { 1 }).map(|_| distortions[rng.random_range(0..4)].clone()).collect::<Vec<_>>();
+        (0..if stereo { 2 } else { 1 }).map(|_| distortions[rng.random_range(0..4)]).collect::<Vec<_>>();
     let cameras = cameras.into_iter().map(|distortion| camera(&mut rng, distortion)).collect::<Vec<_>>();
     let frames = (0..8).map(|index| frame(&mut rng, index, cameras.len() as u8)).collect();
     let groundtruth = (0..10).map(|index| truth_row(&mut rng, index)).collect();

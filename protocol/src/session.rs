@@ -16,7 +16,7 @@ const CLOSE_TIMEOUT: Duration = Duration::from_secs(5);
 ///
 /// # Example
 /// ```
-/// use map_server::session::SessionOptions;
+/// use protocol::session::SessionOptions;
 ///
 /// let server = SessionOptions { listen: vec!["tcp/127.0.0.1:7447".into()], ..SessionOptions::default() };
 /// let robot = SessionOptions { connect: server.listen.clone(), ..SessionOptions::default() };

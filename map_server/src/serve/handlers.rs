@@ -1,0 +1,173 @@
+//! What each kind of query is answered with.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use protocol::keys::{self, NameError};
+use protocol::{ErrorCode, ErrorReply, Format, LocalizeRequest, MatchRequest, Message};
+use zenoh::Wait;
+use zenoh::bytes::Encoding;
+use zenoh::query::Query;
+
+use super::Served;
+use crate::recognition::{LoadedMap, QueryError, RecognitionOptions};
+
+/// First bytes of a bincode payload, to recognize one that comes without an encoding.
+const BINCODE_MAGIC: &[u8] = b"DRFT";
+
+/// A kind of query about one map.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Kind {
+    Match,
+    Localize,
+    Info,
+    Keyframes,
+}
+
+impl Kind {
+    pub(super) const ALL: [Kind; 4] = [Kind::Match, Kind::Localize, Kind::Info, Kind::Keyframes];
+
+    /// The key expression of its queryable for a map.
+    pub(super) fn key(self, map: &str) -> Result<String, NameError> {
+        match self {
+            Kind::Match => keys::map_match(map),
+            Kind::Localize => keys::map_localize(map),
+            Kind::Info => keys::map_info(map),
+            Kind::Keyframes => keys::map_keyframes(map),
+        }
+    }
+
+    /// The key expression for maps of any name.
+    pub(super) fn key_of_any_map(self) -> &'static str {
+        match self {
+            Kind::Match => "map/*/match",
+            Kind::Localize => "map/*/localize",
+            Kind::Info => "map/*/info",
+            Kind::Keyframes => "map/*/keyframes/*",
+        }
+    }
+}
+
+/// Answers a query, or says why not; the error is still to be sent.
+pub(super) fn answer(
+    query: &Query,
+    kind: Kind,
+    name: &str,
+    map: &LoadedMap,
+    options: &RecognitionOptions,
+) -> Result<(), ErrorReply> {
+    let format = reply_format(query).map_err(|error| ErrorReply::from(&error))?;
+    let key = || kind.key(name).map_err(|error| internal(&error));
+    match kind {
+        Kind::Match => {
+            let request: MatchRequest = decode(query)?;
+            let replies = map.answer(&request, options).map_err(|error| query_error(name, &error))?;
+            let key = key()?;
+            replies.iter().try_for_each(|reply| send(query, &key, format, reply))
+        }
+        Kind::Localize => {
+            let request: LocalizeRequest = decode(query)?;
+            let reply = map.localize(&request, options).map_err(|error| query_error(name, &error))?;
+            send(query, &key()?, format, &reply)
+        }
+        Kind::Info => send(query, &key()?, format, &map.info_reply(name)),
+        Kind::Keyframes => send_keyframes(query, name, map, format),
+    }
+}
+
+/// One keyframe, or all that a wildcard in the key covers.
+fn send_keyframes(query: &Query, name: &str, map: &LoadedMap, format: Format) -> Result<(), ErrorReply> {
+    let asked = query.key_expr().as_str();
+    if let Some(id) = keys::keyframe_of(asked) {
+        let unknown =
+            || ErrorReply::new(ErrorCode::UnknownKeyframe, format!("map {name} has no keyframe {id}"));
+        let reply = map.keyframe_reply(id).ok_or_else(unknown)?;
+        let key = keys::map_keyframe(name, id).map_err(|error| internal(&error))?;
+        return send(query, &key, format, &reply);
+    }
+    if !asked.ends_with('*') {
+        let message = format!("{asked} does not end with the id of a keyframe (a whole number), or with *");
+        return Err(ErrorReply::new(ErrorCode::BadRequest, message));
+    }
+    for loaded in &map.keyframes {
+        let id = loaded.keyframe.id;
+        let key = keys::map_keyframe(name, id).map_err(|error| internal(&error))?;
+        if let Some(reply) = map.keyframe_reply(id) {
+            send(query, &key, format, &reply)?;
+        }
+    }
+    Ok(())
+}
+
+/// Tells a query for a map that this server does not have what maps it has. Queries for its own maps, and for many
+/// maps at once, are others' to answer.
+pub(super) fn refuse_unknown_map(query: &Query, known: &BTreeMap<String, Arc<Served>>) {
+    let Some(name) = query.key_expr().as_str().split('/').nth(1) else { return };
+    if known.contains_key(name) || keys::validate_name(name).is_err() {
+        return;
+    }
+    let served = match known.len() {
+        0 => "no map".to_owned(),
+        _ => known.keys().map(String::as_str).collect::<Vec<_>>().join(", "),
+    };
+    let message = format!("there is no map named {name}; this server has {served}");
+    fail(query, &ErrorReply::new(ErrorCode::UnknownMap, message));
+}
+
+/// Sends an error reply in the format that the query understands.
+pub(super) fn fail(query: &Query, error: &ErrorReply) {
+    let format = reply_format(query).unwrap_or_default();
+    match protocol::encode(format, error) {
+        Ok(payload) => {
+            if let Err(problem) = query.reply_err(payload).encoding(Encoding::from(format.encoding())).wait()
+            {
+                tracing::debug!("an error reply was not sent: {problem}");
+            }
+        }
+        Err(problem) => tracing::error!("the error reply {error} cannot be encoded: {problem}"),
+    }
+}
+
+fn send<M: Message>(query: &Query, key: &str, format: Format, message: &M) -> Result<(), ErrorReply> {
+    let payload = protocol::encode(format, message).map_err(|error| internal(&error))?;
+    let reply = query.reply(key, payload).encoding(Encoding::from(format.encoding()));
+    reply.wait().map_err(|error| internal(&error))
+}
+
+/// The format that the query wants: what its parameters say, else that of its payload.
+fn reply_format(query: &Query) -> Result<Format, protocol::CodecError> {
+    let parameters = query.parameters();
+    if parameters.get("format").is_some() {
+        return Format::from_parameters(parameters.as_str());
+    }
+    let payload = query.payload().map(zenoh::bytes::ZBytes::to_bytes);
+    Ok(payload.map_or_else(Format::default, |bytes| payload_format(query, &bytes)))
+}
+
+/// The format of the payload: what its encoding says, else what it looks like.
+fn payload_format(query: &Query, bytes: &[u8]) -> Format {
+    let stated = query.encoding().and_then(|encoding| Format::from_encoding(&encoding.to_string()));
+    let looks_json = || bytes.trim_ascii_start().starts_with(b"{") && !bytes.starts_with(BINCODE_MAGIC);
+    stated.unwrap_or_else(|| if looks_json() { Format::Json } else { Format::Bincode })
+}
+
+fn decode<M: Message>(query: &Query) -> Result<M, ErrorReply> {
+    let Some(payload) = query.payload().filter(|payload| !payload.is_empty()) else {
+        let message = format!("the query has no payload: send a {}", M::NAME);
+        return Err(ErrorReply::new(ErrorCode::BadRequest, message));
+    };
+    let bytes = payload.to_bytes();
+    protocol::decode(payload_format(query, &bytes), &bytes).map_err(|error| ErrorReply::from(&error))
+}
+
+fn query_error(map: &str, error: &QueryError) -> ErrorReply {
+    let code = match error {
+        QueryError::DescriptorMismatch { .. } => ErrorCode::DescriptorMismatch,
+        QueryError::Descriptors(_) => ErrorCode::BadRequest,
+    };
+    ErrorReply::new(code, format!("map {map}: {error}"))
+}
+
+fn internal(error: &dyn std::fmt::Display) -> ErrorReply {
+    ErrorReply::new(ErrorCode::Internal, format!("the map server failed: {error}"))
+}

@@ -1,0 +1,165 @@
+//! Queries between the network and the workers: bounded in number and in bytes.
+//!
+//! Zenoh calls a queryable from the thread that reads the network, so nothing is worked on there. A query that finds
+//! the queue full is answered with `Busy` at once: a flood costs the flooders their answers, not the server its
+//! memory. Matching runs on tokio's blocking threads; a panic there ends one query with an error reply.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+
+use protocol::{ErrorCode, ErrorReply};
+use tokio::sync::{Mutex, OwnedSemaphorePermit, Semaphore, mpsc};
+use tokio::task::JoinHandle;
+use zenoh::query::Query;
+
+use super::Served;
+use super::handlers::{self, Kind};
+use crate::recognition::RecognitionOptions;
+
+/// A query to be answered.
+pub(super) struct Job {
+    pub(super) query: Query,
+    pub(super) kind: Kind,
+    pub(super) map: Arc<Served>,
+}
+
+/// A job with its share of the byte budget.
+pub(super) struct Ticket {
+    job: Job,
+    _bytes: OwnedSemaphorePermit,
+}
+
+/// Where queries wait.
+pub(super) struct Queue {
+    sender: std::sync::Mutex<Option<mpsc::Sender<Ticket>>>,
+    /// Budget in KiB.
+    budget: Arc<Semaphore>,
+    counters: Counters,
+}
+
+#[derive(Default)]
+struct Counters {
+    answered: AtomicU64,
+    failed: AtomicU64,
+    refused: AtomicU64,
+    panicked: AtomicBool,
+}
+
+/// What a server has done since it was started.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ServerStatistics {
+    /// Queries answered, "nothing matched" included.
+    pub answered: u64,
+    /// Queries that ended with an error reply.
+    pub failed: u64,
+    /// Queries turned away because the server had too much to do; not among the failed ones.
+    pub refused: u64,
+    /// Whether any answer ended in a panic: a fault of this program, please report it.
+    pub panicked: bool,
+}
+
+impl Queue {
+    /// A queue of at most `length` jobs and `bytes` bytes of payload.
+    pub(super) fn new(length: usize, bytes: usize) -> (Arc<Queue>, mpsc::Receiver<Ticket>) {
+        let (sender, receiver) = mpsc::channel(length.max(1));
+        let budget = Arc::new(Semaphore::new((bytes / 1024).clamp(1, Semaphore::MAX_PERMITS)));
+        let sender = std::sync::Mutex::new(Some(sender));
+        (Arc::new(Queue { sender, budget, counters: Counters::default() }), receiver)
+    }
+
+    /// Takes a query in, or answers it with `Busy`. Never waits for a worker.
+    pub(super) fn put(&self, job: Job) {
+        let query = job.query.clone();
+        if self.try_put(job).is_none() {
+            self.counters.refused.fetch_add(1, Ordering::Relaxed);
+            let message = "the map server has more queries than it can answer, ask again later";
+            handlers::fail(&query, &ErrorReply::new(ErrorCode::Busy, message));
+        }
+    }
+
+    fn try_put(&self, job: Job) -> Option<()> {
+        let kib = job.query.payload().map_or(0, zenoh::bytes::ZBytes::len).div_ceil(1024);
+        let bytes = Arc::clone(&self.budget).try_acquire_many_owned(u32::try_from(kib).ok()?).ok()?;
+        let sender = self.sender.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        sender.as_ref()?.try_send(Ticket { job, _bytes: bytes }).ok()
+    }
+
+    /// Lets the workers end when they have emptied the queue.
+    pub(super) fn close(&self) {
+        self.sender.lock().unwrap_or_else(std::sync::PoisonError::into_inner).take();
+    }
+
+    pub(super) fn statistics(&self) -> ServerStatistics {
+        ServerStatistics {
+            answered: self.counters.answered.load(Ordering::Relaxed),
+            failed: self.counters.failed.load(Ordering::Relaxed),
+            refused: self.counters.refused.load(Ordering::Relaxed),
+            panicked: self.counters.panicked.load(Ordering::Relaxed),
+        }
+    }
+}
+
+/// Starts tasks that answer what is in the queue, each one query at a time.
+pub(super) fn start_workers(
+    jobs: mpsc::Receiver<Ticket>,
+    count: usize,
+    options: &RecognitionOptions,
+    queue: &Arc<Queue>,
+) -> Vec<JoinHandle<()>> {
+    let jobs = Arc::new(Mutex::new(jobs));
+    let options = Arc::new(options.clone());
+    let worker = |_| tokio::spawn(work(Arc::clone(&jobs), Arc::clone(&options), Arc::clone(queue)));
+    (0..count.max(1)).map(worker).collect()
+}
+
+async fn work(jobs: Arc<Mutex<mpsc::Receiver<Ticket>>>, options: Arc<RecognitionOptions>, queue: Arc<Queue>) {
+    loop {
+        let next = jobs.lock().await.recv().await;
+        let Some(ticket) = next else { return };
+        let query = ticket.job.query.clone();
+        let options = Arc::clone(&options);
+        let answered = contained(move || {
+            let Job { query, kind, map } = &ticket.job;
+            handlers::answer(query, *kind, &map.name, &map.current(), &options)
+        });
+        let failure = match answered.await {
+            Ok(Ok(())) => {
+                queue.counters.answered.fetch_add(1, Ordering::Relaxed);
+                continue;
+            }
+            Ok(Err(failure)) => failure,
+            Err(message) => {
+                queue.counters.panicked.store(true, Ordering::Relaxed);
+                tracing::error!(key = query.key_expr().as_str(), "answering a query panicked: {message}");
+                ErrorReply::new(ErrorCode::Internal, "the map server failed on this query; its log says more")
+            }
+        };
+        queue.counters.failed.fetch_add(1, Ordering::Relaxed);
+        tracing::debug!(key = query.key_expr().as_str(), "answered with an error: {failure}");
+        handlers::fail(&query, &failure);
+    }
+}
+
+/// Runs something on a blocking thread; a panic in it is an error with its message.
+async fn contained<T: Send + 'static>(job: impl FnOnce() -> T + Send + 'static) -> Result<T, String> {
+    let ended = tokio::task::spawn_blocking(job).await;
+    ended.map_err(|error| match error.try_into_panic() {
+        Ok(panic) => {
+            let text = panic.downcast_ref::<&str>().map(|text| (*text).to_owned());
+            text.or_else(|| panic.downcast_ref::<String>().cloned()).unwrap_or_else(|| "a panic".to_owned())
+        }
+        Err(cancelled) => cancelled.to_string(),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::contained;
+
+    #[tokio::test]
+    async fn a_panic_is_an_error_and_the_next_job_runs() {
+        let panicked = contained(|| -> u32 { panic!("job {}", 7) }).await;
+        assert_eq!(panicked, Err("job 7".to_owned()));
+        assert_eq!(contained(|| 8).await, Ok(8));
+    }
+}

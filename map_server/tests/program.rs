@@ -1,0 +1,112 @@
+//! The program `map_server`, started as people start it.
+#![cfg(unix)]
+#![allow(clippy::unwrap_used, missing_docs)]
+
+mod common;
+
+use std::path::Path;
+use std::process::{Child, Command, Output, Stdio};
+use std::time::Duration;
+
+use common::{Place, PlaceOptions};
+use map_server::{MapStore, SledStore};
+use protocol::session::{SessionOptions, open_session};
+use protocol::{ErrorCode, ErrorReply, Format, MapInfo};
+use zenoh::Session;
+
+fn program() -> Command {
+    Command::new(env!("CARGO_BIN_EXE_map_server"))
+}
+
+fn run(arguments: &[&str]) -> (Output, String) {
+    let output = program().args(arguments).output().unwrap();
+    let error = String::from_utf8_lossy(&output.stderr).into_owned();
+    (output, error)
+}
+
+fn stored_map(path: &Path) {
+    let place = Place::new(&PlaceOptions { keyframes: 5, landmarks: 100, ..PlaceOptions::default() });
+    let store = SledStore::create(path, &place.map.info).unwrap();
+    store.replace_all(&place.map).unwrap();
+}
+
+/// Ends the program whatever happens in the test.
+struct Running(Child);
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// The replies to a query, asked again while nobody is there.
+async fn ask(session: &Session, selector: &str) -> Result<Vec<u8>, Vec<u8>> {
+    loop {
+        let replies = session.get(selector).await.unwrap();
+        if let Ok(reply) = replies.recv_async().await {
+            return match reply.into_result() {
+                Ok(sample) => Ok(sample.payload().to_bytes().into_owned()),
+                Err(error) => Err(error.payload().to_bytes().into_owned()),
+            };
+        }
+        tokio::time::sleep(Duration::from_millis(50)).await;
+    }
+}
+
+#[test]
+fn wrong_arguments_say_what_to_do() {
+    let (output, error) = run(&[]);
+    assert!(!output.status.success() && error.contains("--map"), "{error}");
+    let (output, error) = run(&["--map", "hall"]);
+    assert!(!output.status.success() && error.contains("NAME=DB"), "{error}");
+    let (output, error) = run(&["--map", "a/b=x"]);
+    assert!(!output.status.success() && error.contains("a/b"), "{error}");
+    let (output, error) = run(&["--map", "hall=/does/not/exist"]);
+    assert!(!output.status.success() && error.contains("/does/not/exist"), "{error}");
+    assert!(error.contains("driftless build-map"), "{error}");
+}
+
+#[test]
+fn help_teaches_by_example() {
+    let output = program().arg("--help").output().unwrap();
+    let help = String::from_utf8_lossy(&output.stdout);
+    assert!(output.status.success());
+    assert!(help.contains("map_server --map hall=maps/hall.db") && help.contains("--namespace"), "{help}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn it_serves_below_its_namespace_and_stops_on_sigterm() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("hall.db");
+    stored_map(&path);
+    let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+    let endpoint = format!("tcp/127.0.0.1:{port}");
+    let map = format!("hall={}", path.display());
+    let arguments = ["--map", &map, "--listen", &endpoint, "--namespace", "north", "--name", "first"];
+    let mut server = Running(program().args(arguments).stderr(Stdio::null()).spawn().unwrap());
+
+    let options = SessionOptions {
+        connect: vec![endpoint.clone()],
+        namespace: Some("north".to_owned()),
+        ..SessionOptions::default()
+    };
+    let client = open_session(&options).await.unwrap();
+    let info: MapInfo =
+        protocol::decode(Format::Bincode, &ask(&client, "map/hall/info").await.unwrap()).unwrap();
+    assert_eq!((info.name.as_str(), info.keyframes, info.version), ("hall", 5, 1));
+    let refusal = ask(&client, "map/cellar/info").await.unwrap_err();
+    let refusal: ErrorReply = protocol::decode(Format::Bincode, &refusal).unwrap();
+    assert_eq!(refusal.code, ErrorCode::UnknownMap);
+    assert!(refusal.message.contains("hall"), "{refusal}");
+    // The database is not held while it is served.
+    assert!(SledStore::open(&path).is_ok());
+
+    let (second, error) = run(&["--map", &map, "--listen", &endpoint]);
+    assert!(!second.status.success() && error.contains(&endpoint), "{error}");
+
+    let process = server.0.id().to_string();
+    assert!(Command::new("kill").args(["-TERM", &process]).status().unwrap().success());
+    assert!(server.0.wait().unwrap().success());
+    client.close().await.unwrap();
+}

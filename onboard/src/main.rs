@@ -1,0 +1,88 @@
+//! The robot: plays a recording through the estimator and localizes it in a served map.
+
+use anyhow::{Context as _, Result, bail};
+use clap::Parser;
+use onboard::robot::arguments::Mode;
+use onboard::robot::{MapLink, RobotArguments, progress, run_robot};
+use onboard::sequence::Sequence;
+use protocol::session::{DEFAULT_ENDPOINT, SessionOptions, close_session, open_session};
+use std::path::PathBuf;
+use tracing_subscriber::EnvFilter;
+
+/// Plays a recording and localizes it in a map that a map server serves.
+///
+/// The estimator never waits for the network: without a server, or with a dead one, the robot keeps
+/// its odometry and says so in its status.
+#[derive(Parser, Debug)]
+#[command(
+    version,
+    arg_required_else_help = true,
+    after_help = "Examples:\n  \
+        onboard --sequence MH_03 --map hall --connect tcp/192.168.1.2:7447 --init truth --out run\n  \
+        onboard --sequence MH_03 --mode odometry --out run"
+)]
+struct Arguments {
+    /// The recording, a folder in the EuRoC layout
+    #[arg(long, value_name = "SEQ")]
+    sequence: PathBuf,
+    /// Name of the map on the server (not needed with --mode odometry)
+    #[arg(long, value_name = "NAME")]
+    map: Option<String>,
+    /// Where the map server is [default: tcp/127.0.0.1:7447]
+    #[arg(long, value_name = "ENDPOINT")]
+    connect: Vec<String>,
+    /// Zenoh configuration file (JSON5)
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Namespace of the fleet
+    #[arg(long)]
+    namespace: Option<String>,
+    /// Print the summary as JSON
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    robot: RobotArguments,
+}
+
+fn main() -> Result<()> {
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("warn"));
+    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
+    let arguments = Arguments::parse();
+    let sequence = Sequence::open(&arguments.sequence)?;
+    let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build()?;
+    let link = match (&arguments.map, arguments.robot.mode) {
+        (_, Mode::Odometry) => None,
+        (None, _) => bail!("--map NAME is missing: name the map, or use --mode odometry"),
+        (Some(map), _) => {
+            let mut connect = arguments.connect.clone();
+            if connect.is_empty() && arguments.config.is_none() {
+                connect.push(DEFAULT_ENDPOINT.to_owned());
+            }
+            let options = SessionOptions {
+                config_file: arguments.config.clone(),
+                connect,
+                namespace: arguments.namespace.clone(),
+                ..SessionOptions::default()
+            };
+            let session = runtime.block_on(open_session(&options)).context("no network")?;
+            Some(MapLink { session, runtime: runtime.handle().clone(), map: map.clone() })
+        }
+    };
+    let session = link.as_ref().map(|link| link.session.clone());
+    let bar = progress::frame_bar(sequence.frames.len());
+    let outcome = run_robot(&sequence, &arguments.robot, link, |frame| bar.set_position(frame as u64))?;
+    bar.finish_and_clear();
+    if arguments.json {
+        println!("{}", serde_json::to_string_pretty(&outcome.summary)?);
+    } else {
+        print!("{}", progress::report(&outcome));
+        println!("written to {}", arguments.robot.out.display());
+    }
+    if let Some(session) = session {
+        runtime.block_on(close_session(&session));
+    }
+    if outcome.summary.ended_early.is_some() {
+        std::process::exit(1);
+    }
+    Ok(())
+}

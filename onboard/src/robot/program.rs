@@ -1,0 +1,118 @@
+//! The robot as a program: opens the recording, runs, scores, writes.
+
+use super::arguments::{Mode, RobotArguments};
+use super::publisher::Publisher;
+use super::query_client::QueryClient;
+use super::recorder::Recorder;
+use super::run::{RobotRun, run};
+use super::start::initial_state;
+use super::summary::Summary;
+use crate::estimator::{Estimator, RigCamera};
+use crate::evaluation::{RunScore, ScoreOptions, score_run};
+use crate::sequence::Sequence;
+use anyhow::{Context as _, Result, bail};
+use std::time::Duration;
+use tokio::runtime::Handle;
+
+/// A robot's way to the map.
+#[derive(Clone, Debug)]
+pub struct MapLink {
+    /// An open session.
+    pub session: zenoh::Session,
+    /// The runtime that the session lives on.
+    pub runtime: Handle,
+    /// Name of the map.
+    pub map: String,
+}
+
+/// What a run left behind.
+#[derive(Debug)]
+pub struct Outcome {
+    /// The summary, also in `summary.json`.
+    pub summary: Summary,
+    /// States and events.
+    pub recorder: Recorder,
+}
+
+/// Runs a robot through a recording and writes the output folder.
+///
+/// A run that ends early (a diverged filter) is written up to there; the summary says why.
+///
+/// # Errors
+/// A sentence: switches that contradict the recording, no start, an output folder that cannot be written.
+pub fn run_robot(
+    sequence: &Sequence,
+    arguments: &RobotArguments,
+    link: Option<MapLink>,
+    progress: impl FnMut(usize),
+) -> Result<Outcome> {
+    let config = arguments.estimator_config(sequence)?;
+    let cameras = arguments.camera_count(sequence)?;
+    if !(arguments.deadline.is_finite() && arguments.deadline > 0.0) {
+        bail!("--deadline is {}; it must be a positive number of seconds", arguments.deadline);
+    }
+    let initial = initial_state(sequence, arguments.init, &config)?;
+    let rig = sequence.cameras[..cameras]
+        .iter()
+        .map(|sensor| RigCamera { camera: sensor.camera.clone(), imu_from_camera: sensor.imu_from_camera })
+        .collect();
+    let estimator = Estimator::new(config.clone(), rig, &initial)?;
+    let link = link.filter(|_| arguments.mode != Mode::Odometry);
+    let map = link.as_ref().map(|link| link.map.clone());
+    let (queries, publisher) = match link {
+        Some(link) => {
+            let deadline = Duration::from_secs_f64(arguments.deadline);
+            let queries = QueryClient::new(link.session.clone(), link.runtime.clone(), &link.map, deadline)
+                .context("--map")?;
+            let publisher = Publisher::new(link.session, &link.runtime, &arguments.robot, &link.map)
+                .map_err(anyhow::Error::msg)?;
+            (Some(queries), Some(publisher))
+        }
+        None => (None, None),
+    };
+    let robot = RobotRun {
+        sequence,
+        cameras,
+        estimator,
+        robot: arguments.robot.clone(),
+        max_keyframes: arguments.max_keyframes,
+        realtime: arguments.realtime,
+        queries,
+        publisher,
+    };
+    let mut recorder = Recorder::default();
+    let ended_early = run(robot, &mut recorder, progress).err().map(|error| error.to_string());
+    if let Some(reason) = &ended_early {
+        tracing::error!(reason, "the run ended early");
+    }
+    let seconds = recorder.seconds();
+    let summary = Summary {
+        sequence: sequence.root.display().to_string(),
+        map,
+        cameras,
+        frames: recorder.states.len(),
+        skipped_frames: recorder.skipped_frames,
+        dropped_imu: recorder.dropped_imu,
+        seconds,
+        wall_seconds: recorder.wall_seconds,
+        realtime_factor: seconds / recorder.wall_seconds.max(1e-9),
+        milliseconds_per_frame: recorder.timings.mean(),
+        score: score(sequence, &recorder),
+        queries: recorder.query_summary(),
+        keyframes_pulled: recorder.keyframes_pulled,
+        wire_bytes: recorder.traffic,
+        tracks: recorder.tracks,
+        final_status: recorder.final_status.clone(),
+        ended_early,
+        settings: config,
+    };
+    recorder.write(&arguments.out, &summary)?;
+    Ok(Outcome { summary, recorder })
+}
+
+/// Errors against the recording's truth, where it has one.
+fn score(sequence: &Sequence, recorder: &Recorder) -> Option<RunScore> {
+    let truth = sequence.groundtruth.as_deref()?;
+    let gravity = sequence.truth_gravity()?;
+    score_run(&recorder.states, truth, gravity, &ScoreOptions::default()).ok()
+}

@@ -1,0 +1,61 @@
+//! `driftless run`: server and robot in one process.
+
+use crate::in_process::{LocalServer, load_map};
+use anyhow::{Result, bail};
+use onboard::robot::arguments::Mode;
+use onboard::robot::{RobotArguments, progress, run_robot};
+use onboard::sequence::Sequence;
+use std::path::PathBuf;
+
+/// Arguments of `driftless run`.
+#[derive(clap::Args, Debug)]
+#[command(
+    after_help = "Examples:\n  driftless run place/live --map place.db --init truth --out run\n  \
+    driftless run place/live --mode odometry --out run\n\nThen: driftless plot run"
+)]
+pub struct Args {
+    /// The recording, a folder in the EuRoC layout
+    #[arg(value_name = "SEQ")]
+    sequence: PathBuf,
+    /// The map's database (not needed with --mode odometry)
+    #[arg(long, value_name = "DB")]
+    map: Option<PathBuf>,
+    /// Print the summary as JSON
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    robot: RobotArguments,
+}
+
+/// Runs the robot beside a server of its own.
+///
+/// # Errors
+/// What the recording, the map or the output folder lacks; a run that ended early.
+pub fn run(args: Args) -> Result<()> {
+    let sequence = Sequence::open(&args.sequence)?;
+    let server = match (&args.map, args.robot.mode) {
+        (_, Mode::Odometry) => None,
+        (None, _) => bail!("--map DB is missing: build one with `driftless build-map`, or use --mode odometry"),
+        (Some(database), _) => Some(LocalServer::start(vec![("map".to_owned(), load_map(database)?)])?),
+    };
+    let link = server.as_ref().map(|server| server.link("map")).transpose()?;
+    let bar = progress::frame_bar(sequence.frames.len());
+    let outcome = run_robot(&sequence, &args.robot, link.clone(), |frame| bar.set_position(frame as u64))?;
+    bar.finish_and_clear();
+    if let Some(server) = server {
+        if let Some(link) = link {
+            server.unlink(link);
+        }
+        server.stop()?;
+    }
+    if args.json {
+        println!("{}", serde_json::to_string_pretty(&outcome.summary)?);
+    } else {
+        print!("{}", progress::report(&outcome));
+        println!("written to {}", args.robot.out.display());
+    }
+    if let Some(reason) = outcome.summary.ended_early {
+        bail!("the run ended early: {reason}");
+    }
+    Ok(())
+}

@@ -1,0 +1,110 @@
+//! A sheet of paper: title, legend, and the space below for panels.
+
+use super::PlotError;
+use plotters::coord::Shift;
+use plotters::prelude::*;
+use std::path::{Path, PathBuf};
+
+/// Where pictures are drawn.
+pub(crate) type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
+
+/// The truth.
+pub(crate) const TRUTH: RGBColor = RGBColor(90, 90, 90);
+/// The estimate.
+pub(crate) const ESTIMATE: RGBColor = RGBColor(31, 101, 173);
+/// Odometry, and whatever is to be told from the estimate.
+pub(crate) const ODOMETRY: RGBColor = RGBColor(222, 125, 32);
+/// Good news.
+pub(crate) const GOOD: RGBColor = RGBColor(38, 140, 88);
+/// Bad news.
+pub(crate) const BAD: RGBColor = RGBColor(200, 55, 60);
+/// The map.
+pub(crate) const MAP: RGBColor = RGBColor(150, 120, 190);
+/// Bounds.
+pub(crate) const BAND: RGBColor = RGBColor(205, 222, 240);
+/// Letters.
+pub(crate) const INK: RGBColor = RGBColor(45, 45, 50);
+/// Lines behind everything.
+pub(crate) const GRID: RGBColor = RGBColor(228, 228, 232);
+
+/// The font of all letters, by its generic name: what the viewer has.
+pub(crate) const FONT: &str = "sans-serif";
+/// Height of title and legend, px.
+const HEADER: i32 = 68;
+const TITLE_SIZE: i32 = 21;
+const LEGEND_SIZE: i32 = 15;
+/// Mean width of a letter as a share of its height; no font is loaded to measure it.
+const LETTER_WIDTH: f64 = 0.52;
+
+/// What an entry of the legend looks like.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Mark {
+    Line,
+    Patch,
+    Dot,
+}
+
+/// An entry of the legend.
+pub(crate) struct LegendEntry {
+    pub(crate) mark: Mark,
+    pub(crate) colour: RGBColor,
+    pub(crate) text: String,
+}
+
+/// Shorthand for a [`LegendEntry`].
+pub(crate) fn entry(mark: Mark, colour: RGBColor, text: &str) -> LegendEntry {
+    LegendEntry { mark, colour, text: text.to_owned() }
+}
+
+/// Draws a picture: title, legend, and what `fill` puts below.
+pub(crate) fn draw(
+    path: &Path,
+    size: (u32, u32),
+    title: &str,
+    legend: &[LegendEntry],
+    fill: impl FnOnce(&Area<'_>) -> Result<(), String>,
+) -> Result<PathBuf, PlotError> {
+    let paint = || -> Result<(), String> {
+        let sheet = SVGBackend::new(path, size).into_drawing_area();
+        sheet.fill(&WHITE).map_err(text)?;
+        let (header, body) = sheet.split_vertically(HEADER);
+        let style = TextStyle::from((FONT, TITLE_SIZE).into_font()).color(&INK);
+        header.draw(&Text::new(title, (20, 12), style)).map_err(text)?;
+        draw_legend(&header, legend)?;
+        fill(&body)?;
+        sheet.present().map_err(text)
+    };
+    paint().map_err(|problem| PlotError::Draw { path: path.to_path_buf(), problem })?;
+    Ok(path.to_path_buf())
+}
+
+/// The message of an error of the drawing library, whatever its type.
+pub(crate) fn text(error: impl std::fmt::Display) -> String {
+    error.to_string()
+}
+
+fn draw_legend(header: &Area<'_>, legend: &[LegendEntry]) -> Result<(), String> {
+    let style = TextStyle::from((FONT, LEGEND_SIZE).into_font()).color(&INK);
+    let (mut x, middle) = (22, 52);
+    for entry in legend {
+        let colour = entry.colour;
+        match entry.mark {
+            Mark::Line => {
+                let line = PathElement::new(vec![(x, middle), (x + 24, middle)], colour.stroke_width(3));
+                header.draw(&line).map_err(text)?;
+            }
+            Mark::Patch => {
+                let patch = Rectangle::new([(x, middle - 6), (x + 24, middle + 6)], colour.filled());
+                header.draw(&patch).map_err(text)?;
+            }
+            Mark::Dot => {
+                header.draw(&Circle::new((x + 12, middle), 5, colour.filled())).map_err(text)?;
+            }
+        }
+        let label = Text::new(entry.text.as_str(), (x + 31, middle - LEGEND_SIZE / 2), style.clone());
+        header.draw(&label).map_err(text)?;
+        let width = entry.text.chars().count() as f64 * f64::from(LEGEND_SIZE) * LETTER_WIDTH;
+        x += 31 + width as i32 + 26;
+    }
+    Ok(())
+}

@@ -1,0 +1,74 @@
+//! The six errors of one pose over time, with the bounds that the filter believes in.
+
+use super::canvas::{self, BAND, ESTIMATE, Mark, entry, text};
+use super::panel::{Band, Line, Panel};
+use super::run_files::RunFiles;
+use super::series::{quantile, thin};
+use super::PlotError;
+use onboard::evaluation::{ErrorSample, Statistics};
+use onboard::trajectory::StateKind;
+use std::path::{Path, PathBuf};
+
+/// Bounds are drawn at so many standard deviations.
+const BOUND: f64 = 3.0;
+/// The axis shows this share of the bounds: the first ones after a start are so wide that nothing else would be seen.
+const SHOWN_BOUNDS: f64 = 0.97;
+
+/// Draws the errors of one pose.
+pub(crate) fn draw(
+    run: &RunFiles,
+    kind: StateKind,
+    samples: &[ErrorSample],
+    path: &Path,
+) -> Result<PathBuf, PlotError> {
+    let legend = [
+        entry(Mark::Line, ESTIMATE, "error (truth minus estimate)"),
+        entry(Mark::Patch, BAND, "3 standard deviations, by the filter"),
+    ];
+    canvas::draw(path, (1120, 860), &title(run, kind, samples), &legend, |body| {
+        for (index, area) in body.split_evenly((3, 2)).iter().enumerate() {
+            // Rotation on the left, position on the right; x, y, z downwards.
+            let (axis, is_position) = (index / 2, index % 2 == 1);
+            panel(run, samples, axis, is_position, index >= 4).draw(area).map_err(text)?;
+        }
+        Ok(())
+    })
+}
+
+fn panel(run: &RunFiles, samples: &[ErrorSample], axis: usize, is_position: bool, is_last: bool) -> Panel {
+    let (column, scale) = if is_position { (axis + 3, 1.0) } else { (axis, 1f64.to_degrees()) };
+    let line = |value: &dyn Fn(&ErrorSample) -> f64| -> Vec<(f64, f64)> {
+        samples.iter().map(|sample| (run.seconds(sample.stamp_ns), value(sample) * scale)).collect()
+    };
+    let errors = line(&|sample| sample.error[column]);
+    let bounds = line(&|sample| BOUND * sample.sigma[column]);
+    let largest = errors.iter().map(|(_, error)| error.abs()).fold(0.0, f64::max);
+    let widest = quantile(bounds.iter().map(|(_, bound)| *bound), SHOWN_BOUNDS).unwrap_or(0.0);
+    let height = 1.08 * largest.max(widest).max(1e-9);
+    let letter = ["x", "y", "z"][axis];
+    Panel {
+        title: String::new(),
+        x_label: if is_last { "time [s]" } else { "" },
+        y_label: if is_position { format!("position {letter} [m]") } else { format!("rotation {letter} [deg]") },
+        x: 0.0..run.duration(),
+        y: -height..height,
+        bands: vec![Band { heights: thin(&bounds), colour: BAND }],
+        lines: vec![Line { points: thin(&errors), colour: ESTIMATE, width: 1 }],
+        dots: Vec::new(),
+    }
+}
+
+fn title(run: &RunFiles, kind: StateKind, samples: &[ErrorSample]) -> String {
+    let what = match kind {
+        StateKind::LocalFromImu => "local pose (IMU in L)",
+        StateKind::GlobalFromLocal => "global_from_local (L in G)",
+        StateKind::GlobalFromImu => "pose in G, not aligned",
+    };
+    let rmse = |start: usize| {
+        let norms: Vec<f64> = samples.iter().map(|sample| sample.error.fixed_rows::<3>(start).norm()).collect();
+        Statistics::of(&norms).map_or(0.0, |statistics| statistics.rmse)
+    };
+    let nees: Vec<f64> = samples.iter().filter_map(|sample| sample.nees).map(|nees| nees.pose).collect();
+    let nees = Statistics::of(&nees).map_or_else(String::new, |nees| format!(", NEES {:.2}", nees.mean));
+    format!("{}: {what}   rmse {:.3} deg, {:.3} m{nees}", run.name, rmse(0).to_degrees(), rmse(3))
+}

@@ -1,0 +1,65 @@
+//! The position along each axis over time.
+
+use super::canvas::{self, ESTIMATE, Mark, ODOMETRY, TRUTH, entry, text};
+use super::panel::{Line, Panel};
+use super::run_files::RunFiles;
+use super::series::{range, thin};
+use super::trajectory::View;
+use super::PlotError;
+use nalgebra::Vector3;
+use onboard::trajectory::StateKind;
+use std::path::{Path, PathBuf};
+
+/// Draws the position over time: in G where the run localized, in L else.
+pub(crate) fn draw(run: &RunFiles, path: &Path) -> Result<PathBuf, PlotError> {
+    let localized = run.states.iter().any(|state| state.global_from_imu.is_some());
+    let (kind, what, colour) = if localized {
+        (StateKind::GlobalFromImu, "pose in G", ESTIMATE)
+    } else {
+        (StateKind::LocalFromImu, "local pose in L (the run never localized)", ODOMETRY)
+    };
+    let gravity = run.truth.as_ref().map_or_else(|| -Vector3::z(), |truth| truth.gravity);
+    // L is level by definition, so only what is in G has to be levelled.
+    let view = View::along(if localized { &gravity } else { &LOCAL_GRAVITY });
+    let estimate: Vec<(f64, [f64; 3])> = run
+        .states
+        .iter()
+        .filter_map(|state| Some((run.seconds(state.stamp_ns), state.get(kind)?)))
+        .map(|(time, state)| (time, view.look_with_height(&state.pose.translation)))
+        .collect();
+    let truth: Vec<(f64, [f64; 3])> = if localized {
+        let rows = run.truth_rows().iter();
+        rows.map(|row| (run.seconds(row.stamp_ns), view.look_with_height(&row.pose.translation))).collect()
+    } else {
+        Vec::new()
+    };
+    let mut legend = vec![entry(Mark::Line, colour, what)];
+    if !truth.is_empty() {
+        legend.insert(0, entry(Mark::Line, TRUTH, "truth"));
+    }
+    canvas::draw(path, (1120, 760), &format!("{}: position over time", run.name), &legend, |body| {
+        for (axis, area) in body.split_evenly((3, 1)).iter().enumerate() {
+            let along = |points: &[(f64, [f64; 3])]| -> Vec<(f64, f64)> {
+                points.iter().map(|(time, position)| (*time, position[axis])).collect()
+            };
+            let (true_line, line) = (along(&truth), along(&estimate));
+            let panel = Panel {
+                title: String::new(),
+                x_label: if axis == 2 { "time [s]" } else { "" },
+                y_label: format!("{} [m]", ["x", "y", "height"][axis]),
+                x: 0.0..run.duration(),
+                y: range(true_line.iter().chain(&line).map(|point| point.1)),
+                bands: Vec::new(),
+                lines: vec![
+                    Line { points: thin(&true_line), colour: TRUTH, width: 4 },
+                    Line { points: thin(&line), colour, width: 2 },
+                ],
+                dots: Vec::new(),
+            };
+            panel.draw(area).map_err(text)?;
+        }
+        Ok(())
+    })
+}
+
+const LOCAL_GRAVITY: Vector3<f64> = Vector3::new(0.0, 0.0, -1.0);

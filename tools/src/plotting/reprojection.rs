@@ -1,0 +1,76 @@
+//! What each query came to.
+
+use super::canvas::{self, BAD, ESTIMATE, GOOD, Mark, ODOMETRY, TRUTH, entry, text};
+use super::events::QueryEvent;
+use super::panel::{Dots, Line, Panel};
+use super::run_files::RunFiles;
+use super::PlotError;
+use plotters::style::RGBColor;
+use std::path::{Path, PathBuf};
+
+/// Draws reprojection errors, matches and inliers of all queries.
+pub(crate) fn draw(run: &RunFiles, events: &[QueryEvent], path: &Path) -> Result<PathBuf, PlotError> {
+    let legend = [
+        entry(Mark::Dot, GOOD, "accepted"),
+        entry(Mark::Dot, ODOMETRY, "accepted, re-linearized"),
+        entry(Mark::Dot, BAD, "refused"),
+        entry(Mark::Line, ESTIMATE, "inliers"),
+        entry(Mark::Line, TRUTH, "matches"),
+    ];
+    let accepted = events.iter().filter(|event| event.accepted).count();
+    let title = format!("{}: {} queries, {accepted} accepted", run.name, events.len());
+    canvas::draw(path, (1120, 660), &title, &legend, |body| {
+        let areas = body.split_evenly((2, 1));
+        errors(run, events).draw(&areas[0]).map_err(text)?;
+        counts(run, events).draw(&areas[1]).map_err(text)
+    })
+}
+
+fn errors(run: &RunFiles, events: &[QueryEvent]) -> Panel {
+    let chosen = |wanted: &dyn Fn(&QueryEvent) -> bool, colour: RGBColor| {
+        let events = events.iter().filter(|event| wanted(event));
+        let points = events.filter_map(|event| Some((run.seconds(event.stamp_ns), event.mean_reprojection_px?)));
+        Dots { points: points.collect(), colour, radius: 3 }
+    };
+    let dots = vec![
+        chosen(&|event| event.accepted && !event.relinearized, GOOD),
+        chosen(&|event| event.accepted && event.relinearized, ODOMETRY),
+        chosen(&|event| !event.accepted, BAD),
+    ];
+    let highest = dots.iter().flat_map(|dots| &dots.points).map(|point| point.1).fold(1.0, f64::max);
+    Panel {
+        title: String::new(),
+        x_label: "",
+        y_label: "mean reprojection error [px]".to_owned(),
+        x: 0.0..run.duration(),
+        y: 0.0..highest * 1.08,
+        bands: Vec::new(),
+        lines: Vec::new(),
+        dots,
+    }
+}
+
+fn counts(run: &RunFiles, events: &[QueryEvent]) -> Panel {
+    // A query is a needle from 0 to its count; one line draws them all.
+    let needles = |count: &dyn Fn(&QueryEvent) -> usize| -> Vec<(f64, f64)> {
+        let needle = |event: &QueryEvent| {
+            let time = run.seconds(event.stamp_ns);
+            [(time, 0.0), (time, count(event) as f64), (time, 0.0)]
+        };
+        events.iter().flat_map(needle).collect()
+    };
+    let highest = events.iter().map(|event| event.matches).max().unwrap_or(0).max(1) as f64;
+    Panel {
+        title: String::new(),
+        x_label: "time of the image [s]",
+        y_label: "matches, inliers".to_owned(),
+        x: 0.0..run.duration(),
+        y: 0.0..highest * 1.08,
+        bands: Vec::new(),
+        lines: vec![
+            Line { points: needles(&|event| event.matches), colour: TRUTH, width: 1 },
+            Line { points: needles(&|event| event.inliers), colour: ESTIMATE, width: 2 },
+        ],
+        dots: Vec::new(),
+    }
+}

@@ -1,0 +1,159 @@
+//! The output folder of a run, and the truth it can be held against.
+
+use super::events::read_events;
+use super::{PlotError, QueryEvent};
+use nalgebra::Vector3;
+use onboard::evaluation::{RunErrors, ScoreError, run_errors};
+use onboard::sequence::{Sequence, TruthRow, read_groundtruth};
+use onboard::trajectory::{StateRow, states};
+use std::path::{Path, PathBuf};
+
+/// The truth of a run.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Truth {
+    /// Of the IMU in G.
+    pub rows: Vec<TruthRow>,
+    /// Unit direction in which gravity pulls in G.
+    pub gravity: Vector3<f64>,
+}
+
+/// What is known of a run.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RunFiles {
+    /// What to call it in titles.
+    pub name: String,
+    /// What it put out.
+    pub states: Vec<StateRow>,
+    /// Its queries, if it kept a record of them.
+    pub events: Option<Vec<QueryEvent>>,
+    /// The truth, if it is known.
+    pub truth: Option<Truth>,
+    /// Positions of the map's keyframes in G, metres; empty where they are not known.
+    pub keyframes: Vec<Vector3<f64>>,
+    /// What is missing; whole sentences.
+    pub missing: Vec<String>,
+}
+
+impl RunFiles {
+    /// Reads an output folder.
+    ///
+    /// # Arguments
+    /// * `groundtruth`: the truth's file; left out, the recording that `summary.json` names is looked at.
+    /// * `gravity`: where it pulls in the truth's frame; left out, it is worked out from the recording that the
+    ///   truth belongs to, and along -z where that is not possible.
+    ///
+    /// # Errors
+    /// [`PlotError`] where `states.csv` is missing, or a file cannot be understood.
+    pub fn read(
+        folder: &Path,
+        groundtruth: Option<&Path>,
+        gravity: Option<Vector3<f64>>,
+    ) -> Result<Self, PlotError> {
+        let mut missing = Vec::new();
+        let states = states::read(&folder.join("states.csv"))?;
+        let events_path = folder.join("events.csv");
+        let events = events_path.exists().then(|| read_events(&events_path)).transpose()?;
+        if events.is_none() {
+            missing.push("There is no events.csv, so nothing about queries is drawn.".to_owned());
+        }
+        let truth = match groundtruth {
+            Some(path) => Some(truth_from_file(path, gravity, &mut missing)?),
+            None => truth_from_summary(&folder.join("summary.json"), gravity, &mut missing)?,
+        };
+        let name = folder.file_name().map_or_else(|| "run".to_owned(), |name| name.to_string_lossy().into_owned());
+        Ok(Self { name, states, events, truth, keyframes: Vec::new(), missing })
+    }
+
+    /// Time of the first state, nanoseconds: the zero of all time axes.
+    pub(crate) fn start_ns(&self) -> i64 {
+        self.states.first().map_or(0, |state| state.stamp_ns)
+    }
+
+    /// Seconds since the first state.
+    pub(crate) fn seconds(&self, stamp_ns: i64) -> f64 {
+        (stamp_ns - self.start_ns()) as f64 * 1e-9
+    }
+
+    /// Length of the run, seconds.
+    pub(crate) fn duration(&self) -> f64 {
+        self.states.last().map_or(1.0, |state| self.seconds(state.stamp_ns)).max(1e-3)
+    }
+
+    /// The truth within the time of the run.
+    pub(crate) fn truth_rows(&self) -> &[TruthRow] {
+        let Some(truth) = &self.truth else { return &[] };
+        let end_ns = self.states.last().map_or(0, |state| state.stamp_ns);
+        let from = truth.rows.partition_point(|row| row.stamp_ns < self.start_ns());
+        let to = truth.rows.partition_point(|row| row.stamp_ns <= end_ns);
+        truth.rows.get(from..to).unwrap_or_default()
+    }
+
+    /// The errors of the run, if its truth is known.
+    pub(crate) fn errors(&self) -> Option<Result<RunErrors, ScoreError>> {
+        let truth = self.truth.as_ref()?;
+        Some(run_errors(&self.states, &truth.rows, truth.gravity))
+    }
+}
+
+/// Positions of keyframes from the `keyframes.csv` of a map in plain text, metres.
+///
+/// # Errors
+/// [`PlotError`] where the file cannot be read.
+pub fn read_keyframes(path: &Path) -> Result<Vec<Vector3<f64>>, PlotError> {
+    let wrong = |problem: String| PlotError::File { path: path.to_path_buf(), problem };
+    let text = std::fs::read_to_string(path).map_err(|error| wrong(error.to_string()))?;
+    let rows = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty() && !line.starts_with('#'));
+    rows.map(|(index, line)| {
+        let cells: Vec<f64> = line.split(',').skip(2).take(3).map_while(|cell| cell.trim().parse().ok()).collect();
+        <[f64; 3]>::try_from(cells)
+            .map(Vector3::from)
+            .map_err(|_| wrong(format!("line {}: columns 3 to 5 are no position", index + 1)))
+    })
+    .collect()
+}
+
+fn truth_from_file(
+    path: &Path,
+    gravity: Option<Vector3<f64>>,
+    missing: &mut Vec<String>,
+) -> Result<Truth, PlotError> {
+    let rows = read_groundtruth(path)?;
+    // SEQ/mav0/state_groundtruth_estimate0/data.csv
+    let recording = path.ancestors().nth(3).filter(|root| root.join("mav0/imu0").is_dir());
+    let measured = || recording.and_then(|root| Sequence::open(root).ok()?.truth_gravity());
+    let gravity = gravity.or_else(measured).unwrap_or_else(|| {
+        missing.push(
+            "Where gravity pulls in the truth's frame cannot be worked out; it is taken along -z (see --gravity)."
+                .to_owned(),
+        );
+        -Vector3::z()
+    });
+    Ok(Truth { rows, gravity })
+}
+
+/// The truth of the recording that a summary names.
+fn truth_from_summary(
+    path: &Path,
+    gravity: Option<Vector3<f64>>,
+    missing: &mut Vec<String>,
+) -> Result<Option<Truth>, PlotError> {
+    let Ok(text) = std::fs::read_to_string(path) else {
+        missing.push("There is no summary.json to name the recording, so no truth and no errors are drawn.".to_owned());
+        return Ok(None);
+    };
+    let summary: serde_json::Value = serde_json::from_str(&text)
+        .map_err(|error| PlotError::File { path: path.to_path_buf(), problem: error.to_string() })?;
+    let Some(root) = summary.get("sequence").and_then(serde_json::Value::as_str).map(PathBuf::from) else {
+        missing.push("summary.json does not name the recording, so no truth and no errors are drawn.".to_owned());
+        return Ok(None);
+    };
+    let truth = root.join("mav0/state_groundtruth_estimate0/data.csv");
+    if !truth.exists() {
+        missing.push(format!(
+            "{} is not there, so no truth and no errors are drawn (name it with --groundtruth).",
+            truth.display()
+        ));
+        return Ok(None);
+    }
+    truth_from_file(&truth, gravity, missing).map(Some)
+}

@@ -1,0 +1,144 @@
+//! Pictures hold what is known, and say what is not.
+
+use super::*;
+use crate::plotting::comparison::{ComparedRun, Comparison};
+use geometry::pose::Pose;
+use geometry::uncertain_pose::PoseWithCovariance;
+use nalgebra::{Matrix6, UnitQuaternion, Vector3, Vector6};
+use onboard::sequence::TruthRow;
+use onboard::trajectory::{StampedPose, StateRow, states};
+
+const START_NS: i64 = 1_503_911_171_749_927_282;
+
+fn truth_rows() -> Vec<TruthRow> {
+    (0..400)
+        .map(|index| {
+            let t = f64::from(index) * 0.1;
+            let position = Vector3::new(20.0 * (0.15 * t).cos(), 12.0 * (0.3 * t).sin(), 1.0 + (0.4 * t).sin());
+            TruthRow {
+                stamp_ns: START_NS + i64::from(index) * 100_000_000,
+                pose: Pose::new(UnitQuaternion::from_euler_angles(0.02, 0.01, 0.15 * t), position),
+                velocity: None,
+                gyroscope_bias: None,
+                accelerometer_bias: None,
+            }
+        })
+        .collect()
+}
+
+/// A run with a wobbling error, localized from the 50th frame on.
+fn states() -> Vec<StateRow> {
+    let sigma = [0.003, 0.003, 0.004, 0.05, 0.05, 0.04];
+    let covariance = Matrix6::from_diagonal(&Vector6::from(sigma.map(|sigma| sigma * sigma)));
+    let sure = |pose| PoseWithCovariance::new(pose, covariance);
+    truth_rows()
+        .iter()
+        .enumerate()
+        .map(|(index, row)| {
+            let t = index as f64 * 0.1;
+            let error = Vector6::from_fn(|axis, _| sigma[axis] * 1.5 * (t * (0.7 + 0.2 * axis as f64)).sin());
+            let estimate = row.pose.retract(&error);
+            StateRow {
+                stamp_ns: row.stamp_ns,
+                local_from_imu: sure(estimate),
+                global_from_local: (index > 50).then(|| sure(Pose::identity().retract(&(error * 0.3)))),
+                global_from_imu: (index > 50).then(|| sure(estimate)),
+            }
+        })
+        .collect()
+}
+
+const EVENTS: &str = "stamp_ns,asked_at_s,answered_at_s,outcome,keyframes,matches,inliers,used,mean_reprojection_px,\
+    relinearized,accepted,reason\n\
+    1503911176749927282,5.0,5.1,matched,1,45,40,38,25.5,true,true,\n\
+    1503911181749927282,10.0,10.1,no_match,0,0,0,0,,false,false,\"the map does not know the place, yet\"\n\
+    1503911186749927282,15.0,15.1,matched,2,60,20,0,14.2,false,false,gate\n\
+    1503911191749927282,20.0,20.1,matched,2,70,66,60,1.2,false,true,\n";
+
+fn run_folder(with_events: bool) -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    states::write(&folder.path().join("states.csv"), &states()).unwrap();
+    if with_events {
+        std::fs::write(folder.path().join("events.csv"), EVENTS).unwrap();
+    }
+    folder
+}
+
+#[test]
+fn a_run_with_truth_and_events_gives_all_pictures() {
+    let folder = run_folder(true);
+    let mut run = RunFiles::read(folder.path(), None, None).unwrap();
+    run.truth = Some(Truth { rows: truth_rows(), gravity: -Vector3::z() });
+    run.keyframes = vec![Vector3::new(19.0, 1.0, 1.0), Vector3::new(0.0, 11.0, 1.0)];
+    let out = folder.path().join("pictures");
+    let drawn = draw_run(&run, &out).unwrap();
+    assert_eq!(drawn.pictures.len(), 6);
+    for picture in &drawn.pictures {
+        let svg = std::fs::read_to_string(picture).unwrap();
+        assert!(svg.contains("<svg") && svg.trim_end().ends_with("</svg>"));
+        assert!(!svg.contains("NaN") && !svg.contains("inf"), "{}", picture.display());
+    }
+    if let Ok(keep) = std::env::var("KEEP_PICTURES") {
+        for picture in &drawn.pictures {
+            std::fs::copy(picture, Path::new(&keep).join(picture.file_name().unwrap())).unwrap();
+        }
+    }
+}
+
+#[test]
+fn what_is_missing_is_said_and_not_drawn() {
+    let folder = run_folder(false);
+    let run = RunFiles::read(folder.path(), None, None).unwrap();
+    let drawn = draw_run(&run, folder.path()).unwrap();
+    let names: Vec<_> = drawn.pictures.iter().map(|path| path.file_name().unwrap().to_str().unwrap()).collect();
+    assert_eq!(names, ["trajectory.svg", "over_time.svg"]);
+    assert!(drawn.missing.iter().any(|sentence| sentence.contains("events.csv")));
+    assert!(drawn.missing.iter().any(|sentence| sentence.contains("no truth")));
+    let svg = std::fs::read_to_string(folder.path().join("trajectory.svg")).unwrap();
+    assert!(!svg.contains("truth"));
+}
+
+#[test]
+fn a_run_without_states_cannot_be_drawn() {
+    let folder = tempfile::tempdir().unwrap();
+    let error = RunFiles::read(folder.path(), None, None).unwrap_err().to_string();
+    assert!(error.contains("states.csv") && error.contains("missing"), "{error}");
+}
+
+#[test]
+fn events_that_are_cut_off_are_an_error_with_the_line() {
+    let folder = run_folder(true);
+    let path = folder.path().join("events.csv");
+    std::fs::write(&path, &EVENTS[..EVENTS.len() - 20]).unwrap();
+    let error = read_events(&path).unwrap_err().to_string();
+    assert!(error.contains("events.csv") && error.contains("line: 5"), "{error}");
+}
+
+#[test]
+fn runs_are_compared_in_one_picture() {
+    let folder = tempfile::tempdir().unwrap();
+    let poses = |drift: f64| -> Vec<StampedPose> {
+        let rows = truth_rows().into_iter().enumerate();
+        rows.map(|(index, row)| {
+            let moved = row.pose.translation + Vector3::new(drift * index as f64, 0.1, 0.0);
+            StampedPose { stamp_ns: row.stamp_ns, pose: Pose::new(row.pose.rotation, moved) }
+        })
+        .collect()
+    };
+    let comparison = Comparison {
+        title: "Two runs".to_owned(),
+        truth: Truth { rows: truth_rows(), gravity: -Vector3::z() },
+        keyframes: truth_rows().iter().step_by(20).map(|row| row.pose.translation).collect(),
+        dropouts: vec![START_NS + 5_000_000_000..START_NS + 9_000_000_000],
+        runs: vec![
+            ComparedRun { name: "odometry".to_owned(), poses: poses(0.005) },
+            ComparedRun { name: "with the map".to_owned(), poses: poses(0.0) },
+        ],
+    };
+    let path = comparison::draw(&comparison, &folder.path().join("comparison.svg")).unwrap();
+    let svg = std::fs::read_to_string(path).unwrap();
+    assert!(svg.contains("odometry") && svg.contains("no map in sight") && !svg.contains("NaN"));
+    if let Ok(keep) = std::env::var("KEEP_PICTURES") {
+        std::fs::write(Path::new(&keep).join("comparison.svg"), svg).unwrap();
+    }
+}
