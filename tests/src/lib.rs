@@ -1,1 +1,10 @@
-//! End to end tests over real Zenoh sessions and real databases.
+//! What the end to end tests share: a small place, a server that can be stopped and started again, robots.
+//!
+//! Nothing in this package is part of the product. Faults of the surroundings (no free port, no disk) panic.
+
+#![allow(clippy::unwrap_used, clippy::missing_panics_doc)]
+
+pub mod network;
+pub mod place;
+pub mod robot;
+pub mod server;

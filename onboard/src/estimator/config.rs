@@ -140,7 +140,10 @@ pub struct EstimatorConfig {
     /// Prior standard deviation of `global_from_local` before its first update: rotation, rad.
     /// Too small a value ruins the filter in a way that the pose in G does not show.
     pub transform_sigma_rotation: f64,
-    /// Prior standard deviation of `global_from_local` before its first update: position, metres.
+    /// The same for its position, as a fraction of the median depth of the landmarks that gave it: the
+    /// distance to them is what PnP knows least, and one keyframe alone says nothing more about it.
+    pub transform_sigma_depth_fraction: f64,
+    /// Least prior standard deviation of its position, metres.
     pub transform_sigma_position: f64,
     /// Verified answers in a row that the gate may reject before the robot says that it is lost and
     /// finds `global_from_local` anew.
@@ -169,8 +172,9 @@ impl Default for EstimatorConfig {
             map_iterations: 1,
             min_inliers: 8,
             verify_angle: 0.0175,
-            transform_sigma_rotation: 1.0,
-            transform_sigma_position: 10.0,
+            transform_sigma_rotation: 0.3,
+            transform_sigma_depth_fraction: 0.3,
+            transform_sigma_position: 0.3,
             lost_after_rejections: 5,
             max_active_keyframes: 24,
         }
@@ -201,6 +205,7 @@ impl EstimatorConfig {
             ("relinearize_above_px", self.relinearize_above_px),
             ("verify_angle", self.verify_angle),
             ("transform_sigma_rotation", self.transform_sigma_rotation),
+            ("transform_sigma_depth_fraction", self.transform_sigma_depth_fraction),
             ("transform_sigma_position", self.transform_sigma_position),
         ];
         for (name, value) in positive {

@@ -170,7 +170,7 @@ impl Estimator {
         }
 
         if report.initialized {
-            self.insert_transform(solved_transform);
+            self.insert_transform(solved_transform, median_depth(answer, &verified));
         }
         let outcome = self.iterate(clone, answer, &verified, Linearization { estimate, at }, report)?;
         if outcome.is_err() && report.initialized {
@@ -314,10 +314,12 @@ impl Estimator {
         local_from_camera.inverse() * -Vector3::z()
     }
 
-    /// `global_from_local` enters at the PnP solution, with a prior so wide that the update decides.
-    fn insert_transform(&mut self, transform: Pose) {
+    /// `global_from_local` enters at the PnP solution, with a prior so wide that the update decides all
+    /// that it can see.
+    fn insert_transform(&mut self, transform: Pose, depth: f64) {
         let rotation = self.config.transform_sigma_rotation.powi(2);
-        let position = self.config.transform_sigma_position.powi(2);
+        let position =
+            (self.config.transform_sigma_depth_fraction * depth).max(self.config.transform_sigma_position).powi(2);
         let sigmas = DVector::from_fn(POSE_DIM, |k, _| if k < 3 { rotation } else { position });
         self.covariance.insert_independent(IMU_DIM, &DMatrix::from_diagonal(&sigmas));
         self.state.transform = Some(transform);
@@ -341,6 +343,14 @@ impl Estimator {
         }
         self.map_version = Some(version);
     }
+}
+
+/// Median depth of the verified landmarks in their anchors, metres.
+fn median_depth(answer: &MapAnswer, verified: &Verified) -> f64 {
+    let mut depths: Vec<f64> =
+        verified.inliers.iter().map(|&k| answer.landmarks[k].position_in_anchor.norm()).collect();
+    depths.sort_by(f64::total_cmp);
+    depths.get(depths.len() / 2).copied().unwrap_or(0.0)
 }
 
 /// The chi-square gate of one landmark.

@@ -46,10 +46,7 @@ pub enum AlignmentError {
 /// [`AlignmentError`].
 ///
 /// Source: Umeyama, PAMI 1991, without scale; about gravity, the angle that maximizes the same sum in closed form.
-pub fn align(
-    pairs: &[(Vector3<f64>, Vector3<f64>)],
-    alignment: &Alignment,
-) -> Result<Pose, AlignmentError> {
+pub fn align(pairs: &[(Vector3<f64>, Vector3<f64>)], alignment: &Alignment) -> Result<Pose, AlignmentError> {
     if pairs.is_empty() {
         return Err(AlignmentError::NoPairs);
     }

@@ -22,7 +22,8 @@ pub struct Nees {
 /// `None` where the covariance is not positive definite: an estimate that claims to be exact is never consistent.
 pub fn nees(estimate: &PoseWithCovariance, truth: &Pose) -> Option<Nees> {
     let error = estimate.pose.local(truth);
-    let block = |start: usize| -> Matrix3<f64> { estimate.covariance.fixed_view::<3, 3>(start, start).into() };
+    let block =
+        |start: usize| -> Matrix3<f64> { estimate.covariance.fixed_view::<3, 3>(start, start).into() };
     Some(Nees {
         rotation: quadratic_form(&block(0), &error.fixed_rows::<3>(0).into())? / 3.0,
         position: quadratic_form(&block(3), &error.fixed_rows::<3>(3).into())? / 3.0,

@@ -244,8 +244,10 @@ fn odometry_statistics(
     known: &[(&StateRow, Pose)],
     gravity_in_truth: &Vector3<f64>,
 ) -> Option<(Statistics, Statistics)> {
-    let positions: Vec<_> =
-        known.iter().map(|(state, truth)| (truth.translation, state.local_from_imu.pose.translation)).collect();
+    let positions: Vec<_> = known
+        .iter()
+        .map(|(state, truth)| (truth.translation, state.local_from_imu.pose.translation))
+        .collect();
     let alignment =
         Alignment::Yaw { gravity_in_reference: *gravity_in_truth, gravity_in_estimate: -Vector3::z() };
     let global_from_local = align(&positions, &alignment).ok()?;

@@ -32,8 +32,11 @@ impl Statistics {
         let mean_square = sorted.iter().map(|error| error * error).sum::<f64>() / count;
         let variance = sorted.iter().map(|error| (error - mean).powi(2)).sum::<f64>() / count;
         let middle = sorted.len() / 2;
-        let median =
-            if sorted.len().is_multiple_of(2) { f64::midpoint(sorted[middle - 1], sorted[middle]) } else { sorted[middle] };
+        let median = if sorted.len().is_multiple_of(2) {
+            f64::midpoint(sorted[middle - 1], sorted[middle])
+        } else {
+            sorted[middle]
+        };
         let (rmse, std) = (mean_square.sqrt(), variance.sqrt());
         Some(Self { rmse, mean, median, min, max, std, samples: sorted.len() })
     }

@@ -2,11 +2,12 @@
 
 use super::answer::map_answer;
 use crate::estimator::{CloneId, MapAnswer};
-use protocol::{ErrorReply, Format, MatchOutcome, MatchReply, MatchRequest, MatchStatus, MatchedKeyframe, keys};
+use protocol::{ErrorCode, ErrorReply, Format, MatchOutcome, MatchReply, MatchRequest, MatchStatus, MatchedKeyframe, keys};
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::time::{Duration, Instant};
 use tokio::runtime::Handle;
+use zenoh::qos::CongestionControl;
 use zenoh::query::{ConsolidationMode, QueryTarget};
 
 /// First pause before an unanswered query is sent again; doubled each time.
@@ -179,6 +180,8 @@ async fn attempt(
         .payload(payload)
         .encoding(Format::Bincode.encoding())
         .target(QueryTarget::BestMatching)
+        // Replies travel as the query does: blocking, so that none is dropped under load.
+        .congestion_control(CongestionControl::Block)
         .consolidation(ConsolidationMode::None)
         .timeout(left)
         .await;
@@ -228,7 +231,8 @@ fn finish(request: &MatchRequest, status: &MatchStatus, keyframes: Vec<MatchedKe
 /// An error reply. Those that time heals are tried again.
 fn refused(bytes: &[u8]) -> Attempt {
     match protocol::decode::<ErrorReply>(Format::Bincode, bytes) {
-        Ok(error) if error.code == protocol::ErrorCode::Busy => Attempt::Again(error.message),
+        // A server that is just connecting may hear of the query before its map does.
+        Ok(error) if matches!(error.code, ErrorCode::Busy | ErrorCode::UnknownMap) => Attempt::Again(error.message),
         Ok(error) => Attempt::Finished(Outcome::Failed(error.message)),
         // Zenoh itself says "Timeout" when a server hangs.
         Err(_) => Attempt::Again(format!("no answer: {}", String::from_utf8_lossy(bytes))),

@@ -123,7 +123,11 @@ impl SeenIds {
 }
 
 /// Reads `features.csv` into the frames, if the camera has one.
-pub(crate) fn read_features(folder: &Path, stamps: &[i64], frames: &mut [Frame]) -> Result<(), SequenceError> {
+pub(crate) fn read_features(
+    folder: &Path,
+    stamps: &[i64],
+    frames: &mut [Frame],
+) -> Result<(), SequenceError> {
     let path = folder.join("features.csv");
     if !path.exists() {
         return Ok(());

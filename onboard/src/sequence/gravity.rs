@@ -23,7 +23,10 @@ const PLAUSIBLE: std::ops::RangeInclusive<f64> = 9.3..=10.3;
 pub(crate) fn direction(truth: &[TruthRow], imu: &[ImuSample]) -> Option<Vector3<f64>> {
     let gravity = estimate(truth, imu)?;
     if !PLAUSIBLE.contains(&gravity.norm()) {
-        tracing::warn!("ground truth and IMU contradict each other: they give a gravity of {:.2} m/s^2", gravity.norm());
+        tracing::warn!(
+            "ground truth and IMU contradict each other: they give a gravity of {:.2} m/s^2",
+            gravity.norm()
+        );
         return None;
     }
     Some(snap(gravity.normalize()))

@@ -147,7 +147,9 @@ fn distortion(path: &Path, model: Option<&str>, given: &[f64]) -> Result<Distort
         },
         _ => Err(SequenceError::calibration(
             path,
-            format!("distortion_model \"{model}\" is unknown: use none, radial-tangential, equidistant or fov"),
+            format!(
+                "distortion_model \"{model}\" is unknown: use none, radial-tangential, equidistant or fov"
+            ),
         )),
     }
 }
@@ -224,7 +226,9 @@ mod tests {
             distortion(path, Some("radial-tangential"), &four).unwrap(),
             Distortion::RadialTangential(four)
         );
-        for (model, given) in [("none", &four[..]), ("fov", &four), ("equidistant", &four[..3]), ("mei", &four)] {
+        for (model, given) in
+            [("none", &four[..]), ("fov", &four), ("equidistant", &four[..3]), ("mei", &four)]
+        {
             assert!(distortion(path, Some(model), given).is_err(), "{model}");
         }
     }

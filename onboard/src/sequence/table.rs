@@ -38,7 +38,11 @@ impl Table {
         loop {
             let more = self.reader.read_byte_record(&mut self.record).map_err(|error| {
                 let line = error.position().map_or(0, csv::Position::line);
-                SequenceError::Row { path: self.path.clone(), line, problem: format!("it cannot be read: {error}") }
+                SequenceError::Row {
+                    path: self.path.clone(),
+                    line,
+                    problem: format!("it cannot be read: {error}"),
+                }
             })?;
             if !more {
                 return Ok(None);

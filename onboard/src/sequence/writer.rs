@@ -27,8 +27,7 @@ pub fn write(sequence: &Sequence, root: &Path) -> Result<(), SequenceError> {
         let folder = mav.join(format!("cam{index}"));
         write_file(&folder.join("sensor.yaml"), |out| camera_yaml(out, camera))?;
         write_file(&folder.join("data.csv"), |out| image_rows(out, &sequence.frames))?;
-        let tracked =
-            |frame: &Frame| frame.tracks.iter().any(|track| usize::from(track.camera) == index);
+        let tracked = |frame: &Frame| frame.tracks.iter().any(|track| usize::from(track.camera) == index);
         if sequence.frames.iter().any(tracked) {
             write_file(&folder.join("tracks.csv"), |out| track_rows(out, &sequence.frames, index))?;
         }

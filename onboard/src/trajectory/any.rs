@@ -30,7 +30,8 @@ pub fn read_any(path: &Path, state: StateKind) -> Result<TrajectoryFile, Sequenc
         }
         _ => {
             let rows = read_groundtruth(path)?;
-            let poses = rows.iter().map(|row| StampedPose { stamp_ns: row.stamp_ns, pose: row.pose }).collect();
+            let poses =
+                rows.iter().map(|row| StampedPose { stamp_ns: row.stamp_ns, pose: row.pose }).collect();
             Ok(TrajectoryFile { poses, covariances: None })
         }
     }

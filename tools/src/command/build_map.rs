@@ -73,6 +73,7 @@ pub struct Args {
 ///
 /// # Errors
 /// A sequence without features or poses, a file that cannot be read (with its line), a database that exists already.
+#[expect(clippy::needless_pass_by_value, reason = "every command owns its arguments")]
 pub fn run(args: Args) -> anyhow::Result<()> {
     check_free(&args.map, args.force)?;
     let sequence = Sequence::open(&args.sequence)?;

@@ -82,10 +82,22 @@ pub struct Args {
     #[arg(long, value_enum, default_value = "global_from_imu")]
     state: StateArgument,
     /// Direction in which gravity pulls in the truth's frame, for --align yaw
-    #[arg(long, value_name = "X,Y,Z", value_delimiter = ',', allow_hyphen_values = true, default_value = "0,0,-1")]
+    #[arg(
+        long,
+        value_name = "X,Y,Z",
+        value_delimiter = ',',
+        allow_hyphen_values = true,
+        default_value = "0,0,-1"
+    )]
     gravity: Vec<f64>,
     /// Direction in which gravity pulls in the estimate's frame, for --align yaw
-    #[arg(long, value_name = "X,Y,Z", value_delimiter = ',', allow_hyphen_values = true, default_value = "0,0,-1")]
+    #[arg(
+        long,
+        value_name = "X,Y,Z",
+        value_delimiter = ',',
+        allow_hyphen_values = true,
+        default_value = "0,0,-1"
+    )]
     estimate_gravity: Vec<f64>,
     /// Poses further apart in time have no partner, seconds
     #[arg(long, value_name = "S", default_value_t = 0.01)]
@@ -126,7 +138,7 @@ struct NeesReport {
 ///
 /// # Errors
 /// Files that cannot be read, have no time in common, or cannot be aligned.
-pub fn run(args: Args) -> anyhow::Result<()> {
+pub fn run(args: &Args) -> anyhow::Result<()> {
     let truth = read_any(&args.groundtruth, StateKind::GlobalFromImu).context("the truth cannot be read")?;
     let estimate = read_any(&args.estimate, args.state.into()).context("the estimate cannot be read")?;
     ensure!(args.max_difference >= 0.0, "--max-difference must not be negative");
@@ -147,7 +159,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     };
     let moved = align(&positions, &alignment).context("the trajectories cannot be compared")?;
     let absolute = absolute_errors(&truth.poses, &estimate.poses, &pairs, &moved);
-    let relative = relative_errors(&truth.poses, &estimate.poses, &pairs, delta(&args)?);
+    let relative = relative_errors(&truth.poses, &estimate.poses, &pairs, delta(args)?);
     let report = Report {
         pairs: pairs.len(),
         ate_m: absolute.translation(),
@@ -159,7 +171,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     if args.json {
         println!("{}", serde_json::to_string_pretty(&report)?);
     } else {
-        print(&report, &args);
+        print(&report, args);
     }
     Ok(())
 }
@@ -176,7 +188,10 @@ fn delta(args: &Args) -> anyhow::Result<Delta> {
     ensure!(args.delta.is_finite() && args.delta > 0.0, "--delta must be positive");
     Ok(match args.delta_unit {
         UnitArgument::Frames => {
-            ensure!(args.delta >= 1.0 && args.delta.fract() == 0.0, "--delta must be a whole number of frames");
+            ensure!(
+                args.delta >= 1.0 && args.delta.fract() == 0.0,
+                "--delta must be a whole number of frames"
+            );
             Delta::Frames(args.delta as usize)
         }
         UnitArgument::Metres => Delta::Metres(args.delta),

@@ -27,6 +27,7 @@ pub struct Args {
 ///
 /// # Errors
 /// A database that is missing, damaged or in use, a folder that holds a map already or cannot be written.
+#[expect(clippy::needless_pass_by_value, reason = "every command owns its arguments")]
 pub fn run(args: Args) -> anyhow::Result<()> {
     let contents = SledStore::open(&args.map)?.read_contents()?;
     write_map(&args.to, &contents)?;

@@ -39,6 +39,7 @@ pub struct Args {
 ///
 /// # Errors
 /// A text file that cannot be read (with its line), a database that exists already or cannot be written.
+#[expect(clippy::needless_pass_by_value, reason = "every command owns its arguments")]
 pub fn run(args: Args) -> anyhow::Result<()> {
     check_free(&args.map, args.force)?;
     let mut contents = read_map(&args.folder)?;

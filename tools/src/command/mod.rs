@@ -42,15 +42,15 @@ impl Command {
     /// Whatever the subcommand could not do, in words for the person at the shell.
     pub fn run(self) -> anyhow::Result<()> {
         match self {
-            Self::Simulate(args) => simulate::run(args),
+            Self::Simulate(args) => simulate::run(&args),
             Self::BuildMap(args) => build_map::run(args),
             Self::ImportMap(args) => import_map::run(args),
             Self::ExportMap(args) => export_map::run(args),
             Self::MapInfo(args) => map_info::run(args),
             Self::Query(args) => query::run(args),
             Self::Run(args) => run::run(args),
-            Self::Evaluate(args) => evaluate::run(args),
-            Self::Plot(args) => plot::run(args),
+            Self::Evaluate(args) => evaluate::run(&args),
+            Self::Plot(args) => plot::run(&args),
         }
     }
 }

@@ -37,15 +37,19 @@ pub struct Args {
 ///
 /// # Errors
 /// A run without `states.csv`, a file that cannot be understood, a picture that cannot be written.
-pub fn run(args: Args) -> anyhow::Result<()> {
+pub fn run(args: &Args) -> anyhow::Result<()> {
     let gravity = args.gravity.as_deref().map(direction).transpose()?;
-    let mut run = RunFiles::read(&args.run, args.groundtruth.as_deref(), gravity).context("the run cannot be drawn")?;
+    let mut run =
+        RunFiles::read(&args.run, args.groundtruth.as_deref(), gravity).context("the run cannot be drawn")?;
     if let Some(path) = &args.keyframes {
         run.keyframes = read_keyframes(path).context("the keyframes cannot be drawn")?;
     }
     let drawn = draw_run(&run, args.out.as_deref().unwrap_or(&args.run))?;
     if args.json {
-        println!("{}", serde_json::to_string_pretty(&json!({"pictures": drawn.pictures, "missing": drawn.missing}))?);
+        println!(
+            "{}",
+            serde_json::to_string_pretty(&json!({"pictures": drawn.pictures, "missing": drawn.missing}))?
+        );
         return Ok(());
     }
     for picture in &drawn.pictures {
@@ -59,5 +63,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
 
 fn direction(given: &[f64]) -> anyhow::Result<Vector3<f64>> {
     ensure!(given.len() == 3, "--gravity takes three numbers, as in 0,0,-1");
-    Vector3::from_column_slice(given).try_normalize(1e-9).context("--gravity must be a direction, as in 0,0,-1")
+    Vector3::from_column_slice(given)
+        .try_normalize(1e-9)
+        .context("--gravity must be a direction, as in 0,0,-1")
 }

@@ -73,6 +73,7 @@ struct Answer {
 ///
 /// # Errors
 /// A file that cannot be read (with its line), no server, a map that it does not have, an error that it replies.
+#[expect(clippy::needless_pass_by_value, reason = "every command owns its arguments")]
 pub fn run(args: Args) -> anyhow::Result<()> {
     if !(args.timeout.is_finite() && args.timeout > 0.0) {
         bail!("--timeout {}: give a positive number of seconds", args.timeout);

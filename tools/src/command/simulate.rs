@@ -64,7 +64,7 @@ struct Summary {
 ///
 /// # Errors
 /// Options that make no sense, a trajectory that cannot be read, a folder that cannot be written.
-pub fn run(args: Args) -> anyhow::Result<()> {
+pub fn run(args: &Args) -> anyhow::Result<()> {
     let options = SimulationOptions {
         seed: args.seed,
         speed: args.speed,
@@ -109,7 +109,8 @@ fn read_way(path: &Path) -> anyhow::Result<Vec<StampedPose>> {
 
 fn summary(path: PathBuf, sequence: &Sequence) -> Summary {
     let truth = sequence.groundtruth.as_deref().unwrap_or_default();
-    let step = |pair: &[onboard::sequence::TruthRow]| (pair[1].pose.translation - pair[0].pose.translation).norm();
+    let step =
+        |pair: &[onboard::sequence::TruthRow]| (pair[1].pose.translation - pair[0].pose.translation).norm();
     let span = truth.first().zip(truth.last()).map_or(0, |(first, last)| last.stamp_ns - first.stamp_ns);
     Summary {
         path,

@@ -2,12 +2,12 @@
 //!
 //! | step | module |
 //! |---|---|
-//! | images become keyframes as the view changes | [`views`] |
-//! | neighbouring keyframes are matched, and checked by the epipolar constraint | [`matching`] |
-//! | matches are chained into tracks | [`tracks`] |
-//! | each track is located with the given poses, whose uncertainty weighs in | [`locate`] |
-//! | all landmarks are refined together with the poses | [`adjustment`] |
-//! | a map is made of it | [`assemble`] |
+//! | images become keyframes as the view changes | `views` |
+//! | neighbouring keyframes are matched, and checked by the epipolar constraint | `matching` |
+//! | matches are chained into tracks | `tracks` |
+//! | each track is located with the given poses, whose uncertainty weighs in | `locate` |
+//! | all landmarks are refined together with the poses | `adjustment` |
+//! | a map is made of it | `assemble` |
 //!
 //! The map states the *given* poses with their covariances, never the refined ones: the errors of given poses are
 //! independent, which the estimator relies on; those of refined ones are correlated with each other and with every

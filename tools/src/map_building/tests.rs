@@ -131,8 +131,9 @@ fn label(world: &World, landmark: &map_server::model::Landmark) -> (usize, usize
         .iter()
         .map(|observation| {
             let view = observation.keyframe as usize - 1;
+            let wanted = observation.pixel.map(f32::to_bits);
             let features = world.sequence.frames[view].features.as_ref().unwrap();
-            let feature = features.pixels.iter().position(|pixel| *pixel == observation.pixel).unwrap();
+            let feature = features.pixels.iter().position(|pixel| pixel.map(f32::to_bits) == wanted).unwrap();
             world.labels[view][feature]
         })
         .collect();

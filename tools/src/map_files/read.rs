@@ -70,12 +70,11 @@ fn read_keyframes(folder: &Path) -> Result<BTreeMap<KeyframeId, Keyframe>, MapFi
     for row in table.rows() {
         row.expect_fields(11, 12, columns::KEYFRAMES)?;
         let camera_index = if row.len() == 12 { row.integer(11, "camera")? } else { 0 };
-        let camera = match cameras.get(&camera_index) {
-            Some(camera) => camera.clone(),
-            None => {
-                let camera = read_camera(&folder.join(names::camera(camera_index)))?;
-                cameras.entry(camera_index).or_insert(camera).clone()
-            }
+        let camera = if let Some(camera) = cameras.get(&camera_index) {
+            camera.clone()
+        } else {
+            let camera = read_camera(&folder.join(names::camera(camera_index)))?;
+            cameras.entry(camera_index).or_insert(camera).clone()
         };
         let keyframe = Keyframe {
             id: row.integer(0, "id")?,

@@ -195,11 +195,19 @@ fn the_cameras_of_euroc_are_read() {
                 distortion_coefficients: [-0.28340811, 0.07395907, 0.00019359, 1.76187114e-05]\n\n";
     std::fs::write(folder.path().join("camera.yaml"), text).unwrap();
     let camera = &read_map(folder.path()).unwrap().keyframes[0].camera;
-    assert_eq!(camera.focal, [458.654, 457.296]);
-    assert_eq!(
-        camera.distortion,
-        Distortion::RadialTangential([-0.28340811, 0.07395907, 0.00019359, 1.76187114e-05])
-    );
+    let expected = Camera {
+        width: 752,
+        height: 480,
+        focal: [458.654, 457.296],
+        centre: [367.215, 248.375],
+        distortion: Distortion::RadialTangential([
+            -0.283_408_11,
+            0.073_959_07,
+            0.000_193_59,
+            1.761_871_14e-05,
+        ]),
+    };
+    assert_eq!(*camera, expected);
 }
 
 /// The recorded maps, where they are unpacked.

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 pub(crate) type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 
 /// The truth.
-pub(crate) const TRUTH: RGBColor = RGBColor(90, 90, 90);
+pub(crate) const TRUTH: RGBColor = RGBColor(165, 165, 168);
 /// The estimate.
 pub(crate) const ESTIMATE: RGBColor = RGBColor(31, 101, 173);
 /// Odometry, and whatever is to be told from the estimate.
@@ -34,7 +34,7 @@ const HEADER: i32 = 68;
 const TITLE_SIZE: i32 = 21;
 const LEGEND_SIZE: i32 = 15;
 /// Mean width of a letter as a share of its height; no font is loaded to measure it.
-const LETTER_WIDTH: f64 = 0.52;
+const LETTER_WIDTH: f64 = 0.44;
 
 /// What an entry of the legend looks like.
 #[derive(Clone, Copy, Debug)]

@@ -6,7 +6,7 @@ use super::series::{thin, thin_path};
 use super::trajectory::{View, plan};
 use super::{PlotError, Truth};
 use nalgebra::Vector3;
-use onboard::sequence::TruthTrack;
+use onboard::sequence::{Frame, TruthTrack};
 use onboard::trajectory::StampedPose;
 use plotters::style::RGBColor;
 use std::ops::Range;
@@ -39,6 +39,19 @@ pub struct Comparison {
     pub dropouts: Vec<Range<i64>>,
     /// The runs, at most four of which can be told apart.
     pub runs: Vec<ComparedRun>,
+}
+
+/// The stretches of a recording in which no place could be recognized, nanoseconds.
+///
+/// # Arguments
+/// * `longer_than_ns`: images with features come at intervals; a gap counts only if it is longer.
+pub fn stretches_without_features(frames: &[Frame], longer_than_ns: i64) -> Vec<Range<i64>> {
+    let with_features = frames.iter().filter(|frame| frame.features.is_some()).map(|frame| frame.stamp_ns);
+    let first = frames.first().map(|frame| frame.stamp_ns);
+    let last = frames.last().map(|frame| frame.stamp_ns);
+    let stamps: Vec<i64> = first.into_iter().chain(with_features).chain(last).collect();
+    let gaps = stamps.windows(2).map(|pair| pair[0]..pair[1]);
+    gaps.filter(|gap| gap.end - gap.start > longer_than_ns).collect()
 }
 
 /// Draws a comparison.
@@ -76,7 +89,12 @@ fn truth_positions(comparison: &Comparison) -> impl Iterator<Item = Vector3<f64>
     comparison.truth.rows.iter().map(|row| row.pose.translation)
 }
 
-fn path_line(view: &View, positions: impl Iterator<Item = Vector3<f64>>, colour: RGBColor, width: u32) -> Line {
+fn path_line(
+    view: &View,
+    positions: impl Iterator<Item = Vector3<f64>>,
+    colour: RGBColor,
+    width: u32,
+) -> Line {
     let points: Vec<_> = positions.map(|position| view.look(&position)).collect();
     Line { points: thin_path(&points), colour, width }
 }
@@ -103,13 +121,12 @@ fn errors_over_time(comparison: &Comparison) -> Panel {
         colour: SHADE,
     });
     Panel {
-        title: String::new(),
         x_label: "time [s]",
         y_label: "distance from the truth [m]".to_owned(),
         x: 0.0..seconds(end_ns).max(1e-3),
         y: 0.0..highest,
         bands: shades.collect(),
         lines,
-        dots: Vec::new(),
+        ..Panel::default()
     }
 }

@@ -1,11 +1,11 @@
 //! The six errors of one pose over time, with the bounds that the filter believes in.
 
-use super::canvas::{self, BAND, ESTIMATE, Mark, entry, text};
+use super::PlotError;
+use super::canvas::{self, BAND, ESTIMATE, GRID, Mark, entry, text};
 use super::panel::{Band, Line, Panel};
 use super::run_files::RunFiles;
 use super::series::{quantile, thin};
-use super::PlotError;
-use onboard::evaluation::{ErrorSample, Statistics};
+use onboard::evaluation::ErrorSample;
 use onboard::trajectory::StateKind;
 use std::path::{Path, PathBuf};
 
@@ -25,7 +25,7 @@ pub(crate) fn draw(
         entry(Mark::Line, ESTIMATE, "error (truth minus estimate)"),
         entry(Mark::Patch, BAND, "3 standard deviations, by the filter"),
     ];
-    canvas::draw(path, (1120, 860), &title(run, kind, samples), &legend, |body| {
+    canvas::draw(path, (1120, 860), &title(run, kind), &legend, |body| {
         for (index, area) in body.split_evenly((3, 2)).iter().enumerate() {
             // Rotation on the left, position on the right; x, y, z downwards.
             let (axis, is_position) = (index / 2, index % 2 == 1);
@@ -47,28 +47,33 @@ fn panel(run: &RunFiles, samples: &[ErrorSample], axis: usize, is_position: bool
     let height = 1.08 * largest.max(widest).max(1e-9);
     let letter = ["x", "y", "z"][axis];
     Panel {
-        title: String::new(),
         x_label: if is_last { "time [s]" } else { "" },
-        y_label: if is_position { format!("position {letter} [m]") } else { format!("rotation {letter} [deg]") },
+        y_label: if is_position {
+            format!("position {letter} [m]")
+        } else {
+            format!("rotation {letter} [deg]")
+        },
         x: 0.0..run.duration(),
         y: -height..height,
         bands: vec![Band { heights: thin(&bounds), colour: BAND }],
-        lines: vec![Line { points: thin(&errors), colour: ESTIMATE, width: 1 }],
-        dots: Vec::new(),
+        lines: vec![
+            Line { points: vec![(0.0, 0.0), (run.duration(), 0.0)], colour: GRID, width: 1 },
+            Line { points: thin(&errors), colour: ESTIMATE, width: 1 },
+        ],
+        ..Panel::default()
     }
 }
 
-fn title(run: &RunFiles, kind: StateKind, samples: &[ErrorSample]) -> String {
-    let what = match kind {
-        StateKind::LocalFromImu => "local pose (IMU in L)",
-        StateKind::GlobalFromLocal => "global_from_local (L in G)",
-        StateKind::GlobalFromImu => "pose in G, not aligned",
+/// Says the same figures as the summary of the run.
+fn title(run: &RunFiles, kind: StateKind) -> String {
+    let (what, score) = match kind {
+        StateKind::LocalFromImu => ("local pose (IMU in L)", run.score().map(|score| score.local)),
+        StateKind::GlobalFromLocal => ("transform (L in G)", run.score().and_then(|score| score.transform)),
+        StateKind::GlobalFromImu => ("pose in G, not aligned", run.score().and_then(|score| score.pose)),
     };
-    let rmse = |start: usize| {
-        let norms: Vec<f64> = samples.iter().map(|sample| sample.error.fixed_rows::<3>(start).norm()).collect();
-        Statistics::of(&norms).map_or(0.0, |statistics| statistics.rmse)
-    };
-    let nees: Vec<f64> = samples.iter().filter_map(|sample| sample.nees).map(|nees| nees.pose).collect();
-    let nees = Statistics::of(&nees).map_or_else(String::new, |nees| format!(", NEES {:.2}", nees.mean));
-    format!("{}: {what}   rmse {:.3} deg, {:.3} m{nees}", run.name, rmse(0).to_degrees(), rmse(3))
+    let figures = score.map_or_else(String::new, |score| {
+        let nees = score.nees_pose.map_or_else(String::new, |nees| format!(", NEES {nees:.2}"));
+        format!(": RMSE {:.3} deg, {:.3} m{nees}", score.rmse_deg, score.rmse_m)
+    });
+    format!("{} \u{2013} {what}{figures}", run.name)
 }

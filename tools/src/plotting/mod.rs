@@ -70,10 +70,8 @@ pub struct Drawn {
 /// # Errors
 /// [`PlotError`] where a picture cannot be written.
 pub fn draw_run(run: &RunFiles, out: &Path) -> Result<Drawn, PlotError> {
-    std::fs::create_dir_all(out).map_err(|error| PlotError::Draw {
-        path: out.to_path_buf(),
-        problem: error.to_string(),
-    })?;
+    std::fs::create_dir_all(out)
+        .map_err(|error| PlotError::Draw { path: out.to_path_buf(), problem: error.to_string() })?;
     let mut drawn = Drawn { pictures: Vec::new(), missing: run.missing.clone() };
     drawn.pictures.push(trajectory::draw(run, &out.join("trajectory.svg"))?);
     drawn.pictures.push(over_time::draw(run, &out.join("over_time.svg"))?);
@@ -85,7 +83,9 @@ pub fn draw_run(run: &RunFiles, out: &Path) -> Result<Drawn, PlotError> {
                 (StateKind::GlobalFromImu, "error_pose.svg"),
             ] {
                 if all.get(kind).is_empty() {
-                    drawn.missing.push(format!("The run never localized, so there is no error of {}.", kind.name()));
+                    drawn
+                        .missing
+                        .push(format!("The run never localized, so there is no error of {}.", kind.name()));
                 } else {
                     drawn.pictures.push(errors::draw(run, kind, all.get(kind), &out.join(name))?);
                 }
@@ -98,7 +98,9 @@ pub fn draw_run(run: &RunFiles, out: &Path) -> Result<Drawn, PlotError> {
         Some(events) if !events.is_empty() => {
             drawn.pictures.push(reprojection::draw(run, events, &out.join("reprojection.svg"))?);
         }
-        Some(_) => drawn.missing.push("The run asked no map, so there are no reprojection errors.".to_owned()),
+        Some(_) => {
+            drawn.missing.push("The run asked no map, so there are no reprojection errors.".to_owned());
+        }
         None => {}
     }
     Ok(drawn)

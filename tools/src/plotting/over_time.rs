@@ -1,11 +1,11 @@
 //! The position along each axis over time.
 
+use super::PlotError;
 use super::canvas::{self, ESTIMATE, Mark, ODOMETRY, TRUTH, entry, text};
 use super::panel::{Line, Panel};
 use super::run_files::RunFiles;
 use super::series::{range, thin};
 use super::trajectory::View;
-use super::PlotError;
 use nalgebra::Vector3;
 use onboard::trajectory::StateKind;
 use std::path::{Path, PathBuf};
@@ -37,24 +37,22 @@ pub(crate) fn draw(run: &RunFiles, path: &Path) -> Result<PathBuf, PlotError> {
     if !truth.is_empty() {
         legend.insert(0, entry(Mark::Line, TRUTH, "truth"));
     }
-    canvas::draw(path, (1120, 760), &format!("{}: position over time", run.name), &legend, |body| {
+    canvas::draw(path, (1120, 760), &format!("{} \u{2013} position over time", run.name), &legend, |body| {
         for (axis, area) in body.split_evenly((3, 1)).iter().enumerate() {
             let along = |points: &[(f64, [f64; 3])]| -> Vec<(f64, f64)> {
                 points.iter().map(|(time, position)| (*time, position[axis])).collect()
             };
             let (true_line, line) = (along(&truth), along(&estimate));
             let panel = Panel {
-                title: String::new(),
                 x_label: if axis == 2 { "time [s]" } else { "" },
                 y_label: format!("{} [m]", ["x", "y", "height"][axis]),
                 x: 0.0..run.duration(),
                 y: range(true_line.iter().chain(&line).map(|point| point.1)),
-                bands: Vec::new(),
                 lines: vec![
                     Line { points: thin(&true_line), colour: TRUTH, width: 4 },
                     Line { points: thin(&line), colour, width: 2 },
                 ],
-                dots: Vec::new(),
+                ..Panel::default()
             };
             panel.draw(area).map_err(text)?;
         }

@@ -24,14 +24,22 @@ pub(crate) struct Band {
     pub(crate) colour: RGBColor,
 }
 
-/// One set of axes.
+/// Upright lines from 0 to points.
+pub(crate) struct Needles {
+    pub(crate) points: Vec<(f64, f64)>,
+    pub(crate) colour: RGBColor,
+    pub(crate) width: u32,
+}
+
+/// One set of axes. What is listed later is drawn over what is listed before.
+#[derive(Default)]
 pub(crate) struct Panel {
-    pub(crate) title: String,
     pub(crate) x_label: &'static str,
     pub(crate) y_label: String,
     pub(crate) x: Range<f64>,
     pub(crate) y: Range<f64>,
     pub(crate) bands: Vec<Band>,
+    pub(crate) needles: Vec<Needles>,
     pub(crate) lines: Vec<Line>,
     pub(crate) dots: Vec<Dots>,
 }
@@ -42,14 +50,13 @@ const BELOW: u32 = 40;
 /// Room around the axes, px.
 const MARGIN: u32 = 8;
 const RIGHT: u32 = 18;
-const TITLE: u32 = 17;
 const LETTERS: u32 = 14;
 
 /// Pixels of an area that are left for the axes themselves: width, height.
 pub(crate) fn inner_size(area: &Area<'_>) -> (f64, f64) {
     let (width, height) = area.dim_in_pixel();
     let beside = LEFT + MARGIN + RIGHT;
-    let above = BELOW + 2 * MARGIN + TITLE + TITLE / 2;
+    let above = BELOW + 2 * MARGIN;
     (f64::from(width.saturating_sub(beside).max(1)), f64::from(height.saturating_sub(above).max(1)))
 }
 
@@ -59,7 +66,6 @@ impl Panel {
         let mut chart = ChartBuilder::on(area)
             .margin(MARGIN)
             .margin_right(RIGHT)
-            .caption(&self.title, (FONT, TITLE).into_font().color(&INK))
             .x_label_area_size(BELOW)
             .y_label_area_size(LEFT)
             .build_cartesian_2d(self.x.clone(), self.y.clone())
@@ -81,18 +87,26 @@ impl Panel {
             .draw()
             .map_err(text)?;
         for band in &self.bands {
-            let clipped = |(x, height): &(f64, f64), sign: f64| (*x, (sign * height).clamp(self.y.start, self.y.end));
+            let clipped =
+                |(x, height): &(f64, f64), sign: f64| (*x, (sign * height).clamp(self.y.start, self.y.end));
             let upper = band.heights.iter().map(|point| clipped(point, 1.0));
             let lower = band.heights.iter().rev().map(|point| clipped(point, -1.0));
             let polygon = Polygon::new(upper.chain(lower).collect::<Vec<_>>(), band.colour.filled());
             chart.draw_series(std::iter::once(polygon)).map_err(text)?;
+        }
+        for needles in &self.needles {
+            let style = needles.colour.stroke_width(needles.width);
+            let lines =
+                needles.points.iter().map(|(x, y)| PathElement::new(vec![(*x, 0.0), (*x, *y)], style));
+            chart.draw_series(lines).map_err(text)?;
         }
         for line in &self.lines {
             let style = line.colour.stroke_width(line.width);
             chart.draw_series(LineSeries::new(line.points.iter().copied(), style)).map_err(text)?;
         }
         for dots in &self.dots {
-            let circles = dots.points.iter().map(|point| Circle::new(*point, dots.radius, dots.colour.filled()));
+            let circles =
+                dots.points.iter().map(|point| Circle::new(*point, dots.radius, dots.colour.filled()));
             chart.draw_series(circles).map_err(text)?;
         }
         Ok(())

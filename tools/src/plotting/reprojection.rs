@@ -1,10 +1,10 @@
 //! What each query came to.
 
+use super::PlotError;
 use super::canvas::{self, BAD, ESTIMATE, GOOD, Mark, ODOMETRY, TRUTH, entry, text};
 use super::events::QueryEvent;
-use super::panel::{Dots, Line, Panel};
+use super::panel::{Dots, Needles, Panel};
 use super::run_files::RunFiles;
-use super::PlotError;
 use plotters::style::RGBColor;
 use std::path::{Path, PathBuf};
 
@@ -18,7 +18,7 @@ pub(crate) fn draw(run: &RunFiles, events: &[QueryEvent], path: &Path) -> Result
         entry(Mark::Line, TRUTH, "matches"),
     ];
     let accepted = events.iter().filter(|event| event.accepted).count();
-    let title = format!("{}: {} queries, {accepted} accepted", run.name, events.len());
+    let title = format!("{} \u{2013} {} queries, {accepted} accepted", run.name, events.len());
     canvas::draw(path, (1120, 660), &title, &legend, |body| {
         let areas = body.split_evenly((2, 1));
         errors(run, events).draw(&areas[0]).map_err(text)?;
@@ -29,7 +29,8 @@ pub(crate) fn draw(run: &RunFiles, events: &[QueryEvent], path: &Path) -> Result
 fn errors(run: &RunFiles, events: &[QueryEvent]) -> Panel {
     let chosen = |wanted: &dyn Fn(&QueryEvent) -> bool, colour: RGBColor| {
         let events = events.iter().filter(|event| wanted(event));
-        let points = events.filter_map(|event| Some((run.seconds(event.stamp_ns), event.mean_reprojection_px?)));
+        let points =
+            events.filter_map(|event| Some((run.seconds(event.stamp_ns), event.mean_reprojection_px?)));
         Dots { points: points.collect(), colour, radius: 3 }
     };
     let dots = vec![
@@ -39,38 +40,30 @@ fn errors(run: &RunFiles, events: &[QueryEvent]) -> Panel {
     ];
     let highest = dots.iter().flat_map(|dots| &dots.points).map(|point| point.1).fold(1.0, f64::max);
     Panel {
-        title: String::new(),
         x_label: "",
         y_label: "mean reprojection error [px]".to_owned(),
         x: 0.0..run.duration(),
         y: 0.0..highest * 1.08,
-        bands: Vec::new(),
-        lines: Vec::new(),
         dots,
+        ..Panel::default()
     }
 }
 
 fn counts(run: &RunFiles, events: &[QueryEvent]) -> Panel {
-    // A query is a needle from 0 to its count; one line draws them all.
-    let needles = |count: &dyn Fn(&QueryEvent) -> usize| -> Vec<(f64, f64)> {
-        let needle = |event: &QueryEvent| {
-            let time = run.seconds(event.stamp_ns);
-            [(time, 0.0), (time, count(event) as f64), (time, 0.0)]
-        };
-        events.iter().flat_map(needle).collect()
+    let needles = |count: &dyn Fn(&QueryEvent) -> usize, colour: RGBColor, width: u32| {
+        let points = events.iter().map(|event| (run.seconds(event.stamp_ns), count(event) as f64));
+        Needles { points: points.filter(|point| point.1 > 0.0).collect(), colour, width }
     };
     let highest = events.iter().map(|event| event.matches).max().unwrap_or(0).max(1) as f64;
     Panel {
-        title: String::new(),
         x_label: "time of the image [s]",
         y_label: "matches, inliers".to_owned(),
         x: 0.0..run.duration(),
         y: 0.0..highest * 1.08,
-        bands: Vec::new(),
-        lines: vec![
-            Line { points: needles(&|event| event.matches), colour: TRUTH, width: 1 },
-            Line { points: needles(&|event| event.inliers), colour: ESTIMATE, width: 2 },
+        needles: vec![
+            needles(&|event| event.matches, TRUTH, 2),
+            needles(&|event| event.inliers, ESTIMATE, 2),
         ],
-        dots: Vec::new(),
+        ..Panel::default()
     }
 }

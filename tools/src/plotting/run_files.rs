@@ -3,7 +3,7 @@
 use super::events::read_events;
 use super::{PlotError, QueryEvent};
 use nalgebra::Vector3;
-use onboard::evaluation::{RunErrors, ScoreError, run_errors};
+use onboard::evaluation::{RunErrors, RunScore, ScoreError, ScoreOptions, run_errors, score_run};
 use onboard::sequence::{Sequence, TruthRow, read_groundtruth};
 use onboard::trajectory::{StateRow, states};
 use std::path::{Path, PathBuf};
@@ -60,7 +60,8 @@ impl RunFiles {
             Some(path) => Some(truth_from_file(path, gravity, &mut missing)?),
             None => truth_from_summary(&folder.join("summary.json"), gravity, &mut missing)?,
         };
-        let name = folder.file_name().map_or_else(|| "run".to_owned(), |name| name.to_string_lossy().into_owned());
+        let name =
+            folder.file_name().map_or_else(|| "run".to_owned(), |name| name.to_string_lossy().into_owned());
         Ok(Self { name, states, events, truth, keyframes: Vec::new(), missing })
     }
 
@@ -88,6 +89,12 @@ impl RunFiles {
         truth.rows.get(from..to).unwrap_or_default()
     }
 
+    /// The score of the run, if its truth is known.
+    pub(crate) fn score(&self) -> Option<RunScore> {
+        let truth = self.truth.as_ref()?;
+        score_run(&self.states, &truth.rows, truth.gravity, &ScoreOptions::default()).ok()
+    }
+
     /// The errors of the run, if its truth is known.
     pub(crate) fn errors(&self) -> Option<Result<RunErrors, ScoreError>> {
         let truth = self.truth.as_ref()?;
@@ -104,7 +111,8 @@ pub fn read_keyframes(path: &Path) -> Result<Vec<Vector3<f64>>, PlotError> {
     let text = std::fs::read_to_string(path).map_err(|error| wrong(error.to_string()))?;
     let rows = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty() && !line.starts_with('#'));
     rows.map(|(index, line)| {
-        let cells: Vec<f64> = line.split(',').skip(2).take(3).map_while(|cell| cell.trim().parse().ok()).collect();
+        let cells: Vec<f64> =
+            line.split(',').skip(2).take(3).map_while(|cell| cell.trim().parse().ok()).collect();
         <[f64; 3]>::try_from(cells)
             .map(Vector3::from)
             .map_err(|_| wrong(format!("line {}: columns 3 to 5 are no position", index + 1)))
@@ -138,13 +146,17 @@ fn truth_from_summary(
     missing: &mut Vec<String>,
 ) -> Result<Option<Truth>, PlotError> {
     let Ok(text) = std::fs::read_to_string(path) else {
-        missing.push("There is no summary.json to name the recording, so no truth and no errors are drawn.".to_owned());
+        missing.push(
+            "There is no summary.json to name the recording, so no truth and no errors are drawn.".to_owned(),
+        );
         return Ok(None);
     };
     let summary: serde_json::Value = serde_json::from_str(&text)
         .map_err(|error| PlotError::File { path: path.to_path_buf(), problem: error.to_string() })?;
     let Some(root) = summary.get("sequence").and_then(serde_json::Value::as_str).map(PathBuf::from) else {
-        missing.push("summary.json does not name the recording, so no truth and no errors are drawn.".to_owned());
+        missing.push(
+            "summary.json does not name the recording, so no truth and no errors are drawn.".to_owned(),
+        );
         return Ok(None);
     };
     let truth = root.join("mav0/state_groundtruth_estimate0/data.csv");

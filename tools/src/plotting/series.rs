@@ -16,7 +16,9 @@ pub(crate) fn thin(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
     let mut thinned = Vec::with_capacity(MAX_POINTS);
     for part in points.chunks(stretch) {
         let by_height = |a: &&(f64, f64), b: &&(f64, f64)| a.1.total_cmp(&b.1);
-        let (Some(low), Some(high)) = (part.iter().min_by(by_height), part.iter().max_by(by_height)) else { continue };
+        let (Some(low), Some(high)) = (part.iter().min_by(by_height), part.iter().max_by(by_height)) else {
+            continue;
+        };
         let (first, second) = if low.0 <= high.0 { (low, high) } else { (high, low) };
         thinned.push(*first);
         if first != second {
@@ -60,7 +62,8 @@ mod tests {
 
     #[test]
     fn thinning_keeps_the_peaks_and_the_order() {
-        let mut points: Vec<(f64, f64)> = (0..100_000).map(|i| f64::from(i)).map(|t| (t, (t * 1e-3).sin())).collect();
+        let mut points: Vec<(f64, f64)> =
+            (0..100_000).map(f64::from).map(|t| (t, (t * 1e-3).sin())).collect();
         points[54_321].1 = 9.0;
         points[12_345].1 = -9.0;
         let thinned = thin(&points);

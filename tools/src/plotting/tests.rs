@@ -14,7 +14,8 @@ fn truth_rows() -> Vec<TruthRow> {
     (0..400)
         .map(|index| {
             let t = f64::from(index) * 0.1;
-            let position = Vector3::new(20.0 * (0.15 * t).cos(), 12.0 * (0.3 * t).sin(), 1.0 + (0.4 * t).sin());
+            let position =
+                Vector3::new(20.0 * (0.15 * t).cos(), 12.0 * (0.3 * t).sin(), 1.0 + (0.4 * t).sin());
             TruthRow {
                 stamp_ns: START_NS + i64::from(index) * 100_000_000,
                 pose: Pose::new(UnitQuaternion::from_euler_angles(0.02, 0.01, 0.15 * t), position),
@@ -90,7 +91,8 @@ fn what_is_missing_is_said_and_not_drawn() {
     let folder = run_folder(false);
     let run = RunFiles::read(folder.path(), None, None).unwrap();
     let drawn = draw_run(&run, folder.path()).unwrap();
-    let names: Vec<_> = drawn.pictures.iter().map(|path| path.file_name().unwrap().to_str().unwrap()).collect();
+    let names: Vec<_> =
+        drawn.pictures.iter().map(|path| path.file_name().unwrap().to_str().unwrap()).collect();
     assert_eq!(names, ["trajectory.svg", "over_time.svg"]);
     assert!(drawn.missing.iter().any(|sentence| sentence.contains("events.csv")));
     assert!(drawn.missing.iter().any(|sentence| sentence.contains("no truth")));
@@ -129,7 +131,7 @@ fn runs_are_compared_in_one_picture() {
         title: "Two runs".to_owned(),
         truth: Truth { rows: truth_rows(), gravity: -Vector3::z() },
         keyframes: truth_rows().iter().step_by(20).map(|row| row.pose.translation).collect(),
-        dropouts: vec![START_NS + 5_000_000_000..START_NS + 9_000_000_000],
+        dropouts: [5, 25].map(|s| START_NS + s * 1_000_000_000..START_NS + (s + 4) * 1_000_000_000).to_vec(),
         runs: vec![
             ComparedRun { name: "odometry".to_owned(), poses: poses(0.005) },
             ComparedRun { name: "with the map".to_owned(), poses: poses(0.0) },
@@ -141,4 +143,23 @@ fn runs_are_compared_in_one_picture() {
     if let Ok(keep) = std::env::var("KEEP_PICTURES") {
         std::fs::write(Path::new(&keep).join("comparison.svg"), svg).unwrap();
     }
+}
+
+#[test]
+fn gaps_without_features_are_found_at_the_ends_too() {
+    let frame = |index: i64| onboard::sequence::Frame {
+        stamp_ns: index,
+        tracks: Vec::new(),
+        features: (index > 4 && index % 2 == 0 && index != 8).then(|| protocol::FeatureSet {
+            pixels: Vec::new(),
+            descriptors: protocol::Descriptors {
+                kind: protocol::DescriptorKind::Binary,
+                width: 32,
+                bytes: Vec::new(),
+            },
+        }),
+    };
+    let frames: Vec<_> = (0..20).map(frame).collect();
+    assert_eq!(comparison::stretches_without_features(&frames, 2), [0..6, 6..10]);
+    assert!(comparison::stretches_without_features(&[], 2).is_empty());
 }

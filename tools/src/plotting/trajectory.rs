@@ -1,10 +1,10 @@
 //! The run from above.
 
+use super::PlotError;
 use super::canvas::{self, Area, BAD, ESTIMATE, GOOD, LegendEntry, MAP, Mark, ODOMETRY, TRUTH, entry, text};
 use super::panel::{Dots, Line, Panel, inner_size};
 use super::run_files::RunFiles;
 use super::series::{range, thin_path};
-use super::PlotError;
 use geometry::pose::Pose;
 use nalgebra::{UnitQuaternion, Vector3};
 use onboard::trajectory::StateKind;
@@ -52,7 +52,7 @@ pub(crate) fn draw(run: &RunFiles, path: &Path) -> Result<PathBuf, PlotError> {
     add_local(run, &view, &mut lines, &mut legend);
     add_pose(run, &view, &mut lines, &mut legend);
     add_fixes(run, &view, &mut dots, &mut legend);
-    let title = format!("{}: from above", run.name);
+    let title = format!("{} \u{2013} from above", run.name);
     canvas::draw(path, (1000, 900), &title, &legend, |body| plan(body, lines, dots))
 }
 
@@ -67,16 +67,8 @@ pub(crate) fn plan(area: &Area<'_>, lines: Vec<Line>, dots: Vec<Dots>) -> Result
         range(points().map(|point| point.1)),
         inner_size(area),
     );
-    let panel = Panel {
-        title: String::new(),
-        x_label: "x [m]",
-        y_label: "y [m]".to_owned(),
-        x,
-        y,
-        bands: Vec::new(),
-        lines,
-        dots,
-    };
+    let panel =
+        Panel { x_label: "x [m]", y_label: "y [m]".to_owned(), x, y, lines, dots, ..Panel::default() };
     panel.draw(area).map_err(text)
 }
 
@@ -101,7 +93,8 @@ fn add_truth(run: &RunFiles, view: &View, lines: &mut Vec<Line>, legend: &mut Ve
 /// The local pose, laid where L truly lies, or else where the filter last believed it to lie.
 fn add_local(run: &RunFiles, view: &View, lines: &mut Vec<Line>, legend: &mut Vec<LegendEntry>) {
     let truly = run.errors().and_then(Result::ok).map(|errors| errors.true_global_from_local);
-    let believed = || run.states.iter().rev().find_map(|state| state.global_from_local.as_ref()).map(|state| state.pose);
+    let believed =
+        || run.states.iter().rev().find_map(|state| state.global_from_local.as_ref()).map(|state| state.pose);
     let (place, label) = match truly {
         Some(place) => (place, "local pose, L where it truly lies"),
         None => match believed() {

@@ -44,11 +44,15 @@ impl<'a> Extractor<'a> {
         }
         let (width, height) = (f64::from(sensor.camera.width), f64::from(sensor.camera.height));
         for _ in 0..options.clutter {
-            features.push((Vector2::new(rng.random_range(0.0..width), rng.random_range(0.0..height)), rng.random()));
+            features.push((
+                Vector2::new(rng.random_range(0.0..width), rng.random_range(0.0..height)),
+                rng.random(),
+            ));
         }
         features.shuffle(rng);
         features.retain(|(pixel, _)| sensor.camera.contains(pixel));
-        let pixels = features.iter().map(|(pixel, _)| rounded(*pixel)).map(|pixel| [pixel.x as f32, pixel.y as f32]);
+        let pixels =
+            features.iter().map(|(pixel, _)| rounded(*pixel)).map(|pixel| [pixel.x as f32, pixel.y as f32]);
         FeatureSet {
             pixels: pixels.collect(),
             descriptors: Descriptors {
@@ -66,7 +70,9 @@ fn flicker(
     options: &SimulationOptions,
     descriptor: [u8; DESCRIPTOR_BYTES],
 ) -> [u8; DESCRIPTOR_BYTES] {
-    descriptor.map(|byte| (0..8).fold(byte, |byte, bit| byte ^ (u8::from(rng.random_bool(options.bit_flips)) << bit)))
+    descriptor.map(|byte| {
+        (0..8).fold(byte, |byte, bit| byte ^ (u8::from(rng.random_bool(options.bit_flips)) << bit))
+    })
 }
 
 /// Stretches of a run in which the map is of no use: fog, a lorry ahead, a street that was rebuilt.

@@ -1,7 +1,7 @@
 //! What the IMU measures along a motion: exact, plus white noise, plus wandering biases.
 
-use super::random::{normal3, stream};
 use super::random::Purpose;
+use super::random::{normal3, stream};
 use super::spline::Spline;
 use super::{GRAVITY, SimulationOptions};
 use nalgebra::Vector3;

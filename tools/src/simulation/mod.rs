@@ -138,7 +138,8 @@ impl SimulationOptions {
                 return Err(SimulationError::Option { name, value, wanted: "positive (and in order)" });
             }
         }
-        let not_negative = [("sigma_track_px", self.sigma_track_px), ("sigma_feature_px", self.sigma_feature_px)];
+        let not_negative =
+            [("sigma_track_px", self.sigma_track_px), ("sigma_feature_px", self.sigma_feature_px)];
         for (name, value) in not_negative {
             if !(value.is_finite() && value >= 0.0) {
                 return Err(SimulationError::Option { name, value, wanted: "not negative" });

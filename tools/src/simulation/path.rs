@@ -118,7 +118,8 @@ fn street_pose(s: f64, time: f64, pace: f64, style: &Style) -> Pose {
     let lateral = style.lateral + 0.5 * (3.0 * TAU * s / length + phases[1]).sin();
     let left = Vector2::new(-heading.sin(), heading.cos());
     let ground = middle + left * lateral;
-    let height = 1.5 + 1.5 * (2.0 * TAU * s / length).sin() + 0.05 * pace * (TAU * time / 0.9 + phases[2]).sin();
+    let height =
+        1.5 + 1.5 * (2.0 * TAU * s / length).sin() + 0.05 * pace * (TAU * time / 0.9 + phases[2]).sin();
     let sway = |period: f64, phase: f64| pace * (TAU * time / period + phase).sin();
     let roll = 0.03 * sway(1.3, phases[3]);
     let pitch = 0.03 * sway(1.7, phases[4]);
@@ -199,7 +200,10 @@ mod tests {
         let given: Vec<_> = (0..100)
             .map(|index| {
                 let t = f64::from(index) * 0.1;
-                let pose = Pose::new(UnitQuaternion::from_euler_angles(0.0, 0.0, 0.3 * t), Vector3::new(t, (0.5 * t).sin(), 0.0));
+                let pose = Pose::new(
+                    UnitQuaternion::from_euler_angles(0.0, 0.0, 0.3 * t),
+                    Vector3::new(t, (0.5 * t).sin(), 0.0),
+                );
                 StampedPose { stamp_ns: 7_000_000_000 + i64::from(index) * 100_000_000, pose }
             })
             .collect();

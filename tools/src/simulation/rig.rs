@@ -5,8 +5,8 @@ use geometry::pose::Pose;
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use onboard::sequence::CameraSensor;
 
-/// Distance between the two cameras, metres.
-const BASELINE: f64 = 0.2;
+/// Distance between the two cameras, metres: EuRoC's.
+const BASELINE: f64 = 0.11;
 
 /// The stereo pair: two lenses like those of EuRoC's first camera, left one first.
 pub(crate) fn stereo(rate_hz: f64) -> Vec<CameraSensor> {
@@ -15,7 +15,12 @@ pub(crate) fn stereo(rate_hz: f64) -> Vec<CameraSensor> {
         height: 480,
         focal: [458.654, 457.296],
         centre: [367.215, 248.375],
-        distortion: Distortion::RadialTangential([-0.283_408_11, 0.073_959_07, 0.000_193_59, 1.761_871_14e-5]),
+        distortion: Distortion::RadialTangential([
+            -0.283_408_11,
+            0.073_959_07,
+            0.000_193_59,
+            1.761_871_14e-5,
+        ]),
     };
     // Body: x forward, y left, z up. Camera: x right, y down, z forward.
     let axes = Matrix3::new(0.0, 0.0, 1.0, -1.0, 0.0, 0.0, 0.0, -1.0, 0.0);

@@ -107,16 +107,15 @@ fn frames(
     };
     let every = (period_s * options.frame_rate_hz).round().max(1.0) as usize;
     let duration = (way.end_ns() - way.start_ns()) as f64;
-    (0_usize..)
+    let count = ((duration - FIRST_FRAME_NS as f64) * 1e-9 * options.frame_rate_hz).max(0.0) as usize + 1;
+    (0..count)
         .map(|index| {
             let since = (index as f64 * 1e9 / options.frame_rate_hz).round() as i64;
-            (index, way.start_ns() + FIRST_FRAME_NS + since)
-        })
-        .take_while(|(_, stamp_ns)| *stamp_ns <= way.end_ns())
-        .map(|(index, stamp_ns)| {
+            let stamp_ns = way.start_ns() + FIRST_FRAME_NS + since;
             let pose = way.at(stamp_ns).pose;
             let fraction = (stamp_ns - way.start_ns()) as f64 / duration;
-            let sees_map = index.is_multiple_of(every) && !blind.iter().any(|stretch| stretch.contains(&fraction));
+            let sees_map =
+                index.is_multiple_of(every) && !blind.iter().any(|stretch| stretch.contains(&fraction));
             Frame {
                 stamp_ns,
                 tracks: front_end.look(&pose, cameras, landmarks),

@@ -40,10 +40,14 @@ struct Basis {
 impl Basis {
     /// At the fraction `u` of a segment that lasts `dt` seconds.
     fn at(u: f64, dt: f64) -> Self {
-        let (u2, u3) = (u * u, u * u * u);
+        let (u2, u3, half) = (u * u, u * u * u, 0.5 / dt);
         Self {
-            value: [(5.0 + 3.0 * u - 3.0 * u2 + u3) / 6.0, (1.0 + 3.0 * u + 3.0 * u2 - 2.0 * u3) / 6.0, u3 / 6.0],
-            first: [(1.0 - 2.0 * u + u2) / 2.0 / dt, (1.0 + 2.0 * u - 2.0 * u2) / 2.0 / dt, u2 / 2.0 / dt],
+            value: [
+                (5.0 + 3.0 * u - 3.0 * u2 + u3) / 6.0,
+                (1.0 + 3.0 * u + 3.0 * u2 - 2.0 * u3) / 6.0,
+                u3 / 6.0,
+            ],
+            first: [(1.0 - 2.0 * u + u2) * half, (1.0 + 2.0 * u - 2.0 * u2) * half, u2 * half],
             second: [(u - 1.0) / (dt * dt), (1.0 - 2.0 * u) / (dt * dt), u / (dt * dt)],
         }
     }

@@ -18,7 +18,8 @@ fn truth_at(sequence: &Sequence, frame: &Frame) -> Pose {
 #[test]
 fn the_same_seed_gives_the_same_bytes_and_another_seed_others() {
     let folder = tempfile::tempdir().unwrap();
-    let files = ["mav0/imu0/data.csv", "mav0/cam0/tracks.csv", "mav0/cam0/features.csv", "mav0/cam1/tracks.csv"];
+    let files =
+        ["mav0/imu0/data.csv", "mav0/cam0/tracks.csv", "mav0/cam0/features.csv", "mav0/cam1/tracks.csv"];
     let mut contents = Vec::new();
     for (name, seed) in [("a", 5), ("b", 5), ("c", 6)] {
         let place = simulate(&quick(seed)).unwrap();
@@ -60,17 +61,24 @@ fn tracks_triangulate_and_reproject_to_the_noise_level() {
     }
     let (mut squares, mut count) = (0.0, 0.0);
     for views in views.values().filter(|views| views.len() >= 12) {
-        let cameras: Vec<_> = views.iter().map(|(_, camera, _)| &live.cameras[usize::from(*camera)].camera).collect();
+        let cameras: Vec<_> =
+            views.iter().map(|(_, camera, _)| &live.cameras[usize::from(*camera)].camera).collect();
         let geometry_views: Vec<_> = views
             .iter()
-            .map(|(pose, _, pixel)| geometry::View { parent_from_camera: *pose, pixel: *pixel, sigma_pixel: 1.0 })
+            .map(|(pose, _, pixel)| geometry::View {
+                parent_from_camera: *pose,
+                pixel: *pixel,
+                sigma_pixel: 1.0,
+            })
             .collect();
-        let Ok(found) = geometry::triangulate(&cameras, &geometry_views, &geometry::TriangulationOptions::default())
+        let Ok(found) =
+            geometry::triangulate(&cameras, &geometry_views, &geometry::TriangulationOptions::default())
         else {
             continue;
         };
         for ((pose, _, pixel), camera) in views.iter().zip(&cameras) {
-            squares += (camera.project(&pose.inverse_transform(&found.position)).unwrap() - pixel).norm_squared();
+            squares +=
+                (camera.project(&pose.inverse_transform(&found.position)).unwrap() - pixel).norm_squared();
         }
         count += 2.0 * views.len() as f64 - 3.0;
     }
@@ -121,10 +129,13 @@ fn reference_poses_are_off_by_what_they_state() {
     let map = &place.map;
     let track = TruthTrack::new(map.groundtruth.as_ref().unwrap());
     let poses = map.reference_poses.as_ref().unwrap();
-    let errors: Vec<_> =
-        poses.iter().map(|reference| track.pose(reference.stamp_ns, 0).unwrap().local(&reference.pose)).collect();
+    let errors: Vec<_> = poses
+        .iter()
+        .map(|reference| track.pose(reference.stamp_ns, 0).unwrap().local(&reference.pose))
+        .collect();
     let mean_square = |start: usize| {
-        errors.iter().map(|error| error.fixed_rows::<3>(start).norm_squared() / 3.0).sum::<f64>() / errors.len() as f64
+        errors.iter().map(|error| error.fixed_rows::<3>(start).norm_squared() / 3.0).sum::<f64>()
+            / errors.len() as f64
     };
     assert!(errors.len() > 100);
     assert!((mean_square(0).sqrt() / 0.0158 - 1.0).abs() < 0.15);
@@ -149,12 +160,15 @@ fn runs_are_long_and_take_different_lines() {
     let place = simulate(&SimulationOptions::default()).unwrap();
     for sequence in [&place.map, &place.live] {
         let truth = sequence.groundtruth.as_ref().unwrap();
-        let path: f64 = truth.windows(2).map(|pair| (pair[1].pose.translation - pair[0].pose.translation).norm()).sum();
+        let path: f64 =
+            truth.windows(2).map(|pair| (pair[1].pose.translation - pair[0].pose.translation).norm()).sum();
         assert!(path >= 300.0, "{path}");
     }
     let map = place.map.groundtruth.unwrap();
     let nearest = |row: &onboard::sequence::TruthRow| {
-        map.iter().map(|other| (other.pose.translation - row.pose.translation).norm()).fold(f64::MAX, f64::min)
+        map.iter()
+            .map(|other| (other.pose.translation - row.pose.translation).norm())
+            .fold(f64::MAX, f64::min)
     };
     let live = place.live.groundtruth.unwrap();
     let mean = live.iter().map(nearest).sum::<f64>() / live.len() as f64;

@@ -42,8 +42,11 @@ impl<'a> FrontEnd<'a> {
         let pixels: BTreeMap<usize, Vector2<f64>> = seen.iter().copied().collect();
         let rng = &mut self.rng;
         self.alive.retain(|landmark, _| pixels.contains_key(landmark) && !rng.random_bool(LOSS));
-        let mut fresh: Vec<usize> =
-            seen.iter().map(|(landmark, _)| *landmark).filter(|landmark| !self.alive.contains_key(landmark)).collect();
+        let mut fresh: Vec<usize> = seen
+            .iter()
+            .map(|(landmark, _)| *landmark)
+            .filter(|landmark| !self.alive.contains_key(landmark))
+            .collect();
         fresh.shuffle(&mut self.rng);
         fresh.truncate(self.options.max_tracks.saturating_sub(self.alive.len()));
         for landmark in fresh {
@@ -57,7 +60,11 @@ impl<'a> FrontEnd<'a> {
                 let exact = project(sensor, &camera_from_world.transform(&landmarks[*landmark].position));
                 let noisy = exact.map(|pixel| blur(&mut self.rng, self.options, pixel));
                 if let Some(pixel) = noisy.filter(|pixel| sensor.camera.contains(pixel)) {
-                    observations.push(TrackObservation { camera: camera as u8, feature_id: *feature_id, pixel });
+                    observations.push(TrackObservation {
+                        camera: camera as u8,
+                        feature_id: *feature_id,
+                        pixel,
+                    });
                 }
             }
         }

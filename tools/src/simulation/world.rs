@@ -26,7 +26,11 @@ pub(crate) struct Landmark {
 }
 
 /// Spreads landmarks along the ways of all runs, evenly by what the camera gets to see.
-pub(crate) fn landmarks(options: &SimulationOptions, camera: &CameraSensor, ways: &[&Spline]) -> Vec<Landmark> {
+pub(crate) fn landmarks(
+    options: &SimulationOptions,
+    camera: &CameraSensor,
+    ways: &[&Spline],
+) -> Vec<Landmark> {
     let mut rng = stream(options.seed, 0, Purpose::World);
     let mut landmarks: Vec<Landmark> = Vec::new();
     // Each run brings its share, so that both see the same density.
@@ -54,7 +58,11 @@ pub(crate) fn landmarks(options: &SimulationOptions, camera: &CameraSensor, ways
 }
 
 /// A point that the camera sees, in the camera frame.
-fn visible_point(rng: &mut StdRng, options: &SimulationOptions, sensor: &CameraSensor) -> Option<Vector3<f64>> {
+fn visible_point(
+    rng: &mut StdRng,
+    options: &SimulationOptions,
+    sensor: &CameraSensor,
+) -> Option<Vector3<f64>> {
     let (width, height) = (f64::from(sensor.camera.width), f64::from(sensor.camera.height));
     let pixel = Vector2::new(rng.random_range(0.0..width - 1.0), rng.random_range(0.0..height - 1.0));
     let depth = rng.random_range(options.depth_m[0]..options.depth_m[1]);

@@ -11,10 +11,13 @@ fn through_file(poses: &[StampedPose]) -> Vec<StampedPose> {
     tum::read(&path).unwrap()
 }
 
-fn positions(reference: &[StampedPose], estimate: &[StampedPose], pairs: &[Pair]) -> Vec<(Vector3<f64>, Vector3<f64>)> {
-    let position = |pair: &Pair| {
-        (reference[pair.reference].pose.translation, estimate[pair.estimate].pose.translation)
-    };
+fn positions(
+    reference: &[StampedPose],
+    estimate: &[StampedPose],
+    pairs: &[Pair],
+) -> Vec<(Vector3<f64>, Vector3<f64>)> {
+    let position =
+        |pair: &Pair| (reference[pair.reference].pose.translation, estimate[pair.estimate].pose.translation);
     pairs.iter().map(position).collect()
 }
 

@@ -20,7 +20,8 @@ fn mean_nees(factor: f64) -> Nees {
     for _ in 0..4000 {
         let error: Vector6<f64> = root * Vector6::from_fn(|_, _| normal(&mut rng)) * factor;
         // The estimate from which the truth is `error` away.
-        let rotation = UnitQuaternion::from_scaled_axis(error.fixed_rows::<3>(0).into_owned()).inverse() * truth.rotation;
+        let rotation = UnitQuaternion::from_scaled_axis(error.fixed_rows::<3>(0).into_owned()).inverse()
+            * truth.rotation;
         let pose = Pose::new(rotation, truth.translation - error.fixed_rows::<3>(3));
         sum.push(&nees(&PoseWithCovariance::new(pose, root * root.transpose()), &truth).unwrap());
     }

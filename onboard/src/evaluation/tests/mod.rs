@@ -21,8 +21,10 @@ fn reference() -> Vec<StampedPose> {
     (0..200)
         .map(|index| {
             let i = f64::from(index);
-            let position = Vector3::new(5.0 * (0.05 * i).cos(), 4.0 * (0.07 * i).sin(), 0.01 * i + (0.11 * i).sin());
-            let pose = Pose::new(rotation(0.3 * (0.05 * i).sin(), 0.2 * (0.03 * i).cos(), 0.04 * i), position);
+            let position =
+                Vector3::new(5.0 * (0.05 * i).cos(), 4.0 * (0.07 * i).sin(), 0.01 * i + (0.11 * i).sin());
+            let pose =
+                Pose::new(rotation(0.3 * (0.05 * i).sin(), 0.2 * (0.03 * i).cos(), 0.04 * i), position);
             StampedPose { stamp_ns: START_NS + i64::from(index) * STEP_NS, pose }
         })
         .collect()

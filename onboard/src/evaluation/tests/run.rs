@@ -52,7 +52,8 @@ fn states(gauge: impl Fn(usize) -> Pose) -> Vec<StateRow> {
 
 #[test]
 fn a_perfect_run_has_no_error_wherever_local_lies() {
-    let score = score_run(&states(|_| Pose::identity()), &truth(), gravity(), &ScoreOptions::default()).unwrap();
+    let score =
+        score_run(&states(|_| Pose::identity()), &truth(), gravity(), &ScoreOptions::default()).unwrap();
     for part in [Some(score.local), score.transform, score.pose] {
         let part = part.unwrap();
         assert!(part.max_deg < 1e-6 && part.max_m < 1e-9, "{part:?}");
@@ -74,7 +75,8 @@ fn turning_and_moving_all_of_local_about_gravity_changes_nothing() {
 
 #[test]
 fn a_drifting_gauge_shows_in_local_and_transform_but_not_in_the_pose() {
-    let drift = |index: usize| Pose::new(rotation(0.0, 0.0, 1e-4 * index as f64), Vector3::x() * 1e-3 * index as f64);
+    let drift =
+        |index: usize| Pose::new(rotation(0.0, 0.0, 1e-4 * index as f64), Vector3::x() * 1e-3 * index as f64);
     let score = score_run(&states(drift), &truth(), gravity(), &ScoreOptions::default()).unwrap();
     let (transform, pose) = (score.transform.unwrap(), score.pose.unwrap());
     assert!(pose.max_m < 1e-9 && pose.max_deg < 1e-6);
@@ -113,7 +115,11 @@ fn a_run_that_never_localizes_has_a_local_score_only() {
     }
     let score = score_run(&states, &truth(), gravity(), &ScoreOptions::default()).unwrap();
     assert!(score.pose.is_none() && score.transform.is_none() && score.first_fix_s.is_none());
-    assert_eq!(score_run(&states, &truth()[..1], -gravity(), &ScoreOptions::default()).unwrap().local.samples, 1);
-    let late: Vec<_> = truth().into_iter().map(|row| TruthRow { stamp_ns: row.stamp_ns + (1 << 40), ..row }).collect();
+    assert_eq!(
+        score_run(&states, &truth()[..1], -gravity(), &ScoreOptions::default()).unwrap().local.samples,
+        1
+    );
+    let late: Vec<_> =
+        truth().into_iter().map(|row| TruthRow { stamp_ns: row.stamp_ns + (1 << 40), ..row }).collect();
     assert_eq!(score_run(&states, &late, gravity(), &ScoreOptions::default()), Err(ScoreError::NoOverlap));
 }

@@ -112,7 +112,9 @@ fn a_lens_that_nobody_knows() {
 
 #[test]
 fn a_calibration_with_something_left_out() {
-    for (file, key) in [("mav0/imu0/sensor.yaml", "gyroscope_noise_density"), ("mav0/cam0/sensor.yaml", "intrinsics")] {
+    for (file, key) in
+        [("mav0/imu0/sensor.yaml", "gyroscope_noise_density"), ("mav0/cam0/sensor.yaml", "intrinsics")]
+    {
         let error = complaint(file, |text| {
             text.lines().filter(|line| !line.starts_with(key)).collect::<Vec<_>>().join("\n")
         });
@@ -122,7 +124,8 @@ fn a_calibration_with_something_left_out() {
 
 #[test]
 fn a_file_that_is_missing() {
-    for file in ["mav0/imu0/sensor.yaml", "mav0/imu0/data.csv", "mav0/cam0/sensor.yaml", "mav0/cam0/data.csv"] {
+    for file in ["mav0/imu0/sensor.yaml", "mav0/imu0/data.csv", "mav0/cam0/sensor.yaml", "mav0/cam0/data.csv"]
+    {
         let folder = tempfile::tempdir().unwrap();
         writer::write(&sequence(2), folder.path()).unwrap();
         std::fs::remove_file(folder.path().join(file)).unwrap();

@@ -6,7 +6,8 @@ use super::*;
 fn swinging(gravity: Vector3<f64>, with_velocity: bool) -> Sequence {
     let mut sequence = sequence(1);
     let position = |t: f64| Vector3::new((0.9 * t).sin(), (1.3 * t).cos(), 0.5 * (0.7 * t).sin());
-    let velocity = |t: f64| Vector3::new(0.9 * (0.9 * t).cos(), -1.3 * (1.3 * t).sin(), 0.35 * (0.7 * t).cos());
+    let velocity =
+        |t: f64| Vector3::new(0.9 * (0.9 * t).cos(), -1.3 * (1.3 * t).sin(), 0.35 * (0.7 * t).cos());
     let acceleration =
         |t: f64| Vector3::new(-0.81 * (0.9 * t).sin(), -1.69 * (1.3 * t).cos(), -0.245 * (0.7 * t).sin());
     let rotation = |t: f64| UnitQuaternion::from_scaled_axis(Vector3::new(0.4 * t.sin(), 0.3 * t, 1.0));
@@ -42,7 +43,8 @@ fn gravity_is_found_along_any_axis_with_and_without_velocities() {
 
 #[test]
 fn a_frame_levelled_by_hand_counts_as_level_and_a_tilted_one_as_tilted() {
-    let tilted = |degrees: f64| UnitQuaternion::from_scaled_axis(Vector3::x() * degrees.to_radians()) * -Vector3::z();
+    let tilted =
+        |degrees: f64| UnitQuaternion::from_scaled_axis(Vector3::x() * degrees.to_radians()) * -Vector3::z();
     assert_eq!(swinging(tilted(0.55) * 9.81, true).truth_gravity().unwrap(), -Vector3::z());
     let found = swinging(tilted(10.0) * 9.81, true).truth_gravity().unwrap();
     assert!(found.angle(&tilted(10.0)).to_degrees() < 0.1, "{found}");

@@ -5,7 +5,10 @@ use super::*;
 fn assert_pose_close(a: &Pose, b: &Pose) {
     assert_eq!(a.translation, b.translation);
     assert!(a.rotation.angle_to(&b.rotation) < 1e-7, "{a:?} {b:?}");
-    assert!((a.rotation.coords - b.rotation.coords).amax().min((a.rotation.coords + b.rotation.coords).amax()) < 1e-14);
+    assert!(
+        (a.rotation.coords - b.rotation.coords).amax().min((a.rotation.coords + b.rotation.coords).amax())
+            < 1e-14
+    );
 }
 
 #[test]
@@ -40,8 +43,14 @@ fn writing_what_was_read_gives_the_same_bytes() {
     let (first, second) = (folder.path().join("first"), folder.path().join("second"));
     writer::write(&sequence(2), &first).unwrap();
     writer::write(&Sequence::open(&first).unwrap(), &second).unwrap();
-    for file in ["mav0/imu0/data.csv", "mav0/cam1/tracks.csv", "mav0/cam0/features.csv", "mav0/imu0/sensor.yaml"] {
-        assert_eq!(std::fs::read(first.join(file)).unwrap(), std::fs::read(second.join(file)).unwrap(), "{file}");
+    for file in
+        ["mav0/imu0/data.csv", "mav0/cam1/tracks.csv", "mav0/cam0/features.csv", "mav0/imu0/sensor.yaml"]
+    {
+        assert_eq!(
+            std::fs::read(first.join(file)).unwrap(),
+            std::fs::read(second.join(file)).unwrap(),
+            "{file}"
+        );
     }
 }
 
@@ -88,7 +97,8 @@ fn a_header_without_a_hash_is_a_header() {
     assert_eq!((rows.len(), rows[0].velocity), (1, None));
 }
 
-/// Where the recorded data is unpacked, every recording in it is read; elsewhere there is nothing to read.
+/// Where the recorded data is unpacked, every recording in it is read, and gravity found; elsewhere there is nothing
+/// to read.
 #[test]
 fn every_unpacked_recording_is_read() {
     let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("../target/data");
@@ -97,6 +107,9 @@ fn every_unpacked_recording_is_read() {
         if folder.join("mav0").is_dir() {
             let sequence = Sequence::open(&folder).unwrap_or_else(|error| panic!("{error}"));
             assert!(!sequence.frames.is_empty());
+            let down = if folder.to_string_lossy().contains("loops") { -Vector3::x() } else { -Vector3::z() };
+            let known = sequence.imu.is_some() && sequence.groundtruth.is_some();
+            assert_eq!(sequence.truth_gravity(), known.then_some(down), "{}", folder.display());
             continue;
         }
         let entries = std::fs::read_dir(&folder).into_iter().flatten().flatten();

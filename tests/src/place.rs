@@ -1,0 +1,110 @@
+//! A small simulated place: once round a ring of 88 m, at rest at both ends.
+
+use geometry::pose::Pose;
+use map_server::contents::MapContents;
+use map_server::{LoadedMap, MapStore as _, SledStore};
+use nalgebra::{UnitQuaternion, Vector3};
+use onboard::trajectory::StampedPose;
+use std::f64::consts::TAU;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, OnceLock};
+use tools::map_building::{BuildOptions, build_map};
+use tools::simulation::{SimulatedPlace, SimulationOptions, simulate};
+
+/// Radius of the ring, metres.
+const RADIUS: f64 = 14.0;
+/// Standing still before the start, seconds: the robot finds gravity and its gyroscope's bias.
+const REST_BEFORE_S: f64 = 2.0;
+/// Standing still at the end, seconds.
+const REST_AFTER_S: f64 = 1.0;
+/// Time for the way round, seconds.
+const ROUND_S: f64 = 27.0;
+/// Distance between the given poses, nanoseconds.
+const STEP_NS: i64 = 50_000_000;
+
+/// A place, its two recordings, and the map that was built of the first.
+#[derive(Clone, Debug)]
+pub struct Place {
+    /// What was simulated.
+    pub recordings: SimulatedPlace,
+    /// The map.
+    pub map: MapContents,
+}
+
+impl Place {
+    /// Simulates and maps the place; the same seed gives the same place.
+    pub fn new(seed: u64) -> Self {
+        let recordings = simulate(&options(seed)).unwrap();
+        let references = recordings.map.reference_poses.clone().unwrap();
+        let options = BuildOptions {
+            name: "ring".to_owned(),
+            gravity_in_global: Some(-Vector3::z()),
+            ..BuildOptions::default()
+        };
+        let (map, _) = build_map(&recordings.map, &references, &options, &mut |_, _, _| {}).unwrap();
+        Self { recordings, map }
+    }
+
+    /// The place that most tests run in, built once.
+    pub fn shared() -> &'static Self {
+        static PLACE: OnceLock<Place> = OnceLock::new();
+        PLACE.get_or_init(|| Place::new(7))
+    }
+
+    /// The map in a new database in `folder`, closed again.
+    pub fn database(&self, folder: &Path) -> PathBuf {
+        let path = folder.join("ring.db");
+        let store = SledStore::create(&path, &self.map.info).unwrap();
+        store.replace_all(&self.map).unwrap();
+        path
+    }
+
+    /// The map as a server holds it, without a database.
+    pub fn loaded(&self) -> Arc<LoadedMap> {
+        Arc::new(LoadedMap::from_contents(self.map.clone()).unwrap())
+    }
+}
+
+/// Settings of the simulation of a small place.
+pub fn options(seed: u64) -> SimulationOptions {
+    let phase = seed as f64;
+    SimulationOptions {
+        seed,
+        map_trajectory: Some(ring(phase, -0.5)),
+        live_trajectory: Some(ring(phase + 2.0, 0.6)),
+        live_feature_period_s: 0.5,
+        dropout_fraction: 0.2,
+        ..SimulationOptions::default()
+    }
+}
+
+/// The way of one run: `lateral` metres to the left of the ring, swaying.
+fn ring(phase: f64, lateral: f64) -> Vec<StampedPose> {
+    let duration_s = REST_BEFORE_S + ROUND_S + REST_AFTER_S;
+    let count = (duration_s * 1e9) as i64 / STEP_NS;
+    let pose = |step: i64| StampedPose {
+        stamp_ns: step * STEP_NS,
+        pose: ring_pose((step * STEP_NS) as f64 * 1e-9, phase, lateral),
+    };
+    (0..=count).map(pose).collect()
+}
+
+fn ring_pose(time: f64, phase: f64, lateral: f64) -> Pose {
+    // Smooth from rest to rest: position, velocity and acceleration are continuous.
+    let part = ((time - REST_BEFORE_S) / ROUND_S).clamp(0.0, 1.0);
+    let angle = TAU * part - (TAU * part).sin() * 0.7;
+    let envelope = (part * (1.0 - part) * 8.0).clamp(0.0, 1.0);
+    let sway = |period: f64, shift: f64| envelope * (TAU * time / period + phase + shift).sin();
+    let radius = RADIUS - lateral - 0.3 * sway(6.0, 0.0);
+    let position = Vector3::new(
+        radius * angle.sin(),
+        RADIUS - radius * angle.cos(),
+        1.5 + 0.5 * sway(9.0, 1.0) + 0.05 * sway(0.9, 2.0),
+    );
+    let rotation = UnitQuaternion::from_euler_angles(
+        0.04 * sway(1.3, 0.5),
+        0.04 * sway(1.7, 1.5),
+        angle + 0.05 * sway(4.1, 2.5),
+    );
+    Pose::new(rotation, position)
+}

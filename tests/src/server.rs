@@ -1,0 +1,117 @@
+//! A map server on an endpoint of its own, which can be stopped and started again.
+
+use crate::network;
+use map_server::{LoadedMap, MapServer, ServedMap, ServerOptions, ServerStatistics};
+use onboard::robot::MapLink;
+use protocol::session::{SessionOptions, close_session, open_session};
+use std::sync::Arc;
+use tokio::runtime::Runtime;
+use tools::in_process::free_endpoint;
+
+/// Name of the server in its liveliness key.
+pub const NAME: &str = "south";
+
+/// A running server.
+pub struct Server {
+    runtime: Runtime,
+    session: zenoh::Session,
+    server: MapServer,
+    endpoint: String,
+}
+
+impl Server {
+    /// Serves one map on a free endpoint.
+    pub fn start(name: &str, map: Arc<LoadedMap>) -> Self {
+        Self::serve(vec![(name, map)], listening_on(&free_endpoint().unwrap()), None)
+    }
+
+    /// Serves one map on a given endpoint.
+    pub fn start_on(endpoint: &str, name: &str, map: Arc<LoadedMap>) -> Self {
+        Self::serve(vec![(name, map)], listening_on(endpoint), None)
+    }
+
+    /// Serves maps behind a router that runs already.
+    pub fn start_behind(router: &str, maps: Vec<(&str, Arc<LoadedMap>)>) -> Self {
+        let options = SessionOptions { connect: vec![router.to_owned()], ..SessionOptions::default() };
+        Self::serve(maps, options, Some(router.to_owned()))
+    }
+
+    fn serve(maps: Vec<(&str, Arc<LoadedMap>)>, options: SessionOptions, endpoint: Option<String>) -> Self {
+        let runtime = network::runtime();
+        let session = runtime.block_on(open_session(&options)).unwrap();
+        let maps = maps.into_iter().map(|(name, map)| ServedMap { name: name.to_owned(), map }).collect();
+        let options_of_server = ServerOptions { name: Some(NAME.to_owned()), ..ServerOptions::default() };
+        let server = runtime.block_on(MapServer::start(session.clone(), maps, options_of_server)).unwrap();
+        let endpoint = endpoint.unwrap_or_else(|| options.listen[0].clone());
+        Self { runtime, session, server, endpoint }
+    }
+
+    /// Where robots connect to.
+    pub fn endpoint(&self) -> &str {
+        &self.endpoint
+    }
+
+    /// What it has done.
+    pub fn statistics(&self) -> ServerStatistics {
+        self.server.statistics()
+    }
+
+    /// Stops serving and closes the session, as a server that is told to end.
+    pub fn stop(self) {
+        self.runtime.block_on(self.server.stop()).unwrap();
+        self.runtime.block_on(close_session(&self.session));
+    }
+}
+
+fn listening_on(endpoint: &str) -> SessionOptions {
+    SessionOptions { listen: vec![endpoint.to_owned()], ..SessionOptions::default() }
+}
+
+/// A client's session with its runtime.
+pub struct Client {
+    /// Where the session lives.
+    pub runtime: Runtime,
+    /// The session.
+    pub session: zenoh::Session,
+}
+
+impl Client {
+    /// Connects and waits until the server there says that it is ready.
+    pub fn connect(endpoint: &str) -> Self {
+        let client = Self::open(endpoint);
+        client.wait_for_server(true);
+        client
+    }
+
+    /// A session to an endpoint where there may be nobody.
+    pub fn open(endpoint: &str) -> Self {
+        let runtime = network::runtime();
+        let options = SessionOptions { connect: vec![endpoint.to_owned()], ..SessionOptions::default() };
+        let session = runtime.block_on(open_session(&options)).unwrap();
+        Self { runtime, session }
+    }
+
+    /// Waits until a server is there, or until none is there any more.
+    pub fn wait_for_server(&self, there: bool) {
+        self.runtime.block_on(network::wait_for(&self.session, "map_server/*", there));
+    }
+
+    /// A robot's way to a map through this session.
+    pub fn link(&self, map: &str) -> MapLink {
+        MapLink {
+            session: self.session.clone(),
+            runtime: self.runtime.handle().clone(),
+            map: map.to_owned(),
+        }
+    }
+
+    /// Asks, and waits for the end of the answer.
+    pub fn ask(&self, selector: &str, payload: Option<Vec<u8>>) -> Vec<network::Answer> {
+        self.runtime.block_on(network::ask(&self.session, selector, payload))
+    }
+
+    /// Closes the session.
+    pub fn close(self) {
+        self.runtime.block_on(close_session(&self.session));
+    }
+}
