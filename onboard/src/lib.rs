@@ -3,6 +3,6 @@
 
 pub mod estimator;
 pub mod evaluation;
-pub mod sequence;
 pub mod robot;
+pub mod sequence;
 pub mod trajectory;

@@ -9,6 +9,9 @@ use protocol::session::{DEFAULT_ENDPOINT, SessionOptions, close_session, open_se
 use std::path::PathBuf;
 use tracing_subscriber::EnvFilter;
 
+/// Warnings, but not Zenoh's about a network that is still being found.
+const QUIET: &str = "warn,zenoh=error";
+
 /// Plays a recording and localizes it in a map that a map server serves.
 ///
 /// The estimator never waits for the network: without a server, or with a dead one, the robot keeps
@@ -45,7 +48,7 @@ struct Arguments {
 }
 
 fn main() -> Result<()> {
-    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("warn"));
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(QUIET));
     tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
     let arguments = Arguments::parse();
     let sequence = Sequence::open(&arguments.sequence)?;

@@ -98,11 +98,7 @@ impl Client {
 
     /// A robot's way to a map through this session.
     pub fn link(&self, map: &str) -> MapLink {
-        MapLink {
-            session: self.session.clone(),
-            runtime: self.runtime.handle().clone(),
-            map: map.to_owned(),
-        }
+        MapLink { session: self.session.clone(), runtime: self.runtime.handle().clone(), map: map.to_owned() }
     }
 
     /// Asks, and waits for the end of the answer.

@@ -58,7 +58,7 @@ impl LocalServer {
     }
 
     /// Closes a robot's session.
-    pub fn unlink(&self, link: MapLink) {
+    pub fn unlink(&self, link: &MapLink) {
         self.runtime.block_on(close_session(&link.session));
     }
 

@@ -5,6 +5,7 @@
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 pub mod command;
+pub mod demo;
 pub mod in_process;
 pub mod map_building;
 pub mod map_files;

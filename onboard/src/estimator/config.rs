@@ -226,7 +226,9 @@ impl EstimatorConfig {
             return Err(format!("window is {}; a track needs at least 3 clones", self.window));
         }
         if self.map_iterations == 0 || self.min_inliers < 4 || self.max_active_keyframes == 0 {
-            return Err("map_iterations and max_active_keyframes must be at least 1, min_inliers at least 4".into());
+            return Err(
+                "map_iterations and max_active_keyframes must be at least 1, min_inliers at least 4".into()
+            );
         }
         Ok(())
     }

@@ -167,7 +167,10 @@ impl JointCovariance {
     ///
     /// # Errors
     /// [`NotPositiveDefinite`]: nothing was changed.
-    pub fn measurement_update(&mut self, information: &Information) -> Result<DVector<f64>, NotPositiveDefinite> {
+    pub fn measurement_update(
+        &mut self,
+        information: &Information,
+    ) -> Result<DVector<f64>, NotPositiveDefinite> {
         let n = information.columns.len();
         let (of_active, joint) = self.columns(&information.columns);
         let factor = factorize(joint)?;
@@ -220,7 +223,10 @@ fn factorize(mut joint: DMatrix<f64>) -> Result<DMatrix<f64>, NotPositiveDefinit
 }
 
 /// Cholesky of `B = I + Lᵀ Λ L`.
-fn inner_factor(factor: &DMatrix<f64>, information: &DMatrix<f64>) -> Result<Cholesky<f64, Dyn>, NotPositiveDefinite> {
+fn inner_factor(
+    factor: &DMatrix<f64>,
+    information: &DMatrix<f64>,
+) -> Result<Cholesky<f64, Dyn>, NotPositiveDefinite> {
     let mut inner = factor.tr_mul(&(information * factor));
     for k in 0..inner.nrows() {
         inner[(k, k)] += 1.0;

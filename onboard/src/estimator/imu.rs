@@ -48,7 +48,10 @@ impl ImuBuffer {
             return Err(EstimatorError::BadImu { stamp_ns: sample.stamp_ns, why: "a value is not finite" });
         }
         if self.samples.back().is_some_and(|last| last.stamp_ns >= sample.stamp_ns) {
-            return Err(EstimatorError::BadImu { stamp_ns: sample.stamp_ns, why: "it is not newer than the one before" });
+            return Err(EstimatorError::BadImu {
+                stamp_ns: sample.stamp_ns,
+                why: "it is not newer than the one before",
+            });
         }
         self.samples.push_back(sample);
         Ok(())
@@ -65,9 +68,16 @@ impl ImuBuffer {
     ///
     /// # Errors
     /// [`EstimatorError::NoImu`] when the interval is not covered.
-    pub fn interval(&self, from_ns: i64, to_ns: i64, slack_ns: i64) -> Result<Vec<ImuSample>, EstimatorError> {
+    pub fn interval(
+        &self,
+        from_ns: i64,
+        to_ns: i64,
+        slack_ns: i64,
+    ) -> Result<Vec<ImuSample>, EstimatorError> {
         let missing = EstimatorError::NoImu { from_ns, to_ns };
-        let (Some(first), Some(last)) = (self.samples.front(), self.samples.back()) else { return Err(missing) };
+        let (Some(first), Some(last)) = (self.samples.front(), self.samples.back()) else {
+            return Err(missing);
+        };
         if first.stamp_ns > from_ns + slack_ns || last.stamp_ns < to_ns - slack_ns || to_ns <= from_ns {
             return Err(missing);
         }

@@ -40,7 +40,9 @@ pub enum InitializationError {
         gyroscope: f64,
     },
     /// The specific force is not gravity.
-    #[error("at rest the accelerometer reads {norm:.2} m/s^2, gravity is {gravity:.2}: check units and calibration")]
+    #[error(
+        "at rest the accelerometer reads {norm:.2} m/s^2, gravity is {gravity:.2}: check units and calibration"
+    )]
     NotGravity {
         /// Mean specific force, m/s^2.
         norm: f64,
@@ -102,7 +104,10 @@ impl InitialState {
         let (force, force_deviation) = statistics(samples, |sample| sample.accelerometer);
         let (rate, rate_deviation) = statistics(samples, |sample| sample.gyroscope);
         if force_deviation > REST_ACCELEROMETER || rate_deviation > REST_GYROSCOPE {
-            return Err(InitializationError::Moving { accelerometer: force_deviation, gyroscope: rate_deviation });
+            return Err(InitializationError::Moving {
+                accelerometer: force_deviation,
+                gyroscope: rate_deviation,
+            });
         }
         if (force.norm() - config.gravity).abs() > GRAVITY_TOLERANCE {
             return Err(InitializationError::NotGravity { norm: force.norm(), gravity: config.gravity });

@@ -29,7 +29,10 @@ pub struct MapPoint {
 impl MapPoint {
     /// `self ⊟ from`: errors of `[clone, transform]` that lead from `from` to here.
     fn minus(&self, from: &Self) -> [Vector6<f64>; 2] {
-        [from.local_from_imu.local(&self.local_from_imu), from.global_from_local.local(&self.global_from_local)]
+        [
+            from.local_from_imu.local(&self.local_from_imu),
+            from.global_from_local.local(&self.global_from_local),
+        ]
     }
 }
 
@@ -78,7 +81,8 @@ pub fn landmark_rows(
     let position = &landmark.position_in_anchor;
     let in_global = anchor_pose.transform(position);
     let (of_anchor_pose, of_position) = anchor_pose.transform_jacobians(position);
-    let column_of = |id: KeyframeId| Some(KEYFRAMES + POSE_DIM * keyframes.iter().position(|held| *held == id)?);
+    let column_of =
+        |id: KeyframeId| Some(KEYFRAMES + POSE_DIM * keyframes.iter().position(|held| *held == id)?);
 
     let seen: Vec<_> = landmark
         .observations

@@ -232,7 +232,10 @@ impl Estimator {
         moved.retract(&correction);
         let local_from_imu =
             moved.place_of(clone).map_or(point.at.local_from_imu, |place| moved.clones[place].local_from_imu);
-        Ok(MapPoint { local_from_imu, global_from_local: moved.transform.unwrap_or(point.at.global_from_local) })
+        Ok(MapPoint {
+            local_from_imu,
+            global_from_local: moved.transform.unwrap_or(point.at.global_from_local),
+        })
     }
 
     /// The keyframes that rows will refer to, best first. None where the map is taken for exact.
@@ -241,9 +244,9 @@ impl Estimator {
             return Vec::new();
         }
         let used = |id: KeyframeId| {
-            landmarks
-                .iter()
-                .any(|landmark| landmark.anchor == id || landmark.observations.iter().any(|(seen, _)| *seen == id))
+            landmarks.iter().any(|landmark| {
+                landmark.anchor == id || landmark.observations.iter().any(|(seen, _)| *seen == id)
+            })
         };
         answer.keyframes.iter().map(|keyframe| keyframe.id).filter(|&id| used(id)).collect()
     }
@@ -251,12 +254,19 @@ impl Estimator {
     /// Pulls the keyframes into the state and names all columns of the rows.
     fn map_columns(&mut self, clone: CloneId, keyframes: &[KeyframeId], answer: &MapAnswer) -> Columns {
         for keyframe in answer.keyframes.iter().filter(|keyframe| keyframes.contains(&keyframe.id)) {
-            self.covariance.held.pull(keyframe.id, &keyframe.global_from_keyframe, &keyframe.cross_covariances);
+            self.covariance.held.pull(
+                keyframe.id,
+                &keyframe.global_from_keyframe,
+                &keyframe.cross_covariances,
+            );
         }
         let slots = keyframes.iter().filter_map(|id| self.covariance.held.slot_of(*id)).collect();
         let place = self.state.place_of(clone).map_or(Block::ImuPose, Block::Clone);
-        let active =
-            [place, Block::Transform].into_iter().filter_map(|block| self.state.range(block)).flatten().collect();
+        let active = [place, Block::Transform]
+            .into_iter()
+            .filter_map(|block| self.state.range(block))
+            .flatten()
+            .collect();
         Columns { active, keyframes: slots }
     }
 
@@ -318,8 +328,9 @@ impl Estimator {
     /// that it can see.
     fn insert_transform(&mut self, transform: Pose, depth: f64) {
         let rotation = self.config.transform_sigma_rotation.powi(2);
-        let position =
-            (self.config.transform_sigma_depth_fraction * depth).max(self.config.transform_sigma_position).powi(2);
+        let position = (self.config.transform_sigma_depth_fraction * depth)
+            .max(self.config.transform_sigma_position)
+            .powi(2);
         let sigmas = DVector::from_fn(POSE_DIM, |k, _| if k < 3 { rotation } else { position });
         self.covariance.insert_independent(IMU_DIM, &DMatrix::from_diagonal(&sigmas));
         self.state.transform = Some(transform);
@@ -359,5 +370,7 @@ fn passes(gate: &Gate, joint: &DMatrix<f64>, jacobian: &DMatrix<f64>, residual: 
     for k in 0..innovation.nrows() {
         innovation[(k, k)] += 1.0;
     }
-    innovation.cholesky().is_some_and(|factor| gate.accepts(residual.dot(&factor.solve(residual)), residual.len()))
+    innovation
+        .cholesky()
+        .is_some_and(|factor| gate.accepts(residual.dot(&factor.solve(residual)), residual.len()))
 }

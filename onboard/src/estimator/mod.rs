@@ -118,7 +118,11 @@ impl Estimator {
     ///
     /// # Errors
     /// [`EstimatorError::Config`] names the setting that cannot work.
-    pub fn new(config: EstimatorConfig, rig: Vec<RigCamera>, initial: &InitialState) -> Result<Self, EstimatorError> {
+    pub fn new(
+        config: EstimatorConfig,
+        rig: Vec<RigCamera>,
+        initial: &InitialState,
+    ) -> Result<Self, EstimatorError> {
         config.validate().map_err(EstimatorError::Config)?;
         if rig.is_empty() {
             return Err(EstimatorError::Config("no camera is configured".into()));
@@ -192,8 +196,7 @@ impl Estimator {
             velocity: self.state.imu.velocity,
         };
         let first = if self.config.first_estimates { &self.state.first_motion } else { &newest };
-        let moved =
-            propagate(&self.state.imu, first, &readings, &self.config.imu_noise, self.config.gravity);
+        let moved = propagate(&self.state.imu, first, &readings, &self.config.imu_noise, self.config.gravity);
         let transition = DMatrix::from_column_slice(IMU_DIM, IMU_DIM, moved.transition.as_slice());
         let noise = DMatrix::from_column_slice(IMU_DIM, IMU_DIM, moved.noise.as_slice());
         self.covariance.time_update(&transition, &noise);
@@ -290,7 +293,9 @@ impl Estimator {
         if !self.state.is_finite() {
             return broken("a state is not a number");
         }
-        if (0..self.state.dim()).any(|k| self.covariance.active[(k, k)].is_nan() || self.covariance.active[(k, k)] < 0.0) {
+        if (0..self.state.dim())
+            .any(|k| self.covariance.active[(k, k)].is_nan() || self.covariance.active[(k, k)] < 0.0)
+        {
             return broken("a variance is negative");
         }
         Ok(())
@@ -308,7 +313,10 @@ impl Estimator {
 
     /// The body in L.
     pub fn local_from_imu(&self) -> PoseWithCovariance {
-        PoseWithCovariance { pose: self.state.imu.local_from_imu, covariance: self.block(&Block::ImuPose, &Block::ImuPose) }
+        PoseWithCovariance {
+            pose: self.state.imu.local_from_imu,
+            covariance: self.block(&Block::ImuPose, &Block::ImuPose),
+        }
     }
 
     /// Velocity of the body in L, m/s.
@@ -330,7 +338,10 @@ impl Estimator {
     /// The body in G, with the correlation of both parts.
     pub fn global_from_imu(&self) -> Option<PoseWithCovariance> {
         let transform = self.global_from_local()?;
-        Some(transform.compose_correlated(&self.local_from_imu(), &self.block(&Block::Transform, &Block::ImuPose)))
+        Some(
+            transform
+                .compose_correlated(&self.local_from_imu(), &self.block(&Block::Transform, &Block::ImuPose)),
+        )
     }
 
     /// The camera in G, for a query's prior.

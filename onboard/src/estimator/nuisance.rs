@@ -91,7 +91,8 @@ impl HeldKeyframes {
 
     /// All names.
     pub fn ids(&self) -> impl Iterator<Item = KeyframeId> + '_ {
-        let parked = self.parked.iter().flat_map(|group| group.members.iter().map(|member| member.keyframe.id));
+        let parked =
+            self.parked.iter().flat_map(|group| group.members.iter().map(|member| member.keyframe.id));
         self.active.iter().map(|keyframe| keyframe.id).chain(parked)
     }
 

@@ -189,7 +189,10 @@ mod tests {
 
     fn start() -> ImuState {
         ImuState {
-            local_from_imu: Pose::new(rotation::exp(&Vector3::new(0.3, -0.4, 1.0)), Vector3::new(1.0, -2.0, 0.5)),
+            local_from_imu: Pose::new(
+                rotation::exp(&Vector3::new(0.3, -0.4, 1.0)),
+                Vector3::new(1.0, -2.0, 0.5),
+            ),
             velocity: Vector3::new(0.7, -0.2, 0.1),
             gyroscope_bias: Vector3::new(0.01, -0.02, 0.03),
             accelerometer_bias: Vector3::new(0.05, 0.02, -0.04),
@@ -214,7 +217,9 @@ mod tests {
         error.fixed_rows_mut::<6>(0).copy_from(&from.local_from_imu.local(&to.local_from_imu));
         error.fixed_rows_mut::<3>(VELOCITY).copy_from(&(to.velocity - from.velocity));
         error.fixed_rows_mut::<3>(GYROSCOPE_BIAS).copy_from(&(to.gyroscope_bias - from.gyroscope_bias));
-        error.fixed_rows_mut::<3>(ACCELEROMETER_BIAS).copy_from(&(to.accelerometer_bias - from.accelerometer_bias));
+        error
+            .fixed_rows_mut::<3>(ACCELEROMETER_BIAS)
+            .copy_from(&(to.accelerometer_bias - from.accelerometer_bias));
         error
     }
 
@@ -228,7 +233,8 @@ mod tests {
             error[column] = 1e-5;
             let forward = run(&moved(&state, &error)).state;
             let backward = run(&moved(&state, &-error)).state;
-            let numeric = (difference(&forward, &reference.state) - difference(&backward, &reference.state)) / 2e-5;
+            let numeric =
+                (difference(&forward, &reference.state) - difference(&backward, &reference.state)) / 2e-5;
             let analytic = reference.transition.column(column);
             assert!((numeric - analytic).amax() < 2e-5, "column {column}: {}", (numeric - analytic).amax());
         }
@@ -259,7 +265,8 @@ mod tests {
     #[test]
     fn the_added_noise_is_that_of_noisy_readings() {
         use rand::{RngExt as _, SeedableRng, rngs::StdRng};
-        let noise = ImuNoise { gyroscope: 2e-3, accelerometer: 2e-2, gyroscope_walk: 0.0, accelerometer_walk: 0.0 };
+        let noise =
+            ImuNoise { gyroscope: 2e-3, accelerometer: 2e-2, gyroscope_walk: 0.0, accelerometer_walk: 0.0 };
         let (state, clean) = (start(), readings(0.5));
         let reference = propagate(&state, &motion(&state), &clean, &noise, GRAVITY);
         let mut rng = StdRng::seed_from_u64(7);
@@ -278,7 +285,10 @@ mod tests {
                     }
                 })
                 .collect();
-            let error = difference(&propagate(&state, &motion(&state), &noisy, &noise, GRAVITY).state, &reference.state);
+            let error = difference(
+                &propagate(&state, &motion(&state), &noisy, &noise, GRAVITY).state,
+                &reference.state,
+            );
             sample += error * error.transpose() / f64::from(runs);
         }
         for k in 0..9 {

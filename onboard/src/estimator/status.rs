@@ -22,7 +22,8 @@ pub struct Status {
 impl Estimator {
     /// What the robot knows of where it is.
     pub fn status(&self) -> Status {
-        let seconds_since_map = self.last_map_update_ns.map(|last| (self.state.stamp_ns - last) as f64 * 1e-9);
+        let seconds_since_map =
+            self.last_map_update_ns.map(|last| (self.state.stamp_ns - last) as f64 * 1e-9);
         let (localization, reason) = match (&self.state.transform, &self.lost, seconds_since_map) {
             (Some(_), _, Some(age)) => {
                 (Localization::Localized, format!("the map corrected the pose {age:.1} s ago"))
@@ -30,7 +31,12 @@ impl Estimator {
             (_, Some(reason), _) => (Localization::Lost, reason.clone()),
             _ => (Localization::OdometryOnly, "no match with the map yet".to_owned()),
         };
-        Status { localization, reason, last_map_update_ns: self.last_map_update_ns, held_keyframes: self.covariance.held.len() }
+        Status {
+            localization,
+            reason,
+            last_map_update_ns: self.last_map_update_ns,
+            held_keyframes: self.covariance.held.len(),
+        }
     }
 
     /// Counts a verified answer that the state cannot believe; after too many in a row it is the state
@@ -41,7 +47,8 @@ impl Estimator {
         }
         self.rejections_in_a_row += 1;
         if self.rejections_in_a_row >= self.config.lost_after_rejections {
-            self.lost = Some(format!("the map contradicted the pose {} times in a row", self.rejections_in_a_row));
+            self.lost =
+                Some(format!("the map contradicted the pose {} times in a row", self.rejections_in_a_row));
             self.rejections_in_a_row = 0;
             self.last_map_update_ns = None;
             self.remove_transform();

@@ -105,7 +105,11 @@ pub fn collect(
 }
 
 /// `rᵀ (H P Hᵀ + I)⁻¹ r`.
-fn innovation_squared(covariance: &DMatrix<f64>, jacobian: &DMatrix<f64>, residual: &DVector<f64>) -> Option<f64> {
+fn innovation_squared(
+    covariance: &DMatrix<f64>,
+    jacobian: &DMatrix<f64>,
+    residual: &DVector<f64>,
+) -> Option<f64> {
     let mut innovation = jacobian * (covariance * jacobian.transpose());
     for k in 0..innovation.nrows() {
         innovation[(k, k)] += 1.0;

@@ -70,8 +70,12 @@ impl TrackStore {
     /// Takes the tracks that the clone `newest` did not continue. A feature that comes back after a
     /// gap begins a new track.
     pub fn take_ended(&mut self, newest: CloneId) -> Vec<Track> {
-        let ended: Vec<u64> =
-            self.running.iter().filter(|(_, track)| track.newest() != Some(newest)).map(|(id, _)| *id).collect();
+        let ended: Vec<u64> = self
+            .running
+            .iter()
+            .filter(|(_, track)| track.newest() != Some(newest))
+            .map(|(id, _)| *id)
+            .collect();
         ended.iter().filter_map(|id| self.running.remove(id)).collect()
     }
 
@@ -96,7 +100,9 @@ mod tests {
     use super::*;
 
     fn seen(ids: &[u64]) -> Vec<TrackObservation> {
-        ids.iter().map(|&feature_id| TrackObservation { camera: 0, feature_id, pixel: Vector2::zeros() }).collect()
+        ids.iter()
+            .map(|&feature_id| TrackObservation { camera: 0, feature_id, pixel: Vector2::zeros() })
+            .collect()
     }
 
     #[test]

@@ -57,7 +57,11 @@ pub struct VerificationSettings {
 ///
 /// # Errors
 /// [`NotVerified`] when not even the best keyframe is explained.
-pub fn verify(answer: &MapAnswer, eye: &RigCamera, settings: &VerificationSettings) -> Result<Verified, NotVerified> {
+pub fn verify(
+    answer: &MapAnswer,
+    eye: &RigCamera,
+    settings: &VerificationSettings,
+) -> Result<Verified, NotVerified> {
     let mut best: Option<(usize, KeyframeId, Pose)> = None;
     let mut inliers = Vec::new();
     let mut most = 0;
@@ -66,7 +70,8 @@ pub fn verify(answer: &MapAnswer, eye: &RigCamera, settings: &VerificationSettin
             (0..answer.landmarks.len()).filter(|&k| answer.landmarks[k].anchor == keyframe.id).collect();
         most = most.max(members.len());
         // Further keyframes may bring fewer matches than the best one must have.
-        let need = if best.is_some() { settings.min_inliers.div_ceil(2).max(5) } else { settings.min_inliers };
+        let need =
+            if best.is_some() { settings.min_inliers.div_ceil(2).max(5) } else { settings.min_inliers };
         if members.len() < need {
             continue;
         }

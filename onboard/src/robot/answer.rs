@@ -8,7 +8,11 @@ use protocol::{FeatureSet, MatchStatus, MatchedKeyframe};
 ///
 /// Matches that point to a feature that was not asked about, or to a keyframe that was not sent, are
 /// left out: a server's mistake is not the robot's.
-pub fn map_answer(features: &FeatureSet, status: &MatchStatus, mut replies: Vec<MatchedKeyframe>) -> MapAnswer {
+pub fn map_answer(
+    features: &FeatureSet,
+    status: &MatchStatus,
+    mut replies: Vec<MatchedKeyframe>,
+) -> MapAnswer {
     replies.sort_by_key(|reply| reply.rank);
     replies.retain(|reply| reply.map_version == status.map_version);
     let landmarks = replies
@@ -17,13 +21,13 @@ pub fn map_answer(features: &FeatureSet, status: &MatchStatus, mut replies: Vec<
         .filter_map(|found| {
             let pixel = features.pixels.get(found.feature as usize)?;
             Some(MatchedLandmark {
-                pixel: pixel_of(pixel),
+                pixel: pixel_of(*pixel),
                 anchor: found.anchor,
                 position_in_anchor: Vector3::from(found.position_in_anchor),
                 observations: found
                     .observations
                     .iter()
-                    .map(|seen| (seen.keyframe, pixel_of(&seen.pixel)))
+                    .map(|seen| (seen.keyframe, pixel_of(seen.pixel)))
                     .collect(),
             })
         })
@@ -34,7 +38,11 @@ pub fn map_answer(features: &FeatureSet, status: &MatchStatus, mut replies: Vec<
             id: reply.keyframe.id,
             global_from_keyframe: reply.keyframe.global_from_keyframe,
             camera: reply.keyframe.camera,
-            cross_covariances: reply.cross_covariances.iter().map(|cross| (cross.other, cross.block)).collect(),
+            cross_covariances: reply
+                .cross_covariances
+                .iter()
+                .map(|cross| (cross.other, cross.block))
+                .collect(),
         })
         .collect();
     MapAnswer {
@@ -46,6 +54,6 @@ pub fn map_answer(features: &FeatureSet, status: &MatchStatus, mut replies: Vec<
     }
 }
 
-fn pixel_of(pixel: &[f32; 2]) -> Vector2<f64> {
+fn pixel_of(pixel: [f32; 2]) -> Vector2<f64> {
     Vector2::new(f64::from(pixel[0]), f64::from(pixel[1]))
 }

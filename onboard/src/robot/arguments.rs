@@ -3,7 +3,8 @@
 use crate::estimator::{EstimatorConfig, MapMode, Relinearization};
 use crate::sequence::Sequence;
 use anyhow::{Context as _, Result, bail};
-use clap::{Args, ValueEnum};
+use clap::{Args, Parser, ValueEnum};
+use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 
 /// Cameras to use.
@@ -107,6 +108,20 @@ pub struct RobotArguments {
 }
 
 impl RobotArguments {
+    /// All switches at their defaults.
+    ///
+    /// # Errors
+    /// Never in practice: the defaults parse.
+    pub fn with_defaults(out: &Path) -> Result<Self> {
+        #[derive(Parser)]
+        struct Defaults {
+            #[command(flatten)]
+            robot: RobotArguments,
+        }
+        let line = [OsStr::new("robot"), OsStr::new("--out"), out.as_os_str()];
+        Ok(Defaults::try_parse_from(line)?.robot)
+    }
+
     /// The estimator's settings: the file's, then the sensor's noise, then the switches.
     ///
     /// # Errors
@@ -151,10 +166,9 @@ impl RobotArguments {
             Some(Cameras::Mono) => Ok(1),
             None => Ok(sequence.cameras.len().min(2)),
             Some(Cameras::Stereo) if sequence.cameras.len() >= 2 => Ok(2),
-            Some(Cameras::Stereo) => bail!(
-                "{} has one camera; give it mav0/cam1, or use --cameras mono",
-                sequence.root.display()
-            ),
+            Some(Cameras::Stereo) => {
+                bail!("{} has one camera; give it mav0/cam1, or use --cameras mono", sequence.root.display())
+            }
         }
     }
 }
@@ -162,7 +176,8 @@ impl RobotArguments {
 /// Settings of a YAML file; what it leaves out is as in `defaults`.
 fn read_settings(path: &Path, defaults: &EstimatorConfig) -> Result<EstimatorConfig> {
     let misunderstood = || format!("settings {} are not understood", path.display());
-    let text = std::fs::read_to_string(path).with_context(|| format!("cannot read settings {}", path.display()))?;
+    let text =
+        std::fs::read_to_string(path).with_context(|| format!("cannot read settings {}", path.display()))?;
     let given: serde_json::Value = serde_saphyr::from_str(&text).with_context(misunderstood)?;
     let mut settings = serde_json::to_value(defaults)?;
     overlay(&mut settings, given);

@@ -43,7 +43,11 @@ pub fn report(outcome: &Outcome) -> String {
         );
     }
     if let Some(score) = &summary.score {
-        let _ = writeln!(text, "{:24}{:>8}{:>10}{:>9}{:>9}{:>9}", "against the truth", "deg", "m", "max m", "NEES", "n");
+        let _ = writeln!(
+            text,
+            "{:24}{:>8}{:>10}{:>9}{:>9}{:>9}",
+            "against the truth", "deg", "m", "max m", "NEES", "n"
+        );
         let mut line = |name: &str, score: &Score| {
             let nees = score.nees_pose.map_or_else(|| "-".to_owned(), |nees| format!("{nees:.2}"));
             let _ = writeln!(

@@ -2,7 +2,9 @@
 
 use super::answer::map_answer;
 use crate::estimator::{CloneId, MapAnswer};
-use protocol::{ErrorCode, ErrorReply, Format, MatchOutcome, MatchReply, MatchRequest, MatchStatus, MatchedKeyframe, keys};
+use protocol::{
+    ErrorCode, ErrorReply, Format, MatchOutcome, MatchReply, MatchRequest, MatchStatus, MatchedKeyframe, keys,
+};
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::time::{Duration, Instant};
@@ -83,7 +85,9 @@ impl QueryClient {
             let begin = Instant::now();
             let stamp_ns = request.stamp_ns;
             let mut traffic = Traffic::default();
-            let outcome = ask_until(&session, &key, Arc::new(request), begin + deadline, persistent, &mut traffic).await;
+            let outcome =
+                ask_until(&session, &key, Arc::new(request), begin + deadline, persistent, &mut traffic)
+                    .await;
             let answered = Answered {
                 clone,
                 stamp_ns,
@@ -195,8 +199,12 @@ async fn attempt(
         let reply = match tokio::time::timeout_at(deadline.into(), replies.recv_async()).await {
             Ok(Ok(reply)) => reply,
             // The channel closes without a final status: nobody there, or one that died in between.
-            Ok(Err(_)) if any => return Attempt::Again("the map server stopped in the middle of its answer".into()),
-            Ok(Err(_)) => return Attempt::Again("no map server answers; is it running and serving this map?".into()),
+            Ok(Err(_)) if any => {
+                return Attempt::Again("the map server stopped in the middle of its answer".into());
+            }
+            Ok(Err(_)) => {
+                return Attempt::Again("no map server answers; is it running and serving this map?".into());
+            }
             Err(_) => return Attempt::Again("no answer before the deadline".into()),
         };
         any = true;
@@ -213,7 +221,11 @@ async fn attempt(
         match protocol::decode::<MatchReply>(Format::Bincode, &bytes) {
             Ok(MatchReply::Keyframe(keyframe)) => keyframes.push(keyframe),
             Ok(MatchReply::Done(status)) => return finish(request, &status, keyframes),
-            Err(error) => return Attempt::Finished(Outcome::Failed(format!("the map server's answer is unreadable: {error}"))),
+            Err(error) => {
+                return Attempt::Finished(Outcome::Failed(format!(
+                    "the map server's answer is unreadable: {error}"
+                )));
+            }
         }
     }
 }
@@ -232,7 +244,9 @@ fn finish(request: &MatchRequest, status: &MatchStatus, keyframes: Vec<MatchedKe
 fn refused(bytes: &[u8]) -> Attempt {
     match protocol::decode::<ErrorReply>(Format::Bincode, bytes) {
         // A server that is just connecting may hear of the query before its map does.
-        Ok(error) if matches!(error.code, ErrorCode::Busy | ErrorCode::UnknownMap) => Attempt::Again(error.message),
+        Ok(error) if matches!(error.code, ErrorCode::Busy | ErrorCode::UnknownMap) => {
+            Attempt::Again(error.message)
+        }
         Ok(error) => Attempt::Finished(Outcome::Failed(error.message)),
         // Zenoh itself says "Timeout" when a server hangs.
         Err(_) => Attempt::Again(format!("no answer: {}", String::from_utf8_lossy(bytes))),

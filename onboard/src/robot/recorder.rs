@@ -156,7 +156,9 @@ impl Recorder {
 
     /// Counts of queries.
     pub fn query_summary(&self) -> QuerySummary {
-        let count = |predicate: &dyn Fn(&Event) -> bool| self.events.iter().filter(|event| predicate(event)).count() as u64;
+        let count = |predicate: &dyn Fn(&Event) -> bool| {
+            self.events.iter().filter(|event| predicate(event)).count() as u64
+        };
         QuerySummary {
             sent: self.queries_sent,
             answered: self.queries_answered,
@@ -180,7 +182,8 @@ impl Recorder {
     /// # Errors
     /// A sentence that names the file.
     pub fn write(&self, folder: &Path, summary: &Summary) -> Result<()> {
-        std::fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
+        std::fs::create_dir_all(folder)
+            .with_context(|| format!("cannot make the folder {}", folder.display()))?;
         for (name, kind) in [
             ("pose.tum", StateKind::GlobalFromImu),
             ("odometry.tum", StateKind::LocalFromImu),
@@ -196,7 +199,8 @@ impl Recorder {
         states::write(&folder.join("states.csv"), &self.states)?;
         self.write_events(&folder.join("events.csv"))?;
         let path = folder.join("summary.json");
-        let text = serde_json::to_string_pretty(summary).context("the summary holds a number that JSON cannot")?;
+        let text =
+            serde_json::to_string_pretty(summary).context("the summary holds a number that JSON cannot")?;
         std::fs::write(&path, text + "\n").with_context(|| format!("cannot write {}", path.display()))
     }
 

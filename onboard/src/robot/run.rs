@@ -69,7 +69,8 @@ pub fn run(
             let due = Duration::from_nanos((frame.stamp_ns - first_ns).max(0) as u64);
             std::thread::sleep(due.saturating_sub(begin.elapsed()));
         }
-        let broken = |source| RunError::Estimator { seconds: (frame.stamp_ns - first_ns) as f64 * 1e-9, source };
+        let broken =
+            |source| RunError::Estimator { seconds: (frame.stamp_ns - first_ns) as f64 * 1e-9, source };
         robot.frame(frame, &mut next_imu, recorder).map_err(broken)?;
     }
     robot.close(recorder).map_err(|source| RunError::Estimator {
@@ -81,7 +82,12 @@ pub fn run(
 }
 
 impl RobotRun<'_> {
-    fn frame(&mut self, frame: &Frame, next_imu: &mut usize, recorder: &mut Recorder) -> Result<(), EstimatorError> {
+    fn frame(
+        &mut self,
+        frame: &Frame,
+        next_imu: &mut usize,
+        recorder: &mut Recorder,
+    ) -> Result<(), EstimatorError> {
         let mut timings = Timings::default();
         let begin = Instant::now();
         let rate = self.feed_imu(frame.stamp_ns, next_imu, recorder);
@@ -128,7 +134,8 @@ impl RobotRun<'_> {
             }
             *next += 1;
         }
-        let newest = samples.get(next.saturating_sub(1)).map_or_else(Vector3::zeros, |sample| sample.gyroscope);
+        let newest =
+            samples.get(next.saturating_sub(1)).map_or_else(Vector3::zeros, |sample| sample.gyroscope);
         newest - self.estimator.biases().0
     }
 
@@ -144,7 +151,10 @@ impl RobotRun<'_> {
             stamp_ns: frame.stamp_ns,
             camera: self.sequence.cameras[0].camera.clone(),
             features: features.clone(),
-            prior: self.estimator.global_from_camera().map(|global_from_camera| PosePrior { global_from_camera }),
+            prior: self
+                .estimator
+                .global_from_camera()
+                .map(|global_from_camera| PosePrior { global_from_camera }),
             gravity_in_camera: Some(self.estimator.gravity_in_first_camera().into()),
             held: self.estimator.held_keyframes(),
             map_version_held: self.estimator.map_version(),
@@ -199,4 +209,3 @@ impl Recorder {
         QueryCounts { sent: self.queries_sent, answered: self.queries_answered }
     }
 }
-

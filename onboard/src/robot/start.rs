@@ -55,7 +55,9 @@ fn from_truth(sequence: &Sequence, config: &EstimatorConfig) -> Result<InitialSt
         bail!("--init truth: {} has no ground truth; use --init auto", sequence.root.display())
     };
     let Some(gravity) = sequence.truth_gravity() else {
-        bail!("--init truth: the direction of gravity in the truth's frame cannot be found from truth and IMU")
+        bail!(
+            "--init truth: the direction of gravity in the truth's frame cannot be found from truth and IMU"
+        )
     };
     let imu_begin_ns = sequence.imu_samples.first().map_or(i64::MAX, |sample| sample.stamp_ns);
     let Some(first) = rows.iter().position(|row| row.stamp_ns >= imu_begin_ns - 10_000_000) else {
@@ -63,7 +65,9 @@ fn from_truth(sequence: &Sequence, config: &EstimatorConfig) -> Result<InitialSt
     };
     let row = &rows[first];
     let velocity = row.velocity.or_else(|| slope(rows, first));
-    let Some(velocity) = velocity else { bail!("--init truth: the first row has no velocity, and no row follows") };
+    let Some(velocity) = velocity else {
+        bail!("--init truth: the first row has no velocity, and no row follows")
+    };
     let stamp_ns = row.stamp_ns.max(imu_begin_ns);
     let mut start = InitialState::from_truth(stamp_ns, &row.pose, &velocity, &gravity, config.initial);
     start.imu.gyroscope_bias = row.gyroscope_bias.unwrap_or_default();

@@ -3,6 +3,7 @@
 use clap::Subcommand;
 
 pub mod build_map;
+pub mod demo;
 pub mod evaluate;
 pub mod export_map;
 pub mod import_map;
@@ -15,6 +16,8 @@ pub mod simulate;
 /// What `driftless` can do.
 #[derive(Debug, Subcommand)]
 pub enum Command {
+    /// Simulate, build a map, localize in it, and compare: the whole system in a minute
+    Demo(demo::Args),
     /// Simulate a place and two runs through it, as sequences on disk
     Simulate(simulate::Args),
     /// Build a map from a reference sequence
@@ -42,13 +45,14 @@ impl Command {
     /// Whatever the subcommand could not do, in words for the person at the shell.
     pub fn run(self) -> anyhow::Result<()> {
         match self {
+            Self::Demo(args) => demo::run(&args),
             Self::Simulate(args) => simulate::run(&args),
             Self::BuildMap(args) => build_map::run(args),
             Self::ImportMap(args) => import_map::run(args),
             Self::ExportMap(args) => export_map::run(args),
             Self::MapInfo(args) => map_info::run(args),
             Self::Query(args) => query::run(args),
-            Self::Run(args) => run::run(args),
+            Self::Run(args) => run::run(&args),
             Self::Evaluate(args) => evaluate::run(&args),
             Self::Plot(args) => plot::run(&args),
         }

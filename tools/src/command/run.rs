@@ -9,10 +9,8 @@ use std::path::PathBuf;
 
 /// Arguments of `driftless run`.
 #[derive(clap::Args, Debug)]
-#[command(
-    after_help = "Examples:\n  driftless run place/live --map place.db --init truth --out run\n  \
-    driftless run place/live --mode odometry --out run\n\nThen: driftless plot run"
-)]
+#[command(after_help = "Examples:\n  driftless run place/live --map place.db --init truth --out run\n  \
+    driftless run place/live --mode odometry --out run\n\nThen: driftless plot run")]
 pub struct Args {
     /// The recording, a folder in the EuRoC layout
     #[arg(value_name = "SEQ")]
@@ -31,11 +29,13 @@ pub struct Args {
 ///
 /// # Errors
 /// What the recording, the map or the output folder lacks; a run that ended early.
-pub fn run(args: Args) -> Result<()> {
+pub fn run(args: &Args) -> Result<()> {
     let sequence = Sequence::open(&args.sequence)?;
     let server = match (&args.map, args.robot.mode) {
         (_, Mode::Odometry) => None,
-        (None, _) => bail!("--map DB is missing: build one with `driftless build-map`, or use --mode odometry"),
+        (None, _) => {
+            bail!("--map DB is missing: build one with `driftless build-map`, or use --mode odometry")
+        }
         (Some(database), _) => Some(LocalServer::start(vec![("map".to_owned(), load_map(database)?)])?),
     };
     let link = server.as_ref().map(|server| server.link("map")).transpose()?;
@@ -43,7 +43,7 @@ pub fn run(args: Args) -> Result<()> {
     let outcome = run_robot(&sequence, &args.robot, link.clone(), |frame| bar.set_position(frame as u64))?;
     bar.finish_and_clear();
     if let Some(server) = server {
-        if let Some(link) = link {
+        if let Some(link) = &link {
             server.unlink(link);
         }
         server.stop()?;
@@ -54,7 +54,7 @@ pub fn run(args: Args) -> Result<()> {
         print!("{}", progress::report(&outcome));
         println!("written to {}", args.robot.out.display());
     }
-    if let Some(reason) = outcome.summary.ended_early {
+    if let Some(reason) = &outcome.summary.ended_early {
         bail!("the run ended early: {reason}");
     }
     Ok(())
