@@ -1,7 +1,7 @@
 //! What the map answered to one image, in the estimator's own terms.
 
 use geometry::{Camera, PoseWithCovariance};
-use nalgebra::{Matrix6, Vector2, Vector3};
+use nalgebra::{Matrix6, SMatrix, Vector2, Vector3};
 use protocol::KeyframeId;
 
 /// A keyframe of the map that shares landmarks with the image.
@@ -50,4 +50,55 @@ impl MapAnswer {
     pub fn keyframe(&self, id: KeyframeId) -> Option<&MapKeyframe> {
         self.keyframes.iter().find(|keyframe| keyframe.id == id)
     }
+
+    /// Leaves out what no filter can use: keyframes whose pose or covariance is none, cross-covariances
+    /// that the covariances do not allow, and whatever hangs on them; numbers that are not finite.
+    ///
+    /// # Arguments
+    /// * `held`: covariance of a keyframe that the filter holds already.
+    #[must_use]
+    pub fn sound(mut self, held: &dyn Fn(KeyframeId) -> Option<Matrix6<f64>>) -> Self {
+        self.keyframes.retain(|keyframe| keyframe.global_from_keyframe.is_plausible());
+        let stated: Vec<(KeyframeId, Matrix6<f64>)> = self
+            .keyframes
+            .iter()
+            .map(|keyframe| (keyframe.id, keyframe.global_from_keyframe.covariance))
+            .collect();
+        let covariance_of =
+            |id| held(id).or_else(|| stated.iter().find(|(other, _)| *other == id).map(|(_, own)| *own));
+        self.keyframes.retain(|keyframe| {
+            keyframe.cross_covariances.iter().all(|(other, block)| {
+                let both = covariance_of(keyframe.id).zip(covariance_of(*other));
+                both.is_none_or(|(own, others)| allows(&own, &others, block))
+            })
+        });
+        let known: Vec<KeyframeId> = self.keyframes.iter().map(|keyframe| keyframe.id).collect();
+        self.landmarks.retain(|landmark| {
+            let numbers = landmark.pixel.iter().chain(landmark.position_in_anchor.iter());
+            known.contains(&landmark.anchor)
+                && numbers.into_iter().all(|value| value.is_finite())
+                && landmark.position_in_anchor.z > 0.0
+        });
+        for landmark in &mut self.landmarks {
+            landmark
+                .observations
+                .retain(|(id, pixel)| known.contains(id) && pixel.iter().all(|value| value.is_finite()));
+        }
+        let direction = |gravity: &Vector3<f64>| (gravity.norm() - 1.0).abs() < 1e-3;
+        self.gravity_in_global = self.gravity_in_global.filter(direction);
+        self
+    }
+}
+
+/// Whether two covariances and the block between them are a joint covariance.
+fn allows(a: &Matrix6<f64>, b: &Matrix6<f64>, block: &Matrix6<f64>) -> bool {
+    let mut joint = SMatrix::<f64, 12, 12>::zeros();
+    joint.fixed_view_mut::<6, 6>(0, 0).copy_from(a);
+    joint.fixed_view_mut::<6, 6>(6, 6).copy_from(b);
+    joint.fixed_view_mut::<6, 6>(0, 6).copy_from(block);
+    joint.fixed_view_mut::<6, 6>(6, 0).copy_from(&block.transpose());
+    for k in 0..12 {
+        joint[(k, k)] *= 1.0 + 1e-9;
+    }
+    joint.iter().all(|value| value.is_finite()) && joint.cholesky().is_some()
 }

@@ -18,6 +18,17 @@ pub enum Rejection {
     /// The clone of its image is gone: the answer came after its deadline.
     #[error("the answer came too late, the pose of its image is gone")]
     TooLate,
+    /// It is of an older version of the map than the one in use.
+    #[error("it is of map version {answered}, version {held} is in use")]
+    OldMap {
+        /// The answer's.
+        answered: u64,
+        /// The filter's.
+        held: u64,
+    },
+    /// The keyframes' covariances cannot all be true.
+    #[error("the map's covariances and cross-covariances contradict each other; build the map again")]
+    UnsoundMap,
     /// The mode ignores the map.
     #[error("odometry only, by configuration")]
     Odometry,
@@ -83,7 +94,7 @@ impl Estimator {
     /// # Errors
     /// [`EstimatorError::Diverged`] when the filter itself is broken.
     pub fn map_update(&mut self, clone: CloneId, answer: &MapAnswer) -> Result<MapReport, EstimatorError> {
-        let answer = self.restrict(answer);
+        let answer = self.restrict(answer).sound(&|id| self.covariance.held.covariance_by_id(id));
         let mut report = MapReport {
             keyframes: answer.keyframes.len(),
             matches: answer.landmarks.len(),
@@ -95,7 +106,7 @@ impl Estimator {
             innovation: None,
             rejection: None,
         };
-        report.rejection = self.try_map_update(clone, &answer, &mut report)?.err();
+        report.rejection = self.in_map_version(clone, &answer, &mut report)?.err();
         match &report.rejection {
             None => {
                 self.rejections_in_a_row = 0;
@@ -123,6 +134,36 @@ impl Estimator {
         restricted
     }
 
+    /// A map that changed is another map: what was held of the old one is given up, and
+    /// `global_from_local` is found anew with its wide prior. If that fails, all stays as it was.
+    fn in_map_version(
+        &mut self,
+        clone: CloneId,
+        answer: &MapAnswer,
+        report: &mut MapReport,
+    ) -> Result<Result<(), Rejection>, EstimatorError> {
+        let answered = answer.map_version;
+        match self.map_version {
+            Some(held) if answered < held => Ok(Err(Rejection::OldMap { answered, held })),
+            Some(held) if answered > held => {
+                let (state, covariance) = (self.state.clone(), self.covariance.clone());
+                self.covariance.held.clear();
+                self.remove_transform();
+                let outcome = self.try_map_update(clone, answer, report)?;
+                if outcome.is_err() {
+                    (self.state, self.covariance) = (state, covariance);
+                } else {
+                    self.map_version = Some(answered);
+                }
+                Ok(outcome)
+            }
+            _ => {
+                self.map_version = Some(answered);
+                self.try_map_update(clone, answer, report)
+            }
+        }
+    }
+
     fn try_map_update(
         &mut self,
         clone: CloneId,
@@ -144,7 +185,6 @@ impl Estimator {
             Err(rejection) => return Ok(Err(rejection.into())),
         };
         report.verified = verified.inliers.len();
-        self.meet_map_version(answer.map_version);
 
         let Some(best) = answer.keyframe(verified.best) else { return Ok(Err(Rejection::TooLate)) };
         let global_from_imu = self.pose_of(best.id, answer).unwrap_or(best.global_from_keyframe.pose)
@@ -191,6 +231,11 @@ impl Estimator {
     ) -> Result<Result<(), Rejection>, EstimatorError> {
         let inliers: Vec<&MatchedLandmark> = verified.inliers.iter().map(|&k| &answer.landmarks[k]).collect();
         let keyframes = self.keyframes_of(&inliers, answer);
+        let new: Vec<KeyframeId> = keyframes
+            .iter()
+            .copied()
+            .filter(|&id| self.covariance.held.covariance_by_id(id).is_none())
+            .collect();
         let columns = self.map_columns(clone, &keyframes, answer);
         let exact = self.config.mode == MapMode::MapConst;
         for iteration in 1..=self.config.map_iterations {
@@ -202,7 +247,10 @@ impl Estimator {
                 return Ok(Err(Rejection::FewLandmarks { accepted, verified, need }));
             }
             let rows = prepared.information.rows;
-            let innovation = self.covariance.innovation_squared(&prepared.information)?;
+            let Ok(innovation) = self.covariance.innovation_squared(&prepared.information) else {
+                self.covariance.held.forget(&new);
+                return Ok(Err(Rejection::UnsoundMap));
+            };
             report.innovation = Some((innovation, rows));
             // Taking the map for exact contradicts itself all the time; its gate is the landmarks'.
             if !exact && !self.frame_gate.accepts(innovation, rows) {
@@ -279,9 +327,11 @@ impl Estimator {
         columns: &Columns,
         point: &Linearization,
     ) -> Prepared {
+        let usable = answer.sigma_map_px.is_finite() && answer.sigma_map_px > 0.0;
+        let stated_sigma = if usable { answer.sigma_map_px } else { self.config.sigma_match_px };
         let settings = RowSettings {
             sigma_match_px: self.config.sigma_match_px,
-            sigma_map_px: self.config.sigma_map_px.unwrap_or(answer.sigma_map_px),
+            sigma_map_px: self.config.sigma_map_px.unwrap_or(stated_sigma),
             map_is_exact: self.config.mode == MapMode::MapConst,
         };
         let joint = self.covariance.joint(columns);
@@ -343,16 +393,6 @@ impl Estimator {
             self.covariance.gather(&kept);
             self.state.transform = None;
         }
-    }
-
-    /// A map that changed is another map: what was held of the old one is given up, and
-    /// `global_from_local` is found anew with its wide prior.
-    fn meet_map_version(&mut self, version: u64) {
-        if self.map_version.is_some_and(|held| held != version) {
-            self.covariance.held.clear();
-            self.remove_transform();
-        }
-        self.map_version = Some(version);
     }
 }
 

@@ -106,6 +106,21 @@ impl HeldKeyframes {
         &self.active[slot]
     }
 
+    /// Covariance of a held keyframe, active or parked.
+    pub fn covariance_by_id(&self, id: KeyframeId) -> Option<Matrix6<f64>> {
+        let parked = self.parked.iter().flat_map(|group| group.members.iter().map(|member| &member.keyframe));
+        let mut all = self.active.iter().chain(parked);
+        all.find(|keyframe| keyframe.id == id).map(|keyframe| keyframe.global_from_keyframe.covariance)
+    }
+
+    /// Gives up keyframes that were just pulled and never used: nothing is lost.
+    pub fn forget(&mut self, ids: &[KeyframeId]) {
+        for id in ids {
+            self.take_active(*id);
+        }
+        self.correlations.retain(|(a, b), _| !ids.contains(a) && !ids.contains(b));
+    }
+
     /// `P_Aj` of an active slot.
     pub fn cross(&self, slot: usize) -> DMatrix<f64> {
         self.cross.columns(6 * slot, 6).into_owned()

@@ -90,11 +90,7 @@ pub fn collect(
         };
         let indices: Vec<usize> =
             rows.places.iter().flat_map(|place| POSE_DIM * place..POSE_DIM * (place + 1)).collect();
-        let part = joint.select_rows(&indices).select_columns(&indices);
-        let Some(innovation) = innovation_squared(&part, &rows.jacobian, &rows.residual) else {
-            return Err(NotPositiveDefinite);
-        };
-        if !settings.gate.accepts(innovation, rows.residual.len()) {
+        if !plausible(&settings.gate, &joint, &indices, &rows)? {
             report.gated += 1;
             continue;
         }
@@ -104,24 +100,33 @@ pub fn collect(
     Ok(((information.rows > 0).then_some(information), report))
 }
 
-/// `rᵀ (H P Hᵀ + I)⁻¹ r`.
-fn innovation_squared(
-    covariance: &DMatrix<f64>,
-    jacobian: &DMatrix<f64>,
-    residual: &DVector<f64>,
-) -> Option<f64> {
-    let mut innovation = jacobian * (covariance * jacobian.transpose());
-    for k in 0..innovation.nrows() {
+/// The chi-square gate on `rᵀ (H P Hᵀ + I)⁻¹ r`.
+///
+/// That is at most `rᵀ r`, so a small residual passes without working it out.
+fn plausible(
+    gate: &Gate,
+    joint: &DMatrix<f64>,
+    indices: &[usize],
+    rows: &TrackRows,
+) -> Result<bool, NotPositiveDefinite> {
+    let count = rows.residual.len();
+    if gate.accepts(rows.residual.norm_squared(), count) {
+        return Ok(true);
+    }
+    let covariance = joint.select_rows(indices).select_columns(indices);
+    let mut innovation = &rows.jacobian * (covariance * rows.jacobian.transpose());
+    for k in 0..count {
         innovation[(k, k)] += 1.0;
     }
-    let factor = innovation.cholesky()?;
-    Some(factor.l_dirty().solve_lower_triangular(residual)?.norm_squared())
+    let factor = innovation.cholesky().ok_or(NotPositiveDefinite)?;
+    Ok(gate.accepts(rows.residual.dot(&factor.solve(&rows.residual)), count))
 }
 
 /// Adds rows over the columns `indices` of the information's columns.
 fn add_rows(information: &mut Information, indices: &[usize], rows: &TrackRows) {
-    let square = rows.jacobian.tr_mul(&rows.jacobian);
-    let vector = rows.jacobian.tr_mul(&rows.residual);
+    let transposed = rows.jacobian.transpose();
+    let square = &transposed * &rows.jacobian;
+    let vector = &transposed * &rows.residual;
     for (j, &column) in indices.iter().enumerate() {
         for (i, &row) in indices.iter().enumerate() {
             information.matrix[(row, column)] += square[(i, j)];
@@ -230,4 +235,137 @@ pub fn predict_with_jacobians(
     let (pixel, of_ray) = eye.camera.project_with_jacobian(&in_camera).ok()?;
     let of_imu = of_ray * eye.imu_from_camera.rotation.inverse().to_rotation_matrix().into_inner();
     Some((pixel, of_imu * of_pose, of_imu * of_point))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::propagation::{ImuState, MotionEstimate};
+    use super::super::state::{CloneId, ClonedPose};
+    use super::*;
+    use geometry::numeric::numeric_jacobian;
+    use geometry::{Distortion, rotation};
+
+    /// Eight clones on a bow around a landmark, the newest estimates a little off the first ones.
+    fn scene() -> (ActiveState, RigCamera, Vec<Sighting>, Vector3<f64>, TrackSettings) {
+        let camera = Camera {
+            width: 640,
+            height: 480,
+            focal: [400.0; 2],
+            centre: [320.0, 240.0],
+            distortion: Distortion::None,
+        };
+        let eye = RigCamera {
+            camera,
+            imu_from_camera: Pose::new(
+                rotation::exp(&Vector3::new(0.1, 0.2, -0.3)),
+                Vector3::new(0.05, 0.1, 0.0),
+            ),
+        };
+        let landmark = Vector3::new(0.4, -0.3, 6.0);
+        let wave = |k: f64| Vector3::new((1.7 * k).sin(), (2.3 * k).cos(), (0.9 * k).sin());
+        let clones: Vec<ClonedPose> = (0..8)
+            .map(|k| {
+                let t = k as f64;
+                let newest = Pose::new(
+                    rotation::exp(&(0.1 * wave(t))),
+                    Vector3::new(0.3 * t - 1.0, 0.1 * t, 0.02 * t * t),
+                );
+                let turned = rotation::exp(&(2e-3 * wave(t + 9.0))) * newest.rotation;
+                let first_estimate = Pose::new(turned, newest.translation + 0.03 * wave(t + 5.0));
+                ClonedPose {
+                    id: CloneId(k),
+                    stamp_ns: k as i64,
+                    local_from_imu: newest,
+                    first_estimate,
+                    pinned: false,
+                }
+            })
+            .collect();
+        let see = |clone: &ClonedPose| Sighting {
+            clone: clone.id,
+            camera: 0,
+            pixel: predict(&eye, &clone.local_from_imu, &landmark).unwrap() + Vector2::new(0.3, -0.2),
+        };
+        let sightings = clones.iter().map(see).collect();
+        let imu = ImuState {
+            local_from_imu: clones[7].local_from_imu,
+            velocity: Vector3::zeros(),
+            gyroscope_bias: Vector3::zeros(),
+            accelerometer_bias: Vector3::zeros(),
+        };
+        let first_motion =
+            MotionEstimate { position: imu.local_from_imu.translation, velocity: imu.velocity };
+        let state = ActiveState { stamp_ns: 8, imu, first_motion, transform: None, clones };
+        let settings = TrackSettings {
+            sigma_px: 1.2,
+            first_estimates: true,
+            gate: Gate::new(0.95),
+            outlier_sigmas: 5.0,
+        };
+        (state, eye, sightings, landmark, settings)
+    }
+
+    #[test]
+    fn a_track_sees_neither_where_its_frame_is_nor_how_it_is_turned_about_gravity() {
+        let (state, eye, sightings, landmark, mut settings) = scene();
+        for first_estimates in [true, false] {
+            settings.first_estimates = first_estimates;
+            let rows =
+                linearize(&state, std::slice::from_ref(&eye), &sightings, &landmark, &settings).unwrap();
+            let mut gauge = DMatrix::zeros(POSE_DIM * state.clones.len(), 4);
+            for (place, clone) in state.clones.iter().enumerate() {
+                let at = if first_estimates { clone.first_estimate } else { clone.local_from_imu };
+                let up = Vector3::z();
+                gauge.fixed_view_mut::<3, 1>(POSE_DIM * place, 0).copy_from(&up);
+                gauge.fixed_view_mut::<3, 1>(POSE_DIM * place + 3, 0).copy_from(&up.cross(&at.translation));
+                gauge.fixed_view_mut::<3, 3>(POSE_DIM * place + 3, 1).fill_with_identity();
+            }
+            assert_eq!(rows.residual.len(), 2 * 8 - 3);
+            assert!((&rows.jacobian * gauge).amax() < 1e-9, "first estimates: {first_estimates}");
+        }
+    }
+
+    #[test]
+    fn the_rows_of_a_track_are_the_derivative_of_its_pixels_with_the_landmark_eliminated() {
+        let (state, eye, sightings, landmark, mut settings) = scene();
+        settings.first_estimates = false;
+        let rows = linearize(&state, std::slice::from_ref(&eye), &sightings, &landmark, &settings).unwrap();
+        let clones = state.clones.len();
+        let pixels = |error: &DVector<f64>| {
+            let point = landmark + error.fixed_rows::<3>(POSE_DIM * clones);
+            let stacked = state.clones.iter().enumerate().flat_map(|(place, clone)| {
+                let pose = clone.local_from_imu.retract(&error.fixed_rows::<6>(POSE_DIM * place).into());
+                let pixel = predict(&eye, &pose, &point).unwrap() / settings.sigma_px;
+                [pixel.x, pixel.y]
+            });
+            DVector::from_iterator(2 * clones, stacked)
+        };
+        let numeric = numeric_jacobian(POSE_DIM * clones + 3, pixels);
+        let (of_state, of_landmark) =
+            (numeric.columns(0, POSE_DIM * clones), numeric.columns(POSE_DIM * clones, 3));
+        let inverse = of_landmark.tr_mul(&of_landmark).try_inverse().unwrap();
+        let schur = of_state.tr_mul(&of_state)
+            - of_state.tr_mul(&of_landmark) * inverse * of_landmark.tr_mul(&of_state);
+        assert!((rows.jacobian.tr_mul(&rows.jacobian) - &schur).amax() < 1e-8 * schur.amax());
+    }
+
+    #[test]
+    fn one_outlying_observation_is_dropped_and_a_pixel_that_is_no_number_costs_its_track_only() {
+        let (state, eye, sightings, landmark, settings) = scene();
+        let rig = [eye];
+        let mut report = TrackReport::default();
+        let mut outlying = sightings.clone();
+        outlying[3].pixel.x += 60.0;
+        let found = triangulate_robustly(&state, &rig, &mut outlying, &settings, &mut report).unwrap();
+        assert_eq!((report.dropped_observations, outlying.len()), (1, 7));
+        assert!(outlying.iter().all(|sighting| sighting.clone != CloneId(3)));
+        assert!((found - landmark).norm() < 0.1);
+
+        let mut broken = sightings;
+        broken[3].pixel.x = f64::NAN;
+        let covariance = JointCovariance::new(DMatrix::identity(15 + 48, 15 + 48) * 1e-4, 4);
+        let tracks = [Track { sightings: broken }];
+        let (information, report) = collect(&state, &covariance, &rig, &tracks, &settings).unwrap();
+        assert!(information.is_none() && report.not_triangulated == 1);
+    }
 }
