@@ -176,7 +176,7 @@ impl JointCovariance {
         let (of_active, joint) = self.columns(&information.columns);
         let factor = factorize(joint)?;
         let inner = inner_factor(&factor, &information.matrix)?.unpack();
-        let (factor_inverse, inner_inverse) = (lower_inverse(&factor)?, lower_inverse(&inner)?);
+        let (factor_inverse, inner_inverse) = (lower_inverse(&factor), lower_inverse(&inner));
 
         // W = P_AC L⁻ᵀ is what the columns know of the state, V = W L_B⁻ᵀ what they know afterwards:
         // P_AA - W Wᵀ + V Vᵀ = P_AA - W (I - B⁻¹) Wᵀ.
@@ -237,8 +237,38 @@ fn inner_factor(
     Cholesky::new(inner).ok_or(NotPositiveDefinite)
 }
 
-/// The inverse of a lower triangular matrix.
-fn lower_inverse(factor: &DMatrix<f64>) -> Result<DMatrix<f64>, NotPositiveDefinite> {
-    let mut inverse = DMatrix::identity(factor.nrows(), factor.nrows());
-    if factor.solve_lower_triangular_mut(&mut inverse) { Ok(inverse) } else { Err(NotPositiveDefinite) }
+/// The inverse of a lower triangular matrix with a positive diagonal, as Cholesky gives it.
+///
+/// Column by column, skipping the zeros above the diagonal: a third of the work of solving for the identity.
+fn lower_inverse(factor: &DMatrix<f64>) -> DMatrix<f64> {
+    let n = factor.nrows();
+    let mut inverse = DMatrix::<f64>::identity(n, n);
+    for column in 0..n {
+        let mut solution = inverse.column_mut(column);
+        for k in column..n {
+            let value: f64 = solution[k] / factor[(k, k)];
+            solution[k] = value;
+            solution.rows_mut(k + 1, n - k - 1).axpy(
+                -value,
+                &factor.view((k + 1, k), (n - k - 1, 1)).column(0),
+                1.0,
+            );
+        }
+    }
+    inverse
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_inverse_of_a_triangle_undoes_it() {
+        let factor = DMatrix::from_fn(17, 17, |row, column| match row.cmp(&column) {
+            std::cmp::Ordering::Less => 0.0,
+            std::cmp::Ordering::Equal => 1.0 + row as f64,
+            std::cmp::Ordering::Greater => ((row * 7 + column * 3) % 5) as f64 - 2.0,
+        });
+        assert!((lower_inverse(&factor) * &factor - DMatrix::identity(17, 17)).amax() < 1e-12);
+    }
 }
