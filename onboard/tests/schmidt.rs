@@ -82,7 +82,8 @@ impl Map {
 
     /// Blocks towards the keyframes that are held, as the server sends them.
     fn cross(&self, id: u64, joint: &JointCovariance) -> Vec<(u64, Matrix6<f64>)> {
-        let others = joint.held.ids().filter(|&other| other != id && self.block(id, other) != Matrix6::zeros());
+        let others =
+            joint.held.ids().filter(|&other| other != id && self.block(id, other) != Matrix6::zeros());
         others.map(|other| (other, self.block(id, other))).collect()
     }
 
@@ -151,14 +152,24 @@ fn check(seed: u64, correlated: bool, max_active: usize) {
         assert!((squared - expected).abs() < 1e-8 * (1.0 + expected), "innovation at step {step}");
         let correction = joint.measurement_update(&information).unwrap();
         let expected = dense.update(&full, &residual);
-        assert!((correction - &expected).amax() < 1e-9 * (1.0 + expected.amax()), "correction at step {step}");
+        assert!(
+            (correction - &expected).amax() < 1e-9 * (1.0 + expected.amax()),
+            "correction at step {step}"
+        );
         joint.held.park_unused();
         parked = parked.max(joint.held.parked_len());
         let active = dense.covariance.view((0, 0), (dense.active, dense.active)).into_owned();
-        assert!(relative(&joint.active, &active) < 1e-9, "covariance at step {step}: {}", relative(&joint.active, &active));
+        assert!(
+            relative(&joint.active, &active) < 1e-9,
+            "covariance at step {step}: {}",
+            relative(&joint.active, &active)
+        );
         // The newest clone is still a copy of the body's pose: without it the covariance has full rank.
         let rank = dense.active - POSE;
-        assert!(joint.active.view((0, 0), (rank, rank)).cholesky().is_some(), "not positive definite at step {step}");
+        assert!(
+            joint.active.view((0, 0), (rank, rank)).cholesky().is_some(),
+            "not positive definite at step {step}"
+        );
     }
     assert!(correlated || parked > 0, "nothing was parked: the law was not tried");
     for id in joint.held.ids().collect::<Vec<_>>() {
@@ -166,15 +177,18 @@ fn check(seed: u64, correlated: bool, max_active: usize) {
         let expected = dense.covariance.view((0, dense.column_of(id)), (dense.active, 6)).into_owned();
         assert!((joint.held.cross(slot) - expected).amax() < 1e-9, "keyframe {id}");
         // Schmidt: what the map said of a keyframe is never changed.
-        assert_eq!(joint.held.covariance_of(&[slot]), DMatrix::from_column_slice(6, 6, map.block(id, id).as_slice()));
+        assert_eq!(
+            joint.held.covariance_of(&[slot]),
+            DMatrix::from_column_slice(6, 6, map.block(id, id).as_slice())
+        );
         assert_eq!(joint.held.get(slot).global_from_keyframe, map.keyframe(id));
     }
 }
 
 /// Propagates the first 15 numbers, clones, marginalizes, in both filters.
 fn move_on(rng: &mut StdRng, joint: &mut JointCovariance, dense: &mut Dense) {
-    let transition =
-        DMatrix::identity(FIXED, FIXED) + DMatrix::from_fn(FIXED, FIXED, |_, _| rng.random_range(-0.05..0.05));
+    let transition = DMatrix::identity(FIXED, FIXED)
+        + DMatrix::from_fn(FIXED, FIXED, |_, _| rng.random_range(-0.05..0.05));
     let noise = spd(rng, FIXED, 1e-3);
     joint.time_update(&transition, &noise);
     let mut active = DMatrix::identity(dense.active, dense.active);

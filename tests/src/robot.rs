@@ -3,6 +3,7 @@
 use clap::Parser;
 use onboard::robot::{MapLink, Outcome, RobotArguments, run_robot};
 use onboard::sequence::Sequence;
+use protocol::MatchRequest;
 use std::path::Path;
 
 #[derive(Parser)]
@@ -32,4 +33,25 @@ pub fn assert_every_frame_has_a_state(outcome: &Outcome, sequence: &Sequence) {
     let skipped = frames.len() - states.len();
     assert!(frames[skipped] - frames[0] < 1_000_000_000, "{skipped} frames were skipped");
     assert_eq!(states, frames[skipped..]);
+}
+
+/// The question about one image of a recording, without any prior; the image must have features.
+pub fn request(sequence: &Sequence, frame: usize) -> MatchRequest {
+    let frame = &sequence.frames[frame];
+    MatchRequest {
+        robot: "asker".to_owned(),
+        stamp_ns: frame.stamp_ns,
+        camera: sequence.cameras[0].camera.clone(),
+        features: frame.features.clone().unwrap(),
+        prior: None,
+        gravity_in_camera: None,
+        held: Vec::new(),
+        map_version_held: None,
+        max_keyframes: 4,
+    }
+}
+
+/// All images of a recording that have features.
+pub fn images(sequence: &Sequence) -> Vec<usize> {
+    (0..sequence.frames.len()).filter(|&frame| sequence.frames[frame].features.is_some()).collect()
 }

@@ -22,27 +22,21 @@ pub struct Server {
 impl Server {
     /// Serves one map on a free endpoint.
     pub fn start(name: &str, map: Arc<LoadedMap>) -> Self {
-        Self::serve(vec![(name, map)], listening_on(&free_endpoint().unwrap()), None)
+        Self::serve(name, map, free_endpoint().unwrap())
     }
 
     /// Serves one map on a given endpoint.
     pub fn start_on(endpoint: &str, name: &str, map: Arc<LoadedMap>) -> Self {
-        Self::serve(vec![(name, map)], listening_on(endpoint), None)
+        Self::serve(name, map, endpoint.to_owned())
     }
 
-    /// Serves maps behind a router that runs already.
-    pub fn start_behind(router: &str, maps: Vec<(&str, Arc<LoadedMap>)>) -> Self {
-        let options = SessionOptions { connect: vec![router.to_owned()], ..SessionOptions::default() };
-        Self::serve(maps, options, Some(router.to_owned()))
-    }
-
-    fn serve(maps: Vec<(&str, Arc<LoadedMap>)>, options: SessionOptions, endpoint: Option<String>) -> Self {
+    fn serve(name: &str, map: Arc<LoadedMap>, endpoint: String) -> Self {
         let runtime = network::runtime();
+        let options = SessionOptions { listen: vec![endpoint.clone()], ..SessionOptions::default() };
         let session = runtime.block_on(open_session(&options)).unwrap();
-        let maps = maps.into_iter().map(|(name, map)| ServedMap { name: name.to_owned(), map }).collect();
-        let options_of_server = ServerOptions { name: Some(NAME.to_owned()), ..ServerOptions::default() };
-        let server = runtime.block_on(MapServer::start(session.clone(), maps, options_of_server)).unwrap();
-        let endpoint = endpoint.unwrap_or_else(|| options.listen[0].clone());
+        let maps = vec![ServedMap { name: name.to_owned(), map }];
+        let options = ServerOptions { name: Some(NAME.to_owned()), ..ServerOptions::default() };
+        let server = runtime.block_on(MapServer::start(session.clone(), maps, options)).unwrap();
         Self { runtime, session, server, endpoint }
     }
 
@@ -63,10 +57,6 @@ impl Server {
     }
 }
 
-fn listening_on(endpoint: &str) -> SessionOptions {
-    SessionOptions { listen: vec![endpoint.to_owned()], ..SessionOptions::default() }
-}
-
 /// A client's session with its runtime.
 pub struct Client {
     /// Where the session lives.
@@ -78,15 +68,17 @@ pub struct Client {
 impl Client {
     /// Connects and waits until the server there says that it is ready.
     pub fn connect(endpoint: &str) -> Self {
-        let client = Self::open(endpoint);
+        let client = Self::open(&[], &[endpoint]);
         client.wait_for_server(true);
         client
     }
 
-    /// A session to an endpoint where there may be nobody.
-    pub fn open(endpoint: &str) -> Self {
+    /// A session to endpoints where there may be nobody.
+    pub fn open(listen: &[&str], connect: &[&str]) -> Self {
         let runtime = network::runtime();
-        let options = SessionOptions { connect: vec![endpoint.to_owned()], ..SessionOptions::default() };
+        let owned = |endpoints: &[&str]| endpoints.iter().map(|&endpoint| endpoint.to_owned()).collect();
+        let options =
+            SessionOptions { listen: owned(listen), connect: owned(connect), ..SessionOptions::default() };
         let session = runtime.block_on(open_session(&options)).unwrap();
         Self { runtime, session }
     }

@@ -2,14 +2,16 @@
 #![allow(clippy::unwrap_used)]
 
 use onboard::robot::run_robot;
-use protocol::session::{SessionOptions, close_session, open_session};
 use protocol::{Format, Message, RobotOdometry, RobotPose, RobotState, RobotStatus};
 use std::collections::BTreeSet;
-use tests::network::{messages, runtime, wait_for};
+use std::sync::Barrier;
+use std::sync::{Arc, Mutex};
+use tests::network::messages;
 use tests::place::Place;
 use tests::robot::{arguments, assert_every_frame_has_a_state, run};
 use tests::server::{Client, Server};
 use tools::in_process::free_endpoint;
+use zenoh::sample::SampleKind;
 
 /// Frames from which on the server is gone, and from which on it is there again.
 const OUTAGE: std::ops::Range<usize> = 100..180;
@@ -73,7 +75,7 @@ fn a_robot_whose_server_is_never_there_runs_to_the_end() {
     let place = Place::shared();
     let live = &place.recordings.live;
     let folder = tempfile::tempdir().unwrap();
-    let nobody = Client::open(&free_endpoint().unwrap());
+    let nobody = Client::open(&[], &[&free_endpoint().unwrap()]);
     let outcome = run(live, folder.path(), "--deadline 0.2", Some(nobody.link("ring")));
     assert_every_frame_has_a_state(&outcome, live);
     assert!(outcome.summary.queries.sent > 30);
@@ -111,47 +113,56 @@ fn two_robots_share_a_server_and_a_third_party_follows_both() {
     let place = Place::shared();
     let live = &place.recordings.live;
     let folder = tempfile::tempdir().unwrap();
-    let network = runtime();
-    let router_endpoint = free_endpoint().unwrap();
-    let options =
-        SessionOptions { listen: vec![router_endpoint.clone()], router: true, ..SessionOptions::default() };
-    let router = network.block_on(open_session(&options)).unwrap();
-    let server = Server::start_behind(&router_endpoint, vec![("ring", place.loaded())]);
-    let watcher = Client::connect(&router_endpoint);
+    let server = Server::start("ring", place.loaded());
+    let watching = free_endpoint().unwrap();
+    let watcher = Client::open(&[&watching], &[server.endpoint()]);
 
     let names = ["ada", "bo"];
     let tokens = watcher
         .runtime
         .block_on(async { watcher.session.liveliness().declare_subscriber("robot/*").history(true).await })
         .unwrap();
-    let published =
-        watcher.runtime.block_on(async { watcher.session.declare_subscriber("robot/*/*").await }).unwrap();
+    // A channel that nobody empties would fill, and hold up the tokens behind it: a callback takes everything.
+    let heard = Arc::new(Mutex::new(names.map(|_| Heard::default())));
+    let (all, session) = (Arc::clone(&heard), watcher.session.clone());
+    let note = move |sample: zenoh::sample::Sample| {
+        let parts: Vec<&str> = sample.key_expr().as_str().split('/').collect();
+        let robot = names.iter().position(|name| *name == parts[1]).unwrap();
+        all.lock().unwrap()[robot].note(parts[2], &sample.payload().to_bytes());
+    };
+    let published = watcher
+        .runtime
+        .block_on(async { session.declare_subscriber("robot/*/*").callback(note).await })
+        .unwrap();
 
-    let clients = names.map(|_| Client::connect(&router_endpoint));
+    let clients = names.map(|_| Client::open(&[], &[server.endpoint(), &watching]));
+    clients.iter().for_each(|client| client.wait_for_server(true));
+    // A publication that nobody has subscribed to yet is lost: the robots go on from their first frame when the
+    // watcher has seen both their tokens.
+    let both_are_seen = Barrier::new(3);
+    let mut seen = BTreeSet::new();
     let outcomes = std::thread::scope(|scope| {
-        let robots: Vec<_> = names
-            .iter()
-            .zip(&clients)
-            .map(|(name, client)| {
-                let (out, link) = (folder.path().join(name), client.link("ring"));
-                let (watched, runtime) = (watcher.session.clone(), watcher.runtime.handle().clone());
-                scope.spawn(move || {
-                    let switches = arguments(&out, &format!("--robot {name}"));
-                    // A publication that nobody has subscribed to yet is lost: both robots go on from their first
-                    // frame only when the watcher sees their tokens.
-                    run_robot(live, &switches, Some(link), |frame| {
-                        if frame == 0 {
-                            for name in names {
-                                runtime.block_on(wait_for(&watched, &format!("robot/{name}"), true));
-                            }
-                        }
-                    })
-                    .unwrap()
-                })
+        let robots = names.iter().zip(&clients).map(|(name, client)| {
+            let (out, link, both_are_seen) = (folder.path().join(name), client.link("ring"), &both_are_seen);
+            scope.spawn(move || {
+                let wait = |frame| {
+                    if frame == 0 {
+                        both_are_seen.wait();
+                    }
+                };
+                run_robot(live, &arguments(&out, &format!("--robot {name}")), Some(link), wait).unwrap()
             })
-            .collect();
+        });
+        let robots: Vec<_> = robots.collect();
+        while seen.len() < 2 {
+            let token = tokens.recv().unwrap();
+            assert_eq!(token.kind(), SampleKind::Put);
+            seen.insert(token.key_expr().to_string());
+        }
+        both_are_seen.wait();
         robots.into_iter().map(|robot| robot.join().unwrap()).collect::<Vec<_>>()
     });
+    assert_eq!(seen.iter().collect::<Vec<_>>(), ["robot/ada", "robot/bo"]);
     for outcome in &outcomes {
         assert_eq!(outcome.summary.final_status.as_ref().unwrap().localization, RobotState::Localized);
         let pose = outcome.summary.score.as_ref().unwrap().pose.as_ref().unwrap();
@@ -166,42 +177,35 @@ fn two_robots_share_a_server_and_a_third_party_follows_both() {
         client.close();
     }
 
-    // Tokens came and went with the robots; what they published before has then arrived too.
-    let (mut seen, mut left) = (BTreeSet::new(), BTreeSet::new());
-    while left.len() < 2 {
+    // The tokens go with the robots.
+    while !seen.is_empty() {
         let token = tokens.recv().unwrap();
-        let name = token.key_expr().as_str().strip_prefix("robot/").unwrap().to_owned();
-        match token.kind() {
-            zenoh::sample::SampleKind::Put => seen.insert(name),
-            zenoh::sample::SampleKind::Delete => left.insert(name),
-        };
+        assert_eq!(token.kind(), SampleKind::Delete);
+        assert!(seen.remove(token.key_expr().as_str()));
     }
-    assert_eq!(seen.iter().collect::<Vec<_>>(), ["ada", "bo"]);
-    let mut heard = names.map(|_| Heard::default());
-    while let Ok(Some(sample)) = published.try_recv() {
-        let parts: Vec<&str> = sample.key_expr().as_str().split('/').collect();
-        let robot = names.iter().position(|name| *name == parts[1]).unwrap();
-        heard[robot].note(parts[2], &sample.payload().to_bytes());
-    }
+    let heard = heard.lock().unwrap();
     for (heard, outcome) in heard.iter().zip(&outcomes) {
-        let last = outcome.recorder.states.last().unwrap();
-        // A full queue drops messages, by design; that most arrive is the law here.
-        let frames = outcome.recorder.states.len();
+        let states = &outcome.recorder.states;
+        let state_at = |stamp_ns| states.iter().find(|state| state.stamp_ns == stamp_ns).unwrap();
+        // A full queue drops messages, and the end of a run may cut off the last ones; what comes is right.
         for count in [heard.poses.len(), heard.odometry.len(), heard.statuses.len()] {
-            assert!(count * 2 > frames && count <= frames, "{count} messages of {frames} frames");
+            assert!(count > 50 && count <= states.len(), "{count} messages of {} frames", states.len());
         }
-        let pose = heard.poses.last().unwrap();
-        assert_eq!((pose.map.as_str(), pose.stamp_ns), ("ring", last.stamp_ns));
-        assert_eq!(Some(&pose.global_from_imu), last.global_from_imu.as_ref());
-        assert_eq!(heard.odometry.last().unwrap().local_from_imu, last.local_from_imu);
-        let states: Vec<RobotState> = heard.statuses.iter().map(|status| status.state).collect();
-        assert_eq!(states.last(), Some(&RobotState::Localized));
-        assert!(heard.statuses.last().unwrap().queries_answered > 20);
+        for pose in &heard.poses {
+            assert_eq!(pose.map, "ring");
+            assert_eq!(Some(&pose.global_from_imu), state_at(pose.stamp_ns).global_from_imu.as_ref());
+        }
+        for odometry in &heard.odometry {
+            assert_eq!(odometry.local_from_imu, state_at(odometry.stamp_ns).local_from_imu);
+        }
+        let last = heard.statuses.last().unwrap();
+        assert_eq!((last.state, last.map.as_deref()), (RobotState::Localized, Some("ring")));
+        assert!(last.queries_answered > 5);
     }
     let info: Vec<protocol::MapInfo> = messages(watcher.ask("map/ring/info", None));
     assert_eq!(info.len(), 1);
     assert!(server.statistics().failed == 0);
+    drop((heard, published));
     watcher.close();
     server.stop();
-    network.block_on(close_session(&router));
 }

@@ -142,11 +142,7 @@ fn run_variant(live: &Sequence, variant: &Variant, server: &LocalServer, out: &P
 fn row(variant: &Variant, outcome: &Outcome) -> Row {
     let score = outcome.summary.score.as_ref();
     let local = score.map(|score| score.local);
-    let pose = if variant.mode == Mode::Odometry {
-        local
-    } else {
-        score.and_then(|score| score.pose)
-    };
+    let pose = if variant.mode == Mode::Odometry { local } else { score.and_then(|score| score.pose) };
     Row {
         name: variant.name,
         pose,

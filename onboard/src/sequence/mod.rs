@@ -33,7 +33,7 @@ pub use crate::estimator::{ImuNoise, ImuSample, TrackObservation};
 pub use error::SequenceError;
 pub use frames::Frame;
 pub use rows::{ReferencePose, TruthRow, read_groundtruth, read_reference_poses};
-pub use sensor::{CameraSensor, ImuSensor};
+pub use sensor::{CameraSensor, ImuSensor, read_lens};
 pub use truth::TruthTrack;
 
 pub(crate) use rows::pose as pose_cells;

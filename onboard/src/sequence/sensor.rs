@@ -55,11 +55,17 @@ struct ImuYaml {
     accelerometer_random_walk: f64,
 }
 
+/// Where a camera sits, and how often it looks.
 #[derive(Deserialize)]
-struct CameraYaml {
+struct MountYaml {
     #[serde(rename = "T_BS")]
     body_from_sensor: Matrix4Yaml,
     rate_hz: f64,
+}
+
+/// Its lens.
+#[derive(Deserialize)]
+struct LensYaml {
     resolution: [u32; 2],
     #[serde(default)]
     camera_model: Option<String>,
@@ -105,14 +111,25 @@ pub(crate) fn read_imu(path: &Path) -> Result<ImuSensor, SequenceError> {
 
 /// Reads a camera's `sensor.yaml`.
 pub(crate) fn read_camera(path: &Path) -> Result<CameraSensor, SequenceError> {
-    let yaml: CameraYaml = read_yaml(path)?;
+    let camera = read_lens(path)?;
+    let mount: MountYaml = read_yaml(path)?;
+    check_positive(path, "rate_hz", mount.rate_hz)?;
+    let imu_from_camera = pose_from_matrix(path, &mount.body_from_sensor.data)?;
+    Ok(CameraSensor { camera, imu_from_camera, rate_hz: mount.rate_hz })
+}
+
+/// Reads only the lens of a `sensor.yaml`: resolution, intrinsics and distortion.
+///
+/// # Errors
+/// [`SequenceError`] with the file and what it lacks.
+pub fn read_lens(path: &Path) -> Result<Camera, SequenceError> {
+    let yaml: LensYaml = read_yaml(path)?;
     if let Some(model) = yaml.camera_model.as_deref().filter(|model| *model != "pinhole") {
         return Err(SequenceError::calibration(
             path,
             format!("camera_model \"{model}\" is unknown: pinhole is the only one"),
         ));
     }
-    check_positive(path, "rate_hz", yaml.rate_hz)?;
     let [fu, fv, cu, cv] = yaml.intrinsics;
     let camera = Camera {
         width: yaml.resolution[0],
@@ -122,8 +139,7 @@ pub(crate) fn read_camera(path: &Path) -> Result<CameraSensor, SequenceError> {
         distortion: distortion(path, yaml.distortion_model.as_deref(), &yaml.distortion_coefficients)?,
     };
     camera.validate().map_err(|error| SequenceError::calibration(path, error.to_string()))?;
-    let imu_from_camera = pose_from_matrix(path, &yaml.body_from_sensor.data)?;
-    Ok(CameraSensor { camera, imu_from_camera, rate_hz: yaml.rate_hz })
+    Ok(camera)
 }
 
 fn distortion(path: &Path, model: Option<&str>, given: &[f64]) -> Result<Distortion, SequenceError> {

@@ -23,6 +23,9 @@ pub enum MapFileError {
         /// What the system says.
         reason: std::io::Error,
     },
+    /// The camera's calibration is missing or unusable.
+    #[error(transparent)]
+    Camera(#[from] onboard::sequence::SequenceError),
     /// One line is unusable.
     #[error("{}, line {line}: {problem}; {remedy}", path.display())]
     Line {

@@ -1,0 +1,117 @@
+//! A map is the same after its server was killed, and after it was exported and imported again.
+#![allow(clippy::unwrap_used)]
+
+use map_server::{LoadedMap, MapStore as _, RecognitionOptions, SledStore, StoreError};
+use protocol::MatchReply;
+use std::path::Path;
+use tests::place::Place;
+use tests::robot::{images, request};
+use tools::in_process::load_map;
+use tools::map_files::{read_map, save_map, write_map};
+
+/// The answers to all images of the live run, but for how long they took.
+fn answers(map: &LoadedMap, place: &Place) -> Vec<MatchReply> {
+    let live = &place.recordings.live;
+    let mut all = Vec::new();
+    for frame in images(live) {
+        let mut replies = map.answer(&request(live, frame), &RecognitionOptions::default()).unwrap();
+        if let Some(MatchReply::Done(status)) = replies.last_mut() {
+            status.elapsed_us = 0;
+        }
+        all.extend(replies);
+    }
+    all
+}
+
+fn copy(from: &Path, to: &Path) {
+    std::fs::create_dir_all(to).unwrap();
+    for entry in std::fs::read_dir(from).unwrap() {
+        let entry = entry.unwrap();
+        let target = to.join(entry.file_name());
+        if entry.file_type().unwrap().is_dir() {
+            copy(&entry.path(), &target);
+        } else {
+            std::fs::copy(entry.path(), target).unwrap();
+        }
+    }
+}
+
+#[test]
+fn a_map_that_was_acknowledged_is_whole_after_a_kill_and_answers_alike() {
+    let place = Place::shared();
+    let folder = tempfile::tempdir().unwrap();
+    let (path, killed) = (folder.path().join("ring.db"), folder.path().join("killed.db"));
+    let store = SledStore::create(&path, &place.map.info).unwrap();
+    let version = store.replace_all(&place.map).unwrap();
+    // What the disk holds while the program is still running is what a kill leaves behind.
+    copy(&path, &killed);
+    let here = LoadedMap::load(&store).unwrap();
+    drop(store);
+    let survivor = SledStore::open(&killed).unwrap();
+    let contents = survivor.read_contents().unwrap();
+    assert_eq!(contents.info.version, version);
+    assert_eq!(contents.keyframes, place.map.keyframes);
+    assert_eq!(contents.landmarks, place.map.landmarks);
+    let found = answers(&here, place);
+    assert!(found.iter().filter(|reply| matches!(reply, MatchReply::Keyframe(_))).count() > 100);
+    assert_eq!(found, answers(&LoadedMap::load(&survivor).unwrap(), place));
+    assert_eq!(found, answers(&load_map(&path).unwrap(), place));
+}
+
+#[test]
+fn a_map_that_was_exported_and_imported_answers_alike() {
+    let place = Place::shared();
+    let folder = tempfile::tempdir().unwrap();
+    let original = SledStore::open(place.database(folder.path())).unwrap();
+    let text = folder.path().join("text");
+    write_map(&text, &original.read_contents().unwrap()).unwrap();
+    let second = folder.path().join("second.db");
+    save_map(&second, &read_map(&text).unwrap(), false).unwrap();
+    let imported = load_map(&second).unwrap();
+    let original = LoadedMap::load(&original).unwrap();
+    assert_eq!(answers(&original, place), answers(&imported, place));
+}
+
+#[test]
+fn a_damaged_record_is_named_and_the_rest_still_localizes() {
+    let place = Place::shared();
+    let folder = tempfile::tempdir().unwrap();
+    let path = place.database(folder.path());
+    let damaged = place.map.landmarks[5].id;
+    loop {
+        // A database that was just closed stays locked until sled's threads have let go of it.
+        let Ok(database) = sled::open(&path) else { continue };
+        let tree = database.open_tree("landmarks").unwrap();
+        let mut bytes = tree.get(damaged.to_be_bytes()).unwrap().unwrap().to_vec();
+        let middle = bytes.len() / 2;
+        bytes[middle] ^= 0x40;
+        tree.insert(damaged.to_be_bytes(), bytes).unwrap();
+        tree.flush().unwrap();
+        break;
+    }
+    let store = SledStore::open(&path).unwrap();
+    let error = store.read_contents().unwrap_err();
+    assert!(
+        matches!(&error, StoreError::Corrupt { record, .. } if *record == format!("landmark {damaged}")),
+        "{error}"
+    );
+    assert!(error.to_string().contains("ring.db"), "{error}");
+    let map = LoadedMap::load(&store).unwrap();
+    assert_eq!(map.damaged_records(), 1);
+    assert_eq!(map.landmark_count(), place.map.landmarks.len() - 1);
+    let found = answers(&map, place);
+    assert!(found.iter().filter(|reply| matches!(reply, MatchReply::Keyframe(_))).count() > 100);
+}
+
+#[test]
+fn what_is_no_map_is_refused_by_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let photos = folder.path().join("photos");
+    std::fs::create_dir(&photos).unwrap();
+    std::fs::write(photos.join("a.png"), b"not a map").unwrap();
+    let error = load_map(&photos).err().unwrap().to_string();
+    assert!(error.contains("photos") && error.contains("not a Driftless map"), "{error}");
+    let error = load_map(&folder.path().join("nowhere")).err().unwrap().to_string();
+    assert!(error.contains("nowhere") && error.contains("build-map"), "{error}");
+    assert!(!folder.path().join("nowhere").exists());
+}
