@@ -6,6 +6,7 @@ use geometry::{Camera, Distortion, Pose, PoseWithCovariance, rotation};
 use nalgebra::{DMatrix, DVector, Matrix3, Matrix6, Rotation3, Vector2, Vector3, Vector6};
 use onboard::estimator::covariance::{Columns, Information, JointCovariance};
 use onboard::estimator::map_rows::{Linearization, MapPoint, RowSettings, landmark_rows};
+use onboard::estimator::state::retract_locally;
 use onboard::estimator::track_update::predict_with_jacobians;
 use onboard::estimator::{MapAnswer, MapKeyframe, MatchedLandmark, RigCamera};
 use rand::{RngExt as _, SeedableRng, rngs::StdRng};
@@ -108,7 +109,7 @@ fn part(error: &DVector<f64>, begin: usize) -> Vector6<f64> {
 fn moved(point: &MapPoint, error: &DVector<f64>) -> MapPoint {
     MapPoint {
         local_from_imu: point.local_from_imu.retract(&part(error, 0)),
-        global_from_local: point.global_from_local.retract(&part(error, 6)),
+        global_from_local: retract_locally(&point.global_from_local, &part(error, 6)),
     }
 }
 
@@ -161,12 +162,18 @@ fn the_rows_are_the_derivative_of_the_paper_s_equations_with_the_landmark_elimin
             rotation: rotation::exp(&error.fixed_rows::<3>(0).into_owned()).inverse() * pose.rotation,
             translation: pose.translation - error.fixed_rows::<3>(3),
         };
+        let back_locally = |pose: &Pose, error: Vector6<f64>| {
+            let rotation = pose.rotation * rotation::exp(&error.fixed_rows::<3>(0).into_owned()).inverse();
+            let translation = pose.translation - rotation * error.fixed_rows::<3>(3).into_owned();
+            Pose::new(rotation, translation)
+        };
         let estimate = MapPoint {
             local_from_imu: back(&at.local_from_imu, part(&away, 0)),
-            global_from_local: back(&at.global_from_local, part(&away, 6)),
+            global_from_local: back_locally(&at.global_from_local, part(&away, 6)),
         };
         for k in 0..6 {
-            let (jacobian, residual) = rows(&scene, k, &Linearization { estimate, at }, &SETTINGS);
+            let (jacobian, residual) =
+                rows(&scene, k, &Linearization { estimate, at, first_position: None }, &SETTINGS);
             let numeric = numeric_jacobian(33, |error| pixels(&scene, k, &estimate, &(&away + error)));
             let (of_state, of_landmark) = (numeric.columns(0, 30), numeric.columns(30, 3));
             let followed = measured(&scene.answer.landmarks[k]) - pixels(&scene, k, &estimate, &away)
@@ -197,26 +204,27 @@ fn a_predicted_pixel_has_the_jacobians_that_it_says() {
 }
 
 /// L turned about its z and moved, with `G_T_L` the other way: columns over `[clone, transform]`.
-fn gauge(point: &MapPoint) -> DMatrix<f64> {
+fn gauge(position: &Vector3<f64>) -> DMatrix<f64> {
     let mut directions = DMatrix::zeros(12, 4);
     let up = Vector3::z();
     directions.fixed_view_mut::<3, 1>(0, 0).copy_from(&up);
-    directions.fixed_view_mut::<3, 1>(3, 0).copy_from(&up.cross(&point.local_from_imu.translation));
-    directions.fixed_view_mut::<3, 1>(6, 0).copy_from(&-(point.global_from_local.rotation * up));
-    let rotation = point.global_from_local.rotation.to_rotation_matrix().into_inner();
+    directions.fixed_view_mut::<3, 1>(3, 0).copy_from(&up.cross(position));
+    directions.fixed_view_mut::<3, 1>(6, 0).copy_from(&-up);
     directions.fixed_view_mut::<3, 3>(3, 1).fill_with_identity();
-    directions.fixed_view_mut::<3, 3>(9, 1).copy_from(&-rotation);
+    directions.fixed_view_mut::<3, 3>(9, 1).copy_from(&-Matrix3::identity());
     directions
 }
 
 #[test]
 fn turning_and_moving_local_about_gravity_is_invisible_to_the_map() {
     let scene = scene(6, 1.0);
-    let point = Linearization { estimate: scene.truth, at: scene.truth };
+    // Also where the clone was first believed to be elsewhere.
+    let first = scene.truth.local_from_imu.translation + Vector3::new(0.05, -0.1, 0.02);
+    let point = Linearization { estimate: scene.truth, at: scene.truth, first_position: Some(first) };
     for k in 0..6 {
         for settings in [SETTINGS, RowSettings { map_is_exact: true, ..SETTINGS }] {
             let (jacobian, _) = rows(&scene, k, &point, &settings);
-            let seen = jacobian.columns(0, 12) * gauge(&scene.truth);
+            let seen = jacobian.columns(0, 12) * gauge(&first);
             assert!(seen.amax() < 1e-11 * jacobian.amax(), "landmark {k}: {}", seen.amax());
         }
     }
@@ -225,7 +233,7 @@ fn turning_and_moving_local_about_gravity_is_invisible_to_the_map() {
 #[test]
 fn the_depth_of_a_landmark_carries_no_information() {
     let mut scene = scene(6, 0.0);
-    let point = Linearization { estimate: scene.truth, at: scene.truth };
+    let point = Linearization { estimate: scene.truth, at: scene.truth, first_position: None };
     let original = scene.answer.clone();
     let change = |scene: &mut Scene, k: usize, scale: f64| {
         scene.answer = original.clone();
@@ -244,7 +252,7 @@ fn the_depth_of_a_landmark_carries_no_information() {
 #[test]
 fn a_map_taken_for_exact_has_two_rows_a_landmark_and_no_keyframe_columns() {
     let scene = scene(2, 1.0);
-    let point = Linearization { estimate: scene.truth, at: scene.truth };
+    let point = Linearization { estimate: scene.truth, at: scene.truth, first_position: None };
     let (jacobian, residual) = rows(&scene, 0, &point, &RowSettings { map_is_exact: true, ..SETTINGS });
     assert_eq!((jacobian.shape(), residual.len()), ((2, 12), 2));
     let numeric = numeric_jacobian(33, |error| pixels(&scene, 0, &scene.truth, error));
@@ -254,7 +262,7 @@ fn a_map_taken_for_exact_has_two_rows_a_landmark_and_no_keyframe_columns() {
 #[test]
 fn one_keyframe_leaves_one_row_and_each_further_one_adds_two() {
     let mut scene = scene(1, 1.0);
-    let point = Linearization { estimate: scene.truth, at: scene.truth };
+    let point = Linearization { estimate: scene.truth, at: scene.truth, first_position: None };
     for (seen, left) in [(3, 5), (2, 3), (1, 1)] {
         scene.answer.landmarks[0].observations.truncate(seen);
         assert_eq!(rows(&scene, 0, &point, &SETTINGS).1.len(), left);
@@ -274,7 +282,8 @@ fn error_after(scene: &Scene, estimate: MapPoint, at: MapPoint) -> f64 {
     let slots: Vec<usize> = slots.collect();
     let mut information = Information::new(Columns { active: (0..12).collect(), keyframes: slots });
     for k in 0..scene.answer.landmarks.len() {
-        let (jacobian, residual) = rows(scene, k, &Linearization { estimate, at }, &SETTINGS);
+        let (jacobian, residual) =
+            rows(scene, k, &Linearization { estimate, at, first_position: None }, &SETTINGS);
         information.add(&jacobian, &residual);
     }
     let correction = joint.measurement_update(&information).unwrap();

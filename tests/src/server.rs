@@ -15,7 +15,7 @@ pub const NAME: &str = "south";
 pub struct Server {
     runtime: Runtime,
     session: zenoh::Session,
-    server: MapServer,
+    serving: MapServer,
     endpoint: String,
 }
 
@@ -36,8 +36,8 @@ impl Server {
         let session = runtime.block_on(open_session(&options)).unwrap();
         let maps = vec![ServedMap { name: name.to_owned(), map }];
         let options = ServerOptions { name: Some(NAME.to_owned()), ..ServerOptions::default() };
-        let server = runtime.block_on(MapServer::start(session.clone(), maps, options)).unwrap();
-        Self { runtime, session, server, endpoint }
+        let serving = runtime.block_on(MapServer::start(session.clone(), maps, options)).unwrap();
+        Self { runtime, session, serving, endpoint }
     }
 
     /// Where robots connect to.
@@ -47,12 +47,12 @@ impl Server {
 
     /// What it has done.
     pub fn statistics(&self) -> ServerStatistics {
-        self.server.statistics()
+        self.serving.statistics()
     }
 
     /// Stops serving and closes the session, as a server that is told to end.
     pub fn stop(self) {
-        self.runtime.block_on(self.server.stop()).unwrap();
+        self.runtime.block_on(self.serving.stop()).unwrap();
         self.runtime.block_on(close_session(&self.session));
     }
 }

@@ -38,13 +38,13 @@ fn complaint(file: &str, spoil: impl Fn(String) -> Option<String>) -> String {
     error
 }
 
-/// Replaces the first cell-to-comma piece `column` of line `line`.
-fn with_cell(text: &str, line: usize, column: usize, value: &str) -> Option<String> {
+/// Replaces one cell of one line, both counted from 0.
+fn with_cell(text: &str, line: usize, column: usize, value: &str) -> String {
     let mut lines: Vec<String> = text.lines().map(str::to_owned).collect();
     let mut cells: Vec<&str> = lines[line].split(',').collect();
     cells[column] = value;
     lines[line] = cells.join(",");
-    Some(lines.join("\n") + "\n")
+    lines.join("\n") + "\n"
 }
 
 #[test]
@@ -56,10 +56,10 @@ fn a_spoiled_recording_is_refused_with_file_and_line() {
     assert!(error.contains("line ") && error.contains("cut off"), "{error}");
     let error = complaint(imu, |text| {
         let second = text.lines().nth(1).unwrap().split(',').next().unwrap().to_owned();
-        with_cell(&text, 7, 0, &second)
+        Some(with_cell(&text, 7, 0, &second))
     });
     assert!(error.contains("line 8"), "{error}");
-    let error = complaint(imu, |text| with_cell(&text, 4, 5, "NaN"));
+    let error = complaint(imu, |text| Some(with_cell(&text, 4, 5, "NaN")));
     assert!(error.contains("line 5"), "{error}");
     for calibration in ["mav0/imu0/sensor.yaml", "mav0/cam0/sensor.yaml", "mav0/cam1/sensor.yaml"] {
         let error = complaint(calibration, |_| None);

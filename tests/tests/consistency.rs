@@ -13,6 +13,9 @@ const PLACES: u64 = 6;
 /// Confidence of the bounds. Generous: a mean over a run scatters less than the single sample that it is taken for.
 const CONFIDENCE: f64 = 0.999;
 
+/// Takes the NEES per degree of freedom of one output from a score.
+type Nees<'a> = &'a dyn Fn(&RunScore) -> f64;
+
 /// Scores of the default filter and of `mapconst` in one place.
 fn scores(seed: u64) -> [RunScore; 2] {
     let place = Place::new(seed);
@@ -50,14 +53,14 @@ fn the_errors_of_pose_transform_and_odometry_are_what_their_covariances_say() {
     });
     let all = all.into_inner().unwrap();
     assert_eq!(all.len(), PLACES as usize);
-    let mean = |variant: usize, nees: &dyn Fn(&RunScore) -> f64| {
+    let mean = |variant: usize, nees: Nees| {
         all.iter().map(|scores| nees(&scores[variant])).sum::<f64>() / all.len() as f64
     };
     let pose = |score: &RunScore| score.pose.as_ref().unwrap().nees_pose.unwrap();
     let transform = |score: &RunScore| score.transform.as_ref().unwrap().nees_pose.unwrap();
     let local = |score: &RunScore| score.local.nees_pose.unwrap();
     let (low, high) = nees_bounds(6, PLACES as usize, CONFIDENCE).unwrap();
-    let outputs: [(&str, &dyn Fn(&RunScore) -> f64); 3] =
+    let outputs: [(&str, Nees); 3] =
         [("pose in G", &pose), ("global_from_local", &transform), ("local pose", &local)];
     for (name, nees) in outputs {
         let each: Vec<f64> = all.iter().map(|scores| nees(&scores[0])).collect();

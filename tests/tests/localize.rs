@@ -84,9 +84,7 @@ fn check_files(folder: &Path, outcome: &Outcome, with_map: bool) {
 
 #[test]
 fn a_robot_localizes_in_a_map_that_was_built_stored_and_served() {
-    let mut broken = Place::shared().clone();
-    for keyframe in &mut broken.map.keyframes { keyframe.global_from_keyframe.pose.translation.x += 0.3; }
-    let place = &broken;
+    let place = Place::shared();
     let folder = tempfile::tempdir().unwrap();
     let map = load_map(&place.database(folder.path())).unwrap();
     let server = LocalServer::start(vec![("ring".to_owned(), map)]).unwrap();
@@ -100,7 +98,7 @@ fn a_robot_localizes_in_a_map_that_was_built_stored_and_served() {
         check_files(&out, &outcome, true);
         errors.push(outcome.summary.score.unwrap().pose.unwrap().rmse_m);
     }
-    assert!(errors[0] != errors[1], "single and multi did the same");
+    assert!((errors[0] - errors[1]).abs() > 1e-6, "single and multi did the same");
     client.close();
     server.stop().unwrap();
 }

@@ -136,7 +136,9 @@ fn two_robots_share_a_server_and_a_third_party_follows_both() {
         .unwrap();
 
     let clients = names.map(|_| Client::open(&[], &[server.endpoint(), &watching]));
-    clients.iter().for_each(|client| client.wait_for_server(true));
+    for client in &clients {
+        client.wait_for_server(true);
+    }
     // A publication that nobody has subscribed to yet is lost: the robots go on from their first frame when the
     // watcher has seen both their tokens.
     let both_are_seen = Barrier::new(3);

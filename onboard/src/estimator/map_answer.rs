@@ -98,7 +98,8 @@ fn allows(a: &Matrix6<f64>, b: &Matrix6<f64>, block: &Matrix6<f64>) -> bool {
     joint.fixed_view_mut::<6, 6>(0, 6).copy_from(block);
     joint.fixed_view_mut::<6, 6>(6, 0).copy_from(&block.transpose());
     for k in 0..12 {
-        joint[(k, k)] *= 1.0 + 1e-9;
+        // Room for rounding, and for a keyframe that is known exactly.
+        joint[(k, k)] += 1e-9 * joint[(k, k)] + 1e-18;
     }
     joint.iter().all(|value| value.is_finite()) && joint.cholesky().is_some()
 }

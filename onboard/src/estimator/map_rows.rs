@@ -11,10 +11,10 @@
 
 use super::map_answer::{MapAnswer, MatchedLandmark};
 use super::null_space::project_out;
-use super::state::POSE_DIM;
+use super::state::{POSE_DIM, local_error, turned};
 use super::track_update::{RigCamera, predict_with_jacobians};
 use geometry::{Pose, rotation};
-use nalgebra::{DMatrix, DVector, Matrix6, Vector6};
+use nalgebra::{DMatrix, DVector, Matrix6, Vector3, Vector6};
 use protocol::KeyframeId;
 
 /// The active poses that a map observation depends on.
@@ -29,10 +29,8 @@ pub struct MapPoint {
 impl MapPoint {
     /// `self ⊟ from`: errors of `[clone, transform]` that lead from `from` to here.
     fn minus(&self, from: &Self) -> [Vector6<f64>; 2] {
-        [
-            from.local_from_imu.local(&self.local_from_imu),
-            from.global_from_local.local(&self.global_from_local),
-        ]
+        let clone = from.local_from_imu.local(&self.local_from_imu);
+        [clone, local_error(&from.global_from_local, &self.global_from_local)]
     }
 }
 
@@ -43,6 +41,9 @@ pub struct Linearization {
     pub estimate: MapPoint,
     /// Linearization point; the residual follows it.
     pub at: MapPoint,
+    /// Where the clone was first believed to be, with first-estimates Jacobians: the direction in which
+    /// turning L about gravity moves the clone must be the one that tracks and propagation know.
+    pub first_position: Option<Vector3<f64>>,
 }
 
 /// Noise and treatment of the map's pixels.
@@ -100,8 +101,14 @@ pub fn landmark_rows(
     let (of_transform, of_global) = point.at.global_from_local.inverse_transform_jacobians(&in_global);
     let (pixel, of_clone, of_local) = predict_with_jacobians(eye, &point.at.local_from_imu, &in_local)?;
     let [clone_step, transform_step] = point.at.minus(&point.estimate);
+    let mut of_clone = of_clone;
+    if let Some(first) = point.first_position {
+        let mut of_rotation = of_clone.fixed_columns_mut::<3>(0);
+        of_rotation += of_local * rotation::skew(&(point.at.local_from_imu.translation - first));
+    }
     let of_clone = of_clone * error_change(&clone_step);
-    let of_transform = of_local * of_transform * error_change(&transform_step);
+    let of_transform =
+        of_local * of_transform * turned(&point.at.global_from_local) * local_error_change(&transform_step);
     let whiten = 1.0 / settings.sigma_match_px;
     jacobian.fixed_view_mut::<2, 6>(0, CLONE).copy_from(&(of_clone * whiten));
     jacobian.fixed_view_mut::<2, 6>(0, TRANSFORM).copy_from(&(of_transform * whiten));
@@ -148,5 +155,16 @@ fn error_change(step: &Vector6<f64>) -> Matrix6<f64> {
     let mut change = Matrix6::identity();
     let rotation_step = step.fixed_rows::<3>(0).into_owned();
     change.fixed_view_mut::<3, 3>(0, 0).copy_from(&rotation::left_jacobian(&rotation_step));
+    change
+}
+
+/// The same with the error in L, `R = R̂ Exp(e)` and `p = p̂ + R̂ e_p`: `e_lin = J_r(step) (e - step)` for the
+/// rotation, `Exp(-step) (e_p - step_p)` for the position.
+fn local_error_change(step: &Vector6<f64>) -> Matrix6<f64> {
+    let mut change = Matrix6::zeros();
+    let rotation_step = step.fixed_rows::<3>(0).into_owned();
+    change.fixed_view_mut::<3, 3>(0, 0).copy_from(&rotation::right_jacobian(&rotation_step));
+    let back = rotation::exp(&-rotation_step).to_rotation_matrix().into_inner();
+    change.fixed_view_mut::<3, 3>(3, 3).copy_from(&back);
     change
 }

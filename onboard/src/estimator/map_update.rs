@@ -143,9 +143,14 @@ impl Estimator {
         report: &mut MapReport,
     ) -> Result<Result<(), Rejection>, EstimatorError> {
         let answered = answer.map_version;
+        let asked_ns = self.state.place_of(clone).map_or(i64::MIN, |place| self.state.clones[place].stamp_ns);
         match self.map_version {
-            Some(held) if answered < held => Ok(Err(Rejection::OldMap { answered, held })),
-            Some(held) if answered > held => {
+            Some(held) if answered == held => self.try_map_update(clone, answer, report),
+            // A late answer of the map as it was. Asked later, a lower version is another, newer map.
+            Some(held) if answered < held && asked_ns < self.map_version_since_ns => {
+                Ok(Err(Rejection::OldMap { answered, held }))
+            }
+            _ => {
                 let (state, covariance) = (self.state.clone(), self.covariance.clone());
                 self.covariance.held.clear();
                 self.remove_transform();
@@ -154,12 +159,9 @@ impl Estimator {
                     (self.state, self.covariance) = (state, covariance);
                 } else {
                     self.map_version = Some(answered);
+                    self.map_version_since_ns = asked_ns;
                 }
                 Ok(outcome)
-            }
-            _ => {
-                self.map_version = Some(answered);
-                self.try_map_update(clone, answer, report)
             }
         }
     }
@@ -175,6 +177,8 @@ impl Estimator {
         }
         let Some(place) = self.state.place_of(clone) else { return Ok(Err(Rejection::TooLate)) };
         let local_from_imu = self.state.clones[place].local_from_imu;
+        let first_position =
+            self.config.first_estimates.then_some(self.state.clones[place].first_estimate.translation);
         let settings = VerificationSettings {
             angle: self.config.verify_angle,
             min_inliers: self.config.min_inliers,
@@ -212,7 +216,8 @@ impl Estimator {
         if report.initialized {
             self.insert_transform(solved_transform, median_depth(answer, &verified));
         }
-        let outcome = self.iterate(clone, answer, &verified, Linearization { estimate, at }, report)?;
+        let outcome =
+            self.iterate(clone, answer, &verified, Linearization { estimate, at, first_position }, report)?;
         if outcome.is_err() && report.initialized {
             self.remove_transform();
             report.initialized = false;

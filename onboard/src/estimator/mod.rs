@@ -105,6 +105,8 @@ pub struct Estimator {
     frame_gate: Gate,
     next_clone: u64,
     map_version: Option<u64>,
+    /// Time of the image that first met this version of the map.
+    map_version_since_ns: i64,
     rejections_in_a_row: usize,
     last_map_update_ns: Option<i64>,
     lost: Option<String>,
@@ -158,6 +160,7 @@ impl Estimator {
             tracks: TrackStore::default(),
             next_clone: 0,
             map_version: None,
+            map_version_since_ns: i64::MIN,
             rejections_in_a_row: 0,
             last_map_update_ns: None,
             lost: None,
@@ -186,6 +189,9 @@ impl Estimator {
             self.propagate_to(stamp_ns)?;
         }
         self.check_health()?;
+        // A caller that has no tracks for an image may leave `track_update` out.
+        let leaving = self.leaving_clones();
+        self.marginalize(&leaving);
         Ok(self.clone_pose())
     }
 
@@ -332,16 +338,18 @@ impl Estimator {
     /// `G_T_L`, once the map gave it.
     pub fn global_from_local(&self) -> Option<PoseWithCovariance> {
         let pose = self.state.transform?;
-        Some(PoseWithCovariance { pose, covariance: self.block(&Block::Transform, &Block::Transform) })
+        let turned = state::turned(&pose);
+        let covariance = turned * self.block(&Block::Transform, &Block::Transform) * turned.transpose();
+        Some(PoseWithCovariance { pose, covariance })
     }
 
     /// The body in G, with the correlation of both parts.
     pub fn global_from_imu(&self) -> Option<PoseWithCovariance> {
         let transform = self.global_from_local()?;
-        Some(
-            transform
-                .compose_correlated(&self.local_from_imu(), &self.block(&Block::Transform, &Block::ImuPose)),
-        )
+        Some(transform.compose_correlated(
+            &self.local_from_imu(),
+            &(state::turned(&transform.pose) * self.block(&Block::Transform, &Block::ImuPose)),
+        ))
     }
 
     /// The camera in G, for a query's prior.

@@ -154,8 +154,7 @@ impl HeldKeyframes {
     /// Makes a keyframe active and returns its slot.
     ///
     /// One that is held keeps its pose and its correlation with the state; a new one enters with the
-    /// map's covariance, uncorrelated with the active state, and with `cross` (its covariance with
-    /// other held keyframes, rows are its own error).
+    /// map's covariance and with `cross` (its covariance with other held keyframes, rows are its own error).
     pub fn pull(
         &mut self,
         id: KeyframeId,
@@ -179,7 +178,7 @@ impl HeldKeyframes {
             let entry = if id < *other { ((id, *other), *block) } else { ((*other, id), block.transpose()) };
             self.correlations.insert(entry.0, entry.1);
         }
-        let columns = DMatrix::zeros(self.cross.nrows(), 6);
+        let columns = self.entering_columns(id);
         let keyframe = HeldKeyframe { id, global_from_keyframe: *global_from_keyframe, last_used: self.uses };
         self.append(keyframe, &columns)
     }
@@ -307,6 +306,37 @@ impl HeldKeyframes {
             }
         }
         None
+    }
+
+    /// `P_AN P_NN⁻¹ C_Nj`: what the state shares with a new keyframe through those that are held. Zero
+    /// where the map says that they are independent.
+    ///
+    /// The filter that had `j` from the start has both `P_AN = M P_NN` and `P_Aj = M C_Nj`, with one `M`
+    /// that propagation and Schmidt's update change alike. Zero instead makes the joint covariance
+    /// indefinite where both correlations are strong.
+    fn entering_columns(&self, id: KeyframeId) -> DMatrix<f64> {
+        let mut with_held = DMatrix::zeros(6 * self.active.len(), 6);
+        let mut independent = true;
+        for (slot, held) in self.active.iter().enumerate() {
+            let block = if held.id < id {
+                self.correlations.get(&(held.id, id)).copied()
+            } else {
+                self.correlations.get(&(id, held.id)).map(nalgebra::Matrix::transpose)
+            };
+            if let Some(block) = block {
+                with_held.fixed_view_mut::<6, 6>(6 * slot, 0).copy_from(&block);
+                independent = false;
+            }
+        }
+        let none = DMatrix::zeros(self.cross.nrows(), 6);
+        if independent {
+            return none;
+        }
+        let mut of_held = self.covariance_of(&(0..self.active.len()).collect::<Vec<_>>());
+        for k in 0..of_held.nrows() {
+            of_held[(k, k)] += 1e-12 * of_held[(k, k)] + 1e-18; // a keyframe may be known exactly
+        }
+        of_held.cholesky().map_or(none, |factor| &self.cross * factor.solve(&with_held))
     }
 
     fn activate_parked(&mut self, id: KeyframeId) {

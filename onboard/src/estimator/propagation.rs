@@ -21,6 +21,13 @@ pub const GYROSCOPE_BIAS: usize = 9;
 /// Offset of the accelerometer bias error.
 pub const ACCELEROMETER_BIAS: usize = 12;
 
+/// Readings further apart than this have a hole between them, seconds. IMUs deliver 100 Hz and more.
+const LONGEST_STEP: f64 = 0.05;
+/// How far the angular velocity in a hole may be from the line between its ends, rad/s.
+const GAP_RATE: f64 = 0.5;
+/// The same for the specific force, m/s^2.
+const GAP_FORCE: f64 = 2.0;
+
 /// A 15x15 matrix over the IMU error.
 pub type ImuMatrix = SMatrix<f64, IMU_DIM, IMU_DIM>;
 
@@ -84,7 +91,7 @@ pub fn propagate(
         }
         let (next, step) = integrate(&now, &pair[0], &pair[1], dt, &gravity);
         transition = step * transition;
-        covariance = step * covariance * step.transpose() + step_noise(noise, dt);
+        covariance = step * covariance * step.transpose() + step_noise(&across_gap(noise, dt), dt);
         now = next;
         elapsed += dt;
     }
@@ -144,6 +151,19 @@ fn integrate(
     put(VELOCITY, GYROSCOPE_BIAS, lever * middle * (0.5 * dt * dt));
     put(VELOCITY, ACCELEROMETER_BIAS, -middle * dt);
     (next, step)
+}
+
+/// The noise of a step that bridges a hole in the readings: what happened in it is not known.
+fn across_gap(noise: &ImuNoise, dt: f64) -> ImuNoise {
+    if dt <= LONGEST_STEP {
+        return *noise;
+    }
+    let unknown = |density: f64, deviation: f64| density.hypot(deviation * dt.sqrt());
+    ImuNoise {
+        gyroscope: unknown(noise.gyroscope, GAP_RATE),
+        accelerometer: unknown(noise.accelerometer, GAP_FORCE),
+        ..*noise
+    }
 }
 
 /// Covariance that white noise and bias walk add in one step.
@@ -260,6 +280,23 @@ mod tests {
         };
         let difference = moved.transition * gauge(&first) - gauge(&motion(&moved.state));
         assert!(difference.amax() < 1e-12, "{difference}");
+    }
+
+    #[test]
+    fn a_hole_in_the_readings_is_not_taken_for_knowledge() {
+        let (state, noise, whole) = (start(), ImuNoise::default(), readings(1.0));
+        let holed: Vec<ImuSample> = whole
+            .iter()
+            .filter(|reading| !(300_000_000..700_000_000).contains(&reading.stamp_ns))
+            .copied()
+            .collect();
+        let truth = propagate(&state, &motion(&state), &whole, &noise, GRAVITY);
+        let bridged = propagate(&state, &motion(&state), &holed, &noise, GRAVITY);
+        let error = difference(&truth.state, &bridged.state);
+        for k in 0..9 {
+            assert!(error[k].abs() < 3.0 * bridged.noise[(k, k)].sqrt(), "state {k}");
+            assert!(bridged.noise[(k, k)] > 100.0 * truth.noise[(k, k)], "state {k}");
+        }
     }
 
     #[test]

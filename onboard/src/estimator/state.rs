@@ -2,7 +2,7 @@
 
 use super::propagation::{ACCELEROMETER_BIAS, GYROSCOPE_BIAS, IMU_DIM, ImuState, MotionEstimate, VELOCITY};
 use geometry::Pose;
-use nalgebra::{DVector, Vector6};
+use nalgebra::{DVector, Matrix6, Vector6};
 use std::ops::Range;
 
 /// Numbers in a pose error.
@@ -91,7 +91,7 @@ impl ActiveState {
         self.imu.gyroscope_bias += error.fixed_rows::<3>(GYROSCOPE_BIAS);
         self.imu.accelerometer_bias += error.fixed_rows::<3>(ACCELEROMETER_BIAS);
         if let Some(transform) = &mut self.transform {
-            *transform = transform.retract(&pose_error(IMU_DIM));
+            *transform = retract_locally(transform, &pose_error(IMU_DIM));
         }
         let begin = self.clones_begin();
         for (place, clone) in self.clones.iter_mut().enumerate() {
@@ -108,4 +108,31 @@ impl ActiveState {
                 .all(|vector| vector.iter().all(|value| value.is_finite()))
             && self.transform.is_none_or(|pose| pose.is_finite())
     }
+}
+
+/// `R = R̂ Exp(e)`, `p = p̂ + R̂ e_p`: the error of `global_from_local` inside of the filter.
+///
+/// In L, the directions that nothing observes (turning L about gravity and moving it) are the same for
+/// every estimate of the transform; in G they turn with it, and each update would learn a little of them.
+pub fn retract_locally(pose: &Pose, error: &Vector6<f64>) -> Pose {
+    let turn = geometry::rotation::exp(&error.fixed_rows::<3>(0).into_owned());
+    let shift = pose.rotation * error.fixed_rows::<3>(3).into_owned();
+    Pose::new(pose.rotation * turn, pose.translation + shift)
+}
+
+/// The error that leads from `from` to `to`: undoes [`retract_locally`].
+pub fn local_error(from: &Pose, to: &Pose) -> Vector6<f64> {
+    let back = from.rotation.inverse();
+    let turn = geometry::rotation::log(&(back * to.rotation));
+    let shift = back * (to.translation - from.translation);
+    Vector6::new(turn.x, turn.y, turn.z, shift.x, shift.y, shift.z)
+}
+
+/// `diag(R, R)`: an error in the child frame told in the parent frame.
+pub fn turned(pose: &Pose) -> Matrix6<f64> {
+    let rotation = pose.rotation.to_rotation_matrix().into_inner();
+    let mut blocks = Matrix6::zeros();
+    blocks.fixed_view_mut::<3, 3>(0, 0).copy_from(&rotation);
+    blocks.fixed_view_mut::<3, 3>(3, 3).copy_from(&rotation);
+    blocks
 }

@@ -86,6 +86,10 @@ pub fn run_robot(
         tracing::error!(reason, "the run ended early");
     }
     let seconds = recorder.seconds();
+    let (score, no_score) = match score(sequence, &recorder) {
+        Ok(score) => (Some(score), None),
+        Err(reason) => (None, Some(reason)),
+    };
     let summary = Summary {
         sequence: sequence.root.display().to_string(),
         map,
@@ -97,7 +101,8 @@ pub fn run_robot(
         wall_seconds: recorder.wall_seconds,
         realtime_factor: seconds / recorder.wall_seconds.max(1e-9),
         milliseconds_per_frame: recorder.timings.mean(),
-        score: score(sequence, &recorder),
+        score,
+        no_score,
         queries: recorder.query_summary(),
         keyframes_pulled: recorder.keyframes_pulled,
         wire_bytes: recorder.traffic,
@@ -110,9 +115,11 @@ pub fn run_robot(
     Ok(Outcome { summary, recorder })
 }
 
-/// Errors against the recording's truth, where it has one.
-fn score(sequence: &Sequence, recorder: &Recorder) -> Option<RunScore> {
-    let truth = sequence.groundtruth.as_deref()?;
-    let gravity = sequence.truth_gravity()?;
-    score_run(&recorder.states, truth, gravity, &ScoreOptions::default()).ok()
+/// Errors against the recording's truth, or why there are none.
+fn score(sequence: &Sequence, recorder: &Recorder) -> Result<RunScore, String> {
+    let truth = sequence.groundtruth.as_deref().ok_or("the recording has no ground truth")?;
+    let gravity = sequence
+        .truth_gravity()
+        .ok_or("the direction of gravity in the truth's frame cannot be told from truth and IMU")?;
+    score_run(&recorder.states, truth, gravity, &ScoreOptions::default()).map_err(|error| error.to_string())
 }

@@ -69,6 +69,9 @@ pub fn report(outcome: &Outcome) -> String {
             score.odometry_yaw_aligned_m.rmse, score.distance_m
         );
     }
+    if let Some(reason) = &summary.no_score {
+        let _ = writeln!(text, "no errors are known: {reason}");
+    }
     if let Some(status) = &summary.final_status {
         let _ = writeln!(text, "at the end: {:?}, {}", status.localization, status.reason);
     }

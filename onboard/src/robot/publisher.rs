@@ -3,8 +3,10 @@
 use crate::estimator::Estimator;
 use nalgebra::Vector3;
 use protocol::{Format, Message, RobotOdometry, RobotPose, RobotStatus, keys};
+use std::time::Duration;
 use tokio::runtime::Handle;
 use tokio::sync::mpsc::{Sender, channel};
+use tokio::task::JoinHandle;
 use zenoh::liveliness::LivelinessToken;
 
 /// Messages that may wait for the network before new ones are dropped.
@@ -27,8 +29,13 @@ pub struct Publisher {
     pose_key: String,
     odometry_key: String,
     status_key: String,
-    _alive: LivelinessToken,
+    runtime: Handle,
+    sending: JoinHandle<()>,
+    alive: LivelinessToken,
 }
+
+/// How long the last messages may take when a robot leaves.
+const CLOSE_TIMEOUT: Duration = Duration::from_secs(2);
 
 impl Publisher {
     /// Declares the robot.
@@ -42,7 +49,7 @@ impl Publisher {
         let alive = runtime
             .block_on(async { session.liveliness().declare_token(alive_key).await })
             .map_err(|error| format!("the robot cannot show that it is there: {error}"))?;
-        runtime.spawn(async move {
+        let sending = runtime.spawn(async move {
             while let Some((key, encoding, payload)) = messages.recv().await {
                 if let Err(error) = session.put(key, payload).encoding(encoding).await {
                     tracing::debug!(%error, "not published");
@@ -55,7 +62,9 @@ impl Publisher {
             pose_key: key(keys::robot_pose(robot))?,
             odometry_key: key(keys::robot_odometry(robot))?,
             status_key: key(keys::robot_status(robot))?,
-            _alive: alive,
+            runtime: runtime.clone(),
+            sending,
+            alive,
         })
     }
 
@@ -93,6 +102,20 @@ impl Publisher {
                 queries_answered: counts.answered,
             },
         );
+    }
+
+    /// Sends what still waits, then leaves: the last messages come before the robot is gone.
+    pub fn close(self) {
+        let Self { queue, runtime, sending, alive, .. } = self;
+        drop(queue);
+        runtime.block_on(async {
+            if tokio::time::timeout(CLOSE_TIMEOUT, sending).await.is_err() {
+                tracing::warn!("the last states could not be published in {CLOSE_TIMEOUT:?}");
+            }
+            if let Err(error) = alive.undeclare().await {
+                tracing::debug!(%error, "the liveliness token went with its session");
+            }
+        });
     }
 
     fn send<M: Message>(&self, key: &str, message: &M) {

@@ -200,6 +200,9 @@ impl RobotRun<'_> {
             self.take(&answered, recorder)?;
         }
         recorder.final_status = Some(self.estimator.status());
+        if let Some(publisher) = self.publisher.take() {
+            publisher.close();
+        }
         Ok(())
     }
 }

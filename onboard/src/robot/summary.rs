@@ -124,6 +124,8 @@ pub struct Summary {
     pub milliseconds_per_frame: MillisecondsPerFrame,
     /// Errors and consistency, where truth is known.
     pub score: Option<RunScore>,
+    /// Why there is no score.
+    pub no_score: Option<String>,
     /// Queries.
     pub queries: QuerySummary,
     /// Keyframes that were pulled from the map.
