@@ -16,8 +16,8 @@ use crate::map_files::save_map;
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
-    driftless build-map target/data/yq/map --map yq.db\n  \
-    driftless build-map target/data/walk --map walk.db --until 10\n  \
+    driftless build-map place/map --map place.db\n  \
+    driftless build-map place/map --map start.db --until 10\n  \
     driftless build-map my_run --map my.db --sigma-theta 0.005 --sigma-p 0.02 --gravity 0,0,-1\n\n\
     SEQ holds mav0/cam0/{sensor.yaml,data.csv,features.csv} and reference_poses.csv. Without the latter the ground \
     truth is taken for the poses, and the sigmas must be given.")]

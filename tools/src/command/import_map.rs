@@ -11,7 +11,7 @@ use crate::map_files::{read_map, save_map};
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
 #[command(
-    after_help = "Example:\n  driftless import-map target/data/yq_real/map --map yq.db --pixel-sigma 3\n\n\
+    after_help = "Example:\n  driftless import-map place_as_text --map place.db --pixel-sigma 3\n\n\
                         DIR holds keyframes.csv, landmarks.csv, observations.csv and camera.yaml."
 )]
 pub struct Args {

@@ -23,8 +23,8 @@ const RETRY_AFTER: Duration = Duration::from_millis(200);
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
-#[command(after_help = "Example:\n  map_server --map yq=yq.db &\n  \
-    driftless query --map yq --features target/data/yq/live/mav0/cam0/features.csv\n\n\
+#[command(after_help = "Example:\n  map_server --map place=place.db &\n  \
+    driftless query --map place --features place/live/mav0/cam0/features.csv\n\n\
     FILE has lines of: timestamp [ns],u [px],v [px],descriptor [hex]. The camera is read from sensor.yaml beside it.")]
 pub struct Args {
     /// Name under which the server serves the map

@@ -18,8 +18,6 @@ mod adjustment;
 mod assemble;
 mod locate;
 mod matching;
-#[cfg(test)]
-mod measured;
 mod normal_equations;
 mod options;
 mod point;
