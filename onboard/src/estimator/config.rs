@@ -107,6 +107,8 @@ pub struct EstimatorConfig {
     pub relinearization: Relinearization,
     /// Jacobians of clones and propagation at first estimates (keeps yaw and position unobservable).
     pub first_estimates: bool,
+    /// Tell the filter when the body stands still (seen by its tracks).
+    pub zero_velocity: bool,
     /// Clones in the sliding window. 20 beats 12 by 15 % on `loops`, and costs twice the time.
     pub window: usize,
     /// IMU noise densities.
@@ -158,6 +160,7 @@ impl Default for EstimatorConfig {
             mode: MapMode::Multi,
             relinearization: Relinearization::Transform,
             first_estimates: true,
+            zero_velocity: true,
             window: 20,
             imu_noise: ImuNoise::default(),
             gravity: 9.81,

@@ -24,6 +24,7 @@ pub mod status;
 pub mod track_update;
 pub mod tracks;
 pub mod verification;
+pub mod zero_velocity;
 
 pub use config::{EstimatorConfig, ImuNoise, InitialSigmas, MapMode, Relinearization};
 pub use imu::ImuSample;
@@ -148,6 +149,7 @@ impl Estimator {
                 sigma_px: config.sigma_track_px,
                 first_estimates: config.first_estimates,
                 gate: Gate::new(config.track_gate),
+                standing: false,
                 outlier_sigmas: OUTLIER_SIGMAS,
             },
             landmark_gate: Gate::new(config.landmark_gate),
@@ -243,6 +245,7 @@ impl Estimator {
             return Ok(TrackReport::default());
         };
         self.tracks.add(newest, observations);
+        self.track_settings.standing = self.stand_still()?;
         let mut ready = self.tracks.take_ended(newest);
         let leaving = self.leaving_clones();
         for &place in &leaving {
@@ -257,6 +260,23 @@ impl Estimator {
         }
         self.marginalize(&leaving);
         Ok(report)
+    }
+
+    /// Tells the filter that the body stands, where it does and the filter can believe it.
+    fn stand_still(&mut self) -> Result<bool, EstimatorError> {
+        let still = self.config.zero_velocity
+            && zero_velocity::stands_still(&self.state, &self.rig, &self.tracks, self.config.sigma_track_px);
+        if !still {
+            return Ok(false);
+        }
+        let information = zero_velocity::zero_velocity(&self.state);
+        let innovation = self.covariance.innovation_squared(&information)?;
+        let plausible = self.frame_gate.accepts(innovation, information.rows);
+        if plausible {
+            let correction = self.covariance.measurement_update(&information)?;
+            self.state.retract(&correction);
+        }
+        Ok(plausible)
     }
 
     /// Places of the clones that the window has no room for. A pinned one stays beyond it.

@@ -33,6 +33,8 @@ pub struct TrackReport {
     pub gated: usize,
     /// Single observations that were dropped as outliers.
     pub dropped_observations: usize,
+    /// The body stood still.
+    pub standing: bool,
 }
 
 /// Settings of the update.
@@ -44,6 +46,8 @@ pub struct TrackSettings {
     pub first_estimates: bool,
     /// The gate on a whole track.
     pub gate: Gate,
+    /// The body stands still: tracks without parallax tell its rotation.
+    pub standing: bool,
     /// An observation whose residual after triangulation exceeds this many sigmas is an outlier.
     /// Wide, because at that time the clones' own errors are still in the residual.
     pub outlier_sigmas: f64,
@@ -51,6 +55,9 @@ pub struct TrackSettings {
 
 /// Fewest clones that must have seen a track: two always fit some point well.
 const MIN_CLONES: usize = 3;
+
+/// A distance at which centimetres do not show, metres.
+const FAR: f64 = 1000.0;
 
 /// A track as rows free of its landmark.
 struct TrackRows {
@@ -70,7 +77,7 @@ pub fn collect(
     tracks: &[Track],
     settings: &TrackSettings,
 ) -> Result<(Option<Information>, TrackReport), NotPositiveDefinite> {
-    let mut report = TrackReport::default();
+    let mut report = TrackReport { standing: settings.standing, ..TrackReport::default() };
     let all: Vec<usize> =
         (0..state.clones.len()).filter_map(|place| state.range(Block::Clone(place))).flatten().collect();
     let mut information = Information::new(Columns { active: all, keyframes: Vec::new() });
@@ -80,7 +87,9 @@ pub fn collect(
             continue;
         }
         let mut sightings = track.sightings.clone();
-        let Some(landmark) = triangulate_robustly(state, rig, &mut sightings, settings, &mut report) else {
+        let landmark = triangulate_robustly(state, rig, &mut sightings, settings, &mut report)
+            .or_else(|| if settings.standing { far_away(state, rig, &sightings) } else { None });
+        let Some(landmark) = landmark else {
             report.not_triangulated += 1;
             continue;
         };
@@ -183,6 +192,15 @@ fn triangulate_robustly(
         }
     }
     None
+}
+
+/// A point so far along the first ray that moving does not show: its rows tell rotation only.
+fn far_away(state: &ActiveState, rig: &[RigCamera], sightings: &[Sighting]) -> Option<Vector3<f64>> {
+    let first = sightings.first()?;
+    let eye = rig.get(usize::from(first.camera))?;
+    let clone = &state.clones[state.place_of(first.clone)?];
+    let seen = eye.camera.unproject(&first.pixel).ok()?;
+    Some((clone.local_from_imu * eye.imu_from_camera).transform(&(Vector3::new(seen.x, seen.y, 1.0) * FAR)))
 }
 
 /// Stacks the whitened rows of a track and projects its landmark out.
@@ -297,6 +315,7 @@ mod tests {
             MotionEstimate { position: imu.local_from_imu.translation, velocity: imu.velocity };
         let state = ActiveState { stamp_ns: 8, imu, first_motion, transform: None, clones };
         let settings = TrackSettings {
+            standing: false,
             sigma_px: 1.2,
             first_estimates: true,
             gate: Gate::new(0.95),
@@ -353,7 +372,7 @@ mod tests {
     fn one_outlying_observation_is_dropped_and_a_pixel_that_is_no_number_costs_its_track_only() {
         let (state, eye, sightings, landmark, settings) = scene();
         let rig = [eye];
-        let mut report = TrackReport::default();
+        let mut report = TrackReport { standing: settings.standing, ..TrackReport::default() };
         let mut outlying = sightings.clone();
         outlying[3].pixel.x += 60.0;
         let found = triangulate_robustly(&state, &rig, &mut outlying, &settings, &mut report).unwrap();

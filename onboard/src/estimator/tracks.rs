@@ -89,6 +89,19 @@ impl TrackStore {
             .collect()
     }
 
+    /// Running tracks of the first camera: the oldest clone that saw each, where, and where `newest` did.
+    pub fn pairs_with(
+        &self,
+        newest: CloneId,
+    ) -> impl Iterator<Item = (CloneId, Vector2<f64>, Vector2<f64>)> + '_ {
+        self.running.values().filter_map(move |track| {
+            let of_first_camera = |sighting: &&Sighting| sighting.camera == 0;
+            let oldest = track.sightings.iter().find(of_first_camera)?;
+            let last = track.sightings.iter().rev().find(of_first_camera)?;
+            (last.clone == newest).then_some((oldest.clone, oldest.pixel, last.pixel))
+        })
+    }
+
     /// Forgets all.
     pub fn clear(&mut self) {
         self.running.clear();
