@@ -6,7 +6,9 @@ use onboard::robot::arguments::Mode;
 use onboard::robot::{MapLink, RobotArguments, progress, run_robot};
 use onboard::sequence::Sequence;
 use protocol::session::{DEFAULT_ENDPOINT, SessionOptions, close_session, open_session};
+use std::io::IsTerminal as _;
 use std::path::PathBuf;
+use std::process::ExitCode;
 use tracing_subscriber::EnvFilter;
 
 /// Warnings, but not Zenoh's about a network that is still being found.
@@ -47,9 +49,23 @@ struct Arguments {
     robot: RobotArguments,
 }
 
-fn main() -> Result<()> {
+fn main() -> ExitCode {
+    match localize() {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn localize() -> Result<()> {
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(QUIET));
-    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
+    tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(std::io::stderr)
+        .with_ansi(std::io::stderr().is_terminal())
+        .init();
     let arguments = Arguments::parse();
     let sequence = Sequence::open(&arguments.sequence)?;
     let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build()?;
@@ -84,8 +100,8 @@ fn main() -> Result<()> {
     if let Some(session) = session {
         runtime.block_on(close_session(&session));
     }
-    if outcome.summary.ended_early.is_some() {
-        std::process::exit(1);
+    if let Some(reason) = &outcome.summary.ended_early {
+        bail!("the run ended early: {reason}");
     }
     Ok(())
 }

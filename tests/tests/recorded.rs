@@ -80,7 +80,8 @@ fn the_papers_simulation() {
 #[test]
 fn the_papers_place_with_its_real_matches() {
     let (Some(map), Some(live)) = (recording("yq_real/map"), recording("yq_real/live")) else { return };
-    let outcome = localize(&live, &imported(&map), "--init truth --mode single --match-sigma 3 --map-sigma 3");
+    let outcome =
+        localize(&live, &imported(&map), "--init truth --mode single --match-sigma 3 --map-sigma 3");
     let score = pose_within(&outcome, 0.30, 0.35);
     assert_honest(&score);
     assert!(score.max_m < 0.8, "a wrong match moved the pose: {} m", score.max_m);
@@ -99,7 +100,8 @@ fn real_imu_and_real_matches() {
 
 #[test]
 fn a_hall_mapped_by_another_flight() {
-    let (Some(map), Some(live)) = (recording("odometry/MH_01_easy"), recording("odometry/MH_03_medium")) else {
+    let (Some(map), Some(live)) = (recording("odometry/MH_01_easy"), recording("odometry/MH_03_medium"))
+    else {
         return;
     };
     let map = built(&map, f64::INFINITY);
@@ -110,7 +112,8 @@ fn a_hall_mapped_by_another_flight() {
 #[test]
 fn ten_loops_in_a_map_whose_gravity_is_not_along_z() {
     let Some(folder) = recording("loops/scenario_1") else { return };
-    let outcome = localize(&folder.join("live"), &imported(&folder.join("map")), "--init truth --mode single");
+    let outcome =
+        localize(&folder.join("live"), &imported(&folder.join("map")), "--init truth --mode single");
     assert_honest(&pose_within(&outcome, 0.15, 0.30));
 }
 
@@ -119,7 +122,9 @@ fn a_walk_that_comes_back_to_its_start_is_localized_again() {
     let Some(folder) = recording("walk") else { return };
     let outcome = localize(&folder, &built(&folder, 10.0), "--accelerometer-bias-sigma 0.1");
     let first_ns = outcome.recorder.states[0].stamp_ns;
-    let again = |event: &&onboard::robot::recorder::Event| event.accepted && event.stamp_ns > first_ns + 105_000_000_000;
+    let again = |event: &&onboard::robot::recorder::Event| {
+        event.accepted && event.stamp_ns > first_ns + 105_000_000_000
+    };
     assert!(outcome.recorder.events.iter().filter(again).count() > 10);
     let status = outcome.summary.final_status.unwrap();
     assert_eq!(status.localization, onboard::estimator::Localization::Localized, "{}", status.reason);

@@ -1,6 +1,8 @@
 //! The `driftless` command.
 
 use clap::Parser;
+use std::io::IsTerminal as _;
+use std::process::ExitCode;
 use tools::command::Command;
 
 /// Driftless: localize robots in one shared, drift-free map.
@@ -11,13 +13,20 @@ struct Cli {
     command: Command,
 }
 
-fn main() -> anyhow::Result<()> {
+fn main() -> ExitCode {
     tracing_subscriber::fmt()
         .with_env_filter(
             tracing_subscriber::EnvFilter::try_from_default_env()
                 .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("warn,zenoh=error")),
         )
         .with_writer(std::io::stderr)
+        .with_ansi(std::io::stderr().is_terminal())
         .init();
-    Cli::parse().command.run()
+    match Cli::parse().command.run() {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
 }

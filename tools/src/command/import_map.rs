@@ -10,10 +10,8 @@ use crate::map_files::{read_map, save_map};
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
-#[command(
-    after_help = "Example:\n  driftless import-map place_as_text --map place.db --pixel-sigma 3\n\n\
-                        DIR holds keyframes.csv, landmarks.csv, observations.csv and camera.yaml."
-)]
+#[command(after_help = "Example:\n  driftless import-map place_as_text --map place.db --pixel-sigma 3\n\n\
+                        DIR holds keyframes.csv, landmarks.csv, observations.csv and camera.yaml.")]
 pub struct Args {
     /// Folder of the plain-text map
     #[arg(value_name = "DIR")]
