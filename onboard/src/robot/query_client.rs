@@ -81,13 +81,21 @@ impl QueryClient {
         self.pending += 1;
         let (session, key, sender) = (self.session.clone(), self.key.clone(), self.sender.clone());
         let (deadline, persistent) = (self.deadline, !self.nobody_there);
+        let runtime = self.runtime.clone();
         self.runtime.spawn(async move {
             let begin = Instant::now();
             let stamp_ns = request.stamp_ns;
-            let mut traffic = Traffic::default();
-            let outcome =
-                ask_until(&session, &key, Arc::new(request), begin + deadline, persistent, &mut traffic)
-                    .await;
+            // On a task of its own: whatever happens to it, its clone gets an answer and is let go.
+            let work = runtime.spawn(async move {
+                let mut traffic = Traffic::default();
+                let request = Arc::new(request);
+                let outcome =
+                    ask_until(&session, &key, request, begin + deadline, persistent, &mut traffic).await;
+                (outcome, traffic)
+            });
+            let (outcome, traffic) = work.await.unwrap_or_else(|error| {
+                (Outcome::Failed(format!("the query ended badly: {error}")), Traffic::default())
+            });
             let answered = Answered {
                 clone,
                 stamp_ns,
