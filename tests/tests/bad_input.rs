@@ -281,6 +281,7 @@ fn an_answer_that_comes_too_late_is_reported_and_does_no_harm() {
         realtime: false,
         queries: None,
         publisher: None,
+        last_failure: None,
     };
     play(robot, &mut recorder, |_| {}).unwrap();
     assert_eq!(recorder.states.len(), rest.frames.len());

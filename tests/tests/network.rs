@@ -81,7 +81,9 @@ fn a_robot_whose_server_is_never_there_runs_to_the_end() {
     assert!(outcome.summary.queries.sent > 30);
     assert_eq!(outcome.summary.queries.failed, outcome.summary.queries.sent);
     assert!(outcome.recorder.events.iter().all(|event| event.reason.contains("no map server answers")));
-    assert_eq!(outcome.summary.final_status.unwrap().localization, RobotState::OdometryOnly);
+    let status = outcome.summary.final_status.unwrap();
+    assert_eq!(status.localization, RobotState::OdometryOnly);
+    assert!(status.reason.contains("no map server answers"), "the status must say so: {}", status.reason);
     assert!(outcome.summary.score.unwrap().odometry_yaw_aligned_m.rmse < 0.5);
     nobody.close();
 }

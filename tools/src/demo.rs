@@ -7,7 +7,7 @@ use crate::map_files::save_map;
 use crate::plotting::comparison::{ComparedRun, Comparison, draw, stretches_without_features};
 use crate::plotting::{RunFiles, Truth, draw_run};
 use crate::simulation::{SimulatedPlace, SimulationOptions, simulate};
-use anyhow::{Context as _, Result};
+use anyhow::{Context as _, Result, bail};
 use nalgebra::Vector3;
 use onboard::evaluation::{Score, run_errors};
 use onboard::robot::arguments::{Init, Mode};
@@ -136,6 +136,9 @@ fn run_variant(live: &Sequence, variant: &Variant, server: &LocalServer, out: &P
     let link = server.link("demo")?;
     let outcome = run_robot(live, &arguments, Some(link.clone()), |_| {})?;
     server.unlink(&link);
+    if let Some(reason) = &outcome.summary.ended_early {
+        bail!("the run of {} ended early: {reason}", variant.name);
+    }
     Ok(outcome)
 }
 

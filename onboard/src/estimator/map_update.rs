@@ -94,7 +94,10 @@ impl Estimator {
     /// # Errors
     /// [`EstimatorError::Diverged`] when the filter itself is broken.
     pub fn map_update(&mut self, clone: CloneId, answer: &MapAnswer) -> Result<MapReport, EstimatorError> {
-        let answer = self.restrict(answer).sound(&|id| self.covariance.held.covariance_by_id(id));
+        let same_map = self.map_version == Some(answer.map_version);
+        let answer = self
+            .restrict(answer)
+            .sound(&|id| if same_map { self.covariance.held.covariance_by_id(id) } else { None });
         let mut report = MapReport {
             keyframes: answer.keyframes.len(),
             matches: answer.landmarks.len(),

@@ -19,6 +19,16 @@ pub struct Status {
     pub held_keyframes: usize,
 }
 
+impl Status {
+    /// Adds to the reason why the map does not answer.
+    pub fn with_failure(mut self, failure: Option<&str>) -> Self {
+        if let Some(failure) = failure {
+            self.reason = format!("{}; the map does not answer: {failure}", self.reason);
+        }
+        self
+    }
+}
+
 impl Estimator {
     /// What the robot knows of where it is.
     pub fn status(&self) -> Status {

@@ -47,6 +47,9 @@ pub fn run_robot(
     progress: impl FnMut(usize),
 ) -> Result<Outcome> {
     let config = arguments.estimator_config(sequence)?;
+    // Before anything takes long: a run whose results cannot be kept is not worth its time.
+    std::fs::create_dir_all(&arguments.out)
+        .with_context(|| format!("--out: cannot make the folder {}", arguments.out.display()))?;
     let cameras = arguments.camera_count(sequence)?;
     if !(arguments.deadline.is_finite() && arguments.deadline > 0.0) {
         bail!("--deadline is {}; it must be a positive number of seconds", arguments.deadline);
@@ -79,6 +82,7 @@ pub fn run_robot(
         realtime: arguments.realtime,
         queries,
         publisher,
+        last_failure: None,
     };
     let mut recorder = Recorder::default();
     let ended_early = run(robot, &mut recorder, progress).err().map(|error| error.to_string());

@@ -69,7 +69,13 @@ impl Publisher {
     }
 
     /// Publishes the state of a frame. What the network cannot take is dropped: newer ones follow.
-    pub fn publish(&self, estimator: &Estimator, angular_velocity: Vector3<f64>, counts: QueryCounts) {
+    pub fn publish(
+        &self,
+        estimator: &Estimator,
+        angular_velocity: Vector3<f64>,
+        counts: QueryCounts,
+        failure: Option<&str>,
+    ) {
         let stamp_ns = estimator.stamp_ns();
         self.send(
             &self.odometry_key,
@@ -88,7 +94,7 @@ impl Publisher {
                 &RobotPose { stamp_ns, map, map_version, global_from_imu, global_from_local },
             );
         }
-        let status = estimator.status();
+        let status = estimator.status().with_failure(failure);
         self.send(
             &self.status_key,
             &RobotStatus {

@@ -112,6 +112,8 @@ pub struct Recorder {
     pub tracks: TrackSummary,
     /// Queries sent.
     pub queries_sent: u64,
+    /// Images that were not asked about because too many queries were on their way.
+    pub queries_skipped: u64,
     /// Queries answered by the map.
     pub queries_answered: u64,
     /// Frames skipped for want of IMU readings.
@@ -161,6 +163,7 @@ impl Recorder {
         };
         QuerySummary {
             sent: self.queries_sent,
+            skipped: self.queries_skipped,
             answered: self.queries_answered,
             matched: count(&|event| event.outcome == "matched"),
             accepted: count(&|event| event.accepted),

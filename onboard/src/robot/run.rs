@@ -10,6 +10,9 @@ use nalgebra::Vector3;
 use protocol::{MatchRequest, PosePrior};
 use std::time::{Duration, Instant};
 
+/// Queries that may be on their way at once.
+const MAX_PENDING: usize = 4;
+
 /// Why a run ended early. What was recorded up to there is kept.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum RunError {
@@ -42,6 +45,8 @@ pub struct RobotRun<'a> {
     pub queries: Option<QueryClient>,
     /// Publishes; none without a network.
     pub publisher: Option<Publisher>,
+    /// Why the last query was not answered, until one is.
+    pub last_failure: Option<String>,
 }
 
 /// Runs to the end of the recording.
@@ -118,7 +123,7 @@ impl RobotRun<'_> {
         recorder.note_state(&self.estimator);
         recorder.timings.add(&timings);
         if let Some(publisher) = &self.publisher {
-            publisher.publish(&self.estimator, rate, recorder.query_counts());
+            publisher.publish(&self.estimator, rate, recorder.query_counts(), self.last_failure.as_deref());
         }
         self.ask(clone, frame, recorder);
         Ok(())
@@ -142,6 +147,11 @@ impl RobotRun<'_> {
     fn ask(&mut self, clone: CloneId, frame: &Frame, recorder: &mut Recorder) {
         let (Some(queries), Some(features)) = (&mut self.queries, &frame.features) else { return };
         if features.is_empty() || self.estimator.config().mode == MapMode::Odometry {
+            return;
+        }
+        // Each holds its clone in the filter: with a server that hangs, the window must not fill with them.
+        if queries.pending() >= MAX_PENDING {
+            recorder.queries_skipped += 1;
             return;
         }
         let max_keyframes =
@@ -188,10 +198,25 @@ impl RobotRun<'_> {
             Outcome::NoMatch(outcome) => event.note_no_match(*outcome),
             Outcome::Failed(reason) => event.note_failure(reason),
         }
+        self.note_failure(&answered.outcome);
         self.estimator.unpin(answered.clone);
         recorder.traffic.add(&Traffic { sent: answered.bytes_sent, received: answered.bytes_received });
         recorder.note_event(event);
         Ok(())
+    }
+
+    /// Remembers whether the map answers, and says so when that changes.
+    fn note_failure(&mut self, outcome: &Outcome) {
+        let failure = match outcome {
+            Outcome::Failed(reason) => Some(reason.clone()),
+            Outcome::Matched(_) | Outcome::NoMatch(_) => None,
+        };
+        match (&self.last_failure, &failure) {
+            (None, Some(reason)) => tracing::warn!(reason, "the map does not answer"),
+            (Some(_), None) => tracing::info!("the map answers again"),
+            _ => {}
+        }
+        self.last_failure = failure;
     }
 
     /// Takes in what is still on its way at the end of the recording.
@@ -199,7 +224,7 @@ impl RobotRun<'_> {
         while let Some(answered) = self.queries.as_mut().and_then(QueryClient::wait) {
             self.take(&answered, recorder)?;
         }
-        recorder.final_status = Some(self.estimator.status());
+        recorder.final_status = Some(self.estimator.status().with_failure(self.last_failure.as_deref()));
         if let Some(publisher) = self.publisher.take() {
             publisher.close();
         }

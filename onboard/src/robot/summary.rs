@@ -74,6 +74,8 @@ impl Traffic {
 pub struct QuerySummary {
     /// Sent.
     pub sent: u64,
+    /// Images that were not asked about because too many queries were on their way.
+    pub skipped: u64,
     /// Answered by the map, with or without a match.
     pub answered: u64,
     /// Answered with a match.
