@@ -12,6 +12,30 @@ pub enum DescriptorKind {
     Binary,
     /// `f32` numbers in little-endian bytes, compared by L2 or cosine distance.
     Float,
+    /// Signed bytes, compared by cosine distance.
+    Int8,
+}
+
+impl DescriptorKind {
+    /// The kind as files and JSON name it.
+    pub fn label(self) -> &'static str {
+        match self {
+            Self::Binary => "binary",
+            Self::Float => "float",
+            Self::Int8 => "int8",
+        }
+    }
+
+    /// The kind of that name.
+    ///
+    /// ```
+    /// use protocol::DescriptorKind;
+    /// assert_eq!(DescriptorKind::from_label("int8"), Some(DescriptorKind::Int8));
+    /// assert_eq!(DescriptorKind::from_label("hex"), None);
+    /// ```
+    pub fn from_label(label: &str) -> Option<Self> {
+        [Self::Binary, Self::Float, Self::Int8].into_iter().find(|kind| kind.label() == label)
+    }
 }
 
 /// Kind and size of the descriptors of an image or of a whole map; only equal ones can be matched.
@@ -26,7 +50,7 @@ pub struct DescriptorFormat {
 impl Validate for DescriptorFormat {
     fn validate(&self) -> Result<(), InvalidField> {
         require(self.width > 0, "width", "is zero")?;
-        let whole_floats = self.kind == DescriptorKind::Binary || self.width.is_multiple_of(4);
+        let whole_floats = self.kind != DescriptorKind::Float || self.width.is_multiple_of(4);
         require(whole_floats, "width", "is not a multiple of 4, which a float descriptor's bytes must be")
     }
 }

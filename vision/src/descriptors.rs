@@ -10,6 +10,8 @@ pub enum Metric {
     /// `f32` descriptors: 1 minus the cosine of the angle between them, 0 to 2; unrelated ones are near 1. The
     /// distance to a descriptor of norm zero is 1.
     Cosine,
+    /// Signed bytes: 1 minus the cosine of the angle between them, as for [`Metric::Cosine`]. A quarter of its size.
+    CosineInt8,
     /// `f32` descriptors: Euclidean distance, in the descriptor's own unit.
     Euclidean,
 }
@@ -18,6 +20,11 @@ impl Metric {
     /// Whether descriptors are bits rather than `f32` numbers.
     pub fn is_binary(self) -> bool {
         self == Self::Hamming
+    }
+
+    /// Whether descriptors are `f32` numbers.
+    pub fn is_float(self) -> bool {
+        matches!(self, Self::Cosine | Self::Euclidean)
     }
 }
 
@@ -86,7 +93,7 @@ impl<'a> DescriptorView<'a> {
     /// # Errors
     /// [`DescriptorError::Width`], [`DescriptorError::Length`].
     pub fn new(metric: Metric, width: usize, bytes: &'a [u8]) -> Result<Self, DescriptorError> {
-        if width == 0 || !(metric.is_binary() || width.is_multiple_of(4)) {
+        if width == 0 || (metric.is_float() && !width.is_multiple_of(4)) {
             return Err(DescriptorError::Width { width, metric });
         }
         if !bytes.len().is_multiple_of(width) {
@@ -161,6 +168,11 @@ pub(crate) fn floats(bytes: &[u8]) -> impl Iterator<Item = f32> {
     bytes.as_chunks::<4>().0.iter().map(|&number| f32::from_le_bytes(number))
 }
 
+/// The numbers of a descriptor of signed bytes.
+pub(crate) fn signed(bytes: &[u8]) -> impl Iterator<Item = f32> {
+    bytes.iter().map(|&byte| f32::from(byte.cast_signed()))
+}
+
 /// A distance that is not a number (the descriptors held NaN or infinity) is infinite: such descriptors match nothing.
 fn number_or_infinite(distance: f32) -> f32 {
     if distance.is_nan() { f32::INFINITY } else { distance }
@@ -175,20 +187,24 @@ fn distance_of_cosine(cosine: f32) -> f32 {
 pub fn distance(metric: Metric, a: &[u8], b: &[u8]) -> f32 {
     match metric {
         Metric::Hamming => hamming(a, b) as f32 / (8 * a.len()).max(1) as f32,
-        Metric::Cosine => {
-            let (mut dot, mut norm_a, mut norm_b) = (0.0, 0.0, 0.0);
-            for (x, y) in floats(a).zip(floats(b)) {
-                dot += x * y;
-                norm_a += x * x;
-                norm_b += y * y;
-            }
-            let norms = (norm_a * norm_b).sqrt();
-            if norms == 0.0 { 1.0 } else { distance_of_cosine(dot / norms) }
-        }
+        Metric::Cosine => cosine_distance(floats(a).zip(floats(b))),
+        Metric::CosineInt8 => cosine_distance(signed(a).zip(signed(b))),
         Metric::Euclidean => {
             number_or_infinite(floats(a).zip(floats(b)).map(|(x, y)| (x - y) * (x - y)).sum::<f32>().sqrt())
         }
     }
+}
+
+/// 1 minus the cosine of the angle between two vectors, given by their pairs of numbers.
+fn cosine_distance(pairs: impl Iterator<Item = (f32, f32)>) -> f32 {
+    let (mut dot, mut norm_a, mut norm_b) = (0.0, 0.0, 0.0);
+    for (x, y) in pairs {
+        dot += x * y;
+        norm_a += x * x;
+        norm_b += y * y;
+    }
+    let norms = (norm_a * norm_b).sqrt();
+    if norms == 0.0 { 1.0 } else { distance_of_cosine(dot / norms) }
 }
 
 /// Descriptors made ready to be compared many times: words of bits, or numbers (of norm 1 for the cosine).
@@ -218,19 +234,21 @@ impl Prepared {
             Metric::Euclidean => {
                 Self::Floats { dimension: view.width / 4, data: floats(view.bytes).collect(), cosine: false }
             }
-            Metric::Cosine => {
-                let mut data: Vec<f32> = floats(view.bytes).collect();
-                for descriptor in data.chunks_exact_mut(view.width / 4) {
-                    let norm = descriptor.iter().map(|x| x * x).sum::<f32>().sqrt();
-                    if norm > 0.0 {
-                        for number in descriptor {
-                            *number /= norm;
-                        }
-                    }
+            Metric::Cosine => Self::unit_vectors(view.width / 4, floats(view.bytes).collect()),
+            Metric::CosineInt8 => Self::unit_vectors(view.width, signed(view.bytes).collect()),
+        }
+    }
+
+    fn unit_vectors(dimension: usize, mut data: Vec<f32>) -> Self {
+        for descriptor in data.chunks_exact_mut(dimension) {
+            let norm = descriptor.iter().map(|x| x * x).sum::<f32>().sqrt();
+            if norm > 0.0 {
+                for number in descriptor {
+                    *number /= norm;
                 }
-                Self::Floats { dimension: view.width / 4, data, cosine: true }
             }
         }
+        Self::Floats { dimension, data, cosine: true }
     }
 
     /// Writes the distances from descriptor `index` to every one of `others`, which must be of the same format.

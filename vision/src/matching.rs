@@ -43,7 +43,7 @@ impl MatchOptions {
     pub fn for_metric(metric: Metric) -> Self {
         let (max_distance, ratio) = match metric {
             Metric::Hamming => (0.25, 0.8),
-            Metric::Cosine => (0.3, 0.64),
+            Metric::Cosine | Metric::CosineInt8 => (0.3, 0.64),
             Metric::Euclidean => (0.77, 0.8),
         };
         Self { max_distance, ratio: Some(ratio), mutual: true }

@@ -6,7 +6,7 @@
 //!
 //! Source: Charikar, "Similarity estimation techniques from rounding algorithms", STOC 2002.
 
-use crate::descriptors::{DescriptorError, floats};
+use crate::descriptors::{DescriptorError, floats, signed};
 
 /// Bytes of a sketch.
 pub const SKETCH_BYTES: usize = 32;
@@ -47,13 +47,28 @@ impl Sketcher {
         if descriptor.len() != 4 * self.dimension {
             return Err(DescriptorError::Mismatch { left: descriptor.len(), right: 4 * self.dimension });
         }
-        let numbers: Vec<f32> = floats(descriptor).collect();
+        Ok(self.sketch_of(floats(descriptor)))
+    }
+
+    /// The sketch of one descriptor of signed bytes.
+    ///
+    /// # Errors
+    /// [`DescriptorError::Mismatch`] for another dimension.
+    pub fn sketch_int8(&self, descriptor: &[u8]) -> Result<[u8; SKETCH_BYTES], DescriptorError> {
+        if descriptor.len() != self.dimension {
+            return Err(DescriptorError::Mismatch { left: descriptor.len(), right: self.dimension });
+        }
+        Ok(self.sketch_of(signed(descriptor)))
+    }
+
+    fn sketch_of(&self, numbers: impl Iterator<Item = f32>) -> [u8; SKETCH_BYTES] {
+        let numbers: Vec<f32> = numbers.collect();
         let mut sketch = [0; SKETCH_BYTES];
         for (bit, normal) in self.normals.chunks_exact(self.dimension.max(1)).enumerate() {
             let side: f32 = normal.iter().zip(&numbers).map(|(x, y)| x * y).sum();
             sketch[bit / 8] |= u8::from(side > 0.0) << (bit % 8);
         }
-        Ok(sketch)
+        sketch
     }
 
     /// Number of sketch bits in which descriptors at a cosine distance differ on average: `256 acos(1 - d) / pi`.

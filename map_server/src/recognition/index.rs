@@ -14,6 +14,7 @@ const SKETCH_SEED: u64 = 17;
 
 /// The observations of a map by what they look like.
 pub(crate) struct Index {
+    kind: DescriptorKind,
     binary: MultiIndex,
     /// For float descriptors: what makes bits of them.
     sketcher: Option<Sketcher>,
@@ -33,9 +34,10 @@ pub(crate) struct Votes {
 }
 
 /// How descriptors of a kind are compared.
-pub(crate) fn metric_of(kind: DescriptorKind) -> Metric {
+pub fn metric_of(kind: DescriptorKind) -> Metric {
     match kind {
         DescriptorKind::Binary => Metric::Hamming,
+        DescriptorKind::Int8 => Metric::CosineInt8,
         DescriptorKind::Float => Metric::Cosine,
     }
 }
@@ -49,12 +51,13 @@ impl Index {
                 let bits = 8.0 * width as f32 * max_distance;
                 (MultiIndex::new(width.next_multiple_of(2))?, None, bits as u32)
             }
-            DescriptorKind::Float => {
+            DescriptorKind::Float | DescriptorKind::Int8 => {
                 let bits = Sketcher::search_bits(f64::from(max_distance));
-                (MultiIndex::new(SKETCH_BYTES)?, Some(Sketcher::new(width / 4, SKETCH_SEED)), bits)
+                let dimension = if kind == DescriptorKind::Float { width / 4 } else { width };
+                (MultiIndex::new(SKETCH_BYTES)?, Some(Sketcher::new(dimension, SKETCH_SEED)), bits)
             }
         };
-        Ok(Index { binary, sketcher, max_bits, entries: Vec::new() })
+        Ok(Index { kind, binary, sketcher, max_bits, entries: Vec::new() })
     }
 
     /// Adds an observation of a landmark by a keyframe (their indices).
@@ -101,6 +104,9 @@ impl Index {
     /// The descriptor as the multi-index knows it: a whole number of 16-bit chunks, or a sketch.
     fn to_bits<'a>(&self, descriptor: &'a [u8]) -> Result<std::borrow::Cow<'a, [u8]>, DescriptorError> {
         match &self.sketcher {
+            Some(sketcher) if self.kind == DescriptorKind::Int8 => {
+                Ok(sketcher.sketch_int8(descriptor)?.to_vec().into())
+            }
             Some(sketcher) => Ok(sketcher.sketch(descriptor)?.to_vec().into()),
             None if descriptor.len() + 1 == self.binary.width() => {
                 let mut padded = descriptor.to_vec();

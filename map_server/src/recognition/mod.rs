@@ -18,6 +18,7 @@ mod options;
 mod query;
 mod verify;
 
+pub use index::metric_of;
 pub use loaded_map::{LoadError, LoadedMap};
 pub use options::RecognitionOptions;
 pub use query::QueryError;

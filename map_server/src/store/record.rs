@@ -289,6 +289,7 @@ fn kind_to_byte(kind: DescriptorKind) -> u8 {
     match kind {
         DescriptorKind::Binary => 0,
         DescriptorKind::Float => 1,
+        DescriptorKind::Int8 => 2,
     }
 }
 
@@ -296,6 +297,7 @@ fn kind_from_byte(byte: u8) -> Result<DescriptorKind, String> {
     match byte {
         0 => Ok(DescriptorKind::Binary),
         1 => Ok(DescriptorKind::Float),
+        2 => Ok(DescriptorKind::Int8),
         other => Err(format!("unknown descriptor kind {other}")),
     }
 }

@@ -5,41 +5,83 @@ use super::table::{Row, Table, check_order};
 use crate::estimator::TrackObservation;
 use nalgebra::Vector2;
 use protocol::{DescriptorKind, Descriptors, FeatureSet};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// One instant at which the cameras looked.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Frame {
     /// Time, nanoseconds.
     pub stamp_ns: i64,
+    /// The image files of camera 0 and 1, where the recording has them.
+    pub images: [Option<PathBuf>; 2],
     /// What was tracked, camera 0 first; empty where the front end saw nothing or did not run.
     pub tracks: Vec<TrackObservation>,
     /// What a place-recognition extractor saw in camera 0, if it ran on this image.
     pub features: Option<FeatureSet>,
 }
 
-/// Reads the stamps of a camera's images.
-pub(crate) fn read_stamps(folder: &Path) -> Result<Vec<i64>, SequenceError> {
+/// The images that a camera's `data.csv` lists, in order of time.
+#[derive(Debug, Default)]
+pub(crate) struct ImageList {
+    /// When they were taken, nanoseconds.
+    pub(crate) stamps: Vec<i64>,
+    /// Their files, in the same order; empty for a recording without images.
+    pub(crate) files: Vec<PathBuf>,
+}
+
+/// Reads which images a camera took. Where there is a folder `data`, each of them must be in it.
+pub(crate) fn read_images(folder: &Path) -> Result<ImageList, SequenceError> {
     let path = folder.join("data.csv");
     let mut table = Table::open(&path, "it lists the time stamps of this camera's images")?;
-    let mut stamps = Vec::new();
+    let image_folder = folder.join("data");
+    let with_images = image_folder.is_dir();
+    let mut images = ImageList::default();
     while let Some(row) = table.next_row()? {
         let stamp_ns = row.stamp()?;
-        check_order(&row, stamps.last().copied(), stamp_ns)?;
-        stamps.push(stamp_ns);
+        check_order(&row, images.stamps.last().copied(), stamp_ns)?;
+        images.stamps.push(stamp_ns);
+        if with_images {
+            images.files.push(image_file(&row, &image_folder)?);
+        }
     }
-    if stamps.is_empty() {
+    if images.stamps.is_empty() {
         return Err(SequenceError::empty(&path, "list the images as `timestamp [ns],filename`"));
     }
-    Ok(stamps)
+    Ok(images)
+}
+
+/// The file of a row of `data.csv`, which must be there.
+fn image_file(row: &Row<'_>, folder: &Path) -> Result<PathBuf, SequenceError> {
+    let name = String::from_utf8_lossy(row.cell(1)?).into_owned();
+    let file = folder.join(&name);
+    if name.is_empty() || !file.is_file() {
+        return Err(row.wrong(format!(
+            "the image {} is not there: copy it again or delete the row (without a folder {} the recording is read as \
+             one without images)",
+            file.display(),
+            folder.display()
+        )));
+    }
+    Ok(file)
+}
+
+/// Hands a camera's images to the frames.
+pub(crate) fn place_images(images: &ImageList, camera: usize, frames: &mut [Frame]) {
+    let mut at = 0;
+    for (stamp_ns, file) in images.stamps.iter().zip(&images.files) {
+        while frames[at].stamp_ns < *stamp_ns {
+            at += 1;
+        }
+        frames[at].images[camera] = Some(file.clone());
+    }
 }
 
 /// The frames of all cameras, empty yet: every stamp that any of them has.
-pub(crate) fn empty_frames(stamps: &[Vec<i64>]) -> Vec<Frame> {
-    let mut all: Vec<i64> = stamps.iter().flatten().copied().collect();
+pub(crate) fn empty_frames(cameras: &[ImageList]) -> Vec<Frame> {
+    let mut all: Vec<i64> = cameras.iter().flat_map(|images| &images.stamps).copied().collect();
     all.sort_unstable();
     all.dedup();
-    all.into_iter().map(|stamp_ns| Frame { stamp_ns, tracks: Vec::new(), features: None }).collect()
+    all.into_iter().map(|stamp_ns| Frame { stamp_ns, ..Frame::default() }).collect()
 }
 
 /// Walks through a camera's stamps and all frames, side by side with a table that is sorted by time.

@@ -3,6 +3,7 @@
 //! ```text
 //! SEQ/mav0/imu0/{sensor.yaml,data.csv}                   the IMU, if there was one
 //! SEQ/mav0/cam0/{sensor.yaml,data.csv}                   a camera and the stamps of its images; cam1 alike
+//! SEQ/mav0/cam0/data/*                                   the images themselves, PNG or JPEG, where there are any
 //! SEQ/mav0/cam0/tracks.csv                               what an odometry front end tracked
 //! SEQ/mav0/cam0/features.csv                             what a place-recognition extractor saw
 //! SEQ/mav0/state_groundtruth_estimate0/data.csv          the truth, if known
@@ -114,19 +115,20 @@ fn if_there<T>(
 /// Both cameras' calibrations and what they saw.
 fn read_cameras(mav: &Path) -> Result<(Vec<CameraSensor>, Vec<Frame>), SequenceError> {
     let mut cameras = Vec::new();
-    let mut stamps = Vec::new();
+    let mut images = Vec::new();
     for name in ["cam0", "cam1"] {
         let folder = mav.join(name);
         if name == "cam1" && !folder.is_dir() {
             break;
         }
         cameras.push(sensor::read_camera(&folder.join("sensor.yaml"))?);
-        stamps.push(frames::read_stamps(&folder)?);
+        images.push(frames::read_images(&folder)?);
     }
-    let mut all = frames::empty_frames(&stamps);
-    for (camera, (own_stamps, name)) in stamps.iter().zip(["cam0", "cam1"]).enumerate() {
-        frames::read_tracks(&mav.join(name), camera as u8, own_stamps, &mut all)?;
+    let mut all = frames::empty_frames(&images);
+    for (camera, (own, name)) in images.iter().zip(["cam0", "cam1"]).enumerate() {
+        frames::place_images(own, camera, &mut all);
+        frames::read_tracks(&mav.join(name), camera as u8, &own.stamps, &mut all)?;
     }
-    frames::read_features(&mav.join("cam0"), &stamps[0], &mut all)?;
+    frames::read_features(&mav.join("cam0"), &images[0].stamps, &mut all)?;
     Ok((cameras, all))
 }

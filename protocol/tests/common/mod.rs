@@ -55,10 +55,11 @@ pub fn cameras() -> impl Strategy<Value = Camera> {
 pub fn features() -> impl Strategy<Value = FeatureSet> {
     let binary = (1..65u16).prop_map(|width| (DescriptorKind::Binary, width));
     let float = (1..17u16).prop_map(|dimension| (DescriptorKind::Float, 4 * dimension));
-    (prop_oneof![binary, float], 0..12usize).prop_flat_map(|((kind, width), count)| {
+    let int8 = (1..65u16).prop_map(|width| (DescriptorKind::Int8, width));
+    (prop_oneof![binary, float, int8], 0..12usize).prop_flat_map(|((kind, width), count)| {
         let size = usize::from(width) * count;
         let bytes = match kind {
-            DescriptorKind::Binary => vec(any::<u8>(), size).boxed(),
+            DescriptorKind::Binary | DescriptorKind::Int8 => vec(any::<u8>(), size).boxed(),
             DescriptorKind::Float => vec(-1e3..1e3f32, size / 4)
                 .prop_map(|numbers| numbers.iter().flat_map(|number| number.to_le_bytes()).collect())
                 .boxed(),

@@ -6,7 +6,6 @@ use std::path::PathBuf;
 use map_server::contents::MapContents;
 use map_server::store::{MapStore, STORE_SCHEMA, SledStore};
 use nalgebra::Vector3;
-use protocol::DescriptorKind;
 use serde::Serialize;
 
 use crate::map_building::Spread;
@@ -110,10 +109,7 @@ fn summary(
         observations: contents.observation_count(),
         cross_covariances: contents.cross_covariances.len(),
         damaged_records,
-        descriptor_kind: match contents.info.descriptor_kind {
-            DescriptorKind::Binary => "binary",
-            DescriptorKind::Float => "float",
-        },
+        descriptor_kind: contents.info.descriptor_kind.label(),
         descriptor_bytes: contents.info.descriptor_width,
         pixel_sigma_px: contents.info.pixel_sigma,
         gravity_in_global: contents.info.gravity_in_global.map(Into::into),

@@ -3,9 +3,9 @@
 use std::collections::BTreeSet;
 
 use geometry::camera::Camera;
+use map_server::recognition::metric_of;
 use nalgebra::{Matrix3, Vector2, Vector3};
-use protocol::DescriptorKind;
-use vision::{DescriptorView, MatchOptions, Metric};
+use vision::{DescriptorView, MatchOptions};
 
 use super::options::{BuildError, BuildOptions};
 use super::views::View;
@@ -82,11 +82,7 @@ pub(super) fn match_pair(
 
 fn descriptors<'a>(view: &View<'a>) -> Result<DescriptorView<'a>, BuildError> {
     let descriptors = &view.features.descriptors;
-    let metric = match descriptors.kind {
-        DescriptorKind::Binary => Metric::Hamming,
-        DescriptorKind::Float => Metric::Cosine,
-    };
-    Ok(DescriptorView::new(metric, usize::from(descriptors.width), &descriptors.bytes)?)
+    Ok(DescriptorView::new(metric_of(descriptors.kind), usize::from(descriptors.width), &descriptors.bytes)?)
 }
 
 /// How far two rays are from meeting, in sigmas of what pixels and poses leave uncertain. `None` without rays.

@@ -105,7 +105,7 @@ fn world(seed: u64, pose_noise: f64, pixel_noise: f64) -> World {
             labels.push(None);
         }
         let stamp_ns = 1_000_000_000 * (index + 5);
-        world.sequence.frames.push(Frame { stamp_ns, tracks: Vec::new(), features: Some(features) });
+        world.sequence.frames.push(Frame { stamp_ns, features: Some(features), ..Frame::default() });
         let sigmas = [SIGMA_THETA, SIGMA_P];
         let error = Vector6::from_fn(|row, _| normal(&mut rng) * sigmas[row / 3] * pose_noise);
         world.references.push(ReferencePose {

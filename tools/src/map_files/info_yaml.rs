@@ -57,16 +57,10 @@ impl InfoYaml {
 
     /// The map's info, with the width that the observations have where the file states none.
     pub(super) fn into_info(self, path: &Path, width: u16) -> Result<MapInfo, MapFileError> {
-        let kind = match self.descriptor_kind.as_deref() {
-            None | Some("binary") => DescriptorKind::Binary,
-            Some("float") => DescriptorKind::Float,
-            Some(other) => {
-                return Err(MapFileError::file(
-                    path,
-                    format!("descriptor_kind is {other:?}"),
-                    "write binary or float",
-                ));
-            }
+        let label = self.descriptor_kind.as_deref().unwrap_or(DescriptorKind::Binary.label());
+        let Some(kind) = DescriptorKind::from_label(label) else {
+            let problem = format!("descriptor_kind is {label:?}");
+            return Err(MapFileError::file(path, problem, "write binary, float or int8"));
         };
         let mut info = MapInfo::new(
             self.name.unwrap_or_else(|| DEFAULT_NAME.to_owned()),
@@ -98,8 +92,8 @@ pub(super) fn info_text(info: &MapInfo, observed_width: Option<u16>) -> Option<S
     if let Some(gravity) = info.gravity_in_global {
         let _ = writeln!(text, "gravity_in_global: [{}]", list(gravity.as_slice()));
     }
-    if info.descriptor_kind == DescriptorKind::Float {
-        let _ = writeln!(text, "descriptor_kind: float");
+    if info.descriptor_kind != DescriptorKind::Binary {
+        let _ = writeln!(text, "descriptor_kind: {}", info.descriptor_kind.label());
     }
     if observed_width != Some(info.descriptor_width) {
         let _ = writeln!(text, "descriptor_width: {}", info.descriptor_width);

@@ -149,6 +149,7 @@ fn runs_are_compared_in_one_picture() {
 fn gaps_without_features_are_found_at_the_ends_too() {
     let frame = |index: i64| onboard::sequence::Frame {
         stamp_ns: index,
+        images: [None, None],
         tracks: Vec::new(),
         features: (index > 4 && index % 2 == 0 && index != 8).then(|| protocol::FeatureSet {
             pixels: Vec::new(),

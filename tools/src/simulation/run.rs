@@ -118,6 +118,7 @@ fn frames(
                 index.is_multiple_of(every) && !blind.iter().any(|stretch| stretch.contains(&fraction));
             Frame {
                 stamp_ns,
+                images: [None, None],
                 tracks: front_end.look(&pose, cameras, landmarks),
                 features: sees_map.then(|| extractor.extract(&pose, &cameras[0], landmarks)),
             }

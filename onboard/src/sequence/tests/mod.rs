@@ -90,7 +90,7 @@ fn frame(rng: &mut StdRng, index: i64, cameras: u8) -> Frame {
             bytes: (0..4 * 32).map(|_| rng.random()).collect(),
         },
     });
-    Frame { stamp_ns: START_NS + index * 100_000_001, tracks, features }
+    Frame { stamp_ns: START_NS + index * 100_000_001, images: [None, None], tracks, features }
 }
 
 fn truth_row(rng: &mut StdRng, index: i64) -> TruthRow {
