@@ -87,7 +87,7 @@ pub fn run_demo(out: &Path, seed: u64, note: &mut dyn FnMut(&str)) -> Result<Dem
     let gravity = -Vector3::z();
     let references = place.map.reference_poses.clone().unwrap_or_default();
     let build = BuildOptions { gravity_in_global: Some(gravity), ..BuildOptions::default() };
-    let (contents, map) = build_map(&place.map, &references, &build, &mut |_, _, _| {})?;
+    let (contents, map) = build_map(&place.map, &references, None, &build, &mut |_, _, _| {})?;
     let keyframes =
         contents.keyframes.iter().map(|keyframe| keyframe.global_from_keyframe.pose.translation).collect();
     let database = out.join("map.db");

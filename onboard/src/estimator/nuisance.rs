@@ -1,18 +1,26 @@
 //! The keyframes that the filter holds: `P_AN` and `P_NN`, exact for as long as a keyframe is held.
 //!
+//! `P_AN` is not stored. With Schmidt's update `P_AN = M P_NN` always holds for a matrix `M`, the *loadings*: by how much
+//! the state errs where a keyframe errs. All that happens to it is
+//! ```text
+//! propagation, cloning, marginalization   M ← F M
+//! update with gain G on columns C         M ← M - G (M_C; E_T)     E_T: the identity on the keyframes used
+//! a keyframe enters                       M gets a column of zeros, whatever the map says of its correlations
+//! ```
+//! so a keyframe that is not used is only multiplied from the left, cross-covariances or not.
+//!
 //! Dropping a keyframe and pulling it again as if it were new would count its information twice. So
-//! a keyframe stays. Those used lately are *active*: their columns of `P_AN` are touched by every
-//! step. The others are *parked* in groups. In a step that does not use them all their columns only
-//! undergo `P_Aj ← F P_Aj`; a group accumulates the product of these `F` (its *influence*) and its
-//! columns are worked out again when one of its keyframes is matched. Groups of similar size are
-//! merged, so that there are only logarithmically many. Exact for keyframes that are independent of
-//! each other; keyframes with a cross-covariance to another held one are never parked.
+//! a keyframe stays. Those used lately are *active*: their loadings are touched by every step. The others are *parked*
+//! in groups, which accumulate the product of what happened to their rows (their *influence*), and are worked out again
+//! when a keyframe is matched. Groups of similar size are merged, so that there are only logarithmically many. The
+//! covariance `P_Aj` that an update needs is the sum of `M_k P_kj` over the held keyframes that the map correlates with
+//! `j`: its cost depends on how many these are, not on how many are held.
 
 use super::covariance::Columns;
 use geometry::PoseWithCovariance;
 use nalgebra::{DMatrix, Matrix6};
 use protocol::KeyframeId;
-use std::collections::BTreeMap;
+use std::collections::{HashMap, HashSet};
 
 /// A keyframe of the map in the nuisance state.
 #[derive(Clone, Debug)]
@@ -27,13 +35,13 @@ pub struct HeldKeyframe {
 #[derive(Clone, Debug)]
 struct ParkedKeyframe {
     keyframe: HeldKeyframe,
-    /// `P_Aj` at the time when the group was last brought up to date.
-    columns: DMatrix<f64>,
+    /// `M_j` at the time when the group was last brought up to date.
+    loadings: DMatrix<f64>,
 }
 
 #[derive(Clone, Debug)]
 struct ParkedGroup {
-    /// Product of all that happened to the rows of `P_Aj` since.
+    /// Product of all that happened to the rows of `M_j` since.
     influence: DMatrix<f64>,
     members: Vec<ParkedKeyframe>,
 }
@@ -41,7 +49,7 @@ struct ParkedGroup {
 impl ParkedGroup {
     fn bring_up_to_date(&mut self) {
         for member in &mut self.members {
-            member.columns = &self.influence * &member.columns;
+            member.loadings = &self.influence * &member.loadings;
         }
         let n = self.influence.nrows();
         self.influence = DMatrix::identity(n, n);
@@ -52,10 +60,10 @@ impl ParkedGroup {
 #[derive(Clone, Debug)]
 pub struct HeldKeyframes {
     active: Vec<HeldKeyframe>,
-    /// `P_AN` of the active ones, 6 columns each.
-    cross: DMatrix<f64>,
-    /// `P_NN` off its diagonal, keys in ascending order.
-    correlations: BTreeMap<(KeyframeId, KeyframeId), Matrix6<f64>>,
+    /// `M` of the active ones, 6 columns each.
+    loadings: DMatrix<f64>,
+    /// `P_NN` off its diagonal, by row and then column.
+    correlations: HashMap<KeyframeId, HashMap<KeyframeId, Matrix6<f64>>>,
     parked: Vec<ParkedGroup>,
     max_active: usize,
     uses: u64,
@@ -66,8 +74,8 @@ impl HeldKeyframes {
     pub fn new(rows: usize, max_active: usize) -> Self {
         Self {
             active: Vec::new(),
-            cross: DMatrix::zeros(rows, 0),
-            correlations: BTreeMap::new(),
+            loadings: DMatrix::zeros(rows, 0),
+            correlations: HashMap::new(),
             parked: Vec::new(),
             max_active,
             uses: 0,
@@ -117,13 +125,43 @@ impl HeldKeyframes {
     pub fn forget(&mut self, ids: &[KeyframeId]) {
         for id in ids {
             self.take_active(*id);
+            for other in self.correlations.remove(id).unwrap_or_default().into_keys() {
+                if let Some(row) = self.correlations.get_mut(&other) {
+                    row.remove(id);
+                }
+            }
         }
-        self.correlations.retain(|(a, b), _| !ids.contains(a) && !ids.contains(b));
     }
 
     /// `P_Aj` of an active slot.
     pub fn cross(&self, slot: usize) -> DMatrix<f64> {
-        self.cross.columns(6 * slot, 6).into_owned()
+        let id = self.active[slot].id;
+        let mut cross = DMatrix::zeros(self.loadings.nrows(), 6);
+        for other in 0..self.active.len() {
+            if let Some(block) = self.block(slot, other) {
+                cross.gemm(1.0, &self.loadings.columns(6 * other, 6), &block.transpose(), 1.0);
+            }
+        }
+        let Some(row) = self.correlations.get(&id) else { return cross };
+        for group in &self.parked {
+            let correlated = |member: &ParkedKeyframe| row.get(&member.keyframe.id).is_some();
+            if !group.members.iter().any(correlated) {
+                continue;
+            }
+            let mut sum = DMatrix::zeros(group.influence.ncols(), 6);
+            for member in &group.members {
+                if let Some(block) = row.get(&member.keyframe.id) {
+                    sum.gemm(1.0, &member.loadings, &block.transpose(), 1.0);
+                }
+            }
+            cross.gemm(1.0, &group.influence, &sum, 1.0);
+        }
+        cross
+    }
+
+    /// Whether the map says of any held keyframe that its error depends on another's.
+    pub fn has_correlations(&self) -> bool {
+        !self.correlations.is_empty()
     }
 
     /// `P_NN` of some active slots.
@@ -144,11 +182,7 @@ impl HeldKeyframes {
         if a == b {
             return Some(first.global_from_keyframe.covariance);
         }
-        if first.id < second.id {
-            self.correlations.get(&(first.id, second.id)).copied()
-        } else {
-            self.correlations.get(&(second.id, first.id)).map(nalgebra::Matrix::transpose)
-        }
+        self.correlations.get(&first.id)?.get(&second.id).copied()
     }
 
     /// Makes a keyframe active and returns its slot.
@@ -166,21 +200,17 @@ impl HeldKeyframes {
             self.active[slot].last_used = self.uses;
             return slot;
         }
-        if let Some((mut keyframe, columns)) = self.take_parked(id) {
+        if let Some((mut keyframe, loadings)) = self.take_parked(id) {
             keyframe.last_used = self.uses;
-            return self.append(keyframe, &columns);
+            return self.append(keyframe, &loadings);
         }
-        for (other, block) in cross {
-            if *other == id || !self.ids().any(|held| held == *other) {
-                continue;
-            }
-            self.activate_parked(*other);
-            let entry = if id < *other { ((id, *other), *block) } else { ((*other, id), block.transpose()) };
-            self.correlations.insert(entry.0, entry.1);
+        let held: HashSet<KeyframeId> = self.ids().collect();
+        for (other, block) in cross.iter().filter(|(other, _)| *other != id && held.contains(other)) {
+            self.correlations.entry(id).or_default().insert(*other, *block);
+            self.correlations.entry(*other).or_default().insert(id, block.transpose());
         }
-        let columns = self.entering_columns(id);
         let keyframe = HeldKeyframe { id, global_from_keyframe: *global_from_keyframe, last_used: self.uses };
-        self.append(keyframe, &columns)
+        self.append(keyframe, &DMatrix::zeros(self.loadings.nrows(), 6))
     }
 
     /// Parks the keyframes that were not used for longest, until few enough are active.
@@ -190,13 +220,8 @@ impl HeldKeyframes {
         if self.active.len() <= self.max_active {
             return;
         }
-        let correlated = |id: KeyframeId| self.correlations.keys().any(|(a, b)| *a == id || *b == id);
-        let mut candidates: Vec<(u64, KeyframeId)> = self
-            .active
-            .iter()
-            .filter(|keyframe| !correlated(keyframe.id))
-            .map(|keyframe| (keyframe.last_used, keyframe.id))
-            .collect();
+        let mut candidates: Vec<(u64, KeyframeId)> =
+            self.active.iter().map(|keyframe| (keyframe.last_used, keyframe.id)).collect();
         candidates.sort_unstable();
         // Half of them at once, so that groups are worth their influence matrix.
         let surplus = self.active.len() - self.max_active / 2;
@@ -205,7 +230,7 @@ impl HeldKeyframes {
         if members.is_empty() {
             return;
         }
-        let rows = self.cross.nrows();
+        let rows = self.loadings.nrows();
         self.parked.push(ParkedGroup { influence: DMatrix::identity(rows, rows), members });
         while let [.., older, newer] = self.parked.as_slice()
             && older.members.len() <= 2 * newer.members.len()
@@ -224,23 +249,23 @@ impl HeldKeyframes {
 
     /// Forgets all of them.
     pub fn clear(&mut self) {
-        *self = Self::new(self.cross.nrows(), self.max_active);
+        *self = Self::new(self.loadings.nrows(), self.max_active);
     }
 
-    /// `P_AN ← F P_AN` for an `F` that touches only the first rows.
+    /// `M ← F M` for an `F` that touches only the first rows.
     pub fn transform_rows(&mut self, transition: &DMatrix<f64>) {
         let n = transition.nrows();
         let transform = |matrix: &mut DMatrix<f64>| {
             let rows = transition * matrix.rows(0, n);
             matrix.rows_mut(0, n).copy_from(&rows);
         };
-        transform(&mut self.cross);
+        transform(&mut self.loadings);
         self.parked.iter_mut().for_each(|group| transform(&mut group.influence));
     }
 
     /// New row `i` is old row `source[i]`.
     pub fn gather_rows(&mut self, source: &[usize]) {
-        self.cross = self.cross.select_rows(source);
+        self.loadings = self.loadings.select_rows(source);
         for group in &mut self.parked {
             group.influence = group.influence.select_rows(source);
         }
@@ -252,45 +277,41 @@ impl HeldKeyframes {
             let old = std::mem::replace(matrix, DMatrix::zeros(0, 0));
             *matrix = old.insert_rows(at, count, 0.0);
         };
-        grow(&mut self.cross);
+        grow(&mut self.loadings);
         self.parked.iter_mut().for_each(|group| grow(&mut group.influence));
     }
 
-    /// `P_AN -= G P_CN`.
+    /// `P_AN -= G P_CN`, which is `M -= G (M_C; E_T)`.
     pub fn measurement_update(&mut self, gain: &DMatrix<f64>, columns: &Columns) {
         let n_active = columns.active.len();
         let of_state = gain.columns(0, n_active);
-        let mut other = DMatrix::zeros(columns.len(), self.cross.ncols());
-        other.rows_mut(0, n_active).copy_from(&self.cross.select_rows(&columns.active));
+        let touched = self.loadings.select_rows(&columns.active);
+        self.loadings.gemm(-1.0, &of_state, &touched, 1.0);
         for (k, &slot) in columns.keyframes.iter().enumerate() {
-            for column in 0..self.active.len() {
-                if let Some(block) = self.block(slot, column) {
-                    other.fixed_view_mut::<6, 6>(n_active + 6 * k, 6 * column).copy_from(&block);
-                }
-            }
+            let mut own = self.loadings.columns_mut(6 * slot, 6);
+            own -= gain.columns(n_active + 6 * k, 6);
         }
-        self.cross.gemm(-1.0, gain, &other, 1.0);
         for group in &mut self.parked {
             let touched = group.influence.select_rows(&columns.active);
             group.influence.gemm(-1.0, &of_state, &touched, 1.0);
         }
     }
 
-    fn append(&mut self, keyframe: HeldKeyframe, columns: &DMatrix<f64>) -> usize {
+    fn append(&mut self, keyframe: HeldKeyframe, loadings: &DMatrix<f64>) -> usize {
         let slot = self.active.len();
-        let old = std::mem::replace(&mut self.cross, DMatrix::zeros(0, 0));
-        self.cross = old.insert_columns(6 * slot, 6, 0.0);
-        self.cross.columns_mut(6 * slot, 6).copy_from(columns);
+        let old = std::mem::replace(&mut self.loadings, DMatrix::zeros(0, 0));
+        self.loadings = old.insert_columns(6 * slot, 6, 0.0);
+        self.loadings.columns_mut(6 * slot, 6).copy_from(loadings);
         self.active.push(keyframe);
         slot
     }
 
     fn take_active(&mut self, id: KeyframeId) -> Option<ParkedKeyframe> {
         let slot = self.slot_of(id)?;
-        let columns = self.cross(slot);
-        let old = std::mem::replace(&mut self.cross, DMatrix::zeros(0, 0));
-        self.cross = old.remove_columns(6 * slot, 6);
-        Some(ParkedKeyframe { keyframe: self.active.remove(slot), columns })
+        let loadings = self.loadings.columns(6 * slot, 6).into_owned();
+        let old = std::mem::replace(&mut self.loadings, DMatrix::zeros(0, 0));
+        self.loadings = old.remove_columns(6 * slot, 6);
+        Some(ParkedKeyframe { keyframe: self.active.remove(slot), loadings })
     }
 
     fn take_parked(&mut self, id: KeyframeId) -> Option<(HeldKeyframe, DMatrix<f64>)> {
@@ -298,50 +319,13 @@ impl HeldKeyframes {
             let group = &mut self.parked[place];
             if let Some(member) = group.members.iter().position(|member| member.keyframe.id == id) {
                 let taken = group.members.swap_remove(member);
-                let columns = &group.influence * taken.columns;
+                let loadings = &group.influence * taken.loadings;
                 if group.members.is_empty() {
                     self.parked.remove(place);
                 }
-                return Some((taken.keyframe, columns));
+                return Some((taken.keyframe, loadings));
             }
         }
         None
-    }
-
-    /// `P_AN P_NN⁻¹ C_Nj`: what the state shares with a new keyframe through those that are held. Zero
-    /// where the map says that they are independent.
-    ///
-    /// The filter that had `j` from the start has both `P_AN = M P_NN` and `P_Aj = M C_Nj`, with one `M`
-    /// that propagation and Schmidt's update change alike. Zero instead makes the joint covariance
-    /// indefinite where both correlations are strong.
-    fn entering_columns(&self, id: KeyframeId) -> DMatrix<f64> {
-        let mut with_held = DMatrix::zeros(6 * self.active.len(), 6);
-        let mut independent = true;
-        for (slot, held) in self.active.iter().enumerate() {
-            let block = if held.id < id {
-                self.correlations.get(&(held.id, id)).copied()
-            } else {
-                self.correlations.get(&(id, held.id)).map(nalgebra::Matrix::transpose)
-            };
-            if let Some(block) = block {
-                with_held.fixed_view_mut::<6, 6>(6 * slot, 0).copy_from(&block);
-                independent = false;
-            }
-        }
-        let none = DMatrix::zeros(self.cross.nrows(), 6);
-        if independent {
-            return none;
-        }
-        let mut of_held = self.covariance_of(&(0..self.active.len()).collect::<Vec<_>>());
-        for k in 0..of_held.nrows() {
-            of_held[(k, k)] += 1e-12 * of_held[(k, k)] + 1e-18; // a keyframe may be known exactly
-        }
-        of_held.cholesky().map_or(none, |factor| &self.cross * factor.solve(&with_held))
-    }
-
-    fn activate_parked(&mut self, id: KeyframeId) {
-        if let Some((keyframe, columns)) = self.take_parked(id) {
-            self.append(keyframe, &columns);
-        }
     }
 }

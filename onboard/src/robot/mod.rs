@@ -5,6 +5,7 @@
 
 pub mod answer;
 pub mod arguments;
+pub mod extraction;
 pub mod program;
 pub mod progress;
 pub mod publisher;

@@ -10,7 +10,7 @@ use onboard::sequence::{ReferencePose, Sequence, read_reference_poses};
 use serde_json::json;
 
 use super::import_map::{check_free, parse_direction};
-use crate::map_building::{BuildOptions, BuildReport, Spread, Stage, build_map};
+use crate::map_building::{BuildOptions, BuildReport, Spread, Stage, StoredPoses, build_map};
 use crate::map_files::save_map;
 
 /// Arguments.
@@ -40,9 +40,12 @@ pub struct Args {
     /// Direction in which gravity points in the map's frame, for example 0,0,-1 [default: unknown]
     #[arg(long, value_name = "X,Y,Z", value_parser = parse_direction, allow_hyphen_values = true)]
     pub gravity: Option<Vector3<f64>>,
-    /// Standard deviation of a feature's pixel, px
-    #[arg(long, value_name = "PX", default_value_t = 1.0)]
-    pub pixel_sigma: f64,
+    /// Standard deviation of a feature's pixel, px [default: measured]
+    #[arg(long, value_name = "PX")]
+    pub pixel_sigma: Option<f64>,
+    /// State the given poses with independent errors, instead of refined ones with their joint covariance
+    #[arg(long)]
+    pub keep_poses: bool,
     /// Leave out what comes before this time, s from the first frame
     #[arg(long, value_name = "SECONDS")]
     pub from: Option<f64>,
@@ -89,7 +92,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         bar.set_length(all as u64);
         bar.set_position(done as u64);
     };
-    let built = build_map(&sequence, &references, &options, &mut show);
+    let built = build_map(&sequence, &references, None, &options, &mut show);
     bar.finish_and_clear();
     let (contents, report) = built?;
     let version = save_map(&args.map, &contents, args.force)?;
@@ -159,6 +162,7 @@ fn options(args: &Args) -> anyhow::Result<BuildOptions> {
         sigma_theta: args.sigma_theta,
         sigma_p: args.sigma_p,
         pixel_sigma: args.pixel_sigma,
+        stored_poses: if args.keep_poses { StoredPoses::Given } else { StoredPoses::Refined },
         min_distance: args.min_distance,
         min_rotation: args.min_rotation.to_radians(),
         time_neighbours: args.time_neighbours,
@@ -176,14 +180,18 @@ fn print_report(report: &BuildReport) {
     println!("keyframes                   {}", report.keyframes);
     println!("landmarks                   {}", report.landmarks);
     println!("observations                {} ({mean_length:.1} a landmark)", report.observations);
-    println!("  landmarks with 2, 3, ...  {}", histogram(&report.track_lengths));
+    println!("  landmarks with 1, 2, ...  {}", histogram(&report.track_lengths));
     println!("landmarks a keyframe        {}", spread(&report.landmarks_per_keyframe, 0));
     println!("pairs matched               {} with {} matches", report.pairs, report.matches);
     println!("observations dropped        {}", report.dropped_observations);
     println!("reprojection error, px      {}", spread(&report.reprojection_px, 2));
-    println!("  through the given poses   {}", spread(&report.reprojection_through_map_px, 2));
+    println!("  through the given poses   {}", spread(&report.reprojection_through_given_px, 2));
+    println!("pixel sigma, px             {:.2}", report.pixel_sigma);
     println!("poses corrected by, deg     {}", spread(&report.pose_correction_deg, 2));
     println!("                    m       {}", spread(&report.pose_correction_m, 3));
+    println!("poses stated to, deg        {}", spread(&report.pose_sigma_deg, 2));
+    println!("                 m          {}", spread(&report.pose_sigma_m, 3));
+    println!("correlated pairs            {}", report.cross_covariances);
     let few = BuildReport::FEW_LANDMARKS;
     println!("keyframes below {few} landmarks {}", report.poor_keyframes.len());
     if !report.poor_keyframes.is_empty() {

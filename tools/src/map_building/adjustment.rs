@@ -2,17 +2,16 @@
 //!
 //! Reference poses that are each off by 0.1 m and 0.9 deg disagree with the images by 10 px, the images with each
 //! other by 1 px. A landmark is wanted as exactly as the images tell where it is *in its anchor's camera frame*, so the
-//! poses have to give way while it is located. The refined poses serve for that only: the map states the given ones,
-//! whose errors are independent between keyframes, which those of refined ones are not.
+//! poses have to give way while it is located.
 
-use geometry::camera::Camera;
 use geometry::pose::Pose;
 use geometry::rotation::left_jacobian_inverse;
 use geometry::uncertain_pose::PoseWithCovariance;
 use nalgebra::{Matrix6, Vector6};
 
+use super::joint_covariance::BlockMatrix;
 use super::normal_equations::{NormalEquations, PointBlocks};
-use super::point::{CameraPose, Point};
+use super::point::{CameraPose, Lens, Point};
 
 /// Smallest sigmas of a pose (rad, m) that the equations can do with, where a map is built from exact poses.
 const LEAST_SIGMAS: [f64; 2] = [1e-5, 1e-4];
@@ -47,7 +46,7 @@ impl Bundle {
 
 /// What is refined against.
 pub(super) struct Problem<'a> {
-    camera: &'a Camera,
+    rig: &'a [Lens],
     priors: &'a [PoseWithCovariance],
     information: Vec<Matrix6<f64>>,
     pixel_sigma: f64,
@@ -55,9 +54,9 @@ pub(super) struct Problem<'a> {
 
 impl<'a> Problem<'a> {
     /// A problem of its camera, given poses and pixel noise (px).
-    pub(super) fn new(camera: &'a Camera, priors: &'a [PoseWithCovariance], pixel_sigma: f64) -> Problem<'a> {
+    pub(super) fn new(rig: &'a [Lens], priors: &'a [PoseWithCovariance], pixel_sigma: f64) -> Problem<'a> {
         let information = priors.iter().map(|prior| pose_information(&prior.covariance)).collect();
-        Problem { camera, priors, information, pixel_sigma }
+        Problem { rig, priors, information, pixel_sigma }
     }
 
     /// Refines a bundle.
@@ -97,8 +96,23 @@ impl<'a> Problem<'a> {
         bundle
     }
 
+    /// The normal equations of the poses alone at a refined bundle, every landmark eliminated: the inverse of their
+    /// joint covariance.
+    pub(super) fn reduced_equations(&self, bundle: &Bundle) -> BlockMatrix {
+        self.equations(bundle, LAST_SCALE, 0.0).reduced()
+    }
+
     /// One damped Gauss-Newton step.
     fn step(&self, bundle: &Bundle, scale: f64, damping: f64) -> Bundle {
+        let step = self.equations(bundle, scale, damping).solve();
+        Bundle {
+            poses: bundle.poses.iter().zip(&step.poses).map(|(pose, error)| pose.retract(error)).collect(),
+            points: bundle.points.iter().zip(&step.points).map(|(point, error)| point.moved(error)).collect(),
+        }
+    }
+
+    /// The normal equations at a bundle.
+    fn equations(&self, bundle: &Bundle, scale: f64, damping: f64) -> NormalEquations {
         let mut equations = NormalEquations::new(bundle.poses.len());
         for (view, pose) in bundle.poses.iter().enumerate() {
             let (error, jacobian) = self.prior_error(view, pose);
@@ -110,11 +124,7 @@ impl<'a> Problem<'a> {
             self.add_point(&mut equations, point, &poses, scale, damping);
         }
         equations.damp(damping);
-        let step = equations.solve();
-        Bundle {
-            poses: bundle.poses.iter().zip(&step.poses).map(|(pose, error)| pose.retract(error)).collect(),
-            points: bundle.points.iter().zip(&step.points).map(|(point, error)| point.moved(error)).collect(),
-        }
+        equations
     }
 
     fn add_point(
@@ -130,7 +140,7 @@ impl<'a> Problem<'a> {
         let mut anchor_coupling = nalgebra::Matrix6x3::zeros();
         for (index, sighting) in point.sightings.iter().enumerate() {
             if index == point.anchor {
-                let (pixel, by_ray) = point.predict_in_anchor(self.camera);
+                let (pixel, by_ray) = point.predict_in_anchor(self.rig);
                 let residual = sighting.pixel - pixel;
                 let weight = self.weight(residual.norm(), scale);
                 let mut information = blocks.information.fixed_view_mut::<2, 2>(0, 0);
@@ -140,15 +150,17 @@ impl<'a> Problem<'a> {
                 continue;
             }
             let view = sighting.view();
-            let Some(predicted) = point.predict(self.camera, &poses[anchor], &poses[view]) else { continue };
+            let Some(predicted) = point.predict(self.rig, poses, sighting) else { continue };
             let residual = sighting.pixel - predicted.pixel;
             let weight = self.weight(residual.norm(), scale);
             let by_anchor = predicted.by_anchor.transpose() * weight;
             let by_view = predicted.by_view.transpose() * weight;
             equations.add_pose(anchor, &(by_anchor * predicted.by_anchor), &(by_anchor * residual));
             equations.add_pose(view, &(by_view * predicted.by_view), &(by_view * residual));
-            blocks.pairs.push((anchor, view, by_anchor * predicted.by_view));
-            blocks.couplings.push((view, by_view * predicted.by_point));
+            if view != anchor {
+                blocks.pairs.push((anchor, view, by_anchor * predicted.by_view));
+                blocks.couplings.push((view, by_view * predicted.by_point));
+            }
             anchor_coupling += by_anchor * predicted.by_point;
             blocks.information += predicted.by_point.transpose() * predicted.by_point * weight;
             blocks.gradient += predicted.by_point.transpose() * residual * weight;
@@ -193,7 +205,7 @@ impl<'a> Problem<'a> {
             let sigmas = (error / self.pixel_sigma).min(1e6);
             0.5 * scale * scale * (sigmas / scale).powi(2).ln_1p()
         };
-        let errors = bundle.points.iter().flat_map(|point| point.errors(self.camera, &poses));
+        let errors = bundle.points.iter().flat_map(|point| point.errors(self.rig, &poses));
         priors + errors.map(robust).sum::<f64>()
     }
 }

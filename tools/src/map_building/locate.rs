@@ -1,9 +1,8 @@
 //! Where one landmark is, from poses that are uncertain: the start for the refinement of all.
 
-use geometry::camera::Camera;
 use nalgebra::{Matrix2, Matrix3, Matrix6, Vector3};
 
-use super::point::{CameraPose, MAX_DEPTH, Point, Sighting};
+use super::point::{CameraPose, Lens, MAX_DEPTH, Point, Sighting};
 use super::tracks::Feature;
 use super::views::View;
 
@@ -19,8 +18,8 @@ const STEPS: usize = 6;
 
 /// Everything that locating needs besides the track.
 pub(super) struct Scene<'a> {
-    /// The camera of all views.
-    pub(super) camera: &'a Camera,
+    /// The cameras of all views.
+    pub(super) rig: &'a [Lens],
     /// The views.
     pub(super) views: &'a [View<'a>],
     /// Their given poses.
@@ -39,17 +38,14 @@ pub(super) struct Scene<'a> {
 /// The landmark, anchored in the middle of its track, and the features that were dropped. `None` for the landmark
 /// where not even two sightings agree.
 pub(super) fn locate(scene: &Scene<'_>, track: &[Feature], least: usize) -> (Option<Point>, Vec<Feature>) {
-    let sightings: Vec<Sighting> = track
-        .iter()
-        .map(|&(view, feature)| Sighting {
-            feature: (view, feature),
-            pixel: scene.views[view].pixel(feature),
-        })
-        .collect();
+    let sightings = scene.sightings(track);
     // The middle has the shortest way to all others.
-    let anchor = track.len() / 2;
-    let (view, feature) = track[anchor];
-    let Some(ray) = scene.views[view].rays[feature] else { return (None, Vec::new()) };
+    let (view, feature) = track[track.len() / 2];
+    let in_middle = |sighting: &Sighting| sighting.feature == (view, feature);
+    let (Some(anchor), Some(ray)) = (sightings.iter().position(in_middle), scene.views[view].rays[feature])
+    else {
+        return (None, Vec::new());
+    };
     let start = Point { anchor, ray, inverse_depth: 1.0, sightings };
     let (point, _) = (0..TRIED)
         .map(|index| {
@@ -63,7 +59,8 @@ pub(super) fn locate(scene: &Scene<'_>, track: &[Feature], least: usize) -> (Opt
         .unwrap_or((start, 0.0));
     let point = refine(scene, point);
     let keep: Vec<bool> = distances(scene, &point).iter().map(|&distance| distance <= GATE).collect();
-    let dropped = track.iter().zip(&keep).filter(|(_, keep)| !**keep).map(|(&feature, _)| feature).collect();
+    let is_dropped = |(sighting, keep): &(&Sighting, &bool)| !**keep && sighting.lens == 0;
+    let dropped = point.sightings.iter().zip(&keep).filter(is_dropped).map(|(s, _)| s.feature).collect();
     match point.retained(&keep, least) {
         Some(point) => (Some(refine(scene, point)), dropped),
         None => (None, Vec::new()),
@@ -74,10 +71,10 @@ pub(super) fn locate(scene: &Scene<'_>, track: &[Feature], least: usize) -> (Opt
 fn distances(scene: &Scene<'_>, point: &Point) -> Vec<f64> {
     let distance = |(index, sighting): (usize, &Sighting)| {
         if index == point.anchor {
-            let residual = sighting.pixel - point.predict_in_anchor(scene.camera).0;
+            let residual = sighting.pixel - point.predict_in_anchor(scene.rig).0;
             return residual.norm_squared() / (scene.pixel_sigma * scene.pixel_sigma);
         }
-        scene.weight(point, sighting.view()).map_or(f64::INFINITY, |(prediction, weight)| {
+        scene.weight(point, sighting).map_or(f64::INFINITY, |(prediction, weight)| {
             let residual = sighting.pixel - prediction.pixel;
             residual.dot(&(weight * residual))
         })
@@ -86,11 +83,23 @@ fn distances(scene: &Scene<'_>, point: &Point) -> Vec<f64> {
 }
 
 impl Scene<'_> {
+    /// Where the views of a track saw it, with one camera or both.
+    fn sightings(&self, track: &[Feature]) -> Vec<Sighting> {
+        let of_feature = |&(view, feature): &Feature| {
+            let first =
+                Sighting { feature: (view, feature), lens: 0, pixel: self.views[view].pixel(feature) };
+            let second =
+                self.views[view].stereo_pixel(feature).map(|pixel| Sighting { lens: 1, pixel, ..first });
+            std::iter::once(first).chain(second)
+        };
+        track.iter().flat_map(of_feature).collect()
+    }
+
     /// Prediction of a point in a view, and the inverse of its covariance from the pixel and both poses (2x2):
     /// `sigma^2 I + J_a P_a J_a^T + J_v P_v J_v^T`.
-    fn weight(&self, point: &Point, view: usize) -> Option<(super::point::Prediction, Matrix2<f64>)> {
-        let anchor = point.anchor_view();
-        let prediction = point.predict(self.camera, &self.poses[anchor], &self.poses[view])?;
+    fn weight(&self, point: &Point, sighting: &Sighting) -> Option<(super::point::Prediction, Matrix2<f64>)> {
+        let (anchor, view) = (point.anchor_view(), sighting.view());
+        let prediction = point.predict(self.rig, self.poses, sighting)?;
         let covariance = |view: usize| -> &Matrix6<f64> { &self.views[view].prior.covariance };
         let total = Matrix2::identity() * (self.pixel_sigma * self.pixel_sigma)
             + prediction.by_anchor * covariance(anchor) * prediction.by_anchor.transpose()
@@ -106,7 +115,7 @@ fn refine(scene: &Scene<'_>, mut point: Point) -> Point {
         let mut information = Matrix3::zeros();
         let mut gradient = Vector3::zeros();
         let anchor_weight = (scene.pixel_sigma * scene.pixel_sigma).recip();
-        let (pixel, by_ray) = point.predict_in_anchor(scene.camera);
+        let (pixel, by_ray) = point.predict_in_anchor(scene.rig);
         let residual = point.sightings[point.anchor].pixel - pixel;
         let ray_information = by_ray.transpose() * by_ray * anchor_weight;
         let ray_gradient = by_ray.transpose() * residual * anchor_weight;
@@ -116,7 +125,7 @@ fn refine(scene: &Scene<'_>, mut point: Point) -> Point {
             if index == point.anchor {
                 continue;
             }
-            let Some((prediction, weight)) = scene.weight(&point, sighting.view()) else { continue };
+            let Some((prediction, weight)) = scene.weight(&point, sighting) else { continue };
             let residual = sighting.pixel - prediction.pixel;
             if residual.dot(&(weight * residual)) <= GATE {
                 information += prediction.by_point.transpose() * weight * prediction.by_point;

@@ -3,9 +3,8 @@
 use std::collections::BTreeSet;
 
 use geometry::camera::Camera;
-use map_server::recognition::metric_of;
 use nalgebra::{Matrix3, Vector2, Vector3};
-use vision::{DescriptorView, MatchOptions};
+use vision::MatchOptions;
 
 use super::options::{BuildError, BuildOptions};
 use super::views::View;
@@ -59,14 +58,15 @@ pub(super) fn match_pair(
     camera: &Camera,
     views: &[View<'_>],
     (i, j): (usize, usize),
+    pixel_sigma: f64,
     options: &BuildOptions,
 ) -> Result<Vec<FeatureMatch>, BuildError> {
-    let (a, b) = (descriptors(&views[i])?, descriptors(&views[j])?);
+    let (a, b) = (views[i].descriptors()?, views[j].descriptors()?);
     let mut settings = MatchOptions::for_metric(a.metric());
     settings.max_distance = options.max_descriptor_distance.unwrap_or(settings.max_distance);
     let matches = vision::match_descriptors(a, b, &settings)?;
     let possible = |found: &vision::Match| {
-        epipolar_error(camera, [&views[i], &views[j]], [found.query, found.train], options.pixel_sigma)
+        epipolar_error(camera, [&views[i], &views[j]], [found.query, found.train], pixel_sigma)
             .is_some_and(|sigmas| sigmas <= EPIPOLAR_GATE)
     };
     Ok(matches
@@ -78,11 +78,6 @@ pub(super) fn match_pair(
             distance: found.distance,
         })
         .collect())
-}
-
-fn descriptors<'a>(view: &View<'a>) -> Result<DescriptorView<'a>, BuildError> {
-    let descriptors = &view.features.descriptors;
-    Ok(DescriptorView::new(metric_of(descriptors.kind), usize::from(descriptors.width), &descriptors.bytes)?)
 }
 
 /// How far two rays are from meeting, in sigmas of what pixels and poses leave uncertain. `None` without rays.

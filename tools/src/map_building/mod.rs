@@ -1,27 +1,33 @@
-//! Building a map offline from a reference sequence: features of images, and poses that are known imperfectly.
+//! Building a map offline from a reference sequence: images or their features, and poses that are known imperfectly.
 //!
 //! | step | module |
 //! |---|---|
-//! | images become keyframes as the view changes | `views` |
+//! | images become keyframes as the view changes | `views`, `references` |
+//! | features are read, or extracted, and found again by the stereo partner | `images`, `stereo` |
 //! | neighbouring keyframes are matched, and checked by the epipolar constraint | `matching` |
 //! | matches are chained into tracks | `tracks` |
 //! | each track is located with the given poses, whose uncertainty weighs in | `locate` |
-//! | all landmarks are refined together with the poses | `adjustment` |
+//! | all landmarks are refined together with the poses, within what these are known to | `adjustment` |
+//! | the joint covariance of the refined poses | `joint_covariance` |
 //! | a map is made of it | `assemble` |
 //!
-//! The map states the *given* poses with their covariances, never the refined ones: the errors of given poses are
-//! independent, which the estimator relies on; those of refined ones are correlated with each other and with every
-//! pixel. The landmarks come from the refinement, each told in its anchor's camera frame. The estimator uses them as
-//! linearization points only, beside the raw pixels.
+//! The map states the refined poses, each with its covariance and its cross-covariances with other keyframes, so that a
+//! robot knows that neighbouring keyframes err alike. With [`StoredPoses::Given`] it states the given ones instead,
+//! whose errors are independent. Landmarks come from the refinement either way, told in their anchors' camera frames;
+//! the estimator uses them as linearization points only, beside the raw pixels.
 
 mod adjustment;
 mod assemble;
+mod images;
+mod joint_covariance;
 mod locate;
 mod matching;
 mod normal_equations;
 mod options;
 mod point;
+mod references;
 mod report;
+mod stereo;
 #[cfg(test)]
 mod tests;
 mod tracks;
@@ -30,31 +36,40 @@ mod views;
 use std::collections::HashSet;
 use std::time::Instant;
 
-use geometry::camera::Camera;
 use geometry::uncertain_pose::PoseWithCovariance;
 use map_server::contents::MapContents;
 use onboard::sequence::{ReferencePose, Sequence};
 
-pub use options::{BuildError, BuildOptions, Progress, Stage};
+pub use images::Extraction;
+pub use options::{BuildError, BuildOptions, Progress, Stage, StoredPoses};
 pub use report::{BuildReport, Spread};
 
 use adjustment::{Bundle, Problem};
+use images::FeatureSource;
+use joint_covariance::{JointCovariance, joint_covariance};
 use locate::{Scene, locate};
 use matching::FeatureMatch;
-use point::{CameraPose, Point};
+use point::{CameraPose, Lens, Point};
 use tracks::Feature;
 use views::View;
 
 /// A sighting is dropped when it is further than this from its landmark after refinement (sigmas of a pixel).
 const REPROJECTION_GATE: f64 = 4.0;
 /// The refinement is repeated so often after outliers were dropped.
-const REFINEMENTS: usize = 2;
+const REFINEMENTS: usize = 3;
+/// Pixel noise (px) that is assumed until it is measured.
+const FIRST_PIXEL_SIGMA: f64 = 1.0;
+/// Limits of the measured pixel noise (px): less is rounding, more is no feature.
+const PIXEL_SIGMAS: [f64; 2] = [0.1, 5.0];
+/// Ratio of the median length of a two-dimensional normal error to its standard deviation.
+const MEDIAN_OF_RAYLEIGH: f64 = 1.1774;
 
 /// Builds a map.
 ///
 /// # Arguments
-/// * `sequence`: its camera 0 and the features of its frames are used.
-/// * `references`: poses of the IMU in G with sigmas; only those at the very stamp of a frame with features count.
+/// * `sequence`: its camera 0, with stereo also camera 1, and the features or images of its frames are used.
+/// * `references`: poses of the IMU in G with sigmas; those of images between two of them are interpolated.
+/// * `extraction`: how features are extracted from images; `None` takes those that the recording has.
 /// * `progress`: told how far it is.
 ///
 /// # Errors
@@ -62,19 +77,27 @@ const REFINEMENTS: usize = 2;
 pub fn build_map(
     sequence: &Sequence,
     references: &[ReferencePose],
+    extraction: Option<Extraction<'_>>,
     options: &BuildOptions,
     progress: Progress<'_>,
 ) -> Result<(MapContents, BuildReport), BuildError> {
     check(options)?;
     let start = Instant::now();
-    let views = views::select_views(sequence, references, options)?;
-    let camera = &sequence.cameras[0].camera;
-    let mut report = BuildReport { keyframes: views.len(), ..BuildReport::default() };
-    let matches = match_all(camera, &views, options, &mut report, progress)?;
-    let points = locate_all(camera, &views, matches, options, &mut report, progress);
-    let bundle = refine_all(camera, &views, points, options, &mut report, progress);
-    let contents = assemble::map_contents(camera, &views, &bundle, options)?;
-    assemble::fill_report(&mut report, camera, &views, &bundle, &contents);
+    let rig = Lens::of_rig(&sequence.cameras);
+    let mut source = FeatureSource::new(extraction, &rig);
+    let views = views::select_views(sequence, references, &mut source, options, progress)?;
+    let mut report = BuildReport {
+        keyframes: views.len(),
+        stereo_features: views.iter().map(View::stereo_count).sum(),
+        unreadable_images: source.unreadable,
+        ..BuildReport::default()
+    };
+    let matches = match_all(&rig, &views, options, &mut report, progress)?;
+    let points = locate_all(&rig, &views, matches, options, &mut report, progress);
+    let (bundle, joint) = refine_all(&rig, &views, points, options, &mut report, progress)?;
+    let contents =
+        assemble::map_contents(&rig[0].camera, &views, &bundle, joint, report.pixel_sigma, options)?;
+    assemble::fill_report(&mut report, &rig, &views, &bundle, &contents);
     report.seconds = start.elapsed().as_secs_f64();
     Ok((contents, report))
 }
@@ -84,7 +107,7 @@ fn check(options: &BuildOptions) -> Result<(), BuildError> {
     if !sigmas.into_iter().all(|sigma| sigma.is_finite() && sigma >= 0.0) {
         return Err(BuildError::Options("the sigmas of the poses must be zero or positive".to_owned()));
     }
-    if !(options.pixel_sigma.is_finite() && options.pixel_sigma > 0.0) {
+    if !options.pixel_sigma.is_none_or(|sigma| sigma.is_finite() && sigma > 0.0) {
         return Err(BuildError::Options("the sigma of a pixel must be positive".to_owned()));
     }
     if options.min_observations < 2 {
@@ -94,18 +117,19 @@ fn check(options: &BuildOptions) -> Result<(), BuildError> {
 }
 
 fn match_all(
-    camera: &Camera,
+    rig: &[Lens],
     views: &[View<'_>],
     options: &BuildOptions,
     report: &mut BuildReport,
     progress: Progress<'_>,
 ) -> Result<Vec<FeatureMatch>, BuildError> {
+    let pixel_sigma = options.pixel_sigma.unwrap_or(FIRST_PIXEL_SIGMA);
     let pairs = matching::pairs(views, options);
     report.pairs = pairs.len();
     let mut matches = Vec::new();
     for (done, &pair) in pairs.iter().enumerate() {
         progress(Stage::Matching, done, pairs.len());
-        matches.extend(matching::match_pair(camera, views, pair, options)?);
+        matches.extend(matching::match_pair(&rig[0].camera, views, pair, pixel_sigma, options)?);
     }
     progress(Stage::Matching, pairs.len(), pairs.len());
     report.matches = matches.len();
@@ -115,7 +139,7 @@ fn match_all(
 /// Chains matches into tracks and locates each. What does not fit a track may be a landmark of its own, so it gets a
 /// second chance.
 fn locate_all(
-    camera: &Camera,
+    rig: &[Lens],
     views: &[View<'_>],
     matches: Vec<FeatureMatch>,
     options: &BuildOptions,
@@ -124,8 +148,10 @@ fn locate_all(
 ) -> Vec<Point> {
     let counts: Vec<usize> = views.iter().map(|view| view.rays.len()).collect();
     let poses: Vec<CameraPose> = views.iter().map(|view| CameraPose::from(&view.prior.pose)).collect();
-    let scene = Scene { camera, views, poses: &poses, pixel_sigma: options.pixel_sigma };
-    let tracks = tracks::chain(&counts, matches.clone());
+    let scene =
+        Scene { rig, views, poses: &poses, pixel_sigma: options.pixel_sigma.unwrap_or(FIRST_PIXEL_SIGMA) };
+    let mut tracks = tracks::chain(&counts, matches.clone());
+    tracks.extend(tracks::stereo_singles(views, &tracks));
     let mut points = Vec::new();
     let mut dropped: HashSet<Feature> = HashSet::new();
     for (done, track) in tracks.iter().enumerate() {
@@ -142,48 +168,74 @@ fn locate_all(
         points.extend(point);
     }
     progress(Stage::Locating, tracks.len(), tracks.len());
-    let kept: usize = points.iter().map(|point| point.sightings.len()).sum();
+    let kept: usize = points.iter().map(Point::view_count).sum();
     report.dropped_observations = tracks.iter().map(Vec::len).sum::<usize>().saturating_sub(kept);
     points
 }
 
+/// Refines poses and landmarks, measures the pixel noise, and works out what is then known of the poses.
 fn refine_all(
-    camera: &Camera,
+    rig: &[Lens],
     views: &[View<'_>],
     points: Vec<Point>,
     options: &BuildOptions,
     report: &mut BuildReport,
     progress: Progress<'_>,
-) -> Bundle {
+) -> Result<(Bundle, Option<JointCovariance>), BuildError> {
     let priors: Vec<PoseWithCovariance> = views.iter().map(|view| view.prior).collect();
     let mut bundle = Bundle { poses: priors.iter().map(|prior| prior.pose).collect(), points };
-    if !options.refine_poses {
-        return bundle;
-    }
-    let problem = Problem::new(camera, &priors, options.pixel_sigma);
-    for round in 0..REFINEMENTS {
+    let mut pixel_sigma = options.pixel_sigma.unwrap_or(FIRST_PIXEL_SIGMA);
+    let rounds = if options.refine_poses { REFINEMENTS } else { 0 };
+    for round in 0..rounds {
+        let problem = Problem::new(rig, &priors, pixel_sigma);
         bundle = problem.refine(bundle, round == 0, |done, steps| {
-            progress(Stage::Refining, round * steps + done, REFINEMENTS * steps);
+            progress(Stage::Refining, round * steps + done, rounds * steps);
         });
-        let before: usize = bundle.points.iter().map(|point| point.sightings.len()).sum();
+        if options.pixel_sigma.is_none() {
+            pixel_sigma = measured_pixel_sigma(&bundle, rig).unwrap_or(pixel_sigma);
+        }
+        let before: usize = bundle.points.iter().map(Point::view_count).sum();
         let poses = bundle.camera_poses();
-        let gate = REPROJECTION_GATE * options.pixel_sigma;
-        let pruned = |point: &Point| prune(point, camera, &poses, gate, options.min_observations);
+        let gate = REPROJECTION_GATE * pixel_sigma;
+        let pruned = |point: &Point| prune(point, rig, &poses, gate, options.min_observations);
         bundle.points = bundle.points.iter().filter_map(pruned).collect();
-        let after: usize = bundle.points.iter().map(|point| point.sightings.len()).sum();
+        let after: usize = bundle.points.iter().map(Point::view_count).sum();
         report.dropped_observations += before - after;
     }
-    bundle
+    report.pixel_sigma = pixel_sigma;
+    if !options.refine_poses || options.stored_poses == StoredPoses::Given {
+        return Ok((bundle, None));
+    }
+    let equations = Problem::new(rig, &priors, pixel_sigma).reduced_equations(&bundle);
+    let positions: Vec<_> = bundle.poses.iter().map(|pose| pose.translation).collect();
+    let joint = joint_covariance(&equations, &positions, |done, all| progress(Stage::Weighing, done, all));
+    Ok((bundle, Some(joint.ok_or(BuildError::Indefinite)?)))
+}
+
+/// The pixel noise that the residuals of a refined bundle show (px): from their median, so that outliers do not count,
+/// and with the freedom that each landmark took from its pixels given back. `None` for too few pixels.
+fn measured_pixel_sigma(bundle: &Bundle, rig: &[Lens]) -> Option<f64> {
+    let poses = bundle.camera_poses();
+    let mut errors: Vec<f64> = bundle.points.iter().flat_map(|point| point.errors(rig, &poses)).collect();
+    let (rows, unknowns) = (2 * errors.len(), 3 * bundle.points.len());
+    if rows <= unknowns {
+        return None;
+    }
+    let middle = errors.len() / 2;
+    let (_, median, _) = errors.select_nth_unstable_by(middle, f64::total_cmp);
+    let sigma = *median / MEDIAN_OF_RAYLEIGH * (rows as f64 / (rows - unknowns) as f64).sqrt();
+    sigma.is_finite().then(|| sigma.clamp(PIXEL_SIGMAS[0], PIXEL_SIGMAS[1]))
 }
 
 /// Drops sightings beyond `gate` (px), and moves the anchor where it is one of them.
-fn prune(point: &Point, camera: &Camera, poses: &[CameraPose], gate: f64, least: usize) -> Option<Point> {
-    let errors = point.errors(camera, poses);
+fn prune(point: &Point, rig: &[Lens], poses: &[CameraPose], gate: f64, least: usize) -> Option<Point> {
+    let errors = point.errors(rig, poses);
     let keep: Vec<bool> = errors.iter().map(|&error| error <= gate).collect();
     if keep[point.anchor] {
         return point.retained(&keep, least);
     }
     let middle = keep.len() / 2;
-    let anchor = (0..keep.len()).filter(|&index| keep[index]).min_by_key(|index| index.abs_diff(middle))?;
+    let can_anchor = |&index: &usize| keep[index] && point.sightings[index].lens == 0;
+    let anchor = (0..keep.len()).filter(can_anchor).min_by_key(|index| index.abs_diff(middle))?;
     point.anchored_at(anchor, poses)?.retained(&keep, least)
 }

@@ -10,7 +10,11 @@
 //!
 //! Source: Agarwal, Snavely, Seitz & Szeliski, "Bundle adjustment in the large", ECCV 2010.
 
+use std::collections::BTreeMap;
+
 use nalgebra::{Matrix3, Matrix6, Matrix6x3, Vector3, Vector6};
+
+use super::joint_covariance::BlockMatrix;
 
 /// Conjugate gradients stop when the residual has fallen by this factor; the outer iteration corrects the rest.
 const TOLERANCE: f64 = 1e-3;
@@ -93,6 +97,28 @@ impl NormalEquations {
             })
             .collect();
         Step { poses, points }
+    }
+
+    /// S in blocks.
+    pub(super) fn reduced(&self) -> BlockMatrix {
+        let mut reduced = BlockMatrix { diagonal: self.diagonal.clone(), upper: BTreeMap::new() };
+        for point in &self.points {
+            for (a, b, block) in &point.pairs {
+                reduced.add(*a, *b, block);
+            }
+            for (index, (a, by_a)) in point.couplings.iter().enumerate() {
+                let eliminated = by_a * point.information;
+                reduced.add(*a, *a, &-(eliminated * by_a.transpose()));
+                for (b, by_b) in &point.couplings[index + 1..] {
+                    let block = -(eliminated * by_b.transpose());
+                    reduced.add(*a, *b, &block);
+                    if a == b {
+                        reduced.add(*a, *b, &block.transpose());
+                    }
+                }
+            }
+        }
+        reduced
     }
 
     /// S times a vector.

@@ -19,8 +19,8 @@ pub struct BuildOptions {
     pub sigma_theta: Option<f64>,
     /// Replaces the position sigma of every reference pose (m).
     pub sigma_p: Option<f64>,
-    /// Standard deviation of a feature's pixel (px).
-    pub pixel_sigma: f64,
+    /// Standard deviation of a feature's pixel (px); measured from what the refinement leaves where not given.
+    pub pixel_sigma: Option<f64>,
     /// A keyframe is taken when the camera has moved this far from the last one (m), or turned by `min_rotation`.
     ///
     /// Tuned on `walk` (twice the matches of 0.3 m and 10 deg when its start is seen again) and on MH_03 in the map of
@@ -28,17 +28,31 @@ pub struct BuildOptions {
     pub min_distance: f64,
     /// See `min_distance` (rad).
     pub min_rotation: f64,
+    /// A keyframe is taken after half of that already where less than this part of the last one's features is found
+    /// again.
+    pub min_overlap: f64,
     /// Each keyframe is matched with this many that follow it in time.
     pub time_neighbours: usize,
     /// Each keyframe is matched with this many others that look at the same place from nearby.
     pub space_neighbours: usize,
     /// Largest descriptor distance, in the unit of the descriptors' metric; the metric's default where not given.
     pub max_descriptor_distance: Option<f32>,
-    /// Landmarks seen by fewer keyframes than this are dropped; at least 2.
+    /// Landmarks seen by fewer keyframes than this are dropped, unless one saw them in stereo; at least 2.
     pub min_observations: usize,
-    /// Whether poses are refined along with the landmarks while these are located. The stored poses are the given
-    /// ones either way. Off only for comparisons.
+    /// Whether poses are refined along with the landmarks while these are located. Off only for comparisons.
     pub refine_poses: bool,
+    /// Which poses the map states.
+    pub stored_poses: StoredPoses,
+}
+
+/// Which poses a map states for its keyframes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum StoredPoses {
+    /// Refined by what the images say, with the joint covariance that is left.
+    #[default]
+    Refined,
+    /// As they were given, with independent errors.
+    Given,
 }
 
 impl Default for BuildOptions {
@@ -51,14 +65,16 @@ impl Default for BuildOptions {
             until_s: f64::INFINITY,
             sigma_theta: None,
             sigma_p: None,
-            pixel_sigma: 1.0,
+            pixel_sigma: Some(1.0),
             min_distance: 0.2,
             min_rotation: 5.0_f64.to_radians(),
+            min_overlap: 0.3,
             time_neighbours: 10,
             space_neighbours: 10,
             max_descriptor_distance: None,
             min_observations: 2,
             refine_poses: true,
+            stored_poses: StoredPoses::Refined,
         }
     }
 }
@@ -70,27 +86,47 @@ pub enum BuildError {
     #[error("{0}")]
     Options(String),
     /// The recording has no features for place recognition.
-    #[error("{sequence} has no mav0/cam0/features.csv, or it is empty: a map is built from its features")]
+    #[error(
+        "{sequence} has no mav0/cam0/features.csv, or it is empty, and no extractor was asked for: a map is built from \
+         features"
+    )]
     NoFeatures {
         /// The recording.
         sequence: String,
     },
+    /// The recording has no images.
+    #[error("{sequence} has no images in mav0/cam0/data: copy them there, or build from a features.csv")]
+    NoImages {
+        /// The recording.
+        sequence: String,
+    },
+    /// The extractor failed.
+    #[error("{image}: {source}")]
+    Extraction {
+        /// The file.
+        image: String,
+        /// What went wrong.
+        source: vision::ExtractError,
+    },
     /// Features and poses do not meet.
     #[error(
-        "no image has both features and a reference pose at its very time stamp ({features} images with features, \
-         {poses} poses, {in_time} images between --from and --until): check that both are of one recording"
+        "no image has both features and a reference pose at its time ({images} images, {poses} poses, {in_time} images \
+         between --from and --until; poses at most 0.11 s apart are interpolated): check that both are of one recording"
     )]
     NoCommonStamps {
         /// Images with features.
-        features: usize,
+        images: usize,
         /// Reference poses.
         poses: usize,
         /// Images with features in the stretch of time asked for.
         in_time: usize,
     },
     /// Descriptors cannot be compared.
-    #[error("the descriptors of features.csv cannot be matched: {0}")]
+    #[error("the descriptors cannot be matched: {0}")]
     Descriptors(#[from] vision::DescriptorError),
+    /// The joint covariance of the poses cannot be computed.
+    #[error("the refined poses have no covariance: are the sigmas of the given poses far too large?")]
+    Indefinite,
     /// The result breaks a law of maps.
     #[error("the map that was built is invalid, which is a fault of this program: {0}")]
     Contents(#[from] map_server::contents::ContentsError),
@@ -99,21 +135,27 @@ pub enum BuildError {
 /// A step of map building that can take long.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stage {
+    /// Selecting keyframes and extracting their features.
+    Seeing,
     /// Matching pairs of keyframes.
     Matching,
     /// Finding where the landmarks are, one by one.
     Locating,
     /// Refining all of them, and the poses with them.
     Refining,
+    /// Working out how uncertain the poses are, and how their errors depend on each other.
+    Weighing,
 }
 
 impl Stage {
     /// A word for a progress bar.
     pub fn label(self) -> &'static str {
         match self {
+            Self::Seeing => "seeing",
             Self::Matching => "matching",
             Self::Locating => "locating",
             Self::Refining => "refining",
+            Self::Weighing => "weighing",
         }
     }
 }

@@ -4,6 +4,7 @@ use geometry::camera::Camera;
 use geometry::pose::Pose;
 use geometry::rotation::skew;
 use nalgebra::{Matrix2, Matrix2x3, Matrix2x6, Matrix3, Vector2, Vector3};
+use onboard::sequence::CameraSensor;
 
 use super::tracks::Feature;
 
@@ -27,12 +28,40 @@ impl From<&Pose> for CameraPose {
     }
 }
 
+/// A camera of the rig, and where it sits: `p_lens = rotation p_first + offset`, in metres, with the frame of camera 0.
+#[derive(Clone, Debug)]
+pub(super) struct Lens {
+    /// The camera.
+    pub(super) camera: Camera,
+    rotation: Matrix3<f64>,
+    offset: Vector3<f64>,
+}
+
+impl Lens {
+    /// Rotation and offset (m) that take a point from the frame of camera 0 to this one's.
+    pub(super) fn from_first(&self) -> (Matrix3<f64>, Vector3<f64>) {
+        (self.rotation, self.offset)
+    }
+
+    /// The cameras of a recording: the one that the views are poses of, and its stereo partner, if there is one.
+    pub(super) fn of_rig(sensors: &[CameraSensor]) -> Vec<Lens> {
+        let lens = |sensor: &CameraSensor| {
+            let lens_from_first = sensor.imu_from_camera.inverse() * sensors[0].imu_from_camera;
+            let CameraPose { rotation, position } = CameraPose::from(&lens_from_first);
+            Lens { camera: sensor.camera.clone(), rotation, offset: position }
+        };
+        sensors.iter().map(lens).collect()
+    }
+}
+
 /// Where a view saw a point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Sighting {
     /// The view and its feature.
     pub(super) feature: Feature,
-    /// The feature's pixel.
+    /// Which camera of the rig: 0, or 1 for the same feature found again by the stereo partner.
+    pub(super) lens: usize,
+    /// The feature's pixel there.
     pub(super) pixel: Vector2<f64>,
 }
 
@@ -48,13 +77,13 @@ impl Sighting {
 /// Inverse depth keeps points without parallax harmless, where a position would run off to infinity.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Point {
-    /// Which of the sightings is the anchor's.
+    /// Which of the sightings is the anchor's; it is one of camera 0.
     pub(super) anchor: usize,
     /// Normalized coordinates in the anchor.
     pub(super) ray: Vector2<f64>,
     /// One over the depth in the anchor (1/m).
     pub(super) inverse_depth: f64,
-    /// All sightings, ordered by view.
+    /// All sightings, ordered by view and camera.
     pub(super) sightings: Vec<Sighting>,
 }
 
@@ -71,6 +100,11 @@ pub(super) struct Prediction {
 }
 
 impl Point {
+    /// Number of views that saw it.
+    pub(super) fn view_count(&self) -> usize {
+        self.sightings.iter().filter(|sighting| sighting.lens == 0).count()
+    }
+
     /// Index of the anchor's view.
     pub(super) fn anchor_view(&self) -> usize {
         self.sightings[self.anchor].view()
@@ -86,53 +120,71 @@ impl Point {
         anchor.position + self.direction(anchor) / self.inverse_depth
     }
 
-    /// The pixel in a view other than the anchor; `None` where it cannot see the point.
-    pub(super) fn project(
-        &self,
-        camera: &Camera,
-        anchor: &CameraPose,
-        view: &CameraPose,
-    ) -> Option<Vector2<f64>> {
-        let scaled = self.direction(anchor) + (anchor.position - view.position) * self.inverse_depth;
-        camera.project(&(view.rotation.transpose() * scaled)).ok()
+    /// The point in the frame of the lens that made a sighting, times its inverse depth in the anchor.
+    fn in_lens(&self, rig: &[Lens], poses: &[CameraPose], sighting: &Sighting) -> Vector3<f64> {
+        let lens = &rig[sighting.lens];
+        let (anchor, view) = (&poses[self.anchor_view()], &poses[sighting.view()]);
+        let in_first = if sighting.view() == self.anchor_view() {
+            self.ray.push(1.0)
+        } else {
+            let scaled = self.direction(anchor) + (anchor.position - view.position) * self.inverse_depth;
+            view.rotation.transpose() * scaled
+        };
+        lens.rotation * in_first + lens.offset * self.inverse_depth
     }
 
-    /// The pixel in a view other than the anchor, with its Jacobians.
+    /// The pixel of a sighting; `None` where it cannot see the point.
+    pub(super) fn project(
+        &self,
+        rig: &[Lens],
+        poses: &[CameraPose],
+        sighting: &Sighting,
+    ) -> Option<Vector2<f64>> {
+        rig[sighting.lens].camera.project(&self.in_lens(rig, poses, sighting)).ok()
+    }
+
+    /// The pixel of a sighting other than the anchor's, with its Jacobians.
     ///
     /// The point is scaled by its inverse depth, which leaves the pixel as it is:
     /// ```text
-    /// d = R_v^T s,   s = R_a [ray, 1] + rho (p_a - p_v)
-    /// dd/dtheta_a = -R_v^T [R_a [ray, 1]]x    dd/dp_a =  rho R_v^T
-    /// dd/dtheta_v =  R_v^T [s]x               dd/dp_v = -rho R_v^T
-    /// dd/dray = R_v^T R_a [e1 e2]             dd/drho = R_v^T (p_a - p_v)
+    /// d = A R_v^T s + rho b,   s = R_a [ray, 1] + rho (p_a - p_v),   A, b: the lens
+    /// dd/dtheta_a = -A R_v^T [R_a [ray, 1]]x    dd/dp_a =  rho A R_v^T
+    /// dd/dtheta_v =  A R_v^T [s]x               dd/dp_v = -rho A R_v^T
+    /// dd/dray = A R_v^T R_a [e1 e2]             dd/drho = A R_v^T (p_a - p_v) + b
     /// ```
+    /// In the anchor's own view `s = R_a [ray, 1]`, and the poses do not matter.
     pub(super) fn predict(
         &self,
-        camera: &Camera,
-        anchor: &CameraPose,
-        view: &CameraPose,
+        rig: &[Lens],
+        poses: &[CameraPose],
+        sighting: &Sighting,
     ) -> Option<Prediction> {
-        let direction = self.direction(anchor);
-        let baseline = anchor.position - view.position;
-        let scaled = direction + baseline * self.inverse_depth;
-        let (pixel, by_camera) = camera.project_with_jacobian(&(view.rotation.transpose() * scaled)).ok()?;
-        let by_global = by_camera * view.rotation.transpose();
-        let by_position = by_global * self.inverse_depth;
-        let mut by_anchor = Matrix2x6::zeros();
-        by_anchor.fixed_view_mut::<2, 3>(0, 0).copy_from(&(-by_global * skew(&direction)));
-        by_anchor.fixed_view_mut::<2, 3>(0, 3).copy_from(&by_position);
-        let mut by_view = Matrix2x6::zeros();
-        by_view.fixed_view_mut::<2, 3>(0, 0).copy_from(&(by_global * skew(&scaled)));
-        by_view.fixed_view_mut::<2, 3>(0, 3).copy_from(&-by_position);
+        let lens = &rig[sighting.lens];
+        let (anchor, view) = (&poses[self.anchor_view()], &poses[sighting.view()]);
+        let in_lens = self.in_lens(rig, poses, sighting);
+        let (pixel, by_lens) = lens.camera.project_with_jacobian(&in_lens).ok()?;
+        let by_global = by_lens * lens.rotation * view.rotation.transpose();
+        let mut by_depth = by_lens * lens.offset;
+        let (mut by_anchor, mut by_view) = (Matrix2x6::zeros(), Matrix2x6::zeros());
+        if sighting.view() != self.anchor_view() {
+            let direction = self.direction(anchor);
+            let baseline = anchor.position - view.position;
+            let scaled = direction + baseline * self.inverse_depth;
+            let by_position = by_global * self.inverse_depth;
+            by_anchor.fixed_view_mut::<2, 3>(0, 0).copy_from(&(-by_global * skew(&direction)));
+            by_anchor.fixed_view_mut::<2, 3>(0, 3).copy_from(&by_position);
+            by_view.fixed_view_mut::<2, 3>(0, 0).copy_from(&(by_global * skew(&scaled)));
+            by_view.fixed_view_mut::<2, 3>(0, 3).copy_from(&-by_position);
+            by_depth += by_global * baseline;
+        }
         let by_ray = by_global * anchor.rotation.fixed_columns::<2>(0);
-        let by_depth = by_global * baseline;
         let by_point = Matrix2x3::from_columns(&[by_ray.column(0), by_ray.column(1), by_depth.column(0)]);
         Some(Prediction { pixel, by_anchor, by_view, by_point })
     }
 
     /// The pixel in the anchor and its Jacobian by the ray (2x2).
-    pub(super) fn predict_in_anchor(&self, camera: &Camera) -> (Vector2<f64>, Matrix2<f64>) {
-        camera.distort_normalized_with_jacobian(&self.ray)
+    pub(super) fn predict_in_anchor(&self, rig: &[Lens]) -> (Vector2<f64>, Matrix2<f64>) {
+        rig[0].camera.distort_normalized_with_jacobian(&self.ray)
     }
 
     /// Adds an error `[ray, inverse depth]`, and keeps the depth between [`MIN_DEPTH`] and [`MAX_DEPTH`].
@@ -144,20 +196,19 @@ impl Point {
     }
 
     /// Reprojection error of each sighting (px), infinite where the view cannot see the point.
-    pub(super) fn errors(&self, camera: &Camera, poses: &[CameraPose]) -> Vec<f64> {
-        let anchor = &poses[self.anchor_view()];
+    pub(super) fn errors(&self, rig: &[Lens], poses: &[CameraPose]) -> Vec<f64> {
         let error = |(index, sighting): (usize, &Sighting)| {
             let pixel = if index == self.anchor {
-                Some(self.predict_in_anchor(camera).0)
+                Some(self.predict_in_anchor(rig).0)
             } else {
-                self.project(camera, anchor, &poses[sighting.view()])
+                self.project(rig, poses, sighting)
             };
             pixel.map_or(f64::INFINITY, |pixel| (sighting.pixel - pixel).norm())
         };
         self.sightings.iter().enumerate().map(error).collect()
     }
 
-    /// The same landmark told from another of its sightings; `None` where it lies behind that view.
+    /// The same landmark told from another of its sightings by camera 0; `None` where it lies behind that view.
     pub(super) fn anchored_at(&self, index: usize, poses: &[CameraPose]) -> Option<Point> {
         if index == self.anchor {
             return Some(self.clone());
@@ -173,13 +224,28 @@ impl Point {
         })
     }
 
-    /// Takes out sightings for which `keep` is false. `None` where fewer than `least` are left. The anchor must stay
-    /// or be moved before.
+    /// Takes out sightings for which `keep` is false, and those by a stereo partner whose own camera 0 goes. `None`
+    /// where fewer than `least` views are left, unless a single view saw it in stereo. The anchor must stay or be
+    /// moved before.
     pub(super) fn retained(&self, keep: &[bool], least: usize) -> Option<Point> {
+        let kept_views: Vec<usize> = self
+            .sightings
+            .iter()
+            .zip(keep)
+            .filter(|(sighting, keep)| **keep && sighting.lens == 0)
+            .map(|(sighting, _)| sighting.view())
+            .collect();
+        let keep: Vec<bool> = self
+            .sightings
+            .iter()
+            .zip(keep)
+            .map(|(s, keep)| *keep && kept_views.contains(&s.view()))
+            .collect();
         let mut point = self.clone();
         let mut kept = keep.iter();
         point.sightings.retain(|_| kept.next().copied().unwrap_or(false));
         point.anchor = keep[..self.anchor].iter().filter(|&&keep| keep).count();
-        (keep[self.anchor] && point.sightings.len() >= least).then_some(point)
+        let enough = kept_views.len() >= least || point.sightings.iter().any(|sighting| sighting.lens > 0);
+        (keep[self.anchor] && enough).then_some(point)
     }
 }

@@ -25,6 +25,11 @@ impl Spread {
         let at = |part: f64| values[((values.len() - 1) as f64 * part).round() as usize];
         Spread { mean: values.iter().sum::<f64>() / values.len() as f64, median: at(0.5), p95: at(0.95) }
     }
+
+    /// The spread of the values times a factor.
+    pub(super) fn scaled(self, factor: f64) -> Spread {
+        Spread { mean: self.mean * factor, median: self.median * factor, p95: self.p95 * factor }
+    }
 }
 
 /// What [`super::build_map`] did.
@@ -42,15 +47,27 @@ pub struct BuildReport {
     pub matches: usize,
     /// Observations that were dropped because they fit no place of their landmark.
     pub dropped_observations: usize,
-    /// How many landmarks have 2, 3, 4 ... observations.
+    /// Features that the stereo partner saw too.
+    pub stereo_features: usize,
+    /// Images that could not be read and were left out, with the reason.
+    pub unreadable_images: Vec<String>,
+    /// Standard deviation of a pixel, as given or as measured (px).
+    pub pixel_sigma: f64,
+    /// How many landmarks have 1, 2, 3 ... observations.
     pub track_lengths: Vec<usize>,
     /// Landmarks that a keyframe sees.
     pub landmarks_per_keyframe: Spread,
     /// Distance of an observation from its landmark with the poses refined (px): what the images leave.
     pub reprojection_px: Spread,
-    /// The same with the given poses, which the map states (px): what these add.
-    pub reprojection_through_map_px: Spread,
-    /// How far the refinement turned the poses (deg). The map states the given ones.
+    /// The same with the given poses (px): what these add.
+    pub reprojection_through_given_px: Spread,
+    /// Standard deviation of the stated rotations (deg, root of the sum over three axes).
+    pub pose_sigma_deg: Spread,
+    /// Standard deviation of the stated positions (m, root of the sum over three axes).
+    pub pose_sigma_m: Spread,
+    /// Pairs of keyframes whose errors are stated to depend on each other.
+    pub cross_covariances: usize,
+    /// How far the refinement turned the poses (deg).
     pub pose_correction_deg: Spread,
     /// How far it moved them (m).
     pub pose_correction_m: Spread,

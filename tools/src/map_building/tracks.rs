@@ -1,6 +1,9 @@
 //! Chaining matches of pairs into landmarks that many keyframes saw.
 
+use std::collections::HashSet;
+
 use super::matching::FeatureMatch;
+use super::views::View;
 
 /// A feature: index of its view, index within the view.
 pub(super) type Feature = (usize, usize);
@@ -27,6 +30,16 @@ pub(super) fn chain(feature_counts: &[usize], mut matches: Vec<FeatureMatch>) ->
         forest.members.into_iter().filter(|members| members.len() >= 2).collect();
     tracks.sort();
     tracks
+}
+
+/// Features in no track that the stereo partner saw too: they are landmarks of one view each.
+pub(super) fn stereo_singles(views: &[View<'_>], tracks: &[Vec<Feature>]) -> Vec<Vec<Feature>> {
+    let tracked: HashSet<Feature> = tracks.iter().flatten().copied().collect();
+    let of_view = |(index, view): (usize, &View<'_>)| -> Vec<Feature> {
+        let alone = |feature: &Feature| view.stereo_pixel(feature.1).is_some() && !tracked.contains(feature);
+        (0..view.rays.len()).map(|feature| (index, feature)).filter(alone).collect()
+    };
+    views.iter().enumerate().flat_map(of_view).map(|feature| vec![feature]).collect()
 }
 
 /// Disjoint sets of features.

@@ -1,22 +1,31 @@
 //! Which images become keyframes, and what is known of each before any matching.
 
-use std::collections::HashMap;
+use std::borrow::Cow;
 
 use geometry::camera::Camera;
 use geometry::uncertain_pose::PoseWithCovariance;
+use map_server::recognition::metric_of;
 use nalgebra::{Vector2, Vector3};
-use onboard::sequence::{ReferencePose, Sequence};
+use onboard::sequence::{Frame, ReferencePose, Sequence};
 use protocol::FeatureSet;
+use vision::{DescriptorError, DescriptorView, MatchOptions, match_descriptors};
 
-use super::options::{BuildError, BuildOptions};
+use super::images::{FeatureSource, Seen};
+use super::options::{BuildError, BuildOptions, Progress, Stage};
+use super::references::References;
 use crate::map_files::isotropic_covariance;
+
+/// Part of the thresholds of a view change from which on an image is compared with the last keyframe.
+const LOOKED_AT: f64 = 0.5;
 
 /// An image that becomes a keyframe.
 pub(super) struct View<'a> {
     /// When it was taken (ns).
     pub(super) stamp_ns: i64,
     /// What an extractor saw in it.
-    pub(super) features: &'a FeatureSet,
+    pub(super) features: Cow<'a, FeatureSet>,
+    /// Pixel of each feature in the stereo partner's image, where it was found there.
+    stereo: Vec<Option<Vector2<f64>>>,
     /// Normalized coordinates of each feature, `None` where the lens has no ray for the pixel.
     pub(super) rays: Vec<Option<Vector2<f64>>>,
     /// The given pose of the camera, with its covariance.
@@ -30,55 +39,93 @@ impl View<'_> {
         Vector2::new(f64::from(u), f64::from(v))
     }
 
+    /// Pixel of a feature in the image of the stereo partner.
+    pub(super) fn stereo_pixel(&self, feature: usize) -> Option<Vector2<f64>> {
+        self.stereo.get(feature).copied().flatten()
+    }
+
+    /// Number of features that the stereo partner saw too.
+    pub(super) fn stereo_count(&self) -> usize {
+        self.stereo.iter().flatten().count()
+    }
+
+    /// The descriptors of all features.
+    pub(super) fn descriptors(&self) -> Result<DescriptorView<'_>, DescriptorError> {
+        descriptors(&self.features)
+    }
+
     /// Where the camera looks, in G.
     pub(super) fn axis(&self) -> Vector3<f64> {
         self.prior.pose.rotation * Vector3::z()
     }
 }
 
-/// Selects keyframes: images with features and a pose of the same time stamp, as soon as the view has changed enough
-/// since the last one. No pose is interpolated.
+fn descriptors(features: &FeatureSet) -> Result<DescriptorView<'_>, DescriptorError> {
+    let descriptors = &features.descriptors;
+    DescriptorView::new(metric_of(descriptors.kind), usize::from(descriptors.width), &descriptors.bytes)
+}
+
+/// Selects keyframes: images with a pose, as soon as the view has changed enough since the last one, or shows too
+/// little of what that one showed.
 pub(super) fn select_views<'a>(
     sequence: &'a Sequence,
     references: &[ReferencePose],
+    source: &mut FeatureSource<'_, '_>,
     options: &BuildOptions,
+    progress: Progress<'_>,
 ) -> Result<Vec<View<'a>>, BuildError> {
-    let name = || sequence.root.display().to_string();
     let (Some(sensor), Some(first)) = (sequence.cameras.first(), sequence.frames.first()) else {
-        return Err(BuildError::NoFeatures { sequence: name() });
+        return Err(source.no_features(sequence));
     };
-    let with_features: Vec<(i64, &FeatureSet)> = sequence
-        .frames
-        .iter()
-        .filter_map(|frame| Some((frame.stamp_ns, frame.features.as_ref()?)))
-        .filter(|(_, features)| !features.pixels.is_empty())
-        .collect();
-    if with_features.is_empty() {
-        return Err(BuildError::NoFeatures { sequence: name() });
+    let candidates: Vec<&Frame> = sequence.frames.iter().filter(|frame| source.can_see(frame)).collect();
+    if candidates.is_empty() {
+        return Err(source.no_features(sequence));
     }
-    let poses: HashMap<i64, &ReferencePose> = references.iter().map(|pose| (pose.stamp_ns, pose)).collect();
+    let poses = References::new(references);
     let seconds = |stamp_ns: i64| (stamp_ns - first.stamp_ns) as f64 * 1e-9;
-    let in_time = |stamp_ns: i64| (options.from_s..=options.until_s).contains(&seconds(stamp_ns));
+    let in_time = |frame: &&&Frame| (options.from_s..=options.until_s).contains(&seconds(frame.stamp_ns));
     let mut views: Vec<View<'a>> = Vec::new();
-    for &(stamp_ns, features) in with_features.iter().filter(|(stamp_ns, _)| in_time(*stamp_ns)) {
-        let Some(reference) = poses.get(&stamp_ns) else { continue };
-        let prior = camera_pose(reference, &sensor.imu_from_camera, options);
-        let changed = views.last().is_none_or(|last| {
-            (last.prior.pose.translation - prior.pose.translation).norm() >= options.min_distance
-                || last.prior.pose.rotation.angle_to(&prior.pose.rotation) >= options.min_rotation
-        });
-        if changed {
-            views.push(View { stamp_ns, features, rays: rays(&sensor.camera, features), prior });
+    for (done, frame) in candidates.iter().enumerate().filter(|(_, frame)| in_time(&frame)) {
+        progress(Stage::Seeing, done, candidates.len());
+        let Some(reference) = poses.at(frame.stamp_ns) else { continue };
+        let prior = camera_pose(&reference, &sensor.imu_from_camera, options);
+        let change = views.last().map_or(f64::INFINITY, |last| view_change(&last.prior, &prior, options));
+        if change < LOOKED_AT {
+            continue;
+        }
+        let Some(Seen { features, stereo }) = source.look(frame)? else { continue };
+        let is_new = change >= 1.0
+            || views
+                .last()
+                .is_some_and(|last| overlap(last, &features).is_ok_and(|part| part < options.min_overlap));
+        if is_new && !features.is_empty() {
+            let rays = rays(&sensor.camera, &features);
+            views.push(View { stamp_ns: frame.stamp_ns, features, stereo, rays, prior });
         }
     }
+    progress(Stage::Seeing, candidates.len(), candidates.len());
     if views.is_empty() {
         return Err(BuildError::NoCommonStamps {
-            features: with_features.len(),
+            images: candidates.len(),
             poses: references.len(),
-            in_time: with_features.iter().filter(|(stamp_ns, _)| in_time(*stamp_ns)).count(),
+            in_time: candidates.iter().filter(|frame| in_time(frame)).count(),
         });
     }
     Ok(views)
+}
+
+/// How far a camera has moved or turned, as a part of what makes a new keyframe.
+fn view_change(last: &PoseWithCovariance, now: &PoseWithCovariance, options: &BuildOptions) -> f64 {
+    let distance = (last.pose.translation - now.pose.translation).norm();
+    let angle = last.pose.rotation.angle_to(&now.pose.rotation);
+    (distance / options.min_distance).max(angle / options.min_rotation)
+}
+
+/// The part of a keyframe's features that are found again in another image.
+fn overlap(last: &View<'_>, features: &FeatureSet) -> Result<f64, DescriptorError> {
+    let (known, seen) = (last.descriptors()?, descriptors(features)?);
+    let found = match_descriptors(known, seen, &MatchOptions::for_metric(known.metric()))?;
+    Ok(found.len() as f64 / known.len().min(seen.len()).max(1) as f64)
 }
 
 /// The camera's pose and covariance from the IMU's: the lever arm turns rotation errors into position errors.
