@@ -242,19 +242,23 @@ impl Scorer {
         }
         let width = x.len() + 2;
         for sums in &mut self.sums {
+            sums.clear();
             sums.resize(columns, 0.0);
         }
-        self.scores.clear();
-        for row in 0..y.len() + 2 {
+        self.scores.resize(width * (y.len() + 2), 0.0);
+        let row_of = |row: usize| row * columns..(row + 1) * columns;
+        for row in 0..rows {
             for (sums, products) in self.sums.iter_mut().zip(&self.products) {
-                sum_rows(&products[row * columns..(row + 2 * WINDOW + 1) * columns], sums);
+                // Quarters of integers below 2^24: adding and taking away again is exact.
+                add_row(sums, &products[row_of(row)]);
+                if row > 2 * WINDOW {
+                    subtract_row(sums, &products[row_of(row - 2 * WINDOW - 1)]);
+                }
             }
-            let [xx, xy, yy] = &self.sums;
-            self.scores.extend((0..width).map(|i| {
-                let sum = |values: &[f32]| values[i..=i + 2 * WINDOW].iter().sum::<f32>();
-                let (a, b, c) = (sum(xx), sum(xy), sum(yy));
-                smaller_eigenvalue(a, b, c) * (1.0 / ((2 * WINDOW + 1) * (2 * WINDOW + 1)) as f32)
-            }));
+            if row >= 2 * WINDOW {
+                let first = (row - 2 * WINDOW) * width;
+                score_row(&self.sums, &mut self.scores[first..first + width]);
+            }
         }
     }
 
@@ -293,12 +297,34 @@ fn gradient_products(image: &GrayImage, left: usize, y: usize, out: [&mut [f32];
     }
 }
 
-/// Sums rows of equal length.
-fn sum_rows(rows: &[f32], sums: &mut [f32]) {
-    sums.fill(0.0);
-    for row in rows.chunks_exact(sums.len()) {
-        for (sum, value) in sums.iter_mut().zip(row) {
-            *sum += value;
-        }
+fn add_row(sums: &mut [f32], row: &[f32]) {
+    for (sum, value) in sums.iter_mut().zip(row) {
+        *sum += value;
+    }
+}
+
+fn subtract_row(sums: &mut [f32], row: &[f32]) {
+    for (sum, value) in sums.iter_mut().zip(row) {
+        *sum -= value;
+    }
+}
+
+/// Scores of one row from its products summed down the window, which still have to be summed across.
+fn score_row(sums: &[Vec<f32>; 3], scores: &mut [f32]) {
+    const SIDE: usize = 2 * WINDOW + 1;
+    let n = scores.len();
+    let [xx, xy, yy] = [&sums[0][..n + SIDE - 1], &sums[1][..n + SIDE - 1], &sums[2][..n + SIDE - 1]];
+    let across = |values: &[f32], i: usize| {
+        values[i]
+            + values[i + 1]
+            + values[i + 2]
+            + values[i + 3]
+            + values[i + 4]
+            + values[i + 5]
+            + values[i + 6]
+    };
+    for (i, score) in scores.iter_mut().enumerate() {
+        let eigenvalue = smaller_eigenvalue(across(xx, i), across(xy, i), across(yy, i));
+        *score = eigenvalue * (1.0 / (SIDE * SIDE) as f32);
     }
 }

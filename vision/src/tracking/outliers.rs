@@ -16,8 +16,6 @@ use nalgebra::Vector3;
 pub struct OutlierOptions {
     /// Angle from the epipolar line beyond which a track is an outlier, radians.
     pub threshold: f64,
-    /// Error of the given rotation that the refinement may correct, standard deviation, radians.
-    pub rotation_sigma: f64,
     /// Most hypotheses to try.
     pub max_hypotheses: usize,
     /// Same seed, same result.
@@ -25,9 +23,9 @@ pub struct OutlierOptions {
 }
 
 impl Default for OutlierOptions {
-    /// 1.5 px at a focal length of 460 px; a rotation off by 0.1 rad/s over 0.05 s.
+    /// 1.5 px at a focal length of 460 px.
     fn default() -> Self {
-        Self { threshold: 1.5 / 460.0, rotation_sigma: 5e-3, max_hypotheses: 100, seed: 7 }
+        Self { threshold: 1.5 / 460.0, max_hypotheses: 100, seed: 7 }
     }
 }
 
@@ -50,14 +48,15 @@ const REFINEMENTS: usize = 2;
 /// Separates the pairs that one rigid scene explains from the rest.
 ///
 /// # Arguments
-/// * `rotation`: `current_from_previous`, where it is known.
+/// * `rotation`: `current_from_previous`, where it is known, and how well: standard deviation, radians. The refinement
+///   corrects it within that.
 ///
 /// # Returns
 /// None with fewer than eight pairs, or where no motion explains even five of them: then nothing is known about any
 /// of them.
 pub fn find_outliers(
     pairs: &[BearingPair],
-    rotation: Option<&Rotation>,
+    rotation: Option<(&Rotation, f64)>,
     options: &OutlierOptions,
 ) -> Option<Consensus> {
     if pairs.len() < MIN_PAIRS {
@@ -65,11 +64,11 @@ pub fn find_outliers(
     }
     let mut search = Search { pairs, options, random: SplitMix(options.seed), best: None };
     match rotation {
-        Some(rotation) => search.known_rotation(rotation),
+        Some((rotation, _)) => search.known_rotation(rotation),
         None => search.free(),
     }
     let (mut pose, mut count) = search.best?;
-    let sigma = if rotation.is_some() { options.rotation_sigma } else { f64::INFINITY };
+    let sigma = rotation.map_or(f64::INFINITY, |(_, sigma)| sigma);
     for _ in 0..REFINEMENTS {
         let chosen: Vec<bool> =
             pairs.iter().map(|pair| pose.residual(pair) < 2.0 * options.threshold).collect();

@@ -33,6 +33,8 @@ pub struct TrackerFrame {
     pub second_image: Option<GrayImage>,
     /// How the first camera turned since the image before, where a gyroscope knows: `current_from_previous`.
     pub rotation: Option<Rotation>,
+    /// How well it is known, standard deviation, radians: the gyroscope's bias times the time, mostly.
+    pub rotation_sigma: f64,
 }
 
 /// A tracked point in an image.
@@ -114,7 +116,7 @@ pub enum TrackerError {
 /// let mut tracker = Tracker::new(camera, None, TrackerOptions::default())?;
 /// let image = GrayImage::from_fn(160, 120, |x, y| if (x / 16 + y / 16) % 2 == 0 { 40 } else { 200 });
 /// for stamp_ns in [0, 50_000_000] {
-///     let frame = TrackerFrame { stamp_ns, image: image.clone(), second_image: None, rotation: None };
+///     let frame = TrackerFrame { stamp_ns, image: image.clone(), second_image: None, rotation: None, rotation_sigma: 0.0 };
 ///     let tracks = tracker.track(frame)?;
 ///     assert!(tracks.len() > 20);
 /// }
@@ -208,7 +210,7 @@ impl Tracker {
         let last = self.last.take();
         let connected = last.filter(|last| frame.stamp_ns - last.stamp_ns <= self.options.max_gap_ns);
         let mut tracks = match &connected {
-            Some(last) => self.follow(last, &pyramid, frame.rotation.as_ref()),
+            Some(last) => self.follow(last, &pyramid, frame.rotation.as_ref(), frame.rotation_sigma),
             None => Vec::new(),
         };
         self.report.continued = tracks.len();
@@ -245,7 +247,13 @@ impl Tracker {
     }
 
     /// Finds the points of the last image in this one.
-    fn follow(&mut self, last: &Last, pyramid: &Pyramid, rotation: Option<&Rotation>) -> Vec<Track> {
+    fn follow(
+        &mut self,
+        last: &Last,
+        pyramid: &Pyramid,
+        rotation: Option<&Rotation>,
+        rotation_sigma: f64,
+    ) -> Vec<Track> {
         let found = self.find_all(last, pyramid, rotation);
         let mut spacing = Spacing::new(pyramid.base(), self.options.corners.min_distance * MERGE_SHARE);
         let mut tracks = Vec::with_capacity(last.tracks.len());
@@ -265,7 +273,8 @@ impl Tracker {
         self.report.lost = last.tracks.len() - tracks.len();
         let options =
             OutlierOptions { seed: self.options.outliers.seed ^ self.next_id, ..self.options.outliers };
-        if let Some(consensus) = find_outliers(&pairs, rotation, &options) {
+        let known = rotation.map(|rotation| (rotation, rotation_sigma));
+        if let Some(consensus) = find_outliers(&pairs, known, &options) {
             let mut inlier = consensus.inliers.iter();
             tracks.retain(|_| inlier.next().copied().unwrap_or(false));
             self.report.outliers = pairs.len() - tracks.len();
