@@ -64,6 +64,12 @@ impl GrayImage {
         Ok(Self { width, height, pixels })
     }
 
+    /// An image of pixels that are known to fill it.
+    pub(crate) fn from_parts(width: usize, height: usize, pixels: Vec<u8>) -> Self {
+        debug_assert_eq!(width * height, pixels.len());
+        Self { width, height, pixels }
+    }
+
     /// An image whose pixel in column `x` and row `y` is `value(x, y)`.
     pub fn from_fn(width: usize, height: usize, mut value: impl FnMut(usize, usize) -> u8) -> Self {
         let mut pixels = Vec::with_capacity(width * height);

@@ -6,6 +6,7 @@
 pub mod answer;
 pub mod arguments;
 pub mod extraction;
+pub mod front_end;
 pub mod program;
 pub mod progress;
 pub mod publisher;
@@ -16,5 +17,6 @@ pub mod start;
 pub mod summary;
 
 pub use arguments::RobotArguments;
+pub use front_end::{FrontEnd, FrontEndError};
 pub use program::{MapLink, Outcome, run_robot};
 pub use run::{RobotRun, RunError, run};

@@ -70,6 +70,18 @@ pub fn write(sequence: &Sequence, root: &Path) -> Result<(), SequenceError> {
     Ok(())
 }
 
+/// Writes only the tracks, one `tracks.csv` for each of the first `cameras` cameras, below `root`.
+///
+/// # Errors
+/// [`SequenceError::Io`] with the file that could not be written.
+pub fn write_tracks(frames: &[Frame], cameras: usize, root: &Path) -> Result<(), SequenceError> {
+    for index in 0..cameras {
+        let path = root.join(format!("mav0/cam{index}/tracks.csv"));
+        write_file(&path, |out| track_rows(out, frames, index))?;
+    }
+    Ok(())
+}
+
 type Out = BufWriter<File>;
 
 fn write_file(path: &Path, fill: impl FnOnce(&mut Out) -> std::io::Result<()>) -> Result<(), SequenceError> {

@@ -12,6 +12,7 @@ pub mod plot;
 pub mod query;
 pub mod run;
 pub mod simulate;
+pub mod track;
 
 /// What `driftless` can do.
 #[derive(Debug, Subcommand)]
@@ -32,6 +33,8 @@ pub enum Command {
     Query(query::Args),
     /// Run a robot through a recording, with a map server in the same process
     Run(run::Args),
+    /// Track points through the images of a recording
+    Track(track::Args),
     /// Compare an estimated trajectory with the truth
     Evaluate(evaluate::Args),
     /// Draw the pictures of a run
@@ -53,6 +56,7 @@ impl Command {
             Self::MapInfo(args) => map_info::run(args),
             Self::Query(args) => query::run(args),
             Self::Run(args) => run::run(&args),
+            Self::Track(args) => track::run(&args),
             Self::Evaluate(args) => evaluate::run(&args),
             Self::Plot(args) => plot::run(&args),
         }

@@ -1,0 +1,274 @@
+//! `driftless track`: the odometry's front end on the images of a recording, as `tracks.csv`.
+
+use anyhow::{Context, Result, bail};
+use clap::ValueEnum;
+use onboard::robot::arguments::Init;
+use onboard::robot::start::initial_state;
+use onboard::robot::{FrontEnd, progress};
+use onboard::sequence::{Frame, Sequence, writer};
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+use vision::tracking::TrackerOptions;
+use vision::{Equalization, GrayImage, LocalEqualization};
+
+/// Arguments of `driftless track`.
+#[derive(clap::Args, Debug)]
+#[command(after_help = "Examples:\n  driftless track MH_01 --out MH_01_tracks\n  \
+    driftless track MH_01 --cameras 1 --points 150 --equalize local\n\n\
+    Writes mav0/camN/tracks.csv. With --out the new folder also gets calibration, IMU and truth, but no images: \n\
+    `driftless run DIR --mode odometry --out run` plays it.")]
+pub struct Args {
+    /// The recording, a folder in the EuRoC layout with images
+    #[arg(value_name = "SEQ")]
+    sequence: PathBuf,
+    /// Write a recording of its own here; left out, the tracks go into SEQ
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// Cameras to use, 1 or 2 [default: as many as the recording has]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=2))]
+    cameras: Option<u8>,
+    /// Points to keep in sight
+    #[arg(long, value_name = "N", default_value_t = TrackerOptions::default().points)]
+    points: usize,
+    /// Spread the grey levels first, for poor light
+    #[arg(long, value_enum, default_value = "off")]
+    equalize: Equalize,
+    /// Image that is black (zero) where camera 0 must not be tracked: the robot's own body, say
+    #[arg(long, value_name = "FILE")]
+    mask: Option<PathBuf>,
+    /// The same for camera 1
+    #[arg(long, value_name = "FILE")]
+    second_mask: Option<PathBuf>,
+    /// Do not use the gyroscope
+    #[arg(long)]
+    no_gyroscope: bool,
+    /// Replace tracks that are there already
+    #[arg(long)]
+    force: bool,
+    /// Print the summary as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// What is done to the grey levels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Equalize {
+    /// Nothing.
+    Off,
+    /// By the histogram of the whole image.
+    Global,
+    /// By the histogram of the surroundings (CLAHE).
+    Local,
+}
+
+impl From<Equalize> for Equalization {
+    fn from(choice: Equalize) -> Self {
+        match choice {
+            Equalize::Off => Self::Off,
+            Equalize::Global => Self::Global,
+            Equalize::Local => Self::Local(LocalEqualization::default()),
+        }
+    }
+}
+
+/// What was tracked.
+#[derive(Debug, Default, Serialize)]
+struct Summary {
+    written: Vec<PathBuf>,
+    frames: usize,
+    left_out: usize,
+    tracks: u64,
+    observations: usize,
+    /// Mean over the frames.
+    points_in_sight: f64,
+    /// Mean over the frames, of those in sight in camera 0.
+    stereo_share: f64,
+    outliers: usize,
+    /// Median length of a track, frames.
+    track_length: usize,
+    /// Of reading the images and tracking, milliseconds a frame.
+    milliseconds: f64,
+    gyroscope_bias: [f64; 3],
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// A recording without images, tracks that are there already, a mask that does not fit, a folder that cannot be
+/// written.
+pub fn run(args: &Args) -> Result<()> {
+    let mut sequence = Sequence::open(&args.sequence)?;
+    let cameras = camera_count(args, &sequence)?;
+    let root = args.out.as_deref().unwrap_or(&args.sequence);
+    let written: Vec<PathBuf> =
+        (0..cameras).map(|camera| root.join(format!("mav0/cam{camera}/tracks.csv"))).collect();
+    refuse_to_overwrite(args, root)?;
+    let options = tracker_options(args)?;
+    let mut front_end =
+        FrontEnd::new(&sequence.cameras[..cameras], options).context("the tracker cannot start")?;
+    let mut summary = track(args, &mut sequence, &mut front_end);
+    summary.written = written;
+    if summary.observations == 0 {
+        bail!("nothing was tracked in {}", args.sequence.display());
+    }
+    write(args, &sequence, cameras)?;
+    if args.json {
+        println!("{}", serde_json::to_string_pretty(&summary)?);
+    } else {
+        print_summary(&summary, cameras);
+    }
+    Ok(())
+}
+
+/// Plays all images through the front end, and puts the tracks into the frames.
+fn track(args: &Args, sequence: &mut Sequence, front_end: &mut FrontEnd) -> Summary {
+    if let Some(start) = resting_start(sequence) {
+        front_end.set_gyroscope_bias(start);
+    }
+    let imu = if args.no_gyroscope { &[][..] } else { &sequence.imu_samples };
+    let bar = progress::frame_bar(sequence.frames.len());
+    let begin = Instant::now();
+    let mut summary = Summary::default();
+    let mut lengths = std::collections::BTreeMap::<u64, usize>::new();
+    for frame in &mut sequence.frames {
+        bar.inc(1);
+        frame.tracks.clear();
+        if frame.images[0].is_none() {
+            continue;
+        }
+        summary.frames += 1;
+        match front_end.look(frame, imu) {
+            Ok(tracks) => frame.tracks = tracks,
+            Err(error) => {
+                summary.left_out += 1;
+                bar.suspend(|| eprintln!("warning: {error}"));
+                continue;
+            }
+        }
+        summary.outliers += front_end.report().outliers;
+        summary.observations += frame.tracks.len();
+        for track in frame.tracks.iter().filter(|track| track.camera == 0) {
+            *lengths.entry(track.feature_id).or_default() += 1;
+        }
+    }
+    bar.finish_and_clear();
+    let in_first: usize = lengths.values().sum();
+    let looked = (summary.frames - summary.left_out).max(1) as f64;
+    summary.milliseconds = begin.elapsed().as_secs_f64() * 1e3 / summary.frames.max(1) as f64;
+    summary.tracks = lengths.len() as u64;
+    summary.points_in_sight = in_first as f64 / looked;
+    summary.stereo_share = (summary.observations - in_first) as f64 / in_first.max(1) as f64;
+    let mut lengths: Vec<usize> = lengths.into_values().collect();
+    lengths.sort_unstable();
+    summary.track_length = lengths.get(lengths.len() / 2).copied().unwrap_or(0);
+    summary.gyroscope_bias = front_end.gyroscope_bias().into();
+    summary
+}
+
+/// The gyroscope's bias from a start at rest, if the recording has one.
+fn resting_start(sequence: &Sequence) -> Option<nalgebra::Vector3<f64>> {
+    let mut config = onboard::estimator::EstimatorConfig::default();
+    if let Some(gravity) = sequence.imu.as_ref().and_then(|imu| imu.gravity_magnitude) {
+        config.gravity = gravity;
+    }
+    Some(initial_state(sequence, Init::Auto, &config).ok()?.imu.gyroscope_bias)
+}
+
+fn camera_count(args: &Args, sequence: &Sequence) -> Result<usize> {
+    let there = sequence.cameras.len();
+    let wanted = args.cameras.map_or(there.min(2), usize::from);
+    if wanted > there {
+        bail!("{} has {there} camera; use --cameras {there}", args.sequence.display());
+    }
+    let has_image = |frame: &Frame, camera: usize| frame.images[camera].is_some();
+    for camera in 0..wanted {
+        if !sequence.frames.iter().any(|frame| has_image(frame, camera)) {
+            bail!(
+                "{} has no images of camera {camera}: they belong into mav0/cam{camera}/data",
+                args.sequence.display()
+            );
+        }
+    }
+    Ok(wanted)
+}
+
+fn refuse_to_overwrite(args: &Args, root: &Path) -> Result<()> {
+    if args.force {
+        return Ok(());
+    }
+    for camera in 0..2 {
+        let path = root.join(format!("mav0/cam{camera}/tracks.csv"));
+        if path.exists() {
+            bail!("{} is there already: use --force to replace it, or --out DIR", path.display());
+        }
+    }
+    Ok(())
+}
+
+fn tracker_options(args: &Args) -> Result<TrackerOptions> {
+    let mut options = TrackerOptions::default().points(args.points).equalization(args.equalize.into());
+    for (camera, path) in [&args.mask, &args.second_mask].into_iter().enumerate() {
+        if let Some(path) = path {
+            options = options.mask(camera, GrayImage::read(path).context("the mask is not to be had")?);
+        }
+    }
+    Ok(options)
+}
+
+/// Writes the tracks, and beside them what a recording needs when they go into a folder of their own.
+fn write(args: &Args, sequence: &Sequence, cameras: usize) -> Result<()> {
+    let root = args.out.as_deref().unwrap_or(&args.sequence);
+    if args.out.is_some() {
+        copy_without_images(&args.sequence, root, cameras)?;
+    }
+    for camera in cameras..2 {
+        // Tracks of an earlier run, with other names for the points.
+        let stale = root.join(format!("mav0/cam{camera}/tracks.csv"));
+        if stale.exists() {
+            std::fs::remove_file(&stale).with_context(|| format!("cannot remove {}", stale.display()))?;
+        }
+    }
+    writer::write_tracks(&sequence.frames, cameras, root).context("the tracks were not written")
+}
+
+/// Copies calibration, lists of images, IMU and truth.
+fn copy_without_images(from: &Path, to: &Path, cameras: usize) -> Result<()> {
+    let sensors = (0..cameras).map(|camera| format!("mav0/cam{camera}")).chain(["mav0/imu0".to_owned()]);
+    let mut files: Vec<String> = sensors
+        .flat_map(|sensor| ["sensor.yaml", "data.csv"].map(|file| format!("{sensor}/{file}")))
+        .collect();
+    files.push("mav0/cam0/features.csv".to_owned());
+    files.push("mav0/state_groundtruth_estimate0/data.csv".to_owned());
+    files.push("reference_poses.csv".to_owned());
+    for file in files {
+        let (source, target) = (from.join(&file), to.join(&file));
+        if !source.exists() {
+            continue;
+        }
+        let copied = std::fs::create_dir_all(target.parent().unwrap_or(to))
+            .and_then(|()| std::fs::copy(&source, &target));
+        copied.with_context(|| format!("cannot copy {} to {}", source.display(), target.display()))?;
+    }
+    Ok(())
+}
+
+fn print_summary(summary: &Summary, cameras: usize) {
+    println!(
+        "{} images, {} left out, {:.1} ms each with reading; {:.0} points in sight, {} tracks of {} frames (median), \
+         {} outliers",
+        summary.frames,
+        summary.left_out,
+        summary.milliseconds,
+        summary.points_in_sight,
+        summary.tracks,
+        summary.track_length,
+        summary.outliers
+    );
+    if cameras > 1 {
+        println!("{:.0} % of them in both cameras", 100.0 * summary.stereo_share);
+    }
+    for path in &summary.written {
+        println!("written to {}", path.display());
+    }
+}

@@ -1,0 +1,95 @@
+//! Image pyramids: the same image at half, quarter, ... the resolution, smoothed before it is thinned out.
+//!
+//! Pixel `(x, y)` of level `l` has its centre where pixel `(x, y) * 2^l` of the image has its own: a pixel position
+//! is carried from level to level by a factor of two, without offset.
+//!
+//! Source: Burt & Adelson, "The Laplacian pyramid as a compact image code", IEEE Trans. Communications 1983; the
+//! kernel is its binomial one, `[1 4 6 4 1] / 16` in both directions.
+
+use crate::image::GrayImage;
+
+/// Levels are not made smaller than this, pixels a side: less than a tracked patch says nothing.
+const MIN_SIDE: usize = 16;
+
+/// An image and its smaller copies.
+///
+/// ```
+/// let image = vision::GrayImage::from_fn(64, 48, |x, _| x as u8);
+/// let pyramid = vision::Pyramid::new(image, 2);
+/// assert_eq!(pyramid.levels(), 2);
+/// assert_eq!((pyramid.level(1).width(), pyramid.level(1).height()), (32, 24));
+/// assert_eq!(pyramid.level(1).get(10, 5), 20);
+/// ```
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Pyramid {
+    levels: Vec<GrayImage>,
+}
+
+impl Pyramid {
+    /// The pyramid of an image, with up to `levels` levels (at least one, the image itself); fewer where the next
+    /// one would have a side below 16 pixels.
+    pub fn new(image: GrayImage, levels: usize) -> Self {
+        let mut all = vec![image];
+        for level in 1..levels {
+            let finer = &all[level - 1];
+            if finer.width().min(finer.height()).div_ceil(2) < MIN_SIDE {
+                break;
+            }
+            let coarser = halve(finer);
+            all.push(coarser);
+        }
+        Self { levels: all }
+    }
+
+    /// How many levels there are.
+    pub fn levels(&self) -> usize {
+        self.levels.len()
+    }
+
+    /// The image at level `level`; 0 is the image itself.
+    ///
+    /// # Panics
+    /// At [`Pyramid::levels`] and above.
+    pub fn level(&self, level: usize) -> &GrayImage {
+        &self.levels[level]
+    }
+
+    /// The image itself.
+    pub fn base(&self) -> &GrayImage {
+        &self.levels[0]
+    }
+}
+
+/// An image of half the size (rounded up): smoothed, then every second pixel. Beyond the border the border pixel is
+/// repeated.
+pub fn halve(image: &GrayImage) -> GrayImage {
+    let (width, height) = (image.width(), image.height());
+    let (out_width, out_height) = (width.div_ceil(2), height.div_ceil(2));
+    let mut pixels = vec![0; out_width * out_height];
+    // One row of vertical sums with two repeated pixels on the left and three on the right.
+    let mut sums = vec![0u16; width + 5];
+    for (y, out) in pixels.chunks_exact_mut(out_width).enumerate() {
+        let row = |offset: usize| image.row((2 * y + offset).saturating_sub(2).min(height - 1));
+        add_rows([row(0), row(1), row(2), row(3), row(4)], &mut sums[2..width + 2]);
+        let first = sums[2];
+        sums[..2].fill(first);
+        let last = sums[width + 1];
+        sums[width + 2..].fill(last);
+        for (value, window) in out.iter_mut().zip(sums.windows(5).step_by(2)) {
+            let sum = window[0] + window[4] + 4 * (window[1] + window[3]) + 6 * window[2];
+            *value = ((sum + 128) >> 8) as u8;
+        }
+    }
+    GrayImage::from_parts(out_width, out_height, pixels)
+}
+
+/// The vertical half of the kernel: at most 16 * 255 a pixel.
+fn add_rows(rows: [&[u8]; 5], sums: &mut [u16]) {
+    let n = sums.len();
+    let [a, b, c, d, e] = rows.map(|row| &row[..n]);
+    for x in 0..n {
+        let outer = u16::from(a[x]) + u16::from(e[x]);
+        let inner = u16::from(b[x]) + u16::from(d[x]);
+        sums[x] = outer + 4 * inner + 6 * u16::from(c[x]);
+    }
+}

@@ -1,0 +1,177 @@
+//! Which tracks follow the scene and which do not: RANSAC on the epipolar geometry of two images.
+//!
+//! With the rotation from the gyroscope two points give the direction of motion: it is orthogonal to every
+//! `(R f) x g`. Without, five points are adjusted from a small motion on. Either way the best hypothesis is refined on
+//! all points, the rotation included: a gyroscope has a bias.
+//!
+//! Sources: Fischler & Bolles, CACM 1981; Troiani et al., "2-point-based outlier rejection for camera-IMU systems",
+//! ICRA 2014; the five-point step in [`super::relative_pose`].
+
+use super::relative_pose::{BearingPair, RelativePose};
+use geometry::Rotation;
+use nalgebra::Vector3;
+
+/// Settings of [`find_outliers`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct OutlierOptions {
+    /// Angle from the epipolar line beyond which a track is an outlier, radians.
+    pub threshold: f64,
+    /// Most hypotheses to try.
+    pub max_hypotheses: usize,
+    /// Same seed, same result.
+    pub seed: u64,
+}
+
+impl Default for OutlierOptions {
+    /// 1.5 px at a focal length of 460 px.
+    fn default() -> Self {
+        Self { threshold: 1.5 / 460.0, max_hypotheses: 100, seed: 7 }
+    }
+}
+
+/// What [`find_outliers`] found.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Consensus {
+    /// For each pair whether it fits.
+    pub inliers: Vec<bool>,
+    /// The motion that most pairs agree on.
+    pub pose: RelativePose,
+}
+
+/// Probability that at least one sample without outliers was drawn, at which drawing ends.
+const CONFIDENCE: f64 = 0.999;
+/// Pairs below which nothing can be said: five unknowns, and some pairs to contradict them.
+const MIN_PAIRS: usize = 8;
+/// Rounds of refinement and recounting.
+const REFINEMENTS: usize = 2;
+
+/// Separates the pairs that one rigid scene explains from the rest.
+///
+/// # Arguments
+/// * `rotation`: `current_from_previous`, where it is known, and how well: standard deviation, radians. The refinement
+///   corrects it within that.
+///
+/// # Returns
+/// None with fewer than eight pairs, or where no motion explains even five of them: then nothing is known about any
+/// of them.
+pub fn find_outliers(
+    pairs: &[BearingPair],
+    rotation: Option<(&Rotation, f64)>,
+    options: &OutlierOptions,
+) -> Option<Consensus> {
+    if pairs.len() < MIN_PAIRS {
+        return None;
+    }
+    let mut search = Search { pairs, options, random: SplitMix(options.seed), best: None };
+    match rotation {
+        Some((rotation, _)) => search.known_rotation(rotation),
+        None => search.free(),
+    }
+    let (mut pose, mut count) = search.best?;
+    let sigma = rotation.map_or(f64::INFINITY, |(_, sigma)| sigma);
+    for _ in 0..REFINEMENTS {
+        let chosen: Vec<bool> =
+            pairs.iter().map(|pair| pose.residual(pair) < 2.0 * options.threshold).collect();
+        let fitting = pairs.iter().zip(&chosen).filter(|(_, chosen)| **chosen).map(|(pair, _)| *pair);
+        let Some(refined) = pose.refined(fitting, options.threshold, sigma, 3) else { break };
+        let refined_count = search.count(&refined);
+        if refined_count < count {
+            break;
+        }
+        (pose, count) = (refined, refined_count);
+    }
+    if count < 5 {
+        return None;
+    }
+    Some(Consensus {
+        inliers: pairs.iter().map(|pair| pose.residual(pair) < options.threshold).collect(),
+        pose,
+    })
+}
+
+struct Search<'a> {
+    pairs: &'a [BearingPair],
+    options: &'a OutlierOptions,
+    random: SplitMix,
+    best: Option<(RelativePose, usize)>,
+}
+
+impl Search<'_> {
+    fn count(&self, pose: &RelativePose) -> usize {
+        self.pairs.iter().filter(|pair| pose.residual(pair) < self.options.threshold).count()
+    }
+
+    fn offer(&mut self, pose: RelativePose) {
+        let count = self.count(&pose);
+        if self.best.is_none_or(|(_, best)| count > best) {
+            self.best = Some((pose, count));
+        }
+    }
+
+    /// Whether enough samples of `size` pairs were drawn.
+    fn is_enough(&self, drawn: usize, size: i32) -> bool {
+        let share = self.best.map_or(0.0, |(_, count)| count as f64 / self.pairs.len() as f64);
+        let failing = (1.0 - share.powi(size)).max(1e-12);
+        drawn as f64 * failing.ln() < (1.0 - CONFIDENCE).ln()
+    }
+
+    fn known_rotation(&mut self, rotation: &Rotation) {
+        let normals: Vec<Vector3<f64>> =
+            self.pairs.iter().map(|pair| (rotation * pair.previous).cross(&pair.current)).collect();
+        // Standing still is a hypothesis of its own: every direction explains it.
+        self.offer(RelativePose { current_from_previous: *rotation, direction: Vector3::z() });
+        let mut drawn = 0;
+        while drawn < self.options.max_hypotheses && !self.is_enough(drawn, 2) {
+            drawn += 1;
+            let [i, j] = self.random.distinct::<2>(self.pairs.len());
+            let Some(direction) = normals[i].cross(&normals[j]).try_normalize(1e-12) else { continue };
+            for direction in [direction, -direction] {
+                self.offer(RelativePose { current_from_previous: *rotation, direction });
+            }
+        }
+    }
+
+    fn free(&mut self) {
+        let mut drawn = 0;
+        while drawn < self.options.max_hypotheses && !self.is_enough(drawn, 5) {
+            let start = [Vector3::x(), Vector3::y(), Vector3::z()][drawn % 3];
+            drawn += 1;
+            let sample = self.random.distinct::<5>(self.pairs.len()).map(|index| self.pairs[index]);
+            let start = RelativePose { current_from_previous: Rotation::identity(), direction: start };
+            // A robust scale far above any residual: five points have no outliers among themselves.
+            let Some(pose) = start.refined(sample.into_iter(), 1.0, f64::INFINITY, 8) else { continue };
+            self.offer(pose);
+            self.offer(RelativePose { direction: -pose.direction, ..pose });
+        }
+    }
+}
+
+/// A small deterministic random number generator.
+///
+/// Source: Steele, Lea & Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014.
+struct SplitMix(u64);
+
+impl SplitMix {
+    fn next(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^ (z >> 31)
+    }
+
+    /// `N` different numbers below `end`, which is at least `N`.
+    fn distinct<const N: usize>(&mut self, end: usize) -> [usize; N] {
+        let mut out = [usize::MAX; N];
+        for k in 0..N {
+            loop {
+                let value = (self.next() % end as u64) as usize;
+                if !out[..k].contains(&value) {
+                    out[k] = value;
+                    break;
+                }
+            }
+        }
+        out
+    }
+}

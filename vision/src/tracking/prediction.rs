@@ -1,0 +1,66 @@
+//! Where a point will be seen after a known rotation, or by the other camera of a pair, before anyone looks.
+
+use super::lucas_kanade::Warp;
+use geometry::{Camera, Pose, Rotation};
+use nalgebra::{Matrix2, Matrix2x3, Vector2, Vector3};
+
+/// A pixel with the ray that it sees, worked out once.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Sight {
+    /// The pixel, distorted.
+    pub(super) pixel: Vector2<f64>,
+    /// Undistorted normalized coordinates.
+    pub(super) normalized: Vector2<f64>,
+}
+
+impl Sight {
+    /// The ray of a pixel; none where the lens model has none.
+    pub(super) fn new(camera: &Camera, pixel: Vector2<f64>) -> Option<Self> {
+        let normalized = camera.unproject(&pixel).ok()?;
+        Some(Self { pixel, normalized })
+    }
+
+    /// Unit vector along the ray, in the camera frame.
+    pub(super) fn bearing(&self) -> Vector3<f64> {
+        self.normalized.push(1.0).normalize()
+    }
+}
+
+/// The patch around a pixel as `to` sees it, of a surface that faces the camera `from` at a known distance.
+///
+/// # Arguments
+/// * `to_from`: pose of the camera `from` in the frame of `to`, metres.
+/// * `inverse_depth`: of the point in `from`, 1/m; 0 for a point at infinity.
+///
+/// # Returns
+/// None where `to` does not see it.
+pub(super) fn predict(
+    from: &Camera,
+    to: &Camera,
+    to_from: &Pose,
+    sight: &Sight,
+    inverse_depth: f64,
+) -> Option<Warp> {
+    let rotation = to_from.rotation.to_rotation_matrix().into_inner();
+    // The point divided by its depth in `from`: finite at infinity too.
+    let seen = rotation * sight.normalized.push(1.0) + to_from.translation * inverse_depth;
+    let (pixel, by_point) = to.project_with_jacobian(&seen).ok()?;
+    if !to.contains(&pixel) {
+        return None;
+    }
+    let (_, from_by_normalized) = from.distort_normalized_with_jacobian(&sight.normalized);
+    let columns: Matrix2x3<f64> = by_point * rotation;
+    let linear = columns.fixed_columns::<2>(0) * from_by_normalized.try_inverse()?;
+    let linear: Matrix2<f64> = linear;
+    Some(Warp { centre: pixel.cast(), linear: linear.cast() })
+}
+
+/// [`predict`] for one camera that turned.
+pub(super) fn predict_turned(
+    camera: &Camera,
+    current_from_previous: &Rotation,
+    sight: &Sight,
+) -> Option<Warp> {
+    let turned = Pose::new(*current_from_previous, Vector3::zeros());
+    predict(camera, camera, &turned, sight, 0.0)
+}

@@ -1,0 +1,113 @@
+//! Rotation and direction of motion between two views, from bearings: residual and Gauss-Newton refinement.
+//!
+//! For unit bearings `f` (before) and `g` (after) and `R` = `current_from_previous`, the point lies somewhere on the
+//! great half-circle from `R f` (infinitely far) to `t` (where the camera was, seen from where it is). The residual is
+//! the angle of `g` to that half-circle. It never exceeds the angle between `g` and `R f`, so that points are
+//! explained by any direction while the camera stands or only turns.
+//!
+//! Source of the refinement from nearby: Lui & Drummond, "An iterative 5-pt algorithm for fast and robust essential
+//! matrix estimation", BMVC 2013.
+
+use geometry::Rotation;
+use geometry::rotation::exp;
+use nalgebra::{Matrix5, Unit, Vector3, Vector5};
+
+/// Unit bearings of one point in two images.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BearingPair {
+    /// In the previous camera frame.
+    pub previous: Vector3<f64>,
+    /// In the current camera frame.
+    pub current: Vector3<f64>,
+}
+
+/// A relative pose up to the length of its translation.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RelativePose {
+    /// Takes vectors of the previous camera frame to the current one.
+    pub current_from_previous: Rotation,
+    /// Unit vector towards where the camera was, in the current camera frame. Arbitrary where the camera stood.
+    pub direction: Vector3<f64>,
+}
+
+impl RelativePose {
+    /// The angle by which a pair does not fit, radians.
+    pub fn residual(&self, pair: &BearingPair) -> f64 {
+        let far = self.current_from_previous * pair.previous;
+        let moved = pair.current - far;
+        let along = self.direction - far * far.dot(&self.direction);
+        let normal = self.direction.cross(&far);
+        let length = normal.norm();
+        if length < 1e-9 || moved.dot(&along) < 0.0 {
+            // Towards the wrong side of the circle: the nearest point of the half-circle is its beginning.
+            return moved.norm();
+        }
+        (pair.current.dot(&normal) / length).abs().min(moved.norm())
+    }
+
+    /// Least squares of the angles to the epipolar planes, from this pose on.
+    ///
+    /// Robust: pairs beyond `scale` (radians) count less and less (Geman-McClure).
+    ///
+    /// # Arguments
+    /// * `rotation_sigma`: how well the rotation is known from elsewhere, radians; infinite if not at all.
+    ///
+    /// # Returns
+    /// None where the equations have no solution.
+    pub fn refined(
+        &self,
+        pairs: impl Iterator<Item = BearingPair> + Clone,
+        scale: f64,
+        rotation_sigma: f64,
+        iterations: usize,
+    ) -> Option<Self> {
+        // Keeps the direction where nothing moved: a parallax of a tenth of `scale` counts for nothing.
+        let damping = 1e-2 * scale * scale;
+        let prior = (scale / rotation_sigma).powi(2);
+        let mut pose = *self;
+        let mut correction = Vector3::zeros();
+        for _ in 0..iterations {
+            let [across, upward] = tangents(&pose.direction);
+            let mut normal = Matrix5::<f64>::zeros();
+            let mut right = Vector5::<f64>::zeros();
+            for pair in pairs.clone() {
+                let far = pose.current_from_previous * pair.previous;
+                let plane = pose.direction.cross(&far);
+                let length = plane.norm().max(1e-3);
+                let residual = pair.current.dot(&plane) / length;
+                let by_turn = far.cross(&pair.current.cross(&pose.direction)) / length;
+                let by_direction = far.cross(&pair.current) / length;
+                let ratio = residual / scale;
+                let weight = 1.0 / (1.0 + ratio * ratio).powi(2);
+                let row = Vector5::new(
+                    by_turn.x,
+                    by_turn.y,
+                    by_turn.z,
+                    by_direction.dot(&across),
+                    by_direction.dot(&upward),
+                );
+                normal.ger(weight, &row, &row, 1.0);
+                right.axpy(-weight * residual, &row, 1.0);
+            }
+            for i in 0..3 {
+                normal[(i, i)] += prior;
+                right[i] -= prior * correction[i];
+            }
+            normal[(3, 3)] += damping;
+            normal[(4, 4)] += damping;
+            let step = normal.cholesky()?.solve(&right);
+            let turn = step.fixed_rows::<3>(0).into_owned();
+            correction += turn;
+            pose.current_from_previous = exp(&turn) * pose.current_from_previous;
+            pose.direction = (pose.direction + across * step[3] + upward * step[4]).try_normalize(1e-12)?;
+        }
+        pose.direction.iter().all(|value| value.is_finite()).then_some(pose)
+    }
+}
+
+/// Two unit vectors that complete a unit vector to an orthogonal frame.
+fn tangents(direction: &Vector3<f64>) -> [Vector3<f64>; 2] {
+    let other = if direction.x.abs() < 0.6 { Vector3::x() } else { Vector3::y() };
+    let first = Unit::new_normalize(direction.cross(&other)).into_inner();
+    [first, direction.cross(&first)]
+}

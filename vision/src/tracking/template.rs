@@ -1,0 +1,141 @@
+//! What a patch looked like, prepared so that it can be found again quickly.
+//!
+//! Alignment is inverse compositional: the gradients and the normal matrix belong to the template and are worked out
+//! once. A change of brightness `I = gain * T + bias` is taken out of the problem instead of being estimated: the
+//! Jacobian's columns are made orthogonal to the constant and to the template, so that neither bias nor gain reaches
+//! the step, and the gain that scales the step is a projection.
+//!
+//! ```text
+//! I(c + A x) ~ gain T(x + D x + d) + bias,    J = [ gx gy | gx x  gx y  gy x  gy y ],    Jp = (1 - projections) J
+//! (d, D) = (Jp' Jp)^-1 Jp' I / gain
+//! ```
+//!
+//! Sources: Baker & Matthews, "Lucas-Kanade 20 years on", IJCV 2004 (inverse composition); Hager & Belhumeur,
+//! "Efficient region tracking", PAMI 1998 (projecting out linear appearance change).
+
+use super::block::{Block, HALF, Patch, SIDE, centre, dot, subtract};
+use crate::image::GrayImage;
+use nalgebra::{SMatrix, SVector, Vector2};
+
+/// Smallest eigenvalue of the normal matrix of the translation, per sample: (grey levels / px)^2. Below it a patch is
+/// an edge or plain and does not say where it is. Noise alone of one grey level gives 0.5.
+const MIN_STRUCTURE: f32 = 1.0;
+
+/// A patch of an image with its `P` Jacobian columns: 2 for translation, 6 with the linear part.
+pub(super) struct Template<const P: usize> {
+    /// Columns, orthogonal to brightness changes.
+    jacobian: [Patch; P],
+    /// The patch without its mean.
+    centred: Patch,
+    /// Squared norm of `centred`.
+    energy: f32,
+    /// Inverse of the normal matrix, prior included.
+    inverse: SMatrix<f32, P, P>,
+    /// Weight of the prior on the linear part.
+    prior: f32,
+}
+
+/// What one comparison with an image says.
+pub(super) struct Step<const P: usize> {
+    /// By how much the template is off: `(dx, dy | D row by row)`, in the template's pixels.
+    pub(super) delta: SVector<f32, P>,
+}
+
+impl<const P: usize> Template<P> {
+    /// The template around a pixel position of an image.
+    ///
+    /// `prior` is the weight of the prior on each element of the linear part: (noise in grey levels / its standard
+    /// deviation)^2. None where the patch is outside or has no structure in two directions.
+    pub(super) fn new(image: &GrayImage, at: Vector2<f32>, prior: f32) -> Option<Self> {
+        const APRON: usize = SIDE + 2;
+        let block = Block::around(image, at)?;
+        let samples = block.grid::<APRON>(at.add_scalar(-HALF - 1.0))?;
+        let mut centred: Patch = [[0.0; SIDE]; SIDE];
+        let mut gradient: [Patch; 2] = [[[0.0; SIDE]; SIDE]; 2];
+        for y in 0..SIDE {
+            for x in 0..SIDE {
+                centred[y][x] = samples[y + 1][x + 1];
+                gradient[0][y][x] = 0.5 * (samples[y + 1][x + 2] - samples[y + 1][x]);
+                gradient[1][y][x] = 0.5 * (samples[y + 2][x + 1] - samples[y][x + 1]);
+            }
+        }
+        centre(&mut centred);
+        let energy = dot(&centred, &centred);
+        if energy <= 0.0 {
+            return None;
+        }
+        let mut jacobian: [Patch; P] = std::array::from_fn(|column| column_of(&gradient, column));
+        for column in &mut jacobian {
+            centre(column);
+            let along = dot(column, &centred) / energy;
+            subtract(column, along, &centred);
+        }
+        let mut normal = SMatrix::<f32, P, P>::zeros();
+        for i in 0..P {
+            for j in 0..=i {
+                let product = dot(&jacobian[i], &jacobian[j]);
+                normal[(i, j)] = product;
+                normal[(j, i)] = product;
+            }
+        }
+        if smaller_eigenvalue(normal[(0, 0)], normal[(0, 1)], normal[(1, 1)])
+            < MIN_STRUCTURE * (SIDE * SIDE) as f32
+        {
+            return None;
+        }
+        for i in 2..P {
+            normal[(i, i)] += prior;
+        }
+        let inverse = normal.try_inverse()?;
+        Some(Self { jacobian, centred, energy, inverse, prior })
+    }
+
+    /// Compares with samples of another image. `off` is by how much the linear part is away from its prior.
+    ///
+    /// None where what is seen is no copy of the template at all: inverted or without contrast.
+    #[inline]
+    pub(super) fn step(&self, seen: &Patch, off: &[f32; 4]) -> Option<Step<P>> {
+        /// Below a twentieth of the contrast there is nothing to align.
+        const MIN_GAIN: f32 = 0.05;
+        let gain = dot(&self.centred, seen) / self.energy;
+        if gain < MIN_GAIN {
+            return None;
+        }
+        let mut right = SVector::<f32, P>::zeros();
+        for i in 0..P {
+            right[i] = dot(&self.jacobian[i], seen) / gain;
+        }
+        for i in 2..P {
+            right[i] += self.prior * off[i - 2];
+        }
+        Some(Step { delta: self.inverse * right })
+    }
+
+    /// Correlation coefficient of the template with what is seen, -1 to 1.
+    pub(super) fn correlation(&self, mut seen: Patch) -> f32 {
+        centre(&mut seen);
+        let energy = dot(&seen, &seen);
+        if energy <= 0.0 { 0.0 } else { dot(&self.centred, &seen) / (self.energy * energy).sqrt() }
+    }
+}
+
+/// Column 0, 1: the gradient; 2 to 5: the gradient times the offset from the centre.
+fn column_of(gradient: &[Patch; 2], column: usize) -> Patch {
+    if column < 2 {
+        return gradient[column];
+    }
+    let [by_component, by_offset] = [(column - 2) / 2, (column - 2) % 2];
+    let mut out = gradient[by_component];
+    for (y, row) in out.iter_mut().enumerate() {
+        for (x, value) in row.iter_mut().enumerate() {
+            *value *= if by_offset == 0 { x as f32 - HALF } else { y as f32 - HALF };
+        }
+    }
+    out
+}
+
+/// The smaller eigenvalue of the symmetric matrix `[a b; b c]`.
+pub(crate) fn smaller_eigenvalue(a: f32, b: f32, c: f32) -> f32 {
+    let half = 0.5 * (a - c);
+    0.5 * (a + c) - (half * half + b * b).sqrt()
+}
