@@ -31,8 +31,8 @@ impl Orienter {
         Self { weights, gradients: Gradients::default() }
     }
 
-    /// The directions (radians, x towards y) whose histogram peak is at least `share` of the highest, highest first.
-    pub(super) fn orientations(&mut self, plane: &Plane, centre: [f32; 2], sigma: f32, share: f32) -> Vec<f32> {
+    /// The direction (radians, x towards y) of the highest peak of the histogram.
+    pub(super) fn orientation(&mut self, plane: &Plane, centre: [f32; 2], sigma: f32) -> f32 {
         self.gradients.sample(plane, centre, STEP * sigma, 0.0, SIDE);
         let mut histogram = [0.0; BINS];
         let bins_a_radian = BINS as f32 / TAU;
@@ -50,24 +50,15 @@ impl Orienter {
                 histogram[bin] = (last[(bin + BINS - 1) % BINS] + last[bin] + last[(bin + 1) % BINS]) / 3.0;
             }
         }
-        peaks(&histogram, share)
+        highest(&histogram)
     }
 }
 
-/// Directions of the peaks, interpolated by a parabola.
-fn peaks(histogram: &[f32; BINS], share: f32) -> Vec<f32> {
-    let least = share * histogram.iter().copied().fold(0.0, f32::max);
-    let mut found: Vec<(f32, f32)> = (0..BINS)
-        .filter_map(|bin| {
-            let (left, here, right) =
-                (histogram[(bin + BINS - 1) % BINS], histogram[bin], histogram[(bin + 1) % BINS]);
-            let is_peak = here > 0.0 && here >= least && here > left && here >= right;
-            is_peak.then(|| {
-                let shift = 0.5 * (left - right) / (left + right - 2.0 * here);
-                (here, (bin as f32 + shift) * TAU / BINS as f32)
-            })
-        })
-        .collect();
-    found.sort_by(|a, b| b.0.total_cmp(&a.0));
-    found.into_iter().map(|(_, direction)| direction).collect()
+/// The direction of the highest bin, interpolated by a parabola; 0 where the image is flat.
+fn highest(histogram: &[f32; BINS]) -> f32 {
+    let bin = (0..BINS).fold(0, |best, bin| if histogram[bin] > histogram[best] { bin } else { best });
+    let (left, right) = (histogram[(bin + BINS - 1) % BINS], histogram[(bin + 1) % BINS]);
+    let curvature = left + right - 2.0 * histogram[bin];
+    let shift = if curvature < 0.0 { 0.5 * (left - right) / curvature } else { 0.0 };
+    (bin as f32 + shift) * TAU / BINS as f32
 }

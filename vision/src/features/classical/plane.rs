@@ -4,6 +4,8 @@ use crate::GrayImage;
 
 /// A kernel reaches this many standard deviations to each side; beyond lie 0.3 % of its weight.
 const KERNEL_SIGMAS: f32 = 3.0;
+/// Columns that are summed at once.
+const LANES: usize = 16;
 
 /// A grey image in floating point, row after row.
 #[derive(Clone, Debug, Default)]
@@ -18,9 +20,10 @@ pub(super) struct Plane {
 
 impl Plane {
     /// The grey levels of an image.
-    pub(super) fn of_image(image: &GrayImage) -> Self {
-        let data = image.pixels().iter().map(|&pixel| f32::from(pixel)).collect();
-        Self { width: image.width(), height: image.height(), data }
+    pub(super) fn copy_image(&mut self, image: &GrayImage) {
+        (self.width, self.height) = (image.width(), image.height());
+        self.data.clear();
+        self.data.extend(image.pixels().iter().map(|&pixel| f32::from(pixel)));
     }
 
     /// The numbers of row `y`.
@@ -28,57 +31,61 @@ impl Plane {
         &self.data[y * self.width..(y + 1) * self.width]
     }
 
-    /// Twice the pixels a side, interpolated; pixel `(x, y)` becomes `(2 x, 2 y)`.
-    pub(super) fn doubled(&self) -> Self {
-        let width = 2 * self.width;
-        let mut data = Vec::with_capacity(4 * self.data.len());
+    /// Becomes `other` at twice the pixels a side, interpolated; pixel `(x, y)` becomes `(2 x, 2 y)`.
+    pub(super) fn double(&mut self, other: &Self) {
+        (self.width, self.height) = (2 * other.width, 2 * other.height);
+        self.data.clear();
+        for y in 0..other.height {
+            let here = other.row(y);
+            let below = other.row((y + 1).min(other.height - 1));
+            push_doubled(&mut self.data, here.iter().copied());
+            push_doubled(&mut self.data, here.iter().zip(below).map(|(a, b)| 0.5 * (a + b)));
+        }
+    }
+
+    /// Becomes every second pixel of every second row of `other`; pixel `(2 x, 2 y)` becomes `(x, y)`.
+    pub(super) fn halve(&mut self, other: &Self) {
+        (self.width, self.height) = (other.width / 2, other.height / 2);
+        self.data.clear();
         for y in 0..self.height {
-            let here = self.row(y);
-            let below = self.row((y + 1).min(self.height - 1));
-            push_doubled(&mut data, here.iter().copied());
-            push_doubled(&mut data, here.iter().zip(below).map(|(a, b)| 0.5 * (a + b)));
+            self.data.extend(other.row(2 * y).chunks_exact(2).map(|pair| pair[0]));
         }
-        Self { width, height: 2 * self.height, data }
     }
 
-    /// Every second pixel of every second row; pixel `(2 x, 2 y)` becomes `(x, y)`.
-    pub(super) fn halved(&self) -> Self {
-        let (width, height) = (self.width / 2, self.height / 2);
-        let mut data = Vec::with_capacity(width * height);
-        for y in 0..height {
-            data.extend(self.row(2 * y).chunks_exact(2).map(|pair| pair[0]));
-        }
-        Self { width, height, data }
-    }
-
-    /// `self - other`, number by number.
-    pub(super) fn minus(&self, other: &Self) -> Self {
-        let data = self.data.iter().zip(&other.data).map(|(a, b)| a - b).collect();
-        Self { width: self.width, height: self.height, data }
-    }
-
-    /// Convolved with a Gaussian of standard deviation `sigma` pixels; the border repeats.
-    pub(super) fn blurred(&self, sigma: f32) -> Self {
+    /// Becomes `other` convolved with a Gaussian of standard deviation `sigma` pixels; the border repeats.
+    ///
+    /// # Arguments
+    /// * `difference`: becomes the result minus `other`.
+    pub(super) fn blur(&mut self, other: &Self, sigma: f32, mut difference: Option<&mut Self>) {
+        let (width, last) = (other.width, other.height - 1);
         let kernel = half_kernel(sigma);
         let radius = kernel.len() - 1;
-        let last = self.height - 1;
-        let mut padded = vec![0.0; self.width + 2 * radius];
-        let mut data = vec![0.0; self.data.len()];
-        for (y, out) in data.chunks_exact_mut(self.width).enumerate() {
-            let column_sums = &mut padded[radius..radius + self.width];
-            scale_row(column_sums, self.row(y), kernel[0]);
-            for (k, &weight) in kernel.iter().enumerate().skip(1) {
-                add_rows(column_sums, self.row(y.saturating_sub(k)), self.row((y + k).min(last)), weight);
-            }
-            let (first, end) = (padded[radius], padded[radius + self.width - 1]);
+        self.resize(width, other.height);
+        if let Some(difference) = &mut difference {
+            difference.resize(width, other.height);
+        }
+        let mut padded = vec![0.0; width + 2 * radius];
+        for y in 0..other.height {
+            weighted_sum(&mut padded[radius..radius + width], other.row(y), &kernel, |k| {
+                (other.row(y.saturating_sub(k)), other.row((y + k).min(last)))
+            });
+            let (first, end) = (padded[radius], padded[radius + width - 1]);
             padded[..radius].fill(first);
-            padded[radius + self.width..].fill(end);
-            scale_row(out, &padded[radius..], kernel[0]);
-            for (k, &weight) in kernel.iter().enumerate().skip(1) {
-                add_rows(out, &padded[radius - k..], &padded[radius + k..], weight);
+            padded[radius + width..].fill(end);
+            let out = &mut self.data[y * width..(y + 1) * width];
+            weighted_sum(out, &padded[radius..], &kernel, |k| (&padded[radius - k..], &padded[radius + k..]));
+            if let Some(difference) = &mut difference {
+                let row = &mut difference.data[y * width..(y + 1) * width];
+                for ((number, after), before) in row.iter_mut().zip(out).zip(other.row(y)) {
+                    *number = *after - before;
+                }
             }
         }
-        Self { width: self.width, height: self.height, data }
+    }
+
+    fn resize(&mut self, width: usize, height: usize) {
+        (self.width, self.height) = (width, height);
+        self.data.resize(width * height, 0.0);
     }
 
     /// The value between four pixels; the border repeats. The plane must have two rows and columns.
@@ -106,21 +113,43 @@ fn push_doubled(data: &mut Vec<f32>, mut row: impl Iterator<Item = f32>) {
 /// The centre and one side of a Gaussian kernel whose whole sums to 1.
 fn half_kernel(sigma: f32) -> Vec<f32> {
     let radius = (KERNEL_SIGMAS * sigma).ceil() as usize;
-    let mut kernel: Vec<f32> =
-        (0..=radius).map(|k| (-0.5 * (k as f32 / sigma).powi(2)).exp()).collect();
+    let mut kernel: Vec<f32> = (0..=radius).map(|k| (-0.5 * (k as f32 / sigma).powi(2)).exp()).collect();
     let sum = 2.0 * kernel.iter().sum::<f32>() - kernel[0];
     kernel.iter_mut().for_each(|weight| *weight /= sum);
     kernel
 }
 
-fn scale_row(out: &mut [f32], row: &[f32], weight: f32) {
-    for (sum, &value) in out.iter_mut().zip(row) {
-        *sum = weight * value;
+/// `out = kernel[0] * centre + sum of kernel[k] * (a + b)` for the two rows `a`, `b` that `pair` gives for `k` from 1 on.
+///
+/// In blocks that fit the registers: every row is read once, `out` written once.
+fn weighted_sum<'a>(
+    out: &mut [f32],
+    centre: &[f32],
+    kernel: &[f32],
+    pair: impl Fn(usize) -> (&'a [f32], &'a [f32]),
+) {
+    let mut start = 0;
+    let (blocks, rest) = out.as_chunks_mut::<LANES>();
+    for block in blocks {
+        let end = start + LANES;
+        let mut sums = [0.0; LANES];
+        for (sum, value) in sums.iter_mut().zip(&centre[start..end]) {
+            *sum = kernel[0] * value;
+        }
+        for (k, &weight) in kernel.iter().enumerate().skip(1) {
+            let (left, right) = pair(k);
+            for ((sum, a), b) in sums.iter_mut().zip(&left[start..end]).zip(&right[start..end]) {
+                *sum += weight * (a + b);
+            }
+        }
+        *block = sums;
+        start = end;
     }
-}
-
-fn add_rows(out: &mut [f32], left: &[f32], right: &[f32], weight: f32) {
-    for ((sum, &a), &b) in out.iter_mut().zip(left).zip(right) {
-        *sum += weight * (a + b);
+    for (x, number) in (start..).zip(rest) {
+        *number = kernel[0] * centre[x];
+        for (k, &weight) in kernel.iter().enumerate().skip(1) {
+            let (left, right) = pair(k);
+            *number += weight * (left[x] + right[x]);
+        }
     }
 }

@@ -35,33 +35,109 @@ pub(super) struct Extremum {
 }
 
 /// Images of one size with blur growing by `2^(1/LEVELS)`.
+#[derive(Default)]
 pub(super) struct Octave {
     /// Pixels of the image a pixel of this octave.
     pub(super) pixel_size: f32,
     /// `LEVELS + 3` of them.
     pub(super) levels: Vec<Plane>,
+    /// Each level but the first minus the one before.
+    differences: Vec<Plane>,
 }
 
-/// The octaves of an image.
-///
-/// # Arguments
-/// * `doubled`: whether the first octave has twice the image's pixels a side.
-pub(super) fn octaves(image: Plane, doubled: bool) -> Vec<Octave> {
-    let (mut pixel_size, base, blur) =
-        if doubled { (0.5, image.doubled(), 2.0 * CAMERA_SIGMA) } else { (1.0, image, CAMERA_SIGMA) };
-    let mut first = base.blurred((FIRST_SIGMA * FIRST_SIGMA - blur * blur).sqrt());
-    let mut octaves: Vec<Octave> = Vec::new();
-    while first.width.min(first.height) >= LEAST_SIDE {
-        let mut levels = vec![first];
-        for level in 1..LEVELS + 3 {
-            let increment = (sigma_of(level as f32).powi(2) - sigma_of(level as f32 - 1.0).powi(2)).sqrt();
-            levels.push(levels[level - 1].blurred(increment));
+/// The octaves of an image. The memory is kept for the next image.
+#[derive(Default)]
+pub(super) struct ScaleSpace {
+    octaves: Vec<Octave>,
+    /// How many of them belong to the present image.
+    used: usize,
+    base: Plane,
+}
+
+impl ScaleSpace {
+    /// Becomes that of an image.
+    ///
+    /// # Arguments
+    /// * `doubled`: whether the first octave has twice the image's pixels a side.
+    pub(super) fn build(&mut self, image: &Plane, doubled: bool) {
+        let (mut pixel_size, blur) = if doubled { (0.5, 2.0 * CAMERA_SIGMA) } else { (1.0, CAMERA_SIGMA) };
+        if doubled {
+            self.base.double(image);
+        } else {
+            self.base.clone_from(image);
         }
-        first = levels[LEVELS].halved();
-        octaves.push(Octave { pixel_size, levels });
-        pixel_size *= 2.0;
+        let first_blur = (FIRST_SIGMA * FIRST_SIGMA - blur * blur).sqrt();
+        self.used = 0;
+        while self.base.width.min(self.base.height) >= LEAST_SIDE {
+            if self.used == self.octaves.len() {
+                self.octaves.push(Octave::new());
+            }
+            let octave = &mut self.octaves[self.used];
+            octave.build(&self.base, pixel_size, (self.used == 0).then_some(first_blur));
+            self.base.halve(&octave.levels[LEVELS]);
+            self.used += 1;
+            pixel_size *= 2.0;
+        }
     }
-    octaves
+
+    /// The octaves, finest first.
+    pub(super) fn octaves(&self) -> &[Octave] {
+        &self.octaves[..self.used]
+    }
+
+    /// Where an extremum is in the image.
+    pub(super) fn pixel_of(&self, extremum: &Extremum) -> [f32; 2] {
+        extremum.position.map(|coordinate| coordinate * self.octaves[extremum.octave].pixel_size)
+    }
+
+    /// The extrema whose response is at least `threshold` grey levels, refined; no edges.
+    pub(super) fn extrema(&self, threshold: f32) -> Vec<Extremum> {
+        let mut found = Vec::new();
+        for (index, octave) in self.octaves().iter().enumerate() {
+            octave.extrema(index, threshold, &mut found);
+        }
+        found
+    }
+}
+
+impl Octave {
+    fn new() -> Self {
+        let planes = |count| vec![Plane::default(); count];
+        Self { pixel_size: 1.0, levels: planes(LEVELS + 3), differences: planes(LEVELS + 2) }
+    }
+
+    /// `blur`: what `base` lacks to the blur of the first level, if anything.
+    fn build(&mut self, base: &Plane, pixel_size: f32, blur: Option<f32>) {
+        self.pixel_size = pixel_size;
+        match blur {
+            Some(sigma) => self.levels[0].blur(base, sigma, None),
+            None => self.levels[0].clone_from(base),
+        }
+        for level in 1..self.levels.len() {
+            let (sigma, before) = (sigma_of(level as f32), sigma_of(level as f32 - 1.0));
+            let increment = (sigma * sigma - before * before).sqrt();
+            let (below, above) = self.levels.split_at_mut(level);
+            above[0].blur(&below[level - 1], increment, Some(&mut self.differences[level - 1]));
+        }
+    }
+
+    fn extrema(&self, octave: usize, threshold: f32, found: &mut Vec<Extremum>) {
+        let (width, height) = (self.levels[0].width, self.levels[0].height);
+        let mut promising = vec![false; width];
+        for level in 1..=LEVELS {
+            let stack =
+                [&self.differences[level - 1], &self.differences[level], &self.differences[level + 1]];
+            for y in BORDER..height - BORDER {
+                // Half: the refined response may be larger than that of the pixel.
+                mark_promising(stack[1], y, 0.5 * threshold, &mut promising);
+                for x in BORDER..width - BORDER {
+                    if promising[x] && is_extreme(stack, x, y) {
+                        found.extend(refine(&self.differences, octave, [level, x, y], threshold));
+                    }
+                }
+            }
+        }
+    }
 }
 
 /// Blur (pixels of the octave) of a level, which may lie between two.
@@ -69,25 +145,17 @@ fn sigma_of(level: f32) -> f32 {
     FIRST_SIGMA * (level / LEVELS as f32).exp2()
 }
 
-/// The extrema of one octave whose response is at least `threshold` grey levels, refined; no edges.
-pub(super) fn extrema(octaves: &[Octave], octave: usize, threshold: f32) -> Vec<Extremum> {
-    let levels = &octaves[octave].levels;
-    let differences: Vec<Plane> = levels.windows(2).map(|pair| pair[1].minus(&pair[0])).collect();
-    let (width, height) = (levels[0].width, levels[0].height);
-    let mut found = Vec::new();
-    for level in 1..=LEVELS {
-        let stack = [&differences[level - 1], &differences[level], &differences[level + 1]];
-        for y in BORDER..height - BORDER {
-            let row = stack[1].row(y);
-            for x in BORDER..width - BORDER {
-                // Half: the refined response may be larger than that of the pixel.
-                if row[x].abs() >= 0.5 * threshold && is_extreme(stack, x, y) {
-                    found.extend(refine(&differences, octave, [level, x, y], threshold));
-                }
-            }
-        }
+/// Marks the pixels of a row that are strong enough and beat their four neighbours; in vector instructions.
+fn mark_promising(plane: &Plane, y: usize, least: f32, marks: &mut [bool]) {
+    let inner = plane.width - 2;
+    let (row, above, below) = (plane.row(y), &plane.row(y - 1)[1..=inner], &plane.row(y + 1)[1..=inner]);
+    let (left, here, right) = (&row[..inner], &row[1..=inner], &row[2..]);
+    for (x, mark) in marks[1..=inner].iter_mut().enumerate() {
+        let value = here[x];
+        let high = left[x].max(right[x]).max(above[x].max(below[x]));
+        let low = left[x].min(right[x]).min(above[x].min(below[x]));
+        *mark = (value.abs() >= least) & ((value > high) | (value < low));
     }
-    found
 }
 
 /// Whether a pixel of the middle plane is larger, or smaller, than its 26 neighbours.
@@ -98,7 +166,10 @@ fn is_extreme(stack: [&Plane; 3], x: usize, y: usize) -> bool {
     let beats = |plane: &Plane, rows: [usize; 3], own: bool| {
         rows.iter().all(|&row| {
             let three = &plane.row(row)[x - 1..=x + 1];
-            three.iter().enumerate().all(|(k, &other)| (own && row == y && k == 1) || sign * value > sign * other)
+            three
+                .iter()
+                .enumerate()
+                .all(|(k, &other)| (own && row == y && k == 1) || sign * value > sign * other)
         })
     };
     let rows = [y - 1, y, y + 1];
