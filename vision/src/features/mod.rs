@@ -2,6 +2,8 @@
 //!
 //! Robot and map must use the same extractor: [`FeatureExtractor::name`] goes into the map and into every query.
 
+pub mod classical;
+
 use crate::GrayImage;
 use crate::descriptors::Metric;
 

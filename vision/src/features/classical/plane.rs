@@ -1,0 +1,155 @@
+//! Planes of numbers, and the filters that a scale space is made of.
+
+use crate::GrayImage;
+
+/// A kernel reaches this many standard deviations to each side; beyond lie 0.3 % of its weight.
+const KERNEL_SIGMAS: f32 = 3.0;
+/// Columns that are summed at once.
+const LANES: usize = 16;
+
+/// A grey image in floating point, row after row.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Plane {
+    /// Columns.
+    pub(super) width: usize,
+    /// Rows.
+    pub(super) height: usize,
+    /// `width * height` numbers.
+    pub(super) data: Vec<f32>,
+}
+
+impl Plane {
+    /// The grey levels of an image.
+    pub(super) fn copy_image(&mut self, image: &GrayImage) {
+        (self.width, self.height) = (image.width(), image.height());
+        self.data.clear();
+        self.data.extend(image.pixels().iter().map(|&pixel| f32::from(pixel)));
+    }
+
+    /// The numbers of row `y`.
+    pub(super) fn row(&self, y: usize) -> &[f32] {
+        &self.data[y * self.width..(y + 1) * self.width]
+    }
+
+    /// Becomes `other` at twice the pixels a side, interpolated; pixel `(x, y)` becomes `(2 x, 2 y)`.
+    pub(super) fn double(&mut self, other: &Self) {
+        (self.width, self.height) = (2 * other.width, 2 * other.height);
+        self.data.clear();
+        for y in 0..other.height {
+            let here = other.row(y);
+            let below = other.row((y + 1).min(other.height - 1));
+            push_doubled(&mut self.data, here.iter().copied());
+            push_doubled(&mut self.data, here.iter().zip(below).map(|(a, b)| 0.5 * (a + b)));
+        }
+    }
+
+    /// Becomes every second pixel of every second row of `other`; pixel `(2 x, 2 y)` becomes `(x, y)`.
+    pub(super) fn halve(&mut self, other: &Self) {
+        (self.width, self.height) = (other.width / 2, other.height / 2);
+        self.data.clear();
+        for y in 0..self.height {
+            self.data.extend(other.row(2 * y).chunks_exact(2).map(|pair| pair[0]));
+        }
+    }
+
+    /// Becomes `other` convolved with a Gaussian of standard deviation `sigma` pixels; the border repeats.
+    ///
+    /// # Arguments
+    /// * `difference`: becomes the result minus `other`.
+    pub(super) fn blur(&mut self, other: &Self, sigma: f32, mut difference: Option<&mut Self>) {
+        let (width, last) = (other.width, other.height - 1);
+        let kernel = half_kernel(sigma);
+        let radius = kernel.len() - 1;
+        self.resize(width, other.height);
+        if let Some(difference) = &mut difference {
+            difference.resize(width, other.height);
+        }
+        let mut padded = vec![0.0; width + 2 * radius];
+        for y in 0..other.height {
+            weighted_sum(&mut padded[radius..radius + width], other.row(y), &kernel, |k| {
+                (other.row(y.saturating_sub(k)), other.row((y + k).min(last)))
+            });
+            let (first, end) = (padded[radius], padded[radius + width - 1]);
+            padded[..radius].fill(first);
+            padded[radius + width..].fill(end);
+            let out = &mut self.data[y * width..(y + 1) * width];
+            weighted_sum(out, &padded[radius..], &kernel, |k| (&padded[radius - k..], &padded[radius + k..]));
+            if let Some(difference) = &mut difference {
+                let row = &mut difference.data[y * width..(y + 1) * width];
+                for ((number, after), before) in row.iter_mut().zip(out).zip(other.row(y)) {
+                    *number = *after - before;
+                }
+            }
+        }
+    }
+
+    fn resize(&mut self, width: usize, height: usize) {
+        (self.width, self.height) = (width, height);
+        self.data.resize(width * height, 0.0);
+    }
+
+    /// The value between four pixels; the border repeats. The plane must have two rows and columns.
+    pub(super) fn bilinear(&self, x: f32, y: f32) -> f32 {
+        let (x, y) = (x.clamp(0.0, (self.width - 1) as f32), y.clamp(0.0, (self.height - 1) as f32));
+        let (column, row) = ((x as usize).min(self.width - 2), (y as usize).min(self.height - 2));
+        let (fx, fy) = (x - column as f32, y - row as f32);
+        let above = &self.data[row * self.width + column..];
+        let (a, b, c, d) = (above[0], above[1], above[self.width], above[self.width + 1]);
+        let (top, bottom) = (a + fx * (b - a), c + fx * (d - c));
+        top + fy * (bottom - top)
+    }
+}
+
+/// Appends a row and the means between its neighbours.
+fn push_doubled(data: &mut Vec<f32>, mut row: impl Iterator<Item = f32>) {
+    let Some(mut left) = row.next() else { return };
+    for right in row {
+        data.extend([left, 0.5 * (left + right)]);
+        left = right;
+    }
+    data.extend([left, left]);
+}
+
+/// The centre and one side of a Gaussian kernel whose whole sums to 1.
+fn half_kernel(sigma: f32) -> Vec<f32> {
+    let radius = (KERNEL_SIGMAS * sigma).ceil() as usize;
+    let mut kernel: Vec<f32> = (0..=radius).map(|k| (-0.5 * (k as f32 / sigma).powi(2)).exp()).collect();
+    let sum = 2.0 * kernel.iter().sum::<f32>() - kernel[0];
+    kernel.iter_mut().for_each(|weight| *weight /= sum);
+    kernel
+}
+
+/// `out = kernel[0] * centre + sum of kernel[k] * (a + b)` for the two rows `a`, `b` that `pair` gives for `k` from 1 on.
+///
+/// In blocks that fit the registers: every row is read once, `out` written once.
+fn weighted_sum<'a>(
+    out: &mut [f32],
+    centre: &[f32],
+    kernel: &[f32],
+    pair: impl Fn(usize) -> (&'a [f32], &'a [f32]),
+) {
+    let mut start = 0;
+    let (blocks, rest) = out.as_chunks_mut::<LANES>();
+    for block in blocks {
+        let end = start + LANES;
+        let mut sums = [0.0; LANES];
+        for (sum, value) in sums.iter_mut().zip(&centre[start..end]) {
+            *sum = kernel[0] * value;
+        }
+        for (k, &weight) in kernel.iter().enumerate().skip(1) {
+            let (left, right) = pair(k);
+            for ((sum, a), b) in sums.iter_mut().zip(&left[start..end]).zip(&right[start..end]) {
+                *sum += weight * (a + b);
+            }
+        }
+        *block = sums;
+        start = end;
+    }
+    for (x, number) in (start..).zip(rest) {
+        *number = kernel[0] * centre[x];
+        for (k, &weight) in kernel.iter().enumerate().skip(1) {
+            let (left, right) = pair(k);
+            *number += weight * (left[x] + right[x]);
+        }
+    }
+}
