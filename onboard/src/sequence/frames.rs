@@ -198,10 +198,7 @@ pub(crate) fn read_features(
 }
 
 fn empty_features(width: u16) -> FeatureSet {
-    FeatureSet {
-        pixels: Vec::new(),
-        descriptors: Descriptors { kind: DescriptorKind::Binary, width, bytes: Vec::new() },
-    }
+    FeatureSet::empty(DescriptorFormat { kind: DescriptorKind::Binary, width })
 }
 
 fn decode_hex(row: &Row<'_>, hex: &[u8], bytes: &mut Vec<u8>) -> Result<(), SequenceError> {

@@ -31,6 +31,7 @@ pub(super) fn map_contents(
         MapInfo::new(options.name.clone(), options.created_by.clone(), descriptors.kind, descriptors.width);
     info.gravity_in_global = options.gravity_in_global;
     info.pixel_sigma = options.pixel_sigma;
+    info.extractor.clone_from(&views[0].features.extractor);
     let mut contents = MapContents::empty(info);
     contents.keyframes = views
         .iter()
