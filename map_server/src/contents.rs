@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use nalgebra::{DMatrix, Matrix6, SMatrix};
-use protocol::{KeyframeId, LandmarkId};
+use protocol::{KeyframeId, LandmarkId, MAX_EXTRACTOR_BYTES};
 
 use crate::model::{CrossCovariance, Keyframe, Landmark, MapInfo, Observation};
 
@@ -151,6 +151,11 @@ pub(crate) fn check_info(info: &MapInfo) -> Result<(), ContentsError> {
     if !(info.pixel_sigma.is_finite() && info.pixel_sigma > 0.0) {
         return fail(format!("pixel sigma must be positive, it is {}", info.pixel_sigma));
     }
+    if info.extractor.len() > MAX_EXTRACTOR_BYTES || info.extractor.chars().any(char::is_control) {
+        return fail(format!(
+            "the extractor's name must be at most {MAX_EXTRACTOR_BYTES} bytes without control characters"
+        ));
+    }
     if let Some(gravity) = info.gravity_in_global
         && !is_unit(gravity.norm())
     {
@@ -180,6 +185,12 @@ pub(crate) fn check_keyframe(info: &MapInfo, keyframe: &Keyframe) -> Result<(), 
         let descriptors = &features.descriptors;
         if descriptors.kind != info.descriptor_kind || descriptors.width != info.descriptor_width {
             return fail("its features have descriptors of another kind or width than the map".to_owned());
+        }
+        if !features.extractor.is_empty() && features.extractor != info.extractor {
+            return fail(format!(
+                "its features come from the extractor {:?}, the map says {:?}",
+                features.extractor, info.extractor
+            ));
         }
         if descriptors.bytes.len() != features.pixels.len() * usize::from(descriptors.width) {
             return fail("the numbers of its features and of their descriptors differ".to_owned());

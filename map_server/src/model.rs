@@ -30,10 +30,12 @@ pub struct MapInfo {
     pub descriptor_width: u16,
     /// Standard deviation of the map's pixels (px), one value for both axes.
     pub pixel_sigma: f64,
+    /// Name and version of the extractor that made the descriptors, like `sift-1`; empty where nobody knows.
+    pub extractor: String,
 }
 
 impl MapInfo {
-    /// Info of a new map: version 0, gravity unknown, [`DEFAULT_PIXEL_SIGMA`].
+    /// Info of a new map: version 0, gravity and extractor unknown, [`DEFAULT_PIXEL_SIGMA`].
     ///
     /// # Arguments
     /// * `descriptor_width`: bytes in one descriptor.
@@ -51,6 +53,7 @@ impl MapInfo {
             descriptor_kind,
             descriptor_width,
             pixel_sigma: DEFAULT_PIXEL_SIGMA,
+            extractor: String::new(),
         }
     }
 }

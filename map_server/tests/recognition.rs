@@ -10,8 +10,8 @@ use geometry::{Pose, PoseWithCovariance};
 use map_server::{LoadedMap, QueryError, RecognitionOptions};
 use nalgebra::{Matrix6, Vector3, Vector6};
 use protocol::{
-    DescriptorKind, Descriptors, FeatureSet, LocalizeRequest, MatchOutcome, MatchReply, MatchRequest,
-    MatchStatus, MatchedKeyframe, PosePrior, Validate,
+    DescriptorFormat, DescriptorKind, Descriptors, FeatureSet, LocalizeRequest, MatchOutcome, MatchReply,
+    MatchRequest, MatchStatus, MatchedKeyframe, PosePrior, Validate,
 };
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
@@ -128,7 +128,7 @@ fn of_two_places_that_look_alike_neither_wins() {
     for _ in 0..10 {
         let truth = random_pose(&place, &mut rng);
         let (keyframes, status) = ask(&map, &place.request(&truth, 5, &mut rng));
-        assert_eq!(status.outcome, MatchOutcome::NotVerified);
+        assert_eq!(status.outcome, MatchOutcome::Ambiguous);
         assert!(keyframes.is_empty());
     }
 }
@@ -269,10 +269,7 @@ fn too_few_features_and_an_empty_map_are_outcomes_and_foreign_descriptors_an_err
     let map = loaded(&place);
     let mut rng = StdRng::seed_from_u64(19);
     let mut request = place.request(&place.camera_at(2.0, 0.0, 0.0), 1, &mut rng);
-    let none = FeatureSet {
-        pixels: Vec::new(),
-        descriptors: Descriptors { kind: DescriptorKind::Binary, width: 32, bytes: Vec::new() },
-    };
+    let none = FeatureSet::empty(DescriptorFormat { kind: DescriptorKind::Binary, width: 32 });
     let empty = Place::new(&PlaceOptions { keyframes: 0, landmarks: 0, ..PlaceOptions::default() });
     assert_eq!(ask(&loaded(&empty), &request).1.outcome, MatchOutcome::EmptyMap);
     let features = std::mem::replace(&mut request.features, none);
@@ -280,9 +277,30 @@ fn too_few_features_and_an_empty_map_are_outcomes_and_foreign_descriptors_an_err
 
     let bytes = features.descriptors.bytes[..16 * features.len()].to_vec();
     let narrow = Descriptors { kind: DescriptorKind::Binary, width: 16, bytes };
-    request.features = FeatureSet { pixels: features.pixels, descriptors: narrow };
+    request.features = FeatureSet { descriptors: narrow, ..features };
     let error = map.answer(&request, &RecognitionOptions::default()).unwrap_err();
     assert!(matches!(error, QueryError::DescriptorMismatch { .. }), "{error}");
+}
+
+#[test]
+fn features_of_another_extractor_are_refused_with_both_names() {
+    let place = Place::new(&PlaceOptions { keyframes: 10, landmarks: 500, ..PlaceOptions::default() });
+    let mut contents = place.map.clone();
+    contents.info.extractor = "sift-1".to_owned();
+    let map = LoadedMap::from_contents(contents).unwrap();
+    let mut rng = StdRng::seed_from_u64(23);
+    let mut request = place.request(&place.camera_at(6.0, 0.0, 0.0), 1, &mut rng);
+    for (stated, refused) in [("", false), ("sift-1", false), ("xfeat-1", true)] {
+        request.features.extractor = stated.to_owned();
+        match map.answer(&request, &RecognitionOptions::default()) {
+            Ok(replies) => assert!(!refused && replies.len() == 2),
+            Err(error) => {
+                assert!(refused && matches!(error, QueryError::ExtractorMismatch { .. }));
+                let said = error.to_string();
+                assert!(said.contains("sift-1") && said.contains("xfeat-1"), "{said}");
+            }
+        }
+    }
 }
 
 #[test]

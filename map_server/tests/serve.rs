@@ -226,7 +226,7 @@ async fn bad_queries_are_answered_with_errors_and_the_server_goes_on() {
     let cases: Vec<(Option<Vec<u8>>, ErrorCode)> = vec![
         (None, ErrorCode::BadRequest),
         (Some(b"hello".to_vec()), ErrorCode::BadRequest),
-        (Some(b"{\"schema\": 1}".to_vec()), ErrorCode::BadRequest),
+        (Some(b"{\"schema\": 2}".to_vec()), ErrorCode::BadRequest),
         (Some(vec![0xff; 100_000]), ErrorCode::BadRequest),
         (Some(changed(&|payload| payload.truncate(payload.len() / 2))), ErrorCode::BadRequest),
         (Some(changed(&|payload| *payload.last_mut().unwrap() ^= 1)), ErrorCode::BadRequest),
@@ -258,7 +258,7 @@ async fn no_features_is_an_outcome() {
     let mut request = scene.request(6, 1);
     let width = 32;
     let descriptors = Descriptors { kind: DescriptorKind::Binary, width, bytes: Vec::new() };
-    request.features = FeatureSet { pixels: Vec::new(), descriptors };
+    request.features = FeatureSet { pixels: Vec::new(), descriptors, extractor: String::new() };
     let replies: Vec<MatchReply> = ask_bincode(&scene.client, "map/hall/match", &request).await;
     let [MatchReply::Done(status)] = replies.as_slice() else { panic!("{replies:?}") };
     assert_eq!(status.outcome, MatchOutcome::TooFewFeatures);

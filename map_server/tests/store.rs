@@ -52,11 +52,13 @@ proptest! {
     ) {
         let options = PlaceOptions { seed, keyframes, landmarks, gravity_known, ..PlaceOptions::default() };
         let mut contents = Place::new(&options).map;
+        contents.info.extractor = if with_features { "sift-1".to_owned() } else { String::new() };
         for keyframe in &mut contents.keyframes {
             keyframe.camera = Camera { distortion, ..keyframe.camera.clone() };
             keyframe.features = with_features.then(|| FeatureSet {
                 pixels: vec![[1.5, 2.25], [700.0, 3.0]],
                 descriptors: Descriptors { kind: DescriptorKind::Binary, width: 32, bytes: vec![7; 64] },
+                extractor: String::new(),
             });
         }
         let directory = tempfile::tempdir().unwrap();
@@ -232,7 +234,67 @@ fn another_schema_is_refused_with_both_numbers() {
     tree.insert("schema", b"DRFTMAP\x07\x00".as_slice()).unwrap();
     drop((tree, database));
     let error = SledStore::open(&path).err().unwrap();
-    assert!(matches!(error, StoreError::Schema { found: 7, expected: 1, .. }), "{error}");
+    assert!(matches!(error, StoreError::Schema { found: 7, expected: 2, .. }), "{error}");
+}
+
+/// What record version 1 kept of a map's info.
+#[derive(serde::Serialize)]
+struct InfoOfVersion1 {
+    name: String,
+    created_by: String,
+    version: u64,
+    gravity_in_global: Option<[f64; 3]>,
+    descriptor_kind: u8,
+    descriptor_width: u16,
+    pixel_sigma: f64,
+}
+
+/// Turns a database into what the first release wrote: schema 1, records of version 1, no extractor.
+fn make_old(path: &std::path::Path, info: &MapInfo) {
+    let sealed = |table: &str, key: &[u8], payload: &[u8]| {
+        let mut hasher = crc32fast::Hasher::new();
+        for part in [table.as_bytes(), key, &[1], payload] {
+            hasher.update(part);
+        }
+        [&[1], &hasher.finalize().to_le_bytes()[..], payload].concat()
+    };
+    let database = common::open_database(path);
+    for table in ["keyframes", "landmarks", "cross_covariances"] {
+        let tree = database.open_tree(table).unwrap();
+        for (key, value) in tree.iter().map(Result::unwrap) {
+            tree.insert(&key, sealed(table, &key, &value[5..])).unwrap();
+        }
+    }
+    let old = InfoOfVersion1 {
+        name: info.name.clone(),
+        created_by: info.created_by.clone(),
+        version: 1,
+        gravity_in_global: info.gravity_in_global.map(Into::into),
+        descriptor_kind: 0,
+        descriptor_width: info.descriptor_width,
+        pixel_sigma: info.pixel_sigma,
+    };
+    let tree = database.open_tree("info").unwrap();
+    tree.insert("info", sealed("info", b"info", &bincode::serialize(&old).unwrap())).unwrap();
+    tree.insert("schema", b"DRFTMAP\x01\x00".as_slice()).unwrap();
+}
+
+#[test]
+fn a_map_of_the_first_release_opens_and_becomes_new_with_its_first_change() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("map");
+    let mut contents = small_place(11);
+    drop(created(&path, &contents));
+    make_old(&path, &contents.info);
+
+    let store = SledStore::open(&path).unwrap();
+    assert_eq!(without_version(store.read_contents().unwrap()), contents);
+    contents.info.extractor = "sift-1".to_owned();
+    assert_eq!(store.apply(&[Change::PutInfo(contents.info.clone())]).unwrap(), 2);
+    drop(store);
+    let schema = common::open_database(&path).open_tree("info").unwrap().get("schema").unwrap();
+    assert_eq!(schema.unwrap().as_ref(), b"DRFTMAP\x02\x00");
+    assert_eq!(without_version(SledStore::open(&path).unwrap().read_contents().unwrap()), contents);
 }
 
 #[test]

@@ -74,6 +74,7 @@ fn scene(count: usize, pixel_noise: f64) -> Scene {
     Scene {
         truth,
         answer: MapAnswer {
+            asked_with: Vec::new(),
             map_version: 1,
             keyframes,
             landmarks,

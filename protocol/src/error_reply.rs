@@ -14,7 +14,7 @@ pub enum ErrorCode {
     BadRequest,
     /// The payload is of another schema version: update the older side.
     SchemaMismatch,
-    /// The query's descriptors are not of the map's kind and width.
+    /// The query's descriptors are not of the map's kind and width, or come from another extractor.
     DescriptorMismatch,
     /// The server has no such map.
     UnknownMap,

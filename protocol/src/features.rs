@@ -201,6 +201,16 @@ fn append_hex(text: &str, width: usize, bytes: &mut Vec<u8>) -> Result<(), Strin
     Ok(())
 }
 
+/// Longest name of an extractor, bytes.
+pub const MAX_EXTRACTOR_BYTES: usize = 64;
+
+/// Checks the name of an extractor: at most [`MAX_EXTRACTOR_BYTES`], and nothing that spoils a line of text.
+pub(crate) fn validate_extractor(name: &str) -> Result<(), InvalidField> {
+    let reason = format!("is longer than {MAX_EXTRACTOR_BYTES} bytes");
+    require(name.len() <= MAX_EXTRACTOR_BYTES, "extractor", &reason)?;
+    require(!name.chars().any(char::is_control), "extractor", "holds a control character")
+}
+
 /// The features of one image: pixel `i` belongs to descriptor `i`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct FeatureSet {
@@ -208,9 +218,18 @@ pub struct FeatureSet {
     pub pixels: Vec<[f32; 2]>,
     /// What they look like, in the same order.
     pub descriptors: Descriptors,
+    /// Name and version of the extractor that made the descriptors, like `sift-1`; empty where nobody knows. In a
+    /// stored map the map's info says it for all.
+    #[serde(default)]
+    pub extractor: String,
 }
 
 impl FeatureSet {
+    /// No features, of descriptors of the given format and of an unknown extractor.
+    pub fn empty(format: DescriptorFormat) -> Self {
+        Self { pixels: Vec::new(), descriptors: Descriptors::empty(format), extractor: String::new() }
+    }
+
     /// Number of features.
     pub fn len(&self) -> usize {
         self.pixels.len()
@@ -235,6 +254,7 @@ impl Validate for FeatureSet {
             return Err(InvalidField::new(format!("pixels[{index}]"), "is not finite"));
         }
         self.descriptors.validate().map_err(|violation| violation.within("descriptors"))?;
+        validate_extractor(&self.extractor)?;
         let described = self.descriptors.len();
         require(
             described == count,

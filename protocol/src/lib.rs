@@ -36,7 +36,7 @@
 //! ```
 //! use protocol::{Format, LocalizeRequest, decode};
 //! let request: LocalizeRequest = decode(Format::Json, br#"{
-//!     "schema": 1,
+//!     "schema": 2,
 //!     "camera": {"width": 640, "height": 480, "focal": [500, 500], "centre": [319.5, 239.5], "distortion": "none"},
 //!     "features": {"pixels": [[10, 20]], "descriptors": {"kind": "binary", "width": 2, "hex": ["a0ff"]}}
 //! }"#)?;
@@ -59,7 +59,7 @@ mod wire;
 
 pub use codec::{CodecError, Format, Message, decode, encode};
 pub use error_reply::{ErrorCode, ErrorReply};
-pub use features::{DescriptorFormat, DescriptorKind, Descriptors, FeatureSet};
+pub use features::{DescriptorFormat, DescriptorKind, Descriptors, FeatureSet, MAX_EXTRACTOR_BYTES};
 pub use localize::{LocalizeReply, LocalizeRequest, LocalizedPose};
 pub use map::{Extent, KeyframeLandmark, KeyframeReply, MapChange, MapInfo, StatedChange};
 pub use matching::{
@@ -70,7 +70,9 @@ pub use robot::{RobotOdometry, RobotPose, RobotState, RobotStatus};
 pub use validate::{InvalidField, Validate};
 
 /// Version of everything in this crate that is seen from outside. Grows with every incompatible change.
-pub const SCHEMA_VERSION: u16 = 1;
+///
+/// 2: features and maps say their extractor, `MatchOutcome::Ambiguous`, signed-byte descriptors.
+pub const SCHEMA_VERSION: u16 = 2;
 
 /// Longest payload that is encoded or decoded, envelope included.
 ///

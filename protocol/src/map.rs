@@ -1,7 +1,7 @@
 //! `map/{map}/info`, `map/{map}/keyframes/{id}` and `map/{map}/changes`: reading a map remotely, and news of it.
 
 use crate::codec::Message;
-use crate::features::DescriptorFormat;
+use crate::features::{DescriptorFormat, validate_extractor};
 use crate::matching::KeyframeRecord;
 use crate::validate::{InvalidField, Validate, require, require_each, require_finite, require_unit};
 use crate::{KeyframeId, LandmarkId, keys};
@@ -33,6 +33,9 @@ pub struct MapInfo {
     /// What a query's descriptors must be; none for an empty map.
     #[serde(default)]
     pub descriptors: Option<DescriptorFormat>,
+    /// Name and version of the extractor that a query's features must come from; empty where the map does not say.
+    #[serde(default)]
+    pub extractor: String,
     /// Standard deviation of the map's pixels, pixels.
     pub pixel_sigma: f64,
 }
@@ -49,6 +52,7 @@ impl Validate for MapInfo {
         if let Some(format) = &self.descriptors {
             format.validate().map_err(|violation| violation.within("descriptors"))?;
         }
+        validate_extractor(&self.extractor)?;
         let positive = self.pixel_sigma.is_finite() && self.pixel_sigma > 0.0;
         require(positive, "pixel_sigma", "is not a finite, positive number")
     }

@@ -56,7 +56,7 @@ pub struct MatchRequest {
     /// Version of the map when the held keyframes were fetched.
     #[serde(default)]
     pub map_version_held: Option<u64>,
-    /// Most matched keyframes to send: 1 for single matching. Anchors of sent landmarks come on top.
+    /// Most keyframes to send: 1 for single matching.
     pub max_keyframes: u16,
 }
 
@@ -82,7 +82,7 @@ impl Message for MatchRequest {
 
 /// One part of the answer to a [`MatchRequest`].
 ///
-/// In JSON `{"schema": 1, "type": "match_reply", "keyframe": {..}}` or `{.., "done": {..}}`.
+/// In JSON `{"schema": 2, "type": "match_reply", "keyframe": {..}}` or `{.., "done": {..}}`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 #[allow(clippy::large_enum_variant)] // one value at a time, moved once
@@ -161,13 +161,15 @@ impl Validate for CrossCovariance {
 
 /// A keyframe of the answer with the query's features that it explains.
 ///
-/// Every keyframe that a landmark here is anchored in, or was observed from, is part of the same answer or of the
-/// request's `held`. A keyframe sent only for that has no `matches` of its own.
+/// The anchor of every landmark is a keyframe of the same answer that observed it: where the map's own anchor is not
+/// sent, the server anchors the landmark anew in the keyframe that matched it. Observations are from keyframes of the
+/// same answer or of the request's `held`. A keyframe without `matches` is covisible: it observed landmarks that
+/// keyframes of smaller rank matched.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MatchedKeyframe {
     /// Version of the map that this is from.
     pub map_version: u64,
-    /// 0 is the best match; keyframes sent only as anchors come last.
+    /// 0 is the best match; covisible keyframes without matches of their own come last.
     pub rank: u16,
     /// The keyframe.
     pub keyframe: KeyframeRecord,
@@ -249,6 +251,9 @@ pub enum MatchOutcome {
     TooFewFeatures,
     /// The map has no keyframes.
     EmptyMap,
+    /// Two places of the map that look alike explain the image nearly equally well, so neither is an answer. A prior
+    /// pose, or an image from elsewhere, tells them apart.
+    Ambiguous,
 }
 
 /// The end of an answer: what was found, and what holds for all of it.

@@ -69,11 +69,12 @@ fn json_is_what_the_documentation_shows() {
             width: 2,
             bytes: vec![0xab, 0x01, 0xff, 0x00],
         },
+        extractor: "sift-1".to_owned(),
     };
     let pose = example(poses());
     request.prior = Some(PosePrior { global_from_camera: pose });
     let value: serde_json::Value = serde_json::from_slice(&encode(Format::Json, &request).unwrap()).unwrap();
-    assert_eq!(value["schema"], 1);
+    assert_eq!(value["schema"], 2);
     assert_eq!(value["type"], "localize_request");
     let descriptors = serde_json::json!({"kind": "binary", "width": 2, "hex": ["ab01", "ff00"]});
     assert_eq!(value["features"]["descriptors"], descriptors);
@@ -91,7 +92,7 @@ fn json_is_what_the_documentation_shows() {
 #[test]
 fn json_written_by_hand_is_understood() {
     let text = r#"{
-        "schema": 1, "comment": "by hand",
+        "schema": 2, "comment": "by hand",
         "camera": {"width": 640, "height": 480, "focal": [500, 500], "centre": [319.5, 239.5], "distortion": {"fov": 0.9}},
         "features": {"pixels": [[10, 20]], "descriptors": {"kind": "binary", "width": 2, "hex": ["A0ff"]}},
         "prior": {"global_from_camera": {"rotation_wxyz": [0.707107, 0, 0.707107, 0], "translation": [1, 2, 3],
@@ -110,6 +111,7 @@ fn a_large_image_fits_by_far() {
     request.features = FeatureSet {
         pixels: vec![[1.0, 2.0]; count],
         descriptors: Descriptors { kind: DescriptorKind::Float, width: 512, bytes: vec![0; 512 * count] },
+        extractor: String::new(),
     };
     let bytes = encode(Format::Bincode, &request).unwrap();
     assert!(bytes.len() < 1_100_000, "{} bytes", bytes.len());

@@ -14,6 +14,7 @@ fn assert_refused(field: &str, reason: &str, spoil: impl FnOnce(&mut MatchReques
     request.features = FeatureSet {
         pixels: vec![[1.0, 2.0], [3.0, 4.0]],
         descriptors: Descriptors { kind: DescriptorKind::Binary, width: 4, bytes: vec![0; 8] },
+        extractor: String::new(),
     };
     request.prior = Some(PosePrior { global_from_camera: sound_pose() });
     encode(Format::Bincode, &request).unwrap();
@@ -155,7 +156,7 @@ fn replies_that_contradict_themselves() {
     reply.outcome = if reply.fix.is_some() { MatchOutcome::NoMatch } else { MatchOutcome::Matched };
     assert!(reply.validate().is_err());
 
-    let both = "{\"schema\":1,\"type\":\"match_reply\",\"keyframe\":null,\"done\":null}";
+    let both = "{\"schema\":2,\"type\":\"match_reply\",\"keyframe\":null,\"done\":null}";
     let error = decode::<MatchReply>(Format::Json, both.as_bytes()).unwrap_err();
     assert!(error.to_string().contains("either `keyframe` or `done`"), "{error}");
 }

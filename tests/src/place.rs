@@ -41,7 +41,7 @@ impl Place {
             gravity_in_global: Some(-Vector3::z()),
             ..BuildOptions::default()
         };
-        let (map, _) = build_map(&recordings.map, &references, &options, &mut |_, _, _| {}).unwrap();
+        let (map, _) = build_map(&recordings.map, &references, None, &options, &mut |_, _, _| {}).unwrap();
         Self { recordings, map }
     }
 

@@ -152,7 +152,7 @@ fn hostile_queries_are_answered_with_errors_and_the_server_lives_on() {
     let error = only_error(&ask("map/ring/match", inner));
     assert_eq!(error.code, ErrorCode::BadRequest);
     assert_eq!(only_error(&ask("map/ring/match", payload[..40].to_vec())).code, ErrorCode::BadRequest);
-    let hostile = br#"{"schema":1,"type":"match_request","robot":"x","stamp_ns":1e999}"#.to_vec();
+    let hostile = br#"{"schema":2,"type":"match_request","robot":"x","stamp_ns":1e999}"#.to_vec();
     assert_eq!(only_error(&ask("map/ring/match", hostile)).code, ErrorCode::BadRequest);
     let other = protocol::encode(Format::Bincode, &good).unwrap();
     let error = only_error(&ask("map/ring/localize", other));
@@ -171,7 +171,7 @@ fn hostile_queries_are_answered_with_errors_and_the_server_lives_on() {
 
     let mut empty = good.clone();
     let descriptors = Descriptors { kind: DescriptorKind::Binary, width: 32, bytes: Vec::new() };
-    empty.features = FeatureSet { pixels: Vec::new(), descriptors };
+    empty.features = FeatureSet { pixels: Vec::new(), descriptors, extractor: String::new() };
     let replies: Vec<MatchReply> =
         messages(ask("map/ring/match", protocol::encode(Format::Bincode, &empty).unwrap()));
     let [MatchReply::Done(status)] = replies.as_slice() else { panic!("{replies:?}") };

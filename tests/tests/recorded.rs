@@ -35,7 +35,7 @@ fn built(sequence: &Path, until_s: f64) -> Arc<LoadedMap> {
     let sequence = Sequence::open(sequence).unwrap();
     let references = sequence.reference_poses.clone().unwrap();
     let options = BuildOptions { until_s, ..BuildOptions::default() };
-    let (contents, _) = build_map(&sequence, &references, &options, &mut |_, _, _| {}).unwrap();
+    let (contents, _) = build_map(&sequence, &references, None, &options, &mut |_, _, _| {}).unwrap();
     Arc::new(LoadedMap::from_contents(contents).unwrap())
 }
 

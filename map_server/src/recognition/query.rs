@@ -34,6 +34,16 @@ pub enum QueryError {
         /// What the map has.
         map: DescriptorFormat,
     },
+    /// The query's descriptors come from another extractor than the map's.
+    #[error(
+        "the query's features come from the extractor {query:?}, the map was built with {map:?}: use the map's extractor"
+    )]
+    ExtractorMismatch {
+        /// What the query says.
+        query: String,
+        /// What the map says.
+        map: String,
+    },
     /// The query's features are not consistent in themselves.
     #[error("the query's features cannot be used: {0}")]
     Descriptors(#[from] DescriptorError),
@@ -144,6 +154,7 @@ impl LoadedMap {
             extent,
             descriptors: (!self.keyframes.is_empty()).then(|| self.format()),
             pixel_sigma: self.info.pixel_sigma,
+            extractor: self.info.extractor.clone(),
         }
     }
 
@@ -169,6 +180,10 @@ impl LoadedMap {
         let query = features.descriptors.format();
         if query != self.format() {
             return Err(QueryError::DescriptorMismatch { query, map: self.format() });
+        }
+        let (stated, wanted) = (&features.extractor, &self.info.extractor);
+        if !stated.is_empty() && !wanted.is_empty() && stated != wanted {
+            return Err(QueryError::ExtractorMismatch { query: stated.clone(), map: wanted.clone() });
         }
         let descriptors =
             DescriptorView::new(self.metric(), usize::from(query.width), &features.descriptors.bytes)?;
@@ -222,7 +237,7 @@ impl LoadedMap {
             Consensus::Nothing => Vec::new(),
             Consensus::Ambiguous => {
                 tracing::debug!("the image is from one of several places that look alike: no answer");
-                outcome = MatchOutcome::NotVerified;
+                outcome = MatchOutcome::Ambiguous;
                 Vec::new()
             }
             Consensus::Place(place) => {

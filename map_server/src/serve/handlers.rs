@@ -162,7 +162,9 @@ fn decode<M: Message>(query: &Query) -> Result<M, ErrorReply> {
 
 fn query_error(map: &str, error: &QueryError) -> ErrorReply {
     let code = match error {
-        QueryError::DescriptorMismatch { .. } => ErrorCode::DescriptorMismatch,
+        QueryError::DescriptorMismatch { .. } | QueryError::ExtractorMismatch { .. } => {
+            ErrorCode::DescriptorMismatch
+        }
         QueryError::Descriptors(_) => ErrorCode::BadRequest,
     };
     ErrorReply::new(code, format!("map {map}: {error}"))

@@ -15,8 +15,13 @@ pub use sled_store::SledStore;
 use crate::contents::{ContentsError, MapContents};
 use crate::model::{CrossCovariance, Keyframe, Landmark, MapInfo};
 
-/// Layout of the records on disk. A store of another number is refused on opening.
-pub const STORE_SCHEMA: u16 = 1;
+/// Layout of the records on disk. A store of a larger number is refused on opening.
+///
+/// 1: as in the first release. 2: the info of the map says the extractor. Every change writes the newest.
+pub const STORE_SCHEMA: u16 = 2;
+
+/// The oldest layout that is read.
+pub const OLDEST_STORE_SCHEMA: u16 = 1;
 
 /// One change of a map; see [`Batch`].
 #[derive(Clone, Debug, PartialEq)]

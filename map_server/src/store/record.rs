@@ -18,8 +18,10 @@ use serde::{Deserialize, Serialize};
 
 use crate::model::{CrossCovariance, Keyframe, Landmark, MapInfo, Observation};
 
-/// Version of the structures in this module.
-const RECORD_VERSION: u8 = 1;
+/// Version of the structures in this module. Version 1 differs in the info of the map only, see [`InfoRecordV1`].
+const RECORD_VERSION: u8 = 2;
+/// The oldest version that is read.
+const OLDEST_RECORD_VERSION: u8 = 1;
 /// Bytes before the payload.
 const HEADER_BYTES: usize = 5;
 /// How far a stored quaternion may be from unit length.
@@ -37,15 +39,35 @@ pub(super) fn seal<T: Serialize>(tree: &str, key: &[u8], record: &T) -> Result<V
 
 /// Takes a record out of its envelope; the error says what is wrong with it.
 pub(super) fn unseal<T: DeserializeOwned>(tree: &str, key: &[u8], bytes: &[u8]) -> Result<T, String> {
+    let (_, payload) = open(tree, key, bytes)?;
+    decode(payload)
+}
+
+/// Takes the info of a map of any readable version out of its envelope.
+pub(super) fn unseal_info(tree: &str, key: &[u8], bytes: &[u8]) -> Result<InfoRecord, String> {
+    match open(tree, key, bytes)? {
+        (1, payload) => decode::<InfoRecordV1>(payload).map(InfoRecord::from),
+        (_, payload) => decode(payload),
+    }
+}
+
+/// The version and the payload of an intact record.
+fn open<'a>(tree: &str, key: &[u8], bytes: &'a [u8]) -> Result<(u8, &'a [u8]), String> {
     let Some((&[version, c0, c1, c2, c3], payload)) = bytes.split_first_chunk::<HEADER_BYTES>() else {
         return Err(format!("it has only {} bytes", bytes.len()));
     };
     if checksum(tree, key, version, payload) != u32::from_le_bytes([c0, c1, c2, c3]) {
         return Err("its checksum does not match".to_owned());
     }
-    if version != RECORD_VERSION {
-        return Err(format!("it has record version {version}, this program reads {RECORD_VERSION}"));
+    if !(OLDEST_RECORD_VERSION..=RECORD_VERSION).contains(&version) {
+        return Err(format!(
+            "it has record version {version}, this program reads {OLDEST_RECORD_VERSION} to {RECORD_VERSION}"
+        ));
     }
+    Ok((version, payload))
+}
+
+fn decode<T: DeserializeOwned>(payload: &[u8]) -> Result<T, String> {
     // No payload can claim more than its own length: a vector costs at least a byte an element.
     options()
         .with_limit(payload.len() as u64)
@@ -76,6 +98,34 @@ pub(super) struct InfoRecord {
     descriptor_kind: u8,
     descriptor_width: u16,
     pixel_sigma: f64,
+    extractor: String,
+}
+
+/// [`InfoRecord`] of record version 1, when maps did not say their extractor.
+#[derive(Serialize, Deserialize)]
+pub(super) struct InfoRecordV1 {
+    name: String,
+    created_by: String,
+    version: u64,
+    gravity_in_global: Option<[f64; 3]>,
+    descriptor_kind: u8,
+    descriptor_width: u16,
+    pixel_sigma: f64,
+}
+
+impl From<InfoRecordV1> for InfoRecord {
+    fn from(old: InfoRecordV1) -> InfoRecord {
+        InfoRecord {
+            name: old.name,
+            created_by: old.created_by,
+            version: old.version,
+            gravity_in_global: old.gravity_in_global,
+            descriptor_kind: old.descriptor_kind,
+            descriptor_width: old.descriptor_width,
+            pixel_sigma: old.pixel_sigma,
+            extractor: String::new(),
+        }
+    }
 }
 
 impl InfoRecord {
@@ -88,6 +138,7 @@ impl InfoRecord {
             descriptor_kind: kind_to_byte(info.descriptor_kind),
             descriptor_width: info.descriptor_width,
             pixel_sigma: info.pixel_sigma,
+            extractor: info.extractor.clone(),
         }
     }
 
@@ -100,6 +151,7 @@ impl InfoRecord {
             descriptor_kind: kind_from_byte(self.descriptor_kind)?,
             descriptor_width: self.descriptor_width,
             pixel_sigma: self.pixel_sigma,
+            extractor: self.extractor,
         })
     }
 }
@@ -222,7 +274,7 @@ impl FeaturesRecord {
     fn into_features(self) -> Result<FeatureSet, String> {
         let descriptors =
             Descriptors { kind: kind_from_byte(self.kind)?, width: self.width, bytes: self.descriptors };
-        Ok(FeatureSet { pixels: self.pixels, descriptors })
+        Ok(FeatureSet { pixels: self.pixels, descriptors, extractor: String::new() })
     }
 }
 

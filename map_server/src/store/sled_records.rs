@@ -2,8 +2,10 @@
 
 use super::pending::Pending;
 use super::record::{CrossRecord, InfoRecord, KeyframeRecord, LandmarkRecord};
-use super::tables::{CORRELATED, INFO_KEY, OBSERVES, Table, Writes, pair_key, reference_key};
-use super::{MapStore, SledStore, StoreError};
+use super::tables::{
+    CORRELATED, INFO_KEY, OBSERVES, SCHEMA_KEY, SCHEMA_MAGIC, Table, Writes, pair_key, reference_key,
+};
+use super::{MapStore, STORE_SCHEMA, SledStore, StoreError};
 use crate::model::{CrossCovariance, Keyframe, Landmark, MapInfo};
 
 impl SledStore {
@@ -114,6 +116,7 @@ impl SledStore {
         Ok(())
     }
 
+    /// Writes the info, and the schema with it: a map of an older schema becomes one of this with its first change.
     pub(super) fn write_info(
         &self,
         writes: &mut Writes,
@@ -121,6 +124,7 @@ impl SledStore {
         version: u64,
     ) -> Result<(), StoreError> {
         let record = self.seal(Table::Info, INFO_KEY, &InfoRecord::new(info, version))?;
+        writes.insert(Table::Info, SCHEMA_KEY, [SCHEMA_MAGIC, &STORE_SCHEMA.to_le_bytes()].concat());
         writes.insert(Table::Info, INFO_KEY, record);
         Ok(())
     }

@@ -12,7 +12,7 @@ use sled::transaction::{TransactionError, Transactional};
 use super::pending::Pending;
 use super::record::{self, InfoRecord};
 use super::tables::{CORRELATED, INFO_KEY, OBSERVES, SCHEMA_KEY, SCHEMA_MAGIC, Table, Writes, pair_key};
-use super::{Change, MapStore, Records, STORE_SCHEMA, StoreError};
+use super::{Change, MapStore, OLDEST_STORE_SCHEMA, Records, STORE_SCHEMA, StoreError};
 use crate::contents::MapContents;
 use crate::model::{CrossCovariance, Keyframe, Landmark, MapInfo};
 
@@ -52,7 +52,6 @@ impl SledStore {
         crate::contents::check_info(info)?;
         let store = SledStore::with_tables(path, open_database(path)?)?;
         let mut writes = Writes::default();
-        writes.insert(Table::Info, SCHEMA_KEY, [SCHEMA_MAGIC, &STORE_SCHEMA.to_le_bytes()].concat());
         store.write_info(&mut writes, info, 0)?;
         store.commit(&writes)?;
         Ok(store)
@@ -205,8 +204,8 @@ impl MapStore for SledStore {
         let Some(bytes) = self.get(Table::Info, INFO_KEY)? else {
             return Err(self.corrupt(record, "it is missing".to_owned()));
         };
-        let info: InfoRecord = self.unseal(Table::Info, INFO_KEY, &bytes)?;
-        info.into_info().map_err(|problem| self.corrupt(record, problem))
+        let info = record::unseal_info(Table::Info.name(), INFO_KEY, &bytes);
+        info.and_then(InfoRecord::into_info).map_err(|problem| self.corrupt(record, problem))
     }
 
     fn keyframe(&self, id: KeyframeId) -> Result<Option<Keyframe>, StoreError> {
@@ -322,7 +321,7 @@ fn check_schema(path: &Path, database: &sled::Db) -> Result<(), StoreError> {
     let bytes = info.get(SCHEMA_KEY).map_err(failed)?.ok_or_else(no_map)?;
     let number = bytes.strip_prefix(SCHEMA_MAGIC).and_then(|number| number.try_into().ok());
     match number.map(u16::from_le_bytes).ok_or_else(no_map)? {
-        STORE_SCHEMA => Ok(()),
+        OLDEST_STORE_SCHEMA..=STORE_SCHEMA => Ok(()),
         found => Err(StoreError::Schema { path: path.to_owned(), found, expected: STORE_SCHEMA }),
     }
 }

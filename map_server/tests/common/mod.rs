@@ -195,7 +195,8 @@ impl Place {
             bytes.extend(descriptor(rng));
         }
         let width = DESCRIPTOR_BYTES as u16;
-        FeatureSet { pixels, descriptors: Descriptors { kind: DescriptorKind::Binary, width, bytes } }
+        let descriptors = Descriptors { kind: DescriptorKind::Binary, width, bytes };
+        FeatureSet { pixels, descriptors, extractor: String::new() }
     }
 
     /// A query without prior and gravity.

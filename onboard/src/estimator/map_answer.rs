@@ -37,6 +37,8 @@ pub struct MapAnswer {
     pub map_version: u64,
     /// Best first.
     pub keyframes: Vec<MapKeyframe>,
+    /// Keyframes that the filter held when it asked: the answer states how its own depend on these.
+    pub asked_with: Vec<KeyframeId>,
     /// What matched.
     pub landmarks: Vec<MatchedLandmark>,
     /// Unit vector along gravity in G, where the map states it.
@@ -49,6 +51,31 @@ impl MapAnswer {
     /// A keyframe of this answer.
     pub fn keyframe(&self, id: KeyframeId) -> Option<&MapKeyframe> {
         self.keyframes.iter().find(|keyframe| keyframe.id == id)
+    }
+
+    /// Leaves out keyframes of which nobody said how they depend on some that came since the question, and whatever
+    /// hangs on them. To take them for independent could contradict what both have in common with a third.
+    ///
+    /// # Arguments
+    /// * `held`: keyframes that the filter holds now.
+    #[must_use]
+    pub fn with_known_relations(mut self, held: &[KeyframeId]) -> Self {
+        let sent: Vec<KeyframeId> = self.keyframes.iter().map(|keyframe| keyframe.id).collect();
+        let is_stated = |id: &KeyframeId| self.asked_with.contains(id) || sent.contains(id);
+        if held.iter().all(is_stated) {
+            return self;
+        }
+        self.keyframes.retain(|keyframe| held.contains(&keyframe.id));
+        self.keep_what_hangs_together();
+        self
+    }
+
+    fn keep_what_hangs_together(&mut self) {
+        let known: Vec<KeyframeId> = self.keyframes.iter().map(|keyframe| keyframe.id).collect();
+        self.landmarks.retain(|landmark| known.contains(&landmark.anchor));
+        for landmark in &mut self.landmarks {
+            landmark.observations.retain(|(id, _)| known.contains(id));
+        }
     }
 
     /// Leaves out what no filter can use: keyframes whose pose or covariance is none, cross-covariances
@@ -72,17 +99,13 @@ impl MapAnswer {
                 both.is_none_or(|(own, others)| allows(&own, &others, block))
             })
         });
-        let known: Vec<KeyframeId> = self.keyframes.iter().map(|keyframe| keyframe.id).collect();
+        self.keep_what_hangs_together();
         self.landmarks.retain(|landmark| {
             let numbers = landmark.pixel.iter().chain(landmark.position_in_anchor.iter());
-            known.contains(&landmark.anchor)
-                && numbers.into_iter().all(|value| value.is_finite())
-                && landmark.position_in_anchor.z > 0.0
+            numbers.into_iter().all(|value| value.is_finite()) && landmark.position_in_anchor.z > 0.0
         });
         for landmark in &mut self.landmarks {
-            landmark
-                .observations
-                .retain(|(id, pixel)| known.contains(id) && pixel.iter().all(|value| value.is_finite()));
+            landmark.observations.retain(|(_, pixel)| pixel.iter().all(|value| value.is_finite()));
         }
         let direction = |gravity: &Vector3<f64>| (gravity.norm() - 1.0).abs() < 1e-3;
         self.gravity_in_global = self.gravity_in_global.filter(direction);

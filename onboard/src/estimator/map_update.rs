@@ -123,9 +123,14 @@ impl Estimator {
         Ok(report)
     }
 
-    /// What the mode lets through.
+    /// What the mode lets through, and of which it is known how it depends on what is held.
     fn restrict(&self, answer: &MapAnswer) -> MapAnswer {
         let mut restricted = answer.clone();
+        let depends = self.covariance.held.has_correlations()
+            || answer.keyframes.iter().any(|keyframe| !keyframe.cross_covariances.is_empty());
+        if depends && self.map_version == Some(answer.map_version) {
+            restricted = restricted.with_known_relations(&self.held_keyframes());
+        }
         if self.config.mode == MapMode::Single {
             restricted.keyframes.truncate(1);
         }
@@ -377,7 +382,7 @@ impl Estimator {
         Some(sum / verified.inliers.len().max(1) as f64)
     }
 
-    fn gravity_in_camera(&self, local_from_imu: &Pose) -> Vector3<f64> {
+    pub(super) fn gravity_in_camera(&self, local_from_imu: &Pose) -> Vector3<f64> {
         let local_from_camera = local_from_imu.rotation * self.rig[0].imu_from_camera.rotation;
         local_from_camera.inverse() * -Vector3::z()
     }

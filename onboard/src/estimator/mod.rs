@@ -38,7 +38,7 @@ pub use tracks::TrackObservation;
 
 use covariance::{JointCovariance, NotPositiveDefinite};
 use gate::Gate;
-use geometry::{Pose, PoseWithCovariance};
+use geometry::PoseWithCovariance;
 use imu::ImuBuffer;
 use nalgebra::{DMatrix, Matrix6, Vector3};
 use propagation::{IMU_DIM, MotionEstimate, propagate};
@@ -372,16 +372,24 @@ impl Estimator {
         ))
     }
 
-    /// The camera in G, for a query's prior.
-    pub fn global_from_camera(&self) -> Option<PoseWithCovariance> {
+    /// The first camera in G when a clone was made, for a query's prior. `None` for a clone that is gone, and before
+    /// the map gave `G_T_L`.
+    pub fn global_from_camera(&self, clone: CloneId) -> Option<PoseWithCovariance> {
+        let transform = self.global_from_local()?;
+        let pose = self.state.clones[self.state.place_of(clone)?].local_from_imu;
+        let block = Block::Clone(self.state.place_of(clone)?);
+        let global_from_imu = transform.compose_correlated(
+            &PoseWithCovariance { pose, covariance: self.block(&block, &block) },
+            &(state::turned(&transform.pose) * self.block(&Block::Transform, &block)),
+        );
         let exact = PoseWithCovariance { pose: self.rig[0].imu_from_camera, covariance: Matrix6::zeros() };
-        self.global_from_imu().map(|global_from_imu| global_from_imu.compose(&exact))
+        Some(global_from_imu.compose(&exact))
     }
 
-    /// Unit vector along gravity in the first camera, at the newest state.
-    pub fn gravity_in_first_camera(&self) -> Vector3<f64> {
-        let local_from_camera: Pose = self.state.imu.local_from_imu * self.rig[0].imu_from_camera;
-        local_from_camera.rotation.inverse() * -Vector3::z()
+    /// Unit vector along gravity in the first camera when a clone was made; `None` for a clone that is gone.
+    pub fn gravity_in_first_camera(&self, clone: CloneId) -> Option<Vector3<f64>> {
+        let local_from_imu = self.state.clones[self.state.place_of(clone)?].local_from_imu;
+        Some(self.gravity_in_camera(&local_from_imu))
     }
 
     /// Names of the keyframes that it holds.

@@ -2,14 +2,18 @@
 
 use crate::estimator::{MapAnswer, MapKeyframe, MatchedLandmark};
 use nalgebra::{Vector2, Vector3};
-use protocol::{FeatureSet, MatchStatus, MatchedKeyframe};
+use protocol::{FeatureSet, KeyframeId, MatchStatus, MatchedKeyframe};
 
 /// Puts the replies to one query together.
 ///
 /// Matches that point to a feature that was not asked about, or to a keyframe that was not sent, are
 /// left out: a server's mistake is not the robot's.
+///
+/// # Arguments
+/// * `held`: keyframes that the query said to be held.
 pub fn map_answer(
     features: &FeatureSet,
+    held: &[KeyframeId],
     status: &MatchStatus,
     mut replies: Vec<MatchedKeyframe>,
 ) -> MapAnswer {
@@ -48,6 +52,7 @@ pub fn map_answer(
     MapAnswer {
         map_version: status.map_version,
         keyframes,
+        asked_with: held.to_vec(),
         landmarks,
         gravity_in_global: status.gravity_in_global.map(Vector3::from),
         sigma_map_px: status.map_pixel_sigma,

@@ -1,5 +1,6 @@
 //! The robot's switches, shared by `onboard` and `driftless run`.
 
+use super::extraction::FeatureArguments;
 use crate::estimator::{EstimatorConfig, MapMode, Relinearization};
 use crate::sequence::Sequence;
 use anyhow::{Context as _, Result, bail};
@@ -81,6 +82,15 @@ pub struct RobotArguments {
     /// Seconds to wait for the map's answer to one image
     #[arg(long, value_name = "SECONDS", default_value_t = 2.0)]
     pub deadline: f64,
+    /// Images: features of the images of camera 0, for the map
+    #[command(flatten)]
+    pub features: FeatureArguments,
+    /// Seconds between two images that the map is asked about, where features are extracted from images
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.5)]
+    pub query_interval: f64,
+    /// Points to follow in images, where the recording has no tracks.csv
+    #[arg(long, value_name = "N", default_value_t = 200)]
+    pub points: usize,
     /// YAML file with estimator settings; the switches below override it
     #[arg(long, value_name = "FILE")]
     pub settings: Option<PathBuf>,

@@ -1,6 +1,8 @@
 //! The robot as a program: opens the recording, runs, scores, writes.
 
 use super::arguments::{Mode, RobotArguments};
+use super::extraction::ExtractionThread;
+use super::front_end::FrontEnd;
 use super::publisher::Publisher;
 use super::query_client::QueryClient;
 use super::recorder::Recorder;
@@ -13,6 +15,7 @@ use crate::sequence::Sequence;
 use anyhow::{Context as _, Result, bail};
 use std::time::Duration;
 use tokio::runtime::Handle;
+use vision::tracking::TrackerOptions;
 
 /// A robot's way to the map.
 #[derive(Clone, Debug)]
@@ -51,6 +54,12 @@ pub fn run_robot(
     std::fs::create_dir_all(&arguments.out)
         .with_context(|| format!("--out: cannot make the folder {}", arguments.out.display()))?;
     let cameras = arguments.camera_count(sequence)?;
+    if !(arguments.query_interval.is_finite() && arguments.query_interval >= 0.0) {
+        bail!(
+            "--query-interval is {}; it must be zero or a positive number of seconds",
+            arguments.query_interval
+        );
+    }
     if !(arguments.deadline.is_finite() && arguments.deadline > 0.0) {
         bail!("--deadline is {}; it must be a positive number of seconds", arguments.deadline);
     }
@@ -73,9 +82,15 @@ pub fn run_robot(
         }
         None => (None, None),
     };
+    let front_end = front_end(sequence, arguments, cameras)?;
+    let extraction = if queries.is_some() { extraction(sequence, arguments)? } else { None };
     let robot = RobotRun {
         sequence,
         cameras,
+        front_end,
+        extraction,
+        query_interval_ns: (arguments.query_interval * 1e9) as i64,
+        last_extraction_ns: None,
         estimator,
         robot: arguments.robot.clone(),
         max_keyframes: arguments.max_keyframes,
@@ -117,6 +132,32 @@ pub fn run_robot(
     };
     recorder.write(&arguments.out, &summary)?;
     Ok(Outcome { summary, recorder })
+}
+
+/// What makes tracks of the recording's images, where it has images and no tracks.
+fn front_end(sequence: &Sequence, arguments: &RobotArguments, cameras: usize) -> Result<Option<FrontEnd>> {
+    let with_images = sequence.frames.iter().any(|frame| frame.images[0].is_some());
+    let with_tracks = sequence.frames.iter().any(|frame| !frame.tracks.is_empty());
+    if !with_images || with_tracks {
+        return Ok(None);
+    }
+    let mut options = TrackerOptions::default().points(arguments.points);
+    if let Some(mask) = arguments.features.read_mask()? {
+        options = options.mask(0, mask);
+    }
+    Ok(Some(FrontEnd::new(&sequence.cameras[..cameras], options)?))
+}
+
+/// What makes features of the recording's images, where it has images and no features.
+fn extraction(sequence: &Sequence, arguments: &RobotArguments) -> Result<Option<ExtractionThread>> {
+    let with_images = sequence.frames.iter().any(|frame| frame.images[0].is_some());
+    let with_features = sequence.frames.iter().any(|frame| frame.features.is_some());
+    if !with_images || with_features {
+        return Ok(None);
+    }
+    let settings = &arguments.features;
+    let thread = ExtractionThread::start(settings.open()?, settings.max_features, settings.read_mask()?)?;
+    Ok(Some(thread))
 }
 
 /// Errors against the recording's truth, or why there are none.

@@ -245,7 +245,7 @@ fn finish(request: &MatchRequest, status: &MatchStatus, keyframes: Vec<MatchedKe
     if keyframes.len() != usize::from(status.keyframes_sent) {
         return Attempt::Again(format!("{} of {} keyframes arrived", keyframes.len(), status.keyframes_sent));
     }
-    Attempt::Finished(Outcome::Matched(map_answer(&request.features, status, keyframes)))
+    Attempt::Finished(Outcome::Matched(map_answer(&request.features, &request.held, status, keyframes)))
 }
 
 /// An error reply. Those that time heals are tried again.

@@ -84,6 +84,7 @@ impl Event {
             MatchOutcome::NoMatch => ("no_match", "the map does not know the place"),
             MatchOutcome::NotVerified => ("not_verified", "no keyframe agrees in its geometry"),
             MatchOutcome::TooFewFeatures => ("too_few_features", "too few features to recognize a place by"),
+            MatchOutcome::Ambiguous => ("ambiguous", "two places of the map look alike"),
             MatchOutcome::EmptyMap => ("empty_map", "the map holds no keyframe"),
         };
         self.outcome = name.into();

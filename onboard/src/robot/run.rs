@@ -1,13 +1,15 @@
 //! Plays a recording through the estimator.
 
+use super::extraction::{Extracted, ExtractionThread};
+use super::front_end::FrontEnd;
 use super::publisher::{Publisher, QueryCounts};
 use super::query_client::{Answered, Outcome, QueryClient};
 use super::recorder::{Event, Recorder};
 use super::summary::{Timings, Traffic};
-use crate::estimator::{CloneId, Estimator, EstimatorError, MapMode};
+use crate::estimator::{CloneId, Estimator, EstimatorError, MapMode, TrackObservation};
 use crate::sequence::{Frame, Sequence};
 use nalgebra::Vector3;
-use protocol::{MatchRequest, PosePrior};
+use protocol::{FeatureSet, MatchRequest, PosePrior};
 use std::time::{Duration, Instant};
 
 /// Queries that may be on their way at once.
@@ -41,6 +43,14 @@ pub struct RobotRun<'a> {
     pub max_keyframes: u16,
     /// Play at the speed of the recording.
     pub realtime: bool,
+    /// Makes tracks of images; none for a recording that has tracks.
+    pub front_end: Option<FrontEnd>,
+    /// Makes features of images; none for a recording that has features.
+    pub extraction: Option<ExtractionThread>,
+    /// Least time between two images that features are extracted from, nanoseconds.
+    pub query_interval_ns: i64,
+    /// Time of the last of them.
+    pub last_extraction_ns: Option<i64>,
     /// Asks the map; none with odometry only.
     pub queries: Option<QueryClient>,
     /// Publishes; none without a network.
@@ -95,6 +105,10 @@ impl RobotRun<'_> {
     ) -> Result<(), EstimatorError> {
         let mut timings = Timings::default();
         let begin = Instant::now();
+        let Some(tracks) = self.look(frame, recorder) else { return Ok(()) };
+        timings.front_end = begin.elapsed();
+
+        let begin = Instant::now();
         let rate = self.feed_imu(frame.stamp_ns, next_imu, recorder);
         let clone = match self.estimator.time_update(frame.stamp_ns) {
             Ok(clone) => clone,
@@ -108,10 +122,7 @@ impl RobotRun<'_> {
         timings.propagation = begin.elapsed();
 
         let begin = Instant::now();
-        let cameras = self.cameras;
-        let seen: Vec<_> =
-            frame.tracks.iter().filter(|track| usize::from(track.camera) < cameras).copied().collect();
-        let report = self.estimator.track_update(&seen)?;
+        let report = self.estimator.track_update(&tracks)?;
         timings.tracks = begin.elapsed();
         recorder.note_tracks(&report);
 
@@ -125,8 +136,26 @@ impl RobotRun<'_> {
         if let Some(publisher) = &self.publisher {
             publisher.publish(&self.estimator, rate, recorder.query_counts(), self.last_failure.as_deref());
         }
-        self.ask(clone, frame, recorder);
+        self.ask_about(clone, frame, recorder);
         Ok(())
+    }
+
+    /// The tracks of a frame, from the recording or from its images. `None` for an image that is of no use.
+    fn look(&mut self, frame: &Frame, recorder: &mut Recorder) -> Option<Vec<TrackObservation>> {
+        let Some(front_end) = &mut self.front_end else {
+            let used = |track: &&TrackObservation| usize::from(track.camera) < self.cameras;
+            return Some(frame.tracks.iter().filter(used).copied().collect());
+        };
+        if frame.images[0].is_none() {
+            return Some(Vec::new());
+        }
+        front_end
+            .look(frame, &self.sequence.imu_samples)
+            .inspect_err(|error| {
+                tracing::warn!(%error, "frame skipped");
+                recorder.skipped_frames += 1;
+            })
+            .ok()
     }
 
     /// Hands over the IMU readings up to the first one after the frame.
@@ -144,28 +173,45 @@ impl RobotRun<'_> {
         newest - self.estimator.biases().0
     }
 
-    fn ask(&mut self, clone: CloneId, frame: &Frame, recorder: &mut Recorder) {
-        let (Some(queries), Some(features)) = (&mut self.queries, &frame.features) else { return };
-        if features.is_empty() || self.estimator.config().mode == MapMode::Odometry {
+    /// Asks the map about a frame, as soon as its features are there.
+    fn ask_about(&mut self, clone: CloneId, frame: &Frame, recorder: &mut Recorder) {
+        if self.queries.is_none() || self.estimator.config().mode == MapMode::Odometry {
             return;
         }
+        if let Some(features) = frame.features.as_ref().filter(|features| !features.is_empty()) {
+            self.ask(clone, frame.stamp_ns, features.clone(), recorder);
+            return;
+        }
+        let (Some(extraction), Some(image)) = (&mut self.extraction, &frame.images[0]) else { return };
+        let due =
+            self.last_extraction_ns.is_none_or(|last_ns| frame.stamp_ns - last_ns >= self.query_interval_ns);
+        if due && extraction.is_idle() {
+            self.estimator.pin(clone);
+            extraction.submit(clone, frame.stamp_ns, image);
+            self.last_extraction_ns = Some(frame.stamp_ns);
+        }
+    }
+
+    fn ask(&mut self, clone: CloneId, stamp_ns: i64, features: FeatureSet, recorder: &mut Recorder) {
+        let Some(queries) = &mut self.queries else { return };
         // Each holds its clone in the filter: with a server that hangs, the window must not fill with them.
         if queries.pending() >= MAX_PENDING {
             recorder.queries_skipped += 1;
+            self.estimator.unpin(clone);
             return;
         }
         let max_keyframes =
             if self.estimator.config().mode == MapMode::Single { 1 } else { self.max_keyframes.max(1) };
         let request = MatchRequest {
             robot: self.robot.clone(),
-            stamp_ns: frame.stamp_ns,
+            stamp_ns,
             camera: self.sequence.cameras[0].camera.clone(),
-            features: features.clone(),
+            features,
             prior: self
                 .estimator
-                .global_from_camera()
+                .global_from_camera(clone)
                 .map(|global_from_camera| PosePrior { global_from_camera }),
-            gravity_in_camera: Some(self.estimator.gravity_in_first_camera().into()),
+            gravity_in_camera: self.estimator.gravity_in_first_camera(clone).map(Into::into),
             held: self.estimator.held_keyframes(),
             map_version_held: self.estimator.map_version(),
             max_keyframes,
@@ -175,9 +221,17 @@ impl RobotRun<'_> {
         queries.ask(clone, request);
     }
 
-    /// Takes in the answers that are here; as fast as possible, waits for all of them.
+    /// Takes in the features and answers that are here; as fast as possible, waits for all of them.
     fn deliver(&mut self, recorder: &mut Recorder) -> Result<Duration, EstimatorError> {
-        let mut waited = Duration::ZERO;
+        let begin = Instant::now();
+        let extracted = self
+            .extraction
+            .as_mut()
+            .and_then(|extraction| if self.realtime { extraction.poll() } else { extraction.wait() });
+        let mut waited = begin.elapsed();
+        if let Some(extracted) = extracted {
+            self.ask_with(extracted, recorder);
+        }
         while let Some(queries) = &mut self.queries {
             let begin = Instant::now();
             let answered = if self.realtime { queries.poll() } else { queries.wait() };
@@ -186,6 +240,20 @@ impl RobotRun<'_> {
             self.take(&answered, recorder)?;
         }
         Ok(waited)
+    }
+
+    /// The features of an image are ready: the map is asked.
+    fn ask_with(&mut self, extracted: Extracted, recorder: &mut Recorder) {
+        match extracted.features {
+            Ok(features) if !features.is_empty() => {
+                self.ask(extracted.clone, extracted.stamp_ns, features, recorder);
+            }
+            Ok(_) => self.estimator.unpin(extracted.clone),
+            Err(reason) => {
+                tracing::warn!(reason, "the map is not asked about this image");
+                self.estimator.unpin(extracted.clone);
+            }
+        }
     }
 
     fn take(&mut self, answered: &Answered, recorder: &mut Recorder) -> Result<(), EstimatorError> {
@@ -221,6 +289,9 @@ impl RobotRun<'_> {
 
     /// Takes in what is still on its way at the end of the recording.
     fn close(&mut self, recorder: &mut Recorder) -> Result<(), EstimatorError> {
+        if let Some(extracted) = self.extraction.as_mut().and_then(ExtractionThread::wait) {
+            self.ask_with(extracted, recorder);
+        }
         while let Some(answered) = self.queries.as_mut().and_then(QueryClient::wait) {
             self.take(&answered, recorder)?;
         }

@@ -8,6 +8,8 @@ use std::time::Duration;
 /// Time spent in the steps of frames.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Timings {
+    /// Reading images and following points in them.
+    pub front_end: Duration,
     /// IMU propagation and cloning.
     pub propagation: Duration,
     /// The update from tracks.
@@ -21,6 +23,7 @@ pub struct Timings {
 impl Timings {
     /// Adds a frame.
     pub fn add(&mut self, frame: &Self) {
+        self.front_end += frame.front_end;
         self.propagation += frame.propagation;
         self.tracks += frame.tracks;
         self.map += frame.map;
@@ -31,10 +34,11 @@ impl Timings {
     pub fn mean(&self) -> MillisecondsPerFrame {
         let mean = |total: Duration| total.as_secs_f64() * 1e3 / self.frames.max(1) as f64;
         MillisecondsPerFrame {
+            front_end: mean(self.front_end),
             propagation: mean(self.propagation),
             tracks: mean(self.tracks),
             map: mean(self.map),
-            total: mean(self.propagation + self.tracks + self.map),
+            total: mean(self.front_end + self.propagation + self.tracks + self.map),
         }
     }
 }
@@ -42,6 +46,8 @@ impl Timings {
 /// Mean time a frame by step, wall clock of the estimator's thread.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct MillisecondsPerFrame {
+    /// Reading images and following points in them; 0 for a recording that has tracks.
+    pub front_end: f64,
     /// IMU propagation and cloning.
     pub propagation: f64,
     /// The update from tracks.

@@ -4,7 +4,7 @@ use super::error::SequenceError;
 use super::table::{Row, Table, check_order};
 use crate::estimator::TrackObservation;
 use nalgebra::Vector2;
-use protocol::{DescriptorKind, Descriptors, FeatureSet};
+use protocol::{DescriptorFormat, DescriptorKind, FeatureSet};
 use std::path::{Path, PathBuf};
 
 /// One instant at which the cameras looked.
@@ -198,10 +198,7 @@ pub(crate) fn read_features(
 }
 
 fn empty_features(width: u16) -> FeatureSet {
-    FeatureSet {
-        pixels: Vec::new(),
-        descriptors: Descriptors { kind: DescriptorKind::Binary, width, bytes: Vec::new() },
-    }
+    FeatureSet::empty(DescriptorFormat { kind: DescriptorKind::Binary, width })
 }
 
 fn decode_hex(row: &Row<'_>, hex: &[u8], bytes: &mut Vec<u8>) -> Result<(), SequenceError> {

@@ -67,6 +67,7 @@ pub fn features() -> impl Strategy<Value = FeatureSet> {
         (vec(pixels(), count), bytes).prop_map(move |(pixels, bytes)| FeatureSet {
             pixels,
             descriptors: Descriptors { kind, width, bytes },
+            extractor: ["", "sift-1", "xfeat-1"][count % 3].to_owned(),
         })
     })
 }
@@ -170,6 +171,7 @@ fn outcomes() -> impl Strategy<Value = MatchOutcome> {
         MatchOutcome::NotVerified,
         MatchOutcome::TooFewFeatures,
         MatchOutcome::EmptyMap,
+        MatchOutcome::Ambiguous,
     ])
 }
 
@@ -253,6 +255,7 @@ pub fn map_infos() -> impl Strategy<Value = MapInfo> {
                 extent,
                 descriptors,
                 pixel_sigma,
+                extractor: if counts[0] % 2 == 0 { String::new() } else { "sift-1".to_owned() },
             },
         )
 }

@@ -6,12 +6,14 @@ use std::time::Duration;
 use anyhow::bail;
 use indicatif::{ProgressBar, ProgressStyle};
 use nalgebra::Vector3;
+use onboard::robot::extraction::FeatureArguments;
 use onboard::sequence::{ReferencePose, Sequence, read_reference_poses};
 use serde_json::json;
 
 use super::import_map::{check_free, parse_direction};
-use crate::map_building::{BuildOptions, BuildReport, Spread, Stage, StoredPoses, build_map};
+use crate::map_building::{BuildOptions, BuildReport, Extraction, Spread, Stage, StoredPoses, build_map};
 use crate::map_files::save_map;
+use crate::plotting::draw_coverage;
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
@@ -19,8 +21,10 @@ use crate::map_files::save_map;
     driftless build-map place/map --map place.db\n  \
     driftless build-map place/map --map start.db --until 10\n  \
     driftless build-map my_run --map my.db --sigma-theta 0.005 --sigma-p 0.02 --gravity 0,0,-1\n\n\
-    SEQ holds mav0/cam0/{sensor.yaml,data.csv,features.csv} and reference_poses.csv. Without the latter the ground \
-    truth is taken for the poses, and the sigmas must be given.")]
+    driftless build-map V1_01_easy --map vicon_room.db --sigma-theta 0.0175 --sigma-p 0.01\n\n\
+    SEQ holds mav0/cam0 (and cam1, for stereo) with sensor.yaml, data.csv and images in data/, and \
+    reference_poses.csv. Where there is a cam0/features.csv it is taken instead of the images. Without \
+    reference_poses.csv the ground truth is taken for the poses, and the sigmas must be given.")]
 pub struct Args {
     /// Folder of the reference sequence
     #[arg(value_name = "SEQ")]
@@ -64,6 +68,15 @@ pub struct Args {
     /// ... and with this many others near it that look the same way
     #[arg(long, value_name = "N", default_value_t = 10)]
     pub space_neighbours: usize,
+    /// Use camera 0 only, where the recording has images of two
+    #[arg(long)]
+    pub mono: bool,
+    /// How features are extracted from images
+    #[command(flatten)]
+    pub features: FeatureArguments,
+    /// Picture of the map from above: keyframes, landmarks, places with too few (SVG)
+    #[arg(long, value_name = "SVG")]
+    pub picture: Option<PathBuf>,
     /// Replace a map that is there already
     #[arg(long)]
     pub force: bool,
@@ -92,10 +105,21 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         bar.set_length(all as u64);
         bar.set_position(done as u64);
     };
-    let built = build_map(&sequence, &references, None, &options, &mut show);
+    let mut extractor = if reads_features(&sequence) { None } else { Some(args.features.open()?) };
+    let mask = args.features.read_mask()?;
+    let extraction = extractor.as_mut().map(|extractor| Extraction {
+        extractor: extractor.as_mut(),
+        max_features: args.features.max_features,
+        mask: mask.as_ref(),
+        stereo: !args.mono,
+    });
+    let built = build_map(&sequence, &references, extraction, &options, &mut show);
     bar.finish_and_clear();
     let (contents, report) = built?;
     let version = save_map(&args.map, &contents, args.force)?;
+    if let Some(picture) = &args.picture {
+        draw_coverage(&contents, picture)?;
+    }
     if args.json {
         println!("{:#}", json!({ "map": args.map, "version": version, "report": report }));
     } else {
@@ -103,6 +127,12 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         print_report(&report);
     }
     Ok(())
+}
+
+/// Whether the recording brings its features along.
+fn reads_features(sequence: &Sequence) -> bool {
+    let with_features = sequence.frames.iter().any(|frame| frame.features.is_some());
+    with_features || sequence.frames.iter().all(|frame| frame.images[0].is_none())
 }
 
 fn progress_bar(hidden: bool) -> ProgressBar {
@@ -182,6 +212,12 @@ fn print_report(report: &BuildReport) {
     println!("observations                {} ({mean_length:.1} a landmark)", report.observations);
     println!("  landmarks with 1, 2, ...  {}", histogram(&report.track_lengths));
     println!("landmarks a keyframe        {}", spread(&report.landmarks_per_keyframe, 0));
+    if report.stereo_features > 0 {
+        println!("features seen in stereo     {}", report.stereo_features);
+    }
+    for image in &report.unreadable_images {
+        println!("left out                    {image}");
+    }
     println!("pairs matched               {} with {} matches", report.pairs, report.matches);
     println!("observations dropped        {}", report.dropped_observations);
     println!("reprojection error, px      {}", spread(&report.reprojection_px, 2));

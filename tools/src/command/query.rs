@@ -281,6 +281,7 @@ fn value_name(reply: &LocalizeReply) -> &'static str {
         protocol::MatchOutcome::NoMatch => "no keyframe looks like the image",
         protocol::MatchOutcome::NotVerified => "some keyframes look alike, but no pose explains the matches",
         protocol::MatchOutcome::TooFewFeatures => "the image has too few features",
+        protocol::MatchOutcome::Ambiguous => "two places of the map look alike: give a prior pose",
         protocol::MatchOutcome::EmptyMap => "the map has no keyframes",
     }
 }

@@ -39,6 +39,7 @@ pub(super) fn map_contents(
         MapInfo::new(options.name.clone(), options.created_by.clone(), descriptors.kind, descriptors.width);
     info.gravity_in_global = options.gravity_in_global;
     info.pixel_sigma = pixel_sigma;
+    info.extractor.clone_from(&views[0].features.extractor);
     let mut contents = MapContents::empty(info);
     let pose = |view: usize| match &joint {
         Some(joint) => PoseWithCovariance::new(bundle.poses[view], joint.own[view]),

@@ -92,7 +92,7 @@ impl<'e, 'r> FeatureSource<'e, 'r> {
             }
             _ => Vec::new(),
         };
-        let features = Cow::Owned(feature_set(first));
+        let features = Cow::Owned(feature_set(extraction.extractor.name(), first));
         Ok(Some(Seen { features, stereo }))
     }
 }

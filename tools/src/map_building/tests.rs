@@ -9,7 +9,7 @@ use geometry::pose::Pose;
 use geometry::rotation;
 use nalgebra::{DMatrix, DVector, Matrix3, Matrix6, Matrix6x3, Vector2, Vector3, Vector6};
 use onboard::sequence::{CameraSensor, Frame};
-use protocol::{DescriptorKind, Descriptors, FeatureSet};
+use protocol::{DescriptorFormat, DescriptorKind, FeatureSet};
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 use rand_distr::{Distribution, StandardNormal};
@@ -81,10 +81,7 @@ fn world(seed: u64, pose_noise: f64, pixel_noise: f64) -> World {
         let sway = (index as f64 * 0.7).sin();
         let turn = rotation::exp(&Vector3::new(0.05 * sway, 0.2 * sway, 0.1 * sway));
         let global_from_camera = Pose::new(turn, Vector3::new(0.4 * sway, 0.1 * sway, index as f64));
-        let mut features = FeatureSet {
-            pixels: Vec::new(),
-            descriptors: Descriptors { kind: DescriptorKind::Binary, width: 32, bytes: Vec::new() },
-        };
+        let mut features = FeatureSet::empty(DescriptorFormat { kind: DescriptorKind::Binary, width: 32 });
         let mut labels = Vec::new();
         for (label, landmark) in world.landmarks.iter().enumerate() {
             let p = global_from_camera.inverse_transform(landmark);

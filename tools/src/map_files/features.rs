@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use protocol::{DescriptorKind, Descriptors, FeatureSet};
+use protocol::{DescriptorFormat, DescriptorKind, FeatureSet};
 
 use super::error::MapFileError;
 use super::table::Table;
@@ -27,8 +27,7 @@ pub fn read_image_features(
 ) -> Result<(i64, FeatureSet), MapFileError> {
     let table = Table::read(path, "give a features.csv, as in mav0/cam0 of a sequence")?;
     let mut wanted = stamp_ns;
-    let mut features =
-        FeatureSet { pixels: Vec::new(), descriptors: Descriptors { kind, width: 0, bytes: Vec::new() } };
+    let mut features = FeatureSet::empty(DescriptorFormat { kind, width: 0 });
     for row in table.rows() {
         row.expect_fields(4, 4, COLUMNS)?;
         let stamp: i64 = row.integer(0, "timestamp")?;

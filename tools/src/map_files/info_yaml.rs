@@ -27,6 +27,7 @@ pub(super) struct InfoYaml {
     descriptor_kind: Option<String>,
     descriptor_width: Option<u16>,
     pixel_sigma: Option<f64>,
+    extractor: Option<String>,
 }
 
 impl InfoYaml {
@@ -45,7 +46,7 @@ impl InfoYaml {
                 path,
                 error.to_string(),
                 "its optional keys are name, created_by, gravity_in_global, descriptor_kind, \
-                 descriptor_width and pixel_sigma",
+                 descriptor_width, pixel_sigma and extractor",
             )
         })
     }
@@ -70,6 +71,7 @@ impl InfoYaml {
         );
         info.gravity_in_global = self.gravity_in_global.map(Vector3::from);
         info.pixel_sigma = self.pixel_sigma.unwrap_or(DEFAULT_PIXEL_SIGMA);
+        info.extractor = self.extractor.unwrap_or_default();
         Ok(info)
     }
 }
@@ -100,6 +102,9 @@ pub(super) fn info_text(info: &MapInfo, observed_width: Option<u16>) -> Option<S
     }
     if info.pixel_sigma.to_bits() != DEFAULT_PIXEL_SIGMA.to_bits() {
         let _ = writeln!(text, "pixel_sigma: {}", shortest(info.pixel_sigma));
+    }
+    if !info.extractor.is_empty() {
+        let _ = writeln!(text, "extractor: {}", serde_json::Value::from(info.extractor.as_str()));
     }
     (!text.is_empty()).then_some(text)
 }

@@ -9,7 +9,7 @@ use geometry::uncertain_pose::PoseWithCovariance;
 use map_server::contents::MapContents;
 use map_server::model::{CrossCovariance, Keyframe, Landmark, Observation};
 use nalgebra::{Matrix6, Quaternion, Unit, Vector3};
-use protocol::{DescriptorKind, Descriptors, FeatureSet, KeyframeId, LandmarkId};
+use protocol::{DescriptorFormat, DescriptorKind, FeatureSet, KeyframeId, LandmarkId};
 
 use super::camera_yaml::read_camera;
 use super::error::MapFileError;
@@ -244,10 +244,8 @@ fn read_features(
         row.expect_fields(1, 4, columns::FEATURES)?;
         let id = keyframe_of(&row, 0, keyframes)?.id;
         let Some(keyframe) = keyframes.get_mut(&id) else { continue };
-        let features = keyframe.features.get_or_insert_with(|| FeatureSet {
-            pixels: Vec::new(),
-            descriptors: Descriptors { kind, width, bytes: Vec::new() },
-        });
+        let features =
+            keyframe.features.get_or_insert_with(|| FeatureSet::empty(DescriptorFormat { kind, width }));
         if row.len() == 1 {
             continue; // an image without features
         }

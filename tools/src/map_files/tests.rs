@@ -58,6 +58,7 @@ fn random_map(seed: u64, rich: bool) -> MapContents {
                 width: 32,
                 bytes: (0..id - 2).flat_map(|_| descriptor(&mut rng)).collect(),
             },
+            extractor: String::new(),
         });
         contents.keyframes.push(Keyframe {
             id: id * 3,

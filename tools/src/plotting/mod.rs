@@ -6,12 +6,14 @@
 //! | `over_time.svg` | position along each axis over time |
 //! | `error_local.svg`, `error_transform.svg`, `error_pose.svg` | the six errors with the filter's own 3-sigma bounds |
 //! | `reprojection.svg` | what each query came to: reprojection error, matches, inliers, accepted or not |
+//! | what a map covers | keyframes and landmarks from above ([`draw_coverage`]) |
 //! | `comparison.svg` | several runs side by side ([`comparison`]) |
 //!
 //! Only what is known is drawn: without truth there are no errors, and [`draw_run`] says so.
 
 mod canvas;
 pub mod comparison;
+mod coverage;
 mod errors;
 mod events;
 mod over_time;
@@ -24,6 +26,7 @@ mod trajectory;
 #[cfg(test)]
 mod tests;
 
+pub use coverage::draw_coverage;
 pub use events::{QueryEvent, read_events};
 pub use run_files::{RunFiles, Truth, read_keyframes};
 

@@ -158,6 +158,7 @@ fn gaps_without_features_are_found_at_the_ends_too() {
                 width: 32,
                 bytes: Vec::new(),
             },
+            extractor: String::new(),
         }),
     };
     let frames: Vec<_> = (0..20).map(frame).collect();

@@ -60,6 +60,7 @@ impl<'a> Extractor<'a> {
                 width: DESCRIPTOR_BYTES as u16,
                 bytes: features.iter().flat_map(|(_, descriptor)| descriptor).copied().collect(),
             },
+            extractor: String::new(),
         }
     }
 }

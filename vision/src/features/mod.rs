@@ -3,6 +3,7 @@
 //! Robot and map must use the same extractor: [`FeatureExtractor::name`] goes into the map and into every query.
 
 pub mod classical;
+pub mod open;
 
 use crate::GrayImage;
 use crate::descriptors::Metric;

@@ -89,6 +89,7 @@ fn frame(rng: &mut StdRng, index: i64, cameras: u8) -> Frame {
             width: 32,
             bytes: (0..4 * 32).map(|_| rng.random()).collect(),
         },
+        extractor: String::new(),
     });
     Frame { stamp_ns: START_NS + index * 100_000_001, images: [None, None], tracks, features }
 }
