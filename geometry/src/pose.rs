@@ -89,6 +89,20 @@ impl Pose {
         Vector6::new(dtheta.x, dtheta.y, dtheta.z, dp.x, dp.y, dp.z)
     }
 
+    /// The pose at a fraction of the way to another: rotation on the shortest arc, position on the straight line.
+    ///
+    /// ```
+    /// use geometry::Pose;
+    /// use nalgebra::Vector3;
+    /// let ahead = Pose::new(geometry::rotation::exp(&Vector3::new(0.0, 0.0, 0.4)), Vector3::new(2.0, 0.0, 0.0));
+    /// let half = Pose::identity().interpolate(&ahead, 0.5);
+    /// assert!((half.translation.x - 1.0).abs() < 1e-12 && (half.rotation.angle() - 0.2).abs() < 1e-12);
+    /// ```
+    pub fn interpolate(&self, other: &Self, fraction: f64) -> Self {
+        let rotation = self.rotation.try_slerp(&other.rotation, fraction, 1e-12).unwrap_or(other.rotation);
+        Self::new(rotation, self.translation.lerp(&other.translation, fraction))
+    }
+
     /// Whether all numbers are finite.
     pub fn is_finite(&self) -> bool {
         self.rotation.coords.iter().chain(self.translation.iter()).all(|value| value.is_finite())

@@ -202,7 +202,9 @@ fn answer_of(map: &LoadedMap, sequence: &Sequence, frame: usize) -> MapAnswer {
     for reply in map.answer(&request, &RecognitionOptions::default()).unwrap() {
         match reply {
             MatchReply::Keyframe(keyframe) => keyframes.push(keyframe),
-            MatchReply::Done(status) => return map_answer(&request.features, &status, keyframes),
+            MatchReply::Done(status) => {
+                return map_answer(&request.features, &request.held, &status, keyframes);
+            }
         }
     }
     panic!("an answer without an end");
@@ -273,6 +275,10 @@ fn an_answer_that_comes_too_late_is_reported_and_does_no_harm() {
     let last_ns = live.frames[frames - 1].stamp_ns;
     rest.imu_samples.retain(|sample| sample.stamp_ns > last_ns + 5_000_000);
     let robot = RobotRun {
+        front_end: None,
+        extraction: None,
+        query_interval_ns: 0,
+        last_extraction_ns: None,
         sequence: &rest,
         cameras: 2,
         estimator: late,

@@ -4,6 +4,7 @@
 //! can do the same without a shell.
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
+pub mod client;
 pub mod command;
 pub mod demo;
 pub mod in_process;

@@ -21,11 +21,7 @@ impl<'a> TruthTrack<'a> {
     /// `None` outside of the rows, and between two rows that are further apart than `max_gap_ns`.
     pub fn pose(&self, stamp_ns: i64, max_gap_ns: i64) -> Option<Pose> {
         let (a, b, weight) = self.neighbours(stamp_ns, max_gap_ns)?;
-        if weight == 0.0 {
-            return Some(a.pose);
-        }
-        let rotation = a.pose.rotation.try_slerp(&b.pose.rotation, weight, 1e-12).unwrap_or(b.pose.rotation);
-        Some(Pose::new(rotation, a.pose.translation.lerp(&b.pose.translation, weight)))
+        Some(a.pose.interpolate(&b.pose, weight))
     }
 
     /// Velocity in the truth's frame at an instant, m/s, where both neighbours know it.

@@ -154,7 +154,14 @@ impl World {
             }
         }
         assert!(landmarks.len() > 20, "{} landmarks", landmarks.len());
-        MapAnswer { map_version: 1, keyframes, landmarks, gravity_in_global: None, sigma_map_px: PIXEL_SIGMA }
+        MapAnswer {
+            map_version: 1,
+            keyframes,
+            asked_with: Vec::new(),
+            landmarks,
+            gravity_in_global: None,
+            sigma_map_px: PIXEL_SIGMA,
+        }
     }
 }
 

@@ -7,6 +7,7 @@ pub mod demo;
 pub mod evaluate;
 pub mod export_map;
 pub mod import_map;
+pub mod localize;
 pub mod map_info;
 pub mod plot;
 pub mod query;
@@ -31,6 +32,8 @@ pub enum Command {
     MapInfo(map_info::Args),
     /// Ask a running map server
     Query(query::Args),
+    /// Ask a running map server where an image was taken
+    Localize(localize::Args),
     /// Run a robot through a recording, with a map server in the same process
     Run(run::Args),
     /// Track points through the images of a recording
@@ -55,6 +58,7 @@ impl Command {
             Self::ExportMap(args) => export_map::run(args),
             Self::MapInfo(args) => map_info::run(args),
             Self::Query(args) => query::run(args),
+            Self::Localize(args) => localize::run(&args),
             Self::Run(args) => run::run(&args),
             Self::Track(args) => track::run(&args),
             Self::Evaluate(args) => evaluate::run(&args),

@@ -1,6 +1,5 @@
 //! The given poses at the time of an image.
 
-use geometry::pose::Pose;
 use onboard::sequence::ReferencePose;
 
 /// Poses further apart than this are not interpolated between (ns): a robot can do anything in the meantime.
@@ -33,14 +32,9 @@ impl References {
             return None;
         }
         let fraction = (stamp_ns - before.stamp_ns) as f64 / gap_ns as f64;
-        let rotation = before.pose.rotation.try_slerp(&after.pose.rotation, fraction, 1e-9);
-        let pose = Pose::new(
-            rotation.unwrap_or(after.pose.rotation),
-            before.pose.translation.lerp(&after.pose.translation, fraction),
-        );
         Some(ReferencePose {
             stamp_ns,
-            pose,
+            pose: before.pose.interpolate(&after.pose, fraction),
             sigma_theta: before.sigma_theta.max(after.sigma_theta),
             sigma_p: before.sigma_p.max(after.sigma_p),
         })
