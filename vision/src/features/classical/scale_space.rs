@@ -16,6 +16,9 @@ const LEAST_SIDE: usize = 24;
 const BORDER: usize = 5;
 /// Largest ratio of the principal curvatures; Lowe's. Beyond it a point slides along an edge.
 const MAX_CURVATURE_RATIO: f32 = 10.0;
+/// Farthest that a refined position may be from its pixel, and from its level: a little beyond the half way, so that one
+/// between two pixels is not handed to and fro.
+const MAX_OFFSET: f32 = 0.6;
 /// Steps from pixel to pixel that the refinement may take.
 const MAX_STEPS: usize = 5;
 
@@ -183,7 +186,7 @@ fn refine(differences: &[Plane], octave: usize, start: [usize; 3], threshold: f3
     for _ in 0..MAX_STEPS {
         let fit = Parabola::around(&differences[level - 1..=level + 1], x, y);
         let offset = fit.top()?;
-        if offset.iter().all(|step| step.abs() <= 0.5) {
+        if offset.iter().all(|step| step.abs() <= MAX_OFFSET) {
             let response = fit.height(&offset).abs();
             if response < threshold || fit.is_edge() {
                 return None;
