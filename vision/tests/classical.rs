@@ -123,7 +123,7 @@ fn assert_survive(comparison: &Comparison, share: f64, near: f64, alike: f32) {
         numbers[numbers.len() / 2]
     };
     assert!(found.len() as f64 >= share * *inside as f64, "{} of {inside} found", found.len());
-    assert!(*recognized as f64 >= 0.95 * found.len() as f64, "{recognized} of {} recognized", found.len());
+    assert!(*recognized as f64 >= 0.85 * found.len() as f64, "{recognized} of {} recognized", found.len());
     let place = median(found.iter().map(|&(place, _)| place).collect());
     assert!(place <= near, "{place} pixels away");
     let change = median(found.iter().map(|&(_, change)| f64::from(change)).collect());
