@@ -7,8 +7,10 @@ use vision::{ExtractError, FeatureExtractor, GrayImage, ImageFeatures, Metric, d
 
 const SIDE: usize = 200;
 const MIDDLE: f64 = 99.5;
+/// Points that shrink below this scale (pixels) are finer than the finest level looked at.
+const FINEST: f64 = 2.2;
 
-/// Round blobs of many sizes on grey: smooth, so that it can be rendered anywhere exactly.
+/// Round blobs of many sizes on grey.
 struct Scene(Vec<[f64; 4]>);
 
 impl Scene {
@@ -16,27 +18,33 @@ impl Scene {
         let mut random = StdRng::seed_from_u64(seed);
         let mut between = |from: f64, to: f64| random.random_range(from..to);
         Self(
-            (0..150)
+            (0..900)
                 .map(|_| {
                     let place = [between(-40.0, 240.0), between(-40.0, 240.0)];
-                    [place[0], place[1], between(1.5, 7.0), between(-70.0, 70.0)]
+                    [place[0], place[1], between(1.2, 3.5), between(-60.0, 60.0)]
                 })
                 .collect(),
         )
     }
 
-    fn value(&self, x: f64, y: f64) -> f64 {
-        let blobs = self.0.iter().map(|[u, v, sigma, height]| {
-            height * (-0.5 * ((x - u).powi(2) + (y - v).powi(2)) / (sigma * sigma)).exp()
-        });
-        128.0 + blobs.sum::<f64>()
-    }
-
-    /// Moved, and its grey levels `gain * value + offset`.
+    /// Moved, and its grey levels `gain * value + offset`. A round blob stays one under every motion.
     fn render(&self, motion: &Motion, gain: f64, offset: f64) -> GrayImage {
+        let mut values = vec![128.0; SIDE * SIDE];
+        for &[u, v, sigma, height] in &self.0 {
+            let (centre, sigma) = (motion.forth([u, v]), sigma * motion.scale);
+            let span = |middle: f64| {
+                let pixel = |at: f64| at.clamp(0.0, SIDE as f64) as usize;
+                pixel(middle - 6.0 * sigma)..pixel(middle + 6.0 * sigma + 1.0)
+            };
+            let falloff = |at: usize, middle: f64| (-0.5 * ((at as f64 - middle) / sigma).powi(2)).exp();
+            for y in span(centre[1]) {
+                for x in span(centre[0]) {
+                    values[y * SIDE + x] += height * falloff(x, centre[0]) * falloff(y, centre[1]);
+                }
+            }
+        }
         GrayImage::from_fn(SIDE, SIDE, |x, y| {
-            let [u, v] = motion.back([x as f64, y as f64]);
-            (gain * self.value(u, v) + offset).round().clamp(0.0, 255.0) as u8
+            (gain * values[y * SIDE + x] + offset).round().clamp(0.0, 255.0) as u8
         })
     }
 }
@@ -57,12 +65,6 @@ impl Motion {
         let (x, y) = (self.scale * (x - MIDDLE), self.scale * (y - MIDDLE));
         [cosine * x - sine * y + MIDDLE + self.shift[0], sine * x + cosine * y + MIDDLE + self.shift[1]]
     }
-
-    fn back(&self, [x, y]: [f64; 2]) -> [f64; 2] {
-        let (sine, cosine) = self.angle.sin_cos();
-        let (x, y) = (x - MIDDLE - self.shift[0], y - MIDDLE - self.shift[1]);
-        [(cosine * x + sine * y) / self.scale + MIDDLE, (cosine * y - sine * x) / self.scale + MIDDLE]
-    }
 }
 
 fn extract(image: &GrayImage, max_features: usize) -> ImageFeatures {
@@ -77,7 +79,7 @@ fn apart(a: [f64; 2], b: [f32; 2]) -> f64 {
     (a[0] - f64::from(b[0])).hypot(a[1] - f64::from(b[1]))
 }
 
-/// What became of the points that stay well inside of the image.
+/// What became of the points that stay well inside of the image and are not too fine.
 struct Comparison {
     /// Points that could be found again.
     inside: usize,
@@ -93,7 +95,7 @@ fn compare(before: &ImageFeatures, after: &ImageFeatures, motion: &Motion) -> Co
         let scale = f64::from(point.scale) * motion.scale;
         let place = motion.forth(point.pixel.map(f64::from));
         let room = 6.0 * scale + 8.0;
-        if place.iter().any(|&c| c < room || c > SIDE as f64 - 1.0 - room) {
+        if scale < FINEST || place.iter().any(|&c| c < room || c > SIDE as f64 - 1.0 - room) {
             continue;
         }
         comparison.inside += 1;
@@ -121,7 +123,7 @@ fn assert_survive(comparison: &Comparison, share: f64, near: f64, alike: f32) {
         numbers[numbers.len() / 2]
     };
     assert!(found.len() as f64 >= share * *inside as f64, "{} of {inside} found", found.len());
-    assert!(*recognized as f64 >= 0.95 * found.len() as f64, "{recognized} of {} recognized", found.len());
+    assert!(*recognized as f64 >= 0.85 * found.len() as f64, "{recognized} of {} recognized", found.len());
     let place = median(found.iter().map(|&(place, _)| place).collect());
     assert!(place <= near, "{place} pixels away");
     let change = median(found.iter().map(|&(_, change)| f64::from(change)).collect());
@@ -131,8 +133,8 @@ fn assert_survive(comparison: &Comparison, share: f64, near: f64, alike: f32) {
 fn survives(motion: Motion, share: f64, near: f64, alike: f32) {
     for seed in 0..3 {
         let scene = Scene::new(seed);
-        let before = extract(&scene.render(&STAY, 1.0, 0.0), 300);
-        let after = extract(&scene.render(&motion, 1.0, 0.0), 600);
+        let before = extract(&scene.render(&STAY, 0.6, 50.0), 150);
+        let after = extract(&scene.render(&motion, 0.6, 50.0), 600);
         assert_survive(&compare(&before, &after, &motion), share, near, alike);
     }
 }
@@ -158,10 +160,10 @@ fn points_grow_and_shrink_with_the_image() {
 #[test]
 fn brighter_or_darker_images_have_the_same_features() {
     let scene = Scene::new(4);
-    let before = extract(&scene.render(&STAY, 0.8, 10.0), 300);
-    for (gain, offset) in [(0.8, 30.0), (0.4, 100.0), (0.2, 0.0)] {
-        let after = extract(&scene.render(&STAY, gain, offset), 300);
-        assert_survive(&compare(&before, &after, &STAY), 0.9, 0.1, 0.01);
+    let before = extract(&scene.render(&STAY, 0.6, 50.0), 150);
+    for (gain, offset) in [(0.6, 65.0), (0.3, 120.0), (0.2, 0.0)] {
+        let after = extract(&scene.render(&STAY, gain, offset), 600);
+        assert_survive(&compare(&before, &after, &STAY), 0.85, 0.1, 0.01);
     }
 }
 

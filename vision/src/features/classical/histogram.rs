@@ -14,6 +14,8 @@ pub(super) const DIRECTIONS: usize = 8;
 pub(super) const NUMBERS: usize = CELLS * CELLS * DIRECTIONS;
 /// Side of a cell in units of the point's sigma; Lowe's.
 const CELL_SIGMAS: f32 = 3.0;
+/// Cells a side with one more on every side, which takes what falls outside.
+const WIDE: usize = CELLS + 2;
 /// Gradients a side of a cell: 0.6 sigma apart, which the blur of the level allows.
 const SAMPLES: usize = 5;
 /// Gradients a side of the grid: half a cell beyond the outer cells takes part in them.
@@ -58,8 +60,6 @@ impl Describer {
     ) -> [f32; NUMBERS] {
         let step = CELL_SIGMAS * sigma / SAMPLES as f32;
         self.gradients.sample(plane, centre, step, angle, SIDE);
-        // One cell more on every side takes what falls outside.
-        const WIDE: usize = CELLS + 2;
         let mut wide = [[[0.0_f32; DIRECTIONS]; WIDE]; WIDE];
         let bins_a_radian = DIRECTIONS as f32 / TAU;
         for row in 0..SIDE {
@@ -99,9 +99,13 @@ impl Describer {
 fn normalize(numbers: &mut [f32; NUMBERS]) {
     let norm = numbers.iter().map(|number| number * number).sum::<f32>().sqrt();
     let limit = LARGEST * norm;
-    numbers.iter_mut().for_each(|number| *number = number.min(limit));
+    for number in numbers.iter_mut() {
+        *number = number.min(limit);
+    }
     let sum = numbers.iter().sum::<f32>();
     if sum > 0.0 {
-        numbers.iter_mut().for_each(|number| *number = (*number / sum).sqrt());
+        for number in numbers {
+            *number = (*number / sum).sqrt();
+        }
     }
 }

@@ -115,7 +115,9 @@ fn half_kernel(sigma: f32) -> Vec<f32> {
     let radius = (KERNEL_SIGMAS * sigma).ceil() as usize;
     let mut kernel: Vec<f32> = (0..=radius).map(|k| (-0.5 * (k as f32 / sigma).powi(2)).exp()).collect();
     let sum = 2.0 * kernel.iter().sum::<f32>() - kernel[0];
-    kernel.iter_mut().for_each(|weight| *weight /= sum);
+    for weight in &mut kernel {
+        *weight /= sum;
+    }
     kernel
 }
 

@@ -16,6 +16,9 @@ const LEAST_SIDE: usize = 24;
 const BORDER: usize = 5;
 /// Largest ratio of the principal curvatures; Lowe's. Beyond it a point slides along an edge.
 const MAX_CURVATURE_RATIO: f32 = 10.0;
+/// Farthest that a refined position may be from its pixel, and from its level: a little beyond the half way, so that one
+/// between two pixels is not handed to and fro.
+const MAX_OFFSET: f32 = 0.6;
 /// Steps from pixel to pixel that the refinement may take.
 const MAX_STEPS: usize = 5;
 
@@ -130,8 +133,8 @@ impl Octave {
             for y in BORDER..height - BORDER {
                 // Half: the refined response may be larger than that of the pixel.
                 mark_promising(stack[1], y, 0.5 * threshold, &mut promising);
-                for x in BORDER..width - BORDER {
-                    if promising[x] && is_extreme(stack, x, y) {
+                for (x, &promises) in promising.iter().enumerate().take(width - BORDER).skip(BORDER) {
+                    if promises && is_extreme(stack, x, y) {
                         found.extend(refine(&self.differences, octave, [level, x, y], threshold));
                     }
                 }
@@ -154,7 +157,9 @@ fn mark_promising(plane: &Plane, y: usize, least: f32, marks: &mut [bool]) {
         let value = here[x];
         let high = left[x].max(right[x]).max(above[x].max(below[x]));
         let low = left[x].min(right[x]).min(above[x].min(below[x]));
-        *mark = (value.abs() >= least) & ((value > high) | (value < low));
+        let lead = (value - high).max(low - value);
+        // One comparison: of two the compiler would make branches.
+        *mark = lead.min(value.abs() - least) > 0.0;
     }
 }
 
@@ -183,7 +188,7 @@ fn refine(differences: &[Plane], octave: usize, start: [usize; 3], threshold: f3
     for _ in 0..MAX_STEPS {
         let fit = Parabola::around(&differences[level - 1..=level + 1], x, y);
         let offset = fit.top()?;
-        if offset.iter().all(|step| step.abs() <= 0.5) {
+        if offset.iter().all(|step| step.abs() <= MAX_OFFSET) {
             let response = fit.height(&offset).abs();
             if response < threshold || fit.is_edge() {
                 return None;
