@@ -56,13 +56,17 @@ fn images_between_those_of_the_map_are_localized() {
     let mut extractor = classical();
     let (map, report) = split.build(extractor.as_mut(), MAP_FEATURES);
     println!(
-        "{} keyframes, {} landmarks, {} observations, pixel sigma {:.2}, reprojection {:?}, sigma {:?} m",
+        "{} keyframes, {} landmarks, {} observations, pixel sigma {:.2}, {:.2?} px, poses to {:.4?} m {:.3?} deg, corrected \
+         {:.4?} m {:.3?} deg",
         report.keyframes,
         report.landmarks,
         report.observations,
         report.pixel_sigma,
         report.reprojection_px,
-        report.pose_sigma_m
+        report.pose_sigma_m,
+        report.pose_sigma_deg,
+        report.pose_correction_m,
+        report.pose_correction_deg
     );
     let found = split.localize(&map, extractor.as_mut(), QUERY_FEATURES, |image| image);
     tell("even in odd", &found);

@@ -61,8 +61,6 @@ const REFINEMENTS: usize = 3;
 const FIRST_PIXEL_SIGMA: f64 = 1.0;
 /// Limits of the measured pixel noise (px): less is rounding, more is no feature.
 const PIXEL_SIGMAS: [f64; 2] = [0.1, 5.0];
-/// Ratio of the median length of a two-dimensional normal error to its standard deviation.
-const MEDIAN_OF_RAYLEIGH: f64 = 1.1774;
 
 /// Builds a map.
 ///
@@ -212,19 +210,24 @@ fn refine_all(
     Ok((bundle, Some(joint.ok_or(BuildError::Indefinite)?)))
 }
 
-/// The pixel noise that the residuals of a refined bundle show (px): from their median, so that outliers do not count,
-/// and with the freedom that each landmark took from its pixels given back. `None` for too few pixels.
+/// The pixel noise that the residuals of a refined bundle show (px): that of the median landmark, so that outliers do not
+/// count. The squared residuals of a landmark with `n` sightings, over the noise's variance, are chi-square distributed
+/// with `2n - 3` degrees of freedom, whose median Wilson and Hilferty approximate. `None` without landmarks.
 fn measured_pixel_sigma(bundle: &Bundle, rig: &[Lens]) -> Option<f64> {
     let poses = bundle.camera_poses();
-    let mut errors: Vec<f64> = bundle.points.iter().flat_map(|point| point.errors(rig, &poses)).collect();
-    let (rows, unknowns) = (2 * errors.len(), 3 * bundle.points.len());
-    if rows <= unknowns {
+    let variance = |point: &Point| {
+        let freedom = (2 * point.sightings.len() - 3) as f64;
+        let median = freedom * (1.0 - 2.0 / (9.0 * freedom)).powi(3);
+        point.errors(rig, &poses).iter().map(|error| error * error).sum::<f64>() / median
+    };
+    let mut variances: Vec<f64> =
+        bundle.points.iter().map(variance).filter(|value| value.is_finite()).collect();
+    if variances.is_empty() {
         return None;
     }
-    let middle = errors.len() / 2;
-    let (_, median, _) = errors.select_nth_unstable_by(middle, f64::total_cmp);
-    let sigma = *median / MEDIAN_OF_RAYLEIGH * (rows as f64 / (rows - unknowns) as f64).sqrt();
-    sigma.is_finite().then(|| sigma.clamp(PIXEL_SIGMAS[0], PIXEL_SIGMAS[1]))
+    let middle = variances.len() / 2;
+    let (_, median, _) = variances.select_nth_unstable_by(middle, f64::total_cmp);
+    Some(median.sqrt().clamp(PIXEL_SIGMAS[0], PIXEL_SIGMAS[1]))
 }
 
 /// Drops sightings beyond `gate` (px), and moves the anchor where it is one of them.
