@@ -10,6 +10,10 @@ use nalgebra::Vector3;
 /// How far into a recording [`Init::Auto`] looks for a body at rest, seconds.
 const SEARCH_SECONDS: f64 = 10.0;
 
+/// How long before the first image a start from truth lies at most, nanoseconds: without images the filter would only
+/// lose what the truth tells.
+const LEAD_NS: i64 = 100_000_000;
+
 /// The first state.
 ///
 /// # Errors
@@ -60,7 +64,9 @@ fn from_truth(sequence: &Sequence, config: &EstimatorConfig) -> Result<InitialSt
         )
     };
     let imu_begin_ns = sequence.imu_samples.first().map_or(i64::MAX, |sample| sample.stamp_ns);
-    let Some(first) = rows.iter().position(|row| row.stamp_ns >= imu_begin_ns - 10_000_000) else {
+    let frames_begin_ns = sequence.frames.first().map_or(i64::MIN, |frame| frame.stamp_ns);
+    let begin_ns = (imu_begin_ns - 10_000_000).max(frames_begin_ns - LEAD_NS);
+    let Some(first) = rows.iter().position(|row| row.stamp_ns >= begin_ns) else {
         bail!("--init truth: the ground truth ends before the IMU begins")
     };
     let row = &rows[first];

@@ -21,7 +21,7 @@ pub mod tracker;
 pub use lucas_kanade::{AlignmentOptions, Found, Lost, Warp, align, align_mutually};
 pub use options::TrackerOptions;
 pub use outliers::{Consensus, OutlierOptions, find_outliers};
-pub use relative_pose::{BearingPair, RelativePose};
+pub use relative_pose::{BearingPair, Refinement, RelativePose, rotation_between};
 pub use stereo::{StereoMatch, StereoOptions, StereoPair};
 pub use tracker::{TrackedPixel, Tracker, TrackerError, TrackerFrame, TrackerReport};
 

@@ -7,7 +7,7 @@
 //! Sources: Fischler & Bolles, CACM 1981; Troiani et al., "2-point-based outlier rejection for camera-IMU systems",
 //! ICRA 2014; the five-point step in [`super::relative_pose`].
 
-use super::relative_pose::{BearingPair, RelativePose};
+use super::relative_pose::{BearingPair, Refinement, RelativePose, rotation_between};
 use geometry::Rotation;
 use nalgebra::Vector3;
 
@@ -43,7 +43,7 @@ const CONFIDENCE: f64 = 0.999;
 /// Pairs below which nothing can be said: five unknowns, and some pairs to contradict them.
 const MIN_PAIRS: usize = 8;
 /// Rounds of refinement and recounting.
-const REFINEMENTS: usize = 2;
+const REFINEMENTS: usize = 4;
 
 /// Separates the pairs that one rigid scene explains from the rest.
 ///
@@ -69,11 +69,13 @@ pub fn find_outliers(
     }
     let (mut pose, mut count) = search.best?;
     let sigma = rotation.map_or(f64::INFINITY, |(_, sigma)| sigma);
+    let noise = options.threshold / 3.0;
+    let refinement = Refinement { scale: options.threshold, noise, rotation_sigma: sigma, iterations: 4 };
     for _ in 0..REFINEMENTS {
         let chosen: Vec<bool> =
             pairs.iter().map(|pair| pose.residual(pair) < 2.0 * options.threshold).collect();
         let fitting = pairs.iter().zip(&chosen).filter(|(_, chosen)| **chosen).map(|(pair, _)| *pair);
-        let Some(refined) = pose.refined(fitting, options.threshold, sigma, 3) else { break };
+        let Some(refined) = pose.refined(fitting, &refinement) else { break };
         let refined_count = search.count(&refined);
         if refined_count < count {
             break;
@@ -132,14 +134,22 @@ impl Search<'_> {
     }
 
     fn free(&mut self) {
+        // What translation adds to the motion of a point is mostly below this many thresholds.
+        let turned = rotation_between(self.pairs, 10.0 * self.options.threshold, 10);
+        self.offer(RelativePose { current_from_previous: turned, direction: Vector3::z() });
+        let refinement = Refinement {
+            scale: f64::INFINITY,
+            noise: self.options.threshold / 3.0,
+            rotation_sigma: f64::INFINITY,
+            iterations: 8,
+        };
         let mut drawn = 0;
         while drawn < self.options.max_hypotheses && !self.is_enough(drawn, 5) {
-            let start = [Vector3::x(), Vector3::y(), Vector3::z()][drawn % 3];
+            let direction = [Vector3::x(), Vector3::y(), Vector3::z()][drawn % 3];
             drawn += 1;
             let sample = self.random.distinct::<5>(self.pairs.len()).map(|index| self.pairs[index]);
-            let start = RelativePose { current_from_previous: Rotation::identity(), direction: start };
-            // A robust scale far above any residual: five points have no outliers among themselves.
-            let Some(pose) = start.refined(sample.into_iter(), 1.0, f64::INFINITY, 8) else { continue };
+            let start = RelativePose { current_from_previous: turned, direction };
+            let Some(pose) = start.refined(sample.into_iter(), &refinement) else { continue };
             self.offer(pose);
             self.offer(RelativePose { direction: -pose.direction, ..pose });
         }

@@ -10,7 +10,7 @@
 
 use geometry::Rotation;
 use geometry::rotation::exp;
-use nalgebra::{Matrix5, Unit, Vector3, Vector5};
+use nalgebra::{Matrix3, Matrix5, Unit, Vector3, Vector5};
 
 /// Unit bearings of one point in two images.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -30,6 +30,41 @@ pub struct RelativePose {
     pub direction: Vector3<f64>,
 }
 
+/// How [`RelativePose::refined`] weighs and ends.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Refinement {
+    /// Pairs beyond this angle count less and less (Geman-McClure), radians; infinite to weigh all alike.
+    pub scale: f64,
+    /// Noise of a bearing, radians.
+    pub noise: f64,
+    /// How well the rotation is known from elsewhere, radians; infinite if not at all.
+    pub rotation_sigma: f64,
+    /// Steps of Gauss and Newton.
+    pub iterations: usize,
+}
+
+/// The rotation alone that brings most pairs together: least squares on the sphere, robust against the others.
+///
+/// # Arguments
+/// * `scale`: pairs that are further apart count less and less, radians.
+pub fn rotation_between(pairs: &[BearingPair], scale: f64, iterations: usize) -> Rotation {
+    let mut rotation = Rotation::identity();
+    for _ in 0..iterations {
+        let mut normal = Matrix3::<f64>::zeros();
+        let mut right = Vector3::zeros();
+        for pair in pairs {
+            let turned = rotation * pair.previous;
+            let off = pair.current - turned;
+            let weight = 1.0 / (1.0 + off.norm_squared() / (scale * scale)).powi(2);
+            normal += (Matrix3::identity() - turned * turned.transpose()) * weight;
+            right += turned.cross(&off) * weight;
+        }
+        let Some(step) = normal.cholesky().map(|factor| factor.solve(&right)) else { break };
+        rotation = exp(&step) * rotation;
+    }
+    rotation
+}
+
 impl RelativePose {
     /// The angle by which a pair does not fit, radians.
     pub fn residual(&self, pair: &BearingPair) -> f64 {
@@ -47,26 +82,19 @@ impl RelativePose {
 
     /// Least squares of the angles to the epipolar planes, from this pose on.
     ///
-    /// Robust: pairs beyond `scale` (radians) count less and less (Geman-McClure).
-    ///
-    /// # Arguments
-    /// * `rotation_sigma`: how well the rotation is known from elsewhere, radians; infinite if not at all.
-    ///
     /// # Returns
     /// None where the equations have no solution.
     pub fn refined(
         &self,
         pairs: impl Iterator<Item = BearingPair> + Clone,
-        scale: f64,
-        rotation_sigma: f64,
-        iterations: usize,
+        options: &Refinement,
     ) -> Option<Self> {
-        // Keeps the direction where nothing moved: a parallax of a tenth of `scale` counts for nothing.
-        let damping = 1e-2 * scale * scale;
-        let prior = (scale / rotation_sigma).powi(2);
+        // Keeps the direction where nothing moved: a parallax of a tenth of the noise counts for nothing.
+        let damping = 1e-2 * options.noise * options.noise;
+        let prior = (options.noise / options.rotation_sigma).powi(2);
         let mut pose = *self;
         let mut correction = Vector3::zeros();
-        for _ in 0..iterations {
+        for _ in 0..options.iterations {
             let [across, upward] = tangents(&pose.direction);
             let mut normal = Matrix5::<f64>::zeros();
             let mut right = Vector5::<f64>::zeros();
@@ -77,7 +105,7 @@ impl RelativePose {
                 let residual = pair.current.dot(&plane) / length;
                 let by_turn = far.cross(&pair.current.cross(&pose.direction)) / length;
                 let by_direction = far.cross(&pair.current) / length;
-                let ratio = residual / scale;
+                let ratio = residual / options.scale;
                 let weight = 1.0 / (1.0 + ratio * ratio).powi(2);
                 let row = Vector5::new(
                     by_turn.x,

@@ -19,7 +19,7 @@ const LATTICE: usize = 256;
 impl Texture {
     pub fn new(seed: u64) -> Self {
         let mut random = StdRng::seed_from_u64(seed);
-        let octaves = [(64.0, 60.0), (27.0, 50.0), (12.0, 42.0), (6.0, 25.0)];
+        let octaves = [(64.0, 35.0), (27.0, 30.0), (12.0, 25.0), (6.0, 15.0)];
         let lattices = octaves
             .iter()
             .map(|(width, amplitude)| {
@@ -30,7 +30,7 @@ impl Texture {
         Self { lattices }
     }
 
-    /// Grey level at a point of the plane, about 10 to 245.
+    /// Grey level at a point of the plane, 23 to 233.
     pub fn at(&self, x: f64, y: f64) -> f64 {
         let mut sum = 128.0;
         for (width, amplitude, values) in &self.lattices {

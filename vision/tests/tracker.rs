@@ -1,0 +1,206 @@
+//! Laws of the tracker: a textured wall before a moving camera pair.
+
+mod common;
+
+use common::{SIZE, Texture};
+use geometry::rotation::exp;
+use geometry::{Camera, Distortion, Pose, Rotation};
+use nalgebra::{Vector2, Vector3};
+use std::collections::{BTreeMap, BTreeSet};
+use vision::GrayImage;
+use vision::tracking::{TrackedPixel, Tracker, TrackerError, TrackerFrame, TrackerOptions};
+
+const PERIOD_NS: i64 = 50_000_000;
+/// Distance of the wall, metres, and its texture's lattice points a metre: one a pixel.
+const WALL: f64 = 3.0;
+const SCALE: f64 = 460.0 / WALL;
+
+fn camera() -> Camera {
+    let distortion = Distortion::RadialTangential([-0.28, 0.07, 0.0002, 0.0]);
+    let [width, height] = SIZE.map(|side| side as u32);
+    Camera { width, height, focal: [460.0, 458.0], centre: [367.0, 248.0], distortion }
+}
+
+/// The second camera sits 0.11 m to the right and is turned a little.
+fn first_from_second() -> Pose {
+    Pose::new(exp(&Vector3::new(0.004, -0.006, 0.003)), Vector3::new(0.11, 0.001, -0.002))
+}
+
+/// Where on the wall z = WALL a pixel of a camera at `world_from_camera` looks, metres.
+fn on_wall(world_from_camera: &Pose, pixel: &Vector2<f64>) -> Vector3<f64> {
+    let ray = world_from_camera.rotation * camera().unproject(pixel).unwrap().push(1.0);
+    let start = world_from_camera.translation;
+    start + ray * ((WALL - start.z) / ray.z)
+}
+
+fn photograph(texture: &Texture, world_from_camera: &Pose) -> GrayImage {
+    GrayImage::from_fn(SIZE[0], SIZE[1], |x, y| {
+        let point = on_wall(world_from_camera, &Vector2::new(x as f64, y as f64));
+        texture.at(point.x * SCALE, point.y * SCALE).clamp(0.0, 255.0) as u8
+    })
+}
+
+fn pose(k: usize) -> Pose {
+    let t = k as f64;
+    let turn = Vector3::new(0.01 * (t * 0.9).sin(), 0.012 * t, 0.02 * (t * 0.7).sin());
+    Pose::new(exp(&turn), Vector3::new(0.04 * t, -0.02 * t, 0.03 * (t * 0.5).sin()))
+}
+
+fn turned(k: usize) -> Rotation {
+    pose(k).rotation.inverse() * pose(k - 1).rotation
+}
+
+fn frame(texture: &Texture, k: usize, stereo: bool, gyroscope: bool) -> TrackerFrame {
+    let second_pose = pose(k).compose(&first_from_second());
+    TrackerFrame {
+        stamp_ns: k as i64 * PERIOD_NS,
+        image: photograph(texture, &pose(k)),
+        second_image: stereo.then(|| photograph(texture, &second_pose)),
+        rotation: (gyroscope && k > 0).then(|| turned(k)),
+        rotation_sigma: 1e-3,
+    }
+}
+
+fn tracker(stereo: bool, options: TrackerOptions) -> Tracker {
+    let second = stereo.then(|| (camera(), first_from_second().inverse()));
+    Tracker::new(camera(), second, options).unwrap()
+}
+
+fn ids(tracks: &[TrackedPixel]) -> BTreeSet<u64> {
+    tracks.iter().filter(|track| track.camera == 0).map(|track| track.feature_id).collect()
+}
+
+#[test]
+fn tracks_stay_on_their_points_and_ids_are_never_used_again() {
+    let texture = Texture::new(1);
+    for gyroscope in [true, false] {
+        let mut tracker = tracker(false, TrackerOptions::default());
+        let mut first_seen = BTreeMap::new();
+        let mut before = BTreeSet::new();
+        let mut ended = BTreeSet::new();
+        let (mut drifts, mut continued) = (Vec::new(), 0);
+        for k in 0..8 {
+            let tracks = tracker.track(frame(&texture, k, false, gyroscope)).unwrap();
+            let now = ids(&tracks);
+            assert_eq!(now.len(), tracks.len(), "an id is in an image once");
+            assert_eq!(tracks.len(), 200);
+            ended.extend(before.difference(&now));
+            assert!(now.is_disjoint(&ended), "an ended track comes back");
+            continued += now.intersection(&before).count();
+            before = now;
+            for track in tracks {
+                let point = on_wall(&pose(k), &track.pixel);
+                let first = *first_seen.entry(track.feature_id).or_insert(point);
+                drifts.push((point - first).norm() * SCALE);
+            }
+        }
+        assert!(continued > 7 * 160, "{continued} continued");
+        drifts.sort_by(f64::total_cmp);
+        let most = drifts[drifts.len() * 95 / 100];
+        assert!(most < 0.5, "95 % within {most} px of where they began (gyroscope: {gyroscope})");
+    }
+}
+
+#[test]
+fn the_second_camera_sees_the_same_points() {
+    let texture = Texture::new(2);
+    let mut tracker = tracker(true, TrackerOptions::default());
+    for k in 0..3 {
+        let tracks = tracker.track(frame(&texture, k, true, true)).unwrap();
+        let first: BTreeMap<u64, Vector2<f64>> =
+            tracks.iter().filter(|track| track.camera == 0).map(|t| (t.feature_id, t.pixel)).collect();
+        let second: Vec<_> = tracks.iter().filter(|track| track.camera == 1).collect();
+        assert!(second.len() > 140, "{} of {} are seen by both", second.len(), first.len());
+        let mut errors: Vec<f64> = second
+            .iter()
+            .map(|track| {
+                let point = on_wall(&pose(k), &first[&track.feature_id]);
+                let second_pose = pose(k).compose(&first_from_second());
+                (camera().project(&second_pose.inverse_transform(&point)).unwrap() - track.pixel).norm()
+            })
+            .collect();
+        errors.sort_by(f64::total_cmp);
+        assert!(errors[errors.len() * 95 / 100] < 0.3, "{:?}", errors.last());
+    }
+}
+
+#[test]
+fn after_a_long_gap_all_tracks_are_new_and_after_a_short_one_they_go_on() {
+    let texture = Texture::new(3);
+    let mut tracker = tracker(false, TrackerOptions::default().max_gap_ns(2 * PERIOD_NS));
+    let mut look = |k: usize| {
+        let frame = TrackerFrame { rotation: None, ..frame(&texture, k, false, false) };
+        ids(&tracker.track(frame).unwrap())
+    };
+    let (first, second, third) = (look(0), look(2), look(5));
+    assert!(first.intersection(&second).count() > 100);
+    assert!(second.is_disjoint(&third) && first.is_disjoint(&third));
+}
+
+#[test]
+fn nothing_is_tracked_under_a_mask() {
+    let texture = Texture::new(4);
+    let mask = GrayImage::from_fn(SIZE[0], SIZE[1], |x, y| if x > 300 && y > 200 { 0 } else { 255 });
+    let mut tracker = tracker(true, TrackerOptions::default().mask(0, mask.clone()).mask(1, mask.clone()));
+    for k in 0..4 {
+        let tracks = tracker.track(frame(&texture, k, true, true)).unwrap();
+        assert!(tracks.len() > 200);
+        for track in tracks {
+            assert_ne!(mask.get(track.pixel.x.round() as usize, track.pixel.y.round() as usize), 0);
+        }
+    }
+}
+
+#[test]
+fn what_moves_on_its_own_is_thrown_out() {
+    let texture = Texture::new(5);
+    let other = Texture::new(6);
+    let mut tracker = tracker(false, TrackerOptions::default());
+    // A poster slides over the image, across the direction of motion.
+    let poster = |x: usize, y: usize| (420..580).contains(&x) && (150..320).contains(&y);
+    let mut stays = Vec::new();
+    for k in 0..4 {
+        let mut input = frame(&texture, k, false, true);
+        let slide = 6.0 * k as f64;
+        input.image = GrayImage::from_fn(SIZE[0], SIZE[1], |x, y| {
+            if poster(x, y) { other.at(x as f64, y as f64 + slide) as u8 } else { input.image.get(x, y) }
+        });
+        let tracks = tracker.track(input).unwrap();
+        stays.push(
+            tracks
+                .iter()
+                .filter(|t| t.feature_id < 200)
+                .filter(|t| (430.0..570.0).contains(&t.pixel.x) && (160.0..310.0).contains(&t.pixel.y))
+                .count(),
+        );
+    }
+    assert!(stays[0] >= 10 && stays[3] * 5 <= stays[0], "{stays:?}");
+}
+
+#[test]
+fn images_that_do_not_fit_are_refused_and_the_next_one_goes_on() {
+    let texture = Texture::new(7);
+    let mut tracker = tracker(false, TrackerOptions::default());
+    let before = ids(&tracker.track(frame(&texture, 0, false, false)).unwrap());
+    let old = frame(&texture, 0, false, false);
+    assert!(matches!(tracker.track(old), Err(TrackerError::OldImage { .. })));
+    let mut small = frame(&texture, 1, false, false);
+    small.image = GrayImage::from_fn(100, 100, |_, _| 0);
+    assert!(matches!(tracker.track(small), Err(TrackerError::ImageSize { camera: 0, .. })));
+    let after = ids(&tracker.track(frame(&texture, 1, false, false)).unwrap());
+    assert!(before.intersection(&after).count() > 150);
+    let mask = GrayImage::from_fn(10, 10, |_, _| 255);
+    let wrong = Tracker::new(camera(), None, TrackerOptions::default().mask(0, mask));
+    assert!(matches!(wrong, Err(TrackerError::MaskSize { camera: 0, .. })));
+}
+
+#[test]
+fn a_black_image_ends_all_tracks_and_is_no_error() {
+    let texture = Texture::new(8);
+    let mut tracker = tracker(false, TrackerOptions::default());
+    tracker.track(frame(&texture, 0, false, true)).unwrap();
+    let mut dark = frame(&texture, 1, false, true);
+    dark.image = GrayImage::from_fn(SIZE[0], SIZE[1], |_, _| 0);
+    assert!(tracker.track(dark).unwrap().is_empty());
+    assert_eq!(tracker.track(frame(&texture, 2, false, true)).unwrap().len(), 200);
+}
