@@ -16,13 +16,19 @@
 pub mod descriptors;
 pub mod features;
 pub mod image;
+pub mod looks;
 pub mod matching;
 pub mod multi_index;
+mod prepared;
 pub mod sketch;
+pub mod word_index;
+mod words;
 
 pub use descriptors::{DescriptorError, DescriptorView, Metric, distance, hamming};
 pub use features::{ExtractError, FeatureExtractor, ImageFeatures, Keypoint};
 pub use image::{GrayImage, ImageError};
+pub use looks::looks;
 pub use matching::{Match, MatchOptions, match_descriptors, match_grouped};
 pub use multi_index::{Candidate, MultiIndex};
 pub use sketch::{SKETCH_BYTES, Sketcher};
+pub use word_index::{Hit, WordIndex};

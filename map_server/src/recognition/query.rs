@@ -118,6 +118,19 @@ impl LoadedMap {
         Ok(LocalizeReply { map_version: self.info.version, outcome: search.outcome, fix })
     }
 
+    /// The keyframes that look most like an image, best first, before any of them is compared feature by feature.
+    ///
+    /// # Arguments
+    /// * `count`: at most so many; fewer where only few share a feature with the image.
+    ///
+    /// # Errors
+    /// [`QueryError`] where the features cannot be compared with the map.
+    pub fn most_alike(&self, features: &FeatureSet, count: usize) -> Result<Vec<KeyframeId>, QueryError> {
+        let votes = self.index.vote(self.view(features)?, &self.landmarks, self.keyframes.len())?;
+        let ranked = best_voted(&votes, count, 1, |_| true);
+        Ok(ranked.into_iter().map(|at| self.keyframes[at].keyframe.id).collect())
+    }
+
     /// One keyframe with what it sees, `None` where the map has none of that id.
     pub fn keyframe_reply(&self, id: KeyframeId) -> Option<KeyframeReply> {
         let loaded = &self.keyframes[self.position_of(id)?];
@@ -162,6 +175,20 @@ impl LoadedMap {
         DescriptorFormat { kind: self.info.descriptor_kind, width: self.info.descriptor_width }
     }
 
+    /// A query's descriptors, which must be comparable with the map's.
+    fn view<'a>(&self, features: &'a FeatureSet) -> Result<DescriptorView<'a>, QueryError> {
+        let query = features.descriptors.format();
+        if query != self.format() {
+            return Err(QueryError::DescriptorMismatch { query, map: self.format() });
+        }
+        let (stated, wanted) = (&features.extractor, &self.info.extractor);
+        if !stated.is_empty() && !wanted.is_empty() && stated != wanted {
+            return Err(QueryError::ExtractorMismatch { query: stated.clone(), map: wanted.clone() });
+        }
+        let width = usize::from(query.width);
+        Ok(DescriptorView::new(self.metric(), width, &features.descriptors.bytes)?)
+    }
+
     fn search(
         &self,
         camera: &Camera,
@@ -177,18 +204,9 @@ impl LoadedMap {
         if features.len() < options.min_inliers {
             return nothing(MatchOutcome::TooFewFeatures);
         }
-        let query = features.descriptors.format();
-        if query != self.format() {
-            return Err(QueryError::DescriptorMismatch { query, map: self.format() });
-        }
-        let (stated, wanted) = (&features.extractor, &self.info.extractor);
-        if !stated.is_empty() && !wanted.is_empty() && stated != wanted {
-            return Err(QueryError::ExtractorMismatch { query: stated.clone(), map: wanted.clone() });
-        }
-        let descriptors =
-            DescriptorView::new(self.metric(), usize::from(query.width), &features.descriptors.bytes)?;
+        let descriptors = self.view(features)?;
         let image = Image { camera, features, descriptors, gravity_in_camera };
-        let votes = self.index.vote(descriptors, self.keyframes.len())?;
+        let votes = self.index.vote(descriptors, &self.landmarks, self.keyframes.len())?;
         let candidates = |eligible: &dyn Fn(usize) -> bool| {
             best_voted(&votes, options.candidates, options.min_votes, eligible)
         };
