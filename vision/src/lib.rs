@@ -6,8 +6,8 @@
 //! | [`features`] | finding and describing the distinctive points of an image |
 //! | [`descriptors`] | descriptors in memory, and distances between them |
 //! | [`matching`] | which descriptor is which: nearest neighbours with distance, ratio and mutual checks |
-//! | [`multi_index`] | near binary descriptors among very many |
-//! | [`sketch`] | float descriptors as bits, for the same index |
+//! | [`word_index`] | near descriptors among very many |
+//! | [`looks`](mod@looks) | few descriptors that stand for all views of one thing |
 //!
 //! The program that brings descriptors says how they are compared ([`Metric`]); this crate knows no map and no
 //! wire.
@@ -18,9 +18,7 @@ pub mod features;
 pub mod image;
 pub mod looks;
 pub mod matching;
-pub mod multi_index;
 mod prepared;
-pub mod sketch;
 pub mod word_index;
 mod words;
 
@@ -29,6 +27,4 @@ pub use features::{ExtractError, FeatureExtractor, ImageFeatures, Keypoint};
 pub use image::{GrayImage, ImageError};
 pub use looks::looks;
 pub use matching::{Match, MatchOptions, match_descriptors, match_grouped};
-pub use multi_index::{Candidate, MultiIndex};
-pub use sketch::{SKETCH_BYTES, Sketcher};
 pub use word_index::{Hit, WordIndex};

@@ -14,11 +14,11 @@ use crate::prepared::Prepared;
 use crate::words::Words;
 
 /// Stored descriptors a word on average: lists that are short beside the cost of finding a query's words.
-const ENTRIES_A_WORD: usize = 256;
+const ENTRIES_A_WORD: usize = 128;
 /// Most words: a query is compared with each.
 const MAX_WORDS: usize = 2048;
 /// Words whose lists a query looks through.
-const PROBES: usize = 4;
+const PROBES: usize = 3;
 /// Descriptors a word that the words are trained on.
 const SAMPLE_A_WORD: usize = 32;
 

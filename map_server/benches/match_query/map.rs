@@ -88,7 +88,7 @@ impl World {
                 }
                 let anchor = observations[0].keyframe;
                 let pose = world.camera_at(street, (anchor as usize % STREET) as f64, 0.0, 0.0);
-                let position = pose.inverse_transform(&world.streets[street][point].0);
+                let position = pose.inverse_transform(&(world.streets[street][point].0 + beside(street)));
                 map.landmarks.push(Landmark {
                     id: (street * 1_000_000 + point) as u64,
                     anchor,
@@ -108,7 +108,7 @@ impl World {
                 0.0,
                 -std::f64::consts::FRAC_PI_2,
             );
-        Pose::new(level_from_camera, Vector3::new(x, y + 100.0 * street as f64, 1.0))
+        Pose::new(level_from_camera, Vector3::new(x, y, 1.0) + beside(street))
     }
 
     fn see(
@@ -118,11 +118,10 @@ impl World {
         sigma: f64,
         rng: &mut StdRng,
     ) -> Vec<(usize, [f32; 2])> {
-        let offset = Vector3::new(0.0, 100.0 * street as f64, 0.0);
         let mut seen = Vec::new();
         let points = &self.streets[street];
         for (index, (point, _)) in points.iter().enumerate() {
-            let in_camera = global_from_camera.inverse_transform(&(point + offset));
+            let in_camera = global_from_camera.inverse_transform(&(point + beside(street)));
             if in_camera.z < 1.0 || in_camera.norm() > 15.0 || in_camera.xy().norm() > 1.1 * in_camera.z {
                 continue;
             }
@@ -166,6 +165,11 @@ impl World {
             max_keyframes: 3,
         }
     }
+}
+
+/// Where a street begins (m).
+fn beside(street: usize) -> Vector3<f64> {
+    Vector3::new(0.0, 100.0 * street as f64, 0.0)
 }
 
 fn look(words: &[Vec<f32>], rng: &mut StdRng) -> Vec<f32> {

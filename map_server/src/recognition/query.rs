@@ -12,6 +12,7 @@ use vision::{DescriptorError, DescriptorView};
 
 use super::answer::{matched_keyframes, record};
 use super::consensus::{Consensus, agree};
+use super::fuse::{Fused, fuse};
 use super::index::best_voted;
 use super::loaded_map::LoadedMap;
 use super::options::RecognitionOptions;
@@ -96,7 +97,8 @@ impl LoadedMap {
 
     /// Answers a one-shot localization query.
     ///
-    /// The covariance of the pose holds the pixels' noise and the best keyframe's own uncertainty.
+    /// The pose comes from all verified keyframes of the place together. Its covariance holds the pixels' noise, the
+    /// scatter of the landmarks and the uncertainty of the keyframes.
     ///
     /// # Errors
     /// [`QueryError`] where the query cannot be compared with the map.
@@ -108,14 +110,33 @@ impl LoadedMap {
         let gravity = request.gravity_in_camera.map(Vector3::from);
         let search =
             self.search(&request.camera, &request.features, request.prior.as_ref(), gravity, options)?;
-        let fix = search.place.first().map(|best| LocalizedPose {
+        let fix = match search.place.first() {
+            Some(best) => {
+                let descriptors = self.view(&request.features)?;
+                let (camera, features) = (&request.camera, &request.features);
+                let image = Image { camera, features, descriptors, gravity_in_camera: gravity };
+                Some(self.localized(best, fuse(self, &search.place, &image, options)))
+            }
+            None => None,
+        };
+        Ok(LocalizeReply { map_version: self.info.version, outcome: search.outcome, fix })
+    }
+
+    /// The fused pose, or that of the best keyframe where fusion failed.
+    fn localized(&self, best: &Verified, fused: Option<Fused>) -> LocalizedPose {
+        let fused = fused.unwrap_or(Fused {
             global_from_camera: best.global_from_camera,
-            keyframe: self.keyframes[best.keyframe].keyframe.id,
-            matched_features: best.matches as u32,
-            inliers: best.inliers.len() as u32,
+            inliers: best.inliers.len(),
+            matched: best.matches.len(),
             mean_error_px: best.mean_error_px,
         });
-        Ok(LocalizeReply { map_version: self.info.version, outcome: search.outcome, fix })
+        LocalizedPose {
+            global_from_camera: fused.global_from_camera,
+            keyframe: self.keyframes[best.keyframe].keyframe.id,
+            matched_features: fused.matched as u32,
+            inliers: fused.inliers as u32,
+            mean_error_px: fused.mean_error_px,
+        }
     }
 
     /// The keyframes that look most like an image, best first, before any of them is compared feature by feature.
