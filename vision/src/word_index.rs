@@ -18,7 +18,7 @@ const ENTRIES_A_WORD: usize = 128;
 /// Most words: a query is compared with each.
 const MAX_WORDS: usize = 2048;
 /// Words whose lists a query looks through.
-const PROBES: usize = 3;
+const PROBES: usize = 2;
 /// Descriptors a word that the words are trained on.
 const SAMPLE_A_WORD: usize = 32;
 

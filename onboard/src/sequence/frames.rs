@@ -4,7 +4,7 @@ use super::error::SequenceError;
 use super::table::{Row, Table, check_order};
 use crate::estimator::TrackObservation;
 use nalgebra::Vector2;
-use protocol::{DescriptorKind, Descriptors, FeatureSet};
+use protocol::{DescriptorFormat, DescriptorKind, FeatureSet};
 use std::path::{Path, PathBuf};
 
 /// One instant at which the cameras looked.

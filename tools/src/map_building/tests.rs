@@ -8,7 +8,7 @@ use geometry::pose::Pose;
 use geometry::rotation;
 use nalgebra::{DMatrix, DVector, Matrix3, Matrix6, Matrix6x3, Vector2, Vector3, Vector6};
 use onboard::sequence::{CameraSensor, Frame};
-use protocol::{DescriptorKind, Descriptors, FeatureSet};
+use protocol::{DescriptorFormat, DescriptorKind, FeatureSet};
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 use rand_distr::{Distribution, StandardNormal};

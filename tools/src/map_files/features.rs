@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use protocol::{DescriptorKind, Descriptors, FeatureSet};
+use protocol::{DescriptorFormat, DescriptorKind, FeatureSet};
 
 use super::error::MapFileError;
 use super::table::Table;

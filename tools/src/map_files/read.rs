@@ -9,7 +9,7 @@ use geometry::uncertain_pose::PoseWithCovariance;
 use map_server::contents::MapContents;
 use map_server::model::{CrossCovariance, Keyframe, Landmark, Observation};
 use nalgebra::{Matrix6, Quaternion, Unit, Vector3};
-use protocol::{DescriptorKind, Descriptors, FeatureSet, KeyframeId, LandmarkId};
+use protocol::{DescriptorFormat, DescriptorKind, FeatureSet, KeyframeId, LandmarkId};
 
 use super::camera_yaml::read_camera;
 use super::error::MapFileError;
