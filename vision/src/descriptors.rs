@@ -174,12 +174,12 @@ pub(crate) fn signed(bytes: &[u8]) -> impl Iterator<Item = f32> {
 }
 
 /// A distance that is not a number (the descriptors held NaN or infinity) is infinite: such descriptors match nothing.
-fn number_or_infinite(distance: f32) -> f32 {
+pub(crate) fn number_or_infinite(distance: f32) -> f32 {
     if distance.is_nan() { f32::INFINITY } else { distance }
 }
 
 /// Rounding can take a cosine beyond 1; the distance stays non-negative. (`NaN.max(0.0)` would be 0, a perfect match.)
-fn distance_of_cosine(cosine: f32) -> f32 {
+pub(crate) fn distance_of_cosine(cosine: f32) -> f32 {
     number_or_infinite(1.0 - cosine).max(0.0)
 }
 
@@ -188,7 +188,9 @@ pub fn distance(metric: Metric, a: &[u8], b: &[u8]) -> f32 {
     match metric {
         Metric::Hamming => hamming(a, b) as f32 / (8 * a.len()).max(1) as f32,
         Metric::Cosine => cosine_distance(floats(a).zip(floats(b))),
-        Metric::CosineInt8 => cosine_distance(signed(a).zip(signed(b))),
+        Metric::CosineInt8 => {
+            int8_distance(dot_int8(a, b) as f32, inverse_norm_int8(a), inverse_norm_int8(b))
+        }
         Metric::Euclidean => {
             number_or_infinite(floats(a).zip(floats(b)).map(|(x, y)| (x - y) * (x - y)).sum::<f32>().sqrt())
         }
@@ -207,90 +209,21 @@ fn cosine_distance(pairs: impl Iterator<Item = (f32, f32)>) -> f32 {
     if norms == 0.0 { 1.0 } else { distance_of_cosine(dot / norms) }
 }
 
-/// Descriptors made ready to be compared many times: words of bits, or numbers (of norm 1 for the cosine).
-pub(crate) enum Prepared {
-    /// Words a descriptor, and all words; the last word of each is filled up with zeros.
-    Bits { words: usize, bits: usize, data: Vec<u64> },
-    /// Numbers a descriptor, all numbers, and whether they are unit vectors compared by their cosine.
-    Floats { dimension: usize, data: Vec<f32>, cosine: bool },
+/// Scalar product of two vectors of signed bytes, exact up to 2^17 of them.
+pub(crate) fn dot_int8(a: &[u8], b: &[u8]) -> i32 {
+    let product = |(x, y): (&u8, &u8)| i32::from(x.cast_signed()) * i32::from(y.cast_signed());
+    a.iter().zip(b).map(product).sum()
 }
 
-impl Prepared {
-    /// Converts each descriptor once.
-    pub(crate) fn new(view: &DescriptorView<'_>) -> Self {
-        match view.metric {
-            Metric::Hamming => {
-                let words = view.width.div_ceil(8);
-                let mut data = Vec::with_capacity(words * view.len());
-                for descriptor in view {
-                    data.extend(descriptor.chunks(8).map(|chunk| {
-                        let mut word = [0; 8];
-                        word[..chunk.len()].copy_from_slice(chunk);
-                        u64::from_le_bytes(word)
-                    }));
-                }
-                Self::Bits { words, bits: 8 * view.width, data }
-            }
-            Metric::Euclidean => {
-                Self::Floats { dimension: view.width / 4, data: floats(view.bytes).collect(), cosine: false }
-            }
-            Metric::Cosine => Self::unit_vectors(view.width / 4, floats(view.bytes).collect()),
-            Metric::CosineInt8 => Self::unit_vectors(view.width, signed(view.bytes).collect()),
-        }
-    }
-
-    fn unit_vectors(dimension: usize, mut data: Vec<f32>) -> Self {
-        for descriptor in data.chunks_exact_mut(dimension) {
-            let norm = descriptor.iter().map(|x| x * x).sum::<f32>().sqrt();
-            if norm > 0.0 {
-                for number in descriptor {
-                    *number /= norm;
-                }
-            }
-        }
-        Self::Floats { dimension, data, cosine: true }
-    }
-
-    /// Writes the distances from descriptor `index` to every one of `others`, which must be of the same format.
-    pub(crate) fn distances_to(&self, index: usize, others: &Self, row: &mut Vec<f32>) {
-        row.clear();
-        match (self, others) {
-            (Self::Bits { words, bits, data }, Self::Bits { data: others, .. }) => {
-                let own = &data[index * words..(index + 1) * words];
-                let scale = *bits as f32;
-                row.extend(others.chunks_exact(*words).map(|other| {
-                    let flips: u32 = own.iter().zip(other).map(|(x, y)| (x ^ y).count_ones()).sum();
-                    flips as f32 / scale
-                }));
-            }
-            (Self::Floats { dimension, data, cosine }, Self::Floats { data: others, .. }) => {
-                let own = &data[index * dimension..(index + 1) * dimension];
-                row.extend(others.chunks_exact(*dimension).map(|other| {
-                    if *cosine { distance_of_cosine(dot(own, other)) } else { euclidean(own, other) }
-                }));
-            }
-            _ => {}
-        }
-    }
+/// 1 over the norm of a vector of signed bytes; 0 for a vector of zeros.
+pub(crate) fn inverse_norm_int8(bytes: &[u8]) -> f32 {
+    let squared = dot_int8(bytes, bytes) as f32;
+    if squared > 0.0 { 1.0 / squared.sqrt() } else { 0.0 }
 }
 
-/// Sums in eight lanes, which the compiler turns into vector instructions (a plain sum must keep its order).
-fn lanes(a: &[f32], b: &[f32], term: impl Fn(f32, f32) -> f32) -> f32 {
-    let (blocks_a, rest_a) = a.as_chunks::<8>();
-    let (blocks_b, rest_b) = b.as_chunks::<8>();
-    let mut sums = [0.0; 8];
-    for (x, y) in blocks_a.iter().zip(blocks_b) {
-        for lane in 0..8 {
-            sums[lane] += term(x[lane], y[lane]);
-        }
-    }
-    sums.iter().sum::<f32>() + rest_a.iter().zip(rest_b).map(|(x, y)| term(*x, *y)).sum::<f32>()
-}
-
-fn dot(a: &[f32], b: &[f32]) -> f32 {
-    lanes(a, b, |x, y| x * y)
-}
-
-fn euclidean(a: &[f32], b: &[f32]) -> f32 {
-    number_or_infinite(lanes(a, b, |x, y| (x - y) * (x - y)).sqrt())
+/// Cosine distance from the scalar product and the inverse norms; 1 where one of these is 0.
+pub(crate) fn int8_distance(dot: f32, inverse_norm_a: f32, inverse_norm_b: f32) -> f32 {
+    let distance = 1.0 - dot * (inverse_norm_a * inverse_norm_b);
+    // Rounding; a comparison rather than `max`, which would not become a vector instruction.
+    if distance < 0.0 { 0.0 } else { distance }
 }

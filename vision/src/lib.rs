@@ -10,8 +10,8 @@
 //! | [`features`] | finding and describing the distinctive points of an image |
 //! | [`descriptors`] | descriptors in memory, and distances between them |
 //! | [`matching`] | which descriptor is which: nearest neighbours with distance, ratio and mutual checks |
-//! | [`multi_index`] | near binary descriptors among very many |
-//! | [`sketch`] | float descriptors as bits, for the same index |
+//! | [`word_index`] | near descriptors among very many |
+//! | [`looks`](mod@looks) | few descriptors that stand for all views of one thing |
 //!
 //! The program that brings descriptors says how they are compared ([`Metric`]); this crate knows no map and no
 //! wire.
@@ -22,18 +22,20 @@ pub mod descriptors;
 pub mod equalization;
 pub mod features;
 pub mod image;
+pub mod looks;
 pub mod matching;
-pub mod multi_index;
+mod prepared;
 pub mod pyramid;
-pub mod sketch;
 pub mod tracking;
+pub mod word_index;
+mod words;
 
 pub use corners::{Corner, CornerOptions, detect_corners};
 pub use descriptors::{DescriptorError, DescriptorView, Metric, distance, hamming};
 pub use equalization::{Equalization, LocalEqualization, equalize, equalize_locally};
 pub use features::{ExtractError, FeatureExtractor, ImageFeatures, Keypoint};
 pub use image::{GrayImage, ImageError};
+pub use looks::looks;
 pub use matching::{Match, MatchOptions, match_descriptors, match_grouped};
-pub use multi_index::{Candidate, MultiIndex};
 pub use pyramid::Pyramid;
-pub use sketch::{SKETCH_BYTES, Sketcher};
+pub use word_index::{Hit, WordIndex};

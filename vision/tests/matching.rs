@@ -101,6 +101,65 @@ proptest! {
     }
 }
 
+/// What [`match_grouped`] says, written down as plainly as it can be.
+fn plainly(
+    query: DescriptorView<'_>,
+    train: DescriptorView<'_>,
+    groups: &[u64],
+    options: &MatchOptions,
+) -> Vec<Match> {
+    let apart = |q: &[u8], t: &[u8]| distance(query.metric(), q, t);
+    let mut matches = Vec::new();
+    for (index, own) in query.iter().enumerate() {
+        let row: Vec<f32> = train.iter().map(|other| apart(own, other)).collect();
+        let Some(best) = (0..row.len()).reduce(|best, next| if row[next] < row[best] { next } else { best })
+        else {
+            continue;
+        };
+        let clear = (0..row.len()).filter(|&other| groups[other] != groups[best]);
+        let clear =
+            options.ratio.is_none_or(|ratio| clear.clone().all(|other| row[best] < ratio * row[other]));
+        let of_group = || train.iter().zip(groups).filter(|pair| *pair.1 == groups[best]).map(|pair| pair.0);
+        let nearest_to_group =
+            |own: &[u8]| of_group().map(|other| apart(own, other)).fold(f32::INFINITY, f32::min);
+        let chosen = (0..query.len()).map(|other| nearest_to_group(query.get(other).unwrap())).enumerate();
+        let chosen =
+            chosen.reduce(|best, next| if next.1 < best.1 { next } else { best }).unwrap().0 == index;
+        if row[best] <= options.max_distance && clear && (chosen || !options.mutual) {
+            matches.push(Match { query: index, train: best, distance: row[best] });
+        }
+    }
+    matches
+}
+
+#[test]
+fn signed_bytes_match_exactly_as_defined() {
+    let mut random = StdRng::seed_from_u64(9);
+    // 1,030 numbers are beyond what `f32` sums hold exactly.
+    for (width, largest) in [(1, 2_i8), (3, 3), (64, 4), (64, 127), (128, 127), (1030, 127)] {
+        let mut some = |count: usize| -> Vec<u8> {
+            let mut bytes: Vec<u8> =
+                (0..count * width).map(|_| random.random_range(-largest..=largest).cast_unsigned()).collect();
+            bytes[..width].fill(0);
+            bytes[width..2 * width].fill(0x80);
+            bytes
+        };
+        let (query, train) = (some(70), [some(40), some(9)].concat());
+        let groups: Vec<u64> = (0..49).map(|index| index % 31).collect();
+        let alone: Vec<u64> = (0..49).collect();
+        let view = |bytes| DescriptorView::new(Metric::CosineInt8, width, bytes).unwrap();
+        for mutual in [false, true] {
+            for ratio in [None, Some(0.9)] {
+                let options = MatchOptions { max_distance: 0.9, ratio, mutual };
+                for groups in [&groups, &alone] {
+                    let found = match_grouped(view(&query), view(&train), groups, &options).unwrap();
+                    assert_eq!(found, plainly(view(&query), view(&train), groups, &options));
+                }
+            }
+        }
+    }
+}
+
 #[test]
 fn copies_of_different_landmarks_are_rivals() {
     let train = [[0x11; WIDTH], [0x11; WIDTH]].concat();

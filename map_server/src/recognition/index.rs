@@ -1,27 +1,26 @@
 //! Place recognition without any prior: which keyframes does an image look like?
 //!
-//! Every observation of the map is in one multi-index. A query feature that is near the descriptors of `n` different
-//! landmarks gives each keyframe that observes one of them a vote of `1/n` once, however many of them the keyframe
-//! sees: what is seen everywhere says nothing about where one is, and a wall of equal windows cannot outvote a door.
+//! The looks of every landmark of the map (the means of what its keyframes saw) are in one inverted file. A query
+//! feature that is near the looks of `n` different landmarks gives each keyframe that observes one of them a vote of
+//! `1/n` once, however many of them the keyframe sees: what is seen everywhere says nothing about where one is, and a
+//! wall of equal windows cannot outvote a door.
 
 use std::collections::HashMap;
 
 use protocol::DescriptorKind;
-use vision::{DescriptorError, DescriptorView, MatchOptions, Metric, MultiIndex, SKETCH_BYTES, Sketcher};
+use vision::{DescriptorError, DescriptorView, MatchOptions, Metric, WordIndex, looks};
 
-/// Seed of the hyperplanes for float descriptors; any number, but always the same.
-const SKETCH_SEED: u64 = 17;
+use super::loaded_map::LoadedLandmark;
 
-/// The observations of a map by what they look like.
+/// Descriptors of one landmark nearer to each other than this part of the largest distance of a match are one look.
+const LOOK_SHARE: f32 = 0.75;
+
+/// The landmarks of a map by what they look like.
 pub(crate) struct Index {
-    kind: DescriptorKind,
-    binary: MultiIndex,
-    /// For float descriptors: what makes bits of them.
-    sketcher: Option<Sketcher>,
-    /// Largest distance in bits at which a query feature votes.
-    max_bits: u32,
-    /// Keyframe and landmark of each entry.
-    entries: Vec<(u32, u32)>,
+    /// With the index of the landmark.
+    looks: WordIndex,
+    /// Largest distance at which a query feature votes.
+    max_distance: f32,
 }
 
 /// The votes for one keyframe.
@@ -42,79 +41,65 @@ pub fn metric_of(kind: DescriptorKind) -> Metric {
     }
 }
 
-impl Index {
-    /// An empty index for descriptors of `width` bytes.
-    pub(crate) fn new(kind: DescriptorKind, width: usize) -> Result<Index, DescriptorError> {
-        let max_distance = MatchOptions::for_metric(metric_of(kind)).max_distance;
-        let (binary, sketcher, max_bits) = match kind {
-            DescriptorKind::Binary => {
-                let bits = 8.0 * width as f32 * max_distance;
-                (MultiIndex::new(width.next_multiple_of(2))?, None, bits as u32)
-            }
-            DescriptorKind::Float | DescriptorKind::Int8 => {
-                let bits = Sketcher::search_bits(f64::from(max_distance));
-                let dimension = if kind == DescriptorKind::Float { width / 4 } else { width };
-                (MultiIndex::new(SKETCH_BYTES)?, Some(Sketcher::new(dimension, SKETCH_SEED)), bits)
-            }
-        };
-        Ok(Index { kind, binary, sketcher, max_bits, entries: Vec::new() })
+/// Collects the looks of landmarks for an [`Index`].
+pub(crate) struct IndexBuilder {
+    metric: Metric,
+    width: usize,
+    descriptors: Vec<u8>,
+    landmarks: Vec<u32>,
+}
+
+impl IndexBuilder {
+    /// For descriptors of `width` bytes.
+    pub(crate) fn new(kind: DescriptorKind, width: usize) -> IndexBuilder {
+        IndexBuilder { metric: metric_of(kind), width, descriptors: Vec::new(), landmarks: Vec::new() }
     }
 
-    /// Adds an observation of a landmark by a keyframe (their indices).
-    pub(crate) fn insert(
-        &mut self,
-        descriptor: &[u8],
-        keyframe: usize,
-        landmark: usize,
-    ) -> Result<(), DescriptorError> {
-        let bits = self.to_bits(descriptor)?;
-        self.binary.insert(&bits, self.entries.len() as u32)?;
-        self.entries.push((keyframe as u32, landmark as u32));
+    fn max_distance(&self) -> f32 {
+        MatchOptions::for_metric(self.metric).max_distance
+    }
+
+    /// Adds all descriptors of a landmark (its index), one after the other.
+    pub(crate) fn add(&mut self, landmark: usize, seen: &[u8]) -> Result<(), DescriptorError> {
+        let seen = DescriptorView::new(self.metric, self.width, seen)?;
+        let looks = looks(seen, LOOK_SHARE * self.max_distance());
+        self.landmarks.extend(std::iter::repeat_n(landmark as u32, looks.len() / self.width));
+        self.descriptors.extend(looks);
         Ok(())
     }
 
+    /// Files what was added.
+    pub(crate) fn build(self) -> Result<Index, DescriptorError> {
+        let view = DescriptorView::new(self.metric, self.width, &self.descriptors)?;
+        Ok(Index { looks: WordIndex::build(view, &self.landmarks)?, max_distance: self.max_distance() })
+    }
+}
+
+impl Index {
     /// Votes for each of `keyframe_count` keyframes.
     pub(crate) fn vote(
         &self,
         query: DescriptorView<'_>,
+        landmarks: &[LoadedLandmark],
         keyframe_count: usize,
     ) -> Result<Vec<Votes>, DescriptorError> {
         let mut votes = vec![Votes::default(); keyframe_count];
-        let (mut landmarks, mut keyframes) = (Vec::new(), Vec::new());
-        for descriptor in &query {
-            let found = self.binary.query(&self.to_bits(descriptor)?, self.max_bits)?;
-            landmarks.clear();
+        let (mut near, mut keyframes) = (Vec::new(), Vec::new());
+        self.looks.search(query, self.max_distance, |_, hits| {
+            near.clear();
+            near.extend(hits.iter().map(|hit| hit.payload));
+            let weight = 1.0 / count_distinct(&mut near).max(1) as f64;
             keyframes.clear();
-            for candidate in &found {
-                let (keyframe, landmark) = self.entries[candidate.payload as usize];
-                keyframes.push(keyframe);
-                landmarks.push(landmark);
-            }
-            let weight = 1.0 / count_distinct(&mut landmarks).max(1) as f64;
+            let observers = near.iter().flat_map(|&landmark| &landmarks[landmark as usize].observations);
+            keyframes.extend(observers.map(|&(keyframe, _)| keyframe as u32));
             count_distinct(&mut keyframes);
             for &keyframe in &keyframes {
                 let votes = &mut votes[keyframe as usize];
                 votes.weight += weight;
                 votes.features += 1;
             }
-        }
+        })?;
         Ok(votes)
-    }
-
-    /// The descriptor as the multi-index knows it: a whole number of 16-bit chunks, or a sketch.
-    fn to_bits<'a>(&self, descriptor: &'a [u8]) -> Result<std::borrow::Cow<'a, [u8]>, DescriptorError> {
-        match &self.sketcher {
-            Some(sketcher) if self.kind == DescriptorKind::Int8 => {
-                Ok(sketcher.sketch_int8(descriptor)?.to_vec().into())
-            }
-            Some(sketcher) => Ok(sketcher.sketch(descriptor)?.to_vec().into()),
-            None if descriptor.len() + 1 == self.binary.width() => {
-                let mut padded = descriptor.to_vec();
-                padded.push(0);
-                Ok(padded.into())
-            }
-            None => Ok(descriptor.into()),
-        }
     }
 }
 

@@ -7,7 +7,7 @@ use nalgebra::{Matrix6, Vector2, Vector3};
 use protocol::{KeyframeId, LandmarkId};
 use vision::{DescriptorError, DescriptorView, Metric};
 
-use super::index::Index;
+use super::index::{Index, IndexBuilder};
 use crate::contents::{ContentsError, MapContents};
 use crate::model::{Keyframe, Landmark, MapInfo};
 use crate::store::{MapStore, StoreError};
@@ -101,8 +101,9 @@ impl LoadedMap {
             seen: Vec::new(),
             descriptors: Vec::new(),
         });
+        let mut builder = IndexBuilder::new(info.descriptor_kind, usize::from(info.descriptor_width));
         let mut map = LoadedMap {
-            index: Index::new(info.descriptor_kind, usize::from(info.descriptor_width))?,
+            index: IndexBuilder::new(info.descriptor_kind, usize::from(info.descriptor_width)).build()?,
             info,
             keyframes: keyframes.collect(),
             landmarks: Vec::with_capacity(landmarks.len()),
@@ -114,14 +115,20 @@ impl LoadedMap {
             viewing_distance: 0.0,
             damaged: 0,
         };
-        for landmark in &landmarks {
-            map.add_landmark(landmark)?;
+        // By value, so that the memory of the descriptors is given back while they are copied.
+        for landmark in landmarks {
+            map.add_landmark(&landmark, &mut builder)?;
         }
+        map.index = builder.build()?;
         map.viewing_distance = map.median_distance();
         Ok(map)
     }
 
-    fn add_landmark(&mut self, landmark: &Landmark) -> Result<(), DescriptorError> {
+    fn add_landmark(
+        &mut self,
+        landmark: &Landmark,
+        builder: &mut IndexBuilder,
+    ) -> Result<(), DescriptorError> {
         // The laws of maps, checked before, say that every keyframe named here is there.
         let Some(&anchor) = self.positions.get(&landmark.anchor) else { return Ok(()) };
         let number = self.landmarks.len();
@@ -137,11 +144,12 @@ impl LoadedMap {
                 let pose = &loaded.keyframe.global_from_keyframe.pose;
                 point_in_keyframe(&loaded.keyframe.camera, pose, &position_in_global, observation.pixel)
             };
-            self.index.insert(&observation.descriptor, at, number)?;
             loaded.seen.push(SeenLandmark { landmark: number, pixel: observation.pixel, point });
             loaded.descriptors.extend_from_slice(&observation.descriptor);
             observations.push((at, observation.pixel));
         }
+        let seen: Vec<u8> = landmark.observations.iter().flat_map(|seen| &seen.descriptor).copied().collect();
+        builder.add(number, &seen)?;
         let position_in_anchor = landmark.position_in_anchor;
         self.landmarks.push(LoadedLandmark { id: landmark.id, anchor, position_in_anchor, observations });
         Ok(())

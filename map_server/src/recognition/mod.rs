@@ -6,12 +6,14 @@
 //! PnP in the keyframe        ->  verified keyframes           verify
 //! do their poses agree?      ->  one place, or none           consensus
 //! rules of an answer         ->  replies                      answer
+//! or the pose from all       ->  a precise pose               fuse
 //! ```
 //! A prior pose narrows the candidates to keyframes near it. A wrong prior costs time, never the answer: where no
 //! keyframe near it is verified, all are searched.
 
 mod answer;
 mod consensus;
+mod fuse;
 mod index;
 mod loaded_map;
 mod options;

@@ -12,6 +12,7 @@ use vision::{DescriptorError, DescriptorView};
 
 use super::answer::{matched_keyframes, record};
 use super::consensus::{Consensus, agree};
+use super::fuse::{Fused, fuse};
 use super::index::best_voted;
 use super::loaded_map::LoadedMap;
 use super::options::RecognitionOptions;
@@ -96,7 +97,8 @@ impl LoadedMap {
 
     /// Answers a one-shot localization query.
     ///
-    /// The covariance of the pose holds the pixels' noise and the best keyframe's own uncertainty.
+    /// The pose comes from all verified keyframes of the place together. Its covariance holds the pixels' noise, the
+    /// scatter of the landmarks and the uncertainty of the keyframes.
     ///
     /// # Errors
     /// [`QueryError`] where the query cannot be compared with the map.
@@ -108,14 +110,46 @@ impl LoadedMap {
         let gravity = request.gravity_in_camera.map(Vector3::from);
         let search =
             self.search(&request.camera, &request.features, request.prior.as_ref(), gravity, options)?;
-        let fix = search.place.first().map(|best| LocalizedPose {
+        let fix = match search.place.first() {
+            Some(best) => {
+                let descriptors = self.view(&request.features)?;
+                let (camera, features) = (&request.camera, &request.features);
+                let image = Image { camera, features, descriptors, gravity_in_camera: gravity };
+                Some(self.localized(best, fuse(self, &search.place, &image, options)))
+            }
+            None => None,
+        };
+        Ok(LocalizeReply { map_version: self.info.version, outcome: search.outcome, fix })
+    }
+
+    /// The fused pose, or that of the best keyframe where fusion failed.
+    fn localized(&self, best: &Verified, fused: Option<Fused>) -> LocalizedPose {
+        let fused = fused.unwrap_or(Fused {
             global_from_camera: best.global_from_camera,
-            keyframe: self.keyframes[best.keyframe].keyframe.id,
-            matched_features: best.matches as u32,
-            inliers: best.inliers.len() as u32,
+            inliers: best.inliers.len(),
+            matched: best.matches.len(),
             mean_error_px: best.mean_error_px,
         });
-        Ok(LocalizeReply { map_version: self.info.version, outcome: search.outcome, fix })
+        LocalizedPose {
+            global_from_camera: fused.global_from_camera,
+            keyframe: self.keyframes[best.keyframe].keyframe.id,
+            matched_features: fused.matched as u32,
+            inliers: fused.inliers as u32,
+            mean_error_px: fused.mean_error_px,
+        }
+    }
+
+    /// The keyframes that look most like an image, best first, before any of them is compared feature by feature.
+    ///
+    /// # Arguments
+    /// * `count`: at most so many; fewer where only few share a feature with the image.
+    ///
+    /// # Errors
+    /// [`QueryError`] where the features cannot be compared with the map.
+    pub fn most_alike(&self, features: &FeatureSet, count: usize) -> Result<Vec<KeyframeId>, QueryError> {
+        let votes = self.index.vote(self.view(features)?, &self.landmarks, self.keyframes.len())?;
+        let ranked = best_voted(&votes, count, 1, |_| true);
+        Ok(ranked.into_iter().map(|at| self.keyframes[at].keyframe.id).collect())
     }
 
     /// One keyframe with what it sees, `None` where the map has none of that id.
@@ -162,6 +196,20 @@ impl LoadedMap {
         DescriptorFormat { kind: self.info.descriptor_kind, width: self.info.descriptor_width }
     }
 
+    /// A query's descriptors, which must be comparable with the map's.
+    fn view<'a>(&self, features: &'a FeatureSet) -> Result<DescriptorView<'a>, QueryError> {
+        let query = features.descriptors.format();
+        if query != self.format() {
+            return Err(QueryError::DescriptorMismatch { query, map: self.format() });
+        }
+        let (stated, wanted) = (&features.extractor, &self.info.extractor);
+        if !stated.is_empty() && !wanted.is_empty() && stated != wanted {
+            return Err(QueryError::ExtractorMismatch { query: stated.clone(), map: wanted.clone() });
+        }
+        let width = usize::from(query.width);
+        Ok(DescriptorView::new(self.metric(), width, &features.descriptors.bytes)?)
+    }
+
     fn search(
         &self,
         camera: &Camera,
@@ -177,18 +225,9 @@ impl LoadedMap {
         if features.len() < options.min_inliers {
             return nothing(MatchOutcome::TooFewFeatures);
         }
-        let query = features.descriptors.format();
-        if query != self.format() {
-            return Err(QueryError::DescriptorMismatch { query, map: self.format() });
-        }
-        let (stated, wanted) = (&features.extractor, &self.info.extractor);
-        if !stated.is_empty() && !wanted.is_empty() && stated != wanted {
-            return Err(QueryError::ExtractorMismatch { query: stated.clone(), map: wanted.clone() });
-        }
-        let descriptors =
-            DescriptorView::new(self.metric(), usize::from(query.width), &features.descriptors.bytes)?;
+        let descriptors = self.view(features)?;
         let image = Image { camera, features, descriptors, gravity_in_camera };
-        let votes = self.index.vote(descriptors, self.keyframes.len())?;
+        let votes = self.index.vote(descriptors, &self.landmarks, self.keyframes.len())?;
         let candidates = |eligible: &dyn Fn(usize) -> bool| {
             best_voted(&votes, options.candidates, options.min_votes, eligible)
         };

@@ -29,8 +29,8 @@ pub(crate) struct Verified {
     pub(crate) keyframe: usize,
     /// Matches that agree with the pose; `train` counts [`super::loaded_map::LoadedKeyframe::seen`].
     pub(crate) inliers: Vec<Match>,
-    /// Number of matches before verification.
-    pub(crate) matches: usize,
+    /// All matches before verification.
+    pub(crate) matches: Vec<Match>,
     /// The camera in G, as uncertain as keyframe and pixels leave it.
     pub(crate) global_from_camera: PoseWithCovariance,
     /// Mean reprojection error of the inliers (px).
@@ -90,7 +90,7 @@ pub(crate) fn compare(
     Ok(Comparison::Verified(Box::new(Verified {
         keyframe,
         inliers: solution.inliers.iter().map(|&inlier| matches[inlier]).collect(),
-        matches: matches.len(),
+        matches,
         global_from_camera: global_from_keyframe.compose(&keyframe_from_camera),
         mean_error_px: solution.mean_error_px,
     })))

@@ -62,6 +62,9 @@ const FIRST_PIXEL_SIGMA: f64 = 1.0;
 /// Limits of the measured pixel noise (px): less is rounding, more is no feature.
 const PIXEL_SIGMAS: [f64; 2] = [0.1, 5.0];
 
+/// Landmarks that pixel noise can be measured with.
+const ENOUGH_LANDMARKS: usize = 50;
+
 /// Builds a map.
 ///
 /// # Arguments
@@ -220,8 +223,13 @@ fn measured_pixel_sigma(bundle: &Bundle, rig: &[Lens]) -> Option<f64> {
         let median = freedom * (1.0 - 2.0 / (9.0 * freedom)).powi(3);
         point.errors(rig, &poses).iter().map(|error| error * error).sum::<f64>() / median
     };
-    let mut variances: Vec<f64> =
-        bundle.points.iter().map(variance).filter(|value| value.is_finite()).collect();
+    let variances = |least_views: usize| -> Vec<f64> {
+        let seen = bundle.points.iter().filter(|point| point.view_count() >= least_views);
+        seen.map(variance).filter(|value| value.is_finite()).collect()
+    };
+    // A stereo pair at one instant agrees better than views from different places, as a robot's will be.
+    let mut variances =
+        Some(variances(2)).filter(|all| all.len() >= ENOUGH_LANDMARKS).unwrap_or_else(|| variances(1));
     if variances.is_empty() {
         return None;
     }

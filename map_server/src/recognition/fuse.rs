@@ -1,0 +1,280 @@
+//! The camera pose from all matched keyframes of a place together.
+//!
+//! Verification is generous, so that maps whose landmarks are off by decimetres still answer. Here the matches say
+//! themselves how precise the map is: the camera's pose in G and the errors of the keyframes' poses are estimated
+//! jointly from every match of every verified keyframe, and the gate follows the median residual. In a precise map it
+//! ends at a few pixels, in a coarse one it stays where it was.
+//!
+//! ```text
+//! minimize over T, e:  sum_i w_i |z_i - pi(T^-1 T_k(e_k) p_i)|^2 / s^2  +  e^T P^-1 e
+//! ```
+//! with `T` the camera in G, `T_k(e_k)` keyframe `k` moved by its error, `p_i` the landmark in that keyframe, and `P`
+//! the covariance of all the errors, cross-covariances included. Writing `e = L x` with `P = L L^T` needs no inverse of
+//! `P`, so a map may hold exact keyframes. The covariance of `T` is its block of the inverse normal matrix, so it holds
+//! the uncertainty of the keyframes; errors of landmarks are taken for independent, with the size that the residuals
+//! show.
+//!
+//! A feature that several keyframes match counts once: each of its pairs weighs one over their number. Weights are
+//! Geman and McClure's, see Black & Rangarajan, IJCV 1996.
+
+use geometry::{Pose, PoseWithCovariance};
+use nalgebra::{DMatrix, DVector, Matrix6, SMatrix, Vector2, Vector6};
+
+use super::loaded_map::LoadedMap;
+use super::options::RecognitionOptions;
+use super::verify::{Image, Verified};
+
+/// Most keyframes that are fused, those with most inliers: more change the pose little and cost as much each.
+const MAX_KEYFRAMES: usize = 6;
+/// Rounds of linearization; from verified poses 5 converge.
+const ROUNDS: usize = 10;
+/// A step shorter than this (rad, m) ends the iteration.
+const CONVERGED: f64 = 1e-7;
+/// Median length of a two-dimensional normal error over its standard deviation.
+const MEDIAN_OF_RAYLEIGH: f64 = 1.1774;
+/// Residual, in standard deviations, beyond which a match is no inlier: 99.97 % of a normal error lie within.
+const GATE_SIGMAS: f64 = 4.0;
+/// Residual, in standard deviations, at which Geman and McClure's weight has fallen to a quarter.
+const SOFT_SIGMAS: f64 = 3.0;
+/// The scale of the residuals never counts as smaller than this part of the stated pixel noise: few residuals can be
+/// small by chance.
+const LEAST_SCALE: f64 = 0.5;
+
+/// A pose from several keyframes.
+pub(crate) struct Fused {
+    pub(crate) global_from_camera: PoseWithCovariance,
+    /// Distinct query features within the gate.
+    pub(crate) inliers: usize,
+    /// Distinct query features that were matched.
+    pub(crate) matched: usize,
+    /// Mean reprojection error of the matches within the gate (px).
+    pub(crate) mean_error_px: f64,
+}
+
+/// Fuses the verified keyframes of one place; `None` where that fails and the best keyframe's own pose must do.
+///
+/// # Arguments
+/// * `place`: not empty, most inliers first.
+pub(crate) fn fuse(
+    map: &LoadedMap,
+    place: &[Verified],
+    image: &Image<'_>,
+    options: &RecognitionOptions,
+) -> Option<Fused> {
+    let place = &place[..place.len().min(MAX_KEYFRAMES)];
+    let stated_sigma = options.query_pixel_sigma.hypot(map.info.pixel_sigma);
+    let focal = f64::midpoint(image.camera.focal[0], image.camera.focal[1]);
+    let problem = Problem {
+        map,
+        place,
+        image,
+        root: root_covariance(map, place),
+        stated_sigma,
+        widest_gate: options.inlier_angle * focal,
+    };
+    let mut state = State {
+        global_from_camera: place[0].global_from_camera.pose,
+        errors: DVector::zeros(6 * place.len()),
+        gate: problem.widest_gate,
+    };
+    let mut normal = problem.linearize(&state)?;
+    for _ in 0..ROUNDS {
+        let step = normal.information.clone().cholesky()?.solve(&normal.gradient);
+        state.retract(&step, &problem.root);
+        state.gate = normal.next_gate;
+        normal = problem.linearize(&state)?;
+        if step.rows(0, 6).norm() < CONVERGED {
+            break;
+        }
+    }
+    if normal.inliers < options.min_inliers {
+        return None;
+    }
+    let covariance: Matrix6<f64> =
+        normal.information.cholesky()?.inverse().fixed_view::<6, 6>(0, 0).into_owned();
+    let covariance = (covariance + covariance.transpose()) * 0.5;
+    let moved = place[0].global_from_camera.pose.local(&state.global_from_camera);
+    let usable = covariance.iter().chain(moved.iter()).all(|value| value.is_finite());
+    usable.then(|| Fused {
+        global_from_camera: PoseWithCovariance::new(state.global_from_camera, covariance),
+        inliers: normal.inliers,
+        matched: normal.matched,
+        mean_error_px: normal.mean_error_px,
+    })
+}
+
+/// `L` of the covariance `P = L L^T` of the errors of all keyframes, 6 each.
+fn root_covariance(map: &LoadedMap, place: &[Verified]) -> DMatrix<f64> {
+    let size = 6 * place.len();
+    let mut covariance = DMatrix::<f64>::zeros(size, size);
+    for (row, a) in place.iter().enumerate() {
+        let a = &map.keyframes[a.keyframe].keyframe;
+        let own = &a.global_from_keyframe.covariance;
+        covariance.fixed_view_mut::<6, 6>(6 * row, 6 * row).copy_from(own);
+        for (column, b) in place.iter().enumerate().take(row) {
+            let b = &map.keyframes[b.keyframe].keyframe;
+            if let Some(block) = map.cross_covariance(a.id, b.id) {
+                covariance.fixed_view_mut::<6, 6>(6 * row, 6 * column).copy_from(&block);
+                covariance.fixed_view_mut::<6, 6>(6 * column, 6 * row).copy_from(&block.transpose());
+            }
+        }
+    }
+    let eigen = covariance.symmetric_eigen();
+    // Pairwise cross-covariances need not be positive semi-definite together.
+    let roots = eigen.eigenvalues.map(|value| value.max(0.0).sqrt());
+    eigen.eigenvectors * DMatrix::from_diagonal(&roots)
+}
+
+struct State {
+    global_from_camera: Pose,
+    /// `[dtheta, dp]` in G of each keyframe.
+    errors: DVector<f64>,
+    /// Residual (px) up to which a match is an inlier.
+    gate: f64,
+}
+
+impl State {
+    /// Moves by a step of the pose and of `x`, where the keyframes' errors are `root * x`.
+    fn retract(&mut self, step: &DVector<f64>, root: &DMatrix<f64>) {
+        let pose_step: Vector6<f64> = step.fixed_rows::<6>(0).into_owned();
+        self.global_from_camera = self.global_from_camera.retract(&pose_step);
+        self.errors += root * step.rows(6, step.len() - 6);
+    }
+}
+
+struct Problem<'a> {
+    map: &'a LoadedMap,
+    place: &'a [Verified],
+    image: &'a Image<'a>,
+    root: DMatrix<f64>,
+    stated_sigma: f64,
+    widest_gate: f64,
+}
+
+/// The normal equations at one state, over the pose and `x`.
+struct Normal {
+    information: DMatrix<f64>,
+    gradient: DVector<f64>,
+    next_gate: f64,
+    inliers: usize,
+    matched: usize,
+    mean_error_px: f64,
+}
+
+/// A match at one state.
+struct Row {
+    feature: usize,
+    keyframe: usize,
+    residual: Vector2<f64>,
+    length: f64,
+    by_camera: SMatrix<f64, 2, 6>,
+    by_keyframe: SMatrix<f64, 2, 6>,
+}
+
+impl Problem<'_> {
+    fn rows(&self, state: &State) -> Vec<Row> {
+        let mut rows = Vec::new();
+        for (number, verified) in self.place.iter().enumerate() {
+            let loaded = &self.map.keyframes[verified.keyframe];
+            let error: Vector6<f64> = state.errors.fixed_rows::<6>(6 * number).into_owned();
+            let global_from_keyframe = loaded.keyframe.global_from_keyframe.pose.retract(&error);
+            for found in &verified.matches {
+                let point = &loaded.seen[found.train].point;
+                let in_global = global_from_keyframe.transform(point);
+                let in_camera = state.global_from_camera.inverse_transform(&in_global);
+                let Ok((pixel, by_point)) = self.image.camera.project_with_jacobian(&in_camera) else {
+                    continue;
+                };
+                let seen = Vector2::from(self.image.features.pixels[found.query].map(f64::from));
+                let residual = seen - pixel;
+                let (by_pose, by_global) = state.global_from_camera.inverse_transform_jacobians(&in_global);
+                let (by_error, _) = global_from_keyframe.transform_jacobians(point);
+                rows.push(Row {
+                    feature: found.query,
+                    keyframe: number,
+                    residual,
+                    length: residual.norm(),
+                    by_camera: by_point * by_pose,
+                    by_keyframe: by_point * by_global * by_error,
+                });
+            }
+        }
+        rows
+    }
+
+    fn linearize(&self, state: &State) -> Option<Normal> {
+        let rows = self.rows(state);
+        let mut lengths: Vec<f64> =
+            rows.iter().map(|row| row.length).filter(|length| *length <= state.gate).collect();
+        if lengths.is_empty() {
+            return None;
+        }
+        let mean_error_px = lengths.iter().sum::<f64>() / lengths.len() as f64;
+        let middle = lengths.len() / 2;
+        let median = *lengths.select_nth_unstable_by(middle, f64::total_cmp).1;
+        let scale = (median / MEDIAN_OF_RAYLEIGH).max(LEAST_SCALE * self.stated_sigma);
+        let sigma = scale.max(self.stated_sigma);
+
+        // How often each feature is matched: at all, and within the gate.
+        let mut pairs = vec![(false, 0_u32); self.image.features.len()];
+        for row in &rows {
+            pairs[row.feature].0 = true;
+            pairs[row.feature].1 += u32::from(row.length <= state.gate);
+        }
+        let count = self.place.len();
+        let mut camera = Matrix6::zeros();
+        let mut camera_gradient = Vector6::zeros();
+        // Of each keyframe: its own block, its block with the camera, its gradient.
+        let mut blocks = vec![(Matrix6::zeros(), Matrix6::zeros(), Vector6::zeros()); count];
+        for row in rows.iter().filter(|row| row.length <= state.gate) {
+            let softness = 1.0 + (row.length / (SOFT_SIGMAS * scale)).powi(2);
+            let weight = 1.0 / (softness.powi(2) * f64::from(pairs[row.feature].1) * sigma.powi(2));
+            camera += row.by_camera.tr_mul(&row.by_camera) * weight;
+            camera_gradient += row.by_camera.tr_mul(&row.residual) * weight;
+            let (own, with_camera, gradient) = &mut blocks[row.keyframe];
+            *own += row.by_keyframe.tr_mul(&row.by_keyframe) * weight;
+            *with_camera += row.by_camera.tr_mul(&row.by_keyframe) * weight;
+            *gradient += row.by_keyframe.tr_mul(&row.residual) * weight;
+        }
+
+        let size = 6 * count;
+        let mut own = DMatrix::<f64>::zeros(size, size);
+        let mut with_camera = DMatrix::<f64>::zeros(6, size);
+        let mut gradient = DVector::<f64>::zeros(size);
+        for (at, block) in blocks.iter().enumerate() {
+            own.fixed_view_mut::<6, 6>(6 * at, 6 * at).copy_from(&block.0);
+            with_camera.fixed_view_mut::<6, 6>(0, 6 * at).copy_from(&block.1);
+            gradient.fixed_rows_mut::<6>(6 * at).copy_from(&block.2);
+        }
+        let mut information = DMatrix::<f64>::identity(6 + size, 6 + size);
+        information.fixed_view_mut::<6, 6>(0, 0).copy_from(&camera);
+        let coupling = &with_camera * &self.root;
+        information.view_mut((0, 6), (6, size)).copy_from(&coupling);
+        information.view_mut((6, 0), (size, 6)).copy_from(&coupling.transpose());
+        let mut whitened = information.view_mut((6, 6), (size, size));
+        whitened += self.root.tr_mul(&(own * &self.root));
+        let mut whole_gradient = DVector::<f64>::zeros(6 + size);
+        whole_gradient.fixed_rows_mut::<6>(0).copy_from(&camera_gradient);
+        // The prior pulls x back to zero.
+        let whitened_errors = self.whitened(&state.errors);
+        whole_gradient.rows_mut(6, size).copy_from(&(self.root.tr_mul(&gradient) - whitened_errors));
+        Some(Normal {
+            information,
+            gradient: whole_gradient,
+            next_gate: (GATE_SIGMAS * scale).min(self.widest_gate),
+            inliers: pairs.iter().filter(|pair| pair.1 > 0).count(),
+            matched: pairs.iter().filter(|pair| pair.0).count(),
+            mean_error_px,
+        })
+    }
+
+    /// `x` of errors `e = L x`; the columns of `L` are orthogonal.
+    fn whitened(&self, errors: &DVector<f64>) -> DVector<f64> {
+        let mut whitened = self.root.tr_mul(errors);
+        for (value, column) in whitened.iter_mut().zip(self.root.column_iter()) {
+            let squared = column.norm_squared();
+            *value = if squared > 0.0 { *value / squared } else { 0.0 };
+        }
+        whitened
+    }
+}
