@@ -2,6 +2,13 @@
 //!
 //! Robot and map must use the same extractor: [`FeatureExtractor::name`] goes into the map and into every query.
 
+#[cfg(feature = "neural")]
+pub mod neural;
+mod open;
+pub mod weights;
+
+pub use open::{KNOWN, OpenError, open};
+
 use crate::GrayImage;
 use crate::descriptors::Metric;
 

@@ -1,0 +1,50 @@
+//! Extractors by name, as a configuration or a map names them.
+
+use super::FeatureExtractor;
+use std::path::Path;
+
+/// The names that [`open`] knows, with and without the feature `neural`.
+pub const KNOWN: [&str; 2] = [super::weights::XFEAT.name, super::weights::R2D2.name];
+
+/// Why an extractor is not to be had.
+#[derive(Debug, thiserror::Error)]
+pub enum OpenError {
+    /// No extractor has that name.
+    #[error("there is no extractor named {0}; known are {known}", known = KNOWN.join(", "))]
+    UnknownExtractor(String),
+    /// The program was built without networks.
+    #[error("extractor {0} needs a program built with `--features neural`")]
+    NeedsNeural(String),
+    /// The weights are missing or damaged.
+    #[cfg(feature = "neural")]
+    #[error(transparent)]
+    Weights(#[from] super::neural::WeightsError),
+}
+
+/// Opens an extractor by its name.
+///
+/// # Arguments
+/// * `weights_dir`: where the weights of networks are; by default [`super::weights::default_folder`].
+///
+/// # Errors
+/// [`OpenError`].
+pub fn open(name: &str, weights_dir: Option<&Path>) -> Result<Box<dyn FeatureExtractor>, OpenError> {
+    match name {
+        name if KNOWN.contains(&name) => open_network(name, weights_dir),
+        other => Err(OpenError::UnknownExtractor(other.to_owned())),
+    }
+}
+
+#[cfg(feature = "neural")]
+fn open_network(name: &str, weights_dir: Option<&Path>) -> Result<Box<dyn FeatureExtractor>, OpenError> {
+    let folder = weights_dir.map_or_else(super::weights::default_folder, Path::to_path_buf);
+    if name == super::weights::XFEAT.name {
+        return Ok(Box::new(super::neural::XfeatExtractor::open(&folder)?));
+    }
+    Ok(Box::new(super::neural::R2d2Extractor::open(&folder)?))
+}
+
+#[cfg(not(feature = "neural"))]
+fn open_network(name: &str, _: Option<&Path>) -> Result<Box<dyn FeatureExtractor>, OpenError> {
+    Err(OpenError::NeedsNeural(name.to_owned()))
+}
