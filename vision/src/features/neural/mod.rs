@@ -3,6 +3,7 @@
 mod dense;
 pub mod graph;
 mod network;
+mod onnxruntime;
 mod pickle;
 pub mod quantize;
 pub mod r2d2;
@@ -11,7 +12,7 @@ mod weights;
 pub mod xfeat;
 mod xfeat_network;
 
-pub use network::{Network, NetworkError};
+pub use network::{Engine, Network, NetworkError};
 pub use r2d2::R2d2Extractor;
 pub use weights::WeightsError;
 pub use xfeat::XfeatExtractor;

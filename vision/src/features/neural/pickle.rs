@@ -18,7 +18,7 @@ const MAX_PROGRAM_BYTES: usize = 4 << 20;
 #[derive(Debug)]
 pub(super) enum Value {
     None,
-    Bool(bool),
+    Bool,
     Int(i64),
     Text(String),
     /// A Python function or class: module and name.
@@ -78,8 +78,7 @@ impl Machine<'_> {
                     let [_version] = self.take()?;
                 }
                 b'N' => self.push(Value::None, 0)?,
-                0x88 => self.push(Value::Bool(true), 0)?,
-                0x89 => self.push(Value::Bool(false), 0)?,
+                0x88 | 0x89 => self.push(Value::Bool, 0)?,
                 b'J' => {
                     let number = i32::from_le_bytes(self.take()?);
                     self.push(Value::Int(number.into()), 0)?;

@@ -25,7 +25,7 @@
 //! NeurIPS 2019.
 
 use super::dense::{Descriptors, Heat};
-use super::network::{Network, NetworkError};
+use super::network::{Engine, Network, NetworkError};
 use super::quantize::quantize;
 use super::state_dict::Tensor;
 use super::weights::{self, WeightsError};
@@ -66,7 +66,7 @@ impl R2d2Extractor {
     pub fn open(folder: &Path) -> Result<Self, WeightsError> {
         let path = folder.join(R2D2.file);
         let bytes = weights::read_checked(&path, &R2D2)?;
-        Self::from_onnx(bytes).map_err(|error| WeightsError::unusable(&path, &R2D2, error.to_string()))
+        Self::from_onnx(bytes, Engine::best()).map_err(|error| WeightsError::unusable(&path, &R2D2, error.to_string()))
     }
 
     /// The extractor with the network of an ONNX file: its input is `image` `[1, 3, rows, columns]`, its outputs are
@@ -74,9 +74,9 @@ impl R2d2Extractor {
     ///
     /// # Errors
     /// [`NetworkError`]; the network is tried on a small image.
-    pub fn from_onnx(onnx: Vec<u8>) -> Result<Self, NetworkError> {
-        let network = Network::load(onnx, INPUT, &OUTPUTS)?;
-        let extractor = Self { network, scales: SCALES.to_vec() };
+    pub fn from_onnx(onnx: Vec<u8>, engine: Engine) -> Result<Self, NetworkError> {
+        let network = Network::load(onnx, INPUT, &OUTPUTS, engine)?;
+        let mut extractor = Self { network, scales: SCALES.to_vec() };
         // Rows and columns differ, and are not those of the conversion.
         extractor.look(&GrayImage::from_fn(40, LEAST_SIDE, |x, y| (x * y) as u8))?;
         Ok(extractor)
@@ -90,7 +90,7 @@ impl R2d2Extractor {
     }
 
     /// The keypoints of an image of one size, and their descriptors.
-    fn look(&self, image: &GrayImage) -> Result<Vec<(Keypoint, [f32; DIMENSION])>, NetworkError> {
+    fn look(&mut self, image: &GrayImage) -> Result<Vec<(Keypoint, [f32; DIMENSION])>, NetworkError> {
         let (width, height) = (image.width(), image.height());
         let outputs = self.network.run([1, 3, height, width], prepare(image))?;
         let [descriptors, repeatability, reliability] = <[Tensor; 3]>::try_from(outputs)
@@ -134,7 +134,7 @@ impl FeatureExtractor for R2d2Extractor {
     ) -> Result<ImageFeatures, ExtractError> {
         check_size(image, mask, LEAST_SIDE)?;
         let mut seen = Vec::new();
-        for &scale in &self.scales {
+        for scale in self.scales.clone() {
             let size = |side: usize| (side as f32 * scale).round() as usize;
             let (width, height) = (size(image.width()), size(image.height()));
             if width < LEAST_SIDE || height < LEAST_SIDE {

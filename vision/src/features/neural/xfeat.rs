@@ -7,7 +7,7 @@
 //! Source: Potje, Cadar, Araujo, Martins & Nascimento, CVPR 2024.
 
 use super::dense::{Descriptors, Heat};
-use super::network::{Network, NetworkError};
+use super::network::{Engine, Network, NetworkError};
 use super::quantize::quantize;
 use super::state_dict::{StateDict, Tensor};
 use super::weights::{self, WeightsError};
@@ -39,20 +39,20 @@ impl XfeatExtractor {
         let bytes = weights::read_checked(&path, &XFEAT)?;
         let unusable = |reason: String| WeightsError::unusable(&path, &XFEAT, reason);
         let state = StateDict::read(&bytes).map_err(|error| unusable(error.to_string()))?;
-        Self::from_weights(&state).map_err(|error| unusable(error.to_string()))
+        Self::from_weights(&state, Engine::best()).map_err(|error| unusable(error.to_string()))
     }
 
     /// The extractor with other weights.
     ///
     /// # Errors
     /// [`NetworkError::Load`] where a tensor is missing or has another shape.
-    pub fn from_weights(state: &StateDict) -> Result<Self, NetworkError> {
+    pub fn from_weights(state: &StateDict, engine: Engine) -> Result<Self, NetworkError> {
         let onnx = xfeat_network::write(state).map_err(|error| NetworkError::Load(error.to_string()))?;
-        Ok(Self { network: Network::load(onnx, INPUT, &OUTPUTS)? })
+        Ok(Self { network: Network::load(onnx, INPUT, &OUTPUTS, engine)? })
     }
 
     /// Keypoints in no order, and the map of descriptors.
-    fn detect(&self, image: &GrayImage) -> Result<(Vec<(Keypoint, ())>, Descriptors), NetworkError> {
+    fn detect(&mut self, image: &GrayImage) -> Result<(Vec<(Keypoint, ())>, Descriptors), NetworkError> {
         let (rows, columns, numbers) = prepare(image);
         let (cell_rows, cell_columns) = (rows / CELL, columns / CELL);
         let outputs = self.network.run([1, 1, rows, columns], numbers)?;
