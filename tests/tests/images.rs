@@ -8,7 +8,7 @@ use onboard::sequence::Sequence;
 use std::path::Path;
 use tests::images::{Found, Split, within, wrong_by};
 use vision::FeatureExtractor;
-use vision::features::open::open;
+use vision::features::open;
 
 const MAP_FEATURES: usize = 1000;
 const QUERY_FEATURES: usize = 1000;

@@ -8,7 +8,7 @@ use anyhow::{Context as _, Result, bail};
 use protocol::{DescriptorKind, Descriptors, FeatureSet};
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, Sender, channel};
-use vision::features::open::{DEFAULT_EXTRACTOR, open};
+use vision::features::{DEFAULT_EXTRACTOR, open};
 use vision::{FeatureExtractor, GrayImage, ImageFeatures, Metric};
 
 /// Which features of images are compared with the map's.

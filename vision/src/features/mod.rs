@@ -3,7 +3,12 @@
 //! Robot and map must use the same extractor: [`FeatureExtractor::name`] goes into the map and into every query.
 
 pub mod classical;
-pub mod open;
+#[cfg(feature = "neural")]
+pub mod neural;
+mod open;
+pub mod weights;
+
+pub use open::{DEFAULT_EXTRACTOR, KNOWN, OpenError, open};
 
 use crate::GrayImage;
 use crate::descriptors::Metric;

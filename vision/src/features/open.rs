@@ -1,28 +1,55 @@
-//! Extractors by name.
-
-use std::path::Path;
+//! Extractors by name, as a configuration or a map names them.
 
 use super::FeatureExtractor;
 use super::classical::SiftExtractor;
+use std::path::Path;
 
-/// The extractor that needs nothing but this program.
+/// The extractor that needs no weights.
 pub const DEFAULT_EXTRACTOR: &str = "sift-1";
 
-/// Why there is no such extractor.
+/// The names that [`open`] knows; all but the first need the feature `neural`.
+pub const KNOWN: [&str; 3] = [DEFAULT_EXTRACTOR, super::weights::XFEAT.name, super::weights::R2D2.name];
+
+/// Why an extractor is not to be had.
 #[derive(Debug, thiserror::Error)]
 pub enum OpenError {
-    /// Nobody knows it.
-    #[error("there is no extractor {0:?}; there is sift-1")]
-    Unknown(String),
+    /// No extractor has that name.
+    #[error("there is no extractor named {0}; known are {known}", known = KNOWN.join(", "))]
+    UnknownExtractor(String),
+    /// The program was built without networks.
+    #[error("extractor {0} needs a program built with `--features neural`")]
+    NeedsNeural(String),
+    /// The weights are missing or damaged.
+    #[cfg(feature = "neural")]
+    #[error(transparent)]
+    Weights(#[from] super::neural::WeightsError),
 }
 
-/// The extractor of that name.
+/// Opens an extractor by its name.
+///
+/// # Arguments
+/// * `weights_dir`: where the weights of networks are; by default [`super::weights::default_folder`].
 ///
 /// # Errors
-/// [`OpenError`], with what to do.
-pub fn open(name: &str, _weights: Option<&Path>) -> Result<Box<dyn FeatureExtractor>, OpenError> {
+/// [`OpenError`].
+pub fn open(name: &str, weights_dir: Option<&Path>) -> Result<Box<dyn FeatureExtractor>, OpenError> {
     match name {
         DEFAULT_EXTRACTOR => Ok(Box::new(SiftExtractor::default())),
-        other => Err(OpenError::Unknown(other.to_owned())),
+        name if KNOWN.contains(&name) => open_network(name, weights_dir),
+        other => Err(OpenError::UnknownExtractor(other.to_owned())),
     }
+}
+
+#[cfg(feature = "neural")]
+fn open_network(name: &str, weights_dir: Option<&Path>) -> Result<Box<dyn FeatureExtractor>, OpenError> {
+    let folder = weights_dir.map_or_else(super::weights::default_folder, Path::to_path_buf);
+    if name == super::weights::XFEAT.name {
+        return Ok(Box::new(super::neural::XfeatExtractor::open(&folder)?));
+    }
+    Ok(Box::new(super::neural::R2d2Extractor::open(&folder)?))
+}
+
+#[cfg(not(feature = "neural"))]
+fn open_network(name: &str, _: Option<&Path>) -> Result<Box<dyn FeatureExtractor>, OpenError> {
+    Err(OpenError::NeedsNeural(name.to_owned()))
 }

