@@ -32,7 +32,7 @@ pub struct CornerOptions {
 impl Default for CornerOptions {
     /// Square cells of 94 x 96 pixels on a 752 x 480 image.
     fn default() -> Self {
-        Self { cells: [8, 5], min_distance: 16.0, min_score: 4.0, margin: 10.0 }
+        Self { cells: [8, 5], min_distance: 16.0, min_score: 12.0, margin: 10.0 }
     }
 }
 

@@ -23,9 +23,9 @@ pub struct OutlierOptions {
 }
 
 impl Default for OutlierOptions {
-    /// 1.5 px at a focal length of 460 px.
+    /// 1.2 px at a focal length of 460 px.
     fn default() -> Self {
-        Self { threshold: 1.5 / 460.0, max_hypotheses: 100, seed: 7 }
+        Self { threshold: 1.2 / 460.0, max_hypotheses: 100, seed: 7 }
     }
 }
 
