@@ -173,12 +173,11 @@ fn move_patch(
         let sample = |block: &Block| {
             if plain { block.grid(centre.add_scalar(-HALF)) } else { block.warped(centre, &warp.linear) }
         };
-        let seen = match sample(&block) {
-            Some(seen) => seen,
-            None => {
-                block = Block::around(image, centre).ok_or(Lost::RanAway)?;
-                sample(&block).ok_or(Lost::RanAway)?
-            }
+        let seen = if let Some(seen) = sample(&block) {
+            seen
+        } else {
+            block = Block::around(image, centre).ok_or(Lost::RanAway)?;
+            sample(&block).ok_or(Lost::RanAway)?
         };
         let step = template.step(&seen, &[0.0; 4]).ok_or(Lost::Different)?;
         let delta = if plain { step.delta } else { warp.linear * step.delta };
