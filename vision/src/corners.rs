@@ -32,7 +32,7 @@ pub struct CornerOptions {
 impl Default for CornerOptions {
     /// Square cells of 94 x 96 pixels on a 752 x 480 image.
     fn default() -> Self {
-        Self { cells: [8, 5], min_distance: 16.0, min_score: 4.0, margin: 10.0 }
+        Self { cells: [8, 5], min_distance: 16.0, min_score: 12.0, margin: 10.0 }
     }
 }
 
@@ -79,7 +79,7 @@ pub fn detect_corners(
     let mut candidates = Vec::new();
     for (cell, count) in taken.iter().enumerate() {
         if *count < share {
-            scorer.search(image, grid.range(cell), options, mask, &mut candidates);
+            scorer.search(image, &grid.range(cell), options, mask, &mut candidates);
         }
     }
     candidates.sort_by(|a: &Corner, b| b.score.total_cmp(&a.score));
@@ -193,7 +193,7 @@ impl Scorer {
     fn search(
         &mut self,
         image: &GrayImage,
-        cell: [std::ops::Range<usize>; 2],
+        cell: &[std::ops::Range<usize>; 2],
         options: &CornerOptions,
         mask: Option<&GrayImage>,
         candidates: &mut Vec<Corner>,
@@ -284,7 +284,7 @@ impl Scorer {
 /// Products of the central differences in one row, from column `left` on.
 fn gradient_products(image: &GrayImage, left: usize, y: usize, out: [&mut [f32]; 3]) {
     let n = out[0].len();
-    let middle = &image.row(y)[left - 1..left + n + 1];
+    let middle = &image.row(y)[left - 1..=left + n];
     let upper = &image.row(y - 1)[left..left + n];
     let lower = &image.row(y + 1)[left..left + n];
     let [xx, xy, yy] = out;

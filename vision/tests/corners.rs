@@ -1,4 +1,5 @@
 //! Laws of corner detection.
+#![allow(clippy::unwrap_used)]
 
 mod common;
 

@@ -1,4 +1,5 @@
 //! Laws of pyramids and equalization.
+#![allow(clippy::unwrap_used)]
 
 use vision::{GrayImage, LocalEqualization, Pyramid, equalize, equalize_locally};
 

@@ -1,4 +1,5 @@
 //! Laws of the alignment of patches, on images whose motion is known exactly.
+#![allow(clippy::unwrap_used)]
 
 mod common;
 

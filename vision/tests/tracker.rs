@@ -1,4 +1,5 @@
 //! Laws of the tracker: a textured wall before a moving camera pair.
+#![allow(clippy::unwrap_used)]
 
 mod common;
 

@@ -79,9 +79,9 @@ impl Default for AlignmentOptions {
         Self {
             levels: 4,
             iterations: 10,
-            tolerance: 0.01,
+            tolerance: 0.02,
             linear_sigma: 0.1,
-            min_correlation: 0.8,
+            min_correlation: 0.75,
             max_return_error: 0.5,
         }
     }
@@ -90,7 +90,8 @@ impl Default for AlignmentOptions {
 /// Noise of a sample that the prior on the linear part is weighed against, grey levels: sensor noise, interpolation
 /// and what else differs between two images.
 const SAMPLE_NOISE: f32 = 4.0;
-/// Levels of the way back. It starts close by: a pyramid would only lead it away from where it belongs.
+/// Levels of the way back, which takes the linear part as it was found. It starts close by: a pyramid would only lead
+/// it away from where it belongs.
 const LEVELS_BACK: usize = 2;
 /// Largest singular value that the linear part may reach or fall below the inverse of: beyond, it is no view of the
 /// same surface any more.
@@ -109,7 +110,10 @@ pub fn align(
     guess: &Warp,
     options: &AlignmentOptions,
 ) -> Result<Found, Lost> {
-    align_levels(first, second, at, guess, options, options.levels)
+    let centre = move_down(first, second, at, guess, options, options.levels)?;
+    let prior = (SAMPLE_NOISE / options.linear_sigma).powi(2);
+    let template = Template::<6>::new(first.base(), at, prior).ok_or(Lost::NoStructure)?;
+    refine(&template, second, Warp { centre, ..*guess }, guess, options)
 }
 
 /// [`align`], then the same from what was found back to the first image, which must end where it began.
@@ -126,21 +130,22 @@ pub fn align_mutually(
     let found = align(first, second, at, guess, options)?;
     let linear = found.warp.linear.try_inverse().ok_or(Lost::RanAway)?;
     let start = Warp { centre: at, linear };
-    let back = align_levels(second, first, found.warp.centre, &start, options, LEVELS_BACK)?;
-    if (back.warp.centre - at).norm() > options.max_return_error {
+    let back = move_down(second, first, found.warp.centre, &start, options, LEVELS_BACK)?;
+    if (back - at).norm() > options.max_return_error {
         return Err(Lost::NotMutual);
     }
     Ok(found)
 }
 
-fn align_levels(
+/// Moves a patch from the coarsest of some levels to the finest. Returns its centre.
+fn move_down(
     first: &Pyramid,
     second: &Pyramid,
     at: Vector2<f32>,
     guess: &Warp,
     options: &AlignmentOptions,
     levels: usize,
-) -> Result<Found, Lost> {
+) -> Result<Vector2<f32>, Lost> {
     let levels = levels.min(first.levels()).min(second.levels()).max(1);
     let mut warp = *guess;
     for level in (0..levels).rev() {
@@ -149,9 +154,7 @@ fn align_levels(
         let Some(template) = Template::<2>::new(first.level(level), at * scale, 0.0) else { continue };
         warp.centre = move_patch(&template, second, level, &warp, options)? / scale;
     }
-    let prior = (SAMPLE_NOISE / options.linear_sigma).powi(2);
-    let template = Template::<6>::new(first.base(), at, prior).ok_or(Lost::NoStructure)?;
-    refine(&template, second, warp, guess, options)
+    Ok(warp.centre)
 }
 
 /// Moves a patch at one level; the linear part stays as it is. Returns the centre in pixels of that level.
@@ -170,12 +173,11 @@ fn move_patch(
         let sample = |block: &Block| {
             if plain { block.grid(centre.add_scalar(-HALF)) } else { block.warped(centre, &warp.linear) }
         };
-        let seen = match sample(&block) {
-            Some(seen) => seen,
-            None => {
-                block = Block::around(image, centre).ok_or(Lost::RanAway)?;
-                sample(&block).ok_or(Lost::RanAway)?
-            }
+        let seen = if let Some(seen) = sample(&block) {
+            seen
+        } else {
+            block = Block::around(image, centre).ok_or(Lost::RanAway)?;
+            sample(&block).ok_or(Lost::RanAway)?
         };
         let step = template.step(&seen, &[0.0; 4]).ok_or(Lost::Different)?;
         let delta = if plain { step.delta } else { warp.linear * step.delta };

@@ -23,9 +23,9 @@ pub struct OutlierOptions {
 }
 
 impl Default for OutlierOptions {
-    /// 1.5 px at a focal length of 460 px.
+    /// 1.2 px at a focal length of 460 px.
     fn default() -> Self {
-        Self { threshold: 1.5 / 460.0, max_hypotheses: 100, seed: 7 }
+        Self { threshold: 1.2 / 460.0, max_hypotheses: 100, seed: 7 }
     }
 }
 
@@ -72,10 +72,9 @@ pub fn find_outliers(
     let noise = options.threshold / 3.0;
     let refinement = Refinement { scale: options.threshold, noise, rotation_sigma: sigma, iterations: 4 };
     for _ in 0..REFINEMENTS {
-        let chosen: Vec<bool> =
-            pairs.iter().map(|pair| pose.residual(pair) < 2.0 * options.threshold).collect();
-        let fitting = pairs.iter().zip(&chosen).filter(|(_, chosen)| **chosen).map(|(pair, _)| *pair);
-        let Some(refined) = pose.refined(fitting, &refinement) else { break };
+        let near = |pair: &&BearingPair| pose.residual(pair) < 2.0 * options.threshold;
+        let fitting: Vec<BearingPair> = pairs.iter().filter(near).copied().collect();
+        let Some(refined) = pose.refined(&fitting, &refinement) else { break };
         let refined_count = search.count(&refined);
         if refined_count < count {
             break;
@@ -149,7 +148,7 @@ impl Search<'_> {
             drawn += 1;
             let sample = self.random.distinct::<5>(self.pairs.len()).map(|index| self.pairs[index]);
             let start = RelativePose { current_from_previous: turned, direction };
-            let Some(pose) = start.refined(sample.into_iter(), &refinement) else { continue };
+            let Some(pose) = start.refined(&sample, &refinement) else { continue };
             self.offer(pose);
             self.offer(RelativePose { direction: -pose.direction, ..pose });
         }

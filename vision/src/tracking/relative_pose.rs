@@ -84,11 +84,7 @@ impl RelativePose {
     ///
     /// # Returns
     /// None where the equations have no solution.
-    pub fn refined(
-        &self,
-        pairs: impl Iterator<Item = BearingPair> + Clone,
-        options: &Refinement,
-    ) -> Option<Self> {
+    pub fn refined(&self, pairs: &[BearingPair], options: &Refinement) -> Option<Self> {
         // Keeps the direction where nothing moved: a parallax of a tenth of the noise counts for nothing.
         let damping = 1e-2 * options.noise * options.noise;
         let prior = (options.noise / options.rotation_sigma).powi(2);
@@ -98,7 +94,7 @@ impl RelativePose {
             let [across, upward] = tangents(&pose.direction);
             let mut normal = Matrix5::<f64>::zeros();
             let mut right = Vector5::<f64>::zeros();
-            for pair in pairs.clone() {
+            for pair in pairs {
                 let far = pose.current_from_previous * pair.previous;
                 let plane = pose.direction.cross(&far);
                 let length = plane.norm().max(1e-3);

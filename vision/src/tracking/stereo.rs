@@ -80,7 +80,7 @@ impl StereoPair {
         // The depth along the line far + inverse_depth * towards that is nearest in the second image.
         let (a, b) = (far.xy() - normalized * far.z, towards.xy() - normalized * towards.z);
         let inverse_depth = (-a.dot(&b) / b.norm_squared()).max(0.0);
-        if !(inverse_depth <= options.max_inverse_depth) {
+        if inverse_depth.is_nan() || inverse_depth > options.max_inverse_depth {
             return None;
         }
         let nearest = self.second.project(&(far + towards * inverse_depth)).ok()?;

@@ -46,29 +46,39 @@ impl<const P: usize> Template<P> {
     ///
     /// `prior` is the weight of the prior on each element of the linear part: (noise in grey levels / its standard
     /// deviation)^2. None where the patch is outside or has no structure in two directions.
-    pub(super) fn new(image: &GrayImage, at: Vector2<f32>, prior: f32) -> Option<Self> {
+    pub(super) fn new(image: &GrayImage, at: Vector2<f32>, prior: f32) -> Option<Box<Self>> {
         const APRON: usize = SIDE + 2;
         let block = Block::around(image, at)?;
         let samples = block.grid::<APRON>(at.add_scalar(-HALF - 1.0))?;
-        let mut centred: Patch = [[0.0; SIDE]; SIDE];
-        let mut gradient: [Patch; 2] = [[[0.0; SIDE]; SIDE]; 2];
+        // Boxed and filled in place: it is several kilobytes, which are not worth moving about.
+        let mut template = Box::new(Self {
+            jacobian: [[[0.0; SIDE]; SIDE]; P],
+            centred: [[0.0; SIDE]; SIDE],
+            energy: 0.0,
+            inverse: SMatrix::zeros(),
+            prior,
+        });
+        let Self { jacobian, centred, .. } = &mut *template;
         for y in 0..SIDE {
             for x in 0..SIDE {
                 centred[y][x] = samples[y + 1][x + 1];
-                gradient[0][y][x] = 0.5 * (samples[y + 1][x + 2] - samples[y + 1][x]);
-                gradient[1][y][x] = 0.5 * (samples[y + 2][x + 1] - samples[y][x + 1]);
+                jacobian[0][y][x] = 0.5 * (samples[y + 1][x + 2] - samples[y + 1][x]);
+                jacobian[1][y][x] = 0.5 * (samples[y + 2][x + 1] - samples[y][x + 1]);
             }
         }
-        centre(&mut centred);
-        let energy = dot(&centred, &centred);
+        for column in 2..P {
+            let (gradient, products) = jacobian.split_at_mut(2);
+            times_offset(&gradient[(column - 2) / 2], column % 2 == 0, &mut products[column - 2]);
+        }
+        centre(centred);
+        let energy = dot(centred, centred);
         if energy <= 0.0 {
             return None;
         }
-        let mut jacobian: [Patch; P] = std::array::from_fn(|column| column_of(&gradient, column));
-        for column in &mut jacobian {
+        for column in &mut *jacobian {
             centre(column);
-            let along = dot(column, &centred) / energy;
-            subtract(column, along, &centred);
+            let along = dot(column, centred) / energy;
+            subtract(column, along, centred);
         }
         let mut normal = SMatrix::<f32, P, P>::zeros();
         for i in 0..P {
@@ -86,8 +96,9 @@ impl<const P: usize> Template<P> {
         for i in 2..P {
             normal[(i, i)] += prior;
         }
-        let inverse = normal.try_inverse()?;
-        Some(Self { jacobian, centred, energy, inverse, prior })
+        template.energy = energy;
+        template.inverse = normal.try_inverse()?;
+        Some(template)
     }
 
     /// Compares with samples of another image. `off` is by how much the linear part is away from its prior.
@@ -119,19 +130,14 @@ impl<const P: usize> Template<P> {
     }
 }
 
-/// Column 0, 1: the gradient; 2 to 5: the gradient times the offset from the centre.
-fn column_of(gradient: &[Patch; 2], column: usize) -> Patch {
-    if column < 2 {
-        return gradient[column];
-    }
-    let [by_component, by_offset] = [(column - 2) / 2, (column - 2) % 2];
-    let mut out = gradient[by_component];
-    for (y, row) in out.iter_mut().enumerate() {
-        for (x, value) in row.iter_mut().enumerate() {
-            *value *= if by_offset == 0 { x as f32 - HALF } else { y as f32 - HALF };
+/// A component of the gradient times how far right (or down) of the centre each sample is.
+fn times_offset(gradient: &Patch, right: bool, out: &mut Patch) {
+    for y in 0..SIDE {
+        let down = y as f32 - HALF;
+        for x in 0..SIDE {
+            out[y][x] = gradient[y][x] * if right { x as f32 - HALF } else { down };
         }
     }
-    out
 }
 
 /// The smaller eigenvalue of the symmetric matrix `[a b; b c]`.
