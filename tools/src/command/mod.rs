@@ -12,6 +12,7 @@ pub mod plot;
 pub mod query;
 pub mod run;
 pub mod simulate;
+pub mod weights;
 
 /// What `driftless` can do.
 #[derive(Debug, Subcommand)]
@@ -36,6 +37,8 @@ pub enum Command {
     Evaluate(evaluate::Args),
     /// Draw the pictures of a run
     Plot(plot::Args),
+    /// Get the weights of networks, or list which are there
+    Weights(weights::Args),
 }
 
 impl Command {
@@ -55,6 +58,7 @@ impl Command {
             Self::Run(args) => run::run(&args),
             Self::Evaluate(args) => evaluate::run(&args),
             Self::Plot(args) => plot::run(&args),
+            Self::Weights(args) => weights::run(args),
         }
     }
 }
