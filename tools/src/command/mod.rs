@@ -14,6 +14,7 @@ pub mod query;
 pub mod run;
 pub mod simulate;
 pub mod track;
+pub mod weights;
 
 /// What `driftless` can do.
 #[derive(Debug, Subcommand)]
@@ -42,6 +43,8 @@ pub enum Command {
     Evaluate(evaluate::Args),
     /// Draw the pictures of a run
     Plot(plot::Args),
+    /// Get the weights of networks, or list which are there
+    Weights(weights::Args),
 }
 
 impl Command {
@@ -63,6 +66,7 @@ impl Command {
             Self::Track(args) => track::run(&args),
             Self::Evaluate(args) => evaluate::run(&args),
             Self::Plot(args) => plot::run(&args),
+            Self::Weights(args) => weights::run(args),
         }
     }
 }

@@ -69,7 +69,9 @@ mod tests {
     #[test]
     fn the_nearest_variable_that_is_set_decides() {
         let folder = |set: &[(&str, &str)]| {
-            folder_from(|name| set.iter().find(|(key, _)| *key == name).map(|(_, value)| PathBuf::from(value)))
+            folder_from(|name| {
+                set.iter().find(|(key, _)| *key == name).map(|(_, value)| PathBuf::from(value))
+            })
         };
         let (home, data, own) = (("HOME", "/home/r"), ("XDG_DATA_HOME", "/data"), (FOLDER_VARIABLE, "/w"));
         assert_eq!(folder(&[home, data, own]), Path::new("/w"));

@@ -2,6 +2,7 @@
 
 use super::network::NetworkError;
 use super::state_dict::Tensor;
+use std::cmp::Ordering;
 
 /// Bicubic interpolation's parameter (the slope at the first neighbour), as in the training of XFeat.
 const CUBIC: f32 = -0.75;
@@ -23,7 +24,12 @@ pub(super) struct Peak {
 
 impl Heat {
     /// An output `[1, 1, height, width]` of a network.
-    pub fn from_output(name: &str, tensor: Tensor, height: usize, width: usize) -> Result<Self, NetworkError> {
+    pub fn from_output(
+        name: &str,
+        tensor: Tensor,
+        height: usize,
+        width: usize,
+    ) -> Result<Self, NetworkError> {
         check_shape(name, &tensor, &[1, 1, height, width])?;
         Ok(Self { width, height, data: tensor.data })
     }
@@ -53,7 +59,11 @@ impl Heat {
         (y.saturating_sub(radius)..=(y + radius).min(self.height - 1)).all(|row| {
             columns.clone().all(|column| {
                 let other = self.get(column, row);
-                own > other || (own == other && (row, column) >= (y, x))
+                match own.total_cmp(&other) {
+                    Ordering::Greater => true,
+                    Ordering::Equal => (row, column) >= (y, x),
+                    Ordering::Less => false,
+                }
             })
         })
     }
@@ -62,12 +72,6 @@ impl Heat {
     /// and its two neighbours, in each direction. A peak at the border stays where it is.
     pub fn refine(&self, peak: Peak) -> [f32; 2] {
         let (x, y) = (peak.x, peak.y);
-        let mode=std::env::var("XF_SUB").unwrap_or_default();
-        if mode=="none" {return [x as f32,y as f32];}
-        if mode.starts_with("cent") { let r:usize=mode[4..].parse().unwrap();
-            if x<r||y<r||x+r>=self.width||y+r>=self.height{return [x as f32,y as f32]}
-            let (mut s,mut sx,mut sy)=(0.,0.,0.); for j in y-r..=y+r {for i in x-r..=x+r{let h=self.get(i,j);s+=h;sx+=h*(i as f32-x as f32);sy+=h*(j as f32-y as f32);}}
-            return [x as f32+sx/s,y as f32+sy/s];}
         let inside = x > 0 && y > 0 && x + 1 < self.width && y + 1 < self.height;
         if !inside {
             return [x as f32, y as f32];

@@ -69,7 +69,7 @@ pub struct Network {
 
 enum Loaded {
     OnnxRuntime(onnxruntime::Session),
-    Rten(Rten),
+    Rten(Box<Rten>),
 }
 
 impl Network {
@@ -83,7 +83,7 @@ impl Network {
     pub fn load(onnx: Vec<u8>, input: &str, outputs: &[&str], engine: Engine) -> Result<Self, NetworkError> {
         let loaded = match engine {
             Engine::OnnxRuntime => Loaded::OnnxRuntime(onnxruntime::Session::load(&onnx, input, outputs)?),
-            Engine::Rten => Loaded::Rten(Rten::load(onnx, input, outputs)?),
+            Engine::Rten => Loaded::Rten(Box::new(Rten::load(onnx, input, outputs)?)),
         };
         Ok(Self { outputs: outputs.iter().map(|&name| name.to_owned()).collect(), loaded })
     }

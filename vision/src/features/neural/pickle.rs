@@ -266,7 +266,9 @@ mod tests {
 
     #[test]
     fn instructions_without_their_values_are_errors() {
-        for program in [b".".as_slice(), b"t.", b"s.", b"u.", b"R.", b"Q.", b"b.", b"q\x00.", b"h\x07.", b"\x87."] {
+        for program in
+            [b".".as_slice(), b"t.", b"s.", b"u.", b"R.", b"Q.", b"b.", b"q\x00.", b"h\x07.", b"\x87."]
+        {
             assert_eq!(load(program).unwrap_err(), PickleError::Stack, "{program:?}");
         }
         // A mark above what is left of the stack.

@@ -66,7 +66,8 @@ impl R2d2Extractor {
     pub fn open(folder: &Path) -> Result<Self, WeightsError> {
         let path = folder.join(R2D2.file);
         let bytes = weights::read_checked(&path, &R2D2)?;
-        Self::from_onnx(bytes, Engine::best()).map_err(|error| WeightsError::unusable(&path, &R2D2, error.to_string()))
+        Self::from_onnx(bytes, Engine::best())
+            .map_err(|error| WeightsError::unusable(&path, &R2D2, error.to_string()))
     }
 
     /// The extractor with the network of an ONNX file: its input is `image` `[1, 3, rows, columns]`, its outputs are

@@ -11,7 +11,7 @@ use std::io::{Cursor, Read as _};
 use zip::ZipArchive;
 
 /// Larger files are refused; XFeat's weights have 6 MB.
-const MAX_BYTES: u64 = 256 << 20;
+const MAX_BYTES: u64 = 64 << 20;
 
 /// Numbers in row-major order.
 #[derive(Clone, Debug, PartialEq)]
@@ -180,7 +180,9 @@ impl Place {
             return Err(UNKNOWN);
         }
         let [storage, offset, shape, strides, ..] = arguments.as_slice() else { return Err(UNKNOWN) };
-        let (Value::Persistent(id), Value::Int(offset)) = (&**storage, &**offset) else { return Err(UNKNOWN) };
+        let (Value::Persistent(id), Value::Int(offset)) = (&**storage, &**offset) else {
+            return Err(UNKNOWN);
+        };
         let Value::Tuple(id) = &**id else { return Err(UNKNOWN) };
         let [_, kind, key, ..] = id.as_slice() else { return Err(UNKNOWN) };
         let (Value::Name(_, kind), Value::Text(key)) = (&**kind, &**key) else { return Err(UNKNOWN) };

@@ -66,12 +66,18 @@ pub(super) fn read_checked(path: &Path, file: &WeightsFile) -> Result<Vec<u8>, W
     if let Some(needed) = file.sha256.map(str::to_owned).or_else(beside) {
         let found = hexadecimal(&Sha256::digest(&bytes));
         if found != needed {
-            return Err(WeightsError::Checksum { path: path.to_path_buf(), found, needed, command: file.command });
+            return Err(WeightsError::Checksum {
+                path: path.to_path_buf(),
+                found,
+                needed,
+                command: file.command,
+            });
         }
     }
     Ok(bytes)
 }
 
 fn hexadecimal(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+    let digit = |number: u8| char::from_digit(number.into(), 16).unwrap_or_default();
+    bytes.iter().flat_map(|byte| [digit(byte >> 4), digit(byte & 15)]).collect()
 }
