@@ -7,7 +7,7 @@ use std::collections::{HashMap, HashSet};
 
 use common::{Place, PlaceOptions};
 use geometry::{Pose, PoseWithCovariance};
-use map_server::{LoadedMap, QueryError, RecognitionOptions};
+use map_server::{CrossCovariance, LoadedMap, MapContents, QueryError, RecognitionOptions};
 use nalgebra::{Matrix6, Vector3, Vector6};
 use protocol::{
     DescriptorFormat, DescriptorKind, Descriptors, FeatureSet, LocalizeRequest, MatchOutcome, MatchReply,
@@ -336,6 +336,110 @@ fn float_descriptors_are_recognized_too() {
     assert!(found >= 9, "only {found} of 10");
 }
 
+/// The place with signed bytes for bits: +40 or -40, with noise.
+fn with_signed_bytes(place: &Place, rng: &mut StdRng) -> LoadedMap {
+    let mut contents = place.map.clone();
+    contents.info.descriptor_kind = DescriptorKind::Int8;
+    contents.info.descriptor_width = 64;
+    for observation in contents.landmarks.iter_mut().flat_map(|landmark| &mut landmark.observations) {
+        observation.descriptor = as_signed_bytes(&observation.descriptor, rng);
+    }
+    LoadedMap::from_contents(contents).unwrap()
+}
+
+fn as_signed_bytes(bits: &[u8], rng: &mut StdRng) -> Vec<u8> {
+    let bit = |at: usize| f64::from(bits[at / 8] >> (at % 8) & 1) * 80.0 - 40.0;
+    let mut number = |at: usize| (bit(at) + 15.0 * common::normal(rng)).clamp(-127.0, 127.0) as i8;
+    (0..64).map(|at| number(at).cast_unsigned()).collect()
+}
+
+#[test]
+fn keyframes_that_look_like_an_image_come_first() {
+    let place = Place::new(&PlaceOptions {
+        keyframes: 120,
+        landmarks: 6000,
+        repeated_descriptors: 20,
+        repeated_share: 0.3,
+        ..PlaceOptions::default()
+    });
+    let mut rng = StdRng::seed_from_u64(24);
+    let map = with_signed_bytes(&place, &mut rng);
+    let mut found = 0;
+    for _ in 0..40 {
+        let truth = random_pose(&place, &mut rng);
+        let mut features = place.request(&truth, 1, &mut rng).features;
+        let bytes: Vec<u8> =
+            features.descriptors.iter().flat_map(|bits| as_signed_bytes(bits, &mut rng)).collect();
+        features.descriptors = Descriptors { kind: DescriptorKind::Int8, width: 64, bytes };
+        let alike = map.most_alike(&features, 5).unwrap();
+        let distance = |id: &u64| (place.path[(id - 10) as usize].translation - truth.translation).norm();
+        found += usize::from(alike.iter().any(|id| distance(id) < 4.0));
+
+        // Whoever lists the features, in whatever order.
+        let mut reversed = features.clone();
+        reversed.pixels.reverse();
+        reversed.descriptors.bytes = features.descriptors.bytes.chunks(64).rev().flatten().copied().collect();
+        assert_eq!(map.most_alike(&reversed, 5).unwrap(), alike);
+    }
+    assert!(found >= 39, "only {found} of 40");
+}
+
+#[test]
+fn a_keyframe_looks_most_like_itself() {
+    let place = Place::new(&PlaceOptions::default());
+    let map = loaded(&place);
+    for keyframe in &place.map.keyframes[..25] {
+        let mut features = FeatureSet::empty(DescriptorFormat { kind: DescriptorKind::Binary, width: 32 });
+        for seen in place.map.landmarks.iter().flat_map(|landmark| &landmark.observations) {
+            if seen.keyframe == keyframe.id {
+                features.pixels.push(seen.pixel);
+                features.descriptors.bytes.extend(&seen.descriptor);
+            }
+        }
+        assert_eq!(map.most_alike(&features, 1).unwrap(), [keyframe.id]);
+    }
+}
+
+#[test]
+fn in_a_precise_map_a_tenth_of_moved_landmarks_does_not_move_the_pose() {
+    let place = Place::new(&PlaceOptions::default());
+    let mut rng = StdRng::seed_from_u64(25);
+    let mut contents = place.map.clone();
+    contents.cross_covariances.clear();
+    for (keyframe, truth) in contents.keyframes.iter_mut().zip(&place.path) {
+        let covariance = Matrix6::identity() * 0.001_f64.powi(2);
+        keyframe.global_from_keyframe = PoseWithCovariance::new(*truth, covariance);
+    }
+    for landmark in &mut contents.landmarks {
+        let anchor = &place.path[(landmark.anchor - 10) as usize];
+        landmark.position_in_anchor =
+            anchor.inverse_transform(&place.points[(landmark.id - 1000) as usize].0);
+        if landmark.id % 10 == 0 {
+            // Within what verification allows, and all to the same side.
+            landmark.position_in_anchor.x += landmark.position_in_anchor.z * 6.0 / 458.0;
+            for seen in &mut landmark.observations {
+                seen.pixel[0] = (seen.pixel[0] + 6.0).min(751.0);
+            }
+        }
+    }
+    let map = LoadedMap::from_contents(contents).unwrap();
+    let (mut errors, mut nees, mut inliers, mut matched) = (Vec::new(), Vec::new(), 0, 0);
+    for _ in 0..20 {
+        let truth = random_pose(&place, &mut rng);
+        let request = localize_request(place.request(&truth, 1, &mut rng));
+        let fix = map.localize(&request, &RecognitionOptions::default()).unwrap().fix.unwrap();
+        inliers += fix.inliers;
+        matched += fix.matched_features;
+        errors.push(truth.local(&fix.global_from_camera.pose).fixed_rows::<3>(3).norm());
+        nees.push(fix.global_from_camera.nees(&truth).unwrap());
+    }
+    assert!(f64::from(inliers) < 0.97 * f64::from(matched), "{inliers} of {matched}");
+    errors.sort_by(f64::total_cmp);
+    nees.sort_by(f64::total_cmp);
+    assert!(errors[10] < 0.02 && errors[19] < 0.06, "{errors:?}");
+    assert!(nees[10] < 12.0, "{nees:?}");
+}
+
 #[test]
 fn a_map_that_is_damaged_in_places_is_still_served() {
     let directory = tempfile::tempdir().unwrap();
@@ -356,17 +460,31 @@ fn a_map_that_is_damaged_in_places_is_still_served() {
 }
 
 #[test]
-fn the_uncertainty_of_the_keyframe_is_in_the_fix() {
+fn the_uncertainty_of_the_keyframes_is_in_the_fix_and_common_errors_do_not_average_out() {
     let place = Place::new(&PlaceOptions::default());
     let mut contents = place.map.clone();
     contents.cross_covariances.clear();
+    let covariance = Matrix6::from_diagonal(&Vector6::new(1e-8, 1e-8, 1e-8, 0.25, 0.25, 0.25));
     for keyframe in &mut contents.keyframes {
-        keyframe.global_from_keyframe.covariance =
-            Matrix6::from_diagonal(&Vector6::new(1e-4, 1e-4, 1e-4, 0.25, 0.25, 0.25));
+        keyframe.global_from_keyframe.covariance = covariance;
     }
-    let map = LoadedMap::from_contents(contents).unwrap();
     let request = place.request(&place.camera_at(10.0, 0.0, 0.0), 1, &mut StdRng::seed_from_u64(22));
-    let reply = map.localize(&localize_request(request), &RecognitionOptions::default()).unwrap();
-    let covariance = reply.fix.unwrap().global_from_camera.covariance;
-    assert!(covariance[(0, 0)] > 1e-4 && covariance[(4, 4)] > 0.25);
+    let request = localize_request(request);
+    let variance_in = |contents: MapContents| {
+        let map = LoadedMap::from_contents(contents).unwrap();
+        let fix = map.localize(&request, &RecognitionOptions::default()).unwrap().fix.unwrap();
+        fix.global_from_camera.covariance[(4, 4)]
+    };
+    let independent = variance_in(contents.clone());
+    assert!((0.25 / 7.0..0.25).contains(&independent), "{independent}");
+    let ids: Vec<u64> = contents.keyframes.iter().map(|keyframe| keyframe.id).collect();
+    for (at, &a) in ids.iter().enumerate() {
+        contents.cross_covariances.extend(ids[at + 1..].iter().map(|&b| CrossCovariance {
+            a,
+            b,
+            block: covariance,
+        }));
+    }
+    let common = variance_in(contents);
+    assert!((0.24..0.3).contains(&common), "{common}");
 }

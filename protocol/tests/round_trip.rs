@@ -4,6 +4,7 @@
 mod common;
 
 use common::*;
+use nalgebra::Matrix6;
 use proptest::prelude::*;
 use protocol::*;
 
@@ -116,4 +117,49 @@ fn a_large_image_fits_by_far() {
     let bytes = encode(Format::Bincode, &request).unwrap();
     assert!(bytes.len() < 1_100_000, "{} bytes", bytes.len());
     assert_eq!(decode::<MatchRequest>(Format::Bincode, &bytes).unwrap(), request);
+}
+
+/// The bounds of the link between robot and server: what they say must pass a radio.
+#[test]
+fn a_query_of_500_features_has_40_kb_and_an_answer_of_3_keyframes_120_kb_at_most() {
+    let pixel = |index: usize| [index as f32 * 1.37, 479.0 - index as f32 * 0.77];
+    let mut request = example(match_requests());
+    let bytes = (0..500 * 64).map(|index| (index * 37 % 256) as u8).collect();
+    request.features = FeatureSet {
+        pixels: (0..500).map(pixel).collect(),
+        descriptors: Descriptors { kind: DescriptorKind::Int8, width: 64, bytes },
+        extractor: "xfeat-1".to_owned(),
+    };
+    request.prior = Some(PosePrior { global_from_camera: example(poses()) });
+    request.held = (9_000..9_100).collect();
+    let query = encode(Format::Bincode, &request).unwrap().len();
+    assert!(query <= 40_000, "{query} bytes");
+
+    // 500 matches, each landmark seen by the three keyframes sent and by four that the robot holds.
+    let sent = [9_120_u64, 9_121, 9_122];
+    let observations = |index: usize| {
+        let seen = sent.into_iter().chain(9_000..9_004);
+        seen.map(|keyframe| KeyframePixel { keyframe, pixel: pixel(index) }).collect()
+    };
+    let found = |index: usize| LandmarkMatch {
+        feature: index as u32,
+        landmark: 5_000_000 + 17 * index as u64,
+        anchor: sent[index % 3],
+        position_in_anchor: [0.1 * index as f64, -1.5, 7.25],
+        distance: 0.125,
+        observations: observations(index),
+    };
+    let cross = |other: u64| CrossCovariance { other, block: Matrix6::from_element(1e-4) };
+    let part = |rank: usize| {
+        let keyframe = KeyframeRecord { id: sent[rank], ..example(keyframe_replies()).keyframe };
+        MatchReply::Keyframe(MatchedKeyframe {
+            map_version: 3,
+            rank: rank as u16,
+            keyframe,
+            cross_covariances: (9_000..9_020).map(cross).collect(),
+            matches: (rank * 500 / 3..(rank + 1) * 500 / 3).map(found).collect(),
+        })
+    };
+    let answer: usize = (0..3).map(|rank| encode(Format::Bincode, &part(rank)).unwrap().len()).sum();
+    assert!(answer <= 120_000, "{answer} bytes");
 }

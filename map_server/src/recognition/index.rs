@@ -15,6 +15,9 @@ use super::loaded_map::LoadedLandmark;
 /// Descriptors of one landmark nearer to each other than this part of the largest distance of a match are one look.
 const LOOK_SHARE: f32 = 0.75;
 
+/// The weight of a feature that is near one landmark only.
+const WHOLE_VOTE: u64 = 1 << 20;
+
 /// The landmarks of a map by what they look like.
 pub(crate) struct Index {
     /// With the index of the landmark.
@@ -26,8 +29,8 @@ pub(crate) struct Index {
 /// The votes for one keyframe.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Votes {
-    /// Sum of the weights.
-    pub(crate) weight: f64,
+    /// Sum of the weights, in parts of [`WHOLE_VOTE`]: whole numbers, so that the order of features is of no account.
+    pub(crate) weight: u64,
     /// Number of query features that voted.
     pub(crate) features: usize,
 }
@@ -88,7 +91,7 @@ impl Index {
         self.looks.search(query, self.max_distance, |_, hits| {
             near.clear();
             near.extend(hits.iter().map(|hit| hit.payload));
-            let weight = 1.0 / count_distinct(&mut near).max(1) as f64;
+            let weight = WHOLE_VOTE / count_distinct(&mut near).max(1) as u64;
             keyframes.clear();
             let observers = near.iter().flat_map(|&landmark| &landmarks[landmark as usize].observations);
             keyframes.extend(observers.map(|&(keyframe, _)| keyframe as u32));
@@ -119,7 +122,7 @@ pub(crate) fn best_voted(
 ) -> Vec<usize> {
     let mut ranked: Vec<usize> =
         (0..votes.len()).filter(|&at| votes[at].features >= min_features && eligible(at)).collect();
-    ranked.sort_by(|&a, &b| votes[b].weight.total_cmp(&votes[a].weight).then(a.cmp(&b)));
+    ranked.sort_by(|&a, &b| votes[b].weight.cmp(&votes[a].weight).then(a.cmp(&b)));
     ranked.truncate(count);
     ranked
 }

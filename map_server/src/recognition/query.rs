@@ -263,10 +263,11 @@ impl LoadedMap {
         image: &Image<'_>,
         options: &RecognitionOptions,
     ) -> Result<Search, QueryError> {
-        let mut verified = Vec::new();
+        let mut verified: Vec<Verified> = Vec::new();
         let mut outcome = MatchOutcome::NoMatch;
         for &candidate in candidates {
-            match compare(self, candidate, image, options)? {
+            let expected = verified.first().map(|first| &first.global_from_camera.pose);
+            match compare(self, candidate, image, expected, options)? {
                 Comparison::Unlike => {}
                 Comparison::NotVerified => outcome = MatchOutcome::NotVerified,
                 Comparison::Verified(keyframe) => verified.push(*keyframe),

@@ -2,8 +2,8 @@
 
 use std::collections::HashSet;
 
-use geometry::pnp::{Correspondence, Gravity, PnpError, PnpSolution, RansacOptions, solve_ransac};
-use geometry::{Camera, PoseWithCovariance};
+use geometry::pnp::{Correspondence, Gravity, PnpError, PnpSolution, RansacOptions, refine, solve_ransac};
+use geometry::{Camera, Pose, PoseWithCovariance};
 use nalgebra::{Vector2, Vector3};
 use protocol::FeatureSet;
 use vision::{DescriptorError, DescriptorView, Match, MatchOptions, match_descriptors};
@@ -13,6 +13,15 @@ use super::options::RecognitionOptions;
 
 /// Ratio of the mean length of a two-dimensional normal error to its standard deviation.
 const MEAN_OF_RAYLEIGH: f64 = 1.2533;
+
+/// How many times wider than for inliers the first gate around an expected pose is.
+const GUIDED_FACTOR: f64 = 3.0;
+/// Rounds of refinement and of choosing the inliers again, from an expected pose.
+const GUIDED_ROUNDS: usize = 2;
+/// Iterations of each of these refinements.
+const GUIDED_ITERATIONS: usize = 6;
+/// Huber's threshold of these refinements, in standard deviations of a pixel; as in RANSAC.
+const HUBER_SIGMAS: f64 = 2.5;
 
 /// An image to be recognized.
 pub(crate) struct Image<'a> {
@@ -51,10 +60,15 @@ pub(crate) enum Comparison {
 /// The pose is solved in the keyframe's frame, where the landmarks do not carry the error of the keyframe's pose.
 /// Where gravity is known on both sides, it halves the sample; the keyframe's rotation is uncertain, so a pose from
 /// pixels alone is tried if that fails.
+///
+/// # Arguments
+/// * `expected`: `global_from_camera` as another keyframe of the map had it. Where it explains most of the matches, no
+///   search is needed; where it does not, it has no part in the answer.
 pub(crate) fn compare(
     map: &LoadedMap,
     keyframe: usize,
     image: &Image<'_>,
+    expected: Option<&Pose>,
     options: &RecognitionOptions,
 ) -> Result<Comparison, DescriptorError> {
     let match_options = MatchOptions::for_metric(map.metric());
@@ -75,7 +89,10 @@ pub(crate) fn compare(
             in_camera,
         });
     let sigma = options.query_pixel_sigma.hypot(map.info.pixel_sigma);
-    let Some(solution) = solve(image.camera, &correspondences, gravity, sigma, options) else {
+    let expected = expected.map(|pose| global_from_keyframe.pose.inverse().compose(pose));
+    let guided = expected.and_then(|pose| guided(image.camera, &correspondences, &pose, sigma, options));
+    let solution = guided.or_else(|| solve(image.camera, &correspondences, gravity, sigma, options));
+    let Some(solution) = solution else {
         return Ok(Comparison::NotVerified);
     };
 
@@ -116,6 +133,42 @@ fn solve(
         solve_ransac(camera, correspondences, &ransac, sigma)
     };
     gravity.and_then(|gravity| attempt(Some(gravity)).ok()).or_else(|| attempt(None).ok())
+}
+
+/// The pose near an expected one, if most of the matches agree with it.
+///
+/// The first selection is wider by [`GUIDED_FACTOR`], for the errors of the keyframes' poses.
+fn guided(
+    camera: &Camera,
+    correspondences: &[Correspondence],
+    expected: &Pose,
+    sigma: f64,
+    options: &RecognitionOptions,
+) -> Option<PnpSolution> {
+    let threshold = options.inlier_angle * f64::midpoint(camera.focal[0], camera.focal[1]);
+    let within = |pose: &Pose, gate: f64| -> Vec<usize> {
+        let error = |at: &usize| correspondences[*at].reprojection_error(camera, pose);
+        (0..correspondences.len()).filter(|at| error(at).is_some_and(|error| error <= gate)).collect()
+    };
+    let fewest = options.min_inliers.max(correspondences.len().div_ceil(2));
+    let mut inliers = within(expected, GUIDED_FACTOR * threshold);
+    let mut estimate = PoseWithCovariance::exact(*expected);
+    for _ in 0..GUIDED_ROUNDS {
+        if inliers.len() < fewest {
+            return None;
+        }
+        let chosen: Vec<Correspondence> = inliers.iter().map(|&at| correspondences[at]).collect();
+        estimate =
+            refine(camera, &chosen, &estimate.pose, sigma, GUIDED_ITERATIONS, Some(HUBER_SIGMAS)).ok()?;
+        inliers = within(&estimate.pose, threshold);
+    }
+    if inliers.len() < fewest {
+        return None;
+    }
+    let errors =
+        inliers.iter().filter_map(|&at| correspondences[at].reprojection_error(camera, &estimate.pose));
+    let mean_error_px = errors.sum::<f64>() / inliers.len() as f64;
+    Some(PnpSolution { world_from_camera: estimate, inliers, mean_error_px })
 }
 
 /// Whether the inliers fix the pose: a few pixels in a corner are explained by many poses.
