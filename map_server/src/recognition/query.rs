@@ -162,6 +162,20 @@ impl LoadedMap {
         DescriptorFormat { kind: self.info.descriptor_kind, width: self.info.descriptor_width }
     }
 
+    /// A query's descriptors, which must be comparable with the map's.
+    pub(super) fn view<'a>(&self, features: &'a FeatureSet) -> Result<DescriptorView<'a>, QueryError> {
+        let query = features.descriptors.format();
+        if query != self.format() {
+            return Err(QueryError::DescriptorMismatch { query, map: self.format() });
+        }
+        let (stated, wanted) = (&features.extractor, &self.info.extractor);
+        if !stated.is_empty() && !wanted.is_empty() && stated != wanted {
+            return Err(QueryError::ExtractorMismatch { query: stated.clone(), map: wanted.clone() });
+        }
+        let width = usize::from(query.width);
+        Ok(DescriptorView::new(self.metric(), width, &features.descriptors.bytes)?)
+    }
+
     fn search(
         &self,
         camera: &Camera,
@@ -177,16 +191,7 @@ impl LoadedMap {
         if features.len() < options.min_inliers {
             return nothing(MatchOutcome::TooFewFeatures);
         }
-        let query = features.descriptors.format();
-        if query != self.format() {
-            return Err(QueryError::DescriptorMismatch { query, map: self.format() });
-        }
-        let (stated, wanted) = (&features.extractor, &self.info.extractor);
-        if !stated.is_empty() && !wanted.is_empty() && stated != wanted {
-            return Err(QueryError::ExtractorMismatch { query: stated.clone(), map: wanted.clone() });
-        }
-        let descriptors =
-            DescriptorView::new(self.metric(), usize::from(query.width), &features.descriptors.bytes)?;
+        let descriptors = self.view(features)?;
         let image = Image { camera, features, descriptors, gravity_in_camera };
         let votes = self.index.vote(descriptors, self.keyframes.len())?;
         let candidates = |eligible: &dyn Fn(usize) -> bool| {
@@ -206,7 +211,7 @@ impl LoadedMap {
     }
 
     /// Which keyframes may share a view with a camera near a prior pose.
-    fn near(&self, prior: &PoseWithCovariance) -> Vec<bool> {
+    pub(super) fn near(&self, prior: &PoseWithCovariance) -> Vec<bool> {
         let position_covariance = prior.covariance.fixed_view::<3, 3>(3, 3).into_owned();
         let largest = position_covariance.symmetric_eigenvalues().max().max(0.0);
         let radius = PRIOR_SIGMAS * largest.sqrt() + self.viewing_distance();
@@ -229,7 +234,7 @@ impl LoadedMap {
         for &candidate in candidates {
             match compare(self, candidate, image, options)? {
                 Comparison::Unlike => {}
-                Comparison::NotVerified => outcome = MatchOutcome::NotVerified,
+                Comparison::NotVerified | Comparison::Uncertain(_) => outcome = MatchOutcome::NotVerified,
                 Comparison::Verified(keyframe) => verified.push(*keyframe),
             }
         }
