@@ -11,4 +11,5 @@ pub mod in_process;
 pub mod map_building;
 pub mod map_files;
 pub mod plotting;
+pub mod query_image;
 pub mod simulation;

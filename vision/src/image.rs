@@ -40,6 +40,9 @@ pub enum ImageError {
         /// What went wrong.
         source: image::ImageError,
     },
+    /// The image cannot be encoded.
+    #[error("the image cannot be encoded: {0}")]
+    Encoding(#[source] image::ImageError),
     /// The bytes do not fill the image.
     #[error("{bytes} bytes are not an image of {width} x {height} pixels")]
     Size {
@@ -105,6 +108,19 @@ impl GrayImage {
         let (width, height) = (self.width as u32, self.height as u32);
         image::save_buffer(path, &self.pixels, width, height, image::ExtendedColorType::L8)
             .map_err(|source| ImageError::Unwritable { path: path.to_path_buf(), source })
+    }
+
+    /// The image as the bytes of a PNG file.
+    ///
+    /// # Errors
+    /// [`ImageError::Encoding`]: sides beyond what PNG can say.
+    pub fn to_png(&self) -> Result<Vec<u8>, ImageError> {
+        let (width, height) = (self.width as u32, self.height as u32);
+        let mut png = std::io::Cursor::new(Vec::new());
+        let (colour, format) = (image::ExtendedColorType::L8, image::ImageFormat::Png);
+        image::write_buffer_with_format(&mut png, &self.pixels, width, height, colour, format)
+            .map_err(ImageError::Encoding)?;
+        Ok(png.into_inner())
     }
 
     /// Columns.

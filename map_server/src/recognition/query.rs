@@ -197,7 +197,7 @@ impl LoadedMap {
     }
 
     /// A query's descriptors, which must be comparable with the map's.
-    fn view<'a>(&self, features: &'a FeatureSet) -> Result<DescriptorView<'a>, QueryError> {
+    pub(super) fn view<'a>(&self, features: &'a FeatureSet) -> Result<DescriptorView<'a>, QueryError> {
         let query = features.descriptors.format();
         if query != self.format() {
             return Err(QueryError::DescriptorMismatch { query, map: self.format() });
@@ -245,7 +245,7 @@ impl LoadedMap {
     }
 
     /// Which keyframes may share a view with a camera near a prior pose.
-    fn near(&self, prior: &PoseWithCovariance) -> Vec<bool> {
+    pub(super) fn near(&self, prior: &PoseWithCovariance) -> Vec<bool> {
         let position_covariance = prior.covariance.fixed_view::<3, 3>(3, 3).into_owned();
         let largest = position_covariance.symmetric_eigenvalues().max().max(0.0);
         let radius = PRIOR_SIGMAS * largest.sqrt() + self.viewing_distance();
@@ -269,7 +269,7 @@ impl LoadedMap {
             let expected = verified.first().map(|first| &first.global_from_camera.pose);
             match compare(self, candidate, image, expected, options)? {
                 Comparison::Unlike => {}
-                Comparison::NotVerified => outcome = MatchOutcome::NotVerified,
+                Comparison::NotVerified | Comparison::Uncertain(_) => outcome = MatchOutcome::NotVerified,
                 Comparison::Verified(keyframe) => verified.push(*keyframe),
             }
         }

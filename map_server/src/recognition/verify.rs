@@ -52,6 +52,8 @@ pub(crate) enum Comparison {
     Unlike,
     /// Enough matches, but no pose that explains enough of them.
     NotVerified,
+    /// A pose explains enough of the matches, but many other poses would as well.
+    Uncertain(Box<Verified>),
     Verified(Box<Verified>),
 }
 
@@ -101,10 +103,9 @@ pub(crate) fn compare(
     let covariance = solution.world_from_camera.covariance * excess.powi(2);
     let keyframe_from_camera = PoseWithCovariance::new(solution.world_from_camera.pose, covariance);
     let inlier_points = solution.inliers.iter().map(|&inlier| &correspondences[inlier].point);
-    if !is_well_known(&keyframe_from_camera, inlier_points, options) {
-        return Ok(Comparison::NotVerified);
-    }
-    Ok(Comparison::Verified(Box::new(Verified {
+    let well_known = is_well_known(&keyframe_from_camera, inlier_points, options);
+    let verdict = if well_known { Comparison::Verified } else { Comparison::Uncertain };
+    Ok(verdict(Box::new(Verified {
         keyframe,
         inliers: solution.inliers.iter().map(|&inlier| matches[inlier]).collect(),
         matches,

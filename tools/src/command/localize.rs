@@ -2,12 +2,11 @@
 
 use std::path::PathBuf;
 
-use onboard::robot::extraction::{FeatureArguments, feature_set};
-use protocol::{Format, LocalizeRequest};
-use vision::GrayImage;
+use onboard::robot::extraction::FeatureArguments;
+use protocol::Format;
 
 use crate::client::{ServerArguments, in_words, print_fix};
-use crate::map_files::read_camera;
+use crate::query_image::QueryImage;
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
@@ -36,7 +35,7 @@ pub struct Args {
 }
 
 /// Exit code for an image that the map does not know.
-const NOT_RECOGNIZED: i32 = 2;
+pub(super) const NOT_RECOGNIZED: i32 = 2;
 
 /// Runs the command.
 ///
@@ -44,33 +43,17 @@ const NOT_RECOGNIZED: i32 = 2;
 /// An image, a camera or weights that cannot be read, an image of another size than the camera's, no server, a map that
 /// it does not have, features that are not of the map's extractor.
 pub fn run(args: &Args) -> anyhow::Result<()> {
-    let camera = read_camera(&args.camera)?;
-    let image = GrayImage::read(&args.image)?;
-    if (image.width(), image.height()) != (camera.width as usize, camera.height as usize) {
-        anyhow::bail!(
-            "{} has {} x {} pixels, the camera of {} {} x {}: give the camera that took the image",
-            args.image.display(),
-            image.width(),
-            image.height(),
-            args.camera.display(),
-            camera.width,
-            camera.height
-        );
-    }
-    let mut extractor = args.features.open()?;
-    let mask = args.features.read_mask()?;
-    let seen = extractor.extract(&image, mask.as_ref(), args.features.max_features)?;
-    let features = feature_set(extractor.name(), seen);
-    let count = features.len();
-    let request = LocalizeRequest { camera, features, prior: None, gravity_in_camera: None };
+    let query = QueryImage::from_file(&args.image, &args.camera, &args.features)?;
+    let request = query.request();
     let reply = args.server.ask_in_session(&args.map, async |client| client.localize(&request).await)?;
     if args.json {
         let value: serde_json::Value = serde_json::from_slice(&protocol::encode(Format::Json, &reply)?)?;
         println!("{value:#}");
     } else {
         println!(
-            "{}: {count} features against map {} (version {})",
-            args.image.display(),
+            "{}: {} features against map {} (version {})",
+            query.name,
+            query.features.len(),
             args.map,
             reply.map_version
         );

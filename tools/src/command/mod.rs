@@ -7,6 +7,7 @@ pub mod demo;
 pub mod evaluate;
 pub mod export_map;
 pub mod import_map;
+pub mod inspect;
 pub mod localize;
 pub mod map_info;
 pub mod plot;
@@ -35,6 +36,8 @@ pub enum Command {
     Query(query::Args),
     /// Ask a running map server where an image was taken
     Localize(localize::Args),
+    /// Draw what of an image matched what of a map, and say why it was recognized or not
+    Inspect(inspect::Args),
     /// Run a robot through a recording, with a map server in the same process
     Run(run::Args),
     /// Track points through the images of a recording
@@ -62,6 +65,7 @@ impl Command {
             Self::MapInfo(args) => map_info::run(args),
             Self::Query(args) => query::run(args),
             Self::Localize(args) => localize::run(&args),
+            Self::Inspect(args) => inspect::run(&args),
             Self::Run(args) => run::run(&args),
             Self::Track(args) => track::run(&args),
             Self::Evaluate(args) => evaluate::run(&args),

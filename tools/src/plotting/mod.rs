@@ -7,6 +7,7 @@
 //! | `error_local.svg`, `error_transform.svg`, `error_pose.svg` | the six errors with the filter's own 3-sigma bounds |
 //! | `reprojection.svg` | what each query came to: reprojection error, matches, inliers, accepted or not |
 //! | what a map covers | keyframes and landmarks from above ([`draw_coverage`]) |
+//! | what of an image matched what of a map | both images, inliers, outliers, errors ([`draw_matches`]) |
 //! | `comparison.svg` | several runs side by side ([`comparison`]) |
 //!
 //! Only what is known is drawn: without truth there are no errors, and [`draw_run`] says so.
@@ -16,11 +17,14 @@ pub mod comparison;
 mod coverage;
 mod errors;
 mod events;
+mod match_statistics;
+mod matches;
 mod over_time;
 mod panel;
 mod reprojection;
 mod run_files;
 mod series;
+mod svg;
 mod trajectory;
 
 #[cfg(test)]
@@ -28,6 +32,8 @@ mod tests;
 
 pub use coverage::draw_coverage;
 pub use events::{QueryEvent, read_events};
+pub use match_statistics::verdict_in_words;
+pub use matches::{MatchPicture, draw_matches};
 pub use run_files::{RunFiles, Truth, read_keyframes};
 
 use onboard::sequence::SequenceError;

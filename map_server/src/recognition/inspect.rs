@@ -1,0 +1,244 @@
+//! What matched what: an answer taken apart, for a person who asks why an image was recognized or not.
+//!
+//! Candidates, comparison and consensus are those of the answers themselves; here nothing is thrown away.
+
+use std::collections::HashSet;
+
+use geometry::{Camera, PoseWithCovariance};
+use nalgebra::{Vector2, Vector3};
+use protocol::{KeyframeId, LandmarkId, LocalizeReply, LocalizeRequest};
+use vision::{Match, MatchOptions, match_descriptors};
+
+use super::consensus::{Consensus, agree};
+use super::index::{Votes, best_voted};
+use super::loaded_map::LoadedMap;
+use super::options::RecognitionOptions;
+use super::query::QueryError;
+use super::verify::{Comparison, Image, Verified, compare};
+
+/// How a query was answered, and what each candidate had to do with it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Inspection {
+    /// What [`LoadedMap::localize`] answers.
+    pub reply: LocalizeReply,
+    /// The candidates: first those that the answer is made of, then by verdict, inliers and matches. Empty where there
+    /// was nothing to compare: an empty map, too few features, no keyframe with enough votes.
+    pub keyframes: Vec<InspectedKeyframe>,
+}
+
+/// How the comparison with one keyframe ended; better is greater.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Verdict {
+    /// Fewer matches than a verification needs.
+    TooFewMatches,
+    /// No camera pose explains enough of the matches.
+    NoPose,
+    /// A pose explains enough of them, but they leave it too uncertain: they lie in a corner, or all far away.
+    PoseUncertain,
+    /// One pose explains enough of them and is well known.
+    Verified,
+}
+
+/// One keyframe beside the query.
+#[derive(Clone, Debug, PartialEq)]
+pub struct InspectedKeyframe {
+    /// Identity within the map.
+    pub id: KeyframeId,
+    /// When its image was taken (ns).
+    pub stamp_ns: i64,
+    /// The camera that took it.
+    pub camera: Camera,
+    /// Where it saw its landmarks (px).
+    pub landmark_pixels: Vec<[f32; 2]>,
+    /// Query features that voted for it; some of the candidates with most votes are compared.
+    pub votes: usize,
+    /// How the comparison ended.
+    pub verdict: Verdict,
+    /// Whether it is one of the keyframes that agree on the answer.
+    pub in_answer: bool,
+    /// All descriptor matches, inliers and outliers.
+    pub matches: Vec<InspectedMatch>,
+    /// The camera's pose in G by this keyframe alone, where one was found.
+    pub global_from_camera: Option<PoseWithCovariance>,
+    /// Mean reprojection error of the inliers (px), where a pose was found.
+    pub mean_error_px: Option<f64>,
+    /// Largest reprojection error of an inlier (px).
+    pub gate_px: f64,
+}
+
+/// A query feature and the landmark that it was matched with.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct InspectedMatch {
+    /// Index of the query's feature.
+    pub feature: usize,
+    /// The landmark.
+    pub landmark: LandmarkId,
+    /// The feature in the query (px).
+    pub query_pixel: [f32; 2],
+    /// The landmark in the keyframe (px).
+    pub keyframe_pixel: [f32; 2],
+    /// Distance of the descriptors, in the unit of the metric.
+    pub distance: f32,
+    /// Whether it agrees with the pose that was found; `false` where none was.
+    pub inlier: bool,
+    /// Where that pose shows the landmark in the query (px); `None` without a pose, and behind the camera.
+    pub predicted_pixel: Option<[f64; 2]>,
+}
+
+impl InspectedKeyframe {
+    /// Number of matches that agree with the pose.
+    pub fn inliers(&self) -> usize {
+        self.matches.iter().filter(|found| found.inlier).count()
+    }
+}
+
+impl InspectedMatch {
+    /// Reprojection error at the pose that was found (px).
+    pub fn error_px(&self) -> Option<f64> {
+        let predicted = self.predicted_pixel?;
+        let [u, v] = self.query_pixel.map(f64::from);
+        Some((u - predicted[0]).hypot(v - predicted[1]))
+    }
+}
+
+impl LoadedMap {
+    /// Answers a one-shot localization query and says how the answer came about.
+    ///
+    /// # Errors
+    /// [`QueryError`] where the query cannot be compared with the map.
+    pub fn inspect(
+        &self,
+        request: &LocalizeRequest,
+        options: &RecognitionOptions,
+    ) -> Result<Inspection, QueryError> {
+        let reply = self.localize(request, options)?;
+        if self.keyframes.is_empty() || request.features.len() < options.min_inliers {
+            return Ok(Inspection { reply, keyframes: Vec::new() });
+        }
+        let inspector = self.inspector(request, options)?;
+        let mut compared = Vec::new();
+        if let Some(prior) = &request.prior {
+            let near = self.near(&prior.global_from_camera);
+            compared = inspector.candidates(|at| near[at])?;
+        }
+        if !compared.iter().any(|keyframe| keyframe.in_answer) {
+            compared = inspector.candidates(|_| true)?;
+        }
+        let best = reply.fix.as_ref().map(|fix| fix.keyframe);
+        let rank = |keyframe: &InspectedKeyframe| {
+            let is_best = Some(keyframe.id) == best;
+            (is_best, keyframe.in_answer, keyframe.verdict, keyframe.inliers(), keyframe.matches.len())
+        };
+        // Stable: of equals, the one with more votes stays first.
+        compared.sort_by_key(|keyframe| std::cmp::Reverse(rank(keyframe)));
+        Ok(Inspection { reply, keyframes: compared })
+    }
+
+    /// Compares a query with one keyframe, whether it is a candidate or not.
+    ///
+    /// # Returns
+    /// `None` where the map has no keyframe of that id. It is never marked as part of an answer.
+    ///
+    /// # Errors
+    /// [`QueryError`] where the query cannot be compared with the map.
+    pub fn inspect_keyframe(
+        &self,
+        request: &LocalizeRequest,
+        id: KeyframeId,
+        options: &RecognitionOptions,
+    ) -> Result<Option<InspectedKeyframe>, QueryError> {
+        let Some(at) = self.position_of(id) else { return Ok(None) };
+        Ok(Some(self.inspector(request, options)?.keyframe(at)?.0))
+    }
+
+    fn inspector<'a>(
+        &'a self,
+        request: &'a LocalizeRequest,
+        options: &'a RecognitionOptions,
+    ) -> Result<Inspector<'a>, QueryError> {
+        let descriptors = self.view(&request.features)?;
+        let gravity_in_camera = request.gravity_in_camera.map(Vector3::from);
+        let image =
+            Image { camera: &request.camera, features: &request.features, descriptors, gravity_in_camera };
+        let votes = self.index.vote(descriptors, &self.landmarks, self.keyframes.len())?;
+        Ok(Inspector { map: self, image, votes, options })
+    }
+}
+
+struct Inspector<'a> {
+    map: &'a LoadedMap,
+    image: Image<'a>,
+    votes: Vec<Votes>,
+    options: &'a RecognitionOptions,
+}
+
+impl Inspector<'_> {
+    /// Compares the candidates among some keyframes and marks those that agree on a place, most votes first.
+    fn candidates(&self, eligible: impl Fn(usize) -> bool) -> Result<Vec<InspectedKeyframe>, QueryError> {
+        let candidates = best_voted(&self.votes, self.options.candidates, self.options.min_votes, eligible);
+        let (mut inspected, mut verified) = (Vec::new(), Vec::new());
+        for at in candidates {
+            let (keyframe, comparison) = self.keyframe(at)?;
+            inspected.push(keyframe);
+            if let Comparison::Verified(keyframe) = comparison {
+                verified.push(*keyframe);
+            }
+        }
+        if let Consensus::Place(place) = agree(verified, self.options) {
+            let id = |verified: &Verified| self.map.keyframes[verified.keyframe].keyframe.id;
+            let place: HashSet<KeyframeId> = place.iter().map(id).collect();
+            for keyframe in &mut inspected {
+                keyframe.in_answer = place.contains(&keyframe.id);
+            }
+        }
+        Ok(inspected)
+    }
+
+    fn keyframe(&self, at: usize) -> Result<(InspectedKeyframe, Comparison), QueryError> {
+        let loaded = &self.map.keyframes[at];
+        let match_options = MatchOptions::for_metric(self.map.metric());
+        let matches =
+            match_descriptors(self.image.descriptors, self.map.descriptors_of(at)?, &match_options)?;
+        let comparison = compare(self.map, at, &self.image, None, self.options)?;
+        let (verdict, found) = match &comparison {
+            Comparison::Unlike => (Verdict::TooFewMatches, None),
+            Comparison::NotVerified => (Verdict::NoPose, None),
+            Comparison::Uncertain(found) => (Verdict::PoseUncertain, Some(found.as_ref())),
+            Comparison::Verified(found) => (Verdict::Verified, Some(found.as_ref())),
+        };
+        let focal = f64::midpoint(self.image.camera.focal[0], self.image.camera.focal[1]);
+        let inspected = InspectedKeyframe {
+            id: loaded.keyframe.id,
+            stamp_ns: loaded.keyframe.stamp_ns,
+            camera: loaded.keyframe.camera.clone(),
+            landmark_pixels: loaded.seen.iter().map(|seen| seen.pixel).collect(),
+            votes: self.votes[at].features,
+            verdict,
+            in_answer: false,
+            matches: matches.iter().map(|one| self.one_match(at, one, found)).collect(),
+            global_from_camera: found.map(|found| found.global_from_camera),
+            mean_error_px: found.map(|found| found.mean_error_px),
+            gate_px: self.options.inlier_angle * focal,
+        };
+        Ok((inspected, comparison))
+    }
+
+    fn one_match(&self, at: usize, one: &Match, found: Option<&Verified>) -> InspectedMatch {
+        let loaded = &self.map.keyframes[at];
+        let seen = &loaded.seen[one.train];
+        let predicted = found.and_then(|found| {
+            let in_global = loaded.keyframe.global_from_keyframe.pose.transform(&seen.point);
+            let in_camera = found.global_from_camera.pose.inverse_transform(&in_global);
+            self.image.camera.project(&in_camera).ok()
+        });
+        InspectedMatch {
+            feature: one.query,
+            landmark: self.map.landmarks[seen.landmark].id,
+            query_pixel: self.image.features.pixels[one.query],
+            keyframe_pixel: seen.pixel,
+            distance: one.distance,
+            inlier: found.is_some_and(|found| found.inliers.contains(one)),
+            predicted_pixel: predicted.map(|pixel: Vector2<f64>| pixel.into()),
+        }
+    }
+}

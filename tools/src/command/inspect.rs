@@ -1,0 +1,262 @@
+//! `driftless inspect`: what of an image matched what of a map, as a picture and as numbers.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context as _, Result, bail};
+use map_server::recognition::{InspectedKeyframe, InspectedMatch, Inspection, RecognitionOptions};
+use onboard::robot::extraction::FeatureArguments;
+use onboard::sequence::Sequence;
+use protocol::{Format, KeyframeId};
+use serde_json::{Value, json};
+use vision::GrayImage;
+
+use super::localize::NOT_RECOGNIZED;
+use crate::client::{in_words, print_fix};
+use crate::in_process::load_map;
+use crate::plotting::{MatchPicture, draw_matches, verdict_in_words};
+use crate::query_image::{QueryImage, read_image};
+
+/// Arguments.
+#[derive(Clone, Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    driftless inspect query.png --camera V1_01_easy/mav0/cam0/sensor.yaml --map room.db --sequence V1_01_easy\n  \
+    driftless inspect place/live --at 12.5 --map place.db --out match.svg\n  \
+    driftless inspect query.png --camera sensor.yaml --map room.db --keyframe 17 --json\n\n\
+    The picture shows the query beside the keyframe that matched best, a line for each match: green for inliers, red\n\
+    for outliers, orange where no camera pose explains the matches. Open it in a browser: the pointer over a match\n\
+    shows its descriptor distance and its reprojection error. A map holds no images; --sequence names the recording\n\
+    that it was built of, which does. Without it the keyframe's landmarks are drawn on grey.\n\n\
+    How to read it:\n  \
+    few matches            another place, light or view than the map's; or another extractor's settings\n  \
+    many, no inliers       things that look alike; a wrong --camera\n  \
+    inliers in a corner    too little of the image is in the map for a certain pose\n  \
+    errors near the gate   a wrong --camera, or a map whose landmarks are off\n\n\
+    Exit code 0: recognized. 2: the map was searched and the image was not recognized. 1: anything else.")]
+pub struct Args {
+    /// An image, PNG or JPEG, or a recording, a folder in the EuRoC layout
+    #[arg(value_name = "IMAGE|SEQ")]
+    pub query: PathBuf,
+    /// Database of the map
+    #[arg(long, value_name = "DB")]
+    pub map: PathBuf,
+    /// The camera that took IMAGE: a sensor.yaml in the form of EuRoC or Kalibr
+    #[arg(long, value_name = "YAML")]
+    pub camera: Option<PathBuf>,
+    /// When in SEQ, s from the first frame; its features.csv is taken where it has one, else its image
+    #[arg(long, value_name = "SECONDS")]
+    pub at: Option<f64>,
+    /// The recording that the map was built of, for the keyframe's image
+    #[arg(long, value_name = "SEQ")]
+    pub sequence: Option<PathBuf>,
+    /// Draw this keyframe instead of the best one
+    #[arg(long, value_name = "ID")]
+    pub keyframe: Option<KeyframeId>,
+    /// The picture
+    #[arg(long, value_name = "SVG", default_value = "inspection.svg")]
+    pub out: PathBuf,
+    /// How features are extracted
+    #[command(flatten)]
+    pub features: FeatureArguments,
+    /// Print the summary as JSON, with every match of the picture
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// An inspected query, and its picture.
+#[derive(Clone, Debug)]
+pub struct Report {
+    /// What to call the query.
+    pub query: String,
+    /// Number of its features.
+    pub features: usize,
+    /// What to call the map.
+    pub map: String,
+    /// The answer and its candidates.
+    pub inspection: Inspection,
+    /// The keyframe in the picture; `None` where there was nothing to compare.
+    pub shown: Option<InspectedKeyframe>,
+    /// The picture.
+    pub picture: PathBuf,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// See [`inspect`].
+pub fn run(args: &Args) -> Result<()> {
+    let report = inspect(args)?;
+    if args.json {
+        println!("{:#}", as_json(&report)?);
+    } else {
+        print(&report);
+    }
+    if report.inspection.reply.fix.is_none() {
+        std::process::exit(NOT_RECOGNIZED);
+    }
+    Ok(())
+}
+
+/// Inspects a query and draws the picture.
+///
+/// # Errors
+/// A query, a camera, weights, a map or a recording that cannot be read; an image of another size than its camera's; a
+/// keyframe that the map does not have; a recording that is not the map's; features of another extractor than the
+/// map's; a picture that cannot be written.
+pub fn inspect(args: &Args) -> Result<Report> {
+    let query = read_query(args)?;
+    let map = load_map(&args.map)?;
+    let (request, options) = (query.request(), RecognitionOptions::default());
+    let inspection = map.inspect(&request, &options)?;
+    let candidate = |id| inspection.keyframes.iter().find(|keyframe| keyframe.id == id).cloned();
+    let shown = match args.keyframe {
+        Some(id) => match candidate(id)
+            .map_or_else(|| map.inspect_keyframe(&request, id, &options), |found| Ok(Some(found)))?
+        {
+            None => bail!("--keyframe {id}: the map {} has no such keyframe", args.map.display()),
+            found => found,
+        },
+        None => inspection.keyframes.first().cloned(),
+    };
+    let keyframe_image = match (&args.sequence, &shown) {
+        (Some(sequence), Some(keyframe)) => keyframe_image(sequence, keyframe)?,
+        _ => None,
+    };
+    let map_name = args.map.display().to_string();
+    let picture = MatchPicture {
+        query: &query.name,
+        camera: &query.camera,
+        image: query.image.as_ref(),
+        features: &query.features.pixels,
+        map: &map_name,
+        inspection: &inspection,
+        keyframe: shown.as_ref(),
+        keyframe_image: keyframe_image.as_ref(),
+    };
+    let picture = draw_matches(&picture, &args.out)?;
+    let features = query.features.len();
+    Ok(Report { query: query.name, features, map: map_name, inspection, shown, picture })
+}
+
+fn read_query(args: &Args) -> Result<QueryImage> {
+    let query = args.query.display();
+    if args.query.is_dir() {
+        let Some(at_s) = args.at else { bail!("{query} is a recording: say when in it with --at SECONDS") };
+        if args.camera.is_some() {
+            bail!("--camera: the recording {query} states its own camera");
+        }
+        QueryImage::from_recording(&args.query, at_s, &args.features)
+    } else {
+        if args.at.is_some() {
+            bail!("--at: {query} is no recording, which is a folder with mav0/cam0 in it");
+        }
+        let Some(camera) = &args.camera else {
+            bail!("{query}: say which camera took it with --camera YAML");
+        };
+        QueryImage::from_file(&args.query, camera, &args.features)
+    }
+}
+
+/// The keyframe's image, out of the recording that the map was built of; `None` for a recording without images.
+fn keyframe_image(recording: &Path, keyframe: &InspectedKeyframe) -> Result<Option<GrayImage>> {
+    let sequence = Sequence::open(recording).context("--sequence")?;
+    let found = sequence.frames.binary_search_by_key(&keyframe.stamp_ns, |frame| frame.stamp_ns);
+    let Ok(at) = found else {
+        bail!(
+            "--sequence: {} has no image of {} ns, when keyframe {} was taken: give the recording that the map was \
+             built of",
+            recording.display(),
+            keyframe.stamp_ns,
+            keyframe.id
+        );
+    };
+    let file = sequence.frames[at].images[0].as_deref();
+    let camera_of = format!("the camera of keyframe {}", keyframe.id);
+    file.map(|file| read_image(file, &keyframe.camera, &camera_of)).transpose()
+}
+
+fn print(report: &Report) {
+    let reply = &report.inspection.reply;
+    println!(
+        "{}: {} features against map {} (version {})",
+        report.query, report.features, report.map, reply.map_version
+    );
+    match &reply.fix {
+        Some(fix) => print_fix(fix),
+        None => println!("not recognized: {}", in_words(reply.outcome)),
+    }
+    let listed = &report.inspection.keyframes;
+    if !listed.is_empty() {
+        println!("{:>10} {:>7} {:>8} {:>8} {:>9}", "keyframe", "votes", "matches", "inliers", "error px");
+    }
+    let others = report.shown.iter().filter(|shown| listed.iter().all(|keyframe| keyframe.id != shown.id));
+    for keyframe in listed.iter().chain(others) {
+        let error = keyframe.mean_error_px.map_or_else(|| "-".to_owned(), |error| format!("{error:.2}"));
+        println!(
+            "{:>10} {:>7} {:>8} {:>8} {error:>9}  {}",
+            keyframe.id,
+            keyframe.votes,
+            keyframe.matches.len(),
+            keyframe.inliers(),
+            verdict_in_words(keyframe)
+        );
+    }
+    match &report.shown {
+        Some(shown) => println!("picture of keyframe {}: {}", shown.id, report.picture.display()),
+        None => println!("picture: {}", report.picture.display()),
+    }
+}
+
+fn as_json(report: &Report) -> Result<Value> {
+    let reply: Value = serde_json::from_slice(&protocol::encode(Format::Json, &report.inspection.reply)?)?;
+    let candidates: Vec<Value> = report.inspection.keyframes.iter().map(keyframe_as_json).collect();
+    let shown = report.shown.as_ref().map(|shown| {
+        let mut value = keyframe_as_json(shown);
+        value["gate_px"] = json!(shown.gate_px);
+        value["all_matches"] = shown.matches.iter().map(match_as_json).collect();
+        value
+    });
+    Ok(json!({
+        "query": report.query,
+        "features": report.features,
+        "map": report.map,
+        "answer": reply,
+        "candidates": candidates,
+        "picture": report.picture,
+        "keyframe_in_picture": shown,
+    }))
+}
+
+fn keyframe_as_json(keyframe: &InspectedKeyframe) -> Value {
+    let pose = keyframe.global_from_camera.as_ref().map(|pose| {
+        let (p, q) = (&pose.pose.translation, pose.pose.rotation.quaternion());
+        let sigma = pose.covariance.diagonal().map(f64::sqrt);
+        json!({
+            "position_m": [p.x, p.y, p.z],
+            "quaternion_wxyz": [q.w, q.i, q.j, q.k],
+            "sigma_theta_rad": [sigma[0], sigma[1], sigma[2]],
+            "sigma_p_m": [sigma[3], sigma[4], sigma[5]],
+        })
+    });
+    json!({
+        "keyframe": keyframe.id,
+        "stamp_ns": keyframe.stamp_ns,
+        "votes": keyframe.votes,
+        "verdict": verdict_in_words(keyframe),
+        "matches": keyframe.matches.len(),
+        "inliers": keyframe.inliers(),
+        "mean_error_px": keyframe.mean_error_px,
+        "global_from_camera": pose,
+    })
+}
+
+fn match_as_json(found: &InspectedMatch) -> Value {
+    json!({
+        "feature": found.feature,
+        "landmark": found.landmark,
+        "query_px": found.query_pixel,
+        "keyframe_px": found.keyframe_pixel,
+        "descriptor_distance": found.distance,
+        "inlier": found.inlier,
+        "error_px": found.error_px(),
+    })
+}

@@ -1,0 +1,125 @@
+//! The image that a question to a map is about, from a file or from a recording, with its features.
+
+use std::path::Path;
+
+use anyhow::{Context as _, Result, bail};
+use geometry::Camera;
+use onboard::robot::extraction::{FeatureArguments, feature_set};
+use onboard::sequence::{Frame, Sequence};
+use protocol::{FeatureSet, LocalizeRequest};
+use vision::GrayImage;
+
+use crate::map_files::read_camera;
+
+/// An image to be recognized.
+#[derive(Clone, Debug)]
+pub struct QueryImage {
+    /// The file, or the recording and when in it.
+    pub name: String,
+    /// The camera that took it.
+    pub camera: Camera,
+    /// The picture itself; `None` for a recording that has only features.
+    pub image: Option<GrayImage>,
+    /// What is to be compared with the map.
+    pub features: FeatureSet,
+}
+
+impl QueryImage {
+    /// Reads an image and extracts its features.
+    ///
+    /// # Arguments
+    /// * `camera_file`: a `sensor.yaml` of the camera that took it.
+    ///
+    /// # Errors
+    /// An image, a camera, a mask or weights that cannot be read, an image of another size than the camera's.
+    pub fn from_file(file: &Path, camera_file: &Path, arguments: &FeatureArguments) -> Result<Self> {
+        let camera = read_camera(camera_file)?;
+        let image = read_image(file, &camera, &format!("the camera of {}", camera_file.display()))?;
+        let features = extract(&image, file, arguments)?;
+        Ok(Self { name: file.display().to_string(), camera, image: Some(image), features })
+    }
+
+    /// Takes what camera 0 of a recording saw: its `features.csv` where it has one, else the features of the image.
+    ///
+    /// # Arguments
+    /// * `at_s`: seconds from the first frame; the nearest frame that can be used is taken.
+    ///
+    /// # Errors
+    /// A recording that cannot be read, that is shorter than `at_s`, or that has neither features nor images; whatever
+    /// [`QueryImage::from_file`] refuses.
+    pub fn from_recording(recording: &Path, at_s: f64, arguments: &FeatureArguments) -> Result<Self> {
+        let sequence = Sequence::open(recording)?;
+        let camera = sequence.cameras[0].camera.clone();
+        let (frame, time_s) = nearest_frame(&sequence, at_s)?;
+        let file = frame.images[0].as_deref();
+        let of = format!("camera 0 of {}", recording.display());
+        let image = file.map(|file| read_image(file, &camera, &of)).transpose()?;
+        let features = match (&frame.features, &image, file) {
+            (Some(features), _, _) => features.clone(),
+            (None, Some(image), Some(file)) => extract(image, file, arguments)?,
+            _ => bail!("{} has neither features nor images of camera 0", recording.display()),
+        };
+        Ok(Self { name: format!("{} at {time_s:.3} s", recording.display()), camera, image, features })
+    }
+
+    /// The question where it was taken, without any prior.
+    pub fn request(&self) -> LocalizeRequest {
+        LocalizeRequest {
+            camera: self.camera.clone(),
+            features: self.features.clone(),
+            prior: None,
+            gravity_in_camera: None,
+        }
+    }
+}
+
+/// Reads an image that must have the size of its camera's.
+///
+/// # Arguments
+/// * `camera_of`: names the camera in the error.
+///
+/// # Errors
+/// An image that cannot be read, another size.
+pub fn read_image(file: &Path, camera: &Camera, camera_of: &str) -> Result<GrayImage> {
+    let image = GrayImage::read(file)?;
+    if (image.width(), image.height()) != (camera.width as usize, camera.height as usize) {
+        bail!(
+            "{} has {} x {} pixels, {camera_of} {} x {}: give the camera that took the image",
+            file.display(),
+            image.width(),
+            image.height(),
+            camera.width,
+            camera.height
+        );
+    }
+    Ok(image)
+}
+
+fn extract(image: &GrayImage, file: &Path, arguments: &FeatureArguments) -> Result<FeatureSet> {
+    let mut extractor = arguments.open()?;
+    let mask = arguments.read_mask()?;
+    let seen = extractor
+        .extract(image, mask.as_ref(), arguments.max_features)
+        .with_context(|| file.display().to_string())?;
+    Ok(feature_set(extractor.name(), seen))
+}
+
+/// The frame nearest to a time, and its own time in seconds from the first frame.
+fn nearest_frame(sequence: &Sequence, at_s: f64) -> Result<(&Frame, f64)> {
+    let root = sequence.root.display();
+    let first_ns = sequence.frames.first().map_or(0, |frame| frame.stamp_ns);
+    let seconds = |frame: &Frame| (frame.stamp_ns - first_ns) as f64 * 1e-9;
+    let end_s = sequence.frames.last().map_or(0.0, seconds);
+    if !(0.0..=end_s).contains(&at_s) {
+        bail!("--at {at_s}: {root} has frames from 0 to {end_s:.3} s");
+    }
+    let with_features = sequence.frames.iter().any(|frame| frame.features.is_some());
+    let is_usable = |frame: &&Frame| {
+        if with_features { frame.features.is_some() } else { frame.images[0].is_some() }
+    };
+    let distance = |frame: &&Frame| (seconds(frame) - at_s).abs();
+    let usable = sequence.frames.iter().filter(is_usable);
+    let nearest = usable.min_by(|a, b| distance(a).total_cmp(&distance(b)));
+    let frame = nearest.with_context(|| format!("{root} has neither features nor images of camera 0"))?;
+    Ok((frame, seconds(frame)))
+}
