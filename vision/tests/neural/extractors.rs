@@ -23,7 +23,9 @@ fn bright_dots() -> Tensors {
         ["0.layer.0", "1.layer.0", "2.layer.0", "3"].map(|name| format!("keypoint_head.{name}.weight"));
     for name in names {
         let weights = &mut tensors.get_mut(&name).unwrap().1;
-        (0..64).for_each(|channel| weights[channel * 65] = 1.0);
+        for channel in 0..64 {
+            weights[channel * 65] = 1.0;
+        }
     }
     tensors.get_mut("keypoint_head.3.bias").unwrap().1[64] = 8.0;
     tensors.get_mut("block_fusion.2.bias").unwrap().1.fill(1.0);

@@ -42,7 +42,9 @@ fn every_operator_does_what_it_says() {
     graph.enlarge("sum", "large", 4);
     graph.sigmoid("large", "sigmoid");
     let names = ["plain", "normalized", "relu", "sum", "large", "sigmoid"];
-    names.iter().for_each(|name| graph.output(name, 5));
+    for name in names {
+        graph.output(name, 5);
+    }
     let onnx = graph.write();
 
     let plain = apply(&image, &first);

@@ -100,7 +100,7 @@ impl Map {
         })
     }
 
-    fn mean_of_squares(&self, side: usize) -> Self {
+    fn average(&self, side: usize) -> Self {
         Self::from_fn(self.channels, self.rows / side, self.columns / side, |c, y, x| {
             let sum: f32 =
                 (0..side * side).map(|i| self.get(c, y * side + i / side, x * side + i % side)).sum();
@@ -164,7 +164,7 @@ pub fn xfeat(tensors: &Tensors, image: &Map) -> [Map; 3] {
         map.convolve(shape, weights, &tensors[&format!("{name}.bias")].1, 1, 0)
     };
     let x1 = block(image, "block1", &[1, 2, 1, 2]);
-    let x2 = block(&x1.add(&plain(&image.mean_of_squares(4), "skip1.1")), "block2", &[1, 1]);
+    let x2 = block(&x1.add(&plain(&image.average(4), "skip1.1")), "block2", &[1, 1]);
     let x3 = block(&x2, "block3", &[2, 1, 1]);
     let x4 = block(&x3, "block4", &[2, 1, 1]);
     let x5 = block(&x4, "block5", &[2, 1, 1, 1]);

@@ -38,9 +38,13 @@ pub fn table(tensors: &Tensors) -> Vec<u8> {
         text(&mut pickle, "cpu");
         integer(&mut pickle, data.len());
         pickle.extend_from_slice(b"tQK\x00(");
-        shape.iter().for_each(|&size| integer(&mut pickle, size));
+        for &size in shape {
+            integer(&mut pickle, size);
+        }
         pickle.extend_from_slice(b"t(");
-        (0..shape.len()).for_each(|axis| integer(&mut pickle, shape[axis + 1..].iter().product()));
+        for axis in 0..shape.len() {
+            integer(&mut pickle, shape[axis + 1..].iter().product());
+        }
         pickle.extend_from_slice(b"t\x89ccollections\nOrderedDict\n)RtR");
     }
     pickle.extend_from_slice(b"u.");
