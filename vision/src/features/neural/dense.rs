@@ -194,6 +194,7 @@ fn check_shape(name: &str, tensor: &Tensor, needed: &[usize]) -> Result<(), Netw
 }
 
 #[cfg(test)]
+#[allow(clippy::float_cmp)]
 mod tests {
     use super::*;
 

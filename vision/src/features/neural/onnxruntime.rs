@@ -24,7 +24,8 @@ fn load_library() -> Option<Environment> {
     let candidates = [named, beside_weights, Some(PathBuf::from(LIBRARY))];
     candidates.into_iter().flatten().find_map(|path| {
         let environment = ort::init_from(path).ok()?.with_name("driftless").build().ok()?;
-        environment.set_log_level(ort::logging::LogLevel::Error);
+        // Errors are returned; nothing else is worth a line.
+        environment.set_log_level(ort::logging::LogLevel::Fatal);
         Some(environment)
     })
 }

@@ -63,11 +63,14 @@ impl XfeatExtractor {
         let heat = heat_of_pixels(&keypoints, cell_rows, cell_columns)?;
         let reliability = Heat::from_output(OUTPUTS[2], reliability, cell_rows, cell_columns)?;
         let peaks = heat.peaks(NEIGHBOURHOOD, MIN_HEAT);
-        let candidates = peaks.into_iter().map(|peak| {
+        // Beyond the image is only its continuation.
+        let inside = peaks.into_iter().filter(|peak| peak.x < image.width() && peak.y < image.height());
+        let candidates = inside.map(|peak| {
             let [u, v] = heat.refine(peak);
-            let [x, y] = [u, v].map(cell_of_pixel);
+            let pixel = [u.min((image.width() - 1) as f32), v.min((image.height() - 1) as f32)];
+            let [x, y] = pixel.map(cell_of_pixel);
             let score = peak.heat * reliability.bilinear(x, y);
-            (Keypoint { pixel: [u, v], scale: CELL as f32, score }, ())
+            (Keypoint { pixel, scale: CELL as f32, score }, ())
         });
         Ok((candidates.collect(), descriptors))
     }
