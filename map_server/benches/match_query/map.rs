@@ -66,7 +66,7 @@ impl World {
             let mut observations: Vec<Vec<Observation>> = vec![Vec::new(); world.streets[street].len()];
             for along in 0..count {
                 let id = (street * STREET + along) as u64;
-                let truth = world.camera_at(street, along as f64, 0.0, 0.0);
+                let truth = World::camera_at(street, along as f64, 0.0, 0.0);
                 for (point, pixel) in world.see(street, &truth, 0.7, &mut rng) {
                     if rng.random_bool(0.6) {
                         let descriptor = view(&world.streets[street][point].1, &mut rng);
@@ -87,7 +87,7 @@ impl World {
                     continue;
                 }
                 let anchor = observations[0].keyframe;
-                let pose = world.camera_at(street, (anchor as usize % STREET) as f64, 0.0, 0.0);
+                let pose = World::camera_at(street, (anchor as usize % STREET) as f64, 0.0, 0.0);
                 let position = pose.inverse_transform(&(world.streets[street][point].0 + beside(street)));
                 map.landmarks.push(Landmark {
                     id: (street * 1_000_000 + point) as u64,
@@ -101,7 +101,7 @@ impl World {
         world
     }
 
-    pub fn camera_at(&self, street: usize, x: f64, y: f64, yaw: f64) -> Pose {
+    pub fn camera_at(street: usize, x: f64, y: f64, yaw: f64) -> Pose {
         let level_from_camera = UnitQuaternion::from_euler_angles(0.0, 0.0, yaw)
             * UnitQuaternion::from_euler_angles(
                 -std::f64::consts::FRAC_PI_2,
@@ -135,11 +135,11 @@ impl World {
         seen
     }
 
-    /// A query of 500 features: at most 300 of the street, the others clutter of the same kinds of texture.
-    pub fn query(&self, street: usize, pose: &Pose, rng: &mut StdRng) -> MatchRequest {
+    /// A query of 500 features: at most `of_the_place` of the street, the others clutter of the same kinds of texture.
+    pub fn query(&self, street: usize, pose: &Pose, of_the_place: usize, rng: &mut StdRng) -> MatchRequest {
         let (mut pixels, mut bytes) = (Vec::new(), Vec::new());
         for (point, pixel) in self.see(street, pose, 0.7, rng) {
-            if pixels.len() < 300 && rng.random_bool(0.6) {
+            if pixels.len() < of_the_place && rng.random_bool(0.6) {
                 pixels.push(pixel);
                 bytes.extend(view(&self.streets[street][point].1, rng));
             }
