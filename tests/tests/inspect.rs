@@ -172,7 +172,7 @@ fn what_cannot_be_inspected_is_named() {
     let folder = tempfile::tempdir().unwrap();
     let error = |at: &str, more: &[&str]| format!("{:#}", inspect_in(folder.path(), at, more).unwrap_err());
     let said = error("99", &[]);
-    assert!(said.contains("--at 99") && said.contains("live <&>") && said.contains("30"), "{said}");
+    assert!(said.contains("--at 99") && said.contains("live <&>") && said.contains("29.5"), "{said}");
     let said = error("12", &["--keyframe", "987654"]);
     assert!(said.contains("987654") && said.contains("ring.db"), "{said}");
     let live = folder.path().join("live <&>");
