@@ -116,7 +116,8 @@ fn inspect_in(folder: &Path, at: &str, more: &[&str]) -> anyhow::Result<Report> 
         writer::write(&Place::shared().recordings.live, &live).unwrap();
         Place::shared().database(folder);
     }
-    let words = [live.to_str().unwrap(), "--at", at, "--map", map.to_str().unwrap(), "--out", out.to_str().unwrap()];
+    let words =
+        [live.to_str().unwrap(), "--at", at, "--map", map.to_str().unwrap(), "--out", out.to_str().unwrap()];
     inspect(&args(&[&words, more].concat()))
 }
 
@@ -129,7 +130,10 @@ fn the_picture_is_xml_with_a_line_for_every_match() {
     let text = std::fs::read_to_string(&report.picture).unwrap();
     let drawing = roxmltree::Document::parse(&text).unwrap();
     let of_class = |class: &str| {
-        drawing.descendants().filter(|node| node.has_tag_name("line") && node.attribute("class") == Some(class)).count()
+        drawing
+            .descendants()
+            .filter(|node| node.has_tag_name("line") && node.attribute("class") == Some(class))
+            .count()
     };
     let lines = ["inlier", "outlier", "unposed"].map(of_class);
     assert_eq!(lines, [shown.inliers(), shown.matches.len() - shown.inliers(), 0]);
@@ -168,7 +172,7 @@ fn what_cannot_be_inspected_is_named() {
     let folder = tempfile::tempdir().unwrap();
     let error = |at: &str, more: &[&str]| format!("{:#}", inspect_in(folder.path(), at, more).unwrap_err());
     let said = error("99", &[]);
-    assert!(said.contains("--at 99") && said.contains("live <&>") && said.contains("30"), "{said}");
+    assert!(said.contains("--at 99") && said.contains("live <&>") && said.contains("29.5"), "{said}");
     let said = error("12", &["--keyframe", "987654"]);
     assert!(said.contains("987654") && said.contains("ring.db"), "{said}");
     let live = folder.path().join("live <&>");

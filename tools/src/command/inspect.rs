@@ -107,15 +107,15 @@ pub fn inspect(args: &Args) -> Result<Report> {
     let map = load_map(&args.map)?;
     let (request, options) = (query.request(), RecognitionOptions::default());
     let inspection = map.inspect(&request, &options)?;
-    let candidate = |id| inspection.keyframes.iter().find(|keyframe| keyframe.id == id).cloned();
+    let candidates = &inspection.keyframes;
     let shown = match args.keyframe {
-        Some(id) => match candidate(id)
-            .map_or_else(|| map.inspect_keyframe(&request, id, &options), |found| Ok(Some(found)))?
-        {
-            None => bail!("--keyframe {id}: the map {} has no such keyframe", args.map.display()),
-            found => found,
+        Some(id) => match candidates.iter().find(|keyframe| keyframe.id == id) {
+            Some(candidate) => Some(candidate.clone()),
+            None => Some(map.inspect_keyframe(&request, id, &options)?.with_context(|| {
+                format!("--keyframe {id}: the map {} has no such keyframe", args.map.display())
+            })?),
         },
-        None => inspection.keyframes.first().cloned(),
+        None => candidates.first().cloned(),
     };
     let keyframe_image = match (&args.sequence, &shown) {
         (Some(sequence), Some(keyframe)) => keyframe_image(sequence, keyframe)?,
@@ -192,12 +192,13 @@ fn print(report: &Report) {
     for keyframe in listed.iter().chain(others) {
         let error = keyframe.mean_error_px.map_or_else(|| "-".to_owned(), |error| format!("{error:.2}"));
         println!(
-            "{:>10} {:>7} {:>8} {:>8} {error:>9}  {}",
+            "{:>10} {:>7} {:>8} {:>8} {error:>9}  {}{}",
             keyframe.id,
             keyframe.votes,
             keyframe.matches.len(),
             keyframe.inliers(),
-            verdict_in_words(keyframe)
+            verdict_in_words(keyframe),
+            if listed.contains(keyframe) { "" } else { ", not among the candidates" }
         );
     }
     match &report.shown {

@@ -9,9 +9,9 @@ use super::matches::{MARGIN, WIDTH};
 use super::svg::{Anchor, Attribute, Svg, css};
 
 /// Height of the bars, px.
-const BARS: f64 = 140.0;
+const BARS: f64 = 136.0;
 /// Space for the heading, px.
-const HEADING: f64 = 36.0;
+const HEADING: f64 = 40.0;
 /// Bars of a histogram.
 const BINS: usize = 24;
 /// Candidates that are listed.
@@ -42,12 +42,12 @@ pub(super) fn draw_statistics(
     let mut errors = Histogram::new(first, top, width, reach, other);
     if has_pose {
         errors.fill(keyframe, error);
-        errors.draw(svg, "reprojection error of the matches, px", &format!("{reach:.0} and more"), |value| {
+        errors.draw(svg, "reprojection error of the matches, px", &format!("\u{2265} {reach:.0}"), |value| {
             format!("{value:.0}")
         });
         errors.mark(svg, keyframe.gate_px, "gate");
     } else {
-        errors.draw(svg, "no pose, so no reprojection errors", "", |_| String::new());
+        errors.heading(svg, "no pose, so no reprojection errors");
     }
 
     let largest = keyframe.matches.iter().map(|found| f64::from(found.distance)).fold(0.0, f64::max);
@@ -93,8 +93,12 @@ impl Histogram {
         self.top + HEADING + BARS
     }
 
+    fn heading(&self, svg: &mut Svg, words: &str) {
+        svg.words((self.left, self.top + 22.0), 15.0, Anchor::Start, INK, words);
+    }
+
     fn draw(&self, svg: &mut Svg, heading: &str, end: &str, label: impl Fn(f64) -> String) {
-        svg.words((self.left, self.top + 22.0), 15.0, Anchor::Start, INK, heading);
+        self.heading(svg, heading);
         let floor = self.floor();
         let counts = self.inliers.iter().zip(&self.others);
         let highest = counts.map(|(inliers, others)| inliers + others).max().unwrap_or(0).max(1);
@@ -110,6 +114,10 @@ impl Histogram {
             };
             bar(floor, inliers, GOOD);
             bar(floor - height(inliers), others, self.other);
+            if inliers + others == highest {
+                let above = (x + step / 2.0, floor - BARS - 3.0);
+                svg.words(above, 11.0, Anchor::Middle, INK, &highest.to_string());
+            }
         }
         let axis: [Attribute<'_>; 1] = [("stroke", &css(TRUTH))];
         svg.line((self.left, floor), (self.left + self.width, floor), &axis);
@@ -135,7 +143,7 @@ pub fn verdict_in_words(keyframe: &InspectedKeyframe) -> &'static str {
         (Verdict::Verified, true) => "part of the answer",
         (Verdict::Verified, false) => "verified",
         (Verdict::PoseUncertain, _) => "pose too uncertain",
-        (Verdict::NoPose, _) => "no pose explains them",
+        (Verdict::NoPose, _) => "no pose fits",
         (Verdict::TooFewMatches, _) => "too few matches",
     }
 }
@@ -153,7 +161,7 @@ fn list_candidates(
         format!("best {} of {} candidates: inliers of matches", listed.len(), inspection.keyframes.len());
     svg.words((left, top + 22.0), 15.0, Anchor::Start, INK, &heading);
     let most = listed.iter().map(|keyframe| keyframe.matches.len()).max().unwrap_or(0).max(1);
-    let (bar_left, bar_width) = (left + 112.0, width - 112.0 - 216.0);
+    let (bar_left, bar_width) = (left + 112.0, width - 112.0 - 208.0);
     for (line, keyframe) in listed.iter().enumerate() {
         let y = top + HEADING + LINE * line as f64;
         if keyframe.id == shown.id {

@@ -16,7 +16,7 @@ use vision::{GrayImage, ImageError};
 
 use super::PlotError;
 use super::canvas::{BAD, GOOD, GRID, INK, MAP, ODOMETRY, TRUTH};
-use super::match_statistics::draw_statistics;
+use super::match_statistics::{draw_statistics, verdict_in_words};
 use super::svg::{Anchor, Attribute, Svg, css};
 use crate::client::in_words;
 
@@ -28,14 +28,16 @@ pub(super) const MARGIN: f64 = 24.0;
 const HEADER: f64 = 112.0;
 /// Height of what is written below an image, px.
 const CAPTION: f64 = 30.0;
+/// Height of the letters there, px.
+const CAPTION_SIZE: f64 = 14.0;
 /// Height of the statistics, px.
-const FOOTER: f64 = 250.0;
+const FOOTER: f64 = 218.0;
 /// Reprojection errors are drawn so many times longer: inliers are off by a pixel or two.
 const EXAGGERATION: f64 = 5.0;
 /// Mean width of a letter as a share of its height.
-const LETTER_WIDTH: f64 = 0.5;
+const LETTER_WIDTH: f64 = 0.53;
 /// The lines stand out from a paler image.
-const STYLE: &str = ".photo{opacity:.82}.match line{stroke-width:1.1;stroke-opacity:.6}.match .error{stroke-width:1.8;\
+const STYLE: &str = ".photo{opacity:.76}.match line{stroke-width:1.3;stroke-opacity:.75}.match .error{stroke-width:1.8;\
     stroke-opacity:1}.match circle{stroke:white;stroke-width:.8}.match:hover line{stroke-width:3.5;stroke-opacity:1}";
 
 /// What is drawn.
@@ -109,7 +111,7 @@ fn paint(picture: &MatchPicture<'_>) -> Result<String, ImageError> {
     caption(&mut svg, &left, &format!("query: {}", picture.query));
     if let Some(keyframe) = picture.keyframe {
         draw_image(&mut svg, &right, picture.keyframe_image, &keyframe.landmark_pixels, MAP)?;
-        caption(&mut svg, &right, &format!("map {}: keyframe {}", picture.map, keyframe.id));
+        caption(&mut svg, &right, &keyframe_in_words(picture, keyframe));
         // Inliers last, on top.
         for inliers in [false, true] {
             for found in keyframe.matches.iter().filter(|found| found.inlier == inliers) {
@@ -216,16 +218,39 @@ fn draw_image(
         Some(image) => svg.image(image, (panel.left, panel.top), panel.size)?,
         None => svg.rectangle((panel.left, panel.top), panel.size, &[("fill", &css(GRID))]),
     }
-    svg.open("g", &[("fill", &css(colour)), ("fill-opacity", &0.75)]);
+    svg.open("g", &[("fill", &css(colour)), ("fill-opacity", &0.9)]);
     for pixel in pixels {
-        svg.dot(panel.place(pixel.map(f64::from)), 1.7, &[]);
+        svg.dot(panel.place(pixel.map(f64::from)), 1.9, &[]);
     }
     svg.close();
     Ok(())
 }
 
+/// Writes below an image, the end of what is too long: of a path that tells most.
 fn caption(svg: &mut Svg, panel: &Panel, text: &str) {
-    svg.words((panel.left, panel.bottom() + 20.0), 14.0, Anchor::Start, INK, text);
+    let fitting = (panel.size.0 / (CAPTION_SIZE * LETTER_WIDTH)) as usize;
+    let length = text.chars().count();
+    let text = if length > fitting {
+        "\u{2026}".chars().chain(text.chars().skip(length - fitting + 1)).collect()
+    } else {
+        text.to_owned()
+    };
+    svg.words((panel.left, panel.bottom() + 20.0), CAPTION_SIZE, Anchor::Start, INK, &text);
+}
+
+/// The keyframe beside the query, by itself.
+fn keyframe_in_words(picture: &MatchPicture<'_>, keyframe: &InspectedKeyframe) -> String {
+    let is_candidate = picture.inspection.keyframes.iter().any(|candidate| candidate.id == keyframe.id);
+    let error = keyframe.mean_error_px.map_or_else(String::new, |error| format!(" within {error:.2} px"));
+    format!(
+        "keyframe {} of {}: {} of {} matches agree{error}, {}{}",
+        keyframe.id,
+        picture.map,
+        keyframe.inliers(),
+        keyframe.matches.len(),
+        verdict_in_words(keyframe),
+        if is_candidate { "" } else { ", not among the candidates" }
+    )
 }
 
 fn draw_match(
