@@ -4,9 +4,12 @@
 //! nothing to run.
 #![allow(clippy::unwrap_used)]
 
-use onboard::sequence::Sequence;
+use onboard::sequence::{Sequence, TruthTrack};
 use std::path::Path;
+use std::sync::Arc;
 use tests::images::{Found, Split, within, wrong_by};
+use tests::robot::run;
+use tools::in_process::LocalServer;
 use vision::FeatureExtractor;
 use vision::features::open;
 
@@ -85,4 +88,56 @@ fn later_images_are_localized_in_a_map_of_the_first_50_s() {
     tell("later in the first 50 s", &found);
     assert!(within(&found, 0.10, 2.0) >= 22);
     assert_eq!(wrong_by(&found, 0.5), 0);
+}
+
+/// The whole flight with one image every one to five seconds: nothing to track, only the map and the IMU.
+#[test]
+fn few_images_keep_a_robot_in_the_map() {
+    let Some(split) = odd_images() else { return };
+    let (map, _) = split.build(classical().as_mut(), MAP_FEATURES);
+    let mut live = split.sequence.clone();
+    live.frames = split.queries.iter().map(|&index| split.sequence.frames[index].clone()).collect();
+    let server = LocalServer::start(vec![("map".to_owned(), Arc::clone(&map))]).unwrap();
+    let link = server.link("map").unwrap();
+    let out = tempfile::tempdir().unwrap();
+    let switches =
+        "--cameras mono --imu-noise-scale 3 --gyroscope-bias-sigma 0.1 --accelerometer-bias-sigma 0.2";
+    let outcome = run(&live, out.path(), switches, Some(link.clone()));
+    server.unlink(&link);
+    server.stop().unwrap();
+    for event in &outcome.recorder.events {
+        println!(
+            "{} {} {} {} {} {}",
+            event.stamp_ns, event.outcome, event.matches, event.inliers, event.used, event.reason
+        );
+    }
+
+    let truth = TruthTrack::new(live.groundtruth.as_deref().unwrap());
+    let (mut last_ns, mut scored) = (i64::MIN, 0);
+    for state in &outcome.recorder.states {
+        let gap_ns = state.stamp_ns.saturating_sub(last_ns);
+        last_ns = state.stamp_ns;
+        let (Some(estimate), Some(truth)) = (&state.global_from_imu, truth.pose(state.stamp_ns, 110_000_000))
+        else {
+            continue;
+        };
+        let error = estimate.pose.local(&truth);
+        let p = error.fixed_rows::<3>(3).norm();
+        let sigmas = estimate.covariance.diagonal().map(f64::sqrt);
+        println!(
+            "{:.2} s gap: {p:.3} m {:.2} deg, sigma {:.3?}",
+            gap_ns as f64 * 1e-9,
+            error.fixed_rows::<3>(0).norm().to_degrees(),
+            sigmas.as_slice()
+        );
+        if gap_ns < 2_000_000_000 {
+            scored += 1;
+            assert!(p <= 0.10, "{p} m after a gap of {} s", gap_ns as f64 * 1e-9);
+        }
+        for axis in 3..6 {
+            // The truth itself is good to 1 cm.
+            assert!(error[axis].abs() <= 3.0 * sigmas[axis].hypot(0.01), "{error:?} of {sigmas:?}");
+        }
+    }
+    assert!(scored > 5, "only {scored} states were scored");
 }

@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use tests::robot::{arguments, run};
 use tools::in_process::LocalServer;
-use tools::map_building::{BuildOptions, build_map};
+use tools::map_building::{BuildOptions, StoredPoses, build_map};
 use tools::map_files::read_map;
 
 /// Noise of real sensors and of learned features, see the README.
@@ -31,10 +31,10 @@ fn imported(folder: &Path) -> Arc<LoadedMap> {
     Arc::new(LoadedMap::from_contents(read_map(folder).unwrap()).unwrap())
 }
 
-fn built(sequence: &Path, until_s: f64) -> Arc<LoadedMap> {
+fn built(sequence: &Path, until_s: f64, stored_poses: StoredPoses) -> Arc<LoadedMap> {
     let sequence = Sequence::open(sequence).unwrap();
     let references = sequence.reference_poses.clone().unwrap();
-    let options = BuildOptions { until_s, ..BuildOptions::default() };
+    let options = BuildOptions { until_s, stored_poses, ..BuildOptions::default() };
     let (contents, _) = build_map(&sequence, &references, None, &options, &mut |_, _, _| {}).unwrap();
     Arc::new(LoadedMap::from_contents(contents).unwrap())
 }
@@ -66,7 +66,12 @@ fn assert_honest(score: &Score) {
 #[test]
 fn the_papers_simulation() {
     let (Some(map), Some(live)) = (recording("yq/map"), recording("yq/live")) else { return };
-    let map = built(&map, f64::INFINITY);
+    let (refined, map) =
+        (built(&map, f64::INFINITY, StoredPoses::Refined), built(&map, f64::INFINITY, StoredPoses::Given));
+    let of_refined = localize(&live, &refined, "--init truth --mode multi");
+    println!("refined: {:?}", of_refined.summary.score);
+    println!("{:?}", of_refined.summary.milliseconds_per_frame);
+    pose_within(&of_refined, 0.07, 0.20);
     assert_honest(&pose_within(&localize(&live, &map, "--init truth --mode single"), 0.13, 0.30));
     let multi = localize(&live, &map, "--init truth --mode multi");
     let score = pose_within(&multi, 0.10, 0.25);
@@ -104,7 +109,7 @@ fn a_hall_mapped_by_another_flight() {
     else {
         return;
     };
-    let map = built(&map, f64::INFINITY);
+    let map = built(&map, f64::INFINITY, StoredPoses::Refined);
     pose_within(&localize(&live, &map, "--init truth --mode single"), 0.06, 1.0);
     pose_within(&localize(&live, &map, "--init truth --mode multi"), 0.05, 1.0);
 }
@@ -120,7 +125,8 @@ fn ten_loops_in_a_map_whose_gravity_is_not_along_z() {
 #[test]
 fn a_walk_that_comes_back_to_its_start_is_localized_again() {
     let Some(folder) = recording("walk") else { return };
-    let outcome = localize(&folder, &built(&folder, 10.0), "--accelerometer-bias-sigma 0.1");
+    let outcome =
+        localize(&folder, &built(&folder, 10.0, StoredPoses::Refined), "--accelerometer-bias-sigma 0.1");
     let first_ns = outcome.recorder.states[0].stamp_ns;
     let again = |event: &&onboard::robot::recorder::Event| {
         event.accepted && event.stamp_ns > first_ns + 105_000_000_000

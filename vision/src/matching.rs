@@ -1,7 +1,7 @@
 //! Which descriptor of one image is which of another (or of a map): nearest neighbours that stand three checks.
 //!
 //! # Where the defaults come from
-//! Measured on the recorded sequences of `shared/data` (fraction of bits that differ):
+//! Measured on the recorded sequences of `target/data` (fraction of bits that differ):
 //!
 //! | | right matches | wrong ones, nearest |
 //! |---|---|---|

@@ -16,6 +16,7 @@ use crate::map_files::save_map;
 use crate::plotting::draw_coverage;
 
 /// Arguments.
+#[expect(clippy::struct_excessive_bools, reason = "each is a switch of its own")]
 #[derive(Clone, Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     driftless build-map place/map --map place.db\n  \

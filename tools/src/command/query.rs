@@ -65,7 +65,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     let camera = read_camera(&args.camera.clone().unwrap_or_else(beside))?;
     let answer = args
         .server
-        .ask_in_session(&args.map, async |client| ask(&client, &args, stamp_ns, &features, camera).await)?;
+        .ask_in_session(&args.map, async |client| ask(client, &args, stamp_ns, &features, camera).await)?;
     if args.json {
         println!("{:#}", as_json(stamp_ns, &answer)?);
     } else {

@@ -62,7 +62,6 @@ pub enum What {
 ///
 /// # Errors
 /// A download that fails, a file that is missing, damaged or not the right one, a folder that cannot be written.
-#[expect(clippy::needless_pass_by_value, reason = "every command owns its arguments")]
 pub fn run(args: Args) -> anyhow::Result<()> {
     let folder = args.dir.unwrap_or_else(default_folder);
     let from = args.from.as_deref();

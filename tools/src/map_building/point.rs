@@ -39,7 +39,7 @@ pub(super) struct Lens {
 
 impl Lens {
     /// Rotation and offset (m) that take a point from the frame of camera 0 to this one's.
-    pub(super) fn from_first(&self) -> (Matrix3<f64>, Vector3<f64>) {
+    pub(super) fn lens_from_first(&self) -> (Matrix3<f64>, Vector3<f64>) {
         (self.rotation, self.offset)
     }
 

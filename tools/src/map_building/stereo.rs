@@ -101,7 +101,7 @@ struct EpipolarLine {
 
 impl Geometry {
     fn new(second: &Lens) -> Geometry {
-        let (rotation, offset) = second.from_first();
+        let (rotation, offset) = second.lens_from_first();
         Geometry { rotation, offset, essential: skew(&offset) * rotation }
     }
 

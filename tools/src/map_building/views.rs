@@ -85,7 +85,7 @@ pub(super) fn select_views<'a>(
     let seconds = |stamp_ns: i64| (stamp_ns - first.stamp_ns) as f64 * 1e-9;
     let in_time = |frame: &&&Frame| (options.from_s..=options.until_s).contains(&seconds(frame.stamp_ns));
     let mut views: Vec<View<'a>> = Vec::new();
-    for (done, frame) in candidates.iter().enumerate().filter(|(_, frame)| in_time(&frame)) {
+    for (done, frame) in candidates.iter().enumerate().filter(|(_, frame)| in_time(frame)) {
         progress(Stage::Seeing, done, candidates.len());
         let Some(reference) = poses.at(frame.stamp_ns) else { continue };
         let prior = camera_pose(&reference, &sensor.imu_from_camera, options);

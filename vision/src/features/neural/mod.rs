@@ -22,7 +22,7 @@
 //! library is, and rten elsewhere.
 //!
 //! # What XFeat's matches are worth
-//! `images/v1_01_keyframes` of `shared/data`: the left images of even number (1000 features) against the landmarks
+//! `images/v1_01_keyframes` of `target/data`: the left images of even number (1000 features) against the landmarks
 //! of the odd ones (1500 features, 656 triangulated from the stereo pair). Right: within 5 px of the landmark's
 //! reprojection by the true poses; of the 194 pairs within 1 m and 35 degrees. Elsewhere: pairs more than 2 m or 100
 //! degrees apart, all wrong. Mutual matches a pair:
