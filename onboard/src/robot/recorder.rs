@@ -149,6 +149,12 @@ impl Recorder {
         });
     }
 
+    /// Notes the state of the last frame again, after what was learned since.
+    pub fn note_state_again(&mut self, estimator: &Estimator) {
+        self.states.pop();
+        self.note_state(estimator);
+    }
+
     /// Notes the end of a query.
     pub fn note_event(&mut self, event: Event) {
         if event.outcome != "failed" {

@@ -12,6 +12,9 @@ use nalgebra::Vector3;
 use protocol::{FeatureSet, MatchRequest, PosePrior};
 use std::time::{Duration, Instant};
 
+/// Played as fast as possible, an answer takes this long, nanoseconds: it comes before the next image where that is
+/// later, and with it where it is not.
+const ANSWER_NS: i64 = 200_000_000;
 /// Queries that may be on their way at once.
 const MAX_PENDING: usize = 4;
 
@@ -62,8 +65,8 @@ pub struct RobotRun<'a> {
 /// Runs to the end of the recording.
 ///
 /// As fast as possible (not `realtime`) the recording stands still while an answer is outstanding, and
-/// the answer to one image is delivered with the next image: results then do not depend on how fast
-/// this machine is. In real time answers are delivered when they come.
+/// the answer to one image is delivered with the next image, or before it where that is more than 0.2 s later: results
+/// then do not depend on how fast this machine is. In real time answers are delivered when they come.
 ///
 /// # Errors
 /// [`RunError`]; `recorder` holds what was done up to there.
@@ -87,6 +90,10 @@ pub fn run(
         let broken =
             |source| RunError::Estimator { seconds: (frame.stamp_ns - first_ns) as f64 * 1e-9, source };
         robot.frame(frame, &mut next_imu, recorder).map_err(broken)?;
+        let next_ns = robot.sequence.frames.get(index + 1).map_or(i64::MAX, |next| next.stamp_ns);
+        if !robot.realtime && next_ns.saturating_sub(frame.stamp_ns) > ANSWER_NS {
+            robot.answers_before_the_next_image(recorder).map_err(broken)?;
+        }
     }
     robot.close(recorder).map_err(|source| RunError::Estimator {
         seconds: (robot.estimator.stamp_ns() - first_ns) as f64 * 1e-9,
@@ -137,6 +144,19 @@ impl RobotRun<'_> {
             publisher.publish(&self.estimator, rate, recorder.query_counts(), self.last_failure.as_deref());
         }
         self.ask_about(clone, frame, recorder);
+        Ok(())
+    }
+
+    /// Takes in what is on its way, and states what is known then.
+    fn answers_before_the_next_image(&mut self, recorder: &mut Recorder) -> Result<(), EstimatorError> {
+        let (extracting, asked) = (self.extraction.as_ref(), self.queries.as_ref());
+        let nothing = extracting.is_none_or(ExtractionThread::is_idle)
+            && asked.is_none_or(|queries| queries.pending() == 0);
+        if nothing {
+            return Ok(());
+        }
+        self.deliver(recorder)?;
+        recorder.note_state_again(&self.estimator);
         Ok(())
     }
 
