@@ -190,12 +190,24 @@ fn read(path: &Path) -> anyhow::Result<Vec<u8>> {
 fn store(folder: &Path, name: &str, bytes: &[u8]) -> anyhow::Result<()> {
     let failed = || format!("{} cannot be written", folder.join(name).display());
     fs::create_dir_all(folder).with_context(failed)?;
-    let mut file = tempfile::NamedTempFile::new_in(folder).with_context(failed)?;
+    let mut file = readable_by_all(&mut tempfile::Builder::new()).tempfile_in(folder).with_context(failed)?;
     file.write_all(bytes).with_context(failed)?;
     file.as_file().sync_all().with_context(failed)?;
     file.persist(folder.join(name)).with_context(failed)?;
     println!("{}", folder.join(name).display());
     Ok(())
+}
+
+/// Robots often run as another user than the one who set them up.
+#[cfg(unix)]
+fn readable_by_all<'a, 'b>(builder: &'a mut tempfile::Builder<'b, 'b>) -> &'a mut tempfile::Builder<'b, 'b> {
+    use std::os::unix::fs::PermissionsExt as _;
+    builder.permissions(fs::Permissions::from_mode(0o644))
+}
+
+#[cfg(not(unix))]
+fn readable_by_all<'a, 'b>(builder: &'a mut tempfile::Builder<'b, 'b>) -> &'a mut tempfile::Builder<'b, 'b> {
+    builder
 }
 
 fn sha256(bytes: &[u8]) -> String {

@@ -2,7 +2,8 @@
 //!
 //! Differences from the published program, each of which keeps pixels exact: images whose sides are no multiples of 32
 //! are continued at the right and at the bottom by their last column and row instead of being resampled; descriptors
-//! are read where the keypoint is in the map of cells (`(u - 3.5) / 8`); keypoints lie between the pixels.
+//! are read where the keypoint is in the map of cells (`(u - 3.5) / 8`); keypoints lie between the pixels
+//! (parabola through the logarithm of the heat).
 //!
 //! Source: Potje, Cadar, Araujo, Martins & Nascimento, CVPR 2024.
 
