@@ -20,13 +20,17 @@ const SETTLED_NS: i64 = 5_000_000_000;
 const TRUTH_SIGMA: f64 = 0.01;
 const QUERY_FEATURES: usize = 1000;
 
-fn vicon_room() -> Option<Sequence> {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../target/data/images/v1_01_keyframes");
+fn recording(name: &str) -> Option<Sequence> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../target/data/images").join(name);
     if !folder.is_dir() {
-        eprintln!("v1_01_keyframes is not unpacked in target/data: nothing to run");
+        eprintln!("{name} is not unpacked in target/data: nothing to run");
         return None;
     }
     Some(Sequence::open(&folder).unwrap())
+}
+
+fn vicon_room() -> Option<Sequence> {
+    recording("v1_01_keyframes")
 }
 
 fn odd_images() -> Option<Split> {
@@ -130,4 +134,81 @@ fn few_images_keep_a_robot_in_the_map() {
         }
     }
     assert!(scored > 15, "only {scored} states were scored");
+}
+
+#[test]
+fn odometry_from_the_images_of_one_shaken_camera() {
+    let Some(sequence) = recording("mh_01_handheld_16s") else { return };
+    let out = tempfile::tempdir().unwrap();
+    let switches = "--mode odometry --cameras mono --init truth --imu-noise-scale 3 --gyroscope-bias-sigma 0.1 \
+                    --accelerometer-bias-sigma 0.2";
+    let score = run(&sequence, out.path(), switches, None).summary.score.unwrap();
+    println!("{:?}, aligned {:?}", score.local, score.odometry_yaw_aligned_m);
+    assert!(score.odometry_yaw_aligned_m.rmse <= 0.02 && score.local.rmse_deg <= 1.0);
+}
+
+/// XFeat, where this is built with networks and its weights are there.
+#[cfg(feature = "neural")]
+mod learned {
+    use super::*;
+    use vision::GrayImage;
+
+    const MAP_FEATURES: usize = 1500;
+
+    fn xfeat() -> Option<Box<dyn FeatureExtractor>> {
+        open("xfeat-1", None).map_err(|error| eprintln!("{error}: nothing to run")).ok()
+    }
+
+    /// 8 grey levels of noise, the same in every run.
+    fn noise(index: usize) -> f32 {
+        let mixed = (index as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ (index as u64) << 17;
+        let sum: u32 = (0..4).map(|part| (mixed >> (16 * part) & 0xffff) as u32).sum();
+        (sum as f32 / 65536.0 - 2.0) * 3.0_f32.sqrt() * 8.0
+    }
+
+    fn mapped(image: GrayImage, value: impl Fn(usize, f32) -> f32) -> GrayImage {
+        let (width, height) = (image.width(), image.height());
+        GrayImage::from_fn(width, height, |x, y| {
+            value(y * width + x, f32::from(image.get(x, y))).round().clamp(0.0, 255.0) as u8
+        })
+    }
+
+    /// A blur with a standard deviation of 2 px.
+    fn blurred(image: &GrayImage) -> GrayImage {
+        let weights: Vec<f32> = (-6..=6).map(|k: i32| (-(k * k) as f32 / 8.0).exp()).collect();
+        let sum: f32 = weights.iter().sum();
+        let along = |image: &GrayImage, dx: isize, dy: isize| {
+            let clamped = |at: usize, step: isize, most: usize| at.saturating_add_signed(step).min(most);
+            GrayImage::from_fn(image.width(), image.height(), |x, y| {
+                let value = |(k, weight): (isize, &f32)| {
+                    let (u, v) =
+                        (clamped(x, k * dx, image.width() - 1), clamped(y, k * dy, image.height() - 1));
+                    weight * f32::from(image.get(u, v))
+                };
+                ((-6..).zip(&weights).map(value).sum::<f32>() / sum).round() as u8
+            })
+        };
+        along(&along(image, 1, 0), 0, 1)
+    }
+
+    #[test]
+    fn images_are_localized_in_good_light_and_bad() {
+        let (Some(split), Some(mut extractor)) = (odd_images(), xfeat()) else { return };
+        let (map, _) = split.build(extractor.as_mut(), MAP_FEATURES);
+        let found = split.localize(&map, extractor.as_mut(), QUERY_FEATURES, |image| image);
+        tell("even in odd, XFeat", &found);
+        assert_eq!(wrong_by(&found, 0.5), 0);
+        assert!(within(&found, 0.05, 1.0) >= 48);
+        let dark = |image| mapped(image, |_, value| 255.0 * (value / 255.0).powf(2.5));
+        let noisy = |image| mapped(image, |index, value| 0.4 * value + noise(index));
+        let blurred = |image: GrayImage| blurred(&image);
+        let changes: [(&str, &dyn Fn(GrayImage) -> GrayImage); 3] =
+            [("darkened", &dark), ("noisy", &noisy), ("blurred", &blurred)];
+        for (what, change) in changes {
+            let found = split.localize(&map, extractor.as_mut(), QUERY_FEATURES, change);
+            tell(what, &found);
+            assert!(within(&found, 0.10, 2.0) >= 40, "{what}");
+            assert_eq!(wrong_by(&found, 0.5), 0, "{what}");
+        }
+    }
 }

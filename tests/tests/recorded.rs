@@ -69,9 +69,7 @@ fn the_papers_simulation() {
     let (refined, map) =
         (built(&map, f64::INFINITY, StoredPoses::Refined), built(&map, f64::INFINITY, StoredPoses::Given));
     let of_refined = localize(&live, &refined, "--init truth --mode multi");
-    println!("refined: {:?}", of_refined.summary.score);
-    println!("{:?}", of_refined.summary.milliseconds_per_frame);
-    pose_within(&of_refined, 0.07, 0.20);
+    assert_honest(&pose_within(&of_refined, 0.05, 0.12));
     assert_honest(&pose_within(&localize(&live, &map, "--init truth --mode single"), 0.13, 0.30));
     let multi = localize(&live, &map, "--init truth --mode multi");
     let score = pose_within(&multi, 0.10, 0.25);
@@ -110,8 +108,8 @@ fn a_hall_mapped_by_another_flight() {
         return;
     };
     let map = built(&map, f64::INFINITY, StoredPoses::Refined);
-    pose_within(&localize(&live, &map, "--init truth --mode single"), 0.06, 1.0);
-    pose_within(&localize(&live, &map, "--init truth --mode multi"), 0.05, 1.0);
+    pose_within(&localize(&live, &map, "--init truth --mode single"), 0.03, 0.3);
+    pose_within(&localize(&live, &map, "--init truth --mode multi"), 0.025, 0.3);
 }
 
 #[test]

@@ -4,7 +4,7 @@
 //! image, its linear warp is refined as well (six), so that turning and zooming do not pull the position to one side.
 //!
 //! Sources: Lucas & Kanade, IJCAI 1981; Bouguet, "Pyramidal implementation of the Lucas Kanade feature tracker",
-//! Intel 2000; the inverse compositional step in [`super::template`].
+//! Intel 2000; the inverse compositional step in `template`.
 
 use super::block::{Block, HALF};
 use super::template::Template;
