@@ -16,6 +16,9 @@ pub struct RecognitionOptions {
     pub inlier_angle: f64,
     /// Fewest inliers of a verified keyframe.
     pub min_inliers: usize,
+    /// Fewest inliers of a pose that is given to a client without an estimator, which has no gate of its own. XFeat in
+    /// darkened images of V1_01: the one pose wrong by more than 0.5 m had 9; with 12 it is refused, and no right one is.
+    pub min_fix_inliers: usize,
     /// Standard deviation of a query pixel (px).
     pub query_pixel_sigma: f64,
     /// RANSAC samples at most.
@@ -47,6 +50,7 @@ impl Default for RecognitionOptions {
             min_votes: 4,
             inlier_angle: 0.0175,
             min_inliers: 8,
+            min_fix_inliers: 12,
             query_pixel_sigma: 1.0,
             max_iterations: 500,
             confidence: 0.999,

@@ -119,7 +119,10 @@ impl LoadedMap {
             }
             None => None,
         };
-        Ok(LocalizeReply { map_version: self.info.version, outcome: search.outcome, fix })
+        let fix = fix.filter(|fix| fix.inliers as usize >= options.min_fix_inliers);
+        let unproven = search.outcome == MatchOutcome::Matched && fix.is_none();
+        let outcome = if unproven { MatchOutcome::NotVerified } else { search.outcome };
+        Ok(LocalizeReply { map_version: self.info.version, outcome, fix })
     }
 
     /// The fused pose, or that of the best keyframe where fusion failed.

@@ -125,7 +125,10 @@ pub enum BuildError {
     #[error("the descriptors cannot be matched: {0}")]
     Descriptors(#[from] vision::DescriptorError),
     /// The joint covariance of the poses cannot be computed.
-    #[error("the refined poses have no covariance: are the sigmas of the given poses far too large?")]
+    #[error(
+        "the refined poses have no covariance: are the sigmas of the given poses far too large? --keep-poses states the given \
+         poses instead"
+    )]
     Indefinite,
     /// The result breaks a law of maps.
     #[error("the map that was built is invalid, which is a fault of this program: {0}")]

@@ -120,8 +120,9 @@ impl Point {
         anchor.position + self.direction(anchor) / self.inverse_depth
     }
 
-    /// The point in the frame of the lens that made a sighting, times its inverse depth in the anchor.
-    fn in_lens(&self, rig: &[Lens], poses: &[CameraPose], sighting: &Sighting) -> Vector3<f64> {
+    /// The point in the frame of the lens that made a sighting, times its inverse depth in the anchor. `None` for a point
+    /// nearer than [`MIN_DEPTH`]: from a point at its own centre a camera can see any pixel.
+    fn in_lens(&self, rig: &[Lens], poses: &[CameraPose], sighting: &Sighting) -> Option<Vector3<f64>> {
         let lens = &rig[sighting.lens];
         let (anchor, view) = (&poses[self.anchor_view()], &poses[sighting.view()]);
         let in_first = if sighting.view() == self.anchor_view() {
@@ -130,7 +131,8 @@ impl Point {
             let scaled = self.direction(anchor) + (anchor.position - view.position) * self.inverse_depth;
             view.rotation.transpose() * scaled
         };
-        lens.rotation * in_first + lens.offset * self.inverse_depth
+        let in_lens = lens.rotation * in_first + lens.offset * self.inverse_depth;
+        (in_lens.z >= MIN_DEPTH * self.inverse_depth).then_some(in_lens)
     }
 
     /// The pixel of a sighting; `None` where it cannot see the point.
@@ -140,7 +142,7 @@ impl Point {
         poses: &[CameraPose],
         sighting: &Sighting,
     ) -> Option<Vector2<f64>> {
-        rig[sighting.lens].camera.project(&self.in_lens(rig, poses, sighting)).ok()
+        rig[sighting.lens].camera.project(&self.in_lens(rig, poses, sighting)?).ok()
     }
 
     /// The pixel of a sighting other than the anchor's, with its Jacobians.
@@ -161,7 +163,7 @@ impl Point {
     ) -> Option<Prediction> {
         let lens = &rig[sighting.lens];
         let (anchor, view) = (&poses[self.anchor_view()], &poses[sighting.view()]);
-        let in_lens = self.in_lens(rig, poses, sighting);
+        let in_lens = self.in_lens(rig, poses, sighting)?;
         let (pixel, by_lens) = lens.camera.project_with_jacobian(&in_lens).ok()?;
         let by_global = by_lens * lens.rotation * view.rotation.transpose();
         let mut by_depth = by_lens * lens.offset;

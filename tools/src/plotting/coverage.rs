@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use crate::map_building::BuildReport;
 
 /// Length of the stroke that shows where a keyframe looks, as a part of the keyframes' extent.
-const STROKE: f64 = 0.02;
+const STROKE: f64 = 0.1;
 /// Landmarks further from the keyframes' middle than this many times their extent are not drawn: the sky.
 const REACH: f64 = 3.0;
 

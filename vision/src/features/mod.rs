@@ -90,3 +90,15 @@ pub trait FeatureExtractor: Send {
         max_features: usize,
     ) -> Result<ImageFeatures, ExtractError>;
 }
+
+/// An image must have at least `least` pixels a side, and its mask the same size.
+fn check_size(image: &GrayImage, mask: Option<&GrayImage>, least: usize) -> Result<(), ExtractError> {
+    let (width, height) = (image.width(), image.height());
+    if width < least || height < least {
+        return Err(ExtractError::TooSmall { width, height, least });
+    }
+    match mask.map(|mask| (mask.width(), mask.height())) {
+        Some(mask) if mask != (width, height) => Err(ExtractError::MaskSize { mask, image: (width, height) }),
+        _ => Ok(()),
+    }
+}

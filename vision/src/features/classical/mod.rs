@@ -23,7 +23,7 @@ mod plane;
 mod scale_space;
 mod spread;
 
-use super::{ExtractError, FeatureExtractor, ImageFeatures, Keypoint};
+use super::{ExtractError, FeatureExtractor, ImageFeatures, Keypoint, check_size};
 use crate::GrayImage;
 use crate::descriptors::Metric;
 use compress::Compressor;
@@ -132,7 +132,7 @@ impl FeatureExtractor for SiftExtractor {
         mask: Option<&GrayImage>,
         max_features: usize,
     ) -> Result<ImageFeatures, ExtractError> {
-        check_sizes(image, mask)?;
+        check_size(image, mask, LEAST_SIDE)?;
         let points = self.detect(image, mask, max_features);
         let mut keypoints = Vec::with_capacity(points.len());
         let mut descriptors = Vec::with_capacity(points.len() * self.width());
@@ -149,17 +149,6 @@ impl FeatureExtractor for SiftExtractor {
             });
         }
         Ok(ImageFeatures { keypoints, metric: self.metric(), width: self.width(), descriptors, global: None })
-    }
-}
-
-fn check_sizes(image: &GrayImage, mask: Option<&GrayImage>) -> Result<(), ExtractError> {
-    let size @ (width, height) = (image.width(), image.height());
-    if width.min(height) < LEAST_SIDE {
-        return Err(ExtractError::TooSmall { width, height, least: LEAST_SIDE });
-    }
-    match mask.map(|mask| (mask.width(), mask.height())) {
-        Some(mask) if mask != size => Err(ExtractError::MaskSize { mask, image: size }),
-        _ => Ok(()),
     }
 }
 

@@ -75,18 +75,6 @@ pub use xfeat_network::write as write_xfeat;
 
 use crate::{ExtractError, GrayImage, Keypoint};
 
-/// An image must have at least `least` pixels a side, and its mask the same size.
-fn check_size(image: &GrayImage, mask: Option<&GrayImage>, least: usize) -> Result<(), ExtractError> {
-    let (width, height) = (image.width(), image.height());
-    if width < least || height < least {
-        return Err(ExtractError::TooSmall { width, height, least });
-    }
-    match mask.map(|mask| (mask.width(), mask.height())) {
-        Some(mask) if mask != (width, height) => Err(ExtractError::MaskSize { mask, image: (width, height) }),
-        _ => Ok(()),
-    }
-}
-
 /// The `count` candidates of the highest score that lie in the image and where the mask is not zero, best first, and
 /// what comes with them.
 fn best<T>(

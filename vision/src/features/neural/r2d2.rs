@@ -24,12 +24,13 @@
 //! Source: Revaud, Weinzaepfel, De Souza & Humenberger, "R2D2: Repeatable and Reliable Detector and Descriptor",
 //! NeurIPS 2019.
 
+use super::best;
 use super::dense::{Descriptors, Heat};
 use super::network::{Engine, Network, NetworkError};
 use super::quantize::quantize;
 use super::state_dict::Tensor;
 use super::weights::{self, WeightsError};
-use super::{best, check_size};
+use crate::features::check_size;
 use crate::features::weights::R2D2;
 use crate::{ExtractError, FeatureExtractor, GrayImage, ImageFeatures, Keypoint, Metric};
 use std::path::Path;

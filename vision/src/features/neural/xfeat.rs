@@ -7,13 +7,14 @@
 //!
 //! Source: Potje, Cadar, Araujo, Martins & Nascimento, CVPR 2024.
 
+use super::best;
 use super::dense::{Descriptors, Heat};
 use super::network::{Engine, Network, NetworkError};
 use super::quantize::quantize;
 use super::state_dict::{StateDict, Tensor};
 use super::weights::{self, WeightsError};
 use super::xfeat_network::{self, CELL, DIMENSION, INPUT, KEYPOINT_CHANNELS, MULTIPLE, OUTPUTS};
-use super::{best, check_size};
+use crate::features::check_size;
 use crate::features::weights::XFEAT;
 use crate::{ExtractError, FeatureExtractor, GrayImage, ImageFeatures, Keypoint, Metric};
 use std::path::Path;
