@@ -73,7 +73,7 @@ pub use weights::WeightsError;
 pub use xfeat::XfeatExtractor;
 pub use xfeat_network::write as write_xfeat;
 
-use crate::{ExtractError, GrayImage, Keypoint};
+use crate::{GrayImage, Keypoint};
 
 /// The `count` candidates of the highest score that lie in the image and where the mask is not zero, best first, and
 /// what comes with them.
