@@ -90,8 +90,8 @@ pub fn run(
         let broken =
             |source| RunError::Estimator { seconds: (frame.stamp_ns - first_ns) as f64 * 1e-9, source };
         robot.frame(frame, &mut next_imu, recorder).map_err(broken)?;
-        let next_ns = robot.sequence.frames.get(index + 1).map_or(i64::MAX, |next| next.stamp_ns);
-        if !robot.realtime && next_ns.saturating_sub(frame.stamp_ns) > ANSWER_NS {
+        let next = robot.sequence.frames.get(index + 1);
+        if !robot.realtime && next.is_some_and(|next| next.stamp_ns - frame.stamp_ns > ANSWER_NS) {
             robot.answers_before_the_next_image(recorder).map_err(broken)?;
         }
     }
