@@ -113,7 +113,7 @@ fn nearest_frame(sequence: &Sequence, at_s: f64) -> Result<(&Frame, f64)> {
     if !(0.0..=end_s).contains(&at_s) {
         bail!("--at {at_s}: {root} has frames from 0 to {end_s:.3} s");
     }
-    let with_features = sequence.frames.iter().any(|frame| frame.features.is_some());
+    let with_features = sequence.has_features();
     let is_usable = |frame: &&Frame| {
         if with_features { frame.features.is_some() } else { frame.images[0].is_some() }
     };

@@ -136,9 +136,8 @@ pub fn run_robot(
 
 /// What makes tracks of the recording's images, where it has images and no tracks.
 fn front_end(sequence: &Sequence, arguments: &RobotArguments, cameras: usize) -> Result<Option<FrontEnd>> {
-    let with_images = sequence.frames.iter().any(|frame| frame.images[0].is_some());
     let with_tracks = sequence.frames.iter().any(|frame| !frame.tracks.is_empty());
-    if !with_images || with_tracks {
+    if !sequence.has_images() || with_tracks {
         return Ok(None);
     }
     let mut options = TrackerOptions::default().points(arguments.points);
@@ -150,9 +149,7 @@ fn front_end(sequence: &Sequence, arguments: &RobotArguments, cameras: usize) ->
 
 /// What makes features of the recording's images, where it has images and no features.
 fn extraction(sequence: &Sequence, arguments: &RobotArguments) -> Result<Option<ExtractionThread>> {
-    let with_images = sequence.frames.iter().any(|frame| frame.images[0].is_some());
-    let with_features = sequence.frames.iter().any(|frame| frame.features.is_some());
-    if !with_images || with_features {
+    if !sequence.has_images() || sequence.has_features() {
         return Ok(None);
     }
     let settings = &arguments.features;

@@ -96,6 +96,16 @@ impl Sequence {
         })
     }
 
+    /// Whether camera 0 has an image of any frame.
+    pub fn has_images(&self) -> bool {
+        self.frames.iter().any(|frame| frame.images[0].is_some())
+    }
+
+    /// Whether any frame has features for place recognition.
+    pub fn has_features(&self) -> bool {
+        self.frames.iter().any(|frame| frame.features.is_some())
+    }
+
     /// Unit direction in which gravity pulls, in the frame of the ground truth.
     ///
     /// Estimated from truth and IMU over the run, and taken for a coordinate axis within 3 degrees of one. `None`

@@ -32,7 +32,7 @@ pub fn write(sequence: &Sequence, root: &Path) -> Result<(), SequenceError> {
             write_file(&folder.join("tracks.csv"), |out| track_rows(out, &sequence.frames, index))?;
         }
     }
-    if sequence.frames.iter().any(|frame| frame.features.is_some()) {
+    if sequence.has_features() {
         write_file(&mav.join("cam0/features.csv"), |out| feature_rows(out, &sequence.frames))?;
     }
     if let Some(truth) = &sequence.groundtruth {

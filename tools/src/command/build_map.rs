@@ -106,7 +106,8 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         bar.set_length(all as u64);
         bar.set_position(done as u64);
     };
-    let mut extractor = if reads_features(&sequence) { None } else { Some(args.features.open()?) };
+    let from_images = sequence.has_images() && !sequence.has_features();
+    let mut extractor = if from_images { Some(args.features.open()?) } else { None };
     let mask = args.features.read_mask()?;
     let extraction = extractor.as_mut().map(|extractor| Extraction {
         extractor: extractor.as_mut(),
@@ -128,12 +129,6 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         print_report(&report);
     }
     Ok(())
-}
-
-/// Whether the recording brings its features along.
-fn reads_features(sequence: &Sequence) -> bool {
-    let with_features = sequence.frames.iter().any(|frame| frame.features.is_some());
-    with_features || sequence.frames.iter().all(|frame| frame.images[0].is_none())
 }
 
 fn progress_bar(hidden: bool) -> ProgressBar {
