@@ -17,7 +17,7 @@ pub mod rotation;
 pub mod triangulation;
 pub mod uncertain_pose;
 
-pub use camera::{Camera, CameraError, Distortion, ProjectionError};
+pub use camera::{Camera, CameraError, Distortion, IntrinsicsJacobian, MAX_INTRINSICS, ProjectionError};
 pub use pnp::{Correspondence, Gravity, PnpError, PnpSolution, RansacOptions};
 pub use pose::Pose;
 pub use rotation::Rotation;

@@ -5,8 +5,8 @@ mod common;
 
 use common::{Random, cameras, euroc, fisheye, fov};
 use geometry::numeric::{numeric_jacobian, numeric_jacobian_with_step};
-use geometry::{Camera, CameraError, Distortion, ProjectionError};
-use nalgebra::{DVector, Vector2, Vector3};
+use geometry::{Camera, CameraError, Distortion, MAX_INTRINSICS, ProjectionError};
+use nalgebra::{DVector, SVector, Vector2, Vector3};
 
 #[test]
 fn project_undoes_unproject_over_the_whole_image() {
@@ -41,6 +41,24 @@ fn a_fisheye_is_undone_up_to_a_right_angle_and_refused_beyond() {
         }
     }
     assert!(seen > 10 * refused, "{seen} seen, {refused} refused");
+}
+
+#[test]
+fn the_jacobian_by_the_intrinsics_is_the_derivative() {
+    for camera in cameras() {
+        for k in 0..50 {
+            let point = Random::new(k).visible_point(&camera, 0.5, 20.0);
+            let jacobian = camera.intrinsics_jacobian(&point).unwrap();
+            let numeric = numeric_jacobian_with_step(MAX_INTRINSICS, 1e-5, |change| {
+                let mut moved = camera.clone();
+                moved.add_to_intrinsics(&SVector::from_column_slice(change.as_slice()));
+                DVector::from_column_slice(moved.project(&point).unwrap().as_slice())
+            });
+            let difference = (&numeric - jacobian).amax() / numeric.amax();
+            assert!(difference < 1e-7, "{camera:?} at {point}: {difference}");
+            assert!(jacobian.columns_range(camera.intrinsics_len()..).iter().all(|value| *value == 0.0));
+        }
+    }
 }
 
 #[test]

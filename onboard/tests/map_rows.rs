@@ -4,10 +4,11 @@
 use geometry::numeric::numeric_jacobian;
 use geometry::{Camera, Distortion, Pose, PoseWithCovariance, rotation};
 use nalgebra::{DMatrix, DVector, Matrix3, Matrix6, Rotation3, Vector2, Vector3, Vector6};
-use onboard::estimator::covariance::{Columns, Information, JointCovariance};
+use onboard::estimator::calibration::{Calibration, OnlineCalibration};
+use onboard::estimator::covariance::JointCovariance;
+use onboard::estimator::information::{Columns, Information};
 use onboard::estimator::map_rows::{Linearization, MapPoint, RowSettings, landmark_rows};
 use onboard::estimator::state::retract_locally;
-use onboard::estimator::track_update::predict_with_jacobians;
 use onboard::estimator::{MapAnswer, MapKeyframe, MatchedLandmark, RigCamera};
 use rand::{RngExt as _, SeedableRng, rngs::StdRng};
 
@@ -96,7 +97,7 @@ fn rows(
         &scene.answer,
         &KEYFRAMES,
         &poses,
-        &eye(),
+        &Calibration::new(vec![eye()], 0.0, OnlineCalibration::default()),
         point,
         settings,
     )
@@ -191,19 +192,6 @@ fn the_rows_are_the_derivative_of_the_paper_s_equations_with_the_landmark_elimin
     }
 }
 
-#[test]
-fn a_predicted_pixel_has_the_jacobians_that_it_says() {
-    let (eye, truth) = (eye(), scene(1, 0.0).truth.local_from_imu);
-    let landmark = (truth * eye.imu_from_camera).transform(&Vector3::new(0.7, -0.5, 3.0));
-    let (_, of_pose, of_point) = predict_with_jacobians(&eye, &truth, &landmark).unwrap();
-    let pixel = |pose: &Pose, point: &Vector3<f64>| {
-        DVector::from_column_slice(predict_with_jacobians(&eye, pose, point).unwrap().0.as_slice())
-    };
-    let by_pose = numeric_jacobian(6, |error| pixel(&truth.retract(&part(error, 0)), &landmark));
-    let by_point = numeric_jacobian(3, |error| pixel(&truth, &(landmark + error.fixed_rows::<3>(0))));
-    assert!((by_pose - of_pose).amax() < 1e-6 && (by_point - of_point).amax() < 1e-6);
-}
-
 /// L turned about its z and moved, with `G_T_L` the other way: columns over `[clone, transform]`.
 fn gauge(position: &Vector3<f64>) -> DMatrix<f64> {
     let mut directions = DMatrix::zeros(12, 4);
@@ -281,13 +269,14 @@ fn error_after(scene: &Scene, estimate: MapPoint, at: MapPoint) -> f64 {
         .iter()
         .map(|keyframe| joint.held.pull(keyframe.id, &keyframe.global_from_keyframe, &[]));
     let slots: Vec<usize> = slots.collect();
-    let mut information = Information::new(Columns { active: (0..12).collect(), keyframes: slots });
+    let mut information = Information::new(Columns { active: vec![0..12], keyframes: slots });
     for k in 0..scene.answer.landmarks.len() {
         let (jacobian, residual) =
             rows(scene, k, &Linearization { estimate, at, first_position: None }, &SETTINGS);
         information.add(&jacobian, &residual);
     }
-    let correction = joint.measurement_update(&information).unwrap();
+    let mut correction = DVector::zeros(0);
+    joint.measurement_update(&information, &mut correction).unwrap();
     let updated = moved(&estimate, &correction);
     scene.truth.global_from_local.local(&updated.global_from_local).fixed_rows::<3>(0).norm()
 }

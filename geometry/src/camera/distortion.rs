@@ -144,6 +144,13 @@ pub(super) fn equidistant(k: &[f64; 4], t: f64) -> (f64, f64) {
     (value, slope)
 }
 
+/// `[t^3, t^5, t^7, t^9]`, what the coefficients of the equidistant polynomial multiply.
+pub(super) fn equidistant_powers(t: f64) -> [f64; 4] {
+    let t2 = t * t;
+    let cube = t * t2;
+    [cube, cube * t2, cube * t2 * t2, cube * t2 * t2 * t2]
+}
+
 /// `2 tan(omega / 2)` of the FOV model.
 pub(super) fn fov_scale(omega: f64) -> f64 {
     2.0 * (omega / 2.0).tan()

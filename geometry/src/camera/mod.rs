@@ -1,9 +1,11 @@
 //! Pinhole cameras with lens distortion: project, unproject, and the Jacobians.
 
 mod distortion;
+mod intrinsics;
 mod undistortion;
 
 pub use distortion::Distortion;
+pub use intrinsics::{IntrinsicsJacobian, MAX_INTRINSICS};
 
 use nalgebra::{Matrix2, Matrix2x3, Unit, Vector2, Vector3};
 use serde::{Deserialize, Serialize};

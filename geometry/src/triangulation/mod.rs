@@ -6,6 +6,10 @@ use crate::camera::{Camera, ProjectionError};
 use crate::pose::Pose;
 use inverse_depth::{InverseDepth, Residuals, ViewGeometry};
 use nalgebra::{Matrix3, Vector2, Vector3};
+use smallvec::SmallVec;
+
+/// Views up to this number need no memory from the heap: a filter's window of stereo images.
+const USUAL_VIEWS: usize = 48;
 
 /// One sight of the landmark.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -113,7 +117,7 @@ pub fn triangulate(
 ) -> Result<Triangulated, TriangulationError> {
     check_input(camera_of_view, views)?;
     let anchor = &views[0].parent_from_camera;
-    let mut geometries = Vec::with_capacity(views.len());
+    let mut geometries = SmallVec::<[ViewGeometry; USUAL_VIEWS]>::new();
     let mut rays = RaySystem::default();
     for (camera, view) in camera_of_view.iter().zip(views) {
         let normalized = camera.unproject(&view.pixel).map_err(TriangulationError::NoRay)?;

@@ -1,5 +1,6 @@
 //! Every switch and every number of the filter, with the reason for its default.
 
+use super::calibration::OnlineCalibration;
 use serde::{Deserialize, Serialize};
 
 /// What the estimator does with the map.
@@ -117,6 +118,14 @@ pub struct EstimatorConfig {
     pub gravity: f64,
     /// Standard deviations of the start.
     pub initial: InitialSigmas,
+    /// Most landmarks kept in the state; none is the plain MSCKF.
+    pub state_landmarks: usize,
+    /// Most tracks that one image's update uses.
+    pub max_tracks: usize,
+    /// What of the cameras' calibration is estimated online.
+    pub calibration: OnlineCalibration,
+    /// What is added to a camera's time to have the IMU's, seconds.
+    pub camera_time_offset: f64,
     /// Noise of a tracked pixel, px.
     pub sigma_track_px: f64,
     /// Noise of a matched pixel in the current image, px.
@@ -165,6 +174,10 @@ impl Default for EstimatorConfig {
             imu_noise: ImuNoise::default(),
             gravity: 9.81,
             initial: InitialSigmas::default(),
+            state_landmarks: 0,
+            max_tracks: 100,
+            calibration: OnlineCalibration::default(),
+            camera_time_offset: 0.0,
             sigma_track_px: 1.0,
             sigma_match_px: 1.0,
             sigma_map_px: None,
@@ -183,6 +196,9 @@ impl Default for EstimatorConfig {
         }
     }
 }
+
+/// A larger offset between the clocks of camera and IMU is a mistake, seconds.
+const LARGEST_TIME_OFFSET: f64 = 0.5;
 
 impl EstimatorConfig {
     /// Says which setting cannot work, and what is expected.
@@ -206,6 +222,12 @@ impl EstimatorConfig {
             ("sigma_match_px", self.sigma_match_px),
             ("sigma_map_px", self.sigma_map_px.unwrap_or(1.0)),
             ("relinearize_above_px", self.relinearize_above_px),
+            ("calibration.sigma_rotation", self.calibration.sigma_rotation),
+            ("calibration.sigma_position", self.calibration.sigma_position),
+            ("calibration.sigma_focal", self.calibration.sigma_focal),
+            ("calibration.sigma_centre", self.calibration.sigma_centre),
+            ("calibration.sigma_distortion", self.calibration.sigma_distortion),
+            ("calibration.sigma_time_offset", self.calibration.sigma_time_offset),
             ("verify_angle", self.verify_angle),
             ("transform_sigma_rotation", self.transform_sigma_rotation),
             ("transform_sigma_depth_fraction", self.transform_sigma_depth_fraction),
@@ -224,6 +246,13 @@ impl EstimatorConfig {
             if !(value > 0.0 && value < 1.0) {
                 return Err(format!("{name} is {value}; a significance lies between 0 and 1"));
             }
+        }
+        if !(self.camera_time_offset.is_finite() && self.camera_time_offset.abs() < LARGEST_TIME_OFFSET) {
+            let offset = self.camera_time_offset;
+            return Err(format!("camera_time_offset is {offset} s; it must lie within {LARGEST_TIME_OFFSET} s of 0"));
+        }
+        if self.max_tracks == 0 {
+            return Err("max_tracks is 0; without tracks there is no odometry".into());
         }
         if self.window < 3 {
             return Err(format!("window is {}; a track needs at least 3 clones", self.window));

@@ -1,5 +1,6 @@
 //! Chi-square gates.
 
+use nalgebra::{DMatrix, DVector};
 use statrs::distribution::{ChiSquared, ContinuousCDF as _};
 
 /// Upper quantiles of the chi-square distribution at one significance, by degrees of freedom.
@@ -22,6 +23,29 @@ impl Gate {
             0 => 0.0,
             _ => self.table.get(rows - 1).copied().unwrap_or_else(|| quantile(self.significance, rows)),
         }
+    }
+
+    /// Whether whitened rows are plausible: `rᵀ (H P Hᵀ + I)⁻¹ r`.
+    ///
+    /// # Arguments
+    /// * `covariance`: of the columns of `jacobian`.
+    pub fn accepts_rows(
+        &self,
+        covariance: &DMatrix<f64>,
+        jacobian: &DMatrix<f64>,
+        residual: &DVector<f64>,
+    ) -> bool {
+        // The state's uncertainty only makes a residual more plausible.
+        if self.accepts(residual.norm_squared(), residual.len()) {
+            return true;
+        }
+        let mut innovation = jacobian * (covariance * jacobian.transpose());
+        for k in 0..innovation.nrows() {
+            innovation[(k, k)] += 1.0;
+        }
+        innovation
+            .cholesky()
+            .is_some_and(|factor| self.accepts(residual.dot(&factor.solve(residual)), residual.len()))
     }
 
     /// Whether `innovation_squared` over `rows` rows is plausible. NaN is not.

@@ -2,6 +2,7 @@
 
 use super::EstimatorError;
 use nalgebra::Vector3;
+use smallvec::SmallVec;
 use std::collections::VecDeque;
 
 /// One reading of the IMU, in the IMU frame.
@@ -31,6 +32,9 @@ impl ImuSample {
         }
     }
 }
+
+/// The readings between two images. Those of 150 ms at 400 Hz need no memory from the heap.
+pub type Readings = SmallVec<[ImuSample; 62]>;
 
 /// Readings that the filter has not passed yet, and the last one that it has.
 #[derive(Clone, Debug, Default)]
@@ -73,7 +77,7 @@ impl ImuBuffer {
         from_ns: i64,
         to_ns: i64,
         slack_ns: i64,
-    ) -> Result<Vec<ImuSample>, EstimatorError> {
+    ) -> Result<Readings, EstimatorError> {
         let missing = EstimatorError::NoImu { from_ns, to_ns };
         let (Some(first), Some(last)) = (self.samples.front(), self.samples.back()) else {
             return Err(missing);
@@ -83,7 +87,7 @@ impl ImuBuffer {
         }
         let begin = self.samples.partition_point(|sample| sample.stamp_ns <= from_ns);
         let end = self.samples.partition_point(|sample| sample.stamp_ns < to_ns);
-        let mut readings = Vec::with_capacity(end.saturating_sub(begin) + 2);
+        let mut readings = Readings::new();
         readings.push(self.at(begin, from_ns));
         readings.extend(self.samples.range(begin.min(end)..end).copied());
         readings.push(self.at(end, to_ns));

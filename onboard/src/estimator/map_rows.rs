@@ -9,10 +9,10 @@
 //! linearize at. Source: the paper, equations of the global observation function; all errors are
 //! left errors `[δθ, δp]` in the parent frame.
 
+use super::calibration::Calibration;
 use super::map_answer::{MapAnswer, MatchedLandmark};
 use super::null_space::project_out;
 use super::state::{POSE_DIM, local_error, turned};
-use super::track_update::{RigCamera, predict_with_jacobians};
 use geometry::{Pose, rotation};
 use nalgebra::{DMatrix, DVector, Matrix6, Vector3, Vector6};
 use protocol::KeyframeId;
@@ -57,12 +57,13 @@ pub struct RowSettings {
     pub map_is_exact: bool,
 }
 
-/// First columns of the rows: the clone, then the transform, then the keyframes in the order asked for.
+/// First columns of the rows: the clone, then the transform, then what is estimated of the first camera, then the
+/// keyframes in the order asked for.
 const CLONE: usize = 0;
 const TRANSFORM: usize = POSE_DIM;
-const KEYFRAMES: usize = 2 * POSE_DIM;
+const CAMERA: usize = 2 * POSE_DIM;
 
-/// Whitened rows of one landmark over `[clone, transform, keyframes...]`, free of the landmark.
+/// Whitened rows of one landmark over `[clone, transform, first camera, keyframes...]`, free of the landmark.
 ///
 /// # Arguments
 /// * `keyframes`: the keyframes that have columns. Observations in others are left out.
@@ -74,7 +75,7 @@ pub fn landmark_rows(
     answer: &MapAnswer,
     keyframes: &[KeyframeId],
     poses: &dyn Fn(KeyframeId) -> Option<Pose>,
-    eye: &RigCamera,
+    calibration: &Calibration,
     point: &Linearization,
     settings: &RowSettings,
 ) -> Option<(DMatrix<f64>, DVector<f64>)> {
@@ -82,8 +83,10 @@ pub fn landmark_rows(
     let position = &landmark.position_in_anchor;
     let in_global = anchor_pose.transform(position);
     let (of_anchor_pose, of_position) = anchor_pose.transform_jacobians(position);
+    let camera_dim = calibration.camera_range(0).len();
+    let first_keyframe = CAMERA + camera_dim;
     let column_of =
-        |id: KeyframeId| Some(KEYFRAMES + POSE_DIM * keyframes.iter().position(|held| *held == id)?);
+        |id: KeyframeId| Some(first_keyframe + POSE_DIM * keyframes.iter().position(|held| *held == id)?);
 
     let seen: Vec<_> = landmark
         .observations
@@ -91,7 +94,7 @@ pub fn landmark_rows(
         .filter(|(id, _)| !settings.map_is_exact && column_of(*id).is_some())
         .collect();
     let rows = 2 + 2 * seen.len();
-    let columns = KEYFRAMES + if settings.map_is_exact { 0 } else { POSE_DIM * keyframes.len() };
+    let columns = first_keyframe + if settings.map_is_exact { 0 } else { POSE_DIM * keyframes.len() };
     let mut jacobian = DMatrix::zeros(rows, columns);
     let mut of_landmark = DMatrix::zeros(rows, 3);
     let mut residual = DVector::zeros(rows);
@@ -99,9 +102,10 @@ pub fn landmark_rows(
     // Current image.
     let in_local = point.at.global_from_local.inverse_transform(&in_global);
     let (of_transform, of_global) = point.at.global_from_local.inverse_transform_jacobians(&in_global);
-    let (pixel, of_clone, of_local) = predict_with_jacobians(eye, &point.at.local_from_imu, &in_local)?;
+    let observation = calibration.rig.first()?.observe(&point.at.local_from_imu, &in_local)?;
+    let (pixel, of_local) = (observation.pixel, observation.of_landmark);
     let [clone_step, transform_step] = point.at.minus(&point.estimate);
-    let mut of_clone = of_clone;
+    let mut of_clone = observation.of_body;
     if let Some(first) = point.first_position {
         let mut of_rotation = of_clone.fixed_columns_mut::<3>(0);
         of_rotation += of_local * rotation::skew(&(point.at.local_from_imu.translation - first));
@@ -112,6 +116,10 @@ pub fn landmark_rows(
     let whiten = 1.0 / settings.sigma_match_px;
     jacobian.fixed_view_mut::<2, 6>(0, CLONE).copy_from(&(of_clone * whiten));
     jacobian.fixed_view_mut::<2, 6>(0, TRANSFORM).copy_from(&(of_transform * whiten));
+    if camera_dim > 0 {
+        let of_camera = calibration.camera_jacobian(0, &observation) * whiten;
+        jacobian.view_mut((0, CAMERA), (2, camera_dim)).copy_from(&of_camera.columns(0, camera_dim));
+    }
     let followed = landmark.pixel - pixel + of_clone * clone_step + of_transform * transform_step;
     residual.fixed_rows_mut::<2>(0).copy_from(&(followed * whiten));
     let of_global = of_local * of_global;

@@ -1,8 +1,7 @@
 //! Takes an answer of the map into the filter: verify, initialize, linearize, gate, update.
 
 use super::config::{MapMode, Relinearization};
-use super::covariance::{Columns, Information};
-use super::gate::Gate;
+use super::information::{Columns, Information};
 use super::map_answer::{MapAnswer, MatchedLandmark};
 use super::map_rows::{Linearization, MapPoint, RowSettings, landmark_rows};
 use super::state::{Block, CloneId, POSE_DIM};
@@ -192,7 +191,7 @@ impl Estimator {
             min_inliers: self.config.min_inliers,
             gravity_in_camera: Some(self.gravity_in_camera(&local_from_imu)),
         };
-        let verified = match verify(answer, &self.rig[0], &settings) {
+        let verified = match verify(answer, self.first_camera(), &settings) {
             Ok(verified) => verified,
             Err(rejection) => return Ok(Err(rejection.into())),
         };
@@ -201,7 +200,7 @@ impl Estimator {
         let Some(best) = answer.keyframe(verified.best) else { return Ok(Err(Rejection::TooLate)) };
         let global_from_imu = self.pose_of(best.id, answer).unwrap_or(best.global_from_keyframe.pose)
             * verified.best_from_camera
-            * self.rig[0].imu_from_camera.inverse();
+            * self.first_camera().imu_from_camera.inverse();
         let solved_transform = global_from_imu * local_from_imu.inverse();
         report.initialized = self.state.transform.is_none();
         let transform = self.state.transform.unwrap_or(solved_transform);
@@ -274,8 +273,8 @@ impl Estimator {
                 point.at = self.next_point(clone, &prepared.information, &point)?;
                 continue;
             }
-            let correction = self.covariance.measurement_update(&prepared.information)?;
-            self.state.retract(&correction);
+            self.covariance.measurement_update(&prepared.information, &mut self.correction)?;
+            self.state.retract(&self.correction);
             self.check_health()?;
         }
         Ok(Ok(()))
@@ -288,7 +287,8 @@ impl Estimator {
         information: &Information,
         point: &Linearization,
     ) -> Result<MapPoint, EstimatorError> {
-        let correction = self.covariance.clone().measurement_update(information)?;
+        let mut correction = DVector::zeros(0);
+        self.covariance.clone().measurement_update(information, &mut correction)?;
         let mut moved = self.state.clone();
         moved.retract(&correction);
         let local_from_imu =
@@ -323,11 +323,10 @@ impl Estimator {
         }
         let slots = keyframes.iter().filter_map(|id| self.covariance.held.slot_of(*id)).collect();
         let place = self.state.place_of(clone).map_or(Block::ImuPose, Block::Clone);
-        let active = [place, Block::Transform]
-            .into_iter()
-            .filter_map(|block| self.state.range(block))
-            .flatten()
-            .collect();
+        let poses = [place, Block::Transform].into_iter().filter_map(|block| self.state.range(block));
+        let camera = self.state.calibration.camera_range(0);
+        let camera = IMU_DIM + camera.start..IMU_DIM + camera.end;
+        let active = poses.chain(std::iter::once(camera).filter(|range| !range.is_empty())).collect();
         Columns { active, keyframes: slots }
     }
 
@@ -351,9 +350,17 @@ impl Estimator {
         let poses = |id: KeyframeId| self.pose_of(id, answer);
         let mut prepared = Prepared { information: Information::new(columns.clone()), accepted: 0 };
         for landmark in landmarks {
-            let rows = landmark_rows(landmark, answer, keyframes, &poses, &self.rig[0], point, &settings);
+            let rows = landmark_rows(
+                landmark,
+                answer,
+                keyframes,
+                &poses,
+                &self.state.calibration,
+                point,
+                &settings,
+            );
             let Some((jacobian, residual)) = rows else { continue };
-            if passes(&self.landmark_gate, &joint, &jacobian, &residual) {
+            if self.landmark_gate.accepts_rows(&joint, &jacobian, &residual) {
                 prepared.information.add(&jacobian, &residual);
                 prepared.accepted += 1;
             }
@@ -370,7 +377,7 @@ impl Estimator {
 
     /// Mean reprojection error at a point; `None` when a verified landmark is not in view there.
     fn mean_reprojection(&self, answer: &MapAnswer, verified: &Verified, point: &MapPoint) -> Option<f64> {
-        let eye = &self.rig[0];
+        let eye = self.first_camera();
         let global_from_camera = point.global_from_local * point.local_from_imu * eye.imu_from_camera;
         let mut sum = 0.0;
         for &k in &verified.inliers {
@@ -383,7 +390,7 @@ impl Estimator {
     }
 
     pub(super) fn gravity_in_camera(&self, local_from_imu: &Pose) -> Vector3<f64> {
-        let local_from_camera = local_from_imu.rotation * self.rig[0].imu_from_camera.rotation;
+        let local_from_camera = local_from_imu.rotation * self.first_camera().imu_from_camera.rotation;
         local_from_camera.inverse() * -Vector3::z()
     }
 
@@ -395,15 +402,16 @@ impl Estimator {
             .max(self.config.transform_sigma_position)
             .powi(2);
         let sigmas = DVector::from_fn(POSE_DIM, |k, _| if k < 3 { rotation } else { position });
-        self.covariance.insert_independent(IMU_DIM, &DMatrix::from_diagonal(&sigmas));
+        let independent = DMatrix::zeros(POSE_DIM, 0);
+        let begin = self.state.transform_begin();
+        self.covariance.insert(begin, &[], &independent, &DMatrix::from_diagonal(&sigmas));
         self.state.transform = Some(transform);
     }
 
     /// Forgets `global_from_local`; what the filter knows of L stays.
     pub(super) fn remove_transform(&mut self) {
         if let Some(range) = self.state.range(Block::Transform) {
-            let kept: Vec<usize> = (0..self.state.dim()).filter(|k| !range.contains(k)).collect();
-            self.covariance.gather(&kept);
+            self.covariance.gather(&[0..range.start, range.end..self.state.dim()]);
             self.state.transform = None;
         }
     }
@@ -415,15 +423,4 @@ fn median_depth(answer: &MapAnswer, verified: &Verified) -> f64 {
         verified.inliers.iter().map(|&k| answer.landmarks[k].position_in_anchor.norm()).collect();
     depths.sort_by(f64::total_cmp);
     depths.get(depths.len() / 2).copied().unwrap_or(0.0)
-}
-
-/// The chi-square gate of one landmark.
-fn passes(gate: &Gate, joint: &DMatrix<f64>, jacobian: &DMatrix<f64>, residual: &DVector<f64>) -> bool {
-    let mut innovation = jacobian * (joint * jacobian.transpose());
-    for k in 0..innovation.nrows() {
-        innovation[(k, k)] += 1.0;
-    }
-    innovation
-        .cholesky()
-        .is_some_and(|factor| gate.accepts(residual.dot(&factor.solve(residual)), residual.len()))
 }

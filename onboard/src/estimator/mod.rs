@@ -1,6 +1,6 @@
 //! The estimator: visual-inertial odometry in L, and `global_from_local` from answers of a map.
 //!
-//! An MSCKF whose state is `[IMU | global_from_local | clones]`, with the pulled keyframes of the map
+//! An MSCKF whose state is `[IMU | calibration | global_from_local | landmarks | clones]`, with the pulled keyframes of the map
 //! as nuisance parameters of a Schmidt-Kalman filter. Pure: it takes measurements and returns states,
 //! and knows no network, no clock and no file.
 //!
@@ -8,11 +8,15 @@
 //! to the image, [`Estimator::track_update`] with the image's tracks, and [`Estimator::map_update`]
 //! whenever the map answered to an image whose clone was [pinned](Estimator::pin).
 
+pub mod calibration;
 pub mod config;
 pub mod covariance;
+pub mod dense;
 pub mod gate;
 pub mod imu;
+pub mod information;
 pub mod initialization;
+pub mod landmark_rows;
 pub mod map_answer;
 pub mod map_rows;
 pub mod map_update;
@@ -20,12 +24,16 @@ pub mod nuisance;
 pub mod null_space;
 pub mod propagation;
 pub mod state;
+pub mod state_landmarks;
 pub mod status;
+#[cfg(test)]
+mod test_scene;
 pub mod track_update;
 pub mod tracks;
 pub mod verification;
 pub mod zero_velocity;
 
+pub use calibration::{Calibration, OnlineCalibration, RigCamera};
 pub use config::{EstimatorConfig, ImuNoise, InitialSigmas, MapMode, Relinearization};
 pub use imu::ImuSample;
 pub use initialization::InitialState;
@@ -33,18 +41,23 @@ pub use map_answer::{MapAnswer, MapKeyframe, MatchedLandmark};
 pub use map_update::{MapReport, Rejection};
 pub use state::CloneId;
 pub use status::{Localization, Status};
-pub use track_update::{RigCamera, TrackReport};
+pub use track_update::TrackReport;
 pub use tracks::TrackObservation;
 
 use covariance::{JointCovariance, NotPositiveDefinite};
 use gate::Gate;
 use geometry::PoseWithCovariance;
 use imu::ImuBuffer;
-use nalgebra::{DMatrix, Matrix6, Vector3};
+use information::Rows;
+use landmark_rows::Layout;
+use nalgebra::{DMatrix, DVector, Matrix6, Vector3};
 use propagation::{IMU_DIM, MotionEstimate, propagate};
-use state::{ActiveState, Block, ClonedPose, POSE_DIM};
-use track_update::TrackSettings;
-use tracks::TrackStore;
+use state::{ActiveState, Block, ClonedPose, POSE_DIM, StateLandmark};
+use state_landmarks::{LandmarkSettings, LandmarkUpdate};
+use track_update::{TrackSettings, TrackUpdate};
+use smallvec::SmallVec;
+use std::ops::Range;
+use tracks::{Track, TrackStore};
 
 /// What can go wrong with a measurement or with the filter.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -92,16 +105,28 @@ const IMU_SLACK_NS: i64 = 20_000_000;
 /// A residual after triangulation beyond this many sigmas is an outlier, whatever the clones' errors.
 const OUTLIER_SIGMAS: f64 = 5.0;
 
+/// What an image's update works with, kept from one image to the next.
+#[derive(Clone, Debug, Default)]
+struct OdometryUpdate {
+    ready: Vec<Track>,
+    tracks: TrackUpdate,
+    landmarks: LandmarkUpdate,
+    zero_velocity: Rows,
+}
+
 /// The filter. See the module's text for its use.
 #[derive(Clone, Debug)]
 pub struct Estimator {
     config: EstimatorConfig,
-    rig: Vec<RigCamera>,
     imu: ImuBuffer,
     state: ActiveState,
+    /// Angular velocity of the body in L at the state's time, rad/s.
+    angular_velocity: Vector3<f64>,
     covariance: JointCovariance,
     tracks: TrackStore,
     track_settings: TrackSettings,
+    odometry_update: OdometryUpdate,
+    correction: DVector<f64>,
     landmark_gate: Gate,
     frame_gate: Gate,
     next_clone: u64,
@@ -133,7 +158,9 @@ impl Estimator {
         for eye in &rig {
             eye.camera.validate().map_err(|error| EstimatorError::Config(error.to_string()))?;
         }
-        let covariance = JointCovariance::new(initial.covariance(), config.max_active_keyframes);
+        let calibration = Calibration::new(rig, config.camera_time_offset, config.calibration);
+        let covariance = with_calibration(&initial.covariance(), &calibration);
+        let covariance = JointCovariance::new(covariance, config.max_active_keyframes);
         let state = ActiveState {
             stamp_ns: initial.stamp_ns,
             imu: initial.imu,
@@ -141,7 +168,9 @@ impl Estimator {
                 position: initial.imu.local_from_imu.translation,
                 velocity: initial.imu.velocity,
             },
+            calibration,
             transform: None,
+            landmarks: Vec::new(),
             clones: Vec::new(),
         };
         Ok(Self {
@@ -151,15 +180,18 @@ impl Estimator {
                 gate: Gate::new(config.track_gate),
                 standing: false,
                 outlier_sigmas: OUTLIER_SIGMAS,
+                max_tracks: config.max_tracks,
             },
             landmark_gate: Gate::new(config.landmark_gate),
             frame_gate: Gate::new(config.frame_gate),
             config,
-            rig,
             imu: ImuBuffer::default(),
             state,
+            angular_velocity: Vector3::zeros(),
             covariance,
             tracks: TrackStore::default(),
+            odometry_update: OdometryUpdate::default(),
+            correction: DVector::zeros(0),
             next_clone: 0,
             map_version: None,
             map_version_since_ns: i64::MIN,
@@ -179,22 +211,35 @@ impl Estimator {
 
     /// Carries the state to the time of an image and clones its pose.
     ///
+    /// # Arguments
+    /// * `stamp_ns`: by the camera's clock. What the time offset adds is added here.
+    ///
     /// # Errors
     /// [`EstimatorError::OldFrame`], [`EstimatorError::NoImu`]: nothing was changed.
     /// [`EstimatorError::Diverged`].
     pub fn time_update(&mut self, stamp_ns: i64) -> Result<CloneId, EstimatorError> {
         let from_ns = self.state.stamp_ns;
-        if stamp_ns <= from_ns && !self.state.clones.is_empty() || stamp_ns < from_ns {
+        let to_ns = self.imu_stamp_ns(stamp_ns);
+        if to_ns <= from_ns && !self.state.clones.is_empty() || to_ns < from_ns {
             return Err(EstimatorError::OldFrame { stamp_ns, state_ns: from_ns });
         }
-        if stamp_ns > from_ns {
-            self.propagate_to(stamp_ns)?;
+        if to_ns > from_ns {
+            self.propagate_to(to_ns)?;
         }
         self.check_health()?;
         // A caller that has no tracks for an image may leave `track_update` out.
-        let leaving = self.leaving_clones();
-        self.marginalize(&leaving);
-        Ok(self.clone_pose())
+        self.marginalize_surplus();
+        Ok(self.clone_pose(stamp_ns))
+    }
+
+    /// Time of an image by the IMU's clock, as far as the offset is known. Readings are needed up to there.
+    pub fn imu_stamp_ns(&self, image_stamp_ns: i64) -> i64 {
+        image_stamp_ns + (self.state.calibration.time_offset * 1e9).round() as i64
+    }
+
+    /// The cameras and their clock, as far as they are known.
+    pub fn calibration(&self) -> &Calibration {
+        &self.state.calibration
     }
 
     fn propagate_to(&mut self, stamp_ns: i64) -> Result<(), EstimatorError> {
@@ -205,9 +250,11 @@ impl Estimator {
         };
         let first = if self.config.first_estimates { &self.state.first_motion } else { &newest };
         let moved = propagate(&self.state.imu, first, &readings, &self.config.imu_noise, self.config.gravity);
-        let transition = DMatrix::from_column_slice(IMU_DIM, IMU_DIM, moved.transition.as_slice());
-        let noise = DMatrix::from_column_slice(IMU_DIM, IMU_DIM, moved.noise.as_slice());
-        self.covariance.time_update(&transition, &noise);
+        if let Some(last) = readings.last() {
+            let rate = last.gyroscope - moved.state.gyroscope_bias;
+            self.angular_velocity = moved.state.local_from_imu.rotation * rate;
+        }
+        self.covariance.time_update(&moved.transition, &moved.noise);
         self.state.imu = moved.state;
         self.state.stamp_ns = stamp_ns;
         self.state.first_motion = MotionEstimate {
@@ -219,15 +266,21 @@ impl Estimator {
     }
 
     /// Stochastic cloning: the newest pose enters the window with all its correlations.
-    fn clone_pose(&mut self) -> CloneId {
+    fn clone_pose(&mut self, stamp_ns: i64) -> CloneId {
         let id = CloneId(self.next_clone);
         self.next_clone += 1;
-        let source: Vec<usize> = (0..self.state.dim()).chain(0..POSE_DIM).collect();
-        self.covariance.gather(&source);
+        let dim = self.state.dim();
+        self.covariance.gather(&[0..dim, 0..POSE_DIM]);
+        if self.state.calibration.estimates_time_offset() {
+            // The image was taken where the body was, not where the offset's estimate says: later by its error.
+            let (turn, velocity) = (self.angular_velocity, self.state.imu.velocity);
+            let motion = [turn.x, turn.y, turn.z, velocity.x, velocity.y, velocity.z];
+            self.covariance.add_dependence(dim, &motion, IMU_DIM);
+        }
         let pose = self.state.imu.local_from_imu;
         self.state.clones.push(ClonedPose {
             id,
-            stamp_ns: self.state.stamp_ns,
+            stamp_ns,
             local_from_imu: pose,
             first_estimate: pose,
             pinned: false,
@@ -236,67 +289,124 @@ impl Estimator {
     }
 
     /// Takes the tracks of the newest image, corrects the state by those that ended or fill the
-    /// window, and lets the oldest clone go when the window is full.
+    /// window and by the landmarks in the state, and lets the oldest clone go when the window is full.
     ///
     /// # Errors
     /// [`EstimatorError::Diverged`].
     pub fn track_update(&mut self, observations: &[TrackObservation]) -> Result<TrackReport, EstimatorError> {
-        let Some(newest) = self.state.clones.last().map(|clone| clone.id) else {
+        if self.state.clones.is_empty() {
             return Ok(TrackReport::default());
-        };
-        self.tracks.add(newest, observations);
-        self.track_settings.standing = self.stand_still()?;
-        let mut ready = self.tracks.take_ended(newest);
-        let leaving = self.leaving_clones();
-        for &place in &leaving {
-            ready.extend(self.tracks.take_seen_by(self.state.clones[place].id));
         }
-        let (information, report) =
-            track_update::collect(&self.state, &self.covariance, &self.rig, &ready, &self.track_settings)?;
-        if let Some(information) = information {
-            let correction = self.covariance.measurement_update(&information)?;
-            self.state.retract(&correction);
-            self.check_health()?;
-        }
-        self.marginalize(&leaving);
+        let mut update = std::mem::take(&mut self.odometry_update);
+        let report = self.odometry(observations, &mut update);
+        self.odometry_update = update;
+        let report = report?;
+        self.check_health()?;
+        self.marginalize_surplus();
         Ok(report)
     }
 
+    fn odometry(
+        &mut self,
+        observations: &[TrackObservation],
+        update: &mut OdometryUpdate,
+    ) -> Result<TrackReport, EstimatorError> {
+        let Some(newest) = self.state.clones.last().map(|clone| clone.id) else {
+            return Ok(TrackReport::default());
+        };
+        update.landmarks.remove_lost(&mut self.state, &mut self.covariance, observations);
+        let in_state = self.state.landmarks.len();
+        let landmarks = &self.state.landmarks;
+        let is_landmark = |id: u64| landmarks.iter().any(|landmark| landmark.feature_id == id);
+        self.tracks.add(newest, observations, is_landmark);
+        self.track_settings.standing = self.stand_still(&mut update.zero_velocity)?;
+        self.tracks.take_ended(newest, &mut update.ready);
+        for place in surplus(&self.state, self.config.window) {
+            self.tracks.take_seen_by(self.state.clones[place].id, &mut update.ready);
+        }
+        let mut room = self.config.state_landmarks.saturating_sub(in_state);
+        let may_enter = |_: &Track| {
+            let enters = room > 0;
+            room -= usize::from(enters);
+            enters
+        };
+        let mut report = update.tracks.collect(
+            &self.state,
+            &self.covariance,
+            &mut update.ready,
+            &self.track_settings,
+            may_enter,
+        )?;
+        self.tracks.recycle(&mut update.ready);
+        self.insert_landmarks(&mut update.tracks);
+        if update.tracks.information.rows > 0 {
+            self.covariance.measurement_update(&update.tracks.information, &mut self.correction)?;
+            self.state.retract(&self.correction);
+        }
+        let settings = LandmarkSettings {
+            sigma_px: self.config.sigma_track_px,
+            first_estimates: self.config.first_estimates,
+            gate: &self.track_settings.gate,
+        };
+        let (state, covariance) = (&mut self.state, &mut self.covariance);
+        report.landmarks =
+            update.landmarks.update(state, covariance, in_state, observations, &settings, &mut self.correction)?;
+        Ok(report)
+    }
+
+    /// Lets the landmarks of an update into the state, and tells the update where its columns stand now.
+    fn insert_landmarks(&mut self, update: &mut TrackUpdate) {
+        for entering in update.entering.drain(..) {
+            let layout = Layout::of(&self.state);
+            let noise = DMatrix::from_column_slice(3, 3, entering.entrance.noise.as_slice());
+            let columns = [layout.calibration, layout.clones];
+            let begin = self.state.clones_begin();
+            self.covariance.insert(begin, &columns, &entering.entrance.jacobian, &noise);
+            self.state.landmarks.push(StateLandmark {
+                feature_id: entering.feature_id,
+                position: entering.position + entering.entrance.shift,
+                first_estimate: entering.position,
+                implausible: 0,
+            });
+        }
+        update.information.columns.active.clear();
+        update.information.columns.active.extend(Layout::of(&self.state).runs());
+    }
+
     /// Tells the filter that the body stands, where it does and the filter can believe it.
-    fn stand_still(&mut self) -> Result<bool, EstimatorError> {
+    fn stand_still(&mut self, rows: &mut Rows) -> Result<bool, EstimatorError> {
         let still = self.config.zero_velocity
-            && zero_velocity::stands_still(&self.state, &self.rig, &self.tracks, self.config.sigma_track_px);
+            && zero_velocity::stands_still(&self.state, &self.tracks, self.config.sigma_track_px);
         if !still {
             return Ok(false);
         }
-        let information = zero_velocity::zero_velocity(&self.state);
-        let innovation = self.covariance.innovation_squared(&information)?;
-        let plausible = self.frame_gate.accepts(innovation, information.rows);
+        zero_velocity::zero_velocity(&self.state, rows);
+        let plausible = self.frame_gate.accepts(self.covariance.weigh(rows)?, rows.residual.len());
         if plausible {
-            let correction = self.covariance.measurement_update(&information)?;
-            self.state.retract(&correction);
+            self.covariance.update_by_rows(rows, &mut self.correction)?;
+            self.state.retract(&self.correction);
         }
         Ok(plausible)
     }
 
-    /// Places of the clones that the window has no room for. A pinned one stays beyond it.
-    fn leaving_clones(&self) -> Vec<usize> {
-        let surplus = self.state.clones.len().saturating_sub(self.config.window);
-        (0..surplus).filter(|&place| !self.state.clones[place].pinned).collect()
-    }
-
-    fn marginalize(&mut self, places: &[usize]) {
-        if places.is_empty() {
+    /// Lets the clones go that the window has no room for.
+    fn marginalize_surplus(&mut self) {
+        let leaving: SmallVec<[usize; 4]> = surplus(&self.state, self.config.window).collect();
+        if leaving.is_empty() {
             return;
         }
-        let gone: Vec<usize> =
-            places.iter().filter_map(|&place| self.state.range(Block::Clone(place))).flatten().collect();
-        let kept: Vec<usize> = (0..self.state.dim()).filter(|index| !gone.contains(index)).collect();
+        let mut kept = SmallVec::<[Range<usize>; 8]>::new();
+        kept.push(0..self.state.clones_begin());
+        kept.extend(
+            (0..self.state.clones.len())
+                .filter(|place| !leaving.contains(place))
+                .filter_map(|place| self.state.range(Block::Clone(place))),
+        );
         self.covariance.gather(&kept);
         let mut place = 0;
         self.state.clones.retain(|_| {
             place += 1;
-            !places.contains(&(place - 1))
+            !leaving.contains(&(place - 1))
         });
     }
 
@@ -314,13 +424,18 @@ impl Estimator {
         }
     }
 
+    fn first_camera(&self) -> &RigCamera {
+        &self.state.calibration.rig[0]
+    }
+
     fn check_health(&self) -> Result<(), EstimatorError> {
         let broken = |why: &str| Err(EstimatorError::Diverged(why.into()));
         if !self.state.is_finite() {
             return broken("a state is not a number");
         }
         if (0..self.state.dim())
-            .any(|k| self.covariance.active[(k, k)].is_nan() || self.covariance.active[(k, k)] < 0.0)
+            .map(|k| self.covariance.active()[(k, k)])
+            .any(|variance| variance.is_nan() || variance < 0.0)
         {
             return broken("a variance is negative");
         }
@@ -382,7 +497,7 @@ impl Estimator {
             &PoseWithCovariance { pose, covariance: self.block(&block, &block) },
             &(state::turned(&transform.pose) * self.block(&Block::Transform, &block)),
         );
-        let exact = PoseWithCovariance { pose: self.rig[0].imu_from_camera, covariance: Matrix6::zeros() };
+        let exact = PoseWithCovariance { pose: self.first_camera().imu_from_camera, covariance: Matrix6::zeros() };
         Some(global_from_imu.compose(&exact))
     }
 
@@ -405,9 +520,25 @@ impl Estimator {
     fn block(&self, row: &Block, column: &Block) -> Matrix6<f64> {
         match (self.state.range(*row), self.state.range(*column)) {
             (Some(rows), Some(columns)) => {
-                self.covariance.active.fixed_view::<6, 6>(rows.start, columns.start).into_owned()
+                self.covariance.active().view().fixed_view::<6, 6>(rows.start, columns.start).into_owned()
             }
             _ => Matrix6::zeros(),
         }
     }
+}
+
+/// Places of the clones that the window has no room for. A pinned one stays beyond it.
+fn surplus(state: &ActiveState, window: usize) -> impl Iterator<Item = usize> + '_ {
+    (0..state.clones.len().saturating_sub(window)).filter(|&place| !state.clones[place].pinned)
+}
+
+/// Covariance of the IMU's error, and of the calibration's, which nothing is known to depend on yet.
+fn with_calibration(imu: &DMatrix<f64>, calibration: &Calibration) -> DMatrix<f64> {
+    let dim = IMU_DIM + calibration.dim();
+    let mut covariance = DMatrix::zeros(dim, dim);
+    covariance.view_mut((0, 0), imu.shape()).copy_from(imu);
+    for (k, variance) in calibration.initial_variances().iter().enumerate() {
+        covariance[(IMU_DIM + k, IMU_DIM + k)] = *variance;
+    }
+    covariance
 }

@@ -4,7 +4,7 @@
 //! the state errs where a keyframe errs. All that happens to it is
 //! ```text
 //! propagation, cloning, marginalization   M ← F M
-//! update with gain G on columns C         M ← M - G (M_C; E_T)     E_T: the identity on the keyframes used
+//! update with gain K on columns C         M ← M - K H (M_C; E_T)   E_T: the identity on the keyframes used
 //! a keyframe enters                       M gets a column of zeros, whatever the map says of its correlations
 //! ```
 //! so a keyframe that is not used is only multiplied from the left, cross-covariances or not.
@@ -16,11 +16,14 @@
 //! covariance `P_Aj` that an update needs is the sum of `M_k P_kj` over the held keyframes that the map correlates with
 //! `j`: its cost depends on how many these are, not on how many are held.
 
-use super::covariance::Columns;
+use super::dense::Dense;
+use super::information::Rows;
+use super::propagation::{IMU_DIM, ImuMatrix};
 use geometry::PoseWithCovariance;
 use nalgebra::{DMatrix, Matrix6};
 use protocol::KeyframeId;
 use std::collections::{HashMap, HashSet};
+use std::ops::Range;
 
 /// A keyframe of the map in the nuisance state.
 #[derive(Clone, Debug)]
@@ -252,49 +255,82 @@ impl HeldKeyframes {
         *self = Self::new(self.loadings.nrows(), self.max_active);
     }
 
-    /// `M ← F M` for an `F` that touches only the first rows.
-    pub fn transform_rows(&mut self, transition: &DMatrix<f64>) {
-        let n = transition.nrows();
-        let transform = |matrix: &mut DMatrix<f64>| {
-            let rows = transition * matrix.rows(0, n);
-            matrix.rows_mut(0, n).copy_from(&rows);
-        };
-        transform(&mut self.loadings);
-        self.parked.iter_mut().for_each(|group| transform(&mut group.influence));
+    /// `M ← F M` for an `F` that touches only the IMU's rows, which are the first.
+    pub fn transform_rows(&mut self, transition: &ImuMatrix) {
+        self.for_each_row_matrix(|matrix| {
+            let rows = transition * matrix.fixed_rows::<IMU_DIM>(0);
+            matrix.fixed_rows_mut::<IMU_DIM>(0).copy_from(&rows);
+        });
     }
 
-    /// New row `i` is old row `source[i]`.
-    pub fn gather_rows(&mut self, source: &[usize]) {
-        self.loadings = self.loadings.select_rows(source);
-        for group in &mut self.parked {
-            group.influence = group.influence.select_rows(source);
-        }
+    /// The rows become the old rows `source`, one range after the other.
+    pub fn gather_rows(&mut self, source: &[Range<usize>]) {
+        self.for_each_row_matrix(|matrix| {
+            let indices: Vec<usize> = source.iter().flat_map(Clone::clone).collect();
+            *matrix = matrix.select_rows(&indices);
+        });
     }
 
-    /// The active error grew by `count` independent numbers at `at`.
-    pub fn insert_zero_rows(&mut self, at: usize, count: usize) {
-        let grow = |matrix: &mut DMatrix<f64>| {
+    /// The error at `begin` grew by `jacobian` times the error at `of`.
+    pub fn add_dependence(&mut self, begin: usize, jacobian: &[f64], of: usize) {
+        self.for_each_row_matrix(|matrix| {
+            for (k, factor) in jacobian.iter().enumerate() {
+                let grown = matrix.row(begin + k) + matrix.row(of) * *factor;
+                matrix.row_mut(begin + k).copy_from(&grown);
+            }
+        });
+    }
+
+    /// The active error grew at `at` by `jacobian` times its part `columns`, and something independent.
+    pub fn insert_rows(&mut self, at: usize, columns: &[Range<usize>], jacobian: &DMatrix<f64>) {
+        let count = jacobian.nrows();
+        self.for_each_row_matrix(|matrix| {
+            let mut new = DMatrix::zeros(count, matrix.ncols());
+            let mut begin = 0;
+            for range in columns {
+                let part = jacobian.columns(begin, range.len());
+                new.gemm(1.0, &part, &matrix.rows(range.start, range.len()), 1.0);
+                begin += range.len();
+            }
             let old = std::mem::replace(matrix, DMatrix::zeros(0, 0));
             *matrix = old.insert_rows(at, count, 0.0);
-        };
-        grow(&mut self.loadings);
-        self.parked.iter_mut().for_each(|group| grow(&mut group.influence));
+            matrix.rows_mut(at, count).copy_from(&new);
+        });
     }
 
-    /// `P_AN -= G P_CN`, which is `M -= G (M_C; E_T)`.
-    pub fn measurement_update(&mut self, gain: &DMatrix<f64>, columns: &Columns) {
-        let n_active = columns.active.len();
-        let of_state = gain.columns(0, n_active);
-        let touched = self.loadings.select_rows(&columns.active);
-        self.loadings.gemm(-1.0, &of_state, &touched, 1.0);
-        for (k, &slot) in columns.keyframes.iter().enumerate() {
-            let mut own = self.loadings.columns_mut(6 * slot, 6);
-            own -= gain.columns(n_active + 6 * k, 6);
-        }
-        for group in &mut self.parked {
-            let touched = group.influence.select_rows(&columns.active);
-            group.influence.gemm(-1.0, &of_state, &touched, 1.0);
-        }
+    /// `P_AN -= Wᵀ L⁻¹ H P_CN`, which is `M -= Wᵀ L⁻¹ H (M_C; E_T)`.
+    ///
+    /// # Arguments
+    /// * `whitened`: `W`.
+    /// * `innovation`: `L` in its lower triangle.
+    pub fn measurement_update(&mut self, rows: &Rows, whitened: &Dense, innovation: &Dense) {
+        let jacobian = rows.jacobian.view();
+        let gain = whitened.view().transpose();
+        let slots = &rows.columns.keyframes;
+        let own = rows.columns.active_len();
+        let mut first = true;
+        self.for_each_row_matrix(|matrix| {
+            let mut touched = DMatrix::zeros(jacobian.nrows(), matrix.ncols());
+            for (range, here) in rows.columns.runs() {
+                let part = jacobian.columns(here.start, here.len());
+                touched.gemm(1.0, &part, &matrix.rows(range.start, range.len()), 1.0);
+            }
+            // The loadings of the active keyframes come first.
+            for (k, &slot) in slots.iter().enumerate().filter(|_| first) {
+                let mut columns = touched.columns_mut(6 * slot, 6);
+                columns += jacobian.columns(own + 6 * k, 6);
+            }
+            first = false;
+            let mut solved = Dense::from(touched);
+            solved.solve_lower(innovation);
+            matrix.gemm(-1.0, &gain, &solved.view(), 1.0);
+        });
+    }
+
+    /// Every matrix whose rows are those of the active error: the loadings, then each group's influence.
+    fn for_each_row_matrix(&mut self, mut change: impl FnMut(&mut DMatrix<f64>)) {
+        change(&mut self.loadings);
+        self.parked.iter_mut().for_each(|group| change(&mut group.influence));
     }
 
     fn append(&mut self, keyframe: HeldKeyframe, loadings: &DMatrix<f64>) -> usize {

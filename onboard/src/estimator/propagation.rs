@@ -10,7 +10,7 @@
 use super::config::ImuNoise;
 use super::imu::ImuSample;
 use geometry::{Pose, rotation};
-use nalgebra::{Matrix3, SMatrix, Vector3};
+use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 
 /// Numbers in the IMU error state.
 pub const IMU_DIM: usize = 15;
@@ -30,6 +30,8 @@ const GAP_FORCE: f64 = 2.0;
 
 /// A 15x15 matrix over the IMU error.
 pub type ImuMatrix = SMatrix<f64, IMU_DIM, IMU_DIM>;
+/// The IMU error.
+pub type ImuVector = SVector<f64, IMU_DIM>;
 
 /// What the IMU alone describes: where the body is in L, how it moves, and the sensor's biases.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -189,7 +191,6 @@ fn step_noise(noise: &ImuNoise, dt: f64) -> ImuMatrix {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use nalgebra::SVector;
 
     const GRAVITY: f64 = 9.81;
 

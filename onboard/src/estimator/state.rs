@@ -1,8 +1,10 @@
-//! The active state `[IMU (15) | global_from_local (6) | clones (6 each)]` and where each block stands.
+//! The active state `[IMU (15) | calibration | global_from_local (6) | landmarks (3 each) | clones (6 each)]` and
+//! where each block stands. Calibration is empty unless something of it is estimated online.
 
+use super::calibration::Calibration;
 use super::propagation::{ACCELEROMETER_BIAS, GYROSCOPE_BIAS, IMU_DIM, ImuState, MotionEstimate, VELOCITY};
 use geometry::Pose;
-use nalgebra::{DVector, Matrix6, Vector6};
+use nalgebra::{DVector, Matrix6, Vector3, Vector6};
 use std::ops::Range;
 
 /// Numbers in a pose error.
@@ -27,6 +29,22 @@ pub struct ClonedPose {
     pub pinned: bool,
 }
 
+/// A landmark that is kept in the state for as long as its track lives.
+#[derive(Clone, Debug)]
+pub struct StateLandmark {
+    /// The front end's name of it.
+    pub feature_id: u64,
+    /// Newest estimate in L, metres.
+    pub position: Vector3<f64>,
+    /// What was believed when it entered, where its rows are linearized.
+    pub first_estimate: Vector3<f64>,
+    /// Images in a row in which its pixel was implausible.
+    pub implausible: usize,
+}
+
+/// Numbers in a landmark's error.
+pub const LANDMARK_DIM: usize = 3;
+
 /// A block of the active state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Block {
@@ -34,8 +52,12 @@ pub enum Block {
     Imu,
     /// The first 6 of them: the body's pose in L.
     ImuPose,
+    /// What is estimated of the cameras' calibration.
+    Calibration,
     /// `global_from_local`.
     Transform,
+    /// The landmark at this place.
+    Landmark(usize),
     /// The clone at this place of the window, oldest first.
     Clone(usize),
 }
@@ -49,8 +71,12 @@ pub struct ActiveState {
     pub imu: ImuState,
     /// Position and velocity as first believed at `stamp_ns`, where the next transition is linearized.
     pub first_motion: MotionEstimate,
+    /// The cameras.
+    pub calibration: Calibration,
     /// `global_from_local`, once a first match gave it.
     pub transform: Option<Pose>,
+    /// Landmarks in the state.
+    pub landmarks: Vec<StateLandmark>,
     /// The sliding window, oldest first.
     pub clones: Vec<ClonedPose>,
 }
@@ -66,7 +92,12 @@ impl ActiveState {
         match block {
             Block::Imu => Some(0..IMU_DIM),
             Block::ImuPose => Some(0..POSE_DIM),
-            Block::Transform => self.transform.map(|_| IMU_DIM..IMU_DIM + POSE_DIM),
+            Block::Calibration => Some(IMU_DIM..self.transform_begin()),
+            Block::Transform => self.transform.map(|_| self.transform_begin()..self.landmarks_begin()),
+            Block::Landmark(place) => (place < self.landmarks.len()).then(|| {
+                let begin = self.landmarks_begin() + LANDMARK_DIM * place;
+                begin..begin + LANDMARK_DIM
+            }),
             Block::Clone(place) => (place < self.clones.len()).then(|| {
                 let begin = self.clones_begin() + POSE_DIM * place;
                 begin..begin + POSE_DIM
@@ -79,8 +110,23 @@ impl ActiveState {
         self.clones.iter().position(|clone| clone.id == id)
     }
 
-    fn clones_begin(&self) -> usize {
-        IMU_DIM + if self.transform.is_some() { POSE_DIM } else { 0 }
+    /// Where `global_from_local` stands, or would.
+    pub fn transform_begin(&self) -> usize {
+        IMU_DIM + self.calibration.dim()
+    }
+
+    /// Where the landmarks stand in the active error.
+    pub fn landmarks_range(&self) -> Range<usize> {
+        self.landmarks_begin()..self.clones_begin()
+    }
+
+    fn landmarks_begin(&self) -> usize {
+        self.transform_begin() + if self.transform.is_some() { POSE_DIM } else { 0 }
+    }
+
+    /// Where the clones begin, and the landmarks end.
+    pub fn clones_begin(&self) -> usize {
+        self.landmarks_begin() + LANDMARK_DIM * self.landmarks.len()
     }
 
     /// Adds an error to every block.
@@ -90,8 +136,13 @@ impl ActiveState {
         self.imu.velocity += error.fixed_rows::<3>(VELOCITY);
         self.imu.gyroscope_bias += error.fixed_rows::<3>(GYROSCOPE_BIAS);
         self.imu.accelerometer_bias += error.fixed_rows::<3>(ACCELEROMETER_BIAS);
+        let (transform_begin, landmarks_begin) = (self.transform_begin(), self.landmarks_begin());
+        self.calibration.retract(&error.rows(IMU_DIM, transform_begin - IMU_DIM));
         if let Some(transform) = &mut self.transform {
-            *transform = retract_locally(transform, &pose_error(IMU_DIM));
+            *transform = retract_locally(transform, &pose_error(transform_begin));
+        }
+        for (place, landmark) in self.landmarks.iter_mut().enumerate() {
+            landmark.position += error.fixed_rows::<3>(landmarks_begin + LANDMARK_DIM * place);
         }
         let begin = self.clones_begin();
         for (place, clone) in self.clones.iter_mut().enumerate() {
@@ -106,6 +157,7 @@ impl ActiveState {
             && [imu.velocity, imu.gyroscope_bias, imu.accelerometer_bias]
                 .iter()
                 .all(|vector| vector.iter().all(|value| value.is_finite()))
+            && self.calibration.is_sound()
             && self.transform.is_none_or(|pose| pose.is_finite())
     }
 }

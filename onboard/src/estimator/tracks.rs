@@ -2,7 +2,6 @@
 
 use super::state::CloneId;
 use nalgebra::Vector2;
-use std::collections::BTreeMap;
 
 /// One feature in one image, as an odometry front end reports it.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -29,6 +28,8 @@ pub struct Sighting {
 /// What was seen of one feature without a gap and not used yet.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Track {
+    /// The front end's name of the feature.
+    pub feature_id: u64,
     /// Oldest first.
     pub sightings: Vec<Sighting>,
 }
@@ -47,7 +48,8 @@ impl Track {
         count
     }
 
-    fn newest(&self) -> Option<CloneId> {
+    /// The clone that saw it last.
+    pub fn newest(&self) -> Option<CloneId> {
         self.sightings.last().map(|sighting| sighting.clone)
     }
 }
@@ -55,38 +57,57 @@ impl Track {
 /// All running tracks.
 #[derive(Clone, Debug, Default)]
 pub struct TrackStore {
-    running: BTreeMap<u64, Track>,
+    /// In the order of their features' names.
+    running: Vec<Track>,
+    /// Memory of tracks that are over.
+    spare: Vec<Vec<Sighting>>,
 }
 
 impl TrackStore {
-    /// Adds the observations of the newest clone.
-    pub fn add(&mut self, clone: CloneId, observations: &[TrackObservation]) {
+    /// Adds the observations of the newest clone, except those of the features `kept_elsewhere`.
+    pub fn add(
+        &mut self,
+        clone: CloneId,
+        observations: &[TrackObservation],
+        kept_elsewhere: impl Fn(u64) -> bool,
+    ) {
         for observation in observations {
+            let feature_id = observation.feature_id;
+            if kept_elsewhere(feature_id) {
+                continue;
+            }
+            let place = match self.running.binary_search_by_key(&feature_id, |track| track.feature_id) {
+                Ok(place) => place,
+                Err(place) => {
+                    let sightings = self.spare.pop().unwrap_or_default();
+                    self.running.insert(place, Track { feature_id, sightings });
+                    place
+                }
+            };
             let sighting = Sighting { clone, camera: observation.camera, pixel: observation.pixel };
-            self.running.entry(observation.feature_id).or_default().sightings.push(sighting);
+            self.running[place].sightings.push(sighting);
         }
     }
 
-    /// Takes the tracks that the clone `newest` did not continue. A feature that comes back after a
+    /// Moves the tracks that the clone `newest` did not continue to `ready`. A feature that comes back after a
     /// gap begins a new track.
-    pub fn take_ended(&mut self, newest: CloneId) -> Vec<Track> {
-        let ended: Vec<u64> = self
-            .running
-            .iter()
-            .filter(|(_, track)| track.newest() != Some(newest))
-            .map(|(id, _)| *id)
-            .collect();
-        ended.iter().filter_map(|id| self.running.remove(id)).collect()
+    pub fn take_ended(&mut self, newest: CloneId, ready: &mut Vec<Track>) {
+        ready.extend(self.running.extract_if(.., |track| track.newest() != Some(newest)));
     }
 
-    /// Takes the running tracks that `leaving` saw: the last chance to use all of them at once. They
+    /// Moves the running tracks that `leaving` saw to `ready`: the last chance to use all of them at once. They
     /// begin anew with the next image, so that no observation is used twice.
-    pub fn take_seen_by(&mut self, leaving: CloneId) -> Vec<Track> {
-        self.running
-            .values_mut()
-            .filter(|track| track.sightings.first().is_some_and(|sighting| sighting.clone == leaving))
-            .map(std::mem::take)
-            .collect()
+    pub fn take_seen_by(&mut self, leaving: CloneId, ready: &mut Vec<Track>) {
+        let seen = |track: &mut Track| track.sightings.first().is_some_and(|sighting| sighting.clone == leaving);
+        ready.extend(self.running.extract_if(.., seen));
+    }
+
+    /// Takes the memory of tracks that were used.
+    pub fn recycle(&mut self, used: &mut Vec<Track>) {
+        self.spare.extend(used.drain(..).map(|mut track| {
+            track.sightings.clear();
+            track.sightings
+        }));
     }
 
     /// Running tracks of the first camera: the oldest clone that saw each, where, and where `newest` did.
@@ -94,7 +115,7 @@ impl TrackStore {
         &self,
         newest: CloneId,
     ) -> impl Iterator<Item = (CloneId, Vector2<f64>, Vector2<f64>)> + '_ {
-        self.running.values().filter_map(move |track| {
+        self.running.iter().filter_map(move |track| {
             let of_first_camera = |sighting: &&Sighting| sighting.camera == 0;
             let oldest = track.sightings.iter().find(of_first_camera)?;
             let last = track.sightings.iter().rev().find(of_first_camera)?;
@@ -102,10 +123,6 @@ impl TrackStore {
         })
     }
 
-    /// Forgets all.
-    pub fn clear(&mut self) {
-        self.running.clear();
-    }
 }
 
 #[cfg(test)]
@@ -122,22 +139,24 @@ mod tests {
     fn a_track_ends_at_a_gap_and_every_observation_is_given_out_once() {
         let mut store = TrackStore::default();
         let mut given = 0;
-        let frames: [&[u64]; 5] = [&[1, 2], &[1, 2], &[1], &[1, 2], &[2]];
+        let frames: [&[u64]; 5] = [&[1, 2, 9], &[1, 2, 9], &[1], &[1, 2, 9], &[2]];
         let mut lengths = Vec::new();
+        let mut ready = Vec::new();
         for (k, frame) in frames.iter().enumerate() {
             let clone = CloneId(k as u64);
-            store.add(clone, &seen(frame));
-            let mut taken = store.take_ended(clone);
+            store.add(clone, &seen(frame), |feature| feature == 9);
+            store.take_ended(clone, &mut ready);
             if k == 3 {
-                taken.extend(store.take_seen_by(CloneId(0)));
+                store.take_seen_by(CloneId(0), &mut ready);
             }
-            for track in taken {
-                lengths.push(track.clones());
+            for track in &ready {
+                lengths.push((track.feature_id, track.clones()));
                 given += track.sightings.len();
             }
+            store.recycle(&mut ready);
         }
-        // Feature 2 twice; feature 1 with all four of its sightings, then as an empty rest.
-        assert_eq!(lengths, [2, 4, 0]);
+        // Feature 2 before its gap; feature 1 with all four of its sightings; feature 9 is kept elsewhere.
+        assert_eq!(lengths, [(2, 2), (1, 4)]);
         assert_eq!(given, 6);
     }
 }

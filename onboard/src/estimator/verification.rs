@@ -3,8 +3,8 @@
 //! The matches of each keyframe are explained in that keyframe's own frame, so that the map's pose
 //! errors do not matter here.
 
+use super::calibration::RigCamera;
 use super::map_answer::MapAnswer;
-use super::track_update::RigCamera;
 use geometry::pnp::{Correspondence, Gravity, RansacOptions, solve_ransac};
 use geometry::{Camera, Pose};
 use nalgebra::Vector3;

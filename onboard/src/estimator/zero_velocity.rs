@@ -8,13 +8,13 @@
 //! * Gliding is not either, as long as something is near enough to move by more than its noise in the time
 //!   that a track lives; and the filter's own velocity must agree by a chi-square test.
 
-use super::covariance::{Columns, Information};
+use super::calibration::RigCamera;
+use super::information::Rows;
 use super::propagation::VELOCITY;
 use super::state::ActiveState;
-use super::track_update::RigCamera;
 use super::tracks::TrackStore;
 use geometry::Pose;
-use nalgebra::{DMatrix, DVector, Vector2, Vector3};
+use nalgebra::{Vector2, Vector3};
 
 /// Tracks must reach back this far, nanoseconds.
 const LEAST_SPAN_NS: i64 = 450_000_000;
@@ -31,9 +31,9 @@ const SIGMA_VELOCITY: f64 = 0.02;
 ///
 /// # Arguments
 /// * `sigma_px`: noise of tracked pixels, px.
-pub fn stands_still(state: &ActiveState, rig: &[RigCamera], tracks: &TrackStore, sigma_px: f64) -> bool {
+pub fn stands_still(state: &ActiveState, tracks: &TrackStore, sigma_px: f64) -> bool {
     let Some(newest) = state.clones.last() else { return false };
-    let eye = &rig[0];
+    let Some(eye) = state.calibration.rig.first() else { return false };
     let now = newest.local_from_imu * eye.imu_from_camera;
     let mut displacements = Vec::new();
     for (old, pixel_then, pixel_now) in tracks.pairs_with(newest.id) {
@@ -67,18 +67,23 @@ fn displacement(
 }
 
 /// `v = 0`, whitened.
-pub fn zero_velocity(state: &ActiveState) -> Information {
-    let columns = Columns { active: (VELOCITY..VELOCITY + 3).collect(), keyframes: Vec::new() };
-    let mut information = Information::new(columns);
-    let jacobian = DMatrix::identity(3, 3) / SIGMA_VELOCITY;
-    let residual = DVector::from_column_slice((-state.imu.velocity / SIGMA_VELOCITY).as_slice());
-    information.add(&jacobian, &residual);
-    information
+pub fn zero_velocity(state: &ActiveState, rows: &mut Rows) {
+    rows.columns.keyframes.clear();
+    rows.columns.active.clear();
+    rows.columns.active.push(VELOCITY..VELOCITY + 3);
+    rows.upper_triangular = true;
+    rows.jacobian.reset(3, 3);
+    for k in 0..3 {
+        rows.jacobian[(k, k)] = 1.0 / SIGMA_VELOCITY;
+    }
+    rows.residual.clear();
+    rows.residual.extend(state.imu.velocity.iter().map(|velocity| -velocity / SIGMA_VELOCITY));
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::estimator::calibration::{Calibration, OnlineCalibration};
     use crate::estimator::propagation::{ImuState, MotionEstimate};
     use crate::estimator::state::{CloneId, ClonedPose};
     use crate::estimator::tracks::TrackObservation;
@@ -117,7 +122,7 @@ mod tests {
                     Some(TrackObservation { camera: 0, feature_id: feature_id as u64, pixel })
                 })
                 .collect();
-            tracks.add(id, &seen);
+            tracks.add(id, &seen, |_| false);
             let stamp_ns = k as i64 * 100_000_000;
             clones.push(ClonedPose {
                 id,
@@ -134,8 +139,17 @@ mod tests {
             accelerometer_bias: Vector3::zeros(),
         };
         let first_motion = MotionEstimate { position: Vector3::zeros(), velocity: Vector3::zeros() };
-        let state = ActiveState { stamp_ns: 1_000_000_000, imu, first_motion, transform: None, clones };
-        stands_still(&state, &rig, &tracks, 1.0)
+        let calibration = Calibration::new(rig.to_vec(), 0.0, OnlineCalibration::default());
+        let state = ActiveState {
+            stamp_ns: 1_000_000_000,
+            imu,
+            first_motion,
+            calibration,
+            transform: None,
+            landmarks: Vec::new(),
+            clones,
+        };
+        stands_still(&state, &tracks, 1.0)
     }
 
     #[test]

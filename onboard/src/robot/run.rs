@@ -181,6 +181,7 @@ impl RobotRun<'_> {
     /// Hands over the IMU readings up to the first one after the frame.
     fn feed_imu(&mut self, stamp_ns: i64, next: &mut usize, recorder: &mut Recorder) -> Vector3<f64> {
         let samples = &self.sequence.imu_samples;
+        let stamp_ns = self.estimator.imu_stamp_ns(stamp_ns);
         while *next < samples.len() && (*next == 0 || samples[*next - 1].stamp_ns < stamp_ns) {
             if let Err(error) = self.estimator.imu(samples[*next]) {
                 tracing::warn!(%error);

@@ -1,0 +1,91 @@
+//! A camera as a vector of numbers, for whoever estimates them: `[fx, fy, cx, cy, distortion...]`.
+
+use super::distortion::{Distortion, equidistant_powers, fov_scale};
+use super::{Camera, ProjectionError, normalize};
+use nalgebra::{SMatrix, SVector, Vector2, Vector3};
+
+/// Most numbers that a camera has.
+pub const MAX_INTRINSICS: usize = 8;
+
+/// Derivative of a pixel by the intrinsics; columns that the camera's model does not have are zero.
+pub type IntrinsicsJacobian = SMatrix<f64, 2, MAX_INTRINSICS>;
+
+impl Camera {
+    /// How many numbers this camera has: four, and those of its distortion.
+    pub fn intrinsics_len(&self) -> usize {
+        4 + match self.distortion {
+            Distortion::None => 0,
+            Distortion::RadialTangential(_) | Distortion::Equidistant(_) => 4,
+            Distortion::Fov(_) => 1,
+        }
+    }
+
+    /// Adds to the numbers of the camera: `[fx, fy, cx, cy]` in pixels, then the distortion's as its model lists them.
+    /// What is beyond [`Self::intrinsics_len`] is ignored.
+    pub fn add_to_intrinsics(&mut self, change: &SVector<f64, MAX_INTRINSICS>) {
+        for k in 0..2 {
+            self.focal[k] += change[k];
+            self.centre[k] += change[2 + k];
+        }
+        match &mut self.distortion {
+            Distortion::None => {}
+            Distortion::RadialTangential(values) | Distortion::Equidistant(values) => {
+                values.iter_mut().zip(change.iter().skip(4)).for_each(|(value, step)| *value += step);
+            }
+            Distortion::Fov(omega) => *omega += change[4],
+        }
+    }
+
+    /// Derivative of the pixel of a point (camera frame, metres) by the intrinsics.
+    ///
+    /// # Errors
+    /// [`ProjectionError`] as in [`Camera::project`].
+    pub fn intrinsics_jacobian(&self, p_camera: &Vector3<f64>) -> Result<IntrinsicsJacobian, ProjectionError> {
+        let normalized = normalize(p_camera)?;
+        let distorted = self.distortion.distort(&normalized);
+        let mut jacobian = IntrinsicsJacobian::zeros();
+        jacobian[(0, 0)] = distorted.x;
+        jacobian[(1, 1)] = distorted.y;
+        jacobian[(0, 2)] = 1.0;
+        jacobian[(1, 3)] = 1.0;
+        for (k, by_coefficient) in distortion_derivatives(&self.distortion, &normalized).into_iter().enumerate() {
+            jacobian[(0, 4 + k)] = self.focal[0] * by_coefficient.x;
+            jacobian[(1, 4 + k)] = self.focal[1] * by_coefficient.y;
+        }
+        Ok(jacobian)
+    }
+}
+
+/// Derivatives of the distorted normalized coordinates by the coefficients; zero beyond the model's.
+fn distortion_derivatives(distortion: &Distortion, normalized: &Vector2<f64>) -> [Vector2<f64>; 4] {
+    let (x, y) = (normalized.x, normalized.y);
+    let r2 = normalized.norm_squared();
+    match distortion {
+        Distortion::None => [Vector2::zeros(); 4],
+        Distortion::RadialTangential(_) => [
+            normalized * r2,
+            normalized * (r2 * r2),
+            Vector2::new(2.0 * x * y, r2 + 2.0 * y * y),
+            Vector2::new(r2 + 2.0 * x * x, 2.0 * x * y),
+        ],
+        Distortion::Equidistant(_) => {
+            let r = r2.sqrt();
+            if r == 0.0 {
+                return [Vector2::zeros(); 4];
+            }
+            equidistant_powers(r.atan()).map(|power| normalized * (power / r))
+        }
+        Distortion::Fov(omega) => {
+            let r = r2.sqrt();
+            if r == 0.0 {
+                return [Vector2::zeros(); 4];
+            }
+            let scale = fov_scale(*omega);
+            // d scale / d omega of 2 tan(omega / 2) is 1 + tan^2(omega / 2).
+            let steeper = 1.0 + 0.25 * scale * scale;
+            let angle = (scale * r).atan();
+            let by_omega = steeper * r / (1.0 + scale * scale * r2) / omega - angle / (omega * omega);
+            [normalized * (by_omega / r), Vector2::zeros(), Vector2::zeros(), Vector2::zeros()]
+        }
+    }
+}
