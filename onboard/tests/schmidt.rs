@@ -193,7 +193,10 @@ fn move_on(rng: &mut StdRng, joint: &mut JointCovariance, dense: &mut Dense) {
     let transition = DMatrix::identity(FIXED, FIXED)
         + DMatrix::from_fn(FIXED, FIXED, |_, _| rng.random_range(-0.05..0.05));
     let noise = spd(rng, FIXED, 1e-3);
-    joint.time_update(&ImuMatrix::from_column_slice(transition.as_slice()), &ImuMatrix::from_column_slice(noise.as_slice()));
+    joint.time_update(
+        &ImuMatrix::from_column_slice(transition.as_slice()),
+        &ImuMatrix::from_column_slice(noise.as_slice()),
+    );
     let mut active = DMatrix::identity(dense.active, dense.active);
     active.view_mut((0, 0), (FIXED, FIXED)).copy_from(&transition);
     let mut full_noise = DMatrix::zeros(dense.covariance.nrows(), dense.covariance.nrows());
@@ -241,5 +244,8 @@ fn a_map_that_knows_a_keyframe_exactly_is_no_fault_of_the_filter() {
     let jacobian = DMatrix::from_fn(8, 12, |row, column| ((3 * row + column) as f64).sin());
     information.add(&jacobian, &DVector::from_element(8, 0.1));
     assert!(joint.innovation_squared(&information).is_ok(), "reported as a diverged filter");
-    assert!(joint.measurement_update(&information, &mut DVector::zeros(0)).is_ok(), "reported as a diverged filter");
+    assert!(
+        joint.measurement_update(&information, &mut DVector::zeros(0)).is_ok(),
+        "reported as a diverged filter"
+    );
 }

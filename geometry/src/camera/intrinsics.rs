@@ -40,7 +40,10 @@ impl Camera {
     ///
     /// # Errors
     /// [`ProjectionError`] as in [`Camera::project`].
-    pub fn intrinsics_jacobian(&self, p_camera: &Vector3<f64>) -> Result<IntrinsicsJacobian, ProjectionError> {
+    pub fn intrinsics_jacobian(
+        &self,
+        p_camera: &Vector3<f64>,
+    ) -> Result<IntrinsicsJacobian, ProjectionError> {
         let normalized = normalize(p_camera)?;
         let distorted = self.distortion.distort(&normalized);
         let mut jacobian = IntrinsicsJacobian::zeros();
@@ -48,7 +51,9 @@ impl Camera {
         jacobian[(1, 1)] = distorted.y;
         jacobian[(0, 2)] = 1.0;
         jacobian[(1, 3)] = 1.0;
-        for (k, by_coefficient) in distortion_derivatives(&self.distortion, &normalized).into_iter().enumerate() {
+        for (k, by_coefficient) in
+            distortion_derivatives(&self.distortion, &normalized).into_iter().enumerate()
+        {
             jacobian[(0, 4 + k)] = self.focal[0] * by_coefficient.x;
             jacobian[(1, 4 + k)] = self.focal[1] * by_coefficient.y;
         }

@@ -238,7 +238,8 @@ mod tests {
             Distortion::Fov(0.92),
         ];
         for distortion in distortions {
-            let camera = Camera { width: 752, height: 480, focal: [458.0, 457.0], centre: [367.0, 248.0], distortion };
+            let camera =
+                Camera { width: 752, height: 480, focal: [458.0, 457.0], centre: [367.0, 248.0], distortion };
             let pose = |x: f64, y: f64, z: f64| {
                 Pose::new(rotation::exp(&Vector3::new(x, y, z)), Vector3::new(y, z, x))
             };
@@ -246,8 +247,12 @@ mod tests {
                 RigCamera { camera: camera.clone(), imu_from_camera: pose(0.1, -0.2, 0.3) },
                 RigCamera { camera, imu_from_camera: pose(-0.1, 0.2, 0.1) },
             ];
-            let online =
-                OnlineCalibration { extrinsics: true, intrinsics: true, time_offset: true, ..Default::default() };
+            let online = OnlineCalibration {
+                extrinsics: true,
+                intrinsics: true,
+                time_offset: true,
+                ..Default::default()
+            };
             let calibration = Calibration::new(rig.to_vec(), 0.003, online);
             let (body, landmark) = (pose(0.2, 0.1, -0.1), Vector3::new(0.4, -0.3, 4.0));
             for number in 0..2 {
@@ -256,10 +261,12 @@ mod tests {
                     DVector::from_column_slice(rig.predict(body, landmark).unwrap().as_slice())
                 };
                 let own = &calibration.rig[number];
-                let of_body =
-                    numeric_jacobian(6, |e| pixel(own, &body.retract(&e.fixed_rows::<6>(0).into()), &landmark));
+                let of_body = numeric_jacobian(6, |e| {
+                    pixel(own, &body.retract(&e.fixed_rows::<6>(0).into()), &landmark)
+                });
                 assert!((of_body - observation.of_body).amax() < 1e-5);
-                let of_landmark = numeric_jacobian(3, |e| pixel(own, &body, &(landmark + e.fixed_rows::<3>(0))));
+                let of_landmark =
+                    numeric_jacobian(3, |e| pixel(own, &body, &(landmark + e.fixed_rows::<3>(0))));
                 assert!((of_landmark - observation.of_landmark).amax() < 1e-5);
                 let all = numeric_jacobian(calibration.dim(), |e| {
                     let mut moved = calibration.clone();
@@ -278,8 +285,13 @@ mod tests {
 
     #[test]
     fn nothing_is_estimated_unless_asked_for() {
-        let camera =
-            Camera { width: 10, height: 10, focal: [5.0; 2], centre: [5.0; 2], distortion: Distortion::Fov(0.9) };
+        let camera = Camera {
+            width: 10,
+            height: 10,
+            focal: [5.0; 2],
+            centre: [5.0; 2],
+            distortion: Distortion::Fov(0.9),
+        };
         let rig = vec![RigCamera { camera, imu_from_camera: Pose::identity() }];
         assert_eq!(Calibration::new(rig.clone(), 0.0, OnlineCalibration::default()).dim(), 0);
         let online = OnlineCalibration { intrinsics: true, time_offset: true, ..Default::default() };

@@ -16,7 +16,7 @@
 use super::dense::{Dense, Factorization};
 use super::information::{Columns, Information, Rows};
 use super::nuisance::HeldKeyframes;
-use super::propagation::{IMU_DIM, ImuMatrix, ImuVector};
+use super::propagation::{IMU_DIM, ImuMatrix};
 use faer::linalg::matmul::triangular::BlockStructure;
 use nalgebra::{Cholesky, DMatrix, DVector};
 use std::ops::Range;
@@ -66,8 +66,13 @@ impl JointCovariance {
         let dim = self.active.nrows();
         for column in 0..dim {
             let own = &mut self.active.column_mut(column)[..IMU_DIM];
-            let moved = transition * ImuVector::from_column_slice(own);
-            own.copy_from_slice(moved.as_slice());
+            let mut moved = [0.0; IMU_DIM];
+            for (factors, number) in transition.as_slice().chunks_exact(IMU_DIM).zip(&*own) {
+                for (sum, factor) in moved.iter_mut().zip(factors) {
+                    *sum += factor * number;
+                }
+            }
+            own.copy_from_slice(&moved);
         }
         let block = self.active.view().fixed_view::<IMU_DIM, IMU_DIM>(0, 0) * transition.transpose() + noise;
         let block = (block + block.transpose()) * 0.5;
@@ -106,44 +111,60 @@ impl JointCovariance {
         self.held.add_dependence(begin, jacobian, of);
     }
 
-    /// Appends a block at `at` of the active error: `e = J e_C + n`, `n ~ N(0, noise)`.
-    pub fn insert(&mut self, at: usize, columns: &[Range<usize>], jacobian: &DMatrix<f64>, noise: &DMatrix<f64>) {
-        let (n, dim) = (noise.nrows(), self.active.nrows());
-        let mut cross = DMatrix::zeros(n, dim);
+    /// Inserts numbers at `at` of the active error: `e = J e_C + n`, `n ~ N(0, noise)`.
+    ///
+    /// # Arguments
+    /// * `columns`: the ranges `C`, none for numbers that depend on nothing.
+    /// * `jacobian`: `J`, count x numbers in `C`.
+    /// * `noise`: diagonal blocks of the covariance of `n`, as many rows together as `jacobian` has.
+    pub fn insert(
+        &mut self,
+        at: usize,
+        columns: &[Range<usize>],
+        jacobian: &Dense,
+        noise: impl Iterator<Item = DMatrix<f64>>,
+    ) {
+        let (count, dim) = (jacobian.nrows(), self.active.nrows());
+        let Workspace { spare: grown, whitened: cross, innovation: own, .. } = &mut self.workspace;
+        cross.reset(count, dim);
+        own.reset(count, count);
         let mut begin = 0;
         for range in columns {
-            let part = jacobian.columns(begin, range.len());
-            cross.gemm(1.0, &part, &self.active.view().rows(range.start, range.len()), 1.0);
-            begin += range.len();
+            let here = begin..begin + range.len();
+            begin = here.end;
+            cross.add_product(jacobian, here, &self.active, range.clone(), BlockStructure::Rectangular);
         }
-        let mut own = noise.clone();
         begin = 0;
         for range in columns {
-            let part = jacobian.columns(begin, range.len());
-            own.gemm(1.0, &cross.columns(range.start, range.len()), &part.transpose(), 1.0);
+            own.add_lower_outer(cross, range.clone(), jacobian, begin..begin + range.len());
             begin += range.len();
         }
-        let old = std::mem::take(&mut self.workspace.spare);
-        let mut grown = old;
-        grown.reset(dim + n, dim + n);
-        let place = |index: usize| if index < at { index } else { index + n };
+        begin = 0;
+        for block in noise {
+            let mut target = own.view_mut();
+            let mut target = target.view_mut((begin, begin), block.shape());
+            target += &block;
+            begin += block.nrows();
+        }
+        own.mirror_lower();
+
+        grown.reset(dim + count, dim + count);
+        let place = |index: usize| if index < at { index } else { index + count };
         for column in 0..dim {
             let target = grown.column_mut(place(column));
             target[..at].copy_from_slice(&self.active.column(column)[..at]);
-            target[at + n..].copy_from_slice(&self.active.column(column)[at..]);
-            target[at..at + n].copy_from_slice(cross.column(column).as_slice());
+            target[at + count..].copy_from_slice(&self.active.column(column)[at..]);
+            target[at..at + count].copy_from_slice(cross.column(column));
         }
-        for k in 0..n {
+        for k in 0..count {
             let target = grown.column_mut(at + k);
+            target[at..at + count].copy_from_slice(own.column(k));
             for column in 0..dim {
                 target[place(column)] = cross[(k, column)];
             }
-            for row in 0..n {
-                target[at + row] = 0.5 * (own[(row, k)] + own[(k, row)]);
-            }
         }
-        self.workspace.spare = std::mem::replace(&mut self.active, grown);
-        self.held.insert_rows(at, columns, jacobian);
+        std::mem::swap(&mut self.active, grown);
+        self.held.insert_rows(at, columns, jacobian.view());
     }
 
     /// `P_CC`, to gate single rows against.
@@ -218,7 +239,11 @@ impl JointCovariance {
     ///
     /// # Errors
     /// [`NotPositiveDefinite`]: nothing was changed.
-    pub fn update_by_rows(&mut self, rows: &Rows, correction: &mut DVector<f64>) -> Result<(), NotPositiveDefinite> {
+    pub fn update_by_rows(
+        &mut self,
+        rows: &Rows,
+        correction: &mut DVector<f64>,
+    ) -> Result<(), NotPositiveDefinite> {
         self.whiten(rows)?;
         let Workspace { whitened, innovation, residual, .. } = &self.workspace;
         let n = self.active.nrows();
@@ -241,11 +266,12 @@ impl JointCovariance {
         let (count, dim) = (rows.residual.len(), self.active.nrows());
         let Workspace { whitened, innovation, residual, factorization, .. } = &mut self.workspace;
         let jacobian = &rows.jacobian;
-        let shape = if rows.upper_triangular && rows.columns.active.len() == 1 && rows.columns.keyframes.is_empty() {
-            BlockStructure::TriangularUpper
-        } else {
-            BlockStructure::Rectangular
-        };
+        let shape =
+            if rows.upper_triangular && rows.columns.active.len() == 1 && rows.columns.keyframes.is_empty() {
+                BlockStructure::TriangularUpper
+            } else {
+                BlockStructure::Rectangular
+            };
         whitened.reset(count, dim);
         for (range, here) in rows.columns.runs() {
             whitened.add_product(jacobian, here, &self.active, range, shape);
@@ -262,14 +288,22 @@ impl JointCovariance {
                 whitened.add_product(jacobian, columns, &transposed, 0..6, BlockStructure::Rectangular);
                 for (range, here) in rows.columns.runs() {
                     let mut target = of_keyframes.view_mut();
-                    target.view_mut((here.start, 6 * k), (here.len(), 6)).copy_from(&cross.rows(range.start, range.len()));
+                    target
+                        .view_mut((here.start, 6 * k), (here.len(), 6))
+                        .copy_from(&cross.rows(range.start, range.len()));
                 }
             }
             let own = self.held.covariance_of(slots);
             of_keyframes.view_mut().rows_mut(active_len, own.nrows()).copy_from(&own);
             let mut product = Dense::zeros(count, 6 * slots.len());
             let all = 0..rows.columns.len();
-            product.add_product(jacobian, all.clone(), &of_keyframes, all.clone(), BlockStructure::Rectangular);
+            product.add_product(
+                jacobian,
+                all.clone(),
+                &of_keyframes,
+                all.clone(),
+                BlockStructure::Rectangular,
+            );
             innovation.add_lower_outer(&product, 0..6 * slots.len(), jacobian, active_len..all.end);
         }
         for (range, here) in rows.columns.runs() {

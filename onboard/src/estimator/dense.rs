@@ -203,14 +203,7 @@ impl Dense {
 
     /// `self -= leftᵀ right`.
     pub fn subtract_transposed_product(&mut self, left: &Self, right: &Self) {
-        matmul::matmul(
-            self.faer_mut(),
-            Accum::Add,
-            left.faer().transpose(),
-            right.faer(),
-            -1.0,
-            Par::Seq,
-        );
+        matmul::matmul(self.faer_mut(), Accum::Add, left.faer().transpose(), right.faer(), -1.0, Par::Seq);
     }
 
     /// `self ← L⁻¹ self` with the lower triangle of `lower`.
@@ -326,7 +319,8 @@ mod tests {
     fn the_root_of_a_singular_matrix_is_its_root() {
         for (dim, rank) in [(5, 5), (40, 36), (126, 90), (7, 0)] {
             // Badly scaled, as information about radians and metres is.
-            let scale = DMatrix::from_diagonal(&nalgebra::DVector::from_fn(dim, |k, _| 10_f64.powi(k as i32 % 5)));
+            let scale =
+                DMatrix::from_diagonal(&nalgebra::DVector::from_fn(dim, |k, _| 10_f64.powi(k as i32 % 5)));
             let half = &scale * wave(dim, rank);
             let matrix = &half * half.transpose();
             let mut factor = Dense::from(matrix.clone());

@@ -72,12 +72,7 @@ impl ImuBuffer {
     ///
     /// # Errors
     /// [`EstimatorError::NoImu`] when the interval is not covered.
-    pub fn interval(
-        &self,
-        from_ns: i64,
-        to_ns: i64,
-        slack_ns: i64,
-    ) -> Result<Readings, EstimatorError> {
+    pub fn interval(&self, from_ns: i64, to_ns: i64, slack_ns: i64) -> Result<Readings, EstimatorError> {
         let missing = EstimatorError::NoImu { from_ns, to_ns };
         let (Some(first), Some(last)) = (self.samples.front(), self.samples.back()) else {
             return Err(missing);

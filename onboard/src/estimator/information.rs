@@ -109,7 +109,11 @@ impl Information {
     ///
     /// # Errors
     /// [`NotPositiveDefinite`] where a number is NaN.
-    pub fn compress(&self, rows: &mut Rows, factorization: &mut Factorization) -> Result<f64, NotPositiveDefinite> {
+    pub fn compress(
+        &self,
+        rows: &mut Rows,
+        factorization: &mut Factorization,
+    ) -> Result<f64, NotPositiveDefinite> {
         rows.columns.active.clone_from(&self.columns.active);
         rows.columns.keyframes.clone_from(&self.columns.keyframes);
         rows.upper_triangular = true;
@@ -141,9 +145,8 @@ mod tests {
     fn the_compressed_rows_say_the_same() {
         // 9 columns, of which the rows see only 7 directions.
         let mut rng = StdRng::seed_from_u64(4);
-        let mut draw = |rows: usize, columns: usize| {
-            DMatrix::from_fn(rows, columns, |_, _| rng.random_range(-1.0..1.0))
-        };
+        let mut draw =
+            |rows: usize, columns: usize| DMatrix::from_fn(rows, columns, |_, _| rng.random_range(-1.0..1.0));
         let basis = draw(30, 7);
         let jacobian = &basis * draw(7, 9);
         let residual = DVector::from_fn(30, |row, _| (row as f64).cos());

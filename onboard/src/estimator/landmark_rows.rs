@@ -17,7 +17,7 @@ use super::covariance::NotPositiveDefinite;
 use super::dense::{Dense, Factorization};
 use super::information::Information;
 use super::state::{ActiveState, Block, CloneId, POSE_DIM};
-use nalgebra::{Cholesky, DMatrix, Matrix2, Matrix2x3, Matrix2x6, Matrix3, Vector2, Vector3};
+use nalgebra::{Cholesky, Matrix2, Matrix2x3, Matrix2x6, Matrix3, Vector2, Vector3};
 use smallvec::SmallVec;
 use std::ops::Range;
 
@@ -89,15 +89,36 @@ impl Layout {
     }
 }
 
-/// How a landmark depends on the rest when it enters the state: `e_f = J e + n`.
-#[derive(Clone, Debug)]
+/// How landmarks depend on the rest when they enter the state: `e_f = J e + n`, one after the other.
+#[derive(Clone, Debug, Default)]
 pub struct Entrance {
-    /// What is added to the point that the rows were linearized at, metres in L.
-    pub shift: Vector3<f64>,
-    /// `J`, over the columns of the layout.
-    pub jacobian: DMatrix<f64>,
-    /// Covariance of `n`, m^2.
-    pub noise: Matrix3<f64>,
+    /// What is added to each point that the rows were linearized at, metres in L.
+    pub shifts: Vec<Vector3<f64>>,
+    /// Covariance of each `n`, m^2.
+    pub noises: Vec<Matrix3<f64>>,
+    /// Transposed `J` of each over the columns of the layout, as many entries a landmark.
+    jacobians: Vec<[f64; 3]>,
+}
+
+impl Entrance {
+    /// Forgets all landmarks.
+    pub fn clear(&mut self) {
+        self.shifts.clear();
+        self.noises.clear();
+        self.jacobians.clear();
+    }
+
+    /// `J` of all landmarks, three rows each.
+    pub fn jacobian(&self, target: &mut Dense) {
+        let count = self.shifts.len();
+        let width = self.jacobians.len() / count.max(1);
+        target.reset(3 * count, width);
+        for (place, jacobian) in self.jacobians.chunks_exact(width.max(1)).enumerate() {
+            for (column, values) in jacobian.iter().enumerate() {
+                target.column_mut(column)[3 * place..3 * place + 3].copy_from_slice(values);
+            }
+        }
+    }
 }
 
 /// The landmark's part of the normal equations.
@@ -258,7 +279,9 @@ impl LandmarkRows {
         }
         factorization.cholesky(innovation)?;
         sides.solve_lower(innovation);
-        let dot = |a: usize, b: usize| -> f64 { sides.column(a).iter().zip(sides.column(b)).map(|(x, y)| x * y).sum() };
+        let dot = |a: usize, b: usize| -> f64 {
+            sides.column(a).iter().zip(sides.column(b)).map(|(x, y)| x * y).sum()
+        };
         let of_landmark = Matrix3::from_fn(|row, column| dot(1 + row, 1 + column));
         let vector = Vector3::from_fn(|row, _| dot(1 + row, 0));
         let factor = Cholesky::new(of_landmark).ok_or(NotPositiveDefinite)?;
@@ -319,7 +342,8 @@ impl LandmarkRows {
     /// The columns that its pixels touch: calibration, then the clones from the first to the last.
     fn spans(&self, layout: &Layout) -> [Range<usize>; 2] {
         let places = self.pixels.iter().map(|pixel| pixel.place);
-        let (first, last) = places.fold((usize::MAX, 0), |(low, high), place| (low.min(place), high.max(place)));
+        let (first, last) =
+            places.fold((usize::MAX, 0), |(low, high), place| (low.min(place), high.max(place)));
         [0..layout.calibration.len(), layout.of_clone(first.min(last))..layout.of_clone(last + 1)]
     }
 
@@ -355,18 +379,19 @@ impl LandmarkRows {
         }
     }
 
-    /// How the landmark enters the state; see [`Entrance`]. Call it after [`Self::add_to`] of the same layout.
+    /// Adds how the landmark enters the state; see [`Entrance`]. Call it after [`Self::add_to`] of the same layout.
     ///
     /// # Errors
     /// [`NotPositiveDefinite`] where the pixels do not fix the landmark.
-    pub fn entrance(&self) -> Result<Entrance, NotPositiveDefinite> {
+    pub fn enter(&self, entrance: &mut Entrance) -> Result<(), NotPositiveDefinite> {
         let own = self.own();
         let noise = Cholesky::new(own.information).ok_or(NotPositiveDefinite)?.inverse();
-        let mut jacobian = DMatrix::zeros(3, self.cross.len());
-        for (mut column, cross) in jacobian.column_iter_mut().zip(&self.cross) {
-            column.copy_from(&-(noise * Vector3::from(*cross)));
-        }
-        Ok(Entrance { shift: noise * own.vector, jacobian, noise })
+        entrance.shifts.push(noise * own.vector);
+        entrance.noises.push(noise);
+        entrance
+            .jacobians
+            .extend(self.cross.iter().map(|cross| <[f64; 3]>::from(-(noise * Vector3::from(*cross)))));
+        Ok(())
     }
 }
 
@@ -376,12 +401,19 @@ mod tests {
     use super::super::test_scene::{Scene, scene};
     use super::*;
     use geometry::numeric::numeric_jacobian;
-    use nalgebra::DVector;
+    use nalgebra::{DMatrix, DVector};
 
     fn linearized(scene: &Scene, first_estimates: bool) -> LandmarkRows {
         let pixels = scene.sightings.iter().map(|sighting| {
             let seen = (sighting.clone, usize::from(sighting.camera), sighting.pixel);
-            pixel_rows(&scene.state, seen, (&scene.landmark, &scene.landmark), first_estimates, scene.sigma_px).unwrap()
+            pixel_rows(
+                &scene.state,
+                seen,
+                (&scene.landmark, &scene.landmark),
+                first_estimates,
+                scene.sigma_px,
+            )
+            .unwrap()
         });
         LandmarkRows { pixels: pixels.collect(), ..LandmarkRows::default() }
     }
@@ -440,7 +472,11 @@ mod tests {
                 gauge.fixed_view_mut::<3, 3>(POSE_DIM * place + 3, 1).fill_with_identity();
             }
             let seen = information.matrix.view() * gauge;
-            assert!(seen.amax() < 1e-12 * information.matrix.view().amax(), "{first_estimates}: {}", seen.amax());
+            assert!(
+                seen.amax() < 1e-12 * information.matrix.view().amax(),
+                "{first_estimates}: {}",
+                seen.amax()
+            );
             assert_eq!(information.rows, 2 * scene.sightings.len() - 3);
         }
     }
@@ -466,11 +502,14 @@ mod tests {
             assert!((information.residual - residual.dot(&(&hat * &residual))).abs() < 1e-8);
 
             // The three directions that are left out are the least-squares estimate of the landmark.
-            let entrance = rows.entrance().unwrap();
+            let mut entrance = Entrance::default();
+            rows.enter(&mut entrance).unwrap();
             let solve = &inverse * of_landmark.transpose();
-            assert!(apart(&entrance.jacobian, &-(&solve * of_state)) < 1e-7);
-            assert!((entrance.shift - &solve * &residual).amax() < 1e-7);
-            assert!((entrance.noise - inverse).amax() < 1e-9);
+            let mut jacobian = Dense::default();
+            entrance.jacobian(&mut jacobian);
+            assert!(apart(&jacobian.view().into_owned(), &-(&solve * of_state)) < 1e-7);
+            assert!((entrance.shifts[0] - &solve * &residual).amax() < 1e-7);
+            assert!((entrance.noises[0] - inverse).amax() < 1e-9);
         }
     }
 
@@ -481,7 +520,9 @@ mod tests {
             let mut rows = linearized(&scene, false);
             let layout = Layout::of(&scene.state);
             let dim = scene.state.dim();
-            let draw = DMatrix::from_fn(dim, dim, |row, column| ((5 * row + 3 * column + row * column) as f64).sin());
+            let draw = DMatrix::from_fn(dim, dim, |row, column| {
+                ((5 * row + 3 * column + row * column) as f64).sin()
+            });
             let covariance = (&draw * draw.transpose()) * 1e-6;
             let dense = Dense::from(covariance.clone());
             let given = rows.innovation_squared(&scene.state, &dense, &layout, 0.0).unwrap();

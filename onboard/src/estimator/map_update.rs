@@ -1,6 +1,7 @@
 //! Takes an answer of the map into the filter: verify, initialize, linearize, gate, update.
 
 use super::config::{MapMode, Relinearization};
+use super::dense::Dense;
 use super::information::{Columns, Information};
 use super::map_answer::{MapAnswer, MatchedLandmark};
 use super::map_rows::{Linearization, MapPoint, RowSettings, landmark_rows};
@@ -350,15 +351,8 @@ impl Estimator {
         let poses = |id: KeyframeId| self.pose_of(id, answer);
         let mut prepared = Prepared { information: Information::new(columns.clone()), accepted: 0 };
         for landmark in landmarks {
-            let rows = landmark_rows(
-                landmark,
-                answer,
-                keyframes,
-                &poses,
-                &self.state.calibration,
-                point,
-                &settings,
-            );
+            let rows =
+                landmark_rows(landmark, answer, keyframes, &poses, &self.state.calibration, point, &settings);
             let Some((jacobian, residual)) = rows else { continue };
             if self.landmark_gate.accepts_rows(&joint, &jacobian, &residual) {
                 prepared.information.add(&jacobian, &residual);
@@ -402,9 +396,9 @@ impl Estimator {
             .max(self.config.transform_sigma_position)
             .powi(2);
         let sigmas = DVector::from_fn(POSE_DIM, |k, _| if k < 3 { rotation } else { position });
-        let independent = DMatrix::zeros(POSE_DIM, 0);
-        let begin = self.state.transform_begin();
-        self.covariance.insert(begin, &[], &independent, &DMatrix::from_diagonal(&sigmas));
+        let independent = Dense::zeros(POSE_DIM, 0);
+        let noise = std::iter::once(DMatrix::from_diagonal(&sigmas));
+        self.covariance.insert(self.state.transform_begin(), &[], &independent, noise);
         self.state.transform = Some(transform);
     }
 

@@ -45,6 +45,7 @@ pub use track_update::TrackReport;
 pub use tracks::TrackObservation;
 
 use covariance::{JointCovariance, NotPositiveDefinite};
+use dense::Dense;
 use gate::Gate;
 use geometry::PoseWithCovariance;
 use imu::ImuBuffer;
@@ -52,11 +53,11 @@ use information::Rows;
 use landmark_rows::Layout;
 use nalgebra::{DMatrix, DVector, Matrix6, Vector3};
 use propagation::{IMU_DIM, MotionEstimate, propagate};
+use smallvec::SmallVec;
 use state::{ActiveState, Block, ClonedPose, POSE_DIM, StateLandmark};
 use state_landmarks::{LandmarkSettings, LandmarkUpdate};
-use track_update::{TrackSettings, TrackUpdate};
-use smallvec::SmallVec;
 use std::ops::Range;
+use track_update::{TrackSettings, TrackUpdate};
 use tracks::{Track, TrackStore};
 
 /// What can go wrong with a measurement or with the filter.
@@ -127,6 +128,7 @@ pub struct Estimator {
     track_settings: TrackSettings,
     odometry_update: OdometryUpdate,
     correction: DVector<f64>,
+    entering: Dense,
     landmark_gate: Gate,
     frame_gate: Gate,
     next_clone: u64,
@@ -192,6 +194,7 @@ impl Estimator {
             tracks: TrackStore::default(),
             odometry_update: OdometryUpdate::default(),
             correction: DVector::zeros(0),
+            entering: Dense::default(),
             next_clone: 0,
             map_version: None,
             map_version_since_ns: i64::MIN,
@@ -349,22 +352,32 @@ impl Estimator {
             gate: &self.track_settings.gate,
         };
         let (state, covariance) = (&mut self.state, &mut self.covariance);
-        report.landmarks =
-            update.landmarks.update(state, covariance, in_state, observations, &settings, &mut self.correction)?;
+        report.landmarks = update.landmarks.update(
+            state,
+            covariance,
+            in_state,
+            observations,
+            &settings,
+            &mut self.correction,
+        )?;
         Ok(report)
     }
 
     /// Lets the landmarks of an update into the state, and tells the update where its columns stand now.
     fn insert_landmarks(&mut self, update: &mut TrackUpdate) {
-        for entering in update.entering.drain(..) {
-            let layout = Layout::of(&self.state);
-            let noise = DMatrix::from_column_slice(3, 3, entering.entrance.noise.as_slice());
-            let columns = [layout.calibration, layout.clones];
-            let begin = self.state.clones_begin();
-            self.covariance.insert(begin, &columns, &entering.entrance.jacobian, &noise);
+        if update.entering.is_empty() {
+            return;
+        }
+        let layout = Layout::of(&self.state);
+        update.entrance.jacobian(&mut self.entering);
+        let noise =
+            update.entrance.noises.iter().map(|noise| DMatrix::from_column_slice(3, 3, noise.as_slice()));
+        let columns = [layout.calibration, layout.clones];
+        self.covariance.insert(self.state.clones_begin(), &columns, &self.entering, noise);
+        for (entering, shift) in update.entering.iter().zip(&update.entrance.shifts) {
             self.state.landmarks.push(StateLandmark {
                 feature_id: entering.feature_id,
-                position: entering.position + entering.entrance.shift,
+                position: entering.position + shift,
                 first_estimate: entering.position,
                 implausible: 0,
             });
@@ -497,7 +510,8 @@ impl Estimator {
             &PoseWithCovariance { pose, covariance: self.block(&block, &block) },
             &(state::turned(&transform.pose) * self.block(&Block::Transform, &block)),
         );
-        let exact = PoseWithCovariance { pose: self.first_camera().imu_from_camera, covariance: Matrix6::zeros() };
+        let exact =
+            PoseWithCovariance { pose: self.first_camera().imu_from_camera, covariance: Matrix6::zeros() };
         Some(global_from_imu.compose(&exact))
     }
 

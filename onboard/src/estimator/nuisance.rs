@@ -20,7 +20,7 @@ use super::dense::Dense;
 use super::information::Rows;
 use super::propagation::{IMU_DIM, ImuMatrix};
 use geometry::PoseWithCovariance;
-use nalgebra::{DMatrix, Matrix6};
+use nalgebra::{DMatrix, DMatrixView, Matrix6};
 use protocol::KeyframeId;
 use std::collections::{HashMap, HashSet};
 use std::ops::Range;
@@ -282,7 +282,7 @@ impl HeldKeyframes {
     }
 
     /// The active error grew at `at` by `jacobian` times its part `columns`, and something independent.
-    pub fn insert_rows(&mut self, at: usize, columns: &[Range<usize>], jacobian: &DMatrix<f64>) {
+    pub fn insert_rows(&mut self, at: usize, columns: &[Range<usize>], jacobian: DMatrixView<'_, f64>) {
         let count = jacobian.nrows();
         self.for_each_row_matrix(|matrix| {
             let mut new = DMatrix::zeros(count, matrix.ncols());

@@ -10,7 +10,7 @@
 use super::config::ImuNoise;
 use super::imu::ImuSample;
 use geometry::{Pose, rotation};
-use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
+use nalgebra::{Matrix3, SMatrix, Vector3};
 
 /// Numbers in the IMU error state.
 pub const IMU_DIM: usize = 15;
@@ -30,8 +30,6 @@ const GAP_FORCE: f64 = 2.0;
 
 /// A 15x15 matrix over the IMU error.
 pub type ImuMatrix = SMatrix<f64, IMU_DIM, IMU_DIM>;
-/// The IMU error.
-pub type ImuVector = SVector<f64, IMU_DIM>;
 
 /// What the IMU alone describes: where the body is in L, how it moves, and the sensor's biases.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -92,8 +90,11 @@ pub fn propagate(
             continue;
         }
         let (next, step) = integrate(&now, &pair[0], &pair[1], dt, &gravity);
-        transition = step * transition;
-        covariance = step * covariance * step.transpose() + step_noise(&across_gap(noise, dt), dt);
+        step.apply(&mut transition);
+        step.apply(&mut covariance);
+        covariance.transpose_mut();
+        step.apply(&mut covariance);
+        covariance += step_noise(&across_gap(noise, dt), dt);
         now = next;
         elapsed += dt;
     }
@@ -107,6 +108,42 @@ pub fn propagate(
     Propagated { state: now, transition, noise: covariance }
 }
 
+/// Transition of the error in one step: the identity, and these blocks.
+struct StepTransition {
+    dt: f64,
+    rotation_by_gyroscope_bias: Matrix3<f64>,
+    position_by_rotation: Matrix3<f64>,
+    position_by_gyroscope_bias: Matrix3<f64>,
+    position_by_accelerometer_bias: Matrix3<f64>,
+    velocity_by_rotation: Matrix3<f64>,
+    velocity_by_gyroscope_bias: Matrix3<f64>,
+    velocity_by_accelerometer_bias: Matrix3<f64>,
+}
+
+impl StepTransition {
+    /// `M ← F M`, a third of the work of the dense product.
+    fn apply(&self, matrix: &mut ImuMatrix) {
+        for mut column in matrix.column_iter_mut() {
+            let part = |begin: usize| -> Vector3<f64> { column.fixed_rows::<3>(begin).into() };
+            let (turn, velocity) = (part(0), part(VELOCITY));
+            let (gyroscope, accelerometer) = (part(GYROSCOPE_BIAS), part(ACCELEROMETER_BIAS));
+            let turned = self.rotation_by_gyroscope_bias * gyroscope;
+            let moved = self.position_by_rotation * turn
+                + velocity * self.dt
+                + self.position_by_gyroscope_bias * gyroscope
+                + self.position_by_accelerometer_bias * accelerometer;
+            let accelerated = self.velocity_by_rotation * turn
+                + self.velocity_by_gyroscope_bias * gyroscope
+                + self.velocity_by_accelerometer_bias * accelerometer;
+            for k in 0..3 {
+                column[k] += turned[k];
+                column[3 + k] += moved[k];
+                column[VELOCITY + k] += accelerated[k];
+            }
+        }
+    }
+}
+
 /// One step between two readings: the new state and the transition of the error.
 fn integrate(
     state: &ImuState,
@@ -114,7 +151,7 @@ fn integrate(
     b: &ImuSample,
     dt: f64,
     gravity: &Vector3<f64>,
-) -> (ImuState, ImuMatrix) {
+) -> (ImuState, StepTransition) {
     let rate = 0.5 * (a.gyroscope + b.gyroscope) - state.gyroscope_bias;
     let force = [a.accelerometer, 0.5 * (a.accelerometer + b.accelerometer), b.accelerometer]
         .map(|reading| reading - state.accelerometer_bias);
@@ -140,18 +177,16 @@ fn integrate(
 
     let middle: Matrix3<f64> = middle.to_rotation_matrix().into_inner();
     let lever = rotation::skew(&world[1]);
-    let mut step = ImuMatrix::identity();
-    let mut put = |row: usize, column: usize, block: Matrix3<f64>| {
-        step.fixed_view_mut::<3, 3>(row, column).copy_from(&block);
+    let step = StepTransition {
+        dt,
+        rotation_by_gyroscope_bias: -middle * dt,
+        position_by_rotation: -lever * (0.5 * dt * dt),
+        position_by_gyroscope_bias: lever * middle * (dt * dt * dt / 6.0),
+        position_by_accelerometer_bias: -middle * (0.5 * dt * dt),
+        velocity_by_rotation: -lever * dt,
+        velocity_by_gyroscope_bias: lever * middle * (0.5 * dt * dt),
+        velocity_by_accelerometer_bias: -middle * dt,
     };
-    put(0, GYROSCOPE_BIAS, -middle * dt);
-    put(3, 0, -lever * (0.5 * dt * dt));
-    put(3, VELOCITY, Matrix3::identity() * dt);
-    put(3, GYROSCOPE_BIAS, lever * middle * (dt * dt * dt / 6.0));
-    put(3, ACCELEROMETER_BIAS, -middle * (0.5 * dt * dt));
-    put(VELOCITY, 0, -lever * dt);
-    put(VELOCITY, GYROSCOPE_BIAS, lever * middle * (0.5 * dt * dt));
-    put(VELOCITY, ACCELEROMETER_BIAS, -middle * dt);
     (next, step)
 }
 
@@ -191,6 +226,7 @@ fn step_noise(noise: &ImuNoise, dt: f64) -> ImuMatrix {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use nalgebra::SVector;
 
     const GRAVITY: f64 = 9.81;
 

@@ -56,8 +56,10 @@ impl LandmarkUpdate {
             if self.of_landmark.is_empty() {
                 continue;
             }
-            let plausible = is_plausible(&self.of_landmark, place, state, covariance.active(), &layout, settings.gate)?;
-            state.landmarks[place].implausible = if plausible { 0 } else { state.landmarks[place].implausible + 1 };
+            let plausible =
+                is_plausible(&self.of_landmark, place, state, covariance.active(), &layout, settings.gate)?;
+            state.landmarks[place].implausible =
+                if plausible { 0 } else { state.landmarks[place].implausible + 1 };
             if plausible {
                 used += 1;
                 self.accepted.extend(self.of_landmark.drain(..).map(|rows| (place, rows)));

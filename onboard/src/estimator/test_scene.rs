@@ -26,7 +26,8 @@ pub fn scene(calibrating: bool) -> Scene {
         centre: [320.0, 240.0],
         distortion,
     };
-    let mounted = |y: f64| Pose::new(rotation::exp(&Vector3::new(0.1, 0.2, -0.3)), Vector3::new(0.05, y, 0.0));
+    let mounted =
+        |y: f64| Pose::new(rotation::exp(&Vector3::new(0.1, 0.2, -0.3)), Vector3::new(0.05, y, 0.0));
     let mut rig = vec![RigCamera { camera: camera(Distortion::None), imu_from_camera: mounted(0.1) }];
     if calibrating {
         let lens = Distortion::RadialTangential([-0.1, 0.02, 1e-3, -1e-3]);
@@ -49,7 +50,13 @@ pub fn scene(calibrating: bool) -> Scene {
             );
             let turned = rotation::exp(&(2e-3 * wave(t + 9.0))) * newest.rotation;
             let first_estimate = Pose::new(turned, newest.translation + 0.03 * wave(t + 5.0));
-            ClonedPose { id: CloneId(k), stamp_ns: k as i64, local_from_imu: newest, first_estimate, pinned: false }
+            ClonedPose {
+                id: CloneId(k),
+                stamp_ns: k as i64,
+                local_from_imu: newest,
+                first_estimate,
+                pinned: false,
+            }
         })
         .collect();
     let mut sightings = Vec::new();

@@ -70,8 +70,6 @@ pub struct Entering {
     pub feature_id: u64,
     /// Where its rows were linearized, in L.
     pub position: Vector3<f64>,
-    /// How it depends on the rest.
-    pub entrance: Entrance,
 }
 
 /// The update's result, in memory that is used again.
@@ -81,6 +79,8 @@ pub struct TrackUpdate {
     pub information: Information,
     /// Landmarks that enter the state.
     pub entering: Vec<Entering>,
+    /// How they depend on the rest.
+    pub entrance: Entrance,
     rows: LandmarkRows,
 }
 
@@ -116,9 +116,10 @@ impl TrackUpdate {
                 continue;
             }
             let triangulated = triangulate_robustly(state, &mut track.sightings, settings, &mut report);
-            let landmark = triangulated.as_ref().map(|found| found.position).or_else(|| {
-                if settings.standing { far_away(state, &track.sightings) } else { None }
-            });
+            let landmark = triangulated
+                .as_ref()
+                .map(|found| found.position)
+                .or_else(|| if settings.standing { far_away(state, &track.sightings) } else { None });
             if landmark.is_none_or(|landmark| !self.linearize(state, track, &landmark, settings)) {
                 report.not_triangulated += 1;
                 continue;
@@ -134,8 +135,8 @@ impl TrackUpdate {
             if let Some(found) = triangulated.filter(|found| is_well_known(found, state, track))
                 && may_enter(track)
             {
-                let entrance = self.rows.entrance()?;
-                self.entering.push(Entering { feature_id: track.feature_id, position: found.position, entrance });
+                self.rows.enter(&mut self.entrance)?;
+                self.entering.push(Entering { feature_id: track.feature_id, position: found.position });
             }
         }
         Ok(report)
@@ -143,6 +144,7 @@ impl TrackUpdate {
 
     fn begin(&mut self, layout: &Layout) {
         self.entering.clear();
+        self.entrance.clear();
         self.information.columns.active.clear();
         self.information.columns.active.extend(layout.runs());
         self.information.clear();

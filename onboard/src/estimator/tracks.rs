@@ -98,7 +98,8 @@ impl TrackStore {
     /// Moves the running tracks that `leaving` saw to `ready`: the last chance to use all of them at once. They
     /// begin anew with the next image, so that no observation is used twice.
     pub fn take_seen_by(&mut self, leaving: CloneId, ready: &mut Vec<Track>) {
-        let seen = |track: &mut Track| track.sightings.first().is_some_and(|sighting| sighting.clone == leaving);
+        let seen =
+            |track: &mut Track| track.sightings.first().is_some_and(|sighting| sighting.clone == leaving);
         ready.extend(self.running.extract_if(.., seen));
     }
 
@@ -122,7 +123,6 @@ impl TrackStore {
             (last.clone == newest).then_some((oldest.clone, oldest.pixel, last.pixel))
         })
     }
-
 }
 
 #[cfg(test)]

@@ -52,6 +52,17 @@ pub enum Init {
     Truth,
 }
 
+/// What can be estimated while running.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Calibrate {
+    /// Where each camera sits on the body.
+    Extrinsics,
+    /// Focal length, centre and distortion of each camera.
+    Intrinsics,
+    /// How far the cameras' clock is behind the IMU's.
+    TimeOffset,
+}
+
 /// Switches of the robot.
 #[derive(Args, Clone, Debug)]
 pub struct RobotArguments {
@@ -115,6 +126,12 @@ pub struct RobotArguments {
     /// Clones in the sliding window
     #[arg(long, value_name = "N")]
     pub window: Option<usize>,
+    /// Most landmarks kept in the state; 0 is the plain MSCKF
+    #[arg(long, value_name = "N")]
+    pub state_landmarks: Option<usize>,
+    /// What of the cameras' calibration to estimate while running (several: separate them by commas)
+    #[arg(long, value_enum, value_delimiter = ',', value_name = "WHAT")]
+    pub calibrate: Vec<Calibrate>,
 }
 
 impl RobotArguments {
@@ -163,6 +180,10 @@ impl RobotArguments {
         override_with(&mut config.initial.accelerometer_bias, self.accelerometer_bias_sigma);
         config.sigma_map_px = self.map_sigma.or(config.sigma_map_px);
         config.window = self.window.unwrap_or(config.window);
+        config.state_landmarks = self.state_landmarks.unwrap_or(config.state_landmarks);
+        config.calibration.extrinsics |= self.calibrate.contains(&Calibrate::Extrinsics);
+        config.calibration.intrinsics |= self.calibrate.contains(&Calibrate::Intrinsics);
+        config.calibration.time_offset |= self.calibrate.contains(&Calibrate::TimeOffset);
         config.validate().map_err(|reason| anyhow::anyhow!("the estimator's settings: {reason}"))?;
         Ok(config)
     }
