@@ -12,6 +12,7 @@ use super::landmark_rows::{Layout, PixelRows, RowBlock, RowBlocks, covariance_be
 use super::state::{ActiveState, Block, CloneId, LANDMARK_DIM};
 use super::tracks::TrackObservation;
 use nalgebra::{DVector, SMatrix, SVector};
+use smallvec::SmallVec;
 use std::ops::Range;
 
 /// Implausible images in a row after which a landmark is given up.
@@ -137,7 +138,8 @@ impl LandmarkUpdate {
             return;
         }
         let landmarks = state.landmarks_range();
-        let mut source = vec![0..landmarks.start];
+        let mut source = SmallVec::<[Range<usize>; 64]>::new();
+        source.push(0..landmarks.start);
         source.extend(self.seen.iter().filter_map(|&place| state.range(Block::Landmark(place))));
         source.push(landmarks.end..state.dim());
         covariance.gather(&source);
