@@ -89,8 +89,8 @@ pub struct EnsembleNees {
     pub times_inside: f64,
     /// The judgement.
     pub verdict: Verdict,
-    /// The smallest and largest average of a run.
-    pub range: (f64, f64),
+    /// Each run's average over time, in the order of the runs.
+    pub averages: Vec<f64>,
 }
 
 impl EnsembleNees {
@@ -112,7 +112,6 @@ impl EnsembleNees {
             let (low, high) = point.interval;
             (low..=high).contains(&point.mean)
         });
-        let extreme = |pick: fn(f64, f64) -> f64| averages.iter().copied().reduce(pick);
         Some(Self {
             runs: averages.len(),
             mean,
@@ -120,7 +119,7 @@ impl EnsembleNees {
             mean_interval: mean_interval(&averages, mean, confidence),
             times_inside: inside.count() as f64 / points.len() as f64,
             verdict: Verdict::of(mean, interval),
-            range: (extreme(f64::min)?, extreme(f64::max)?),
+            averages,
         })
     }
 }
