@@ -90,25 +90,23 @@ impl Holder {
 
     /// An answer with any three of the held keyframes.
     pub fn map_update(&mut self) {
-        let matched: Vec<usize> =
-            (0..MATCHED).map(|_| self.rng.random_range(0..self.keyframes.len())).collect();
+        let count = self.keyframes.len();
+        let first = self.rng.random_range(0..count);
+        let matched: Vec<usize> = (0..MATCHED).map(|k| (first + k * count / MATCHED) % count).collect();
         self.take(&matched);
     }
 
-    /// Each landmark is seen by up to three of the keyframes, the first of which anchors it.
+    /// Each landmark is seen by up to three of the keyframes; the first one anchors them all.
     fn take(&mut self, keyframes: &[usize]) {
         let camera_at_rest = self.eye.imu_from_camera;
         let pixel = |camera: &Pose, point: &Vector3<f64>| {
             self.eye.camera.project(&camera.inverse_transform(point)).unwrap()
         };
         let landmarks = self.points.iter().enumerate().map(|(k, point)| {
-            let observers = (0..MATCHED.min(keyframes.len())).map(|j| {
-                let anchors = j == 0;
-                let place = if anchors { 0 } else { (k * MATCHED + j) % keyframes.len() };
-                keyframes[place]
-            });
-            let mut observers: Vec<usize> = observers.collect();
-            observers.dedup();
+            let others = keyframes.len() - 1;
+            let further =
+                (0..others.min(MATCHED - 1)).map(|j| keyframes[1 + (k * (MATCHED - 1) + j) % others]);
+            let observers: Vec<usize> = std::iter::once(keyframes[0]).chain(further).collect();
             MatchedLandmark {
                 pixel: pixel(&camera_at_rest, point),
                 anchor: keyframes[0] as u64,
