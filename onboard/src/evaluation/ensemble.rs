@@ -104,7 +104,7 @@ impl EnsembleNees {
     /// # Returns
     /// `None` without any run, or for a confidence that is none.
     pub fn of(runs: &[NeesSeries], degrees_of_freedom: usize, confidence: f64) -> Option<Self> {
-        let averages: Vec<f64> = runs.iter().filter_map(|series| average(series)).collect();
+        let averages: Vec<f64> = runs.iter().filter_map(average).collect();
         let interval = nees_bounds(degrees_of_freedom, averages.len(), confidence)?;
         let mean = averages.iter().sum::<f64>() / averages.len() as f64;
         let points = over_time(runs, degrees_of_freedom, confidence);

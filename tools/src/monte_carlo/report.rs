@@ -24,8 +24,8 @@ pub fn table(title: &str, all: &[VariantRuns], scores: &[EnsembleScore]) -> Stri
         // Writing into a string cannot fail.
         let _ = writeln!(
             text,
-            "\n{:<22} {:>8} {:>8}   {:<32}{:<32}{}",
-            score.name, "RMSE deg", "m", "NEES rotation", "NEES position", "NEES pose"
+            "\n{:<22} {:>8} {:>8}   {:<32}{:<32}NEES pose",
+            score.name, "RMSE deg", "m", "NEES rotation", "NEES position"
         );
         for kind in StateKind::ALL {
             if let Some(output) = score.get(kind) {
@@ -95,7 +95,7 @@ fn remarks(runs: &VariantRuns, score: &EnsembleScore) -> Vec<String> {
     if map.answers + map.wrong_places > 0 {
         let mut told = format!("{} of {} answers taken in", map.accepted, map.answers);
         if map.wrong_places > 0 {
-            told += &format!(", {} of {} of wrong places", map.wrong_places_accepted, map.wrong_places);
+            let _ = write!(told, ", {} of {} of wrong places", map.wrong_places_accepted, map.wrong_places);
         }
         remarks.push(format!("{told}; {} moved the pose in G by more than 3 sigma", map.jumps));
     }

@@ -55,7 +55,7 @@ pub struct Trial {
 
 /// Everything of a seed that no variant changes.
 struct Seed<'a> {
-    seed: u64,
+    number: u64,
     world: SimulatedWorld,
     live: Sequence,
     /// Answers to the frames of `live`.
@@ -79,8 +79,8 @@ pub(crate) fn run_seed(
     } else {
         live.frames.iter().map(|_| None).collect()
     };
-    let seed = Seed { seed, world, live, answers, options };
-    Ok(variants.iter().map(|variant| seed.run(variant)).collect())
+    let one = Seed { number: seed, world, live, answers, options };
+    Ok(variants.iter().map(|variant| one.run(variant)).collect())
 }
 
 /// A run that is going on.
@@ -104,7 +104,7 @@ impl Seed<'_> {
                 imu_from_camera: sensor.imu_from_camera,
             })
             .collect();
-        let stated = self.options.calibration.draw(self.seed, &truth);
+        let stated = self.options.calibration.draw(self.number, &truth);
         let true_delay_s = stated.image_delay_ns as f64 * 1e-9;
         let told_calibration = stated
             .rig
@@ -115,7 +115,7 @@ impl Seed<'_> {
         let begin_ns = self.live.frames.first().map_or(0, |frame| frame.stamp_ns + stated.image_delay_ns);
         let start = self.start(variant, begin_ns);
         let mut trial = Trial {
-            seed: self.seed,
+            seed: self.number,
             begin_ns,
             errors: None,
             first_fix_s: None,
@@ -147,7 +147,7 @@ impl Seed<'_> {
         let rows = self.live.groundtruth.as_deref().unwrap_or_default();
         let row = rows.iter().rfind(|row| row.stamp_ns <= begin_ns);
         let biases = row.and_then(|row| row.gyroscope_bias.zip(row.accelerometer_bias)).unwrap_or_default();
-        start::draw(self.seed, begin_ns, &motion, biases, &variant.config.initial)
+        start::draw(self.number, begin_ns, &motion, biases, &variant.config.initial)
     }
 
     fn play<'a>(

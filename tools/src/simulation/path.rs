@@ -173,7 +173,7 @@ mod tests {
 
     #[test]
     fn loops_begin_in_motion_and_go_round_ten_times() {
-        let spline = built_in(Course::Loops, 0, 3.14, &Style::of_run(1, 0)).unwrap();
+        let spline = built_in(Course::Loops, 0, Course::Loops.usual_speed(), &Style::of_run(1, 0)).unwrap();
         assert!(spline.at(0).velocity.norm() > 2.0);
         assert!((350.0..460.0).contains(&(spline.end_ns() as f64 * 1e-9)));
         let cut = spline.until(60_000_000_000);
