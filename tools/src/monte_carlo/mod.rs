@@ -13,7 +13,7 @@
 //! | `noisy_map` | poses and pixels of the map's keyframes, once a seed |
 //! | `answers` | pixels of the image, wrong matches, wrong places |
 //! | [`calibration`] | the calibration that the filter is told |
-//! | `trial`, [`score`] | one run, and what all of them say |
+//! | `trial`, [`mod@score`] | one run, and what all of them say |
 
 mod answers;
 pub mod calibration;
