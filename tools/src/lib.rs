@@ -10,6 +10,7 @@ pub mod demo;
 pub mod in_process;
 pub mod map_building;
 pub mod map_files;
+pub mod monte_carlo;
 pub mod plotting;
 pub mod query_image;
 pub mod simulation;

@@ -4,7 +4,9 @@
 //! velocity drifts with the accelerometer's bias. What the tracks do say is that nothing moved: pixels
 //! seen half a second and more ago, turned by the rotation between both images, are still where they were.
 //!
-//! * Turning is not mistaken for standing, nor the other way round: the rotation is taken out first.
+//! * Turning is not mistaken for standing, nor the other way round: the rotation is taken out first. A filter that
+//!   does not know its gyroscope's bias yet (0.02 rad/s move a pixel by 5 px in half a second) believes that it turns;
+//!   pixels that do not move at all say that it stands, whatever it believes.
 //! * Gliding is not either, as long as something is near enough to move by more than its noise in the time
 //!   that a track lives; and the filter's own velocity must agree by a chi-square test.
 
@@ -35,7 +37,7 @@ pub fn stands_still(state: &ActiveState, tracks: &TrackStore, sigma_px: f64) -> 
     let Some(newest) = state.clones.last() else { return false };
     let Some(eye) = state.calibration.rig.first() else { return false };
     let now = newest.local_from_imu * eye.imu_from_camera;
-    let mut displacements = Vec::new();
+    let (mut displacements, mut as_they_are) = (Vec::new(), Vec::new());
     for (old, pixel_then, pixel_now) in tracks.pairs_with(newest.id) {
         let Some(place) = state.place_of(old) else { continue };
         let clone = &state.clones[place];
@@ -45,12 +47,15 @@ pub fn stands_still(state: &ActiveState, tracks: &TrackStore, sigma_px: f64) -> 
         let then = clone.local_from_imu * eye.imu_from_camera;
         // A point that turns out of view did not stand still.
         displacements.push(displacement(eye, &then, &now, &pixel_then, &pixel_now).unwrap_or(f64::INFINITY));
+        as_they_are.push((pixel_then - pixel_now).norm());
     }
     if displacements.len() < LEAST_TRACKS {
         return false;
     }
-    displacements.sort_by(f64::total_cmp);
-    displacements[displacements.len() / 2] < LARGEST_DISPLACEMENT * sigma_px
+    [displacements, as_they_are].into_iter().any(|mut lengths| {
+        lengths.sort_by(f64::total_cmp);
+        lengths[lengths.len() / 2] < LARGEST_DISPLACEMENT * sigma_px
+    })
 }
 
 /// How far a pixel is from where the rotation alone would have brought it, px.
@@ -92,6 +97,11 @@ mod tests {
 
     /// A second of images from poses `at(seconds)` of points 2 to 10 m away, with 1 px of noise.
     fn judged(count: usize, at: impl Fn(f64) -> Pose) -> bool {
+        judged_by(count, at, 0.0)
+    }
+
+    /// The same by a filter that believes to turn by `bias` rad/s more than it does.
+    fn judged_by(count: usize, at: impl Fn(f64) -> Pose, bias: f64) -> bool {
         let mut rng = StdRng::seed_from_u64(3);
         let camera = Camera {
             width: 752,
@@ -124,11 +134,13 @@ mod tests {
                 .collect();
             tracks.add(id, &seen, |_| false);
             let stamp_ns = k as i64 * 100_000_000;
+            let drift = rotation::exp(&Vector3::new(0.0, bias * k as f64 * 0.1, 0.0));
+            let believed = Pose { rotation: drift * pose.rotation, ..pose };
             clones.push(ClonedPose {
                 id,
                 stamp_ns,
-                local_from_imu: pose,
-                first_estimate: pose,
+                local_from_imu: believed,
+                first_estimate: believed,
                 pinned: false,
             });
         }
@@ -164,6 +176,8 @@ mod tests {
         assert!(!judged(80, gliding), "5 cm/s along a wall is not standing");
         let curve = |seconds: f64| Pose { rotation: turning(seconds).rotation, ..gliding(seconds) };
         assert!(!judged(80, curve));
+        assert!(judged_by(80, |_| Pose::identity(), 0.04), "it stands, whatever its gyroscope says");
+        assert!(!judged_by(80, gliding, 0.04));
         assert!(!judged(5, |_| Pose::identity()), "five tracks are not enough to judge by");
     }
 }

@@ -136,6 +136,30 @@ pub fn run_errors(
     let known = known_states(states, truth);
     let (first, first_true) = known.first().ok_or(ScoreError::NoOverlap)?;
     let global_from_local = place_of_local(&first.local_from_imu.pose, first_true, &gravity_in_truth);
+    Ok(errors_of(&known, global_from_local))
+}
+
+/// The errors of each output of a run whose place of L is known, as it is in a simulation.
+///
+/// # Arguments
+/// * `truth`: of the IMU in G; interpolated over gaps up to 0.25 s.
+/// * `true_global_from_local`: where L truly lies.
+///
+/// # Errors
+/// [`ScoreError::NoOverlap`].
+pub fn run_errors_in(
+    states: &[StateRow],
+    truth: &[TruthRow],
+    true_global_from_local: Pose,
+) -> Result<RunErrors, ScoreError> {
+    let known = known_states(states, truth);
+    if known.is_empty() {
+        return Err(ScoreError::NoOverlap);
+    }
+    Ok(errors_of(&known, true_global_from_local))
+}
+
+fn errors_of(known: &[(&StateRow, Pose)], global_from_local: Pose) -> RunErrors {
     let local_from_global = global_from_local.inverse();
     let mut errors = RunErrors {
         true_global_from_local: global_from_local,
@@ -143,7 +167,7 @@ pub fn run_errors(
         transform: Vec::new(),
         pose: Vec::new(),
     };
-    for (state, global_from_imu) in &known {
+    for (state, global_from_imu) in known {
         let local_from_imu = local_from_global.compose(global_from_imu);
         errors.local.push(sample(state.stamp_ns, &state.local_from_imu, &local_from_imu));
         if let Some(estimate) = &state.global_from_local {
@@ -153,7 +177,7 @@ pub fn run_errors(
             errors.pose.push(sample(state.stamp_ns, estimate, global_from_imu));
         }
     }
-    Ok(errors)
+    errors
 }
 
 /// Scores a run; see [`run_errors`] for the arguments.

@@ -205,7 +205,10 @@ impl RobotArguments {
 }
 
 /// Settings of a YAML file; what it leaves out is as in `defaults`.
-fn read_settings(path: &Path, defaults: &EstimatorConfig) -> Result<EstimatorConfig> {
+///
+/// # Errors
+/// A file that cannot be read, or that is not settings.
+pub fn read_settings(path: &Path, defaults: &EstimatorConfig) -> Result<EstimatorConfig> {
     let misunderstood = || format!("settings {} are not understood", path.display());
     let text =
         std::fs::read_to_string(path).with_context(|| format!("cannot read settings {}", path.display()))?;

@@ -10,6 +10,7 @@ pub mod import_map;
 pub mod inspect;
 pub mod localize;
 pub mod map_info;
+pub mod montecarlo;
 pub mod plot;
 pub mod query;
 pub mod run;
@@ -44,6 +45,8 @@ pub enum Command {
     Track(track::Args),
     /// Compare an estimated trajectory with the truth
     Evaluate(evaluate::Args),
+    /// Run the filter many times in simulation and judge whether its errors are what it says
+    Montecarlo(montecarlo::Args),
     /// Draw the pictures of a run
     Plot(plot::Args),
     /// Get the weights of networks, or list which are there
@@ -69,6 +72,7 @@ impl Command {
             Self::Run(args) => run::run(&args),
             Self::Track(args) => track::run(&args),
             Self::Evaluate(args) => evaluate::run(&args),
+            Self::Montecarlo(args) => montecarlo::run(&args),
             Self::Plot(args) => plot::run(&args),
             Self::Weights(args) => weights::run(args),
         }

@@ -18,6 +18,8 @@ pub(crate) const ODOMETRY: RGBColor = RGBColor(222, 125, 32);
 pub(crate) const GOOD: RGBColor = RGBColor(38, 140, 88);
 /// Bad news.
 pub(crate) const BAD: RGBColor = RGBColor(200, 55, 60);
+/// One colour a run or a filter of a comparison; a fifth and more share the last.
+pub(crate) const COLOURS: [RGBColor; 4] = [ODOMETRY, ESTIMATE, GOOD, BAD];
 /// The map.
 pub(crate) const MAP: RGBColor = RGBColor(150, 120, 190);
 /// Bounds.

@@ -1,6 +1,6 @@
 //! Several runs over the same recording in one picture: where they went, and how far off they were.
 
-use super::canvas::{self, ESTIMATE, GOOD, MAP, Mark, ODOMETRY, TRUTH, entry, text};
+use super::canvas::{self, COLOURS, MAP, Mark, TRUTH, entry, text};
 use super::panel::{Dots, Line, Panel};
 use super::series::{thin, thin_path};
 use super::trajectory::{View, plan};
@@ -14,8 +14,6 @@ use std::path::{Path, PathBuf};
 
 /// Truth is interpolated between rows that are at most so far apart.
 const MAX_TRUTH_GAP_NS: i64 = 250_000_000;
-/// One colour a run; a fifth run and more share the last.
-const COLOURS: [RGBColor; 4] = [ODOMETRY, ESTIMATE, GOOD, RGBColor(200, 55, 60)];
 
 /// One run of a comparison.
 #[derive(Clone, Debug)]

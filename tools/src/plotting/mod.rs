@@ -8,6 +8,7 @@
 //! | `reprojection.svg` | what each query came to: reprojection error, matches, inliers, accepted or not |
 //! | what a map covers | keyframes and landmarks from above ([`draw_coverage`]) |
 //! | what of an image matched what of a map | both images, inliers, outliers, errors ([`draw_matches`]) |
+//! | NEES of many runs over time, with bounds | one line a filter ([`draw_ensemble`]) |
 //! | `comparison.svg` | several runs side by side ([`comparison`]) |
 //!
 //! Only what is known is drawn: without truth there are no errors, and [`draw_run`] says so.
@@ -15,6 +16,7 @@
 mod canvas;
 pub mod comparison;
 mod coverage;
+mod ensemble;
 mod errors;
 mod events;
 mod match_statistics;
@@ -31,6 +33,7 @@ mod trajectory;
 mod tests;
 
 pub use coverage::draw_coverage;
+pub use ensemble::{EnsembleLine, draw_ensemble};
 pub use events::{QueryEvent, read_events};
 pub use match_statistics::verdict_in_words;
 pub use matches::{MatchPicture, draw_matches};

@@ -165,3 +165,22 @@ fn gaps_without_features_are_found_at_the_ends_too() {
     assert_eq!(comparison::stretches_without_features(&frames, 2), [0..6, 6..10]);
     assert!(comparison::stretches_without_features(&[], 2).is_empty());
 }
+
+#[test]
+fn an_ensemble_has_a_panel_an_output_and_what_is_beyond_its_top_stays_inside() {
+    use onboard::evaluation::TimePoint;
+    let folder = tempfile::tempdir().unwrap();
+    let line = |name: &str, nees: f64| EnsembleLine {
+        name: name.to_owned(),
+        points: (0..50)
+            .map(|k| TimePoint { seconds: f64::from(k), mean: nees, interval: (0.7, 1.4), runs: 20 })
+            .collect(),
+    };
+    let empty = EnsembleLine { name: "odometry".to_owned(), points: Vec::new() };
+    let panels = [("local pose", vec![line("good", 1.0), line("bad", 200.0)]), ("pose in G", vec![empty])];
+    let path = draw_ensemble(&folder.path().join("nees.svg"), "NEES", &panels).unwrap();
+    let picture = std::fs::read_to_string(path).unwrap();
+    assert!(picture.contains("NEES, local pose") && picture.contains("bad"));
+    assert!(!picture.contains("NEES, pose in G"), "nobody has it");
+    assert!(!picture.lines().any(|line| line.trim() == "200"), "the axis ends where it can still be read");
+}

@@ -60,12 +60,13 @@ pub(crate) fn record(options: &SimulationOptions, motion: &Spline, run: u64) -> 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::simulation::path::{Style, round_the_block};
+    use crate::simulation::Course;
+    use crate::simulation::path::{Style, built_in};
     use geometry::rotation;
 
     #[test]
     fn exact_measurements_integrate_to_the_motion() {
-        let motion = round_the_block(0, 4.0, &Style::of_run(1, 1)).unwrap();
+        let motion = built_in(Course::Block, 0, 4.0, &Style::of_run(1, 1)).unwrap();
         let options = SimulationOptions { noise_free_imu: true, ..SimulationOptions::default() };
         let samples = record(&options, &motion, 1).samples;
         let start = motion.at(0);
@@ -87,7 +88,7 @@ mod tests {
 
     #[test]
     fn noise_has_the_stated_density_and_biases_walk() {
-        let motion = round_the_block(0, 4.0, &Style::of_run(1, 0)).unwrap();
+        let motion = built_in(Course::Block, 0, 4.0, &Style::of_run(1, 0)).unwrap();
         let options = SimulationOptions::default();
         let noisy = record(&options, &motion, 0);
         let exact = record(&SimulationOptions { noise_free_imu: true, ..options.clone() }, &motion, 0);

@@ -11,22 +11,26 @@
 //! # Ok::<(), tools::simulation::SimulationError>(())
 //! ```
 
+mod course;
 mod features;
 mod imu;
 mod path;
-mod random;
+pub(crate) mod random;
 mod rig;
-mod run;
+pub(crate) mod run;
 pub mod spline;
-mod tracks;
-mod world;
+pub(crate) mod tracks;
+pub(crate) mod world;
 
 #[cfg(test)]
 mod tests;
 
-use onboard::sequence::{ImuNoise, Sequence};
+pub use course::Course;
+use onboard::sequence::{CameraSensor, ImuNoise, Sequence};
 use onboard::trajectory::StampedPose;
+use spline::Spline;
 use thiserror::Error;
+use world::Landmark;
 
 /// Gravity in the simulated world, m/s^2, along -z.
 pub const GRAVITY: f64 = 9.81;
@@ -36,9 +40,13 @@ pub const GRAVITY: f64 = 9.81;
 pub struct SimulationOptions {
     /// Same seed, same bytes.
     pub seed: u64,
-    /// Cruising speed on the built-in way of 330 m, m/s.
+    /// The built-in way, where no trajectory is given.
+    pub course: Course,
+    /// Cruising speed on a built-in street, m/s.
     pub speed: f64,
-    /// The way of the map's run instead of the built-in one: the body (x forward, y left) in a world with z up.
+    /// Ends the runs after so many seconds; unset, at the end of the way.
+    pub duration_s: Option<f64>,
+    /// The way of the map's run instead of a built-in one: the body (x forward, y left) in a world with z up.
     pub map_trajectory: Option<Vec<StampedPose>>,
     /// The way of the live run; unset, the map's way a metre to the left.
     pub live_trajectory: Option<Vec<StampedPose>>,
@@ -90,7 +98,9 @@ impl Default for SimulationOptions {
     fn default() -> Self {
         Self {
             seed: 1,
+            course: Course::default(),
             speed: 4.0,
+            duration_s: None,
             map_trajectory: None,
             live_trajectory: None,
             frame_rate_hz: 10.0,
@@ -123,6 +133,7 @@ impl SimulationOptions {
     fn check(&self) -> Result<(), SimulationError> {
         let positive = [
             ("speed", self.speed),
+            ("duration_s", self.duration_s.unwrap_or(1.0)),
             ("frame_rate_hz", self.frame_rate_hz),
             ("imu_rate_hz", self.imu_rate_hz),
             ("landmarks_per_metre", self.landmarks_per_metre),
@@ -200,12 +211,38 @@ pub struct SimulatedPlace {
 /// # Errors
 /// [`SimulationError`] for options that make no sense and trajectories that are too short.
 pub fn simulate(options: &SimulationOptions) -> Result<SimulatedPlace, SimulationError> {
+    let world = simulate_world(options)?;
+    Ok(SimulatedPlace {
+        map: world.record(options, run::Kind::Map),
+        live: world.record(options, run::Kind::Live),
+    })
+}
+
+/// A place and two ways through it, of which nothing is recorded yet.
+pub(crate) struct SimulatedWorld {
+    /// The rig: left and right camera.
+    pub(crate) cameras: Vec<CameraSensor>,
+    /// All that there is to see.
+    pub(crate) landmarks: Vec<Landmark>,
+    /// The way of the map's run: `world_from_imu`.
+    pub(crate) map_way: Spline,
+    /// The way of the live run.
+    pub(crate) live_way: Spline,
+}
+
+/// Makes a place and the ways through it; see [`simulate`].
+pub(crate) fn simulate_world(options: &SimulationOptions) -> Result<SimulatedWorld, SimulationError> {
     options.check()?;
     let ways = run::ways(options)?;
     let cameras = rig::stereo(options.frame_rate_hz);
-    let landmarks = world::landmarks(options, &cameras[0], &[&ways.map, &ways.live]);
-    Ok(SimulatedPlace {
-        map: run::record(options, run::Kind::Map, &ways.map, &cameras, &landmarks),
-        live: run::record(options, run::Kind::Live, &ways.live, &cameras, &landmarks),
-    })
+    let landmarks = world::landmarks(options, &cameras[0], &ways.first_laps);
+    Ok(SimulatedWorld { cameras, landmarks, map_way: ways.map, live_way: ways.live })
+}
+
+impl SimulatedWorld {
+    /// Records one of the runs.
+    pub(crate) fn record(&self, options: &SimulationOptions, kind: run::Kind) -> Sequence {
+        let way = if kind == run::Kind::Map { &self.map_way } else { &self.live_way };
+        run::record(options, kind, way, &self.cameras, &self.landmarks)
+    }
 }

@@ -1,22 +1,17 @@
-//! The ways that the two runs take: once round a block of houses, or along a given trajectory.
+//! The ways that the two runs take: a built-in course, or along a given trajectory.
 //!
 //! World frame: z up, metres. Body frame: x forward, y left, z up.
 
 use super::SimulationError;
+use super::course::{Course, in_a_hand};
 use super::random::{Purpose, stream};
 use super::spline::Spline;
 use geometry::pose::Pose;
 use nalgebra::{UnitQuaternion, Vector2, Vector3};
 use onboard::trajectory::StampedPose;
 use rand::RngExt;
-use std::f64::consts::{FRAC_PI_2, TAU};
+use std::f64::consts::TAU;
 
-/// Half of the block's length, metres.
-const HALF_LENGTH: f64 = 55.0;
-/// Half of its width, metres.
-const HALF_WIDTH: f64 = 32.5;
-/// Radius of its corners, metres.
-const CORNER: f64 = 12.0;
 /// Distance between control poses. Faster wobble than a few of these cannot be expressed.
 const KNOT_NS: i64 = 200_000_000;
 /// Standing still before the start, so that a robot can find gravity and its gyroscope's bias.
@@ -48,51 +43,26 @@ impl Style {
     }
 }
 
-/// Length of the middle of the street round the block, metres.
-fn block_length() -> f64 {
-    4.0 * (HALF_LENGTH + HALF_WIDTH - 2.0 * CORNER) + TAU * CORNER
-}
-
-/// Position and heading (rad, from x) on the middle of the street, `s` metres from the start, anticlockwise.
-fn middle_of_street(s: f64) -> (Vector2<f64>, f64) {
-    let straights = [2.0 * (HALF_LENGTH - CORNER), 2.0 * (HALF_WIDTH - CORNER)];
-    let mut rest = s.rem_euclid(block_length());
-    let mut position = Vector2::new(-HALF_LENGTH + CORNER, -HALF_WIDTH);
-    let mut heading = 0.0_f64;
-    for side in 0..4 {
-        let straight = straights[side % 2];
-        let forward = Vector2::new(heading.cos(), heading.sin());
-        if rest < straight {
-            return (position + forward * rest, heading);
-        }
-        rest -= straight;
-        position += forward * straight;
-        let centre = position + Vector2::new(-forward.y, forward.x) * CORNER;
-        let on_corner = |angle: f64| {
-            let turned = heading + angle;
-            centre + Vector2::new(turned.sin(), -turned.cos()) * CORNER
-        };
-        let turn = rest / CORNER;
-        if turn < FRAC_PI_2 {
-            return (on_corner(turn), heading + turn);
-        }
-        rest -= FRAC_PI_2 * CORNER;
-        position = on_corner(FRAC_PI_2);
-        heading += FRAC_PI_2;
-    }
-    (position, heading)
-}
-
-/// Once round the block at about `speed` m/s, starting and ending at rest.
-pub(crate) fn round_the_block(start_ns: i64, speed: f64, style: &Style) -> Result<Spline, SimulationError> {
+/// Along a built-in way, streets at about `speed` m/s.
+pub(crate) fn built_in(
+    course: Course,
+    start_ns: i64,
+    speed: f64,
+    style: &Style,
+) -> Result<Spline, SimulationError> {
     let knot_s = KNOT_NS as f64 * 1e-9;
-    let length = block_length();
+    if course == Course::Room {
+        let pose = |knot: i32| in_a_hand(f64::from(knot - 1) * knot_s, REST_BEFORE_S, &style.phases);
+        return spline(start_ns, KNOT_NS, (0..).map_while(pose).collect());
+    }
+    let length = course.length();
     let (mut s, mut time, mut rested) = (0.0, -knot_s, 0.0);
     let mut controls = Vec::new();
     // A control pose before the beginning, and one after the end, are what a cubic spline needs.
     while rested < REST_AFTER_S + 2.0 * knot_s {
-        let pace = pace(time, s, length) * (1.0 + 0.2 * (TAU * time / 17.0 + style.phases[0]).sin());
-        controls.push(street_pose(s, time, pace.min(1.0), style));
+        let up = if course.begins_at_rest() { speed_up(time) } else { 1.0 };
+        let pace = pace(up, s, length) * (1.0 + 0.2 * (TAU * time / 17.0 + style.phases[0]).sin());
+        controls.push(street_pose(course, s, time, pace.min(1.0), style));
         s = (s + speed * pace * knot_s).min(length);
         time += knot_s;
         if s >= length {
@@ -102,24 +72,28 @@ pub(crate) fn round_the_block(start_ns: i64, speed: f64, style: &Style) -> Resul
     spline(start_ns, KNOT_NS, controls)
 }
 
-/// Fraction of the cruising speed, smooth from standstill to standstill.
-fn pace(time: f64, s: f64, length: f64) -> f64 {
+/// From standstill to the cruising speed, smoothly.
+fn speed_up(time: f64) -> f64 {
     let up = ((time - REST_BEFORE_S) / SPEED_UP_S).clamp(0.0, 1.0);
-    let up = up * up * (3.0 - 2.0 * up);
+    up * up * (3.0 - 2.0 * up)
+}
+
+/// Fraction of the cruising speed, smooth to standstill.
+fn pace(up: f64, s: f64, length: f64) -> f64 {
     let down = ((length - s) / BRAKE_M).clamp(0.02, 1.0);
     if s >= length { 0.0 } else { up.min(down) }
 }
 
 /// The body on the street: a little beside the middle, swaying as much as it moves.
-fn street_pose(s: f64, time: f64, pace: f64, style: &Style) -> Pose {
-    let length = block_length();
-    let (middle, heading) = middle_of_street(s);
+fn street_pose(course: Course, s: f64, time: f64, pace: f64, style: &Style) -> Pose {
+    let length = course.lap_length();
+    let (middle, heading) = course.middle_of_street(s);
     let phases = &style.phases;
     let lateral = style.lateral + 0.5 * (3.0 * TAU * s / length + phases[1]).sin();
     let left = Vector2::new(-heading.sin(), heading.cos());
     let ground = middle + left * lateral;
-    let height =
-        1.5 + 1.5 * (2.0 * TAU * s / length).sin() + 0.05 * pace * (TAU * time / 0.9 + phases[2]).sin();
+    let hill = course.hills_m() * (2.0 * TAU * s / length).sin();
+    let height = 1.5 + hill + 0.05 * pace * (TAU * time / 0.9 + phases[2]).sin();
     let sway = |period: f64, phase: f64| pace * (TAU * time / period + phase).sin();
     let roll = 0.03 * sway(1.3, phases[3]);
     let pitch = 0.03 * sway(1.7, phases[4]);
@@ -165,22 +139,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_street_is_closed_and_its_heading_is_its_direction() {
-        let length = block_length();
-        assert!(length > 300.0);
-        let step = 1e-4;
-        for index in 0..1000 {
-            let s = f64::from(index) / 1000.0 * length;
-            let ((here, heading), (next, _)) = (middle_of_street(s), middle_of_street(s + step));
-            let direction = (next - here) / step;
-            assert!((direction - Vector2::new(heading.cos(), heading.sin())).amax() < 1e-4, "at {s}");
-        }
-    }
-
-    #[test]
     fn a_run_starts_at_rest_and_goes_all_the_way_round_at_a_sane_pace() {
         for run in 0..2 {
-            let spline = round_the_block(0, 4.0, &Style::of_run(1, run)).unwrap();
+            let spline = built_in(Course::Block, 0, 4.0, &Style::of_run(1, run)).unwrap();
             assert!(spline.at(1_500_000_000).velocity.norm() < 1e-9);
             assert!(spline.at(spline.end_ns()).velocity.norm() < 1e-9);
             let stamps = || (0..spline.end_ns()).step_by(50_000_000);
@@ -193,6 +154,31 @@ mod tests {
             assert!((300.0..400.0).contains(&path), "{path}");
             assert!((positions[0] - positions[positions.len() - 1]).norm() < 0.5);
         }
+    }
+
+    #[test]
+    fn a_hand_starts_from_rest_and_moves_as_hands_do() {
+        let spline = built_in(Course::Room, 0, 4.0, &Style::of_run(3, 1)).unwrap();
+        assert!(spline.at(1_500_000_000).velocity.norm() < 1e-9);
+        let stamps = || (6_000_000_000..60_000_000_000).step_by(50_000_000);
+        let most = |of: &dyn Fn(&crate::simulation::spline::Motion) -> f64| {
+            stamps().map(|stamp| of(&spline.at(stamp))).fold(0.0, f64::max)
+        };
+        let speed = most(&|motion| motion.velocity.norm());
+        let force = most(&|motion| motion.acceleration.norm());
+        let rate = most(&|motion| motion.angular_velocity.norm());
+        assert!((0.8..4.0).contains(&speed) && (1.0..12.0).contains(&force), "{speed} {force}");
+        assert!((0.5..3.0).contains(&rate), "{rate}");
+    }
+
+    #[test]
+    fn loops_begin_in_motion_and_go_round_ten_times() {
+        let spline = built_in(Course::Loops, 0, Course::Loops.usual_speed(), &Style::of_run(1, 0)).unwrap();
+        assert!(spline.at(0).velocity.norm() > 2.0);
+        assert!((350.0..460.0).contains(&(spline.end_ns() as f64 * 1e-9)));
+        let cut = spline.until(60_000_000_000);
+        assert!((cut.end_ns() - 60_000_000_000).abs() <= KNOT_NS);
+        assert_eq!(cut.at(50_000_000_000), spline.at(50_000_000_000));
     }
 
     #[test]

@@ -15,6 +15,10 @@ pub(crate) enum Purpose {
     Dropouts = 5,
     Reference = 6,
     Path = 7,
+    Start = 8,
+    NoisyMap = 9,
+    Answers = 10,
+    Calibration = 11,
 }
 
 /// The stream for one purpose of one run.

@@ -5,7 +5,7 @@ use super::random::{Purpose, normal3, stream};
 use super::spline::Spline;
 use super::tracks::FrontEnd;
 use super::world::Landmark;
-use super::{GRAVITY, SimulationError, SimulationOptions, imu, path};
+use super::{Course, GRAVITY, SimulationError, SimulationOptions, imu, path};
 use geometry::pose::Pose;
 use geometry::rotation;
 use nalgebra::Vector3;
@@ -30,27 +30,48 @@ pub(crate) enum Kind {
     Live = 1,
 }
 
+/// Landmarks of the map's run reach further than where the live run ends, by so long, seconds.
+const AHEAD_S: f64 = 5.0;
+
 /// The ways of both runs.
 pub(crate) struct Ways {
     pub(crate) map: Spline,
     pub(crate) live: Spline,
+    /// Both as far as they show something new: once round.
+    pub(crate) first_laps: [Spline; 2],
 }
 
 /// The built-in ways, or the given ones.
 pub(crate) fn ways(options: &SimulationOptions) -> Result<Ways, SimulationError> {
     let built_in = |start_ns: i64, kind: Kind| {
-        path::round_the_block(start_ns, options.speed, &path::Style::of_run(options.seed, kind as u64))
+        path::built_in(
+            options.course,
+            start_ns,
+            options.speed,
+            &path::Style::of_run(options.seed, kind as u64),
+        )
     };
-    let map = match &options.map_trajectory {
+    let mut map = match &options.map_trajectory {
         Some(given) => path::along(given, MAP_START_NS, 0.0)?,
         None => built_in(MAP_START_NS, Kind::Map)?,
     };
-    let live = match (&options.live_trajectory, &options.map_trajectory) {
+    let mut live = match (&options.live_trajectory, &options.map_trajectory) {
         (Some(given), _) => path::along(given, LIVE_START_NS, 0.0)?,
         (None, Some(given)) => path::along(given, LIVE_START_NS, SIDEWAYS)?,
         (None, None) => built_in(LIVE_START_NS, Kind::Live)?,
     };
-    Ok(Ways { map, live })
+    if let Some(seconds) = options.duration_s {
+        map = map.until(MAP_START_NS + ((seconds + AHEAD_S) * 1e9) as i64);
+        live = live.until(LIVE_START_NS + (seconds * 1e9) as i64);
+    }
+    let is_built_in = options.live_trajectory.is_none() && options.map_trajectory.is_none();
+    let lap_s = options.course.lap_length() / options.speed + AHEAD_S;
+    let first_lap = |way: &Spline| {
+        let repeats = is_built_in && options.course == Course::Loops;
+        if repeats { way.until(way.start_ns() + (lap_s * 1e9) as i64) } else { way.clone() }
+    };
+    let first_laps = [first_lap(&map), first_lap(&live)];
+    Ok(Ways { map, live, first_laps })
 }
 
 /// Records a run.

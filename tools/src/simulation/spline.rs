@@ -62,6 +62,13 @@ impl Spline {
         (controls.len() >= 4 && knot_ns > 0).then_some(Self { start_ns, knot_ns, controls })
     }
 
+    /// The same motion, ended at an instant, or up to a knot later.
+    pub fn until(&self, end_ns: i64) -> Self {
+        let knots = ((end_ns - self.start_ns).max(0) as u64).div_ceil(self.knot_ns as u64) as usize;
+        let kept = (knots + 3).clamp(4, self.controls.len());
+        Self { controls: self.controls[..kept].to_vec(), ..*self }
+    }
+
     /// When the motion begins, nanoseconds.
     pub fn start_ns(&self) -> i64 {
         self.start_ns

@@ -29,7 +29,7 @@ pub(crate) struct Landmark {
 pub(crate) fn landmarks(
     options: &SimulationOptions,
     camera: &CameraSensor,
-    ways: &[&Spline],
+    ways: &[Spline],
 ) -> Vec<Landmark> {
     let mut rng = stream(options.seed, 0, Purpose::World);
     let mut landmarks: Vec<Landmark> = Vec::new();

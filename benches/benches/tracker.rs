@@ -1,4 +1,4 @@
-//! Times the tracker on recorded images, one thread, without reading them: `cargo bench -p vision --bench tracker`.
+//! Times the tracker on recorded images, one thread, without reading them: `cargo bench -p benches --bench tracker`.
 //!
 //! Takes a folder of images as an argument; without one, EuRoC's `mh_01_handheld_16s` where `target/data` has it.
 //! Prints the median over the frames, milliseconds.

@@ -1,6 +1,7 @@
 //! A match query against a large synthetic map: time of each stage, recall, time to load, memory.
 //!
-//! `cargo bench -p map_server [-- KEYFRAMES [FEATURES]]`: 10,000 keyframes, and 300 of the 500 features of a query are of
+//! `cargo bench -p benches --bench match_query [-- KEYFRAMES [FEATURES]]`: 10,000 keyframes, and 300 of the 500 features of a
+//! query are of
 //! the place, unless said otherwise; the others are clutter of the same kinds of texture. Times are of the processor, in
 //! milliseconds.
 #![allow(clippy::unwrap_used)]

@@ -1,0 +1,285 @@
+//! `driftless montecarlo`: many simulated runs, and whether the filter's errors are what it says.
+
+use crate::monte_carlo::score::{ScoreOptions, pose_nees_over_time};
+use crate::monte_carlo::{
+    AnswerOptions, CalibrationErrors, EnsembleScore, MapOptions, MonteCarloOptions, Variant, VariantRuns,
+    report, run as run_all, score,
+};
+use crate::plotting::{EnsembleLine, draw_ensemble};
+use crate::simulation::{Course, SimulationOptions};
+use anyhow::{Context, bail};
+use indicatif::{ProgressBar, ProgressStyle};
+use onboard::estimator::EstimatorConfig;
+use onboard::robot::arguments::{Cameras, Mode, read_settings};
+use onboard::trajectory::{StateKind, tum};
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+
+/// Arguments.
+#[derive(Clone, Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  driftless montecarlo --mode odometry --cameras mono,stereo
+  driftless montecarlo --trajectory loops --seconds 400 --match-every 4 --mode multi,mapconst --picture nees.svg
+  driftless montecarlo --seconds 120 --gap 30:90 --wrong-matches 0.3 --wrong-place 0.2 --runs 100
+  driftless montecarlo --settings paper.yaml --settings ours.yaml --json
+
+How to read it: NEES is the squared error in units of the filter's own covariance, per degree of freedom. Right is 1;
+above, the filter is overconfident; below, it is too modest. Errors of one run are correlated in time, so a run counts
+as ONE sample: its NEES averaged over time (of G_T_L: its last estimate). The mean over the N runs is judged by
+chi2(N n)/(N n) at 95 %, n = 3 or 6: \"ok\" inside, \"near\" outside but within 0.7..1.4, \"HIGH\" or \"LOW\" else. A time
+average scatters less than a single sample, so what fails here is inconsistent for certain; the bracket behind says
+where the true mean lies (Student's t over runs). The percentage is the share of instants at which the mean over runs is
+within the interval: about 95 where all is well. (Bar-Shalom, Li, Kirubarajan 2001, section 5.4.2.)
+
+Every seed has its own way, landmarks, noise, map and first state. The first state is the truth minus a draw from the
+covariance that the filter starts from; all variants get the same draws.")]
+pub struct Args {
+    /// How many runs of each variant, each with a seed of its own
+    #[arg(long, default_value_t = 20)]
+    runs: usize,
+    /// Seed of the first run
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Runs at once [default: one a processor]
+    #[arg(long)]
+    threads: Option<usize>,
+    /// The way: block (street, from rest), loops (10 x 126 m, in motion), room (a hand, from rest), or a TUM file
+    #[arg(long, value_name = "WAY", default_value = "block")]
+    trajectory: String,
+    /// Length of a run, seconds
+    #[arg(long, default_value_t = 60.0)]
+    seconds: f64,
+    /// Cameras of the filter; several are compared
+    #[arg(long, value_enum, value_delimiter = ',', default_value = "stereo")]
+    cameras: Vec<Cameras>,
+    /// What to do with the map; several are compared
+    #[arg(long, value_enum, value_delimiter = ',', default_value = "multi")]
+    mode: Vec<Mode>,
+    /// YAML file with estimator settings, as for `driftless run`; several are compared
+    #[arg(long, value_name = "FILE")]
+    settings: Vec<PathBuf>,
+    /// Time between two images that the map is asked about, seconds
+    #[arg(long, value_name = "SECONDS", default_value_t = 1.0)]
+    match_every: f64,
+    /// No answers between these times, seconds; may be given several times
+    #[arg(long, value_name = "FROM:TO", value_parser = pair)]
+    gap: Vec<(f64, f64)>,
+    /// Matches in an answer, at most
+    #[arg(long, value_name = "N", default_value_t = AnswerOptions::default().max_matches)]
+    matches: usize,
+    /// Keyframes in an answer, at most
+    #[arg(long, value_name = "N", default_value_t = AnswerOptions::default().max_keyframes)]
+    max_keyframes: usize,
+    /// Fraction of the matches of every answer that are wrong
+    #[arg(long, value_name = "FRACTION", default_value_t = 0.0)]
+    wrong_matches: f64,
+    /// Fraction of answers that are of another place that looks the same (never the first, which nothing contradicts)
+    #[arg(long, value_name = "FRACTION", default_value_t = 0.0)]
+    wrong_place: f64,
+    /// Error of the map's keyframes about and along each axis, as stated to the filter; the paper's by default
+    #[arg(long, value_name = "DEG:M", value_parser = pair, default_value = "0.905:0.1")]
+    map_noise: (f64, f64),
+    /// Distance between keyframes of the map, metres
+    #[arg(long, value_name = "M", default_value_t = MapOptions::default().keyframe_distance_m)]
+    keyframe_distance: f64,
+    /// Initial standard deviations of the yaw and position of L, which are else nearly exact: a loose gauge
+    #[arg(long, value_name = "DEG:M", value_parser = pair)]
+    start_sigma: Option<(f64, f64)>,
+    /// Noise of tracked pixels, px, in the images and in the filter
+    #[arg(long, value_name = "PX", default_value_t = SimulationOptions::default().sigma_track_px)]
+    pixel_noise: f64,
+    /// Fraction of tracked pixels that are 10 to 50 px off
+    #[arg(long, value_name = "FRACTION", default_value_t = 0.0)]
+    outliers: f64,
+    /// Tracks alive in an image, at most
+    #[arg(long, value_name = "N", default_value_t = SimulationOptions::default().max_tracks)]
+    tracks: usize,
+    /// Tell the filter a pose of the cameras on the body that is turned and moved by so much, in a drawn direction
+    #[arg(long, value_name = "DEG:M", value_parser = pair)]
+    extrinsic_error: Option<(f64, f64)>,
+    /// Stamp images so much late or early (the sign is drawn), seconds
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.0)]
+    time_offset: f64,
+    /// Tell the filter focal lengths that are off by this fraction (the sign is drawn)
+    #[arg(long, value_name = "FRACTION", default_value_t = 0.0)]
+    focal_error: f64,
+    /// Score the local pose from so long after the begin on, seconds
+    #[arg(long, value_name = "SECONDS", default_value_t = ScoreOptions::default().skip_s)]
+    skip: f64,
+    /// Score G_T_L and the pose in G from so long after the first fix on, seconds
+    #[arg(long, value_name = "SECONDS", default_value_t = ScoreOptions::default().skip_after_first_fix_s)]
+    skip_after_fix: f64,
+    /// Draw the NEES over time with its bounds
+    #[arg(long, value_name = "SVG")]
+    picture: Option<PathBuf>,
+    /// Print the scores as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// Options that make no sense, settings or a trajectory that cannot be read, a picture that cannot be written.
+pub fn run(args: &Args) -> anyhow::Result<()> {
+    let options = options(args)?;
+    let variants = variants(args, &options.simulation)?;
+    let bar = run_bar(options.runs);
+    let all = run_all(&options, &variants, |done| bar.set_position(done as u64))
+        .context("nothing was simulated")?;
+    bar.finish_and_clear();
+    let scoring = ScoreOptions { skip_s: args.skip, skip_after_first_fix_s: args.skip_after_fix };
+    let scores: Vec<EnsembleScore> = all.iter().map(|runs| score(runs, &scoring)).collect();
+    if args.json {
+        println!("{}", serde_json::to_string_pretty(&scores)?);
+    } else {
+        let title = format!("{} runs of {:.0} s, {}", args.runs, args.seconds, args.trajectory);
+        print!("{}", report::table(&title, &all, &scores));
+    }
+    if let Some(path) = &args.picture {
+        draw(path, args, &all, &scoring)?;
+    }
+    Ok(())
+}
+
+fn run_bar(runs: usize) -> ProgressBar {
+    let bar = ProgressBar::new(runs as u64);
+    // The template is a constant that is known to parse.
+    if let Ok(style) = ProgressStyle::with_template("{bar:40} {pos}/{len} runs  {elapsed_precise}") {
+        bar.set_style(style);
+    }
+    bar
+}
+
+fn options(args: &Args) -> anyhow::Result<MonteCarloOptions> {
+    if args.runs == 0 {
+        bail!("--runs is 0; at least one is needed, and 20 for a verdict");
+    }
+    for (name, fraction) in [("wrong-matches", args.wrong_matches), ("wrong-place", args.wrong_place)] {
+        if !(0.0..=1.0).contains(&fraction) {
+            bail!("--{name} is {fraction}; a fraction lies between 0 and 1");
+        }
+    }
+    let positive = [
+        ("match-every", args.match_every),
+        ("map-noise", args.map_noise.0.min(args.map_noise.1)),
+        ("keyframe-distance", args.keyframe_distance),
+    ];
+    for (name, value) in positive {
+        if !(value.is_finite() && value > 0.0) {
+            bail!("--{name} is {value}; it must be positive");
+        }
+    }
+    let (course, given) = way(&args.trajectory)?;
+    let (extrinsic_deg, extrinsic_m) = args.extrinsic_error.unwrap_or_default();
+    Ok(MonteCarloOptions {
+        runs: args.runs,
+        first_seed: args.seed,
+        threads: args.threads.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from)),
+        simulation: SimulationOptions {
+            course,
+            speed: course.usual_speed(),
+            depth_m: course.depth_m(),
+            duration_s: Some(args.seconds),
+            map_trajectory: given,
+            max_tracks: args.tracks,
+            sigma_track_px: args.pixel_noise,
+            outlier_fraction: args.outliers,
+            live_feature_period_s: 1e9,
+            ..SimulationOptions::default()
+        },
+        map: MapOptions {
+            sigma_theta: args.map_noise.0.to_radians(),
+            sigma_p: args.map_noise.1,
+            keyframe_distance_m: args.keyframe_distance,
+        },
+        answers: AnswerOptions {
+            every_s: args.match_every,
+            gaps_s: args.gap.iter().map(|&(from, to)| Range { start: from, end: to }).collect(),
+            wrong_matches: args.wrong_matches,
+            wrong_place: args.wrong_place,
+            max_keyframes: args.max_keyframes,
+            max_matches: args.matches,
+        },
+        calibration: CalibrationErrors {
+            rotation_rad: extrinsic_deg.to_radians(),
+            translation_m: extrinsic_m,
+            time_offset_s: args.time_offset,
+            focal_fraction: args.focal_error,
+        },
+    })
+}
+
+/// A built-in way by its name, or a trajectory from a file.
+fn way(name: &str) -> anyhow::Result<(Course, Option<Vec<onboard::trajectory::StampedPose>>)> {
+    Ok(match name {
+        "block" => (Course::Block, None),
+        "loops" => (Course::Loops, None),
+        "room" => (Course::Room, None),
+        file => {
+            let given = tum::read(Path::new(file));
+            let problem = || format!("--trajectory {file} is neither block, loops, room nor a TUM file");
+            (Course::Block, Some(given.with_context(problem)?))
+        }
+    })
+}
+
+/// Every mode with every number of cameras and every settings file.
+fn variants(args: &Args, simulation: &SimulationOptions) -> anyhow::Result<Vec<Variant>> {
+    let mut defaults = EstimatorConfig {
+        imu_noise: simulation.imu_noise,
+        sigma_track_px: args.pixel_noise,
+        ..EstimatorConfig::default()
+    };
+    if let Some((deg, metres)) = args.start_sigma {
+        (defaults.initial.yaw, defaults.initial.position) = (deg.to_radians(), metres);
+    }
+    let mut settings = Vec::new();
+    for path in &args.settings {
+        let name = path.file_stem().map_or_else(String::new, |stem| format!(" {}", stem.to_string_lossy()));
+        settings.push((name, read_settings(path, &defaults)?));
+    }
+    if settings.is_empty() {
+        settings.push((String::new(), defaults));
+    }
+    let mut variants = Vec::new();
+    for (file, config) in &settings {
+        for cameras in &args.cameras {
+            for mode in &args.mode {
+                let (count, rig) = match cameras {
+                    Cameras::Mono => (1, "mono"),
+                    Cameras::Stereo => (2, "stereo"),
+                };
+                let config = EstimatorConfig { mode: (*mode).into(), ..config.clone() };
+                config.validate().map_err(|reason| anyhow::anyhow!("the estimator's settings: {reason}"))?;
+                let mode = format!("{mode:?}").to_lowercase();
+                variants.push(Variant { name: format!("{mode} {rig}{file}"), config, cameras: count });
+            }
+        }
+    }
+    Ok(variants)
+}
+
+fn draw(path: &Path, args: &Args, all: &[VariantRuns], scoring: &ScoreOptions) -> anyhow::Result<()> {
+    let panels = StateKind::ALL.map(|kind| {
+        let lines = all.iter().map(|runs| EnsembleLine {
+            name: runs.variant.name.clone(),
+            points: pose_nees_over_time(runs, kind, scoring),
+        });
+        (report::name_of(kind), lines.collect::<Vec<_>>())
+    });
+    let title = format!("NEES per degree of freedom, mean of {} runs, {}", args.runs, args.trajectory);
+    draw_ensemble(path, &title, &panels)?;
+    Ok(())
+}
+
+/// Two numbers with a colon between.
+fn pair(text: &str) -> Result<(f64, f64), String> {
+    let parts = text.split_once(':').and_then(|(first, second)| {
+        let number =
+            |text: &str| text.trim().parse::<f64>().ok().filter(|value| value.is_finite() && *value >= 0.0);
+        Some((number(first)?, number(second)?))
+    });
+    parts.ok_or_else(|| "two numbers with a colon between are wanted, for example 2:0.03".to_owned())
+}
