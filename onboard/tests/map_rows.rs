@@ -269,7 +269,8 @@ fn error_after(scene: &Scene, estimate: MapPoint, at: MapPoint) -> f64 {
         .iter()
         .map(|keyframe| joint.held.pull(keyframe.id, &keyframe.global_from_keyframe, &[]));
     let slots: Vec<usize> = slots.collect();
-    let mut information = Information::new(Columns { active: vec![0..12], keyframes: slots });
+    let mut information =
+        Information::new(Columns { keyframes: slots, ..Columns::of_active(std::iter::once(0..12)) });
     for k in 0..scene.answer.landmarks.len() {
         let (jacobian, residual) =
             rows(scene, k, &Linearization { estimate, at, first_position: None }, &SETTINGS);

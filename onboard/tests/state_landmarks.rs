@@ -23,7 +23,10 @@ fn what_enters_the_state_is_correlated_as_in_the_dense_filter() {
     // A keyframe that the state already depends on.
     let keyframe = PoseWithCovariance { pose: Pose::identity(), covariance: Matrix6::identity() * 0.2 };
     let slot = joint.held.pull(1, &keyframe, &[]);
-    let columns = onboard::estimator::information::Columns { active: vec![0..dim], keyframes: vec![slot] };
+    let columns = onboard::estimator::information::Columns {
+        keyframes: vec![slot],
+        ..onboard::estimator::information::Columns::of_active(std::iter::once(0..dim))
+    };
     let mut information = onboard::estimator::information::Information::new(columns);
     information.add(&draw(8, dim + 6), &draw(8, 1).column(0).into_owned());
     joint.measurement_update(&information, &mut nalgebra::DVector::zeros(0)).unwrap();

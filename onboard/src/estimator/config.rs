@@ -106,7 +106,8 @@ pub struct EstimatorConfig {
     pub mode: MapMode,
     /// What to do when the map disagrees by more than [`Self::relinearize_above_px`].
     pub relinearization: Relinearization,
-    /// Jacobians of clones and propagation at first estimates (keeps yaw and position unobservable).
+    /// Jacobians of propagation, landmarks in the state and map rows at first estimates (keeps yaw and position
+    /// unobservable). Tracks that live within one window are always linearized at the newest estimates.
     pub first_estimates: bool,
     /// Tell the filter when the body stands still (seen by its tracks).
     pub zero_velocity: bool,

@@ -15,9 +15,9 @@ pub struct Columns {
 }
 
 impl Columns {
-    /// Columns of the active error only.
-    pub fn of_active(active: Vec<Range<usize>>) -> Self {
-        Self { active, keyframes: Vec::new() }
+    /// Ranges of the active error only.
+    pub fn of_active(ranges: impl IntoIterator<Item = Range<usize>>) -> Self {
+        Self { active: ranges.into_iter().collect(), keyframes: Vec::new() }
     }
 
     /// Numbers in these columns.
@@ -150,7 +150,7 @@ mod tests {
         let basis = draw(30, 7);
         let jacobian = &basis * draw(7, 9);
         let residual = DVector::from_fn(30, |row, _| (row as f64).cos());
-        let mut information = Information::new(Columns::of_active(vec![2..5, 8..14]));
+        let mut information = Information::new(Columns::of_active([2..5, 8..14]));
         information.add(&jacobian, &residual);
         let mut rows = Rows::default();
         let rest = information.compress(&mut rows, &mut Factorization::default()).unwrap();

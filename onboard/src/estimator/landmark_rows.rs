@@ -133,6 +133,7 @@ struct Own {
 ///
 /// # Arguments
 /// * `landmark`: newest estimate and linearization point, in L.
+/// * `first_estimates`: linearize at the clone's first estimate.
 /// * `sigma_px`: noise of the pixel.
 pub fn pixel_rows(
     state: &ActiveState,
@@ -356,43 +357,58 @@ impl LandmarkRows {
         information: &mut Information,
     ) {
         let pixel = &self.pixels[place_of_pixel];
-        let clone = layout.of_clone(pixel.place);
-        let camera =
-            if layout.calibration.is_empty() { 0..0 } else { state.calibration.camera_range(pixel.camera) };
-        // All columns that the pixel touches, in rising order.
-        let columns = camera.clone().chain(clone..clone + POSE_DIM);
-        let value = |k: usize| -> Vector2<f64> {
-            if k < camera.len() {
-                pixel.of_camera.column(k).into()
-            } else {
-                pixel.of_clone.column(k - camera.len()).into()
-            }
-        };
-        for (k, column) in columns.clone().enumerate() {
-            let own = value(k);
+        let columns = columns_of(pixel, state, layout);
+        for (k, (column, own)) in columns.clone().enumerate() {
             let cross = pixel.of_landmark.tr_mul(&own);
             self.cross[column].iter_mut().zip(cross.iter()).for_each(|(sum, value)| *sum += value);
             information.vector[column] += own.dot(&pixel.residual);
-            for (other, row) in columns.clone().enumerate().skip(k) {
-                information.matrix[(row, column)] += own.dot(&value(other));
+            for (row, other) in columns.clone().skip(k) {
+                information.matrix[(row, column)] += own.dot(&other);
             }
         }
     }
 
-    /// Adds how the landmark enters the state; see [`Entrance`]. Call it after [`Self::add_to`] of the same layout.
+    /// Adds how the landmark enters the state; see [`Entrance`].
     ///
     /// # Errors
     /// [`NotPositiveDefinite`] where the pixels do not fix the landmark.
-    pub fn enter(&self, entrance: &mut Entrance) -> Result<(), NotPositiveDefinite> {
+    pub fn enter(
+        &mut self,
+        entrance: &mut Entrance,
+        state: &ActiveState,
+        layout: &Layout,
+    ) -> Result<(), NotPositiveDefinite> {
         let own = self.own();
         let noise = Cholesky::new(own.information).ok_or(NotPositiveDefinite)?.inverse();
+        self.cross.clear();
+        self.cross.resize(layout.len(), [0.0; 3]);
+        for pixel in &self.pixels {
+            for (column, own) in columns_of(pixel, state, layout) {
+                let cross = pixel.of_landmark.tr_mul(&own);
+                self.cross[column].iter_mut().zip(cross.iter()).for_each(|(sum, value)| *sum += value);
+            }
+        }
         entrance.shifts.push(noise * own.vector);
         entrance.noises.push(noise);
-        entrance
-            .jacobians
-            .extend(self.cross.iter().map(|cross| <[f64; 3]>::from(-(noise * Vector3::from(*cross)))));
+        let jacobian = self.cross.iter().map(|cross| <[f64; 3]>::from(-(noise * Vector3::from(*cross))));
+        entrance.jacobians.extend(jacobian);
         Ok(())
     }
+}
+
+/// The columns of the layout that a pixel touches, in rising order, with its rows.
+fn columns_of<'a>(
+    pixel: &'a PixelRows,
+    state: &ActiveState,
+    layout: &Layout,
+) -> impl Iterator<Item = (usize, Vector2<f64>)> + Clone + 'a {
+    let clone = layout.of_clone(pixel.place);
+    let camera =
+        if layout.calibration.is_empty() { 0..0 } else { state.calibration.camera_range(pixel.camera) };
+    let of_camera = camera.zip(pixel.of_camera.column_iter());
+    let of_clone = (clone..clone + POSE_DIM).zip(pixel.of_clone.column_iter());
+    let of_camera = of_camera.map(|(column, own)| (column, own.into_owned()));
+    of_camera.chain(of_clone.map(|(column, own)| (column, own.into_owned())))
 }
 
 #[cfg(test)]
@@ -420,7 +436,7 @@ mod tests {
 
     fn information(scene: &Scene, rows: &mut LandmarkRows) -> Information {
         let layout = Layout::of(&scene.state);
-        let mut information = Information::new(Columns::of_active(layout.runs().collect()));
+        let mut information = Information::new(Columns::of_active(layout.runs()));
         rows.add_to(&mut information, &scene.state, &layout).unwrap();
         information.matrix.mirror_lower();
         information
@@ -503,7 +519,7 @@ mod tests {
 
             // The three directions that are left out are the least-squares estimate of the landmark.
             let mut entrance = Entrance::default();
-            rows.enter(&mut entrance).unwrap();
+            rows.enter(&mut entrance, &scene.state, &Layout::of(&scene.state)).unwrap();
             let solve = &inverse * of_landmark.transpose();
             let mut jacobian = Dense::default();
             entrance.jacobian(&mut jacobian);

@@ -339,7 +339,7 @@ impl Estimator {
             &mut update.ready,
             &self.track_settings,
             may_enter,
-        )?;
+        );
         self.tracks.recycle(&mut update.ready);
         self.insert_landmarks(&mut update.tracks);
         if update.tracks.information.rows > 0 {

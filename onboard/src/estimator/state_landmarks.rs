@@ -9,7 +9,7 @@ use super::dense::Dense;
 use super::gate::Gate;
 use super::information::Rows;
 use super::landmark_rows::{Layout, PixelRows, RowBlock, RowBlocks, covariance_between, pixel_rows};
-use super::state::{ActiveState, Block, CloneId, LANDMARK_DIM};
+use super::state::{ActiveState, Block, CloneId, LANDMARK_DIM, POSE_DIM, StateLandmark};
 use super::tracks::TrackObservation;
 use nalgebra::{DVector, SMatrix, SVector};
 use smallvec::SmallVec;
@@ -17,6 +17,9 @@ use std::ops::Range;
 
 /// Implausible images in a row after which a landmark is given up.
 const MOST_IMPLAUSIBLE: usize = 3;
+/// How far a landmark may have moved since it entered, as a part of its distance: where its rows are linearized is too
+/// far from where it is then.
+const LARGEST_MOVE: f64 = 0.2;
 /// Most cameras whose pixels of one landmark are judged together.
 const JUDGED_TOGETHER: usize = 2;
 
@@ -58,7 +61,7 @@ impl LandmarkUpdate {
                 continue;
             }
             let plausible =
-                is_plausible(&self.of_landmark, place, state, covariance.active(), &layout, settings.gate)?;
+                is_plausible(&self.of_landmark, place, state, covariance.active(), &layout, settings.gate);
             state.landmarks[place].implausible =
                 if plausible { 0 } else { state.landmarks[place].implausible + 1 };
             if plausible {
@@ -96,7 +99,7 @@ impl LandmarkUpdate {
     /// All accepted pixels as rows over `[calibration, landmarks, newest clone]`.
     fn stack(&mut self, state: &ActiveState, layout: &Layout) {
         let landmarks = state.landmarks_range();
-        let clone = layout.clones.end - super::state::POSE_DIM..layout.clones.end;
+        let clone = layout.clones.end - POSE_DIM..layout.clones.end;
         let columns = &mut self.rows.columns;
         columns.keyframes.clear();
         columns.active.clear();
@@ -116,7 +119,7 @@ impl LandmarkUpdate {
             }
             let column = calibration + LANDMARK_DIM * place;
             jacobian.fixed_view_mut::<2, 3>(2 * k, column).copy_from(&rows.of_landmark);
-            jacobian.fixed_view_mut::<2, 6>(2 * k, width - super::state::POSE_DIM).copy_from(&rows.of_clone);
+            jacobian.fixed_view_mut::<2, 6>(2 * k, width - POSE_DIM).copy_from(&rows.of_clone);
             self.rows.residual.extend(rows.residual.iter());
         }
     }
@@ -128,8 +131,11 @@ impl LandmarkUpdate {
         covariance: &mut JointCovariance,
         observations: &[TrackObservation],
     ) {
-        let lives = |landmark: &super::state::StateLandmark| {
+        let Some(newest) = state.clones.last().map(|clone| clone.local_from_imu.translation) else { return };
+        let lives = |landmark: &StateLandmark| {
+            let moved = (landmark.position - landmark.first_estimate).norm();
             landmark.implausible < MOST_IMPLAUSIBLE
+                && moved < LARGEST_MOVE * (landmark.position - newest).norm()
                 && observations.iter().any(|observation| observation.feature_id == landmark.feature_id)
         };
         self.seen.clear();
@@ -166,9 +172,9 @@ fn is_plausible(
     covariance: &Dense,
     layout: &Layout,
     gate: &Gate,
-) -> Result<bool, NotPositiveDefinite> {
+) -> bool {
     const ROWS: usize = 2 * JUDGED_TOGETHER;
-    let Some(landmark) = state.range(Block::Landmark(place)) else { return Ok(false) };
+    let Some(landmark) = state.range(Block::Landmark(place)) else { return false };
     let blocks = |pixel: &PixelRows| -> RowBlocks {
         let mut blocks = pixel.blocks(state, layout);
         blocks.push(RowBlock::new(landmark.start, LANDMARK_DIM, pixel.of_landmark.as_slice()));
@@ -185,6 +191,7 @@ fn is_plausible(
         }
         residual.fixed_rows_mut::<2>(2 * i).copy_from(&pixel.residual);
     }
-    let factor = innovation.cholesky().ok_or(NotPositiveDefinite)?;
-    Ok(gate.accepts(residual.dot(&factor.solve(&residual)), 2 * pixels.len()))
+    innovation
+        .cholesky()
+        .is_some_and(|factor| gate.accepts(residual.dot(&factor.solve(&residual)), 2 * pixels.len()))
 }
