@@ -10,6 +10,7 @@
 
 pub mod config;
 pub mod covariance;
+pub mod dynamic_start;
 pub mod gate;
 pub mod imu;
 pub mod initialization;
@@ -133,7 +134,10 @@ impl Estimator {
         for eye in &rig {
             eye.camera.validate().map_err(|error| EstimatorError::Config(error.to_string()))?;
         }
-        let covariance = JointCovariance::new(initial.covariance(), config.max_active_keyframes);
+        let covariance = JointCovariance::new(
+            DMatrix::from_column_slice(IMU_DIM, IMU_DIM, initial.covariance.as_slice()),
+            config.max_active_keyframes,
+        );
         let state = ActiveState {
             stamp_ns: initial.stamp_ns,
             imu: initial.imu,
