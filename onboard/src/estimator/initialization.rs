@@ -31,7 +31,7 @@ pub enum InitializationError {
     /// The IMU moves.
     #[error(
         "the IMU moves (accelerometer {accelerometer:.2} m/s^2, gyroscope {gyroscope:.3} rad/s of standard \
-         deviation): keep it still, or start from a known state (--init truth)"
+         deviation): keep it still"
     )]
     Moving {
         /// Standard deviation of the specific force, m/s^2.
@@ -39,6 +39,9 @@ pub enum InitializationError {
         /// Standard deviation of the angular velocity, rad/s.
         gyroscope: f64,
     },
+    /// The images move.
+    #[error("the IMU reads as if at rest, but the images move: it glides or turns evenly")]
+    Gliding,
     /// The specific force is not gravity.
     #[error(
         "at rest the accelerometer reads {norm:.2} m/s^2, gravity is {gravity:.2}: check units and calibration"

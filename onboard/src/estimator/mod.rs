@@ -12,6 +12,7 @@ pub mod config;
 pub mod covariance;
 pub mod dynamic_start;
 pub mod gate;
+pub mod health;
 pub mod imu;
 pub mod initialization;
 pub mod map_answer;
@@ -20,6 +21,7 @@ pub mod map_update;
 pub mod nuisance;
 pub mod null_space;
 pub mod propagation;
+pub mod starter;
 pub mod state;
 pub mod status;
 pub mod track_update;
@@ -32,6 +34,7 @@ pub use imu::ImuSample;
 pub use initialization::InitialState;
 pub use map_answer::{MapAnswer, MapKeyframe, MatchedLandmark};
 pub use map_update::{MapReport, Rejection};
+pub use starter::{LastBelieved, Start, StartMethod, Starter, Waiting};
 pub use state::CloneId;
 pub use status::{Localization, Status};
 pub use track_update::{RigCamera, TrackReport};
@@ -40,6 +43,7 @@ pub use tracks::TrackObservation;
 use covariance::{JointCovariance, NotPositiveDefinite};
 use gate::Gate;
 use geometry::PoseWithCovariance;
+use health::Health;
 use imu::ImuBuffer;
 use nalgebra::{DMatrix, Matrix6, Vector3};
 use propagation::{IMU_DIM, MotionEstimate, propagate};
@@ -112,6 +116,7 @@ pub struct Estimator {
     rejections_in_a_row: usize,
     last_map_update_ns: Option<i64>,
     lost: Option<String>,
+    health: Health,
 }
 
 impl Estimator {
@@ -138,6 +143,7 @@ impl Estimator {
             DMatrix::from_column_slice(IMU_DIM, IMU_DIM, initial.covariance.as_slice()),
             config.max_active_keyframes,
         );
+        let health = Health::new(initial, &config);
         let state = ActiveState {
             stamp_ns: initial.stamp_ns,
             imu: initial.imu,
@@ -170,6 +176,7 @@ impl Estimator {
             rejections_in_a_row: 0,
             last_map_update_ns: None,
             lost: None,
+            health,
         })
     }
 
@@ -260,8 +267,9 @@ impl Estimator {
         if let Some(information) = information {
             let correction = self.covariance.measurement_update(&information)?;
             self.state.retract(&correction);
-            self.check_health()?;
         }
+        self.health.note_tracks(self.state.stamp_ns, &report);
+        self.check_health()?;
         self.marginalize(&leaving);
         Ok(report)
     }
@@ -319,16 +327,12 @@ impl Estimator {
     }
 
     fn check_health(&self) -> Result<(), EstimatorError> {
-        let broken = |why: &str| Err(EstimatorError::Diverged(why.into()));
-        if !self.state.is_finite() {
-            return broken("a state is not a number");
-        }
-        if (0..self.state.dim())
-            .any(|k| self.covariance.active[(k, k)].is_nan() || self.covariance.active[(k, k)] < 0.0)
-        {
-            return broken("a variance is negative");
-        }
-        Ok(())
+        self.health.check(&self.state, &self.covariance)
+    }
+
+    /// Whether the newest tracks contradict the state: not yet a divergence, but a pose not to be built on.
+    pub fn is_suspicious(&self) -> bool {
+        self.health.is_suspicious()
     }
 
     /// Settings it runs with.

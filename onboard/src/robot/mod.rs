@@ -7,6 +7,7 @@ pub mod answer;
 pub mod arguments;
 pub mod extraction;
 pub mod front_end;
+pub mod lifecycle;
 pub mod program;
 pub mod progress;
 pub mod publisher;
@@ -18,5 +19,6 @@ pub mod summary;
 
 pub use arguments::RobotArguments;
 pub use front_end::{FrontEnd, FrontEndError};
+pub use lifecycle::Lifecycle;
 pub use program::{MapLink, Outcome, run_robot};
 pub use run::{RobotRun, RunError, run};

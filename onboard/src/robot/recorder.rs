@@ -8,7 +8,9 @@
 //! | `summary.json` | errors where truth is known, times, bytes, counts |
 
 use super::query_client::Answered;
-use super::summary::{QuerySummary, Summary, Timings, TrackSummary, Traffic};
+use super::summary::{
+    DivergenceSummary, QuerySummary, StartSummary, Summary, Timings, TrackSummary, Traffic,
+};
 use crate::estimator::{Estimator, MapReport, Status, TrackReport};
 use crate::trajectory::{StampedPose, StateKind, StateRow, states, tum};
 use anyhow::{Context as _, Result};
@@ -125,6 +127,12 @@ pub struct Recorder {
     pub wall_seconds: f64,
     /// Keyframes held at the end.
     pub keyframes_pulled: usize,
+    /// Time of the first frame of the recording, nanoseconds.
+    pub first_ns: i64,
+    /// Starts of the filter.
+    pub starts: Vec<StartSummary>,
+    /// Divergences of the filter.
+    pub divergences: Vec<DivergenceSummary>,
     /// Status at the end.
     pub final_status: Option<Status>,
 }
@@ -153,6 +161,11 @@ impl Recorder {
     pub fn note_state_again(&mut self, estimator: &Estimator) {
         self.states.pop();
         self.note_state(estimator);
+    }
+
+    /// How many starts there were after the first.
+    pub fn reinitializations(&self) -> usize {
+        self.starts.len().saturating_sub(1)
     }
 
     /// Notes the end of a query.

@@ -2,11 +2,12 @@
 
 use super::extraction::{Extracted, ExtractionThread};
 use super::front_end::FrontEnd;
+use super::lifecycle::Lifecycle;
 use super::publisher::{Publisher, QueryCounts};
 use super::query_client::{Answered, Outcome, QueryClient};
 use super::recorder::{Event, Recorder};
-use super::summary::{Timings, Traffic};
-use crate::estimator::{CloneId, Estimator, EstimatorError, MapMode, TrackObservation};
+use super::summary::{DivergenceSummary, StartSummary, Timings, Traffic};
+use crate::estimator::{CloneId, EstimatorError, MapMode, StartMethod, TrackObservation};
 use crate::sequence::{Frame, Sequence};
 use nalgebra::Vector3;
 use protocol::{FeatureSet, MatchRequest, PosePrior};
@@ -21,13 +22,21 @@ const MAX_PENDING: usize = 4;
 /// Why a run ended early. What was recorded up to there is kept.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum RunError {
-    /// The filter broke.
+    /// The filter cannot be built.
     #[error("at {seconds:.1} s of the recording: {source}")]
     Estimator {
         /// Time since the first frame.
         seconds: f64,
-        /// What broke.
+        /// What is wrong.
         source: EstimatorError,
+    },
+    /// No start was found.
+    #[error("no start was found in {seconds:.1} s of recording: {waiting}")]
+    NoStart {
+        /// Time from the first frame to the last.
+        seconds: f64,
+        /// What was waited for at the end.
+        waiting: String,
     },
 }
 
@@ -38,8 +47,8 @@ pub struct RobotRun<'a> {
     pub sequence: &'a Sequence,
     /// How many of its cameras to use.
     pub cameras: usize,
-    /// The filter, at its first state.
-    pub estimator: Estimator,
+    /// The filter, or the search for its start.
+    pub filter: Lifecycle,
     /// Name of the robot.
     pub robot: String,
     /// Most keyframes of one answer.
@@ -75,35 +84,103 @@ pub fn run(
     recorder: &mut Recorder,
     mut progress: impl FnMut(usize),
 ) -> Result<(), RunError> {
-    let first_ns = robot.estimator.stamp_ns();
+    let first_ns = robot.sequence.frames.first().map_or(0, |frame| frame.stamp_ns);
+    let seconds = |stamp_ns: i64| (stamp_ns - first_ns) as f64 * 1e-9;
+    recorder.first_ns = first_ns;
+    if robot.filter.estimator().is_some() {
+        recorder.note_start(first_ns, None);
+    }
     let begin = Instant::now();
     let mut next_imu = 0;
     for (index, frame) in robot.sequence.frames.iter().enumerate() {
         progress(index);
-        if frame.stamp_ns < first_ns {
+        if robot.filter.begins_after(frame.stamp_ns) {
             continue;
         }
         if robot.realtime {
             let due = Duration::from_nanos((frame.stamp_ns - first_ns).max(0) as u64);
             std::thread::sleep(due.saturating_sub(begin.elapsed()));
         }
-        let broken =
-            |source| RunError::Estimator { seconds: (frame.stamp_ns - first_ns) as f64 * 1e-9, source };
-        robot.frame(frame, &mut next_imu, recorder).map_err(broken)?;
+        let done = robot.frame(frame, &mut next_imu, recorder);
+        robot.survive(done, frame.stamp_ns, next_imu, recorder)?;
         let next = robot.sequence.frames.get(index + 1);
         if !robot.realtime && next.is_some_and(|next| next.stamp_ns - frame.stamp_ns > ANSWER_NS) {
-            robot.answers_before_the_next_image(recorder).map_err(broken)?;
+            let done = robot.answers_before_the_next_image(recorder);
+            robot.survive(done, frame.stamp_ns, next_imu, recorder)?;
         }
     }
-    robot.close(recorder).map_err(|source| RunError::Estimator {
-        seconds: (robot.estimator.stamp_ns() - first_ns) as f64 * 1e-9,
-        source,
-    })?;
+    let last_ns = robot.sequence.frames.last().map_or(0, |frame| frame.stamp_ns);
+    let done = robot.take_the_rest(recorder);
+    robot.survive(done, last_ns, next_imu, recorder)?;
+    robot.close(recorder);
     recorder.wall_seconds = begin.elapsed().as_secs_f64();
+    if recorder.starts.is_empty() {
+        let waiting = robot.filter.status().reason;
+        return Err(RunError::NoStart { seconds: seconds(last_ns), waiting });
+    }
     Ok(())
 }
 
 impl RobotRun<'_> {
+    /// Goes on after a step: a filter that diverged is given up, and a new start is looked for.
+    fn survive(
+        &mut self,
+        done: Result<(), EstimatorError>,
+        stamp_ns: i64,
+        next_imu: usize,
+        recorder: &mut Recorder,
+    ) -> Result<(), RunError> {
+        match done {
+            Ok(()) => Ok(()),
+            Err(error @ EstimatorError::Diverged(_)) => {
+                tracing::error!(%error, "no pose until there is a new start");
+                recorder.note_divergence(stamp_ns, &error);
+                self.filter.give_up(stamp_ns, &error, &self.sequence.imu_samples[..next_imu]);
+                self.publish_status(stamp_ns, recorder);
+                Ok(())
+            }
+            Err(source) => {
+                Err(RunError::Estimator { seconds: (stamp_ns - recorder.first_ns) as f64 * 1e-9, source })
+            }
+        }
+    }
+
+    fn publish_status(&self, stamp_ns: i64, recorder: &Recorder) {
+        if let Some(publisher) = &self.publisher {
+            let status = self.filter.status().with_failure(self.last_failure.as_deref());
+            publisher.publish_status(stamp_ns, status, recorder.query_counts());
+        }
+    }
+
+    /// Looks for a start, where there is none yet.
+    ///
+    /// # Returns
+    /// The tracks that the filter still has to learn from; `None` where there is no filter.
+    fn start(
+        &mut self,
+        stamp_ns: i64,
+        tracks: Vec<TrackObservation>,
+        recorder: &mut Recorder,
+    ) -> Result<Option<Vec<TrackObservation>>, EstimatorError> {
+        if self.filter.estimator().is_some() {
+            return Ok(Some(tracks));
+        }
+        let before = self.filter.status().reason;
+        let started = self.filter.try_start(stamp_ns, &tracks)?;
+        let Some(method) = started else {
+            let waiting = self.filter.status().reason;
+            if waiting != before {
+                tracing::info!(waiting, "no start yet");
+            }
+            self.publish_status(stamp_ns, recorder);
+            return Ok(None);
+        };
+        tracing::info!(?method, "started");
+        recorder.note_start(stamp_ns, Some(&method));
+        // A start in motion has learned from the tracks of its last image already.
+        Ok(Some(if method == StartMethod::Rest { tracks } else { Vec::new() }))
+    }
+
     fn frame(
         &mut self,
         frame: &Frame,
@@ -116,8 +193,13 @@ impl RobotRun<'_> {
         timings.front_end = begin.elapsed();
 
         let begin = Instant::now();
-        let rate = self.feed_imu(frame.stamp_ns, next_imu, recorder);
-        let clone = match self.estimator.time_update(frame.stamp_ns) {
+        let reading = self.feed_imu(frame.stamp_ns, next_imu, recorder);
+        let tracks = self.start(frame.stamp_ns, tracks, recorder)?;
+        let (Some(tracks), Some(estimator)) = (tracks, self.filter.estimator_mut()) else {
+            // Answers to the filter before are of no use, but must not pile up.
+            return self.deliver(recorder).map(|_| ());
+        };
+        let clone = match estimator.time_update(frame.stamp_ns) {
             Ok(clone) => clone,
             Err(error @ (EstimatorError::NoImu { .. } | EstimatorError::OldFrame { .. })) => {
                 tracing::warn!(%error, "frame skipped");
@@ -129,7 +211,7 @@ impl RobotRun<'_> {
         timings.propagation = begin.elapsed();
 
         let begin = Instant::now();
-        let report = self.estimator.track_update(&tracks)?;
+        let report = estimator.track_update(&tracks)?;
         timings.tracks = begin.elapsed();
         recorder.note_tracks(&report);
 
@@ -138,10 +220,13 @@ impl RobotRun<'_> {
         let waited = self.deliver(recorder)?;
         timings.map = begin.elapsed().saturating_sub(waited);
 
-        recorder.note_state(&self.estimator);
+        self.filter.remember();
+        let Some(estimator) = self.filter.estimator() else { return Ok(()) };
+        recorder.note_state(estimator);
         recorder.timings.add(&timings);
         if let Some(publisher) = &self.publisher {
-            publisher.publish(&self.estimator, rate, recorder.query_counts(), self.last_failure.as_deref());
+            let rate = reading - estimator.biases().0;
+            publisher.publish(estimator, rate, recorder.query_counts(), self.last_failure.as_deref());
         }
         self.ask_about(clone, frame, recorder);
         Ok(())
@@ -156,7 +241,9 @@ impl RobotRun<'_> {
             return Ok(());
         }
         self.deliver(recorder)?;
-        recorder.note_state_again(&self.estimator);
+        if let Some(estimator) = self.filter.estimator() {
+            recorder.note_state_again(estimator);
+        }
         Ok(())
     }
 
@@ -178,24 +265,22 @@ impl RobotRun<'_> {
             .ok()
     }
 
-    /// Hands over the IMU readings up to the first one after the frame.
+    /// Hands over the IMU readings up to the first one after the frame, and returns the angular velocity of that.
     fn feed_imu(&mut self, stamp_ns: i64, next: &mut usize, recorder: &mut Recorder) -> Vector3<f64> {
         let samples = &self.sequence.imu_samples;
         while *next < samples.len() && (*next == 0 || samples[*next - 1].stamp_ns < stamp_ns) {
-            if let Err(error) = self.estimator.imu(samples[*next]) {
+            if let Err(error) = self.filter.imu(samples[*next]) {
                 tracing::warn!(%error);
                 recorder.dropped_imu += 1;
             }
             *next += 1;
         }
-        let newest =
-            samples.get(next.saturating_sub(1)).map_or_else(Vector3::zeros, |sample| sample.gyroscope);
-        newest - self.estimator.biases().0
+        samples.get(next.saturating_sub(1)).map_or_else(Vector3::zeros, |sample| sample.gyroscope)
     }
 
     /// Asks the map about a frame, as soon as its features are there.
     fn ask_about(&mut self, clone: CloneId, frame: &Frame, recorder: &mut Recorder) {
-        if self.queries.is_none() || self.estimator.config().mode == MapMode::Odometry {
+        if self.queries.is_none() || self.filter.config().mode == MapMode::Odometry {
             return;
         }
         if let Some(features) = frame.features.as_ref().filter(|features| !features.is_empty()) {
@@ -205,38 +290,41 @@ impl RobotRun<'_> {
         let (Some(extraction), Some(image)) = (&mut self.extraction, &frame.images[0]) else { return };
         let due =
             self.last_extraction_ns.is_none_or(|last_ns| frame.stamp_ns - last_ns >= self.query_interval_ns);
+        let Some(estimator) = self.filter.estimator_mut() else { return };
         if due && extraction.is_idle() {
-            self.estimator.pin(clone);
+            estimator.pin(clone);
             extraction.submit(clone, frame.stamp_ns, image);
             self.last_extraction_ns = Some(frame.stamp_ns);
         }
     }
 
     fn ask(&mut self, clone: CloneId, stamp_ns: i64, features: FeatureSet, recorder: &mut Recorder) {
-        let Some(queries) = &mut self.queries else { return };
+        let mode = self.filter.config().mode;
+        let (Some(queries), Some(estimator)) = (&mut self.queries, self.filter.estimator_since(stamp_ns))
+        else {
+            return;
+        };
         // Each holds its clone in the filter: with a server that hangs, the window must not fill with them.
         if queries.pending() >= MAX_PENDING {
             recorder.queries_skipped += 1;
-            self.estimator.unpin(clone);
+            estimator.unpin(clone);
             return;
         }
-        let max_keyframes =
-            if self.estimator.config().mode == MapMode::Single { 1 } else { self.max_keyframes.max(1) };
+        let max_keyframes = if mode == MapMode::Single { 1 } else { self.max_keyframes.max(1) };
         let request = MatchRequest {
             robot: self.robot.clone(),
             stamp_ns,
             camera: self.sequence.cameras[0].camera.clone(),
             features,
-            prior: self
-                .estimator
+            prior: estimator
                 .global_from_camera(clone)
                 .map(|global_from_camera| PosePrior { global_from_camera }),
-            gravity_in_camera: self.estimator.gravity_in_first_camera(clone).map(Into::into),
-            held: self.estimator.held_keyframes(),
-            map_version_held: self.estimator.map_version(),
+            gravity_in_camera: estimator.gravity_in_first_camera(clone).map(Into::into),
+            held: estimator.held_keyframes(),
+            map_version_held: estimator.map_version(),
             max_keyframes,
         };
-        self.estimator.pin(clone);
+        estimator.pin(clone);
         recorder.queries_sent += 1;
         queries.ask(clone, request);
     }
@@ -264,31 +352,38 @@ impl RobotRun<'_> {
 
     /// The features of an image are ready: the map is asked.
     fn ask_with(&mut self, extracted: Extracted, recorder: &mut Recorder) {
+        let Some(estimator) = self.filter.estimator_since(extracted.stamp_ns) else { return };
         match extracted.features {
             Ok(features) if !features.is_empty() => {
                 self.ask(extracted.clone, extracted.stamp_ns, features, recorder);
             }
-            Ok(_) => self.estimator.unpin(extracted.clone),
+            Ok(_) => estimator.unpin(extracted.clone),
             Err(reason) => {
                 tracing::warn!(reason, "the map is not asked about this image");
-                self.estimator.unpin(extracted.clone);
+                estimator.unpin(extracted.clone);
             }
         }
     }
 
     fn take(&mut self, answered: &Answered, recorder: &mut Recorder) -> Result<(), EstimatorError> {
-        let mut event = Event::new(answered, self.estimator.stamp_ns());
+        self.note_failure(&answered.outcome);
+        recorder.traffic.add(&Traffic { sent: answered.bytes_sent, received: answered.bytes_received });
+        let Some(estimator) = self.filter.estimator_since(answered.stamp_ns) else {
+            let mut event = Event::new(answered, answered.stamp_ns);
+            event.note_failure("the filter that asked was given up");
+            recorder.note_event(event);
+            return Ok(());
+        };
+        let mut event = Event::new(answered, estimator.stamp_ns());
         match &answered.outcome {
             Outcome::Matched(answer) => {
-                let report = self.estimator.map_update(answered.clone, answer)?;
+                let report = estimator.map_update(answered.clone, answer)?;
                 event.note_report(&report);
             }
             Outcome::NoMatch(outcome) => event.note_no_match(*outcome),
             Outcome::Failed(reason) => event.note_failure(reason),
         }
-        self.note_failure(&answered.outcome);
-        self.estimator.unpin(answered.clone);
-        recorder.traffic.add(&Traffic { sent: answered.bytes_sent, received: answered.bytes_received });
+        estimator.unpin(answered.clone);
         recorder.note_event(event);
         Ok(())
     }
@@ -308,22 +403,41 @@ impl RobotRun<'_> {
     }
 
     /// Takes in what is still on its way at the end of the recording.
-    fn close(&mut self, recorder: &mut Recorder) -> Result<(), EstimatorError> {
+    fn take_the_rest(&mut self, recorder: &mut Recorder) -> Result<(), EstimatorError> {
         if let Some(extracted) = self.extraction.as_mut().and_then(ExtractionThread::wait) {
             self.ask_with(extracted, recorder);
         }
         while let Some(answered) = self.queries.as_mut().and_then(QueryClient::wait) {
             self.take(&answered, recorder)?;
         }
-        recorder.final_status = Some(self.estimator.status().with_failure(self.last_failure.as_deref()));
+        Ok(())
+    }
+
+    fn close(&mut self, recorder: &mut Recorder) {
+        recorder.final_status = Some(self.filter.status().with_failure(self.last_failure.as_deref()));
         if let Some(publisher) = self.publisher.take() {
             publisher.close();
         }
-        Ok(())
     }
 }
 
 impl Recorder {
+    /// Notes a start of the filter; a method that is not given is a state that was known.
+    fn note_start(&mut self, stamp_ns: i64, method: Option<&StartMethod>) {
+        let (method, scale_sigma) = match method {
+            None => ("known", None),
+            Some(StartMethod::Rest) => ("rest", None),
+            Some(StartMethod::Motion(belief)) => ("motion", Some(belief.scale_sigma)),
+        };
+        let seconds = (stamp_ns - self.first_ns) as f64 * 1e-9;
+        self.starts.push(StartSummary { seconds, method, scale_sigma });
+    }
+
+    fn note_divergence(&mut self, stamp_ns: i64, why: &EstimatorError) {
+        let seconds = (stamp_ns - self.first_ns) as f64 * 1e-9;
+        self.divergences.push(DivergenceSummary { seconds, reason: why.to_string() });
+    }
+
     fn query_counts(&self) -> QueryCounts {
         QueryCounts { sent: self.queries_sent, answered: self.queries_answered }
     }

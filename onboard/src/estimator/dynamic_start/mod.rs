@@ -81,7 +81,7 @@ pub enum NotYet {
     },
     /// The length of the way is not known well enough.
     #[error(
-        "not enough motion yet to tell how fast it is (known to {percent:.0} %, {need:.0} % needed): change the \
+        "not enough motion yet to tell how fast it is (known to {percent:.1} %, {need:.1} % needed): change the \
          speed or the direction"
     )]
     ScaleUnknown {
