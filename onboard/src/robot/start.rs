@@ -7,6 +7,9 @@ use crate::sequence::{Sequence, TruthRow};
 use anyhow::{Context as _, Result, bail};
 use nalgebra::Vector3;
 
+/// How far into a recording [`first_rest`] looks, seconds.
+const SEARCH_SECONDS: f64 = 10.0;
+
 /// How long before the first image a start from truth lies at most, nanoseconds: without images the filter would only
 /// lose what the truth tells.
 const LEAD_NS: i64 = 100_000_000;
@@ -26,7 +29,7 @@ pub fn initial_state(
     match init {
         Init::Truth => from_truth(sequence, config).map(Some),
         Init::Static => {
-            let readings = first_readings(&sequence.imu_samples);
+            let readings = window(&sequence.imu_samples, 0);
             let start = InitialState::from_rest(readings, config);
             start.context("--init static (--init auto waits for a start, and starts in motion too)").map(Some)
         }
@@ -68,10 +71,24 @@ pub fn excerpt(sequence: &Sequence, start_at: f64, duration: Option<f64>) -> Res
     Ok(part)
 }
 
-/// The readings of the first [`REST_SECONDS`].
-fn first_readings(samples: &[ImuSample]) -> &[ImuSample] {
-    let end_ns = samples.first().map_or(0, |sample| sample.stamp_ns + (REST_SECONDS * 1e9) as i64);
-    &samples[..samples.partition_point(|sample| sample.stamp_ns <= end_ns)]
+/// The first state at rest in the first ten seconds of readings, for those who only want the gyroscope's bias.
+pub fn first_rest(samples: &[ImuSample], config: &EstimatorConfig) -> Option<InitialState> {
+    let end_ns = samples.first()?.stamp_ns + (SEARCH_SECONDS * 1e9) as i64;
+    let mut next_ns = i64::MIN;
+    (0..samples.partition_point(|sample| sample.stamp_ns <= end_ns)).find_map(|first| {
+        if samples[first].stamp_ns < next_ns {
+            return None;
+        }
+        next_ns = samples[first].stamp_ns + (REST_SECONDS * 0.2e9) as i64;
+        InitialState::from_rest(window(samples, first), config).ok()
+    })
+}
+
+/// The readings of [`REST_SECONDS`] from `first` on.
+fn window(samples: &[ImuSample], first: usize) -> &[ImuSample] {
+    let end_ns = samples.get(first).map_or(0, |sample| sample.stamp_ns + (REST_SECONDS * 1e9) as i64);
+    let end = samples.partition_point(|sample| sample.stamp_ns <= end_ns);
+    &samples[first.min(end)..end]
 }
 
 fn from_truth(sequence: &Sequence, config: &EstimatorConfig) -> Result<InitialState> {
