@@ -180,7 +180,7 @@ mod tests {
     }
 
     fn image(used: usize, gated: usize, not_triangulated: usize, dropped_observations: usize) -> TrackReport {
-        TrackReport { used, gated, not_triangulated, dropped_observations, ..TrackReport::default() }
+        TrackReport { used, not_triangulated, gated, dropped_observations, ..TrackReport::default() }
     }
 
     fn watched(reports: impl Iterator<Item = TrackReport>) -> Health {

@@ -141,7 +141,7 @@ impl Starter {
         last: Option<LastBelieved>,
         not_before_ns: i64,
     ) -> Self {
-        Self { last, not_before_ns, ..Self::new(config, rig) }
+        Self { not_before_ns, last, ..Self::new(config, rig) }
     }
 
     /// Takes a reading, in the order of time.

@@ -15,6 +15,10 @@ const SHORT_LIFE_NS: i64 = 10_000_000_000;
 /// robot whose sensors are broken does not spend its time on starting.
 const LONGEST_PAUSE: f64 = 30.0;
 
+/// How long a start may take before it is said what is waited for, and how often then, nanoseconds.
+const FIRST_WARNING_NS: i64 = 2_000_000_000;
+const WARN_EVERY_NS: i64 = 10_000_000_000;
+
 /// What the filter is at.
 #[derive(Debug)]
 enum Phase {
@@ -32,25 +36,20 @@ pub struct Lifecycle {
     started_ns: i64,
     last: Option<LastBelieved>,
     bad_starts: i32,
-    /// Why there is no filter.
-    reason: String,
+    /// Why the last filter was given up.
+    gave_up: Option<String>,
+    waiting: Waiting,
+    /// When it is said next that there is no start, nanoseconds.
+    next_warning_ns: Option<i64>,
 }
 
 impl Lifecycle {
-    /// A filter that starts from a known state.
-    ///
-    /// # Errors
-    /// [`EstimatorError::Config`] names the setting that cannot work.
-    pub fn known(
-        config: EstimatorConfig,
-        rig: Vec<RigCamera>,
-        initial: &InitialState,
-    ) -> Result<Self, EstimatorError> {
-        let estimator = Estimator::new(config.clone(), rig.clone(), initial)?;
-        let mut lifecycle = Self::searching(config, rig);
-        lifecycle.started_ns = initial.stamp_ns;
+    /// A filter that runs already, from its present state on.
+    pub fn running(estimator: Estimator, rig: Vec<RigCamera>) -> Self {
+        let mut lifecycle = Self::searching(estimator.config().clone(), rig);
+        lifecycle.started_ns = estimator.stamp_ns();
         lifecycle.phase = Phase::Running(Box::new(estimator));
-        Ok(lifecycle)
+        lifecycle
     }
 
     /// A filter whose start is still to be found.
@@ -63,7 +62,9 @@ impl Lifecycle {
             started_ns: i64::MAX,
             last: None,
             bad_starts: 0,
-            reason: Waiting::Data.to_string(),
+            gave_up: None,
+            waiting: Waiting::Data,
+            next_warning_ns: None,
         }
     }
 
@@ -94,7 +95,7 @@ impl Lifecycle {
         self.estimator_mut().filter(|_| known)
     }
 
-    /// Time before which images are of no use: that of a start that is known beforehand.
+    /// Whether an image lies before a start that was known beforehand.
     pub fn begins_after(&self, stamp_ns: i64) -> bool {
         self.estimator().is_some_and(|estimator| stamp_ns < estimator.stamp_ns())
             && stamp_ns < self.started_ns
@@ -127,10 +128,11 @@ impl Lifecycle {
         let Start { initial, method } = match starter.image(stamp_ns, tracks) {
             Ok(start) => start,
             Err(waiting) => {
-                self.reason = waiting.to_string();
+                self.wait(stamp_ns, waiting);
                 return Ok(None);
             }
         };
+        self.next_warning_ns = None;
         let mut estimator = Estimator::new(self.config.clone(), self.rig.clone(), &initial)?;
         for reading in starter.readings_for(&initial) {
             estimator.imu(*reading)?;
@@ -138,6 +140,16 @@ impl Lifecycle {
         self.started_ns = initial.stamp_ns;
         self.phase = Phase::Running(Box::new(estimator));
         Ok(Some(method))
+    }
+
+    /// Remembers what is waited for, and says so when it takes long.
+    fn wait(&mut self, stamp_ns: i64, waiting: Waiting) {
+        self.waiting = waiting;
+        let due_ns = *self.next_warning_ns.get_or_insert(stamp_ns + FIRST_WARNING_NS);
+        if stamp_ns >= due_ns {
+            tracing::warn!(%waiting, "no pose: the robot has no start yet");
+            self.next_warning_ns = Some(stamp_ns + WARN_EVERY_NS);
+        }
     }
 
     /// Remembers the newest pose, where it can be believed.
@@ -170,7 +182,8 @@ impl Lifecycle {
         }
         starter.forget_rest();
         self.phase = Phase::Starting(Box::new(starter));
-        self.reason = why.to_string();
+        self.gave_up = Some(why.to_string());
+        self.waiting = Waiting::Data;
     }
 
     /// What is known of the pose.
@@ -179,7 +192,10 @@ impl Lifecycle {
             Phase::Running(estimator) => estimator.status(),
             Phase::Starting(_) => Status {
                 localization: Localization::Lost,
-                reason: self.reason.clone(),
+                reason: match &self.gave_up {
+                    Some(why) => format!("{why}; {}", self.waiting),
+                    None => self.waiting.to_string(),
+                },
                 last_map_update_ns: None,
                 held_keyframes: 0,
             },

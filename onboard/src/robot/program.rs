@@ -10,7 +10,7 @@ use super::recorder::Recorder;
 use super::run::{RobotRun, run};
 use super::start::{excerpt, initial_state};
 use super::summary::Summary;
-use crate::estimator::RigCamera;
+use crate::estimator::{Estimator, RigCamera};
 use crate::evaluation::{RunScore, ScoreOptions, score_run};
 use crate::sequence::Sequence;
 use anyhow::{Context as _, Result, bail};
@@ -72,7 +72,7 @@ pub fn run_robot(
         .map(|sensor| RigCamera { camera: sensor.camera.clone(), imu_from_camera: sensor.imu_from_camera })
         .collect();
     let filter = match &initial {
-        Some(initial) => Lifecycle::known(config.clone(), rig, initial)?,
+        Some(initial) => Lifecycle::running(Estimator::new(config.clone(), rig.clone(), initial)?, rig),
         None => Lifecycle::searching(config.clone(), rig),
     };
     let link = link.filter(|_| arguments.mode != Mode::Odometry);

@@ -6,7 +6,7 @@ use super::lifecycle::Lifecycle;
 use super::publisher::{Publisher, QueryCounts};
 use super::query_client::{Answered, Outcome, QueryClient};
 use super::recorder::{Event, Recorder};
-use super::summary::{DivergenceSummary, StartSummary, Timings, Traffic};
+use super::summary::{Timings, Traffic};
 use crate::estimator::{CloneId, EstimatorError, MapMode, StartMethod, TrackObservation};
 use crate::sequence::{Frame, Sequence};
 use nalgebra::Vector3;
@@ -165,13 +165,7 @@ impl RobotRun<'_> {
         if self.filter.estimator().is_some() {
             return Ok(Some(tracks));
         }
-        let before = self.filter.status().reason;
-        let started = self.filter.try_start(stamp_ns, &tracks)?;
-        let Some(method) = started else {
-            let waiting = self.filter.status().reason;
-            if waiting != before {
-                tracing::info!(waiting, "no start yet");
-            }
+        let Some(method) = self.filter.try_start(stamp_ns, &tracks)? else {
             self.publish_status(stamp_ns, recorder);
             return Ok(None);
         };
@@ -422,22 +416,6 @@ impl RobotRun<'_> {
 }
 
 impl Recorder {
-    /// Notes a start of the filter; a method that is not given is a state that was known.
-    fn note_start(&mut self, stamp_ns: i64, method: Option<&StartMethod>) {
-        let (method, scale_sigma) = match method {
-            None => ("known", None),
-            Some(StartMethod::Rest) => ("rest", None),
-            Some(StartMethod::Motion(belief)) => ("motion", Some(belief.scale_sigma)),
-        };
-        let seconds = (stamp_ns - self.first_ns) as f64 * 1e-9;
-        self.starts.push(StartSummary { seconds, method, scale_sigma });
-    }
-
-    fn note_divergence(&mut self, stamp_ns: i64, why: &EstimatorError) {
-        let seconds = (stamp_ns - self.first_ns) as f64 * 1e-9;
-        self.divergences.push(DivergenceSummary { seconds, reason: why.to_string() });
-    }
-
     fn query_counts(&self) -> QueryCounts {
         QueryCounts { sent: self.queries_sent, answered: self.queries_answered }
     }

@@ -199,8 +199,7 @@ fn minimize(settings: &Settings<'_>, mut estimate: Estimate, loss: Loss) -> Esti
                 break;
             }
         }
-        // Written so that a cost that is not a number ends it too.
-        if !(before - now > CONVERGED) {
+        if before - now <= CONVERGED {
             break;
         }
     }
@@ -218,7 +217,7 @@ fn settle_landmarks(settings: &Settings<'_>, estimate: &mut Estimate, loss: Loss
             let Some(error) = block.solve() else { break };
             let tried = Entry { landmark: entry.landmark.moved(&error), ..entry.clone() };
             let lower = landmark_cost(settings, states, &tried, loss);
-            if !(now - lower > LANDMARK_CONVERGED) {
+            if lower.is_nan() || now - lower <= LANDMARK_CONVERGED {
                 break;
             }
             now = lower;

@@ -75,6 +75,12 @@ impl FirstMotion {
     }
 }
 
+/// How much a track and each of its rays count.
+struct TrackWeights {
+    outlying: bool,
+    rays: Vec<f64>,
+}
+
 /// The linear system of one track.
 struct TrackSystem {
     landmark: Matrix3<f64>,
@@ -94,15 +100,19 @@ pub fn solve(
     integrated: &Integrated,
     gravity: f64,
 ) -> Result<FirstMotion, NotYet> {
-    let mut weights: Vec<Vec<f64>> = window.tracks.iter().map(|track| vec![1.0; track.len()]).collect();
+    let mut weights: Vec<TrackWeights> = window
+        .tracks
+        .iter()
+        .map(|track| TrackWeights { outlying: false, rays: vec![1.0; track.len()] })
+        .collect();
     let mut found = Err(NotYet::NoParallax);
     for _ in 0..ROUNDS {
         let (mut matrix, mut vector) = (Matrix6::zeros(), Vector6::zeros());
         for (track, weights) in window.tracks.iter().zip(&weights) {
-            if weights[0] <= 0.0 {
+            if weights.outlying {
                 continue;
             }
-            let system = track_system(window, track, weights, rig, integrated);
+            let system = track_system(window, track, &weights.rays, rig, integrated);
             let Some(factor) = system.landmark.cholesky() else { continue };
             matrix += system.motion - system.cross.transpose() * factor.solve(&system.cross);
             vector += system.motion_vector - system.cross.transpose() * factor.solve(&system.landmark_vector);
@@ -160,14 +170,12 @@ fn reweight(
     rig: &[RigCamera],
     integrated: &Integrated,
     motion: &FirstMotion,
-    weights: &mut [Vec<f64>],
+    weights: &mut [TrackWeights],
 ) {
     let mut residuals = Vec::with_capacity(window.tracks.len());
     let mut depths = Vec::with_capacity(window.tracks.len());
     for (track, weights) in window.tracks.iter().zip(&*weights) {
-        let ones = vec![1.0; weights.len()];
-        let system =
-            track_system(window, track, if weights[0] > 0.0 { weights } else { &ones }, rig, integrated);
+        let system = track_system(window, track, &weights.rays, rig, integrated);
         let unknown = Vector6::from_fn(|k, _| if k < 3 { motion.velocity[k] } else { motion.gravity[k - 3] });
         let landmark = system
             .landmark
@@ -192,9 +200,9 @@ fn reweight(
     let Some(middle) = median(&residuals) else { return };
     let Some(depth) = median(&depths.iter().map(|depths| depths[0]).collect::<Vec<_>>()) else { return };
     for ((weights, residual), depths) in weights.iter_mut().zip(&residuals).zip(&depths) {
-        let good = *residual <= OUTLIER * middle;
-        for (weight, own) in weights.iter_mut().zip(depths) {
-            *weight = if good { (depth / own.max(NEAREST * depth)).powi(2) } else { 0.0 };
+        weights.outlying = *residual > OUTLIER * middle;
+        for (weight, own) in weights.rays.iter_mut().zip(depths) {
+            *weight = (depth / own.max(NEAREST * depth)).powi(2);
         }
     }
 }

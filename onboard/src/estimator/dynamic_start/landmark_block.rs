@@ -61,10 +61,10 @@ impl LandmarkBlock {
                     row.by_landmark.transpose() * weighted.transpose(),
                     weighted * row.residual,
                 );
-                block.add_square(image, image, weighted * by_pose);
+                block.add_square(image, image, &(weighted * by_pose));
             }
             if let Some(old) = old {
-                block.add_square(sighting.image, anchor.image, new.transpose() * old * weight);
+                block.add_square(sighting.image, anchor.image, &(new.transpose() * old * weight));
             }
             block.own += row.by_landmark.transpose() * row.by_landmark * weight;
             block.vector += row.by_landmark.transpose() * row.residual * weight;
@@ -81,10 +81,10 @@ impl LandmarkBlock {
         }
     }
 
-    fn add_square(&mut self, row: usize, column: usize, square: Matrix6<f64>) {
+    fn add_square(&mut self, row: usize, column: usize, square: &Matrix6<f64>) {
         match self.squares.iter_mut().find(|known| (known.0, known.1) == (row, column)) {
             Some(known) => known.2 += square,
-            None => self.squares.push((row, column, square)),
+            None => self.squares.push((row, column, *square)),
         }
     }
 

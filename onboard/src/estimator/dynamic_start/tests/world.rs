@@ -150,7 +150,7 @@ pub fn world(run: Run) -> World {
                 };
                 let mut pixel = pixel + Vector2::new(normal(&mut rng), normal(&mut rng)) * run.noise;
                 if rng.random::<f64>() < run.outliers {
-                    let angle: f64 = rng.random_range(0.0..6.28);
+                    let angle: f64 = rng.random_range(0.0..std::f64::consts::TAU);
                     pixel += Vector2::new(angle.cos(), angle.sin()) * rng.random_range(10.0..50.0);
                 }
                 if eye.camera.contains(&pixel) {
