@@ -5,8 +5,8 @@
 //! of the last pose that was believed. The place in the map is not taken along; a new filter asks for it.
 
 use crate::estimator::{
-    Estimator, EstimatorConfig, EstimatorError, ImuSample, InitialState, LastBelieved, Localization,
-    RigCamera, Start, StartMethod, Starter, Status, TrackObservation, Waiting,
+    Estimator, EstimatorConfig, EstimatorError, ImuSample, LastBelieved, Localization, RigCamera, Start,
+    StartMethod, Starter, Status, TrackObservation, Waiting,
 };
 
 /// A filter that lived shorter than this was started badly, nanoseconds.
