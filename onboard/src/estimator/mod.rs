@@ -82,7 +82,7 @@ pub enum EstimatorError {
         state_ns: i64,
     },
     /// The filter is broken.
-    #[error("the estimator diverged: {0}; start it again")]
+    #[error("the estimator diverged: {0}")]
     Diverged(String),
 }
 

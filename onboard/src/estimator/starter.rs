@@ -24,8 +24,12 @@ const MOST_SECONDS: f64 = 2.5;
 const LEAST_IMAGE_GAP_NS: i64 = 80_000_000;
 /// Time between two looks at the readings for a rest, seconds.
 const REST_STEP: f64 = 0.1;
-/// Time between two tries of a start in motion, nanoseconds. A try costs as much as tens of frames.
+/// Time between two tries of a start in motion, nanoseconds, at first. A try costs as much as tens of frames.
 const TRY_EVERY_NS: i64 = 180_000_000;
+/// After so many tries in vain the time between them grows by as much again, up to [`SLOWEST_TRIES`] times: a robot
+/// that glides for an hour does not spend it on starting.
+const TRIES_AT_ONE_PACE: i64 = 10;
+const SLOWEST_TRIES: i64 = 5;
 /// Images to compare at rest are at least so far apart, nanoseconds.
 const GLIDE_SPAN_NS: i64 = 200_000_000;
 /// Fewest tracks to tell gliding from rest by.
@@ -106,6 +110,7 @@ pub struct Starter {
     no_rest: InitializationError,
     next_rest_ns: Option<i64>,
     next_try_ns: i64,
+    tries: i64,
     not_before_ns: i64,
     no_motion: Option<NotYet>,
     last: Option<LastBelieved>,
@@ -123,6 +128,7 @@ impl Starter {
             no_rest: InitializationError::TooShort { have: 0.0, need: REST_SECONDS },
             next_rest_ns: None,
             next_try_ns: i64::MIN,
+            tries: 0,
             not_before_ns: i64::MIN,
             no_motion: None,
             last: None,
@@ -233,7 +239,8 @@ impl Starter {
         if !long_enough || stamp_ns < self.next_try_ns {
             return Err(self.waiting(stamp_ns));
         }
-        self.next_try_ns = stamp_ns + TRY_EVERY_NS;
+        self.next_try_ns = stamp_ns + TRY_EVERY_NS * (1 + self.tries / TRIES_AT_ONE_PACE).min(SLOWEST_TRIES);
+        self.tries += 1;
         let found = Window::new(self.images.make_contiguous(), &self.imu, &self.rig)
             .and_then(|window| dynamic_start(&window, &self.rig, &self.config, &BiasPrior::default()));
         match found {
