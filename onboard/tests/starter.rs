@@ -4,7 +4,8 @@
 use geometry::{Camera, Distortion, Pose, rotation};
 use nalgebra::Vector3;
 use onboard::estimator::{
-    EstimatorConfig, ImuSample, LastBelieved, RigCamera, Start, StartMethod, Starter, TrackObservation, Waiting,
+    EstimatorConfig, ImuSample, LastBelieved, RigCamera, Start, StartMethod, Starter, TrackObservation,
+    Waiting,
 };
 use rand::{RngExt as _, SeedableRng, rngs::StdRng};
 

@@ -5,6 +5,7 @@
 
 pub mod answer;
 pub mod arguments;
+mod asking;
 pub mod extraction;
 pub mod front_end;
 pub mod lifecycle;
