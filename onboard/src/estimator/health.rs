@@ -30,8 +30,9 @@ const SUSPICIOUS_AGREEMENT: f64 = 0.5;
 const FASTEST: f64 = 100.0;
 /// How many standard deviations a bias may be from what was believed at the start.
 const BIAS_SIGMAS: f64 = 10.0;
-/// Standard deviation of the velocity from which on nothing can be matched or steered by, m/s.
-const LOOSEST_VELOCITY: f64 = 3.0;
+/// Standard deviation of the velocity from which on there is nothing to go by, m/s. A run with an image every few
+/// seconds, held by the map alone, comes to 1 to 2.
+const LOOSEST_VELOCITY: f64 = 10.0;
 
 /// The tracks of one image.
 #[derive(Clone, Copy, Debug)]

@@ -1,7 +1,7 @@
 //! Watches readings and images for a state to start from: at rest, else in motion.
 //!
 //! Before the first start, and again after the filter diverged. Pure, like the filter; what it keeps is bounded
-//! by [`MOST_SECONDS`]. Rest is tried first: it needs no parallax. The tracks must agree: a body that glides reads
+//! by [`MOST_SECONDS_BLIND`]. Rest is tried first: it needs no parallax. The tracks must agree: a body that glides reads
 //! like one at rest.
 
 use super::EstimatorError;
@@ -18,8 +18,10 @@ use std::collections::{BTreeMap, VecDeque};
 /// Length of the window that a start in motion is tried from, seconds. Shorter ones seldom tell the scale; longer
 /// ones cost more than they tell.
 const WINDOW_SECONDS: [f64; 2] = [1.15, 1.85];
-/// How long a state at rest is kept for the next image, seconds. Also what readings are kept for.
+/// How long readings are kept, and how old a state at rest may be at an image, seconds.
 const MOST_SECONDS: f64 = 2.5;
+/// The same where images are so rare that nothing better will come: the readings carry the state on.
+const MOST_SECONDS_BLIND: f64 = 10.0;
 /// Images closer to each other than this are left out of the window, nanoseconds: they add cost, not parallax.
 const LEAST_IMAGE_GAP_NS: i64 = 80_000_000;
 /// Time between two looks at the readings for a rest, seconds.
@@ -192,13 +194,14 @@ impl Starter {
     /// Forgets what is too old to start from.
     fn forget(&mut self) {
         let Some(newest_ns) = self.imu.newest().map(|sample| sample.stamp_ns) else { return };
-        let oldest_ns = newest_ns - (MOST_SECONDS * 1e9) as i64;
-        self.rest = self.rest.take().filter(|rest| rest.stamp_ns >= oldest_ns);
+        let blind_ns = newest_ns - (MOST_SECONDS_BLIND * 1e9) as i64;
+        self.rest = self.rest.take().filter(|rest| rest.stamp_ns >= blind_ns);
         let window_ns = newest_ns - (WINDOW_SECONDS[1] * 1e9) as i64;
         while self.images.front().is_some_and(|image| image.stamp_ns < window_ns) {
             self.images.pop_front();
         }
-        self.imu.forget_before(oldest_ns);
+        let oldest_ns = newest_ns - (MOST_SECONDS * 1e9) as i64;
+        self.imu.forget_before(self.rest.as_ref().map_or(oldest_ns, |rest| rest.stamp_ns.min(oldest_ns)));
     }
 
     /// Takes an image's tracks, after the readings up to the first one behind it.
@@ -225,7 +228,9 @@ impl Starter {
     }
 
     fn at_rest(&mut self, stamp_ns: i64, tracks: &[TrackObservation]) -> Option<InitialState> {
-        let rest = self.rest.as_ref().filter(|rest| rest.stamp_ns <= stamp_ns)?;
+        let blind = self.images.len() < 2;
+        let oldest_ns = stamp_ns - (if blind { MOST_SECONDS_BLIND } else { MOST_SECONDS } * 1e9) as i64;
+        let rest = self.rest.as_ref().filter(|rest| (oldest_ns..=stamp_ns).contains(&rest.stamp_ns))?;
         let glides = glides(&self.images, rest.stamp_ns, tracks, self.config.sigma_track_px);
         if glides {
             self.no_rest = InitializationError::Gliding;
