@@ -8,7 +8,7 @@ use onboard::evaluation::{ScoreOptions, score_run};
 use onboard::robot::answer::map_answer;
 use onboard::robot::arguments::Init;
 use onboard::robot::start::initial_state;
-use onboard::robot::{RobotRun, run as play};
+use onboard::robot::{Lifecycle, RobotRun, run as play};
 use onboard::sequence::{Sequence, writer};
 use protocol::{
     DescriptorKind, Descriptors, ErrorCode, FeatureSet, Format, LocalizeReply, LocalizeRequest, MapInfo,
@@ -212,10 +212,13 @@ fn answer_of(map: &LoadedMap, sequence: &Sequence, frame: usize) -> MapAnswer {
 
 fn estimator(sequence: &Sequence) -> Estimator {
     let config = arguments("unused".as_ref(), "").estimator_config(sequence).unwrap();
+    let initial = initial_state(sequence, Init::Static, &config).unwrap().unwrap();
+    Estimator::new(config, rig(sequence), &initial).unwrap()
+}
+
+fn rig(sequence: &Sequence) -> Vec<RigCamera> {
     let rig = sequence.cameras.iter();
-    let rig = rig.map(|eye| RigCamera { camera: eye.camera.clone(), imu_from_camera: eye.imu_from_camera });
-    let initial = initial_state(sequence, Init::Auto, &config).unwrap();
-    Estimator::new(config, rig.collect(), &initial).unwrap()
+    rig.map(|eye| RigCamera { camera: eye.camera.clone(), imu_from_camera: eye.imu_from_camera }).collect()
 }
 
 /// Odometry up to the image after the last of `frames`; every image's clone is handed out.
@@ -281,7 +284,7 @@ fn an_answer_that_comes_too_late_is_reported_and_does_no_harm() {
         last_extraction_ns: None,
         sequence: &rest,
         cameras: 2,
-        estimator: late,
+        filter: Lifecycle::running(late, rig(live)),
         robot: "late".to_owned(),
         max_keyframes: 4,
         realtime: false,

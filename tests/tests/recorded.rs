@@ -5,6 +5,7 @@
 #![allow(clippy::unwrap_used)]
 
 use map_server::LoadedMap;
+use nalgebra::{Matrix3, Vector3};
 use onboard::evaluation::Score;
 use onboard::robot::{Outcome, RobotArguments};
 use onboard::sequence::Sequence;
@@ -143,4 +144,57 @@ fn odometry_alone() {
     let outcome = onboard::robot::run_robot(&sequence, &parsed, None, |_| {}).unwrap();
     // OpenVINS reaches 0.541 m on this very stream.
     assert!(outcome.summary.score.unwrap().odometry_yaw_aligned_m.rmse <= 0.541);
+}
+
+/// Least squares scale of odometry against the truth over the first ten seconds after the start (Umeyama).
+fn scale_of_odometry(outcome: &Outcome, sequence: &Sequence) -> f64 {
+    let truth = sequence.groundtruth.as_deref().unwrap();
+    let states = &outcome.recorder.states;
+    let until_ns = states[0].stamp_ns + 10_000_000_000;
+    let pairs: Vec<_> = states
+        .iter()
+        .take_while(|state| state.stamp_ns <= until_ns)
+        .filter_map(|state| {
+            let row = truth.iter().find(|row| (row.stamp_ns - state.stamp_ns).abs() < 1_000_000)?;
+            Some((state.local_from_imu.pose.translation, row.pose.translation))
+        })
+        .collect();
+    assert!(pairs.len() > 80);
+    let count = pairs.len() as f64;
+    let (mean, true_mean) =
+        pairs.iter().fold((Vector3::zeros(), Vector3::zeros()), |sum, pair| (sum.0 + pair.0, sum.1 + pair.1));
+    let (mean, true_mean) = (mean / count, true_mean / count);
+    let mut cross = Matrix3::zeros();
+    let mut spread = 0.0;
+    for (estimated, true_place) in &pairs {
+        cross += (estimated - mean) * (true_place - true_mean).transpose();
+        spread += (true_place - true_mean).norm_squared();
+    }
+    // Both are one rigid shape, so the rotation that aligns them turns the cross covariance into its singular values.
+    cross.svd(false, false).singular_values.sum() / spread
+}
+
+#[test]
+fn starts_in_motion_without_truth() {
+    for name in ["odometry/udel_gore", "odometry/MH_03_medium"] {
+        let Some(folder) = recording(name) else { return };
+        let sequence = Sequence::open(&folder).unwrap();
+        for cameras in ["mono", "stereo"] {
+            for start in [5, 20, 35, 50, 70] {
+                let out = tempfile::tempdir().unwrap();
+                // Ten seconds for the scale and the minute after in which nothing may diverge.
+                let switches =
+                    format!("--mode odometry --cameras {cameras} --start-at {start} --duration 62");
+                let outcome = run(&sequence, out.path(), &switches, None);
+                let case = format!("{name} {cameras} from {start} s");
+                let summary = &outcome.summary;
+                assert!(summary.starts[0].seconds < 2.0, "{case}: after {} s", summary.starts[0].seconds);
+                assert!(summary.divergences.is_empty(), "{case}: {:?}", summary.divergences);
+                let scale = scale_of_odometry(&outcome, &sequence);
+                assert!((scale - 1.0).abs() < 0.05, "{case}: scale {scale}");
+                let error = summary.score.as_ref().unwrap().odometry_yaw_aligned_m.rmse;
+                assert!(error < 0.10, "{case}: {error} m");
+            }
+        }
+    }
 }

@@ -61,9 +61,14 @@ impl ImuBuffer {
         Ok(())
     }
 
-    /// Time of the newest reading.
-    pub fn newest_ns(&self) -> Option<i64> {
-        self.samples.back().map(|sample| sample.stamp_ns)
+    /// The newest reading.
+    pub fn newest(&self) -> Option<ImuSample> {
+        self.samples.back().copied()
+    }
+
+    /// All readings, oldest first.
+    pub fn readings(&self) -> impl Iterator<Item = &ImuSample> {
+        self.samples.iter()
     }
 
     /// The readings from `from_ns` to `to_ns`, with interpolated ones at both ends.
@@ -138,6 +143,6 @@ mod tests {
         assert!(buffer.push(sample(10)).is_err());
         assert!(buffer.push(ImuSample { gyroscope: Vector3::repeat(f64::NAN), ..sample(20) }).is_err());
         buffer.push(sample(30)).unwrap();
-        assert_eq!(buffer.newest_ns(), Some(30));
+        assert_eq!(buffer.newest(), Some(sample(30)));
     }
 }

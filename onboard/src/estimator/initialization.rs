@@ -2,19 +2,19 @@
 
 use super::config::{EstimatorConfig, InitialSigmas};
 use super::imu::ImuSample;
-use super::propagation::{ACCELEROMETER_BIAS, GYROSCOPE_BIAS, IMU_DIM, ImuState, VELOCITY};
+use super::propagation::{ACCELEROMETER_BIAS, GYROSCOPE_BIAS, ImuMatrix, ImuState, VELOCITY};
 use geometry::{Pose, Rotation};
-use nalgebra::{DMatrix, DVector, UnitVector3, Vector3};
+use nalgebra::{UnitVector3, Vector3};
 
-/// Mean and standard deviations of the IMU state at the start.
+/// Mean and covariance of the IMU state at the start.
 #[derive(Clone, Debug, PartialEq)]
 pub struct InitialState {
     /// Time, nanoseconds.
     pub stamp_ns: i64,
     /// The state.
     pub imu: ImuState,
-    /// Its standard deviations.
-    pub sigmas: InitialSigmas,
+    /// Covariance of its error `[δθ, δp, δv, δb_g, δb_a]`.
+    pub covariance: ImuMatrix,
 }
 
 /// Why no state could be found.
@@ -31,7 +31,7 @@ pub enum InitializationError {
     /// The IMU moves.
     #[error(
         "the IMU moves (accelerometer {accelerometer:.2} m/s^2, gyroscope {gyroscope:.3} rad/s of standard \
-         deviation): keep it still, or start from a known state (--init truth)"
+         deviation): keep it still"
     )]
     Moving {
         /// Standard deviation of the specific force, m/s^2.
@@ -39,6 +39,9 @@ pub enum InitializationError {
         /// Standard deviation of the angular velocity, rad/s.
         gyroscope: f64,
     },
+    /// The images move.
+    #[error("the IMU reads as if at rest, but the images move: it glides or turns evenly")]
+    Gliding,
     /// The specific force is not gravity.
     #[error(
         "at rest the accelerometer reads {norm:.2} m/s^2, gravity is {gravity:.2}: check units and calibration"
@@ -85,7 +88,7 @@ impl InitialState {
                 gyroscope_bias: Vector3::zeros(),
                 accelerometer_bias: Vector3::zeros(),
             },
-            sigmas,
+            covariance: sigmas.covariance(),
         }
     }
 
@@ -131,30 +134,58 @@ impl InitialState {
                 // Of the bias, only the part along gravity shows at rest.
                 accelerometer_bias: force.normalize() * (force.norm() - config.gravity),
             },
-            sigmas,
+            covariance: sigmas.covariance(),
         })
     }
 
-    /// Covariance of the IMU error; also correlates tilt and position with nothing.
-    pub(super) fn covariance(&self) -> DMatrix<f64> {
-        let sigmas = &self.sigmas;
-        let mut variances = DVector::zeros(IMU_DIM);
-        let mut put = |begin: usize, values: [f64; 3]| {
-            for (k, value) in values.iter().enumerate() {
-                variances[begin + k] = value * value;
-            }
-        };
-        put(0, [sigmas.tilt, sigmas.tilt, sigmas.yaw]);
-        put(3, [sigmas.position; 3]);
-        put(VELOCITY, [sigmas.velocity; 3]);
-        put(GYROSCOPE_BIAS, [sigmas.gyroscope_bias; 3]);
-        put(ACCELEROMETER_BIAS, [sigmas.accelerometer_bias; 3]);
-        DMatrix::from_diagonal(&variances)
+    /// The same state in axes that are turned about gravity, or moved.
+    ///
+    /// # Arguments
+    /// * `new_from_old`: its rotation is one about z.
+    pub fn seen_from(&self, new_from_old: &Pose) -> Self {
+        let blocks = turned_imu(&new_from_old.rotation);
+        Self {
+            stamp_ns: self.stamp_ns,
+            imu: ImuState {
+                local_from_imu: *new_from_old * self.imu.local_from_imu,
+                velocity: new_from_old.rotation * self.imu.velocity,
+                ..self.imu
+            },
+            covariance: blocks * self.covariance * blocks.transpose(),
+        }
     }
 }
 
+impl InitialSigmas {
+    /// The covariance of an IMU error whose parts are independent.
+    pub fn covariance(&self) -> ImuMatrix {
+        let mut covariance = ImuMatrix::zeros();
+        let mut put = |begin: usize, sigmas: [f64; 3]| {
+            for (k, sigma) in sigmas.iter().enumerate() {
+                covariance[(begin + k, begin + k)] = sigma * sigma;
+            }
+        };
+        put(0, [self.tilt, self.tilt, self.yaw]);
+        put(3, [self.position; 3]);
+        put(VELOCITY, [self.velocity; 3]);
+        put(GYROSCOPE_BIAS, [self.gyroscope_bias; 3]);
+        put(ACCELEROMETER_BIAS, [self.accelerometer_bias; 3]);
+        covariance
+    }
+}
+
+/// `diag(R, R, R, I, I)`: an IMU error told in axes that are turned.
+fn turned_imu(turn: &Rotation) -> ImuMatrix {
+    let rotation = turn.to_rotation_matrix().into_inner();
+    let mut blocks = ImuMatrix::identity();
+    for begin in [0, 3, VELOCITY] {
+        blocks.fixed_view_mut::<3, 3>(begin, begin).copy_from(&rotation);
+    }
+    blocks
+}
+
 /// The smallest rotation that carries the direction `up` of the body to z: no rotation about gravity.
-fn upright(up: &Vector3<f64>) -> Rotation {
+pub(super) fn upright(up: &Vector3<f64>) -> Rotation {
     let up = UnitVector3::new_normalize(*up);
     // Upside down every horizontal axis is as good as any other.
     Rotation::rotation_between_axis(&up, &Vector3::z_axis())

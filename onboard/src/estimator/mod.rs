@@ -12,7 +12,9 @@ pub mod calibration;
 pub mod config;
 pub mod covariance;
 pub mod dense;
+pub mod dynamic_start;
 pub mod gate;
+pub mod health;
 pub mod imu;
 pub mod information;
 pub mod initialization;
@@ -23,6 +25,7 @@ pub mod map_update;
 pub mod nuisance;
 pub mod null_space;
 pub mod propagation;
+pub mod starter;
 pub mod state;
 pub mod state_landmarks;
 pub mod status;
@@ -39,6 +42,7 @@ pub use imu::ImuSample;
 pub use initialization::InitialState;
 pub use map_answer::{MapAnswer, MapKeyframe, MatchedLandmark};
 pub use map_update::{MapReport, Rejection};
+pub use starter::{LastBelieved, Start, StartMethod, Starter, Waiting};
 pub use state::CloneId;
 pub use status::{Localization, Status};
 pub use track_update::TrackReport;
@@ -48,11 +52,12 @@ use covariance::{JointCovariance, NotPositiveDefinite};
 use dense::Dense;
 use gate::Gate;
 use geometry::PoseWithCovariance;
+use health::Health;
 use imu::ImuBuffer;
 use information::Rows;
 use landmark_rows::Layout;
 use nalgebra::{DMatrix, DVector, Matrix6, Vector3};
-use propagation::{IMU_DIM, MotionEstimate, propagate};
+use propagation::{IMU_DIM, ImuMatrix, MotionEstimate, propagate};
 use smallvec::SmallVec;
 use state::{ActiveState, Block, ClonedPose, POSE_DIM, StateLandmark};
 use state_landmarks::{LandmarkSettings, LandmarkUpdate};
@@ -91,7 +96,7 @@ pub enum EstimatorError {
         state_ns: i64,
     },
     /// The filter is broken.
-    #[error("the estimator diverged: {0}; start it again")]
+    #[error("the estimator diverged: {0}")]
     Diverged(String),
 }
 
@@ -138,6 +143,7 @@ pub struct Estimator {
     rejections_in_a_row: usize,
     last_map_update_ns: Option<i64>,
     lost: Option<String>,
+    health: Health,
 }
 
 impl Estimator {
@@ -161,8 +167,9 @@ impl Estimator {
             eye.camera.validate().map_err(|error| EstimatorError::Config(error.to_string()))?;
         }
         let calibration = Calibration::new(rig, config.camera_time_offset, config.calibration);
-        let covariance = with_calibration(&initial.covariance(), &calibration);
+        let covariance = with_calibration(&initial.covariance, &calibration);
         let covariance = JointCovariance::new(covariance, config.max_active_keyframes);
+        let health = Health::new(initial, &config);
         let state = ActiveState {
             stamp_ns: initial.stamp_ns,
             imu: initial.imu,
@@ -201,6 +208,7 @@ impl Estimator {
             rejections_in_a_row: 0,
             last_map_update_ns: None,
             lost: None,
+            health,
         })
     }
 
@@ -304,6 +312,7 @@ impl Estimator {
         let report = self.odometry(observations, &mut update);
         self.odometry_update = update;
         let report = report?;
+        self.health.note_tracks(self.state.stamp_ns, &report);
         self.check_health()?;
         self.marginalize_surplus();
         Ok(report)
@@ -352,7 +361,7 @@ impl Estimator {
             gate: &self.track_settings.gate,
         };
         let (state, covariance) = (&mut self.state, &mut self.covariance);
-        report.landmarks = update.landmarks.update(
+        (report.landmarks, report.landmarks_gated) = update.landmarks.update(
             state,
             covariance,
             in_state,
@@ -442,17 +451,12 @@ impl Estimator {
     }
 
     fn check_health(&self) -> Result<(), EstimatorError> {
-        let broken = |why: &str| Err(EstimatorError::Diverged(why.into()));
-        if !self.state.is_finite() {
-            return broken("a state is not a number");
-        }
-        if (0..self.state.dim())
-            .map(|k| self.covariance.active()[(k, k)])
-            .any(|variance| variance.is_nan() || variance < 0.0)
-        {
-            return broken("a variance is negative");
-        }
-        Ok(())
+        self.health.check(&self.state, &self.covariance)
+    }
+
+    /// Whether the newest tracks contradict the state: not yet a divergence, but a pose not to be built on.
+    pub fn is_suspicious(&self) -> bool {
+        self.health.is_suspicious()
     }
 
     /// Settings it runs with.
@@ -547,10 +551,10 @@ fn surplus(state: &ActiveState, window: usize) -> impl Iterator<Item = usize> + 
 }
 
 /// Covariance of the IMU's error, and of the calibration's, which nothing is known to depend on yet.
-fn with_calibration(imu: &DMatrix<f64>, calibration: &Calibration) -> DMatrix<f64> {
+fn with_calibration(imu: &ImuMatrix, calibration: &Calibration) -> DMatrix<f64> {
     let dim = IMU_DIM + calibration.dim();
     let mut covariance = DMatrix::zeros(dim, dim);
-    covariance.view_mut((0, 0), imu.shape()).copy_from(imu);
+    covariance.fixed_view_mut::<IMU_DIM, IMU_DIM>(0, 0).copy_from(imu);
     for (k, variance) in calibration.initial_variances().iter().enumerate() {
         covariance[(IMU_DIM + k, IMU_DIM + k)] = *variance;
     }

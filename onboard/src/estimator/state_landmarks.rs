@@ -38,7 +38,7 @@ impl LandmarkUpdate {
     /// used when they entered.
     ///
     /// # Returns
-    /// How many landmarks did.
+    /// How many landmarks did, and how many were implausible.
     ///
     /// # Errors
     /// [`NotPositiveDefinite`] when the filter's covariance is broken.
@@ -50,11 +50,11 @@ impl LandmarkUpdate {
         observations: &[TrackObservation],
         settings: &LandmarkSettings,
         correction: &mut DVector<f64>,
-    ) -> Result<usize, NotPositiveDefinite> {
-        let Some(newest) = state.clones.last().map(|clone| clone.id) else { return Ok(0) };
+    ) -> Result<(usize, usize), NotPositiveDefinite> {
+        let Some(newest) = state.clones.last().map(|clone| clone.id) else { return Ok((0, 0)) };
         let layout = Layout::of(state);
         self.accepted.clear();
-        let mut used = 0;
+        let (mut used, mut implausible) = (0, 0);
         for place in 0..count {
             self.linearize(state, place, newest, observations, settings);
             if self.of_landmark.is_empty() {
@@ -64,6 +64,7 @@ impl LandmarkUpdate {
                 is_plausible(&self.of_landmark, place, state, covariance.active(), &layout, settings.gate);
             state.landmarks[place].implausible =
                 if plausible { 0 } else { state.landmarks[place].implausible + 1 };
+            implausible += usize::from(!plausible);
             if plausible {
                 used += 1;
                 self.accepted.extend(self.of_landmark.drain(..).map(|rows| (place, rows)));
@@ -74,7 +75,7 @@ impl LandmarkUpdate {
             covariance.update_by_rows(&self.rows, correction)?;
             state.retract(correction);
         }
-        Ok(used)
+        Ok((used, implausible))
     }
 
     /// The pixels of one landmark in the newest image.

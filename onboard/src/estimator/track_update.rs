@@ -34,6 +34,8 @@ pub struct TrackReport {
     pub dropped_observations: usize,
     /// Landmarks in the state that corrected it.
     pub landmarks: usize,
+    /// Landmarks in the state whose pixels the gate rejected.
+    pub landmarks_gated: usize,
     /// The body stood still.
     pub standing: bool,
 }

@@ -44,11 +44,11 @@ impl From<Mode> for MapMode {
 /// How the first state is found.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Init {
-    /// The first half second at rest within the first ten seconds.
+    /// Half a second at rest, or a second or two in motion, whichever comes first. Until then there is no pose.
     Auto,
     /// The first half second, which must be at rest.
     Static,
-    /// The first row of the ground truth, for recordings that start in motion.
+    /// The first row of the ground truth: to compare filters without the errors of a start.
     Truth,
 }
 
@@ -76,8 +76,17 @@ pub struct RobotArguments {
     #[arg(long)]
     pub no_relinearize: bool,
     /// How the first state is found
+    ///
+    /// In motion, one camera must see the speed or the direction change: at constant velocity nothing tells how fast
+    /// it is. A stereo pair starts at any motion. The log and the robot's status say what is waited for.
     #[arg(long, value_enum, default_value = "auto")]
     pub init: Init,
+    /// Skip so much of the recording, to try starts from different times
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.0)]
+    pub start_at: f64,
+    /// Play so much of the recording [default: to its end]
+    #[arg(long, value_name = "SECONDS")]
+    pub duration: Option<f64>,
     /// Folder for trajectories, states, events and summary
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,

@@ -5,8 +5,10 @@
 
 pub mod answer;
 pub mod arguments;
+mod asking;
 pub mod extraction;
 pub mod front_end;
+pub mod lifecycle;
 pub mod program;
 pub mod progress;
 pub mod publisher;
@@ -18,5 +20,6 @@ pub mod summary;
 
 pub use arguments::RobotArguments;
 pub use front_end::{FrontEnd, FrontEndError};
+pub use lifecycle::Lifecycle;
 pub use program::{MapLink, Outcome, run_robot};
 pub use run::{RobotRun, RunError, run};

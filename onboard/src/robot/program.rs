@@ -3,11 +3,12 @@
 use super::arguments::{Mode, RobotArguments};
 use super::extraction::ExtractionThread;
 use super::front_end::FrontEnd;
+use super::lifecycle::Lifecycle;
 use super::publisher::Publisher;
 use super::query_client::QueryClient;
 use super::recorder::Recorder;
 use super::run::{RobotRun, run};
-use super::start::initial_state;
+use super::start::{excerpt, initial_state};
 use super::summary::Summary;
 use crate::estimator::{Estimator, RigCamera};
 use crate::evaluation::{RunScore, ScoreOptions, score_run};
@@ -49,6 +50,8 @@ pub fn run_robot(
     link: Option<MapLink>,
     progress: impl FnMut(usize),
 ) -> Result<Outcome> {
+    let part = excerpt_of(sequence, arguments)?;
+    let sequence = part.as_ref().unwrap_or(sequence);
     let config = arguments.estimator_config(sequence)?;
     // Before anything takes long: a run whose results cannot be kept is not worth its time.
     std::fs::create_dir_all(&arguments.out)
@@ -64,11 +67,14 @@ pub fn run_robot(
         bail!("--deadline is {}; it must be a positive number of seconds", arguments.deadline);
     }
     let initial = initial_state(sequence, arguments.init, &config)?;
-    let rig = sequence.cameras[..cameras]
+    let rig: Vec<RigCamera> = sequence.cameras[..cameras]
         .iter()
         .map(|sensor| RigCamera { camera: sensor.camera.clone(), imu_from_camera: sensor.imu_from_camera })
         .collect();
-    let estimator = Estimator::new(config.clone(), rig, &initial)?;
+    let filter = match &initial {
+        Some(initial) => Lifecycle::running(Estimator::new(config.clone(), rig.clone(), initial)?, rig),
+        None => Lifecycle::searching(config.clone(), rig),
+    };
     let link = link.filter(|_| arguments.mode != Mode::Odometry);
     let map = link.as_ref().map(|link| link.map.clone());
     let (queries, publisher) = match link {
@@ -91,7 +97,7 @@ pub fn run_robot(
         extraction,
         query_interval_ns: (arguments.query_interval * 1e9) as i64,
         last_extraction_ns: None,
-        estimator,
+        filter,
         robot: arguments.robot.clone(),
         max_keyframes: arguments.max_keyframes,
         realtime: arguments.realtime,
@@ -126,12 +132,23 @@ pub fn run_robot(
         keyframes_pulled: recorder.keyframes_pulled,
         wire_bytes: recorder.traffic,
         tracks: recorder.tracks,
+        reinitializations: recorder.reinitializations(),
+        starts: recorder.starts.clone(),
+        divergences: recorder.divergences.clone(),
         final_status: recorder.final_status.clone(),
         ended_early,
         settings: config,
     };
     recorder.write(&arguments.out, &summary)?;
     Ok(Outcome { summary, recorder })
+}
+
+/// The part of the recording that is asked for, where it is not all of it.
+fn excerpt_of(sequence: &Sequence, arguments: &RobotArguments) -> Result<Option<Sequence>> {
+    if arguments.start_at == 0.0 && arguments.duration.is_none() {
+        return Ok(None);
+    }
+    excerpt(sequence, arguments.start_at, arguments.duration).map(Some)
 }
 
 /// What makes tracks of the recording's images, where it has images and no tracks.

@@ -72,6 +72,9 @@ pub fn report(outcome: &Outcome) -> String {
     if let Some(reason) = &summary.no_score {
         let _ = writeln!(text, "no errors are known: {reason}");
     }
+    for divergence in &summary.divergences {
+        let _ = writeln!(text, "started again at {:.1} s: {}", divergence.seconds, divergence.reason);
+    }
     if let Some(status) = &summary.final_status {
         let _ = writeln!(text, "at the end: {:?}, {}", status.localization, status.reason);
     }

@@ -1,6 +1,6 @@
 //! Publishes pose, odometry and status, in the background.
 
-use crate::estimator::Estimator;
+use crate::estimator::{Estimator, Status};
 use nalgebra::Vector3;
 use protocol::{Format, Message, RobotOdometry, RobotPose, RobotStatus, keys};
 use std::time::Duration;
@@ -94,7 +94,11 @@ impl Publisher {
                 &RobotPose { stamp_ns, map, map_version, global_from_imu, global_from_local },
             );
         }
-        let status = estimator.status().with_failure(failure);
+        self.publish_status(stamp_ns, estimator.status().with_failure(failure), counts);
+    }
+
+    /// Publishes how the robot is, also while it has no pose.
+    pub fn publish_status(&self, stamp_ns: i64, status: Status, counts: QueryCounts) {
         self.send(
             &self.status_key,
             &RobotStatus {

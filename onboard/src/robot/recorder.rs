@@ -8,8 +8,10 @@
 //! | `summary.json` | errors where truth is known, times, bytes, counts |
 
 use super::query_client::Answered;
-use super::summary::{QuerySummary, Summary, Timings, TrackSummary, Traffic};
-use crate::estimator::{Estimator, MapReport, Status, TrackReport};
+use super::summary::{
+    DivergenceSummary, QuerySummary, StartSummary, Summary, Timings, TrackSummary, Traffic,
+};
+use crate::estimator::{Estimator, EstimatorError, MapReport, StartMethod, Status, TrackReport};
 use crate::trajectory::{StampedPose, StateKind, StateRow, states, tum};
 use anyhow::{Context as _, Result};
 use protocol::MatchOutcome;
@@ -125,6 +127,12 @@ pub struct Recorder {
     pub wall_seconds: f64,
     /// Keyframes held at the end.
     pub keyframes_pulled: usize,
+    /// Time of the first frame of the recording, nanoseconds.
+    pub first_ns: i64,
+    /// Starts of the filter.
+    pub starts: Vec<StartSummary>,
+    /// Divergences of the filter.
+    pub divergences: Vec<DivergenceSummary>,
     /// Status at the end.
     pub final_status: Option<Status>,
 }
@@ -153,6 +161,28 @@ impl Recorder {
     pub fn note_state_again(&mut self, estimator: &Estimator) {
         self.states.pop();
         self.note_state(estimator);
+    }
+
+    /// Notes a start of the filter; a method that is not given is a state that was known.
+    pub fn note_start(&mut self, stamp_ns: i64, method: Option<&StartMethod>) {
+        let (method, scale_sigma) = match method {
+            None => ("known", None),
+            Some(StartMethod::Rest) => ("rest", None),
+            Some(StartMethod::Motion(belief)) => ("motion", Some(belief.scale_sigma)),
+        };
+        let seconds = (stamp_ns - self.first_ns) as f64 * 1e-9;
+        self.starts.push(StartSummary { seconds, method, scale_sigma });
+    }
+
+    /// Notes that the filter was given up.
+    pub fn note_divergence(&mut self, stamp_ns: i64, why: &EstimatorError) {
+        let seconds = (stamp_ns - self.first_ns) as f64 * 1e-9;
+        self.divergences.push(DivergenceSummary { seconds, reason: why.to_string() });
+    }
+
+    /// How many starts there were after the first.
+    pub fn reinitializations(&self) -> usize {
+        self.starts.len().saturating_sub(1)
     }
 
     /// Notes the end of a query.

@@ -1,33 +1,39 @@
 //! Plays a recording through the estimator.
 
-use super::extraction::{Extracted, ExtractionThread};
+use super::extraction::ExtractionThread;
 use super::front_end::FrontEnd;
+use super::lifecycle::Lifecycle;
 use super::publisher::{Publisher, QueryCounts};
-use super::query_client::{Answered, Outcome, QueryClient};
-use super::recorder::{Event, Recorder};
-use super::summary::{Timings, Traffic};
-use crate::estimator::{CloneId, Estimator, EstimatorError, MapMode, TrackObservation};
+use super::query_client::QueryClient;
+use super::recorder::Recorder;
+use super::summary::Timings;
+use crate::estimator::{EstimatorError, StartMethod, TrackObservation};
 use crate::sequence::{Frame, Sequence};
 use nalgebra::Vector3;
-use protocol::{FeatureSet, MatchRequest, PosePrior};
 use std::time::{Duration, Instant};
 
 /// Played as fast as possible, an answer takes this long, nanoseconds: it comes before the next image where that is
 /// later, and with it where it is not.
 const ANSWER_NS: i64 = 200_000_000;
-/// Queries that may be on their way at once.
-const MAX_PENDING: usize = 4;
 
 /// Why a run ended early. What was recorded up to there is kept.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum RunError {
-    /// The filter broke.
+    /// The filter cannot be built.
     #[error("at {seconds:.1} s of the recording: {source}")]
     Estimator {
         /// Time since the first frame.
         seconds: f64,
-        /// What broke.
+        /// What is wrong.
         source: EstimatorError,
+    },
+    /// No start was found.
+    #[error("no start was found in {seconds:.1} s of recording: {waiting}")]
+    NoStart {
+        /// Time from the first frame to the last.
+        seconds: f64,
+        /// What was waited for at the end.
+        waiting: String,
     },
 }
 
@@ -38,8 +44,8 @@ pub struct RobotRun<'a> {
     pub sequence: &'a Sequence,
     /// How many of its cameras to use.
     pub cameras: usize,
-    /// The filter, at its first state.
-    pub estimator: Estimator,
+    /// The filter, or the search for its start.
+    pub filter: Lifecycle,
     /// Name of the robot.
     pub robot: String,
     /// Most keyframes of one answer.
@@ -75,35 +81,97 @@ pub fn run(
     recorder: &mut Recorder,
     mut progress: impl FnMut(usize),
 ) -> Result<(), RunError> {
-    let first_ns = robot.estimator.stamp_ns();
+    let first_ns = robot.sequence.frames.first().map_or(0, |frame| frame.stamp_ns);
+    let seconds = |stamp_ns: i64| (stamp_ns - first_ns) as f64 * 1e-9;
+    recorder.first_ns = first_ns;
+    if robot.filter.estimator().is_some() {
+        recorder.note_start(first_ns, None);
+    }
     let begin = Instant::now();
     let mut next_imu = 0;
     for (index, frame) in robot.sequence.frames.iter().enumerate() {
         progress(index);
-        if frame.stamp_ns < first_ns {
+        if robot.filter.begins_after(frame.stamp_ns) {
             continue;
         }
         if robot.realtime {
             let due = Duration::from_nanos((frame.stamp_ns - first_ns).max(0) as u64);
             std::thread::sleep(due.saturating_sub(begin.elapsed()));
         }
-        let broken =
-            |source| RunError::Estimator { seconds: (frame.stamp_ns - first_ns) as f64 * 1e-9, source };
-        robot.frame(frame, &mut next_imu, recorder).map_err(broken)?;
+        let done = robot.frame(frame, &mut next_imu, recorder);
+        robot.survive(done, frame.stamp_ns, next_imu, recorder)?;
         let next = robot.sequence.frames.get(index + 1);
         if !robot.realtime && next.is_some_and(|next| next.stamp_ns - frame.stamp_ns > ANSWER_NS) {
-            robot.answers_before_the_next_image(recorder).map_err(broken)?;
+            let done = robot.answers_before_the_next_image(recorder);
+            robot.survive(done, frame.stamp_ns, next_imu, recorder)?;
         }
     }
-    robot.close(recorder).map_err(|source| RunError::Estimator {
-        seconds: (robot.estimator.stamp_ns() - first_ns) as f64 * 1e-9,
-        source,
-    })?;
+    let last_ns = robot.sequence.frames.last().map_or(0, |frame| frame.stamp_ns);
+    let done = robot.take_the_rest(recorder);
+    robot.survive(done, last_ns, next_imu, recorder)?;
+    robot.close(recorder);
     recorder.wall_seconds = begin.elapsed().as_secs_f64();
+    if recorder.starts.is_empty() {
+        let waiting = robot.filter.status().reason;
+        return Err(RunError::NoStart { seconds: seconds(last_ns), waiting });
+    }
     Ok(())
 }
 
 impl RobotRun<'_> {
+    /// Goes on after a step: a filter that diverged is given up, and a new start is looked for.
+    fn survive(
+        &mut self,
+        done: Result<(), EstimatorError>,
+        stamp_ns: i64,
+        next_imu: usize,
+        recorder: &mut Recorder,
+    ) -> Result<(), RunError> {
+        match done {
+            Ok(()) => Ok(()),
+            Err(error @ EstimatorError::Diverged(_)) => {
+                tracing::error!(%error, "no pose until there is a new start");
+                recorder.note_divergence(stamp_ns, &error);
+                self.filter.give_up(stamp_ns, &error, &self.sequence.imu_samples[..next_imu]);
+                self.publish_status(stamp_ns, recorder);
+                Ok(())
+            }
+            Err(source) => {
+                Err(RunError::Estimator { seconds: (stamp_ns - recorder.first_ns) as f64 * 1e-9, source })
+            }
+        }
+    }
+
+    fn publish_status(&self, stamp_ns: i64, recorder: &Recorder) {
+        if let Some(publisher) = &self.publisher {
+            let status = self.filter.status().with_failure(self.last_failure.as_deref());
+            publisher.publish_status(stamp_ns, status, recorder.query_counts());
+        }
+    }
+
+    /// Looks for a start, where there is none yet.
+    ///
+    /// # Returns
+    /// The tracks that the filter still has to learn from; `None` where there is no filter.
+    fn start(
+        &mut self,
+        stamp_ns: i64,
+        tracks: Vec<TrackObservation>,
+        recorder: &mut Recorder,
+    ) -> Result<Option<Vec<TrackObservation>>, EstimatorError> {
+        if self.filter.estimator().is_some() {
+            return Ok(Some(tracks));
+        }
+        let Some(method) = self.filter.try_start(stamp_ns, &tracks)? else {
+            self.publish_status(stamp_ns, recorder);
+            return Ok(None);
+        };
+        tracing::info!(?method, "started");
+        recorder.note_start(stamp_ns, Some(&method));
+        // A start in motion has learned from the tracks of its last image already.
+        Ok(Some(if method == StartMethod::Rest { tracks } else { Vec::new() }))
+    }
+
     fn frame(
         &mut self,
         frame: &Frame,
@@ -116,8 +184,13 @@ impl RobotRun<'_> {
         timings.front_end = begin.elapsed();
 
         let begin = Instant::now();
-        let rate = self.feed_imu(frame.stamp_ns, next_imu, recorder);
-        let clone = match self.estimator.time_update(frame.stamp_ns) {
+        let reading = self.feed_imu(frame.stamp_ns, next_imu, recorder);
+        let tracks = self.start(frame.stamp_ns, tracks, recorder)?;
+        let (Some(tracks), Some(estimator)) = (tracks, self.filter.estimator_mut()) else {
+            // Answers to the filter before are of no use, but must not pile up.
+            return self.deliver(recorder).map(|_| ());
+        };
+        let clone = match estimator.time_update(frame.stamp_ns) {
             Ok(clone) => clone,
             Err(error @ (EstimatorError::NoImu { .. } | EstimatorError::OldFrame { .. })) => {
                 tracing::warn!(%error, "frame skipped");
@@ -129,7 +202,7 @@ impl RobotRun<'_> {
         timings.propagation = begin.elapsed();
 
         let begin = Instant::now();
-        let report = self.estimator.track_update(&tracks)?;
+        let report = estimator.track_update(&tracks)?;
         timings.tracks = begin.elapsed();
         recorder.note_tracks(&report);
 
@@ -138,10 +211,13 @@ impl RobotRun<'_> {
         let waited = self.deliver(recorder)?;
         timings.map = begin.elapsed().saturating_sub(waited);
 
-        recorder.note_state(&self.estimator);
+        self.filter.remember();
+        let Some(estimator) = self.filter.estimator() else { return Ok(()) };
+        recorder.note_state(estimator);
         recorder.timings.add(&timings);
         if let Some(publisher) = &self.publisher {
-            publisher.publish(&self.estimator, rate, recorder.query_counts(), self.last_failure.as_deref());
+            let rate = reading - estimator.biases().0;
+            publisher.publish(estimator, rate, recorder.query_counts(), self.last_failure.as_deref());
         }
         self.ask_about(clone, frame, recorder);
         Ok(())
@@ -156,7 +232,9 @@ impl RobotRun<'_> {
             return Ok(());
         }
         self.deliver(recorder)?;
-        recorder.note_state_again(&self.estimator);
+        if let Some(estimator) = self.filter.estimator() {
+            recorder.note_state_again(estimator);
+        }
         Ok(())
     }
 
@@ -178,149 +256,25 @@ impl RobotRun<'_> {
             .ok()
     }
 
-    /// Hands over the IMU readings up to the first one after the frame.
+    /// Hands over the IMU readings up to the first one after the frame, and returns the angular velocity of that.
     fn feed_imu(&mut self, stamp_ns: i64, next: &mut usize, recorder: &mut Recorder) -> Vector3<f64> {
         let samples = &self.sequence.imu_samples;
-        let stamp_ns = self.estimator.imu_stamp_ns(stamp_ns);
+        let stamp_ns = self.filter.estimator().map_or(stamp_ns, |estimator| estimator.imu_stamp_ns(stamp_ns));
         while *next < samples.len() && (*next == 0 || samples[*next - 1].stamp_ns < stamp_ns) {
-            if let Err(error) = self.estimator.imu(samples[*next]) {
+            if let Err(error) = self.filter.imu(samples[*next]) {
                 tracing::warn!(%error);
                 recorder.dropped_imu += 1;
             }
             *next += 1;
         }
-        let newest =
-            samples.get(next.saturating_sub(1)).map_or_else(Vector3::zeros, |sample| sample.gyroscope);
-        newest - self.estimator.biases().0
+        samples.get(next.saturating_sub(1)).map_or_else(Vector3::zeros, |sample| sample.gyroscope)
     }
 
-    /// Asks the map about a frame, as soon as its features are there.
-    fn ask_about(&mut self, clone: CloneId, frame: &Frame, recorder: &mut Recorder) {
-        if self.queries.is_none() || self.estimator.config().mode == MapMode::Odometry {
-            return;
-        }
-        if let Some(features) = frame.features.as_ref().filter(|features| !features.is_empty()) {
-            self.ask(clone, frame.stamp_ns, features.clone(), recorder);
-            return;
-        }
-        let (Some(extraction), Some(image)) = (&mut self.extraction, &frame.images[0]) else { return };
-        let due =
-            self.last_extraction_ns.is_none_or(|last_ns| frame.stamp_ns - last_ns >= self.query_interval_ns);
-        if due && extraction.is_idle() {
-            self.estimator.pin(clone);
-            extraction.submit(clone, frame.stamp_ns, image);
-            self.last_extraction_ns = Some(frame.stamp_ns);
-        }
-    }
-
-    fn ask(&mut self, clone: CloneId, stamp_ns: i64, features: FeatureSet, recorder: &mut Recorder) {
-        let Some(queries) = &mut self.queries else { return };
-        // Each holds its clone in the filter: with a server that hangs, the window must not fill with them.
-        if queries.pending() >= MAX_PENDING {
-            recorder.queries_skipped += 1;
-            self.estimator.unpin(clone);
-            return;
-        }
-        let max_keyframes =
-            if self.estimator.config().mode == MapMode::Single { 1 } else { self.max_keyframes.max(1) };
-        let request = MatchRequest {
-            robot: self.robot.clone(),
-            stamp_ns,
-            camera: self.sequence.cameras[0].camera.clone(),
-            features,
-            prior: self
-                .estimator
-                .global_from_camera(clone)
-                .map(|global_from_camera| PosePrior { global_from_camera }),
-            gravity_in_camera: self.estimator.gravity_in_first_camera(clone).map(Into::into),
-            held: self.estimator.held_keyframes(),
-            map_version_held: self.estimator.map_version(),
-            max_keyframes,
-        };
-        self.estimator.pin(clone);
-        recorder.queries_sent += 1;
-        queries.ask(clone, request);
-    }
-
-    /// Takes in the features and answers that are here; as fast as possible, waits for all of them.
-    fn deliver(&mut self, recorder: &mut Recorder) -> Result<Duration, EstimatorError> {
-        let begin = Instant::now();
-        let extracted = self
-            .extraction
-            .as_mut()
-            .and_then(|extraction| if self.realtime { extraction.poll() } else { extraction.wait() });
-        let mut waited = begin.elapsed();
-        if let Some(extracted) = extracted {
-            self.ask_with(extracted, recorder);
-        }
-        while let Some(queries) = &mut self.queries {
-            let begin = Instant::now();
-            let answered = if self.realtime { queries.poll() } else { queries.wait() };
-            waited += begin.elapsed();
-            let Some(answered) = answered else { break };
-            self.take(&answered, recorder)?;
-        }
-        Ok(waited)
-    }
-
-    /// The features of an image are ready: the map is asked.
-    fn ask_with(&mut self, extracted: Extracted, recorder: &mut Recorder) {
-        match extracted.features {
-            Ok(features) if !features.is_empty() => {
-                self.ask(extracted.clone, extracted.stamp_ns, features, recorder);
-            }
-            Ok(_) => self.estimator.unpin(extracted.clone),
-            Err(reason) => {
-                tracing::warn!(reason, "the map is not asked about this image");
-                self.estimator.unpin(extracted.clone);
-            }
-        }
-    }
-
-    fn take(&mut self, answered: &Answered, recorder: &mut Recorder) -> Result<(), EstimatorError> {
-        let mut event = Event::new(answered, self.estimator.stamp_ns());
-        match &answered.outcome {
-            Outcome::Matched(answer) => {
-                let report = self.estimator.map_update(answered.clone, answer)?;
-                event.note_report(&report);
-            }
-            Outcome::NoMatch(outcome) => event.note_no_match(*outcome),
-            Outcome::Failed(reason) => event.note_failure(reason),
-        }
-        self.note_failure(&answered.outcome);
-        self.estimator.unpin(answered.clone);
-        recorder.traffic.add(&Traffic { sent: answered.bytes_sent, received: answered.bytes_received });
-        recorder.note_event(event);
-        Ok(())
-    }
-
-    /// Remembers whether the map answers, and says so when that changes.
-    fn note_failure(&mut self, outcome: &Outcome) {
-        let failure = match outcome {
-            Outcome::Failed(reason) => Some(reason.clone()),
-            Outcome::Matched(_) | Outcome::NoMatch(_) => None,
-        };
-        match (&self.last_failure, &failure) {
-            (None, Some(reason)) => tracing::warn!(reason, "the map does not answer"),
-            (Some(_), None) => tracing::info!("the map answers again"),
-            _ => {}
-        }
-        self.last_failure = failure;
-    }
-
-    /// Takes in what is still on its way at the end of the recording.
-    fn close(&mut self, recorder: &mut Recorder) -> Result<(), EstimatorError> {
-        if let Some(extracted) = self.extraction.as_mut().and_then(ExtractionThread::wait) {
-            self.ask_with(extracted, recorder);
-        }
-        while let Some(answered) = self.queries.as_mut().and_then(QueryClient::wait) {
-            self.take(&answered, recorder)?;
-        }
-        recorder.final_status = Some(self.estimator.status().with_failure(self.last_failure.as_deref()));
+    fn close(&mut self, recorder: &mut Recorder) {
+        recorder.final_status = Some(self.filter.status().with_failure(self.last_failure.as_deref()));
         if let Some(publisher) = self.publisher.take() {
             publisher.close();
         }
-        Ok(())
     }
 }
 

@@ -7,26 +7,81 @@ use crate::sequence::{Sequence, TruthRow};
 use anyhow::{Context as _, Result, bail};
 use nalgebra::Vector3;
 
-/// How far into a recording [`Init::Auto`] looks for a body at rest, seconds.
+/// How far into a recording [`first_rest`] looks, seconds.
 const SEARCH_SECONDS: f64 = 10.0;
 
 /// How long before the first image a start from truth lies at most, nanoseconds: without images the filter would only
 /// lose what the truth tells.
 const LEAD_NS: i64 = 100_000_000;
 
-/// The first state.
+/// Truth is kept from so long before an excerpt to so long after, nanoseconds: it is interpolated at the ends.
+const TRUTH_LEAD_NS: i64 = 300_000_000;
+
+/// The first state; `None` where it is to be found on the way.
 ///
 /// # Errors
 /// A sentence that says what the recording lacks and which switch helps.
-pub fn initial_state(sequence: &Sequence, init: Init, config: &EstimatorConfig) -> Result<InitialState> {
+pub fn initial_state(
+    sequence: &Sequence,
+    init: Init,
+    config: &EstimatorConfig,
+) -> Result<Option<InitialState>> {
     match init {
-        Init::Truth => from_truth(sequence, config),
+        Init::Truth => from_truth(sequence, config).map(Some),
         Init::Static => {
             let readings = window(&sequence.imu_samples, 0);
-            InitialState::from_rest(readings, config).context("--init static")
+            let start = InitialState::from_rest(readings, config);
+            start.context("--init static (--init auto waits for a start, and starts in motion too)").map(Some)
         }
-        Init::Auto => first_rest(&sequence.imu_samples, config),
+        Init::Auto => Ok(None),
     }
+}
+
+/// A part of a recording, as if nothing else had been recorded.
+///
+/// # Arguments
+/// * `start_at`: begin, seconds after the first image.
+/// * `duration`: length, seconds; unset, all the rest.
+///
+/// # Errors
+/// A sentence: a time that is not a positive number, or past the end.
+pub fn excerpt(sequence: &Sequence, start_at: f64, duration: Option<f64>) -> Result<Sequence> {
+    let length = duration.unwrap_or(f64::INFINITY);
+    if !(start_at.is_finite() && start_at >= 0.0) {
+        bail!("--start-at is {start_at}; it must be zero or a positive number of seconds");
+    }
+    if length.is_nan() || length <= 0.0 {
+        bail!("--duration is {length}; it must be a positive number of seconds");
+    }
+    let first_ns = sequence.frames.first().map_or(0, |frame| frame.stamp_ns);
+    let begin_ns = first_ns + (start_at * 1e9) as i64;
+    let end_ns = begin_ns.saturating_add((length * 1e9) as i64);
+    let kept = |stamp_ns: i64, lead_ns: i64| {
+        (begin_ns - lead_ns..=end_ns.saturating_add(lead_ns)).contains(&stamp_ns)
+    };
+    let mut part = sequence.clone();
+    part.frames.retain(|frame| kept(frame.stamp_ns, 0));
+    part.imu_samples.retain(|reading| kept(reading.stamp_ns, LEAD_NS));
+    if let Some(rows) = &mut part.groundtruth {
+        rows.retain(|row| kept(row.stamp_ns, TRUTH_LEAD_NS));
+    }
+    if part.frames.is_empty() {
+        bail!("--start-at {start_at}: the recording has no image after that");
+    }
+    Ok(part)
+}
+
+/// The first state at rest in the first ten seconds of readings, for those who only want the gyroscope's bias.
+pub fn first_rest(samples: &[ImuSample], config: &EstimatorConfig) -> Option<InitialState> {
+    let end_ns = samples.first()?.stamp_ns + (SEARCH_SECONDS * 1e9) as i64;
+    let mut next_ns = i64::MIN;
+    (0..samples.partition_point(|sample| sample.stamp_ns <= end_ns)).find_map(|first| {
+        if samples[first].stamp_ns < next_ns {
+            return None;
+        }
+        next_ns = samples[first].stamp_ns + (REST_SECONDS * 0.2e9) as i64;
+        InitialState::from_rest(window(samples, first), config).ok()
+    })
 }
 
 /// The readings of [`REST_SECONDS`] from `first` on.
@@ -34,24 +89,6 @@ fn window(samples: &[ImuSample], first: usize) -> &[ImuSample] {
     let end_ns = samples.get(first).map_or(0, |sample| sample.stamp_ns + (REST_SECONDS * 1e9) as i64);
     let end = samples.partition_point(|sample| sample.stamp_ns <= end_ns);
     &samples[first.min(end)..end]
-}
-
-fn first_rest(samples: &[ImuSample], config: &EstimatorConfig) -> Result<InitialState> {
-    let end_ns = samples.first().map_or(0, |sample| sample.stamp_ns + (SEARCH_SECONDS * 1e9) as i64);
-    let mut why = None;
-    let mut next_ns = i64::MIN;
-    for first in 0..samples.partition_point(|sample| sample.stamp_ns <= end_ns) {
-        if samples[first].stamp_ns < next_ns {
-            continue;
-        }
-        next_ns = samples[first].stamp_ns + (REST_SECONDS * 0.2e9) as i64;
-        match InitialState::from_rest(window(samples, first), config) {
-            Ok(start) => return Ok(start),
-            Err(error) => why = why.or(Some(error)),
-        }
-    }
-    let why = why.map_or_else(|| "the recording has no IMU readings".to_owned(), |error| error.to_string());
-    bail!("no start at rest in the first {SEARCH_SECONDS} s: {why}")
 }
 
 fn from_truth(sequence: &Sequence, config: &EstimatorConfig) -> Result<InitialState> {

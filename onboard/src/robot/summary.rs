@@ -107,6 +107,26 @@ pub struct TrackSummary {
     pub dropped_observations: usize,
 }
 
+/// A start of the filter.
+#[derive(Clone, Debug, Serialize)]
+pub struct StartSummary {
+    /// Time since the first frame, seconds.
+    pub seconds: f64,
+    /// `known`, `rest` or `motion`.
+    pub method: &'static str,
+    /// In motion: standard deviation of the scale, as a part of it.
+    pub scale_sigma: Option<f64>,
+}
+
+/// A divergence of the filter.
+#[derive(Clone, Debug, Serialize)]
+pub struct DivergenceSummary {
+    /// Time since the first frame, seconds.
+    pub seconds: f64,
+    /// What was wrong.
+    pub reason: String,
+}
+
 /// The summary of a run.
 #[derive(Clone, Debug, Serialize)]
 pub struct Summary {
@@ -142,6 +162,12 @@ pub struct Summary {
     pub wire_bytes: Traffic,
     /// Tracks.
     pub tracks: TrackSummary,
+    /// Starts after the first.
+    pub reinitializations: usize,
+    /// All starts.
+    pub starts: Vec<StartSummary>,
+    /// Why the filter was started again, and when it was given up.
+    pub divergences: Vec<DivergenceSummary>,
     /// State at the end.
     pub final_status: Option<Status>,
     /// Why the run ended early, if it did.

@@ -72,7 +72,7 @@ impl World {
             gyroscope_bias: Vector3::zeros(),
             accelerometer_bias: Vector3::zeros(),
         };
-        let initial = InitialState { stamp_ns: 0, imu, sigmas: config.initial };
+        let initial = InitialState { stamp_ns: 0, imu, covariance: config.initial.covariance() };
         let mut estimator = Estimator::new(config, vec![self.eye.clone()], &initial).unwrap();
         estimator.imu(imu_at(0)).unwrap();
         estimator

@@ -2,8 +2,7 @@
 
 use anyhow::{Context, Result, bail};
 use clap::ValueEnum;
-use onboard::robot::arguments::Init;
-use onboard::robot::start::initial_state;
+use onboard::robot::start::first_rest;
 use onboard::robot::{FrontEnd, progress};
 use onboard::sequence::{Frame, Sequence, writer};
 use serde::Serialize;
@@ -172,7 +171,7 @@ fn resting_start(sequence: &Sequence) -> Option<nalgebra::Vector3<f64>> {
     if let Some(gravity) = sequence.imu.as_ref().and_then(|imu| imu.gravity_magnitude) {
         config.gravity = gravity;
     }
-    Some(initial_state(sequence, Init::Auto, &config).ok()?.imu.gyroscope_bias)
+    Some(first_rest(&sequence.imu_samples, &config)?.imu.gyroscope_bias)
 }
 
 fn camera_count(args: &Args, sequence: &Sequence) -> Result<usize> {

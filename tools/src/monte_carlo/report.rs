@@ -103,16 +103,35 @@ fn remarks(runs: &VariantRuns, score: &EnsembleScore) -> Vec<String> {
     remarks
 }
 
-/// How wrong the calibration was that the filter was told, where it was.
+/// How wrong the calibration was that the filter was told, where it was, and what the filter made of it.
 fn told_calibration(runs: &VariantRuns) -> Option<String> {
     let told = runs.trials.first()?.told_calibration.first()?;
-    let CalibrationError { deg, m, seconds, focal_fraction } = *told;
-    let is_wrong = deg > 1e-9 || m > 0.0 || seconds != 0.0 || focal_fraction > 0.0;
+    let is_wrong = told.deg > 1e-9 || told.m > 0.0 || told.seconds != 0.0 || told.focal_fraction > 0.0;
+    let found = runs.trials.iter().filter(|trial| trial.diverged.is_none());
+    let found: Vec<&CalibrationError> = found.filter_map(|trial| trial.found_calibration.first()).collect();
+    let mean = |of: &dyn Fn(&CalibrationError) -> f64| {
+        found.iter().map(|error| of(error).abs()).sum::<f64>() / found.len().max(1) as f64
+    };
+    let ended = CalibrationError {
+        deg: mean(&|error| error.deg),
+        m: mean(&|error| error.m),
+        seconds: mean(&|error| error.seconds),
+        focal_fraction: mean(&|error| error.focal_fraction),
+    };
     is_wrong.then(|| {
         format!(
-            "told a calibration that is off by {deg:.2} deg, {m:.3} m, {:.1} ms, {:.2} % of focal length",
-            1e3 * seconds.abs(),
-            100.0 * focal_fraction
+            "told a calibration that is off by {}, ended with {} in the mean",
+            in_words(told),
+            in_words(&ended)
         )
     })
+}
+
+fn in_words(error: &CalibrationError) -> String {
+    let CalibrationError { deg, m, seconds, focal_fraction } = error;
+    format!(
+        "{deg:.2} deg, {m:.3} m, {:.1} ms, {:.2} % of focal length",
+        1e3 * seconds.abs(),
+        100.0 * focal_fraction
+    )
 }

@@ -51,6 +51,8 @@ pub struct Trial {
     pub diverged: Option<String>,
     /// How far the calibration that it was told is from the truth, for each camera.
     pub told_calibration: Vec<CalibrationError>,
+    /// How far the filter's own calibration is from the truth at the end, by camera.
+    pub found_calibration: Vec<CalibrationError>,
 }
 
 /// Everything of a seed that no variant changes.
@@ -123,6 +125,7 @@ impl Seed<'_> {
             localized: false,
             diverged: None,
             told_calibration,
+            found_calibration: Vec::new(),
         };
         let estimator = match Estimator::new(variant.config.clone(), stated.rig.clone(), &start.initial) {
             Ok(estimator) => estimator,
@@ -137,6 +140,11 @@ impl Seed<'_> {
         trial.first_fix_s = fix.map(|state| (state.stamp_ns - begin_ns) as f64 * 1e-9);
         trial.map = player.map;
         trial.localized = player.estimator.status().localization == Localization::Localized;
+        let found = player.estimator.calibration();
+        let delays = (-found.time_offset, true_delay_s);
+        let cameras = found.rig.iter().zip(&truth);
+        trial.found_calibration =
+            cameras.map(|(found, truth)| CalibrationError::of(found, truth, delays)).collect();
         trial.errors =
             run_errors_in(&player.states, &self.truth(&player.states), start.global_from_local).ok();
         trial
@@ -162,7 +170,8 @@ impl Seed<'_> {
             if stamp_ns > self.world.live_way.end_ns() {
                 break;
             }
-            while let Some(reading) = readings.next_if(|reading| reading.stamp_ns <= stamp_ns) {
+            let until_ns = player.estimator.imu_stamp_ns(stamp_ns);
+            while let Some(reading) = readings.next_if(|reading| reading.stamp_ns <= until_ns) {
                 player.estimator.imu(*reading)?;
             }
             // The reading after the image: between two of them it is interpolated.
