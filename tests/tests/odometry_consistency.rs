@@ -1,7 +1,7 @@
 //! The odometry knows how wrong it is: NEES over Monte-Carlo runs, each of which starts from a drawn state.
 #![allow(clippy::unwrap_used)]
 
-use onboard::estimator::{EstimatorConfig, MapMode};
+use onboard::estimator::{EstimatorConfig, MapMode, OnlineCalibration};
 use onboard::evaluation::Verdict;
 use tools::monte_carlo::score::{ScoreOptions, score};
 use tools::monte_carlo::{
@@ -13,10 +13,10 @@ use tools::simulation::{Course, SimulationOptions};
 const RUNS: usize = 20;
 
 /// A hand in a room, from rest: every direction is turned about and accelerated along.
-fn runs(variants: &[Variant]) -> Vec<VariantRuns> {
+fn runs(runs: usize, calibration: CalibrationErrors, variants: &[Variant]) -> Vec<VariantRuns> {
     let course = Course::Room;
     let options = MonteCarloOptions {
-        runs: RUNS,
+        runs,
         first_seed: 1,
         threads: std::thread::available_parallelism().map_or(2, usize::from),
         simulation: SimulationOptions {
@@ -29,7 +29,7 @@ fn runs(variants: &[Variant]) -> Vec<VariantRuns> {
         },
         map: MapOptions::default(),
         answers: AnswerOptions::default(),
-        calibration: CalibrationErrors::default(),
+        calibration,
     };
     run(&options, variants, |_| {}).unwrap()
 }
@@ -41,7 +41,8 @@ fn odometry(name: &str, cameras: usize) -> Variant {
 
 #[test]
 fn nees_of_the_odometry_is_within_its_95_percent_interval() {
-    for all in runs(&[odometry("mono", 1), odometry("stereo", 2)]) {
+    let variants = [odometry("mono", 1), odometry("stereo", 2)];
+    for all in runs(RUNS, CalibrationErrors::default(), &variants) {
         let score = score(&all, &ScoreOptions::default());
         assert_eq!((score.runs, score.diverged), (RUNS, 0), "{}", score.name);
         let local = score.local.unwrap();
@@ -51,5 +52,30 @@ fn nees_of_the_odometry_is_within_its_95_percent_interval() {
             println!("{} {part}: {:.2}, {:.2?}", score.name, nees.mean, nees.interval);
             assert_eq!(nees.verdict, Verdict::Inside, "{} {part}: {nees:?}", score.name);
         }
+    }
+}
+
+#[test]
+fn a_wrong_calibration_is_a_tenth_as_wrong_after_a_minute() {
+    let told = CalibrationErrors {
+        rotation_rad: 2.0_f64.to_radians(),
+        translation_m: 0.03,
+        time_offset_s: 0.01,
+        focal_fraction: 0.01,
+    };
+    let mut variant = odometry("mono", 1);
+    variant.config.calibration = OnlineCalibration {
+        extrinsics: true,
+        intrinsics: true,
+        time_offset: true,
+        ..OnlineCalibration::default()
+    };
+    let all = runs(6, told, &[variant]).remove(0);
+    for trial in &all.trials {
+        assert_eq!(trial.diverged, None, "seed {}", trial.seed);
+        let found = &trial.found_calibration[0];
+        println!("seed {}: {found:?}", trial.seed);
+        assert!(found.deg < 0.2 && found.m < 0.003, "seed {}: {found:?}", trial.seed);
+        assert!(found.seconds.abs() < 1e-3 && found.focal_fraction < 1e-3, "seed {}: {found:?}", trial.seed);
     }
 }

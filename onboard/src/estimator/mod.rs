@@ -336,6 +336,12 @@ impl Estimator {
         for place in surplus(&self.state, self.config.window) {
             self.tracks.take_seen_by(self.state.clones[place].id, &mut update.ready);
         }
+        if self.track_settings.standing && self.state.calibration.dim() > 0 {
+            // A view that does not change says the same of the calibration again and again, at a point that is not the
+            // truth: the filter would believe it.
+            self.tracks.recycle(&mut update.ready);
+            return Ok(TrackReport { standing: true, ..TrackReport::default() });
+        }
         let mut room = self.config.state_landmarks.saturating_sub(in_state);
         let may_enter = |_: &Track| {
             let enters = room > 0;

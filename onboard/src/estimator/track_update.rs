@@ -7,16 +7,16 @@
 //! NEES 2.3 after 200 s): it enters by rows at first estimates, where its later rows stand too.
 //! An outlying observation is dropped, not its whole track.
 
-use super::calibration::RigCamera;
+use super::calibration::{Observation, RigCamera};
 use super::covariance::JointCovariance;
 use super::gate::Gate;
 use super::information::Information;
 use super::landmark_rows::{Entrance, LandmarkRows, Layout, pixel_rows};
-use super::state::ActiveState;
+use super::state::{ActiveState, Block};
 use super::tracks::{Sighting, Track};
 use geometry::triangulation::{TriangulationOptions, View, triangulate};
 use geometry::{Camera, Triangulated};
-use nalgebra::Vector3;
+use nalgebra::{Matrix2x3, Matrix2x6, Vector2, Vector3};
 use smallvec::SmallVec;
 
 /// What became of the tracks of one frame.
@@ -60,6 +60,9 @@ pub struct TrackSettings {
 
 /// Fewest clones that must have seen a track: two always fit some point well.
 const MIN_CLONES: usize = 3;
+
+/// How fast a body may turn while the time offset of its cameras is being found, rad/s.
+const FASTEST_TURN: f64 = 1.0;
 
 /// A distance at which centimetres do not show, metres.
 const FAR: f64 = 1000.0;
@@ -110,6 +113,8 @@ impl TrackUpdate {
         let mut report = TrackReport { standing: settings.standing, ..TrackReport::default() };
         let layout = Layout::of(state);
         self.begin(&layout);
+        let largest_error =
+            settings.outlier_sigmas * settings.sigma_px + calibration_slack(state, covariance);
         // Long tracks say most; the names make the order unique.
         tracks.sort_unstable_by_key(|track| (std::cmp::Reverse(track.sightings.len()), track.feature_id));
         for track in tracks.iter_mut().filter(|track| track.clones() >= MIN_CLONES) {
@@ -117,7 +122,13 @@ impl TrackUpdate {
                 report.left_out += 1;
                 continue;
             }
-            let triangulated = triangulate_robustly(state, &mut track.sightings, settings, &mut report);
+            let triangulated = triangulate_robustly(
+                state,
+                &mut track.sightings,
+                settings.sigma_px,
+                largest_error,
+                &mut report,
+            );
             let landmark = triangulated
                 .as_ref()
                 .map(|found| found.position)
@@ -174,11 +185,40 @@ impl TrackUpdate {
     }
 }
 
+/// How far a pixel may be off because the calibration is still uncertain (three deviations), px.
+///
+/// An error of the calibration moves all pixels together; what it leaves of a residual is less. The chi-square gate, which
+/// knows the calibration's covariance, decides afterwards.
+fn calibration_slack(state: &ActiveState, covariance: &JointCovariance) -> f64 {
+    let Some(range) = state.range(Block::Calibration).filter(|range| !range.is_empty()) else { return 0.0 };
+    let Some(camera) = state.calibration.rig.first().map(|eye| &eye.camera) else { return 0.0 };
+    let corner = [f64::from(camera.width) * 0.5, f64::from(camera.height) * 0.5, 0.0];
+    let observation = Observation {
+        pixel: Vector2::zeros(),
+        in_camera: Vector3::new(corner[0] / camera.focal[0], corner[1] / camera.focal[1], 1.0),
+        of_body: Matrix2x6::zeros(),
+        of_landmark: Matrix2x3::zeros(),
+        of_extrinsics: Matrix2x6::identity() * camera.focal[0],
+    };
+    let jacobian = state.calibration.camera_jacobian(0, &observation);
+    let own = state.calibration.camera_range(0);
+    let variance = |k: usize| covariance.active()[(range.start + k, range.start + k)];
+    let of_camera =
+        own.clone().map(|k| variance(k) * jacobian.column(k - own.start).norm_squared()).sum::<f64>();
+    let of_clock = if state.calibration.estimates_time_offset() {
+        variance(0) * (FASTEST_TURN * camera.focal[0]).powi(2)
+    } else {
+        0.0
+    };
+    3.0 * (of_camera + of_clock).sqrt()
+}
+
 /// Triangulates in L, dropping the worst observation as long as it is an outlier and enough are left.
 fn triangulate_robustly(
     state: &ActiveState,
     sightings: &mut Vec<Sighting>,
-    settings: &TrackSettings,
+    sigma_px: f64,
+    largest_error: f64,
     report: &mut TrackReport,
 ) -> Option<Triangulated> {
     let rig = &state.calibration.rig;
@@ -199,7 +239,7 @@ fn triangulate_robustly(
             views.push(View {
                 parent_from_camera: clone.local_from_imu * eye.imu_from_camera,
                 pixel: sighting.pixel,
-                sigma_pixel: settings.sigma_px,
+                sigma_pixel: sigma_px,
             });
         }
         let found = triangulate(&cameras, &views, &TriangulationOptions::default()).ok()?;
@@ -211,7 +251,7 @@ fn triangulate_robustly(
                 worst = (place, error);
             }
         }
-        if worst.1 <= settings.outlier_sigmas * settings.sigma_px {
+        if worst.1 <= largest_error {
             return Some(found);
         }
         if dropped < max_dropped {
@@ -266,7 +306,7 @@ mod tests {
         let mut report = TrackReport::default();
         let mut outlying = scene.sightings.clone();
         outlying[3].pixel.x += 60.0;
-        let found = triangulate_robustly(&scene.state, &mut outlying, &settings(), &mut report).unwrap();
+        let found = triangulate_robustly(&scene.state, &mut outlying, 1.2, 6.0, &mut report).unwrap();
         assert_eq!((report.dropped_observations, outlying.len()), (1, 7));
         assert!(outlying.iter().all(|sighting| sighting.clone != CloneId(3)));
         assert!((found.position - scene.landmark).norm() < 0.1);
