@@ -1,7 +1,7 @@
 //! Watches readings and images for a state to start from: at rest, else in motion.
 //!
 //! Before the first start, and again after the filter diverged. Pure, like the filter; what it keeps is bounded
-//! by [`MOST_SECONDS_BLIND`]. Rest is tried first: it needs no parallax. The tracks must agree: a body that glides reads
+//! by `MOST_SECONDS_BLIND`. Rest is tried first: it needs no parallax. The tracks must agree: a body that glides reads
 //! like one at rest.
 
 use super::EstimatorError;
