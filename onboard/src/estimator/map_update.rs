@@ -254,10 +254,7 @@ impl Estimator {
         for iteration in 1..=self.config.map_iterations {
             let prepared = self.prepare(&inliers, answer, &keyframes, &columns, &point);
             report.accepted = prepared.accepted;
-            // A few of many pass by chance in a place that is not this one; most must. A map that is taken for exact
-            // contradicts itself too much to ask for that.
-            let most = if exact { 0 } else { inliers.len() / 2 };
-            let need = self.config.min_inliers.div_ceil(2).max(most);
+            let need = self.config.min_inliers.div_ceil(2);
             if prepared.accepted < need {
                 let (accepted, verified) = (prepared.accepted, inliers.len());
                 return Ok(Err(Rejection::FewLandmarks { accepted, verified, need }));
