@@ -33,7 +33,7 @@ fn what_enters_the_state_is_correlated_as_in_the_dense_filter() {
     let (before, cross_before) = (joint.active().view().into_owned(), joint.held.cross(slot));
 
     // Two landmarks that depend on two separate ranges.
-    let ranges = [15..18, 21..33];
+    let ranges = onboard::estimator::information::Columns::of_active([15..18, 21..33]);
     let jacobian = draw(6, 15);
     let noises = [draw(3, 3), draw(3, 3)].map(|half| &half * half.transpose());
     joint.insert(at, &ranges, &Dense::from(jacobian.clone()), noises.iter().cloned());

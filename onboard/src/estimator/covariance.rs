@@ -114,13 +114,13 @@ impl JointCovariance {
     /// Inserts numbers at `at` of the active error: `e = J e_C + n`, `n ~ N(0, noise)`.
     ///
     /// # Arguments
-    /// * `columns`: the ranges `C`, none for numbers that depend on nothing.
+    /// * `columns`: `C`, without keyframes; none for numbers that depend on nothing.
     /// * `jacobian`: `J`, count x numbers in `C`.
     /// * `noise`: diagonal blocks of the covariance of `n`, as many rows together as `jacobian` has.
     pub fn insert(
         &mut self,
         at: usize,
-        columns: &[Range<usize>],
+        columns: &Columns,
         jacobian: &Dense,
         noise: impl Iterator<Item = DMatrix<f64>>,
     ) {
@@ -128,18 +128,13 @@ impl JointCovariance {
         let Workspace { spare: grown, whitened: cross, innovation: own, .. } = &mut self.workspace;
         cross.reset(count, dim);
         own.reset(count, count);
+        for (range, here) in columns.runs() {
+            cross.add_product(jacobian, here, &self.active, range, BlockStructure::Rectangular);
+        }
+        for (range, here) in columns.runs() {
+            own.add_lower_outer(cross, range, jacobian, here);
+        }
         let mut begin = 0;
-        for range in columns {
-            let here = begin..begin + range.len();
-            begin = here.end;
-            cross.add_product(jacobian, here, &self.active, range.clone(), BlockStructure::Rectangular);
-        }
-        begin = 0;
-        for range in columns {
-            own.add_lower_outer(cross, range.clone(), jacobian, begin..begin + range.len());
-            begin += range.len();
-        }
-        begin = 0;
         for block in noise {
             let mut target = own.view_mut();
             let mut target = target.view_mut((begin, begin), block.shape());

@@ -132,24 +132,30 @@ struct Own {
 /// Linearizes a pixel; see [`PixelRows`].
 ///
 /// # Arguments
-/// * `landmark`: newest estimate and linearization point, in L.
-/// * `first_estimates`: linearize at the clone's first estimate.
+/// * `landmark`: newest estimate, in L.
+/// * `first`: where the landmark was first believed to be; the rows stand there and at the clone's first estimate. Without
+///   it they stand at the newest estimates.
 /// * `sigma_px`: noise of the pixel.
 pub fn pixel_rows(
     state: &ActiveState,
     seen: (CloneId, usize, Vector2<f64>),
-    landmark: (&Vector3<f64>, &Vector3<f64>),
-    first_estimates: bool,
+    landmark: &Vector3<f64>,
+    first: Option<&Vector3<f64>>,
     sigma_px: f64,
 ) -> Option<PixelRows> {
     let (clone, camera, pixel) = seen;
     let place = state.place_of(clone)?;
     let clone = &state.clones[place];
     let eye = state.calibration.rig.get(camera)?;
-    let (newest, point) = landmark;
-    let at = if first_estimates { &clone.first_estimate } else { &clone.local_from_imu };
-    let observation = eye.observe(at, point)?;
-    let predicted = eye.predict(&clone.local_from_imu, newest)?;
+    let (observation, predicted) = match first {
+        Some(first) => {
+            (eye.observe(&clone.first_estimate, first)?, eye.predict(&clone.local_from_imu, landmark)?)
+        }
+        None => {
+            let observation = eye.observe(&clone.local_from_imu, landmark)?;
+            (observation, observation.pixel)
+        }
+    };
     let whiten = 1.0 / sigma_px;
     let of_camera = if state.calibration.dim() > 0 {
         state.calibration.camera_jacobian(camera, &observation) * whiten
@@ -304,10 +310,9 @@ impl LandmarkRows {
     ) -> Result<(), NotPositiveDefinite> {
         let own = self.own();
         let factor = Cholesky::new(own.information).ok_or(NotPositiveDefinite)?.unpack();
-        self.cross.clear();
-        self.cross.resize(layout.len(), [0.0; 3]);
-        for place in 0..self.pixels.len() {
-            self.add_pixel(place, state, layout, information);
+        self.sum_cross(state, layout);
+        for pixel in &self.pixels {
+            add_pixel(pixel, state, layout, information);
         }
         let forward = |v: &Vector3<f64>| factor.solve_lower_triangular_unchecked(v);
         let vector = forward(&own.vector);
@@ -348,22 +353,14 @@ impl LandmarkRows {
         [0..layout.calibration.len(), layout.of_clone(first.min(last))..layout.of_clone(last + 1)]
     }
 
-    /// Adds a pixel to `C`, and the rows as they are to `HᵀH` and `Hᵀr`.
-    fn add_pixel(
-        &mut self,
-        place_of_pixel: usize,
-        state: &ActiveState,
-        layout: &Layout,
-        information: &mut Information,
-    ) {
-        let pixel = &self.pixels[place_of_pixel];
-        let columns = columns_of(pixel, state, layout);
-        for (k, (column, own)) in columns.clone().enumerate() {
-            let cross = pixel.of_landmark.tr_mul(&own);
-            self.cross[column].iter_mut().zip(cross.iter()).for_each(|(sum, value)| *sum += value);
-            information.vector[column] += own.dot(&pixel.residual);
-            for (row, other) in columns.clone().skip(k) {
-                information.matrix[(row, column)] += own.dot(&other);
+    /// Works out `C`.
+    fn sum_cross(&mut self, state: &ActiveState, layout: &Layout) {
+        self.cross.clear();
+        self.cross.resize(layout.len(), [0.0; 3]);
+        for pixel in &self.pixels {
+            for (column, own) in columns_of(pixel, state, layout) {
+                let cross = pixel.of_landmark.tr_mul(&own);
+                self.cross[column].iter_mut().zip(cross.iter()).for_each(|(sum, value)| *sum += value);
             }
         }
     }
@@ -380,19 +377,23 @@ impl LandmarkRows {
     ) -> Result<(), NotPositiveDefinite> {
         let own = self.own();
         let noise = Cholesky::new(own.information).ok_or(NotPositiveDefinite)?.inverse();
-        self.cross.clear();
-        self.cross.resize(layout.len(), [0.0; 3]);
-        for pixel in &self.pixels {
-            for (column, own) in columns_of(pixel, state, layout) {
-                let cross = pixel.of_landmark.tr_mul(&own);
-                self.cross[column].iter_mut().zip(cross.iter()).for_each(|(sum, value)| *sum += value);
-            }
-        }
+        self.sum_cross(state, layout);
         entrance.shifts.push(noise * own.vector);
         entrance.noises.push(noise);
         let jacobian = self.cross.iter().map(|cross| <[f64; 3]>::from(-(noise * Vector3::from(*cross))));
         entrance.jacobians.extend(jacobian);
         Ok(())
+    }
+}
+
+/// Adds the rows of a pixel as they are to `HᵀH` and `Hᵀr`.
+fn add_pixel(pixel: &PixelRows, state: &ActiveState, layout: &Layout, information: &mut Information) {
+    let columns = columns_of(pixel, state, layout);
+    for (k, (column, own)) in columns.clone().enumerate() {
+        information.vector[column] += own.dot(&pixel.residual);
+        for (row, other) in columns.clone().skip(k) {
+            information.matrix[(row, column)] += own.dot(&other);
+        }
     }
 }
 
@@ -425,8 +426,8 @@ mod tests {
             pixel_rows(
                 &scene.state,
                 seen,
-                (&scene.landmark, &scene.landmark),
-                first_estimates,
+                &scene.landmark,
+                first_estimates.then_some(&scene.landmark),
                 scene.sigma_px,
             )
             .unwrap()

@@ -398,7 +398,7 @@ impl Estimator {
         let sigmas = DVector::from_fn(POSE_DIM, |k, _| if k < 3 { rotation } else { position });
         let independent = Dense::zeros(POSE_DIM, 0);
         let noise = std::iter::once(DMatrix::from_diagonal(&sigmas));
-        self.covariance.insert(self.state.transform_begin(), &[], &independent, noise);
+        self.covariance.insert(self.state.transform_begin(), &Columns::default(), &independent, noise);
         self.state.transform = Some(transform);
     }
 

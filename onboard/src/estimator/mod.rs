@@ -305,11 +305,11 @@ impl Estimator {
     /// # Errors
     /// [`EstimatorError::Diverged`].
     pub fn track_update(&mut self, observations: &[TrackObservation]) -> Result<TrackReport, EstimatorError> {
-        if self.state.clones.is_empty() {
+        let Some(newest) = self.state.clones.last().map(|clone| clone.id) else {
             return Ok(TrackReport::default());
-        }
+        };
         let mut update = std::mem::take(&mut self.odometry_update);
-        let report = self.odometry(observations, &mut update);
+        let report = self.odometry(newest, observations, &mut update);
         self.odometry_update = update;
         let report = report?;
         self.health.note_tracks(self.state.stamp_ns, &report);
@@ -320,12 +320,10 @@ impl Estimator {
 
     fn odometry(
         &mut self,
+        newest: CloneId,
         observations: &[TrackObservation],
         update: &mut OdometryUpdate,
     ) -> Result<TrackReport, EstimatorError> {
-        let Some(newest) = self.state.clones.last().map(|clone| clone.id) else {
-            return Ok(TrackReport::default());
-        };
         update.landmarks.remove_lost(&mut self.state, &mut self.covariance, observations);
         let in_state = self.state.landmarks.len();
         let landmarks = &self.state.landmarks;
@@ -383,12 +381,11 @@ impl Estimator {
         if update.entering.is_empty() {
             return;
         }
-        let layout = Layout::of(&self.state);
         update.entrance.jacobian(&mut self.entering);
         let noise =
             update.entrance.noises.iter().map(|noise| DMatrix::from_column_slice(3, 3, noise.as_slice()));
-        let columns = [layout.calibration, layout.clones];
-        self.covariance.insert(self.state.clones_begin(), &columns, &self.entering, noise);
+        let columns = &update.information.columns;
+        self.covariance.insert(self.state.clones_begin(), columns, &self.entering, noise);
         for (entering, shift) in update.entering.iter().zip(&update.entrance.shifts) {
             self.state.landmarks.push(StateLandmark {
                 feature_id: entering.feature_id,

@@ -17,7 +17,7 @@
 //! `j`: its cost depends on how many these are, not on how many are held.
 
 use super::dense::Dense;
-use super::information::Rows;
+use super::information::{Columns, Rows};
 use super::propagation::{IMU_DIM, ImuMatrix};
 use geometry::PoseWithCovariance;
 use nalgebra::{DMatrix, DMatrixView, Matrix6};
@@ -282,15 +282,13 @@ impl HeldKeyframes {
     }
 
     /// The active error grew at `at` by `jacobian` times its part `columns`, and something independent.
-    pub fn insert_rows(&mut self, at: usize, columns: &[Range<usize>], jacobian: DMatrixView<'_, f64>) {
+    pub fn insert_rows(&mut self, at: usize, columns: &Columns, jacobian: DMatrixView<'_, f64>) {
         let count = jacobian.nrows();
         self.for_each_row_matrix(|matrix| {
             let mut new = DMatrix::zeros(count, matrix.ncols());
-            let mut begin = 0;
-            for range in columns {
-                let part = jacobian.columns(begin, range.len());
+            for (range, here) in columns.runs() {
+                let part = jacobian.columns(here.start, here.len());
                 new.gemm(1.0, &part, &matrix.rows(range.start, range.len()), 1.0);
-                begin += range.len();
             }
             let old = std::mem::replace(matrix, DMatrix::zeros(0, 0));
             *matrix = old.insert_rows(at, count, 0.0);

@@ -88,12 +88,12 @@ impl LandmarkUpdate {
         settings: &LandmarkSettings,
     ) {
         let landmark = &state.landmarks[place];
-        let at = if settings.first_estimates { &landmark.first_estimate } else { &landmark.position };
+        let first = settings.first_estimates.then_some(&landmark.first_estimate);
         self.of_landmark.clear();
         let own = observations.iter().filter(|observation| observation.feature_id == landmark.feature_id);
         self.of_landmark.extend(own.take(JUDGED_TOGETHER).filter_map(|observation| {
             let seen = (newest, usize::from(observation.camera), observation.pixel);
-            pixel_rows(state, seen, (&landmark.position, at), settings.first_estimates, settings.sigma_px)
+            pixel_rows(state, seen, &landmark.position, first, settings.sigma_px)
         }));
     }
 

@@ -173,10 +173,11 @@ impl TrackUpdate {
         settings: &TrackSettings,
         first_estimates: bool,
     ) -> bool {
+        let first = first_estimates.then_some(landmark);
         self.rows.pixels.clear();
         for sighting in &track.sightings {
             let seen = (sighting.clone, usize::from(sighting.camera), sighting.pixel);
-            match pixel_rows(state, seen, (landmark, landmark), first_estimates, settings.sigma_px) {
+            match pixel_rows(state, seen, landmark, first, settings.sigma_px) {
                 Some(rows) => self.rows.pixels.push(rows),
                 None => return false,
             }
