@@ -147,14 +147,11 @@ pub fn pixel_rows(
     let place = state.place_of(clone)?;
     let clone = &state.clones[place];
     let eye = state.calibration.rig.get(camera)?;
-    let (observation, predicted) = match first {
-        Some(first) => {
-            (eye.observe(&clone.first_estimate, first)?, eye.predict(&clone.local_from_imu, landmark)?)
-        }
-        None => {
-            let observation = eye.observe(&clone.local_from_imu, landmark)?;
-            (observation, observation.pixel)
-        }
+    let (observation, predicted) = if let Some(first) = first {
+        (eye.observe(&clone.first_estimate, first)?, eye.predict(&clone.local_from_imu, landmark)?)
+    } else {
+        let observation = eye.observe(&clone.local_from_imu, landmark)?;
+        (observation, observation.pixel)
     };
     let whiten = 1.0 / sigma_px;
     let of_camera = if state.calibration.dim() > 0 {
