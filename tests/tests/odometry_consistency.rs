@@ -63,19 +63,27 @@ fn a_wrong_calibration_is_a_tenth_as_wrong_after_a_minute() {
         time_offset_s: 0.01,
         focal_fraction: 0.01,
     };
-    let mut variant = odometry("mono", 1);
-    variant.config.calibration = OnlineCalibration {
-        extrinsics: true,
-        intrinsics: true,
-        time_offset: true,
-        ..OnlineCalibration::default()
-    };
-    let all = runs(6, told, &[variant]).remove(0);
-    for trial in &all.trials {
-        assert_eq!(trial.diverged, None, "seed {}", trial.seed);
-        let found = &trial.found_calibration[0];
-        println!("seed {}: {found:?}", trial.seed);
-        assert!(found.deg < 0.2 && found.m < 0.003, "seed {}: {found:?}", trial.seed);
-        assert!(found.seconds.abs() < 1e-3 && found.focal_fraction < 1e-3, "seed {}: {found:?}", trial.seed);
+    let mut variants = [odometry("mono", 1), odometry("stereo", 2)];
+    for variant in &mut variants {
+        variant.config.calibration = OnlineCalibration {
+            extrinsics: true,
+            intrinsics: true,
+            time_offset: true,
+            ..OnlineCalibration::default()
+        };
+    }
+    for all in runs(8, told, &variants) {
+        let name = &all.variant.name;
+        for trial in &all.trials {
+            assert_eq!(trial.diverged, None, "{name}, seed {}", trial.seed);
+            let found = &trial.found_calibration[0];
+            println!("{name}, seed {}: {found:?}", trial.seed);
+            assert!(found.deg < 0.2 && found.m < 0.003, "{name}, seed {}: {found:?}", trial.seed);
+            let (late, longer) = (found.seconds.abs(), found.focal_fraction);
+            assert!(late < 1e-3 && longer < 1e-3, "{name}, seed {}: {found:?}", trial.seed);
+        }
+        let pose = score(&all, &ScoreOptions::default()).local.unwrap().pose;
+        println!("{name}: {:.2}, {:.2?}", pose.mean, pose.interval);
+        assert_eq!(pose.verdict, Verdict::Inside, "{name}: {pose:?}");
     }
 }

@@ -11,7 +11,7 @@
 //! "High-fidelity sensor modeling and self-calibration in vision-aided inertial navigation", ICRA 2014.
 
 use geometry::{Camera, MAX_INTRINSICS, Pose};
-use nalgebra::{DVector, DVectorView, Matrix2x3, Matrix2x6, SMatrix, SVector, Vector2, Vector3, Vector6};
+use nalgebra::{DMatrix, DVectorView, Matrix2x3, Matrix2x6, SMatrix, SVector, Vector2, Vector3, Vector6};
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
 
@@ -40,6 +40,9 @@ pub struct OnlineCalibration {
     pub sigma_position: f64,
     /// Focal length, as a part of itself.
     pub sigma_focal: f64,
+    /// What cameras of a rig that were calibrated together share of these three errors; the rest, independent of each
+    /// other, is so much smaller: 0.1 for a tenth.
+    pub relative: f64,
     /// Principal point, px.
     pub sigma_centre: f64,
     /// Each coefficient of the distortion.
@@ -59,6 +62,7 @@ impl Default for OnlineCalibration {
             sigma_rotation: 0.035,
             sigma_position: 0.03,
             sigma_focal: 0.01,
+            relative: 0.1,
             sigma_centre: 5.0,
             sigma_distortion: 0.01,
             sigma_time_offset: 0.01,
@@ -114,25 +118,42 @@ impl Calibration {
         begin..begin + self.camera_dim(camera)
     }
 
-    /// Variances of the errors at the start.
-    pub fn initial_variances(&self) -> DVector<f64> {
+    /// Covariance of the errors at the start. What was calibrated together is wrong together.
+    pub fn initial_covariance(&self) -> DMatrix<f64> {
         let online = &self.online;
-        let mut sigmas = Vec::with_capacity(self.dim());
+        let mut covariance = DMatrix::zeros(self.dim(), self.dim());
         if online.time_offset {
-            sigmas.push(online.sigma_time_offset);
+            covariance[(0, 0)] = online.sigma_time_offset.powi(2);
         }
-        for eye in &self.rig {
-            if online.extrinsics {
-                sigmas.extend([online.sigma_rotation; 3]);
-                sigmas.extend([online.sigma_position; 3]);
-            }
-            if online.intrinsics {
-                sigmas.extend(eye.camera.focal.map(|focal| focal * online.sigma_focal));
-                sigmas.extend([online.sigma_centre; 2]);
-                sigmas.resize(sigmas.len() + eye.camera.intrinsics_len() - 4, online.sigma_distortion);
+        let sigmas: Vec<Vec<(f64, bool)>> = self.rig.iter().map(|eye| self.initial_sigmas(eye)).collect();
+        for (row, of_row) in sigmas.iter().enumerate() {
+            for (column, of_column) in sigmas.iter().enumerate() {
+                let begin = (self.camera_range(row).start, self.camera_range(column).start);
+                for (k, (&(sigma, shared), &(other, _))) in of_row.iter().zip(of_column).enumerate() {
+                    let own = if row == column { 1.0 } else { 0.0 };
+                    let share = if shared { 1.0 + own * online.relative.powi(2) } else { own };
+                    covariance[(begin.0 + k, begin.1 + k)] = share * sigma * other;
+                }
             }
         }
-        DVector::from_vec(sigmas).map(|sigma| sigma * sigma)
+        covariance
+    }
+
+    /// Deviations of one camera's errors, and whether the other cameras share them.
+    fn initial_sigmas(&self, eye: &RigCamera) -> Vec<(f64, bool)> {
+        let online = &self.online;
+        let mut sigmas = Vec::with_capacity(CAMERA_DIM);
+        if online.extrinsics {
+            sigmas.extend([(online.sigma_rotation, true); 3]);
+            sigmas.extend([(online.sigma_position, true); 3]);
+        }
+        if online.intrinsics {
+            sigmas.extend(eye.camera.focal.map(|focal| (focal * online.sigma_focal, true)));
+            sigmas.extend([(online.sigma_centre, false); 2]);
+            let rest = eye.camera.intrinsics_len() - 4;
+            sigmas.resize(sigmas.len() + rest, (online.sigma_distortion, false));
+        }
+        sigmas
     }
 
     /// Adds an error.
@@ -230,6 +251,7 @@ mod tests {
     use geometry::{Distortion, rotation};
 
     #[test]
+    use nalgebra::DVector;
     fn an_observation_depends_on_body_landmark_and_camera_as_its_jacobians_say() {
         let distortions = [
             Distortion::None,
@@ -297,6 +319,6 @@ mod tests {
         let online = OnlineCalibration { intrinsics: true, time_offset: true, ..Default::default() };
         let calibration = Calibration::new(rig, 0.0, online);
         assert_eq!((calibration.dim(), calibration.camera_range(0)), (6, 1..6));
-        assert_eq!(calibration.initial_variances().len(), 6);
+        assert_eq!(calibration.initial_covariance().nrows(), 6);
     }
 }

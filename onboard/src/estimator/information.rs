@@ -45,6 +45,14 @@ impl Columns {
     }
 }
 
+/// What is added to each number's own information before its root is taken, as a part of it.
+///
+/// A frame with few rows leaves most directions without information, and there a root of `HᵀH` divides rounding (1e-13 of
+/// the diagonal, with the landmarks taken out) by its own root: one track once moved a bias by 14 deviations. What the
+/// ridge claims is far below what any filter knows: 1e-11 of a pixel's information is a deviation of hundreds of radians
+/// and of kilometres.
+const RIDGE: f64 = 1e-11;
+
 /// Whitened rows `r = H e + n`, `n ~ N(0, I)`.
 #[derive(Clone, Debug, Default)]
 pub struct Rows {
@@ -119,6 +127,9 @@ impl Information {
         rows.upper_triangular = true;
         let root = &mut rows.jacobian;
         root.copy_from(&self.matrix);
+        for k in 0..root.nrows() {
+            root[(k, k)] *= 1.0 + RIDGE;
+        }
         factorization.semidefinite_cholesky(root)?;
         // Forward substitution: the root times the residual is `Hᵀr`.
         rows.residual.clone_from(&self.vector);

@@ -13,6 +13,7 @@ pub mod config;
 pub mod covariance;
 pub mod dense;
 pub mod dynamic_start;
+mod error;
 pub mod gate;
 pub mod health;
 pub mod imu;
@@ -24,6 +25,7 @@ pub mod map_rows;
 pub mod map_update;
 pub mod nuisance;
 pub mod null_space;
+mod odometry;
 pub mod propagation;
 pub mod starter;
 pub mod state;
@@ -38,6 +40,7 @@ pub mod zero_velocity;
 
 pub use calibration::{Calibration, OnlineCalibration, RigCamera};
 pub use config::{EstimatorConfig, ImuNoise, InitialSigmas, MapMode, Relinearization};
+pub use error::EstimatorError;
 pub use imu::ImuSample;
 pub use initialization::InitialState;
 pub use map_answer::{MapAnswer, MapKeyframe, MatchedLandmark};
@@ -48,77 +51,25 @@ pub use status::{Localization, Status};
 pub use track_update::TrackReport;
 pub use tracks::TrackObservation;
 
-use covariance::{JointCovariance, NotPositiveDefinite};
+use covariance::JointCovariance;
 use dense::Dense;
 use gate::Gate;
 use geometry::PoseWithCovariance;
 use health::Health;
 use imu::ImuBuffer;
-use information::Rows;
-use landmark_rows::Layout;
 use nalgebra::{DMatrix, DVector, Matrix6, Vector3};
+use odometry::OdometryUpdate;
 use propagation::{IMU_DIM, ImuMatrix, MotionEstimate, propagate};
 use smallvec::SmallVec;
-use state::{ActiveState, Block, ClonedPose, POSE_DIM, StateLandmark};
-use state_landmarks::{LandmarkSettings, LandmarkUpdate};
+use state::{ActiveState, Block, ClonedPose, POSE_DIM};
 use std::ops::Range;
-use track_update::{TrackSettings, TrackUpdate};
-use tracks::{Track, TrackStore};
-
-/// What can go wrong with a measurement or with the filter.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum EstimatorError {
-    /// A setting cannot work.
-    #[error("the estimator's settings: {0}")]
-    Config(String),
-    /// An IMU reading was dropped.
-    #[error("IMU reading at {stamp_ns} ns dropped: {why}")]
-    BadImu {
-        /// Its time.
-        stamp_ns: i64,
-        /// What is wrong with it.
-        why: &'static str,
-    },
-    /// The IMU does not cover an interval.
-    #[error("no IMU readings from {from_ns} to {to_ns} ns; check the recording for a gap")]
-    NoImu {
-        /// Begin, nanoseconds.
-        from_ns: i64,
-        /// End, nanoseconds.
-        to_ns: i64,
-    },
-    /// A frame is older than the state.
-    #[error("frame at {stamp_ns} ns dropped: the state is already at {state_ns} ns")]
-    OldFrame {
-        /// Time of the frame.
-        stamp_ns: i64,
-        /// Time of the state.
-        state_ns: i64,
-    },
-    /// The filter is broken.
-    #[error("the estimator diverged: {0}")]
-    Diverged(String),
-}
-
-impl From<NotPositiveDefinite> for EstimatorError {
-    fn from(error: NotPositiveDefinite) -> Self {
-        Self::Diverged(error.to_string())
-    }
-}
+use track_update::TrackSettings;
+use tracks::TrackStore;
 
 /// How long a missing IMU reading at the end of an interval may be bridged, nanoseconds.
 const IMU_SLACK_NS: i64 = 20_000_000;
 /// A residual after triangulation beyond this many sigmas is an outlier, whatever the clones' errors.
 const OUTLIER_SIGMAS: f64 = 5.0;
-
-/// What an image's update works with, kept from one image to the next.
-#[derive(Clone, Debug, Default)]
-struct OdometryUpdate {
-    ready: Vec<Track>,
-    tracks: TrackUpdate,
-    landmarks: LandmarkUpdate,
-    zero_velocity: Rows,
-}
 
 /// The filter. See the module's text for its use.
 #[derive(Clone, Debug)]
@@ -299,121 +250,6 @@ impl Estimator {
         id
     }
 
-    /// Takes the tracks of the newest image, corrects the state by those that ended or fill the
-    /// window and by the landmarks in the state, and lets the oldest clone go when the window is full.
-    ///
-    /// # Errors
-    /// [`EstimatorError::Diverged`].
-    pub fn track_update(&mut self, observations: &[TrackObservation]) -> Result<TrackReport, EstimatorError> {
-        let Some(newest) = self.state.clones.last().map(|clone| clone.id) else {
-            return Ok(TrackReport::default());
-        };
-        let mut update = std::mem::take(&mut self.odometry_update);
-        let report = self.odometry(newest, observations, &mut update);
-        self.odometry_update = update;
-        let report = report?;
-        self.health.note_tracks(self.state.stamp_ns, &report);
-        self.check_health()?;
-        self.marginalize_surplus();
-        Ok(report)
-    }
-
-    fn odometry(
-        &mut self,
-        newest: CloneId,
-        observations: &[TrackObservation],
-        update: &mut OdometryUpdate,
-    ) -> Result<TrackReport, EstimatorError> {
-        update.landmarks.remove_lost(&mut self.state, &mut self.covariance, observations);
-        let in_state = self.state.landmarks.len();
-        let landmarks = &self.state.landmarks;
-        let is_landmark = |id: u64| landmarks.iter().any(|landmark| landmark.feature_id == id);
-        self.tracks.add(newest, observations, is_landmark);
-        self.track_settings.standing = self.stand_still(&mut update.zero_velocity)?;
-        self.tracks.take_ended(newest, &mut update.ready);
-        for place in surplus(&self.state, self.config.window) {
-            self.tracks.take_seen_by(self.state.clones[place].id, &mut update.ready);
-        }
-        if self.track_settings.standing && self.state.calibration.dim() > 0 {
-            // A view that does not change says the same of the calibration again and again, at a point that is not the
-            // truth: the filter would believe it.
-            self.tracks.recycle(&mut update.ready);
-            return Ok(TrackReport { standing: true, ..TrackReport::default() });
-        }
-        let mut room = self.config.state_landmarks.saturating_sub(in_state);
-        let may_enter = |_: &Track| {
-            let enters = room > 0;
-            room -= usize::from(enters);
-            enters
-        };
-        let mut report = update.tracks.collect(
-            &self.state,
-            &self.covariance,
-            &mut update.ready,
-            &self.track_settings,
-            may_enter,
-        );
-        self.tracks.recycle(&mut update.ready);
-        self.insert_landmarks(&mut update.tracks);
-        if update.tracks.information.rows > 0 {
-            self.covariance.measurement_update(&update.tracks.information, &mut self.correction)?;
-            self.state.retract(&self.correction);
-        }
-        let settings = LandmarkSettings {
-            sigma_px: self.config.sigma_track_px,
-            first_estimates: self.config.first_estimates,
-            gate: &self.track_settings.gate,
-        };
-        let (state, covariance) = (&mut self.state, &mut self.covariance);
-        (report.landmarks, report.landmarks_gated) = update.landmarks.update(
-            state,
-            covariance,
-            in_state,
-            observations,
-            &settings,
-            &mut self.correction,
-        )?;
-        Ok(report)
-    }
-
-    /// Lets the landmarks of an update into the state, and tells the update where its columns stand now.
-    fn insert_landmarks(&mut self, update: &mut TrackUpdate) {
-        if update.entering.is_empty() {
-            return;
-        }
-        update.entrance.jacobian(&mut self.entering);
-        let noise =
-            update.entrance.noises.iter().map(|noise| DMatrix::from_column_slice(3, 3, noise.as_slice()));
-        let columns = &update.information.columns;
-        self.covariance.insert(self.state.clones_begin(), columns, &self.entering, noise);
-        for (entering, shift) in update.entering.iter().zip(&update.entrance.shifts) {
-            self.state.landmarks.push(StateLandmark {
-                feature_id: entering.feature_id,
-                position: entering.position + shift,
-                first_estimate: entering.position,
-                implausible: 0,
-            });
-        }
-        update.information.columns.active.clear();
-        update.information.columns.active.extend(Layout::of(&self.state).runs());
-    }
-
-    /// Tells the filter that the body stands, where it does and the filter can believe it.
-    fn stand_still(&mut self, rows: &mut Rows) -> Result<bool, EstimatorError> {
-        let still = self.config.zero_velocity
-            && zero_velocity::stands_still(&self.state, &self.tracks, self.config.sigma_track_px);
-        if !still {
-            return Ok(false);
-        }
-        zero_velocity::zero_velocity(&self.state, rows);
-        let plausible = self.frame_gate.accepts(self.covariance.weigh(rows)?, rows.residual.len());
-        if plausible {
-            self.covariance.update_by_rows(rows, &mut self.correction)?;
-            self.state.retract(&self.correction);
-        }
-        Ok(plausible)
-    }
-
     /// Lets the clones go that the window has no room for.
     fn marginalize_surplus(&mut self) {
         let leaving: SmallVec<[usize; 4]> = surplus(&self.state, self.config.window).collect();
@@ -558,8 +394,7 @@ fn with_calibration(imu: &ImuMatrix, calibration: &Calibration) -> DMatrix<f64> 
     let dim = IMU_DIM + calibration.dim();
     let mut covariance = DMatrix::zeros(dim, dim);
     covariance.fixed_view_mut::<IMU_DIM, IMU_DIM>(0, 0).copy_from(imu);
-    for (k, variance) in calibration.initial_variances().iter().enumerate() {
-        covariance[(IMU_DIM + k, IMU_DIM + k)] = *variance;
-    }
+    let of_calibration = calibration.initial_covariance();
+    covariance.view_mut((IMU_DIM, IMU_DIM), of_calibration.shape()).copy_from(&of_calibration);
     covariance
 }
