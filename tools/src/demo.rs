@@ -168,7 +168,7 @@ fn pictures(
     let mut drawn = Vec::new();
     let mut runs = Vec::new();
     for (variant, outcome) in outcomes {
-        let states = &outcome.recorder.states;
+        let states = &outcome.states()?;
         let lays_in_global = match variant.mode {
             Mode::Odometry => Some(run_errors(states, &truth.rows, gravity)?.true_global_from_local),
             _ => None,

@@ -6,8 +6,8 @@
 //! The odometry frame L is defined by the run itself, so its true place is too: L's z axis is against gravity, and
 //! L lies where the first estimate has no error in position and none in the rotation about z.
 
-use super::alignment::levelling;
 use super::alignment::PositionSums;
+use super::alignment::levelling;
 use super::statistics::RunningStatistics;
 use super::{Alignment, Nees, NeesSum, Statistics, nees};
 use crate::sequence::{Rows, SequenceError, TruthRow, TruthTrack};

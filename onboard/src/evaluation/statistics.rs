@@ -120,7 +120,8 @@ mod tests {
             list.iter().for_each(|error| running.push(*error));
             assert!(running.kept.len() <= KEPT);
             let (found, expected) = (running.statistics().unwrap(), Statistics::of(list).unwrap());
-            let close = |a: f64, b: f64, tolerance: f64| assert!((a - b).abs() < tolerance, "{count}: {a} {b}");
+            let close =
+                |a: f64, b: f64, tolerance: f64| assert!((a - b).abs() < tolerance, "{count}: {a} {b}");
             close(found.rmse, expected.rmse, 1e-9);
             close(found.mean, expected.mean, 1e-9);
             close(found.std, expected.std, 1e-9);

@@ -2,7 +2,7 @@
 
 use super::extraction::FeatureArguments;
 use crate::estimator::{EstimatorConfig, MapMode, Relinearization};
-use crate::sequence::Sequence;
+use crate::sequence::Recording;
 use anyhow::{Context as _, Result, bail};
 use clap::{Args, Parser, ValueEnum};
 use std::ffi::OsStr;
@@ -162,9 +162,9 @@ impl RobotArguments {
     ///
     /// # Errors
     /// An unreadable settings file, or a setting that cannot work.
-    pub fn estimator_config(&self, sequence: &Sequence) -> Result<EstimatorConfig> {
-        let Some(imu) = &sequence.imu else {
-            bail!("{} has no IMU (mav0/imu0); a robot needs one", sequence.root.display())
+    pub fn estimator_config(&self, recording: &Recording<'_>) -> Result<EstimatorConfig> {
+        let Some(imu) = &recording.imu else {
+            bail!("{} has no IMU (mav0/imu0); a robot needs one", recording.root.display())
         };
         let of_sensor = EstimatorConfig { imu_noise: imu.noise, ..EstimatorConfig::default() };
         let mut config = match &self.settings {
@@ -201,13 +201,13 @@ impl RobotArguments {
     ///
     /// # Errors
     /// Stereo is asked for and the recording has one camera.
-    pub fn camera_count(&self, sequence: &Sequence) -> Result<usize> {
+    pub fn camera_count(&self, recording: &Recording<'_>) -> Result<usize> {
         match self.cameras {
             Some(Cameras::Mono) => Ok(1),
-            None => Ok(sequence.cameras.len().min(2)),
-            Some(Cameras::Stereo) if sequence.cameras.len() >= 2 => Ok(2),
+            None => Ok(recording.cameras.len().min(2)),
+            Some(Cameras::Stereo) if recording.cameras.len() >= 2 => Ok(2),
             Some(Cameras::Stereo) => {
-                bail!("{} has one camera; give it mav0/cam1, or use --cameras mono", sequence.root.display())
+                bail!("{} has one camera; give it mav0/cam1, or use --cameras mono", recording.root.display())
             }
         }
     }

@@ -5,9 +5,7 @@
 
 use super::frames::FrameRows;
 use super::rows::{Stamped, TimedRow, TimedRows};
-use super::{
-    CameraSensor, Frame, ImuSample, ImuSensor, Sequence, SequenceError, TruthRow, gravity, sensor,
-};
+use super::{CameraSensor, Frame, ImuSample, ImuSensor, Sequence, SequenceError, TruthRow, gravity, sensor};
 use nalgebra::Vector3;
 use std::cell::OnceCell;
 use std::path::{Path, PathBuf};
@@ -91,11 +89,8 @@ impl Recording<'static> {
             return Err(SequenceError::missing(&mav, advice));
         }
         let imu_folder = mav.join("imu0");
-        let imu = if imu_folder.is_dir() {
-            Some(sensor::read_imu(&imu_folder.join("sensor.yaml"))?)
-        } else {
-            None
-        };
+        let imu =
+            if imu_folder.is_dir() { Some(sensor::read_imu(&imu_folder.join("sensor.yaml"))?) } else { None };
         let mut cameras = vec![sensor::read_camera(&mav.join("cam0/sensor.yaml"))?];
         if mav.join("cam1").is_dir() {
             cameras.push(sensor::read_camera(&mav.join("cam1/sensor.yaml"))?);
