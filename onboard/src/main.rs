@@ -2,8 +2,8 @@
 
 use anyhow::{Context as _, Result, bail};
 use clap::Parser;
-use onboard::robot::arguments::Mode;
-use onboard::robot::{MapLink, RobotArguments, StopSignal, progress, run_robot_until};
+use onboard::estimator::MapMode;
+use onboard::robot::{MapLink, RobotArguments, StopSignal, progress, run_robot_until, stdout};
 use onboard::sequence::Recording;
 use protocol::session::{DEFAULT_ENDPOINT, SessionOptions, close_session, open_session};
 use std::io::IsTerminal as _;
@@ -50,6 +50,7 @@ struct Arguments {
 }
 
 fn main() -> ExitCode {
+    stdout::end_quietly_when_closed();
     match localize() {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
@@ -70,8 +71,8 @@ fn localize() -> Result<()> {
     let stop = StopSignal::on_interrupt()?;
     let recording = Recording::open(&arguments.sequence)?;
     let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build()?;
-    let link = match (&arguments.map, arguments.robot.mode) {
-        (_, Mode::Odometry) => None,
+    let link = match (&arguments.map, arguments.robot.map_mode()?) {
+        (_, MapMode::Odometry) => None,
         (None, _) => bail!("--map NAME is missing: name the map, or use --mode odometry"),
         (Some(map), _) => {
             let mut connect = arguments.connect.clone();

@@ -70,7 +70,11 @@ fn propagating_and_cloning_allocate_nothing_of_their_own() {
 fn an_update_from_tracks_allocates_nothing_of_its_own() {
     // A clone leaves the window with every frame.
     let counts = steady_state(0);
-    assert_eq!(median_and_most(&counts, |frame| frame.track_update), (MARGINALIZING, MARGINALIZING), "{counts:?}");
+    assert_eq!(
+        median_and_most(&counts, |frame| frame.track_update),
+        (MARGINALIZING, MARGINALIZING),
+        "{counts:?}"
+    );
     // Landmarks in the state leave the lists short enough not to grow; now and then some leave the state or enter it.
     let counts = steady_state(15);
     let (median, most) = median_and_most(&counts, |frame| frame.track_update);

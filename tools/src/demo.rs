@@ -130,7 +130,7 @@ fn options(seed: u64) -> SimulationOptions {
 
 fn run_variant(live: &Sequence, variant: &Variant, server: &LocalServer, out: &Path) -> Result<Outcome> {
     let mut arguments = RobotArguments::with_defaults(out)?;
-    arguments.mode = variant.mode;
+    arguments.mode = Some(variant.mode);
     arguments.no_relinearize = !variant.relinearize;
     arguments.init = Init::Truth;
     let link = server.link("demo")?;

@@ -19,6 +19,7 @@ pub mod query_client;
 pub mod recorder;
 pub mod run;
 pub mod start;
+pub mod stdout;
 pub mod stop;
 pub mod summary;
 

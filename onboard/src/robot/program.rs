@@ -1,6 +1,6 @@
 //! The robot as a program: opens the recording, runs, scores, writes.
 
-use super::arguments::{Mode, RobotArguments};
+use super::arguments::RobotArguments;
 use super::event::Event;
 use super::extraction::ExtractionThread;
 use super::front_end::FrontEnd;
@@ -14,7 +14,7 @@ use super::run::{RobotRun, RunError, run};
 use super::start::{excerpt, initial_state};
 use super::stop::StopSignal;
 use super::summary::Summary;
-use crate::estimator::{Estimator, RigCamera};
+use crate::estimator::{Estimator, MapMode, RigCamera};
 use crate::evaluation::{RunScore, ScoreOptions, score_rows};
 use crate::sequence::{Recording, Rows};
 use crate::trajectory::StateRow;
@@ -23,6 +23,7 @@ use anyhow::{Context as _, Result, bail};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 use tokio::runtime::Handle;
+use vision::GrayImage;
 use vision::tracking::TrackerOptions;
 
 /// A robot's way to the map.
@@ -112,7 +113,7 @@ pub fn run_robot_until<'a>(
         Some(initial) => Lifecycle::running(Estimator::new(config.clone(), rig.clone(), initial)?, rig),
         None => Lifecycle::searching(config.clone(), rig),
     };
-    let link = link.filter(|_| arguments.mode != Mode::Odometry);
+    let link = link.filter(|_| config.mode != MapMode::Odometry);
     let map = link.as_ref().map(|link| link.map.clone());
     let (queries, publisher) = match link {
         Some(link) => {
@@ -125,8 +126,9 @@ pub fn run_robot_until<'a>(
         }
         None => (None, None),
     };
-    let front_end = front_end(recording, arguments, cameras)?;
-    let extraction = if queries.is_some() { extraction(recording, arguments)? } else { None };
+    let mask = if recording.contents().images { arguments.features.read_mask()? } else { None };
+    let front_end = front_end(recording, arguments, cameras, mask.as_ref())?;
+    let extraction = if queries.is_some() { extraction(recording, arguments, mask)? } else { None };
     let robot = RobotRun {
         recording,
         imu: ImuWindow::new(recording.imu_samples()?, recording.imu.as_ref().map_or(1.0, |imu| imu.rate_hz)),
@@ -199,24 +201,29 @@ fn front_end(
     recording: &Recording<'_>,
     arguments: &RobotArguments,
     cameras: usize,
+    mask: Option<&GrayImage>,
 ) -> Result<Option<FrontEnd>> {
     if !recording.contents().images || recording.contents().tracks {
         return Ok(None);
     }
     let mut options = TrackerOptions::default().points(arguments.points);
-    if let Some(mask) = arguments.features.read_mask()? {
-        options = options.mask(0, mask);
+    if let Some(mask) = mask {
+        options = options.mask(0, mask.clone());
     }
     Ok(Some(FrontEnd::new(&recording.cameras[..cameras], options)?))
 }
 
 /// What makes features of the recording's images, where it has images and no features.
-fn extraction(recording: &Recording<'_>, arguments: &RobotArguments) -> Result<Option<ExtractionThread>> {
+fn extraction(
+    recording: &Recording<'_>,
+    arguments: &RobotArguments,
+    mask: Option<GrayImage>,
+) -> Result<Option<ExtractionThread>> {
     if !recording.contents().images || recording.contents().features {
         return Ok(None);
     }
     let settings = &arguments.features;
-    let thread = ExtractionThread::start(settings.open()?, settings.max_features, settings.read_mask()?)?;
+    let thread = ExtractionThread::start(settings.open()?, settings.max_features, mask)?;
     Ok(Some(thread))
 }
 

@@ -2,7 +2,7 @@
 
 use crate::in_process::{LocalServer, load_map};
 use anyhow::{Result, bail};
-use onboard::robot::arguments::Mode;
+use onboard::estimator::MapMode;
 use onboard::robot::{RobotArguments, StopSignal, progress, run_robot_until};
 use onboard::sequence::Recording;
 use std::path::PathBuf;
@@ -32,8 +32,8 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<()> {
     let stop = StopSignal::on_interrupt()?;
     let recording = Recording::open(&args.sequence)?;
-    let server = match (&args.map, args.robot.mode) {
-        (_, Mode::Odometry) => None,
+    let server = match (&args.map, args.robot.map_mode()?) {
+        (_, MapMode::Odometry) => None,
         (None, _) => {
             bail!("--map DB is missing: build one with `driftless build-map`, or use --mode odometry")
         }
