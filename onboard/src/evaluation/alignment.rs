@@ -48,7 +48,9 @@ pub enum AlignmentError {
 /// Source: Umeyama, PAMI 1991, without scale; about gravity, the angle that maximizes the same sum in closed form.
 pub fn align(pairs: &[(Vector3<f64>, Vector3<f64>)], alignment: &Alignment) -> Result<Pose, AlignmentError> {
     let mut sums = PositionSums::default();
-    pairs.iter().for_each(|(reference, estimate)| sums.push(reference, estimate));
+    for (reference, estimate) in pairs {
+        sums.push(reference, estimate);
+    }
     sums.align(alignment)
 }
 

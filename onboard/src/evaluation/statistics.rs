@@ -117,7 +117,9 @@ mod tests {
         for count in [1, 2, 1000, KEPT, errors.len()] {
             let list = &errors[..count];
             let mut running = RunningStatistics::default();
-            list.iter().for_each(|error| running.push(*error));
+            for error in list {
+                running.push(*error);
+            }
             assert!(running.kept.len() <= KEPT);
             let (found, expected) = (running.statistics().unwrap(), Statistics::of(list).unwrap());
             let close =

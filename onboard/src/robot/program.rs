@@ -229,7 +229,7 @@ fn extraction(
 
 /// Errors of what was written against the recording's truth, or why there are none.
 fn score(recording: &Recording<'_>, out: &Path) -> Result<RunScore, String> {
-    if !recording.contents().truth {
+    if !recording.has_truth() {
         return Err("the recording has no ground truth".into());
     }
     let gravity = recording

@@ -93,7 +93,7 @@ fn first_readings(recording: &Recording<'_>) -> Result<Vec<ImuSample>> {
 }
 
 fn from_truth(recording: &Recording<'_>, config: &EstimatorConfig) -> Result<InitialState> {
-    if !recording.contents().truth {
+    if !recording.has_truth() {
         bail!("--init truth: {} has no ground truth; use --init auto", recording.root.display())
     }
     let Some(gravity) = recording.truth_gravity()? else {

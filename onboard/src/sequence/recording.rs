@@ -51,8 +51,6 @@ pub struct Contents {
     pub tracks: bool,
     /// Whether any of them has features for place recognition.
     pub features: bool,
-    /// Whether there is ground truth.
-    pub truth: bool,
 }
 
 impl Contents {
@@ -71,7 +69,7 @@ impl Recording<'static> {
     /// As [`Sequence::open`].
     pub fn open(root: &Path) -> Result<Self, SequenceError> {
         let mut recording = Self::open_unchecked(root)?;
-        let mut contents = Contents { truth: recording.truth_path().exists(), ..Contents::default() };
+        let mut contents = Contents::default();
         for frame in recording.frames()? {
             contents.add(&frame?);
         }
@@ -109,8 +107,10 @@ impl Recording<'static> {
 
 impl<'a> From<&'a Sequence> for Recording<'a> {
     fn from(sequence: &'a Sequence) -> Self {
-        let mut contents = Contents { truth: sequence.groundtruth.is_some(), ..Contents::default() };
-        sequence.frames.iter().for_each(|frame| contents.add(frame));
+        let mut contents = Contents::default();
+        for frame in &sequence.frames {
+            contents.add(frame);
+        }
         Self {
             root: sequence.root.clone(),
             imu: sequence.imu.clone(),
@@ -154,13 +154,21 @@ impl Recording<'_> {
         Ok(self.within(rows, IMU_LEAD_NS))
     }
 
+    /// Whether there is ground truth.
+    pub fn has_truth(&self) -> bool {
+        match self.source {
+            Source::Folder => self.truth_path().exists(),
+            Source::Memory(sequence) => sequence.groundtruth.is_some(),
+        }
+    }
+
     /// The ground truth; none where it is not known.
     ///
     /// # Errors
     /// [`SequenceError`] with the file.
     pub fn truth(&self) -> Result<Rows<'_, TruthRow>, SequenceError> {
         let rows: Rows<'_, TruthRow> = match self.source {
-            Source::Folder if !self.truth_path().exists() => Box::new(std::iter::empty()),
+            Source::Folder if !self.has_truth() => Box::new(std::iter::empty()),
             Source::Folder => table(&self.truth_path())?,
             Source::Memory(sequence) => Box::new(sequence.groundtruth.iter().flatten().copied().map(Ok)),
         };
