@@ -2,9 +2,9 @@
 
 use anyhow::{Context as _, Result, bail};
 use clap::Parser;
-use onboard::robot::arguments::Mode;
-use onboard::robot::{MapLink, RobotArguments, progress, run_robot};
-use onboard::sequence::Sequence;
+use onboard::estimator::MapMode;
+use onboard::robot::{MapLink, RobotArguments, StopSignal, progress, run_robot_until, stdout};
+use onboard::sequence::Recording;
 use protocol::session::{DEFAULT_ENDPOINT, SessionOptions, close_session, open_session};
 use std::io::IsTerminal as _;
 use std::path::PathBuf;
@@ -50,6 +50,7 @@ struct Arguments {
 }
 
 fn main() -> ExitCode {
+    stdout::end_quietly_when_closed();
     match localize() {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
@@ -67,10 +68,11 @@ fn localize() -> Result<()> {
         .with_ansi(std::io::stderr().is_terminal())
         .init();
     let arguments = Arguments::parse();
-    let sequence = Sequence::open(&arguments.sequence)?;
+    let stop = StopSignal::on_interrupt()?;
+    let recording = Recording::open(&arguments.sequence)?;
     let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build()?;
-    let link = match (&arguments.map, arguments.robot.mode) {
-        (_, Mode::Odometry) => None,
+    let link = match (&arguments.map, arguments.robot.map_mode()?) {
+        (_, MapMode::Odometry) => None,
         (None, _) => bail!("--map NAME is missing: name the map, or use --mode odometry"),
         (Some(map), _) => {
             let mut connect = arguments.connect.clone();
@@ -88,8 +90,9 @@ fn localize() -> Result<()> {
         }
     };
     let session = link.as_ref().map(|link| link.session.clone());
-    let bar = progress::frame_bar(sequence.frames.len());
-    let outcome = run_robot(&sequence, &arguments.robot, link, |frame| bar.set_position(frame as u64))?;
+    let bar = progress::frame_bar(recording.contents().frames);
+    let show = |frame| bar.set_position(frame as u64);
+    let outcome = run_robot_until(&stop, recording, &arguments.robot, link, show)?;
     bar.finish_and_clear();
     if arguments.json {
         println!("{}", serde_json::to_string_pretty(&outcome.summary)?);

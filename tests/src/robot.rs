@@ -28,7 +28,7 @@ pub fn run(sequence: &Sequence, out: &Path, switches: &str, link: Option<MapLink
 /// The estimator never stopped: there is a state of every frame from the first one on, which comes within the rest
 /// at the beginning.
 pub fn assert_every_frame_has_a_state(outcome: &Outcome, sequence: &Sequence) {
-    let states: Vec<i64> = outcome.recorder.states.iter().map(|state| state.stamp_ns).collect();
+    let states: Vec<i64> = outcome.states().unwrap().iter().map(|state| state.stamp_ns).collect();
     let frames: Vec<i64> = sequence.frames.iter().map(|frame| frame.stamp_ns).collect();
     let skipped = frames.len() - states.len();
     assert!(frames[skipped] - frames[0] < 1_000_000_000, "{skipped} frames were skipped");

@@ -114,9 +114,9 @@ fn few_images_keep_a_robot_in_the_map() {
     server.stop().unwrap();
     let truth = TruthTrack::new(live.groundtruth.as_deref().unwrap());
     let first_fix_ns =
-        outcome.recorder.states.iter().find(|state| state.global_from_imu.is_some()).unwrap().stamp_ns;
+        outcome.states().unwrap().iter().find(|state| state.global_from_imu.is_some()).unwrap().stamp_ns;
     let (mut last_ns, mut scored) = (i64::MIN, 0);
-    for state in outcome.recorder.states.iter().filter(|state| state.stamp_ns > first_fix_ns + SETTLED_NS) {
+    for state in outcome.states().unwrap().iter().filter(|state| state.stamp_ns > first_fix_ns + SETTLED_NS) {
         let gap_ns = state.stamp_ns.saturating_sub(last_ns);
         last_ns = state.stamp_ns;
         let estimate = state.global_from_imu.as_ref().unwrap();

@@ -1,6 +1,7 @@
 //! Servers that come and go, several robots, and whoever listens to them.
 #![allow(clippy::unwrap_used)]
 
+use geometry::uncertain_pose::PoseWithCovariance;
 use onboard::robot::run_robot;
 use protocol::{Format, Message, RobotOdometry, RobotPose, RobotState, RobotStatus};
 use std::collections::BTreeSet;
@@ -44,7 +45,7 @@ fn a_robot_keeps_its_odometry_without_the_server_and_is_corrected_when_it_is_bac
     let stamp = |frame: usize| live.frames[frame].stamp_ns;
     let (gone, back) = (stamp(OUTAGE.start), stamp(OUTAGE.end));
     let (mut before, mut during, mut after) = (0, 0, 0);
-    for event in &outcome.recorder.events {
+    for event in &outcome.events().unwrap() {
         if (gone..back).contains(&event.stamp_ns) {
             assert_eq!(event.outcome, "failed", "{event:?}");
             assert!(event.reason.contains("no map server answers"), "{event:?}");
@@ -57,7 +58,8 @@ fn a_robot_keeps_its_odometry_without_the_server_and_is_corrected_when_it_is_bac
 
     // Its odometry carried the pose in G through the outage; the map made it sure again.
     let sigma_m = |frame: usize| {
-        let state = outcome.recorder.states.iter().find(|state| state.stamp_ns == stamp(frame)).unwrap();
+        let mut states = outcome.states().unwrap().into_iter();
+        let state = states.find(|state| state.stamp_ns == stamp(frame)).unwrap();
         let covariance = state.global_from_imu.as_ref().unwrap().covariance;
         covariance.fixed_view::<3, 3>(3, 3).trace().sqrt()
     };
@@ -80,7 +82,7 @@ fn a_robot_whose_server_is_never_there_runs_to_the_end() {
     assert_every_frame_has_a_state(&outcome, live);
     assert!(outcome.summary.queries.sent > 30);
     assert_eq!(outcome.summary.queries.failed, outcome.summary.queries.sent);
-    assert!(outcome.recorder.events.iter().all(|event| event.reason.contains("no map server answers")));
+    assert!(outcome.events().unwrap().iter().all(|event| event.reason.contains("no map server answers")));
     let status = outcome.summary.final_status.unwrap();
     assert_eq!(status.localization, RobotState::OdometryOnly);
     assert!(status.reason.contains("no map server answers"), "the status must say so: {}", status.reason);
@@ -175,7 +177,7 @@ fn two_robots_share_a_server_and_a_third_party_follows_both() {
     }
     // As fast as possible a run does not depend on who else is there.
     let ends: Vec<_> =
-        outcomes.iter().map(|outcome| outcome.recorder.states.last().unwrap().clone()).collect();
+        outcomes.iter().map(|outcome| outcome.states().unwrap().last().unwrap().clone()).collect();
     assert_eq!(ends[0].global_from_imu, ends[1].global_from_imu);
     for client in clients {
         client.close();
@@ -189,7 +191,7 @@ fn two_robots_share_a_server_and_a_third_party_follows_both() {
     }
     let heard = heard.lock().unwrap();
     for (heard, outcome) in heard.iter().zip(&outcomes) {
-        let states = &outcome.recorder.states;
+        let states = &outcome.states().unwrap();
         let state_at = |stamp_ns| states.iter().find(|state| state.stamp_ns == stamp_ns).unwrap();
         // A full queue drops messages, and the end of a run may cut off the last ones; what comes is right.
         for count in [heard.poses.len(), heard.odometry.len()] {
@@ -200,10 +202,10 @@ fn two_robots_share_a_server_and_a_third_party_follows_both() {
         assert!(statuses > 50 && statuses <= images, "{statuses} statuses of {images} images");
         for pose in &heard.poses {
             assert_eq!(pose.map, "ring");
-            assert_eq!(Some(&pose.global_from_imu), state_at(pose.stamp_ns).global_from_imu.as_ref());
+            assert_same(&pose.global_from_imu, state_at(pose.stamp_ns).global_from_imu.as_ref().unwrap());
         }
         for odometry in &heard.odometry {
-            assert_eq!(odometry.local_from_imu, state_at(odometry.stamp_ns).local_from_imu);
+            assert_same(&odometry.local_from_imu, &state_at(odometry.stamp_ns).local_from_imu);
         }
         let last = heard.statuses.last().unwrap();
         assert_eq!((last.state, last.map.as_deref()), (RobotState::Localized, Some("ring")));
@@ -215,4 +217,10 @@ fn two_robots_share_a_server_and_a_third_party_follows_both() {
     drop((heard, published));
     watcher.close();
     server.stop();
+}
+
+/// Files hold nine decimals.
+fn assert_same(published: &PoseWithCovariance, written: &PoseWithCovariance) {
+    assert!(published.pose.local(&written.pose).amax() < 1e-8);
+    assert!((published.covariance - written.covariance).amax() < 1e-8 * published.covariance.amax());
 }

@@ -41,11 +41,15 @@ fn built(sequence: &Path, until_s: f64, stored_poses: StoredPoses) -> Arc<Loaded
 }
 
 fn localize(live: &Path, map: &Arc<LoadedMap>, switches: &str) -> Outcome {
+    localize_into(tempfile::tempdir().unwrap().path(), live, map, switches)
+}
+
+/// [`localize`] whose files stay.
+fn localize_into(out: &Path, live: &Path, map: &Arc<LoadedMap>, switches: &str) -> Outcome {
     let sequence = Sequence::open(live).unwrap();
-    let out = tempfile::tempdir().unwrap();
     let server = LocalServer::start(vec![("map".to_owned(), Arc::clone(map))]).unwrap();
     let link = server.link("map").unwrap();
-    let outcome = run(&sequence, out.path(), switches, Some(link.clone()));
+    let outcome = run(&sequence, out, switches, Some(link.clone()));
     server.unlink(&link);
     server.stop().unwrap();
     outcome
@@ -124,13 +128,12 @@ fn ten_loops_in_a_map_whose_gravity_is_not_along_z() {
 #[test]
 fn a_walk_that_comes_back_to_its_start_is_localized_again() {
     let Some(folder) = recording("walk") else { return };
-    let outcome =
-        localize(&folder, &built(&folder, 10.0, StoredPoses::Refined), "--accelerometer-bias-sigma 0.1");
-    let first_ns = outcome.recorder.states[0].stamp_ns;
-    let again = |event: &&onboard::robot::recorder::Event| {
-        event.accepted && event.stamp_ns > first_ns + 105_000_000_000
-    };
-    assert!(outcome.recorder.events.iter().filter(again).count() > 10);
+    let (out, map) = (tempfile::tempdir().unwrap(), built(&folder, 10.0, StoredPoses::Refined));
+    let outcome = localize_into(out.path(), &folder, &map, "--accelerometer-bias-sigma 0.1");
+    let first_ns = outcome.states().unwrap()[0].stamp_ns;
+    let again =
+        |event: &&onboard::robot::event::Event| event.accepted && event.stamp_ns > first_ns + 105_000_000_000;
+    assert!(outcome.events().unwrap().iter().filter(again).count() > 10);
     let status = outcome.summary.final_status.unwrap();
     assert_eq!(status.localization, onboard::estimator::Localization::Localized, "{}", status.reason);
 }
@@ -149,7 +152,7 @@ fn odometry_alone() {
 /// Least squares scale of odometry against the truth over the first ten seconds after the start (Umeyama).
 fn scale_of_odometry(outcome: &Outcome, sequence: &Sequence) -> f64 {
     let truth = sequence.groundtruth.as_deref().unwrap();
-    let states = &outcome.recorder.states;
+    let states = &outcome.states().unwrap();
     let until_ns = states[0].stamp_ns + 10_000_000_000;
     let pairs: Vec<_> = states
         .iter()

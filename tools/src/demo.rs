@@ -130,7 +130,7 @@ fn options(seed: u64) -> SimulationOptions {
 
 fn run_variant(live: &Sequence, variant: &Variant, server: &LocalServer, out: &Path) -> Result<Outcome> {
     let mut arguments = RobotArguments::with_defaults(out)?;
-    arguments.mode = variant.mode;
+    arguments.mode = Some(variant.mode);
     arguments.no_relinearize = !variant.relinearize;
     arguments.init = Init::Truth;
     let link = server.link("demo")?;
@@ -168,7 +168,7 @@ fn pictures(
     let mut drawn = Vec::new();
     let mut runs = Vec::new();
     for (variant, outcome) in outcomes {
-        let states = &outcome.recorder.states;
+        let states = &outcome.states()?;
         let lays_in_global = match variant.mode {
             Mode::Odometry => Some(run_errors(states, &truth.rows, gravity)?.true_global_from_local),
             _ => None,

@@ -256,7 +256,7 @@ impl Estimator {
         if leaving.is_empty() {
             return;
         }
-        let mut kept = SmallVec::<[Range<usize>; 8]>::new();
+        let mut kept = SmallVec::<[Range<usize>; 32]>::new();
         kept.push(0..self.state.clones_begin());
         kept.extend(
             (0..self.state.clones.len())

@@ -17,6 +17,7 @@ use super::state::ActiveState;
 use super::tracks::TrackStore;
 use geometry::Pose;
 use nalgebra::{Vector2, Vector3};
+use smallvec::SmallVec;
 
 /// Tracks must reach back this far, nanoseconds.
 const LEAST_SPAN_NS: i64 = 450_000_000;
@@ -29,6 +30,9 @@ const LARGEST_DISPLACEMENT: f64 = 2.0;
 /// five metres away, in half a second.
 const SIGMA_VELOCITY: f64 = 0.02;
 
+/// One length a track, px. Those of 400 tracks need no memory from the heap.
+type Lengths = SmallVec<[f64; 400]>;
+
 /// Whether the newest image shows that the body has not moved for at least half a second.
 ///
 /// # Arguments
@@ -37,7 +41,7 @@ pub fn stands_still(state: &ActiveState, tracks: &TrackStore, sigma_px: f64) -> 
     let Some(newest) = state.clones.last() else { return false };
     let Some(eye) = state.calibration.rig.first() else { return false };
     let now = newest.local_from_imu * eye.imu_from_camera;
-    let (mut displacements, mut as_they_are) = (Vec::new(), Vec::new());
+    let (mut displacements, mut as_they_are) = (Lengths::new(), Lengths::new());
     for (old, pixel_then, pixel_now) in tracks.pairs_with(newest.id) {
         let Some(place) = state.place_of(old) else { continue };
         let clone = &state.clones[place];
@@ -53,8 +57,9 @@ pub fn stands_still(state: &ActiveState, tracks: &TrackStore, sigma_px: f64) -> 
         return false;
     }
     [displacements, as_they_are].into_iter().any(|mut lengths| {
-        lengths.sort_by(f64::total_cmp);
-        lengths[lengths.len() / 2] < LARGEST_DISPLACEMENT * sigma_px
+        let middle = lengths.len() / 2;
+        let (_, median, _) = lengths.select_nth_unstable_by(middle, f64::total_cmp);
+        *median < LARGEST_DISPLACEMENT * sigma_px
     })
 }
 

@@ -47,23 +47,58 @@ pub enum AlignmentError {
 ///
 /// Source: Umeyama, PAMI 1991, without scale; about gravity, the angle that maximizes the same sum in closed form.
 pub fn align(pairs: &[(Vector3<f64>, Vector3<f64>)], alignment: &Alignment) -> Result<Pose, AlignmentError> {
-    if pairs.is_empty() {
-        return Err(AlignmentError::NoPairs);
+    let mut sums = PositionSums::default();
+    for (reference, estimate) in pairs {
+        sums.push(reference, estimate);
     }
-    let count = pairs.len() as f64;
-    let mean_reference = pairs.iter().map(|(reference, _)| reference).sum::<Vector3<f64>>() / count;
-    let mean_estimate = pairs.iter().map(|(_, estimate)| estimate).sum::<Vector3<f64>>() / count;
-    let correlation = pairs.iter().fold(Matrix3::zeros(), |sum, (reference, estimate)| {
-        sum + (reference - mean_reference) * (estimate - mean_estimate).transpose()
-    }) / count;
-    let rotation = match alignment {
-        Alignment::None => return Ok(Pose::identity()),
-        Alignment::Yaw { gravity_in_reference, gravity_in_estimate } => {
-            about_gravity(&correlation, gravity_in_reference, gravity_in_estimate)
+    sums.align(alignment)
+}
+
+/// What an alignment needs to know of any number of pairs of positions.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct PositionSums {
+    count: usize,
+    /// The first pair. Sums are about it: far from the origin the products of coordinates would lose digits.
+    origin: (Vector3<f64>, Vector3<f64>),
+    reference: Vector3<f64>,
+    estimate: Vector3<f64>,
+    products: Matrix3<f64>,
+}
+
+impl PositionSums {
+    /// Adds a pair: position in the reference, position in the estimate, metres.
+    pub fn push(&mut self, reference: &Vector3<f64>, estimate: &Vector3<f64>) {
+        if self.count == 0 {
+            self.origin = (*reference, *estimate);
         }
-        Alignment::Se3 => best_rotation(&correlation)?,
-    };
-    Ok(Pose::new(rotation, mean_reference - rotation * mean_estimate))
+        self.count += 1;
+        let (reference, estimate) = (reference - self.origin.0, estimate - self.origin.1);
+        self.reference += reference;
+        self.estimate += estimate;
+        self.products += reference * estimate.transpose();
+    }
+
+    /// [`align`] of the pairs that were added.
+    ///
+    /// # Errors
+    /// [`AlignmentError`].
+    pub fn align(&self, alignment: &Alignment) -> Result<Pose, AlignmentError> {
+        if self.count == 0 {
+            return Err(AlignmentError::NoPairs);
+        }
+        let count = self.count as f64;
+        let (mean_reference, mean_estimate) = (self.reference / count, self.estimate / count);
+        let correlation = self.products / count - mean_reference * mean_estimate.transpose();
+        let rotation = match alignment {
+            Alignment::None => return Ok(Pose::identity()),
+            Alignment::Yaw { gravity_in_reference, gravity_in_estimate } => {
+                about_gravity(&correlation, gravity_in_reference, gravity_in_estimate)
+            }
+            Alignment::Se3 => best_rotation(&correlation)?,
+        };
+        let (reference, estimate) = (self.origin.0 + mean_reference, self.origin.1 + mean_estimate);
+        Ok(Pose::new(rotation, reference - rotation * estimate))
+    }
 }
 
 /// The rotation `R` that maximizes `trace(R^T correlation)`.

@@ -31,6 +31,7 @@ pub use consistency::{Nees, NeesSum, nees, nees_bounds};
 pub use ensemble::{EnsembleNees, NeesSeries, TimePoint, Verdict};
 pub use relative::{Delta, relative_errors};
 pub use run::{
-    ErrorSample, RunErrors, RunScore, Score, ScoreError, ScoreOptions, run_errors, run_errors_in, score_run,
+    ErrorSample, RunErrors, RunScore, Score, ScoreError, ScoreOptions, run_errors, run_errors_in, score_rows,
+    score_run,
 };
 pub use statistics::Statistics;

@@ -6,9 +6,11 @@
 //! The odometry frame L is defined by the run itself, so its true place is too: L's z axis is against gravity, and
 //! L lies where the first estimate has no error in position and none in the rotation about z.
 
+use super::alignment::PositionSums;
 use super::alignment::levelling;
-use super::{Alignment, Nees, NeesSum, Statistics, align, nees};
-use crate::sequence::{TruthRow, TruthTrack};
+use super::statistics::RunningStatistics;
+use super::{Alignment, Nees, NeesSum, Statistics, nees};
+use crate::sequence::{Rows, SequenceError, TruthRow, TruthTrack};
 use crate::trajectory::{StateKind, StateRow};
 use geometry::pose::Pose;
 use geometry::uncertain_pose::PoseWithCovariance;
@@ -33,11 +35,14 @@ impl Default for ScoreOptions {
 }
 
 /// Why a run could not be scored.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[derive(Debug, Error)]
 pub enum ScoreError {
     /// There is no instant at which both the estimate and the truth are known.
     #[error("no estimate lies within the time of the ground truth: is it the truth of this run?")]
     NoOverlap,
+    /// The states or the truth cannot be read.
+    #[error(transparent)]
+    Unreadable(#[from] SequenceError),
 }
 
 /// The score of one of the three poses.
@@ -190,26 +195,141 @@ pub fn score_run(
     gravity_in_truth: Vector3<f64>,
     options: &ScoreOptions,
 ) -> Result<RunScore, ScoreError> {
-    let errors = run_errors(states, truth, gravity_in_truth)?;
-    let known = known_states(states, truth);
-    let first_fix = states.iter().find(|state| state.global_from_imu.is_some()).map(|state| state.stamp_ns);
+    let states = || -> Result<Rows<'_, StateRow>, _> { Ok(Box::new(states.iter().cloned().map(Ok))) };
+    let truth = || -> Result<Rows<'_, TruthRow>, _> { Ok(Box::new(truth.iter().copied().map(Ok))) };
+    score_rows(states, truth, gravity_in_truth, options)
+}
+
+/// Scores a run of any length in memory that does not depend on it.
+///
+/// # Arguments
+/// * `states`, `truth`: start the rows anew; both are read twice.
+/// * `gravity_in_truth`: unit direction in which gravity pulls, in the truth's frame.
+///
+/// # Errors
+/// [`ScoreError`].
+pub fn score_rows<'a>(
+    states: impl Fn() -> Result<Rows<'a, StateRow>, SequenceError>,
+    truth: impl Fn() -> Result<Rows<'a, TruthRow>, SequenceError>,
+    gravity_in_truth: Vector3<f64>,
+    options: &ScoreOptions,
+) -> Result<RunScore, ScoreError> {
+    let overview = Overview::of(states()?, truth()?)?;
+    let (first, first_true) = overview.first_known.as_ref().ok_or(ScoreError::NoOverlap)?;
+    let global_from_local = place_of_local(&first.local_from_imu.pose, first_true, &gravity_in_truth);
+    let local_from_global = global_from_local.inverse();
+    let alignment =
+        Alignment::Yaw { gravity_in_reference: gravity_in_truth, gravity_in_estimate: -Vector3::z() };
+    let aligned = overview.positions.align(&alignment).map_err(|_| ScoreError::NoOverlap)?;
+    let first_fix = overview.first_fix_ns;
     let from = first_fix.map_or(i64::MAX, |fix| fix + (options.skip_after_first_fix_s * 1e9) as i64);
-    let late = |samples: &[ErrorSample]| {
-        let begin = samples.partition_point(|sample| sample.stamp_ns < from);
-        score(&samples[begin..])
-    };
-    let odometry = odometry_statistics(&known, &gravity_in_truth).ok_or(ScoreError::NoOverlap)?;
-    let times = (known.first().zip(known.last())).ok_or(ScoreError::NoOverlap)?;
+
+    let (mut local, mut transform, mut pose) = <(ScoreSum, ScoreSum, ScoreSum)>::default();
+    let (mut metres, mut degrees) = <(RunningStatistics, RunningStatistics)>::default();
+    for known in KnownStates::new(states()?, truth()?) {
+        let (state, global_from_imu) = known?;
+        local.push(&state.local_from_imu, &local_from_global.compose(&global_from_imu));
+        let odometry = aligned.compose(&state.local_from_imu.pose);
+        metres.push((global_from_imu.translation - odometry.translation).norm());
+        degrees.push(global_from_imu.rotation.angle_to(&odometry.rotation).to_degrees());
+        if state.stamp_ns < from {
+            continue;
+        }
+        if let Some(estimate) = &state.global_from_local {
+            transform.push(estimate, &global_from_local);
+        }
+        if let Some(estimate) = &state.global_from_imu {
+            pose.push(estimate, &global_from_imu);
+        }
+    }
     Ok(RunScore {
-        local: score(&errors.local).ok_or(ScoreError::NoOverlap)?,
-        transform: late(&errors.transform),
-        pose: late(&errors.pose),
-        odometry_yaw_aligned_m: odometry.0,
-        odometry_yaw_aligned_deg: odometry.1,
-        distance_m: known.windows(2).map(|pair| (pair[1].1.translation - pair[0].1.translation).norm()).sum(),
-        duration_s: seconds(times.0.0.stamp_ns, times.1.0.stamp_ns),
-        first_fix_s: first_fix.zip(states.first()).map(|(fix, first)| seconds(first.stamp_ns, fix)),
+        local: local.score().ok_or(ScoreError::NoOverlap)?,
+        transform: transform.score(),
+        pose: pose.score(),
+        odometry_yaw_aligned_m: metres.statistics().ok_or(ScoreError::NoOverlap)?,
+        odometry_yaw_aligned_deg: degrees.statistics().ok_or(ScoreError::NoOverlap)?,
+        distance_m: overview.distance_m,
+        duration_s: seconds(first.stamp_ns, overview.last_known_ns),
+        first_fix_s: first_fix.zip(overview.first_ns).map(|(fix, first_ns)| seconds(first_ns, fix)),
     })
+}
+
+/// What the errors of a run depend on, gathered before they are summed.
+#[derive(Default)]
+struct Overview {
+    first_ns: Option<i64>,
+    first_fix_ns: Option<i64>,
+    first_known: Option<(StateRow, Pose)>,
+    last_known_ns: i64,
+    positions: PositionSums,
+    distance_m: f64,
+}
+
+impl Overview {
+    fn of(states: Rows<'_, StateRow>, truth: Rows<'_, TruthRow>) -> Result<Self, ScoreError> {
+        let (mut first_ns, mut first_fix_ns) = (None, None);
+        let watched = states.inspect(|state| {
+            let Ok(state) = state else { return };
+            first_ns.get_or_insert(state.stamp_ns);
+            if state.global_from_imu.is_some() {
+                first_fix_ns.get_or_insert(state.stamp_ns);
+            }
+        });
+        let mut overview = Self::default();
+        let mut before: Option<Vector3<f64>> = None;
+        for known in KnownStates::new(Box::new(watched), truth) {
+            let (state, truth) = known?;
+            let here = truth.translation;
+            overview.distance_m += before.replace(here).map_or(0.0, |before| (here - before).norm());
+            overview.positions.push(&here, &state.local_from_imu.pose.translation);
+            overview.last_known_ns = state.stamp_ns;
+            overview.first_known.get_or_insert((state, truth));
+        }
+        Ok(Self { first_ns, first_fix_ns, ..overview })
+    }
+}
+
+/// The states whose truth is known, with it.
+struct KnownStates<'a> {
+    states: Rows<'a, StateRow>,
+    truth: Rows<'a, TruthRow>,
+    /// The rows of truth on both sides of the newest state; two at most.
+    around: Vec<TruthRow>,
+}
+
+impl<'a> KnownStates<'a> {
+    fn new(states: Rows<'a, StateRow>, truth: Rows<'a, TruthRow>) -> Self {
+        Self { states, truth, around: Vec::with_capacity(3) }
+    }
+
+    fn truth_at(&mut self, stamp_ns: i64) -> Result<Option<Pose>, SequenceError> {
+        while self.around.last().is_none_or(|last| last.stamp_ns < stamp_ns) {
+            let Some(row) = self.truth.next().transpose()? else { break };
+            self.around.push(row);
+            if self.around.len() > 2 {
+                self.around.remove(0);
+            }
+        }
+        Ok(TruthTrack::new(&self.around).pose(stamp_ns, MAX_TRUTH_GAP_NS))
+    }
+}
+
+impl Iterator for KnownStates<'_> {
+    type Item = Result<(StateRow, Pose), SequenceError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        loop {
+            let state = match self.states.next()? {
+                Ok(state) => state,
+                Err(error) => return Some(Err(error)),
+            };
+            match self.truth_at(state.stamp_ns) {
+                Ok(Some(truth)) => return Some(Ok((state, truth))),
+                Ok(None) => {}
+                Err(error) => return Some(Err(error)),
+            }
+        }
+    }
 }
 
 fn seconds(from_ns: i64, to_ns: i64) -> f64 {
@@ -243,41 +363,43 @@ fn sample(stamp_ns: i64, estimate: &PoseWithCovariance, truth: &Pose) -> ErrorSa
     }
 }
 
-fn score(samples: &[ErrorSample]) -> Option<Score> {
-    let part = |start: usize| -> Vec<f64> {
-        samples.iter().map(|sample| sample.error.fixed_rows::<3>(start).norm()).collect()
-    };
-    let (rotation, position) = (Statistics::of(&part(0))?, Statistics::of(&part(3))?);
-    let mut sum = NeesSum::default();
-    samples.iter().filter_map(|sample| sample.nees.as_ref()).for_each(|nees| sum.push(nees));
-    let mean = sum.mean();
-    Some(Score {
-        rmse_deg: rotation.rmse.to_degrees(),
-        rmse_m: position.rmse,
-        max_deg: rotation.max.to_degrees(),
-        max_m: position.max,
-        nees_rotation: mean.map(|nees| nees.rotation),
-        nees_position: mean.map(|nees| nees.position),
-        nees_pose: mean.map(|nees| nees.pose),
-        samples: samples.len(),
-    })
+/// The errors of one of the three poses, summed up.
+#[derive(Default)]
+struct ScoreSum {
+    square_rad: f64,
+    square_m: f64,
+    max_rad: f64,
+    max_m: f64,
+    nees: NeesSum,
+    samples: usize,
 }
 
-/// Errors of the odometry, laid over the truth about gravity: metres, degrees.
-fn odometry_statistics(
-    known: &[(&StateRow, Pose)],
-    gravity_in_truth: &Vector3<f64>,
-) -> Option<(Statistics, Statistics)> {
-    let positions: Vec<_> = known
-        .iter()
-        .map(|(state, truth)| (truth.translation, state.local_from_imu.pose.translation))
-        .collect();
-    let alignment =
-        Alignment::Yaw { gravity_in_reference: *gravity_in_truth, gravity_in_estimate: -Vector3::z() };
-    let global_from_local = align(&positions, &alignment).ok()?;
-    let mut errors = super::PoseErrors::default();
-    for (state, truth) in known {
-        errors.push(truth, &global_from_local.compose(&state.local_from_imu.pose));
+impl ScoreSum {
+    fn push(&mut self, estimate: &PoseWithCovariance, truth: &Pose) {
+        let error = estimate.pose.local(truth);
+        let (rotation, position) = (error.fixed_rows::<3>(0).norm(), error.fixed_rows::<3>(3).norm());
+        self.square_rad += rotation * rotation;
+        self.square_m += position * position;
+        self.max_rad = self.max_rad.max(rotation);
+        self.max_m = self.max_m.max(position);
+        if let Some(nees) = nees(estimate, truth) {
+            self.nees.push(&nees);
+        }
+        self.samples += 1;
     }
-    errors.translation().zip(errors.rotation())
+
+    fn score(&self) -> Option<Score> {
+        let count = self.samples as f64;
+        let mean = self.nees.mean();
+        (self.samples > 0).then(|| Score {
+            rmse_deg: (self.square_rad / count).sqrt().to_degrees(),
+            rmse_m: (self.square_m / count).sqrt(),
+            max_deg: self.max_rad.to_degrees(),
+            max_m: self.max_m,
+            nees_rotation: mean.map(|nees| nees.rotation),
+            nees_position: mean.map(|nees| nees.position),
+            nees_pose: mean.map(|nees| nees.pose),
+            samples: self.samples,
+        })
+    }
 }

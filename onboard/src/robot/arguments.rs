@@ -2,7 +2,7 @@
 
 use super::extraction::FeatureArguments;
 use crate::estimator::{EstimatorConfig, MapMode, Relinearization};
-use crate::sequence::Sequence;
+use crate::sequence::Recording;
 use anyhow::{Context as _, Result, bail};
 use clap::{Args, Parser, ValueEnum};
 use std::ffi::OsStr;
@@ -69,9 +69,9 @@ pub struct RobotArguments {
     /// Cameras to use [default: stereo where the recording has cam1]
     #[arg(long, value_enum)]
     pub cameras: Option<Cameras>,
-    /// What to do with the map
-    #[arg(long, value_enum, default_value = "multi")]
-    pub mode: Mode,
+    /// What to do with the map [default: as the settings file says, else multi]
+    #[arg(long, value_enum)]
+    pub mode: Option<Mode>,
     /// Never move the linearization point to the PnP solution (switches the paper's R off)
     #[arg(long)]
     pub no_relinearize: bool,
@@ -111,7 +111,10 @@ pub struct RobotArguments {
     /// Points to follow in images, where the recording has no tracks.csv
     #[arg(long, value_name = "N", default_value_t = 200)]
     pub points: usize,
-    /// YAML file with estimator settings; the switches below override it
+    /// YAML file with estimator settings
+    ///
+    /// What it names wins over the sensor's file (noise, gravity) and over defaults; switches that are given, --mode
+    /// too, win over it.
     #[arg(long, value_name = "FILE")]
     pub settings: Option<PathBuf>,
     /// Factor on the IMU's white noise as its sensor.yaml states it (real sensors on vehicles: about 3)
@@ -158,27 +161,38 @@ impl RobotArguments {
         Ok(Defaults::try_parse_from(line)?.robot)
     }
 
-    /// The estimator's settings: the file's, then the sensor's noise, then the switches.
+    /// What to do with the map: as the switch says, else as the settings file says.
+    ///
+    /// # Errors
+    /// An unreadable settings file.
+    pub fn map_mode(&self) -> Result<MapMode> {
+        match (self.mode, &self.settings) {
+            (Some(mode), _) => Ok(mode.into()),
+            (None, Some(path)) => Ok(read_settings(path, &EstimatorConfig::default())?.mode),
+            (None, None) => Ok(EstimatorConfig::default().mode),
+        }
+    }
+
+    /// The estimator's settings: defaults, then what the sensor's file says, then the settings file, then the switches.
     ///
     /// # Errors
     /// An unreadable settings file, or a setting that cannot work.
-    pub fn estimator_config(&self, sequence: &Sequence) -> Result<EstimatorConfig> {
-        let Some(imu) = &sequence.imu else {
-            bail!("{} has no IMU (mav0/imu0); a robot needs one", sequence.root.display())
+    pub fn estimator_config(&self, recording: &Recording<'_>) -> Result<EstimatorConfig> {
+        let Some(imu) = &recording.imu else {
+            bail!("{} has no IMU (mav0/imu0); a robot needs one", recording.root.display())
         };
-        let of_sensor = EstimatorConfig { imu_noise: imu.noise, ..EstimatorConfig::default() };
+        let defaults = EstimatorConfig::default();
+        let gravity = imu.gravity_magnitude.unwrap_or(defaults.gravity);
+        let of_sensor = EstimatorConfig { imu_noise: imu.noise, gravity, ..defaults };
         let mut config = match &self.settings {
             Some(path) => read_settings(path, &of_sensor)?,
             None => of_sensor,
         };
-        if let Some(gravity) = imu.gravity_magnitude {
-            config.gravity = gravity;
-        }
         if !(self.imu_noise_scale.is_finite() && self.imu_noise_scale > 0.0) {
             bail!("--imu-noise-scale is {}; it must be a positive number", self.imu_noise_scale);
         }
         config.imu_noise = config.imu_noise.inflated(self.imu_noise_scale);
-        config.mode = self.mode.into();
+        config.mode = self.mode.map_or(config.mode, Into::into);
         if self.no_relinearize {
             config.relinearization = Relinearization::Off;
         }
@@ -201,13 +215,13 @@ impl RobotArguments {
     ///
     /// # Errors
     /// Stereo is asked for and the recording has one camera.
-    pub fn camera_count(&self, sequence: &Sequence) -> Result<usize> {
+    pub fn camera_count(&self, recording: &Recording<'_>) -> Result<usize> {
         match self.cameras {
             Some(Cameras::Mono) => Ok(1),
-            None => Ok(sequence.cameras.len().min(2)),
-            Some(Cameras::Stereo) if sequence.cameras.len() >= 2 => Ok(2),
+            None => Ok(recording.cameras.len().min(2)),
+            Some(Cameras::Stereo) if recording.cameras.len() >= 2 => Ok(2),
             Some(Cameras::Stereo) => {
-                bail!("{} has one camera; give it mav0/cam1, or use --cameras mono", sequence.root.display())
+                bail!("{} has one camera; give it mav0/cam1, or use --cameras mono", recording.root.display())
             }
         }
     }
@@ -236,5 +250,48 @@ fn overlay(settings: &mut serde_json::Value, given: serde_json::Value) {
             }
         }
         (setting, value) => *setting = value,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::estimator::ImuNoise;
+    use crate::sequence::{ImuSensor, Sequence};
+
+    /// A recording whose sensor says a gravity of its own.
+    fn recorded() -> Sequence {
+        let imu = ImuSensor { noise: ImuNoise::default(), rate_hz: 200.0, gravity_magnitude: Some(9.79) };
+        Sequence {
+            root: PathBuf::new(),
+            imu: Some(imu),
+            imu_samples: Vec::new(),
+            cameras: Vec::new(),
+            frames: Vec::new(),
+            groundtruth: None,
+            reference_poses: None,
+        }
+    }
+
+    #[test]
+    fn a_switch_wins_over_the_file_and_the_file_over_the_sensor() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("settings.yaml");
+        let recorded = recorded();
+        let settled = |file: Option<&str>, mode: Option<Mode>| {
+            let mut arguments = RobotArguments::with_defaults(folder.path()).unwrap();
+            arguments.mode = mode;
+            if let Some(text) = file {
+                std::fs::write(&path, text).unwrap();
+                arguments.settings = Some(path.clone());
+            }
+            let config = arguments.estimator_config(&(&recorded).into()).unwrap();
+            assert_eq!(config.mode, arguments.map_mode().unwrap());
+            (config.gravity, config.mode)
+        };
+        assert_eq!(settled(None, None), (9.79, MapMode::Multi));
+        assert_eq!(settled(Some("window: 9"), None), (9.79, MapMode::Multi));
+        assert_eq!(settled(Some("gravity: 9.83\nmode: single"), None), (9.83, MapMode::Single));
+        assert_eq!(settled(Some("mode: single"), Some(Mode::Mapconst)), (9.79, MapMode::MapConst));
     }
 }

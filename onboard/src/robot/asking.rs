@@ -2,9 +2,10 @@
 //!
 //! An answer belongs to the filter that asked: one to an image from before the newest start is left alone.
 
+use super::event::Event;
 use super::extraction::{Extracted, ExtractionThread};
 use super::query_client::{Answered, Outcome, QueryClient};
-use super::recorder::{Event, Recorder};
+use super::recorder::Recorder;
 use super::run::RobotRun;
 use super::summary::Traffic;
 use crate::estimator::{CloneId, EstimatorError, MapMode};
@@ -44,7 +45,7 @@ impl RobotRun<'_> {
         };
         // Each holds its clone in the filter: with a server that hangs, the window must not fill with them.
         if queries.pending() >= MAX_PENDING {
-            recorder.queries_skipped += 1;
+            recorder.queries.skipped += 1;
             estimator.unpin(clone);
             return;
         }
@@ -52,7 +53,7 @@ impl RobotRun<'_> {
         let request = MatchRequest {
             robot: self.robot.clone(),
             stamp_ns,
-            camera: self.sequence.cameras[0].camera.clone(),
+            camera: self.recording.cameras[0].camera.clone(),
             features,
             prior: estimator
                 .global_from_camera(clone)
@@ -63,7 +64,7 @@ impl RobotRun<'_> {
             max_keyframes,
         };
         estimator.pin(clone);
-        recorder.queries_sent += 1;
+        recorder.queries.sent += 1;
         queries.ask(clone, request);
     }
 
@@ -109,7 +110,7 @@ impl RobotRun<'_> {
         let Some(estimator) = self.filter.estimator_since(answered.stamp_ns) else {
             let mut event = Event::new(answered, answered.stamp_ns);
             event.note_failure("the filter that asked was given up");
-            recorder.note_event(event);
+            recorder.note_event(&event);
             return Ok(());
         };
         let mut event = Event::new(answered, estimator.stamp_ns());
@@ -122,7 +123,7 @@ impl RobotRun<'_> {
             Outcome::Failed(reason) => event.note_failure(reason),
         }
         estimator.unpin(answered.clone);
-        recorder.note_event(event);
+        recorder.note_event(&event);
         Ok(())
     }
 

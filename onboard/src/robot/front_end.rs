@@ -95,6 +95,11 @@ impl FrontEnd {
         self.gyroscope_bias
     }
 
+    /// Time of the last image that was tracked, nanoseconds; the readings since then are needed for the next.
+    pub fn last_stamp_ns(&self) -> Option<i64> {
+        self.tracker.last_stamp_ns()
+    }
+
     /// What happened to the tracks at the last image.
     pub fn report(&self) -> &TrackerReport {
         self.tracker.report()

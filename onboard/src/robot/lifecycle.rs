@@ -164,10 +164,15 @@ impl Lifecycle {
         }
     }
 
+    /// From when on [`Lifecycle::give_up`] would need the readings, nanoseconds; none while a start is looked for.
+    pub fn believed_ns(&self) -> Option<i64> {
+        self.estimator().and(self.last).map(|last| last.stamp_ns)
+    }
+
     /// Gives the filter up and looks for the next start.
     ///
     /// # Arguments
-    /// * `readings`: those of the recording up to now, from which the yaw is turned on.
+    /// * `readings`: those up to now, from [`Lifecycle::believed_ns`] on, by which the yaw is turned on.
     pub fn give_up(&mut self, now_ns: i64, why: &EstimatorError, readings: &[ImuSample]) {
         let short = now_ns - self.started_ns < SHORT_LIFE_NS;
         self.bad_starts = if short { self.bad_starts + 1 } else { 0 };

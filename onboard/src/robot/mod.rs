@@ -6,9 +6,12 @@
 pub mod answer;
 pub mod arguments;
 mod asking;
+pub mod event;
 pub mod extraction;
 pub mod front_end;
+mod imu_window;
 pub mod lifecycle;
+pub mod output;
 pub mod program;
 pub mod progress;
 pub mod publisher;
@@ -16,10 +19,14 @@ pub mod query_client;
 pub mod recorder;
 pub mod run;
 pub mod start;
+pub mod stdout;
+pub mod stop;
 pub mod summary;
 
 pub use arguments::RobotArguments;
 pub use front_end::{FrontEnd, FrontEndError};
+pub use imu_window::ImuWindow;
 pub use lifecycle::Lifecycle;
-pub use program::{MapLink, Outcome, run_robot};
+pub use program::{MapLink, Outcome, run_robot, run_robot_until};
 pub use run::{RobotRun, RunError, run};
+pub use stop::StopSignal;

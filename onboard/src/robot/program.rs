@@ -1,21 +1,29 @@
 //! The robot as a program: opens the recording, runs, scores, writes.
 
-use super::arguments::{Mode, RobotArguments};
+use super::arguments::RobotArguments;
+use super::event::Event;
 use super::extraction::ExtractionThread;
 use super::front_end::FrontEnd;
+use super::imu_window::ImuWindow;
 use super::lifecycle::Lifecycle;
+use super::output;
 use super::publisher::Publisher;
 use super::query_client::QueryClient;
 use super::recorder::Recorder;
-use super::run::{RobotRun, run};
+use super::run::{RobotRun, RunError, run};
 use super::start::{excerpt, initial_state};
+use super::stop::StopSignal;
 use super::summary::Summary;
-use crate::estimator::{Estimator, RigCamera};
-use crate::evaluation::{RunScore, ScoreOptions, score_run};
-use crate::sequence::Sequence;
+use crate::estimator::{Estimator, MapMode, RigCamera};
+use crate::evaluation::{RunScore, ScoreOptions, score_rows};
+use crate::sequence::{Recording, Rows};
+use crate::trajectory::StateRow;
+use crate::trajectory::states::StateReader;
 use anyhow::{Context as _, Result, bail};
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 use tokio::runtime::Handle;
+use vision::GrayImage;
 use vision::tracking::TrackerOptions;
 
 /// A robot's way to the map.
@@ -34,29 +42,59 @@ pub struct MapLink {
 pub struct Outcome {
     /// The summary, also in `summary.json`.
     pub summary: Summary,
-    /// States and events.
-    pub recorder: Recorder,
+    /// The output folder.
+    pub out: PathBuf,
+}
+
+impl Outcome {
+    /// Reads the states that the run wrote; none where it had no start.
+    ///
+    /// # Errors
+    /// A file that cannot be read any more.
+    pub fn states(&self) -> Result<Vec<StateRow>> {
+        Ok(StateReader::open(&self.out.join(output::STATES))?.collect::<Result<_, _>>()?)
+    }
+
+    /// Reads the events that the run wrote.
+    ///
+    /// # Errors
+    /// A file that cannot be read any more.
+    pub fn events(&self) -> Result<Vec<Event>> {
+        let mut rows = csv::Reader::from_path(self.out.join(output::EVENTS))?;
+        Ok(rows.deserialize().collect::<Result<_, _>>()?)
+    }
 }
 
 /// Runs a robot through a recording and writes the output folder.
 ///
-/// A run that ends early (a diverged filter) is written up to there; the summary says why.
+/// A run that ends early (a damaged file) is written up to there; the summary says why.
 ///
 /// # Errors
 /// A sentence: switches that contradict the recording, no start, an output folder that cannot be written.
-pub fn run_robot(
-    sequence: &Sequence,
+pub fn run_robot<'a>(
+    recording: impl Into<Recording<'a>>,
     arguments: &RobotArguments,
     link: Option<MapLink>,
     progress: impl FnMut(usize),
 ) -> Result<Outcome> {
-    let part = excerpt_of(sequence, arguments)?;
-    let sequence = part.as_ref().unwrap_or(sequence);
-    let config = arguments.estimator_config(sequence)?;
-    // Before anything takes long: a run whose results cannot be kept is not worth its time.
-    std::fs::create_dir_all(&arguments.out)
-        .with_context(|| format!("--out: cannot make the folder {}", arguments.out.display()))?;
-    let cameras = arguments.camera_count(sequence)?;
+    run_robot_until(&StopSignal::default(), recording, arguments, link, progress)
+}
+
+/// [`run_robot`] until `stop` comes, or the recording ends.
+///
+/// # Errors
+/// As [`run_robot`].
+pub fn run_robot_until<'a>(
+    stop: &StopSignal,
+    recording: impl Into<Recording<'a>>,
+    arguments: &RobotArguments,
+    link: Option<MapLink>,
+    progress: impl FnMut(usize),
+) -> Result<Outcome> {
+    let recording = excerpt_of(recording.into(), arguments)?;
+    let recording = &recording;
+    let config = arguments.estimator_config(recording)?;
+    let cameras = arguments.camera_count(recording)?;
     if !(arguments.query_interval.is_finite() && arguments.query_interval >= 0.0) {
         bail!(
             "--query-interval is {}; it must be zero or a positive number of seconds",
@@ -66,8 +104,8 @@ pub fn run_robot(
     if !(arguments.deadline.is_finite() && arguments.deadline > 0.0) {
         bail!("--deadline is {}; it must be a positive number of seconds", arguments.deadline);
     }
-    let initial = initial_state(sequence, arguments.init, &config)?;
-    let rig: Vec<RigCamera> = sequence.cameras[..cameras]
+    let initial = initial_state(recording, arguments.init, &config)?;
+    let rig: Vec<RigCamera> = recording.cameras[..cameras]
         .iter()
         .map(|sensor| RigCamera { camera: sensor.camera.clone(), imu_from_camera: sensor.imu_from_camera })
         .collect();
@@ -75,7 +113,7 @@ pub fn run_robot(
         Some(initial) => Lifecycle::running(Estimator::new(config.clone(), rig.clone(), initial)?, rig),
         None => Lifecycle::searching(config.clone(), rig),
     };
-    let link = link.filter(|_| arguments.mode != Mode::Odometry);
+    let link = link.filter(|_| config.mode != MapMode::Odometry);
     let map = link.as_ref().map(|link| link.map.clone());
     let (queries, publisher) = match link {
         Some(link) => {
@@ -88,10 +126,13 @@ pub fn run_robot(
         }
         None => (None, None),
     };
-    let front_end = front_end(sequence, arguments, cameras)?;
-    let extraction = if queries.is_some() { extraction(sequence, arguments)? } else { None };
+    let mask = if recording.contents().images { arguments.features.read_mask()? } else { None };
+    let front_end = front_end(recording, arguments, cameras, mask.as_ref())?;
+    let extraction = if queries.is_some() { extraction(recording, arguments, mask)? } else { None };
     let robot = RobotRun {
-        sequence,
+        recording,
+        imu: ImuWindow::new(recording.imu_samples()?, recording.imu.as_ref().map_or(1.0, |imu| imu.rate_hz)),
+        stop: stop.clone(),
         cameras,
         front_end,
         extraction,
@@ -105,30 +146,33 @@ pub fn run_robot(
         publisher,
         last_failure: None,
     };
-    let mut recorder = Recorder::default();
-    let ended_early = run(robot, &mut recorder, progress).err().map(|error| error.to_string());
+    // Before anything takes long: a run whose results cannot be kept is not worth its time.
+    let mut recorder = Recorder::create(&arguments.out).context("--out")?;
+    let ended_early = run(robot, &mut recorder, progress).err();
     if let Some(reason) = &ended_early {
-        tracing::error!(reason, "the run ended early");
+        tracing::error!(%reason, "the run ended early");
     }
+    recorder.finish_states()?;
     let seconds = recorder.seconds();
-    let (score, no_score) = match score(sequence, &recorder) {
+    let (score, no_score) = match score(recording, &arguments.out) {
         Ok(score) => (Some(score), None),
         Err(reason) => (None, Some(reason)),
     };
     let summary = Summary {
-        sequence: sequence.root.display().to_string(),
+        sequence: recording.root.display().to_string(),
         map,
         cameras,
-        frames: recorder.states.len(),
+        frames: recorder.frames,
         skipped_frames: recorder.skipped_frames,
         dropped_imu: recorder.dropped_imu,
+        imu_gaps: recorder.imu_gaps,
         seconds,
         wall_seconds: recorder.wall_seconds,
         realtime_factor: seconds / recorder.wall_seconds.max(1e-9),
         milliseconds_per_frame: recorder.timings.mean(),
         score,
         no_score,
-        queries: recorder.query_summary(),
+        queries: recorder.queries,
         keyframes_pulled: recorder.keyframes_pulled,
         wire_bytes: recorder.traffic,
         tracks: recorder.tracks,
@@ -136,49 +180,64 @@ pub fn run_robot(
         starts: recorder.starts.clone(),
         divergences: recorder.divergences.clone(),
         final_status: recorder.final_status.clone(),
-        ended_early,
+        interrupted: matches!(ended_early, Some(RunError::Interrupted { .. })),
+        ended_early: ended_early.map(|reason| reason.to_string()),
         settings: config,
     };
-    recorder.write(&arguments.out, &summary)?;
-    Ok(Outcome { summary, recorder })
+    recorder.write_summary(&summary)?;
+    Ok(Outcome { summary, out: arguments.out.clone() })
 }
 
-/// The part of the recording that is asked for, where it is not all of it.
-fn excerpt_of(sequence: &Sequence, arguments: &RobotArguments) -> Result<Option<Sequence>> {
+/// The part of the recording that is asked for.
+fn excerpt_of<'a>(recording: Recording<'a>, arguments: &RobotArguments) -> Result<Recording<'a>> {
     if arguments.start_at == 0.0 && arguments.duration.is_none() {
-        return Ok(None);
+        return Ok(recording);
     }
-    excerpt(sequence, arguments.start_at, arguments.duration).map(Some)
+    excerpt(recording, arguments.start_at, arguments.duration)
 }
 
 /// What makes tracks of the recording's images, where it has images and no tracks.
-fn front_end(sequence: &Sequence, arguments: &RobotArguments, cameras: usize) -> Result<Option<FrontEnd>> {
-    let with_tracks = sequence.frames.iter().any(|frame| !frame.tracks.is_empty());
-    if !sequence.has_images() || with_tracks {
+fn front_end(
+    recording: &Recording<'_>,
+    arguments: &RobotArguments,
+    cameras: usize,
+    mask: Option<&GrayImage>,
+) -> Result<Option<FrontEnd>> {
+    if !recording.contents().images || recording.contents().tracks {
         return Ok(None);
     }
     let mut options = TrackerOptions::default().points(arguments.points);
-    if let Some(mask) = arguments.features.read_mask()? {
-        options = options.mask(0, mask);
+    if let Some(mask) = mask {
+        options = options.mask(0, mask.clone());
     }
-    Ok(Some(FrontEnd::new(&sequence.cameras[..cameras], options)?))
+    Ok(Some(FrontEnd::new(&recording.cameras[..cameras], options)?))
 }
 
 /// What makes features of the recording's images, where it has images and no features.
-fn extraction(sequence: &Sequence, arguments: &RobotArguments) -> Result<Option<ExtractionThread>> {
-    if !sequence.has_images() || sequence.has_features() {
+fn extraction(
+    recording: &Recording<'_>,
+    arguments: &RobotArguments,
+    mask: Option<GrayImage>,
+) -> Result<Option<ExtractionThread>> {
+    if !recording.contents().images || recording.contents().features {
         return Ok(None);
     }
     let settings = &arguments.features;
-    let thread = ExtractionThread::start(settings.open()?, settings.max_features, settings.read_mask()?)?;
+    let thread = ExtractionThread::start(settings.open()?, settings.max_features, mask)?;
     Ok(Some(thread))
 }
 
-/// Errors against the recording's truth, or why there are none.
-fn score(sequence: &Sequence, recorder: &Recorder) -> Result<RunScore, String> {
-    let truth = sequence.groundtruth.as_deref().ok_or("the recording has no ground truth")?;
-    let gravity = sequence
+/// Errors of what was written against the recording's truth, or why there are none.
+fn score(recording: &Recording<'_>, out: &Path) -> Result<RunScore, String> {
+    if !recording.has_truth() {
+        return Err("the recording has no ground truth".into());
+    }
+    let gravity = recording
         .truth_gravity()
+        .map_err(|error| error.to_string())?
         .ok_or("the direction of gravity in the truth's frame cannot be told from truth and IMU")?;
-    score_run(&recorder.states, truth, gravity, &ScoreOptions::default()).map_err(|error| error.to_string())
+    let path = out.join(output::STATES);
+    let states = || -> Result<Rows<'_, StateRow>, _> { Ok(Box::new(StateReader::open(&path)?)) };
+    score_rows(states, || recording.truth(), gravity, &ScoreOptions::default())
+        .map_err(|error| error.to_string())
 }

@@ -6,9 +6,12 @@ use protocol::{
     ErrorCode, ErrorReply, Format, MatchOutcome, MatchReply, MatchRequest, MatchStatus, MatchedKeyframe, keys,
 };
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::time::{Duration, Instant};
 use tokio::runtime::Handle;
+use zenoh::Wait as _;
+use zenoh::bytes::ZBytes;
 use zenoh::qos::CongestionControl;
 use zenoh::query::{ConsolidationMode, QueryTarget};
 
@@ -58,6 +61,8 @@ pub struct QueryClient {
     /// Whether the last query found nobody: then the next one is tried once only, so that a robot
     /// without a server does not pile up queries.
     nobody_there: bool,
+    /// Whether it was said already that the server does not know the map.
+    unknown_map_told: Arc<AtomicBool>,
 }
 
 impl QueryClient {
@@ -72,15 +77,30 @@ impl QueryClient {
         deadline: Duration,
     ) -> Result<Self, keys::NameError> {
         let (sender, receiver) = channel();
-        let key = keys::map_match(map)?;
-        Ok(Self { session, runtime, key, deadline, sender, receiver, pending: 0, nobody_there: false })
+        Ok(Self {
+            session,
+            runtime,
+            key: keys::map_match(map)?,
+            deadline,
+            sender,
+            receiver,
+            pending: 0,
+            nobody_there: false,
+            unknown_map_told: Arc::default(),
+        })
     }
 
     /// Sends a query and returns at once.
     pub fn ask(&mut self, clone: CloneId, request: MatchRequest) {
         self.pending += 1;
-        let (session, key, sender) = (self.session.clone(), self.key.clone(), self.sender.clone());
-        let (deadline, persistent) = (self.deadline, !self.nobody_there);
+        let sender = self.sender.clone();
+        let deadline = self.deadline;
+        let asker = Asker {
+            session: self.session.clone(),
+            key: self.key.clone(),
+            persistent: !self.nobody_there,
+            unknown_map_told: self.unknown_map_told.clone(),
+        };
         let runtime = self.runtime.clone();
         self.runtime.spawn(async move {
             let begin = Instant::now();
@@ -88,9 +108,7 @@ impl QueryClient {
             // On a task of its own: whatever happens to it, its clone gets an answer and is let go.
             let work = runtime.spawn(async move {
                 let mut traffic = Traffic::default();
-                let request = Arc::new(request);
-                let outcome =
-                    ask_until(&session, &key, request, begin + deadline, persistent, &mut traffic).await;
+                let outcome = asker.ask_until(&request, begin + deadline, &mut traffic).await;
                 (outcome, traffic)
             });
             let (outcome, traffic) = work.await.unwrap_or_else(|error| {
@@ -151,89 +169,126 @@ enum Attempt {
     Again(String),
 }
 
-async fn ask_until(
-    session: &zenoh::Session,
-    key: &str,
-    request: Arc<MatchRequest>,
-    deadline: Instant,
+/// What one query needs.
+struct Asker {
+    session: zenoh::Session,
+    key: String,
+    /// Whether to try again.
     persistent: bool,
-    traffic: &mut Traffic,
-) -> Outcome {
-    let payload = match protocol::encode(Format::Bincode, request.as_ref()) {
-        Ok(payload) => payload,
-        Err(error) => return Outcome::Failed(format!("the query cannot be sent: {error}")),
-    };
-    let mut pause = FIRST_PAUSE;
-    loop {
-        traffic.sent += payload.len();
-        let reason = match attempt(session, key, &payload, &request, deadline, traffic).await {
-            Attempt::Finished(outcome) => return outcome,
-            Attempt::Again(reason) => reason,
-        };
-        if !persistent || Instant::now() + pause >= deadline {
-            return Outcome::Failed(reason);
-        }
-        tokio::time::sleep(pause).await;
-        pause = (pause * 2).min(LONGEST_PAUSE);
-    }
+    unknown_map_told: Arc<AtomicBool>,
 }
 
-async fn attempt(
-    session: &zenoh::Session,
-    key: &str,
-    payload: &[u8],
-    request: &MatchRequest,
-    deadline: Instant,
-    traffic: &mut Traffic,
-) -> Attempt {
-    let left = deadline.saturating_duration_since(Instant::now());
-    let sent = session
-        .get(key)
-        .payload(payload)
-        .encoding(Format::Bincode.encoding())
-        .target(QueryTarget::BestMatching)
-        // Replies travel as the query does: blocking, so that none is dropped under load.
-        .congestion_control(CongestionControl::Block)
-        .consolidation(ConsolidationMode::None)
-        .timeout(left)
-        .await;
-    let replies = match sent {
-        Ok(replies) => replies,
-        Err(error) => return Attempt::Again(format!("the query could not be sent: {error}")),
-    };
-    let mut keyframes: Vec<MatchedKeyframe> = Vec::new();
-    let mut any = false;
-    loop {
-        let reply = match tokio::time::timeout_at(deadline.into(), replies.recv_async()).await {
-            Ok(Ok(reply)) => reply,
-            // The channel closes without a final status: nobody there, or one that died in between.
-            Ok(Err(_)) if any => {
-                return Attempt::Again("the map server stopped in the middle of its answer".into());
-            }
-            Ok(Err(_)) => {
-                return Attempt::Again("no map server answers; is it running and serving this map?".into());
-            }
-            Err(_) => return Attempt::Again("no answer before the deadline".into()),
+impl Asker {
+    async fn ask_until(&self, request: &MatchRequest, deadline: Instant, traffic: &mut Traffic) -> Outcome {
+        let payload = match protocol::encode(Format::Bincode, request) {
+            Ok(payload) => ZBytes::from(payload),
+            Err(error) => return Outcome::Failed(format!("the query cannot be sent: {error}")),
         };
-        any = true;
-        let sample = match reply.result() {
-            Ok(sample) => sample,
-            Err(error) => {
-                let bytes = error.payload().to_bytes();
-                traffic.received += bytes.len();
-                return refused(&bytes);
+        let mut pause = FIRST_PAUSE;
+        loop {
+            traffic.sent += payload.len();
+            let reason = match self.attempt(&payload, request, deadline, traffic).await {
+                Attempt::Finished(outcome) => return outcome,
+                Attempt::Again(reason) => reason,
+            };
+            if !self.persistent || Instant::now() + pause >= deadline {
+                return Outcome::Failed(reason);
+            }
+            tokio::time::sleep(pause).await;
+            pause = (pause * 2).min(LONGEST_PAUSE);
+        }
+    }
+
+    async fn attempt(
+        &self,
+        payload: &ZBytes,
+        request: &MatchRequest,
+        deadline: Instant,
+        traffic: &mut Traffic,
+    ) -> Attempt {
+        let left = deadline.saturating_duration_since(Instant::now());
+        let (session, key, payload) = (self.session.clone(), self.key.clone(), payload.clone());
+        let send = move || {
+            session
+                .get(key)
+                .payload(payload)
+                .encoding(Format::Bincode.encoding())
+                .target(QueryTarget::BestMatching)
+                // Replies travel as the query does: blocking, so that none is dropped under load.
+                .congestion_control(CongestionControl::Block)
+                .consolidation(ConsolidationMode::None)
+                .timeout(left)
+                .wait()
+        };
+        // On a congested link this holds its thread for seconds, past the deadline too: not one of the runtime's.
+        let sent = tokio::time::timeout_at(deadline.into(), tokio::task::spawn_blocking(send)).await;
+        let replies = match sent {
+            Ok(Ok(Ok(replies))) => replies,
+            Ok(Ok(Err(error))) => return Attempt::Again(format!("the query could not be sent: {error}")),
+            Ok(Err(error)) => return Attempt::Again(format!("the query could not be sent: {error}")),
+            Err(_) => {
+                return Attempt::Again(
+                    "the link is congested: the query was not sent before the deadline".into(),
+                );
             }
         };
-        let bytes = sample.payload().to_bytes();
-        traffic.received += bytes.len();
-        match protocol::decode::<MatchReply>(Format::Bincode, &bytes) {
-            Ok(MatchReply::Keyframe(keyframe)) => keyframes.push(keyframe),
-            Ok(MatchReply::Done(status)) => return finish(request, &status, keyframes),
-            Err(error) => {
-                return Attempt::Finished(Outcome::Failed(format!(
-                    "the map server's answer is unreadable: {error}"
-                )));
+        let mut keyframes: Vec<MatchedKeyframe> = Vec::new();
+        let mut any = false;
+        loop {
+            let reply = match tokio::time::timeout_at(deadline.into(), replies.recv_async()).await {
+                Ok(Ok(reply)) => reply,
+                // The channel closes without a final status: nobody there, or one that died in between.
+                Ok(Err(_)) if any => {
+                    return Attempt::Again("the map server stopped in the middle of its answer".into());
+                }
+                Ok(Err(_)) => {
+                    return Attempt::Again(
+                        "no map server answers; is it running and serving this map?".into(),
+                    );
+                }
+                Err(_) => return Attempt::Again("no answer before the deadline".into()),
+            };
+            any = true;
+            let sample = match reply.result() {
+                Ok(sample) => sample,
+                Err(error) => {
+                    let bytes = error.payload().to_bytes();
+                    traffic.received += bytes.len();
+                    return self.refused(&bytes);
+                }
+            };
+            let bytes = sample.payload().to_bytes();
+            traffic.received += bytes.len();
+            match protocol::decode::<MatchReply>(Format::Bincode, &bytes) {
+                Ok(MatchReply::Keyframe(keyframe)) => keyframes.push(keyframe),
+                Ok(MatchReply::Done(status)) => return finish(request, &status, keyframes),
+                Err(error) => {
+                    return Attempt::Finished(Outcome::Failed(format!(
+                        "the map server's answer is unreadable: {error}"
+                    )));
+                }
             }
+        }
+    }
+
+    /// An error reply. Those that time heals are tried again.
+    fn refused(&self, bytes: &[u8]) -> Attempt {
+        match protocol::decode::<ErrorReply>(Format::Bincode, bytes) {
+            Ok(error) if error.code == ErrorCode::Busy => Attempt::Again(error.message),
+            Ok(error) => {
+                if error.code == ErrorCode::UnknownMap && !self.unknown_map_told.swap(true, Ordering::Relaxed)
+                {
+                    tracing::warn!(
+                        key = self.key,
+                        "{}; name a map of this server with --map, or start the server with this map too (map_server \
+                         --map NAME=DB): until then no query about an image is answered",
+                        error.message
+                    );
+                }
+                Attempt::Finished(Outcome::Failed(error.message))
+            }
+            // Zenoh itself says "Timeout" when a server hangs.
+            Err(_) => Attempt::Again(format!("no answer: {}", String::from_utf8_lossy(bytes))),
         }
     }
 }
@@ -246,17 +301,4 @@ fn finish(request: &MatchRequest, status: &MatchStatus, keyframes: Vec<MatchedKe
         return Attempt::Again(format!("{} of {} keyframes arrived", keyframes.len(), status.keyframes_sent));
     }
     Attempt::Finished(Outcome::Matched(map_answer(&request.features, &request.held, status, keyframes)))
-}
-
-/// An error reply. Those that time heals are tried again.
-fn refused(bytes: &[u8]) -> Attempt {
-    match protocol::decode::<ErrorReply>(Format::Bincode, bytes) {
-        // A server that is just connecting may hear of the query before its map does.
-        Ok(error) if matches!(error.code, ErrorCode::Busy | ErrorCode::UnknownMap) => {
-            Attempt::Again(error.message)
-        }
-        Ok(error) => Attempt::Finished(Outcome::Failed(error.message)),
-        // Zenoh itself says "Timeout" when a server hangs.
-        Err(_) => Attempt::Again(format!("no answer: {}", String::from_utf8_lossy(bytes))),
-    }
 }

@@ -2,13 +2,15 @@
 
 use super::extraction::ExtractionThread;
 use super::front_end::FrontEnd;
+use super::imu_window::ImuWindow;
 use super::lifecycle::Lifecycle;
 use super::publisher::{Publisher, QueryCounts};
 use super::query_client::QueryClient;
 use super::recorder::Recorder;
+use super::stop::StopSignal;
 use super::summary::Timings;
 use crate::estimator::{EstimatorError, StartMethod, TrackObservation};
-use crate::sequence::{Frame, Sequence};
+use crate::sequence::{Frame, Recording, SequenceError};
 use nalgebra::Vector3;
 use std::time::{Duration, Instant};
 
@@ -17,8 +19,17 @@ use std::time::{Duration, Instant};
 const ANSWER_NS: i64 = 200_000_000;
 
 /// Why a run ended early. What was recorded up to there is kept.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[derive(Debug, thiserror::Error)]
 pub enum RunError {
+    /// The recording cannot be read any more.
+    #[error(transparent)]
+    Recording(#[from] SequenceError),
+    /// It was stopped from outside.
+    #[error("interrupted {seconds:.1} s into the recording")]
+    Interrupted {
+        /// Time since the first frame.
+        seconds: f64,
+    },
     /// The filter cannot be built.
     #[error("at {seconds:.1} s of the recording: {source}")]
     Estimator {
@@ -38,10 +49,13 @@ pub enum RunError {
 }
 
 /// Everything that a run needs beside the recording.
-#[derive(Debug)]
 pub struct RobotRun<'a> {
     /// The recording.
-    pub sequence: &'a Sequence,
+    pub recording: &'a Recording<'a>,
+    /// Its IMU readings.
+    pub imu: ImuWindow<'a>,
+    /// Ends the run before the recording does.
+    pub stop: StopSignal,
     /// How many of its cameras to use.
     pub cameras: usize,
     /// The filter, or the search for its start.
@@ -79,52 +93,82 @@ pub struct RobotRun<'a> {
 pub fn run(
     mut robot: RobotRun<'_>,
     recorder: &mut Recorder,
-    mut progress: impl FnMut(usize),
+    progress: impl FnMut(usize),
 ) -> Result<(), RunError> {
-    let first_ns = robot.sequence.frames.first().map_or(0, |frame| frame.stamp_ns);
-    let seconds = |stamp_ns: i64| (stamp_ns - first_ns) as f64 * 1e-9;
-    recorder.first_ns = first_ns;
-    if robot.filter.estimator().is_some() {
-        recorder.note_start(first_ns, None);
-    }
     let begin = Instant::now();
-    let mut next_imu = 0;
-    for (index, frame) in robot.sequence.frames.iter().enumerate() {
-        progress(index);
-        if robot.filter.begins_after(frame.stamp_ns) {
-            continue;
-        }
-        if robot.realtime {
-            let due = Duration::from_nanos((frame.stamp_ns - first_ns).max(0) as u64);
-            std::thread::sleep(due.saturating_sub(begin.elapsed()));
-        }
-        let done = robot.frame(frame, &mut next_imu, recorder);
-        robot.survive(done, frame.stamp_ns, next_imu, recorder)?;
-        let next = robot.sequence.frames.get(index + 1);
-        if !robot.realtime && next.is_some_and(|next| next.stamp_ns - frame.stamp_ns > ANSWER_NS) {
-            let done = robot.answers_before_the_next_image(recorder);
-            robot.survive(done, frame.stamp_ns, next_imu, recorder)?;
-        }
-    }
-    let last_ns = robot.sequence.frames.last().map_or(0, |frame| frame.stamp_ns);
-    let done = robot.take_the_rest(recorder);
-    robot.survive(done, last_ns, next_imu, recorder)?;
+    let done = robot.play(begin, recorder, progress);
     robot.close(recorder);
     recorder.wall_seconds = begin.elapsed().as_secs_f64();
-    if recorder.starts.is_empty() {
-        let waiting = robot.filter.status().reason;
-        return Err(RunError::NoStart { seconds: seconds(last_ns), waiting });
-    }
-    Ok(())
+    done
 }
 
 impl RobotRun<'_> {
+    fn play(
+        &mut self,
+        begin: Instant,
+        recorder: &mut Recorder,
+        mut progress: impl FnMut(usize),
+    ) -> Result<(), RunError> {
+        let mut frames = self.recording.frames()?.peekable();
+        let stamp_of = |frame: Option<&Result<Frame, _>>| frame?.as_ref().ok().map(|frame| frame.stamp_ns);
+        let first_ns = stamp_of(frames.peek()).unwrap_or_default();
+        let seconds = |stamp_ns: i64| (stamp_ns - first_ns) as f64 * 1e-9;
+        recorder.first_ns = first_ns;
+        if self.filter.estimator().is_some() {
+            recorder.note_start(first_ns, None);
+        }
+        let (mut index, mut last_ns) = (0, first_ns);
+        while let Some(frame) = frames.next().transpose()? {
+            progress(index);
+            index += 1;
+            if self.filter.begins_after(frame.stamp_ns) {
+                continue;
+            }
+            if self.realtime {
+                let due = Duration::from_nanos((frame.stamp_ns - first_ns).max(0) as u64);
+                self.stop.sleep_until(begin + due);
+            }
+            if self.stop.is_stopped() {
+                self.publish_status(last_ns, recorder);
+                return Err(RunError::Interrupted { seconds: seconds(last_ns) });
+            }
+            last_ns = frame.stamp_ns;
+            self.imu.read_to(last_ns.max(self.imu_stamp_ns(last_ns)))?;
+            let done = self.frame(&frame, recorder);
+            self.survive(done, last_ns, recorder)?;
+            if !self.realtime && stamp_of(frames.peek()).is_some_and(|next_ns| next_ns - last_ns > ANSWER_NS)
+            {
+                let done = self.answers_before_the_next_image(recorder);
+                self.survive(done, last_ns, recorder)?;
+            }
+            self.forget_readings(last_ns);
+        }
+        let done = self.take_the_rest(recorder);
+        self.survive(done, last_ns, recorder)?;
+        if recorder.starts.is_empty() {
+            let waiting = self.filter.status().reason;
+            return Err(RunError::NoStart { seconds: seconds(last_ns), waiting });
+        }
+        Ok(())
+    }
+
+    /// An image's time on the clock of the IMU, nanoseconds.
+    fn imu_stamp_ns(&self, stamp_ns: i64) -> i64 {
+        self.filter.estimator().map_or(stamp_ns, |estimator| estimator.imu_stamp_ns(stamp_ns))
+    }
+
+    /// Forgets readings that neither the front end nor a new start will ask for.
+    fn forget_readings(&mut self, stamp_ns: i64) {
+        let tracked_ns = self.front_end.as_ref().and_then(FrontEnd::last_stamp_ns);
+        let needed = [tracked_ns, self.filter.believed_ns()].into_iter().flatten().min();
+        self.imu.forget_before(needed.map_or(stamp_ns, |needed_ns| needed_ns.min(stamp_ns)));
+    }
+
     /// Goes on after a step: a filter that diverged is given up, and a new start is looked for.
     fn survive(
         &mut self,
         done: Result<(), EstimatorError>,
         stamp_ns: i64,
-        next_imu: usize,
         recorder: &mut Recorder,
     ) -> Result<(), RunError> {
         match done {
@@ -132,7 +176,7 @@ impl RobotRun<'_> {
             Err(error @ EstimatorError::Diverged(_)) => {
                 tracing::error!(%error, "no pose until there is a new start");
                 recorder.note_divergence(stamp_ns, &error);
-                self.filter.give_up(stamp_ns, &error, &self.sequence.imu_samples[..next_imu]);
+                self.filter.give_up(stamp_ns, &error, self.imu.handed_out());
                 self.publish_status(stamp_ns, recorder);
                 Ok(())
             }
@@ -172,19 +216,14 @@ impl RobotRun<'_> {
         Ok(Some(if method == StartMethod::Rest { tracks } else { Vec::new() }))
     }
 
-    fn frame(
-        &mut self,
-        frame: &Frame,
-        next_imu: &mut usize,
-        recorder: &mut Recorder,
-    ) -> Result<(), EstimatorError> {
+    fn frame(&mut self, frame: &Frame, recorder: &mut Recorder) -> Result<(), EstimatorError> {
         let mut timings = Timings::default();
         let begin = Instant::now();
         let Some(tracks) = self.look(frame, recorder) else { return Ok(()) };
         timings.front_end = begin.elapsed();
 
         let begin = Instant::now();
-        let reading = self.feed_imu(frame.stamp_ns, next_imu, recorder);
+        let reading = self.feed_imu(frame.stamp_ns, recorder);
         let tracks = self.start(frame.stamp_ns, tracks, recorder)?;
         let (Some(tracks), Some(estimator)) = (tracks, self.filter.estimator_mut()) else {
             // Answers to the filter before are of no use, but must not pile up.
@@ -248,7 +287,7 @@ impl RobotRun<'_> {
             return Some(Vec::new());
         }
         front_end
-            .look(frame, &self.sequence.imu_samples)
+            .look(frame, self.imu.readings())
             .inspect_err(|error| {
                 tracing::warn!(%error, "frame skipped");
                 recorder.skipped_frames += 1;
@@ -257,20 +296,19 @@ impl RobotRun<'_> {
     }
 
     /// Hands over the IMU readings up to the first one after the frame, and returns the angular velocity of that.
-    fn feed_imu(&mut self, stamp_ns: i64, next: &mut usize, recorder: &mut Recorder) -> Vector3<f64> {
-        let samples = &self.sequence.imu_samples;
-        let stamp_ns = self.filter.estimator().map_or(stamp_ns, |estimator| estimator.imu_stamp_ns(stamp_ns));
-        while *next < samples.len() && (*next == 0 || samples[*next - 1].stamp_ns < stamp_ns) {
-            if let Err(error) = self.filter.imu(samples[*next]) {
+    fn feed_imu(&mut self, stamp_ns: i64, recorder: &mut Recorder) -> Vector3<f64> {
+        let stamp_ns = self.imu_stamp_ns(stamp_ns);
+        while let Some(reading) = self.imu.hand_out(stamp_ns) {
+            if let Err(error) = self.filter.imu(reading) {
                 tracing::warn!(%error);
                 recorder.dropped_imu += 1;
             }
-            *next += 1;
         }
-        samples.get(next.saturating_sub(1)).map_or_else(Vector3::zeros, |sample| sample.gyroscope)
+        self.imu.handed_out().last().map_or_else(Vector3::zeros, |reading| reading.gyroscope)
     }
 
     fn close(&mut self, recorder: &mut Recorder) {
+        recorder.imu_gaps = self.imu.gaps();
         recorder.final_status = Some(self.filter.status().with_failure(self.last_failure.as_deref()));
         if let Some(publisher) = self.publisher.take() {
             publisher.close();
@@ -280,6 +318,6 @@ impl RobotRun<'_> {
 
 impl Recorder {
     fn query_counts(&self) -> QueryCounts {
-        QueryCounts { sent: self.queries_sent, answered: self.queries_answered }
+        QueryCounts { sent: self.queries.sent, answered: self.queries.answered }
     }
 }

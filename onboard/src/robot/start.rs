@@ -3,7 +3,7 @@
 use super::arguments::Init;
 use crate::estimator::initialization::REST_SECONDS;
 use crate::estimator::{EstimatorConfig, ImuSample, InitialState};
-use crate::sequence::{Sequence, TruthRow};
+use crate::sequence::{Recording, TruthRow};
 use anyhow::{Context as _, Result, bail};
 use nalgebra::Vector3;
 
@@ -14,23 +14,19 @@ const SEARCH_SECONDS: f64 = 10.0;
 /// lose what the truth tells.
 const LEAD_NS: i64 = 100_000_000;
 
-/// Truth is kept from so long before an excerpt to so long after, nanoseconds: it is interpolated at the ends.
-const TRUTH_LEAD_NS: i64 = 300_000_000;
-
 /// The first state; `None` where it is to be found on the way.
 ///
 /// # Errors
 /// A sentence that says what the recording lacks and which switch helps.
 pub fn initial_state(
-    sequence: &Sequence,
+    recording: &Recording<'_>,
     init: Init,
     config: &EstimatorConfig,
 ) -> Result<Option<InitialState>> {
     match init {
-        Init::Truth => from_truth(sequence, config).map(Some),
+        Init::Truth => from_truth(recording, config).map(Some),
         Init::Static => {
-            let readings = window(&sequence.imu_samples, 0);
-            let start = InitialState::from_rest(readings, config);
+            let start = InitialState::from_rest(&first_readings(recording)?, config);
             start.context("--init static (--init auto waits for a start, and starts in motion too)").map(Some)
         }
         Init::Auto => Ok(None),
@@ -45,7 +41,7 @@ pub fn initial_state(
 ///
 /// # Errors
 /// A sentence: a time that is not a positive number, or past the end.
-pub fn excerpt(sequence: &Sequence, start_at: f64, duration: Option<f64>) -> Result<Sequence> {
+pub fn excerpt(recording: Recording<'_>, start_at: f64, duration: Option<f64>) -> Result<Recording<'_>> {
     let length = duration.unwrap_or(f64::INFINITY);
     if !(start_at.is_finite() && start_at >= 0.0) {
         bail!("--start-at is {start_at}; it must be zero or a positive number of seconds");
@@ -53,19 +49,10 @@ pub fn excerpt(sequence: &Sequence, start_at: f64, duration: Option<f64>) -> Res
     if length.is_nan() || length <= 0.0 {
         bail!("--duration is {length}; it must be a positive number of seconds");
     }
-    let first_ns = sequence.frames.first().map_or(0, |frame| frame.stamp_ns);
+    let first_ns = recording.frames()?.next().transpose()?.map_or(0, |frame| frame.stamp_ns);
     let begin_ns = first_ns + (start_at * 1e9) as i64;
-    let end_ns = begin_ns.saturating_add((length * 1e9) as i64);
-    let kept = |stamp_ns: i64, lead_ns: i64| {
-        (begin_ns - lead_ns..=end_ns.saturating_add(lead_ns)).contains(&stamp_ns)
-    };
-    let mut part = sequence.clone();
-    part.frames.retain(|frame| kept(frame.stamp_ns, 0));
-    part.imu_samples.retain(|reading| kept(reading.stamp_ns, LEAD_NS));
-    if let Some(rows) = &mut part.groundtruth {
-        rows.retain(|row| kept(row.stamp_ns, TRUTH_LEAD_NS));
-    }
-    if part.frames.is_empty() {
+    let part = recording.between(begin_ns, begin_ns.saturating_add((length * 1e9) as i64));
+    if part.frames()?.next().is_none() {
         bail!("--start-at {start_at}: the recording has no image after that");
     }
     Ok(part)
@@ -91,24 +78,42 @@ fn window(samples: &[ImuSample], first: usize) -> &[ImuSample] {
     &samples[first.min(end)..end]
 }
 
-fn from_truth(sequence: &Sequence, config: &EstimatorConfig) -> Result<InitialState> {
-    let Some(rows) = sequence.groundtruth.as_deref().filter(|rows| rows.len() > 1) else {
-        bail!("--init truth: {} has no ground truth; use --init auto", sequence.root.display())
-    };
-    let Some(gravity) = sequence.truth_gravity() else {
+/// The readings of the first [`REST_SECONDS`] of a recording.
+fn first_readings(recording: &Recording<'_>) -> Result<Vec<ImuSample>> {
+    let mut readings: Vec<ImuSample> = Vec::new();
+    for reading in recording.imu_samples()? {
+        readings.push(reading?);
+        let length_ns = readings[readings.len() - 1].stamp_ns - readings[0].stamp_ns;
+        if length_ns > (REST_SECONDS * 1e9) as i64 {
+            readings.pop();
+            break;
+        }
+    }
+    Ok(readings)
+}
+
+fn from_truth(recording: &Recording<'_>, config: &EstimatorConfig) -> Result<InitialState> {
+    if !recording.has_truth() {
+        bail!("--init truth: {} has no ground truth; use --init auto", recording.root.display())
+    }
+    let Some(gravity) = recording.truth_gravity()? else {
         bail!(
             "--init truth: the direction of gravity in the truth's frame cannot be found from truth and IMU"
         )
     };
-    let imu_begin_ns = sequence.imu_samples.first().map_or(i64::MAX, |sample| sample.stamp_ns);
-    let frames_begin_ns = sequence.frames.first().map_or(i64::MIN, |frame| frame.stamp_ns);
+    let first_reading = recording.imu_samples()?.next().transpose()?;
+    let imu_begin_ns = first_reading.map_or(i64::MAX, |reading| reading.stamp_ns);
+    let first_frame = recording.frames()?.next().transpose()?;
+    let frames_begin_ns = first_frame.map_or(i64::MIN, |frame| frame.stamp_ns);
     let begin_ns = (imu_begin_ns - 10_000_000).max(frames_begin_ns - LEAD_NS);
-    let Some(first) = rows.iter().position(|row| row.stamp_ns >= begin_ns) else {
+    let due =
+        |row: &Result<TruthRow, _>| row.as_ref().map_or(true, |row: &TruthRow| row.stamp_ns >= begin_ns);
+    let mut rows = recording.truth()?.skip_while(|row| !due(row));
+    let Some(row) = rows.next().transpose()? else {
         bail!("--init truth: the ground truth ends before the IMU begins")
     };
-    let row = &rows[first];
-    let velocity = row.velocity.or_else(|| slope(rows, first));
-    let Some(velocity) = velocity else {
+    let next = rows.next().transpose()?;
+    let Some(velocity) = row.velocity.or_else(|| Some(slope(&row, &next?))) else {
         bail!("--init truth: the first row has no velocity, and no row follows")
     };
     let stamp_ns = row.stamp_ns.max(imu_begin_ns);
@@ -118,7 +123,6 @@ fn from_truth(sequence: &Sequence, config: &EstimatorConfig) -> Result<InitialSt
     Ok(start)
 }
 
-fn slope(rows: &[TruthRow], first: usize) -> Option<Vector3<f64>> {
-    let (a, b) = (rows.get(first)?, rows.get(first + 1)?);
-    Some((b.pose.translation - a.pose.translation) / ((b.stamp_ns - a.stamp_ns) as f64 * 1e-9))
+fn slope(a: &TruthRow, b: &TruthRow) -> Vector3<f64> {
+    (b.pose.translation - a.pose.translation) / ((b.stamp_ns - a.stamp_ns) as f64 * 1e-9)
 }

@@ -107,6 +107,15 @@ pub struct TrackSummary {
     pub dropped_observations: usize,
 }
 
+/// Gaps between IMU readings, over which the motion is interpolated.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+pub struct ImuGapSummary {
+    /// How many.
+    pub count: usize,
+    /// The longest, seconds.
+    pub longest_s: f64,
+}
+
 /// A start of the filter.
 #[derive(Clone, Debug, Serialize)]
 pub struct StartSummary {
@@ -142,6 +151,8 @@ pub struct Summary {
     pub skipped_frames: usize,
     /// IMU readings that were dropped.
     pub dropped_imu: usize,
+    /// Gaps between IMU readings.
+    pub imu_gaps: ImuGapSummary,
     /// Length of the recording that was played, seconds.
     pub seconds: f64,
     /// Time that it took, seconds.
@@ -170,6 +181,8 @@ pub struct Summary {
     pub divergences: Vec<DivergenceSummary>,
     /// State at the end.
     pub final_status: Option<Status>,
+    /// Whether the run was stopped from outside (Ctrl-C).
+    pub interrupted: bool,
     /// Why the run ended early, if it did.
     pub ended_early: Option<String>,
     /// Settings of the estimator.

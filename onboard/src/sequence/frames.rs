@@ -1,10 +1,12 @@
 //! The camera folders: which images there are, what was tracked in them, and what a place-recognition extractor saw.
 
 use super::error::SequenceError;
+use super::rows::Stamped;
 use super::table::{Row, Table, check_order};
 use crate::estimator::TrackObservation;
 use nalgebra::Vector2;
 use protocol::{DescriptorFormat, DescriptorKind, FeatureSet};
+use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
 /// One instant at which the cameras looked.
@@ -20,34 +22,197 @@ pub struct Frame {
     pub features: Option<FeatureSet>,
 }
 
-/// The images that a camera's `data.csv` lists, in order of time.
-#[derive(Debug, Default)]
-pub(crate) struct ImageList {
-    /// When they were taken, nanoseconds.
-    pub(crate) stamps: Vec<i64>,
-    /// Their files, in the same order; empty for a recording without images.
-    pub(crate) files: Vec<PathBuf>,
+impl Stamped for Frame {
+    fn stamp_ns(&self) -> i64 {
+        self.stamp_ns
+    }
 }
 
-/// Reads which images a camera took. Where there is a folder `data`, each of them must be in it.
-pub(crate) fn read_images(folder: &Path) -> Result<ImageList, SequenceError> {
-    let path = folder.join("data.csv");
-    let mut table = Table::open(&path, "it lists the time stamps of this camera's images")?;
-    let image_folder = folder.join("data");
-    let with_images = image_folder.is_dir();
-    let mut images = ImageList::default();
-    while let Some(row) = table.next_row()? {
-        let stamp_ns = row.stamp()?;
-        check_order(&row, images.stamps.last().copied(), stamp_ns)?;
-        images.stamps.push(stamp_ns);
-        if with_images {
-            images.files.push(image_file(&row, &image_folder)?);
+/// The frames of all cameras, one after the other: every stamp that any of them has. They end with the first error.
+pub(crate) struct FrameRows {
+    cameras: Vec<CameraRows>,
+    ended: bool,
+}
+
+impl FrameRows {
+    /// Opens the tables of the first `cameras` cameras.
+    pub(crate) fn open(mav: &Path, cameras: usize) -> Result<Self, SequenceError> {
+        let open = |camera| CameraRows::open(&mav.join(format!("cam{camera}")), camera as u8);
+        Ok(Self { cameras: (0..cameras).map(open).collect::<Result<_, _>>()?, ended: false })
+    }
+
+    fn read_next(&mut self) -> Result<Option<Frame>, SequenceError> {
+        let Some(stamp_ns) = self.cameras.iter().filter_map(|camera| camera.image_ns).min() else {
+            self.cameras.iter().try_for_each(CameraRows::expect_end)?;
+            return Ok(None);
+        };
+        let mut frame = Frame { stamp_ns, ..Frame::default() };
+        for camera in &mut self.cameras {
+            if camera.image_ns == Some(stamp_ns) {
+                camera.read_into(&mut frame)?;
+            }
         }
+        Ok(Some(frame))
     }
-    if images.stamps.is_empty() {
-        return Err(SequenceError::empty(&path, "list the images as `timestamp [ns],filename`"));
+}
+
+impl Iterator for FrameRows {
+    type Item = Result<Frame, SequenceError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        if self.ended {
+            return None;
+        }
+        let next = self.read_next();
+        self.ended = !matches!(next, Ok(Some(_)));
+        next.transpose()
     }
-    Ok(images)
+}
+
+/// The tables of one camera, side by side.
+struct CameraRows {
+    camera: u8,
+    images: Table,
+    /// The folder of the images, where there are any.
+    image_folder: Option<PathBuf>,
+    /// Stamp of the image that comes next.
+    image_ns: Option<i64>,
+    tracks: Option<ImageRows>,
+    seen_ids: HashSet<u64>,
+    features: Option<ImageRows>,
+    /// Bytes of a descriptor.
+    width: Option<usize>,
+}
+
+impl CameraRows {
+    fn open(folder: &Path, camera: u8) -> Result<Self, SequenceError> {
+        let path = folder.join("data.csv");
+        let image_folder = folder.join("data");
+        let with_features = camera == 0;
+        let mut rows = Self {
+            camera,
+            images: Table::open(&path, "it lists the time stamps of this camera's images")?,
+            image_folder: image_folder.is_dir().then_some(image_folder),
+            image_ns: None,
+            tracks: ImageRows::open_if_there(&folder.join("tracks.csv"))?,
+            seen_ids: HashSet::new(),
+            features: if with_features {
+                ImageRows::open_if_there(&folder.join("features.csv"))?
+            } else {
+                None
+            },
+            width: None,
+        };
+        rows.advance()?;
+        if rows.image_ns.is_none() {
+            return Err(SequenceError::empty(&path, "list the images as `timestamp [ns],filename`"));
+        }
+        Ok(rows)
+    }
+
+    /// Goes to the next image.
+    fn advance(&mut self) -> Result<(), SequenceError> {
+        let Some(row) = self.images.next_row()? else {
+            self.image_ns = None;
+            return Ok(());
+        };
+        let stamp_ns = row.stamp()?;
+        check_order(&row, self.image_ns, stamp_ns)?;
+        self.image_ns = Some(stamp_ns);
+        Ok(())
+    }
+
+    /// Reads what belongs to the image that comes next into its frame, and goes to the one after it.
+    fn read_into(&mut self, frame: &mut Frame) -> Result<(), SequenceError> {
+        if let Some(folder) = &self.image_folder {
+            frame.images[usize::from(self.camera)] = Some(image_file(&self.images.row(), folder)?);
+        }
+        if let Some(tracks) = &mut self.tracks {
+            self.seen_ids.clear();
+            tracks.take(frame.stamp_ns, |row| {
+                let track = track_of(row, self.camera)?;
+                if !self.seen_ids.insert(track.feature_id) {
+                    return Err(row.wrong(format!(
+                        "feature {} appears twice in this image: a track has one pixel an image, delete one",
+                        track.feature_id
+                    )));
+                }
+                frame.tracks.push(track);
+                Ok(())
+            })?;
+        }
+        if let Some(features) = &mut self.features {
+            features.take(frame.stamp_ns, |row| add_feature(row, &mut frame.features, &mut self.width))?;
+        }
+        self.advance()
+    }
+
+    /// Complains about tracks and features after the last image.
+    fn expect_end(&self) -> Result<(), SequenceError> {
+        [&self.tracks, &self.features].into_iter().flatten().try_for_each(ImageRows::expect_end)
+    }
+}
+
+/// A table with several rows an image, in the order of the images.
+struct ImageRows {
+    table: Table,
+    /// Stamp of the row that waits for its image.
+    waiting_ns: Option<i64>,
+    /// Stamp of the row before it.
+    before_ns: Option<i64>,
+}
+
+impl ImageRows {
+    fn open_if_there(path: &Path) -> Result<Option<Self>, SequenceError> {
+        if !path.exists() {
+            return Ok(None);
+        }
+        let table = Table::open(path, "it holds what was seen in images")?;
+        let mut rows = Self { table, waiting_ns: None, before_ns: None };
+        rows.advance()?;
+        Ok(Some(rows))
+    }
+
+    fn advance(&mut self) -> Result<(), SequenceError> {
+        self.before_ns = self.waiting_ns;
+        self.waiting_ns = match self.table.next_row()? {
+            Some(row) => {
+                row.require(4)?;
+                Some(row.stamp()?)
+            }
+            None => None,
+        };
+        Ok(())
+    }
+
+    /// Hands over the rows of an image, which must be the next one.
+    fn take(
+        &mut self,
+        image_ns: i64,
+        mut each: impl FnMut(&Row<'_>) -> Result<(), SequenceError>,
+    ) -> Result<(), SequenceError> {
+        while self.waiting_ns.is_some_and(|waiting_ns| waiting_ns <= image_ns) {
+            if self.waiting_ns != Some(image_ns) {
+                return self.expect_end();
+            }
+            each(&self.table.row())?;
+            self.advance()?;
+        }
+        Ok(())
+    }
+
+    /// Complains about a row whose image does not come any more.
+    fn expect_end(&self) -> Result<(), SequenceError> {
+        let Some(stamp_ns) = self.waiting_ns else { return Ok(()) };
+        let row = self.table.row();
+        Err(row.wrong(if self.before_ns.is_some_and(|before_ns| stamp_ns < before_ns) {
+            format!("time stamp {stamp_ns} goes back in time: sort the file by time")
+        } else {
+            format!(
+                "time stamp {stamp_ns} is not in this camera's data.csv: list the image there, or delete the row"
+            )
+        }))
+    }
 }
 
 /// The file of a row of `data.csv`, which must be there.
@@ -65,135 +230,31 @@ fn image_file(row: &Row<'_>, folder: &Path) -> Result<PathBuf, SequenceError> {
     Ok(file)
 }
 
-/// Hands a camera's images to the frames.
-pub(crate) fn place_images(images: &ImageList, camera: usize, frames: &mut [Frame]) {
-    let mut at = 0;
-    for (stamp_ns, file) in images.stamps.iter().zip(&images.files) {
-        while frames[at].stamp_ns < *stamp_ns {
-            at += 1;
-        }
-        frames[at].images[camera] = Some(file.clone());
-    }
+/// A row of `tracks.csv`.
+fn track_of(row: &Row<'_>, camera: u8) -> Result<TrackObservation, SequenceError> {
+    let pixel = Vector2::new(row.finite(2)?, row.finite(3)?);
+    Ok(TrackObservation { camera, feature_id: row.parse(1)?, pixel })
 }
 
-/// The frames of all cameras, empty yet: every stamp that any of them has.
-pub(crate) fn empty_frames(cameras: &[ImageList]) -> Vec<Frame> {
-    let mut all: Vec<i64> = cameras.iter().flat_map(|images| &images.stamps).copied().collect();
-    all.sort_unstable();
-    all.dedup();
-    all.into_iter().map(|stamp_ns| Frame { stamp_ns, ..Frame::default() }).collect()
-}
-
-/// Walks through a camera's stamps and all frames, side by side with a table that is sorted by time.
-struct FrameCursor<'a> {
-    stamps: &'a [i64],
-    stamp: usize,
-    frame: usize,
-}
-
-impl<'a> FrameCursor<'a> {
-    fn new(stamps: &'a [i64]) -> Self {
-        Self { stamps, stamp: 0, frame: 0 }
-    }
-
-    /// The frame that a row belongs to.
-    fn seek(&mut self, row: &Row<'_>, frames: &[Frame]) -> Result<usize, SequenceError> {
-        let stamp_ns = row.stamp()?;
-        let current = self.stamps.get(self.stamp).copied();
-        if current.is_some_and(|current| stamp_ns < current) && self.stamp > 0 {
-            return Err(row.wrong(format!("time stamp {stamp_ns} goes back in time: sort the file by time")));
-        }
-        while self.stamps.get(self.stamp).is_some_and(|stamp| *stamp < stamp_ns) {
-            self.stamp += 1;
-        }
-        if self.stamps.get(self.stamp) != Some(&stamp_ns) {
-            return Err(row.wrong(format!(
-                "time stamp {stamp_ns} is not in this camera's data.csv: list the image there, or delete the row"
-            )));
-        }
-        while frames[self.frame].stamp_ns < stamp_ns {
-            self.frame += 1;
-        }
-        Ok(self.frame)
-    }
-}
-
-/// Reads `tracks.csv` into the frames, if the camera has one.
-pub(crate) fn read_tracks(
-    folder: &Path,
-    camera: u8,
-    stamps: &[i64],
-    frames: &mut [Frame],
+/// Adds a row of `features.csv` to the features of its image. `width` is that of the descriptors before.
+fn add_feature(
+    row: &Row<'_>,
+    features: &mut Option<FeatureSet>,
+    width: &mut Option<usize>,
 ) -> Result<(), SequenceError> {
-    let path = folder.join("tracks.csv");
-    if !path.exists() {
-        return Ok(());
+    let pixel = [row.finite(1)? as f32, row.finite(2)? as f32];
+    let hex = row.cell(3)?;
+    let set = features.get_or_insert_with(|| empty_features((hex.len() / 2) as u16));
+    let bytes_before = set.descriptors.bytes.len();
+    decode_hex(row, hex, &mut set.descriptors.bytes)?;
+    let bytes = set.descriptors.bytes.len() - bytes_before;
+    let before = *width.get_or_insert(bytes);
+    if bytes != before || bytes > usize::from(u16::MAX) {
+        return Err(row.wrong(format!(
+            "the descriptor has {bytes} bytes, those before have {before}: the row is cut off, or the file mixes kinds"
+        )));
     }
-    let mut table = Table::open(&path, "it holds the tracked features")?;
-    let mut cursor = FrameCursor::new(stamps);
-    let mut seen = SeenIds::default();
-    while let Some(row) = table.next_row()? {
-        row.require(4)?;
-        let index = cursor.seek(&row, frames)?;
-        let feature_id = row.parse(1)?;
-        let pixel = Vector2::new(row.finite(2)?, row.finite(3)?);
-        if !seen.insert(index, feature_id) {
-            return Err(row.wrong(format!(
-                "feature {feature_id} appears twice in this image: a track has one pixel an image, delete one"
-            )));
-        }
-        frames[index].tracks.push(TrackObservation { camera, feature_id, pixel });
-    }
-    Ok(())
-}
-
-/// The ids seen in the current image.
-#[derive(Default)]
-struct SeenIds {
-    frame: usize,
-    ids: std::collections::HashSet<u64>,
-}
-
-impl SeenIds {
-    fn insert(&mut self, frame: usize, id: u64) -> bool {
-        if frame != self.frame {
-            self.frame = frame;
-            self.ids.clear();
-        }
-        self.ids.insert(id)
-    }
-}
-
-/// Reads `features.csv` into the frames, if the camera has one.
-pub(crate) fn read_features(
-    folder: &Path,
-    stamps: &[i64],
-    frames: &mut [Frame],
-) -> Result<(), SequenceError> {
-    let path = folder.join("features.csv");
-    if !path.exists() {
-        return Ok(());
-    }
-    let mut table = Table::open(&path, "it holds the features for place recognition")?;
-    let mut cursor = FrameCursor::new(stamps);
-    let mut width = None;
-    while let Some(row) = table.next_row()? {
-        row.require(4)?;
-        let index = cursor.seek(&row, frames)?;
-        let pixel = [row.finite(1)? as f32, row.finite(2)? as f32];
-        let hex = row.cell(3)?;
-        let set = frames[index].features.get_or_insert_with(|| empty_features((hex.len() / 2) as u16));
-        let bytes_before = set.descriptors.bytes.len();
-        decode_hex(&row, hex, &mut set.descriptors.bytes)?;
-        let bytes = set.descriptors.bytes.len() - bytes_before;
-        if bytes != *width.get_or_insert(bytes) || bytes > usize::from(u16::MAX) {
-            return Err(row.wrong(format!(
-                "the descriptor has {bytes} bytes, those before have {}: the row is cut off, or the file mixes kinds",
-                width.unwrap_or_default()
-            )));
-        }
-        set.pixels.push(pixel);
-    }
+    set.pixels.push(pixel);
     Ok(())
 }
 

@@ -9,8 +9,8 @@
 //! SEQ/mav0/state_groundtruth_estimate0/data.csv          the truth, if known
 //! SEQ/reference_poses.csv                                poses to build a map from
 //! ```
-//! The body frame is the IMU's. Everything is read into memory and checked at once: a [`Sequence`] that exists is
-//! in order of time, finite, and calibrated.
+//! The body frame is the IMU's. A [`Sequence`] is read into memory and checked at once: one that exists is in order of
+//! time, finite, and calibrated. A [`Recording`] is checked the same way, but read again while it is played.
 //!
 //! ```no_run
 //! let sequence = onboard::sequence::Sequence::open("recording".as_ref())?;
@@ -21,6 +21,7 @@
 mod error;
 mod frames;
 mod gravity;
+mod recording;
 mod rows;
 mod sensor;
 mod table;
@@ -33,12 +34,13 @@ mod tests;
 pub use crate::estimator::{ImuNoise, ImuSample, TrackObservation};
 pub use error::SequenceError;
 pub use frames::Frame;
+pub use recording::{Contents, Recording, Rows};
 pub use rows::{ReferencePose, TruthRow, read_groundtruth, read_reference_poses};
 pub use sensor::{CameraSensor, ImuSensor, read_lens};
 pub use truth::TruthTrack;
 
 pub(crate) use rows::pose as pose_cells;
-pub(crate) use table::{Table, check_order};
+pub(crate) use table::{Row, Table, check_order};
 
 use nalgebra::Vector3;
 use std::path::{Path, PathBuf};
@@ -70,29 +72,21 @@ impl Sequence {
     /// off or not finite, time stamps out of order, tracks or features of an image that is not listed, a lens or a
     /// descriptor that cannot be understood.
     pub fn open(root: &Path) -> Result<Self, SequenceError> {
-        let mav = root.join("mav0");
-        if !mav.is_dir() {
-            let advice = "a recording is a folder with mav0/cam0 in it, as EuRoC lays it out; check the path";
-            return Err(SequenceError::missing(&mav, advice));
-        }
-        let imu_folder = mav.join("imu0");
-        let (imu, imu_samples) = if imu_folder.is_dir() {
-            let sensor = sensor::read_imu(&imu_folder.join("sensor.yaml"))?;
-            (Some(sensor), rows::read_imu_samples(&imu_folder.join("data.csv"))?)
-        } else {
-            (None, Vec::new())
-        };
-        let (cameras, frames) = read_cameras(&mav)?;
-        let groundtruth_path = mav.join("state_groundtruth_estimate0/data.csv");
+        let recording = Recording::open_unchecked(root)?;
+        let imu_samples = recording.imu_samples()?.collect::<Result<_, _>>()?;
+        let frames = recording.frames()?.collect::<Result<_, _>>()?;
+        let groundtruth: Vec<TruthRow> = recording.truth()?.collect::<Result<_, _>>()?;
         let reference_path = root.join("reference_poses.csv");
+        let reference_poses =
+            reference_path.exists().then(|| read_reference_poses(&reference_path)).transpose()?;
         Ok(Self {
-            root: root.to_path_buf(),
-            imu,
+            root: recording.root,
+            imu: recording.imu,
             imu_samples,
-            cameras,
+            cameras: recording.cameras,
             frames,
-            groundtruth: if_there(&groundtruth_path, read_groundtruth)?,
-            reference_poses: if_there(&reference_path, read_reference_poses)?,
+            groundtruth: (!groundtruth.is_empty()).then_some(groundtruth),
+            reference_poses,
         })
     }
 
@@ -111,34 +105,7 @@ impl Sequence {
     /// Estimated from truth and IMU over the run, and taken for a coordinate axis within 3 degrees of one. `None`
     /// where truth or IMU is missing, or where they contradict each other.
     pub fn truth_gravity(&self) -> Option<Vector3<f64>> {
-        gravity::direction(self.groundtruth.as_deref()?, &self.imu_samples)
+        // Rows in memory are sound.
+        Recording::from(self).truth_gravity().ok().flatten()
     }
-}
-
-fn if_there<T>(
-    path: &Path,
-    read: impl Fn(&Path) -> Result<T, SequenceError>,
-) -> Result<Option<T>, SequenceError> {
-    path.exists().then(|| read(path)).transpose()
-}
-
-/// Both cameras' calibrations and what they saw.
-fn read_cameras(mav: &Path) -> Result<(Vec<CameraSensor>, Vec<Frame>), SequenceError> {
-    let mut cameras = Vec::new();
-    let mut images = Vec::new();
-    for name in ["cam0", "cam1"] {
-        let folder = mav.join(name);
-        if name == "cam1" && !folder.is_dir() {
-            break;
-        }
-        cameras.push(sensor::read_camera(&folder.join("sensor.yaml"))?);
-        images.push(frames::read_images(&folder)?);
-    }
-    let mut all = frames::empty_frames(&images);
-    for (camera, (own, name)) in images.iter().zip(["cam0", "cam1"]).enumerate() {
-        frames::place_images(own, camera, &mut all);
-        frames::read_tracks(&mav.join(name), camera as u8, &own.stamps, &mut all)?;
-    }
-    frames::read_features(&mav.join("cam0"), &images[0].stamps, &mut all)?;
-    Ok((cameras, all))
 }

@@ -5,7 +5,8 @@ use super::table::{Row, Table, check_order};
 use crate::estimator::ImuSample;
 use geometry::pose::Pose;
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
-use std::path::Path;
+use std::marker::PhantomData;
+use std::path::{Path, PathBuf};
 
 /// How far a written quaternion's length may be from 1; files round to 4 to 9 decimals.
 const QUATERNION_TOLERANCE: f64 = 1e-2;
@@ -38,26 +39,127 @@ pub struct ReferencePose {
     pub sigma_p: f64,
 }
 
-/// Reads the IMU's `data.csv`.
-pub(crate) fn read_imu_samples(path: &Path) -> Result<Vec<ImuSample>, SequenceError> {
-    let advice = "it holds the IMU's samples; delete imu0 altogether if there was no IMU";
-    let mut table = Table::open(path, advice)?;
-    let mut samples: Vec<ImuSample> = Vec::new();
-    while let Some(row) = table.next_row()? {
+/// Something with a time.
+pub(crate) trait Stamped {
+    /// Nanoseconds.
+    fn stamp_ns(&self) -> i64;
+}
+
+/// A row of a table that has one row an instant.
+pub(crate) trait TimedRow: Stamped + Sized {
+    /// What the table is for, should it be missing.
+    const PURPOSE: &'static str;
+    /// What to do about a table without rows.
+    const IF_EMPTY: &'static str;
+
+    /// Understands a row.
+    fn read(row: &Row<'_>) -> Result<Self, SequenceError>;
+}
+
+/// The rows of a table in order of time, one after the other. It ends with the first error.
+pub(crate) struct TimedRows<T> {
+    path: PathBuf,
+    /// Gone after the last row or an error.
+    table: Option<Table>,
+    before: Option<i64>,
+    row: PhantomData<T>,
+}
+
+impl<T: TimedRow> TimedRows<T> {
+    /// Opens the table.
+    pub(crate) fn open(path: &Path) -> Result<Self, SequenceError> {
+        let table = Some(Table::open(path, T::PURPOSE)?);
+        Ok(Self { path: path.to_path_buf(), table, before: None, row: PhantomData })
+    }
+
+    fn read_next(&mut self) -> Result<Option<T>, SequenceError> {
+        let Some(table) = &mut self.table else { return Ok(None) };
+        let Some(row) = table.next_row()? else {
+            let empty = self.before.is_none();
+            return if empty { Err(SequenceError::empty(&self.path, T::IF_EMPTY)) } else { Ok(None) };
+        };
+        let value = T::read(&row)?;
+        check_order(&row, self.before.replace(value.stamp_ns()), value.stamp_ns())?;
+        Ok(Some(value))
+    }
+}
+
+impl<T: TimedRow> Iterator for TimedRows<T> {
+    type Item = Result<T, SequenceError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let next = self.read_next();
+        if !matches!(next, Ok(Some(_))) {
+            self.table = None;
+        }
+        next.transpose()
+    }
+}
+
+impl Stamped for ImuSample {
+    fn stamp_ns(&self) -> i64 {
+        self.stamp_ns
+    }
+}
+
+/// A row of the IMU's `data.csv`.
+impl TimedRow for ImuSample {
+    const PURPOSE: &'static str = "it holds the IMU's samples; delete imu0 altogether if there was no IMU";
+    const IF_EMPTY: &'static str = Self::PURPOSE;
+
+    fn read(row: &Row<'_>) -> Result<Self, SequenceError> {
         row.require(7)?;
         let stamp_ns = row.stamp()?;
-        check_order(&row, samples.last().map(|sample| sample.stamp_ns), stamp_ns)?;
         let [w_x, w_y, w_z, a_x, a_y, a_z] = row.finite_array(1)?;
-        samples.push(ImuSample {
-            stamp_ns,
-            gyroscope: Vector3::new(w_x, w_y, w_z),
-            accelerometer: Vector3::new(a_x, a_y, a_z),
-        });
+        let (gyroscope, accelerometer) = (Vector3::new(w_x, w_y, w_z), Vector3::new(a_x, a_y, a_z));
+        Ok(Self { stamp_ns, gyroscope, accelerometer })
     }
-    if samples.is_empty() {
-        return Err(SequenceError::empty(path, advice));
+}
+
+impl Stamped for TruthRow {
+    fn stamp_ns(&self) -> i64 {
+        self.stamp_ns
     }
-    Ok(samples)
+}
+
+impl TimedRow for TruthRow {
+    const PURPOSE: &'static str = "it holds the ground truth";
+    const IF_EMPTY: &'static str = "delete it if the truth is not known";
+
+    fn read(row: &Row<'_>) -> Result<Self, SequenceError> {
+        row.require(8)?;
+        if row.len() > 8 {
+            row.require(17)?;
+        }
+        Ok(Self {
+            stamp_ns: row.stamp()?,
+            pose: pose(row, 1)?,
+            velocity: known(row, 8)?,
+            gyroscope_bias: known(row, 11)?,
+            accelerometer_bias: known(row, 14)?,
+        })
+    }
+}
+
+impl Stamped for ReferencePose {
+    fn stamp_ns(&self) -> i64 {
+        self.stamp_ns
+    }
+}
+
+impl TimedRow for ReferencePose {
+    const PURPOSE: &'static str = "it holds the poses to build a map from";
+    const IF_EMPTY: &'static str = "delete it if there are no reference poses";
+
+    fn read(row: &Row<'_>) -> Result<Self, SequenceError> {
+        row.require(10)?;
+        let stamp_ns = row.stamp()?;
+        let [sigma_theta, sigma_p] = row.finite_array(8)?;
+        if sigma_theta <= 0.0 || sigma_p <= 0.0 {
+            return Err(row.wrong("a standard deviation is not positive: say how uncertain the pose is"));
+        }
+        Ok(Self { stamp_ns, pose: pose(row, 1)?, sigma_theta, sigma_p })
+    }
 }
 
 /// Reads ground truth in EuRoC's layout: time, position, quaternion (w first), and where known velocity and biases.
@@ -67,27 +169,7 @@ pub(crate) fn read_imu_samples(path: &Path) -> Result<Vec<ImuSample>, SequenceEr
 /// # Errors
 /// [`SequenceError`] with the file and the line.
 pub fn read_groundtruth(path: &Path) -> Result<Vec<TruthRow>, SequenceError> {
-    let mut table = Table::open(path, "it holds the ground truth")?;
-    let mut rows: Vec<TruthRow> = Vec::new();
-    while let Some(row) = table.next_row()? {
-        row.require(8)?;
-        if row.len() > 8 {
-            row.require(17)?;
-        }
-        let stamp_ns = row.stamp()?;
-        check_order(&row, rows.last().map(|before| before.stamp_ns), stamp_ns)?;
-        rows.push(TruthRow {
-            stamp_ns,
-            pose: pose(&row, 1)?,
-            velocity: known(&row, 8)?,
-            gyroscope_bias: known(&row, 11)?,
-            accelerometer_bias: known(&row, 14)?,
-        });
-    }
-    if rows.is_empty() {
-        return Err(SequenceError::empty(path, "delete it if the truth is not known"));
-    }
-    Ok(rows)
+    TimedRows::open(path)?.collect()
 }
 
 /// Reads `reference_poses.csv`.
@@ -95,22 +177,7 @@ pub fn read_groundtruth(path: &Path) -> Result<Vec<TruthRow>, SequenceError> {
 /// # Errors
 /// [`SequenceError`] with the file and the line.
 pub fn read_reference_poses(path: &Path) -> Result<Vec<ReferencePose>, SequenceError> {
-    let mut table = Table::open(path, "it holds the poses to build a map from")?;
-    let mut poses: Vec<ReferencePose> = Vec::new();
-    while let Some(row) = table.next_row()? {
-        row.require(10)?;
-        let stamp_ns = row.stamp()?;
-        check_order(&row, poses.last().map(|before| before.stamp_ns), stamp_ns)?;
-        let [sigma_theta, sigma_p] = row.finite_array(8)?;
-        if sigma_theta <= 0.0 || sigma_p <= 0.0 {
-            return Err(row.wrong("a standard deviation is not positive: say how uncertain the pose is"));
-        }
-        poses.push(ReferencePose { stamp_ns, pose: pose(&row, 1)?, sigma_theta, sigma_p });
-    }
-    if poses.is_empty() {
-        return Err(SequenceError::empty(path, "delete it if there are no reference poses"));
-    }
-    Ok(poses)
+    TimedRows::open(path)?.collect()
 }
 
 /// Position and Hamilton quaternion (w first) from `column` on.

@@ -55,8 +55,13 @@ impl Table {
             if self.rows == 1 && is_header(&self.record) {
                 continue;
             }
-            return Ok(Some(Row { path: &self.path, record: &self.record }));
+            return Ok(Some(self.row()));
         }
+    }
+
+    /// The row that was read last.
+    pub(crate) fn row(&self) -> Row<'_> {
+        Row { path: &self.path, record: &self.record }
     }
 }
 

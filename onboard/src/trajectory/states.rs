@@ -3,7 +3,7 @@
 //! One line a pose: time, which pose, position, quaternion (w first), and the upper triangle of the 6x6 covariance of
 //! `[dtheta, dp]` (rad, metres, parent frame), row by row: `c_00, c_01 .. c_05, c_11 .. c_55`.
 
-use crate::sequence::{SequenceError, Table, check_order, pose_cells};
+use crate::sequence::{Row, SequenceError, Table, check_order, pose_cells};
 use geometry::uncertain_pose::PoseWithCovariance;
 use nalgebra::Matrix6;
 use std::fs::File;
@@ -67,6 +67,7 @@ impl StateRow {
 }
 
 /// Writes `states.csv` row by row while a run goes on.
+#[derive(Debug)]
 pub struct StateWriter {
     path: PathBuf,
     out: BufWriter<File>,
@@ -109,7 +110,7 @@ impl StateWriter {
     ///
     /// # Errors
     /// [`SequenceError::Io`] with the file.
-    pub fn finish(mut self) -> Result<(), SequenceError> {
+    pub fn flush(&mut self) -> Result<(), SequenceError> {
         self.out.flush().map_err(|source| SequenceError::io(&self.path, source))
     }
 }
@@ -121,51 +122,92 @@ impl StateWriter {
 pub fn write(path: &Path, rows: &[StateRow]) -> Result<(), SequenceError> {
     let mut writer = StateWriter::create(path)?;
     rows.iter().try_for_each(|row| writer.append(row))?;
-    writer.finish()
+    writer.flush()
 }
 
 /// Reads `states.csv`.
 ///
 /// # Errors
 /// [`SequenceError`] with the file and the line: an unknown state, a row that is cut off or not finite, time stamps
-/// out of order, an instant without `local_from_imu`.
+/// out of order, an instant without `local_from_imu`; no states at all.
 pub fn read(path: &Path) -> Result<Vec<StateRow>, SequenceError> {
-    let mut table = Table::open(path, "a run writes it to its --out folder")?;
-    let mut rows: Vec<StateRow> = Vec::new();
-    while let Some(row) = table.next_row()? {
-        row.require(9 + TRIANGLE)?;
-        let stamp_ns = row.stamp()?;
-        let Some(kind) = StateKind::parse(row.cell(1)?) else {
-            let name = String::from_utf8_lossy(row.cell(1)?).into_owned();
-            return Err(row.wrong(format!(
-                "state \"{name}\" is unknown: local_from_imu, global_from_local and global_from_imu are known"
-            )));
-        };
-        let pose = pose_cells(&row, 2)?;
-        let state = PoseWithCovariance::new(pose, symmetric(&row.finite_array(9)?));
-        if kind == StateKind::LocalFromImu {
-            check_order(&row, rows.last().map(|before| before.stamp_ns), stamp_ns)?;
-            rows.push(StateRow {
-                stamp_ns,
-                local_from_imu: state,
-                global_from_local: None,
-                global_from_imu: None,
-            });
-            continue;
-        }
-        let Some(last) = rows.last_mut().filter(|last| last.stamp_ns == stamp_ns) else {
-            return Err(row.wrong("local_from_imu of the same time must come first"));
-        };
-        let place = match kind {
-            StateKind::GlobalFromLocal => &mut last.global_from_local,
-            _ => &mut last.global_from_imu,
-        };
-        *place = Some(state);
-    }
+    let rows: Vec<StateRow> = StateReader::open(path)?.collect::<Result<_, _>>()?;
     if rows.is_empty() {
         return Err(SequenceError::empty(path, "the run put nothing out; look at its log"));
     }
     Ok(rows)
+}
+
+/// Reads `states.csv` instant by instant, none of it kept. It ends with the first error.
+pub struct StateReader {
+    /// Gone after the last row or an error.
+    table: Option<Table>,
+    /// The instant that is put together.
+    begun: Option<StateRow>,
+}
+
+impl StateReader {
+    /// Opens the file.
+    ///
+    /// # Errors
+    /// [`SequenceError`] with the file.
+    pub fn open(path: &Path) -> Result<Self, SequenceError> {
+        Ok(Self { table: Some(Table::open(path, "a run writes it to its --out folder")?), begun: None })
+    }
+
+    fn read_next(&mut self) -> Result<Option<StateRow>, SequenceError> {
+        let Some(table) = &mut self.table else { return Ok(None) };
+        while let Some(row) = table.next_row()? {
+            let (stamp_ns, kind, state) = parse_state(&row)?;
+            if kind == StateKind::LocalFromImu {
+                check_order(&row, self.begun.as_ref().map(|before| before.stamp_ns), stamp_ns)?;
+                let begun = StateRow {
+                    stamp_ns,
+                    local_from_imu: state,
+                    global_from_local: None,
+                    global_from_imu: None,
+                };
+                match self.begun.replace(begun) {
+                    Some(whole) => return Ok(Some(whole)),
+                    None => continue,
+                }
+            }
+            let Some(begun) = self.begun.as_mut().filter(|begun| begun.stamp_ns == stamp_ns) else {
+                return Err(row.wrong("local_from_imu of the same time must come first"));
+            };
+            let place = match kind {
+                StateKind::GlobalFromLocal => &mut begun.global_from_local,
+                _ => &mut begun.global_from_imu,
+            };
+            *place = Some(state);
+        }
+        self.table = None;
+        Ok(self.begun.take())
+    }
+}
+
+impl Iterator for StateReader {
+    type Item = Result<StateRow, SequenceError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let next = self.read_next();
+        if next.is_err() {
+            self.table = None;
+        }
+        next.transpose()
+    }
+}
+
+fn parse_state(row: &Row<'_>) -> Result<(i64, StateKind, PoseWithCovariance), SequenceError> {
+    row.require(9 + TRIANGLE)?;
+    let Some(kind) = StateKind::parse(row.cell(1)?) else {
+        let name = String::from_utf8_lossy(row.cell(1)?).into_owned();
+        return Err(row.wrong(format!(
+            "state \"{name}\" is unknown: local_from_imu, global_from_local and global_from_imu are known"
+        )));
+    };
+    let state = PoseWithCovariance::new(pose_cells(row, 2)?, symmetric(&row.finite_array(9)?));
+    Ok((row.stamp()?, kind, state))
 }
 
 fn triangle() -> impl Iterator<Item = (usize, usize)> {

@@ -6,8 +6,10 @@ use super::StampedPose;
 use crate::sequence::SequenceError;
 use geometry::pose::Pose;
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
-use std::fmt::Write;
-use std::path::Path;
+use std::fmt::Write as _;
+use std::fs::File;
+use std::io::{BufWriter, Write as _};
+use std::path::{Path, PathBuf};
 
 /// How far a written quaternion's length may be from 1.
 const QUATERNION_TOLERANCE: f64 = 1e-2;
@@ -49,17 +51,53 @@ pub fn read(path: &Path) -> Result<Vec<StampedPose>, SequenceError> {
     Ok(poses)
 }
 
+/// Writes a TUM trajectory pose by pose while a run goes on.
+#[derive(Debug)]
+pub struct TumWriter {
+    path: PathBuf,
+    out: BufWriter<File>,
+}
+
+impl TumWriter {
+    /// Creates the file and writes its header.
+    ///
+    /// # Errors
+    /// [`SequenceError::Io`] with the file.
+    pub fn create(path: &Path) -> Result<Self, SequenceError> {
+        let create = || {
+            let mut out = BufWriter::new(File::create(path)?);
+            writeln!(out, "# timestamp [s] x y z [m] qx qy qz qw")?;
+            Ok(out)
+        };
+        let out = create().map_err(|source| SequenceError::io(path, source))?;
+        Ok(Self { path: path.to_path_buf(), out })
+    }
+
+    /// Appends a pose.
+    ///
+    /// # Errors
+    /// [`SequenceError::Io`] with the file.
+    pub fn append(&mut self, pose: &StampedPose) -> Result<(), SequenceError> {
+        writeln!(self.out, "{}", line(pose)).map_err(|source| SequenceError::io(&self.path, source))
+    }
+
+    /// Writes what is still buffered. Dropping the writer does so too, but cannot say that it failed.
+    ///
+    /// # Errors
+    /// [`SequenceError::Io`] with the file.
+    pub fn flush(&mut self) -> Result<(), SequenceError> {
+        self.out.flush().map_err(|source| SequenceError::io(&self.path, source))
+    }
+}
+
 /// Writes a TUM trajectory.
 ///
 /// # Errors
 /// [`SequenceError::Io`] with the file that could not be written.
 pub fn write(path: &Path, poses: &[StampedPose]) -> Result<(), SequenceError> {
-    let mut text = String::from("# timestamp [s] x y z [m] qx qy qz qw\n");
-    for pose in poses {
-        text.push_str(&line(pose));
-        text.push('\n');
-    }
-    std::fs::write(path, text).map_err(|source| SequenceError::io(path, source))
+    let mut writer = TumWriter::create(path)?;
+    poses.iter().try_for_each(|pose| writer.append(pose))?;
+    writer.flush()
 }
 
 /// One line, without the line feed.

@@ -33,7 +33,7 @@ fn pose_at(stamp_ns: i64) -> Pose {
     Pose::new(rotation::exp(&Vector3::new(0.0, 0.0, 0.3 * (0.5 * t).sin())), position)
 }
 
-fn imu_at(stamp_ns: i64) -> ImuSample {
+pub fn imu_at(stamp_ns: i64) -> ImuSample {
     let t = stamp_ns as f64 * 1e-9;
     let acceleration = Vector3::new(0.0, -0.54 * (0.6 * t).sin(), -0.243 * (0.9 * t).sin());
     let force = pose_at(stamp_ns).rotation.inverse() * (acceleration + Vector3::new(0.0, 0.0, 9.81));

@@ -2,9 +2,9 @@
 
 use crate::in_process::{LocalServer, load_map};
 use anyhow::{Result, bail};
-use onboard::robot::arguments::Mode;
-use onboard::robot::{RobotArguments, progress, run_robot};
-use onboard::sequence::Sequence;
+use onboard::estimator::MapMode;
+use onboard::robot::{RobotArguments, StopSignal, progress, run_robot_until};
+use onboard::sequence::Recording;
 use std::path::PathBuf;
 
 /// Arguments of `driftless run`.
@@ -30,17 +30,19 @@ pub struct Args {
 /// # Errors
 /// What the recording, the map or the output folder lacks; a run that ended early.
 pub fn run(args: &Args) -> Result<()> {
-    let sequence = Sequence::open(&args.sequence)?;
-    let server = match (&args.map, args.robot.mode) {
-        (_, Mode::Odometry) => None,
+    let stop = StopSignal::on_interrupt()?;
+    let recording = Recording::open(&args.sequence)?;
+    let server = match (&args.map, args.robot.map_mode()?) {
+        (_, MapMode::Odometry) => None,
         (None, _) => {
             bail!("--map DB is missing: build one with `driftless build-map`, or use --mode odometry")
         }
         (Some(database), _) => Some(LocalServer::start(vec![("map".to_owned(), load_map(database)?)])?),
     };
     let link = server.as_ref().map(|server| server.link("map")).transpose()?;
-    let bar = progress::frame_bar(sequence.frames.len());
-    let outcome = run_robot(&sequence, &args.robot, link.clone(), |frame| bar.set_position(frame as u64))?;
+    let bar = progress::frame_bar(recording.contents().frames);
+    let show = |frame| bar.set_position(frame as u64);
+    let outcome = run_robot_until(&stop, recording, &args.robot, link.clone(), show)?;
     bar.finish_and_clear();
     if let Some(server) = server {
         if let Some(link) = &link {

@@ -1,0 +1,140 @@
+//! The robot program from outside: what it leaves when it is stopped, killed, or not listened to.
+#![cfg(unix)]
+#![allow(clippy::unwrap_used)]
+
+mod common;
+
+use common::{FRAME_NS, World, imu_at};
+use onboard::estimator::ImuNoise;
+use onboard::sequence::{CameraSensor, Frame, ImuSensor, Sequence, TruthRow, writer};
+use onboard::trajectory::{states, tum};
+use std::path::Path;
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::time::Duration;
+
+const IMU_NS: i64 = 5_000_000;
+/// Readings that are missing in the middle of the recording.
+const LOST: std::ops::Range<i64> = 100..120;
+
+/// Twenty seconds of recording.
+fn record(folder: &Path) {
+    let world = World::new();
+    let frame = |k| Frame { stamp_ns: k * FRAME_NS, tracks: world.tracks(k), ..Frame::default() };
+    let truth = |k| TruthRow {
+        stamp_ns: k * FRAME_NS,
+        pose: World::truth(k),
+        velocity: None,
+        gyroscope_bias: None,
+        accelerometer_bias: None,
+    };
+    let camera = CameraSensor {
+        camera: world.eye.camera.clone(),
+        imu_from_camera: world.eye.imu_from_camera,
+        rate_hz: 10.0,
+    };
+    let sequence = Sequence {
+        root: folder.to_path_buf(),
+        imu: Some(ImuSensor { noise: ImuNoise::default(), rate_hz: 200.0, gravity_magnitude: None }),
+        imu_samples: (0..4100).filter(|k| !LOST.contains(k)).map(|k| imu_at(k * IMU_NS)).collect(),
+        cameras: vec![camera],
+        frames: (0..200).map(frame).collect(),
+        groundtruth: Some((0..200).map(truth).collect()),
+        reference_poses: None,
+    };
+    writer::write(&sequence, folder).unwrap();
+}
+
+fn start(recording: &Path, out: &Path, switches: &[&str]) -> Child {
+    Command::new(env!("CARGO_BIN_EXE_onboard"))
+        .args(["--mode", "odometry", "--init", "truth", "--sequence"])
+        .arg(recording)
+        .arg("--out")
+        .arg(out)
+        .args(switches)
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap()
+}
+
+/// Waits until a run has written states, then sends a signal, and waits for its end.
+fn signal(mut child: Child, out: &Path, name: &str) -> ExitStatus {
+    let written =
+        || std::fs::read_to_string(out.join("states.csv")).is_ok_and(|text| text.lines().count() > 10);
+    while !written() {
+        assert!(child.try_wait().unwrap().is_none(), "it ended before it wrote anything");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    let sent = Command::new("kill").args([name, &child.id().to_string()]).status().unwrap();
+    assert!(sent.success());
+    child.wait().unwrap()
+}
+
+fn summary(out: &Path) -> serde_json::Value {
+    serde_json::from_str(&std::fs::read_to_string(out.join("summary.json")).unwrap()).unwrap()
+}
+
+#[test]
+fn a_run_that_is_interrupted_leaves_complete_files() {
+    for name in ["-INT", "-TERM"] {
+        let folder = tempfile::tempdir().unwrap();
+        let out = folder.path().join("out");
+        record(folder.path());
+        let status = signal(start(folder.path(), &out, &["--realtime"]), &out, name);
+        assert_eq!(status.code(), Some(1), "a run that ended early has failed");
+        let summary = summary(&out);
+        assert_eq!(summary["interrupted"], true);
+        assert!(summary["ended_early"].as_str().unwrap().contains("interrupted"), "{summary}");
+        assert!(!summary["final_status"].is_null());
+        let rows = states::read(&out.join("states.csv")).unwrap();
+        assert!(rows.len() >= 10 && rows.len() < 200, "{}", rows.len());
+        assert_eq!(summary["frames"], rows.len());
+        assert_eq!(summary["score"]["local"]["samples"], rows.len());
+        assert_eq!(tum::read(&out.join("odometry.tum")).unwrap().len(), rows.len());
+    }
+}
+
+#[test]
+fn a_run_that_is_killed_leaves_what_it_had() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("out");
+    record(folder.path());
+    // What an earlier run said must not be taken for this one's.
+    std::fs::create_dir(&out).unwrap();
+    std::fs::write(out.join("summary.json"), "{}").unwrap();
+    assert!(!signal(start(folder.path(), &out, &["--realtime"]), &out, "-KILL").success());
+    assert!(!out.join("summary.json").exists());
+    let text = std::fs::read_to_string(out.join("states.csv")).unwrap();
+    // A buffer that ran full may end within a line.
+    let whole = &text[..=text.rfind('\n').unwrap()];
+    std::fs::write(out.join("states.csv"), whole).unwrap();
+    assert!(states::read(&out.join("states.csv")).unwrap().len() >= 9);
+}
+
+#[test]
+fn a_run_to_the_end_says_so_and_counts_gaps() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("out");
+    record(folder.path());
+    let output = start(folder.path(), &out, &[]).wait_with_output().unwrap();
+    assert!(output.status.success());
+    let summary = summary(&out);
+    assert_eq!((&summary["interrupted"], &summary["frames"]), (&false.into(), &200.into()));
+    assert_eq!(summary["imu_gaps"]["count"], 1);
+    assert!((summary["imu_gaps"]["longest_s"].as_f64().unwrap() - 0.105).abs() < 1e-9);
+    let told = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(told.matches("a gap in the IMU's readings").count(), 1, "{told}");
+}
+
+#[test]
+fn a_closed_pipe_is_no_panic() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("out");
+    record(folder.path());
+    let mut child = start(folder.path(), &out, &["--json", "--duration", "2"]);
+    drop(child.stdout.take());
+    let output = child.wait_with_output().unwrap();
+    assert_eq!(output.status.code(), Some(141));
+    assert!(!String::from_utf8(output.stderr).unwrap().contains("panicked"));
+    assert!(out.join("summary.json").exists());
+}
