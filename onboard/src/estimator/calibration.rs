@@ -249,9 +249,9 @@ mod tests {
     use super::*;
     use geometry::numeric::numeric_jacobian;
     use geometry::{Distortion, rotation};
+    use nalgebra::DVector;
 
     #[test]
-    use nalgebra::DVector;
     fn an_observation_depends_on_body_landmark_and_camera_as_its_jacobians_say() {
         let distortions = [
             Distortion::None,

@@ -120,8 +120,7 @@ impl TrackUpdate {
         self.begin(&layout);
         let slack = calibration_slack(state, covariance);
         let largest_error = settings.outlier_sigmas * settings.sigma_px + slack;
-        let settings =
-            &TrackSettings { sigma_px: settings.sigma_px.hypot(NONLINEAR_PART * slack), ..settings.clone() };
+        let sigma_px = settings.sigma_px.hypot(NONLINEAR_PART * slack);
         // Long tracks say most; the names make the order unique.
         tracks.sort_unstable_by_key(|track| (std::cmp::Reverse(track.sightings.len()), track.feature_id));
         for track in tracks.iter_mut().filter(|track| track.clones() >= MIN_CLONES) {
@@ -129,18 +128,13 @@ impl TrackUpdate {
                 report.left_out += 1;
                 continue;
             }
-            let triangulated = triangulate_robustly(
-                state,
-                &mut track.sightings,
-                settings.sigma_px,
-                largest_error,
-                &mut report,
-            );
+            let triangulated =
+                triangulate_robustly(state, &mut track.sightings, sigma_px, largest_error, &mut report);
             let landmark = triangulated
                 .as_ref()
                 .map(|found| found.position)
                 .or_else(|| if settings.standing { far_away(state, &track.sightings) } else { None });
-            if landmark.is_none_or(|landmark| !self.linearize(state, track, &landmark, settings, false)) {
+            if landmark.is_none_or(|landmark| !self.linearize(state, track, &landmark, sigma_px, false)) {
                 report.not_triangulated += 1;
                 continue;
             }
@@ -154,7 +148,7 @@ impl TrackUpdate {
             report.used += 1;
             if let Some(found) = triangulated.filter(|found| is_well_known(found, state, track))
                 && may_enter(track)
-                && self.linearize(state, track, &found.position, settings, settings.first_estimates)
+                && self.linearize(state, track, &found.position, sigma_px, settings.first_estimates)
                 && self.rows.enter(&mut self.entrance, state, &layout).is_ok()
             {
                 self.entering.push(Entering { feature_id: track.feature_id, position: found.position });
@@ -177,14 +171,14 @@ impl TrackUpdate {
         state: &ActiveState,
         track: &Track,
         landmark: &Vector3<f64>,
-        settings: &TrackSettings,
+        sigma_px: f64,
         first_estimates: bool,
     ) -> bool {
         let first = first_estimates.then_some(landmark);
         self.rows.pixels.clear();
         for sighting in &track.sightings {
             let seen = (sighting.clone, usize::from(sighting.camera), sighting.pixel);
-            match pixel_rows(state, seen, landmark, first, settings.sigma_px) {
+            match pixel_rows(state, seen, landmark, first, sigma_px) {
                 Some(rows) => self.rows.pixels.push(rows),
                 None => return false,
             }
