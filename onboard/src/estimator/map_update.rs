@@ -45,6 +45,16 @@ pub enum Rejection {
         /// Needed.
         need: usize,
     },
+    /// Most of the answer contradicts the state: another place that looks the same, or a state that is off.
+    #[error(
+        "{accepted} of {verified} verified landmarks agree with the state; the next answer must say the same to be believed"
+    )]
+    Contradicts {
+        /// Passed their gates.
+        accepted: usize,
+        /// Verified by geometry.
+        verified: usize,
+    },
     /// The whole contradicts the state.
     #[error("contradicts the state: innovation {innovation:.0} over {rows} rows, {bound:.0} is acceptable")]
     Implausible {
@@ -86,6 +96,11 @@ struct Prepared {
     accepted: usize,
 }
 
+/// Two answers agree with each other when they are this part of the way apart that they are from the state.
+const AGREE: f64 = 0.25;
+/// Or, in their rotation, this far, rad: about what the keyframes of a map differ by.
+const ALWAYS_AGREE: f64 = 0.05;
+
 impl Estimator {
     /// Corrects the state by the map's answer to the image of `clone`.
     ///
@@ -116,7 +131,11 @@ impl Estimator {
                 self.lost = None;
                 self.last_map_update_ns = Some(self.state.stamp_ns);
             }
-            Some(Rejection::Implausible { .. } | Rejection::FewLandmarks { .. }) => self.note_contradiction(),
+            Some(
+                Rejection::Implausible { .. }
+                | Rejection::FewLandmarks { .. }
+                | Rejection::Contradicts { .. },
+            ) => self.note_contradiction(),
             Some(_) => {}
         }
         self.covariance.held.park_unused();
@@ -224,8 +243,9 @@ impl Estimator {
         if report.initialized {
             self.insert_transform(solved_transform, median_depth(answer, &verified));
         }
-        let outcome =
-            self.iterate(clone, answer, &verified, Linearization { estimate, at, first_position }, report)?;
+        let solved = MapPoint { local_from_imu, global_from_local: solved_transform };
+        let point = Linearization { estimate, at, first_position };
+        let outcome = self.iterate(clone, answer, &verified, point, &solved, report)?;
         if outcome.is_err() && report.initialized {
             self.remove_transform();
             report.initialized = false;
@@ -240,6 +260,7 @@ impl Estimator {
         answer: &MapAnswer,
         verified: &Verified,
         mut point: Linearization,
+        solved: &MapPoint,
         report: &mut MapReport,
     ) -> Result<Result<(), Rejection>, EstimatorError> {
         let inliers: Vec<&MatchedLandmark> = verified.inliers.iter().map(|&k| &answer.landmarks[k]).collect();
@@ -258,6 +279,11 @@ impl Estimator {
             if prepared.accepted < need {
                 let (accepted, verified) = (prepared.accepted, inliers.len());
                 return Ok(Err(Rejection::FewLandmarks { accepted, verified, need }));
+            }
+            let contradicts = !exact && 2 * prepared.accepted < inliers.len();
+            if iteration == 1 && !self.is_believable(contradicts, solved, &point.estimate) {
+                let (accepted, verified) = (prepared.accepted, inliers.len());
+                return Ok(Err(Rejection::Contradicts { accepted, verified }));
             }
             let rows = prepared.information.rows;
             let Ok(innovation) = self.covariance.innovation_squared(&prepared.information) else {
@@ -279,6 +305,28 @@ impl Estimator {
             self.check_health()?;
         }
         Ok(Ok(()))
+    }
+
+    /// Whether an answer may correct the state although most of it contradicts it.
+    ///
+    /// The verified landmarks of an answer fit together, so they are right together or wrong together. Where fewer than
+    /// half of them agree with the state, the place is another one or the state is off; two answers in a row that agree
+    /// with each other much better than with the state say that it is the state.
+    fn is_believable(&mut self, contradicts: bool, solved: &MapPoint, estimate: &MapPoint) -> bool {
+        if !contradicts {
+            self.contradiction = None;
+            return true;
+        }
+        let body = |transform: &Pose| *transform * solved.local_from_imu;
+        let now = body(&solved.global_from_local);
+        let before = self.contradiction.replace(solved.global_from_local);
+        let [of_state, of_before] = [Some(estimate.global_from_local), before].map(|transform| {
+            let apart = now.local(&body(&transform?));
+            Some((apart.fixed_rows::<3>(0).norm(), apart.fixed_rows::<3>(3).norm()))
+        });
+        of_state.zip(of_before).is_some_and(|(state, before)| {
+            before.0 <= (AGREE * state.0).max(ALWAYS_AGREE) && before.1 <= AGREE * state.1
+        })
     }
 
     /// Where one Gauss-Newton step leads the clone and the transform, without changing the filter.

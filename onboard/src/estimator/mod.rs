@@ -54,7 +54,7 @@ pub use tracks::TrackObservation;
 use covariance::JointCovariance;
 use dense::Dense;
 use gate::Gate;
-use geometry::PoseWithCovariance;
+use geometry::{Pose, PoseWithCovariance};
 use health::Health;
 use imu::ImuBuffer;
 use nalgebra::{DMatrix, DVector, Matrix6, Vector3};
@@ -92,6 +92,8 @@ pub struct Estimator {
     /// Time of the image that first met this version of the map.
     map_version_since_ns: i64,
     rejections_in_a_row: usize,
+    /// `G_T_L` by the last answer, if most of that contradicted the state.
+    contradiction: Option<Pose>,
     last_map_update_ns: Option<i64>,
     lost: Option<String>,
     health: Health,
@@ -157,6 +159,7 @@ impl Estimator {
             map_version: None,
             map_version_since_ns: i64::MIN,
             rejections_in_a_row: 0,
+            contradiction: None,
             last_map_update_ns: None,
             lost: None,
             health,

@@ -98,6 +98,10 @@ fn remarks(runs: &VariantRuns, score: &EnsembleScore) -> Vec<String> {
             let _ = write!(told, ", {} of {} of wrong places", map.wrong_places_accepted, map.wrong_places);
         }
         remarks.push(format!("{told}; {} moved the pose in G by more than 3 sigma", map.jumps));
+        remarks.push(format!(
+            "{} of {} runs ended within 3 sigma of the true pose in G",
+            score.ended_within_3_sigma, score.runs
+        ));
     }
     remarks.extend(told_calibration(runs));
     remarks

@@ -1,5 +1,6 @@
 //! What all runs of a variant say together: RMSE and NEES of each output, with a verdict.
 
+use super::trial::THREE_SIGMA;
 use super::{MapCounts, Trial, VariantRuns};
 use onboard::evaluation::ensemble::over_time;
 use onboard::evaluation::{EnsembleNees, ErrorSample, Nees, NeesSeries, TimePoint};
@@ -56,6 +57,8 @@ pub struct EnsembleScore {
     pub transform: Option<OutputScore>,
     /// `global_from_imu`.
     pub pose: Option<OutputScore>,
+    /// Runs whose last pose in G was within 3 sigma of the truth (99.73 % of 6 degrees of freedom).
+    pub ended_within_3_sigma: usize,
     /// What became of the map's answers, over all runs.
     pub map: MapCounts,
 }
@@ -85,6 +88,7 @@ pub fn score(all: &VariantRuns, options: &ScoreOptions) -> EnsembleScore {
         local: output(StateKind::LocalFromImu),
         transform: output(StateKind::GlobalFromLocal),
         pose: output(StateKind::GlobalFromImu),
+        ended_within_3_sigma: trials.iter().filter(|trial| ended_within_3_sigma(trial)).count(),
         map: MapCounts {
             answers: sum(|map| map.answers),
             accepted: sum(|map| map.accepted),
@@ -134,6 +138,11 @@ fn output_score(trials: &[Trial], kind: StateKind, options: &ScoreOptions) -> Op
         position: nees_of(3, |nees| nees.position)?,
         pose: nees_of(6, |nees| nees.pose)?,
     })
+}
+
+fn ended_within_3_sigma(trial: &Trial) -> bool {
+    let last = trial.errors.as_ref().and_then(|errors| errors.pose.last());
+    last.and_then(|sample| sample.nees.as_ref()).is_some_and(|nees| nees.pose * 6.0 <= THREE_SIGMA)
 }
 
 /// The samples of a run that count.

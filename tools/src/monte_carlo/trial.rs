@@ -15,7 +15,7 @@ use onboard::trajectory::StateRow;
 use serde::Serialize;
 
 /// Chi-square with 6 degrees of freedom at 99.73 %, the confidence of three standard deviations.
-const THREE_SIGMA: f64 = 20.06;
+pub(super) const THREE_SIGMA: f64 = 20.06;
 
 /// What became of the map's answers.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]

@@ -1,0 +1,83 @@
+//! The pose in G is as good as the filter says, whatever the map answers: over Monte-Carlo runs.
+#![allow(clippy::unwrap_used)]
+
+use onboard::estimator::EstimatorConfig;
+use onboard::evaluation::Verdict;
+use tools::monte_carlo::score::{ScoreOptions, score};
+use tools::monte_carlo::{
+    AnswerOptions, CalibrationErrors, EnsembleScore, MapOptions, MonteCarloOptions, Variant, run,
+};
+use tools::simulation::{Course, SimulationOptions};
+
+/// Scores the default filter.
+fn ensemble(
+    runs: usize,
+    cameras: usize,
+    simulation: SimulationOptions,
+    answers: AnswerOptions,
+) -> EnsembleScore {
+    let options = MonteCarloOptions {
+        runs,
+        first_seed: 1,
+        threads: std::thread::available_parallelism().map_or(2, usize::from),
+        simulation: SimulationOptions { live_feature_period_s: 1e9, ..simulation },
+        map: MapOptions::default(),
+        answers,
+        calibration: CalibrationErrors::default(),
+    };
+    let variant = Variant { name: "default".to_owned(), config: EstimatorConfig::default(), cameras };
+    let all = run(&options, &[variant], |_| {}).unwrap().remove(0);
+    let score = score(&all, &ScoreOptions::default());
+    assert_eq!((score.runs, score.diverged), (runs, 0));
+    println!("{:?}, ended within 3 sigma: {}", score.map, score.ended_within_3_sigma);
+    score
+}
+
+fn loops(speed: f64, duration_s: f64) -> SimulationOptions {
+    SimulationOptions {
+        course: Course::Loops,
+        speed,
+        duration_s: Some(duration_s),
+        ..SimulationOptions::default()
+    }
+}
+
+#[test]
+fn nees_of_all_three_poses_is_as_stated() {
+    let score =
+        ensemble(20, 2, loops(3.0, 60.0), AnswerOptions { every_s: 2.0, ..AnswerOptions::default() });
+    let outputs = [("local", score.local), ("transform", score.transform), ("in G", score.pose)];
+    for (name, output) in outputs {
+        let output = output.unwrap();
+        for (part, nees) in
+            [("rotation", &output.rotation), ("position", &output.position), ("pose", &output.pose)]
+        {
+            println!("{name} {part}: {:.2}, {:.2?}", nees.mean, nees.interval);
+            // Outside of the interval of 20 runs only where that is narrower than 0.7 to 1.4.
+            assert!(matches!(nees.verdict, Verdict::Inside | Verdict::Near), "{name} {part}: {nees:?}");
+        }
+    }
+}
+
+#[test]
+fn a_place_that_looks_the_same_does_not_move_the_pose_beyond_what_is_stated() {
+    // A third of the matches of every answer are wrong, and half of the answers are of another place: a thousand of them.
+    let simulation =
+        SimulationOptions { max_tracks: 40, duration_s: Some(60.0), ..SimulationOptions::default() };
+    let answers =
+        AnswerOptions { every_s: 0.5, wrong_matches: 0.3, wrong_place: 0.5, ..AnswerOptions::default() };
+    let score = ensemble(18, 2, simulation, answers);
+    let map = score.map;
+    assert!(map.wrong_places >= 1000, "only {} were tried", map.wrong_places);
+    assert_eq!(map.jumps, 0, "{map:?}");
+    assert!(map.wrong_places_accepted * 100 <= map.wrong_places, "{map:?}");
+    // Nor are the right ones lost with them.
+    assert!(map.accepted * 100 >= 90 * map.answers, "{map:?}");
+}
+
+#[test]
+fn after_a_kilometre_without_the_map_three_answers_are_enough() {
+    let gap = AnswerOptions { every_s: 1.0, gaps_s: vec![20.0..201.0], ..AnswerOptions::default() };
+    let score = ensemble(12, 2, loops(5.6, 203.3), gap);
+    assert!(score.ended_within_3_sigma >= 11, "{} of 12", score.ended_within_3_sigma);
+}
