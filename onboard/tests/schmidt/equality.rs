@@ -1,0 +1,95 @@
+//! Exactness: parked, moved from layer to layer, and used again, keyframes are correlated with the state as if every step
+//! had touched all of them.
+
+use crate::textbook::{FIXED, Map, POSE, Textbook, some_keyframes, spd};
+use nalgebra::{DMatrix, DVector};
+use onboard::estimator::covariance::JointCovariance;
+use onboard::estimator::information::{Columns, Information};
+use rand::{RngExt as _, SeedableRng, rngs::StdRng};
+
+const KEYFRAMES: u64 = 40;
+const STEPS: usize = 2_000;
+/// Relative, everywhere.
+const TOLERANCE: f64 = 1e-9;
+/// Rows of a measurement.
+const ROWS: usize = 10;
+
+fn relative(a: &DMatrix<f64>, b: &DMatrix<f64>) -> f64 {
+    (a - b).amax() / b.amax().max(1e-12)
+}
+
+/// Random propagation, cloning, marginalization, landmarks and updates, with keyframes that are pulled when they
+/// are first matched, parked and pulled again, against a filter that held all of them all the time;
+/// `correlated` keyframes carry cross-covariances of the map.
+fn check(seed: u64, correlated: bool) {
+    let mut rng = StdRng::seed_from_u64(seed);
+    let start = spd(&mut rng, FIXED, 0.1);
+    let mut joint = JointCovariance::new(start.clone(), 6);
+    let map = Map::new(&mut rng, KEYFRAMES, 0.01, correlated);
+    let mut textbook = Textbook::new(&start, &map);
+    let mut most_layers = 0;
+    for step in 0..STEPS {
+        textbook.move_on(&mut rng, &mut joint);
+        // Now and then match up to three keyframes; else an update from tracks only.
+        let ids = if step % 3 == 0 { some_keyframes(&mut rng, KEYFRAMES) } else { Vec::new() };
+        map.pull(&ids, &mut joint, step % 2 == 0);
+        let ranges = if step % 5 == 0 {
+            vec![0..POSE, FIXED..textbook.active]
+        } else {
+            std::iter::once(FIXED..textbook.active).collect()
+        };
+        let touched: Vec<usize> = ranges.iter().flat_map(Clone::clone).collect();
+        let columns = Columns {
+            active: ranges,
+            keyframes: ids.iter().map(|id| joint.held.slot_of(*id).unwrap()).collect(),
+        };
+        let jacobian = DMatrix::from_fn(ROWS, columns.len(), |_, _| rng.random_range(-1.0..1.0));
+        let residual = DVector::from_fn(ROWS, |_, _| rng.random_range(-1.0..1.0));
+        let mut information = Information::new(columns);
+        information.add(&jacobian, &residual);
+        let full = textbook.over_all(&jacobian, &touched, &ids);
+
+        let expected = residual.dot(&textbook.innovation(&full).lu().solve(&residual).unwrap());
+        let squared = joint.innovation_squared(&information).unwrap();
+        assert!((squared - expected).abs() < 1e-8 * (1.0 + expected), "innovation at step {step}");
+        let mut correction = DVector::zeros(0);
+        joint.measurement_update(&information, &mut correction).unwrap();
+        let gain = textbook.gain(&full);
+        let expected = &gain * &residual;
+        let apart = (correction - &expected).amax() / (1.0 + expected.amax());
+        assert!(apart < TOLERANCE, "correction at step {step}: {apart:e}");
+        textbook.update(&gain, &full);
+        joint.held.park_unused();
+        most_layers = most_layers.max(joint.held.layers());
+
+        let stated = joint.active().view().into_owned();
+        let apart = relative(&stated, &textbook.of_active());
+        assert!(apart < TOLERANCE, "covariance at step {step}: {apart:e}");
+        // The newest clone is a copy of the body's pose: without it the covariance has full rank.
+        let rank = textbook.active - POSE;
+        assert!(stated.view((0, 0), (rank, rank)).cholesky().is_some(), "not positive definite at {step}");
+    }
+    assert!(most_layers >= 3, "{most_layers} layers: the law was hardly tried");
+    for id in joint.held.ids().collect::<Vec<_>>() {
+        let slot = joint.held.pull(id, &map.keyframe(id), &[]);
+        let expected = textbook.covariance.view((0, textbook.column_of(id)), (textbook.active, POSE));
+        let apart = relative(&joint.held.cross(slot), &expected.into_owned());
+        assert!(apart < TOLERANCE, "keyframe {id}: {apart:e}");
+        // Schmidt: what the map said of a keyframe is never changed.
+        let own = DMatrix::from_column_slice(POSE, POSE, map.block(id, id).as_slice());
+        assert_eq!(joint.held.covariance_of(&[slot]), own);
+        assert_eq!(joint.held.get(slot).global_from_keyframe, map.keyframe(id));
+    }
+}
+
+#[test]
+fn it_equals_the_dense_filter_with_keyframes_parked_and_used_again() {
+    check(0, false);
+    check(1, false);
+}
+
+#[test]
+fn it_equals_the_dense_filter_with_cross_covariances_of_the_map() {
+    check(10, true);
+    check(11, true);
+}
