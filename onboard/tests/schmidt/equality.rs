@@ -4,14 +4,14 @@
 use crate::textbook::{FIXED, Map, POSE, Textbook, some_keyframes, spd};
 use nalgebra::{DMatrix, DVector};
 use onboard::estimator::covariance::JointCovariance;
-use onboard::estimator::information::{Columns, Information};
+use onboard::estimator::information::{Columns, Information, Rows};
 use rand::{RngExt as _, SeedableRng, rngs::StdRng};
 
 const KEYFRAMES: u64 = 40;
 const STEPS: usize = 2_000;
 /// Relative, everywhere.
 const TOLERANCE: f64 = 1e-9;
-/// Rows of a measurement.
+/// Rows of a measurement, at least.
 const ROWS: usize = 10;
 
 fn relative(a: &DMatrix<f64>, b: &DMatrix<f64>) -> f64 {
@@ -43,17 +43,28 @@ fn check(seed: u64, correlated: bool) {
             active: ranges,
             keyframes: ids.iter().map(|id| joint.held.slot_of(*id).unwrap()).collect(),
         };
-        let jacobian = DMatrix::from_fn(ROWS, columns.len(), |_, _| rng.random_range(-1.0..1.0));
-        let residual = DVector::from_fn(ROWS, |_, _| rng.random_range(-1.0..1.0));
-        let mut information = Information::new(columns);
-        information.add(&jacobian, &residual);
+        // Rows as they are; now and then so many that they are summed up.
+        let summed = step % 4 == 0;
+        let count = if summed { columns.len() + ROWS } else { ROWS };
+        let jacobian = DMatrix::from_fn(count, columns.len(), |_, _| rng.random_range(-1.0..1.0));
+        let residual = DVector::from_fn(count, |_, _| rng.random_range(-1.0..1.0));
         let full = textbook.over_all(&jacobian, &touched, &ids);
-
-        let expected = residual.dot(&textbook.innovation(&full).lu().solve(&residual).unwrap());
-        let squared = joint.innovation_squared(&information).unwrap();
-        assert!((squared - expected).abs() < 1e-8 * (1.0 + expected), "innovation at step {step}");
         let mut correction = DVector::zeros(0);
-        joint.measurement_update(&information, &mut correction).unwrap();
+        let squared = if summed {
+            let mut information = Information::new(columns);
+            information.add(&jacobian, &residual);
+            let squared = joint.innovation_squared(&information).unwrap();
+            joint.measurement_update(&information, &mut correction).unwrap();
+            squared
+        } else {
+            let (residual, upper_triangular) = (residual.as_slice().to_vec(), false);
+            let rows = Rows { columns, jacobian: jacobian.into(), residual, upper_triangular };
+            let squared = joint.weigh(&rows).unwrap();
+            joint.update_by_rows(&rows, &mut correction).unwrap();
+            squared
+        };
+        let expected = residual.dot(&textbook.innovation(&full).lu().solve(&residual).unwrap());
+        assert!((squared - expected).abs() < TOLERANCE * (1.0 + expected), "innovation at step {step}");
         let gain = textbook.gain(&full);
         let expected = &gain * &residual;
         let apart = (correction - &expected).amax() / (1.0 + expected.amax());
