@@ -119,7 +119,8 @@ impl Dense {
         &self.values
     }
 
-    fn faer(&self) -> MatRef<'_, f64> {
+    /// As `faer` sees it.
+    pub(super) fn faer(&self) -> MatRef<'_, f64> {
         MatRef::from_column_major_slice(&self.values, self.rows, self.columns)
     }
 

@@ -21,6 +21,7 @@ mod correlations;
 mod moving;
 mod packed;
 mod parked;
+mod waist;
 
 use super::dense::Dense;
 use super::information::{Columns, Rows};

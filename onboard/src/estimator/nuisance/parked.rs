@@ -9,11 +9,15 @@
 //! A layer that is at most twice as large as the next one moves into it, a few keyframes a step, each multiplied by the
 //! matrix between; emptied, it leaves the product of the two matrices beside it. So there are logarithmically many layers,
 //! each keyframe moves logarithmically often, and no single step has to move many.
+//!
+//! The longer the time between two layers, the fewer directions of the state still matter (`waist`). Where these are few,
+//! `S = Q C`, the older layer turns to `Q`, and its members become `C M`, again a few keyframes a step.
 
 use super::super::dense::Dense;
 use super::HeldKeyframe;
 use super::moving::{KEYFRAME_DIM, Moving};
 use super::packed::Packed;
+use super::waist::waist;
 use faer::linalg::matmul::triangular::BlockStructure;
 use nalgebra::Matrix6;
 use protocol::KeyframeId;
@@ -24,6 +28,11 @@ use std::sync::Arc;
 const LAYER_RATIO: usize = 2;
 /// Keyframes that move at once: enough columns for a product to be fast.
 const MOVED_AT_ONCE: usize = 12;
+/// A layer of fewer members is not worth the search for a waist, which costs as much as moving some of them.
+const WORTH_NARROWING: usize = 64;
+const SEARCH_COSTS: usize = 36;
+/// A waist is one if it is at most this part of the rows wide.
+const WAIST: (usize, usize) = (3, 4);
 
 #[derive(Clone, Debug)]
 struct ParkedKeyframe {
@@ -39,6 +48,51 @@ struct Layer {
     members: Vec<ParkedKeyframe>,
     /// From here to the next layer. Not used in the newest.
     onward: Arc<Dense>,
+    /// Whether a waist of `onward` was looked for.
+    searched: bool,
+    narrowing: Option<Narrowing>,
+}
+
+/// `onward` begins at the waist already, but some members have as many rows as before.
+#[derive(Clone, Debug)]
+struct Narrowing {
+    /// `C`.
+    waist: Arc<Dense>,
+    /// These have, if they are still here.
+    waiting: Vec<KeyframeId>,
+}
+
+impl Layer {
+    /// Loadings of some of its members as columns, in the rows that `onward` takes, behind those in `columns`; and whose
+    /// they are, in that order.
+    fn columns_of(&self, members: Vec<ParkedKeyframe>, columns: &mut Dense) -> Vec<HeldKeyframe> {
+        let mut order = Vec::with_capacity(members.len());
+        let (wide, narrow): (Vec<_>, Vec<_>) = members.into_iter().partition(|member| self.is_wide(member));
+        let mut append = |members: Vec<ParkedKeyframe>, target: &mut Dense| {
+            for member in members {
+                if target.ncols() == 0 {
+                    target.reset(member.loadings.nrows(), 0);
+                }
+                target.extend_columns(member.loadings.numbers());
+                order.push(member.keyframe);
+            }
+        };
+        if let Some(narrowing) = self.narrowing.as_ref().filter(|_| !wide.is_empty()) {
+            let mut before = Dense::default();
+            append(wide, &mut before);
+            let after = product(&narrowing.waist, &before);
+            if columns.ncols() == 0 {
+                columns.reset(after.nrows(), 0);
+            }
+            columns.extend_columns(after.as_slice().iter().copied());
+        }
+        append(narrow, columns);
+        order
+    }
+
+    fn is_wide(&self, member: &ParkedKeyframe) -> bool {
+        self.narrowing.as_ref().is_some_and(|narrowing| member.loadings.nrows() == narrowing.waist.ncols())
+    }
 }
 
 /// All parked keyframes.
@@ -82,6 +136,7 @@ impl Parked {
         let frozen = moving.freeze();
         if let Some(newest) = self.layers.last_mut() {
             newest.onward = Arc::new(frozen);
+            newest.searched = false;
         }
         let serial = self.next_serial;
         self.next_serial += 1;
@@ -89,10 +144,11 @@ impl Parked {
             serial,
             members: Vec::with_capacity(members.len()),
             onward: Arc::default(),
+            searched: false,
+            narrowing: None,
         });
         let newest = self.layers.len() - 1;
         for (keyframe, loadings) in members {
-            self.by_last_use.insert(keyframe.last_used, keyframe.id);
             self.put(newest, keyframe, &loadings, moving.nrows());
         }
     }
@@ -115,14 +171,8 @@ impl Parked {
         let mut rest = found.as_slice();
         for layer in first..self.layers.len() {
             let here = rest.iter().take_while(|(of, _)| *of == layer).count();
-            for (_, id) in &rest[..here] {
-                let Some(member) = self.remove(*id) else { continue };
-                if loadings.ncols() == 0 {
-                    loadings.reset(member.loadings.nrows(), 0);
-                }
-                loadings.extend_columns(member.loadings.numbers());
-                taken.push(member.keyframe);
-            }
+            let members = rest[..here].iter().filter_map(|(_, id)| self.remove(*id)).collect();
+            taken.extend(self.layers[layer].columns_of(members, &mut loadings));
             rest = &rest[here..];
             loadings = self.onward(layer, &loadings, moving);
         }
@@ -145,14 +195,23 @@ impl Parked {
         let mut sum = Dense::default();
         for layer in first..self.layers.len() {
             let here = rest.iter().take_while(|(of, ..)| *of == layer).count();
-            for (_, place, block) in &rest[..here] {
-                let loadings = unpacked(&self.layers[layer].members[*place].loadings);
+            let source = &self.layers[layer];
+            let members = rest[..here].iter().map(|(_, place, _)| source.members[*place].clone()).collect();
+            let mut columns = Dense::default();
+            let order = source.columns_of(members, &mut columns);
+            for (k, keyframe) in order.iter().enumerate() {
+                let Some((.., block)) = rest[..here]
+                    .iter()
+                    .find(|(_, place, _)| source.members[*place].keyframe.id == keyframe.id)
+                else {
+                    continue;
+                };
                 if sum.ncols() == 0 {
-                    sum.reset(loadings.nrows(), KEYFRAME_DIM);
+                    sum.reset(columns.nrows(), KEYFRAME_DIM);
                 }
                 let block = Dense::from_columns(KEYFRAME_DIM, block.as_slice());
-                let all = 0..KEYFRAME_DIM;
-                sum.add_product(&loadings, all.clone(), &block, all, BlockStructure::Rectangular);
+                let own = KEYFRAME_DIM * k..KEYFRAME_DIM * (k + 1);
+                sum.add_product(&columns, own, &block, 0..KEYFRAME_DIM, BlockStructure::Rectangular);
             }
             rest = &rest[here..];
             sum = self.onward(layer, &sum, moving);
@@ -160,39 +219,73 @@ impl Parked {
         Some(sum)
     }
 
-    /// Moves at most about `most` keyframes into larger layers, where there are layers too many.
+    /// Does work of at most about `most` keyframes moved: into larger layers, where there are layers too many, and through
+    /// waists, where there are some.
     pub fn tidy(&mut self, most: usize, moving: &mut Moving) {
-        let mut moved = 0;
-        while moved < most {
-            let crowded = (1..self.layers.len()).rev().find(|&newer| {
+        let mut done = 0;
+        while done < most {
+            let layers = 1..self.layers.len();
+            let narrowing = self.layers.iter().position(|layer| layer.narrowing.is_some());
+            let unsearched = layers.clone().map(|newer| newer - 1).find(|&layer| {
+                let layer = &self.layers[layer];
+                !layer.searched && layer.members.len() >= WORTH_NARROWING
+            });
+            let crowded = layers.rev().find(|&newer| {
                 self.layers[newer - 1].members.len() <= LAYER_RATIO * self.layers[newer].members.len()
             });
-            let Some(newer) = crowded else { return };
-            moved += self.move_some(newer - 1);
+            done += match (narrowing, unsearched, crowded) {
+                (Some(layer), ..) => self.narrow_some(layer),
+                (None, Some(layer), _) => self.search_waist(layer),
+                (None, None, Some(newer)) => self.move_some(newer - 1),
+                (None, None, None) => return,
+            };
             self.remove_empty_layers(moving);
         }
     }
 
     /// Moves some keyframes of a layer into the next one.
     fn move_some(&mut self, layer: usize) -> usize {
-        let source = &self.layers[layer];
+        let members = &self.layers[layer].members;
         let ids: Vec<KeyframeId> =
-            source.members.iter().rev().take(MOVED_AT_ONCE).map(|member| member.keyframe.id).collect();
-        let onward = Arc::clone(&source.onward);
-        let mut loadings = Dense::zeros(onward.ncols(), 0);
-        let mut moved = Vec::with_capacity(ids.len());
-        for id in ids {
-            let last_use = self.get(id).map(|keyframe| keyframe.last_used);
-            let Some(member) = self.remove(id) else { continue };
-            self.by_last_use.extend(last_use.map(|use_number| (use_number, id)));
-            loadings.extend_columns(member.loadings.numbers());
-            moved.push(member.keyframe);
+            members.iter().rev().take(MOVED_AT_ONCE).map(|member| member.keyframe.id).collect();
+        let members = ids.iter().filter_map(|id| self.remove(*id)).collect();
+        let mut loadings = Dense::default();
+        let moved = self.layers[layer].columns_of(members, &mut loadings);
+        let loadings = product(&self.layers[layer].onward, &loadings);
+        self.put_all(layer + 1, moved, &loadings)
+    }
+
+    /// Lets a layer turn to a waist of what follows it.
+    fn search_waist(&mut self, layer: usize) -> usize {
+        let source = &mut self.layers[layer];
+        source.searched = true;
+        if let Some((onward, waist)) = waist(&source.onward, source.onward.ncols() * WAIST.0 / WAIST.1) {
+            source.onward = Arc::new(onward);
+            let waiting = source.members.iter().map(|member| member.keyframe.id).collect();
+            if let Some(before) = layer.checked_sub(1).map(|before| &mut self.layers[before]) {
+                before.onward = Arc::new(product(&waist, &before.onward));
+            }
+            self.layers[layer].narrowing = Some(Narrowing { waist: Arc::new(waist), waiting });
         }
-        let loadings = product(&onward, &loadings);
-        let width = KEYFRAME_DIM * onward.nrows();
-        let count = moved.len();
-        for (keyframe, own) in moved.into_iter().zip(loadings.as_slice().chunks_exact(width)) {
-            self.put(layer + 1, keyframe, own, onward.nrows());
+        SEARCH_COSTS
+    }
+
+    /// Carries some keyframes of a layer to its waist.
+    fn narrow_some(&mut self, layer: usize) -> usize {
+        let Some(narrowing) = &mut self.layers[layer].narrowing else { return 0 };
+        let left = narrowing.waiting.len().saturating_sub(MOVED_AT_ONCE);
+        let ids = narrowing.waiting.split_off(left);
+        let here = |id: &KeyframeId| {
+            let (of, place) = self.place_of(*id)?;
+            (of == layer && self.layers[layer].is_wide(&self.layers[layer].members[place])).then_some(*id)
+        };
+        let ids: Vec<KeyframeId> = ids.iter().filter_map(here).collect();
+        let members = ids.iter().filter_map(|id| self.remove(*id)).collect();
+        let mut loadings = Dense::default();
+        let narrowed = self.layers[layer].columns_of(members, &mut loadings);
+        let count = self.put_all(layer, narrowed, &loadings);
+        if left == 0 {
+            self.layers[layer].narrowing = None;
         }
         count
     }
@@ -206,7 +299,10 @@ impl Parked {
                 None if newest => moving.stop(),
                 None => {}
                 Some(before) if newest => moving.lengthen(&std::mem::take::<Arc<Dense>>(&mut before.onward)),
-                Some(before) => before.onward = Arc::new(product(&removed.onward, &before.onward)),
+                Some(before) => {
+                    before.onward = Arc::new(product(&removed.onward, &before.onward));
+                    before.searched = false;
+                }
             }
         }
     }
@@ -220,8 +316,18 @@ impl Parked {
         }
     }
 
+    fn put_all(&mut self, layer: usize, keyframes: Vec<HeldKeyframe>, loadings: &Dense) -> usize {
+        let (count, rows) = (keyframes.len(), loadings.nrows());
+        for (k, keyframe) in keyframes.into_iter().enumerate() {
+            let width = KEYFRAME_DIM * rows;
+            self.put(layer, keyframe, &loadings.as_slice()[width * k..width * (k + 1)], rows);
+        }
+        count
+    }
+
     fn put(&mut self, layer: usize, keyframe: HeldKeyframe, loadings: &[f64], rows: usize) {
         let target = &mut self.layers[layer];
+        self.by_last_use.insert(keyframe.last_used, keyframe.id);
         self.places.insert(keyframe.id, (target.serial, target.members.len()));
         target.members.push(ParkedKeyframe { keyframe, loadings: Arc::new(Packed::new(loadings, rows)) });
     }
@@ -277,10 +383,4 @@ fn product(left: &Dense, right: &Dense) -> Dense {
     let mut product = Dense::zeros(left.nrows(), right.ncols());
     product.add_product(left, 0..left.ncols(), right, 0..right.nrows(), BlockStructure::Rectangular);
     product
-}
-
-fn unpacked(loadings: &Packed) -> Dense {
-    let mut dense = Dense::zeros(loadings.nrows(), 0);
-    dense.extend_columns(loadings.numbers());
-    dense
 }
