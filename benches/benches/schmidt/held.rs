@@ -19,8 +19,10 @@ const IMU_NS: i64 = 5_000_000;
 const LANDMARKS: usize = 36;
 /// Keyframes that are matched at once.
 const MATCHED: usize = 3;
+/// Images from one answer to the next, as at 20 images and 5 answers a second.
+pub const FRAMES_BETWEEN: usize = 4;
 /// Keyframes that an answer brings while the map is being pulled in.
-const PULLED: usize = 30;
+const PULLED: usize = 6;
 /// Standard deviation of a keyframe, rad and metres.
 const KEYFRAME_SIGMA: f64 = 0.01;
 /// Points that are tracked, the landmarks of the answers among them.
@@ -80,8 +82,7 @@ impl Holder {
         let newest = estimator.time_update(0).unwrap();
         let mut holder = Self { estimator, eye, points, keyframes, stamp_ns: 0, newest, rng };
         for first in (0..count).step_by(PULLED) {
-            holder.frame();
-            holder.frame();
+            holder.frames();
             let pulled: Vec<usize> = (first..count.min(first + PULLED)).collect();
             holder.take(&pulled);
         }
@@ -93,6 +94,11 @@ impl Holder {
     /// Bytes for each held keyframe.
     pub fn bytes_each(&self) -> usize {
         self.estimator.held_bytes() / self.keyframes.len()
+    }
+
+    /// The images until the next answer.
+    pub fn frames(&mut self) {
+        (0..FRAMES_BETWEEN).for_each(|_| self.frame());
     }
 
     /// The next image.

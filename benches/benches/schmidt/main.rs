@@ -17,7 +17,7 @@ mod held;
 
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
 use dense::DenseSchmidt;
-use held::Holder;
+use held::{FRAMES_BETWEEN, Holder};
 use std::time::{Duration, Instant};
 
 fn schmidt(criterion: &mut Criterion) {
@@ -27,7 +27,7 @@ fn schmidt(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("schmidt");
     for (count, holder) in &mut holders {
         group.bench_function(BenchmarkId::new("map update", *count), |bencher| {
-            bencher.iter_custom(|rounds| timed(rounds, holder, Holder::frame, Holder::map_update));
+            bencher.iter_custom(|rounds| timed(rounds, holder, Holder::frames, Holder::map_update));
         });
         group.bench_function(BenchmarkId::new("frame between", *count), |bencher| {
             bencher.iter_custom(|rounds| timed(rounds, holder, Holder::map_update, Holder::frame));
@@ -50,7 +50,9 @@ fn side_by_side(holders: &mut [(usize, Holder)]) {
     let mut times = vec![[Vec::new(), Vec::new()]; holders.len()];
     for _ in 0..STEPS {
         for ((_, holder), [updates, frames]) in holders.iter_mut().zip(&mut times) {
-            frames.push(timed(1, holder, |_| {}, Holder::frame));
+            for _ in 0..FRAMES_BETWEEN {
+                frames.push(timed(1, holder, |_| {}, Holder::frame));
+            }
             updates.push(timed(1, holder, |_| {}, Holder::map_update));
         }
     }

@@ -83,6 +83,7 @@ impl JointCovariance {
             }
         }
         self.held.transform_rows(transition);
+        self.held.tidy();
     }
 
     /// Re-arranges the active error: it becomes the old error's ranges `source`, one after the other.

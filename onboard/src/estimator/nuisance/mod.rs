@@ -35,10 +35,6 @@ use parked::Parked;
 use protocol::KeyframeId;
 use std::ops::Range;
 
-/// Parked keyframes that are brought a step nearer to now with each call of [`HeldKeyframes::park_unused`], at most: twice
-/// what is needed on average when three keyframes are parked with each update beside 10,000.
-const MOVED_PER_STEP: usize = 36;
-
 /// A keyframe of the map in the nuisance state.
 #[derive(Clone, Debug)]
 pub struct HeldKeyframe {
@@ -234,7 +230,6 @@ impl HeldKeyframes {
             }
             self.parked.add(members, &mut self.moving);
         }
-        self.parked.tidy(MOVED_PER_STEP, &mut self.moving);
     }
 
     /// Drops the parked keyframes that were not used for longest when more than `max_held` are held; see `budget`.
@@ -252,6 +247,11 @@ impl HeldKeyframes {
     /// Forgets all of them.
     pub fn clear(&mut self) {
         *self = Self::new(self.moving.nrows(), self.max_active);
+    }
+
+    /// Brings a few of the parked keyframes nearer to now; once an image.
+    pub fn tidy(&mut self) {
+        self.parked.tidy(&mut self.moving);
     }
 
     /// `M ← F M` for an `F` that touches only the IMU's rows, which are the first.
@@ -292,8 +292,8 @@ impl HeldKeyframes {
             + self.budget.heap_bytes()
     }
 
-    /// Matrices that a keyframe parked longest is multiplied by when it is used again.
-    pub fn layers(&self) -> usize {
-        self.parked.layers()
+    /// Of each layer of parked keyframes, oldest first: how many they are, and rows of their loadings.
+    pub fn layers(&self) -> Vec<(usize, usize)> {
+        self.parked.layers().collect()
     }
 }

@@ -101,7 +101,14 @@ impl Moving {
         self.replace_running(Dense::zeros(self.nrows(), 0));
     }
 
-    fn replace_running(&mut self, running: Dense) -> Dense {
+    /// `R`.
+    pub fn running(&self) -> Dense {
+        let n = self.nrows();
+        Dense::from_columns(n, &self.matrix.as_slice()[..n * self.running])
+    }
+
+    /// Puts another matrix in the place of `R` and returns what it was.
+    pub fn replace_running(&mut self, running: Dense) -> Dense {
         let old = std::mem::replace(&mut self.matrix, running);
         let (n, columns) = (old.nrows(), self.running);
         self.running = self.matrix.ncols();

@@ -24,13 +24,15 @@ use protocol::KeyframeId;
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 
-/// A layer moves into the next one while it is at most this many times as large.
-const LAYER_RATIO: usize = 2;
+/// A layer moves into the next one while it is at most this many times as large. Larger ratios make fewer layers and more
+/// moves.
+const LAYER_RATIO: (usize, usize) = (3, 2);
 /// Keyframes that move at once: enough columns for a product to be fast.
 const MOVED_AT_ONCE: usize = 12;
-/// A layer of fewer members is not worth the search for a waist, which costs as much as moving some of them.
+/// A layer of fewer members is not worth the search for a waist, which takes as long as moving a hundred.
 const WORTH_NARROWING: usize = 64;
-const SEARCH_COSTS: usize = 36;
+/// Steps after which a waist is looked for behind the newest layer: the window has turned over.
+const STEPS_TO_WAIST: usize = 40;
 /// A waist is one if it is at most this part of the rows wide.
 const WAIST: (usize, usize) = (3, 4);
 
@@ -103,6 +105,8 @@ pub struct Parked {
     places: HashMap<KeyframeId, (u64, usize)>,
     by_last_use: BTreeMap<u64, KeyframeId>,
     next_serial: u64,
+    /// Steps since keyframes were last parked.
+    steps: usize,
 }
 
 impl Parked {
@@ -134,6 +138,7 @@ impl Parked {
     /// * `moving`: begins to run anew.
     pub fn add(&mut self, members: Vec<(HeldKeyframe, Vec<f64>)>, moving: &mut Moving) {
         let frozen = moving.freeze();
+        self.steps = 0;
         if let Some(newest) = self.layers.last_mut() {
             newest.onward = Arc::new(frozen);
             newest.searched = false;
@@ -219,32 +224,31 @@ impl Parked {
         Some(sum)
     }
 
-    /// Does work of at most about `most` keyframes moved: into larger layers, where there are layers too many, and through
-    /// waists, where there are some.
-    pub fn tidy(&mut self, most: usize, moving: &mut Moving) {
-        let mut done = 0;
-        while done < most {
-            let layers = 1..self.layers.len();
-            let narrowing = self.layers.iter().position(|layer| layer.narrowing.is_some());
-            let unsearched = layers.clone().map(|newer| newer - 1).find(|&layer| {
-                let layer = &self.layers[layer];
-                !layer.searched && layer.members.len() >= WORTH_NARROWING
-            });
-            let crowded = layers.rev().find(|&newer| {
-                self.layers[newer - 1].members.len() <= LAYER_RATIO * self.layers[newer].members.len()
-            });
-            done += match (narrowing, unsearched, crowded) {
-                (Some(layer), ..) => self.narrow_some(layer),
-                (None, Some(layer), _) => self.search_waist(layer),
-                (None, None, Some(newer)) => self.move_some(newer - 1),
-                (None, None, None) => return,
-            };
-            self.remove_empty_layers(moving);
+    /// Brings some keyframes nearer to now: moves them into the next layer, where there are layers too many, or to a waist.
+    /// To be called in every step; takes about as long as the step itself at most, and the search for a waist a few times
+    /// that.
+    pub fn tidy(&mut self, moving: &mut Moving) {
+        self.steps += 1;
+        let unsearched = |layer: &Layer| !layer.searched && layer.members.len() >= WORTH_NARROWING;
+        let last = self.layers.len().saturating_sub(1);
+        let crowded = (0..last).rev().find(|&older| {
+            let of = |layer: usize| self.layers[layer].members.len();
+            LAYER_RATIO.1 * of(older) <= LAYER_RATIO.0 * of(older + 1)
+        });
+        if let Some(older) = crowded {
+            self.move_some(older);
+        } else if let Some(layer) = self.layers.iter().position(|layer| layer.narrowing.is_some()) {
+            self.narrow_some(layer);
+        } else if let Some(layer) = self.layers[..last].iter().position(unsearched) {
+            self.search_waist(layer);
+        } else if self.steps == STEPS_TO_WAIST && !self.layers.is_empty() {
+            self.search_running_waist(moving);
         }
+        self.remove_empty_layers(moving);
     }
 
     /// Moves some keyframes of a layer into the next one.
-    fn move_some(&mut self, layer: usize) -> usize {
+    fn move_some(&mut self, layer: usize) {
         let members = &self.layers[layer].members;
         let ids: Vec<KeyframeId> =
             members.iter().rev().take(MOVED_AT_ONCE).map(|member| member.keyframe.id).collect();
@@ -252,27 +256,40 @@ impl Parked {
         let mut loadings = Dense::default();
         let moved = self.layers[layer].columns_of(members, &mut loadings);
         let loadings = product(&self.layers[layer].onward, &loadings);
-        self.put_all(layer + 1, moved, &loadings)
+        self.put_all(layer + 1, moved, &loadings);
     }
 
     /// Lets a layer turn to a waist of what follows it.
-    fn search_waist(&mut self, layer: usize) -> usize {
+    fn search_waist(&mut self, layer: usize) {
         let source = &mut self.layers[layer];
         source.searched = true;
-        if let Some((onward, waist)) = waist(&source.onward, source.onward.ncols() * WAIST.0 / WAIST.1) {
+        if let Some((onward, waist)) = waist(&source.onward, widest(&source.onward)) {
             source.onward = Arc::new(onward);
-            let waiting = source.members.iter().map(|member| member.keyframe.id).collect();
-            if let Some(before) = layer.checked_sub(1).map(|before| &mut self.layers[before]) {
-                before.onward = Arc::new(product(&waist, &before.onward));
-            }
-            self.layers[layer].narrowing = Some(Narrowing { waist: Arc::new(waist), waiting });
+            self.narrow(layer, waist);
         }
-        SEARCH_COSTS
+    }
+
+    /// The same for the newest layer, which makes every further step cheaper.
+    fn search_running_waist(&mut self, moving: &mut Moving) {
+        let running = moving.running();
+        if let Some((onward, waist)) = waist(&running, widest(&running)) {
+            moving.replace_running(onward);
+            self.narrow(self.layers.len() - 1, waist);
+        }
+    }
+
+    fn narrow(&mut self, layer: usize, waist: Dense) {
+        if let Some(before) = layer.checked_sub(1).map(|before| &mut self.layers[before]) {
+            before.onward = Arc::new(product(&waist, &before.onward));
+        }
+        let layer = &mut self.layers[layer];
+        let waiting = layer.members.iter().map(|member| member.keyframe.id).collect();
+        layer.narrowing = Some(Narrowing { waist: Arc::new(waist), waiting });
     }
 
     /// Carries some keyframes of a layer to its waist.
-    fn narrow_some(&mut self, layer: usize) -> usize {
-        let Some(narrowing) = &mut self.layers[layer].narrowing else { return 0 };
+    fn narrow_some(&mut self, layer: usize) {
+        let Some(narrowing) = &mut self.layers[layer].narrowing else { return };
         let left = narrowing.waiting.len().saturating_sub(MOVED_AT_ONCE);
         let ids = narrowing.waiting.split_off(left);
         let here = |id: &KeyframeId| {
@@ -283,11 +300,10 @@ impl Parked {
         let members = ids.iter().filter_map(|id| self.remove(*id)).collect();
         let mut loadings = Dense::default();
         let narrowed = self.layers[layer].columns_of(members, &mut loadings);
-        let count = self.put_all(layer, narrowed, &loadings);
+        self.put_all(layer, narrowed, &loadings);
         if left == 0 {
             self.layers[layer].narrowing = None;
         }
-        count
     }
 
     /// A layer without members leaves the product of the matrices before and behind it.
@@ -316,13 +332,12 @@ impl Parked {
         }
     }
 
-    fn put_all(&mut self, layer: usize, keyframes: Vec<HeldKeyframe>, loadings: &Dense) -> usize {
-        let (count, rows) = (keyframes.len(), loadings.nrows());
+    fn put_all(&mut self, layer: usize, keyframes: Vec<HeldKeyframe>, loadings: &Dense) {
+        let rows = loadings.nrows();
         for (k, keyframe) in keyframes.into_iter().enumerate() {
             let width = KEYFRAME_DIM * rows;
             self.put(layer, keyframe, &loadings.as_slice()[width * k..width * (k + 1)], rows);
         }
-        count
     }
 
     fn put(&mut self, layer: usize, keyframe: HeldKeyframe, loadings: &[f64], rows: usize) {
@@ -351,9 +366,10 @@ impl Parked {
         Some((layer, place))
     }
 
-    /// How many layers there are.
-    pub fn layers(&self) -> usize {
-        self.layers.len()
+    /// Of each layer, oldest first: its members, and the rows of their loadings.
+    pub fn layers(&self) -> impl Iterator<Item = (usize, usize)> + '_ {
+        let rows = |layer: &Layer| layer.members.first().map_or(0, |member| member.loadings.nrows());
+        self.layers.iter().map(move |layer| (layer.members.len(), rows(layer)))
     }
 
     /// Bytes on the heap: loadings, names, and the matrices between the layers.
@@ -377,6 +393,11 @@ impl Parked {
             + self.places.capacity() * (size_of::<(KeyframeId, (u64, usize))>() + ENTRY)
             + self.by_last_use.len() * (size_of::<(u64, KeyframeId)>() + ENTRY)
     }
+}
+
+/// The widest waist that is worth one.
+fn widest(transition: &Dense) -> usize {
+    transition.ncols() * WAIST.0 / WAIST.1
 }
 
 fn product(left: &Dense, right: &Dense) -> Dense {

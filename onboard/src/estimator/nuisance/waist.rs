@@ -66,8 +66,8 @@ mod tests {
     fn the_factors_are_as_narrow_as_the_rank_and_their_product_is_the_whole() {
         for (rows, columns, rank) in [(30, 30, 12), (20, 34, 7), (34, 20, 1)] {
             // Rows in very different units.
-            let units = DMatrix::from_fn(rows, rank, |row, _| 10_f64.powi(row as i32 % 7 - 3));
-            let whole = wave(rows, rank).component_mul(&units) * wave(rank, columns);
+            let units = DMatrix::from_fn(rows, columns, |row, _| 10_f64.powi(row as i32 % 7 - 3));
+            let whole = (wave(rows, rank).add_scalar(0.1) * wave(rank, columns)).component_mul(&units);
             let transition = Dense::from(whole.clone());
             let (wide, narrow) = waist(&transition, rank).unwrap();
             assert_eq!((wide.ncols(), narrow.nrows()), (rank, rank));
