@@ -60,12 +60,12 @@ fn side_by_side(holders: &mut [(usize, Holder)]) {
         "held     map update: median  mean  99 %  longest     frame: median  mean  99 %  longest [us]   bytes each"
     );
     for ((count, holder), [updates, frames]) in holders.iter().zip(&mut times) {
-        let [updates, frames] = [updates, frames].map(statistics);
+        let [updates, frames] = [updates, frames].map(|times| statistics(times));
         println!("{count:<8} {updates}     {frames}   {}", holder.bytes_each());
     }
 }
 
-fn statistics(times: &mut Vec<Duration>) -> String {
+fn statistics(times: &mut [Duration]) -> String {
     times.sort_unstable();
     let mean = times.iter().sum::<Duration>() / times.len() as u32;
     let of = |part: usize| times[(times.len() - 1) * part / 100];

@@ -1,9 +1,11 @@
 //! Dropping keyframes stays conservative: what the filter states of its errors is never less than what they are.
 
+use crate::common::{FRAME_NS, World};
 use crate::textbook::{FIXED, Map, POSE, Textbook, some_keyframes, spd};
 use nalgebra::{DMatrix, DVector};
 use onboard::estimator::covariance::JointCovariance;
 use onboard::estimator::information::{Columns, Information};
+use onboard::estimator::{Estimator, EstimatorConfig};
 use rand::{RngExt as _, SeedableRng, rngs::StdRng};
 
 const KEYFRAMES: u64 = 48;
@@ -119,4 +121,42 @@ fn taking_a_dropped_keyframe_for_new_would_make_it_overconfident() {
         let outcome = run(seed, correlated, Dropping::Naive);
         assert!(outcome.worst < -1e-3, "seed {seed}: the law above has no power, {:e}", outcome.worst);
     }
+}
+
+#[test]
+fn an_estimator_holds_no_more_than_its_budget_and_stays_consistent() {
+    let config =
+        EstimatorConfig { max_active_keyframes: 4, max_held_keyframes: 8, ..EstimatorConfig::default() };
+    let world = World::new();
+    let mut estimator = world.estimator(config);
+    let mut rng = StdRng::seed_from_u64(7);
+    for frame in 1..120 {
+        let clone = world.frame(&mut estimator, frame);
+        if frame >= 20 {
+            // One of 12 pairs of keyframes: every one comes back, most after they were dropped.
+            let pair = rng.random_range(0..12);
+            let report =
+                estimator.map_update(clone, &world.answer(frame, 40 + pair, 2 * pair as u64)).unwrap();
+            assert_eq!(report.rejection, None, "frame {frame}");
+            assert!(estimator.held_keyframes().len() <= 8);
+        }
+    }
+    let truth = world.global_from_local * World::truth(estimator.stamp_ns() / FRAME_NS);
+    let nees = estimator.global_from_imu().unwrap().nees(&truth).unwrap();
+    assert!(nees < 25.0, "{nees} over 6");
+}
+
+#[test]
+fn a_budget_that_leaves_nothing_to_park_is_refused() {
+    let config =
+        EstimatorConfig { max_held_keyframes: 24, max_active_keyframes: 24, ..EstimatorConfig::default() };
+    assert!(config.validate().unwrap_err().contains("max_held_keyframes is 24"));
+    let initial = onboard::estimator::InitialState::from_truth(
+        0,
+        &geometry::Pose::identity(),
+        &nalgebra::Vector3::zeros(),
+        &-nalgebra::Vector3::z(),
+        onboard::estimator::InitialSigmas::default(),
+    );
+    assert!(Estimator::new(config, vec![World::new().eye], &initial).is_err());
 }

@@ -3,6 +3,8 @@
 #![allow(clippy::unwrap_used)]
 
 mod budget;
+#[path = "../common/mod.rs"]
+mod common;
 mod equality;
 mod textbook;
 
