@@ -83,6 +83,7 @@ impl JointCovariance {
             }
         }
         self.held.transform_rows(transition);
+        // Once an image: a map update must not wait for it.
         self.held.tidy();
     }
 

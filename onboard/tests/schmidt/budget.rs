@@ -9,7 +9,7 @@ use onboard::estimator::{Estimator, EstimatorConfig};
 use rand::{RngExt as _, SeedableRng, rngs::StdRng};
 
 const KEYFRAMES: u64 = 48;
-const STEPS: usize = 600;
+const STEPS: usize = 400;
 const ROWS: usize = 10;
 const MOST_ACTIVE: usize = 6;
 const MOST_HELD: usize = 20;
@@ -108,10 +108,10 @@ const ROUNDING: f64 = 1e-9;
 fn dropped_keyframes_that_come_back_never_make_the_filter_overconfident() {
     for (seed, correlated) in [(0, false), (1, false), (2, true), (3, true)] {
         let outcome = run(seed, correlated, Dropping::Conservative);
-        assert!(outcome.dropped > 400, "{} dropped: the law was hardly tried", outcome.dropped);
+        assert!(outcome.dropped > 250, "{} dropped: the law was hardly tried", outcome.dropped);
         assert!(outcome.worst > -ROUNDING, "seed {seed}: stated below true by {:e}", outcome.worst);
         // A filter that states that it knows nothing is conservative, too.
-        assert!(outcome.excess < 3.0, "seed {seed}: states {} times its variance", outcome.excess);
+        assert!(outcome.excess < 1.2, "seed {seed}: states {} times its variance", outcome.excess);
     }
 }
 

@@ -18,6 +18,7 @@
 
 mod budget;
 mod correlations;
+mod layer;
 mod moving;
 mod packed;
 mod parked;

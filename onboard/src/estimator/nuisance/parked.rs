@@ -15,6 +15,7 @@
 
 use super::super::dense::Dense;
 use super::HeldKeyframe;
+use super::layer::{Layer, Narrowing, ParkedKeyframe, product};
 use super::moving::{KEYFRAME_DIM, Moving};
 use super::packed::Packed;
 use super::waist::waist;
@@ -35,67 +36,6 @@ const WORTH_NARROWING: usize = 64;
 const STEPS_TO_WAIST: usize = 40;
 /// A waist is one if it is at most this part of the rows wide.
 const WAIST: (usize, usize) = (3, 4);
-
-#[derive(Clone, Debug)]
-struct ParkedKeyframe {
-    keyframe: HeldKeyframe,
-    /// Shared by the copies of a filter, which try a step and are thrown away.
-    loadings: Arc<Packed>,
-}
-
-#[derive(Clone, Debug)]
-struct Layer {
-    /// Grows from layer to layer, in their order.
-    serial: u64,
-    members: Vec<ParkedKeyframe>,
-    /// From here to the next layer. Not used in the newest.
-    onward: Arc<Dense>,
-    /// Whether a waist of `onward` was looked for.
-    searched: bool,
-    narrowing: Option<Narrowing>,
-}
-
-/// `onward` begins at the waist already, but some members have as many rows as before.
-#[derive(Clone, Debug)]
-struct Narrowing {
-    /// `C`.
-    waist: Arc<Dense>,
-    /// These have, if they are still here.
-    waiting: Vec<KeyframeId>,
-}
-
-impl Layer {
-    /// Loadings of some of its members as columns, in the rows that `onward` takes, behind those in `columns`; and whose
-    /// they are, in that order.
-    fn columns_of(&self, members: Vec<ParkedKeyframe>, columns: &mut Dense) -> Vec<HeldKeyframe> {
-        let mut order = Vec::with_capacity(members.len());
-        let (wide, narrow): (Vec<_>, Vec<_>) = members.into_iter().partition(|member| self.is_wide(member));
-        let mut append = |members: Vec<ParkedKeyframe>, target: &mut Dense| {
-            for member in members {
-                if target.ncols() == 0 {
-                    target.reset(member.loadings.nrows(), 0);
-                }
-                target.extend_columns(member.loadings.numbers());
-                order.push(member.keyframe);
-            }
-        };
-        if let Some(narrowing) = self.narrowing.as_ref().filter(|_| !wide.is_empty()) {
-            let mut before = Dense::default();
-            append(wide, &mut before);
-            let after = product(&narrowing.waist, &before);
-            if columns.ncols() == 0 {
-                columns.reset(after.nrows(), 0);
-            }
-            columns.extend_columns(after.as_slice().iter().copied());
-        }
-        append(narrow, columns);
-        order
-    }
-
-    fn is_wide(&self, member: &ParkedKeyframe) -> bool {
-        self.narrowing.as_ref().is_some_and(|narrowing| member.loadings.nrows() == narrowing.waist.ncols())
-    }
-}
 
 /// All parked keyframes.
 #[derive(Clone, Debug, Default)]
@@ -398,10 +338,4 @@ impl Parked {
 /// The widest waist that is worth one.
 fn widest(transition: &Dense) -> usize {
     transition.ncols() * WAIST.0 / WAIST.1
-}
-
-fn product(left: &Dense, right: &Dense) -> Dense {
-    let mut product = Dense::zeros(left.nrows(), right.ncols());
-    product.add_product(left, 0..left.ncols(), right, 0..right.nrows(), BlockStructure::Rectangular);
-    product
 }
