@@ -99,11 +99,11 @@ fn check(seed: u64, keyframes: u64, correlated: bool) {
 #[test]
 fn it_equals_the_dense_filter_with_keyframes_parked_and_used_again() {
     check(0, 40, false);
-    check(1, 88, false);
+    check(1, 60, false);
 }
 
 #[test]
 fn it_equals_the_dense_filter_with_cross_covariances_of_the_map() {
-    check(10, 40, true);
+    check(10, 24, true);
     check(11, 88, true);
 }
