@@ -1,11 +1,14 @@
 //! An estimator that holds many keyframes of a map, and sees any three of them again.
+//!
+//! Its body swings from side to side before a wall of points, so that the state is as large as on a robot: 20 clones, and
+//! 30 landmarks that are in view all the time.
 
 use geometry::{Camera, Distortion, Pose, PoseWithCovariance, rotation};
 use nalgebra::{Matrix3, Matrix6, Rotation3, UnitQuaternion, Vector3};
 use onboard::estimator::propagation::ImuState;
 use onboard::estimator::{
     CloneId, Estimator, EstimatorConfig, ImuSample, InitialSigmas, InitialState, MapAnswer, MapKeyframe,
-    MatchedLandmark, RigCamera,
+    MatchedLandmark, RigCamera, TrackObservation,
 };
 use rand::{RngExt, SeedableRng, rngs::StdRng};
 
@@ -16,12 +19,21 @@ const IMU_NS: i64 = 5_000_000;
 const LANDMARKS: usize = 36;
 /// Keyframes that are matched at once.
 const MATCHED: usize = 3;
+/// Images from one answer to the next, as at 20 images and 5 answers a second.
+pub const FRAMES_BETWEEN: usize = 4;
 /// Keyframes that an answer brings while the map is being pulled in.
-const PULLED: usize = 30;
+const PULLED: usize = 6;
 /// Standard deviation of a keyframe, rad and metres.
 const KEYFRAME_SIGMA: f64 = 0.01;
+/// Points that are tracked, the landmarks of the answers among them.
+const POINTS: usize = 100;
+/// Images after which the track of a point that is no landmark of the answers ends and another begins.
+const TRACK_LENGTH: usize = 12;
+/// The swing: metres, rad/s.
+const AMPLITUDE: f64 = 0.5;
+const RATE: f64 = 1.0;
 
-/// A body at rest that looks at points, and keyframes around it that saw the same points.
+/// A body that looks at points, and keyframes around it that saw the same points.
 pub struct Holder {
     estimator: Estimator,
     eye: RigCamera,
@@ -47,7 +59,7 @@ impl Holder {
         };
         let eye = RigCamera { camera, imu_from_camera: Pose::new(forward, Vector3::new(0.1, 0.0, 0.0)) };
         let mut draw = |half: f64| rng.random_range(-half..half);
-        let points = (0..LANDMARKS).map(|_| Vector3::new(12.0 + draw(4.0), draw(4.0), draw(2.5))).collect();
+        let points = (0..POINTS).map(|_| Vector3::new(12.0 + draw(4.0), draw(4.0), draw(2.5))).collect();
         let near = |_| {
             let turn = Vector3::new(draw(0.05), draw(0.05), draw(0.05));
             Pose::new(rotation::exp(&turn), Vector3::new(draw(1.0), draw(1.0), draw(0.5)))
@@ -56,7 +68,7 @@ impl Holder {
         let keyframes = (0..count).map(near).collect();
         let imu = ImuState {
             local_from_imu: Pose::identity(),
-            velocity: Vector3::zeros(),
+            velocity: Vector3::new(0.0, AMPLITUDE * RATE, 0.0),
             gyroscope_bias: Vector3::zeros(),
             accelerometer_bias: Vector3::zeros(),
         };
@@ -64,12 +76,13 @@ impl Holder {
         let gravity = -Vector3::z();
         let initial =
             InitialState::from_truth(0, &upright, &imu.velocity, &gravity, InitialSigmas::default());
-        let mut estimator = Estimator::new(EstimatorConfig::default(), vec![eye.clone()], &initial).unwrap();
-        estimator.imu(at_rest(0)).unwrap();
+        let config = EstimatorConfig { max_held_keyframes: 2 * count.max(100), ..EstimatorConfig::default() };
+        let mut estimator = Estimator::new(config, vec![eye.clone()], &initial).unwrap();
+        estimator.imu(reading(0)).unwrap();
         let newest = estimator.time_update(0).unwrap();
         let mut holder = Self { estimator, eye, points, keyframes, stamp_ns: 0, newest, rng };
         for first in (0..count).step_by(PULLED) {
-            holder.frame();
+            holder.frames();
             let pulled: Vec<usize> = (first..count.min(first + PULLED)).collect();
             holder.take(&pulled);
         }
@@ -78,37 +91,68 @@ impl Holder {
         holder
     }
 
-    /// The next image, without tracks.
+    /// Bytes for each held keyframe.
+    pub fn bytes_each(&self) -> usize {
+        self.estimator.held_bytes() / self.keyframes.len()
+    }
+
+    /// The images until the next answer.
+    pub fn frames(&mut self) {
+        (0..FRAMES_BETWEEN).for_each(|_| self.frame());
+    }
+
+    /// The next image.
     pub fn frame(&mut self) {
         for _ in 0..FRAME_NS / IMU_NS {
             self.stamp_ns += IMU_NS;
-            self.estimator.imu(at_rest(self.stamp_ns)).unwrap();
+            self.estimator.imu(reading(self.stamp_ns)).unwrap();
         }
         self.newest = self.estimator.time_update(self.stamp_ns).unwrap();
-        self.estimator.track_update(&[]).unwrap();
+        let (camera, frame) = (self.camera(), (self.stamp_ns / FRAME_NS) as usize);
+        let tracks: Vec<TrackObservation> = self
+            .points
+            .iter()
+            .enumerate()
+            .map(|(k, point)| {
+                // Tracks of different points end in different images.
+                let generation = if k < LANDMARKS { 0 } else { (frame + k) / TRACK_LENGTH };
+                let pixel = self.eye.camera.project(&camera.inverse_transform(point)).unwrap();
+                TrackObservation { feature_id: (k + generation * POINTS) as u64, camera: 0, pixel }
+            })
+            .collect();
+        self.estimator.track_update(&tracks).unwrap();
     }
 
     /// An answer with any three of the held keyframes.
     pub fn map_update(&mut self) {
         let count = self.keyframes.len();
-        let first = self.rng.random_range(0..count);
-        let matched: Vec<usize> = (0..MATCHED).map(|k| (first + k * count / MATCHED) % count).collect();
+        let mut matched: Vec<usize> = Vec::with_capacity(MATCHED);
+        while matched.len() < MATCHED {
+            let any = self.rng.random_range(0..count);
+            if !matched.contains(&any) {
+                matched.push(any);
+            }
+        }
         self.take(&matched);
+    }
+
+    fn camera(&self) -> Pose {
+        body_at(self.stamp_ns) * self.eye.imu_from_camera
     }
 
     /// Each landmark is seen by up to three of the keyframes; the first one anchors them all.
     fn take(&mut self, keyframes: &[usize]) {
-        let camera_at_rest = self.eye.imu_from_camera;
+        let camera_now = self.camera();
         let pixel = |camera: &Pose, point: &Vector3<f64>| {
             self.eye.camera.project(&camera.inverse_transform(point)).unwrap()
         };
-        let landmarks = self.points.iter().enumerate().map(|(k, point)| {
+        let landmarks = self.points[..LANDMARKS].iter().enumerate().map(|(k, point)| {
             let others = keyframes.len() - 1;
             let further =
                 (0..others.min(MATCHED - 1)).map(|j| keyframes[1 + (k * (MATCHED - 1) + j) % others]);
             let observers: Vec<usize> = std::iter::once(keyframes[0]).chain(further).collect();
             MatchedLandmark {
-                pixel: pixel(&camera_at_rest, point),
+                pixel: pixel(&camera_now, point),
                 anchor: keyframes[0] as u64,
                 position_in_anchor: self.keyframes[keyframes[0]].inverse_transform(point),
                 observations: observers
@@ -139,6 +183,13 @@ impl Holder {
     }
 }
 
-fn at_rest(stamp_ns: i64) -> ImuSample {
-    ImuSample { stamp_ns, gyroscope: Vector3::zeros(), accelerometer: Vector3::new(0.0, 0.0, 9.81) }
+fn body_at(stamp_ns: i64) -> Pose {
+    let phase = RATE * stamp_ns as f64 * 1e-9;
+    Pose::new(rotation::exp(&Vector3::zeros()), Vector3::new(0.0, AMPLITUDE * phase.sin(), 0.0))
+}
+
+fn reading(stamp_ns: i64) -> ImuSample {
+    let phase = RATE * stamp_ns as f64 * 1e-9;
+    let sideways = -AMPLITUDE * RATE * RATE * phase.sin();
+    ImuSample { stamp_ns, gyroscope: Vector3::zeros(), accelerometer: Vector3::new(0.0, sideways, 9.81) }
 }

@@ -163,6 +163,10 @@ pub struct EstimatorConfig {
     pub lost_after_rejections: usize,
     /// Held keyframes that are updated with every step; further ones are parked (exactly, see `nuisance`).
     pub max_active_keyframes: usize,
+    /// Most keyframes that are held; beyond it those not used for longest are dropped, and the filter becomes as uncertain
+    /// as that takes (see `nuisance`). 5,000 take 25 to 45 MB with the default window and landmarks; a robot that drives
+    /// through a building for a day uses some hundred.
+    pub max_held_keyframes: usize,
 }
 
 impl Default for EstimatorConfig {
@@ -195,6 +199,7 @@ impl Default for EstimatorConfig {
             transform_sigma_position: 0.3,
             lost_after_rejections: 5,
             max_active_keyframes: 24,
+            max_held_keyframes: 5_000,
         }
     }
 }
@@ -265,6 +270,12 @@ impl EstimatorConfig {
             return Err(
                 "map_iterations and max_active_keyframes must be at least 1, min_inliers at least 4".into()
             );
+        }
+        if self.max_held_keyframes <= self.max_active_keyframes {
+            return Err(format!(
+                "max_held_keyframes is {}; it must be more than max_active_keyframes, which is {}",
+                self.max_held_keyframes, self.max_active_keyframes
+            ));
         }
         Ok(())
     }

@@ -83,6 +83,8 @@ impl JointCovariance {
             }
         }
         self.held.transform_rows(transition);
+        // Once an image: a map update must not wait for it.
+        self.held.tidy();
     }
 
     /// Re-arranges the active error: it becomes the old error's ranges `source`, one after the other.
@@ -160,6 +162,12 @@ impl JointCovariance {
         }
         std::mem::swap(&mut self.active, grown);
         self.held.insert_rows(at, columns, jacobian.view());
+    }
+
+    /// Holds no more than `max_held` keyframes: those not used for longest are dropped, and the state made as uncertain as
+    /// that takes; see `nuisance`.
+    pub fn drop_surplus(&mut self, max_held: usize) -> usize {
+        self.held.drop_surplus(max_held, &mut self.active)
     }
 
     /// `P_CC`, to gate single rows against.
@@ -261,15 +269,9 @@ impl JointCovariance {
         let (count, dim) = (rows.residual.len(), self.active.nrows());
         let Workspace { whitened, innovation, residual, factorization, .. } = &mut self.workspace;
         let jacobian = &rows.jacobian;
-        let shape =
-            if rows.upper_triangular && rows.columns.active.len() == 1 && rows.columns.keyframes.is_empty() {
-                BlockStructure::TriangularUpper
-            } else {
-                BlockStructure::Rectangular
-            };
         whitened.reset(count, dim);
         for (range, here) in rows.columns.runs() {
-            whitened.add_product(jacobian, here, &self.active, range, shape);
+            whitened.add_product(jacobian, here, &self.active, range, rows.shape());
         }
         innovation.reset(count, count);
         let active_len = rows.columns.active_len();

@@ -90,7 +90,37 @@ impl Dense {
         DMatrixViewMut::from_slice(&mut self.values, self.rows, self.columns)
     }
 
-    fn faer(&self) -> MatRef<'_, f64> {
+    /// Puts whole columns, one after the other in `numbers`, behind the others.
+    pub fn extend_columns(&mut self, numbers: impl IntoIterator<Item = f64>) {
+        self.values.extend(numbers);
+        self.columns = self.values.len() / self.rows.max(1);
+    }
+
+    /// Takes columns out; those behind them move up.
+    pub fn remove_columns(&mut self, columns: Range<usize>) {
+        self.values.drain(columns.start * self.rows..columns.end * self.rows);
+        self.columns -= columns.len();
+    }
+
+    /// A matrix of these numbers, columns of `rows` numbers one after the other.
+    pub fn from_columns(rows: usize, numbers: &[f64]) -> Self {
+        let mut matrix = Self::zeros(rows, 0);
+        matrix.extend_columns(numbers.iter().copied());
+        matrix
+    }
+
+    /// Bytes that it holds, used or not.
+    pub fn heap_bytes(&self) -> usize {
+        self.values.capacity() * size_of::<f64>()
+    }
+
+    /// The numbers of all columns, one after the other.
+    pub fn as_slice(&self) -> &[f64] {
+        &self.values
+    }
+
+    /// As `faer` sees it.
+    pub(super) fn faer(&self) -> MatRef<'_, f64> {
         MatRef::from_column_major_slice(&self.values, self.rows, self.columns)
     }
 

@@ -2,6 +2,7 @@
 
 use super::covariance::NotPositiveDefinite;
 use super::dense::{Dense, Factorization};
+use faer::linalg::matmul::triangular::BlockStructure;
 use nalgebra::{DMatrix, DVector};
 use std::ops::Range;
 
@@ -64,6 +65,17 @@ pub struct Rows {
     pub residual: Vec<f64>,
     /// There are only zeros below the diagonal of `H`.
     pub upper_triangular: bool,
+}
+
+impl Rows {
+    /// What is known of the zeros in `H`.
+    pub fn shape(&self) -> BlockStructure {
+        if self.upper_triangular && self.columns.active.len() == 1 && self.columns.keyframes.is_empty() {
+            BlockStructure::TriangularUpper
+        } else {
+            BlockStructure::Rectangular
+        }
+    }
 }
 
 /// Sum of whitened rows over the same columns.

@@ -3,6 +3,7 @@
 use geometry::{Camera, PoseWithCovariance};
 use nalgebra::{Matrix6, SMatrix, Vector2, Vector3};
 use protocol::KeyframeId;
+use std::collections::HashSet;
 
 /// A keyframe of the map that shares landmarks with the image.
 #[derive(Clone, Debug)]
@@ -60,9 +61,9 @@ impl MapAnswer {
     /// * `held`: keyframes that the filter holds now.
     #[must_use]
     pub fn with_known_relations(mut self, held: &[KeyframeId]) -> Self {
-        let sent: Vec<KeyframeId> = self.keyframes.iter().map(|keyframe| keyframe.id).collect();
-        let is_stated = |id: &KeyframeId| self.asked_with.contains(id) || sent.contains(id);
-        if held.iter().all(is_stated) {
+        let sent = self.keyframes.iter().map(|keyframe| keyframe.id);
+        let stated: HashSet<KeyframeId> = self.asked_with.iter().copied().chain(sent).collect();
+        if held.iter().all(|id| stated.contains(id)) {
             return self;
         }
         self.keyframes.retain(|keyframe| held.contains(&keyframe.id));

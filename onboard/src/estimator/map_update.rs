@@ -139,6 +139,7 @@ impl Estimator {
             Some(_) => {}
         }
         self.covariance.held.park_unused();
+        self.covariance.drop_surplus(self.config.max_held_keyframes);
         Ok(report)
     }
 
@@ -363,6 +364,7 @@ impl Estimator {
 
     /// Pulls the keyframes into the state and names all columns of the rows.
     fn map_columns(&mut self, clone: CloneId, keyframes: &[KeyframeId], answer: &MapAnswer) -> Columns {
+        self.covariance.held.revive(keyframes);
         for keyframe in answer.keyframes.iter().filter(|keyframe| keyframes.contains(&keyframe.id)) {
             self.covariance.held.pull(
                 keyframe.id,

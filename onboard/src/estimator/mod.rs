@@ -372,6 +372,11 @@ impl Estimator {
         self.covariance.held.ids().collect()
     }
 
+    /// Bytes that holding them takes.
+    pub fn held_bytes(&self) -> usize {
+        self.covariance.held.heap_bytes()
+    }
+
     /// Version of the map that the held keyframes are of.
     pub fn map_version(&self) -> Option<u64> {
         self.map_version
