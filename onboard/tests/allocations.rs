@@ -1,4 +1,4 @@
-//! What a frame allocates once a run has warmed up: without a map as good as nothing.
+//! What a frame allocates once a run has warmed up: without a map nothing.
 //!
 //! Memory from the heap costs time that varies, and a robot has other programs on its machine. The counter replaces
 //! the allocator of this test binary and counts by thread. To find out where an allocation comes from, replace it by
@@ -14,10 +14,6 @@ use onboard::estimator::{Estimator, EstimatorConfig, TrackObservation};
 /// Frames until every buffer has grown to its size: several times around the window.
 const WARM_UP: i64 = 100;
 const FRAMES: usize = 100;
-/// Re-arranging the covariance lists the rows of the map's two matrices, which are empty here; to marginalize, the lists
-/// grow once.
-const CLONING: u64 = 2;
-const MARGINALIZING: u64 = 4;
 
 /// Allocations of one frame.
 #[derive(Clone, Copy, Debug)]
@@ -58,25 +54,21 @@ fn the_counter_counts() {
 }
 
 #[test]
-fn propagating_and_cloning_allocate_nothing_of_their_own() {
+fn propagating_and_cloning_allocate_nothing() {
     for state_landmarks in [0, 15] {
         let counts = steady_state(state_landmarks);
         assert_eq!(median_and_most(&counts, |frame| frame.readings), (0, 0), "{counts:?}");
-        assert_eq!(median_and_most(&counts, |frame| frame.time_update), (CLONING, CLONING), "{counts:?}");
+        assert_eq!(median_and_most(&counts, |frame| frame.time_update), (0, 0), "{counts:?}");
     }
 }
 
 #[test]
-fn an_update_from_tracks_allocates_nothing_of_its_own() {
+fn an_update_from_tracks_allocates_nothing() {
     // A clone leaves the window with every frame.
     let counts = steady_state(0);
-    assert_eq!(
-        median_and_most(&counts, |frame| frame.track_update),
-        (MARGINALIZING, MARGINALIZING),
-        "{counts:?}"
-    );
-    // Landmarks in the state leave the lists short enough not to grow; now and then some leave the state or enter it.
+    assert_eq!(median_and_most(&counts, |frame| frame.track_update), (0, 0), "{counts:?}");
+    // Now and then landmarks leave the state or enter it.
     let counts = steady_state(15);
     let (median, most) = median_and_most(&counts, |frame| frame.track_update);
-    assert!(median <= 2 && most <= 12, "median {median}, most {most}: {counts:?}");
+    assert!(median == 0 && most <= 12, "median {median}, most {most}: {counts:?}");
 }

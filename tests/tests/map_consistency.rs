@@ -44,8 +44,7 @@ fn loops(speed: f64, duration_s: f64) -> SimulationOptions {
 
 #[test]
 fn nees_of_all_three_poses_is_as_stated() {
-    let score =
-        ensemble(20, 2, loops(3.0, 60.0), AnswerOptions { every_s: 2.0, ..AnswerOptions::default() });
+    let score = ensemble(20, 2, loops(3.0, 60.0), AnswerOptions { every_s: 2.0, ..AnswerOptions::default() });
     let outputs = [("local", score.local), ("transform", score.transform), ("in G", score.pose)];
     for (name, output) in outputs {
         let output = output.unwrap();

@@ -47,11 +47,11 @@ pub enum Rejection {
     },
     /// Most of the answer contradicts the state: another place that looks the same, or a state that is off.
     #[error(
-        "{accepted} of {verified} verified landmarks agree with the state; the next answer must say the same to be believed"
+        "{plausible} of {verified} verified landmarks agree with the state; the next answer must say the same to be believed"
     )]
     Contradicts {
-        /// Passed their gates.
-        accepted: usize,
+        /// Not out of the question.
+        plausible: usize,
         /// Verified by geometry.
         verified: usize,
     },
@@ -93,7 +93,10 @@ pub struct MapReport {
 /// An update that is ready to be made.
 struct Prepared {
     information: Information,
+    /// Landmarks that passed their gate.
     accepted: usize,
+    /// Landmarks that are at least not out of the question.
+    plausible: usize,
 }
 
 /// Two answers agree with each other when they are this part of the way apart that they are from the state.
@@ -281,10 +284,10 @@ impl Estimator {
                 let (accepted, verified) = (prepared.accepted, inliers.len());
                 return Ok(Err(Rejection::FewLandmarks { accepted, verified, need }));
             }
-            let contradicts = !exact && 2 * prepared.accepted < inliers.len();
+            let contradicts = !exact && 2 * prepared.plausible < inliers.len();
             if iteration == 1 && !self.is_believable(contradicts, solved, &point.estimate) {
-                let (accepted, verified) = (prepared.accepted, inliers.len());
-                return Ok(Err(Rejection::Contradicts { accepted, verified }));
+                let (plausible, verified) = (prepared.plausible, inliers.len());
+                return Ok(Err(Rejection::Contradicts { plausible, verified }));
             }
             let rows = prepared.information.rows;
             let Ok(innovation) = self.covariance.innovation_squared(&prepared.information) else {
@@ -399,7 +402,8 @@ impl Estimator {
         };
         let joint = self.covariance.joint(columns);
         let poses = |id: KeyframeId| self.pose_of(id, answer);
-        let mut prepared = Prepared { information: Information::new(columns.clone()), accepted: 0 };
+        let mut prepared =
+            Prepared { information: Information::new(columns.clone()), accepted: 0, plausible: 0 };
         for landmark in landmarks {
             let rows =
                 landmark_rows(landmark, answer, keyframes, &poses, &self.state.calibration, point, &settings);
@@ -407,6 +411,9 @@ impl Estimator {
             if self.landmark_gate.accepts_rows(&joint, &jacobian, &residual) {
                 prepared.information.add(&jacobian, &residual);
                 prepared.accepted += 1;
+                prepared.plausible += 1;
+            } else if self.contradiction_gate.accepts_rows(&joint, &jacobian, &residual) {
+                prepared.plausible += 1;
             }
         }
         prepared

@@ -68,6 +68,9 @@ use tracks::TrackStore;
 
 /// How long a missing IMU reading at the end of an interval may be bridged, nanoseconds.
 const IMU_SLACK_NS: i64 = 20_000_000;
+/// Significance of the gate beyond which a landmark of the map speaks against the state. All landmarks of a keyframe share
+/// the error of its pose, so they fail the usual gate together once in a while.
+const OUT_OF_THE_QUESTION: f64 = 0.9999;
 /// A residual after triangulation beyond this many sigmas is an outlier, whatever the clones' errors.
 const OUTLIER_SIGMAS: f64 = 5.0;
 
@@ -86,6 +89,7 @@ pub struct Estimator {
     correction: DVector<f64>,
     entering: Dense,
     landmark_gate: Gate,
+    contradiction_gate: Gate,
     frame_gate: Gate,
     next_clone: u64,
     map_version: Option<u64>,
@@ -145,6 +149,7 @@ impl Estimator {
                 max_tracks: config.max_tracks,
             },
             landmark_gate: Gate::new(config.landmark_gate),
+            contradiction_gate: Gate::new(OUT_OF_THE_QUESTION),
             frame_gate: Gate::new(config.frame_gate),
             config,
             imu: ImuBuffer::default(),
