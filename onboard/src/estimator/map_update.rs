@@ -4,91 +4,14 @@ use super::config::{MapMode, Relinearization};
 use super::dense::Dense;
 use super::information::{Columns, Information};
 use super::map_answer::{MapAnswer, MatchedLandmark};
+use super::map_report::{MapReport, Rejection};
 use super::map_rows::{Linearization, MapPoint, RowSettings, landmark_rows};
 use super::state::{Block, CloneId, POSE_DIM};
-use super::verification::{NotVerified, VerificationSettings, Verified, verify};
+use super::verification::{VerificationSettings, Verified, verify};
 use super::{Estimator, EstimatorError, propagation::IMU_DIM};
 use geometry::Pose;
 use nalgebra::{DMatrix, DVector, Vector3};
 use protocol::KeyframeId;
-
-/// Why an answer did not correct the state.
-#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
-pub enum Rejection {
-    /// The clone of its image is gone: the answer came after its deadline.
-    #[error("the answer came too late, the pose of its image is gone")]
-    TooLate,
-    /// It is of an older version of the map than the one in use.
-    #[error("it is of map version {answered}, version {held} is in use")]
-    OldMap {
-        /// The answer's.
-        answered: u64,
-        /// The filter's.
-        held: u64,
-    },
-    /// The keyframes' covariances cannot all be true.
-    #[error("the map's covariances and cross-covariances contradict each other; build the map again")]
-    UnsoundMap,
-    /// The mode ignores the map.
-    #[error("odometry only, by configuration")]
-    Odometry,
-    /// Geometry does not support it.
-    #[error(transparent)]
-    NotVerified(#[from] NotVerified),
-    /// Too few landmarks passed their gates.
-    #[error("{accepted} of {verified} verified landmarks passed the gate, {need} are needed")]
-    FewLandmarks {
-        /// Passed.
-        accepted: usize,
-        /// Verified by geometry.
-        verified: usize,
-        /// Needed.
-        need: usize,
-    },
-    /// Most of the answer contradicts the state: another place that looks the same, or a state that is off.
-    #[error(
-        "{plausible} of {verified} verified landmarks agree with the state; the next answer must say the same to be believed"
-    )]
-    Contradicts {
-        /// Not out of the question.
-        plausible: usize,
-        /// Verified by geometry.
-        verified: usize,
-    },
-    /// The whole contradicts the state.
-    #[error("contradicts the state: innovation {innovation:.0} over {rows} rows, {bound:.0} is acceptable")]
-    Implausible {
-        /// Normalized innovation squared.
-        innovation: f64,
-        /// Rows.
-        rows: usize,
-        /// Bound of the gate.
-        bound: f64,
-    },
-}
-
-/// What an answer did.
-#[derive(Clone, Debug, PartialEq)]
-pub struct MapReport {
-    /// Keyframes of the answer that were considered.
-    pub keyframes: usize,
-    /// Landmarks of the answer.
-    pub matches: usize,
-    /// Landmarks that one camera pose explains.
-    pub verified: usize,
-    /// Landmarks that corrected the state.
-    pub accepted: usize,
-    /// Mean reprojection error of the verified landmarks at the prediction, px.
-    pub mean_reprojection_px: Option<f64>,
-    /// The linearization point was moved.
-    pub relinearized: bool,
-    /// `global_from_local` was initialized by this answer.
-    pub initialized: bool,
-    /// Normalized innovation squared and its rows.
-    pub innovation: Option<(f64, usize)>,
-    /// Why it did not correct the state.
-    pub rejection: Option<Rejection>,
-}
 
 /// An update that is ready to be made.
 struct Prepared {
@@ -98,11 +21,6 @@ struct Prepared {
     /// Landmarks that are at least not out of the question.
     plausible: usize,
 }
-
-/// Two answers agree with each other when they are this part of the way apart that they are from the state.
-const AGREE: f64 = 0.25;
-/// Or, in their rotation, this far, rad: about what the keyframes of a map differ by.
-const ALWAYS_AGREE: f64 = 0.05;
 
 impl Estimator {
     /// Corrects the state by the map's answer to the image of `clone`.
@@ -309,28 +227,6 @@ impl Estimator {
             self.check_health()?;
         }
         Ok(Ok(()))
-    }
-
-    /// Whether an answer may correct the state although most of it contradicts it.
-    ///
-    /// The verified landmarks of an answer fit together, so they are right together or wrong together. Where fewer than
-    /// half of them agree with the state, the place is another one or the state is off; two answers in a row that agree
-    /// with each other much better than with the state say that it is the state.
-    fn is_believable(&mut self, contradicts: bool, solved: &MapPoint, estimate: &MapPoint) -> bool {
-        if !contradicts {
-            self.contradiction = None;
-            return true;
-        }
-        let body = |transform: &Pose| *transform * solved.local_from_imu;
-        let now = body(&solved.global_from_local);
-        let before = self.contradiction.replace(solved.global_from_local);
-        let [of_state, of_before] = [Some(estimate.global_from_local), before].map(|transform| {
-            let apart = now.local(&body(&transform?));
-            Some((apart.fixed_rows::<3>(0).norm(), apart.fixed_rows::<3>(3).norm()))
-        });
-        of_state.zip(of_before).is_some_and(|(state, before)| {
-            before.0 <= (AGREE * state.0).max(ALWAYS_AGREE) && before.1 <= AGREE * state.1
-        })
     }
 
     /// Where one Gauss-Newton step leads the clone and the transform, without changing the filter.

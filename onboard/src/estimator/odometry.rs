@@ -1,7 +1,7 @@
 //! The odometry's part of an image: standing still, tracks, and landmarks in the state.
 
 use super::information::Rows;
-use super::landmark_rows::Layout;
+use super::pixel_rows::Layout;
 use super::state::{CloneId, StateLandmark};
 use super::state_landmarks::{LandmarkSettings, LandmarkUpdate};
 use super::track_update::{TrackReport, TrackUpdate};

@@ -8,7 +8,7 @@ use super::covariance::{JointCovariance, NotPositiveDefinite};
 use super::dense::Dense;
 use super::gate::Gate;
 use super::information::Rows;
-use super::landmark_rows::{Layout, PixelRows, RowBlock, RowBlocks, covariance_between, pixel_rows};
+use super::pixel_rows::{Layout, PixelRows, RowBlock, RowBlocks, covariance_between, pixel_rows};
 use super::state::{ActiveState, Block, CloneId, LANDMARK_DIM, POSE_DIM, StateLandmark};
 use super::tracks::TrackObservation;
 use nalgebra::{DVector, SMatrix, SVector};
