@@ -9,7 +9,7 @@ use super::map_rows::{Linearization, MapPoint, RowSettings, landmark_rows};
 use super::state::{Block, CloneId, POSE_DIM};
 use super::verification::{VerificationSettings, Verified, verify};
 use super::{Estimator, EstimatorError, propagation::IMU_DIM};
-use geometry::Pose;
+use geometry::{Pose, PoseWithCovariance};
 use nalgebra::{DMatrix, DVector, Vector3};
 use protocol::KeyframeId;
 
@@ -165,9 +165,9 @@ impl Estimator {
         if report.initialized {
             self.insert_transform(solved_transform, median_depth(answer, &verified));
         }
-        let solved = MapPoint { local_from_imu, global_from_local: solved_transform };
+        let said = best.global_from_keyframe.change_of_child(&verified.best_from_camera);
         let point = Linearization { estimate, at, first_position };
-        let outcome = self.iterate(clone, answer, &verified, point, &solved, report)?;
+        let outcome = self.iterate(clone, answer, &verified, point, &said, report)?;
         if outcome.is_err() && report.initialized {
             self.remove_transform();
             report.initialized = false;
@@ -182,7 +182,7 @@ impl Estimator {
         answer: &MapAnswer,
         verified: &Verified,
         mut point: Linearization,
-        solved: &MapPoint,
+        said: &PoseWithCovariance,
         report: &mut MapReport,
     ) -> Result<Result<(), Rejection>, EstimatorError> {
         let inliers: Vec<&MatchedLandmark> = verified.inliers.iter().map(|&k| &answer.landmarks[k]).collect();
@@ -202,8 +202,8 @@ impl Estimator {
                 let (accepted, verified) = (prepared.accepted, inliers.len());
                 return Ok(Err(Rejection::FewLandmarks { accepted, verified, need }));
             }
-            let contradicts = !exact && 2 * prepared.plausible < inliers.len();
-            if iteration == 1 && !self.is_believable(contradicts, solved, &point.estimate) {
+            let agrees = exact || 2 * prepared.plausible >= inliers.len();
+            if iteration == 1 && !self.is_believable(agrees, clone, said) {
                 let (plausible, verified) = (prepared.plausible, inliers.len());
                 return Ok(Err(Rejection::Contradicts { plausible, verified }));
             }
