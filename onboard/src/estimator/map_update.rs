@@ -200,23 +200,22 @@ impl Estimator {
             let need = self.config.min_inliers.div_ceil(2);
             if prepared.accepted < need {
                 let (accepted, verified) = (prepared.accepted, inliers.len());
-                return Ok(Err(Rejection::FewLandmarks { accepted, verified, need }));
+                return Ok(Err(self.give_up(&new, Rejection::FewLandmarks { accepted, verified, need })));
             }
             let agrees = exact || 2 * prepared.plausible >= inliers.len();
             if iteration == 1 && !self.is_believable(agrees, clone, said) {
                 let (plausible, verified) = (prepared.plausible, inliers.len());
-                return Ok(Err(Rejection::Contradicts { plausible, verified }));
+                return Ok(Err(self.give_up(&new, Rejection::Contradicts { plausible, verified })));
             }
             let rows = prepared.information.rows;
             let Ok(innovation) = self.covariance.innovation_squared(&prepared.information) else {
-                self.covariance.held.forget(&new);
-                return Ok(Err(Rejection::UnsoundMap));
+                return Ok(Err(self.give_up(&new, Rejection::UnsoundMap)));
             };
             report.innovation = Some((innovation, rows));
             // Taking the map for exact contradicts itself all the time; its gate is the landmarks'.
             if !exact && !self.frame_gate.accepts(innovation, rows) {
                 let bound = self.frame_gate.bound(rows);
-                return Ok(Err(Rejection::Implausible { innovation, rows, bound }));
+                return Ok(Err(self.give_up(&new, Rejection::Implausible { innovation, rows, bound })));
             }
             if iteration < self.config.map_iterations {
                 point.at = self.next_point(clone, &prepared.information, &point)?;
@@ -227,6 +226,12 @@ impl Estimator {
             self.check_health()?;
         }
         Ok(Ok(()))
+    }
+
+    /// What a rejected answer brought along leaves no trace.
+    fn give_up(&mut self, new: &[KeyframeId], why: Rejection) -> Rejection {
+        self.covariance.held.forget(new);
+        why
     }
 
     /// Where one Gauss-Newton step leads the clone and the transform, without changing the filter.
