@@ -34,13 +34,18 @@ impl Estimator {
         }
         let local_from_camera = self.state.clones[place].local_from_imu * self.first_camera().imu_from_camera;
         let before = self.contradiction.replace(said.pose * local_from_camera.inverse());
-        before.is_some_and(|before| {
+        let confirmed = before.is_some_and(|before| {
             let lengths = |other: &Pose| {
                 let apart = said.pose.local(other);
                 (apart.fixed_rows::<3>(0).norm(), apart.fixed_rows::<3>(3).norm())
             };
             let (of_state, of_before) = (lengths(&state.pose), lengths(&(before * local_from_camera)));
             of_before.0 <= (AGREE * of_state.0).max(ALWAYS_AGREE) && of_before.1 <= AGREE * of_state.1
-        })
+        });
+        if !confirmed {
+            // Answers that contradict each other say nothing against the state.
+            self.rejections_in_a_row = 0;
+        }
+        confirmed
     }
 }

@@ -197,13 +197,14 @@ impl Estimator {
         for iteration in 1..=self.config.map_iterations {
             let prepared = self.prepare(&inliers, answer, &keyframes, &columns, &point);
             report.accepted = prepared.accepted;
+            let agrees = exact || 2 * prepared.plausible >= inliers.len();
+            let believable = iteration > 1 || self.is_believable(agrees, clone, said);
             let need = self.config.min_inliers.div_ceil(2);
             if prepared.accepted < need {
                 let (accepted, verified) = (prepared.accepted, inliers.len());
                 return Ok(Err(self.give_up(&new, Rejection::FewLandmarks { accepted, verified, need })));
             }
-            let agrees = exact || 2 * prepared.plausible >= inliers.len();
-            if iteration == 1 && !self.is_believable(agrees, clone, said) {
+            if !believable {
                 let (plausible, verified) = (prepared.plausible, inliers.len());
                 return Ok(Err(self.give_up(&new, Rejection::Contradicts { plausible, verified })));
             }
