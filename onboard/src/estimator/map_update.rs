@@ -2,6 +2,7 @@
 
 use super::config::{MapMode, Relinearization};
 use super::dense::Dense;
+use super::first_fix::{solved_covariance, solved_pose_rows};
 use super::information::{Columns, Information};
 use super::map_answer::{MapAnswer, MatchedLandmark};
 use super::map_report::{MapReport, Rejection};
@@ -141,7 +142,7 @@ impl Estimator {
 
         let Some(best) = answer.keyframe(verified.best) else { return Ok(Err(Rejection::TooLate)) };
         let global_from_imu = self.pose_of(best.id, answer).unwrap_or(best.global_from_keyframe.pose)
-            * verified.best_from_camera
+            * verified.best_from_camera.pose
             * self.first_camera().imu_from_camera.inverse();
         let solved_transform = global_from_imu * local_from_imu.inverse();
         report.initialized = self.state.transform.is_none();
@@ -165,7 +166,7 @@ impl Estimator {
         if report.initialized {
             self.insert_transform(solved_transform, median_depth(answer, &verified));
         }
-        let said = best.global_from_keyframe.change_of_child(&verified.best_from_camera);
+        let said = best.global_from_keyframe.change_of_child(&verified.best_from_camera.pose);
         let point = Linearization { estimate, at, first_position };
         let outcome = self.iterate(clone, answer, &verified, point, &said, report)?;
         if outcome.is_err() && report.initialized {
@@ -195,7 +196,10 @@ impl Estimator {
         let columns = self.map_columns(clone, &keyframes, answer);
         let exact = self.config.mode == MapMode::MapConst;
         for iteration in 1..=self.config.map_iterations {
-            let prepared = self.prepare(&inliers, answer, &keyframes, &columns, &point);
+            let mut prepared = self.prepare(&inliers, answer, &keyframes, &columns, &point);
+            if report.initialized {
+                self.add_solved_pose(&mut prepared.information, answer, verified, &keyframes, &point);
+            }
             report.accepted = prepared.accepted;
             let agrees = exact || 2 * prepared.plausible >= inliers.len();
             let believable = iteration > 1 || self.is_believable(agrees, clone, said);
@@ -319,6 +323,41 @@ impl Estimator {
             }
         }
         prepared
+    }
+
+    /// What the landmarks' places say about a first fix.
+    fn add_solved_pose(
+        &self,
+        information: &mut Information,
+        answer: &MapAnswer,
+        verified: &Verified,
+        keyframes: &[KeyframeId],
+        point: &Linearization,
+    ) {
+        let Some(global_from_keyframe) = self.pose_of(verified.best, answer) else { return };
+        let columns = &information.columns;
+        let place = keyframes.iter().position(|&id| id == verified.best);
+        let sigma_px = self.config.sigma_match_px.max(verified.mean_error_px);
+        let depth = median_depth(answer, verified);
+        let solved = PoseWithCovariance {
+            covariance: solved_covariance(
+                &verified.best_from_camera.covariance,
+                sigma_px,
+                self.config.sigma_map_shift * depth,
+            ),
+            ..verified.best_from_camera
+        };
+        let rows = solved_pose_rows(
+            columns.len(),
+            place.map(|place| columns.active_len() + POSE_DIM * place),
+            &global_from_keyframe,
+            &solved,
+            &self.first_camera().imu_from_camera,
+            point,
+        );
+        if let Some((jacobian, residual)) = rows {
+            information.add(&jacobian, &residual);
+        }
     }
 
     /// The pose that rows are linearized at: the one that the filter entered the keyframe with.

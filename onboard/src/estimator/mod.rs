@@ -15,6 +15,7 @@ pub mod covariance;
 pub mod dense;
 pub mod dynamic_start;
 mod error;
+mod first_fix;
 pub mod gate;
 pub mod health;
 pub mod imu;

@@ -5,8 +5,8 @@
 
 use super::calibration::RigCamera;
 use super::map_answer::MapAnswer;
-use geometry::pnp::{Correspondence, Gravity, RansacOptions, solve_ransac};
-use geometry::{Camera, Pose};
+use geometry::pnp::{Correspondence, Gravity, PnpSolution, RansacOptions, solve_ransac};
+use geometry::{Camera, PoseWithCovariance};
 use nalgebra::Vector3;
 use protocol::KeyframeId;
 
@@ -15,8 +15,10 @@ use protocol::KeyframeId;
 pub struct Verified {
     /// The keyframe that explains most.
     pub best: KeyframeId,
-    /// Camera pose in that keyframe.
-    pub best_from_camera: Pose,
+    /// Camera pose in that keyframe; its covariance takes the landmarks for exact and their pixels for one px off.
+    pub best_from_camera: PoseWithCovariance,
+    /// Mean reprojection error there, px.
+    pub mean_error_px: f64,
     /// Indices into the answer's landmarks that are explained.
     pub inliers: Vec<usize>,
 }
@@ -62,7 +64,7 @@ pub fn verify(
     eye: &RigCamera,
     settings: &VerificationSettings,
 ) -> Result<Verified, NotVerified> {
-    let mut best: Option<(usize, KeyframeId, Pose)> = None;
+    let mut best: Option<(KeyframeId, PnpSolution)> = None;
     let mut inliers = Vec::new();
     let mut most = 0;
     for keyframe in &answer.keyframes {
@@ -98,14 +100,16 @@ pub fn verify(
         };
         let Ok(solution) = solve_ransac(&eye.camera, &correspondences, &options, 1.0) else { continue };
         inliers.extend(solution.inliers.iter().map(|&k| members[k]));
-        if best.as_ref().is_none_or(|(count, ..)| solution.inliers.len() > *count) {
-            best = Some((solution.inliers.len(), keyframe.id, solution.world_from_camera.pose));
+        if best.as_ref().is_none_or(|(_, before)| solution.inliers.len() > before.inliers.len()) {
+            best = Some((keyframe.id, solution));
         }
     }
     inliers.sort_unstable();
     inliers.dedup();
     match best {
-        Some((_, best, best_from_camera)) => Ok(Verified { best, best_from_camera, inliers }),
+        Some((best, PnpSolution { world_from_camera: best_from_camera, mean_error_px, .. })) => {
+            Ok(Verified { best, best_from_camera, mean_error_px, inliers })
+        }
         None if most < settings.min_inliers => {
             Err(NotVerified::TooFewMatches { have: most, need: settings.min_inliers })
         }

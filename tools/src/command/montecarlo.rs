@@ -85,6 +85,10 @@ pub struct Args {
     /// Error of the map's keyframes about and along each axis, as stated to the filter; the paper's by default
     #[arg(long, value_name = "DEG:M", value_parser = pair, default_value = "0.905:0.1")]
     map_noise: (f64, f64),
+    /// How far the landmarks of a keyframe are off together in its frame, as a part of their distance; in the map and in
+    /// the filter
+    #[arg(long, value_name = "FRACTION", default_value_t = MapOptions::default().shift)]
+    map_shift: f64,
     /// Distance between keyframes of the map, metres
     #[arg(long, value_name = "M", default_value_t = MapOptions::default().keyframe_distance_m)]
     keyframe_distance: f64,
@@ -161,7 +165,12 @@ fn options(args: &Args) -> anyhow::Result<MonteCarloOptions> {
     if args.runs == 0 {
         bail!("--runs is 0; at least one is needed, and 20 for a verdict");
     }
-    for (name, fraction) in [("wrong-matches", args.wrong_matches), ("wrong-place", args.wrong_place)] {
+    let fractions = [
+        ("wrong-matches", args.wrong_matches),
+        ("wrong-place", args.wrong_place),
+        ("map-shift", args.map_shift),
+    ];
+    for (name, fraction) in fractions {
         if !(0.0..=1.0).contains(&fraction) {
             bail!("--{name} is {fraction}; a fraction lies between 0 and 1");
         }
@@ -197,6 +206,7 @@ fn options(args: &Args) -> anyhow::Result<MonteCarloOptions> {
         map: MapOptions {
             sigma_theta: args.map_noise.0.to_radians(),
             sigma_p: args.map_noise.1,
+            shift: args.map_shift,
             keyframe_distance_m: args.keyframe_distance,
         },
         answers: AnswerOptions {
@@ -230,11 +240,15 @@ fn way(name: &str) -> anyhow::Result<(Course, Option<Vec<onboard::trajectory::St
     })
 }
 
+/// What the filter is told where the map's landmarks are exact: it takes positive numbers only.
+const EXACT: f64 = 1e-9;
+
 /// Every mode with every number of cameras and every settings file.
 fn variants(args: &Args, simulation: &SimulationOptions) -> anyhow::Result<Vec<Variant>> {
     let mut defaults = EstimatorConfig {
         imu_noise: simulation.imu_noise,
         sigma_track_px: args.pixel_noise,
+        sigma_map_shift: args.map_shift.max(EXACT),
         ..EstimatorConfig::default()
     };
     if let Some((deg, metres)) = args.start_sigma {

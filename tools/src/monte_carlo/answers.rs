@@ -105,7 +105,7 @@ fn matched(
             landmarks.push(MatchedLandmark {
                 pixel: *pixel,
                 anchor: anchor as u64,
-                position_in_anchor: keyframe.world_from_camera.inverse_transform(&map.landmarks[landmark]),
+                position_in_anchor: map.position_in(anchor, *landmark),
                 observations: observations.collect(),
             });
         }

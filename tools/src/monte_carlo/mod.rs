@@ -68,11 +68,14 @@ pub struct MapOptions {
     pub sigma_p: f64,
     /// A keyframe every so many metres of way (and every 0.35 rad of turning).
     pub keyframe_distance_m: f64,
+    /// How far the landmarks of a keyframe are off together in its frame, in each direction, as a part of their distance;
+    /// stated to the filter.
+    pub shift: f64,
 }
 
 impl Default for MapOptions {
     fn default() -> Self {
-        Self { sigma_theta: 0.0158, sigma_p: 0.1, keyframe_distance_m: 2.0 }
+        Self { sigma_theta: 0.0158, sigma_p: 0.1, keyframe_distance_m: 2.0, shift: 0.02 }
     }
 }
 

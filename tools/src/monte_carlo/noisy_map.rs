@@ -1,7 +1,8 @@
 //! A map as a mapping system leaves it: keyframes that are off by what they state, pixels with noise, drawn once a seed.
 //!
 //! Each keyframe's pose has an error of its own. Landmarks are triangulated from the noisy pixels and stand in the
-//! keyframes' own frames, where that error does not matter; so near a keyframe the map is as good as its pixels.
+//! keyframes' own frames, where that error does not matter; so near a keyframe the map is as good as its pixels, but for a
+//! shift that all landmarks of a keyframe share.
 
 use super::{MapOptions, global_from_world};
 use crate::simulation::SimulatedWorld;
@@ -28,6 +29,8 @@ pub(crate) struct Keyframe {
     pub(crate) stated: PoseWithCovariance,
     /// Where it truly is: `world_from_camera`.
     pub(crate) world_from_camera: Pose,
+    /// How far its landmarks are off in its camera's frame, as a part of their distance.
+    pub(crate) shift: Vector3<f64>,
     /// Pixels of the landmarks that it saw.
     pub(crate) seen: BTreeMap<usize, Vector2<f64>>,
 }
@@ -55,6 +58,7 @@ impl NoisyMap {
         world: &SimulatedWorld,
     ) -> Self {
         let mut rng = stream(seed, 0, Purpose::NoisyMap);
+        let mut shifts = stream(seed, 0, Purpose::MapShift);
         let (eye, sigma_px) = (&world.cameras[0], simulation.sigma_feature_px);
         let mut map = Self {
             camera: eye.camera.clone(),
@@ -87,10 +91,18 @@ impl NoisyMap {
             let error = Vector6::new(turn.x, turn.y, turn.z, shift.x, shift.y, shift.z);
             let pose = (global_from_world() * world_from_camera).retract(&-error);
             let stated = PoseWithCovariance::new(pose, covariance);
-            map.keyframes.push(Keyframe { stated, world_from_camera, seen });
+            let shift = normal3(&mut shifts) * options.shift;
+            map.keyframes.push(Keyframe { stated, world_from_camera, shift, seen });
         }
         map.triangulate_landmarks();
         map
+    }
+
+    /// A landmark in a keyframe's camera as the map states it, metres.
+    pub(crate) fn position_in(&self, keyframe: usize, landmark: usize) -> Vector3<f64> {
+        let keyframe = &self.keyframes[keyframe];
+        let position = keyframe.world_from_camera.inverse_transform(&self.landmarks[&landmark]);
+        position + keyframe.shift * position.norm()
     }
 
     fn triangulate_landmarks(&mut self) {
