@@ -91,10 +91,13 @@ fn moves(old: &LoadedMap, new: &LoadedMap, id: KeyframeId) -> bool {
         )
 }
 
-/// Keyframes that depend on others, which are still there, in another way than before. Sorted.
+/// Of the keyframes in both versions, those that depend on each other in another way than before. Sorted.
 fn with_other_dependences(old: &LoadedMap, new: &LoadedMap) -> Vec<KeyframeId> {
     let mut others = Vec::new();
     for (a, b) in old.correlated_pairs().chain(new.correlated_pairs()) {
+        if [a, b].iter().any(|id| new.position_of(*id).is_none()) {
+            continue;
+        }
         let [Some(of_a), Some(of_b)] = [a, b].map(|id| old.position_of(id)) else { continue };
         let variances =
             [of_a, of_b].map(|at| old.keyframes[at].keyframe.global_from_keyframe.covariance.diagonal());

@@ -19,6 +19,7 @@ pub(crate) enum Purpose {
     NoisyMap = 9,
     Answers = 10,
     Calibration = 11,
+    MapChange = 12,
 }
 
 /// The stream for one purpose of one run.
