@@ -127,7 +127,9 @@ impl Estimator {
                 self.covariance.give_up(&revision.other_errors);
                 self.contradiction = None;
                 self.rejections_in_a_row = 0;
-                self.map_version.begin(revision.version, self.state.stamp_ns);
+                let newest = self.state.clones.last();
+                let since_ns = newest.map_or(self.state.stamp_ns, |clone| clone.stamp_ns);
+                self.map_version.begin(revision.version, since_ns);
                 RevisionEffect::CarriedOver
             }
             _ => {

@@ -30,12 +30,16 @@ use protocol::KeyframeId;
 use std::collections::HashMap;
 
 /// The map is taken for at most 1.1 times as uncertain by one change: ten changes of all of it make its deviations 1.6
-/// times as large. The state's part that came from the map gets 3.3 times the deviations, a third of a metre instead of
-/// ten centimetres, until the next answers.
+/// times as large. The part of the state's error that came from the map gets 3.3 times the deviations until the next answers.
+/// Tried on 20 runs of `loops` with an answer a second and a change of 0.1 m and 0.9 degrees an axis: NEES in G 0.7 with 1,
+/// 0.9 with 3, 1.08 with 10, the errors alike; with a change of no size at all 0.109, 0.117 and 0.147 degrees.
 const LEAST_X: f64 = 10.0;
 
 /// See [`HeldKeyframes::give_up`].
 pub fn give_up(held: &mut HeldKeyframes, ids: &[KeyframeId], active: &mut Dense) {
+    if ids.is_empty() {
+        return;
+    }
     held.budget.note_other_errors();
     let (given_up, loadings) = take(held, ids);
     if given_up.is_empty() {
