@@ -1,14 +1,15 @@
 //! `map_server`: serves maps over Zenoh.
 
+mod databases;
+
 use std::io::IsTerminal as _;
 use std::path::PathBuf;
 use std::process::ExitCode;
-use std::str::FromStr;
-use std::sync::Arc;
 
 use anyhow::Context;
 use clap::Parser;
-use map_server::{LoadedMap, MapServer, ServedMap, ServerOptions, SledStore};
+use databases::MapArgument;
+use map_server::{MapServer, ServerOptions};
 use protocol::session::{DEFAULT_ENDPOINT, SessionOptions, close_session, open_session};
 use tracing_subscriber::EnvFilter;
 
@@ -27,8 +28,13 @@ Examples:
     driftless query --map hall --features frame.csv        one image against the map
     onboard --sequence SEQ --map hall --out out            a recorded run, localized
 
-Maps are made by `driftless build-map` or `driftless import-map`. A map is read when the server starts; restart the
-server to serve a newer one. Ctrl-C or SIGTERM stops it gracefully.";
+  Serve a new version of a map without a stop; robots that use it are told and keep their pose in it:
+    driftless import-map text --map maps/hall.db --force   or build-map, into the database that is served
+    kill -HUP PID                                          the server's; it reads its databases again
+
+Maps are made by `driftless build-map` or `driftless import-map`. A map is read when the server starts, and again at
+SIGHUP where its version is another one; a database that cannot be read then is warned about, and the map is served as it
+was. Ctrl-C or SIGTERM stops the server gracefully.";
 
 /// Serves maps to robots over Zenoh: which keyframes does an image show, and where was it taken?
 #[derive(Parser, Debug)]
@@ -69,28 +75,6 @@ struct Arguments {
     log: String,
 }
 
-/// `NAME=DB`
-#[derive(Clone, Debug)]
-struct MapArgument {
-    name: String,
-    database: PathBuf,
-}
-
-impl FromStr for MapArgument {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<MapArgument, String> {
-        let Some((name, database)) = text.split_once('=') else {
-            return Err("write the map's name and its database as NAME=DB, like hall=maps/hall.db".to_owned());
-        };
-        protocol::keys::validate_name(name).map_err(|error| error.to_string())?;
-        if database.is_empty() {
-            return Err(format!("the database of map {name} is missing: write {name}=PATH"));
-        }
-        Ok(MapArgument { name: name.to_owned(), database: PathBuf::from(database) })
-    }
-}
-
 #[tokio::main]
 async fn main() -> ExitCode {
     match serve().await {
@@ -115,7 +99,9 @@ async fn serve() -> anyhow::Result<()> {
     let stopped = stop_signal()?;
     tokio::pin!(stopped);
 
-    let maps = arguments.maps.iter().map(load).collect::<anyhow::Result<Vec<_>>>()?;
+    let mut reload = ReloadSignal::new()?;
+
+    let maps = arguments.maps.iter().map(databases::load).collect::<anyhow::Result<Vec<_>>>()?;
     let session_options = session_options(&arguments);
     let session = open_session(&session_options).await?;
     let mut options = ServerOptions { name: arguments.name.clone(), ..ServerOptions::default() };
@@ -130,34 +116,21 @@ async fn serve() -> anyhow::Result<()> {
         "ready; Ctrl-C stops"
     );
 
-    let signal = stopped.await;
+    let serving = async {
+        loop {
+            reload.recv().await;
+            tracing::info!("SIGHUP: reading the databases again");
+            databases::reload(&server, &arguments.maps).await;
+        }
+    };
+    let signal = tokio::select! {
+        signal = stopped => signal,
+        () = serving => "the end",
+    };
     tracing::info!("{signal}: stopping");
     server.stop().await?;
     close_session(&session).await;
     Ok(())
-}
-
-/// Reads a map into memory. The database is closed again, so that other programs can look at it.
-fn load(argument: &MapArgument) -> anyhow::Result<ServedMap> {
-    let MapArgument { name, database } = argument;
-    let store = SledStore::open(database).with_context(|| format!("map {name} cannot be served"))?;
-    let map = LoadedMap::load(&store).with_context(|| format!("map {name} cannot be served"))?;
-    tracing::info!(
-        name,
-        database = %database.display(),
-        version = map.info().version,
-        keyframes = map.keyframe_count(),
-        landmarks = map.landmark_count(),
-        "loaded a map"
-    );
-    if map.damaged_records() > 0 {
-        let damaged = map.damaged_records();
-        tracing::warn!(name, "{damaged} damaged records were left out; build or import the map again");
-    }
-    if map.keyframe_count() == 0 {
-        tracing::warn!(name, "the map holds no keyframes: nothing will ever match");
-    }
-    Ok(ServedMap { name: name.clone(), map: Arc::new(map) })
 }
 
 fn session_options(arguments: &Arguments) -> SessionOptions {
@@ -172,6 +145,39 @@ fn session_options(arguments: &Arguments) -> SessionOptions {
         options.listen.push(DEFAULT_ENDPOINT.to_owned());
     }
     options
+}
+
+/// The process is asked to read its databases again.
+#[cfg(unix)]
+struct ReloadSignal(tokio::signal::unix::Signal);
+
+#[cfg(unix)]
+impl ReloadSignal {
+    fn new() -> anyhow::Result<ReloadSignal> {
+        use tokio::signal::unix::{SignalKind, signal};
+        signal(SignalKind::hangup()).map(ReloadSignal).context("SIGHUP cannot be handled")
+    }
+
+    async fn recv(&mut self) {
+        if self.0.recv().await.is_none() {
+            std::future::pending::<()>().await;
+        }
+    }
+}
+
+/// Nothing asks for it on this system.
+#[cfg(not(unix))]
+struct ReloadSignal;
+
+#[cfg(not(unix))]
+impl ReloadSignal {
+    fn new() -> anyhow::Result<ReloadSignal> {
+        Ok(ReloadSignal)
+    }
+
+    async fn recv(&mut self) {
+        std::future::pending::<()>().await;
+    }
 }
 
 /// Ends when the process is asked to stop; says by what.

@@ -11,7 +11,7 @@ use std::time::Duration;
 use common::{Place, PlaceOptions};
 use map_server::{MapStore, SledStore};
 use protocol::session::{SessionOptions, open_session};
-use protocol::{ErrorCode, ErrorReply, Format, MapInfo};
+use protocol::{ErrorCode, ErrorReply, Format, MapChange, MapInfo};
 use zenoh::Session;
 
 fn program() -> Command {
@@ -105,8 +105,77 @@ async fn it_serves_below_its_namespace_and_stops_on_sigterm() {
     let (second, error) = run(&["--map", &map, "--listen", &endpoint]);
     assert!(!second.status.success() && error.contains(&endpoint), "{error}");
 
+    signal(&server, "-TERM");
+    assert!(server.0.wait().unwrap().success());
+    client.close().await.unwrap();
+}
+
+/// Sends a signal to the program.
+fn signal(server: &Running, name: &str) {
     let process = server.0.id().to_string();
-    assert!(Command::new("kill").args(["-TERM", &process]).status().unwrap().success());
+    assert!(Command::new("kill").args([name, &process]).status().unwrap().success());
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn sighup_serves_the_new_version_and_says_what_changed() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("hall.db");
+    let log = directory.path().join("log");
+    stored_map(&path);
+    let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+    let endpoint = format!("tcp/127.0.0.1:{port}");
+    let map = format!("hall={}", path.display());
+    let arguments = ["--map", &map, "--listen", &endpoint];
+    let stderr = Stdio::from(std::fs::File::create(&log).unwrap());
+    let mut server = Running(program().args(arguments).stderr(stderr).spawn().unwrap());
+    let client =
+        open_session(&SessionOptions { connect: vec![endpoint], ..SessionOptions::default() }).await.unwrap();
+    let version = async || {
+        let info = ask(&client, "map/hall/info").await.unwrap();
+        protocol::decode::<MapInfo>(Format::Bincode, &info).unwrap().version
+    };
+    let says = async |what: &str, times: usize| {
+        while std::fs::read_to_string(&log).unwrap().matches(what).count() < times {
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+    };
+    assert_eq!(version().await, 1);
+    let news = client.declare_subscriber("map/hall/changes").await.unwrap();
+
+    // Nothing new; then a database that another program is writing to.
+    signal(&server, "-HUP");
+    says("holds the version that is served", 1).await;
+    let writing = SledStore::open(&path).unwrap();
+    signal(&server, "-HUP");
+    says("the map is served as it was", 1).await;
+    assert!(std::fs::read_to_string(&log).unwrap().contains("in use by another program"));
+    assert_eq!(version().await, 1);
+
+    // Two keyframes moved by 0.3 m together, out of five.
+    let mut contents = writing.read_contents().unwrap();
+    let moved: Vec<u64> = contents.keyframes[..2].iter().map(|keyframe| keyframe.id).collect();
+    for keyframe in &mut contents.keyframes[..2] {
+        keyframe.global_from_keyframe.pose.translation.y += 0.3;
+    }
+    writing.replace_all(&contents).unwrap();
+    drop(writing);
+    signal(&server, "-HUP");
+    let change = news.recv_async().await.unwrap();
+    let change: MapChange = protocol::decode(Format::Bincode, &change.payload().to_bytes()).unwrap();
+    assert_eq!((change.map.as_str(), change.from_version, change.version), ("hall", 1, 2));
+    assert_eq!((change.moved, change.removed), (moved, Vec::new()));
+    let stated = change.stated_change.unwrap();
+    assert!((stated.sigma_p - 0.3 * (2.0 / 15.0_f64).sqrt()).abs() < 1e-9 && stated.sigma_theta < 1e-9);
+    assert_eq!(version().await, 2);
+    says("replaced a map", 1).await;
+
+    // A database that is gone does not end what is served.
+    std::fs::remove_dir_all(&path).unwrap();
+    signal(&server, "-HUP");
+    says("the map is served as it was", 2).await;
+    assert_eq!(version().await, 2);
+
+    signal(&server, "-TERM");
     assert!(server.0.wait().unwrap().success());
     client.close().await.unwrap();
 }

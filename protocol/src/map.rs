@@ -129,15 +129,21 @@ impl Validate for KeyframeLandmark {
 pub struct MapChange {
     /// Name of the map.
     pub map: String,
+    /// Version until now. Whoever holds another one missed a message and cannot use what is stated here.
+    pub from_version: u64,
     /// Version from now on.
     pub version: u64,
     /// Keyframes whose pose, covariance, camera or landmarks are no longer what they were.
     #[serde(default)]
     pub changed: Vec<KeyframeId>,
+    /// Of the changed ones, those whose pose, covariance or cross-covariances are others: their errors are no longer those
+    /// that a robot's state depends on.
+    #[serde(default)]
+    pub moved: Vec<KeyframeId>,
     /// Keyframes that are gone.
     #[serde(default)]
     pub removed: Vec<KeyframeId>,
-    /// How far the map's frame moved under the robots, if whoever changed it said so.
+    /// How far the map moved under the robots, where that is known.
     #[serde(default)]
     pub stated_change: Option<StatedChange>,
 }

@@ -50,6 +50,11 @@ impl Server {
         self.serving.statistics()
     }
 
+    /// Serves another version of a map, and tells robots how far it moved as far as its keyframes tell.
+    pub fn replace(&self, name: &str, map: Arc<LoadedMap>) {
+        self.runtime.block_on(self.serving.replace(name, map, None)).unwrap();
+    }
+
     /// Stops serving and closes the session, as a server that is told to end.
     pub fn stop(self) {
         self.runtime.block_on(self.serving.stop()).unwrap();

@@ -290,6 +290,7 @@ fn an_answer_that_comes_too_late_is_reported_and_does_no_harm() {
         max_keyframes: 4,
         realtime: false,
         queries: None,
+        news: None,
         publisher: None,
         last_failure: None,
     };

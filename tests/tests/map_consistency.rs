@@ -23,6 +23,7 @@ fn ensemble(
         simulation: SimulationOptions { live_feature_period_s: 1e9, ..simulation },
         map: MapOptions::default(),
         answers,
+        map_change: None,
         calibration: CalibrationErrors::default(),
     };
     let variant = Variant { name: "default".to_owned(), config: EstimatorConfig::default(), cameras };

@@ -29,6 +29,7 @@ fn runs(runs: usize, calibration: CalibrationErrors, variants: &[Variant]) -> Ve
         },
         map: MapOptions::default(),
         answers: AnswerOptions::default(),
+        map_change: None,
         calibration,
     };
     run(&options, variants, |_| {}).unwrap()

@@ -188,6 +188,11 @@ impl LoadedMap {
         self.cross_covariances.len()
     }
 
+    /// The pairs of keyframes that depend on each other, (a, b) with `a < b`.
+    pub(crate) fn correlated_pairs(&self) -> impl Iterator<Item = (KeyframeId, KeyframeId)> {
+        self.cross_covariances.keys().copied()
+    }
+
     /// Where a keyframe is in [`LoadedMap::keyframes`].
     pub(crate) fn position_of(&self, id: KeyframeId) -> Option<usize> {
         self.positions.get(&id).copied()

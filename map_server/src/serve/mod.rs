@@ -25,6 +25,7 @@
 //! is never shadowed, and a map that no server has gets an [`protocol::ErrorCode::UnknownMap`] that lists what
 //! there is. To a client that is connecting the right server may still be on its way: it asks again later.
 
+mod change;
 mod handlers;
 mod queue;
 
@@ -32,7 +33,7 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, PoisonError, RwLock};
 use std::time::Duration;
 
-use protocol::{Format, KeyframeId, MapChange, StatedChange, keys};
+use protocol::{Format, StatedChange, keys};
 use tokio::task::JoinHandle;
 use zenoh::Session;
 use zenoh::bytes::Encoding;
@@ -179,6 +180,11 @@ impl MapServer {
         Ok(MapServer { session, maps, token, queryables, queue, workers })
     }
 
+    /// The version of a map that is served now; `None` for a map that is not served here.
+    pub fn version(&self, name: &str) -> Option<u64> {
+        self.maps.get(name).map(|served| served.current().info().version)
+    }
+
     /// What the server has done so far.
     pub fn statistics(&self) -> ServerStatistics {
         self.queue.statistics()
@@ -188,7 +194,8 @@ impl MapServer {
     /// answered end with the old one.
     ///
     /// # Arguments
-    /// * `stated_change`: how far the map's frame moved under the robots, where that is known.
+    /// * `stated_change`: how far the map moved under the robots, by whoever changed it; else it is worked out from the
+    ///   keyframes that both versions have.
     ///
     /// # Errors
     /// [`ServeError::UnknownMap`]; [`ServeError::Zenoh`] where the map was exchanged but not announced.
@@ -201,10 +208,20 @@ impl MapServer {
         let served = self.maps.get(name).ok_or_else(|| ServeError::UnknownMap(name.to_owned()))?;
         let new = Arc::clone(&map);
         let old = std::mem::replace(&mut *served.map.write().unwrap_or_else(PoisonError::into_inner), map);
-        let (changed, removed) = difference(&old, &new);
-        tracing::info!(name, version = new.info().version, changed = changed.len(), "replaced a map");
-        let change =
-            MapChange { map: name.to_owned(), version: new.info().version, changed, removed, stated_change };
+        let mut change = change::between(name, &old, &new);
+        change.stated_change = stated_change.or(change.stated_change);
+        tracing::info!(
+            name,
+            from_version = change.from_version,
+            version = change.version,
+            keyframes = new.keyframe_count(),
+            added = change::added(&old, &new),
+            changed = change.changed.len(),
+            moved = change.moved.len(),
+            removed = change.removed.len(),
+            moved_by = change::in_words(change.stated_change.as_ref()),
+            "replaced a map"
+        );
         let payload = protocol::encode(Format::Bincode, &change)?;
         let publication = self.session.put(keys::map_changes(name)?, payload);
         publication
@@ -239,25 +256,4 @@ impl MapServer {
         tracing::info!(statistics = ?queue.statistics(), "stopped serving");
         Ok(result?)
     }
-}
-
-/// Keyframes that are not in the new map as they were in the old one, and those that are gone.
-fn difference(old: &LoadedMap, new: &LoadedMap) -> (Vec<KeyframeId>, Vec<KeyframeId>) {
-    let mut changed = Vec::new();
-    let mut removed = Vec::new();
-    for loaded in &old.keyframes {
-        let id = loaded.keyframe.id;
-        match new.keyframe_reply(id) {
-            None => removed.push(id),
-            Some(now) => {
-                let before = old.keyframe_reply(id);
-                if before
-                    .is_none_or(|before| before.keyframe != now.keyframe || before.landmarks != now.landmarks)
-                {
-                    changed.push(id);
-                }
-            }
-        }
-    }
-    (changed, removed)
 }

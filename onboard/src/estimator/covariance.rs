@@ -18,7 +18,8 @@ use super::information::{Columns, Information, Rows};
 use super::nuisance::HeldKeyframes;
 use super::propagation::{IMU_DIM, ImuMatrix};
 use faer::linalg::matmul::triangular::BlockStructure;
-use nalgebra::{Cholesky, DMatrix, DVector};
+use nalgebra::{Cholesky, DMatrix, DVector, Matrix6};
+use protocol::KeyframeId;
 use std::ops::Range;
 
 /// A measurement that fits no covariance: the filter is broken and says so.
@@ -168,6 +169,18 @@ impl JointCovariance {
     /// that takes; see `nuisance`.
     pub fn drop_surplus(&mut self, max_held: usize) -> usize {
         self.held.drop_surplus(max_held, &mut self.active)
+    }
+
+    /// Gives up keyframes that the map changed, and makes the state as uncertain as that takes; see `nuisance`.
+    pub fn give_up(&mut self, ids: &[KeyframeId]) {
+        self.held.give_up(ids, &mut self.active);
+    }
+
+    /// Adds independent noise to six numbers of the active error, from `begin` on.
+    pub fn add_noise(&mut self, begin: usize, noise: &Matrix6<f64>) {
+        let mut block = self.active.view_mut();
+        let mut block = block.fixed_view_mut::<6, 6>(begin, begin);
+        block += noise;
     }
 
     /// `P_CC`, to gate single rows against.

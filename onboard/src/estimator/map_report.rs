@@ -8,9 +8,17 @@ pub enum Rejection {
     /// The clone of its image is gone: the answer came after its deadline.
     #[error("the answer came too late, the pose of its image is gone")]
     TooLate,
-    /// It is of an older version of the map than the one in use.
+    /// It is of the map as it was before the version in use.
     #[error("it is of map version {answered}, version {held} is in use")]
     OldMap {
+        /// The answer's.
+        answered: u64,
+        /// The filter's.
+        held: u64,
+    },
+    /// It is of a version of the map of which no news came yet.
+    #[error("it is of map version {answered}, and nobody said yet how that differs from version {held}")]
+    NewMap {
         /// The answer's.
         answered: u64,
         /// The filter's.

@@ -31,7 +31,7 @@ impl Estimator {
     /// # Errors
     /// [`EstimatorError::Diverged`] when the filter itself is broken.
     pub fn map_update(&mut self, clone: CloneId, answer: &MapAnswer) -> Result<MapReport, EstimatorError> {
-        let same_map = self.map_version == Some(answer.map_version);
+        let same_map = self.map_version.held == Some(answer.map_version);
         let answer = self
             .restrict(answer)
             .sound(&|id| if same_map { self.covariance.held.covariance_by_id(id) } else { None });
@@ -70,7 +70,7 @@ impl Estimator {
         let mut restricted = answer.clone();
         let depends = self.covariance.held.has_correlations()
             || answer.keyframes.iter().any(|keyframe| !keyframe.cross_covariances.is_empty());
-        if depends && self.map_version == Some(answer.map_version) {
+        if depends && self.map_version.held == Some(answer.map_version) {
             restricted = restricted.with_known_relations(&self.held_keyframes());
         }
         if self.config.mode == MapMode::Single {
@@ -84,39 +84,7 @@ impl Estimator {
         restricted
     }
 
-    /// A map that changed is another map: what was held of the old one is given up, and
-    /// `global_from_local` is found anew with its wide prior. If that fails, all stays as it was.
-    fn in_map_version(
-        &mut self,
-        clone: CloneId,
-        answer: &MapAnswer,
-        report: &mut MapReport,
-    ) -> Result<Result<(), Rejection>, EstimatorError> {
-        let answered = answer.map_version;
-        let asked_ns = self.state.place_of(clone).map_or(i64::MIN, |place| self.state.clones[place].stamp_ns);
-        match self.map_version {
-            Some(held) if answered == held => self.try_map_update(clone, answer, report),
-            // A late answer of the map as it was. Asked later, a lower version is another, newer map.
-            Some(held) if answered < held && asked_ns < self.map_version_since_ns => {
-                Ok(Err(Rejection::OldMap { answered, held }))
-            }
-            _ => {
-                let (state, covariance) = (self.state.clone(), self.covariance.clone());
-                self.covariance.held.clear();
-                self.remove_transform();
-                let outcome = self.try_map_update(clone, answer, report)?;
-                if outcome.is_err() {
-                    (self.state, self.covariance) = (state, covariance);
-                } else {
-                    self.map_version = Some(answered);
-                    self.map_version_since_ns = asked_ns;
-                }
-                Ok(outcome)
-            }
-        }
-    }
-
-    fn try_map_update(
+    pub(super) fn try_map_update(
         &mut self,
         clone: CloneId,
         answer: &MapAnswer,

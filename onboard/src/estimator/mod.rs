@@ -6,7 +6,8 @@
 //!
 //! Its verbs, in the order of a frame: [`Estimator::imu`] for every reading, [`Estimator::time_update`]
 //! to the image, [`Estimator::track_update`] with the image's tracks, and [`Estimator::map_update`]
-//! whenever the map answered to an image whose clone was [pinned](Estimator::pin).
+//! whenever the map answered to an image whose clone was [pinned](Estimator::pin). [`Estimator::map_changed`] takes in
+//! news of a map that is served anew.
 
 pub mod calibration;
 pub mod config;
@@ -26,6 +27,7 @@ pub mod map_answer;
 mod map_report;
 pub mod map_rows;
 pub mod map_update;
+mod map_version;
 pub mod nuisance;
 pub mod null_space;
 mod odometry;
@@ -49,6 +51,7 @@ pub use imu::ImuSample;
 pub use initialization::InitialState;
 pub use map_answer::{MapAnswer, MapKeyframe, MatchedLandmark};
 pub use map_report::{MapReport, Rejection};
+pub use map_version::{ChangeSize, MapRevision, RevisionEffect};
 pub use starter::{LastBelieved, Start, StartMethod, Starter, Waiting};
 pub use state::CloneId;
 pub use status::{Localization, Status};
@@ -61,6 +64,7 @@ use gate::Gate;
 use geometry::{Pose, PoseWithCovariance};
 use health::Health;
 use imu::ImuBuffer;
+use map_version::MapVersion;
 use nalgebra::{DMatrix, DVector, Matrix6, Vector3};
 use odometry::OdometryUpdate;
 use propagation::{IMU_DIM, ImuMatrix, MotionEstimate, propagate};
@@ -96,9 +100,7 @@ pub struct Estimator {
     contradiction_gate: Gate,
     frame_gate: Gate,
     next_clone: u64,
-    map_version: Option<u64>,
-    /// Time of the image that first met this version of the map.
-    map_version_since_ns: i64,
+    map_version: MapVersion,
     rejections_in_a_row: usize,
     /// `G_T_L` by the last answer, if most of that contradicted the state.
     contradiction: Option<Pose>,
@@ -165,8 +167,7 @@ impl Estimator {
             correction: DVector::zeros(0),
             entering: Dense::default(),
             next_clone: 0,
-            map_version: None,
-            map_version_since_ns: i64::MIN,
+            map_version: MapVersion::default(),
             rejections_in_a_row: 0,
             contradiction: None,
             last_map_update_ns: None,
@@ -388,7 +389,7 @@ impl Estimator {
 
     /// Version of the map that the held keyframes are of.
     pub fn map_version(&self) -> Option<u64> {
-        self.map_version
+        self.map_version.held
     }
 
     fn block(&self, row: &Block, column: &Block) -> Matrix6<f64> {

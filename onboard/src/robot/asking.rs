@@ -4,11 +4,12 @@
 
 use super::event::Event;
 use super::extraction::{Extracted, ExtractionThread};
+use super::map_news::MapNews;
 use super::query_client::{Answered, Outcome, QueryClient};
 use super::recorder::Recorder;
 use super::run::RobotRun;
 use super::summary::Traffic;
-use crate::estimator::{CloneId, EstimatorError, MapMode};
+use crate::estimator::{CloneId, EstimatorError, MapMode, RevisionEffect};
 use crate::sequence::Frame;
 use protocol::{FeatureSet, MatchRequest, PosePrior};
 use std::time::{Duration, Instant};
@@ -79,14 +80,41 @@ impl RobotRun<'_> {
         if let Some(extracted) = extracted {
             self.ask_with(extracted, recorder);
         }
+        self.hear_news(recorder);
         while let Some(queries) = &mut self.queries {
             let begin = Instant::now();
             let answered = if self.realtime { queries.poll() } else { queries.wait() };
             waited += begin.elapsed();
             let Some(answered) = answered else { break };
+            // They may have come while this was waited for, and are about it.
+            self.hear_news(recorder);
             self.take(&answered, recorder)?;
         }
         Ok(waited)
+    }
+
+    /// Takes in what the map says of its changes.
+    fn hear_news(&mut self, recorder: &mut Recorder) {
+        while let Some(revision) = self.news.as_ref().and_then(MapNews::poll) {
+            let Some(estimator) = self.filter.estimator_mut() else { continue };
+            let (from, version) = (revision.from_version, revision.version);
+            match estimator.map_changed(&revision) {
+                RevisionEffect::CarriedOver => {
+                    recorder.map_changes.carried_over += 1;
+                    let size = revision.size;
+                    tracing::info!(from, version, ?size, "the map changed: the pose in it is carried over");
+                }
+                RevisionEffect::FoundAnew => {
+                    recorder.map_changes.found_anew += 1;
+                    tracing::warn!(
+                        from,
+                        version,
+                        "the map changed, nobody says by how much since the version in use: the place in it is found anew"
+                    );
+                }
+                RevisionEffect::None => {}
+            }
+        }
     }
 
     /// The features of an image are ready: the map is asked.
@@ -147,6 +175,7 @@ impl RobotRun<'_> {
             self.ask_with(extracted, recorder);
         }
         while let Some(answered) = self.queries.as_mut().and_then(QueryClient::wait) {
+            self.hear_news(recorder);
             self.take(&answered, recorder)?;
         }
         Ok(())

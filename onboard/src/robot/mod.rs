@@ -11,6 +11,7 @@ pub mod extraction;
 pub mod front_end;
 mod imu_window;
 pub mod lifecycle;
+pub mod map_news;
 pub mod output;
 pub mod program;
 pub mod progress;

@@ -6,6 +6,7 @@ use super::extraction::ExtractionThread;
 use super::front_end::FrontEnd;
 use super::imu_window::ImuWindow;
 use super::lifecycle::Lifecycle;
+use super::map_news::MapNews;
 use super::output;
 use super::publisher::Publisher;
 use super::query_client::QueryClient;
@@ -115,16 +116,18 @@ pub fn run_robot_until<'a>(
     };
     let link = link.filter(|_| config.mode != MapMode::Odometry);
     let map = link.as_ref().map(|link| link.map.clone());
-    let (queries, publisher) = match link {
+    let (queries, news, publisher) = match link {
         Some(link) => {
             let deadline = Duration::from_secs_f64(arguments.deadline);
             let queries = QueryClient::new(link.session.clone(), link.runtime.clone(), &link.map, deadline)
                 .context("--map")?;
+            let news =
+                MapNews::subscribe(&link.session, &link.runtime, &link.map).map_err(anyhow::Error::msg)?;
             let publisher = Publisher::new(link.session, &link.runtime, &arguments.robot, &link.map)
                 .map_err(anyhow::Error::msg)?;
-            (Some(queries), Some(publisher))
+            (Some(queries), Some(news), Some(publisher))
         }
-        None => (None, None),
+        None => (None, None, None),
     };
     let mask = if recording.contents().images { arguments.features.read_mask()? } else { None };
     let front_end = front_end(recording, arguments, cameras, mask.as_ref())?;
@@ -143,6 +146,7 @@ pub fn run_robot_until<'a>(
         max_keyframes: arguments.max_keyframes,
         realtime: arguments.realtime,
         queries,
+        news,
         publisher,
         last_failure: None,
     };
@@ -173,6 +177,7 @@ pub fn run_robot_until<'a>(
         score,
         no_score,
         queries: recorder.queries,
+        map_changes: recorder.map_changes,
         keyframes_pulled: recorder.keyframes_pulled,
         wire_bytes: recorder.traffic,
         tracks: recorder.tracks,

@@ -3,7 +3,8 @@
 use super::event::Event;
 use super::output::OutputFiles;
 use super::summary::{
-    DivergenceSummary, ImuGapSummary, QuerySummary, StartSummary, Summary, Timings, TrackSummary, Traffic,
+    DivergenceSummary, ImuGapSummary, MapChangeSummary, QuerySummary, StartSummary, Summary, Timings,
+    TrackSummary, Traffic,
 };
 use crate::estimator::{Estimator, EstimatorError, StartMethod, Status, TrackReport};
 use crate::trajectory::StateRow;
@@ -32,6 +33,8 @@ pub struct Recorder {
     pub tracks: TrackSummary,
     /// Queries and what came of them.
     pub queries: QuerySummary,
+    /// Changes of the map.
+    pub map_changes: MapChangeSummary,
     /// Frames skipped for want of IMU readings.
     pub skipped_frames: usize,
     /// IMU readings that were dropped.
@@ -69,6 +72,7 @@ impl Recorder {
             traffic: Traffic::default(),
             tracks: TrackSummary::default(),
             queries: QuerySummary::default(),
+            map_changes: MapChangeSummary::default(),
             skipped_frames: 0,
             dropped_imu: 0,
             imu_gaps: ImuGapSummary::default(),

@@ -4,6 +4,7 @@ use super::extraction::ExtractionThread;
 use super::front_end::FrontEnd;
 use super::imu_window::ImuWindow;
 use super::lifecycle::Lifecycle;
+use super::map_news::MapNews;
 use super::publisher::{Publisher, QueryCounts};
 use super::query_client::QueryClient;
 use super::recorder::Recorder;
@@ -76,6 +77,8 @@ pub struct RobotRun<'a> {
     pub last_extraction_ns: Option<i64>,
     /// Asks the map; none with odometry only.
     pub queries: Option<QueryClient>,
+    /// Hears when the map changes; none with odometry only.
+    pub news: Option<MapNews>,
     /// Publishes; none without a network.
     pub publisher: Option<Publisher>,
     /// Why the last query was not answered, until one is.

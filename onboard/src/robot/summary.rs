@@ -94,6 +94,15 @@ pub struct QuerySummary {
     pub failed: u64,
 }
 
+/// Counts of the map's changes that the robot heard of.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+pub struct MapChangeSummary {
+    /// The pose in the map was carried over.
+    pub carried_over: u64,
+    /// The place in the map was to be found anew.
+    pub found_anew: u64,
+}
+
 /// Counts of tracks.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
 pub struct TrackSummary {
@@ -167,6 +176,8 @@ pub struct Summary {
     pub no_score: Option<String>,
     /// Queries.
     pub queries: QuerySummary,
+    /// Changes of the map.
+    pub map_changes: MapChangeSummary,
     /// Keyframes that were pulled from the map.
     pub keyframes_pulled: usize,
     /// Bytes over the wire.

@@ -65,7 +65,7 @@ fn run(seed: u64, correlated: bool, dropping: Dropping) -> Outcome {
     outcome
 }
 
-fn update(rng: &mut StdRng, joint: &mut JointCovariance, truth: &mut Textbook, ids: &[u64]) {
+pub fn update(rng: &mut StdRng, joint: &mut JointCovariance, truth: &mut Textbook, ids: &[u64]) {
     let columns = Columns {
         active: std::iter::once(FIXED..truth.active).collect(),
         keyframes: ids.iter().map(|id| joint.held.slot_of(*id).unwrap()).collect(),
@@ -90,7 +90,7 @@ fn update(rng: &mut StdRng, joint: &mut JointCovariance, truth: &mut Textbook, i
 }
 
 /// Least eigenvalue of stated minus true covariance, of the state and the active keyframes together, relative.
-fn margin(joint: &JointCovariance, truth: &Textbook) -> f64 {
+pub fn margin(joint: &JointCovariance, truth: &Textbook) -> f64 {
     let ids: Vec<u64> = joint.held.ids().filter(|id| joint.held.slot_of(*id).is_some()).collect();
     let keyframes = ids.iter().map(|id| joint.held.slot_of(*id).unwrap()).collect();
     let stated = joint.joint(&Columns { active: std::iter::once(0..truth.active).collect(), keyframes });
@@ -102,7 +102,7 @@ fn margin(joint: &JointCovariance, truth: &Textbook) -> f64 {
 }
 
 /// Rounding, relative to the largest variance.
-const ROUNDING: f64 = 1e-9;
+pub const ROUNDING: f64 = 1e-9;
 
 #[test]
 fn dropped_keyframes_that_come_back_never_make_the_filter_overconfident() {

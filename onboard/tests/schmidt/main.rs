@@ -6,6 +6,7 @@ mod budget;
 #[path = "../common/mod.rs"]
 mod common;
 mod equality;
+mod map_versions;
 mod textbook;
 
 use geometry::{Pose, PoseWithCovariance};

@@ -14,7 +14,7 @@ pub const FIXED: usize = 15;
 pub const POSE: usize = 6;
 const LANDMARK: usize = 3;
 /// Keyframes of the map that share one covariance.
-const BLOCK: u64 = 4;
+pub const BLOCK: u64 = 4;
 
 pub fn spd(rng: &mut StdRng, n: usize, scale: f64) -> DMatrix<f64> {
     let draw = DMatrix::from_fn(n, n, |_, _| rng.random_range(-1.0..1.0));
@@ -45,6 +45,12 @@ impl Map {
 
     pub fn keyframe(&self, id: u64) -> PoseWithCovariance {
         PoseWithCovariance { pose: Pose::identity(), covariance: self.block(id, id) }
+    }
+
+    /// The same map with other names: keyframe `BLOCK + k` becomes `k`, and so on round.
+    pub fn renamed(mut self) -> Self {
+        self.blocks.rotate_left(1);
+        self
     }
 
     /// Blocks towards the keyframes that are held, as the server sends them.
@@ -115,6 +121,15 @@ impl Textbook {
         self.covariance.view_mut((0, active), (active, n)).copy_from(cross);
         self.covariance.view_mut((active, 0), (n, active)).copy_from(&cross.transpose());
         self.covariance.view_mut((active, active), (n, n)).copy_from(map);
+    }
+
+    /// The errors of the map become `turn e`.
+    pub fn turn_map(&mut self, turn: &DMatrix<f64>) {
+        let (active, n) = (self.active, POSE * self.keyframes);
+        let (own, cross) =
+            (self.of_active(), self.covariance.view((0, active), (active, n)) * turn.transpose());
+        let map = turn * self.covariance.view((active, active), (n, n)) * turn.transpose();
+        self.assemble(&own, &cross, &map);
     }
 
     /// Columns of a measurement over everything.

@@ -276,11 +276,14 @@ pub fn keyframe_replies() -> impl Strategy<Value = KeyframeReply> {
 pub fn map_changes() -> impl Strategy<Value = MapChange> {
     let stated =
         (0.0..1.0f64, 0.0..10.0f64).prop_map(|(sigma_theta, sigma_p)| StatedChange { sigma_theta, sigma_p });
-    (names(), any::<u64>(), vec(any::<u64>(), 0..5), vec(any::<u64>(), 0..5), option::of(stated)).prop_map(
-        |(map, version, changed, removed, stated_change)| MapChange {
+    let ids = || vec(any::<u64>(), 0..5);
+    (names(), any::<(u64, u64)>(), ids(), ids(), ids(), option::of(stated)).prop_map(
+        |(map, (from_version, version), changed, moved, removed, stated_change)| MapChange {
             map,
+            from_version,
             version,
             changed,
+            moved,
             removed,
             stated_change,
         },

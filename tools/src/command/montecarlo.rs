@@ -203,6 +203,7 @@ fn options(args: &Args) -> anyhow::Result<MonteCarloOptions> {
             live_feature_period_s: 1e9,
             ..SimulationOptions::default()
         },
+        map_change: None,
         map: MapOptions {
             sigma_theta: args.map_noise.0.to_radians(),
             sigma_p: args.map_noise.1,

@@ -12,11 +12,13 @@
 //! | `start` | the first state, and where L lies |
 //! | `noisy_map` | poses and pixels of the map's keyframes, once a seed |
 //! | `answers` | pixels of the image, wrong matches, wrong places |
+//! | `map_change` | how the map moves in the middle of a run |
 //! | [`calibration`] | the calibration that the filter is told |
 //! | `trial`, [`mod@score`] | one run, and what all of them say |
 
 mod answers;
 pub mod calibration;
+mod map_change;
 mod noisy_map;
 pub mod report;
 pub mod score;
@@ -27,6 +29,7 @@ mod trial;
 mod tests;
 
 pub use calibration::{CalibrationError, CalibrationErrors};
+pub use map_change::MapChangeOptions;
 pub use score::{EnsembleScore, OutputScore, score};
 pub use trial::{MapCounts, Trial};
 
@@ -55,6 +58,8 @@ pub struct MonteCarloOptions {
     pub map: MapOptions,
     /// When it is asked and how wrong its answers are.
     pub answers: AnswerOptions,
+    /// How it changes in the middle of the run; only what comes then is judged.
+    pub map_change: Option<MapChangeOptions>,
     /// How wrong the calibration is that the filter is told.
     pub calibration: CalibrationErrors,
 }

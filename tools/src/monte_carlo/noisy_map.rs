@@ -50,15 +50,15 @@ pub(crate) struct NoisyMap {
 }
 
 impl NoisyMap {
-    /// Maps a world along the map's way.
+    /// Maps a world along the map's way. Each version has noise of its own.
     pub(crate) fn new(
         options: &MapOptions,
         simulation: &SimulationOptions,
-        seed: u64,
+        version: u64,
         world: &SimulatedWorld,
     ) -> Self {
-        let mut rng = stream(seed, 0, Purpose::NoisyMap);
-        let mut shifts = stream(seed, 0, Purpose::MapShift);
+        let mut rng = stream(simulation.seed, version, Purpose::NoisyMap);
+        let mut shifts = stream(simulation.seed, version, Purpose::MapShift);
         let (eye, sigma_px) = (&world.cameras[0], simulation.sigma_feature_px);
         let mut map = Self {
             camera: eye.camera.clone(),

@@ -23,6 +23,7 @@ fn options(runs: usize, seconds: f64) -> MonteCarloOptions {
         },
         map: MapOptions::default(),
         answers: AnswerOptions::default(),
+        map_change: None,
         calibration: CalibrationErrors::default(),
     }
 }

@@ -1,8 +1,8 @@
 //! One run: a seed's world, played to each variant of the filter.
 
-use super::answers::{self, Answer};
+use super::answers::Answer;
 use super::calibration::Stated;
-use super::noisy_map::NoisyMap;
+use super::map_change::{MapChange, answers_and_change};
 use super::{CalibrationError, MonteCarloOptions, Variant, global_from_world, start};
 use crate::simulation::run::Kind;
 use crate::simulation::{SimulatedWorld, SimulationError, simulate_world};
@@ -62,6 +62,7 @@ struct Seed<'a> {
     live: Sequence,
     /// Answers to the frames of `live`.
     answers: Vec<Option<Answer>>,
+    change: Option<MapChange>,
     options: &'a MonteCarloOptions,
 }
 
@@ -75,13 +76,12 @@ pub(crate) fn run_seed(
     let world = simulate_world(&simulation)?;
     let live = world.record(&simulation, Kind::Live);
     let uses_map = variants.iter().any(|variant| variant.config.mode != MapMode::Odometry);
-    let answers = if uses_map {
-        let map = NoisyMap::new(&options.map, &simulation, seed, &world);
-        answers::to_frames(&options.answers, &simulation, seed, &world, &map, &live.frames)
+    let (answers, change) = if uses_map {
+        answers_and_change(options, &simulation, &world, &live.frames)
     } else {
-        live.frames.iter().map(|_| None).collect()
+        (live.frames.iter().map(|_| None).collect(), None)
     };
-    let one = Seed { number: seed, world, live, answers, options };
+    let one = Seed { number: seed, world, live, answers, change, options };
     Ok(variants.iter().map(|variant| one.run(variant)).collect())
 }
 
@@ -178,7 +178,11 @@ impl Seed<'_> {
             if let Some(reading) = readings.next() {
                 player.estimator.imu(*reading)?;
             }
-            player.frame(frame, stamp_ns, variant, answer.as_ref())?;
+            let change = self.change.as_ref().filter(|change| change.stamp_ns == frame.stamp_ns);
+            player.frame(frame, stamp_ns, variant, answer.as_ref(), change)?;
+            if self.change.as_ref().is_some_and(|change| frame.stamp_ns < change.stamp_ns) {
+                player.states.clear();
+            }
         }
         Ok(())
     }
@@ -204,11 +208,15 @@ impl<'a> Player<'a> {
         stamp_ns: i64,
         variant: &Variant,
         answer: Option<&'a Answer>,
+        change: Option<&MapChange>,
     ) -> Result<(), EstimatorError> {
         let clone = self.estimator.time_update(stamp_ns)?;
         let used = |track: &&TrackObservation| usize::from(track.camera) < variant.cameras;
         let tracks: Vec<TrackObservation> = frame.tracks.iter().filter(used).copied().collect();
         self.estimator.track_update(&tracks)?;
+        if let Some(change) = change {
+            self.estimator.map_changed(&change.news);
+        }
         if let Some((asked, answer)) = self.pending.take() {
             self.take(asked, answer)?;
         }

@@ -20,6 +20,7 @@ pub(crate) enum Purpose {
     Answers = 10,
     Calibration = 11,
     MapShift = 12,
+    MapChange = 13,
 }
 
 /// The stream for one purpose of one run.

@@ -41,9 +41,9 @@ const NEIGHBOURS: usize = 2;
 /// place carry a robot, and each of them returns.
 const PRICE_OF_KEYFRAME: f64 = 0.01;
 /// The same for all keyframes of the map together: they and the state are worth the same.
-const PRICE_OF_MAP: f64 = 1.0;
+pub const PRICE_OF_MAP: f64 = 1.0;
 /// A smaller share is rounding.
-const LEAST_SHARE: f64 = 1e-12;
+pub const LEAST_SHARE: f64 = 1e-12;
 /// By how much the diagonal of `P_AA` is lifted for its root: the newest clone is a copy of the body's pose.
 const LIFT: f64 = 1e-9;
 
@@ -81,6 +81,16 @@ impl Budget {
     /// How uncertain a keyframe enters, as a multiple of what the map states, beside [`Self::map_factor`].
     pub fn factor_of_entering(&self, id: KeyframeId) -> f64 {
         if self.correlated { self.largest } else { self.returning.get(&id).copied().unwrap_or(1.0) }
+    }
+
+    /// From here on the errors of keyframes are others, which may depend on those of dropped ones.
+    pub fn note_other_errors(&mut self) {
+        self.correlated |= self.largest > 1.0;
+    }
+
+    /// Takes the whole map for so many times as uncertain as before.
+    pub fn enlarge_map(&mut self, factor: f64) {
+        self.map_factor *= factor;
     }
 
     /// Bytes on the heap.
@@ -210,7 +220,8 @@ fn drop_dependent(
     growth
 }
 
-fn own_covariance(keyframe: &HeldKeyframe) -> Matrix6<f64> {
+/// What the map states, as uncertain as the keyframe is taken for, without the factor of the whole map.
+pub fn own_covariance(keyframe: &HeldKeyframe) -> Matrix6<f64> {
     keyframe.global_from_keyframe.covariance * keyframe.factor
 }
 
@@ -239,14 +250,20 @@ fn lower_root(matrix: &mut Dense) {
 
 /// `f P_AA⁻¹ fᵀ` for each column `f`.
 fn column_shares(columns: &DMatrix<f64>, active: &Dense) -> Vec<f64> {
-    let mut root = active.clone();
-    for k in 0..root.nrows() {
-        root[(k, k)] *= 1.0 + LIFT;
-    }
+    let mut root = lifted(active);
     let mut solved = Dense::from(columns.clone());
     if Factorization::default().cholesky(&mut root).is_err() {
         return vec![1.0; columns.ncols()];
     }
     solved.solve_lower(&root);
     (0..solved.ncols()).map(|k| solved.column(k).iter().map(|value| value * value).sum()).collect()
+}
+
+/// `P_AA` with a diagonal that is a little larger, so that it has a root.
+pub fn lifted(active: &Dense) -> Dense {
+    let mut lifted = active.clone();
+    for k in 0..lifted.nrows() {
+        lifted[(k, k)] *= 1.0 + LIFT;
+    }
+    lifted
 }

@@ -14,10 +14,12 @@
 //! *parked*: one matrix, touched by every step, collects what happened since the last of them was parked, and one that
 //! is matched again is brought up to date through a chain of such matrices (`parked`). The covariance `P_Aj` that an update
 //! needs is the sum of `M_k P_kj` over the held keyframes that the map correlates with `j`: its cost depends on how many
-//! these are, not on how many are held. More than a budget are not held: see `budget`.
+//! these are, not on how many are held. More than a budget are not held: see `budget`. Those that the map changed are
+//! given up: see `given_up`.
 
 mod budget;
 mod correlations;
+mod given_up;
 mod layer;
 mod moving;
 mod packed;
@@ -245,9 +247,14 @@ impl HeldKeyframes {
         budget::drop_surplus(self, max_held, active)
     }
 
-    /// Forgets all of them.
-    pub fn clear(&mut self) {
-        *self = Self::new(self.moving.nrows(), self.max_active);
+    /// Gives up keyframes, active or parked, because the map changed and their errors are others from now on; see
+    /// `given_up`. Slots change.
+    ///
+    /// # Arguments
+    /// * `ids`: those that are not held are passed over.
+    /// * `active`: `P_AA`, which grows.
+    pub fn give_up(&mut self, ids: &[KeyframeId], active: &mut Dense) {
+        given_up::give_up(self, ids, active);
     }
 
     /// Brings a few of the parked keyframes nearer to now; once an image.

@@ -1,0 +1,238 @@
+//! What changed from one version of a map to the next, in the terms of those who hold parts of it.
+//!
+//! Robots need two things of it. *Which* keyframes moved: their errors are others from now on, and what a state learned
+//! from the old ones must not be counted again. *How far* the map moved: a robot's pose in the map is off by that, until
+//! the new version corrects it. The size is the root mean square over the keyframes that both versions have, per axis, of
+//! the rotation from the old to the new pose and of the change of position. A move of the whole map counts at the places
+//! of the keyframes, where robots are, and not at the origin of its frame.
+
+use nalgebra::Matrix6;
+use protocol::{KeyframeId, MapChange, StatedChange};
+
+use crate::recognition::LoadedMap;
+
+/// A smaller change of a pose (m, rad) is rounding, as of a map that went through text files.
+const LEAST_MOVE: f64 = 1e-6;
+/// The same of a covariance, relative to its standard deviations.
+const LEAST_COVARIANCE_CHANGE: f64 = 1e-6;
+
+/// All that changed, with the size that can be told from the keyframes.
+pub(super) fn between(name: &str, old: &LoadedMap, new: &LoadedMap) -> MapChange {
+    let mut change = MapChange {
+        map: name.to_owned(),
+        from_version: old.info().version,
+        version: new.info().version,
+        changed: Vec::new(),
+        moved: Vec::new(),
+        removed: Vec::new(),
+        stated_change: stated_change(old, new),
+    };
+    let dependent = with_other_dependences(old, new);
+    for loaded in &old.keyframes {
+        let id = loaded.keyframe.id;
+        let Some((before, now)) = old.keyframe_reply(id).zip(new.keyframe_reply(id)) else {
+            change.removed.push(id);
+            continue;
+        };
+        let moved = moves(old, new, id) || dependent.binary_search(&id).is_ok();
+        if moved {
+            change.moved.push(id);
+        }
+        if moved || before.keyframe != now.keyframe || before.landmarks != now.landmarks {
+            change.changed.push(id);
+        }
+    }
+    change
+}
+
+/// How many keyframes are new.
+pub(super) fn added(old: &LoadedMap, new: &LoadedMap) -> usize {
+    new.keyframes.iter().filter(|loaded| old.position_of(loaded.keyframe.id).is_none()).count()
+}
+
+/// The size of a change, for a person.
+pub(super) fn in_words(change: Option<&StatedChange>) -> String {
+    match change {
+        Some(StatedChange { sigma_theta, sigma_p }) => {
+            format!("{:.3} deg, {sigma_p:.3} m an axis", sigma_theta.to_degrees())
+        }
+        None => "unknown: no keyframe is in both versions".to_owned(),
+    }
+}
+
+/// How far the keyframes of both versions moved; `None` where there are none.
+fn stated_change(old: &LoadedMap, new: &LoadedMap) -> Option<StatedChange> {
+    let (mut count, mut squared_angle, mut squared_distance) = (0_usize, 0.0, 0.0);
+    for loaded in &old.keyframes {
+        let before = &loaded.keyframe.global_from_keyframe.pose;
+        let Some(at) = new.position_of(loaded.keyframe.id) else { continue };
+        let now = &new.keyframes[at].keyframe.global_from_keyframe.pose;
+        count += 1;
+        squared_angle += before.rotation.angle_to(&now.rotation).powi(2);
+        squared_distance += (now.translation - before.translation).norm_squared();
+    }
+    let per_axis = |squared: f64| (squared / (3 * count) as f64).sqrt();
+    (count > 0)
+        .then(|| StatedChange { sigma_theta: per_axis(squared_angle), sigma_p: per_axis(squared_distance) })
+}
+
+/// Whether the pose of a keyframe or its covariance is another one.
+fn moves(old: &LoadedMap, new: &LoadedMap, id: KeyframeId) -> bool {
+    let [before, now] = [old, new].map(|map| {
+        let at = map.position_of(id)?;
+        Some(&map.keyframes[at].keyframe.global_from_keyframe)
+    });
+    let Some((before, now)) = before.zip(now) else { return true };
+    before.pose.local(&now.pose).amax() > LEAST_MOVE
+        || differ(
+            &before.covariance,
+            &now.covariance,
+            [&before.covariance, &before.covariance].map(Matrix6::diagonal),
+        )
+}
+
+/// Of the keyframes in both versions, those that depend on each other in another way than before. Sorted.
+fn with_other_dependences(old: &LoadedMap, new: &LoadedMap) -> Vec<KeyframeId> {
+    let mut others = Vec::new();
+    for (a, b) in old.correlated_pairs().chain(new.correlated_pairs()) {
+        if [a, b].iter().any(|id| new.position_of(*id).is_none()) {
+            continue;
+        }
+        let [Some(of_a), Some(of_b)] = [a, b].map(|id| old.position_of(id)) else { continue };
+        let variances =
+            [of_a, of_b].map(|at| old.keyframes[at].keyframe.global_from_keyframe.covariance.diagonal());
+        let [before, now] = [old, new].map(|map| map.cross_covariance(a, b).unwrap_or_default());
+        if differ(&before, &now, variances) {
+            others.extend([a, b]);
+        }
+    }
+    others.sort_unstable();
+    others.dedup();
+    others
+}
+
+/// Whether two covariances of the same errors are not the same.
+///
+/// # Arguments
+/// * `variances`: of the errors of the rows, and of the columns.
+fn differ(before: &Matrix6<f64>, now: &Matrix6<f64>, variances: [nalgebra::Vector6<f64>; 2]) -> bool {
+    let [rows, columns] = variances;
+    let scale = |row: usize, column: usize| (rows[row] * columns[column]).max(0.0).sqrt();
+    let is_other = |row, column| {
+        let change: f64 = now[(row, column)] - before[(row, column)];
+        change.abs() > LEAST_COVARIANCE_CHANGE * scale(row, column)
+    };
+    (0..6).any(|row| (0..6).any(|column| is_other(row, column)))
+}
+
+#[cfg(test)]
+mod tests {
+    use geometry::{Camera, Distortion, Pose, PoseWithCovariance, rotation};
+    use nalgebra::Vector3;
+    use protocol::DescriptorKind;
+
+    use super::*;
+    use crate::contents::MapContents;
+    use crate::model::{CrossCovariance, Keyframe, MapInfo};
+
+    fn camera() -> Camera {
+        Camera {
+            width: 640,
+            height: 480,
+            focal: [400.0; 2],
+            centre: [320.0, 240.0],
+            distortion: Distortion::None,
+        }
+    }
+
+    /// Keyframes on a way of 40 m, far from the origin; neighbours depend on each other.
+    fn contents(version: u64, keyframes: u64) -> MapContents {
+        let keyframe = |id: u64| {
+            let along = id as f64;
+            let turn = rotation::exp(&Vector3::new(0.1, 0.05 * along, -0.3));
+            let pose = Pose::new(turn, Vector3::new(100.0 + 2.0 * along, -50.0, 0.1 * along));
+            Keyframe {
+                id,
+                stamp_ns: 0,
+                global_from_keyframe: PoseWithCovariance::new(pose, Matrix6::identity() * 1e-2),
+                camera: camera(),
+                features: None,
+            }
+        };
+        let cross = |id: u64| CrossCovariance { a: id, b: id + 1, block: Matrix6::identity() * 3e-3 };
+        MapContents {
+            info: MapInfo { version, ..MapInfo::new("way", "test", DescriptorKind::Binary, 32) },
+            keyframes: (0..keyframes).map(keyframe).collect(),
+            landmarks: Vec::new(),
+            cross_covariances: (0..keyframes - 1).map(cross).collect(),
+        }
+    }
+
+    fn change(old: MapContents, new: MapContents) -> MapChange {
+        let [old, new] = [old, new].map(|contents| LoadedMap::from_contents(contents).unwrap());
+        between("way", &old, &new)
+    }
+
+    /// Rotation (rad) and distance (m) that three deviations, one an axis, come to together.
+    fn size(change: &MapChange) -> (f64, f64) {
+        let stated = change.stated_change.unwrap();
+        (stated.sigma_theta * 3_f64.sqrt(), stated.sigma_p * 3_f64.sqrt())
+    }
+
+    #[test]
+    fn a_move_of_the_whole_map_is_stated_with_its_size_at_the_keyframes() {
+        let old = contents(4, 20);
+        let middle = Vector3::new(119.0, -50.0, 0.95);
+        for (turn, shift) in [(0.0, 0.3), (0.02, 0.0), (0.02, 0.3)] {
+            let turn_by = rotation::exp(&(Vector3::new(1.0, -2.0, 2.0) / 3.0 * turn));
+            let shift_by = Vector3::new(2.0, 1.0, -2.0) / 3.0 * shift;
+            let mut new = contents(5, 20);
+            for keyframe in &mut new.keyframes {
+                let pose = &mut keyframe.global_from_keyframe.pose;
+                let place = middle + turn_by * (pose.translation - middle) + shift_by;
+                *pose = Pose::new(turn_by * pose.rotation, place);
+            }
+            let change = change(old.clone(), new);
+            let (angle, distance) = size(&change);
+            assert!((angle - turn).abs() < 1e-9, "{angle} rad of {turn}");
+            // About the middle of the keyframes: a turn moves them beside the shift, by up to 20 m times its angle.
+            assert!(distance >= shift - 1e-9, "{distance} m of {shift}");
+            assert!(distance <= shift + turn * 20.0, "{distance} m of {shift}: the origin's lever is in it");
+            assert_eq!((change.from_version, change.version), (4, 5));
+            assert_eq!(change.moved, (0..20).collect::<Vec<_>>());
+        }
+    }
+
+    #[test]
+    fn adding_and_removing_keyframes_moves_none() {
+        let added = change(contents(1, 10), contents(2, 14));
+        assert!(size(&added).0 < 1e-12 && size(&added).1 == 0.0);
+        assert!(added.changed.is_empty() && added.moved.is_empty() && added.removed.is_empty());
+        let removed = change(contents(2, 14), contents(3, 10));
+        assert!(size(&removed).0 < 1e-12 && size(&removed).1 == 0.0);
+        assert_eq!((removed.moved.len(), removed.removed), (0, (10..14).collect::<Vec<_>>()));
+    }
+
+    #[test]
+    fn a_keyframe_with_another_error_has_moved_and_one_that_was_only_rounded_has_not() {
+        let mut new = contents(2, 10);
+        new.keyframes[1].global_from_keyframe.pose.translation.x += 1e-9;
+        new.keyframes[2].camera.focal[0] += 1.0;
+        new.keyframes[4].global_from_keyframe.covariance *= 1.5;
+        new.cross_covariances[7].block *= 0.5;
+        let change = change(contents(1, 10), new);
+        assert_eq!(change.moved, [4, 7, 8]);
+        assert_eq!(change.changed, [1, 2, 4, 7, 8]);
+    }
+
+    #[test]
+    fn without_a_common_keyframe_nothing_is_stated() {
+        let mut new = contents(2, 3);
+        for keyframe in &mut new.keyframes {
+            keyframe.id += 100;
+        }
+        new.cross_covariances.clear();
+        let change = change(contents(1, 3), new);
+        assert_eq!((change.stated_change, change.removed), (None, vec![0, 1, 2]));
+    }
+}

@@ -1,0 +1,187 @@
+//! A map is served anew while robots use it: what they believe of their pose in it, over Monte-Carlo runs and over a network.
+#![allow(clippy::unwrap_used)]
+
+use geometry::{Pose, rotation};
+use map_server::LoadedMap;
+use map_server::contents::MapContents;
+use nalgebra::Vector3;
+use onboard::estimator::EstimatorConfig;
+use onboard::evaluation::Verdict;
+use onboard::robot::run_robot;
+use protocol::{RobotState, keys};
+use std::sync::Arc;
+use std::time::Duration;
+use tests::place::Place;
+use tests::robot::{arguments, assert_every_frame_has_a_state};
+use tests::server::{Client, Server};
+use tools::monte_carlo::score::{OutputScore, ScoreOptions, score};
+use tools::monte_carlo::{
+    AnswerOptions, CalibrationErrors, MapChangeOptions, MapOptions, MonteCarloOptions, Variant, run,
+};
+use tools::simulation::{Course, SimulationOptions};
+
+/// Runs of 20 s of which the last 8 are judged: the map changed just before, by 0.3 m and 1.7 degrees an axis.
+fn pose_after_a_change(new_errors: bool, is_stated: bool) -> (OutputScore, usize) {
+    let change = MapChangeOptions { at_s: 12.0, sigma_theta: 0.03, sigma_p: 0.3, new_errors, is_stated };
+    let options = MonteCarloOptions {
+        runs: 30,
+        first_seed: 1,
+        threads: std::thread::available_parallelism().map_or(2, usize::from),
+        simulation: SimulationOptions {
+            course: Course::Loops,
+            speed: 3.0,
+            duration_s: Some(20.0),
+            live_feature_period_s: 1e9,
+            ..SimulationOptions::default()
+        },
+        map: MapOptions::default(),
+        answers: AnswerOptions { every_s: 2.0, ..AnswerOptions::default() },
+        map_change: Some(change),
+        calibration: CalibrationErrors::default(),
+    };
+    let variant = Variant { name: "default".to_owned(), config: EstimatorConfig::default(), cameras: 2 };
+    let all = run(&options, &[variant], |_| {}).unwrap().remove(0);
+    let score = score(&all, &ScoreOptions { skip_after_first_fix_s: 0.0, ..ScoreOptions::default() });
+    assert_eq!((score.runs, score.diverged, score.not_localized), (30, 0, 0));
+    let pose = score.pose.unwrap();
+    for (part, nees) in [("rotation", &pose.rotation), ("position", &pose.position), ("pose", &pose.pose)] {
+        println!(
+            "new errors {new_errors}, stated {is_stated}, {part}: {:.2}, {:.2?}",
+            nees.mean, nees.interval
+        );
+    }
+    println!("{:.3} m, {:.3} deg, {:?}", pose.rmse_m, pose.rmse_deg, score.map);
+    (pose, score.map.jumps)
+}
+
+#[test]
+fn nees_in_g_is_as_stated_behind_a_change_that_is_stated_and_above_it_without() {
+    for new_errors in [true, false] {
+        let (pose, jumps) = pose_after_a_change(new_errors, true);
+        for nees in [&pose.rotation, &pose.position, &pose.pose] {
+            assert!(matches!(nees.verdict, Verdict::Inside | Verdict::Near), "{nees:?}");
+        }
+        assert_eq!(jumps, 0);
+        // The law has power: without the noise the same runs are overconfident.
+        let (pose, _) = pose_after_a_change(new_errors, false);
+        assert_eq!(pose.pose.verdict, Verdict::Overconfident, "{:?}", pose.pose);
+    }
+}
+
+/// The next version of a map, moved as a whole.
+fn moved(mut map: MapContents, new_from_old: &Pose) -> MapContents {
+    map.info.version += 1;
+    for keyframe in &mut map.keyframes {
+        let pose = &mut keyframe.global_from_keyframe.pose;
+        *pose = *new_from_old * *pose;
+    }
+    map
+}
+
+/// The next version of a map, with other names for all of it: nobody can say how far it moved.
+fn renamed(mut map: MapContents) -> MapContents {
+    const BY: u64 = 10_000;
+    map.info.version += 1;
+    map.keyframes.iter_mut().for_each(|keyframe| keyframe.id += BY);
+    for landmark in &mut map.landmarks {
+        landmark.anchor += BY;
+        landmark.observations.iter_mut().for_each(|seen| seen.keyframe += BY);
+    }
+    for cross in &mut map.cross_covariances {
+        (cross.a, cross.b) = (cross.a + BY, cross.b + BY);
+    }
+    map
+}
+
+/// Frames before which the map's news are nonsense, it moves, and it becomes another map.
+const NONSENSE: usize = 60;
+const MOVES: usize = 120;
+const IS_ANOTHER: usize = 180;
+
+#[test]
+fn a_robot_follows_a_map_that_is_served_anew_and_is_never_lost() {
+    let place = Place::shared();
+    let live = &place.recordings.live;
+    let folder = tempfile::tempdir().unwrap();
+    let server = Server::start("ring", place.loaded());
+    let client = Client::connect(server.endpoint());
+    let key = keys::map_changes("ring").unwrap();
+    let news = client.runtime.block_on(async { client.session.declare_subscriber(&key).await }).unwrap();
+    // Upright, so that the map still knows gravity.
+    let moves = [
+        Pose::new(rotation::exp(&Vector3::new(0.0, 0.0, 0.02)), Vector3::new(0.2, -0.3, 0.1)),
+        Pose::new(rotation::exp(&Vector3::new(0.0, 0.0, -1.0)), Vector3::new(40.0, 5.0, -7.0)),
+    ];
+    let second = moved(place.map.clone(), &moves[0]);
+    let third = renamed(moved(second.clone(), &moves[1]));
+    let load = |map: &MapContents| Arc::new(LoadedMap::from_contents(map.clone()).unwrap());
+    // The robot hears of it with the same message; a moment later than this one, perhaps.
+    let heard = || {
+        client.runtime.block_on(async { news.recv_async().await }).unwrap();
+        std::thread::sleep(Duration::from_millis(50));
+    };
+
+    let switches = arguments(folder.path(), "--robot ada");
+    let outcome = run_robot(live, &switches, Some(client.link("ring")), |frame| match frame {
+        NONSENSE => {
+            client.runtime.block_on(async { client.session.put(&key, "nonsense").await }).unwrap();
+            heard();
+        }
+        MOVES => {
+            server.replace("ring", load(&second));
+            heard();
+        }
+        IS_ANOTHER => {
+            server.replace("ring", load(&third));
+            heard();
+        }
+        _ => {}
+    })
+    .unwrap();
+
+    assert_every_frame_has_a_state(&outcome, live);
+    let changes = outcome.summary.map_changes;
+    assert_eq!((changes.carried_over, changes.found_anew), (1, 1));
+    let states = outcome.states().unwrap();
+    let fix = states.iter().position(|state| state.global_from_imu.is_some()).unwrap();
+    assert!(states[fix..].iter().all(|state| state.global_from_imu.is_some()), "the robot was lost");
+    assert_eq!(outcome.summary.final_status.as_ref().unwrap().localization, RobotState::Localized);
+
+    let events = outcome.events().unwrap();
+    let stamp = |frame: usize| live.frames[frame].stamp_ns;
+    let accepted = |from: usize, to: usize| {
+        let stamps = stamp(from)..stamp(to);
+        let of = events.iter().filter(|event| event.accepted && stamps.contains(&event.stamp_ns));
+        of.count()
+    };
+    let last = live.frames.len() - 1;
+    assert!(accepted(0, MOVES) > 5 && accepted(MOVES, IS_ANOTHER) > 5 && accepted(IS_ANOTHER, last) > 5);
+
+    // Before each change, and at the end: the pose is that in the frame of the version of the time.
+    let truth = live.groundtruth.as_ref().unwrap();
+    let in_version = [Pose::identity(), moves[0], moves[1] * moves[0]];
+    for (frame, new_from_old) in
+        [(MOVES - 1, in_version[0]), (IS_ANOTHER - 1, in_version[1]), (last, in_version[2])]
+    {
+        let state = states.iter().find(|state| state.stamp_ns == stamp(frame)).unwrap();
+        let row = truth.iter().min_by_key(|row| (row.stamp_ns - state.stamp_ns).abs()).unwrap();
+        let pose = state.global_from_imu.as_ref().unwrap();
+        let error = pose.pose.local(&(new_from_old * row.pose));
+        let (turn, shift) = (error.fixed_rows::<3>(0).norm(), error.fixed_rows::<3>(3).norm());
+        println!(
+            "frame {frame}: {turn:.4} rad, {shift:.3} m, NEES {:?}",
+            pose.nees(&(new_from_old * row.pose))
+        );
+        assert!(turn < 0.02 && shift < 0.15, "frame {frame}: {turn} rad, {shift} m");
+    }
+    // The move did not make it jump: what it believed of its pose when the news came allowed for it.
+    let index = states.iter().position(|state| state.stamp_ns == stamp(MOVES)).unwrap();
+    for pair in states[index..index + 40].windows(2) {
+        let [before, now] = [&pair[0], &pair[1]].map(|state| state.global_from_imu.as_ref().unwrap());
+        let way = pair[0].local_from_imu.pose.inverse() * pair[1].local_from_imu.pose;
+        let squared = before.nees(&(now.pose * way.inverse())).unwrap();
+        assert!(squared < 20.06, "a jump of {squared:.1} over 6 at {}", pair[1].stamp_ns);
+    }
+    client.close();
+    server.stop();
+}
