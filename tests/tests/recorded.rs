@@ -17,8 +17,8 @@ use tools::map_building::{BuildOptions, StoredPoses, build_map};
 use tools::map_files::read_map;
 
 /// Noise of real sensors and of learned features, see the README.
-const REAL: &str = "--imu-noise-scale 3 --gyroscope-bias-sigma 0.1 --accelerometer-bias-sigma 0.2 \
-                    --match-sigma 3 --map-sigma 3";
+const REAL: &str = "--imu-noise-scale 5 --track-sigma 1.5 --gyroscope-bias-sigma 0.1 \
+                    --accelerometer-bias-sigma 0.2 --match-sigma 3 --map-sigma 3";
 
 fn recording(name: &str) -> Option<PathBuf> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../target/data").join(name);
@@ -65,7 +65,7 @@ fn pose_within(outcome: &Outcome, metres: f64, degrees: f64) -> Score {
 
 fn assert_honest(score: &Score) {
     let nees = score.nees_pose.unwrap();
-    assert!((0.5..=2.0).contains(&nees), "NEES {nees}");
+    assert!((0.5..=1.5).contains(&nees), "NEES {nees}");
 }
 
 #[test]
@@ -97,12 +97,18 @@ fn the_papers_place_with_its_real_matches() {
 
 #[test]
 fn real_imu_and_real_matches() {
-    for (place, metres, degrees) in [("mh05_on_mh01", 0.12, 0.8), ("v202_on_v201", 0.05, 0.9)] {
+    // The truth of v202 turns by half a degree against its own images: no filter can be honest about it.
+    for (place, metres, degrees, is_sound) in
+        [("mh05_on_mh01", 0.08, 0.5, true), ("v202_on_v201", 0.03, 0.5, false)]
+    {
         let folder = format!("euroc_real/{place}");
         let Some(folder) = recording(&folder) else { return };
         let map = imported(&folder.join("map"));
         let switches = format!("--init truth --mode single {REAL}");
-        pose_within(&localize(&folder.join("live"), &map, &switches), metres, degrees);
+        let score = pose_within(&localize(&folder.join("live"), &map, &switches), metres, degrees);
+        if is_sound {
+            assert_honest(&score);
+        }
     }
 }
 
