@@ -260,19 +260,46 @@ impl JointCovariance {
         rows: &Rows,
         correction: &mut DVector<f64>,
     ) -> Result<(), NotPositiveDefinite> {
+        self.correction_by_rows(rows, correction)?;
+        let Workspace { whitened, innovation, .. } = &self.workspace;
+        self.active.subtract_gram(whitened);
+        self.active.mirror_lower();
+        if !self.held.is_empty() {
+            self.held.measurement_update(rows, whitened, innovation);
+        }
+        Ok(())
+    }
+
+    /// The correction that [`JointCovariance::measurement_update`] would make, and nothing else.
+    ///
+    /// # Errors
+    /// [`NotPositiveDefinite`] where the covariance of the columns is broken.
+    pub fn correction(
+        &mut self,
+        information: &Information,
+        correction: &mut DVector<f64>,
+    ) -> Result<(), NotPositiveDefinite> {
+        let mut rows = std::mem::take(&mut self.workspace.compressed);
+        let outcome = information
+            .compress(&mut rows, &mut self.workspace.factorization)
+            .and_then(|_| self.correction_by_rows(&rows, correction));
+        self.workspace.compressed = rows;
+        outcome
+    }
+
+    fn correction_by_rows(
+        &mut self,
+        rows: &Rows,
+        correction: &mut DVector<f64>,
+    ) -> Result<(), NotPositiveDefinite> {
         self.whiten(rows)?;
-        let Workspace { whitened, innovation, residual, .. } = &self.workspace;
+        let Workspace { whitened, residual, .. } = &self.workspace;
         let n = self.active.nrows();
         if correction.len() != n {
             *correction = DVector::zeros(n);
         }
         for (k, value) in correction.iter_mut().enumerate() {
             *value = whitened.column(k).iter().zip(residual.column(0)).map(|(a, b)| a * b).sum();
-        }
-        self.active.subtract_gram(whitened);
-        self.active.mirror_lower();
-        if !self.held.is_empty() {
-            self.held.measurement_update(rows, whitened, innovation);
         }
         Ok(())
     }

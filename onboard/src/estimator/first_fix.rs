@@ -1,4 +1,4 @@
-//! What the landmarks' places in the map say about the first fix.
+//! The first fix: `global_from_local` enters, and what the places of the map's landmarks say about it.
 //!
 //! The rows of `map_rows` use a landmark's pixels only, so one keyframe says nothing about the distance to the camera. The
 //! pose that the matches were verified with knows it from where the map says the landmarks are. A first fix has nothing
@@ -10,14 +10,87 @@
 //! are off together where its pose did not fit the ones that they were triangulated with, which shows in no residual.
 //! [`solved_covariance`] states both.
 
+use super::Estimator;
+use super::dense::Dense;
+use super::information::{Columns, Information};
+use super::map_answer::MapAnswer;
 use super::map_rows::Linearization;
-use super::state::{POSE_DIM, turned};
+use super::state::{Block, POSE_DIM, turned};
+use super::verification::Verified;
 use geometry::{Pose, PoseWithCovariance, rotation};
 use nalgebra::{DMatrix, DVector, Matrix6};
+use protocol::KeyframeId;
 
 /// How many times as uncertain as its pixels make it a solved pose is taken to be: the pixels are used by the landmarks'
 /// rows too, and what is counted twice of them is less than a ninth then.
 const PIXELS_USED_TWICE: f64 = 3.0;
+
+impl Estimator {
+    /// `global_from_local` enters at the PnP solution, with a prior so wide that the update decides all
+    /// that it can see.
+    pub(super) fn insert_transform(&mut self, transform: Pose, depth: f64) {
+        let rotation = self.config.transform_sigma_rotation.powi(2);
+        let position = (self.config.transform_sigma_depth_fraction * depth)
+            .max(self.config.transform_sigma_position)
+            .powi(2);
+        let sigmas = DVector::from_fn(POSE_DIM, |k, _| if k < 3 { rotation } else { position });
+        let independent = Dense::zeros(POSE_DIM, 0);
+        let noise = std::iter::once(DMatrix::from_diagonal(&sigmas));
+        self.covariance.insert(self.state.transform_begin(), &Columns::default(), &independent, noise);
+        self.state.transform = Some(transform);
+    }
+
+    /// Forgets `global_from_local`; what the filter knows of L stays.
+    pub(super) fn remove_transform(&mut self) {
+        if let Some(range) = self.state.range(Block::Transform) {
+            self.covariance.gather(&[0..range.start, range.end..self.state.dim()]);
+            self.state.transform = None;
+        }
+    }
+
+    /// What the landmarks' places say about a first fix.
+    pub(super) fn add_solved_pose(
+        &self,
+        information: &mut Information,
+        answer: &MapAnswer,
+        verified: &Verified,
+        keyframes: &[KeyframeId],
+        point: &Linearization,
+    ) {
+        let Some(global_from_keyframe) = self.pose_of(verified.best, answer) else { return };
+        let columns = &information.columns;
+        let place = keyframes.iter().position(|&id| id == verified.best);
+        let sigma_px = self.config.sigma_match_px.max(verified.mean_error_px);
+        let depth = median_depth(answer, verified);
+        let solved = PoseWithCovariance {
+            covariance: solved_covariance(
+                &verified.best_from_camera.covariance,
+                sigma_px,
+                self.config.sigma_map_shift * depth,
+            ),
+            ..verified.best_from_camera
+        };
+        let rows = solved_pose_rows(
+            columns.len(),
+            place.map(|place| columns.active_len() + POSE_DIM * place),
+            &global_from_keyframe,
+            &solved,
+            &self.first_camera().imu_from_camera,
+            point,
+        );
+        if let Some((jacobian, residual)) = rows {
+            information.add(&jacobian, &residual);
+        }
+    }
+}
+
+/// Median depth of the verified landmarks in their anchors, metres.
+pub(super) fn median_depth(answer: &MapAnswer, verified: &Verified) -> f64 {
+    let mut depths: Vec<f64> =
+        verified.inliers.iter().map(|&k| answer.landmarks[k].position_in_anchor.norm()).collect();
+    depths.sort_by(f64::total_cmp);
+    depths.get(depths.len() / 2).copied().unwrap_or(0.0)
+}
 
 /// Covariance of a camera pose in a keyframe that was solved from matches, in the keyframe's frame.
 ///
@@ -25,7 +98,7 @@ const PIXELS_USED_TWICE: f64 = 3.0;
 /// * `of_pixels`: its covariance where the landmarks are exact and pixels have one px of noise.
 /// * `sigma_px`: noise of the pixels, px.
 /// * `shift`: how far the landmarks are off together in each direction, metres.
-pub fn solved_covariance(of_pixels: &Matrix6<f64>, sigma_px: f64, shift: f64) -> Matrix6<f64> {
+fn solved_covariance(of_pixels: &Matrix6<f64>, sigma_px: f64, shift: f64) -> Matrix6<f64> {
     let mut covariance = of_pixels * (PIXELS_USED_TWICE * sigma_px).powi(2);
     for k in 3..POSE_DIM {
         covariance[(k, k)] += shift.powi(2);
@@ -44,7 +117,7 @@ pub fn solved_covariance(of_pixels: &Matrix6<f64>, sigma_px: f64, shift: f64) ->
 ///
 /// # Returns
 /// `None` where the covariance is not positive definite.
-pub fn solved_pose_rows(
+fn solved_pose_rows(
     columns: usize,
     keyframe: Option<usize>,
     global_from_keyframe: &Pose,

@@ -1,17 +1,16 @@
 //! Takes an answer of the map into the filter: verify, initialize, linearize, gate, update.
 
 use super::config::{MapMode, Relinearization};
-use super::dense::Dense;
-use super::first_fix::{solved_covariance, solved_pose_rows};
+use super::first_fix::median_depth;
 use super::information::{Columns, Information};
 use super::map_answer::{MapAnswer, MatchedLandmark};
 use super::map_report::{MapReport, Rejection};
 use super::map_rows::{Linearization, MapPoint, RowSettings, landmark_rows};
-use super::state::{Block, CloneId, POSE_DIM};
+use super::state::{Block, CloneId};
 use super::verification::{VerificationSettings, Verified, verify};
 use super::{Estimator, EstimatorError, propagation::IMU_DIM};
 use geometry::{Pose, PoseWithCovariance};
-use nalgebra::{DMatrix, DVector, Vector3};
+use nalgebra::Vector3;
 use protocol::KeyframeId;
 
 /// An update that is ready to be made.
@@ -209,15 +208,14 @@ impl Estimator {
 
     /// Where one Gauss-Newton step leads the clone and the transform, without changing the filter.
     fn next_point(
-        &self,
+        &mut self,
         clone: CloneId,
         information: &Information,
         point: &Linearization,
     ) -> Result<MapPoint, EstimatorError> {
-        let mut correction = DVector::zeros(0);
-        self.covariance.clone().measurement_update(information, &mut correction)?;
+        self.covariance.correction(information, &mut self.correction)?;
         let mut moved = self.state.clone();
-        moved.retract(&correction);
+        moved.retract(&self.correction);
         let local_from_imu =
             moved.place_of(clone).map_or(point.at.local_from_imu, |place| moved.clones[place].local_from_imu);
         Ok(MapPoint {
@@ -293,43 +291,8 @@ impl Estimator {
         prepared
     }
 
-    /// What the landmarks' places say about a first fix.
-    fn add_solved_pose(
-        &self,
-        information: &mut Information,
-        answer: &MapAnswer,
-        verified: &Verified,
-        keyframes: &[KeyframeId],
-        point: &Linearization,
-    ) {
-        let Some(global_from_keyframe) = self.pose_of(verified.best, answer) else { return };
-        let columns = &information.columns;
-        let place = keyframes.iter().position(|&id| id == verified.best);
-        let sigma_px = self.config.sigma_match_px.max(verified.mean_error_px);
-        let depth = median_depth(answer, verified);
-        let solved = PoseWithCovariance {
-            covariance: solved_covariance(
-                &verified.best_from_camera.covariance,
-                sigma_px,
-                self.config.sigma_map_shift * depth,
-            ),
-            ..verified.best_from_camera
-        };
-        let rows = solved_pose_rows(
-            columns.len(),
-            place.map(|place| columns.active_len() + POSE_DIM * place),
-            &global_from_keyframe,
-            &solved,
-            &self.first_camera().imu_from_camera,
-            point,
-        );
-        if let Some((jacobian, residual)) = rows {
-            information.add(&jacobian, &residual);
-        }
-    }
-
     /// The pose that rows are linearized at: the one that the filter entered the keyframe with.
-    fn pose_of(&self, id: KeyframeId, answer: &MapAnswer) -> Option<Pose> {
+    pub(super) fn pose_of(&self, id: KeyframeId, answer: &MapAnswer) -> Option<Pose> {
         let held = self.covariance.held.slot_of(id).map(|slot| self.covariance.held.get(slot));
         held.map(|keyframe| keyframe.global_from_keyframe.pose)
             .or_else(|| answer.keyframe(id).map(|keyframe| keyframe.global_from_keyframe.pose))
@@ -353,34 +316,4 @@ impl Estimator {
         let local_from_camera = local_from_imu.rotation * self.first_camera().imu_from_camera.rotation;
         local_from_camera.inverse() * -Vector3::z()
     }
-
-    /// `global_from_local` enters at the PnP solution, with a prior so wide that the update decides all
-    /// that it can see.
-    fn insert_transform(&mut self, transform: Pose, depth: f64) {
-        let rotation = self.config.transform_sigma_rotation.powi(2);
-        let position = (self.config.transform_sigma_depth_fraction * depth)
-            .max(self.config.transform_sigma_position)
-            .powi(2);
-        let sigmas = DVector::from_fn(POSE_DIM, |k, _| if k < 3 { rotation } else { position });
-        let independent = Dense::zeros(POSE_DIM, 0);
-        let noise = std::iter::once(DMatrix::from_diagonal(&sigmas));
-        self.covariance.insert(self.state.transform_begin(), &Columns::default(), &independent, noise);
-        self.state.transform = Some(transform);
-    }
-
-    /// Forgets `global_from_local`; what the filter knows of L stays.
-    pub(super) fn remove_transform(&mut self) {
-        if let Some(range) = self.state.range(Block::Transform) {
-            self.covariance.gather(&[0..range.start, range.end..self.state.dim()]);
-            self.state.transform = None;
-        }
-    }
-}
-
-/// Median depth of the verified landmarks in their anchors, metres.
-fn median_depth(answer: &MapAnswer, verified: &Verified) -> f64 {
-    let mut depths: Vec<f64> =
-        verified.inliers.iter().map(|&k| answer.landmarks[k].position_in_anchor.norm()).collect();
-    depths.sort_by(f64::total_cmp);
-    depths.get(depths.len() / 2).copied().unwrap_or(0.0)
 }
