@@ -64,7 +64,7 @@ fn take(held: &mut HeldKeyframes, ids: &[KeyframeId]) -> (Vec<HeldKeyframe>, DMa
     for slot in
         (0..held.active.len()).rev().filter(|&slot| ids.contains(&held.active[slot].id)).collect::<Vec<_>>()
     {
-        columns.extend_from_slice(held.moving.loadings(slot));
+        columns.extend(held.moving.loadings(slot));
         held.moving.remove(slot);
         taken.push(held.active.remove(slot));
     }

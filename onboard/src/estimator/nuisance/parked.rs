@@ -213,7 +213,7 @@ impl Parked {
     fn search_running_waist(&mut self, moving: &mut Moving) {
         let running = moving.running();
         if let Some((onward, waist)) = waist(&running, widest(&running)) {
-            moving.replace_running(onward);
+            moving.replace_running(&onward);
             self.narrow(self.layers.len() - 1, waist);
         }
     }
