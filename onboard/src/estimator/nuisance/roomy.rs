@@ -184,7 +184,7 @@ mod tests {
         let before = wave(30, 4);
         // Kept, repeated, left out, exchanged, outgrown, all gone.
         let sources: [&[Range<usize>]; 6] = [
-            &[0..30],
+            &[0..10, 10..30],
             &[0..30, 0..6],
             &[0..5, 11..20, 20..30],
             &[20..30, 0..20, 3..4],
