@@ -71,7 +71,8 @@ pub use validate::{InvalidField, Validate};
 
 /// Version of everything in this crate that is seen from outside. Grows with every incompatible change.
 ///
-/// 2: features and maps say their extractor, `MatchOutcome::Ambiguous`, signed-byte descriptors.
+/// 2: features and maps say their extractor, `MatchOutcome::Ambiguous`, signed-byte descriptors, changes say from which
+/// version, the names of held keyframes as a sorted list of gaps.
 pub const SCHEMA_VERSION: u16 = 2;
 
 /// Longest payload that is encoded or decoded, envelope included.

@@ -50,8 +50,9 @@ pub struct MatchRequest {
     /// Unit vector along which things fall, in the camera frame, if known.
     #[serde(default)]
     pub gravity_in_camera: Option<[f64; 3]>,
-    /// Keyframes that the robot holds of this map: cross-covariances towards them are wanted.
-    #[serde(default)]
+    /// Keyframes that the robot holds of this map, in any order: cross-covariances towards them are wanted. From bincode
+    /// they come sorted, none twice.
+    #[serde(default, with = "wire::keyframe_set")]
     pub held: Vec<KeyframeId>,
     /// Version of the map when the held keyframes were fetched.
     #[serde(default)]

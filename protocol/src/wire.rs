@@ -160,3 +160,42 @@ pub(crate) mod camera {
         CameraForm::deserialize(deserializer).map(Into::into)
     }
 }
+
+/// `#[serde(with = "wire::keyframe_set")]`: names whose order does not matter.
+///
+/// JSON has a plain list. Bincode has the sorted names as what lies between each and the one before: `[7, 8, 12]` is
+/// written `[7, 0, 3]`. Names of one map are close to each other, and bincode writes a number below 251 in one byte.
+/// There is only one such list for a set: a repeated name is written once, and none can be read.
+pub(crate) mod keyframe_set {
+    use crate::KeyframeId;
+    use serde::de::Error;
+    use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+    pub(crate) fn serialize<S: Serializer>(ids: &[KeyframeId], serializer: S) -> Result<S::Ok, S::Error> {
+        if serializer.is_human_readable() {
+            return ids.serialize(serializer);
+        }
+        let mut numbers = ids.to_vec();
+        numbers.sort_unstable();
+        numbers.dedup();
+        for k in (1..numbers.len()).rev() {
+            numbers[k] -= numbers[k - 1] + 1;
+        }
+        numbers.serialize(serializer)
+    }
+
+    /// Ascending from bincode, as they stand in JSON.
+    pub(crate) fn deserialize<'de, D: Deserializer<'de>>(
+        deserializer: D,
+    ) -> Result<Vec<KeyframeId>, D::Error> {
+        let sorted_gaps = !deserializer.is_human_readable();
+        let mut numbers = Vec::<KeyframeId>::deserialize(deserializer)?;
+        if sorted_gaps {
+            for k in 1..numbers.len() {
+                let next = numbers[k - 1].checked_add(1).and_then(|least| least.checked_add(numbers[k]));
+                numbers[k] = next.ok_or_else(|| D::Error::custom("a keyframe's name exceeds 64 bits"))?;
+            }
+        }
+        Ok(numbers)
+    }
+}

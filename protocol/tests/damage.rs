@@ -23,20 +23,6 @@ fn small_request() -> MatchRequest {
     }
 }
 
-/// Makes length and checksum right again: what a hostile sender, rather than a bad line, would send.
-fn resealed(payload: &[u8], tag: u16) -> Vec<u8> {
-    let mut bytes = b"DRFT".to_vec();
-    bytes.extend(SCHEMA_VERSION.to_le_bytes());
-    bytes.extend(tag.to_le_bytes());
-    bytes.extend((payload.len() as u32).to_le_bytes());
-    let mut hasher = crc32fast::Hasher::new();
-    hasher.update(&bytes[4..12]);
-    hasher.update(payload);
-    bytes.extend(hasher.finalize().to_le_bytes());
-    bytes.extend(payload);
-    bytes
-}
-
 fn refusal<M: Message + std::fmt::Debug>(format: Format, bytes: &[u8]) -> CodecError {
     decode::<M>(format, bytes).unwrap_err()
 }

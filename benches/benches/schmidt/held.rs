@@ -7,10 +7,11 @@ use geometry::{Camera, Distortion, Pose, PoseWithCovariance, rotation};
 use nalgebra::{Matrix3, Matrix6, Rotation3, UnitQuaternion, Vector3};
 use onboard::estimator::propagation::ImuState;
 use onboard::estimator::{
-    CloneId, Estimator, EstimatorConfig, ImuSample, InitialSigmas, InitialState, MapAnswer, MapKeyframe,
-    MatchedLandmark, RigCamera, TrackObservation,
+    ChangeSize, CloneId, Estimator, EstimatorConfig, ImuSample, InitialSigmas, InitialState, MapAnswer,
+    MapKeyframe, MapRevision, MatchedLandmark, RevisionEffect, RigCamera, TrackObservation,
 };
 use rand::{RngExt, SeedableRng, rngs::StdRng};
+use std::time::{Duration, Instant};
 
 /// Time between two images and between two readings, nanoseconds.
 const FRAME_NS: i64 = 100_000_000;
@@ -134,6 +135,22 @@ impl Holder {
             }
         }
         self.take(&matched);
+    }
+
+    /// Time that a copy takes to hear that all its keyframes were changed.
+    pub fn give_up_all(&self) -> Duration {
+        let mut estimator = self.estimator.clone();
+        let changed = MapRevision {
+            from_version: 1,
+            version: 2,
+            other_errors: estimator.held_keyframes(),
+            size: Some(ChangeSize { sigma_rotation: 1e-3, sigma_position: 1e-2 }),
+        };
+        let begin = Instant::now();
+        let effect = estimator.map_changed(&changed);
+        let duration = begin.elapsed();
+        assert_eq!((effect, estimator.held_keyframes().len()), (RevisionEffect::CarriedOver, 0));
+        duration
     }
 
     fn camera(&self) -> Pose {

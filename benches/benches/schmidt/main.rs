@@ -4,6 +4,7 @@
 //! |---|---|
 //! | `map update/N` | an answer with 3 of the N keyframes that the estimator holds: verification, rows, gates, update |
 //! | `frame between/N` | a step of the odometry beside N held keyframes: propagation, 100 tracks, 30 landmarks in the state |
+//! | `give up/N` | news that all N keyframes are others: their share of the state's covariance, while the estimator waits |
 //! | `dense/N` | the same update in a filter that keeps everything in one matrix; no verification, no rows |
 //!
 //! Those 3 are drawn at random from all N: beside 10,000 nearly every one was parked, and has to be brought up to date
@@ -32,6 +33,9 @@ fn schmidt(criterion: &mut Criterion) {
         });
         group.bench_function(BenchmarkId::new("frame between", *count), |bencher| {
             bencher.iter_custom(|rounds| timed(rounds, holder, Holder::map_update, Holder::frame));
+        });
+        group.bench_function(BenchmarkId::new("give up", *count), |bencher| {
+            bencher.iter_custom(|rounds| (0..rounds).map(|_| holder.give_up_all()).sum());
         });
     }
     for count in [10, 100, 1_000] {

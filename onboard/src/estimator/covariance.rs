@@ -162,7 +162,7 @@ impl JointCovariance {
             }
         }
         std::mem::swap(&mut self.active, grown);
-        self.held.insert_rows(at, columns, jacobian.view());
+        self.held.insert_rows(at, columns, jacobian);
     }
 
     /// Holds no more than `max_held` keyframes: those not used for longest are dropped, and the state made as uncertain as

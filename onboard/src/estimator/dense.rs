@@ -124,7 +124,8 @@ impl Dense {
         MatRef::from_column_major_slice(&self.values, self.rows, self.columns)
     }
 
-    fn faer_mut(&mut self) -> MatMut<'_, f64> {
+    /// As `faer` sees it.
+    pub(super) fn faer_mut(&mut self) -> MatMut<'_, f64> {
         MatMut::from_column_major_slice_mut(&mut self.values, self.rows, self.columns)
     }
 

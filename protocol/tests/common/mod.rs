@@ -5,7 +5,7 @@ use geometry::camera::{Camera, Distortion};
 use geometry::pose::Pose;
 use geometry::uncertain_pose::PoseWithCovariance;
 use nalgebra::{Matrix6, Quaternion, UnitQuaternion, Vector3};
-use proptest::collection::vec;
+use proptest::collection::{btree_set, vec};
 use proptest::option;
 use proptest::prelude::*;
 use protocol::*;
@@ -96,7 +96,8 @@ fn priors() -> impl Strategy<Value = Option<PosePrior>> {
 
 pub fn match_requests() -> impl Strategy<Value = MatchRequest> {
     let first = (names(), any::<i64>(), cameras(), features(), priors());
-    let second = (option::of(directions()), vec(any::<u64>(), 0..5), option::of(any::<u64>()), 1..u16::MAX);
+    let held = btree_set(any::<u64>(), 0..5).prop_map(|ids| ids.into_iter().collect());
+    let second = (option::of(directions()), held, option::of(any::<u64>()), 1..u16::MAX);
     (first, second).prop_map(
         |(
             (robot, stamp_ns, camera, features, prior),
@@ -364,4 +365,18 @@ pub fn error_replies() -> impl Strategy<Value = ErrorReply> {
 pub fn example<T: std::fmt::Debug>(strategy: impl Strategy<Value = T>) -> T {
     let mut runner = proptest::test_runner::TestRunner::deterministic();
     proptest::strategy::ValueTree::current(&strategy.new_tree(&mut runner).unwrap())
+}
+
+/// Makes length and checksum right again: what a hostile sender, rather than a bad line, would send.
+pub fn resealed(payload: &[u8], tag: u16) -> Vec<u8> {
+    let mut bytes = b"DRFT".to_vec();
+    bytes.extend(SCHEMA_VERSION.to_le_bytes());
+    bytes.extend(tag.to_le_bytes());
+    bytes.extend((payload.len() as u32).to_le_bytes());
+    let mut hasher = crc32fast::Hasher::new();
+    hasher.update(&bytes[4..12]);
+    hasher.update(payload);
+    bytes.extend(hasher.finalize().to_le_bytes());
+    bytes.extend(payload);
+    bytes
 }

@@ -24,6 +24,7 @@ mod layer;
 mod moving;
 mod packed;
 mod parked;
+mod roomy;
 mod waist;
 
 use super::dense::Dense;
@@ -33,7 +34,7 @@ use budget::Budget;
 use correlations::Correlations;
 use geometry::PoseWithCovariance;
 use moving::{KEYFRAME_DIM, Moving};
-use nalgebra::{DMatrix, DMatrixView, Matrix6};
+use nalgebra::{DMatrix, Matrix6};
 use parked::Parked;
 use protocol::KeyframeId;
 use std::ops::Range;
@@ -228,7 +229,7 @@ impl HeldKeyframes {
             let mut members = Vec::with_capacity(surplus);
             for (_, id) in &candidates[..surplus] {
                 let Some(slot) = self.slot_of(*id) else { continue };
-                members.push((self.active.remove(slot), self.moving.loadings(slot).to_vec()));
+                members.push((self.active.remove(slot), self.moving.loadings(slot)));
                 self.moving.remove(slot);
             }
             self.parked.add(members, &mut self.moving);
@@ -278,7 +279,7 @@ impl HeldKeyframes {
     }
 
     /// The active error grew at `at` by `jacobian` times its part `columns`, and something independent.
-    pub fn insert_rows(&mut self, at: usize, columns: &Columns, jacobian: DMatrixView<'_, f64>) {
+    pub fn insert_rows(&mut self, at: usize, columns: &Columns, jacobian: &Dense) {
         self.moving.insert_rows(at, columns, jacobian);
     }
 

@@ -6,8 +6,9 @@
 use super::super::dense::Dense;
 use super::super::information::{Columns, Rows};
 use super::super::propagation::{IMU_DIM, ImuMatrix};
-use faer::linalg::matmul::triangular::BlockStructure;
-use nalgebra::DMatrixView;
+use super::roomy::Roomy;
+use faer::linalg::matmul::matmul;
+use faer::{Accum, MatRef, Par};
 use std::ops::Range;
 
 /// Numbers of a keyframe's error.
@@ -16,16 +17,18 @@ pub const KEYFRAME_DIM: usize = 6;
 /// `[R | M]`; see the module's text.
 #[derive(Clone, Debug)]
 pub struct Moving {
-    matrix: Dense,
+    matrix: Roomy,
     /// Columns of `R`.
     running: usize,
-    spare: Dense,
+    /// Memory that a step needs: of small rows, and of as many columns as `[R | M]`.
+    factor: Dense,
+    touched: Dense,
 }
 
 impl Moving {
     /// No keyframe, beside an active error of `rows` numbers.
     pub fn new(rows: usize) -> Self {
-        Self { matrix: Dense::zeros(rows, 0), running: 0, spare: Dense::default() }
+        Self { matrix: Roomy::new(rows), running: 0, factor: Dense::default(), touched: Dense::default() }
     }
 
     /// Numbers of the active error.
@@ -34,19 +37,18 @@ impl Moving {
     }
 
     /// `M` of one slot, columns one after the other.
-    pub fn loadings(&self, slot: usize) -> &[f64] {
-        let columns = self.columns_of(slot);
-        &self.matrix.as_slice()[columns.start * self.nrows()..columns.end * self.nrows()]
+    pub fn loadings(&self, slot: usize) -> Vec<f64> {
+        self.matrix.numbers(self.columns_of(slot))
     }
 
     /// Adds the `M` of a further slot, columns one after the other.
     pub fn push(&mut self, loadings: &[f64]) {
-        self.matrix.extend_columns(loadings.iter().copied());
+        self.matrix.push_columns(loadings);
     }
 
     /// Adds a further slot of zeros.
     pub fn push_zeros(&mut self) {
-        self.matrix.extend_columns(std::iter::repeat_n(0.0, KEYFRAME_DIM * self.nrows()));
+        self.matrix.push_zeros(KEYFRAME_DIM);
     }
 
     /// Takes the `M` of a slot out; those behind it move up.
@@ -56,8 +58,8 @@ impl Moving {
 
     /// `target += M B` with the `M` of one slot.
     pub fn add_loadings_times(&self, slot: usize, block: &Dense, target: &mut Dense) {
-        let rows = 0..KEYFRAME_DIM;
-        target.add_product(&self.matrix, self.columns_of(slot), block, rows, BlockStructure::Rectangular);
+        let own = self.matrix.faer().subcols(self.columns_of(slot).start, KEYFRAME_DIM);
+        matmul(target.faer_mut(), Accum::Add, own, block.faer(), 1.0, Par::Seq);
     }
 
     /// `M += R`: a slot's loadings grow by `increase`, columns one after the other.
@@ -72,13 +74,8 @@ impl Moving {
     /// `R X`.
     pub fn times_running(&self, right: &Dense) -> Dense {
         let mut product = Dense::zeros(self.nrows(), right.ncols());
-        product.add_product(
-            &self.matrix,
-            0..self.running,
-            right,
-            0..self.running,
-            BlockStructure::Rectangular,
-        );
+        let running = self.matrix.faer().subcols(0, self.running);
+        matmul(product.faer_mut(), Accum::Add, running, right.faer(), 1.0, Par::Seq);
         product
     }
 
@@ -87,34 +84,30 @@ impl Moving {
         let n = self.nrows();
         let mut identity = Dense::zeros(n, n);
         (0..n).for_each(|k| identity[(k, k)] = 1.0);
-        self.replace_running(identity)
+        self.replace_running(&identity)
     }
 
     /// `R ← R S`: nothing is parked any more where `R` began, but where `S` did.
     pub fn lengthen(&mut self, before: &Dense) {
         let longer = self.times_running(before);
-        self.replace_running(longer);
+        self.replace_running(&longer);
     }
 
     /// Nothing is parked any more.
     pub fn stop(&mut self) {
-        self.replace_running(Dense::zeros(self.nrows(), 0));
+        self.replace_running(&Dense::zeros(self.nrows(), 0));
     }
 
     /// `R`.
     pub fn running(&self) -> Dense {
-        let n = self.nrows();
-        Dense::from_columns(n, &self.matrix.as_slice()[..n * self.running])
+        Dense::from_columns(self.nrows(), &self.matrix.numbers(0..self.running))
     }
 
     /// Puts another matrix in the place of `R` and returns what it was.
-    pub fn replace_running(&mut self, running: Dense) -> Dense {
-        let old = std::mem::replace(&mut self.matrix, running);
-        let (n, columns) = (old.nrows(), self.running);
-        self.running = self.matrix.ncols();
-        self.matrix.extend_columns(old.as_slice()[n * columns..].iter().copied());
-        let mut was = old;
-        was.remove_columns(columns..was.ncols());
+    pub fn replace_running(&mut self, running: &Dense) -> Dense {
+        let was = self.running();
+        self.matrix.replace_first(self.running, running);
+        self.running = running.ncols();
         was
     }
 
@@ -125,27 +118,18 @@ impl Moving {
 
     /// `← F [R | M]` for an `F` that touches only the IMU's rows, which are the first.
     pub fn transform_rows(&mut self, transition: &ImuMatrix) {
+        self.touched.reset(IMU_DIM, self.matrix.ncols());
         for column in 0..self.matrix.ncols() {
-            let own = &mut self.matrix.column_mut(column)[..IMU_DIM];
-            let mut moved = [0.0; IMU_DIM];
-            for (factors, number) in transition.as_slice().chunks_exact(IMU_DIM).zip(&*own) {
-                for (sum, factor) in moved.iter_mut().zip(factors) {
-                    *sum += factor * number;
-                }
-            }
-            own.copy_from_slice(&moved);
+            self.touched.column_mut(column).copy_from_slice(&self.matrix.column(column)[..IMU_DIM]);
         }
+        let transition = MatRef::from_column_major_slice(transition.as_slice(), IMU_DIM, IMU_DIM);
+        let own = self.matrix.faer_mut().subrows_mut(0, IMU_DIM);
+        matmul(own, Accum::Replace, transition, self.touched.faer(), 1.0, Par::Seq);
     }
 
     /// The rows become the old rows `source`, one range after the other.
     pub fn gather_rows(&mut self, source: &[Range<usize>]) {
-        let rows = source.iter().map(Range::len).sum();
-        self.spare.reset(rows, 0);
-        for column in 0..self.matrix.ncols() {
-            let old = self.matrix.column(column);
-            self.spare.extend_columns(source.iter().flat_map(|run| old[run.clone()].iter().copied()));
-        }
-        std::mem::swap(&mut self.matrix, &mut self.spare);
+        self.matrix.gather_rows(source);
     }
 
     /// The error at `begin` grew by `jacobian` times the error at `of`.
@@ -160,18 +144,9 @@ impl Moving {
     }
 
     /// The active error grew at `at` by `jacobian` times its part `columns`, and something independent.
-    pub fn insert_rows(&mut self, at: usize, columns: &Columns, jacobian: DMatrixView<'_, f64>) {
-        let (count, rows) = (jacobian.nrows(), self.nrows());
-        self.spare.reset(rows + count, self.matrix.ncols());
-        let old = self.matrix.view();
-        let mut grown = self.spare.view_mut();
-        grown.rows_mut(0, at).copy_from(&old.rows(0, at));
-        grown.rows_mut(at + count, rows - at).copy_from(&old.rows(at, rows - at));
-        for (range, here) in columns.runs() {
-            let part = jacobian.columns(here.start, here.len());
-            grown.rows_mut(at, count).gemm(1.0, &part, &old.rows(range.start, range.len()), 1.0);
-        }
-        std::mem::swap(&mut self.matrix, &mut self.spare);
+    pub fn insert_rows(&mut self, at: usize, columns: &Columns, jacobian: &Dense) {
+        times_columns(&self.matrix, columns, jacobian, &mut self.touched);
+        self.matrix.insert_rows(at, &self.touched);
     }
 
     /// `M -= Wᵀ L⁻¹ H (M_C; scale E_T)` and `R -= Wᵀ L⁻¹ H_C R_C`.
@@ -181,25 +156,35 @@ impl Moving {
     /// * `innovation`: `L` in its lower triangle.
     /// * `scale`: by how much the loadings are scaled.
     pub fn measurement_update(&mut self, rows: &Rows, whitened: &Dense, innovation: &Dense, scale: f64) {
-        let touched = &mut self.spare;
-        touched.reset(rows.jacobian.nrows(), self.matrix.ncols());
-        for (range, here) in rows.columns.runs() {
-            touched.add_product(&rows.jacobian, here, &self.matrix, range, rows.shape());
-        }
+        // On the few columns of H, and not on all of its products.
+        self.factor.copy_from(&rows.jacobian);
+        self.factor.solve_lower(innovation);
+        let Self { matrix, running, factor, touched } = self;
+        times_columns(matrix, &rows.columns, factor, touched);
         let own = rows.columns.active_len();
         for (k, &slot) in rows.columns.keyframes.iter().enumerate() {
             for j in 0..KEYFRAME_DIM {
-                let column = touched.column_mut(self.running + KEYFRAME_DIM * slot + j);
-                let jacobian = rows.jacobian.column(own + KEYFRAME_DIM * k + j);
-                column.iter_mut().zip(jacobian).for_each(|(sum, number)| *sum += scale * number);
+                let column = touched.column_mut(*running + KEYFRAME_DIM * slot + j);
+                let numbers = factor.column(own + KEYFRAME_DIM * k + j);
+                column.iter_mut().zip(numbers).for_each(|(sum, number)| *sum += scale * number);
             }
         }
-        touched.solve_lower(innovation);
-        self.matrix.subtract_transposed_product(whitened, touched);
+        let whitened = whitened.faer().transpose();
+        matmul(matrix.faer_mut(), Accum::Add, whitened, touched.faer(), -1.0, Par::Seq);
     }
 
     /// Bytes on the heap.
     pub fn heap_bytes(&self) -> usize {
-        self.matrix.heap_bytes() + self.spare.heap_bytes()
+        self.matrix.heap_bytes() + self.factor.heap_bytes() + self.touched.heap_bytes()
+    }
+}
+
+/// `J [R | M]_C` into `product`.
+fn times_columns(matrix: &Roomy, columns: &Columns, jacobian: &Dense, product: &mut Dense) {
+    product.reset(jacobian.nrows(), matrix.ncols());
+    for (range, here) in columns.runs() {
+        let part = jacobian.faer().subcols(here.start, here.len());
+        let rows = matrix.faer().subrows(range.start, range.len());
+        matmul(product.faer_mut(), Accum::Add, part, rows, 1.0, Par::Seq);
     }
 }

@@ -49,6 +49,15 @@ pub struct Parked {
     steps: usize,
 }
 
+/// Keyframes that were taken out of one layer.
+pub struct Taken {
+    pub keyframes: Vec<HeldKeyframe>,
+    /// Six columns each, in the rows of the layer.
+    pub loadings: Dense,
+    /// From the rows of the layer to those of the state.
+    pub to_now: Dense,
+}
+
 impl Parked {
     /// How many.
     pub fn len(&self) -> usize {
@@ -123,6 +132,34 @@ impl Parked {
         }
         self.remove_empty_layers(moving);
         (taken, loadings)
+    }
+
+    /// Takes keyframes out as [`Self::take`] does, but leaves their loadings in the rows of their layers: for many of them
+    /// that is far less to multiply.
+    pub fn take_in_layers(&mut self, ids: &[KeyframeId], moving: &mut Moving) -> Vec<Taken> {
+        let mut found: Vec<Vec<KeyframeId>> = vec![Vec::new(); self.layers.len()];
+        for id in ids {
+            if let Some((layer, _)) = self.place_of(*id) {
+                found[layer].push(*id);
+            }
+        }
+        let mut taken = Vec::new();
+        let mut to_now: Option<Dense> = None;
+        for (layer, ids) in found.iter().enumerate().rev() {
+            let here = match &to_now {
+                None => moving.running(),
+                Some(later) => product(later, &self.layers[layer].onward),
+            };
+            let members: Vec<ParkedKeyframe> = ids.iter().filter_map(|id| self.remove(*id)).collect();
+            if !members.is_empty() {
+                let mut loadings = Dense::default();
+                let keyframes = self.layers[layer].columns_of(members, &mut loadings);
+                taken.push(Taken { keyframes, loadings, to_now: here.clone() });
+            }
+            to_now = Some(here);
+        }
+        self.remove_empty_layers(moving);
+        taken
     }
 
     /// `sum of M_k B_k` over those of `terms` that are parked, as it is now; `None` where none is.
@@ -213,7 +250,7 @@ impl Parked {
     fn search_running_waist(&mut self, moving: &mut Moving) {
         let running = moving.running();
         if let Some((onward, waist)) = waist(&running, widest(&running)) {
-            moving.replace_running(onward);
+            moving.replace_running(&onward);
             self.narrow(self.layers.len() - 1, waist);
         }
     }
