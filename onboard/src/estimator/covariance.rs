@@ -223,12 +223,7 @@ impl JointCovariance {
     /// [`NotPositiveDefinite`] where the covariance of the columns is broken.
     pub fn innovation_squared(&mut self, information: &Information) -> Result<f64, NotPositiveDefinite> {
         self.check_keyframes(&information.columns)?;
-        let mut rows = std::mem::take(&mut self.workspace.compressed);
-        let outcome = information
-            .compress(&mut rows, &mut self.workspace.factorization)
-            .and_then(|unexplained| Ok(unexplained + self.weigh(&rows)?));
-        self.workspace.compressed = rows;
-        outcome
+        self.compressed(information, |joint, rows, unexplained| Ok(unexplained + joint.weigh(rows)?))
     }
 
     /// Takes in a measurement; see the module's text.
@@ -243,12 +238,7 @@ impl JointCovariance {
         information: &Information,
         correction: &mut DVector<f64>,
     ) -> Result<(), NotPositiveDefinite> {
-        let mut rows = std::mem::take(&mut self.workspace.compressed);
-        let outcome = information
-            .compress(&mut rows, &mut self.workspace.factorization)
-            .and_then(|_| self.update_by_rows(&rows, correction));
-        self.workspace.compressed = rows;
-        outcome
+        self.compressed(information, |joint, rows, _| joint.update_by_rows(rows, correction))
     }
 
     /// The same for rows that were not summed up.
@@ -279,10 +269,19 @@ impl JointCovariance {
         information: &Information,
         correction: &mut DVector<f64>,
     ) -> Result<(), NotPositiveDefinite> {
+        self.compressed(information, |joint, rows, _| joint.correction_by_rows(rows, correction))
+    }
+
+    /// Hands on as few rows as say the same, and the part of `rᵀr` that no error explains.
+    fn compressed<T>(
+        &mut self,
+        information: &Information,
+        take: impl FnOnce(&mut Self, &Rows, f64) -> Result<T, NotPositiveDefinite>,
+    ) -> Result<T, NotPositiveDefinite> {
         let mut rows = std::mem::take(&mut self.workspace.compressed);
         let outcome = information
             .compress(&mut rows, &mut self.workspace.factorization)
-            .and_then(|_| self.correction_by_rows(&rows, correction));
+            .and_then(|unexplained| take(self, &rows, unexplained));
         self.workspace.compressed = rows;
         outcome
     }
