@@ -232,11 +232,6 @@ impl Dense {
         );
     }
 
-    /// `self -= leftᵀ right`.
-    pub fn subtract_transposed_product(&mut self, left: &Self, right: &Self) {
-        matmul::matmul(self.faer_mut(), Accum::Add, left.faer().transpose(), right.faer(), -1.0, Par::Seq);
-    }
-
     /// `self ← L⁻¹ self` with the lower triangle of `lower`.
     pub fn solve_lower(&mut self, lower: &Self) {
         triangular_solve::solve_lower_triangular_in_place(lower.faer(), self.faer_mut(), Par::Seq);

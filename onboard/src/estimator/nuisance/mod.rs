@@ -89,11 +89,6 @@ impl HeldKeyframes {
         self.active.len() + self.parked.len()
     }
 
-    /// How many of them are parked.
-    pub fn parked_len(&self) -> usize {
-        self.parked.len()
-    }
-
     /// All names.
     pub fn ids(&self) -> impl Iterator<Item = KeyframeId> + '_ {
         self.active.iter().map(|keyframe| keyframe.id).chain(self.parked.ids())

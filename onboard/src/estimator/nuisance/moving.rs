@@ -84,7 +84,9 @@ impl Moving {
         let n = self.nrows();
         let mut identity = Dense::zeros(n, n);
         (0..n).for_each(|k| identity[(k, k)] = 1.0);
-        self.replace_running(&identity)
+        let was = self.running();
+        self.replace_running(&identity);
+        was
     }
 
     /// `R ← R S`: nothing is parked any more where `R` began, but where `S` did.
@@ -103,12 +105,10 @@ impl Moving {
         Dense::from_columns(self.nrows(), &self.matrix.numbers(0..self.running))
     }
 
-    /// Puts another matrix in the place of `R` and returns what it was.
-    pub fn replace_running(&mut self, running: &Dense) -> Dense {
-        let was = self.running();
+    /// Puts another matrix in the place of `R`.
+    pub fn replace_running(&mut self, running: &Dense) {
         self.matrix.replace_first(self.running, running);
         self.running = running.ncols();
-        was
     }
 
     fn columns_of(&self, slot: usize) -> Range<usize> {
