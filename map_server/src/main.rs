@@ -116,16 +116,16 @@ async fn serve() -> anyhow::Result<()> {
         "ready; Ctrl-C stops"
     );
 
-    let serving = async {
-        loop {
-            reload.recv().await;
-            tracing::info!("SIGHUP: reading the databases again");
-            databases::reload(&server, &arguments.maps).await;
+    let signal = loop {
+        tokio::select! {
+            signal = &mut stopped => break signal,
+            () = reload.recv() => {}
         }
-    };
-    let signal = tokio::select! {
-        signal = stopped => signal,
-        () = serving => "the end",
+        tracing::info!("SIGHUP: reading the databases again");
+        tokio::select! {
+            signal = &mut stopped => break signal,
+            () = databases::reload(&server, &arguments.maps) => {}
+        }
     };
     tracing::info!("{signal}: stopping");
     server.stop().await?;
