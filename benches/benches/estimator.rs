@@ -5,13 +5,13 @@
 #![allow(clippy::unwrap_used)]
 
 use criterion::{BatchSize, BenchmarkId, Criterion, criterion_group, criterion_main};
-use onboard::estimator::{
+use estimator::{
     Estimator, EstimatorConfig, ImuSample, InitialSigmas, InitialState, MapMode, RigCamera, TrackObservation,
 };
-use onboard::sequence::{Frame, Sequence};
+use sensors::{Frame, Sequence};
+use simulation::{SimulationOptions, simulate};
 use std::hint::black_box;
 use std::time::{Duration, Instant};
-use tools::simulation::{SimulationOptions, simulate};
 
 /// Images before the timing begins: the body moves by then, and the window is full.
 const WARM_UP: usize = 100;

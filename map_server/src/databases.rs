@@ -8,7 +8,9 @@ use std::str::FromStr;
 use std::sync::Arc;
 
 use anyhow::{Context, bail};
-use map_server::{LoadedMap, MapServer, MapStore, ServedMap, SledStore};
+use map::{MapStore, SledStore};
+use map_server::{MapServer, ServedMap};
+use recognition::LoadedMap;
 
 /// `NAME=DB`
 #[derive(Clone, Debug)]

@@ -8,9 +8,9 @@ use std::process::ExitCode;
 
 use anyhow::Context;
 use clap::Parser;
+use client::session::{DEFAULT_ENDPOINT, SessionOptions, close_session, open_session};
 use databases::MapArgument;
 use map_server::{MapServer, ServerOptions};
-use protocol::session::{DEFAULT_ENDPOINT, SessionOptions, close_session, open_session};
 use tracing_subscriber::EnvFilter;
 
 const EXAMPLES: &str = "\

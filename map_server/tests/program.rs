@@ -2,15 +2,16 @@
 #![cfg(unix)]
 #![allow(clippy::unwrap_used, missing_docs)]
 
+#[path = "../../crates/map/tests/common/mod.rs"]
 mod common;
 
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
 use std::time::Duration;
 
+use client::session::{SessionOptions, open_session};
 use common::{Place, PlaceOptions};
-use map_server::{MapStore, SledStore};
-use protocol::session::{SessionOptions, open_session};
+use map::{MapStore, SledStore};
 use protocol::{ErrorCode, ErrorReply, Format, MapChange, MapInfo};
 use zenoh::Session;
 

@@ -1,20 +1,22 @@
 //! Laws of the served maps, over real Zenoh sessions on the loopback.
 #![allow(clippy::unwrap_used, missing_docs)]
 
+#[path = "../../crates/map/tests/common/mod.rs"]
 mod common;
 
 use std::sync::Arc;
 use std::time::Duration;
 
+use client::session::{SessionOptions, open_session};
 use common::{Place, PlaceOptions};
-use map_server::{LoadedMap, MapServer, ServedMap, ServerOptions};
-use protocol::session::{SessionOptions, open_session};
+use map_server::{MapServer, ServedMap, ServerOptions};
 use protocol::{
     DescriptorKind, Descriptors, ErrorCode, ErrorReply, FeatureSet, Format, KeyframeReply, LocalizeReply,
     LocalizeRequest, MapChange, MapInfo, MatchOutcome, MatchReply, MatchRequest, Message, StatedChange,
 };
 use rand::SeedableRng;
 use rand::rngs::StdRng;
+use recognition::LoadedMap;
 use zenoh::Session;
 use zenoh::query::ConsolidationMode;
 

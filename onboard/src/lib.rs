@@ -1,8 +1,31 @@
-//! The estimator (pure, no I/O) and the robot program around it.
+//! The robot program around the estimator: plays a recording, asks the map, publishes, records.
+//!
+//! The estimator runs on the caller's thread. Queries and publications run on the async runtime and
+//! are handed over through channels: the estimator never waits for the network.
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
-pub mod estimator;
-pub mod evaluation;
-pub mod robot;
-pub mod sequence;
-pub mod trajectory;
+pub mod arguments;
+mod asking;
+pub mod event;
+pub mod extraction;
+pub mod front_end;
+mod imu_window;
+pub mod lifecycle;
+pub mod output;
+pub mod program;
+pub mod progress;
+pub mod publisher;
+pub mod recorder;
+pub mod run;
+pub mod start;
+pub mod stdout;
+pub mod stop;
+pub mod summary;
+
+pub use arguments::RobotArguments;
+pub use front_end::{FrontEnd, FrontEndError};
+pub use imu_window::ImuWindow;
+pub use lifecycle::Lifecycle;
+pub use program::{MapLink, Outcome, run_robot, run_robot_until};
+pub use run::{RobotRun, RunError, run};
+pub use stop::StopSignal;

@@ -2,10 +2,10 @@
 
 use anyhow::{Context as _, Result, bail};
 use clap::Parser;
-use onboard::estimator::MapMode;
-use onboard::robot::{MapLink, RobotArguments, StopSignal, progress, run_robot_until, stdout};
-use onboard::sequence::Recording;
-use protocol::session::{DEFAULT_ENDPOINT, SessionOptions, close_session, open_session};
+use client::session::{DEFAULT_ENDPOINT, SessionOptions, close_session, open_session};
+use estimator::MapMode;
+use onboard::{MapLink, RobotArguments, StopSignal, progress, run_robot_until, stdout};
+use sensors::Recording;
 use std::io::IsTerminal as _;
 use std::path::PathBuf;
 use std::process::ExitCode;

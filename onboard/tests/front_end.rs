@@ -4,8 +4,8 @@
 use geometry::rotation::exp;
 use geometry::{Camera, Distortion, Pose};
 use nalgebra::{Vector2, Vector3};
-use onboard::robot::{FrontEnd, FrontEndError};
-use onboard::sequence::{CameraSensor, Frame, ImuSample};
+use onboard::{FrontEnd, FrontEndError};
+use sensors::{CameraSensor, Frame, ImuSample};
 use std::collections::BTreeSet;
 use std::path::Path;
 use vision::GrayImage;

@@ -2,12 +2,13 @@
 #![cfg(unix)]
 #![allow(clippy::unwrap_used)]
 
+#[path = "../../crates/estimator/tests/common/mod.rs"]
 mod common;
 
 use common::{FRAME_NS, World, imu_at};
-use onboard::estimator::ImuNoise;
-use onboard::sequence::{CameraSensor, Frame, ImuSensor, Sequence, TruthRow, writer};
-use onboard::trajectory::{states, tum};
+use estimator::ImuNoise;
+use evaluation::trajectory::{states, tum};
+use sensors::{CameraSensor, Frame, ImuSensor, Sequence, TruthRow, writer};
 use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::Duration;

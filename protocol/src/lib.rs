@@ -53,7 +53,6 @@ pub mod localize;
 pub mod map;
 pub mod matching;
 pub mod robot;
-pub mod session;
 pub mod validate;
 mod wire;
 

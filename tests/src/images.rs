@@ -1,13 +1,13 @@
 //! Localization of single images of a recording in a map of others.
 
 use geometry::pose::Pose;
-use map_server::LoadedMap;
-use map_server::recognition::RecognitionOptions;
-use onboard::robot::extraction::feature_set;
-use onboard::sequence::{Frame, ReferencePose, Sequence, TruthTrack};
+use mapping::{BuildOptions, BuildReport, Extraction, build_map};
 use protocol::LocalizeRequest;
+use recognition::LoadedMap;
+use recognition::RecognitionOptions;
+use sensors::feature_set;
+use sensors::{Frame, ReferencePose, Sequence, TruthTrack};
 use std::sync::Arc;
-use tools::map_building::{BuildOptions, BuildReport, Extraction, build_map};
 use vision::{FeatureExtractor, GrayImage};
 
 /// Longest gap in the truth to interpolate over, nanoseconds.
@@ -64,7 +64,7 @@ impl Split {
     ) -> (Arc<LoadedMap>, BuildReport) {
         let mut sequence = self.sequence.clone();
         sequence.frames = self.map.iter().map(|&index| self.sequence.frames[index].clone()).collect();
-        let reference = |row: &onboard::sequence::TruthRow| ReferencePose {
+        let reference = |row: &sensors::TruthRow| ReferencePose {
             stamp_ns: row.stamp_ns,
             pose: row.pose,
             sigma_theta: 1_f64.to_radians(),

@@ -1,15 +1,16 @@
 //! A small simulated place: once round a ring of 88 m, at rest at both ends.
 
+use evaluation::trajectory::StampedPose;
 use geometry::pose::Pose;
-use map_server::contents::MapContents;
-use map_server::{LoadedMap, MapStore as _, SledStore};
+use map::contents::MapContents;
+use map::{MapStore as _, SledStore};
+use mapping::{BuildOptions, build_map};
 use nalgebra::{UnitQuaternion, Vector3};
-use onboard::trajectory::StampedPose;
+use recognition::LoadedMap;
+use simulation::{SimulatedPlace, SimulationOptions, simulate};
 use std::f64::consts::TAU;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
-use tools::map_building::{BuildOptions, build_map};
-use tools::simulation::{SimulatedPlace, SimulationOptions, simulate};
 
 /// Radius of the ring, metres.
 const RADIUS: f64 = 14.0;

@@ -1,9 +1,9 @@
 //! Robots, told by the same switches as the programs.
 
 use clap::Parser;
-use onboard::robot::{MapLink, Outcome, RobotArguments, run_robot};
-use onboard::sequence::Sequence;
+use onboard::{MapLink, Outcome, RobotArguments, run_robot};
 use protocol::MatchRequest;
+use sensors::Sequence;
 use std::path::Path;
 
 #[derive(Parser)]

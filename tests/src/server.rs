@@ -1,9 +1,10 @@
 //! A map server on an endpoint of its own, which can be stopped and started again.
 
 use crate::network;
-use map_server::{LoadedMap, MapServer, ServedMap, ServerOptions, ServerStatistics};
-use onboard::robot::MapLink;
-use protocol::session::{SessionOptions, close_session, open_session};
+use client::session::{SessionOptions, close_session, open_session};
+use map_server::{MapServer, ServedMap, ServerOptions, ServerStatistics};
+use onboard::MapLink;
+use recognition::LoadedMap;
 use std::sync::Arc;
 use tokio::runtime::Runtime;
 use tools::in_process::free_endpoint;

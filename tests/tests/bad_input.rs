@@ -1,19 +1,19 @@
 //! Bad input is an error that names the thing, and never more than that.
 #![allow(clippy::unwrap_used)]
 
-use map_server::{LoadedMap, RecognitionOptions};
+use client::answer::map_answer;
+use estimator::{Estimator, MapAnswer, Rejection, RigCamera};
+use evaluation::{ScoreOptions, score_run};
 use nalgebra::Vector3;
-use onboard::estimator::{Estimator, MapAnswer, Rejection, RigCamera};
-use onboard::evaluation::{ScoreOptions, score_run};
-use onboard::robot::answer::map_answer;
-use onboard::robot::arguments::Init;
-use onboard::robot::start::initial_state;
-use onboard::robot::{ImuWindow, Lifecycle, RobotRun, StopSignal, run as play};
-use onboard::sequence::{Recording, Sequence, writer};
+use onboard::arguments::Init;
+use onboard::start::initial_state;
+use onboard::{ImuWindow, Lifecycle, RobotRun, StopSignal, run as play};
 use protocol::{
     DescriptorKind, Descriptors, ErrorCode, FeatureSet, Format, LocalizeReply, LocalizeRequest, MapInfo,
     MatchOutcome, MatchReply, MatchedKeyframe,
 };
+use recognition::{LoadedMap, RecognitionOptions};
+use sensors::{Recording, Sequence, writer};
 use tests::network::{messages, only_error};
 use tests::place::Place;
 use tests::robot::{arguments, assert_every_frame_has_a_state, images, request, run};
@@ -110,8 +110,7 @@ fn a_name_that_no_key_can_hold_is_refused_before_the_run() {
     let client = Client::open(&[], &[]);
     let (live, out) = (&place.recordings.live, folder.path());
     let refused = |switches: &str, map: &str| {
-        let result =
-            onboard::robot::run_robot(live, &arguments(out, switches), Some(client.link(map)), |_| {});
+        let result = onboard::run_robot(live, &arguments(out, switches), Some(client.link(map)), |_| {});
         format!("{:#}", result.unwrap_err())
     };
     assert!(refused("", "a/b").contains("a/b"));
@@ -119,7 +118,7 @@ fn a_name_that_no_key_can_hold_is_refused_before_the_run() {
     assert!(refused("--deadline=-1", "ring").contains("--deadline"));
     let mut blind = live.clone();
     blind.imu = None;
-    let error = onboard::robot::run_robot(&blind, &arguments(out, ""), None, |_| {}).unwrap_err();
+    let error = onboard::run_robot(&blind, &arguments(out, ""), None, |_| {}).unwrap_err();
     assert!(error.to_string().contains("no IMU"), "{error}");
     client.close();
 }
@@ -223,7 +222,7 @@ fn odometry(
     sequence: &Sequence,
     frames: usize,
     pinned: Option<usize>,
-) -> (Estimator, Vec<Option<onboard::estimator::CloneId>>) {
+) -> (Estimator, Vec<Option<estimator::CloneId>>) {
     let mut estimator = estimator(sequence);
     let (begin_ns, mut next) = (estimator.stamp_ns(), 0);
     let mut clones = Vec::new();
@@ -270,7 +269,7 @@ fn an_answer_that_comes_too_late_is_reported_and_does_no_harm() {
 
     // It goes on as if nothing had come.
     let folder = tempfile::tempdir().unwrap();
-    let mut recorder = onboard::robot::recorder::Recorder::create(folder.path()).unwrap();
+    let mut recorder = onboard::recorder::Recorder::create(folder.path()).unwrap();
     let mut rest = live.clone();
     rest.frames.drain(..frames);
     let last_ns = live.frames[frames - 1].stamp_ns;

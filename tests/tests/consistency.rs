@@ -1,7 +1,7 @@
 //! The filter knows how wrong it is, over several places and all its outputs. Taking the map for exact does not.
 #![allow(clippy::unwrap_used)]
 
-use onboard::evaluation::{RunScore, nees_bounds};
+use evaluation::{RunScore, nees_bounds};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
 use tests::place::Place;

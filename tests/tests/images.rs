@@ -4,7 +4,7 @@
 //! nothing to run.
 #![allow(clippy::unwrap_used)]
 
-use onboard::sequence::{Sequence, TruthTrack};
+use sensors::{Sequence, TruthTrack};
 use std::path::Path;
 use std::sync::Arc;
 use tests::images::{Found, Split, within, wrong_by};

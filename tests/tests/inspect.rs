@@ -2,9 +2,9 @@
 #![allow(clippy::unwrap_used)]
 
 use clap::Parser;
-use map_server::recognition::{InspectedKeyframe, Inspection, RecognitionOptions, Verdict};
-use onboard::sequence::writer;
 use protocol::{LocalizeRequest, MatchOutcome};
+use recognition::{InspectedKeyframe, Inspection, RecognitionOptions, Verdict};
+use sensors::writer;
 use std::collections::HashSet;
 use std::path::Path;
 use tests::place::Place;

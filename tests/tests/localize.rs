@@ -1,9 +1,9 @@
 //! Build a map, store it, serve it, localize in it: the main job.
 #![allow(clippy::unwrap_used)]
 
-use onboard::robot::{Outcome, run_robot};
-use onboard::trajectory::{StateKind, states, tum};
-use protocol::RobotState;
+use estimator::Localization;
+use evaluation::trajectory::{StateKind, states, tum};
+use onboard::{Outcome, run_robot};
 use std::path::Path;
 use tests::place::Place;
 use tests::robot::{arguments, assert_every_frame_has_a_state, run};
@@ -23,7 +23,7 @@ const PLAUSIBLE_NEES: std::ops::Range<f64> = 0.1..4.0;
 fn check_localized(outcome: &Outcome) {
     let summary = &outcome.summary;
     let status = summary.final_status.as_ref().unwrap();
-    assert_eq!(status.localization, RobotState::Localized, "{}", status.reason);
+    assert_eq!(status.localization, Localization::Localized, "{}", status.reason);
     assert!(summary.queries.sent > 30 && summary.queries.failed == 0, "{:?}", summary.queries);
     assert!(summary.queries.accepted * 10 > summary.queries.sent * 8, "{:?}", summary.queries);
     let score = summary.score.as_ref().unwrap();
@@ -120,7 +120,7 @@ fn one_camera_and_a_start_in_motion_will_do() {
     assert!(refused.unwrap_err().to_string().contains("--init static"));
     let outcome = run(&late, folder.path(), "--cameras mono --init truth", Some(client.link("ring")));
     let status = outcome.summary.final_status.unwrap();
-    assert_eq!(status.localization, RobotState::Localized, "{}", status.reason);
+    assert_eq!(status.localization, Localization::Localized, "{}", status.reason);
     let pose = outcome.summary.score.unwrap().pose.unwrap();
     assert!(pose.rmse_m < 2.0 * BOUND_M && pose.rmse_deg < 2.0 * BOUND_DEG, "{pose:?}");
     client.close();
@@ -135,7 +135,7 @@ fn odometry_needs_neither_server_nor_map() {
     let summary = &outcome.summary;
     assert_every_frame_has_a_state(&outcome, &place.recordings.live);
     assert_eq!((summary.queries.sent, summary.keyframes_pulled), (0, 0));
-    assert_eq!(summary.final_status.as_ref().unwrap().localization, RobotState::OdometryOnly);
+    assert_eq!(summary.final_status.as_ref().unwrap().localization, Localization::OdometryOnly);
     assert!(outcome.states().unwrap().iter().all(|state| state.global_from_imu.is_none()));
     let score = summary.score.as_ref().unwrap();
     assert!(score.pose.is_none() && score.transform.is_none());

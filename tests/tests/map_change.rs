@@ -1,24 +1,25 @@
 //! A map is served anew while robots use it: what they believe of their pose in it, over Monte-Carlo runs and over a network.
 #![allow(clippy::unwrap_used)]
 
+use estimator::EstimatorConfig;
+use estimator::Localization;
+use evaluation::Verdict;
 use geometry::{Pose, rotation};
-use map_server::LoadedMap;
-use map_server::contents::MapContents;
+use map::contents::MapContents;
 use nalgebra::Vector3;
-use onboard::estimator::EstimatorConfig;
-use onboard::evaluation::Verdict;
-use onboard::robot::run_robot;
-use protocol::{RobotState, keys};
+use onboard::run_robot;
+use protocol::keys;
+use recognition::LoadedMap;
+use simulation::monte_carlo::score::{OutputScore, ScoreOptions, score};
+use simulation::monte_carlo::{
+    AnswerOptions, CalibrationErrors, MapChangeOptions, MapOptions, MonteCarloOptions, Variant, run,
+};
+use simulation::{Course, SimulationOptions};
 use std::sync::Arc;
 use std::time::Duration;
 use tests::place::Place;
 use tests::robot::{arguments, assert_every_frame_has_a_state};
 use tests::server::{Client, Server};
-use tools::monte_carlo::score::{OutputScore, ScoreOptions, score};
-use tools::monte_carlo::{
-    AnswerOptions, CalibrationErrors, MapChangeOptions, MapOptions, MonteCarloOptions, Variant, run,
-};
-use tools::simulation::{Course, SimulationOptions};
 
 /// Runs of 20 s of which the last 8 are judged: the map changed just before, by 0.3 m and 1.7 degrees an axis.
 fn pose_after_a_change(new_errors: bool, is_stated: bool) -> (OutputScore, usize) {
@@ -145,7 +146,7 @@ fn a_robot_follows_a_map_that_is_served_anew_and_is_never_lost() {
     let states = outcome.states().unwrap();
     let fix = states.iter().position(|state| state.global_from_imu.is_some()).unwrap();
     assert!(states[fix..].iter().all(|state| state.global_from_imu.is_some()), "the robot was lost");
-    assert_eq!(outcome.summary.final_status.as_ref().unwrap().localization, RobotState::Localized);
+    assert_eq!(outcome.summary.final_status.as_ref().unwrap().localization, Localization::Localized);
 
     let events = outcome.events().unwrap();
     let stamp = |frame: usize| live.frames[frame].stamp_ns;

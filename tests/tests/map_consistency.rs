@@ -1,13 +1,13 @@
 //! The pose in G is as good as the filter says, whatever the map answers: over Monte-Carlo runs.
 #![allow(clippy::unwrap_used)]
 
-use onboard::estimator::EstimatorConfig;
-use onboard::evaluation::Verdict;
-use tools::monte_carlo::score::{ScoreOptions, score};
-use tools::monte_carlo::{
+use estimator::EstimatorConfig;
+use evaluation::Verdict;
+use simulation::monte_carlo::score::{ScoreOptions, score};
+use simulation::monte_carlo::{
     AnswerOptions, CalibrationErrors, EnsembleScore, MapOptions, MonteCarloOptions, Variant, run,
 };
-use tools::simulation::{Course, SimulationOptions};
+use simulation::{Course, SimulationOptions};
 
 /// Scores the default filter.
 fn ensemble(

@@ -1,13 +1,14 @@
 //! A map is the same after its server was killed, and after it was exported and imported again.
 #![allow(clippy::unwrap_used)]
 
-use map_server::{LoadedMap, MapStore as _, RecognitionOptions, SledStore, StoreError};
+use map::text::{read_map, save_map, write_map};
+use map::{MapStore as _, SledStore, StoreError};
 use protocol::MatchReply;
+use recognition::{LoadedMap, RecognitionOptions};
 use std::path::Path;
 use tests::place::Place;
 use tests::robot::{images, request};
 use tools::in_process::load_map;
-use tools::map_files::{read_map, save_map, write_map};
 
 /// The answers to all images of the live run, but for how long they took.
 fn answers(map: &LoadedMap, place: &Place) -> Vec<MatchReply> {

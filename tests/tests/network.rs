@@ -1,8 +1,9 @@
 //! Servers that come and go, several robots, and whoever listens to them.
 #![allow(clippy::unwrap_used)]
 
+use estimator::Localization;
 use geometry::uncertain_pose::PoseWithCovariance;
-use onboard::robot::run_robot;
+use onboard::run_robot;
 use protocol::{Format, Message, RobotOdometry, RobotPose, RobotState, RobotStatus};
 use std::collections::BTreeSet;
 use std::sync::Barrier;
@@ -67,7 +68,7 @@ fn a_robot_keeps_its_odometry_without_the_server_and_is_corrected_when_it_is_bac
     assert!(sigma_m(OUTAGE.end + 40) < sigma_m(OUTAGE.end), "the map must correct the pose again");
     let pose = outcome.summary.score.unwrap().pose.unwrap();
     assert!(pose.rmse_m < 0.25 && pose.max_m < 1.0, "{pose:?}");
-    assert_eq!(outcome.summary.final_status.unwrap().localization, RobotState::Localized);
+    assert_eq!(outcome.summary.final_status.unwrap().localization, Localization::Localized);
     client.close();
     server.unwrap().stop();
 }
@@ -84,7 +85,7 @@ fn a_robot_whose_server_is_never_there_runs_to_the_end() {
     assert_eq!(outcome.summary.queries.failed, outcome.summary.queries.sent);
     assert!(outcome.events().unwrap().iter().all(|event| event.reason.contains("no map server answers")));
     let status = outcome.summary.final_status.unwrap();
-    assert_eq!(status.localization, RobotState::OdometryOnly);
+    assert_eq!(status.localization, Localization::OdometryOnly);
     assert!(status.reason.contains("no map server answers"), "the status must say so: {}", status.reason);
     assert!(outcome.summary.score.unwrap().odometry_yaw_aligned_m.rmse < 0.5);
     nobody.close();
@@ -170,7 +171,7 @@ fn two_robots_share_a_server_and_a_third_party_follows_both() {
     });
     assert_eq!(seen.iter().collect::<Vec<_>>(), ["robot/ada", "robot/bo"]);
     for outcome in &outcomes {
-        assert_eq!(outcome.summary.final_status.as_ref().unwrap().localization, RobotState::Localized);
+        assert_eq!(outcome.summary.final_status.as_ref().unwrap().localization, Localization::Localized);
         let pose = outcome.summary.score.as_ref().unwrap().pose.as_ref().unwrap();
         assert!(pose.rmse_m < 0.15, "{pose:?}");
         assert_eq!(outcome.summary.queries.failed, 0);

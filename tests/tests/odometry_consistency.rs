@@ -1,13 +1,13 @@
 //! The odometry knows how wrong it is: NEES over Monte-Carlo runs, each of which starts from a drawn state.
 #![allow(clippy::unwrap_used)]
 
-use onboard::estimator::{EstimatorConfig, MapMode, OnlineCalibration};
-use onboard::evaluation::Verdict;
-use tools::monte_carlo::score::{ScoreOptions, score};
-use tools::monte_carlo::{
+use estimator::{EstimatorConfig, MapMode, OnlineCalibration};
+use evaluation::Verdict;
+use simulation::monte_carlo::score::{ScoreOptions, score};
+use simulation::monte_carlo::{
     AnswerOptions, CalibrationErrors, MapOptions, MonteCarloOptions, Variant, VariantRuns, run,
 };
-use tools::simulation::{Course, SimulationOptions};
+use simulation::{Course, SimulationOptions};
 
 /// As many runs as a chi-square interval is worth looking at for.
 const RUNS: usize = 20;

@@ -4,17 +4,17 @@
 //! that it has nothing to run.
 #![allow(clippy::unwrap_used)]
 
-use map_server::LoadedMap;
+use evaluation::Score;
+use map::text::read_map;
+use mapping::{BuildOptions, StoredPoses, build_map};
 use nalgebra::{Matrix3, Vector3};
-use onboard::evaluation::Score;
-use onboard::robot::{Outcome, RobotArguments};
-use onboard::sequence::Sequence;
+use onboard::{Outcome, RobotArguments};
+use recognition::LoadedMap;
+use sensors::Sequence;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use tests::robot::{arguments, run};
 use tools::in_process::LocalServer;
-use tools::map_building::{BuildOptions, StoredPoses, build_map};
-use tools::map_files::read_map;
 
 /// Noise of real sensors and of learned features, see the README.
 const REAL: &str = "--imu-noise-scale 5 --track-sigma 1.5 --gyroscope-bias-sigma 0.1 \
@@ -138,10 +138,10 @@ fn a_walk_that_comes_back_to_its_start_is_localized_again() {
     let outcome = localize_into(out.path(), &folder, &map, "--accelerometer-bias-sigma 0.1");
     let first_ns = outcome.states().unwrap()[0].stamp_ns;
     let again =
-        |event: &&onboard::robot::event::Event| event.accepted && event.stamp_ns > first_ns + 105_000_000_000;
+        |event: &&onboard::event::Event| event.accepted && event.stamp_ns > first_ns + 105_000_000_000;
     assert!(outcome.events().unwrap().iter().filter(again).count() > 10);
     let status = outcome.summary.final_status.unwrap();
-    assert_eq!(status.localization, onboard::estimator::Localization::Localized, "{}", status.reason);
+    assert_eq!(status.localization, estimator::Localization::Localized, "{}", status.reason);
 }
 
 #[test]
@@ -150,7 +150,7 @@ fn odometry_alone() {
     let sequence = Sequence::open(&live).unwrap();
     let out = tempfile::tempdir().unwrap();
     let parsed: RobotArguments = arguments(out.path(), "--init truth --mode odometry");
-    let outcome = onboard::robot::run_robot(&sequence, &parsed, None, |_| {}).unwrap();
+    let outcome = onboard::run_robot(&sequence, &parsed, None, |_| {}).unwrap();
     // OpenVINS reaches 0.541 m on this very stream.
     assert!(outcome.summary.score.unwrap().odometry_yaw_aligned_m.rmse <= 0.541);
 }

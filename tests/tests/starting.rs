@@ -1,10 +1,10 @@
 //! Starting in motion, and starting again after the filter diverged.
 #![allow(clippy::unwrap_used)]
 
-use onboard::estimator::Localization;
-use onboard::robot::{Outcome, run_robot};
-use onboard::sequence::Sequence;
-use onboard::trajectory::StateRow;
+use estimator::Localization;
+use evaluation::trajectory::StateRow;
+use onboard::{Outcome, run_robot};
+use sensors::Sequence;
 use std::ops::Range;
 use tests::place::Place;
 use tests::robot::{arguments, run};

@@ -2,19 +2,19 @@
 //! each variant of the paper's table.
 
 use crate::in_process::{LocalServer, load_map};
-use crate::map_building::{BuildOptions, BuildReport, build_map};
-use crate::map_files::save_map;
 use crate::plotting::comparison::{ComparedRun, Comparison, draw, stretches_without_features};
 use crate::plotting::{RunFiles, Truth, draw_run};
-use crate::simulation::{SimulatedPlace, SimulationOptions, simulate};
 use anyhow::{Context as _, Result, bail};
+use evaluation::trajectory::StampedPose;
+use evaluation::{Score, run_errors};
+use map::text::save_map;
+use mapping::{BuildOptions, BuildReport, build_map};
 use nalgebra::Vector3;
-use onboard::evaluation::{Score, run_errors};
-use onboard::robot::arguments::{Init, Mode};
-use onboard::robot::{Outcome, RobotArguments, run_robot};
-use onboard::sequence::{ImuNoise, Sequence};
-use onboard::trajectory::StampedPose;
+use onboard::arguments::{Init, Mode};
+use onboard::{Outcome, RobotArguments, run_robot};
+use sensors::{ImuNoise, Sequence};
 use serde::Serialize;
+use simulation::{SimulatedPlace, SimulationOptions, simulate};
 use std::path::{Path, PathBuf};
 
 /// One row of the table.
@@ -173,7 +173,7 @@ fn pictures(
             Mode::Odometry => Some(run_errors(states, &truth.rows, gravity)?.true_global_from_local),
             _ => None,
         };
-        let pose_of = |state: &onboard::trajectory::StateRow| match lays_in_global {
+        let pose_of = |state: &evaluation::trajectory::StateRow| match lays_in_global {
             Some(global_from_local) => Some(global_from_local * state.local_from_imu.pose),
             None => state.global_from_imu.as_ref().map(|global_from_imu| global_from_imu.pose),
         };

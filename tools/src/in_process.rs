@@ -1,9 +1,11 @@
 //! A map server and robots in one process, over Zenoh on the loopback interface.
 
 use anyhow::{Context as _, Result};
-use map_server::{LoadedMap, MapServer, ServedMap, ServerOptions, SledStore};
-use onboard::robot::MapLink;
-use protocol::session::{SessionOptions, close_session, open_session};
+use client::session::{SessionOptions, close_session, open_session};
+use map::SledStore;
+use map_server::{MapServer, ServedMap, ServerOptions};
+use onboard::MapLink;
+use recognition::LoadedMap;
 use std::net::TcpListener;
 use std::path::Path;
 use std::sync::Arc;

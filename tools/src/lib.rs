@@ -4,13 +4,8 @@
 //! can do the same without a shell.
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
-pub mod client;
 pub mod command;
 pub mod demo;
 pub mod in_process;
-pub mod map_building;
-pub mod map_files;
-pub mod monte_carlo;
 pub mod plotting;
 pub mod query_image;
-pub mod simulation;

@@ -4,12 +4,13 @@ use std::path::Path;
 
 use anyhow::{Context as _, Result, bail};
 use geometry::Camera;
-use onboard::robot::extraction::{FeatureArguments, feature_set};
-use onboard::sequence::{Frame, Sequence};
+use onboard::extraction::FeatureArguments;
 use protocol::{FeatureSet, LocalizeRequest};
+use sensors::feature_set;
+use sensors::{Frame, Sequence};
 use vision::GrayImage;
 
-use crate::map_files::read_camera;
+use map::text::read_camera;
 
 /// An image to be recognized.
 #[derive(Clone, Debug)]

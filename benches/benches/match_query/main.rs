@@ -12,10 +12,10 @@ use std::sync::LazyLock;
 use std::time::Instant;
 
 use map::World;
-use map_server::{LoadedMap, RecognitionOptions};
 use protocol::{LocalizeRequest, MatchOutcome, MatchReply};
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
+use recognition::{LoadedMap, RecognitionOptions};
 use vision::{DescriptorView, MatchOptions, Metric, match_descriptors};
 
 const QUERIES: usize = 40;

@@ -1,7 +1,7 @@
 //! A seeded synthetic map of many places with descriptors whose distances are like those of learned features.
 
 use geometry::{Camera, Distortion, Pose, PoseWithCovariance};
-use map_server::{Keyframe, Landmark, MapContents, MapInfo, Observation};
+use map::{Keyframe, Landmark, MapContents, MapInfo, Observation};
 use nalgebra::{Matrix6, UnitQuaternion, Vector2, Vector3, Vector6};
 use protocol::{DescriptorKind, Descriptors, FeatureSet, MatchRequest};
 use rand::rngs::StdRng;

@@ -3,13 +3,13 @@
 //! Its body swings from side to side before a wall of points, so that the state is as large as on a robot: 20 clones, and
 //! 30 landmarks that are in view all the time.
 
-use geometry::{Camera, Distortion, Pose, PoseWithCovariance, rotation};
-use nalgebra::{Matrix3, Matrix6, Rotation3, UnitQuaternion, Vector3};
-use onboard::estimator::propagation::ImuState;
-use onboard::estimator::{
+use estimator::propagation::ImuState;
+use estimator::{
     ChangeSize, CloneId, Estimator, EstimatorConfig, ImuSample, InitialSigmas, InitialState, MapAnswer,
     MapKeyframe, MapRevision, MatchedLandmark, RevisionEffect, RigCamera, TrackObservation,
 };
+use geometry::{Camera, Distortion, Pose, PoseWithCovariance, rotation};
+use nalgebra::{Matrix3, Matrix6, Rotation3, UnitQuaternion, Vector3};
 use rand::{RngExt, SeedableRng, rngs::StdRng};
 use std::time::{Duration, Instant};
 

@@ -9,7 +9,7 @@
 use nalgebra::Matrix6;
 use protocol::{KeyframeId, MapChange, StatedChange};
 
-use crate::recognition::LoadedMap;
+use recognition::LoadedMap;
 
 /// A smaller change of a pose (m, rad) is rounding, as of a map that went through text files.
 const LEAST_MOVE: f64 = 1e-6;
@@ -28,8 +28,8 @@ pub(super) fn between(name: &str, old: &LoadedMap, new: &LoadedMap) -> MapChange
         stated_change: stated_change(old, new),
     };
     let dependent = with_other_dependences(old, new);
-    for loaded in &old.keyframes {
-        let id = loaded.keyframe.id;
+    for keyframe in old.keyframes() {
+        let id = keyframe.id;
         let Some((before, now)) = old.keyframe_reply(id).zip(new.keyframe_reply(id)) else {
             change.removed.push(id);
             continue;
@@ -47,7 +47,7 @@ pub(super) fn between(name: &str, old: &LoadedMap, new: &LoadedMap) -> MapChange
 
 /// How many keyframes are new.
 pub(super) fn added(old: &LoadedMap, new: &LoadedMap) -> usize {
-    new.keyframes.iter().filter(|loaded| old.position_of(loaded.keyframe.id).is_none()).count()
+    new.keyframes().filter(|keyframe| old.keyframe(keyframe.id).is_none()).count()
 }
 
 /// The size of a change, for a person.
@@ -63,10 +63,10 @@ pub(super) fn in_words(change: Option<&StatedChange>) -> String {
 /// How far the keyframes of both versions moved; `None` where there are none.
 fn stated_change(old: &LoadedMap, new: &LoadedMap) -> Option<StatedChange> {
     let (mut count, mut squared_angle, mut squared_distance) = (0_usize, 0.0, 0.0);
-    for loaded in &old.keyframes {
-        let before = &loaded.keyframe.global_from_keyframe.pose;
-        let Some(at) = new.position_of(loaded.keyframe.id) else { continue };
-        let now = &new.keyframes[at].keyframe.global_from_keyframe.pose;
+    for keyframe in old.keyframes() {
+        let before = &keyframe.global_from_keyframe.pose;
+        let Some(keyframe_now) = new.keyframe(keyframe.id) else { continue };
+        let now = &keyframe_now.global_from_keyframe.pose;
         count += 1;
         squared_angle += before.rotation.angle_to(&now.rotation).powi(2);
         squared_distance += (now.translation - before.translation).norm_squared();
@@ -78,10 +78,7 @@ fn stated_change(old: &LoadedMap, new: &LoadedMap) -> Option<StatedChange> {
 
 /// Whether the pose of a keyframe or its covariance is another one.
 fn moves(old: &LoadedMap, new: &LoadedMap, id: KeyframeId) -> bool {
-    let [before, now] = [old, new].map(|map| {
-        let at = map.position_of(id)?;
-        Some(&map.keyframes[at].keyframe.global_from_keyframe)
-    });
+    let [before, now] = [old, new].map(|map| map.keyframe(id).map(|keyframe| &keyframe.global_from_keyframe));
     let Some((before, now)) = before.zip(now) else { return true };
     before.pose.local(&now.pose).amax() > LEAST_MOVE
         || differ(
@@ -95,12 +92,11 @@ fn moves(old: &LoadedMap, new: &LoadedMap, id: KeyframeId) -> bool {
 fn with_other_dependences(old: &LoadedMap, new: &LoadedMap) -> Vec<KeyframeId> {
     let mut others = Vec::new();
     for (a, b) in old.correlated_pairs().chain(new.correlated_pairs()) {
-        if [a, b].iter().any(|id| new.position_of(*id).is_none()) {
+        if [a, b].iter().any(|id| new.keyframe(*id).is_none()) {
             continue;
         }
-        let [Some(of_a), Some(of_b)] = [a, b].map(|id| old.position_of(id)) else { continue };
-        let variances =
-            [of_a, of_b].map(|at| old.keyframes[at].keyframe.global_from_keyframe.covariance.diagonal());
+        let [Some(of_a), Some(of_b)] = [a, b].map(|id| old.keyframe(id)) else { continue };
+        let variances = [of_a, of_b].map(|keyframe| keyframe.global_from_keyframe.covariance.diagonal());
         let [before, now] = [old, new].map(|map| map.cross_covariance(a, b).unwrap_or_default());
         if differ(&before, &now, variances) {
             others.extend([a, b]);
@@ -132,8 +128,8 @@ mod tests {
     use protocol::DescriptorKind;
 
     use super::*;
-    use crate::contents::MapContents;
-    use crate::model::{CrossCovariance, Keyframe, MapInfo};
+    use map::contents::MapContents;
+    use map::model::{CrossCovariance, Keyframe, MapInfo};
 
     fn camera() -> Camera {
         Camera {

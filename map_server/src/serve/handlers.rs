@@ -10,7 +10,7 @@ use zenoh::bytes::Encoding;
 use zenoh::query::Query;
 
 use super::Served;
-use crate::recognition::{LoadedMap, QueryError, RecognitionOptions};
+use recognition::{LoadedMap, QueryError, RecognitionOptions};
 
 /// First bytes of a bincode payload, to recognize one that comes without an encoding.
 const BINCODE_MAGIC: &[u8] = b"DRFT";
@@ -89,8 +89,8 @@ fn send_keyframes(query: &Query, name: &str, map: &LoadedMap, format: Format) ->
         let message = format!("{asked} does not end with the id of a keyframe (a whole number), or with *");
         return Err(ErrorReply::new(ErrorCode::BadRequest, message));
     }
-    for loaded in &map.keyframes {
-        let id = loaded.keyframe.id;
+    for keyframe in map.keyframes() {
+        let id = keyframe.id;
         let key = keys::map_keyframe(name, id).map_err(|error| internal(&error))?;
         if let Some(reply) = map.keyframe_reply(id) {
             send(query, &key, format, &reply)?;

@@ -43,7 +43,7 @@ use zenoh::query::{Query, Queryable};
 
 use self::handlers::Kind;
 use self::queue::{Job, Queue};
-use crate::recognition::{LoadedMap, RecognitionOptions};
+use recognition::{LoadedMap, RecognitionOptions};
 
 pub use self::queue::ServerStatistics;
 

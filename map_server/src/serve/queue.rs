@@ -14,7 +14,7 @@ use zenoh::query::Query;
 
 use super::Served;
 use super::handlers::{self, Kind};
-use crate::recognition::RecognitionOptions;
+use recognition::RecognitionOptions;
 
 /// A query to be answered.
 pub(super) struct Job {

@@ -6,14 +6,14 @@ use std::time::Duration;
 use anyhow::bail;
 use indicatif::{ProgressBar, ProgressStyle};
 use nalgebra::Vector3;
-use onboard::robot::extraction::FeatureArguments;
-use onboard::sequence::{ReferencePose, Sequence, read_reference_poses};
+use onboard::extraction::FeatureArguments;
+use sensors::{ReferencePose, Sequence, read_reference_poses};
 use serde_json::json;
 
 use super::import_map::{check_free, parse_direction};
-use crate::map_building::{BuildOptions, BuildReport, Extraction, Spread, Stage, StoredPoses, build_map};
-use crate::map_files::save_map;
 use crate::plotting::draw_coverage;
+use map::text::save_map;
+use mapping::{BuildOptions, BuildReport, Extraction, Spread, Stage, StoredPoses, build_map};
 
 /// Arguments.
 #[expect(clippy::struct_excessive_bools, reason = "each is a switch of its own")]
@@ -164,7 +164,7 @@ fn references(args: &Args, sequence: &Sequence) -> anyhow::Result<Vec<ReferenceP
             args.sequence.display()
         );
     };
-    let reference = |row: &onboard::sequence::TruthRow| ReferencePose {
+    let reference = |row: &sensors::TruthRow| ReferencePose {
         stamp_ns: row.stamp_ns,
         pose: row.pose,
         sigma_theta,

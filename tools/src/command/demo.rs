@@ -1,8 +1,8 @@
 //! `driftless demo`: the whole system in a minute.
 
 use crate::demo::{Demo, Row, run_demo};
+use evaluation::Score;
 use indicatif::ProgressBar;
-use onboard::evaluation::Score;
 use std::path::PathBuf;
 use std::time::Duration;
 

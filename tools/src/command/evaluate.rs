@@ -1,14 +1,14 @@
 //! `driftless evaluate`: how far an estimated trajectory is from the truth, and whether it knows.
 
 use anyhow::{Context, ensure};
-use geometry::pose::Pose;
-use geometry::uncertain_pose::PoseWithCovariance;
-use nalgebra::Vector3;
-use onboard::evaluation::{
+use evaluation::trajectory::{StateKind, TrajectoryFile, read_any};
+use evaluation::{
     Alignment, Delta, Nees, NeesSum, Pair, Statistics, absolute_errors, align, associate, nees, nees_bounds,
     relative_errors,
 };
-use onboard::trajectory::{StateKind, TrajectoryFile, read_any};
+use geometry::pose::Pose;
+use geometry::uncertain_pose::PoseWithCovariance;
+use nalgebra::Vector3;
 use serde::Serialize;
 use std::path::PathBuf;
 

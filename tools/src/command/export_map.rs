@@ -2,10 +2,10 @@
 
 use std::path::PathBuf;
 
-use map_server::store::{MapStore, SledStore};
+use map::store::{MapStore, SledStore};
 use serde_json::json;
 
-use crate::map_files::write_map;
+use map::text::write_map;
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]

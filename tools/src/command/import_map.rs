@@ -6,7 +6,7 @@ use anyhow::bail;
 use nalgebra::Vector3;
 use serde_json::json;
 
-use crate::map_files::{read_map, save_map};
+use map::text::{read_map, save_map};
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]

@@ -3,18 +3,18 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, bail};
-use map_server::recognition::{InspectedKeyframe, InspectedMatch, Inspection, RecognitionOptions};
-use onboard::robot::extraction::FeatureArguments;
-use onboard::sequence::Sequence;
+use onboard::extraction::FeatureArguments;
 use protocol::{Format, KeyframeId};
+use recognition::{InspectedKeyframe, InspectedMatch, Inspection, RecognitionOptions};
+use sensors::Sequence;
 use serde_json::{Value, json};
 use vision::GrayImage;
 
 use super::localize::NOT_RECOGNIZED;
-use crate::client::{in_words, print_fix};
 use crate::in_process::load_map;
 use crate::plotting::{MatchPicture, draw_matches, verdict_in_words};
 use crate::query_image::{QueryImage, read_image};
+use client::map_client::{in_words, print_fix};
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]

@@ -2,11 +2,11 @@
 
 use std::path::PathBuf;
 
-use onboard::robot::extraction::FeatureArguments;
+use onboard::extraction::FeatureArguments;
 use protocol::Format;
 
-use crate::client::{ServerArguments, in_words, print_fix};
 use crate::query_image::QueryImage;
+use client::map_client::{ServerArguments, in_words, print_fix};
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]

@@ -3,12 +3,12 @@
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-use map_server::contents::MapContents;
-use map_server::store::{MapStore, STORE_SCHEMA, SledStore};
+use map::contents::MapContents;
+use map::store::{MapStore, STORE_SCHEMA, SledStore};
 use nalgebra::Vector3;
 use serde::Serialize;
 
-use crate::map_building::Spread;
+use mapping::Spread;
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]

@@ -1,17 +1,17 @@
 //! `driftless montecarlo`: many simulated runs, and whether the filter's errors are what it says.
 
-use crate::monte_carlo::score::{ScoreOptions, pose_nees_over_time};
-use crate::monte_carlo::{
+use crate::plotting::{EnsembleLine, draw_ensemble};
+use anyhow::{Context, bail};
+use estimator::EstimatorConfig;
+use evaluation::trajectory::{StateKind, tum};
+use indicatif::{ProgressBar, ProgressStyle};
+use onboard::arguments::{Cameras, Mode, read_settings};
+use simulation::monte_carlo::score::{ScoreOptions, pose_nees_over_time};
+use simulation::monte_carlo::{
     AnswerOptions, CalibrationErrors, EnsembleScore, MapOptions, MonteCarloOptions, Variant, VariantRuns,
     report, run as run_all, score,
 };
-use crate::plotting::{EnsembleLine, draw_ensemble};
-use crate::simulation::{Course, SimulationOptions};
-use anyhow::{Context, bail};
-use indicatif::{ProgressBar, ProgressStyle};
-use onboard::estimator::EstimatorConfig;
-use onboard::robot::arguments::{Cameras, Mode, read_settings};
-use onboard::trajectory::{StateKind, tum};
+use simulation::{Course, SimulationOptions};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
@@ -228,7 +228,7 @@ fn options(args: &Args) -> anyhow::Result<MonteCarloOptions> {
 }
 
 /// A built-in way by its name, or a trajectory from a file.
-fn way(name: &str) -> anyhow::Result<(Course, Option<Vec<onboard::trajectory::StampedPose>>)> {
+fn way(name: &str) -> anyhow::Result<(Course, Option<Vec<evaluation::trajectory::StampedPose>>)> {
     Ok(match name {
         "block" => (Course::Block, None),
         "loops" => (Course::Loops, None),

@@ -8,8 +8,8 @@ use protocol::{
 };
 use serde_json::{Value, json};
 
-use crate::client::{MapClient, ServerArguments, in_words, print_fix};
-use crate::map_files::{read_camera, read_image_features};
+use client::map_client::{MapClient, ServerArguments, in_words, print_fix};
+use map::text::{read_camera, read_image_features};
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]

@@ -2,9 +2,9 @@
 
 use crate::in_process::{LocalServer, load_map};
 use anyhow::{Result, bail};
-use onboard::estimator::MapMode;
-use onboard::robot::{RobotArguments, StopSignal, progress, run_robot_until};
-use onboard::sequence::Recording;
+use estimator::MapMode;
+use onboard::{RobotArguments, StopSignal, progress, run_robot_until};
+use sensors::Recording;
 use std::path::PathBuf;
 
 /// Arguments of `driftless run`.

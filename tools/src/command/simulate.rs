@@ -1,10 +1,10 @@
 //! `driftless simulate`: a place and two runs through it, as recordings on disk.
 
-use crate::simulation::{SimulationOptions, simulate};
 use anyhow::Context;
-use onboard::sequence::{Sequence, writer};
-use onboard::trajectory::{StampedPose, tum};
+use evaluation::trajectory::{StampedPose, tum};
+use sensors::{Sequence, writer};
 use serde::Serialize;
+use simulation::{SimulationOptions, simulate};
 use std::path::{Path, PathBuf};
 
 /// Arguments.
@@ -109,8 +109,7 @@ fn read_way(path: &Path) -> anyhow::Result<Vec<StampedPose>> {
 
 fn summary(path: PathBuf, sequence: &Sequence) -> Summary {
     let truth = sequence.groundtruth.as_deref().unwrap_or_default();
-    let step =
-        |pair: &[onboard::sequence::TruthRow]| (pair[1].pose.translation - pair[0].pose.translation).norm();
+    let step = |pair: &[sensors::TruthRow]| (pair[1].pose.translation - pair[0].pose.translation).norm();
     let span = truth.first().zip(truth.last()).map_or(0, |(first, last)| last.stamp_ns - first.stamp_ns);
     Summary {
         path,

@@ -2,9 +2,9 @@
 
 use anyhow::{Context, Result, bail};
 use clap::ValueEnum;
-use onboard::robot::start::first_rest;
-use onboard::robot::{FrontEnd, progress};
-use onboard::sequence::{Frame, Sequence, writer};
+use onboard::start::first_rest;
+use onboard::{FrontEnd, progress};
+use sensors::{Frame, Sequence, writer};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -167,7 +167,7 @@ fn track(args: &Args, sequence: &mut Sequence, front_end: &mut FrontEnd) -> Summ
 
 /// The gyroscope's bias from a start at rest, if the recording has one.
 fn resting_start(sequence: &Sequence) -> Option<nalgebra::Vector3<f64>> {
-    let mut config = onboard::estimator::EstimatorConfig::default();
+    let mut config = estimator::EstimatorConfig::default();
     if let Some(gravity) = sequence.imu.as_ref().and_then(|imu| imu.gravity_magnitude) {
         config.gravity = gravity;
     }

@@ -5,10 +5,10 @@ use super::panel::{Dots, Line, Panel};
 use super::series::{thin, thin_path};
 use super::trajectory::{View, plan};
 use super::{PlotError, Truth};
+use evaluation::trajectory::StampedPose;
 use nalgebra::Vector3;
-use onboard::sequence::{Frame, TruthTrack};
-use onboard::trajectory::StampedPose;
 use plotters::style::RGBColor;
+use sensors::{Frame, TruthTrack};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 

@@ -4,12 +4,12 @@ use super::PlotError;
 use super::canvas::{self, BAD, ESTIMATE, Mark, TRUTH, entry};
 use super::panel::{Dots, Line};
 use super::trajectory::{View, plan};
-use map_server::contents::MapContents;
+use map::contents::MapContents;
 use nalgebra::Vector3;
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
-use crate::map_building::BuildReport;
+use mapping::BuildReport;
 
 /// Length of the stroke that shows where a keyframe looks, as a part of the keyframes' extent.
 const STROKE: f64 = 0.1;

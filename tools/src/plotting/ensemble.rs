@@ -4,7 +4,7 @@ use super::PlotError;
 use super::canvas::{self, BAND, COLOURS, GRID, Mark, entry, text};
 use super::panel::{Line, Panel};
 use super::series::{quantile, thin};
-use onboard::evaluation::TimePoint;
+use evaluation::TimePoint;
 use std::path::{Path, PathBuf};
 
 /// A NEES beyond this is drawn here: how far beyond does not matter.

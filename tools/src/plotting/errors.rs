@@ -5,8 +5,8 @@ use super::canvas::{self, BAND, ESTIMATE, GRID, Mark, entry, text};
 use super::panel::{Band, Line, Panel};
 use super::run_files::RunFiles;
 use super::series::{quantile, thin};
-use onboard::evaluation::ErrorSample;
-use onboard::trajectory::StateKind;
+use evaluation::ErrorSample;
+use evaluation::trajectory::StateKind;
 use std::path::{Path, PathBuf};
 
 /// Bounds are drawn at so many standard deviations.

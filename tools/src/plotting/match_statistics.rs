@@ -1,8 +1,8 @@
 //! Below the images of [`super::matches`]: how wrong the matches are, how much they look alike, and how the other
 //! candidates fared.
 
-use map_server::recognition::{InspectedKeyframe, InspectedMatch, Inspection, Verdict};
 use plotters::style::RGBColor;
+use recognition::{InspectedKeyframe, InspectedMatch, Inspection, Verdict};
 
 use super::canvas::{BAD, GOOD, GRID, INK, MAP, ODOMETRY, TRUTH};
 use super::matches::{MARGIN, WIDTH};

@@ -8,9 +8,9 @@
 //! The images are inside the file. The pointer over a match shows its numbers.
 
 use geometry::{Camera, PoseWithCovariance};
-use map_server::recognition::{InspectedKeyframe, InspectedMatch, Inspection, Verdict};
 use nalgebra::Vector3;
 use plotters::style::RGBColor;
+use recognition::{InspectedKeyframe, InspectedMatch, Inspection, Verdict};
 use std::path::{Path, PathBuf};
 use vision::{GrayImage, ImageError};
 
@@ -18,7 +18,7 @@ use super::PlotError;
 use super::canvas::{BAD, GOOD, GRID, INK, MAP, ODOMETRY, TRUTH};
 use super::match_statistics::{draw_statistics, verdict_in_words};
 use super::svg::{Anchor, Attribute, Svg, css};
-use crate::client::in_words;
+use client::map_client::in_words;
 
 /// Width of the picture, px.
 pub(super) const WIDTH: f64 = 1500.0;

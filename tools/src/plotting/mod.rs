@@ -39,8 +39,8 @@ pub use match_statistics::verdict_in_words;
 pub use matches::{MatchPicture, draw_matches};
 pub use run_files::{RunFiles, Truth, read_keyframes};
 
-use onboard::sequence::SequenceError;
-use onboard::trajectory::StateKind;
+use evaluation::trajectory::StateKind;
+use sensors::SequenceError;
 use std::path::{Path, PathBuf};
 use thiserror::Error;
 

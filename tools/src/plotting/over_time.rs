@@ -6,8 +6,8 @@ use super::panel::{Line, Panel};
 use super::run_files::RunFiles;
 use super::series::{range, thin};
 use super::trajectory::View;
+use evaluation::trajectory::StateKind;
 use nalgebra::Vector3;
-use onboard::trajectory::StateKind;
 use std::path::{Path, PathBuf};
 
 /// Draws the position over time: in G where the run localized, in L else.

@@ -2,10 +2,10 @@
 
 use super::events::read_events;
 use super::{PlotError, QueryEvent};
+use evaluation::trajectory::{StateRow, states};
+use evaluation::{RunErrors, RunScore, ScoreError, ScoreOptions, run_errors, score_run};
 use nalgebra::Vector3;
-use onboard::evaluation::{RunErrors, RunScore, ScoreError, ScoreOptions, run_errors, score_run};
-use onboard::sequence::{Sequence, TruthRow, read_groundtruth};
-use onboard::trajectory::{StateRow, states};
+use sensors::{Sequence, TruthRow, read_groundtruth};
 use std::path::{Path, PathBuf};
 
 /// The truth of a run.

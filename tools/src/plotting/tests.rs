@@ -2,11 +2,11 @@
 
 use super::*;
 use crate::plotting::comparison::{ComparedRun, Comparison};
+use evaluation::trajectory::{StampedPose, StateRow, states};
 use geometry::pose::Pose;
 use geometry::uncertain_pose::PoseWithCovariance;
 use nalgebra::{Matrix6, UnitQuaternion, Vector3, Vector6};
-use onboard::sequence::TruthRow;
-use onboard::trajectory::{StampedPose, StateRow, states};
+use sensors::TruthRow;
 
 const START_NS: i64 = 1_503_911_171_749_927_282;
 
@@ -147,7 +147,7 @@ fn runs_are_compared_in_one_picture() {
 
 #[test]
 fn gaps_without_features_are_found_at_the_ends_too() {
-    let frame = |index: i64| onboard::sequence::Frame {
+    let frame = |index: i64| sensors::Frame {
         stamp_ns: index,
         images: [None, None],
         tracks: Vec::new(),
@@ -168,7 +168,7 @@ fn gaps_without_features_are_found_at_the_ends_too() {
 
 #[test]
 fn an_ensemble_has_a_panel_an_output_and_what_is_beyond_its_top_stays_inside() {
-    use onboard::evaluation::TimePoint;
+    use evaluation::TimePoint;
     let folder = tempfile::tempdir().unwrap();
     let line = |name: &str, nees: f64| EnsembleLine {
         name: name.to_owned(),

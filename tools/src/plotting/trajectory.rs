@@ -5,9 +5,9 @@ use super::canvas::{self, Area, BAD, ESTIMATE, GOOD, LegendEntry, MAP, Mark, ODO
 use super::panel::{Dots, Line, Panel, inner_size};
 use super::run_files::RunFiles;
 use super::series::{range, thin_path};
+use evaluation::trajectory::StateKind;
 use geometry::pose::Pose;
 use nalgebra::{UnitQuaternion, Vector3};
-use onboard::trajectory::StateKind;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
@@ -102,7 +102,8 @@ fn add_local(run: &RunFiles, view: &View, lines: &mut Vec<Line>, legend: &mut Ve
             None => (Pose::identity(), "local pose in L"),
         },
     };
-    let at = |state: &onboard::trajectory::StateRow| place.transform(&state.local_from_imu.pose.translation);
+    let at =
+        |state: &evaluation::trajectory::StateRow| place.transform(&state.local_from_imu.pose.translation);
     let points: Vec<_> = run.states.iter().map(|state| view.look(&at(state))).collect();
     lines.push(Line { points: thin_path(&points), colour: ODOMETRY, width: 2 });
     legend.push(entry(Mark::Line, ODOMETRY, label));

@@ -1,0 +1,376 @@
+//! The joint covariance of the active state and the held keyframes, and the three things done to it:
+//! carry it through a transition, re-arrange its rows, and take in a measurement.
+//!
+//! # The measurement update
+//! Whitened rows `r = H e + n`, `n ~ N(0, I)`, touch only a few columns `C` (some clones, landmarks, the
+//! transform, some keyframes). With `S = H P_CC Hᵀ + I = L Lᵀ`,
+//! ```text
+//! W = L⁻¹ H P_CA       dx_A = Wᵀ L⁻¹ r       P_AA -= Wᵀ W
+//!                      P_AN -= Wᵀ L⁻¹ H P_CN       x_N, P_NN untouched (Schmidt)
+//! ```
+//! which is the extended Kalman filter's update for the active part and Schmidt's for the nuisance part.
+//! What is taken off is a Gram matrix of less than `P_AA`, in one symmetric product, so `P_AA` stays
+//! positive definite where Joseph's form does (tested against that form, over many steps).
+//! Rows that were summed up as `Λ = HᵀH` are compressed first: any root of `Λ` says the same.
+
+pub mod information;
+
+use crate::KeyframeId;
+use crate::covariance::information::{Columns, Information, Rows};
+use crate::linear_algebra::dense::{Dense, Factorization};
+use crate::propagation::{IMU_DIM, ImuMatrix};
+use crate::schmidt::HeldKeyframes;
+use faer::linalg::matmul::triangular::BlockStructure;
+use nalgebra::{Cholesky, DMatrix, DVector, Matrix6};
+use std::ops::Range;
+
+/// A measurement that fits no covariance: the filter is broken and says so.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("the covariance is no longer positive definite; the filter has diverged and must be started again")]
+pub struct NotPositiveDefinite;
+
+/// Memory of an update, kept from one to the next.
+#[derive(Clone, Debug, Default)]
+struct Workspace {
+    compressed: Rows,
+    spare: Dense,
+    /// `W`, rows x active.
+    whitened: Dense,
+    /// `L`, rows x rows.
+    innovation: Dense,
+    /// `L⁻¹ r`.
+    residual: Dense,
+    factorization: Factorization,
+}
+
+/// Covariance of the active state, and of the keyframes beside it.
+#[derive(Clone, Debug)]
+pub struct JointCovariance {
+    active: Dense,
+    /// `P_AN` and `P_NN`.
+    pub held: HeldKeyframes,
+    workspace: Workspace,
+}
+
+impl JointCovariance {
+    /// Without keyframes.
+    pub fn new(active: DMatrix<f64>, max_active_keyframes: usize) -> Self {
+        let held = HeldKeyframes::new(active.nrows(), max_active_keyframes);
+        Self { active: active.into(), held, workspace: Workspace::default() }
+    }
+
+    /// `P_AA`.
+    pub fn active(&self) -> &Dense {
+        &self.active
+    }
+
+    /// `P ← F P Fᵀ + Q`, where `F` and `Q` touch only the IMU's rows and columns, which are the first.
+    pub fn time_update(&mut self, transition: &ImuMatrix, noise: &ImuMatrix) {
+        let dim = self.active.nrows();
+        for column in 0..dim {
+            let own = &mut self.active.column_mut(column)[..IMU_DIM];
+            let mut moved = [0.0; IMU_DIM];
+            for (factors, number) in transition.as_slice().chunks_exact(IMU_DIM).zip(&*own) {
+                for (sum, factor) in moved.iter_mut().zip(factors) {
+                    *sum += factor * number;
+                }
+            }
+            own.copy_from_slice(&moved);
+        }
+        let block = self.active.view().fixed_view::<IMU_DIM, IMU_DIM>(0, 0) * transition.transpose() + noise;
+        let block = (block + block.transpose()) * 0.5;
+        self.active.view_mut().fixed_view_mut::<IMU_DIM, IMU_DIM>(0, 0).copy_from(&block);
+        for column in IMU_DIM..dim {
+            for row in 0..IMU_DIM {
+                self.active[(column, row)] = self.active[(row, column)];
+            }
+        }
+        self.held.transform_rows(transition);
+        // Once an image: a map update must not wait for it.
+        self.held.tidy();
+    }
+
+    /// Re-arranges the active error: it becomes the old error's ranges `source`, one after the other.
+    ///
+    /// Cloning repeats a range, marginalizing leaves one out.
+    pub fn gather(&mut self, source: &[Range<usize>]) {
+        self.active.gather(source, &mut self.workspace.spare);
+        self.held.gather_rows(source);
+    }
+
+    /// Adds `jacobian` (rows x 1) times the error at `of` to the error at `begin`.
+    pub fn add_dependence(&mut self, begin: usize, jacobian: &[f64], of: usize) {
+        let n = self.active.nrows();
+        for column in 0..n {
+            let own = self.active[(of, column)];
+            for (k, factor) in jacobian.iter().enumerate() {
+                self.active[(begin + k, column)] += factor * own;
+            }
+        }
+        for row in 0..n {
+            let own = self.active[(row, of)];
+            for (k, factor) in jacobian.iter().enumerate() {
+                self.active[(row, begin + k)] += factor * own;
+            }
+        }
+        self.held.add_dependence(begin, jacobian, of);
+    }
+
+    /// Inserts numbers at `at` of the active error: `e = J e_C + n`, `n ~ N(0, noise)`.
+    ///
+    /// # Arguments
+    /// * `columns`: `C`, without keyframes; none for numbers that depend on nothing.
+    /// * `jacobian`: `J`, count x numbers in `C`.
+    /// * `noise`: diagonal blocks of the covariance of `n`, as many rows together as `jacobian` has.
+    pub fn insert(
+        &mut self,
+        at: usize,
+        columns: &Columns,
+        jacobian: &Dense,
+        noise: impl Iterator<Item = DMatrix<f64>>,
+    ) {
+        let (count, dim) = (jacobian.nrows(), self.active.nrows());
+        let Workspace { spare: grown, whitened: cross, innovation: own, .. } = &mut self.workspace;
+        cross.reset(count, dim);
+        own.reset(count, count);
+        for (range, here) in columns.runs() {
+            cross.add_product(jacobian, here, &self.active, range, BlockStructure::Rectangular);
+        }
+        for (range, here) in columns.runs() {
+            own.add_lower_outer(cross, range, jacobian, here);
+        }
+        let mut begin = 0;
+        for block in noise {
+            let mut target = own.view_mut();
+            let mut target = target.view_mut((begin, begin), block.shape());
+            target += &block;
+            begin += block.nrows();
+        }
+        own.mirror_lower();
+
+        grown.reset(dim + count, dim + count);
+        let place = |index: usize| if index < at { index } else { index + count };
+        for column in 0..dim {
+            let target = grown.column_mut(place(column));
+            target[..at].copy_from_slice(&self.active.column(column)[..at]);
+            target[at + count..].copy_from_slice(&self.active.column(column)[at..]);
+            target[at..at + count].copy_from_slice(cross.column(column));
+        }
+        for k in 0..count {
+            let target = grown.column_mut(at + k);
+            target[at..at + count].copy_from_slice(own.column(k));
+            for column in 0..dim {
+                target[place(column)] = cross[(k, column)];
+            }
+        }
+        std::mem::swap(&mut self.active, grown);
+        self.held.insert_rows(at, columns, jacobian);
+    }
+
+    /// Holds no more than `max_held` keyframes: those not used for longest are dropped, and the state made as uncertain as
+    /// that takes; see `nuisance`.
+    pub fn drop_surplus(&mut self, max_held: usize) -> usize {
+        self.held.drop_surplus(max_held, &mut self.active)
+    }
+
+    /// Gives up keyframes that the map changed, and makes the state as uncertain as that takes; see `nuisance`.
+    pub fn give_up(&mut self, ids: &[KeyframeId]) {
+        self.held.give_up(ids, &mut self.active);
+    }
+
+    /// Adds independent noise to six numbers of the active error, from `begin` on.
+    pub fn add_noise(&mut self, begin: usize, noise: &Matrix6<f64>) {
+        let mut block = self.active.view_mut();
+        let mut block = block.fixed_view_mut::<6, 6>(begin, begin);
+        block += noise;
+    }
+
+    /// `P_CC`, to gate single rows against.
+    pub fn joint(&self, columns: &Columns) -> DMatrix<f64> {
+        let (n_active, n) = (columns.active_len(), columns.len());
+        let mut joint = DMatrix::zeros(n, n);
+        for (rows, row) in columns.runs() {
+            for (range, here) in columns.runs() {
+                let block = self.active.view();
+                let block = block.view((rows.start, range.start), (rows.len(), range.len()));
+                joint.view_mut((row.start, here.start), (row.len(), here.len())).copy_from(&block);
+            }
+        }
+        for (k, &slot) in columns.keyframes.iter().enumerate() {
+            let cross = self.held.cross(slot);
+            let column = n_active + 6 * k;
+            for (range, here) in columns.runs() {
+                let block = cross.rows(range.start, range.len());
+                joint.view_mut((here.start, column), (here.len(), 6)).copy_from(&block);
+                joint.view_mut((column, here.start), (6, here.len())).copy_from(&block.transpose());
+            }
+        }
+        let own = self.held.covariance_of(&columns.keyframes);
+        joint.view_mut((n_active, n_active), own.shape()).copy_from(&own);
+        joint
+    }
+
+    /// Normalized innovation squared of rows that were not summed up.
+    ///
+    /// # Errors
+    /// [`NotPositiveDefinite`] where the covariance of the columns is broken.
+    pub fn weigh(&mut self, rows: &Rows) -> Result<f64, NotPositiveDefinite> {
+        self.whiten(rows)?;
+        Ok(self.workspace.residual.column(0).iter().map(|value| value * value).sum())
+    }
+
+    /// Normalized innovation squared of all the rows: `rᵀ (H P Hᵀ + I)⁻¹ r`.
+    ///
+    /// # Errors
+    /// [`NotPositiveDefinite`] where the covariance of the columns is broken.
+    pub fn innovation_squared(&mut self, information: &Information) -> Result<f64, NotPositiveDefinite> {
+        self.check_keyframes(&information.columns)?;
+        self.compressed(information, |joint, rows, unexplained| Ok(unexplained + joint.weigh(rows)?))
+    }
+
+    /// Takes in a measurement; see the module's text.
+    ///
+    /// # Returns
+    /// The correction of the active state.
+    ///
+    /// # Errors
+    /// [`NotPositiveDefinite`]: nothing was changed.
+    pub fn measurement_update(
+        &mut self,
+        information: &Information,
+        correction: &mut DVector<f64>,
+    ) -> Result<(), NotPositiveDefinite> {
+        self.compressed(information, |joint, rows, _| joint.update_by_rows(rows, correction))
+    }
+
+    /// The same for rows that were not summed up.
+    ///
+    /// # Errors
+    /// [`NotPositiveDefinite`]: nothing was changed.
+    pub fn update_by_rows(
+        &mut self,
+        rows: &Rows,
+        correction: &mut DVector<f64>,
+    ) -> Result<(), NotPositiveDefinite> {
+        self.correction_by_rows(rows, correction)?;
+        let Workspace { whitened, innovation, .. } = &self.workspace;
+        self.active.subtract_gram(whitened);
+        self.active.mirror_lower();
+        if !self.held.is_empty() {
+            self.held.measurement_update(rows, whitened, innovation);
+        }
+        Ok(())
+    }
+
+    /// The correction that [`JointCovariance::measurement_update`] would make, and nothing else.
+    ///
+    /// # Errors
+    /// [`NotPositiveDefinite`] where the covariance of the columns is broken.
+    pub fn correction(
+        &mut self,
+        information: &Information,
+        correction: &mut DVector<f64>,
+    ) -> Result<(), NotPositiveDefinite> {
+        self.compressed(information, |joint, rows, _| joint.correction_by_rows(rows, correction))
+    }
+
+    /// Hands on as few rows as say the same, and the part of `rᵀr` that no error explains.
+    fn compressed<T>(
+        &mut self,
+        information: &Information,
+        take: impl FnOnce(&mut Self, &Rows, f64) -> Result<T, NotPositiveDefinite>,
+    ) -> Result<T, NotPositiveDefinite> {
+        let mut rows = std::mem::take(&mut self.workspace.compressed);
+        let outcome = information
+            .compress(&mut rows, &mut self.workspace.factorization)
+            .and_then(|unexplained| take(self, &rows, unexplained));
+        self.workspace.compressed = rows;
+        outcome
+    }
+
+    fn correction_by_rows(
+        &mut self,
+        rows: &Rows,
+        correction: &mut DVector<f64>,
+    ) -> Result<(), NotPositiveDefinite> {
+        self.whiten(rows)?;
+        let Workspace { whitened, residual, .. } = &self.workspace;
+        let n = self.active.nrows();
+        if correction.len() != n {
+            *correction = DVector::zeros(n);
+        }
+        for (k, value) in correction.iter_mut().enumerate() {
+            *value = whitened.column(k).iter().zip(residual.column(0)).map(|(a, b)| a * b).sum();
+        }
+        Ok(())
+    }
+
+    /// Leaves `W`, `L` and `L⁻¹ r` in the workspace.
+    fn whiten(&mut self, rows: &Rows) -> Result<(), NotPositiveDefinite> {
+        let (count, dim) = (rows.residual.len(), self.active.nrows());
+        let Workspace { whitened, innovation, residual, factorization, .. } = &mut self.workspace;
+        let jacobian = &rows.jacobian;
+        whitened.reset(count, dim);
+        for (range, here) in rows.columns.runs() {
+            whitened.add_product(jacobian, here, &self.active, range, rows.shape());
+        }
+        innovation.reset(count, count);
+        let active_len = rows.columns.active_len();
+        if !rows.columns.keyframes.is_empty() {
+            let slots = &rows.columns.keyframes;
+            let mut of_keyframes = Dense::zeros(rows.columns.len(), 6 * slots.len());
+            for (k, &slot) in slots.iter().enumerate() {
+                let cross = self.held.cross(slot);
+                let transposed = Dense::from(cross.transpose());
+                let columns = active_len + 6 * k..active_len + 6 * (k + 1);
+                whitened.add_product(jacobian, columns, &transposed, 0..6, BlockStructure::Rectangular);
+                for (range, here) in rows.columns.runs() {
+                    let mut target = of_keyframes.view_mut();
+                    target
+                        .view_mut((here.start, 6 * k), (here.len(), 6))
+                        .copy_from(&cross.rows(range.start, range.len()));
+                }
+            }
+            let own = self.held.covariance_of(slots);
+            of_keyframes.view_mut().rows_mut(active_len, own.nrows()).copy_from(&own);
+            let mut product = Dense::zeros(count, 6 * slots.len());
+            let all = 0..rows.columns.len();
+            product.add_product(
+                jacobian,
+                all.clone(),
+                &of_keyframes,
+                all.clone(),
+                BlockStructure::Rectangular,
+            );
+            innovation.add_lower_outer(&product, 0..6 * slots.len(), jacobian, active_len..all.end);
+        }
+        for (range, here) in rows.columns.runs() {
+            innovation.add_lower_outer(whitened, range, jacobian, here);
+        }
+        for k in 0..count {
+            innovation[(k, k)] += 1.0;
+        }
+        factorization.cholesky(innovation)?;
+        whitened.solve_lower(innovation);
+        residual.reset(count, 1);
+        residual.column_mut(0).copy_from_slice(&rows.residual);
+        residual.solve_lower(innovation);
+        Ok(())
+    }
+
+    /// A map whose covariances contradict each other is no fault of the filter: it shows before the update.
+    fn check_keyframes(&self, columns: &Columns) -> Result<(), NotPositiveDefinite> {
+        if columns.keyframes.is_empty() {
+            return Ok(());
+        }
+        let mut joint = self.held.covariance_of(&columns.keyframes);
+        for k in 0..joint.nrows() {
+            // A keyframe may be known exactly.
+            joint[(k, k)] += 1e-10 * joint[(k, k)] + LEAST_VARIANCE;
+        }
+        Cholesky::new(joint).map(|_| ()).ok_or(NotPositiveDefinite)
+    }
+}
+
+/// What a keyframe that is known exactly is lifted to, rad^2 or m^2: a nanometre.
+const LEAST_VARIANCE: f64 = 1e-18;

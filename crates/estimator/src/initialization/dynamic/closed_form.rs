@@ -1,0 +1,254 @@
+//! Velocity and gravity at the first image from rays and readings alone, without any first guess.
+//!
+//! With the rotations known, everything else is linear. In the axes of the first body, image `i` was taken
+//! from `c_i = s_i + v t_i + g t_i^2 / 2` (plus the lever arm of the camera), with `s_i` the integrated
+//! specific force, and a landmark `p` seen along the unit ray `f` fulfils
+//! ```text
+//! (I - f fᵀ) (p - c_i) = 0
+//! ```
+//! Landmarks are eliminated one by one, which leaves six unknowns `(v, g)`; the velocity is eliminated too,
+//! and what is left is a quadratic form in `g` on the sphere `|g| = gravity`.
+//!
+//! Source: Dong-Si & Mourikis, IROS 2012; Martinelli, IJCV 2014; for the sphere More & Sorensen, 1983.
+
+use super::NotYet;
+use super::window::{StartTrack, Window};
+use crate::calibration::RigCamera;
+use crate::config::EstimatorConfig;
+use crate::imu::ImuSample;
+use crate::propagation::{ImuState, MotionEstimate, propagate};
+use geometry::Pose;
+use nalgebra::{Matrix3, Matrix3x6, Matrix6, SymmetricEigen, Vector3, Vector6};
+
+/// Solutions with new weights: rays are weighted by the depth that the solution before gave.
+const ROUNDS: usize = 3;
+/// A track whose residual is so many times the median is left out of the next round.
+const OUTLIER: f64 = 4.0;
+/// Landmarks are at least so far away, as a part of the median depth, when they weight their rays.
+const NEAREST: f64 = 0.1;
+
+/// What the readings say of the way between images, in the axes of the first body, without gravity and
+/// velocity.
+pub struct Integrated {
+    /// Body at each image; the position is the double integral of the specific force.
+    pub first_from_body: Vec<Pose>,
+    /// Its derivative, m/s.
+    pub velocity: Vec<Vector3<f64>>,
+}
+
+/// Integrates the readings of a window.
+pub fn integrate(window: &Window, config: &EstimatorConfig, gyroscope_bias: &Vector3<f64>) -> Integrated {
+    let mut state = ImuState {
+        local_from_imu: Pose::identity(),
+        velocity: Vector3::zeros(),
+        gyroscope_bias: *gyroscope_bias,
+        accelerometer_bias: Vector3::zeros(),
+    };
+    let mut integrated =
+        Integrated { first_from_body: vec![state.local_from_imu], velocity: vec![state.velocity] };
+    for readings in &window.readings {
+        state = carried(&state, readings, config);
+        integrated.first_from_body.push(state.local_from_imu);
+        integrated.velocity.push(state.velocity);
+    }
+    integrated
+}
+
+fn carried(state: &ImuState, readings: &[ImuSample], config: &EstimatorConfig) -> ImuState {
+    let motion = MotionEstimate { position: state.local_from_imu.translation, velocity: state.velocity };
+    propagate(state, &motion, readings, &config.imu_noise, 0.0).state
+}
+
+/// Velocity and gravity in the axes of the first body.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FirstMotion {
+    /// m/s.
+    pub velocity: Vector3<f64>,
+    /// m/s^2, pointing down.
+    pub gravity: Vector3<f64>,
+}
+
+impl FirstMotion {
+    /// Where the body was after some seconds, beside what the readings integrate to.
+    fn displacement(&self, seconds: f64) -> Vector3<f64> {
+        self.velocity * seconds + self.gravity * (0.5 * seconds * seconds)
+    }
+}
+
+/// How much a track and each of its rays count.
+struct TrackWeights {
+    outlying: bool,
+    rays: Vec<f64>,
+}
+
+/// The linear system of one track.
+struct TrackSystem {
+    landmark: Matrix3<f64>,
+    cross: Matrix3x6<f64>,
+    landmark_vector: Vector3<f64>,
+    motion: Matrix6<f64>,
+    motion_vector: Vector6<f64>,
+}
+
+/// Finds the motion that fits all tracks best.
+///
+/// # Errors
+/// [`NotYet::NoParallax`] where the tracks do not tell.
+pub fn solve(
+    window: &Window,
+    rig: &[RigCamera],
+    integrated: &Integrated,
+    gravity: f64,
+) -> Result<FirstMotion, NotYet> {
+    let mut weights: Vec<TrackWeights> = window
+        .tracks
+        .iter()
+        .map(|track| TrackWeights { outlying: false, rays: vec![1.0; track.len()] })
+        .collect();
+    let mut found = Err(NotYet::NoParallax);
+    for _ in 0..ROUNDS {
+        let (mut matrix, mut vector) = (Matrix6::zeros(), Vector6::zeros());
+        for (track, weights) in window.tracks.iter().zip(&weights) {
+            if weights.outlying {
+                continue;
+            }
+            let system = track_system(window, track, &weights.rays, rig, integrated);
+            let Some(factor) = system.landmark.cholesky() else { continue };
+            matrix += system.motion - system.cross.transpose() * factor.solve(&system.cross);
+            vector += system.motion_vector - system.cross.transpose() * factor.solve(&system.landmark_vector);
+        }
+        let motion = solve_on_sphere(&matrix, &vector, gravity).ok_or(NotYet::NoParallax)?;
+        found = Ok(motion);
+        reweight(window, rig, integrated, &motion, &mut weights);
+    }
+    found
+}
+
+/// Camera centre and ray of a sighting in the axes of the first body, velocity and gravity left out.
+fn seen(
+    sighting: &super::window::StartSighting,
+    rig: &[RigCamera],
+    integrated: &Integrated,
+) -> (Vector3<f64>, Vector3<f64>) {
+    let first_from_camera = integrated.first_from_body[sighting.image] * rig[sighting.camera].imu_from_camera;
+    (first_from_camera.translation, first_from_camera.rotation * sighting.ray.normalize())
+}
+
+fn track_system(
+    window: &Window,
+    track: &StartTrack,
+    weights: &[f64],
+    rig: &[RigCamera],
+    integrated: &Integrated,
+) -> TrackSystem {
+    let mut system = TrackSystem {
+        landmark: Matrix3::zeros(),
+        cross: Matrix3x6::zeros(),
+        landmark_vector: Vector3::zeros(),
+        motion: Matrix6::zeros(),
+        motion_vector: Vector6::zeros(),
+    };
+    for (sighting, &weight) in track.iter().zip(weights) {
+        let (centre, ray) = seen(sighting, rig, integrated);
+        let across = (Matrix3::identity() - ray * ray.transpose()) * weight;
+        let t = window.seconds(sighting.image);
+        let mut by_motion = Matrix3x6::zeros();
+        by_motion.fixed_view_mut::<3, 3>(0, 0).copy_from(&(Matrix3::identity() * -t));
+        by_motion.fixed_view_mut::<3, 3>(0, 3).copy_from(&(Matrix3::identity() * (-0.5 * t * t)));
+        system.landmark += across;
+        system.cross += across * by_motion;
+        system.landmark_vector += across * centre;
+        system.motion += by_motion.transpose() * across * by_motion;
+        system.motion_vector += by_motion.transpose() * across * centre;
+    }
+    system
+}
+
+/// New weights from a solution: a ray counts by its angle, an outlying track not at all.
+fn reweight(
+    window: &Window,
+    rig: &[RigCamera],
+    integrated: &Integrated,
+    motion: &FirstMotion,
+    weights: &mut [TrackWeights],
+) {
+    let mut residuals = Vec::with_capacity(window.tracks.len());
+    let mut depths = Vec::with_capacity(window.tracks.len());
+    for (track, weights) in window.tracks.iter().zip(&*weights) {
+        let system = track_system(window, track, &weights.rays, rig, integrated);
+        let unknown = Vector6::from_fn(|k, _| if k < 3 { motion.velocity[k] } else { motion.gravity[k - 3] });
+        let landmark = system
+            .landmark
+            .cholesky()
+            .map(|factor| factor.solve(&(system.landmark_vector - system.cross * unknown)));
+        let Some(landmark) = landmark else {
+            residuals.push(f64::INFINITY);
+            depths.push(vec![1.0; track.len()]);
+            continue;
+        };
+        let mut squared = 0.0;
+        let mut depth = Vec::with_capacity(track.len());
+        for sighting in track {
+            let (centre, ray) = seen(sighting, rig, integrated);
+            let way = landmark - centre - motion.displacement(window.seconds(sighting.image));
+            squared += (way - ray * ray.dot(&way)).norm_squared() / way.norm_squared().max(1e-12);
+            depth.push(way.norm());
+        }
+        residuals.push((squared / track.len() as f64).sqrt());
+        depths.push(depth);
+    }
+    let Some(middle) = median(&residuals) else { return };
+    let Some(depth) = median(&depths.iter().map(|depths| depths[0]).collect::<Vec<_>>()) else { return };
+    for ((weights, residual), depths) in weights.iter_mut().zip(&residuals).zip(&depths) {
+        weights.outlying = *residual > OUTLIER * middle;
+        for (weight, own) in weights.rays.iter_mut().zip(depths) {
+            *weight = (depth / own.max(NEAREST * depth)).powi(2);
+        }
+    }
+}
+
+fn median(values: &[f64]) -> Option<f64> {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    sorted.get(sorted.len() / 2).copied()
+}
+
+/// Minimizes `xᵀ A x - 2 bᵀ x` over `x = (v, g)` with `|g| = gravity`.
+fn solve_on_sphere(matrix: &Matrix6<f64>, vector: &Vector6<f64>, gravity: f64) -> Option<FirstMotion> {
+    let velocity_block: Matrix3<f64> = matrix.fixed_view::<3, 3>(0, 0).into();
+    let cross: Matrix3<f64> = matrix.fixed_view::<3, 3>(0, 3).into();
+    let by_velocity: Vector3<f64> = vector.fixed_rows::<3>(0).into();
+    let factor = velocity_block.cholesky()?;
+    let reduced: Matrix3<f64> = matrix.fixed_view::<3, 3>(3, 3) - cross.transpose() * factor.solve(&cross);
+    let right = vector.fixed_rows::<3>(3) - cross.transpose() * factor.solve(&by_velocity);
+    let down = minimize_on_sphere(&reduced, &right, gravity)?;
+    let velocity = factor.solve(&(by_velocity - cross * down));
+    let found = FirstMotion { velocity, gravity: down };
+    (found.velocity.iter().all(|value| value.is_finite())).then_some(found)
+}
+
+/// The `x` of length `radius` that minimizes `xᵀ S x / 2 - sᵀ x`.
+///
+/// Its multiplier is the root right of `-smallest eigenvalue` of `|(S + λ I)⁻¹ s| = radius`, where the left
+/// side falls all the way: bisection cannot miss it.
+pub fn minimize_on_sphere(matrix: &Matrix3<f64>, vector: &Vector3<f64>, radius: f64) -> Option<Vector3<f64>> {
+    let eigen = SymmetricEigen::try_new((matrix + matrix.transpose()) * 0.5, 1e-14, 200)?;
+    let along = eigen.eigenvectors.transpose() * vector;
+    let smallest = eigen.eigenvalues.imin();
+    let floor = eigen.eigenvalues[smallest];
+    let solution = |shift: f64| Vector3::from_fn(|k, _| along[k] / (eigen.eigenvalues[k] - floor + shift));
+    let (mut low, mut high) = (along[smallest].abs() / radius, vector.norm() / radius);
+    if high.is_nan() || high <= 0.0 || low <= 0.0 {
+        return None;
+    }
+    for _ in 0..200 {
+        let middle = 0.5 * (low + high);
+        if solution(middle).norm() > radius {
+            low = middle;
+        } else {
+            high = middle;
+        }
+    }
+    let found = eigen.eigenvectors * solution(0.5 * (low + high));
+    found.iter().all(|value| value.is_finite()).then(|| found * (radius / found.norm()))
+}

@@ -1,0 +1,199 @@
+//! The laws of a start in motion.
+
+mod world;
+
+use super::inertial::{ImuError, Interval, moved};
+use super::landmark::{Landmark, linearize, residual};
+use super::*;
+use geometry::numeric::numeric_jacobian;
+use geometry::rotation::{exp, log};
+use nalgebra::{DMatrix, DVector, Vector2};
+use rand::{SeedableRng as _, rngs::StdRng};
+use world::{Run, USUAL, World, normal, rig, vector, world};
+
+fn start(world: &World) -> Result<(InitialState, Belief), NotYet> {
+    dynamic_start(&world.window, &world.rig, &world.config, &BiasPrior::default())
+}
+
+/// The error of a start without the four numbers that define L, and its NEES.
+fn error(world: &World, start: &InitialState) -> (DVector<f64>, f64) {
+    let off = log(&(world.truth.local_from_imu.rotation * start.imu.local_from_imu.rotation.inverse()));
+    // The true L is turned about z until the error has no part about it.
+    let turn = (0..20).fold(exp(&Vector3::new(0.0, 0.0, -off.z)), |turn, _| {
+        let left =
+            log(&(turn * world.truth.local_from_imu.rotation * start.imu.local_from_imu.rotation.inverse()));
+        exp(&Vector3::new(0.0, 0.0, -left.z)) * turn
+    });
+    let tilt =
+        log(&(turn * world.truth.local_from_imu.rotation * start.imu.local_from_imu.rotation.inverse()));
+    let velocity = turn * world.truth.velocity - start.imu.velocity;
+    let gyroscope = world.truth.gyroscope_bias - start.imu.gyroscope_bias;
+    let accelerometer = world.truth.accelerometer_bias - start.imu.accelerometer_bias;
+    let parts = [velocity, gyroscope, accelerometer];
+    let numbers = [tilt.x, tilt.y].into_iter().chain(parts.iter().flat_map(|part| part.iter().copied()));
+    let error = DVector::from_iterator(11, numbers);
+    let places = [0, 1, 6, 7, 8, 9, 10, 11, 12, 13, 14];
+    let covariance = DMatrix::from_fn(11, 11, |i, j| start.covariance[(places[i], places[j])]);
+    let nees = error.dot(&covariance.cholesky().unwrap().solve(&error));
+    (error, nees)
+}
+
+#[test]
+fn the_closed_form_is_exact_without_noise() {
+    for stereo in [false, true] {
+        let world = world(Run { stereo, noise: 0.0, ..USUAL });
+        let integrated = closed_form::integrate(&world.window, &world.config, &Vector3::zeros());
+        let found = closed_form::solve(&world.window, &world.rig, &integrated, world.config.gravity).unwrap();
+        let to_body = world.first.local_from_imu.rotation.inverse();
+        let velocity = to_body * world.first.velocity;
+        let down = to_body * Vector3::new(0.0, 0.0, -world.config.gravity);
+        assert!((found.velocity - velocity).norm() < 1e-3, "{} m/s off", (found.velocity - velocity).norm());
+        assert!((found.gravity - down).norm() < 1e-3, "{} m/s^2 off", (found.gravity - down).norm());
+    }
+}
+
+#[test]
+fn the_minimum_on_the_sphere_is_the_lowest_point_of_it() {
+    let mut rng = StdRng::seed_from_u64(5);
+    for _ in 0..50 {
+        let root = nalgebra::Matrix3::from_fn(|_, _| normal(&mut rng));
+        let (matrix, vector) = (root * root.transpose(), vector(&mut rng) * 10.0);
+        let value = |x: &Vector3<f64>| 0.5 * x.dot(&(matrix * x)) - vector.dot(x);
+        let found = closed_form::minimize_on_sphere(&matrix, &vector, 9.81).unwrap();
+        assert!((found.norm() - 9.81).abs() < 1e-9);
+        for _ in 0..500 {
+            let other = world::vector(&mut rng).normalize() * 9.81;
+            assert!(value(&other) >= value(&found) - 1e-9);
+        }
+    }
+}
+
+#[test]
+fn the_gyroscopes_bias_is_found_from_rays_alone() {
+    let world = world(Run { noise: 0.3, ..USUAL });
+    let bias = Vector3::new(0.1, -0.08, 0.05);
+    let mut biased = world.window.clone();
+    for reading in biased.readings.iter_mut().flatten() {
+        reading.gyroscope += bias;
+    }
+    let found = gyroscope::refine_bias(&biased, &world.rig, &Vector3::zeros(), 0.2, 0.3);
+    assert!((found - bias - world.truth.gyroscope_bias).norm() < 0.01, "{found}");
+}
+
+#[test]
+fn sightings_and_intervals_have_the_derivatives_that_they_state() {
+    let world = world(USUAL);
+    let (rig, config) = (rig(true), &world.config);
+    let states = [world.first, world.truth];
+    let landmark = Landmark { normalized: Vector2::new(0.2, -0.1), inverse_depth: 0.15 };
+    let sighting = |image, camera| window::StartSighting {
+        image,
+        camera,
+        pixel: Vector2::new(300.0, 200.0),
+        ray: Vector3::z(),
+    };
+    for (image, camera) in [(1, 0), (1, 1), (0, 1)] {
+        let (anchor, seen) = (sighting(0, 0), sighting(image, camera));
+        let row = linearize(&landmark, &anchor, &seen, &states, &rig).unwrap();
+        let numeric = numeric_jacobian(15, |error| {
+            let mut states = states;
+            states[0].local_from_imu = states[0].local_from_imu.retract(&error.fixed_rows::<6>(0).into());
+            let body = &mut states[image].local_from_imu;
+            *body = body.retract(&error.fixed_rows::<6>(6).into());
+            let landmark = landmark.moved(&error.fixed_rows::<3>(12).into());
+            let residual = residual(&landmark, &anchor, &seen, &states, &rig).unwrap();
+            DVector::from_column_slice((-residual).as_slice())
+        });
+        // Where both sightings are of one body, each error moves both.
+        let shared = row.by_anchor + row.by_body;
+        let (by_anchor, by_body) = if image == 0 { (shared, shared) } else { (row.by_anchor, row.by_body) };
+        let mut stated = DMatrix::zeros(2, 15);
+        stated.view_mut((0, 0), (2, 6)).copy_from(&by_anchor);
+        stated.view_mut((0, 6), (2, 6)).copy_from(&by_body);
+        stated.view_mut((0, 12), (2, 3)).copy_from(&row.by_landmark);
+        assert!((stated - numeric).amax() < 1e-5, "image {image}, camera {camera}");
+    }
+
+    let interval =
+        Interval::new(&world.window.readings[3], &Vector3::repeat(0.01), &Vector3::repeat(0.02), config)
+            .unwrap();
+    let end = moved(&world.first, &ImuError::from_fn(|k, _| 0.02 * (k as f64).sin()));
+    let row = interval.linearize(&world.first, &end);
+    let numeric = numeric_jacobian(30, |error| {
+        let begin = moved(&world.first, &error.fixed_rows::<15>(0).into());
+        let end = moved(&end, &error.fixed_rows::<15>(15).into());
+        DVector::from_column_slice(interval.residual(&begin, &end).as_slice())
+    });
+    let off =
+        (numeric.columns(0, 15) - row.by_begin).amax().max((numeric.columns(15, 15) - row.by_end).amax());
+    assert!(off < 1e-6, "{off}");
+}
+
+#[test]
+fn preintegration_predicts_what_propagation_does() {
+    use crate::propagation::{MotionEstimate, propagate};
+    let world = world(USUAL);
+    let (readings, first) = (&world.window.readings[0], world.first);
+    let motion = MotionEstimate { position: first.local_from_imu.translation, velocity: first.velocity };
+    let carried = propagate(&first, &motion, readings, &world.config.imu_noise, world.config.gravity).state;
+    let interval =
+        Interval::new(readings, &first.gyroscope_bias, &first.accelerometer_bias, &world.config).unwrap();
+    assert!(interval.residual(&first, &carried).amax() < 1e-12);
+}
+
+#[test]
+fn errors_of_starts_are_what_their_covariances_say() {
+    for stereo in [false, true] {
+        let (mut sum, mut runs) = (0.0, 0);
+        for seed in 0..24 {
+            let world = world(Run { seed, stereo, ..USUAL });
+            let Ok((start, belief)) = start(&world) else { continue };
+            let (error, nees) = error(&world, &start);
+            assert!(nees < 45.0, "seed {seed}: NEES {nees} of 11, {error}");
+            let speed = world.truth.velocity.norm();
+            let off = (start.imu.velocity.norm() / speed - 1.0).abs();
+            assert!(off < 5.0 * belief.scale_sigma + 0.01, "seed {seed}: speed off by {off}");
+            sum += nees;
+            runs += 1;
+        }
+        assert!(runs >= 20, "{runs} starts");
+        let freedom = f64::from(11 * runs);
+        // 95 % interval of chi-square for that many degrees of freedom, by its normal limit.
+        let half = 1.96 * (2.0 * freedom).sqrt();
+        assert!((sum - freedom).abs() < half, "NEES {sum} of {freedom} +- {half} over {runs} runs");
+    }
+}
+
+#[test]
+fn one_camera_at_constant_velocity_does_not_start_and_two_do() {
+    for seed in 0..6 {
+        let glide = Run { seed, shaken: 0.0, ..USUAL };
+        let refused = start(&world(glide));
+        assert!(matches!(refused, Err(NotYet::ScaleUnknown { .. })), "seed {seed}: {refused:?}");
+        let of_two = world(Run { stereo: true, ..glide });
+        let (start, _) = start(&of_two).unwrap();
+        let (error, nees) = error(&of_two, &start);
+        assert!(nees < 40.0 && error.fixed_rows::<3>(2).norm() < 0.08, "seed {seed}: {nees} {error}");
+    }
+}
+
+#[test]
+fn outliers_do_not_spoil_a_start() {
+    for seed in 0..6 {
+        let world = world(Run { seed, outliers: 0.02, ..USUAL });
+        let (start, belief) = start(&world).unwrap();
+        assert!((0.01..0.04).contains(&belief.outliers), "seed {seed}: {}", belief.outliers);
+        let (error, nees) = error(&world, &start);
+        assert!(nees < 45.0, "seed {seed}: NEES {nees}, {error}");
+    }
+}
+
+#[test]
+fn wrong_extrinsics_and_missing_tracks_are_refused() {
+    let mut turned = world(USUAL);
+    turned.rig[0].imu_from_camera.rotation *= exp(&Vector3::new(0.0, 0.5, 0.0));
+    assert!(matches!(start(&turned), Err(NotYet::Contradiction { .. } | NotYet::TooFewTracks { .. })));
+    let mut blind = world(USUAL);
+    blind.window.tracks.truncate(5);
+    assert_eq!(start(&blind).unwrap_err(), NotYet::TooFewTracks { have: 5, need: LEAST_TRACKS });
+}

@@ -1,0 +1,373 @@
+//! Carries the IMU state and its error through an interval of IMU readings.
+//!
+//! The error is `[δθ, δp, δv, δb_g, δb_a]` with the rotation error in the odometry frame,
+//! `R = Exp(δθ) R̂`, so
+//! ```text
+//! δθ' = -R (δb_g + n_g)     δp' = δv     δv' = -[R a]x δθ - R (δb_a + n_a)     δb' = n_b
+//! ```
+//! Source of the transition's closed form in terms of the states at both ends: Li & Mourikis, IJRR 2013.
+
+use crate::config::ImuNoise;
+use crate::imu::ImuSample;
+use geometry::{Pose, rotation};
+use nalgebra::{Matrix3, SMatrix, Vector3};
+
+/// Numbers in the IMU error state.
+pub const IMU_DIM: usize = 15;
+/// Offset of the velocity error in the IMU error state.
+pub const VELOCITY: usize = 6;
+/// Offset of the gyroscope bias error.
+pub const GYROSCOPE_BIAS: usize = 9;
+/// Offset of the accelerometer bias error.
+pub const ACCELEROMETER_BIAS: usize = 12;
+
+/// Readings further apart than this have a hole between them, seconds. IMUs deliver 100 Hz and more.
+const LONGEST_STEP: f64 = 0.05;
+/// How far the angular velocity in a hole may be from the line between its ends, rad/s.
+const GAP_RATE: f64 = 0.5;
+/// The same for the specific force, m/s^2.
+const GAP_FORCE: f64 = 2.0;
+
+/// A 15x15 matrix over the IMU error.
+pub type ImuMatrix = SMatrix<f64, IMU_DIM, IMU_DIM>;
+
+/// What the IMU alone describes: where the body is in L, how it moves, and the sensor's biases.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ImuState {
+    /// Body in the odometry frame.
+    pub local_from_imu: Pose,
+    /// Velocity in the odometry frame, m/s.
+    pub velocity: Vector3<f64>,
+    /// Gyroscope bias, rad/s.
+    pub gyroscope_bias: Vector3<f64>,
+    /// Accelerometer bias, m/s^2.
+    pub accelerometer_bias: Vector3<f64>,
+}
+
+/// The outcome of [`propagate`].
+#[derive(Clone, Copy, Debug)]
+pub struct Propagated {
+    /// State at the end.
+    pub state: ImuState,
+    /// Transition of the error from begin to end.
+    pub transition: ImuMatrix,
+    /// Covariance that the IMU noise added.
+    pub noise: ImuMatrix,
+}
+
+/// Position and velocity at which the transition is linearized at the interval's begin.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MotionEstimate {
+    /// Position in L, metres.
+    pub position: Vector3<f64>,
+    /// Velocity in L, m/s.
+    pub velocity: Vector3<f64>,
+}
+
+/// Integrates `readings` (from the state's time on, the last one at the target time).
+///
+/// Readings are taken to be linear in between; a fourth-order Runge-Kutta step a pair of readings.
+///
+/// # Arguments
+/// * `gravity`: magnitude, m/s^2; L has z up.
+/// * `first`: what the filter first believed of position and velocity at the begin (first-estimates
+///   Jacobians), or the newest estimate.
+pub fn propagate(
+    state: &ImuState,
+    first: &MotionEstimate,
+    readings: &[ImuSample],
+    noise: &ImuNoise,
+    gravity: f64,
+) -> Propagated {
+    let gravity = Vector3::new(0.0, 0.0, -gravity);
+    let mut now = *state;
+    let mut transition = ImuMatrix::identity();
+    let mut covariance = ImuMatrix::zeros();
+    let mut elapsed = 0.0;
+    for pair in readings.windows(2) {
+        let dt = (pair[1].stamp_ns - pair[0].stamp_ns) as f64 * 1e-9;
+        if dt <= 0.0 {
+            continue;
+        }
+        let (next, step) = integrate(&now, &pair[0], &pair[1], dt, &gravity);
+        step.apply(&mut transition);
+        step.apply(&mut covariance);
+        covariance.transpose_mut();
+        step.apply(&mut covariance);
+        covariance += step_noise(&across_gap(noise, dt), dt);
+        now = next;
+        elapsed += dt;
+    }
+    // The columns of the rotation error in closed form, so that they can stand at the first estimates.
+    let end = &now.local_from_imu.translation;
+    let velocity_gain = now.velocity - first.velocity - gravity * elapsed;
+    let position_gain = end - first.position - first.velocity * elapsed - gravity * (0.5 * elapsed * elapsed);
+    transition.fixed_view_mut::<3, 3>(VELOCITY, 0).copy_from(&-rotation::skew(&velocity_gain));
+    transition.fixed_view_mut::<3, 3>(3, 0).copy_from(&-rotation::skew(&position_gain));
+    covariance = (covariance + covariance.transpose()) * 0.5;
+    Propagated { state: now, transition, noise: covariance }
+}
+
+/// Transition of the error in one step: the identity, and these blocks.
+struct StepTransition {
+    dt: f64,
+    rotation_by_gyroscope_bias: Matrix3<f64>,
+    position_by_rotation: Matrix3<f64>,
+    position_by_gyroscope_bias: Matrix3<f64>,
+    position_by_accelerometer_bias: Matrix3<f64>,
+    velocity_by_rotation: Matrix3<f64>,
+    velocity_by_gyroscope_bias: Matrix3<f64>,
+    velocity_by_accelerometer_bias: Matrix3<f64>,
+}
+
+impl StepTransition {
+    /// `M ← F M`, a third of the work of the dense product.
+    fn apply(&self, matrix: &mut ImuMatrix) {
+        for mut column in matrix.column_iter_mut() {
+            let part = |begin: usize| -> Vector3<f64> { column.fixed_rows::<3>(begin).into() };
+            let (turn, velocity) = (part(0), part(VELOCITY));
+            let (gyroscope, accelerometer) = (part(GYROSCOPE_BIAS), part(ACCELEROMETER_BIAS));
+            let turned = self.rotation_by_gyroscope_bias * gyroscope;
+            let moved = self.position_by_rotation * turn
+                + velocity * self.dt
+                + self.position_by_gyroscope_bias * gyroscope
+                + self.position_by_accelerometer_bias * accelerometer;
+            let accelerated = self.velocity_by_rotation * turn
+                + self.velocity_by_gyroscope_bias * gyroscope
+                + self.velocity_by_accelerometer_bias * accelerometer;
+            for k in 0..3 {
+                column[k] += turned[k];
+                column[3 + k] += moved[k];
+                column[VELOCITY + k] += accelerated[k];
+            }
+        }
+    }
+}
+
+/// One step between two readings: the new state and the transition of the error.
+fn integrate(
+    state: &ImuState,
+    a: &ImuSample,
+    b: &ImuSample,
+    dt: f64,
+    gravity: &Vector3<f64>,
+) -> (ImuState, StepTransition) {
+    let rate = 0.5 * (a.gyroscope + b.gyroscope) - state.gyroscope_bias;
+    let force = [a.accelerometer, 0.5 * (a.accelerometer + b.accelerometer), b.accelerometer]
+        .map(|reading| reading - state.accelerometer_bias);
+    let begin = state.local_from_imu.rotation;
+    let middle = begin * rotation::exp(&(rate * (0.5 * dt)));
+    let mut end = begin * rotation::exp(&(rate * dt));
+    end.renormalize();
+    let world = [begin * force[0], middle * force[1], end * force[2]];
+
+    let velocity_gain = (world[0] + 4.0 * world[1] + world[2]) * (dt / 6.0);
+    let position_gain = (world[0] + 2.0 * world[1]) * (dt * dt / 6.0);
+    let next = ImuState {
+        local_from_imu: Pose::new(
+            end,
+            state.local_from_imu.translation
+                + state.velocity * dt
+                + position_gain
+                + gravity * (0.5 * dt * dt),
+        ),
+        velocity: state.velocity + velocity_gain + gravity * dt,
+        ..*state
+    };
+
+    let middle: Matrix3<f64> = middle.to_rotation_matrix().into_inner();
+    let lever = rotation::skew(&world[1]);
+    let step = StepTransition {
+        dt,
+        rotation_by_gyroscope_bias: -middle * dt,
+        position_by_rotation: -lever * (0.5 * dt * dt),
+        position_by_gyroscope_bias: lever * middle * (dt * dt * dt / 6.0),
+        position_by_accelerometer_bias: -middle * (0.5 * dt * dt),
+        velocity_by_rotation: -lever * dt,
+        velocity_by_gyroscope_bias: lever * middle * (0.5 * dt * dt),
+        velocity_by_accelerometer_bias: -middle * dt,
+    };
+    (next, step)
+}
+
+/// The noise of a step that bridges a hole in the readings: what happened in it is not known.
+fn across_gap(noise: &ImuNoise, dt: f64) -> ImuNoise {
+    if dt <= LONGEST_STEP {
+        return *noise;
+    }
+    let unknown = |density: f64, deviation: f64| density.hypot(deviation * dt.sqrt());
+    ImuNoise {
+        gyroscope: unknown(noise.gyroscope, GAP_RATE),
+        accelerometer: unknown(noise.accelerometer, GAP_FORCE),
+        ..*noise
+    }
+}
+
+/// Covariance that white noise and bias walk add in one step.
+fn step_noise(noise: &ImuNoise, dt: f64) -> ImuMatrix {
+    let mut covariance = ImuMatrix::zeros();
+    let mut put = |row: usize, column: usize, value: f64| {
+        for k in 0..3 {
+            covariance[(row + k, column + k)] = value;
+        }
+    };
+    // Isotropic sensor noise: its rotation into L drops out.
+    let force = noise.accelerometer.powi(2);
+    put(0, 0, noise.gyroscope.powi(2) * dt);
+    put(VELOCITY, VELOCITY, force * dt);
+    put(3, VELOCITY, force * dt * dt / 2.0);
+    put(VELOCITY, 3, force * dt * dt / 2.0);
+    put(3, 3, force * dt * dt * dt / 3.0);
+    put(GYROSCOPE_BIAS, GYROSCOPE_BIAS, noise.gyroscope_walk.powi(2) * dt);
+    put(ACCELEROMETER_BIAS, ACCELEROMETER_BIAS, noise.accelerometer_walk.powi(2) * dt);
+    covariance
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::SVector;
+
+    const GRAVITY: f64 = 9.81;
+
+    fn readings(seconds: f64) -> Vec<ImuSample> {
+        let count = (seconds * 400.0) as i64;
+        (0..=count)
+            .map(|k| {
+                let t = k as f64 / 400.0;
+                ImuSample {
+                    stamp_ns: k * 2_500_000,
+                    gyroscope: Vector3::new(0.5 * (2.0 * t).sin(), 0.3 * t.cos(), 0.8),
+                    accelerometer: Vector3::new(1.0 * (3.0 * t).cos(), 0.5, 9.81 + 0.7 * t.sin()),
+                }
+            })
+            .collect()
+    }
+
+    fn start() -> ImuState {
+        ImuState {
+            local_from_imu: Pose::new(
+                rotation::exp(&Vector3::new(0.3, -0.4, 1.0)),
+                Vector3::new(1.0, -2.0, 0.5),
+            ),
+            velocity: Vector3::new(0.7, -0.2, 0.1),
+            gyroscope_bias: Vector3::new(0.01, -0.02, 0.03),
+            accelerometer_bias: Vector3::new(0.05, 0.02, -0.04),
+        }
+    }
+
+    fn motion(state: &ImuState) -> MotionEstimate {
+        MotionEstimate { position: state.local_from_imu.translation, velocity: state.velocity }
+    }
+
+    fn moved(state: &ImuState, error: &SVector<f64, 15>) -> ImuState {
+        ImuState {
+            local_from_imu: state.local_from_imu.retract(&error.fixed_rows::<6>(0).into()),
+            velocity: state.velocity + error.fixed_rows::<3>(VELOCITY),
+            gyroscope_bias: state.gyroscope_bias + error.fixed_rows::<3>(GYROSCOPE_BIAS),
+            accelerometer_bias: state.accelerometer_bias + error.fixed_rows::<3>(ACCELEROMETER_BIAS),
+        }
+    }
+
+    fn difference(to: &ImuState, from: &ImuState) -> SVector<f64, 15> {
+        let mut error = SVector::<f64, 15>::zeros();
+        error.fixed_rows_mut::<6>(0).copy_from(&from.local_from_imu.local(&to.local_from_imu));
+        error.fixed_rows_mut::<3>(VELOCITY).copy_from(&(to.velocity - from.velocity));
+        error.fixed_rows_mut::<3>(GYROSCOPE_BIAS).copy_from(&(to.gyroscope_bias - from.gyroscope_bias));
+        error
+            .fixed_rows_mut::<3>(ACCELEROMETER_BIAS)
+            .copy_from(&(to.accelerometer_bias - from.accelerometer_bias));
+        error
+    }
+
+    #[test]
+    fn the_transition_is_the_derivative_of_the_motion() {
+        let (state, noise, readings) = (start(), ImuNoise::default(), readings(0.1));
+        let run = |from: &ImuState| propagate(from, &motion(from), &readings, &noise, GRAVITY);
+        let reference = run(&state);
+        for column in 0..IMU_DIM {
+            let mut error = SVector::<f64, 15>::zeros();
+            error[column] = 1e-5;
+            let forward = run(&moved(&state, &error)).state;
+            let backward = run(&moved(&state, &-error)).state;
+            let numeric =
+                (difference(&forward, &reference.state) - difference(&backward, &reference.state)) / 2e-5;
+            let analytic = reference.transition.column(column);
+            assert!((numeric - analytic).amax() < 2e-5, "column {column}: {}", (numeric - analytic).amax());
+        }
+    }
+
+    #[test]
+    fn rotating_the_frame_about_gravity_and_moving_it_stays_unobservable() {
+        // The transition carries each of the four gauge directions into the same direction at the end,
+        // also when the begin is linearized at a first estimate that differs from the newest one.
+        let (state, noise, readings) = (start(), ImuNoise::default(), readings(0.3));
+        let first = MotionEstimate {
+            position: state.local_from_imu.translation + Vector3::new(0.02, -0.01, 0.03),
+            velocity: state.velocity + Vector3::new(-0.02, 0.03, 0.01),
+        };
+        let moved = propagate(&state, &first, &readings, &noise, GRAVITY);
+        let up = Vector3::z();
+        let gauge = |motion: &MotionEstimate| {
+            let mut direction = SVector::<f64, 15>::zeros();
+            direction.fixed_rows_mut::<3>(0).copy_from(&up);
+            direction.fixed_rows_mut::<3>(3).copy_from(&up.cross(&motion.position));
+            direction.fixed_rows_mut::<3>(VELOCITY).copy_from(&up.cross(&motion.velocity));
+            direction
+        };
+        let difference = moved.transition * gauge(&first) - gauge(&motion(&moved.state));
+        assert!(difference.amax() < 1e-12, "{difference}");
+    }
+
+    #[test]
+    fn a_hole_in_the_readings_is_not_taken_for_knowledge() {
+        let (state, noise, whole) = (start(), ImuNoise::default(), readings(1.0));
+        let holed: Vec<ImuSample> = whole
+            .iter()
+            .filter(|reading| !(300_000_000..700_000_000).contains(&reading.stamp_ns))
+            .copied()
+            .collect();
+        let truth = propagate(&state, &motion(&state), &whole, &noise, GRAVITY);
+        let bridged = propagate(&state, &motion(&state), &holed, &noise, GRAVITY);
+        let error = difference(&truth.state, &bridged.state);
+        for k in 0..9 {
+            assert!(error[k].abs() < 3.0 * bridged.noise[(k, k)].sqrt(), "state {k}");
+            assert!(bridged.noise[(k, k)] > 100.0 * truth.noise[(k, k)], "state {k}");
+        }
+    }
+
+    #[test]
+    fn the_added_noise_is_that_of_noisy_readings() {
+        use rand::{RngExt as _, SeedableRng, rngs::StdRng};
+        let noise =
+            ImuNoise { gyroscope: 2e-3, accelerometer: 2e-2, gyroscope_walk: 0.0, accelerometer_walk: 0.0 };
+        let (state, clean) = (start(), readings(0.5));
+        let reference = propagate(&state, &motion(&state), &clean, &noise, GRAVITY);
+        let mut rng = StdRng::seed_from_u64(7);
+        let mut normal = move || (0..12).map(|_| rng.random::<f64>()).sum::<f64>() - 6.0;
+        let runs = 400;
+        let mut sample = ImuMatrix::zeros();
+        for _ in 0..runs {
+            let noisy: Vec<ImuSample> = clean
+                .iter()
+                .map(|reading| {
+                    let mut draw = || Vector3::new(normal(), normal(), normal());
+                    ImuSample {
+                        gyroscope: reading.gyroscope + draw() * (noise.gyroscope * 20.0),
+                        accelerometer: reading.accelerometer + draw() * (noise.accelerometer * 20.0),
+                        ..*reading
+                    }
+                })
+                .collect();
+            let error = difference(
+                &propagate(&state, &motion(&state), &noisy, &noise, GRAVITY).state,
+                &reference.state,
+            );
+            sample += error * error.transpose() / f64::from(runs);
+        }
+        for k in 0..9 {
+            let ratio = sample[(k, k)] / reference.noise[(k, k)];
+            assert!((0.75..1.3).contains(&ratio), "state {k}: {ratio}");
+        }
+    }
+}

@@ -1,0 +1,87 @@
+//! A landmark and the clones that saw it, for the tests of the estimator's parts.
+
+use crate::calibration::{Calibration, OnlineCalibration, RigCamera};
+use crate::odometry::tracks::Sighting;
+use crate::propagation::{ImuState, MotionEstimate};
+use crate::state::{ActiveState, CloneId, ClonedPose};
+use geometry::{Camera, Distortion, Pose, rotation};
+use nalgebra::{Vector2, Vector3};
+
+/// Eight clones on a bow around a landmark, the newest estimates a little off the first ones.
+pub struct Scene {
+    pub state: ActiveState,
+    pub sightings: Vec<Sighting>,
+    /// In L, metres.
+    pub landmark: Vector3<f64>,
+    pub sigma_px: f64,
+}
+
+/// # Arguments
+/// * `calibrating`: two cameras, all of whose calibration is estimated; else one that is known.
+pub fn scene(calibrating: bool) -> Scene {
+    let camera = |distortion| Camera {
+        width: 640,
+        height: 480,
+        focal: [400.0; 2],
+        centre: [320.0, 240.0],
+        distortion,
+    };
+    let mounted =
+        |y: f64| Pose::new(rotation::exp(&Vector3::new(0.1, 0.2, -0.3)), Vector3::new(0.05, y, 0.0));
+    let mut rig = vec![RigCamera { camera: camera(Distortion::None), imu_from_camera: mounted(0.1) }];
+    if calibrating {
+        let lens = Distortion::RadialTangential([-0.1, 0.02, 1e-3, -1e-3]);
+        rig.push(RigCamera { camera: camera(lens), imu_from_camera: mounted(-0.1) });
+    }
+    let online = OnlineCalibration {
+        extrinsics: calibrating,
+        intrinsics: calibrating,
+        time_offset: calibrating,
+        ..OnlineCalibration::default()
+    };
+    let landmark = Vector3::new(0.4, -0.3, 6.0);
+    let wave = |k: f64| Vector3::new((1.7 * k).sin(), (2.3 * k).cos(), (0.9 * k).sin());
+    let clones: Vec<ClonedPose> = (0..8)
+        .map(|k| {
+            let t = k as f64;
+            let newest = Pose::new(
+                rotation::exp(&(0.1 * wave(t))),
+                Vector3::new(0.3 * t - 1.0, 0.1 * t, 0.02 * t * t),
+            );
+            let turned = rotation::exp(&(2e-3 * wave(t + 9.0))) * newest.rotation;
+            let first_estimate = Pose::new(turned, newest.translation + 0.03 * wave(t + 5.0));
+            ClonedPose {
+                id: CloneId(k),
+                stamp_ns: k as i64,
+                local_from_imu: newest,
+                first_estimate,
+                pinned: false,
+            }
+        })
+        .collect();
+    let mut sightings = Vec::new();
+    for clone in &clones {
+        for (camera, eye) in rig.iter().enumerate() {
+            let pixel = eye.predict(&clone.local_from_imu, &landmark).unwrap() + Vector2::new(0.3, -0.2);
+            sightings.push(Sighting { clone: clone.id, camera: camera as u8, pixel });
+        }
+    }
+    let imu = ImuState {
+        local_from_imu: clones[7].local_from_imu,
+        velocity: Vector3::zeros(),
+        gyroscope_bias: Vector3::zeros(),
+        accelerometer_bias: Vector3::zeros(),
+    };
+    let first_motion = MotionEstimate { position: imu.local_from_imu.translation, velocity: imu.velocity };
+    let calibration = Calibration::new(rig, 0.0, online);
+    let state = ActiveState {
+        stamp_ns: 8,
+        imu,
+        first_motion,
+        calibration,
+        transform: None,
+        landmarks: Vec::new(),
+        clones,
+    };
+    Scene { state, sightings, landmark, sigma_px: 1.2 }
+}

@@ -1,0 +1,124 @@
+//! Measurements that no sane sender sends must not poison the filter.
+#![allow(clippy::unwrap_used)]
+
+mod common;
+
+use common::{FRAME_NS, World, accepted, assert_finite};
+use estimator::{CloneId, Estimator, EstimatorConfig, MapAnswer};
+use geometry::PoseWithCovariance;
+use nalgebra::{Matrix6, Vector3};
+
+/// A filter that is localized, at the frame after which the next answer is due.
+fn localized() -> (World, Estimator, CloneId, i64) {
+    let world = World::new();
+    let mut estimator = world.estimator(EstimatorConfig::default());
+    for frame in 1..=8 {
+        let clone = world.frame(&mut estimator, frame);
+        if frame % 4 == 0 {
+            let report = estimator.map_update(clone, &world.answer(frame, frame, frame as u64)).unwrap();
+            assert!(accepted(&report), "{report:?}");
+        }
+    }
+    let clone = world.frame(&mut estimator, 9);
+    (world, estimator, clone, 9)
+}
+
+/// Takes a spoilt answer, then the same keyframes as they should be, and is still a filter.
+fn survives(spoil: impl Fn(&mut MapAnswer)) {
+    let (world, mut estimator, clone, frame) = localized();
+    let mut spoilt = world.answer(frame, frame, 50);
+    spoil(&mut spoilt);
+    if let Err(error) = estimator.map_update(clone, &spoilt) {
+        panic!("an answer of the map broke the filter: {error}");
+    }
+    assert_finite(&estimator);
+    for next in frame + 1..frame + 4 {
+        let clone = world.frame(&mut estimator, next);
+        let report = estimator.map_update(clone, &world.answer(next, frame, 50)).unwrap();
+        assert!(accepted(&report), "a good answer is refused after the bad one: {report:?}");
+        assert_finite(&estimator);
+    }
+    let error =
+        estimator.global_from_imu().unwrap().pose.local(&(world.global_from_local * World::truth(frame + 3)));
+    assert!(error.amax() < 0.1, "{error}");
+}
+
+#[test]
+fn a_tracked_pixel_that_is_no_number() {
+    let (world, mut estimator, _, frame) = localized();
+    for next in frame + 1..frame + 30 {
+        World::feed_imu(&mut estimator, next);
+        estimator.time_update(next * FRAME_NS).unwrap();
+        let mut tracks = world.tracks(next);
+        tracks.iter_mut().step_by(5).for_each(|track| track.pixel.x = f64::NAN);
+        tracks.iter_mut().skip(1).step_by(7).for_each(|track| track.pixel.y = f64::INFINITY);
+        estimator.track_update(&tracks).unwrap();
+        assert_finite(&estimator);
+    }
+    let error = estimator.local_from_imu().pose.local(&World::truth(frame + 29));
+    assert!(error.amax() < 0.1, "{error}");
+}
+
+#[test]
+fn a_matched_pixel_that_is_no_number() {
+    survives(|answer| answer.landmarks[3].pixel.x = f64::NAN);
+}
+
+#[test]
+fn a_pixel_of_the_map_that_is_no_number() {
+    survives(|answer| answer.landmarks[3].observations[1].1.x = f64::NAN);
+}
+
+#[test]
+fn a_landmark_that_is_nowhere() {
+    survives(|answer| answer.landmarks[3].position_in_anchor.z = f64::NAN);
+    survives(|answer| answer.landmarks[3].position_in_anchor = Vector3::zeros());
+}
+
+#[test]
+fn a_keyframe_pose_that_is_no_number() {
+    survives(|answer| answer.keyframes[0].global_from_keyframe.pose.translation.x = f64::NAN);
+}
+
+#[test]
+fn a_keyframe_covariance_that_is_no_number() {
+    survives(|answer| answer.keyframes[1].global_from_keyframe.covariance[(2, 2)] = f64::NAN);
+}
+
+#[test]
+fn a_keyframe_covariance_that_is_none() {
+    survives(|answer| answer.keyframes[1].global_from_keyframe.covariance[(2, 2)] = -1.0);
+}
+
+#[test]
+fn a_keyframe_that_is_known_exactly() {
+    survives(|answer| {
+        let pose = answer.keyframes[1].global_from_keyframe.pose;
+        answer.keyframes[1].global_from_keyframe = PoseWithCovariance::exact(pose);
+    });
+}
+
+#[test]
+fn a_cross_covariance_larger_than_the_covariances_allow() {
+    survives(|answer| {
+        let other = answer.keyframes[0].id;
+        answer.keyframes[1].cross_covariances = vec![(other, Matrix6::identity())];
+    });
+    survives(|answer| {
+        let other = answer.keyframes[0].id;
+        answer.keyframes[1].cross_covariances = vec![(other, Matrix6::repeat(f64::NAN))];
+    });
+}
+
+#[test]
+fn a_pixel_noise_that_is_none() {
+    for sigma in [0.0, -1.0, f64::NAN, f64::INFINITY] {
+        survives(|answer| answer.sigma_map_px = sigma);
+    }
+}
+
+#[test]
+fn a_gravity_that_is_no_direction() {
+    survives(|answer| answer.gravity_in_global = Some(Vector3::repeat(f64::NAN)));
+    survives(|answer| answer.gravity_in_global = Some(Vector3::zeros()));
+}

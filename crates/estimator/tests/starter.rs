@@ -1,0 +1,96 @@
+//! What a body is started from: rest that the images confirm, or motion that tells its scale.
+#![allow(clippy::unwrap_used)]
+
+use estimator::{
+    EstimatorConfig, ImuSample, LastBelieved, RigCamera, Start, StartMethod, Starter, TrackObservation,
+    Waiting,
+};
+use geometry::{Camera, Distortion, Pose, rotation};
+use nalgebra::Vector3;
+use rand::{RngExt as _, SeedableRng, rngs::StdRng};
+
+const IMU_NS: i64 = 5_000_000;
+const FRAME_NS: i64 = 50_000_000;
+/// Tilt of the body.
+const TILT: Vector3<f64> = Vector3::new(0.3, -0.2, 0.0);
+
+fn rig() -> Vec<RigCamera> {
+    let camera = Camera {
+        width: 640,
+        height: 480,
+        focal: [400.0; 2],
+        centre: [320.0, 240.0],
+        distortion: Distortion::None,
+    };
+    vec![RigCamera { camera, imu_from_camera: Pose::identity() }]
+}
+
+/// Readings of a body without acceleration and images of one that moves at `velocity` (m/s), until it starts.
+fn watch(mut starter: Starter, velocity: Vector3<f64>, seconds: f64) -> Result<(f64, Start), Vec<Waiting>> {
+    let mut rng = StdRng::seed_from_u64(4);
+    let mut draw = |low: f64, high: f64| rng.random_range(low..high);
+    let points: Vec<Vector3<f64>> =
+        (0..60).map(|_| Vector3::new(draw(-3.0, 3.0), draw(-2.0, 2.0), draw(4.0, 8.0))).collect();
+    let rotation = rotation::exp(&TILT);
+    let mut waited = Vec::new();
+    for step in 0..(seconds * 1e9) as i64 / IMU_NS {
+        let stamp_ns = step * IMU_NS;
+        let shiver = Vector3::repeat(0.002 * (step as f64).sin());
+        let force = rotation.inverse() * Vector3::new(0.0, 0.0, 9.81) + shiver;
+        starter.imu(ImuSample { stamp_ns, gyroscope: shiver * 0.1, accelerometer: force }).unwrap();
+        if stamp_ns % FRAME_NS != 0 {
+            continue;
+        }
+        let at = velocity * (stamp_ns as f64 * 1e-9);
+        let rig = rig();
+        let see = |(name, point): (usize, &Vector3<f64>)| {
+            let pixel = rig[0].camera.project(&(point - at)).ok()?;
+            let noise = nalgebra::Vector2::new(draw(-1.0, 1.0), draw(-1.0, 1.0));
+            rig[0].camera.contains(&pixel).then_some(TrackObservation {
+                camera: 0,
+                feature_id: name as u64,
+                pixel: pixel + noise,
+            })
+        };
+        let tracks: Vec<_> = points.iter().enumerate().filter_map(see).collect();
+        match starter.image(stamp_ns, &tracks) {
+            Ok(start) => return Ok((stamp_ns as f64 * 1e-9, start)),
+            Err(waiting) => waited.push(waiting),
+        }
+    }
+    Err(waited)
+}
+
+#[test]
+fn a_body_that_stands_starts_after_half_a_second() {
+    let (seconds, start) =
+        watch(Starter::new(EstimatorConfig::default(), rig()), Vector3::zeros(), 3.0).unwrap();
+    assert_eq!(start.method, StartMethod::Rest);
+    assert!(seconds <= 0.55, "{seconds} s");
+    let up = start.initial.imu.local_from_imu.rotation * (rotation::exp(&TILT).inverse() * Vector3::z());
+    assert!((up - Vector3::z()).norm() < 0.01);
+}
+
+#[test]
+fn gliding_is_not_rest_and_one_camera_that_glides_never_starts() {
+    let glide = Vector3::new(0.4, 0.1, 0.0);
+    let waited = watch(Starter::new(EstimatorConfig::default(), rig()), glide, 6.0).unwrap_err();
+    let last = waited.last().unwrap().to_string();
+    assert!(last.contains("the images move") && last.contains("no start in motion"), "{last}");
+}
+
+#[test]
+fn the_next_start_takes_position_and_yaw_of_the_last_believed_pose() {
+    let turn = rotation::exp(&Vector3::new(0.0, 0.0, 1.2)) * rotation::exp(&TILT);
+    let last = LastBelieved {
+        stamp_ns: 0,
+        local_from_imu: Pose::new(turn, Vector3::new(5.0, -3.0, 1.0)),
+        gyroscope_bias: Vector3::zeros(),
+    };
+    let starter = Starter::again(EstimatorConfig::default(), rig(), Some(last), 1_000_000_000);
+    let (seconds, start) = watch(starter, Vector3::zeros(), 3.0).unwrap();
+    assert!(seconds >= 1.0, "not before the pause is over");
+    let placed = start.initial.imu.local_from_imu;
+    assert_eq!(placed.translation, last.local_from_imu.translation);
+    assert!(rotation::log(&(placed.rotation * turn.inverse())).norm() < 0.01);
+}

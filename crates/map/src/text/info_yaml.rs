@@ -1,0 +1,110 @@
+//! `map.yaml`: what holds for the map as a whole, written where it differs from what a plain map means.
+
+use std::fmt::Write as _;
+use std::path::Path;
+
+use crate::model::{DEFAULT_PIXEL_SIGMA, MapInfo};
+use nalgebra::Vector3;
+use protocol::DescriptorKind;
+use serde::Deserialize;
+
+use super::camera_yaml::list;
+use super::error::MapFileError;
+use super::table::shortest;
+
+/// Name of a map whose files state none.
+const DEFAULT_NAME: &str = "map";
+/// Origin of a map whose files state none.
+const DEFAULT_ORIGIN: &str = "driftless import-map";
+
+/// The file's content; everything is optional.
+#[derive(Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct InfoYaml {
+    name: Option<String>,
+    created_by: Option<String>,
+    gravity_in_global: Option<[f64; 3]>,
+    descriptor_kind: Option<String>,
+    descriptor_width: Option<u16>,
+    pixel_sigma: Option<f64>,
+    extractor: Option<String>,
+}
+
+impl InfoYaml {
+    /// Reads `map.yaml`; a missing file says nothing.
+    pub(super) fn read(path: &Path) -> Result<InfoYaml, MapFileError> {
+        let text = match std::fs::read_to_string(path) {
+            Ok(text) => text,
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(InfoYaml::default()),
+            Err(reason) => {
+                let remedy = "make it readable, or remove it".to_owned();
+                return Err(MapFileError::Read { path: path.to_owned(), reason, remedy });
+            }
+        };
+        serde_saphyr::from_str(&text).map_err(|error| {
+            MapFileError::file(
+                path,
+                error.to_string(),
+                "its optional keys are name, created_by, gravity_in_global, descriptor_kind, \
+                 descriptor_width, pixel_sigma and extractor",
+            )
+        })
+    }
+
+    /// The descriptors' width, if stated (bytes).
+    pub(super) fn descriptor_width(&self) -> Option<u16> {
+        self.descriptor_width
+    }
+
+    /// The map's info, with the width that the observations have where the file states none.
+    pub(super) fn into_info(self, path: &Path, width: u16) -> Result<MapInfo, MapFileError> {
+        let label = self.descriptor_kind.as_deref().unwrap_or(DescriptorKind::Binary.label());
+        let Some(kind) = DescriptorKind::from_label(label) else {
+            let problem = format!("descriptor_kind is {label:?}");
+            return Err(MapFileError::file(path, problem, "write binary, float or int8"));
+        };
+        let mut info = MapInfo::new(
+            self.name.unwrap_or_else(|| DEFAULT_NAME.to_owned()),
+            self.created_by.unwrap_or_else(|| DEFAULT_ORIGIN.to_owned()),
+            kind,
+            width,
+        );
+        info.gravity_in_global = self.gravity_in_global.map(Vector3::from);
+        info.pixel_sigma = self.pixel_sigma.unwrap_or(DEFAULT_PIXEL_SIGMA);
+        info.extractor = self.extractor.unwrap_or_default();
+        Ok(info)
+    }
+}
+
+/// The text of `map.yaml`, or `None` where a map without the file means the same.
+///
+/// The version is not written: it belongs to a database, which counts its own changes.
+///
+/// # Arguments
+/// * `observed_width`: width of the map's descriptors as the observations show it, `None` without observations.
+pub(super) fn info_text(info: &MapInfo, observed_width: Option<u16>) -> Option<String> {
+    let mut text = String::new();
+    // Writing to a String cannot fail. JSON strings are YAML strings.
+    if info.name != DEFAULT_NAME {
+        let _ = writeln!(text, "name: {}", serde_json::Value::from(info.name.as_str()));
+    }
+    if info.created_by != DEFAULT_ORIGIN {
+        let _ = writeln!(text, "created_by: {}", serde_json::Value::from(info.created_by.as_str()));
+    }
+    if let Some(gravity) = info.gravity_in_global {
+        let _ = writeln!(text, "gravity_in_global: [{}]", list(gravity.as_slice()));
+    }
+    if info.descriptor_kind != DescriptorKind::Binary {
+        let _ = writeln!(text, "descriptor_kind: {}", info.descriptor_kind.label());
+    }
+    if observed_width != Some(info.descriptor_width) {
+        let _ = writeln!(text, "descriptor_width: {}", info.descriptor_width);
+    }
+    if info.pixel_sigma.to_bits() != DEFAULT_PIXEL_SIGMA.to_bits() {
+        let _ = writeln!(text, "pixel_sigma: {}", shortest(info.pixel_sigma));
+    }
+    if !info.extractor.is_empty() {
+        let _ = writeln!(text, "extractor: {}", serde_json::Value::from(info.extractor.as_str()));
+    }
+    (!text.is_empty()).then_some(text)
+}

@@ -1,0 +1,247 @@
+//! A seeded synthetic place: keyframes along a path, landmarks around it, and images taken on the way.
+#![allow(dead_code)] // every test file uses its own part
+
+use geometry::{Camera, Distortion, Pose, PoseWithCovariance};
+use map::{CrossCovariance, Keyframe, Landmark, MapContents, MapInfo, Observation};
+use nalgebra::{Matrix6, UnitQuaternion, Vector2, Vector3, Vector6};
+use protocol::{DescriptorKind, Descriptors, FeatureSet, MatchRequest};
+use rand::rngs::StdRng;
+use rand::{RngExt, SeedableRng};
+
+pub const DESCRIPTOR_BYTES: usize = 32;
+/// Standard deviations of a keyframe's pose.
+pub const SIGMA_THETA: f64 = 0.005;
+pub const SIGMA_P: f64 = 0.02;
+
+/// How a place is made.
+#[derive(Clone, Debug)]
+pub struct PlaceOptions {
+    pub seed: u64,
+    pub keyframes: usize,
+    pub landmarks: usize,
+    /// How many different descriptors the repeated texture has; 0: none is repeated.
+    pub repeated_descriptors: usize,
+    /// Part of the landmarks that have repeated texture.
+    pub repeated_share: f64,
+    /// G is turned against the vertical, as in one of the recorded places.
+    pub turned: bool,
+    pub gravity_known: bool,
+}
+
+impl Default for PlaceOptions {
+    fn default() -> PlaceOptions {
+        PlaceOptions {
+            seed: 1,
+            keyframes: 30,
+            landmarks: 1500,
+            repeated_descriptors: 0,
+            repeated_share: 0.0,
+            turned: true,
+            gravity_known: true,
+        }
+    }
+}
+
+/// The truth about a place, and the noisy map of it.
+pub struct Place {
+    pub camera: Camera,
+    /// Unit vector downwards, in G.
+    pub gravity: Vector3<f64>,
+    /// True landmark positions in G and their descriptors.
+    pub points: Vec<(Vector3<f64>, Vec<u8>)>,
+    /// True keyframe poses.
+    pub path: Vec<Pose>,
+    pub map: MapContents,
+    global_from_level: UnitQuaternion<f64>,
+}
+
+pub fn camera() -> Camera {
+    Camera {
+        width: 752,
+        height: 480,
+        focal: [458.0, 457.0],
+        centre: [376.0, 240.0],
+        distortion: Distortion::RadialTangential([-0.28, 0.07, 0.0002, 0.00002]),
+    }
+}
+
+impl Place {
+    pub fn new(options: &PlaceOptions) -> Place {
+        let mut rng = StdRng::seed_from_u64(options.seed);
+        let global_from_level = if options.turned {
+            UnitQuaternion::from_scaled_axis(Vector3::new(0.3, -1.1, 0.6))
+        } else {
+            UnitQuaternion::identity()
+        };
+        let length = 2.0 * options.keyframes as f64;
+        let texture: Vec<Vec<u8>> = (0..options.repeated_descriptors).map(|_| descriptor(&mut rng)).collect();
+        let points = (0..options.landmarks)
+            .map(|_| {
+                let level = Vector3::new(
+                    rng.random_range(-5.0..length + 30.0),
+                    rng.random_range(3.0..15.0) * if rng.random_bool(0.5) { 1.0 } else { -1.0 },
+                    rng.random_range(-2.0..6.0),
+                );
+                let repeated = !texture.is_empty() && rng.random_bool(options.repeated_share);
+                let looks = if repeated {
+                    texture[rng.random_range(0..texture.len())].clone()
+                } else {
+                    descriptor(&mut rng)
+                };
+                (global_from_level * level, looks)
+            })
+            .collect();
+        let mut place = Place {
+            camera: camera(),
+            gravity: global_from_level * Vector3::new(0.0, 0.0, -1.0),
+            points,
+            path: Vec::new(),
+            map: MapContents::empty(MapInfo::new("place", "test", DescriptorKind::Binary, 32)),
+            global_from_level,
+        };
+        place.path = (0..options.keyframes).map(|i| place.camera_at(2.0 * i as f64, 0.0, 0.0)).collect();
+        place.build_map(options, &mut rng);
+        place
+    }
+
+    /// The camera at `x` along and `y` beside the path, heading `yaw` off it.
+    pub fn camera_at(&self, x: f64, y: f64, yaw: f64) -> Pose {
+        // The camera's z forward, x right, y down, on a level x forward, y left, z up.
+        let level_from_camera = UnitQuaternion::from_euler_angles(0.0, 0.0, yaw)
+            * UnitQuaternion::from_euler_angles(
+                -std::f64::consts::FRAC_PI_2,
+                0.0,
+                -std::f64::consts::FRAC_PI_2,
+            );
+        Pose::new(
+            self.global_from_level * level_from_camera,
+            self.global_from_level * Vector3::new(x, y, 1.0),
+        )
+    }
+
+    /// Which points a camera sees, where, with pixel noise of `sigma`.
+    pub fn see(&self, global_from_camera: &Pose, sigma: f64, rng: &mut StdRng) -> Vec<(usize, [f32; 2])> {
+        let mut seen = Vec::new();
+        for (index, (point, _)) in self.points.iter().enumerate() {
+            let in_camera = global_from_camera.inverse_transform(point);
+            if in_camera.z < 1.0 || in_camera.norm() > 30.0 || in_camera.xy().norm() > 1.1 * in_camera.z {
+                continue;
+            }
+            if let Ok(pixel) = self.camera.project(&in_camera) {
+                let noisy = pixel + Vector2::new(normal(rng), normal(rng)) * sigma;
+                if self.camera.contains(&noisy) {
+                    seen.push((index, [noisy.x as f32, noisy.y as f32]));
+                }
+            }
+        }
+        seen
+    }
+
+    fn build_map(&mut self, options: &PlaceOptions, rng: &mut StdRng) {
+        let info = &mut self.map.info;
+        info.gravity_in_global = options.gravity_known.then_some(self.gravity);
+        let covariance = Matrix6::from_diagonal(&Vector6::new(
+            SIGMA_THETA.powi(2),
+            SIGMA_THETA.powi(2),
+            SIGMA_THETA.powi(2),
+            SIGMA_P.powi(2),
+            SIGMA_P.powi(2),
+            SIGMA_P.powi(2),
+        ));
+        let mut observations: Vec<Vec<Observation>> = vec![Vec::new(); self.points.len()];
+        for (index, truth) in self.path.clone().into_iter().enumerate() {
+            let id = 10 + index as u64;
+            for (point, pixel) in self.see(&truth, 0.5, rng) {
+                let descriptor = flipped(&self.points[point].1, 0.03, rng);
+                observations[point].push(Observation { keyframe: id, pixel, descriptor });
+            }
+            let error = Vector6::from_fn(|row, _| normal(rng) * if row < 3 { SIGMA_THETA } else { SIGMA_P });
+            self.map.keyframes.push(Keyframe {
+                id,
+                stamp_ns: 1_000_000_000 * index as i64,
+                global_from_keyframe: PoseWithCovariance::new(truth.retract(&error), covariance),
+                camera: self.camera.clone(),
+                features: None,
+            });
+        }
+        for (point, observations) in observations.into_iter().enumerate() {
+            let Some(first) = observations.first() else { continue };
+            let anchor = first.keyframe;
+            let position = self.path[(anchor - 10) as usize].inverse_transform(&self.points[point].0);
+            self.map.landmarks.push(Landmark {
+                id: 1000 + point as u64,
+                anchor,
+                position_in_anchor: position * (1.0 + 0.01 * normal(rng)),
+                observations,
+            });
+        }
+        for pair in self.map.keyframes.windows(2) {
+            let (a, b) = (pair[0].id, pair[1].id);
+            self.map.cross_covariances.push(CrossCovariance { a, b, block: covariance * 0.4 });
+        }
+        self.map.sort();
+    }
+
+    /// The features that an extractor sees from a pose: points with flipped bits, and clutter.
+    pub fn features(&self, global_from_camera: &Pose, clutter: usize, rng: &mut StdRng) -> FeatureSet {
+        let mut pixels = Vec::new();
+        let mut bytes = Vec::new();
+        for (point, pixel) in self.see(global_from_camera, 0.7, rng) {
+            pixels.push(pixel);
+            bytes.extend(flipped(&self.points[point].1, 0.05, rng));
+        }
+        for _ in 0..clutter {
+            pixels.push([rng.random_range(0.0..751.0), rng.random_range(0.0..479.0)]);
+            bytes.extend(descriptor(rng));
+        }
+        let width = DESCRIPTOR_BYTES as u16;
+        let descriptors = Descriptors { kind: DescriptorKind::Binary, width, bytes };
+        FeatureSet { pixels, descriptors, extractor: String::new() }
+    }
+
+    /// A query without prior and gravity.
+    pub fn request(&self, global_from_camera: &Pose, max_keyframes: u16, rng: &mut StdRng) -> MatchRequest {
+        MatchRequest {
+            robot: "test_robot".to_owned(),
+            stamp_ns: 5,
+            camera: self.camera.clone(),
+            features: self.features(global_from_camera, 60, rng),
+            prior: None,
+            gravity_in_camera: None,
+            held: Vec::new(),
+            map_version_held: None,
+            max_keyframes,
+        }
+    }
+}
+
+/// A random 256-bit descriptor.
+pub fn descriptor(rng: &mut StdRng) -> Vec<u8> {
+    (0..DESCRIPTOR_BYTES).map(|_| rng.random::<u8>()).collect()
+}
+
+/// The same descriptor with each bit flipped with a probability.
+pub fn flipped(descriptor: &[u8], probability: f64, rng: &mut StdRng) -> Vec<u8> {
+    let flips = |rng: &mut StdRng| {
+        (0..8).fold(0u8, |byte, bit| byte | (u8::from(rng.random_bool(probability)) << bit))
+    };
+    descriptor.iter().map(|byte| byte ^ flips(rng)).collect()
+}
+
+/// A standard normal number (Box and Muller).
+pub fn normal(rng: &mut StdRng) -> f64 {
+    let radius = (-2.0 * rng.random_range(f64::MIN_POSITIVE..1.0).ln()).sqrt();
+    radius * (std::f64::consts::TAU * rng.random_range(0.0..1.0f64)).cos()
+}
+
+/// The database under a map, opened behind the store's back to damage it. A map that was just closed is locked for a
+/// moment longer.
+pub fn open_database(path: &std::path::Path) -> sled::Db {
+    loop {
+        match sled::open(path) {
+            Ok(database) => return database,
+            Err(error) => assert!(error.to_string().contains("lock"), "{error}"),
+        }
+        std::thread::sleep(std::time::Duration::from_millis(10));
+    }
+}

@@ -1,0 +1,135 @@
+//! From the refined bundle to a map, and the report on it.
+
+use std::collections::BTreeMap;
+
+use geometry::camera::Camera;
+use geometry::uncertain_pose::PoseWithCovariance;
+use map::contents::MapContents;
+use map::model::{CrossCovariance, Keyframe, Landmark, MapInfo, Observation};
+use nalgebra::{Matrix6, Vector3};
+use protocol::KeyframeId;
+
+use super::adjustment::Bundle;
+use super::joint_covariance::JointCovariance;
+use super::options::{BuildError, BuildOptions};
+use super::point::{CameraPose, Lens, Point};
+use super::report::{BuildReport, Spread};
+use super::views::View;
+
+/// Ids count from 1, as in the recorded maps.
+fn keyframe_id(view: usize) -> KeyframeId {
+    view as KeyframeId + 1
+}
+
+/// The map: poses with their covariances, refined landmarks in their anchors, raw pixels.
+///
+/// # Arguments
+/// * `joint`: covariance of the bundle's poses; `None` to state the given poses.
+/// * `pixel_sigma`: px.
+pub(super) fn map_contents(
+    camera: &Camera,
+    views: &[View<'_>],
+    bundle: &Bundle,
+    joint: Option<JointCovariance>,
+    pixel_sigma: f64,
+    options: &BuildOptions,
+) -> Result<MapContents, BuildError> {
+    let descriptors = &views[0].features.descriptors;
+    let mut info =
+        MapInfo::new(options.name.clone(), options.created_by.clone(), descriptors.kind, descriptors.width);
+    info.gravity_in_global = options.gravity_in_global;
+    info.pixel_sigma = pixel_sigma;
+    info.extractor.clone_from(&views[0].features.extractor);
+    let mut contents = MapContents::empty(info);
+    let pose = |view: usize| match &joint {
+        Some(joint) => PoseWithCovariance::new(bundle.poses[view], joint.own[view]),
+        None => views[view].prior,
+    };
+    contents.keyframes = views
+        .iter()
+        .enumerate()
+        .map(|(view, content)| Keyframe {
+            id: keyframe_id(view),
+            stamp_ns: content.stamp_ns,
+            global_from_keyframe: pose(view),
+            camera: camera.clone(),
+            features: None,
+        })
+        .collect();
+    let cross = |(a, b, block): (usize, usize, Matrix6<f64>)| CrossCovariance {
+        a: keyframe_id(a),
+        b: keyframe_id(b),
+        block,
+    };
+    contents.cross_covariances = joint.into_iter().flat_map(|joint| joint.cross).map(cross).collect();
+    contents.landmarks = (1..).zip(&bundle.points).map(|(id, point)| landmark(id, point, views)).collect();
+    contents.sort();
+    contents.validate()?;
+    Ok(contents)
+}
+
+fn landmark(id: u64, point: &Point, views: &[View<'_>]) -> Landmark {
+    let observation = |&(view, feature): &(usize, usize)| Observation {
+        keyframe: keyframe_id(view),
+        pixel: views[view].features.pixels[feature],
+        descriptor: views[view].features.descriptors.get(feature).unwrap_or_default().to_vec(),
+    };
+    Landmark {
+        id,
+        anchor: keyframe_id(point.anchor_view()),
+        position_in_anchor: point.ray.push(1.0) / point.inverse_depth,
+        observations: point
+            .sightings
+            .iter()
+            .filter(|sighting| sighting.lens == 0)
+            .map(|sighting| observation(&sighting.feature))
+            .collect(),
+    }
+}
+
+/// Fills in what the finished map tells.
+pub(super) fn fill_report(
+    report: &mut BuildReport,
+    rig: &[Lens],
+    views: &[View<'_>],
+    bundle: &Bundle,
+    contents: &MapContents,
+) {
+    report.cross_covariances = contents.cross_covariances.len();
+    let sigma = |first: usize| {
+        let trace = move |covariance: &Matrix6<f64>| covariance.diagonal().fixed_rows::<3>(first).sum();
+        Spread::of(
+            contents.keyframes.iter().map(|keyframe| trace(&keyframe.global_from_keyframe.covariance).sqrt()),
+        )
+    };
+    report.pose_sigma_m = sigma(3);
+    report.pose_sigma_deg = sigma(0).scaled(1_f64.to_degrees());
+    report.landmarks = contents.landmarks.len();
+    report.observations = contents.observation_count();
+    let longest = contents.landmarks.iter().map(|landmark| landmark.observations.len()).max().unwrap_or(1);
+    report.track_lengths = vec![0; longest];
+    let mut seen: BTreeMap<KeyframeId, usize> =
+        contents.keyframes.iter().map(|keyframe| (keyframe.id, 0)).collect();
+    for landmark in &contents.landmarks {
+        report.track_lengths[landmark.observations.len() - 1] += 1;
+        for observation in &landmark.observations {
+            *seen.entry(observation.keyframe).or_default() += 1;
+        }
+    }
+    report.landmarks_per_keyframe = Spread::of(seen.values().map(|&count| count as f64));
+    report.poor_keyframes =
+        seen.iter().filter(|(_, count)| **count < BuildReport::FEW_LANDMARKS).map(|(&id, _)| id).collect();
+    let priors: Vec<CameraPose> = views.iter().map(|view| CameraPose::from(&view.prior.pose)).collect();
+    report.reprojection_px = reprojection(rig, &bundle.points, &bundle.camera_poses());
+    report.reprojection_through_given_px = reprojection(rig, &bundle.points, &priors);
+    let corrections = || views.iter().zip(&bundle.poses).map(|(view, pose)| view.prior.pose.local(pose));
+    let norm = |vector: Vector3<f64>| vector.norm();
+    report.pose_correction_deg =
+        Spread::of(corrections().map(|error| norm(error.fixed_rows::<3>(0).into()).to_degrees()));
+    report.pose_correction_m = Spread::of(corrections().map(|error| norm(error.fixed_rows::<3>(3).into())));
+}
+
+fn reprojection(rig: &[Lens], points: &[Point], poses: &[CameraPose]) -> Spread {
+    let errors = points.iter().flat_map(|point| point.errors(rig, poses));
+    Spread::of(errors.filter(|error| error.is_finite()))
+}

@@ -1,0 +1,42 @@
+//! The given poses at the time of an image.
+
+use sensors::ReferencePose;
+
+/// Poses further apart than this are not interpolated between (ns): a robot can do anything in the meantime.
+const LONGEST_GAP_NS: i64 = 110_000_000;
+
+/// Given poses, ordered by time.
+pub(super) struct References {
+    poses: Vec<ReferencePose>,
+}
+
+impl References {
+    /// Poses in any order.
+    pub(super) fn new(poses: &[ReferencePose]) -> References {
+        let mut poses = poses.to_vec();
+        poses.sort_by_key(|pose| pose.stamp_ns);
+        References { poses }
+    }
+
+    /// The pose at a time, interpolated where it lies between two given ones at most 0.11 s apart; its sigmas are the
+    /// larger ones of the two.
+    pub(super) fn at(&self, stamp_ns: i64) -> Option<ReferencePose> {
+        let next = self.poses.partition_point(|pose| pose.stamp_ns < stamp_ns);
+        let after = self.poses.get(next)?;
+        if after.stamp_ns == stamp_ns {
+            return Some(*after);
+        }
+        let before = self.poses.get(next.checked_sub(1)?)?;
+        let gap_ns = after.stamp_ns - before.stamp_ns;
+        if gap_ns > LONGEST_GAP_NS {
+            return None;
+        }
+        let fraction = (stamp_ns - before.stamp_ns) as f64 / gap_ns as f64;
+        Some(ReferencePose {
+            stamp_ns,
+            pose: before.pose.interpolate(&after.pose, fraction),
+            sigma_theta: before.sigma_theta.max(after.sigma_theta),
+            sigma_p: before.sigma_p.max(after.sigma_p),
+        })
+    }
+}

@@ -1,0 +1,295 @@
+//! The queries that a loaded map answers.
+
+use std::time::Instant;
+
+use geometry::{Camera, PoseWithCovariance};
+use nalgebra::Vector3;
+use protocol::{
+    DescriptorFormat, Extent, FeatureSet, KeyframeId, KeyframeLandmark, KeyframeReply, LocalizeReply,
+    LocalizeRequest, LocalizedPose, MapInfo, MatchOutcome, MatchReply, MatchRequest, MatchStatus, PosePrior,
+};
+use vision::{DescriptorError, DescriptorView};
+
+use super::answer::{matched_keyframes, record};
+use super::consensus::{Consensus, agree};
+use super::fuse::{Fused, fuse};
+use super::index::best_voted;
+use super::loaded_map::LoadedMap;
+use super::options::RecognitionOptions;
+use super::verify::{Comparison, Image, Verified, compare, distinct_features};
+use map::store::STORE_SCHEMA;
+
+/// How many standard deviations of the prior's position a keyframe may be away, beyond the viewing distance.
+const PRIOR_SIGMAS: f64 = 3.0;
+
+/// Why a query has no answer. "Nothing matched" is an answer, not an error.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum QueryError {
+    /// The query's descriptors cannot be compared with the map's.
+    #[error(
+        "the query has {query:?} descriptors, the map has {map:?}: use the extractor that the map was built with"
+    )]
+    DescriptorMismatch {
+        /// What the query brought.
+        query: DescriptorFormat,
+        /// What the map has.
+        map: DescriptorFormat,
+    },
+    /// The query's descriptors come from another extractor than the map's.
+    #[error(
+        "the query's features come from the extractor {query:?}, the map was built with {map:?}: use the map's extractor"
+    )]
+    ExtractorMismatch {
+        /// What the query says.
+        query: String,
+        /// What the map says.
+        map: String,
+    },
+    /// The query's features are not consistent in themselves.
+    #[error("the query's features cannot be used: {0}")]
+    Descriptors(#[from] DescriptorError),
+}
+
+/// What a search found.
+struct Search {
+    outcome: MatchOutcome,
+    /// Verified keyframes of one place, most inliers first; empty unless matched.
+    place: Vec<Verified>,
+    searched_keyframes: usize,
+}
+
+impl LoadedMap {
+    /// Answers a match query: keyframes by rank, and always a final status.
+    ///
+    /// The rules of an answer are those of [`MatchReply`] and, for anchors: the anchor of every landmark is a keyframe
+    /// of the answer that observed it; where the map's own anchor is not sent, the landmark is anchored anew in the
+    /// keyframe that matched it.
+    ///
+    /// # Errors
+    /// [`QueryError`] where the query cannot be compared with the map.
+    pub fn answer(
+        &self,
+        request: &MatchRequest,
+        options: &RecognitionOptions,
+    ) -> Result<Vec<MatchReply>, QueryError> {
+        let start = Instant::now();
+        let gravity = request.gravity_in_camera.map(Vector3::from);
+        let search =
+            self.search(&request.camera, &request.features, request.prior.as_ref(), gravity, options)?;
+        let keyframes = if search.place.is_empty() {
+            Vec::new()
+        } else {
+            matched_keyframes(self, &search.place, usize::from(request.max_keyframes), &request.held, options)
+        };
+        let status = MatchStatus {
+            map_version: self.info.version,
+            outcome: search.outcome,
+            keyframes_sent: keyframes.len() as u16,
+            searched_keyframes: search.searched_keyframes as u32,
+            elapsed_us: start.elapsed().as_micros() as u64,
+            gravity_in_global: self.info.gravity_in_global.map(Into::into),
+            map_pixel_sigma: self.info.pixel_sigma,
+        };
+        let mut replies: Vec<MatchReply> = keyframes.into_iter().map(MatchReply::Keyframe).collect();
+        replies.push(MatchReply::Done(status));
+        Ok(replies)
+    }
+
+    /// Answers a one-shot localization query.
+    ///
+    /// The pose comes from all verified keyframes of the place together. Its covariance holds the pixels' noise, the
+    /// scatter of the landmarks and the uncertainty of the keyframes.
+    ///
+    /// # Errors
+    /// [`QueryError`] where the query cannot be compared with the map.
+    pub fn localize(
+        &self,
+        request: &LocalizeRequest,
+        options: &RecognitionOptions,
+    ) -> Result<LocalizeReply, QueryError> {
+        let gravity = request.gravity_in_camera.map(Vector3::from);
+        let search =
+            self.search(&request.camera, &request.features, request.prior.as_ref(), gravity, options)?;
+        let fix = match search.place.first() {
+            Some(best) => {
+                let descriptors = self.view(&request.features)?;
+                let (camera, features) = (&request.camera, &request.features);
+                let image = Image { camera, features, descriptors, gravity_in_camera: gravity };
+                Some(self.localized(best, fuse(self, &search.place, &image, options)))
+            }
+            None => None,
+        };
+        let fix = fix.filter(|fix| fix.inliers as usize >= options.min_fix_inliers);
+        let unproven = search.outcome == MatchOutcome::Matched && fix.is_none();
+        let outcome = if unproven { MatchOutcome::NotVerified } else { search.outcome };
+        Ok(LocalizeReply { map_version: self.info.version, outcome, fix })
+    }
+
+    /// The fused pose, or that of the best keyframe where fusion failed.
+    fn localized(&self, best: &Verified, fused: Option<Fused>) -> LocalizedPose {
+        let fused = fused.unwrap_or(Fused {
+            global_from_camera: best.global_from_camera,
+            inliers: best.inliers.len(),
+            matched: best.matches.len(),
+            mean_error_px: best.mean_error_px,
+        });
+        LocalizedPose {
+            global_from_camera: fused.global_from_camera,
+            keyframe: self.keyframes[best.keyframe].keyframe.id,
+            matched_features: fused.matched as u32,
+            inliers: fused.inliers as u32,
+            mean_error_px: fused.mean_error_px,
+        }
+    }
+
+    /// The keyframes that look most like an image, best first, before any of them is compared feature by feature.
+    ///
+    /// # Arguments
+    /// * `count`: at most so many; fewer where only few share a feature with the image.
+    ///
+    /// # Errors
+    /// [`QueryError`] where the features cannot be compared with the map.
+    pub fn most_alike(&self, features: &FeatureSet, count: usize) -> Result<Vec<KeyframeId>, QueryError> {
+        let votes = self.index.vote(self.view(features)?, &self.landmarks, self.keyframes.len())?;
+        let ranked = best_voted(&votes, count, 1, |_| true);
+        Ok(ranked.into_iter().map(|at| self.keyframes[at].keyframe.id).collect())
+    }
+
+    /// One keyframe with what it sees, `None` where the map has none of that id.
+    pub fn keyframe_reply(&self, id: KeyframeId) -> Option<KeyframeReply> {
+        let loaded = &self.keyframes[self.position_of(id)?];
+        let landmarks = loaded.seen.iter().map(|seen| {
+            let landmark = &self.landmarks[seen.landmark];
+            KeyframeLandmark {
+                landmark: landmark.id,
+                anchor: self.keyframes[landmark.anchor].keyframe.id,
+                position_in_anchor: landmark.position_in_anchor.into(),
+                pixel: seen.pixel,
+            }
+        });
+        let landmarks = landmarks.collect();
+        Some(KeyframeReply { map_version: self.info.version, keyframe: record(loaded), landmarks })
+    }
+
+    /// What the map is, under the name by which it is served.
+    pub fn info_reply(&self, name: &str) -> MapInfo {
+        let positions =
+            || self.keyframes.iter().map(|loaded| loaded.keyframe.global_from_keyframe.pose.translation);
+        let extent = positions().next().map(|first| Extent {
+            min: positions().fold(first, |low, position| low.inf(&position)).into(),
+            max: positions().fold(first, |high, position| high.sup(&position)).into(),
+        });
+        MapInfo {
+            name: name.to_owned(),
+            version: self.info.version,
+            database_schema: STORE_SCHEMA,
+            keyframes: self.keyframe_count() as u64,
+            landmarks: self.landmark_count() as u64,
+            observations: self.observation_count() as u64,
+            cross_covariances: self.cross_covariance_count() as u64,
+            gravity_in_global: self.info.gravity_in_global.map(Into::into),
+            extent,
+            descriptors: (!self.keyframes.is_empty()).then(|| self.format()),
+            pixel_sigma: self.info.pixel_sigma,
+            extractor: self.info.extractor.clone(),
+        }
+    }
+
+    fn format(&self) -> DescriptorFormat {
+        DescriptorFormat { kind: self.info.descriptor_kind, width: self.info.descriptor_width }
+    }
+
+    /// A query's descriptors, which must be comparable with the map's.
+    pub(super) fn view<'a>(&self, features: &'a FeatureSet) -> Result<DescriptorView<'a>, QueryError> {
+        let query = features.descriptors.format();
+        if query != self.format() {
+            return Err(QueryError::DescriptorMismatch { query, map: self.format() });
+        }
+        let (stated, wanted) = (&features.extractor, &self.info.extractor);
+        if !stated.is_empty() && !wanted.is_empty() && stated != wanted {
+            return Err(QueryError::ExtractorMismatch { query: stated.clone(), map: wanted.clone() });
+        }
+        let width = usize::from(query.width);
+        Ok(DescriptorView::new(self.metric(), width, &features.descriptors.bytes)?)
+    }
+
+    fn search(
+        &self,
+        camera: &Camera,
+        features: &FeatureSet,
+        prior: Option<&PosePrior>,
+        gravity_in_camera: Option<Vector3<f64>>,
+        options: &RecognitionOptions,
+    ) -> Result<Search, QueryError> {
+        let nothing = |outcome| Ok(Search { outcome, place: Vec::new(), searched_keyframes: 0 });
+        if self.keyframes.is_empty() {
+            return nothing(MatchOutcome::EmptyMap);
+        }
+        if features.len() < options.min_inliers {
+            return nothing(MatchOutcome::TooFewFeatures);
+        }
+        let descriptors = self.view(features)?;
+        let image = Image { camera, features, descriptors, gravity_in_camera };
+        let votes = self.index.vote(descriptors, &self.landmarks, self.keyframes.len())?;
+        let candidates = |eligible: &dyn Fn(usize) -> bool| {
+            best_voted(&votes, options.candidates, options.min_votes, eligible)
+        };
+
+        if let Some(prior) = prior {
+            let near = self.near(&prior.global_from_camera);
+            let place = self.recognize(&candidates(&|at| near[at]), &image, options)?;
+            if place.outcome == MatchOutcome::Matched {
+                let searched_keyframes = near.iter().filter(|&&near| near).count();
+                return Ok(Search { searched_keyframes, ..place });
+            }
+        }
+        let place = self.recognize(&candidates(&|_| true), &image, options)?;
+        Ok(Search { searched_keyframes: self.keyframes.len(), ..place })
+    }
+
+    /// Which keyframes may share a view with a camera near a prior pose.
+    pub(super) fn near(&self, prior: &PoseWithCovariance) -> Vec<bool> {
+        let position_covariance = prior.covariance.fixed_view::<3, 3>(3, 3).into_owned();
+        let largest = position_covariance.symmetric_eigenvalues().max().max(0.0);
+        let radius = PRIOR_SIGMAS * largest.sqrt() + self.viewing_distance();
+        let distance = |position: &Vector3<f64>| (position - prior.pose.translation).norm();
+        let is_near = |at: usize| {
+            distance(&self.keyframes[at].keyframe.global_from_keyframe.pose.translation) <= radius
+        };
+        (0..self.keyframes.len()).map(is_near).collect()
+    }
+
+    /// Compares an image with each candidate and finds the one place that they agree on.
+    fn recognize(
+        &self,
+        candidates: &[usize],
+        image: &Image<'_>,
+        options: &RecognitionOptions,
+    ) -> Result<Search, QueryError> {
+        let mut verified: Vec<Verified> = Vec::new();
+        let mut outcome = MatchOutcome::NoMatch;
+        for &candidate in candidates {
+            let expected = verified.first().map(|first| &first.global_from_camera.pose);
+            match compare(self, candidate, image, expected, options)? {
+                Comparison::Unlike => {}
+                Comparison::NotVerified | Comparison::Uncertain(_) => outcome = MatchOutcome::NotVerified,
+                Comparison::Verified(keyframe) => verified.push(*keyframe),
+            }
+        }
+        let place = match agree(verified, options) {
+            Consensus::Nothing => Vec::new(),
+            Consensus::Ambiguous => {
+                tracing::debug!("the image is from one of several places that look alike: no answer");
+                outcome = MatchOutcome::Ambiguous;
+                Vec::new()
+            }
+            Consensus::Place(place) => {
+                outcome = MatchOutcome::Matched;
+                let features = distinct_features(place.iter());
+                tracing::debug!(keyframes = place.len(), features, "recognized a place");
+                place
+            }
+        };
+        Ok(Search { outcome, place, searched_keyframes: 0 })
+    }
+}

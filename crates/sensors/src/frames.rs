@@ -1,0 +1,281 @@
+//! The camera folders: which images there are, what was tracked in them, and what a place-recognition extractor saw.
+
+use super::error::SequenceError;
+use super::rows::Stamped;
+use super::table::{Row, Table, check_order};
+use crate::TrackObservation;
+use nalgebra::Vector2;
+use protocol::{DescriptorFormat, DescriptorKind, FeatureSet};
+use std::collections::HashSet;
+use std::path::{Path, PathBuf};
+
+/// One instant at which the cameras looked.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Frame {
+    /// Time, nanoseconds.
+    pub stamp_ns: i64,
+    /// The image files of camera 0 and 1, where the recording has them.
+    pub images: [Option<PathBuf>; 2],
+    /// What was tracked, camera 0 first; empty where the front end saw nothing or did not run.
+    pub tracks: Vec<TrackObservation>,
+    /// What a place-recognition extractor saw in camera 0, if it ran on this image.
+    pub features: Option<FeatureSet>,
+}
+
+impl Stamped for Frame {
+    fn stamp_ns(&self) -> i64 {
+        self.stamp_ns
+    }
+}
+
+/// The frames of all cameras, one after the other: every stamp that any of them has. They end with the first error.
+pub(crate) struct FrameRows {
+    cameras: Vec<CameraRows>,
+    ended: bool,
+}
+
+impl FrameRows {
+    /// Opens the tables of the first `cameras` cameras.
+    pub(crate) fn open(mav: &Path, cameras: usize) -> Result<Self, SequenceError> {
+        let open = |camera| CameraRows::open(&mav.join(format!("cam{camera}")), camera as u8);
+        Ok(Self { cameras: (0..cameras).map(open).collect::<Result<_, _>>()?, ended: false })
+    }
+
+    fn read_next(&mut self) -> Result<Option<Frame>, SequenceError> {
+        let Some(stamp_ns) = self.cameras.iter().filter_map(|camera| camera.image_ns).min() else {
+            self.cameras.iter().try_for_each(CameraRows::expect_end)?;
+            return Ok(None);
+        };
+        let mut frame = Frame { stamp_ns, ..Frame::default() };
+        for camera in &mut self.cameras {
+            if camera.image_ns == Some(stamp_ns) {
+                camera.read_into(&mut frame)?;
+            }
+        }
+        Ok(Some(frame))
+    }
+}
+
+impl Iterator for FrameRows {
+    type Item = Result<Frame, SequenceError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        if self.ended {
+            return None;
+        }
+        let next = self.read_next();
+        self.ended = !matches!(next, Ok(Some(_)));
+        next.transpose()
+    }
+}
+
+/// The tables of one camera, side by side.
+struct CameraRows {
+    camera: u8,
+    images: Table,
+    /// The folder of the images, where there are any.
+    image_folder: Option<PathBuf>,
+    /// Stamp of the image that comes next.
+    image_ns: Option<i64>,
+    tracks: Option<ImageRows>,
+    seen_ids: HashSet<u64>,
+    features: Option<ImageRows>,
+    /// Bytes of a descriptor.
+    width: Option<usize>,
+}
+
+impl CameraRows {
+    fn open(folder: &Path, camera: u8) -> Result<Self, SequenceError> {
+        let path = folder.join("data.csv");
+        let image_folder = folder.join("data");
+        let with_features = camera == 0;
+        let mut rows = Self {
+            camera,
+            images: Table::open(&path, "it lists the time stamps of this camera's images")?,
+            image_folder: image_folder.is_dir().then_some(image_folder),
+            image_ns: None,
+            tracks: ImageRows::open_if_there(&folder.join("tracks.csv"))?,
+            seen_ids: HashSet::new(),
+            features: if with_features {
+                ImageRows::open_if_there(&folder.join("features.csv"))?
+            } else {
+                None
+            },
+            width: None,
+        };
+        rows.advance()?;
+        if rows.image_ns.is_none() {
+            return Err(SequenceError::empty(&path, "list the images as `timestamp [ns],filename`"));
+        }
+        Ok(rows)
+    }
+
+    /// Goes to the next image.
+    fn advance(&mut self) -> Result<(), SequenceError> {
+        let Some(row) = self.images.next_row()? else {
+            self.image_ns = None;
+            return Ok(());
+        };
+        let stamp_ns = row.stamp()?;
+        check_order(&row, self.image_ns, stamp_ns)?;
+        self.image_ns = Some(stamp_ns);
+        Ok(())
+    }
+
+    /// Reads what belongs to the image that comes next into its frame, and goes to the one after it.
+    fn read_into(&mut self, frame: &mut Frame) -> Result<(), SequenceError> {
+        if let Some(folder) = &self.image_folder {
+            frame.images[usize::from(self.camera)] = Some(image_file(&self.images.row(), folder)?);
+        }
+        if let Some(tracks) = &mut self.tracks {
+            self.seen_ids.clear();
+            tracks.take(frame.stamp_ns, |row| {
+                let track = track_of(row, self.camera)?;
+                if !self.seen_ids.insert(track.feature_id) {
+                    return Err(row.wrong(format!(
+                        "feature {} appears twice in this image: a track has one pixel an image, delete one",
+                        track.feature_id
+                    )));
+                }
+                frame.tracks.push(track);
+                Ok(())
+            })?;
+        }
+        if let Some(features) = &mut self.features {
+            features.take(frame.stamp_ns, |row| add_feature(row, &mut frame.features, &mut self.width))?;
+        }
+        self.advance()
+    }
+
+    /// Complains about tracks and features after the last image.
+    fn expect_end(&self) -> Result<(), SequenceError> {
+        [&self.tracks, &self.features].into_iter().flatten().try_for_each(ImageRows::expect_end)
+    }
+}
+
+/// A table with several rows an image, in the order of the images.
+struct ImageRows {
+    table: Table,
+    /// Stamp of the row that waits for its image.
+    waiting_ns: Option<i64>,
+    /// Stamp of the row before it.
+    before_ns: Option<i64>,
+}
+
+impl ImageRows {
+    fn open_if_there(path: &Path) -> Result<Option<Self>, SequenceError> {
+        if !path.exists() {
+            return Ok(None);
+        }
+        let table = Table::open(path, "it holds what was seen in images")?;
+        let mut rows = Self { table, waiting_ns: None, before_ns: None };
+        rows.advance()?;
+        Ok(Some(rows))
+    }
+
+    fn advance(&mut self) -> Result<(), SequenceError> {
+        self.before_ns = self.waiting_ns;
+        self.waiting_ns = match self.table.next_row()? {
+            Some(row) => {
+                row.require(4)?;
+                Some(row.stamp()?)
+            }
+            None => None,
+        };
+        Ok(())
+    }
+
+    /// Hands over the rows of an image, which must be the next one.
+    fn take(
+        &mut self,
+        image_ns: i64,
+        mut each: impl FnMut(&Row<'_>) -> Result<(), SequenceError>,
+    ) -> Result<(), SequenceError> {
+        while self.waiting_ns.is_some_and(|waiting_ns| waiting_ns <= image_ns) {
+            if self.waiting_ns != Some(image_ns) {
+                return self.expect_end();
+            }
+            each(&self.table.row())?;
+            self.advance()?;
+        }
+        Ok(())
+    }
+
+    /// Complains about a row whose image does not come any more.
+    fn expect_end(&self) -> Result<(), SequenceError> {
+        let Some(stamp_ns) = self.waiting_ns else { return Ok(()) };
+        let row = self.table.row();
+        Err(row.wrong(if self.before_ns.is_some_and(|before_ns| stamp_ns < before_ns) {
+            format!("time stamp {stamp_ns} goes back in time: sort the file by time")
+        } else {
+            format!(
+                "time stamp {stamp_ns} is not in this camera's data.csv: list the image there, or delete the row"
+            )
+        }))
+    }
+}
+
+/// The file of a row of `data.csv`, which must be there.
+fn image_file(row: &Row<'_>, folder: &Path) -> Result<PathBuf, SequenceError> {
+    let name = String::from_utf8_lossy(row.cell(1)?).into_owned();
+    let file = folder.join(&name);
+    if name.is_empty() || !file.is_file() {
+        return Err(row.wrong(format!(
+            "the image {} is not there: copy it again or delete the row (without a folder {} the recording is read as \
+             one without images)",
+            file.display(),
+            folder.display()
+        )));
+    }
+    Ok(file)
+}
+
+/// A row of `tracks.csv`.
+fn track_of(row: &Row<'_>, camera: u8) -> Result<TrackObservation, SequenceError> {
+    let pixel = Vector2::new(row.finite(2)?, row.finite(3)?);
+    Ok(TrackObservation { camera, feature_id: row.parse(1)?, pixel })
+}
+
+/// Adds a row of `features.csv` to the features of its image. `width` is that of the descriptors before.
+fn add_feature(
+    row: &Row<'_>,
+    features: &mut Option<FeatureSet>,
+    width: &mut Option<usize>,
+) -> Result<(), SequenceError> {
+    let pixel = [row.finite(1)? as f32, row.finite(2)? as f32];
+    let hex = row.cell(3)?;
+    let set = features.get_or_insert_with(|| empty_features((hex.len() / 2) as u16));
+    let bytes_before = set.descriptors.bytes.len();
+    decode_hex(row, hex, &mut set.descriptors.bytes)?;
+    let bytes = set.descriptors.bytes.len() - bytes_before;
+    let before = *width.get_or_insert(bytes);
+    if bytes != before || bytes > usize::from(u16::MAX) {
+        return Err(row.wrong(format!(
+            "the descriptor has {bytes} bytes, those before have {before}: the row is cut off, or the file mixes kinds"
+        )));
+    }
+    set.pixels.push(pixel);
+    Ok(())
+}
+
+fn empty_features(width: u16) -> FeatureSet {
+    FeatureSet::empty(DescriptorFormat { kind: DescriptorKind::Binary, width })
+}
+
+fn decode_hex(row: &Row<'_>, hex: &[u8], bytes: &mut Vec<u8>) -> Result<(), SequenceError> {
+    if hex.is_empty() || !hex.len().is_multiple_of(2) {
+        return Err(row.wrong(format!(
+            "the descriptor has {} hexadecimal digits, which is no whole number of bytes: the row is cut off",
+            hex.len()
+        )));
+    }
+    for pair in hex.chunks_exact(2) {
+        let digits = (char::from(pair[0]).to_digit(16), char::from(pair[1]).to_digit(16));
+        let (Some(high), Some(low)) = digits else {
+            let text = String::from_utf8_lossy(pair);
+            return Err(row.wrong(format!("\"{text}\" in the descriptor is not hexadecimal")));
+        };
+        bytes.push((high * 16 + low) as u8);
+    }
+    Ok(())
+}

@@ -1,0 +1,155 @@
+//! Reads a comma-separated table row by row, without an allocation a row, and knows where it is when it complains.
+//!
+//! Lines that begin with `#` are comments (EuRoC's headers); so is a first line whose first cell is not a number.
+
+use super::error::SequenceError;
+use csv::{ByteRecord, Reader, ReaderBuilder};
+use std::fmt::Display;
+use std::fs::File;
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+
+/// A table that is being read.
+pub struct Table {
+    path: PathBuf,
+    reader: Reader<File>,
+    record: ByteRecord,
+    rows: u64,
+}
+
+impl Table {
+    /// Opens a table. `advice` says what the file is for, should it be missing.
+    pub fn open(path: &Path, advice: &str) -> Result<Self, SequenceError> {
+        let file = File::open(path).map_err(|source| match source.kind() {
+            std::io::ErrorKind::NotFound => SequenceError::missing(path, advice),
+            _ => SequenceError::io(path, source),
+        })?;
+        let reader = ReaderBuilder::new()
+            .has_headers(false)
+            .flexible(true)
+            .quoting(false)
+            .buffer_capacity(1 << 16)
+            .from_reader(file);
+        Ok(Self { path: path.to_path_buf(), reader, record: ByteRecord::new(), rows: 0 })
+    }
+
+    /// The next row, or `None` at the end.
+    pub fn next_row(&mut self) -> Result<Option<Row<'_>>, SequenceError> {
+        loop {
+            let more = self.reader.read_byte_record(&mut self.record).map_err(|error| {
+                let line = error.position().map_or(0, csv::Position::line);
+                SequenceError::Row {
+                    path: self.path.clone(),
+                    line,
+                    problem: format!("it cannot be read: {error}"),
+                }
+            })?;
+            if !more {
+                return Ok(None);
+            }
+            // The csv reader could skip comments itself, but then takes the comment's line for the row's.
+            if self.record.get(0).is_some_and(|cell| cell.trim_ascii_start().starts_with(b"#")) {
+                continue;
+            }
+            self.rows += 1;
+            if self.rows == 1 && is_header(&self.record) {
+                continue;
+            }
+            return Ok(Some(self.row()));
+        }
+    }
+
+    /// The row that was read last.
+    pub fn row(&self) -> Row<'_> {
+        Row { path: &self.path, record: &self.record }
+    }
+}
+
+/// A first cell that begins with a letter names a column.
+fn is_header(record: &ByteRecord) -> bool {
+    let first = record.get(0).unwrap_or_default().trim_ascii();
+    first.first().is_some_and(u8::is_ascii_alphabetic) && !first.eq_ignore_ascii_case(b"nan")
+}
+
+/// One row of a [`Table`].
+#[derive(Clone, Copy)]
+pub struct Row<'a> {
+    path: &'a Path,
+    record: &'a ByteRecord,
+}
+
+impl<'a> Row<'a> {
+    /// An error about this row.
+    pub fn wrong(&self, problem: impl Into<String>) -> SequenceError {
+        SequenceError::Row { path: self.path.to_path_buf(), line: self.line(), problem: problem.into() }
+    }
+
+    /// The line of the file, counted from 1.
+    pub fn line(&self) -> u64 {
+        self.record.position().map_or(0, csv::Position::line)
+    }
+
+    /// How many cells it has.
+    pub fn len(&self) -> usize {
+        self.record.len()
+    }
+
+    /// Complains unless the row has at least `wanted` cells.
+    pub fn require(&self, wanted: usize) -> Result<(), SequenceError> {
+        if self.len() >= wanted {
+            return Ok(());
+        }
+        Err(self.wrong(format!(
+            "the row is cut off: {} of {wanted} columns are there; delete it or copy the file again",
+            self.len()
+        )))
+    }
+
+    /// A cell without the blanks around it.
+    pub fn cell(&self, column: usize) -> Result<&'a [u8], SequenceError> {
+        match self.record.get(column) {
+            Some(cell) => Ok(cell.trim_ascii()),
+            None => Err(self.wrong(format!("column {} is missing: the row is cut off", column + 1))),
+        }
+    }
+
+    /// A cell as a number of type `T`.
+    pub fn parse<T: FromStr<Err: Display>>(&self, column: usize) -> Result<T, SequenceError> {
+        let cell = self.cell(column)?;
+        let text = std::str::from_utf8(cell).unwrap_or("not text");
+        text.parse().map_err(|error| self.wrong(format!("column {}: \"{text}\": {error}", column + 1)))
+    }
+
+    /// A time stamp, nanoseconds.
+    pub fn stamp(&self) -> Result<i64, SequenceError> {
+        self.parse(0)
+    }
+
+    /// A finite number.
+    pub fn finite(&self, column: usize) -> Result<f64, SequenceError> {
+        let value: f64 = self.parse(column)?;
+        if value.is_finite() {
+            return Ok(value);
+        }
+        Err(self.wrong(format!("column {} is {value}: delete the row, or record again", column + 1)))
+    }
+
+    /// `N` finite numbers from `column` on.
+    pub fn finite_array<const N: usize>(&self, column: usize) -> Result<[f64; N], SequenceError> {
+        let mut values = [0.0; N];
+        for (offset, value) in values.iter_mut().enumerate() {
+            *value = self.finite(column + offset)?;
+        }
+        Ok(values)
+    }
+}
+
+/// Complains about a time stamp that is not later than the one before.
+pub fn check_order(row: &Row<'_>, before: Option<i64>, stamp_ns: i64) -> Result<(), SequenceError> {
+    match before {
+        Some(before) if stamp_ns <= before => Err(row.wrong(format!(
+            "time stamp {stamp_ns} does not come after {before}: sort the file by time and delete repeated rows"
+        ))),
+        _ => Ok(()),
+    }
+}

@@ -1,0 +1,118 @@
+//! What is written is what is read.
+
+use super::*;
+
+fn assert_pose_close(a: &Pose, b: &Pose) {
+    assert_eq!(a.translation, b.translation);
+    assert!(a.rotation.angle_to(&b.rotation) < 1e-7, "{a:?} {b:?}");
+    assert!(
+        (a.rotation.coords - b.rotation.coords).amax().min((a.rotation.coords + b.rotation.coords).amax())
+            < 1e-14
+    );
+}
+
+#[test]
+fn reading_undoes_writing() {
+    for seed in 0..8 {
+        let written = sequence(seed);
+        let folder = tempfile::tempdir().unwrap();
+        writer::write(&written, folder.path()).unwrap();
+        let read = Sequence::open(folder.path()).unwrap();
+        assert_eq!(read.imu, written.imu);
+        assert_eq!(read.imu_samples, written.imu_samples);
+        assert_eq!(read.frames, written.frames);
+        assert_eq!(read.cameras.len(), written.cameras.len());
+        for (a, b) in read.cameras.iter().zip(&written.cameras) {
+            assert_eq!((&a.camera, a.rate_hz), (&b.camera, b.rate_hz));
+            assert_pose_close(&a.imu_from_camera, &b.imu_from_camera);
+        }
+        for (a, b) in read.groundtruth.unwrap().iter().zip(written.groundtruth.as_ref().unwrap()) {
+            assert_pose_close(&a.pose, &b.pose);
+            assert_eq!(TruthRow { pose: b.pose, ..*a }, *b);
+        }
+        for (a, b) in read.reference_poses.unwrap().iter().zip(written.reference_poses.as_ref().unwrap()) {
+            assert_pose_close(&a.pose, &b.pose);
+            assert_eq!(ReferencePose { pose: b.pose, ..*a }, *b);
+        }
+    }
+}
+
+#[test]
+fn writing_what_was_read_gives_the_same_bytes() {
+    let folder = tempfile::tempdir().unwrap();
+    let (first, second) = (folder.path().join("first"), folder.path().join("second"));
+    writer::write(&sequence(2), &first).unwrap();
+    writer::write(&Sequence::open(&first).unwrap(), &second).unwrap();
+    for file in
+        ["mav0/imu0/data.csv", "mav0/cam1/tracks.csv", "mav0/cam0/features.csv", "mav0/imu0/sensor.yaml"]
+    {
+        assert_eq!(
+            std::fs::read(first.join(file)).unwrap(),
+            std::fs::read(second.join(file)).unwrap(),
+            "{file}"
+        );
+    }
+}
+
+#[test]
+fn a_recording_for_mapping_needs_neither_imu_nor_tracks_nor_truth() {
+    let mut written = sequence(1);
+    written.imu = None;
+    written.imu_samples.clear();
+    written.groundtruth = None;
+    written.frames.iter_mut().for_each(|frame| frame.tracks.clear());
+    let folder = tempfile::tempdir().unwrap();
+    writer::write(&written, folder.path()).unwrap();
+    let read = Sequence::open(folder.path()).unwrap();
+    assert!(read.imu.is_none() && read.groundtruth.is_none() && read.truth_gravity().is_none());
+    assert_eq!(read.frames, written.frames);
+    assert_eq!(read.reference_poses.unwrap().len(), 5);
+}
+
+#[test]
+fn euroc_files_as_published_are_read() {
+    let folder = tempfile::tempdir().unwrap();
+    writer::write(&sequence(1), folder.path()).unwrap();
+    let yaml = "%YAML:1.0\n#Default imu sensor yaml file\nsensor_type: imu\ncomment: VI-Sensor IMU (ADIS16448)\n\n\
+        # Sensor extrinsics wrt. the body-frame.\nT_BS:\n  cols: 4\n  rows: 4\n  data: [1.0, 0.0, 0.0, 0.0,\n\
+        \t 0.0, 1.0, 0.0, 0.0,\n         0.0, 0.0, 1.0, 0.0,\n         0.0, 0.0, 0.0, 1.0]\nrate_hz: 200\n\n\
+        gyroscope_noise_density: 1.6968e-04     # [ rad / s / sqrt(Hz) ]\n\
+        gyroscope_random_walk: 1.9393e-05\t# [ rad / s^2 / sqrt(Hz) ]\n\
+        accelerometer_noise_density: 2.0000e-3\naccelerometer_random_walk: 3.0000e-3\n";
+    std::fs::write(folder.path().join("mav0/imu0/sensor.yaml"), yaml).unwrap();
+    let windows = "#timestamp [ns],w_RS_S_x [rad s^-1]\r\n10,1,2,3,4,5,6\r\n20, 1, 2, 3, 4, 5, 6\r\n";
+    std::fs::write(folder.path().join("mav0/imu0/data.csv"), windows).unwrap();
+    let read = Sequence::open(folder.path()).unwrap();
+    assert_eq!(read.imu.unwrap().noise, ImuNoise::default());
+    assert_eq!(read.imu_samples.len(), 2);
+    assert_eq!(read.imu_samples[1].accelerometer, Vector3::new(4.0, 5.0, 6.0));
+}
+
+#[test]
+fn a_header_without_a_hash_is_a_header() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("truth.csv");
+    std::fs::write(&path, "timestamp,x,y,z,w,x,y,z\n5,1,2,3,1,0,0,0\n").unwrap();
+    let rows = read_groundtruth(&path).unwrap();
+    assert_eq!((rows.len(), rows[0].velocity), (1, None));
+}
+
+/// Where the recorded data is unpacked, every recording in it is read, and gravity found; elsewhere there is nothing
+/// to read.
+#[test]
+fn every_unpacked_recording_is_read() {
+    let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../target/data");
+    let mut folders = vec![data];
+    while let Some(folder) = folders.pop() {
+        if folder.join("mav0").is_dir() {
+            let sequence = Sequence::open(&folder).unwrap_or_else(|error| panic!("{error}"));
+            assert!(!sequence.frames.is_empty());
+            let down = if folder.to_string_lossy().contains("loops") { -Vector3::x() } else { -Vector3::z() };
+            let known = sequence.imu.is_some() && sequence.groundtruth.is_some();
+            assert_eq!(sequence.truth_gravity(), known.then_some(down), "{}", folder.display());
+            continue;
+        }
+        let entries = std::fs::read_dir(&folder).into_iter().flatten().flatten();
+        folders.extend(entries.map(|entry| entry.path()).filter(|path| path.is_dir()));
+    }
+}

@@ -1,0 +1,89 @@
+//! A map that is served anew in the middle of a run: its frame moves, and its keyframes get other errors.
+//!
+//! G is the frame of the new version, so the truth is the same all the time; before the change the map lies where the drawn
+//! move had not happened yet, and only what the filter says after the change is judged.
+
+use super::answers::{self, Answer};
+use super::noisy_map::NoisyMap;
+use super::{MonteCarloOptions, global_from_world};
+use crate::random::{Purpose, normal3, stream};
+use crate::{SimulatedWorld, SimulationOptions};
+use estimator::{ChangeSize, MapRevision};
+use geometry::{Pose, PoseWithCovariance, rotation};
+use sensors::Frame;
+
+/// How the map changes, and what is said of it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MapChangeOptions {
+    /// When, seconds since the begin.
+    pub at_s: f64,
+    /// Standard deviation of the turn of the map's frame about the robot's place, rad an axis.
+    pub sigma_theta: f64,
+    /// The same of its shift, metres an axis.
+    pub sigma_p: f64,
+    /// The keyframes' own errors are drawn anew; else they stay what they are.
+    pub new_errors: bool,
+    /// Whether the news state these deviations; else they state none.
+    pub is_stated: bool,
+}
+
+/// The change of one seed.
+pub(crate) struct MapChange {
+    /// The first image after it.
+    pub(crate) stamp_ns: i64,
+    /// What the server says.
+    pub(crate) news: MapRevision,
+}
+
+/// The answers to all images of a run by the map as it is then, and its change.
+pub(crate) fn answers_and_change(
+    options: &MonteCarloOptions,
+    simulation: &SimulationOptions,
+    world: &SimulatedWorld,
+    frames: &[Frame],
+) -> (Vec<Option<Answer>>, Option<MapChange>) {
+    let seed = simulation.seed;
+    let by = |map: &NoisyMap| answers::to_frames(&options.answers, simulation, seed, world, map, frames);
+    let map = NoisyMap::new(&options.map, simulation, 0, world);
+    let first = by(&map);
+    let at = |change: &MapChangeOptions| {
+        frames.iter().position(|frame| (frame.stamp_ns - frames[0].stamp_ns) as f64 * 1e-9 >= change.at_s)
+    };
+    let Some((change, begin)) = options.map_change.and_then(|change| Some((change, at(&change)?))) else {
+        return (first, None);
+    };
+    let mut rng = stream(seed, 0, Purpose::MapChange);
+    let (turn, shift) = (normal3(&mut rng) * change.sigma_theta, normal3(&mut rng) * change.sigma_p);
+    let stamp_ns = frames[begin].stamp_ns;
+    let place = (global_from_world() * world.live_way.at(stamp_ns).pose).translation;
+    let turn = rotation::exp(&turn);
+    let old_from_new = Pose::new(turn, place + shift - turn * place).inverse();
+    let second =
+        if change.new_errors { by(&NoisyMap::new(&options.map, simulation, 1, world)) } else { by(&map) };
+    let before =
+        first.into_iter().take(begin).map(|answer| answer.map(|answer| moved(answer, &old_from_new)));
+    let after = second.into_iter().skip(begin).map(|answer| {
+        answer.map(|mut answer| {
+            answer.answer.map_version = 2;
+            answer
+        })
+    });
+    let scale = f64::from(u8::from(change.is_stated));
+    let size =
+        ChangeSize { sigma_rotation: scale * change.sigma_theta, sigma_position: scale * change.sigma_p };
+    let other_errors = (0..map.keyframes.len() as u64).collect();
+    let news = MapRevision { from_version: 1, version: 2, other_errors, size: Some(size) };
+    (before.chain(after).collect(), Some(MapChange { stamp_ns, news }))
+}
+
+/// The answer of the map as it lay before.
+fn moved(mut answer: Answer, old_from_new: &Pose) -> Answer {
+    for keyframe in &mut answer.answer.keyframes {
+        let stated = &mut keyframe.global_from_keyframe;
+        // Its covariance is the same in every direction, so that turning leaves it as it is.
+        *stated = PoseWithCovariance::new(*old_from_new * stated.pose, stated.covariance);
+    }
+    let gravity = &mut answer.answer.gravity_in_global;
+    *gravity = gravity.map(|direction| old_from_new.rotation * direction);
+    answer
+}

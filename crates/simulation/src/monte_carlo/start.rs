@@ -1,0 +1,63 @@
+//! The first state of a run: the truth minus a draw from the covariance that the filter starts from.
+//!
+//! L is known from the truth alone: its origin is the true first position, z is up, and its yaw is that of the true first
+//! attitude. So the errors of the very first estimate are a sample of its covariance in all 15 numbers, yaw and position
+//! included, and the NEES has its expectation from the first image on.
+
+use super::global_from_world;
+use crate::random::{Purpose, normal, stream};
+use crate::spline::Motion;
+use estimator::propagation::{ACCELEROMETER_BIAS, GYROSCOPE_BIAS, IMU_DIM, VELOCITY};
+use estimator::{InitialSigmas, InitialState};
+use geometry::Pose;
+use nalgebra::{SVector, Vector3, Vector6};
+
+/// Where a run starts.
+pub(crate) struct Start {
+    /// What the filter is told.
+    pub(crate) initial: InitialState,
+    /// Where L truly lies.
+    pub(crate) global_from_local: Pose,
+}
+
+/// Draws the first state.
+///
+/// The draw is the same for every variant of a seed, in units of the variant's standard deviations.
+///
+/// # Arguments
+/// * `motion`: the truth at `stamp_ns`, of the IMU in the simulated world.
+/// * `biases`: true biases of gyroscope (rad/s) and accelerometer (m/s^2) then.
+pub(crate) fn draw(
+    seed: u64,
+    stamp_ns: i64,
+    motion: &Motion,
+    biases: (Vector3<f64>, Vector3<f64>),
+    sigmas: &InitialSigmas,
+) -> Start {
+    let mut initial =
+        InitialState::from_truth(stamp_ns, &motion.pose, &motion.velocity, &-Vector3::z(), *sigmas);
+    let true_local_from_imu = initial.imu.local_from_imu;
+    let world_from_local = motion.pose * true_local_from_imu.inverse();
+
+    let error = sample(seed, sigmas);
+    let pose_error: Vector6<f64> = error.fixed_rows::<6>(0).into();
+    initial.imu.local_from_imu = true_local_from_imu.retract(&-pose_error);
+    initial.imu.velocity -= error.fixed_rows::<3>(VELOCITY);
+    initial.imu.gyroscope_bias = biases.0 - error.fixed_rows::<3>(GYROSCOPE_BIAS);
+    initial.imu.accelerometer_bias = biases.1 - error.fixed_rows::<3>(ACCELEROMETER_BIAS);
+    Start { initial, global_from_local: global_from_world() * world_from_local }
+}
+
+/// A sample of the error `[dtheta, dp, dv, db_g, db_a]`.
+fn sample(seed: u64, sigmas: &InitialSigmas) -> SVector<f64, IMU_DIM> {
+    let mut rng = stream(seed, 1, Purpose::Start);
+    let of_block = |k: usize| match k {
+        0 | 1 => sigmas.tilt,
+        2 => sigmas.yaw,
+        3..VELOCITY => sigmas.position,
+        VELOCITY..GYROSCOPE_BIAS => sigmas.velocity,
+        GYROSCOPE_BIAS..ACCELEROMETER_BIAS => sigmas.gyroscope_bias,
+        _ => sigmas.accelerometer_bias,
+    };
+    SVector::from_fn(|k, _| of_block(k) * normal(&mut rng))
+}

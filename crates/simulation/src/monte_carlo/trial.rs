@@ -1,0 +1,251 @@
+//! One run: a seed's world, played to each variant of the filter.
+
+use super::answers::Answer;
+use super::calibration::Stated;
+use super::map_change::{MapChange, answers_and_change};
+use super::{CalibrationError, MonteCarloOptions, Variant, global_from_world, start};
+use crate::run::Kind;
+use crate::{SimulatedWorld, SimulationError, simulate_world};
+use estimator::{CloneId, Estimator, EstimatorError, Localization, MapMode, RigCamera, TrackObservation};
+use evaluation::trajectory::StateRow;
+use evaluation::{RunErrors, nees, run_errors_in};
+use sensors::{Frame, Sequence, TruthRow};
+use serde::Serialize;
+
+/// Chi-square with 6 degrees of freedom at 99.73 %, the confidence of three standard deviations.
+pub(super) const THREE_SIGMA: f64 = 20.06;
+
+/// What became of the map's answers.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct MapCounts {
+    /// Answers of the right place.
+    pub answers: usize,
+    /// Of these, taken in.
+    pub accepted: usize,
+    /// Answers of a wrong place.
+    pub wrong_places: usize,
+    /// Of these, taken in.
+    pub wrong_places_accepted: usize,
+    /// Updates that moved the pose in G by more than its 3 sigma (99.73 % of 6 degrees of freedom).
+    pub jumps: usize,
+}
+
+/// One run of one variant.
+#[derive(Clone, Debug)]
+pub struct Trial {
+    /// Its seed.
+    pub seed: u64,
+    /// Time of the first image, nanoseconds.
+    pub begin_ns: i64,
+    /// All its errors; `None` when not even the first image was got over.
+    pub errors: Option<RunErrors>,
+    /// When the map first gave a pose, seconds since the begin.
+    pub first_fix_s: Option<f64>,
+    /// What became of the map's answers.
+    pub map: MapCounts,
+    /// Whether a filter that uses the map knew where it is at the end.
+    pub localized: bool,
+    /// Why it ended early.
+    pub diverged: Option<String>,
+    /// How far the calibration that it was told is from the truth, for each camera.
+    pub told_calibration: Vec<CalibrationError>,
+    /// How far the filter's own calibration is from the truth at the end, by camera.
+    pub found_calibration: Vec<CalibrationError>,
+}
+
+/// Everything of a seed that no variant changes.
+struct Seed<'a> {
+    number: u64,
+    world: SimulatedWorld,
+    live: Sequence,
+    /// Answers to the frames of `live`.
+    answers: Vec<Option<Answer>>,
+    change: Option<MapChange>,
+    options: &'a MonteCarloOptions,
+}
+
+/// Runs all variants on one seed.
+pub(crate) fn run_seed(
+    options: &MonteCarloOptions,
+    seed: u64,
+    variants: &[Variant],
+) -> Result<Vec<Trial>, SimulationError> {
+    let simulation = crate::SimulationOptions { seed, ..options.simulation.clone() };
+    let world = simulate_world(&simulation)?;
+    let live = world.record(&simulation, Kind::Live);
+    let uses_map = variants.iter().any(|variant| variant.config.mode != MapMode::Odometry);
+    let (answers, change) = if uses_map {
+        answers_and_change(options, &simulation, &world, &live.frames)
+    } else {
+        (live.frames.iter().map(|_| None).collect(), None)
+    };
+    let one = Seed { number: seed, world, live, answers, change, options };
+    Ok(variants.iter().map(|variant| one.run(variant)).collect())
+}
+
+/// A run that is going on.
+struct Player<'a> {
+    estimator: Estimator,
+    /// The answer to the image before, with that image's clone.
+    pending: Option<(CloneId, &'a Answer)>,
+    states: Vec<StateRow>,
+    map: MapCounts,
+}
+
+impl Seed<'_> {
+    fn run(&self, variant: &Variant) -> Trial {
+        let truth: Vec<RigCamera> = self
+            .world
+            .cameras
+            .iter()
+            .take(variant.cameras)
+            .map(|sensor| RigCamera {
+                camera: sensor.camera.clone(),
+                imu_from_camera: sensor.imu_from_camera,
+            })
+            .collect();
+        let stated = self.options.calibration.draw(self.number, &truth);
+        let true_delay_s = stated.image_delay_ns as f64 * 1e-9;
+        let told_calibration = stated
+            .rig
+            .iter()
+            .zip(&truth)
+            .map(|(told, truth)| CalibrationError::of(told, truth, (0.0, true_delay_s)))
+            .collect();
+        let begin_ns = self.live.frames.first().map_or(0, |frame| frame.stamp_ns + stated.image_delay_ns);
+        let start = self.start(variant, begin_ns);
+        let mut trial = Trial {
+            seed: self.number,
+            begin_ns,
+            errors: None,
+            first_fix_s: None,
+            map: MapCounts::default(),
+            localized: false,
+            diverged: None,
+            told_calibration,
+            found_calibration: Vec::new(),
+        };
+        let estimator = match Estimator::new(variant.config.clone(), stated.rig.clone(), &start.initial) {
+            Ok(estimator) => estimator,
+            Err(error) => {
+                trial.diverged = Some(error.to_string());
+                return trial;
+            }
+        };
+        let mut player = Player { estimator, pending: None, states: Vec::new(), map: MapCounts::default() };
+        trial.diverged = self.play(&mut player, variant, &stated).err().map(|error| error.to_string());
+        let fix = player.states.iter().find(|state| state.global_from_imu.is_some());
+        trial.first_fix_s = fix.map(|state| (state.stamp_ns - begin_ns) as f64 * 1e-9);
+        trial.map = player.map;
+        trial.localized = player.estimator.status().localization == Localization::Localized;
+        let found = player.estimator.calibration();
+        let delays = (-found.time_offset, true_delay_s);
+        let cameras = found.rig.iter().zip(&truth);
+        trial.found_calibration =
+            cameras.map(|(found, truth)| CalibrationError::of(found, truth, delays)).collect();
+        trial.errors =
+            run_errors_in(&player.states, &self.truth(&player.states), start.global_from_local).ok();
+        trial
+    }
+
+    fn start(&self, variant: &Variant, begin_ns: i64) -> start::Start {
+        let motion = self.world.live_way.at(begin_ns);
+        let rows = self.live.groundtruth.as_deref().unwrap_or_default();
+        let row = rows.iter().rfind(|row| row.stamp_ns <= begin_ns);
+        let biases = row.and_then(|row| row.gyroscope_bias.zip(row.accelerometer_bias)).unwrap_or_default();
+        start::draw(self.number, begin_ns, &motion, biases, &variant.config.initial)
+    }
+
+    fn play<'a>(
+        &'a self,
+        player: &mut Player<'a>,
+        variant: &Variant,
+        stated: &Stated,
+    ) -> Result<(), EstimatorError> {
+        let mut readings = self.live.imu_samples.iter().peekable();
+        for (frame, answer) in self.live.frames.iter().zip(&self.answers) {
+            let stamp_ns = frame.stamp_ns + stated.image_delay_ns;
+            if stamp_ns > self.world.live_way.end_ns() {
+                break;
+            }
+            let until_ns = player.estimator.imu_stamp_ns(stamp_ns);
+            while let Some(reading) = readings.next_if(|reading| reading.stamp_ns <= until_ns) {
+                player.estimator.imu(*reading)?;
+            }
+            // The reading after the image: between two of them it is interpolated.
+            if let Some(reading) = readings.next() {
+                player.estimator.imu(*reading)?;
+            }
+            let change = self.change.as_ref().filter(|change| change.stamp_ns == frame.stamp_ns);
+            player.frame(frame, stamp_ns, variant, answer.as_ref(), change)?;
+            if self.change.as_ref().is_some_and(|change| frame.stamp_ns < change.stamp_ns) {
+                player.states.clear();
+            }
+        }
+        Ok(())
+    }
+
+    /// The truth at the stamps that the filter was told.
+    fn truth(&self, states: &[StateRow]) -> Vec<TruthRow> {
+        let row = |state: &StateRow| TruthRow {
+            stamp_ns: state.stamp_ns,
+            pose: global_from_world() * self.world.live_way.at(state.stamp_ns).pose,
+            velocity: None,
+            gyroscope_bias: None,
+            accelerometer_bias: None,
+        };
+        states.iter().map(row).collect()
+    }
+}
+
+impl<'a> Player<'a> {
+    /// One image. As in a robot, the answer to an image comes with the next one.
+    fn frame(
+        &mut self,
+        frame: &Frame,
+        stamp_ns: i64,
+        variant: &Variant,
+        answer: Option<&'a Answer>,
+        change: Option<&MapChange>,
+    ) -> Result<(), EstimatorError> {
+        let clone = self.estimator.time_update(stamp_ns)?;
+        let used = |track: &&TrackObservation| usize::from(track.camera) < variant.cameras;
+        let tracks: Vec<TrackObservation> = frame.tracks.iter().filter(used).copied().collect();
+        self.estimator.track_update(&tracks)?;
+        if let Some(change) = change {
+            self.estimator.map_changed(&change.news);
+        }
+        if let Some((asked, answer)) = self.pending.take() {
+            self.take(asked, answer)?;
+        }
+        self.states.push(StateRow {
+            stamp_ns: self.estimator.stamp_ns(),
+            local_from_imu: self.estimator.local_from_imu(),
+            global_from_local: self.estimator.global_from_local(),
+            global_from_imu: self.estimator.global_from_imu(),
+        });
+        if let Some(answer) = answer.filter(|_| variant.config.mode != MapMode::Odometry) {
+            self.estimator.pin(clone);
+            self.pending = Some((clone, answer));
+        }
+        Ok(())
+    }
+
+    fn take(&mut self, asked: CloneId, answer: &Answer) -> Result<(), EstimatorError> {
+        let before = self.estimator.global_from_imu();
+        let report = self.estimator.map_update(asked, &answer.answer)?;
+        self.estimator.unpin(asked);
+        let counts = &mut self.map;
+        let (count, accepted) = if answer.is_wrong_place {
+            (&mut counts.wrong_places, &mut counts.wrong_places_accepted)
+        } else {
+            (&mut counts.answers, &mut counts.accepted)
+        };
+        *count += 1;
+        *accepted += usize::from(report.rejection.is_none());
+        let moved = before.zip(self.estimator.global_from_imu());
+        let far = moved.and_then(|(before, after)| nees(&before, &after.pose));
+        counts.jumps += usize::from(far.is_some_and(|far| far.pose * 6.0 > THREE_SIGMA));
+        Ok(())
+    }
+}

@@ -1,0 +1,36 @@
+//! The robot's sensors: a stereo pair that looks forward, and an IMU.
+
+use geometry::camera::{Camera, Distortion};
+use geometry::pose::Pose;
+use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
+use sensors::CameraSensor;
+
+/// Distance between the two cameras, metres: EuRoC's.
+const BASELINE: f64 = 0.11;
+
+/// The stereo pair: two lenses like those of EuRoC's first camera, left one first.
+pub(crate) fn stereo(rate_hz: f64) -> Vec<CameraSensor> {
+    let camera = Camera {
+        width: 752,
+        height: 480,
+        focal: [458.654, 457.296],
+        centre: [367.215, 248.375],
+        distortion: Distortion::RadialTangential([
+            -0.283_408_11,
+            0.073_959_07,
+            0.000_193_59,
+            1.761_871_14e-5,
+        ]),
+    };
+    // Body: x forward, y left, z up. Camera: x right, y down, z forward.
+    let axes = Matrix3::new(0.0, 0.0, 1.0, -1.0, 0.0, 0.0, 0.0, -1.0, 0.0);
+    let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes));
+    [BASELINE / 2.0, -BASELINE / 2.0]
+        .into_iter()
+        .map(|left| CameraSensor {
+            camera: camera.clone(),
+            imu_from_camera: Pose::new(rotation, Vector3::new(0.08, left, 0.03)),
+            rate_hz,
+        })
+        .collect()
+}

@@ -1,0 +1,113 @@
+//! The odometry front end: follows what both cameras see from image to image, a pixel of noise at a time.
+
+use super::SimulationOptions;
+use super::random::{Purpose, normal, stream};
+use super::world::Landmark;
+use geometry::pose::Pose;
+use nalgebra::{Vector2, Vector3};
+use rand::RngExt;
+use rand::rngs::StdRng;
+use rand::seq::SliceRandom;
+use sensors::{CameraSensor, TrackObservation};
+use std::collections::BTreeMap;
+
+/// Tracks end for no visible reason this often, a frame.
+const LOSS: f64 = 0.01;
+/// Files give pixels to so many parts.
+const PIXEL_PARTS: f64 = 1000.0;
+
+/// The front end, between two images.
+pub(crate) struct FrontEnd<'a> {
+    options: &'a SimulationOptions,
+    rng: StdRng,
+    /// Landmark of each track that is alive, and the track's id.
+    alive: BTreeMap<usize, u64>,
+    next_id: u64,
+}
+
+impl<'a> FrontEnd<'a> {
+    pub(crate) fn new(options: &'a SimulationOptions, run: u64) -> Self {
+        let rng = stream(options.seed, run, Purpose::Tracks);
+        Self { options, rng, alive: BTreeMap::new(), next_id: 0 }
+    }
+
+    /// Looks at the next image. A landmark that comes back after a gap gets a new id, as from a real tracker.
+    pub(crate) fn look(
+        &mut self,
+        world_from_imu: &Pose,
+        cameras: &[CameraSensor],
+        landmarks: &[Landmark],
+    ) -> Vec<TrackObservation> {
+        let seen = visible(self.options, world_from_imu, &cameras[0], landmarks);
+        let pixels: BTreeMap<usize, Vector2<f64>> = seen.iter().copied().collect();
+        let rng = &mut self.rng;
+        self.alive.retain(|landmark, _| pixels.contains_key(landmark) && !rng.random_bool(LOSS));
+        let mut fresh: Vec<usize> = seen
+            .iter()
+            .map(|(landmark, _)| *landmark)
+            .filter(|landmark| !self.alive.contains_key(landmark))
+            .collect();
+        fresh.shuffle(&mut self.rng);
+        fresh.truncate(self.options.max_tracks.saturating_sub(self.alive.len()));
+        for landmark in fresh {
+            self.alive.insert(landmark, self.next_id);
+            self.next_id += 1;
+        }
+        let mut observations = Vec::with_capacity(2 * self.alive.len());
+        for (camera, sensor) in cameras.iter().enumerate() {
+            let camera_from_world = world_from_imu.compose(&sensor.imu_from_camera).inverse();
+            for (landmark, feature_id) in &self.alive {
+                let exact = project(sensor, &camera_from_world.transform(&landmarks[*landmark].position));
+                let noisy = exact.map(|pixel| blur(&mut self.rng, self.options, pixel));
+                if let Some(pixel) = noisy.filter(|pixel| sensor.camera.contains(pixel)) {
+                    observations.push(TrackObservation {
+                        camera: camera as u8,
+                        feature_id: *feature_id,
+                        pixel,
+                    });
+                }
+            }
+        }
+        observations
+    }
+}
+
+/// A pixel as it is measured: with noise, and now and then somewhere else altogether.
+fn blur(rng: &mut StdRng, options: &SimulationOptions, pixel: Vector2<f64>) -> Vector2<f64> {
+    let mut noise = Vector2::new(normal(rng), normal(rng)) * options.sigma_track_px;
+    if options.outlier_fraction > 0.0 && rng.random_bool(options.outlier_fraction) {
+        let (angle, far) = (rng.random_range(0.0..std::f64::consts::TAU), rng.random_range(10.0..50.0));
+        noise += Vector2::new(angle.cos(), angle.sin()) * far;
+    }
+    rounded(pixel + noise)
+}
+
+/// To the precision of a file, so that a run in memory and one from disk are the same.
+pub(crate) fn rounded(pixel: Vector2<f64>) -> Vector2<f64> {
+    pixel.map(|value| (value * PIXEL_PARTS).round() / PIXEL_PARTS)
+}
+
+/// The landmarks that a camera sees, with their exact pixels.
+pub(crate) fn visible(
+    options: &SimulationOptions,
+    world_from_imu: &Pose,
+    sensor: &CameraSensor,
+    landmarks: &[Landmark],
+) -> Vec<(usize, Vector2<f64>)> {
+    let camera_from_world = world_from_imu.compose(&sensor.imu_from_camera).inverse();
+    let [near, far] = options.sight_m;
+    landmarks
+        .iter()
+        .enumerate()
+        .filter_map(|(index, landmark)| {
+            let point = camera_from_world.transform(&landmark.position);
+            let sighted = point.z >= near && point.norm_squared() <= far * far;
+            sighted.then(|| project(sensor, &point)).flatten().map(|pixel| (index, pixel))
+        })
+        .collect()
+}
+
+/// The pixel of a point in the camera frame, if it is in the image.
+fn project(sensor: &CameraSensor, point: &Vector3<f64>) -> Option<Vector2<f64>> {
+    sensor.camera.project(point).ok().filter(|pixel| sensor.camera.contains(pixel))
+}

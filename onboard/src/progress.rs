@@ -1,0 +1,85 @@
+//! What a person at the shell sees of a run.
+
+use super::program::Outcome;
+use evaluation::Score;
+use indicatif::{ProgressBar, ProgressStyle};
+use std::fmt::Write as _;
+
+/// A progress bar over the frames of a recording.
+pub fn frame_bar(frames: usize) -> ProgressBar {
+    let bar = ProgressBar::new(frames as u64);
+    // The template is a constant that is known to parse.
+    if let Ok(style) = ProgressStyle::with_template("{bar:40} {pos}/{len} frames  {elapsed_precise}  {msg}") {
+        bar.set_style(style);
+    }
+    bar
+}
+
+/// The end of a run in a few lines.
+pub fn report(outcome: &Outcome) -> String {
+    let summary = &outcome.summary;
+    let mut text = String::new();
+    let _ = writeln!(
+        text,
+        "{} frames, {:.0} s of recording in {:.1} s ({:.1} times real time, {:.1} ms a frame)",
+        summary.frames,
+        summary.seconds,
+        summary.wall_seconds,
+        summary.realtime_factor,
+        summary.milliseconds_per_frame.total
+    );
+    if summary.map.is_some() {
+        let queries = &summary.queries;
+        let _ = writeln!(
+            text,
+            "{} queries: {} matched, {} accepted ({} re-linearized), {} failed; {} keyframes pulled, {} KB received",
+            queries.sent,
+            queries.matched,
+            queries.accepted,
+            queries.relinearized,
+            queries.failed,
+            summary.keyframes_pulled,
+            summary.wire_bytes.received / 1024
+        );
+    }
+    if let Some(score) = &summary.score {
+        let _ = writeln!(
+            text,
+            "{:24}{:>8}{:>10}{:>9}{:>9}{:>9}",
+            "against the truth", "deg", "m", "max m", "NEES", "n"
+        );
+        let mut line = |name: &str, score: &Score| {
+            let nees = score.nees_pose.map_or_else(|| "-".to_owned(), |nees| format!("{nees:.2}"));
+            let _ = writeln!(
+                text,
+                "{name:24}{:8.3}{:10.4}{:9.3}{nees:>9}{:9}",
+                score.rmse_deg, score.rmse_m, score.max_m, score.samples
+            );
+        };
+        line("local_from_imu", &score.local);
+        if let Some(transform) = &score.transform {
+            line("global_from_local", transform);
+        }
+        if let Some(pose) = &score.pose {
+            line("global_from_imu", pose);
+        }
+        let _ = writeln!(
+            text,
+            "odometry alone, aligned in yaw and position: {:.4} m over {:.0} m",
+            score.odometry_yaw_aligned_m.rmse, score.distance_m
+        );
+    }
+    if let Some(reason) = &summary.no_score {
+        let _ = writeln!(text, "no errors are known: {reason}");
+    }
+    for divergence in &summary.divergences {
+        let _ = writeln!(text, "started again at {:.1} s: {}", divergence.seconds, divergence.reason);
+    }
+    if let Some(status) = &summary.final_status {
+        let _ = writeln!(text, "at the end: {:?}, {}", status.localization, status.reason);
+    }
+    if let Some(reason) = &summary.ended_early {
+        let _ = writeln!(text, "ENDED EARLY: {reason}");
+    }
+    text
+}

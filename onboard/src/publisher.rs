@@ -1,0 +1,148 @@
+//! Publishes pose, odometry and status, in the background.
+
+use estimator::{Estimator, Localization, Status};
+use nalgebra::Vector3;
+use protocol::{Format, Message, RobotOdometry, RobotPose, RobotState, RobotStatus, keys};
+use std::time::Duration;
+use tokio::runtime::Handle;
+use tokio::sync::mpsc::{Sender, channel};
+use tokio::task::JoinHandle;
+use zenoh::liveliness::LivelinessToken;
+
+/// Messages that may wait for the network before new ones are dropped.
+const QUEUE: usize = 64;
+
+/// What publishing needs to know beside the estimator.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct QueryCounts {
+    /// Queries sent so far.
+    pub sent: u64,
+    /// Queries that the map answered, with or without a match.
+    pub answered: u64,
+}
+
+/// Publishes under `robot/{robot}/...` and shows the robot's liveliness.
+#[derive(Debug)]
+pub struct Publisher {
+    map: String,
+    queue: Sender<(String, &'static str, Vec<u8>)>,
+    pose_key: String,
+    odometry_key: String,
+    status_key: String,
+    runtime: Handle,
+    sending: JoinHandle<()>,
+    alive: LivelinessToken,
+}
+
+/// How long the last messages may take when a robot leaves.
+const CLOSE_TIMEOUT: Duration = Duration::from_secs(2);
+
+impl Publisher {
+    /// Declares the robot.
+    ///
+    /// # Errors
+    /// A sentence: a name that no key can hold, or a closed session.
+    pub fn new(session: zenoh::Session, runtime: &Handle, robot: &str, map: &str) -> Result<Self, String> {
+        let key = |result: Result<String, keys::NameError>| result.map_err(|error| error.to_string());
+        let (queue, mut messages) = channel::<(String, &'static str, Vec<u8>)>(QUEUE);
+        let alive_key = key(keys::robot(robot))?;
+        let alive = runtime
+            .block_on(async { session.liveliness().declare_token(alive_key).await })
+            .map_err(|error| format!("the robot cannot show that it is there: {error}"))?;
+        let sending = runtime.spawn(async move {
+            while let Some((key, encoding, payload)) = messages.recv().await {
+                if let Err(error) = session.put(key, payload).encoding(encoding).await {
+                    tracing::debug!(%error, "not published");
+                }
+            }
+        });
+        Ok(Self {
+            map: map.to_owned(),
+            queue,
+            pose_key: key(keys::robot_pose(robot))?,
+            odometry_key: key(keys::robot_odometry(robot))?,
+            status_key: key(keys::robot_status(robot))?,
+            runtime: runtime.clone(),
+            sending,
+            alive,
+        })
+    }
+
+    /// Publishes the state of a frame. What the network cannot take is dropped: newer ones follow.
+    pub fn publish(
+        &self,
+        estimator: &Estimator,
+        angular_velocity: Vector3<f64>,
+        counts: QueryCounts,
+        failure: Option<&str>,
+    ) {
+        let stamp_ns = estimator.stamp_ns();
+        self.send(
+            &self.odometry_key,
+            &RobotOdometry {
+                stamp_ns,
+                local_from_imu: estimator.local_from_imu(),
+                velocity_in_local: estimator.velocity().into(),
+                angular_velocity_in_imu: angular_velocity.into(),
+            },
+        );
+        let global = (estimator.global_from_imu(), estimator.global_from_local(), estimator.map_version());
+        if let (Some(global_from_imu), Some(global_from_local), Some(map_version)) = global {
+            let map = self.map.clone();
+            self.send(
+                &self.pose_key,
+                &RobotPose { stamp_ns, map, map_version, global_from_imu, global_from_local },
+            );
+        }
+        self.publish_status(stamp_ns, estimator.status().with_failure(failure), counts);
+    }
+
+    /// Publishes how the robot is, also while it has no pose.
+    pub fn publish_status(&self, stamp_ns: i64, status: Status, counts: QueryCounts) {
+        self.send(
+            &self.status_key,
+            &RobotStatus {
+                stamp_ns,
+                state: robot_state(status.localization),
+                reason: status.reason,
+                map: Some(self.map.clone()),
+                last_map_update_ns: status.last_map_update_ns,
+                keyframes_held: status.held_keyframes as u32,
+                queries_sent: counts.sent,
+                queries_answered: counts.answered,
+            },
+        );
+    }
+
+    /// Sends what still waits, then leaves: the last messages come before the robot is gone.
+    pub fn close(self) {
+        let Self { queue, runtime, sending, alive, .. } = self;
+        drop(queue);
+        runtime.block_on(async {
+            if tokio::time::timeout(CLOSE_TIMEOUT, sending).await.is_err() {
+                tracing::warn!("the last states could not be published in {CLOSE_TIMEOUT:?}");
+            }
+            if let Err(error) = alive.undeclare().await {
+                tracing::debug!(%error, "the liveliness token went with its session");
+            }
+        });
+    }
+
+    fn send<M: Message>(&self, key: &str, message: &M) {
+        match protocol::encode(Format::Bincode, message) {
+            Ok(payload) => {
+                // A full queue means a slow network: this message is dropped.
+                let _ = self.queue.try_send((key.to_owned(), Format::Bincode.encoding(), payload));
+            }
+            Err(error) => tracing::warn!(%error, "a state that must not be published"),
+        }
+    }
+}
+
+fn robot_state(localization: Localization) -> RobotState {
+    match localization {
+        Localization::OdometryOnly => RobotState::OdometryOnly,
+        Localization::Localized => RobotState::Localized,
+        Localization::Lost => RobotState::Lost,
+    }
+}

@@ -1,0 +1,128 @@
+//! Finds the state that a recording starts from.
+
+use super::arguments::Init;
+use anyhow::{Context as _, Result, bail};
+use estimator::initialization::static_initialization::REST_SECONDS;
+use estimator::{EstimatorConfig, ImuSample, InitialState};
+use nalgebra::Vector3;
+use sensors::{Recording, TruthRow};
+
+/// How far into a recording [`first_rest`] looks, seconds.
+const SEARCH_SECONDS: f64 = 10.0;
+
+/// How long before the first image a start from truth lies at most, nanoseconds: without images the filter would only
+/// lose what the truth tells.
+const LEAD_NS: i64 = 100_000_000;
+
+/// The first state; `None` where it is to be found on the way.
+///
+/// # Errors
+/// A sentence that says what the recording lacks and which switch helps.
+pub fn initial_state(
+    recording: &Recording<'_>,
+    init: Init,
+    config: &EstimatorConfig,
+) -> Result<Option<InitialState>> {
+    match init {
+        Init::Truth => from_truth(recording, config).map(Some),
+        Init::Static => {
+            let start = InitialState::from_rest(&first_readings(recording)?, config);
+            start.context("--init static (--init auto waits for a start, and starts in motion too)").map(Some)
+        }
+        Init::Auto => Ok(None),
+    }
+}
+
+/// A part of a recording, as if nothing else had been recorded.
+///
+/// # Arguments
+/// * `start_at`: begin, seconds after the first image.
+/// * `duration`: length, seconds; unset, all the rest.
+///
+/// # Errors
+/// A sentence: a time that is not a positive number, or past the end.
+pub fn excerpt(recording: Recording<'_>, start_at: f64, duration: Option<f64>) -> Result<Recording<'_>> {
+    let length = duration.unwrap_or(f64::INFINITY);
+    if !(start_at.is_finite() && start_at >= 0.0) {
+        bail!("--start-at is {start_at}; it must be zero or a positive number of seconds");
+    }
+    if length.is_nan() || length <= 0.0 {
+        bail!("--duration is {length}; it must be a positive number of seconds");
+    }
+    let first_ns = recording.frames()?.next().transpose()?.map_or(0, |frame| frame.stamp_ns);
+    let begin_ns = first_ns + (start_at * 1e9) as i64;
+    let part = recording.between(begin_ns, begin_ns.saturating_add((length * 1e9) as i64));
+    if part.frames()?.next().is_none() {
+        bail!("--start-at {start_at}: the recording has no image after that");
+    }
+    Ok(part)
+}
+
+/// The first state at rest in the first ten seconds of readings, for those who only want the gyroscope's bias.
+pub fn first_rest(samples: &[ImuSample], config: &EstimatorConfig) -> Option<InitialState> {
+    let end_ns = samples.first()?.stamp_ns + (SEARCH_SECONDS * 1e9) as i64;
+    let mut next_ns = i64::MIN;
+    (0..samples.partition_point(|sample| sample.stamp_ns <= end_ns)).find_map(|first| {
+        if samples[first].stamp_ns < next_ns {
+            return None;
+        }
+        next_ns = samples[first].stamp_ns + (REST_SECONDS * 0.2e9) as i64;
+        InitialState::from_rest(window(samples, first), config).ok()
+    })
+}
+
+/// The readings of [`REST_SECONDS`] from `first` on.
+fn window(samples: &[ImuSample], first: usize) -> &[ImuSample] {
+    let end_ns = samples.get(first).map_or(0, |sample| sample.stamp_ns + (REST_SECONDS * 1e9) as i64);
+    let end = samples.partition_point(|sample| sample.stamp_ns <= end_ns);
+    &samples[first.min(end)..end]
+}
+
+/// The readings of the first [`REST_SECONDS`] of a recording.
+fn first_readings(recording: &Recording<'_>) -> Result<Vec<ImuSample>> {
+    let mut readings: Vec<ImuSample> = Vec::new();
+    for reading in recording.imu_samples()? {
+        readings.push(reading?);
+        let length_ns = readings[readings.len() - 1].stamp_ns - readings[0].stamp_ns;
+        if length_ns > (REST_SECONDS * 1e9) as i64 {
+            readings.pop();
+            break;
+        }
+    }
+    Ok(readings)
+}
+
+fn from_truth(recording: &Recording<'_>, config: &EstimatorConfig) -> Result<InitialState> {
+    if !recording.has_truth() {
+        bail!("--init truth: {} has no ground truth; use --init auto", recording.root.display())
+    }
+    let Some(gravity) = recording.truth_gravity()? else {
+        bail!(
+            "--init truth: the direction of gravity in the truth's frame cannot be found from truth and IMU"
+        )
+    };
+    let first_reading = recording.imu_samples()?.next().transpose()?;
+    let imu_begin_ns = first_reading.map_or(i64::MAX, |reading| reading.stamp_ns);
+    let first_frame = recording.frames()?.next().transpose()?;
+    let frames_begin_ns = first_frame.map_or(i64::MIN, |frame| frame.stamp_ns);
+    let begin_ns = (imu_begin_ns - 10_000_000).max(frames_begin_ns - LEAD_NS);
+    let due =
+        |row: &Result<TruthRow, _>| row.as_ref().map_or(true, |row: &TruthRow| row.stamp_ns >= begin_ns);
+    let mut rows = recording.truth()?.skip_while(|row| !due(row));
+    let Some(row) = rows.next().transpose()? else {
+        bail!("--init truth: the ground truth ends before the IMU begins")
+    };
+    let next = rows.next().transpose()?;
+    let Some(velocity) = row.velocity.or_else(|| Some(slope(&row, &next?))) else {
+        bail!("--init truth: the first row has no velocity, and no row follows")
+    };
+    let stamp_ns = row.stamp_ns.max(imu_begin_ns);
+    let mut start = InitialState::from_truth(stamp_ns, &row.pose, &velocity, &gravity, config.initial);
+    start.imu.gyroscope_bias = row.gyroscope_bias.unwrap_or_default();
+    start.imu.accelerometer_bias = row.accelerometer_bias.unwrap_or_default();
+    Ok(start)
+}
+
+fn slope(a: &TruthRow, b: &TruthRow) -> Vector3<f64> {
+    (b.pose.translation - a.pose.translation) / ((b.stamp_ns - a.stamp_ns) as f64 * 1e-9)
+}
