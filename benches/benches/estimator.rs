@@ -6,7 +6,8 @@
 
 use criterion::{BatchSize, BenchmarkId, Criterion, criterion_group, criterion_main};
 use estimator::{
-    Estimator, EstimatorConfig, ImuSample, InitialSigmas, InitialState, MapMode, RigCamera, TrackObservation,
+    CalibratedCamera, Estimator, EstimatorConfig, ImuSample, InitialSigmas, InitialState, MapMode,
+    TrackObservation,
 };
 use sensors::{Frame, Sequence};
 use simulation::{SimulationOptions, simulate};
@@ -40,8 +41,8 @@ impl<'a> Player<'a> {
             InitialSigmas::default(),
         );
         let eyes = sequence.cameras.iter().take(cameras);
-        let rig: Vec<RigCamera> = eyes
-            .map(|sensor| RigCamera {
+        let rig: Vec<CalibratedCamera> = eyes
+            .map(|sensor| CalibratedCamera {
                 camera: sensor.camera.clone(),
                 imu_from_camera: sensor.imu_from_camera,
             })

@@ -45,7 +45,7 @@ struct Arguments {
     maps: Vec<MapArgument>,
 
     /// Where to listen, for example tcp/0.0.0.0:7447 for the whole network [default: tcp/127.0.0.1:7447, unless
-    /// --connect or --config is given]. May be given several times.
+    /// --connect or --zenoh-config is given]. May be given several times.
     #[arg(long, value_name = "ENDPOINT")]
     listen: Vec<String>,
 
@@ -56,7 +56,7 @@ struct Arguments {
     /// A Zenoh configuration file (JSON5), for TLS, users, access control; --listen, --connect and --namespace
     /// override it.
     #[arg(long, value_name = "FILE")]
-    config: Option<PathBuf>,
+    zenoh_config: Option<PathBuf>,
 
     /// Prefix of all keys: one namespace is one fleet.
     #[arg(long, value_name = "NAME")]
@@ -135,7 +135,7 @@ async fn serve() -> anyhow::Result<()> {
 
 fn session_options(arguments: &Arguments) -> SessionOptions {
     let mut options = SessionOptions {
-        config_file: arguments.config.clone(),
+        config_file: arguments.zenoh_config.clone(),
         listen: arguments.listen.clone(),
         connect: arguments.connect.clone(),
         namespace: arguments.namespace.clone(),

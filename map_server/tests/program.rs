@@ -166,7 +166,7 @@ async fn sighup_serves_the_new_version_and_says_what_changed() {
     assert_eq!((change.map.as_str(), change.from_version, change.version), ("hall", 1, 2));
     assert_eq!((change.moved, change.removed), (moved, Vec::new()));
     let stated = change.stated_change.unwrap();
-    assert!((stated.sigma_p - 0.3 * (2.0 / 15.0_f64).sqrt()).abs() < 1e-9 && stated.sigma_theta < 1e-9);
+    assert!((stated.sigma_p_m - 0.3 * (2.0 / 15.0_f64).sqrt()).abs() < 1e-9 && stated.sigma_theta_rad < 1e-9);
     assert_eq!(version().await, 2);
     says("replaced a map", 1).await;
 

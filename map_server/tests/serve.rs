@@ -366,7 +366,7 @@ async fn a_replaced_map_is_announced_and_answers_with_its_version() {
     let moved = contents.keyframes[3].id;
     contents.keyframes[3].global_from_keyframe.pose.translation.x += 0.02;
     let map = Arc::new(LoadedMap::from_contents(contents).unwrap());
-    let stated = StatedChange { sigma_theta: 0.001, sigma_p: 0.02 };
+    let stated = StatedChange { sigma_theta_rad: 0.001, sigma_p_m: 0.02 };
     let change = loop {
         // The subscription may still be on its way to the server.
         scene.server.replace("hall", Arc::clone(&map), Some(stated)).await.unwrap();

@@ -111,36 +111,36 @@ pub struct RobotArguments {
     /// Points to follow in images, where the recording has no tracks.csv
     #[arg(long, value_name = "N", default_value_t = 200)]
     pub points: usize,
-    /// YAML file with estimator settings
+    /// YAML file with settings of the estimator
     ///
     /// What it names wins over the sensor's file (noise, gravity) and over defaults; switches that are given, --mode
     /// too, win over it.
     #[arg(long, value_name = "FILE")]
-    pub settings: Option<PathBuf>,
+    pub estimator_config: Option<PathBuf>,
     /// Factor on the IMU's white noise as its sensor.yaml states it (real sensors on vehicles: about 3)
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
     pub imu_noise_scale: f64,
     /// Noise of tracked pixels, px
     #[arg(long, value_name = "PX")]
-    pub track_sigma: Option<f64>,
+    pub sigma_track: Option<f64>,
     /// Noise of matched pixels in the robot's image, px
     #[arg(long, value_name = "PX")]
-    pub match_sigma: Option<f64>,
+    pub sigma_match: Option<f64>,
     /// Noise of the map's pixels, px [default: what the map says]
     #[arg(long, value_name = "PX")]
-    pub map_sigma: Option<f64>,
+    pub sigma_map: Option<f64>,
     /// Initial standard deviation of the gyroscope bias, rad/s
     #[arg(long, value_name = "RAD/S")]
-    pub gyroscope_bias_sigma: Option<f64>,
+    pub sigma_gyroscope_bias: Option<f64>,
     /// Initial standard deviation of the accelerometer bias, m/s^2
     #[arg(long, value_name = "M/S2")]
-    pub accelerometer_bias_sigma: Option<f64>,
+    pub sigma_accelerometer_bias: Option<f64>,
     /// Clones in the sliding window
     #[arg(long, value_name = "N")]
     pub window: Option<usize>,
     /// Most landmarks kept in the state; 0 is the plain MSCKF
     #[arg(long, value_name = "N")]
-    pub state_landmarks: Option<usize>,
+    pub slam_features: Option<usize>,
     /// What of the cameras' calibration to estimate while running (several: separate them by commas)
     #[arg(long, value_enum, value_delimiter = ',', value_name = "WHAT")]
     pub calibrate: Vec<Calibrate>,
@@ -166,7 +166,7 @@ impl RobotArguments {
     /// # Errors
     /// An unreadable settings file.
     pub fn map_mode(&self) -> Result<MapMode> {
-        match (self.mode, &self.settings) {
+        match (self.mode, &self.estimator_config) {
             (Some(mode), _) => Ok(mode.into()),
             (None, Some(path)) => Ok(read_settings(path, &EstimatorConfig::default())?.mode),
             (None, None) => Ok(EstimatorConfig::default().mode),
@@ -184,7 +184,7 @@ impl RobotArguments {
         let defaults = EstimatorConfig::default();
         let gravity = imu.gravity_magnitude.unwrap_or(defaults.gravity);
         let of_sensor = EstimatorConfig { imu_noise: imu.noise, gravity, ..defaults };
-        let mut config = match &self.settings {
+        let mut config = match &self.estimator_config {
             Some(path) => read_settings(path, &of_sensor)?,
             None => of_sensor,
         };
@@ -197,13 +197,13 @@ impl RobotArguments {
             config.relinearization = Relinearization::Off;
         }
         let override_with = |target: &mut f64, value: Option<f64>| *target = value.unwrap_or(*target);
-        override_with(&mut config.sigma_track_px, self.track_sigma);
-        override_with(&mut config.sigma_match_px, self.match_sigma);
-        override_with(&mut config.initial.gyroscope_bias, self.gyroscope_bias_sigma);
-        override_with(&mut config.initial.accelerometer_bias, self.accelerometer_bias_sigma);
-        config.sigma_map_px = self.map_sigma.or(config.sigma_map_px);
+        override_with(&mut config.sigma_track_px, self.sigma_track);
+        override_with(&mut config.sigma_match_px, self.sigma_match);
+        override_with(&mut config.initial.gyroscope_bias, self.sigma_gyroscope_bias);
+        override_with(&mut config.initial.accelerometer_bias, self.sigma_accelerometer_bias);
+        config.sigma_map_px = self.sigma_map.or(config.sigma_map_px);
         config.window = self.window.unwrap_or(config.window);
-        config.state_landmarks = self.state_landmarks.unwrap_or(config.state_landmarks);
+        config.slam_features = self.slam_features.unwrap_or(config.slam_features);
         config.calibration.extrinsics |= self.calibrate.contains(&Calibrate::Extrinsics);
         config.calibration.intrinsics |= self.calibrate.contains(&Calibrate::Intrinsics);
         config.calibration.time_offset |= self.calibrate.contains(&Calibrate::TimeOffset);
@@ -283,7 +283,7 @@ mod tests {
             arguments.mode = mode;
             if let Some(text) = file {
                 std::fs::write(&path, text).unwrap();
-                arguments.settings = Some(path.clone());
+                arguments.estimator_config = Some(path.clone());
             }
             let config = arguments.estimator_config(&(&recorded).into()).unwrap();
             assert_eq!(config.mode, arguments.map_mode().unwrap());

@@ -1,6 +1,6 @@
 //! The end of a query, as it is written to `events.csv`.
 
-use client::query_client::Answered;
+use client::query_client::QueryResult;
 use estimator::MapReport;
 use protocol::MatchOutcome;
 use serde::{Deserialize, Serialize};
@@ -11,9 +11,9 @@ pub struct Event {
     /// Time of the image, nanoseconds.
     pub stamp_ns: i64,
     /// The same, seconds.
-    pub asked_at_s: f64,
+    pub queried_at_s: f64,
     /// Time of the state when the answer was taken in, seconds.
-    pub answered_at_s: f64,
+    pub applied_at_s: f64,
     /// `matched`, `no_match` and its kin, or `failed`.
     pub outcome: String,
     /// Keyframes in the answer.
@@ -36,11 +36,11 @@ pub struct Event {
 
 impl Event {
     /// An event whose outcome is still to be noted.
-    pub fn new(answered: &Answered, state_ns: i64) -> Self {
+    pub fn new(answered: &QueryResult, state_ns: i64) -> Self {
         Self {
             stamp_ns: answered.stamp_ns,
-            asked_at_s: answered.stamp_ns as f64 * 1e-9,
-            answered_at_s: state_ns as f64 * 1e-9,
+            queried_at_s: answered.stamp_ns as f64 * 1e-9,
+            applied_at_s: state_ns as f64 * 1e-9,
             outcome: String::new(),
             keyframes: 0,
             matches: 0,

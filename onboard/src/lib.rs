@@ -5,12 +5,12 @@
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 pub mod arguments;
-mod asking;
+pub mod estimator_supervisor;
 pub mod event;
 pub mod extraction;
 pub mod front_end;
 mod imu_window;
-pub mod lifecycle;
+mod map_queries;
 pub mod output;
 pub mod program;
 pub mod progress;
@@ -23,9 +23,9 @@ pub mod stop;
 pub mod summary;
 
 pub use arguments::RobotArguments;
+pub use estimator_supervisor::EstimatorSupervisor;
 pub use front_end::{FrontEnd, FrontEndError};
 pub use imu_window::ImuWindow;
-pub use lifecycle::Lifecycle;
 pub use program::{MapLink, Outcome, run_robot, run_robot_until};
 pub use run::{RobotRun, RunError, run};
 pub use stop::StopSignal;

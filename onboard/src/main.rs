@@ -38,7 +38,7 @@ struct Arguments {
     connect: Vec<String>,
     /// Zenoh configuration file (JSON5)
     #[arg(long, value_name = "FILE")]
-    config: Option<PathBuf>,
+    zenoh_config: Option<PathBuf>,
     /// Namespace of the fleet
     #[arg(long)]
     namespace: Option<String>,
@@ -76,11 +76,11 @@ fn localize() -> Result<()> {
         (None, _) => bail!("--map NAME is missing: name the map, or use --mode odometry"),
         (Some(map), _) => {
             let mut connect = arguments.connect.clone();
-            if connect.is_empty() && arguments.config.is_none() {
+            if connect.is_empty() && arguments.zenoh_config.is_none() {
                 connect.push(DEFAULT_ENDPOINT.to_owned());
             }
             let options = SessionOptions {
-                config_file: arguments.config.clone(),
+                config_file: arguments.zenoh_config.clone(),
                 connect,
                 namespace: arguments.namespace.clone(),
                 ..SessionOptions::default()

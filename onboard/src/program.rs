@@ -1,11 +1,11 @@
 //! The robot as a program: opens the recording, runs, scores, writes.
 
 use super::arguments::RobotArguments;
+use super::estimator_supervisor::EstimatorSupervisor;
 use super::event::Event;
 use super::extraction::ExtractionThread;
 use super::front_end::FrontEnd;
 use super::imu_window::ImuWindow;
-use super::lifecycle::Lifecycle;
 use super::output;
 use super::publisher::Publisher;
 use super::recorder::Recorder;
@@ -14,9 +14,9 @@ use super::start::{excerpt, initial_state};
 use super::stop::StopSignal;
 use super::summary::Summary;
 use anyhow::{Context as _, Result, bail};
-use client::map_news::MapNews;
+use client::map_change_subscriber::MapChangeSubscriber;
 use client::query_client::QueryClient;
-use estimator::{Estimator, MapMode, RigCamera};
+use estimator::{CalibratedCamera, Estimator, MapMode};
 use evaluation::trajectory::StateRow;
 use evaluation::trajectory::states::StateReader;
 use evaluation::{RunScore, ScoreOptions, score_rows};
@@ -106,13 +106,18 @@ pub fn run_robot_until<'a>(
         bail!("--deadline is {}; it must be a positive number of seconds", arguments.deadline);
     }
     let initial = initial_state(recording, arguments.init, &config)?;
-    let rig: Vec<RigCamera> = recording.cameras[..cameras]
+    let rig: Vec<CalibratedCamera> = recording.cameras[..cameras]
         .iter()
-        .map(|sensor| RigCamera { camera: sensor.camera.clone(), imu_from_camera: sensor.imu_from_camera })
+        .map(|sensor| CalibratedCamera {
+            camera: sensor.camera.clone(),
+            imu_from_camera: sensor.imu_from_camera,
+        })
         .collect();
     let filter = match &initial {
-        Some(initial) => Lifecycle::running(Estimator::new(config.clone(), rig.clone(), initial)?, rig),
-        None => Lifecycle::searching(config.clone(), rig),
+        Some(initial) => {
+            EstimatorSupervisor::running(Estimator::new(config.clone(), rig.clone(), initial)?, rig)
+        }
+        None => EstimatorSupervisor::searching(config.clone(), rig),
     };
     let link = link.filter(|_| config.mode != MapMode::Odometry);
     let map = link.as_ref().map(|link| link.map.clone());
@@ -121,8 +126,8 @@ pub fn run_robot_until<'a>(
             let deadline = Duration::from_secs_f64(arguments.deadline);
             let queries = QueryClient::new(link.session.clone(), link.runtime.clone(), &link.map, deadline)
                 .context("--map")?;
-            let news =
-                MapNews::subscribe(&link.session, &link.runtime, &link.map).map_err(anyhow::Error::msg)?;
+            let news = MapChangeSubscriber::subscribe(&link.session, &link.runtime, &link.map)
+                .map_err(anyhow::Error::msg)?;
             let publisher = Publisher::new(link.session, &link.runtime, &arguments.robot, &link.map)
                 .map_err(anyhow::Error::msg)?;
             (Some(queries), Some(news), Some(publisher))

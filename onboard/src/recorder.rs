@@ -7,7 +7,7 @@ use super::summary::{
     TrackSummary, Traffic,
 };
 use anyhow::Result;
-use estimator::{Estimator, EstimatorError, StartMethod, Status, TrackReport};
+use estimator::{Estimator, EstimatorError, InitMethod, Status, TrackReport};
 use evaluation::trajectory::StateRow;
 use std::path::Path;
 
@@ -129,14 +129,14 @@ impl Recorder {
     }
 
     /// Notes a start of the filter; a method that is not given is a state that was known.
-    pub fn note_start(&mut self, stamp_ns: i64, method: Option<&StartMethod>) {
-        let (method, scale_sigma) = match method {
+    pub fn note_start(&mut self, stamp_ns: i64, method: Option<&InitMethod>) {
+        let (method, sigma_scale) = match method {
             None => ("known", None),
-            Some(StartMethod::Rest) => ("rest", None),
-            Some(StartMethod::Motion(belief)) => ("motion", Some(belief.scale_sigma)),
+            Some(InitMethod::Rest) => ("rest", None),
+            Some(InitMethod::Motion(init_quality)) => ("motion", Some(init_quality.sigma_scale)),
         };
         let seconds = (stamp_ns - self.first_ns) as f64 * 1e-9;
-        self.starts.push(StartSummary { seconds, method, scale_sigma });
+        self.starts.push(StartSummary { seconds, method, sigma_scale });
     }
 
     /// Notes that the filter was given up.

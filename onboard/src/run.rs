@@ -1,16 +1,16 @@
 //! Plays a recording through the estimator.
 
+use super::estimator_supervisor::EstimatorSupervisor;
 use super::extraction::ExtractionThread;
 use super::front_end::FrontEnd;
 use super::imu_window::ImuWindow;
-use super::lifecycle::Lifecycle;
 use super::publisher::{Publisher, QueryCounts};
 use super::recorder::Recorder;
 use super::stop::StopSignal;
 use super::summary::Timings;
-use client::map_news::MapNews;
+use client::map_change_subscriber::MapChangeSubscriber;
 use client::query_client::QueryClient;
-use estimator::{EstimatorError, StartMethod, TrackObservation};
+use estimator::{EstimatorError, InitMethod, TrackObservation};
 use nalgebra::Vector3;
 use sensors::{Frame, Recording, SequenceError};
 use std::time::{Duration, Instant};
@@ -60,7 +60,7 @@ pub struct RobotRun<'a> {
     /// How many of its cameras to use.
     pub cameras: usize,
     /// The filter, or the search for its start.
-    pub filter: Lifecycle,
+    pub filter: EstimatorSupervisor,
     /// Name of the robot.
     pub robot: String,
     /// Most keyframes of one answer.
@@ -78,7 +78,7 @@ pub struct RobotRun<'a> {
     /// Asks the map; none with odometry only.
     pub queries: Option<QueryClient>,
     /// Hears when the map changes; none with odometry only.
-    pub news: Option<MapNews>,
+    pub news: Option<MapChangeSubscriber>,
     /// Publishes; none without a network.
     pub publisher: Option<Publisher>,
     /// Why the last query was not answered, until one is.
@@ -216,7 +216,7 @@ impl RobotRun<'_> {
         tracing::info!(?method, "started");
         recorder.note_start(stamp_ns, Some(&method));
         // A start in motion has learned from the tracks of its last image already.
-        Ok(Some(if method == StartMethod::Rest { tracks } else { Vec::new() }))
+        Ok(Some(if method == InitMethod::Rest { tracks } else { Vec::new() }))
     }
 
     fn frame(&mut self, frame: &Frame, recorder: &mut Recorder) -> Result<(), EstimatorError> {

@@ -82,9 +82,9 @@ pub struct QuerySummary {
     pub sent: u64,
     /// Images that were not asked about because too many queries were on their way.
     pub skipped: u64,
-    /// Answered by the map, with or without a match.
+    /// QueryResult by the map, with or without a match.
     pub answered: u64,
-    /// Answered with a match.
+    /// QueryResult with a match.
     pub matched: u64,
     /// Corrected the state.
     pub accepted: u64,
@@ -133,7 +133,7 @@ pub struct StartSummary {
     /// `known`, `rest` or `motion`.
     pub method: &'static str,
     /// In motion: standard deviation of the scale, as a part of it.
-    pub scale_sigma: Option<f64>,
+    pub sigma_scale: Option<f64>,
 }
 
 /// A divergence of the filter.

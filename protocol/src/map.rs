@@ -37,7 +37,7 @@ pub struct MapInfo {
     #[serde(default)]
     pub extractor: String,
     /// Standard deviation of the map's pixels, pixels.
-    pub pixel_sigma: f64,
+    pub sigma_px: f64,
 }
 
 impl Validate for MapInfo {
@@ -53,8 +53,8 @@ impl Validate for MapInfo {
             format.validate().map_err(|violation| violation.within("descriptors"))?;
         }
         validate_extractor(&self.extractor)?;
-        let positive = self.pixel_sigma.is_finite() && self.pixel_sigma > 0.0;
-        require(positive, "pixel_sigma", "is not a finite, positive number")
+        let positive = self.sigma_px.is_finite() && self.sigma_px > 0.0;
+        require(positive, "sigma_px", "is not a finite, positive number")
     }
 }
 
@@ -166,14 +166,14 @@ impl Message for MapChange {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct StatedChange {
     /// Standard deviation of the rotation, radians an axis.
-    pub sigma_theta: f64,
+    pub sigma_theta_rad: f64,
     /// Standard deviation of the translation, metres an axis.
-    pub sigma_p: f64,
+    pub sigma_p_m: f64,
 }
 
 impl Validate for StatedChange {
     fn validate(&self) -> Result<(), InvalidField> {
-        for (value, field) in [(self.sigma_theta, "sigma_theta"), (self.sigma_p, "sigma_p")] {
+        for (value, field) in [(self.sigma_theta_rad, "sigma_theta_rad"), (self.sigma_p_m, "sigma_p_m")] {
             require(value.is_finite() && value >= 0.0, field, "is not a finite, non-negative number")?;
         }
         Ok(())

@@ -274,7 +274,7 @@ pub struct MatchStatus {
     #[serde(default)]
     pub gravity_in_global: Option<[f64; 3]>,
     /// Standard deviation of the map's pixels, pixels.
-    pub map_pixel_sigma: f64,
+    pub sigma_map_px: f64,
 }
 
 impl Validate for MatchStatus {
@@ -282,7 +282,7 @@ impl Validate for MatchStatus {
         if let Some(gravity) = &self.gravity_in_global {
             require_unit(gravity, "gravity_in_global")?;
         }
-        let positive = self.map_pixel_sigma.is_finite() && self.map_pixel_sigma > 0.0;
-        require(positive, "map_pixel_sigma", "is not a finite, positive number")
+        let positive = self.sigma_map_px.is_finite() && self.sigma_map_px > 0.0;
+        require(positive, "sigma_map_px", "is not a finite, positive number")
     }
 }

@@ -67,13 +67,13 @@ impl Split {
         let reference = |row: &sensors::TruthRow| ReferencePose {
             stamp_ns: row.stamp_ns,
             pose: row.pose,
-            sigma_theta: 1_f64.to_radians(),
-            sigma_p: 0.01,
+            sigma_theta_rad: 1_f64.to_radians(),
+            sigma_p_m: 0.01,
         };
         let references: Vec<ReferencePose> = sequence.groundtruth.iter().flatten().map(reference).collect();
         let options = BuildOptions {
             gravity_in_global: self.sequence.truth_gravity(),
-            pixel_sigma: None,
+            sigma_px: None,
             ..BuildOptions::default()
         };
         let extraction = Extraction { extractor, max_features, mask: None, stereo: true };

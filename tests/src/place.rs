@@ -7,7 +7,7 @@ use map::{MapStore as _, SledStore};
 use mapping::{BuildOptions, build_map};
 use nalgebra::{UnitQuaternion, Vector3};
 use recognition::LoadedMap;
-use simulation::{SimulatedPlace, SimulationOptions, simulate};
+use simulation::{SimulatedScenario, SimulationOptions, simulate};
 use std::f64::consts::TAU;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
@@ -27,7 +27,7 @@ const STEP_NS: i64 = 50_000_000;
 #[derive(Clone, Debug)]
 pub struct Place {
     /// What was simulated.
-    pub recordings: SimulatedPlace,
+    pub recordings: SimulatedScenario,
     /// The map.
     pub map: MapContents,
 }

@@ -2,12 +2,12 @@
 #![allow(clippy::unwrap_used)]
 
 use client::answer::map_answer;
-use estimator::{Estimator, MapAnswer, Rejection, RigCamera};
+use estimator::{CalibratedCamera, Estimator, MapAnswer, Rejection};
 use evaluation::{ScoreOptions, score_run};
 use nalgebra::Vector3;
 use onboard::arguments::Init;
 use onboard::start::initial_state;
-use onboard::{ImuWindow, Lifecycle, RobotRun, StopSignal, run as play};
+use onboard::{EstimatorSupervisor, ImuWindow, RobotRun, StopSignal, run as play};
 use protocol::{
     DescriptorKind, Descriptors, ErrorCode, FeatureSet, Format, LocalizeReply, LocalizeRequest, MapInfo,
     MatchOutcome, MatchReply, MatchedKeyframe,
@@ -212,9 +212,10 @@ fn estimator(sequence: &Sequence) -> Estimator {
     Estimator::new(config, rig(sequence), &initial).unwrap()
 }
 
-fn rig(sequence: &Sequence) -> Vec<RigCamera> {
+fn rig(sequence: &Sequence) -> Vec<CalibratedCamera> {
     let rig = sequence.cameras.iter();
-    rig.map(|eye| RigCamera { camera: eye.camera.clone(), imu_from_camera: eye.imu_from_camera }).collect()
+    rig.map(|eye| CalibratedCamera { camera: eye.camera.clone(), imu_from_camera: eye.imu_from_camera })
+        .collect()
 }
 
 /// Odometry up to the image after the last of `frames`; every image's clone is handed out.
@@ -284,7 +285,7 @@ fn an_answer_that_comes_too_late_is_reported_and_does_no_harm() {
         imu: ImuWindow::new(recording.imu_samples().unwrap(), 200.0),
         stop: StopSignal::default(),
         cameras: 2,
-        filter: Lifecycle::running(late, rig(live)),
+        filter: EstimatorSupervisor::running(late, rig(live)),
         robot: "late".to_owned(),
         max_keyframes: 4,
         realtime: false,

@@ -72,10 +72,10 @@ fn images_between_those_of_the_map_are_localized() {
         report.keyframes,
         report.landmarks,
         report.observations,
-        report.pixel_sigma,
+        report.sigma_px,
         report.reprojection_px,
-        report.pose_sigma_m,
-        report.pose_sigma_deg,
+        report.sigma_pose_m,
+        report.sigma_pose_deg,
         report.pose_correction_m,
         report.pose_correction_deg
     );
@@ -108,7 +108,7 @@ fn few_images_keep_a_robot_in_the_map() {
     let server = LocalServer::start(vec![("map".to_owned(), Arc::clone(&map))]).unwrap();
     let link = server.link("map").unwrap();
     let out = tempfile::tempdir().unwrap();
-    let switches = "--cameras mono --imu-noise-scale 3 --gyroscope-bias-sigma 0.1 --accelerometer-bias-sigma 0.2 --match-sigma 2";
+    let switches = "--cameras mono --imu-noise-scale 3 --sigma-gyroscope-bias 0.1 --sigma-accelerometer-bias 0.2 --sigma-match 2";
     let outcome = run(&live, out.path(), switches, Some(link.clone()));
     server.unlink(&link);
     server.stop().unwrap();
@@ -140,8 +140,8 @@ fn few_images_keep_a_robot_in_the_map() {
 fn odometry_from_the_images_of_one_shaken_camera() {
     let Some(sequence) = recording("mh_01_handheld_16s") else { return };
     let out = tempfile::tempdir().unwrap();
-    let switches = "--mode odometry --cameras mono --init truth --imu-noise-scale 3 --gyroscope-bias-sigma 0.1 \
-                    --accelerometer-bias-sigma 0.2";
+    let switches = "--mode odometry --cameras mono --init truth --imu-noise-scale 3 --sigma-gyroscope-bias 0.1 \
+                    --sigma-accelerometer-bias 0.2";
     let score = run(&sequence, out.path(), switches, None).summary.score.unwrap();
     println!("{:?}, aligned {:?}", score.local, score.odometry_yaw_aligned_m);
     assert!(score.odometry_yaw_aligned_m.rmse <= 0.02 && score.local.rmse_deg <= 1.0);

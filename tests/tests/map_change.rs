@@ -14,7 +14,7 @@ use simulation::monte_carlo::score::{OutputScore, ScoreOptions, score};
 use simulation::monte_carlo::{
     AnswerOptions, CalibrationErrors, MapChangeOptions, MapOptions, MonteCarloOptions, Variant, run,
 };
-use simulation::{Course, SimulationOptions};
+use simulation::{Scenario, SimulationOptions};
 use std::sync::Arc;
 use std::time::Duration;
 use tests::place::Place;
@@ -23,13 +23,14 @@ use tests::server::{Client, Server};
 
 /// Runs of 20 s of which the last 8 are judged: the map changed just before, by 0.3 m and 1.7 degrees an axis.
 fn pose_after_a_change(new_errors: bool, is_stated: bool) -> (OutputScore, usize) {
-    let change = MapChangeOptions { at_s: 12.0, sigma_theta: 0.03, sigma_p: 0.3, new_errors, is_stated };
+    let change =
+        MapChangeOptions { at_s: 12.0, sigma_theta_rad: 0.03, sigma_p_m: 0.3, new_errors, is_stated };
     let options = MonteCarloOptions {
         runs: 30,
         first_seed: 1,
         threads: std::thread::available_parallelism().map_or(2, usize::from),
         simulation: SimulationOptions {
-            course: Course::Loops,
+            scenario: Scenario::Loops,
             speed: 3.0,
             duration_s: Some(20.0),
             live_feature_period_s: 1e9,

@@ -7,7 +7,7 @@ use simulation::monte_carlo::score::{ScoreOptions, score};
 use simulation::monte_carlo::{
     AnswerOptions, CalibrationErrors, EnsembleScore, MapOptions, MonteCarloOptions, Variant, run,
 };
-use simulation::{Course, SimulationOptions};
+use simulation::{Scenario, SimulationOptions};
 
 /// Scores the default filter.
 fn ensemble(
@@ -36,7 +36,7 @@ fn ensemble(
 
 fn loops(speed: f64, duration_s: f64) -> SimulationOptions {
     SimulationOptions {
-        course: Course::Loops,
+        scenario: Scenario::Loops,
         speed,
         duration_s: Some(duration_s),
         ..SimulationOptions::default()

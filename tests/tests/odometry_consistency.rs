@@ -7,22 +7,22 @@ use simulation::monte_carlo::score::{ScoreOptions, score};
 use simulation::monte_carlo::{
     AnswerOptions, CalibrationErrors, MapOptions, MonteCarloOptions, Variant, VariantRuns, run,
 };
-use simulation::{Course, SimulationOptions};
+use simulation::{Scenario, SimulationOptions};
 
 /// As many runs as a chi-square interval is worth looking at for.
 const RUNS: usize = 20;
 
 /// A hand in a room, from rest: every direction is turned about and accelerated along.
 fn runs(runs: usize, calibration: CalibrationErrors, variants: &[Variant]) -> Vec<VariantRuns> {
-    let course = Course::Room;
+    let scenario = Scenario::Room;
     let options = MonteCarloOptions {
         runs,
         first_seed: 1,
         threads: std::thread::available_parallelism().map_or(2, usize::from),
         simulation: SimulationOptions {
-            course,
-            speed: course.usual_speed(),
-            depth_m: course.depth_m(),
+            scenario,
+            speed: scenario.usual_speed(),
+            depth_m: scenario.depth_m(),
             duration_s: Some(60.0),
             live_feature_period_s: 1e9,
             ..SimulationOptions::default()

@@ -17,8 +17,8 @@ use tests::robot::{arguments, run};
 use tools::in_process::LocalServer;
 
 /// Noise of real sensors and of learned features, see the README.
-const REAL: &str = "--imu-noise-scale 5 --track-sigma 1.5 --gyroscope-bias-sigma 0.1 \
-                    --accelerometer-bias-sigma 0.2 --match-sigma 3 --map-sigma 3";
+const REAL: &str = "--imu-noise-scale 5 --sigma-track 1.5 --sigma-gyroscope-bias 0.1 \
+                    --sigma-accelerometer-bias 0.2 --sigma-match 3 --sigma-map 3";
 
 fn recording(name: &str) -> Option<PathBuf> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../target/data").join(name);
@@ -89,7 +89,7 @@ fn the_papers_simulation() {
 fn the_papers_place_with_its_real_matches() {
     let (Some(map), Some(live)) = (recording("yq_real/map"), recording("yq_real/live")) else { return };
     let outcome =
-        localize(&live, &imported(&map), "--init truth --mode single --match-sigma 3 --map-sigma 3");
+        localize(&live, &imported(&map), "--init truth --mode single --sigma-match 3 --sigma-map 3");
     let score = pose_within(&outcome, 0.30, 0.35);
     assert_honest(&score);
     assert!(score.max_m < 0.8, "a wrong match moved the pose: {} m", score.max_m);
@@ -135,7 +135,7 @@ fn ten_loops_in_a_map_whose_gravity_is_not_along_z() {
 fn a_walk_that_comes_back_to_its_start_is_localized_again() {
     let Some(folder) = recording("walk") else { return };
     let (out, map) = (tempfile::tempdir().unwrap(), built(&folder, 10.0, StoredPoses::Refined));
-    let outcome = localize_into(out.path(), &folder, &map, "--accelerometer-bias-sigma 0.1");
+    let outcome = localize_into(out.path(), &folder, &map, "--sigma-accelerometer-bias 0.1");
     let first_ns = outcome.states().unwrap()[0].stamp_ns;
     let again =
         |event: &&onboard::event::Event| event.accepted && event.stamp_ns > first_ns + 105_000_000_000;

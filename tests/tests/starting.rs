@@ -1,4 +1,4 @@
-//! Starting in motion, and starting again after the filter diverged.
+//! Initializing in motion, and starting again after the filter diverged.
 #![allow(clippy::unwrap_used)]
 
 use estimator::Localization;

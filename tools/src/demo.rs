@@ -14,7 +14,7 @@ use onboard::arguments::{Init, Mode};
 use onboard::{Outcome, RobotArguments, run_robot};
 use sensors::{ImuNoise, Sequence};
 use serde::Serialize;
-use simulation::{SimulatedPlace, SimulationOptions, simulate};
+use simulation::{SimulatedScenario, SimulationOptions, simulate};
 use std::path::{Path, PathBuf};
 
 /// One row of the table.
@@ -158,7 +158,7 @@ fn row(variant: &Variant, outcome: &Outcome) -> Row {
 }
 
 fn pictures(
-    place: &SimulatedPlace,
+    place: &SimulatedScenario,
     keyframes: Vec<Vector3<f64>>,
     gravity: Vector3<f64>,
     outcomes: &[(Variant, Outcome)],

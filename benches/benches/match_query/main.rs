@@ -56,7 +56,7 @@ fn main() {
         matched += usize::from(status.outcome == MatchOutcome::Matched);
 
         let start = cpu_s();
-        let voted = map.most_alike(&request.features, 40).unwrap();
+        let voted = map.rank_keyframes(&request.features, 40).unwrap();
         vote_times.push((cpu_s() - start) * 1e3);
         let train = &request.features.descriptors.bytes[..400 * 64];
         let train = DescriptorView::new(Metric::CosineInt8, 64, train).unwrap();

@@ -5,8 +5,8 @@
 
 use estimator::propagation::ImuState;
 use estimator::{
-    ChangeSize, CloneId, Estimator, EstimatorConfig, ImuSample, InitialSigmas, InitialState, MapAnswer,
-    MapKeyframe, MapRevision, MatchedLandmark, RevisionEffect, RigCamera, TrackObservation,
+    CalibratedCamera, ChangeSize, CloneId, Estimator, EstimatorConfig, ImuSample, InitialSigmas,
+    InitialState, MapAnswer, MapKeyframe, MapRevision, MatchedLandmark, RevisionEffect, TrackObservation,
 };
 use geometry::{Camera, Distortion, Pose, PoseWithCovariance, rotation};
 use nalgebra::{Matrix3, Matrix6, Rotation3, UnitQuaternion, Vector3};
@@ -37,7 +37,7 @@ const RATE: f64 = 1.0;
 /// A body that looks at points, and keyframes around it that saw the same points.
 pub struct Holder {
     estimator: Estimator,
-    eye: RigCamera,
+    eye: CalibratedCamera,
     points: Vec<Vector3<f64>>,
     keyframes: Vec<Pose>,
     stamp_ns: i64,
@@ -58,7 +58,8 @@ impl Holder {
             centre: [375.5, 239.5],
             distortion: Distortion::None,
         };
-        let eye = RigCamera { camera, imu_from_camera: Pose::new(forward, Vector3::new(0.1, 0.0, 0.0)) };
+        let eye =
+            CalibratedCamera { camera, imu_from_camera: Pose::new(forward, Vector3::new(0.1, 0.0, 0.0)) };
         let mut draw = |half: f64| rng.random_range(-half..half);
         let points = (0..POINTS).map(|_| Vector3::new(12.0 + draw(4.0), draw(4.0), draw(2.5))).collect();
         let near = |_| {

@@ -55,7 +55,7 @@ pub fn map_answer(
         asked_with: held.to_vec(),
         landmarks,
         gravity_in_global: status.gravity_in_global.map(Vector3::from),
-        sigma_map_px: status.map_pixel_sigma,
+        sigma_map_px: status.sigma_map_px,
     }
 }
 

@@ -2,7 +2,7 @@
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 pub mod answer;
+pub mod map_change_subscriber;
 pub mod map_client;
-pub mod map_news;
 pub mod query_client;
 pub mod session;

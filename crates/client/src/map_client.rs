@@ -164,7 +164,7 @@ pub fn print_fix(fix: &LocalizedPose) {
 }
 
 /// An outcome without a pose, in words.
-pub fn in_words(outcome: MatchOutcome) -> &'static str {
+pub fn describe(outcome: MatchOutcome) -> &'static str {
     match outcome {
         MatchOutcome::Matched => "the server matched, but gave no pose",
         MatchOutcome::NoMatch => "no keyframe looks like the image",

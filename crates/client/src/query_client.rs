@@ -33,7 +33,7 @@ pub enum Outcome {
 
 /// The end of one query.
 #[derive(Clone, Debug)]
-pub struct Answered {
+pub struct QueryResult {
     /// The clone of the image that was asked about.
     pub clone: CloneId,
     /// Time of the image, nanoseconds.
@@ -55,8 +55,8 @@ pub struct QueryClient {
     runtime: Handle,
     key: String,
     deadline: Duration,
-    sender: Sender<Answered>,
-    receiver: Receiver<Answered>,
+    sender: Sender<QueryResult>,
+    receiver: Receiver<QueryResult>,
     pending: usize,
     /// Whether the last query found nobody: then the next one is tried once only, so that a robot
     /// without a server does not pile up queries.
@@ -114,7 +114,7 @@ impl QueryClient {
             let (outcome, traffic) = work.await.unwrap_or_else(|error| {
                 (Outcome::Failed(format!("the query ended badly: {error}")), Traffic::default())
             });
-            let answered = Answered {
+            let answered = QueryResult {
                 clone,
                 stamp_ns,
                 outcome,
@@ -133,13 +133,13 @@ impl QueryClient {
     }
 
     /// The next answer that is already here.
-    pub fn poll(&mut self) -> Option<Answered> {
+    pub fn poll(&mut self) -> Option<QueryResult> {
         let answered = self.receiver.try_recv().ok()?;
         Some(self.note(answered))
     }
 
     /// The next answer; for a player that stops its recording meanwhile, not for a robot.
-    pub fn wait(&mut self) -> Option<Answered> {
+    pub fn wait(&mut self) -> Option<QueryResult> {
         if self.pending == 0 {
             return None;
         }
@@ -149,7 +149,7 @@ impl QueryClient {
         }
     }
 
-    fn note(&mut self, answered: Answered) -> Answered {
+    fn note(&mut self, answered: QueryResult) -> QueryResult {
         self.pending = self.pending.saturating_sub(1);
         self.nobody_there = matches!(answered.outcome, Outcome::Failed(_)) && answered.bytes_received == 0;
         answered

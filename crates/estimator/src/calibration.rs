@@ -17,7 +17,7 @@ use std::ops::Range;
 
 /// A camera of the robot's rig.
 #[derive(Clone, Debug, PartialEq)]
-pub struct RigCamera {
+pub struct CalibratedCamera {
     /// Its intrinsics.
     pub camera: Camera,
     /// Where it sits on the body.
@@ -77,7 +77,7 @@ pub const CAMERA_DIM: usize = 6 + MAX_INTRINSICS;
 #[derive(Clone, Debug, PartialEq)]
 pub struct Calibration {
     /// Cameras by their number.
-    pub rig: Vec<RigCamera>,
+    pub rig: Vec<CalibratedCamera>,
     /// What is added to a camera's time to have the IMU's, seconds.
     pub time_offset: f64,
     online: OnlineCalibration,
@@ -85,7 +85,7 @@ pub struct Calibration {
 
 impl Calibration {
     /// As the sequence or the user states it.
-    pub fn new(rig: Vec<RigCamera>, time_offset: f64, online: OnlineCalibration) -> Self {
+    pub fn new(rig: Vec<CalibratedCamera>, time_offset: f64, online: OnlineCalibration) -> Self {
         Self { rig, time_offset, online }
     }
 
@@ -140,7 +140,7 @@ impl Calibration {
     }
 
     /// Deviations of one camera's errors, and whether the other cameras share them.
-    fn initial_sigmas(&self, eye: &RigCamera) -> Vec<(f64, bool)> {
+    fn initial_sigmas(&self, eye: &CalibratedCamera) -> Vec<(f64, bool)> {
         let online = &self.online;
         let mut sigmas = Vec::with_capacity(CAMERA_DIM);
         if online.extrinsics {
@@ -219,7 +219,7 @@ pub struct Observation {
     pub of_extrinsics: Matrix2x6<f64>,
 }
 
-impl RigCamera {
+impl CalibratedCamera {
     /// The pixel of a landmark in L.
     pub fn predict(&self, local_from_imu: &Pose, landmark: &Vector3<f64>) -> Option<Vector2<f64>> {
         let in_camera = self.imu_from_camera.inverse_transform(&local_from_imu.inverse_transform(landmark));
@@ -266,8 +266,8 @@ mod tests {
                 Pose::new(rotation::exp(&Vector3::new(x, y, z)), Vector3::new(y, z, x))
             };
             let rig = [
-                RigCamera { camera: camera.clone(), imu_from_camera: pose(0.1, -0.2, 0.3) },
-                RigCamera { camera, imu_from_camera: pose(-0.1, 0.2, 0.1) },
+                CalibratedCamera { camera: camera.clone(), imu_from_camera: pose(0.1, -0.2, 0.3) },
+                CalibratedCamera { camera, imu_from_camera: pose(-0.1, 0.2, 0.1) },
             ];
             let online = OnlineCalibration {
                 extrinsics: true,
@@ -279,7 +279,7 @@ mod tests {
             let (body, landmark) = (pose(0.2, 0.1, -0.1), Vector3::new(0.4, -0.3, 4.0));
             for number in 0..2 {
                 let observation = calibration.rig[number].observe(&body, &landmark).unwrap();
-                let pixel = |rig: &RigCamera, body: &Pose, landmark: &Vector3<f64>| {
+                let pixel = |rig: &CalibratedCamera, body: &Pose, landmark: &Vector3<f64>| {
                     DVector::from_column_slice(rig.predict(body, landmark).unwrap().as_slice())
                 };
                 let own = &calibration.rig[number];
@@ -314,7 +314,7 @@ mod tests {
             centre: [5.0; 2],
             distortion: Distortion::Fov(0.9),
         };
-        let rig = vec![RigCamera { camera, imu_from_camera: Pose::identity() }];
+        let rig = vec![CalibratedCamera { camera, imu_from_camera: Pose::identity() }];
         assert_eq!(Calibration::new(rig.clone(), 0.0, OnlineCalibration::default()).dim(), 0);
         let online = OnlineCalibration { intrinsics: true, time_offset: true, ..Default::default() };
         let calibration = Calibration::new(rig, 0.0, online);

@@ -123,7 +123,7 @@ pub struct EstimatorConfig {
     pub initial: InitialSigmas,
     /// Most landmarks kept in the state; none is the plain MSCKF. 30 take a fifth to a half off the drift on every
     /// simulated recording for half as much time again; 50 are no better.
-    pub state_landmarks: usize,
+    pub slam_features: usize,
     /// Most tracks that one image's update uses.
     pub max_tracks: usize,
     /// What of the cameras' calibration is estimated online.
@@ -186,7 +186,7 @@ impl Default for EstimatorConfig {
             imu_noise: ImuNoise::default(),
             gravity: 9.81,
             initial: InitialSigmas::default(),
-            state_landmarks: 30,
+            slam_features: 30,
             max_tracks: 100,
             calibration: OnlineCalibration::default(),
             camera_time_offset: 0.0,
@@ -259,7 +259,7 @@ impl EstimatorConfig {
             ("frame_gate", self.frame_gate),
         ] {
             if !(value > 0.0 && value < 1.0) {
-                return Err(format!("{name} is {value}; a significance lies between 0 and 1"));
+                return Err(format!("{name} is {value}; a confidence lies between 0 and 1"));
             }
         }
         if !(self.camera_time_offset.is_finite() && self.camera_time_offset.abs() < LARGEST_TIME_OFFSET) {

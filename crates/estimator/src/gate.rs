@@ -3,25 +3,25 @@
 use nalgebra::{DMatrix, DVector};
 use statrs::distribution::{ChiSquared, ContinuousCDF as _};
 
-/// Upper quantiles of the chi-square distribution at one significance, by degrees of freedom.
+/// Upper quantiles of the chi-square distribution at one confidence, by degrees of freedom.
 #[derive(Clone, Debug)]
 pub struct Gate {
-    significance: f64,
+    confidence: f64,
     table: Vec<f64>,
 }
 
 impl Gate {
-    /// Accepts `significance` (0..1) of what truly follows the distribution.
-    pub fn new(significance: f64) -> Self {
-        let table = (1..=200).map(|rows| quantile(significance, rows)).collect();
-        Self { significance, table }
+    /// Accepts `confidence` (0..1) of what truly follows the distribution.
+    pub fn new(confidence: f64) -> Self {
+        let table = (1..=200).map(|rows| quantile(confidence, rows)).collect();
+        Self { confidence, table }
     }
 
     /// The largest acceptable normalized innovation squared over `rows` rows.
     pub fn bound(&self, rows: usize) -> f64 {
         match rows {
             0 => 0.0,
-            _ => self.table.get(rows - 1).copied().unwrap_or_else(|| quantile(self.significance, rows)),
+            _ => self.table.get(rows - 1).copied().unwrap_or_else(|| quantile(self.confidence, rows)),
         }
     }
 
@@ -54,9 +54,9 @@ impl Gate {
     }
 }
 
-fn quantile(significance: f64, rows: usize) -> f64 {
+fn quantile(confidence: f64, rows: usize) -> f64 {
     // A distribution with a positive number of degrees of freedom always exists.
-    ChiSquared::new(rows as f64).map_or(0.0, |distribution| distribution.inverse_cdf(significance))
+    ChiSquared::new(rows as f64).map_or(0.0, |distribution| distribution.inverse_cdf(confidence))
 }
 
 #[cfg(test)]

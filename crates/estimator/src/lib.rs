@@ -28,11 +28,11 @@ pub mod status;
 #[cfg(test)]
 mod test_scene;
 
-pub use calibration::{Calibration, OnlineCalibration, RigCamera};
+pub use calibration::{CalibratedCamera, Calibration, OnlineCalibration};
 pub use config::{EstimatorConfig, ImuNoise, InitialSigmas, MapMode, Relinearization};
 pub use error::EstimatorError;
 pub use imu::ImuSample;
-pub use initialization::initializer::{LastBelieved, Start, StartMethod, Starter, Waiting};
+pub use initialization::initializer::{InitMethod, InitStatus, Initializer, LastTrustedPose, Start};
 pub use initialization::static_initialization::InitialState;
 pub use map_update::map_answer::{MapAnswer, MapKeyframe, MatchedLandmark};
 pub use map_update::map_report::{MapReport, Rejection};
@@ -65,7 +65,7 @@ pub type KeyframeId = u64;
 const IMU_SLACK_NS: i64 = 20_000_000;
 /// Significance of the gate beyond which a landmark of the map speaks against the state. All landmarks of a keyframe share
 /// the error of its pose, so they fail the usual gate together once in a while.
-const OUT_OF_THE_QUESTION: f64 = 0.9999;
+const CONTRADICTION_CONFIDENCE: f64 = 0.9999;
 /// A residual after triangulation beyond this many sigmas is an outlier, whatever the clones' errors.
 const OUTLIER_SIGMAS: f64 = 5.0;
 
@@ -106,7 +106,7 @@ impl Estimator {
     /// [`EstimatorError::Config`] names the setting that cannot work.
     pub fn new(
         config: EstimatorConfig,
-        rig: Vec<RigCamera>,
+        rig: Vec<CalibratedCamera>,
         initial: &InitialState,
     ) -> Result<Self, EstimatorError> {
         config.validate().map_err(EstimatorError::Config)?;
@@ -142,7 +142,7 @@ impl Estimator {
                 max_tracks: config.max_tracks,
             },
             landmark_gate: Gate::new(config.landmark_gate),
-            contradiction_gate: Gate::new(OUT_OF_THE_QUESTION),
+            contradiction_gate: Gate::new(CONTRADICTION_CONFIDENCE),
             frame_gate: Gate::new(config.frame_gate),
             config,
             imu: ImuBuffer::default(),
@@ -285,7 +285,7 @@ impl Estimator {
         }
     }
 
-    fn first_camera(&self) -> &RigCamera {
+    fn first_camera(&self) -> &CalibratedCamera {
         &self.state.calibration.rig[0]
     }
 

@@ -31,7 +31,7 @@ pub struct ClonedPose {
 
 /// A landmark that is kept in the state for as long as its track lives.
 #[derive(Clone, Debug)]
-pub struct StateLandmark {
+pub struct SlamFeature {
     /// The front end's name of it.
     pub feature_id: u64,
     /// Newest estimate in L, metres.
@@ -76,7 +76,7 @@ pub struct ActiveState {
     /// `global_from_local`, once a first match gave it.
     pub transform: Option<Pose>,
     /// Landmarks in the state.
-    pub landmarks: Vec<StateLandmark>,
+    pub landmarks: Vec<SlamFeature>,
     /// The sliding window, oldest first.
     pub clones: Vec<ClonedPose>,
 }

@@ -1,6 +1,6 @@
 //! A landmark and the clones that saw it, for the tests of the estimator's parts.
 
-use crate::calibration::{Calibration, OnlineCalibration, RigCamera};
+use crate::calibration::{CalibratedCamera, Calibration, OnlineCalibration};
 use crate::odometry::tracks::Sighting;
 use crate::propagation::{ImuState, MotionEstimate};
 use crate::state::{ActiveState, CloneId, ClonedPose};
@@ -28,10 +28,10 @@ pub fn scene(calibrating: bool) -> Scene {
     };
     let mounted =
         |y: f64| Pose::new(rotation::exp(&Vector3::new(0.1, 0.2, -0.3)), Vector3::new(0.05, y, 0.0));
-    let mut rig = vec![RigCamera { camera: camera(Distortion::None), imu_from_camera: mounted(0.1) }];
+    let mut rig = vec![CalibratedCamera { camera: camera(Distortion::None), imu_from_camera: mounted(0.1) }];
     if calibrating {
         let lens = Distortion::RadialTangential([-0.1, 0.02, 1e-3, -1e-3]);
-        rig.push(RigCamera { camera: camera(lens), imu_from_camera: mounted(-0.1) });
+        rig.push(CalibratedCamera { camera: camera(lens), imu_from_camera: mounted(-0.1) });
     }
     let online = OnlineCalibration {
         extrinsics: calibrating,

@@ -31,9 +31,9 @@ fn counts(estimator: &mut Estimator, frame: i64, tracks: &[TrackObservation]) ->
     }
 }
 
-fn steady_state(state_landmarks: usize) -> Vec<Counts> {
+fn steady_state(slam_features: usize) -> Vec<Counts> {
     let world = World::new();
-    let config = EstimatorConfig { state_landmarks, window: 8, ..EstimatorConfig::default() };
+    let config = EstimatorConfig { slam_features, window: 8, ..EstimatorConfig::default() };
     let mut estimator = world.estimator(config);
     for frame in 1..=WARM_UP {
         world.frame(&mut estimator, frame);
@@ -55,8 +55,8 @@ fn the_counter_counts() {
 
 #[test]
 fn propagating_and_cloning_allocate_nothing() {
-    for state_landmarks in [0, 15] {
-        let counts = steady_state(state_landmarks);
+    for slam_features in [0, 15] {
+        let counts = steady_state(slam_features);
         assert_eq!(median_and_most(&counts, |frame| frame.readings), (0, 0), "{counts:?}");
         assert_eq!(median_and_most(&counts, |frame| frame.time_update), (0, 0), "{counts:?}");
     }

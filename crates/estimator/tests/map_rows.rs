@@ -6,7 +6,7 @@ use estimator::covariance::JointCovariance;
 use estimator::covariance::information::{Columns, Information};
 use estimator::map_update::map_rows::{Linearization, MapPoint, RowSettings, landmark_rows};
 use estimator::state::retract_locally;
-use estimator::{MapAnswer, MapKeyframe, MatchedLandmark, RigCamera};
+use estimator::{CalibratedCamera, MapAnswer, MapKeyframe, MatchedLandmark};
 use geometry::numeric::numeric_jacobian;
 use geometry::{Camera, Distortion, Pose, PoseWithCovariance, rotation};
 use nalgebra::{DMatrix, DVector, Matrix3, Matrix6, Rotation3, Vector2, Vector3, Vector6};
@@ -26,11 +26,14 @@ fn camera() -> Camera {
 }
 
 /// A camera that looks along the body's x axis, with a small turn and a lever.
-fn eye() -> RigCamera {
+fn eye() -> CalibratedCamera {
     let axes = Matrix3::new(0.0, 0.0, 1.0, -1.0, 0.0, 0.0, 0.0, -1.0, 0.0);
     let turn = rotation::exp(&Vector3::new(0.02, -0.03, 0.01));
     let rotation = turn * geometry::Rotation::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes));
-    RigCamera { camera: camera(), imu_from_camera: Pose::new(rotation, Vector3::new(0.1, 0.05, -0.02)) }
+    CalibratedCamera {
+        camera: camera(),
+        imu_from_camera: Pose::new(rotation, Vector3::new(0.1, 0.05, -0.02)),
+    }
 }
 
 /// One image, three keyframes that look the same way, and landmarks before all of them.

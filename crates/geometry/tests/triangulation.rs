@@ -25,7 +25,7 @@ fn scene(random: &mut Random, camera: &Camera, views: usize, noise_px: f64) -> (
             let parent_from_camera = parent_from_first * first_from_camera;
             let pixel = camera.project(&parent_from_camera.inverse_transform(&landmark)).unwrap();
             let noise = random.normal_vector::<2>() * noise_px;
-            View { parent_from_camera, pixel: pixel + noise, sigma_pixel: noise_px.max(1.0) }
+            View { parent_from_camera, pixel: pixel + noise, sigma_px: noise_px.max(1.0) }
         })
         .collect();
     (landmark, views)
@@ -54,7 +54,7 @@ fn the_covariance_is_consistent() {
         for seed in 0..TRIALS {
             let (landmark, mut views) = scene(&mut Random::new(seed as u64), &camera, count, noise);
             for view in &mut views {
-                view.sigma_pixel = noise;
+                view.sigma_px = noise;
             }
             let cameras = vec![&camera; count];
             let found = triangulate(&cameras, &views, &TriangulationOptions::default()).unwrap();
@@ -123,7 +123,7 @@ fn what_cannot_be_triangulated_is_an_error() {
     assert_eq!(triangulate(&cameras, &still, &options), Err(TriangulationError::Degenerate));
     for spoil in [
         |view: &mut View| view.pixel.x = f64::NAN,
-        |view: &mut View| view.sigma_pixel = 0.0,
+        |view: &mut View| view.sigma_px = 0.0,
         |view: &mut View| view.parent_from_camera.translation.z = f64::INFINITY,
     ] {
         let mut spoilt = views.clone();
@@ -147,7 +147,7 @@ fn rays_that_diverge_meet_behind_the_cameras() {
     let at = |x: f64, u: f64| View {
         parent_from_camera: Pose::new(rotation::exp(&Vector3::zeros()), Vector3::new(x, 0.0, 0.0)),
         pixel: Vector2::new(u, 240.0),
-        sigma_pixel: 1.0,
+        sigma_px: 1.0,
     };
     let options = TriangulationOptions::default();
     let diverging = [at(0.0, 220.0), at(1.0, 420.0)];

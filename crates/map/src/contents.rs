@@ -148,8 +148,8 @@ pub(crate) fn check_info(info: &MapInfo) -> Result<(), ContentsError> {
             info.descriptor_width
         ));
     }
-    if !(info.pixel_sigma.is_finite() && info.pixel_sigma > 0.0) {
-        return fail(format!("pixel sigma must be positive, it is {}", info.pixel_sigma));
+    if !(info.sigma_px.is_finite() && info.sigma_px > 0.0) {
+        return fail(format!("pixel sigma must be positive, it is {}", info.sigma_px));
     }
     if info.extractor.len() > MAX_EXTRACTOR_BYTES || info.extractor.chars().any(char::is_control) {
         return fail(format!(

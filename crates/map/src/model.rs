@@ -29,7 +29,7 @@ pub struct MapInfo {
     /// Bytes in each descriptor.
     pub descriptor_width: u16,
     /// Standard deviation of the map's pixels (px), one value for both axes.
-    pub pixel_sigma: f64,
+    pub sigma_px: f64,
     /// Name and version of the extractor that made the descriptors, like `sift-1`; empty where nobody knows.
     pub extractor: String,
 }
@@ -52,7 +52,7 @@ impl MapInfo {
             gravity_in_global: None,
             descriptor_kind,
             descriptor_width,
-            pixel_sigma: DEFAULT_PIXEL_SIGMA,
+            sigma_px: DEFAULT_PIXEL_SIGMA,
             extractor: String::new(),
         }
     }

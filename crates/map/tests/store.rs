@@ -178,7 +178,7 @@ fn validate_names_what_is_wrong() {
         contents.validate().unwrap_err().to_string()
     };
     assert!(broken(&|map| map.info.gravity_in_global = Some(Vector3::new(0.0, 0.0, -9.81))).contains("unit"));
-    assert!(broken(&|map| map.info.pixel_sigma = 0.0).contains("pixel sigma"));
+    assert!(broken(&|map| map.info.sigma_px = 0.0).contains("pixel sigma"));
     assert!(broken(&|map| map.keyframes[1].id = map.keyframes[0].id).contains("twice"));
     assert!(
         broken(&|map| map.keyframes[0].global_from_keyframe.pose.translation.x = f64::NAN).contains("finite")
@@ -244,7 +244,7 @@ struct InfoOfVersion1 {
     gravity_in_global: Option<[f64; 3]>,
     descriptor_kind: u8,
     descriptor_width: u16,
-    pixel_sigma: f64,
+    sigma_px: f64,
 }
 
 /// Turns a database into what the first release wrote: schema 1, records of version 1, no extractor.
@@ -270,7 +270,7 @@ fn make_old(path: &std::path::Path, info: &MapInfo) {
         gravity_in_global: info.gravity_in_global.map(Into::into),
         descriptor_kind: 0,
         descriptor_width: info.descriptor_width,
-        pixel_sigma: info.pixel_sigma,
+        sigma_px: info.sigma_px,
     };
     let tree = database.open_tree("info").unwrap();
     tree.insert("info", sealed("info", b"info", &bincode::serialize(&old).unwrap())).unwrap();

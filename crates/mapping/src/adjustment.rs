@@ -49,14 +49,14 @@ pub(super) struct Problem<'a> {
     rig: &'a [Lens],
     priors: &'a [PoseWithCovariance],
     information: Vec<Matrix6<f64>>,
-    pixel_sigma: f64,
+    sigma_px: f64,
 }
 
 impl<'a> Problem<'a> {
     /// A problem of its camera, given poses and pixel noise (px).
-    pub(super) fn new(rig: &'a [Lens], priors: &'a [PoseWithCovariance], pixel_sigma: f64) -> Problem<'a> {
+    pub(super) fn new(rig: &'a [Lens], priors: &'a [PoseWithCovariance], sigma_px: f64) -> Problem<'a> {
         let information = priors.iter().map(|prior| pose_information(&prior.covariance)).collect();
-        Problem { rig, priors, information, pixel_sigma }
+        Problem { rig, priors, information, sigma_px }
     }
 
     /// Refines a bundle.
@@ -185,8 +185,8 @@ impl<'a> Problem<'a> {
 
     /// Information of a residual of this length (px^-2): `sigma^-2 / (1 + (e / scale sigma)^2)`.
     fn weight(&self, residual: f64, scale: f64) -> f64 {
-        let sigmas = residual / self.pixel_sigma;
-        (self.pixel_sigma * self.pixel_sigma * (1.0 + (sigmas / scale).powi(2))).recip()
+        let sigmas = residual / self.sigma_px;
+        (self.sigma_px * self.sigma_px * (1.0 + (sigmas / scale).powi(2))).recip()
     }
 
     /// The cost whose weights are [`Problem::weight`].
@@ -202,7 +202,7 @@ impl<'a> Problem<'a> {
             .sum();
         let poses = bundle.camera_poses();
         let robust = |error: f64| {
-            let sigmas = (error / self.pixel_sigma).min(1e6);
+            let sigmas = (error / self.sigma_px).min(1e6);
             0.5 * scale * scale * (sigmas / scale).powi(2).ln_1p()
         };
         let errors = bundle.points.iter().flat_map(|point| point.errors(self.rig, &poses));

@@ -25,20 +25,20 @@ fn keyframe_id(view: usize) -> KeyframeId {
 ///
 /// # Arguments
 /// * `joint`: covariance of the bundle's poses; `None` to state the given poses.
-/// * `pixel_sigma`: px.
+/// * `sigma_px`: px.
 pub(super) fn map_contents(
     camera: &Camera,
     views: &[View<'_>],
     bundle: &Bundle,
     joint: Option<JointCovariance>,
-    pixel_sigma: f64,
+    sigma_px: f64,
     options: &BuildOptions,
 ) -> Result<MapContents, BuildError> {
     let descriptors = &views[0].features.descriptors;
     let mut info =
         MapInfo::new(options.name.clone(), options.created_by.clone(), descriptors.kind, descriptors.width);
     info.gravity_in_global = options.gravity_in_global;
-    info.pixel_sigma = pixel_sigma;
+    info.sigma_px = sigma_px;
     info.extractor.clone_from(&views[0].features.extractor);
     let mut contents = MapContents::empty(info);
     let pose = |view: usize| match &joint {
@@ -102,8 +102,8 @@ pub(super) fn fill_report(
             contents.keyframes.iter().map(|keyframe| trace(&keyframe.global_from_keyframe.covariance).sqrt()),
         )
     };
-    report.pose_sigma_m = sigma(3);
-    report.pose_sigma_deg = sigma(0).scaled(1_f64.to_degrees());
+    report.sigma_pose_m = sigma(3);
+    report.sigma_pose_deg = sigma(0).scaled(1_f64.to_degrees());
     report.landmarks = contents.landmarks.len();
     report.observations = contents.observation_count();
     let longest = contents.landmarks.iter().map(|landmark| landmark.observations.len()).max().unwrap_or(1);

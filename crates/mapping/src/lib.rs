@@ -99,19 +99,18 @@ pub fn build_map(
     let matches = match_all(&rig, &views, options, &mut report, progress)?;
     let points = locate_all(&rig, &views, matches, options, &mut report, progress);
     let (bundle, joint) = refine_all(&rig, &views, points, options, &mut report, progress)?;
-    let contents =
-        assemble::map_contents(&rig[0].camera, &views, &bundle, joint, report.pixel_sigma, options)?;
+    let contents = assemble::map_contents(&rig[0].camera, &views, &bundle, joint, report.sigma_px, options)?;
     assemble::fill_report(&mut report, &rig, &views, &bundle, &contents);
     report.seconds = start.elapsed().as_secs_f64();
     Ok((contents, report))
 }
 
 fn check(options: &BuildOptions) -> Result<(), BuildError> {
-    let sigmas = [options.sigma_theta, options.sigma_p].into_iter().flatten();
+    let sigmas = [options.sigma_theta_rad, options.sigma_p_m].into_iter().flatten();
     if !sigmas.into_iter().all(|sigma| sigma.is_finite() && sigma >= 0.0) {
         return Err(BuildError::Options("the sigmas of the poses must be zero or positive".to_owned()));
     }
-    if !options.pixel_sigma.is_none_or(|sigma| sigma.is_finite() && sigma > 0.0) {
+    if !options.sigma_px.is_none_or(|sigma| sigma.is_finite() && sigma > 0.0) {
         return Err(BuildError::Options("the sigma of a pixel must be positive".to_owned()));
     }
     if options.min_observations < 2 {
@@ -127,13 +126,13 @@ fn match_all(
     report: &mut BuildReport,
     progress: Progress<'_>,
 ) -> Result<Vec<FeatureMatch>, BuildError> {
-    let pixel_sigma = options.pixel_sigma.unwrap_or(FIRST_PIXEL_SIGMA);
+    let sigma_px = options.sigma_px.unwrap_or(FIRST_PIXEL_SIGMA);
     let pairs = matching::pairs(views, options);
     report.pairs = pairs.len();
     let mut matches = Vec::new();
     for (done, &pair) in pairs.iter().enumerate() {
         progress(Stage::Matching, done, pairs.len());
-        matches.extend(matching::match_pair(&rig[0].camera, views, pair, pixel_sigma, options)?);
+        matches.extend(matching::match_pair(&rig[0].camera, views, pair, sigma_px, options)?);
     }
     progress(Stage::Matching, pairs.len(), pairs.len());
     report.matches = matches.len();
@@ -152,8 +151,7 @@ fn locate_all(
 ) -> Vec<Point> {
     let counts: Vec<usize> = views.iter().map(|view| view.rays.len()).collect();
     let poses: Vec<CameraPose> = views.iter().map(|view| CameraPose::from(&view.prior.pose)).collect();
-    let scene =
-        Scene { rig, views, poses: &poses, pixel_sigma: options.pixel_sigma.unwrap_or(FIRST_PIXEL_SIGMA) };
+    let scene = Scene { rig, views, poses: &poses, sigma_px: options.sigma_px.unwrap_or(FIRST_PIXEL_SIGMA) };
     let mut tracks = tracks::chain(&counts, matches.clone());
     tracks.extend(tracks::stereo_singles(views, &tracks));
     let mut points = Vec::new();
@@ -188,29 +186,29 @@ fn refine_all(
 ) -> Result<(Bundle, Option<JointCovariance>), BuildError> {
     let priors: Vec<PoseWithCovariance> = views.iter().map(|view| view.prior).collect();
     let mut bundle = Bundle { poses: priors.iter().map(|prior| prior.pose).collect(), points };
-    let mut pixel_sigma = options.pixel_sigma.unwrap_or(FIRST_PIXEL_SIGMA);
+    let mut sigma_px = options.sigma_px.unwrap_or(FIRST_PIXEL_SIGMA);
     let rounds = if options.refine_poses { REFINEMENTS } else { 0 };
     for round in 0..rounds {
-        let problem = Problem::new(rig, &priors, pixel_sigma);
+        let problem = Problem::new(rig, &priors, sigma_px);
         bundle = problem.refine(bundle, round == 0, |done, steps| {
             progress(Stage::Refining, round * steps + done, rounds * steps);
         });
-        if options.pixel_sigma.is_none() {
-            pixel_sigma = measured_pixel_sigma(&bundle, rig).unwrap_or(pixel_sigma);
+        if options.sigma_px.is_none() {
+            sigma_px = measured_sigma_px(&bundle, rig).unwrap_or(sigma_px);
         }
         let before: usize = bundle.points.iter().map(Point::view_count).sum();
         let poses = bundle.camera_poses();
-        let gate = REPROJECTION_GATE * pixel_sigma;
+        let gate = REPROJECTION_GATE * sigma_px;
         let pruned = |point: &Point| prune(point, rig, &poses, gate, options.min_observations);
         bundle.points = bundle.points.iter().filter_map(pruned).collect();
         let after: usize = bundle.points.iter().map(Point::view_count).sum();
         report.dropped_observations += before - after;
     }
-    report.pixel_sigma = pixel_sigma;
+    report.sigma_px = sigma_px;
     if !options.refine_poses || options.stored_poses == StoredPoses::Given {
         return Ok((bundle, None));
     }
-    let equations = Problem::new(rig, &priors, pixel_sigma).reduced_equations(&bundle);
+    let equations = Problem::new(rig, &priors, sigma_px).reduced_equations(&bundle);
     let positions: Vec<_> = bundle.poses.iter().map(|pose| pose.translation).collect();
     let joint = joint_covariance(&equations, &positions, |done, all| progress(Stage::Weighing, done, all));
     Ok((bundle, Some(joint.ok_or(BuildError::Indefinite)?)))
@@ -219,7 +217,7 @@ fn refine_all(
 /// The pixel noise that the residuals of a refined bundle show (px): that of the median landmark, so that outliers do not
 /// count. The squared residuals of a landmark with `n` sightings, over the noise's variance, are chi-square distributed
 /// with `2n - 3` degrees of freedom, whose median Wilson and Hilferty approximate. `None` without landmarks.
-fn measured_pixel_sigma(bundle: &Bundle, rig: &[Lens]) -> Option<f64> {
+fn measured_sigma_px(bundle: &Bundle, rig: &[Lens]) -> Option<f64> {
     let poses = bundle.camera_poses();
     let variance = |point: &Point| {
         let freedom = (2 * point.sightings.len() - 3) as f64;

@@ -25,7 +25,7 @@ pub(super) struct Scene<'a> {
     /// Their given poses.
     pub(super) poses: &'a [CameraPose],
     /// Standard deviation of a pixel (px).
-    pub(super) pixel_sigma: f64,
+    pub(super) sigma_px: f64,
 }
 
 /// Locates the landmark of a track, and drops sightings that cannot be of it.
@@ -72,7 +72,7 @@ fn distances(scene: &Scene<'_>, point: &Point) -> Vec<f64> {
     let distance = |(index, sighting): (usize, &Sighting)| {
         if index == point.anchor {
             let residual = sighting.pixel - point.predict_in_anchor(scene.rig).0;
-            return residual.norm_squared() / (scene.pixel_sigma * scene.pixel_sigma);
+            return residual.norm_squared() / (scene.sigma_px * scene.sigma_px);
         }
         scene.weight(point, sighting).map_or(f64::INFINITY, |(prediction, weight)| {
             let residual = sighting.pixel - prediction.pixel;
@@ -101,7 +101,7 @@ impl Scene<'_> {
         let (anchor, view) = (point.anchor_view(), sighting.view());
         let prediction = point.predict(self.rig, self.poses, sighting)?;
         let covariance = |view: usize| -> &Matrix6<f64> { &self.views[view].prior.covariance };
-        let total = Matrix2::identity() * (self.pixel_sigma * self.pixel_sigma)
+        let total = Matrix2::identity() * (self.sigma_px * self.sigma_px)
             + prediction.by_anchor * covariance(anchor) * prediction.by_anchor.transpose()
             + prediction.by_view * covariance(view) * prediction.by_view.transpose();
         let weight = total.try_inverse()?;
@@ -114,7 +114,7 @@ fn refine(scene: &Scene<'_>, mut point: Point) -> Point {
     for _ in 0..STEPS {
         let mut information = Matrix3::zeros();
         let mut gradient = Vector3::zeros();
-        let anchor_weight = (scene.pixel_sigma * scene.pixel_sigma).recip();
+        let anchor_weight = (scene.sigma_px * scene.sigma_px).recip();
         let (pixel, by_ray) = point.predict_in_anchor(scene.rig);
         let residual = point.sightings[point.anchor].pixel - pixel;
         let ray_information = by_ray.transpose() * by_ray * anchor_weight;

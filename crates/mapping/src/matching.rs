@@ -58,7 +58,7 @@ pub(super) fn match_pair(
     camera: &Camera,
     views: &[View<'_>],
     (i, j): (usize, usize),
-    pixel_sigma: f64,
+    sigma_px: f64,
     options: &BuildOptions,
 ) -> Result<Vec<FeatureMatch>, BuildError> {
     let (a, b) = (views[i].descriptors()?, views[j].descriptors()?);
@@ -66,7 +66,7 @@ pub(super) fn match_pair(
     settings.max_distance = options.max_descriptor_distance.unwrap_or(settings.max_distance);
     let matches = vision::match_descriptors(a, b, &settings)?;
     let possible = |found: &vision::Match| {
-        epipolar_error(camera, [&views[i], &views[j]], [found.query, found.train], pixel_sigma)
+        epipolar_error(camera, [&views[i], &views[j]], [found.query, found.train], sigma_px)
             .is_some_and(|sigmas| sigmas <= EPIPOLAR_GATE)
     };
     Ok(matches
@@ -90,7 +90,7 @@ fn epipolar_error(
     camera: &Camera,
     views: [&View<'_>; 2],
     features: [usize; 2],
-    pixel_sigma: f64,
+    sigma_px: f64,
 ) -> Option<f64> {
     let rotation = views.map(|view| view.prior.pose.rotation.to_rotation_matrix().into_inner());
     let rays = [views[0].rays[features[0]]?, views[1].rays[features[1]]?];
@@ -105,8 +105,7 @@ fn epipolar_error(
         let rotation_covariance: Matrix3<f64> = covariance.fixed_view::<3, 3>(0, 0).into_owned();
         let position_covariance: Matrix3<f64> = covariance.fixed_view::<3, 3>(3, 3).into_owned();
         variance += quadratic(&rotation_covariance, &by_rotation) + quadratic(&position_covariance, &normal);
-        variance +=
-            pixel_variance(camera, &rotation[index], &rays[index], &by_direction[index], pixel_sigma)?;
+        variance += pixel_variance(camera, &rotation[index], &rays[index], &by_direction[index], sigma_px)?;
     }
     Some(baseline.dot(&normal).abs() / variance.sqrt())
 }
@@ -121,10 +120,10 @@ fn pixel_variance(
     rotation: &Matrix3<f64>,
     ray: &Vector2<f64>,
     by_direction: &Vector3<f64>,
-    pixel_sigma: f64,
+    sigma_px: f64,
 ) -> Option<f64> {
     let (_, pixel_by_ray) = camera.distort_normalized_with_jacobian(ray);
     let by_ray = (rotation.transpose() * by_direction).xy();
     let by_pixel = pixel_by_ray.try_inverse()?.transpose() * by_ray;
-    Some(by_pixel.norm_squared() * pixel_sigma * pixel_sigma)
+    Some(by_pixel.norm_squared() * sigma_px * sigma_px)
 }

@@ -16,11 +16,11 @@ pub struct BuildOptions {
     /// Only frames up to this time, seconds from the first frame.
     pub until_s: f64,
     /// Replaces the rotation sigma of every reference pose (rad).
-    pub sigma_theta: Option<f64>,
+    pub sigma_theta_rad: Option<f64>,
     /// Replaces the position sigma of every reference pose (m).
-    pub sigma_p: Option<f64>,
+    pub sigma_p_m: Option<f64>,
     /// Standard deviation of a feature's pixel (px); measured from what the refinement leaves where not given.
-    pub pixel_sigma: Option<f64>,
+    pub sigma_px: Option<f64>,
     /// A keyframe is taken when the camera has moved this far from the last one (m), or turned by `min_rotation`.
     ///
     /// Tuned on `walk` (twice the matches of 0.3 m and 10 deg when its start is seen again) and on MH_03 in the map of
@@ -63,9 +63,9 @@ impl Default for BuildOptions {
             gravity_in_global: None,
             from_s: 0.0,
             until_s: f64::INFINITY,
-            sigma_theta: None,
-            sigma_p: None,
-            pixel_sigma: Some(1.0),
+            sigma_theta_rad: None,
+            sigma_p_m: None,
+            sigma_px: Some(1.0),
             min_distance: 0.2,
             min_rotation: 5.0_f64.to_radians(),
             min_overlap: 0.3,
@@ -126,7 +126,7 @@ pub enum BuildError {
     Descriptors(#[from] vision::DescriptorError),
     /// The joint covariance of the poses cannot be computed.
     #[error(
-        "the refined poses have no covariance: are the sigmas of the given poses far too large? --keep-poses states the given \
+        "the refined poses have no covariance: are the sigmas of the given poses far too large? --no-refine-poses states the given \
          poses instead"
     )]
     Indefinite,

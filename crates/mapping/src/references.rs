@@ -35,8 +35,8 @@ impl References {
         Some(ReferencePose {
             stamp_ns,
             pose: before.pose.interpolate(&after.pose, fraction),
-            sigma_theta: before.sigma_theta.max(after.sigma_theta),
-            sigma_p: before.sigma_p.max(after.sigma_p),
+            sigma_theta_rad: before.sigma_theta_rad.max(after.sigma_theta_rad),
+            sigma_p_m: before.sigma_p_m.max(after.sigma_p_m),
         })
     }
 }

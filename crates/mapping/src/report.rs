@@ -52,7 +52,7 @@ pub struct BuildReport {
     /// Images that could not be read and were left out, with the reason.
     pub unreadable_images: Vec<String>,
     /// Standard deviation of a pixel, as given or as measured (px).
-    pub pixel_sigma: f64,
+    pub sigma_px: f64,
     /// How many landmarks have 1, 2, 3 ... observations.
     pub track_lengths: Vec<usize>,
     /// Landmarks that a keyframe sees.
@@ -62,9 +62,9 @@ pub struct BuildReport {
     /// The same with the given poses (px): what these add.
     pub reprojection_through_given_px: Spread,
     /// Standard deviation of the stated rotations (deg, root of the sum over three axes).
-    pub pose_sigma_deg: Spread,
+    pub sigma_pose_deg: Spread,
     /// Standard deviation of the stated positions (m, root of the sum over three axes).
-    pub pose_sigma_m: Spread,
+    pub sigma_pose_m: Spread,
     /// Pairs of keyframes whose errors are stated to depend on each other.
     pub cross_covariances: usize,
     /// How far the refinement turned the poses (deg).

@@ -110,8 +110,8 @@ fn world(seed: u64, pose_noise: f64, pixel_noise: f64) -> World {
         world.references.push(ReferencePose {
             stamp_ns,
             pose: (global_from_camera * imu_from_camera.inverse()).retract(&error),
-            sigma_theta: SIGMA_THETA,
-            sigma_p: SIGMA_P,
+            sigma_theta_rad: SIGMA_THETA,
+            sigma_p_m: SIGMA_P,
         });
         world.truth.push(global_from_camera);
         world.labels.push(labels);
@@ -238,7 +238,7 @@ fn input_that_makes_no_map_is_named() {
     };
     let late = BuildOptions { from_s: 1e6, ..BuildOptions::default() };
     assert!(fail(&world, &late).contains("0 images between --from and --until"));
-    let negative = BuildOptions { sigma_p: Some(-1.0), ..BuildOptions::default() };
+    let negative = BuildOptions { sigma_p_m: Some(-1.0), ..BuildOptions::default() };
     assert!(fail(&world, &negative).contains("sigmas"));
     for reference in &mut world.references {
         reference.stamp_ns += 1;
@@ -253,7 +253,8 @@ fn input_that_makes_no_map_is_named() {
 #[test]
 fn exact_poses_are_possible() {
     let world = world(8, 0.0, 0.5);
-    let options = BuildOptions { sigma_theta: Some(0.0), sigma_p: Some(0.0), ..BuildOptions::default() };
+    let options =
+        BuildOptions { sigma_theta_rad: Some(0.0), sigma_p_m: Some(0.0), ..BuildOptions::default() };
     let (contents, report) = build(&world, &options);
     assert!(report.pose_correction_m.p95 < 1e-3 && !contents.landmarks.is_empty());
 }

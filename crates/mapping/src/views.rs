@@ -135,8 +135,8 @@ fn camera_pose(
     options: &BuildOptions,
 ) -> PoseWithCovariance {
     let covariance = isotropic_covariance(
-        options.sigma_theta.unwrap_or(reference.sigma_theta),
-        options.sigma_p.unwrap_or(reference.sigma_p),
+        options.sigma_theta_rad.unwrap_or(reference.sigma_theta_rad),
+        options.sigma_p_m.unwrap_or(reference.sigma_p_m),
     );
     PoseWithCovariance::new(reference.pose, covariance).change_of_child(imu_from_camera)
 }

@@ -62,7 +62,7 @@ pub(crate) fn fuse(
     options: &RecognitionOptions,
 ) -> Option<Fused> {
     let place = &place[..place.len().min(MAX_KEYFRAMES)];
-    let stated_sigma = options.query_pixel_sigma.hypot(map.info.pixel_sigma);
+    let stated_sigma = options.sigma_query_px.hypot(map.info.sigma_px);
     let focal = f64::midpoint(image.camera.focal[0], image.camera.focal[1]);
     let problem = Problem {
         map,

@@ -8,7 +8,7 @@
 use std::collections::HashMap;
 
 use protocol::DescriptorKind;
-use vision::{DescriptorError, DescriptorView, MatchOptions, Metric, WordIndex, looks};
+use vision::{DescriptorError, DescriptorView, InvertedFile, MatchOptions, Metric, looks};
 
 use super::loaded_map::LoadedLandmark;
 
@@ -21,7 +21,7 @@ const WHOLE_VOTE: u64 = 1 << 20;
 /// The landmarks of a map by what they look like.
 pub(crate) struct Index {
     /// With the index of the landmark.
-    looks: WordIndex,
+    looks: InvertedFile,
     /// Largest distance at which a query feature votes.
     max_distance: f32,
 }
@@ -74,7 +74,7 @@ impl IndexBuilder {
     /// Files what was added.
     pub(crate) fn build(self) -> Result<Index, DescriptorError> {
         let view = DescriptorView::new(self.metric, self.width, &self.descriptors)?;
-        Ok(Index { looks: WordIndex::build(view, &self.landmarks)?, max_distance: self.max_distance() })
+        Ok(Index { looks: InvertedFile::build(view, &self.landmarks)?, max_distance: self.max_distance() })
     }
 }
 

@@ -20,7 +20,7 @@ pub struct RecognitionOptions {
     /// darkened images of V1_01: the one pose wrong by more than 0.5 m had 9; with 12 it is refused, and no right one is.
     pub min_fix_inliers: usize,
     /// Standard deviation of a query pixel (px).
-    pub query_pixel_sigma: f64,
+    pub sigma_query_px: f64,
     /// RANSAC samples at most.
     pub max_iterations: usize,
     /// Probability with which RANSAC finds the pose if there is one.
@@ -51,7 +51,7 @@ impl Default for RecognitionOptions {
             inlier_angle: 0.0175,
             min_inliers: 8,
             min_fix_inliers: 12,
-            query_pixel_sigma: 1.0,
+            sigma_query_px: 1.0,
             max_iterations: 500,
             confidence: 0.999,
             seed: 0x6d61_7020_7365_7276,

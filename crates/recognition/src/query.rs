@@ -88,7 +88,7 @@ impl LoadedMap {
             searched_keyframes: search.searched_keyframes as u32,
             elapsed_us: start.elapsed().as_micros() as u64,
             gravity_in_global: self.info.gravity_in_global.map(Into::into),
-            map_pixel_sigma: self.info.pixel_sigma,
+            sigma_map_px: self.info.sigma_px,
         };
         let mut replies: Vec<MatchReply> = keyframes.into_iter().map(MatchReply::Keyframe).collect();
         replies.push(MatchReply::Done(status));
@@ -149,7 +149,7 @@ impl LoadedMap {
     ///
     /// # Errors
     /// [`QueryError`] where the features cannot be compared with the map.
-    pub fn most_alike(&self, features: &FeatureSet, count: usize) -> Result<Vec<KeyframeId>, QueryError> {
+    pub fn rank_keyframes(&self, features: &FeatureSet, count: usize) -> Result<Vec<KeyframeId>, QueryError> {
         let votes = self.index.vote(self.view(features)?, &self.landmarks, self.keyframes.len())?;
         let ranked = best_voted(&votes, count, 1, |_| true);
         Ok(ranked.into_iter().map(|at| self.keyframes[at].keyframe.id).collect())
@@ -190,7 +190,7 @@ impl LoadedMap {
             gravity_in_global: self.info.gravity_in_global.map(Into::into),
             extent,
             descriptors: (!self.keyframes.is_empty()).then(|| self.format()),
-            pixel_sigma: self.info.pixel_sigma,
+            sigma_px: self.info.sigma_px,
             extractor: self.info.extractor.clone(),
         }
     }

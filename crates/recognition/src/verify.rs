@@ -90,7 +90,7 @@ pub(crate) fn compare(
             in_world: global_from_keyframe.pose.rotation.inverse_transform_vector(&in_global),
             in_camera,
         });
-    let sigma = options.query_pixel_sigma.hypot(map.info.pixel_sigma);
+    let sigma = options.sigma_query_px.hypot(map.info.sigma_px);
     let expected = expected.map(|pose| global_from_keyframe.pose.inverse().compose(pose));
     let guided = expected.and_then(|pose| guided(image.camera, &correspondences, &pose, sigma, options));
     let solution = guided.or_else(|| solve(image.camera, &correspondences, gravity, sigma, options));

@@ -373,7 +373,7 @@ fn keyframes_that_look_like_an_image_come_first() {
         let bytes: Vec<u8> =
             features.descriptors.iter().flat_map(|bits| as_signed_bytes(bits, &mut rng)).collect();
         features.descriptors = Descriptors { kind: DescriptorKind::Int8, width: 64, bytes };
-        let alike = map.most_alike(&features, 5).unwrap();
+        let alike = map.rank_keyframes(&features, 5).unwrap();
         let distance = |id: &u64| (place.path[(id - 10) as usize].translation - truth.translation).norm();
         found += usize::from(alike.iter().any(|id| distance(id) < 4.0));
 
@@ -381,7 +381,7 @@ fn keyframes_that_look_like_an_image_come_first() {
         let mut reversed = features.clone();
         reversed.pixels.reverse();
         reversed.descriptors.bytes = features.descriptors.bytes.chunks(64).rev().flatten().copied().collect();
-        assert_eq!(map.most_alike(&reversed, 5).unwrap(), alike);
+        assert_eq!(map.rank_keyframes(&reversed, 5).unwrap(), alike);
     }
     assert!(found >= 39, "only {found} of 40");
 }
@@ -398,7 +398,7 @@ fn a_keyframe_looks_most_like_itself() {
                 features.descriptors.bytes.extend(&seen.descriptor);
             }
         }
-        assert_eq!(map.most_alike(&features, 1).unwrap(), [keyframe.id]);
+        assert_eq!(map.rank_keyframes(&features, 1).unwrap(), [keyframe.id]);
     }
 }
 

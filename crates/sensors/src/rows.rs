@@ -34,9 +34,9 @@ pub struct ReferencePose {
     /// The IMU in the map's frame: `global_from_imu`.
     pub pose: Pose,
     /// Standard deviation of the rotation about each axis, rad.
-    pub sigma_theta: f64,
+    pub sigma_theta_rad: f64,
     /// Standard deviation of the position along each axis, metres.
-    pub sigma_p: f64,
+    pub sigma_p_m: f64,
 }
 
 /// Something with a time.
@@ -154,11 +154,11 @@ impl TimedRow for ReferencePose {
     fn read(row: &Row<'_>) -> Result<Self, SequenceError> {
         row.require(10)?;
         let stamp_ns = row.stamp()?;
-        let [sigma_theta, sigma_p] = row.finite_array(8)?;
-        if sigma_theta <= 0.0 || sigma_p <= 0.0 {
+        let [sigma_theta_rad, sigma_p_m] = row.finite_array(8)?;
+        if sigma_theta_rad <= 0.0 || sigma_p_m <= 0.0 {
             return Err(row.wrong("a standard deviation is not positive: say how uncertain the pose is"));
         }
-        Ok(Self { stamp_ns, pose: pose(row, 1)?, sigma_theta, sigma_p })
+        Ok(Self { stamp_ns, pose: pose(row, 1)?, sigma_theta_rad, sigma_p_m })
     }
 }
 

@@ -63,7 +63,7 @@ pub fn write(sequence: &Sequence, root: &Path) -> Result<(), SequenceError> {
             )?;
             poses.iter().try_for_each(|row| {
                 let pose = pose_cells(&row.pose);
-                writeln!(out, "{},{pose},{},{}", row.stamp_ns, row.sigma_theta, row.sigma_p)
+                writeln!(out, "{},{pose},{},{}", row.stamp_ns, row.sigma_theta_rad, row.sigma_p_m)
             })
         })?;
     }

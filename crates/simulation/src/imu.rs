@@ -60,13 +60,13 @@ pub(crate) fn record(options: &SimulationOptions, motion: &Spline, run: u64) -> 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Course;
+    use crate::Scenario;
     use crate::path::{Style, built_in};
     use geometry::rotation;
 
     #[test]
     fn exact_measurements_integrate_to_the_motion() {
-        let motion = built_in(Course::Block, 0, 4.0, &Style::of_run(1, 1)).unwrap();
+        let motion = built_in(Scenario::Block, 0, 4.0, &Style::of_run(1, 1)).unwrap();
         let options = SimulationOptions { noise_free_imu: true, ..SimulationOptions::default() };
         let samples = record(&options, &motion, 1).samples;
         let start = motion.at(0);
@@ -88,7 +88,7 @@ mod tests {
 
     #[test]
     fn noise_has_the_stated_density_and_biases_walk() {
-        let motion = built_in(Course::Block, 0, 4.0, &Style::of_run(1, 0)).unwrap();
+        let motion = built_in(Scenario::Block, 0, 4.0, &Style::of_run(1, 0)).unwrap();
         let options = SimulationOptions::default();
         let noisy = record(&options, &motion, 0);
         let exact = record(&SimulationOptions { noise_free_imu: true, ..options.clone() }, &motion, 0);

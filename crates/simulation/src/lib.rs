@@ -12,7 +12,6 @@
 //! ```
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
-mod course;
 mod features;
 mod imu;
 pub mod monte_carlo;
@@ -20,6 +19,7 @@ mod path;
 pub(crate) mod random;
 mod rig;
 pub(crate) mod run;
+mod scenario;
 pub mod spline;
 pub(crate) mod tracks;
 pub(crate) mod world;
@@ -27,8 +27,8 @@ pub(crate) mod world;
 #[cfg(test)]
 mod tests;
 
-pub use course::Course;
 use evaluation::trajectory::StampedPose;
+pub use scenario::Scenario;
 use sensors::{CameraSensor, ImuNoise, Sequence};
 use spline::Spline;
 use thiserror::Error;
@@ -43,7 +43,7 @@ pub struct SimulationOptions {
     /// Same seed, same bytes.
     pub seed: u64,
     /// The built-in way, where no trajectory is given.
-    pub course: Course,
+    pub scenario: Scenario,
     /// Cruising speed on a built-in street, m/s.
     pub speed: f64,
     /// Ends the runs after so many seconds; unset, at the end of the way.
@@ -91,16 +91,16 @@ pub struct SimulationOptions {
     /// Fraction of the live run without features.
     pub dropout_fraction: f64,
     /// Error of the reference poses, metres along each axis. The paper's map has 0.1.
-    pub reference_sigma_p: f64,
+    pub sigma_reference_p_m: f64,
     /// Error of the reference poses, rad about each axis. The paper's map has 0.0158.
-    pub reference_sigma_theta: f64,
+    pub sigma_reference_theta_rad: f64,
 }
 
 impl Default for SimulationOptions {
     fn default() -> Self {
         Self {
             seed: 1,
-            course: Course::default(),
+            scenario: Scenario::default(),
             speed: 4.0,
             duration_s: None,
             map_trajectory: None,
@@ -124,8 +124,8 @@ impl Default for SimulationOptions {
             bit_flips: 0.05,
             repeated_texture: 0.1,
             dropout_fraction: 0.25,
-            reference_sigma_p: 0.1,
-            reference_sigma_theta: 0.0158,
+            sigma_reference_p_m: 0.1,
+            sigma_reference_theta_rad: 0.0158,
         }
     }
 }
@@ -143,8 +143,8 @@ impl SimulationOptions {
             ("depth_m", self.depth_m[1] - self.depth_m[0]),
             ("map_feature_period_s", self.map_feature_period_s),
             ("live_feature_period_s", self.live_feature_period_s),
-            ("reference_sigma_p", self.reference_sigma_p),
-            ("reference_sigma_theta", self.reference_sigma_theta),
+            ("sigma_reference_p_m", self.sigma_reference_p_m),
+            ("sigma_reference_theta_rad", self.sigma_reference_theta_rad),
         ];
         for (name, value) in positive {
             if !(value.is_finite() && value > 0.0) {
@@ -199,7 +199,7 @@ pub enum SimulationError {
 
 /// A place, as two recordings of it.
 #[derive(Clone, Debug)]
-pub struct SimulatedPlace {
+pub struct SimulatedScenario {
     /// The run to build the map from, with reference poses that are off by what they state.
     pub map: Sequence,
     /// The run to localize, with stretches in which the map is of no use.
@@ -212,9 +212,9 @@ pub struct SimulatedPlace {
 ///
 /// # Errors
 /// [`SimulationError`] for options that make no sense and trajectories that are too short.
-pub fn simulate(options: &SimulationOptions) -> Result<SimulatedPlace, SimulationError> {
+pub fn simulate(options: &SimulationOptions) -> Result<SimulatedScenario, SimulationError> {
     let world = simulate_world(options)?;
-    Ok(SimulatedPlace {
+    Ok(SimulatedScenario {
         map: world.record(options, run::Kind::Map),
         live: world.record(options, run::Kind::Live),
     })

@@ -3,8 +3,8 @@
 //! World frame: z up, metres. Body frame: x forward, y left, z up.
 
 use super::SimulationError;
-use super::course::{Course, in_a_hand};
 use super::random::{Purpose, stream};
+use super::scenario::{Scenario, in_a_hand};
 use super::spline::Spline;
 use evaluation::trajectory::StampedPose;
 use geometry::pose::Pose;
@@ -45,24 +45,24 @@ impl Style {
 
 /// Along a built-in way, streets at about `speed` m/s.
 pub(crate) fn built_in(
-    course: Course,
+    scenario: Scenario,
     start_ns: i64,
     speed: f64,
     style: &Style,
 ) -> Result<Spline, SimulationError> {
     let knot_s = KNOT_NS as f64 * 1e-9;
-    if course == Course::Room {
+    if scenario == Scenario::Room {
         let pose = |knot: i32| in_a_hand(f64::from(knot - 1) * knot_s, REST_BEFORE_S, &style.phases);
         return spline(start_ns, KNOT_NS, (0..).map_while(pose).collect());
     }
-    let length = course.length();
+    let length = scenario.length();
     let (mut s, mut time, mut rested) = (0.0, -knot_s, 0.0);
     let mut controls = Vec::new();
     // A control pose before the beginning, and one after the end, are what a cubic spline needs.
     while rested < REST_AFTER_S + 2.0 * knot_s {
-        let up = if course.begins_at_rest() { speed_up(time) } else { 1.0 };
+        let up = if scenario.starts_at_rest() { speed_up(time) } else { 1.0 };
         let pace = pace(up, s, length) * (1.0 + 0.2 * (TAU * time / 17.0 + style.phases[0]).sin());
-        controls.push(street_pose(course, s, time, pace.min(1.0), style));
+        controls.push(street_pose(scenario, s, time, pace.min(1.0), style));
         s = (s + speed * pace * knot_s).min(length);
         time += knot_s;
         if s >= length {
@@ -85,14 +85,14 @@ fn pace(up: f64, s: f64, length: f64) -> f64 {
 }
 
 /// The body on the street: a little beside the middle, swaying as much as it moves.
-fn street_pose(course: Course, s: f64, time: f64, pace: f64, style: &Style) -> Pose {
-    let length = course.lap_length();
-    let (middle, heading) = course.middle_of_street(s);
+fn street_pose(scenario: Scenario, s: f64, time: f64, pace: f64, style: &Style) -> Pose {
+    let length = scenario.lap_length();
+    let (middle, heading) = scenario.middle_of_street(s);
     let phases = &style.phases;
     let lateral = style.lateral + 0.5 * (3.0 * TAU * s / length + phases[1]).sin();
     let left = Vector2::new(-heading.sin(), heading.cos());
     let ground = middle + left * lateral;
-    let hill = course.hills_m() * (2.0 * TAU * s / length).sin();
+    let hill = scenario.hills_m() * (2.0 * TAU * s / length).sin();
     let height = 1.5 + hill + 0.05 * pace * (TAU * time / 0.9 + phases[2]).sin();
     let sway = |period: f64, phase: f64| pace * (TAU * time / period + phase).sin();
     let roll = 0.03 * sway(1.3, phases[3]);
@@ -141,7 +141,7 @@ mod tests {
     #[test]
     fn a_run_starts_at_rest_and_goes_all_the_way_round_at_a_sane_pace() {
         for run in 0..2 {
-            let spline = built_in(Course::Block, 0, 4.0, &Style::of_run(1, run)).unwrap();
+            let spline = built_in(Scenario::Block, 0, 4.0, &Style::of_run(1, run)).unwrap();
             assert!(spline.at(1_500_000_000).velocity.norm() < 1e-9);
             assert!(spline.at(spline.end_ns()).velocity.norm() < 1e-9);
             let stamps = || (0..spline.end_ns()).step_by(50_000_000);
@@ -158,7 +158,7 @@ mod tests {
 
     #[test]
     fn a_hand_starts_from_rest_and_moves_as_hands_do() {
-        let spline = built_in(Course::Room, 0, 4.0, &Style::of_run(3, 1)).unwrap();
+        let spline = built_in(Scenario::Room, 0, 4.0, &Style::of_run(3, 1)).unwrap();
         assert!(spline.at(1_500_000_000).velocity.norm() < 1e-9);
         let stamps = || (6_000_000_000..60_000_000_000).step_by(50_000_000);
         let most = |of: &dyn Fn(&crate::spline::Motion) -> f64| {
@@ -173,7 +173,8 @@ mod tests {
 
     #[test]
     fn loops_begin_in_motion_and_go_round_ten_times() {
-        let spline = built_in(Course::Loops, 0, Course::Loops.usual_speed(), &Style::of_run(1, 0)).unwrap();
+        let spline =
+            built_in(Scenario::Loops, 0, Scenario::Loops.usual_speed(), &Style::of_run(1, 0)).unwrap();
         assert!(spline.at(0).velocity.norm() > 2.0);
         assert!((350.0..460.0).contains(&(spline.end_ns() as f64 * 1e-9)));
         let cut = spline.until(60_000_000_000);

@@ -5,7 +5,7 @@ use super::random::{Purpose, normal3, stream};
 use super::spline::Spline;
 use super::tracks::FrontEnd;
 use super::world::Landmark;
-use super::{Course, GRAVITY, SimulationError, SimulationOptions, imu, path};
+use super::{GRAVITY, Scenario, SimulationError, SimulationOptions, imu, path};
 use geometry::pose::Pose;
 use geometry::rotation;
 use nalgebra::Vector3;
@@ -45,7 +45,7 @@ pub(crate) struct Ways {
 pub(crate) fn ways(options: &SimulationOptions) -> Result<Ways, SimulationError> {
     let built_in = |start_ns: i64, kind: Kind| {
         path::built_in(
-            options.course,
+            options.scenario,
             start_ns,
             options.speed,
             &path::Style::of_run(options.seed, kind as u64),
@@ -65,9 +65,9 @@ pub(crate) fn ways(options: &SimulationOptions) -> Result<Ways, SimulationError>
         live = live.until(LIVE_START_NS + (seconds * 1e9) as i64);
     }
     let is_built_in = options.live_trajectory.is_none() && options.map_trajectory.is_none();
-    let lap_s = options.course.lap_length() / options.speed + AHEAD_S;
+    let lap_s = options.scenario.lap_length() / options.speed + AHEAD_S;
     let first_lap = |way: &Spline| {
-        let repeats = is_built_in && options.course == Course::Loops;
+        let repeats = is_built_in && options.scenario == Scenario::Loops;
         if repeats { way.until(way.start_ns() + (lap_s * 1e9) as i64) } else { way.clone() }
     };
     let first_laps = [first_lap(&map), first_lap(&live)];
@@ -150,16 +150,16 @@ fn frames(
 /// The poses of the images with features as an imperfect mapping system gives them: each off on its own.
 fn reference_poses(options: &SimulationOptions, way: &Spline, frames: &[Frame]) -> Vec<ReferencePose> {
     let mut rng = stream(options.seed, Kind::Map as u64, Purpose::Reference);
-    let (sigma_theta, sigma_p) = (options.reference_sigma_theta, options.reference_sigma_p);
+    let (sigma_theta_rad, sigma_p_m) = (options.sigma_reference_theta_rad, options.sigma_reference_p_m);
     frames
         .iter()
         .filter(|frame| frame.features.is_some())
         .map(|frame| {
             let truth = way.at(frame.stamp_ns).pose;
-            let turn: Vector3<f64> = normal3(&mut rng) * sigma_theta;
-            let shift: Vector3<f64> = normal3(&mut rng) * sigma_p;
+            let turn: Vector3<f64> = normal3(&mut rng) * sigma_theta_rad;
+            let shift: Vector3<f64> = normal3(&mut rng) * sigma_p_m;
             let pose = Pose::new(rotation::exp(&turn) * truth.rotation, truth.translation + shift);
-            ReferencePose { stamp_ns: frame.stamp_ns, pose, sigma_theta, sigma_p }
+            ReferencePose { stamp_ns: frame.stamp_ns, pose, sigma_theta_rad, sigma_p_m }
         })
         .collect()
 }

@@ -68,7 +68,7 @@ fn tracks_triangulate_and_reproject_to_the_noise_level() {
             .map(|(pose, _, pixel)| geometry::View {
                 parent_from_camera: *pose,
                 pixel: *pixel,
-                sigma_pixel: 1.0,
+                sigma_px: 1.0,
             })
             .collect();
         let Ok(found) =

@@ -158,9 +158,9 @@ pub fn hamming(a: &[u8], b: &[u8]) -> u32 {
     let (words_a, rest_a) = a.as_chunks::<8>();
     let (words_b, rest_b) = b.as_chunks::<8>();
     let word = |bytes: &[u8; 8]| u64::from_le_bytes(*bytes);
-    let in_words: u32 = words_a.iter().zip(words_b).map(|(x, y)| (word(x) ^ word(y)).count_ones()).sum();
+    let describe: u32 = words_a.iter().zip(words_b).map(|(x, y)| (word(x) ^ word(y)).count_ones()).sum();
     let in_rest: u32 = rest_a.iter().zip(rest_b).map(|(x, y)| (x ^ y).count_ones()).sum();
-    in_words + in_rest
+    describe + in_rest
 }
 
 /// The numbers of a float descriptor.

@@ -51,10 +51,10 @@ pub(super) fn added(old: &LoadedMap, new: &LoadedMap) -> usize {
 }
 
 /// The size of a change, for a person.
-pub(super) fn in_words(change: Option<&StatedChange>) -> String {
+pub(super) fn describe(change: Option<&StatedChange>) -> String {
     match change {
-        Some(StatedChange { sigma_theta, sigma_p }) => {
-            format!("{:.3} deg, {sigma_p:.3} m an axis", sigma_theta.to_degrees())
+        Some(StatedChange { sigma_theta_rad, sigma_p_m }) => {
+            format!("{:.3} deg, {sigma_p_m:.3} m an axis", sigma_theta_rad.to_degrees())
         }
         None => "unknown: no keyframe is in both versions".to_owned(),
     }
@@ -72,8 +72,10 @@ fn stated_change(old: &LoadedMap, new: &LoadedMap) -> Option<StatedChange> {
         squared_distance += (now.translation - before.translation).norm_squared();
     }
     let per_axis = |squared: f64| (squared / (3 * count) as f64).sqrt();
-    (count > 0)
-        .then(|| StatedChange { sigma_theta: per_axis(squared_angle), sigma_p: per_axis(squared_distance) })
+    (count > 0).then(|| StatedChange {
+        sigma_theta_rad: per_axis(squared_angle),
+        sigma_p_m: per_axis(squared_distance),
+    })
 }
 
 /// Whether the pose of a keyframe or its covariance is another one.
@@ -172,7 +174,7 @@ mod tests {
     /// Rotation (rad) and distance (m) that three deviations, one an axis, come to together.
     fn size(change: &MapChange) -> (f64, f64) {
         let stated = change.stated_change.unwrap();
-        (stated.sigma_theta * 3_f64.sqrt(), stated.sigma_p * 3_f64.sqrt())
+        (stated.sigma_theta_rad * 3_f64.sqrt(), stated.sigma_p_m * 3_f64.sqrt())
     }
 
     #[test]

@@ -219,7 +219,7 @@ impl MapServer {
             changed = change.changed.len(),
             moved = change.moved.len(),
             removed = change.removed.len(),
-            moved_by = change::in_words(change.stated_change.as_ref()),
+            moved_by = change::describe(change.stated_change.as_ref()),
             "replaced a map"
         );
         let payload = protocol::encode(Format::Bincode, &change)?;

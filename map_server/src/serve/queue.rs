@@ -118,7 +118,7 @@ async fn work(jobs: Arc<Mutex<mpsc::Receiver<Ticket>>>, options: Arc<Recognition
         let Some(ticket) = next else { return };
         let query = ticket.job.query.clone();
         let options = Arc::clone(&options);
-        let answered = contained(move || {
+        let answered = catch_panic(move || {
             let Job { query, kind, map } = &ticket.job;
             handlers::answer(query, *kind, &map.name, &map.current(), &options)
         });
@@ -141,7 +141,7 @@ async fn work(jobs: Arc<Mutex<mpsc::Receiver<Ticket>>>, options: Arc<Recognition
 }
 
 /// Runs something on a blocking thread; a panic in it is an error with its message.
-async fn contained<T: Send + 'static>(job: impl FnOnce() -> T + Send + 'static) -> Result<T, String> {
+async fn catch_panic<T: Send + 'static>(job: impl FnOnce() -> T + Send + 'static) -> Result<T, String> {
     let ended = tokio::task::spawn_blocking(job).await;
     ended.map_err(|error| match error.try_into_panic() {
         Ok(panic) => {
@@ -154,12 +154,12 @@ async fn contained<T: Send + 'static>(job: impl FnOnce() -> T + Send + 'static) 
 
 #[cfg(test)]
 mod tests {
-    use super::contained;
+    use super::catch_panic;
 
     #[tokio::test]
     async fn a_panic_is_an_error_and_the_next_job_runs() {
-        let panicked = contained(|| -> u32 { panic!("job {}", 7) }).await;
+        let panicked = catch_panic(|| -> u32 { panic!("job {}", 7) }).await;
         assert_eq!(panicked, Err("job 7".to_owned()));
-        assert_eq!(contained(|| 8).await, Ok(8));
+        assert_eq!(catch_panic(|| 8).await, Ok(8));
     }
 }

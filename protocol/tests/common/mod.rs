@@ -183,7 +183,7 @@ pub fn match_replies() -> impl Strategy<Value = MatchReply> {
             (map_version, keyframes_sent, searched_keyframes, elapsed_us),
             outcome,
             gravity_in_global,
-            map_pixel_sigma,
+            sigma_map_px,
         )| {
             MatchStatus {
                 map_version,
@@ -192,7 +192,7 @@ pub fn match_replies() -> impl Strategy<Value = MatchReply> {
                 searched_keyframes,
                 elapsed_us,
                 gravity_in_global,
-                map_pixel_sigma,
+                sigma_map_px,
             }
         },
     );
@@ -243,8 +243,8 @@ pub fn map_infos() -> impl Strategy<Value = MapInfo> {
         option::of(format),
         0.1..5.0f64,
     )
-        .prop_map(
-            |(name, database_schema, counts, gravity_in_global, extent, descriptors, pixel_sigma)| MapInfo {
+        .prop_map(|(name, database_schema, counts, gravity_in_global, extent, descriptors, sigma_px)| {
+            MapInfo {
                 name,
                 version: counts[0],
                 database_schema,
@@ -255,10 +255,10 @@ pub fn map_infos() -> impl Strategy<Value = MapInfo> {
                 gravity_in_global,
                 extent,
                 descriptors,
-                pixel_sigma,
+                sigma_px,
                 extractor: if counts[0] % 2 == 0 { String::new() } else { "sift-1".to_owned() },
-            },
-        )
+            }
+        })
 }
 
 pub fn keyframe_replies() -> impl Strategy<Value = KeyframeReply> {
@@ -275,8 +275,8 @@ pub fn keyframe_replies() -> impl Strategy<Value = KeyframeReply> {
 }
 
 pub fn map_changes() -> impl Strategy<Value = MapChange> {
-    let stated =
-        (0.0..1.0f64, 0.0..10.0f64).prop_map(|(sigma_theta, sigma_p)| StatedChange { sigma_theta, sigma_p });
+    let stated = (0.0..1.0f64, 0.0..10.0f64)
+        .prop_map(|(sigma_theta_rad, sigma_p_m)| StatedChange { sigma_theta_rad, sigma_p_m });
     let ids = || vec(any::<u64>(), 0..5);
     (names(), any::<(u64, u64)>(), ids(), ids(), ids(), option::of(stated)).prop_map(
         |(map, (from_version, version), changed, moved, removed, stated_change)| MapChange {

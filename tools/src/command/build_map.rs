@@ -47,10 +47,10 @@ pub struct Args {
     pub gravity: Option<Vector3<f64>>,
     /// Standard deviation of a feature's pixel, px [default: measured]
     #[arg(long, value_name = "PX")]
-    pub pixel_sigma: Option<f64>,
+    pub sigma_pixel: Option<f64>,
     /// State the given poses with independent errors, instead of refined ones with their joint covariance
     #[arg(long)]
-    pub keep_poses: bool,
+    pub no_refine_poses: bool,
     /// Leave out what comes before this time, s from the first frame
     #[arg(long, value_name = "SECONDS")]
     pub from: Option<f64>,
@@ -77,7 +77,7 @@ pub struct Args {
     pub features: FeatureArguments,
     /// Picture of the map from above: keyframes, landmarks, places with too few (SVG)
     #[arg(long, value_name = "SVG")]
-    pub picture: Option<PathBuf>,
+    pub svg: Option<PathBuf>,
     /// Replace a map that is there already
     #[arg(long)]
     pub force: bool,
@@ -119,7 +119,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     bar.finish_and_clear();
     let (contents, report) = built?;
     let version = save_map(&args.map, &contents, args.force)?;
-    if let Some(picture) = &args.picture {
+    if let Some(picture) = &args.svg {
         draw_coverage(&contents, picture)?;
     }
     if args.json {
@@ -167,8 +167,8 @@ fn references(args: &Args, sequence: &Sequence) -> anyhow::Result<Vec<ReferenceP
     let reference = |row: &sensors::TruthRow| ReferencePose {
         stamp_ns: row.stamp_ns,
         pose: row.pose,
-        sigma_theta,
-        sigma_p,
+        sigma_theta_rad: sigma_theta,
+        sigma_p_m: sigma_p,
     };
     Ok(truth.iter().map(reference).collect())
 }
@@ -185,10 +185,10 @@ fn options(args: &Args) -> anyhow::Result<BuildOptions> {
         gravity_in_global: args.gravity,
         from_s,
         until_s,
-        sigma_theta: args.sigma_theta,
-        sigma_p: args.sigma_p,
-        pixel_sigma: args.pixel_sigma,
-        stored_poses: if args.keep_poses { StoredPoses::Given } else { StoredPoses::Refined },
+        sigma_theta_rad: args.sigma_theta,
+        sigma_p_m: args.sigma_p,
+        sigma_px: args.sigma_pixel,
+        stored_poses: if args.no_refine_poses { StoredPoses::Given } else { StoredPoses::Refined },
         min_distance: args.min_distance,
         min_rotation: args.min_rotation.to_radians(),
         time_neighbours: args.time_neighbours,
@@ -218,11 +218,11 @@ fn print_report(report: &BuildReport) {
     println!("observations dropped        {}", report.dropped_observations);
     println!("reprojection error, px      {}", spread(&report.reprojection_px, 2));
     println!("  through the given poses   {}", spread(&report.reprojection_through_given_px, 2));
-    println!("pixel sigma, px             {:.2}", report.pixel_sigma);
+    println!("pixel sigma, px             {:.2}", report.sigma_px);
     println!("poses corrected by, deg     {}", spread(&report.pose_correction_deg, 2));
     println!("                    m       {}", spread(&report.pose_correction_m, 3));
-    println!("poses stated to, deg        {}", spread(&report.pose_sigma_deg, 2));
-    println!("                 m          {}", spread(&report.pose_sigma_m, 3));
+    println!("poses stated to, deg        {}", spread(&report.sigma_pose_deg, 2));
+    println!("                 m          {}", spread(&report.sigma_pose_m, 3));
     println!("correlated pairs            {}", report.cross_covariances);
     let few = BuildReport::FEW_LANDMARKS;
     println!("keyframes below {few} landmarks {}", report.poor_keyframes.len());

@@ -10,7 +10,7 @@ use map::text::{read_map, save_map};
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
-#[command(after_help = "Example:\n  driftless import-map place_as_text --map place.db --pixel-sigma 3\n\n\
+#[command(after_help = "Example:\n  driftless import-map place_as_text --map place.db --sigma-pixel 3\n\n\
                         DIR holds keyframes.csv, landmarks.csv, observations.csv and camera.yaml.")]
 pub struct Args {
     /// Folder of the plain-text map
@@ -24,7 +24,7 @@ pub struct Args {
     pub gravity: Option<Vector3<f64>>,
     /// Standard deviation of the map's pixels in px [default: as in DIR, or 1]
     #[arg(long, value_name = "PX")]
-    pub pixel_sigma: Option<f64>,
+    pub sigma_pixel: Option<f64>,
     /// Replace a map that is there already
     #[arg(long)]
     pub force: bool,
@@ -44,11 +44,11 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     if args.gravity.is_some() {
         contents.info.gravity_in_global = args.gravity;
     }
-    if let Some(sigma) = args.pixel_sigma {
+    if let Some(sigma) = args.sigma_pixel {
         if !(sigma.is_finite() && sigma > 0.0) {
-            bail!("--pixel-sigma {sigma}: give a positive number of pixels");
+            bail!("--sigma-pixel {sigma}: give a positive number of pixels");
         }
-        contents.info.pixel_sigma = sigma;
+        contents.info.sigma_px = sigma;
     }
     let version = save_map(&args.map, &contents, args.force)?;
     let observations = contents.observation_count();

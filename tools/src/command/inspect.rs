@@ -12,9 +12,9 @@ use vision::GrayImage;
 
 use super::localize::NOT_RECOGNIZED;
 use crate::in_process::load_map;
-use crate::plotting::{MatchPicture, draw_matches, verdict_in_words};
+use crate::plotting::{MatchPicture, describe_verdict, draw_matches};
 use crate::query_image::{QueryImage, read_image};
-use client::map_client::{in_words, print_fix};
+use client::map_client::{describe, print_fix};
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
@@ -182,7 +182,7 @@ fn print(report: &Report) {
     );
     match &reply.fix {
         Some(fix) => print_fix(fix),
-        None => println!("not recognized: {}", in_words(reply.outcome)),
+        None => println!("not recognized: {}", describe(reply.outcome)),
     }
     let listed = &report.inspection.keyframes;
     if !listed.is_empty() {
@@ -197,7 +197,7 @@ fn print(report: &Report) {
             keyframe.votes,
             keyframe.matches.len(),
             keyframe.inliers(),
-            verdict_in_words(keyframe),
+            describe_verdict(keyframe),
             if listed.contains(keyframe) { "" } else { ", not among the candidates" }
         );
     }
@@ -242,7 +242,7 @@ fn keyframe_as_json(keyframe: &InspectedKeyframe) -> Value {
         "keyframe": keyframe.id,
         "stamp_ns": keyframe.stamp_ns,
         "votes": keyframe.votes,
-        "verdict": verdict_in_words(keyframe),
+        "verdict": describe_verdict(keyframe),
         "matches": keyframe.matches.len(),
         "inliers": keyframe.inliers(),
         "mean_error_px": keyframe.mean_error_px,

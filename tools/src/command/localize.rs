@@ -6,7 +6,7 @@ use onboard::extraction::FeatureArguments;
 use protocol::Format;
 
 use crate::query_image::QueryImage;
-use client::map_client::{ServerArguments, in_words, print_fix};
+use client::map_client::{ServerArguments, describe, print_fix};
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
@@ -59,7 +59,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         );
         match &reply.fix {
             Some(fix) => print_fix(fix),
-            None => println!("not localized: {}", in_words(reply.outcome)),
+            None => println!("not localized: {}", describe(reply.outcome)),
         }
     }
     if reply.fix.is_none() {

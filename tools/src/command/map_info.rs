@@ -38,7 +38,7 @@ struct Summary {
     damaged_records: Vec<String>,
     descriptor_kind: &'static str,
     descriptor_bytes: u16,
-    pixel_sigma_px: f64,
+    sigma_px: f64,
     gravity_in_global: Option<[f64; 3]>,
     /// Corners of the box around all keyframes (m).
     extent_min_m: Option<[f64; 3]>,
@@ -111,7 +111,7 @@ fn summary(
         damaged_records,
         descriptor_kind: contents.info.descriptor_kind.label(),
         descriptor_bytes: contents.info.descriptor_width,
-        pixel_sigma_px: contents.info.pixel_sigma,
+        sigma_px: contents.info.sigma_px,
         gravity_in_global: contents.info.gravity_in_global.map(Into::into),
         extent_min_m: corner(f64::min),
         extent_max_m: corner(f64::max),
@@ -157,7 +157,7 @@ fn print_summary(summary: &Summary) {
     println!("observations             {}", summary.observations);
     println!("  a landmark             {}", spread(&summary.observations_per_landmark, 1));
     println!("descriptors              {}, {} bytes", summary.descriptor_kind, summary.descriptor_bytes);
-    println!("pixel sigma, px          {}", summary.pixel_sigma_px);
+    println!("pixel sigma, px          {}", summary.sigma_px);
     println!("gravity points to        {}", vector(summary.gravity_in_global, "unknown"));
     if !summary.damaged_records.is_empty() {
         println!("damaged records          {}", summary.damaged_records.len());

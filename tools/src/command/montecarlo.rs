@@ -11,7 +11,7 @@ use simulation::monte_carlo::{
     AnswerOptions, CalibrationErrors, EnsembleScore, MapOptions, MonteCarloOptions, Variant, VariantRuns,
     report, run as run_all, score,
 };
-use simulation::{Course, SimulationOptions};
+use simulation::{Scenario, SimulationOptions};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
@@ -20,10 +20,10 @@ use std::path::{Path, PathBuf};
 #[command(after_help = "\
 Examples:
   driftless montecarlo --mode odometry --cameras mono,stereo
-  driftless montecarlo --trajectory loops --seconds 400 --match-every 4 --mode multi,mapconst --picture nees.svg
+  driftless montecarlo --trajectory loops --seconds 400 --match-every 4 --mode multi,mapconst --svg nees.svg
   driftless montecarlo --seconds 120 --gap 30:90 --wrong-matches 0.3 --wrong-place 0.2 --runs 100
   driftless montecarlo --trajectory loops --speed 5.6 --seconds 203.3 --gap 20:201    # 1 km without the map, three answers
-  driftless montecarlo --settings paper.yaml --settings ours.yaml --json
+  driftless montecarlo --estimator-config paper.yaml --estimator-config ours.yaml --json
 
 How to read it: NEES is the squared error in units of the filter's own covariance, per degree of freedom. Right is 1;
 above, the filter is overconfident; below, it is too modest. Errors of one run are correlated in time, so a run counts
@@ -63,7 +63,7 @@ pub struct Args {
     mode: Vec<Mode>,
     /// YAML file with estimator settings, as for `driftless run`; several are compared
     #[arg(long, value_name = "FILE")]
-    settings: Vec<PathBuf>,
+    estimator_config: Vec<PathBuf>,
     /// Time between two images that the map is asked about, seconds
     #[arg(long, value_name = "SECONDS", default_value_t = 1.0)]
     match_every: f64,
@@ -94,7 +94,7 @@ pub struct Args {
     keyframe_distance: f64,
     /// Initial standard deviations of the yaw and position of L, which are else nearly exact: a loose gauge
     #[arg(long, value_name = "DEG:M", value_parser = pair)]
-    start_sigma: Option<(f64, f64)>,
+    sigma_start: Option<(f64, f64)>,
     /// Noise of tracked pixels, px, in the images and in the filter
     #[arg(long, value_name = "PX", default_value_t = SimulationOptions::default().sigma_track_px)]
     pixel_noise: f64,
@@ -121,7 +121,7 @@ pub struct Args {
     skip_after_fix: f64,
     /// Draw the NEES over time with its bounds
     #[arg(long, value_name = "SVG")]
-    picture: Option<PathBuf>,
+    svg: Option<PathBuf>,
     /// Print the scores as JSON
     #[arg(long)]
     json: bool,
@@ -146,7 +146,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         let title = format!("{} runs of {:.0} s, {}", args.runs, args.seconds, args.trajectory);
         print!("{}", report::table(&title, &all, &scores));
     }
-    if let Some(path) = &args.picture {
+    if let Some(path) = &args.svg {
         draw(path, args, &all, &scoring)?;
     }
     Ok(())
@@ -185,16 +185,16 @@ fn options(args: &Args) -> anyhow::Result<MonteCarloOptions> {
             bail!("--{name} is {value}; it must be positive");
         }
     }
-    let (course, given) = way(&args.trajectory)?;
+    let (scenario, given) = way(&args.trajectory)?;
     let (extrinsic_deg, extrinsic_m) = args.extrinsic_error.unwrap_or_default();
     Ok(MonteCarloOptions {
         runs: args.runs,
         first_seed: args.seed,
         threads: args.threads.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from)),
         simulation: SimulationOptions {
-            course,
-            speed: args.speed.unwrap_or(course.usual_speed()),
-            depth_m: course.depth_m(),
+            scenario,
+            speed: args.speed.unwrap_or(scenario.usual_speed()),
+            depth_m: scenario.depth_m(),
             duration_s: Some(args.seconds),
             map_trajectory: given,
             max_tracks: args.tracks,
@@ -205,8 +205,8 @@ fn options(args: &Args) -> anyhow::Result<MonteCarloOptions> {
         },
         map_change: None,
         map: MapOptions {
-            sigma_theta: args.map_noise.0.to_radians(),
-            sigma_p: args.map_noise.1,
+            sigma_theta_rad: args.map_noise.0.to_radians(),
+            sigma_p_m: args.map_noise.1,
             shift: args.map_shift,
             keyframe_distance_m: args.keyframe_distance,
         },
@@ -228,15 +228,15 @@ fn options(args: &Args) -> anyhow::Result<MonteCarloOptions> {
 }
 
 /// A built-in way by its name, or a trajectory from a file.
-fn way(name: &str) -> anyhow::Result<(Course, Option<Vec<evaluation::trajectory::StampedPose>>)> {
+fn way(name: &str) -> anyhow::Result<(Scenario, Option<Vec<evaluation::trajectory::StampedPose>>)> {
     Ok(match name {
-        "block" => (Course::Block, None),
-        "loops" => (Course::Loops, None),
-        "room" => (Course::Room, None),
+        "block" => (Scenario::Block, None),
+        "loops" => (Scenario::Loops, None),
+        "room" => (Scenario::Room, None),
         file => {
             let given = tum::read(Path::new(file));
             let problem = || format!("--trajectory {file} is neither block, loops, room nor a TUM file");
-            (Course::Block, Some(given.with_context(problem)?))
+            (Scenario::Block, Some(given.with_context(problem)?))
         }
     })
 }
@@ -252,11 +252,11 @@ fn variants(args: &Args, simulation: &SimulationOptions) -> anyhow::Result<Vec<V
         sigma_map_shift: args.map_shift.max(EXACT),
         ..EstimatorConfig::default()
     };
-    if let Some((deg, metres)) = args.start_sigma {
+    if let Some((deg, metres)) = args.sigma_start {
         (defaults.initial.yaw, defaults.initial.position) = (deg.to_radians(), metres);
     }
     let mut settings = Vec::new();
-    for path in &args.settings {
+    for path in &args.estimator_config {
         let name = path.file_stem().map_or_else(String::new, |stem| format!(" {}", stem.to_string_lossy()));
         settings.push((name, read_settings(path, &defaults)?));
     }

@@ -8,7 +8,7 @@ use protocol::{
 };
 use serde_json::{Value, json};
 
-use client::map_client::{MapClient, ServerArguments, in_words, print_fix};
+use client::map_client::{MapClient, ServerArguments, describe, print_fix};
 use map::text::{read_camera, read_image_features};
 
 /// Arguments.
@@ -152,7 +152,7 @@ fn print_answer(map: &str, stamp_ns: i64, features: usize, answer: &Answer) {
         }
     }
     let Some(fix) = &answer.pose.fix else {
-        println!("not localized: {}", in_words(answer.pose.outcome));
+        println!("not localized: {}", describe(answer.pose.outcome));
         return;
     };
     print_fix(fix);

@@ -38,11 +38,11 @@ pub struct Args {
     #[arg(long, value_name = "FRACTION", default_value_t = SimulationOptions::default().dropout_fraction)]
     dropout: f64,
     /// Error of the map's reference poses, metres along each axis
-    #[arg(long, value_name = "M", default_value_t = SimulationOptions::default().reference_sigma_p)]
-    reference_sigma_p: f64,
+    #[arg(long, value_name = "M", default_value_t = SimulationOptions::default().sigma_reference_p_m)]
+    sigma_reference_p_m: f64,
     /// Error of the map's reference poses, rad about each axis
-    #[arg(long, value_name = "RAD", default_value_t = SimulationOptions::default().reference_sigma_theta)]
-    reference_sigma_theta: f64,
+    #[arg(long, value_name = "RAD", default_value_t = SimulationOptions::default().sigma_reference_theta_rad)]
+    sigma_reference_theta_rad: f64,
     /// Print what was written as JSON
     #[arg(long)]
     json: bool,
@@ -73,8 +73,8 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         sigma_track_px: args.pixel_noise,
         outlier_fraction: args.outliers,
         dropout_fraction: args.dropout,
-        reference_sigma_p: args.reference_sigma_p,
-        reference_sigma_theta: args.reference_sigma_theta,
+        sigma_reference_p_m: args.sigma_reference_p_m,
+        sigma_reference_theta_rad: args.sigma_reference_theta_rad,
         ..SimulationOptions::default()
     };
     let place = simulate(&options).context("nothing was simulated")?;

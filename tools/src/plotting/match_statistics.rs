@@ -138,7 +138,7 @@ impl Histogram {
 }
 
 /// How a comparison ended, in a few words.
-pub fn verdict_in_words(keyframe: &InspectedKeyframe) -> &'static str {
+pub fn describe_verdict(keyframe: &InspectedKeyframe) -> &'static str {
     match (keyframe.verdict, keyframe.in_answer) {
         (Verdict::Verified, true) => "part of the answer",
         (Verdict::Verified, false) => "verified",
@@ -176,7 +176,7 @@ fn list_candidates(
         svg.rectangle((bar_left, y + 4.0), (long(inliers), LINE - 10.0), &[("fill", &css(GOOD))]);
         let numbers = format!("{inliers} of {matches}");
         svg.words((bar_left + bar_width + 72.0, base), 13.0, Anchor::End, INK, &numbers);
-        let verdict = verdict_in_words(keyframe);
+        let verdict = describe_verdict(keyframe);
         svg.words((bar_left + bar_width + 84.0, base), 13.0, Anchor::Start, INK, verdict);
     }
 }

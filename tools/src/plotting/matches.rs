@@ -16,9 +16,9 @@ use vision::{GrayImage, ImageError};
 
 use super::PlotError;
 use super::canvas::{BAD, GOOD, GRID, INK, MAP, ODOMETRY, TRUTH};
-use super::match_statistics::{draw_statistics, verdict_in_words};
+use super::match_statistics::{describe_verdict, draw_statistics};
 use super::svg::{Anchor, Attribute, Svg, css};
-use client::map_client::in_words;
+use client::map_client::describe;
 
 /// Width of the picture, px.
 pub(super) const WIDTH: f64 = 1500.0;
@@ -138,7 +138,7 @@ fn draw_header(svg: &mut Svg, picture: &MatchPicture<'_>) {
             ),
             pose_in_words(&fix.global_from_camera),
         ),
-        None => (BAD, format!("Not recognized: {}", in_words(reply.outcome)), best_in_words(picture)),
+        None => (BAD, format!("Not recognized: {}", describe(reply.outcome)), best_in_words(picture)),
     };
     svg.rectangle((MARGIN, 16.0), (6.0, 48.0), &[("fill", &css(colour))]);
     svg.words((MARGIN + 18.0, 35.0), 22.0, Anchor::Start, INK, &title);
@@ -248,7 +248,7 @@ fn keyframe_in_words(picture: &MatchPicture<'_>, keyframe: &InspectedKeyframe) -
         picture.map,
         keyframe.inliers(),
         keyframe.matches.len(),
-        verdict_in_words(keyframe),
+        describe_verdict(keyframe),
         if is_candidate { "" } else { ", not among the candidates" }
     )
 }

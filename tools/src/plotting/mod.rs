@@ -35,7 +35,7 @@ mod tests;
 pub use coverage::draw_coverage;
 pub use ensemble::{EnsembleLine, draw_ensemble};
 pub use events::{QueryEvent, read_events};
-pub use match_statistics::verdict_in_words;
+pub use match_statistics::describe_verdict;
 pub use matches::{MatchPicture, draw_matches};
 pub use run_files::{RunFiles, Truth, read_keyframes};
 

@@ -49,7 +49,7 @@ fn states() -> Vec<StateRow> {
         .collect()
 }
 
-const EVENTS: &str = "stamp_ns,asked_at_s,answered_at_s,outcome,keyframes,matches,inliers,used,mean_reprojection_px,\
+const EVENTS: &str = "stamp_ns,queried_at_s,applied_at_s,outcome,keyframes,matches,inliers,used,mean_reprojection_px,\
     relinearized,accepted,reason\n\
     1503911176749927282,5.0,5.1,matched,1,45,40,38,25.5,true,true,\n\
     1503911181749927282,10.0,10.1,no_match,0,0,0,0,,false,false,\"the map does not know the place, yet\"\n\

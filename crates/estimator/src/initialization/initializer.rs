@@ -5,10 +5,10 @@
 //! like one at rest.
 
 use crate::EstimatorError;
-use crate::calibration::RigCamera;
+use crate::calibration::CalibratedCamera;
 use crate::config::EstimatorConfig;
 use crate::imu::{ImuBuffer, ImuSample};
-use crate::initialization::dynamic::{Belief, BiasPrior, NotYet, StartImage, Window, dynamic_start};
+use crate::initialization::dynamic::{BiasPrior, InitQuality, NotYet, StartImage, Window, dynamic_start};
 use crate::initialization::static_initialization::{InitialState, InitializationError, REST_SECONDS};
 use crate::odometry::tracks::TrackObservation;
 use geometry::{Pose, rotation};
@@ -41,11 +41,11 @@ const GLIDE_DISPLACEMENT: f64 = 2.5;
 
 /// How a start was found.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum StartMethod {
+pub enum InitMethod {
     /// The body stood.
     Rest,
     /// It moved.
-    Motion(Belief),
+    Motion(InitQuality),
 }
 
 /// A start.
@@ -54,12 +54,12 @@ pub struct Start {
     /// Where the filter begins.
     pub initial: InitialState,
     /// How it was found.
-    pub method: StartMethod,
+    pub method: InitMethod,
 }
 
-/// What the starter waits for.
+/// What the initializer waits for.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
-pub enum Waiting {
+pub enum InitStatus {
     /// Nothing arrived yet.
     #[error("waiting for readings of the IMU and images")]
     Data,
@@ -91,7 +91,7 @@ pub enum Waiting {
 
 /// Where L was when the filter was last believed.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct LastBelieved {
+pub struct LastTrustedPose {
     /// Time, nanoseconds.
     pub stamp_ns: i64,
     /// The body in L.
@@ -102,9 +102,9 @@ pub struct LastBelieved {
 
 /// Looks for a start.
 #[derive(Clone, Debug)]
-pub struct Starter {
+pub struct Initializer {
     config: EstimatorConfig,
-    rig: Vec<RigCamera>,
+    rig: Vec<CalibratedCamera>,
     imu: ImuBuffer,
     images: VecDeque<StartImage>,
     /// The newest state at rest.
@@ -115,12 +115,12 @@ pub struct Starter {
     tries: i64,
     not_before_ns: i64,
     no_motion: Option<NotYet>,
-    last: Option<LastBelieved>,
+    last: Option<LastTrustedPose>,
 }
 
-impl Starter {
-    /// A starter for the first start.
-    pub fn new(config: EstimatorConfig, rig: Vec<RigCamera>) -> Self {
+impl Initializer {
+    /// A initializer for the first start.
+    pub fn new(config: EstimatorConfig, rig: Vec<CalibratedCamera>) -> Self {
         Self {
             config,
             rig,
@@ -137,7 +137,7 @@ impl Starter {
         }
     }
 
-    /// A starter for the next start: L goes on.
+    /// A initializer for the next start: L goes on.
     ///
     /// # Arguments
     /// * `last`: the pose whose position and yaw the new start takes. The yaw is turned on with the gyroscope by the
@@ -145,8 +145,8 @@ impl Starter {
     /// * `not_before_ns`: no start before this time.
     pub fn again(
         config: EstimatorConfig,
-        rig: Vec<RigCamera>,
-        last: Option<LastBelieved>,
+        rig: Vec<CalibratedCamera>,
+        last: Option<LastTrustedPose>,
         not_before_ns: i64,
     ) -> Self {
         Self { not_before_ns, last, ..Self::new(config, rig) }
@@ -210,17 +210,17 @@ impl Starter {
     /// A start at this image, or a short time before it.
     ///
     /// # Errors
-    /// [`Waiting`] says what for.
-    pub fn image(&mut self, stamp_ns: i64, tracks: &[TrackObservation]) -> Result<Start, Waiting> {
+    /// [`InitStatus`] says what for.
+    pub fn image(&mut self, stamp_ns: i64, tracks: &[TrackObservation]) -> Result<Start, InitStatus> {
         if stamp_ns < self.not_before_ns {
-            return Err(Waiting::Pause { seconds: (self.not_before_ns - stamp_ns) as f64 * 1e-9 });
+            return Err(InitStatus::Pause { seconds: (self.not_before_ns - stamp_ns) as f64 * 1e-9 });
         }
         let spaced = self.images.back().is_none_or(|last| stamp_ns - last.stamp_ns >= LEAST_IMAGE_GAP_NS);
         if spaced {
             self.images.push_back(StartImage { stamp_ns, tracks: tracks.to_vec() });
         }
         let start = match self.at_rest(stamp_ns, tracks) {
-            Some(initial) => Ok(Start { initial, method: StartMethod::Rest }),
+            Some(initial) => Ok(Start { initial, method: InitMethod::Rest }),
             None if spaced => self.in_motion(stamp_ns),
             None => Err(self.waiting(stamp_ns)),
         };
@@ -239,7 +239,7 @@ impl Starter {
         self.rest.clone()
     }
 
-    fn in_motion(&mut self, stamp_ns: i64) -> Result<Start, Waiting> {
+    fn in_motion(&mut self, stamp_ns: i64) -> Result<Start, InitStatus> {
         let long_enough = self.seconds(stamp_ns) >= WINDOW_SECONDS[0];
         if !long_enough || stamp_ns < self.next_try_ns {
             return Err(self.waiting(stamp_ns));
@@ -249,7 +249,7 @@ impl Starter {
         let found = Window::new(self.images.make_contiguous(), &self.imu, &self.rig)
             .and_then(|window| dynamic_start(&window, &self.rig, &self.config, &BiasPrior::default()));
         match found {
-            Ok((initial, belief)) => Ok(Start { initial, method: StartMethod::Motion(belief) }),
+            Ok((initial, init_quality)) => Ok(Start { initial, method: InitMethod::Motion(init_quality) }),
             Err(why) => {
                 self.no_motion = Some(why);
                 Err(self.waiting(stamp_ns))
@@ -262,11 +262,11 @@ impl Starter {
         self.images.front().map_or(0.0, |first| (stamp_ns - first.stamp_ns) as f64 * 1e-9)
     }
 
-    fn waiting(&self, stamp_ns: i64) -> Waiting {
+    fn waiting(&self, stamp_ns: i64) -> InitStatus {
         let rest = self.no_rest;
         match self.no_motion {
-            Some(motion) => Waiting::Moving { motion, rest },
-            None => Waiting::Watching { have: self.seconds(stamp_ns), need: WINDOW_SECONDS[0], rest },
+            Some(motion) => InitStatus::Moving { motion, rest },
+            None => InitStatus::Watching { have: self.seconds(stamp_ns), need: WINDOW_SECONDS[0], rest },
         }
     }
 

@@ -4,7 +4,7 @@
 //! errors do not matter here.
 
 use crate::KeyframeId;
-use crate::calibration::RigCamera;
+use crate::calibration::CalibratedCamera;
 use crate::map_update::map_answer::MapAnswer;
 use geometry::pnp::{Correspondence, Gravity, PnpSolution, RansacOptions, solve_ransac};
 use geometry::{Camera, PoseWithCovariance};
@@ -61,7 +61,7 @@ pub struct VerificationSettings {
 /// [`NotVerified`] when not even the best keyframe is explained.
 pub fn verify(
     answer: &MapAnswer,
-    eye: &RigCamera,
+    eye: &CalibratedCamera,
     settings: &VerificationSettings,
 ) -> Result<Verified, NotVerified> {
     let mut best: Option<(KeyframeId, PnpSolution)> = None;

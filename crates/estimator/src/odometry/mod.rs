@@ -12,7 +12,7 @@ use crate::odometry::pixel_rows::Layout;
 use crate::odometry::slam_features::{LandmarkSettings, LandmarkUpdate};
 use crate::odometry::track_update::{TrackReport, TrackUpdate};
 use crate::odometry::tracks::{Track, TrackObservation};
-use crate::state::{CloneId, StateLandmark};
+use crate::state::{CloneId, SlamFeature};
 use crate::{Estimator, EstimatorError, surplus};
 use nalgebra::DMatrix;
 
@@ -92,7 +92,7 @@ impl Estimator {
         in_state: usize,
     ) -> Result<TrackReport, EstimatorError> {
         let OdometryUpdate { ready, tracks, .. } = update;
-        let mut room = self.config.state_landmarks.saturating_sub(in_state);
+        let mut room = self.config.slam_features.saturating_sub(in_state);
         let may_enter = |_: &Track| {
             let enters = room > 0;
             room -= usize::from(enters);
@@ -119,7 +119,7 @@ impl Estimator {
         let columns = &update.information.columns;
         self.covariance.insert(self.state.clones_begin(), columns, &self.entering, noise);
         for (entering, shift) in update.entering.iter().zip(&update.entrance.shifts) {
-            self.state.landmarks.push(StateLandmark {
+            self.state.landmarks.push(SlamFeature {
                 feature_id: entering.feature_id,
                 position: entering.position + shift,
                 first_estimate: entering.position,

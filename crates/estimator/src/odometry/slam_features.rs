@@ -10,7 +10,7 @@ use crate::gate::Gate;
 use crate::linear_algebra::dense::Dense;
 use crate::odometry::pixel_rows::{Layout, PixelRows, RowBlock, RowBlocks, covariance_between, pixel_rows};
 use crate::odometry::tracks::TrackObservation;
-use crate::state::{ActiveState, Block, CloneId, LANDMARK_DIM, POSE_DIM, StateLandmark};
+use crate::state::{ActiveState, Block, CloneId, LANDMARK_DIM, POSE_DIM, SlamFeature};
 use nalgebra::{DVector, SMatrix, SVector};
 use smallvec::SmallVec;
 use std::ops::Range;
@@ -133,7 +133,7 @@ impl LandmarkUpdate {
         observations: &[TrackObservation],
     ) {
         let Some(newest) = state.clones.last().map(|clone| clone.local_from_imu.translation) else { return };
-        let lives = |landmark: &StateLandmark| {
+        let lives = |landmark: &SlamFeature| {
             let moved = (landmark.position - landmark.first_estimate).norm();
             landmark.implausible < MOST_IMPLAUSIBLE
                 && moved < LARGEST_MOVE * (landmark.position - newest).norm()

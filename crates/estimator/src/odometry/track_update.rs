@@ -7,7 +7,7 @@
 //! NEES 2.3 after 200 s): it enters by rows at first estimates, where its later rows stand too.
 //! An outlying observation is dropped, not its whole track.
 
-use crate::calibration::{Observation, RigCamera};
+use crate::calibration::{CalibratedCamera, Observation};
 use crate::covariance::JointCovariance;
 use crate::covariance::information::Information;
 use crate::gate::Gate;
@@ -236,13 +236,13 @@ fn triangulate_robustly(
         let mut cameras = CameraOfView::new();
         let mut views = Views::new();
         for sighting in sightings.iter() {
-            let eye: &RigCamera = &rig[usize::from(sighting.camera)];
+            let eye: &CalibratedCamera = &rig[usize::from(sighting.camera)];
             let clone = &state.clones[state.place_of(sighting.clone)?];
             cameras.push(&eye.camera);
             views.push(View {
                 parent_from_camera: clone.local_from_imu * eye.imu_from_camera,
                 pixel: sighting.pixel,
-                sigma_pixel: sigma_px,
+                sigma_px,
             });
         }
         let found = triangulate(&cameras, &views, &TriangulationOptions::default()).ok()?;

@@ -10,7 +10,7 @@
 //! * Gliding is not either, as long as something is near enough to move by more than its noise in the time
 //!   that a track lives; and the filter's own velocity must agree by a chi-square test.
 
-use crate::calibration::RigCamera;
+use crate::calibration::CalibratedCamera;
 use crate::covariance::information::Rows;
 use crate::odometry::tracks::TrackStore;
 use crate::propagation::VELOCITY;
@@ -65,7 +65,7 @@ pub fn stands_still(state: &ActiveState, tracks: &TrackStore, sigma_px: f64) -> 
 
 /// How far a pixel is from where the rotation alone would have brought it, px.
 fn displacement(
-    eye: &RigCamera,
+    eye: &CalibratedCamera,
     then: &Pose,
     now: &Pose,
     pixel_then: &Vector2<f64>,
@@ -115,7 +115,7 @@ mod tests {
             centre: [375.5, 239.5],
             distortion: Distortion::None,
         };
-        let rig = [RigCamera { camera, imu_from_camera: Pose::identity() }];
+        let rig = [CalibratedCamera { camera, imu_from_camera: Pose::identity() }];
         let points: Vec<Vector3<f64>> = (0..count)
             .map(|_| {
                 let depth = rng.random_range(2.0..10.0);

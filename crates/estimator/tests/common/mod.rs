@@ -3,8 +3,8 @@
 
 use estimator::propagation::ImuState;
 use estimator::{
-    CloneId, Estimator, EstimatorConfig, ImuSample, InitialState, MapAnswer, MapKeyframe, MapReport,
-    MatchedLandmark, RigCamera, TrackObservation,
+    CalibratedCamera, CloneId, Estimator, EstimatorConfig, ImuSample, InitialState, MapAnswer, MapKeyframe,
+    MapReport, MatchedLandmark, TrackObservation,
 };
 use geometry::{Camera, Distortion, Pose, PoseWithCovariance, rotation};
 use nalgebra::{Matrix3, Matrix6, Rotation3, Vector2, Vector3, Vector6};
@@ -17,7 +17,7 @@ const PIXEL_SIGMA: f64 = 0.7;
 const KEYFRAME_SIGMA: f64 = 0.01;
 
 pub struct World {
-    pub eye: RigCamera,
+    pub eye: CalibratedCamera,
     landmarks: Vec<Vector3<f64>>,
     /// True `G_T_L`.
     pub global_from_local: Pose,
@@ -59,7 +59,10 @@ impl World {
         let landmarks = landmarks.collect();
         let turn = rotation::exp(&Vector3::new(0.1, -0.05, 1.2));
         Self {
-            eye: RigCamera { camera, imu_from_camera: Pose::new(rotation, Vector3::new(0.1, 0.0, 0.05)) },
+            eye: CalibratedCamera {
+                camera,
+                imu_from_camera: Pose::new(rotation, Vector3::new(0.1, 0.0, 0.05)),
+            },
             landmarks,
             global_from_local: Pose::new(turn, Vector3::new(30.0, -12.0, 2.0)),
         }

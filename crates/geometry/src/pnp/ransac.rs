@@ -80,7 +80,7 @@ pub struct PnpSolution {
 /// # Arguments
 /// * `correspondences`: in any order, outliers among them. Points that fall behind the camera, and pixels without a ray,
 ///   are outliers.
-/// * `sigma_pixel`: standard deviation of an inlier's pixel in u and in v.
+/// * `sigma_px`: standard deviation of an inlier's pixel in u and in v.
 ///
 /// # Returns
 /// The pose with the covariance of [`refine`], and its inliers.
@@ -92,9 +92,9 @@ pub fn solve_ransac(
     camera: &Camera,
     correspondences: &[Correspondence],
     options: &RansacOptions,
-    sigma_pixel: f64,
+    sigma_px: f64,
 ) -> Result<PnpSolution, PnpError> {
-    check_options(options, sigma_pixel)?;
+    check_options(options, sigma_px)?;
     if !correspondences.iter().all(Correspondence::is_finite) {
         return Err(PnpError::InvalidInput);
     }
@@ -109,7 +109,7 @@ pub fn solve_ransac(
         }
         None => Sampler::ThreePoint,
     };
-    let search = Search { camera, correspondences, options, sigma_pixel, sampler };
+    let search = Search { camera, correspondences, options, sigma_px, sampler };
     let best = search.run();
     let found = best.as_ref().map_or(0, |support| support.inliers.len());
     let Some(support) = best.filter(|support| support.inliers.len() >= needed) else {
@@ -118,13 +118,13 @@ pub fn solve_ransac(
     search.finish(&support, needed)
 }
 
-fn check_options(options: &RansacOptions, sigma_pixel: f64) -> Result<(), PnpError> {
+fn check_options(options: &RansacOptions, sigma_px: f64) -> Result<(), PnpError> {
     let valid = options.threshold_px.is_finite()
         && options.threshold_px > 0.0
         && options.confidence > 0.0
         && options.confidence < 1.0
-        && sigma_pixel.is_finite()
-        && sigma_pixel > 0.0;
+        && sigma_px.is_finite()
+        && sigma_px > 0.0;
     if valid { Ok(()) } else { Err(PnpError::InvalidInput) }
 }
 
@@ -155,7 +155,7 @@ struct Search<'a> {
     camera: &'a Camera,
     correspondences: &'a [Correspondence],
     options: &'a RansacOptions,
-    sigma_pixel: f64,
+    sigma_px: f64,
     sampler: Sampler,
 }
 
@@ -280,7 +280,7 @@ impl Search<'_> {
 
     fn refit(&self, support: &Support) -> Result<PoseWithCovariance, PnpError> {
         let chosen: Vec<Correspondence> = support.inliers.iter().map(|&i| self.correspondences[i]).collect();
-        refine(self.camera, &chosen, &support.pose, self.sigma_pixel, REFIT_ITERATIONS, Some(HUBER_SIGMAS))
+        refine(self.camera, &chosen, &support.pose, self.sigma_px, REFIT_ITERATIONS, Some(HUBER_SIGMAS))
     }
 
     fn samples_needed(&self, inlier_ratio: f64) -> usize {

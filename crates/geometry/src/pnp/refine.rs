@@ -22,7 +22,7 @@ const MIN_CONDITION: f64 = 1e-12;
 ///
 /// # Arguments
 /// * `initial`: `world_from_camera` to start from.
-/// * `sigma_pixel`: standard deviation of a pixel in u and in v.
+/// * `sigma_px`: standard deviation of a pixel in u and in v.
 /// * `iterations`: at most so many; from a RANSAC pose 3 to 6 are used.
 /// * `huber_sigmas`: residual, in standard deviations, from which on Huber's weight falls; `None` for least squares.
 ///
@@ -37,16 +37,16 @@ pub fn refine(
     camera: &Camera,
     correspondences: &[Correspondence],
     initial: &Pose,
-    sigma_pixel: f64,
+    sigma_px: f64,
     iterations: usize,
     huber_sigmas: Option<f64>,
 ) -> Result<PoseWithCovariance, PnpError> {
-    let valid_sigma = sigma_pixel.is_finite() && sigma_pixel > 0.0;
+    let valid_sigma = sigma_px.is_finite() && sigma_px > 0.0;
     if !valid_sigma || !initial.is_finite() || !correspondences.iter().all(Correspondence::is_finite) {
         return Err(PnpError::InvalidInput);
     }
     let threshold = huber_sigmas.unwrap_or(f64::INFINITY);
-    let problem = Problem { camera, correspondences, inverse_sigma: 1.0 / sigma_pixel, threshold };
+    let problem = Problem { camera, correspondences, inverse_sigma: 1.0 / sigma_px, threshold };
     let mut pose = *initial;
     let mut current = problem.linearize(&pose);
     let mut damping = INITIAL_DAMPING;

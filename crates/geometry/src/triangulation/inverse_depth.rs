@@ -45,7 +45,7 @@ impl<'a> ViewGeometry<'a> {
         Self {
             camera,
             pixel: view.pixel,
-            inverse_sigma: 1.0 / view.sigma_pixel,
+            inverse_sigma: 1.0 / view.sigma_px,
             rotation: (parent_from_camera.rotation.inverse() * anchor.rotation)
                 .to_rotation_matrix()
                 .into_inner(),

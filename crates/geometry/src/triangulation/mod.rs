@@ -19,7 +19,7 @@ pub struct View {
     /// Distorted pixel, as the camera saw it.
     pub pixel: Vector2<f64>,
     /// Standard deviation of the pixel in u and in v, pixels.
-    pub sigma_pixel: f64,
+    pub sigma_px: f64,
 }
 
 /// When a triangulation is good enough.
@@ -184,8 +184,8 @@ fn check_input(camera_of_view: &[&Camera], views: &[View]) -> Result<(), Triangu
     let valid = |view: &View| {
         view.parent_from_camera.is_finite()
             && view.pixel.iter().all(|value| value.is_finite())
-            && view.sigma_pixel.is_finite()
-            && view.sigma_pixel > 0.0
+            && view.sigma_px.is_finite()
+            && view.sigma_px > 0.0
     };
     if views.iter().all(valid) { Ok(()) } else { Err(TriangulationError::InvalidInput) }
 }

@@ -97,7 +97,7 @@ pub(super) struct InfoRecord {
     gravity_in_global: Option<[f64; 3]>,
     descriptor_kind: u8,
     descriptor_width: u16,
-    pixel_sigma: f64,
+    sigma_px: f64,
     extractor: String,
 }
 
@@ -110,7 +110,7 @@ pub(super) struct InfoRecordV1 {
     gravity_in_global: Option<[f64; 3]>,
     descriptor_kind: u8,
     descriptor_width: u16,
-    pixel_sigma: f64,
+    sigma_px: f64,
 }
 
 impl From<InfoRecordV1> for InfoRecord {
@@ -122,7 +122,7 @@ impl From<InfoRecordV1> for InfoRecord {
             gravity_in_global: old.gravity_in_global,
             descriptor_kind: old.descriptor_kind,
             descriptor_width: old.descriptor_width,
-            pixel_sigma: old.pixel_sigma,
+            sigma_px: old.sigma_px,
             extractor: String::new(),
         }
     }
@@ -137,7 +137,7 @@ impl InfoRecord {
             gravity_in_global: info.gravity_in_global.map(Into::into),
             descriptor_kind: kind_to_byte(info.descriptor_kind),
             descriptor_width: info.descriptor_width,
-            pixel_sigma: info.pixel_sigma,
+            sigma_px: info.sigma_px,
             extractor: info.extractor.clone(),
         }
     }
@@ -150,7 +150,7 @@ impl InfoRecord {
             gravity_in_global: self.gravity_in_global.map(Vector3::from),
             descriptor_kind: kind_from_byte(self.descriptor_kind)?,
             descriptor_width: self.descriptor_width,
-            pixel_sigma: self.pixel_sigma,
+            sigma_px: self.sigma_px,
             extractor: self.extractor,
         })
     }

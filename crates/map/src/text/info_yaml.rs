@@ -26,7 +26,8 @@ pub(super) struct InfoYaml {
     gravity_in_global: Option<[f64; 3]>,
     descriptor_kind: Option<String>,
     descriptor_width: Option<u16>,
-    pixel_sigma: Option<f64>,
+    #[serde(alias = "pixel_sigma")]
+    sigma_px: Option<f64>,
     extractor: Option<String>,
 }
 
@@ -46,7 +47,7 @@ impl InfoYaml {
                 path,
                 error.to_string(),
                 "its optional keys are name, created_by, gravity_in_global, descriptor_kind, \
-                 descriptor_width, pixel_sigma and extractor",
+                 descriptor_width, sigma_px and extractor",
             )
         })
     }
@@ -70,7 +71,7 @@ impl InfoYaml {
             width,
         );
         info.gravity_in_global = self.gravity_in_global.map(Vector3::from);
-        info.pixel_sigma = self.pixel_sigma.unwrap_or(DEFAULT_PIXEL_SIGMA);
+        info.sigma_px = self.sigma_px.unwrap_or(DEFAULT_PIXEL_SIGMA);
         info.extractor = self.extractor.unwrap_or_default();
         Ok(info)
     }
@@ -100,8 +101,8 @@ pub(super) fn info_text(info: &MapInfo, observed_width: Option<u16>) -> Option<S
     if observed_width != Some(info.descriptor_width) {
         let _ = writeln!(text, "descriptor_width: {}", info.descriptor_width);
     }
-    if info.pixel_sigma.to_bits() != DEFAULT_PIXEL_SIGMA.to_bits() {
-        let _ = writeln!(text, "pixel_sigma: {}", shortest(info.pixel_sigma));
+    if info.sigma_px.to_bits() != DEFAULT_PIXEL_SIGMA.to_bits() {
+        let _ = writeln!(text, "sigma_px: {}", shortest(info.sigma_px));
     }
     if !info.extractor.is_empty() {
         let _ = writeln!(text, "extractor: {}", serde_json::Value::from(info.extractor.as_str()));

@@ -70,7 +70,7 @@ mod columns {
 }
 
 /// The covariance of `[δθ, δp]` that two standard deviations (rad, m) mean.
-pub fn isotropic_covariance(sigma_theta: f64, sigma_p: f64) -> Matrix6<f64> {
-    let [theta, position] = [sigma_theta * sigma_theta, sigma_p * sigma_p];
+pub fn isotropic_covariance(sigma_theta_rad: f64, sigma_p_m: f64) -> Matrix6<f64> {
+    let [theta, position] = [sigma_theta_rad * sigma_theta_rad, sigma_p_m * sigma_p_m];
     Matrix6::from_diagonal(&Vector6::new(theta, theta, theta, position, position, position))
 }

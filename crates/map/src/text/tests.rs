@@ -41,7 +41,7 @@ fn random_map(seed: u64, rich: bool) -> MapContents {
     if rich {
         info.name = "an \"odd\" name: with, commas\nand lines".to_owned();
         info.gravity_in_global = Some(Vector3::new(rng.random_range(-1.0..1.0), 0.3, -1.0).normalize());
-        info.pixel_sigma = 1.0 / 3.0;
+        info.sigma_px = 1.0 / 3.0;
         info.descriptor_kind = DescriptorKind::Float;
     }
     let mut contents = MapContents::empty(info);

@@ -46,8 +46,8 @@ fn sequence(seed: u64) -> Sequence {
     let reference = (0..5).map(|index| ReferencePose {
         stamp_ns: START_NS + index * 1_000_000_000,
         pose: pose(&mut rng),
-        sigma_theta: 0.0158,
-        sigma_p: 0.1,
+        sigma_theta_rad: 0.0158,
+        sigma_p_m: 0.1,
     });
     Sequence {
         root: PathBuf::new(),

@@ -4,7 +4,7 @@
 //! calibrated together is wrong together. Sizes are the given ones in every run; directions and signs are drawn.
 
 use crate::random::{Purpose, normal, normal3, stream};
-use estimator::RigCamera;
+use estimator::CalibratedCamera;
 use geometry::{Pose, rotation};
 use nalgebra::Vector3;
 use serde::Serialize;
@@ -26,20 +26,20 @@ pub struct CalibrationErrors {
 #[derive(Clone, Debug)]
 pub(crate) struct Stated {
     /// The cameras.
-    pub(crate) rig: Vec<RigCamera>,
+    pub(crate) rig: Vec<CalibratedCamera>,
     /// What is added to the true time of an image, nanoseconds.
     pub(crate) image_delay_ns: i64,
 }
 
 impl CalibrationErrors {
     /// Draws directions and signs for one run.
-    pub(crate) fn draw(&self, seed: u64, truth: &[RigCamera]) -> Stated {
+    pub(crate) fn draw(&self, seed: u64, truth: &[CalibratedCamera]) -> Stated {
         let mut rng = stream(seed, 1, Purpose::Calibration);
         let turn = direction(normal3(&mut rng)) * self.rotation_rad;
         let shift = direction(normal3(&mut rng)) * self.translation_m;
         let mut sign = || normal(&mut rng).signum();
         let (delay, longer) = (sign() * self.time_offset_s, 1.0 + sign() * self.focal_fraction);
-        let told = |eye: &RigCamera| {
+        let told = |eye: &CalibratedCamera| {
             let mut told = eye.clone();
             told.imu_from_camera = Pose::new(
                 rotation::exp(&turn) * eye.imu_from_camera.rotation,
@@ -74,7 +74,7 @@ impl CalibrationError {
     ///
     /// # Arguments
     /// * `delay_s`: by how much stamps of images are late: believed, true.
-    pub fn of(believed: &RigCamera, truth: &RigCamera, delay_s: (f64, f64)) -> Self {
+    pub fn of(believed: &CalibratedCamera, truth: &CalibratedCamera, delay_s: (f64, f64)) -> Self {
         let focal = |k: usize| (believed.camera.focal[k] / truth.camera.focal[k] - 1.0).abs();
         let (pose, true_pose) = (&believed.imu_from_camera, &truth.imu_from_camera);
         Self {

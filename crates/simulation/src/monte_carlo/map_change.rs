@@ -18,9 +18,9 @@ pub struct MapChangeOptions {
     /// When, seconds since the begin.
     pub at_s: f64,
     /// Standard deviation of the turn of the map's frame about the robot's place, rad an axis.
-    pub sigma_theta: f64,
+    pub sigma_theta_rad: f64,
     /// The same of its shift, metres an axis.
-    pub sigma_p: f64,
+    pub sigma_p_m: f64,
     /// The keyframes' own errors are drawn anew; else they stay what they are.
     pub new_errors: bool,
     /// Whether the news state these deviations; else they state none.
@@ -53,7 +53,7 @@ pub(crate) fn answers_and_change(
         return (first, None);
     };
     let mut rng = stream(seed, 0, Purpose::MapChange);
-    let (turn, shift) = (normal3(&mut rng) * change.sigma_theta, normal3(&mut rng) * change.sigma_p);
+    let (turn, shift) = (normal3(&mut rng) * change.sigma_theta_rad, normal3(&mut rng) * change.sigma_p_m);
     let stamp_ns = frames[begin].stamp_ns;
     let place = (global_from_world() * world.live_way.at(stamp_ns).pose).translation;
     let turn = rotation::exp(&turn);
@@ -69,8 +69,10 @@ pub(crate) fn answers_and_change(
         })
     });
     let scale = f64::from(u8::from(change.is_stated));
-    let size =
-        ChangeSize { sigma_rotation: scale * change.sigma_theta, sigma_position: scale * change.sigma_p };
+    let size = ChangeSize {
+        sigma_rotation: scale * change.sigma_theta_rad,
+        sigma_position: scale * change.sigma_p_m,
+    };
     let other_errors = (0..map.keyframes.len() as u64).collect();
     let news = MapRevision { from_version: 1, version: 2, other_errors, size: Some(size) };
     (before.chain(after).collect(), Some(MapChange { stamp_ns, news }))

@@ -68,9 +68,9 @@ pub struct MonteCarloOptions {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MapOptions {
     /// Standard deviation of a keyframe's rotation about each axis, rad; stated to the filter. The paper's map has 0.0158.
-    pub sigma_theta: f64,
+    pub sigma_theta_rad: f64,
     /// The same of its position along each axis, metres. The paper's map has 0.1.
-    pub sigma_p: f64,
+    pub sigma_p_m: f64,
     /// A keyframe every so many metres of way (and every 0.35 rad of turning).
     pub keyframe_distance_m: f64,
     /// How far the landmarks of a keyframe are off together in its frame, in each direction, as a part of their distance;
@@ -80,7 +80,7 @@ pub struct MapOptions {
 
 impl Default for MapOptions {
     fn default() -> Self {
-        Self { sigma_theta: 0.0158, sigma_p: 0.1, keyframe_distance_m: 2.0, shift: 0.02 }
+        Self { sigma_theta_rad: 0.0158, sigma_p_m: 0.1, keyframe_distance_m: 2.0, shift: 0.02 }
     }
 }
 

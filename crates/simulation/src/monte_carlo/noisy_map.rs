@@ -68,7 +68,7 @@ impl NoisyMap {
             sigma_px,
         };
         let covariance = Matrix6::from_diagonal(&Vector6::from_fn(|k, _| {
-            if k < 3 { options.sigma_theta.powi(2) } else { options.sigma_p.powi(2) }
+            if k < 3 { options.sigma_theta_rad.powi(2) } else { options.sigma_p_m.powi(2) }
         }));
         for world_from_imu in keyframe_poses(options, world) {
             let mut seen = visible(simulation, &world_from_imu, eye, &world.landmarks);
@@ -87,7 +87,7 @@ impl NoisyMap {
             }
             let world_from_camera = world_from_imu * eye.imu_from_camera;
             let (turn, shift) =
-                (normal3(&mut rng) * options.sigma_theta, normal3(&mut rng) * options.sigma_p);
+                (normal3(&mut rng) * options.sigma_theta_rad, normal3(&mut rng) * options.sigma_p_m);
             let error = Vector6::new(turn.x, turn.y, turn.z, shift.x, shift.y, shift.z);
             let pose = (global_from_world() * world_from_camera).retract(&-error);
             let stated = PoseWithCovariance::new(pose, covariance);
@@ -117,7 +117,7 @@ impl NoisyMap {
                     View {
                         parent_from_camera: keyframe.world_from_camera,
                         pixel: keyframe.seen[&landmark],
-                        sigma_pixel: self.sigma_px.max(0.1),
+                        sigma_px: self.sigma_px.max(0.1),
                     }
                 })
                 .collect();

@@ -125,13 +125,13 @@ fn told_calibration(runs: &VariantRuns) -> Option<String> {
     is_wrong.then(|| {
         format!(
             "told a calibration that is off by {}, ended with {} in the mean",
-            in_words(told),
-            in_words(&ended)
+            describe(told),
+            describe(&ended)
         )
     })
 }
 
-fn in_words(error: &CalibrationError) -> String {
+fn describe(error: &CalibrationError) -> String {
     let CalibrationError { deg, m, seconds, focal_fraction } = error;
     format!(
         "{deg:.2} deg, {m:.3} m, {:.1} ms, {:.2} % of focal length",

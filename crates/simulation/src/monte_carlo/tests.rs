@@ -1,22 +1,22 @@
 //! Laws of the Monte-Carlo runs.
 
 use super::*;
-use crate::Course;
+use crate::Scenario;
 use estimator::MapMode;
 use evaluation::nees_bounds;
 use evaluation::trajectory::StateKind;
 
 /// Short runs in motion.
 fn options(runs: usize, seconds: f64) -> MonteCarloOptions {
-    let course = Course::Loops;
+    let scenario = Scenario::Loops;
     MonteCarloOptions {
         runs,
         first_seed: 40,
         threads: 2,
         simulation: SimulationOptions {
-            course,
-            speed: course.usual_speed(),
-            depth_m: course.depth_m(),
+            scenario,
+            speed: scenario.usual_speed(),
+            depth_m: scenario.depth_m(),
             duration_s: Some(seconds),
             live_feature_period_s: 1e9,
             ..SimulationOptions::default()

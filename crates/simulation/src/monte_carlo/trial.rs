@@ -6,7 +6,9 @@ use super::map_change::{MapChange, answers_and_change};
 use super::{CalibrationError, MonteCarloOptions, Variant, global_from_world, start};
 use crate::run::Kind;
 use crate::{SimulatedWorld, SimulationError, simulate_world};
-use estimator::{CloneId, Estimator, EstimatorError, Localization, MapMode, RigCamera, TrackObservation};
+use estimator::{
+    CalibratedCamera, CloneId, Estimator, EstimatorError, Localization, MapMode, TrackObservation,
+};
 use evaluation::trajectory::StateRow;
 use evaluation::{RunErrors, nees, run_errors_in};
 use sensors::{Frame, Sequence, TruthRow};
@@ -94,12 +96,12 @@ struct Player<'a> {
 
 impl Seed<'_> {
     fn run(&self, variant: &Variant) -> Trial {
-        let truth: Vec<RigCamera> = self
+        let truth: Vec<CalibratedCamera> = self
             .world
             .cameras
             .iter()
             .take(variant.cameras)
-            .map(|sensor| RigCamera {
+            .map(|sensor| CalibratedCamera {
                 camera: sensor.camera.clone(),
                 imu_from_camera: sensor.imu_from_camera,
             })

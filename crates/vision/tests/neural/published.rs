@@ -110,7 +110,8 @@ fn stereo() -> (Camera, Camera, Pose) {
 #[test]
 fn most_matches_between_two_cameras_keep_the_epipolar_line() {
     let Some(path) = weights() else { return };
-    let sequence = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../target/data/images/v1_01_keyframes/mav0");
+    let sequence =
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("../../target/data/images/v1_01_keyframes/mav0");
     if !sequence.exists() {
         eprintln!("images/v1_01_keyframes is not unpacked in target/data: nothing to run");
         return;

@@ -9,7 +9,7 @@ use super::landmark::{self, Landmark};
 use super::landmark_block::{LandmarkBlock, landmark_cost};
 use super::normal_equations::{NormalEquations, Step, cost};
 use super::window::{Window, images_of};
-use crate::calibration::RigCamera;
+use crate::calibration::CalibratedCamera;
 use crate::config::EstimatorConfig;
 use crate::propagation::{IMU_DIM, ImuMatrix, ImuState};
 use nalgebra::{DVector, Vector3};
@@ -63,7 +63,7 @@ pub struct Settings<'a> {
     /// The readings between images k and k + 1.
     pub intervals: &'a [Interval],
     /// The cameras.
-    pub rig: &'a [RigCamera],
+    pub rig: &'a [CalibratedCamera],
     /// Noise, gravity, prior standard deviations.
     pub config: &'a EstimatorConfig,
     /// What is believed of the gyroscope's bias beforehand, rad/s.
@@ -127,7 +127,7 @@ pub struct Adjusted {
     /// Sum of squares over its degrees of freedom; 1 is right.
     pub reduced_chi_square: f64,
     /// Standard deviation of the length of the way through the window, as a part of it.
-    pub scale_sigma: f64,
+    pub sigma_scale: f64,
     /// Part of the sightings that were dropped as outliers.
     pub outliers: f64,
 }
@@ -158,7 +158,7 @@ pub fn adjust(settings: &Settings<'_>, guess: Estimate) -> Result<Adjusted, NotY
     let covariance = inverse.transpose() * inverse;
 
     let way = way(&estimate);
-    let scale_sigma = way.dot(&factor.solve(&way)).sqrt() / way.norm_squared();
+    let sigma_scale = way.dot(&factor.solve(&way)).sqrt() / way.norm_squared();
     let cost = cost(settings, &estimate, Loss::Square);
     // Rows: two a sighting, 15 an interval, 6 of the biases. Unknowns: 15 a state less the four of the gauge, 3 a
     // landmark.
@@ -167,7 +167,7 @@ pub fn adjust(settings: &Settings<'_>, guess: Estimate) -> Result<Adjusted, NotY
         estimate,
         covariance,
         reduced_chi_square: 2.0 * cost / freedom.max(1.0),
-        scale_sigma,
+        sigma_scale,
         outliers: 1.0 - kept as f64 / all.max(1) as f64,
     })
 }

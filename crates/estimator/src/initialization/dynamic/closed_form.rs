@@ -13,7 +13,7 @@
 
 use super::NotYet;
 use super::window::{StartTrack, Window};
-use crate::calibration::RigCamera;
+use crate::calibration::CalibratedCamera;
 use crate::config::EstimatorConfig;
 use crate::imu::ImuSample;
 use crate::propagation::{ImuState, MotionEstimate, propagate};
@@ -96,7 +96,7 @@ struct TrackSystem {
 /// [`NotYet::NoParallax`] where the tracks do not tell.
 pub fn solve(
     window: &Window,
-    rig: &[RigCamera],
+    rig: &[CalibratedCamera],
     integrated: &Integrated,
     gravity: f64,
 ) -> Result<FirstMotion, NotYet> {
@@ -127,7 +127,7 @@ pub fn solve(
 /// Camera centre and ray of a sighting in the axes of the first body, velocity and gravity left out.
 fn seen(
     sighting: &super::window::StartSighting,
-    rig: &[RigCamera],
+    rig: &[CalibratedCamera],
     integrated: &Integrated,
 ) -> (Vector3<f64>, Vector3<f64>) {
     let first_from_camera = integrated.first_from_body[sighting.image] * rig[sighting.camera].imu_from_camera;
@@ -138,7 +138,7 @@ fn track_system(
     window: &Window,
     track: &StartTrack,
     weights: &[f64],
-    rig: &[RigCamera],
+    rig: &[CalibratedCamera],
     integrated: &Integrated,
 ) -> TrackSystem {
     let mut system = TrackSystem {
@@ -167,7 +167,7 @@ fn track_system(
 /// New weights from a solution: a ray counts by its angle, an outlying track not at all.
 fn reweight(
     window: &Window,
-    rig: &[RigCamera],
+    rig: &[CalibratedCamera],
     integrated: &Integrated,
     motion: &FirstMotion,
     weights: &mut [TrackWeights],

@@ -8,7 +8,7 @@
 //! bias of the gyroscope from it).
 
 use super::window::Window;
-use crate::calibration::RigCamera;
+use crate::calibration::CalibratedCamera;
 use crate::imu::{ImuSample, Readings};
 use geometry::Rotation;
 use geometry::rotation::{exp, right_jacobian, skew};
@@ -57,7 +57,7 @@ struct Pair<'a> {
 /// * `sigma_px`: noise of a pixel, px.
 pub fn refine_bias(
     window: &Window,
-    rig: &[RigCamera],
+    rig: &[CalibratedCamera],
     prior: &Vector3<f64>,
     prior_sigma: f64,
     sigma_px: f64,

@@ -7,7 +7,7 @@
 //! the point in that camera times ρ, so that far points are as good as near ones (Civera et al., T-RO 2008).
 
 use super::window::StartSighting;
-use crate::calibration::RigCamera;
+use crate::calibration::CalibratedCamera;
 use crate::propagation::ImuState;
 use geometry::{Pose, rotation::skew};
 use nalgebra::{Matrix2x3, Matrix2x6, Matrix3, Vector2, Vector3};
@@ -46,7 +46,7 @@ fn scaled_in_local(
     landmark: &Landmark,
     anchor: &StartSighting,
     states: &[ImuState],
-    rig: &[RigCamera],
+    rig: &[CalibratedCamera],
 ) -> (Pose, Vector3<f64>) {
     let eye = &rig[anchor.camera].imu_from_camera;
     let body = states[anchor.image].local_from_imu;
@@ -60,7 +60,7 @@ pub fn residual(
     anchor: &StartSighting,
     sighting: &StartSighting,
     states: &[ImuState],
-    rig: &[RigCamera],
+    rig: &[CalibratedCamera],
 ) -> Option<Vector2<f64>> {
     let (anchor_body, from_anchor) = scaled_in_local(landmark, anchor, states, rig);
     let body = &states[sighting.image].local_from_imu;
@@ -77,7 +77,7 @@ pub fn linearize(
     anchor: &StartSighting,
     sighting: &StartSighting,
     states: &[ImuState],
-    rig: &[RigCamera],
+    rig: &[CalibratedCamera],
 ) -> Option<SightingRow> {
     let rho = landmark.inverse_depth;
     let (anchor_body, from_anchor) = scaled_in_local(landmark, anchor, states, rig);

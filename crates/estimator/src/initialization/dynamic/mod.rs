@@ -4,7 +4,7 @@
 //! 2. [`closed_form`]: velocity and gravity from rays and readings, linear, without any first guess.
 //! 3. [`adjustment`]: least squares over poses, velocities, biases and landmarks, and from its information
 //!    matrix the covariance of the newest state.
-//! 4. [`belief`]: whether all of that can be believed.
+//! 4. [`init_quality`]: whether all of that can be believed.
 //!
 //! One camera that moves at constant velocity does not see how fast: nothing then tells a near small world from
 //! a far large one. The covariance shows that, and the start is refused until the velocity has changed.
@@ -12,10 +12,10 @@
 //! L gets its origin at the newest body, z up and no yaw, as with the other starts.
 
 pub mod adjustment;
-pub mod belief;
 pub mod closed_form;
 pub mod gyroscope;
 pub mod inertial;
+pub mod init_quality;
 pub mod landmark;
 pub mod landmark_block;
 pub mod normal_equations;
@@ -23,10 +23,10 @@ pub mod normal_equations;
 mod tests;
 pub mod window;
 
-pub use belief::Belief;
+pub use init_quality::InitQuality;
 pub use window::{StartImage, Window};
 
-use crate::calibration::RigCamera;
+use crate::calibration::CalibratedCamera;
 use crate::config::EstimatorConfig;
 use crate::initialization::static_initialization::{InitialState, upright};
 use crate::propagation::{ImuMatrix, ImuState};
@@ -110,10 +110,10 @@ pub struct BiasPrior {
 /// [`NotYet`] says what is missing.
 pub fn dynamic_start(
     window: &Window,
-    rig: &[RigCamera],
+    rig: &[CalibratedCamera],
     config: &EstimatorConfig,
     prior: &BiasPrior,
-) -> Result<(InitialState, Belief), NotYet> {
+) -> Result<(InitialState, InitQuality), NotYet> {
     if window.tracks.len() < LEAST_TRACKS {
         return Err(NotYet::TooFewTracks { have: window.tracks.len(), need: LEAST_TRACKS });
     }
@@ -137,9 +137,9 @@ pub fn dynamic_start(
         accelerometer_bias: prior.accelerometer,
     };
     let adjusted = adjust(&settings, Estimate { states, landmarks })?;
-    let belief = Belief::new(&adjusted)?;
+    let init_quality = InitQuality::new(&adjusted)?;
     let stamp_ns = window.stamps_ns[window.stamps_ns.len() - 1];
-    Ok((without_yaw(stamp_ns, adjusted.estimate.newest(), &adjusted.covariance), belief))
+    Ok((without_yaw(stamp_ns, adjusted.estimate.newest(), &adjusted.covariance), init_quality))
 }
 
 /// The states at all images, in axes with z up and the origin at the newest.
@@ -173,7 +173,12 @@ fn first_states(
 }
 
 /// All tracks as landmarks; where the first guess tells no depth, a far one, which the adjustment moves.
-fn first_landmarks(window: &Window, rig: &[RigCamera], states: &[ImuState], sigma_px: f64) -> Vec<Entry> {
+fn first_landmarks(
+    window: &Window,
+    rig: &[CalibratedCamera],
+    states: &[ImuState],
+    sigma_px: f64,
+) -> Vec<Entry> {
     let options = TriangulationOptions { huber_sigmas: 2.0, ..TriangulationOptions::default() };
     let entry = |(place, track): (usize, &window::StartTrack)| {
         let cameras: Vec<_> = track.iter().map(|sighting| &rig[sighting.camera].camera).collect();
@@ -183,7 +188,7 @@ fn first_landmarks(window: &Window, rig: &[RigCamera], states: &[ImuState], sigm
                 parent_from_camera: states[sighting.image].local_from_imu
                     * rig[sighting.camera].imu_from_camera,
                 pixel: sighting.pixel,
-                sigma_pixel: sigma_px,
+                sigma_px,
             })
             .collect();
         let found = triangulate(&cameras, &views, &options)

@@ -1,7 +1,7 @@
 //! What a start in motion has to go by: a second or two of images and the IMU readings in between.
 
 use super::NotYet;
-use crate::calibration::RigCamera;
+use crate::calibration::CalibratedCamera;
 use crate::imu::{ImuBuffer, Readings};
 use crate::odometry::tracks::TrackObservation;
 use nalgebra::{Vector2, Vector3};
@@ -59,7 +59,7 @@ impl Window {
     ///
     /// # Errors
     /// [`NotYet::TooFewImages`], [`NotYet::NoImu`] where readings are missing.
-    pub fn new(images: &[StartImage], imu: &ImuBuffer, rig: &[RigCamera]) -> Result<Self, NotYet> {
+    pub fn new(images: &[StartImage], imu: &ImuBuffer, rig: &[CalibratedCamera]) -> Result<Self, NotYet> {
         if images.len() < LEAST_IMAGES {
             return Err(NotYet::TooFewImages { have: images.len(), need: LEAST_IMAGES });
         }
@@ -79,7 +79,7 @@ impl Window {
 }
 
 /// The tracks that were seen in the most images; of equals those of the smaller name.
-fn longest_tracks(images: &[StartImage], rig: &[RigCamera]) -> Vec<StartTrack> {
+fn longest_tracks(images: &[StartImage], rig: &[CalibratedCamera]) -> Vec<StartTrack> {
     let mut running: BTreeMap<u64, StartTrack> = BTreeMap::new();
     let mut tracks: Vec<StartTrack> = Vec::new();
     for (image, seen) in images.iter().enumerate() {
@@ -125,7 +125,7 @@ mod tests {
             centre: [320.0, 240.0],
             distortion: Distortion::None,
         };
-        let rig = [RigCamera { camera, imu_from_camera: Pose::identity() }];
+        let rig = [CalibratedCamera { camera, imu_from_camera: Pose::identity() }];
         let seen: [&[u64]; 10] =
             [&[1, 2], &[1, 2], &[1, 2], &[1, 2], &[1], &[1, 2], &[1, 2], &[1, 2], &[1, 2], &[1, 2]];
         let images: Vec<StartImage> = (0..)

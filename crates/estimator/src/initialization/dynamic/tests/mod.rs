@@ -11,7 +11,7 @@ use nalgebra::{DMatrix, DVector, Vector2};
 use rand::{SeedableRng as _, rngs::StdRng};
 use world::{Run, USUAL, World, normal, rig, vector, world};
 
-fn start(world: &World) -> Result<(InitialState, Belief), NotYet> {
+fn start(world: &World) -> Result<(InitialState, InitQuality), NotYet> {
     dynamic_start(&world.window, &world.rig, &world.config, &BiasPrior::default())
 }
 
@@ -147,12 +147,12 @@ fn errors_of_starts_are_what_their_covariances_say() {
         let (mut sum, mut runs) = (0.0, 0);
         for seed in 0..24 {
             let world = world(Run { seed, stereo, ..USUAL });
-            let Ok((start, belief)) = start(&world) else { continue };
+            let Ok((start, init_quality)) = start(&world) else { continue };
             let (error, nees) = error(&world, &start);
             assert!(nees < 45.0, "seed {seed}: NEES {nees} of 11, {error}");
             let speed = world.truth.velocity.norm();
             let off = (start.imu.velocity.norm() / speed - 1.0).abs();
-            assert!(off < 5.0 * belief.scale_sigma + 0.01, "seed {seed}: speed off by {off}");
+            assert!(off < 5.0 * init_quality.sigma_scale + 0.01, "seed {seed}: speed off by {off}");
             sum += nees;
             runs += 1;
         }
@@ -181,8 +181,8 @@ fn one_camera_at_constant_velocity_does_not_start_and_two_do() {
 fn outliers_do_not_spoil_a_start() {
     for seed in 0..6 {
         let world = world(Run { seed, outliers: 0.02, ..USUAL });
-        let (start, belief) = start(&world).unwrap();
-        assert!((0.01..0.04).contains(&belief.outliers), "seed {seed}: {}", belief.outliers);
+        let (start, init_quality) = start(&world).unwrap();
+        assert!((0.01..0.04).contains(&init_quality.outliers), "seed {seed}: {}", init_quality.outliers);
         let (error, nees) = error(&world, &start);
         assert!(nees < 45.0, "seed {seed}: NEES {nees}, {error}");
     }

@@ -1,6 +1,6 @@
 //! A small world whose truth is known: a body that swings and shakes before a wall of landmarks.
 
-use crate::calibration::RigCamera;
+use crate::calibration::CalibratedCamera;
 use crate::config::EstimatorConfig;
 use crate::imu::{ImuBuffer, ImuSample};
 use crate::initialization::dynamic::{StartImage, Window};
@@ -38,7 +38,7 @@ pub fn vector(rng: &mut StdRng) -> Vector3<f64> {
     Vector3::from_fn(|_, _| normal(rng))
 }
 
-pub fn rig(stereo: bool) -> Vec<RigCamera> {
+pub fn rig(stereo: bool) -> Vec<CalibratedCamera> {
     let camera = Camera {
         width: 752,
         height: 480,
@@ -46,7 +46,7 @@ pub fn rig(stereo: bool) -> Vec<RigCamera> {
         centre: [370.0, 245.0],
         distortion: Distortion::RadialTangential([-0.28, 0.07, 2e-4, 2e-5]),
     };
-    let eye = |x: f64| RigCamera {
+    let eye = |x: f64| CalibratedCamera {
         camera: camera.clone(),
         imu_from_camera: Pose::new(exp(&Vector3::new(0.1, -0.2, 1.5)), Vector3::new(x, 0.02, 0.01)),
     };
@@ -56,7 +56,7 @@ pub fn rig(stereo: bool) -> Vec<RigCamera> {
 /// A motion, its readings and what it sees.
 pub struct World {
     pub window: Window,
-    pub rig: Vec<RigCamera>,
+    pub rig: Vec<CalibratedCamera>,
     pub config: EstimatorConfig,
     /// At the newest image, in axes with z up.
     pub truth: ImuState,

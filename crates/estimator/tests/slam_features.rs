@@ -55,9 +55,9 @@ fn what_enters_the_state_is_correlated_as_in_the_dense_filter() {
 }
 
 /// Runs for `frames` images, of which the pixels of the features `spoiled` are wrong from `from` on.
-fn run(state_landmarks: usize, frames: i64, spoiled: std::ops::Range<u64>, from: i64) -> (f64, TrackReport) {
+fn run(slam_features: usize, frames: i64, spoiled: std::ops::Range<u64>, from: i64) -> (f64, TrackReport) {
     let world = World::new();
-    let config = EstimatorConfig { state_landmarks, window: 8, ..EstimatorConfig::default() };
+    let config = EstimatorConfig { slam_features, window: 8, ..EstimatorConfig::default() };
     let mut estimator = world.estimator(config);
     let (mut worst, mut last) = (0.0_f64, TrackReport::default());
     for frame in 1..=frames {

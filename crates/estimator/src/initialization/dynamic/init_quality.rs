@@ -15,9 +15,9 @@ const BEHIND: f64 = 0.1;
 
 /// Why a start was believed.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Belief {
+pub struct InitQuality {
     /// Standard deviation of the length of the way through the window, as a part of it.
-    pub scale_sigma: f64,
+    pub sigma_scale: f64,
     /// Sum of squares over its degrees of freedom.
     pub chi_square: f64,
     /// Part of the sightings that were outliers.
@@ -26,34 +26,34 @@ pub struct Belief {
     pub landmarks: usize,
 }
 
-impl Belief {
+impl InitQuality {
     /// Judges an adjusted window.
     ///
     /// # Errors
     /// [`NotYet::Contradiction`], [`NotYet::ScaleUnknown`].
     pub fn new(adjusted: &Adjusted) -> Result<Self, NotYet> {
-        let belief = Self {
-            scale_sigma: adjusted.scale_sigma,
+        let init_quality = Self {
+            sigma_scale: adjusted.sigma_scale,
             chi_square: adjusted.reduced_chi_square,
             outliers: adjusted.outliers,
             landmarks: adjusted.estimate.landmarks.len(),
         };
         let behind =
             adjusted.estimate.landmarks.iter().filter(|entry| entry.landmark.inverse_depth < -0.05).count();
-        let fits = belief.chi_square <= CHI_SQUARE
-            && belief.outliers <= OUTLIERS
-            && behind as f64 <= BEHIND * belief.landmarks as f64;
+        let fits = init_quality.chi_square <= CHI_SQUARE
+            && init_quality.outliers <= OUTLIERS
+            && behind as f64 <= BEHIND * init_quality.landmarks as f64;
         if !fits {
             return Err(NotYet::Contradiction {
-                chi_square: belief.chi_square,
-                outliers: 100.0 * belief.outliers,
+                chi_square: init_quality.chi_square,
+                outliers: 100.0 * init_quality.outliers,
             });
         }
-        let known = belief.scale_sigma <= SCALE_SIGMA;
+        let known = init_quality.sigma_scale <= SCALE_SIGMA;
         if !known {
-            let percent = 100.0 * belief.scale_sigma;
+            let percent = 100.0 * init_quality.sigma_scale;
             return Err(NotYet::ScaleUnknown { percent, need: 100.0 * SCALE_SIGMA });
         }
-        Ok(belief)
+        Ok(init_quality)
     }
 }

@@ -2,8 +2,8 @@
 #![allow(clippy::unwrap_used)]
 
 use estimator::{
-    EstimatorConfig, ImuSample, LastBelieved, RigCamera, Start, StartMethod, Starter, TrackObservation,
-    Waiting,
+    CalibratedCamera, EstimatorConfig, ImuSample, InitMethod, InitStatus, Initializer, LastTrustedPose,
+    Start, TrackObservation,
 };
 use geometry::{Camera, Distortion, Pose, rotation};
 use nalgebra::Vector3;
@@ -14,7 +14,7 @@ const FRAME_NS: i64 = 50_000_000;
 /// Tilt of the body.
 const TILT: Vector3<f64> = Vector3::new(0.3, -0.2, 0.0);
 
-fn rig() -> Vec<RigCamera> {
+fn rig() -> Vec<CalibratedCamera> {
     let camera = Camera {
         width: 640,
         height: 480,
@@ -22,11 +22,15 @@ fn rig() -> Vec<RigCamera> {
         centre: [320.0, 240.0],
         distortion: Distortion::None,
     };
-    vec![RigCamera { camera, imu_from_camera: Pose::identity() }]
+    vec![CalibratedCamera { camera, imu_from_camera: Pose::identity() }]
 }
 
 /// Readings of a body without acceleration and images of one that moves at `velocity` (m/s), until it starts.
-fn watch(mut starter: Starter, velocity: Vector3<f64>, seconds: f64) -> Result<(f64, Start), Vec<Waiting>> {
+fn watch(
+    mut initializer: Initializer,
+    velocity: Vector3<f64>,
+    seconds: f64,
+) -> Result<(f64, Start), Vec<InitStatus>> {
     let mut rng = StdRng::seed_from_u64(4);
     let mut draw = |low: f64, high: f64| rng.random_range(low..high);
     let points: Vec<Vector3<f64>> =
@@ -37,7 +41,7 @@ fn watch(mut starter: Starter, velocity: Vector3<f64>, seconds: f64) -> Result<(
         let stamp_ns = step * IMU_NS;
         let shiver = Vector3::repeat(0.002 * (step as f64).sin());
         let force = rotation.inverse() * Vector3::new(0.0, 0.0, 9.81) + shiver;
-        starter.imu(ImuSample { stamp_ns, gyroscope: shiver * 0.1, accelerometer: force }).unwrap();
+        initializer.imu(ImuSample { stamp_ns, gyroscope: shiver * 0.1, accelerometer: force }).unwrap();
         if stamp_ns % FRAME_NS != 0 {
             continue;
         }
@@ -53,7 +57,7 @@ fn watch(mut starter: Starter, velocity: Vector3<f64>, seconds: f64) -> Result<(
             })
         };
         let tracks: Vec<_> = points.iter().enumerate().filter_map(see).collect();
-        match starter.image(stamp_ns, &tracks) {
+        match initializer.image(stamp_ns, &tracks) {
             Ok(start) => return Ok((stamp_ns as f64 * 1e-9, start)),
             Err(waiting) => waited.push(waiting),
         }
@@ -64,8 +68,8 @@ fn watch(mut starter: Starter, velocity: Vector3<f64>, seconds: f64) -> Result<(
 #[test]
 fn a_body_that_stands_starts_after_half_a_second() {
     let (seconds, start) =
-        watch(Starter::new(EstimatorConfig::default(), rig()), Vector3::zeros(), 3.0).unwrap();
-    assert_eq!(start.method, StartMethod::Rest);
+        watch(Initializer::new(EstimatorConfig::default(), rig()), Vector3::zeros(), 3.0).unwrap();
+    assert_eq!(start.method, InitMethod::Rest);
     assert!(seconds <= 0.55, "{seconds} s");
     let up = start.initial.imu.local_from_imu.rotation * (rotation::exp(&TILT).inverse() * Vector3::z());
     assert!((up - Vector3::z()).norm() < 0.01);
@@ -74,7 +78,7 @@ fn a_body_that_stands_starts_after_half_a_second() {
 #[test]
 fn gliding_is_not_rest_and_one_camera_that_glides_never_starts() {
     let glide = Vector3::new(0.4, 0.1, 0.0);
-    let waited = watch(Starter::new(EstimatorConfig::default(), rig()), glide, 6.0).unwrap_err();
+    let waited = watch(Initializer::new(EstimatorConfig::default(), rig()), glide, 6.0).unwrap_err();
     let last = waited.last().unwrap().to_string();
     assert!(last.contains("the images move") && last.contains("no start in motion"), "{last}");
 }
@@ -82,13 +86,13 @@ fn gliding_is_not_rest_and_one_camera_that_glides_never_starts() {
 #[test]
 fn the_next_start_takes_position_and_yaw_of_the_last_believed_pose() {
     let turn = rotation::exp(&Vector3::new(0.0, 0.0, 1.2)) * rotation::exp(&TILT);
-    let last = LastBelieved {
+    let last = LastTrustedPose {
         stamp_ns: 0,
         local_from_imu: Pose::new(turn, Vector3::new(5.0, -3.0, 1.0)),
         gyroscope_bias: Vector3::zeros(),
     };
-    let starter = Starter::again(EstimatorConfig::default(), rig(), Some(last), 1_000_000_000);
-    let (seconds, start) = watch(starter, Vector3::zeros(), 3.0).unwrap();
+    let initializer = Initializer::again(EstimatorConfig::default(), rig(), Some(last), 1_000_000_000);
+    let (seconds, start) = watch(initializer, Vector3::zeros(), 3.0).unwrap();
     assert!(seconds >= 1.0, "not before the pause is over");
     let placed = start.initial.imu.local_from_imu;
     assert_eq!(placed.translation, last.local_from_imu.translation);

@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used, missing_docs)]
 
 use rand::{RngExt, SeedableRng, rngs::StdRng};
-use vision::{DescriptorError, DescriptorView, Metric, WordIndex, distance, looks};
+use vision::{DescriptorError, DescriptorView, InvertedFile, Metric, distance, looks};
 
 const METRICS: [(Metric, usize); 4] =
     [(Metric::Hamming, 32), (Metric::CosineInt8, 64), (Metric::Cosine, 64), (Metric::Euclidean, 64)];
@@ -34,7 +34,7 @@ fn clustered(metric: Metric, width: usize, count: usize, seed: u64) -> Vec<u8> {
         .collect()
 }
 
-fn found(index: &WordIndex, queries: DescriptorView<'_>, max_distance: f32) -> Vec<Vec<(u32, f32)>> {
+fn found(index: &InvertedFile, queries: DescriptorView<'_>, max_distance: f32) -> Vec<Vec<(u32, f32)>> {
     let mut all = Vec::new();
     index
         .search(queries, max_distance, |query, hits| {
@@ -54,7 +54,7 @@ fn what_is_found_is_as_near_as_said_and_most_of_what_is_near_is_found() {
         let queries = clustered(metric, width, 300, 1);
         let view = |bytes| DescriptorView::new(metric, width, bytes).unwrap();
         let payloads: Vec<u32> = (0..4000).collect();
-        let index = WordIndex::build(view(&stored), &payloads).unwrap();
+        let index = InvertedFile::build(view(&stored), &payloads).unwrap();
         let max_distance = if metric == Metric::Euclidean { 90.0 } else { 0.15 };
         let (mut near, mut seen) = (0, 0);
         for (query, hits) in queries.chunks(width).zip(found(&index, view(&queries), max_distance)) {
@@ -77,7 +77,7 @@ fn the_order_of_queries_does_not_matter_and_each_stored_one_finds_itself() {
         let stored = clustered(metric, width, 1500, 3);
         let view = |bytes| DescriptorView::new(metric, width, bytes).unwrap();
         let payloads: Vec<u32> = (0..1500).collect();
-        let index = WordIndex::build(view(&stored), &payloads).unwrap();
+        let index = InvertedFile::build(view(&stored), &payloads).unwrap();
         let there = found(&index, view(&stored), 0.01);
         assert!(there.iter().enumerate().all(|(own, hits)| hits.iter().any(|hit| hit.0 as usize == own)));
         let reversed: Vec<u8> = stored.chunks(width).rev().flatten().copied().collect();
@@ -90,15 +90,15 @@ fn the_order_of_queries_does_not_matter_and_each_stored_one_finds_itself() {
 #[test]
 fn what_cannot_be_filed_or_searched_is_refused() {
     let view = DescriptorView::new(Metric::CosineInt8, 2, &[1, 2, 3, 4]).unwrap();
-    assert!(matches!(WordIndex::build(view, &[1]), Err(DescriptorError::Groups { .. })));
-    let index = WordIndex::build(view, &[1, 2]).unwrap();
+    assert!(matches!(InvertedFile::build(view, &[1]), Err(DescriptorError::Groups { .. })));
+    let index = InvertedFile::build(view, &[1, 2]).unwrap();
     let wide = DescriptorView::new(Metric::CosineInt8, 4, &[1, 2, 3, 4]).unwrap();
     let bits = DescriptorView::new(Metric::Hamming, 2, &[1, 2]).unwrap();
     for other in [wide, bits] {
         assert!(matches!(index.search(other, 0.1, |_, _| {}), Err(DescriptorError::Mismatch { .. })));
     }
     let none = DescriptorView::new(Metric::CosineInt8, 2, &[]).unwrap();
-    let empty = WordIndex::build(none, &[]).unwrap();
+    let empty = InvertedFile::build(none, &[]).unwrap();
     assert!(empty.is_empty() && found(&empty, view, 2.0).iter().all(Vec::is_empty));
 }
 

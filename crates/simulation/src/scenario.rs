@@ -20,7 +20,7 @@ const ROOM_S: f64 = 300.0;
 
 /// A built-in way.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Course {
+pub enum Scenario {
     /// Once round a block of houses, 326 m, from rest to rest.
     #[default]
     Block,
@@ -30,7 +30,7 @@ pub enum Course {
     Room,
 }
 
-impl Course {
+impl Scenario {
     /// Usual speed, m/s; that of a hand is its own.
     pub fn usual_speed(self) -> f64 {
         match self {
@@ -48,7 +48,7 @@ impl Course {
     }
 
     /// Whether the body stands still at first.
-    pub(crate) fn begins_at_rest(self) -> bool {
+    pub(crate) fn starts_at_rest(self) -> bool {
         self != Self::Loops
     }
 
@@ -139,19 +139,19 @@ mod tests {
 
     #[test]
     fn streets_are_closed_and_their_heading_is_their_direction() {
-        for course in [Course::Block, Course::Loops] {
+        for scenario in [Scenario::Block, Scenario::Loops] {
             let step = 1e-4;
             for index in 0..1000 {
-                let s = f64::from(index) / 1000.0 * course.lap_length();
+                let s = f64::from(index) / 1000.0 * scenario.lap_length();
                 let ((here, heading), (next, _)) =
-                    (course.middle_of_street(s), course.middle_of_street(s + step));
+                    (scenario.middle_of_street(s), scenario.middle_of_street(s + step));
                 let direction = (next - here) / step;
                 assert!((direction - Vector2::new(heading.cos(), heading.sin())).amax() < 1e-4, "at {s}");
             }
             let (start, (end, _)) =
-                (course.middle_of_street(0.0).0, course.middle_of_street(course.length()));
+                (scenario.middle_of_street(0.0).0, scenario.middle_of_street(scenario.length()));
             assert!((start - end).norm() < 1e-6);
         }
-        assert!(Course::Block.lap_length() > 300.0 && (Course::Loops.length() - 1257.0).abs() < 1.0);
+        assert!(Scenario::Block.lap_length() > 300.0 && (Scenario::Loops.length() - 1257.0).abs() < 1.0);
     }
 }

@@ -5,8 +5,8 @@
 //! of the last pose that was believed. The place in the map is not taken along; a new filter asks for it.
 
 use estimator::{
-    Estimator, EstimatorConfig, EstimatorError, ImuSample, LastBelieved, Localization, RigCamera, Start,
-    StartMethod, Starter, Status, TrackObservation, Waiting,
+    CalibratedCamera, Estimator, EstimatorConfig, EstimatorError, ImuSample, InitMethod, InitStatus,
+    Initializer, LastTrustedPose, Localization, Start, Status, TrackObservation,
 };
 
 /// A filter that lived shorter than this was started badly, nanoseconds.
@@ -22,48 +22,48 @@ const WARN_EVERY_NS: i64 = 10_000_000_000;
 /// What the filter is at.
 #[derive(Debug)]
 enum Phase {
-    Starting(Box<Starter>),
+    Initializing(Box<Initializer>),
     Running(Box<Estimator>),
 }
 
 /// The filter, or the search for its start.
 #[derive(Debug)]
-pub struct Lifecycle {
+pub struct EstimatorSupervisor {
     config: EstimatorConfig,
-    rig: Vec<RigCamera>,
+    rig: Vec<CalibratedCamera>,
     phase: Phase,
     /// Time of the newest start, nanoseconds.
     started_ns: i64,
-    last: Option<LastBelieved>,
+    last: Option<LastTrustedPose>,
     bad_starts: i32,
     /// Why the last filter was given up.
     gave_up: Option<String>,
-    waiting: Waiting,
+    waiting: InitStatus,
     /// When it is said next that there is no start, nanoseconds.
     next_warning_ns: Option<i64>,
 }
 
-impl Lifecycle {
+impl EstimatorSupervisor {
     /// A filter that runs already, from its present state on.
-    pub fn running(estimator: Estimator, rig: Vec<RigCamera>) -> Self {
-        let mut lifecycle = Self::searching(estimator.config().clone(), rig);
-        lifecycle.started_ns = estimator.stamp_ns();
-        lifecycle.phase = Phase::Running(Box::new(estimator));
-        lifecycle
+    pub fn running(estimator: Estimator, rig: Vec<CalibratedCamera>) -> Self {
+        let mut estimator_supervisor = Self::searching(estimator.config().clone(), rig);
+        estimator_supervisor.started_ns = estimator.stamp_ns();
+        estimator_supervisor.phase = Phase::Running(Box::new(estimator));
+        estimator_supervisor
     }
 
     /// A filter whose start is still to be found.
-    pub fn searching(config: EstimatorConfig, rig: Vec<RigCamera>) -> Self {
-        let starter = Starter::new(config.clone(), rig.clone());
+    pub fn searching(config: EstimatorConfig, rig: Vec<CalibratedCamera>) -> Self {
+        let initializer = Initializer::new(config.clone(), rig.clone());
         Self {
             config,
             rig,
-            phase: Phase::Starting(Box::new(starter)),
+            phase: Phase::Initializing(Box::new(initializer)),
             started_ns: i64::MAX,
             last: None,
             bad_starts: 0,
             gave_up: None,
-            waiting: Waiting::Data,
+            waiting: InitStatus::Data,
             next_warning_ns: None,
         }
     }
@@ -77,7 +77,7 @@ impl Lifecycle {
     pub fn estimator(&self) -> Option<&Estimator> {
         match &self.phase {
             Phase::Running(estimator) => Some(estimator),
-            Phase::Starting(_) => None,
+            Phase::Initializing(_) => None,
         }
     }
 
@@ -85,7 +85,7 @@ impl Lifecycle {
     pub fn estimator_mut(&mut self) -> Option<&mut Estimator> {
         match &mut self.phase {
             Phase::Running(estimator) => Some(estimator),
-            Phase::Starting(_) => None,
+            Phase::Initializing(_) => None,
         }
     }
 
@@ -107,7 +107,7 @@ impl Lifecycle {
     /// [`EstimatorError::BadImu`]: it was dropped.
     pub fn imu(&mut self, sample: ImuSample) -> Result<(), EstimatorError> {
         match &mut self.phase {
-            Phase::Starting(starter) => starter.imu(sample),
+            Phase::Initializing(initializer) => initializer.imu(sample),
             Phase::Running(estimator) => estimator.imu(sample),
         }
     }
@@ -123,9 +123,9 @@ impl Lifecycle {
         &mut self,
         stamp_ns: i64,
         tracks: &[TrackObservation],
-    ) -> Result<Option<StartMethod>, EstimatorError> {
-        let Phase::Starting(starter) = &mut self.phase else { return Ok(None) };
-        let Start { initial, method } = match starter.image(stamp_ns, tracks) {
+    ) -> Result<Option<InitMethod>, EstimatorError> {
+        let Phase::Initializing(initializer) = &mut self.phase else { return Ok(None) };
+        let Start { initial, method } = match initializer.image(stamp_ns, tracks) {
             Ok(start) => start,
             Err(waiting) => {
                 self.wait(stamp_ns, waiting);
@@ -134,7 +134,7 @@ impl Lifecycle {
         };
         self.next_warning_ns = None;
         let mut estimator = Estimator::new(self.config.clone(), self.rig.clone(), &initial)?;
-        for reading in starter.readings_for(&initial) {
+        for reading in initializer.readings_for(&initial) {
             estimator.imu(*reading)?;
         }
         self.started_ns = initial.stamp_ns;
@@ -143,7 +143,7 @@ impl Lifecycle {
     }
 
     /// Remembers what is waited for, and says so when it takes long.
-    fn wait(&mut self, stamp_ns: i64, waiting: Waiting) {
+    fn wait(&mut self, stamp_ns: i64, waiting: InitStatus) {
         self.waiting = waiting;
         let due_ns = *self.next_warning_ns.get_or_insert(stamp_ns + FIRST_WARNING_NS);
         if stamp_ns >= due_ns {
@@ -156,7 +156,7 @@ impl Lifecycle {
     pub fn remember(&mut self) {
         let Phase::Running(estimator) = &self.phase else { return };
         if !estimator.is_suspicious() {
-            self.last = Some(LastBelieved {
+            self.last = Some(LastTrustedPose {
                 stamp_ns: estimator.stamp_ns(),
                 local_from_imu: estimator.local_from_imu().pose,
                 gyroscope_bias: estimator.biases().0,
@@ -164,7 +164,7 @@ impl Lifecycle {
         }
     }
 
-    /// From when on [`Lifecycle::give_up`] would need the readings, nanoseconds; none while a start is looked for.
+    /// From when on [`EstimatorSupervisor::give_up`] would need the readings, nanoseconds; none while a start is looked for.
     pub fn believed_ns(&self) -> Option<i64> {
         self.estimator().and(self.last).map(|last| last.stamp_ns)
     }
@@ -172,30 +172,31 @@ impl Lifecycle {
     /// Gives the filter up and looks for the next start.
     ///
     /// # Arguments
-    /// * `readings`: those up to now, from [`Lifecycle::believed_ns`] on, by which the yaw is turned on.
+    /// * `readings`: those up to now, from [`EstimatorSupervisor::believed_ns`] on, by which the yaw is turned on.
     pub fn give_up(&mut self, now_ns: i64, why: &EstimatorError, readings: &[ImuSample]) {
         let short = now_ns - self.started_ns < SHORT_LIFE_NS;
         self.bad_starts = if short { self.bad_starts + 1 } else { 0 };
         let pause = if short { 2_f64.powi(self.bad_starts - 1).min(LONGEST_PAUSE) } else { 0.0 };
         let not_before_ns = now_ns + (pause * 1e9) as i64;
-        let mut starter = Starter::again(self.config.clone(), self.rig.clone(), self.last, not_before_ns);
+        let mut initializer =
+            Initializer::again(self.config.clone(), self.rig.clone(), self.last, not_before_ns);
         let from_ns = self.last.map_or(now_ns, |last| last.stamp_ns);
         let first = readings.partition_point(|reading| reading.stamp_ns < from_ns).saturating_sub(1);
         for reading in &readings[first.min(readings.len())..] {
             // A reading that the filter would not take is not taken here either.
-            let _ = starter.imu(*reading);
+            let _ = initializer.imu(*reading);
         }
-        starter.forget_rest();
-        self.phase = Phase::Starting(Box::new(starter));
+        initializer.forget_rest();
+        self.phase = Phase::Initializing(Box::new(initializer));
         self.gave_up = Some(why.to_string());
-        self.waiting = Waiting::Data;
+        self.waiting = InitStatus::Data;
     }
 
     /// What is known of the pose.
     pub fn status(&self) -> Status {
         match &self.phase {
             Phase::Running(estimator) => estimator.status(),
-            Phase::Starting(_) => Status {
+            Phase::Initializing(_) => Status {
                 localization: Localization::Lost,
                 reason: match &self.gave_up {
                     Some(why) => format!("{why}; {}", self.waiting),

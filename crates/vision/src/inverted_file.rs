@@ -36,16 +36,16 @@ pub struct Hit {
 /// Descriptors of one metric and width with a number each, to be searched by distance.
 ///
 /// ```
-/// use vision::{DescriptorView, Metric, WordIndex};
+/// use vision::{DescriptorView, Metric, InvertedFile};
 /// let stored = DescriptorView::new(Metric::CosineInt8, 2, &[100, 0, 0, 100])?;
-/// let index = WordIndex::build(stored, &[7, 8])?;
+/// let index = InvertedFile::build(stored, &[7, 8])?;
 /// let query = DescriptorView::new(Metric::CosineInt8, 2, &[90, 10])?;
 /// let mut found = Vec::new();
 /// index.search(query, 0.3, |_, hits| found.extend(hits.iter().map(|hit| hit.payload)))?;
 /// assert_eq!(found, [7]);
 /// # Ok::<(), vision::DescriptorError>(())
 /// ```
-pub struct WordIndex {
+pub struct InvertedFile {
     metric: Metric,
     width: usize,
     /// `None` for an empty index.
@@ -57,7 +57,7 @@ pub struct WordIndex {
     entries: Prepared,
 }
 
-impl WordIndex {
+impl InvertedFile {
     /// Trains words and files every descriptor under its word.
     ///
     /// # Arguments

@@ -7,8 +7,8 @@ use super::extraction::{Extracted, ExtractionThread};
 use super::recorder::Recorder;
 use super::run::RobotRun;
 use super::summary::Traffic;
-use client::map_news::MapNews;
-use client::query_client::{Answered, Outcome, QueryClient};
+use client::map_change_subscriber::MapChangeSubscriber;
+use client::query_client::{Outcome, QueryClient, QueryResult};
 use estimator::{CloneId, EstimatorError, MapMode, RevisionEffect};
 use protocol::{FeatureSet, MatchRequest, PosePrior};
 use sensors::Frame;
@@ -95,7 +95,7 @@ impl RobotRun<'_> {
 
     /// Takes in what the map says of its changes.
     fn hear_news(&mut self, recorder: &mut Recorder) {
-        while let Some(revision) = self.news.as_ref().and_then(MapNews::poll) {
+        while let Some(revision) = self.news.as_ref().and_then(MapChangeSubscriber::poll) {
             let Some(estimator) = self.filter.estimator_mut() else { continue };
             let (from, version) = (revision.from_version, revision.version);
             match estimator.map_changed(&revision) {
@@ -132,7 +132,7 @@ impl RobotRun<'_> {
         }
     }
 
-    fn take(&mut self, answered: &Answered, recorder: &mut Recorder) -> Result<(), EstimatorError> {
+    fn take(&mut self, answered: &QueryResult, recorder: &mut Recorder) -> Result<(), EstimatorError> {
         self.note_failure(&answered.outcome);
         recorder.traffic.add(&Traffic { sent: answered.bytes_sent, received: answered.bytes_received });
         let Some(estimator) = self.filter.estimator_since(answered.stamp_ns) else {

@@ -16,12 +16,12 @@ const QUEUE: usize = 16;
 
 /// The subscription, and what it heard.
 #[derive(Debug)]
-pub struct MapNews {
+pub struct MapChangeSubscriber {
     receiver: Receiver<MapRevision>,
     _subscriber: Subscriber<()>,
 }
 
-impl MapNews {
+impl MapChangeSubscriber {
     /// Listens from now on.
     ///
     /// # Errors
@@ -60,7 +60,7 @@ fn read(map: &str, format: Format, payload: &[u8]) -> Result<MapRevision, String
     }
     let size = change
         .stated_change
-        .map(|size| ChangeSize { sigma_rotation: size.sigma_theta, sigma_position: size.sigma_p });
+        .map(|size| ChangeSize { sigma_rotation: size.sigma_theta_rad, sigma_position: size.sigma_p_m });
     let mut other_errors = change.moved;
     other_errors.extend(change.removed);
     Ok(MapRevision { from_version: change.from_version, version: change.version, other_errors, size })
@@ -79,7 +79,7 @@ mod tests {
             changed: vec![1, 2, 5],
             moved: vec![2, 5],
             removed: vec![9],
-            stated_change: Some(StatedChange { sigma_theta: 0.01, sigma_p: 0.2 }),
+            stated_change: Some(StatedChange { sigma_theta_rad: 0.01, sigma_p_m: 0.2 }),
         }
     }
 
@@ -103,6 +103,6 @@ mod tests {
         }
         let json = String::from_utf8(protocol::encode(Format::Json, &change()).unwrap()).unwrap();
         let negative = json.replace("0.01", "-0.01");
-        assert!(read("hall", Format::Json, negative.as_bytes()).unwrap_err().contains("sigma_theta"));
+        assert!(read("hall", Format::Json, negative.as_bytes()).unwrap_err().contains("sigma_theta_rad"));
     }
 }
