@@ -1,0 +1,74 @@
+# What CI runs, one recipe a step. `just` lists the recipes; `just ci` runs them all.
+# Install just with `cargo install just` or `pip install rust-just`.
+
+set shell := ["bash", "-euo", "pipefail", "-c"]
+
+# Where the recorded runs are unpacked. They are not part of the repository; see docs/src/benchmarks.md.
+data := env("DRIFTLESS_DATA", justfile_directory() / "target/data")
+
+[private]
+default:
+    @just --list --unsorted
+
+# Everything that must hold before a change lands
+ci: fmt clippy doc neural demo recorded test
+
+# Formatting
+fmt:
+    cargo fmt --all --check
+
+# Lints, all targets
+clippy:
+    cargo clippy --workspace --all-targets --locked -- -D warnings
+
+# API documentation
+doc:
+    RUSTDOCFLAGS="-D warnings" cargo doc --workspace --no-deps --locked
+
+# Learned features, which no default build has
+neural:
+    cargo clippy -p driftless-vision --features neural --all-targets --locked -- -D warnings
+    cargo test -p driftless-vision --features neural --test neural --locked
+
+# The demo: simulate, map, serve, localize
+demo:
+    cargo run --release --locked -p driftless-tools -- demo --out target/ci-demo
+
+# Tests on recorded runs, in release; says so where the recordings are not unpacked
+recorded:
+    #!/usr/bin/env bash
+    set -euo pipefail
+    if [ ! -d "{{ data }}" ]; then
+        echo "SKIPPED: the recorded runs are not unpacked in {{ data }}; their tests were not run"
+        exit 0
+    fi
+    cargo test --release --locked -p driftless-tests --test recorded --test images -- --ignored
+
+# All tests; those on recorded runs are listed as ignored
+test:
+    cargo test --workspace --locked
+
+# Every crate could be published
+package:
+    cargo package --workspace --locked --no-verify
+
+# Licences, advisories, sources (needs cargo-deny)
+deny:
+    cargo deny --locked check
+
+# The book (needs mdbook)
+book:
+    mdbook build docs
+
+# Timings of the estimator, the Schmidt update, the tracker and map queries
+bench:
+    cargo bench -p driftless-benches
+
+# Repeats the figures of the README and of the book
+figures out="target/figures":
+    cargo build --release --locked -p driftless-tools
+    docs/figures.sh target/release "{{ data }}" "{{ out }}"
+
+# Coverage-guided fuzzing of one target for some seconds (needs nightly and cargo-fuzz)
+fuzz target seconds="60":
+    cargo +nightly fuzz run --features libfuzzer "{{ target }}" -- -max_total_time={{ seconds }}
