@@ -1,0 +1,63 @@
+//! Runs every target on its seeds and on seeded mutations of them, on a stable toolchain.
+#![allow(clippy::unwrap_used)]
+
+use driftless_fuzz::TARGETS;
+use rand::rngs::StdRng;
+use rand::{RngExt, SeedableRng};
+use std::path::Path;
+
+/// Mutations of each seed.
+const MUTATIONS: usize = 300;
+
+#[test]
+fn no_target_panics_on_mutated_seeds() {
+    for (name, target) in TARGETS {
+        let seeds = seeds(name);
+        assert!(!seeds.is_empty(), "{name} has no seeds in corpus/{name}");
+        let mut rng = StdRng::seed_from_u64(1);
+        for seed in &seeds {
+            target(seed);
+            for _ in 0..MUTATIONS {
+                target(&mutated(seed, &seeds, &mut rng));
+            }
+        }
+    }
+}
+
+fn seeds(name: &str) -> Vec<Vec<u8>> {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let folder = match name {
+        "protocol_json" => root.join("../protocol/examples/json"),
+        other => root.join("corpus").join(other),
+    };
+    let mut files: Vec<_> = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).collect();
+    files.sort();
+    files.iter().map(|file| std::fs::read(file).unwrap()).collect()
+}
+
+/// One to four changes: a flipped bit, a cut, a repeated part, an overwritten number, a piece of another seed.
+fn mutated(seed: &[u8], seeds: &[Vec<u8>], rng: &mut StdRng) -> Vec<u8> {
+    let mut bytes = seed.to_vec();
+    for _ in 0..rng.random_range(1..=4) {
+        if bytes.is_empty() {
+            break;
+        }
+        let at = rng.random_range(0..bytes.len());
+        let end = (at + rng.random_range(1..=16)).min(bytes.len());
+        match rng.random_range(0..6) {
+            0 => bytes[at] ^= 1 << rng.random_range(0..8),
+            1 => bytes.truncate(at),
+            2 => bytes.extend_from_within(at..end),
+            3 => bytes[at..end].fill(*[0_u8, 0xff, 0x7f, b'-', b'9'].get(rng.random_range(0..5)).unwrap()),
+            4 => {
+                bytes.drain(at..end);
+            }
+            _ => {
+                let other = &seeds[rng.random_range(0..seeds.len())];
+                let piece = other[rng.random_range(0..=other.len())..].iter().take(32);
+                bytes.splice(at..at, piece.copied().collect::<Vec<u8>>());
+            }
+        }
+    }
+    bytes
+}
