@@ -1,6 +1,6 @@
 //! What can go wrong with a measurement or with the filter.
 
-use crate::covariance::NotPositiveDefinite;
+use crate::linear_algebra::NotPositiveDefinite;
 
 /// What can go wrong with a measurement or with the filter.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]

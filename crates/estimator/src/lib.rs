@@ -20,6 +20,7 @@ pub mod imu;
 pub mod initialization;
 pub mod linear_algebra;
 pub mod map_update;
+pub mod measurement;
 pub mod odometry;
 pub mod propagation;
 pub mod schmidt;

@@ -3,8 +3,8 @@
 
 use estimator::calibration::{Calibration, OnlineCalibration};
 use estimator::covariance::JointCovariance;
-use estimator::covariance::information::{Columns, Information};
 use estimator::map_update::map_rows::{Linearization, MapPoint, RowSettings, landmark_rows};
+use estimator::measurement::{Information, StateBlocks};
 use estimator::state::retract_locally;
 use estimator::{CalibratedCamera, MapAnswer, MapKeyframe, MatchedLandmark};
 use geometry::numeric::numeric_jacobian;
@@ -270,17 +270,17 @@ fn error_after(scene: &Scene, estimate: MapPoint, at: MapPoint) -> f64 {
         .answer
         .keyframes
         .iter()
-        .map(|keyframe| joint.held.pull(keyframe.id, &keyframe.global_from_keyframe, &[]));
+        .map(|keyframe| joint.held.activate_or_insert(keyframe.id, &keyframe.global_from_keyframe, &[]));
     let slots: Vec<usize> = slots.collect();
     let mut information =
-        Information::new(Columns { keyframes: slots, ..Columns::of_active(std::iter::once(0..12)) });
+        Information::new(StateBlocks { keyframes: slots, ..StateBlocks::of_active(std::iter::once(0..12)) });
     for k in 0..scene.answer.landmarks.len() {
         let (jacobian, residual) =
             rows(scene, k, &Linearization { estimate, at, first_position: None }, &SETTINGS);
         information.add(&jacobian, &residual);
     }
     let mut correction = DVector::zeros(0);
-    joint.measurement_update(&information, &mut correction).unwrap();
+    joint.information_update(&information, &mut correction).unwrap();
     let updated = moved(&estimate, &correction);
     scene.truth.global_from_local.local(&updated.global_from_local).fixed_rows::<3>(0).norm()
 }

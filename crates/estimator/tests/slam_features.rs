@@ -22,18 +22,18 @@ fn what_enters_the_state_is_correlated_as_in_the_dense_filter() {
     let mut joint = JointCovariance::new(covariance.clone(), 4);
     // A keyframe that the state already depends on.
     let keyframe = PoseWithCovariance { pose: Pose::identity(), covariance: Matrix6::identity() * 0.2 };
-    let slot = joint.held.pull(1, &keyframe, &[]);
-    let columns = estimator::covariance::information::Columns {
+    let slot = joint.held.activate_or_insert(1, &keyframe, &[]);
+    let columns = estimator::measurement::StateBlocks {
         keyframes: vec![slot],
-        ..estimator::covariance::information::Columns::of_active(std::iter::once(0..dim))
+        ..estimator::measurement::StateBlocks::of_active(std::iter::once(0..dim))
     };
-    let mut information = estimator::covariance::information::Information::new(columns);
+    let mut information = estimator::measurement::Information::new(columns);
     information.add(&draw(8, dim + 6), &draw(8, 1).column(0).into_owned());
-    joint.measurement_update(&information, &mut nalgebra::DVector::zeros(0)).unwrap();
-    let (before, cross_before) = (joint.active().view().into_owned(), joint.held.cross(slot));
+    joint.information_update(&information, &mut nalgebra::DVector::zeros(0)).unwrap();
+    let (before, cross_before) = (joint.active().view().into_owned(), joint.held.cross_covariance(slot));
 
     // Two landmarks that depend on two separate ranges.
-    let ranges = estimator::covariance::information::Columns::of_active([15..18, 21..33]);
+    let ranges = estimator::measurement::StateBlocks::of_active([15..18, 21..33]);
     let jacobian = draw(6, 15);
     let noises = [draw(3, 3), draw(3, 3)].map(|half| &half * half.transpose());
     joint.insert(at, &ranges, &Dense::from(jacobian.clone()), noises.iter().cloned());
@@ -51,7 +51,7 @@ fn what_enters_the_state_is_correlated_as_in_the_dense_filter() {
         block += noise;
     }
     assert!((joint.active().view() - expected).amax() < 1e-10);
-    assert!((joint.held.cross(slot) - full * cross_before).amax() < 1e-10);
+    assert!((joint.held.cross_covariance(slot) - full * cross_before).amax() < 1e-10);
 }
 
 /// Runs for `frames` images, of which the pixels of the features `spoiled` are wrong from `from` on.

@@ -13,26 +13,20 @@
 //! positive definite where Joseph's form does (tested against that form, over many steps).
 //! Rows that were summed up as `Λ = HᵀH` are compressed first: any root of `Λ` says the same.
 
-pub mod information;
-
 use crate::KeyframeId;
-use crate::covariance::information::{Columns, Information, Rows};
+use crate::linear_algebra::NotPositiveDefinite;
 use crate::linear_algebra::dense::{Dense, Factorization};
+use crate::measurement::{Information, LinearizedMeasurement, StateBlocks};
 use crate::propagation::{IMU_DIM, ImuMatrix};
 use crate::schmidt::HeldKeyframes;
 use faer::linalg::matmul::triangular::BlockStructure;
 use nalgebra::{Cholesky, DMatrix, DVector, Matrix6};
 use std::ops::Range;
 
-/// A measurement that fits no covariance: the filter is broken and says so.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("the covariance is no longer positive definite; the filter has diverged and must be started again")]
-pub struct NotPositiveDefinite;
-
 /// Memory of an update, kept from one to the next.
 #[derive(Clone, Debug, Default)]
 struct Workspace {
-    compressed: Rows,
+    compressed: LinearizedMeasurement,
     spare: Dense,
     /// `W`, rows x active.
     whitened: Dense,
@@ -87,7 +81,7 @@ impl JointCovariance {
         }
         self.held.transform_rows(transition);
         // Once an image: a map update must not wait for it.
-        self.held.tidy();
+        self.held.compact();
     }
 
     /// Re-arranges the active error: it becomes the old error's ranges `source`, one after the other.
@@ -125,7 +119,7 @@ impl JointCovariance {
     pub fn insert(
         &mut self,
         at: usize,
-        columns: &Columns,
+        columns: &StateBlocks,
         jacobian: &Dense,
         noise: impl Iterator<Item = DMatrix<f64>>,
     ) {
@@ -133,10 +127,10 @@ impl JointCovariance {
         let Workspace { spare: grown, whitened: cross, innovation: own, .. } = &mut self.workspace;
         cross.reset(count, dim);
         own.reset(count, count);
-        for (range, here) in columns.runs() {
+        for (range, here) in columns.ranges() {
             cross.add_product(jacobian, here, &self.active, range, BlockStructure::Rectangular);
         }
-        for (range, here) in columns.runs() {
+        for (range, here) in columns.ranges() {
             own.add_lower_outer(cross, range, jacobian, here);
         }
         let mut begin = 0;
@@ -169,13 +163,13 @@ impl JointCovariance {
 
     /// Holds no more than `max_held` keyframes: those not used for longest are dropped, and the state made as uncertain as
     /// that takes; see `nuisance`.
-    pub fn drop_surplus(&mut self, max_held: usize) -> usize {
-        self.held.drop_surplus(max_held, &mut self.active)
+    pub fn evict(&mut self, max_held: usize) -> usize {
+        self.held.evict(max_held, &mut self.active)
     }
 
     /// Gives up keyframes that the map changed, and makes the state as uncertain as that takes; see `nuisance`.
-    pub fn give_up(&mut self, ids: &[KeyframeId]) {
-        self.held.give_up(ids, &mut self.active);
+    pub fn invalidate(&mut self, ids: &[KeyframeId]) {
+        self.held.invalidate(ids, &mut self.active);
     }
 
     /// Adds independent noise to six numbers of the active error, from `begin` on.
@@ -186,20 +180,20 @@ impl JointCovariance {
     }
 
     /// `P_CC`, to gate single rows against.
-    pub fn joint(&self, columns: &Columns) -> DMatrix<f64> {
+    pub fn joint(&self, columns: &StateBlocks) -> DMatrix<f64> {
         let (n_active, n) = (columns.active_len(), columns.len());
         let mut joint = DMatrix::zeros(n, n);
-        for (rows, row) in columns.runs() {
-            for (range, here) in columns.runs() {
+        for (rows, row) in columns.ranges() {
+            for (range, here) in columns.ranges() {
                 let block = self.active.view();
                 let block = block.view((rows.start, range.start), (rows.len(), range.len()));
                 joint.view_mut((row.start, here.start), (row.len(), here.len())).copy_from(&block);
             }
         }
         for (k, &slot) in columns.keyframes.iter().enumerate() {
-            let cross = self.held.cross(slot);
+            let cross = self.held.cross_covariance(slot);
             let column = n_active + 6 * k;
-            for (range, here) in columns.runs() {
+            for (range, here) in columns.ranges() {
                 let block = cross.rows(range.start, range.len());
                 joint.view_mut((here.start, column), (here.len(), 6)).copy_from(&block);
                 joint.view_mut((column, here.start), (6, here.len())).copy_from(&block.transpose());
@@ -214,7 +208,7 @@ impl JointCovariance {
     ///
     /// # Errors
     /// [`NotPositiveDefinite`] where the covariance of the columns is broken.
-    pub fn weigh(&mut self, rows: &Rows) -> Result<f64, NotPositiveDefinite> {
+    pub fn nis(&mut self, rows: &LinearizedMeasurement) -> Result<f64, NotPositiveDefinite> {
         self.whiten(rows)?;
         Ok(self.workspace.residual.column(0).iter().map(|value| value * value).sum())
     }
@@ -223,9 +217,9 @@ impl JointCovariance {
     ///
     /// # Errors
     /// [`NotPositiveDefinite`] where the covariance of the columns is broken.
-    pub fn innovation_squared(&mut self, information: &Information) -> Result<f64, NotPositiveDefinite> {
-        self.check_keyframes(&information.columns)?;
-        self.compressed(information, |joint, rows, unexplained| Ok(unexplained + joint.weigh(rows)?))
+    pub fn information_nis(&mut self, information: &Information) -> Result<f64, NotPositiveDefinite> {
+        self.check_keyframes(&information.blocks)?;
+        self.compressed(information, |joint, rows, unexplained| Ok(unexplained + joint.nis(rows)?))
     }
 
     /// Takes in a measurement; see the module's text.
@@ -235,24 +229,24 @@ impl JointCovariance {
     ///
     /// # Errors
     /// [`NotPositiveDefinite`]: nothing was changed.
-    pub fn measurement_update(
+    pub fn information_update(
         &mut self,
         information: &Information,
         correction: &mut DVector<f64>,
     ) -> Result<(), NotPositiveDefinite> {
-        self.compressed(information, |joint, rows, _| joint.update_by_rows(rows, correction))
+        self.compressed(information, |joint, rows, _| joint.measurement_update(rows, correction))
     }
 
     /// The same for rows that were not summed up.
     ///
     /// # Errors
     /// [`NotPositiveDefinite`]: nothing was changed.
-    pub fn update_by_rows(
+    pub fn measurement_update(
         &mut self,
-        rows: &Rows,
+        rows: &LinearizedMeasurement,
         correction: &mut DVector<f64>,
     ) -> Result<(), NotPositiveDefinite> {
-        self.correction_by_rows(rows, correction)?;
+        self.correction(rows, correction)?;
         let Workspace { whitened, innovation, .. } = &self.workspace;
         self.active.subtract_gram(whitened);
         self.active.mirror_lower();
@@ -262,23 +256,23 @@ impl JointCovariance {
         Ok(())
     }
 
-    /// The correction that [`JointCovariance::measurement_update`] would make, and nothing else.
+    /// The correction that [`JointCovariance::information_update`] would make, and nothing else.
     ///
     /// # Errors
     /// [`NotPositiveDefinite`] where the covariance of the columns is broken.
-    pub fn correction(
+    pub fn information_correction(
         &mut self,
         information: &Information,
         correction: &mut DVector<f64>,
     ) -> Result<(), NotPositiveDefinite> {
-        self.compressed(information, |joint, rows, _| joint.correction_by_rows(rows, correction))
+        self.compressed(information, |joint, rows, _| joint.correction(rows, correction))
     }
 
     /// Hands on as few rows as say the same, and the part of `rᵀr` that no error explains.
     fn compressed<T>(
         &mut self,
         information: &Information,
-        take: impl FnOnce(&mut Self, &Rows, f64) -> Result<T, NotPositiveDefinite>,
+        take: impl FnOnce(&mut Self, &LinearizedMeasurement, f64) -> Result<T, NotPositiveDefinite>,
     ) -> Result<T, NotPositiveDefinite> {
         let mut rows = std::mem::take(&mut self.workspace.compressed);
         let outcome = information
@@ -288,9 +282,9 @@ impl JointCovariance {
         outcome
     }
 
-    fn correction_by_rows(
+    fn correction(
         &mut self,
-        rows: &Rows,
+        rows: &LinearizedMeasurement,
         correction: &mut DVector<f64>,
     ) -> Result<(), NotPositiveDefinite> {
         self.whiten(rows)?;
@@ -306,25 +300,25 @@ impl JointCovariance {
     }
 
     /// Leaves `W`, `L` and `L⁻¹ r` in the workspace.
-    fn whiten(&mut self, rows: &Rows) -> Result<(), NotPositiveDefinite> {
+    fn whiten(&mut self, rows: &LinearizedMeasurement) -> Result<(), NotPositiveDefinite> {
         let (count, dim) = (rows.residual.len(), self.active.nrows());
         let Workspace { whitened, innovation, residual, factorization, .. } = &mut self.workspace;
         let jacobian = &rows.jacobian;
         whitened.reset(count, dim);
-        for (range, here) in rows.columns.runs() {
+        for (range, here) in rows.blocks.ranges() {
             whitened.add_product(jacobian, here, &self.active, range, rows.shape());
         }
         innovation.reset(count, count);
-        let active_len = rows.columns.active_len();
-        if !rows.columns.keyframes.is_empty() {
-            let slots = &rows.columns.keyframes;
-            let mut of_keyframes = Dense::zeros(rows.columns.len(), 6 * slots.len());
+        let active_len = rows.blocks.active_len();
+        if !rows.blocks.keyframes.is_empty() {
+            let slots = &rows.blocks.keyframes;
+            let mut of_keyframes = Dense::zeros(rows.blocks.len(), 6 * slots.len());
             for (k, &slot) in slots.iter().enumerate() {
-                let cross = self.held.cross(slot);
+                let cross = self.held.cross_covariance(slot);
                 let transposed = Dense::from(cross.transpose());
                 let columns = active_len + 6 * k..active_len + 6 * (k + 1);
                 whitened.add_product(jacobian, columns, &transposed, 0..6, BlockStructure::Rectangular);
-                for (range, here) in rows.columns.runs() {
+                for (range, here) in rows.blocks.ranges() {
                     let mut target = of_keyframes.view_mut();
                     target
                         .view_mut((here.start, 6 * k), (here.len(), 6))
@@ -334,7 +328,7 @@ impl JointCovariance {
             let own = self.held.covariance_of(slots);
             of_keyframes.view_mut().rows_mut(active_len, own.nrows()).copy_from(&own);
             let mut product = Dense::zeros(count, 6 * slots.len());
-            let all = 0..rows.columns.len();
+            let all = 0..rows.blocks.len();
             product.add_product(
                 jacobian,
                 all.clone(),
@@ -344,7 +338,7 @@ impl JointCovariance {
             );
             innovation.add_lower_outer(&product, 0..6 * slots.len(), jacobian, active_len..all.end);
         }
-        for (range, here) in rows.columns.runs() {
+        for (range, here) in rows.blocks.ranges() {
             innovation.add_lower_outer(whitened, range, jacobian, here);
         }
         for k in 0..count {
@@ -359,7 +353,7 @@ impl JointCovariance {
     }
 
     /// A map whose covariances contradict each other is no fault of the filter: it shows before the update.
-    fn check_keyframes(&self, columns: &Columns) -> Result<(), NotPositiveDefinite> {
+    fn check_keyframes(&self, columns: &StateBlocks) -> Result<(), NotPositiveDefinite> {
         if columns.keyframes.is_empty() {
             return Ok(());
         }

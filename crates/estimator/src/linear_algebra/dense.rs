@@ -5,7 +5,7 @@
 //! update went into page faults. The operations are `faer`'s: at the sizes of a window of 20 clones its
 //! Cholesky is 2.3, its triangular solve 5.5 and its symmetric product 1.7 times as fast as nalgebra's.
 
-use crate::covariance::NotPositiveDefinite;
+use crate::linear_algebra::NotPositiveDefinite;
 use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::linalg::cholesky::llt::factor::{LltRegularization, cholesky_in_place, cholesky_in_place_scratch};
 use faer::linalg::matmul::triangular::{self, BlockStructure};

@@ -1,4 +1,7 @@
-//! Dense linear algebra of the filter on memory that is kept.
+//! Dense linear algebra of the filter, on memory that is reused.
 
 pub mod dense;
+mod error;
 pub mod null_space;
+
+pub use error::NotPositiveDefinite;

@@ -12,11 +12,11 @@
 
 use crate::Estimator;
 use crate::KeyframeId;
-use crate::covariance::information::{Columns, Information};
 use crate::linear_algebra::dense::Dense;
 use crate::map_update::map_answer::MapAnswer;
 use crate::map_update::map_rows::Linearization;
 use crate::map_update::verification::Verified;
+use crate::measurement::{Information, StateBlocks};
 use crate::state::{Block, POSE_DIM, turned};
 use geometry::{Pose, PoseWithCovariance, rotation};
 use nalgebra::{DMatrix, DVector, Matrix6};
@@ -36,7 +36,7 @@ impl Estimator {
         let sigmas = DVector::from_fn(POSE_DIM, |k, _| if k < 3 { rotation } else { position });
         let independent = Dense::zeros(POSE_DIM, 0);
         let noise = std::iter::once(DMatrix::from_diagonal(&sigmas));
-        self.covariance.insert(self.state.transform_begin(), &Columns::default(), &independent, noise);
+        self.covariance.insert(self.state.transform_begin(), &StateBlocks::default(), &independent, noise);
         self.state.transform = Some(transform);
     }
 
@@ -58,7 +58,7 @@ impl Estimator {
         point: &Linearization,
     ) {
         let Some(global_from_keyframe) = self.pose_of(verified.best, answer) else { return };
-        let columns = &information.columns;
+        let columns = &information.blocks;
         let place = keyframes.iter().position(|&id| id == verified.best);
         let sigma_px = self.config.sigma_match_px.max(verified.mean_error_px);
         let depth = median_depth(answer, verified);

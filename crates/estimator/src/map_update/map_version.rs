@@ -124,7 +124,7 @@ impl Estimator {
         match revision.size.filter(linear) {
             Some(size) if held == revision.from_version => {
                 self.move_map_by(size);
-                self.covariance.give_up(&revision.other_errors);
+                self.covariance.invalidate(&revision.other_errors);
                 self.contradiction = None;
                 self.rejections_in_a_row = 0;
                 let newest = self.state.clones.last();
@@ -171,7 +171,7 @@ impl Estimator {
         }
         let before = (self.state.clone(), self.covariance.clone());
         self.remove_transform();
-        self.covariance.give_up(&self.held_keyframes());
+        self.covariance.invalidate(&self.held_keyframes());
         let outcome = self.try_map_update(clone, answer, report)?;
         if outcome.is_err() {
             (self.state, self.covariance) = before;

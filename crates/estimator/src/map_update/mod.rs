@@ -10,12 +10,12 @@ pub mod verification;
 
 use crate::KeyframeId;
 use crate::config::{MapMode, Relinearization};
-use crate::covariance::information::{Columns, Information};
 use crate::map_update::map_answer::{MapAnswer, MatchedLandmark};
 use crate::map_update::map_initialization::median_depth;
 use crate::map_update::map_report::{MapReport, Rejection};
 use crate::map_update::map_rows::{Linearization, MapPoint, RowSettings, landmark_rows};
 use crate::map_update::verification::{VerificationSettings, Verified, verify};
+use crate::measurement::{Information, StateBlocks};
 use crate::state::{Block, CloneId};
 use crate::{Estimator, EstimatorError, propagation::IMU_DIM};
 use geometry::{Pose, PoseWithCovariance};
@@ -41,7 +41,7 @@ impl Estimator {
         let same_map = self.map_version.held == Some(answer.map_version);
         let answer = self
             .restrict(answer)
-            .sound(&|id| if same_map { self.covariance.held.covariance_by_id(id) } else { None });
+            .sound(&|id| if same_map { self.covariance.held.map_covariance(id) } else { None });
         let mut report = MapReport {
             keyframes: answer.keyframes.len(),
             matches: answer.landmarks.len(),
@@ -67,8 +67,8 @@ impl Estimator {
             ) => self.note_contradiction(),
             Some(_) => {}
         }
-        self.covariance.held.park_unused();
-        self.covariance.drop_surplus(self.config.max_held_keyframes);
+        self.covariance.held.deactivate_unused();
+        self.covariance.evict(self.config.max_held_keyframes);
         Ok(report)
     }
 
@@ -166,7 +166,7 @@ impl Estimator {
         let new: Vec<KeyframeId> = keyframes
             .iter()
             .copied()
-            .filter(|&id| self.covariance.held.covariance_by_id(id).is_none())
+            .filter(|&id| self.covariance.held.map_covariance(id).is_none())
             .collect();
         let columns = self.map_columns(clone, &keyframes, answer);
         let exact = self.config.mode == MapMode::MapConst;
@@ -188,7 +188,7 @@ impl Estimator {
                 return Ok(Err(self.give_up(&new, Rejection::Contradicts { plausible, verified })));
             }
             let rows = prepared.information.rows;
-            let Ok(innovation) = self.covariance.innovation_squared(&prepared.information) else {
+            let Ok(innovation) = self.covariance.information_nis(&prepared.information) else {
                 return Ok(Err(self.give_up(&new, Rejection::UnsoundMap)));
             };
             report.innovation = Some((innovation, rows));
@@ -201,7 +201,7 @@ impl Estimator {
                 point.at = self.next_point(clone, &prepared.information, &point)?;
                 continue;
             }
-            self.covariance.measurement_update(&prepared.information, &mut self.correction)?;
+            self.covariance.information_update(&prepared.information, &mut self.correction)?;
             self.state.retract(&self.correction);
             self.check_health()?;
         }
@@ -210,7 +210,7 @@ impl Estimator {
 
     /// What a rejected answer brought along leaves no trace.
     fn give_up(&mut self, new: &[KeyframeId], why: Rejection) -> Rejection {
-        self.covariance.held.forget(new);
+        self.covariance.held.remove_unused(new);
         why
     }
 
@@ -221,7 +221,7 @@ impl Estimator {
         information: &Information,
         point: &Linearization,
     ) -> Result<MapPoint, EstimatorError> {
-        self.covariance.correction(information, &mut self.correction)?;
+        self.covariance.information_correction(information, &mut self.correction)?;
         let mut moved = self.state.clone();
         moved.retract(&self.correction);
         let local_from_imu =
@@ -246,10 +246,10 @@ impl Estimator {
     }
 
     /// Pulls the keyframes into the state and names all columns of the rows.
-    fn map_columns(&mut self, clone: CloneId, keyframes: &[KeyframeId], answer: &MapAnswer) -> Columns {
-        self.covariance.held.revive(keyframes);
+    fn map_columns(&mut self, clone: CloneId, keyframes: &[KeyframeId], answer: &MapAnswer) -> StateBlocks {
+        self.covariance.held.activate(keyframes);
         for keyframe in answer.keyframes.iter().filter(|keyframe| keyframes.contains(&keyframe.id)) {
-            self.covariance.held.pull(
+            self.covariance.held.activate_or_insert(
                 keyframe.id,
                 &keyframe.global_from_keyframe,
                 &keyframe.cross_covariances,
@@ -261,7 +261,7 @@ impl Estimator {
         let camera = self.state.calibration.camera_range(0);
         let camera = IMU_DIM + camera.start..IMU_DIM + camera.end;
         let active = poses.chain(std::iter::once(camera).filter(|range| !range.is_empty())).collect();
-        Columns { active, keyframes: slots }
+        StateBlocks { active, keyframes: slots }
     }
 
     /// Rows of all landmarks that pass their own gate.
@@ -270,7 +270,7 @@ impl Estimator {
         landmarks: &[&MatchedLandmark],
         answer: &MapAnswer,
         keyframes: &[KeyframeId],
-        columns: &Columns,
+        columns: &StateBlocks,
         point: &Linearization,
     ) -> Prepared {
         let usable = answer.sigma_map_px.is_finite() && answer.sigma_map_px > 0.0;

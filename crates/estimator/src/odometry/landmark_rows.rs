@@ -11,9 +11,9 @@
 //! Source: Mourikis & Roumeliotis, ICRA 2007, section III-D; the Schur complement of the normal equations; Li & Mourikis,
 //! "Optimization-based estimator design for vision-aided inertial navigation", RSS 2012 (landmarks in the state).
 
-use crate::covariance::NotPositiveDefinite;
-use crate::covariance::information::Information;
+use crate::linear_algebra::NotPositiveDefinite;
 use crate::linear_algebra::dense::{Dense, Factorization};
+use crate::measurement::Information;
 use crate::odometry::pixel_rows::{Layout, PixelRows, RowBlocks, add_pixel, columns_of, covariance_between};
 use crate::state::ActiveState;
 use nalgebra::{Cholesky, Matrix3, Vector3};
@@ -237,7 +237,7 @@ impl LandmarkRows {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::covariance::information::Columns;
+    use crate::measurement::StateBlocks;
     use crate::odometry::pixel_rows::pixel_rows;
     use crate::state::POSE_DIM;
     use crate::test_scene::{Scene, scene};
@@ -261,7 +261,7 @@ mod tests {
 
     fn information(scene: &Scene, rows: &mut LandmarkRows) -> Information {
         let layout = Layout::of(&scene.state);
-        let mut information = Information::new(Columns::of_active(layout.runs()));
+        let mut information = Information::new(StateBlocks::of_active(layout.runs()));
         rows.add_to(&mut information, &scene.state, &layout).unwrap();
         information.matrix.mirror_lower();
         information

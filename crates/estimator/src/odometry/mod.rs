@@ -7,7 +7,7 @@ pub mod track_update;
 pub mod tracks;
 pub mod zero_velocity;
 
-use crate::covariance::information::Rows;
+use crate::measurement::LinearizedMeasurement;
 use crate::odometry::pixel_rows::Layout;
 use crate::odometry::slam_features::{LandmarkSettings, LandmarkUpdate};
 use crate::odometry::track_update::{TrackReport, TrackUpdate};
@@ -22,7 +22,7 @@ pub(crate) struct OdometryUpdate {
     ready: Vec<Track>,
     tracks: TrackUpdate,
     landmarks: LandmarkUpdate,
-    zero_velocity: Rows,
+    zero_velocity: LinearizedMeasurement,
 }
 
 impl Estimator {
@@ -102,7 +102,7 @@ impl Estimator {
         self.tracks.recycle(ready);
         self.insert_landmarks(tracks);
         if tracks.information.rows > 0 {
-            self.covariance.measurement_update(&tracks.information, &mut self.correction)?;
+            self.covariance.information_update(&tracks.information, &mut self.correction)?;
             self.state.retract(&self.correction);
         }
         Ok(report)
@@ -116,7 +116,7 @@ impl Estimator {
         update.entrance.jacobian(&mut self.entering);
         let noise =
             update.entrance.noises.iter().map(|noise| DMatrix::from_column_slice(3, 3, noise.as_slice()));
-        let columns = &update.information.columns;
+        let columns = &update.information.blocks;
         self.covariance.insert(self.state.clones_begin(), columns, &self.entering, noise);
         for (entering, shift) in update.entering.iter().zip(&update.entrance.shifts) {
             self.state.landmarks.push(SlamFeature {
@@ -126,21 +126,21 @@ impl Estimator {
                 implausible: 0,
             });
         }
-        update.information.columns.active.clear();
-        update.information.columns.active.extend(Layout::of(&self.state).runs());
+        update.information.blocks.active.clear();
+        update.information.blocks.active.extend(Layout::of(&self.state).runs());
     }
 
     /// Tells the filter that the body stands, where it does and the filter can believe it.
-    fn stand_still(&mut self, rows: &mut Rows) -> Result<bool, EstimatorError> {
+    fn stand_still(&mut self, rows: &mut LinearizedMeasurement) -> Result<bool, EstimatorError> {
         let still = self.config.zero_velocity
             && zero_velocity::stands_still(&self.state, &self.tracks, self.config.sigma_track_px);
         if !still {
             return Ok(false);
         }
         zero_velocity::zero_velocity(&self.state, rows);
-        let plausible = self.frame_gate.accepts(self.covariance.weigh(rows)?, rows.residual.len());
+        let plausible = self.frame_gate.accepts(self.covariance.nis(rows)?, rows.residual.len());
         if plausible {
-            self.covariance.update_by_rows(rows, &mut self.correction)?;
+            self.covariance.measurement_update(rows, &mut self.correction)?;
             self.state.retract(&self.correction);
         }
         Ok(plausible)

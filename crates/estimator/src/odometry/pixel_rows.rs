@@ -1,8 +1,8 @@
 //! What one pixel says: two whitened rows over the camera's calibration, the clone that saw it and the landmark.
 
 use crate::calibration::{CAMERA_DIM, CameraJacobian};
-use crate::covariance::information::Information;
 use crate::linear_algebra::dense::Dense;
+use crate::measurement::Information;
 use crate::state::{ActiveState, Block, CloneId, POSE_DIM};
 use nalgebra::{Matrix2, Matrix2x3, Matrix2x6, Vector2, Vector3};
 use smallvec::SmallVec;

@@ -4,10 +4,11 @@
 //! the state, the landmark carries it on. It lives as long as its track; a pixel that the state cannot believe is left out,
 //! and a landmark that is implausible several times in a row is given up.
 
-use crate::covariance::information::Rows;
-use crate::covariance::{JointCovariance, NotPositiveDefinite};
+use crate::covariance::JointCovariance;
 use crate::gate::Gate;
+use crate::linear_algebra::NotPositiveDefinite;
 use crate::linear_algebra::dense::Dense;
+use crate::measurement::LinearizedMeasurement;
 use crate::odometry::pixel_rows::{Layout, PixelRows, RowBlock, RowBlocks, covariance_between, pixel_rows};
 use crate::odometry::tracks::TrackObservation;
 use crate::state::{ActiveState, Block, CloneId, LANDMARK_DIM, POSE_DIM, SlamFeature};
@@ -26,7 +27,7 @@ const JUDGED_TOGETHER: usize = 2;
 /// The update, in memory that is used again.
 #[derive(Clone, Debug, Default)]
 pub struct LandmarkUpdate {
-    rows: Rows,
+    rows: LinearizedMeasurement,
     /// Accepted pixels, each with the place of its landmark.
     accepted: Vec<(usize, PixelRows)>,
     of_landmark: Vec<PixelRows>,
@@ -72,7 +73,7 @@ impl LandmarkUpdate {
         }
         if used > 0 {
             self.stack(state, &layout);
-            covariance.update_by_rows(&self.rows, correction)?;
+            covariance.measurement_update(&self.rows, correction)?;
             state.retract(correction);
         }
         Ok((used, implausible))
@@ -101,7 +102,7 @@ impl LandmarkUpdate {
     fn stack(&mut self, state: &ActiveState, layout: &Layout) {
         let landmarks = state.landmarks_range();
         let clone = layout.clones.end - POSE_DIM..layout.clones.end;
-        let columns = &mut self.rows.columns;
+        let columns = &mut self.rows.blocks;
         columns.keyframes.clear();
         columns.active.clear();
         let runs = [layout.calibration.clone(), landmarks.clone(), clone];

@@ -9,8 +9,8 @@
 
 use crate::calibration::{CalibratedCamera, Observation};
 use crate::covariance::JointCovariance;
-use crate::covariance::information::Information;
 use crate::gate::Gate;
+use crate::measurement::Information;
 use crate::odometry::landmark_rows::{Entrance, LandmarkRows};
 use crate::odometry::pixel_rows::{Layout, pixel_rows};
 use crate::odometry::tracks::{Sighting, Track};
@@ -161,8 +161,8 @@ impl TrackUpdate {
     fn begin(&mut self, layout: &Layout) {
         self.entering.clear();
         self.entrance.clear();
-        self.information.columns.active.clear();
-        self.information.columns.active.extend(layout.runs());
+        self.information.blocks.active.clear();
+        self.information.blocks.active.extend(layout.runs());
         self.information.clear();
     }
 

@@ -11,7 +11,7 @@
 //!   that a track lives; and the filter's own velocity must agree by a chi-square test.
 
 use crate::calibration::CalibratedCamera;
-use crate::covariance::information::Rows;
+use crate::measurement::LinearizedMeasurement;
 use crate::odometry::tracks::TrackStore;
 use crate::propagation::VELOCITY;
 use crate::state::ActiveState;
@@ -77,10 +77,10 @@ fn displacement(
 }
 
 /// `v = 0`, whitened.
-pub fn zero_velocity(state: &ActiveState, rows: &mut Rows) {
-    rows.columns.keyframes.clear();
-    rows.columns.active.clear();
-    rows.columns.active.push(VELOCITY..VELOCITY + 3);
+pub fn zero_velocity(state: &ActiveState, rows: &mut LinearizedMeasurement) {
+    rows.blocks.keyframes.clear();
+    rows.blocks.active.clear();
+    rows.blocks.active.push(VELOCITY..VELOCITY + 3);
     rows.upper_triangular = true;
     rows.jacobian.reset(3, 3);
     for k in 0..3 {

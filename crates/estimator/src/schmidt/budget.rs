@@ -171,7 +171,7 @@ fn drop_dependent(
     let mut heirs: Vec<KeyframeId> = neighbours.iter().flatten().copied().collect();
     heirs.sort_unstable();
     heirs.dedup();
-    held.revive(&heirs);
+    held.activate(&heirs);
     heirs.retain(|heir| held.slot_of(*heir).is_some());
 
     // Errors of the dropped ones and then of their heirs, and what of them is not predicted: `T e`.

@@ -169,7 +169,7 @@ fn share(of_map: &DMatrix<f64>, active: &Dense) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::covariance::information::{Columns, Rows};
+    use crate::measurement::{LinearizedMeasurement, StateBlocks};
     use crate::propagation::ImuMatrix;
     use geometry::{Pose, PoseWithCovariance};
     use rand::{RngExt as _, SeedableRng, rngs::StdRng};
@@ -191,16 +191,21 @@ mod tests {
             let stated = PoseWithCovariance::new(Pose::identity(), root * root.transpose());
             let block = Matrix6::from_iterator(draw(6, 6).iter().copied()) * 0.1;
             let cross: Vec<_> = (id.saturating_sub(9)..id).step_by(4).map(|other| (other, block)).collect();
-            held.pull(id, &stated, if correlated { &cross } else { &[] });
+            held.activate_or_insert(id, &stated, if correlated { &cross } else { &[] });
             let slot = held.slot_of(id).unwrap();
-            let columns = Columns { keyframes: vec![slot], ..Columns::of_active([15..21, 21..27]) };
+            let columns = StateBlocks { keyframes: vec![slot], ..StateBlocks::of_active([15..21, 21..27]) };
             let jacobian = Dense::from(draw(8, columns.len()));
-            let rows = Rows { columns, jacobian, residual: vec![0.0; 8], upper_triangular: false };
+            let rows = LinearizedMeasurement {
+                blocks: columns,
+                jacobian,
+                residual: vec![0.0; 8],
+                upper_triangular: false,
+            };
             held.measurement_update(&rows, &draw(8, DIM).into(), &DMatrix::identity(8, 8).into());
             held.transform_rows(&ImuMatrix::from_fn(|row, column| if row == column { 0.99 } else { 0.01 }));
             held.gather_rows(&[0..21, 27..DIM, 0..6]);
-            held.tidy();
-            held.park_unused();
+            held.compact();
+            held.deactivate_unused();
         }
         assert!(held.layers().len() > 1 && !held.active.is_empty(), "{:?}", held.layers());
         held
@@ -213,7 +218,7 @@ mod tests {
             {
                 let mut held = lived_through(correlated);
                 let mut revived = held.clone();
-                revived.revive(&(0..STEPS).collect::<Vec<_>>());
+                revived.activate(&(0..STEPS).collect::<Vec<_>>());
                 let chosen: Vec<usize> = given_up
                     .iter()
                     .collect::<HashSet<_>>()

@@ -28,8 +28,8 @@ mod roomy;
 mod waist;
 
 use crate::KeyframeId;
-use crate::covariance::information::{Columns, Rows};
 use crate::linear_algebra::dense::Dense;
+use crate::measurement::{LinearizedMeasurement, StateBlocks};
 use crate::propagation::ImuMatrix;
 use budget::Budget;
 use correlations::Correlations;
@@ -105,14 +105,14 @@ impl HeldKeyframes {
     }
 
     /// Covariance of a held keyframe, active or parked, as the map states it.
-    pub fn covariance_by_id(&self, id: KeyframeId) -> Option<Matrix6<f64>> {
+    pub fn map_covariance(&self, id: KeyframeId) -> Option<Matrix6<f64>> {
         let active = self.slot_of(id).map(|slot| &self.active[slot]);
         let keyframe = active.or_else(|| self.parked.get(id))?;
         Some(keyframe.global_from_keyframe.covariance)
     }
 
     /// Gives up keyframes that were just pulled and never used: nothing is lost.
-    pub fn forget(&mut self, ids: &[KeyframeId]) {
+    pub fn remove_unused(&mut self, ids: &[KeyframeId]) {
         for &id in ids {
             if let Some(slot) = self.slot_of(id) {
                 self.moving.remove(slot);
@@ -123,7 +123,7 @@ impl HeldKeyframes {
     }
 
     /// `P_Aj` of an active slot.
-    pub fn cross(&self, slot: usize) -> DMatrix<f64> {
+    pub fn cross_covariance(&self, slot: usize) -> DMatrix<f64> {
         let mut cross = Dense::zeros(self.moving.nrows(), KEYFRAME_DIM);
         let mut add = |of: usize, block: &Matrix6<f64>| {
             let block = Dense::from_columns(KEYFRAME_DIM, block.as_slice());
@@ -174,7 +174,7 @@ impl HeldKeyframes {
     ///
     /// # Arguments
     /// * `ids`: those that are not parked are passed over.
-    pub fn revive(&mut self, ids: &[KeyframeId]) {
+    pub fn activate(&mut self, ids: &[KeyframeId]) {
         let (revived, loadings) = self.parked.take(ids, &mut self.moving);
         self.moving.push(loadings.as_slice());
         self.active.extend(revived);
@@ -184,7 +184,7 @@ impl HeldKeyframes {
     ///
     /// One that is held keeps its pose and its correlation with the state; a new one enters with the
     /// map's covariance and with `cross` (its covariance with other held keyframes, rows are its own error).
-    pub fn pull(
+    pub fn activate_or_insert(
         &mut self,
         id: KeyframeId,
         global_from_keyframe: &PoseWithCovariance,
@@ -192,14 +192,14 @@ impl HeldKeyframes {
     ) -> usize {
         self.uses += 1;
         if self.slot_of(id).is_none() {
-            self.revive(&[id]);
+            self.activate(&[id]);
         }
         if let Some(slot) = self.slot_of(id) {
             self.active[slot].last_used = self.uses;
             return slot;
         }
         for (other, block) in cross {
-            if *other != id && self.covariance_by_id(*other).is_some() {
+            if *other != id && self.map_covariance(*other).is_some() {
                 self.correlations.insert(id, *other, block);
                 self.budget.note_correlated_map();
             }
@@ -214,7 +214,7 @@ impl HeldKeyframes {
     /// Parks the keyframes that were not used for longest, until few enough are active.
     ///
     /// Slots change; call it when no slot is in use.
-    pub fn park_unused(&mut self) {
+    pub fn deactivate_unused(&mut self) {
         if self.active.len() > self.max_active {
             let mut candidates: Vec<(u64, KeyframeId)> =
                 self.active.iter().map(|keyframe| (keyframe.last_used, keyframe.id)).collect();
@@ -239,7 +239,7 @@ impl HeldKeyframes {
     ///
     /// # Returns
     /// How many were dropped.
-    pub fn drop_surplus(&mut self, max_held: usize, active: &mut Dense) -> usize {
+    pub fn evict(&mut self, max_held: usize, active: &mut Dense) -> usize {
         budget::drop_surplus(self, max_held, active)
     }
 
@@ -249,13 +249,13 @@ impl HeldKeyframes {
     /// # Arguments
     /// * `ids`: those that are not held are passed over.
     /// * `active`: `P_AA`, which grows.
-    pub fn give_up(&mut self, ids: &[KeyframeId], active: &mut Dense) {
+    pub fn invalidate(&mut self, ids: &[KeyframeId], active: &mut Dense) {
         given_up::give_up(self, ids, active);
     }
 
     /// Brings a few of the parked keyframes nearer to now; once an image.
-    pub fn tidy(&mut self) {
-        self.parked.tidy(&mut self.moving);
+    pub fn compact(&mut self) {
+        self.parked.compact(&mut self.moving);
     }
 
     /// `M ← F M` for an `F` that touches only the IMU's rows, which are the first.
@@ -274,7 +274,7 @@ impl HeldKeyframes {
     }
 
     /// The active error grew at `at` by `jacobian` times its part `columns`, and something independent.
-    pub fn insert_rows(&mut self, at: usize, columns: &Columns, jacobian: &Dense) {
+    pub fn insert_rows(&mut self, at: usize, columns: &StateBlocks, jacobian: &Dense) {
         self.moving.insert_rows(at, columns, jacobian);
     }
 
@@ -283,7 +283,7 @@ impl HeldKeyframes {
     /// # Arguments
     /// * `whitened`: `W`.
     /// * `innovation`: `L` in its lower triangle.
-    pub fn measurement_update(&mut self, rows: &Rows, whitened: &Dense, innovation: &Dense) {
+    pub fn measurement_update(&mut self, rows: &LinearizedMeasurement, whitened: &Dense, innovation: &Dense) {
         self.moving.measurement_update(rows, whitened, innovation, self.budget.map_factor());
     }
 

@@ -4,8 +4,8 @@
 //! rows of the state since keyframes were last parked; it has no columns while none is. Rows are those of the active error.
 
 use super::roomy::Roomy;
-use crate::covariance::information::{Columns, Rows};
 use crate::linear_algebra::dense::Dense;
+use crate::measurement::{LinearizedMeasurement, StateBlocks};
 use crate::propagation::{IMU_DIM, ImuMatrix};
 use faer::linalg::matmul::matmul;
 use faer::{Accum, MatRef, Par};
@@ -144,7 +144,7 @@ impl Moving {
     }
 
     /// The active error grew at `at` by `jacobian` times its part `columns`, and something independent.
-    pub fn insert_rows(&mut self, at: usize, columns: &Columns, jacobian: &Dense) {
+    pub fn insert_rows(&mut self, at: usize, columns: &StateBlocks, jacobian: &Dense) {
         times_columns(&self.matrix, columns, jacobian, &mut self.touched);
         self.matrix.insert_rows(at, &self.touched);
     }
@@ -155,14 +155,20 @@ impl Moving {
     /// * `whitened`: `W`.
     /// * `innovation`: `L` in its lower triangle.
     /// * `scale`: by how much the loadings are scaled.
-    pub fn measurement_update(&mut self, rows: &Rows, whitened: &Dense, innovation: &Dense, scale: f64) {
+    pub fn measurement_update(
+        &mut self,
+        rows: &LinearizedMeasurement,
+        whitened: &Dense,
+        innovation: &Dense,
+        scale: f64,
+    ) {
         // On the few columns of H, and not on all of its products.
         self.factor.copy_from(&rows.jacobian);
         self.factor.solve_lower(innovation);
         let Self { matrix, running, factor, touched } = self;
-        times_columns(matrix, &rows.columns, factor, touched);
-        let own = rows.columns.active_len();
-        for (k, &slot) in rows.columns.keyframes.iter().enumerate() {
+        times_columns(matrix, &rows.blocks, factor, touched);
+        let own = rows.blocks.active_len();
+        for (k, &slot) in rows.blocks.keyframes.iter().enumerate() {
             for j in 0..KEYFRAME_DIM {
                 let column = touched.column_mut(*running + KEYFRAME_DIM * slot + j);
                 let numbers = factor.column(own + KEYFRAME_DIM * k + j);
@@ -180,9 +186,9 @@ impl Moving {
 }
 
 /// `J [R | M]_C` into `product`.
-fn times_columns(matrix: &Roomy, columns: &Columns, jacobian: &Dense, product: &mut Dense) {
+fn times_columns(matrix: &Roomy, columns: &StateBlocks, jacobian: &Dense, product: &mut Dense) {
     product.reset(jacobian.nrows(), matrix.ncols());
-    for (range, here) in columns.runs() {
+    for (range, here) in columns.ranges() {
         let part = jacobian.faer().subcols(here.start, here.len());
         let rows = matrix.faer().subrows(range.start, range.len());
         matmul(product.faer_mut(), Accum::Add, part, rows, 1.0, Par::Seq);

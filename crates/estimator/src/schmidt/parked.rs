@@ -204,7 +204,7 @@ impl Parked {
     /// Brings some keyframes nearer to now: moves them into the next layer, where there are layers too many, or to a waist.
     /// To be called in every step; takes about as long as the step itself at most, and the search for a waist a few times
     /// that.
-    pub fn tidy(&mut self, moving: &mut Moving) {
+    pub fn compact(&mut self, moving: &mut Moving) {
         self.steps += 1;
         let unsearched = |layer: &Layer| !layer.searched && layer.members.len() >= WORTH_NARROWING;
         let last = self.layers.len().saturating_sub(1);

@@ -3,7 +3,7 @@
 use crate::common::{FRAME_NS, World};
 use crate::textbook::{FIXED, Map, POSE, Textbook, some_keyframes, spd};
 use estimator::covariance::JointCovariance;
-use estimator::covariance::information::{Columns, Information};
+use estimator::measurement::{Information, StateBlocks};
 use estimator::{Estimator, EstimatorConfig};
 use nalgebra::{DMatrix, DVector};
 use rand::{RngExt as _, SeedableRng, rngs::StdRng};
@@ -46,13 +46,13 @@ fn run(seed: u64, correlated: bool, dropping: Dropping) -> Outcome {
         update(&mut rng, &mut joint, &mut truth, &ids);
         match dropping {
             Dropping::Conservative => {
-                joint.held.park_unused();
-                outcome.dropped += joint.drop_surplus(MOST_HELD);
+                joint.held.deactivate_unused();
+                outcome.dropped += joint.evict(MOST_HELD);
             }
             Dropping::Naive => {
                 let surplus = joint.held.len().saturating_sub(MOST_HELD);
                 let oldest: Vec<u64> = joint.held.ids().take(surplus).collect();
-                joint.held.forget(&oldest);
+                joint.held.remove_unused(&oldest);
                 outcome.dropped += surplus;
             }
         }
@@ -66,7 +66,7 @@ fn run(seed: u64, correlated: bool, dropping: Dropping) -> Outcome {
 }
 
 pub fn update(rng: &mut StdRng, joint: &mut JointCovariance, truth: &mut Textbook, ids: &[u64]) {
-    let columns = Columns {
+    let columns = StateBlocks {
         active: std::iter::once(FIXED..truth.active).collect(),
         keyframes: ids.iter().map(|id| joint.held.slot_of(*id).unwrap()).collect(),
     };
@@ -77,14 +77,14 @@ pub fn update(rng: &mut StdRng, joint: &mut JointCovariance, truth: &mut Textboo
     let touched: Vec<usize> = (FIXED..truth.active).collect();
     to_columns.columns_mut(0, touched.len()).copy_from(&joint.active().view().columns(FIXED, touched.len()));
     for (k, slot) in columns.keyframes.iter().enumerate() {
-        to_columns.columns_mut(touched.len() + POSE * k, POSE).copy_from(&joint.held.cross(*slot));
+        to_columns.columns_mut(touched.len() + POSE * k, POSE).copy_from(&joint.held.cross_covariance(*slot));
     }
     let innovation = &jacobian * joint.joint(&columns) * jacobian.transpose() + DMatrix::identity(ROWS, ROWS);
     let gain = to_columns * jacobian.transpose() * innovation.try_inverse().unwrap();
     let mut information = Information::new(columns);
     information.add(&jacobian, &residual);
     let mut correction = DVector::zeros(0);
-    joint.measurement_update(&information, &mut correction).unwrap();
+    joint.information_update(&information, &mut correction).unwrap();
     assert!((correction - &gain * &residual).amax() < 1e-7, "that is not the gain that it used");
     truth.update(&gain, &truth.over_all(&jacobian, &touched, ids));
 }
@@ -93,7 +93,7 @@ pub fn update(rng: &mut StdRng, joint: &mut JointCovariance, truth: &mut Textboo
 pub fn margin(joint: &JointCovariance, truth: &Textbook) -> f64 {
     let ids: Vec<u64> = joint.held.ids().filter(|id| joint.held.slot_of(*id).is_some()).collect();
     let keyframes = ids.iter().map(|id| joint.held.slot_of(*id).unwrap()).collect();
-    let stated = joint.joint(&Columns { active: std::iter::once(0..truth.active).collect(), keyframes });
+    let stated = joint.joint(&StateBlocks { active: std::iter::once(0..truth.active).collect(), keyframes });
     let of_keyframes = ids.iter().flat_map(|id| truth.column_of(*id)..truth.column_of(*id) + POSE);
     let all: Vec<usize> = (0..truth.active).chain(of_keyframes).collect();
     let is = truth.covariance.select_rows(&all).select_columns(&all);

@@ -3,7 +3,7 @@
 
 use crate::textbook::{FIXED, Map, POSE, Textbook, some_keyframes, spd};
 use estimator::covariance::JointCovariance;
-use estimator::covariance::information::{Columns, Information, Rows};
+use estimator::measurement::{Information, LinearizedMeasurement, StateBlocks};
 use nalgebra::{DMatrix, DVector};
 use rand::{RngExt as _, SeedableRng, rngs::StdRng};
 
@@ -40,7 +40,7 @@ fn check(seed: u64, keyframes: u64, correlated: bool) {
             std::iter::once(FIXED..textbook.active).collect()
         };
         let touched: Vec<usize> = ranges.iter().flat_map(Clone::clone).collect();
-        let columns = Columns {
+        let columns = StateBlocks {
             active: ranges,
             keyframes: ids.iter().map(|id| joint.held.slot_of(*id).unwrap()).collect(),
         };
@@ -54,18 +54,23 @@ fn check(seed: u64, keyframes: u64, correlated: bool) {
         let squared = if summed {
             let mut information = Information::new(columns);
             information.add(&jacobian, &residual);
-            let squared = joint.innovation_squared(&information).unwrap();
+            let squared = joint.information_nis(&information).unwrap();
             // Known beforehand without changing anything: the update after it says the same.
             let mut announced = DVector::zeros(0);
-            joint.correction(&information, &mut announced).unwrap();
-            joint.measurement_update(&information, &mut correction).unwrap();
+            joint.information_correction(&information, &mut announced).unwrap();
+            joint.information_update(&information, &mut correction).unwrap();
             assert!((&announced - &correction).amax() <= TOLERANCE * announced.amax(), "step {step}");
             squared
         } else {
             let (residual, upper_triangular) = (residual.as_slice().to_vec(), false);
-            let rows = Rows { columns, jacobian: jacobian.into(), residual, upper_triangular };
-            let squared = joint.weigh(&rows).unwrap();
-            joint.update_by_rows(&rows, &mut correction).unwrap();
+            let rows = LinearizedMeasurement {
+                blocks: columns,
+                jacobian: jacobian.into(),
+                residual,
+                upper_triangular,
+            };
+            let squared = joint.nis(&rows).unwrap();
+            joint.measurement_update(&rows, &mut correction).unwrap();
             squared
         };
         let expected = residual.dot(&textbook.innovation(&full).lu().solve(&residual).unwrap());
@@ -75,7 +80,7 @@ fn check(seed: u64, keyframes: u64, correlated: bool) {
         let apart = (correction - &expected).amax() / (1.0 + expected.amax());
         assert!(apart < TOLERANCE, "correction at step {step}: {apart:e}");
         textbook.update(&gain, &full);
-        joint.held.park_unused();
+        joint.held.deactivate_unused();
         most_layers = most_layers.max(joint.held.layers().len());
         narrowest = joint.held.layers().iter().map(|(_, rows)| *rows).fold(narrowest, usize::min);
 
@@ -89,9 +94,9 @@ fn check(seed: u64, keyframes: u64, correlated: bool) {
     assert!(most_layers >= 3, "{most_layers} layers: the law was hardly tried");
     assert!(narrowest < FIXED + 2 * POSE, "{narrowest} rows: no waist was found");
     for id in joint.held.ids().collect::<Vec<_>>() {
-        let slot = joint.held.pull(id, &map.keyframe(id), &[]);
+        let slot = joint.held.activate_or_insert(id, &map.keyframe(id), &[]);
         let expected = textbook.covariance.view((0, textbook.column_of(id)), (textbook.active, POSE));
-        let apart = relative(&joint.held.cross(slot), &expected.into_owned());
+        let apart = relative(&joint.held.cross_covariance(slot), &expected.into_owned());
         assert!(apart < TOLERANCE, "keyframe {id}: {apart:e}");
         // Schmidt: what the map said of a keyframe is never changed.
         let own = DMatrix::from_column_slice(POSE, POSE, map.block(id, id).as_slice());

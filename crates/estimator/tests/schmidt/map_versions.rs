@@ -76,11 +76,11 @@ fn run(seed: u64, correlated: bool, change: Change, forgets: bool) -> Outcome {
         if version > 0 {
             map = change.apply(map, &mut truth);
             if forgets {
-                joint.held.forget(&change.other_errors());
+                joint.held.remove_unused(&change.other_errors());
             } else {
                 let stayed: Vec<u64> =
                     joint.held.ids().filter(|id| !change.other_errors().contains(id)).collect();
-                joint.give_up(&change.other_errors());
+                joint.invalidate(&change.other_errors());
                 assert_eq!(joint.held.len(), stayed.len());
                 assert!(joint.held.ids().all(|id| stayed.contains(&id)));
             }
@@ -90,9 +90,9 @@ fn run(seed: u64, correlated: bool, change: Change, forgets: bool) -> Outcome {
             let ids = some_keyframes(&mut rng, KEYFRAMES);
             map.pull(&ids, &mut joint, true);
             update(&mut rng, &mut joint, &mut truth, &ids);
-            joint.held.park_unused();
+            joint.held.deactivate_unused();
             if !forgets {
-                joint.drop_surplus(MOST_HELD);
+                joint.evict(MOST_HELD);
             }
             worst = worst.min(margin(&joint, &truth));
         }
@@ -139,8 +139,8 @@ fn nothing_is_lost_where_no_error_is_another() {
         update(&mut rng, &mut joint, &mut truth, &[4, 5, 9]);
     }
     let before = joint.active().view().into_owned();
-    joint.give_up(&[]);
-    joint.give_up(&[0, 1, 2]);
+    joint.invalidate(&[]);
+    joint.invalidate(&[0, 1, 2]);
     assert_eq!(joint.active().view(), before);
     assert_eq!(joint.held.len(), 3);
 }

@@ -2,8 +2,8 @@
 //! and for the filter under test.
 
 use estimator::covariance::JointCovariance;
-use estimator::covariance::information::Columns;
 use estimator::linear_algebra::dense::Dense;
+use estimator::measurement::StateBlocks;
 use estimator::propagation::ImuMatrix;
 use geometry::{Pose, PoseWithCovariance};
 use nalgebra::{DMatrix, Matrix6};
@@ -63,11 +63,11 @@ impl Map {
     /// Pulls keyframes as they are matched. Every other time all of them at once.
     pub fn pull(&self, ids: &[u64], joint: &mut JointCovariance, at_once: bool) {
         if at_once {
-            joint.held.revive(ids);
+            joint.held.activate(ids);
         }
         for &id in ids {
             let cross = self.cross(id, joint);
-            joint.held.pull(id, &self.keyframe(id), &cross);
+            joint.held.activate_or_insert(id, &self.keyframe(id), &cross);
         }
     }
 }
@@ -236,7 +236,7 @@ impl Textbook {
         let of = at..self.active;
         let jacobian = DMatrix::from_fn(LANDMARK, of.len(), |_, _| rng.random_range(-0.5..0.5));
         let noise = spd(rng, LANDMARK, 0.1);
-        let columns = Columns::of_active(std::iter::once(of.clone()));
+        let columns = StateBlocks::of_active(std::iter::once(of.clone()));
         joint.insert(at, &columns, &Dense::from(jacobian.clone()), std::iter::once(noise.clone()));
         let dim = self.active + LANDMARK;
         let mut full = DMatrix::zeros(dim, self.active);
