@@ -4,6 +4,7 @@
 
 #![allow(clippy::unwrap_used, clippy::missing_panics_doc)]
 
+pub mod data;
 pub mod images;
 pub mod network;
 pub mod place;

@@ -1,12 +1,13 @@
 //! Real images, with the bounds that the system must keep on them.
 //!
-//! They are not part of the repository. Unpacked to `target/data` they are run; elsewhere each test says that it has
-//! nothing to run.
+//! The recordings are not part of the repository. Where they are unpacked to `target/data`, run these tests as those of
+//! `recorded.rs`, with `--ignored`; without a recording its test fails and names it. The test of XFeat also needs
+//! `--features neural` and the weights (`driftless weights xfeat`).
 #![allow(clippy::unwrap_used)]
 
 use sensors::{Sequence, TruthTrack};
-use std::path::Path;
 use std::sync::Arc;
+use tests::data::recording;
 use tests::images::{Found, Split, within, wrong_by};
 use tests::robot::run;
 use tools::in_process::LocalServer;
@@ -20,21 +21,16 @@ const SETTLED_NS: i64 = 5_000_000_000;
 const TRUTH_SIGMA: f64 = 0.01;
 const QUERY_FEATURES: usize = 1000;
 
-fn recording(name: &str) -> Option<Sequence> {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../target/data/images").join(name);
-    if !folder.is_dir() {
-        eprintln!("{name} is not unpacked in target/data: nothing to run");
-        return None;
-    }
-    Some(Sequence::open(&folder).unwrap())
+fn recorded_images(name: &str) -> Sequence {
+    Sequence::open(&recording("images").join(name)).unwrap()
 }
 
-fn vicon_room() -> Option<Sequence> {
-    recording("v1_01_keyframes")
+fn vicon_room() -> Sequence {
+    recorded_images("v1_01_keyframes")
 }
 
-fn odd_images() -> Option<Split> {
-    Some(Split::new(vicon_room()?, |index, _| index % 2 == 1))
+fn odd_images() -> Split {
+    Split::new(vicon_room(), |index, _| index % 2 == 1)
 }
 
 fn classical() -> Box<dyn FeatureExtractor> {
@@ -62,8 +58,9 @@ fn tell(what: &str, found: &[Found]) {
 }
 
 #[test]
+#[ignore = "needs the recordings in target/data"]
 fn images_between_those_of_the_map_are_localized() {
-    let Some(split) = odd_images() else { return };
+    let split = odd_images();
     let mut extractor = classical();
     let (map, report) = split.build(extractor.as_mut(), MAP_FEATURES);
     println!(
@@ -86,8 +83,9 @@ fn images_between_those_of_the_map_are_localized() {
 }
 
 #[test]
+#[ignore = "needs the recordings in target/data"]
 fn later_images_are_localized_in_a_map_of_the_first_50_s() {
-    let Some(sequence) = vicon_room() else { return };
+    let sequence = vicon_room();
     let first_ns = sequence.frames[0].stamp_ns;
     let split = Split::new(sequence, |_, frame| frame.stamp_ns - first_ns < 50_000_000_000);
     let mut extractor = classical();
@@ -100,8 +98,9 @@ fn later_images_are_localized_in_a_map_of_the_first_50_s() {
 
 /// The whole flight with one image every one to five seconds: nothing to track, only the map and the IMU.
 #[test]
+#[ignore = "needs the recordings in target/data"]
 fn few_images_keep_a_robot_in_the_map() {
-    let Some(split) = odd_images() else { return };
+    let split = odd_images();
     let (map, _) = split.build(classical().as_mut(), MAP_FEATURES);
     let mut live = split.sequence.clone();
     live.frames = split.queries.iter().map(|&index| split.sequence.frames[index].clone()).collect();
@@ -137,8 +136,9 @@ fn few_images_keep_a_robot_in_the_map() {
 }
 
 #[test]
+#[ignore = "needs the recordings in target/data"]
 fn odometry_from_the_images_of_one_shaken_camera() {
-    let Some(sequence) = recording("mh_01_handheld_16s") else { return };
+    let sequence = recorded_images("mh_01_handheld_16s");
     let out = tempfile::tempdir().unwrap();
     let switches = "--mode odometry --cameras mono --init truth --imu-noise-scale 3 --sigma-gyroscope-bias 0.1 \
                     --sigma-accelerometer-bias 0.2";
@@ -155,8 +155,8 @@ mod learned {
 
     const MAP_FEATURES: usize = 1500;
 
-    fn xfeat() -> Option<Box<dyn FeatureExtractor>> {
-        open("xfeat-1", None).map_err(|error| eprintln!("{error}: nothing to run")).ok()
+    fn xfeat() -> Box<dyn FeatureExtractor> {
+        open("xfeat-1", None).unwrap_or_else(|error| panic!("{error}"))
     }
 
     /// 8 grey levels of noise, the same in every run.
@@ -192,8 +192,9 @@ mod learned {
     }
 
     #[test]
+    #[ignore = "needs the recordings in target/data, and the weights of XFeat"]
     fn images_are_localized_in_good_light_and_bad() {
-        let (Some(split), Some(mut extractor)) = (odd_images(), xfeat()) else { return };
+        let (split, mut extractor) = (odd_images(), xfeat());
         let (map, _) = split.build(extractor.as_mut(), MAP_FEATURES);
         let found = split.localize(&map, extractor.as_mut(), QUERY_FEATURES, |image| image);
         tell("even in odd, XFeat", &found);

@@ -1,32 +1,30 @@
 //! The recorded runs, with the bounds that the system must keep on them.
 //!
-//! They are not part of the repository. Unpacked to `target/data` they are run; elsewhere each test says
-//! that it has nothing to run.
+//! The recordings are not part of the repository. Where they are unpacked to `target/data`, run these tests with
+//!
+//! ```sh
+//! cargo test --release -p driftless-tests --test recorded --test images -- --ignored
+//! ```
+//!
+//! Without a recording its test fails and names it.
 #![allow(clippy::unwrap_used)]
 
 use evaluation::Score;
-use map::text::read_map;
+use map::text::{read_map, write_map};
 use mapping::{BuildOptions, StoredPoses, build_map};
 use nalgebra::{Matrix3, Vector3};
 use onboard::{Outcome, RobotArguments};
 use recognition::LoadedMap;
 use sensors::Sequence;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
+use tests::data::{data_folder, recording};
 use tests::robot::{arguments, run};
 use tools::in_process::LocalServer;
 
 /// Noise of real sensors and of learned features, see the README.
 const REAL: &str = "--imu-noise-scale 5 --sigma-track 1.5 --sigma-gyroscope-bias 0.1 \
                     --sigma-accelerometer-bias 0.2 --sigma-match 3 --sigma-map 3";
-
-fn recording(name: &str) -> Option<PathBuf> {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../target/data").join(name);
-    if !folder.is_dir() {
-        eprintln!("{name} is not unpacked in target/data: nothing to run");
-    }
-    folder.is_dir().then_some(folder)
-}
 
 fn imported(folder: &Path) -> Arc<LoadedMap> {
     Arc::new(LoadedMap::from_contents(read_map(folder).unwrap()).unwrap())
@@ -69,8 +67,9 @@ fn assert_honest(score: &Score) {
 }
 
 #[test]
+#[ignore = "needs the recordings in target/data"]
 fn the_papers_simulation() {
-    let (Some(map), Some(live)) = (recording("yq/map"), recording("yq/live")) else { return };
+    let (map, live) = (recording("yq/map"), recording("yq/live"));
     let (refined, map) =
         (built(&map, f64::INFINITY, StoredPoses::Refined), built(&map, f64::INFINITY, StoredPoses::Given));
     let of_refined = localize(&live, &refined, "--init truth --mode multi");
@@ -86,8 +85,9 @@ fn the_papers_simulation() {
 }
 
 #[test]
+#[ignore = "needs the recordings in target/data"]
 fn the_papers_place_with_its_real_matches() {
-    let (Some(map), Some(live)) = (recording("yq_real/map"), recording("yq_real/live")) else { return };
+    let (map, live) = (recording("yq_real/map"), recording("yq_real/live"));
     let outcome =
         localize(&live, &imported(&map), "--init truth --mode single --sigma-match 3 --sigma-map 3");
     let score = pose_within(&outcome, 0.30, 0.35);
@@ -96,13 +96,14 @@ fn the_papers_place_with_its_real_matches() {
 }
 
 #[test]
+#[ignore = "needs the recordings in target/data"]
 fn real_imu_and_real_matches() {
     // The truth of v202 turns by half a degree against its own images: no filter can be honest about it.
     for (place, metres, degrees, is_sound) in
         [("mh05_on_mh01", 0.08, 0.5, true), ("v202_on_v201", 0.03, 0.5, false)]
     {
         let folder = format!("euroc_real/{place}");
-        let Some(folder) = recording(&folder) else { return };
+        let folder = recording(&folder);
         let map = imported(&folder.join("map"));
         let switches = format!("--init truth --mode single {REAL}");
         let score = pose_within(&localize(&folder.join("live"), &map, &switches), metres, degrees);
@@ -113,27 +114,27 @@ fn real_imu_and_real_matches() {
 }
 
 #[test]
+#[ignore = "needs the recordings in target/data"]
 fn a_hall_mapped_by_another_flight() {
-    let (Some(map), Some(live)) = (recording("odometry/MH_01_easy"), recording("odometry/MH_03_medium"))
-    else {
-        return;
-    };
+    let (map, live) = (recording("odometry/MH_01_easy"), recording("odometry/MH_03_medium"));
     let map = built(&map, f64::INFINITY, StoredPoses::Refined);
     pose_within(&localize(&live, &map, "--init truth --mode single"), 0.03, 0.3);
     pose_within(&localize(&live, &map, "--init truth --mode multi"), 0.025, 0.3);
 }
 
 #[test]
+#[ignore = "needs the recordings in target/data"]
 fn ten_loops_in_a_map_whose_gravity_is_not_along_z() {
-    let Some(folder) = recording("loops/scenario_1") else { return };
+    let folder = recording("loops/scenario_1");
     let outcome =
         localize(&folder.join("live"), &imported(&folder.join("map")), "--init truth --mode single");
     assert_honest(&pose_within(&outcome, 0.15, 0.30));
 }
 
 #[test]
+#[ignore = "needs the recordings in target/data"]
 fn a_walk_that_comes_back_to_its_start_is_localized_again() {
-    let Some(folder) = recording("walk") else { return };
+    let folder = recording("walk");
     let (out, map) = (tempfile::tempdir().unwrap(), built(&folder, 10.0, StoredPoses::Refined));
     let outcome = localize_into(out.path(), &folder, &map, "--sigma-accelerometer-bias 0.1");
     let first_ns = outcome.states().unwrap()[0].stamp_ns;
@@ -145,8 +146,9 @@ fn a_walk_that_comes_back_to_its_start_is_localized_again() {
 }
 
 #[test]
+#[ignore = "needs the recordings in target/data"]
 fn odometry_alone() {
-    let Some(live) = recording("yq/live") else { return };
+    let live = recording("yq/live");
     let sequence = Sequence::open(&live).unwrap();
     let out = tempfile::tempdir().unwrap();
     let parsed: RobotArguments = arguments(out.path(), "--init truth --mode odometry");
@@ -184,9 +186,10 @@ fn scale_of_odometry(outcome: &Outcome, sequence: &Sequence) -> f64 {
 }
 
 #[test]
+#[ignore = "needs the recordings in target/data"]
 fn starts_in_motion_without_truth() {
     for name in ["odometry/udel_gore", "odometry/MH_03_medium"] {
-        let Some(folder) = recording(name) else { return };
+        let folder = recording(name);
         let sequence = Sequence::open(&folder).unwrap();
         for cameras in ["mono", "stereo"] {
             for start in [5, 20, 35, 50, 70] {
@@ -205,5 +208,38 @@ fn starts_in_motion_without_truth() {
                 assert!(error < 0.10, "{case}: {error} m");
             }
         }
+    }
+}
+
+#[test]
+#[ignore = "needs the recordings in target/data"]
+fn every_recording_is_read_and_its_gravity_found() {
+    let mut folders = vec![data_folder()];
+    let mut recordings = 0;
+    while let Some(folder) = folders.pop() {
+        if folder.join("mav0").is_dir() {
+            let sequence = Sequence::open(&folder).unwrap_or_else(|error| panic!("{error}"));
+            assert!(!sequence.frames.is_empty());
+            let down = if folder.to_string_lossy().contains("loops") { -Vector3::x() } else { -Vector3::z() };
+            let known = sequence.imu.is_some() && sequence.groundtruth.is_some();
+            assert_eq!(sequence.truth_gravity(), known.then_some(down), "{}", folder.display());
+            recordings += 1;
+            continue;
+        }
+        let entries = std::fs::read_dir(&folder).into_iter().flatten().flatten();
+        folders.extend(entries.map(|entry| entry.path()).filter(|path| path.is_dir()));
+    }
+    assert!(recordings > 0, "no recording is unpacked in {}", data_folder().display());
+}
+
+#[test]
+#[ignore = "needs the recordings in target/data"]
+fn recorded_maps_survive_a_round_trip() {
+    for name in ["loops/scenario_1", "yq_real", "euroc_real/mh05_on_mh01", "euroc_real/v202_on_v201"] {
+        let contents = read_map(&recording(name).join("map")).unwrap();
+        let copy = tempfile::tempdir().unwrap();
+        write_map(copy.path(), &contents).unwrap();
+        assert_eq!(read_map(copy.path()).unwrap(), contents);
+        assert_eq!(std::fs::read_dir(copy.path()).unwrap().count(), 4, "{name}");
     }
 }

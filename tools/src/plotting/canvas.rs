@@ -33,6 +33,9 @@ pub(crate) const GRID: RGBColor = RGBColor(228, 228, 232);
 pub(crate) const FONT: &str = "sans-serif";
 /// Height of title and legend, px.
 const HEADER: i32 = 68;
+/// Height of a line of the caption, px, and of its letters.
+const CAPTION_LINE: i32 = 20;
+const CAPTION_SIZE: i32 = 14;
 const TITLE_SIZE: i32 = 21;
 const LEGEND_SIZE: i32 = 15;
 /// Mean width of a letter as a share of its height; no font is loaded to measure it.
@@ -66,13 +69,30 @@ pub(crate) fn draw(
     legend: &[LegendEntry],
     fill: impl FnOnce(&Area<'_>) -> Result<(), String>,
 ) -> Result<PathBuf, PlotError> {
+    draw_with_caption(path, size, title, &[], legend, fill)
+}
+
+/// Draws a picture: title, lines of a caption, legend, and what `fill` puts below.
+pub(crate) fn draw_with_caption(
+    path: &Path,
+    size: (u32, u32),
+    title: &str,
+    caption: &[String],
+    legend: &[LegendEntry],
+    fill: impl FnOnce(&Area<'_>) -> Result<(), String>,
+) -> Result<PathBuf, PlotError> {
     let paint = || -> Result<(), String> {
         let sheet = SVGBackend::new(path, size).into_drawing_area();
         sheet.fill(&WHITE).map_err(text)?;
-        let (header, body) = sheet.split_vertically(HEADER);
+        let caption_height = CAPTION_LINE * caption.len() as i32;
+        let (header, body) = sheet.split_vertically(HEADER + caption_height);
         let style = TextStyle::from((FONT, TITLE_SIZE).into_font()).color(&INK);
         header.draw(&Text::new(title, (20, 12), style)).map_err(text)?;
-        draw_legend(&header, legend)?;
+        let style = TextStyle::from((FONT, CAPTION_SIZE).into_font()).color(&INK);
+        for (line, top) in caption.iter().zip((0..).map(|line| 42 + CAPTION_LINE * line)) {
+            header.draw(&Text::new(line.as_str(), (22, top), style.clone())).map_err(text)?;
+        }
+        draw_legend(&header, legend, 52 + caption_height)?;
         fill(&body)?;
         sheet.present().map_err(text)
     };
@@ -85,9 +105,9 @@ pub(crate) fn text(error: impl std::fmt::Display) -> String {
     error.to_string()
 }
 
-fn draw_legend(header: &Area<'_>, legend: &[LegendEntry]) -> Result<(), String> {
+fn draw_legend(header: &Area<'_>, legend: &[LegendEntry], middle: i32) -> Result<(), String> {
     let style = TextStyle::from((FONT, LEGEND_SIZE).into_font()).color(&INK);
-    let (mut x, middle) = (22, 52);
+    let mut x = 22;
     for entry in legend {
         let colour = entry.colour;
         match entry.mark {

@@ -1,10 +1,12 @@
-//! Several runs over the same recording in one picture: where they went, and how far off they were.
+//! Several runs over the same recording in one picture: their trajectories, and their errors beside the uncertainty that
+//! they claim.
 
-use super::canvas::{self, COLOURS, MAP, Mark, TRUTH, entry, text};
-use super::panel::{Dots, Line, Panel};
-use super::series::{thin, thin_path};
+use super::canvas::{self, Area, BAD, ESTIMATE, GOOD, MAP, Mark, ODOMETRY, TRUTH, entry, text};
+use super::panel::{Band, Dots, Line, Panel};
+use super::series::{quantile, thin, thin_path};
 use super::trajectory::{View, plan};
 use super::{PlotError, Truth};
+use evaluation::ErrorSample;
 use evaluation::trajectory::StampedPose;
 use nalgebra::Vector3;
 use plotters::style::RGBColor;
@@ -14,14 +16,30 @@ use std::path::{Path, PathBuf};
 
 /// Truth is interpolated between rows that are at most so far apart.
 const MAX_TRUTH_GAP_NS: i64 = 250_000_000;
+/// Claimed uncertainty is drawn at so many standard deviations.
+const BOUND: f64 = 3.0;
+/// One colour a run; a fifth and more share the last.
+const RUN_COLOURS: [RGBColor; 4] = [ODOMETRY, BAD, ESTIMATE, GOOD];
+/// Stretches without matches.
+const SHADE: RGBColor = RGBColor(232, 232, 228);
+/// In the plan, errors are drawn longer by one of these factors.
+const EXAGGERATIONS: [f64; 6] = [1.0, 2.0, 5.0, 10.0, 20.0, 50.0];
+/// The plan's largest errors come to this fraction of the smaller side of the trajectory.
+const EXAGGERATED_SHARE: f64 = 0.15;
+/// Quantile of errors and bounds by which the scale is chosen: single outliers may leave the picture.
+const SHOWN: f64 = 0.97;
 
 /// One run of a comparison.
 #[derive(Clone, Debug)]
 pub struct ComparedRun {
     /// What to call it.
     pub name: String,
-    /// The IMU in G, in order of time. For plain odometry: laid where L truly lies.
+    /// Its figures, for the title of its panel.
+    pub figures: String,
+    /// The IMU in G, in order of time. For plain odometry: with L placed where it truly is.
     pub poses: Vec<StampedPose>,
+    /// The errors of these poses with the filter's own standard deviations.
+    pub errors: Vec<ErrorSample>,
 }
 
 /// What is compared.
@@ -29,17 +47,19 @@ pub struct ComparedRun {
 pub struct Comparison {
     /// Title of the picture.
     pub title: String,
+    /// Lines below the title: the conditions.
+    pub caption: Vec<String>,
     /// The truth of the recording.
     pub truth: Truth,
     /// Positions of the map's keyframes in G, metres.
     pub keyframes: Vec<Vector3<f64>>,
-    /// Stretches without a map, nanoseconds; shaded over time.
+    /// Stretches without matches, nanoseconds; shaded.
     pub dropouts: Vec<Range<i64>>,
     /// The runs, at most four of which can be told apart.
     pub runs: Vec<ComparedRun>,
 }
 
-/// The stretches of a recording in which no place could be recognized, nanoseconds.
+/// The stretches of a recording in which no image has features, nanoseconds.
 ///
 /// # Arguments
 /// * `longer_than_ns`: images with features come at intervals; a gap counts only if it is longer.
@@ -52,79 +72,132 @@ pub fn stretches_without_features(frames: &[Frame], longer_than_ns: i64) -> Vec<
     gaps.filter(|gap| gap.end - gap.start > longer_than_ns).collect()
 }
 
-/// Draws a comparison.
+/// Draws a comparison: the plan on the left, a panel of errors for each run on the right.
 ///
 /// # Errors
 /// [`PlotError::Draw`] where the picture cannot be written.
 pub fn draw(comparison: &Comparison, path: &Path) -> Result<PathBuf, PlotError> {
-    let view = View::along(&comparison.truth.gravity);
+    let exaggeration = comparison.exaggeration();
     let mut legend = vec![entry(Mark::Dot, MAP, "keyframes of the map"), entry(Mark::Line, TRUTH, "truth")];
-    for (run, colour) in coloured(comparison) {
+    for (run, colour) in comparison.coloured() {
         legend.push(entry(Mark::Line, colour, &run.name));
     }
-    if !comparison.dropouts.is_empty() {
-        legend.push(entry(Mark::Patch, SHADE, "no map in sight"));
-    }
-    canvas::draw(path, (1280, 620), &comparison.title, &legend, |body| {
+    legend.push(entry(Mark::Patch, SHADE, "no matches"));
+    let mut caption = comparison.caption.clone();
+    caption.push(format!(
+        "Left: plan view, errors drawn {exaggeration:.0} times as large. Right: distance from the truth (line), and what \
+         the filter claims ({BOUND:.0} sigma, filled)."
+    ));
+    let height = 620 + 20 * caption.len() as u32;
+    canvas::draw_with_caption(path, (1400, height), &comparison.title, &caption, &legend, |body| {
         let (left, right) = body.split_horizontally(640);
-        let keyframes = comparison.keyframes.iter().map(|position| view.look(position)).collect();
-        let mut lines = vec![path_line(&view, truth_positions(comparison), TRUTH, 4)];
-        for (run, colour) in coloured(comparison) {
-            lines.push(path_line(&view, run.poses.iter().map(|pose| pose.pose.translation), colour, 2));
-        }
-        plan(&left, lines, vec![Dots { points: keyframes, colour: MAP, radius: 3 }])?;
-        errors_over_time(comparison).draw(&right).map_err(text)
+        comparison.draw_plan(&left, exaggeration)?;
+        comparison.draw_errors(&right)
     })
 }
 
-const SHADE: RGBColor = RGBColor(236, 236, 232);
-
-fn coloured(comparison: &Comparison) -> impl Iterator<Item = (&ComparedRun, RGBColor)> {
-    comparison.runs.iter().enumerate().map(|(index, run)| (run, COLOURS[index.min(COLOURS.len() - 1)]))
-}
-
-fn truth_positions(comparison: &Comparison) -> impl Iterator<Item = Vector3<f64>> + '_ {
-    comparison.truth.rows.iter().map(|row| row.pose.translation)
-}
-
-fn path_line(
-    view: &View,
-    positions: impl Iterator<Item = Vector3<f64>>,
-    colour: RGBColor,
-    width: u32,
-) -> Line {
-    let points: Vec<_> = positions.map(|position| view.look(&position)).collect();
-    Line { points: thin_path(&points), colour, width }
-}
-
-/// Distance from the truth over time, one line a run.
-fn errors_over_time(comparison: &Comparison) -> Panel {
-    let track = TruthTrack::new(&comparison.truth.rows);
-    let start_ns = comparison.truth.rows.first().map_or(0, |row| row.stamp_ns);
-    let end_ns = comparison.truth.rows.last().map_or(1, |row| row.stamp_ns);
-    let seconds = |stamp_ns: i64| (stamp_ns - start_ns) as f64 * 1e-9;
-    let lines: Vec<Line> = coloured(comparison)
-        .map(|(run, colour)| {
-            let error = |pose: &StampedPose| {
-                let truth = track.pose(pose.stamp_ns, MAX_TRUTH_GAP_NS)?;
-                Some((seconds(pose.stamp_ns), (truth.translation - pose.pose.translation).norm()))
-            };
-            let points: Vec<_> = run.poses.iter().filter_map(error).collect();
-            Line { points: thin(&points), colour, width: 2 }
-        })
-        .collect();
-    let highest = lines.iter().flat_map(|line| &line.points).map(|point| point.1).fold(1e-6, f64::max) * 1.08;
-    let shades = comparison.dropouts.iter().map(|stretch| super::panel::Band {
-        heights: vec![(seconds(stretch.start), highest), (seconds(stretch.end), highest)],
-        colour: SHADE,
-    });
-    Panel {
-        x_label: "time [s]",
-        y_label: "distance from the truth [m]".to_owned(),
-        x: 0.0..seconds(end_ns).max(1e-3),
-        y: 0.0..highest,
-        bands: shades.collect(),
-        lines,
-        ..Panel::default()
+impl Comparison {
+    fn coloured(&self) -> impl Iterator<Item = (&ComparedRun, RGBColor)> {
+        self.runs.iter().enumerate().map(|(index, run)| (run, RUN_COLOURS[index.min(RUN_COLOURS.len() - 1)]))
     }
+
+    /// The factor by which errors are drawn longer, so that they can be seen beside the size of the trajectory.
+    fn exaggeration(&self) -> f64 {
+        let side = |axis: usize| {
+            let along = self.truth.rows.iter().map(|row| row.pose.translation[axis]);
+            let (low, high) =
+                along.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), at| (low.min(at), high.max(at)));
+            (high - low).max(0.0)
+        };
+        let mut sides = [side(0), side(1), side(2)];
+        sides.sort_unstable_by(f64::total_cmp);
+        let errors = self.runs.iter().flat_map(|run| &run.errors).map(position_error);
+        let largest = quantile(errors, SHOWN).unwrap_or(1.0).max(1e-9);
+        let fitting = |factor: &&f64| **factor * largest <= EXAGGERATED_SHARE * sides[1];
+        EXAGGERATIONS.iter().rev().find(fitting).copied().unwrap_or(1.0)
+    }
+
+    fn draw_plan(&self, area: &Area<'_>, exaggeration: f64) -> Result<(), String> {
+        let view = View::along(&self.truth.gravity);
+        let track = TruthTrack::new(&self.truth.rows);
+        let rows = || self.truth.rows.iter();
+        let path_line = |positions: Vec<Vector3<f64>>, colour: RGBColor, width: u32| {
+            let points: Vec<_> = positions.iter().map(|position| view.look(position)).collect();
+            Line { points: thin_path(&points), colour, width }
+        };
+        let mut lines: Vec<Line> = self
+            .dropouts
+            .iter()
+            .map(|stretch| {
+                let inside = rows().filter(|row| stretch.contains(&row.stamp_ns));
+                path_line(inside.map(|row| row.pose.translation).collect(), SHADE, 22)
+            })
+            .collect();
+        lines.push(path_line(rows().map(|row| row.pose.translation).collect(), TRUTH, 3));
+        for (run, colour) in self.coloured() {
+            let exaggerated = run.poses.iter().filter_map(|pose| {
+                let truth = track.pose(pose.stamp_ns, MAX_TRUTH_GAP_NS)?.translation;
+                Some(truth + (pose.pose.translation - truth) * exaggeration)
+            });
+            lines.push(path_line(exaggerated.collect(), colour, 2));
+        }
+        let keyframes = self.keyframes.iter().map(|position| view.look(position)).collect();
+        plan(area, lines, vec![Dots { points: keyframes, colour: MAP, radius: 2 }])
+    }
+
+    fn draw_errors(&self, area: &Area<'_>) -> Result<(), String> {
+        let runs = self.runs.len();
+        let errors = || self.runs.iter().flat_map(|run| &run.errors);
+        let highest = errors().map(position_error).fold(1e-6, f64::max);
+        let widest = quantile(errors().map(claimed_bound), SHOWN).unwrap_or(0.0);
+        // The same scale for all, so that they can be compared.
+        let top = 1.05 * highest.max(widest);
+        for (index, ((run, colour), area)) in
+            self.coloured().zip(area.split_evenly((runs.max(1), 1))).enumerate()
+        {
+            self.error_panel(run, colour, top, index + 1 == runs).draw(&area).map_err(text)?;
+        }
+        Ok(())
+    }
+
+    /// Distance from the truth over time, above the claimed uncertainty.
+    fn error_panel(&self, run: &ComparedRun, colour: RGBColor, top: f64, is_last: bool) -> Panel {
+        let start_ns = self.truth.rows.first().map_or(0, |row| row.stamp_ns);
+        let end_ns = self.truth.rows.last().map_or(1, |row| row.stamp_ns);
+        let seconds = |stamp_ns: i64| (stamp_ns - start_ns) as f64 * 1e-9;
+        let series = |value: &dyn Fn(&ErrorSample) -> f64| -> Vec<(f64, f64)> {
+            run.errors.iter().map(|sample| (seconds(sample.stamp_ns), value(sample))).collect()
+        };
+        let shades = self.dropouts.iter().map(|stretch| Band {
+            heights: vec![(seconds(stretch.start), top), (seconds(stretch.end), top)],
+            colour: SHADE,
+        });
+        let claimed = Band { heights: thin(&series(&claimed_bound)), colour: pale(colour) };
+        Panel {
+            title: format!("{}. {}", run.name, run.figures),
+            x_label: if is_last { "time [s]" } else { "" },
+            y_label: "error [m]".to_owned(),
+            x: 0.0..seconds(end_ns).max(1e-3),
+            y: 0.0..top,
+            bands: shades.chain([claimed]).collect(),
+            lines: vec![Line { points: thin(&series(&position_error)), colour, width: 2 }],
+            ..Panel::default()
+        }
+    }
+}
+
+/// Distance from the truth, metres.
+fn position_error(sample: &ErrorSample) -> f64 {
+    sample.error.fixed_rows::<3>(3).norm()
+}
+
+/// What the filter claims of this distance: three standard deviations of the position, all axes together, metres.
+fn claimed_bound(sample: &ErrorSample) -> f64 {
+    BOUND * sample.sigma.fixed_rows::<3>(3).norm()
+}
+
+/// A lighter tint of a colour.
+fn pale(colour: RGBColor) -> RGBColor {
+    let lighter = |part: u8| (f64::from(part) * 0.35 + 255.0 * 0.65) as u8;
+    RGBColor(lighter(colour.0), lighter(colour.1), lighter(colour.2))
 }

@@ -34,6 +34,8 @@ pub(crate) struct Needles {
 /// One set of axes. What is listed later is drawn over what is listed before.
 #[derive(Default)]
 pub(crate) struct Panel {
+    /// Above the axes; empty for none.
+    pub(crate) title: String,
     pub(crate) x_label: &'static str,
     pub(crate) y_label: String,
     pub(crate) x: Range<f64>,
@@ -63,7 +65,11 @@ pub(crate) fn inner_size(area: &Area<'_>) -> (f64, f64) {
 impl Panel {
     /// Draws the panel into an area.
     pub(crate) fn draw(&self, area: &Area<'_>) -> Result<(), String> {
-        let mut chart = ChartBuilder::on(area)
+        let mut builder = ChartBuilder::on(area);
+        if !self.title.is_empty() {
+            builder.caption(&self.title, (FONT, LETTERS).into_font().color(&INK));
+        }
+        let mut chart = builder
             .margin(MARGIN)
             .margin_right(RIGHT)
             .x_label_area_size(BELOW)

@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::plotting::comparison::{ComparedRun, Comparison};
+use evaluation::ErrorSample;
 use evaluation::trajectory::{StampedPose, StateRow, states};
 use geometry::pose::Pose;
 use geometry::uncertain_pose::PoseWithCovariance;
@@ -127,19 +128,33 @@ fn runs_are_compared_in_one_picture() {
         })
         .collect()
     };
+    let run = |name: &str, drift: f64| {
+        let poses = poses(drift);
+        let errors = truth_rows().into_iter().zip(&poses).map(|(truth, pose)| ErrorSample {
+            stamp_ns: pose.stamp_ns,
+            error: pose.pose.local(&truth.pose),
+            sigma: nalgebra::Vector6::repeat(0.05),
+            nees: None,
+        });
+        ComparedRun {
+            name: name.to_owned(),
+            figures: "NEES 1.0".to_owned(),
+            errors: errors.collect(),
+            poses: poses.clone(),
+        }
+    };
     let comparison = Comparison {
         title: "Two runs".to_owned(),
+        caption: vec!["An imperfect map.".to_owned()],
         truth: Truth { rows: truth_rows(), gravity: -Vector3::z() },
         keyframes: truth_rows().iter().step_by(20).map(|row| row.pose.translation).collect(),
         dropouts: [5, 25].map(|s| START_NS + s * 1_000_000_000..START_NS + (s + 4) * 1_000_000_000).to_vec(),
-        runs: vec![
-            ComparedRun { name: "odometry".to_owned(), poses: poses(0.005) },
-            ComparedRun { name: "with the map".to_owned(), poses: poses(0.0) },
-        ],
+        runs: vec![run("odometry", 0.005), run("with the map", 0.0)],
     };
     let path = comparison::draw(&comparison, &folder.path().join("comparison.svg")).unwrap();
     let svg = std::fs::read_to_string(path).unwrap();
-    assert!(svg.contains("odometry") && svg.contains("no map in sight") && !svg.contains("NaN"));
+    assert!(svg.contains("odometry") && svg.contains("no matches") && !svg.contains("NaN"));
+    assert!(svg.contains("An imperfect map.") && svg.contains("with the map. NEES 1.0"));
     if let Ok(keep) = std::env::var("KEEP_PICTURES") {
         std::fs::write(Path::new(&keep).join("comparison.svg"), svg).unwrap();
     }

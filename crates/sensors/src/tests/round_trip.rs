@@ -96,23 +96,3 @@ fn a_header_without_a_hash_is_a_header() {
     let rows = read_groundtruth(&path).unwrap();
     assert_eq!((rows.len(), rows[0].velocity), (1, None));
 }
-
-/// Where the recorded data is unpacked, every recording in it is read, and gravity found; elsewhere there is nothing
-/// to read.
-#[test]
-fn every_unpacked_recording_is_read() {
-    let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../target/data");
-    let mut folders = vec![data];
-    while let Some(folder) = folders.pop() {
-        if folder.join("mav0").is_dir() {
-            let sequence = Sequence::open(&folder).unwrap_or_else(|error| panic!("{error}"));
-            assert!(!sequence.frames.is_empty());
-            let down = if folder.to_string_lossy().contains("loops") { -Vector3::x() } else { -Vector3::z() };
-            let known = sequence.imu.is_some() && sequence.groundtruth.is_some();
-            assert_eq!(sequence.truth_gravity(), known.then_some(down), "{}", folder.display());
-            continue;
-        }
-        let entries = std::fs::read_dir(&folder).into_iter().flatten().flatten();
-        folders.extend(entries.map(|entry| entry.path()).filter(|path| path.is_dir()));
-    }
-}

@@ -1,5 +1,4 @@
-//! XFeat with its published weights, where `driftless weights xfeat` has put them; elsewhere these tests say that they
-//! have nothing to run.
+//! XFeat with its published weights: run with `--ignored` where `driftless weights xfeat` has put them.
 
 use super::engines;
 use super::reference::{Map, xfeat, xfeat_shapes};
@@ -11,18 +10,16 @@ use vision::features::neural::{Network, XfeatExtractor, write_xfeat};
 use vision::features::weights::{XFEAT, default_folder};
 use vision::{DescriptorView, FeatureExtractor as _, GrayImage, MatchOptions, Metric, match_descriptors};
 
-fn weights() -> Option<PathBuf> {
+fn weights() -> PathBuf {
     let path = default_folder().join(XFEAT.file);
-    if path.exists() {
-        return Some(path);
-    }
-    eprintln!("{} is not there (driftless weights xfeat): nothing to run", path.display());
-    None
+    assert!(path.exists(), "{} is missing; get it: {}", path.display(), XFEAT.command);
+    path
 }
 
 #[test]
+#[ignore = "needs the weights of XFeat"]
 fn the_published_network_gives_the_numbers_of_a_direct_computation() {
-    let Some(path) = weights() else { return };
+    let path = weights();
     let state = StateDict::read(&std::fs::read(path).unwrap()).unwrap();
     let tensors = xfeat_shapes().into_iter().map(|(name, shape)| {
         let data = state.get(&name, &shape).unwrap().to_vec();
@@ -108,14 +105,12 @@ fn stereo() -> (Camera, Camera, Pose) {
 }
 
 #[test]
+#[ignore = "needs the weights of XFeat, and the recordings in target/data"]
 fn most_matches_between_two_cameras_keep_the_epipolar_line() {
-    let Some(path) = weights() else { return };
+    let path = weights();
     let sequence =
         Path::new(env!("CARGO_MANIFEST_DIR")).join("../../target/data/images/v1_01_keyframes/mav0");
-    if !sequence.exists() {
-        eprintln!("images/v1_01_keyframes is not unpacked in target/data: nothing to run");
-        return;
-    }
+    assert!(sequence.is_dir(), "images/v1_01_keyframes is not unpacked in target/data");
     let mut extractor = XfeatExtractor::open(path.parent().unwrap()).unwrap();
     let (left, right, left_from_right) = stereo();
     let options = MatchOptions { max_distance: 0.2, ratio: Some(0.8), mutual: true };
