@@ -87,7 +87,12 @@ pub async fn reload(server: &MapServer, maps: &[MapArgument]) {
             }
             Err(reason) => {
                 let reason = format!("{reason:#}");
-                tracing::warn!(name, version = served, reason, "reload failed; the previous version continues to be served");
+                tracing::warn!(
+                    name,
+                    version = served,
+                    reason,
+                    "reload failed; the previous version continues to be served"
+                );
                 continue;
             }
         };
