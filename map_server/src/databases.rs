@@ -1,7 +1,7 @@
-//! The databases behind the served maps: read when the server starts, and again when it is told that they changed.
+//! The databases of the served maps: loaded when the server starts, and again on request.
 //!
-//! A database is closed again once it was read, so that other programs can write the next version of the map into it while
-//! this one is served. A version that cannot be read is never worth the map that is served already: that goes on.
+//! A database is closed once it was loaded, so that another program can write the next version of the map to it meanwhile.
+//! If the new version cannot be loaded, the previous one continues to be served.
 
 use std::path::PathBuf;
 use std::str::FromStr;
@@ -10,33 +10,43 @@ use std::sync::Arc;
 use anyhow::{Context, bail};
 use map::{MapStore, SledStore};
 use map_server::{MapServer, ServedMap};
+use protocol::keys::{NameError, validate_name};
 use recognition::LoadedMap;
 
 /// `NAME=DB`
 #[derive(Clone, Debug)]
 pub struct MapArgument {
-    /// The name that robots call the map by.
+    /// Name of the map in its keys.
     pub name: String,
-    /// Where it is.
+    /// Path of its database.
     pub database: PathBuf,
 }
 
-impl FromStr for MapArgument {
-    type Err = String;
+/// Why an argument is not `NAME=DB`.
+#[derive(Debug, thiserror::Error)]
+pub enum MapArgumentError {
+    #[error("write the map's name and its database as NAME=DB, for example hall=maps/hall.db")]
+    NoDatabase,
+    #[error(transparent)]
+    Name(#[from] NameError),
+    #[error("the database of map {name} is missing: write {name}=PATH")]
+    EmptyPath { name: String },
+}
 
-    fn from_str(text: &str) -> Result<MapArgument, String> {
-        let Some((name, database)) = text.split_once('=') else {
-            return Err("write the map's name and its database as NAME=DB, like hall=maps/hall.db".to_owned());
-        };
-        protocol::keys::validate_name(name).map_err(|error| error.to_string())?;
+impl FromStr for MapArgument {
+    type Err = MapArgumentError;
+
+    fn from_str(text: &str) -> Result<MapArgument, MapArgumentError> {
+        let (name, database) = text.split_once('=').ok_or(MapArgumentError::NoDatabase)?;
+        validate_name(name)?;
         if database.is_empty() {
-            return Err(format!("the database of map {name} is missing: write {name}=PATH"));
+            return Err(MapArgumentError::EmptyPath { name: name.to_owned() });
         }
         Ok(MapArgument { name: name.to_owned(), database: PathBuf::from(database) })
     }
 }
 
-/// Reads a map into memory.
+/// Loads a map into memory.
 pub fn load(argument: &MapArgument) -> anyhow::Result<ServedMap> {
     let MapArgument { name, database } = argument;
     let store = SledStore::open(database).with_context(|| format!("map {name} cannot be served"))?;
@@ -51,15 +61,15 @@ pub fn load(argument: &MapArgument) -> anyhow::Result<ServedMap> {
     );
     if map.damaged_records() > 0 {
         let damaged = map.damaged_records();
-        tracing::warn!(name, "{damaged} damaged records were left out; build or import the map again");
+        tracing::warn!(name, "skipped {damaged} damaged records; build or import the map again");
     }
     if map.keyframe_count() == 0 {
-        tracing::warn!(name, "the map holds no keyframes: nothing will ever match");
+        tracing::warn!(name, "the map has no keyframes: no query will match");
     }
     Ok(ServedMap { name: name.clone(), map: Arc::new(map) })
 }
 
-/// Reads all databases again and serves those whose version is another one. Says what came of each.
+/// Loads the databases whose version changed and serves the new versions. Logs the result of each.
 pub async fn reload(server: &MapServer, maps: &[MapArgument]) {
     for argument in maps {
         let name = &argument.name;
@@ -72,22 +82,27 @@ pub async fn reload(server: &MapServer, maps: &[MapArgument]) {
         let replaced = match read {
             Ok(Some(map)) => server.replace(name, map, None).await.map_err(anyhow::Error::from),
             Ok(None) => {
-                tracing::info!(name, version = served, "the database holds the version that is served");
+                tracing::info!(name, version = served, "the database has the version that is served");
                 continue;
             }
             Err(reason) => {
                 let reason = format!("{reason:#}");
-                tracing::warn!(name, version = served, reason, "not read again; the map is served as it was");
+                tracing::warn!(
+                    name,
+                    version = served,
+                    reason,
+                    "reload failed; the previous version continues to be served"
+                );
                 continue;
             }
         };
         if let Err(error) = replaced {
-            tracing::warn!(name, "the new version is served, but robots were not told: {error:#}");
+            tracing::warn!(name, "the new version is served, but its notice was not published: {error:#}");
         }
     }
 }
 
-/// The map in a database, if it is of another version than the one that is served.
+/// The map in a database, if its version differs from the served one.
 fn newer(argument: &MapArgument, served: Option<u64>) -> anyhow::Result<Option<Arc<LoadedMap>>> {
     let store = SledStore::open(&argument.database)?;
     if Some(store.info()?.version) == served {
@@ -96,7 +111,7 @@ fn newer(argument: &MapArgument, served: Option<u64>) -> anyhow::Result<Option<A
     let map = LoadedMap::load(&store)?;
     match (map.damaged_records(), map.keyframe_count()) {
         (0, 1..) => Ok(Some(Arc::new(map))),
-        (0, 0) => bail!("the new version holds no keyframes"),
+        (0, 0) => bail!("the new version has no keyframes"),
         (damaged, _) => {
             bail!("{damaged} records of the new version are damaged; build or import the map again")
         }

@@ -1,7 +1,53 @@
-//! Serves keyframe maps over Zenoh.
+//! The map server: Zenoh queryables around [`recognition::LoadedMap`]s.
+//!
+//! | key (below the session's namespace) | query | answer |
+//! |---|---|---|
+//! | `map/{map}/match` | [`protocol::MatchRequest`] | [`protocol::MatchReply`]s, the last of them `Done` |
+//! | `map/{map}/localize` | [`protocol::LocalizeRequest`] | [`protocol::LocalizeReply`] |
+//! | `map/{map}/info` | no payload | [`protocol::MapInfoReply`] |
+//! | `map/{map}/keyframes/{id}` | no payload | [`protocol::KeyframeReply`]; `*` for all, one per reply |
+//! | `map/{map}/changes` | | publishes [`protocol::MapChangeNotice`] when a map is replaced |
+//! | `map_server/{server}` | | liveliness token, declared after all queryables |
+//!
+//! Replies are bincode, or JSON if the query says `?format=json` or has a JSON payload. Errors are
+//! [`protocol::ErrorReply`]s, sent as Zenoh error replies.
+//!
+//! | module | what |
+//! |---|---|
+//! | [`server`] | [`MapServer`]: start, replace a map, stop |
+//! | [`options`] | [`ServerOptions`] |
+//! | [`served_map`] | [`ServedMap`]: a map and its name |
+//! | `queue` | queries between the network and the workers: bounded, counted |
+//! | `handlers` | decodes a query, answers it, encodes the reply |
+//! | `change` | differences between two versions of a map |
+//!
+//! # Requirements on clients
+//! `driftless-client` meets them:
+//! * A match answer has several replies on one key: query with `ConsolidationMode::None`, or Zenoh keeps one of them.
+//! * Zenoh 1.10 sends replies with the congestion control *of the query* (`Block` by default). Query with `Block`, or
+//!   large replies may be dropped.
+//! * No reply at all is a failure to be retried, never "no match".
+//!
+//! # Unknown maps
+//! The queryables of a served map are complete. In addition the server declares incomplete ones on `map/*/match`,
+//! `map/*/localize`, `map/*/info` and `map/*/keyframes/*`. Zenoh's default target (`BestMatching`) prefers a complete
+//! queryable anywhere in the network and uses the incomplete ones only if there is none: a map of another server is
+//! never shadowed, and a query about a map that no server has is answered with
+//! [`protocol::ErrorCode::UnknownMap`] and a list of the maps served. While a client is still connecting, the server
+//! that has the map may not be visible yet.
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
-pub mod serve;
+mod change;
+pub mod error;
+mod handlers;
+pub mod options;
+mod queue;
+pub mod served_map;
+pub mod server;
 
-pub use serve::{MapServer, ServeError, ServedMap, ServerOptions, ServerStatistics};
+pub use error::ServeError;
+pub use options::ServerOptions;
+pub use queue::ServerStatistics;
+pub use served_map::ServedMap;
+pub use server::MapServer;

@@ -8,7 +8,7 @@ use std::process::ExitCode;
 
 use anyhow::Context;
 use clap::Parser;
-use client::session::{DEFAULT_ENDPOINT, SessionOptions, close_session, open_session};
+use client::{DEFAULT_ENDPOINT, SessionOptions, close_session, open_session};
 use databases::MapArgument;
 use map_server::{MapServer, ServerOptions};
 use tracing_subscriber::EnvFilter;
@@ -24,41 +24,41 @@ Examples:
   Join a network with a Zenoh router instead of listening:
     map_server --map hall=maps/hall.db --connect tcp/10.0.0.1:7447
 
-  Then, from another shell:
+  Then, in another shell:
     driftless query --map hall --features frame.csv        one image against the map
     onboard --sequence SEQ --map hall --out out            a recorded run, localized
 
-  Serve a new version of a map without a stop; robots that use it are told and keep their pose in it:
-    driftless import-map text --map maps/hall.db --force   or build-map, into the database that is served
-    kill -HUP PID                                          the server's; it reads its databases again
+  Serve a new version of a map without a restart; robots are notified and keep their pose:
+    driftless import-map text --map maps/hall.db --force   or build-map, into the served database
+    kill -HUP PID                                          of the server, which reloads its databases
 
-Maps are made by `driftless build-map` or `driftless import-map`. A map is read when the server starts, and again at
-SIGHUP where its version is another one; a database that cannot be read then is warned about, and the map is served as it
-was. Ctrl-C or SIGTERM stops the server gracefully.";
+Maps are built by `driftless build-map` or imported by `driftless import-map`. A map is loaded when the server starts,
+and at SIGHUP if its version changed; if that fails, the previous version continues to be served and the log says why.
+Ctrl-C or SIGTERM stops the server gracefully.";
 
-/// Serves maps to robots over Zenoh: which keyframes does an image show, and where was it taken?
+/// Serves maps to robots over Zenoh: matches images with keyframes and estimates where they were taken.
 #[derive(Parser, Debug)]
 #[command(version, after_long_help = EXAMPLES, after_help = "Use --help for examples.")]
 struct Arguments {
-    /// A map to serve and the name that robots call it by; may be given several times.
+    /// A map to serve: its name in keys and its database. May be given several times.
     #[arg(long = "map", value_name = "NAME=DB", required = true)]
     maps: Vec<MapArgument>,
 
-    /// Where to listen, for example tcp/0.0.0.0:7447 for the whole network [default: tcp/127.0.0.1:7447, unless
+    /// Endpoint to listen on, for example tcp/0.0.0.0:7447 for the whole network [default: tcp/127.0.0.1:7447, unless
     /// --connect or --zenoh-config is given]. May be given several times.
     #[arg(long, value_name = "ENDPOINT")]
     listen: Vec<String>,
 
-    /// A Zenoh router or peer to connect to; tried again until it answers. May be given several times.
+    /// Zenoh router or peer to connect to; retried until it answers. May be given several times.
     #[arg(long, value_name = "ENDPOINT")]
     connect: Vec<String>,
 
-    /// A Zenoh configuration file (JSON5), for TLS, users, access control; --listen, --connect and --namespace
+    /// Zenoh configuration file (JSON5), for TLS, users, access control; --listen, --connect and --namespace
     /// override it.
     #[arg(long, value_name = "FILE")]
     zenoh_config: Option<PathBuf>,
 
-    /// Prefix of all keys: one namespace is one fleet.
+    /// Prefix of all keys; one namespace per fleet.
     #[arg(long, value_name = "NAME")]
     namespace: Option<String>,
 
@@ -66,11 +66,11 @@ struct Arguments {
     #[arg(long, value_name = "NAME")]
     name: Option<String>,
 
-    /// Queries that are worked on at the same time [default: the number of processors].
+    /// Queries answered at the same time [default: the number of processors].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     workers: Option<u16>,
 
-    /// What to log: error, warn, info, debug, or a filter like map_server=debug,zenoh=warn.
+    /// Log filter: error, warn, info, debug, or per module, like map_server=debug,zenoh=warn.
     #[arg(long, value_name = "FILTER", default_value = "info,zenoh=warn")]
     log: String,
 }
@@ -95,7 +95,7 @@ async fn serve() -> anyhow::Result<()> {
         .with_writer(std::io::stderr)
         .with_ansi(std::io::stderr().is_terminal())
         .init();
-    // Before anything takes long, so that a stop during loading is not lost.
+    // Before maps are loaded, so that a signal meanwhile is not lost.
     let stopped = stop_signal()?;
     tokio::pin!(stopped);
 
@@ -104,7 +104,8 @@ async fn serve() -> anyhow::Result<()> {
     let maps = arguments.maps.iter().map(databases::load).collect::<anyhow::Result<Vec<_>>>()?;
     let session_options = session_options(&arguments);
     let session = open_session(&session_options).await?;
-    let mut options = ServerOptions { name: arguments.name.clone(), ..ServerOptions::default() };
+    let mut options = ServerOptions::default();
+    options.name.clone_from(&arguments.name);
     if let Some(workers) = arguments.workers {
         options.workers = usize::from(workers);
     }
@@ -121,7 +122,7 @@ async fn serve() -> anyhow::Result<()> {
             signal = &mut stopped => break signal,
             () = reload.recv() => {}
         }
-        tracing::info!("SIGHUP: reading the databases again");
+        tracing::info!("SIGHUP: reloading the databases");
         tokio::select! {
             signal = &mut stopped => break signal,
             () = databases::reload(&server, &arguments.maps) => {}
@@ -147,7 +148,7 @@ fn session_options(arguments: &Arguments) -> SessionOptions {
     options
 }
 
-/// The process is asked to read its databases again.
+/// The signal that requests a reload of the databases.
 #[cfg(unix)]
 struct ReloadSignal(tokio::signal::unix::Signal);
 
@@ -165,7 +166,7 @@ impl ReloadSignal {
     }
 }
 
-/// Nothing asks for it on this system.
+/// There is no such signal on this system.
 #[cfg(not(unix))]
 struct ReloadSignal;
 
@@ -180,7 +181,7 @@ impl ReloadSignal {
     }
 }
 
-/// Ends when the process is asked to stop; says by what.
+/// Completes when the process receives a signal to stop; returns its name.
 #[cfg(unix)]
 fn stop_signal() -> anyhow::Result<impl Future<Output = &'static str>> {
     use tokio::signal::unix::{SignalKind, signal};
@@ -194,7 +195,7 @@ fn stop_signal() -> anyhow::Result<impl Future<Output = &'static str>> {
     })
 }
 
-/// Ends when the process is asked to stop; says by what.
+/// Completes when the process receives a signal to stop; returns its name.
 #[cfg(not(unix))]
 fn stop_signal() -> anyhow::Result<impl Future<Output = &'static str>> {
     Ok(async {

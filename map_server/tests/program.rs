@@ -9,10 +9,10 @@ use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
 use std::time::Duration;
 
-use client::session::{SessionOptions, open_session};
+use client::{SessionOptions, open_session};
 use common::{Place, PlaceOptions};
 use map::{MapStore, SledStore};
-use protocol::{ErrorCode, ErrorReply, Format, MapChange, MapInfo};
+use protocol::{ErrorCode, ErrorReply, Format, MapChangeNotice, MapInfoReply};
 use zenoh::Session;
 
 fn program() -> Command {
@@ -93,7 +93,7 @@ async fn it_serves_below_its_namespace_and_stops_on_sigterm() {
         ..SessionOptions::default()
     };
     let client = open_session(&options).await.unwrap();
-    let info: MapInfo =
+    let info: MapInfoReply =
         protocol::decode(Format::Bincode, &ask(&client, "map/hall/info").await.unwrap()).unwrap();
     assert_eq!((info.name.as_str(), info.keyframes, info.version), ("hall", 5, 1));
     let refusal = ask(&client, "map/cellar/info").await.unwrap_err();
@@ -133,7 +133,7 @@ async fn sighup_serves_the_new_version_and_says_what_changed() {
         open_session(&SessionOptions { connect: vec![endpoint], ..SessionOptions::default() }).await.unwrap();
     let version = async || {
         let info = ask(&client, "map/hall/info").await.unwrap();
-        protocol::decode::<MapInfo>(Format::Bincode, &info).unwrap().version
+        protocol::decode::<MapInfoReply>(Format::Bincode, &info).unwrap().version
     };
     let says = async |what: &str, times: usize| {
         while std::fs::read_to_string(&log).unwrap().matches(what).count() < times {
@@ -145,10 +145,10 @@ async fn sighup_serves_the_new_version_and_says_what_changed() {
 
     // Nothing new; then a database that another program is writing to.
     signal(&server, "-HUP");
-    says("holds the version that is served", 1).await;
+    says("has the version that is served", 1).await;
     let writing = SledStore::open(&path).unwrap();
     signal(&server, "-HUP");
-    says("the map is served as it was", 1).await;
+    says("the previous version continues to be served", 1).await;
     assert!(std::fs::read_to_string(&log).unwrap().contains("in use by another program"));
     assert_eq!(version().await, 1);
 
@@ -162,7 +162,7 @@ async fn sighup_serves_the_new_version_and_says_what_changed() {
     drop(writing);
     signal(&server, "-HUP");
     let change = news.recv_async().await.unwrap();
-    let change: MapChange = protocol::decode(Format::Bincode, &change.payload().to_bytes()).unwrap();
+    let change: MapChangeNotice = protocol::decode(Format::Bincode, &change.payload().to_bytes()).unwrap();
     assert_eq!((change.map.as_str(), change.from_version, change.version), ("hall", 1, 2));
     assert_eq!((change.moved, change.removed), (moved, Vec::new()));
     let stated = change.stated_change.unwrap();
@@ -173,7 +173,7 @@ async fn sighup_serves_the_new_version_and_says_what_changed() {
     // A database that is gone does not end what is served.
     std::fs::remove_dir_all(&path).unwrap();
     signal(&server, "-HUP");
-    says("the map is served as it was", 2).await;
+    says("the previous version continues to be served", 2).await;
     assert_eq!(version().await, 2);
 
     signal(&server, "-TERM");

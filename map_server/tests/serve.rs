@@ -7,12 +7,13 @@ mod common;
 use std::sync::Arc;
 use std::time::Duration;
 
-use client::session::{SessionOptions, open_session};
+use client::{SessionOptions, open_session};
 use common::{Place, PlaceOptions};
 use map_server::{MapServer, ServedMap, ServerOptions};
 use protocol::{
     DescriptorKind, Descriptors, ErrorCode, ErrorReply, FeatureSet, Format, KeyframeReply, LocalizeReply,
-    LocalizeRequest, MapChange, MapInfo, MatchOutcome, MatchReply, MatchRequest, Message, StatedChange,
+    LocalizeRequest, MapChangeNotice, MapInfoReply, MatchOutcome, MatchReply, MatchRequest, Message,
+    StatedChange,
 };
 use rand::SeedableRng;
 use rand::rngs::StdRng;
@@ -193,7 +194,7 @@ async fn an_image_is_localized_in_bincode_and_in_json_alike() {
 async fn a_map_can_be_read_remotely() {
     let scene = Scene::new().await;
     let answers = ask(&scene.client, "map/hall/info?format=json", None, None).await;
-    let info: MapInfo = decoded(answers[0].clone(), Format::Json);
+    let info: MapInfoReply = decoded(answers[0].clone(), Format::Json);
     assert_eq!(info.name, "hall");
     assert_eq!(info.keyframes as usize, scene.place.map.keyframes.len());
     assert_eq!(info.landmarks as usize, scene.place.map.landmarks.len());
@@ -228,7 +229,7 @@ async fn bad_queries_are_answered_with_errors_and_the_server_goes_on() {
     let cases: Vec<(Option<Vec<u8>>, ErrorCode)> = vec![
         (None, ErrorCode::BadRequest),
         (Some(b"hello".to_vec()), ErrorCode::BadRequest),
-        (Some(b"{\"schema\": 2}".to_vec()), ErrorCode::BadRequest),
+        (Some(b"{\"schema\": 3}".to_vec()), ErrorCode::BadRequest),
         (Some(vec![0xff; 100_000]), ErrorCode::BadRequest),
         (Some(changed(&|payload| payload.truncate(payload.len() / 2))), ErrorCode::BadRequest),
         (Some(changed(&|payload| *payload.last_mut().unwrap() ^= 1)), ErrorCode::BadRequest),
@@ -277,7 +278,7 @@ async fn an_unknown_map_is_an_error_that_lists_the_known_ones() {
     }
     // Asking for all maps is not asking for an unknown one.
     let answers = ask(&scene.client, "map/*/info", None, None).await;
-    let info: MapInfo = decoded(answers[0].clone(), Format::Bincode);
+    let info: MapInfoReply = decoded(answers[0].clone(), Format::Bincode);
     assert_eq!((answers.len(), info.name.as_str()), (1, "hall"));
     scene.end().await;
 }
@@ -295,7 +296,7 @@ async fn two_servers_do_not_shadow_each_other() {
         let info = loop {
             let answers = ask(&both, &key, None, None).await;
             if let [Ok(_)] = answers.as_slice() {
-                break decoded::<MapInfo>(answers[0].clone(), Format::Bincode);
+                break decoded::<MapInfoReply>(answers[0].clone(), Format::Bincode);
             }
             tokio::time::sleep(Duration::from_millis(20)).await;
         };
@@ -313,7 +314,9 @@ async fn two_servers_do_not_shadow_each_other() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_flood_is_turned_away_and_everybody_is_answered() {
-    let options = ServerOptions { workers: 1, queue_length: 2, ..ServerOptions::default() };
+    let mut options = ServerOptions::default();
+    options.workers = 1;
+    options.queue_length = 2;
     let scene = Scene::with(options).await;
     let payload = protocol::encode(Format::Bincode, &scene.request(7, 1)).unwrap();
     let flood = (0..40).map(|_| {
@@ -339,7 +342,8 @@ async fn a_flood_is_turned_away_and_everybody_is_answered() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn the_liveliness_token_says_when_a_server_is_there() {
-    let options = ServerOptions { name: Some("north".to_owned()), ..ServerOptions::default() };
+    let mut options = ServerOptions::default();
+    options.name = Some("north".to_owned());
     let scene = Scene::with(options).await;
     let watch = scene.client.liveliness().declare_subscriber("map_server/*").history(true).await.unwrap();
     let there = watch.recv_async().await.unwrap();
@@ -371,14 +375,17 @@ async fn a_replaced_map_is_announced_and_answers_with_its_version() {
         // The subscription may still be on its way to the server.
         scene.server.replace("hall", Arc::clone(&map), Some(stated)).await.unwrap();
         if let Ok(sample) = tokio::time::timeout(Duration::from_millis(200), news.recv_async()).await {
-            break protocol::decode::<MapChange>(Format::Bincode, &sample.unwrap().payload().to_bytes())
-                .unwrap();
+            break protocol::decode::<MapChangeNotice>(
+                Format::Bincode,
+                &sample.unwrap().payload().to_bytes(),
+            )
+            .unwrap();
         }
     };
     assert_eq!((change.version, change.stated_change), (8, Some(stated)));
     assert!(change.changed.is_empty() || change.changed == [moved]);
     let answers = ask(&scene.client, "map/hall/info", None, None).await;
-    assert_eq!(decoded::<MapInfo>(answers[0].clone(), Format::Bincode).version, 8);
+    assert_eq!(decoded::<MapInfoReply>(answers[0].clone(), Format::Bincode).version, 8);
     assert!(scene.server.replace("cellar", map, None).await.is_err());
     scene.end().await;
 }

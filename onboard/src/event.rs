@@ -1,7 +1,7 @@
 //! The end of a query, as it is written to `events.csv`.
 
-use client::query_client::QueryResult;
-use estimator::MapReport;
+use client::QueryResult;
+use estimator::{CloneId, MapReport};
 use protocol::MatchOutcome;
 use serde::{Deserialize, Serialize};
 
@@ -36,10 +36,11 @@ pub struct Event {
 
 impl Event {
     /// An event whose outcome is still to be noted.
-    pub fn new(answered: &QueryResult, state_ns: i64) -> Self {
+    pub fn new(answered: &QueryResult<CloneId>, state_ns: i64) -> Self {
+        let stamp_ns = answered.request.stamp_ns;
         Self {
-            stamp_ns: answered.stamp_ns,
-            queried_at_s: answered.stamp_ns as f64 * 1e-9,
+            stamp_ns,
+            queried_at_s: stamp_ns as f64 * 1e-9,
             applied_at_s: state_ns as f64 * 1e-9,
             outcome: String::new(),
             keyframes: 0,

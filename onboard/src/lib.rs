@@ -10,6 +10,7 @@ pub mod event;
 pub mod extraction;
 pub mod front_end;
 mod imu_window;
+pub mod map_conversion;
 mod map_queries;
 pub mod output;
 pub mod program;

@@ -4,13 +4,13 @@
 
 use super::event::Event;
 use super::extraction::{Extracted, ExtractionThread};
+use super::map_conversion::{map_answer, map_revision};
 use super::recorder::Recorder;
 use super::run::RobotRun;
 use super::summary::Traffic;
-use client::map_change_subscriber::MapChangeSubscriber;
-use client::query_client::{Outcome, QueryClient, QueryResult};
+use client::{ClientError, MapChangeSubscriber, MatchAnswer, QueryResult, QueryTasks};
 use estimator::{CloneId, EstimatorError, MapMode, RevisionEffect};
-use protocol::{FeatureSet, MatchRequest, PosePrior};
+use protocol::{FeatureSet, MatchOutcome, MatchRequest, PosePrior};
 use sensors::Frame;
 use std::time::{Duration, Instant};
 
@@ -66,7 +66,7 @@ impl RobotRun<'_> {
         };
         estimator.pin(clone);
         recorder.queries.sent += 1;
-        queries.ask(clone, request);
+        queries.submit(clone, request);
     }
 
     /// Takes in the features and answers that are here; as fast as possible, waits for all of them.
@@ -95,7 +95,7 @@ impl RobotRun<'_> {
 
     /// Takes in what the map says of its changes.
     fn hear_news(&mut self, recorder: &mut Recorder) {
-        while let Some(revision) = self.news.as_ref().and_then(MapChangeSubscriber::poll) {
+        while let Some(revision) = self.news.as_mut().and_then(MapChangeSubscriber::poll).map(map_revision) {
             let Some(estimator) = self.filter.estimator_mut() else { continue };
             let (from, version) = (revision.from_version, revision.version);
             match estimator.map_changed(&revision) {
@@ -132,35 +132,38 @@ impl RobotRun<'_> {
         }
     }
 
-    fn take(&mut self, answered: &QueryResult, recorder: &mut Recorder) -> Result<(), EstimatorError> {
-        self.note_failure(&answered.outcome);
+    fn take(
+        &mut self,
+        answered: &QueryResult<CloneId>,
+        recorder: &mut Recorder,
+    ) -> Result<(), EstimatorError> {
+        self.note_failure(&answered.answer);
         recorder.traffic.add(&Traffic { sent: answered.bytes_sent, received: answered.bytes_received });
-        let Some(estimator) = self.filter.estimator_since(answered.stamp_ns) else {
-            let mut event = Event::new(answered, answered.stamp_ns);
+        let Some(estimator) = self.filter.estimator_since(answered.request.stamp_ns) else {
+            let mut event = Event::new(answered, answered.request.stamp_ns);
             event.note_failure("the filter that asked was given up");
             recorder.note_event(&event);
             return Ok(());
         };
         let mut event = Event::new(answered, estimator.stamp_ns());
-        match &answered.outcome {
-            Outcome::Matched(answer) => {
-                let report = estimator.map_update(answered.clone, answer)?;
+        match &answered.answer {
+            Ok(MatchAnswer { status, keyframes }) if status.outcome == MatchOutcome::Matched => {
+                let request = &answered.request;
+                let answer = map_answer(&request.features, &request.held, status, keyframes.clone());
+                let report = estimator.map_update(answered.token, &answer)?;
                 event.note_report(&report);
             }
-            Outcome::NoMatch(outcome) => event.note_no_match(*outcome),
-            Outcome::Failed(reason) => event.note_failure(reason),
+            Ok(answer) => event.note_no_match(answer.status.outcome),
+            Err(error) => event.note_failure(&error.to_string()),
         }
-        estimator.unpin(answered.clone);
+        estimator.unpin(answered.token);
         recorder.note_event(&event);
         Ok(())
     }
 
     /// Remembers whether the map answers, and says so when that changes.
-    fn note_failure(&mut self, outcome: &Outcome) {
-        let failure = match outcome {
-            Outcome::Failed(reason) => Some(reason.clone()),
-            Outcome::Matched(_) | Outcome::NoMatch(_) => None,
-        };
+    fn note_failure(&mut self, answer: &Result<MatchAnswer, ClientError>) {
+        let failure = answer.as_ref().err().map(ToString::to_string);
         match (&self.last_failure, &failure) {
             (None, Some(reason)) => tracing::warn!(reason, "the map does not answer"),
             (Some(_), None) => tracing::info!("the map answers again"),
@@ -174,7 +177,7 @@ impl RobotRun<'_> {
         if let Some(extracted) = self.extraction.as_mut().and_then(ExtractionThread::wait) {
             self.ask_with(extracted, recorder);
         }
-        while let Some(answered) = self.queries.as_mut().and_then(QueryClient::wait) {
+        while let Some(answered) = self.queries.as_mut().and_then(QueryTasks::wait) {
             self.hear_news(recorder);
             self.take(&answered, recorder)?;
         }

@@ -14,8 +14,7 @@ use super::start::{excerpt, initial_state};
 use super::stop::StopSignal;
 use super::summary::Summary;
 use anyhow::{Context as _, Result, bail};
-use client::map_change_subscriber::MapChangeSubscriber;
-use client::query_client::QueryClient;
+use client::{MapChangeSubscriber, MapClient, QueryTasks};
 use estimator::{CalibratedCamera, Estimator, MapMode};
 use evaluation::trajectory::StateRow;
 use evaluation::trajectory::states::StateReader;
@@ -124,10 +123,9 @@ pub fn run_robot_until<'a>(
     let (queries, news, publisher) = match link {
         Some(link) => {
             let deadline = Duration::from_secs_f64(arguments.deadline);
-            let queries = QueryClient::new(link.session.clone(), link.runtime.clone(), &link.map, deadline)
-                .context("--map")?;
-            let news = MapChangeSubscriber::subscribe(&link.session, &link.runtime, &link.map)
-                .map_err(anyhow::Error::msg)?;
+            let client = MapClient::new(link.session.clone(), &link.map).context("--map")?;
+            let queries = QueryTasks::new(client, link.runtime.clone(), deadline);
+            let news = link.runtime.block_on(MapChangeSubscriber::subscribe(&link.session, &link.map))?;
             let publisher = Publisher::new(link.session, &link.runtime, &arguments.robot, &link.map)
                 .map_err(anyhow::Error::msg)?;
             (Some(queries), Some(news), Some(publisher))

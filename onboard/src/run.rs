@@ -8,9 +8,8 @@ use super::publisher::{Publisher, QueryCounts};
 use super::recorder::Recorder;
 use super::stop::StopSignal;
 use super::summary::Timings;
-use client::map_change_subscriber::MapChangeSubscriber;
-use client::query_client::QueryClient;
-use estimator::{EstimatorError, InitMethod, TrackObservation};
+use client::{MapChangeSubscriber, QueryTasks};
+use estimator::{CloneId, EstimatorError, InitMethod, TrackObservation};
 use nalgebra::Vector3;
 use sensors::{Frame, Recording, SequenceError};
 use std::time::{Duration, Instant};
@@ -76,7 +75,7 @@ pub struct RobotRun<'a> {
     /// Time of the last of them.
     pub last_extraction_ns: Option<i64>,
     /// Asks the map; none with odometry only.
-    pub queries: Option<QueryClient>,
+    pub queries: Option<QueryTasks<CloneId>>,
     /// Hears when the map changes; none with odometry only.
     pub news: Option<MapChangeSubscriber>,
     /// Publishes; none without a network.

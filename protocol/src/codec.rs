@@ -1,6 +1,6 @@
-//! Messages to bytes and back, trusting nothing.
+//! Messages to bytes and back; decoding checks everything.
 //!
-//! Bincode payloads travel in an envelope, because most random bytes decode to *something*:
+//! Bincode payloads have an envelope, because most random bytes decode to *some* message:
 //!
 //! | bytes | little-endian |
 //! |---|---|
@@ -14,11 +14,11 @@
 //! JSON payloads are one object with `"schema"` and `"type"` beside the message's own fields.
 //!
 //! The order of checks is: total length, magic, schema version, length, checksum, type, decoding within the limit of
-//! the bytes that are there, no bytes left over, and what the message says ([`Validate`]). A length that lies costs
-//! nothing: nothing is reserved for it.
+//! the bytes present, no bytes left over, and the values ([`Validate`]). Memory is never reserved for an announced
+//! length.
 
+use crate::limits::{MAX_MESSAGE_BYTES, SCHEMA_VERSION};
 use crate::validate::{InvalidField, Validate};
-use crate::{MAX_MESSAGE_BYTES, SCHEMA_VERSION};
 use bincode::Options;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
@@ -27,9 +27,9 @@ use thiserror::Error;
 const MAGIC: [u8; 4] = *b"DRFT";
 const HEADER_BYTES: usize = 16;
 
-/// A type that travels as a payload of its own.
+/// A type that is a payload of its own.
 pub trait Message: Serialize + DeserializeOwned + Validate {
-    /// Its number in the bincode envelope, unique in this crate and never used again.
+    /// Its number in the bincode envelope, unique in this crate and never reused.
     const TAG: u16;
     /// Its name in JSON's `"type"` and in error texts.
     const NAME: &'static str;
@@ -37,19 +37,19 @@ pub trait Message: Serialize + DeserializeOwned + Validate {
     /// Reads the message's own fields from the flat JSON object.
     ///
     /// # Errors
-    /// What serde_json says.
+    /// Those of `serde_json`.
     fn from_json(bytes: &[u8]) -> Result<Self, serde_json::Error> {
         serde_json::from_slice(bytes)
     }
 }
 
-/// How a payload is written.
+/// Encoding of a payload.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Default)]
 pub enum Format {
-    /// Compact and checked, between Driftless programs.
+    /// Compact and checksummed, between Driftless programs.
     #[default]
     Bincode,
-    /// For everyone else.
+    /// For scripts and other languages.
     Json,
 }
 
@@ -57,7 +57,7 @@ impl Format {
     /// Both formats.
     pub const ALL: [Self; 2] = [Self::Bincode, Self::Json];
 
-    /// What Zenoh's `Encoding` says of such a payload.
+    /// The name of this format as Zenoh's `Encoding`.
     pub fn encoding(self) -> &'static str {
         match self {
             Self::Bincode => "application/x-driftless-bincode",
@@ -77,8 +77,8 @@ impl Format {
         Self::ALL.into_iter().find(|format| format.encoding() == name)
     }
 
-    /// The format in which a query wants its answer: the `format` among its selector's parameters (`json` or
-    /// `bincode`; without one bincode).
+    /// The format requested for the answer to a query: the parameter `format` of its selector (`json` or `bincode`;
+    /// bincode if absent).
     ///
     /// ```
     /// use protocol::Format;
@@ -99,8 +99,9 @@ impl Format {
     }
 }
 
-/// Why bytes are not a message, or a message cannot become bytes.
+/// Why a message cannot be encoded or decoded.
 #[derive(Debug, Error)]
+#[non_exhaustive]
 pub enum CodecError {
     /// The payload exceeds [`MAX_MESSAGE_BYTES`].
     #[error("a payload of {length} bytes exceeds the limit of {MAX_MESSAGE_BYTES}")]
@@ -119,14 +120,14 @@ pub enum CodecError {
         "this is not a Driftless bincode payload (it does not start with \"DRFT\"); for JSON set the encoding to application/json"
     )]
     WrongMagic,
-    /// The other side speaks another version of the schema.
+    /// The payload has another schema version.
     #[error(
-        "the payload is of schema {found}, this program speaks schema {expected}: update whichever of the two programs is older"
+        "the payload has schema {found}, this program uses schema {expected}: update the older of the two programs"
     )]
     SchemaMismatch {
-        /// The payload's version.
+        /// Version of the payload.
         found: u64,
-        /// Ours, [`SCHEMA_VERSION`].
+        /// [`SCHEMA_VERSION`] of this program.
         expected: u16,
     },
     /// A JSON payload without a schema version.
@@ -134,23 +135,23 @@ pub enum CodecError {
     MissingSchema,
     /// The length in the envelope is not that of the payload.
     #[error(
-        "the envelope announces {announced} bytes but {present} follow it: the payload was cut or joined on its way"
+        "the envelope announces {announced} bytes but {present} follow it: the payload was cut or concatenated in transit"
     )]
     WrongLength {
-        /// What the envelope says.
+        /// Length in the envelope.
         announced: u64,
-        /// What there is.
+        /// Bytes present.
         present: usize,
     },
-    /// The checksum does not fit.
-    #[error("the payload's checksum is wrong: it was damaged on its way")]
+    /// The checksum does not match.
+    #[error("the payload's checksum is wrong: it was damaged in transit")]
     WrongChecksum,
     /// The payload is another message than was expected here.
     #[error("expected a {expected}, got {found}")]
     WrongType {
         /// What was expected.
         expected: &'static str,
-        /// What is there.
+        /// What was found.
         found: String,
     },
     /// The bytes are not the fields of such a message.
@@ -158,11 +159,11 @@ pub enum CodecError {
     Malformed {
         /// What was expected.
         message: &'static str,
-        /// What the decoder says.
+        /// Error of the decoder.
         reason: String,
     },
-    /// A field makes no sense.
-    #[error("a {message} with an invalid value: {violation}")]
+    /// A field has an invalid value.
+    #[error("the {message} is invalid: {violation}")]
     Invalid {
         /// The message.
         message: &'static str,
@@ -170,12 +171,20 @@ pub enum CodecError {
         #[source]
         violation: InvalidField,
     },
-    /// A format that nobody here writes.
+    /// A format that does not exist.
     #[error("unknown format {0:?}: use format=json or format=bincode")]
     UnknownFormat(String),
 }
 
-/// Puts a message into bytes.
+/// Encodes a message.
+///
+/// ```
+/// use protocol::{ErrorCode, ErrorReply, Format, decode, encode};
+/// let reply = ErrorReply::new(ErrorCode::Busy, "too many queries, ask again later");
+/// let bytes = encode(Format::Bincode, &reply)?;
+/// assert_eq!(decode::<ErrorReply>(Format::Bincode, &bytes)?, reply);
+/// # Ok::<(), protocol::CodecError>(())
+/// ```
 ///
 /// # Errors
 /// [`CodecError::Invalid`] for a message that [`decode`] would refuse, [`CodecError::TooLong`].
@@ -189,10 +198,10 @@ pub fn encode<M: Message>(format: Format, message: &M) -> Result<Vec<u8>, CodecE
     Ok(bytes)
 }
 
-/// Takes a message out of bytes.
+/// Decodes and validates a message.
 ///
 /// # Errors
-/// Every [`CodecError`] but [`CodecError::UnknownFormat`]; the module says in which order they are looked for.
+/// Every [`CodecError`] but [`CodecError::UnknownFormat`]; the module documentation gives the order of the checks.
 pub fn decode<M: Message>(format: Format, bytes: &[u8]) -> Result<M, CodecError> {
     check_length(bytes.len())?;
     let message = match format {
@@ -279,7 +288,7 @@ fn decode_bincode<M: Message>(bytes: &[u8]) -> Result<M, CodecError> {
 
 fn encode_json<M: Message>(message: &M) -> Result<Vec<u8>, CodecError> {
     let object = serde_json::to_vec(message).map_err(|error| malformed::<M>(&error))?;
-    let fields = object.strip_prefix(b"{").ok_or_else(|| malformed::<M>(&"it is no JSON object"))?;
+    let fields = object.strip_prefix(b"{").ok_or_else(|| malformed::<M>(&"it is not a JSON object"))?;
     let mut bytes = format!("{{\"schema\":{SCHEMA_VERSION},\"type\":\"{}\",", M::NAME).into_bytes();
     bytes.extend_from_slice(fields);
     Ok(bytes)
@@ -303,7 +312,7 @@ fn decode_json<M: Message>(bytes: &[u8]) -> Result<M, CodecError> {
     }
 }
 
-/// An error of serde_json for what serde cannot say itself.
+/// An error of serde_json with a reason of our own.
 pub(crate) fn malformed_json(reason: &str) -> serde_json::Error {
     <serde_json::Error as serde::de::Error>::custom(reason)
 }

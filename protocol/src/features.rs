@@ -1,10 +1,10 @@
-//! The features of one image: where they are and what they look like.
+//! The features of one image: pixels and descriptors.
 
-use crate::MAX_FEATURES;
+use crate::limits::{MAX_EXTRACTOR_BYTES, MAX_FEATURES};
 use crate::validate::{InvalidField, Validate, require};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-/// How descriptors are compared.
+/// Data type of descriptors, which decides how they are compared.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum DescriptorKind {
@@ -17,7 +17,7 @@ pub enum DescriptorKind {
 }
 
 impl DescriptorKind {
-    /// The kind as files and JSON name it.
+    /// Its name in files and JSON.
     pub fn label(self) -> &'static str {
         match self {
             Self::Binary => "binary",
@@ -26,7 +26,7 @@ impl DescriptorKind {
         }
     }
 
-    /// The kind of that name.
+    /// The kind with that name.
     ///
     /// ```
     /// use protocol::DescriptorKind;
@@ -38,12 +38,12 @@ impl DescriptorKind {
     }
 }
 
-/// Kind and size of the descriptors of an image or of a whole map; only equal ones can be matched.
+/// Kind and size of the descriptors of an image or of a whole map; only descriptors of equal format can be matched.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct DescriptorFormat {
     /// How they are compared.
     pub kind: DescriptorKind,
-    /// Bytes a descriptor.
+    /// Bytes per descriptor.
     pub width: u16,
 }
 
@@ -55,10 +55,10 @@ impl Validate for DescriptorFormat {
     }
 }
 
-/// A list of descriptors of one kind and width, stored without gaps.
+/// A list of descriptors of one kind and width, stored contiguously.
 ///
-/// In JSON: `{"kind": "binary", "width": 32, "hex": ["76f9e9..", ..]}`, one string a descriptor, as in
-/// `features.csv`. In bincode: kind, width and all bytes in one piece.
+/// In JSON: `{"kind": "binary", "width": 32, "hex": ["76f9e9..", ..]}`, one string per descriptor, as in
+/// `features.csv`. In bincode: kind, width and all bytes as one string.
 ///
 /// ```
 /// use protocol::{DescriptorKind, Descriptors};
@@ -70,7 +70,7 @@ impl Validate for DescriptorFormat {
 pub struct Descriptors {
     /// How they are compared.
     pub kind: DescriptorKind,
-    /// Bytes a descriptor.
+    /// Bytes per descriptor.
     pub width: u16,
     /// All descriptors one after the other: `len() * width` bytes.
     pub bytes: Vec<u8>,
@@ -87,12 +87,12 @@ impl Descriptors {
         DescriptorFormat { kind: self.kind, width: self.width }
     }
 
-    /// Number of descriptors (of whole ones, where the bytes were not validated).
+    /// Number of descriptors (complete ones, if the bytes were not validated).
     pub fn len(&self) -> usize {
         self.bytes.len().checked_div(usize::from(self.width)).unwrap_or(0)
     }
 
-    /// Whether there is none.
+    /// Whether the list is empty.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
@@ -201,10 +201,7 @@ fn append_hex(text: &str, width: usize, bytes: &mut Vec<u8>) -> Result<(), Strin
     Ok(())
 }
 
-/// Longest name of an extractor, bytes.
-pub const MAX_EXTRACTOR_BYTES: usize = 64;
-
-/// Checks the name of an extractor: at most [`MAX_EXTRACTOR_BYTES`], and nothing that spoils a line of text.
+/// Checks the name of an extractor: at most [`MAX_EXTRACTOR_BYTES`], no control characters.
 pub(crate) fn validate_extractor(name: &str) -> Result<(), InvalidField> {
     let reason = format!("is longer than {MAX_EXTRACTOR_BYTES} bytes");
     require(name.len() <= MAX_EXTRACTOR_BYTES, "extractor", &reason)?;
@@ -214,12 +211,12 @@ pub(crate) fn validate_extractor(name: &str) -> Result<(), InvalidField> {
 /// The features of one image: pixel `i` belongs to descriptor `i`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct FeatureSet {
-    /// `[u, v]`, distorted as the camera saw them; (0, 0) is the centre of the top-left pixel.
+    /// `[u, v]`, distorted, as measured; (0, 0) is the centre of the top-left pixel.
     pub pixels: Vec<[f32; 2]>,
-    /// What they look like, in the same order.
+    /// Their descriptors, in the same order.
     pub descriptors: Descriptors,
-    /// Name and version of the extractor that made the descriptors, like `sift-1`; empty where nobody knows. In a
-    /// stored map the map's info says it for all.
+    /// Name and version of the extractor that computed the descriptors, for example `sift-1`; empty if unknown. Empty in a
+    /// stored map, whose info names it once.
     #[serde(default)]
     pub extractor: String,
 }
@@ -235,7 +232,7 @@ impl FeatureSet {
         self.pixels.len()
     }
 
-    /// Whether there is none.
+    /// Whether the list is empty.
     pub fn is_empty(&self) -> bool {
         self.pixels.is_empty()
     }

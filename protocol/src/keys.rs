@@ -1,4 +1,4 @@
-//! Key expressions, below the session's namespace (one namespace is one fleet), and the names that go into them.
+//! Key expressions, below the session's namespace (one namespace per fleet), and the names in them.
 //!
 //! | key | kind |
 //! |---|---|
@@ -13,7 +13,7 @@
 //! # Ok::<(), protocol::keys::NameError>(())
 //! ```
 
-use crate::KeyframeId;
+use crate::limits::KeyframeId;
 use thiserror::Error;
 
 /// Longest name, bytes.
@@ -21,6 +21,7 @@ pub const MAX_NAME_BYTES: usize = 64;
 
 /// A name that cannot be one chunk of a key expression.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
+#[non_exhaustive]
 pub enum NameError {
     /// The name is the empty string.
     #[error("a name of a map, robot or server cannot be empty")]
@@ -31,7 +32,7 @@ pub enum NameError {
         /// Its bytes.
         length: usize,
     },
-    /// The name holds a character with a meaning in key expressions, or one that cannot be seen.
+    /// The name holds a character with a meaning in key expressions, or an invisible one.
     #[error("the name {name:?} holds {character:?}; use letters, digits, '-', '_' and '.'")]
     Character {
         /// The name.
@@ -85,7 +86,7 @@ pub fn map_localize(map: &str) -> Result<String, NameError> {
     key("map", map, "/localize")
 }
 
-/// `map/{map}/info`: nothing in, [`crate::MapInfo`] out.
+/// `map/{map}/info`: nothing in, [`crate::MapInfoReply`] out.
 ///
 /// # Errors
 /// [`NameError`] if the name cannot be part of a key.
@@ -101,7 +102,7 @@ pub fn map_keyframe(map: &str, id: KeyframeId) -> Result<String, NameError> {
     key("map", map, &format!("/keyframes/{id}"))
 }
 
-/// `map/{map}/keyframes/*`: what the server declares.
+/// `map/{map}/keyframes/*`: declared by the server.
 ///
 /// # Errors
 /// [`NameError`] if the name cannot be part of a key.
@@ -121,7 +122,7 @@ pub fn keyframe_of(key: &str) -> Option<KeyframeId> {
     if parent.ends_with("/keyframes") && digits_only { id.parse().ok() } else { None }
 }
 
-/// `map/{map}/changes`: [`crate::MapChange`].
+/// `map/{map}/changes`: [`crate::MapChangeNotice`].
 ///
 /// # Errors
 /// [`NameError`] if the name cannot be part of a key.

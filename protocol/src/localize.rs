@@ -1,26 +1,27 @@
-//! `map/{map}/localize`: features and a camera in, its global pose out, for clients that run no estimator.
+//! `map/{map}/localize`: features and a camera in, its global pose out, for clients without an estimator.
 
 use crate::codec::Message;
 use crate::features::FeatureSet;
+use crate::limits::KeyframeId;
 use crate::matching::{MatchOutcome, PosePrior};
 use crate::validate::{InvalidField, Validate, require, require_unit};
-use crate::{KeyframeId, wire};
+use crate::wire;
 use geometry::camera::Camera;
 use geometry::uncertain_pose::PoseWithCovariance;
 use serde::{Deserialize, Serialize};
 
-/// Where was this image taken?
+/// Asks where an image was taken.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LocalizeRequest {
     /// The camera that took it.
     #[serde(with = "wire::camera")]
     pub camera: Camera,
-    /// What was seen.
+    /// Features of the image.
     pub features: FeatureSet,
-    /// Where the camera probably is; none means anywhere in the map.
+    /// Prior of the camera pose; none searches the whole map.
     #[serde(default)]
     pub prior: Option<PosePrior>,
-    /// Unit vector along which things fall, in the camera frame, if known.
+    /// Unit vector along gravity (down) in the camera frame, if known.
     #[serde(default)]
     pub gravity_in_camera: Option<[f64; 3]>,
 }
@@ -41,14 +42,14 @@ impl Message for LocalizeRequest {
     const NAME: &'static str = "localize_request";
 }
 
-/// The answer to a [`LocalizeRequest`]: a pose exactly where the outcome is [`MatchOutcome::Matched`].
+/// The answer to a [`LocalizeRequest`]: a pose exactly if the outcome is [`MatchOutcome::Matched`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LocalizeReply {
-    /// Version of the map that was searched.
+    /// Version of the searched map.
     pub map_version: u64,
-    /// How the search ended.
+    /// Result of the search.
     pub outcome: MatchOutcome,
-    /// The pose that was found.
+    /// The pose found.
     #[serde(default)]
     pub fix: Option<LocalizedPose>,
 }
@@ -56,7 +57,7 @@ pub struct LocalizeReply {
 impl Validate for LocalizeReply {
     fn validate(&self) -> Result<(), InvalidField> {
         let consistent = self.fix.is_some() == (self.outcome == MatchOutcome::Matched);
-        require(consistent, "fix", "must be there exactly when the outcome is `matched`")?;
+        require(consistent, "fix", "must be present exactly when the outcome is `matched`")?;
         self.fix.as_ref().map_or(Ok(()), |fix| fix.validate().map_err(|violation| violation.within("fix")))
     }
 }
@@ -66,17 +67,17 @@ impl Message for LocalizeReply {
     const NAME: &'static str = "localize_reply";
 }
 
-/// A pose found from one image.
+/// A camera pose estimated from one image.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LocalizedPose {
-    /// The camera in the map's frame; the covariance includes the map's own.
+    /// The camera in the map's frame; the covariance includes that of the map.
     #[serde(with = "wire::uncertain_pose")]
     pub global_from_camera: PoseWithCovariance,
     /// The keyframe that matched best.
     pub keyframe: KeyframeId,
     /// Query features that matched a landmark.
     pub matched_features: u32,
-    /// Those of them that agree with the pose.
+    /// Those of them that are consistent with the pose.
     pub inliers: u32,
     /// Mean reprojection error of the inliers, pixels.
     pub mean_error_px: f64,

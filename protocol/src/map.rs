@@ -1,20 +1,22 @@
-//! `map/{map}/info`, `map/{map}/keyframes/{id}` and `map/{map}/changes`: reading a map remotely, and news of it.
+//! `map/{map}/info`, `map/{map}/keyframes/{id}` and `map/{map}/changes`: reading a map remotely, and notices of its
+//! changes.
 
 use crate::codec::Message;
 use crate::features::{DescriptorFormat, validate_extractor};
+use crate::keys;
+use crate::limits::{KeyframeId, LandmarkId};
 use crate::matching::KeyframeRecord;
 use crate::validate::{InvalidField, Validate, require, require_each, require_finite, require_unit};
-use crate::{KeyframeId, LandmarkId, keys};
 use serde::{Deserialize, Serialize};
 
-/// What a map is: the answer to `map/{map}/info`.
+/// Properties of a map: the answer to `map/{map}/info`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct MapInfo {
+pub struct MapInfoReply {
     /// Its name, as in its keys.
     pub name: String,
-    /// Grows with every change.
+    /// Version of the map; grows with every change.
     pub version: u64,
-    /// Schema of its database, not of this message.
+    /// Schema of its database (not of this message).
     pub database_schema: u16,
     /// Number of keyframes.
     pub keyframes: u64,
@@ -24,23 +26,23 @@ pub struct MapInfo {
     pub observations: u64,
     /// Number of cross-covariance blocks between keyframes.
     pub cross_covariances: u64,
-    /// Unit vector along which things fall, in the map's frame, if the map knows.
+    /// Unit vector along gravity (down) in the map's frame, if known.
     #[serde(default)]
     pub gravity_in_global: Option<[f64; 3]>,
-    /// Where its keyframes are; none for an empty map.
+    /// Bounding box of its keyframes; none for an empty map.
     #[serde(default)]
     pub extent: Option<Extent>,
-    /// What a query's descriptors must be; none for an empty map.
+    /// Required format of a query's descriptors; none for an empty map.
     #[serde(default)]
     pub descriptors: Option<DescriptorFormat>,
-    /// Name and version of the extractor that a query's features must come from; empty where the map does not say.
+    /// Name and version of the extractor required for a query's features; empty if unknown.
     #[serde(default)]
     pub extractor: String,
-    /// Standard deviation of the map's pixels, pixels.
-    pub sigma_px: f64,
+    /// Standard deviation of the map's pixels, px.
+    pub sigma_map_px: f64,
 }
 
-impl Validate for MapInfo {
+impl Validate for MapInfoReply {
     fn validate(&self) -> Result<(), InvalidField> {
         keys::validate_name(&self.name).map_err(|error| InvalidField::new("name", error.to_string()))?;
         if let Some(gravity) = &self.gravity_in_global {
@@ -53,17 +55,17 @@ impl Validate for MapInfo {
             format.validate().map_err(|violation| violation.within("descriptors"))?;
         }
         validate_extractor(&self.extractor)?;
-        let positive = self.sigma_px.is_finite() && self.sigma_px > 0.0;
-        require(positive, "sigma_px", "is not a finite, positive number")
+        let positive = self.sigma_map_px.is_finite() && self.sigma_map_px > 0.0;
+        require(positive, "sigma_map_px", "is not a finite, positive number")
     }
 }
 
-impl Message for MapInfo {
+impl Message for MapInfoReply {
     const TAG: u16 = 5;
-    const NAME: &'static str = "map_info";
+    const NAME: &'static str = "map_info_reply";
 }
 
-/// The smallest box, along the axes of the map's frame, that holds all keyframes; metres.
+/// Axis-aligned bounding box of all keyframe positions in the map's frame, metres.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Extent {
     /// Smallest coordinates.
@@ -80,14 +82,14 @@ impl Validate for Extent {
     }
 }
 
-/// One keyframe with what it sees: the answer to `map/{map}/keyframes/{id}`.
+/// One keyframe with its landmarks: the answer to `map/{map}/keyframes/{id}`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct KeyframeReply {
-    /// Version of the map that this is from.
+    /// Version of the map.
     pub map_version: u64,
     /// The keyframe.
     pub keyframe: KeyframeRecord,
-    /// The landmarks that it observed.
+    /// The landmarks that it observes.
     #[serde(default)]
     pub landmarks: Vec<KeyframeLandmark>,
 }
@@ -104,16 +106,16 @@ impl Message for KeyframeReply {
     const NAME: &'static str = "keyframe_reply";
 }
 
-/// A landmark as one keyframe observed it.
+/// A landmark and its observation in one keyframe.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct KeyframeLandmark {
     /// The landmark.
     pub landmark: LandmarkId,
-    /// The keyframe in whose camera frame its position is given.
+    /// The keyframe in whose camera frame the position is expressed.
     pub anchor: KeyframeId,
     /// Position in the anchor's camera frame, metres.
     pub position_in_anchor: [f64; 3],
-    /// Where the asked keyframe saw it, `[u, v]`, distorted.
+    /// Its pixel `[u, v]` in the requested keyframe, distorted.
     pub pixel: [f32; 2],
 }
 
@@ -124,31 +126,32 @@ impl Validate for KeyframeLandmark {
     }
 }
 
-/// News of a map, published on `map/{map}/changes`: what a robot holds of it must be fetched again.
+/// Notice of a new map version, published on `map/{map}/changes`: tells robots which keyframes that they hold are
+/// outdated.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct MapChange {
+pub struct MapChangeNotice {
     /// Name of the map.
     pub map: String,
-    /// Version until now. Whoever holds another one missed a message and cannot use what is stated here.
+    /// Version before the change. A robot that uses another version missed a notice and cannot use `stated_change`.
     pub from_version: u64,
-    /// Version from now on.
+    /// Version after the change.
     pub version: u64,
-    /// Keyframes whose pose, covariance, camera or landmarks are no longer what they were.
+    /// Keyframes whose pose, covariance, camera or landmarks changed.
     #[serde(default)]
     pub changed: Vec<KeyframeId>,
-    /// Of the changed ones, those whose pose, covariance or cross-covariances are others: their errors are no longer those
-    /// that a robot's state depends on.
+    /// The changed keyframes whose pose, covariance or cross-covariances changed: a robot's state is correlated with their
+    /// old errors, not with the new ones.
     #[serde(default)]
     pub moved: Vec<KeyframeId>,
-    /// Keyframes that are gone.
+    /// Removed keyframes.
     #[serde(default)]
     pub removed: Vec<KeyframeId>,
-    /// How far the map moved under the robots, where that is known.
+    /// Size of the map's motion, if known.
     #[serde(default)]
     pub stated_change: Option<StatedChange>,
 }
 
-impl Validate for MapChange {
+impl Validate for MapChangeNotice {
     fn validate(&self) -> Result<(), InvalidField> {
         keys::validate_name(&self.map).map_err(|error| InvalidField::new("map", error.to_string()))?;
         let check =
@@ -157,17 +160,17 @@ impl Validate for MapChange {
     }
 }
 
-impl Message for MapChange {
+impl Message for MapChangeNotice {
     const TAG: u16 = 7;
-    const NAME: &'static str = "map_change";
+    const NAME: &'static str = "map_change_notice";
 }
 
-/// Size of a change of the map: process noise for `global_from_local`.
+/// Size of the motion of a map between two versions: process noise for `global_from_local`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct StatedChange {
-    /// Standard deviation of the rotation, radians an axis.
+    /// Standard deviation of the rotation about each axis, radians.
     pub sigma_theta_rad: f64,
-    /// Standard deviation of the translation, metres an axis.
+    /// Standard deviation of the translation along each axis, metres.
     pub sigma_p_m: f64,
 }
 

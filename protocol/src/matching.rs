@@ -7,21 +7,22 @@
 //!                 <-------------------  MatchReply::Keyframe   rank 1, ..
 //!                 <-------------------  MatchReply::Done       always, and always last
 //! ```
-//! No `Done` means that the answer is incomplete: ask again. It never means "no match".
+//! Without `Done` the answer is incomplete: ask again. It never means "no match".
 
 use crate::codec::{Message, malformed_json};
 use crate::features::FeatureSet;
+use crate::limits::{KeyframeId, LandmarkId};
 use crate::validate::{InvalidField, Validate, require, require_each, require_finite, require_unit};
-use crate::{KeyframeId, LandmarkId, keys, wire};
+use crate::{keys, wire};
 use geometry::camera::Camera;
 use geometry::uncertain_pose::PoseWithCovariance;
 use nalgebra::Matrix6;
 use serde::{Deserialize, Serialize};
 
-/// Where the asker believes its camera to be.
+/// Prior of a camera pose.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PosePrior {
-    /// Camera in the map's frame, with an honest covariance: the search is narrowed to it.
+    /// Camera in the map's frame with its covariance; the search is restricted to it.
     #[serde(with = "wire::uncertain_pose")]
     pub global_from_camera: PoseWithCovariance,
 }
@@ -32,32 +33,32 @@ impl Validate for PosePrior {
     }
 }
 
-/// Which keyframes does this image match?
+/// Asks which keyframes an image matches.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MatchRequest {
-    /// Name of the asking robot, as in its keys.
+    /// Name of the robot, as in its keys.
     pub robot: String,
     /// Sensor time of the image, nanoseconds.
     pub stamp_ns: i64,
     /// The camera that took it.
     #[serde(with = "wire::camera")]
     pub camera: Camera,
-    /// What was seen. May be empty; the answer then says [`MatchOutcome::TooFewFeatures`].
+    /// Features of the image. May be empty; the outcome is then [`MatchOutcome::TooFewFeatures`].
     pub features: FeatureSet,
-    /// Where the camera probably is; none means anywhere in the map.
+    /// Prior of the camera pose; none searches the whole map.
     #[serde(default)]
     pub prior: Option<PosePrior>,
-    /// Unit vector along which things fall, in the camera frame, if known.
+    /// Unit vector along gravity (down) in the camera frame, if known.
     #[serde(default)]
     pub gravity_in_camera: Option<[f64; 3]>,
-    /// Keyframes that the robot holds of this map, in any order: cross-covariances towards them are wanted. From bincode
-    /// they come sorted, none twice.
+    /// Keyframes of this map in the robot's state, in any order: the answer includes cross-covariances with them. Decoded
+    /// from bincode they are sorted and unique.
     #[serde(default, with = "wire::keyframe_set")]
     pub held: Vec<KeyframeId>,
     /// Version of the map when the held keyframes were fetched.
     #[serde(default)]
     pub map_version_held: Option<u64>,
-    /// Most keyframes to send: 1 for single matching.
+    /// Maximum number of keyframes in the answer: 1 for single matching.
     pub max_keyframes: u16,
 }
 
@@ -83,7 +84,7 @@ impl Message for MatchRequest {
 
 /// One part of the answer to a [`MatchRequest`].
 ///
-/// In JSON `{"schema": 2, "type": "match_reply", "keyframe": {..}}` or `{.., "done": {..}}`.
+/// In JSON `{"schema": 3, "type": "match_reply", "keyframe": {..}}` or `{.., "done": {..}}`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 #[allow(clippy::large_enum_variant)] // one value at a time, moved once
@@ -107,7 +108,7 @@ impl Message for MatchReply {
     const TAG: u16 = 2;
     const NAME: &'static str = "match_reply";
 
-    /// The flat object holds more keys than serde's form of an enumeration has, so they are told apart here.
+    /// The flat object has more keys than serde's form of an enumeration allows, so the variants are distinguished here.
     fn from_json(bytes: &[u8]) -> Result<Self, serde_json::Error> {
         #[derive(Deserialize)]
         struct Parts {
@@ -129,7 +130,7 @@ pub struct KeyframeRecord {
     pub id: KeyframeId,
     /// Sensor time of its image, nanoseconds.
     pub stamp_ns: i64,
-    /// Its camera in the map's frame, as uncertain as the map knows it.
+    /// Its camera in the map's frame with the covariance in the map.
     #[serde(with = "wire::uncertain_pose")]
     pub global_from_keyframe: PoseWithCovariance,
     /// The camera that took it.
@@ -144,9 +145,9 @@ impl Validate for KeyframeRecord {
     }
 }
 
-/// How the pose errors of two keyframes move together.
+/// Cross-covariance of the pose errors of two keyframes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct CrossCovariance {
+pub struct CrossCovarianceBlock {
     /// The other keyframe.
     pub other: KeyframeId,
     /// `E[error(this keyframe) error(other)^T]`, 6x6, each error `[dtheta, dp]` in the map's frame.
@@ -154,30 +155,31 @@ pub struct CrossCovariance {
     pub block: Matrix6<f64>,
 }
 
-impl Validate for CrossCovariance {
+impl Validate for CrossCovarianceBlock {
     fn validate(&self) -> Result<(), InvalidField> {
         require_finite(self.block.as_slice(), "block")
     }
 }
 
-/// A keyframe of the answer with the query's features that it explains.
+/// A keyframe of the answer with the landmarks that match features of the query.
 ///
-/// The anchor of every landmark is a keyframe of the same answer that observed it: where the map's own anchor is not
-/// sent, the server anchors the landmark anew in the keyframe that matched it. Observations are from keyframes of the
-/// same answer or of the request's `held`. A keyframe without `matches` is covisible: it observed landmarks that
+/// The anchor of every landmark is a keyframe of the same answer that observes it: if the map's own anchor is not sent,
+/// the server re-anchors the landmark in the keyframe that matched it. Observations are from keyframes of the
+/// same answer or of the request's `held`. A keyframe without `matches` is covisible: it observes landmarks that
 /// keyframes of smaller rank matched.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MatchedKeyframe {
-    /// Version of the map that this is from.
+    /// Version of the map.
     pub map_version: u64,
     /// 0 is the best match; covisible keyframes without matches of their own come last.
     pub rank: u16,
     /// The keyframe.
     pub keyframe: KeyframeRecord,
-    /// Towards keyframes that the robot holds and those of this answer with a smaller rank; absent is independent.
+    /// Cross-covariances with keyframes in `held` and with keyframes of this answer of smaller rank; absent means
+    /// independent.
     #[serde(default)]
-    pub cross_covariances: Vec<CrossCovariance>,
-    /// Which of the query's features are which landmarks. No feature twice.
+    pub cross_covariances: Vec<CrossCovarianceBlock>,
+    /// Matches between features of the query and landmarks; each feature at most once.
     #[serde(default)]
     pub matches: Vec<LandmarkMatch>,
 }
@@ -193,20 +195,20 @@ impl Validate for MatchedKeyframe {
     }
 }
 
-/// A landmark that one of the query's features shows.
+/// A match between a feature of the query and a landmark.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LandmarkMatch {
     /// Index into the request's features.
     pub feature: u32,
     /// The landmark.
     pub landmark: LandmarkId,
-    /// The keyframe in whose camera frame its position is given.
+    /// The keyframe in whose camera frame the position is expressed.
     pub anchor: KeyframeId,
     /// Position in the anchor's camera frame, metres.
     pub position_in_anchor: [f64; 3],
     /// Distance of the descriptors as a fraction: of the bits for binary ones, cosine distance for floats.
     pub distance: f32,
-    /// Where the map's keyframes saw it, the anchor included; only keyframes of this answer or held by the robot.
+    /// Its pixels in the map's keyframes, the anchor included; only keyframes of this answer or in `held`.
     #[serde(default)]
     pub observations: Vec<KeyframePixel>,
 }
@@ -223,7 +225,7 @@ impl Validate for LandmarkMatch {
     }
 }
 
-/// Where a keyframe saw a landmark.
+/// Pixel of a landmark in a keyframe.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct KeyframePixel {
     /// The keyframe.
@@ -238,42 +240,42 @@ impl Validate for KeyframePixel {
     }
 }
 
-/// How a search ended.
+/// Result of a search.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum MatchOutcome {
     /// At least one keyframe matched and passed geometric verification.
     Matched,
-    /// No keyframe looks like the image.
+    /// No keyframe is similar to the image.
     NoMatch,
-    /// Some keyframes look like it, but no camera pose explains the matches.
+    /// Some keyframes are similar, but no camera pose is consistent with the matches.
     NotVerified,
-    /// The query has too few features to be matched at all.
+    /// The query has too few features to be matched.
     TooFewFeatures,
     /// The map has no keyframes.
     EmptyMap,
-    /// Two places of the map that look alike explain the image nearly equally well, so neither is an answer. A prior
-    /// pose, or an image from elsewhere, tells them apart.
+    /// Two different parts of the map match the image about equally well (perceptual aliasing), so neither is returned. A
+    /// prior pose, or an image from elsewhere, resolves it.
     Ambiguous,
 }
 
-/// The end of an answer: what was found, and what holds for all of it.
+/// The end of an answer: the result of the search and properties of the map.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MatchStatus {
-    /// Version of the map that was searched.
+    /// Version of the searched map.
     pub map_version: u64,
-    /// How the search ended.
+    /// Result of the search.
     pub outcome: MatchOutcome,
-    /// Number of [`MatchReply::Keyframe`]s that were sent before: fewer received means that some were lost.
+    /// Number of [`MatchReply::Keyframe`]s sent before this one: if fewer were received, some were lost.
     pub keyframes_sent: u16,
-    /// Number of keyframes that were compared with the image.
+    /// Number of keyframes compared with the image.
     pub searched_keyframes: u32,
-    /// Time the server took, microseconds.
+    /// Processing time of the server, microseconds.
     pub elapsed_us: u64,
-    /// Unit vector along which things fall, in the map's frame, if the map knows.
+    /// Unit vector along gravity (down) in the map's frame, if known.
     #[serde(default)]
     pub gravity_in_global: Option<[f64; 3]>,
-    /// Standard deviation of the map's pixels, pixels.
+    /// Standard deviation of the map's pixels, px.
     pub sigma_map_px: f64,
 }
 

@@ -1,4 +1,4 @@
-//! `robot/{robot}/pose`, `/odometry` and `/status`: what a robot publishes.
+//! `robot/{robot}/pose`, `/odometry` and `/status`: published by robots.
 
 use crate::codec::Message;
 use crate::validate::{InvalidField, Validate, require_finite, require_short};
@@ -6,14 +6,14 @@ use crate::{keys, wire};
 use geometry::uncertain_pose::PoseWithCovariance;
 use serde::{Deserialize, Serialize};
 
-/// Where a robot is in its map.
+/// Pose of a robot in its map.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RobotPose {
     /// Sensor time, nanoseconds.
     pub stamp_ns: i64,
-    /// Name of the map whose frame is meant.
+    /// Name of the map that defines the global frame.
     pub map: String,
-    /// Version of that map at the last update from it.
+    /// Version of the map at the last map update.
     pub map_version: u64,
     /// The IMU in the map's frame.
     #[serde(with = "wire::uncertain_pose")]
@@ -36,7 +36,7 @@ impl Message for RobotPose {
     const NAME: &'static str = "robot_pose";
 }
 
-/// Where a robot is in the frame of its own odometry: smooth, drifting, there without any map.
+/// Pose of a robot in its odometry frame: continuous, drifting, available without a map.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RobotOdometry {
     /// Sensor time, nanoseconds.
@@ -63,15 +63,15 @@ impl Message for RobotOdometry {
     const NAME: &'static str = "robot_odometry";
 }
 
-/// How well a robot knows where it is.
+/// Localization state of a robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum RobotState {
-    /// Good odometry, but no place in the map yet (or no map at all).
+    /// Odometry only: no pose in the map yet, or no map.
     OdometryOnly,
-    /// A pose in the map, confirmed recently enough.
+    /// A pose in the map, confirmed by recent map updates.
     Localized,
-    /// It had a pose, or odometry, that can no longer be trusted.
+    /// The pose in the map, or the odometry, can no longer be trusted.
     Lost,
 }
 
@@ -80,19 +80,19 @@ pub enum RobotState {
 pub struct RobotStatus {
     /// Sensor time, nanoseconds.
     pub stamp_ns: i64,
-    /// How well it knows where it is.
+    /// Localization state.
     pub state: RobotState,
-    /// Why it is in that state, for people.
+    /// Reason of the state, human-readable.
     pub reason: String,
-    /// The map that it localizes in, if any.
+    /// The map used, if any.
     #[serde(default)]
     pub map: Option<String>,
     /// Sensor time of the last accepted update from the map, nanoseconds.
     #[serde(default)]
     pub last_map_update_ns: Option<i64>,
-    /// Keyframes of the map that it holds.
+    /// Keyframes of the map in its state.
     pub keyframes_held: u32,
-    /// Match queries sent since its start.
+    /// Match queries sent since the start.
     pub queries_sent: u64,
     /// Those that were answered completely and in time.
     pub queries_answered: u64,

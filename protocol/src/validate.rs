@@ -1,43 +1,38 @@
-//! What a message must satisfy beyond having parsed, and how a violation is named.
+//! Checks on the values of a decoded message.
 //!
-//! A checksum says that the bytes are those that were sent, not that the sender made sense. Every message is
-//! therefore validated after decoding (and before encoding), and the error names the field, like
-//! `keyframe.global_from_keyframe.rotation`.
+//! A checksum guarantees that the bytes are those that were sent, not that they are meaningful. Every message is
+//! therefore validated after decoding and before encoding; the error names the field, for example
+//! `keyframe.global_from_keyframe.rotation`. Covariances are checked by [`check_covariance`].
 
+use crate::limits::MAX_TEXT_BYTES;
 use geometry::camera::Camera;
+use geometry::covariance_check::check_covariance;
 use geometry::pose::Pose;
 use geometry::uncertain_pose::PoseWithCovariance;
-use nalgebra::Matrix6;
 use thiserror::Error;
 
 /// How far the norm of a decoded quaternion or direction may be from 1.
 ///
-/// Loose enough for a script that writes six decimals.
+/// Allows quaternions written with six decimals.
 pub const UNIT_TOLERANCE: f64 = 1e-5;
 
-/// How far a covariance may be from symmetric and from positive semi-definite, after scaling its diagonal to 1.
-///
-/// Covariances come out of filters in f64: rounding leaves about 1e-12 of this; a covariance written with six
-/// digits by a script leaves 1e-6.
-pub const COVARIANCE_TOLERANCE: f64 = 1e-5;
-
-/// A field of a message holds something that no correct sender sends.
+/// A field of a message has an invalid value.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 #[error("field `{field}` {reason}")]
 pub struct InvalidField {
     /// Path of the field inside the message, like `features.pixels[3]`.
     pub field: String,
-    /// What is wrong with it, to be read after the field's name: "is not finite".
+    /// The violation, to be read after the field's name: "is not finite".
     pub reason: String,
 }
 
 impl InvalidField {
-    /// Names a field and what is wrong with it.
+    /// A violation of the field at a path.
     pub fn new(field: impl Into<String>, reason: impl Into<String>) -> Self {
         Self { field: field.into(), reason: reason.into() }
     }
 
-    /// The same violation seen from the message that holds the field's owner as `parent`.
+    /// The same violation with `parent` prepended to the path.
     #[must_use]
     pub fn within(self, parent: &str) -> Self {
         let separator = if self.field.is_empty() || self.field.starts_with('[') { "" } else { "." };
@@ -45,7 +40,7 @@ impl InvalidField {
     }
 }
 
-/// Something that can say whether its content makes sense.
+/// Types whose values can be checked.
 pub trait Validate {
     /// Checks every field.
     ///
@@ -54,7 +49,7 @@ pub trait Validate {
     fn validate(&self) -> Result<(), InvalidField>;
 }
 
-/// Fails with the violation unless `holds`.
+/// Returns the violation unless `holds`.
 pub(crate) fn require(holds: bool, field: &str, reason: &str) -> Result<(), InvalidField> {
     if holds { Ok(()) } else { Err(InvalidField::new(field, reason)) }
 }
@@ -82,10 +77,10 @@ pub(crate) fn require_each<T>(
     })
 }
 
-/// Text that people read: at most [`crate::MAX_TEXT_BYTES`].
+/// Human-readable text: at most [`MAX_TEXT_BYTES`].
 pub(crate) fn require_short(text: &str, field: &str) -> Result<(), InvalidField> {
-    let reason = format!("is longer than {} bytes", crate::MAX_TEXT_BYTES);
-    require(text.len() <= crate::MAX_TEXT_BYTES, field, &reason)
+    let reason = format!("is longer than {} bytes", MAX_TEXT_BYTES);
+    require(text.len() <= MAX_TEXT_BYTES, field, &reason)
 }
 
 impl Validate for Pose {
@@ -105,7 +100,8 @@ impl Validate for Pose {
 impl Validate for PoseWithCovariance {
     fn validate(&self) -> Result<(), InvalidField> {
         self.pose.validate()?;
-        validate_covariance(&self.covariance).map_err(|reason| InvalidField::new("covariance", reason))
+        check_covariance(&self.covariance)
+            .map_err(|violation| InvalidField::new("covariance", violation.to_string()))
     }
 }
 
@@ -114,37 +110,4 @@ impl Validate for Camera {
         Camera::validate(self)
             .map_err(|error| InvalidField::new("", format!("is not a usable camera: {error}")))
     }
-}
-
-/// A covariance is finite, has no negative variance, is symmetric and positive semi-definite.
-///
-/// The last two are judged on the correlation matrix (diagonal scaled to 1), because radians and metres in one
-/// matrix differ by orders of magnitude.
-fn validate_covariance(covariance: &Matrix6<f64>) -> Result<(), String> {
-    if !covariance.iter().all(|value| value.is_finite()) {
-        return Err("is not finite".into());
-    }
-    let sigmas = covariance.diagonal().map(f64::sqrt);
-    if let Some(index) = (0..6).find(|&index| covariance[(index, index)] < 0.0) {
-        return Err(format!("has a negative variance at [{index}][{index}]"));
-    }
-    let mut correlation = Matrix6::identity();
-    for row in 0..6 {
-        for column in (0..6).filter(|&column| column != row) {
-            let scale = sigmas[row] * sigmas[column];
-            let entry = covariance[(row, column)];
-            if (entry - covariance[(column, row)]).abs() > COVARIANCE_TOLERANCE * scale {
-                return Err(format!("is not symmetric at [{row}][{column}]"));
-            }
-            if entry.abs() > scale * (1.0 + COVARIANCE_TOLERANCE) {
-                return Err(format!("is negative: [{row}][{column}] exceeds what its variances allow"));
-            }
-            correlation[(row, column)] = if scale > 0.0 { entry / scale } else { 0.0 };
-        }
-    }
-    let smallest = correlation.symmetric_eigenvalues().min();
-    if smallest < -COVARIANCE_TOLERANCE {
-        return Err(format!("is negative: its correlation matrix has the eigenvalue {smallest:e}"));
-    }
-    Ok(())
 }

@@ -1,11 +1,11 @@
-//! How poses, matrices and cameras are written, the same fields in both formats.
+//! Serialized forms of poses, matrices and cameras; the same fields in both formats.
 //!
 //! ```json
 //! {"rotation_wxyz": [1, 0, 0, 0], "translation": [0, 0, 0], "covariance": [[..6 numbers..], ..6 rows..]}
 //! {"width": 752, "height": 480, "focal": [458.6, 457.3], "centre": [367.2, 248.4],
 //!  "distortion": {"radial_tangential": [-0.283, 0.074, 0.0002, 0.00002]}}
 //! ```
-//! The forms are spelled out here, so that a renamed field of another crate is not a change of the wire.
+//! They are separate types, so that a renamed field in another crate does not change the wire format.
 //!
 //! nalgebra's own form (quaternions as x, y, z, w; matrices as one flat column-major list) invites mistakes in
 //! scripts, so the order of the quaternion is in its name and a matrix is a list of its rows.
@@ -16,9 +16,9 @@ use geometry::uncertain_pose::PoseWithCovariance;
 use nalgebra::{Matrix6, Quaternion, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
-/// Deviation of a norm from 1 below which a quaternion is taken as it is.
+/// Deviation of a norm from 1 below which a quaternion is used unchanged.
 ///
-/// Quaternions computed in f64 come back bit by bit; those written with few decimals are normalized.
+/// Quaternions computed in f64 round-trip bit by bit; those written with few decimals are normalized.
 const EXACT_NORM_TOLERANCE: f64 = 1e-12;
 
 #[derive(Serialize, Deserialize)]
@@ -36,7 +36,7 @@ fn from_rows(rows: &[[f64; 6]; 6]) -> Matrix6<f64> {
     Matrix6::from_fn(|row, column| rows[row][column])
 }
 
-/// Normalizes what is nearly a unit quaternion; leaves the rest for validation to refuse.
+/// Normalizes a nearly unit quaternion; any other is left for validation to refuse.
 fn rotation_from_wxyz([w, x, y, z]: [f64; 4]) -> UnitQuaternion<f64> {
     let quaternion = Quaternion::new(w, x, y, z);
     let deviation = (quaternion.norm() - 1.0).abs();
@@ -161,13 +161,13 @@ pub(crate) mod camera {
     }
 }
 
-/// `#[serde(with = "wire::keyframe_set")]`: names whose order does not matter.
+/// `#[serde(with = "wire::keyframe_set")]`: a set of keyframe ids.
 ///
-/// JSON has a plain list. Bincode has the sorted names as what lies between each and the one before: `[7, 8, 12]` is
-/// written `[7, 0, 3]`. Names of one map are close to each other, and bincode writes a number below 251 in one byte.
-/// There is only one such list for a set: a repeated name is written once, and none can be read.
+/// JSON has a plain list. Bincode has the sorted ids as gaps, the number of ids between each and the one before:
+/// `[7, 8, 12]` is written `[7, 0, 3]`. Ids of one map are close to each other, and bincode writes a number below 251 in
+/// one byte. The encoding of a set is unique; duplicates are written once and cannot be decoded.
 pub(crate) mod keyframe_set {
-    use crate::KeyframeId;
+    use crate::limits::KeyframeId;
     use serde::de::Error;
     use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
@@ -184,7 +184,7 @@ pub(crate) mod keyframe_set {
         numbers.serialize(serializer)
     }
 
-    /// Ascending from bincode, as they stand in JSON.
+    /// Ascending from bincode, in the given order from JSON.
     pub(crate) fn deserialize<'de, D: Deserializer<'de>>(
         deserializer: D,
     ) -> Result<Vec<KeyframeId>, D::Error> {
@@ -193,7 +193,7 @@ pub(crate) mod keyframe_set {
         if sorted_gaps {
             for k in 1..numbers.len() {
                 let next = numbers[k - 1].checked_add(1).and_then(|least| least.checked_add(numbers[k]));
-                numbers[k] = next.ok_or_else(|| D::Error::custom("a keyframe's name exceeds 64 bits"))?;
+                numbers[k] = next.ok_or_else(|| D::Error::custom("a keyframe id exceeds 64 bits"))?;
             }
         }
         Ok(numbers)

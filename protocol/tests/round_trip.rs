@@ -46,9 +46,9 @@ fn every_message_has_its_own_tag_and_name() {
         (MatchReply::TAG, MatchReply::NAME),
         (LocalizeRequest::TAG, LocalizeRequest::NAME),
         (LocalizeReply::TAG, LocalizeReply::NAME),
-        (MapInfo::TAG, MapInfo::NAME),
+        (MapInfoReply::TAG, MapInfoReply::NAME),
         (KeyframeReply::TAG, KeyframeReply::NAME),
-        (MapChange::TAG, MapChange::NAME),
+        (MapChangeNotice::TAG, MapChangeNotice::NAME),
         (RobotPose::TAG, RobotPose::NAME),
         (RobotOdometry::TAG, RobotOdometry::NAME),
         (RobotStatus::TAG, RobotStatus::NAME),
@@ -75,7 +75,7 @@ fn json_is_what_the_documentation_shows() {
     let pose = example(poses());
     request.prior = Some(PosePrior { global_from_camera: pose });
     let value: serde_json::Value = serde_json::from_slice(&encode(Format::Json, &request).unwrap()).unwrap();
-    assert_eq!(value["schema"], 2);
+    assert_eq!(value["schema"], SCHEMA_VERSION);
     assert_eq!(value["type"], "localize_request");
     let descriptors = serde_json::json!({"kind": "binary", "width": 2, "hex": ["ab01", "ff00"]});
     assert_eq!(value["features"]["descriptors"], descriptors);
@@ -93,7 +93,7 @@ fn json_is_what_the_documentation_shows() {
 #[test]
 fn json_written_by_hand_is_understood() {
     let text = r#"{
-        "schema": 2, "comment": "by hand",
+        "schema": 3, "comment": "by hand",
         "camera": {"width": 640, "height": 480, "focal": [500, 500], "centre": [319.5, 239.5], "distortion": {"fov": 0.9}},
         "features": {"pixels": [[10, 20]], "descriptors": {"kind": "binary", "width": 2, "hex": ["A0ff"]}},
         "prior": {"global_from_camera": {"rotation_wxyz": [0.707107, 0, 0.707107, 0], "translation": [1, 2, 3],
@@ -149,7 +149,7 @@ fn a_query_of_500_features_has_40_kb_and_an_answer_of_3_keyframes_120_kb_at_most
         distance: 0.125,
         observations: observations(index),
     };
-    let cross = |other: u64| CrossCovariance { other, block: Matrix6::from_element(1e-4) };
+    let cross = |other: u64| CrossCovarianceBlock { other, block: Matrix6::from_element(1e-4) };
     let part = |rank: usize| {
         let keyframe = KeyframeRecord { id: sent[rank], ..example(keyframe_replies()).keyframe };
         MatchReply::Keyframe(MatchedKeyframe {

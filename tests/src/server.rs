@@ -36,7 +36,8 @@ impl Server {
         let options = SessionOptions { listen: vec![endpoint.clone()], ..SessionOptions::default() };
         let session = runtime.block_on(open_session(&options)).unwrap();
         let maps = vec![ServedMap { name: name.to_owned(), map }];
-        let options = ServerOptions { name: Some(NAME.to_owned()), ..ServerOptions::default() };
+        let mut options = ServerOptions::default();
+        options.name = Some(NAME.to_owned());
         let serving = runtime.block_on(MapServer::start(session.clone(), maps, options)).unwrap();
         Self { runtime, session, serving, endpoint }
     }

@@ -1,15 +1,15 @@
 //! Bad input is an error that names the thing, and never more than that.
 #![allow(clippy::unwrap_used)]
 
-use client::answer::map_answer;
 use estimator::{CalibratedCamera, Estimator, MapAnswer, Rejection};
 use evaluation::{ScoreOptions, score_run};
 use nalgebra::Vector3;
 use onboard::arguments::Init;
+use onboard::map_conversion::map_answer;
 use onboard::start::initial_state;
 use onboard::{EstimatorSupervisor, ImuWindow, RobotRun, StopSignal, run as play};
 use protocol::{
-    DescriptorKind, Descriptors, ErrorCode, FeatureSet, Format, LocalizeReply, LocalizeRequest, MapInfo,
+    DescriptorKind, Descriptors, ErrorCode, FeatureSet, Format, LocalizeReply, LocalizeRequest, MapInfoReply,
     MatchOutcome, MatchReply, MatchedKeyframe,
 };
 use recognition::{LoadedMap, RecognitionOptions};
@@ -148,7 +148,7 @@ fn hostile_queries_are_answered_with_errors_and_the_server_lives_on() {
     let error = only_error(&ask("map/ring/match", inner));
     assert_eq!(error.code, ErrorCode::BadRequest);
     assert_eq!(only_error(&ask("map/ring/match", payload[..40].to_vec())).code, ErrorCode::BadRequest);
-    let hostile = br#"{"schema":2,"type":"match_request","robot":"x","stamp_ns":1e999}"#.to_vec();
+    let hostile = br#"{"schema":3,"type":"match_request","robot":"x","stamp_ns":1e999}"#.to_vec();
     assert_eq!(only_error(&ask("map/ring/match", hostile)).code, ErrorCode::BadRequest);
     let other = protocol::encode(Format::Bincode, &good).unwrap();
     let error = only_error(&ask("map/ring/localize", other));
@@ -184,7 +184,7 @@ fn hostile_queries_are_answered_with_errors_and_the_server_lives_on() {
 
     let replies: Vec<MatchReply> = messages(ask("map/ring/match", payload));
     assert!(replies.len() > 1 && matches!(replies.last(), Some(MatchReply::Done(_))));
-    let info: Vec<MapInfo> = messages(client.ask("map/ring/info", None));
+    let info: Vec<MapInfoReply> = messages(client.ask("map/ring/info", None));
     assert_eq!(info[0].keyframes as usize, place.map.keyframes.len());
     assert!(!server.statistics().panicked);
     client.close();

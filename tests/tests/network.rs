@@ -212,7 +212,7 @@ fn two_robots_share_a_server_and_a_third_party_follows_both() {
         assert_eq!((last.state, last.map.as_deref()), (RobotState::Localized, Some("ring")));
         assert!(last.queries_answered > 5);
     }
-    let info: Vec<protocol::MapInfo> = messages(watcher.ask("map/ring/info", None));
+    let info: Vec<protocol::MapInfoReply> = messages(watcher.ask("map/ring/info", None));
     assert_eq!(info.len(), 1);
     assert!(server.statistics().failed == 0);
     drop((heard, published));

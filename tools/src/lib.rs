@@ -7,5 +7,7 @@
 pub mod command;
 pub mod demo;
 pub mod in_process;
+
 pub mod plotting;
 pub mod query_image;
+pub mod server_query;

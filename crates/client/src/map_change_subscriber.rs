@@ -1,69 +1,96 @@
-//! Hears when the map changes: `map/{map}/changes`.
+//! Subscription to the changes of a map: `map/{map}/changes`.
 //!
-//! News are decoded where they arrive and wait in a short queue for the estimator's thread, which never waits for them.
-//! Whatever gets lost (a full queue, a message that cannot be read, one that was sent before the robot came) costs the
-//! robot its pose in the map until the next answer, which is what a change without news costs.
+//! Notices are decoded where they arrive and wait in a short queue for the receiving thread, which never blocks. If a
+//! notice is lost (full queue, unreadable message, published before the subscription), a robot loses its pose in the map
+//! until the next answer, as after any change without a notice.
 
-use estimator::{ChangeSize, MapRevision};
-use protocol::{Format, MapChange, keys};
+use crate::error::ClientError;
+use protocol::{CodecError, Format, MapChangeNotice, keys};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
-use tokio::runtime::Handle;
 use zenoh::pubsub::Subscriber;
 use zenoh::sample::Sample;
 
-/// News that may wait: a map changes every few minutes at most.
-const QUEUE: usize = 16;
+/// Notices that may wait: a map changes every few minutes at most.
+const QUEUE_LENGTH: usize = 16;
 
-/// The subscription, and what it heard.
+/// A subscription and the notices that it received.
+///
+/// # Example
+/// ```
+/// use client::{MapChangeSubscriber, SessionOptions, open_session};
+/// use protocol::Format;
+///
+/// # #[tokio::main]
+/// # async fn main() -> Result<(), Box<dyn std::error::Error + Send + Sync>> {
+/// let session = open_session(&SessionOptions::default()).await?;
+/// let mut changes = MapChangeSubscriber::subscribe(&session, "hall").await?;
+///
+/// // What a map server publishes when it replaces a map:
+/// let notice = r#"{"schema": 3, "map": "hall", "from_version": 4, "version": 5, "moved": [41]}"#;
+/// session.put("map/hall/changes", notice).encoding(Format::Json.encoding()).await?;
+///
+/// let notice = loop {
+///     if let Some(notice) = changes.poll() {
+///         break notice;
+///     }
+///     tokio::task::yield_now().await;
+/// };
+/// assert_eq!((notice.from_version, notice.version), (4, 5));
+/// # Ok(())
+/// # }
+/// ```
 #[derive(Debug)]
 pub struct MapChangeSubscriber {
-    receiver: Receiver<MapRevision>,
+    receiver: Receiver<MapChangeNotice>,
     _subscriber: Subscriber<()>,
 }
 
 impl MapChangeSubscriber {
-    /// Listens from now on.
+    /// Subscribes to the changes of a map.
     ///
     /// # Errors
-    /// A sentence: a map name that no key can hold, or a closed session.
-    pub fn subscribe(session: &zenoh::Session, runtime: &Handle, map: &str) -> Result<Self, String> {
-        let key = keys::map_changes(map).map_err(|error| error.to_string())?;
-        let (sender, receiver) = sync_channel(QUEUE);
+    /// [`ClientError::Subscribe`]: a name that cannot be part of a key, or a closed session.
+    pub async fn subscribe(session: &zenoh::Session, map: &str) -> Result<Self, ClientError> {
+        let failed = |problem: String| ClientError::Subscribe { map: map.to_owned(), problem };
+        let key = keys::map_changes(map).map_err(|error| failed(error.to_string()))?;
+        let (sender, receiver) = sync_channel(QUEUE_LENGTH);
         let name = map.to_owned();
-        let hear = move |sample: Sample| hear(&name, &sample, &sender);
-        let subscriber = runtime
-            .block_on(async { session.declare_subscriber(key).callback(hear).await })
-            .map_err(|error| format!("the robot cannot hear of changes of the map {map}: {error}"))?;
+        let callback = move |sample: Sample| enqueue(&name, &sample, &sender);
+        let declared = session.declare_subscriber(key).callback(callback).await;
+        let subscriber = declared.map_err(|error| failed(error.to_string()))?;
         Ok(Self { receiver, _subscriber: subscriber })
     }
 
-    /// The next news that are already here.
-    pub fn poll(&self) -> Option<MapRevision> {
+    /// The next notice that is available now.
+    pub fn poll(&mut self) -> Option<MapChangeNotice> {
         self.receiver.try_recv().ok()
     }
 }
 
-fn hear(map: &str, sample: &Sample, queue: &SyncSender<MapRevision>) {
+/// Why a notice is ignored.
+#[derive(Debug, thiserror::Error)]
+enum NoticeError {
+    #[error(transparent)]
+    Codec(#[from] CodecError),
+    #[error("the notice is about map {0}")]
+    OtherMap(String),
+}
+
+fn enqueue(map: &str, sample: &Sample, queue: &SyncSender<MapChangeNotice>) {
     let format = Format::from_encoding(&sample.encoding().to_string()).unwrap_or_default();
     match read(map, format, &sample.payload().to_bytes()) {
-        // A robot that takes nothing in any more misses nothing.
-        Ok(revision) => drop(queue.try_send(revision)),
-        Err(reason) => tracing::warn!(map, reason, "news of the map are left out"),
+        // A full queue drops the notice.
+        Ok(notice) => drop(queue.try_send(notice)),
+        Err(reason) => tracing::warn!(map, %reason, "ignored a notice of a map change"),
     }
 }
 
-/// From the wire to the estimator's terms.
-fn read(map: &str, format: Format, payload: &[u8]) -> Result<MapRevision, String> {
-    let change: MapChange = protocol::decode(format, payload).map_err(|error| error.to_string())?;
-    if change.map != map {
-        return Err(format!("they are of the map {}", change.map));
+fn read(map: &str, format: Format, payload: &[u8]) -> Result<MapChangeNotice, NoticeError> {
+    let notice: MapChangeNotice = protocol::decode(format, payload)?;
+    if notice.map != map {
+        return Err(NoticeError::OtherMap(notice.map));
     }
-    let size = change
-        .stated_change
-        .map(|size| ChangeSize { sigma_rotation: size.sigma_theta_rad, sigma_position: size.sigma_p_m });
-    let mut other_errors = change.moved;
-    other_errors.extend(change.removed);
-    Ok(MapRevision { from_version: change.from_version, version: change.version, other_errors, size })
+    Ok(notice)
 }
 
 #[cfg(test)]
@@ -71,8 +98,8 @@ mod tests {
     use super::*;
     use protocol::StatedChange;
 
-    fn change() -> MapChange {
-        MapChange {
+    fn notice() -> MapChangeNotice {
+        MapChangeNotice {
             map: "hall".to_owned(),
             from_version: 3,
             version: 4,
@@ -84,25 +111,23 @@ mod tests {
     }
 
     #[test]
-    fn news_say_which_errors_are_others_and_how_far_the_map_moved() {
+    fn notices_are_read_in_both_formats() {
         for format in [Format::Bincode, Format::Json] {
-            let payload = protocol::encode(format, &change()).unwrap();
-            let revision = read("hall", format, &payload).unwrap();
-            assert_eq!((revision.from_version, revision.version), (3, 4));
-            assert_eq!(revision.other_errors, [2, 5, 9]);
-            assert_eq!(revision.size, Some(ChangeSize { sigma_rotation: 0.01, sigma_position: 0.2 }));
+            let payload = protocol::encode(format, &notice()).unwrap();
+            assert_eq!(read("hall", format, &payload).unwrap(), notice());
         }
     }
 
     #[test]
-    fn damaged_foreign_and_impossible_news_are_refused() {
-        let payload = protocol::encode(Format::Bincode, &change()).unwrap();
-        assert!(read("yard", Format::Bincode, &payload).unwrap_err().contains("hall"));
+    fn damaged_foreign_and_invalid_notices_are_refused() {
+        let payload = protocol::encode(Format::Bincode, &notice()).unwrap();
+        assert!(read("yard", Format::Bincode, &payload).unwrap_err().to_string().contains("hall"));
         for damaged in [&payload[..payload.len() / 2], b"", b"{}"] {
             assert!(read("hall", Format::Bincode, damaged).is_err());
         }
-        let json = String::from_utf8(protocol::encode(Format::Json, &change()).unwrap()).unwrap();
+        let json = String::from_utf8(protocol::encode(Format::Json, &notice()).unwrap()).unwrap();
         let negative = json.replace("0.01", "-0.01");
-        assert!(read("hall", Format::Json, negative.as_bytes()).unwrap_err().contains("sigma_theta_rad"));
+        let error = read("hall", Format::Json, negative.as_bytes()).unwrap_err().to_string();
+        assert!(error.contains("sigma_theta_rad"), "{error}");
     }
 }

@@ -1,176 +1,143 @@
-//! Asking a running map server from the shell.
+//! Asynchronous queries to one map.
 
-use std::time::{Duration, Instant};
-
-use crate::session::{DEFAULT_ENDPOINT, SessionOptions, close_session, open_session};
-use anyhow::{Context, bail};
-use nalgebra::Vector3;
+use crate::error::ClientError;
+use crate::request::{Collector, Request, Retry, SingleReply, Traffic};
+use protocol::keys::{self, NameError};
 use protocol::{
-    ErrorReply, Format, LocalizeReply, LocalizeRequest, LocalizedPose, MatchOutcome, Message, keys,
+    KeyframeId, KeyframeReply, LocalizeReply, LocalizeRequest, MapInfoReply, MatchOutcome, MatchReply,
+    MatchRequest, MatchStatus, MatchedKeyframe,
 };
-use zenoh::Session;
-use zenoh::bytes::Encoding;
-use zenoh::qos::CongestionControl;
-use zenoh::query::ConsolidationMode;
+use std::time::Instant;
 
-/// Pause before asking again where nobody answered: the session may still be connecting.
-const RETRY_AFTER: Duration = Duration::from_millis(200);
-
-/// Where a map server is, and how long to wait for it.
-#[derive(Clone, Debug, clap::Args)]
-pub struct ServerArguments {
-    /// Endpoint of the server or of a router
-    #[arg(long, value_name = "ENDPOINT", default_value = DEFAULT_ENDPOINT)]
-    pub connect: Vec<String>,
-    /// Namespace of the fleet
-    #[arg(long, value_name = "PREFIX")]
-    pub namespace: Option<String>,
-    /// Give up after this time, s
-    #[arg(long, value_name = "SECONDS", default_value_t = 5.0)]
-    pub timeout: f64,
+/// The complete answer to a [`MatchRequest`].
+#[derive(Clone, Debug, PartialEq)]
+pub struct MatchAnswer {
+    /// Result of the search. Keyframes are present only if its outcome is [`MatchOutcome::Matched`].
+    pub status: MatchStatus,
+    /// The matched keyframes in the order of their arrival, all of those that the server sent.
+    pub keyframes: Vec<MatchedKeyframe>,
 }
 
-/// An open session to whoever serves a map.
-pub struct MapClient<'a> {
-    session: Session,
-    server: &'a ServerArguments,
-    map: &'a str,
-    deadline: Instant,
+/// Queries to one map over an open Zenoh session.
+///
+/// Every method returns at the latest shortly after its `deadline`, and repeats the query until then as described in
+/// the [crate documentation](crate#retries). Needs a multi-threaded tokio runtime. Cloning is cheap.
+#[derive(Clone, Debug)]
+pub struct MapClient {
+    session: zenoh::Session,
+    map: String,
+    retry: Retry,
 }
 
-impl ServerArguments {
-    /// Opens a session, asks, and closes it.
+impl MapClient {
+    /// A client for the map that is served as `map`.
     ///
     /// # Errors
-    /// An impossible timeout, no threads, a session that does not open, whatever `ask` says.
-    pub fn ask_in_session<'a, T>(
-        &'a self,
-        map: &'a str,
-        ask: impl AsyncFnOnce(&MapClient<'a>) -> anyhow::Result<T>,
-    ) -> anyhow::Result<T> {
-        if !(self.timeout.is_finite() && self.timeout > 0.0) {
-            bail!("--timeout {}: give a positive number of seconds", self.timeout);
-        }
-        let runtime = tokio::runtime::Builder::new_multi_thread()
-            .worker_threads(2)
-            .enable_all()
-            .build()
-            .context("no threads for the network could be started")?;
-        let options = SessionOptions {
-            connect: self.connect.clone(),
-            namespace: self.namespace.clone(),
-            ..SessionOptions::default()
-        };
-        runtime.block_on(async {
-            let session = open_session(&options).await?;
-            let deadline = Instant::now() + Duration::from_secs_f64(self.timeout);
-            let client = MapClient { session, server: self, map, deadline };
-            let answer = ask(&client).await;
-            close_session(&client.session).await;
-            answer
-        })
+    /// [`NameError`] for a name that cannot be part of a key.
+    pub fn new(session: zenoh::Session, map: &str) -> Result<Self, NameError> {
+        keys::validate_name(map)?;
+        Ok(Self { session, map: map.to_owned(), retry: Retry::Transient })
     }
-}
 
-impl MapClient<'_> {
+    /// The same client, which also repeats a query while the answer is that the map is unknown.
+    ///
+    /// For a session that was just opened in a network with several servers: another server may be connected before the
+    /// one that serves the map.
+    #[must_use]
+    pub fn awaiting_map(self) -> Self {
+        Self { retry: Retry::TransientOrUnknownMap, ..self }
+    }
+
+    /// Name of the map.
+    pub fn map(&self) -> &str {
+        &self.map
+    }
+
+    /// Asks which keyframes an image matches.
+    ///
+    /// # Errors
+    /// [`ClientError`]; of the last attempt, if several were made.
+    pub async fn match_image(
+        &self,
+        request: &MatchRequest,
+        deadline: Instant,
+    ) -> Result<MatchAnswer, ClientError> {
+        self.match_image_counted(request, deadline, self.retry, &mut Traffic::default()).await
+    }
+
     /// Asks where an image was taken.
     ///
     /// # Errors
-    /// See [`MapClient::get`].
-    pub async fn localize(&self, request: &LocalizeRequest) -> anyhow::Result<LocalizeReply> {
-        let poses: Vec<LocalizeReply> = self.get(&keys::map_localize(self.map)?, request, |_| true).await?;
-        poses.into_iter().next().context("the server sent no answer")
+    /// [`ClientError`]; of the last attempt, if several were made.
+    pub async fn localize(
+        &self,
+        request: &LocalizeRequest,
+        deadline: Instant,
+    ) -> Result<LocalizeReply, ClientError> {
+        let request = self.request(keys::map_localize(&self.map), deadline)?.with_payload(request)?;
+        request.send::<SingleReply<LocalizeReply>>(self.retry, &mut Traffic::default()).await
     }
 
-    /// Asks until there is a complete answer. An empty one says that nobody was there yet, never that nothing matches.
+    /// Asks for the properties of the map.
     ///
     /// # Errors
-    /// Nobody answers in time, the server refuses, or says what cannot be read.
-    pub async fn get<Q: Message, R: Message>(
+    /// [`ClientError`]; of the last attempt, if several were made.
+    pub async fn info(&self, deadline: Instant) -> Result<MapInfoReply, ClientError> {
+        let request = self.request(keys::map_info(&self.map), deadline)?;
+        request.send::<SingleReply<MapInfoReply>>(self.retry, &mut Traffic::default()).await
+    }
+
+    /// Asks for one keyframe with its landmarks.
+    ///
+    /// # Errors
+    /// [`ClientError`], of the last attempt, if several were made; [`ClientError::Refused`] with
+    /// [`protocol::ErrorCode::UnknownKeyframe`] if the map has no such keyframe.
+    pub async fn keyframe(&self, id: KeyframeId, deadline: Instant) -> Result<KeyframeReply, ClientError> {
+        let request = self.request(keys::map_keyframe(&self.map, id), deadline)?;
+        request.send::<SingleReply<KeyframeReply>>(self.retry, &mut Traffic::default()).await
+    }
+
+    /// [`MapClient::match_image`] with its own retry rule, counting payload bytes.
+    pub(crate) async fn match_image_counted(
         &self,
-        key: &str,
-        request: &Q,
-        complete: impl Fn(&[R]) -> bool,
-    ) -> anyhow::Result<Vec<R>> {
-        let payload = protocol::encode(Format::Bincode, request)?;
-        let mut refusal: Option<String> = None;
-        loop {
-            let left = self.deadline.saturating_duration_since(Instant::now());
-            if left.is_zero() {
-                match refusal {
-                    Some(message) => bail!("the map server refused: {message}"),
-                    None => bail!(
-                        "no map server at {} answered within {} s: is map_server running with --map {}=DB, and is \
-                         --connect right?",
-                        self.server.connect.join(", "),
-                        self.server.timeout,
-                        self.map
-                    ),
-                }
-            }
-            let replies = self
-                .session
-                .get(key)
-                .payload(payload.clone())
-                .encoding(Encoding::from(Format::Bincode.encoding()))
-                .consolidation(ConsolidationMode::None)
-                .congestion_control(CongestionControl::Block)
-                .timeout(left)
-                .await
-                .map_err(|error| anyhow::anyhow!("the query could not be sent: {error}"))?;
-            let mut received: Vec<R> = Vec::new();
-            while let Ok(reply) = replies.recv_async().await {
-                match reply.result() {
-                    Ok(sample) => received.push(decode(sample.encoding(), &sample.payload().to_bytes())?),
-                    Err(error) => {
-                        let said: anyhow::Result<ErrorReply> =
-                            decode(error.encoding(), &error.payload().to_bytes());
-                        refusal = said.ok().map(|said| said.message);
-                    }
-                }
-            }
-            if !received.is_empty() && complete(&received) {
-                return Ok(received);
-            }
-            tokio::time::sleep(RETRY_AFTER.min(left)).await;
-        }
+        request: &MatchRequest,
+        deadline: Instant,
+        retry: Retry,
+        traffic: &mut Traffic,
+    ) -> Result<MatchAnswer, ClientError> {
+        let request = self.request(keys::map_match(&self.map), deadline)?.with_payload(request)?;
+        request.send::<MatchCollector>(retry, traffic).await
+    }
+
+    fn request(&self, key: Result<String, NameError>, deadline: Instant) -> Result<Request, ClientError> {
+        let key = key.map_err(|error| ClientError::Send { problem: error.to_string() })?;
+        Ok(Request::new(&self.session, key, deadline))
     }
 }
 
-fn decode<R: Message>(encoding: &Encoding, bytes: &[u8]) -> anyhow::Result<R> {
-    let format = Format::from_encoding(&encoding.to_string()).unwrap_or_default();
-    protocol::decode(format, bytes).context("the server's answer cannot be read: is it of this version?")
+/// Keyframes until the final status.
+#[derive(Default)]
+struct MatchCollector {
+    keyframes: Vec<MatchedKeyframe>,
 }
 
-/// Prints a pose with its standard deviations.
-pub fn print_fix(fix: &LocalizedPose) {
-    let pose = &fix.global_from_camera.pose;
-    let (p, q) = (&pose.translation, pose.rotation.quaternion());
-    let covariance = fix.global_from_camera.covariance.diagonal();
-    let sigma = |first: usize| Vector3::from_fn(|axis, _| covariance[first + axis].sqrt());
-    let (theta, position) = (sigma(0) * 1.0_f64.to_degrees(), sigma(3));
-    println!(
-        "camera at ({:.3}, {:.3}, {:.3}) m, q = ({:.5}, {:.5}, {:.5}, {:.5})",
-        p.x, p.y, p.z, q.w, q.i, q.j, q.k
-    );
-    println!(
-        "  sigma ({:.3}, {:.3}, {:.3}) m, ({:.2}, {:.2}, {:.2}) deg",
-        position.x, position.y, position.z, theta.x, theta.y, theta.z
-    );
-    println!(
-        "  {} of {} matches agree within {:.2} px on average, best keyframe {}",
-        fix.inliers, fix.matched_features, fix.mean_error_px, fix.keyframe
-    );
-}
+impl Collector for MatchCollector {
+    type Reply = MatchReply;
+    type Answer = MatchAnswer;
 
-/// An outcome without a pose, in words.
-pub fn describe(outcome: MatchOutcome) -> &'static str {
-    match outcome {
-        MatchOutcome::Matched => "the server matched, but gave no pose",
-        MatchOutcome::NoMatch => "no keyframe looks like the image",
-        MatchOutcome::NotVerified => "some keyframes look alike, but no pose explains the matches",
-        MatchOutcome::TooFewFeatures => "the image has too few features",
-        MatchOutcome::Ambiguous => "two places of the map look alike: give a prior pose",
-        MatchOutcome::EmptyMap => "the map has no keyframes",
+    fn add(&mut self, reply: MatchReply) -> Option<Result<MatchAnswer, ClientError>> {
+        let status = match reply {
+            MatchReply::Keyframe(keyframe) => {
+                self.keyframes.push(keyframe);
+                return None;
+            }
+            MatchReply::Done(status) => status,
+        };
+        let keyframes = std::mem::take(&mut self.keyframes);
+        let (received, sent) = (keyframes.len(), usize::from(status.keyframes_sent));
+        if status.outcome == MatchOutcome::Matched && received != sent {
+            return Some(Err(ClientError::KeyframesMissing { received, sent }));
+        }
+        Some(Ok(MatchAnswer { status, keyframes }))
     }
 }

@@ -1,22 +1,22 @@
-//! Opening a Zenoh session from the few switches that people need, without knowing about maps.
+//! Opening a Zenoh session from a few options.
 //!
-//! Zenoh's defaults look for peers by multicast and listen on every interface. Driftless does neither by itself:
-//! a robot should not join a stranger's map because it shares the hall's Wi-Fi.
+//! Zenoh's defaults find peers by multicast and listen on every interface. Driftless does neither unless configured:
+//! robots of two fleets in the same Wi-Fi must not connect to each other's servers.
 
 use std::path::PathBuf;
 use std::time::Duration;
 
-/// Where programs listen and connect when nothing else is said.
+/// Default endpoint of servers and clients.
 pub const DEFAULT_ENDPOINT: &str = "tcp/127.0.0.1:7447";
 
 /// How long closing a session may take.
 const CLOSE_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// What a session takes part in.
+/// Options of a session.
 ///
 /// # Example
 /// ```
-/// use client::session::SessionOptions;
+/// use client::SessionOptions;
 ///
 /// let server = SessionOptions { listen: vec!["tcp/127.0.0.1:7447".into()], ..SessionOptions::default() };
 /// let robot = SessionOptions { connect: server.listen.clone(), ..SessionOptions::default() };
@@ -24,39 +24,40 @@ const CLOSE_TIMEOUT: Duration = Duration::from_secs(5);
 /// ```
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct SessionOptions {
-    /// A Zenoh configuration file (JSON5) to begin with; the other fields override it where they say something.
-    /// `None`: a peer without multicast scouting.
+    /// A Zenoh configuration file (JSON5); fields below that are set override it. `None`: a peer without multicast
+    /// scouting.
     pub config_file: Option<PathBuf>,
-    /// Endpoints to listen on, for example `tcp/0.0.0.0:7447`. Empty: none (or those of the file).
+    /// Endpoints to listen on, for example `tcp/0.0.0.0:7447`. Empty: none, or those of the file.
     pub listen: Vec<String>,
-    /// Endpoints to connect to, again and again until one answers. Empty: none (or those of the file).
+    /// Endpoints to connect to, retried until they answer. Empty: none, or those of the file.
     pub connect: Vec<String>,
-    /// Prefix of every key: one namespace is one fleet. `None`: none (or that of the file).
+    /// Prefix of every key, one namespace per fleet. `None`: none, or that of the file.
     pub namespace: Option<String>,
-    /// Whether this session passes on messages between those that connect to it. Not known to be needed for one
-    /// server: robots that should hear each other connect to a router.
+    /// Whether this session forwards messages between the sessions connected to it. A single map server does not need
+    /// it; robots that should receive each other's messages do.
     pub router: bool,
 }
 
-/// Why there is no session.
+/// Why a session was not opened.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum SessionError {
     /// The configuration file cannot be used.
     #[error("the Zenoh configuration {path} cannot be used: {problem}")]
     ConfigFile {
         /// The file.
         path: PathBuf,
-        /// What is wrong with it.
+        /// Error of Zenoh.
         problem: String,
     },
-    /// A switch has an impossible value.
+    /// An option has an invalid value.
     #[error("{what} {value:?} cannot be used: {problem}")]
     Value {
-        /// Which switch.
+        /// The option.
         what: &'static str,
-        /// What was given.
+        /// Its value.
         value: String,
-        /// Why not.
+        /// Error of Zenoh.
         problem: String,
     },
     /// Zenoh did not open the session.
@@ -64,15 +65,15 @@ pub enum SessionError {
         "the Zenoh session did not open (listening on {listen:?}): {problem}; is the port taken already?"
     )]
     Open {
-        /// Endpoints that it should have listened on.
+        /// Endpoints to listen on.
         listen: Vec<String>,
-        /// What Zenoh says.
+        /// Error of Zenoh.
         problem: String,
     },
 }
 
 impl SessionOptions {
-    /// The Zenoh configuration that these options stand for.
+    /// The Zenoh configuration of these options.
     ///
     /// # Errors
     /// [`SessionError::ConfigFile`], [`SessionError::Value`].
@@ -100,12 +101,12 @@ impl SessionOptions {
     }
 }
 
-/// Opens a session. It is open as soon as it listens; connecting goes on in the background.
+/// Opens a session. It is open as soon as it listens; connecting continues in the background.
 ///
 /// Needs a multi-threaded tokio runtime, as Zenoh does.
 ///
 /// # Errors
-/// [`SessionError`].
+/// [`SessionError`]: an unusable option, or an endpoint that cannot be listened on.
 pub async fn open_session(options: &SessionOptions) -> Result<zenoh::Session, SessionError> {
     let config = options.to_config()?;
     zenoh::open(config).await.map_err(|problem| SessionError::Open {
@@ -114,7 +115,7 @@ pub async fn open_session(options: &SessionOptions) -> Result<zenoh::Session, Se
     })
 }
 
-/// Closes a session, and gives up after 5 s where the other side does not take part in it.
+/// Closes a session; returns after 5 s at the latest, if the other side does not respond.
 pub async fn close_session(session: &zenoh::Session) {
     match tokio::time::timeout(CLOSE_TIMEOUT, session.close()).await {
         Ok(Ok(())) => {}
@@ -123,7 +124,7 @@ pub async fn close_session(session: &zenoh::Session) {
     }
 }
 
-/// A peer that listens nowhere, connects nowhere and looks for nobody.
+/// A peer that does not listen, connect or scout.
 fn closed_config() -> Result<zenoh::Config, SessionError> {
     let mut config = zenoh::Config::default();
     insert(&mut config, "mode", "mode", "peer")?;

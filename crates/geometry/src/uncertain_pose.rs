@@ -7,6 +7,7 @@
 //! a^-1:       dtheta = -R^T dtheta,               dp = -R^T [p]x dtheta - R^T dp
 //! ```
 
+use crate::covariance_check::check_covariance;
 use crate::pose::Pose;
 use crate::rotation::skew;
 use nalgebra::{Matrix6, Vector6};
@@ -90,15 +91,10 @@ impl PoseWithCovariance {
         Some(error.dot(&information_times_error))
     }
 
-    /// Whether pose and covariance are finite, the quaternion is of unit length, and the covariance is symmetric with a
-    /// non-negative diagonal. For decoded data.
+    /// Whether the pose is finite with a quaternion of unit length, and the covariance passes [`check_covariance`]. For
+    /// decoded data.
     pub fn is_plausible(&self) -> bool {
-        let scale = self.covariance.amax();
-        self.pose.check_unit()
-            && scale.is_finite()
-            && self.covariance.iter().all(|value| value.is_finite())
-            && self.covariance.diagonal().iter().all(|&variance| variance >= 0.0)
-            && (self.covariance - self.covariance.transpose()).amax() <= 1e-6 * scale
+        self.pose.check_unit() && check_covariance(&self.covariance).is_ok()
     }
 }
 

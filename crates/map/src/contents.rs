@@ -2,17 +2,14 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use nalgebra::{DMatrix, Matrix6, SMatrix};
+use geometry::covariance_check::check_covariance;
+use nalgebra::{Matrix6, SMatrix};
 use protocol::{KeyframeId, LandmarkId, MAX_EXTRACTOR_BYTES};
 
 use crate::model::{CrossCovariance, Keyframe, Landmark, MapInfo, Observation};
 
 /// How far the norm of a quaternion or of the gravity direction may be from 1.
 const UNIT_TOLERANCE: f64 = 1e-6;
-/// How negative an eigenvalue of a covariance scaled to unit diagonal may be: rounding, not a wrong sign.
-const EIGENVALUE_TOLERANCE: f64 = 1e-6;
-/// How much two mirrored entries of a covariance may differ, relative to the geometric mean of their diagonal.
-const SYMMETRY_TOLERANCE: f64 = 1e-6;
 
 /// A map in memory: what import, export and map building work on.
 ///
@@ -178,7 +175,7 @@ pub(crate) fn check_keyframe(info: &MapInfo, keyframe: &Keyframe) -> Result<(), 
         return fail(format!("its camera is unusable: {error}"));
     }
     let covariance = &keyframe.global_from_keyframe.covariance;
-    if let Err(problem) = check_covariance(&DMatrix::from_column_slice(6, 6, covariance.as_slice())) {
+    if let Err(problem) = check_covariance(covariance) {
         return fail(format!("its covariance {problem}"));
     }
     if let Some(features) = &keyframe.features {
@@ -268,8 +265,7 @@ pub(crate) fn check_cross_covariance<'a>(
         &b.global_from_keyframe.covariance,
         &cross.block,
     );
-    check_covariance(&DMatrix::from_column_slice(12, 12, joint.as_slice()))
-        .or_else(|problem| fail(format!("the joint covariance of the two {problem}")))
+    check_covariance(&joint).or_else(|problem| fail(format!("the joint covariance of the two {problem}")))
 }
 
 fn joint_covariance(
@@ -283,31 +279,6 @@ fn joint_covariance(
     joint.fixed_view_mut::<6, 6>(0, 6).copy_from(block);
     joint.fixed_view_mut::<6, 6>(6, 0).copy_from(&block.transpose());
     joint
-}
-
-/// Finite, symmetric and positive semi-definite, judged on the correlation matrix so that radians and metres of
-/// very different size are judged alike.
-fn check_covariance(covariance: &DMatrix<f64>) -> Result<(), String> {
-    if !covariance.iter().all(|value| value.is_finite()) {
-        return Err("is not finite".to_owned());
-    }
-    let diagonal = covariance.diagonal();
-    if diagonal.iter().any(|&variance| variance < 0.0) {
-        return Err("has a negative variance".to_owned());
-    }
-    let scale = diagonal.map(|variance| if variance > 0.0 { variance.sqrt().recip() } else { 1.0 });
-    let correlation = DMatrix::from_fn(covariance.nrows(), covariance.ncols(), |row, column| {
-        covariance[(row, column)] * scale[row] * scale[column]
-    });
-    let asymmetry = (&correlation - correlation.transpose()).amax();
-    if asymmetry > SYMMETRY_TOLERANCE {
-        return Err("is not symmetric".to_owned());
-    }
-    let smallest = correlation.symmetric_eigenvalues().min();
-    if smallest < -EIGENVALUE_TOLERANCE {
-        return Err(format!("is not positive semi-definite (a scaled eigenvalue is {smallest:.3e})"));
-    }
-    Ok(())
 }
 
 fn is_unit(norm: f64) -> bool {

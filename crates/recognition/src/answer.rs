@@ -14,7 +14,9 @@
 
 use std::collections::HashSet;
 
-use protocol::{CrossCovariance, KeyframeId, KeyframePixel, KeyframeRecord, LandmarkMatch, MatchedKeyframe};
+use protocol::{
+    CrossCovarianceBlock, KeyframeId, KeyframePixel, KeyframeRecord, LandmarkMatch, MatchedKeyframe,
+};
 
 use super::index::tally;
 use super::loaded_map::{LoadedKeyframe, LoadedMap};
@@ -122,7 +124,7 @@ fn cross_covariances(
     keyframe: usize,
     smaller_ranks: &[usize],
     held: &HashSet<KeyframeId>,
-) -> Vec<CrossCovariance> {
+) -> Vec<CrossCovarianceBlock> {
     let id = map.keyframes[keyframe].keyframe.id;
     let mut others: Vec<KeyframeId> = smaller_ranks.iter().map(|&at| map.keyframes[at].keyframe.id).collect();
     others.extend(held);
@@ -130,7 +132,7 @@ fn cross_covariances(
     others.dedup();
     let blocks = others.into_iter().filter(|&other| other != id).filter_map(|other| {
         let block = map.cross_covariance(id, other)?;
-        Some(CrossCovariance { other, block })
+        Some(CrossCovarianceBlock { other, block })
     });
     blocks.collect()
 }

@@ -6,7 +6,8 @@ use geometry::{Camera, PoseWithCovariance};
 use nalgebra::Vector3;
 use protocol::{
     DescriptorFormat, Extent, FeatureSet, KeyframeId, KeyframeLandmark, KeyframeReply, LocalizeReply,
-    LocalizeRequest, LocalizedPose, MapInfo, MatchOutcome, MatchReply, MatchRequest, MatchStatus, PosePrior,
+    LocalizeRequest, LocalizedPose, MapInfoReply, MatchOutcome, MatchReply, MatchRequest, MatchStatus,
+    PosePrior,
 };
 use vision::{DescriptorError, DescriptorView};
 
@@ -172,14 +173,14 @@ impl LoadedMap {
     }
 
     /// What the map is, under the name by which it is served.
-    pub fn info_reply(&self, name: &str) -> MapInfo {
+    pub fn info_reply(&self, name: &str) -> MapInfoReply {
         let positions =
             || self.keyframes.iter().map(|loaded| loaded.keyframe.global_from_keyframe.pose.translation);
         let extent = positions().next().map(|first| Extent {
             min: positions().fold(first, |low, position| low.inf(&position)).into(),
             max: positions().fold(first, |high, position| high.sup(&position)).into(),
         });
-        MapInfo {
+        MapInfoReply {
             name: name.to_owned(),
             version: self.info.version,
             database_schema: STORE_SCHEMA,
@@ -190,7 +191,7 @@ impl LoadedMap {
             gravity_in_global: self.info.gravity_in_global.map(Into::into),
             extent,
             descriptors: (!self.keyframes.is_empty()).then(|| self.format()),
-            sigma_px: self.info.sigma_px,
+            sigma_map_px: self.info.sigma_px,
             extractor: self.info.extractor.clone(),
         }
     }

@@ -148,9 +148,9 @@ fn landmark_matches() -> impl Strategy<Value = Vec<LandmarkMatch>> {
     })
 }
 
-fn cross_covariances() -> impl Strategy<Value = CrossCovariance> {
+fn cross_covariances() -> impl Strategy<Value = CrossCovarianceBlock> {
     (any::<u64>(), vec(-1.0..1.0f64, 36))
-        .prop_map(|(other, block)| CrossCovariance { other, block: Matrix6::from_row_slice(&block) })
+        .prop_map(|(other, block)| CrossCovarianceBlock { other, block: Matrix6::from_row_slice(&block) })
 }
 
 pub fn matched_keyframes() -> impl Strategy<Value = MatchedKeyframe> {
@@ -227,7 +227,7 @@ pub fn localize_replies() -> impl Strategy<Value = LocalizeReply> {
     })
 }
 
-pub fn map_infos() -> impl Strategy<Value = MapInfo> {
+pub fn map_infos() -> impl Strategy<Value = MapInfoReply> {
     let counts = prop::array::uniform5(any::<u64>());
     let extent = (points(), points()).prop_map(|(a, b)| Extent {
         min: std::array::from_fn(|axis| a[axis].min(b[axis])),
@@ -243,22 +243,24 @@ pub fn map_infos() -> impl Strategy<Value = MapInfo> {
         option::of(format),
         0.1..5.0f64,
     )
-        .prop_map(|(name, database_schema, counts, gravity_in_global, extent, descriptors, sigma_px)| {
-            MapInfo {
-                name,
-                version: counts[0],
-                database_schema,
-                keyframes: counts[1],
-                landmarks: counts[2],
-                observations: counts[3],
-                cross_covariances: counts[4],
-                gravity_in_global,
-                extent,
-                descriptors,
-                sigma_px,
-                extractor: if counts[0] % 2 == 0 { String::new() } else { "sift-1".to_owned() },
-            }
-        })
+        .prop_map(
+            |(name, database_schema, counts, gravity_in_global, extent, descriptors, sigma_map_px)| {
+                MapInfoReply {
+                    name,
+                    version: counts[0],
+                    database_schema,
+                    keyframes: counts[1],
+                    landmarks: counts[2],
+                    observations: counts[3],
+                    cross_covariances: counts[4],
+                    gravity_in_global,
+                    extent,
+                    descriptors,
+                    sigma_map_px,
+                    extractor: if counts[0] % 2 == 0 { String::new() } else { "sift-1".to_owned() },
+                }
+            },
+        )
 }
 
 pub fn keyframe_replies() -> impl Strategy<Value = KeyframeReply> {
@@ -274,12 +276,12 @@ pub fn keyframe_replies() -> impl Strategy<Value = KeyframeReply> {
         .prop_map(|(map_version, keyframe, landmarks)| KeyframeReply { map_version, keyframe, landmarks })
 }
 
-pub fn map_changes() -> impl Strategy<Value = MapChange> {
+pub fn map_changes() -> impl Strategy<Value = MapChangeNotice> {
     let stated = (0.0..1.0f64, 0.0..10.0f64)
         .prop_map(|(sigma_theta_rad, sigma_p_m)| StatedChange { sigma_theta_rad, sigma_p_m });
     let ids = || vec(any::<u64>(), 0..5);
     (names(), any::<(u64, u64)>(), ids(), ids(), ids(), option::of(stated)).prop_map(
-        |(map, (from_version, version), changed, moved, removed, stated_change)| MapChange {
+        |(map, (from_version, version), changed, moved, removed, stated_change)| MapChangeNotice {
             map,
             from_version,
             version,

@@ -14,7 +14,7 @@ use super::localize::NOT_RECOGNIZED;
 use crate::in_process::load_map;
 use crate::plotting::{MatchPicture, describe_verdict, draw_matches};
 use crate::query_image::{QueryImage, read_image};
-use client::map_client::{describe, print_fix};
+use crate::server_query::{describe, print_fix};
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]

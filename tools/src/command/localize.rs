@@ -6,7 +6,7 @@ use onboard::extraction::FeatureArguments;
 use protocol::Format;
 
 use crate::query_image::QueryImage;
-use client::map_client::{ServerArguments, describe, print_fix};
+use crate::server_query::{ServerArguments, describe, print_fix};
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
@@ -45,7 +45,9 @@ pub(super) const NOT_RECOGNIZED: i32 = 2;
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let query = QueryImage::from_file(&args.image, &args.camera, &args.features)?;
     let request = query.request();
-    let reply = args.server.ask_in_session(&args.map, async |client| client.localize(&request).await)?;
+    let reply = args
+        .server
+        .query_in_session(&args.map, async |client, deadline| client.localize(&request, deadline).await)?;
     if args.json {
         let value: serde_json::Value = serde_json::from_slice(&protocol::encode(Format::Json, &reply)?)?;
         println!("{value:#}");

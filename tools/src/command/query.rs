@@ -1,14 +1,16 @@
 //! `driftless query`: asks a running map server from the shell.
 
 use std::path::{Path, PathBuf};
+use std::time::Instant;
 
 use protocol::{
     DescriptorKind, FeatureSet, Format, LocalizeReply, LocalizeRequest, MatchReply, MatchRequest,
-    MatchStatus, MatchedKeyframe, Message, keys,
+    MatchStatus, MatchedKeyframe, Message,
 };
 use serde_json::{Value, json};
 
-use client::map_client::{MapClient, ServerArguments, describe, print_fix};
+use crate::server_query::{ServerArguments, describe, print_fix};
+use client::{ClientError, MapClient};
 use map::text::{read_camera, read_image_features};
 
 /// Arguments.
@@ -63,9 +65,9 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     let (stamp_ns, features) = read_image_features(&args.features, args.stamp, kind)?;
     let beside = || args.features.parent().unwrap_or(Path::new(".")).join("sensor.yaml");
     let camera = read_camera(&args.camera.clone().unwrap_or_else(beside))?;
-    let answer = args
-        .server
-        .ask_in_session(&args.map, async |client| ask(client, &args, stamp_ns, &features, camera).await)?;
+    let answer = args.server.query_in_session(&args.map, async |client, deadline| {
+        ask(client, deadline, &args, stamp_ns, &features, camera).await
+    })?;
     if args.json {
         println!("{:#}", as_json(stamp_ns, &answer)?);
     } else {
@@ -75,19 +77,20 @@ pub fn run(args: Args) -> anyhow::Result<()> {
 }
 
 async fn ask(
-    client: &MapClient<'_>,
+    client: &MapClient,
+    deadline: Instant,
     args: &Args,
     stamp_ns: i64,
     features: &FeatureSet,
     camera: geometry::camera::Camera,
-) -> anyhow::Result<Answer> {
+) -> Result<Answer, ClientError> {
     let request = LocalizeRequest {
         camera: camera.clone(),
         features: features.clone(),
         prior: None,
         gravity_in_camera: None,
     };
-    let pose = client.localize(&request).await?;
+    let pose = client.localize(&request, deadline).await?;
     let mut answer = Answer { keyframes: Vec::new(), status: None, pose };
     if args.localize {
         return Ok(answer);
@@ -103,13 +106,9 @@ async fn ask(
         map_version_held: None,
         max_keyframes: args.max_keyframes,
     };
-    let finished = |replies: &[MatchReply]| replies.iter().any(|reply| matches!(reply, MatchReply::Done(_)));
-    for reply in client.get(&keys::map_match(&args.map)?, &request, finished).await? {
-        match reply {
-            MatchReply::Keyframe(keyframe) => answer.keyframes.push(keyframe),
-            MatchReply::Done(status) => answer.status = Some(status),
-        }
-    }
+    let matched = client.match_image(&request, deadline).await?;
+    answer.keyframes = matched.keyframes;
+    answer.status = Some(matched.status);
     answer.keyframes.sort_by_key(|keyframe| keyframe.rank);
     Ok(answer)
 }

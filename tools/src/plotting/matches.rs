@@ -18,7 +18,7 @@ use super::PlotError;
 use super::canvas::{BAD, GOOD, GRID, INK, MAP, ODOMETRY, TRUTH};
 use super::match_statistics::{describe_verdict, draw_statistics};
 use super::svg::{Anchor, Attribute, Svg, css};
-use client::map_client::describe;
+use crate::server_query::describe;
 
 /// Width of the picture, px.
 pub(super) const WIDTH: f64 = 1500.0;

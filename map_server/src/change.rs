@@ -1,24 +1,24 @@
-//! What changed from one version of a map to the next, in the terms of those who hold parts of it.
+//! Differences between two versions of a map, as robots need them.
 //!
-//! Robots need two things of it. *Which* keyframes moved: their errors are others from now on, and what a state learned
-//! from the old ones must not be counted again. *How far* the map moved: a robot's pose in the map is off by that, until
-//! the new version corrects it. The size is the root mean square over the keyframes that both versions have, per axis, of
-//! the rotation from the old to the new pose and of the change of position. A move of the whole map counts at the places
-//! of the keyframes, where robots are, and not at the origin of its frame.
+//! *Which* keyframes moved: a robot's state is correlated with their old errors, not with the new ones. *How far* the map
+//! moved: a robot's pose in the map is wrong by that until the new version corrects it. The size of the motion is the
+//! root mean square over the keyframes that both versions have, per axis, of the rotation from the old to the new pose
+//! and of the change of position. A rigid motion of the whole map is thus measured at the keyframes, where robots are,
+//! and not at the origin of its frame.
 
 use nalgebra::Matrix6;
-use protocol::{KeyframeId, MapChange, StatedChange};
+use protocol::{KeyframeId, MapChangeNotice, StatedChange};
 
 use recognition::LoadedMap;
 
-/// A smaller change of a pose (m, rad) is rounding, as of a map that went through text files.
-const LEAST_MOVE: f64 = 1e-6;
-/// The same of a covariance, relative to its standard deviations.
-const LEAST_COVARIANCE_CHANGE: f64 = 1e-6;
+/// Smallest change of a pose (m, rad) that counts as motion; less is rounding, as of a map exported as text.
+const MIN_MOTION: f64 = 1e-6;
+/// The same for a covariance, relative to its standard deviations.
+const MIN_COVARIANCE_CHANGE: f64 = 1e-6;
 
-/// All that changed, with the size that can be told from the keyframes.
-pub(super) fn between(name: &str, old: &LoadedMap, new: &LoadedMap) -> MapChange {
-    let mut change = MapChange {
+/// The notice of a new version, with the size of the motion computed from the keyframes.
+pub(crate) fn between(name: &str, old: &LoadedMap, new: &LoadedMap) -> MapChangeNotice {
+    let mut change = MapChangeNotice {
         map: name.to_owned(),
         from_version: old.info().version,
         version: new.info().version,
@@ -27,14 +27,14 @@ pub(super) fn between(name: &str, old: &LoadedMap, new: &LoadedMap) -> MapChange
         removed: Vec::new(),
         stated_change: stated_change(old, new),
     };
-    let dependent = with_other_dependences(old, new);
+    let recorrelated = with_changed_cross_covariances(old, new);
     for keyframe in old.keyframes() {
         let id = keyframe.id;
         let Some((before, now)) = old.keyframe_reply(id).zip(new.keyframe_reply(id)) else {
             change.removed.push(id);
             continue;
         };
-        let moved = moves(old, new, id) || dependent.binary_search(&id).is_ok();
+        let moved = moves(old, new, id) || recorrelated.binary_search(&id).is_ok();
         if moved {
             change.moved.push(id);
         }
@@ -45,22 +45,22 @@ pub(super) fn between(name: &str, old: &LoadedMap, new: &LoadedMap) -> MapChange
     change
 }
 
-/// How many keyframes are new.
-pub(super) fn added(old: &LoadedMap, new: &LoadedMap) -> usize {
+/// Number of new keyframes.
+pub(crate) fn added(old: &LoadedMap, new: &LoadedMap) -> usize {
     new.keyframes().filter(|keyframe| old.keyframe(keyframe.id).is_none()).count()
 }
 
 /// The size of a change, for a person.
-pub(super) fn describe(change: Option<&StatedChange>) -> String {
+pub(crate) fn describe(change: Option<&StatedChange>) -> String {
     match change {
         Some(StatedChange { sigma_theta_rad, sigma_p_m }) => {
-            format!("{:.3} deg, {sigma_p_m:.3} m an axis", sigma_theta_rad.to_degrees())
+            format!("{:.3} deg, {sigma_p_m:.3} m per axis", sigma_theta_rad.to_degrees())
         }
         None => "unknown: no keyframe is in both versions".to_owned(),
     }
 }
 
-/// How far the keyframes of both versions moved; `None` where there are none.
+/// Motion of the keyframes that both versions have; `None` if there are none.
 fn stated_change(old: &LoadedMap, new: &LoadedMap) -> Option<StatedChange> {
     let (mut count, mut squared_angle, mut squared_distance) = (0_usize, 0.0, 0.0);
     for keyframe in old.keyframes() {
@@ -78,11 +78,11 @@ fn stated_change(old: &LoadedMap, new: &LoadedMap) -> Option<StatedChange> {
     })
 }
 
-/// Whether the pose of a keyframe or its covariance is another one.
+/// Whether the pose of a keyframe or its covariance changed.
 fn moves(old: &LoadedMap, new: &LoadedMap, id: KeyframeId) -> bool {
     let [before, now] = [old, new].map(|map| map.keyframe(id).map(|keyframe| &keyframe.global_from_keyframe));
     let Some((before, now)) = before.zip(now) else { return true };
-    before.pose.local(&now.pose).amax() > LEAST_MOVE
+    before.pose.local(&now.pose).amax() > MIN_MOTION
         || differ(
             &before.covariance,
             &now.covariance,
@@ -90,9 +90,9 @@ fn moves(old: &LoadedMap, new: &LoadedMap, id: KeyframeId) -> bool {
         )
 }
 
-/// Of the keyframes in both versions, those that depend on each other in another way than before. Sorted.
-fn with_other_dependences(old: &LoadedMap, new: &LoadedMap) -> Vec<KeyframeId> {
-    let mut others = Vec::new();
+/// The keyframes in both versions with a changed cross-covariance between them, sorted.
+fn with_changed_cross_covariances(old: &LoadedMap, new: &LoadedMap) -> Vec<KeyframeId> {
+    let mut changed = Vec::new();
     for (a, b) in old.correlated_pairs().chain(new.correlated_pairs()) {
         if [a, b].iter().any(|id| new.keyframe(*id).is_none()) {
             continue;
@@ -101,26 +101,26 @@ fn with_other_dependences(old: &LoadedMap, new: &LoadedMap) -> Vec<KeyframeId> {
         let variances = [of_a, of_b].map(|keyframe| keyframe.global_from_keyframe.covariance.diagonal());
         let [before, now] = [old, new].map(|map| map.cross_covariance(a, b).unwrap_or_default());
         if differ(&before, &now, variances) {
-            others.extend([a, b]);
+            changed.extend([a, b]);
         }
     }
-    others.sort_unstable();
-    others.dedup();
-    others
+    changed.sort_unstable();
+    changed.dedup();
+    changed
 }
 
-/// Whether two covariances of the same errors are not the same.
+/// Whether two covariances of the same errors differ.
 ///
 /// # Arguments
-/// * `variances`: of the errors of the rows, and of the columns.
+/// * `variances`: of the errors of the rows and of the columns.
 fn differ(before: &Matrix6<f64>, now: &Matrix6<f64>, variances: [nalgebra::Vector6<f64>; 2]) -> bool {
     let [rows, columns] = variances;
     let scale = |row: usize, column: usize| (rows[row] * columns[column]).max(0.0).sqrt();
-    let is_other = |row, column| {
+    let entry_differs = |row, column| {
         let change: f64 = now[(row, column)] - before[(row, column)];
-        change.abs() > LEAST_COVARIANCE_CHANGE * scale(row, column)
+        change.abs() > MIN_COVARIANCE_CHANGE * scale(row, column)
     };
-    (0..6).any(|row| (0..6).any(|column| is_other(row, column)))
+    (0..6).any(|row| (0..6).any(|column| entry_differs(row, column)))
 }
 
 #[cfg(test)]
@@ -143,7 +143,7 @@ mod tests {
         }
     }
 
-    /// Keyframes on a way of 40 m, far from the origin; neighbours depend on each other.
+    /// Keyframes along a trajectory of 40 m, far from the origin; neighbours are correlated.
     fn contents(version: u64, keyframes: u64) -> MapContents {
         let keyframe = |id: u64| {
             let along = id as f64;
@@ -159,20 +159,20 @@ mod tests {
         };
         let cross = |id: u64| CrossCovariance { a: id, b: id + 1, block: Matrix6::identity() * 3e-3 };
         MapContents {
-            info: MapInfo { version, ..MapInfo::new("way", "test", DescriptorKind::Binary, 32) },
+            info: MapInfo { version, ..MapInfo::new("hall", "test", DescriptorKind::Binary, 32) },
             keyframes: (0..keyframes).map(keyframe).collect(),
             landmarks: Vec::new(),
             cross_covariances: (0..keyframes - 1).map(cross).collect(),
         }
     }
 
-    fn change(old: MapContents, new: MapContents) -> MapChange {
+    fn change(old: MapContents, new: MapContents) -> MapChangeNotice {
         let [old, new] = [old, new].map(|contents| LoadedMap::from_contents(contents).unwrap());
-        between("way", &old, &new)
+        between("hall", &old, &new)
     }
 
-    /// Rotation (rad) and distance (m) that three deviations, one an axis, come to together.
-    fn size(change: &MapChange) -> (f64, f64) {
+    /// Rotation (rad) and distance (m) of the three axes together.
+    fn size(change: &MapChangeNotice) -> (f64, f64) {
         let stated = change.stated_change.unwrap();
         (stated.sigma_theta_rad * 3_f64.sqrt(), stated.sigma_p_m * 3_f64.sqrt())
     }

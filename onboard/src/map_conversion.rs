@@ -1,16 +1,17 @@
-//! From the wire to the estimator's terms.
+//! Conversion of map messages to the estimator's types.
 
-use estimator::{MapAnswer, MapKeyframe, MatchedLandmark};
+use estimator::{ChangeSize, MapAnswer, MapKeyframe, MapRevision, MatchedLandmark};
 use nalgebra::{Vector2, Vector3};
-use protocol::{FeatureSet, KeyframeId, MatchStatus, MatchedKeyframe};
+use protocol::{FeatureSet, KeyframeId, MapChangeNotice, MatchStatus, MatchedKeyframe};
 
-/// Puts the replies to one query together.
+/// Assembles the replies to one query.
 ///
-/// Matches that point to a feature that was not asked about, or to a keyframe that was not sent, are
-/// left out: a server's mistake is not the robot's.
+/// Matches of features that are not in the query are ignored.
 ///
 /// # Arguments
-/// * `held`: keyframes that the query said to be held.
+/// * `features`: of the query.
+/// * `held`: keyframes in the robot's state at the time of the query.
+/// * `replies`: in any order; those of another map version than the status are ignored.
 pub fn map_answer(
     features: &FeatureSet,
     held: &[KeyframeId],
@@ -61,4 +62,36 @@ pub fn map_answer(
 
 fn pixel_of(pixel: [f32; 2]) -> Vector2<f64> {
     Vector2::new(f64::from(pixel[0]), f64::from(pixel[1]))
+}
+
+/// The estimator's form of a map change.
+pub fn map_revision(notice: MapChangeNotice) -> MapRevision {
+    let size = notice
+        .stated_change
+        .map(|size| ChangeSize { sigma_rotation: size.sigma_theta_rad, sigma_position: size.sigma_p_m });
+    let mut other_errors = notice.moved;
+    other_errors.extend(notice.removed);
+    MapRevision { from_version: notice.from_version, version: notice.version, other_errors, size }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use protocol::StatedChange;
+
+    #[test]
+    fn a_revision_names_the_keyframes_with_other_errors_and_the_size_of_the_change() {
+        let revision = map_revision(MapChangeNotice {
+            map: "hall".to_owned(),
+            from_version: 3,
+            version: 4,
+            changed: vec![1, 2, 5],
+            moved: vec![2, 5],
+            removed: vec![9],
+            stated_change: Some(StatedChange { sigma_theta_rad: 0.01, sigma_p_m: 0.2 }),
+        });
+        assert_eq!((revision.from_version, revision.version), (3, 4));
+        assert_eq!(revision.other_errors, [2, 5, 9]);
+        assert_eq!(revision.size, Some(ChangeSize { sigma_rotation: 0.01, sigma_position: 0.2 }));
+    }
 }

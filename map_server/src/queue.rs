@@ -1,8 +1,8 @@
 //! Queries between the network and the workers: bounded in number and in bytes.
 //!
-//! Zenoh calls a queryable from the thread that reads the network, so nothing is worked on there. A query that finds
-//! the queue full is answered with `Busy` at once: a flood costs the flooders their answers, not the server its
-//! memory. Matching runs on tokio's blocking threads; a panic there ends one query with an error reply.
+//! Zenoh calls a queryable from the thread that reads the network, so queries are only enqueued there. If the queue is
+//! full, a query is answered with `Busy` at once: overload does not exhaust the server's memory. Matching runs on tokio's
+//! blocking threads; a panic there ends one query with an error reply.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -12,28 +12,28 @@ use tokio::sync::{Mutex, OwnedSemaphorePermit, Semaphore, mpsc};
 use tokio::task::JoinHandle;
 use zenoh::query::Query;
 
-use super::Served;
-use super::handlers::{self, Kind};
+use crate::handlers::{self, Kind};
+use crate::served_map::MapSlot;
 use recognition::RecognitionOptions;
 
 /// A query to be answered.
-pub(super) struct Job {
-    pub(super) query: Query,
-    pub(super) kind: Kind,
-    pub(super) map: Arc<Served>,
+pub(crate) struct Job {
+    pub(crate) query: Query,
+    pub(crate) kind: Kind,
+    pub(crate) map: Arc<MapSlot>,
 }
 
-/// A job with its share of the byte budget.
-pub(super) struct Ticket {
+/// A job with its reservation of the byte limit.
+pub(crate) struct Ticket {
     job: Job,
     _bytes: OwnedSemaphorePermit,
 }
 
-/// Where queries wait.
-pub(super) struct Queue {
+/// Waiting queries.
+pub(crate) struct Queue {
     sender: std::sync::Mutex<Option<mpsc::Sender<Ticket>>>,
-    /// Budget in KiB.
-    budget: Arc<Semaphore>,
+    /// Free part of the byte limit, KiB.
+    free_kib: Arc<Semaphore>,
     counters: Counters,
 }
 
@@ -45,51 +45,52 @@ struct Counters {
     panicked: AtomicBool,
 }
 
-/// What a server has done since it was started.
+/// Counters of a server since its start.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct ServerStatistics {
-    /// Queries answered, "nothing matched" included.
+    /// Queries answered, "no match" included.
     pub answered: u64,
-    /// Queries that ended with an error reply.
+    /// Queries answered with an error, refused ones excluded.
     pub failed: u64,
-    /// Queries turned away because the server had too much to do; not among the failed ones.
+    /// Queries refused because the queue was full.
     pub refused: u64,
-    /// Whether any answer ended in a panic: a fault of this program, please report it.
+    /// Whether answering any query panicked: a bug, please report it.
     pub panicked: bool,
 }
 
 impl Queue {
     /// A queue of at most `length` jobs and `bytes` bytes of payload.
-    pub(super) fn new(length: usize, bytes: usize) -> (Arc<Queue>, mpsc::Receiver<Ticket>) {
+    pub(crate) fn new(length: usize, bytes: usize) -> (Arc<Queue>, mpsc::Receiver<Ticket>) {
         let (sender, receiver) = mpsc::channel(length.max(1));
-        let budget = Arc::new(Semaphore::new((bytes / 1024).clamp(1, Semaphore::MAX_PERMITS)));
+        let free_kib = Arc::new(Semaphore::new((bytes / 1024).clamp(1, Semaphore::MAX_PERMITS)));
         let sender = std::sync::Mutex::new(Some(sender));
-        (Arc::new(Queue { sender, budget, counters: Counters::default() }), receiver)
+        (Arc::new(Queue { sender, free_kib, counters: Counters::default() }), receiver)
     }
 
-    /// Takes a query in, or answers it with `Busy`. Never waits for a worker.
-    pub(super) fn put(&self, job: Job) {
+    /// Enqueues a query, or answers it with `Busy`. Never blocks.
+    pub(crate) fn put(&self, job: Job) {
         let query = job.query.clone();
         if self.try_put(job).is_none() {
             self.counters.refused.fetch_add(1, Ordering::Relaxed);
-            let message = "the map server has more queries than it can answer, ask again later";
+            let message = "the map server has too many queries, ask again later";
             handlers::fail(&query, &ErrorReply::new(ErrorCode::Busy, message));
         }
     }
 
     fn try_put(&self, job: Job) -> Option<()> {
         let kib = job.query.payload().map_or(0, zenoh::bytes::ZBytes::len).div_ceil(1024);
-        let bytes = Arc::clone(&self.budget).try_acquire_many_owned(u32::try_from(kib).ok()?).ok()?;
+        let bytes = Arc::clone(&self.free_kib).try_acquire_many_owned(u32::try_from(kib).ok()?).ok()?;
         let sender = self.sender.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
         sender.as_ref()?.try_send(Ticket { job, _bytes: bytes }).ok()
     }
 
-    /// Lets the workers end when they have emptied the queue.
-    pub(super) fn close(&self) {
+    /// Ends the workers once the queue is empty.
+    pub(crate) fn close(&self) {
         self.sender.lock().unwrap_or_else(std::sync::PoisonError::into_inner).take();
     }
 
-    pub(super) fn statistics(&self) -> ServerStatistics {
+    pub(crate) fn statistics(&self) -> ServerStatistics {
         ServerStatistics {
             answered: self.counters.answered.load(Ordering::Relaxed),
             failed: self.counters.failed.load(Ordering::Relaxed),
@@ -99,8 +100,8 @@ impl Queue {
     }
 }
 
-/// Starts tasks that answer what is in the queue, each one query at a time.
-pub(super) fn start_workers(
+/// Starts tasks that answer queries of the queue, each one at a time.
+pub(crate) fn start_workers(
     jobs: mpsc::Receiver<Ticket>,
     count: usize,
     options: &RecognitionOptions,
@@ -128,9 +129,9 @@ async fn work(jobs: Arc<Mutex<mpsc::Receiver<Ticket>>>, options: Arc<Recognition
                 continue;
             }
             Ok(Err(failure)) => failure,
-            Err(message) => {
+            Err(panic) => {
                 queue.counters.panicked.store(true, Ordering::Relaxed);
-                tracing::error!(key = query.key_expr().as_str(), "answering a query panicked: {message}");
+                tracing::error!(key = query.key_expr().as_str(), "answering a query panicked: {panic}");
                 ErrorReply::new(ErrorCode::Internal, "the map server failed on this query; its log says more")
             }
         };
@@ -140,26 +141,34 @@ async fn work(jobs: Arc<Mutex<mpsc::Receiver<Ticket>>>, options: Arc<Recognition
     }
 }
 
-/// Runs something on a blocking thread; a panic in it is an error with its message.
-async fn catch_panic<T: Send + 'static>(job: impl FnOnce() -> T + Send + 'static) -> Result<T, String> {
+/// The message of a panic.
+#[derive(Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{message}")]
+struct Panicked {
+    message: String,
+}
+
+/// Runs a job on a blocking thread and catches a panic in it.
+async fn catch_panic<T: Send + 'static>(job: impl FnOnce() -> T + Send + 'static) -> Result<T, Panicked> {
     let ended = tokio::task::spawn_blocking(job).await;
-    ended.map_err(|error| match error.try_into_panic() {
+    let message = |error: tokio::task::JoinError| match error.try_into_panic() {
         Ok(panic) => {
             let text = panic.downcast_ref::<&str>().map(|text| (*text).to_owned());
             text.or_else(|| panic.downcast_ref::<String>().cloned()).unwrap_or_else(|| "a panic".to_owned())
         }
         Err(cancelled) => cancelled.to_string(),
-    })
+    };
+    ended.map_err(|error| Panicked { message: message(error) })
 }
 
 #[cfg(test)]
 mod tests {
-    use super::catch_panic;
+    use super::{Panicked, catch_panic};
 
     #[tokio::test]
     async fn a_panic_is_an_error_and_the_next_job_runs() {
         let panicked = catch_panic(|| -> u32 { panic!("job {}", 7) }).await;
-        assert_eq!(panicked, Err("job 7".to_owned()));
+        assert_eq!(panicked, Err(Panicked { message: "job 7".to_owned() }));
         assert_eq!(catch_panic(|| 8).await, Ok(8));
     }
 }

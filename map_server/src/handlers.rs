@@ -1,4 +1,4 @@
-//! What each kind of query is answered with.
+//! Decodes a query, answers it, encodes the reply.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -9,15 +9,12 @@ use zenoh::Wait;
 use zenoh::bytes::Encoding;
 use zenoh::query::Query;
 
-use super::Served;
+use crate::served_map::MapSlot;
 use recognition::{LoadedMap, QueryError, RecognitionOptions};
-
-/// First bytes of a bincode payload, to recognize one that comes without an encoding.
-const BINCODE_MAGIC: &[u8] = b"DRFT";
 
 /// A kind of query about one map.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Kind {
+pub(crate) enum Kind {
     Match,
     Localize,
     Info,
@@ -25,10 +22,10 @@ pub(super) enum Kind {
 }
 
 impl Kind {
-    pub(super) const ALL: [Kind; 4] = [Kind::Match, Kind::Localize, Kind::Info, Kind::Keyframes];
+    pub(crate) const ALL: [Kind; 4] = [Kind::Match, Kind::Localize, Kind::Info, Kind::Keyframes];
 
     /// The key expression of its queryable for a map.
-    pub(super) fn key(self, map: &str) -> Result<String, NameError> {
+    pub(crate) fn key(self, map: &str) -> Result<String, NameError> {
         match self {
             Kind::Match => keys::map_match(map),
             Kind::Localize => keys::map_localize(map),
@@ -38,7 +35,7 @@ impl Kind {
     }
 
     /// The key expression for maps of any name.
-    pub(super) fn key_of_any_map(self) -> &'static str {
+    pub(crate) fn key_of_any_map(self) -> &'static str {
         match self {
             Kind::Match => "map/*/match",
             Kind::Localize => "map/*/localize",
@@ -48,8 +45,8 @@ impl Kind {
     }
 }
 
-/// Answers a query, or says why not; the error is still to be sent.
-pub(super) fn answer(
+/// Answers a query. An error is returned, not yet sent.
+pub(crate) fn answer(
     query: &Query,
     kind: Kind,
     name: &str,
@@ -75,7 +72,7 @@ pub(super) fn answer(
     }
 }
 
-/// One keyframe, or all that a wildcard in the key covers.
+/// Sends one keyframe, or all for a wildcard in the key.
 fn send_keyframes(query: &Query, name: &str, map: &LoadedMap, format: Format) -> Result<(), ErrorReply> {
     let asked = query.key_expr().as_str();
     if let Some(id) = keys::keyframe_of(asked) {
@@ -99,9 +96,9 @@ fn send_keyframes(query: &Query, name: &str, map: &LoadedMap, format: Format) ->
     Ok(())
 }
 
-/// Tells a query for a map that this server does not have what maps it has. Queries for its own maps, and for many
-/// maps at once, are others' to answer.
-pub(super) fn refuse_unknown_map(query: &Query, known: &BTreeMap<String, Arc<Served>>) {
+/// Refuses a query about a map that this server does not have. Queries about its own maps, and about several maps at
+/// once, are answered by the queryables of the maps.
+pub(crate) fn refuse_unknown_map(query: &Query, known: &BTreeMap<String, Arc<MapSlot>>) {
     let Some(name) = query.key_expr().as_str().split('/').nth(1) else { return };
     if known.contains_key(name) || keys::validate_name(name).is_err() {
         return;
@@ -114,8 +111,8 @@ pub(super) fn refuse_unknown_map(query: &Query, known: &BTreeMap<String, Arc<Ser
     fail(query, &ErrorReply::new(ErrorCode::UnknownMap, message));
 }
 
-/// Sends an error reply in the format that the query understands.
-pub(super) fn fail(query: &Query, error: &ErrorReply) {
+/// Sends an error reply in the format of the query.
+pub(crate) fn fail(query: &Query, error: &ErrorReply) {
     let format = reply_format(query).unwrap_or_default();
     match protocol::encode(format, error) {
         Ok(payload) => {
@@ -134,7 +131,7 @@ fn send<M: Message>(query: &Query, key: &str, format: Format, message: &M) -> Re
     reply.wait().map_err(|error| internal(&error))
 }
 
-/// The format that the query wants: what its parameters say, else that of its payload.
+/// The requested format of the reply: the query's parameter, else the format of its payload.
 fn reply_format(query: &Query) -> Result<Format, protocol::CodecError> {
     let parameters = query.parameters();
     if parameters.get("format").is_some() {
@@ -144,11 +141,11 @@ fn reply_format(query: &Query) -> Result<Format, protocol::CodecError> {
     Ok(payload.map_or_else(Format::default, |bytes| payload_format(query, &bytes)))
 }
 
-/// The format of the payload: what its encoding says, else what it looks like.
+/// The format of the payload: its encoding, else guessed from its first byte.
 fn payload_format(query: &Query, bytes: &[u8]) -> Format {
     let stated = query.encoding().and_then(|encoding| Format::from_encoding(&encoding.to_string()));
-    let looks_json = || bytes.trim_ascii_start().starts_with(b"{") && !bytes.starts_with(BINCODE_MAGIC);
-    stated.unwrap_or_else(|| if looks_json() { Format::Json } else { Format::Bincode })
+    let is_object = || bytes.trim_ascii_start().starts_with(b"{");
+    stated.unwrap_or_else(|| if is_object() { Format::Json } else { Format::Bincode })
 }
 
 fn decode<M: Message>(query: &Query) -> Result<M, ErrorReply> {

@@ -1,0 +1,178 @@
+//! One request to a queryable: encoded once, sent until the answer is complete or the deadline is near.
+
+use crate::error::ClientError;
+use protocol::{ErrorReply, Format, Message};
+use std::time::{Duration, Instant};
+use zenoh::Wait as _;
+use zenoh::bytes::{Encoding, ZBytes};
+use zenoh::qos::CongestionControl;
+use zenoh::query::{ConsolidationMode, QueryTarget};
+
+/// First pause before a request is sent again; doubled each time.
+const FIRST_PAUSE: Duration = Duration::from_millis(20);
+/// Longest such pause.
+const LONGEST_PAUSE: Duration = Duration::from_millis(500);
+
+/// Assembles the replies to one attempt.
+pub(crate) trait Collector: Default {
+    /// Type of the replies.
+    type Reply: Message;
+    /// The assembled answer.
+    type Answer;
+
+    /// Adds a reply; the answer once it is complete, or an error if it can no longer be.
+    fn add(&mut self, reply: Self::Reply) -> Option<Result<Self::Answer, ClientError>>;
+}
+
+/// The answer is one reply.
+pub(crate) struct SingleReply<R>(std::marker::PhantomData<R>);
+
+impl<R> Default for SingleReply<R> {
+    fn default() -> Self {
+        Self(std::marker::PhantomData)
+    }
+}
+
+impl<R: Message> Collector for SingleReply<R> {
+    type Reply = R;
+    type Answer = R;
+
+    fn add(&mut self, reply: R) -> Option<Result<R, ClientError>> {
+        Some(Ok(reply))
+    }
+}
+
+/// When a request that failed is sent again.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Retry {
+    /// Never.
+    Never,
+    /// After a transient error.
+    Transient,
+    /// After a transient error, and while no server of the network serves the map.
+    TransientOrUnknownMap,
+}
+
+impl Retry {
+    fn applies_to(self, error: &ClientError) -> bool {
+        match self {
+            Self::Never => false,
+            Self::Transient => error.is_transient(),
+            Self::TransientOrUnknownMap => error.is_transient() || error.is_unknown_map(),
+        }
+    }
+}
+
+/// Payload bytes of a request and its replies, repetitions included.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Traffic {
+    pub(crate) sent: usize,
+    pub(crate) received: usize,
+}
+
+/// A request to one key.
+pub(crate) struct Request {
+    session: zenoh::Session,
+    key: String,
+    /// None for keys that take no payload.
+    payload: Option<ZBytes>,
+    deadline: Instant,
+}
+
+impl Request {
+    pub(crate) fn new(session: &zenoh::Session, key: String, deadline: Instant) -> Self {
+        Self { session: session.clone(), key, payload: None, deadline }
+    }
+
+    pub(crate) fn with_payload<Q: Message>(mut self, message: &Q) -> Result<Self, ClientError> {
+        let payload = protocol::encode(Format::Bincode, message).map_err(ClientError::Encode)?;
+        self.payload = Some(payload.into());
+        Ok(self)
+    }
+
+    /// Sends the request until its answer is complete, as `retry` says, or until the deadline.
+    pub(crate) async fn send<C: Collector>(
+        &self,
+        retry: Retry,
+        traffic: &mut Traffic,
+    ) -> Result<C::Answer, ClientError> {
+        let mut pause = FIRST_PAUSE;
+        loop {
+            traffic.sent += self.payload.as_ref().map_or(0, ZBytes::len);
+            let error = match self.attempt::<C>(traffic).await {
+                Ok(answer) => return Ok(answer),
+                Err(error) => error,
+            };
+            if !retry.applies_to(&error) || Instant::now() + pause >= self.deadline {
+                return Err(error);
+            }
+            tokio::time::sleep(pause).await;
+            pause = (pause * 2).min(LONGEST_PAUSE);
+        }
+    }
+
+    async fn attempt<C: Collector>(&self, traffic: &mut Traffic) -> Result<C::Answer, ClientError> {
+        let timeout = self.deadline.saturating_duration_since(Instant::now());
+        let (session, key, payload) = (self.session.clone(), self.key.clone(), self.payload.clone());
+        let send = move || {
+            let query = session
+                .get(key)
+                .target(QueryTarget::BestMatching)
+                // Replies are sent with the congestion control of the query: blocking, so that none is dropped.
+                .congestion_control(CongestionControl::Block)
+                .consolidation(ConsolidationMode::None)
+                .timeout(timeout);
+            match payload {
+                Some(payload) => query.payload(payload).encoding(Format::Bincode.encoding()).wait(),
+                None => query.wait(),
+            }
+        };
+        // On a congested link this blocks its thread for seconds, past the deadline too: not a thread of the runtime.
+        let sent = tokio::time::timeout_at(self.deadline.into(), tokio::task::spawn_blocking(send)).await;
+        let replies = match sent {
+            Ok(Ok(Ok(replies))) => replies,
+            Ok(Ok(Err(error))) => return Err(ClientError::Send { problem: error.to_string() }),
+            Ok(Err(error)) => return Err(ClientError::Send { problem: error.to_string() }),
+            Err(_) => return Err(ClientError::Congested),
+        };
+        let mut collector = C::default();
+        let mut any = false;
+        loop {
+            let reply = match tokio::time::timeout_at(self.deadline.into(), replies.recv_async()).await {
+                Ok(Ok(reply)) => reply,
+                // The channel closed before the answer was complete: no server, or one that stopped.
+                Ok(Err(_)) if any => return Err(ClientError::Interrupted),
+                Ok(Err(_)) => return Err(ClientError::NoServer),
+                Err(_) => return Err(ClientError::Deadline),
+            };
+            any = true;
+            let sample = match reply.result() {
+                Ok(sample) => sample,
+                Err(error) => {
+                    let bytes = error.payload().to_bytes();
+                    traffic.received += bytes.len();
+                    return Err(refusal(error.encoding(), &bytes));
+                }
+            };
+            let bytes = sample.payload().to_bytes();
+            traffic.received += bytes.len();
+            let reply =
+                protocol::decode(format_of(sample.encoding()), &bytes).map_err(ClientError::Unreadable)?;
+            if let Some(answer) = collector.add(reply) {
+                return answer;
+            }
+        }
+    }
+}
+
+fn format_of(encoding: &Encoding) -> Format {
+    Format::from_encoding(&encoding.to_string()).unwrap_or_default()
+}
+
+/// An error reply of the server, or one that Zenoh itself made, like "Timeout".
+fn refusal(encoding: &Encoding, bytes: &[u8]) -> ClientError {
+    match protocol::decode::<ErrorReply>(format_of(encoding), bytes) {
+        Ok(reply) => ClientError::Refused(reply),
+        Err(_) => ClientError::Transport { problem: String::from_utf8_lossy(bytes).into_owned() },
+    }
+}

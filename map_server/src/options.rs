@@ -1,0 +1,38 @@
+//! Settings of a server.
+
+use recognition::RecognitionOptions;
+
+/// Settings of a server.
+///
+/// ```
+/// let mut options = map_server::ServerOptions::default();
+/// options.name = Some("north".into());
+/// options.workers = 4;
+/// ```
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct ServerOptions {
+    /// Name of the server in its liveliness key. `None`: the id of its Zenoh session.
+    pub name: Option<String>,
+    /// Settings of recognition for all maps.
+    pub recognition: RecognitionOptions,
+    /// Queries answered at the same time.
+    pub workers: usize,
+    /// Queries that may wait; any more are answered with [`protocol::ErrorCode::Busy`].
+    pub queue_length: usize,
+    /// Limit on the sum of the payloads of waiting queries, bytes.
+    pub queue_bytes: usize,
+}
+
+impl Default for ServerOptions {
+    /// One worker per processor; 64 waiting queries of 64 MiB together.
+    fn default() -> ServerOptions {
+        ServerOptions {
+            name: None,
+            recognition: RecognitionOptions::default(),
+            workers: std::thread::available_parallelism().map_or(2, std::num::NonZero::get),
+            queue_length: 64,
+            queue_bytes: 64 << 20,
+        }
+    }
+}

@@ -1,0 +1,187 @@
+//! Starting a server, replacing a map, stopping.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::time::Duration;
+
+use protocol::{Format, StatedChange, keys};
+use recognition::LoadedMap;
+use tokio::task::JoinHandle;
+use zenoh::Session;
+use zenoh::bytes::Encoding;
+use zenoh::liveliness::LivelinessToken;
+use zenoh::qos::CongestionControl;
+use zenoh::query::{Query, Queryable};
+
+use crate::change;
+use crate::error::ServeError;
+use crate::handlers::{self, Kind};
+use crate::options::ServerOptions;
+use crate::queue::{self, Job, Queue, ServerStatistics};
+use crate::served_map::{MapSlot, ServedMap};
+
+/// How long [`MapServer::stop`] waits for queries that are being answered.
+const STOP_TIMEOUT: Duration = Duration::from_secs(5);
+
+/// A running map server.
+///
+/// It uses the session that it was started with, and leaves it open when it stops.
+///
+/// # Example
+/// ```
+/// use client::{MapClient, SessionOptions, close_session, open_session};
+/// use map::{MapContents, MapInfo};
+/// use map_server::{MapServer, ServedMap, ServerOptions};
+/// use protocol::DescriptorKind;
+/// use recognition::LoadedMap;
+/// use std::sync::Arc;
+/// use std::time::{Duration, Instant};
+///
+/// # #[tokio::main]
+/// # async fn main() -> Result<(), Box<dyn std::error::Error + Send + Sync>> {
+/// let contents = MapContents::empty(MapInfo::new("hall", "example", DescriptorKind::Binary, 32));
+/// let map = Arc::new(LoadedMap::from_contents(contents)?);
+/// let session = open_session(&SessionOptions::default()).await?;
+/// let maps = vec![ServedMap { name: "hall".into(), map }];
+/// let server = MapServer::start(session.clone(), maps, ServerOptions::default()).await?;
+///
+/// let hall = MapClient::new(session.clone(), "hall")?;
+/// let info = hall.info(Instant::now() + Duration::from_secs(5)).await?;
+/// assert_eq!((info.name.as_str(), info.keyframes), ("hall", 0));
+///
+/// server.stop().await?;
+/// close_session(&session).await;
+/// # Ok(())
+/// # }
+/// ```
+pub struct MapServer {
+    session: Session,
+    maps: Arc<BTreeMap<String, Arc<MapSlot>>>,
+    token: LivelinessToken,
+    queryables: Vec<Queryable<()>>,
+    queue: Arc<Queue>,
+    workers: Vec<JoinHandle<()>>,
+}
+
+impl MapServer {
+    /// Serves maps in an open session. When this returns, all queryables and then the liveliness token are declared.
+    ///
+    /// Needs a multi-threaded tokio runtime.
+    ///
+    /// # Errors
+    /// [`ServeError::Name`], [`ServeError::DuplicateMap`], [`ServeError::Zenoh`]; nothing remains declared.
+    pub async fn start(
+        session: Session,
+        maps: Vec<ServedMap>,
+        options: ServerOptions,
+    ) -> Result<MapServer, ServeError> {
+        let server = options.name.clone().unwrap_or_else(|| session.zid().to_string());
+        let token_key = keys::map_server(&server)?;
+        let mut served = BTreeMap::new();
+        for map in maps {
+            keys::validate_name(&map.name)?;
+            let name = map.name.clone();
+            if served.insert(name.clone(), Arc::new(MapSlot::new(map))).is_some() {
+                return Err(ServeError::DuplicateMap { name });
+            }
+        }
+        let maps = Arc::new(served);
+
+        let (queue, jobs) = Queue::new(options.queue_length, options.queue_bytes);
+        let workers = queue::start_workers(jobs, options.workers, &options.recognition, &queue);
+        let mut queryables = Vec::new();
+        for map in maps.values() {
+            for kind in Kind::ALL {
+                let key = kind.key(&map.name)?;
+                let (queue, map) = (Arc::clone(&queue), Arc::clone(map));
+                let callback = move |query: Query| queue.put(Job { query, kind, map: Arc::clone(&map) });
+                queryables.push(session.declare_queryable(key).callback(callback).complete(true).await?);
+            }
+        }
+        for kind in Kind::ALL {
+            let known = Arc::clone(&maps);
+            let callback = move |query: Query| handlers::refuse_unknown_map(&query, &known);
+            queryables.push(session.declare_queryable(kind.key_of_any_map()).callback(callback).await?);
+        }
+        let token = session.liveliness().declare_token(token_key).await?;
+        tracing::info!(server, maps = ?maps.keys().collect::<Vec<_>>(), "serving");
+        Ok(MapServer { session, maps, token, queryables, queue, workers })
+    }
+
+    /// The version of a map that is being served; `None` for a map that this server does not have.
+    pub fn version(&self, name: &str) -> Option<u64> {
+        self.maps.get(name).map(|served| served.current().info().version)
+    }
+
+    /// Counters since the start.
+    pub fn statistics(&self) -> ServerStatistics {
+        self.queue.statistics()
+    }
+
+    /// Replaces a map while it is served and publishes the difference on `map/{map}/changes`. Queries in progress are
+    /// answered with the previous map.
+    ///
+    /// # Arguments
+    /// * `stated_change`: size of the map's motion, if known to the caller; otherwise computed from the keyframes that
+    ///   both versions have.
+    ///
+    /// # Errors
+    /// [`ServeError::UnknownMap`]; [`ServeError::Zenoh`] if the map was replaced but the notice was not published.
+    pub async fn replace(
+        &self,
+        name: &str,
+        map: Arc<LoadedMap>,
+        stated_change: Option<StatedChange>,
+    ) -> Result<(), ServeError> {
+        let served = self.maps.get(name).ok_or_else(|| ServeError::UnknownMap { name: name.to_owned() })?;
+        let previous = served.replace(Arc::clone(&map));
+        let mut change = change::between(name, &previous, &map);
+        change.stated_change = stated_change.or(change.stated_change);
+        tracing::info!(
+            name,
+            from_version = change.from_version,
+            version = change.version,
+            keyframes = map.keyframe_count(),
+            added = change::added(&previous, &map),
+            changed = change.changed.len(),
+            moved = change.moved.len(),
+            removed = change.removed.len(),
+            motion = change::describe(change.stated_change.as_ref()),
+            "replaced a map"
+        );
+        let payload = protocol::encode(Format::Bincode, &change)?;
+        let publication = self.session.put(keys::map_changes(name)?, payload);
+        publication
+            .encoding(Encoding::from(Format::Bincode.encoding()))
+            .congestion_control(CongestionControl::Block)
+            .await?;
+        Ok(())
+    }
+
+    /// Stops serving: undeclares everything, then answers the queries already received, for at most 5 s.
+    ///
+    /// # Errors
+    /// [`ServeError::Zenoh`] if something could not be undeclared, for example in a closed session.
+    pub async fn stop(self) -> Result<(), ServeError> {
+        let MapServer { token, queryables, queue, workers, .. } = self;
+        let mut result = token.undeclare().await;
+        for queryable in queryables {
+            let undeclared = queryable.undeclare().await;
+            result = result.and(undeclared);
+        }
+        queue.close();
+        let all_done = async {
+            for worker in workers {
+                if let Err(error) = worker.await {
+                    tracing::warn!("a worker of the map server failed: {error}");
+                }
+            }
+        };
+        if tokio::time::timeout(STOP_TIMEOUT, all_done).await.is_err() {
+            tracing::warn!("abandoned queries that were still being answered after {STOP_TIMEOUT:?}");
+        }
+        let ServerStatistics { answered, failed, refused, panicked } = queue.statistics();
+        tracing::info!(answered, failed, refused, panicked, "stopped serving");
+        Ok(result?)
+    }
+}

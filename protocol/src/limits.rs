@@ -1,0 +1,33 @@
+//! Schema version, size limits, and the numbers that name keyframes and landmarks.
+
+/// Version of everything in this crate that is seen from outside. Grows with every incompatible change.
+///
+/// * 2: features and maps name their extractor, `MatchOutcome::Ambiguous`, descriptors of signed bytes, changes name the
+///   version that they start from, held keyframes as a sorted list of gaps.
+/// * 3: standard deviations are named `sigma_<what>_<unit>`: `sigma_map_px` in the status of a match (was
+///   `map_pixel_sigma`) and in the info of a map (was `pixel_sigma`), `sigma_theta_rad` and `sigma_p_m` in the stated
+///   change of a map (were `sigma_theta` and `sigma_p`). In JSON, `"type"` is `map_info_reply` (was `map_info`) and
+///   `map_change_notice` (was `map_change`). The bincode payloads are those of schema 2. Covariances are checked with a
+///   tolerance of 1e-6 (was 1e-5).
+pub const SCHEMA_VERSION: u16 = 3;
+
+/// Longest payload that is encoded or decoded, envelope included.
+///
+/// An image with 2,000 features of 512 bytes is 1 MiB, and a reply holds one keyframe: 16 MiB leaves a factor of ten and
+/// is harmless to hold in memory.
+pub const MAX_MESSAGE_BYTES: usize = 16 << 20;
+
+/// Most features in one image. Extractors give 300 to 2,000; the cost of matching grows with the square.
+pub const MAX_FEATURES: usize = 20_000;
+
+/// Longest name of an extractor, bytes.
+pub const MAX_EXTRACTOR_BYTES: usize = 64;
+
+/// Longest human-readable text in a message, bytes.
+pub const MAX_TEXT_BYTES: usize = 4096;
+
+/// Number of a keyframe, unique in its map and never reused.
+pub type KeyframeId = u64;
+
+/// Number of a landmark, unique in its map and never reused.
+pub type LandmarkId = u64;

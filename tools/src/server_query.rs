@@ -1,0 +1,104 @@
+//! Asking a running map server from the shell: where it is, the queries, and how answers are printed.
+
+use std::time::{Duration, Instant};
+
+use anyhow::{Context as _, bail};
+use client::{ClientError, DEFAULT_ENDPOINT, MapClient, SessionOptions, close_session, open_session};
+use nalgebra::Vector3;
+use protocol::{LocalizedPose, MatchOutcome};
+
+/// Where a map server is, and how long to wait for it.
+#[derive(Clone, Debug, clap::Args)]
+pub struct ServerArguments {
+    /// Endpoint of the server or of a router
+    #[arg(long, value_name = "ENDPOINT", default_value = DEFAULT_ENDPOINT)]
+    pub connect: Vec<String>,
+    /// Namespace of the fleet
+    #[arg(long, value_name = "PREFIX")]
+    pub namespace: Option<String>,
+    /// Give up after this time, s
+    #[arg(long, value_name = "SECONDS", default_value_t = 5.0)]
+    pub timeout: f64,
+}
+
+impl ServerArguments {
+    /// Opens a session, sends queries to a map until the deadline, and closes the session.
+    ///
+    /// # Errors
+    /// An invalid timeout or name, no threads, a session that does not open, no answer before the deadline, a refusal.
+    pub fn query_in_session<T>(
+        &self,
+        map: &str,
+        query: impl AsyncFnOnce(&MapClient, Instant) -> Result<T, ClientError>,
+    ) -> anyhow::Result<T> {
+        if !(self.timeout.is_finite() && self.timeout > 0.0) {
+            bail!("--timeout {}: give a positive number of seconds", self.timeout);
+        }
+        let runtime = tokio::runtime::Builder::new_multi_thread()
+            .worker_threads(2)
+            .enable_all()
+            .build()
+            .context("no threads for the network could be started")?;
+        let options = SessionOptions {
+            connect: self.connect.clone(),
+            namespace: self.namespace.clone(),
+            ..SessionOptions::default()
+        };
+        runtime.block_on(async {
+            let session = open_session(&options).await?;
+            let deadline = Instant::now() + Duration::from_secs_f64(self.timeout);
+            let client = MapClient::new(session.clone(), map).context("--map")?.awaiting_map();
+            let answer = query(&client, deadline).await;
+            close_session(&session).await;
+            answer.map_err(|error| self.explain(error, map))
+        })
+    }
+
+    fn explain(&self, error: ClientError, map: &str) -> anyhow::Error {
+        match error {
+            ClientError::Refused(reply) => anyhow::anyhow!("the map server refused: {}", reply.message),
+            ClientError::Unreadable(error) => anyhow::Error::new(error)
+                .context("the server's answer cannot be read: is it of this version?"),
+            error if error.is_transient() => anyhow::anyhow!(
+                "no map server at {} answered within {} s ({error}): is map_server running with --map {map}=DB, and is \
+                 --connect right?",
+                self.connect.join(", "),
+                self.timeout
+            ),
+            error => error.into(),
+        }
+    }
+}
+
+/// Prints a pose with its standard deviations.
+pub fn print_fix(fix: &LocalizedPose) {
+    let pose = &fix.global_from_camera.pose;
+    let (p, q) = (&pose.translation, pose.rotation.quaternion());
+    let covariance = fix.global_from_camera.covariance.diagonal();
+    let sigma = |first: usize| Vector3::from_fn(|axis, _| covariance[first + axis].sqrt());
+    let (theta, position) = (sigma(0) * 1.0_f64.to_degrees(), sigma(3));
+    println!(
+        "camera at ({:.3}, {:.3}, {:.3}) m, q = ({:.5}, {:.5}, {:.5}, {:.5})",
+        p.x, p.y, p.z, q.w, q.i, q.j, q.k
+    );
+    println!(
+        "  sigma ({:.3}, {:.3}, {:.3}) m, ({:.2}, {:.2}, {:.2}) deg",
+        position.x, position.y, position.z, theta.x, theta.y, theta.z
+    );
+    println!(
+        "  {} of {} matches agree within {:.2} px on average, best keyframe {}",
+        fix.inliers, fix.matched_features, fix.mean_error_px, fix.keyframe
+    );
+}
+
+/// Describes an outcome without a pose.
+pub fn describe(outcome: MatchOutcome) -> &'static str {
+    match outcome {
+        MatchOutcome::Matched => "the server matched, but gave no pose",
+        MatchOutcome::NoMatch => "no keyframe looks like the image",
+        MatchOutcome::NotVerified => "some keyframes look alike, but no pose explains the matches",
+        MatchOutcome::TooFewFeatures => "the image has too few features",
+        MatchOutcome::Ambiguous => "two places of the map look alike: give a prior pose",
+        MatchOutcome::EmptyMap => "the map has no keyframes",
+    }
+}
