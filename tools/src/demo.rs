@@ -7,7 +7,7 @@ use crate::plotting::{RunFiles, Truth, draw_run};
 use anyhow::{Context as _, Result, bail};
 use evaluation::trajectory::StampedPose;
 use evaluation::{Score, run_errors};
-use map::text::save_map;
+use map::store::save_map;
 use mapping::{BuildOptions, BuildReport, build_map};
 use nalgebra::Vector3;
 use onboard::arguments::{Init, Mode};
@@ -86,7 +86,8 @@ pub fn run_demo(out: &Path, seed: u64, note: &mut dyn FnMut(&str)) -> Result<Dem
     note("building the map");
     let gravity = -Vector3::z();
     let references = place.map.reference_poses.clone().unwrap_or_default();
-    let build = BuildOptions { gravity_in_global: Some(gravity), ..BuildOptions::default() };
+    let mut build = BuildOptions::default();
+    build.gravity_in_global = Some(gravity);
     let (contents, map) = build_map(&place.map, &references, None, &build, &mut |_, _, _| {})?;
     let keyframes =
         contents.keyframes.iter().map(|keyframe| keyframe.global_from_keyframe.pose.translation).collect();

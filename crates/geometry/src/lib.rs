@@ -9,6 +9,7 @@
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 pub mod camera;
+pub mod covariance_check;
 pub mod numeric;
 pub mod pnp;
 pub mod pose;
