@@ -131,7 +131,7 @@ mod tests {
 
     use super::*;
     use map::contents::MapContents;
-    use map::model::{CrossCovariance, Keyframe, MapInfo};
+    use map::model::{Keyframe, KeyframeCrossCovariance, MapMetadata};
 
     fn camera() -> Camera {
         Camera {
@@ -157,9 +157,9 @@ mod tests {
                 features: None,
             }
         };
-        let cross = |id: u64| CrossCovariance { a: id, b: id + 1, block: Matrix6::identity() * 3e-3 };
+        let cross = |id: u64| KeyframeCrossCovariance { a: id, b: id + 1, block: Matrix6::identity() * 3e-3 };
         MapContents {
-            info: MapInfo { version, ..MapInfo::new("hall", "test", DescriptorKind::Binary, 32) },
+            info: MapMetadata { version, ..MapMetadata::new("hall", "test", DescriptorKind::Binary, 32) },
             keyframes: (0..keyframes).map(keyframe).collect(),
             landmarks: Vec::new(),
             cross_covariances: (0..keyframes - 1).map(cross).collect(),

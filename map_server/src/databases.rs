@@ -8,7 +8,7 @@ use std::str::FromStr;
 use std::sync::Arc;
 
 use anyhow::{Context, bail};
-use map::{MapStore, SledStore};
+use map::store;
 use map_server::{MapServer, ServedMap};
 use protocol::keys::{NameError, validate_name};
 use recognition::LoadedMap;
@@ -49,8 +49,8 @@ impl FromStr for MapArgument {
 /// Loads a map into memory.
 pub fn load(argument: &MapArgument) -> anyhow::Result<ServedMap> {
     let MapArgument { name, database } = argument;
-    let store = SledStore::open(database).with_context(|| format!("map {name} cannot be served"))?;
-    let map = LoadedMap::load(&store).with_context(|| format!("map {name} cannot be served"))?;
+    let store = store::open(database).with_context(|| format!("map {name} cannot be served"))?;
+    let map = LoadedMap::load(store.as_ref()).with_context(|| format!("map {name} cannot be served"))?;
     tracing::info!(
         name,
         database = %database.display(),
@@ -104,11 +104,11 @@ pub async fn reload(server: &MapServer, maps: &[MapArgument]) {
 
 /// The map in a database, if its version differs from the served one.
 fn newer(argument: &MapArgument, served: Option<u64>) -> anyhow::Result<Option<Arc<LoadedMap>>> {
-    let store = SledStore::open(&argument.database)?;
+    let store = store::open(&argument.database)?;
     if Some(store.info()?.version) == served {
         return Ok(None);
     }
-    let map = LoadedMap::load(&store)?;
+    let map = LoadedMap::load(store.as_ref())?;
     match (map.damaged_records(), map.keyframe_count()) {
         (0, 1..) => Ok(Some(Arc::new(map))),
         (0, 0) => bail!("the new version has no keyframes"),

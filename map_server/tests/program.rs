@@ -2,17 +2,14 @@
 #![cfg(unix)]
 #![allow(clippy::unwrap_used, missing_docs)]
 
-#[path = "../../crates/map/tests/common/mod.rs"]
-mod common;
-
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
 use std::time::Duration;
 
 use client::{SessionOptions, open_session};
-use common::{Place, PlaceOptions};
-use map::{MapStore, SledStore};
+use map::store;
 use protocol::{ErrorCode, ErrorReply, Format, MapChangeNotice, MapInfoReply};
+use testing::{Place, PlaceOptions};
 use zenoh::Session;
 
 fn program() -> Command {
@@ -27,8 +24,7 @@ fn run(arguments: &[&str]) -> (Output, String) {
 
 fn stored_map(path: &Path) {
     let place = Place::new(&PlaceOptions { keyframes: 5, landmarks: 100, ..PlaceOptions::default() });
-    let store = SledStore::create(path, &place.map.info).unwrap();
-    store.replace_all(&place.map).unwrap();
+    store::save_map(path, &place.map, false).unwrap();
 }
 
 /// Ends the program whatever happens in the test.
@@ -101,7 +97,7 @@ async fn it_serves_below_its_namespace_and_stops_on_sigterm() {
     assert_eq!(refusal.code, ErrorCode::UnknownMap);
     assert!(refusal.message.contains("hall"), "{refusal}");
     // The database is not held while it is served.
-    assert!(SledStore::open(&path).is_ok());
+    assert!(store::open(&path).is_ok());
 
     let (second, error) = run(&["--map", &map, "--listen", &endpoint]);
     assert!(!second.status.success() && error.contains(&endpoint), "{error}");
@@ -146,7 +142,7 @@ async fn sighup_serves_the_new_version_and_says_what_changed() {
     // Nothing new; then a database that another program is writing to.
     signal(&server, "-HUP");
     says("has the version that is served", 1).await;
-    let writing = SledStore::open(&path).unwrap();
+    let writing = store::open(&path).unwrap();
     signal(&server, "-HUP");
     says("the previous version continues to be served", 1).await;
     assert!(std::fs::read_to_string(&log).unwrap().contains("in use by another program"));

@@ -1,14 +1,10 @@
 //! Laws of the served maps, over real Zenoh sessions on the loopback.
 #![allow(clippy::unwrap_used, missing_docs)]
 
-#[path = "../../crates/map/tests/common/mod.rs"]
-mod common;
-
 use std::sync::Arc;
 use std::time::Duration;
 
 use client::{SessionOptions, open_session};
-use common::{Place, PlaceOptions};
 use map_server::{MapServer, ServedMap, ServerOptions};
 use protocol::{
     DescriptorKind, Descriptors, ErrorCode, ErrorReply, FeatureSet, Format, KeyframeReply, LocalizeReply,
@@ -18,6 +14,7 @@ use protocol::{
 use rand::SeedableRng;
 use rand::rngs::StdRng;
 use recognition::LoadedMap;
+use testing::{Place, PlaceOptions};
 use zenoh::Session;
 use zenoh::query::ConsolidationMode;
 

@@ -71,11 +71,9 @@ impl Split {
             sigma_p_m: 0.01,
         };
         let references: Vec<ReferencePose> = sequence.groundtruth.iter().flatten().map(reference).collect();
-        let options = BuildOptions {
-            gravity_in_global: self.sequence.truth_gravity(),
-            sigma_px: None,
-            ..BuildOptions::default()
-        };
+        let mut options = BuildOptions::default();
+        options.gravity_in_global = self.sequence.truth_gravity();
+        options.sigma_px = None;
         let extraction = Extraction { extractor, max_features, mask: None, stereo: true };
         let (contents, report) =
             build_map(&sequence, &references, Some(extraction), &options, &mut |_, _, _| {}).unwrap();

@@ -3,7 +3,7 @@
 use evaluation::trajectory::StampedPose;
 use geometry::pose::Pose;
 use map::contents::MapContents;
-use map::{MapStore as _, SledStore};
+use map::store;
 use mapping::{BuildOptions, build_map};
 use nalgebra::{UnitQuaternion, Vector3};
 use recognition::LoadedMap;
@@ -37,11 +37,9 @@ impl Place {
     pub fn new(seed: u64) -> Self {
         let recordings = simulate(&options(seed)).unwrap();
         let references = recordings.map.reference_poses.clone().unwrap();
-        let options = BuildOptions {
-            name: "ring".to_owned(),
-            gravity_in_global: Some(-Vector3::z()),
-            ..BuildOptions::default()
-        };
+        let mut options = BuildOptions::default();
+        options.name = String::from("ring");
+        options.gravity_in_global = Some(-Vector3::z());
         let (map, _) = build_map(&recordings.map, &references, None, &options, &mut |_, _, _| {}).unwrap();
         Self { recordings, map }
     }
@@ -55,8 +53,7 @@ impl Place {
     /// The map in a new database in `folder`, closed again.
     pub fn database(&self, folder: &Path) -> PathBuf {
         let path = folder.join("ring.db");
-        let store = SledStore::create(&path, &self.map.info).unwrap();
-        store.replace_all(&self.map).unwrap();
+        store::save_map(&path, &self.map, false).unwrap();
         path
     }
 

@@ -3,7 +3,7 @@
 
 use clap::Parser;
 use protocol::{LocalizeRequest, MatchOutcome};
-use recognition::{InspectedKeyframe, Inspection, RecognitionOptions, Verdict};
+use recognition::{InspectedKeyframe, Inspection, KeyframeVerdict, RecognitionOptions};
 use sensors::writer;
 use std::collections::HashSet;
 use std::path::Path;
@@ -57,7 +57,7 @@ fn an_inspection_agrees_with_the_answer() {
         assert_eq!(inspection.reply, map.localize(&request, &options).unwrap());
         let fix = inspection.reply.fix.as_ref().unwrap();
         let best = &inspection.keyframes[0];
-        assert_eq!((best.id, best.verdict, best.in_answer), (fix.keyframe, Verdict::Verified, true));
+        assert_eq!((best.id, best.verdict, best.in_answer), (fix.keyframe, KeyframeVerdict::Verified, true));
         assert!(best.inliers() > 0 && best.inliers() <= best.matches.len());
         for keyframe in inspection.keyframes.iter().filter(|keyframe| keyframe.in_answer) {
             check_errors(keyframe);
@@ -98,7 +98,7 @@ fn a_query_that_is_not_recognized_says_why() {
     let inspection = ask(&shuffled);
     assert_eq!((inspection.reply.outcome, &inspection.reply.fix), (MatchOutcome::NotVerified, &None));
     let best = &inspection.keyframes[0];
-    assert_eq!((best.verdict, best.inliers(), best.global_from_camera), (Verdict::NoPose, 0, None));
+    assert_eq!((best.verdict, best.inliers(), best.global_from_camera), (KeyframeVerdict::NoPose, 0, None));
     assert!(best.matches.len() > 20 && best.matches.iter().all(|found| found.error_px().is_none()));
 
     let mut few = full.clone();

@@ -1,8 +1,8 @@
 //! A map is the same after its server was killed, and after it was exported and imported again.
 #![allow(clippy::unwrap_used)]
 
-use map::text::{read_map, save_map, write_map};
-use map::{MapStore as _, SledStore, StoreError};
+use map::text::{read_map, write_map};
+use map::{StoreError, store};
 use protocol::MatchReply;
 use recognition::{LoadedMap, RecognitionOptions};
 use std::path::Path;
@@ -42,20 +42,20 @@ fn a_map_that_was_acknowledged_is_whole_after_a_kill_and_answers_alike() {
     let place = Place::shared();
     let folder = tempfile::tempdir().unwrap();
     let (path, killed) = (folder.path().join("ring.db"), folder.path().join("killed.db"));
-    let store = SledStore::create(&path, &place.map.info).unwrap();
+    let store = store::create(&path, &place.map.info).unwrap();
     let version = store.replace_all(&place.map).unwrap();
     // What the disk holds while the program is still running is what a kill leaves behind.
     copy(&path, &killed);
-    let here = LoadedMap::load(&store).unwrap();
+    let here = LoadedMap::load(store.as_ref()).unwrap();
     drop(store);
-    let survivor = SledStore::open(&killed).unwrap();
+    let survivor = store::open(&killed).unwrap();
     let contents = survivor.read_contents().unwrap();
     assert_eq!(contents.info.version, version);
     assert_eq!(contents.keyframes, place.map.keyframes);
     assert_eq!(contents.landmarks, place.map.landmarks);
     let found = answers(&here, place);
     assert!(found.iter().filter(|reply| matches!(reply, MatchReply::Keyframe(_))).count() > 100);
-    assert_eq!(found, answers(&LoadedMap::load(&survivor).unwrap(), place));
+    assert_eq!(found, answers(&LoadedMap::load(survivor.as_ref()).unwrap(), place));
     assert_eq!(found, answers(&load_map(&path).unwrap(), place));
 }
 
@@ -63,13 +63,13 @@ fn a_map_that_was_acknowledged_is_whole_after_a_kill_and_answers_alike() {
 fn a_map_that_was_exported_and_imported_answers_alike() {
     let place = Place::shared();
     let folder = tempfile::tempdir().unwrap();
-    let original = SledStore::open(place.database(folder.path())).unwrap();
+    let original = store::open(place.database(folder.path())).unwrap();
     let text = folder.path().join("text");
     write_map(&text, &original.read_contents().unwrap()).unwrap();
     let second = folder.path().join("second.db");
-    save_map(&second, &read_map(&text).unwrap(), false).unwrap();
+    store::save_map(&second, &read_map(&text).unwrap(), false).unwrap();
     let imported = load_map(&second).unwrap();
-    let original = LoadedMap::load(&original).unwrap();
+    let original = LoadedMap::load(original.as_ref()).unwrap();
     assert_eq!(answers(&original, place), answers(&imported, place));
 }
 
@@ -90,14 +90,14 @@ fn a_damaged_record_is_named_and_the_rest_still_localizes() {
         tree.flush().unwrap();
         break;
     }
-    let store = SledStore::open(&path).unwrap();
+    let store = store::open(&path).unwrap();
     let error = store.read_contents().unwrap_err();
     assert!(
         matches!(&error, StoreError::Corrupt { record, .. } if *record == format!("landmark {damaged}")),
         "{error}"
     );
     assert!(error.to_string().contains("ring.db"), "{error}");
-    let map = LoadedMap::load(&store).unwrap();
+    let map = LoadedMap::load(store.as_ref()).unwrap();
     assert_eq!(map.damaged_records(), 1);
     assert_eq!(map.landmark_count(), place.map.landmarks.len() - 1);
     let found = answers(&map, place);

@@ -33,7 +33,9 @@ fn imported(folder: &Path) -> Arc<LoadedMap> {
 fn built(sequence: &Path, until_s: f64, stored_poses: StoredPoses) -> Arc<LoadedMap> {
     let sequence = Sequence::open(sequence).unwrap();
     let references = sequence.reference_poses.clone().unwrap();
-    let options = BuildOptions { until_s, stored_poses, ..BuildOptions::default() };
+    let mut options = BuildOptions::default();
+    options.until_s = until_s;
+    options.stored_poses = stored_poses;
     let (contents, _) = build_map(&sequence, &references, None, &options, &mut |_, _, _| {}).unwrap();
     Arc::new(LoadedMap::from_contents(contents).unwrap())
 }

@@ -2,7 +2,7 @@
 
 use anyhow::{Context as _, Result};
 use client::session::{SessionOptions, close_session, open_session};
-use map::SledStore;
+use map::store;
 use map_server::{MapServer, ServedMap, ServerOptions};
 use onboard::MapLink;
 use recognition::LoadedMap;
@@ -16,8 +16,8 @@ use tokio::runtime::Runtime;
 /// # Errors
 /// A sentence that names the database.
 pub fn load_map(database: &Path) -> Result<Arc<LoadedMap>> {
-    let store = SledStore::open(database)?;
-    let map = LoadedMap::load(&store).with_context(|| format!("map {}", database.display()))?;
+    let store = store::open(database)?;
+    let map = LoadedMap::load(store.as_ref()).with_context(|| format!("map {}", database.display()))?;
     Ok(Arc::new(map))
 }
 

@@ -1,7 +1,7 @@
 //! A seeded synthetic map of many places with descriptors whose distances are like those of learned features.
 
 use geometry::{Camera, Distortion, Pose, PoseWithCovariance};
-use map::{Keyframe, Landmark, MapContents, MapInfo, Observation};
+use map::{Keyframe, Landmark, MapContents, MapMetadata, Observation};
 use nalgebra::{Matrix6, UnitQuaternion, Vector2, Vector3, Vector6};
 use protocol::{DescriptorKind, Descriptors, FeatureSet, MatchRequest};
 use rand::rngs::StdRng;
@@ -41,7 +41,7 @@ impl World {
             distortion: Distortion::RadialTangential([-0.28, 0.07, 0.0002, 0.00002]),
         };
         let mut world = World { camera, streets: Vec::new(), map: None };
-        let mut info = MapInfo::new("bench", "bench", DescriptorKind::Int8, WIDTH as u16);
+        let mut info = MapMetadata::new("bench", "bench", DescriptorKind::Int8, WIDTH as u16);
         info.gravity_in_global = Some(Vector3::new(0.0, 0.0, -1.0));
         let mut map = MapContents::empty(info);
         let sigmas = Vector6::new(0.002, 0.002, 0.002, 0.01, 0.01, 0.01);

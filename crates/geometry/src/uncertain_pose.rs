@@ -98,6 +98,20 @@ impl PoseWithCovariance {
     }
 }
 
+/// The covariance of `[dtheta, dp]` with the same standard deviation on the three axes of each: `sigma_theta_rad` (rad)
+/// and `sigma_p_m` (m).
+///
+/// ```
+/// use geometry::uncertain_pose::isotropic_covariance;
+///
+/// let covariance = isotropic_covariance(0.01, 0.1);
+/// assert_eq!((covariance[(0, 0)], covariance[(5, 5)], covariance[(0, 5)]), (0.01 * 0.01, 0.1 * 0.1, 0.0));
+/// ```
+pub fn isotropic_covariance(sigma_theta_rad: f64, sigma_p_m: f64) -> Matrix6<f64> {
+    let [theta, p] = [sigma_theta_rad * sigma_theta_rad, sigma_p_m * sigma_p_m];
+    Matrix6::from_diagonal(&Vector6::new(theta, theta, theta, p, p, p))
+}
+
 /// Jacobians of `a * b` with respect to the `[dtheta, dp]` errors of a and of b.
 ///
 /// ```text

@@ -1,10 +1,14 @@
-//! Keyframe maps: what they are made of, the laws that they keep, and how they are stored.
+//! Keyframe maps: their elements, their invariants, and how they are stored.
+//!
+//! A map holds camera poses with covariances and cross-covariances, and landmarks that are anchored in them. Programs
+//! build it with the crate `mapping`, store it with [`store::save_map`], open it with [`store::open`], and search it with
+//! the crate `recognition`.
 //!
 //! | module | what |
 //! |---|---|
 //! | [`model`] | keyframes, landmarks, observations, cross-covariances |
 //! | [`contents`] | a whole map in memory and its invariants |
-//! | [`store`] | maps at rest: the [`MapStore`] trait, and its implementation on sled |
+//! | [`store`] | maps in databases: the [`MapStore`] trait, and its implementation on sled |
 //! | [`text`] | import from and export to plain text |
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
@@ -14,5 +18,5 @@ pub mod store;
 pub mod text;
 
 pub use contents::{ContentsError, MapContents};
-pub use model::{CrossCovariance, Keyframe, Landmark, MapInfo, Observation};
-pub use store::{Batch, Change, MapStore, STORE_SCHEMA, SledStore, StoreCounts, StoreError};
+pub use model::{Keyframe, KeyframeCrossCovariance, Landmark, MapMetadata, Observation};
+pub use store::{MapStore, RecordError, Records, STORE_SCHEMA, StoreError};

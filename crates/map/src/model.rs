@@ -1,7 +1,7 @@
-//! What a map is made of: keyframes, landmarks in their anchors, observations, cross-covariances.
+//! The elements of a map: keyframes, landmarks in their anchors, observations, cross-covariances.
 //!
 //! # Frames
-//! Everything hangs on keyframe poses `global_from_keyframe` (G from the keyframe's camera frame, metres). A
+//! All geometry is relative to the keyframe poses `global_from_keyframe` (G from the keyframe's camera frame, metres). A
 //! landmark is a point in the camera frame of its *anchor* keyframe, so that it moves with the keyframe when
 //! the map is re-optimized. Pose errors are `[δθ, δp]` in the parent frame G (radians, metres).
 
@@ -10,17 +10,18 @@ use geometry::uncertain_pose::PoseWithCovariance;
 use nalgebra::{Matrix6, Vector3};
 use protocol::{DescriptorKind, FeatureSet, KeyframeId, LandmarkId};
 
-/// Standard deviation of a map pixel (px) where the builder of a map says nothing else.
-pub const DEFAULT_PIXEL_SIGMA: f64 = 1.0;
+/// Standard deviation of a map pixel (px) where the builder of a map states no other: features are located to about a
+/// pixel.
+pub const DEFAULT_SIGMA_PX: f64 = 1.0;
 
-/// What holds for the map as a whole.
+/// What applies to the map as a whole.
 #[derive(Clone, Debug, PartialEq)]
-pub struct MapInfo {
-    /// A name for people; the name under which a server serves the map is given to the server.
+pub struct MapMetadata {
+    /// A name for display; the name under which a server serves the map is given to the server.
     pub name: String,
-    /// The program and input that made the map, for people.
+    /// The program and input that the map was built with, for display.
     pub created_by: String,
-    /// Grows by one with every batch of changes. A store sets it; the value given in a batch is not used.
+    /// Grows by one with every change. A store sets it; the value given to a store is not used.
     pub version: u64,
     /// Unit vector of the direction in which gravity points (downwards), in G. `None`: not known.
     pub gravity_in_global: Option<Vector3<f64>>,
@@ -30,12 +31,12 @@ pub struct MapInfo {
     pub descriptor_width: u16,
     /// Standard deviation of the map's pixels (px), one value for both axes.
     pub sigma_px: f64,
-    /// Name and version of the extractor that made the descriptors, like `sift-1`; empty where nobody knows.
+    /// Name and version of the extractor that computed the descriptors, like `sift-1`; empty where unknown.
     pub extractor: String,
 }
 
-impl MapInfo {
-    /// Info of a new map: version 0, gravity and extractor unknown, [`DEFAULT_PIXEL_SIGMA`].
+impl MapMetadata {
+    /// Info of a new map: version 0, gravity and extractor unknown, [`DEFAULT_SIGMA_PX`].
     ///
     /// # Arguments
     /// * `descriptor_width`: bytes in one descriptor.
@@ -44,15 +45,15 @@ impl MapInfo {
         created_by: impl Into<String>,
         descriptor_kind: DescriptorKind,
         descriptor_width: u16,
-    ) -> MapInfo {
-        MapInfo {
+    ) -> MapMetadata {
+        MapMetadata {
             name: name.into(),
             created_by: created_by.into(),
             version: 0,
             gravity_in_global: None,
             descriptor_kind,
             descriptor_width,
-            sigma_px: DEFAULT_PIXEL_SIGMA,
+            sigma_px: DEFAULT_SIGMA_PX,
             extractor: String::new(),
         }
     }
@@ -83,7 +84,7 @@ pub struct Landmark {
     pub anchor: KeyframeId,
     /// Position in the camera frame of the anchor (m).
     pub position_in_anchor: Vector3<f64>,
-    /// Where keyframes saw it, at most once each, the anchor included.
+    /// Its observations, at most one a keyframe, with one by the anchor.
     pub observations: Vec<Observation>,
 }
 
@@ -94,14 +95,14 @@ pub struct Observation {
     pub keyframe: KeyframeId,
     /// Distorted pixel; (0, 0) is the centre of the top-left pixel.
     pub pixel: [f32; 2],
-    /// What it looked like: as many bytes as [`MapInfo::descriptor_width`].
+    /// Descriptor of [`MapMetadata::descriptor_width`] bytes.
     pub descriptor: Vec<u8>,
 }
 
-/// Covariance between the pose errors of two keyframes; pairs that a map does not list are independent.
+/// Covariance between the pose errors of two keyframes; the errors of pairs that a map does not list are independent.
 #[derive(Clone, Debug, PartialEq)]
-pub struct CrossCovariance {
-    /// The keyframe of the rows. In a stored map `a < b`, see [`CrossCovariance::ordered`].
+pub struct KeyframeCrossCovariance {
+    /// The keyframe of the rows. In a stored map `a < b`, see [`KeyframeCrossCovariance::ordered`].
     pub a: KeyframeId,
     /// The keyframe of the columns.
     pub b: KeyframeId,
@@ -109,13 +110,13 @@ pub struct CrossCovariance {
     pub block: Matrix6<f64>,
 }
 
-impl CrossCovariance {
-    /// The same fact with `a <= b`: the block is transposed where the two change places.
-    pub fn ordered(&self) -> CrossCovariance {
+impl KeyframeCrossCovariance {
+    /// The same with `a <= b`: the block is transposed where the two are exchanged.
+    pub fn ordered(&self) -> KeyframeCrossCovariance {
         if self.a <= self.b {
             self.clone()
         } else {
-            CrossCovariance { a: self.b, b: self.a, block: self.block.transpose() }
+            KeyframeCrossCovariance { a: self.b, b: self.a, block: self.block.transpose() }
         }
     }
 }

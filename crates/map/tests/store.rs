@@ -1,26 +1,24 @@
-//! Laws of the map store, named after what is done to it.
+//! Laws of the map store, named after the fault or the change.
 #![allow(clippy::unwrap_used, missing_docs)]
-
-mod common;
 
 use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-use common::{Place, PlaceOptions};
 use geometry::{Camera, Distortion};
-use map::{Change, ContentsError, CrossCovariance, MapContents, MapInfo, MapStore, SledStore, StoreError};
+use map::{ContentsError, KeyframeCrossCovariance, MapContents, MapMetadata, MapStore, StoreError, store};
 use nalgebra::{Matrix6, Vector3};
 use proptest::prelude::*;
 use protocol::{DescriptorKind, Descriptors, FeatureSet};
+use testing::{Place, PlaceOptions};
 
 fn small_place(seed: u64) -> MapContents {
     let options = PlaceOptions { seed, keyframes: 6, landmarks: 80, ..PlaceOptions::default() };
     Place::new(&options).map
 }
 
-fn created(path: &Path, contents: &MapContents) -> SledStore {
-    let store = SledStore::create(path, &contents.info).unwrap();
+fn created(path: &Path, contents: &MapContents) -> Box<dyn MapStore> {
+    let store = store::create(path, &contents.info).unwrap();
     store.replace_all(contents).unwrap();
     store
 }
@@ -64,108 +62,69 @@ proptest! {
         let store = created(&path, &contents);
         prop_assert_eq!(&without_version(store.read_contents().unwrap()), &contents);
         drop(store);
-        let reopened = SledStore::open(&path).unwrap();
+        let reopened = store::open(&path).unwrap();
         prop_assert_eq!(&without_version(reopened.read_contents().unwrap()), &contents);
-        let counts = reopened.counts().unwrap();
-        prop_assert_eq!(counts.observations, contents.observation_count());
     }
 }
 
 #[test]
-fn single_records_and_the_references_between_them_are_found() {
-    let directory = tempfile::tempdir().unwrap();
-    let contents = small_place(3);
-    let store = created(&directory.path().join("map"), &contents);
-    for keyframe in &contents.keyframes {
-        assert_eq!(store.keyframe(keyframe.id).unwrap().as_ref(), Some(keyframe));
-        let seen: Vec<_> = contents
-            .landmarks
-            .iter()
-            .filter(|landmark| landmark.observations.iter().any(|seen| seen.keyframe == keyframe.id))
-            .cloned()
-            .collect();
-        assert_eq!(store.landmarks_of_keyframe(keyframe.id).unwrap(), seen);
-    }
-    let cross = &contents.cross_covariances[0];
-    assert_eq!(store.cross_covariance(cross.a, cross.b).unwrap().unwrap().block, cross.block);
-    assert_eq!(store.cross_covariance(cross.b, cross.a).unwrap().unwrap().block, cross.block.transpose());
-    assert_eq!(store.cross_covariance(cross.a, 999).unwrap(), None);
-    assert_eq!(store.keyframe(999).unwrap(), None);
-    assert_eq!(store.landmark(999).unwrap(), None);
-}
-
-#[test]
-fn the_version_grows_by_one_with_every_batch_and_is_kept() {
+fn the_version_grows_by_one_with_every_replacement_and_is_kept() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("map");
-    let contents = small_place(4);
+    let mut contents = small_place(4);
     let store = created(&path, &contents);
     assert_eq!(store.info().unwrap().version, 1);
-    assert_eq!(store.apply(&[Change::RemoveLandmark(contents.landmarks[0].id)]).unwrap(), 2);
-    assert_eq!(store.write_contents(&contents).unwrap(), 3);
-    assert_eq!(store.replace_all(&contents).unwrap(), 4);
+    contents.landmarks.pop();
+    assert_eq!(store.replace_all(&contents).unwrap(), 2);
+    contents.info.version = 77; // ignored
+    assert_eq!(store.replace_all(&contents).unwrap(), 3);
     drop(store);
-    assert_eq!(SledStore::open(&path).unwrap().info().unwrap().version, 4);
+    assert_eq!(store::save_map(&path, &contents, true).unwrap(), 4);
+    assert_eq!(store::open(&path).unwrap().info().unwrap().version, 4);
 }
 
 #[test]
-fn a_batch_that_breaks_a_law_changes_nothing() {
+fn what_is_no_longer_in_a_map_is_gone_after_its_replacement() {
+    let directory = tempfile::tempdir().unwrap();
+    let store = created(&directory.path().join("map"), &small_place(6));
+    let smaller =
+        Place::new(&PlaceOptions { seed: 6, keyframes: 3, landmarks: 20, ..PlaceOptions::default() });
+    store.replace_all(&smaller.map).unwrap();
+    assert_eq!(without_version(store.read_contents().unwrap()), smaller.map);
+}
+
+#[test]
+fn a_replacement_that_violates_an_invariant_changes_nothing() {
     let directory = tempfile::tempdir().unwrap();
     let contents = small_place(5);
     let store = created(&directory.path().join("map"), &contents);
     let before = store.read_contents().unwrap();
+    let refused = |change: &dyn Fn(&mut MapContents)| {
+        let mut changed = contents.clone();
+        changed.keyframes[0].global_from_keyframe.pose.translation.x += 1.0;
+        change(&mut changed);
+        store.replace_all(&changed).unwrap_err()
+    };
 
-    let mut moved = contents.keyframes[0].clone();
-    moved.global_from_keyframe.pose.translation.x += 1.0;
-    let mut dangling = contents.landmarks[0].clone();
-    dangling.observations[0].keyframe = 999;
-    let batch = [Change::PutKeyframe(Box::new(moved)), Change::PutLandmark(dangling)];
-    assert!(matches!(store.apply(&batch), Err(StoreError::Invalid(ContentsError::Landmark { .. }))));
+    let dangling = refused(&|map| map.landmarks[0].observations[0].keyframe = 999);
+    assert!(matches!(dangling, StoreError::Invalid(ContentsError::Landmark { .. })));
 
-    let removal = [Change::RemoveKeyframe(contents.landmarks[0].anchor)];
-    let refused = store.apply(&removal).unwrap_err();
-    assert!(refused.to_string().contains("not in the map"), "{refused}");
+    let anchor = contents.landmarks[0].anchor;
+    let removal = refused(&|map| map.keyframes.retain(|keyframe| keyframe.id != anchor));
+    assert!(removal.to_string().contains("not in the map"), "{removal}");
 
     let (a, b) = (contents.keyframes[0].id, contents.keyframes[3].id);
-    let impossible = CrossCovariance { a, b, block: Matrix6::identity() };
+    let impossible = KeyframeCrossCovariance { a, b, block: Matrix6::identity() };
     assert!(matches!(
-        store.apply(&[Change::PutCrossCovariance(impossible)]),
-        Err(StoreError::Invalid(ContentsError::CrossCovariance { .. }))
+        refused(&|map| map.cross_covariances.push(impossible.clone())),
+        StoreError::Invalid(ContentsError::CrossCovariance { .. })
     ));
-    let shrunk = {
-        let mut keyframe = contents.keyframes[1].clone();
-        keyframe.global_from_keyframe.covariance *= 1e-4;
-        keyframe
-    };
-    // Its stored cross-covariances would no longer be possible.
-    assert!(store.apply(&[Change::PutKeyframe(Box::new(shrunk))]).is_err());
-    let other_descriptors = MapInfo { descriptor_width: 16, ..contents.info.clone() };
-    assert!(store.apply(&[Change::PutInfo(other_descriptors)]).is_err());
+    // Its cross-covariances are no longer possible.
+    let shrunk = refused(&|map| map.keyframes[1].global_from_keyframe.covariance *= 1e-4);
+    assert!(matches!(shrunk, StoreError::Invalid(ContentsError::CrossCovariance { .. })));
+    let other_descriptors = refused(&|map| map.info.descriptor_width = 16);
+    assert!(matches!(other_descriptors, StoreError::Invalid(ContentsError::Landmark { .. })));
     assert_eq!(store.read_contents().unwrap(), before);
-}
-
-#[test]
-fn a_keyframe_goes_with_its_landmarks_and_cross_covariances() {
-    let directory = tempfile::tempdir().unwrap();
-    let contents = small_place(6);
-    let store = created(&directory.path().join("map"), &contents);
-    let gone = contents.keyframes[2].id;
-    let mut batch = vec![Change::RemoveKeyframe(gone)];
-    for mut landmark in store.landmarks_of_keyframe(gone).unwrap() {
-        landmark.observations.retain(|seen| seen.keyframe != gone);
-        let keeps_anchor = landmark.anchor != gone;
-        batch.push(if keeps_anchor {
-            Change::PutLandmark(landmark)
-        } else {
-            Change::RemoveLandmark(landmark.id)
-        });
-    }
-    store.apply(&batch).unwrap();
-    let after = store.read_contents().unwrap();
-    after.validate().unwrap();
-    assert_eq!(after.keyframes.len(), contents.keyframes.len() - 1);
-    assert_eq!(after.cross_covariances.len(), contents.cross_covariances.len() - 2);
-    assert!(store.landmarks_of_keyframe(gone).unwrap().is_empty());
 }
 
 #[test]
@@ -194,21 +153,21 @@ fn validate_names_what_is_wrong() {
     assert!(broken(&|map| map.landmarks[0].observations[0].pixel = [800.0, 5.0]).contains("outside"));
     assert!(broken(&|map| map.landmarks[0].observations[0].descriptor.truncate(3)).contains("3 bytes"));
     assert!(broken(&|map| map.cross_covariances[0].b = 999).contains("not in the map"));
-    assert!(broken(&|map| map.cross_covariances[0].block *= 1e6).contains("semi-definite"));
+    assert!(broken(&|map| map.cross_covariances[0].block *= 1e6).contains("negative eigenvalue"));
 }
 
 #[test]
 fn opening_what_is_not_there_is_an_error_and_makes_nothing() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("absent");
-    assert!(matches!(SledStore::open(&path), Err(StoreError::Missing { .. })));
+    assert!(matches!(store::open(&path), Err(StoreError::Missing { .. })));
     assert!(!path.exists());
     let other = directory.path().join("photos");
     std::fs::create_dir(&other).unwrap();
-    assert!(matches!(SledStore::open(&other), Err(StoreError::NotAMap { .. })));
+    assert!(matches!(store::open(&other), Err(StoreError::NotAMap { .. })));
     assert_eq!(std::fs::read_dir(&other).unwrap().count(), 0);
     drop(sled::open(directory.path().join("database")).unwrap());
-    assert!(matches!(SledStore::open(directory.path().join("database")), Err(StoreError::NotAMap { .. })));
+    assert!(matches!(store::open(directory.path().join("database")), Err(StoreError::NotAMap { .. })));
 }
 
 #[test]
@@ -217,9 +176,9 @@ fn creating_over_something_is_an_error() {
     let path = directory.path().join("map");
     let contents = small_place(8);
     let store = created(&path, &contents);
-    assert!(matches!(SledStore::open(&path), Err(StoreError::InUse { .. })));
+    assert!(matches!(store::open(&path), Err(StoreError::InUse { .. })));
     drop(store);
-    assert!(matches!(SledStore::create(&path, &contents.info), Err(StoreError::Exists { .. })));
+    assert!(matches!(store::create(&path, &contents.info), Err(StoreError::Exists { .. })));
 }
 
 #[test]
@@ -227,11 +186,11 @@ fn another_schema_is_refused_with_both_numbers() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("map");
     drop(created(&path, &small_place(9)));
-    let database = common::open_database(&path);
+    let database = testing::open_database(&path);
     let tree = database.open_tree("info").unwrap();
     tree.insert("schema", b"DRFTMAP\x07\x00".as_slice()).unwrap();
     drop((tree, database));
-    let error = SledStore::open(&path).err().unwrap();
+    let error = store::open(&path).err().unwrap();
     assert!(matches!(error, StoreError::Schema { found: 7, expected: 2, .. }), "{error}");
 }
 
@@ -248,7 +207,7 @@ struct InfoOfVersion1 {
 }
 
 /// Turns a database into what the first release wrote: schema 1, records of version 1, no extractor.
-fn make_old(path: &std::path::Path, info: &MapInfo) {
+fn make_old(path: &std::path::Path, info: &MapMetadata) {
     let sealed = |table: &str, key: &[u8], payload: &[u8]| {
         let mut hasher = crc32fast::Hasher::new();
         for part in [table.as_bytes(), key, &[1], payload] {
@@ -256,7 +215,7 @@ fn make_old(path: &std::path::Path, info: &MapInfo) {
         }
         [&[1], &hasher.finalize().to_le_bytes()[..], payload].concat()
     };
-    let database = common::open_database(path);
+    let database = testing::open_database(path);
     for table in ["keyframes", "landmarks", "cross_covariances"] {
         let tree = database.open_tree(table).unwrap();
         for (key, value) in tree.iter().map(Result::unwrap) {
@@ -272,6 +231,7 @@ fn make_old(path: &std::path::Path, info: &MapInfo) {
         descriptor_width: info.descriptor_width,
         sigma_px: info.sigma_px,
     };
+    database.open_tree("references").unwrap().insert([b'l'; 17], b"").unwrap();
     let tree = database.open_tree("info").unwrap();
     tree.insert("info", sealed("info", b"info", &bincode::serialize(&old).unwrap())).unwrap();
     tree.insert("schema", b"DRFTMAP\x01\x00".as_slice()).unwrap();
@@ -285,14 +245,17 @@ fn a_map_of_the_first_release_opens_and_becomes_new_with_its_first_change() {
     drop(created(&path, &contents));
     make_old(&path, &contents.info);
 
-    let store = SledStore::open(&path).unwrap();
+    let store = store::open(&path).unwrap();
     assert_eq!(without_version(store.read_contents().unwrap()), contents);
     contents.info.extractor = "sift-1".to_owned();
-    assert_eq!(store.apply(&[Change::PutInfo(contents.info.clone())]).unwrap(), 2);
+    assert_eq!(store.replace_all(&contents).unwrap(), 2);
     drop(store);
-    let schema = common::open_database(&path).open_tree("info").unwrap().get("schema").unwrap();
+    let database = testing::open_database(&path);
+    let schema = database.open_tree("info").unwrap().get("schema").unwrap();
     assert_eq!(schema.unwrap().as_ref(), b"DRFTMAP\x02\x00");
-    assert_eq!(without_version(SledStore::open(&path).unwrap().read_contents().unwrap()), contents);
+    assert!(!database.tree_names().contains(&"references".into()));
+    drop(database);
+    assert_eq!(without_version(store::open(&path).unwrap().read_contents().unwrap()), contents);
 }
 
 #[test]
@@ -308,8 +271,8 @@ fn a_corrupt_record_is_an_error_and_the_rest_stays_readable() {
     });
     damage(&path, "keyframes", keyframe, |bytes| bytes.truncate(3));
 
-    let store = SledStore::open(&path).unwrap();
-    let error = store.landmark(landmark).unwrap_err();
+    let store = store::open(&path).unwrap();
+    let error = store.landmarks().find_map(Result::err).unwrap();
     assert!(
         matches!(&error, StoreError::Corrupt { record, .. } if *record == format!("landmark {landmark}"))
     );
@@ -323,7 +286,7 @@ fn a_corrupt_record_is_an_error_and_the_rest_stays_readable() {
     assert_eq!(readable.keyframes.len(), contents.keyframes.len() - 1);
 
     // What is damaged can be written again.
-    store.write_contents(&contents).unwrap();
+    store.replace_all(&contents).unwrap();
     assert_eq!(without_version(store.read_contents().unwrap()), contents);
 }
 
@@ -333,19 +296,20 @@ fn a_record_under_the_wrong_key_is_corrupt() {
     let path = directory.path().join("map");
     let contents = small_place(11);
     drop(created(&path, &contents));
-    let database = common::open_database(&path);
+    let database = testing::open_database(&path);
     let tree = database.open_tree("landmarks").unwrap();
     let [first, second] = [0, 1].map(|index: usize| contents.landmarks[index].id.to_be_bytes());
     let bytes = tree.get(first).unwrap().unwrap();
     tree.insert(second, bytes).unwrap();
     drop((tree, database));
-    let store = SledStore::open(&path).unwrap();
-    assert!(matches!(store.landmark(contents.landmarks[1].id), Err(StoreError::Corrupt { .. })));
-    assert!(store.landmark(contents.landmarks[0].id).is_ok());
+    let store = store::open(&path).unwrap();
+    let records: Vec<_> = store.landmarks().collect();
+    assert!(matches!(records[1], Err(StoreError::Corrupt { .. })));
+    assert!(records.iter().enumerate().all(|(index, record)| index == 1 || record.is_ok()));
 }
 
 fn damage(path: &Path, tree: &str, id: u64, change: impl Fn(&mut Vec<u8>)) {
-    let database = common::open_database(path);
+    let database = testing::open_database(path);
     let tree = database.open_tree(tree).unwrap();
     let mut bytes = tree.get(id.to_be_bytes()).unwrap().unwrap().to_vec();
     change(&mut bytes);
@@ -355,30 +319,27 @@ fn damage(path: &Path, tree: &str, id: u64, change: impl Fn(&mut Vec<u8>)) {
 
 /// Not a law by itself: the child process that [`what_was_acknowledged_survives_kill_9`] kills.
 #[test]
-fn child_that_writes_batches() {
-    let Ok(path) = std::env::var("MAP_SERVER_TEST_CHILD") else { return };
-    let contents = small_place(12);
-    let store = SledStore::create(path, &contents.info).unwrap();
+fn child_that_writes_versions() {
+    let Ok(path) = std::env::var("MAP_STORE_TEST_CHILD") else { return };
+    let mut contents = small_place(12);
+    let store = store::create(path, &contents.info).unwrap();
     println!("acknowledged {}", store.replace_all(&contents).unwrap());
     for round in 0u64.. {
-        // Two records that must change together: a keyframe's time and a landmark's depth say the same round.
-        let mut keyframe = contents.keyframes[0].clone();
-        keyframe.stamp_ns = round as i64;
-        let mut landmark = contents.landmarks[0].clone();
-        landmark.position_in_anchor.z = round as f64;
-        let batch = [Change::PutKeyframe(Box::new(keyframe)), Change::PutLandmark(landmark)];
-        println!("acknowledged {}", store.apply(&batch).unwrap());
+        // Two records that must change together: a keyframe's time and a landmark's depth give the same round.
+        contents.keyframes[0].stamp_ns = round as i64;
+        contents.landmarks[0].position_in_anchor.z = round as f64;
+        println!("acknowledged {}", store.replace_all(&contents).unwrap());
     }
 }
 
 #[test]
 fn what_was_acknowledged_survives_kill_9() {
-    for batches in [1, 7, 40] {
+    for count in [1, 7, 40] {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("map");
         let mut child = Command::new(std::env::current_exe().unwrap())
-            .args(["child_that_writes_batches", "--exact", "--nocapture"])
-            .env("MAP_SERVER_TEST_CHILD", &path)
+            .args(["child_that_writes_versions", "--exact", "--nocapture"])
+            .env("MAP_STORE_TEST_CHILD", &path)
             .stdout(Stdio::piped())
             .stderr(Stdio::null())
             .spawn()
@@ -387,13 +348,13 @@ fn what_was_acknowledged_survives_kill_9() {
         let lines = BufReader::new(child.stdout.take().unwrap()).lines();
         let versions =
             lines.filter_map(|line| line.unwrap().rsplit_once("acknowledged ")?.1.parse::<u64>().ok());
-        for version in versions.take(batches) {
+        for version in versions.take(count) {
             acknowledged = version;
         }
         child.kill().unwrap(); // SIGKILL
         child.wait().unwrap();
 
-        let store = SledStore::open(&path).unwrap();
+        let store = store::open(&path).unwrap();
         let contents = store.read_contents().unwrap();
         contents.validate().unwrap();
         assert!(acknowledged > 0 && contents.info.version >= acknowledged);

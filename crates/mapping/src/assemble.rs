@@ -1,20 +1,22 @@
-//! From the refined bundle to a map, and the report on it.
+//! Assembles the map and the report from the refined bundle.
 
 use std::collections::BTreeMap;
 
 use geometry::camera::Camera;
 use geometry::uncertain_pose::PoseWithCovariance;
 use map::contents::MapContents;
-use map::model::{CrossCovariance, Keyframe, Landmark, MapInfo, Observation};
+use map::model::{Keyframe, KeyframeCrossCovariance, Landmark, MapMetadata, Observation};
 use nalgebra::{Matrix6, Vector3};
 use protocol::KeyframeId;
 
-use super::adjustment::Bundle;
+use super::bundle_adjustment::Bundle;
+use super::camera::{CameraPose, MappingCamera};
+use super::error::BuildError;
 use super::joint_covariance::JointCovariance;
-use super::options::{BuildError, BuildOptions};
-use super::point::{CameraPose, Lens, Point};
+use super::keyframe_view::KeyframeView;
+use super::landmark::InverseDepthLandmark;
+use super::options::BuildOptions;
 use super::report::{BuildReport, Spread};
-use super::views::View;
 
 /// Ids count from 1, as in the recorded maps.
 fn keyframe_id(view: usize) -> KeyframeId {
@@ -24,19 +26,23 @@ fn keyframe_id(view: usize) -> KeyframeId {
 /// The map: poses with their covariances, refined landmarks in their anchors, raw pixels.
 ///
 /// # Arguments
-/// * `joint`: covariance of the bundle's poses; `None` to state the given poses.
+/// * `joint`: covariance of the bundle's poses; `None` to state the reference poses.
 /// * `sigma_px`: px.
 pub(super) fn map_contents(
     camera: &Camera,
-    views: &[View<'_>],
+    views: &[KeyframeView<'_>],
     bundle: &Bundle,
     joint: Option<JointCovariance>,
     sigma_px: f64,
     options: &BuildOptions,
 ) -> Result<MapContents, BuildError> {
     let descriptors = &views[0].features.descriptors;
-    let mut info =
-        MapInfo::new(options.name.clone(), options.created_by.clone(), descriptors.kind, descriptors.width);
+    let mut info = MapMetadata::new(
+        options.name.clone(),
+        options.created_by.clone(),
+        descriptors.kind,
+        descriptors.width,
+    );
     info.gravity_in_global = options.gravity_in_global;
     info.sigma_px = sigma_px;
     info.extractor.clone_from(&views[0].features.extractor);
@@ -56,42 +62,43 @@ pub(super) fn map_contents(
             features: None,
         })
         .collect();
-    let cross = |(a, b, block): (usize, usize, Matrix6<f64>)| CrossCovariance {
+    let cross = |(a, b, block): (usize, usize, Matrix6<f64>)| KeyframeCrossCovariance {
         a: keyframe_id(a),
         b: keyframe_id(b),
         block,
     };
     contents.cross_covariances = joint.into_iter().flat_map(|joint| joint.cross).map(cross).collect();
-    contents.landmarks = (1..).zip(&bundle.points).map(|(id, point)| landmark(id, point, views)).collect();
+    contents.landmarks =
+        (1..).zip(&bundle.landmarks).map(|(id, landmark)| map_landmark(id, landmark, views)).collect();
     contents.sort();
     contents.validate()?;
     Ok(contents)
 }
 
-fn landmark(id: u64, point: &Point, views: &[View<'_>]) -> Landmark {
-    let observation = |&(view, feature): &(usize, usize)| Observation {
+fn map_landmark(id: u64, landmark: &InverseDepthLandmark, views: &[KeyframeView<'_>]) -> Landmark {
+    let map_observation = |&(view, feature): &(usize, usize)| Observation {
         keyframe: keyframe_id(view),
         pixel: views[view].features.pixels[feature],
         descriptor: views[view].features.descriptors.get(feature).unwrap_or_default().to_vec(),
     };
     Landmark {
         id,
-        anchor: keyframe_id(point.anchor_view()),
-        position_in_anchor: point.ray.push(1.0) / point.inverse_depth,
-        observations: point
-            .sightings
+        anchor: keyframe_id(landmark.anchor_view()),
+        position_in_anchor: landmark.ray.push(1.0) / landmark.inverse_depth,
+        observations: landmark
+            .observations
             .iter()
-            .filter(|sighting| sighting.lens == 0)
-            .map(|sighting| observation(&sighting.feature))
+            .filter(|observation| observation.camera == 0)
+            .map(|observation| map_observation(&observation.feature))
             .collect(),
     }
 }
 
-/// Fills in what the finished map tells.
+/// Fills in the statistics of the finished map.
 pub(super) fn fill_report(
     report: &mut BuildReport,
-    rig: &[Lens],
-    views: &[View<'_>],
+    cameras: &[MappingCamera],
+    views: &[KeyframeView<'_>],
     bundle: &Bundle,
     contents: &MapContents,
 ) {
@@ -120,8 +127,8 @@ pub(super) fn fill_report(
     report.poor_keyframes =
         seen.iter().filter(|(_, count)| **count < BuildReport::FEW_LANDMARKS).map(|(&id, _)| id).collect();
     let priors: Vec<CameraPose> = views.iter().map(|view| CameraPose::from(&view.prior.pose)).collect();
-    report.reprojection_px = reprojection(rig, &bundle.points, &bundle.camera_poses());
-    report.reprojection_through_given_px = reprojection(rig, &bundle.points, &priors);
+    report.reprojection_px = reprojection(cameras, &bundle.landmarks, &bundle.camera_poses());
+    report.reprojection_through_given_px = reprojection(cameras, &bundle.landmarks, &priors);
     let corrections = || views.iter().zip(&bundle.poses).map(|(view, pose)| view.prior.pose.local(pose));
     let norm = |vector: Vector3<f64>| vector.norm();
     report.pose_correction_deg =
@@ -129,7 +136,11 @@ pub(super) fn fill_report(
     report.pose_correction_m = Spread::of(corrections().map(|error| norm(error.fixed_rows::<3>(3).into())));
 }
 
-fn reprojection(rig: &[Lens], points: &[Point], poses: &[CameraPose]) -> Spread {
-    let errors = points.iter().flat_map(|point| point.errors(rig, poses));
+fn reprojection(
+    cameras: &[MappingCamera],
+    landmarks: &[InverseDepthLandmark],
+    poses: &[CameraPose],
+) -> Spread {
+    let errors = landmarks.iter().flat_map(|landmark| landmark.errors(cameras, poses));
     Spread::of(errors.filter(|error| error.is_finite()))
 }

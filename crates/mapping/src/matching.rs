@@ -1,4 +1,4 @@
-//! Which keyframes to match with which, and what matches between two of them.
+//! Pairs of keyframes to match, and the matches of each pair.
 
 use std::collections::BTreeSet;
 
@@ -6,8 +6,9 @@ use geometry::camera::Camera;
 use nalgebra::{Matrix3, Vector2, Vector3};
 use vision::MatchOptions;
 
-use super::options::{BuildError, BuildOptions};
-use super::views::View;
+use super::error::BuildError;
+use super::keyframe_view::KeyframeView;
+use super::options::BuildOptions;
 
 /// Images whose optical axes differ by more than this are not matched with neighbours in time (rad).
 const MAX_ANGLE_IN_TIME: f64 = 1.2;
@@ -18,7 +19,7 @@ const MAX_DISTANCE_IN_SPACE: f64 = 10.0;
 /// A match is dropped when it is this many sigmas from its epipolar plane, sigma with the poses' uncertainty.
 const EPIPOLAR_GATE: f64 = 3.5;
 
-/// Two features of two keyframes that look alike and can be one point.
+/// Two features of two keyframes with similar descriptors that satisfy the epipolar constraint.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct FeatureMatch {
     /// Index of the first view and its feature.
@@ -30,12 +31,12 @@ pub(super) struct FeatureMatch {
 }
 
 /// The pairs of keyframes to match, each with the smaller index first.
-pub(super) fn pairs(views: &[View<'_>], options: &BuildOptions) -> Vec<(usize, usize)> {
+pub(super) fn pairs(views: &[KeyframeView<'_>], options: &BuildOptions) -> Vec<(usize, usize)> {
     let mut pairs = BTreeSet::new();
     for (i, view) in views.iter().enumerate() {
         let near_in_time = (i + 1)..(i + 1 + options.time_neighbours).min(views.len());
-        let seen_alike = |j: &usize| view.axis().angle(&views[*j].axis()) <= MAX_ANGLE_IN_TIME;
-        pairs.extend(near_in_time.filter(seen_alike).map(|j| (i, j)));
+        let same_direction = |j: &usize| view.axis().angle(&views[*j].axis()) <= MAX_ANGLE_IN_TIME;
+        pairs.extend(near_in_time.filter(same_direction).map(|j| (i, j)));
         let mut near_in_space: Vec<(f64, usize)> = (0..views.len())
             .filter(|j| j.abs_diff(i) > options.time_neighbours)
             .filter_map(|j| Some((spatial_distance(view, &views[j])?, j)))
@@ -46,8 +47,8 @@ pub(super) fn pairs(views: &[View<'_>], options: &BuildOptions) -> Vec<(usize, u
     pairs.into_iter().collect()
 }
 
-/// How different two views are, `None` for views that show hardly anything in common.
-fn spatial_distance(a: &View<'_>, b: &View<'_>) -> Option<f64> {
+/// Distance measure of two views from position and direction, `None` for views that hardly overlap.
+fn spatial_distance(a: &KeyframeView<'_>, b: &KeyframeView<'_>) -> Option<f64> {
     let distance = (a.prior.pose.translation - b.prior.pose.translation).norm();
     let angle = if distance <= MAX_DISTANCE_IN_SPACE { a.axis().angle(&b.axis()) } else { f64::INFINITY };
     (angle <= MAX_ANGLE_IN_SPACE).then_some(distance / MAX_DISTANCE_IN_SPACE + angle / MAX_ANGLE_IN_SPACE)
@@ -56,7 +57,7 @@ fn spatial_distance(a: &View<'_>, b: &View<'_>) -> Option<f64> {
 /// Matches two keyframes: nearest descriptors in both directions with a ratio test, then the epipolar constraint.
 pub(super) fn match_pair(
     camera: &Camera,
-    views: &[View<'_>],
+    views: &[KeyframeView<'_>],
     (i, j): (usize, usize),
     sigma_px: f64,
     options: &BuildOptions,
@@ -80,7 +81,7 @@ pub(super) fn match_pair(
         .collect())
 }
 
-/// How far two rays are from meeting, in sigmas of what pixels and poses leave uncertain. `None` without rays.
+/// Epipolar error of two rays, in standard deviations from the noise of pixels and poses. `None` without rays.
 ///
 /// ```text
 /// e = c . (d1 x d2),   c = p2 - p1,   d = R [alpha, beta, 1]        (the volume that the three vectors span)
@@ -88,7 +89,7 @@ pub(super) fn match_pair(
 /// ```
 fn epipolar_error(
     camera: &Camera,
-    views: [&View<'_>; 2],
+    views: [&KeyframeView<'_>; 2],
     features: [usize; 2],
     sigma_px: f64,
 ) -> Option<f64> {

@@ -1,11 +1,11 @@
-//! The normal equations of all poses and landmarks, and their solution with the landmarks eliminated.
+//! The normal equations of all poses and landmarks, and their solution with the landmarks eliminated (Schur complement).
 //!
 //! ```text
 //! | H  W | | x |   | g |        S x = g - W V^-1 l,   S = H - W V^-1 W^T
 //! | W' V | | y | = | l |        y = V^-1 (l - W^T x)
 //! ```
 //! `x` holds 6 numbers a pose, `y` 3 a landmark, `V` is block-diagonal. `S` is never formed: conjugate gradients only
-//! need its product with a vector, whose cost is linear in the number of sightings. The prior on every pose keeps `S`
+//! need its product with a vector, whose cost is linear in the number of observations. The prior on every pose keeps `S`
 //! well-conditioned.
 //!
 //! Source: Agarwal, Snavely, Seitz & Szeliski, "Bundle adjustment in the large", ECCV 2010.
@@ -14,31 +14,32 @@ use std::collections::BTreeMap;
 
 use nalgebra::{Matrix3, Matrix6, Matrix6x3, Vector3, Vector6};
 
-use super::joint_covariance::BlockMatrix;
+use super::block_matrix::BlockMatrix;
 
-/// Conjugate gradients stop when the residual has fallen by this factor; the outer iteration corrects the rest.
+/// Conjugate gradients stop when the residual has fallen by this factor (inexact Newton): the outer iteration corrects
+/// the rest.
 const TOLERANCE: f64 = 1e-3;
-/// Or after this many steps.
+/// Or after this many iterations.
 const MAX_STEPS: usize = 100;
 
-/// Normal equations under construction, and then to be solved.
+/// Normal equations of the poses and landmarks of a bundle.
 pub(super) struct NormalEquations {
     /// Diagonal blocks of H.
     diagonal: Vec<Matrix6<f64>>,
     /// g.
     gradient: Vec<Vector6<f64>>,
-    /// The landmarks' part.
-    points: Vec<PointBlocks>,
+    /// The blocks of each landmark.
+    landmarks: Vec<LandmarkBlocks>,
 }
 
-/// What one landmark contributes.
+/// The blocks of one landmark.
 #[derive(Default)]
-pub(super) struct PointBlocks {
+pub(super) struct LandmarkBlocks {
     /// Off-diagonal blocks of H: view a, view b, `J_a^T J_b`.
     pub(super) pairs: Vec<(usize, usize, Matrix6<f64>)>,
     /// Blocks of W: view, `J_view^T J_point`.
     pub(super) couplings: Vec<(usize, Matrix6x3<f64>)>,
-    /// V before, and its inverse after [`NormalEquations::add_point`].
+    /// V before, and its inverse after [`NormalEquations::add_landmark`].
     pub(super) information: Matrix3<f64>,
     /// l.
     pub(super) gradient: Vector3<f64>,
@@ -49,16 +50,16 @@ pub(super) struct Step {
     /// `[δθ, δp]` of each pose.
     pub(super) poses: Vec<Vector6<f64>>,
     /// `[ray, inverse depth]` of each landmark.
-    pub(super) points: Vec<Vector3<f64>>,
+    pub(super) landmarks: Vec<Vector3<f64>>,
 }
 
 impl NormalEquations {
-    /// No equations yet, for so many poses.
+    /// Equations without terms for a number of poses.
     pub(super) fn new(poses: usize) -> NormalEquations {
         NormalEquations {
             diagonal: vec![Matrix6::zeros(); poses],
             gradient: vec![Vector6::zeros(); poses],
-            points: Vec::new(),
+            landmarks: Vec::new(),
         }
     }
 
@@ -68,10 +69,10 @@ impl NormalEquations {
         self.gradient[pose] += gradient;
     }
 
-    /// Adds a landmark. One whose V is singular is held where it is.
-    pub(super) fn add_point(&mut self, mut point: PointBlocks) {
-        point.information = point.information.try_inverse().unwrap_or_else(Matrix3::zeros);
-        self.points.push(point);
+    /// Adds a landmark. One whose V is singular is held constant.
+    pub(super) fn add_landmark(&mut self, mut landmark: LandmarkBlocks) {
+        landmark.information = landmark.information.try_inverse().unwrap_or_else(Matrix3::zeros);
+        self.landmarks.push(landmark);
     }
 
     /// Multiplies the diagonal of H by `1 + damping`. (That of V is damped before it is added.)
@@ -86,30 +87,30 @@ impl NormalEquations {
     /// Solves the equations.
     pub(super) fn solve(&self) -> Step {
         let poses = self.solve_poses();
-        let points = self
-            .points
+        let landmarks = self
+            .landmarks
             .iter()
-            .map(|point| {
-                let known = point.couplings.iter().fold(Vector3::zeros(), |sum, (view, coupling)| {
+            .map(|landmark| {
+                let known = landmark.couplings.iter().fold(Vector3::zeros(), |sum, (view, coupling)| {
                     sum + coupling.transpose() * poses[*view]
                 });
-                point.information * (point.gradient - known)
+                landmark.information * (landmark.gradient - known)
             })
             .collect();
-        Step { poses, points }
+        Step { poses, landmarks }
     }
 
     /// S in blocks.
     pub(super) fn reduced(&self) -> BlockMatrix {
         let mut reduced = BlockMatrix { diagonal: self.diagonal.clone(), upper: BTreeMap::new() };
-        for point in &self.points {
-            for (a, b, block) in &point.pairs {
+        for landmark in &self.landmarks {
+            for (a, b, block) in &landmark.pairs {
                 reduced.add(*a, *b, block);
             }
-            for (index, (a, by_a)) in point.couplings.iter().enumerate() {
-                let eliminated = by_a * point.information;
+            for (index, (a, by_a)) in landmark.couplings.iter().enumerate() {
+                let eliminated = by_a * landmark.information;
                 reduced.add(*a, *a, &-(eliminated * by_a.transpose()));
-                for (b, by_b) in &point.couplings[index + 1..] {
+                for (b, by_b) in &landmark.couplings[index + 1..] {
                     let block = -(eliminated * by_b.transpose());
                     reduced.add(*a, *b, &block);
                     if a == b {
@@ -124,17 +125,17 @@ impl NormalEquations {
     /// S times a vector.
     fn product(&self, x: &[Vector6<f64>]) -> Vec<Vector6<f64>> {
         let mut y: Vec<Vector6<f64>> = self.diagonal.iter().zip(x).map(|(block, x)| block * x).collect();
-        for point in &self.points {
-            for (a, b, block) in &point.pairs {
+        for landmark in &self.landmarks {
+            for (a, b, block) in &landmark.pairs {
                 y[*a] += block * x[*b];
                 y[*b] += block.tr_mul(&x[*a]);
             }
             let mut sum = Vector3::zeros();
-            for (view, coupling) in &point.couplings {
+            for (view, coupling) in &landmark.couplings {
                 sum += coupling.tr_mul(&x[*view]);
             }
-            let eliminated = point.information * sum;
-            for (view, coupling) in &point.couplings {
+            let eliminated = landmark.information * sum;
+            for (view, coupling) in &landmark.couplings {
                 y[*view] -= coupling * eliminated;
             }
         }
@@ -145,11 +146,11 @@ impl NormalEquations {
     fn solve_poses(&self) -> Vec<Vector6<f64>> {
         let mut right = self.gradient.clone();
         let mut blocks = self.diagonal.clone();
-        for point in &self.points {
-            let eliminated = point.information * point.gradient;
-            for (view, coupling) in &point.couplings {
+        for landmark in &self.landmarks {
+            let eliminated = landmark.information * landmark.gradient;
+            for (view, coupling) in &landmark.couplings {
                 right[*view] -= coupling * eliminated;
-                blocks[*view] -= coupling * point.information * coupling.transpose();
+                blocks[*view] -= coupling * landmark.information * coupling.transpose();
             }
         }
         let preconditioner: Vec<Matrix6<f64>> =

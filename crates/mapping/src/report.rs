@@ -1,4 +1,4 @@
-//! What was built, in numbers for people and programs.
+//! Statistics of a built map.
 
 use protocol::KeyframeId;
 use serde::Serialize;
@@ -32,8 +32,9 @@ impl Spread {
     }
 }
 
-/// What [`super::build_map`] did.
+/// Statistics of a run of [`super::build_map`].
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct BuildReport {
     /// Number of keyframes.
     pub keyframes: usize,
@@ -43,41 +44,41 @@ pub struct BuildReport {
     pub observations: usize,
     /// Pairs of keyframes that were matched.
     pub pairs: usize,
-    /// Matches that kept the epipolar constraint.
+    /// Matches that satisfy the epipolar constraint.
     pub matches: usize,
-    /// Observations that were dropped because they fit no place of their landmark.
+    /// Observations that were dropped as outliers.
     pub dropped_observations: usize,
-    /// Features that the stereo partner saw too.
+    /// Features that were matched in the second camera.
     pub stereo_features: usize,
     /// Images that could not be read and were left out, with the reason.
     pub unreadable_images: Vec<String>,
-    /// Standard deviation of a pixel, as given or as measured (px).
+    /// Standard deviation of a pixel, as given or as estimated (px).
     pub sigma_px: f64,
     /// How many landmarks have 1, 2, 3 ... observations.
     pub track_lengths: Vec<usize>,
-    /// Landmarks that a keyframe sees.
+    /// Landmarks per keyframe.
     pub landmarks_per_keyframe: Spread,
-    /// Distance of an observation from its landmark with the poses refined (px): what the images leave.
+    /// Reprojection errors with the refined poses (px).
     pub reprojection_px: Spread,
-    /// The same with the given poses (px): what these add.
+    /// Reprojection errors with the reference poses (px).
     pub reprojection_through_given_px: Spread,
     /// Standard deviation of the stated rotations (deg, root of the sum over three axes).
     pub sigma_pose_deg: Spread,
     /// Standard deviation of the stated positions (m, root of the sum over three axes).
     pub sigma_pose_m: Spread,
-    /// Pairs of keyframes whose errors are stated to depend on each other.
+    /// Pairs of keyframes with a cross-covariance.
     pub cross_covariances: usize,
-    /// How far the refinement turned the poses (deg).
+    /// Rotation between reference and refined poses (deg).
     pub pose_correction_deg: Spread,
-    /// How far it moved them (m).
+    /// Distance between reference and refined positions (m).
     pub pose_correction_m: Spread,
-    /// Keyframes with fewer than [`BuildReport::FEW_LANDMARKS`] landmarks: a robot will hardly localize by these.
+    /// Keyframes with fewer than [`BuildReport::FEW_LANDMARKS`] landmarks: too few to localize by.
     pub poor_keyframes: Vec<KeyframeId>,
     /// Time taken (s).
     pub seconds: f64,
 }
 
 impl BuildReport {
-    /// Fewer landmarks than this make a keyframe useless to a robot: PnP needs some left after outliers.
+    /// A keyframe with fewer landmarks than this does not localize a robot: PnP needs 8 inliers.
     pub const FEW_LANDMARKS: usize = 10;
 }

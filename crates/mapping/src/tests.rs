@@ -7,17 +7,21 @@ use geometry::camera::{Camera, Distortion};
 use geometry::numeric::numeric_jacobian;
 use geometry::pose::Pose;
 use geometry::rotation;
+use map::contents::MapContents;
 use nalgebra::{DMatrix, DVector, Matrix3, Matrix6, Matrix6x3, Vector2, Vector3, Vector6};
 use protocol::{DescriptorFormat, DescriptorKind, FeatureSet};
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 use rand_distr::{Distribution, StandardNormal};
-use sensors::{CameraSensor, Frame};
+use sensors::{CameraSensor, Frame, ReferencePose, Sequence};
 
-use super::joint_covariance::BlockMatrix;
-use super::normal_equations::{NormalEquations, PointBlocks};
-use super::point::Sighting;
-use super::*;
+use super::block_matrix::BlockMatrix;
+use super::camera::{CameraPose, MappingCamera};
+use super::joint_covariance::joint_covariance;
+use super::landmark::{InverseDepthLandmark, LandmarkObservation};
+use super::matching::FeatureMatch;
+use super::normal_equations::{LandmarkBlocks, NormalEquations};
+use super::{BuildOptions, BuildReport, Spread, StoredPoses, build_map, tracks};
 
 fn normal(rng: &mut StdRng) -> f64 {
     StandardNormal.sample(rng)
@@ -28,7 +32,7 @@ fn camera() -> Camera {
     Camera { width: 752, height: 480, focal: [458.0, 457.0], centre: [367.0, 248.0], distortion }
 }
 
-/// A corridor of points, a camera walking through it, and all that is true of it.
+/// A corridor of landmarks, a camera walking through it, and all that is true of it.
 struct World {
     sequence: Sequence,
     references: Vec<ReferencePose>,
@@ -266,34 +270,35 @@ fn jacobians_of_a_prediction_are_right() {
     for _ in 0..20 {
         let second = Pose::new(rotation::exp(&(random(&mut rng) * 0.1)), Vector3::new(0.11, 0.01, -0.02));
         let sensor = |imu_from_camera| CameraSensor { camera: camera(), imu_from_camera, rate_hz: 1.0 };
-        let rig = Lens::of_rig(&[sensor(Pose::identity()), sensor(second)]);
+        let cameras = MappingCamera::of_sensors(&[sensor(Pose::identity()), sensor(second)]);
         let anchor = Pose::new(rotation::exp(&random(&mut rng)), random(&mut rng));
         let view = Pose::new(rotation::exp(&random(&mut rng)), random(&mut rng) * 3.0);
-        let sighting = |view, lens| Sighting { feature: (view, 0), lens, pixel: Vector2::zeros() };
-        let point = Point {
+        let observation =
+            |view, camera| LandmarkObservation { feature: (view, 0), camera, pixel: Vector2::zeros() };
+        let landmark = InverseDepthLandmark {
             anchor: 0,
             ray: Vector2::new(rng.random_range(-0.2..0.2), rng.random_range(-0.2..0.2)),
             inverse_depth: rng.random_range(0.05..0.3),
-            sightings: vec![sighting(0, 0), sighting(0, 1), sighting(1, 0), sighting(1, 1)],
+            observations: vec![observation(0, 0), observation(0, 1), observation(1, 0), observation(1, 1)],
         };
-        for sighting in &point.sightings[1..] {
-            let at = |anchor: &Pose, view: &Pose, point: &Point| {
+        for observation in &landmark.observations[1..] {
+            let at = |anchor: &Pose, view: &Pose, landmark: &InverseDepthLandmark| {
                 let poses = [CameraPose::from(anchor), CameraPose::from(view)];
-                let pixel = point.project(&rig, &poses, sighting).unwrap();
+                let pixel = landmark.project(&cameras, &poses, observation).unwrap();
                 DVector::from_column_slice(pixel.as_slice())
             };
             let error6 = |error: &DVector<f64>| Vector6::from_column_slice(error.as_slice());
             let poses = [CameraPose::from(&anchor), CameraPose::from(&view)];
-            let predicted = point.predict(&rig, &poses, sighting).unwrap();
-            assert!((at(&anchor, &view, &point) - predicted.pixel).norm() < 1e-12);
-            let numeric = numeric_jacobian(6, |error| at(&anchor.retract(&error6(error)), &view, &point));
+            let predicted = landmark.predict(&cameras, &poses, observation).unwrap();
+            assert!((at(&anchor, &view, &landmark) - predicted.pixel).norm() < 1e-12);
+            let numeric = numeric_jacobian(6, |error| at(&anchor.retract(&error6(error)), &view, &landmark));
             assert!((predicted.by_anchor - numeric).amax() < 1e-5);
-            let numeric = numeric_jacobian(6, |error| at(&anchor, &view.retract(&error6(error)), &point));
+            let numeric = numeric_jacobian(6, |error| at(&anchor, &view.retract(&error6(error)), &landmark));
             assert!((predicted.by_view - numeric).amax() < 1e-5);
             let numeric = numeric_jacobian(3, |error| {
-                at(&anchor, &view, &point.moved(&Vector3::from_column_slice(error.as_slice())))
+                at(&anchor, &view, &landmark.corrected(&Vector3::from_column_slice(error.as_slice())))
             });
-            assert!((predicted.by_point - numeric).amax() < 1e-5);
+            assert!((predicted.by_landmark - numeric).amax() < 1e-5);
         }
     }
 }
@@ -392,8 +397,8 @@ fn refined_poses_err_as_their_joint_covariance_says() {
 #[test]
 fn eliminating_landmarks_solves_the_full_equations() {
     let mut rng = StdRng::seed_from_u64(10);
-    let (poses, points) = (4, 6);
-    let size = 6 * poses + 3 * points;
+    let (poses, landmarks) = (4, 6);
+    let size = 6 * poses + 3 * landmarks;
     let mut equations = NormalEquations::new(poses);
     let mut full = DMatrix::zeros(size, size);
     let mut right = DVector::zeros(size);
@@ -406,42 +411,43 @@ fn eliminating_landmarks_solves_the_full_equations() {
         let mut part = right.fixed_rows_mut::<6>(6 * pose);
         part += gradient;
     }
-    for index in 0..points {
+    for index in 0..landmarks {
         let (a, b) = (index % poses, (index + 1) % poses);
         let column = 6 * poses + 3 * index;
         let jacobian = |rng: &mut StdRng| DMatrix::from_fn(8, 15, |_, _| rng.random_range(-1.0..1.0));
         let j = jacobian(&mut rng);
         let residual = DVector::from_fn(8, |_, _| rng.random_range(-1.0..1.0));
-        let (by_a, by_b, by_point) = (j.columns(0, 6), j.columns(6, 6), j.columns(12, 3));
+        let (by_a, by_b, by_landmark) = (j.columns(0, 6), j.columns(6, 6), j.columns(12, 3));
         let six = |matrix: DMatrix<f64>| Matrix6::from_column_slice(matrix.as_slice());
         let coupling = |matrix: DMatrix<f64>| Matrix6x3::from_column_slice(matrix.as_slice());
         let vector = |matrix: DMatrix<f64>| Vector6::from_column_slice(matrix.as_slice());
         let column_residual = DMatrix::from_column_slice(8, 1, residual.as_slice());
         equations.add_pose(a, &six(by_a.transpose() * by_a), &vector(by_a.transpose() * &column_residual));
         equations.add_pose(b, &six(by_b.transpose() * by_b), &vector(by_b.transpose() * &column_residual));
-        equations.add_point(PointBlocks {
+        equations.add_landmark(LandmarkBlocks {
             pairs: vec![(a, b, six(by_a.transpose() * by_b))],
             couplings: vec![
-                (a, coupling(by_a.transpose() * by_point)),
-                (b, coupling(by_b.transpose() * by_point)),
+                (a, coupling(by_a.transpose() * by_landmark)),
+                (b, coupling(by_b.transpose() * by_landmark)),
             ],
-            information: Matrix3::from_column_slice((by_point.transpose() * by_point).as_slice()),
-            gradient: Vector3::from_column_slice((by_point.transpose() * &residual).as_slice()),
+            information: Matrix3::from_column_slice((by_landmark.transpose() * by_landmark).as_slice()),
+            gradient: Vector3::from_column_slice((by_landmark.transpose() * &residual).as_slice()),
         });
         let mut row = DMatrix::zeros(8, size);
         row.columns_mut(6 * a, 6).copy_from(&by_a);
         row.columns_mut(6 * b, 6).copy_from(&by_b);
-        row.columns_mut(column, 3).copy_from(&by_point);
+        row.columns_mut(column, 3).copy_from(&by_landmark);
         full += row.transpose() * &row;
         right += row.transpose() * residual;
     }
     let step = equations.solve();
     let solution = full.cholesky().unwrap().solve(&right);
     let poses_found = DVector::from_iterator(6 * poses, step.poses.iter().flat_map(|x| x.iter().copied()));
-    let points_found = DVector::from_iterator(3 * points, step.points.iter().flat_map(|x| x.iter().copied()));
+    let points_found =
+        DVector::from_iterator(3 * landmarks, step.landmarks.iter().flat_map(|x| x.iter().copied()));
     // Conjugate gradients stop at a part in a thousand.
     assert!((solution.rows(0, 6 * poses) - poses_found).norm() < 2e-3 * solution.norm());
-    assert!((solution.rows(6 * poses, 3 * points) - points_found).norm() < 2e-3 * solution.norm());
+    assert!((solution.rows(6 * poses, 3 * landmarks) - points_found).norm() < 2e-3 * solution.norm());
 }
 
 #[test]

@@ -1,16 +1,13 @@
-//! Chaining matches of pairs into landmarks that many keyframes saw.
+//! Joining pairwise matches into tracks over many keyframes.
 
 use std::collections::HashSet;
 
+use super::keyframe_view::{FeatureId, KeyframeView};
 use super::matching::FeatureMatch;
-use super::views::View;
 
-/// A feature: index of its view, index within the view.
-pub(super) type Feature = (usize, usize);
-
-/// Joins matched features into tracks with at most one feature a view, surest matches first.
+/// Joins matched features into tracks with at most one feature a view, matches of smallest distance first.
 ///
-/// A match that would put two features of one view into a track contradicts the surer matches before it, and is
+/// A match that would put two features of one view into a track contradicts the matches of smaller distance before it, and is
 /// dropped.
 ///
 /// # Arguments
@@ -18,7 +15,7 @@ pub(super) type Feature = (usize, usize);
 ///
 /// # Returns
 /// Tracks of at least two features, each ordered by view, in the order of their first feature.
-pub(super) fn chain(feature_counts: &[usize], mut matches: Vec<FeatureMatch>) -> Vec<Vec<Feature>> {
+pub(super) fn chain(feature_counts: &[usize], mut matches: Vec<FeatureMatch>) -> Vec<Vec<FeatureId>> {
     matches.sort_by(|a, b| {
         a.distance.total_cmp(&b.distance).then(a.first.cmp(&b.first)).then(a.second.cmp(&b.second))
     });
@@ -26,17 +23,18 @@ pub(super) fn chain(feature_counts: &[usize], mut matches: Vec<FeatureMatch>) ->
     for found in &matches {
         forest.join(found.first, found.second);
     }
-    let mut tracks: Vec<Vec<Feature>> =
+    let mut tracks: Vec<Vec<FeatureId>> =
         forest.members.into_iter().filter(|members| members.len() >= 2).collect();
     tracks.sort();
     tracks
 }
 
-/// Features in no track that the stereo partner saw too: they are landmarks of one view each.
-pub(super) fn stereo_singles(views: &[View<'_>], tracks: &[Vec<Feature>]) -> Vec<Vec<Feature>> {
-    let tracked: HashSet<Feature> = tracks.iter().flatten().copied().collect();
-    let of_view = |(index, view): (usize, &View<'_>)| -> Vec<Feature> {
-        let alone = |feature: &Feature| view.stereo_pixel(feature.1).is_some() && !tracked.contains(feature);
+/// Features in no track that are matched in the second camera: landmarks of one view each.
+pub(super) fn stereo_singles(views: &[KeyframeView<'_>], tracks: &[Vec<FeatureId>]) -> Vec<Vec<FeatureId>> {
+    let tracked: HashSet<FeatureId> = tracks.iter().flatten().copied().collect();
+    let of_view = |(index, view): (usize, &KeyframeView<'_>)| -> Vec<FeatureId> {
+        let alone =
+            |feature: &FeatureId| view.stereo_pixel(feature.1).is_some() && !tracked.contains(feature);
         (0..view.rays.len()).map(|feature| (index, feature)).filter(alone).collect()
     };
     views.iter().enumerate().flat_map(of_view).map(|feature| vec![feature]).collect()
@@ -49,7 +47,7 @@ struct Forest {
     /// Parent of each feature; a root is its own parent.
     parent: Vec<usize>,
     /// The features of each root, ordered by view; empty for all that are no roots.
-    members: Vec<Vec<Feature>>,
+    members: Vec<Vec<FeatureId>>,
 }
 
 impl Forest {
@@ -63,7 +61,7 @@ impl Forest {
         Forest { offsets, parent: (0..members.len()).collect(), members }
     }
 
-    fn root(&mut self, (view, feature): Feature) -> usize {
+    fn root(&mut self, (view, feature): FeatureId) -> usize {
         let mut node = self.offsets[view] + feature;
         while self.parent[node] != node {
             self.parent[node] = self.parent[self.parent[node]];
@@ -72,7 +70,7 @@ impl Forest {
         node
     }
 
-    fn join(&mut self, a: Feature, b: Feature) {
+    fn join(&mut self, a: FeatureId, b: FeatureId) {
         let (a, b) = (self.root(a), self.root(b));
         if a == b || share_a_view(&self.members[a], &self.members[b]) {
             return;
@@ -86,7 +84,7 @@ impl Forest {
 }
 
 /// Whether two lists, ordered by view, name the same view.
-fn share_a_view(a: &[Feature], b: &[Feature]) -> bool {
+fn share_a_view(a: &[FeatureId], b: &[FeatureId]) -> bool {
     let (mut i, mut j) = (0, 0);
     while i < a.len() && j < b.len() {
         match a[i].0.cmp(&b[j].0) {

@@ -6,22 +6,22 @@
 //! 2. A query feature appears at most once in the whole answer, and so does a landmark: in the best-ranked keyframe
 //!    that matched it.
 //! 3. **The anchor of every landmark is a keyframe of the answer that observed it.** Where the map's own anchor is
-//!    in the answer, it is kept. Otherwise the landmark is anchored anew in the keyframe that matched it: at the
+//!    in the answer, it is kept. Otherwise the landmark is re-anchored in the keyframe that matched it: at the
 //!    depth that the map poses give, on the ray of that keyframe's own pixel. So no keyframe is ever sent only
-//!    because something is anchored in it, and a robot needs nothing but the answer.
+//!    as an anchor, and a robot needs nothing but the answer.
 //! 4. Observations are listed for keyframes of the answer and for those that the robot holds.
 //! 5. Cross-covariances are sent towards held keyframes and towards those of smaller rank.
 
-use std::collections::HashSet;
+use std::collections::{HashMap, HashSet};
 
 use protocol::{
     CrossCovarianceBlock, KeyframeId, KeyframePixel, KeyframeRecord, LandmarkMatch, MatchedKeyframe,
 };
 
-use super::index::tally;
-use super::loaded_map::{LoadedKeyframe, LoadedMap};
+use super::elements::LoadedKeyframe;
+use super::loaded_map::LoadedMap;
 use super::options::RecognitionOptions;
-use super::verify::Verified;
+use super::verification::VerifiedKeyframe;
 
 /// The keyframes of an answer, best first.
 ///
@@ -31,7 +31,7 @@ use super::verify::Verified;
 /// * `held`: keyframes that the robot holds already.
 pub(crate) fn matched_keyframes(
     map: &LoadedMap,
-    place: &[Verified],
+    place: &[VerifiedKeyframe],
     max_keyframes: usize,
     held: &[KeyframeId],
     options: &RecognitionOptions,
@@ -41,12 +41,11 @@ pub(crate) fn matched_keyframes(
     let mut sent: Vec<usize> = verified.iter().map(|verified| verified.keyframe).collect();
     sent.extend(covisible(map, verified, options.min_covisible).take(count - sent.len()));
 
-    let held: HashSet<KeyframeId> =
-        held.iter().copied().filter(|&id| map.position_of(id).is_some()).collect();
-    let mut used = Used::default();
+    let held: HashSet<KeyframeId> = held.iter().copied().filter(|&id| map.index_of(id).is_some()).collect();
+    let mut taken = TakenMatches::default();
     let replies = sent.iter().enumerate().map(|(rank, &keyframe)| {
         let matches =
-            verified.get(rank).map(|verified| landmark_matches(map, verified, &sent, &held, &mut used));
+            verified.get(rank).map(|verified| landmark_matches(map, verified, &sent, &held, &mut taken));
         MatchedKeyframe {
             map_version: map.info.version,
             rank: rank as u16,
@@ -59,49 +58,55 @@ pub(crate) fn matched_keyframes(
 }
 
 /// Keyframes beyond the verified ones that observe the matched landmarks, those that observe most first.
-fn covisible(map: &LoadedMap, verified: &[Verified], min_covisible: usize) -> impl Iterator<Item = usize> {
+fn covisible(
+    map: &LoadedMap,
+    verified: &[VerifiedKeyframe],
+    min_covisible: usize,
+) -> impl Iterator<Item = usize> {
     let landmarks: HashSet<usize> = verified
         .iter()
         .flat_map(|verified| {
-            let seen = &map.keyframes[verified.keyframe].seen;
-            verified.inliers.iter().map(|inlier| seen[inlier.train].landmark)
+            let observed = &map.keyframes[verified.keyframe].observed;
+            verified.inliers.iter().map(|inlier| observed[inlier.train].landmark)
         })
         .collect();
     let observers = landmarks.iter().flat_map(|&landmark| &map.landmarks[landmark].observations);
     let own: HashSet<usize> = verified.iter().map(|verified| verified.keyframe).collect();
-    let counts = tally(observers.map(|&(keyframe, _)| keyframe).filter(|keyframe| !own.contains(keyframe)));
+    let counts = count_occurrences(
+        observers.map(|&(keyframe, _)| keyframe).filter(|keyframe| !own.contains(keyframe)),
+    );
     counts.into_iter().filter(move |&(_, count)| count >= min_covisible).map(|(keyframe, _)| keyframe)
 }
 
-/// What earlier ranks of an answer have taken.
+/// Features and landmarks that keyframes of smaller rank have in their matches.
 #[derive(Default)]
-struct Used {
+struct TakenMatches {
     features: HashSet<usize>,
     landmarks: HashSet<usize>,
 }
 
 fn landmark_matches(
     map: &LoadedMap,
-    verified: &Verified,
+    verified: &VerifiedKeyframe,
     sent: &[usize],
     held: &HashSet<KeyframeId>,
-    used: &mut Used,
+    taken: &mut TakenMatches,
 ) -> Vec<LandmarkMatch> {
     let id_of = |keyframe: usize| map.keyframes[keyframe].keyframe.id;
-    let seen = &map.keyframes[verified.keyframe].seen;
+    let observed = &map.keyframes[verified.keyframe].observed;
     let mut matches = Vec::with_capacity(verified.inliers.len());
     for inlier in &verified.inliers {
-        let seen = &seen[inlier.train];
-        if used.features.contains(&inlier.query) || used.landmarks.contains(&seen.landmark) {
+        let observed = &observed[inlier.train];
+        if taken.features.contains(&inlier.query) || taken.landmarks.contains(&observed.landmark) {
             continue;
         }
-        used.features.insert(inlier.query);
-        used.landmarks.insert(seen.landmark);
-        let landmark = &map.landmarks[seen.landmark];
+        taken.features.insert(inlier.query);
+        taken.landmarks.insert(observed.landmark);
+        let landmark = &map.landmarks[observed.landmark];
         let (anchor, position) = if sent.contains(&landmark.anchor) {
             (landmark.anchor, landmark.position_in_anchor)
         } else {
-            (verified.keyframe, seen.point)
+            (verified.keyframe, observed.point)
         };
         let listed = |keyframe: usize| sent.contains(&keyframe) || held.contains(&id_of(keyframe));
         let observations = landmark.observations.iter().filter(|&&(keyframe, _)| listed(keyframe));
@@ -146,4 +151,15 @@ pub(crate) fn record(loaded: &LoadedKeyframe) -> KeyframeRecord {
         global_from_keyframe: keyframe.global_from_keyframe,
         camera: keyframe.camera.clone(),
     }
+}
+
+/// Distinct indices with their number of occurrences, most frequent first, of equally frequent ones the smaller first.
+fn count_occurrences(indices: impl IntoIterator<Item = usize>) -> Vec<(usize, usize)> {
+    let mut counts: HashMap<usize, usize> = HashMap::new();
+    for index in indices {
+        *counts.entry(index).or_default() += 1;
+    }
+    let mut counts: Vec<(usize, usize)> = counts.into_iter().collect();
+    counts.sort_by_key(|&(index, count)| (std::cmp::Reverse(count), index));
+    counts
 }

@@ -1,30 +1,30 @@
-//! One place or none: verified keyframes must agree on where the camera is.
+//! One place or none: verified keyframes must agree on the camera pose.
 //!
-//! Two halls that look alike both verify. The places are told apart by the camera pose in G that each keyframe
-//! implies: keyframes whose poses agree within their covariances form a place, the place that explains most of the
-//! image wins, and where another explains nearly as much nobody wins.
+//! Keyframes of two halls that look alike are both verified. The places are distinguished by the camera pose in G that
+//! each keyframe implies: keyframes whose poses agree within their covariances form a place, the place that explains
+//! most query features is selected, and where another explains nearly as many the query is ambiguous.
 
 use geometry::PoseWithCovariance;
 use nalgebra::{Matrix6, Vector6};
 
 use super::options::RecognitionOptions;
-use super::verify::{Verified, distinct_features};
+use super::verification::{VerifiedKeyframe, distinct_features};
 
 /// 99.9 % of consistent poses have a smaller squared distance (chi-square, 6 degrees of freedom).
 const CHI_SQUARE_6_999: f64 = 22.458;
 
-/// What verified keyframes say together.
+/// Whether verified keyframes agree on a place.
 pub(crate) enum Consensus {
-    /// They were none.
+    /// There are no verified keyframes.
     Nothing,
-    /// They say that the image is from two different places.
+    /// Two different places explain the image nearly equally well.
     Ambiguous,
-    /// They agree: the keyframes of the place, most inliers first.
-    Place(Vec<Verified>),
+    /// They agree: the verified keyframes of the place, most inliers first.
+    Place(Vec<VerifiedKeyframe>),
 }
 
 /// Finds the one place that the verified keyframes agree on.
-pub(crate) fn agree(mut verified: Vec<Verified>, options: &RecognitionOptions) -> Consensus {
+pub(crate) fn find_consensus(mut verified: Vec<VerifiedKeyframe>, options: &RecognitionOptions) -> Consensus {
     verified.sort_by_key(|verified| (std::cmp::Reverse(verified.inliers.len()), verified.keyframe));
     let members_of = |seed: usize, among: &[usize]| -> Vec<usize> {
         let consistent = |&other: &usize| {
@@ -59,11 +59,11 @@ pub(crate) fn agree(mut verified: Vec<Verified>, options: &RecognitionOptions) -
 }
 
 /// How many query features a place explains.
-fn support(verified: &[Verified], members: &[usize]) -> usize {
+fn support(verified: &[VerifiedKeyframe], members: &[usize]) -> usize {
     distinct_features(members.iter().map(|&member| &verified[member]))
 }
 
-/// Whether two estimates of one camera pose can both be right.
+/// Whether two estimates of one camera pose are consistent: chi-square test of their difference.
 pub(crate) fn is_consistent(
     a: &PoseWithCovariance,
     b: &PoseWithCovariance,

@@ -1,27 +1,26 @@
-//! Place recognition without any prior: which keyframes does an image look like?
+//! Ranking keyframes by appearance, without any prior.
 //!
-//! The looks of every landmark of the map (the means of what its keyframes saw) are in one inverted file. A query
-//! feature that is near the looks of `n` different landmarks gives each keyframe that observes one of them a vote of
-//! `1/n` once, however many of them the keyframe sees: what is seen everywhere says nothing about where one is, and a
+//! The prototype descriptors of every landmark of the map (means of its observations' descriptors) are in one inverted
+//! file. A query feature that is near prototypes of `n` different landmarks gives each keyframe that observes one of them
+//! a vote of weight `1/n`, once per keyframe: features that occur everywhere carry no information about the place, and a
 //! wall of equal windows cannot outvote a door.
-
-use std::collections::HashMap;
 
 use protocol::DescriptorKind;
 use vision::{DescriptorError, DescriptorView, InvertedFile, MatchOptions, Metric, looks};
 
-use super::loaded_map::LoadedLandmark;
+use super::elements::LoadedLandmark;
 
-/// Descriptors of one landmark nearer to each other than this part of the largest distance of a match are one look.
-const LOOK_SHARE: f32 = 0.75;
+/// Descriptors of one landmark nearer to each other than this part of the largest distance of a match share a
+/// prototype.
+const PROTOTYPE_DISTANCE: f32 = 0.75;
 
 /// The weight of a feature that is near one landmark only.
-const WHOLE_VOTE: u64 = 1 << 20;
+const FULL_VOTE: u64 = 1 << 20;
 
-/// The landmarks of a map by what they look like.
-pub(crate) struct Index {
-    /// With the index of the landmark.
-    looks: InvertedFile,
+/// The landmarks of a map by their descriptors.
+pub(crate) struct LandmarkIndex {
+    /// Prototype descriptors with the index of their landmark.
+    prototypes: InvertedFile,
     /// Largest distance at which a query feature votes.
     max_distance: f32,
 }
@@ -29,13 +28,20 @@ pub(crate) struct Index {
 /// The votes for one keyframe.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Votes {
-    /// Sum of the weights, in parts of [`WHOLE_VOTE`]: whole numbers, so that the order of features is of no account.
+    /// Sum of the weights, in parts of [`FULL_VOTE`]: integers, so that the sum does not depend on the order of features.
     pub(crate) weight: u64,
     /// Number of query features that voted.
     pub(crate) features: usize,
 }
 
-/// How descriptors of a kind are compared.
+/// The metric of descriptors of a kind.
+///
+/// ```
+/// use protocol::DescriptorKind;
+/// use recognition::metric_of;
+///
+/// assert_eq!(metric_of(DescriptorKind::Binary), vision::Metric::Hamming);
+/// ```
 pub fn metric_of(kind: DescriptorKind) -> Metric {
     match kind {
         DescriptorKind::Binary => Metric::Hamming,
@@ -44,41 +50,49 @@ pub fn metric_of(kind: DescriptorKind) -> Metric {
     }
 }
 
-/// Collects the looks of landmarks for an [`Index`].
-pub(crate) struct IndexBuilder {
+/// Collects the prototype descriptors of landmarks for an [`LandmarkIndex`].
+pub(crate) struct LandmarkIndexBuilder {
     metric: Metric,
     width: usize,
     descriptors: Vec<u8>,
     landmarks: Vec<u32>,
 }
 
-impl IndexBuilder {
+impl LandmarkIndexBuilder {
     /// For descriptors of `width` bytes.
-    pub(crate) fn new(kind: DescriptorKind, width: usize) -> IndexBuilder {
-        IndexBuilder { metric: metric_of(kind), width, descriptors: Vec::new(), landmarks: Vec::new() }
+    pub(crate) fn new(kind: DescriptorKind, width: usize) -> LandmarkIndexBuilder {
+        LandmarkIndexBuilder {
+            metric: metric_of(kind),
+            width,
+            descriptors: Vec::new(),
+            landmarks: Vec::new(),
+        }
     }
 
     fn max_distance(&self) -> f32 {
         MatchOptions::for_metric(self.metric).max_distance
     }
 
-    /// Adds all descriptors of a landmark (its index), one after the other.
-    pub(crate) fn add(&mut self, landmark: usize, seen: &[u8]) -> Result<(), DescriptorError> {
-        let seen = DescriptorView::new(self.metric, self.width, seen)?;
-        let looks = looks(seen, LOOK_SHARE * self.max_distance());
-        self.landmarks.extend(std::iter::repeat_n(landmark as u32, looks.len() / self.width));
-        self.descriptors.extend(looks);
+    /// Adds all descriptors of a landmark (its index), concatenated.
+    pub(crate) fn add(&mut self, landmark: usize, descriptors: &[u8]) -> Result<(), DescriptorError> {
+        let view = DescriptorView::new(self.metric, self.width, descriptors)?;
+        let prototypes = looks(view, PROTOTYPE_DISTANCE * self.max_distance());
+        self.landmarks.extend(std::iter::repeat_n(landmark as u32, prototypes.len() / self.width));
+        self.descriptors.extend(prototypes);
         Ok(())
     }
 
-    /// Files what was added.
-    pub(crate) fn build(self) -> Result<Index, DescriptorError> {
+    /// Builds the index.
+    pub(crate) fn build(self) -> Result<LandmarkIndex, DescriptorError> {
         let view = DescriptorView::new(self.metric, self.width, &self.descriptors)?;
-        Ok(Index { looks: InvertedFile::build(view, &self.landmarks)?, max_distance: self.max_distance() })
+        Ok(LandmarkIndex {
+            prototypes: InvertedFile::build(view, &self.landmarks)?,
+            max_distance: self.max_distance(),
+        })
     }
 }
 
-impl Index {
+impl LandmarkIndex {
     /// Votes for each of `keyframe_count` keyframes.
     pub(crate) fn vote(
         &self,
@@ -88,10 +102,10 @@ impl Index {
     ) -> Result<Vec<Votes>, DescriptorError> {
         let mut votes = vec![Votes::default(); keyframe_count];
         let (mut near, mut keyframes) = (Vec::new(), Vec::new());
-        self.looks.search(query, self.max_distance, |_, hits| {
+        self.prototypes.search(query, self.max_distance, |_, hits| {
             near.clear();
             near.extend(hits.iter().map(|hit| hit.payload));
-            let weight = WHOLE_VOTE / count_distinct(&mut near).max(1) as u64;
+            let weight = FULL_VOTE / count_distinct(&mut near).max(1) as u64;
             keyframes.clear();
             let observers = near.iter().flat_map(|&landmark| &landmarks[landmark as usize].observations);
             keyframes.extend(observers.map(|&(keyframe, _)| keyframe as u32));
@@ -113,7 +127,7 @@ fn count_distinct(numbers: &mut Vec<u32>) -> usize {
     numbers.len()
 }
 
-/// The keyframes with the most votes among those that `eligible` lets pass, best first.
+/// The keyframes with the most votes among those for which `eligible` is true, best first.
 pub(crate) fn best_voted(
     votes: &[Votes],
     count: usize,
@@ -121,19 +135,8 @@ pub(crate) fn best_voted(
     eligible: impl Fn(usize) -> bool,
 ) -> Vec<usize> {
     let mut ranked: Vec<usize> =
-        (0..votes.len()).filter(|&at| votes[at].features >= min_features && eligible(at)).collect();
+        (0..votes.len()).filter(|&index| votes[index].features >= min_features && eligible(index)).collect();
     ranked.sort_by(|&a, &b| votes[b].weight.cmp(&votes[a].weight).then(a.cmp(&b)));
     ranked.truncate(count);
     ranked
-}
-
-/// How often each of several things was counted, most often first, of equal counts the smaller thing.
-pub(crate) fn tally(things: impl IntoIterator<Item = usize>) -> Vec<(usize, usize)> {
-    let mut counts: HashMap<usize, usize> = HashMap::new();
-    for thing in things {
-        *counts.entry(thing).or_default() += 1;
-    }
-    let mut counts: Vec<(usize, usize)> = counts.into_iter().collect();
-    counts.sort_by_key(|&(thing, count)| (std::cmp::Reverse(count), thing));
-    counts
 }

@@ -1,31 +1,36 @@
-//! From the features of an image to the keyframes that it shows.
+//! Visual place recognition: from the features of an image to the keyframes of a map that it shows, and to its pose.
 //!
-//! ```text
-//! votes of all descriptors   ->  some ten candidates          index
-//! descriptor matching        ->  matches with each            verify
-//! PnP in the keyframe        ->  verified keyframes           verify
-//! do their poses agree?      ->  one place, or none           consensus
-//! rules of an answer         ->  replies                      answer
-//! or the pose from all       ->  a precise pose               fuse
-//! ```
-//! `inspect` takes an answer apart for a person who asks why.
+//! | module | step | result |
+//! |---|---|---|
+//! | `index` | votes of all descriptors | some ten candidates |
+//! | `verification` | descriptor matching and PnP with each candidate | verified keyframes |
+//! | `consensus` | do their poses agree? | one place, or none |
+//! | `answer` | rules of an answer | replies to a match query |
+//! | `fusion` | the pose from all verified keyframes | reply to a localization query |
+//! | `inspection` | all intermediate results | for diagnosis |
 //!
-//! A prior pose narrows the candidates to keyframes near it. A wrong prior costs time, never the answer: where no
+//! [`LoadedMap`] holds a map in memory (`loaded_map`, `elements`) and answers the queries (`query`).
+//!
+//! A prior pose restricts the candidates to keyframes near it. A wrong prior costs time, never the answer: where no
 //! keyframe near it is verified, all are searched.
+//!
+//! The example `recognize` builds a small map and localizes an image in it:
+//! `cargo run -p driftless-recognition --example recognize`.
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 mod answer;
 mod consensus;
-mod fuse;
+mod elements;
+mod fusion;
 mod index;
-mod inspect;
+mod inspection;
 mod loaded_map;
 mod options;
 mod query;
-mod verify;
+mod verification;
 
 pub use index::metric_of;
-pub use inspect::{InspectedKeyframe, InspectedMatch, Inspection, Verdict};
+pub use inspection::{InspectedKeyframe, InspectedMatch, Inspection, KeyframeVerdict};
 pub use loaded_map::{LoadError, LoadedMap};
 pub use options::RecognitionOptions;
 pub use query::QueryError;

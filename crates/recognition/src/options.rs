@@ -1,35 +1,43 @@
-//! What recognition is asked to be content with.
+//! Settings of place recognition.
 
 /// Settings of place recognition and geometric verification.
 ///
-/// The defaults are generous on purpose: a server only rejects what cannot be, and ranks. Landmarks of recorded maps
-/// are off by decimetres (right matches of the `yq_real` recording reproject with a median of 9 px at a focal length
-/// of 855 px), and the robot has its own, sharper gates.
+/// The defaults are loose on purpose: a server rejects only the impossible, and ranks the rest. Landmarks of recorded
+/// maps are off by decimetres (correct matches of the `yq_real` recording reproject with a median of 9 px at a focal
+/// length of 855 px), and the robot has its own, tighter gates.
+///
+/// # Example
+/// ```
+/// let mut options = recognition::RecognitionOptions::default();
+/// options.candidates = 20;
+/// ```
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct RecognitionOptions {
     /// How many of the keyframes with the most votes are matched feature by feature.
     pub candidates: usize,
-    /// Fewest query features that must vote for a keyframe to be looked at.
+    /// Fewest query features that must vote for a keyframe to make it a candidate.
     pub min_votes: usize,
     /// Largest reprojection error of an inlier, as an angle (rad); times the focal length it is a pixel threshold.
     /// One degree: 15 px at a focal length of 855 px.
     pub inlier_angle: f64,
     /// Fewest inliers of a verified keyframe.
     pub min_inliers: usize,
-    /// Fewest inliers of a pose that is given to a client without an estimator, which has no gate of its own. XFeat in
-    /// darkened images of V1_01: the one pose wrong by more than 0.5 m had 9; with 12 it is refused, and no right one is.
+    /// Fewest inliers of a pose that is returned to a client without an estimator, which has no gate of its own. XFeat in
+    /// darkened images of V1_01: the one pose wrong by more than 0.5 m had 9; with 12 it is rejected, and no correct one
+    /// is.
     pub min_fix_inliers: usize,
     /// Standard deviation of a query pixel (px).
     pub sigma_query_px: f64,
     /// RANSAC samples at most.
     pub max_iterations: usize,
-    /// Probability with which RANSAC finds the pose if there is one.
+    /// Probability with which RANSAC finds the pose if one exists.
     pub confidence: f64,
     /// Seed of RANSAC: the same query always has the same answer.
     pub seed: u64,
-    /// A pose known less well than this in rotation (rad, one standard deviation) is no verification.
+    /// Largest standard deviation of the rotation (rad) of a verified pose.
     pub max_sigma_theta: f64,
-    /// A pose known less well than this part of the inliers' mean distance is no verification.
+    /// Largest standard deviation of the position of a verified pose, as a part of the inliers' mean distance.
     pub max_relative_sigma_p: f64,
     /// Rotation error (rad, one standard deviation) that two verified poses may have beyond their covariances.
     pub tolerance_theta: f64,

@@ -12,28 +12,29 @@ use protocol::{
 use vision::{DescriptorError, DescriptorView};
 
 use super::answer::{matched_keyframes, record};
-use super::consensus::{Consensus, agree};
-use super::fuse::{Fused, fuse};
+use super::consensus::{Consensus, find_consensus};
+use super::fusion::{FusedPose, fuse};
 use super::index::best_voted;
 use super::loaded_map::LoadedMap;
 use super::options::RecognitionOptions;
-use super::verify::{Comparison, Image, Verified, compare, distinct_features};
+use super::verification::{Comparison, Image, VerifiedKeyframe, compare, distinct_features};
 use map::store::STORE_SCHEMA;
 
 /// How many standard deviations of the prior's position a keyframe may be away, beyond the viewing distance.
 const PRIOR_SIGMAS: f64 = 3.0;
 
-/// Why a query has no answer. "Nothing matched" is an answer, not an error.
+/// Why a query cannot be answered. "Nothing matched" is an answer, not an error.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
 pub enum QueryError {
     /// The query's descriptors cannot be compared with the map's.
     #[error(
         "the query has {query:?} descriptors, the map has {map:?}: use the extractor that the map was built with"
     )]
     DescriptorMismatch {
-        /// What the query brought.
+        /// Of the query.
         query: DescriptorFormat,
-        /// What the map has.
+        /// Of the map.
         map: DescriptorFormat,
     },
     /// The query's descriptors come from another extractor than the map's.
@@ -41,9 +42,9 @@ pub enum QueryError {
         "the query's features come from the extractor {query:?}, the map was built with {map:?}: use the map's extractor"
     )]
     ExtractorMismatch {
-        /// What the query says.
+        /// Of the query.
         query: String,
-        /// What the map says.
+        /// Of the map.
         map: String,
     },
     /// The query's features are not consistent in themselves.
@@ -51,11 +52,11 @@ pub enum QueryError {
     Descriptors(#[from] DescriptorError),
 }
 
-/// What a search found.
+/// The result of a search.
 struct Search {
     outcome: MatchOutcome,
-    /// Verified keyframes of one place, most inliers first; empty unless matched.
-    place: Vec<Verified>,
+    /// VerifiedKeyframe keyframes of one place, most inliers first; empty unless matched.
+    place: Vec<VerifiedKeyframe>,
     searched_keyframes: usize,
 }
 
@@ -63,7 +64,7 @@ impl LoadedMap {
     /// Answers a match query: keyframes by rank, and always a final status.
     ///
     /// The rules of an answer are those of [`MatchReply`] and, for anchors: the anchor of every landmark is a keyframe
-    /// of the answer that observed it; where the map's own anchor is not sent, the landmark is anchored anew in the
+    /// of the answer that observed it; where the map's own anchor is not sent, the landmark is re-anchored in the
     /// keyframe that matched it.
     ///
     /// # Errors
@@ -98,8 +99,8 @@ impl LoadedMap {
 
     /// Answers a one-shot localization query.
     ///
-    /// The pose comes from all verified keyframes of the place together. Its covariance holds the pixels' noise, the
-    /// scatter of the landmarks and the uncertainty of the keyframes.
+    /// The pose is estimated from all verified keyframes of the place together. Its covariance contains the pixel noise,
+    /// the scatter of the landmarks and the uncertainty of the keyframes.
     ///
     /// # Errors
     /// [`QueryError`] where the query cannot be compared with the map.
@@ -121,14 +122,14 @@ impl LoadedMap {
             None => None,
         };
         let fix = fix.filter(|fix| fix.inliers as usize >= options.min_fix_inliers);
-        let unproven = search.outcome == MatchOutcome::Matched && fix.is_none();
-        let outcome = if unproven { MatchOutcome::NotVerified } else { search.outcome };
+        let unverified = search.outcome == MatchOutcome::Matched && fix.is_none();
+        let outcome = if unverified { MatchOutcome::NotVerified } else { search.outcome };
         Ok(LocalizeReply { map_version: self.info.version, outcome, fix })
     }
 
     /// The fused pose, or that of the best keyframe where fusion failed.
-    fn localized(&self, best: &Verified, fused: Option<Fused>) -> LocalizedPose {
-        let fused = fused.unwrap_or(Fused {
+    fn localized(&self, best: &VerifiedKeyframe, fused: Option<FusedPose>) -> LocalizedPose {
+        let fused = fused.unwrap_or(FusedPose {
             global_from_camera: best.global_from_camera,
             inliers: best.inliers.len(),
             matched: best.matches.len(),
@@ -143,7 +144,7 @@ impl LoadedMap {
         }
     }
 
-    /// The keyframes that look most like an image, best first, before any of them is compared feature by feature.
+    /// Ranks keyframes by appearance, best first, before any of them is matched feature by feature.
     ///
     /// # Arguments
     /// * `count`: at most so many; fewer where only few share a feature with the image.
@@ -156,23 +157,23 @@ impl LoadedMap {
         Ok(ranked.into_iter().map(|at| self.keyframes[at].keyframe.id).collect())
     }
 
-    /// One keyframe with what it sees, `None` where the map has none of that id.
+    /// One keyframe with the landmarks that it observes, `None` where the map has none of that id.
     pub fn keyframe_reply(&self, id: KeyframeId) -> Option<KeyframeReply> {
-        let loaded = &self.keyframes[self.position_of(id)?];
-        let landmarks = loaded.seen.iter().map(|seen| {
-            let landmark = &self.landmarks[seen.landmark];
+        let loaded = &self.keyframes[self.index_of(id)?];
+        let landmarks = loaded.observed.iter().map(|observed| {
+            let landmark = &self.landmarks[observed.landmark];
             KeyframeLandmark {
                 landmark: landmark.id,
                 anchor: self.keyframes[landmark.anchor].keyframe.id,
                 position_in_anchor: landmark.position_in_anchor.into(),
-                pixel: seen.pixel,
+                pixel: observed.pixel,
             }
         });
         let landmarks = landmarks.collect();
         Some(KeyframeReply { map_version: self.info.version, keyframe: record(loaded), landmarks })
     }
 
-    /// What the map is, under the name by which it is served.
+    /// Describes the map under the name by which it is served.
     pub fn info_reply(&self, name: &str) -> MapInfoReply {
         let positions =
             || self.keyframes.iter().map(|loaded| loaded.keyframe.global_from_keyframe.pose.translation);
@@ -248,7 +249,7 @@ impl LoadedMap {
         Ok(Search { searched_keyframes: self.keyframes.len(), ..place })
     }
 
-    /// Which keyframes may share a view with a camera near a prior pose.
+    /// Which keyframes may share a field of view with a camera near a prior pose.
     pub(super) fn near(&self, prior: &PoseWithCovariance) -> Vec<bool> {
         let position_covariance = prior.covariance.fixed_view::<3, 3>(3, 3).into_owned();
         let largest = position_covariance.symmetric_eigenvalues().max().max(0.0);
@@ -267,20 +268,20 @@ impl LoadedMap {
         image: &Image<'_>,
         options: &RecognitionOptions,
     ) -> Result<Search, QueryError> {
-        let mut verified: Vec<Verified> = Vec::new();
+        let mut verified: Vec<VerifiedKeyframe> = Vec::new();
         let mut outcome = MatchOutcome::NoMatch;
         for &candidate in candidates {
             let expected = verified.first().map(|first| &first.global_from_camera.pose);
             match compare(self, candidate, image, expected, options)? {
-                Comparison::Unlike => {}
-                Comparison::NotVerified | Comparison::Uncertain(_) => outcome = MatchOutcome::NotVerified,
+                Comparison::TooFewMatches => {}
+                Comparison::NoPose | Comparison::PoseUncertain(_) => outcome = MatchOutcome::NotVerified,
                 Comparison::Verified(keyframe) => verified.push(*keyframe),
             }
         }
-        let place = match agree(verified, options) {
+        let place = match find_consensus(verified, options) {
             Consensus::Nothing => Vec::new(),
             Consensus::Ambiguous => {
-                tracing::debug!("the image is from one of several places that look alike: no answer");
+                tracing::debug!("several places that look alike explain the image: no answer");
                 outcome = MatchOutcome::Ambiguous;
                 Vec::new()
             }

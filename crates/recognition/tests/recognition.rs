@@ -1,14 +1,10 @@
 //! Laws of place recognition and of the answers, on seeded synthetic places.
 #![allow(clippy::unwrap_used, missing_docs)]
 
-#[path = "../../map/tests/common/mod.rs"]
-mod common;
-
 use std::collections::{HashMap, HashSet};
 
-use common::{Place, PlaceOptions};
 use geometry::{Pose, PoseWithCovariance};
-use map::{CrossCovariance, MapContents};
+use map::{KeyframeCrossCovariance, MapContents, store};
 use nalgebra::{Matrix6, Vector3, Vector6};
 use protocol::{
     DescriptorFormat, DescriptorKind, Descriptors, FeatureSet, LocalizeRequest, MatchOutcome, MatchReply,
@@ -17,6 +13,7 @@ use protocol::{
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 use recognition::{LoadedMap, QueryError, RecognitionOptions};
+use testing::{Place, PlaceOptions};
 
 fn loaded(place: &Place) -> LoadedMap {
     LoadedMap::from_contents(place.map.clone()).unwrap()
@@ -310,7 +307,7 @@ fn float_descriptors_are_recognized_too() {
     // Each bit becomes a number: +1 or -1, with noise.
     let as_floats = |bits: &[u8], rng: &mut StdRng| -> Vec<u8> {
         let bit = |at: usize| f32::from(bits[at / 8] >> (at % 8) & 1) * 2.0 - 1.0;
-        (0..64).flat_map(|at| (bit(at) + 0.2 * common::normal(rng) as f32).to_le_bytes()).collect()
+        (0..64).flat_map(|at| (bit(at) + 0.2 * testing::normal(rng) as f32).to_le_bytes()).collect()
     };
     let place = Place::new(&PlaceOptions { keyframes: 12, landmarks: 500, ..PlaceOptions::default() });
     let mut rng = StdRng::seed_from_u64(20);
@@ -351,7 +348,7 @@ fn with_signed_bytes(place: &Place, rng: &mut StdRng) -> LoadedMap {
 
 fn as_signed_bytes(bits: &[u8], rng: &mut StdRng) -> Vec<u8> {
     let bit = |at: usize| f64::from(bits[at / 8] >> (at % 8) & 1) * 80.0 - 40.0;
-    let mut number = |at: usize| (bit(at) + 15.0 * common::normal(rng)).clamp(-127.0, 127.0) as i8;
+    let mut number = |at: usize| (bit(at) + 15.0 * testing::normal(rng)).clamp(-127.0, 127.0) as i8;
     (0..64).map(|at| number(at).cast_unsigned()).collect()
 }
 
@@ -447,15 +444,13 @@ fn a_map_that_is_damaged_in_places_is_still_served() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("map");
     let place = Place::new(&PlaceOptions::default());
-    let store = map::SledStore::create(&path, &place.map.info).unwrap();
-    map::MapStore::replace_all(&store, &place.map).unwrap();
-    drop(store);
-    let database = common::open_database(&path);
+    store::save_map(&path, &place.map, false).unwrap();
+    let database = testing::open_database(&path);
     let tree = database.open_tree("keyframes").unwrap();
     tree.insert(place.map.keyframes[5].id.to_be_bytes(), b"damaged".as_slice()).unwrap();
     drop((tree, database));
 
-    let map = LoadedMap::load(&map::SledStore::open(&path).unwrap()).unwrap();
+    let map = LoadedMap::load(store::open(&path).unwrap().as_ref()).unwrap();
     assert_eq!((map.damaged_records(), map.keyframe_count()), (1, place.map.keyframes.len() - 1));
     let request = place.request(&place.camera_at(10.0, 0.0, 0.0), 2, &mut StdRng::seed_from_u64(21));
     assert_eq!(ask(&map, &request).1.outcome, MatchOutcome::Matched);
@@ -481,7 +476,7 @@ fn the_uncertainty_of_the_keyframes_is_in_the_fix_and_common_errors_do_not_avera
     assert!((0.25 / 7.0..0.25).contains(&independent), "{independent}");
     let ids: Vec<u64> = contents.keyframes.iter().map(|keyframe| keyframe.id).collect();
     for (at, &a) in ids.iter().enumerate() {
-        contents.cross_covariances.extend(ids[at + 1..].iter().map(|&b| CrossCovariance {
+        contents.cross_covariances.extend(ids[at + 1..].iter().map(|&b| KeyframeCrossCovariance {
             a,
             b,
             block: covariance,

@@ -12,7 +12,7 @@ use serde_json::json;
 
 use super::import_map::{check_free, parse_direction};
 use crate::plotting::draw_coverage;
-use map::text::save_map;
+use map::store::save_map;
 use mapping::{BuildOptions, BuildReport, Extraction, Spread, Stage, StoredPoses, build_map};
 
 /// Arguments.
@@ -179,22 +179,21 @@ fn options(args: &Args) -> anyhow::Result<BuildOptions> {
         bail!("--until {until_s} comes before --from {from_s}");
     }
     let name = args.map.file_stem().unwrap_or(args.map.as_os_str()).to_string_lossy().into_owned();
-    Ok(BuildOptions {
-        name,
-        created_by: format!("driftless build-map {}", args.sequence.display()),
-        gravity_in_global: args.gravity,
-        from_s,
-        until_s,
-        sigma_theta_rad: args.sigma_theta,
-        sigma_p_m: args.sigma_p,
-        sigma_px: args.sigma_pixel,
-        stored_poses: if args.no_refine_poses { StoredPoses::Given } else { StoredPoses::Refined },
-        min_distance: args.min_distance,
-        min_rotation: args.min_rotation.to_radians(),
-        time_neighbours: args.time_neighbours,
-        space_neighbours: args.space_neighbours,
-        ..BuildOptions::default()
-    })
+    let mut options = BuildOptions::default();
+    options.name = name;
+    options.created_by = format!("driftless build-map {}", args.sequence.display());
+    options.gravity_in_global = args.gravity;
+    options.from_s = from_s;
+    options.until_s = until_s;
+    options.sigma_theta_rad = args.sigma_theta;
+    options.sigma_p_m = args.sigma_p;
+    options.sigma_px = args.sigma_pixel;
+    options.stored_poses = if args.no_refine_poses { StoredPoses::Given } else { StoredPoses::Refined };
+    options.min_distance = args.min_distance;
+    options.min_rotation = args.min_rotation.to_radians();
+    options.time_neighbours = args.time_neighbours;
+    options.space_neighbours = args.space_neighbours;
+    Ok(options)
 }
 
 fn print_report(report: &BuildReport) {

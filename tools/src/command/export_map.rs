@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use map::store::{MapStore, SledStore};
+use map::store;
 use serde_json::json;
 
 use map::text::write_map;
@@ -29,7 +29,7 @@ pub struct Args {
 /// A database that is missing, damaged or in use, a folder that holds a map already or cannot be written.
 #[expect(clippy::needless_pass_by_value, reason = "every command owns its arguments")]
 pub fn run(args: Args) -> anyhow::Result<()> {
-    let contents = SledStore::open(&args.map)?.read_contents()?;
+    let contents = store::open(&args.map)?.read_contents()?;
     write_map(&args.to, &contents)?;
     let observations = contents.observation_count();
     if args.json {

@@ -6,7 +6,8 @@ use anyhow::bail;
 use nalgebra::Vector3;
 use serde_json::json;
 
-use map::text::{read_map, save_map};
+use map::store::save_map;
+use map::text::read_map;
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use map::contents::MapContents;
-use map::store::{MapStore, STORE_SCHEMA, SledStore};
+use map::store::{self, STORE_SCHEMA};
 use nalgebra::Vector3;
 use serde::Serialize;
 
@@ -58,7 +58,7 @@ struct Summary {
 /// # Errors
 /// A database that is missing or in use, or whose info cannot be read. Other damaged records are listed.
 pub fn run(args: Args) -> anyhow::Result<()> {
-    let store = SledStore::open(&args.map)?;
+    let store = store::open(&args.map)?;
     let (contents, errors) = store.read_readable()?;
     let damaged = errors.iter().map(ToString::to_string).collect();
     let summary = summary(args.map, &contents, damaged, store.size_on_disk()?);

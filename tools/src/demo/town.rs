@@ -6,7 +6,7 @@ use crate::in_process::{LocalServer, load_map};
 use anyhow::{Context as _, Result, bail};
 use evaluation::trajectory::{StampedPose, StateRow};
 use evaluation::{ErrorSample, RunErrors, ScoreOptions, run_errors};
-use map::text::save_map;
+use map::store::save_map;
 use mapping::{BuildReport, build_map};
 use nalgebra::Vector3;
 use onboard::arguments::{Init, Mode};

@@ -2,7 +2,7 @@
 //! candidates fared.
 
 use plotters::style::RGBColor;
-use recognition::{InspectedKeyframe, InspectedMatch, Inspection, Verdict};
+use recognition::{InspectedKeyframe, InspectedMatch, Inspection, KeyframeVerdict};
 
 use super::canvas::{BAD, GOOD, GRID, INK, MAP, ODOMETRY, TRUTH};
 use super::matches::{MARGIN, WIDTH};
@@ -140,11 +140,11 @@ impl Histogram {
 /// How a comparison ended, in a few words.
 pub fn describe_verdict(keyframe: &InspectedKeyframe) -> &'static str {
     match (keyframe.verdict, keyframe.in_answer) {
-        (Verdict::Verified, true) => "part of the answer",
-        (Verdict::Verified, false) => "verified",
-        (Verdict::PoseUncertain, _) => "pose too uncertain",
-        (Verdict::NoPose, _) => "no pose fits",
-        (Verdict::TooFewMatches, _) => "too few matches",
+        (KeyframeVerdict::Verified, true) => "part of the answer",
+        (KeyframeVerdict::Verified, false) => "verified",
+        (KeyframeVerdict::PoseUncertain, _) => "pose too uncertain",
+        (KeyframeVerdict::NoPose, _) => "no pose fits",
+        (KeyframeVerdict::TooFewMatches, _) => "too few matches",
     }
 }
 

@@ -10,7 +10,7 @@
 use geometry::{Camera, PoseWithCovariance};
 use nalgebra::Vector3;
 use plotters::style::RGBColor;
-use recognition::{InspectedKeyframe, InspectedMatch, Inspection, Verdict};
+use recognition::{InspectedKeyframe, InspectedMatch, Inspection, KeyframeVerdict};
 use std::path::{Path, PathBuf};
 use vision::{GrayImage, ImageError};
 
@@ -163,10 +163,12 @@ fn best_in_words(picture: &MatchPicture<'_>) -> String {
     let Some(keyframe) = picture.keyframe else { return format!("{features} features in the query") };
     let (id, matches) = (keyframe.id, keyframe.matches.len());
     let why = match keyframe.verdict {
-        Verdict::TooFewMatches => "too few to look for a pose".to_owned(),
-        Verdict::NoPose => "no camera pose explains enough of them".to_owned(),
-        Verdict::PoseUncertain => format!("the pose of {} inliers is too uncertain", keyframe.inliers()),
-        Verdict::Verified => format!("{} agree on a pose", keyframe.inliers()),
+        KeyframeVerdict::TooFewMatches => "too few to look for a pose".to_owned(),
+        KeyframeVerdict::NoPose => "no camera pose explains enough of them".to_owned(),
+        KeyframeVerdict::PoseUncertain => {
+            format!("the pose of {} inliers is too uncertain", keyframe.inliers())
+        }
+        KeyframeVerdict::Verified => format!("{} agree on a pose", keyframe.inliers()),
     };
     format!("{features} features in the query, {matches} match keyframe {id}: {why}")
 }

@@ -1,16 +1,17 @@
-//! What can be wrong with a map in plain text: always the file, where it is known the line, and what to do.
+//! What can be wrong with a map in plain text: always the file, the line where it is known, and what to do.
 
 use std::path::{Path, PathBuf};
 
-/// Why a plain-text map could not be read or written. Each says its reason itself, so it names no source.
+/// Why a plain-text map could not be read or written. The reason is part of each message, so there is no source.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum MapFileError {
     /// A file or folder could not be read.
     #[error("cannot read {}: {reason}; {remedy}", path.display())]
     Read {
         /// The file.
         path: PathBuf,
-        /// What the system says.
+        /// The error of the system.
         reason: std::io::Error,
         /// What to do.
         remedy: String,
@@ -20,7 +21,7 @@ pub enum MapFileError {
     Write {
         /// The file.
         path: PathBuf,
-        /// What the system says.
+        /// The error of the system.
         reason: std::io::Error,
     },
     /// The camera's calibration is missing or unusable.
@@ -56,12 +57,12 @@ pub enum MapFileError {
         /// The file that is in the way.
         file: String,
     },
-    /// Every line can be read, but together they are no map.
+    /// Every line can be read, but together they are no valid map.
     #[error("{}: {reason}; correct the named record and import again", path.display())]
     Contents {
         /// The folder.
         path: PathBuf,
-        /// The law that is broken.
+        /// The invariant that is violated.
         reason: crate::contents::ContentsError,
     },
 }

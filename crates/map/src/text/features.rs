@@ -1,4 +1,4 @@
-//! The features of one image out of a sequence's `features.csv`.
+//! The features of one image from a sequence's `features.csv`.
 
 use std::path::Path;
 
@@ -13,7 +13,7 @@ const COLUMNS: &str = "timestamp [ns],u [px],v [px],descriptor [hex]";
 ///
 /// # Arguments
 /// * `stamp_ns`: which image; the first one of the file where not given.
-/// * `kind`: what the descriptors are; the file does not say.
+/// * `kind`: kind of the descriptors, which the file does not state.
 ///
 /// # Returns
 /// The image's time stamp (ns) and its features.

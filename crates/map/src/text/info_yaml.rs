@@ -1,9 +1,9 @@
-//! `map.yaml`: what holds for the map as a whole, written where it differs from what a plain map means.
+//! `map.yaml`: what applies to the map as a whole, written only where it differs from the defaults.
 
 use std::fmt::Write as _;
 use std::path::Path;
 
-use crate::model::{DEFAULT_PIXEL_SIGMA, MapInfo};
+use crate::model::{DEFAULT_SIGMA_PX, MapMetadata};
 use nalgebra::Vector3;
 use protocol::DescriptorKind;
 use serde::Deserialize;
@@ -32,7 +32,7 @@ pub(super) struct InfoYaml {
 }
 
 impl InfoYaml {
-    /// Reads `map.yaml`; a missing file says nothing.
+    /// Reads `map.yaml`; a missing file states nothing.
     pub(super) fn read(path: &Path) -> Result<InfoYaml, MapFileError> {
         let text = match std::fs::read_to_string(path) {
             Ok(text) => text,
@@ -58,20 +58,20 @@ impl InfoYaml {
     }
 
     /// The map's info, with the width that the observations have where the file states none.
-    pub(super) fn into_info(self, path: &Path, width: u16) -> Result<MapInfo, MapFileError> {
+    pub(super) fn into_info(self, path: &Path, width: u16) -> Result<MapMetadata, MapFileError> {
         let label = self.descriptor_kind.as_deref().unwrap_or(DescriptorKind::Binary.label());
         let Some(kind) = DescriptorKind::from_label(label) else {
             let problem = format!("descriptor_kind is {label:?}");
             return Err(MapFileError::file(path, problem, "write binary, float or int8"));
         };
-        let mut info = MapInfo::new(
+        let mut info = MapMetadata::new(
             self.name.unwrap_or_else(|| DEFAULT_NAME.to_owned()),
             self.created_by.unwrap_or_else(|| DEFAULT_ORIGIN.to_owned()),
             kind,
             width,
         );
         info.gravity_in_global = self.gravity_in_global.map(Vector3::from);
-        info.sigma_px = self.sigma_px.unwrap_or(DEFAULT_PIXEL_SIGMA);
+        info.sigma_px = self.sigma_px.unwrap_or(DEFAULT_SIGMA_PX);
         info.extractor = self.extractor.unwrap_or_default();
         Ok(info)
     }
@@ -83,7 +83,7 @@ impl InfoYaml {
 ///
 /// # Arguments
 /// * `observed_width`: width of the map's descriptors as the observations show it, `None` without observations.
-pub(super) fn info_text(info: &MapInfo, observed_width: Option<u16>) -> Option<String> {
+pub(super) fn info_text(info: &MapMetadata, observed_width: Option<u16>) -> Option<String> {
     let mut text = String::new();
     // Writing to a String cannot fail. JSON strings are YAML strings.
     if info.name != DEFAULT_NAME {
@@ -101,7 +101,7 @@ pub(super) fn info_text(info: &MapInfo, observed_width: Option<u16>) -> Option<S
     if observed_width != Some(info.descriptor_width) {
         let _ = writeln!(text, "descriptor_width: {}", info.descriptor_width);
     }
-    if info.sigma_px.to_bits() != DEFAULT_PIXEL_SIGMA.to_bits() {
+    if info.sigma_px.to_bits() != DEFAULT_SIGMA_PX.to_bits() {
         let _ = writeln!(text, "sigma_px: {}", shortest(info.sigma_px));
     }
     if !info.extractor.is_empty() {

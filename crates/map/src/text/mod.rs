@@ -1,4 +1,4 @@
-//! Maps as plain text, so that other programs can make and read them.
+//! Maps as plain text, so that other programs can write and read them.
 //!
 //! # Files
 //! | file | a line |
@@ -8,7 +8,7 @@
 //! | `observations.csv` | landmark, keyframe, pixel, descriptor in hexadecimal digits |
 //! | `camera.yaml` | resolution, intrinsics and distortion as in a `sensor.yaml` of the EuRoC layout |
 //!
-//! What these cannot say is in further files, which are written only where they are needed:
+//! Further files hold what these cannot express; they are written only where they are needed:
 //! | file | content |
 //! |---|---|
 //! | `map.yaml` | name, origin, direction of gravity in G, kind of the descriptors, sigma of the map's pixels |
@@ -17,10 +17,22 @@
 //! | `features.csv` | keyframe, pixel, descriptor: all features of an image, also those without a landmark |
 //! | `camera_1.yaml` ... | further cameras; `keyframes.csv` then has a column with the camera's number |
 //!
-//! Reading what was written gives an equal map, and writing what was read gives the same numbers.
+//! Reading a written map gives an equal map, and writing a map that was read gives the same numbers.
+//!
+//! # Example
+//! ```
+//! use map::text::{read_map, write_map};
+//! use map::{MapContents, MapMetadata};
+//! use protocol::DescriptorKind;
+//!
+//! let folder = tempfile::tempdir()?;
+//! let contents = MapContents::empty(MapMetadata::new("hall", "example", DescriptorKind::Binary, 32));
+//! write_map(folder.path(), &contents)?;
+//! assert_eq!(read_map(folder.path())?, contents);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 mod camera_yaml;
-mod database;
 mod error;
 mod features;
 mod info_yaml;
@@ -31,10 +43,8 @@ mod tests;
 mod write;
 
 pub use camera_yaml::read_camera;
-pub use database::save_map;
 pub use error::MapFileError;
 pub use features::read_image_features;
-use nalgebra::{Matrix6, Vector6};
 pub use read::read_map;
 pub use write::write_map;
 
@@ -67,10 +77,4 @@ mod columns {
     pub(super) const COVARIANCES: &str = "keyframe,36 entries of the 6x6 covariance by rows";
     pub(super) const CROSS_COVARIANCES: &str = "keyframe_a,keyframe_b,36 entries of the 6x6 block by rows";
     pub(super) const FEATURES: &str = "keyframe,u [px],v [px],descriptor [hex]";
-}
-
-/// The covariance of `[δθ, δp]` that two standard deviations (rad, m) mean.
-pub fn isotropic_covariance(sigma_theta_rad: f64, sigma_p_m: f64) -> Matrix6<f64> {
-    let [theta, position] = [sigma_theta_rad * sigma_theta_rad, sigma_p_m * sigma_p_m];
-    Matrix6::from_diagonal(&Vector6::new(theta, theta, theta, position, position, position))
 }

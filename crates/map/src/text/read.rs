@@ -4,10 +4,10 @@ use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 
 use crate::contents::MapContents;
-use crate::model::{CrossCovariance, Keyframe, Landmark, Observation};
+use crate::model::{Keyframe, KeyframeCrossCovariance, Landmark, Observation};
 use geometry::camera::Camera;
 use geometry::pose::Pose;
-use geometry::uncertain_pose::PoseWithCovariance;
+use geometry::uncertain_pose::{PoseWithCovariance, isotropic_covariance};
 use nalgebra::{Matrix6, Quaternion, Unit, Vector3};
 use protocol::{DescriptorFormat, DescriptorKind, FeatureSet, KeyframeId, LandmarkId};
 
@@ -23,7 +23,7 @@ const UNIT_AS_WRITTEN: f64 = 1e-8;
 /// A quaternion further from unit norm than this is a mistake, not rounding.
 const UNIT_AT_ALL: f64 = 1e-3;
 
-/// Reads a map from a folder of text files. Every law of [`MapContents::validate`] holds for the result, and it is
+/// Reads a map from a folder of text files, see [`crate::text`]. The result passes [`MapContents::validate`] and is
 /// sorted.
 ///
 /// # Errors
@@ -115,7 +115,7 @@ fn isotropic(row: &Row<'_>) -> Result<Matrix6<f64>, MapFileError> {
     if theta < 0.0 || position < 0.0 {
         return Err(row.error("a sigma is negative", "write standard deviations in rad and m, 0 if exact"));
     }
-    Ok(super::isotropic_covariance(theta, position))
+    Ok(isotropic_covariance(theta, position))
 }
 
 fn keyframe_of<'a>(
@@ -151,7 +151,7 @@ fn read_covariances(
 fn read_cross_covariances(
     folder: &Path,
     keyframes: &BTreeMap<KeyframeId, Keyframe>,
-) -> Result<Vec<CrossCovariance>, MapFileError> {
+) -> Result<Vec<KeyframeCrossCovariance>, MapFileError> {
     let Some(table) = Table::read_optional(&folder.join(names::CROSS_COVARIANCES))? else {
         return Ok(Vec::new());
     };
@@ -161,7 +161,7 @@ fn read_cross_covariances(
             row.expect_fields(38, 38, columns::CROSS_COVARIANCES)?;
             let (a, b) = (keyframe_of(&row, 0, keyframes)?.id, keyframe_of(&row, 1, keyframes)?.id);
             let block = Matrix6::from_row_slice(&row.numbers::<36>(2, "cross-covariance")?);
-            Ok(CrossCovariance { a, b, block })
+            Ok(KeyframeCrossCovariance { a, b, block })
         })
         .collect()
 }

@@ -3,16 +3,16 @@
 use std::path::Path;
 
 use crate::contents::MapContents;
-use crate::model::{CrossCovariance, Keyframe, Landmark, MapInfo, Observation};
+use crate::model::{Keyframe, KeyframeCrossCovariance, Landmark, MapMetadata, Observation};
 use geometry::camera::{Camera, Distortion};
 use geometry::pose::Pose;
-use geometry::uncertain_pose::PoseWithCovariance;
+use geometry::uncertain_pose::{PoseWithCovariance, isotropic_covariance};
 use nalgebra::{Matrix6, Vector3};
 use protocol::{DescriptorKind, Descriptors, FeatureSet};
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 
-use super::{MapFileError, isotropic_covariance, read_map, write_map};
+use super::{MapFileError, read_map, write_map};
 
 fn camera(rng: &mut StdRng, distortion: Distortion) -> Camera {
     let focal = rng.random_range(400.0..500.0);
@@ -33,7 +33,7 @@ fn descriptor(rng: &mut StdRng) -> Vec<u8> {
 /// A random map; `rich` ones need every optional file.
 fn random_map(seed: u64, rich: bool) -> MapContents {
     let mut rng = StdRng::seed_from_u64(seed);
-    let mut info = MapInfo::new("map", "driftless import-map", DescriptorKind::Binary, 32);
+    let mut info = MapMetadata::new("map", "driftless import-map", DescriptorKind::Binary, 32);
     let cameras = [
         camera(&mut rng, Distortion::RadialTangential([-0.28, 0.07, 1.9e-4, 1.76e-5])),
         camera(&mut rng, Distortion::Fov(0.93)),
@@ -86,7 +86,7 @@ fn random_map(seed: u64, rich: bool) -> MapContents {
     }
     if rich {
         let block = Matrix6::from_fn(|_, _| rng.random_range(-1e-5..1e-5));
-        contents.cross_covariances.push(CrossCovariance { a: 6, b: 12, block });
+        contents.cross_covariances.push(KeyframeCrossCovariance { a: 6, b: 12, block });
     }
     contents.sort();
     contents.validate().unwrap();

@@ -6,6 +6,7 @@ use std::path::Path;
 use crate::contents::MapContents;
 use crate::model::Keyframe;
 use geometry::camera::Camera;
+use geometry::uncertain_pose::isotropic_covariance;
 use nalgebra::Matrix6;
 
 use super::camera_yaml::camera_text;
@@ -17,10 +18,10 @@ use super::{columns, names};
 /// Writes a map as text files into a folder, which is made if needed.
 ///
 /// Numbers are written in the shortest form that reads back as the same number. What two sigmas a keyframe cannot
-/// say goes into further files, which are written only when needed.
+/// express goes into further files, which are written only when needed.
 ///
 /// # Errors
-/// [`MapFileError::Contents`] for a map that breaks a law, [`MapFileError::Occupied`] where the folder already holds
+/// [`MapFileError::Contents`] for a map that violates an invariant, [`MapFileError::Occupied`] where the folder already holds
 /// a file of a map, [`MapFileError::Write`].
 pub fn write_map(folder: &Path, contents: &MapContents) -> Result<(), MapFileError> {
     contents.validate().map_err(|reason| MapFileError::Contents { path: folder.to_owned(), reason })?;
@@ -78,10 +79,10 @@ fn distinct_cameras(keyframes: &[Keyframe]) -> Vec<&Camera> {
     cameras
 }
 
-/// The sigmas (rad, m) that say the same as the covariance; `None` where two sigmas cannot.
+/// The sigmas (rad, m) that give exactly the covariance; `None` where two sigmas cannot.
 fn sigmas(covariance: &Matrix6<f64>) -> Option<[f64; 2]> {
     let [theta, position] = [covariance[(0, 0)].sqrt(), covariance[(3, 3)].sqrt()];
-    (super::isotropic_covariance(theta, position) == *covariance).then_some([theta, position])
+    (isotropic_covariance(theta, position) == *covariance).then_some([theta, position])
 }
 
 /// The sigmas nearest to a covariance.

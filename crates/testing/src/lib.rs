@@ -1,12 +1,14 @@
-//! A seeded synthetic place: keyframes along a path, landmarks around it, and images taken on the way.
-#![allow(dead_code)] // every test file uses its own part
+//! A seeded synthetic place for tests: keyframes along a path, landmarks around it, and images taken along it.
+#![allow(clippy::unwrap_used, clippy::missing_panics_doc, missing_docs)]
 
+use geometry::uncertain_pose::isotropic_covariance;
 use geometry::{Camera, Distortion, Pose, PoseWithCovariance};
-use map::{CrossCovariance, Keyframe, Landmark, MapContents, MapInfo, Observation};
-use nalgebra::{Matrix6, UnitQuaternion, Vector2, Vector3, Vector6};
+use map::{Keyframe, KeyframeCrossCovariance, Landmark, MapContents, MapMetadata, Observation};
+use nalgebra::{UnitQuaternion, Vector2, Vector3, Vector6};
 use protocol::{DescriptorKind, Descriptors, FeatureSet, MatchRequest};
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
+use rand_distr::{Distribution, StandardNormal};
 
 pub const DESCRIPTOR_BYTES: usize = 32;
 /// Standard deviations of a keyframe's pose.
@@ -83,12 +85,12 @@ impl Place {
                     rng.random_range(-2.0..6.0),
                 );
                 let repeated = !texture.is_empty() && rng.random_bool(options.repeated_share);
-                let looks = if repeated {
+                let descriptor = if repeated {
                     texture[rng.random_range(0..texture.len())].clone()
                 } else {
                     descriptor(&mut rng)
                 };
-                (global_from_level * level, looks)
+                (global_from_level * level, descriptor)
             })
             .collect();
         let mut place = Place {
@@ -96,7 +98,7 @@ impl Place {
             gravity: global_from_level * Vector3::new(0.0, 0.0, -1.0),
             points,
             path: Vec::new(),
-            map: MapContents::empty(MapInfo::new("place", "test", DescriptorKind::Binary, 32)),
+            map: MapContents::empty(MapMetadata::new("place", "test", DescriptorKind::Binary, 32)),
             global_from_level,
         };
         place.path = (0..options.keyframes).map(|i| place.camera_at(2.0 * i as f64, 0.0, 0.0)).collect();
@@ -140,14 +142,7 @@ impl Place {
     fn build_map(&mut self, options: &PlaceOptions, rng: &mut StdRng) {
         let info = &mut self.map.info;
         info.gravity_in_global = options.gravity_known.then_some(self.gravity);
-        let covariance = Matrix6::from_diagonal(&Vector6::new(
-            SIGMA_THETA.powi(2),
-            SIGMA_THETA.powi(2),
-            SIGMA_THETA.powi(2),
-            SIGMA_P.powi(2),
-            SIGMA_P.powi(2),
-            SIGMA_P.powi(2),
-        ));
+        let covariance = isotropic_covariance(SIGMA_THETA, SIGMA_P);
         let mut observations: Vec<Vec<Observation>> = vec![Vec::new(); self.points.len()];
         for (index, truth) in self.path.clone().into_iter().enumerate() {
             let id = 10 + index as u64;
@@ -177,7 +172,7 @@ impl Place {
         }
         for pair in self.map.keyframes.windows(2) {
             let (a, b) = (pair[0].id, pair[1].id);
-            self.map.cross_covariances.push(CrossCovariance { a, b, block: covariance * 0.4 });
+            self.map.cross_covariances.push(KeyframeCrossCovariance { a, b, block: covariance * 0.4 });
         }
         self.map.sort();
     }
@@ -228,13 +223,12 @@ pub fn flipped(descriptor: &[u8], probability: f64, rng: &mut StdRng) -> Vec<u8>
     descriptor.iter().map(|byte| byte ^ flips(rng)).collect()
 }
 
-/// A standard normal number (Box and Muller).
+/// A standard normal number.
 pub fn normal(rng: &mut StdRng) -> f64 {
-    let radius = (-2.0 * rng.random_range(f64::MIN_POSITIVE..1.0).ln()).sqrt();
-    radius * (std::f64::consts::TAU * rng.random_range(0.0..1.0f64)).cos()
+    StandardNormal.sample(rng)
 }
 
-/// The database under a map, opened behind the store's back to damage it. A map that was just closed is locked for a
+/// The database under a map, opened without the store to damage it. A map that was just closed is locked for a
 /// moment longer.
 pub fn open_database(path: &std::path::Path) -> sled::Db {
     loop {

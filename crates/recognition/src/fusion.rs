@@ -1,20 +1,20 @@
-//! The camera pose from all matched keyframes of a place together.
+//! The camera pose from all verified keyframes of a place together.
 //!
-//! Verification is generous, so that maps whose landmarks are off by decimetres still answer. Here the matches say
-//! themselves how precise the map is: the camera's pose in G and the errors of the keyframes' poses are estimated
+//! The inlier threshold of verification is wide, so that maps whose landmarks are off by decimetres still match. Here
+//! the matches show how precise the map is: the camera's pose in G and the errors of the keyframes' poses are estimated
 //! jointly from every match of every verified keyframe, and the gate follows the median residual. In a precise map it
-//! ends at a few pixels, in a coarse one it stays where it was.
+//! shrinks to a few pixels, in a coarse one it keeps its width.
 //!
 //! ```text
 //! minimize over T, e:  sum_i w_i |z_i - pi(T^-1 T_k(e_k) p_i)|^2 / s^2  +  e^T P^-1 e
 //! ```
-//! with `T` the camera in G, `T_k(e_k)` keyframe `k` moved by its error, `p_i` the landmark in that keyframe, and `P`
+//! with `T` the camera in G, `T_k(e_k)` the pose of keyframe `k` corrected by its error, `p_i` the landmark in that keyframe, and `P`
 //! the covariance of all the errors, cross-covariances included. Writing `e = L x` with `P = L L^T` needs no inverse of
 //! `P`, so a map may hold exact keyframes. The covariance of `T` is its block of the inverse normal matrix, so it holds
-//! the uncertainty of the keyframes; errors of landmarks are taken for independent, with the size that the residuals
-//! show.
+//! the uncertainty of the keyframes; errors of landmarks are assumed independent, with the
+//! standard deviation of the residuals.
 //!
-//! A feature that several keyframes match counts once: each of its pairs weighs one over their number. Weights are
+//! A feature that several keyframes match counts once: each of its matches is weighted by one over their number. Weights are
 //! Geman and McClure's, see Black & Rangarajan, IJCV 1996.
 
 use geometry::{Pose, PoseWithCovariance};
@@ -22,12 +22,13 @@ use nalgebra::{DMatrix, DVector, Matrix6, SMatrix, Vector2, Vector6};
 
 use super::loaded_map::LoadedMap;
 use super::options::RecognitionOptions;
-use super::verify::{Image, Verified};
+use super::verification::{Image, VerifiedKeyframe};
 
-/// Most keyframes that are fused, those with most inliers: more change the pose little and cost as much each.
+/// At most this many keyframes are fused, those with most inliers: further ones change the pose little, and the cost
+/// grows with their number.
 const MAX_KEYFRAMES: usize = 6;
-/// Rounds of linearization; from verified poses 5 converge.
-const ROUNDS: usize = 10;
+/// Gauss-Newton iterations; from verified poses 5 converge.
+const MAX_ITERATIONS: usize = 10;
 /// A step shorter than this (rad, m) ends the iteration.
 const CONVERGED: f64 = 1e-7;
 /// Median length of a two-dimensional normal error over its standard deviation.
@@ -36,12 +37,11 @@ const MEDIAN_OF_RAYLEIGH: f64 = 1.1774;
 const GATE_SIGMAS: f64 = 4.0;
 /// Residual, in standard deviations, at which Geman and McClure's weight has fallen to a quarter.
 const SOFT_SIGMAS: f64 = 3.0;
-/// The scale of the residuals never counts as smaller than this part of the stated pixel noise: few residuals can be
-/// small by chance.
-const LEAST_SCALE: f64 = 0.5;
+/// Lower bound of the residuals' scale, as a part of the stated pixel noise: few residuals can be small by chance.
+const MIN_SCALE: f64 = 0.5;
 
-/// A pose from several keyframes.
-pub(crate) struct Fused {
+/// A camera pose from several keyframes.
+pub(crate) struct FusedPose {
     pub(crate) global_from_camera: PoseWithCovariance,
     /// Distinct query features within the gate.
     pub(crate) inliers: usize,
@@ -51,16 +51,17 @@ pub(crate) struct Fused {
     pub(crate) mean_error_px: f64,
 }
 
-/// Fuses the verified keyframes of one place; `None` where that fails and the best keyframe's own pose must do.
+/// Fuses the verified keyframes of one place; `None` where that fails; then the pose of the best
+/// keyframe is used.
 ///
 /// # Arguments
 /// * `place`: not empty, most inliers first.
 pub(crate) fn fuse(
     map: &LoadedMap,
-    place: &[Verified],
+    place: &[VerifiedKeyframe],
     image: &Image<'_>,
     options: &RecognitionOptions,
-) -> Option<Fused> {
+) -> Option<FusedPose> {
     let place = &place[..place.len().min(MAX_KEYFRAMES)];
     let stated_sigma = options.sigma_query_px.hypot(map.info.sigma_px);
     let focal = f64::midpoint(image.camera.focal[0], image.camera.focal[1]);
@@ -70,15 +71,15 @@ pub(crate) fn fuse(
         image,
         root: root_covariance(map, place),
         stated_sigma,
-        widest_gate: options.inlier_angle * focal,
+        max_gate: options.inlier_angle * focal,
     };
     let mut state = State {
         global_from_camera: place[0].global_from_camera.pose,
         errors: DVector::zeros(6 * place.len()),
-        gate: problem.widest_gate,
+        gate: problem.max_gate,
     };
     let mut normal = problem.linearize(&state)?;
-    for _ in 0..ROUNDS {
+    for _ in 0..MAX_ITERATIONS {
         let step = normal.information.clone().cholesky()?.solve(&normal.gradient);
         state.retract(&step, &problem.root);
         state.gate = normal.next_gate;
@@ -95,7 +96,7 @@ pub(crate) fn fuse(
     let covariance = (covariance + covariance.transpose()) * 0.5;
     let moved = place[0].global_from_camera.pose.local(&state.global_from_camera);
     let usable = covariance.iter().chain(moved.iter()).all(|value| value.is_finite());
-    usable.then(|| Fused {
+    usable.then(|| FusedPose {
         global_from_camera: PoseWithCovariance::new(state.global_from_camera, covariance),
         inliers: normal.inliers,
         matched: normal.matched,
@@ -104,7 +105,7 @@ pub(crate) fn fuse(
 }
 
 /// `L` of the covariance `P = L L^T` of the errors of all keyframes, 6 each.
-fn root_covariance(map: &LoadedMap, place: &[Verified]) -> DMatrix<f64> {
+fn root_covariance(map: &LoadedMap, place: &[VerifiedKeyframe]) -> DMatrix<f64> {
     let size = 6 * place.len();
     let mut covariance = DMatrix::<f64>::zeros(size, size);
     for (row, a) in place.iter().enumerate() {
@@ -134,7 +135,7 @@ struct State {
 }
 
 impl State {
-    /// Moves by a step of the pose and of `x`, where the keyframes' errors are `root * x`.
+    /// Applies a step of the pose and of `x`, where the keyframes' errors are `root * x`.
     fn retract(&mut self, step: &DVector<f64>, root: &DMatrix<f64>) {
         let pose_step: Vector6<f64> = step.fixed_rows::<6>(0).into_owned();
         self.global_from_camera = self.global_from_camera.retract(&pose_step);
@@ -144,15 +145,15 @@ impl State {
 
 struct Problem<'a> {
     map: &'a LoadedMap,
-    place: &'a [Verified],
+    place: &'a [VerifiedKeyframe],
     image: &'a Image<'a>,
     root: DMatrix<f64>,
     stated_sigma: f64,
-    widest_gate: f64,
+    max_gate: f64,
 }
 
 /// The normal equations at one state, over the pose and `x`.
-struct Normal {
+struct NormalEquations {
     information: DMatrix<f64>,
     gradient: DVector<f64>,
     next_gate: f64,
@@ -162,79 +163,79 @@ struct Normal {
 }
 
 /// A match at one state.
-struct Row {
+struct MatchResidual {
     feature: usize,
     keyframe: usize,
-    residual: Vector2<f64>,
+    error: Vector2<f64>,
     length: f64,
     by_camera: SMatrix<f64, 2, 6>,
     by_keyframe: SMatrix<f64, 2, 6>,
 }
 
 impl Problem<'_> {
-    fn rows(&self, state: &State) -> Vec<Row> {
-        let mut rows = Vec::new();
+    fn residuals(&self, state: &State) -> Vec<MatchResidual> {
+        let mut residuals = Vec::new();
         for (number, verified) in self.place.iter().enumerate() {
             let loaded = &self.map.keyframes[verified.keyframe];
-            let error: Vector6<f64> = state.errors.fixed_rows::<6>(6 * number).into_owned();
-            let global_from_keyframe = loaded.keyframe.global_from_keyframe.pose.retract(&error);
+            let pose_error: Vector6<f64> = state.errors.fixed_rows::<6>(6 * number).into_owned();
+            let global_from_keyframe = loaded.keyframe.global_from_keyframe.pose.retract(&pose_error);
             for found in &verified.matches {
-                let point = &loaded.seen[found.train].point;
+                let point = &loaded.observed[found.train].point;
                 let in_global = global_from_keyframe.transform(point);
                 let in_camera = state.global_from_camera.inverse_transform(&in_global);
                 let Ok((pixel, by_point)) = self.image.camera.project_with_jacobian(&in_camera) else {
                     continue;
                 };
-                let seen = Vector2::from(self.image.features.pixels[found.query].map(f64::from));
-                let residual = seen - pixel;
+                let observed = Vector2::from(self.image.features.pixels[found.query].map(f64::from));
+                let error = observed - pixel;
                 let (by_pose, by_global) = state.global_from_camera.inverse_transform_jacobians(&in_global);
                 let (by_error, _) = global_from_keyframe.transform_jacobians(point);
-                rows.push(Row {
+                residuals.push(MatchResidual {
                     feature: found.query,
                     keyframe: number,
-                    residual,
-                    length: residual.norm(),
+                    error,
+                    length: error.norm(),
                     by_camera: by_point * by_pose,
                     by_keyframe: by_point * by_global * by_error,
                 });
             }
         }
-        rows
+        residuals
     }
 
-    fn linearize(&self, state: &State) -> Option<Normal> {
-        let rows = self.rows(state);
+    fn linearize(&self, state: &State) -> Option<NormalEquations> {
+        let residuals = self.residuals(state);
         let mut lengths: Vec<f64> =
-            rows.iter().map(|row| row.length).filter(|length| *length <= state.gate).collect();
+            residuals.iter().map(|residual| residual.length).filter(|length| *length <= state.gate).collect();
         if lengths.is_empty() {
             return None;
         }
         let mean_error_px = lengths.iter().sum::<f64>() / lengths.len() as f64;
         let middle = lengths.len() / 2;
         let median = *lengths.select_nth_unstable_by(middle, f64::total_cmp).1;
-        let scale = (median / MEDIAN_OF_RAYLEIGH).max(LEAST_SCALE * self.stated_sigma);
+        let scale = (median / MEDIAN_OF_RAYLEIGH).max(MIN_SCALE * self.stated_sigma);
         let sigma = scale.max(self.stated_sigma);
 
         // How often each feature is matched: at all, and within the gate.
         let mut pairs = vec![(false, 0_u32); self.image.features.len()];
-        for row in &rows {
-            pairs[row.feature].0 = true;
-            pairs[row.feature].1 += u32::from(row.length <= state.gate);
+        for residual in &residuals {
+            pairs[residual.feature].0 = true;
+            pairs[residual.feature].1 += u32::from(residual.length <= state.gate);
         }
         let count = self.place.len();
         let mut camera = Matrix6::zeros();
         let mut camera_gradient = Vector6::zeros();
         // Of each keyframe: its own block, its block with the camera, its gradient.
         let mut blocks = vec![(Matrix6::zeros(), Matrix6::zeros(), Vector6::zeros()); count];
-        for row in rows.iter().filter(|row| row.length <= state.gate) {
-            let softness = 1.0 + (row.length / (SOFT_SIGMAS * scale)).powi(2);
-            let weight = 1.0 / (softness.powi(2) * f64::from(pairs[row.feature].1) * sigma.powi(2));
-            camera += row.by_camera.tr_mul(&row.by_camera) * weight;
-            camera_gradient += row.by_camera.tr_mul(&row.residual) * weight;
-            let (own, with_camera, gradient) = &mut blocks[row.keyframe];
-            *own += row.by_keyframe.tr_mul(&row.by_keyframe) * weight;
-            *with_camera += row.by_camera.tr_mul(&row.by_keyframe) * weight;
-            *gradient += row.by_keyframe.tr_mul(&row.residual) * weight;
+        for residual in residuals.iter().filter(|residual| residual.length <= state.gate) {
+            let softness = 1.0 + (residual.length / (SOFT_SIGMAS * scale)).powi(2);
+            let weight = 1.0 / (softness.powi(2) * f64::from(pairs[residual.feature].1) * sigma.powi(2));
+            camera += residual.by_camera.tr_mul(&residual.by_camera) * weight;
+            camera_gradient += residual.by_camera.tr_mul(&residual.error) * weight;
+            let (own, with_camera, gradient) = &mut blocks[residual.keyframe];
+            *own += residual.by_keyframe.tr_mul(&residual.by_keyframe) * weight;
+            *with_camera += residual.by_camera.tr_mul(&residual.by_keyframe) * weight;
+            *gradient += residual.by_keyframe.tr_mul(&residual.error) * weight;
         }
 
         let size = 6 * count;
@@ -255,13 +256,13 @@ impl Problem<'_> {
         whitened += self.root.tr_mul(&(own * &self.root));
         let mut whole_gradient = DVector::<f64>::zeros(6 + size);
         whole_gradient.fixed_rows_mut::<6>(0).copy_from(&camera_gradient);
-        // The prior pulls x back to zero.
+        // The prior: x is zero-mean with unit covariance.
         let whitened_errors = self.whitened(&state.errors);
         whole_gradient.rows_mut(6, size).copy_from(&(self.root.tr_mul(&gradient) - whitened_errors));
-        Some(Normal {
+        Some(NormalEquations {
             information,
             gradient: whole_gradient,
-            next_gate: (GATE_SIGMAS * scale).min(self.widest_gate),
+            next_gate: (GATE_SIGMAS * scale).min(self.max_gate),
             inliers: pairs.iter().filter(|pair| pair.1 > 0).count(),
             matched: pairs.iter().filter(|pair| pair.0).count(),
             mean_error_px,

@@ -1,4 +1,4 @@
-//! Descriptor matching with one keyframe, and the pose that proves it.
+//! Matching a query with one keyframe, and verifying the matches by the camera pose (PnP).
 
 use std::collections::HashSet;
 
@@ -14,11 +14,12 @@ use super::options::RecognitionOptions;
 /// Ratio of the mean length of a two-dimensional normal error to its standard deviation.
 const MEAN_OF_RAYLEIGH: f64 = 1.2533;
 
-/// How many times wider than for inliers the first gate around an expected pose is.
+/// The first gate around an expected pose is this many times wider than that of inliers, for the errors of the keyframes'
+/// poses.
 const GUIDED_FACTOR: f64 = 3.0;
-/// Rounds of refinement and of choosing the inliers again, from an expected pose.
+/// Rounds of refinement and reselection of the inliers from an expected pose; two suffice on recorded maps.
 const GUIDED_ROUNDS: usize = 2;
-/// Iterations of each of these refinements.
+/// Gauss-Newton iterations of each of these refinements.
 const GUIDED_ITERATIONS: usize = 6;
 /// Huber's threshold of these refinements, in standard deviations of a pixel; as in RANSAC.
 const HUBER_SIGMAS: f64 = 2.5;
@@ -33,39 +34,40 @@ pub(crate) struct Image<'a> {
 }
 
 /// A keyframe whose landmarks explain part of an image by one camera pose.
-pub(crate) struct Verified {
+pub(crate) struct VerifiedKeyframe {
     /// Index into [`LoadedMap::keyframes`].
     pub(crate) keyframe: usize,
     /// Matches that agree with the pose; `train` counts [`super::loaded_map::LoadedKeyframe::seen`].
     pub(crate) inliers: Vec<Match>,
     /// All matches before verification.
     pub(crate) matches: Vec<Match>,
-    /// The camera in G, as uncertain as keyframe and pixels leave it.
+    /// The camera in G, with the uncertainty of the keyframe and of the pixels.
     pub(crate) global_from_camera: PoseWithCovariance,
     /// Mean reprojection error of the inliers (px).
     pub(crate) mean_error_px: f64,
 }
 
-/// What came of comparing an image with a keyframe.
+/// The result of comparing an image with a keyframe.
 pub(crate) enum Comparison {
     /// Fewer matches than a verification needs.
-    Unlike,
+    TooFewMatches,
     /// Enough matches, but no pose that explains enough of them.
-    NotVerified,
+    NoPose,
     /// A pose explains enough of the matches, but many other poses would as well.
-    Uncertain(Box<Verified>),
-    Verified(Box<Verified>),
+    PoseUncertain(Box<VerifiedKeyframe>),
+    /// One pose explains enough of the matches and is well constrained.
+    Verified(Box<VerifiedKeyframe>),
 }
 
 /// Matches an image with the landmarks that a keyframe sees and verifies the matches by the camera's pose.
 ///
 /// The pose is solved in the keyframe's frame, where the landmarks do not carry the error of the keyframe's pose.
-/// Where gravity is known on both sides, it halves the sample; the keyframe's rotation is uncertain, so a pose from
-/// pixels alone is tried if that fails.
+/// Where gravity is known in the query and in the map, RANSAC needs smaller samples; the keyframe's rotation is
+/// uncertain, so a pose from pixels alone is tried if that fails.
 ///
 /// # Arguments
-/// * `expected`: `global_from_camera` as another keyframe of the map had it. Where it explains most of the matches, no
-///   search is needed; where it does not, it has no part in the answer.
+/// * `expected`: `global_from_camera` as estimated from another keyframe of the map. Where it explains most of the
+///   matches, RANSAC is skipped; where it does not, it is ignored.
 pub(crate) fn compare(
     map: &LoadedMap,
     keyframe: usize,
@@ -76,11 +78,11 @@ pub(crate) fn compare(
     let match_options = MatchOptions::for_metric(map.metric());
     let matches = match_descriptors(image.descriptors, map.descriptors_of(keyframe)?, &match_options)?;
     if matches.len() < options.min_inliers {
-        return Ok(Comparison::Unlike);
+        return Ok(Comparison::TooFewMatches);
     }
     let loaded = &map.keyframes[keyframe];
     let correspondence = |found: &Match| Correspondence {
-        point: loaded.seen[found.train].point,
+        point: loaded.observed[found.train].point,
         pixel: Vector2::from(image.features.pixels[found.query].map(f64::from)),
     };
     let correspondences: Vec<Correspondence> = matches.iter().map(correspondence).collect();
@@ -95,7 +97,7 @@ pub(crate) fn compare(
     let guided = expected.and_then(|pose| guided(image.camera, &correspondences, &pose, sigma, options));
     let solution = guided.or_else(|| solve(image.camera, &correspondences, gravity, sigma, options));
     let Some(solution) = solution else {
-        return Ok(Comparison::NotVerified);
+        return Ok(Comparison::NoPose);
     };
 
     // Landmarks are not exact: where the fit is worse than the pixel noise, the pose is that much less certain.
@@ -103,9 +105,9 @@ pub(crate) fn compare(
     let covariance = solution.world_from_camera.covariance * excess.powi(2);
     let keyframe_from_camera = PoseWithCovariance::new(solution.world_from_camera.pose, covariance);
     let inlier_points = solution.inliers.iter().map(|&inlier| &correspondences[inlier].point);
-    let well_known = is_well_known(&keyframe_from_camera, inlier_points, options);
-    let verdict = if well_known { Comparison::Verified } else { Comparison::Uncertain };
-    Ok(verdict(Box::new(Verified {
+    let well_constrained = is_well_constrained(&keyframe_from_camera, inlier_points, options);
+    let comparison = if well_constrained { Comparison::Verified } else { Comparison::PoseUncertain };
+    Ok(comparison(Box::new(VerifiedKeyframe {
         keyframe,
         inliers: solution.inliers.iter().map(|&inlier| matches[inlier]).collect(),
         matches,
@@ -138,7 +140,7 @@ fn solve(
 
 /// The pose near an expected one, if most of the matches agree with it.
 ///
-/// The first selection is wider by [`GUIDED_FACTOR`], for the errors of the keyframes' poses.
+/// The first selection is wider by [`GUIDED_FACTOR`].
 fn guided(
     camera: &Camera,
     correspondences: &[Correspondence],
@@ -172,8 +174,8 @@ fn guided(
     Some(PnpSolution { world_from_camera: estimate, inliers, mean_error_px })
 }
 
-/// Whether the inliers fix the pose: a few pixels in a corner are explained by many poses.
-fn is_well_known<'a>(
+/// Whether the inliers constrain the pose: a few pixels in a corner are explained by many poses.
+fn is_well_constrained<'a>(
     keyframe_from_camera: &PoseWithCovariance,
     points: impl Iterator<Item = &'a Vector3<f64>>,
     options: &RecognitionOptions,
@@ -190,7 +192,7 @@ fn is_well_known<'a>(
 }
 
 /// The distinct query features among the inliers of several keyframes.
-pub(crate) fn distinct_features<'a>(verified: impl Iterator<Item = &'a Verified>) -> usize {
+pub(crate) fn distinct_features<'a>(verified: impl Iterator<Item = &'a VerifiedKeyframe>) -> usize {
     let features = verified.flat_map(|verified| &verified.inliers).map(|inlier| inlier.query);
     features.collect::<HashSet<_>>().len()
 }

@@ -8,18 +8,18 @@ use protocol::FeatureSet;
 use sensors::{Frame, Sequence};
 use vision::{FeatureExtractor, GrayImage};
 
-use super::options::BuildError;
-use super::point::Lens;
-use super::stereo::match_stereo;
+use super::camera::MappingCamera;
+use super::error::BuildError;
+use super::stereo_matching::match_stereo;
 use sensors::feature_set;
 
-/// How images are looked at.
+/// How features are extracted from images.
 pub struct Extraction<'a> {
-    /// Finds and describes features.
+    /// Detects and describes features.
     pub extractor: &'a mut dyn FeatureExtractor,
     /// Most features an image.
     pub max_features: usize,
-    /// Zero where nothing is to be seen in images of camera 0 (the robot itself).
+    /// Zero where images of camera 0 show the robot itself: no features there.
     pub mask: Option<&'a GrayImage>,
     /// Whether camera 1 is used too.
     pub stereo: bool,
@@ -28,34 +28,37 @@ pub struct Extraction<'a> {
 /// Where the features of frames come from.
 pub(super) struct FeatureSource<'e, 'r> {
     extraction: Option<Extraction<'e>>,
-    rig: &'r [Lens],
+    cameras: &'r [MappingCamera],
     /// Images that could not be read, with the reason.
     pub(super) unreadable: Vec<String>,
 }
 
-/// What is seen in a frame.
-pub(super) struct Seen<'a> {
+/// The features of a frame.
+pub(super) struct FrameFeatures<'a> {
     /// Camera 0.
     pub(super) features: Cow<'a, FeatureSet>,
-    /// Where camera 1 sees each of them; empty without stereo.
+    /// Pixel of each of them in camera 1, where it is matched there; empty without stereo.
     pub(super) stereo: Vec<Option<Vector2<f64>>>,
 }
 
 impl<'e, 'r> FeatureSource<'e, 'r> {
-    /// Features from the recording, or from its images where there is something to extract them with.
-    pub(super) fn new(extraction: Option<Extraction<'e>>, rig: &'r [Lens]) -> FeatureSource<'e, 'r> {
-        FeatureSource { extraction, rig, unreadable: Vec::new() }
+    /// Features from the recording, or with `extraction` from its images.
+    pub(super) fn new(
+        extraction: Option<Extraction<'e>>,
+        cameras: &'r [MappingCamera],
+    ) -> FeatureSource<'e, 'r> {
+        FeatureSource { extraction, cameras, unreadable: Vec::new() }
     }
 
     /// Whether a frame can have features.
-    pub(super) fn can_see(&self, frame: &Frame) -> bool {
+    pub(super) fn has_features(&self, frame: &Frame) -> bool {
         match &self.extraction {
             Some(_) => frame.images[0].is_some(),
             None => frame.features.as_ref().is_some_and(|features| !features.is_empty()),
         }
     }
 
-    /// The error of a recording without any.
+    /// The error for a recording without features.
     pub(super) fn no_features(&self, sequence: &Sequence) -> BuildError {
         let sequence = sequence.root.display().to_string();
         match self.extraction {
@@ -64,14 +67,17 @@ impl<'e, 'r> FeatureSource<'e, 'r> {
         }
     }
 
-    /// The features of a frame; `None` where its image cannot be read, which is noted.
+    /// The features of a frame; `None` where its image cannot be read, which is recorded in `unreadable`.
     ///
     /// # Errors
     /// [`BuildError::Extraction`].
-    pub(super) fn look<'f>(&mut self, frame: &'f Frame) -> Result<Option<Seen<'f>>, BuildError> {
+    pub(super) fn features_of<'f>(
+        &mut self,
+        frame: &'f Frame,
+    ) -> Result<Option<FrameFeatures<'f>>, BuildError> {
         let Some(extraction) = &mut self.extraction else {
-            let seen = |features| Seen { features: Cow::Borrowed(features), stereo: Vec::new() };
-            return Ok(frame.features.as_ref().map(seen));
+            let recorded = |features| FrameFeatures { features: Cow::Borrowed(features), stereo: Vec::new() };
+            return Ok(frame.features.as_ref().map(recorded));
         };
         let mut extract = |file: &Path, mask: Option<&GrayImage>| match GrayImage::read(file) {
             Ok(image) => extraction
@@ -86,13 +92,12 @@ impl<'e, 'r> FeatureSource<'e, 'r> {
         };
         let Some(file) = &frame.images[0] else { return Ok(None) };
         let Some(first) = extract(file, extraction.mask)? else { return Ok(None) };
-        let stereo = match (&frame.images[1], self.rig.get(1)) {
-            (Some(file), Some(_)) if extraction.stereo => {
-                extract(file, None)?.map_or_else(Vec::new, |second| match_stereo(self.rig, &first, &second))
-            }
+        let stereo = match (&frame.images[1], self.cameras.get(1)) {
+            (Some(file), Some(_)) if extraction.stereo => extract(file, None)?
+                .map_or_else(Vec::new, |second| match_stereo(self.cameras, &first, &second)),
             _ => Vec::new(),
         };
         let features = Cow::Owned(feature_set(extraction.extractor.name(), first));
-        Ok(Some(Seen { features, stereo }))
+        Ok(Some(FrameFeatures { features, stereo }))
     }
 }

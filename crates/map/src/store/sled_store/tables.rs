@@ -3,23 +3,20 @@
 //! | table | key (big endian) | value |
 //! |---|---|---|
 //! | `info` | `schema` | `DRFTMAP` and the schema number (u16 LE) |
-//! | `info` | `info` | what holds for the map as a whole |
+//! | `info` | `info` | what applies to the map as a whole |
 //! | `keyframes` | id | a keyframe |
 //! | `landmarks` | id | a landmark with its observations |
 //! | `cross_covariances` | a, b (`a < b`) | a 6x6 block |
-//! | `references` | `l` keyframe landmark, `c` keyframe keyframe | empty: who observes, who is correlated |
 //!
-//! All values but `schema` and the references are records with a checksum, see [`super::record`].
+//! All values but `schema` are records with a checksum, see [`crate::store::record`].
 
 use protocol::KeyframeId;
 
 pub(super) const SCHEMA_KEY: &[u8] = b"schema";
 pub(super) const SCHEMA_MAGIC: &[u8] = b"DRFTMAP";
 pub(super) const INFO_KEY: &[u8] = b"info";
-/// First byte of a reference from a keyframe to a landmark that it observes.
-pub(super) const OBSERVES: u8 = b'l';
-/// First byte of a reference from a keyframe to one with which it has a cross-covariance.
-pub(super) const CORRELATED: u8 = b'c';
+/// A table of older databases: which keyframe observes which landmark. No longer written or read.
+pub(super) const OBSOLETE_TABLE: &[u8] = b"references";
 
 /// A table of the database.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -28,17 +25,15 @@ pub(super) enum Table {
     Keyframes,
     Landmarks,
     CrossCovariances,
-    References,
 }
 
 impl Table {
-    /// All of them, each at the position of its number.
-    pub(super) const ALL: [Table; 5] =
-        [Table::Info, Table::Keyframes, Table::Landmarks, Table::CrossCovariances, Table::References];
+    /// All of them, each at the index of its number.
+    pub(super) const ALL: [Table; 4] =
+        [Table::Info, Table::Keyframes, Table::Landmarks, Table::CrossCovariances];
 
-    /// Those that hold what a map is made of, everything but its info.
-    pub(super) const CONTENTS: [Table; 4] =
-        [Table::Keyframes, Table::Landmarks, Table::CrossCovariances, Table::References];
+    /// Those that hold the contents of a map, everything but its info.
+    pub(super) const CONTENTS: [Table; 3] = [Table::Keyframes, Table::Landmarks, Table::CrossCovariances];
 
     /// The name in the database and in checksums.
     pub(super) fn name(self) -> &'static str {
@@ -47,11 +42,10 @@ impl Table {
             Table::Keyframes => "keyframes",
             Table::Landmarks => "landmarks",
             Table::CrossCovariances => "cross_covariances",
-            Table::References => "references",
         }
     }
 
-    /// A record's name for people.
+    /// A record's name in messages.
     pub(super) fn describe(self, key: &[u8]) -> String {
         let id = |bytes: &[u8]| match bytes.try_into() {
             Ok(bytes) => u64::from_be_bytes(bytes).to_string(),
@@ -65,7 +59,6 @@ impl Table {
                 let (a, b) = key.split_at(key.len() / 2);
                 format!("the cross-covariance of keyframes {} and {}", id(a), id(b))
             }
-            Table::References => format!("reference {key:02x?}"),
         }
     }
 }
@@ -78,26 +71,19 @@ pub(super) fn pair_key(a: KeyframeId, b: KeyframeId) -> [u8; 16] {
     key
 }
 
-/// Key of a reference.
-pub(super) fn reference_key(kind: u8, keyframe: KeyframeId, other: u64) -> [u8; 17] {
-    let mut key = [kind; 17];
-    key[1..].copy_from_slice(&pair_key(keyframe, other));
-    key
-}
-
-/// What a commit writes, a batch a table; within a batch the later write of a key wins.
+/// The writes of one commit, a batch a table; within a batch the later write of a key wins.
 #[derive(Default)]
 pub(super) struct Writes {
     /// In the order of [`Table::ALL`].
-    pub(super) batches: [sled::Batch; 5],
+    pub(super) batches: [sled::Batch; 4],
 }
 
 impl Writes {
-    pub(super) fn insert(&mut self, table: Table, key: impl AsRef<[u8]>, value: Vec<u8>) {
-        self.batches[table as usize].insert(key.as_ref(), value);
+    pub(super) fn insert(&mut self, table: Table, key: &[u8], value: Vec<u8>) {
+        self.batches[table as usize].insert(key, value);
     }
 
-    pub(super) fn remove(&mut self, table: Table, key: impl AsRef<[u8]>) {
-        self.batches[table as usize].remove(key.as_ref());
+    pub(super) fn remove(&mut self, table: Table, key: &[u8]) {
+        self.batches[table as usize].remove(key);
     }
 }

@@ -1,21 +1,21 @@
-//! The given poses at the time of an image.
+//! The reference poses at the time of an image.
 
 use sensors::ReferencePose;
 
-/// Poses further apart than this are not interpolated between (ns): a robot can do anything in the meantime.
-const LONGEST_GAP_NS: i64 = 110_000_000;
+/// Poses further apart than this are not interpolated between (ns): a robot can move arbitrarily in between.
+const MAX_GAP_NS: i64 = 110_000_000;
 
-/// Given poses, ordered by time.
-pub(super) struct References {
+/// Reference poses, ordered by time.
+pub(super) struct ReferencePoses {
     poses: Vec<ReferencePose>,
 }
 
-impl References {
+impl ReferencePoses {
     /// Poses in any order.
-    pub(super) fn new(poses: &[ReferencePose]) -> References {
+    pub(super) fn new(poses: &[ReferencePose]) -> ReferencePoses {
         let mut poses = poses.to_vec();
         poses.sort_by_key(|pose| pose.stamp_ns);
-        References { poses }
+        ReferencePoses { poses }
     }
 
     /// The pose at a time, interpolated where it lies between two given ones at most 0.11 s apart; its sigmas are the
@@ -28,7 +28,7 @@ impl References {
         }
         let before = self.poses.get(next.checked_sub(1)?)?;
         let gap_ns = after.stamp_ns - before.stamp_ns;
-        if gap_ns > LONGEST_GAP_NS {
+        if gap_ns > MAX_GAP_NS {
             return None;
         }
         let fraction = (stamp_ns - before.stamp_ns) as f64 / gap_ns as f64;

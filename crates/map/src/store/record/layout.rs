@@ -1,96 +1,23 @@
-//! Bytes on disk: the envelope around every record, and the plain structures inside.
+//! The payloads of records.
 //!
-//! ```text
-//! record version u8 | crc32 u32 LE | payload (bincode 1)
-//! ```
-//! The checksum covers the tree's name, the key, the version and the payload, so a record under the wrong key is
-//! as damaged as one with flipped bits. The structures here are not those of [`crate::model`], so that a renamed
-//! field there never changes what is on disk.
+//! These structures are not those of [`crate::model`], so that a renamed field there never changes what is on disk.
 
-use bincode::Options;
 use geometry::camera::{Camera, Distortion};
 use geometry::pose::Pose;
 use geometry::uncertain_pose::PoseWithCovariance;
 use nalgebra::{Matrix6, Quaternion, UnitQuaternion, Vector3};
-use protocol::{DescriptorKind, Descriptors, FeatureSet, KeyframeId};
-use serde::de::DeserializeOwned;
+use protocol::{DescriptorKind, Descriptors, FeatureSet, KeyframeId, LandmarkId};
 use serde::{Deserialize, Serialize};
 
-use crate::model::{CrossCovariance, Keyframe, Landmark, MapInfo, Observation};
+use super::error::RecordError;
+use crate::model::{Keyframe, KeyframeCrossCovariance, Landmark, MapMetadata, Observation};
 
-/// Version of the structures in this module. Version 1 differs in the info of the map only, see [`InfoRecordV1`].
-const RECORD_VERSION: u8 = 2;
-/// The oldest version that is read.
-const OLDEST_RECORD_VERSION: u8 = 1;
-/// Bytes before the payload.
-const HEADER_BYTES: usize = 5;
-/// How far a stored quaternion may be from unit length.
+/// How far a stored quaternion may be from unit length: as in a valid map.
 const UNIT_TOLERANCE: f64 = 1e-6;
 
-/// Puts a record into its envelope.
-pub(super) fn seal<T: Serialize>(tree: &str, key: &[u8], record: &T) -> Result<Vec<u8>, String> {
-    let mut bytes = vec![0; HEADER_BYTES];
-    options().serialize_into(&mut bytes, record).map_err(|error| error.to_string())?;
-    let checksum = checksum(tree, key, RECORD_VERSION, &bytes[HEADER_BYTES..]);
-    bytes[0] = RECORD_VERSION;
-    bytes[1..HEADER_BYTES].copy_from_slice(&checksum.to_le_bytes());
-    Ok(bytes)
-}
-
-/// Takes a record out of its envelope; the error says what is wrong with it.
-pub(super) fn unseal<T: DeserializeOwned>(tree: &str, key: &[u8], bytes: &[u8]) -> Result<T, String> {
-    let (_, payload) = open(tree, key, bytes)?;
-    decode(payload)
-}
-
-/// Takes the info of a map of any readable version out of its envelope.
-pub(super) fn unseal_info(tree: &str, key: &[u8], bytes: &[u8]) -> Result<InfoRecord, String> {
-    match open(tree, key, bytes)? {
-        (1, payload) => decode::<InfoRecordV1>(payload).map(InfoRecord::from),
-        (_, payload) => decode(payload),
-    }
-}
-
-/// The version and the payload of an intact record.
-fn open<'a>(tree: &str, key: &[u8], bytes: &'a [u8]) -> Result<(u8, &'a [u8]), String> {
-    let Some((&[version, c0, c1, c2, c3], payload)) = bytes.split_first_chunk::<HEADER_BYTES>() else {
-        return Err(format!("it has only {} bytes", bytes.len()));
-    };
-    if checksum(tree, key, version, payload) != u32::from_le_bytes([c0, c1, c2, c3]) {
-        return Err("its checksum does not match".to_owned());
-    }
-    if !(OLDEST_RECORD_VERSION..=RECORD_VERSION).contains(&version) {
-        return Err(format!(
-            "it has record version {version}, this program reads {OLDEST_RECORD_VERSION} to {RECORD_VERSION}"
-        ));
-    }
-    Ok((version, payload))
-}
-
-fn decode<T: DeserializeOwned>(payload: &[u8]) -> Result<T, String> {
-    // No payload can claim more than its own length: a vector costs at least a byte an element.
-    options()
-        .with_limit(payload.len() as u64)
-        .deserialize(payload)
-        .map_err(|error| format!("it cannot be decoded: {error}"))
-}
-
-fn options() -> impl Options {
-    bincode::DefaultOptions::new().with_fixint_encoding()
-}
-
-fn checksum(tree: &str, key: &[u8], version: u8, payload: &[u8]) -> u32 {
-    let mut hasher = crc32fast::Hasher::new();
-    hasher.update(tree.as_bytes());
-    hasher.update(key);
-    hasher.update(&[version]);
-    hasher.update(payload);
-    hasher.finalize()
-}
-
-/// [`MapInfo`] on disk.
+/// [`MapMetadata`] on disk.
 #[derive(Serialize, Deserialize)]
-pub(super) struct InfoRecord {
+pub(in crate::store) struct InfoRecord {
     name: String,
     created_by: String,
     version: u64,
@@ -101,7 +28,7 @@ pub(super) struct InfoRecord {
     extractor: String,
 }
 
-/// [`InfoRecord`] of record version 1, when maps did not say their extractor.
+/// [`InfoRecord`] of record version 1, when maps did not name their extractor.
 #[derive(Serialize, Deserialize)]
 pub(super) struct InfoRecordV1 {
     name: String,
@@ -129,7 +56,7 @@ impl From<InfoRecordV1> for InfoRecord {
 }
 
 impl InfoRecord {
-    pub(super) fn new(info: &MapInfo, version: u64) -> InfoRecord {
+    pub(in crate::store) fn new(info: &MapMetadata, version: u64) -> InfoRecord {
         InfoRecord {
             name: info.name.clone(),
             created_by: info.created_by.clone(),
@@ -142,8 +69,8 @@ impl InfoRecord {
         }
     }
 
-    pub(super) fn into_info(self) -> Result<MapInfo, String> {
-        Ok(MapInfo {
+    pub(in crate::store) fn into_info(self) -> Result<MapMetadata, RecordError> {
+        Ok(MapMetadata {
             name: self.name,
             created_by: self.created_by,
             version: self.version,
@@ -158,7 +85,7 @@ impl InfoRecord {
 
 /// [`Keyframe`] on disk; its id is the key.
 #[derive(Serialize, Deserialize)]
-pub(super) struct KeyframeRecord {
+pub(in crate::store) struct KeyframeRecord {
     stamp_ns: i64,
     /// w, x, y, z
     quaternion: [f64; 4],
@@ -170,7 +97,7 @@ pub(super) struct KeyframeRecord {
 }
 
 impl KeyframeRecord {
-    pub(super) fn new(keyframe: &Keyframe) -> KeyframeRecord {
+    pub(in crate::store) fn new(keyframe: &Keyframe) -> KeyframeRecord {
         let pose = &keyframe.global_from_keyframe.pose;
         let quaternion = pose.rotation.quaternion();
         KeyframeRecord {
@@ -183,12 +110,12 @@ impl KeyframeRecord {
         }
     }
 
-    pub(super) fn into_keyframe(self, id: KeyframeId) -> Result<Keyframe, String> {
+    pub(in crate::store) fn into_keyframe(self, id: KeyframeId) -> Result<Keyframe, RecordError> {
         let [w, x, y, z] = self.quaternion;
         let quaternion = Quaternion::new(w, x, y, z);
         let deviation = (quaternion.norm() - 1.0).abs();
         if deviation.is_nan() || deviation > UNIT_TOLERANCE {
-            return Err(format!("its quaternion has length {}", quaternion.norm()));
+            return Err(RecordError::Quaternion { norm: quaternion.norm() });
         }
         // Not normalized again: what was written is read back to the last bit.
         let rotation = UnitQuaternion::new_unchecked(quaternion);
@@ -234,13 +161,13 @@ impl CameraRecord {
         }
     }
 
-    fn into_camera(self) -> Result<Camera, String> {
+    fn into_camera(self) -> Result<Camera, RecordError> {
         let distortion = match self.distortion {
             0 => Distortion::None,
             1 => Distortion::RadialTangential(self.coefficients),
             2 => Distortion::Equidistant(self.coefficients),
             3 => Distortion::Fov(self.coefficients[0]),
-            other => return Err(format!("its camera has an unknown distortion model {other}")),
+            model => return Err(RecordError::DistortionModel { model }),
         };
         Ok(Camera {
             width: self.width,
@@ -271,7 +198,7 @@ impl FeaturesRecord {
         }
     }
 
-    fn into_features(self) -> Result<FeatureSet, String> {
+    fn into_features(self) -> Result<FeatureSet, RecordError> {
         let descriptors =
             Descriptors { kind: kind_from_byte(self.kind)?, width: self.width, bytes: self.descriptors };
         Ok(FeatureSet { pixels: self.pixels, descriptors, extractor: String::new() })
@@ -280,7 +207,7 @@ impl FeaturesRecord {
 
 /// [`Landmark`] on disk; its id is the key.
 #[derive(Serialize, Deserialize)]
-pub(super) struct LandmarkRecord {
+pub(in crate::store) struct LandmarkRecord {
     anchor: u64,
     position_in_anchor: [f64; 3],
     observations: Vec<ObservationRecord>,
@@ -295,7 +222,7 @@ struct ObservationRecord {
 }
 
 impl LandmarkRecord {
-    pub(super) fn new(landmark: &Landmark) -> LandmarkRecord {
+    pub(in crate::store) fn new(landmark: &Landmark) -> LandmarkRecord {
         let observations = landmark.observations.iter().map(|observation| ObservationRecord {
             keyframe: observation.keyframe,
             pixel: observation.pixel,
@@ -308,7 +235,7 @@ impl LandmarkRecord {
         }
     }
 
-    pub(super) fn into_landmark(self, id: u64) -> Landmark {
+    pub(in crate::store) fn into_landmark(self, id: LandmarkId) -> Landmark {
         let observations = self.observations.into_iter().map(|observation| Observation {
             keyframe: observation.keyframe,
             pixel: observation.pixel,
@@ -323,17 +250,21 @@ impl LandmarkRecord {
     }
 }
 
-/// [`CrossCovariance`] on disk, by columns; the pair is the key.
+/// [`KeyframeCrossCovariance`] on disk, by columns; the pair is the key.
 #[derive(Serialize, Deserialize)]
-pub(super) struct CrossRecord([[f64; 6]; 6]);
+pub(in crate::store) struct CrossCovarianceRecord([[f64; 6]; 6]);
 
-impl CrossRecord {
-    pub(super) fn new(cross: &CrossCovariance) -> CrossRecord {
-        CrossRecord(cross.block.into())
+impl CrossCovarianceRecord {
+    pub(in crate::store) fn new(cross: &KeyframeCrossCovariance) -> CrossCovarianceRecord {
+        CrossCovarianceRecord(cross.block.into())
     }
 
-    pub(super) fn into_cross(self, a: KeyframeId, b: KeyframeId) -> CrossCovariance {
-        CrossCovariance { a, b, block: Matrix6::from(self.0) }
+    pub(in crate::store) fn into_cross_covariance(
+        self,
+        a: KeyframeId,
+        b: KeyframeId,
+    ) -> KeyframeCrossCovariance {
+        KeyframeCrossCovariance { a, b, block: Matrix6::from(self.0) }
     }
 }
 
@@ -345,11 +276,11 @@ fn kind_to_byte(kind: DescriptorKind) -> u8 {
     }
 }
 
-fn kind_from_byte(byte: u8) -> Result<DescriptorKind, String> {
+fn kind_from_byte(byte: u8) -> Result<DescriptorKind, RecordError> {
     match byte {
         0 => Ok(DescriptorKind::Binary),
         1 => Ok(DescriptorKind::Float),
         2 => Ok(DescriptorKind::Int8),
-        other => Err(format!("unknown descriptor kind {other}")),
+        kind => Err(RecordError::DescriptorKind { kind }),
     }
 }

@@ -1,69 +1,76 @@
-//! Refining all landmarks together with the poses (bundle adjustment), with the given poses as priors.
+//! Bundle adjustment: all landmarks together with the poses, with the reference poses as priors.
 //!
 //! Reference poses that are each off by 0.1 m and 0.9 deg disagree with the images by 10 px, the images with each
-//! other by 1 px. A landmark is wanted as exactly as the images tell where it is *in its anchor's camera frame*, so the
-//! poses have to give way while it is located.
+//! other by 1 px. The position of a landmark *in its anchor's camera frame* has to be as accurate as the images
+//! allow, so the poses are estimated with it.
 
 use geometry::pose::Pose;
 use geometry::rotation::left_jacobian_inverse;
 use geometry::uncertain_pose::PoseWithCovariance;
 use nalgebra::{Matrix6, Vector6};
 
-use super::joint_covariance::BlockMatrix;
-use super::normal_equations::{NormalEquations, PointBlocks};
-use super::point::{CameraPose, Lens, Point};
+use super::block_matrix::BlockMatrix;
+use super::camera::{CameraPose, MappingCamera};
+use super::landmark::InverseDepthLandmark;
+use super::normal_equations::{LandmarkBlocks, NormalEquations};
 
-/// Smallest sigmas of a pose (rad, m) that the equations can do with, where a map is built from exact poses.
-const LEAST_SIGMAS: [f64; 2] = [1e-5, 1e-4];
-/// Residuals count less and less beyond this many sigmas (Cauchy), at first ...
+/// Lower bounds of the standard deviations of a prior pose (rad, m), which keep the equations well-conditioned where a map
+/// is built from exact poses.
+const MIN_SIGMAS: [f64; 2] = [1e-5, 1e-4];
+/// Scale of Cauchy's robust loss in the first iteration (standard deviations of a pixel): reference poses off by
+/// 0.1 m and 0.9 deg cause residuals of 10 px.
 const FIRST_SCALE: f64 = 16.0;
-/// ... and in the end.
+/// Scale in the end: rejects what pixel noise cannot explain.
 const LAST_SCALE: f64 = 3.0;
-/// From step to step the scale shrinks by this factor: wide first, so that good sightings pull bad poses right.
+/// Factor between the scales of two iterations (graduated non-convexity): wide first, so that inliers correct bad poses.
 const SCALE_FACTOR: f64 = 0.6;
-/// Most steps.
+/// Maximum number of iterations: the scale reaches its end after 4, the others are for convergence.
 const MAX_STEPS: usize = 25;
-/// The refinement has converged when a step lowers the cost by less than this part.
+/// Converged when a step lowers the cost by less than this part.
 const CONVERGED: f64 = 1e-4;
 /// Damping of the first step, and its limits (Levenberg-Marquardt).
 const DAMPING: [f64; 3] = [1e-4, 1e-8, 1e4];
 
-/// Poses and landmarks that fit each other.
+/// The estimated poses and landmarks.
 #[derive(Clone)]
 pub(super) struct Bundle {
     /// `global_from_camera` of each view.
     pub(super) poses: Vec<Pose>,
     /// All landmarks.
-    pub(super) points: Vec<Point>,
+    pub(super) landmarks: Vec<InverseDepthLandmark>,
 }
 
 impl Bundle {
-    /// The poses as matrices.
+    /// The poses with rotation matrices.
     pub(super) fn camera_poses(&self) -> Vec<CameraPose> {
         self.poses.iter().map(CameraPose::from).collect()
     }
 }
 
-/// What is refined against.
+/// What the bundle is adjusted to.
 pub(super) struct Problem<'a> {
-    rig: &'a [Lens],
+    cameras: &'a [MappingCamera],
     priors: &'a [PoseWithCovariance],
     information: Vec<Matrix6<f64>>,
     sigma_px: f64,
 }
 
 impl<'a> Problem<'a> {
-    /// A problem of its camera, given poses and pixel noise (px).
-    pub(super) fn new(rig: &'a [Lens], priors: &'a [PoseWithCovariance], sigma_px: f64) -> Problem<'a> {
+    /// A problem with its cameras, prior poses and pixel noise (px).
+    pub(super) fn new(
+        cameras: &'a [MappingCamera],
+        priors: &'a [PoseWithCovariance],
+        sigma_px: f64,
+    ) -> Problem<'a> {
         let information = priors.iter().map(|prior| pose_information(&prior.covariance)).collect();
-        Problem { rig, priors, information, sigma_px }
+        Problem { cameras, priors, information, sigma_px }
     }
 
-    /// Refines a bundle.
+    /// Minimizes the cost from an initial bundle (Levenberg-Marquardt).
     ///
     /// # Arguments
-    /// * `from_priors`: the poses are still the given ones, so start with a wide scale.
-    /// * `progress`: told the steps done and the most there will be.
+    /// * `from_priors`: the poses are still the reference poses, so start with a wide scale.
+    /// * `progress`: called with the iterations done and their maximum.
     pub(super) fn refine(
         &self,
         start: Bundle,
@@ -77,17 +84,17 @@ impl<'a> Problem<'a> {
         for step in 0..MAX_STEPS {
             progress(step, MAX_STEPS);
             let before = self.cost(&bundle, scale);
-            let moved = self.step(&bundle, scale, damping);
-            let after = self.cost(&moved, scale);
+            let candidate = self.step(&bundle, scale, damping);
+            let after = self.cost(&candidate, scale);
             if after < before {
-                bundle = moved;
+                bundle = candidate;
                 damping = (damping / 3.0).max(least);
                 accepted_scale = scale;
             } else {
                 damping *= 10.0;
             }
-            let settled = accepted_scale <= LAST_SCALE && before - after < CONVERGED * before;
-            if (settled && after < before) || damping > most {
+            let converged = accepted_scale <= LAST_SCALE && before - after < CONVERGED * before;
+            if (converged && after < before) || damping > most {
                 break;
             }
             scale = (scale * SCALE_FACTOR).max(LAST_SCALE);
@@ -96,8 +103,7 @@ impl<'a> Problem<'a> {
         bundle
     }
 
-    /// The normal equations of the poses alone at a refined bundle, every landmark eliminated: the inverse of their
-    /// joint covariance.
+    /// The normal equations of the poses at the minimum, with all landmarks eliminated: the information matrix of the poses.
     pub(super) fn reduced_equations(&self, bundle: &Bundle) -> BlockMatrix {
         self.equations(bundle, LAST_SCALE, 0.0).reduced()
     }
@@ -107,7 +113,12 @@ impl<'a> Problem<'a> {
         let step = self.equations(bundle, scale, damping).solve();
         Bundle {
             poses: bundle.poses.iter().zip(&step.poses).map(|(pose, error)| pose.retract(error)).collect(),
-            points: bundle.points.iter().zip(&step.points).map(|(point, error)| point.moved(error)).collect(),
+            landmarks: bundle
+                .landmarks
+                .iter()
+                .zip(&step.landmarks)
+                .map(|(landmark, error)| landmark.corrected(error))
+                .collect(),
         }
     }
 
@@ -120,28 +131,28 @@ impl<'a> Problem<'a> {
             equations.add_pose(view, &(weighted * jacobian), &-(weighted * error));
         }
         let poses = bundle.camera_poses();
-        for point in &bundle.points {
-            self.add_point(&mut equations, point, &poses, scale, damping);
+        for landmark in &bundle.landmarks {
+            self.add_landmark(&mut equations, landmark, &poses, scale, damping);
         }
         equations.damp(damping);
         equations
     }
 
-    fn add_point(
+    fn add_landmark(
         &self,
         equations: &mut NormalEquations,
-        point: &Point,
+        landmark: &InverseDepthLandmark,
         poses: &[CameraPose],
         scale: f64,
         damping: f64,
     ) {
-        let mut blocks = PointBlocks::default();
-        let anchor = point.anchor_view();
+        let mut blocks = LandmarkBlocks::default();
+        let anchor = landmark.anchor_view();
         let mut anchor_coupling = nalgebra::Matrix6x3::zeros();
-        for (index, sighting) in point.sightings.iter().enumerate() {
-            if index == point.anchor {
-                let (pixel, by_ray) = point.predict_in_anchor(self.rig);
-                let residual = sighting.pixel - pixel;
+        for (index, observation) in landmark.observations.iter().enumerate() {
+            if index == landmark.anchor {
+                let (pixel, by_ray) = landmark.predict_in_anchor(self.cameras);
+                let residual = observation.pixel - pixel;
                 let weight = self.weight(residual.norm(), scale);
                 let mut information = blocks.information.fixed_view_mut::<2, 2>(0, 0);
                 information += by_ray.transpose() * by_ray * weight;
@@ -149,9 +160,9 @@ impl<'a> Problem<'a> {
                 gradient += by_ray.transpose() * residual * weight;
                 continue;
             }
-            let view = sighting.view();
-            let Some(predicted) = point.predict(self.rig, poses, sighting) else { continue };
-            let residual = sighting.pixel - predicted.pixel;
+            let view = observation.view();
+            let Some(predicted) = landmark.predict(self.cameras, poses, observation) else { continue };
+            let residual = observation.pixel - predicted.pixel;
             let weight = self.weight(residual.norm(), scale);
             let by_anchor = predicted.by_anchor.transpose() * weight;
             let by_view = predicted.by_view.transpose() * weight;
@@ -159,22 +170,22 @@ impl<'a> Problem<'a> {
             equations.add_pose(view, &(by_view * predicted.by_view), &(by_view * residual));
             if view != anchor {
                 blocks.pairs.push((anchor, view, by_anchor * predicted.by_view));
-                blocks.couplings.push((view, by_view * predicted.by_point));
+                blocks.couplings.push((view, by_view * predicted.by_landmark));
             }
-            anchor_coupling += by_anchor * predicted.by_point;
-            blocks.information += predicted.by_point.transpose() * predicted.by_point * weight;
-            blocks.gradient += predicted.by_point.transpose() * residual * weight;
+            anchor_coupling += by_anchor * predicted.by_landmark;
+            blocks.information += predicted.by_landmark.transpose() * predicted.by_landmark * weight;
+            blocks.gradient += predicted.by_landmark.transpose() * residual * weight;
         }
         blocks.couplings.push((anchor, anchor_coupling));
         for index in 0..3 {
             blocks.information[(index, index)] *= 1.0 + damping;
         }
-        // A weak hold on the inverse depth (sigma 1/m) for points without parallax.
+        // A weak prior on the inverse depth (sigma 1/m) for landmarks without parallax.
         blocks.information[(2, 2)] += 1.0;
-        equations.add_point(blocks);
+        equations.add_landmark(blocks);
     }
 
-    /// The error `[δθ, δp]` of a pose against the given one, and its Jacobian by a further error.
+    /// The error `[δθ, δp]` of a pose relative to its prior, and its Jacobian by a further error.
     fn prior_error(&self, view: usize, pose: &Pose) -> (Vector6<f64>, Matrix6<f64>) {
         let error = self.priors[view].pose.local(pose);
         let mut jacobian = Matrix6::identity();
@@ -205,16 +216,16 @@ impl<'a> Problem<'a> {
             let sigmas = (error / self.sigma_px).min(1e6);
             0.5 * scale * scale * (sigmas / scale).powi(2).ln_1p()
         };
-        let errors = bundle.points.iter().flat_map(|point| point.errors(self.rig, &poses));
+        let errors = bundle.landmarks.iter().flat_map(|landmark| landmark.errors(self.cameras, &poses));
         priors + errors.map(robust).sum::<f64>()
     }
 }
 
-/// Inverse of a covariance, with a floor for poses that are said to be exact.
+/// Inverse of a covariance, with a lower bound for exact poses.
 fn pose_information(covariance: &Matrix6<f64>) -> Matrix6<f64> {
     let mut floored = *covariance;
     for index in 0..6 {
-        floored[(index, index)] += LEAST_SIGMAS[index / 3].powi(2);
+        floored[(index, index)] += MIN_SIGMAS[index / 3].powi(2);
     }
-    floored.try_inverse().unwrap_or_else(|| Matrix6::identity() / LEAST_SIGMAS[0].powi(2))
+    floored.try_inverse().unwrap_or_else(|| Matrix6::identity() / MIN_SIGMAS[0].powi(2))
 }

@@ -1,6 +1,6 @@
-//! What matched what: an answer taken apart, for a person who asks why an image was recognized or not.
+//! Every intermediate result of a query, for diagnosing why an image was recognized or not.
 //!
-//! Candidates, comparison and consensus are those of the answers themselves; here nothing is thrown away.
+//! Candidates, comparison and consensus are those of the answers themselves; here nothing is discarded.
 
 use std::collections::HashSet;
 
@@ -9,14 +9,14 @@ use nalgebra::{Vector2, Vector3};
 use protocol::{KeyframeId, LandmarkId, LocalizeReply, LocalizeRequest};
 use vision::{Match, MatchOptions, match_descriptors};
 
-use super::consensus::{Consensus, agree};
+use super::consensus::{Consensus, find_consensus};
 use super::index::{Votes, best_voted};
 use super::loaded_map::LoadedMap;
 use super::options::RecognitionOptions;
 use super::query::QueryError;
-use super::verify::{Comparison, Image, Verified, compare};
+use super::verification::{Comparison, Image, VerifiedKeyframe, compare};
 
-/// How a query was answered, and what each candidate had to do with it.
+/// The answer to a query, and the comparison with each candidate.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Inspection {
     /// What [`LoadedMap::localize`] answers.
@@ -26,16 +26,16 @@ pub struct Inspection {
     pub keyframes: Vec<InspectedKeyframe>,
 }
 
-/// How the comparison with one keyframe ended; better is greater.
+/// The result of the comparison with one keyframe; better is greater.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Verdict {
+pub enum KeyframeVerdict {
     /// Fewer matches than a verification needs.
     TooFewMatches,
     /// No camera pose explains enough of the matches.
     NoPose,
-    /// A pose explains enough of them, but they leave it too uncertain: they lie in a corner, or all far away.
+    /// A pose explains enough of them, but do not constrain it: they lie in a corner, or are all far away.
     PoseUncertain,
-    /// One pose explains enough of them and is well known.
+    /// One pose explains enough of them and is well constrained.
     Verified,
 }
 
@@ -48,17 +48,17 @@ pub struct InspectedKeyframe {
     pub stamp_ns: i64,
     /// The camera that took it.
     pub camera: Camera,
-    /// Where it saw its landmarks (px).
+    /// Pixels of its landmarks (px).
     pub landmark_pixels: Vec<[f32; 2]>,
-    /// Query features that voted for it; some of the candidates with most votes are compared.
+    /// Query features that voted for it; the candidates with most votes are compared.
     pub votes: usize,
-    /// How the comparison ended.
-    pub verdict: Verdict,
+    /// Result of the comparison.
+    pub verdict: KeyframeVerdict,
     /// Whether it is one of the keyframes that agree on the answer.
     pub in_answer: bool,
     /// All descriptor matches, inliers and outliers.
     pub matches: Vec<InspectedMatch>,
-    /// The camera's pose in G by this keyframe alone, where one was found.
+    /// The camera's pose in G from this keyframe alone, where one was found.
     pub global_from_camera: Option<PoseWithCovariance>,
     /// Mean reprojection error of the inliers (px), where a pose was found.
     pub mean_error_px: Option<f64>,
@@ -81,7 +81,7 @@ pub struct InspectedMatch {
     pub distance: f32,
     /// Whether it agrees with the pose that was found; `false` where none was.
     pub inlier: bool,
-    /// Where that pose shows the landmark in the query (px); `None` without a pose, and behind the camera.
+    /// Projection of the landmark at that pose (px); `None` without a pose, and behind the camera.
     pub predicted_pixel: Option<[f64; 2]>,
 }
 
@@ -102,7 +102,7 @@ impl InspectedMatch {
 }
 
 impl LoadedMap {
-    /// Answers a one-shot localization query and says how the answer came about.
+    /// Answers a one-shot localization query and reports every intermediate result.
     ///
     /// # Errors
     /// [`QueryError`] where the query cannot be compared with the map.
@@ -147,7 +147,7 @@ impl LoadedMap {
         id: KeyframeId,
         options: &RecognitionOptions,
     ) -> Result<Option<InspectedKeyframe>, QueryError> {
-        let Some(at) = self.position_of(id) else { return Ok(None) };
+        let Some(at) = self.index_of(id) else { return Ok(None) };
         Ok(Some(self.inspector(request, options)?.keyframe(at)?.0))
     }
 
@@ -165,6 +165,7 @@ impl LoadedMap {
     }
 }
 
+/// One query against one map.
 struct Inspector<'a> {
     map: &'a LoadedMap,
     image: Image<'a>,
@@ -184,8 +185,8 @@ impl Inspector<'_> {
                 verified.push(*keyframe);
             }
         }
-        if let Consensus::Place(place) = agree(verified, self.options) {
-            let id = |verified: &Verified| self.map.keyframes[verified.keyframe].keyframe.id;
+        if let Consensus::Place(place) = find_consensus(verified, self.options) {
+            let id = |verified: &VerifiedKeyframe| self.map.keyframes[verified.keyframe].keyframe.id;
             let place: HashSet<KeyframeId> = place.iter().map(id).collect();
             for keyframe in &mut inspected {
                 keyframe.in_answer = place.contains(&keyframe.id);
@@ -201,17 +202,17 @@ impl Inspector<'_> {
             match_descriptors(self.image.descriptors, self.map.descriptors_of(at)?, &match_options)?;
         let comparison = compare(self.map, at, &self.image, None, self.options)?;
         let (verdict, found) = match &comparison {
-            Comparison::Unlike => (Verdict::TooFewMatches, None),
-            Comparison::NotVerified => (Verdict::NoPose, None),
-            Comparison::Uncertain(found) => (Verdict::PoseUncertain, Some(found.as_ref())),
-            Comparison::Verified(found) => (Verdict::Verified, Some(found.as_ref())),
+            Comparison::TooFewMatches => (KeyframeVerdict::TooFewMatches, None),
+            Comparison::NoPose => (KeyframeVerdict::NoPose, None),
+            Comparison::PoseUncertain(found) => (KeyframeVerdict::PoseUncertain, Some(found.as_ref())),
+            Comparison::Verified(found) => (KeyframeVerdict::Verified, Some(found.as_ref())),
         };
         let focal = f64::midpoint(self.image.camera.focal[0], self.image.camera.focal[1]);
         let inspected = InspectedKeyframe {
             id: loaded.keyframe.id,
             stamp_ns: loaded.keyframe.stamp_ns,
             camera: loaded.keyframe.camera.clone(),
-            landmark_pixels: loaded.seen.iter().map(|seen| seen.pixel).collect(),
+            landmark_pixels: loaded.observed.iter().map(|landmark| landmark.pixel).collect(),
             votes: self.votes[at].features,
             verdict,
             in_answer: false,
@@ -223,19 +224,19 @@ impl Inspector<'_> {
         Ok((inspected, comparison))
     }
 
-    fn one_match(&self, at: usize, one: &Match, found: Option<&Verified>) -> InspectedMatch {
+    fn one_match(&self, at: usize, one: &Match, found: Option<&VerifiedKeyframe>) -> InspectedMatch {
         let loaded = &self.map.keyframes[at];
-        let seen = &loaded.seen[one.train];
+        let observed = &loaded.observed[one.train];
         let predicted = found.and_then(|found| {
-            let in_global = loaded.keyframe.global_from_keyframe.pose.transform(&seen.point);
+            let in_global = loaded.keyframe.global_from_keyframe.pose.transform(&observed.point);
             let in_camera = found.global_from_camera.pose.inverse_transform(&in_global);
             self.image.camera.project(&in_camera).ok()
         });
         InspectedMatch {
             feature: one.query,
-            landmark: self.map.landmarks[seen.landmark].id,
+            landmark: self.map.landmarks[observed.landmark].id,
             query_pixel: self.image.features.pixels[one.query],
-            keyframe_pixel: seen.pixel,
+            keyframe_pixel: observed.pixel,
             distance: one.distance,
             inlier: found.is_some_and(|found| found.inliers.contains(one)),
             predicted_pixel: predicted.map(|pixel: Vector2<f64>| pixel.into()),

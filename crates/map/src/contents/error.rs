@@ -1,0 +1,180 @@
+//! Which invariant of maps is violated, and by which record.
+
+use geometry::CameraError;
+use geometry::covariance_check::CovarianceError;
+use protocol::{KeyframeId, LandmarkId, MAX_EXTRACTOR_BYTES};
+
+/// An invariant that a map violates.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum ContentsError {
+    /// What applies to the map as a whole is impossible.
+    #[error("map info: {problem}")]
+    Metadata {
+        /// What is wrong with it.
+        problem: MetadataProblem,
+    },
+    /// A keyframe is impossible.
+    #[error("keyframe {id}: {problem}")]
+    Keyframe {
+        /// Which keyframe.
+        id: KeyframeId,
+        /// What is wrong with it.
+        problem: KeyframeProblem,
+    },
+    /// A landmark is impossible.
+    #[error("landmark {id}: {problem}")]
+    Landmark {
+        /// Which landmark.
+        id: LandmarkId,
+        /// What is wrong with it.
+        problem: LandmarkProblem,
+    },
+    /// A cross-covariance is impossible.
+    #[error("cross-covariance of keyframes {a} and {b}: {problem}")]
+    CrossCovariance {
+        /// Keyframe of the rows.
+        a: KeyframeId,
+        /// Keyframe of the columns.
+        b: KeyframeId,
+        /// What is wrong with it.
+        problem: CrossCovarianceProblem,
+    },
+}
+
+/// What can be wrong with [`crate::MapMetadata`].
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum MetadataProblem {
+    /// Descriptors of zero bytes.
+    #[error("descriptors must have at least one byte")]
+    EmptyDescriptors,
+    /// A float descriptor is no whole number of floats.
+    #[error("a float descriptor of {width} bytes is no whole number of f32")]
+    FloatWidth {
+        /// Bytes in a descriptor.
+        width: u16,
+    },
+    /// The pixel noise is not positive.
+    #[error("pixel sigma must be positive, it is {sigma_px}")]
+    PixelSigma {
+        /// Its value (px).
+        sigma_px: f64,
+    },
+    /// The extractor's name is too long or not printable.
+    #[error("the extractor's name must be at most {} bytes without control characters", MAX_EXTRACTOR_BYTES)]
+    ExtractorName,
+    /// The direction of gravity is no unit vector.
+    #[error("gravity must be a unit vector, its length is {norm}")]
+    Gravity {
+        /// Its length.
+        norm: f64,
+    },
+}
+
+/// What can be wrong with a [`crate::Keyframe`].
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum KeyframeProblem {
+    /// Two keyframes have this id.
+    #[error("the id occurs twice")]
+    Duplicate,
+    /// The position has an infinite or undefined coordinate.
+    #[error("its position is not finite")]
+    Position,
+    /// The rotation is no unit quaternion.
+    #[error("its quaternion has length {norm}, not 1")]
+    Quaternion {
+        /// Its length.
+        norm: f64,
+    },
+    /// The intrinsics are unusable.
+    #[error("its camera is unusable: {0}")]
+    Camera(CameraError),
+    /// The covariance of the pose is none.
+    #[error("its covariance {0}")]
+    Covariance(CovarianceError),
+    /// Its features have other descriptors than the map.
+    #[error("its features have descriptors of another kind or width than the map")]
+    DescriptorFormat,
+    /// Its features come from another extractor than the map's.
+    #[error("its features come from the extractor {found:?}, the map says {expected:?}")]
+    Extractor {
+        /// The extractor of the features.
+        found: String,
+        /// The extractor of the map.
+        expected: String,
+    },
+    /// Not every feature has one descriptor.
+    #[error("the numbers of its features and of their descriptors differ")]
+    DescriptorCount,
+    /// A pixel has an infinite or undefined coordinate.
+    #[error("a feature's pixel is not finite")]
+    FeaturePixel,
+}
+
+/// What can be wrong with a [`crate::Landmark`].
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum LandmarkProblem {
+    /// Two landmarks have this id.
+    #[error("the id occurs twice")]
+    Duplicate,
+    /// The position has an infinite or undefined coordinate.
+    #[error("its position is not finite")]
+    Position,
+    /// An observing keyframe is missing.
+    #[error("it is observed by keyframe {keyframe}, which is not in the map")]
+    UnknownKeyframe {
+        /// The missing keyframe.
+        keyframe: KeyframeId,
+    },
+    /// A pixel is outside the image.
+    #[error("its pixel ({}, {}) lies outside the image of keyframe {keyframe}", pixel[0], pixel[1])]
+    PixelOutside {
+        /// The observing keyframe.
+        keyframe: KeyframeId,
+        /// Column and row (px).
+        pixel: [f64; 2],
+    },
+    /// A descriptor is not as wide as the map's.
+    #[error("its descriptor in keyframe {keyframe} has {found} bytes, the map's have {expected}")]
+    DescriptorWidth {
+        /// The observing keyframe.
+        keyframe: KeyframeId,
+        /// Its bytes.
+        found: usize,
+        /// [`crate::MapMetadata::descriptor_width`].
+        expected: u16,
+    },
+    /// A keyframe observes the landmark twice.
+    #[error("keyframe {keyframe} observes it twice")]
+    ObservedTwice {
+        /// The observing keyframe.
+        keyframe: KeyframeId,
+    },
+    /// The anchor does not observe the landmark.
+    #[error("its anchor, keyframe {anchor}, does not observe it")]
+    AnchorDoesNotObserve {
+        /// The anchor.
+        anchor: KeyframeId,
+    },
+}
+
+/// What can be wrong with a [`crate::KeyframeCrossCovariance`].
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum CrossCovarianceProblem {
+    /// The pair is listed more than once.
+    #[error("the pair occurs twice")]
+    Duplicate,
+    /// Both keyframes are the same.
+    #[error("a keyframe's own covariance belongs into the keyframe")]
+    SameKeyframe,
+    /// A keyframe of the pair is missing.
+    #[error("one of them is not in the map")]
+    UnknownKeyframe,
+    /// The 12x12 covariance of the pair is none.
+    #[error("the joint covariance of the two {0}")]
+    JointCovariance(CovarianceError),
+}

@@ -1,0 +1,75 @@
+//! A whole map in memory, and the invariants that every map satisfies.
+
+mod error;
+mod validation;
+
+use std::collections::BTreeSet;
+
+use protocol::KeyframeId;
+
+pub use error::{ContentsError, CrossCovarianceProblem, KeyframeProblem, LandmarkProblem, MetadataProblem};
+pub(crate) use validation::check_metadata;
+
+use crate::model::{Keyframe, KeyframeCrossCovariance, Landmark, MapMetadata};
+
+/// A map in memory: what import, export and map building work on.
+///
+/// [`MapContents::sort`] brings it into the order in which a store returns it, so that two equal maps compare equal.
+///
+/// # Example
+/// ```
+/// use map::{MapContents, MapMetadata};
+/// use protocol::DescriptorKind;
+///
+/// let contents = MapContents::empty(MapMetadata::new("hall", "example", DescriptorKind::Binary, 32));
+/// contents.validate()?;
+/// assert_eq!(contents.observation_count(), 0);
+/// # Ok::<(), map::ContentsError>(())
+/// ```
+#[derive(Clone, Debug, PartialEq)]
+pub struct MapContents {
+    /// What applies to the map as a whole.
+    pub info: MapMetadata,
+    /// All keyframes, by id.
+    pub keyframes: Vec<Keyframe>,
+    /// All landmarks, by id; the observations of each by keyframe.
+    pub landmarks: Vec<Landmark>,
+    /// All known cross-covariances, `a < b`, by (a, b).
+    pub cross_covariances: Vec<KeyframeCrossCovariance>,
+}
+
+impl MapContents {
+    /// A map without keyframes.
+    pub fn empty(info: MapMetadata) -> MapContents {
+        MapContents { info, keyframes: Vec::new(), landmarks: Vec::new(), cross_covariances: Vec::new() }
+    }
+
+    /// Sorts everything by id, the observations of a landmark by keyframe, and cross-covariances to `a < b`.
+    pub fn sort(&mut self) {
+        self.keyframes.sort_by_key(|keyframe| keyframe.id);
+        self.landmarks.sort_by_key(|landmark| landmark.id);
+        for landmark in &mut self.landmarks {
+            landmark.observations.sort_by_key(|observation| observation.keyframe);
+        }
+        for cross in &mut self.cross_covariances {
+            *cross = cross.ordered();
+        }
+        self.cross_covariances.sort_by_key(|cross| (cross.a, cross.b));
+    }
+
+    /// Removes landmarks whose anchor is missing, observations in missing keyframes, and cross-covariances of missing
+    /// keyframes.
+    pub(crate) fn drop_dangling(&mut self) {
+        let keyframes: BTreeSet<KeyframeId> = self.keyframes.iter().map(|keyframe| keyframe.id).collect();
+        self.landmarks.retain(|landmark| keyframes.contains(&landmark.anchor));
+        for landmark in &mut self.landmarks {
+            landmark.observations.retain(|observation| keyframes.contains(&observation.keyframe));
+        }
+        self.cross_covariances.retain(|cross| keyframes.contains(&cross.a) && keyframes.contains(&cross.b));
+    }
+
+    /// Number of observations over all landmarks.
+    pub fn observation_count(&self) -> usize {
+        self.landmarks.iter().map(|landmark| landmark.observations.len()).sum()
+    }
+}

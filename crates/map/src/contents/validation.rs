@@ -1,0 +1,170 @@
+//! The invariants of maps.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use geometry::covariance_check::check_covariance;
+use nalgebra::{Matrix6, SMatrix};
+use protocol::{DescriptorKind, KeyframeId, MAX_EXTRACTOR_BYTES};
+
+use super::error::{
+    ContentsError, CrossCovarianceProblem, KeyframeProblem, LandmarkProblem, MetadataProblem,
+};
+use crate::contents::MapContents;
+use crate::model::{Keyframe, KeyframeCrossCovariance, Landmark, MapMetadata, Observation};
+
+/// How far the norm of a quaternion or of the gravity direction may be from 1: a map is computed in `f64`, and text
+/// maps are normalized on reading.
+const UNIT_TOLERANCE: f64 = 1e-6;
+
+type Keyframes<'a> = BTreeMap<KeyframeId, &'a Keyframe>;
+
+impl MapContents {
+    /// Checks every invariant of a map: ids are unique, references exist, numbers are finite, quaternions and gravity
+    /// are of unit length, pixels lie in their images, descriptors have the map's width, covariances (of one
+    /// keyframe, and of each pair with a cross-covariance) are symmetric and positive semi-definite, and each
+    /// landmark is observed by its anchor.
+    ///
+    /// # Errors
+    /// The first [`ContentsError`] in the order metadata, keyframes, landmarks, cross-covariances.
+    pub fn validate(&self) -> Result<(), ContentsError> {
+        check_metadata(&self.info)?;
+        let mut keyframes = Keyframes::new();
+        for keyframe in &self.keyframes {
+            let first = keyframes.insert(keyframe.id, keyframe).is_none();
+            check_keyframe(&self.info, keyframe)
+                .and_then(|()| ensure(first, KeyframeProblem::Duplicate))
+                .map_err(|problem| ContentsError::Keyframe { id: keyframe.id, problem })?;
+        }
+        let mut landmark_ids = BTreeSet::new();
+        for landmark in &self.landmarks {
+            let first = landmark_ids.insert(landmark.id);
+            check_landmark(&self.info, landmark, &keyframes)
+                .and_then(|()| ensure(first, LandmarkProblem::Duplicate))
+                .map_err(|problem| ContentsError::Landmark { id: landmark.id, problem })?;
+        }
+        let mut pairs = BTreeSet::new();
+        for cross in &self.cross_covariances {
+            let first = pairs.insert((cross.a.min(cross.b), cross.a.max(cross.b)));
+            check_cross_covariance(cross, &keyframes)
+                .and_then(|()| ensure(first, CrossCovarianceProblem::Duplicate))
+                .map_err(|problem| ContentsError::CrossCovariance { a: cross.a, b: cross.b, problem })?;
+        }
+        Ok(())
+    }
+}
+
+fn ensure<E>(holds: bool, problem: E) -> Result<(), E> {
+    if holds { Ok(()) } else { Err(problem) }
+}
+
+/// Checks what applies to the map as a whole.
+pub(crate) fn check_metadata(info: &MapMetadata) -> Result<(), ContentsError> {
+    metadata_problem(info).map_or(Ok(()), |problem| Err(ContentsError::Metadata { problem }))
+}
+
+fn metadata_problem(info: &MapMetadata) -> Option<MetadataProblem> {
+    let width = info.descriptor_width;
+    if width == 0 {
+        return Some(MetadataProblem::EmptyDescriptors);
+    }
+    if info.descriptor_kind == DescriptorKind::Float && !width.is_multiple_of(4) {
+        return Some(MetadataProblem::FloatWidth { width });
+    }
+    if !(info.sigma_px.is_finite() && info.sigma_px > 0.0) {
+        return Some(MetadataProblem::PixelSigma { sigma_px: info.sigma_px });
+    }
+    if info.extractor.len() > MAX_EXTRACTOR_BYTES || info.extractor.chars().any(char::is_control) {
+        return Some(MetadataProblem::ExtractorName);
+    }
+    let norm = info.gravity_in_global.map(|gravity| gravity.norm()).filter(|&norm| !is_unit(norm));
+    norm.map(|norm| MetadataProblem::Gravity { norm })
+}
+
+/// Checks one keyframe by itself.
+fn check_keyframe(info: &MapMetadata, keyframe: &Keyframe) -> Result<(), KeyframeProblem> {
+    let pose = &keyframe.global_from_keyframe.pose;
+    ensure(pose.translation.iter().all(|value| value.is_finite()), KeyframeProblem::Position)?;
+    let norm = pose.rotation.quaternion().norm();
+    ensure(is_unit(norm), KeyframeProblem::Quaternion { norm })?;
+    keyframe.camera.validate().map_err(KeyframeProblem::Camera)?;
+    check_covariance(&keyframe.global_from_keyframe.covariance).map_err(KeyframeProblem::Covariance)?;
+    let Some(features) = &keyframe.features else { return Ok(()) };
+    let descriptors = &features.descriptors;
+    let comparable = descriptors.kind == info.descriptor_kind && descriptors.width == info.descriptor_width;
+    ensure(comparable, KeyframeProblem::DescriptorFormat)?;
+    if !features.extractor.is_empty() && features.extractor != info.extractor {
+        let (found, expected) = (features.extractor.clone(), info.extractor.clone());
+        return Err(KeyframeProblem::Extractor { found, expected });
+    }
+    let expected_bytes = features.pixels.len() * usize::from(descriptors.width);
+    ensure(descriptors.bytes.len() == expected_bytes, KeyframeProblem::DescriptorCount)?;
+    let finite = features.pixels.iter().flatten().all(|value| value.is_finite());
+    ensure(finite, KeyframeProblem::FeaturePixel)
+}
+
+/// Checks one landmark against the keyframes that it names.
+fn check_landmark(
+    info: &MapMetadata,
+    landmark: &Landmark,
+    keyframes: &Keyframes<'_>,
+) -> Result<(), LandmarkProblem> {
+    let finite = landmark.position_in_anchor.iter().all(|value| value.is_finite());
+    ensure(finite, LandmarkProblem::Position)?;
+    let mut observers = BTreeSet::new();
+    for observation in &landmark.observations {
+        let id = observation.keyframe;
+        let keyframe = keyframes.get(&id).ok_or(LandmarkProblem::UnknownKeyframe { keyframe: id })?;
+        check_observation(info, keyframe, observation)?;
+        ensure(observers.insert(id), LandmarkProblem::ObservedTwice { keyframe: id })?;
+    }
+    let anchor = landmark.anchor;
+    ensure(observers.contains(&anchor), LandmarkProblem::AnchorDoesNotObserve { anchor })
+}
+
+fn check_observation(
+    info: &MapMetadata,
+    keyframe: &Keyframe,
+    observation: &Observation,
+) -> Result<(), LandmarkProblem> {
+    let [u, v] = observation.pixel.map(f64::from);
+    let inside = (-0.5..=f64::from(keyframe.camera.width) - 0.5).contains(&u)
+        && (-0.5..=f64::from(keyframe.camera.height) - 0.5).contains(&v);
+    ensure(inside, LandmarkProblem::PixelOutside { keyframe: keyframe.id, pixel: [u, v] })?;
+    let (found, expected) = (observation.descriptor.len(), info.descriptor_width);
+    let problem = LandmarkProblem::DescriptorWidth { keyframe: keyframe.id, found, expected };
+    ensure(found == usize::from(expected), problem)
+}
+
+/// Checks one cross-covariance against the two keyframes that it names.
+fn check_cross_covariance(
+    cross: &KeyframeCrossCovariance,
+    keyframes: &Keyframes<'_>,
+) -> Result<(), CrossCovarianceProblem> {
+    ensure(cross.a != cross.b, CrossCovarianceProblem::SameKeyframe)?;
+    let (Some(a), Some(b)) = (keyframes.get(&cross.a), keyframes.get(&cross.b)) else {
+        return Err(CrossCovarianceProblem::UnknownKeyframe);
+    };
+    let joint = joint_covariance(
+        &a.global_from_keyframe.covariance,
+        &b.global_from_keyframe.covariance,
+        &cross.block,
+    );
+    check_covariance(&joint).map_err(CrossCovarianceProblem::JointCovariance)
+}
+
+fn joint_covariance(
+    covariance_a: &Matrix6<f64>,
+    covariance_b: &Matrix6<f64>,
+    block: &Matrix6<f64>,
+) -> SMatrix<f64, 12, 12> {
+    let mut joint = SMatrix::<f64, 12, 12>::zeros();
+    joint.fixed_view_mut::<6, 6>(0, 0).copy_from(covariance_a);
+    joint.fixed_view_mut::<6, 6>(6, 6).copy_from(covariance_b);
+    joint.fixed_view_mut::<6, 6>(0, 6).copy_from(block);
+    joint.fixed_view_mut::<6, 6>(6, 0).copy_from(&block.transpose());
+    joint
+}
+
+fn is_unit(norm: f64) -> bool {
+    (norm - 1.0).abs() <= UNIT_TOLERANCE
+}

@@ -1,0 +1,95 @@
+//! The envelope around every record.
+//!
+//! ```text
+//! record version u8 | crc32 u32 LE | payload (bincode 1)
+//! ```
+//! The checksum covers the table's name, the key, the version and the payload, so a record under the wrong key is
+//! as damaged as one with flipped bits.
+
+use bincode::Options;
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+
+use super::error::RecordError;
+use super::layout::{InfoRecord, InfoRecordV1};
+
+/// Version of the structures in [`super::layout`]. Version 1 differs in the info of the map only, see [`InfoRecordV1`].
+const RECORD_VERSION: u8 = 2;
+/// The oldest version that is read.
+const OLDEST_RECORD_VERSION: u8 = 1;
+/// Bytes before the payload.
+const HEADER_BYTES: usize = 5;
+
+/// Puts a record into its envelope.
+pub(in crate::store) fn seal<T: Serialize>(
+    table: &str,
+    key: &[u8],
+    record: &T,
+) -> Result<Vec<u8>, RecordError> {
+    let mut bytes = vec![0; HEADER_BYTES];
+    options()
+        .serialize_into(&mut bytes, record)
+        .map_err(|error| RecordError::Unencodable { reason: error.to_string() })?;
+    let checksum = checksum(table, key, RECORD_VERSION, &bytes[HEADER_BYTES..]);
+    bytes[0] = RECORD_VERSION;
+    bytes[1..HEADER_BYTES].copy_from_slice(&checksum.to_le_bytes());
+    Ok(bytes)
+}
+
+/// Takes a record out of its envelope.
+pub(in crate::store) fn unseal<T: DeserializeOwned>(
+    table: &str,
+    key: &[u8],
+    bytes: &[u8],
+) -> Result<T, RecordError> {
+    let (_, payload) = open(table, key, bytes)?;
+    decode(payload)
+}
+
+/// Takes the info of a map of any readable version out of its envelope.
+pub(in crate::store) fn unseal_info(
+    table: &str,
+    key: &[u8],
+    bytes: &[u8],
+) -> Result<InfoRecord, RecordError> {
+    match open(table, key, bytes)? {
+        (1, payload) => decode::<InfoRecordV1>(payload).map(InfoRecord::from),
+        (_, payload) => decode(payload),
+    }
+}
+
+/// The version and the payload of an intact record.
+fn open<'a>(table: &str, key: &[u8], bytes: &'a [u8]) -> Result<(u8, &'a [u8]), RecordError> {
+    let Some((&[version, c0, c1, c2, c3], payload)) = bytes.split_first_chunk::<HEADER_BYTES>() else {
+        return Err(RecordError::TooShort { bytes: bytes.len() });
+    };
+    if checksum(table, key, version, payload) != u32::from_le_bytes([c0, c1, c2, c3]) {
+        return Err(RecordError::Checksum);
+    }
+    if !(OLDEST_RECORD_VERSION..=RECORD_VERSION).contains(&version) {
+        let (oldest, newest) = (OLDEST_RECORD_VERSION, RECORD_VERSION);
+        return Err(RecordError::Version { found: version, oldest, newest });
+    }
+    Ok((version, payload))
+}
+
+fn decode<T: DeserializeOwned>(payload: &[u8]) -> Result<T, RecordError> {
+    // No payload can claim more than its own length: a vector costs at least a byte an element.
+    options()
+        .with_limit(payload.len() as u64)
+        .deserialize(payload)
+        .map_err(|error| RecordError::Undecodable { reason: error.to_string() })
+}
+
+fn options() -> impl Options {
+    bincode::DefaultOptions::new().with_fixint_encoding()
+}
+
+fn checksum(table: &str, key: &[u8], version: u8, payload: &[u8]) -> u32 {
+    let mut hasher = crc32fast::Hasher::new();
+    hasher.update(table.as_bytes());
+    hasher.update(key);
+    hasher.update(&[version]);
+    hasher.update(payload);
+    hasher.finalize()
+}

@@ -1,0 +1,73 @@
+//! Why a map cannot be built.
+
+/// Why no map could be built.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum BuildError {
+    /// A standard deviation of the poses is negative or not finite.
+    #[error("the sigmas of the poses must be zero or positive, not {sigma}")]
+    PoseSigma {
+        /// The value (rad or m).
+        sigma: f64,
+    },
+    /// The standard deviation of a pixel is not positive.
+    #[error("the sigma of a pixel must be positive, not {sigma_px}")]
+    PixelSigma {
+        /// The value (px).
+        sigma_px: f64,
+    },
+    /// [`crate::BuildOptions::min_observations`] is too small.
+    #[error("a landmark needs at least two observations, not {min_observations}")]
+    MinObservations {
+        /// The value.
+        min_observations: usize,
+    },
+    /// The recording has no features for place recognition.
+    #[error(
+        "{sequence} has no mav0/cam0/features.csv, or it is empty, and no extractor was asked for: a map is built from \
+         features"
+    )]
+    NoFeatures {
+        /// The recording.
+        sequence: String,
+    },
+    /// The recording has no images.
+    #[error("{sequence} has no images in mav0/cam0/data: copy them there, or build from a features.csv")]
+    NoImages {
+        /// The recording.
+        sequence: String,
+    },
+    /// The extractor failed.
+    #[error("{image}: {source}")]
+    Extraction {
+        /// The file.
+        image: String,
+        /// The reason.
+        source: vision::ExtractError,
+    },
+    /// No image has both features and a reference pose.
+    #[error(
+        "no image has both features and a reference pose at its time ({images} images, {poses} poses, {in_time} images \
+         between --from and --until; poses at most 0.11 s apart are interpolated): check that both are of one recording"
+    )]
+    NoCommonStamps {
+        /// Images with features.
+        images: usize,
+        /// Reference poses.
+        poses: usize,
+        /// Images with features in the time range of the options.
+        in_time: usize,
+    },
+    /// Descriptors cannot be compared.
+    #[error("the descriptors cannot be matched: {0}")]
+    Descriptors(#[from] vision::DescriptorError),
+    /// The joint covariance of the poses cannot be computed.
+    #[error(
+        "the refined poses have no covariance: are the sigmas of the reference poses far too large? --no-refine-poses states \
+         the reference poses instead"
+    )]
+    Indefinite,
+    /// The result violates an invariant of maps.
+    #[error("the map that was built is invalid, which is a fault of this program: {0}")]
+    Contents(#[from] map::contents::ContentsError),
+}

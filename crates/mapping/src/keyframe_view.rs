@@ -1,0 +1,60 @@
+//! A keyframe before any matching: its features, their bearings, and its prior pose.
+
+use std::borrow::Cow;
+
+use geometry::uncertain_pose::PoseWithCovariance;
+use nalgebra::{Vector2, Vector3};
+use protocol::FeatureSet;
+use recognition::metric_of;
+use vision::{DescriptorError, DescriptorView};
+
+/// A feature: index of its keyframe, index within the keyframe.
+pub(super) type FeatureId = (usize, usize);
+
+/// An image that becomes a keyframe.
+pub(super) struct KeyframeView<'a> {
+    /// When it was taken (ns).
+    pub(super) stamp_ns: i64,
+    /// Its features.
+    pub(super) features: Cow<'a, FeatureSet>,
+    /// Pixel of each feature in the image of the second camera, where it was matched there.
+    pub(super) stereo: Vec<Option<Vector2<f64>>>,
+    /// Normalized coordinates of each feature, `None` where the pixel cannot be unprojected.
+    pub(super) rays: Vec<Option<Vector2<f64>>>,
+    /// The given pose of the camera, with its covariance.
+    pub(super) prior: PoseWithCovariance,
+}
+
+impl KeyframeView<'_> {
+    /// Pixel of a feature.
+    pub(super) fn pixel(&self, feature: usize) -> Vector2<f64> {
+        let [u, v] = self.features.pixels[feature];
+        Vector2::new(f64::from(u), f64::from(v))
+    }
+
+    /// Pixel of a feature in the image of the second camera.
+    pub(super) fn stereo_pixel(&self, feature: usize) -> Option<Vector2<f64>> {
+        self.stereo.get(feature).copied().flatten()
+    }
+
+    /// Number of features that are matched in the image of the second camera.
+    pub(super) fn stereo_count(&self) -> usize {
+        self.stereo.iter().flatten().count()
+    }
+
+    /// The descriptors of all features.
+    pub(super) fn descriptors(&self) -> Result<DescriptorView<'_>, DescriptorError> {
+        descriptors(&self.features)
+    }
+
+    /// Direction of the optical axis in G.
+    pub(super) fn axis(&self) -> Vector3<f64> {
+        self.prior.pose.rotation * Vector3::z()
+    }
+}
+
+/// The descriptors of some features.
+pub(super) fn descriptors(features: &FeatureSet) -> Result<DescriptorView<'_>, DescriptorError> {
+    let descriptors = &features.descriptors;
+    DescriptorView::new(metric_of(descriptors.kind), usize::from(descriptors.width), &descriptors.bytes)
+}

@@ -1,0 +1,134 @@
+//! The stages of map building.
+
+use std::collections::HashSet;
+use std::time::Instant;
+
+use map::contents::MapContents;
+use sensors::{ReferencePose, Sequence};
+
+use super::assemble;
+use super::camera::{CameraPose, MappingCamera};
+use super::error::BuildError;
+use super::feature_source::{Extraction, FeatureSource};
+use super::keyframe_selection::select_keyframes;
+use super::keyframe_view::{FeatureId, KeyframeView};
+use super::landmark::InverseDepthLandmark;
+use super::matching::{self, FeatureMatch};
+use super::options::{BuildOptions, FIRST_SIGMA_PX};
+use super::progress::{Progress, Stage};
+use super::refinement::refine_all;
+use super::report::BuildReport;
+use super::tracks;
+use super::triangulation::{Scene, triangulate};
+
+/// Builds a map.
+///
+/// # Arguments
+/// * `sequence`: its camera 0, with stereo also camera 1, and the features or images of its frames are used.
+/// * `references`: poses of the IMU in G with sigmas; those of images between two of them are interpolated.
+/// * `extraction`: how features are extracted from images; `None` takes those that the recording has.
+/// * `progress`: called with the stage and its steps.
+///
+/// # Returns
+/// The map, sorted and valid, and statistics of it.
+///
+/// # Errors
+/// [`BuildError`], with what to do.
+pub fn build_map(
+    sequence: &Sequence,
+    references: &[ReferencePose],
+    extraction: Option<Extraction<'_>>,
+    options: &BuildOptions,
+    progress: Progress<'_>,
+) -> Result<(MapContents, BuildReport), BuildError> {
+    check(options)?;
+    let start = Instant::now();
+    let cameras = MappingCamera::of_sensors(&sequence.cameras);
+    let mut source = FeatureSource::new(extraction, &cameras);
+    let views = select_keyframes(sequence, references, &mut source, options, progress)?;
+    let mut report = BuildReport {
+        keyframes: views.len(),
+        stereo_features: views.iter().map(KeyframeView::stereo_count).sum(),
+        unreadable_images: source.unreadable,
+        ..BuildReport::default()
+    };
+    let matches = match_all(&cameras, &views, options, &mut report, progress)?;
+    let landmarks = triangulate_all(&cameras, &views, matches, options, &mut report, progress);
+    let (bundle, joint) = refine_all(&cameras, &views, landmarks, options, &mut report, progress)?;
+    let contents =
+        assemble::map_contents(&cameras[0].camera, &views, &bundle, joint, report.sigma_px, options)?;
+    assemble::fill_report(&mut report, &cameras, &views, &bundle, &contents);
+    report.seconds = start.elapsed().as_secs_f64();
+    Ok((contents, report))
+}
+
+fn check(options: &BuildOptions) -> Result<(), BuildError> {
+    for sigma in [options.sigma_theta_rad, options.sigma_p_m].into_iter().flatten() {
+        if !(sigma.is_finite() && sigma >= 0.0) {
+            return Err(BuildError::PoseSigma { sigma });
+        }
+    }
+    if let Some(sigma_px) = options.sigma_px.filter(|sigma| !(sigma.is_finite() && *sigma > 0.0)) {
+        return Err(BuildError::PixelSigma { sigma_px });
+    }
+    if options.min_observations < 2 {
+        return Err(BuildError::MinObservations { min_observations: options.min_observations });
+    }
+    Ok(())
+}
+
+fn match_all(
+    cameras: &[MappingCamera],
+    views: &[KeyframeView<'_>],
+    options: &BuildOptions,
+    report: &mut BuildReport,
+    progress: Progress<'_>,
+) -> Result<Vec<FeatureMatch>, BuildError> {
+    let sigma_px = options.sigma_px.unwrap_or(FIRST_SIGMA_PX);
+    let pairs = matching::pairs(views, options);
+    report.pairs = pairs.len();
+    let mut matches = Vec::new();
+    for (done, &pair) in pairs.iter().enumerate() {
+        progress(Stage::Matching, done, pairs.len());
+        matches.extend(matching::match_pair(&cameras[0].camera, views, pair, sigma_px, options)?);
+    }
+    progress(Stage::Matching, pairs.len(), pairs.len());
+    report.matches = matches.len();
+    Ok(matches)
+}
+
+/// Joins matches into tracks and triangulates each. Features that are dropped from a track may be of another landmark, so
+/// their matches are joined and triangulated once more.
+fn triangulate_all(
+    cameras: &[MappingCamera],
+    views: &[KeyframeView<'_>],
+    matches: Vec<FeatureMatch>,
+    options: &BuildOptions,
+    report: &mut BuildReport,
+    progress: Progress<'_>,
+) -> Vec<InverseDepthLandmark> {
+    let counts: Vec<usize> = views.iter().map(|view| view.rays.len()).collect();
+    let poses: Vec<CameraPose> = views.iter().map(|view| CameraPose::from(&view.prior.pose)).collect();
+    let scene = Scene { cameras, views, poses: &poses, sigma_px: options.sigma_px.unwrap_or(FIRST_SIGMA_PX) };
+    let mut tracks = tracks::chain(&counts, matches.clone());
+    tracks.extend(tracks::stereo_singles(views, &tracks));
+    let mut landmarks = Vec::new();
+    let mut dropped: HashSet<FeatureId> = HashSet::new();
+    for (done, track) in tracks.iter().enumerate() {
+        progress(Stage::Triangulation, done, tracks.len());
+        let (landmark, outliers) = triangulate(&scene, track, options.min_observations);
+        landmarks.extend(landmark);
+        dropped.extend(outliers);
+    }
+    let among_dropped =
+        |found: &FeatureMatch| dropped.contains(&found.first) && dropped.contains(&found.second);
+    let leftovers = matches.into_iter().filter(among_dropped).collect();
+    for track in tracks::chain(&counts, leftovers) {
+        let (landmark, _) = triangulate(&scene, &track, options.min_observations);
+        landmarks.extend(landmark);
+    }
+    progress(Stage::Triangulation, tracks.len(), tracks.len());
+    let kept: usize = landmarks.iter().map(InverseDepthLandmark::view_count).sum();
+    report.dropped_observations = tracks.iter().map(Vec::len).sum::<usize>().saturating_sub(kept);
+    landmarks
+}

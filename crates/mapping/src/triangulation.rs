@@ -1,0 +1,157 @@
+//! Triangulation of one landmark from uncertain poses: the initial value for bundle adjustment.
+
+use nalgebra::{Matrix2, Matrix3, Matrix6, Vector3};
+
+use super::camera::{CameraPose, MAX_DEPTH, MappingCamera};
+use super::keyframe_view::{FeatureId, KeyframeView};
+use super::landmark::{InverseDepthLandmark, LandmarkObservation, Prediction};
+
+/// Smallest depth of the grid (m): indoor cameras see surfaces this near.
+const GRID_MIN_DEPTH: f64 = 0.3;
+/// Number of depths of the grid, uniform in the logarithm: neighbours differ by a third.
+const GRID_SIZE: usize = 28;
+/// Mahalanobis distance squared, from the noise of pixels and poses, beyond which an observation is an outlier:
+/// chi-square with 2 degrees of freedom, 0.3 %.
+const GATE: f64 = 12.0;
+/// Gauss-Newton iterations from the best depth of the grid, which is close enough for quadratic convergence.
+const STEPS: usize = 6;
+
+/// Input of triangulation besides the track.
+pub(super) struct Scene<'a> {
+    /// The cameras.
+    pub(super) cameras: &'a [MappingCamera],
+    /// The keyframes.
+    pub(super) views: &'a [KeyframeView<'a>],
+    /// Their given poses.
+    pub(super) poses: &'a [CameraPose],
+    /// Standard deviation of a pixel (px).
+    pub(super) sigma_px: f64,
+}
+
+/// Triangulates the landmark of a track, and drops outlier observations.
+///
+/// The pixel of each view other than the anchor is weighted with what the covariances of both poses make of it, see
+/// [`Scene::weight`]. The depth is searched on a grid first, with a truncated cost, which is robust to
+/// outliers and to single poses with large errors.
+///
+/// # Returns
+/// The landmark, anchored in the middle of its track, and the features that were dropped. `None` for the landmark
+/// where fewer than two observations agree.
+pub(super) fn triangulate(
+    scene: &Scene<'_>,
+    track: &[FeatureId],
+    least: usize,
+) -> (Option<InverseDepthLandmark>, Vec<FeatureId>) {
+    let observations = scene.observations(track);
+    // The middle is closest to all others.
+    let (view, feature) = track[track.len() / 2];
+    let in_middle = |observation: &LandmarkObservation| observation.feature == (view, feature);
+    let (Some(anchor), Some(ray)) =
+        (observations.iter().position(in_middle), scene.views[view].rays[feature])
+    else {
+        return (None, Vec::new());
+    };
+    let start = InverseDepthLandmark { anchor, ray, inverse_depth: 1.0, observations };
+    let (landmark, _) = (0..GRID_SIZE)
+        .map(|index| {
+            let fraction = index as f64 / (GRID_SIZE - 1) as f64;
+            let depth = GRID_MIN_DEPTH * (MAX_DEPTH / GRID_MIN_DEPTH).powf(fraction);
+            let landmark = InverseDepthLandmark { inverse_depth: depth.recip(), ..start.clone() };
+            let cost: f64 = distances(scene, &landmark).iter().map(|distance| distance.min(GATE)).sum();
+            (landmark, cost)
+        })
+        .min_by(|a, b| a.1.total_cmp(&b.1))
+        .unwrap_or((start, 0.0));
+    let landmark = refine(scene, landmark);
+    let keep: Vec<bool> = distances(scene, &landmark).iter().map(|&distance| distance <= GATE).collect();
+    let is_dropped = |(observation, keep): &(&LandmarkObservation, &bool)| !**keep && observation.camera == 0;
+    let dropped =
+        landmark.observations.iter().zip(&keep).filter(is_dropped).map(|(s, _)| s.feature).collect();
+    match landmark.retained(&keep, least) {
+        Some(landmark) => (Some(refine(scene, landmark)), dropped),
+        None => (None, Vec::new()),
+    }
+}
+
+/// Squared distance of each observation from its prediction, in sigmas; infinite where it is not visible.
+fn distances(scene: &Scene<'_>, landmark: &InverseDepthLandmark) -> Vec<f64> {
+    let distance = |(index, observation): (usize, &LandmarkObservation)| {
+        if index == landmark.anchor {
+            let residual = observation.pixel - landmark.predict_in_anchor(scene.cameras).0;
+            return residual.norm_squared() / (scene.sigma_px * scene.sigma_px);
+        }
+        scene.weight(landmark, observation).map_or(f64::INFINITY, |(prediction, weight)| {
+            let residual = observation.pixel - prediction.pixel;
+            residual.dot(&(weight * residual))
+        })
+    };
+    landmark.observations.iter().enumerate().map(distance).collect()
+}
+
+impl Scene<'_> {
+    /// The observations of a track, by one camera or both.
+    fn observations(&self, track: &[FeatureId]) -> Vec<LandmarkObservation> {
+        let of_feature = |&(view, feature): &FeatureId| {
+            let first = LandmarkObservation {
+                feature: (view, feature),
+                camera: 0,
+                pixel: self.views[view].pixel(feature),
+            };
+            let second = self.views[view].stereo_pixel(feature).map(|pixel| LandmarkObservation {
+                camera: 1,
+                pixel,
+                ..first
+            });
+            std::iter::once(first).chain(second)
+        };
+        track.iter().flat_map(of_feature).collect()
+    }
+
+    /// Prediction of a landmark in a view, and the inverse of its covariance from the pixel and both poses (2x2):
+    /// `sigma^2 I + J_a P_a J_a^T + J_v P_v J_v^T`.
+    fn weight(
+        &self,
+        landmark: &InverseDepthLandmark,
+        observation: &LandmarkObservation,
+    ) -> Option<(Prediction, Matrix2<f64>)> {
+        let (anchor, view) = (landmark.anchor_view(), observation.view());
+        let prediction = landmark.predict(self.cameras, self.poses, observation)?;
+        let covariance = |view: usize| -> &Matrix6<f64> { &self.views[view].prior.covariance };
+        let total = Matrix2::identity() * (self.sigma_px * self.sigma_px)
+            + prediction.by_anchor * covariance(anchor) * prediction.by_anchor.transpose()
+            + prediction.by_view * covariance(view) * prediction.by_view.transpose();
+        let weight = total.try_inverse()?;
+        Some((prediction, weight))
+    }
+}
+
+/// Gauss-Newton on ray and inverse depth with the poses held, observations beyond the gate left out.
+fn refine(scene: &Scene<'_>, mut landmark: InverseDepthLandmark) -> InverseDepthLandmark {
+    for _ in 0..STEPS {
+        let mut information = Matrix3::zeros();
+        let mut gradient = Vector3::zeros();
+        let anchor_weight = (scene.sigma_px * scene.sigma_px).recip();
+        let (pixel, by_ray) = landmark.predict_in_anchor(scene.cameras);
+        let residual = landmark.observations[landmark.anchor].pixel - pixel;
+        let ray_information = by_ray.transpose() * by_ray * anchor_weight;
+        let ray_gradient = by_ray.transpose() * residual * anchor_weight;
+        information.fixed_view_mut::<2, 2>(0, 0).copy_from(&ray_information);
+        gradient.fixed_rows_mut::<2>(0).copy_from(&ray_gradient);
+        for (index, observation) in landmark.observations.iter().enumerate() {
+            if index == landmark.anchor {
+                continue;
+            }
+            let Some((prediction, weight)) = scene.weight(&landmark, observation) else { continue };
+            let residual = observation.pixel - prediction.pixel;
+            if residual.dot(&(weight * residual)) <= GATE {
+                information += prediction.by_landmark.transpose() * weight * prediction.by_landmark;
+                gradient += prediction.by_landmark.transpose() * (weight * residual);
+            }
+        }
+        // A weak prior on the inverse depth (sigma 1/m), for landmarks without parallax.
+        information[(2, 2)] += 1.0;
+        let Some(factor) = information.cholesky() else { break };
+        landmark = landmark.corrected(&factor.solve(&gradient));
+    }
+    landmark
+}
