@@ -180,7 +180,13 @@ pub fn read_reference_poses(path: &Path) -> Result<Vec<ReferencePose>, SequenceE
     TimedRows::open(path)?.collect()
 }
 
-/// Position and Hamilton quaternion (w first) from `column` on.
+/// Reads a pose from seven cells: position (metres), then Hamilton quaternion, w first.
+///
+/// # Arguments
+/// * `column`: of the first of them, counted from 0.
+///
+/// # Errors
+/// [`SequenceError::Row`]: a cell is missing or not finite, or the quaternion's length is not 1.
 pub fn pose(row: &Row<'_>, column: usize) -> Result<Pose, SequenceError> {
     let [p_x, p_y, p_z, q_w, q_x, q_y, q_z] = row.finite_array(column)?;
     let quaternion = Quaternion::new(q_w, q_x, q_y, q_z);

@@ -1,6 +1,6 @@
-//! Reads a comma-separated table row by row, without an allocation a row, and knows where it is when it complains.
+//! A reader of comma-separated tables: row by row, without an allocation a row; errors name the file and the line.
 //!
-//! Lines that begin with `#` are comments (EuRoC's headers); so is a first line whose first cell is not a number.
+//! Lines that begin with `#` are comments (EuRoC's headers); so is a first line whose first cell is a column's name.
 
 use super::error::SequenceError;
 use csv::{ByteRecord, Reader, ReaderBuilder};
@@ -9,7 +9,21 @@ use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
-/// A table that is being read.
+/// A comma-separated file that is being read.
+///
+/// ```
+/// # let folder = tempfile::tempdir()?;
+/// # let path = folder.path().join("imu.csv");
+/// std::fs::write(&path, "#timestamp [ns],rate [rad/s]\n5000000, 0.25\n")?;
+/// let mut table = sensors::Table::open(&path, "it holds the turn rates")?;
+/// let mut rates = Vec::new();
+/// while let Some(row) = table.next_row()? {
+///     rates.push((row.stamp()?, row.finite(1)?));
+/// }
+/// assert_eq!(rates, [(5_000_000, 0.25)]);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Debug)]
 pub struct Table {
     path: PathBuf,
     reader: Reader<File>,
@@ -18,7 +32,13 @@ pub struct Table {
 }
 
 impl Table {
-    /// Opens a table. `advice` says what the file is for, should it be missing.
+    /// Opens a file.
+    ///
+    /// # Arguments
+    /// * `advice`: what the file is for; part of the error when it is missing.
+    ///
+    /// # Errors
+    /// [`SequenceError::Missing`] or [`SequenceError::Io`], with the file.
     pub fn open(path: &Path, advice: &str) -> Result<Self, SequenceError> {
         let file = File::open(path).map_err(|source| match source.kind() {
             std::io::ErrorKind::NotFound => SequenceError::missing(path, advice),
@@ -33,7 +53,10 @@ impl Table {
         Ok(Self { path: path.to_path_buf(), reader, record: ByteRecord::new(), rows: 0 })
     }
 
-    /// The next row, or `None` at the end.
+    /// Reads the next row; `None` at the end of the file.
+    ///
+    /// # Errors
+    /// [`SequenceError::Row`] with file and line: the file cannot be read any further.
     pub fn next_row(&mut self) -> Result<Option<Row<'_>>, SequenceError> {
         loop {
             let more = self.reader.read_byte_record(&mut self.record).map_err(|error| {
@@ -59,7 +82,7 @@ impl Table {
         }
     }
 
-    /// The row that was read last.
+    /// The row that was read last; without any cells before the first [`Table::next_row`].
     pub fn row(&self) -> Row<'_> {
         Row { path: &self.path, record: &self.record }
     }
@@ -72,14 +95,14 @@ fn is_header(record: &ByteRecord) -> bool {
 }
 
 /// One row of a [`Table`].
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Debug)]
 pub struct Row<'a> {
     path: &'a Path,
     record: &'a ByteRecord,
 }
 
 impl<'a> Row<'a> {
-    /// An error about this row.
+    /// An error about this row, with file and line.
     pub fn wrong(&self, problem: impl Into<String>) -> SequenceError {
         SequenceError::Row { path: self.path.to_path_buf(), line: self.line(), problem: problem.into() }
     }
@@ -89,12 +112,20 @@ impl<'a> Row<'a> {
         self.record.position().map_or(0, csv::Position::line)
     }
 
-    /// How many cells it has.
+    /// Number of cells.
     pub fn len(&self) -> usize {
         self.record.len()
     }
 
-    /// Complains unless the row has at least `wanted` cells.
+    /// Whether the row has no cells.
+    pub fn is_empty(&self) -> bool {
+        self.record.is_empty()
+    }
+
+    /// Checks that the row has at least `wanted` cells.
+    ///
+    /// # Errors
+    /// [`SequenceError::Row`]: the row is cut off.
     pub fn require(&self, wanted: usize) -> Result<(), SequenceError> {
         if self.len() >= wanted {
             return Ok(());
@@ -105,7 +136,10 @@ impl<'a> Row<'a> {
         )))
     }
 
-    /// A cell without the blanks around it.
+    /// A cell without surrounding blanks. Columns count from 0.
+    ///
+    /// # Errors
+    /// [`SequenceError::Row`]: the row has no such column.
     pub fn cell(&self, column: usize) -> Result<&'a [u8], SequenceError> {
         match self.record.get(column) {
             Some(cell) => Ok(cell.trim_ascii()),
@@ -113,19 +147,28 @@ impl<'a> Row<'a> {
         }
     }
 
-    /// A cell as a number of type `T`.
+    /// A cell, parsed as `T`.
+    ///
+    /// # Errors
+    /// [`SequenceError::Row`]: the row has no such column, or the cell is not a `T`.
     pub fn parse<T: FromStr<Err: Display>>(&self, column: usize) -> Result<T, SequenceError> {
         let cell = self.cell(column)?;
         let text = std::str::from_utf8(cell).unwrap_or("not text");
         text.parse().map_err(|error| self.wrong(format!("column {}: \"{text}\": {error}", column + 1)))
     }
 
-    /// A time stamp, nanoseconds.
+    /// The time stamp in the first column, nanoseconds.
+    ///
+    /// # Errors
+    /// [`SequenceError::Row`]: the cell is not a whole number.
     pub fn stamp(&self) -> Result<i64, SequenceError> {
         self.parse(0)
     }
 
-    /// A finite number.
+    /// A cell as a finite number.
+    ///
+    /// # Errors
+    /// [`SequenceError::Row`]: the cell is no number, infinite or NaN.
     pub fn finite(&self, column: usize) -> Result<f64, SequenceError> {
         let value: f64 = self.parse(column)?;
         if value.is_finite() {
@@ -135,6 +178,9 @@ impl<'a> Row<'a> {
     }
 
     /// `N` finite numbers from `column` on.
+    ///
+    /// # Errors
+    /// As [`Row::finite`].
     pub fn finite_array<const N: usize>(&self, column: usize) -> Result<[f64; N], SequenceError> {
         let mut values = [0.0; N];
         for (offset, value) in values.iter_mut().enumerate() {
@@ -144,7 +190,10 @@ impl<'a> Row<'a> {
     }
 }
 
-/// Complains about a time stamp that is not later than the one before.
+/// Checks that the time stamp of a row is later than that of the row before.
+///
+/// # Errors
+/// [`SequenceError::Row`] for `row`: its time repeats or goes back.
 pub fn check_order(row: &Row<'_>, before: Option<i64>, stamp_ns: i64) -> Result<(), SequenceError> {
     match before {
         Some(before) if stamp_ns <= before => Err(row.wrong(format!(
