@@ -9,9 +9,9 @@ macro_rules! for_each_message {
         $apply::<protocol::MatchReply>($($argument),*);
         $apply::<protocol::LocalizeRequest>($($argument),*);
         $apply::<protocol::LocalizeReply>($($argument),*);
-        $apply::<protocol::MapInfo>($($argument),*);
+        $apply::<protocol::MapInfoReply>($($argument),*);
         $apply::<protocol::KeyframeReply>($($argument),*);
-        $apply::<protocol::MapChange>($($argument),*);
+        $apply::<protocol::MapChangeNotice>($($argument),*);
         $apply::<protocol::RobotPose>($($argument),*);
         $apply::<protocol::RobotOdometry>($($argument),*);
         $apply::<protocol::RobotStatus>($($argument),*);

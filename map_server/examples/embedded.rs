@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 
 use client::{MapClient, SessionOptions, close_session, open_session};
 use geometry::{Camera, Distortion, Pose, PoseWithCovariance};
-use map::{Keyframe, Landmark, MapContents, MapInfo, Observation, SledStore};
+use map::{Keyframe, Landmark, MapContents, MapMetadata, Observation, store};
 use map_server::{MapServer, ServedMap, ServerOptions};
 use nalgebra::{Matrix6, UnitQuaternion, Vector2, Vector3};
 use protocol::{DescriptorKind, Descriptors, FeatureSet, LocalizeRequest};
@@ -30,7 +30,7 @@ async fn main() -> Result<(), Error> {
     let database = std::env::args().nth(1);
     let scene = Scene::new(&mut StdRng::seed_from_u64(1));
     let map = match &database {
-        Some(path) => LoadedMap::load(&SledStore::open(Path::new(path))?)?,
+        Some(path) => LoadedMap::load(store::open(Path::new(path))?.as_ref())?,
         None => LoadedMap::from_contents(scene.map())?,
     };
 
@@ -113,7 +113,7 @@ impl Scene {
     /// A map of twelve keyframes. Each landmark is anchored in the first keyframe that sees it.
     fn map(&self) -> MapContents {
         let mut contents =
-            MapContents::empty(MapInfo::new("hall", "example", DescriptorKind::Binary, DESCRIPTOR_BYTES));
+            MapContents::empty(MapMetadata::new("hall", "example", DescriptorKind::Binary, DESCRIPTOR_BYTES));
         contents.info.gravity_in_global = Some(-Vector3::z());
         let mut observed = vec![Vec::new(); self.landmarks.len()];
         for id in 0..12 {

@@ -25,7 +25,7 @@ impl From<&Pose> for CameraPose {
     }
 }
 
-/// A camera of the cameras, and where it sits: `p_lens = rotation p_first + offset`, in metres, with the frame of camera 0.
+/// A camera with its extrinsics relative to camera 0: `p_camera = rotation p_first + offset` (m).
 #[derive(Clone, Debug)]
 pub(super) struct MappingCamera {
     /// The camera.

@@ -21,7 +21,7 @@ pub(super) struct KeyframeView<'a> {
     pub(super) stereo: Vec<Option<Vector2<f64>>>,
     /// Normalized coordinates of each feature, `None` where the pixel cannot be unprojected.
     pub(super) rays: Vec<Option<Vector2<f64>>>,
-    /// The given pose of the camera, with its covariance.
+    /// The reference pose of the camera, with its covariance.
     pub(super) prior: PoseWithCovariance,
 }
 

@@ -12,7 +12,7 @@
 //! | the map is assembled | `assemble` |
 //!
 //! [`build_map`] runs them all (`pipeline`). The map states the refined poses, each with its covariance and its
-//! cross-covariances with other keyframes, so that a robot knows that the errors of neighbouring keyframes are correlated.
+//! cross-covariances with other keyframes, so that a robot can weight keyframes whose errors are correlated.
 //! With [`StoredPoses::Given`] it states the reference poses instead, whose errors are independent. Landmarks come from the
 //! refinement either way, in their anchors' camera frames; the estimator uses them as linearization points only, beside the
 //! raw pixels.

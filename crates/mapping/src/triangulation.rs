@@ -22,7 +22,7 @@ pub(super) struct Scene<'a> {
     pub(super) cameras: &'a [MappingCamera],
     /// The keyframes.
     pub(super) views: &'a [KeyframeView<'a>],
-    /// Their given poses.
+    /// Their reference poses.
     pub(super) poses: &'a [CameraPose],
     /// Standard deviation of a pixel (px).
     pub(super) sigma_px: f64,

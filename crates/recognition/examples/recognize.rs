@@ -70,10 +70,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let estimate = &fix.global_from_camera;
     let sigmas = estimate.covariance.diagonal().map(f64::sqrt);
     println!("best keyframe {}: {} inliers of {}", fix.keyframe, fix.inliers, fix.matched_features);
-    println!("position (m)           {:.3}", estimate.pose.translation.transpose());
-    println!("true position (m)      {:.3}", truth.translation.transpose());
-    println!("sigma of rotation (rad){:.5}", sigmas.fixed_rows::<3>(0).transpose());
-    println!("sigma of position (m)  {:.4}", sigmas.fixed_rows::<3>(3).transpose());
+    println!("position (m)            {:.3?}", estimate.pose.translation.as_slice());
+    println!("true position (m)       {:.3?}", truth.translation.as_slice());
+    println!("sigma of rotation (rad) {:.5?}", &sigmas.as_slice()[..3]);
+    println!("sigma of position (m)   {:.4?}", &sigmas.as_slice()[3..]);
     Ok(())
 }
 

@@ -25,7 +25,6 @@ const PRIOR_SIGMAS: f64 = 3.0;
 
 /// Why a query cannot be answered. "Nothing matched" is an answer, not an error.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
-#[non_exhaustive]
 pub enum QueryError {
     /// The query's descriptors cannot be compared with the map's.
     #[error(
