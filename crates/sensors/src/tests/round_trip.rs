@@ -1,4 +1,4 @@
-//! What is written is what is read.
+//! Reading gives back what was written.
 
 use super::*;
 
@@ -97,8 +97,8 @@ fn a_header_without_a_hash_is_a_header() {
     assert_eq!((rows.len(), rows[0].velocity), (1, None));
 }
 
-/// Where the recorded data is unpacked, every recording in it is read, and gravity found; elsewhere there is nothing
-/// to read.
+/// Every recording below `target/data` is read, and the direction of gravity found; without that folder the test does
+/// nothing.
 #[test]
 fn every_unpacked_recording_is_read() {
     let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../target/data");
