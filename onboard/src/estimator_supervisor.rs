@@ -1,79 +1,83 @@
-//! The filter of a robot from start to start: it looks for a state to start from, runs, and when it diverges
-//! looks again.
+//! Initializes the estimator, runs it, and initializes it again when it diverges.
 //!
-//! L goes on from start to start (REP-105: the odometry frame is continuous): the new start takes position and yaw
-//! of the last pose that was believed. The place in the map is not taken along; a new filter asks for it.
+//! The odometry frame L is continuous over initializations (REP-105): a new filter begins with position and yaw of the
+//! last trusted pose. The pose in the map is not carried over; a new filter is localized by its own queries.
 
 use estimator::{
     CalibratedCamera, Estimator, EstimatorConfig, EstimatorError, ImuSample, InitMethod, InitStatus,
     Initializer, LastTrustedPose, Localization, Start, Status, TrackObservation,
 };
 
-/// A filter that lived shorter than this was started badly, nanoseconds.
-const SHORT_LIFE_NS: i64 = 10_000_000_000;
-/// Longest pause before the next start, seconds. Pauses double with each bad start from one second on, so that a
-/// robot whose sensors are broken does not spend its time on starting.
-const LONGEST_PAUSE: f64 = 30.0;
+/// A filter that diverges earlier than this was initialized badly, nanoseconds.
+const MIN_LIFE_NS: i64 = 10_000_000_000;
+/// Longest pause before the next initialization, seconds. Pauses begin at one second and double with each bad
+/// initialization, so that a robot with broken sensors does not spend its time on initializing.
+const MAX_PAUSE_S: f64 = 30.0;
 
-/// How long a start may take before it is said what is waited for, and how often then, nanoseconds.
+/// Time without a pose before the first warning, and between warnings, nanoseconds.
 const FIRST_WARNING_NS: i64 = 2_000_000_000;
 const WARN_EVERY_NS: i64 = 10_000_000_000;
 
-/// What the filter is at.
+/// What the supervisor does now.
 #[derive(Debug)]
 enum Phase {
     Initializing(Box<Initializer>),
     Running(Box<Estimator>),
 }
 
-/// The filter, or the search for its start.
+/// The estimator, or its initialization.
 #[derive(Debug)]
 pub struct EstimatorSupervisor {
     config: EstimatorConfig,
     rig: Vec<CalibratedCamera>,
     phase: Phase,
-    /// Time of the newest start, nanoseconds.
+    /// Time of the newest initialization, nanoseconds.
     started_ns: i64,
-    last: Option<LastTrustedPose>,
-    bad_starts: i32,
-    /// Why the last filter was given up.
-    gave_up: Option<String>,
-    waiting: InitStatus,
-    /// When it is said next that there is no start, nanoseconds.
+    last_trusted: Option<LastTrustedPose>,
+    bad_initializations: i32,
+    /// Why the last filter diverged.
+    divergence: Option<String>,
+    init_status: InitStatus,
+    /// Time of the next warning that there is no pose, nanoseconds.
     next_warning_ns: Option<i64>,
 }
 
 impl EstimatorSupervisor {
-    /// A filter that runs already, from its present state on.
+    /// Supervises an estimator that is initialized already.
     pub fn running(estimator: Estimator, rig: Vec<CalibratedCamera>) -> Self {
-        let mut estimator_supervisor = Self::searching(estimator.config().clone(), rig);
-        estimator_supervisor.started_ns = estimator.stamp_ns();
-        estimator_supervisor.phase = Phase::Running(Box::new(estimator));
-        estimator_supervisor
+        let mut supervisor = Self::initializing(estimator.config().clone(), rig);
+        supervisor.started_ns = estimator.stamp_ns();
+        supervisor.phase = Phase::Running(Box::new(estimator));
+        supervisor
     }
 
-    /// A filter whose start is still to be found.
-    pub fn searching(config: EstimatorConfig, rig: Vec<CalibratedCamera>) -> Self {
+    /// Supervises an estimator that is still to be initialized.
+    pub fn initializing(config: EstimatorConfig, rig: Vec<CalibratedCamera>) -> Self {
         let initializer = Initializer::new(config.clone(), rig.clone());
         Self {
             config,
             rig,
             phase: Phase::Initializing(Box::new(initializer)),
             started_ns: i64::MAX,
-            last: None,
-            bad_starts: 0,
-            gave_up: None,
-            waiting: InitStatus::Data,
+            last_trusted: None,
+            bad_initializations: 0,
+            divergence: None,
+            init_status: InitStatus::Data,
             next_warning_ns: None,
         }
     }
 
-    /// Settings of the filter.
+    /// Settings of the estimator.
     pub fn config(&self) -> &EstimatorConfig {
         &self.config
     }
 
-    /// The filter; none while a start is looked for.
+    /// Number of cameras of the rig.
+    pub fn camera_count(&self) -> usize {
+        self.rig.len()
+    }
+
+    /// The estimator; `None` while it is being initialized.
     pub fn estimator(&self) -> Option<&Estimator> {
         match &self.phase {
             Phase::Running(estimator) => Some(estimator),
@@ -81,7 +85,7 @@ impl EstimatorSupervisor {
         }
     }
 
-    /// The same, to be changed.
+    /// The estimator, mutable; `None` while it is being initialized.
     pub fn estimator_mut(&mut self) -> Option<&mut Estimator> {
         match &mut self.phase {
             Phase::Running(estimator) => Some(estimator),
@@ -89,22 +93,22 @@ impl EstimatorSupervisor {
         }
     }
 
-    /// The filter, where it already was there at the time of an image: a newer one does not know that image.
+    /// The estimator, if it already ran at the time of an image: a newer one has no clone of that image.
     pub fn estimator_since(&mut self, stamp_ns: i64) -> Option<&mut Estimator> {
         let known = stamp_ns >= self.started_ns;
         self.estimator_mut().filter(|_| known)
     }
 
-    /// Whether an image lies before a start that was known beforehand.
-    pub fn begins_after(&self, stamp_ns: i64) -> bool {
+    /// Whether an image is before the given initial state.
+    pub fn starts_after(&self, stamp_ns: i64) -> bool {
         self.estimator().is_some_and(|estimator| stamp_ns < estimator.stamp_ns())
             && stamp_ns < self.started_ns
     }
 
-    /// Takes a reading.
+    /// Adds an IMU reading.
     ///
     /// # Errors
-    /// [`EstimatorError::BadImu`]: it was dropped.
+    /// [`EstimatorError::BadImu`]: the reading was refused.
     pub fn imu(&mut self, sample: ImuSample) -> Result<(), EstimatorError> {
         match &mut self.phase {
             Phase::Initializing(initializer) => initializer.imu(sample),
@@ -112,14 +116,14 @@ impl EstimatorSupervisor {
         }
     }
 
-    /// Looks for a start at an image, where one is looked for.
+    /// Tries to initialize the estimator at an image; does nothing where it runs.
     ///
     /// # Returns
-    /// How the filter was started now; `None` where it runs already, or still waits.
+    /// How it was initialized now; `None` where it runs already, or cannot be initialized yet.
     ///
     /// # Errors
     /// [`EstimatorError::Config`] names the setting that cannot work.
-    pub fn try_start(
+    pub fn try_initialize(
         &mut self,
         stamp_ns: i64,
         tracks: &[TrackObservation],
@@ -127,8 +131,8 @@ impl EstimatorSupervisor {
         let Phase::Initializing(initializer) = &mut self.phase else { return Ok(None) };
         let Start { initial, method } = match initializer.image(stamp_ns, tracks) {
             Ok(start) => start,
-            Err(waiting) => {
-                self.wait(stamp_ns, waiting);
+            Err(status) => {
+                self.note_init_status(stamp_ns, status);
                 return Ok(None);
             }
         };
@@ -142,21 +146,21 @@ impl EstimatorSupervisor {
         Ok(Some(method))
     }
 
-    /// Remembers what is waited for, and says so when it takes long.
-    fn wait(&mut self, stamp_ns: i64, waiting: InitStatus) {
-        self.waiting = waiting;
+    /// Keeps the status of the initialization, and logs it when it takes long.
+    fn note_init_status(&mut self, stamp_ns: i64, status: InitStatus) {
+        self.init_status = status;
         let due_ns = *self.next_warning_ns.get_or_insert(stamp_ns + FIRST_WARNING_NS);
         if stamp_ns >= due_ns {
-            tracing::warn!(%waiting, "no pose: the robot has no start yet");
+            tracing::warn!(%status, "no pose: the estimator is not initialized yet");
             self.next_warning_ns = Some(stamp_ns + WARN_EVERY_NS);
         }
     }
 
-    /// Remembers the newest pose, where it can be believed.
-    pub fn remember(&mut self) {
+    /// Keeps the newest pose as the last trusted one, unless the estimator is suspicious.
+    pub fn update_last_trusted(&mut self) {
         let Phase::Running(estimator) = &self.phase else { return };
         if !estimator.is_suspicious() {
-            self.last = Some(LastTrustedPose {
+            self.last_trusted = Some(LastTrustedPose {
                 stamp_ns: estimator.stamp_ns(),
                 local_from_imu: estimator.local_from_imu().pose,
                 gyroscope_bias: estimator.biases().0,
@@ -164,43 +168,44 @@ impl EstimatorSupervisor {
         }
     }
 
-    /// From when on [`EstimatorSupervisor::give_up`] would need the readings, nanoseconds; none while a start is looked for.
-    pub fn believed_ns(&self) -> Option<i64> {
-        self.estimator().and(self.last).map(|last| last.stamp_ns)
+    /// From when on [`EstimatorSupervisor::reinitialize`] needs the readings, nanoseconds; `None` during
+    /// initialization.
+    pub fn last_trusted_ns(&self) -> Option<i64> {
+        self.estimator().and(self.last_trusted).map(|last| last.stamp_ns)
     }
 
-    /// Gives the filter up and looks for the next start.
+    /// Drops a diverged estimator and begins the next initialization.
     ///
     /// # Arguments
-    /// * `readings`: those up to now, from [`EstimatorSupervisor::believed_ns`] on, by which the yaw is turned on.
-    pub fn give_up(&mut self, now_ns: i64, why: &EstimatorError, readings: &[ImuSample]) {
-        let short = now_ns - self.started_ns < SHORT_LIFE_NS;
-        self.bad_starts = if short { self.bad_starts + 1 } else { 0 };
-        let pause = if short { 2_f64.powi(self.bad_starts - 1).min(LONGEST_PAUSE) } else { 0.0 };
+    /// * `readings`: those up to now, from [`EstimatorSupervisor::last_trusted_ns`] on; they propagate the yaw.
+    pub fn reinitialize(&mut self, now_ns: i64, why: &EstimatorError, readings: &[ImuSample]) {
+        let short = now_ns - self.started_ns < MIN_LIFE_NS;
+        self.bad_initializations = if short { self.bad_initializations + 1 } else { 0 };
+        let pause = if short { 2_f64.powi(self.bad_initializations - 1).min(MAX_PAUSE_S) } else { 0.0 };
         let not_before_ns = now_ns + (pause * 1e9) as i64;
         let mut initializer =
-            Initializer::again(self.config.clone(), self.rig.clone(), self.last, not_before_ns);
-        let from_ns = self.last.map_or(now_ns, |last| last.stamp_ns);
+            Initializer::again(self.config.clone(), self.rig.clone(), self.last_trusted, not_before_ns);
+        let from_ns = self.last_trusted.map_or(now_ns, |last| last.stamp_ns);
         let first = readings.partition_point(|reading| reading.stamp_ns < from_ns).saturating_sub(1);
         for reading in &readings[first.min(readings.len())..] {
-            // A reading that the filter would not take is not taken here either.
+            // Readings that the filter refused are refused here too.
             let _ = initializer.imu(*reading);
         }
         initializer.forget_rest();
         self.phase = Phase::Initializing(Box::new(initializer));
-        self.gave_up = Some(why.to_string());
-        self.waiting = InitStatus::Data;
+        self.divergence = Some(why.to_string());
+        self.init_status = InitStatus::Data;
     }
 
-    /// What is known of the pose.
+    /// Status of the localization.
     pub fn status(&self) -> Status {
         match &self.phase {
             Phase::Running(estimator) => estimator.status(),
             Phase::Initializing(_) => Status {
                 localization: Localization::Lost,
-                reason: match &self.gave_up {
-                    Some(why) => format!("{why}; {}", self.waiting),
-                    None => self.waiting.to_string(),
+                reason: match &self.divergence {
+                    Some(why) => format!("{why}; {}", self.init_status),
+                    None => self.init_status.to_string(),
                 },
                 last_map_update_ns: None,
                 held_keyframes: 0,

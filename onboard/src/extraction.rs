@@ -1,39 +1,42 @@
-//! Features of the robot's images for the map, extracted on a thread of their own.
+//! Feature extraction for map queries, on a thread of its own.
 //!
-//! Odometry runs at the rate of the camera; an extractor takes longer than that. So an image is handed over with the
-//! clone of its pose, which stays in the filter, and the map is asked when the features are there.
+//! Odometry runs at the rate of the camera; an extractor takes longer than one period. So an image is submitted with
+//! the id of its pose clone, which stays in the filter, and the map is queried when the features are ready.
 
 use anyhow::{Context as _, Result, bail};
 use estimator::CloneId;
 use protocol::FeatureSet;
-use sensors::feature_set;
-use std::path::{Path, PathBuf};
+use sensors::{ImageData, feature_set};
+use std::path::PathBuf;
 use std::sync::mpsc::{Receiver, Sender, channel};
-use vision::features::{DEFAULT_EXTRACTOR, open};
-use vision::{FeatureExtractor, GrayImage};
+use vision::features::{DEFAULT_EXTRACTOR, ExtractError, open};
+use vision::{FeatureExtractor, GrayImage, ImageError};
 
-/// Which features of images are compared with the map's.
+/// Heading of these switches in `--help`.
+const HEADING: &str = "Image features";
+
+/// Which features of images are matched with the map's.
 #[derive(clap::Args, Clone, Debug)]
 pub struct FeatureArguments {
     /// Extractor of features for place recognition: sift-1, or a learned one (see `driftless weights`)
-    #[arg(long, value_name = "NAME", default_value = DEFAULT_EXTRACTOR)]
+    #[arg(long, value_name = "NAME", default_value = DEFAULT_EXTRACTOR, help_heading = HEADING)]
     pub extractor: String,
     /// Folder with the weights of learned extractors [default: where `driftless weights` puts them]
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", help_heading = HEADING)]
     pub weights: Option<PathBuf>,
-    /// Most features an image
-    #[arg(long, value_name = "N", default_value_t = 1000)]
+    /// Maximum number of features per image
+    #[arg(long, value_name = "N", default_value_t = 1000, help_heading = HEADING)]
     pub max_features: usize,
-    /// Image that is black where camera 0 sees the robot itself
-    #[arg(long, value_name = "PNG")]
+    /// Image that is black (zero) where camera 0 sees the robot itself
+    #[arg(long, value_name = "PNG", help_heading = HEADING)]
     pub mask: Option<PathBuf>,
 }
 
 impl FeatureArguments {
-    /// The extractor, ready to use.
+    /// Opens the extractor.
     ///
     /// # Errors
-    /// An unknown name, missing or damaged weights, no features asked for.
+    /// An unknown name, missing or damaged weights, --max-features out of range.
     pub fn open(&self) -> Result<Box<dyn FeatureExtractor>> {
         if self.max_features == 0 || self.max_features > protocol::MAX_FEATURES {
             bail!("--max-features {}: give a number from 1 to {}", self.max_features, protocol::MAX_FEATURES);
@@ -41,38 +44,58 @@ impl FeatureArguments {
         open(&self.extractor, self.weights.as_deref()).context("--extractor")
     }
 
-    /// The mask, if there is one.
+    /// Reads the mask, if there is one.
     ///
     /// # Errors
-    /// A file that is no image.
+    /// The file is not an image.
     pub fn read_mask(&self) -> Result<Option<GrayImage>> {
         self.mask.as_deref().map(GrayImage::read).transpose().context("--mask")
     }
 }
 
-/// The end of one extraction.
-#[derive(Clone, Debug)]
+/// Why an image has no features.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ExtractionError {
+    /// The image cannot be read.
+    #[error(transparent)]
+    Image(#[from] ImageError),
+    /// The extractor failed.
+    #[error("{image}: {source}")]
+    Extractor {
+        /// The image.
+        image: String,
+        /// The error of the extractor.
+        source: ExtractError,
+    },
+    /// The thread has ended, because the extractor panicked.
+    #[error("the thread of the feature extractor has ended; see the panic message above")]
+    ThreadEnded,
+}
+
+/// The result of one extraction.
+#[derive(Debug)]
 pub struct Extracted {
     /// The clone of the image's pose.
     pub clone: CloneId,
     /// Time of the image, nanoseconds.
     pub stamp_ns: i64,
-    /// The features, or why there are none, for a person.
-    pub features: Result<FeatureSet, String>,
+    /// The features, or why there are none.
+    pub features: Result<FeatureSet, ExtractionError>,
 }
 
 struct Job {
     clone: CloneId,
     stamp_ns: i64,
-    image: PathBuf,
+    image: ImageData,
 }
 
-/// An extractor at work on a thread of its own, one image at a time. The thread ends with this value.
+/// An extractor on a thread of its own, one image at a time. The thread ends when this value is dropped.
 #[derive(Debug)]
 pub struct ExtractionThread {
     jobs: Sender<Job>,
     results: Receiver<Extracted>,
-    /// The image at work.
+    /// The image that is processed now.
     pending: Option<(CloneId, i64)>,
 }
 
@@ -80,12 +103,12 @@ impl ExtractionThread {
     /// Starts the thread.
     ///
     /// # Errors
-    /// The system has no thread to give.
+    /// The operating system refuses a thread.
     pub fn start(
         mut extractor: Box<dyn FeatureExtractor>,
         max_features: usize,
         mask: Option<GrayImage>,
-    ) -> Result<Self> {
+    ) -> std::io::Result<Self> {
         let (jobs, inbox) = channel::<Job>();
         let (outbox, results) = channel();
         let work = move || {
@@ -96,26 +119,23 @@ impl ExtractionThread {
                 }
             }
         };
-        std::thread::Builder::new()
-            .name("features".into())
-            .spawn(work)
-            .context("no thread for the feature extractor")?;
+        std::thread::Builder::new().name("features".into()).spawn(work)?;
         Ok(Self { jobs, results, pending: None })
     }
 
-    /// Whether it has no image at work.
+    /// Whether no image is being processed.
     pub fn is_idle(&self) -> bool {
         self.pending.is_none()
     }
 
-    /// Hands over an image; for an idle thread.
-    pub fn submit(&mut self, clone: CloneId, stamp_ns: i64, image: &Path) {
-        // A thread that is gone is noticed when its result is waited for.
-        let _ = self.jobs.send(Job { clone, stamp_ns, image: image.to_path_buf() });
+    /// Submits an image. The thread must be idle.
+    pub fn submit(&mut self, clone: CloneId, stamp_ns: i64, image: ImageData) {
+        // A thread that has ended is reported as the result of this image.
+        let _ = self.jobs.send(Job { clone, stamp_ns, image });
         self.pending = Some((clone, stamp_ns));
     }
 
-    /// The features, if they are ready.
+    /// The result, if it is ready.
     pub fn poll(&mut self) -> Option<Extracted> {
         self.pending?;
         match self.results.try_recv() {
@@ -125,7 +145,7 @@ impl ExtractionThread {
         }
     }
 
-    /// The features as soon as they are ready; for a player that stops its recording meanwhile, not for a robot.
+    /// Waits for the result; for recordings that are played as fast as possible, not for a robot.
     pub fn wait(&mut self) -> Option<Extracted> {
         self.pending?;
         let result = self.results.recv().ok();
@@ -134,21 +154,19 @@ impl ExtractionThread {
 
     fn finish(&mut self, result: Option<Extracted>) -> Option<Extracted> {
         let (clone, stamp_ns) = self.pending.take()?;
-        let broken =
-            || Extracted { clone, stamp_ns, features: Err("the feature extractor broke down".into()) };
-        Some(result.unwrap_or_else(broken))
+        let ended = || Extracted { clone, stamp_ns, features: Err(ExtractionError::ThreadEnded) };
+        Some(result.unwrap_or_else(ended))
     }
 }
 
 fn extract(
     extractor: &mut dyn FeatureExtractor,
-    image: &Path,
+    image: &ImageData,
     mask: Option<&GrayImage>,
     max_features: usize,
-) -> Result<FeatureSet, String> {
-    let pixels = GrayImage::read(image).map_err(|error| error.to_string())?;
-    let seen = extractor
-        .extract(&pixels, mask, max_features)
-        .map_err(|error| format!("{}: {error}", image.display()))?;
-    Ok(feature_set(extractor.name(), seen))
+) -> Result<FeatureSet, ExtractionError> {
+    let features = extractor
+        .extract(&*image.read()?, mask, max_features)
+        .map_err(|source| ExtractionError::Extractor { image: image.to_string(), source })?;
+    Ok(feature_set(extractor.name(), features))
 }

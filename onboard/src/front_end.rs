@@ -1,7 +1,7 @@
-//! From the images of a recording and the gyroscope to feature tracks.
+//! The odometry's front end: from images and gyroscope readings to feature tracks.
 //!
-//! The gyroscope says how the camera turned since the image before; its bias is learned from how the images say that
-//! it turned.
+//! The gyroscope predicts the rotation of the camera since the last image. Its bias is estimated from the difference
+//! to the rotation that the tracks show.
 
 use estimator::TrackObservation;
 use estimator::imu::{ImuBuffer, ImuSample};
@@ -12,31 +12,32 @@ use sensors::{CameraSensor, Frame};
 use vision::tracking::{Tracker, TrackerError, TrackerFrame, TrackerOptions, TrackerReport};
 use vision::{GrayImage, ImageError};
 
-/// How long a reading of the gyroscope may be held where the recording begins or ends, nanoseconds.
+/// How long a reading of the gyroscope is extrapolated at the beginning and the end of the data, nanoseconds.
 const IMU_SLACK_NS: i64 = 20_000_000;
-/// Least share of a new image in the estimate of the gyroscope's bias.
+/// Least weight of a new image in the average of the gyroscope's bias.
 const BIAS_GAIN: f64 = 0.02;
-/// Largest bias to believe, rad/s. Consumer sensors reach 0.1.
+/// Largest plausible bias, rad/s. Consumer sensors reach 0.1.
 const MAX_BIAS: f64 = 0.3;
-/// Images whose tracks agree on a rotation, after which the bias is known.
+/// Number of images with a rotation estimate after which the bias is taken as known.
 const BIAS_IMAGES: usize = 20;
-/// Standard deviation of the rate of turn, rad/s, before the bias is known and after.
+/// Standard deviation of the angular rate, rad/s, before the bias is known and after.
 const RATE_SIGMA: [f64; 2] = [0.1, 0.02];
-/// The rotation is never known better than this, radians: vibration, time offset.
+/// Least standard deviation of the predicted rotation, radians: vibration, time offset.
 const MIN_ROTATION_SIGMA: f64 = 5e-4;
 
-/// Why an image brought no tracks. The next one may.
+/// Why a frame has no tracks. Tracking continues at the next one.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum FrontEndError {
     /// The image cannot be read.
-    #[error("the image is left out: {0}")]
+    #[error("the image is skipped: {0}")]
     Image(#[from] ImageError),
-    /// The tracker does not take it.
-    #[error("the image of {stamp_ns} ns is left out: {source}")]
+    /// The tracker refuses the image.
+    #[error("the image at {stamp_ns} ns is skipped: {source}")]
     Tracker {
         /// Time of the image.
         stamp_ns: i64,
-        /// Why not.
+        /// The error of the tracker.
         source: TrackerError,
     },
     /// The first camera has no image at this time.
@@ -47,28 +48,29 @@ pub enum FrontEndError {
     },
 }
 
-/// Turns the images of a rig into tracks.
+/// Tracks points through the images of one camera or a stereo pair.
 #[derive(Debug)]
 pub struct FrontEnd {
     tracker: Tracker,
     cameras: usize,
     imu_from_camera: Rotation,
     gyroscope_bias: Vector3<f64>,
-    /// Images that the bias was learned from.
-    learned: usize,
+    /// Number of images that the bias was estimated from.
+    bias_images: usize,
 }
 
 impl FrontEnd {
     /// A front end for one camera or a stereo pair.
     ///
     /// # Arguments
-    /// * `cameras`: the rig; a third camera and further ones are left alone.
+    /// * `cameras`: one or two; further ones are ignored.
+    /// * `options`: of the tracker.
     ///
     /// # Errors
-    /// A mask of the wrong size.
+    /// [`TrackerError`]: a mask does not have the size of its camera's images.
     ///
     /// # Panics
-    /// Without any camera.
+    /// Panics without a camera.
     pub fn new(cameras: &[CameraSensor], options: TrackerOptions) -> Result<Self, TrackerError> {
         let first = &cameras[0];
         let second = cameras.get(1).map(|second| {
@@ -80,63 +82,67 @@ impl FrontEnd {
             cameras: cameras.len().min(2),
             imu_from_camera: first.imu_from_camera.rotation,
             gyroscope_bias: Vector3::zeros(),
-            learned: 0,
+            bias_images: 0,
         })
     }
 
-    /// Tells the gyroscope's bias (rad/s), from a start at rest or from the filter.
+    /// Sets the gyroscope's bias (rad/s), from an initialization at rest or from the filter.
     pub fn set_gyroscope_bias(&mut self, bias: Vector3<f64>) {
         self.gyroscope_bias = bias;
-        self.learned = self.learned.max(BIAS_IMAGES);
+        self.bias_images = self.bias_images.max(BIAS_IMAGES);
     }
 
-    /// The gyroscope's bias as the images say, rad/s.
+    /// The estimated bias of the gyroscope, rad/s.
     pub fn gyroscope_bias(&self) -> Vector3<f64> {
         self.gyroscope_bias
     }
 
-    /// Time of the last image that was tracked, nanoseconds; the readings since then are needed for the next.
+    /// Time of the last tracked image, nanoseconds; the readings since then are needed for the next.
     pub fn last_stamp_ns(&self) -> Option<i64> {
         self.tracker.last_stamp_ns()
     }
 
-    /// What happened to the tracks at the last image.
+    /// Counts of tracks at the last image.
     pub fn report(&self) -> &TrackerReport {
         self.tracker.report()
     }
 
-    /// Reads the images of a frame and follows the points in them.
+    /// Reads the images of a frame and tracks points in them.
     ///
     /// # Arguments
     /// * `imu`: readings in order of time, those since the last image among them; without them the rotation is taken
     ///   from the images alone.
     ///
     /// # Returns
-    /// The points in sight, camera 0 first.
+    /// The tracked points, camera 0 first.
     ///
     /// # Errors
-    /// [`FrontEndError`] where camera 0 has no image that can be used. Tracks go on at the next one. A damaged image
-    /// of camera 1 is only warned about.
-    pub fn look(&mut self, frame: &Frame, imu: &[ImuSample]) -> Result<Vec<TrackObservation>, FrontEndError> {
+    /// [`FrontEndError`]: camera 0 has no usable image. Tracking continues at the next frame. A damaged image of camera
+    /// 1 is only logged.
+    pub fn track_frame(
+        &mut self,
+        frame: &Frame,
+        imu: &[ImuSample],
+    ) -> Result<Vec<TrackObservation>, FrontEndError> {
         let stamp_ns = frame.stamp_ns;
-        let path = frame.images[0].as_ref().ok_or(FrontEndError::NoImage { stamp_ns })?;
-        let image = GrayImage::read(path)?;
-        let second_path = frame.images[1].as_ref().filter(|_| self.cameras > 1);
-        let second_image = second_path.and_then(|path| match GrayImage::read(path) {
-            Ok(image) => Some(image),
+        let first = frame.images[0].as_ref().ok_or(FrontEndError::NoImage { stamp_ns })?;
+        let image = first.read()?.into_owned();
+        let second = frame.images[1].as_ref().filter(|_| self.cameras > 1);
+        let second_image = second.and_then(|second| match second.read() {
+            Ok(image) => Some(image.into_owned()),
             Err(error) => {
-                tracing::warn!("the second image is left out: {error}");
+                tracing::warn!(%error, "the image of camera 1 is skipped");
                 None
             }
         });
-        self.track(stamp_ns, image, second_image, imu)
+        self.track_images(stamp_ns, image, second_image, imu)
     }
 
-    /// [`FrontEnd::look`] for images that are in memory already.
+    /// [`FrontEnd::track_frame`] for decoded images.
     ///
     /// # Errors
     /// [`FrontEndError::Tracker`].
-    pub fn track(
+    pub fn track_images(
         &mut self,
         stamp_ns: i64,
         image: GrayImage,
@@ -145,14 +151,14 @@ impl FrontEnd {
     ) -> Result<Vec<TrackObservation>, FrontEndError> {
         let last_ns = self.tracker.last_stamp_ns();
         let seconds = last_ns.map_or(0.0, |last_ns| (stamp_ns - last_ns) as f64 * 1e-9);
-        let rotation = last_ns.and_then(|last_ns| self.turned(imu, last_ns, stamp_ns));
-        let rate_sigma = RATE_SIGMA[usize::from(self.learned >= BIAS_IMAGES)];
+        let rotation = last_ns.and_then(|last_ns| self.predicted_rotation(imu, last_ns, stamp_ns));
+        let rate_sigma = RATE_SIGMA[usize::from(self.bias_images >= BIAS_IMAGES)];
         let rotation_sigma = (rate_sigma * seconds).max(MIN_ROTATION_SIGMA);
         let input = TrackerFrame { stamp_ns, image, second_image, rotation, rotation_sigma };
         let pixels =
             self.tracker.track(input).map_err(|source| FrontEndError::Tracker { stamp_ns, source })?;
         if let Some(rotation) = rotation {
-            self.learn_bias(&rotation, seconds);
+            self.update_bias(&rotation, seconds);
         }
         let observation = |pixel: &vision::tracking::TrackedPixel| TrackObservation {
             camera: pixel.camera,
@@ -162,8 +168,9 @@ impl FrontEnd {
         Ok(pixels.iter().map(observation).collect())
     }
 
-    /// How the camera turned between two instants, `current_from_previous`; none where readings are missing.
-    fn turned(&self, imu: &[ImuSample], from_ns: i64, to_ns: i64) -> Option<Rotation> {
+    /// Rotation of the camera between two instants by the gyroscope, `current_from_previous`; `None` where readings are
+    /// missing.
+    fn predicted_rotation(&self, imu: &[ImuSample], from_ns: i64, to_ns: i64) -> Option<Rotation> {
         let begin = imu.partition_point(|sample| sample.stamp_ns <= from_ns).saturating_sub(1);
         let end = (imu.partition_point(|sample| sample.stamp_ns < to_ns) + 1).min(imu.len());
         let mut buffer = ImuBuffer::default();
@@ -171,20 +178,20 @@ impl FrontEnd {
             buffer.push(*sample).ok()?;
         }
         let readings = buffer.interval(from_ns, to_ns, IMU_SLACK_NS).ok()?;
-        let previous_from_current = readings.windows(2).fold(Rotation::identity(), |turned, pair| {
+        let previous_from_current = readings.windows(2).fold(Rotation::identity(), |rotation, pair| {
             let rate = 0.5 * (pair[0].gyroscope + pair[1].gyroscope) - self.gyroscope_bias;
-            turned * exp(&(rate * ((pair[1].stamp_ns - pair[0].stamp_ns) as f64 * 1e-9)))
+            rotation * exp(&(rate * ((pair[1].stamp_ns - pair[0].stamp_ns) as f64 * 1e-9)))
         });
         Some(self.imu_from_camera.inverse() * previous_from_current.inverse() * self.imu_from_camera)
     }
 
-    /// Averages by how much faster the gyroscope turned than the images.
-    fn learn_bias(&mut self, predicted: &Rotation, seconds: f64) {
+    /// Averages the difference between the gyroscope's rotation and that of the images.
+    fn update_bias(&mut self, predicted: &Rotation, seconds: f64) {
         let Some(motion) = &self.tracker.report().motion else { return };
-        let off = log(&(motion.current_from_previous * predicted.inverse()));
-        self.learned += 1;
-        let gain = (1.0 / self.learned as f64).max(BIAS_GAIN);
-        self.gyroscope_bias += self.imu_from_camera * off * (gain / seconds);
+        let error = log(&(motion.current_from_previous * predicted.inverse()));
+        self.bias_images += 1;
+        let gain = (1.0 / self.bias_images as f64).max(BIAS_GAIN);
+        self.gyroscope_bias += self.imu_from_camera * error * (gain / seconds);
         self.gyroscope_bias = self.gyroscope_bias.map(|value| value.clamp(-MAX_BIAS, MAX_BIAS));
     }
 }

@@ -1,32 +1,55 @@
-//! The robot program around the estimator: plays a recording, asks the map, publishes, records.
+//! The robot program as a library: plays a sensor source through the estimator, queries the map, publishes, records.
 //!
-//! The estimator runs on the caller's thread. Queries and publications run on the async runtime and
-//! are handed over through channels: the estimator never waits for the network.
+//! The estimator runs on the caller's thread. Queries and publications run on the async runtime and are handed over
+//! through channels: the estimator never waits for the network.
+//!
+//! | module | what |
+//! |---|---|
+//! | [`arguments`] | switches of the robot and settings of the estimator |
+//! | [`program`] | [`run_robot`] and its kin: builds a run from the switches, scores it, writes the output folder |
+//! | [`run`](mod@run), `map_queries` | [`RobotRun`]: the loop over frames; sending queries, applying answers and map changes |
+//! | `input` | reads a [`SensorSource`](sensors::SensorSource) ahead; the window of IMU readings |
+//! | [`start`] | initial state and excerpt of a recording |
+//! | [`estimator_supervisor`] | initializes the estimator, and again after a divergence |
+//! | [`front_end`], [`extraction`] | tracks and features from images |
+//! | [`outputs`] | files, summary, messages |
+//! | [`stop`], [`progress`], [`stdout`] | signals and terminal |
+//!
+//! A robot without map and network, on a simulated recording:
+//! ```
+//! use onboard::arguments::Mode;
+//! use onboard::{RobotArguments, run_robot};
+//! use simulation::{SimulationOptions, simulate};
+//!
+//! let recording = simulate(&SimulationOptions { duration_s: Some(5.0), ..SimulationOptions::default() })?.live;
+//! let folder = tempfile::tempdir()?;
+//! let mut arguments = RobotArguments::with_defaults(folder.path())?;
+//! arguments.mode = Some(Mode::Odometry);
+//! let outcome = run_robot(&recording, &arguments, None, |_frame| {})?;
+//! assert_eq!(outcome.states()?.len(), outcome.summary.frames);
+//! # Ok::<(), anyhow::Error>(())
+//! ```
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 pub mod arguments;
 pub mod estimator_supervisor;
-pub mod event;
 pub mod extraction;
 pub mod front_end;
-mod imu_window;
+mod input;
 pub mod map_conversion;
 mod map_queries;
-pub mod output;
+pub mod outputs;
 pub mod program;
 pub mod progress;
-pub mod publisher;
-pub mod recorder;
 pub mod run;
 pub mod start;
 pub mod stdout;
 pub mod stop;
-pub mod summary;
 
 pub use arguments::RobotArguments;
 pub use estimator_supervisor::EstimatorSupervisor;
 pub use front_end::{FrontEnd, FrontEndError};
-pub use imu_window::ImuWindow;
-pub use program::{MapLink, Outcome, run_robot, run_robot_until};
+pub use outputs::{Event, Recorder, Summary};
+pub use program::{MapLink, Outcome, run_robot, run_robot_until, run_source_until};
 pub use run::{RobotRun, RunError, run};
 pub use stop::StopSignal;

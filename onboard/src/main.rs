@@ -1,9 +1,10 @@
-//! The robot: plays a recording through the estimator and localizes it in a served map.
+//! The robot program: plays a recording through the estimator, and localizes it in the map of a map server.
 
 use anyhow::{Context as _, Result, bail};
 use clap::Parser;
 use client::session::{DEFAULT_ENDPOINT, SessionOptions, close_session, open_session};
 use estimator::MapMode;
+use onboard::arguments::{INPUT, MAP, OUTPUT};
 use onboard::{MapLink, RobotArguments, StopSignal, progress, run_robot_until, stdout};
 use sensors::Recording;
 use std::io::IsTerminal as _;
@@ -11,39 +12,41 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 use tracing_subscriber::EnvFilter;
 
-/// Warnings, but not Zenoh's about a network that is still being found.
+/// Log filter: warnings, without Zenoh's about a network that is still being discovered.
 const QUIET: &str = "warn,zenoh=error";
 
-/// Plays a recording and localizes it in a map that a map server serves.
+/// Plays a recording and localizes it in the map of a map server.
 ///
-/// The estimator never waits for the network: without a server, or with a dead one, the robot keeps
-/// its odometry and says so in its status.
+/// The estimator never waits for the network: without a server the robot continues with odometry, and its status says so.
 #[derive(Parser, Debug)]
 #[command(
     version,
     arg_required_else_help = true,
     after_help = "Examples:\n  \
-        onboard --sequence MH_03 --map hall --connect tcp/192.168.1.2:7447 --init truth --out run\n  \
-        onboard --sequence MH_03 --mode odometry --out run"
+        onboard --sequence MH_03 --map hall --connect tcp/192.168.1.2:7447 --out run\n  \
+        onboard --sequence MH_03 --mode odometry --out run\n  \
+        onboard --sequence MH_03 --map hall --realtime --robot cart7 --namespace site1 --out run\n\n\
+        Log: RUST_LOG=info. Ctrl-C ends the run in good order; the output folder is complete up to there.\n\
+        Then: driftless plot run"
 )]
 struct Arguments {
-    /// The recording, a folder in the EuRoC layout
-    #[arg(long, value_name = "SEQ")]
+    /// The recording: a folder in the EuRoC layout
+    #[arg(long, value_name = "DIR", help_heading = INPUT)]
     sequence: PathBuf,
     /// Name of the map on the server (not needed with --mode odometry)
-    #[arg(long, value_name = "NAME")]
+    #[arg(long, value_name = "NAME", help_heading = MAP)]
     map: Option<String>,
-    /// Where the map server is [default: tcp/127.0.0.1:7447]
-    #[arg(long, value_name = "ENDPOINT")]
+    /// Endpoint of the map server or of a router [default: tcp/127.0.0.1:7447]
+    #[arg(long, value_name = "ENDPOINT", help_heading = MAP)]
     connect: Vec<String>,
     /// Zenoh configuration file (JSON5)
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", help_heading = MAP)]
     zenoh_config: Option<PathBuf>,
     /// Namespace of the fleet
-    #[arg(long)]
+    #[arg(long, value_name = "PREFIX", help_heading = MAP)]
     namespace: Option<String>,
     /// Print the summary as JSON
-    #[arg(long)]
+    #[arg(long, help_heading = OUTPUT)]
     json: bool,
     #[command(flatten)]
     robot: RobotArguments,
@@ -68,12 +71,14 @@ fn localize() -> Result<()> {
         .with_ansi(std::io::stderr().is_terminal())
         .init();
     let arguments = Arguments::parse();
-    let stop = StopSignal::on_interrupt()?;
+    let stop = StopSignal::on_interrupt().context("signals cannot be handled")?;
     let recording = Recording::open(&arguments.sequence)?;
     let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build()?;
     let link = match (&arguments.map, arguments.robot.map_mode()?) {
         (_, MapMode::Odometry) => None,
-        (None, _) => bail!("--map NAME is missing: name the map, or use --mode odometry"),
+        (None, _) => {
+            bail!("--map NAME is missing: give the name of the map on the server, or use --mode odometry")
+        }
         (Some(map), _) => {
             let mut connect = arguments.connect.clone();
             if connect.is_empty() && arguments.zenoh_config.is_none() {
@@ -85,7 +90,8 @@ fn localize() -> Result<()> {
                 namespace: arguments.namespace.clone(),
                 ..SessionOptions::default()
             };
-            let session = runtime.block_on(open_session(&options)).context("no network")?;
+            let session =
+                runtime.block_on(open_session(&options)).context("the Zenoh session cannot be opened")?;
             Some(MapLink { session, runtime: runtime.handle().clone(), map: map.clone() })
         }
     };
@@ -97,7 +103,7 @@ fn localize() -> Result<()> {
     if arguments.json {
         println!("{}", serde_json::to_string_pretty(&outcome.summary)?);
     } else {
-        print!("{}", progress::report(&outcome));
+        print!("{}", progress::report(&outcome.summary));
         println!("written to {}", arguments.robot.out.display());
     }
     if let Some(session) = session {

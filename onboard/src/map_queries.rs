@@ -1,50 +1,50 @@
-//! How a run asks the map about its images, and takes in the answers.
+//! Map queries of a run: sends images' features, applies the answers and the changes of the map.
 //!
-//! An answer belongs to the filter that asked: one to an image from before the newest start is left alone.
+//! An answer belongs to the filter that sent the query: answers to images from before the newest initialization are
+//! not applied.
 
-use super::event::Event;
 use super::extraction::{Extracted, ExtractionThread};
 use super::map_conversion::{map_answer, map_revision};
-use super::recorder::Recorder;
+use super::outputs::{Event, Recorder, Traffic};
 use super::run::RobotRun;
-use super::summary::Traffic;
 use client::{ClientError, MapChangeSubscriber, MatchAnswer, QueryResult, QueryTasks};
 use estimator::{CloneId, EstimatorError, MapMode, RevisionEffect};
 use protocol::{FeatureSet, MatchOutcome, MatchRequest, PosePrior};
 use sensors::Frame;
 use std::time::{Duration, Instant};
 
-/// Queries that may be on their way at once.
+/// Queries that may be pending at once. Each keeps its clone in the filter: with a server that hangs, the window must
+/// not fill with them.
 const MAX_PENDING: usize = 4;
 
 impl RobotRun<'_> {
-    /// Asks the map about a frame, as soon as its features are there.
-    pub(super) fn ask_about(&mut self, clone: CloneId, frame: &Frame, recorder: &mut Recorder) {
-        if self.queries.is_none() || self.filter.config().mode == MapMode::Odometry {
+    /// Queries the map with the features of a frame, or begins to extract them.
+    pub(super) fn query_frame(&mut self, clone: CloneId, frame: &Frame, recorder: &mut Recorder) {
+        if self.queries.is_none() || self.supervisor.config().mode == MapMode::Odometry {
             return;
         }
         if let Some(features) = frame.features.as_ref().filter(|features| !features.is_empty()) {
-            self.ask(clone, frame.stamp_ns, features.clone(), recorder);
+            self.send_query(clone, frame.stamp_ns, features.clone(), recorder);
             return;
         }
         let (Some(extraction), Some(image)) = (&mut self.extraction, &frame.images[0]) else { return };
         let due =
             self.last_extraction_ns.is_none_or(|last_ns| frame.stamp_ns - last_ns >= self.query_interval_ns);
-        let Some(estimator) = self.filter.estimator_mut() else { return };
+        let Some(estimator) = self.supervisor.estimator_mut() else { return };
         if due && extraction.is_idle() {
             estimator.pin(clone);
-            extraction.submit(clone, frame.stamp_ns, image);
+            extraction.submit(clone, frame.stamp_ns, image.clone());
             self.last_extraction_ns = Some(frame.stamp_ns);
         }
     }
 
-    fn ask(&mut self, clone: CloneId, stamp_ns: i64, features: FeatureSet, recorder: &mut Recorder) {
-        let mode = self.filter.config().mode;
-        let (Some(queries), Some(estimator)) = (&mut self.queries, self.filter.estimator_since(stamp_ns))
+    fn send_query(&mut self, clone: CloneId, stamp_ns: i64, features: FeatureSet, recorder: &mut Recorder) {
+        let mode = self.supervisor.config().mode;
+        let (Some(queries), Some(estimator), Some(camera)) =
+            (&mut self.queries, self.supervisor.estimator_since(stamp_ns), &self.query_camera)
         else {
             return;
         };
-        // Each holds its clone in the filter: with a server that hangs, the window must not fill with them.
         if queries.pending() >= MAX_PENDING {
             recorder.queries.skipped += 1;
             estimator.unpin(clone);
@@ -54,7 +54,7 @@ impl RobotRun<'_> {
         let request = MatchRequest {
             robot: self.robot.clone(),
             stamp_ns,
-            camera: self.recording.cameras[0].camera.clone(),
+            camera: camera.clone(),
             features,
             prior: estimator
                 .global_from_camera(clone)
@@ -69,8 +69,11 @@ impl RobotRun<'_> {
         queries.submit(clone, request);
     }
 
-    /// Takes in the features and answers that are here; as fast as possible, waits for all of them.
-    pub(super) fn deliver(&mut self, recorder: &mut Recorder) -> Result<Duration, EstimatorError> {
+    /// Applies the answers that have come; as fast as possible (not in real time), waits for all pending ones.
+    ///
+    /// # Returns
+    /// The time spent waiting.
+    pub(super) fn apply_answers(&mut self, recorder: &mut Recorder) -> Result<Duration, EstimatorError> {
         let begin = Instant::now();
         let extracted = self
             .extraction
@@ -78,38 +81,45 @@ impl RobotRun<'_> {
             .and_then(|extraction| if self.realtime { extraction.poll() } else { extraction.wait() });
         let mut waited = begin.elapsed();
         if let Some(extracted) = extracted {
-            self.ask_with(extracted, recorder);
+            self.query_extracted(extracted, recorder);
         }
-        self.hear_news(recorder);
+        self.apply_map_changes(recorder);
         while let Some(queries) = &mut self.queries {
             let begin = Instant::now();
-            let answered = if self.realtime { queries.poll() } else { queries.wait() };
+            let result = if self.realtime { queries.poll() } else { queries.wait() };
             waited += begin.elapsed();
-            let Some(answered) = answered else { break };
-            // They may have come while this was waited for, and are about it.
-            self.hear_news(recorder);
-            self.take(&answered, recorder)?;
+            let Some(result) = result else { break };
+            // Changes that came in the meantime concern this answer.
+            self.apply_map_changes(recorder);
+            self.apply_result(&result, recorder)?;
         }
         Ok(waited)
     }
 
-    /// Takes in what the map says of its changes.
-    fn hear_news(&mut self, recorder: &mut Recorder) {
-        while let Some(revision) = self.news.as_mut().and_then(MapChangeSubscriber::poll).map(map_revision) {
-            let Some(estimator) = self.filter.estimator_mut() else { continue };
+    /// Applies the changes of the map that were received.
+    fn apply_map_changes(&mut self, recorder: &mut Recorder) {
+        while let Some(revision) =
+            self.map_changes.as_mut().and_then(MapChangeSubscriber::poll).map(map_revision)
+        {
+            let Some(estimator) = self.supervisor.estimator_mut() else { continue };
             let (from, version) = (revision.from_version, revision.version);
             match estimator.map_changed(&revision) {
                 RevisionEffect::CarriedOver => {
                     recorder.map_changes.carried_over += 1;
                     let size = revision.size;
-                    tracing::info!(from, version, ?size, "the map changed: the pose in it is carried over");
+                    tracing::info!(
+                        from,
+                        version,
+                        ?size,
+                        "the map changed; the pose in it is carried over to the new version"
+                    );
                 }
                 RevisionEffect::FoundAnew => {
                     recorder.map_changes.found_anew += 1;
                     tracing::warn!(
                         from,
                         version,
-                        "the map changed, nobody says by how much since the version in use: the place in it is found anew"
+                        "the map changed by an unknown amount since the version in use; the pose in it is initialized again"
                     );
                 }
                 RevisionEffect::None => {}
@@ -117,69 +127,96 @@ impl RobotRun<'_> {
         }
     }
 
-    /// The features of an image are ready: the map is asked.
-    fn ask_with(&mut self, extracted: Extracted, recorder: &mut Recorder) {
-        let Some(estimator) = self.filter.estimator_since(extracted.stamp_ns) else { return };
+    /// Queries the map with the features of an image, now that they are extracted.
+    fn query_extracted(&mut self, extracted: Extracted, recorder: &mut Recorder) {
+        let Some(estimator) = self.supervisor.estimator_since(extracted.stamp_ns) else { return };
         match extracted.features {
             Ok(features) if !features.is_empty() => {
-                self.ask(extracted.clone, extracted.stamp_ns, features, recorder);
+                self.send_query(extracted.clone, extracted.stamp_ns, features, recorder);
             }
             Ok(_) => estimator.unpin(extracted.clone),
             Err(reason) => {
-                tracing::warn!(reason, "the map is not asked about this image");
+                tracing::warn!(%reason, "no query for this image: its features were not extracted");
                 estimator.unpin(extracted.clone);
             }
         }
     }
 
-    fn take(
+    fn apply_result(
         &mut self,
-        answered: &QueryResult<CloneId>,
+        result: &QueryResult<CloneId>,
         recorder: &mut Recorder,
     ) -> Result<(), EstimatorError> {
-        self.note_failure(&answered.answer);
-        recorder.traffic.add(&Traffic { sent: answered.bytes_sent, received: answered.bytes_received });
-        let Some(estimator) = self.filter.estimator_since(answered.request.stamp_ns) else {
-            let mut event = Event::new(answered, answered.request.stamp_ns);
-            event.note_failure("the filter that asked was given up");
+        self.note_failure(&result.answer);
+        recorder.traffic.add(&Traffic { sent: result.bytes_sent, received: result.bytes_received });
+        let request = &result.request;
+        let matched = result.answer.as_ref().ok();
+        let matched = matched.filter(|answer| answer.status.outcome == MatchOutcome::Matched);
+        let matched = matched.map(|MatchAnswer { status, keyframes }| {
+            map_answer(&request.features, &request.held, status, keyframes.clone())
+        });
+        if let Some(answer) = &matched {
+            recorder.keyframes_pulled += answer.keyframes.len();
+        }
+        let Some(estimator) = self.supervisor.estimator_since(request.stamp_ns) else {
+            let mut event = Event::new(result, request.stamp_ns);
+            event.note_failure("the estimator was initialized again after this query was sent");
             recorder.note_event(&event);
             return Ok(());
         };
-        let mut event = Event::new(answered, estimator.stamp_ns());
-        match &answered.answer {
-            Ok(MatchAnswer { status, keyframes }) if status.outcome == MatchOutcome::Matched => {
-                let request = &answered.request;
-                let answer = map_answer(&request.features, &request.held, status, keyframes.clone());
-                let report = estimator.map_update(answered.token, &answer)?;
+        let mut event = Event::new(result, estimator.stamp_ns());
+        match (&matched, &result.answer) {
+            (Some(answer), _) => {
+                let report = estimator.map_update(result.token, answer)?;
                 event.note_report(&report);
             }
-            Ok(answer) => event.note_no_match(answer.status.outcome),
-            Err(error) => event.note_failure(&error.to_string()),
+            (None, Ok(answer)) => event.note_no_match(answer.status.outcome),
+            (None, Err(error)) => event.note_failure(&error.to_string()),
         }
-        estimator.unpin(answered.token);
+        estimator.unpin(result.token);
         recorder.note_event(&event);
         Ok(())
     }
 
-    /// Remembers whether the map answers, and says so when that changes.
+    /// Keeps why the last query was not answered, and logs when that changes.
     fn note_failure(&mut self, answer: &Result<MatchAnswer, ClientError>) {
         let failure = answer.as_ref().err().map(ToString::to_string);
         match (&self.last_failure, &failure) {
-            (None, Some(reason)) => tracing::warn!(reason, "the map does not answer"),
-            (Some(_), None) => tracing::info!("the map answers again"),
+            (None, Some(reason)) => {
+                tracing::warn!(reason, "a map query was not answered; odometry continues")
+            }
+            (Some(_), None) => tracing::info!("map queries are answered again"),
             _ => {}
         }
         self.last_failure = failure;
     }
 
-    /// Takes in what is still on its way at the end of the recording.
-    pub(super) fn take_the_rest(&mut self, recorder: &mut Recorder) -> Result<(), EstimatorError> {
-        if let Some(extracted) = self.extraction.as_mut().and_then(ExtractionThread::wait) {
-            self.ask_with(extracted, recorder);
+    /// Applies the pending answers before a frame that is much later, and replaces the recorded state.
+    pub(super) fn apply_answers_before_next_frame(
+        &mut self,
+        recorder: &mut Recorder,
+    ) -> Result<(), EstimatorError> {
+        let (extraction, queries) = (self.extraction.as_ref(), self.queries.as_ref());
+        let none_pending = extraction.is_none_or(ExtractionThread::is_idle)
+            && queries.is_none_or(|queries| queries.pending() == 0);
+        if none_pending {
+            return Ok(());
         }
-        while let Some(answered) = self.queries.as_mut().and_then(QueryTasks::wait) {
-            self.hear_news(recorder);
-            self.take(&answered, recorder)?;
+        self.apply_answers(recorder)?;
+        if let Some(estimator) = self.supervisor.estimator() {
+            recorder.note_state_again(estimator);
+        }
+        Ok(())
+    }
+
+    /// Waits for the pending answers at the end of the source, and applies them.
+    pub(super) fn finish_queries(&mut self, recorder: &mut Recorder) -> Result<(), EstimatorError> {
+        if let Some(extracted) = self.extraction.as_mut().and_then(ExtractionThread::wait) {
+            self.query_extracted(extracted, recorder);
+        }
+        while let Some(result) = self.queries.as_mut().and_then(QueryTasks::wait) {
+            self.apply_map_changes(recorder);
+            self.apply_result(&result, recorder)?;
         }
         Ok(())
     }

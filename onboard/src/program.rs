@@ -1,32 +1,27 @@
-//! The robot as a program: opens the recording, runs, scores, writes.
+//! The robot as a program: builds a run from the switches, plays a source, scores it, and writes the output folder.
 
-use super::arguments::RobotArguments;
+use super::arguments::{Init, RobotArguments};
 use super::estimator_supervisor::EstimatorSupervisor;
-use super::event::Event;
 use super::extraction::ExtractionThread;
 use super::front_end::FrontEnd;
-use super::imu_window::ImuWindow;
-use super::output;
-use super::publisher::Publisher;
-use super::recorder::Recorder;
+use super::outputs::{EVENTS, Event, Publisher, Recorder, STATES, Summary};
 use super::run::{RobotRun, RunError, run};
 use super::start::{excerpt, initial_state};
 use super::stop::StopSignal;
-use super::summary::Summary;
 use anyhow::{Context as _, Result, bail};
 use client::{MapChangeSubscriber, MapClient, QueryTasks};
-use estimator::{CalibratedCamera, Estimator, MapMode};
+use estimator::{CalibratedCamera, Estimator, EstimatorConfig, InitialState, MapMode};
 use evaluation::trajectory::StateRow;
 use evaluation::trajectory::states::StateReader;
-use evaluation::{RunScore, ScoreOptions, score_rows};
-use sensors::{Recording, Rows};
+use evaluation::{RunScore, ScoreError, ScoreOptions, score_rows};
+use sensors::{Contents, Recording, Rows, SensorCalibration, SensorSource, SequenceError};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 use tokio::runtime::Handle;
 use vision::GrayImage;
 use vision::tracking::TrackerOptions;
 
-/// A robot's way to the map.
+/// A robot's connection to the map.
 #[derive(Clone, Debug)]
 pub struct MapLink {
     /// An open session.
@@ -37,7 +32,7 @@ pub struct MapLink {
     pub map: String,
 }
 
-/// What a run left behind.
+/// The result of a run.
 #[derive(Debug)]
 pub struct Outcome {
     /// The summary, also in `summary.json`.
@@ -47,12 +42,12 @@ pub struct Outcome {
 }
 
 impl Outcome {
-    /// Reads the states that the run wrote; none where it had no start.
+    /// Reads the states that the run wrote; none where it was never initialized.
     ///
     /// # Errors
     /// A file that cannot be read any more.
     pub fn states(&self) -> Result<Vec<StateRow>> {
-        Ok(StateReader::open(&self.out.join(output::STATES))?.collect::<Result<_, _>>()?)
+        Ok(StateReader::open(&self.out.join(STATES))?.collect::<Result<_, _>>()?)
     }
 
     /// Reads the events that the run wrote.
@@ -60,17 +55,21 @@ impl Outcome {
     /// # Errors
     /// A file that cannot be read any more.
     pub fn events(&self) -> Result<Vec<Event>> {
-        let mut rows = csv::Reader::from_path(self.out.join(output::EVENTS))?;
+        let mut rows = csv::Reader::from_path(self.out.join(EVENTS))?;
         Ok(rows.deserialize().collect::<Result<_, _>>()?)
     }
 }
 
-/// Runs a robot through a recording and writes the output folder.
+/// Plays a recording through a robot, compares the result with ground truth where there is any, and writes the output
+/// folder.
 ///
-/// A run that ends early (a damaged file) is written up to there; the summary says why.
+/// A run that ends early (a damaged file) is written up to there; the summary states the reason.
+///
+/// # Arguments
+/// * `progress`: called with the index of every frame before it is processed.
 ///
 /// # Errors
-/// A sentence: switches that contradict the recording, no start, an output folder that cannot be written.
+/// Switches that contradict the recording, a session that is closed, an output folder that cannot be written.
 pub fn run_robot<'a>(
     recording: impl Into<Recording<'a>>,
     arguments: &RobotArguments,
@@ -80,7 +79,7 @@ pub fn run_robot<'a>(
     run_robot_until(&StopSignal::default(), recording, arguments, link, progress)
 }
 
-/// [`run_robot`] until `stop` comes, or the recording ends.
+/// [`run_robot`] until `stop` is raised, or the recording ends.
 ///
 /// # Errors
 /// As [`run_robot`].
@@ -91,10 +90,46 @@ pub fn run_robot_until<'a>(
     link: Option<MapLink>,
     progress: impl FnMut(usize),
 ) -> Result<Outcome> {
-    let recording = excerpt_of(recording.into(), arguments)?;
-    let recording = &recording;
-    let config = arguments.estimator_config(recording)?;
-    let cameras = arguments.camera_count(recording)?;
+    let mut recording = recording.into();
+    if arguments.start_at != 0.0 || arguments.duration.is_some() {
+        recording = excerpt(recording, arguments.start_at, arguments.duration)?;
+    }
+    let config = arguments.estimator_config(recording.calibration())?;
+    check(arguments)?;
+    let initial = initial_state(&recording, arguments.init, &config)?;
+    let mut source = recording.source()?;
+    let run = play(stop, &mut source, (config, initial), arguments, link, progress)?;
+    run.finish(score(&recording, &arguments.out))
+}
+
+/// Plays any sensor source through a robot until `stop` is raised or the source ends, and writes the output folder.
+///
+/// As [`run_robot_until`], but for sources that are no recordings: the estimator initializes itself (`--init auto`),
+/// everything is played, and nothing is compared with ground truth.
+///
+/// # Errors
+/// As [`run_robot`]; `--init`, `--start-at` and `--duration`, which need a recording.
+pub fn run_source_until(
+    stop: &StopSignal,
+    source: &mut dyn SensorSource,
+    arguments: &RobotArguments,
+    link: Option<MapLink>,
+    progress: impl FnMut(usize),
+) -> Result<Outcome> {
+    if arguments.init != Init::Auto || arguments.start_at != 0.0 || arguments.duration.is_some() {
+        bail!(
+            "{} is not a recording: --init static, --init truth, --start-at and --duration cannot be used with it",
+            source.name()
+        );
+    }
+    let config = arguments.estimator_config(source.calibration())?;
+    check(arguments)?;
+    let run = play(stop, source, (config, None), arguments, link, progress)?;
+    run.finish(Err(NoScore::NoTruth))
+}
+
+/// Checks the switches that are plain numbers.
+fn check(arguments: &RobotArguments) -> Result<()> {
     if !(arguments.query_interval.is_finite() && arguments.query_interval >= 0.0) {
         bail!(
             "--query-interval is {}; it must be zero or a positive number of seconds",
@@ -104,148 +139,185 @@ pub fn run_robot_until<'a>(
     if !(arguments.deadline.is_finite() && arguments.deadline > 0.0) {
         bail!("--deadline is {}; it must be a positive number of seconds", arguments.deadline);
     }
-    let initial = initial_state(recording, arguments.init, &config)?;
-    let rig: Vec<CalibratedCamera> = recording.cameras[..cameras]
-        .iter()
-        .map(|sensor| CalibratedCamera {
-            camera: sensor.camera.clone(),
-            imu_from_camera: sensor.imu_from_camera,
-        })
-        .collect();
-    let filter = match &initial {
-        Some(initial) => {
-            EstimatorSupervisor::running(Estimator::new(config.clone(), rig.clone(), initial)?, rig)
-        }
-        None => EstimatorSupervisor::searching(config.clone(), rig),
-    };
+    Ok(())
+}
+
+/// A run whose states are written, and whose summary is not.
+struct FinishedRun {
+    name: String,
+    map: Option<String>,
+    cameras: usize,
+    config: EstimatorConfig,
+    recorder: Recorder,
+    ended_early: Option<RunError>,
+    out: PathBuf,
+}
+
+/// Builds the robot and plays the source.
+fn play(
+    stop: &StopSignal,
+    source: &mut dyn SensorSource,
+    (config, initial): (EstimatorConfig, Option<InitialState>),
+    arguments: &RobotArguments,
+    link: Option<MapLink>,
+    progress: impl FnMut(usize),
+) -> Result<FinishedRun> {
+    let (name, contents) = (source.name().to_owned(), source.contents());
+    let cameras = arguments.camera_count(source.calibration())?;
     let link = link.filter(|_| config.mode != MapMode::Odometry);
     let map = link.as_ref().map(|link| link.map.clone());
-    let (queries, news, publisher) = match link {
-        Some(link) => {
-            let deadline = Duration::from_secs_f64(arguments.deadline);
-            let client = MapClient::new(link.session.clone(), &link.map).context("--map")?;
-            let queries = QueryTasks::new(client, link.runtime.clone(), deadline);
-            let news = link.runtime.block_on(MapChangeSubscriber::subscribe(&link.session, &link.map))?;
-            let publisher = Publisher::new(link.session, &link.runtime, &arguments.robot, &link.map)
-                .map_err(anyhow::Error::msg)?;
-            (Some(queries), Some(news), Some(publisher))
-        }
-        None => (None, None, None),
-    };
-    let mask = if recording.contents().images { arguments.features.read_mask()? } else { None };
-    let front_end = front_end(recording, arguments, cameras, mask.as_ref())?;
-    let extraction = if queries.is_some() { extraction(recording, arguments, mask)? } else { None };
-    let robot = RobotRun {
-        recording,
-        imu: ImuWindow::new(recording.imu_samples()?, recording.imu.as_ref().map_or(1.0, |imu| imu.rate_hz)),
-        stop: stop.clone(),
-        cameras,
-        front_end,
-        extraction,
-        query_interval_ns: (arguments.query_interval * 1e9) as i64,
-        last_extraction_ns: None,
-        filter,
-        robot: arguments.robot.clone(),
-        max_keyframes: arguments.max_keyframes,
-        realtime: arguments.realtime,
-        queries,
-        news,
-        publisher,
-        last_failure: None,
-    };
-    // Before anything takes long: a run whose results cannot be kept is not worth its time.
+    let mask = if contents.images { arguments.features.read_mask()? } else { None };
+    let front_end = front_end(source.calibration(), contents, arguments, cameras, mask.as_ref())?;
+    let supervisor = supervisor(source.calibration(), cameras, &config, initial.as_ref())?;
+    let mut robot = RobotRun::new(source, supervisor);
+    robot.stop = stop.clone();
+    robot.robot.clone_from(&arguments.robot);
+    robot.front_end = front_end;
+    robot.query_interval_ns = (arguments.query_interval * 1e9) as i64;
+    robot.max_keyframes = arguments.max_keyframes;
+    robot.realtime = arguments.realtime;
+    if let Some(link) = link {
+        connect(&mut robot, link, arguments)?;
+        robot.extraction = extraction(contents, arguments, mask)?;
+    }
+    // Created before the run: a run whose results cannot be kept is not begun.
     let mut recorder = Recorder::create(&arguments.out).context("--out")?;
     let ended_early = run(robot, &mut recorder, progress).err();
     if let Some(reason) = &ended_early {
         tracing::error!(%reason, "the run ended early");
     }
     recorder.finish_states()?;
-    let seconds = recorder.seconds();
-    let (score, no_score) = match score(recording, &arguments.out) {
-        Ok(score) => (Some(score), None),
-        Err(reason) => (None, Some(reason)),
-    };
-    let summary = Summary {
-        sequence: recording.root.display().to_string(),
-        map,
-        cameras,
-        frames: recorder.frames,
-        skipped_frames: recorder.skipped_frames,
-        dropped_imu: recorder.dropped_imu,
-        imu_gaps: recorder.imu_gaps,
-        seconds,
-        wall_seconds: recorder.wall_seconds,
-        realtime_factor: seconds / recorder.wall_seconds.max(1e-9),
-        milliseconds_per_frame: recorder.timings.mean(),
-        score,
-        no_score,
-        queries: recorder.queries,
-        map_changes: recorder.map_changes,
-        keyframes_pulled: recorder.keyframes_pulled,
-        wire_bytes: recorder.traffic,
-        tracks: recorder.tracks,
-        reinitializations: recorder.reinitializations(),
-        starts: recorder.starts.clone(),
-        divergences: recorder.divergences.clone(),
-        final_status: recorder.final_status.clone(),
-        interrupted: matches!(ended_early, Some(RunError::Interrupted { .. })),
-        ended_early: ended_early.map(|reason| reason.to_string()),
-        settings: config,
-    };
-    recorder.write_summary(&summary)?;
-    Ok(Outcome { summary, out: arguments.out.clone() })
+    Ok(FinishedRun { name, map, cameras, config, recorder, ended_early, out: arguments.out.clone() })
 }
 
-/// The part of the recording that is asked for.
-fn excerpt_of<'a>(recording: Recording<'a>, arguments: &RobotArguments) -> Result<Recording<'a>> {
-    if arguments.start_at == 0.0 && arguments.duration.is_none() {
-        return Ok(recording);
-    }
-    excerpt(recording, arguments.start_at, arguments.duration)
+/// The estimator in its initial state, or about to initialize itself.
+fn supervisor(
+    calibration: &SensorCalibration,
+    cameras: usize,
+    config: &EstimatorConfig,
+    initial: Option<&InitialState>,
+) -> Result<EstimatorSupervisor> {
+    let rig: Vec<CalibratedCamera> = calibration.cameras[..cameras]
+        .iter()
+        .map(|sensor| CalibratedCamera {
+            camera: sensor.camera.clone(),
+            imu_from_camera: sensor.imu_from_camera,
+        })
+        .collect();
+    Ok(match initial {
+        Some(initial) => {
+            EstimatorSupervisor::running(Estimator::new(config.clone(), rig.clone(), initial)?, rig)
+        }
+        None => EstimatorSupervisor::initializing(config.clone(), rig),
+    })
 }
 
-/// What makes tracks of the recording's images, where it has images and no tracks.
+/// Connects a robot to its map.
+fn connect(robot: &mut RobotRun<'_>, link: MapLink, arguments: &RobotArguments) -> Result<()> {
+    let deadline = Duration::from_secs_f64(arguments.deadline);
+    let client = MapClient::new(link.session.clone(), &link.map).context("--map")?;
+    robot.queries = Some(QueryTasks::new(client, link.runtime.clone(), deadline));
+    let map_changes = link.runtime.block_on(MapChangeSubscriber::subscribe(&link.session, &link.map))?;
+    robot.map_changes = Some(map_changes);
+    robot.publisher = Some(Publisher::new(link.session, &link.runtime, &arguments.robot, &link.map)?);
+    Ok(())
+}
+
+/// Makes tracks of the images of a source that has images and no tracks.
 fn front_end(
-    recording: &Recording<'_>,
+    calibration: &SensorCalibration,
+    contents: Contents,
     arguments: &RobotArguments,
     cameras: usize,
     mask: Option<&GrayImage>,
 ) -> Result<Option<FrontEnd>> {
-    if !recording.contents().images || recording.contents().tracks {
+    if !contents.images || contents.tracks {
         return Ok(None);
     }
     let mut options = TrackerOptions::default().points(arguments.points);
     if let Some(mask) = mask {
         options = options.mask(0, mask.clone());
     }
-    Ok(Some(FrontEnd::new(&recording.cameras[..cameras], options)?))
+    Ok(Some(FrontEnd::new(&calibration.cameras[..cameras], options)?))
 }
 
-/// What makes features of the recording's images, where it has images and no features.
+/// Makes features of the images of a source that has images and no features.
 fn extraction(
-    recording: &Recording<'_>,
+    contents: Contents,
     arguments: &RobotArguments,
     mask: Option<GrayImage>,
 ) -> Result<Option<ExtractionThread>> {
-    if !recording.contents().images || recording.contents().features {
+    if !contents.images || contents.features {
         return Ok(None);
     }
     let settings = &arguments.features;
-    let thread = ExtractionThread::start(settings.open()?, settings.max_features, mask)?;
+    let thread = ExtractionThread::start(settings.open()?, settings.max_features, mask)
+        .context("the thread of the feature extractor cannot be started")?;
     Ok(Some(thread))
 }
 
-/// Errors of what was written against the recording's truth, or why there are none.
-fn score(recording: &Recording<'_>, out: &Path) -> Result<RunScore, String> {
-    if !recording.has_truth() {
-        return Err("the recording has no ground truth".into());
+impl FinishedRun {
+    /// Writes the summary.
+    fn finish(self, score: Result<RunScore, NoScore>) -> Result<Outcome> {
+        let Self { name, map, cameras, config, recorder, ended_early, out } = self;
+        let seconds = recorder.seconds();
+        let (score, no_score) = match score {
+            Ok(score) => (Some(score), None),
+            Err(reason) => (None, Some(reason.to_string())),
+        };
+        let summary = Summary {
+            sequence: name,
+            map,
+            cameras,
+            frames: recorder.frames,
+            skipped_frames: recorder.skipped_frames,
+            dropped_imu: recorder.dropped_imu,
+            imu_gaps: recorder.imu_gaps,
+            seconds,
+            wall_seconds: recorder.wall_seconds,
+            realtime_factor: seconds / recorder.wall_seconds.max(1e-9),
+            milliseconds_per_frame: recorder.timings.mean(),
+            score,
+            no_score,
+            queries: recorder.queries,
+            map_changes: recorder.map_changes,
+            keyframes_pulled: recorder.keyframes_pulled,
+            keyframes_held: recorder.keyframes_held,
+            wire_bytes: recorder.traffic,
+            tracks: recorder.tracks,
+            reinitializations: recorder.reinitializations(),
+            starts: recorder.starts.clone(),
+            divergences: recorder.divergences.clone(),
+            final_status: recorder.final_status.clone(),
+            interrupted: matches!(ended_early, Some(RunError::Interrupted { .. })),
+            ended_early: ended_early.map(|reason| reason.to_string()),
+            settings: config,
+        };
+        recorder.write_summary(&summary)?;
+        Ok(Outcome { summary, out })
     }
-    let gravity = recording
-        .truth_gravity()
-        .map_err(|error| error.to_string())?
-        .ok_or("the direction of gravity in the truth's frame cannot be told from truth and IMU")?;
-    let path = out.join(output::STATES);
+}
+
+/// Why a run was not compared with ground truth.
+#[derive(Debug, thiserror::Error)]
+enum NoScore {
+    #[error("the recording has no ground truth")]
+    NoTruth,
+    #[error("the direction of gravity in the truth's frame cannot be found from truth and IMU")]
+    NoGravity,
+    #[error(transparent)]
+    Recording(#[from] SequenceError),
+    #[error(transparent)]
+    Score(#[from] ScoreError),
+}
+
+/// Compares the states that were written with the recording's ground truth.
+fn score(recording: &Recording<'_>, out: &Path) -> Result<RunScore, NoScore> {
+    if !recording.has_truth() {
+        return Err(NoScore::NoTruth);
+    }
+    let gravity = recording.truth_gravity()?.ok_or(NoScore::NoGravity)?;
+    let path = out.join(STATES);
     let states = || -> Result<Rows<'_, StateRow>, _> { Ok(Box::new(StateReader::open(&path)?)) };
-    score_rows(states, || recording.truth(), gravity, &ScoreOptions::default())
-        .map_err(|error| error.to_string())
+    Ok(score_rows(states, || recording.truth(), gravity, &ScoreOptions::default())?)
 }

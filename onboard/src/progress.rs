@@ -1,12 +1,13 @@
-//! What a person at the shell sees of a run.
+//! Progress bar and report of a run on the terminal.
 
-use super::program::Outcome;
+use super::outputs::Summary;
 use evaluation::Score;
 use indicatif::{ProgressBar, ProgressStyle};
 use std::fmt::Write as _;
 
-/// A progress bar over the frames of a recording.
-pub fn frame_bar(frames: usize) -> ProgressBar {
+/// A progress bar over frames; without a total where their number is not known beforehand.
+pub fn frame_bar(frames: impl Into<Option<usize>>) -> ProgressBar {
+    let Some(frames) = frames.into() else { return ProgressBar::new_spinner() };
     let bar = ProgressBar::new(frames as u64);
     // The template is a constant that is known to parse.
     if let Ok(style) = ProgressStyle::with_template("{bar:40} {pos}/{len} frames  {elapsed_precise}  {msg}") {
@@ -15,9 +16,8 @@ pub fn frame_bar(frames: usize) -> ProgressBar {
     bar
 }
 
-/// The end of a run in a few lines.
-pub fn report(outcome: &Outcome) -> String {
-    let summary = &outcome.summary;
+/// The summary of a run in a few lines.
+pub fn report(summary: &Summary) -> String {
     let mut text = String::new();
     let _ = writeln!(
         text,
@@ -32,13 +32,14 @@ pub fn report(outcome: &Outcome) -> String {
         let queries = &summary.queries;
         let _ = writeln!(
             text,
-            "{} queries: {} matched, {} accepted ({} re-linearized), {} failed; {} keyframes pulled, {} KB received",
+            "{} queries: {} matched, {} accepted ({} re-linearized), {} failed; {} keyframes pulled ({} held), {} KB received",
             queries.sent,
             queries.matched,
             queries.accepted,
             queries.relinearized,
             queries.failed,
             summary.keyframes_pulled,
+            summary.keyframes_held,
             summary.wire_bytes.received / 1024
         );
     }
@@ -46,7 +47,7 @@ pub fn report(outcome: &Outcome) -> String {
         let _ = writeln!(
             text,
             "{:24}{:>8}{:>10}{:>9}{:>9}{:>9}",
-            "against the truth", "deg", "m", "max m", "NEES", "n"
+            "errors against truth", "deg", "m", "max m", "NEES", "n"
         );
         let mut line = |name: &str, score: &Score| {
             let nees = score.nees_pose.map_or_else(|| "-".to_owned(), |nees| format!("{nees:.2}"));
@@ -70,10 +71,14 @@ pub fn report(outcome: &Outcome) -> String {
         );
     }
     if let Some(reason) = &summary.no_score {
-        let _ = writeln!(text, "no errors are known: {reason}");
+        let _ = writeln!(text, "not compared with ground truth: {reason}");
     }
     for divergence in &summary.divergences {
-        let _ = writeln!(text, "started again at {:.1} s: {}", divergence.seconds, divergence.reason);
+        let _ = writeln!(
+            text,
+            "diverged and initialized again at {:.1} s: {}",
+            divergence.seconds, divergence.reason
+        );
     }
     if let Some(status) = &summary.final_status {
         let _ = writeln!(text, "at the end: {:?}, {}", status.localization, status.reason);

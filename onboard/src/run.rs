@@ -1,94 +1,130 @@
-//! Plays a recording through the estimator.
+//! Plays a sensor source through the estimator.
 
 use super::estimator_supervisor::EstimatorSupervisor;
 use super::extraction::ExtractionThread;
 use super::front_end::FrontEnd;
-use super::imu_window::ImuWindow;
-use super::publisher::{Publisher, QueryCounts};
-use super::recorder::Recorder;
+use super::input::{ImuWindow, SensorQueue};
+use super::outputs::{Publisher, Recorder, Timings};
 use super::stop::StopSignal;
-use super::summary::Timings;
 use client::{MapChangeSubscriber, QueryTasks};
 use estimator::{CloneId, EstimatorError, InitMethod, TrackObservation};
+use geometry::Camera;
 use nalgebra::Vector3;
-use sensors::{Frame, Recording, SequenceError};
+use sensors::{Frame, SensorError, SensorSource};
 use std::time::{Duration, Instant};
 
-/// Played as fast as possible, an answer takes this long, nanoseconds: it comes before the next image where that is
-/// later, and with it where it is not.
+/// As fast as possible, an answer is taken to need this time, nanoseconds: it is applied before the next image where
+/// that is later, else with it.
 const ANSWER_NS: i64 = 200_000_000;
+/// Default of [`RobotRun::query_interval_ns`], nanoseconds.
+const QUERY_INTERVAL_NS: i64 = 500_000_000;
+/// Default of [`RobotRun::max_keyframes`].
+const MAX_KEYFRAMES: u16 = 4;
 
 /// Why a run ended early. What was recorded up to there is kept.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum RunError {
-    /// The recording cannot be read any more.
+    /// The source cannot be read any further.
     #[error(transparent)]
-    Recording(#[from] SequenceError),
-    /// It was stopped from outside.
+    Source(#[from] SensorError),
+    /// The run was stopped from outside.
     #[error("interrupted {seconds:.1} s into the recording")]
     Interrupted {
         /// Time since the first frame.
         seconds: f64,
     },
-    /// The filter cannot be built.
+    /// The estimator cannot be built or continued.
     #[error("at {seconds:.1} s of the recording: {source}")]
     Estimator {
         /// Time since the first frame.
         seconds: f64,
-        /// What is wrong.
+        /// The error of the estimator.
         source: EstimatorError,
     },
-    /// No start was found.
-    #[error("no start was found in {seconds:.1} s of recording: {waiting}")]
-    NoStart {
+    /// The estimator was never initialized.
+    #[error("the estimator was not initialized in {seconds:.1} s of recording: {status}")]
+    NotInitialized {
         /// Time from the first frame to the last.
         seconds: f64,
-        /// What was waited for at the end.
-        waiting: String,
+        /// What the initialization lacked at the end.
+        status: String,
     },
 }
 
-/// Everything that a run needs beside the recording.
+/// A robot: a sensor source, an estimator, and what serves them.
+///
+/// [`RobotRun::new`] makes one that does odometry on the tracks of the source; the fields add a front end, the map and
+/// the network.
 pub struct RobotRun<'a> {
-    /// The recording.
-    pub recording: &'a Recording<'a>,
-    /// Its IMU readings.
-    pub imu: ImuWindow<'a>,
-    /// Ends the run before the recording does.
+    /// Stops the run before the source ends.
     pub stop: StopSignal,
-    /// How many of its cameras to use.
-    pub cameras: usize,
-    /// The filter, or the search for its start.
-    pub filter: EstimatorSupervisor,
-    /// Name of the robot.
+    /// Name of the robot, for queries.
     pub robot: String,
-    /// Most keyframes of one answer.
-    pub max_keyframes: u16,
-    /// Play at the speed of the recording.
+    /// Number of cameras whose tracks are used.
+    pub cameras: usize,
+    /// Play at the speed of the recording instead of as fast as possible.
     pub realtime: bool,
-    /// Makes tracks of images; none for a recording that has tracks.
+    /// Makes tracks of images; `None` for a source that has tracks.
     pub front_end: Option<FrontEnd>,
-    /// Makes features of images; none for a recording that has features.
+    /// Makes features of images for queries; `None` for a source that has features.
     pub extraction: Option<ExtractionThread>,
     /// Least time between two images that features are extracted from, nanoseconds.
     pub query_interval_ns: i64,
-    /// Time of the last of them.
-    pub last_extraction_ns: Option<i64>,
-    /// Asks the map; none with odometry only.
+    /// Maximum number of keyframes in one answer.
+    pub max_keyframes: u16,
+    /// Sends queries to the map server; `None` for odometry only.
     pub queries: Option<QueryTasks<CloneId>>,
-    /// Hears when the map changes; none with odometry only.
-    pub news: Option<MapChangeSubscriber>,
-    /// Publishes; none without a network.
+    /// Receives changes of the map; `None` for odometry only.
+    pub map_changes: Option<MapChangeSubscriber>,
+    /// Publishes pose, odometry and status; `None` without a network.
     pub publisher: Option<Publisher>,
-    /// Why the last query was not answered, until one is.
-    pub last_failure: Option<String>,
+    pub(super) supervisor: EstimatorSupervisor,
+    /// Camera 0, which the queries are about.
+    pub(super) query_camera: Option<Camera>,
+    /// Time of the last image that features were extracted from.
+    pub(super) last_extraction_ns: Option<i64>,
+    /// Why the last query was not answered; `None` once one is.
+    pub(super) last_failure: Option<String>,
+    events: SensorQueue<'a>,
+    imu: ImuWindow,
 }
 
-/// Runs to the end of the recording.
+impl<'a> RobotRun<'a> {
+    /// A robot that does odometry on the tracks of a source, as fast as possible.
+    pub fn new(source: &'a mut dyn SensorSource, supervisor: EstimatorSupervisor) -> Self {
+        let calibration = source.calibration();
+        let imu = ImuWindow::new(calibration.imu.as_ref().map_or(1.0, |imu| imu.rate_hz));
+        Self {
+            stop: StopSignal::default(),
+            robot: "robot".to_owned(),
+            cameras: supervisor.camera_count(),
+            realtime: false,
+            front_end: None,
+            extraction: None,
+            query_interval_ns: QUERY_INTERVAL_NS,
+            max_keyframes: MAX_KEYFRAMES,
+            queries: None,
+            map_changes: None,
+            publisher: None,
+            supervisor,
+            query_camera: calibration.cameras.first().map(|first| first.camera.clone()),
+            last_extraction_ns: None,
+            last_failure: None,
+            events: SensorQueue::new(source),
+            imu,
+        }
+    }
+}
+
+/// Runs to the end of the source.
 ///
-/// As fast as possible (not `realtime`) the recording stands still while an answer is outstanding, and
-/// the answer to one image is delivered with the next image, or before it where that is more than 0.2 s later: results
-/// then do not depend on how fast this machine is. In real time answers are delivered when they come.
+/// As fast as possible (not `realtime`) the source stands still while an answer is outstanding, and the answer to one
+/// image is applied with the next image, or before it where that is more than 0.2 s later: results then do not depend
+/// on the speed of the machine. In real time answers are applied when they come.
+///
+/// # Arguments
+/// * `progress`: called with the index of every frame before it is processed.
 ///
 /// # Errors
 /// [`RunError`]; `recorder` holds what was done up to there.
@@ -111,19 +147,17 @@ impl RobotRun<'_> {
         recorder: &mut Recorder,
         mut progress: impl FnMut(usize),
     ) -> Result<(), RunError> {
-        let mut frames = self.recording.frames()?.peekable();
-        let stamp_of = |frame: Option<&Result<Frame, _>>| frame?.as_ref().ok().map(|frame| frame.stamp_ns);
-        let first_ns = stamp_of(frames.peek()).unwrap_or_default();
+        let first_ns = self.events.next_frame_ns().unwrap_or_default();
         let seconds = |stamp_ns: i64| (stamp_ns - first_ns) as f64 * 1e-9;
         recorder.first_ns = first_ns;
-        if self.filter.estimator().is_some() {
+        if self.supervisor.estimator().is_some() {
             recorder.note_start(first_ns, None);
         }
         let (mut index, mut last_ns) = (0, first_ns);
-        while let Some(frame) = frames.next().transpose()? {
+        while let Some(frame) = self.events.next_frame()? {
             progress(index);
             index += 1;
-            if self.filter.begins_after(frame.stamp_ns) {
+            if self.supervisor.starts_after(frame.stamp_ns) {
                 continue;
             }
             if self.realtime {
@@ -135,39 +169,50 @@ impl RobotRun<'_> {
                 return Err(RunError::Interrupted { seconds: seconds(last_ns) });
             }
             last_ns = frame.stamp_ns;
-            self.imu.read_to(last_ns.max(self.imu_stamp_ns(last_ns)))?;
-            let done = self.frame(&frame, recorder);
-            self.survive(done, last_ns, recorder)?;
-            if !self.realtime && stamp_of(frames.peek()).is_some_and(|next_ns| next_ns - last_ns > ANSWER_NS)
+            self.read_imu(last_ns)?;
+            let done = self.process_frame(&frame, recorder);
+            self.handle_divergence(done, last_ns, recorder)?;
+            if !self.realtime
+                && self.events.next_frame_ns().is_some_and(|next_ns| next_ns - last_ns > ANSWER_NS)
             {
-                let done = self.answers_before_the_next_image(recorder);
-                self.survive(done, last_ns, recorder)?;
+                let done = self.apply_answers_before_next_frame(recorder);
+                self.handle_divergence(done, last_ns, recorder)?;
             }
-            self.forget_readings(last_ns);
+            self.drop_old_readings(last_ns);
         }
-        let done = self.take_the_rest(recorder);
-        self.survive(done, last_ns, recorder)?;
+        let done = self.finish_queries(recorder);
+        self.handle_divergence(done, last_ns, recorder)?;
         if recorder.starts.is_empty() {
-            let waiting = self.filter.status().reason;
-            return Err(RunError::NoStart { seconds: seconds(last_ns), waiting });
+            let status = self.supervisor.status().reason;
+            return Err(RunError::NotInitialized { seconds: seconds(last_ns), status });
         }
         Ok(())
     }
 
-    /// An image's time on the clock of the IMU, nanoseconds.
-    fn imu_stamp_ns(&self, stamp_ns: i64) -> i64 {
-        self.filter.estimator().map_or(stamp_ns, |estimator| estimator.imu_stamp_ns(stamp_ns))
+    /// Reads the IMU up to the first reading that is not before a frame, on the clocks of both sensors.
+    fn read_imu(&mut self, frame_ns: i64) -> Result<(), SensorError> {
+        let until_ns = frame_ns.max(self.imu_stamp_ns(frame_ns));
+        while self.imu.ends_before(until_ns) {
+            let Some(reading) = self.events.next_reading(frame_ns)? else { break };
+            self.imu.push(reading);
+        }
+        Ok(())
     }
 
-    /// Forgets readings that neither the front end nor a new start will ask for.
-    fn forget_readings(&mut self, stamp_ns: i64) {
+    /// The time of a frame on the clock of the IMU, nanoseconds.
+    fn imu_stamp_ns(&self, frame_ns: i64) -> i64 {
+        self.supervisor.estimator().map_or(frame_ns, |estimator| estimator.imu_stamp_ns(frame_ns))
+    }
+
+    /// Drops readings that neither the front end nor a new initialization needs.
+    fn drop_old_readings(&mut self, frame_ns: i64) {
         let tracked_ns = self.front_end.as_ref().and_then(FrontEnd::last_stamp_ns);
-        let needed = [tracked_ns, self.filter.believed_ns()].into_iter().flatten().min();
-        self.imu.forget_before(needed.map_or(stamp_ns, |needed_ns| needed_ns.min(stamp_ns)));
+        let needed = [tracked_ns, self.supervisor.last_trusted_ns()].into_iter().flatten().min();
+        self.imu.drop_before(needed.map_or(frame_ns, |needed_ns| needed_ns.min(frame_ns)));
     }
 
-    /// Goes on after a step: a filter that diverged is given up, and a new start is looked for.
-    fn survive(
+    /// Continues after a step: a diverged estimator is dropped, and initialized again.
+    fn handle_divergence(
         &mut self,
         done: Result<(), EstimatorError>,
         stamp_ns: i64,
@@ -176,9 +221,9 @@ impl RobotRun<'_> {
         match done {
             Ok(()) => Ok(()),
             Err(error @ EstimatorError::Diverged(_)) => {
-                tracing::error!(%error, "no pose until there is a new start");
+                tracing::error!(%error, "the estimator diverged; no pose until it is initialized again");
                 recorder.note_divergence(stamp_ns, &error);
-                self.filter.give_up(stamp_ns, &error, self.imu.handed_out());
+                self.supervisor.reinitialize(stamp_ns, &error, self.imu.handed_out());
                 self.publish_status(stamp_ns, recorder);
                 Ok(())
             }
@@ -190,46 +235,46 @@ impl RobotRun<'_> {
 
     fn publish_status(&self, stamp_ns: i64, recorder: &Recorder) {
         if let Some(publisher) = &self.publisher {
-            let status = self.filter.status().with_failure(self.last_failure.as_deref());
+            let status = self.supervisor.status().with_failure(self.last_failure.as_deref());
             publisher.publish_status(stamp_ns, status, recorder.query_counts());
         }
     }
 
-    /// Looks for a start, where there is none yet.
+    /// Tries to initialize the estimator, where it does not run yet.
     ///
     /// # Returns
-    /// The tracks that the filter still has to learn from; `None` where there is no filter.
-    fn start(
+    /// The tracks for its update; `None` where it is not initialized.
+    fn initialize(
         &mut self,
         stamp_ns: i64,
         tracks: Vec<TrackObservation>,
         recorder: &mut Recorder,
     ) -> Result<Option<Vec<TrackObservation>>, EstimatorError> {
-        if self.filter.estimator().is_some() {
+        if self.supervisor.estimator().is_some() {
             return Ok(Some(tracks));
         }
-        let Some(method) = self.filter.try_start(stamp_ns, &tracks)? else {
+        let Some(method) = self.supervisor.try_initialize(stamp_ns, &tracks)? else {
             self.publish_status(stamp_ns, recorder);
             return Ok(None);
         };
-        tracing::info!(?method, "started");
+        tracing::info!(?method, "the estimator is initialized");
         recorder.note_start(stamp_ns, Some(&method));
-        // A start in motion has learned from the tracks of its last image already.
+        // An initialization in motion has used the tracks of its last image already.
         Ok(Some(if method == InitMethod::Rest { tracks } else { Vec::new() }))
     }
 
-    fn frame(&mut self, frame: &Frame, recorder: &mut Recorder) -> Result<(), EstimatorError> {
+    fn process_frame(&mut self, frame: &Frame, recorder: &mut Recorder) -> Result<(), EstimatorError> {
         let mut timings = Timings::default();
         let begin = Instant::now();
-        let Some(tracks) = self.look(frame, recorder) else { return Ok(()) };
+        let Some(tracks) = self.tracks_of(frame, recorder) else { return Ok(()) };
         timings.front_end = begin.elapsed();
 
         let begin = Instant::now();
-        let reading = self.feed_imu(frame.stamp_ns, recorder);
-        let tracks = self.start(frame.stamp_ns, tracks, recorder)?;
-        let (Some(tracks), Some(estimator)) = (tracks, self.filter.estimator_mut()) else {
-            // Answers to the filter before are of no use, but must not pile up.
-            return self.deliver(recorder).map(|_| ());
+        let angular_velocity = self.feed_imu(frame.stamp_ns, recorder);
+        let tracks = self.initialize(frame.stamp_ns, tracks, recorder)?;
+        let (Some(tracks), Some(estimator)) = (tracks, self.supervisor.estimator_mut()) else {
+            // Answers to queries of the last filter are of no use, but must not pile up.
+            return self.apply_answers(recorder).map(|_| ());
         };
         let clone = match estimator.time_update(frame.stamp_ns) {
             Ok(clone) => clone,
@@ -247,40 +292,25 @@ impl RobotRun<'_> {
         timings.tracks = begin.elapsed();
         recorder.note_tracks(&report);
 
-        // Answers to earlier images come before this one is asked about.
+        // Answers to earlier images are applied before this one is queried.
         let begin = Instant::now();
-        let waited = self.deliver(recorder)?;
+        let waited = self.apply_answers(recorder)?;
         timings.map = begin.elapsed().saturating_sub(waited);
 
-        self.filter.remember();
-        let Some(estimator) = self.filter.estimator() else { return Ok(()) };
+        self.supervisor.update_last_trusted();
+        let Some(estimator) = self.supervisor.estimator() else { return Ok(()) };
         recorder.note_state(estimator);
         recorder.timings.add(&timings);
         if let Some(publisher) = &self.publisher {
-            let rate = reading - estimator.biases().0;
+            let rate = angular_velocity - estimator.biases().0;
             publisher.publish(estimator, rate, recorder.query_counts(), self.last_failure.as_deref());
         }
-        self.ask_about(clone, frame, recorder);
+        self.query_frame(clone, frame, recorder);
         Ok(())
     }
 
-    /// Takes in what is on its way, and states what is known then.
-    fn answers_before_the_next_image(&mut self, recorder: &mut Recorder) -> Result<(), EstimatorError> {
-        let (extracting, asked) = (self.extraction.as_ref(), self.queries.as_ref());
-        let nothing = extracting.is_none_or(ExtractionThread::is_idle)
-            && asked.is_none_or(|queries| queries.pending() == 0);
-        if nothing {
-            return Ok(());
-        }
-        self.deliver(recorder)?;
-        if let Some(estimator) = self.filter.estimator() {
-            recorder.note_state_again(estimator);
-        }
-        Ok(())
-    }
-
-    /// The tracks of a frame, from the recording or from its images. `None` for an image that is of no use.
-    fn look(&mut self, frame: &Frame, recorder: &mut Recorder) -> Option<Vec<TrackObservation>> {
+    /// The tracks of a frame, from the source or from its images; `None` where its image cannot be used.
+    fn tracks_of(&mut self, frame: &Frame, recorder: &mut Recorder) -> Option<Vec<TrackObservation>> {
         let Some(front_end) = &mut self.front_end else {
             let used = |track: &&TrackObservation| usize::from(track.camera) < self.cameras;
             return Some(frame.tracks.iter().filter(used).copied().collect());
@@ -289,7 +319,7 @@ impl RobotRun<'_> {
             return Some(Vec::new());
         }
         front_end
-            .look(frame, self.imu.readings())
+            .track_frame(frame, self.imu.readings())
             .inspect_err(|error| {
                 tracing::warn!(%error, "frame skipped");
                 recorder.skipped_frames += 1;
@@ -297,12 +327,13 @@ impl RobotRun<'_> {
             .ok()
     }
 
-    /// Hands over the IMU readings up to the first one after the frame, and returns the angular velocity of that.
-    fn feed_imu(&mut self, stamp_ns: i64, recorder: &mut Recorder) -> Vector3<f64> {
-        let stamp_ns = self.imu_stamp_ns(stamp_ns);
-        while let Some(reading) = self.imu.hand_out(stamp_ns) {
-            if let Err(error) = self.filter.imu(reading) {
-                tracing::warn!(%error);
+    /// Hands the IMU readings up to the first one after the frame to the estimator, and returns the angular velocity of
+    /// that one, rad/s.
+    fn feed_imu(&mut self, frame_ns: i64, recorder: &mut Recorder) -> Vector3<f64> {
+        let until_ns = self.imu_stamp_ns(frame_ns);
+        while let Some(reading) = self.imu.hand_out(until_ns) {
+            if let Err(error) = self.supervisor.imu(reading) {
+                tracing::warn!(%error, "IMU reading refused");
                 recorder.dropped_imu += 1;
             }
         }
@@ -311,15 +342,9 @@ impl RobotRun<'_> {
 
     fn close(&mut self, recorder: &mut Recorder) {
         recorder.imu_gaps = self.imu.gaps();
-        recorder.final_status = Some(self.filter.status().with_failure(self.last_failure.as_deref()));
+        recorder.final_status = Some(self.supervisor.status().with_failure(self.last_failure.as_deref()));
         if let Some(publisher) = self.publisher.take() {
             publisher.close();
         }
-    }
-}
-
-impl Recorder {
-    fn query_counts(&self) -> QueryCounts {
-        QueryCounts { sent: self.queries.sent, answered: self.queries.answered }
     }
 }

@@ -1,64 +1,113 @@
-//! Finds the state that a recording starts from.
+//! The initial state of a run, and excerpts of recordings.
 
 use super::arguments::Init;
-use anyhow::{Context as _, Result, bail};
-use estimator::initialization::static_initialization::REST_SECONDS;
+use estimator::initialization::static_initialization::{InitializationError, REST_SECONDS};
 use estimator::{EstimatorConfig, ImuSample, InitialState};
 use nalgebra::Vector3;
-use sensors::{Recording, TruthRow};
+use sensors::{Recording, SequenceError, TruthRow};
+use std::path::PathBuf;
 
-/// How far into a recording [`first_rest`] looks, seconds.
+/// How far into a recording [`first_rest`] searches, seconds.
 const SEARCH_SECONDS: f64 = 10.0;
 
-/// How long before the first image a start from truth lies at most, nanoseconds: without images the filter would only
-/// lose what the truth tells.
+/// An initial state from ground truth is at most so long before the first image, nanoseconds: without images the filter
+/// would only lose accuracy.
 const LEAD_NS: i64 = 100_000_000;
 
-/// The first state; `None` where it is to be found on the way.
+/// Why a recording cannot be started as the switches say.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum StartError {
+    /// A file of the recording.
+    #[error(transparent)]
+    Recording(#[from] SequenceError),
+    /// There is no ground truth.
+    #[error("--init truth: {} has no ground truth; use --init auto", root.display())]
+    NoTruth {
+        /// The recording.
+        root: PathBuf,
+    },
+    /// Ground truth and IMU contradict each other, or do not overlap.
+    #[error("--init truth: the direction of gravity in the truth's frame cannot be found from truth and IMU")]
+    NoGravity,
+    /// No row of the ground truth is late enough.
+    #[error("--init truth: the ground truth ends before the IMU begins")]
+    TruthEndsEarly,
+    /// The velocity is neither given nor can it be computed.
+    #[error("--init truth: the first row has no velocity, and no row follows")]
+    NoVelocity,
+    /// The first readings are not at rest.
+    #[error("--init static (--init auto waits until it can initialize, at rest or in motion): {0}")]
+    NotAtRest(#[source] InitializationError),
+    /// A time of an excerpt.
+    #[error("{switch} is {seconds}; it must be {wanted}")]
+    Time {
+        /// The switch.
+        switch: &'static str,
+        /// Its value.
+        seconds: f64,
+        /// What it must be.
+        wanted: &'static str,
+    },
+    /// The excerpt begins after the last image.
+    #[error("--start-at {seconds}: the recording has no image after that")]
+    PastEnd {
+        /// Seconds after the first image.
+        seconds: f64,
+    },
+}
+
+/// The initial state of a recording; `None` where the estimator initializes itself during the run.
 ///
 /// # Errors
-/// A sentence that says what the recording lacks and which switch helps.
+/// [`StartError`]: what the recording lacks.
 pub fn initial_state(
     recording: &Recording<'_>,
     init: Init,
     config: &EstimatorConfig,
-) -> Result<Option<InitialState>> {
+) -> Result<Option<InitialState>, StartError> {
     match init {
         Init::Truth => from_truth(recording, config).map(Some),
         Init::Static => {
             let start = InitialState::from_rest(&first_readings(recording)?, config);
-            start.context("--init static (--init auto waits for a start, and starts in motion too)").map(Some)
+            start.map(Some).map_err(StartError::NotAtRest)
         }
         Init::Auto => Ok(None),
     }
 }
 
-/// A part of a recording, as if nothing else had been recorded.
+/// An excerpt of a recording, as if nothing else had been recorded.
 ///
 /// # Arguments
 /// * `start_at`: begin, seconds after the first image.
-/// * `duration`: length, seconds; unset, all the rest.
+/// * `duration`: length, seconds; `None` for all the rest.
 ///
 /// # Errors
-/// A sentence: a time that is not a positive number, or past the end.
-pub fn excerpt(recording: Recording<'_>, start_at: f64, duration: Option<f64>) -> Result<Recording<'_>> {
+/// [`StartError`]: a time is not a positive number, or past the end.
+pub fn excerpt(
+    recording: Recording<'_>,
+    start_at: f64,
+    duration: Option<f64>,
+) -> Result<Recording<'_>, StartError> {
     let length = duration.unwrap_or(f64::INFINITY);
     if !(start_at.is_finite() && start_at >= 0.0) {
-        bail!("--start-at is {start_at}; it must be zero or a positive number of seconds");
+        let wanted = "zero or a positive number of seconds";
+        return Err(StartError::Time { switch: "--start-at", seconds: start_at, wanted });
     }
     if length.is_nan() || length <= 0.0 {
-        bail!("--duration is {length}; it must be a positive number of seconds");
+        let wanted = "a positive number of seconds";
+        return Err(StartError::Time { switch: "--duration", seconds: length, wanted });
     }
     let first_ns = recording.frames()?.next().transpose()?.map_or(0, |frame| frame.stamp_ns);
     let begin_ns = first_ns + (start_at * 1e9) as i64;
     let part = recording.between(begin_ns, begin_ns.saturating_add((length * 1e9) as i64));
     if part.frames()?.next().is_none() {
-        bail!("--start-at {start_at}: the recording has no image after that");
+        return Err(StartError::PastEnd { seconds: start_at });
     }
     Ok(part)
 }
 
-/// The first state at rest in the first ten seconds of readings, for those who only want the gyroscope's bias.
+/// The first state at rest within the first ten seconds of readings; for the gyroscope's bias.
 pub fn first_rest(samples: &[ImuSample], config: &EstimatorConfig) -> Option<InitialState> {
     let end_ns = samples.first()?.stamp_ns + (SEARCH_SECONDS * 1e9) as i64;
     let mut next_ns = i64::MIN;
@@ -79,7 +128,7 @@ fn window(samples: &[ImuSample], first: usize) -> &[ImuSample] {
 }
 
 /// The readings of the first [`REST_SECONDS`] of a recording.
-fn first_readings(recording: &Recording<'_>) -> Result<Vec<ImuSample>> {
+fn first_readings(recording: &Recording<'_>) -> Result<Vec<ImuSample>, SequenceError> {
     let mut readings: Vec<ImuSample> = Vec::new();
     for reading in recording.imu_samples()? {
         readings.push(reading?);
@@ -92,14 +141,12 @@ fn first_readings(recording: &Recording<'_>) -> Result<Vec<ImuSample>> {
     Ok(readings)
 }
 
-fn from_truth(recording: &Recording<'_>, config: &EstimatorConfig) -> Result<InitialState> {
+fn from_truth(recording: &Recording<'_>, config: &EstimatorConfig) -> Result<InitialState, StartError> {
     if !recording.has_truth() {
-        bail!("--init truth: {} has no ground truth; use --init auto", recording.root.display())
+        return Err(StartError::NoTruth { root: recording.root().to_path_buf() });
     }
     let Some(gravity) = recording.truth_gravity()? else {
-        bail!(
-            "--init truth: the direction of gravity in the truth's frame cannot be found from truth and IMU"
-        )
+        return Err(StartError::NoGravity);
     };
     let first_reading = recording.imu_samples()?.next().transpose()?;
     let imu_begin_ns = first_reading.map_or(i64::MAX, |reading| reading.stamp_ns);
@@ -110,11 +157,11 @@ fn from_truth(recording: &Recording<'_>, config: &EstimatorConfig) -> Result<Ini
         |row: &Result<TruthRow, _>| row.as_ref().map_or(true, |row: &TruthRow| row.stamp_ns >= begin_ns);
     let mut rows = recording.truth()?.skip_while(|row| !due(row));
     let Some(row) = rows.next().transpose()? else {
-        bail!("--init truth: the ground truth ends before the IMU begins")
+        return Err(StartError::TruthEndsEarly);
     };
     let next = rows.next().transpose()?;
     let Some(velocity) = row.velocity.or_else(|| Some(slope(&row, &next?))) else {
-        bail!("--init truth: the first row has no velocity, and no row follows")
+        return Err(StartError::NoVelocity);
     };
     let stamp_ns = row.stamp_ns.max(imu_begin_ns);
     let mut start = InitialState::from_truth(stamp_ns, &row.pose, &velocity, &gravity, config.initial);

@@ -1,12 +1,12 @@
-//! Standard output that nobody reads any more.
+//! Standard output that is closed by its reader.
 
 /// Exit status of a program that wrote to a closed pipe, as shells report it.
 const CLOSED_PIPE: i32 = 141;
 
-/// Lets the program end without a word when its standard output is closed, as in `driftless map-info hall.db | head`.
+/// Ends the program without a message when its standard output is closed, as in `driftless map-info hall.db | head`.
 ///
-/// `println!` panics there. By then all files are written: programs print when they are done. Other panics are
-/// reported as before.
+/// `println!` panics in that case. All files are written by then: programs print when they are done. Other panics are
+/// reported as usual.
 pub fn end_quietly_when_closed() {
     let report = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |panic| {

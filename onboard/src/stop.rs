@@ -1,63 +1,58 @@
-//! How a run is stopped from outside: the first Ctrl-C (or SIGTERM) ends it in good order, the second at once.
+//! Stopping a run from outside: the first Ctrl-C (or SIGTERM) ends it in good order, the second at once.
 
-use anyhow::{Context as _, Result};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 use tokio::runtime::Builder;
 
-/// How long a sleeping run may take to notice that it is to stop.
+/// How long a sleeping run may take to notice the signal.
 const NOTICE: Duration = Duration::from_millis(20);
 /// Exit status of a program that an interrupt killed, as shells report it.
 const KILLED_BY_INTERRUPT: i32 = 130;
 
-/// Tells a run to stop. Clones tell the same run.
+/// Stops a run. Clones share the signal.
 #[derive(Clone, Debug, Default)]
 pub struct StopSignal {
     stopped: Arc<AtomicBool>,
 }
 
 impl StopSignal {
-    /// A signal that comes with SIGINT (Ctrl-C) or SIGTERM. The second one ends the program without further ado.
+    /// A signal that is raised by SIGINT (Ctrl-C) or SIGTERM. The second one ends the program at once.
     ///
     /// # Errors
-    /// The system lets nobody listen to signals.
-    pub fn on_interrupt() -> Result<Self> {
+    /// The operating system refuses a signal handler or a thread.
+    pub fn on_interrupt() -> std::io::Result<Self> {
         let signal = Self::default();
-        let told = signal.clone();
-        let runtime =
-            Builder::new_current_thread().enable_io().build().context("signals cannot be listened to")?;
+        let raised = signal.clone();
+        let runtime = Builder::new_current_thread().enable_io().build()?;
         let mut interrupts = {
             let _entered = runtime.enter();
-            Interrupts::listen().context("signals cannot be listened to")?
+            Interrupts::listen()?
         };
         let listen = move || {
             runtime.block_on(async {
                 interrupts.next().await;
-                told.stop();
-                eprintln!("stopping; press Ctrl-C again to end at once");
+                raised.stop();
+                eprintln!("stopping after this frame; press Ctrl-C again to end at once");
                 interrupts.next().await;
                 std::process::exit(KILLED_BY_INTERRUPT);
             });
         };
-        std::thread::Builder::new()
-            .name("signals".into())
-            .spawn(listen)
-            .context("no thread to listen to signals")?;
+        std::thread::Builder::new().name("signals".into()).spawn(listen)?;
         Ok(signal)
     }
 
-    /// Tells the run to stop.
+    /// Stops the run.
     pub fn stop(&self) {
         self.stopped.store(true, Ordering::Relaxed);
     }
 
-    /// Whether the run is to stop.
+    /// Whether the signal was raised.
     pub fn is_stopped(&self) -> bool {
         self.stopped.load(Ordering::Relaxed)
     }
 
-    /// Sleeps until `due`, or until the run is to stop.
+    /// Sleeps until `due`, or until the signal is raised.
     pub fn sleep_until(&self, due: Instant) {
         while !self.is_stopped() {
             let left = due.saturating_duration_since(Instant::now());

@@ -1,4 +1,4 @@
-//! Laws of the robot's front end: image files and a gyroscope in, tracks out.
+//! Laws of the front end: from image files and a gyroscope to tracks.
 #![allow(clippy::unwrap_used)]
 
 use geometry::rotation::exp;
@@ -58,7 +58,7 @@ fn readings(bias: &Vector3<f64>) -> Vec<ImuSample> {
 fn frame(folder: &Path, k: i64) -> Frame {
     let path = folder.join(format!("{k}.png"));
     photograph(k).write(&path).unwrap();
-    Frame { stamp_ns: k * PERIOD_NS, images: [Some(path), None], ..Frame::default() }
+    Frame { stamp_ns: k * PERIOD_NS, images: [Some(path.into()), None], ..Frame::default() }
 }
 
 fn front_end() -> FrontEnd {
@@ -71,7 +71,7 @@ fn the_bias_of_the_gyroscope_is_learned_from_the_images() {
     let bias = Vector3::new(0.06, -0.05, 0.08);
     let mut front_end = front_end();
     for k in 0..15 {
-        front_end.look(&frame(folder.path(), k), &readings(&bias)).unwrap();
+        front_end.track_frame(&frame(folder.path(), k), &readings(&bias)).unwrap();
     }
     let off = front_end.gyroscope_bias() - bias;
     assert!(off.norm() < 0.01, "off by {off:?} rad/s");
@@ -83,17 +83,17 @@ fn a_damaged_image_is_named_and_the_tracks_go_on_after_it() {
     let folder = tempfile::tempdir().unwrap();
     let imu = readings(&Vector3::zeros());
     let mut front_end = front_end();
-    let before = front_end.look(&frame(folder.path(), 0), &imu).unwrap();
+    let before = front_end.track_frame(&frame(folder.path(), 0), &imu).unwrap();
     let damaged = frame(folder.path(), 1);
-    let path = damaged.images[0].clone().unwrap();
-    let whole = std::fs::read(&path).unwrap();
-    std::fs::write(&path, &whole[..whole.len() / 2]).unwrap();
-    let error = front_end.look(&damaged, &imu).unwrap_err();
+    let path = damaged.images[0].as_ref().unwrap().path().unwrap();
+    let whole = std::fs::read(path).unwrap();
+    std::fs::write(path, &whole[..whole.len() / 2]).unwrap();
+    let error = front_end.track_frame(&damaged, &imu).unwrap_err();
     assert!(error.to_string().contains("1.png"), "{error}");
     let empty = Frame { stamp_ns: 2 * PERIOD_NS, ..Frame::default() };
-    assert!(matches!(front_end.look(&empty, &imu), Err(FrontEndError::NoImage { .. })));
-    let after = front_end.look(&frame(folder.path(), 3), &imu).unwrap();
+    assert!(matches!(front_end.track_frame(&empty, &imu), Err(FrontEndError::NoImage { .. })));
+    let after = front_end.track_frame(&frame(folder.path(), 3), &imu).unwrap();
     let ids: BTreeSet<u64> = before.iter().map(|track| track.feature_id).collect();
     let kept = after.iter().filter(|track| ids.contains(&track.feature_id)).count();
-    assert!(kept > 50, "{kept} tracks went on, over 36 px that only the gyroscope knew");
+    assert!(kept > 50, "{kept} tracks continued over 36 px, which only the gyroscope predicts");
 }

@@ -1,47 +1,23 @@
-//! The robot program from outside: what it leaves when it is stopped, killed, or not listened to.
+//! The robot program from outside: what it leaves when it is stopped, killed, or its output is closed.
 #![cfg(unix)]
 #![allow(clippy::unwrap_used)]
 
-#[path = "../../crates/estimator/tests/common/mod.rs"]
-mod common;
-
-use common::{FRAME_NS, World, imu_at};
-use estimator::ImuNoise;
 use evaluation::trajectory::{states, tum};
-use sensors::{CameraSensor, Frame, ImuSensor, Sequence, TruthRow, writer};
+use sensors::writer;
+use simulation::{SimulationOptions, simulate};
 use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::Duration;
 
-const IMU_NS: i64 = 5_000_000;
-/// Readings that are missing in the middle of the recording.
-const LOST: std::ops::Range<i64> = 100..120;
+/// Readings that are missing in the middle of the recording, at 200 a second.
+const LOST: std::ops::Range<usize> = 1000..1020;
 
-/// Twenty seconds of recording.
+/// Writes a recording of 200 frames in twenty seconds.
 fn record(folder: &Path) {
-    let world = World::new();
-    let frame = |k| Frame { stamp_ns: k * FRAME_NS, tracks: world.tracks(k), ..Frame::default() };
-    let truth = |k| TruthRow {
-        stamp_ns: k * FRAME_NS,
-        pose: World::truth(k),
-        velocity: None,
-        gyroscope_bias: None,
-        accelerometer_bias: None,
-    };
-    let camera = CameraSensor {
-        camera: world.eye.camera.clone(),
-        imu_from_camera: world.eye.imu_from_camera,
-        rate_hz: 10.0,
-    };
-    let sequence = Sequence {
-        root: folder.to_path_buf(),
-        imu: Some(ImuSensor { noise: ImuNoise::default(), rate_hz: 200.0, gravity_magnitude: None }),
-        imu_samples: (0..4100).filter(|k| !LOST.contains(k)).map(|k| imu_at(k * IMU_NS)).collect(),
-        cameras: vec![camera],
-        frames: (0..200).map(frame).collect(),
-        groundtruth: Some((0..200).map(truth).collect()),
-        reference_poses: None,
-    };
+    let options = SimulationOptions { duration_s: Some(21.0), ..SimulationOptions::default() };
+    let mut sequence = simulate(&options).unwrap().live;
+    sequence.frames.truncate(200);
+    sequence.imu_samples.drain(LOST);
     writer::write(&sequence, folder).unwrap();
 }
 
@@ -63,7 +39,7 @@ fn signal(mut child: Child, out: &Path, name: &str) -> ExitStatus {
     let written =
         || std::fs::read_to_string(out.join("states.csv")).is_ok_and(|text| text.lines().count() > 10);
     while !written() {
-        assert!(child.try_wait().unwrap().is_none(), "it ended before it wrote anything");
+        assert!(child.try_wait().unwrap().is_none(), "the run ended before it wrote anything");
         std::thread::sleep(Duration::from_millis(20));
     }
     let sent = Command::new("kill").args([name, &child.id().to_string()]).status().unwrap();
@@ -100,20 +76,20 @@ fn a_run_that_is_killed_leaves_what_it_had() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("out");
     record(folder.path());
-    // What an earlier run said must not be taken for this one's.
+    // The summary of an earlier run must not be taken for this one's.
     std::fs::create_dir(&out).unwrap();
     std::fs::write(out.join("summary.json"), "{}").unwrap();
     assert!(!signal(start(folder.path(), &out, &["--realtime"]), &out, "-KILL").success());
     assert!(!out.join("summary.json").exists());
     let text = std::fs::read_to_string(out.join("states.csv")).unwrap();
-    // A buffer that ran full may end within a line.
+    // A full buffer is written up to the middle of a line.
     let whole = &text[..=text.rfind('\n').unwrap()];
     std::fs::write(out.join("states.csv"), whole).unwrap();
     assert!(states::read(&out.join("states.csv")).unwrap().len() >= 9);
 }
 
 #[test]
-fn a_run_to_the_end_says_so_and_counts_gaps() {
+fn a_complete_run_reports_its_gaps() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("out");
     record(folder.path());
@@ -123,8 +99,8 @@ fn a_run_to_the_end_says_so_and_counts_gaps() {
     assert_eq!((&summary["interrupted"], &summary["frames"]), (&false.into(), &200.into()));
     assert_eq!(summary["imu_gaps"]["count"], 1);
     assert!((summary["imu_gaps"]["longest_s"].as_f64().unwrap() - 0.105).abs() < 1e-9);
-    let told = String::from_utf8(output.stderr).unwrap();
-    assert_eq!(told.matches("a gap in the IMU's readings").count(), 1, "{told}");
+    let log = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(log.matches("a gap in the IMU's readings").count(), 1, "{log}");
 }
 
 #[test]

@@ -94,7 +94,7 @@ impl Split {
         let look = |&frame: &usize| {
             let truth = self.global_from_camera(frame)?;
             let file = self.sequence.frames[frame].images[0].as_ref()?;
-            let image = change(GrayImage::read(file).unwrap());
+            let image = change(file.read().unwrap().into_owned());
             let seen = extractor.extract(&image, None, max_features).unwrap();
             let request = LocalizeRequest {
                 camera: self.sequence.cameras[0].camera.clone(),

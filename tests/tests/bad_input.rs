@@ -7,7 +7,7 @@ use nalgebra::Vector3;
 use onboard::arguments::Init;
 use onboard::map_conversion::map_answer;
 use onboard::start::initial_state;
-use onboard::{EstimatorSupervisor, ImuWindow, RobotRun, StopSignal, run as play};
+use onboard::{EstimatorSupervisor, Recorder, RobotRun, run as play};
 use protocol::{
     DescriptorKind, Descriptors, ErrorCode, FeatureSet, Format, LocalizeReply, LocalizeRequest, MapInfoReply,
     MatchOutcome, MatchReply, MatchedKeyframe,
@@ -207,7 +207,7 @@ fn answer_of(map: &LoadedMap, sequence: &Sequence, frame: usize) -> MapAnswer {
 }
 
 fn estimator(sequence: &Sequence) -> Estimator {
-    let config = arguments("unused".as_ref(), "").estimator_config(&sequence.into()).unwrap();
+    let config = arguments("unused".as_ref(), "").estimator_config(&sequence.calibration()).unwrap();
     let initial = initial_state(&sequence.into(), Init::Static, &config).unwrap().unwrap();
     Estimator::new(config, rig(sequence), &initial).unwrap()
 }
@@ -270,30 +270,14 @@ fn an_answer_that_comes_too_late_is_reported_and_does_no_harm() {
 
     // It goes on as if nothing had come.
     let folder = tempfile::tempdir().unwrap();
-    let mut recorder = onboard::recorder::Recorder::create(folder.path()).unwrap();
+    let mut recorder = Recorder::create(folder.path()).unwrap();
     let mut rest = live.clone();
     rest.frames.drain(..frames);
     let last_ns = live.frames[frames - 1].stamp_ns;
     rest.imu_samples.retain(|sample| sample.stamp_ns > last_ns + 5_000_000);
     let recording = Recording::from(&rest);
-    let robot = RobotRun {
-        front_end: None,
-        extraction: None,
-        query_interval_ns: 0,
-        last_extraction_ns: None,
-        recording: &recording,
-        imu: ImuWindow::new(recording.imu_samples().unwrap(), 200.0),
-        stop: StopSignal::default(),
-        cameras: 2,
-        filter: EstimatorSupervisor::running(late, rig(live)),
-        robot: "late".to_owned(),
-        max_keyframes: 4,
-        realtime: false,
-        queries: None,
-        news: None,
-        publisher: None,
-        last_failure: None,
-    };
+    let mut source = recording.source().unwrap();
+    let robot = RobotRun::new(&mut source, EstimatorSupervisor::running(late, rig(live)));
     play(robot, &mut recorder, |_| {}).unwrap();
     assert_eq!(recorder.frames, rest.frames.len());
 }

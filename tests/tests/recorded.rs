@@ -140,8 +140,7 @@ fn a_walk_that_comes_back_to_its_start_is_localized_again() {
     let (out, map) = (tempfile::tempdir().unwrap(), built(&folder, 10.0, StoredPoses::Refined));
     let outcome = localize_into(out.path(), &folder, &map, "--sigma-accelerometer-bias 0.1");
     let first_ns = outcome.states().unwrap()[0].stamp_ns;
-    let again =
-        |event: &&onboard::event::Event| event.accepted && event.stamp_ns > first_ns + 105_000_000_000;
+    let again = |event: &&onboard::Event| event.accepted && event.stamp_ns > first_ns + 105_000_000_000;
     assert!(outcome.events().unwrap().iter().filter(again).count() > 10);
     let status = outcome.summary.final_status.unwrap();
     assert_eq!(status.localization, estimator::Localization::Localized, "{}", status.reason);

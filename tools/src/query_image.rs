@@ -7,7 +7,7 @@ use geometry::Camera;
 use onboard::extraction::FeatureArguments;
 use protocol::{FeatureSet, LocalizeRequest};
 use sensors::feature_set;
-use sensors::{Frame, Sequence};
+use sensors::{Frame, ImageData, Sequence};
 use vision::GrayImage;
 
 use map::text::read_camera;
@@ -52,7 +52,7 @@ impl QueryImage {
         let sequence = Sequence::open(recording)?;
         let camera = sequence.cameras[0].camera.clone();
         let (frame, time_s) = nearest_frame(&sequence, at_s)?;
-        let file = frame.images[0].as_deref();
+        let file = frame.images[0].as_ref().and_then(ImageData::path);
         let of = format!("camera 0 of {}", recording.display());
         let image = file.map(|file| read_image(file, &camera, &of)).transpose()?;
         let features = match (&frame.features, &image, file) {

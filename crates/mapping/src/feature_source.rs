@@ -1,11 +1,10 @@
 //! Features of images: read from the recording where it has them, extracted where it has images.
 
 use std::borrow::Cow;
-use std::path::Path;
 
 use nalgebra::Vector2;
 use protocol::FeatureSet;
-use sensors::{Frame, Sequence};
+use sensors::{Frame, ImageData, Sequence};
 use vision::{FeatureExtractor, GrayImage};
 
 use super::camera::MappingCamera;
@@ -79,12 +78,12 @@ impl<'e, 'r> FeatureSource<'e, 'r> {
             let recorded = |features| FrameFeatures { features: Cow::Borrowed(features), stereo: Vec::new() };
             return Ok(frame.features.as_ref().map(recorded));
         };
-        let mut extract = |file: &Path, mask: Option<&GrayImage>| match GrayImage::read(file) {
+        let mut extract = |file: &ImageData, mask: Option<&GrayImage>| match file.read() {
             Ok(image) => extraction
                 .extractor
                 .extract(&image, mask, extraction.max_features)
                 .map(Some)
-                .map_err(|source| BuildError::Extraction { image: file.display().to_string(), source }),
+                .map_err(|source| BuildError::Extraction { image: file.to_string(), source }),
             Err(error) => {
                 self.unreadable.push(error.to_string());
                 Ok(None)

@@ -1,12 +1,13 @@
-//! What can be wrong with a recording, said so that it can be mended.
+//! Errors of recordings and other sensor sources.
 
 use std::path::{Path, PathBuf};
 use thiserror::Error;
 
-/// Why a recording could not be read or written.
+/// Why a file of a recording or of a trajectory could not be read or written.
 #[derive(Debug, Error)]
+#[non_exhaustive]
 pub enum SequenceError {
-    /// A file that every recording needs is not there.
+    /// A required file or folder does not exist.
     #[error("{} is missing: {advice}", path.display())]
     Missing {
         /// The file or folder.
@@ -14,15 +15,15 @@ pub enum SequenceError {
         /// What to do about it.
         advice: String,
     },
-    /// The operating system refused.
+    /// The operating system reports an error.
     #[error("{}: {source}", path.display())]
     Io {
         /// The file.
         path: PathBuf,
-        /// Its reason.
+        /// The error.
         source: std::io::Error,
     },
-    /// A `sensor.yaml` does not say what it must.
+    /// A calibration file is invalid.
     #[error("{}: {problem}", path.display())]
     Calibration {
         /// The file.
@@ -30,7 +31,7 @@ pub enum SequenceError {
         /// What is wrong, and what to do.
         problem: String,
     },
-    /// A line of a table is wrong.
+    /// A line of a table is invalid.
     #[error("{}, line {line}: {problem}", path.display())]
     Row {
         /// The file.
@@ -40,7 +41,7 @@ pub enum SequenceError {
         /// What is wrong, and what to do.
         problem: String,
     },
-    /// A table has no rows at all.
+    /// A table has no rows.
     #[error("{} holds no rows: {advice}", path.display())]
     Empty {
         /// The file.
@@ -51,23 +52,40 @@ pub enum SequenceError {
 }
 
 impl SequenceError {
-    /// A file that cannot be read or written.
+    /// [`SequenceError::Io`] for a file.
     pub fn io(path: &Path, source: std::io::Error) -> Self {
         Self::Io { path: path.to_path_buf(), source }
     }
 
-    /// A calibration that cannot be used.
+    /// [`SequenceError::Calibration`] for a file.
     pub fn calibration(path: &Path, problem: impl Into<String>) -> Self {
         Self::Calibration { path: path.to_path_buf(), problem: problem.into() }
     }
 
-    /// A file or folder that is needed and not there.
+    /// [`SequenceError::Missing`] for a file or folder.
     pub fn missing(path: &Path, advice: impl Into<String>) -> Self {
         Self::Missing { path: path.to_path_buf(), advice: advice.into() }
     }
 
-    /// A table without rows.
+    /// [`SequenceError::Empty`] for a table.
     pub fn empty(path: &Path, advice: impl Into<String>) -> Self {
         Self::Empty { path: path.to_path_buf(), advice: advice.into() }
     }
+}
+
+/// Why a [`SensorSource`](crate::SensorSource) ended before its end.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum SensorError {
+    /// A file of a recording.
+    #[error(transparent)]
+    Recording(#[from] SequenceError),
+    /// Any other source: a bag, a topic, a device.
+    #[error("{name}: {source}")]
+    Source {
+        /// What was read, as [`SensorSource::name`](crate::SensorSource::name) says.
+        name: String,
+        /// The error of the reader.
+        source: Box<dyn std::error::Error + Send + Sync>,
+    },
 }

@@ -1,9 +1,9 @@
-//! Features of an image in the form in which they are stored and sent.
+//! From an extractor's features to those that are stored in maps and sent in queries.
 
 use protocol::{DescriptorKind, Descriptors, FeatureSet};
 use vision::{ImageFeatures, Metric};
 
-/// How the wire names a metric.
+/// The kind of descriptors that a metric compares.
 fn kind_of(metric: Metric) -> DescriptorKind {
     match metric {
         Metric::Hamming => DescriptorKind::Binary,
@@ -12,17 +12,18 @@ fn kind_of(metric: Metric) -> DescriptorKind {
     }
 }
 
-/// The features of an image in the form in which they are stored and sent.
+/// The features of an image as they are stored in maps and sent in queries.
 ///
 /// # Arguments
-/// * `extractor`: name of what made them.
-pub fn feature_set(extractor: &str, seen: ImageFeatures) -> FeatureSet {
+/// * `extractor`: name of the extractor, which must be the same for map and query.
+/// * `features`: pixels and descriptors as the extractor returns them.
+pub fn feature_set(extractor: &str, features: ImageFeatures) -> FeatureSet {
     FeatureSet {
-        pixels: seen.keypoints.iter().map(|keypoint| keypoint.pixel).collect(),
+        pixels: features.keypoints.iter().map(|keypoint| keypoint.pixel).collect(),
         descriptors: Descriptors {
-            kind: kind_of(seen.metric),
-            width: seen.width as u16,
-            bytes: seen.descriptors,
+            kind: kind_of(features.metric),
+            width: features.width as u16,
+            bytes: features.descriptors,
         },
         extractor: extractor.to_owned(),
     }

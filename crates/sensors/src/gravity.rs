@@ -1,31 +1,27 @@
-//! Where gravity points in the frame of the ground truth, worked out from the recording itself.
+//! Direction of gravity in the frame of the ground truth, estimated from ground truth and IMU.
 //!
 //! Over any stretch of time `v1 - v0 = integral of (R f) dt + g T`, with the specific force `f` that the
-//! accelerometer measures and the truth's rotation `R`. Over a whole run the error of the ends is divided by minutes.
+//! accelerometer measures and the truth's rotation `R`. Over a whole run the errors of `v0` and `v1` are divided by minutes.
 
-use super::SequenceError;
-use super::recording::Rows;
-use super::rows::{Stamped, TruthRow};
-use super::truth::TruthTrack;
-use crate::ImuSample;
+use super::rows::{Rows, Stamped};
+use super::{ImuSample, SequenceError, TruthRow, TruthTrack};
 use nalgebra::Vector3;
 use std::iter::Peekable;
 
-/// A frame's axis is meant when gravity is this close to it: truth of motion capture is levelled by hand (0.55 deg
-/// off on one of EuRoC's rooms), and a frame that is really tilted is tilted by more.
+/// Gravity is taken to be along a coordinate axis when it is this close to it: motion capture systems are levelled by
+/// hand (0.55 deg off in one of EuRoC's rooms), and frames that are tilted on purpose are tilted by more.
 const SNAP_DEGREES: f64 = 3.0;
 /// A stretch of truth ends where the next row is further away.
 const MAX_GAP_NS: i64 = 250_000_000;
 /// Without velocities, the speed at the ends of a stretch is taken over this time.
 const END_SPAN_NS: i64 = 100_000_000;
-/// What gravity can be on Earth with a biased accelerometer, m/s^2.
+/// Plausible estimates of gravity on Earth with a biased accelerometer, m/s^2.
 const PLAUSIBLE: std::ops::RangeInclusive<f64> = 9.3..=10.3;
 
-/// The run is worked through in pieces of this length, nanoseconds, so that a long one needs no more memory than a
-/// short one.
+/// The run is processed in pieces of this length, nanoseconds, so that memory does not grow with its length.
 const PIECE_NS: i64 = 30_000_000_000;
 
-/// Unit direction in which gravity pulls, in the truth's frame; `None` where truth and IMU do not overlap, or
+/// Unit direction of gravity in the truth's frame; `None` where truth and IMU do not overlap, or
 /// contradict each other so much that gravity would not have its known strength.
 ///
 /// # Errors
@@ -80,7 +76,7 @@ fn estimate(
         }
         balance.add(&rows, &samples);
         rows.clear();
-        // A piece that was cut off at its length goes on from where it ended.
+        // A piece that was cut off at its length continues where it ended.
         if last.stamp_ns - first.stamp_ns >= PIECE_NS {
             rows.push(last);
         }
@@ -100,7 +96,7 @@ fn next_until<T: Stamped>(
 #[derive(Default)]
 struct Balance {
     velocity_change: Vector3<f64>,
-    felt: Vector3<f64>,
+    specific_force: Vector3<f64>,
     seconds: f64,
 }
 
@@ -116,12 +112,12 @@ impl Balance {
         let ends = (velocity(&track, begin, 1), velocity(&track, end, -1));
         let (Some(first), Some(last)) = ends else { return };
         self.velocity_change += last.value - first.value;
-        self.felt += specific_force_between(&track, samples, first.stamp_ns, last.stamp_ns);
+        self.specific_force += specific_force_between(&track, samples, first.stamp_ns, last.stamp_ns);
         self.seconds += (last.stamp_ns - first.stamp_ns) as f64 * 1e-9;
     }
 
     fn gravity(&self) -> Option<Vector3<f64>> {
-        (self.seconds > 0.0).then(|| (self.velocity_change - self.felt) / self.seconds)
+        (self.seconds > 0.0).then(|| (self.velocity_change - self.specific_force) / self.seconds)
     }
 }
 
@@ -130,7 +126,7 @@ struct VelocityAt {
     value: Vector3<f64>,
 }
 
-/// The velocity at an end of a stretch, looking inwards (`inwards` is 1 at its beginning, -1 at its end).
+/// The velocity near an end of a stretch (`inwards`: 1 at its beginning, -1 at its end).
 fn velocity(track: &TruthTrack<'_>, stamp_ns: i64, inwards: i64) -> Option<VelocityAt> {
     if let Some(value) = track.velocity(stamp_ns, MAX_GAP_NS) {
         return Some(VelocityAt { stamp_ns, value });
@@ -143,7 +139,7 @@ fn velocity(track: &TruthTrack<'_>, stamp_ns: i64, inwards: i64) -> Option<Veloc
 
 /// Integral of the specific force in the truth's frame, trapezoidal, over the samples of an interval.
 fn specific_force_between(track: &TruthTrack<'_>, samples: &[ImuSample], from: i64, to: i64) -> Vector3<f64> {
-    let turned = |sample: &ImuSample| {
+    let in_truth_frame = |sample: &ImuSample| {
         track.pose(sample.stamp_ns, MAX_GAP_NS).map(|pose| pose.rotation * sample.accelerometer)
     };
     let mut sum = Vector3::zeros();
@@ -152,7 +148,7 @@ fn specific_force_between(track: &TruthTrack<'_>, samples: &[ImuSample], from: i
         if begin >= end {
             continue;
         }
-        if let (Some(a), Some(b)) = (turned(&pair[0]), turned(&pair[1])) {
+        if let (Some(a), Some(b)) = (in_truth_frame(&pair[0]), in_truth_frame(&pair[1])) {
             sum += (a + b) * (0.5e-9 * (end - begin) as f64);
         }
     }

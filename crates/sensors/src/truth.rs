@@ -1,8 +1,35 @@
-//! The ground truth at any instant, interpolated between its rows.
+//! Ground truth and its interpolation, and the reference poses of a mapping run.
 
-use super::rows::TruthRow;
 use geometry::pose::Pose;
 use nalgebra::Vector3;
+
+/// One row of ground truth.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TruthRow {
+    /// Time, nanoseconds.
+    pub stamp_ns: i64,
+    /// The IMU in the truth's frame: `truth_from_imu`.
+    pub pose: Pose,
+    /// Velocity of the IMU in the truth's frame, m/s, where known.
+    pub velocity: Option<Vector3<f64>>,
+    /// Bias of the gyroscope, rad/s, where known.
+    pub gyroscope_bias: Option<Vector3<f64>>,
+    /// Bias of the accelerometer, m/s^2, where known.
+    pub accelerometer_bias: Option<Vector3<f64>>,
+}
+
+/// A pose of the IMU in the map's frame as a mapping system estimated it, with the stated sigmas.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ReferencePose {
+    /// Time, nanoseconds.
+    pub stamp_ns: i64,
+    /// The IMU in the map's frame: `global_from_imu`.
+    pub pose: Pose,
+    /// Standard deviation of the rotation about each axis, rad.
+    pub sigma_theta_rad: f64,
+    /// Standard deviation of the position along each axis, metres.
+    pub sigma_p_m: f64,
+}
 
 /// Ground truth as a function of time.
 #[derive(Clone, Copy, Debug)]

@@ -6,7 +6,7 @@ use anyhow::{Context as _, Result, bail};
 use onboard::extraction::FeatureArguments;
 use protocol::{Format, KeyframeId};
 use recognition::{InspectedKeyframe, InspectedMatch, Inspection, RecognitionOptions};
-use sensors::Sequence;
+use sensors::{ImageData, Sequence};
 use serde_json::{Value, json};
 use vision::GrayImage;
 
@@ -169,7 +169,7 @@ fn keyframe_image(recording: &Path, keyframe: &InspectedKeyframe) -> Result<Opti
             keyframe.id
         );
     };
-    let file = sequence.frames[at].images[0].as_deref();
+    let file = sequence.frames[at].images[0].as_ref().and_then(ImageData::path);
     let camera_of = format!("the camera of keyframe {}", keyframe.id);
     file.map(|file| read_image(file, &keyframe.camera, &camera_of)).transpose()
 }

@@ -3,17 +3,20 @@
 use crate::in_process::{LocalServer, load_map};
 use anyhow::{Result, bail};
 use estimator::MapMode;
+use onboard::arguments::INPUT;
 use onboard::{RobotArguments, StopSignal, progress, run_robot_until};
 use sensors::Recording;
 use std::path::PathBuf;
 
 /// Arguments of `driftless run`.
 #[derive(clap::Args, Debug)]
-#[command(after_help = "Examples:\n  driftless run place/live --map place.db --init truth --out run\n  \
-    driftless run place/live --mode odometry --out run\n\nThen: driftless plot run")]
+#[command(
+    after_help = "Examples:\n  driftless run --sequence place/live --map place.db --init truth --out run\n  \
+    driftless run --sequence place/live --mode odometry --out run\n\nThen: driftless plot run"
+)]
 pub struct Args {
-    /// The recording, a folder in the EuRoC layout
-    #[arg(value_name = "SEQ")]
+    /// The recording: a folder in the EuRoC layout
+    #[arg(long, value_name = "DIR", help_heading = INPUT)]
     sequence: PathBuf,
     /// The map's database (not needed with --mode odometry)
     #[arg(long, value_name = "DB")]
@@ -53,7 +56,7 @@ pub fn run(args: &Args) -> Result<()> {
     if args.json {
         println!("{}", serde_json::to_string_pretty(&outcome.summary)?);
     } else {
-        print!("{}", progress::report(&outcome));
+        print!("{}", progress::report(&outcome.summary));
         println!("written to {}", args.robot.out.display());
     }
     if let Some(reason) = &outcome.summary.ended_early {

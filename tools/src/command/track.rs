@@ -137,7 +137,7 @@ fn track(args: &Args, sequence: &mut Sequence, front_end: &mut FrontEnd) -> Summ
             continue;
         }
         summary.frames += 1;
-        match front_end.look(frame, imu) {
+        match front_end.track_frame(frame, imu) {
             Ok(tracks) => frame.tracks = tracks,
             Err(error) => {
                 summary.left_out += 1;

@@ -2,13 +2,13 @@
 
 use super::*;
 
-/// Writes a sound recording, spoils one file, and returns what opening it says.
-fn complaint(file: &str, spoil: impl Fn(String) -> String) -> String {
+/// Writes a valid recording, damages one file, and returns the error of opening it.
+fn error_of(file: &str, damage: impl Fn(String) -> String) -> String {
     let folder = tempfile::tempdir().unwrap();
     writer::write(&sequence(2), folder.path()).unwrap();
     let path = folder.path().join(file);
-    let spoiled = spoil(std::fs::read_to_string(&path).unwrap());
-    std::fs::write(&path, spoiled).unwrap();
+    let damaged = damage(std::fs::read_to_string(&path).unwrap());
+    std::fs::write(&path, damaged).unwrap();
     let error = Sequence::open(folder.path()).unwrap_err().to_string();
     assert!(error.contains(file), "{error}");
     error
@@ -35,7 +35,7 @@ const TRUTH: &str = "mav0/state_groundtruth_estimate0/data.csv";
 #[test]
 fn a_row_that_is_cut_off() {
     for file in TABLES.into_iter().chain([TRUTH]) {
-        let error = complaint(file, |text| {
+        let error = error_of(file, |text| {
             let end = text.trim_end().rfind(',').unwrap();
             text[..end].to_owned()
         });
@@ -47,7 +47,7 @@ fn a_row_that_is_cut_off() {
 fn a_descriptor_that_is_cut_off() {
     for digits in [1, 2] {
         let error =
-            complaint("mav0/cam0/features.csv", |text| text.trim_end()[..text.len() - 1 - digits].to_owned());
+            error_of("mav0/cam0/features.csv", |text| text.trim_end()[..text.len() - 1 - digits].to_owned());
         assert!(error.contains("line 13") && error.contains("cut off"), "{error}");
     }
 }
@@ -55,7 +55,7 @@ fn a_descriptor_that_is_cut_off() {
 #[test]
 fn time_that_goes_back() {
     for file in TABLES.into_iter().chain([TRUTH]) {
-        let error = complaint(file, |text| {
+        let error = error_of(file, |text| {
             let stamp = text.lines().nth(1).unwrap().split(',').next().unwrap().to_owned();
             cell(&text, text.lines().count() - 1, 0, &stamp)
         });
@@ -64,44 +64,44 @@ fn time_that_goes_back() {
 }
 
 #[test]
-fn numbers_that_are_none() {
+fn cells_that_are_not_finite_numbers() {
     for file in TABLES.into_iter().chain([TRUTH]) {
         for value in ["nan", "inf", "", "1.2.3", "0x10"] {
-            let error = complaint(file, |text| cell(&text, 2, 2, value));
+            let error = error_of(file, |text| cell(&text, 2, 2, value));
             assert!(error.contains("line 3"), "{error}");
         }
     }
 }
 
 #[test]
-fn stamps_that_are_in_no_list() {
+fn time_stamps_that_are_not_listed() {
     for file in &TABLES[1..4] {
-        let error = complaint(file, |text| cell(&text, 1, 0, &(START_NS - 1).to_string()));
+        let error = error_of(file, |text| cell(&text, 1, 0, &(START_NS - 1).to_string()));
         assert!(error.contains("line 2") && error.contains("not in this camera's data.csv"), "{error}");
     }
 }
 
 #[test]
 fn a_feature_twice_in_one_image() {
-    let error = complaint("mav0/cam0/tracks.csv", |text| cell(&text, 2, 1, "0"));
+    let error = error_of("mav0/cam0/tracks.csv", |text| cell(&text, 2, 1, "0"));
     assert!(error.contains("line 3") && error.contains("twice"), "{error}");
 }
 
 #[test]
 fn a_descriptor_that_is_not_hexadecimal() {
-    let error = complaint("mav0/cam0/features.csv", |text| cell(&text, 1, 3, &"0g".repeat(32)));
+    let error = error_of("mav0/cam0/features.csv", |text| cell(&text, 1, 3, &"0g".repeat(32)));
     assert!(error.contains("line 2") && error.contains("\"0g\""), "{error}");
 }
 
 #[test]
-fn a_quaternion_that_is_none() {
-    let error = complaint(TRUTH, |text| cell(&text, 1, 4, "3"));
+fn a_quaternion_that_is_not_of_unit_length() {
+    let error = error_of(TRUTH, |text| cell(&text, 1, 4, "3"));
     assert!(error.contains("line 2") && error.contains("quaternion"), "{error}");
 }
 
 #[test]
-fn a_lens_that_nobody_knows() {
-    let error = complaint("mav0/cam1/sensor.yaml", |text| {
+fn an_unknown_distortion_model() {
+    let error = error_of("mav0/cam1/sensor.yaml", |text| {
         text.lines()
             .map(|line| if line.starts_with("distortion_model") { "distortion_model: mei" } else { line })
             .collect::<Vec<_>>()
@@ -115,7 +115,7 @@ fn a_calibration_with_something_left_out() {
     for (file, key) in
         [("mav0/imu0/sensor.yaml", "gyroscope_noise_density"), ("mav0/cam0/sensor.yaml", "intrinsics")]
     {
-        let error = complaint(file, |text| {
+        let error = error_of(file, |text| {
             text.lines().filter(|line| !line.starts_with(key)).collect::<Vec<_>>().join("\n")
         });
         assert!(error.contains(key), "{error}");
@@ -139,7 +139,7 @@ fn a_file_that_is_missing() {
 #[test]
 fn a_table_without_rows() {
     for file in ["mav0/imu0/data.csv", "mav0/cam0/data.csv", TRUTH, "reference_poses.csv"] {
-        let error = complaint(file, |text| text.lines().next().unwrap().to_owned());
+        let error = error_of(file, |text| text.lines().next().unwrap().to_owned());
         assert!(error.contains("no rows"), "{error}");
     }
 }

@@ -1,8 +1,8 @@
-//! Gravity is found in the truth's frame, whichever way that is turned.
+//! The direction of gravity is found in the truth's frame, however that frame is oriented.
 
 use super::*;
 
-/// A recording that swings about, in a frame where gravity pulls along `gravity` (m/s^2).
+/// A recording of a swinging IMU, in a frame where gravity pulls along `gravity` (m/s^2).
 fn swinging(gravity: Vector3<f64>, with_velocity: bool) -> Sequence {
     let mut sequence = sequence(1);
     let position = |t: f64| Vector3::new((0.9 * t).sin(), (1.3 * t).cos(), 0.5 * (0.7 * t).sin());

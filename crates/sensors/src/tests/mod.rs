@@ -1,16 +1,18 @@
-//! Laws of recordings on disk.
+//! Laws of recordings and of the sources that play them.
 
 mod bad_input;
 mod gravity;
 mod round_trip;
+mod source;
 
 use super::*;
 use geometry::camera::{Camera, Distortion};
 use geometry::pose::Pose;
-use nalgebra::{UnitQuaternion, Vector2};
+use nalgebra::{UnitQuaternion, Vector2, Vector3};
 use protocol::{DescriptorKind, Descriptors, FeatureSet};
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
+use std::path::{Path, PathBuf};
 
 const START_NS: i64 = 1_403_636_625_938_517_094;
 
@@ -72,7 +74,7 @@ fn sequence(seed: u64) -> Sequence {
 
 fn frame(rng: &mut StdRng, index: i64, cameras: u8) -> Frame {
     let mut tracks = Vec::new();
-    // The third image shows nothing: fog.
+    // Nothing is tracked in the third image.
     if index != 2 {
         for camera in 0..cameras {
             tracks.extend((0..5).map(|feature| TrackObservation {

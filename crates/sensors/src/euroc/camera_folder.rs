@@ -1,34 +1,13 @@
-//! The camera folders: which images there are, what was tracked in them, and what a place-recognition extractor saw.
+//! The camera folders: images, tracks and features, merged into frames.
 
-use super::error::SequenceError;
-use super::rows::Stamped;
-use super::table::{Row, Table, check_order};
-use crate::TrackObservation;
+use crate::table::{Row, Table, check_order};
+use crate::{Frame, ImageData, SequenceError, TrackObservation};
 use nalgebra::Vector2;
 use protocol::{DescriptorFormat, DescriptorKind, FeatureSet};
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
-/// One instant at which the cameras looked.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Frame {
-    /// Time, nanoseconds.
-    pub stamp_ns: i64,
-    /// The image files of camera 0 and 1, where the recording has them.
-    pub images: [Option<PathBuf>; 2],
-    /// What was tracked, camera 0 first; empty where the front end saw nothing or did not run.
-    pub tracks: Vec<TrackObservation>,
-    /// What a place-recognition extractor saw in camera 0, if it ran on this image.
-    pub features: Option<FeatureSet>,
-}
-
-impl Stamped for Frame {
-    fn stamp_ns(&self) -> i64 {
-        self.stamp_ns
-    }
-}
-
-/// The frames of all cameras, one after the other: every stamp that any of them has. They end with the first error.
+/// Iterates over the frames of all cameras, one for every time stamp that any of them has. Ends with the first error.
 pub(crate) struct FrameRows {
     cameras: Vec<CameraRows>,
     ended: bool,
@@ -69,18 +48,18 @@ impl Iterator for FrameRows {
     }
 }
 
-/// The tables of one camera, side by side.
+/// The tables of one camera, read in step.
 struct CameraRows {
     camera: u8,
     images: Table,
     /// The folder of the images, where there are any.
     image_folder: Option<PathBuf>,
-    /// Stamp of the image that comes next.
+    /// Time stamp of the next image; `None` after the last.
     image_ns: Option<i64>,
     tracks: Option<ImageRows>,
     seen_ids: HashSet<u64>,
     features: Option<ImageRows>,
-    /// Bytes of a descriptor.
+    /// Bytes of a descriptor, from the first row on.
     width: Option<usize>,
 }
 
@@ -110,7 +89,7 @@ impl CameraRows {
         Ok(rows)
     }
 
-    /// Goes to the next image.
+    /// Reads the row of the next image.
     fn advance(&mut self) -> Result<(), SequenceError> {
         let Some(row) = self.images.next_row()? else {
             self.image_ns = None;
@@ -122,10 +101,11 @@ impl CameraRows {
         Ok(())
     }
 
-    /// Reads what belongs to the image that comes next into its frame, and goes to the one after it.
+    /// Reads all that belongs to the next image into its frame, and advances.
     fn read_into(&mut self, frame: &mut Frame) -> Result<(), SequenceError> {
         if let Some(folder) = &self.image_folder {
-            frame.images[usize::from(self.camera)] = Some(image_file(&self.images.row(), folder)?);
+            frame.images[usize::from(self.camera)] =
+                Some(ImageData::File(image_file(&self.images.row(), folder)?));
         }
         if let Some(tracks) = &mut self.tracks {
             self.seen_ids.clear();
@@ -147,7 +127,7 @@ impl CameraRows {
         self.advance()
     }
 
-    /// Complains about tracks and features after the last image.
+    /// Checks that there are no tracks and features after the last image.
     fn expect_end(&self) -> Result<(), SequenceError> {
         [&self.tracks, &self.features].into_iter().flatten().try_for_each(ImageRows::expect_end)
     }
@@ -156,9 +136,9 @@ impl CameraRows {
 /// A table with several rows an image, in the order of the images.
 struct ImageRows {
     table: Table,
-    /// Stamp of the row that waits for its image.
-    waiting_ns: Option<i64>,
-    /// Stamp of the row before it.
+    /// Time stamp of the row that was read last and not taken yet.
+    pending_ns: Option<i64>,
+    /// Time stamp of the row before it.
     before_ns: Option<i64>,
 }
 
@@ -168,14 +148,14 @@ impl ImageRows {
             return Ok(None);
         }
         let table = Table::open(path, "it holds what was seen in images")?;
-        let mut rows = Self { table, waiting_ns: None, before_ns: None };
+        let mut rows = Self { table, pending_ns: None, before_ns: None };
         rows.advance()?;
         Ok(Some(rows))
     }
 
     fn advance(&mut self) -> Result<(), SequenceError> {
-        self.before_ns = self.waiting_ns;
-        self.waiting_ns = match self.table.next_row()? {
+        self.before_ns = self.pending_ns;
+        self.pending_ns = match self.table.next_row()? {
             Some(row) => {
                 row.require(4)?;
                 Some(row.stamp()?)
@@ -185,14 +165,14 @@ impl ImageRows {
         Ok(())
     }
 
-    /// Hands over the rows of an image, which must be the next one.
+    /// Calls `each` with the rows of an image, which must be the next one.
     fn take(
         &mut self,
         image_ns: i64,
         mut each: impl FnMut(&Row<'_>) -> Result<(), SequenceError>,
     ) -> Result<(), SequenceError> {
-        while self.waiting_ns.is_some_and(|waiting_ns| waiting_ns <= image_ns) {
-            if self.waiting_ns != Some(image_ns) {
+        while self.pending_ns.is_some_and(|pending_ns| pending_ns <= image_ns) {
+            if self.pending_ns != Some(image_ns) {
                 return self.expect_end();
             }
             each(&self.table.row())?;
@@ -201,9 +181,9 @@ impl ImageRows {
         Ok(())
     }
 
-    /// Complains about a row whose image does not come any more.
+    /// Checks that no row is left: its image is not in the list.
     fn expect_end(&self) -> Result<(), SequenceError> {
-        let Some(stamp_ns) = self.waiting_ns else { return Ok(()) };
+        let Some(stamp_ns) = self.pending_ns else { return Ok(()) };
         let row = self.table.row();
         Err(row.wrong(if self.before_ns.is_some_and(|before_ns| stamp_ns < before_ns) {
             format!("time stamp {stamp_ns} goes back in time: sort the file by time")
@@ -215,7 +195,7 @@ impl ImageRows {
     }
 }
 
-/// The file of a row of `data.csv`, which must be there.
+/// The image file of a row of `data.csv`, which must exist.
 fn image_file(row: &Row<'_>, folder: &Path) -> Result<PathBuf, SequenceError> {
     let name = String::from_utf8_lossy(row.cell(1)?).into_owned();
     let file = folder.join(&name);
@@ -230,13 +210,13 @@ fn image_file(row: &Row<'_>, folder: &Path) -> Result<PathBuf, SequenceError> {
     Ok(file)
 }
 
-/// A row of `tracks.csv`.
+/// Parses a row of `tracks.csv`.
 fn track_of(row: &Row<'_>, camera: u8) -> Result<TrackObservation, SequenceError> {
     let pixel = Vector2::new(row.finite(2)?, row.finite(3)?);
     Ok(TrackObservation { camera, feature_id: row.parse(1)?, pixel })
 }
 
-/// Adds a row of `features.csv` to the features of its image. `width` is that of the descriptors before.
+/// Adds a row of `features.csv` to the features of its image. `width`: bytes of the descriptors before.
 fn add_feature(
     row: &Row<'_>,
     features: &mut Option<FeatureSet>,

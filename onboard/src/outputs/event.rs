@@ -1,4 +1,4 @@
-//! The end of a query, as it is written to `events.csv`.
+//! The result of a query, as it is written to `events.csv`.
 
 use client::QueryResult;
 use estimator::{CloneId, MapReport};
@@ -12,32 +12,32 @@ pub struct Event {
     pub stamp_ns: i64,
     /// The same, seconds.
     pub queried_at_s: f64,
-    /// Time of the state when the answer was taken in, seconds.
+    /// Time of the newest state when the answer was applied, seconds.
     pub applied_at_s: f64,
-    /// `matched`, `no_match` and its kin, or `failed`.
+    /// `matched`, `no_match`, `not_verified`, `too_few_features`, `ambiguous`, `empty_map` or `failed`.
     pub outcome: String,
     /// Keyframes in the answer.
     pub keyframes: usize,
     /// Landmarks in the answer.
     pub matches: usize,
-    /// Landmarks that one camera pose explains.
+    /// Landmarks that agree with one camera pose.
     pub inliers: usize,
-    /// Landmarks that corrected the state.
+    /// Landmarks used in the update.
     pub used: usize,
-    /// Mean reprojection error at the prediction, px.
+    /// Mean reprojection error at the predicted pose, px.
     pub mean_reprojection_px: Option<f64>,
-    /// Whether the linearization point was moved.
+    /// Whether the update was re-linearized at the PnP solution.
     pub relinearized: bool,
-    /// Whether the state was corrected.
+    /// Whether the state was updated.
     pub accepted: bool,
-    /// Why not.
+    /// Why it was not; empty where it was.
     pub reason: String,
 }
 
 impl Event {
-    /// An event whose outcome is still to be noted.
-    pub fn new(answered: &QueryResult<CloneId>, state_ns: i64) -> Self {
-        let stamp_ns = answered.request.stamp_ns;
+    /// An event whose outcome is still to be recorded.
+    pub fn new(result: &QueryResult<CloneId>, state_ns: i64) -> Self {
+        let stamp_ns = result.request.stamp_ns;
         Self {
             stamp_ns,
             queried_at_s: stamp_ns as f64 * 1e-9,
@@ -54,7 +54,7 @@ impl Event {
         }
     }
 
-    /// The map knew the place.
+    /// Records the report of the map update.
     pub fn note_report(&mut self, report: &MapReport) {
         self.outcome = "matched".into();
         self.keyframes = report.keyframes;
@@ -67,21 +67,25 @@ impl Event {
         self.reason = report.rejection.as_ref().map_or_else(String::new, ToString::to_string);
     }
 
-    /// The map did not know the place.
+    /// Records an answer without a match.
     pub fn note_no_match(&mut self, outcome: MatchOutcome) {
         let (name, reason) = match outcome {
             MatchOutcome::Matched => ("matched", ""),
-            MatchOutcome::NoMatch => ("no_match", "the map does not know the place"),
-            MatchOutcome::NotVerified => ("not_verified", "no keyframe agrees in its geometry"),
-            MatchOutcome::TooFewFeatures => ("too_few_features", "too few features to recognize a place by"),
-            MatchOutcome::Ambiguous => ("ambiguous", "two places of the map look alike"),
-            MatchOutcome::EmptyMap => ("empty_map", "the map holds no keyframe"),
+            MatchOutcome::NoMatch => ("no_match", "no keyframe of the map is similar to the image"),
+            MatchOutcome::NotVerified => {
+                ("not_verified", "no pose agrees with the matches of the similar keyframes")
+            }
+            MatchOutcome::TooFewFeatures => {
+                ("too_few_features", "the image has too few features for place recognition")
+            }
+            MatchOutcome::Ambiguous => ("ambiguous", "two places of the map match equally well"),
+            MatchOutcome::EmptyMap => ("empty_map", "the map has no keyframes"),
         };
         self.outcome = name.into();
         self.reason = reason.into();
     }
 
-    /// There was no answer.
+    /// Records that there was no answer.
     pub fn note_failure(&mut self, reason: &str) {
         self.outcome = "failed".into();
         self.reason = reason.into();

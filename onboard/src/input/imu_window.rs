@@ -1,20 +1,18 @@
-//! The newest IMU readings of a recording: those that are still needed, and no more.
+//! The newest IMU readings: those that are still needed, and no more.
 
-use super::summary::ImuGapSummary;
+use crate::outputs::ImuGapSummary;
 use estimator::ImuSample;
-use sensors::{Rows, SequenceError};
 
-/// Readings are kept so long at most, nanoseconds. Only a filter that could not be believed for this long, and is then
-/// given up, would look further back; the turns before are left out of its yaw.
+/// Readings are kept so long at most, nanoseconds. Only a filter that diverges after it was not trusted for this long
+/// would need older ones; the rotation before is then missing from the yaw of its successor.
 const LONGEST_NS: i64 = 60_000_000_000;
 /// Readings further apart than so many periods of the sensor have a gap between them: a packet was lost.
 const GAP_PERIODS: f64 = 5.0;
-/// Gaps that are warned about one by one; a sensor that is slower than it says would fill the log.
+/// Gaps that are logged one by one; a sensor that is slower than its calibration states would fill the log.
 const MOST_WARNINGS: usize = 20;
 
-/// A window on the readings of a recording.
-pub struct ImuWindow<'a> {
-    rows: Rows<'a, ImuSample>,
+/// A window of IMU readings, of which the first part was handed out to the estimator.
+pub(crate) struct ImuWindow {
     readings: Vec<ImuSample>,
     /// How many of them were handed out.
     handed_out: usize,
@@ -23,40 +21,38 @@ pub struct ImuWindow<'a> {
     gaps: ImuGapSummary,
 }
 
-impl<'a> ImuWindow<'a> {
-    /// A window on rows in order of time.
+impl ImuWindow {
+    /// An empty window.
     ///
     /// # Arguments
-    /// * `rate_hz`: readings a second.
-    pub fn new(rows: Rows<'a, ImuSample>, rate_hz: f64) -> Self {
+    /// * `rate_hz`: readings a second, by the calibration of the sensor.
+    pub(crate) fn new(rate_hz: f64) -> Self {
         let gap_ns = (GAP_PERIODS * 1e9 / rate_hz) as i64;
-        Self { rows, readings: Vec::new(), handed_out: 0, gap_ns, gaps: ImuGapSummary::default() }
+        Self { readings: Vec::new(), handed_out: 0, gap_ns, gaps: ImuGapSummary::default() }
     }
 
-    /// Reads up to the first reading that is not before `stamp_ns`, if there is one.
-    ///
-    /// # Errors
-    /// Those of the rows.
-    pub fn read_to(&mut self, stamp_ns: i64) -> Result<(), SequenceError> {
-        while self.readings.last().is_none_or(|last| last.stamp_ns < stamp_ns) {
-            let Some(reading) = self.rows.next().transpose()? else { break };
-            self.readings.push(reading);
-        }
-        Ok(())
+    /// Whether the newest reading is before `stamp_ns`: the motion up to there is not known yet.
+    pub(crate) fn ends_before(&self, stamp_ns: i64) -> bool {
+        self.readings.last().is_none_or(|last| last.stamp_ns < stamp_ns)
     }
 
-    /// What was read and is still kept.
-    pub fn readings(&self) -> &[ImuSample] {
+    /// Appends a reading.
+    pub(crate) fn push(&mut self, reading: ImuSample) {
+        self.readings.push(reading);
+    }
+
+    /// All readings that are kept.
+    pub(crate) fn readings(&self) -> &[ImuSample] {
         &self.readings
     }
 
     /// Those of them that were handed out.
-    pub fn handed_out(&self) -> &[ImuSample] {
+    pub(crate) fn handed_out(&self) -> &[ImuSample] {
         &self.readings[..self.handed_out]
     }
 
-    /// The next reading, up to the first one that is not before `stamp_ns`. A gap before it is warned about.
-    pub fn hand_out(&mut self, stamp_ns: i64) -> Option<ImuSample> {
+    /// The next reading, up to the first one that is not before `stamp_ns`. A gap before it is counted and logged.
+    pub(crate) fn hand_out(&mut self, stamp_ns: i64) -> Option<ImuSample> {
         let before = self.handed_out().last().copied();
         if before.is_some_and(|before| before.stamp_ns >= stamp_ns) {
             return None;
@@ -64,12 +60,12 @@ impl<'a> ImuWindow<'a> {
         let reading = *self.readings.get(self.handed_out)?;
         self.handed_out += 1;
         if let Some(before) = before {
-            self.look_for_gap(before.stamp_ns, reading.stamp_ns);
+            self.check_gap(before.stamp_ns, reading.stamp_ns);
         }
         Some(reading)
     }
 
-    fn look_for_gap(&mut self, from_ns: i64, to_ns: i64) {
+    fn check_gap(&mut self, from_ns: i64, to_ns: i64) {
         if to_ns - from_ns <= self.gap_ns {
             return;
         }
@@ -80,28 +76,28 @@ impl<'a> ImuWindow<'a> {
             tracing::warn!(
                 from_ns,
                 seconds,
-                "a gap in the IMU's readings: the motion in between is interpolated"
+                "a gap in the IMU's readings: the motion in between is interpolated; check the sensor's connection"
             );
         }
         if self.gaps.count == MOST_WARNINGS {
             tracing::warn!(
-                "further gaps in the IMU's readings are only counted; does sensor.yaml say the right rate_hz?"
+                "further gaps in the IMU's readings are only counted; check rate_hz in the IMU's sensor.yaml"
             );
         }
     }
 
     /// The gaps between the readings that were handed out.
-    pub fn gaps(&self) -> ImuGapSummary {
+    pub(crate) fn gaps(&self) -> ImuGapSummary {
         self.gaps
     }
 
-    /// Forgets readings that lie before the last one at or before `stamp_ns`, unless they are still to be handed out.
-    pub fn forget_before(&mut self, stamp_ns: i64) {
+    /// Drops readings before the last one at or before `stamp_ns`, unless they are still to be handed out.
+    pub(crate) fn drop_before(&mut self, stamp_ns: i64) {
         let newest_ns = self.readings.last().map_or(stamp_ns, |last| last.stamp_ns);
         let from_ns = stamp_ns.max(newest_ns - LONGEST_NS);
         let needed = self.readings.partition_point(|reading| reading.stamp_ns <= from_ns).saturating_sub(1);
         let old = needed.min(self.handed_out.saturating_sub(1));
-        // Moving the rest to the front is worth it only once in a while.
+        // Moving the rest to the front is done only once in a while: it costs time.
         if old > self.readings.len() / 2 {
             self.readings.drain(..old);
             self.handed_out -= old;
@@ -116,19 +112,27 @@ mod tests {
 
     const PERIOD_NS: i64 = 5_000_000;
 
-    fn window(stamps: impl Iterator<Item = i64> + 'static) -> ImuWindow<'static> {
-        let reading =
-            |stamp_ns| ImuSample { stamp_ns, gyroscope: Vector3::zeros(), accelerometer: Vector3::zeros() };
-        ImuWindow::new(Box::new(stamps.map(move |stamp_ns| Ok(reading(stamp_ns)))), 200.0)
+    fn reading(stamp_ns: i64) -> ImuSample {
+        ImuSample { stamp_ns, gyroscope: Vector3::zeros(), accelerometer: Vector3::zeros() }
+    }
+
+    /// A window that holds readings of all of these times.
+    fn window(stamps: impl Iterator<Item = i64>) -> ImuWindow {
+        let mut window = ImuWindow::new(200.0);
+        stamps.for_each(|stamp_ns| window.push(reading(stamp_ns)));
+        window
     }
 
     #[test]
     fn every_reading_is_handed_out_once_and_few_are_kept() {
-        let mut window = window((0..200_000).map(|k| k * PERIOD_NS));
+        let mut window = ImuWindow::new(200.0);
+        let mut stamps = (0..200_000).map(|k| k * PERIOD_NS);
         let mut handed_out = Vec::new();
         for frame in 1..10_000 {
             let stamp_ns = frame * 100_000_000 - 1;
-            window.read_to(stamp_ns).unwrap();
+            while window.ends_before(stamp_ns) {
+                window.push(reading(stamps.next().unwrap()));
+            }
             handed_out
                 .extend(std::iter::from_fn(|| window.hand_out(stamp_ns)).map(|reading| reading.stamp_ns));
             assert_eq!(
@@ -136,7 +140,7 @@ mod tests {
                 Some(&(stamp_ns + 1)),
                 "the first reading behind the frame is the last"
             );
-            window.forget_before(stamp_ns - 200_000_000);
+            window.drop_before(stamp_ns - 200_000_000);
             assert!(window.readings().len() < 200);
             assert!(window.readings()[0].stamp_ns <= (stamp_ns - 200_000_000).max(0));
         }
@@ -145,11 +149,10 @@ mod tests {
     }
 
     #[test]
-    fn what_is_needed_forever_is_forgotten_after_a_minute() {
+    fn readings_are_dropped_after_a_minute_even_where_they_are_still_needed() {
         let mut window = window((0..60_000).map(|k| k * PERIOD_NS));
-        window.read_to(i64::MAX).unwrap();
         while window.hand_out(i64::MAX).is_some() {}
-        window.forget_before(0);
+        window.drop_before(0);
         let kept_ns = window.readings().last().unwrap().stamp_ns - window.readings()[0].stamp_ns;
         assert!((LONGEST_NS..LONGEST_NS + 2 * PERIOD_NS).contains(&kept_ns));
     }
@@ -157,10 +160,9 @@ mod tests {
     #[test]
     fn gaps_are_counted_and_jitter_is_not() {
         let mut window = window((0..4000_i64).filter(|k| !(1000..1100).contains(k) && *k != 3000).map(|k| {
-            // Two readings in three are late.
+            // Two readings in three come late.
             k * PERIOD_NS + (k % 3) * PERIOD_NS / 4
         }));
-        window.read_to(i64::MAX).unwrap();
         while window.hand_out(i64::MAX).is_some() {}
         assert_eq!(window.gaps().count, 1);
         assert!((window.gaps().longest_s - 0.505).abs() < 0.01);

@@ -1,4 +1,4 @@
-//! Publishes pose, odometry and status, in the background.
+//! Publishes pose, odometry and status of the robot in the background.
 
 use estimator::{Estimator, Localization, Status};
 use nalgebra::Vector3;
@@ -9,10 +9,10 @@ use tokio::sync::mpsc::{Sender, channel};
 use tokio::task::JoinHandle;
 use zenoh::liveliness::LivelinessToken;
 
-/// Messages that may wait for the network before new ones are dropped.
+/// Messages that may be queued for the network before new ones are dropped.
 const QUEUE: usize = 64;
 
-/// What publishing needs to know beside the estimator.
+/// Counts of queries for status messages.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct QueryCounts {
     /// Queries sent so far.
@@ -21,7 +21,19 @@ pub struct QueryCounts {
     pub answered: u64,
 }
 
-/// Publishes under `robot/{robot}/...` and shows the robot's liveliness.
+/// Why a robot cannot publish.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum PublisherError {
+    /// The robot's name cannot be part of a key expression.
+    #[error(transparent)]
+    Name(#[from] keys::NameError),
+    /// The liveliness token could not be declared.
+    #[error("the liveliness token of the robot cannot be declared: {0}")]
+    Liveliness(zenoh::Error),
+}
+
+/// Publishes under `robot/{robot}/...` and declares the robot's liveliness token.
 #[derive(Debug)]
 pub struct Publisher {
     map: String,
@@ -34,41 +46,45 @@ pub struct Publisher {
     alive: LivelinessToken,
 }
 
-/// How long the last messages may take when a robot leaves.
+/// How long the last messages may take when the run ends.
 const CLOSE_TIMEOUT: Duration = Duration::from_secs(2);
 
 impl Publisher {
-    /// Declares the robot.
+    /// Declares the robot's liveliness token and starts the publishing task.
     ///
     /// # Errors
-    /// A sentence: a name that no key can hold, or a closed session.
-    pub fn new(session: zenoh::Session, runtime: &Handle, robot: &str, map: &str) -> Result<Self, String> {
-        let key = |result: Result<String, keys::NameError>| result.map_err(|error| error.to_string());
+    /// [`PublisherError`]: the robot's name is not valid in a key expression, or the session is closed.
+    pub fn new(
+        session: zenoh::Session,
+        runtime: &Handle,
+        robot: &str,
+        map: &str,
+    ) -> Result<Self, PublisherError> {
         let (queue, mut messages) = channel::<(String, &'static str, Vec<u8>)>(QUEUE);
-        let alive_key = key(keys::robot(robot))?;
+        let alive_key = keys::robot(robot)?;
         let alive = runtime
             .block_on(async { session.liveliness().declare_token(alive_key).await })
-            .map_err(|error| format!("the robot cannot show that it is there: {error}"))?;
+            .map_err(PublisherError::Liveliness)?;
         let sending = runtime.spawn(async move {
             while let Some((key, encoding, payload)) = messages.recv().await {
                 if let Err(error) = session.put(key, payload).encoding(encoding).await {
-                    tracing::debug!(%error, "not published");
+                    tracing::debug!(%error, "a message was not published");
                 }
             }
         });
         Ok(Self {
             map: map.to_owned(),
             queue,
-            pose_key: key(keys::robot_pose(robot))?,
-            odometry_key: key(keys::robot_odometry(robot))?,
-            status_key: key(keys::robot_status(robot))?,
+            pose_key: keys::robot_pose(robot)?,
+            odometry_key: keys::robot_odometry(robot)?,
+            status_key: keys::robot_status(robot)?,
             runtime: runtime.clone(),
             sending,
             alive,
         })
     }
 
-    /// Publishes the state of a frame. What the network cannot take is dropped: newer ones follow.
+    /// Publishes the state of a frame. Messages that do not fit into the queue are dropped: newer ones follow.
     pub fn publish(
         &self,
         estimator: &Estimator,
@@ -97,7 +113,7 @@ impl Publisher {
         self.publish_status(stamp_ns, estimator.status().with_failure(failure), counts);
     }
 
-    /// Publishes how the robot is, also while it has no pose.
+    /// Publishes the status, also while there is no pose.
     pub fn publish_status(&self, stamp_ns: i64, status: Status, counts: QueryCounts) {
         self.send(
             &self.status_key,
@@ -114,16 +130,16 @@ impl Publisher {
         );
     }
 
-    /// Sends what still waits, then leaves: the last messages come before the robot is gone.
+    /// Sends the queued messages, then undeclares the liveliness token.
     pub fn close(self) {
         let Self { queue, runtime, sending, alive, .. } = self;
         drop(queue);
         runtime.block_on(async {
             if tokio::time::timeout(CLOSE_TIMEOUT, sending).await.is_err() {
-                tracing::warn!("the last states could not be published in {CLOSE_TIMEOUT:?}");
+                tracing::warn!("the last messages were not published within {CLOSE_TIMEOUT:?}: the network is slow or gone");
             }
             if let Err(error) = alive.undeclare().await {
-                tracing::debug!(%error, "the liveliness token went with its session");
+                tracing::debug!(%error, "the liveliness token was gone with its session");
             }
         });
     }
@@ -134,7 +150,7 @@ impl Publisher {
                 // A full queue means a slow network: this message is dropped.
                 let _ = self.queue.try_send((key.to_owned(), Format::Bincode.encoding(), payload));
             }
-            Err(error) => tracing::warn!(%error, "a state that must not be published"),
+            Err(error) => tracing::warn!(%error, "a message is invalid and was not published"),
         }
     }
 }

@@ -1,14 +1,14 @@
-//! What a run comes to: `summary.json`.
+//! The summary of a run: `summary.json`.
 
 use estimator::{EstimatorConfig, Status};
 use evaluation::RunScore;
 use serde::Serialize;
 use std::time::Duration;
 
-/// Time spent in the steps of frames.
+/// Computing time of the processing steps, summed over frames.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Timings {
-    /// Reading images and following points in them.
+    /// Reading images and tracking points in them.
     pub front_end: Duration,
     /// IMU propagation and cloning.
     pub propagation: Duration,
@@ -46,7 +46,7 @@ impl Timings {
 /// Mean time a frame by step, wall clock of the estimator's thread.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct MillisecondsPerFrame {
-    /// Reading images and following points in them; 0 for a recording that has tracks.
+    /// Reading images and tracking points in them; 0 where the source has tracks.
     pub front_end: f64,
     /// IMU propagation and cloning.
     pub propagation: f64,
@@ -68,38 +68,38 @@ pub struct Traffic {
 }
 
 impl Traffic {
-    /// Adds a query's.
+    /// Adds the bytes of a query.
     pub fn add(&mut self, other: &Self) {
         self.sent += other.sent;
         self.received += other.received;
     }
 }
 
-/// Counts of queries and what came of them.
+/// Counts of queries and their results.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
 pub struct QuerySummary {
     /// Sent.
     pub sent: u64,
-    /// Images that were not asked about because too many queries were on their way.
+    /// Images without a query because too many were pending.
     pub skipped: u64,
-    /// QueryResult by the map, with or without a match.
+    /// Answered by the map, with or without a match.
     pub answered: u64,
-    /// QueryResult with a match.
+    /// Answered with a match.
     pub matched: u64,
     /// Corrected the state.
     pub accepted: u64,
-    /// Of these, after moving the linearization point.
+    /// Of these, after re-linearization at the PnP solution.
     pub relinearized: u64,
-    /// Never answered.
+    /// Without an answer: no server, deadline passed, refused.
     pub failed: u64,
 }
 
-/// Counts of the map's changes that the robot heard of.
+/// Counts of changes of the map that were received.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
 pub struct MapChangeSummary {
-    /// The pose in the map was carried over.
+    /// The pose in the map was carried over to the new version.
     pub carried_over: u64,
-    /// The place in the map was to be found anew.
+    /// The pose in the map was dropped and had to be initialized again.
     pub found_anew: u64,
 }
 
@@ -110,7 +110,7 @@ pub struct TrackSummary {
     pub used: usize,
     /// Could not be triangulated.
     pub not_triangulated: usize,
-    /// Rejected by the gate.
+    /// Rejected by the chi-square gate.
     pub gated: usize,
     /// Single outlying observations that were dropped.
     pub dropped_observations: usize,
@@ -125,14 +125,14 @@ pub struct ImuGapSummary {
     pub longest_s: f64,
 }
 
-/// A start of the filter.
+/// An initialization of the filter.
 #[derive(Clone, Debug, Serialize)]
 pub struct StartSummary {
     /// Time since the first frame, seconds.
     pub seconds: f64,
-    /// `known`, `rest` or `motion`.
+    /// `known` (the initial state was given), `rest` or `motion`.
     pub method: &'static str,
-    /// In motion: standard deviation of the scale, as a part of it.
+    /// In motion: standard deviation of the scale, relative.
     pub sigma_scale: Option<f64>,
 }
 
@@ -141,14 +141,14 @@ pub struct StartSummary {
 pub struct DivergenceSummary {
     /// Time since the first frame, seconds.
     pub seconds: f64,
-    /// What was wrong.
+    /// Why it was detected.
     pub reason: String,
 }
 
 /// The summary of a run.
 #[derive(Clone, Debug, Serialize)]
 pub struct Summary {
-    /// The recording.
+    /// The recording or other source.
     pub sequence: String,
     /// Name of the map; none with odometry only.
     pub map: Option<String>,
@@ -156,19 +156,19 @@ pub struct Summary {
     pub cameras: usize,
     /// Frames that were processed.
     pub frames: usize,
-    /// Frames that were skipped for want of IMU readings.
+    /// Frames that were skipped: no IMU readings, an unusable image.
     pub skipped_frames: usize,
-    /// IMU readings that were dropped.
+    /// IMU readings that the estimator refused.
     pub dropped_imu: usize,
     /// Gaps between IMU readings.
     pub imu_gaps: ImuGapSummary,
-    /// Length of the recording that was played, seconds.
+    /// Time from the first to the last state, seconds.
     pub seconds: f64,
-    /// Time that it took, seconds.
+    /// Duration of the run, seconds of wall time.
     pub wall_seconds: f64,
-    /// How many times faster than real time.
+    /// `seconds` divided by `wall_seconds`.
     pub realtime_factor: f64,
-    /// Time a frame.
+    /// Computing time per frame.
     pub milliseconds_per_frame: MillisecondsPerFrame,
     /// Errors and consistency, where truth is known.
     pub score: Option<RunScore>,
@@ -178,19 +178,21 @@ pub struct Summary {
     pub queries: QuerySummary,
     /// Changes of the map.
     pub map_changes: MapChangeSummary,
-    /// Keyframes that were pulled from the map.
+    /// Keyframes received in answers, repeated ones included.
     pub keyframes_pulled: usize,
-    /// Bytes over the wire.
+    /// Keyframes held in the estimator at the end.
+    pub keyframes_held: usize,
+    /// Payload bytes of queries and answers.
     pub wire_bytes: Traffic,
     /// Tracks.
     pub tracks: TrackSummary,
-    /// Starts after the first.
+    /// Initializations after the first.
     pub reinitializations: usize,
-    /// All starts.
+    /// All initializations.
     pub starts: Vec<StartSummary>,
-    /// Why the filter was started again, and when it was given up.
+    /// Divergences, after each of which the filter was initialized again.
     pub divergences: Vec<DivergenceSummary>,
-    /// State at the end.
+    /// Status at the end.
     pub final_status: Option<Status>,
     /// Whether the run was stopped from outside (Ctrl-C).
     pub interrupted: bool,

@@ -1,42 +1,19 @@
-//! `sensor.yaml`: what a sensor is, where it sits and how it errs.
+//! `sensor.yaml`: intrinsics, extrinsics and noise of a sensor.
 //!
-//! EuRoC's files are OpenCV YAML: a `%YAML:1.0` line that YAML itself does not know, tabs, comments. Those are
-//! smoothed out first. The body frame is the IMU's, as in EuRoC.
+//! EuRoC's files are OpenCV YAML: a `%YAML:1.0` line, tabs and tags that standard YAML does not allow are removed
+//! first. The body frame is the IMU's, as in EuRoC.
 
-use super::error::SequenceError;
-use crate::ImuNoise;
+use crate::{CameraSensor, ImuNoise, ImuSensor, SequenceError};
 use geometry::camera::{Camera, Distortion};
 use geometry::pose::Pose;
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use serde::Deserialize;
 use std::path::Path;
 
-/// How far the rotation of `T_BS` may be from orthonormal; EuRoC rounds to 12 decimals, people to 4.
+/// Largest entry of `R' R - I` for the rotation R of `T_BS`; EuRoC rounds to 12 decimals, hand-written files to 4.
 const ROTATION_TOLERANCE: f64 = 1e-3;
-/// How far the IMU may be from the body frame, which is meant to be the IMU's.
+/// Largest distance of the IMU from the body frame (metres, radians): they are meant to be the same.
 const BODY_TOLERANCE: f64 = 1e-6;
-
-/// The inertial sensor.
-#[derive(Clone, Debug, PartialEq)]
-pub struct ImuSensor {
-    /// Noise densities.
-    pub noise: ImuNoise,
-    /// Samples a second.
-    pub rate_hz: f64,
-    /// Gravity where it was recorded, m/s^2, when the file says it.
-    pub gravity_magnitude: Option<f64>,
-}
-
-/// A camera, and where it sits.
-#[derive(Clone, Debug, PartialEq)]
-pub struct CameraSensor {
-    /// The lens.
-    pub camera: Camera,
-    /// The camera's pose in the IMU frame.
-    pub imu_from_camera: Pose,
-    /// Images a second.
-    pub rate_hz: f64,
-}
 
 #[derive(Deserialize)]
 struct Matrix4Yaml {
@@ -55,7 +32,7 @@ struct ImuYaml {
     accelerometer_random_walk: f64,
 }
 
-/// Where a camera sits, and how often it looks.
+/// Extrinsics and rate of a camera.
 #[derive(Deserialize)]
 struct MountYaml {
     #[serde(rename = "T_BS")]
@@ -63,9 +40,9 @@ struct MountYaml {
     rate_hz: f64,
 }
 
-/// Its lens.
+/// Intrinsics and distortion of a camera.
 #[derive(Deserialize)]
-struct LensYaml {
+struct IntrinsicsYaml {
     resolution: [u32; 2],
     #[serde(default)]
     camera_model: Option<String>,
@@ -118,12 +95,12 @@ pub(crate) fn read_camera(path: &Path) -> Result<CameraSensor, SequenceError> {
     Ok(CameraSensor { camera, imu_from_camera, rate_hz: mount.rate_hz })
 }
 
-/// Reads only the lens of a `sensor.yaml`: resolution, intrinsics and distortion.
+/// Reads the projection of a camera's `sensor.yaml`: resolution, intrinsics and distortion, without the extrinsics.
 ///
 /// # Errors
-/// [`SequenceError`] with the file and what it lacks.
+/// [`SequenceError`] with the file: it is missing, an entry is missing or wrong, or the model is unknown.
 pub fn read_lens(path: &Path) -> Result<Camera, SequenceError> {
-    let yaml: LensYaml = read_yaml(path)?;
+    let yaml: IntrinsicsYaml = read_yaml(path)?;
     if let Some(model) = yaml.camera_model.as_deref().filter(|model| *model != "pinhole") {
         return Err(SequenceError::calibration(
             path,
@@ -199,17 +176,16 @@ fn pose_from_matrix(path: &Path, data: &[f64]) -> Result<Pose, SequenceError> {
 
 fn read_yaml<T: for<'de> Deserialize<'de>>(path: &Path) -> Result<T, SequenceError> {
     let text = std::fs::read_to_string(path).map_err(|source| match source.kind() {
-        std::io::ErrorKind::NotFound => SequenceError::missing(
-            path,
-            "it holds the calibration, without which nothing can be estimated; write it as EuRoC does",
-        ),
+        std::io::ErrorKind::NotFound => {
+            SequenceError::missing(path, "it holds the sensor's calibration; write it in the EuRoC layout")
+        }
         _ => SequenceError::io(path, source),
     })?;
     serde_saphyr::from_str(&plain_yaml(&text))
-        .map_err(|error| SequenceError::calibration(path, format!("it cannot be understood: {error}")))
+        .map_err(|error| SequenceError::calibration(path, format!("it is not a valid sensor.yaml: {error}")))
 }
 
-/// OpenCV's dialect as YAML, line for line so that complaints point to the right one.
+/// OpenCV's dialect as YAML, line for line, so that the line numbers in errors are right.
 fn plain_yaml(text: &str) -> String {
     let text = text.strip_prefix('\u{feff}').unwrap_or(text);
     text.lines()

@@ -1,12 +1,12 @@
-//! Writes what a run puts out, and keeps of it what the summary needs.
+//! Writes the files of a run, and counts for its summary.
 
 use super::event::Event;
-use super::output::OutputFiles;
+use super::files::{OutputError, OutputFiles};
+use super::publisher::QueryCounts;
 use super::summary::{
     DivergenceSummary, ImuGapSummary, MapChangeSummary, QuerySummary, StartSummary, Summary, Timings,
     TrackSummary, Traffic,
 };
-use anyhow::Result;
 use estimator::{Estimator, EstimatorError, InitMethod, Status, TrackReport};
 use evaluation::trajectory::StateRow;
 use std::path::Path;
@@ -15,39 +15,41 @@ use std::path::Path;
 #[derive(Debug)]
 pub struct Recorder {
     files: OutputFiles,
-    /// The newest state; it may still be replaced, and is not written yet.
+    /// The newest state, not written yet: map updates after the frame replace it.
     newest: Option<StateRow>,
-    /// Why the files are incomplete, if they are.
-    broken: Option<anyhow::Error>,
+    /// The first error of writing; the files are incomplete then.
+    error: Option<OutputError>,
     /// Time of the first state, nanoseconds.
     first_state_ns: Option<i64>,
     /// Time of the newest state, nanoseconds.
     last_state_ns: Option<i64>,
     /// Frames that were processed.
     pub frames: usize,
-    /// Time by step.
+    /// Computing time by step.
     pub timings: Timings,
-    /// Bytes over the wire.
+    /// Payload bytes of queries and answers.
     pub traffic: Traffic,
     /// Tracks.
     pub tracks: TrackSummary,
-    /// Queries and what came of them.
+    /// Queries and their results.
     pub queries: QuerySummary,
     /// Changes of the map.
     pub map_changes: MapChangeSummary,
-    /// Frames skipped for want of IMU readings.
+    /// Frames skipped: no IMU readings, an unusable image.
     pub skipped_frames: usize,
-    /// IMU readings that were dropped.
+    /// IMU readings that the estimator refused.
     pub dropped_imu: usize,
     /// Gaps between IMU readings.
     pub imu_gaps: ImuGapSummary,
-    /// Time that the run took.
+    /// Duration of the run, seconds of wall time.
     pub wall_seconds: f64,
-    /// Keyframes held at the end.
+    /// Keyframes received in answers, repeated ones included.
     pub keyframes_pulled: usize,
+    /// Keyframes held in the estimator at the newest state.
+    pub keyframes_held: usize,
     /// Time of the first frame of the recording, nanoseconds.
     pub first_ns: i64,
-    /// Starts of the filter.
+    /// Initializations of the filter.
     pub starts: Vec<StartSummary>,
     /// Divergences of the filter.
     pub divergences: Vec<DivergenceSummary>,
@@ -56,15 +58,15 @@ pub struct Recorder {
 }
 
 impl Recorder {
-    /// Makes the output folder and its files.
+    /// Creates the output folder and its files.
     ///
     /// # Errors
-    /// A sentence that names the file.
-    pub fn create(folder: &Path) -> Result<Self> {
+    /// [`OutputError`] with the file.
+    pub fn create(folder: &Path) -> Result<Self, OutputError> {
         Ok(Self {
             files: OutputFiles::create(folder)?,
             newest: None,
-            broken: None,
+            error: None,
             first_state_ns: None,
             last_state_ns: None,
             frames: 0,
@@ -78,6 +80,7 @@ impl Recorder {
             imu_gaps: ImuGapSummary::default(),
             wall_seconds: 0.0,
             keyframes_pulled: 0,
+            keyframes_held: 0,
             first_ns: 0,
             starts: Vec::new(),
             divergences: Vec::new(),
@@ -85,7 +88,7 @@ impl Recorder {
         })
     }
 
-    /// Notes what became of a frame's tracks.
+    /// Counts the results of a track update.
     pub fn note_tracks(&mut self, report: &TrackReport) {
         self.tracks.used += report.used;
         self.tracks.not_triangulated += report.not_triangulated;
@@ -93,7 +96,7 @@ impl Recorder {
         self.tracks.dropped_observations += report.dropped_observations;
     }
 
-    /// Notes the state of a frame.
+    /// Records the state of a frame.
     pub fn note_state(&mut self, estimator: &Estimator) {
         self.write_newest();
         self.frames += 1;
@@ -101,10 +104,10 @@ impl Recorder {
         self.note_state_again(estimator);
     }
 
-    /// Notes the state of the last frame again, after what was learned since.
+    /// Replaces the state of the last frame, after map updates.
     pub fn note_state_again(&mut self, estimator: &Estimator) {
         self.last_state_ns = Some(estimator.stamp_ns());
-        self.keyframes_pulled = estimator.held_keyframes().len();
+        self.keyframes_held = estimator.held_keyframes().len();
         self.newest = Some(StateRow {
             stamp_ns: estimator.stamp_ns(),
             local_from_imu: estimator.local_from_imu(),
@@ -116,19 +119,19 @@ impl Recorder {
     fn write_newest(&mut self) {
         if let Some(row) = self.newest.take() {
             let written = self.files.append_state(&row);
-            self.survive(written);
+            self.keep_first_error(written);
         }
     }
 
-    /// A robot goes on when its disk is full, but says so, and in the end the run has failed.
-    fn survive(&mut self, written: Result<()>) {
-        if let (Err(error), None) = (written, &self.broken) {
-            tracing::error!("the output will not be complete: {error:#}");
-            self.broken = Some(error);
+    /// A run continues when its disk is full: the first error is logged, and reported at the end.
+    fn keep_first_error(&mut self, written: Result<(), OutputError>) {
+        if let (Err(error), None) = (written, &self.error) {
+            tracing::error!(%error, "the output files will be incomplete; the run continues");
+            self.error = Some(error);
         }
     }
 
-    /// Notes a start of the filter; a method that is not given is a state that was known.
+    /// Records an initialization of the filter; without a method the initial state was given.
     pub fn note_start(&mut self, stamp_ns: i64, method: Option<&InitMethod>) {
         let (method, sigma_scale) = match method {
             None => ("known", None),
@@ -139,18 +142,18 @@ impl Recorder {
         self.starts.push(StartSummary { seconds, method, sigma_scale });
     }
 
-    /// Notes that the filter was given up.
+    /// Records a divergence of the filter.
     pub fn note_divergence(&mut self, stamp_ns: i64, why: &EstimatorError) {
         let seconds = (stamp_ns - self.first_ns) as f64 * 1e-9;
         self.divergences.push(DivergenceSummary { seconds, reason: why.to_string() });
     }
 
-    /// How many starts there were after the first.
+    /// Number of initializations after the first.
     pub fn reinitializations(&self) -> usize {
         self.starts.len().saturating_sub(1)
     }
 
-    /// Notes the end of a query.
+    /// Records the result of a query.
     pub fn note_event(&mut self, event: &Event) {
         let count = |holds: bool| u64::from(holds);
         self.queries.answered += count(event.outcome != "failed");
@@ -159,29 +162,34 @@ impl Recorder {
         self.queries.relinearized += count(event.accepted && event.relinearized);
         self.queries.failed += count(event.outcome == "failed");
         let written = self.files.append_event(event);
-        self.survive(written);
+        self.keep_first_error(written);
     }
 
-    /// Length of the recording that was played, seconds.
+    /// Time from the first to the last state, seconds.
     pub fn seconds(&self) -> f64 {
         let (Some(first_ns), Some(last_ns)) = (self.first_state_ns, self.last_state_ns) else { return 0.0 };
         (last_ns - first_ns) as f64 * 1e-9
     }
 
-    /// Writes what is left of the states and events.
+    /// Counts of queries for status messages.
+    pub(crate) fn query_counts(&self) -> QueryCounts {
+        QueryCounts { sent: self.queries.sent, answered: self.queries.answered }
+    }
+
+    /// Writes the last state and flushes the files.
     ///
     /// # Errors
-    /// A sentence that names the file that could not be written, now or on the way.
-    pub fn finish_states(&mut self) -> Result<()> {
+    /// The first [`OutputError`] of the run.
+    pub fn finish_states(&mut self) -> Result<(), OutputError> {
         self.write_newest();
-        self.broken.take().map_or_else(|| self.files.flush(), Err)
+        self.error.take().map_or_else(|| self.files.flush(), Err)
     }
 
     /// Writes the summary.
     ///
     /// # Errors
-    /// A sentence that names the file.
-    pub fn write_summary(&self, summary: &Summary) -> Result<()> {
+    /// [`OutputError`] with the file.
+    pub fn write_summary(&self, summary: &Summary) -> Result<(), OutputError> {
         self.files.write_summary(summary)
     }
 }

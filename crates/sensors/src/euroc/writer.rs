@@ -1,9 +1,9 @@
-//! Writes a [`Sequence`] in the layout that [`Sequence::open`] reads.
+//! Writes a [`Sequence`] in the EuRoC layout, which [`Sequence::open`] reads.
 //!
-//! Numbers are written so that reading them gives the same bits back, except where reading normalizes: rotations
-//! return to 15 digits.
+//! Numbers are written with all digits: reading gives the same bits back, except for rotations, which are normalized
+//! and come back to 15 digits.
 
-use super::{CameraSensor, Frame, ImuSensor, Sequence, SequenceError};
+use crate::{CameraSensor, Frame, ImuSensor, Sequence, SequenceError};
 use geometry::camera::Distortion;
 use geometry::pose::Pose;
 use nalgebra::Vector3;
@@ -13,7 +13,7 @@ use std::path::Path;
 
 /// Writes every file of a recording below `root`, which is created.
 ///
-/// Images are listed but not written: the recording lives from its tracks and features.
+/// Images are listed but not written: what is read again has tracks and features only.
 ///
 /// # Errors
 /// [`SequenceError::Io`] with the file that could not be written.

@@ -1,0 +1,11 @@
+//! Recordings on disk in the EuRoC ASL layout.
+
+mod camera_folder;
+mod folder;
+mod sensor_yaml;
+mod tables;
+pub mod writer;
+
+pub(crate) use folder::Folder;
+pub use sensor_yaml::read_lens;
+pub use tables::{pose_cells, read_groundtruth, read_reference_poses};

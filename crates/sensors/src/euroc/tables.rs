@@ -1,0 +1,160 @@
+//! The tables with one row an instant: IMU, ground truth, reference poses.
+
+use crate::rows::Stamped;
+use crate::table::{Row, Table, check_order};
+use crate::{ImuSample, ReferencePose, SequenceError, TruthRow};
+use geometry::pose::Pose;
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use std::marker::PhantomData;
+use std::path::{Path, PathBuf};
+
+/// How far a written quaternion's length may be from 1; files round to 4 to 9 decimals.
+const QUATERNION_TOLERANCE: f64 = 1e-2;
+
+/// A row of a table that has one row an instant.
+pub(crate) trait TimedRow: Stamped + Sized {
+    /// What the table is for; part of the error when it is missing.
+    const PURPOSE: &'static str;
+    /// What to do about a table without rows.
+    const IF_EMPTY: &'static str;
+
+    /// Parses a row.
+    fn read(row: &Row<'_>) -> Result<Self, SequenceError>;
+}
+
+/// Iterates over the rows of a table, which must be in order of time. Ends with the first error.
+pub(crate) struct TimedRows<T> {
+    path: PathBuf,
+    /// `None` after the last row or an error.
+    table: Option<Table>,
+    before: Option<i64>,
+    row: PhantomData<T>,
+}
+
+impl<T: TimedRow> TimedRows<T> {
+    /// Opens the table.
+    pub(crate) fn open(path: &Path) -> Result<Self, SequenceError> {
+        let table = Some(Table::open(path, T::PURPOSE)?);
+        Ok(Self { path: path.to_path_buf(), table, before: None, row: PhantomData })
+    }
+
+    fn read_next(&mut self) -> Result<Option<T>, SequenceError> {
+        let Some(table) = &mut self.table else { return Ok(None) };
+        let Some(row) = table.next_row()? else {
+            let empty = self.before.is_none();
+            return if empty { Err(SequenceError::empty(&self.path, T::IF_EMPTY)) } else { Ok(None) };
+        };
+        let value = T::read(&row)?;
+        check_order(&row, self.before.replace(value.stamp_ns()), value.stamp_ns())?;
+        Ok(Some(value))
+    }
+}
+
+impl<T: TimedRow> Iterator for TimedRows<T> {
+    type Item = Result<T, SequenceError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let next = self.read_next();
+        if !matches!(next, Ok(Some(_))) {
+            self.table = None;
+        }
+        next.transpose()
+    }
+}
+
+/// A row of the IMU's `data.csv`.
+impl TimedRow for ImuSample {
+    const PURPOSE: &'static str = "it holds the IMU's samples; delete imu0 altogether if there was no IMU";
+    const IF_EMPTY: &'static str = Self::PURPOSE;
+
+    fn read(row: &Row<'_>) -> Result<Self, SequenceError> {
+        row.require(7)?;
+        let stamp_ns = row.stamp()?;
+        let [w_x, w_y, w_z, a_x, a_y, a_z] = row.finite_array(1)?;
+        let (gyroscope, accelerometer) = (Vector3::new(w_x, w_y, w_z), Vector3::new(a_x, a_y, a_z));
+        Ok(Self { stamp_ns, gyroscope, accelerometer })
+    }
+}
+
+impl TimedRow for TruthRow {
+    const PURPOSE: &'static str = "it holds the ground truth";
+    const IF_EMPTY: &'static str = "delete it if the truth is not known";
+
+    fn read(row: &Row<'_>) -> Result<Self, SequenceError> {
+        row.require(8)?;
+        if row.len() > 8 {
+            row.require(17)?;
+        }
+        Ok(Self {
+            stamp_ns: row.stamp()?,
+            pose: pose_cells(row, 1)?,
+            velocity: known(row, 8)?,
+            gyroscope_bias: known(row, 11)?,
+            accelerometer_bias: known(row, 14)?,
+        })
+    }
+}
+
+impl TimedRow for ReferencePose {
+    const PURPOSE: &'static str = "it holds the poses to build a map from";
+    const IF_EMPTY: &'static str = "delete it if there are no reference poses";
+
+    fn read(row: &Row<'_>) -> Result<Self, SequenceError> {
+        row.require(10)?;
+        let stamp_ns = row.stamp()?;
+        let [sigma_theta_rad, sigma_p_m] = row.finite_array(8)?;
+        if sigma_theta_rad <= 0.0 || sigma_p_m <= 0.0 {
+            return Err(row.wrong("a standard deviation is not positive: say how uncertain the pose is"));
+        }
+        Ok(Self { stamp_ns, pose: pose_cells(row, 1)?, sigma_theta_rad, sigma_p_m })
+    }
+}
+
+/// Reads ground truth in EuRoC's layout: time, position, quaternion (w first), and where known velocity and biases.
+///
+/// Velocities and biases that are `nan` or left out are unknown; a pose that is not finite is an error.
+///
+/// # Errors
+/// [`SequenceError`] with the file and the line.
+pub fn read_groundtruth(path: &Path) -> Result<Vec<TruthRow>, SequenceError> {
+    TimedRows::open(path)?.collect()
+}
+
+/// Reads `reference_poses.csv`.
+///
+/// # Errors
+/// [`SequenceError`] with the file and the line.
+pub fn read_reference_poses(path: &Path) -> Result<Vec<ReferencePose>, SequenceError> {
+    TimedRows::open(path)?.collect()
+}
+
+/// Reads a pose from seven cells: position (metres), then Hamilton quaternion, w first.
+///
+/// # Arguments
+/// * `column`: of the first of them, counted from 0.
+///
+/// # Errors
+/// [`SequenceError::Row`]: a cell is missing or not finite, or the quaternion's length is not 1.
+pub fn pose_cells(row: &Row<'_>, column: usize) -> Result<Pose, SequenceError> {
+    let [p_x, p_y, p_z, q_w, q_x, q_y, q_z] = row.finite_array(column)?;
+    let quaternion = Quaternion::new(q_w, q_x, q_y, q_z);
+    if (quaternion.norm() - 1.0).abs() > QUATERNION_TOLERANCE {
+        return Err(row.wrong(format!(
+            "the quaternion has length {:.3} instead of 1: check the order of the columns",
+            quaternion.norm()
+        )));
+    }
+    Ok(Pose::new(UnitQuaternion::new_normalize(quaternion), Vector3::new(p_x, p_y, p_z)))
+}
+
+/// Three numbers from `column` on; `None` where one is `nan` or the columns are absent.
+fn known(row: &Row<'_>, column: usize) -> Result<Option<Vector3<f64>>, SequenceError> {
+    if row.len() <= column {
+        return Ok(None);
+    }
+    let vector = Vector3::new(row.parse(column)?, row.parse(column + 1)?, row.parse(column + 2)?);
+    if vector.iter().any(|value: &f64| value.is_infinite()) {
+        return Err(row.wrong("a velocity or bias is infinite: write nan where it is not known"));
+    }
+    Ok(vector.iter().all(|value| value.is_finite()).then_some(vector))
+}

@@ -1,0 +1,84 @@
+//! What the cameras of a robot give at one instant.
+
+use super::TrackObservation;
+use protocol::FeatureSet;
+use std::borrow::Cow;
+use std::fmt;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use vision::{GrayImage, ImageError};
+
+/// All that the cameras give at one instant. Every part is optional: a recording may hold images, or what a front
+/// end made of them, or both.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Frame {
+    /// Time of exposure on the clock of the cameras, nanoseconds. Its offset to the IMU's clock is the estimator's to
+    /// estimate.
+    pub stamp_ns: i64,
+    /// The images of camera 0 and camera 1.
+    pub images: [Option<ImageData>; 2],
+    /// Tracked points (pixels), those of camera 0 first; empty where nothing was tracked.
+    pub tracks: Vec<TrackObservation>,
+    /// Features of the image of camera 0 for place recognition, where they were extracted.
+    pub features: Option<FeatureSet>,
+}
+
+/// An image, or where to read it. Clones share the pixels.
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+pub enum ImageData {
+    /// A PNG or JPEG file, decoded when it is needed.
+    File(PathBuf),
+    /// Decoded pixels.
+    Pixels(Arc<GrayImage>),
+}
+
+impl ImageData {
+    /// The grey image; a file is read and decoded.
+    ///
+    /// # Errors
+    /// [`ImageError`]: the file cannot be read or decoded.
+    ///
+    /// ```
+    /// let image = vision::GrayImage::from_fn(4, 3, |x, y| (10 * y + x) as u8);
+    /// assert_eq!(*sensors::ImageData::from(image.clone()).read()?, image);
+    /// # Ok::<(), vision::ImageError>(())
+    /// ```
+    pub fn read(&self) -> Result<Cow<'_, GrayImage>, ImageError> {
+        match self {
+            Self::File(path) => GrayImage::read(path).map(Cow::Owned),
+            Self::Pixels(image) => Ok(Cow::Borrowed(image)),
+        }
+    }
+
+    /// The file, where the image is one.
+    pub fn path(&self) -> Option<&Path> {
+        match self {
+            Self::File(path) => Some(path),
+            Self::Pixels(_) => None,
+        }
+    }
+}
+
+impl fmt::Display for ImageData {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::File(path) => path.display().fmt(formatter),
+            Self::Pixels(image) => {
+                write!(formatter, "an image of {} x {} pixels", image.width(), image.height())
+            }
+        }
+    }
+}
+
+impl From<PathBuf> for ImageData {
+    fn from(path: PathBuf) -> Self {
+        Self::File(path)
+    }
+}
+
+impl From<GrayImage> for ImageData {
+    fn from(image: GrayImage) -> Self {
+        Self::Pixels(Arc::new(image))
+    }
+}

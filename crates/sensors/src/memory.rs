@@ -1,0 +1,61 @@
+//! A recording in memory.
+
+use super::{
+    CameraSensor, Contents, Frame, ImuSample, ImuSensor, ReferencePose, SensorCalibration, TruthRow,
+};
+use nalgebra::Vector3;
+use std::path::PathBuf;
+
+/// A recorded run in memory, with everything that is known of it.
+///
+/// [`Sequence::open`] reads one from disk; a simulation makes one. [`Recording::from`](crate::Recording) plays it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Sequence {
+    /// The folder that it was read from; empty where it was not.
+    pub root: PathBuf,
+    /// The IMU; recordings that only serve to build maps may have none.
+    pub imu: Option<ImuSensor>,
+    /// Its readings, strictly increasing in time and finite; empty without an IMU.
+    pub imu_samples: Vec<ImuSample>,
+    /// One camera, or the two of a stereo pair.
+    pub cameras: Vec<CameraSensor>,
+    /// The frames of the cameras, strictly increasing in time.
+    pub frames: Vec<Frame>,
+    /// Ground truth, if there is any.
+    pub groundtruth: Option<Vec<TruthRow>>,
+    /// Poses to build a map from, if there are any.
+    pub reference_poses: Option<Vec<ReferencePose>>,
+}
+
+impl Sequence {
+    /// Whether camera 0 has an image of any frame.
+    pub fn has_images(&self) -> bool {
+        self.contents().images
+    }
+
+    /// Whether any frame has features for place recognition.
+    pub fn has_features(&self) -> bool {
+        self.contents().features
+    }
+
+    /// What the frames carry.
+    pub fn contents(&self) -> Contents {
+        let mut contents = Contents { frames: Some(0), ..Contents::default() };
+        self.frames.iter().for_each(|frame| contents.add(frame));
+        contents
+    }
+
+    /// Calibration of the sensors.
+    pub fn calibration(&self) -> SensorCalibration {
+        SensorCalibration { imu: self.imu.clone(), cameras: self.cameras.clone() }
+    }
+
+    /// Unit direction of gravity in the frame of the ground truth; see
+    /// [`Recording::truth_gravity`](crate::Recording::truth_gravity).
+    pub fn truth_gravity(&self) -> Option<Vector3<f64>> {
+        let truth = self.groundtruth.iter().flatten().copied().map(Ok);
+        let readings = self.imu_samples.iter().copied().map(Ok);
+        // Rows in memory cannot fail.
+        super::gravity::direction(Box::new(truth), Box::new(readings)).ok().flatten()
+    }
+}

@@ -1,0 +1,141 @@
+//! Where a robot's measurements come from: [`SensorSource`].
+
+use super::{Frame, ImuSample, SensorCalibration, SensorError};
+
+/// A stream of IMU readings and camera frames in order of time, with the calibration of the sensors.
+///
+/// A robot plays any source: a recording on disk or in memory ([`Recording::source`](crate::Recording::source)), a bag,
+/// a driver. Ground truth is not part of it: it serves evaluation, and belongs to the recording.
+///
+/// # Order
+/// Events come in order of their `stamp_ns`. A reading and a frame of the same time come in this order: once a frame
+/// was returned, every reading up to and including its time was returned before. Readings are strictly increasing in
+/// time, and so are frames. The clocks of IMU and cameras are compared as they are: an offset between them is the
+/// consumer's to handle, who reads ahead as far as it needs (for a frame at time t: to the first reading at or after t
+/// plus the offset, so that the motion is known up to t).
+///
+/// A source whose data arrive late, in bursts or out of order has to sort them before it returns them.
+///
+/// # Example
+/// A source that computes its measurements:
+/// ```
+/// use estimator::ImuSample;
+/// use nalgebra::Vector3;
+/// use sensors::{Contents, SensorCalibration, SensorError, SensorEvent, SensorSource};
+///
+/// /// An IMU at rest, 200 readings a second, for one second.
+/// struct AtRest {
+///     calibration: SensorCalibration,
+///     readings: i64,
+/// }
+///
+/// impl SensorSource for AtRest {
+///     fn name(&self) -> &str {
+///         "an IMU at rest"
+///     }
+///
+///     fn calibration(&self) -> &SensorCalibration {
+///         &self.calibration
+///     }
+///
+///     fn contents(&self) -> Contents {
+///         Contents::default()
+///     }
+///
+///     fn next(&mut self) -> Result<Option<SensorEvent>, SensorError> {
+///         let stamp_ns = self.readings * 5_000_000;
+///         self.readings += 1;
+///         let (gyroscope, accelerometer) = (Vector3::zeros(), Vector3::new(0.0, 0.0, 9.81));
+///         let reading = ImuSample { stamp_ns, gyroscope, accelerometer };
+///         Ok((stamp_ns < 1_000_000_000).then_some(SensorEvent::Imu(reading)))
+///     }
+/// }
+///
+/// let mut source = AtRest { calibration: SensorCalibration::default(), readings: 0 };
+/// let mut readings = 0;
+/// while let Some(event) = source.next()? {
+///     readings += usize::from(matches!(event, SensorEvent::Imu(_)));
+/// }
+/// assert_eq!(readings, 200);
+/// # Ok::<(), SensorError>(())
+/// ```
+pub trait SensorSource {
+    /// What is read, for messages: a folder, a file, a topic.
+    fn name(&self) -> &str;
+
+    /// Calibration of the sensors. It does not change while the source is read.
+    fn calibration(&self) -> &SensorCalibration;
+
+    /// What the frames carry. A robot decides by it, before the first event, whether it needs a front end.
+    fn contents(&self) -> Contents;
+
+    /// The next event; `None` at the end, and again whenever it is called after the end.
+    ///
+    /// A live source waits here for the next measurement.
+    ///
+    /// # Errors
+    /// [`SensorError`]: nothing can be read any more. Damage that later events survive (one undecodable message) is
+    /// to be logged and left out instead.
+    fn next(&mut self) -> Result<Option<SensorEvent>, SensorError>;
+}
+
+/// One measurement.
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+pub enum SensorEvent {
+    /// A reading of the IMU.
+    Imu(ImuSample),
+    /// What the cameras gave at one instant.
+    Frame(Frame),
+}
+
+impl SensorEvent {
+    /// Time of the measurement on its sensor's clock, nanoseconds.
+    pub fn stamp_ns(&self) -> i64 {
+        match self {
+            Self::Imu(sample) => sample.stamp_ns,
+            Self::Frame(frame) => frame.stamp_ns,
+        }
+    }
+}
+
+/// What the frames of a source carry.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Contents {
+    /// Number of frames, where it is known beforehand; for a progress display.
+    pub frames: Option<usize>,
+    /// Whether there are images of camera 0.
+    pub images: bool,
+    /// Whether there are tracks. Without them a front end tracks points in the images.
+    pub tracks: bool,
+    /// Whether there are features for place recognition. Without them they are extracted from the images.
+    pub features: bool,
+}
+
+impl Contents {
+    /// Counts a frame.
+    pub(crate) fn add(&mut self, frame: &Frame) {
+        *self.frames.get_or_insert_default() += 1;
+        self.images |= frame.images[0].is_some();
+        self.tracks |= !frame.tracks.is_empty();
+        self.features |= frame.features.is_some();
+    }
+}
+
+impl<S: SensorSource + ?Sized> SensorSource for Box<S> {
+    fn name(&self) -> &str {
+        (**self).name()
+    }
+
+    fn calibration(&self) -> &SensorCalibration {
+        (**self).calibration()
+    }
+
+    fn contents(&self) -> Contents {
+        (**self).contents()
+    }
+
+    fn next(&mut self) -> Result<Option<SensorEvent>, SensorError> {
+        (**self).next()
+    }
+}

@@ -1,0 +1,80 @@
+//! Laws of sensor sources.
+
+use super::*;
+use vision::GrayImage;
+
+fn events(mut source: impl SensorSource) -> Vec<SensorEvent> {
+    let events = std::iter::from_fn(|| source.next().unwrap()).collect();
+    assert_eq!(source.next().unwrap(), None, "the end stays the end");
+    events
+}
+
+#[test]
+fn a_source_returns_everything_in_order_of_time_and_readings_before_frames() {
+    for seed in 0..4 {
+        let sequence = sequence(seed);
+        let events = events(Recording::from(&sequence).source().unwrap());
+        assert!(events.is_sorted_by_key(SensorEvent::stamp_ns));
+        let (mut readings, mut frames) = (Vec::new(), Vec::new());
+        for event in events {
+            match event {
+                SensorEvent::Imu(reading) => {
+                    // START_NS is the time of the first reading and of the first frame.
+                    assert!(!frames.is_empty() || reading.stamp_ns == START_NS);
+                    readings.push(reading);
+                }
+                SensorEvent::Frame(frame) => {
+                    assert!(readings.last().unwrap().stamp_ns <= frame.stamp_ns);
+                    frames.push(frame);
+                }
+            }
+        }
+        assert_eq!((readings, frames), (sequence.imu_samples, sequence.frames));
+    }
+}
+
+#[test]
+fn a_recording_in_memory_and_one_on_disk_are_the_same_source() {
+    let written = sequence(2);
+    let folder = tempfile::tempdir().unwrap();
+    writer::write(&written, folder.path()).unwrap();
+    let (disk, memory) = (Recording::open(folder.path()).unwrap(), Recording::from(&written));
+    assert_eq!(disk.contents(), memory.contents());
+    assert_eq!(disk.calibration().imu, memory.calibration().imu);
+    assert_eq!(events(disk.source().unwrap()), events(memory.source().unwrap()));
+    let second = START_NS + 100_000_001;
+    let (disk, memory) = (disk.between(second, i64::MAX), memory.between(second, i64::MAX));
+    let excerpt = events(disk.source().unwrap());
+    assert_eq!(excerpt, events(memory.source().unwrap()));
+    let frames = excerpt.iter().filter(|event| matches!(event, SensorEvent::Frame(_)));
+    assert_eq!(frames.count(), written.frames.len() - 1);
+}
+
+#[test]
+fn a_file_that_is_damaged_after_it_was_checked_ends_the_source_with_an_error() {
+    let folder = tempfile::tempdir().unwrap();
+    writer::write(&sequence(1), folder.path()).unwrap();
+    let recording = Recording::open(folder.path()).unwrap();
+    let path = folder.path().join("mav0/imu0/data.csv");
+    let text = std::fs::read_to_string(&path).unwrap();
+    std::fs::write(&path, &text[..text.trim_end().rfind(',').unwrap()]).unwrap();
+    let mut source = recording.source().unwrap();
+    let error = loop {
+        match source.next() {
+            Ok(event) => assert!(event.is_some(), "the damage was not found"),
+            Err(error) => break error,
+        }
+    };
+    assert!(matches!(error, SensorError::Recording(SequenceError::Row { .. })), "{error}");
+    assert_eq!(source.next().unwrap(), None);
+}
+
+#[test]
+fn an_image_is_the_same_from_a_file_and_from_memory() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("image.png");
+    let image = GrayImage::from_fn(8, 6, |x, y| (16 * y + x) as u8);
+    image.write(&path).unwrap();
+    assert_eq!(ImageData::from(path).read().unwrap(), ImageData::from(image).read().unwrap());
+    assert!(ImageData::from(folder.path().join("missing.png")).read().is_err());
+}

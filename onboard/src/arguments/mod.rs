@@ -1,0 +1,232 @@
+//! Switches of the robot, shared by `onboard` and `driftless run`.
+
+mod choices;
+mod settings;
+
+pub use choices::{Calibrate, Cameras, Init, Mode};
+pub use settings::{SettingsError, read_settings};
+
+use super::extraction::FeatureArguments;
+use anyhow::{Result, bail};
+use clap::{Args, Parser};
+use estimator::{EstimatorConfig, MapMode, Relinearization};
+use sensors::SensorCalibration;
+use std::ffi::OsStr;
+use std::path::{Path, PathBuf};
+
+/// Heading in `--help` of the switches about the recording.
+pub const INPUT: &str = "Input";
+/// Heading in `--help` of the switches about map and network.
+pub const MAP: &str = "Map and network";
+/// Heading in `--help` of the switches about what is written.
+pub const OUTPUT: &str = "Output";
+const ESTIMATOR: &str = "Estimator";
+const NOISE: &str = "Noise";
+
+/// Switches of the robot.
+#[derive(Args, Clone, Debug)]
+pub struct RobotArguments {
+    /// Folder for trajectories, states, events and summary; created if necessary
+    #[arg(long, value_name = "DIR", help_heading = OUTPUT)]
+    pub out: PathBuf,
+
+    /// Cameras to use [default: stereo where the recording has cam1]
+    #[arg(long, value_enum, help_heading = INPUT)]
+    pub cameras: Option<Cameras>,
+    /// Begin so many seconds after the first image
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.0, help_heading = INPUT)]
+    pub start_at: f64,
+    /// Play so many seconds of the recording [default: to its end]
+    #[arg(long, value_name = "SECONDS", help_heading = INPUT)]
+    pub duration: Option<f64>,
+    /// Play at the speed of the recording instead of as fast as possible
+    #[arg(long, help_heading = INPUT)]
+    pub realtime: bool,
+    /// Number of points to track in images, where the recording has no tracks.csv
+    #[arg(long, value_name = "N", default_value_t = 200, help_heading = INPUT)]
+    pub points: usize,
+
+    /// How map keyframes are used [default: as the settings file says, else multi]
+    #[arg(long, value_enum, help_heading = MAP)]
+    pub mode: Option<Mode>,
+    /// Name of this robot on the network
+    #[arg(long, value_name = "NAME", default_value = "robot", help_heading = MAP)]
+    pub robot: String,
+    /// Maximum number of keyframes in one answer (with --mode multi or mapconst)
+    #[arg(long, value_name = "N", default_value_t = 4, help_heading = MAP)]
+    pub max_keyframes: u16,
+    /// Seconds to wait for the answer to a map query
+    #[arg(long, value_name = "SECONDS", default_value_t = 2.0, help_heading = MAP)]
+    pub deadline: f64,
+    /// Least number of seconds between two map queries, where features are extracted from images
+    #[arg(long, value_name = "SECONDS", default_value_t = 0.5, help_heading = MAP)]
+    pub query_interval: f64,
+
+    /// Image features
+    #[command(flatten)]
+    pub features: FeatureArguments,
+
+    /// How the estimator is initialized
+    ///
+    /// In motion, a single camera needs a change of speed or direction: at constant velocity the scale is not
+    /// observable. A stereo pair can be initialized in any motion. The log and the robot's status state what is missing.
+    #[arg(long, value_enum, default_value = "auto", help_heading = ESTIMATOR)]
+    pub init: Init,
+    /// YAML file with settings of the estimator
+    ///
+    /// It overrides the defaults and the noise and gravity of the IMU's sensor.yaml. Switches override it.
+    #[arg(long, value_name = "FILE", help_heading = ESTIMATOR)]
+    pub estimator_config: Option<PathBuf>,
+    /// Number of clones in the sliding window
+    #[arg(long, value_name = "N", help_heading = ESTIMATOR)]
+    pub window: Option<usize>,
+    /// Maximum number of landmarks in the state; 0 for a plain MSCKF
+    #[arg(long, value_name = "N", help_heading = ESTIMATOR)]
+    pub slam_features: Option<usize>,
+    /// Calibration to estimate during the run; several are separated by commas
+    #[arg(long, value_enum, value_delimiter = ',', value_name = "WHAT", help_heading = ESTIMATOR)]
+    pub calibrate: Vec<Calibrate>,
+    /// Do not re-linearize map updates at the PnP solution (the paper's filter without R)
+    #[arg(long, help_heading = ESTIMATOR)]
+    pub no_relinearize: bool,
+
+    /// Factor on the white noise densities of the IMU's sensor.yaml (sensors on vehicles: about 3)
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0, help_heading = NOISE)]
+    pub imu_noise_scale: f64,
+    /// Standard deviation of tracked pixels, px
+    #[arg(long, value_name = "PX", help_heading = NOISE)]
+    pub sigma_track: Option<f64>,
+    /// Standard deviation of matched pixels in the robot's image, px
+    #[arg(long, value_name = "PX", help_heading = NOISE)]
+    pub sigma_match: Option<f64>,
+    /// Standard deviation of matched pixels in the map's images, px [default: as the map states]
+    #[arg(long, value_name = "PX", help_heading = NOISE)]
+    pub sigma_map: Option<f64>,
+    /// Initial standard deviation of the gyroscope bias, rad/s
+    #[arg(long, value_name = "RAD/S", help_heading = NOISE)]
+    pub sigma_gyroscope_bias: Option<f64>,
+    /// Initial standard deviation of the accelerometer bias, m/s^2
+    #[arg(long, value_name = "M/S2", help_heading = NOISE)]
+    pub sigma_accelerometer_bias: Option<f64>,
+}
+
+impl RobotArguments {
+    /// All switches at their defaults.
+    ///
+    /// # Errors
+    /// None in practice: the defaults are valid.
+    pub fn with_defaults(out: &Path) -> Result<Self> {
+        #[derive(Parser)]
+        struct Defaults {
+            #[command(flatten)]
+            robot: RobotArguments,
+        }
+        let line = [OsStr::new("robot"), OsStr::new("--out"), out.as_os_str()];
+        Ok(Defaults::try_parse_from(line)?.robot)
+    }
+
+    /// How map keyframes are used: by the switch, else by the settings file, else the default.
+    ///
+    /// # Errors
+    /// [`SettingsError`]: the settings file cannot be used.
+    pub fn map_mode(&self) -> Result<MapMode, SettingsError> {
+        match (self.mode, &self.estimator_config) {
+            (Some(mode), _) => Ok(mode.into()),
+            (None, Some(path)) => Ok(read_settings(path, &EstimatorConfig::default())?.mode),
+            (None, None) => Ok(EstimatorConfig::default().mode),
+        }
+    }
+
+    /// The estimator's settings: defaults, overridden by the IMU's calibration, then by the settings file, then by the
+    /// switches.
+    ///
+    /// # Errors
+    /// There is no IMU, the settings file cannot be used, or a setting is out of range.
+    pub fn estimator_config(&self, calibration: &SensorCalibration) -> Result<EstimatorConfig> {
+        let Some(imu) = &calibration.imu else {
+            bail!("there is no IMU, which the estimator needs: add mav0/imu0 to the recording")
+        };
+        let defaults = EstimatorConfig::default();
+        let gravity = imu.gravity_magnitude.unwrap_or(defaults.gravity);
+        let of_sensor = EstimatorConfig { imu_noise: imu.noise, gravity, ..defaults };
+        let mut config = match &self.estimator_config {
+            Some(path) => read_settings(path, &of_sensor)?,
+            None => of_sensor,
+        };
+        if !(self.imu_noise_scale.is_finite() && self.imu_noise_scale > 0.0) {
+            bail!("--imu-noise-scale is {}; it must be a positive number", self.imu_noise_scale);
+        }
+        config.imu_noise = config.imu_noise.inflated(self.imu_noise_scale);
+        config.mode = self.mode.map_or(config.mode, Into::into);
+        if self.no_relinearize {
+            config.relinearization = Relinearization::Off;
+        }
+        let override_with = |target: &mut f64, value: Option<f64>| *target = value.unwrap_or(*target);
+        override_with(&mut config.sigma_track_px, self.sigma_track);
+        override_with(&mut config.sigma_match_px, self.sigma_match);
+        override_with(&mut config.initial.gyroscope_bias, self.sigma_gyroscope_bias);
+        override_with(&mut config.initial.accelerometer_bias, self.sigma_accelerometer_bias);
+        config.sigma_map_px = self.sigma_map.or(config.sigma_map_px);
+        config.window = self.window.unwrap_or(config.window);
+        config.slam_features = self.slam_features.unwrap_or(config.slam_features);
+        config.calibration.extrinsics |= self.calibrate.contains(&Calibrate::Extrinsics);
+        config.calibration.intrinsics |= self.calibrate.contains(&Calibrate::Intrinsics);
+        config.calibration.time_offset |= self.calibrate.contains(&Calibrate::TimeOffset);
+        config.validate().map_err(|reason| anyhow::anyhow!("settings of the estimator: {reason}"))?;
+        Ok(config)
+    }
+
+    /// Number of cameras to use.
+    ///
+    /// # Errors
+    /// There is no camera, or --cameras stereo and only one.
+    pub fn camera_count(&self, calibration: &SensorCalibration) -> Result<usize> {
+        let available = calibration.cameras.len();
+        if available == 0 {
+            bail!("there is no camera, which the estimator needs");
+        }
+        match self.cameras {
+            Some(Cameras::Mono) => Ok(1),
+            None => Ok(available.min(2)),
+            Some(Cameras::Stereo) if available >= 2 => Ok(2),
+            Some(Cameras::Stereo) => {
+                bail!("--cameras stereo: there is only one camera; add mav0/cam1, or use --cameras mono")
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use estimator::ImuNoise;
+    use sensors::ImuSensor;
+
+    /// Sensors whose calibration states the local gravity.
+    fn calibration() -> SensorCalibration {
+        let imu = ImuSensor { noise: ImuNoise::default(), rate_hz: 200.0, gravity_magnitude: Some(9.79) };
+        SensorCalibration { imu: Some(imu), cameras: Vec::new() }
+    }
+
+    #[test]
+    fn a_switch_overrides_the_file_and_the_file_overrides_the_sensor() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("settings.yaml");
+        let calibration = calibration();
+        let settled = |file: Option<&str>, mode: Option<Mode>| {
+            let mut arguments = RobotArguments::with_defaults(folder.path()).unwrap();
+            arguments.mode = mode;
+            if let Some(text) = file {
+                std::fs::write(&path, text).unwrap();
+                arguments.estimator_config = Some(path.clone());
+            }
+            let config = arguments.estimator_config(&calibration).unwrap();
+            assert_eq!(config.mode, arguments.map_mode().unwrap());
+            (config.gravity, config.mode)
+        };
+        assert_eq!(settled(None, None), (9.79, MapMode::Multi));
+        assert_eq!(settled(Some("window: 9"), None), (9.79, MapMode::Multi));
+        assert_eq!(settled(Some("gravity: 9.83\nmode: single"), None), (9.83, MapMode::Single));
+        assert_eq!(settled(Some("mode: single"), Some(Mode::Mapconst)), (9.79, MapMode::MapConst));
+    }
+}

@@ -1,0 +1,151 @@
+//! Reads a sensor source ahead, and hands out its readings and frames each for itself.
+
+use estimator::ImuSample;
+use sensors::{Frame, SensorError, SensorEvent, SensorSource};
+use std::collections::VecDeque;
+
+/// A frame waits for the reading after it for so long at most, nanoseconds of sensor time. An IMU that is silent for
+/// longer is taken to have stopped; without a bound, all frames up to its next reading would be held in memory.
+const MAX_IMU_WAIT_NS: i64 = 60_000_000_000;
+
+/// Events of a source that were read and not handed out yet.
+pub(crate) struct SensorQueue<'a> {
+    source: &'a mut dyn SensorSource,
+    readings: VecDeque<ImuSample>,
+    frames: VecDeque<Frame>,
+    /// The source has ended or failed.
+    ended: bool,
+    error: Option<SensorError>,
+}
+
+impl<'a> SensorQueue<'a> {
+    /// Nothing is read yet.
+    pub(crate) fn new(source: &'a mut dyn SensorSource) -> Self {
+        Self { source, readings: VecDeque::new(), frames: VecDeque::new(), ended: false, error: None }
+    }
+
+    /// The next frame; `None` after the last.
+    ///
+    /// # Errors
+    /// That of the source, after the frames before it.
+    pub(crate) fn next_frame(&mut self) -> Result<Option<Frame>, SensorError> {
+        self.next_frame_ns();
+        match self.frames.pop_front() {
+            Some(frame) => Ok(Some(frame)),
+            None => self.error.take().map_or(Ok(None), Err),
+        }
+    }
+
+    /// Time of the next frame, nanoseconds; `None` after the last, or where the source fails before it.
+    pub(crate) fn next_frame_ns(&mut self) -> Option<i64> {
+        while self.frames.is_empty() && self.read() {}
+        self.frames.front().map(|frame| frame.stamp_ns)
+    }
+
+    /// The next reading; `None` after the last, or where it comes more than [`MAX_IMU_WAIT_NS`] after `frame_ns`.
+    ///
+    /// # Errors
+    /// That of the source, after the readings before it.
+    pub(crate) fn next_reading(&mut self, frame_ns: i64) -> Result<Option<ImuSample>, SensorError> {
+        let horizon_ns = frame_ns.saturating_add(MAX_IMU_WAIT_NS);
+        while self.readings.is_empty()
+            && self.frames.back().is_none_or(|newest| newest.stamp_ns <= horizon_ns)
+            && self.read()
+        {}
+        match self.readings.pop_front() {
+            Some(reading) => Ok(Some(reading)),
+            None => self.error.take().map_or(Ok(None), Err),
+        }
+    }
+
+    /// Reads one event; `false` where there is none.
+    fn read(&mut self) -> bool {
+        if self.ended {
+            return false;
+        }
+        match self.source.next() {
+            Ok(Some(SensorEvent::Imu(reading))) => self.readings.push_back(reading),
+            Ok(Some(SensorEvent::Frame(frame))) => self.frames.push_back(frame),
+            // Other sensors are of no use to the estimator.
+            Ok(Some(_)) => {}
+            Ok(None) => self.ended = true,
+            Err(error) => {
+                self.ended = true;
+                self.error = Some(error);
+            }
+        }
+        !self.ended
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::Vector3;
+    use sensors::{Contents, SensorCalibration};
+
+    /// Plays given events, and then fails.
+    struct Script {
+        calibration: SensorCalibration,
+        events: VecDeque<SensorEvent>,
+    }
+
+    impl SensorSource for Script {
+        fn name(&self) -> &str {
+            "script"
+        }
+
+        fn calibration(&self) -> &SensorCalibration {
+            &self.calibration
+        }
+
+        fn contents(&self) -> Contents {
+            Contents::default()
+        }
+
+        fn next(&mut self) -> Result<Option<SensorEvent>, SensorError> {
+            let failure = || SensorError::Source { name: "script".to_owned(), source: "torn page".into() };
+            self.events.pop_front().map(Some).ok_or_else(failure)
+        }
+    }
+
+    const SECOND_NS: i64 = 1_000_000_000;
+
+    fn reading(seconds: i64) -> SensorEvent {
+        let (gyroscope, accelerometer) = (Vector3::zeros(), Vector3::zeros());
+        SensorEvent::Imu(ImuSample { stamp_ns: seconds * SECOND_NS, gyroscope, accelerometer })
+    }
+
+    fn frame(seconds: i64) -> SensorEvent {
+        SensorEvent::Frame(Frame { stamp_ns: seconds * SECOND_NS, ..Frame::default() })
+    }
+
+    fn script(events: impl IntoIterator<Item = SensorEvent>) -> Script {
+        Script { calibration: SensorCalibration::default(), events: events.into_iter().collect() }
+    }
+
+    #[test]
+    fn an_error_comes_after_all_that_was_read_before_it() {
+        let mut source = script([reading(1), frame(1), frame(2), reading(3)]);
+        let mut queue = SensorQueue::new(&mut source);
+        assert_eq!(queue.next_frame().unwrap().unwrap().stamp_ns, SECOND_NS);
+        assert_eq!(queue.next_frame_ns(), Some(2 * SECOND_NS));
+        for seconds in [1, 3] {
+            assert_eq!(queue.next_reading(SECOND_NS).unwrap().unwrap().stamp_ns, seconds * SECOND_NS);
+        }
+        assert_eq!(queue.next_frame().unwrap().unwrap().stamp_ns, 2 * SECOND_NS);
+        assert!(queue.next_frame().unwrap_err().to_string().contains("torn page"));
+        assert_eq!(queue.next_frame().unwrap(), None);
+    }
+
+    #[test]
+    fn a_reading_is_waited_for_over_a_minute_of_frames_and_no_longer() {
+        let mut source = script([reading(0)].into_iter().chain((0..1000).map(frame)));
+        let mut queue = SensorQueue::new(&mut source);
+        queue.next_frame().unwrap();
+        assert!(queue.next_reading(0).unwrap().is_some());
+        assert_eq!(queue.next_reading(0).unwrap(), None);
+        let held = queue.frames.len();
+        assert!((60..70).contains(&held), "{held} frames are held");
+    }
+}

@@ -1,0 +1,16 @@
+//! What a run puts out: files, the summary, messages.
+
+mod event;
+mod files;
+mod publisher;
+mod recorder;
+mod summary;
+
+pub use event::Event;
+pub use files::{EVENTS, OutputError, STATES};
+pub use publisher::{Publisher, PublisherError, QueryCounts};
+pub use recorder::Recorder;
+pub use summary::{
+    DivergenceSummary, ImuGapSummary, MapChangeSummary, MillisecondsPerFrame, QuerySummary, StartSummary,
+    Summary, Timings, TrackSummary, Traffic,
+};

@@ -1,0 +1,109 @@
+//! A robot plays any sensor source, not only recordings.
+#![allow(clippy::unwrap_used)]
+
+use onboard::arguments::{Init, Mode};
+use onboard::{RobotArguments, StopSignal, run_robot, run_source_until};
+use sensors::{Contents, ImuSample, Sequence};
+use sensors::{SensorCalibration, SensorError, SensorEvent, SensorSource};
+use simulation::{SimulationOptions, simulate};
+
+/// A generator: it makes each event when it is asked for, from a place in two lists.
+struct Generator<'a> {
+    sequence: &'a Sequence,
+    calibration: SensorCalibration,
+    readings: usize,
+    frames: usize,
+    /// Number of events after which the device is lost.
+    lost_after: usize,
+}
+
+impl<'a> Generator<'a> {
+    fn new(sequence: &'a Sequence) -> Self {
+        let calibration = sequence.calibration();
+        Self { sequence, calibration, readings: 0, frames: 0, lost_after: usize::MAX }
+    }
+
+    fn next_reading(&mut self, until_ns: i64) -> Option<ImuSample> {
+        let reading = *self.sequence.imu_samples.get(self.readings)?;
+        (reading.stamp_ns <= until_ns).then(|| {
+            self.readings += 1;
+            reading
+        })
+    }
+}
+
+impl SensorSource for Generator<'_> {
+    fn name(&self) -> &str {
+        "generator"
+    }
+
+    fn calibration(&self) -> &SensorCalibration {
+        &self.calibration
+    }
+
+    fn contents(&self) -> Contents {
+        Contents { tracks: true, ..Contents::default() }
+    }
+
+    fn next(&mut self) -> Result<Option<SensorEvent>, SensorError> {
+        if self.readings + self.frames >= self.lost_after {
+            let source = "the device was unplugged".into();
+            return Err(SensorError::Source { name: "generator".to_owned(), source });
+        }
+        let frame = self.sequence.frames.get(self.frames);
+        if let Some(reading) = self.next_reading(frame.map_or(i64::MAX, |frame| frame.stamp_ns)) {
+            return Ok(Some(SensorEvent::Imu(reading)));
+        }
+        self.frames += 1;
+        Ok(frame.cloned().map(SensorEvent::Frame))
+    }
+}
+
+fn recorded() -> Sequence {
+    let options = SimulationOptions { duration_s: Some(15.0), ..SimulationOptions::default() };
+    simulate(&options).unwrap().live
+}
+
+fn arguments(out: &std::path::Path) -> RobotArguments {
+    let mut arguments = RobotArguments::with_defaults(out).unwrap();
+    arguments.mode = Some(Mode::Odometry);
+    arguments
+}
+
+#[test]
+fn a_generator_gives_the_same_states_as_a_recording_of_its_events() {
+    let sequence = recorded();
+    let folder = tempfile::tempdir().unwrap();
+    let (played, generated) = (folder.path().join("played"), folder.path().join("generated"));
+    let stop = StopSignal::default();
+    let mut generator = Generator::new(&sequence);
+    let outcome = run_source_until(&stop, &mut generator, &arguments(&generated), None, |_| {}).unwrap();
+    let reference = run_robot(&sequence, &arguments(&played), None, |_| {}).unwrap();
+    assert!(outcome.summary.frames > 100, "{} frames", outcome.summary.frames);
+    assert_eq!(outcome.states().unwrap(), reference.states().unwrap());
+    assert_eq!(outcome.summary.sequence, "generator");
+    assert!(outcome.summary.score.is_none() && reference.summary.score.is_some());
+}
+
+#[test]
+fn a_source_that_fails_ends_the_run_with_its_error_and_leaves_the_states() {
+    let sequence = recorded();
+    let folder = tempfile::tempdir().unwrap();
+    let mut generator = Generator::new(&sequence);
+    generator.lost_after = 2100;
+    let (stop, arguments) = (StopSignal::default(), arguments(folder.path()));
+    let outcome = run_source_until(&stop, &mut generator, &arguments, None, |_| {}).unwrap();
+    assert_eq!(outcome.summary.ended_early.as_deref(), Some("generator: the device was unplugged"));
+    assert!(outcome.states().unwrap().len() > 50);
+}
+
+#[test]
+fn switches_that_need_a_recording_are_refused() {
+    let sequence = recorded();
+    let folder = tempfile::tempdir().unwrap();
+    let mut arguments = arguments(folder.path());
+    arguments.init = Init::Truth;
+    let mut generator = Generator::new(&sequence);
+    let error = run_source_until(&StopSignal::default(), &mut generator, &arguments, None, |_| {});
+    assert!(error.unwrap_err().to_string().contains("generator is not a recording"));
+}
