@@ -6,7 +6,7 @@
 
 use estimator::{
     CalibratedCamera, Estimator, EstimatorConfig, EstimatorError, ImuSample, InitMethod, InitStatus,
-    Initializer, LastTrustedPose, Localization, Start, Status, TrackObservation,
+    Initialization, Initializer, LastTrustedPose, Localization, Status, TrackObservation,
 };
 
 /// A filter that lived shorter than this was started badly, nanoseconds.
@@ -63,7 +63,7 @@ impl EstimatorSupervisor {
             last: None,
             bad_starts: 0,
             gave_up: None,
-            waiting: InitStatus::Data,
+            waiting: InitStatus::NoData,
             next_warning_ns: None,
         }
     }
@@ -107,7 +107,7 @@ impl EstimatorSupervisor {
     /// [`EstimatorError::BadImu`]: it was dropped.
     pub fn imu(&mut self, sample: ImuSample) -> Result<(), EstimatorError> {
         match &mut self.phase {
-            Phase::Initializing(initializer) => initializer.imu(sample),
+            Phase::Initializing(initializer) => Ok(initializer.imu(sample)?),
             Phase::Running(estimator) => estimator.imu(sample),
         }
     }
@@ -125,7 +125,7 @@ impl EstimatorSupervisor {
         tracks: &[TrackObservation],
     ) -> Result<Option<InitMethod>, EstimatorError> {
         let Phase::Initializing(initializer) = &mut self.phase else { return Ok(None) };
-        let Start { initial, method } = match initializer.image(stamp_ns, tracks) {
+        let Initialization { initial, method } = match initializer.image(stamp_ns, tracks) {
             Ok(start) => start,
             Err(waiting) => {
                 self.wait(stamp_ns, waiting);
@@ -186,10 +186,10 @@ impl EstimatorSupervisor {
             // A reading that the filter would not take is not taken here either.
             let _ = initializer.imu(*reading);
         }
-        initializer.forget_rest();
+        initializer.discard_rest();
         self.phase = Phase::Initializing(Box::new(initializer));
         self.gave_up = Some(why.to_string());
-        self.waiting = InitStatus::Data;
+        self.waiting = InitStatus::NoData;
     }
 
     /// What is known of the pose.

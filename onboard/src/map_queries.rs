@@ -104,7 +104,7 @@ impl RobotRun<'_> {
                     let size = revision.size;
                     tracing::info!(from, version, ?size, "the map changed: the pose in it is carried over");
                 }
-                RevisionEffect::FoundAnew => {
+                RevisionEffect::Reinitialized => {
                     recorder.map_changes.found_anew += 1;
                     tracing::warn!(
                         from,

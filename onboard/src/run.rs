@@ -216,7 +216,7 @@ impl RobotRun<'_> {
         tracing::info!(?method, "started");
         recorder.note_start(stamp_ns, Some(&method));
         // A start in motion has learned from the tracks of its last image already.
-        Ok(Some(if method == InitMethod::Rest { tracks } else { Vec::new() }))
+        Ok(Some(if method == InitMethod::Static { tracks } else { Vec::new() }))
     }
 
     fn frame(&mut self, frame: &Frame, recorder: &mut Recorder) -> Result<(), EstimatorError> {

@@ -2,7 +2,7 @@
 
 use super::arguments::Init;
 use anyhow::{Context as _, Result, bail};
-use estimator::initialization::static_initialization::REST_SECONDS;
+use estimator::initialization::static_init::REST_SECONDS;
 use estimator::{EstimatorConfig, ImuSample, InitialState};
 use nalgebra::Vector3;
 use sensors::{Recording, TruthRow};

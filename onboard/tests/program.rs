@@ -29,8 +29,8 @@ fn record(folder: &Path) {
         accelerometer_bias: None,
     };
     let camera = CameraSensor {
-        camera: world.eye.camera.clone(),
-        imu_from_camera: world.eye.imu_from_camera,
+        camera: world.calibrated.camera.clone(),
+        imu_from_camera: world.calibrated.imu_from_camera,
         rate_hz: 10.0,
     };
     let sequence = Sequence {

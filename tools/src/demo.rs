@@ -116,9 +116,9 @@ pub fn run_demo(out: &Path, seed: u64, note: &mut dyn FnMut(&str)) -> Result<Dem
 /// A robot with a cheap gyroscope (ten times EuRoC's noise), few tracks, and a third of its way without a
 /// map: odometry alone drifts visibly, and the map brings it back.
 fn options(seed: u64) -> SimulationOptions {
-    let euroc = ImuNoise::default();
-    let imu_noise =
-        ImuNoise { gyroscope: 10.0 * euroc.gyroscope, gyroscope_walk: 10.0 * euroc.gyroscope_walk, ..euroc };
+    let mut imu_noise = ImuNoise::default();
+    imu_noise.gyroscope *= 10.0;
+    imu_noise.gyroscope_walk *= 10.0;
     SimulationOptions {
         seed,
         imu_noise,

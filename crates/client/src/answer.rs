@@ -52,7 +52,7 @@ pub fn map_answer(
     MapAnswer {
         map_version: status.map_version,
         keyframes,
-        asked_with: held.to_vec(),
+        held_at_query: held.to_vec(),
         landmarks,
         gravity_in_global: status.gravity_in_global.map(Vector3::from),
         sigma_map_px: status.sigma_map_px,

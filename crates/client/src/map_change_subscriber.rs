@@ -58,12 +58,13 @@ fn read(map: &str, format: Format, payload: &[u8]) -> Result<MapRevision, String
     if change.map != map {
         return Err(format!("they are of the map {}", change.map));
     }
-    let size = change
-        .stated_change
-        .map(|size| ChangeSize { sigma_rotation: size.sigma_theta_rad, sigma_position: size.sigma_p_m });
-    let mut other_errors = change.moved;
-    other_errors.extend(change.removed);
-    Ok(MapRevision { from_version: change.from_version, version: change.version, other_errors, size })
+    let size = change.stated_change.map(|size| ChangeSize {
+        sigma_rotation_rad: size.sigma_theta_rad,
+        sigma_position_m: size.sigma_p_m,
+    });
+    let mut changed_keyframes = change.moved;
+    changed_keyframes.extend(change.removed);
+    Ok(MapRevision { from_version: change.from_version, version: change.version, changed_keyframes, size })
 }
 
 #[cfg(test)]
@@ -89,8 +90,8 @@ mod tests {
             let payload = protocol::encode(format, &change()).unwrap();
             let revision = read("hall", format, &payload).unwrap();
             assert_eq!((revision.from_version, revision.version), (3, 4));
-            assert_eq!(revision.other_errors, [2, 5, 9]);
-            assert_eq!(revision.size, Some(ChangeSize { sigma_rotation: 0.01, sigma_position: 0.2 }));
+            assert_eq!(revision.changed_keyframes, [2, 5, 9]);
+            assert_eq!(revision.size, Some(ChangeSize { sigma_rotation_rad: 0.01, sigma_position_m: 0.2 }));
         }
     }
 

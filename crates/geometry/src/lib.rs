@@ -12,7 +12,7 @@ pub mod camera;
 pub mod numeric;
 pub mod pnp;
 pub mod pose;
-mod robust;
+pub mod robust;
 pub mod rotation;
 pub mod triangulation;
 pub mod uncertain_pose;

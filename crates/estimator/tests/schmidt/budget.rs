@@ -125,8 +125,8 @@ fn taking_a_dropped_keyframe_for_new_would_make_it_overconfident() {
 
 #[test]
 fn an_estimator_holds_no_more_than_its_budget_and_stays_consistent() {
-    let config =
-        EstimatorConfig { max_active_keyframes: 4, max_held_keyframes: 8, ..EstimatorConfig::default() };
+    let mut config = EstimatorConfig::default();
+    (config.max_active_keyframes, config.max_held_keyframes) = (4, 8);
     let world = World::new();
     let mut estimator = world.estimator(config);
     let mut rng = StdRng::seed_from_u64(7);
@@ -148,9 +148,9 @@ fn an_estimator_holds_no_more_than_its_budget_and_stays_consistent() {
 
 #[test]
 fn a_budget_that_leaves_nothing_to_park_is_refused() {
-    let config =
-        EstimatorConfig { max_held_keyframes: 24, max_active_keyframes: 24, ..EstimatorConfig::default() };
-    assert!(config.validate().unwrap_err().contains("max_held_keyframes is 24"));
+    let mut config = EstimatorConfig::default();
+    (config.max_active_keyframes, config.max_held_keyframes) = (24, 24);
+    assert!(config.validate().unwrap_err().to_string().contains("max_held_keyframes is 24"));
     let initial = estimator::InitialState::from_truth(
         0,
         &geometry::Pose::identity(),
@@ -158,5 +158,5 @@ fn a_budget_that_leaves_nothing_to_park_is_refused() {
         &-nalgebra::Vector3::z(),
         estimator::InitialSigmas::default(),
     );
-    assert!(Estimator::new(config, vec![World::new().eye], &initial).is_err());
+    assert!(Estimator::new(config, vec![World::new().calibrated], &initial).is_err());
 }

@@ -1,4 +1,4 @@
-//! The state that the filter starts from: from truth, or from an IMU at rest.
+//! The initial state, from ground truth or from an IMU at rest (static initialization).
 
 use crate::config::{EstimatorConfig, InitialSigmas};
 use crate::imu::ImuSample;
@@ -6,32 +6,33 @@ use crate::propagation::{ACCELEROMETER_BIAS, GYROSCOPE_BIAS, ImuMatrix, ImuState
 use geometry::{Pose, Rotation};
 use nalgebra::{UnitVector3, Vector3};
 
-/// Mean and covariance of the IMU state at the start.
+/// Initial IMU state with its covariance.
 #[derive(Clone, Debug, PartialEq)]
 pub struct InitialState {
     /// Time, nanoseconds.
     pub stamp_ns: i64,
-    /// The state.
+    /// Initial estimate.
     pub imu: ImuState,
     /// Covariance of its error `[δθ, δp, δv, δb_g, δb_a]`.
     pub covariance: ImuMatrix,
 }
 
-/// Why no state could be found.
+/// Why the static initialization failed.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
-pub enum InitializationError {
-    /// Not enough readings yet.
-    #[error("{have:.2} s of IMU readings, {need:.2} s at rest are needed")]
+#[non_exhaustive]
+pub enum StaticInitError {
+    /// Not enough samples yet.
+    #[error("{have:.2} s of IMU samples, {need:.2} s at rest are needed")]
     TooShort {
-        /// Seconds at hand.
+        /// Duration of the samples, seconds.
         have: f64,
-        /// Seconds needed.
+        /// Duration needed, seconds.
         need: f64,
     },
     /// The IMU moves.
     #[error(
-        "the IMU moves (accelerometer {accelerometer:.2} m/s^2, gyroscope {gyroscope:.3} rad/s of standard \
-         deviation): keep it still"
+        "the IMU moves (standard deviations: accelerometer {accelerometer:.2} m/s^2, gyroscope {gyroscope:.3} rad/s): \
+         keep it still"
     )]
     Moving {
         /// Standard deviation of the specific force, m/s^2.
@@ -39,36 +40,45 @@ pub enum InitializationError {
         /// Standard deviation of the angular velocity, rad/s.
         gyroscope: f64,
     },
-    /// The images move.
-    #[error("the IMU reads as if at rest, but the images move: it glides or turns evenly")]
-    Gliding,
-    /// The specific force is not gravity.
+    /// The features of the images move.
+    #[error(
+        "the IMU is at rest or in uniform motion, and the features of the images move: it is in uniform motion"
+    )]
+    UniformMotion,
+    /// The specific force does not have the magnitude of gravity.
     #[error(
         "at rest the accelerometer reads {norm:.2} m/s^2, gravity is {gravity:.2}: check units and calibration"
     )]
     NotGravity {
-        /// Mean specific force, m/s^2.
+        /// Magnitude of the mean specific force, m/s^2.
         norm: f64,
-        /// The configured gravity.
+        /// The configured gravity, m/s^2.
         gravity: f64,
     },
 }
 
-/// Length of the window that must be at rest, seconds.
+/// Duration of the samples of a static initialization, seconds.
 pub const REST_SECONDS: f64 = 0.5;
-/// Standard deviation of the specific force above which the IMU moves, m/s^2. EuRoC's and a tablet's
-/// IMU at rest show 0.02 to 0.1; a hand-held one 0.3 and more.
-const REST_ACCELEROMETER: f64 = 0.25;
+/// Standard deviation of the specific force above which the IMU moves, m/s^2. The IMUs of EuRoC and of a tablet have 0.02
+/// to 0.1 at rest; a hand-held one 0.3 and more.
+const MAX_ACCELEROMETER_SIGMA: f64 = 0.25;
 /// Standard deviation of the angular velocity above which it moves, rad/s.
-const REST_GYROSCOPE: f64 = 0.03;
-/// How far the specific force at rest may be from gravity, m/s^2.
+const MAX_GYROSCOPE_SIGMA: f64 = 0.03;
+/// Maximum difference between the specific force at rest and gravity, m/s^2.
 const GRAVITY_TOLERANCE: f64 = 0.6;
+/// Lower bound of the standard deviation of roll and pitch, rad: vibration and scale-factor errors of the accelerometer.
+const MIN_TILT_SIGMA_RAD: f64 = 0.005;
+/// Standard deviation of the velocity at rest, m/s.
+const REST_VELOCITY_SIGMA_M_S: f64 = 0.05;
+/// Lower bound of the standard deviation of the gyroscope bias, rad/s.
+const MIN_GYROSCOPE_BIAS_SIGMA_RAD_S: f64 = 2e-3;
 
 impl InitialState {
-    /// From a pose in a frame of known gravity: L gets its origin at the body, z up and no yaw.
+    /// From ground truth: L has its origin at the IMU, z up and no yaw.
     ///
     /// # Arguments
-    /// * `world_from_imu`: true pose.
+    /// * `stamp_ns`: by the IMU's clock, nanoseconds.
+    /// * `world_from_imu`: true pose, in any frame with known gravity.
     /// * `velocity_in_world`: m/s.
     /// * `gravity_in_world`: unit vector along gravity.
     pub fn from_truth(
@@ -79,7 +89,7 @@ impl InitialState {
         sigmas: InitialSigmas,
     ) -> Self {
         let imu_from_world = world_from_imu.rotation.inverse();
-        let local_from_imu = upright(&(imu_from_world * -gravity_in_world));
+        let local_from_imu = gravity_aligned(&(imu_from_world * -gravity_in_world));
         Self {
             stamp_ns,
             imu: ImuState {
@@ -92,58 +102,77 @@ impl InitialState {
         }
     }
 
-    /// From readings at rest: gravity gives roll and pitch, the gyroscope its bias.
+    /// From IMU samples at rest: roll and pitch from gravity, gyroscope bias from the mean angular velocity.
+    ///
+    /// # Arguments
+    /// * `samples`: about [`REST_SECONDS`] of them, oldest first.
+    ///
+    /// # Returns
+    /// The state at the last sample, with its origin at the IMU, z up and no yaw.
     ///
     /// # Errors
-    /// [`InitializationError`] says what is missing.
-    pub fn from_rest(samples: &[ImuSample], config: &EstimatorConfig) -> Result<Self, InitializationError> {
+    /// [`StaticInitError`]: too few samples, motion, or a wrong gravity.
+    ///
+    /// ```
+    /// use estimator::{EstimatorConfig, ImuSample, InitialState};
+    /// use nalgebra::Vector3;
+    ///
+    /// let samples: Vec<ImuSample> = (0..=100)
+    ///     .map(|k| ImuSample {
+    ///         stamp_ns: k * 5_000_000,
+    ///         gyroscope: Vector3::new(0.01, 0.0, 0.0),
+    ///         accelerometer: Vector3::new(0.0, 9.81, 0.0), // y is up
+    ///     })
+    ///     .collect();
+    /// let initial = InitialState::from_rest(&samples, &EstimatorConfig::default())?;
+    /// assert!((initial.imu.gyroscope_bias.x - 0.01).abs() < 1e-9);
+    /// assert!((initial.imu.local_from_imu.rotation * Vector3::y() - Vector3::z()).norm() < 1e-9);
+    /// # Ok::<(), estimator::initialization::static_init::StaticInitError>(())
+    /// ```
+    pub fn from_rest(samples: &[ImuSample], config: &EstimatorConfig) -> Result<Self, StaticInitError> {
         let (Some(first), Some(last)) = (samples.first(), samples.last()) else {
-            return Err(InitializationError::TooShort { have: 0.0, need: REST_SECONDS });
+            return Err(StaticInitError::TooShort { have: 0.0, need: REST_SECONDS });
         };
         let have = (last.stamp_ns - first.stamp_ns) as f64 * 1e-9;
         if have < REST_SECONDS * 0.9 {
-            return Err(InitializationError::TooShort { have, need: REST_SECONDS });
+            return Err(StaticInitError::TooShort { have, need: REST_SECONDS });
         }
-        let (force, force_deviation) = statistics(samples, |sample| sample.accelerometer);
-        let (rate, rate_deviation) = statistics(samples, |sample| sample.gyroscope);
-        if force_deviation > REST_ACCELEROMETER || rate_deviation > REST_GYROSCOPE {
-            return Err(InitializationError::Moving {
-                accelerometer: force_deviation,
-                gyroscope: rate_deviation,
-            });
+        let (force, force_sigma) = statistics(samples, |sample| sample.accelerometer);
+        let (rate, rate_sigma) = statistics(samples, |sample| sample.gyroscope);
+        if force_sigma > MAX_ACCELEROMETER_SIGMA || rate_sigma > MAX_GYROSCOPE_SIGMA {
+            return Err(StaticInitError::Moving { accelerometer: force_sigma, gyroscope: rate_sigma });
         }
         if (force.norm() - config.gravity).abs() > GRAVITY_TOLERANCE {
-            return Err(InitializationError::NotGravity { norm: force.norm(), gravity: config.gravity });
+            return Err(StaticInitError::NotGravity { norm: force.norm(), gravity: config.gravity });
         }
-        // A tilt and an accelerometer bias cannot be told apart at rest: the tilt is as uncertain as
-        // the bias makes it.
-        let tilt = (config.initial.accelerometer_bias / config.gravity).max(0.005);
+        // Tilt and accelerometer bias are not distinguishable at rest: the sigma of the tilt follows from that of the bias.
+        let tilt = config.initial.sigma_accelerometer_bias_m_s2 / config.gravity;
         let sigmas = InitialSigmas {
-            tilt,
-            velocity: 0.05,
-            // A body that rocks a little has no mean rate of zero over half a second.
-            gyroscope_bias: (0.5 * rate_deviation).max(2e-3),
+            sigma_tilt_rad: tilt.max(MIN_TILT_SIGMA_RAD),
+            sigma_velocity_m_s: REST_VELOCITY_SIGMA_M_S,
+            // Small oscillations do not average out over half a second.
+            sigma_gyroscope_bias_rad_s: (0.5 * rate_sigma).max(MIN_GYROSCOPE_BIAS_SIGMA_RAD_S),
             ..config.initial
         };
         Ok(Self {
             stamp_ns: last.stamp_ns,
             imu: ImuState {
-                local_from_imu: Pose::new(upright(&force), Vector3::zeros()),
+                local_from_imu: Pose::new(gravity_aligned(&force), Vector3::zeros()),
                 velocity: Vector3::zeros(),
                 gyroscope_bias: rate,
-                // Of the bias, only the part along gravity shows at rest.
+                // Only the component of the bias along gravity is observable at rest.
                 accelerometer_bias: force.normalize() * (force.norm() - config.gravity),
             },
             covariance: sigmas.covariance(),
         })
     }
 
-    /// The same state in axes that are turned about gravity, or moved.
+    /// The same state in another local frame.
     ///
     /// # Arguments
-    /// * `new_from_old`: its rotation is one about z.
-    pub fn seen_from(&self, new_from_old: &Pose) -> Self {
-        let blocks = turned_imu(&new_from_old.rotation);
+    /// * `new_from_old`: a translation and a rotation about z.
+    pub fn transformed(&self, new_from_old: &Pose) -> Self {
+        let blocks = imu_rotation_adjoint(&new_from_old.rotation);
         Self {
             stamp_ns: self.stamp_ns,
             imu: ImuState {
@@ -157,7 +186,7 @@ impl InitialState {
 }
 
 impl InitialSigmas {
-    /// The covariance of an IMU error whose parts are independent.
+    /// The diagonal 15x15 covariance of the IMU error `[δθ, δp, δv, δb_g, δb_a]`.
     pub fn covariance(&self) -> ImuMatrix {
         let mut covariance = ImuMatrix::zeros();
         let mut put = |begin: usize, sigmas: [f64; 3]| {
@@ -165,18 +194,18 @@ impl InitialSigmas {
                 covariance[(begin + k, begin + k)] = sigma * sigma;
             }
         };
-        put(0, [self.tilt, self.tilt, self.yaw]);
-        put(3, [self.position; 3]);
-        put(VELOCITY, [self.velocity; 3]);
-        put(GYROSCOPE_BIAS, [self.gyroscope_bias; 3]);
-        put(ACCELEROMETER_BIAS, [self.accelerometer_bias; 3]);
+        put(0, [self.sigma_tilt_rad, self.sigma_tilt_rad, self.sigma_yaw_rad]);
+        put(3, [self.sigma_position_m; 3]);
+        put(VELOCITY, [self.sigma_velocity_m_s; 3]);
+        put(GYROSCOPE_BIAS, [self.sigma_gyroscope_bias_rad_s; 3]);
+        put(ACCELEROMETER_BIAS, [self.sigma_accelerometer_bias_m_s2; 3]);
         covariance
     }
 }
 
-/// `diag(R, R, R, I, I)`: an IMU error told in axes that are turned.
-fn turned_imu(turn: &Rotation) -> ImuMatrix {
-    let rotation = turn.to_rotation_matrix().into_inner();
+/// `diag(R, R, R, I, I)`: maps an IMU error to rotated axes of the local frame.
+fn imu_rotation_adjoint(rotation: &Rotation) -> ImuMatrix {
+    let rotation = rotation.to_rotation_matrix().into_inner();
     let mut blocks = ImuMatrix::identity();
     for begin in [0, 3, VELOCITY] {
         blocks.fixed_view_mut::<3, 3>(begin, begin).copy_from(&rotation);
@@ -184,14 +213,15 @@ fn turned_imu(turn: &Rotation) -> ImuMatrix {
     blocks
 }
 
-/// The smallest rotation that carries the direction `up` of the body to z: no rotation about gravity.
-pub(crate) fn upright(up: &Vector3<f64>) -> Rotation {
+/// The smallest rotation from the direction `up` of the body to z: no rotation about gravity.
+pub(crate) fn gravity_aligned(up: &Vector3<f64>) -> Rotation {
     let up = UnitVector3::new_normalize(*up);
-    // Upside down every horizontal axis is as good as any other.
+    // If `up` is -z, any horizontal axis will do.
     Rotation::rotation_between_axis(&up, &Vector3::z_axis())
         .unwrap_or_else(|| Rotation::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI))
 }
 
+/// Mean, and standard deviation of the distance from it.
 fn statistics(samples: &[ImuSample], value: impl Fn(&ImuSample) -> Vector3<f64>) -> (Vector3<f64>, f64) {
     let count = samples.len().max(1) as f64;
     let mean = samples.iter().map(&value).sum::<Vector3<f64>>() / count;
@@ -205,7 +235,7 @@ mod tests {
     use geometry::rotation;
 
     #[test]
-    fn a_body_at_rest_finds_up_and_its_gyroscope_bias() {
+    fn at_rest_tilt_and_gyroscope_bias_are_found() {
         let config = EstimatorConfig::default();
         let tilted = rotation::exp(&Vector3::new(0.4, -1.2, 0.7));
         let bias = Vector3::new(0.01, 0.08, -0.03);
@@ -228,19 +258,19 @@ mod tests {
                 ..*sample
             })
             .collect();
-        assert!(matches!(InitialState::from_rest(&shaken, &config), Err(InitializationError::Moving { .. })));
+        assert!(matches!(InitialState::from_rest(&shaken, &config), Err(StaticInitError::Moving { .. })));
         assert!(InitialState::from_rest(&samples[..20], &config).is_err());
     }
 
     #[test]
-    fn truth_in_any_frame_gives_a_local_frame_with_z_up_and_no_yaw() {
+    fn ground_truth_in_any_frame_gives_a_local_frame_with_z_up_and_no_yaw() {
         let gravity = -Vector3::x();
         let pose = Pose::new(rotation::exp(&Vector3::new(1.0, 0.2, -0.4)), Vector3::new(5.0, 6.0, 7.0));
         let start = InitialState::from_truth(7, &pose, &Vector3::x(), &gravity, InitialSigmas::default());
         let in_body = pose.rotation.inverse() * gravity;
         assert!((start.imu.local_from_imu.rotation * in_body + Vector3::z()).norm() < 1e-12);
         assert!((start.imu.velocity - Vector3::z()).norm() < 1e-12);
-        // The axis of the rotation is horizontal: nothing turns about gravity.
+        // The rotation axis is horizontal: no rotation about gravity.
         assert!(rotation::log(&start.imu.local_from_imu.rotation).z.abs() < 1e-12);
     }
 }

@@ -1,70 +1,72 @@
-//! The gyroscope's bias from how the images say that the body turned, before anything else is known.
+//! The gyroscope bias from the rotations between images, before anything else is known.
 //!
-//! Two rays to one landmark and the line between both cameras lie in a plane, whatever the depth:
-//! `tᵀ (f_i x R_ij f_j) = 0`. The rotation `R_ij` depends on the bias alone, the direction `t` is found
-//! for each pair of images beside it. Gauss-Newton on both, with a prior on the bias.
+//! Epipolar constraint: two bearings of a landmark and the baseline lie in a plane, `tᵀ (f_i x R_ij f_j) = 0`. The rotation
+//! `R_ij` depends on the bias only; the direction `t` of the baseline is estimated for each pair of images. Gauss-Newton on
+//! both, with a prior on the bias.
 //!
-//! Source: Kneip & Lynen, ICCV 2013 (rotation apart from translation); He, Xu, Ouyang & Li, CVPR 2023 (the
-//! bias of the gyroscope from it).
+//! Source: Kneip & Lynen, ICCV 2013 (rotation independent of translation); He, Xu, Ouyang & Li, CVPR 2023 (gyroscope bias
+//! from it).
 
-use super::window::Window;
+use super::window::{Window, WindowTrack};
 use crate::calibration::CalibratedCamera;
 use crate::imu::{ImuSample, Readings};
 use geometry::Rotation;
+use geometry::robust::huber;
 use geometry::rotation::{exp, right_jacobian, skew};
 use nalgebra::{Matrix2, Matrix2x3, Matrix3, SymmetricEigen, Vector2, Vector3};
 
-/// Images of a pair are so far apart, nanoseconds: far enough for parallax, near enough to share tracks.
+/// Time between the images of a pair, nanoseconds: enough for parallax, little enough to share tracks.
 const PAIR_NS: i64 = 350_000_000;
-/// Fewest shared tracks of a pair.
-const LEAST_SHARED: usize = 12;
-/// Gauss-Newton steps; a bias of 0.1 rad/s is found to its noise after four.
+/// Minimum number of shared tracks of a pair.
+const MIN_SHARED_TRACKS: usize = 12;
+/// Gauss-Newton steps; a bias of 0.1 rad/s converges in four.
 const STEPS: usize = 6;
-/// Residual in standard deviations from which on its weight falls (Huber).
-const HUBER: f64 = 1.5;
+/// Residual from which on Huber's loss is linear, sigmas.
+const HUBER_SIGMAS: f64 = 1.5;
 
-/// How a body turned between two images, and how that depends on the gyroscope's bias.
-pub struct Turn {
+/// Rotation of the body between two images, and its dependence on the gyroscope bias.
+pub struct RelativeRotation {
     /// `first_from_second`.
     pub rotation: Rotation,
-    /// `rotation(b + d) = rotation(b) Exp(-by_bias d)`, seconds.
-    pub by_bias: Matrix3<f64>,
+    /// `rotation(b + d) = rotation(b) Exp(-wrt_bias d)`, seconds.
+    pub wrt_bias: Matrix3<f64>,
 }
 
 /// Integrates the gyroscope.
-pub fn turn(readings: &[&[ImuSample]], bias: &Vector3<f64>) -> Turn {
-    let mut turned = Turn { rotation: Rotation::identity(), by_bias: Matrix3::zeros() };
+pub fn integrate_gyroscope(readings: &[&[ImuSample]], bias: &Vector3<f64>) -> RelativeRotation {
+    let mut relative = RelativeRotation { rotation: Rotation::identity(), wrt_bias: Matrix3::zeros() };
     for pair in readings.iter().flat_map(|part| part.windows(2)) {
         let dt = (pair[1].stamp_ns - pair[0].stamp_ns) as f64 * 1e-9;
         let angle = (0.5 * (pair[0].gyroscope + pair[1].gyroscope) - bias) * dt;
         let step = exp(&angle);
-        turned.by_bias = step.inverse().to_rotation_matrix() * turned.by_bias + right_jacobian(&angle) * dt;
-        turned.rotation *= step;
+        relative.wrt_bias =
+            step.inverse().to_rotation_matrix() * relative.wrt_bias + right_jacobian(&angle) * dt;
+        relative.rotation *= step;
     }
-    turned
+    relative
 }
 
-/// Rays of one pair of images in the body's axes at each of them.
+/// Bearings of one pair of images, each in the frame of its body.
 struct Pair<'a> {
     readings: Vec<&'a [ImuSample]>,
     rays: Vec<(Vector3<f64>, Vector3<f64>)>,
 }
 
-/// The gyroscope's bias that agrees best with the tracks of the first camera, rad/s.
+/// The gyroscope bias that minimizes the epipolar residuals of the first camera, rad/s.
 ///
 /// # Arguments
-/// * `prior`: what is believed of the bias, with its standard deviation `prior_sigma` (rad/s).
+/// * `prior`, `prior_sigma`: prior of the bias and its standard deviation, rad/s.
 /// * `sigma_px`: noise of a pixel, px.
 pub fn refine_bias(
     window: &Window,
-    rig: &[CalibratedCamera],
+    cameras: &[CalibratedCamera],
     prior: &Vector3<f64>,
     prior_sigma: f64,
     sigma_px: f64,
 ) -> Vector3<f64> {
-    let eye = &rig[0];
-    let sigma = sigma_px / eye.camera.focal[0].min(eye.camera.focal[1]);
-    let pairs = pairs(window, &eye.imu_from_camera.rotation);
+    let calibrated = &cameras[0];
+    let sigma = sigma_px / calibrated.camera.focal[0].min(calibrated.camera.focal[1]);
+    let pairs = pairs(window, &calibrated.imu_from_camera.rotation);
     let mut bias = *prior;
     for _ in 0..STEPS {
         let mut information = Matrix3::identity() / prior_sigma.powi(2);
@@ -89,8 +91,9 @@ fn pairs<'a>(window: &'a Window, imu_from_camera: &Rotation) -> Vec<Pair<'a>> {
         if second >= window.stamps_ns.len() {
             break;
         }
-        let ray = |track: &super::window::StartTrack, image: usize| {
-            let seen = track.iter().find(|sighting| sighting.image == image && sighting.camera == 0)?;
+        let ray = |track: &WindowTrack, image: usize| {
+            let seen =
+                track.iter().find(|observation| observation.image == image && observation.camera == 0)?;
             Some(imu_from_camera * seen.ray.normalize())
         };
         let rays: Vec<_> = window
@@ -98,7 +101,7 @@ fn pairs<'a>(window: &'a Window, imu_from_camera: &Rotation) -> Vec<Pair<'a>> {
             .iter()
             .filter_map(|track| Some((ray(track, first)?, ray(track, second)?)))
             .collect();
-        if rays.len() >= LEAST_SHARED {
+        if rays.len() >= MIN_SHARED_TRACKS {
             let readings = window.readings[first..second].iter().map(Readings::as_slice).collect();
             pairs.push(Pair { readings, rays });
         }
@@ -106,7 +109,7 @@ fn pairs<'a>(window: &'a Window, imu_from_camera: &Rotation) -> Vec<Pair<'a>> {
     pairs
 }
 
-/// Adds what one pair says of the bias, its direction of translation eliminated.
+/// Adds the normal equations of one pair, direction of the baseline eliminated.
 fn add_pair(
     pair: &Pair<'_>,
     bias: &Vector3<f64>,
@@ -114,8 +117,8 @@ fn add_pair(
     information: &mut Matrix3<f64>,
     vector: &mut Vector3<f64>,
 ) {
-    let turned = turn(&pair.readings, bias);
-    let matrix = turned.rotation.to_rotation_matrix().into_inner();
+    let relative = integrate_gyroscope(&pair.readings, bias);
+    let matrix = relative.rotation.to_rotation_matrix().into_inner();
     let normals: Vec<Vector3<f64>> =
         pair.rays.iter().map(|(first, second)| first.cross(&(matrix * second))).collect();
     let Some(direction) = direction(&normals, sigma) else { return };
@@ -127,22 +130,22 @@ fn add_pair(
         let residual = direction.dot(normal);
         let weight = huber_weight(residual, sigma) / sigma.powi(2);
         // R(b + d) f = R f + R [f]x J d
-        let by_bias =
-            (direction.transpose() * skew(first) * matrix * skew(second) * turned.by_bias).transpose();
-        let by_tangent = Vector2::new(normal.dot(&tangent[0]), normal.dot(&tangent[1]));
-        by_direction += by_tangent * by_tangent.transpose() * weight;
-        cross += by_tangent * by_bias.transpose() * weight;
-        direction_vector -= by_tangent * (residual * weight);
-        own += by_bias * by_bias.transpose() * weight;
-        own_vector -= by_bias * (residual * weight);
+        let wrt_bias =
+            (direction.transpose() * skew(first) * matrix * skew(second) * relative.wrt_bias).transpose();
+        let wrt_tangent = Vector2::new(normal.dot(&tangent[0]), normal.dot(&tangent[1]));
+        by_direction += wrt_tangent * wrt_tangent.transpose() * weight;
+        cross += wrt_tangent * wrt_bias.transpose() * weight;
+        direction_vector -= wrt_tangent * (residual * weight);
+        own += wrt_bias * wrt_bias.transpose() * weight;
+        own_vector -= wrt_bias * (residual * weight);
     }
-    // A direction that the pair does not know (no parallax) is held by a weak prior of one radian.
+    // Weak prior of one radian on the direction, for pairs without parallax.
     let Some(factor) = (by_direction + Matrix2::identity()).cholesky() else { return };
     *information += own - cross.transpose() * factor.solve(&cross);
     *vector += own_vector - cross.transpose() * factor.solve(&direction_vector);
 }
 
-/// The direction that is as square as can be to all normals, outliers weighted down.
+/// The direction most orthogonal to all normals, with Huber weights.
 fn direction(normals: &[Vector3<f64>], sigma: f64) -> Option<Vector3<f64>> {
     let mut weights = vec![1.0; normals.len()];
     let mut direction = None;
@@ -161,11 +164,10 @@ fn direction(normals: &[Vector3<f64>], sigma: f64) -> Option<Vector3<f64>> {
 }
 
 fn huber_weight(residual: f64, sigma: f64) -> f64 {
-    let length = residual.abs() / sigma;
-    if length <= HUBER { 1.0 } else { HUBER / length }
+    huber(residual.abs() / sigma, HUBER_SIGMAS).0
 }
 
-/// Two unit vectors square to `direction` and to each other.
+/// Two unit vectors orthogonal to `direction` and to each other.
 fn tangent(direction: &Vector3<f64>) -> [Vector3<f64>; 2] {
     let mut axis = Vector3::zeros();
     axis[direction.iamin()] = 1.0;

@@ -4,7 +4,9 @@
 use estimator::calibration::{Calibration, OnlineCalibration};
 use estimator::covariance::JointCovariance;
 use estimator::covariance::information::{Columns, Information};
-use estimator::map_update::map_rows::{Linearization, MapPoint, RowSettings, landmark_rows};
+use estimator::map_update::map_measurement::{
+    Linearization, LinearizationPoint, MapMeasurementSettings, linearize_landmark,
+};
 use estimator::state::retract_locally;
 use estimator::{CalibratedCamera, MapAnswer, MapKeyframe, MatchedLandmark};
 use geometry::numeric::numeric_jacobian;
@@ -13,7 +15,8 @@ use nalgebra::{DMatrix, DVector, Matrix3, Matrix6, Rotation3, Vector2, Vector3, 
 use rand::{RngExt as _, SeedableRng, rngs::StdRng};
 
 const KEYFRAMES: [u64; 3] = [40, 7, 12];
-const SETTINGS: RowSettings = RowSettings { sigma_match_px: 1.5, sigma_map_px: 0.8, map_is_exact: false };
+const SETTINGS: MapMeasurementSettings =
+    MapMeasurementSettings { sigma_match_px: 1.5, sigma_map_px: 0.8, map_is_exact: false };
 
 fn camera() -> Camera {
     Camera {
@@ -26,7 +29,7 @@ fn camera() -> Camera {
 }
 
 /// A camera that looks along the body's x axis, with a small turn and a lever.
-fn eye() -> CalibratedCamera {
+fn calibrated() -> CalibratedCamera {
     let axes = Matrix3::new(0.0, 0.0, 1.0, -1.0, 0.0, 0.0, 0.0, -1.0, 0.0);
     let turn = rotation::exp(&Vector3::new(0.02, -0.03, 0.01));
     let rotation = turn * geometry::Rotation::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes));
@@ -38,7 +41,7 @@ fn eye() -> CalibratedCamera {
 
 /// One image, three keyframes that look the same way, and landmarks before all of them.
 struct Scene {
-    truth: MapPoint,
+    truth: LinearizationPoint,
     answer: MapAnswer,
 }
 
@@ -48,8 +51,8 @@ fn scene(count: usize, pixel_noise: f64) -> Scene {
         Pose::new(rotation::exp(&Vector3::new(0.3, -0.2, 2.0)), Vector3::new(20.0, -8.0, 3.0));
     let local_from_imu =
         Pose::new(rotation::exp(&Vector3::new(0.1, -0.05, 0.4)), Vector3::new(5.0, 2.0, 1.0));
-    let truth = MapPoint { local_from_imu, global_from_local };
-    let global_from_camera = global_from_local * local_from_imu * eye().imu_from_camera;
+    let truth = LinearizationPoint { local_from_imu, global_from_local };
+    let global_from_camera = global_from_local * local_from_imu * calibrated().imu_from_camera;
     let offsets = [[0.9, -0.2, -1.0], [-0.8, 0.4, -0.5], [0.2, 0.5, -2.0]].map(Vector3::from);
     let poses = offsets.map(|offset| global_from_camera * Pose::new(rotation::exp(&(0.05 * offset)), offset));
     let keyframes = std::iter::zip(KEYFRAMES, poses).map(|(id, pose)| MapKeyframe {
@@ -78,7 +81,7 @@ fn scene(count: usize, pixel_noise: f64) -> Scene {
     Scene {
         truth,
         answer: MapAnswer {
-            asked_with: Vec::new(),
+            held_at_query: Vec::new(),
             map_version: 1,
             keyframes,
             landmarks,
@@ -92,15 +95,15 @@ fn rows(
     scene: &Scene,
     landmark: usize,
     point: &Linearization,
-    settings: &RowSettings,
+    settings: &MapMeasurementSettings,
 ) -> (DMatrix<f64>, DVector<f64>) {
     let poses = |id| scene.answer.keyframe(id).map(|keyframe| keyframe.global_from_keyframe.pose);
-    landmark_rows(
+    linearize_landmark(
         &scene.answer.landmarks[landmark],
         &scene.answer,
         &KEYFRAMES,
         &poses,
-        &Calibration::new(vec![eye()], 0.0, OnlineCalibration::default()),
+        &Calibration::new(vec![calibrated()], 0.0, OnlineCalibration::default()),
         point,
         settings,
     )
@@ -111,8 +114,8 @@ fn part(error: &DVector<f64>, begin: usize) -> Vector6<f64> {
     error.fixed_rows::<6>(begin).into()
 }
 
-fn moved(point: &MapPoint, error: &DVector<f64>) -> MapPoint {
-    MapPoint {
+fn moved(point: &LinearizationPoint, error: &DVector<f64>) -> LinearizationPoint {
+    LinearizationPoint {
         local_from_imu: point.local_from_imu.retract(&part(error, 0)),
         global_from_local: retract_locally(&point.global_from_local, &part(error, 6)),
     }
@@ -120,7 +123,7 @@ fn moved(point: &MapPoint, error: &DVector<f64>) -> MapPoint {
 
 /// The paper's equations, written down a second time: whitened pixels as a function of
 /// `[clone, transform, keyframes, landmark]`.
-fn pixels(scene: &Scene, landmark: usize, from: &MapPoint, error: &DVector<f64>) -> DVector<f64> {
+fn pixels(scene: &Scene, landmark: usize, from: &LinearizationPoint, error: &DVector<f64>) -> DVector<f64> {
     let landmark = &scene.answer.landmarks[landmark];
     let point = moved(from, error);
     let pose = |id: u64| {
@@ -130,7 +133,7 @@ fn pixels(scene: &Scene, landmark: usize, from: &MapPoint, error: &DVector<f64>)
     };
     let position = landmark.position_in_anchor + error.fixed_rows::<3>(30);
     let in_global = pose(landmark.anchor).transform(&position);
-    let in_camera = (point.global_from_local * point.local_from_imu * eye().imu_from_camera)
+    let in_camera = (point.global_from_local * point.local_from_imu * calibrated().imu_from_camera)
         .inverse_transform(&in_global);
     let mut stacked: Vec<f64> = Vec::new();
     stacked.extend((camera().project(&in_camera).unwrap() / SETTINGS.sigma_match_px).iter());
@@ -172,7 +175,7 @@ fn the_rows_are_the_derivative_of_the_paper_s_equations_with_the_landmark_elimin
             let translation = pose.translation - rotation * error.fixed_rows::<3>(3).into_owned();
             Pose::new(rotation, translation)
         };
-        let estimate = MapPoint {
+        let estimate = LinearizationPoint {
             local_from_imu: back(&at.local_from_imu, part(&away, 0)),
             global_from_local: back_locally(&at.global_from_local, part(&away, 6)),
         };
@@ -180,13 +183,13 @@ fn the_rows_are_the_derivative_of_the_paper_s_equations_with_the_landmark_elimin
             let (jacobian, residual) =
                 rows(&scene, k, &Linearization { estimate, at, first_position: None }, &SETTINGS);
             let numeric = numeric_jacobian(33, |error| pixels(&scene, k, &estimate, &(&away + error)));
-            let (of_state, of_landmark) = (numeric.columns(0, 30), numeric.columns(30, 3));
+            let (wrt_state, wrt_landmark) = (numeric.columns(0, 30), numeric.columns(30, 3));
             let followed = measured(&scene.answer.landmarks[k]) - pixels(&scene, k, &estimate, &away)
                 + numeric.columns(0, 12) * step(scale);
-            let inverse = (of_landmark.transpose() * of_landmark).try_inverse().unwrap();
-            let hat = DMatrix::identity(8, 8) - of_landmark * inverse * of_landmark.transpose();
-            let matrix = of_state.transpose() * &hat * of_state;
-            let vector = of_state.transpose() * hat * followed;
+            let inverse = (wrt_landmark.transpose() * wrt_landmark).try_inverse().unwrap();
+            let hat = DMatrix::identity(8, 8) - wrt_landmark * inverse * wrt_landmark.transpose();
+            let matrix = wrt_state.transpose() * &hat * wrt_state;
+            let vector = wrt_state.transpose() * hat * followed;
             assert_eq!(jacobian.shape(), (5, 30));
             let scale = matrix.amax();
             assert!((jacobian.tr_mul(&jacobian) - matrix).amax() < 1e-8 * scale, "landmark {k}");
@@ -214,7 +217,7 @@ fn turning_and_moving_local_about_gravity_is_invisible_to_the_map() {
     let first = scene.truth.local_from_imu.translation + Vector3::new(0.05, -0.1, 0.02);
     let point = Linearization { estimate: scene.truth, at: scene.truth, first_position: Some(first) };
     for k in 0..6 {
-        for settings in [SETTINGS, RowSettings { map_is_exact: true, ..SETTINGS }] {
+        for settings in [SETTINGS, MapMeasurementSettings { map_is_exact: true, ..SETTINGS }] {
             let (jacobian, _) = rows(&scene, k, &point, &settings);
             let seen = jacobian.columns(0, 12) * gauge(&first);
             assert!(seen.amax() < 1e-11 * jacobian.amax(), "landmark {k}: {}", seen.amax());
@@ -245,7 +248,8 @@ fn the_depth_of_a_landmark_carries_no_information() {
 fn a_map_taken_for_exact_has_two_rows_a_landmark_and_no_keyframe_columns() {
     let scene = scene(2, 1.0);
     let point = Linearization { estimate: scene.truth, at: scene.truth, first_position: None };
-    let (jacobian, residual) = rows(&scene, 0, &point, &RowSettings { map_is_exact: true, ..SETTINGS });
+    let (jacobian, residual) =
+        rows(&scene, 0, &point, &MapMeasurementSettings { map_is_exact: true, ..SETTINGS });
     assert_eq!((jacobian.shape(), residual.len()), ((2, 12), 2));
     let numeric = numeric_jacobian(33, |error| pixels(&scene, 0, &scene.truth, error));
     assert!((jacobian - numeric.view((0, 0), (2, 12))).amax() < 1e-6);
@@ -262,7 +266,7 @@ fn one_keyframe_leaves_one_row_and_each_further_one_adds_two() {
 }
 
 /// Rotation error of `G_T_L` (rad) after one update linearized at `at`.
-fn error_after(scene: &Scene, estimate: MapPoint, at: MapPoint) -> f64 {
+fn error_after(scene: &Scene, estimate: LinearizationPoint, at: LinearizationPoint) -> f64 {
     let mut covariance = DMatrix::identity(12, 12) * 1e-6;
     covariance.view_mut((6, 6), (6, 6)).fill_diagonal(4.0);
     let mut joint = JointCovariance::new(covariance, 8);
