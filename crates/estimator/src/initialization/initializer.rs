@@ -43,7 +43,6 @@ const MOTION_CHECK_MAX_DISPLACEMENT: f64 = 2.5;
 
 /// How the initial state was found.
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[non_exhaustive]
 pub enum InitMethod {
     /// At rest.
     Static,

@@ -57,7 +57,6 @@ pub struct MapRevision {
 
 /// Effect of [`Estimator::map_changed`](crate::Estimator::map_changed).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[non_exhaustive]
 pub enum RevisionEffect {
     /// `global_from_local` was kept, with process noise added.
     CarriedOver,
