@@ -63,9 +63,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let initial = InitialState::from_truth(0, &truth(0), &velocity, &-Vector3::z(), sigmas);
     let mut estimator = Estimator::new(EstimatorConfig::default(), vec![camera.clone()], &initial)?;
 
-    // A map whose frame G is L rotated by 90 degrees and moved, with one keyframe known to 1 cm and 0.06 degrees.
-    let global_from_local =
-        Pose::new(rotation::exp(&(Vector3::z() * 1.5708)), Vector3::new(30.0, -12.0, 2.0));
+    // A map whose frame G is L rotated by 1.2 rad and moved, with one keyframe known to 1 cm and 0.06 degrees.
+    let global_from_local = Pose::new(rotation::exp(&(Vector3::z() * 1.2)), Vector3::new(30.0, -12.0, 2.0));
     let local_from_keyframe = truth(0) * camera.imu_from_camera;
     let mut covariance = Matrix6::identity() * 1e-6;
     covariance.fixed_view_mut::<3, 3>(3, 3).fill_diagonal(1e-4);

@@ -80,7 +80,10 @@ fn gliding_is_not_rest_and_one_camera_that_glides_never_starts() {
     let glide = Vector3::new(0.4, 0.1, 0.0);
     let waited = watch(Initializer::new(EstimatorConfig::default(), cameras()), glide, 6.0).unwrap_err();
     let last = waited.last().unwrap().to_string();
-    assert!(last.contains("the features of the images move") && last.contains("dynamic initialization: "), "{last}");
+    assert!(
+        last.contains("the features of the images move") && last.contains("dynamic initialization: "),
+        "{last}"
+    );
 }
 
 #[test]
