@@ -30,7 +30,8 @@ struct Player<'a> {
 impl<'a> Player<'a> {
     /// At the first image to be timed.
     fn new(sequence: &'a Sequence, cameras: usize) -> Self {
-        let config = EstimatorConfig { mode: MapMode::Odometry, ..EstimatorConfig::default() };
+        let mut config = EstimatorConfig::default();
+        config.mode = MapMode::Odometry;
         let row = &sequence.groundtruth.as_ref().unwrap()[0];
         let gravity = sequence.truth_gravity().unwrap();
         let initial = InitialState::from_truth(

@@ -5,7 +5,7 @@
 
 use estimator::{
     CalibratedCamera, Estimator, EstimatorConfig, EstimatorError, ImuSample, InitMethod, InitStatus,
-    Initializer, LastTrustedPose, Localization, Start, Status, TrackObservation,
+    Initialization, Initializer, LastTrustedPose, Localization, Status, TrackObservation,
 };
 
 /// A filter that diverges earlier than this was initialized badly, nanoseconds.
@@ -62,7 +62,7 @@ impl EstimatorSupervisor {
             last_trusted: None,
             bad_initializations: 0,
             divergence: None,
-            init_status: InitStatus::Data,
+            init_status: InitStatus::NoData,
             next_warning_ns: None,
         }
     }
@@ -111,7 +111,7 @@ impl EstimatorSupervisor {
     /// [`EstimatorError::BadImu`]: the reading was refused.
     pub fn imu(&mut self, sample: ImuSample) -> Result<(), EstimatorError> {
         match &mut self.phase {
-            Phase::Initializing(initializer) => initializer.imu(sample),
+            Phase::Initializing(initializer) => Ok(initializer.imu(sample)?),
             Phase::Running(estimator) => estimator.imu(sample),
         }
     }
@@ -129,7 +129,7 @@ impl EstimatorSupervisor {
         tracks: &[TrackObservation],
     ) -> Result<Option<InitMethod>, EstimatorError> {
         let Phase::Initializing(initializer) = &mut self.phase else { return Ok(None) };
-        let Start { initial, method } = match initializer.image(stamp_ns, tracks) {
+        let Initialization { initial, method } = match initializer.image(stamp_ns, tracks) {
             Ok(start) => start,
             Err(status) => {
                 self.note_init_status(stamp_ns, status);
@@ -191,10 +191,10 @@ impl EstimatorSupervisor {
             // Readings that the filter refused are refused here too.
             let _ = initializer.imu(*reading);
         }
-        initializer.forget_rest();
+        initializer.discard_rest();
         self.phase = Phase::Initializing(Box::new(initializer));
         self.divergence = Some(why.to_string());
-        self.init_status = InitStatus::Data;
+        self.init_status = InitStatus::NoData;
     }
 
     /// Status of the localization.

@@ -53,7 +53,7 @@ pub fn map_answer(
     MapAnswer {
         map_version: status.map_version,
         keyframes,
-        asked_with: held.to_vec(),
+        held_at_query: held.to_vec(),
         landmarks,
         gravity_in_global: status.gravity_in_global.map(Vector3::from),
         sigma_map_px: status.sigma_map_px,
@@ -66,12 +66,13 @@ fn pixel_of(pixel: [f32; 2]) -> Vector2<f64> {
 
 /// The estimator's form of a map change.
 pub fn map_revision(notice: MapChangeNotice) -> MapRevision {
-    let size = notice
-        .stated_change
-        .map(|size| ChangeSize { sigma_rotation: size.sigma_theta_rad, sigma_position: size.sigma_p_m });
-    let mut other_errors = notice.moved;
-    other_errors.extend(notice.removed);
-    MapRevision { from_version: notice.from_version, version: notice.version, other_errors, size }
+    let size = notice.stated_change.map(|size| ChangeSize {
+        sigma_rotation_rad: size.sigma_theta_rad,
+        sigma_position_m: size.sigma_p_m,
+    });
+    let mut changed_keyframes = notice.moved;
+    changed_keyframes.extend(notice.removed);
+    MapRevision { from_version: notice.from_version, version: notice.version, changed_keyframes, size }
 }
 
 #[cfg(test)]
@@ -80,7 +81,7 @@ mod tests {
     use protocol::StatedChange;
 
     #[test]
-    fn a_revision_names_the_keyframes_with_other_errors_and_the_size_of_the_change() {
+    fn a_revision_names_the_keyframes_with_changed_keyframes_and_the_size_of_the_change() {
         let revision = map_revision(MapChangeNotice {
             map: "hall".to_owned(),
             from_version: 3,
@@ -91,7 +92,7 @@ mod tests {
             stated_change: Some(StatedChange { sigma_theta_rad: 0.01, sigma_p_m: 0.2 }),
         });
         assert_eq!((revision.from_version, revision.version), (3, 4));
-        assert_eq!(revision.other_errors, [2, 5, 9]);
-        assert_eq!(revision.size, Some(ChangeSize { sigma_rotation: 0.01, sigma_position: 0.2 }));
+        assert_eq!(revision.changed_keyframes, [2, 5, 9]);
+        assert_eq!(revision.size, Some(ChangeSize { sigma_rotation_rad: 0.01, sigma_position_m: 0.2 }));
     }
 }

@@ -114,7 +114,7 @@ impl RobotRun<'_> {
                         "the map changed; the pose in it is carried over to the new version"
                     );
                 }
-                RevisionEffect::FoundAnew => {
+                RevisionEffect::Reinitialized => {
                     recorder.map_changes.found_anew += 1;
                     tracing::warn!(
                         from,

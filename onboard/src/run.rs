@@ -260,7 +260,7 @@ impl RobotRun<'_> {
         tracing::info!(?method, "the estimator is initialized");
         recorder.note_start(stamp_ns, Some(&method));
         // An initialization in motion has used the tracks of its last image already.
-        Ok(Some(if method == InitMethod::Rest { tracks } else { Vec::new() }))
+        Ok(Some(if method == InitMethod::Static { tracks } else { Vec::new() }))
     }
 
     fn process_frame(&mut self, frame: &Frame, recorder: &mut Recorder) -> Result<(), EstimatorError> {

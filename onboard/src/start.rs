@@ -1,7 +1,7 @@
 //! The initial state of a run, and excerpts of recordings.
 
 use super::arguments::Init;
-use estimator::initialization::static_initialization::{InitializationError, REST_SECONDS};
+use estimator::initialization::static_init::{REST_SECONDS, StaticInitError};
 use estimator::{EstimatorConfig, ImuSample, InitialState};
 use nalgebra::Vector3;
 use sensors::{Recording, SequenceError, TruthRow};
@@ -38,7 +38,7 @@ pub enum StartError {
     NoVelocity,
     /// The first readings are not at rest.
     #[error("--init static (--init auto waits until it can initialize, at rest or in motion): {0}")]
-    NotAtRest(#[source] InitializationError),
+    NotAtRest(#[source] StaticInitError),
     /// A time of an excerpt.
     #[error("{switch} is {seconds}; it must be {wanted}")]
     Time {

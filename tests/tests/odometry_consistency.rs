@@ -1,7 +1,7 @@
 //! The odometry knows how wrong it is: NEES over Monte-Carlo runs, each of which starts from a drawn state.
 #![allow(clippy::unwrap_used)]
 
-use estimator::{EstimatorConfig, MapMode, OnlineCalibration};
+use estimator::{EstimatorConfig, MapMode};
 use evaluation::Verdict;
 use simulation::monte_carlo::score::{ScoreOptions, score};
 use simulation::monte_carlo::{
@@ -36,7 +36,8 @@ fn runs(runs: usize, calibration: CalibrationErrors, variants: &[Variant]) -> Ve
 }
 
 fn odometry(name: &str, cameras: usize) -> Variant {
-    let config = EstimatorConfig { mode: MapMode::Odometry, ..EstimatorConfig::default() };
+    let mut config = EstimatorConfig::default();
+    config.mode = MapMode::Odometry;
     Variant { name: name.to_owned(), config, cameras }
 }
 
@@ -66,12 +67,8 @@ fn a_wrong_calibration_is_a_tenth_as_wrong_after_a_minute() {
     };
     let mut variants = [odometry("mono", 1), odometry("stereo", 2)];
     for variant in &mut variants {
-        variant.config.calibration = OnlineCalibration {
-            extrinsics: true,
-            intrinsics: true,
-            time_offset: true,
-            ..OnlineCalibration::default()
-        };
+        let online = &mut variant.config.calibration;
+        (online.extrinsics, online.intrinsics, online.time_offset) = (true, true, true);
     }
     for all in runs(8, told, &variants) {
         let name = &all.variant.name;

@@ -78,7 +78,8 @@ impl Holder {
         let gravity = -Vector3::z();
         let initial =
             InitialState::from_truth(0, &upright, &imu.velocity, &gravity, InitialSigmas::default());
-        let config = EstimatorConfig { max_held_keyframes: 2 * count.max(100), ..EstimatorConfig::default() };
+        let mut config = EstimatorConfig::default();
+        config.max_held_keyframes = 2 * count.max(100);
         let mut estimator = Estimator::new(config, vec![eye.clone()], &initial).unwrap();
         estimator.imu(reading(0)).unwrap();
         let newest = estimator.time_update(0).unwrap();
@@ -144,8 +145,8 @@ impl Holder {
         let changed = MapRevision {
             from_version: 1,
             version: 2,
-            other_errors: estimator.held_keyframes(),
-            size: Some(ChangeSize { sigma_rotation: 1e-3, sigma_position: 1e-2 }),
+            changed_keyframes: estimator.held_keyframes(),
+            size: Some(ChangeSize { sigma_rotation_rad: 1e-3, sigma_position_m: 1e-2 }),
         };
         let begin = Instant::now();
         let effect = estimator.map_changed(&changed);
@@ -191,7 +192,7 @@ impl Holder {
         let answer = MapAnswer {
             map_version: 1,
             keyframes: stated.collect(),
-            asked_with: Vec::new(),
+            held_at_query: Vec::new(),
             landmarks: landmarks.collect(),
             gravity_in_global: Some(-Vector3::z()),
             sigma_map_px: 1.0,

@@ -1,38 +1,46 @@
-//! Every switch and every number of the filter, with the reason for its default.
+//! All settings of the filter, with units and the reason for each default.
 
 use crate::calibration::OnlineCalibration;
+use geometry::CameraError;
 use serde::{Deserialize, Serialize};
 
 /// What the estimator does with the map.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
+#[non_exhaustive]
 pub enum MapMode {
-    /// Ignores the map: plain visual-inertial odometry.
+    /// Visual-inertial odometry only; the map is ignored.
     Odometry,
-    /// SM in the paper: only the best keyframe of an answer.
+    /// Only the best keyframe of an answer (SM in the paper).
     Single,
-    /// MM in the paper: all keyframes of an answer, and every observation that they hold of a landmark.
+    /// All keyframes of an answer, and all their observations of each landmark (MM in the paper).
     Multi,
-    /// Takes poses and landmarks of the map for exact. Overconfident by construction; exists to be compared with.
+    /// Treats the map's poses and landmarks as exact. Inconsistent (overconfident) by construction; a baseline.
     MapConst,
 }
 
-/// What is re-computed from the PnP solution when the map disagrees with the prediction (the paper's R).
+/// Which linearization point is moved to the PnP solution when the map disagrees with the prediction (R in the paper).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
+#[non_exhaustive]
 pub enum Relinearization {
     /// Always linearize at the newest estimate.
     Off,
-    /// Move the linearization point of `global_from_local`, as the paper does first. The solution carries the error of the
-    /// keyframe that it was solved in, and that error then stands in the place of the state's: where a keyframe's own error
-    /// is what disagrees, on `yq` with 0.9 degrees of it, the pose in G gets a NEES of 1.5 instead of 1.2.
+    /// Move that of `global_from_local`, as the paper does first. The PnP solution has the error of its keyframe: where
+    /// that error is what disagrees (0.9 degrees on the recording `yq`), the pose in G has a NEES of 1.5 instead of 1.2.
     Transform,
-    /// Move the linearization point of the clone that saw the matched image.
+    /// Move that of the clone of the matched image.
     Clone,
 }
 
-/// IMU noise as continuous-time densities, the numbers of a Kalibr or EuRoC `sensor.yaml`.
+/// IMU noise as continuous-time densities, as in a Kalibr or EuRoC `sensor.yaml`.
+///
+/// ```
+/// let mut noise = estimator::ImuNoise::default();
+/// noise.gyroscope = 1e-3; // rad/s/sqrt(Hz)
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
 pub struct ImuNoise {
     /// Gyroscope white noise, rad/s/sqrt(Hz).
     pub gyroscope: f64,
@@ -45,16 +53,16 @@ pub struct ImuNoise {
 }
 
 impl ImuNoise {
-    /// The same sensor with its white noise taken `factor` times larger.
+    /// The same sensor with its white noise multiplied by `factor`.
     ///
-    /// Data sheets state a sensor at rest; on a vehicle vibration and scale errors come on top.
+    /// Data sheets state the noise at rest; vibration and scale-factor errors of a moving vehicle add to it.
     pub fn inflated(self, factor: f64) -> Self {
         Self { gyroscope: self.gyroscope * factor, accelerometer: self.accelerometer * factor, ..self }
     }
 }
 
 impl Default for ImuNoise {
-    /// The ADIS16448 of EuRoC as its `sensor.yaml` states it.
+    /// The ADIS16448 of EuRoC, from its `sensor.yaml`.
     fn default() -> Self {
         Self {
             gyroscope: 1.6968e-4,
@@ -65,53 +73,68 @@ impl Default for ImuNoise {
     }
 }
 
-/// Standard deviations of the state that the filter starts from.
+/// Standard deviations of the initial IMU state.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
+#[non_exhaustive]
 pub struct InitialSigmas {
     /// Roll and pitch, rad.
-    pub tilt: f64,
+    pub sigma_tilt_rad: f64,
     /// Rotation about gravity, rad.
-    pub yaw: f64,
+    pub sigma_yaw_rad: f64,
     /// Position, metres.
-    pub position: f64,
+    pub sigma_position_m: f64,
     /// Velocity, m/s.
-    pub velocity: f64,
+    pub sigma_velocity_m_s: f64,
     /// Gyroscope bias, rad/s.
-    pub gyroscope_bias: f64,
+    pub sigma_gyroscope_bias_rad_s: f64,
     /// Accelerometer bias, m/s^2.
-    pub accelerometer_bias: f64,
+    pub sigma_accelerometer_bias_m_s2: f64,
 }
 
 impl Default for InitialSigmas {
-    /// OpenVINS's figures for a start from ground truth, so that runs compare, but for yaw and
-    /// position: L is *defined* by the first pose, which makes both exact. A filter that takes them for
-    /// uncertain (0.017 rad, 0.05 m) shifts L against `G_T_L` for free, and its local pose on `yq/live`
-    /// is off by 1.18 m instead of 0.18 m, with the pose in G unchanged.
+    /// The values of OpenVINS for an initialization from ground truth, except yaw and position: L is *defined* by the
+    /// first pose, so both are exact. With uncertain ones (0.017 rad, 0.05 m) updates can shift L against
+    /// `global_from_local`: the error of the local pose on the recording `yq/live` was 1.18 m instead of 0.18 m, that in G
+    /// the same.
     fn default() -> Self {
         Self {
-            tilt: 0.017,
-            yaw: 1e-4,
-            position: 1e-3,
-            velocity: 0.01,
-            gyroscope_bias: 0.02,
-            accelerometer_bias: 0.02,
+            sigma_tilt_rad: 0.017,
+            sigma_yaw_rad: 1e-4,
+            sigma_position_m: 1e-3,
+            sigma_velocity_m_s: 0.01,
+            sigma_gyroscope_bias_rad_s: 0.02,
+            sigma_accelerometer_bias_m_s2: 0.02,
         }
     }
 }
 
 /// All settings of the [`Estimator`](crate::Estimator).
+///
+/// ```
+/// use estimator::{EstimatorConfig, MapMode};
+///
+/// let mut config = EstimatorConfig::default();
+/// config.mode = MapMode::Odometry;
+/// config.sigma_track_px = 0.7;
+/// assert!(config.validate().is_ok());
+///
+/// config.window = 2;
+/// let error = config.validate().unwrap_err();
+/// assert_eq!(error.to_string(), "window is 2; it must be at least 3: a track needs three clones");
+/// ```
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
+#[non_exhaustive]
 pub struct EstimatorConfig {
     /// What to do with the map.
     pub mode: MapMode,
     /// What to do when the map disagrees by more than [`Self::relinearize_above_px`].
     pub relinearization: Relinearization,
-    /// Jacobians of propagation, landmarks in the state and map rows at first estimates (keeps yaw and position
-    /// unobservable). Tracks that live within one window are always linearized at the newest estimates.
+    /// Evaluate the Jacobians of propagation, SLAM features and map measurements at first estimates (keeps yaw and
+    /// position unobservable). MSCKF tracks are always linearized at the newest estimates.
     pub first_estimates: bool,
-    /// Tell the filter when the body stands still (seen by its tracks).
+    /// Zero-velocity updates while the tracks show that the body is stationary.
     pub zero_velocity: bool,
     /// Clones in the sliding window. 20 beats 12 by 15 % on `loops`, and costs twice the time.
     pub window: usize,
@@ -119,59 +142,59 @@ pub struct EstimatorConfig {
     pub imu_noise: ImuNoise,
     /// Gravity, m/s^2.
     pub gravity: f64,
-    /// Standard deviations of the start.
+    /// Standard deviations of the initial state.
     pub initial: InitialSigmas,
-    /// Most landmarks kept in the state; none is the plain MSCKF. 30 take a fifth to a half off the drift on every
-    /// simulated recording for half as much time again; 50 are no better.
+    /// Maximum number of SLAM features; 0 is the plain MSCKF. 30 reduce the drift by 20 to 50 % on every simulated
+    /// recording and increase the run time by 50 %; 50 are no better.
     pub slam_features: usize,
-    /// Most tracks that one image's update uses.
+    /// Maximum number of tracks in the MSCKF update of one image.
     pub max_tracks: usize,
-    /// What of the cameras' calibration is estimated online.
+    /// Which parts of the cameras' calibration are estimated online.
     pub calibration: OnlineCalibration,
-    /// What is added to a camera's time to have the IMU's, seconds.
-    pub camera_time_offset: f64,
+    /// Added to a camera's time stamp to obtain the IMU's, seconds.
+    pub camera_time_offset_s: f64,
     /// Noise of a tracked pixel, px.
     pub sigma_track_px: f64,
     /// Noise of a matched pixel in the current image, px.
     pub sigma_match_px: f64,
-    /// Noise of a pixel stored in the map, px; unset, the map's own statement is used.
+    /// Noise of the map's pixels, px; if unset, the value stated in the answer is used.
     pub sigma_map_px: Option<f64>,
-    /// Significance of the chi-square gate on a track.
+    /// Confidence of the chi-square gate on a track.
     pub track_gate: f64,
-    /// Significance of the chi-square gate on one landmark of the map.
+    /// Confidence of the chi-square gate on one landmark of the map.
     pub landmark_gate: f64,
-    /// Significance of the chi-square gate on one whole map update.
+    /// Confidence of the chi-square gate on a whole map update.
     pub frame_gate: f64,
-    /// Mean reprojection error of the verified matches above which the linearization point moves, px.
-    /// The paper's 20 px.
+    /// Mean reprojection error of the inliers above which the linearization point is moved, px. 20 px as in the paper.
     pub relinearize_above_px: f64,
     /// Gauss-Newton iterations of a map update (1 is the plain extended Kalman filter).
     pub map_iterations: usize,
-    /// Matches that the PnP solution of a keyframe must explain before the answer counts as verified.
+    /// Minimum number of PnP inliers of the best keyframe.
     pub min_inliers: usize,
-    /// What "explain" means: reprojection error as an angle, rad. Generous, because the depth of a map
-    /// landmark is uncertain; the chi-square gates decide afterwards.
-    pub verify_angle: f64,
-    /// How far the landmarks of a keyframe are off together in its frame, in each direction, as a part of their distance:
-    /// a first fix takes the camera's place from them. What six recorded maps show is 0.004 to 0.011 sideways and ahead,
-    /// 0.025 ahead in one of them, with the error of the keyframe itself in it.
-    pub sigma_map_shift: f64,
-    /// Prior standard deviation of `global_from_local` before its first update: rotation, rad.
-    /// Too small a value ruins the filter in a way that the pose in G does not show.
-    pub transform_sigma_rotation: f64,
-    /// The same for its position, as a fraction of the median depth of the landmarks that gave it: the
-    /// distance to them is what PnP knows least, and one keyframe alone says nothing more about it.
-    pub transform_sigma_depth_fraction: f64,
-    /// Least prior standard deviation of its position, metres.
-    pub transform_sigma_position: f64,
-    /// Verified answers in a row that the gate may reject before the robot says that it is lost and
-    /// finds `global_from_local` anew.
+    /// PnP inlier threshold: reprojection error as an angle, rad. Wide, because the depth of a map landmark is uncertain;
+    /// the chi-square gates decide afterwards.
+    pub verify_angle_rad: f64,
+    /// Standard deviation of the common position error of a keyframe's landmarks in its frame, per axis, as a fraction of
+    /// their distance; used by the map initialization. Six recorded maps show 0.004 to 0.011 sideways and forward, one of
+    /// them 0.025 forward, the error of the keyframe included.
+    pub sigma_map_shift_fraction: f64,
+    /// Prior standard deviation of the rotation of `global_from_local` at the map initialization, rad. Too small a value
+    /// makes the filter inconsistent in a way that the error of the pose in G does not show.
+    pub sigma_transform_rotation_rad: f64,
+    /// The same of its position, as a fraction of the median depth of the landmarks: the distance to them is what PnP
+    /// determines least, and a single keyframe has no further information on it.
+    pub sigma_transform_depth_fraction: f64,
+    /// Lower bound of the prior standard deviation of its position, metres.
+    pub sigma_transform_position_m: f64,
+    /// Number of consecutive verified answers rejected by the gates after which the status is lost and
+    /// `global_from_local` is initialized again.
     pub lost_after_rejections: usize,
-    /// Held keyframes that are updated with every step; further ones are parked (exactly, see `nuisance`).
+    /// Maximum number of active held keyframes, updated with every step; further ones are inactive (exactly, see
+    /// [`schmidt`](crate::schmidt)).
     pub max_active_keyframes: usize,
-    /// Most keyframes that are held; beyond it those not used for longest are dropped, and the filter becomes as uncertain
-    /// as that takes (see `nuisance`). 5,000 take 25 to 45 MB with the default window and landmarks; a robot that drives
-    /// through a building for a day uses some hundred.
+    /// Maximum number of held keyframes; beyond it the least recently used are evicted and the covariance is inflated
+    /// accordingly (see [`schmidt`](crate::schmidt)). 5,000 take 25 to 45 MB with the default window and SLAM features; a
+    /// robot that drives through a building for a day uses some hundreds.
     pub max_held_keyframes: usize,
 }
 
@@ -189,7 +212,7 @@ impl Default for EstimatorConfig {
             slam_features: 30,
             max_tracks: 100,
             calibration: OnlineCalibration::default(),
-            camera_time_offset: 0.0,
+            camera_time_offset_s: 0.0,
             sigma_track_px: 1.0,
             sigma_match_px: 1.0,
             sigma_map_px: None,
@@ -199,11 +222,11 @@ impl Default for EstimatorConfig {
             relinearize_above_px: 20.0,
             map_iterations: 1,
             min_inliers: 8,
-            verify_angle: 0.0175,
-            sigma_map_shift: 0.02,
-            transform_sigma_rotation: 0.3,
-            transform_sigma_depth_fraction: 0.3,
-            transform_sigma_position: 0.3,
+            verify_angle_rad: 0.0175,
+            sigma_map_shift_fraction: 0.02,
+            sigma_transform_rotation_rad: 0.3,
+            sigma_transform_depth_fraction: 0.3,
+            sigma_transform_position_m: 0.3,
             lost_after_rejections: 5,
             max_active_keyframes: 24,
             max_held_keyframes: 5_000,
@@ -211,80 +234,144 @@ impl Default for EstimatorConfig {
     }
 }
 
-/// A larger offset between the clocks of camera and IMU is a mistake, seconds.
-const LARGEST_TIME_OFFSET: f64 = 0.5;
+/// Maximum offset between the clocks of camera and IMU, seconds; a larger one is a configuration error.
+const MAX_TIME_OFFSET_S: f64 = 0.5;
+
+/// A setting or a camera that the filter cannot run with.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum ConfigError {
+    /// A value that must be positive.
+    #[error("{setting} is {value}; it must be a positive number")]
+    NotPositive {
+        /// Name of the setting.
+        setting: &'static str,
+        /// Its value.
+        value: f64,
+    },
+    /// A confidence outside of (0, 1).
+    #[error("{setting} is {value}; a confidence lies between 0 and 1")]
+    NotAConfidence {
+        /// Name of the setting.
+        setting: &'static str,
+        /// Its value.
+        value: f64,
+    },
+    /// A value whose magnitude is too large.
+    #[error("{setting} is {value}; its magnitude must be below {limit}")]
+    TooLarge {
+        /// Name of the setting.
+        setting: &'static str,
+        /// Its value.
+        value: f64,
+        /// Upper bound of its magnitude.
+        limit: f64,
+    },
+    /// A number below its minimum.
+    #[error("{setting} is {value}; it must be at least {minimum}: {reason}")]
+    TooSmall {
+        /// Name of the setting.
+        setting: &'static str,
+        /// Its value.
+        value: usize,
+        /// The minimum.
+        minimum: usize,
+        /// What the minimum is needed for.
+        reason: &'static str,
+    },
+    /// No camera was given.
+    #[error("no camera is configured")]
+    NoCamera,
+    /// Invalid intrinsics of a camera.
+    #[error("camera {camera}: {source}")]
+    Camera {
+        /// Index of the camera.
+        camera: usize,
+        /// What is wrong with it.
+        source: CameraError,
+    },
+}
 
 impl EstimatorConfig {
-    /// Says which setting cannot work, and what is expected.
+    /// Checks all settings.
     ///
     /// # Errors
-    /// A sentence that names the setting.
-    pub fn validate(&self) -> Result<(), String> {
+    /// [`ConfigError`] names the first invalid setting, its value and what is allowed.
+    pub fn validate(&self) -> Result<(), ConfigError> {
+        self.validate_positive()?;
+        self.validate_counts()?;
+        for (setting, value) in [
+            ("track_gate", self.track_gate),
+            ("landmark_gate", self.landmark_gate),
+            ("frame_gate", self.frame_gate),
+        ] {
+            if !(value > 0.0 && value < 1.0) {
+                return Err(ConfigError::NotAConfidence { setting, value });
+            }
+        }
+        let value = self.camera_time_offset_s;
+        if !(value.is_finite() && value.abs() < MAX_TIME_OFFSET_S) {
+            let setting = "camera_time_offset_s";
+            return Err(ConfigError::TooLarge { setting, value, limit: MAX_TIME_OFFSET_S });
+        }
+        Ok(())
+    }
+
+    fn validate_positive(&self) -> Result<(), ConfigError> {
         let positive = [
             ("imu_noise.gyroscope", self.imu_noise.gyroscope),
             ("imu_noise.gyroscope_walk", self.imu_noise.gyroscope_walk),
             ("imu_noise.accelerometer", self.imu_noise.accelerometer),
             ("imu_noise.accelerometer_walk", self.imu_noise.accelerometer_walk),
             ("gravity", self.gravity),
-            ("initial.tilt", self.initial.tilt),
-            ("initial.yaw", self.initial.yaw),
-            ("initial.position", self.initial.position),
-            ("initial.velocity", self.initial.velocity),
-            ("initial.gyroscope_bias", self.initial.gyroscope_bias),
-            ("initial.accelerometer_bias", self.initial.accelerometer_bias),
+            ("initial.sigma_tilt_rad", self.initial.sigma_tilt_rad),
+            ("initial.sigma_yaw_rad", self.initial.sigma_yaw_rad),
+            ("initial.sigma_position_m", self.initial.sigma_position_m),
+            ("initial.sigma_velocity_m_s", self.initial.sigma_velocity_m_s),
+            ("initial.sigma_gyroscope_bias_rad_s", self.initial.sigma_gyroscope_bias_rad_s),
+            ("initial.sigma_accelerometer_bias_m_s2", self.initial.sigma_accelerometer_bias_m_s2),
             ("sigma_track_px", self.sigma_track_px),
             ("sigma_match_px", self.sigma_match_px),
             ("sigma_map_px", self.sigma_map_px.unwrap_or(1.0)),
             ("relinearize_above_px", self.relinearize_above_px),
-            ("calibration.sigma_rotation", self.calibration.sigma_rotation),
-            ("calibration.sigma_position", self.calibration.sigma_position),
-            ("calibration.sigma_focal", self.calibration.sigma_focal),
-            ("calibration.sigma_centre", self.calibration.sigma_centre),
+            ("calibration.sigma_rotation_rad", self.calibration.sigma_rotation_rad),
+            ("calibration.sigma_position_m", self.calibration.sigma_position_m),
+            ("calibration.sigma_focal_fraction", self.calibration.sigma_focal_fraction),
+            ("calibration.sigma_principal_point_px", self.calibration.sigma_principal_point_px),
             ("calibration.sigma_distortion", self.calibration.sigma_distortion),
-            ("calibration.sigma_time_offset", self.calibration.sigma_time_offset),
-            ("verify_angle", self.verify_angle),
-            ("sigma_map_shift", self.sigma_map_shift),
-            ("transform_sigma_rotation", self.transform_sigma_rotation),
-            ("transform_sigma_depth_fraction", self.transform_sigma_depth_fraction),
-            ("transform_sigma_position", self.transform_sigma_position),
+            ("calibration.sigma_time_offset_s", self.calibration.sigma_time_offset_s),
+            ("verify_angle_rad", self.verify_angle_rad),
+            ("sigma_map_shift_fraction", self.sigma_map_shift_fraction),
+            ("sigma_transform_rotation_rad", self.sigma_transform_rotation_rad),
+            ("sigma_transform_depth_fraction", self.sigma_transform_depth_fraction),
+            ("sigma_transform_position_m", self.sigma_transform_position_m),
         ];
-        for (name, value) in positive {
-            if !(value.is_finite() && value > 0.0) {
-                return Err(format!("{name} is {value}; it must be a positive number"));
+        match positive.into_iter().find(|(_, value)| !(value.is_finite() && *value > 0.0)) {
+            Some((setting, value)) => Err(ConfigError::NotPositive { setting, value }),
+            None => Ok(()),
+        }
+    }
+
+    fn validate_counts(&self) -> Result<(), ConfigError> {
+        let more_than_active = self.max_active_keyframes.saturating_add(1);
+        let minimums = [
+            ("max_tracks", self.max_tracks, 1, "without tracks there is no odometry"),
+            ("window", self.window, 3, "a track needs three clones"),
+            ("map_iterations", self.map_iterations, 1, "the first iteration is the update"),
+            ("min_inliers", self.min_inliers, 4, "a camera pose is determined by four matches"),
+            ("max_active_keyframes", self.max_active_keyframes, 1, "a map update needs a keyframe"),
+            (
+                "max_held_keyframes",
+                self.max_held_keyframes,
+                more_than_active,
+                "more than max_active_keyframes",
+            ),
+        ];
+        match minimums.into_iter().find(|(_, value, minimum, _)| value < minimum) {
+            Some((setting, value, minimum, reason)) => {
+                Err(ConfigError::TooSmall { setting, value, minimum, reason })
             }
+            None => Ok(()),
         }
-        for (name, value) in [
-            ("track_gate", self.track_gate),
-            ("landmark_gate", self.landmark_gate),
-            ("frame_gate", self.frame_gate),
-        ] {
-            if !(value > 0.0 && value < 1.0) {
-                return Err(format!("{name} is {value}; a confidence lies between 0 and 1"));
-            }
-        }
-        if !(self.camera_time_offset.is_finite() && self.camera_time_offset.abs() < LARGEST_TIME_OFFSET) {
-            let offset = self.camera_time_offset;
-            return Err(format!(
-                "camera_time_offset is {offset} s; it must lie within {LARGEST_TIME_OFFSET} s of 0"
-            ));
-        }
-        if self.max_tracks == 0 {
-            return Err("max_tracks is 0; without tracks there is no odometry".into());
-        }
-        if self.window < 3 {
-            return Err(format!("window is {}; a track needs at least 3 clones", self.window));
-        }
-        if self.map_iterations == 0 || self.min_inliers < 4 || self.max_active_keyframes == 0 {
-            return Err(
-                "map_iterations and max_active_keyframes must be at least 1, min_inliers at least 4".into()
-            );
-        }
-        if self.max_held_keyframes <= self.max_active_keyframes {
-            return Err(format!(
-                "max_held_keyframes is {}; it must be more than max_active_keyframes, which is {}",
-                self.max_held_keyframes, self.max_active_keyframes
-            ));
-        }
-        Ok(())
     }
 }

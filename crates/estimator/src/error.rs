@@ -1,44 +1,38 @@
-//! What can go wrong with a measurement or with the filter.
+//! The error type of the filter's verbs.
 
+use crate::config::ConfigError;
+use crate::health::Divergence;
+use crate::imu::{BadImuSample, ImuGap};
 use crate::linear_algebra::NotPositiveDefinite;
 
-/// What can go wrong with a measurement or with the filter.
+/// Errors of the filter's verbs.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
 pub enum EstimatorError {
-    /// A setting cannot work.
-    #[error("the estimator's settings: {0}")]
-    Config(String),
-    /// An IMU reading was dropped.
-    #[error("IMU reading at {stamp_ns} ns dropped: {why}")]
-    BadImu {
-        /// Its time.
-        stamp_ns: i64,
-        /// What is wrong with it.
-        why: &'static str,
-    },
-    /// The IMU does not cover an interval.
-    #[error("no IMU readings from {from_ns} to {to_ns} ns; check the recording for a gap")]
-    NoImu {
-        /// Begin, nanoseconds.
-        from_ns: i64,
-        /// End, nanoseconds.
-        to_ns: i64,
-    },
-    /// A frame is older than the state.
+    /// A setting or a camera is invalid.
+    #[error("estimator settings: {0}")]
+    Config(#[from] ConfigError),
+    /// An IMU sample was dropped; the filter is unchanged.
+    #[error(transparent)]
+    BadImu(#[from] BadImuSample),
+    /// The IMU samples do not cover an interval; the filter is unchanged.
+    #[error(transparent)]
+    NoImu(#[from] ImuGap),
+    /// An image is not newer than the state; the filter is unchanged.
     #[error("frame at {stamp_ns} ns dropped: the state is already at {state_ns} ns")]
     OldFrame {
-        /// Time of the frame.
+        /// Time of the image by the camera's clock, nanoseconds.
         stamp_ns: i64,
-        /// Time of the state.
+        /// Time of the state, nanoseconds.
         state_ns: i64,
     },
-    /// The filter is broken.
+    /// The estimate is wrong; the filter must be initialized again.
     #[error("the estimator diverged: {0}")]
-    Diverged(String),
+    Diverged(#[from] Divergence),
 }
 
 impl From<NotPositiveDefinite> for EstimatorError {
-    fn from(error: NotPositiveDefinite) -> Self {
-        Self::Diverged(error.to_string())
+    fn from(_: NotPositiveDefinite) -> Self {
+        Self::Diverged(Divergence::CovarianceNotPositiveDefinite)
     }
 }

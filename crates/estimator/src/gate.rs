@@ -11,13 +11,13 @@ pub struct Gate {
 }
 
 impl Gate {
-    /// Accepts `confidence` (0..1) of what truly follows the distribution.
+    /// A gate that accepts the fraction `confidence` (0 to 1) of chi-square distributed values.
     pub fn new(confidence: f64) -> Self {
         let table = (1..=200).map(|rows| quantile(confidence, rows)).collect();
         Self { confidence, table }
     }
 
-    /// The largest acceptable normalized innovation squared over `rows` rows.
+    /// Upper bound of a normalized innovation squared (NIS) with `rows` degrees of freedom.
     pub fn bound(&self, rows: usize) -> f64 {
         match rows {
             0 => 0.0,
@@ -25,17 +25,19 @@ impl Gate {
         }
     }
 
-    /// Whether whitened rows are plausible: `rᵀ (H P Hᵀ + I)⁻¹ r`.
+    /// Whether the NIS of whitened rows, `rᵀ (H P Hᵀ + I)⁻¹ r`, is below the bound.
     ///
     /// # Arguments
-    /// * `covariance`: of the columns of `jacobian`.
+    /// * `covariance`: n x n, of the states that the columns of `jacobian` refer to.
+    /// * `jacobian`: m x n, whitened.
+    /// * `residual`: m, whitened.
     pub fn accepts_rows(
         &self,
         covariance: &DMatrix<f64>,
         jacobian: &DMatrix<f64>,
         residual: &DVector<f64>,
     ) -> bool {
-        // The state's uncertainty only makes a residual more plausible.
+        // The covariance of the state only decreases the NIS.
         if self.accepts(residual.norm_squared(), residual.len()) {
             return true;
         }
@@ -48,9 +50,9 @@ impl Gate {
             .is_some_and(|factor| self.accepts(residual.dot(&factor.solve(residual)), residual.len()))
     }
 
-    /// Whether `innovation_squared` over `rows` rows is plausible. NaN is not.
-    pub fn accepts(&self, innovation_squared: f64, rows: usize) -> bool {
-        innovation_squared <= self.bound(rows)
+    /// Whether `nis` with `rows` degrees of freedom is below the bound. NaN is not.
+    pub fn accepts(&self, nis: f64, rows: usize) -> bool {
+        nis <= self.bound(rows)
     }
 }
 

@@ -1,11 +1,10 @@
-//! IMU samples, and the buffer that hands out the samples of an interval.
+//! IMU samples and the buffer that returns those of an interval.
 
-use crate::EstimatorError;
 use nalgebra::Vector3;
 use smallvec::SmallVec;
 use std::collections::VecDeque;
 
-/// One reading of the IMU, in the IMU frame.
+/// One IMU sample, in the IMU frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ImuSample {
     /// Time, nanoseconds.
@@ -21,7 +20,7 @@ impl ImuSample {
         self.gyroscope.iter().chain(self.accelerometer.iter()).all(|value| value.is_finite())
     }
 
-    /// Linear interpolation between two readings.
+    /// Linear interpolation between two samples.
     fn between(a: &Self, b: &Self, stamp_ns: i64) -> Self {
         let span = (b.stamp_ns - a.stamp_ns) as f64;
         let weight = if span > 0.0 { (stamp_ns - a.stamp_ns) as f64 / span } else { 0.0 };
@@ -33,52 +32,80 @@ impl ImuSample {
     }
 }
 
-/// The readings between two images. Those of 150 ms at 400 Hz need no memory from the heap.
+/// Why an IMU sample was dropped.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum BadImuSample {
+    /// A value is NaN or infinite.
+    #[error("IMU sample at {stamp_ns} ns dropped: a value is not finite")]
+    NotFinite {
+        /// Time of the sample, nanoseconds.
+        stamp_ns: i64,
+    },
+    /// The sample is not newer than the one before.
+    #[error("IMU sample at {stamp_ns} ns dropped: it is not newer than the one before, at {previous_ns} ns")]
+    NotNewer {
+        /// Time of the sample, nanoseconds.
+        stamp_ns: i64,
+        /// Time of the sample before, nanoseconds.
+        previous_ns: i64,
+    },
+}
+
+/// An interval that the IMU samples do not cover.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("no IMU samples from {from_ns} to {to_ns} ns; check the recording for a gap")]
+pub struct ImuGap {
+    /// Begin, nanoseconds.
+    pub from_ns: i64,
+    /// End, nanoseconds.
+    pub to_ns: i64,
+}
+
+/// The samples between two images. Those of 150 ms at 400 Hz are stored without heap allocation.
 pub type Readings = SmallVec<[ImuSample; 62]>;
 
-/// Readings that the filter has not passed yet, and the last one that it has.
+/// Samples newer than the state, and the last one before it.
 #[derive(Clone, Debug, Default)]
 pub struct ImuBuffer {
     samples: VecDeque<ImuSample>,
 }
 
 impl ImuBuffer {
-    /// Appends a reading.
+    /// Appends a sample.
     ///
     /// # Errors
-    /// [`EstimatorError::BadImu`] for a reading that is not finite or not newer than the last one; it is dropped.
-    pub fn push(&mut self, sample: ImuSample) -> Result<(), EstimatorError> {
+    /// [`BadImuSample`] for a sample that is not finite or not newer than the last one; it is dropped.
+    pub fn push(&mut self, sample: ImuSample) -> Result<(), BadImuSample> {
+        let stamp_ns = sample.stamp_ns;
         if !sample.is_finite() {
-            return Err(EstimatorError::BadImu { stamp_ns: sample.stamp_ns, why: "a value is not finite" });
+            return Err(BadImuSample::NotFinite { stamp_ns });
         }
-        if self.samples.back().is_some_and(|last| last.stamp_ns >= sample.stamp_ns) {
-            return Err(EstimatorError::BadImu {
-                stamp_ns: sample.stamp_ns,
-                why: "it is not newer than the one before",
-            });
+        if let Some(previous) = self.samples.back().filter(|previous| previous.stamp_ns >= stamp_ns) {
+            return Err(BadImuSample::NotNewer { stamp_ns, previous_ns: previous.stamp_ns });
         }
         self.samples.push_back(sample);
         Ok(())
     }
 
-    /// The newest reading.
+    /// The newest sample.
     pub fn newest(&self) -> Option<ImuSample> {
         self.samples.back().copied()
     }
 
-    /// All readings, oldest first.
+    /// All samples, oldest first.
     pub fn readings(&self) -> impl Iterator<Item = &ImuSample> {
         self.samples.iter()
     }
 
-    /// The readings from `from_ns` to `to_ns`, with interpolated ones at both ends.
+    /// The samples from `from_ns` to `to_ns`, interpolated at both ends.
     ///
-    /// Where the recording begins or ends within `slack_ns` of an end, the nearest reading is held.
+    /// Where the samples begin or end within `slack_ns` of an end, the nearest one is extrapolated as constant.
     ///
     /// # Errors
-    /// [`EstimatorError::NoImu`] when the interval is not covered.
-    pub fn interval(&self, from_ns: i64, to_ns: i64, slack_ns: i64) -> Result<Readings, EstimatorError> {
-        let missing = EstimatorError::NoImu { from_ns, to_ns };
+    /// [`ImuGap`] when the interval is not covered.
+    pub fn interval(&self, from_ns: i64, to_ns: i64, slack_ns: i64) -> Result<Readings, ImuGap> {
+        let missing = ImuGap { from_ns, to_ns };
         let (Some(first), Some(last)) = (self.samples.front(), self.samples.back()) else {
             return Err(missing);
         };
@@ -94,7 +121,7 @@ impl ImuBuffer {
         Ok(readings)
     }
 
-    /// The reading at `stamp_ns`, which lies before sample `next`.
+    /// The value at `stamp_ns`, which lies before sample `next`.
     fn at(&self, next: usize, stamp_ns: i64) -> ImuSample {
         let clamp = |index: usize| self.samples[index.min(self.samples.len() - 1)];
         if next == 0 || next >= self.samples.len() {
@@ -103,8 +130,8 @@ impl ImuBuffer {
         ImuSample::between(&clamp(next - 1), &clamp(next), stamp_ns)
     }
 
-    /// Forgets readings that lie before the one just before `stamp_ns`.
-    pub fn forget_before(&mut self, stamp_ns: i64) {
+    /// Removes all samples older than the last one at or before `stamp_ns`.
+    pub fn remove_before(&mut self, stamp_ns: i64) {
         while self.samples.len() > 1 && self.samples[1].stamp_ns <= stamp_ns {
             self.samples.pop_front();
         }
@@ -129,15 +156,15 @@ mod tests {
         let stamps: Vec<i64> = readings.iter().map(|reading| reading.stamp_ns).collect();
         assert_eq!(stamps, [15, 20, 30, 40, 42]);
         assert!(readings.iter().all(|reading| (reading.gyroscope.x - reading.stamp_ns as f64).abs() < 1e-12));
-        buffer.forget_before(42);
+        buffer.remove_before(42);
         assert_eq!(buffer.interval(42, 55, 0).unwrap().len(), 3);
-        assert!(buffer.interval(15, 42, 0).is_err(), "forgotten readings are missed, not invented");
+        assert!(buffer.interval(15, 42, 0).is_err(), "removed samples are missing, not extrapolated");
         assert!(buffer.interval(80, 95, 0).is_err());
         assert_eq!(buffer.interval(80, 95, 10).unwrap().last().unwrap().stamp_ns, 95);
     }
 
     #[test]
-    fn bad_readings_are_refused_and_the_rest_goes_on() {
+    fn invalid_samples_are_dropped_and_later_ones_accepted() {
         let mut buffer = ImuBuffer::default();
         buffer.push(sample(10)).unwrap();
         assert!(buffer.push(sample(10)).is_err());

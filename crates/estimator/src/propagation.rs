@@ -1,4 +1,4 @@
-//! Carries the IMU state and its error through an interval of IMU readings.
+//! Propagation of the IMU state and its error over an interval of IMU samples.
 //!
 //! The error is `[δθ, δp, δv, δb_g, δb_a]` with the rotation error in the odometry frame,
 //! `R = Exp(δθ) R̂`, so
@@ -10,9 +10,9 @@
 use crate::config::ImuNoise;
 use crate::imu::ImuSample;
 use geometry::{Pose, rotation};
-use nalgebra::{Matrix3, SMatrix, Vector3};
+use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 
-/// Numbers in the IMU error state.
+/// Dimension of the IMU error state.
 pub const IMU_DIM: usize = 15;
 /// Offset of the velocity error in the IMU error state.
 pub const VELOCITY: usize = 6;
@@ -21,22 +21,24 @@ pub const GYROSCOPE_BIAS: usize = 9;
 /// Offset of the accelerometer bias error.
 pub const ACCELEROMETER_BIAS: usize = 12;
 
-/// Readings further apart than this have a hole between them, seconds. IMUs deliver 100 Hz and more.
-const LONGEST_STEP: f64 = 0.05;
-/// How far the angular velocity in a hole may be from the line between its ends, rad/s.
+/// Samples further apart than this have a gap between them, seconds. IMUs sample at 100 Hz and more.
+const MAX_STEP_S: f64 = 0.05;
+/// Standard deviation of the angular velocity in a gap from the linear interpolation between its ends, rad/s.
 const GAP_RATE: f64 = 0.5;
 /// The same for the specific force, m/s^2.
 const GAP_FORCE: f64 = 2.0;
 
-/// A 15x15 matrix over the IMU error.
+/// A 15x15 matrix over the IMU error state.
 pub type ImuMatrix = SMatrix<f64, IMU_DIM, IMU_DIM>;
+/// An error of the IMU state.
+pub type ImuError = SVector<f64, IMU_DIM>;
 
-/// What the IMU alone describes: where the body is in L, how it moves, and the sensor's biases.
+/// Pose and velocity in L, and the biases.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ImuState {
-    /// Body in the odometry frame.
+    /// IMU pose in L.
     pub local_from_imu: Pose,
-    /// Velocity in the odometry frame, m/s.
+    /// Velocity in L, m/s.
     pub velocity: Vector3<f64>,
     /// Gyroscope bias, rad/s.
     pub gyroscope_bias: Vector3<f64>,
@@ -44,18 +46,39 @@ pub struct ImuState {
     pub accelerometer_bias: Vector3<f64>,
 }
 
-/// The outcome of [`propagate`].
+impl ImuState {
+    /// Adds an error `[δθ, δp, δv, δb_g, δb_a]`.
+    #[must_use]
+    pub fn retract(&self, error: &ImuError) -> Self {
+        Self {
+            local_from_imu: self.local_from_imu.retract(&error.fixed_rows::<6>(0).into()),
+            velocity: self.velocity + error.fixed_rows::<3>(VELOCITY),
+            gyroscope_bias: self.gyroscope_bias + error.fixed_rows::<3>(GYROSCOPE_BIAS),
+            accelerometer_bias: self.accelerometer_bias + error.fixed_rows::<3>(ACCELEROMETER_BIAS),
+        }
+    }
+
+    /// Whether all values are finite.
+    pub fn is_finite(&self) -> bool {
+        self.local_from_imu.is_finite()
+            && [self.velocity, self.gyroscope_bias, self.accelerometer_bias]
+                .iter()
+                .all(|vector| vector.iter().all(|value| value.is_finite()))
+    }
+}
+
+/// The result of [`propagate`].
 #[derive(Clone, Copy, Debug)]
 pub struct Propagated {
-    /// State at the end.
+    /// State at the end of the interval.
     pub state: ImuState,
-    /// Transition of the error from begin to end.
+    /// Error transition over the interval.
     pub transition: ImuMatrix,
-    /// Covariance that the IMU noise added.
+    /// Process noise covariance of the interval.
     pub noise: ImuMatrix,
 }
 
-/// Position and velocity at which the transition is linearized at the interval's begin.
+/// Position and velocity at which the transition is linearized at the begin of the interval.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MotionEstimate {
     /// Position in L, metres.
@@ -64,14 +87,20 @@ pub struct MotionEstimate {
     pub velocity: Vector3<f64>,
 }
 
-/// Integrates `readings` (from the state's time on, the last one at the target time).
+impl MotionEstimate {
+    /// Position and velocity of a state.
+    pub fn of(state: &ImuState) -> Self {
+        Self { position: state.local_from_imu.translation, velocity: state.velocity }
+    }
+}
+
+/// Integrates `readings`, the first at the time of the state and the last at the target time.
 ///
-/// Readings are taken to be linear in between; a fourth-order Runge-Kutta step a pair of readings.
+/// The samples are interpolated linearly; one fourth-order Runge-Kutta step per pair of samples.
 ///
 /// # Arguments
 /// * `gravity`: magnitude, m/s^2; L has z up.
-/// * `first`: what the filter first believed of position and velocity at the begin (first-estimates
-///   Jacobians), or the newest estimate.
+/// * `first`: first estimates of position and velocity at the begin (first-estimates Jacobians), or the newest ones.
 pub fn propagate(
     state: &ImuState,
     first: &MotionEstimate,
@@ -94,11 +123,11 @@ pub fn propagate(
         step.apply(&mut covariance);
         covariance.transpose_mut();
         step.apply(&mut covariance);
-        covariance += step_noise(&across_gap(noise, dt), dt);
+        covariance += step_noise(&noise_across_gap(noise, dt), dt);
         now = next;
         elapsed += dt;
     }
-    // The columns of the rotation error in closed form, so that they can stand at the first estimates.
+    // The columns of the rotation error in closed form, evaluated at the first estimates.
     let end = &now.local_from_imu.translation;
     let velocity_gain = now.velocity - first.velocity - gravity * elapsed;
     let position_gain = end - first.position - first.velocity * elapsed - gravity * (0.5 * elapsed * elapsed);
@@ -108,7 +137,7 @@ pub fn propagate(
     Propagated { state: now, transition, noise: covariance }
 }
 
-/// Transition of the error in one step: the identity, and these blocks.
+/// Error transition of one step: the identity plus these blocks.
 struct StepTransition {
     dt: f64,
     rotation_by_gyroscope_bias: Matrix3<f64>,
@@ -121,30 +150,30 @@ struct StepTransition {
 }
 
 impl StepTransition {
-    /// `M ← F M`, a third of the work of the dense product.
+    /// `M ← F M`, a third of the operations of the dense product.
     fn apply(&self, matrix: &mut ImuMatrix) {
         for mut column in matrix.column_iter_mut() {
             let part = |begin: usize| -> Vector3<f64> { column.fixed_rows::<3>(begin).into() };
-            let (turn, velocity) = (part(0), part(VELOCITY));
+            let (rotation, velocity) = (part(0), part(VELOCITY));
             let (gyroscope, accelerometer) = (part(GYROSCOPE_BIAS), part(ACCELEROMETER_BIAS));
-            let turned = self.rotation_by_gyroscope_bias * gyroscope;
-            let moved = self.position_by_rotation * turn
+            let rotation_change = self.rotation_by_gyroscope_bias * gyroscope;
+            let position_change = self.position_by_rotation * rotation
                 + velocity * self.dt
                 + self.position_by_gyroscope_bias * gyroscope
                 + self.position_by_accelerometer_bias * accelerometer;
-            let accelerated = self.velocity_by_rotation * turn
+            let velocity_change = self.velocity_by_rotation * rotation
                 + self.velocity_by_gyroscope_bias * gyroscope
                 + self.velocity_by_accelerometer_bias * accelerometer;
             for k in 0..3 {
-                column[k] += turned[k];
-                column[3 + k] += moved[k];
-                column[VELOCITY + k] += accelerated[k];
+                column[k] += rotation_change[k];
+                column[3 + k] += position_change[k];
+                column[VELOCITY + k] += velocity_change[k];
             }
         }
     }
 }
 
-/// One step between two readings: the new state and the transition of the error.
+/// One step between two samples: the new state and the error transition.
 fn integrate(
     state: &ImuState,
     a: &ImuSample,
@@ -190,20 +219,20 @@ fn integrate(
     (next, step)
 }
 
-/// The noise of a step that bridges a hole in the readings: what happened in it is not known.
-fn across_gap(noise: &ImuNoise, dt: f64) -> ImuNoise {
-    if dt <= LONGEST_STEP {
+/// Noise of a step, increased where it bridges a gap in the samples.
+fn noise_across_gap(noise: &ImuNoise, dt: f64) -> ImuNoise {
+    if dt <= MAX_STEP_S {
         return *noise;
     }
-    let unknown = |density: f64, deviation: f64| density.hypot(deviation * dt.sqrt());
+    let increased = |density: f64, deviation: f64| density.hypot(deviation * dt.sqrt());
     ImuNoise {
-        gyroscope: unknown(noise.gyroscope, GAP_RATE),
-        accelerometer: unknown(noise.accelerometer, GAP_FORCE),
+        gyroscope: increased(noise.gyroscope, GAP_RATE),
+        accelerometer: increased(noise.accelerometer, GAP_FORCE),
         ..*noise
     }
 }
 
-/// Covariance that white noise and bias walk add in one step.
+/// Process noise covariance of one step: white noise and bias random walk.
 fn step_noise(noise: &ImuNoise, dt: f64) -> ImuMatrix {
     let mut covariance = ImuMatrix::zeros();
     let mut put = |row: usize, column: usize, value: f64| {
@@ -226,7 +255,6 @@ fn step_noise(noise: &ImuNoise, dt: f64) -> ImuMatrix {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use nalgebra::SVector;
 
     const GRAVITY: f64 = 9.81;
 
@@ -256,19 +284,6 @@ mod tests {
         }
     }
 
-    fn motion(state: &ImuState) -> MotionEstimate {
-        MotionEstimate { position: state.local_from_imu.translation, velocity: state.velocity }
-    }
-
-    fn moved(state: &ImuState, error: &SVector<f64, 15>) -> ImuState {
-        ImuState {
-            local_from_imu: state.local_from_imu.retract(&error.fixed_rows::<6>(0).into()),
-            velocity: state.velocity + error.fixed_rows::<3>(VELOCITY),
-            gyroscope_bias: state.gyroscope_bias + error.fixed_rows::<3>(GYROSCOPE_BIAS),
-            accelerometer_bias: state.accelerometer_bias + error.fixed_rows::<3>(ACCELEROMETER_BIAS),
-        }
-    }
-
     fn difference(to: &ImuState, from: &ImuState) -> SVector<f64, 15> {
         let mut error = SVector::<f64, 15>::zeros();
         error.fixed_rows_mut::<6>(0).copy_from(&from.local_from_imu.local(&to.local_from_imu));
@@ -281,15 +296,15 @@ mod tests {
     }
 
     #[test]
-    fn the_transition_is_the_derivative_of_the_motion() {
+    fn the_transition_is_the_numeric_derivative_of_the_propagation() {
         let (state, noise, readings) = (start(), ImuNoise::default(), readings(0.1));
-        let run = |from: &ImuState| propagate(from, &motion(from), &readings, &noise, GRAVITY);
+        let run = |from: &ImuState| propagate(from, &MotionEstimate::of(from), &readings, &noise, GRAVITY);
         let reference = run(&state);
         for column in 0..IMU_DIM {
             let mut error = SVector::<f64, 15>::zeros();
             error[column] = 1e-5;
-            let forward = run(&moved(&state, &error)).state;
-            let backward = run(&moved(&state, &-error)).state;
+            let forward = run(&state.retract(&error)).state;
+            let backward = run(&state.retract(&-error)).state;
             let numeric =
                 (difference(&forward, &reference.state) - difference(&backward, &reference.state)) / 2e-5;
             let analytic = reference.transition.column(column);
@@ -315,20 +330,20 @@ mod tests {
             direction.fixed_rows_mut::<3>(VELOCITY).copy_from(&up.cross(&motion.velocity));
             direction
         };
-        let difference = moved.transition * gauge(&first) - gauge(&motion(&moved.state));
+        let difference = moved.transition * gauge(&first) - gauge(&MotionEstimate::of(&moved.state));
         assert!(difference.amax() < 1e-12, "{difference}");
     }
 
     #[test]
-    fn a_hole_in_the_readings_is_not_taken_for_knowledge() {
+    fn a_gap_in_the_samples_increases_the_process_noise() {
         let (state, noise, whole) = (start(), ImuNoise::default(), readings(1.0));
         let holed: Vec<ImuSample> = whole
             .iter()
             .filter(|reading| !(300_000_000..700_000_000).contains(&reading.stamp_ns))
             .copied()
             .collect();
-        let truth = propagate(&state, &motion(&state), &whole, &noise, GRAVITY);
-        let bridged = propagate(&state, &motion(&state), &holed, &noise, GRAVITY);
+        let truth = propagate(&state, &MotionEstimate::of(&state), &whole, &noise, GRAVITY);
+        let bridged = propagate(&state, &MotionEstimate::of(&state), &holed, &noise, GRAVITY);
         let error = difference(&truth.state, &bridged.state);
         for k in 0..9 {
             assert!(error[k].abs() < 3.0 * bridged.noise[(k, k)].sqrt(), "state {k}");
@@ -337,12 +352,12 @@ mod tests {
     }
 
     #[test]
-    fn the_added_noise_is_that_of_noisy_readings() {
+    fn the_process_noise_is_the_sample_covariance_of_noisy_runs() {
         use rand::{RngExt as _, SeedableRng, rngs::StdRng};
         let noise =
             ImuNoise { gyroscope: 2e-3, accelerometer: 2e-2, gyroscope_walk: 0.0, accelerometer_walk: 0.0 };
         let (state, clean) = (start(), readings(0.5));
-        let reference = propagate(&state, &motion(&state), &clean, &noise, GRAVITY);
+        let reference = propagate(&state, &MotionEstimate::of(&state), &clean, &noise, GRAVITY);
         let mut rng = StdRng::seed_from_u64(7);
         let mut normal = move || (0..12).map(|_| rng.random::<f64>()).sum::<f64>() - 6.0;
         let runs = 400;
@@ -360,7 +375,7 @@ mod tests {
                 })
                 .collect();
             let error = difference(
-                &propagate(&state, &motion(&state), &noisy, &noise, GRAVITY).state,
+                &propagate(&state, &MotionEstimate::of(&state), &noisy, &noise, GRAVITY).state,
                 &reference.state,
             );
             sample += error * error.transpose() / f64::from(runs);

@@ -1,178 +1,171 @@
-//! The active state `[IMU (15) | calibration | global_from_local (6) | landmarks (3 each) | clones (6 each)]` and
-//! where each block stands. Calibration is empty unless something of it is estimated online.
+//! The active state `[IMU (15) | calibration | global_from_local (6) | SLAM features (3 each) | clones (6 each)]` and the
+//! layout of its error. The calibration block is empty unless some of it is estimated online.
 
 use crate::calibration::Calibration;
-use crate::propagation::{ACCELEROMETER_BIAS, GYROSCOPE_BIAS, IMU_DIM, ImuState, MotionEstimate, VELOCITY};
+use crate::propagation::{IMU_DIM, ImuState, MotionEstimate};
 use geometry::Pose;
 use nalgebra::{DVector, Matrix6, Vector3, Vector6};
 use std::ops::Range;
 
-/// Numbers in a pose error.
+/// Dimension of a pose error.
 pub const POSE_DIM: usize = 6;
 
-/// Names one clone for as long as it lives.
+/// Identity of a clone, never reused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct CloneId(pub(crate) u64);
 
 /// A copy of the IMU pose at the time of one image.
 #[derive(Clone, Debug)]
 pub struct ClonedPose {
-    /// Its name.
+    /// Its identity.
     pub id: CloneId,
     /// Time of the image, nanoseconds.
     pub stamp_ns: i64,
     /// Newest estimate of the body in L.
     pub local_from_imu: Pose,
-    /// What was believed when the clone was made, before any image was used.
+    /// Estimate at the time of cloning, before the update with its image (first-estimates Jacobians).
     pub first_estimate: Pose,
-    /// A map query waits for its answer: the clone stays.
+    /// Excluded from marginalization because a map query of its image is pending.
     pub pinned: bool,
 }
 
-/// A landmark that is kept in the state for as long as its track lives.
+/// A landmark in the state, kept as long as it is tracked.
 #[derive(Clone, Debug)]
 pub struct SlamFeature {
-    /// The front end's name of it.
+    /// The front end's identity of the feature.
     pub feature_id: u64,
     /// Newest estimate in L, metres.
     pub position: Vector3<f64>,
-    /// What was believed when it entered, where its rows are linearized.
+    /// Estimate at its initialization, in L (first-estimates Jacobians).
     pub first_estimate: Vector3<f64>,
-    /// Images in a row in which its pixel was implausible.
-    pub implausible: usize,
+    /// Number of consecutive images in which the gate rejected it.
+    pub gated_in_a_row: usize,
 }
 
-/// Numbers in a landmark's error.
-pub const LANDMARK_DIM: usize = 3;
+/// Dimension of the error of a SLAM feature.
+pub const FEATURE_DIM: usize = 3;
 
 /// A block of the active state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Block {
-    /// All 15 numbers of the IMU.
+    /// The IMU state, dimension 15.
     Imu,
-    /// The first 6 of them: the body's pose in L.
+    /// The first 6 of it: the IMU pose in L.
     ImuPose,
-    /// What is estimated of the cameras' calibration.
+    /// The calibration estimated online.
     Calibration,
     /// `global_from_local`.
     Transform,
-    /// The landmark at this place.
-    Landmark(usize),
-    /// The clone at this place of the window, oldest first.
+    /// The SLAM feature with this index.
+    SlamFeature(usize),
+    /// The clone with this index in the window, oldest first.
     Clone(usize),
 }
 
-/// Means of the active state. The only place that knows the order of the blocks.
+/// Estimate of the active state. All index arithmetic on its blocks is here.
 #[derive(Clone, Debug)]
 pub struct ActiveState {
     /// Time of the IMU state, nanoseconds.
     pub stamp_ns: i64,
     /// Newest IMU state.
     pub imu: ImuState,
-    /// Position and velocity as first believed at `stamp_ns`, where the next transition is linearized.
+    /// First estimates of position and velocity at `stamp_ns`, at which the next transition is linearized.
     pub first_motion: MotionEstimate,
     /// The cameras.
     pub calibration: Calibration,
-    /// `global_from_local`, once a first match gave it.
+    /// `global_from_local`, after the map initialization.
     pub transform: Option<Pose>,
-    /// Landmarks in the state.
-    pub landmarks: Vec<SlamFeature>,
+    /// SLAM features.
+    pub slam_features: Vec<SlamFeature>,
     /// The sliding window, oldest first.
     pub clones: Vec<ClonedPose>,
 }
 
 impl ActiveState {
-    /// Numbers in the active error.
+    /// Dimension of the active error.
     pub fn dim(&self) -> usize {
         self.clones_begin() + POSE_DIM * self.clones.len()
     }
 
-    /// Where a block stands in the active error; `None` for one that does not exist.
+    /// Range of a block in the active error; `None` for one that does not exist.
     pub fn range(&self, block: Block) -> Option<Range<usize>> {
         match block {
             Block::Imu => Some(0..IMU_DIM),
             Block::ImuPose => Some(0..POSE_DIM),
             Block::Calibration => Some(IMU_DIM..self.transform_begin()),
-            Block::Transform => self.transform.map(|_| self.transform_begin()..self.landmarks_begin()),
-            Block::Landmark(place) => (place < self.landmarks.len()).then(|| {
-                let begin = self.landmarks_begin() + LANDMARK_DIM * place;
-                begin..begin + LANDMARK_DIM
+            Block::Transform => self.transform.map(|_| self.transform_begin()..self.slam_features_begin()),
+            Block::SlamFeature(index) => (index < self.slam_features.len()).then(|| {
+                let begin = self.slam_features_begin() + FEATURE_DIM * index;
+                begin..begin + FEATURE_DIM
             }),
-            Block::Clone(place) => (place < self.clones.len()).then(|| {
-                let begin = self.clones_begin() + POSE_DIM * place;
+            Block::Clone(index) => (index < self.clones.len()).then(|| {
+                let begin = self.clones_begin() + POSE_DIM * index;
                 begin..begin + POSE_DIM
             }),
         }
     }
 
-    /// The place of a clone in the window.
-    pub fn place_of(&self, id: CloneId) -> Option<usize> {
+    /// Index of a clone in the window.
+    pub fn clone_index(&self, id: CloneId) -> Option<usize> {
         self.clones.iter().position(|clone| clone.id == id)
     }
 
-    /// Where `global_from_local` stands, or would.
+    /// First index of `global_from_local` in the active error, also where it is not yet in the state.
     pub fn transform_begin(&self) -> usize {
         IMU_DIM + self.calibration.dim()
     }
 
-    /// Where the landmarks stand in the active error.
-    pub fn landmarks_range(&self) -> Range<usize> {
-        self.landmarks_begin()..self.clones_begin()
+    /// Range of all SLAM features in the active error.
+    pub fn slam_features_range(&self) -> Range<usize> {
+        self.slam_features_begin()..self.clones_begin()
     }
 
-    fn landmarks_begin(&self) -> usize {
+    fn slam_features_begin(&self) -> usize {
         self.transform_begin() + if self.transform.is_some() { POSE_DIM } else { 0 }
     }
 
-    /// Where the clones begin, and the landmarks end.
+    /// First index of the clones, one past the SLAM features.
     pub fn clones_begin(&self) -> usize {
-        self.landmarks_begin() + LANDMARK_DIM * self.landmarks.len()
+        self.slam_features_begin() + FEATURE_DIM * self.slam_features.len()
     }
 
-    /// Adds an error to every block.
+    /// Adds an error of dimension [`Self::dim`] to the estimate.
     pub fn retract(&mut self, error: &DVector<f64>) {
         let pose_error = |begin: usize| -> Vector6<f64> { error.fixed_rows::<6>(begin).into() };
-        self.imu.local_from_imu = self.imu.local_from_imu.retract(&pose_error(0));
-        self.imu.velocity += error.fixed_rows::<3>(VELOCITY);
-        self.imu.gyroscope_bias += error.fixed_rows::<3>(GYROSCOPE_BIAS);
-        self.imu.accelerometer_bias += error.fixed_rows::<3>(ACCELEROMETER_BIAS);
-        let (transform_begin, landmarks_begin) = (self.transform_begin(), self.landmarks_begin());
+        self.imu = self.imu.retract(&error.fixed_rows::<IMU_DIM>(0).into());
+        let (transform_begin, slam_features_begin) = (self.transform_begin(), self.slam_features_begin());
         self.calibration.retract(&error.rows(IMU_DIM, transform_begin - IMU_DIM));
         if let Some(transform) = &mut self.transform {
             *transform = retract_locally(transform, &pose_error(transform_begin));
         }
-        for (place, landmark) in self.landmarks.iter_mut().enumerate() {
-            landmark.position += error.fixed_rows::<3>(landmarks_begin + LANDMARK_DIM * place);
+        for (index, feature) in self.slam_features.iter_mut().enumerate() {
+            feature.position += error.fixed_rows::<3>(slam_features_begin + FEATURE_DIM * index);
         }
         let begin = self.clones_begin();
-        for (place, clone) in self.clones.iter_mut().enumerate() {
-            clone.local_from_imu = clone.local_from_imu.retract(&pose_error(begin + POSE_DIM * place));
+        for (index, clone) in self.clones.iter_mut().enumerate() {
+            clone.local_from_imu = clone.local_from_imu.retract(&pose_error(begin + POSE_DIM * index));
         }
     }
 
-    /// Whether every mean is a number.
+    /// Whether all values are finite.
     pub fn is_finite(&self) -> bool {
-        let imu = &self.imu;
-        imu.local_from_imu.is_finite()
-            && [imu.velocity, imu.gyroscope_bias, imu.accelerometer_bias]
-                .iter()
-                .all(|vector| vector.iter().all(|value| value.is_finite()))
-            && self.calibration.is_sound()
+        self.imu.is_finite()
+            && self.calibration.is_valid()
             && self.transform.is_none_or(|pose| pose.is_finite())
     }
 }
 
-/// `R = R̂ Exp(e)`, `p = p̂ + R̂ e_p`: the error of `global_from_local` inside of the filter.
+/// `R = R̂ Exp(e)`, `p = p̂ + R̂ e_p`: the error of `global_from_local` inside of the filter, in the axes of L.
 ///
-/// In L, the directions that nothing observes (turning L about gravity and moving it) are the same for
-/// every estimate of the transform; in G they turn with it, and each update would learn a little of them.
+/// In L the unobservable directions (rotation of L about gravity and translation of L) are the same at every estimate of
+/// the transform. In G they rotate with it, and each update would gain spurious information along them.
 pub fn retract_locally(pose: &Pose, error: &Vector6<f64>) -> Pose {
     let turn = geometry::rotation::exp(&error.fixed_rows::<3>(0).into_owned());
     let shift = pose.rotation * error.fixed_rows::<3>(3).into_owned();
     Pose::new(pose.rotation * turn, pose.translation + shift)
 }
 
-/// The error that leads from `from` to `to`: undoes [`retract_locally`].
+/// Error from `from` to `to`, the inverse of [`retract_locally`].
 pub fn local_error(from: &Pose, to: &Pose) -> Vector6<f64> {
     let back = from.rotation.inverse();
     let turn = geometry::rotation::log(&(back * to.rotation));
@@ -180,8 +173,8 @@ pub fn local_error(from: &Pose, to: &Pose) -> Vector6<f64> {
     Vector6::new(turn.x, turn.y, turn.z, shift.x, shift.y, shift.z)
 }
 
-/// `diag(R, R)`: an error in the child frame told in the parent frame.
-pub fn turned(pose: &Pose) -> Matrix6<f64> {
+/// `diag(R, R)`: maps a pose error in the axes of the child frame to those of the parent frame.
+pub fn rotation_adjoint(pose: &Pose) -> Matrix6<f64> {
     let rotation = pose.rotation.to_rotation_matrix().into_inner();
     let mut blocks = Matrix6::zeros();
     blocks.fixed_view_mut::<3, 3>(0, 0).copy_from(&rotation);

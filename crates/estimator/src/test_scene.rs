@@ -1,7 +1,7 @@
-//! A landmark and the clones that saw it, for the tests of the estimator's parts.
+//! A landmark and the clones that observe it, for unit tests.
 
 use crate::calibration::{CalibratedCamera, Calibration, OnlineCalibration};
-use crate::odometry::tracks::Sighting;
+use crate::odometry::tracks::CloneObservation;
 use crate::propagation::{ImuState, MotionEstimate};
 use crate::state::{ActiveState, CloneId, ClonedPose};
 use geometry::{Camera, Distortion, Pose, rotation};
@@ -10,7 +10,7 @@ use nalgebra::{Vector2, Vector3};
 /// Eight clones on a bow around a landmark, the newest estimates a little off the first ones.
 pub struct Scene {
     pub state: ActiveState,
-    pub sightings: Vec<Sighting>,
+    pub observations: Vec<CloneObservation>,
     /// In L, metres.
     pub landmark: Vector3<f64>,
     pub sigma_px: f64,
@@ -28,10 +28,11 @@ pub fn scene(calibrating: bool) -> Scene {
     };
     let mounted =
         |y: f64| Pose::new(rotation::exp(&Vector3::new(0.1, 0.2, -0.3)), Vector3::new(0.05, y, 0.0));
-    let mut rig = vec![CalibratedCamera { camera: camera(Distortion::None), imu_from_camera: mounted(0.1) }];
+    let mut cameras =
+        vec![CalibratedCamera { camera: camera(Distortion::None), imu_from_camera: mounted(0.1) }];
     if calibrating {
         let lens = Distortion::RadialTangential([-0.1, 0.02, 1e-3, -1e-3]);
-        rig.push(CalibratedCamera { camera: camera(lens), imu_from_camera: mounted(-0.1) });
+        cameras.push(CalibratedCamera { camera: camera(lens), imu_from_camera: mounted(-0.1) });
     }
     let online = OnlineCalibration {
         extrinsics: calibrating,
@@ -59,11 +60,12 @@ pub fn scene(calibrating: bool) -> Scene {
             }
         })
         .collect();
-    let mut sightings = Vec::new();
+    let mut observations = Vec::new();
     for clone in &clones {
-        for (camera, eye) in rig.iter().enumerate() {
-            let pixel = eye.predict(&clone.local_from_imu, &landmark).unwrap() + Vector2::new(0.3, -0.2);
-            sightings.push(Sighting { clone: clone.id, camera: camera as u8, pixel });
+        for (camera, calibrated) in cameras.iter().enumerate() {
+            let pixel =
+                calibrated.predict(&clone.local_from_imu, &landmark).unwrap() + Vector2::new(0.3, -0.2);
+            observations.push(CloneObservation { clone: clone.id, camera: camera as u8, pixel });
         }
     }
     let imu = ImuState {
@@ -73,15 +75,15 @@ pub fn scene(calibrating: bool) -> Scene {
         accelerometer_bias: Vector3::zeros(),
     };
     let first_motion = MotionEstimate { position: imu.local_from_imu.translation, velocity: imu.velocity };
-    let calibration = Calibration::new(rig, 0.0, online);
+    let calibration = Calibration::new(cameras, 0.0, online);
     let state = ActiveState {
         stamp_ns: 8,
         imu,
         first_motion,
         calibration,
         transform: None,
-        landmarks: Vec::new(),
+        slam_features: Vec::new(),
         clones,
     };
-    Scene { state, sightings, landmark, sigma_px: 1.2 }
+    Scene { state, observations, landmark, sigma_px: 1.2 }
 }

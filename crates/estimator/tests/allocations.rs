@@ -33,7 +33,8 @@ fn counts(estimator: &mut Estimator, frame: i64, tracks: &[TrackObservation]) ->
 
 fn steady_state(slam_features: usize) -> Vec<Counts> {
     let world = World::new();
-    let config = EstimatorConfig { slam_features, window: 8, ..EstimatorConfig::default() };
+    let mut config = EstimatorConfig::default();
+    (config.slam_features, config.window) = (slam_features, 8);
     let mut estimator = world.estimator(config);
     for frame in 1..=WARM_UP {
         world.frame(&mut estimator, frame);

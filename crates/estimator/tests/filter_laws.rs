@@ -30,7 +30,9 @@ fn run(world: &World, estimator: &mut Estimator, frames: std::ops::Range<i64>) {
 #[test]
 fn it_knows_where_it_is_in_every_mode() {
     for mode in [MapMode::Single, MapMode::Multi, MapMode::MapConst] {
-        let (world, estimator, frame) = localized(EstimatorConfig { mode, ..EstimatorConfig::default() });
+        let mut config = EstimatorConfig::default();
+        config.mode = mode;
+        let (world, estimator, frame) = localized(config);
         assert_eq!(estimator.status().localization, Localization::Localized);
         let truth = world.global_from_local * World::truth(frame);
         let pose = estimator.global_from_imu().unwrap();
@@ -68,7 +70,7 @@ fn a_rejected_answer_changes_nothing_now_or_later() {
             keyframe.global_from_keyframe.pose.translation += nalgebra::Vector3::new(3.0, 2.0, 1.0) * sign;
         }
         let report = estimator.map_update(clone, &wrong).unwrap();
-        assert!(!accepted(&report) && report.verified > 20, "{report:?}");
+        assert!(!accepted(&report) && report.inliers > 20, "{report:?}");
         assert_eq!(says(&estimator), says(&untouched));
         for next in frame + 2..frame + 25 {
             World::feed_imu(&mut estimator, next);
@@ -85,7 +87,8 @@ fn a_rejected_answer_changes_nothing_now_or_later() {
 
 #[test]
 fn a_pinned_clone_survives_the_window_and_an_unpinned_one_does_not() {
-    let config = EstimatorConfig { window: 6, ..EstimatorConfig::default() };
+    let mut config = EstimatorConfig::default();
+    config.window = 6;
     let (world, mut estimator, frame) = localized(config);
     let (kept, lost) = (world.frame(&mut estimator, frame + 1), world.frame(&mut estimator, frame + 2));
     let (kept_answer, lost_answer) =
@@ -130,7 +133,7 @@ fn the_map_is_never_changed_and_a_keyframe_used_again_is_the_same_keyframe() {
     for next in frame + 1..frame + 30 {
         let clone = world.frame(&mut estimator, next);
         let report = estimator.map_update(clone, &world.answer(next, frame, 20)).unwrap();
-        assert!(report.verified > 20, "{report:?}");
+        assert!(report.inliers > 20, "{report:?}");
     }
     assert_eq!(estimator.held_keyframes().len(), 8);
     let pose = estimator.global_from_imu().unwrap();
@@ -143,9 +146,11 @@ fn the_map_is_never_changed_and_a_keyframe_used_again_is_the_same_keyframe() {
 
 /// Standard deviations of the body's yaw (rad) and position (m) in L after six seconds, and their error.
 fn knowledge_of_local(mode: MapMode, first_estimates: bool) -> ([f64; 4], f64) {
-    let mut config = EstimatorConfig { mode, first_estimates, ..EstimatorConfig::default() };
+    let mut config = EstimatorConfig::default();
+    (config.mode, config.first_estimates) = (mode, first_estimates);
     // Of L itself nothing is known but where up is: the velocity would tell its yaw.
-    (config.initial.yaw, config.initial.position, config.initial.velocity) = (0.05, 0.3, 0.3);
+    let initial = &mut config.initial;
+    (initial.sigma_yaw_rad, initial.sigma_position_m, initial.sigma_velocity_m_s) = (0.05, 0.3, 0.3);
     let world = World::new();
     let mut estimator = world.estimator(config);
     for frame in 1..60 {

@@ -2,8 +2,8 @@
 #![allow(clippy::unwrap_used)]
 
 use estimator::{
-    CalibratedCamera, EstimatorConfig, ImuSample, InitMethod, InitStatus, Initializer, LastTrustedPose,
-    Start, TrackObservation,
+    CalibratedCamera, EstimatorConfig, ImuSample, InitMethod, InitStatus, Initialization, Initializer,
+    LastTrustedPose, TrackObservation,
 };
 use geometry::{Camera, Distortion, Pose, rotation};
 use nalgebra::Vector3;
@@ -14,7 +14,7 @@ const FRAME_NS: i64 = 50_000_000;
 /// Tilt of the body.
 const TILT: Vector3<f64> = Vector3::new(0.3, -0.2, 0.0);
 
-fn rig() -> Vec<CalibratedCamera> {
+fn cameras() -> Vec<CalibratedCamera> {
     let camera = Camera {
         width: 640,
         height: 480,
@@ -30,7 +30,7 @@ fn watch(
     mut initializer: Initializer,
     velocity: Vector3<f64>,
     seconds: f64,
-) -> Result<(f64, Start), Vec<InitStatus>> {
+) -> Result<(f64, Initialization), Vec<InitStatus>> {
     let mut rng = StdRng::seed_from_u64(4);
     let mut draw = |low: f64, high: f64| rng.random_range(low..high);
     let points: Vec<Vector3<f64>> =
@@ -46,11 +46,11 @@ fn watch(
             continue;
         }
         let at = velocity * (stamp_ns as f64 * 1e-9);
-        let rig = rig();
+        let cameras = cameras();
         let see = |(name, point): (usize, &Vector3<f64>)| {
-            let pixel = rig[0].camera.project(&(point - at)).ok()?;
+            let pixel = cameras[0].camera.project(&(point - at)).ok()?;
             let noise = nalgebra::Vector2::new(draw(-1.0, 1.0), draw(-1.0, 1.0));
-            rig[0].camera.contains(&pixel).then_some(TrackObservation {
+            cameras[0].camera.contains(&pixel).then_some(TrackObservation {
                 camera: 0,
                 feature_id: name as u64,
                 pixel: pixel + noise,
@@ -68,8 +68,8 @@ fn watch(
 #[test]
 fn a_body_that_stands_starts_after_half_a_second() {
     let (seconds, start) =
-        watch(Initializer::new(EstimatorConfig::default(), rig()), Vector3::zeros(), 3.0).unwrap();
-    assert_eq!(start.method, InitMethod::Rest);
+        watch(Initializer::new(EstimatorConfig::default(), cameras()), Vector3::zeros(), 3.0).unwrap();
+    assert_eq!(start.method, InitMethod::Static);
     assert!(seconds <= 0.55, "{seconds} s");
     let up = start.initial.imu.local_from_imu.rotation * (rotation::exp(&TILT).inverse() * Vector3::z());
     assert!((up - Vector3::z()).norm() < 0.01);
@@ -78,9 +78,12 @@ fn a_body_that_stands_starts_after_half_a_second() {
 #[test]
 fn gliding_is_not_rest_and_one_camera_that_glides_never_starts() {
     let glide = Vector3::new(0.4, 0.1, 0.0);
-    let waited = watch(Initializer::new(EstimatorConfig::default(), rig()), glide, 6.0).unwrap_err();
+    let waited = watch(Initializer::new(EstimatorConfig::default(), cameras()), glide, 6.0).unwrap_err();
     let last = waited.last().unwrap().to_string();
-    assert!(last.contains("the images move") && last.contains("no start in motion"), "{last}");
+    assert!(
+        last.contains("the features of the images move") && last.contains("dynamic initialization: "),
+        "{last}"
+    );
 }
 
 #[test]
@@ -91,7 +94,7 @@ fn the_next_start_takes_position_and_yaw_of_the_last_believed_pose() {
         local_from_imu: Pose::new(turn, Vector3::new(5.0, -3.0, 1.0)),
         gyroscope_bias: Vector3::zeros(),
     };
-    let initializer = Initializer::again(EstimatorConfig::default(), rig(), Some(last), 1_000_000_000);
+    let initializer = Initializer::again(EstimatorConfig::default(), cameras(), Some(last), 1_000_000_000);
     let (seconds, start) = watch(initializer, Vector3::zeros(), 3.0).unwrap();
     assert!(seconds >= 1.0, "not before the pause is over");
     let placed = start.initial.imu.local_from_imu;

@@ -13,7 +13,7 @@ use geometry::{Pose, PoseWithCovariance, rotation};
 use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 use rand::{RngExt as _, SeedableRng, rngs::StdRng};
 
-const SIZE: ChangeSize = ChangeSize { sigma_rotation: 0.02, sigma_position: 0.15 };
+const SIZE: ChangeSize = ChangeSize { sigma_rotation_rad: 0.02, sigma_position_m: 0.15 };
 
 /// A filter that is localized by keyframes 4, 5 and 8, 9 of version 1; and the newest frame.
 fn localized() -> (World, Estimator, i64) {
@@ -30,7 +30,7 @@ fn localized() -> (World, Estimator, i64) {
 }
 
 fn news(from_version: u64, version: u64, size: Option<ChangeSize>) -> MapRevision {
-    MapRevision { from_version, version, other_errors: vec![4, 5, 8, 9], size }
+    MapRevision { from_version, version, changed_keyframes: vec![4, 5, 8, 9], size }
 }
 
 /// The answer of a version whose frame is moved by `new_from_old`.
@@ -45,8 +45,8 @@ fn moved(mut answer: MapAnswer, version: u64, new_from_old: &Pose) -> MapAnswer 
 
 /// A move of G by so many deviations of a size about the robot's place.
 fn move_about(place: &Vector3<f64>, size: ChangeSize, deviations: &Vector6<f64>) -> Pose {
-    let turn = rotation::exp(&(deviations.fixed_rows::<3>(0) * size.sigma_rotation));
-    let shift = deviations.fixed_rows::<3>(3) * size.sigma_position;
+    let turn = rotation::exp(&(deviations.fixed_rows::<3>(0) * size.sigma_rotation_rad));
+    let shift = deviations.fixed_rows::<3>(3) * size.sigma_position_m;
     Pose::new(turn, place + shift - turn * place)
 }
 
@@ -60,13 +60,13 @@ fn the_pose_in_the_map_becomes_as_uncertain_as_stated_wherever_the_origin_is() {
     let (_, mut estimator, _) = localized();
     let (transform, pose) = (estimator.global_from_local().unwrap(), estimator.global_from_imu().unwrap());
     let local = says_local(&estimator);
-    let revision = MapRevision { other_errors: Vec::new(), ..news(1, 2, Some(SIZE)) };
+    let revision = MapRevision { changed_keyframes: Vec::new(), ..news(1, 2, Some(SIZE)) };
     assert_eq!(estimator.map_changed(&revision), RevisionEffect::CarriedOver);
     assert_eq!((estimator.map_version(), estimator.held_keyframes().len()), (Some(2), 4));
     let after = estimator.global_from_imu().unwrap();
     assert_eq!((after.pose, says_local(&estimator)), (pose.pose, local));
     let grown = after.covariance - pose.covariance;
-    let stated = |k| if k < 3 { SIZE.sigma_rotation } else { SIZE.sigma_position };
+    let stated = |k| if k < 3 { SIZE.sigma_rotation_rad } else { SIZE.sigma_position_m };
     let expected = Matrix6::from_diagonal(&Vector6::from_fn(|k, _| f64::powi(stated(k), 2)));
     assert!((grown - expected).amax() < 1e-9 * expected.amax(), "{grown}");
 
@@ -131,7 +131,7 @@ fn a_stated_change_keeps_the_robot_localized_without_a_jump() {
 #[test]
 fn keyframes_that_stayed_the_same_stay_held_and_the_rest_is_given_up() {
     let (world, mut estimator, mut frame) = localized();
-    let revision = MapRevision { other_errors: vec![4, 9, 77], ..news(1, 2, Some(SIZE)) };
+    let revision = MapRevision { changed_keyframes: vec![4, 9, 77], ..news(1, 2, Some(SIZE)) };
     assert_eq!(estimator.map_changed(&revision), RevisionEffect::CarriedOver);
     let mut held = estimator.held_keyframes();
     held.sort_unstable();
@@ -154,17 +154,17 @@ fn late_answers_of_the_old_version_are_refused() {
     estimator.map_changed(&news(1, 2, Some(SIZE)));
     let before = says(&estimator);
     let report = estimator.map_update(asked, &late).unwrap();
-    assert_eq!(report.rejection, Some(Rejection::OldMap { answered: 1, held: 2 }));
+    assert_eq!(report.rejection, Some(Rejection::OldMapVersion { answered: 1, held: 2 }));
     // Even one to the newest image, which was asked before the news came; and a map may be built anew from version 1.
     let mut rebuilt = estimator.clone();
     let report = estimator.map_update(newest, &world.answer(frame, now, 30)).unwrap();
-    assert_eq!(report.rejection, Some(Rejection::OldMap { answered: 1, held: 2 }));
+    assert_eq!(report.rejection, Some(Rejection::OldMapVersion { answered: 1, held: 2 }));
     assert_eq!(says(&estimator), before);
     rebuilt.map_changed(&news(2, 1, Some(SIZE)));
     let mut late = late;
     late.map_version = 2;
     let report = rebuilt.map_update(asked, &late).unwrap();
-    assert_eq!(report.rejection, Some(Rejection::OldMap { answered: 2, held: 1 }));
+    assert_eq!(report.rejection, Some(Rejection::OldMapVersion { answered: 2, held: 1 }));
 }
 
 #[test]
@@ -172,11 +172,11 @@ fn changes_in_a_row_add_up_and_are_counted_once() {
     let variance = |estimator: &Estimator| estimator.global_from_imu().unwrap().covariance[(3, 3)];
     let (_, mut estimator, _) = localized();
     let begin = variance(&estimator);
-    let empty = |from, to| MapRevision { other_errors: Vec::new(), ..news(from, to, Some(SIZE)) };
+    let empty = |from, to| MapRevision { changed_keyframes: Vec::new(), ..news(from, to, Some(SIZE)) };
     assert_eq!(estimator.map_changed(&empty(1, 2)), RevisionEffect::CarriedOver);
     assert_eq!(estimator.map_changed(&empty(1, 2)), RevisionEffect::None);
     assert_eq!(estimator.map_changed(&empty(2, 5)), RevisionEffect::CarriedOver);
-    let expected = 2.0 * SIZE.sigma_position.powi(2);
+    let expected = 2.0 * SIZE.sigma_position_m.powi(2);
     assert!((variance(&estimator) - begin - expected).abs() < 1e-9, "{}", variance(&estimator) - begin);
     assert_eq!(estimator.map_version(), Some(5));
 }
@@ -203,15 +203,15 @@ fn without_news_the_place_is_found_anew_after_a_while_and_with_unfit_news_at_onc
             assert!(report.initialized && (frame - begin) * FRAME_NS > 2_000_000_000, "{report:?}");
             break;
         }
-        assert_eq!(report.rejection, Some(Rejection::NewMap { answered: 3, held: 1 }));
+        assert_eq!(report.rejection, Some(Rejection::UnannouncedMapVersion { answered: 3, held: 1 }));
     }
     found(&world, &estimator, frame);
 
     // News from another version: some were lost. News without a size. A size that nothing survives.
-    let boundless = ChangeSize { sigma_rotation: 3.0, ..SIZE };
+    let boundless = ChangeSize { sigma_rotation_rad: 3.0, ..SIZE };
     for unfit in [news(2, 3, Some(SIZE)), news(1, 3, None), news(1, 3, Some(boundless))] {
         let (world, mut estimator, mut frame) = localized();
-        assert_eq!(estimator.map_changed(&unfit), RevisionEffect::FoundAnew);
+        assert_eq!(estimator.map_changed(&unfit), RevisionEffect::Reinitialized);
         assert_eq!(estimator.status().localization, Localization::Localized);
         let clone = next(&world, &mut estimator, &mut frame);
         let report = estimator.map_update(clone, &answer(&world, frame, 3)).unwrap();
@@ -225,7 +225,7 @@ fn news_behind_the_first_answer_of_their_version_still_count() {
     let (world, mut estimator, mut frame) = localized();
     let clone = next(&world, &mut estimator, &mut frame);
     let early = estimator.map_update(clone, &moved(world.answer(frame, frame, 20), 2, &Pose::identity()));
-    assert_eq!(early.unwrap().rejection, Some(Rejection::NewMap { answered: 2, held: 1 }));
+    assert_eq!(early.unwrap().rejection, Some(Rejection::UnannouncedMapVersion { answered: 2, held: 1 }));
     assert_eq!(estimator.map_changed(&news(1, 2, Some(SIZE))), RevisionEffect::CarriedOver);
     let clone = next(&world, &mut estimator, &mut frame);
     let report = estimator.map_update(clone, &moved(world.answer(frame, frame, 20), 2, &Pose::identity()));

@@ -57,7 +57,8 @@ fn what_enters_the_state_is_correlated_as_in_the_dense_filter() {
 /// Runs for `frames` images, of which the pixels of the features `spoiled` are wrong from `from` on.
 fn run(slam_features: usize, frames: i64, spoiled: std::ops::Range<u64>, from: i64) -> (f64, TrackReport) {
     let world = World::new();
-    let config = EstimatorConfig { slam_features, window: 8, ..EstimatorConfig::default() };
+    let mut config = EstimatorConfig::default();
+    (config.slam_features, config.window) = (slam_features, 8);
     let mut estimator = world.estimator(config);
     let (mut worst, mut last) = (0.0_f64, TrackReport::default());
     for frame in 1..=frames {
@@ -78,9 +79,9 @@ fn run(slam_features: usize, frames: i64, spoiled: std::ops::Range<u64>, from: i
 #[test]
 fn they_hold_a_drift_back_that_a_short_window_lets_go() {
     let (without, report) = run(0, 60, 0..0, 0);
-    assert_eq!(report.landmarks, 0);
+    assert_eq!(report.slam_features, 0);
     let (with, report) = run(15, 60, 0..0, 0);
-    assert!(report.landmarks > 8, "{report:?}");
+    assert!(report.slam_features > 8, "{report:?}");
     assert!(with < 0.8 * without, "{with} m with, {without} m without");
 }
 
@@ -89,5 +90,5 @@ fn pixels_that_jump_away_do_not_pull_the_state_and_free_their_places() {
     let (clean, _) = run(15, 60, 0..0, 0);
     let (spoiled, report) = run(15, 60, 0..75, 40);
     assert!(spoiled < 2.0 * clean + 0.01, "{spoiled} m, {clean} m without the jump");
-    assert!(report.landmarks > 8, "others took their places: {report:?}");
+    assert!(report.slam_features > 8, "others took their places: {report:?}");
 }

@@ -13,7 +13,7 @@ pub mod covariance_check;
 pub mod numeric;
 pub mod pnp;
 pub mod pose;
-mod robust;
+pub mod robust;
 pub mod rotation;
 pub mod triangulation;
 pub mod uncertain_pose;

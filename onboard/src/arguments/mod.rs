@@ -148,7 +148,8 @@ impl RobotArguments {
         };
         let defaults = EstimatorConfig::default();
         let gravity = imu.gravity_magnitude.unwrap_or(defaults.gravity);
-        let of_sensor = EstimatorConfig { imu_noise: imu.noise, gravity, ..defaults };
+        let mut of_sensor = defaults;
+        (of_sensor.imu_noise, of_sensor.gravity) = (imu.noise, gravity);
         let mut config = match &self.estimator_config {
             Some(path) => read_settings(path, &of_sensor)?,
             None => of_sensor,
@@ -164,8 +165,8 @@ impl RobotArguments {
         let override_with = |target: &mut f64, value: Option<f64>| *target = value.unwrap_or(*target);
         override_with(&mut config.sigma_track_px, self.sigma_track);
         override_with(&mut config.sigma_match_px, self.sigma_match);
-        override_with(&mut config.initial.gyroscope_bias, self.sigma_gyroscope_bias);
-        override_with(&mut config.initial.accelerometer_bias, self.sigma_accelerometer_bias);
+        override_with(&mut config.initial.sigma_gyroscope_bias_rad_s, self.sigma_gyroscope_bias);
+        override_with(&mut config.initial.sigma_accelerometer_bias_m_s2, self.sigma_accelerometer_bias);
         config.sigma_map_px = self.sigma_map.or(config.sigma_map_px);
         config.window = self.window.unwrap_or(config.window);
         config.slam_features = self.slam_features.unwrap_or(config.slam_features);

@@ -59,8 +59,8 @@ impl Event {
         self.outcome = "matched".into();
         self.keyframes = report.keyframes;
         self.matches = report.matches;
-        self.inliers = report.verified;
-        self.used = report.accepted;
+        self.inliers = report.inliers;
+        self.used = report.used;
         self.mean_reprojection_px = report.mean_reprojection_px;
         self.relinearized = report.relinearized;
         self.accepted = report.rejection.is_none();

@@ -135,8 +135,8 @@ impl Recorder {
     pub fn note_start(&mut self, stamp_ns: i64, method: Option<&InitMethod>) {
         let (method, sigma_scale) = match method {
             None => ("known", None),
-            Some(InitMethod::Rest) => ("rest", None),
-            Some(InitMethod::Motion(init_quality)) => ("motion", Some(init_quality.sigma_scale)),
+            Some(InitMethod::Static) => ("rest", None),
+            Some(InitMethod::Dynamic(init_quality)) => ("motion", Some(init_quality.sigma_scale)),
         };
         let seconds = (stamp_ns - self.first_ns) as f64 * 1e-9;
         self.starts.push(StartSummary { seconds, method, sigma_scale });

@@ -246,14 +246,13 @@ const EXACT: f64 = 1e-9;
 
 /// Every mode with every number of cameras and every settings file.
 fn variants(args: &Args, simulation: &SimulationOptions) -> anyhow::Result<Vec<Variant>> {
-    let mut defaults = EstimatorConfig {
-        imu_noise: simulation.imu_noise,
-        sigma_track_px: args.pixel_noise,
-        sigma_map_shift: args.map_shift.max(EXACT),
-        ..EstimatorConfig::default()
-    };
+    let mut defaults = EstimatorConfig::default();
+    defaults.imu_noise = simulation.imu_noise;
+    defaults.sigma_track_px = args.pixel_noise;
+    defaults.sigma_map_shift_fraction = args.map_shift.max(EXACT);
     if let Some((deg, metres)) = args.sigma_start {
-        (defaults.initial.yaw, defaults.initial.position) = (deg.to_radians(), metres);
+        defaults.initial.sigma_yaw_rad = deg.to_radians();
+        defaults.initial.sigma_position_m = metres;
     }
     let mut settings = Vec::new();
     for path in &args.estimator_config {
@@ -271,7 +270,8 @@ fn variants(args: &Args, simulation: &SimulationOptions) -> anyhow::Result<Vec<V
                     Cameras::Mono => (1, "mono"),
                     Cameras::Stereo => (2, "stereo"),
                 };
-                let config = EstimatorConfig { mode: (*mode).into(), ..config.clone() };
+                let mut config = config.clone();
+                config.mode = (*mode).into();
                 config.validate().map_err(|reason| anyhow::anyhow!("the estimator's settings: {reason}"))?;
                 let mode = format!("{mode:?}").to_lowercase();
                 variants.push(Variant { name: format!("{mode} {rig}{file}"), config, cameras: count });

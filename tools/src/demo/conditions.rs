@@ -74,12 +74,9 @@ impl Conditions {
 
     /// The simulation of one seed.
     pub(super) fn simulation(&self, seed: u64) -> SimulationOptions {
-        let euroc = ImuNoise::default();
-        let imu_noise = ImuNoise {
-            gyroscope: self.gyroscope_noise_factor * euroc.gyroscope,
-            gyroscope_walk: self.gyroscope_noise_factor * euroc.gyroscope_walk,
-            ..euroc
-        };
+        let mut imu_noise = ImuNoise::default();
+        imu_noise.gyroscope *= self.gyroscope_noise_factor;
+        imu_noise.gyroscope_walk *= self.gyroscope_noise_factor;
         SimulationOptions {
             seed,
             imu_noise,

@@ -1,177 +1,217 @@
-//! Watches readings and images for a state to start from: at rest, else in motion.
+//! Finds the initial state from IMU samples and tracks: static initialization at rest, else dynamic initialization in motion.
 //!
-//! Before the first start, and again after the filter diverged. Pure, like the filter; what it keeps is bounded
-//! by `MOST_SECONDS_BLIND`. Rest is tried first: it needs no parallax. The tracks must agree: a body that glides reads
-//! like one at rest.
+//! Used before the filter starts and again after it diverged. Memory is bounded by `MAX_SECONDS_WITHOUT_IMAGES`. The static
+//! initialization is tried first, since it needs no parallax. It is confirmed by the tracks, because the IMU cannot tell
+//! uniform motion from rest.
 
-use crate::EstimatorError;
 use crate::calibration::CalibratedCamera;
 use crate::config::EstimatorConfig;
-use crate::imu::{ImuBuffer, ImuSample};
-use crate::initialization::dynamic::{BiasPrior, InitQuality, NotYet, StartImage, Window, dynamic_start};
-use crate::initialization::static_initialization::{InitialState, InitializationError, REST_SECONDS};
+use crate::imu::{BadImuSample, ImuBuffer, ImuSample};
+use crate::initialization::dynamic::{
+    BiasPrior, DynamicInitError, InitQuality, Window, WindowImage, initialize_dynamic,
+};
+use crate::initialization::static_init::{InitialState, REST_SECONDS, StaticInitError};
 use crate::odometry::tracks::TrackObservation;
 use geometry::{Pose, rotation};
 use nalgebra::Vector3;
 use std::collections::{BTreeMap, VecDeque};
 
-/// Length of the window that a start in motion is tried from, seconds. Shorter ones seldom tell the scale; longer
-/// ones cost more than they tell.
+/// Minimum and maximum duration of the window of a dynamic initialization, seconds. Shorter ones seldom determine the scale;
+/// longer ones cost more than they gain.
 const WINDOW_SECONDS: [f64; 2] = [1.15, 1.85];
-/// How long readings are kept, and how old a state at rest may be at an image, seconds.
-const MOST_SECONDS: f64 = 2.5;
-/// The same where images are so rare that nothing better will come: the readings carry the state on.
-const MOST_SECONDS_BLIND: f64 = 10.0;
-/// Images closer to each other than this are left out of the window, nanoseconds: they add cost, not parallax.
-const LEAST_IMAGE_GAP_NS: i64 = 80_000_000;
-/// Time between two looks at the readings for a rest, seconds.
-const REST_STEP: f64 = 0.1;
-/// Time between two tries of a start in motion, nanoseconds, at first. A try costs as much as tens of frames.
-const TRY_EVERY_NS: i64 = 180_000_000;
-/// After so many tries in vain the time between them grows by as much again, up to [`SLOWEST_TRIES`] times: a robot
-/// that glides for an hour does not spend it on starting.
-const TRIES_AT_ONE_PACE: i64 = 10;
-const SLOWEST_TRIES: i64 = 5;
-/// Images to compare at rest are at least so far apart, nanoseconds.
-const GLIDE_SPAN_NS: i64 = 200_000_000;
-/// Fewest tracks to tell gliding from rest by.
-const GLIDE_TRACKS: usize = 12;
-/// Median displacement of pixels at rest, in units of their noise. Noise alone gives 1.66.
-const GLIDE_DISPLACEMENT: f64 = 2.5;
+/// Duration of the stored samples, and maximum age of a static initialization at an image, seconds.
+const MAX_SECONDS: f64 = 2.5;
+/// The same where there are no images for a dynamic initialization: the state is propagated by the samples.
+const MAX_SECONDS_WITHOUT_IMAGES: f64 = 10.0;
+/// Minimum time between images of the window, nanoseconds: closer ones add cost, but no parallax.
+const MIN_IMAGE_INTERVAL_NS: i64 = 80_000_000;
+/// Time between two static initializations, seconds.
+const STATIC_PERIOD_S: f64 = 0.1;
+/// Initial time between two dynamic initializations, nanoseconds. One costs as much as tens of images.
+const DYNAMIC_PERIOD_NS: i64 = 180_000_000;
+/// After so many failed attempts the time between them is increased by its initial value, up to [`MAX_PERIOD_FACTOR`] times:
+/// limits the load of a robot in uniform motion.
+const ATTEMPTS_PER_PERIOD: i64 = 10;
+/// Maximum factor on the time between two dynamic initializations.
+const MAX_PERIOD_FACTOR: i64 = 5;
+/// Minimum time between the images that confirm the rest, nanoseconds.
+const MOTION_CHECK_SPAN_NS: i64 = 200_000_000;
+/// Minimum number of tracks shared by these images.
+const MOTION_CHECK_MIN_TRACKS: usize = 12;
+/// Maximum median displacement of pixels at rest, in units of their noise. Noise alone gives 1.66.
+const MOTION_CHECK_MAX_DISPLACEMENT: f64 = 2.5;
 
-/// How a start was found.
+/// How the initial state was found.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum InitMethod {
-    /// The body stood.
-    Rest,
-    /// It moved.
-    Motion(InitQuality),
+    /// At rest.
+    Static,
+    /// In motion.
+    Dynamic(InitQuality),
 }
 
-/// A start.
+/// A successful initialization.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Start {
-    /// Where the filter begins.
+pub struct Initialization {
+    /// Initial state of the filter.
     pub initial: InitialState,
     /// How it was found.
     pub method: InitMethod,
 }
 
-/// What the initializer waits for.
+/// Why the initializer has no initial state yet.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
 pub enum InitStatus {
     /// Nothing arrived yet.
-    #[error("waiting for readings of the IMU and images")]
-    Data,
-    /// The filter diverged a short time ago, more than once.
-    #[error("waiting {seconds:.0} s before it is started again: the last starts did not last")]
-    Pause {
-        /// Seconds left.
+    #[error("waiting for IMU samples and images")]
+    NoData,
+    /// The filter diverged repeatedly within a short time.
+    #[error("waiting {seconds:.0} s before the next initialization: the filter diverged repeatedly")]
+    Paused {
+        /// Time left, seconds.
         seconds: f64,
     },
-    /// The images are too few to start in motion.
-    #[error("watching for {need:.1} s before a start in motion ({have:.1} s so far); at rest: {rest}")]
-    Watching {
-        /// Seconds at hand.
+    /// The window is too short for a dynamic initialization.
+    #[error(
+        "collecting images for a dynamic initialization ({have:.1} of {need:.1} s); static initialization: {rest}"
+    )]
+    Collecting {
+        /// Duration of the window, seconds.
         have: f64,
-        /// Seconds needed.
+        /// Duration needed, seconds.
         need: f64,
-        /// Why it does not start at rest.
-        rest: InitializationError,
+        /// Why the static initialization failed.
+        rest: StaticInitError,
     },
-    /// No start in motion.
-    #[error("no start in motion: {motion}; no start at rest: {rest}")]
-    Moving {
-        /// Why not in motion.
-        motion: NotYet,
-        /// Why not at rest.
-        rest: InitializationError,
+    /// Both initializations failed.
+    #[error("dynamic initialization: {motion}; static initialization: {rest}")]
+    NotInitialized {
+        /// Why the dynamic initialization failed.
+        motion: DynamicInitError,
+        /// Why the static initialization failed.
+        rest: StaticInitError,
     },
 }
 
-/// Where L was when the filter was last believed.
+/// The last pose in L before the filter diverged, from which L is continued.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LastTrustedPose {
     /// Time, nanoseconds.
     pub stamp_ns: i64,
-    /// The body in L.
+    /// IMU pose in L.
     pub local_from_imu: Pose,
-    /// Bias of the gyroscope, rad/s; turns on until the next start.
+    /// Gyroscope bias, rad/s, for the propagation of the rotation until the next initialization.
     pub gyroscope_bias: Vector3<f64>,
 }
 
-/// Looks for a start.
+/// Finds the initial state of a filter, at rest or in motion.
+///
+/// Feed it like the filter, with [`Self::imu`] and [`Self::image`], until the latter returns an [`Initialization`]; then
+/// give the filter the samples of [`Self::readings_for`].
+///
+/// ```
+/// use estimator::{CalibratedCamera, Estimator, EstimatorConfig, ImuSample, InitMethod, Initializer};
+/// use geometry::{Camera, Distortion, Pose};
+/// use nalgebra::Vector3;
+///
+/// let camera = Camera {
+///     width: 640,
+///     height: 480,
+///     focal: [400.0; 2],
+///     centre: [320.0, 240.0],
+///     distortion: Distortion::None,
+/// };
+/// let cameras = vec![CalibratedCamera { camera, imu_from_camera: Pose::identity() }];
+/// let config = EstimatorConfig::default();
+/// let mut initializer = Initializer::new(config.clone(), cameras.clone());
+/// for k in 0..=200 {
+///     initializer.imu(ImuSample {
+///         stamp_ns: k * 5_000_000,
+///         gyroscope: Vector3::zeros(),
+///         accelerometer: Vector3::new(0.0, 0.0, 9.81),
+///     })?;
+/// }
+/// let found = initializer.image(1_000_000_000, &[])?;
+/// assert_eq!(found.method, InitMethod::Static);
+///
+/// let mut estimator = Estimator::new(config, cameras, &found.initial)?;
+/// for sample in initializer.readings_for(&found.initial) {
+///     estimator.imu(*sample)?;
+/// }
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Clone, Debug)]
 pub struct Initializer {
     config: EstimatorConfig,
-    rig: Vec<CalibratedCamera>,
+    cameras: Vec<CalibratedCamera>,
     imu: ImuBuffer,
-    images: VecDeque<StartImage>,
-    /// The newest state at rest.
+    images: VecDeque<WindowImage>,
+    /// The newest static initialization.
     rest: Option<InitialState>,
-    no_rest: InitializationError,
-    next_rest_ns: Option<i64>,
-    next_try_ns: i64,
-    tries: i64,
+    static_error: StaticInitError,
+    next_static_ns: Option<i64>,
+    next_dynamic_ns: i64,
+    attempts: i64,
     not_before_ns: i64,
-    no_motion: Option<NotYet>,
+    dynamic_error: Option<DynamicInitError>,
     last: Option<LastTrustedPose>,
 }
 
 impl Initializer {
-    /// A initializer for the first start.
-    pub fn new(config: EstimatorConfig, rig: Vec<CalibratedCamera>) -> Self {
+    /// An initializer for the first initialization.
+    pub fn new(config: EstimatorConfig, cameras: Vec<CalibratedCamera>) -> Self {
         Self {
             config,
-            rig,
+            cameras,
             imu: ImuBuffer::default(),
             images: VecDeque::new(),
             rest: None,
-            no_rest: InitializationError::TooShort { have: 0.0, need: REST_SECONDS },
-            next_rest_ns: None,
-            next_try_ns: i64::MIN,
-            tries: 0,
+            static_error: StaticInitError::TooShort { have: 0.0, need: REST_SECONDS },
+            next_static_ns: None,
+            next_dynamic_ns: i64::MIN,
+            attempts: 0,
             not_before_ns: i64::MIN,
-            no_motion: None,
+            dynamic_error: None,
             last: None,
         }
     }
 
-    /// A initializer for the next start: L goes on.
+    /// An initializer after a divergence: L is continued.
     ///
     /// # Arguments
-    /// * `last`: the pose whose position and yaw the new start takes. The yaw is turned on with the gyroscope by the
-    ///   readings from then on; the way in between is not known and left out.
-    /// * `not_before_ns`: no start before this time.
+    /// * `last`: the pose whose position and yaw the new initial state takes. Its rotation is propagated with the gyroscope
+    ///   from then on; the translation in between is unknown and left out.
+    /// * `not_before_ns`: no initialization before this time.
     pub fn again(
         config: EstimatorConfig,
-        rig: Vec<CalibratedCamera>,
+        cameras: Vec<CalibratedCamera>,
         last: Option<LastTrustedPose>,
         not_before_ns: i64,
     ) -> Self {
-        Self { not_before_ns, last, ..Self::new(config, rig) }
+        Self { not_before_ns, last, ..Self::new(config, cameras) }
     }
 
-    /// Takes a reading, in the order of time.
+    /// Adds an IMU sample, in the order of time.
     ///
     /// # Errors
-    /// [`EstimatorError::BadImu`]: it was dropped.
-    pub fn imu(&mut self, sample: ImuSample) -> Result<(), EstimatorError> {
+    /// [`BadImuSample`]: it was dropped.
+    pub fn imu(&mut self, sample: ImuSample) -> Result<(), BadImuSample> {
         let previous = self.imu.newest();
         self.imu.push(sample)?;
-        self.turn_on(previous, &sample);
-        let step_ns = (REST_STEP * 1e9) as i64;
-        let next_ns = *self.next_rest_ns.get_or_insert(sample.stamp_ns + (REST_SECONDS * 1e9) as i64);
+        self.propagate_last_rotation(previous, &sample);
+        let step_ns = (STATIC_PERIOD_S * 1e9) as i64;
+        let next_ns = *self.next_static_ns.get_or_insert(sample.stamp_ns + (REST_SECONDS * 1e9) as i64);
         if sample.stamp_ns >= next_ns {
-            self.next_rest_ns = Some(next_ns.max(sample.stamp_ns - step_ns) + step_ns);
-            self.look_for_rest(sample.stamp_ns);
+            self.next_static_ns = Some(next_ns.max(sample.stamp_ns - step_ns) + step_ns);
+            self.initialize_static(sample.stamp_ns);
         }
-        self.forget();
+        self.remove_old();
         Ok(())
     }
 
-    /// Turns the last believed pose on.
-    fn turn_on(&mut self, previous: Option<ImuSample>, sample: &ImuSample) {
+    /// Propagates the rotation of the last trusted pose.
+    fn propagate_last_rotation(&mut self, previous: Option<ImuSample>, sample: &ImuSample) {
         let (Some(last), Some(previous)) = (&mut self.last, previous) else { return };
         let seconds = (sample.stamp_ns - previous.stamp_ns.max(last.stamp_ns)) as f64 * 1e-9;
         if seconds > 0.0 {
@@ -181,140 +221,154 @@ impl Initializer {
         }
     }
 
-    fn look_for_rest(&mut self, now_ns: i64) {
+    fn initialize_static(&mut self, now_ns: i64) {
         let from_ns = now_ns - (REST_SECONDS * 1e9) as i64;
         let newest: Vec<ImuSample> =
             self.imu.readings().filter(|reading| reading.stamp_ns >= from_ns).copied().collect();
         match InitialState::from_rest(&newest, &self.config) {
             Ok(state) => self.rest = Some(state),
-            Err(why) => self.no_rest = why,
+            Err(why) => self.static_error = why,
         }
     }
 
-    /// Forgets what is too old to start from.
-    fn forget(&mut self) {
+    /// Removes samples, images and static initializations that are too old.
+    fn remove_old(&mut self) {
         let Some(newest_ns) = self.imu.newest().map(|sample| sample.stamp_ns) else { return };
-        let blind_ns = newest_ns - (MOST_SECONDS_BLIND * 1e9) as i64;
-        self.rest = self.rest.take().filter(|rest| rest.stamp_ns >= blind_ns);
+        let oldest_static_ns = newest_ns - (MAX_SECONDS_WITHOUT_IMAGES * 1e9) as i64;
+        self.rest = self.rest.take().filter(|rest| rest.stamp_ns >= oldest_static_ns);
         let window_ns = newest_ns - (WINDOW_SECONDS[1] * 1e9) as i64;
         while self.images.front().is_some_and(|image| image.stamp_ns < window_ns) {
             self.images.pop_front();
         }
-        let oldest_ns = newest_ns - (MOST_SECONDS * 1e9) as i64;
-        self.imu.forget_before(self.rest.as_ref().map_or(oldest_ns, |rest| rest.stamp_ns.min(oldest_ns)));
+        let oldest_ns = newest_ns - (MAX_SECONDS * 1e9) as i64;
+        self.imu.remove_before(self.rest.as_ref().map_or(oldest_ns, |rest| rest.stamp_ns.min(oldest_ns)));
     }
 
-    /// Takes an image's tracks, after the readings up to the first one behind it.
+    /// Adds the tracks of an image, after the IMU samples up to the first one later than it.
     ///
     /// # Returns
-    /// A start at this image, or a short time before it.
+    /// An initial state at this image, or a short time before it.
     ///
     /// # Errors
-    /// [`InitStatus`] says what for.
-    pub fn image(&mut self, stamp_ns: i64, tracks: &[TrackObservation]) -> Result<Start, InitStatus> {
+    /// [`InitStatus`]: why there is none yet.
+    pub fn image(
+        &mut self,
+        stamp_ns: i64,
+        tracks: &[TrackObservation],
+    ) -> Result<Initialization, InitStatus> {
         if stamp_ns < self.not_before_ns {
-            return Err(InitStatus::Pause { seconds: (self.not_before_ns - stamp_ns) as f64 * 1e-9 });
+            return Err(InitStatus::Paused { seconds: (self.not_before_ns - stamp_ns) as f64 * 1e-9 });
         }
-        let spaced = self.images.back().is_none_or(|last| stamp_ns - last.stamp_ns >= LEAST_IMAGE_GAP_NS);
+        let spaced = self.images.back().is_none_or(|last| stamp_ns - last.stamp_ns >= MIN_IMAGE_INTERVAL_NS);
         if spaced {
-            self.images.push_back(StartImage { stamp_ns, tracks: tracks.to_vec() });
+            self.images.push_back(WindowImage { stamp_ns, tracks: tracks.to_vec() });
         }
-        let start = match self.at_rest(stamp_ns, tracks) {
-            Some(initial) => Ok(Start { initial, method: InitMethod::Rest }),
+        let found = match self.at_rest(stamp_ns, tracks) {
+            Some(initial) => Ok(Initialization { initial, method: InitMethod::Static }),
             None if spaced => self.in_motion(stamp_ns),
-            None => Err(self.waiting(stamp_ns)),
+            None => Err(self.status(stamp_ns)),
         };
-        start.map(|start| Start { initial: self.placed(&start.initial), ..start })
+        found.map(|found| Initialization { initial: self.continue_local(&found.initial), ..found })
     }
 
     fn at_rest(&mut self, stamp_ns: i64, tracks: &[TrackObservation]) -> Option<InitialState> {
-        let blind = self.images.len() < 2;
-        let oldest_ns = stamp_ns - (if blind { MOST_SECONDS_BLIND } else { MOST_SECONDS } * 1e9) as i64;
+        let without_images = self.images.len() < 2;
+        let oldest_ns =
+            stamp_ns - (if without_images { MAX_SECONDS_WITHOUT_IMAGES } else { MAX_SECONDS } * 1e9) as i64;
         let rest = self.rest.as_ref().filter(|rest| (oldest_ns..=stamp_ns).contains(&rest.stamp_ns))?;
-        let glides = glides(&self.images, rest.stamp_ns, tracks, self.config.sigma_track_px);
-        if glides {
-            self.no_rest = InitializationError::Gliding;
+        let moving = tracks_move(&self.images, rest.stamp_ns, tracks, self.config.sigma_track_px);
+        if moving {
+            self.static_error = StaticInitError::UniformMotion;
             self.rest = None;
         }
         self.rest.clone()
     }
 
-    fn in_motion(&mut self, stamp_ns: i64) -> Result<Start, InitStatus> {
+    fn in_motion(&mut self, stamp_ns: i64) -> Result<Initialization, InitStatus> {
         let long_enough = self.seconds(stamp_ns) >= WINDOW_SECONDS[0];
-        if !long_enough || stamp_ns < self.next_try_ns {
-            return Err(self.waiting(stamp_ns));
+        if !long_enough || stamp_ns < self.next_dynamic_ns {
+            return Err(self.status(stamp_ns));
         }
-        self.next_try_ns = stamp_ns + TRY_EVERY_NS * (1 + self.tries / TRIES_AT_ONE_PACE).min(SLOWEST_TRIES);
-        self.tries += 1;
-        let found = Window::new(self.images.make_contiguous(), &self.imu, &self.rig)
-            .and_then(|window| dynamic_start(&window, &self.rig, &self.config, &BiasPrior::default()));
+        self.next_dynamic_ns =
+            stamp_ns + DYNAMIC_PERIOD_NS * (1 + self.attempts / ATTEMPTS_PER_PERIOD).min(MAX_PERIOD_FACTOR);
+        self.attempts += 1;
+        let found = Window::new(self.images.make_contiguous(), &self.imu, &self.cameras).and_then(|window| {
+            initialize_dynamic(&window, &self.cameras, &self.config, &BiasPrior::default())
+        });
         match found {
-            Ok((initial, init_quality)) => Ok(Start { initial, method: InitMethod::Motion(init_quality) }),
+            Ok((initial, init_quality)) => {
+                Ok(Initialization { initial, method: InitMethod::Dynamic(init_quality) })
+            }
             Err(why) => {
-                self.no_motion = Some(why);
-                Err(self.waiting(stamp_ns))
+                self.dynamic_error = Some(why);
+                Err(self.status(stamp_ns))
             }
         }
     }
 
-    /// Length of the window, seconds.
+    /// Duration of the window, seconds.
     fn seconds(&self, stamp_ns: i64) -> f64 {
         self.images.front().map_or(0.0, |first| (stamp_ns - first.stamp_ns) as f64 * 1e-9)
     }
 
-    fn waiting(&self, stamp_ns: i64) -> InitStatus {
-        let rest = self.no_rest;
-        match self.no_motion {
-            Some(motion) => InitStatus::Moving { motion, rest },
-            None => InitStatus::Watching { have: self.seconds(stamp_ns), need: WINDOW_SECONDS[0], rest },
+    fn status(&self, stamp_ns: i64) -> InitStatus {
+        let rest = self.static_error;
+        match self.dynamic_error {
+            Some(motion) => InitStatus::NotInitialized { motion, rest },
+            None => InitStatus::Collecting { have: self.seconds(stamp_ns), need: WINDOW_SECONDS[0], rest },
         }
     }
 
-    /// The start at the position and with the yaw that L goes on with.
-    fn placed(&self, initial: &InitialState) -> InitialState {
+    /// The initial state with position and yaw of the last trusted pose.
+    fn continue_local(&self, initial: &InitialState) -> InitialState {
         let Some(last) = &self.last else { return initial.clone() };
-        let apart = last.local_from_imu.rotation * initial.imu.local_from_imu.rotation.inverse();
-        // The part of a rotation about z is what is left of its quaternion without x and y.
-        let yaw = 2.0 * apart.k.atan2(apart.w);
-        let turn = rotation::exp(&Vector3::new(0.0, 0.0, yaw));
-        initial.seen_from(&Pose::new(turn, last.local_from_imu.translation))
+        let difference = last.local_from_imu.rotation * initial.imu.local_from_imu.rotation.inverse();
+        // The rotation about z of a quaternion is given by its components k and w.
+        let yaw = 2.0 * difference.k.atan2(difference.w);
+        let rotation = rotation::exp(&Vector3::new(0.0, 0.0, yaw));
+        initial.transformed(&Pose::new(rotation, last.local_from_imu.translation))
     }
 
-    /// Forgets a rest that was seen so far: after a divergence only what comes from now on counts.
-    pub fn forget_rest(&mut self) {
+    /// Discards the static initialization found so far: after a divergence only later samples are used.
+    pub fn discard_rest(&mut self) {
         self.rest = None;
     }
 
-    /// Readings that the filter needs from its start on.
+    /// The IMU samples that the filter needs from its initial state on.
     pub fn readings_for(&self, start: &InitialState) -> impl Iterator<Item = &ImuSample> {
         let first = self.imu.readings().take_while(|reading| reading.stamp_ns <= start.stamp_ns).count();
         self.imu.readings().skip(first.saturating_sub(1))
     }
 }
 
-/// Whether the tracks move although the readings say that the body stands. False where they do not tell.
-fn glides(images: &VecDeque<StartImage>, rest_ns: i64, tracks: &[TrackObservation], sigma_px: f64) -> bool {
+/// Whether the tracks move although the IMU is at rest. False where there are too few.
+fn tracks_move(
+    images: &VecDeque<WindowImage>,
+    rest_ns: i64,
+    tracks: &[TrackObservation],
+    sigma_px: f64,
+) -> bool {
     let Some(newest_ns) = images.back().map(|image| image.stamp_ns) else { return false };
     let begin_ns = rest_ns - (REST_SECONDS * 1e9) as i64;
-    let mut before = images
+    let mut earlier = images
         .iter()
-        .filter(|image| image.stamp_ns >= begin_ns && newest_ns - image.stamp_ns >= GLIDE_SPAN_NS);
+        .filter(|image| image.stamp_ns >= begin_ns && newest_ns - image.stamp_ns >= MOTION_CHECK_SPAN_NS);
     let now: BTreeMap<u64, _> = tracks
         .iter()
         .filter(|track| track.camera == 0)
         .map(|track| (track.feature_id, track.pixel))
         .collect();
-    let displacements = before.find_map(|image| {
+    let displacements = earlier.find_map(|image| {
         let shared: Vec<f64> = image
             .tracks
             .iter()
             .filter(|track| track.camera == 0)
             .filter_map(|track| Some((now.get(&track.feature_id)? - track.pixel).norm()))
             .collect();
-        (shared.len() >= GLIDE_TRACKS).then_some(shared)
+        (shared.len() >= MOTION_CHECK_MIN_TRACKS).then_some(shared)
     });
     displacements.is_some_and(|mut displacements| {
         displacements.sort_by(f64::total_cmp);
-        displacements[displacements.len() / 2] > GLIDE_DISPLACEMENT * sigma_px
+        displacements[displacements.len() / 2] > MOTION_CHECK_MAX_DISPLACEMENT * sigma_px
     })
 }

@@ -1,5 +1,5 @@
-//! Where a filter starts: at rest, or in motion.
+//! The initial state of a filter, from ground truth, at rest (static) or in motion (dynamic).
 
 pub mod dynamic;
 pub mod initializer;
-pub mod static_initialization;
+pub mod static_init;

@@ -1,4 +1,4 @@
-//! What the map answered to one image, in the estimator's own terms.
+//! The answer of a map to the query of one image.
 
 use crate::KeyframeId;
 use geometry::{Camera, PoseWithCovariance};
@@ -8,70 +8,71 @@ use std::collections::HashSet;
 /// A keyframe of the map that shares landmarks with the image.
 #[derive(Clone, Debug)]
 pub struct MapKeyframe {
-    /// Its name in the map.
+    /// Identity within the map.
     pub id: KeyframeId,
-    /// Camera pose in G with covariance.
+    /// Camera pose in G with the covariance of its error in G.
     pub global_from_keyframe: PoseWithCovariance,
-    /// Its camera.
+    /// Intrinsics of its camera.
     pub camera: Camera,
-    /// Its covariance with other keyframes, rows are its own error. Absent means independent.
+    /// Cross-covariances with other keyframes, `E[own otherᵀ]`. A keyframe that is not listed is independent.
     pub cross_covariances: Vec<(KeyframeId, Matrix6<f64>)>,
 }
 
-/// A landmark of the map that the image saw.
+/// A landmark of the map that is matched with a feature of the image.
 #[derive(Clone, Debug)]
 pub struct MatchedLandmark {
-    /// Where the current image saw it, pixels.
+    /// Its pixel in the current image, as the camera sees it (distorted).
     pub pixel: Vector2<f64>,
     /// The keyframe in whose camera frame its position is given.
     pub anchor: KeyframeId,
-    /// Position in the anchor's camera frame, metres. A point to linearize at, not a measurement.
+    /// Position in the anchor's camera frame, metres; used as linearization point only, not as a measurement.
     pub position_in_anchor: Vector3<f64>,
-    /// Where keyframes saw it, pixels; the anchor among them.
+    /// Its pixels in keyframes, the anchor included.
     pub observations: Vec<(KeyframeId, Vector2<f64>)>,
 }
 
-/// All that the map had to say about one image.
+/// The answer of a map to the query of one image.
 #[derive(Clone, Debug)]
 pub struct MapAnswer {
-    /// Version of the map that answered.
+    /// Version of the map.
     pub map_version: u64,
     /// Best first.
     pub keyframes: Vec<MapKeyframe>,
-    /// Keyframes that the filter held when it asked: the answer states how its own depend on these.
-    pub asked_with: Vec<KeyframeId>,
-    /// What matched.
+    /// Keyframes held by the filter at the time of the query; the answer contains its cross-covariances with them.
+    pub held_at_query: Vec<KeyframeId>,
+    /// Matched landmarks.
     pub landmarks: Vec<MatchedLandmark>,
-    /// Unit vector along gravity in G, where the map states it.
+    /// Unit vector along gravity in G, where the map has it.
     pub gravity_in_global: Option<Vector3<f64>>,
-    /// Noise of the map's pixels as the map states it, px.
+    /// Noise of the map's pixels, px.
     pub sigma_map_px: f64,
 }
 
 impl MapAnswer {
-    /// A keyframe of this answer.
+    /// The keyframe `id` of this answer.
     pub fn keyframe(&self, id: KeyframeId) -> Option<&MapKeyframe> {
         self.keyframes.iter().find(|keyframe| keyframe.id == id)
     }
 
-    /// Leaves out keyframes of which nobody said how they depend on some that came since the question, and whatever
-    /// hangs on them. To take them for independent could contradict what both have in common with a third.
+    /// Removes keyframes whose cross-covariance with keyframes added after the query is unknown, and what refers to them.
+    /// Treating them as independent could be inconsistent with the correlation of both with a third keyframe.
     ///
     /// # Arguments
     /// * `held`: keyframes that the filter holds now.
     #[must_use]
-    pub fn with_known_relations(mut self, held: &[KeyframeId]) -> Self {
-        let sent = self.keyframes.iter().map(|keyframe| keyframe.id);
-        let stated: HashSet<KeyframeId> = self.asked_with.iter().copied().chain(sent).collect();
+    pub fn with_known_correlations(mut self, held: &[KeyframeId]) -> Self {
+        let answered = self.keyframes.iter().map(|keyframe| keyframe.id);
+        let stated: HashSet<KeyframeId> = self.held_at_query.iter().copied().chain(answered).collect();
         if held.iter().all(|id| stated.contains(id)) {
             return self;
         }
         self.keyframes.retain(|keyframe| held.contains(&keyframe.id));
-        self.keep_what_hangs_together();
+        self.remove_dangling_references();
         self
     }
 
-    fn keep_what_hangs_together(&mut self) {
+    /// Removes landmarks and observations of keyframes that are not in the answer.
+    pub(crate) fn remove_dangling_references(&mut self) {
         let known: Vec<KeyframeId> = self.keyframes.iter().map(|keyframe| keyframe.id).collect();
         self.landmarks.retain(|landmark| known.contains(&landmark.anchor));
         for landmark in &mut self.landmarks {
@@ -79,13 +80,13 @@ impl MapAnswer {
         }
     }
 
-    /// Leaves out what no filter can use: keyframes whose pose or covariance is none, cross-covariances
-    /// that the covariances do not allow, and whatever hangs on them; numbers that are not finite.
+    /// Removes keyframes whose pose or covariance is invalid or whose cross-covariances are inconsistent with the
+    /// covariances, what refers to them, and values that are not finite.
     ///
     /// # Arguments
     /// * `held`: covariance of a keyframe that the filter holds already.
     #[must_use]
-    pub fn sound(mut self, held: &dyn Fn(KeyframeId) -> Option<Matrix6<f64>>) -> Self {
+    pub fn without_invalid(mut self, held: &dyn Fn(KeyframeId) -> Option<Matrix6<f64>>) -> Self {
         self.keyframes.retain(|keyframe| keyframe.global_from_keyframe.is_plausible());
         let stated: Vec<(KeyframeId, Matrix6<f64>)> = self
             .keyframes
@@ -97,10 +98,10 @@ impl MapAnswer {
         self.keyframes.retain(|keyframe| {
             keyframe.cross_covariances.iter().all(|(other, block)| {
                 let both = covariance_of(keyframe.id).zip(covariance_of(*other));
-                both.is_none_or(|(own, others)| allows(&own, &others, block))
+                both.is_none_or(|(own, others)| is_joint_covariance(&own, &others, block))
             })
         });
-        self.keep_what_hangs_together();
+        self.remove_dangling_references();
         self.landmarks.retain(|landmark| {
             let numbers = landmark.pixel.iter().chain(landmark.position_in_anchor.iter());
             numbers.into_iter().all(|value| value.is_finite()) && landmark.position_in_anchor.z > 0.0
@@ -114,15 +115,15 @@ impl MapAnswer {
     }
 }
 
-/// Whether two covariances and the block between them are a joint covariance.
-fn allows(a: &Matrix6<f64>, b: &Matrix6<f64>, block: &Matrix6<f64>) -> bool {
+/// Whether two covariances with a cross-covariance are a valid joint covariance.
+fn is_joint_covariance(a: &Matrix6<f64>, b: &Matrix6<f64>, block: &Matrix6<f64>) -> bool {
     let mut joint = SMatrix::<f64, 12, 12>::zeros();
     joint.fixed_view_mut::<6, 6>(0, 0).copy_from(a);
     joint.fixed_view_mut::<6, 6>(6, 6).copy_from(b);
     joint.fixed_view_mut::<6, 6>(0, 6).copy_from(block);
     joint.fixed_view_mut::<6, 6>(6, 0).copy_from(&block.transpose());
     for k in 0..12 {
-        // Room for rounding, and for a keyframe that is known exactly.
+        // Tolerance for rounding, and for a keyframe without uncertainty.
         joint[(k, k)] += 1e-9 * joint[(k, k)] + 1e-18;
     }
     joint.iter().all(|value| value.is_finite()) && joint.cholesky().is_some()

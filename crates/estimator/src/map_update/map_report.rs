@@ -1,89 +1,90 @@
-//! What became of an answer of the map.
+//! Result of a map update.
 
 use crate::map_update::verification::NotVerified;
 
-/// Why an answer did not correct the state.
+/// Why an answer of the map did not update the state.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
 pub enum Rejection {
-    /// The clone of its image is gone: the answer came after its deadline.
-    #[error("the answer came too late, the pose of its image is gone")]
+    /// The clone of its image was marginalized: the answer came after its deadline.
+    #[error("the answer came too late: the clone of its image was marginalized")]
     TooLate,
-    /// It is of the map as it was before the version in use.
+    /// It is of an older map version than the one in use.
     #[error("it is of map version {answered}, version {held} is in use")]
-    OldMap {
-        /// The answer's.
+    OldMapVersion {
+        /// Version of the answer.
         answered: u64,
-        /// The filter's.
+        /// Version in use.
         held: u64,
     },
-    /// It is of a version of the map of which no news came yet.
-    #[error("it is of map version {answered}, and nobody said yet how that differs from version {held}")]
-    NewMap {
-        /// The answer's.
+    /// It is of a newer map version whose changes have not been announced yet.
+    #[error("it is of map version {answered}, whose changes from version {held} have not been announced yet")]
+    UnannouncedMapVersion {
+        /// Version of the answer.
         answered: u64,
-        /// The filter's.
+        /// Version in use.
         held: u64,
     },
-    /// The keyframes' covariances cannot all be true.
+    /// Covariances and cross-covariances of the keyframes are inconsistent.
     #[error("the map's covariances and cross-covariances contradict each other; build the map again")]
-    UnsoundMap,
+    InconsistentMap,
     /// The mode ignores the map.
     #[error("odometry only, by configuration")]
     Odometry,
-    /// Geometry does not support it.
+    /// Geometric verification failed.
     #[error(transparent)]
     NotVerified(#[from] NotVerified),
-    /// Too few landmarks passed their gates.
-    #[error("{accepted} of {verified} verified landmarks passed the gate, {need} are needed")]
+    /// Too few landmarks passed the gate.
+    #[error("{used} of {inliers} verified landmarks passed the gate, {need} are needed")]
     FewLandmarks {
-        /// Passed.
-        accepted: usize,
-        /// Verified by geometry.
-        verified: usize,
-        /// Needed.
+        /// Landmarks that passed the gate.
+        used: usize,
+        /// Inliers of the geometric verification.
+        inliers: usize,
+        /// Landmarks needed.
         need: usize,
     },
-    /// Most of the answer contradicts the state: another place that looks the same, or a state that is off.
+    /// Most of the answer contradicts the state: perceptual aliasing, or a wrong state.
     #[error(
-        "{plausible} of {verified} verified landmarks agree with the state; the next answer must say the same to be believed"
+        "{plausible} of {inliers} verified landmarks agree with the state; the next answer must agree with this one"
     )]
     Contradicts {
-        /// Not out of the question.
+        /// Landmarks within the contradiction confidence.
         plausible: usize,
-        /// Verified by geometry.
-        verified: usize,
+        /// Inliers of the geometric verification.
+        inliers: usize,
     },
-    /// The whole contradicts the state.
-    #[error("contradicts the state: innovation {innovation:.0} over {rows} rows, {bound:.0} is acceptable")]
+    /// The update as a whole failed the gate.
+    #[error("contradicts the state: NIS {nis:.0} over {rows} rows exceeds {bound:.0}")]
     Implausible {
         /// Normalized innovation squared.
-        innovation: f64,
-        /// Rows.
+        nis: f64,
+        /// Degrees of freedom.
         rows: usize,
         /// Bound of the gate.
         bound: f64,
     },
 }
 
-/// What an answer did.
+/// Result of [`Estimator::map_update`](crate::Estimator::map_update).
 #[derive(Clone, Debug, PartialEq)]
 pub struct MapReport {
-    /// Keyframes of the answer that were considered.
+    /// Keyframes of the answer that the mode allows and that are valid.
     pub keyframes: usize,
-    /// Landmarks of the answer.
+    /// Matched landmarks of the answer.
     pub matches: usize,
-    /// Landmarks that one camera pose explains.
-    pub verified: usize,
-    /// Landmarks that corrected the state.
-    pub accepted: usize,
-    /// Mean reprojection error of the verified landmarks at the prediction, px.
+    /// Inliers of the geometric verification.
+    pub inliers: usize,
+    /// Landmarks that passed the gate and were used.
+    pub used: usize,
+    /// Mean reprojection error of the inliers at the predicted pose, px; `None` where one of them does not project.
     pub mean_reprojection_px: Option<f64>,
     /// The linearization point was moved.
     pub relinearized: bool,
     /// `global_from_local` was initialized by this answer.
     pub initialized: bool,
-    /// Normalized innovation squared and its rows.
-    pub innovation: Option<(f64, usize)>,
-    /// Why it did not correct the state.
+    /// Normalized innovation squared and its degrees of freedom.
+    pub nis: Option<(f64, usize)>,
+    /// Why it did not update the state; `None` where it did.
     pub rejection: Option<Rejection>,
 }

@@ -1,7 +1,6 @@
-//! Geometric verification of an answer: which of its matches one camera pose explains.
+//! Geometric verification of an answer by PnP with RANSAC.
 //!
-//! The matches of each keyframe are explained in that keyframe's own frame, so that the map's pose
-//! errors do not matter here.
+//! The camera pose is solved in the frame of each keyframe separately, so that the pose errors of the map have no effect.
 
 use crate::KeyframeId;
 use crate::calibration::CalibratedCamera;
@@ -10,60 +9,61 @@ use geometry::pnp::{Correspondence, Gravity, PnpSolution, RansacOptions, solve_r
 use geometry::{Camera, PoseWithCovariance};
 use nalgebra::Vector3;
 
-/// The outcome for a whole answer.
+/// The verified matches of an answer.
 #[derive(Clone, Debug)]
-pub struct Verified {
-    /// The keyframe that explains most.
+pub struct VerifiedAnswer {
+    /// The keyframe with the most inliers.
     pub best: KeyframeId,
-    /// Camera pose in that keyframe; its covariance takes the landmarks for exact and their pixels for one px off.
+    /// Camera pose in that keyframe, with its covariance for exact landmarks and a pixel noise of 1 px.
     pub best_from_camera: PoseWithCovariance,
-    /// Mean reprojection error there, px.
+    /// Mean reprojection error of its inliers, px.
     pub mean_error_px: f64,
-    /// Indices into the answer's landmarks that are explained.
+    /// Indices of the inliers of all keyframes into the answer's landmarks, ascending.
     pub inliers: Vec<usize>,
 }
 
-/// Why an answer is not verified.
+/// Why the geometric verification of an answer failed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
 pub enum NotVerified {
-    /// Too few matches to begin with.
+    /// Too few matches.
     #[error("{have} matches with one keyframe, {need} are needed")]
     TooFewMatches {
-        /// Most matches of one keyframe.
+        /// Largest number of matches with one keyframe.
         have: usize,
         /// The configured minimum.
         need: usize,
     },
-    /// No pose explains enough of them.
-    #[error("no camera pose explains {need} of the {have} matches")]
+    /// No camera pose has enough inliers.
+    #[error("no camera pose has {need} inliers among the {have} matches")]
     NoPose {
-        /// Most matches of one keyframe.
+        /// Largest number of matches with one keyframe.
         have: usize,
         /// The configured minimum.
         need: usize,
     },
 }
 
-/// What the verification needs to know beside the answer.
+/// Settings of the verification.
 #[derive(Clone, Copy, Debug)]
 pub struct VerificationSettings {
-    /// Reprojection error that counts as explained, rad.
+    /// Inlier threshold: reprojection error as an angle, rad.
     pub angle: f64,
-    /// Fewest matches that the best keyframe must explain.
+    /// Minimum number of inliers of the best keyframe.
     pub min_inliers: usize,
-    /// Unit vector along gravity in the current camera, where known.
+    /// Unit vector along gravity in the frame of the current camera, where known.
     pub gravity_in_camera: Option<Vector3<f64>>,
 }
 
-/// Verifies every keyframe of an answer.
+/// Verifies the matches with every keyframe of an answer.
 ///
 /// # Errors
-/// [`NotVerified`] when not even the best keyframe is explained.
+/// [`NotVerified`] when no keyframe has enough inliers.
 pub fn verify(
     answer: &MapAnswer,
-    eye: &CalibratedCamera,
+    calibrated: &CalibratedCamera,
     settings: &VerificationSettings,
-) -> Result<Verified, NotVerified> {
+) -> Result<VerifiedAnswer, NotVerified> {
     let mut best: Option<(KeyframeId, PnpSolution)> = None;
     let mut inliers = Vec::new();
     let mut most = 0;
@@ -71,7 +71,7 @@ pub fn verify(
         let members: Vec<usize> =
             (0..answer.landmarks.len()).filter(|&k| answer.landmarks[k].anchor == keyframe.id).collect();
         most = most.max(members.len());
-        // Further keyframes may bring fewer matches than the best one must have.
+        // Further keyframes need fewer matches than the best one.
         let need =
             if best.is_some() { settings.min_inliers.div_ceil(2).max(5) } else { settings.min_inliers };
         if members.len() < need {
@@ -92,13 +92,15 @@ pub fn verify(
             _ => None,
         };
         let options = RansacOptions {
-            threshold_px: settings.angle * mean_focal(&eye.camera),
+            threshold_px: settings.angle * mean_focal(&calibrated.camera),
             min_inliers: need,
             seed: keyframe.id,
             gravity,
             ..RansacOptions::default()
         };
-        let Ok(solution) = solve_ransac(&eye.camera, &correspondences, &options, 1.0) else { continue };
+        let Ok(solution) = solve_ransac(&calibrated.camera, &correspondences, &options, 1.0) else {
+            continue;
+        };
         inliers.extend(solution.inliers.iter().map(|&k| members[k]));
         if best.as_ref().is_none_or(|(_, before)| solution.inliers.len() > before.inliers.len()) {
             best = Some((keyframe.id, solution));
@@ -108,7 +110,7 @@ pub fn verify(
     inliers.dedup();
     match best {
         Some((best, PnpSolution { world_from_camera: best_from_camera, mean_error_px, .. })) => {
-            Ok(Verified { best, best_from_camera, mean_error_px, inliers })
+            Ok(VerifiedAnswer { best, best_from_camera, mean_error_px, inliers })
         }
         None if most < settings.min_inliers => {
             Err(NotVerified::TooFewMatches { have: most, need: settings.min_inliers })

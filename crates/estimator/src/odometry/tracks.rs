@@ -1,4 +1,4 @@
-//! Feature tracks: which clone saw which feature where.
+//! Feature tracks: the observations of each feature by the clones.
 
 use crate::state::CloneId;
 use nalgebra::Vector2;
@@ -6,120 +6,123 @@ use nalgebra::Vector2;
 /// One feature in one image, as an odometry front end reports it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TrackObservation {
-    /// Which camera of the rig saw it.
+    /// Index of the camera.
     pub camera: u8,
-    /// The front end's name of the feature; the same in all cameras of a rig.
+    /// The front end's identity of the feature, the same in all cameras.
     pub feature_id: u64,
-    /// Where, in pixels as the camera saw them (distorted).
+    /// Pixel as the camera sees it (distorted).
     pub pixel: Vector2<f64>,
 }
 
 /// One observation of a track.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Sighting {
-    /// The clone that saw it.
+pub struct CloneObservation {
+    /// Clone of the image.
     pub clone: CloneId,
-    /// Which camera.
+    /// Index of the camera.
     pub camera: u8,
-    /// Where, pixels.
+    /// Pixel as the camera sees it (distorted).
     pub pixel: Vector2<f64>,
 }
 
-/// What was seen of one feature without a gap and not used yet.
+/// The observations of one feature in consecutive images that have not been used yet.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Track {
-    /// The front end's name of the feature.
+    /// The front end's identity of the feature.
     pub feature_id: u64,
     /// Oldest first.
-    pub sightings: Vec<Sighting>,
+    pub observations: Vec<CloneObservation>,
 }
 
 impl Track {
-    /// How many different clones saw it.
+    /// Number of different clones that observe it.
     pub fn clones(&self) -> usize {
         let mut count = 0;
         let mut last = None;
-        for sighting in &self.sightings {
-            if last != Some(sighting.clone) {
+        for observation in &self.observations {
+            if last != Some(observation.clone) {
                 count += 1;
-                last = Some(sighting.clone);
+                last = Some(observation.clone);
             }
         }
         count
     }
 
-    /// The clone that saw it last.
+    /// The last clone that observes it.
     pub fn newest(&self) -> Option<CloneId> {
-        self.sightings.last().map(|sighting| sighting.clone)
+        self.observations.last().map(|observation| observation.clone)
     }
 }
 
-/// All running tracks.
+/// All tracks that have not ended.
 #[derive(Clone, Debug, Default)]
 pub struct TrackStore {
-    /// In the order of their features' names.
+    /// Sorted by feature.
     running: Vec<Track>,
-    /// Memory of tracks that are over.
-    spare: Vec<Vec<Sighting>>,
+    /// Memory of finished tracks, to be reused.
+    spare: Vec<Vec<CloneObservation>>,
 }
 
 impl TrackStore {
-    /// Adds the observations of the newest clone, except those of the features `kept_elsewhere`.
+    /// Adds the observations of the newest clone, except those of SLAM features.
     pub fn add(
         &mut self,
         clone: CloneId,
         observations: &[TrackObservation],
-        kept_elsewhere: impl Fn(u64) -> bool,
+        is_slam_feature: impl Fn(u64) -> bool,
     ) {
         for observation in observations {
             let feature_id = observation.feature_id;
-            if kept_elsewhere(feature_id) {
+            if is_slam_feature(feature_id) {
                 continue;
             }
-            let place = match self.running.binary_search_by_key(&feature_id, |track| track.feature_id) {
-                Ok(place) => place,
-                Err(place) => {
-                    let sightings = self.spare.pop().unwrap_or_default();
-                    self.running.insert(place, Track { feature_id, sightings });
-                    place
+            let index = match self.running.binary_search_by_key(&feature_id, |track| track.feature_id) {
+                Ok(index) => index,
+                Err(index) => {
+                    let observations = self.spare.pop().unwrap_or_default();
+                    self.running.insert(index, Track { feature_id, observations });
+                    index
                 }
             };
-            let sighting = Sighting { clone, camera: observation.camera, pixel: observation.pixel };
-            self.running[place].sightings.push(sighting);
+            self.running[index].observations.push(CloneObservation {
+                clone,
+                camera: observation.camera,
+                pixel: observation.pixel,
+            });
         }
     }
 
-    /// Moves the tracks that the clone `newest` did not continue to `ready`. A feature that comes back after a
-    /// gap begins a new track.
-    pub fn take_ended(&mut self, newest: CloneId, ready: &mut Vec<Track>) {
-        ready.extend(self.running.extract_if(.., |track| track.newest() != Some(newest)));
+    /// Moves the tracks that `newest` does not observe to `finished`. A feature that is observed again later begins a new
+    /// track.
+    pub fn take_ended(&mut self, newest: CloneId, finished: &mut Vec<Track>) {
+        finished.extend(self.running.extract_if(.., |track| track.newest() != Some(newest)));
     }
 
-    /// Moves the running tracks that `leaving` saw to `ready`: the last chance to use all of them at once. They
-    /// begin anew with the next image, so that no observation is used twice.
-    pub fn take_seen_by(&mut self, leaving: CloneId, ready: &mut Vec<Track>) {
-        let seen =
-            |track: &mut Track| track.sightings.first().is_some_and(|sighting| sighting.clone == leaving);
-        ready.extend(self.running.extract_if(.., seen));
+    /// Moves the tracks that start at `clone`, which is about to be marginalized, to `finished`. Their features begin new
+    /// tracks with the next image, so that no observation is used twice.
+    pub fn take_starting_at(&mut self, clone: CloneId, finished: &mut Vec<Track>) {
+        let starts_there =
+            |track: &mut Track| track.observations.first().is_some_and(|first| first.clone == clone);
+        finished.extend(self.running.extract_if(.., starts_there));
     }
 
-    /// Takes the memory of tracks that were used.
+    /// Takes back the memory of tracks that were used.
     pub fn recycle(&mut self, used: &mut Vec<Track>) {
         self.spare.extend(used.drain(..).map(|mut track| {
-            track.sightings.clear();
-            track.sightings
+            track.observations.clear();
+            track.observations
         }));
     }
 
-    /// Running tracks of the first camera: the oldest clone that saw each, where, and where `newest` did.
+    /// The tracks of the first camera that `newest` observes: first clone, its pixel, pixel of `newest`.
     pub fn pairs_with(
         &self,
         newest: CloneId,
     ) -> impl Iterator<Item = (CloneId, Vector2<f64>, Vector2<f64>)> + '_ {
         self.running.iter().filter_map(move |track| {
-            let of_first_camera = |sighting: &&Sighting| sighting.camera == 0;
-            let oldest = track.sightings.iter().find(of_first_camera)?;
-            let last = track.sightings.iter().rev().find(of_first_camera)?;
+            let of_first_camera = |observation: &&CloneObservation| observation.camera == 0;
+            let oldest = track.observations.iter().find(of_first_camera)?;
+            let last = track.observations.iter().rev().find(of_first_camera)?;
             (last.clone == newest).then_some((oldest.clone, oldest.pixel, last.pixel))
         })
     }
@@ -136,27 +139,27 @@ mod tests {
     }
 
     #[test]
-    fn a_track_ends_at_a_gap_and_every_observation_is_given_out_once() {
+    fn a_track_ends_at_a_gap_and_every_observation_is_used_once() {
         let mut store = TrackStore::default();
-        let mut given = 0;
+        let mut used = 0;
         let frames: [&[u64]; 5] = [&[1, 2, 9], &[1, 2, 9], &[1], &[1, 2, 9], &[2]];
         let mut lengths = Vec::new();
-        let mut ready = Vec::new();
+        let mut finished = Vec::new();
         for (k, frame) in frames.iter().enumerate() {
             let clone = CloneId(k as u64);
             store.add(clone, &seen(frame), |feature| feature == 9);
-            store.take_ended(clone, &mut ready);
+            store.take_ended(clone, &mut finished);
             if k == 3 {
-                store.take_seen_by(CloneId(0), &mut ready);
+                store.take_starting_at(CloneId(0), &mut finished);
             }
-            for track in &ready {
+            for track in &finished {
                 lengths.push((track.feature_id, track.clones()));
-                given += track.sightings.len();
+                used += track.observations.len();
             }
-            store.recycle(&mut ready);
+            store.recycle(&mut finished);
         }
-        // Feature 2 before its gap; feature 1 with all four of its sightings; feature 9 is kept elsewhere.
+        // Feature 2 before its gap; feature 1 with all four of its observations; feature 9 is a SLAM feature.
         assert_eq!(lengths, [(2, 2), (1, 4)]);
-        assert_eq!(given, 6);
+        assert_eq!(used, 6);
     }
 }

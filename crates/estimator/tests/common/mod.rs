@@ -17,7 +17,7 @@ const PIXEL_SIGMA: f64 = 0.7;
 const KEYFRAME_SIGMA: f64 = 0.01;
 
 pub struct World {
-    pub eye: CalibratedCamera,
+    pub calibrated: CalibratedCamera,
     landmarks: Vec<Vector3<f64>>,
     /// True `G_T_L`.
     pub global_from_local: Pose,
@@ -59,7 +59,7 @@ impl World {
         let landmarks = landmarks.collect();
         let turn = rotation::exp(&Vector3::new(0.1, -0.05, 1.2));
         Self {
-            eye: CalibratedCamera {
+            calibrated: CalibratedCamera {
                 camera,
                 imu_from_camera: Pose::new(rotation, Vector3::new(0.1, 0.0, 0.05)),
             },
@@ -76,7 +76,7 @@ impl World {
             accelerometer_bias: Vector3::zeros(),
         };
         let initial = InitialState { stamp_ns: 0, imu, covariance: config.initial.covariance() };
-        let mut estimator = Estimator::new(config, vec![self.eye.clone()], &initial).unwrap();
+        let mut estimator = Estimator::new(config, vec![self.calibrated.clone()], &initial).unwrap();
         estimator.imu(imu_at(0)).unwrap();
         estimator
     }
@@ -92,16 +92,19 @@ impl World {
     }
 
     fn see(&self, rng: &mut StdRng, local_from_camera: &Pose, landmark: usize) -> Option<Vector2<f64>> {
-        let pixel =
-            self.eye.camera.project(&local_from_camera.inverse_transform(&self.landmarks[landmark])).ok()?;
+        let pixel = self
+            .calibrated
+            .camera
+            .project(&local_from_camera.inverse_transform(&self.landmarks[landmark]))
+            .ok()?;
         let noisy = pixel + Vector2::new(normal(rng), normal(rng)) * PIXEL_SIGMA;
-        self.eye.camera.contains(&noisy).then_some(noisy)
+        self.calibrated.camera.contains(&noisy).then_some(noisy)
     }
 
     /// What the front end tracks in an image: the same for everybody who asks.
     pub fn tracks(&self, frame: i64) -> Vec<TrackObservation> {
         let mut rng = StdRng::seed_from_u64(1000 + frame as u64);
-        let pose = Self::truth(frame) * self.eye.imu_from_camera;
+        let pose = Self::truth(frame) * self.calibrated.imu_from_camera;
         let mut observation = |k| {
             Some(TrackObservation { camera: 0, feature_id: k as u64, pixel: self.see(&mut rng, &pose, k)? })
         };
@@ -121,8 +124,8 @@ impl World {
     pub fn answer(&self, frame: i64, map_frame: i64, first: u64) -> MapAnswer {
         let mut rng = StdRng::seed_from_u64(2000 + frame as u64);
         let mut map_rng = StdRng::seed_from_u64(first);
-        let camera_at = |frame: i64| Self::truth(frame) * self.eye.imu_from_camera;
-        let seen_from = camera_at(frame);
+        let camera_at = |frame: i64| Self::truth(frame) * self.calibrated.imu_from_camera;
+        let transformed = camera_at(frame);
         let offsets = [[0.6, -0.3, -0.8], [-0.5, 0.2, 0.3]].map(Vector3::from);
         let poses =
             offsets.map(|offset| camera_at(map_frame) * Pose::new(rotation::exp(&(0.05 * offset)), offset));
@@ -134,7 +137,7 @@ impl World {
                     (self.global_from_local * pose).retract(&error),
                     Matrix6::identity() * KEYFRAME_SIGMA.powi(2),
                 ),
-                camera: self.eye.camera.clone(),
+                camera: self.calibrated.camera.clone(),
                 cross_covariances: Vec::new(),
             }
         });
@@ -145,7 +148,7 @@ impl World {
             let observations: Vec<_> = (0..2)
                 .filter_map(|j| Some((first + j as u64, self.see(&mut map_rng, &poses[j], k)?)))
                 .collect();
-            let Some(pixel) = self.see(&mut rng, &seen_from, k) else { continue };
+            let Some(pixel) = self.see(&mut rng, &transformed, k) else { continue };
             if observations.len() == 2 {
                 let position_in_anchor = poses[anchor].inverse_transform(landmark) * 1.01;
                 landmarks.push(MatchedLandmark {
@@ -160,7 +163,7 @@ impl World {
         MapAnswer {
             map_version: 1,
             keyframes,
-            asked_with: Vec::new(),
+            held_at_query: Vec::new(),
             landmarks,
             gravity_in_global: None,
             sigma_map_px: PIXEL_SIGMA,

@@ -66,12 +66,11 @@ pub(crate) fn read_imu(path: &Path) -> Result<ImuSensor, SequenceError> {
             ));
         }
     }
-    let noise = ImuNoise {
-        gyroscope: yaml.gyroscope_noise_density,
-        gyroscope_walk: yaml.gyroscope_random_walk,
-        accelerometer: yaml.accelerometer_noise_density,
-        accelerometer_walk: yaml.accelerometer_random_walk,
-    };
+    let mut noise = ImuNoise::default();
+    noise.gyroscope = yaml.gyroscope_noise_density;
+    noise.gyroscope_walk = yaml.gyroscope_random_walk;
+    noise.accelerometer = yaml.accelerometer_noise_density;
+    noise.accelerometer_walk = yaml.accelerometer_random_walk;
     let positive = [
         ("rate_hz", yaml.rate_hz),
         ("gyroscope_noise_density", noise.gyroscope),

@@ -119,7 +119,7 @@ fn matched(
     Some(MapAnswer {
         map_version: 1,
         keyframes: keyframes.collect(),
-        asked_with: Vec::new(),
+        held_at_query: Vec::new(),
         landmarks,
         gravity_in_global: Some(global_from_world().rotation * -Vector3::z()),
         sigma_map_px: map.sigma_px,

@@ -70,11 +70,11 @@ pub(crate) fn answers_and_change(
     });
     let scale = f64::from(u8::from(change.is_stated));
     let size = ChangeSize {
-        sigma_rotation: scale * change.sigma_theta_rad,
-        sigma_position: scale * change.sigma_p_m,
+        sigma_rotation_rad: scale * change.sigma_theta_rad,
+        sigma_position_m: scale * change.sigma_p_m,
     };
-    let other_errors = (0..map.keyframes.len() as u64).collect();
-    let news = MapRevision { from_version: 1, version: 2, other_errors, size: Some(size) };
+    let changed_keyframes = (0..map.keyframes.len() as u64).collect();
+    let news = MapRevision { from_version: 1, version: 2, changed_keyframes, size: Some(size) };
     (before.chain(after).collect(), Some(MapChange { stamp_ns, news }))
 }
 

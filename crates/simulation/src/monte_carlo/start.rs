@@ -52,12 +52,12 @@ pub(crate) fn draw(
 fn sample(seed: u64, sigmas: &InitialSigmas) -> SVector<f64, IMU_DIM> {
     let mut rng = stream(seed, 1, Purpose::Start);
     let of_block = |k: usize| match k {
-        0 | 1 => sigmas.tilt,
-        2 => sigmas.yaw,
-        3..VELOCITY => sigmas.position,
-        VELOCITY..GYROSCOPE_BIAS => sigmas.velocity,
-        GYROSCOPE_BIAS..ACCELEROMETER_BIAS => sigmas.gyroscope_bias,
-        _ => sigmas.accelerometer_bias,
+        0 | 1 => sigmas.sigma_tilt_rad,
+        2 => sigmas.sigma_yaw_rad,
+        3..VELOCITY => sigmas.sigma_position_m,
+        VELOCITY..GYROSCOPE_BIAS => sigmas.sigma_velocity_m_s,
+        GYROSCOPE_BIAS..ACCELEROMETER_BIAS => sigmas.sigma_gyroscope_bias_rad_s,
+        _ => sigmas.sigma_accelerometer_bias_m_s2,
     };
     SVector::from_fn(|k, _| of_block(k) * normal(&mut rng))
 }

@@ -29,7 +29,8 @@ fn options(runs: usize, seconds: f64) -> MonteCarloOptions {
 }
 
 fn variant(mode: MapMode) -> Variant {
-    let config = EstimatorConfig { mode, ..EstimatorConfig::default() };
+    let mut config = EstimatorConfig::default();
+    config.mode = mode;
     Variant { name: format!("{mode:?}"), config, cameras: 2 }
 }
 

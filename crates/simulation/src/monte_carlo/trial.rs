@@ -142,7 +142,7 @@ impl Seed<'_> {
         trial.localized = player.estimator.status().localization == Localization::Localized;
         let found = player.estimator.calibration();
         let delays = (-found.time_offset, true_delay_s);
-        let cameras = found.rig.iter().zip(&truth);
+        let cameras = found.cameras.iter().zip(&truth);
         trial.found_calibration =
             cameras.map(|(found, truth)| CalibrationError::of(found, truth, delays)).collect();
         trial.errors =

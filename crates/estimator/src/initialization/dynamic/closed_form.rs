@@ -1,18 +1,18 @@
-//! Velocity and gravity at the first image from rays and readings alone, without any first guess.
+//! Closed-form velocity and gravity at the first image from bearings and IMU samples, without an initial guess.
 //!
-//! With the rotations known, everything else is linear. In the axes of the first body, image `i` was taken
-//! from `c_i = s_i + v t_i + g t_i^2 / 2` (plus the lever arm of the camera), with `s_i` the integrated
-//! specific force, and a landmark `p` seen along the unit ray `f` fulfils
+//! With known rotations the problem is linear. In the frame of the first body, image `i` was taken at
+//! `c_i = s_i + v t_i + g t_i^2 / 2` (plus the lever arm of the camera), with `s_i` the integrated specific force, and a
+//! landmark `p` with the bearing `f` satisfies
 //! ```text
 //! (I - f fᵀ) (p - c_i) = 0
 //! ```
-//! Landmarks are eliminated one by one, which leaves six unknowns `(v, g)`; the velocity is eliminated too,
-//! and what is left is a quadratic form in `g` on the sphere `|g| = gravity`.
+//! Eliminating the landmarks one by one leaves six unknowns `(v, g)`; eliminating the velocity leaves a quadratic form in `g`
+//! on the sphere `|g| = gravity`.
 //!
 //! Source: Dong-Si & Mourikis, IROS 2012; Martinelli, IJCV 2014; for the sphere More & Sorensen, 1983.
 
-use super::NotYet;
-use super::window::{StartTrack, Window};
+use super::error::DynamicInitError;
+use super::window::{Window, WindowObservation, WindowTrack};
 use crate::calibration::CalibratedCamera;
 use crate::config::EstimatorConfig;
 use crate::imu::ImuSample;
@@ -20,23 +20,22 @@ use crate::propagation::{ImuState, MotionEstimate, propagate};
 use geometry::Pose;
 use nalgebra::{Matrix3, Matrix3x6, Matrix6, SymmetricEigen, Vector3, Vector6};
 
-/// Solutions with new weights: rays are weighted by the depth that the solution before gave.
+/// Number of solutions; each weights the bearings by the depths of the one before.
 const ROUNDS: usize = 3;
-/// A track whose residual is so many times the median is left out of the next round.
+/// Residual of a track, as a multiple of the median, beyond which it is left out of the next round.
 const OUTLIER: f64 = 4.0;
-/// Landmarks are at least so far away, as a part of the median depth, when they weight their rays.
+/// Lower bound of the depths in the weights, as a fraction of the median depth.
 const NEAREST: f64 = 0.1;
 
-/// What the readings say of the way between images, in the axes of the first body, without gravity and
-/// velocity.
+/// The integrated IMU samples in the frame of the first body, without gravity and initial velocity.
 pub struct Integrated {
-    /// Body at each image; the position is the double integral of the specific force.
+    /// Body pose at each image; the position is the double integral of the specific force.
     pub first_from_body: Vec<Pose>,
-    /// Its derivative, m/s.
+    /// Derivative of the position, m/s.
     pub velocity: Vec<Vector3<f64>>,
 }
 
-/// Integrates the readings of a window.
+/// Integrates the IMU samples of a window.
 pub fn integrate(window: &Window, config: &EstimatorConfig, gyroscope_bias: &Vector3<f64>) -> Integrated {
     let mut state = ImuState {
         local_from_imu: Pose::identity(),
@@ -47,19 +46,19 @@ pub fn integrate(window: &Window, config: &EstimatorConfig, gyroscope_bias: &Vec
     let mut integrated =
         Integrated { first_from_body: vec![state.local_from_imu], velocity: vec![state.velocity] };
     for readings in &window.readings {
-        state = carried(&state, readings, config);
+        state = propagate_without_gravity(&state, readings, config);
         integrated.first_from_body.push(state.local_from_imu);
         integrated.velocity.push(state.velocity);
     }
     integrated
 }
 
-fn carried(state: &ImuState, readings: &[ImuSample], config: &EstimatorConfig) -> ImuState {
-    let motion = MotionEstimate { position: state.local_from_imu.translation, velocity: state.velocity };
+fn propagate_without_gravity(state: &ImuState, readings: &[ImuSample], config: &EstimatorConfig) -> ImuState {
+    let motion = MotionEstimate::of(state);
     propagate(state, &motion, readings, &config.imu_noise, 0.0).state
 }
 
-/// Velocity and gravity in the axes of the first body.
+/// Velocity and gravity in the frame of the first body.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FirstMotion {
     /// m/s.
@@ -69,16 +68,16 @@ pub struct FirstMotion {
 }
 
 impl FirstMotion {
-    /// Where the body was after some seconds, beside what the readings integrate to.
+    /// Displacement after some seconds, to be added to the integrated position.
     fn displacement(&self, seconds: f64) -> Vector3<f64> {
         self.velocity * seconds + self.gravity * (0.5 * seconds * seconds)
     }
 }
 
-/// How much a track and each of its rays count.
+/// Weights of a track and of its bearings.
 struct TrackWeights {
     outlying: bool,
-    rays: Vec<f64>,
+    bearings: Vec<f64>,
 }
 
 /// The linear system of one track.
@@ -90,55 +89,56 @@ struct TrackSystem {
     motion_vector: Vector6<f64>,
 }
 
-/// Finds the motion that fits all tracks best.
+/// Velocity and gravity that minimize the residuals of all tracks.
 ///
 /// # Errors
-/// [`NotYet::NoParallax`] where the tracks do not tell.
+/// [`DynamicInitError::NoParallax`] where the system is degenerate.
 pub fn solve(
     window: &Window,
-    rig: &[CalibratedCamera],
+    cameras: &[CalibratedCamera],
     integrated: &Integrated,
     gravity: f64,
-) -> Result<FirstMotion, NotYet> {
+) -> Result<FirstMotion, DynamicInitError> {
     let mut weights: Vec<TrackWeights> = window
         .tracks
         .iter()
-        .map(|track| TrackWeights { outlying: false, rays: vec![1.0; track.len()] })
+        .map(|track| TrackWeights { outlying: false, bearings: vec![1.0; track.len()] })
         .collect();
-    let mut found = Err(NotYet::NoParallax);
+    let mut found = Err(DynamicInitError::NoParallax);
     for _ in 0..ROUNDS {
         let (mut matrix, mut vector) = (Matrix6::zeros(), Vector6::zeros());
         for (track, weights) in window.tracks.iter().zip(&weights) {
             if weights.outlying {
                 continue;
             }
-            let system = track_system(window, track, &weights.rays, rig, integrated);
+            let system = track_system(window, track, &weights.bearings, cameras, integrated);
             let Some(factor) = system.landmark.cholesky() else { continue };
             matrix += system.motion - system.cross.transpose() * factor.solve(&system.cross);
             vector += system.motion_vector - system.cross.transpose() * factor.solve(&system.landmark_vector);
         }
-        let motion = solve_on_sphere(&matrix, &vector, gravity).ok_or(NotYet::NoParallax)?;
+        let motion = solve_on_sphere(&matrix, &vector, gravity).ok_or(DynamicInitError::NoParallax)?;
         found = Ok(motion);
-        reweight(window, rig, integrated, &motion, &mut weights);
+        reweight(window, cameras, integrated, &motion, &mut weights);
     }
     found
 }
 
-/// Camera centre and ray of a sighting in the axes of the first body, velocity and gravity left out.
-fn seen(
-    sighting: &super::window::StartSighting,
-    rig: &[CalibratedCamera],
+/// Camera centre and bearing of an observation in the frame of the first body, without velocity and gravity.
+fn bearing(
+    observation: &WindowObservation,
+    cameras: &[CalibratedCamera],
     integrated: &Integrated,
 ) -> (Vector3<f64>, Vector3<f64>) {
-    let first_from_camera = integrated.first_from_body[sighting.image] * rig[sighting.camera].imu_from_camera;
-    (first_from_camera.translation, first_from_camera.rotation * sighting.ray.normalize())
+    let first_from_camera =
+        integrated.first_from_body[observation.image] * cameras[observation.camera].imu_from_camera;
+    (first_from_camera.translation, first_from_camera.rotation * observation.ray.normalize())
 }
 
 fn track_system(
     window: &Window,
-    track: &StartTrack,
+    track: &WindowTrack,
     weights: &[f64],
-    rig: &[CalibratedCamera],
+    cameras: &[CalibratedCamera],
     integrated: &Integrated,
 ) -> TrackSystem {
     let mut system = TrackSystem {
@@ -148,26 +148,26 @@ fn track_system(
         motion: Matrix6::zeros(),
         motion_vector: Vector6::zeros(),
     };
-    for (sighting, &weight) in track.iter().zip(weights) {
-        let (centre, ray) = seen(sighting, rig, integrated);
+    for (observation, &weight) in track.iter().zip(weights) {
+        let (centre, ray) = bearing(observation, cameras, integrated);
         let across = (Matrix3::identity() - ray * ray.transpose()) * weight;
-        let t = window.seconds(sighting.image);
-        let mut by_motion = Matrix3x6::zeros();
-        by_motion.fixed_view_mut::<3, 3>(0, 0).copy_from(&(Matrix3::identity() * -t));
-        by_motion.fixed_view_mut::<3, 3>(0, 3).copy_from(&(Matrix3::identity() * (-0.5 * t * t)));
+        let t = window.seconds(observation.image);
+        let mut wrt_motion = Matrix3x6::zeros();
+        wrt_motion.fixed_view_mut::<3, 3>(0, 0).copy_from(&(Matrix3::identity() * -t));
+        wrt_motion.fixed_view_mut::<3, 3>(0, 3).copy_from(&(Matrix3::identity() * (-0.5 * t * t)));
         system.landmark += across;
-        system.cross += across * by_motion;
+        system.cross += across * wrt_motion;
         system.landmark_vector += across * centre;
-        system.motion += by_motion.transpose() * across * by_motion;
-        system.motion_vector += by_motion.transpose() * across * centre;
+        system.motion += wrt_motion.transpose() * across * wrt_motion;
+        system.motion_vector += wrt_motion.transpose() * across * centre;
     }
     system
 }
 
-/// New weights from a solution: a ray counts by its angle, an outlying track not at all.
+/// New weights from a solution: angular residuals, without outlying tracks.
 fn reweight(
     window: &Window,
-    rig: &[CalibratedCamera],
+    cameras: &[CalibratedCamera],
     integrated: &Integrated,
     motion: &FirstMotion,
     weights: &mut [TrackWeights],
@@ -175,7 +175,7 @@ fn reweight(
     let mut residuals = Vec::with_capacity(window.tracks.len());
     let mut depths = Vec::with_capacity(window.tracks.len());
     for (track, weights) in window.tracks.iter().zip(&*weights) {
-        let system = track_system(window, track, &weights.rays, rig, integrated);
+        let system = track_system(window, track, &weights.bearings, cameras, integrated);
         let unknown = Vector6::from_fn(|k, _| if k < 3 { motion.velocity[k] } else { motion.gravity[k - 3] });
         let landmark = system
             .landmark
@@ -188,11 +188,11 @@ fn reweight(
         };
         let mut squared = 0.0;
         let mut depth = Vec::with_capacity(track.len());
-        for sighting in track {
-            let (centre, ray) = seen(sighting, rig, integrated);
-            let way = landmark - centre - motion.displacement(window.seconds(sighting.image));
-            squared += (way - ray * ray.dot(&way)).norm_squared() / way.norm_squared().max(1e-12);
-            depth.push(way.norm());
+        for observation in track {
+            let (centre, ray) = bearing(observation, cameras, integrated);
+            let offset = landmark - centre - motion.displacement(window.seconds(observation.image));
+            squared += (offset - ray * ray.dot(&offset)).norm_squared() / offset.norm_squared().max(1e-12);
+            depth.push(offset.norm());
         }
         residuals.push((squared / track.len() as f64).sqrt());
         depths.push(depth);
@@ -201,7 +201,7 @@ fn reweight(
     let Some(depth) = median(&depths.iter().map(|depths| depths[0]).collect::<Vec<_>>()) else { return };
     for ((weights, residual), depths) in weights.iter_mut().zip(&residuals).zip(&depths) {
         weights.outlying = *residual > OUTLIER * middle;
-        for (weight, own) in weights.rays.iter_mut().zip(depths) {
+        for (weight, own) in weights.bearings.iter_mut().zip(depths) {
             *weight = (depth / own.max(NEAREST * depth)).powi(2);
         }
     }
@@ -217,20 +217,20 @@ fn median(values: &[f64]) -> Option<f64> {
 fn solve_on_sphere(matrix: &Matrix6<f64>, vector: &Vector6<f64>, gravity: f64) -> Option<FirstMotion> {
     let velocity_block: Matrix3<f64> = matrix.fixed_view::<3, 3>(0, 0).into();
     let cross: Matrix3<f64> = matrix.fixed_view::<3, 3>(0, 3).into();
-    let by_velocity: Vector3<f64> = vector.fixed_rows::<3>(0).into();
+    let velocity_vector: Vector3<f64> = vector.fixed_rows::<3>(0).into();
     let factor = velocity_block.cholesky()?;
     let reduced: Matrix3<f64> = matrix.fixed_view::<3, 3>(3, 3) - cross.transpose() * factor.solve(&cross);
-    let right = vector.fixed_rows::<3>(3) - cross.transpose() * factor.solve(&by_velocity);
+    let right = vector.fixed_rows::<3>(3) - cross.transpose() * factor.solve(&velocity_vector);
     let down = minimize_on_sphere(&reduced, &right, gravity)?;
-    let velocity = factor.solve(&(by_velocity - cross * down));
+    let velocity = factor.solve(&(velocity_vector - cross * down));
     let found = FirstMotion { velocity, gravity: down };
     (found.velocity.iter().all(|value| value.is_finite())).then_some(found)
 }
 
 /// The `x` of length `radius` that minimizes `xᵀ S x / 2 - sᵀ x`.
 ///
-/// Its multiplier is the root right of `-smallest eigenvalue` of `|(S + λ I)⁻¹ s| = radius`, where the left
-/// side falls all the way: bisection cannot miss it.
+/// Its Lagrange multiplier is the root above `-smallest eigenvalue` of `|(S + λ I)⁻¹ s| = radius`, where the left-hand side
+/// decreases monotonically, found by bisection.
 pub fn minimize_on_sphere(matrix: &Matrix3<f64>, vector: &Vector3<f64>, radius: f64) -> Option<Vector3<f64>> {
     let eigen = SymmetricEigen::try_new((matrix + matrix.transpose()) * 0.5, 1e-14, 200)?;
     let along = eigen.eigenvectors.transpose() * vector;

@@ -1,59 +1,65 @@
-//! Whether an adjusted window can be believed.
+//! Acceptance tests of a dynamic initialization.
 
-use super::NotYet;
-use super::adjustment::Adjusted;
+use super::bundle_adjustment::Adjusted;
+use super::error::DynamicInitError;
 
-/// Largest standard deviation of the way's length, as a part of it.
-const SCALE_SIGMA: f64 = 0.04;
-/// Largest sum of squares over its degrees of freedom. A front end whose pixels are twice as good as configured shows
-/// 0.25; wrong extrinsics, time stamps or a wrong minimum show tens.
-const CHI_SQUARE: f64 = 2.0;
-/// Largest part of outlying sightings. Real tracks hold one in a hundred.
-const OUTLIERS: f64 = 0.15;
-/// Largest part of landmarks clearly behind the camera.
-const BEHIND: f64 = 0.1;
+/// Maximum standard deviation of the scale, as a fraction.
+const MAX_SCALE_SIGMA: f64 = 0.04;
+/// Maximum reduced chi-square. A front end whose pixels are twice as accurate as configured has 0.25; wrong extrinsics,
+/// wrong time stamps or a wrong minimum have tens.
+const MAX_CHI_SQUARE: f64 = 2.0;
+/// Maximum fraction of outlying observations. Real tracks have 0.01.
+const MAX_OUTLIERS: f64 = 0.15;
+/// Maximum fraction of landmarks behind the camera.
+const MAX_BEHIND: f64 = 0.1;
+/// Inverse depth below which a landmark is behind the camera, 1/m: significantly negative.
+const BEHIND_INVERSE_DEPTH: f64 = -0.05;
 
-/// Why a start was believed.
+/// Quality of a dynamic initialization.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct InitQuality {
-    /// Standard deviation of the length of the way through the window, as a part of it.
+    /// Standard deviation of the scale of the trajectory, as a fraction.
     pub sigma_scale: f64,
-    /// Sum of squares over its degrees of freedom.
+    /// Reduced chi-square, 1 is expected.
     pub chi_square: f64,
-    /// Part of the sightings that were outliers.
+    /// Fraction of outlying observations.
     pub outliers: f64,
-    /// Landmarks.
+    /// Number of landmarks.
     pub landmarks: usize,
 }
 
 impl InitQuality {
-    /// Judges an adjusted window.
+    /// Tests an adjusted window.
     ///
     /// # Errors
-    /// [`NotYet::Contradiction`], [`NotYet::ScaleUnknown`].
-    pub fn new(adjusted: &Adjusted) -> Result<Self, NotYet> {
-        let init_quality = Self {
+    /// [`DynamicInitError::Contradiction`], [`DynamicInitError::ScaleUnknown`].
+    pub fn new(adjusted: &Adjusted) -> Result<Self, DynamicInitError> {
+        let quality = Self {
             sigma_scale: adjusted.sigma_scale,
             chi_square: adjusted.reduced_chi_square,
             outliers: adjusted.outliers,
             landmarks: adjusted.estimate.landmarks.len(),
         };
-        let behind =
-            adjusted.estimate.landmarks.iter().filter(|entry| entry.landmark.inverse_depth < -0.05).count();
-        let fits = init_quality.chi_square <= CHI_SQUARE
-            && init_quality.outliers <= OUTLIERS
-            && behind as f64 <= BEHIND * init_quality.landmarks as f64;
+        let behind = adjusted
+            .estimate
+            .landmarks
+            .iter()
+            .filter(|landmark| landmark.position.inverse_depth < BEHIND_INVERSE_DEPTH)
+            .count();
+        let fits = quality.chi_square <= MAX_CHI_SQUARE
+            && quality.outliers <= MAX_OUTLIERS
+            && behind as f64 <= MAX_BEHIND * quality.landmarks as f64;
         if !fits {
-            return Err(NotYet::Contradiction {
-                chi_square: init_quality.chi_square,
-                outliers: 100.0 * init_quality.outliers,
+            return Err(DynamicInitError::Contradiction {
+                chi_square: quality.chi_square,
+                outliers: 100.0 * quality.outliers,
             });
         }
-        let known = init_quality.sigma_scale <= SCALE_SIGMA;
-        if !known {
-            let percent = 100.0 * init_quality.sigma_scale;
-            return Err(NotYet::ScaleUnknown { percent, need: 100.0 * SCALE_SIGMA });
+        let scale_is_known = quality.sigma_scale <= MAX_SCALE_SIGMA;
+        if !scale_is_known {
+            let percent = 100.0 * quality.sigma_scale;
+            return Err(DynamicInitError::ScaleUnknown { percent, limit: 100.0 * MAX_SCALE_SIGMA });
         }
-        Ok(init_quality)
+        Ok(quality)
     }
 }

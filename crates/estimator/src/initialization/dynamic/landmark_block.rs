@@ -1,24 +1,23 @@
-//! What all sightings of one landmark say of it and of the poses that saw it.
+//! The normal equations of one landmark and the poses that observe it.
 
-use super::adjustment::{Entry, Loss, Settings};
-use super::landmark;
-use super::window::StartSighting;
+use super::problem::{Loss, Problem, WindowLandmark};
+use super::reprojection;
 use crate::propagation::ImuState;
 use nalgebra::{Matrix3, Matrix3x6, Matrix6, Vector3, Vector6};
 
-/// Cost of a sighting that has no pixel at an estimate: that of a gross outlier, in half squared sigmas.
+/// Cost of an observation whose landmark does not project: that of a gross outlier, in half squared sigmas.
 const NO_PIXEL_COST: f64 = 50.0;
-/// Information of an inverse depth beside its sightings', m^2: a landmark without any parallax stays solvable.
+/// Prior information of an inverse depth, m^2: a landmark without parallax stays solvable.
 const WEAK_INFORMATION: f64 = 1e-2;
 
-/// The part of one image.
+/// The blocks of one image.
 #[derive(Clone, Copy, Debug)]
 pub struct PoseBlock {
-    /// Place of the image in the window.
+    /// Index of the image in the window.
     pub image: usize,
     /// Landmark by pose.
     pub cross: Matrix3x6<f64>,
-    /// Right side.
+    /// Right-hand side.
     pub vector: Vector6<f64>,
 }
 
@@ -27,47 +26,48 @@ pub struct PoseBlock {
 pub struct LandmarkBlock {
     /// Landmark by landmark.
     pub own: Matrix3<f64>,
-    /// Right side.
+    /// Right-hand side.
     pub vector: Vector3<f64>,
-    /// The images that saw it.
+    /// The images that observe it.
     pub poses: Vec<PoseBlock>,
-    /// Pose by pose, where row is not before column: a sighting connects two images.
+    /// Pose by pose, row not before column: an observation connects two images.
     pub squares: Vec<(usize, usize, Matrix6<f64>)>,
 }
 
 impl LandmarkBlock {
-    /// Linearizes the sightings that are believed.
-    pub fn new(settings: &Settings<'_>, states: &[ImuState], entry: &Entry, loss: Loss) -> Self {
+    /// Linearizes the inliers.
+    pub fn new(problem: &Problem<'_>, states: &[ImuState], landmark: &WindowLandmark, loss: Loss) -> Self {
         let mut block =
             Self { own: Matrix3::zeros(), vector: Vector3::zeros(), poses: Vec::new(), squares: Vec::new() };
         block.own.m33 = WEAK_INFORMATION;
-        let sigma = settings.config.sigma_track_px;
-        let anchor = &settings.window.tracks[entry.track][0];
-        for sighting in believed(settings, entry) {
-            let row = landmark::linearize(&entry.landmark, anchor, sighting, states, settings.rig);
-            let Some(row) = row else { continue };
+        let sigma = problem.config.sigma_track_px;
+        let anchor = &problem.window.tracks[landmark.track][0];
+        for observation in problem.inliers(landmark) {
+            let linearized =
+                reprojection::linearize(&landmark.position, anchor, observation, states, problem.cameras);
+            let Some(row) = linearized else { continue };
             let weight = loss.weight(row.residual.norm() / sigma) / sigma.powi(2);
-            let (old, new) = if sighting.image == anchor.image {
-                (None, row.by_anchor + row.by_body)
+            let (old, new) = if observation.image == anchor.image {
+                (None, row.wrt_anchor + row.wrt_body)
             } else {
-                (Some(row.by_anchor), row.by_body)
+                (Some(row.wrt_anchor), row.wrt_body)
             };
-            for (image, by_pose) in
-                old.map(|old| (anchor.image, old)).into_iter().chain([(sighting.image, new)])
+            for (image, wrt_pose) in
+                old.map(|old| (anchor.image, old)).into_iter().chain([(observation.image, new)])
             {
-                let weighted = by_pose.transpose() * weight;
+                let weighted = wrt_pose.transpose() * weight;
                 block.add_pose(
                     image,
-                    row.by_landmark.transpose() * weighted.transpose(),
+                    row.wrt_landmark.transpose() * weighted.transpose(),
                     weighted * row.residual,
                 );
-                block.add_square(image, image, &(weighted * by_pose));
+                block.add_square(image, image, &(weighted * wrt_pose));
             }
             if let Some(old) = old {
-                block.add_square(sighting.image, anchor.image, &(new.transpose() * old * weight));
+                block.add_square(observation.image, anchor.image, &(new.transpose() * old * weight));
             }
-            block.own += row.by_landmark.transpose() * row.by_landmark * weight;
-            block.vector += row.by_landmark.transpose() * row.residual * weight;
+            block.own += row.wrt_landmark.transpose() * row.wrt_landmark * weight;
+            block.vector += row.wrt_landmark.transpose() * row.residual * weight;
         }
         block
     }
@@ -99,17 +99,17 @@ impl LandmarkBlock {
     }
 }
 
-fn believed<'a>(settings: &'a Settings<'_>, entry: &'a Entry) -> impl Iterator<Item = &'a StartSighting> {
-    let track = &settings.window.tracks[entry.track];
-    track.iter().zip(&entry.used).filter(|(_, used)| **used).map(|(sighting, _)| sighting)
-}
-
-/// Half the sum of squares of the sightings that are believed, in sigmas, the loss applied.
-pub fn landmark_cost(settings: &Settings<'_>, states: &[ImuState], entry: &Entry, loss: Loss) -> f64 {
-    let anchor = &settings.window.tracks[entry.track][0];
-    let cost = |sighting| {
-        landmark::residual(&entry.landmark, anchor, sighting, states, settings.rig)
-            .map_or(NO_PIXEL_COST, |residual| loss.cost(residual.norm() / settings.config.sigma_track_px))
+/// Cost of the inliers: half the sum of squares in sigmas, with the loss applied.
+pub fn landmark_cost(
+    problem: &Problem<'_>,
+    states: &[ImuState],
+    landmark: &WindowLandmark,
+    loss: Loss,
+) -> f64 {
+    let anchor = &problem.window.tracks[landmark.track][0];
+    let cost = |observation| {
+        reprojection::residual(&landmark.position, anchor, observation, states, problem.cameras)
+            .map_or(NO_PIXEL_COST, |residual| loss.cost(residual.norm() / problem.config.sigma_track_px))
     };
-    believed(settings, entry).map(cost).sum()
+    problem.inliers(landmark).map(cost).sum()
 }

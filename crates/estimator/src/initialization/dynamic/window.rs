@@ -1,75 +1,81 @@
-//! What a start in motion has to go by: a second or two of images and the IMU readings in between.
+//! The measurements of a dynamic initialization: images of one or two seconds and the IMU samples in between.
 
-use super::NotYet;
+use super::error::DynamicInitError;
 use crate::calibration::CalibratedCamera;
 use crate::imu::{ImuBuffer, Readings};
 use crate::odometry::tracks::TrackObservation;
 use nalgebra::{Vector2, Vector3};
 use std::collections::BTreeMap;
 
-/// Most tracks of a window. More cost time and tell little: the IMU limits the start, not the pixels.
-const MOST_TRACKS: usize = 100;
-/// Images that a track must have been seen in. Three rays leave a residual to judge by.
-const LEAST_IMAGES: usize = 4;
-/// How long a reading may be held at an end of the window, nanoseconds.
+/// Maximum number of tracks. More cost time and gain little: the IMU limits the accuracy, not the pixels.
+const MAX_TRACKS: usize = 100;
+/// Minimum number of tracks of a dynamic initialization.
+pub const MIN_TRACKS: usize = 15;
+/// Minimum number of images of a track. Three bearings give a residual.
+const MIN_IMAGES: usize = 4;
+/// Maximum time by which the IMU samples may begin or end within the window, nanoseconds.
 const IMU_SLACK_NS: i64 = 20_000_000;
 
-/// One image and what was tracked in it.
+/// One image with its tracks.
 #[derive(Clone, Debug, PartialEq)]
-pub struct StartImage {
+pub struct WindowImage {
     /// Time, nanoseconds.
     pub stamp_ns: i64,
-    /// Tracks of all cameras of the rig.
+    /// Observations of all cameras.
     pub tracks: Vec<TrackObservation>,
 }
 
 /// One feature in one image of the window.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct StartSighting {
-    /// Place of the image in the window, oldest first.
+pub struct WindowObservation {
+    /// Index of the image in the window, oldest first.
     pub image: usize,
-    /// Camera of the rig.
+    /// Index of the camera.
     pub camera: usize,
-    /// Where, distorted pixels.
+    /// Pixel as the camera sees it (distorted).
     pub pixel: Vector2<f64>,
-    /// The ray in the camera, `(x / z, y / z, 1)`.
+    /// Bearing in the camera frame, `(x / z, y / z, 1)`.
     pub ray: Vector3<f64>,
 }
 
-/// A feature that was seen without a gap, oldest sighting first.
-pub type StartTrack = Vec<StartSighting>;
+/// The observations of a feature in consecutive images, oldest first.
+pub type WindowTrack = Vec<WindowObservation>;
 
-/// Images, readings between them, and the tracks that connect them.
+/// Images, the IMU samples between them, and their tracks.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Window {
     /// Times of the images, nanoseconds, oldest first.
     pub stamps_ns: Vec<i64>,
-    /// `readings[k]` lead from image k to image k + 1.
+    /// `readings[k]` are the IMU samples from image k to image k + 1.
     pub readings: Vec<Readings>,
     /// The longest tracks.
-    pub tracks: Vec<StartTrack>,
+    pub tracks: Vec<WindowTrack>,
 }
 
 impl Window {
-    /// Puts a window together.
+    /// Collects tracks and IMU samples.
     ///
     /// # Arguments
     /// * `images`: oldest first.
-    /// * `imu`: readings that reach from before the first to the last of them.
+    /// * `imu`: samples from before the first to the last of them.
     ///
     /// # Errors
-    /// [`NotYet::TooFewImages`], [`NotYet::NoImu`] where readings are missing.
-    pub fn new(images: &[StartImage], imu: &ImuBuffer, rig: &[CalibratedCamera]) -> Result<Self, NotYet> {
-        if images.len() < LEAST_IMAGES {
-            return Err(NotYet::TooFewImages { have: images.len(), need: LEAST_IMAGES });
+    /// [`DynamicInitError::TooFewImages`], [`DynamicInitError::NoImu`].
+    pub fn new(
+        images: &[WindowImage],
+        imu: &ImuBuffer,
+        cameras: &[CalibratedCamera],
+    ) -> Result<Self, DynamicInitError> {
+        if images.len() < MIN_IMAGES {
+            return Err(DynamicInitError::TooFewImages { have: images.len(), need: MIN_IMAGES });
         }
         let mut readings = Vec::with_capacity(images.len() - 1);
         for pair in images.windows(2) {
             let between = imu.interval(pair[0].stamp_ns, pair[1].stamp_ns, IMU_SLACK_NS);
-            readings.push(between.map_err(|_| NotYet::NoImu)?);
+            readings.push(between.map_err(|_| DynamicInitError::NoImu)?);
         }
         let stamps_ns = images.iter().map(|image| image.stamp_ns).collect();
-        Ok(Self { stamps_ns, readings, tracks: longest_tracks(images, rig) })
+        Ok(Self { stamps_ns, readings, tracks: longest_tracks(images, cameras) })
     }
 
     /// Time from the first image to image `k`, seconds.
@@ -78,33 +84,33 @@ impl Window {
     }
 }
 
-/// The tracks that were seen in the most images; of equals those of the smaller name.
-fn longest_tracks(images: &[StartImage], rig: &[CalibratedCamera]) -> Vec<StartTrack> {
-    let mut running: BTreeMap<u64, StartTrack> = BTreeMap::new();
-    let mut tracks: Vec<StartTrack> = Vec::new();
+/// The tracks with the most images; among equals those of the smaller feature.
+fn longest_tracks(images: &[WindowImage], cameras: &[CalibratedCamera]) -> Vec<WindowTrack> {
+    let mut running: BTreeMap<u64, WindowTrack> = BTreeMap::new();
+    let mut tracks: Vec<WindowTrack> = Vec::new();
     for (image, seen) in images.iter().enumerate() {
         for observation in &seen.tracks {
             let camera = usize::from(observation.camera);
-            let Some(eye) = rig.get(camera) else { continue };
-            let Ok(ray) = eye.camera.unproject(&observation.pixel) else { continue };
+            let Some(calibrated) = cameras.get(camera) else { continue };
+            let Ok(ray) = calibrated.camera.unproject(&observation.pixel) else { continue };
             let ray = Vector3::new(ray.x, ray.y, 1.0);
             let track = running.entry(observation.feature_id).or_default();
-            // A name that comes back after a gap is another track.
+            // A feature observed again after a gap is another track.
             if track.last().is_some_and(|last| last.image + 1 < image) {
                 tracks.push(std::mem::take(track));
             }
-            track.push(StartSighting { image, camera, pixel: observation.pixel, ray });
+            track.push(WindowObservation { image, camera, pixel: observation.pixel, ray });
         }
     }
     tracks.extend(running.into_values());
-    tracks.retain(|track| images_of(track) >= LEAST_IMAGES);
+    tracks.retain(|track| images_of(track) >= MIN_IMAGES);
     tracks.sort_by_key(|track| std::cmp::Reverse(images_of(track)));
-    tracks.truncate(MOST_TRACKS);
+    tracks.truncate(MAX_TRACKS);
     tracks
 }
 
-/// How many images a track was seen in. All its images follow each other.
-pub fn images_of(track: &[StartSighting]) -> usize {
+/// Number of images of a track, which are consecutive.
+pub fn images_of(track: &[WindowObservation]) -> usize {
     match (track.first(), track.last()) {
         (Some(first), Some(last)) => last.image - first.image + 1,
         _ => 0,
@@ -125,12 +131,12 @@ mod tests {
             centre: [320.0, 240.0],
             distortion: Distortion::None,
         };
-        let rig = [CalibratedCamera { camera, imu_from_camera: Pose::identity() }];
+        let cameras = [CalibratedCamera { camera, imu_from_camera: Pose::identity() }];
         let seen: [&[u64]; 10] =
             [&[1, 2], &[1, 2], &[1, 2], &[1, 2], &[1], &[1, 2], &[1, 2], &[1, 2], &[1, 2], &[1, 2]];
-        let images: Vec<StartImage> = (0..)
+        let images: Vec<WindowImage> = (0..)
             .zip(seen)
-            .map(|(k, ids)| StartImage {
+            .map(|(k, ids)| WindowImage {
                 stamp_ns: k * 100_000_000,
                 tracks: ids
                     .iter()
@@ -139,17 +145,17 @@ mod tests {
             })
             .collect();
         let mut imu = ImuBuffer::default();
-        assert_eq!(Window::new(&images, &imu, &rig), Err(NotYet::NoImu));
+        assert_eq!(Window::new(&images, &imu, &cameras), Err(DynamicInitError::NoImu));
         for k in 0..=100 {
             let zero = Vector3::zeros();
             imu.push(crate::ImuSample { stamp_ns: k * 10_000_000, gyroscope: zero, accelerometer: zero })
                 .unwrap();
         }
-        let window = Window::new(&images, &imu, &rig).unwrap();
+        let window = Window::new(&images, &imu, &cameras).unwrap();
         let lengths: Vec<usize> = window.tracks.iter().map(|track| images_of(track)).collect();
         assert_eq!(lengths, [10, 5, 4]);
         assert_eq!(window.readings.len(), 9);
-        let short = Window::new(&images[..3], &imu, &rig);
-        assert_eq!(short, Err(NotYet::TooFewImages { have: 3, need: 4 }));
+        let short = Window::new(&images[..3], &imu, &cameras);
+        assert_eq!(short, Err(DynamicInitError::TooFewImages { have: 3, need: 4 }));
     }
 }

@@ -1,18 +1,18 @@
-//! The laws of a start in motion.
+//! Laws of the dynamic initialization.
 
 mod world;
 
-use super::inertial::{ImuError, Interval, moved};
-use super::landmark::{Landmark, linearize, residual};
+use super::reprojection::{linearize, residual};
 use super::*;
+use crate::propagation::{ImuError, MotionEstimate, propagate};
 use geometry::numeric::numeric_jacobian;
 use geometry::rotation::{exp, log};
 use nalgebra::{DMatrix, DVector, Vector2};
 use rand::{SeedableRng as _, rngs::StdRng};
-use world::{Run, USUAL, World, normal, rig, vector, world};
+use world::{Run, USUAL, World, calibrated_cameras, normal, vector, world};
 
-fn start(world: &World) -> Result<(InitialState, InitQuality), NotYet> {
-    dynamic_start(&world.window, &world.rig, &world.config, &BiasPrior::default())
+fn start(world: &World) -> Result<(InitialState, InitQuality), DynamicInitError> {
+    initialize_dynamic(&world.window, &world.cameras, &world.config, &BiasPrior::default())
 }
 
 /// The error of a start without the four numbers that define L, and its NEES.
@@ -32,8 +32,8 @@ fn error(world: &World, start: &InitialState) -> (DVector<f64>, f64) {
     let parts = [velocity, gyroscope, accelerometer];
     let numbers = [tilt.x, tilt.y].into_iter().chain(parts.iter().flat_map(|part| part.iter().copied()));
     let error = DVector::from_iterator(11, numbers);
-    let places = [0, 1, 6, 7, 8, 9, 10, 11, 12, 13, 14];
-    let covariance = DMatrix::from_fn(11, 11, |i, j| start.covariance[(places[i], places[j])]);
+    let compared = [0, 1, 6, 7, 8, 9, 10, 11, 12, 13, 14];
+    let covariance = DMatrix::from_fn(11, 11, |i, j| start.covariance[(compared[i], compared[j])]);
     let nees = error.dot(&covariance.cholesky().unwrap().solve(&error));
     (error, nees)
 }
@@ -43,7 +43,8 @@ fn the_closed_form_is_exact_without_noise() {
     for stereo in [false, true] {
         let world = world(Run { stereo, noise: 0.0, ..USUAL });
         let integrated = closed_form::integrate(&world.window, &world.config, &Vector3::zeros());
-        let found = closed_form::solve(&world.window, &world.rig, &integrated, world.config.gravity).unwrap();
+        let found =
+            closed_form::solve(&world.window, &world.cameras, &integrated, world.config.gravity).unwrap();
         let to_body = world.first.local_from_imu.rotation.inverse();
         let velocity = to_body * world.first.velocity;
         let down = to_body * Vector3::new(0.0, 0.0, -world.config.gravity);
@@ -69,90 +70,96 @@ fn the_minimum_on_the_sphere_is_the_lowest_point_of_it() {
 }
 
 #[test]
-fn the_gyroscopes_bias_is_found_from_rays_alone() {
+fn the_gyroscope_bias_is_found_from_bearings_alone() {
     let world = world(Run { noise: 0.3, ..USUAL });
     let bias = Vector3::new(0.1, -0.08, 0.05);
     let mut biased = world.window.clone();
     for reading in biased.readings.iter_mut().flatten() {
         reading.gyroscope += bias;
     }
-    let found = gyroscope::refine_bias(&biased, &world.rig, &Vector3::zeros(), 0.2, 0.3);
+    let found = gyroscope_bias::refine_bias(&biased, &world.cameras, &Vector3::zeros(), 0.2, 0.3);
     assert!((found - bias - world.truth.gyroscope_bias).norm() < 0.01, "{found}");
 }
 
 #[test]
-fn sightings_and_intervals_have_the_derivatives_that_they_state() {
+fn jacobians_of_reprojection_and_preintegration_are_the_numeric_derivatives() {
     let world = world(USUAL);
-    let (rig, config) = (rig(true), &world.config);
+    let (cameras, config) = (calibrated_cameras(true), &world.config);
     let states = [world.first, world.truth];
-    let landmark = Landmark { normalized: Vector2::new(0.2, -0.1), inverse_depth: 0.15 };
-    let sighting = |image, camera| window::StartSighting {
+    let landmark = InverseDepthLandmark { normalized: Vector2::new(0.2, -0.1), inverse_depth: 0.15 };
+    let observation = |image, camera| window::WindowObservation {
         image,
         camera,
         pixel: Vector2::new(300.0, 200.0),
         ray: Vector3::z(),
     };
     for (image, camera) in [(1, 0), (1, 1), (0, 1)] {
-        let (anchor, seen) = (sighting(0, 0), sighting(image, camera));
-        let row = linearize(&landmark, &anchor, &seen, &states, &rig).unwrap();
+        let (anchor, seen) = (observation(0, 0), observation(image, camera));
+        let row = linearize(&landmark, &anchor, &seen, &states, &cameras).unwrap();
         let numeric = numeric_jacobian(15, |error| {
             let mut states = states;
             states[0].local_from_imu = states[0].local_from_imu.retract(&error.fixed_rows::<6>(0).into());
             let body = &mut states[image].local_from_imu;
             *body = body.retract(&error.fixed_rows::<6>(6).into());
-            let landmark = landmark.moved(&error.fixed_rows::<3>(12).into());
-            let residual = residual(&landmark, &anchor, &seen, &states, &rig).unwrap();
+            let landmark = landmark.retract(&error.fixed_rows::<3>(12).into());
+            let residual = residual(&landmark, &anchor, &seen, &states, &cameras).unwrap();
             DVector::from_column_slice((-residual).as_slice())
         });
-        // Where both sightings are of one body, each error moves both.
-        let shared = row.by_anchor + row.by_body;
-        let (by_anchor, by_body) = if image == 0 { (shared, shared) } else { (row.by_anchor, row.by_body) };
+        // Where both observations are of one body, each error moves both.
+        let shared = row.wrt_anchor + row.wrt_body;
+        let (wrt_anchor, wrt_body) =
+            if image == 0 { (shared, shared) } else { (row.wrt_anchor, row.wrt_body) };
         let mut stated = DMatrix::zeros(2, 15);
-        stated.view_mut((0, 0), (2, 6)).copy_from(&by_anchor);
-        stated.view_mut((0, 6), (2, 6)).copy_from(&by_body);
-        stated.view_mut((0, 12), (2, 3)).copy_from(&row.by_landmark);
+        stated.view_mut((0, 0), (2, 6)).copy_from(&wrt_anchor);
+        stated.view_mut((0, 6), (2, 6)).copy_from(&wrt_body);
+        stated.view_mut((0, 12), (2, 3)).copy_from(&row.wrt_landmark);
         assert!((stated - numeric).amax() < 1e-5, "image {image}, camera {camera}");
     }
 
-    let interval =
-        Interval::new(&world.window.readings[3], &Vector3::repeat(0.01), &Vector3::repeat(0.02), config)
-            .unwrap();
-    let end = moved(&world.first, &ImuError::from_fn(|k, _| 0.02 * (k as f64).sin()));
+    let interval = PreintegratedImu::new(
+        &world.window.readings[3],
+        &Vector3::repeat(0.01),
+        &Vector3::repeat(0.02),
+        config,
+    )
+    .unwrap();
+    let end = world.first.retract(&ImuError::from_fn(|k, _| 0.02 * (k as f64).sin()));
     let row = interval.linearize(&world.first, &end);
     let numeric = numeric_jacobian(30, |error| {
-        let begin = moved(&world.first, &error.fixed_rows::<15>(0).into());
-        let end = moved(&end, &error.fixed_rows::<15>(15).into());
+        let begin = world.first.retract(&error.fixed_rows::<15>(0).into());
+        let end = end.retract(&error.fixed_rows::<15>(15).into());
         DVector::from_column_slice(interval.residual(&begin, &end).as_slice())
     });
     let off =
-        (numeric.columns(0, 15) - row.by_begin).amax().max((numeric.columns(15, 15) - row.by_end).amax());
+        (numeric.columns(0, 15) - row.wrt_begin).amax().max((numeric.columns(15, 15) - row.wrt_end).amax());
     assert!(off < 1e-6, "{off}");
 }
 
 #[test]
-fn preintegration_predicts_what_propagation_does() {
-    use crate::propagation::{MotionEstimate, propagate};
+fn preintegration_agrees_with_propagation() {
     let world = world(USUAL);
     let (readings, first) = (&world.window.readings[0], world.first);
-    let motion = MotionEstimate { position: first.local_from_imu.translation, velocity: first.velocity };
-    let carried = propagate(&first, &motion, readings, &world.config.imu_noise, world.config.gravity).state;
+    let motion = MotionEstimate::of(&first);
+    let propagated =
+        propagate(&first, &motion, readings, &world.config.imu_noise, world.config.gravity).state;
     let interval =
-        Interval::new(readings, &first.gyroscope_bias, &first.accelerometer_bias, &world.config).unwrap();
-    assert!(interval.residual(&first, &carried).amax() < 1e-12);
+        PreintegratedImu::new(readings, &first.gyroscope_bias, &first.accelerometer_bias, &world.config)
+            .unwrap();
+    assert!(interval.residual(&first, &propagated).amax() < 1e-12);
 }
 
 #[test]
-fn errors_of_starts_are_what_their_covariances_say() {
+fn errors_are_consistent_with_their_covariances() {
     for stereo in [false, true] {
         let (mut sum, mut runs) = (0.0, 0);
         for seed in 0..24 {
             let world = world(Run { seed, stereo, ..USUAL });
-            let Ok((start, init_quality)) = start(&world) else { continue };
+            let Ok((start, quality)) = start(&world) else { continue };
             let (error, nees) = error(&world, &start);
             assert!(nees < 45.0, "seed {seed}: NEES {nees} of 11, {error}");
             let speed = world.truth.velocity.norm();
             let off = (start.imu.velocity.norm() / speed - 1.0).abs();
-            assert!(off < 5.0 * init_quality.sigma_scale + 0.01, "seed {seed}: speed off by {off}");
+            assert!(off < 5.0 * quality.sigma_scale + 0.01, "seed {seed}: speed off by {off}");
             sum += nees;
             runs += 1;
         }
@@ -165,12 +172,12 @@ fn errors_of_starts_are_what_their_covariances_say() {
 }
 
 #[test]
-fn one_camera_at_constant_velocity_does_not_start_and_two_do() {
+fn at_constant_velocity_one_camera_is_rejected_and_two_are_accepted() {
     for seed in 0..6 {
-        let glide = Run { seed, shaken: 0.0, ..USUAL };
-        let refused = start(&world(glide));
-        assert!(matches!(refused, Err(NotYet::ScaleUnknown { .. })), "seed {seed}: {refused:?}");
-        let of_two = world(Run { stereo: true, ..glide });
+        let uniform = Run { seed, shaken: 0.0, ..USUAL };
+        let rejected = start(&world(uniform));
+        assert!(matches!(rejected, Err(DynamicInitError::ScaleUnknown { .. })), "seed {seed}: {rejected:?}");
+        let of_two = world(Run { stereo: true, ..uniform });
         let (start, _) = start(&of_two).unwrap();
         let (error, nees) = error(&of_two, &start);
         assert!(nees < 40.0 && error.fixed_rows::<3>(2).norm() < 0.08, "seed {seed}: {nees} {error}");
@@ -178,22 +185,25 @@ fn one_camera_at_constant_velocity_does_not_start_and_two_do() {
 }
 
 #[test]
-fn outliers_do_not_spoil_a_start() {
+fn outliers_are_dropped() {
     for seed in 0..6 {
         let world = world(Run { seed, outliers: 0.02, ..USUAL });
-        let (start, init_quality) = start(&world).unwrap();
-        assert!((0.01..0.04).contains(&init_quality.outliers), "seed {seed}: {}", init_quality.outliers);
+        let (start, quality) = start(&world).unwrap();
+        assert!((0.01..0.04).contains(&quality.outliers), "seed {seed}: {}", quality.outliers);
         let (error, nees) = error(&world, &start);
         assert!(nees < 45.0, "seed {seed}: NEES {nees}, {error}");
     }
 }
 
 #[test]
-fn wrong_extrinsics_and_missing_tracks_are_refused() {
+fn wrong_extrinsics_and_missing_tracks_are_rejected() {
     let mut turned = world(USUAL);
-    turned.rig[0].imu_from_camera.rotation *= exp(&Vector3::new(0.0, 0.5, 0.0));
-    assert!(matches!(start(&turned), Err(NotYet::Contradiction { .. } | NotYet::TooFewTracks { .. })));
+    turned.cameras[0].imu_from_camera.rotation *= exp(&Vector3::new(0.0, 0.5, 0.0));
+    assert!(matches!(
+        start(&turned),
+        Err(DynamicInitError::Contradiction { .. } | DynamicInitError::TooFewTracks { .. })
+    ));
     let mut blind = world(USUAL);
     blind.window.tracks.truncate(5);
-    assert_eq!(start(&blind).unwrap_err(), NotYet::TooFewTracks { have: 5, need: LEAST_TRACKS });
+    assert_eq!(start(&blind).unwrap_err(), DynamicInitError::TooFewTracks { have: 5, need: MIN_TRACKS });
 }

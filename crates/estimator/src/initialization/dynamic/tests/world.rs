@@ -1,9 +1,9 @@
-//! A small world whose truth is known: a body that swings and shakes before a wall of landmarks.
+//! A simulated body that oscillates before a wall of landmarks.
 
 use crate::calibration::CalibratedCamera;
 use crate::config::EstimatorConfig;
 use crate::imu::{ImuBuffer, ImuSample};
-use crate::initialization::dynamic::{StartImage, Window};
+use crate::initialization::dynamic::{Window, WindowImage};
 use crate::odometry::tracks::TrackObservation;
 use crate::propagation::ImuState;
 use geometry::rotation::{exp, log};
@@ -38,7 +38,7 @@ pub fn vector(rng: &mut StdRng) -> Vector3<f64> {
     Vector3::from_fn(|_, _| normal(rng))
 }
 
-pub fn rig(stereo: bool) -> Vec<CalibratedCamera> {
+pub fn calibrated_cameras(stereo: bool) -> Vec<CalibratedCamera> {
     let camera = Camera {
         width: 752,
         height: 480,
@@ -46,17 +46,17 @@ pub fn rig(stereo: bool) -> Vec<CalibratedCamera> {
         centre: [370.0, 245.0],
         distortion: Distortion::RadialTangential([-0.28, 0.07, 2e-4, 2e-5]),
     };
-    let eye = |x: f64| CalibratedCamera {
+    let calibrated = |x: f64| CalibratedCamera {
         camera: camera.clone(),
         imu_from_camera: Pose::new(exp(&Vector3::new(0.1, -0.2, 1.5)), Vector3::new(x, 0.02, 0.01)),
     };
-    if stereo { vec![eye(-0.02), eye(0.09)] } else { vec![eye(-0.02)] }
+    if stereo { vec![calibrated(-0.02), calibrated(0.09)] } else { vec![calibrated(-0.02)] }
 }
 
 /// A motion, its readings and what it sees.
 pub struct World {
     pub window: Window,
-    pub rig: Vec<CalibratedCamera>,
+    pub cameras: Vec<CalibratedCamera>,
     pub config: EstimatorConfig,
     /// At the newest image, in axes with z up.
     pub truth: ImuState,
@@ -110,8 +110,8 @@ pub fn world(run: Run) -> World {
         shake: vector(&mut rng) * run.shaken,
         phase: vector(&mut rng) * 3.0,
     };
-    let gyroscope_bias = vector(&mut rng) * (config.initial.gyroscope_bias * run.noise);
-    let accelerometer_bias = vector(&mut rng) * (config.initial.accelerometer_bias * run.noise);
+    let gyroscope_bias = vector(&mut rng) * (config.initial.sigma_gyroscope_bias_rad_s * run.noise);
+    let accelerometer_bias = vector(&mut rng) * (config.initial.sigma_accelerometer_bias_m_s2 * run.noise);
     let mut imu = ImuBuffer::default();
     let per_reading = run.noise / (IMU_NS as f64 * 1e-9).sqrt();
     for k in -2..=((SECONDS * 1e9) as i64 / IMU_NS + 2) {
@@ -126,8 +126,8 @@ pub fn world(run: Run) -> World {
         })
         .unwrap();
     }
-    let rig = rig(run.stereo);
-    let middle = motion.pose(0.5 * SECONDS) * rig[0].imu_from_camera;
+    let cameras = calibrated_cameras(run.stereo);
+    let middle = motion.pose(0.5 * SECONDS) * cameras[0].imu_from_camera;
     let points: Vec<Vector3<f64>> = (0..120)
         .map(|_| {
             let z = rng.random_range(3.0..9.0);
@@ -142,9 +142,10 @@ pub fn world(run: Run) -> World {
     for k in 0..=((SECONDS * 1e9) as i64 / IMAGE_NS) {
         let body = motion.pose((k * IMAGE_NS) as f64 * 1e-9);
         let mut tracks = Vec::new();
-        for (camera, eye) in rig.iter().enumerate() {
+        for (camera, calibrated) in cameras.iter().enumerate() {
             for (name, point) in points.iter().enumerate() {
-                let Ok(pixel) = eye.camera.project(&(body * eye.imu_from_camera).inverse_transform(point))
+                let Ok(pixel) =
+                    calibrated.camera.project(&(body * calibrated.imu_from_camera).inverse_transform(point))
                 else {
                     continue;
                 };
@@ -153,12 +154,12 @@ pub fn world(run: Run) -> World {
                     let angle: f64 = rng.random_range(0.0..std::f64::consts::TAU);
                     pixel += Vector2::new(angle.cos(), angle.sin()) * rng.random_range(10.0..50.0);
                 }
-                if eye.camera.contains(&pixel) {
+                if calibrated.camera.contains(&pixel) {
                     tracks.push(TrackObservation { camera: camera as u8, feature_id: name as u64, pixel });
                 }
             }
         }
-        images.push(StartImage { stamp_ns: k * IMAGE_NS, tracks });
+        images.push(WindowImage { stamp_ns: k * IMAGE_NS, tracks });
     }
     let state = |t: f64| ImuState {
         local_from_imu: motion.pose(t),
@@ -166,6 +167,6 @@ pub fn world(run: Run) -> World {
         gyroscope_bias,
         accelerometer_bias,
     };
-    let window = Window::new(&images, &imu, &rig).unwrap();
-    World { window, rig, config, truth: state(SECONDS), first: state(0.0) }
+    let window = Window::new(&images, &imu, &cameras).unwrap();
+    World { window, cameras, config, truth: state(SECONDS), first: state(0.0) }
 }

@@ -1,0 +1,128 @@
+//! What the filter tells of its state.
+
+use super::Estimator;
+use crate::KeyframeId;
+use crate::calibration::{CalibratedCamera, Calibration};
+use crate::config::EstimatorConfig;
+use crate::state::{Block, CloneId, rotation_adjoint};
+use geometry::{Pose, PoseWithCovariance};
+use nalgebra::{Matrix6, Vector3};
+
+impl Estimator {
+    /// The settings.
+    pub fn config(&self) -> &EstimatorConfig {
+        &self.config
+    }
+
+    /// Time of the state by the IMU's clock, nanoseconds.
+    pub fn stamp_ns(&self) -> i64 {
+        self.state.stamp_ns
+    }
+
+    /// Time of an image by the IMU's clock according to the estimated time offset, nanoseconds. A
+    /// [`time_update`](Self::time_update) needs IMU samples up to there.
+    pub fn imu_stamp_ns(&self, image_stamp_ns: i64) -> i64 {
+        image_stamp_ns + (self.state.calibration.time_offset * 1e9).round() as i64
+    }
+
+    /// Estimated cameras and time offset.
+    pub fn calibration(&self) -> &Calibration {
+        &self.state.calibration
+    }
+
+    /// IMU pose in L, with the covariance of its error `[δθ, δp]` in L (rad, metres).
+    pub fn local_from_imu(&self) -> PoseWithCovariance {
+        PoseWithCovariance {
+            pose: self.state.imu.local_from_imu,
+            covariance: self.block(&Block::ImuPose, &Block::ImuPose),
+        }
+    }
+
+    /// Velocity of the IMU in L, m/s.
+    pub fn velocity(&self) -> Vector3<f64> {
+        self.state.imu.velocity
+    }
+
+    /// Biases of gyroscope (rad/s) and accelerometer (m/s^2).
+    pub fn biases(&self) -> (Vector3<f64>, Vector3<f64>) {
+        (self.state.imu.gyroscope_bias, self.state.imu.accelerometer_bias)
+    }
+
+    /// `global_from_local` with the covariance of its error in G; `None` before the map initialization.
+    pub fn global_from_local(&self) -> Option<PoseWithCovariance> {
+        let pose = self.state.transform?;
+        let adjoint = rotation_adjoint(&pose);
+        let covariance = adjoint * self.block(&Block::Transform, &Block::Transform) * adjoint.transpose();
+        Some(PoseWithCovariance { pose, covariance })
+    }
+
+    /// IMU pose in G with the covariance of its error in G, correlations between both parts included; `None` before the map
+    /// initialization.
+    pub fn global_from_imu(&self) -> Option<PoseWithCovariance> {
+        let transform = self.global_from_local()?;
+        Some(transform.compose_correlated(
+            &self.local_from_imu(),
+            &(rotation_adjoint(&transform.pose) * self.block(&Block::Transform, &Block::ImuPose)),
+        ))
+    }
+
+    /// Pose of the first camera in G at a clone, the prior of a map query; `None` for a marginalized clone and before the
+    /// map initialization.
+    pub fn global_from_camera(&self, clone: CloneId) -> Option<PoseWithCovariance> {
+        let transform = self.global_from_local()?;
+        let index = self.state.clone_index(clone)?;
+        let (pose, block) = (self.state.clones[index].local_from_imu, Block::Clone(index));
+        let global_from_imu = transform.compose_correlated(
+            &PoseWithCovariance { pose, covariance: self.block(&block, &block) },
+            &(rotation_adjoint(&transform.pose) * self.block(&Block::Transform, &block)),
+        );
+        let exact =
+            PoseWithCovariance { pose: self.first_camera().imu_from_camera, covariance: Matrix6::zeros() };
+        Some(global_from_imu.compose(&exact))
+    }
+
+    /// Unit vector along gravity in the frame of the first camera at a clone; `None` for a marginalized clone.
+    pub fn gravity_in_first_camera(&self, clone: CloneId) -> Option<Vector3<f64>> {
+        let local_from_imu = self.state.clones[self.state.clone_index(clone)?].local_from_imu;
+        Some(self.gravity_in_camera(&local_from_imu))
+    }
+
+    /// Whether most tracks of the newest second contradict the state: not yet a divergence, but the pose should not be
+    /// relied on.
+    pub fn is_suspicious(&self) -> bool {
+        self.health.is_suspicious()
+    }
+
+    /// The keyframes of the map that are held, to be named in a map query.
+    pub fn held_keyframes(&self) -> Vec<KeyframeId> {
+        self.covariance.held.ids().collect()
+    }
+
+    /// Heap memory of the held keyframes, bytes.
+    pub fn held_bytes(&self) -> usize {
+        self.covariance.held.heap_bytes()
+    }
+
+    /// Version of the map that the held keyframes belong to; `None` before the map initialization.
+    pub fn map_version(&self) -> Option<u64> {
+        self.map_version.in_use()
+    }
+
+    pub(super) fn first_camera(&self) -> &CalibratedCamera {
+        &self.state.calibration.cameras[0]
+    }
+
+    pub(super) fn gravity_in_camera(&self, local_from_imu: &Pose) -> Vector3<f64> {
+        let local_from_camera = local_from_imu.rotation * self.first_camera().imu_from_camera.rotation;
+        local_from_camera.inverse() * -Vector3::z()
+    }
+
+    fn block(&self, row: &Block, column: &Block) -> Matrix6<f64> {
+        match (self.state.range(*row), self.state.range(*column)) {
+            (Some(rows), Some(columns)) => {
+                self.covariance.active().view().fixed_view::<6, 6>(rows.start, columns.start).into_owned()
+            }
+            _ => Matrix6::zeros(),
+        }
+    }
+}

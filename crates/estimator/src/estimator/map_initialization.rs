@@ -1,0 +1,75 @@
+//! Map initialization: `global_from_local` is added to the state, or marginalized.
+
+use super::Estimator;
+use crate::KeyframeId;
+use crate::linear_algebra::dense::Dense;
+use crate::map_update::map_answer::MapAnswer;
+use crate::map_update::map_measurement::Linearization;
+use crate::map_update::solved_pose::{linearize_solved_pose, median_depth, solved_covariance};
+use crate::map_update::verification::VerifiedAnswer;
+use crate::measurement::{Information, StateBlocks};
+use crate::state::{Block, POSE_DIM};
+use geometry::{Pose, PoseWithCovariance};
+use nalgebra::{DMatrix, DVector};
+
+impl Estimator {
+    /// Adds `global_from_local` to the state at the PnP solution, with a prior so wide that the update determines whatever it
+    /// observes.
+    ///
+    /// # Arguments
+    /// * `depth`: median distance of the landmarks, metres.
+    pub(super) fn insert_transform(&mut self, transform: Pose, depth: f64) {
+        let rotation = self.config.sigma_transform_rotation_rad.powi(2);
+        let position = (self.config.sigma_transform_depth_fraction * depth)
+            .max(self.config.sigma_transform_position_m)
+            .powi(2);
+        let variances = DVector::from_fn(POSE_DIM, |k, _| if k < 3 { rotation } else { position });
+        let independent = Dense::zeros(POSE_DIM, 0);
+        let noise = std::iter::once(DMatrix::from_diagonal(&variances));
+        self.covariance.insert(self.state.transform_begin(), &StateBlocks::default(), &independent, noise);
+        self.state.transform = Some(transform);
+    }
+
+    /// Marginalizes `global_from_local`.
+    pub(super) fn remove_transform(&mut self) {
+        if let Some(range) = self.state.range(Block::Transform) {
+            self.covariance.gather(&[0..range.start, range.end..self.state.dim()]);
+            self.state.transform = None;
+        }
+    }
+
+    /// Adds the PnP pose to the measurements of a map initialization.
+    pub(super) fn add_solved_pose(
+        &self,
+        information: &mut Information,
+        answer: &MapAnswer,
+        verified: &VerifiedAnswer,
+        keyframes: &[KeyframeId],
+        point: &Linearization,
+    ) {
+        let Some(global_from_keyframe) = self.pose_of(verified.best, answer) else { return };
+        let columns = &information.blocks;
+        let index = keyframes.iter().position(|&id| id == verified.best);
+        let sigma_px = self.config.sigma_match_px.max(verified.mean_error_px);
+        let depth = median_depth(answer, verified);
+        let solved = PoseWithCovariance {
+            covariance: solved_covariance(
+                &verified.best_from_camera.covariance,
+                sigma_px,
+                self.config.sigma_map_shift_fraction * depth,
+            ),
+            ..verified.best_from_camera
+        };
+        let rows = linearize_solved_pose(
+            columns.len(),
+            index.map(|index| columns.active_len() + POSE_DIM * index),
+            &global_from_keyframe,
+            &solved,
+            &self.first_camera().imu_from_camera,
+            point,
+        );
+        if let Some((jacobian, residual)) = rows {
+            information.add(&jacobian, &residual);
+        }
+    }
+}

@@ -1,0 +1,111 @@
+//! The verb `map_changed`, and answers of other map versions; see [`map_revision`](crate::map_update::map_revision).
+
+use super::Estimator;
+use super::map_update::UpdateResult;
+use crate::map_update::map_answer::MapAnswer;
+use crate::map_update::map_report::{MapReport, Rejection};
+use crate::map_update::map_revision::{ChangeSize, MapRevision, RevisionEffect, transform_noise};
+use crate::state::{Block, CloneId};
+
+impl Estimator {
+    /// Applies the announcement of a new map version.
+    ///
+    /// Call it when the announcement arrives, before [`Self::map_update`] with answers that arrived later. An announced
+    /// change of known size keeps `global_from_local` with process noise and invalidates the changed keyframes; any other
+    /// one makes the next answer of the new version initialize `global_from_local` again. See
+    /// [`map_revision`](crate::map_update::map_revision) for the derivation.
+    ///
+    /// # Example
+    /// ```
+    /// # use estimator::{CalibratedCamera, Estimator, EstimatorConfig, InitialSigmas, InitialState};
+    /// # use geometry::{Camera, Distortion, Pose};
+    /// # use nalgebra::Vector3;
+    /// use estimator::{ChangeSize, MapRevision, RevisionEffect};
+    /// # let camera = Camera {
+    /// #     width: 640, height: 480, focal: [400.0; 2], centre: [320.0, 240.0], distortion: Distortion::None,
+    /// # };
+    /// # let cameras = vec![CalibratedCamera { camera, imu_from_camera: Pose::identity() }];
+    /// # let (rest, down) = (Vector3::zeros(), -Vector3::z());
+    /// # let start = InitialState::from_truth(0, &Pose::identity(), &rest, &down, InitialSigmas::default());
+    /// # let mut estimator = Estimator::new(EstimatorConfig::default(), cameras, &start)?;
+    /// let revision = MapRevision {
+    ///     from_version: 1,
+    ///     version: 2,
+    ///     changed_keyframes: vec![40, 7],
+    ///     size: Some(ChangeSize { sigma_rotation_rad: 1e-3, sigma_position_m: 0.02 }),
+    /// };
+    /// // This filter has not used the map yet, so the change does not affect it.
+    /// assert_eq!(estimator.map_changed(&revision), RevisionEffect::None);
+    /// assert_eq!(estimator.map_version(), None);
+    /// # Ok::<(), estimator::EstimatorError>(())
+    /// ```
+    pub fn map_changed(&mut self, revision: &MapRevision) -> RevisionEffect {
+        let Some(held) = self.map_version.in_use().filter(|held| *held != revision.version) else {
+            return RevisionEffect::None;
+        };
+        let is_linear = |size: &ChangeSize| {
+            // A rotation beyond the prior of `global_from_local` makes the present estimate useless.
+            (0.0..=self.config.sigma_transform_rotation_rad).contains(&size.sigma_rotation_rad)
+                && (0.0..f64::INFINITY).contains(&size.sigma_position_m)
+        };
+        match revision.size.filter(is_linear) {
+            Some(size) if held == revision.from_version => {
+                self.add_transform_noise(size);
+                self.covariance.invalidate(&revision.changed_keyframes);
+                self.contradiction = None;
+                self.rejections_in_a_row = 0;
+                let newest = self.state.clones.last();
+                let since_ns = newest.map_or(self.state.stamp_ns, |clone| clone.stamp_ns);
+                self.map_version.begin(revision.version, since_ns);
+                RevisionEffect::CarriedOver
+            }
+            _ => {
+                self.map_version.reinitialize_with(revision.version);
+                RevisionEffect::Reinitialized
+            }
+        }
+    }
+
+    /// Process noise of `global_from_local`.
+    fn add_transform_noise(&mut self, size: ChangeSize) {
+        if let Some(range) = self.state.range(Block::Transform) {
+            let noise = transform_noise(&self.state.imu.local_from_imu.translation, size);
+            self.covariance.add_noise(range.start, &noise);
+        }
+    }
+
+    /// Updates with an answer of the version in use, or of another one as the module's documentation says. If
+    /// `global_from_local` cannot be initialized with it, nothing is changed.
+    pub(super) fn update_in_version(
+        &mut self,
+        clone: CloneId,
+        answer: &MapAnswer,
+        report: &mut MapReport,
+    ) -> UpdateResult {
+        let answered = answer.map_version;
+        let query_ns =
+            self.state.clone_index(clone).map_or(i64::MIN, |index| self.state.clones[index].stamp_ns);
+        if let Some(held) = self.map_version.in_use() {
+            if answered == held {
+                return self.verify_and_update(clone, answer, report);
+            }
+            if query_ns <= self.map_version.since_ns() {
+                return Ok(Err(Rejection::OldMapVersion { answered, held }));
+            }
+            let localized = self.state.transform.is_some();
+            if self.map_version.awaits_announcement(answered, self.state.stamp_ns) && localized {
+                return Ok(Err(Rejection::UnannouncedMapVersion { answered, held }));
+            }
+        }
+        let before = (self.state.clone(), self.covariance.clone());
+        self.remove_transform();
+        self.covariance.invalidate(&self.held_keyframes());
+        let outcome = self.verify_and_update(clone, answer, report)?;
+        if outcome.is_err() {
+            (self.state, self.covariance) = before;
+        } else {
+            self.map_version.begin(answered, query_ns);
+        }
+        Ok(outcome)
+    }
+}

@@ -1,0 +1,279 @@
+//! The map update: verify an answer, initialize or relinearize, linearize, gate, update.
+
+use super::Estimator;
+use super::map_linearization::LinearizedMapUpdate;
+use crate::KeyframeId;
+use crate::config::{MapMode, Relinearization};
+use crate::error::EstimatorError;
+use crate::map_update::map_answer::{MapAnswer, MatchedLandmark};
+use crate::map_update::map_measurement::{Linearization, LinearizationPoint};
+use crate::map_update::map_report::{MapReport, Rejection};
+use crate::map_update::solved_pose::median_depth;
+use crate::map_update::verification::{VerificationSettings, VerifiedAnswer, verify};
+use crate::measurement::Information;
+use crate::state::CloneId;
+use geometry::PoseWithCovariance;
+
+/// Updated, rejected, or failed.
+pub(super) type UpdateResult = Result<Result<(), Rejection>, EstimatorError>;
+
+impl Estimator {
+    /// Updates the state with the map's answer to the query of an image.
+    ///
+    /// Verifies the matches by PnP, pulls the keyframes of the answer as nuisance states, gates every landmark and the whole
+    /// update, and updates the active state; the first accepted answer initializes `global_from_local`. A rejected answer is
+    /// a report, not an error, and leaves the state unchanged.
+    ///
+    /// # Arguments
+    /// * `clone`: of the query image, as [`Self::time_update`] returned it; [pinned](Self::pin) since then.
+    ///
+    /// # Errors
+    /// [`EstimatorError::Diverged`]: the filter must be initialized again.
+    ///
+    /// # Example
+    /// A body at rest sees twelve landmarks of a map with one keyframe, whose frame G is L moved by 10 m.
+    /// ```
+    /// # use estimator::{CalibratedCamera, Estimator, EstimatorConfig, ImuSample, InitialSigmas, InitialState};
+    /// # use geometry::{Camera, Distortion};
+    /// use estimator::{Localization, MapAnswer, MapKeyframe, MatchedLandmark};
+    /// use geometry::PoseWithCovariance;
+    /// use nalgebra::{Matrix6, Vector3};
+    /// # let camera = Camera {
+    /// #     width: 640, height: 480, focal: [400.0; 2], centre: [320.0, 240.0], distortion: Distortion::None,
+    /// # };
+    /// # let cameras = vec![CalibratedCamera { camera: camera.clone(), imu_from_camera: Pose::identity() }];
+    /// # let (rest, down) = (Vector3::zeros(), -Vector3::z());
+    /// # let start = InitialState::from_truth(0, &Pose::identity(), &rest, &down, InitialSigmas::default());
+    /// # let mut estimator = Estimator::new(EstimatorConfig::default(), cameras, &start)?;
+    /// let clone = estimator.time_update(0)?;
+    /// estimator.pin(clone);
+    ///
+    /// // What a map would answer.
+    /// let global_from_keyframe = Pose { translation: Vector3::new(10.0, 0.0, 0.0), ..Pose::identity() };
+    /// let landmarks = (0..12).map(|k| {
+    ///     let k = f64::from(k);
+    ///     let position = Vector3::new((1.3 * k).sin(), (2.1 * k).cos(), 4.0 + 0.2 * k);
+    ///     let pixel = camera.project(&position).unwrap();
+    ///     MatchedLandmark { pixel, anchor: 7, position_in_anchor: position, observations: vec![(7, pixel)] }
+    /// });
+    /// let answer = MapAnswer {
+    ///     map_version: 1,
+    ///     keyframes: vec![MapKeyframe {
+    ///         id: 7,
+    ///         global_from_keyframe: PoseWithCovariance::new(global_from_keyframe, Matrix6::identity() * 1e-4),
+    ///         camera: camera.clone(),
+    ///         cross_covariances: Vec::new(),
+    ///     }],
+    ///     held_at_query: estimator.held_keyframes(),
+    ///     landmarks: landmarks.collect(),
+    ///     gravity_in_global: Some(-Vector3::z()),
+    ///     sigma_map_px: 1.0,
+    /// };
+    /// let report = estimator.map_update(clone, &answer)?;
+    /// estimator.unpin(clone);
+    ///
+    /// assert_eq!(report.rejection, None);
+    /// assert!(report.initialized);
+    /// assert_eq!(estimator.held_keyframes(), [7]);
+    /// assert_eq!(estimator.status().localization, Localization::Localized);
+    /// let global_from_imu = estimator.global_from_imu().unwrap();
+    /// assert!((global_from_imu.pose.translation - Vector3::new(10.0, 0.0, 0.0)).norm() < 0.1);
+    /// // Never more accurate than the keyframe.
+    /// assert!(global_from_imu.covariance[(3, 3)] > 1e-4);
+    /// # Ok::<(), estimator::EstimatorError>(())
+    /// ```
+    pub fn map_update(&mut self, clone: CloneId, answer: &MapAnswer) -> Result<MapReport, EstimatorError> {
+        let same_map = self.map_version.in_use() == Some(answer.map_version);
+        let answer = self
+            .restrict(answer)
+            .without_invalid(&|id| if same_map { self.covariance.held.map_covariance(id) } else { None });
+        let mut report = MapReport {
+            keyframes: answer.keyframes.len(),
+            matches: answer.landmarks.len(),
+            inliers: 0,
+            used: 0,
+            mean_reprojection_px: None,
+            relinearized: false,
+            initialized: false,
+            nis: None,
+            rejection: None,
+        };
+        report.rejection = self.update_in_version(clone, &answer, &mut report)?.err();
+        match &report.rejection {
+            None => {
+                self.rejections_in_a_row = 0;
+                self.lost_after = None;
+                self.last_map_update_ns = Some(self.state.stamp_ns);
+            }
+            Some(
+                Rejection::Implausible { .. }
+                | Rejection::FewLandmarks { .. }
+                | Rejection::Contradicts { .. },
+            ) => self.note_contradiction(),
+            Some(_) => {}
+        }
+        self.covariance.held.deactivate_unused();
+        self.covariance.evict(self.config.max_held_keyframes);
+        Ok(report)
+    }
+
+    /// The part of an answer that the mode allows and whose correlation with the held keyframes is known.
+    fn restrict(&self, answer: &MapAnswer) -> MapAnswer {
+        let mut restricted = answer.clone();
+        let correlated = self.covariance.held.has_correlations()
+            || answer.keyframes.iter().any(|keyframe| !keyframe.cross_covariances.is_empty());
+        if correlated && self.map_version.in_use() == Some(answer.map_version) {
+            restricted = restricted.with_known_correlations(&self.held_keyframes());
+        }
+        if self.config.mode == MapMode::Single {
+            restricted.keyframes.truncate(1);
+        }
+        restricted.remove_dangling_references();
+        restricted
+    }
+
+    /// Verifies an answer of the map version in use, and updates with it.
+    pub(super) fn verify_and_update(
+        &mut self,
+        clone: CloneId,
+        answer: &MapAnswer,
+        report: &mut MapReport,
+    ) -> UpdateResult {
+        if self.config.mode == MapMode::Odometry {
+            return Ok(Err(Rejection::Odometry));
+        }
+        let Some(index) = self.state.clone_index(clone) else { return Ok(Err(Rejection::TooLate)) };
+        let local_from_imu = self.state.clones[index].local_from_imu;
+        let first_position =
+            self.config.first_estimates.then_some(self.state.clones[index].first_estimate.translation);
+        let settings = VerificationSettings {
+            angle: self.config.verify_angle_rad,
+            min_inliers: self.config.min_inliers,
+            gravity_in_camera: Some(self.gravity_in_camera(&local_from_imu)),
+        };
+        let verified = match verify(answer, self.first_camera(), &settings) {
+            Ok(verified) => verified,
+            Err(rejection) => return Ok(Err(rejection.into())),
+        };
+        report.inliers = verified.inliers.len();
+
+        let Some(best) = answer.keyframe(verified.best) else { return Ok(Err(Rejection::TooLate)) };
+        let global_from_imu = self.pose_of(best.id, answer).unwrap_or(best.global_from_keyframe.pose)
+            * verified.best_from_camera.pose
+            * self.first_camera().imu_from_camera.inverse();
+        let solved_transform = global_from_imu * local_from_imu.inverse();
+        report.initialized = self.state.transform.is_none();
+        let transform = self.state.transform.unwrap_or(solved_transform);
+        let estimate = LinearizationPoint { local_from_imu, global_from_local: transform };
+
+        let mean_error = self.mean_reprojection(answer, &verified, &estimate);
+        report.mean_reprojection_px = mean_error;
+        // A landmark that does not project at the estimate has an infinite error.
+        let relinearize = mean_error.is_none_or(|error| error > self.config.relinearize_above_px);
+        let mut at = estimate;
+        if relinearize && !report.initialized {
+            match self.config.relinearization {
+                Relinearization::Off => {}
+                Relinearization::Transform => at.global_from_local = solved_transform,
+                Relinearization::Clone => at.local_from_imu = transform.inverse() * global_from_imu,
+            }
+            report.relinearized = at != estimate;
+        }
+
+        if report.initialized {
+            self.insert_transform(solved_transform, median_depth(answer, &verified));
+        }
+        let measured = best.global_from_keyframe.change_of_child(&verified.best_from_camera.pose);
+        let point = Linearization { estimate, at, first_position };
+        let outcome = self.iterate(clone, answer, &verified, point, &measured, report)?;
+        if outcome.is_err() && report.initialized {
+            self.remove_transform();
+            report.initialized = false;
+        }
+        Ok(outcome)
+    }
+
+    /// Gauss-Newton iterations on the map measurements, and the update at the last linearization point.
+    ///
+    /// # Arguments
+    /// * `measured`: the first camera in G at `clone` according to the answer.
+    fn iterate(
+        &mut self,
+        clone: CloneId,
+        answer: &MapAnswer,
+        verified: &VerifiedAnswer,
+        mut point: Linearization,
+        measured: &PoseWithCovariance,
+        report: &mut MapReport,
+    ) -> UpdateResult {
+        let landmarks: Vec<&MatchedLandmark> =
+            verified.inliers.iter().map(|&k| &answer.landmarks[k]).collect();
+        let inliers = landmarks.len();
+        let keyframes = self.keyframes_of(&landmarks, answer);
+        let new: Vec<KeyframeId> = keyframes
+            .iter()
+            .copied()
+            .filter(|&id| self.covariance.held.map_covariance(id).is_none())
+            .collect();
+        let columns = self.pull_keyframes(clone, &keyframes, answer);
+        let exact = self.config.mode == MapMode::MapConst;
+        for iteration in 1..=self.config.map_iterations {
+            let mut linearized = self.linearize(&landmarks, answer, &keyframes, &columns, &point);
+            if report.initialized {
+                self.add_solved_pose(&mut linearized.information, answer, verified, &keyframes, &point);
+            }
+            let LinearizedMapUpdate { information, used, plausible } = linearized;
+            report.used = used;
+            let agrees = exact || 2 * plausible >= inliers;
+            let passes = iteration > 1 || self.passes_outlier_test(agrees, clone, measured);
+            let need = self.config.min_inliers.div_ceil(2);
+            if used < need {
+                return Ok(Err(self.revert_pull(&new, Rejection::FewLandmarks { used, inliers, need })));
+            }
+            if !passes {
+                return Ok(Err(self.revert_pull(&new, Rejection::Contradicts { plausible, inliers })));
+            }
+            let rows = information.rows;
+            let Ok(nis) = self.covariance.information_nis(&information) else {
+                return Ok(Err(self.revert_pull(&new, Rejection::InconsistentMap)));
+            };
+            report.nis = Some((nis, rows));
+            // With an exact map this gate would fail all the time; only the landmarks are gated then.
+            if !exact && !self.frame_gate.accepts(nis, rows) {
+                let bound = self.frame_gate.bound(rows);
+                return Ok(Err(self.revert_pull(&new, Rejection::Implausible { nis, rows, bound })));
+            }
+            if iteration < self.config.map_iterations {
+                point.at = self.next_point(clone, &information, &point)?;
+                continue;
+            }
+            self.covariance.information_update(&information, &mut self.correction)?;
+            self.state.retract(&self.correction);
+            self.check_health()?;
+        }
+        Ok(Ok(()))
+    }
+
+    /// Removes the keyframes that a rejected answer pulled.
+    fn revert_pull(&mut self, new: &[KeyframeId], rejection: Rejection) -> Rejection {
+        self.covariance.held.remove_unused(new);
+        rejection
+    }
+
+    /// Clone and transform after one Gauss-Newton step; the filter is unchanged.
+    fn next_point(
+        &mut self,
+        clone: CloneId,
+        information: &Information,
+        point: &Linearization,
+    ) -> Result<LinearizationPoint, EstimatorError> {
+        self.covariance.information_correction(information, &mut self.correction)?;
+        let mut next = self.state.clone();
+        next.retract(&self.correction);
+        let index = next.clone_index(clone);
+        Ok(LinearizationPoint {
+            local_from_imu: index.map_or(point.at.local_from_imu, |index| next.clones[index].local_from_imu),
+            global_from_local: next.transform.unwrap_or(point.at.global_from_local),
+        })
+    }
+}

@@ -1,0 +1,193 @@
+//! The filter: its members, and its verbs in the files of this module.
+
+mod accessors;
+mod map_initialization;
+mod map_linearization;
+mod map_revision;
+mod map_update;
+mod outlier_test;
+pub mod status;
+mod time_update;
+mod track_update;
+
+use crate::calibration::{CalibratedCamera, Calibration};
+use crate::config::{ConfigError, EstimatorConfig};
+use crate::covariance::JointCovariance;
+use crate::error::EstimatorError;
+use crate::gate::Gate;
+use crate::health::Health;
+use crate::imu::ImuBuffer;
+use crate::initialization::static_init::InitialState;
+use crate::linear_algebra::dense::Dense;
+use crate::map_update::map_revision::MapVersion;
+use crate::odometry::msckf_update::MsckfSettings;
+use crate::odometry::tracks::TrackStore;
+use crate::propagation::{IMU_DIM, ImuMatrix, MotionEstimate};
+use crate::state::ActiveState;
+use geometry::Pose;
+use nalgebra::{DMatrix, DVector, Vector3};
+use track_update::OdometryUpdate;
+
+/// Confidence of the gate beyond which a landmark of the map contradicts the state. All landmarks of a keyframe share the
+/// error of its pose, so they fail the landmark gate together now and then.
+const CONTRADICTION_CONFIDENCE: f64 = 0.9999;
+/// Residual after triangulation beyond which an observation is an outlier, sigmas, whatever the errors of the clones.
+const OUTLIER_SIGMAS: f64 = 5.0;
+
+/// The CS-MSCKF filter.
+///
+/// Feed it in the order of time; per image: [`Self::imu`], [`Self::time_update`], [`Self::track_update`], and
+/// [`Self::map_update`] when the map answered to an image whose clone was pinned with [`Self::pin`].
+///
+/// # Coordinate systems
+/// * L, local: origin at the first pose, z up, no yaw at the first pose. Drifts against the world.
+/// * G, global: the frame of the map. `global_from_local` is unknown until the first map update.
+/// * IMU: the body. Its pose in L is the state.
+///
+/// # Example
+/// ```
+/// use estimator::{CalibratedCamera, Estimator, EstimatorConfig, ImuSample, InitialSigmas, InitialState};
+/// use geometry::{Camera, Distortion, Pose};
+/// use nalgebra::Vector3;
+///
+/// let camera = Camera {
+///     width: 640,
+///     height: 480,
+///     focal: [400.0; 2],
+///     centre: [320.0, 240.0],
+///     distortion: Distortion::None,
+/// };
+/// let cameras = vec![CalibratedCamera { camera, imu_from_camera: Pose::identity() }];
+/// // A known pose in a frame with z up, at rest.
+/// let start = InitialState::from_truth(
+///     0,
+///     &Pose::identity(),
+///     &Vector3::zeros(),
+///     &-Vector3::z(),
+///     InitialSigmas::default(),
+/// );
+/// let mut estimator = Estimator::new(EstimatorConfig::default(), cameras, &start)?;
+///
+/// // A tenth of a second at rest, then an image.
+/// for k in 0..=20 {
+///     estimator.imu(ImuSample {
+///         stamp_ns: k * 5_000_000,
+///         gyroscope: Vector3::zeros(),
+///         accelerometer: Vector3::new(0.0, 0.0, 9.81),
+///     })?;
+/// }
+/// let clone = estimator.time_update(100_000_000)?;
+/// estimator.track_update(&[])?;
+///
+/// let pose = estimator.local_from_imu();
+/// assert!(pose.pose.translation.norm() < 1e-9);
+/// assert!(pose.covariance[(3, 3)] > 0.0); // m^2
+/// assert!(estimator.global_from_imu().is_none()); // not yet localized in a map
+/// assert!(estimator.gravity_in_first_camera(clone).is_some());
+/// # Ok::<(), estimator::EstimatorError>(())
+/// ```
+#[derive(Clone, Debug)]
+pub struct Estimator {
+    config: EstimatorConfig,
+    imu: ImuBuffer,
+    state: ActiveState,
+    /// Angular velocity of the body in L at the time of the state, rad/s.
+    angular_velocity: Vector3<f64>,
+    covariance: JointCovariance,
+    tracks: TrackStore,
+    msckf_settings: MsckfSettings,
+    odometry_update: OdometryUpdate,
+    /// Reused memory of the last correction.
+    correction: DVector<f64>,
+    /// Reused memory of the Jacobian of features that are added to the state.
+    feature_jacobian: Dense,
+    landmark_gate: Gate,
+    contradiction_gate: Gate,
+    frame_gate: Gate,
+    next_clone: u64,
+    map_version: MapVersion,
+    rejections_in_a_row: usize,
+    /// `global_from_local` according to the last answer, if most of that contradicted the state.
+    contradiction: Option<Pose>,
+    last_map_update_ns: Option<i64>,
+    /// Consecutive rejections after which `global_from_local` was removed, until the next map update.
+    lost_after: Option<usize>,
+    health: Health,
+}
+
+impl Estimator {
+    /// A filter that starts from `initial`, with `global_from_local` unknown.
+    ///
+    /// # Arguments
+    /// * `cameras`: by [`TrackObservation::camera`](crate::TrackObservation::camera); the first one is matched with the map.
+    /// * `initial`: state and 15x15 covariance at the first image, see [`InitialState`] and
+    ///   [`Initializer`](crate::Initializer).
+    ///
+    /// # Errors
+    /// [`EstimatorError::Config`] names the invalid setting or camera.
+    pub fn new(
+        config: EstimatorConfig,
+        cameras: Vec<CalibratedCamera>,
+        initial: &InitialState,
+    ) -> Result<Self, EstimatorError> {
+        config.validate()?;
+        if cameras.is_empty() {
+            return Err(ConfigError::NoCamera.into());
+        }
+        for (camera, calibrated) in cameras.iter().enumerate() {
+            calibrated.camera.validate().map_err(|source| ConfigError::Camera { camera, source })?;
+        }
+        let calibration = Calibration::new(cameras, config.camera_time_offset_s, config.calibration);
+        let covariance = initial_covariance(&initial.covariance, &calibration);
+        let covariance = JointCovariance::new(covariance, config.max_active_keyframes);
+        let health = Health::new(initial, &config);
+        let state = ActiveState {
+            stamp_ns: initial.stamp_ns,
+            imu: initial.imu,
+            first_motion: MotionEstimate::of(&initial.imu),
+            calibration,
+            transform: None,
+            slam_features: Vec::new(),
+            clones: Vec::new(),
+        };
+        Ok(Self {
+            msckf_settings: MsckfSettings {
+                sigma_px: config.sigma_track_px,
+                first_estimates: config.first_estimates,
+                gate: Gate::new(config.track_gate),
+                stationary: false,
+                outlier_sigmas: OUTLIER_SIGMAS,
+                max_tracks: config.max_tracks,
+            },
+            landmark_gate: Gate::new(config.landmark_gate),
+            contradiction_gate: Gate::new(CONTRADICTION_CONFIDENCE),
+            frame_gate: Gate::new(config.frame_gate),
+            config,
+            imu: ImuBuffer::default(),
+            state,
+            angular_velocity: Vector3::zeros(),
+            covariance,
+            tracks: TrackStore::default(),
+            odometry_update: OdometryUpdate::default(),
+            correction: DVector::zeros(0),
+            feature_jacobian: Dense::default(),
+            next_clone: 0,
+            map_version: MapVersion::default(),
+            rejections_in_a_row: 0,
+            contradiction: None,
+            last_map_update_ns: None,
+            lost_after: None,
+            health,
+        })
+    }
+}
+
+/// Covariance of the IMU error and the calibration error, which are independent at first.
+fn initial_covariance(imu: &ImuMatrix, calibration: &Calibration) -> DMatrix<f64> {
+    let dim = IMU_DIM + calibration.dim();
+    let mut covariance = DMatrix::zeros(dim, dim);
+    covariance.fixed_view_mut::<IMU_DIM, IMU_DIM>(0, 0).copy_from(imu);
+    let of_calibration = calibration.initial_covariance();
+    covariance.view_mut((IMU_DIM, IMU_DIM), of_calibration.shape()).copy_from(&of_calibration);
+    covariance
+}

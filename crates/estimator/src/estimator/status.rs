@@ -1,0 +1,100 @@
+//! Localization status.
+
+use super::Estimator;
+use serde::{Deserialize, Serialize};
+
+/// Whether the pose in G can be used.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Localization {
+    /// Odometry works; there is no pose in the map yet, or no map.
+    OdometryOnly,
+    /// There is a pose in the map.
+    Localized,
+    /// There was a pose in the map, or odometry, that cannot be trusted any more.
+    Lost,
+}
+
+/// Reason of a [`Localization`].
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum StatusReason {
+    /// The map corrected the pose.
+    #[error("the map corrected the pose {seconds_ago:.1} s ago")]
+    MapUpdate {
+        /// Time since the last map update, seconds.
+        seconds_ago: f64,
+    },
+    /// The map contradicted the pose, and `global_from_local` was removed.
+    #[error("the map contradicted the pose {rejections} times in a row")]
+    Contradicted {
+        /// Number of consecutive rejected answers.
+        rejections: usize,
+    },
+    /// The map has not corrected the pose yet.
+    #[error("no match with the map yet")]
+    NoMatchYet,
+}
+
+/// [`Localization`] and its reason.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Status {
+    /// Whether the pose in G can be used.
+    pub localization: Localization,
+    /// The reason as text.
+    pub reason: String,
+    /// Time of the state at the last map update, nanoseconds.
+    pub last_map_update_ns: Option<i64>,
+    /// Number of held keyframes.
+    pub held_keyframes: usize,
+}
+
+impl Status {
+    /// Appends to the reason why the map does not answer.
+    pub fn with_failure(mut self, failure: Option<&str>) -> Self {
+        if let Some(failure) = failure {
+            self.reason = format!("{}; the map does not answer: {failure}", self.reason);
+        }
+        self
+    }
+}
+
+impl Estimator {
+    /// The localization status.
+    pub fn status(&self) -> Status {
+        let (localization, reason) = self.localization();
+        Status {
+            localization,
+            reason: reason.to_string(),
+            last_map_update_ns: self.last_map_update_ns,
+            held_keyframes: self.covariance.held.len(),
+        }
+    }
+
+    /// The localization status with its reason as a type.
+    pub fn localization(&self) -> (Localization, StatusReason) {
+        match (&self.state.transform, self.lost_after, self.last_map_update_ns) {
+            (Some(_), _, Some(last_ns)) => {
+                let seconds_ago = (self.state.stamp_ns - last_ns) as f64 * 1e-9;
+                (Localization::Localized, StatusReason::MapUpdate { seconds_ago })
+            }
+            (_, Some(rejections), _) => (Localization::Lost, StatusReason::Contradicted { rejections }),
+            _ => (Localization::OdometryOnly, StatusReason::NoMatchYet),
+        }
+    }
+
+    /// Counts a verified answer that the gates rejected. After too many in a row the state is wrong, and
+    /// `global_from_local` is removed.
+    pub(super) fn note_contradiction(&mut self) {
+        if self.state.transform.is_none() {
+            return;
+        }
+        self.rejections_in_a_row += 1;
+        if self.rejections_in_a_row >= self.config.lost_after_rejections {
+            self.lost_after = Some(self.rejections_in_a_row);
+            self.rejections_in_a_row = 0;
+            self.last_map_update_ns = None;
+            self.remove_transform();
+        }
+    }
+}

@@ -1,0 +1,139 @@
+//! Propagation to an image, cloning, marginalization of clones.
+
+use super::Estimator;
+use crate::error::EstimatorError;
+use crate::imu::{BadImuSample, ImuSample};
+use crate::propagation::{IMU_DIM, MotionEstimate, propagate};
+use crate::state::{ActiveState, Block, CloneId, ClonedPose, POSE_DIM};
+use smallvec::SmallVec;
+use std::ops::Range;
+
+/// Maximum time by which the IMU samples may end before an image, nanoseconds.
+const IMU_SLACK_NS: i64 = 20_000_000;
+
+impl Estimator {
+    /// Stores an IMU sample for the next [`Self::time_update`]. Samples come in the order of time.
+    ///
+    /// # Errors
+    /// [`EstimatorError::BadImu`] for a sample that is not finite or not newer than the one before. It was dropped; the
+    /// filter goes on.
+    pub fn imu(&mut self, sample: ImuSample) -> Result<(), EstimatorError> {
+        self.imu.push(sample).map_err(|error: BadImuSample| error.into())
+    }
+
+    /// Propagates the state to the time of an image and clones its pose.
+    ///
+    /// Clones beyond the window are marginalized, except pinned ones.
+    ///
+    /// # Arguments
+    /// * `stamp_ns`: by the camera's clock, nanoseconds; the estimated time offset is added to it. IMU samples must reach
+    ///   up to 20 ms before [`Self::imu_stamp_ns`] of it.
+    ///
+    /// # Returns
+    /// The identity of the clone, for [`Self::pin`] and [`Self::map_update`].
+    ///
+    /// # Errors
+    /// [`EstimatorError::OldFrame`], [`EstimatorError::NoImu`]: the filter is unchanged.
+    /// [`EstimatorError::Diverged`]: it must be initialized again.
+    pub fn time_update(&mut self, stamp_ns: i64) -> Result<CloneId, EstimatorError> {
+        let from_ns = self.state.stamp_ns;
+        let to_ns = self.imu_stamp_ns(stamp_ns);
+        if to_ns <= from_ns && !self.state.clones.is_empty() || to_ns < from_ns {
+            return Err(EstimatorError::OldFrame { stamp_ns, state_ns: from_ns });
+        }
+        if to_ns > from_ns {
+            self.propagate_to(to_ns)?;
+        }
+        self.check_health()?;
+        // `track_update` may be left out for an image without tracks.
+        self.marginalize_old_clones();
+        Ok(self.clone_pose(stamp_ns))
+    }
+
+    fn propagate_to(&mut self, stamp_ns: i64) -> Result<(), EstimatorError> {
+        let readings = self.imu.interval(self.state.stamp_ns, stamp_ns, IMU_SLACK_NS)?;
+        let newest = MotionEstimate::of(&self.state.imu);
+        let first = if self.config.first_estimates { &self.state.first_motion } else { &newest };
+        let propagated =
+            propagate(&self.state.imu, first, &readings, &self.config.imu_noise, self.config.gravity);
+        if let Some(last) = readings.last() {
+            let rate = last.gyroscope - propagated.state.gyroscope_bias;
+            self.angular_velocity = propagated.state.local_from_imu.rotation * rate;
+        }
+        self.covariance.time_update(&propagated.transition, &propagated.noise);
+        self.state.imu = propagated.state;
+        self.state.stamp_ns = stamp_ns;
+        self.state.first_motion = MotionEstimate::of(&propagated.state);
+        self.imu.remove_before(stamp_ns);
+        Ok(())
+    }
+
+    /// Stochastic cloning: the newest pose is appended to the state with its correlations.
+    fn clone_pose(&mut self, stamp_ns: i64) -> CloneId {
+        let id = CloneId(self.next_clone);
+        self.next_clone += 1;
+        let dim = self.state.dim();
+        self.covariance.gather(&[0..dim, 0..POSE_DIM]);
+        if self.state.calibration.estimates_time_offset() {
+            // The pose at the true time of the image differs by the motion over the error of the time offset.
+            let (rotation, velocity) = (self.angular_velocity, self.state.imu.velocity);
+            let motion = [rotation.x, rotation.y, rotation.z, velocity.x, velocity.y, velocity.z];
+            self.covariance.add_dependence(dim, &motion, IMU_DIM);
+        }
+        let pose = self.state.imu.local_from_imu;
+        self.state.clones.push(ClonedPose {
+            id,
+            stamp_ns,
+            local_from_imu: pose,
+            first_estimate: pose,
+            pinned: false,
+        });
+        id
+    }
+
+    /// Marginalizes the clones beyond the window.
+    pub(super) fn marginalize_old_clones(&mut self) {
+        let removed: SmallVec<[usize; 4]> = clones_beyond_window(&self.state, self.config.window).collect();
+        if removed.is_empty() {
+            return;
+        }
+        let mut kept = SmallVec::<[Range<usize>; 32]>::new();
+        kept.push(0..self.state.clones_begin());
+        kept.extend(
+            (0..self.state.clones.len())
+                .filter(|index| !removed.contains(index))
+                .filter_map(|index| self.state.range(Block::Clone(index))),
+        );
+        self.covariance.gather(&kept);
+        let mut index = 0;
+        self.state.clones.retain(|_| {
+            index += 1;
+            !removed.contains(&(index - 1))
+        });
+    }
+
+    /// Excludes a clone from marginalization, as long as a map query of its image is pending.
+    pub fn pin(&mut self, clone: CloneId) {
+        self.set_pinned(clone, true);
+    }
+
+    /// Ends [`Self::pin`]: the answer was used, or will not come.
+    pub fn unpin(&mut self, clone: CloneId) {
+        self.set_pinned(clone, false);
+    }
+
+    fn set_pinned(&mut self, clone: CloneId, pinned: bool) {
+        if let Some(index) = self.state.clone_index(clone) {
+            self.state.clones[index].pinned = pinned;
+        }
+    }
+
+    pub(super) fn check_health(&self) -> Result<(), EstimatorError> {
+        Ok(self.health.check(&self.state, &self.covariance)?)
+    }
+}
+
+/// Indices of the clones beyond the window that are not pinned.
+pub(super) fn clones_beyond_window(state: &ActiveState, window: usize) -> impl Iterator<Item = usize> + '_ {
+    (0..state.clones.len().saturating_sub(window)).filter(|&index| !state.clones[index].pinned)
+}

@@ -1,0 +1,185 @@
+//! The odometry update of one image: zero velocity, MSCKF tracks, SLAM features.
+
+use super::Estimator;
+use super::time_update::clones_beyond_window;
+use crate::error::EstimatorError;
+use crate::measurement::LinearizedMeasurement;
+use crate::odometry::msckf_update::{MsckfUpdate, TrackReport};
+use crate::odometry::pixel_measurement::Layout;
+use crate::odometry::slam_update::{SlamUpdate, SlamUpdateSettings};
+use crate::odometry::tracks::{Track, TrackObservation};
+use crate::odometry::zero_velocity;
+use crate::state::{CloneId, SlamFeature};
+use nalgebra::DMatrix;
+
+/// Memory of the odometry update, reused from image to image.
+#[derive(Clone, Debug, Default)]
+pub(super) struct OdometryUpdate {
+    finished: Vec<Track>,
+    msckf: MsckfUpdate,
+    slam: SlamUpdate,
+    zero_velocity: LinearizedMeasurement,
+}
+
+impl Estimator {
+    /// Updates the state with the tracks of the newest image.
+    ///
+    /// Tracks that ended or reach back to a clone that leaves the window give an MSCKF update; SLAM features are updated
+    /// at once; a zero-velocity update is made while the body is stationary. Then clones beyond the window are
+    /// marginalized.
+    ///
+    /// # Arguments
+    /// * `observations`: all features of the image, in any order; pixels as the camera sees them (distorted). A feature
+    ///   that is missing in an image has ended its track.
+    ///
+    /// # Errors
+    /// [`EstimatorError::Diverged`]: the filter must be initialized again.
+    ///
+    /// # Example
+    /// A body at rest with twelve features: their tracks show that it is stationary.
+    /// ```
+    /// # use estimator::{CalibratedCamera, Estimator, EstimatorConfig, ImuSample, InitialSigmas, InitialState};
+    /// # use geometry::{Camera, Distortion, Pose};
+    /// use estimator::TrackObservation;
+    /// use nalgebra::{Vector2, Vector3};
+    /// # let camera = Camera {
+    /// #     width: 640, height: 480, focal: [400.0; 2], centre: [320.0, 240.0], distortion: Distortion::None,
+    /// # };
+    /// # let cameras = vec![CalibratedCamera { camera, imu_from_camera: Pose::identity() }];
+    /// # let (rest, down) = (Vector3::zeros(), -Vector3::z());
+    /// # let start = InitialState::from_truth(0, &Pose::identity(), &rest, &down, InitialSigmas::default());
+    /// # let mut estimator = Estimator::new(EstimatorConfig::default(), cameras, &start)?;
+    /// let tracks: Vec<TrackObservation> = (0..12)
+    ///     .map(|feature_id| TrackObservation {
+    ///         camera: 0,
+    ///         feature_id,
+    ///         pixel: Vector2::new(50.0 * feature_id as f64, 240.0),
+    ///     })
+    ///     .collect();
+    /// for image in 0..10 {
+    ///     for k in 0..20 {
+    ///         estimator.imu(ImuSample {
+    ///             stamp_ns: image * 100_000_000 + k * 5_000_000,
+    ///             gyroscope: Vector3::zeros(),
+    ///             accelerometer: Vector3::new(0.0, 0.0, 9.81),
+    ///         })?;
+    ///     }
+    ///     estimator.time_update(image * 100_000_000)?;
+    ///     let report = estimator.track_update(&tracks)?;
+    ///     assert_eq!(report.stationary, image >= 5, "half a second is needed to tell");
+    /// }
+    /// # Ok::<(), estimator::EstimatorError>(())
+    /// ```
+    pub fn track_update(&mut self, observations: &[TrackObservation]) -> Result<TrackReport, EstimatorError> {
+        let Some(newest) = self.state.clones.last().map(|clone| clone.id) else {
+            return Ok(TrackReport::default());
+        };
+        let mut update = std::mem::take(&mut self.odometry_update);
+        let report = self.odometry(newest, observations, &mut update);
+        self.odometry_update = update;
+        let report = report?;
+        self.health.note_tracks(self.state.stamp_ns, &report);
+        self.check_health()?;
+        self.marginalize_old_clones();
+        Ok(report)
+    }
+
+    fn odometry(
+        &mut self,
+        newest: CloneId,
+        observations: &[TrackObservation],
+        update: &mut OdometryUpdate,
+    ) -> Result<TrackReport, EstimatorError> {
+        update.slam.marginalize_lost(&mut self.state, &mut self.covariance, observations);
+        let features = &self.state.slam_features;
+        let in_state = features.len();
+        let is_slam_feature = |id: u64| features.iter().any(|feature| feature.feature_id == id);
+        self.tracks.add(newest, observations, is_slam_feature);
+        self.msckf_settings.stationary = self.zero_velocity_update(&mut update.zero_velocity)?;
+        self.tracks.take_ended(newest, &mut update.finished);
+        for index in clones_beyond_window(&self.state, self.config.window) {
+            self.tracks.take_starting_at(self.state.clones[index].id, &mut update.finished);
+        }
+        if self.msckf_settings.stationary && self.state.calibration.dim() > 0 {
+            // An image that does not change repeats the same information on the calibration with the same linearization
+            // error, which would make the calibration inconsistent.
+            self.tracks.recycle(&mut update.finished);
+            return Ok(TrackReport { stationary: true, ..TrackReport::default() });
+        }
+        let mut report = self.msckf_update(update, in_state)?;
+        let settings = SlamUpdateSettings {
+            sigma_px: self.config.sigma_track_px,
+            first_estimates: self.config.first_estimates,
+            gate: &self.msckf_settings.gate,
+        };
+        let (state, covariance) = (&mut self.state, &mut self.covariance);
+        (report.slam_features, report.slam_features_gated) =
+            update.slam.update(state, covariance, in_state, observations, &settings, &mut self.correction)?;
+        Ok(report)
+    }
+
+    /// Updates the state with the finished tracks, and initializes SLAM features from those that are still tracked.
+    fn msckf_update(
+        &mut self,
+        update: &mut OdometryUpdate,
+        in_state: usize,
+    ) -> Result<TrackReport, EstimatorError> {
+        let OdometryUpdate { finished, msckf, .. } = update;
+        let mut vacant = self.config.slam_features.saturating_sub(in_state);
+        let accept_slam_feature = |_: &Track| {
+            let accepted = vacant > 0;
+            vacant -= usize::from(accepted);
+            accepted
+        };
+        let report =
+            msckf.collect(&self.state, &self.covariance, finished, &self.msckf_settings, accept_slam_feature);
+        self.tracks.recycle(finished);
+        self.insert_slam_features(msckf);
+        if msckf.information.rows > 0 {
+            self.covariance.information_update(&msckf.information, &mut self.correction)?;
+            self.state.retract(&self.correction);
+        }
+        Ok(report)
+    }
+
+    /// Delayed initialization: adds the new features of an update to the state, and shifts the update's columns accordingly.
+    fn insert_slam_features(&mut self, update: &mut MsckfUpdate) {
+        if update.new_features.is_empty() {
+            return;
+        }
+        update.initialization.jacobian(&mut self.feature_jacobian);
+        let noise = update
+            .initialization
+            .noises
+            .iter()
+            .map(|noise| DMatrix::from_column_slice(3, 3, noise.as_slice()));
+        let columns = &update.information.blocks;
+        self.covariance.insert(self.state.clones_begin(), columns, &self.feature_jacobian, noise);
+        for (feature, shift) in update.new_features.iter().zip(&update.initialization.shifts) {
+            self.state.slam_features.push(SlamFeature {
+                feature_id: feature.feature_id,
+                position: feature.position + shift,
+                first_estimate: feature.position,
+                gated_in_a_row: 0,
+            });
+        }
+        update.information.blocks.active.clear();
+        update.information.blocks.active.extend(Layout::of(&self.state).runs());
+    }
+
+    /// Zero-velocity update, where the tracks show a stationary body and the gate accepts it.
+    fn zero_velocity_update(&mut self, rows: &mut LinearizedMeasurement) -> Result<bool, EstimatorError> {
+        let stationary = self.config.zero_velocity
+            && zero_velocity::is_stationary(&self.state, &self.tracks, self.config.sigma_track_px);
+        if !stationary {
+            return Ok(false);
+        }
+        zero_velocity::zero_velocity(&self.state, rows);
+        let plausible = self.frame_gate.accepts(self.covariance.nis(rows)?, rows.residual.len());
+        if plausible {
+            self.covariance.measurement_update(rows, &mut self.correction)?;
+            self.state.retract(&self.correction);
+        }
+        Ok(plausible)
+    }
+}

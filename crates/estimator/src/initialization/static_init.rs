@@ -1,0 +1,276 @@
+//! The initial state, from ground truth or from an IMU at rest (static initialization).
+
+use crate::config::{EstimatorConfig, InitialSigmas};
+use crate::imu::ImuSample;
+use crate::propagation::{ACCELEROMETER_BIAS, GYROSCOPE_BIAS, ImuMatrix, ImuState, VELOCITY};
+use geometry::{Pose, Rotation};
+use nalgebra::{UnitVector3, Vector3};
+
+/// Initial IMU state with its covariance.
+#[derive(Clone, Debug, PartialEq)]
+pub struct InitialState {
+    /// Time, nanoseconds.
+    pub stamp_ns: i64,
+    /// Initial estimate.
+    pub imu: ImuState,
+    /// Covariance of its error `[δθ, δp, δv, δb_g, δb_a]`.
+    pub covariance: ImuMatrix,
+}
+
+/// Why the static initialization failed.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum StaticInitError {
+    /// Not enough samples yet.
+    #[error("{have:.2} s of IMU samples, {need:.2} s at rest are needed")]
+    TooShort {
+        /// Duration of the samples, seconds.
+        have: f64,
+        /// Duration needed, seconds.
+        need: f64,
+    },
+    /// The IMU moves.
+    #[error(
+        "the IMU moves (standard deviations: accelerometer {accelerometer:.2} m/s^2, gyroscope {gyroscope:.3} rad/s): \
+         keep it still"
+    )]
+    Moving {
+        /// Standard deviation of the specific force, m/s^2.
+        accelerometer: f64,
+        /// Standard deviation of the angular velocity, rad/s.
+        gyroscope: f64,
+    },
+    /// The features of the images move.
+    #[error(
+        "the IMU is at rest or in uniform motion, and the features of the images move: it is in uniform motion"
+    )]
+    UniformMotion,
+    /// The specific force does not have the magnitude of gravity.
+    #[error(
+        "at rest the accelerometer reads {norm:.2} m/s^2, gravity is {gravity:.2}: check units and calibration"
+    )]
+    NotGravity {
+        /// Magnitude of the mean specific force, m/s^2.
+        norm: f64,
+        /// The configured gravity, m/s^2.
+        gravity: f64,
+    },
+}
+
+/// Duration of the samples of a static initialization, seconds.
+pub const REST_SECONDS: f64 = 0.5;
+/// Standard deviation of the specific force above which the IMU moves, m/s^2. The IMUs of EuRoC and of a tablet have 0.02
+/// to 0.1 at rest; a hand-held one 0.3 and more.
+const MAX_ACCELEROMETER_SIGMA: f64 = 0.25;
+/// Standard deviation of the angular velocity above which it moves, rad/s.
+const MAX_GYROSCOPE_SIGMA: f64 = 0.03;
+/// Maximum difference between the specific force at rest and gravity, m/s^2.
+const GRAVITY_TOLERANCE: f64 = 0.6;
+/// Lower bound of the standard deviation of roll and pitch, rad: vibration and scale-factor errors of the accelerometer.
+const MIN_TILT_SIGMA_RAD: f64 = 0.005;
+/// Standard deviation of the velocity at rest, m/s.
+const REST_VELOCITY_SIGMA_M_S: f64 = 0.05;
+/// Lower bound of the standard deviation of the gyroscope bias, rad/s.
+const MIN_GYROSCOPE_BIAS_SIGMA_RAD_S: f64 = 2e-3;
+
+impl InitialState {
+    /// From ground truth: L has its origin at the IMU, z up and no yaw.
+    ///
+    /// # Arguments
+    /// * `stamp_ns`: by the IMU's clock, nanoseconds.
+    /// * `world_from_imu`: true pose, in any frame with known gravity.
+    /// * `velocity_in_world`: m/s.
+    /// * `gravity_in_world`: unit vector along gravity.
+    pub fn from_truth(
+        stamp_ns: i64,
+        world_from_imu: &Pose,
+        velocity_in_world: &Vector3<f64>,
+        gravity_in_world: &Vector3<f64>,
+        sigmas: InitialSigmas,
+    ) -> Self {
+        let imu_from_world = world_from_imu.rotation.inverse();
+        let local_from_imu = gravity_aligned(&(imu_from_world * -gravity_in_world));
+        Self {
+            stamp_ns,
+            imu: ImuState {
+                local_from_imu: Pose::new(local_from_imu, Vector3::zeros()),
+                velocity: local_from_imu * (imu_from_world * velocity_in_world),
+                gyroscope_bias: Vector3::zeros(),
+                accelerometer_bias: Vector3::zeros(),
+            },
+            covariance: sigmas.covariance(),
+        }
+    }
+
+    /// From IMU samples at rest: roll and pitch from gravity, gyroscope bias from the mean angular velocity.
+    ///
+    /// # Arguments
+    /// * `samples`: about [`REST_SECONDS`] of them, oldest first.
+    ///
+    /// # Returns
+    /// The state at the last sample, with its origin at the IMU, z up and no yaw.
+    ///
+    /// # Errors
+    /// [`StaticInitError`]: too few samples, motion, or a wrong gravity.
+    ///
+    /// ```
+    /// use estimator::{EstimatorConfig, ImuSample, InitialState};
+    /// use nalgebra::Vector3;
+    ///
+    /// let samples: Vec<ImuSample> = (0..=100)
+    ///     .map(|k| ImuSample {
+    ///         stamp_ns: k * 5_000_000,
+    ///         gyroscope: Vector3::new(0.01, 0.0, 0.0),
+    ///         accelerometer: Vector3::new(0.0, 9.81, 0.0), // y is up
+    ///     })
+    ///     .collect();
+    /// let initial = InitialState::from_rest(&samples, &EstimatorConfig::default())?;
+    /// assert!((initial.imu.gyroscope_bias.x - 0.01).abs() < 1e-9);
+    /// assert!((initial.imu.local_from_imu.rotation * Vector3::y() - Vector3::z()).norm() < 1e-9);
+    /// # Ok::<(), estimator::initialization::static_init::StaticInitError>(())
+    /// ```
+    pub fn from_rest(samples: &[ImuSample], config: &EstimatorConfig) -> Result<Self, StaticInitError> {
+        let (Some(first), Some(last)) = (samples.first(), samples.last()) else {
+            return Err(StaticInitError::TooShort { have: 0.0, need: REST_SECONDS });
+        };
+        let have = (last.stamp_ns - first.stamp_ns) as f64 * 1e-9;
+        if have < REST_SECONDS * 0.9 {
+            return Err(StaticInitError::TooShort { have, need: REST_SECONDS });
+        }
+        let (force, force_sigma) = statistics(samples, |sample| sample.accelerometer);
+        let (rate, rate_sigma) = statistics(samples, |sample| sample.gyroscope);
+        if force_sigma > MAX_ACCELEROMETER_SIGMA || rate_sigma > MAX_GYROSCOPE_SIGMA {
+            return Err(StaticInitError::Moving { accelerometer: force_sigma, gyroscope: rate_sigma });
+        }
+        if (force.norm() - config.gravity).abs() > GRAVITY_TOLERANCE {
+            return Err(StaticInitError::NotGravity { norm: force.norm(), gravity: config.gravity });
+        }
+        // Tilt and accelerometer bias are not distinguishable at rest: the sigma of the tilt follows from that of the bias.
+        let tilt = config.initial.sigma_accelerometer_bias_m_s2 / config.gravity;
+        let sigmas = InitialSigmas {
+            sigma_tilt_rad: tilt.max(MIN_TILT_SIGMA_RAD),
+            sigma_velocity_m_s: REST_VELOCITY_SIGMA_M_S,
+            // Small oscillations do not average out over half a second.
+            sigma_gyroscope_bias_rad_s: (0.5 * rate_sigma).max(MIN_GYROSCOPE_BIAS_SIGMA_RAD_S),
+            ..config.initial
+        };
+        Ok(Self {
+            stamp_ns: last.stamp_ns,
+            imu: ImuState {
+                local_from_imu: Pose::new(gravity_aligned(&force), Vector3::zeros()),
+                velocity: Vector3::zeros(),
+                gyroscope_bias: rate,
+                // Only the component of the bias along gravity is observable at rest.
+                accelerometer_bias: force.normalize() * (force.norm() - config.gravity),
+            },
+            covariance: sigmas.covariance(),
+        })
+    }
+
+    /// The same state in another local frame.
+    ///
+    /// # Arguments
+    /// * `new_from_old`: a translation and a rotation about z.
+    pub fn transformed(&self, new_from_old: &Pose) -> Self {
+        let blocks = imu_rotation_adjoint(&new_from_old.rotation);
+        Self {
+            stamp_ns: self.stamp_ns,
+            imu: ImuState {
+                local_from_imu: *new_from_old * self.imu.local_from_imu,
+                velocity: new_from_old.rotation * self.imu.velocity,
+                ..self.imu
+            },
+            covariance: blocks * self.covariance * blocks.transpose(),
+        }
+    }
+}
+
+impl InitialSigmas {
+    /// The diagonal 15x15 covariance of the IMU error `[δθ, δp, δv, δb_g, δb_a]`.
+    pub fn covariance(&self) -> ImuMatrix {
+        let mut covariance = ImuMatrix::zeros();
+        let mut put = |begin: usize, sigmas: [f64; 3]| {
+            for (k, sigma) in sigmas.iter().enumerate() {
+                covariance[(begin + k, begin + k)] = sigma * sigma;
+            }
+        };
+        put(0, [self.sigma_tilt_rad, self.sigma_tilt_rad, self.sigma_yaw_rad]);
+        put(3, [self.sigma_position_m; 3]);
+        put(VELOCITY, [self.sigma_velocity_m_s; 3]);
+        put(GYROSCOPE_BIAS, [self.sigma_gyroscope_bias_rad_s; 3]);
+        put(ACCELEROMETER_BIAS, [self.sigma_accelerometer_bias_m_s2; 3]);
+        covariance
+    }
+}
+
+/// `diag(R, R, R, I, I)`: maps an IMU error to rotated axes of the local frame.
+fn imu_rotation_adjoint(rotation: &Rotation) -> ImuMatrix {
+    let rotation = rotation.to_rotation_matrix().into_inner();
+    let mut blocks = ImuMatrix::identity();
+    for begin in [0, 3, VELOCITY] {
+        blocks.fixed_view_mut::<3, 3>(begin, begin).copy_from(&rotation);
+    }
+    blocks
+}
+
+/// The smallest rotation from the direction `up` of the body to z: no rotation about gravity.
+pub(crate) fn gravity_aligned(up: &Vector3<f64>) -> Rotation {
+    let up = UnitVector3::new_normalize(*up);
+    // If `up` is -z, any horizontal axis will do.
+    Rotation::rotation_between_axis(&up, &Vector3::z_axis())
+        .unwrap_or_else(|| Rotation::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI))
+}
+
+/// Mean, and standard deviation of the distance from it.
+fn statistics(samples: &[ImuSample], value: impl Fn(&ImuSample) -> Vector3<f64>) -> (Vector3<f64>, f64) {
+    let count = samples.len().max(1) as f64;
+    let mean = samples.iter().map(&value).sum::<Vector3<f64>>() / count;
+    let variance = samples.iter().map(|sample| (value(sample) - mean).norm_squared()).sum::<f64>() / count;
+    (mean, variance.sqrt())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use geometry::rotation;
+
+    #[test]
+    fn at_rest_tilt_and_gyroscope_bias_are_found() {
+        let config = EstimatorConfig::default();
+        let tilted = rotation::exp(&Vector3::new(0.4, -1.2, 0.7));
+        let bias = Vector3::new(0.01, 0.08, -0.03);
+        let samples: Vec<ImuSample> = (0..200)
+            .map(|k| ImuSample {
+                stamp_ns: k * 5_000_000,
+                gyroscope: bias + Vector3::repeat(0.002 * (k as f64).sin()),
+                accelerometer: tilted.inverse() * Vector3::new(0.0, 0.0, 9.81),
+            })
+            .collect();
+        let start = InitialState::from_rest(&samples, &config).unwrap();
+        let up = start.imu.local_from_imu.rotation * (tilted.inverse() * Vector3::z());
+        assert!((up - Vector3::z()).norm() < 1e-9);
+        assert!((start.imu.gyroscope_bias - bias).norm() < 1e-3);
+
+        let shaken: Vec<ImuSample> = samples
+            .iter()
+            .map(|sample| ImuSample {
+                accelerometer: sample.accelerometer + Vector3::repeat((sample.stamp_ns as f64 * 1e-8).sin()),
+                ..*sample
+            })
+            .collect();
+        assert!(matches!(InitialState::from_rest(&shaken, &config), Err(StaticInitError::Moving { .. })));
+        assert!(InitialState::from_rest(&samples[..20], &config).is_err());
+    }
+
+    #[test]
+    fn ground_truth_in_any_frame_gives_a_local_frame_with_z_up_and_no_yaw() {
+        let gravity = -Vector3::x();
+        let pose = Pose::new(rotation::exp(&Vector3::new(1.0, 0.2, -0.4)), Vector3::new(5.0, 6.0, 7.0));
+        let start = InitialState::from_truth(7, &pose, &Vector3::x(), &gravity, InitialSigmas::default());
+        let in_body = pose.rotation.inverse() * gravity;
+        assert!((start.imu.local_from_imu.rotation * in_body + Vector3::z()).norm() < 1e-12);
+        assert!((start.imu.velocity - Vector3::z()).norm() < 1e-12);
+        // The rotation axis is horizontal: no rotation about gravity.
+        assert!(rotation::log(&start.imu.local_from_imu.rotation).z.abs() < 1e-12);
+    }
+}

@@ -1,0 +1,135 @@
+//! Map versions: announced changes of the map, and answers of other versions.
+//!
+//! # An announced change
+//! `global_from_local` is kept, and its error is increased by the motion of the map at the robot. That motion is a pose error
+//! of G at the position of the robot: G rotates about it by `τ` (rad, in L) and translates by `σ` (metres, in L). With `q`
+//! the position of the robot in L and the error of `global_from_local` in L ([`retract_locally`](crate::state::retract_locally)),
+//! ```text
+//! R' = R Exp(τ),   p' = p + R (q + σ - Exp(τ) q)      so      e_θ = τ,   e_p = [q]ₓ τ + σ
+//! Q = J diag(σ_θ² I, σ_p² I) Jᵀ,   J = [ I 0; [q]ₓ I ]
+//! ```
+//! The covariance of the robot's pose in G is increased by exactly the stated sizes, whatever its distance to the origin of
+//! G. The noises of consecutive changes add up.
+//!
+//! # Held keyframes of the old version
+//! * Keyframes that are unchanged in the new version have the same errors. They stay held, with their correlations; adding
+//!   keyframes to a map has no cost.
+//! * Keyframes that are changed or removed are invalidated. The errors of the new version may depend on theirs in any way,
+//!   so the covariances of the state and of the new version are inflated until both can be used as independent
+//!   ([`schmidt`](crate::schmidt)). This holds for equal and for new ids: both may be of the same images.
+//! * The cross-covariances of new keyframes with unchanged ones are part of the new version's answers.
+//!
+//! # Answers of other versions
+//! A change is applied when its announcement arrives. Later answers of another version to images from before that are
+//! outdated and rejected. An answer of a new version may arrive before the announcement: such answers are rejected for
+//! [`ANNOUNCEMENT_NS`]. After that, or where the announcement is not of a change from the version in use (one was lost), the
+//! map is treated as a different one: all keyframes are invalidated and `global_from_local` is initialized again.
+
+use crate::KeyframeId;
+use crate::state::POSE_DIM;
+use nalgebra::{Matrix6, Vector3};
+
+/// Time after the first answer of a new version in which its announcement is waited for, nanoseconds of image time. Both
+/// leave the server within milliseconds; in a recording played as fast as possible that can be a second.
+pub const ANNOUNCEMENT_NS: i64 = 2_000_000_000;
+
+/// Motion of a map in a change: standard deviations of a pose error of G at any position in it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ChangeSize {
+    /// Rotation, rad per axis.
+    pub sigma_rotation_rad: f64,
+    /// Position, metres per axis.
+    pub sigma_position_m: f64,
+}
+
+/// Announcement of a new map version.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MapRevision {
+    /// The version before.
+    pub from_version: u64,
+    /// The new version.
+    pub version: u64,
+    /// Keyframes that were removed or whose pose, covariance or cross-covariances changed.
+    pub changed_keyframes: Vec<KeyframeId>,
+    /// Motion of the map, where it is known.
+    pub size: Option<ChangeSize>,
+}
+
+/// Effect of [`Estimator::map_changed`](crate::Estimator::map_changed).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum RevisionEffect {
+    /// `global_from_local` was kept, with process noise added.
+    CarriedOver,
+    /// The next answer of the new version initializes `global_from_local` again.
+    Reinitialized,
+    /// None: no map version is in use yet, or already this one.
+    None,
+}
+
+/// The map version in use.
+#[derive(Clone, Debug)]
+pub(crate) struct MapVersion {
+    /// Version of the held keyframes.
+    held: Option<u64>,
+    /// Time of the newest image when that version came into use, nanoseconds.
+    since_ns: i64,
+    /// Another version that answered before its announcement, and the time of the state then, nanoseconds.
+    unannounced: Option<(u64, i64)>,
+    /// Announced version that requires a new map initialization.
+    reinitialize: Option<u64>,
+}
+
+impl Default for MapVersion {
+    fn default() -> Self {
+        Self { held: None, since_ns: i64::MIN, unannounced: None, reinitialize: None }
+    }
+}
+
+impl MapVersion {
+    /// Version of the held keyframes.
+    pub(crate) fn in_use(&self) -> Option<u64> {
+        self.held
+    }
+
+    /// Time of the newest image when that version came into use, nanoseconds.
+    pub(crate) fn since_ns(&self) -> i64 {
+        self.since_ns
+    }
+
+    /// Requires a new map initialization by the next answer of `version`.
+    pub(crate) fn reinitialize_with(&mut self, version: u64) {
+        self.reinitialize = Some(version);
+    }
+
+    /// Whether the announcement of `version` is to be waited for.
+    pub(crate) fn awaits_announcement(&mut self, version: u64, now_ns: i64) -> bool {
+        if self.reinitialize == Some(version) {
+            return false;
+        }
+        match self.unannounced {
+            Some((other, since_ns)) if other == version => now_ns - since_ns < ANNOUNCEMENT_NS,
+            _ => {
+                self.unannounced = Some((version, now_ns));
+                true
+            }
+        }
+    }
+
+    /// Sets the version in use.
+    pub(crate) fn begin(&mut self, version: u64, since_ns: i64) {
+        *self = Self { held: Some(version), since_ns, ..Self::default() };
+    }
+}
+
+/// Process noise of `global_from_local` for a change of the map; see the module's documentation.
+///
+/// # Arguments
+/// * `position`: of the robot in L, metres.
+pub(crate) fn transform_noise(position: &Vector3<f64>, size: ChangeSize) -> Matrix6<f64> {
+    let mut wrt_motion = Matrix6::identity();
+    wrt_motion.fixed_view_mut::<3, 3>(POSE_DIM / 2, 0).copy_from(&position.cross_matrix());
+    let variance =
+        |k: usize| if k < POSE_DIM / 2 { size.sigma_rotation_rad } else { size.sigma_position_m }.powi(2);
+    let motion = Matrix6::from_diagonal(&nalgebra::Vector6::from_fn(|k, _| variance(k)));
+    wrt_motion * motion * wrt_motion.transpose()
+}
