@@ -1,17 +1,15 @@
-//! The joint covariance of the active state and the held keyframes, and the three things done to it:
-//! carry it through a transition, re-arrange its rows, and take in a measurement.
+//! Joint covariance of the active error state and the held keyframes: propagation, rearranging, measurement update.
 //!
 //! # The measurement update
-//! Whitened rows `r = H e + n`, `n ~ N(0, I)`, touch only a few columns `C` (some clones, landmarks, the
-//! transform, some keyframes). With `S = H P_CC Hᵀ + I = L Lᵀ`,
+//! A whitened measurement `r = H e + n`, `n ~ N(0, I)`, depends on a few blocks `C` of the state (clones, SLAM features, the
+//! transform, keyframes). With `S = H P_CC Hᵀ + I = L Lᵀ`,
 //! ```text
 //! W = L⁻¹ H P_CA       dx_A = Wᵀ L⁻¹ r       P_AA -= Wᵀ W
-//!                      P_AN -= Wᵀ L⁻¹ H P_CN       x_N, P_NN untouched (Schmidt)
+//!                      P_AN -= Wᵀ L⁻¹ H P_CN       x_N, P_NN unchanged (Schmidt)
 //! ```
-//! which is the extended Kalman filter's update for the active part and Schmidt's for the nuisance part.
-//! What is taken off is a Gram matrix of less than `P_AA`, in one symmetric product, so `P_AA` stays
-//! positive definite where Joseph's form does (tested against that form, over many steps).
-//! Rows that were summed up as `Λ = HᵀH` are compressed first: any root of `Λ` says the same.
+//! which is the extended Kalman filter's update for the active part and Schmidt's for the nuisance part. `P_AA` loses a
+//! Gram matrix smaller than itself in one symmetric product, so it stays positive definite where Joseph's form does
+//! (tested against that form over many steps). Measurements in information form are compressed first.
 
 use crate::KeyframeId;
 use crate::linear_algebra::NotPositiveDefinite;
@@ -23,7 +21,7 @@ use faer::linalg::matmul::triangular::BlockStructure;
 use nalgebra::{Cholesky, DMatrix, DVector, Matrix6};
 use std::ops::Range;
 
-/// Memory of an update, kept from one to the next.
+/// Memory reused from one update to the next.
 #[derive(Clone, Debug, Default)]
 struct Workspace {
     compressed: LinearizedMeasurement,
@@ -37,7 +35,7 @@ struct Workspace {
     factorization: Factorization,
 }
 
-/// Covariance of the active state, and of the keyframes beside it.
+/// Covariance of the active error state and of the held keyframes.
 #[derive(Clone, Debug)]
 pub struct JointCovariance {
     active: Dense,
@@ -47,7 +45,7 @@ pub struct JointCovariance {
 }
 
 impl JointCovariance {
-    /// Without keyframes.
+    /// Without held keyframes.
     pub fn new(active: DMatrix<f64>, max_active_keyframes: usize) -> Self {
         let held = HeldKeyframes::new(active.nrows(), max_active_keyframes);
         Self { active: active.into(), held, workspace: Workspace::default() }
@@ -63,13 +61,13 @@ impl JointCovariance {
         let dim = self.active.nrows();
         for column in 0..dim {
             let own = &mut self.active.column_mut(column)[..IMU_DIM];
-            let mut moved = [0.0; IMU_DIM];
+            let mut propagated = [0.0; IMU_DIM];
             for (factors, number) in transition.as_slice().chunks_exact(IMU_DIM).zip(&*own) {
-                for (sum, factor) in moved.iter_mut().zip(factors) {
+                for (sum, factor) in propagated.iter_mut().zip(factors) {
                     *sum += factor * number;
                 }
             }
-            own.copy_from_slice(&moved);
+            own.copy_from_slice(&propagated);
         }
         let block = self.active.view().fixed_view::<IMU_DIM, IMU_DIM>(0, 0) * transition.transpose() + noise;
         let block = (block + block.transpose()) * 0.5;
@@ -79,14 +77,14 @@ impl JointCovariance {
                 self.active[(column, row)] = self.active[(row, column)];
             }
         }
-        self.held.transform_rows(transition);
-        // Once an image: a map update must not wait for it.
+        self.held.propagate(transition);
+        // Here rather than in a map update, which is to be short.
         self.held.compact();
     }
 
-    /// Re-arranges the active error: it becomes the old error's ranges `source`, one after the other.
+    /// Rearranges the active error state: it becomes the old ranges `source`, one after the other.
     ///
-    /// Cloning repeats a range, marginalizing leaves one out.
+    /// Cloning repeats a range, marginalization leaves one out.
     pub fn gather(&mut self, source: &[Range<usize>]) {
         self.active.gather(source, &mut self.workspace.spare);
         self.held.gather_rows(source);
@@ -110,16 +108,16 @@ impl JointCovariance {
         self.held.add_dependence(begin, jacobian, of);
     }
 
-    /// Inserts numbers at `at` of the active error: `e = J e_C + n`, `n ~ N(0, noise)`.
+    /// Augments the active error state at `at` by `e = J e_C + n`, `n ~ N(0, noise)`.
     ///
     /// # Arguments
-    /// * `columns`: `C`, without keyframes; none for numbers that depend on nothing.
-    /// * `jacobian`: `J`, count x numbers in `C`.
+    /// * `blocks`: `C`, without keyframes; none for an independent `e`.
+    /// * `jacobian`: `J`, size of `e` x size of `C`.
     /// * `noise`: diagonal blocks of the covariance of `n`, as many rows together as `jacobian` has.
     pub fn insert(
         &mut self,
         at: usize,
-        columns: &StateBlocks,
+        blocks: &StateBlocks,
         jacobian: &Dense,
         noise: impl Iterator<Item = DMatrix<f64>>,
     ) {
@@ -127,10 +125,10 @@ impl JointCovariance {
         let Workspace { spare: grown, whitened: cross, innovation: own, .. } = &mut self.workspace;
         cross.reset(count, dim);
         own.reset(count, count);
-        for (range, here) in columns.ranges() {
+        for (range, here) in blocks.ranges() {
             cross.add_product(jacobian, here, &self.active, range, BlockStructure::Rectangular);
         }
-        for (range, here) in columns.ranges() {
+        for (range, here) in blocks.ranges() {
             own.add_lower_outer(cross, range, jacobian, here);
         }
         let mut begin = 0;
@@ -143,9 +141,9 @@ impl JointCovariance {
         own.mirror_lower();
 
         grown.reset(dim + count, dim + count);
-        let place = |index: usize| if index < at { index } else { index + count };
+        let new_index = |index: usize| if index < at { index } else { index + count };
         for column in 0..dim {
-            let target = grown.column_mut(place(column));
+            let target = grown.column_mut(new_index(column));
             target[..at].copy_from_slice(&self.active.column(column)[..at]);
             target[at + count..].copy_from_slice(&self.active.column(column)[at..]);
             target[at..at + count].copy_from_slice(cross.column(column));
@@ -154,78 +152,77 @@ impl JointCovariance {
             let target = grown.column_mut(at + k);
             target[at..at + count].copy_from_slice(own.column(k));
             for column in 0..dim {
-                target[place(column)] = cross[(k, column)];
+                target[new_index(column)] = cross[(k, column)];
             }
         }
         std::mem::swap(&mut self.active, grown);
-        self.held.insert_rows(at, columns, jacobian);
+        self.held.insert_rows(at, blocks, jacobian);
     }
 
-    /// Holds no more than `max_held` keyframes: those not used for longest are dropped, and the state made as uncertain as
-    /// that takes; see `nuisance`.
+    /// Evicts the least recently used keyframes beyond `max_held` and inflates the covariance of the state accordingly.
+    ///
+    /// # Returns
+    /// How many were evicted.
     pub fn evict(&mut self, max_held: usize) -> usize {
         self.held.evict(max_held, &mut self.active)
     }
 
-    /// Gives up keyframes that the map changed, and makes the state as uncertain as that takes; see `nuisance`.
+    /// Removes keyframes that the map has changed and inflates the covariance of the state accordingly.
     pub fn invalidate(&mut self, ids: &[KeyframeId]) {
         self.held.invalidate(ids, &mut self.active);
     }
 
-    /// Adds independent noise to six numbers of the active error, from `begin` on.
+    /// Adds independent noise to six numbers of the active error state, from `begin` on.
     pub fn add_noise(&mut self, begin: usize, noise: &Matrix6<f64>) {
         let mut block = self.active.view_mut();
         let mut block = block.fixed_view_mut::<6, 6>(begin, begin);
         block += noise;
     }
 
-    /// `P_CC`, to gate single rows against.
-    pub fn joint(&self, columns: &StateBlocks) -> DMatrix<f64> {
-        let (n_active, n) = (columns.active_len(), columns.len());
+    /// `P_CC`, for the gates on single landmarks.
+    pub fn joint(&self, blocks: &StateBlocks) -> DMatrix<f64> {
+        let (n_active, n) = (blocks.active_len(), blocks.len());
         let mut joint = DMatrix::zeros(n, n);
-        for (rows, row) in columns.ranges() {
-            for (range, here) in columns.ranges() {
+        for (rows, row) in blocks.ranges() {
+            for (range, here) in blocks.ranges() {
                 let block = self.active.view();
                 let block = block.view((rows.start, range.start), (rows.len(), range.len()));
                 joint.view_mut((row.start, here.start), (row.len(), here.len())).copy_from(&block);
             }
         }
-        for (k, &slot) in columns.keyframes.iter().enumerate() {
+        for (k, &slot) in blocks.keyframes.iter().enumerate() {
             let cross = self.held.cross_covariance(slot);
             let column = n_active + 6 * k;
-            for (range, here) in columns.ranges() {
+            for (range, here) in blocks.ranges() {
                 let block = cross.rows(range.start, range.len());
                 joint.view_mut((here.start, column), (here.len(), 6)).copy_from(&block);
                 joint.view_mut((column, here.start), (6, here.len())).copy_from(&block.transpose());
             }
         }
-        let own = self.held.covariance_of(&columns.keyframes);
+        let own = self.held.covariance_of(&blocks.keyframes);
         joint.view_mut((n_active, n_active), own.shape()).copy_from(&own);
         joint
     }
 
-    /// Normalized innovation squared of rows that were not summed up.
+    /// Normalized innovation squared `rᵀ (H P Hᵀ + I)⁻¹ r`.
     ///
     /// # Errors
-    /// [`NotPositiveDefinite`] where the covariance of the columns is broken.
-    pub fn nis(&mut self, rows: &LinearizedMeasurement) -> Result<f64, NotPositiveDefinite> {
-        self.whiten(rows)?;
+    /// [`NotPositiveDefinite`] where `P_CC` is not a covariance.
+    pub fn nis(&mut self, measurement: &LinearizedMeasurement) -> Result<f64, NotPositiveDefinite> {
+        self.whiten(measurement)?;
         Ok(self.workspace.residual.column(0).iter().map(|value| value * value).sum())
     }
 
-    /// Normalized innovation squared of all the rows: `rᵀ (H P Hᵀ + I)⁻¹ r`.
+    /// The same for measurements in information form.
     ///
     /// # Errors
-    /// [`NotPositiveDefinite`] where the covariance of the columns is broken.
+    /// [`NotPositiveDefinite`] where `P_CC` is not a covariance.
     pub fn information_nis(&mut self, information: &Information) -> Result<f64, NotPositiveDefinite> {
         self.check_keyframes(&information.blocks)?;
         self.compressed(information, |joint, rows, unexplained| Ok(unexplained + joint.nis(rows)?))
     }
 
-    /// Takes in a measurement; see the module's text.
-    ///
-    /// # Returns
-    /// The correction of the active state.
+    /// The measurement update for measurements in information form; see [`Self::measurement_update`].
     ///
     /// # Errors
     /// [`NotPositiveDefinite`]: nothing was changed.
@@ -237,29 +234,32 @@ impl JointCovariance {
         self.compressed(information, |joint, rows, _| joint.measurement_update(rows, correction))
     }
 
-    /// The same for rows that were not summed up.
+    /// The measurement update; see the module's documentation.
+    ///
+    /// # Arguments
+    /// * `correction`: becomes the correction of the active state.
     ///
     /// # Errors
     /// [`NotPositiveDefinite`]: nothing was changed.
     pub fn measurement_update(
         &mut self,
-        rows: &LinearizedMeasurement,
+        measurement: &LinearizedMeasurement,
         correction: &mut DVector<f64>,
     ) -> Result<(), NotPositiveDefinite> {
-        self.correction(rows, correction)?;
+        self.correction(measurement, correction)?;
         let Workspace { whitened, innovation, .. } = &self.workspace;
         self.active.subtract_gram(whitened);
         self.active.mirror_lower();
         if !self.held.is_empty() {
-            self.held.measurement_update(rows, whitened, innovation);
+            self.held.measurement_update(measurement, whitened, innovation);
         }
         Ok(())
     }
 
-    /// The correction that [`JointCovariance::information_update`] would make, and nothing else.
+    /// The correction of [`Self::information_update`], without the update.
     ///
     /// # Errors
-    /// [`NotPositiveDefinite`] where the covariance of the columns is broken.
+    /// [`NotPositiveDefinite`] where `P_CC` is not a covariance.
     pub fn information_correction(
         &mut self,
         information: &Information,
@@ -268,26 +268,26 @@ impl JointCovariance {
         self.compressed(information, |joint, rows, _| joint.correction(rows, correction))
     }
 
-    /// Hands on as few rows as say the same, and the part of `rᵀr` that no error explains.
+    /// Applies `function` to the compressed measurement and the part of `rᵀr` that no error state explains.
     fn compressed<T>(
         &mut self,
         information: &Information,
-        take: impl FnOnce(&mut Self, &LinearizedMeasurement, f64) -> Result<T, NotPositiveDefinite>,
+        function: impl FnOnce(&mut Self, &LinearizedMeasurement, f64) -> Result<T, NotPositiveDefinite>,
     ) -> Result<T, NotPositiveDefinite> {
         let mut rows = std::mem::take(&mut self.workspace.compressed);
         let outcome = information
             .compress(&mut rows, &mut self.workspace.factorization)
-            .and_then(|unexplained| take(self, &rows, unexplained));
+            .and_then(|unexplained| function(self, &rows, unexplained));
         self.workspace.compressed = rows;
         outcome
     }
 
     fn correction(
         &mut self,
-        rows: &LinearizedMeasurement,
+        measurement: &LinearizedMeasurement,
         correction: &mut DVector<f64>,
     ) -> Result<(), NotPositiveDefinite> {
-        self.whiten(rows)?;
+        self.whiten(measurement)?;
         let Workspace { whitened, residual, .. } = &self.workspace;
         let n = self.active.nrows();
         if correction.len() != n {
@@ -300,25 +300,25 @@ impl JointCovariance {
     }
 
     /// Leaves `W`, `L` and `L⁻¹ r` in the workspace.
-    fn whiten(&mut self, rows: &LinearizedMeasurement) -> Result<(), NotPositiveDefinite> {
-        let (count, dim) = (rows.residual.len(), self.active.nrows());
+    fn whiten(&mut self, measurement: &LinearizedMeasurement) -> Result<(), NotPositiveDefinite> {
+        let (count, dim) = (measurement.residual.len(), self.active.nrows());
         let Workspace { whitened, innovation, residual, factorization, .. } = &mut self.workspace;
-        let jacobian = &rows.jacobian;
+        let jacobian = &measurement.jacobian;
         whitened.reset(count, dim);
-        for (range, here) in rows.blocks.ranges() {
-            whitened.add_product(jacobian, here, &self.active, range, rows.shape());
+        for (range, here) in measurement.blocks.ranges() {
+            whitened.add_product(jacobian, here, &self.active, range, measurement.shape());
         }
         innovation.reset(count, count);
-        let active_len = rows.blocks.active_len();
-        if !rows.blocks.keyframes.is_empty() {
-            let slots = &rows.blocks.keyframes;
-            let mut of_keyframes = Dense::zeros(rows.blocks.len(), 6 * slots.len());
+        let active_len = measurement.blocks.active_len();
+        if !measurement.blocks.keyframes.is_empty() {
+            let slots = &measurement.blocks.keyframes;
+            let mut of_keyframes = Dense::zeros(measurement.blocks.len(), 6 * slots.len());
             for (k, &slot) in slots.iter().enumerate() {
                 let cross = self.held.cross_covariance(slot);
                 let transposed = Dense::from(cross.transpose());
                 let columns = active_len + 6 * k..active_len + 6 * (k + 1);
                 whitened.add_product(jacobian, columns, &transposed, 0..6, BlockStructure::Rectangular);
-                for (range, here) in rows.blocks.ranges() {
+                for (range, here) in measurement.blocks.ranges() {
                     let mut target = of_keyframes.view_mut();
                     target
                         .view_mut((here.start, 6 * k), (here.len(), 6))
@@ -328,7 +328,7 @@ impl JointCovariance {
             let own = self.held.covariance_of(slots);
             of_keyframes.view_mut().rows_mut(active_len, own.nrows()).copy_from(&own);
             let mut product = Dense::zeros(count, 6 * slots.len());
-            let all = 0..rows.blocks.len();
+            let all = 0..measurement.blocks.len();
             product.add_product(
                 jacobian,
                 all.clone(),
@@ -338,7 +338,7 @@ impl JointCovariance {
             );
             innovation.add_lower_outer(&product, 0..6 * slots.len(), jacobian, active_len..all.end);
         }
-        for (range, here) in rows.blocks.ranges() {
+        for (range, here) in measurement.blocks.ranges() {
             innovation.add_lower_outer(whitened, range, jacobian, here);
         }
         for k in 0..count {
@@ -347,24 +347,24 @@ impl JointCovariance {
         factorization.cholesky(innovation)?;
         whitened.solve_lower(innovation);
         residual.reset(count, 1);
-        residual.column_mut(0).copy_from_slice(&rows.residual);
+        residual.column_mut(0).copy_from_slice(&measurement.residual);
         residual.solve_lower(innovation);
         Ok(())
     }
 
-    /// A map whose covariances contradict each other is no fault of the filter: it shows before the update.
-    fn check_keyframes(&self, columns: &StateBlocks) -> Result<(), NotPositiveDefinite> {
-        if columns.keyframes.is_empty() {
+    /// Rejects a map whose cross-covariances are inconsistent before it can be mistaken for divergence of the filter.
+    fn check_keyframes(&self, blocks: &StateBlocks) -> Result<(), NotPositiveDefinite> {
+        if blocks.keyframes.is_empty() {
             return Ok(());
         }
-        let mut joint = self.held.covariance_of(&columns.keyframes);
+        let mut joint = self.held.covariance_of(&blocks.keyframes);
         for k in 0..joint.nrows() {
-            // A keyframe may be known exactly.
-            joint[(k, k)] += 1e-10 * joint[(k, k)] + LEAST_VARIANCE;
+            // Some keyframes are known exactly.
+            joint[(k, k)] += 1e-10 * joint[(k, k)] + MIN_VARIANCE;
         }
         Cholesky::new(joint).map(|_| ()).ok_or(NotPositiveDefinite)
     }
 }
 
-/// What a keyframe that is known exactly is lifted to, rad^2 or m^2: a nanometre.
-const LEAST_VARIANCE: f64 = 1e-18;
+/// Variance added to keyframes in the check, rad^2 or m^2: a nanometre.
+const MIN_VARIANCE: f64 = 1e-18;

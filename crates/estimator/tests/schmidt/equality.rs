@@ -1,7 +1,7 @@
-//! Exactness: parked, moved from layer to layer, and used again, keyframes are correlated with the state as if every step
+//! Exactness: deactivated, moved from level to level and activated again, keyframes are correlated with the state as if every step
 //! had touched all of them.
 
-use crate::textbook::{FIXED, Map, POSE, Textbook, some_keyframes, spd};
+use crate::dense_filter::{DenseFilter, FIXED, Map, POSE, some_keyframes, spd};
 use estimator::covariance::JointCovariance;
 use estimator::measurement::{Information, LinearizedMeasurement, StateBlocks};
 use nalgebra::{DMatrix, DVector};
@@ -17,27 +17,27 @@ fn relative(a: &DMatrix<f64>, b: &DMatrix<f64>) -> f64 {
     (a - b).amax() / b.amax().max(1e-12)
 }
 
-/// Random propagation, cloning, marginalization, landmarks and updates, with keyframes that are pulled when they
-/// are first matched, parked and pulled again, against a filter that held all of them all the time;
+/// Random propagation, cloning, marginalization, landmarks and updates, with keyframes that are inserted when they
+/// are first matched, deactivated and activated again, against a filter that held all of them all the time;
 /// `correlated` keyframes carry cross-covariances of the map.
 fn check(seed: u64, keyframes: u64, correlated: bool) {
     let mut rng = StdRng::seed_from_u64(seed);
     let start = spd(&mut rng, FIXED, 0.1);
     let mut joint = JointCovariance::new(start.clone(), 6);
     let map = Map::new(&mut rng, keyframes, 0.01, correlated);
-    let mut textbook = Textbook::new(&start, &map);
-    let (mut most_layers, mut narrowest) = (0, usize::MAX);
+    let mut dense = DenseFilter::new(&start, &map);
+    let (mut most_levels, mut fewest_rows) = (0, usize::MAX);
     for step in 0..STEPS {
-        textbook.move_on(&mut rng, &mut joint);
+        dense.random_step(&mut rng, &mut joint);
         // Now and then match up to three keyframes; else an update from tracks only.
         // Once in a while nothing is matched for long.
         let ids =
             if step % 3 == 0 && step % 500 < 400 { some_keyframes(&mut rng, keyframes) } else { Vec::new() };
-        map.pull(&ids, &mut joint, step % 2 == 0);
+        map.activate(&ids, &mut joint, step % 2 == 0);
         let ranges = if step % 5 == 0 {
-            vec![0..POSE, FIXED..textbook.active]
+            vec![0..POSE, FIXED..dense.active]
         } else {
-            std::iter::once(FIXED..textbook.active).collect()
+            std::iter::once(FIXED..dense.active).collect()
         };
         let touched: Vec<usize> = ranges.iter().flat_map(Clone::clone).collect();
         let columns = StateBlocks {
@@ -49,7 +49,7 @@ fn check(seed: u64, keyframes: u64, correlated: bool) {
         let count = if summed { columns.len() + ROWS } else { ROWS };
         let jacobian = DMatrix::from_fn(count, columns.len(), |_, _| rng.random_range(-1.0..1.0));
         let residual = DVector::from_fn(count, |_, _| rng.random_range(-1.0..1.0));
-        let full = textbook.over_all(&jacobian, &touched, &ids);
+        let full = dense.over_all(&jacobian, &touched, &ids);
         let mut correction = DVector::zeros(0);
         let squared = if summed {
             let mut information = Information::new(columns);
@@ -73,29 +73,29 @@ fn check(seed: u64, keyframes: u64, correlated: bool) {
             joint.measurement_update(&rows, &mut correction).unwrap();
             squared
         };
-        let expected = residual.dot(&textbook.innovation(&full).lu().solve(&residual).unwrap());
+        let expected = residual.dot(&dense.innovation(&full).lu().solve(&residual).unwrap());
         assert!((squared - expected).abs() < TOLERANCE * (1.0 + expected), "innovation at step {step}");
-        let gain = textbook.gain(&full);
+        let gain = dense.gain(&full);
         let expected = &gain * &residual;
         let apart = (correction - &expected).amax() / (1.0 + expected.amax());
         assert!(apart < TOLERANCE, "correction at step {step}: {apart:e}");
-        textbook.update(&gain, &full);
+        dense.update(&gain, &full);
         joint.held.deactivate_unused();
-        most_layers = most_layers.max(joint.held.layers().len());
-        narrowest = joint.held.layers().iter().map(|(_, rows)| *rows).fold(narrowest, usize::min);
+        most_levels = most_levels.max(joint.held.levels().len());
+        fewest_rows = joint.held.levels().iter().map(|(_, rows)| *rows).fold(fewest_rows, usize::min);
 
         let stated = joint.active().view().into_owned();
-        let apart = relative(&stated, &textbook.of_active());
+        let apart = relative(&stated, &dense.of_active());
         assert!(apart < TOLERANCE, "covariance at step {step}: {apart:e}");
         // The newest clone is a copy of the body's pose: without it the covariance has full rank.
-        let rank = textbook.active - POSE;
+        let rank = dense.active - POSE;
         assert!(stated.view((0, 0), (rank, rank)).cholesky().is_some(), "not positive definite at {step}");
     }
-    assert!(most_layers >= 3, "{most_layers} layers: the law was hardly tried");
-    assert!(narrowest < FIXED + 2 * POSE, "{narrowest} rows: no waist was found");
+    assert!(most_levels >= 3, "{most_levels} levels: the law was hardly exercised");
+    assert!(fewest_rows < FIXED + 2 * POSE, "{fewest_rows} rows: no rank factorization took place");
     for id in joint.held.ids().collect::<Vec<_>>() {
         let slot = joint.held.activate_or_insert(id, &map.keyframe(id), &[]);
-        let expected = textbook.covariance.view((0, textbook.column_of(id)), (textbook.active, POSE));
+        let expected = dense.covariance.view((0, dense.column_of(id)), (dense.active, POSE));
         let apart = relative(&joint.held.cross_covariance(slot), &expected.into_owned());
         assert!(apart < TOLERANCE, "keyframe {id}: {apart:e}");
         // Schmidt: what the map said of a keyframe is never changed.
@@ -106,7 +106,7 @@ fn check(seed: u64, keyframes: u64, correlated: bool) {
 }
 
 #[test]
-fn it_equals_the_dense_filter_with_keyframes_parked_and_used_again() {
+fn it_equals_the_dense_filter_with_keyframes_deactivated_and_activated_again() {
     check(0, 40, false);
     check(1, 60, false);
 }

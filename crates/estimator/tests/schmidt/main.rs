@@ -1,13 +1,13 @@
-//! The joint covariance against the dense Schmidt-Kalman filter that it claims to equal, and its budget of keyframes
-//! against the true covariance of its errors.
+//! The joint covariance against the dense Schmidt-Kalman filter that it must equal, and what it states after eviction and
+//! invalidation against the true covariance of its errors.
 #![allow(clippy::unwrap_used)]
 
-mod budget;
 #[path = "../common/mod.rs"]
 mod common;
+mod dense_filter;
 mod equality;
-mod map_versions;
-mod textbook;
+mod eviction;
+mod invalidation;
 
 use estimator::covariance::JointCovariance;
 use estimator::measurement::{Information, StateBlocks};
@@ -15,8 +15,8 @@ use geometry::{Pose, PoseWithCovariance};
 use nalgebra::{DMatrix, DVector};
 
 #[test]
-fn a_map_that_knows_a_keyframe_exactly_is_no_fault_of_the_filter() {
-    // A builder that fixes its gauge at the first keyframe gives it no covariance at all.
+fn a_keyframe_without_uncertainty_is_accepted() {
+    // Bundle adjustment with a fixed gauge states a covariance of zero for the first keyframe.
     let mut joint = JointCovariance::new(DMatrix::identity(21, 21) * 0.1, 6);
     let slot = joint.held.activate_or_insert(1, &PoseWithCovariance::exact(Pose::identity()), &[]);
     let mut information = Information::new(StateBlocks {

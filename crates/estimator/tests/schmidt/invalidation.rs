@@ -1,7 +1,7 @@
-//! Giving up what a changed map knows better stays conservative, however the new errors depend on the old ones.
+//! Invalidation is conservative, however the errors of the new map version depend on the old ones.
 
-use crate::budget::{ROUNDING, margin, update};
-use crate::textbook::{BLOCK, FIXED, Map, POSE, Textbook, some_keyframes, spd};
+use crate::dense_filter::{BLOCK, DenseFilter, FIXED, Map, POSE, some_keyframes, spd};
+use crate::eviction::{ROUNDING, margin, update};
 use estimator::covariance::JointCovariance;
 use nalgebra::DMatrix;
 use rand::{SeedableRng, rngs::StdRng};
@@ -9,15 +9,15 @@ use rand::{SeedableRng, rngs::StdRng};
 const KEYFRAMES: u64 = 32;
 const STEPS_A_VERSION: usize = 60;
 const VERSIONS: usize = 4;
-const MOST_ACTIVE: usize = 6;
-const MOST_HELD: usize = 14;
+const MAX_ACTIVE: usize = 6;
+const MAX_HELD: usize = 14;
 
 /// How the errors of the new version depend on those of the old one.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Change {
-    /// They are the same, only nobody knows.
+    /// They are the same.
     Same,
-    /// As against each other as can be.
+    /// They have the opposite sign.
     Opposite,
     /// Those of every other block are opposite, the rest stays as it is and held.
     HalfOpposite,
@@ -26,13 +26,13 @@ enum Change {
 }
 
 impl Change {
-    /// The keyframes that the news list.
+    /// The keyframes that the map lists as changed.
     fn other_errors(self) -> Vec<u64> {
         let is_other = |id: &u64| self != Self::HalfOpposite || (id / BLOCK).is_multiple_of(2);
         (0..KEYFRAMES).filter(is_other).collect()
     }
 
-    fn apply(self, map: Map, truth: &mut Textbook) -> Map {
+    fn apply(self, map: Map, truth: &mut DenseFilter) -> Map {
         let n = POSE * KEYFRAMES as usize;
         let mut turn = DMatrix::<f64>::identity(n, n);
         match self {
@@ -63,19 +63,19 @@ struct Outcome {
     excess: f64,
 }
 
-/// Lives through some versions; `forgets`: gives up without becoming more uncertain.
-fn run(seed: u64, correlated: bool, change: Change, forgets: bool) -> Outcome {
+/// Runs through some map versions; `naive`: drops changed keyframes without inflating any covariance.
+fn run(seed: u64, correlated: bool, change: Change, naive: bool) -> Outcome {
     let mut rng = StdRng::seed_from_u64(seed);
     let start = spd(&mut rng, FIXED, 0.1);
-    let most_active = if forgets { KEYFRAMES as usize } else { MOST_ACTIVE };
-    let mut joint = JointCovariance::new(start.clone(), most_active);
+    let max_active = if naive { KEYFRAMES as usize } else { MAX_ACTIVE };
+    let mut joint = JointCovariance::new(start.clone(), max_active);
     let mut map = Map::new(&mut rng, KEYFRAMES, 0.1, correlated);
-    let mut truth = Textbook::new(&start, &map);
+    let mut truth = DenseFilter::new(&start, &map);
     let mut worst = f64::INFINITY;
     for version in 0..VERSIONS {
         if version > 0 {
             map = change.apply(map, &mut truth);
-            if forgets {
+            if naive {
                 joint.held.remove_unused(&change.other_errors());
             } else {
                 let stayed: Vec<u64> =
@@ -86,13 +86,13 @@ fn run(seed: u64, correlated: bool, change: Change, forgets: bool) -> Outcome {
             }
         }
         for _ in 0..STEPS_A_VERSION {
-            truth.move_on(&mut rng, &mut joint);
+            truth.random_step(&mut rng, &mut joint);
             let ids = some_keyframes(&mut rng, KEYFRAMES);
-            map.pull(&ids, &mut joint, true);
+            map.activate(&ids, &mut joint, true);
             update(&mut rng, &mut joint, &mut truth, &ids);
             joint.held.deactivate_unused();
-            if !forgets {
-                joint.evict(MOST_HELD);
+            if !naive {
+                joint.evict(MAX_HELD);
             }
             worst = worst.min(margin(&joint, &truth));
         }
@@ -112,14 +112,14 @@ fn a_changed_map_never_makes_the_filter_overconfident() {
                 "{change:?}, {seed}: stated below true by {:e}",
                 outcome.worst
             );
-            // A filter that states that it knows nothing is conservative, too.
+            // An arbitrarily large covariance would be conservative, too.
             assert!(outcome.excess < 2.0, "{change:?}, {seed}: states {} times its variance", outcome.excess);
         }
     }
 }
 
 #[test]
-fn taking_the_new_version_for_independent_would_make_it_overconfident() {
+fn treating_the_new_version_as_independent_would_make_it_overconfident() {
     for (seed, correlated) in [(0, false), (1, true)] {
         let outcome = run(seed, correlated, Change::Same, true);
         assert!(outcome.worst < -1e-3, "seed {seed}: the law above has no power, {:e}", outcome.worst);
@@ -130,12 +130,12 @@ fn taking_the_new_version_for_independent_would_make_it_overconfident() {
 fn nothing_is_lost_where_no_error_is_another() {
     let mut rng = StdRng::seed_from_u64(3);
     let start = spd(&mut rng, FIXED, 0.1);
-    let mut joint = JointCovariance::new(start.clone(), MOST_ACTIVE);
+    let mut joint = JointCovariance::new(start.clone(), MAX_ACTIVE);
     let map = Map::new(&mut rng, KEYFRAMES, 0.1, true);
-    let mut truth = Textbook::new(&start, &map);
+    let mut truth = DenseFilter::new(&start, &map);
     for _ in 0..20 {
-        truth.move_on(&mut rng, &mut joint);
-        map.pull(&[4, 5, 9], &mut joint, true);
+        truth.random_step(&mut rng, &mut joint);
+        map.activate(&[4, 5, 9], &mut joint, true);
         update(&mut rng, &mut joint, &mut truth, &[4, 5, 9]);
     }
     let before = joint.active().view().into_owned();

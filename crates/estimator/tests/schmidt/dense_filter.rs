@@ -1,5 +1,5 @@
-//! The textbook filter: one dense matrix over the active state and every keyframe of the map; and a random life for it
-//! and for the filter under test.
+//! The reference: a Schmidt-Kalman filter with one dense matrix over the active state and every keyframe of the map, and
+//! random steps that it and the filter under test make together.
 
 use estimator::covariance::JointCovariance;
 use estimator::linear_algebra::dense::Dense;
@@ -9,7 +9,7 @@ use geometry::{Pose, PoseWithCovariance};
 use nalgebra::{DMatrix, Matrix6};
 use rand::{RngExt as _, rngs::StdRng};
 
-/// Numbers of the state that stay: those of the IMU.
+/// Size of the IMU state, which is never marginalized.
 pub const FIXED: usize = 15;
 pub const POSE: usize = 6;
 const LANDMARK: usize = 3;
@@ -60,8 +60,8 @@ impl Map {
         others.map(|other| (other, self.block(id, other))).collect()
     }
 
-    /// Pulls keyframes as they are matched. Every other time all of them at once.
-    pub fn pull(&self, ids: &[u64], joint: &mut JointCovariance, at_once: bool) {
+    /// Activates matched keyframes, or inserts them; `at_once`: together.
+    pub fn activate(&self, ids: &[u64], joint: &mut JointCovariance, at_once: bool) {
         if at_once {
             joint.held.activate(ids);
         }
@@ -73,14 +73,14 @@ impl Map {
 }
 
 /// A joint covariance of the active state and the whole map. `P_NN` never changes.
-pub struct Textbook {
+pub struct DenseFilter {
     pub covariance: DMatrix<f64>,
     pub active: usize,
     keyframes: usize,
     landmarks: usize,
 }
 
-impl Textbook {
+impl DenseFilter {
     /// Holds the whole map from the start.
     pub fn new(start: &DMatrix<f64>, map: &Map) -> Self {
         let (active, keyframes) = (start.nrows(), map.keyframes as usize);
@@ -171,7 +171,7 @@ impl Textbook {
     }
 
     /// Propagates, clones, marginalizes, lets landmarks in and out; in both filters.
-    pub fn move_on(&mut self, rng: &mut StdRng, joint: &mut JointCovariance) {
+    pub fn random_step(&mut self, rng: &mut StdRng, joint: &mut JointCovariance) {
         self.propagate(rng, joint);
         self.gather(joint, &[0..self.active, 0..POSE]);
         if rng.random_bool(0.3) {
@@ -217,7 +217,7 @@ impl Textbook {
         self.transform(&select, &silent);
     }
 
-    /// The newest clone turns out to depend on a number of the IMU, too.
+    /// The newest clone depends on one more number of the IMU.
     fn depend(&mut self, rng: &mut StdRng, joint: &mut JointCovariance) {
         let (begin, of) = (self.active - POSE, rng.random_range(POSE..FIXED));
         let factors: Vec<f64> = (0..POSE).map(|_| rng.random_range(-0.1..0.1)).collect();

@@ -1,7 +1,7 @@
-//! Dropping keyframes stays conservative: what the filter states of its errors is never less than what they are.
+//! Eviction is conservative: the stated covariance is never below the true one.
 
 use crate::common::{FRAME_NS, World};
-use crate::textbook::{FIXED, Map, POSE, Textbook, some_keyframes, spd};
+use crate::dense_filter::{DenseFilter, FIXED, Map, POSE, some_keyframes, spd};
 use estimator::covariance::JointCovariance;
 use estimator::measurement::{Information, StateBlocks};
 use estimator::{Estimator, EstimatorConfig};
@@ -11,52 +11,52 @@ use rand::{RngExt as _, SeedableRng, rngs::StdRng};
 const KEYFRAMES: u64 = 48;
 const STEPS: usize = 400;
 const ROWS: usize = 10;
-const MOST_ACTIVE: usize = 6;
-const MOST_HELD: usize = 20;
+const MAX_ACTIVE: usize = 6;
+const MAX_HELD: usize = 20;
 
 #[derive(Clone, Copy, PartialEq)]
-enum Dropping {
-    /// What the filter does.
+enum Eviction {
+    /// As the filter does it.
     Conservative,
-    /// What it must not do: forget a keyframe and take it for new when it is matched again.
+    /// Drop a keyframe and insert it as new when it is matched again: inconsistent.
     Naive,
 }
 
 struct Outcome {
     /// Least eigenvalue of stated minus true covariance over the largest of the true one, at its worst.
     worst: f64,
-    dropped: usize,
+    evicted: usize,
     /// Stated over true variance of the state at the end, mean over its numbers.
     excess: f64,
 }
 
-/// Follows the *true* covariance of the filter's errors, under the gains that it used, beside what it states.
-fn run(seed: u64, correlated: bool, dropping: Dropping) -> Outcome {
+/// Follows the *true* covariance of the errors under the gains that the filter used, beside the stated one.
+fn run(seed: u64, correlated: bool, eviction: Eviction) -> Outcome {
     let mut rng = StdRng::seed_from_u64(seed);
     let start = spd(&mut rng, FIXED, 0.1);
-    let most_active = if dropping == Dropping::Naive { MOST_HELD } else { MOST_ACTIVE };
-    let mut joint = JointCovariance::new(start.clone(), most_active);
+    let max_active = if eviction == Eviction::Naive { MAX_HELD } else { MAX_ACTIVE };
+    let mut joint = JointCovariance::new(start.clone(), max_active);
     let map = Map::new(&mut rng, KEYFRAMES, 0.1, correlated);
-    let mut truth = Textbook::new(&start, &map);
-    let mut outcome = Outcome { worst: f64::INFINITY, dropped: 0, excess: 0.0 };
+    let mut truth = DenseFilter::new(&start, &map);
+    let mut outcome = Outcome { worst: f64::INFINITY, evicted: 0, excess: 0.0 };
     for _ in 0..STEPS {
-        truth.move_on(&mut rng, &mut joint);
+        truth.random_step(&mut rng, &mut joint);
         let ids = some_keyframes(&mut rng, KEYFRAMES);
-        map.pull(&ids, &mut joint, true);
+        map.activate(&ids, &mut joint, true);
         update(&mut rng, &mut joint, &mut truth, &ids);
-        match dropping {
-            Dropping::Conservative => {
+        match eviction {
+            Eviction::Conservative => {
                 joint.held.deactivate_unused();
-                outcome.dropped += joint.evict(MOST_HELD);
+                outcome.evicted += joint.evict(MAX_HELD);
             }
-            Dropping::Naive => {
-                let surplus = joint.held.len().saturating_sub(MOST_HELD);
-                let oldest: Vec<u64> = joint.held.ids().take(surplus).collect();
+            Eviction::Naive => {
+                let excess = joint.held.len().saturating_sub(MAX_HELD);
+                let oldest: Vec<u64> = joint.held.ids().take(excess).collect();
                 joint.held.remove_unused(&oldest);
-                outcome.dropped += surplus;
+                outcome.evicted += excess;
             }
         }
-        assert!(joint.held.len() <= MOST_HELD);
+        assert!(joint.held.len() <= MAX_HELD);
         outcome.worst = outcome.worst.min(margin(&joint, &truth));
     }
     let (stated, of_active) = (joint.active(), truth.of_active());
@@ -65,14 +65,14 @@ fn run(seed: u64, correlated: bool, dropping: Dropping) -> Outcome {
     outcome
 }
 
-pub fn update(rng: &mut StdRng, joint: &mut JointCovariance, truth: &mut Textbook, ids: &[u64]) {
+pub fn update(rng: &mut StdRng, joint: &mut JointCovariance, truth: &mut DenseFilter, ids: &[u64]) {
     let columns = StateBlocks {
         active: std::iter::once(FIXED..truth.active).collect(),
         keyframes: ids.iter().map(|id| joint.held.slot_of(*id).unwrap()).collect(),
     };
     let jacobian = DMatrix::from_fn(ROWS, columns.len(), |_, _| rng.random_range(-1.0..1.0));
     let residual = DVector::from_fn(ROWS, |_, _| rng.random_range(-1.0..1.0));
-    // The gain that the filter uses, by what it states.
+    // The gain that the filter must use, from its stated covariance.
     let mut to_columns = DMatrix::zeros(truth.active, columns.len());
     let touched: Vec<usize> = (FIXED..truth.active).collect();
     to_columns.columns_mut(0, touched.len()).copy_from(&joint.active().view().columns(FIXED, touched.len()));
@@ -85,12 +85,12 @@ pub fn update(rng: &mut StdRng, joint: &mut JointCovariance, truth: &mut Textboo
     information.add(&jacobian, &residual);
     let mut correction = DVector::zeros(0);
     joint.information_update(&information, &mut correction).unwrap();
-    assert!((correction - &gain * &residual).amax() < 1e-7, "that is not the gain that it used");
+    assert!((correction - &gain * &residual).amax() < 1e-7, "the filter used another gain");
     truth.update(&gain, &truth.over_all(&jacobian, &touched, ids));
 }
 
 /// Least eigenvalue of stated minus true covariance, of the state and the active keyframes together, relative.
-pub fn margin(joint: &JointCovariance, truth: &Textbook) -> f64 {
+pub fn margin(joint: &JointCovariance, truth: &DenseFilter) -> f64 {
     let ids: Vec<u64> = joint.held.ids().filter(|id| joint.held.slot_of(*id).is_some()).collect();
     let keyframes = ids.iter().map(|id| joint.held.slot_of(*id).unwrap()).collect();
     let stated = joint.joint(&StateBlocks { active: std::iter::once(0..truth.active).collect(), keyframes });
@@ -105,26 +105,26 @@ pub fn margin(joint: &JointCovariance, truth: &Textbook) -> f64 {
 pub const ROUNDING: f64 = 1e-9;
 
 #[test]
-fn dropped_keyframes_that_come_back_never_make_the_filter_overconfident() {
+fn evicted_keyframes_that_come_back_never_make_the_filter_overconfident() {
     for (seed, correlated) in [(0, false), (1, false), (2, true), (3, true)] {
-        let outcome = run(seed, correlated, Dropping::Conservative);
-        assert!(outcome.dropped > 250, "{} dropped: the law was hardly tried", outcome.dropped);
+        let outcome = run(seed, correlated, Eviction::Conservative);
+        assert!(outcome.evicted > 250, "{} evicted: the law was hardly exercised", outcome.evicted);
         assert!(outcome.worst > -ROUNDING, "seed {seed}: stated below true by {:e}", outcome.worst);
-        // A filter that states that it knows nothing is conservative, too.
+        // An arbitrarily large covariance would be conservative, too.
         assert!(outcome.excess < 1.2, "seed {seed}: states {} times its variance", outcome.excess);
     }
 }
 
 #[test]
-fn taking_a_dropped_keyframe_for_new_would_make_it_overconfident() {
+fn inserting_an_evicted_keyframe_as_new_would_make_it_overconfident() {
     for (seed, correlated) in [(0, false), (2, true)] {
-        let outcome = run(seed, correlated, Dropping::Naive);
+        let outcome = run(seed, correlated, Eviction::Naive);
         assert!(outcome.worst < -1e-3, "seed {seed}: the law above has no power, {:e}", outcome.worst);
     }
 }
 
 #[test]
-fn an_estimator_holds_no_more_than_its_budget_and_stays_consistent() {
+fn an_estimator_holds_no_more_than_its_limit_and_stays_consistent() {
     let config =
         EstimatorConfig { max_active_keyframes: 4, max_held_keyframes: 8, ..EstimatorConfig::default() };
     let world = World::new();
@@ -147,7 +147,7 @@ fn an_estimator_holds_no_more_than_its_budget_and_stays_consistent() {
 }
 
 #[test]
-fn a_budget_that_leaves_nothing_to_park_is_refused() {
+fn a_limit_that_leaves_nothing_to_deactivate_is_refused() {
     let config =
         EstimatorConfig { max_held_keyframes: 24, max_active_keyframes: 24, ..EstimatorConfig::default() };
     assert!(config.validate().unwrap_err().contains("max_held_keyframes is 24"));
