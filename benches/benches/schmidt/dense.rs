@@ -1,4 +1,4 @@
-//! Schmidt's update with everything in one matrix: what the held keyframes would cost else.
+//! Schmidt's update with all keyframes in one dense matrix, for comparison.
 
 use nalgebra::{DMatrix, DVector};
 use rand::{RngExt, SeedableRng, rngs::StdRng};

@@ -1,7 +1,7 @@
 //! An estimator that holds many keyframes of a map, and sees any three of them again.
 //!
-//! Its body swings from side to side before a wall of points, so that the state is as large as on a robot: 20 clones, and
-//! 30 landmarks that are in view all the time.
+//! Its body swings from side to side before a wall of points, so that the state is as large as on a robot: 20 clones and
+//! 30 SLAM features.
 
 use estimator::propagation::ImuState;
 use estimator::{
@@ -16,19 +16,19 @@ use std::time::{Duration, Instant};
 /// Time between two images and between two readings, nanoseconds.
 const FRAME_NS: i64 = 100_000_000;
 const IMU_NS: i64 = 5_000_000;
-/// Landmarks of an answer.
+/// Landmarks of a query result.
 const LANDMARKS: usize = 36;
 /// Keyframes that are matched at once.
 const MATCHED: usize = 3;
-/// Images from one answer to the next, as at 20 images and 5 answers a second.
+/// Images from one map update to the next, as at 20 images and 5 updates a second.
 pub const FRAMES_BETWEEN: usize = 4;
-/// Keyframes that an answer brings while the map is being pulled in.
+/// Keyframes inserted by one map update at the start.
 const PULLED: usize = 6;
 /// Standard deviation of a keyframe, rad and metres.
 const KEYFRAME_SIGMA: f64 = 0.01;
-/// Points that are tracked, the landmarks of the answers among them.
+/// Points that are tracked, the landmarks of the query results among them.
 const POINTS: usize = 100;
-/// Images after which the track of a point that is no landmark of the answers ends and another begins.
+/// Images after which the track of any other point ends and a new one begins.
 const TRACK_LENGTH: usize = 12;
 /// The swing: metres, rad/s.
 const AMPLITUDE: f64 = 0.5;
@@ -99,7 +99,7 @@ impl Holder {
         self.estimator.held_bytes() / self.keyframes.len()
     }
 
-    /// The images until the next answer.
+    /// The images until the next map update.
     pub fn frames(&mut self) {
         (0..FRAMES_BETWEEN).for_each(|_| self.frame());
     }
@@ -126,7 +126,7 @@ impl Holder {
         self.estimator.track_update(&tracks).unwrap();
     }
 
-    /// An answer with any three of the held keyframes.
+    /// A map update with three of the held keyframes, drawn at random.
     pub fn map_update(&mut self) {
         let count = self.keyframes.len();
         let mut matched: Vec<usize> = Vec::with_capacity(MATCHED);
@@ -139,8 +139,8 @@ impl Holder {
         self.take(&matched);
     }
 
-    /// Time that a copy takes to hear that all its keyframes were changed.
-    pub fn give_up_all(&self) -> Duration {
+    /// Time in which a copy invalidates all its keyframes.
+    pub fn invalidate_all(&self) -> Duration {
         let mut estimator = self.estimator.clone();
         let changed = MapRevision {
             from_version: 1,

@@ -96,10 +96,13 @@ impl Dense {
         DMatrixViewMut::from_slice(&mut self.values, self.rows, self.columns)
     }
 
-    /// Appends whole columns, one after the other in `numbers`.
-    pub fn extend_columns(&mut self, numbers: impl IntoIterator<Item = f64>) {
-        self.values.extend(numbers);
-        self.columns = self.values.len() / self.rows.max(1);
+    /// Appends the columns of a matrix with as many rows. A matrix without columns takes the rows of the other.
+    pub fn append(&mut self, other: &Self) {
+        if self.columns == 0 && other.columns > 0 {
+            self.rows = other.rows;
+        }
+        self.values.extend_from_slice(&other.values);
+        self.columns += other.columns;
     }
 
     /// Removes columns; those behind them move up.
@@ -110,9 +113,7 @@ impl Dense {
 
     /// A matrix of these numbers, columns of `rows` numbers one after the other.
     pub fn from_columns(rows: usize, numbers: &[f64]) -> Self {
-        let mut matrix = Self::zeros(rows, 0);
-        matrix.extend_columns(numbers.iter().copied());
-        matrix
+        Self { values: numbers.to_vec(), rows, columns: numbers.len() / rows.max(1) }
     }
 
     /// Bytes that it holds, used or not.
@@ -442,7 +443,7 @@ mod tests {
         let mut matrix = Dense::from(before.clone());
         assert_eq!(matrix.columns(1..3).view(), before.columns(1, 2));
         matrix.remove_columns(1..3);
-        matrix.extend_columns([0.0; 30]);
+        matrix.append(&Dense::zeros(30, 1));
         assert_eq!(matrix.view(), before.clone().remove_columns(1, 2).insert_column(2, 0.0));
     }
 

@@ -58,7 +58,7 @@ impl ActiveKeyframes {
     /// Adds keyframes with their sensitivities, 6 columns each.
     pub fn push(&mut self, keyframes: impl IntoIterator<Item = HeldKeyframe>, sensitivity: &Dense) {
         self.keyframes.extend(keyframes);
-        self.matrix.extend_columns(sensitivity.as_slice().iter().copied());
+        self.matrix.append(sensitivity);
     }
 
     /// Removes a keyframe and returns it with its sensitivity; later slots move up.
@@ -97,7 +97,7 @@ impl ActiveKeyframes {
     /// Replaces `R`.
     pub fn set_transition(&mut self, transition: &Dense) {
         let mut matrix = transition.clone();
-        matrix.extend_columns(self.matrix.as_slice()[self.transition_dim * self.dim()..].iter().copied());
+        matrix.append(&self.matrix.columns(self.transition_dim..self.matrix.ncols()));
         self.matrix = matrix;
         self.transition_dim = transition.ncols();
     }

@@ -81,20 +81,13 @@ impl InactiveKeyframes {
     /// The keyframes and their present sensitivities, six columns each in the same order.
     pub fn remove(&mut self, ids: &[KeyframeId], active: &mut ActiveKeyframes) -> (Vec<HeldKeyframe>, Dense) {
         let mut keyframes = Vec::with_capacity(ids.len());
-        let mut sensitivity = Dense::zeros(active.dim(), 0);
+        let mut sensitivity = Dense::default();
         for (level, (removed, own)) in self.remove_by_level(ids).into_iter().enumerate() {
-            if keyframes.is_empty() {
-                sensitivity = own;
-            } else {
-                sensitivity.extend_columns(own.as_slice().iter().copied());
-            }
             keyframes.extend(removed);
+            sensitivity.append(&own);
             if !keyframes.is_empty() {
                 sensitivity = self.transition_times(level, &sensitivity, active);
             }
-        }
-        if keyframes.is_empty() {
-            sensitivity = Dense::zeros(active.dim(), 0);
         }
         self.remove_empty_levels(active);
         (keyframes, sensitivity)
@@ -107,14 +100,14 @@ impl InactiveKeyframes {
         active: &mut ActiveKeyframes,
     ) -> (Vec<HeldKeyframe>, Dense) {
         let mut keyframes = Vec::with_capacity(ids.len());
-        let mut sensitivity = Dense::zeros(active.dim(), 0);
+        let mut sensitivity = Dense::default();
         let mut to_now = active.transition();
         for (level, (removed, own)) in self.remove_by_level(ids).into_iter().enumerate().rev() {
             if level + 1 < self.levels.len() {
                 to_now = to_now.times(&self.levels[level].transition_to_next);
             }
             if !removed.is_empty() {
-                sensitivity.extend_columns(to_now.times(&own).as_slice().iter().copied());
+                sensitivity.append(&to_now.times(&own));
                 keyframes.extend(removed);
             }
         }
@@ -238,11 +231,7 @@ impl InactiveKeyframes {
             let Some(inactive) = self.remove_one(id) else { continue };
             let Some(level) = self.level_of(&inactive) else { continue };
             let (keyframes, sensitivity) = &mut removed[level];
-            if keyframes.is_empty() {
-                *sensitivity = inactive.sensitivity;
-            } else {
-                sensitivity.extend_columns(inactive.sensitivity.as_slice().iter().copied());
-            }
+            sensitivity.append(&inactive.sensitivity);
             keyframes.push(inactive.keyframe);
         }
         removed

@@ -69,7 +69,7 @@ impl HeldKeyframes {
             if let Some(slot) = self.slot_of(id) {
                 let (keyframe, own) = self.active.remove(slot);
                 keyframes.push(keyframe);
-                sensitivity.extend_columns(own.as_slice().iter().copied());
+                sensitivity.append(&own);
             }
         }
         (keyframes, sensitivity)
@@ -97,7 +97,7 @@ impl HeldKeyframes {
                         add(j, block);
                     }
                 }
-                weighted.extend_columns(cross.as_slice().iter().copied());
+                weighted.append(&cross);
             }
             let own = columns_of(first).start..columns_of(first + some.len()).start;
             sum.add_lower_outer(&weighted, 0..weighted.ncols(), sensitivity, own);
