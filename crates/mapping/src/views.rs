@@ -6,7 +6,7 @@ use geometry::camera::Camera;
 use geometry::uncertain_pose::PoseWithCovariance;
 use nalgebra::{Vector2, Vector3};
 use protocol::FeatureSet;
-use recognition::metric_of;
+use sensors::metric_of;
 use sensors::{Frame, ReferencePose, Sequence};
 use vision::{DescriptorError, DescriptorView, MatchOptions, match_descriptors};
 

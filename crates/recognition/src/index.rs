@@ -8,7 +8,8 @@
 use std::collections::HashMap;
 
 use protocol::DescriptorKind;
-use vision::{DescriptorError, DescriptorView, InvertedFile, MatchOptions, Metric, looks};
+use sensors::metric_of;
+use vision::{DescriptorError, DescriptorView, InvertedFile, MatchOptions, Metric, prototype_descriptors};
 
 use super::loaded_map::LoadedLandmark;
 
@@ -35,15 +36,6 @@ pub(crate) struct Votes {
     pub(crate) features: usize,
 }
 
-/// How descriptors of a kind are compared.
-pub fn metric_of(kind: DescriptorKind) -> Metric {
-    match kind {
-        DescriptorKind::Binary => Metric::Hamming,
-        DescriptorKind::Int8 => Metric::CosineInt8,
-        DescriptorKind::Float => Metric::Cosine,
-    }
-}
-
 /// Collects the looks of landmarks for an [`Index`].
 pub(crate) struct IndexBuilder {
     metric: Metric,
@@ -65,7 +57,7 @@ impl IndexBuilder {
     /// Adds all descriptors of a landmark (its index), one after the other.
     pub(crate) fn add(&mut self, landmark: usize, seen: &[u8]) -> Result<(), DescriptorError> {
         let seen = DescriptorView::new(self.metric, self.width, seen)?;
-        let looks = looks(seen, LOOK_SHARE * self.max_distance());
+        let looks = prototype_descriptors(seen, LOOK_SHARE * self.max_distance());
         self.landmarks.extend(std::iter::repeat_n(landmark as u32, looks.len() / self.width));
         self.descriptors.extend(looks);
         Ok(())

@@ -24,7 +24,6 @@ mod options;
 mod query;
 mod verify;
 
-pub use index::metric_of;
 pub use inspect::{InspectedKeyframe, InspectedMatch, Inspection, Verdict};
 pub use loaded_map::{LoadError, LoadedMap};
 pub use options::RecognitionOptions;

@@ -219,7 +219,7 @@ impl LoadedMap {
 
     /// How the map's descriptors are compared.
     pub(crate) fn metric(&self) -> Metric {
-        super::index::metric_of(self.info.descriptor_kind)
+        sensors::metric_of(self.info.descriptor_kind)
     }
 
     /// The descriptors of what a keyframe sees, in the order of [`LoadedKeyframe::seen`].

@@ -1,10 +1,19 @@
-//! Features of an image in the form in which they are stored and sent.
+//! Conversion of features to the form in which they are stored and sent.
 
 use protocol::{DescriptorKind, Descriptors, FeatureSet};
 use vision::{ImageFeatures, Metric};
 
-/// How the wire names a metric.
-fn kind_of(metric: Metric) -> DescriptorKind {
+/// The metric by which descriptors of a kind are compared. Floats are compared by their cosine.
+pub fn metric_of(kind: DescriptorKind) -> Metric {
+    match kind {
+        DescriptorKind::Binary => Metric::Hamming,
+        DescriptorKind::Int8 => Metric::CosineInt8,
+        DescriptorKind::Float => Metric::Cosine,
+    }
+}
+
+/// The kind under which descriptors of a metric are stored and sent.
+pub fn kind_of(metric: Metric) -> DescriptorKind {
     match metric {
         Metric::Hamming => DescriptorKind::Binary,
         Metric::CosineInt8 => DescriptorKind::Int8,

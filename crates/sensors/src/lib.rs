@@ -35,7 +35,7 @@ mod tests;
 
 pub use error::SequenceError;
 pub use estimator::{ImuNoise, ImuSample, TrackObservation};
-pub use features::feature_set;
+pub use features::{feature_set, kind_of, metric_of};
 pub use frames::Frame;
 pub use recording::{Contents, Recording, Rows};
 pub use rows::{ReferencePose, TruthRow, read_groundtruth, read_reference_poses};
