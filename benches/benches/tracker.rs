@@ -42,7 +42,7 @@ fn main() {
                 image: image.clone(),
                 second_image: None,
                 rotation: None,
-                rotation_sigma: 0.0,
+                sigma_rotation_rad: 0.0,
             };
             tracker.track(frame).map_or(0, |tracks| tracks.len())
         });

@@ -154,7 +154,8 @@ impl FrontEnd {
         let rotation = last_ns.and_then(|last_ns| self.predicted_rotation(imu, last_ns, stamp_ns));
         let rate_sigma = RATE_SIGMA[usize::from(self.bias_images >= BIAS_IMAGES)];
         let rotation_sigma = (rate_sigma * seconds).max(MIN_ROTATION_SIGMA);
-        let input = TrackerFrame { stamp_ns, image, second_image, rotation, rotation_sigma };
+        let input =
+            TrackerFrame { stamp_ns, image, second_image, rotation, sigma_rotation_rad: rotation_sigma };
         let pixels =
             self.tracker.track(input).map_err(|source| FrontEndError::Tracker { stamp_ns, source })?;
         if let Some(rotation) = rotation {

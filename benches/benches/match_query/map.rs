@@ -6,6 +6,7 @@ use nalgebra::{Matrix6, UnitQuaternion, Vector2, Vector3, Vector6};
 use protocol::{DescriptorKind, Descriptors, FeatureSet, MatchRequest};
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
+use rand_distr::StandardNormal;
 
 const WIDTH: usize = 64;
 /// Kinds of texture in the world.
@@ -190,6 +191,5 @@ fn random(rng: &mut StdRng, norm: f64) -> Vec<f32> {
 }
 
 pub fn normal(rng: &mut StdRng) -> f64 {
-    let radius = (-2.0 * rng.random_range(f64::MIN_POSITIVE..1.0).ln()).sqrt();
-    radius * (std::f64::consts::TAU * rng.random_range(0.0..1.0f64)).cos()
+    rng.sample(StandardNormal)
 }

@@ -1,4 +1,14 @@
-//! Rotations, poses with covariance, cameras, triangulation, PnP and RANSAC: the mathematics both sides share.
+//! Rotations, poses with covariance, cameras, triangulation, PnP and RANSAC. No internal dependencies.
+//!
+//! | module | what |
+//! |---|---|
+//! | [`rotation`] | exponential map of SO(3) and its Jacobians |
+//! | [`pose`], [`uncertain_pose`] | rigid poses, their covariance and its propagation |
+//! | [`camera`] | pinhole cameras with radial-tangential, equidistant or FOV distortion, and their Jacobians |
+//! | [`triangulation`] | landmarks from several views, with covariance |
+//! | [`pnp`] | camera poses from known landmarks: P3P, gravity two-point, EPnP, RANSAC, refinement |
+//! | [`robust`] | Huber's loss |
+//! | [`numeric`] | numeric Jacobians for tests |
 //!
 //! # Conventions
 //! * A pose is named by what it maps: `global_from_camera` takes camera coordinates to global ones.

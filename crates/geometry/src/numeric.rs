@@ -1,4 +1,6 @@
-//! Numeric differentiation: the one helper that every analytic Jacobian of this project is tested against.
+//! Numeric differentiation, for testing analytic Jacobians.
+//!
+//! Public because the tests of all crates use it; not meant for production code.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -29,7 +31,7 @@ pub fn numeric_jacobian(
     numeric_jacobian_with_step(dimension, DEFAULT_STEP, function)
 }
 
-/// [`numeric_jacobian`] with a step of one's own, for functions whose natural scale is far from one.
+/// [`numeric_jacobian`] with a given step, for functions whose natural scale is far from one.
 ///
 /// ```text
 /// f'(0) ~ (8 (f(h) - f(-h)) - (f(2h) - f(-2h))) / (12 h)

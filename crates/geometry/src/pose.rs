@@ -5,7 +5,7 @@ use nalgebra::{Matrix3, Matrix3x6, Quaternion, UnitQuaternion, Vector3, Vector6}
 use serde::{Deserialize, Serialize};
 use std::ops::Mul;
 
-/// Largest departure of a decoded quaternion's norm from one that still counts as a rounding error.
+/// Maximum deviation of the norm of a decoded quaternion from one.
 const UNIT_NORM_TOLERANCE: f64 = 1e-6;
 
 /// A rigid transformation, named by what it maps: `global_from_camera * point_in_camera` is in the global frame.
@@ -45,12 +45,12 @@ impl Default for Pose {
 }
 
 impl Pose {
-    /// The pose that changes nothing.
+    /// The identity.
     pub fn identity() -> Self {
         Self { rotation: Rotation::identity(), translation: Vector3::zeros() }
     }
 
-    /// A pose of its rotation and its translation (metres).
+    /// A pose from rotation and translation (metres).
     pub fn new(rotation: Rotation, translation: Vector3<f64>) -> Self {
         Self { rotation, translation }
     }
@@ -76,20 +76,34 @@ impl Pose {
         self.rotation.inverse_transform_vector(&(p_parent - self.translation))
     }
 
-    /// The pose with an error `[dtheta, dp]` applied, both in the parent frame.
+    /// Applies an error `[dtheta, dp]` (radians, metres; parent frame): `R = Exp(dtheta) R^`, `p = p^ + dp`.
+    ///
+    /// Inverse of [`Pose::local`].
+    ///
+    /// ```
+    /// use geometry::{Pose, rotation};
+    /// use nalgebra::{Vector3, Vector6};
+    ///
+    /// let estimate = Pose::new(rotation::exp(&Vector3::new(0.1, 0.2, 0.3)), Vector3::new(4.0, 5.0, 6.0));
+    /// let error = Vector6::new(0.01, -0.02, 0.03, 0.4, -0.5, 0.6);
+    /// let truth = estimate.retract(&error);
+    /// assert!((estimate.local(&truth) - error).norm() < 1e-12);
+    /// assert!((truth.translation - estimate.translation - Vector3::new(0.4, -0.5, 0.6)).norm() < 1e-12);
+    /// ```
     pub fn retract(&self, error: &Vector6<f64>) -> Self {
         let (dtheta, dp) = split(error);
         Self { rotation: rotation::exp(&dtheta) * self.rotation, translation: self.translation + dp }
     }
 
-    /// The error `[dtheta, dp]` that leads from here to `other`: `self.retract(&self.local(&other))` is `other`.
+    /// The error `[dtheta, dp]` of this pose with respect to `other`: `self.retract(&self.local(&other)) == other`.
     pub fn local(&self, other: &Self) -> Vector6<f64> {
         let dtheta = rotation::log(&(other.rotation * self.rotation.inverse()));
         let dp = other.translation - self.translation;
         Vector6::new(dtheta.x, dtheta.y, dtheta.z, dp.x, dp.y, dp.z)
     }
 
-    /// The pose at a fraction of the way to another: rotation on the shortest arc, position on the straight line.
+    /// Interpolates towards another pose: spherical interpolation of the rotation, linear of the position. Fraction 0 gives
+    /// this pose, 1 the other.
     ///
     /// ```
     /// use geometry::Pose;
@@ -103,18 +117,18 @@ impl Pose {
         Self::new(rotation, self.translation.lerp(&other.translation, fraction))
     }
 
-    /// Whether all numbers are finite.
+    /// Whether all elements are finite.
     pub fn is_finite(&self) -> bool {
         self.rotation.coords.iter().chain(self.translation.iter()).all(|value| value.is_finite())
     }
 
-    /// Whether the pose is finite and its quaternion of unit length to 1e-6. Decoded poses need this check, because
-    /// decoding does not normalize.
+    /// Whether the pose is finite and its quaternion has unit norm to 1e-6. Decoded poses need this check: decoding does
+    /// not normalize.
     pub fn check_unit(&self) -> bool {
         self.is_finite() && (self.rotation.quaternion().norm() - 1.0).abs() <= UNIT_NORM_TOLERANCE
     }
 
-    /// The same pose with its quaternion scaled to unit length; `None` where it is zero or not finite.
+    /// The pose with its quaternion normalized; `None` if it is zero or not finite.
     pub fn renormalized(&self) -> Option<Self> {
         let quaternion: Quaternion<f64> = *self.rotation.quaternion();
         if !self.is_finite() {

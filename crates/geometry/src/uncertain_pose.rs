@@ -1,6 +1,4 @@
-//! Poses with a covariance of their `[dtheta, dp]` error in the parent frame, and how it travels.
-//!
-//! First order throughout:
+//! Poses with the covariance of their `[dtheta, dp]` error in the parent frame, and first-order propagation:
 //!
 //! ```text
 //! a * b:      dtheta = dtheta_a + R_a dtheta_b,   dp = dp_a - [R_a p_b]x dtheta_a + R_a dp_b
@@ -34,7 +32,7 @@ pub struct PoseWithCovariance {
 }
 
 impl PoseWithCovariance {
-    /// A pose with the covariance of its error.
+    /// A pose from the estimate and the covariance of its error.
     pub fn new(pose: Pose, covariance: Matrix6<f64>) -> Self {
         Self { pose, covariance }
     }
@@ -69,14 +67,14 @@ impl PoseWithCovariance {
         Self { pose: self.pose * other.pose, covariance: symmetric(&covariance) }
     }
 
-    /// The same pose told in another parent frame, which is known exactly: `new_from_child = new_from_parent * self`.
+    /// Transforms to another parent frame, known exactly: `new_from_child = new_from_parent * self`.
     pub fn change_of_parent(&self, new_from_parent: &Pose) -> Self {
         let (_, by_self) = compose_jacobians(new_from_parent, &self.pose);
         let covariance = symmetric(&(by_self * self.covariance * by_self.transpose()));
         Self { pose: new_from_parent * self.pose, covariance }
     }
 
-    /// The pose of another child that is fixed to this one: `parent_from_other = self * child_from_other`.
+    /// The pose of another frame rigidly attached to the child, known exactly: `parent_from_other = self * child_from_other`.
     pub fn change_of_child(&self, child_from_other: &Pose) -> Self {
         let (by_self, _) = compose_jacobians(&self.pose, child_from_other);
         let covariance = symmetric(&(by_self * self.covariance * by_self.transpose()));
@@ -84,7 +82,7 @@ impl PoseWithCovariance {
     }
 
     /// Normalized estimation error squared against the truth: `e^T P^-1 e`, chi-square with 6 degrees of freedom for a
-    /// consistent estimate. `None` where the covariance is not positive definite.
+    /// consistent estimate. `None` if the covariance is not positive definite.
     pub fn nees(&self, truth: &Pose) -> Option<f64> {
         let error: Vector6<f64> = self.pose.local(truth);
         let information_times_error = self.covariance.cholesky()?.solve(&error);
@@ -143,7 +141,7 @@ pub fn inverse_jacobian(pose: &Pose) -> Matrix6<f64> {
     jacobian
 }
 
-/// Takes the rounding errors off a matrix that is symmetric by construction.
+/// Removes rounding errors from a matrix that is symmetric by construction.
 pub(crate) fn symmetric(matrix: &Matrix6<f64>) -> Matrix6<f64> {
     (matrix + matrix.transpose()) * 0.5
 }

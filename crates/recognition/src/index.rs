@@ -6,7 +6,8 @@
 //! wall of equal windows cannot outvote a door.
 
 use protocol::DescriptorKind;
-use vision::{DescriptorError, DescriptorView, InvertedFile, MatchOptions, Metric, looks};
+use sensors::metric_of;
+use vision::{DescriptorError, DescriptorView, InvertedFile, MatchOptions, Metric, prototype_descriptors};
 
 use super::elements::LoadedLandmark;
 
@@ -32,22 +33,6 @@ pub(crate) struct Votes {
     pub(crate) weight: u64,
     /// Number of query features that voted.
     pub(crate) features: usize,
-}
-
-/// The metric of descriptors of a kind.
-///
-/// ```
-/// use protocol::DescriptorKind;
-/// use recognition::metric_of;
-///
-/// assert_eq!(metric_of(DescriptorKind::Binary), vision::Metric::Hamming);
-/// ```
-pub fn metric_of(kind: DescriptorKind) -> Metric {
-    match kind {
-        DescriptorKind::Binary => Metric::Hamming,
-        DescriptorKind::Int8 => Metric::CosineInt8,
-        DescriptorKind::Float => Metric::Cosine,
-    }
 }
 
 /// Collects the prototype descriptors of landmarks for an [`LandmarkIndex`].
@@ -76,7 +61,7 @@ impl LandmarkIndexBuilder {
     /// Adds all descriptors of a landmark (its index), concatenated.
     pub(crate) fn add(&mut self, landmark: usize, descriptors: &[u8]) -> Result<(), DescriptorError> {
         let view = DescriptorView::new(self.metric, self.width, descriptors)?;
-        let prototypes = looks(view, PROTOTYPE_DISTANCE * self.max_distance());
+        let prototypes = prototype_descriptors(view, PROTOTYPE_DISTANCE * self.max_distance());
         self.landmarks.extend(std::iter::repeat_n(landmark as u32, prototypes.len() / self.width));
         self.descriptors.extend(prototypes);
         Ok(())

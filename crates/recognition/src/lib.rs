@@ -29,7 +29,6 @@ mod options;
 mod query;
 mod verification;
 
-pub use index::metric_of;
 pub use inspection::{InspectedKeyframe, InspectedMatch, Inspection, KeyframeVerdict};
 pub use loaded_map::{LoadError, LoadedMap};
 pub use options::RecognitionOptions;

@@ -203,7 +203,7 @@ impl LoadedMap {
 
     /// How the map's descriptors are compared.
     pub(crate) fn metric(&self) -> Metric {
-        metric_of(self.info.descriptor_kind)
+        sensors::metric_of(self.info.descriptor_kind)
     }
 
     /// The descriptors of the landmarks that a keyframe observes, in the order of [`LoadedKeyframe::seen`].

@@ -1,10 +1,19 @@
-//! From an extractor's features to those that are stored in maps and sent in queries.
+//! Conversion of features to the form in which they are stored and sent.
 
 use protocol::{DescriptorKind, Descriptors, FeatureSet};
 use vision::{ImageFeatures, Metric};
 
-/// The kind of descriptors that a metric compares.
-fn kind_of(metric: Metric) -> DescriptorKind {
+/// The metric by which descriptors of a kind are compared. Floats are compared by their cosine.
+pub fn metric_of(kind: DescriptorKind) -> Metric {
+    match kind {
+        DescriptorKind::Binary => Metric::Hamming,
+        DescriptorKind::Int8 => Metric::CosineInt8,
+        DescriptorKind::Float => Metric::Cosine,
+    }
+}
+
+/// The kind under which descriptors of a metric are stored and sent.
+pub fn kind_of(metric: Metric) -> DescriptorKind {
     match metric {
         Metric::Hamming => DescriptorKind::Binary,
         Metric::CosineInt8 => DescriptorKind::Int8,

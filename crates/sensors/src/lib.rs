@@ -53,7 +53,7 @@ pub use calibration::{CameraSensor, ImuSensor, SensorCalibration};
 pub use error::{SensorError, SequenceError};
 pub use estimator::{ImuNoise, ImuSample, TrackObservation};
 pub use euroc::{pose_cells, read_groundtruth, read_lens, read_reference_poses, writer};
-pub use features::feature_set;
+pub use features::{feature_set, kind_of, metric_of};
 pub use frame::{Frame, ImageData};
 pub use memory::Sequence;
 pub use merged::RecordingSource;

@@ -241,7 +241,7 @@ fn too_small_images_and_masks_of_another_size_are_refused() {
     let mut extractor = SiftExtractor::default();
     for (width, height) in [(1, 1), (500, 23), (23, 500)] {
         let error = extractor.extract(&grey(width, height), None, 10).unwrap_err();
-        assert!(matches!(error, ExtractError::TooSmall { least: 24, .. }), "{error}");
+        assert!(matches!(error, ExtractError::TooSmall { min_side: 24, .. }), "{error}");
     }
     assert!(extractor.extract(&grey(24, 24), None, 10).is_ok());
     let error = extractor.extract(&grey(64, 48), Some(&grey(48, 64)), 10).unwrap_err();

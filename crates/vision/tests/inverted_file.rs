@@ -1,8 +1,8 @@
-//! Laws of the inverted file and of looks.
+//! Laws of the inverted file and of prototype_descriptors.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 use rand::{RngExt, SeedableRng, rngs::StdRng};
-use vision::{DescriptorError, DescriptorView, InvertedFile, Metric, distance, looks};
+use vision::{DescriptorError, DescriptorView, InvertedFile, Metric, distance, prototype_descriptors};
 
 const METRICS: [(Metric, usize); 4] =
     [(Metric::Hamming, 32), (Metric::CosineInt8, 64), (Metric::Cosine, 64), (Metric::Euclidean, 64)];
@@ -103,7 +103,7 @@ fn what_cannot_be_filed_or_searched_is_refused() {
 }
 
 #[test]
-fn a_look_is_nearer_to_the_truth_than_the_views_it_is_made_of() {
+fn a_prototype_is_nearer_to_the_truth_than_the_observations_it_is_made_of() {
     let mut random = StdRng::seed_from_u64(5);
     let truth: Vec<u8> = (0..64).map(|_| random.random_range(-60..60_i8).cast_unsigned()).collect();
     let mut view = || -> Vec<u8> {
@@ -111,8 +111,8 @@ fn a_look_is_nearer_to_the_truth_than_the_views_it_is_made_of() {
     };
     let views: Vec<Vec<u8>> = (0..6).map(|_| view()).collect();
     let seen = views.concat();
-    let look = looks(DescriptorView::new(Metric::CosineInt8, 64, &seen).unwrap(), 0.5);
-    assert_eq!(look.len(), 64);
-    let apart = distance(Metric::CosineInt8, &look, &truth);
+    let prototype = prototype_descriptors(DescriptorView::new(Metric::CosineInt8, 64, &seen).unwrap(), 0.5);
+    assert_eq!(prototype.len(), 64);
+    let apart = distance(Metric::CosineInt8, &prototype, &truth);
     assert!(views.iter().all(|view| apart < 0.5 * distance(Metric::CosineInt8, view, &truth)));
 }

@@ -5,7 +5,7 @@ mod common;
 
 use common::{Motion, SIZE, Texture};
 use nalgebra::Vector2;
-use vision::tracking::{AlignmentOptions, Lost, Warp, align, align_mutually};
+use vision::tracking::{AlignmentError, AlignmentOptions, Warp, align, align_with_backward_check};
 use vision::{CornerOptions, GrayImage, Pyramid, detect_corners};
 
 const LEVELS: usize = 4;
@@ -48,7 +48,8 @@ fn track(source: &dyn Fn(f64, f64) -> f64, motion: &Motion, unknown: Option<[f64
             Some(unknown) => Warp::moved_to((truth + Vector2::from(unknown)).cast()),
             None => Warp::moved_to(corner.pixel),
         };
-        let found = align_mutually(&first, &second, corner.pixel, &guess, &AlignmentOptions::default());
+        let found =
+            align_with_backward_check(&first, &second, corner.pixel, &guess, &AlignmentOptions::default());
         if let Ok(found) = found {
             outcome.errors.push((found.warp.centre.cast() - truth).norm());
         }
@@ -145,7 +146,8 @@ fn an_occluded_patch_is_not_found() {
     let (mut hidden, mut believed, mut visible, mut found) = (0, 0, 0, 0);
     for corner in detect_corners(first.base(), &[], None, 200, &CornerOptions::default()) {
         let guess = Warp::moved_to(corner.pixel);
-        let result = align_mutually(&first, &second, corner.pixel, &guess, &AlignmentOptions::default());
+        let result =
+            align_with_backward_check(&first, &second, corner.pixel, &guess, &AlignmentOptions::default());
         if corner.pixel.x > 400.0 {
             hidden += 1;
             believed += usize::from(result.is_ok());
@@ -166,7 +168,7 @@ fn plain_patches_and_straight_edges_are_refused() {
     let at = Vector2::new(64.0, 64.0);
     for image in [&plain, &edge] {
         let result = align(image, image, at, &Warp::moved_to(at), &AlignmentOptions::default());
-        assert_eq!(result, Err(Lost::NoStructure));
+        assert_eq!(result, Err(AlignmentError::NoStructure));
     }
 }
 

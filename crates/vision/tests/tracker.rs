@@ -58,7 +58,7 @@ fn frame(texture: &Texture, k: usize, stereo: bool, gyroscope: bool) -> TrackerF
         image: photograph(texture, &pose(k)),
         second_image: stereo.then(|| photograph(texture, &second_pose)),
         rotation: (gyroscope && k > 0).then(|| turned(k)),
-        rotation_sigma: 1e-3,
+        sigma_rotation_rad: 1e-3,
     }
 }
 

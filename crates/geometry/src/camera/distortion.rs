@@ -3,16 +3,28 @@
 //! Sources: radial-tangential, Brown 1966 as in OpenCV; equidistant, Kannala & Brandt, PAMI 2006; FOV, Devernay &
 //! Faugeras, "Straight lines have to be straight", 2001.
 
-use super::CameraError;
+use super::error::CameraError;
 use nalgebra::{Matrix2, Vector2};
 use serde::{Deserialize, Serialize};
 
 /// Squared radius below which the radial models use their Taylor series.
 const SMALL_RADIUS_SQUARED: f64 = 1e-10;
-/// Smallest FOV parameter (rad) that is told from no distortion.
+/// Minimum FOV parameter (rad); below it the model is numerically undistorted.
 const MIN_OMEGA: f64 = 1e-4;
 
-/// How a lens moves the normalized coordinates `(x, y)` of a ray.
+/// Lens distortion: maps undistorted to distorted normalized coordinates `(x, y)`.
+///
+/// # Example
+/// ```
+/// use geometry::Distortion;
+/// use nalgebra::Vector2;
+///
+/// let fisheye = Distortion::Equidistant([-0.01, 0.02, 0.0, 0.0]);
+/// let undistorted = Vector2::new(0.6, -0.3);
+/// let distorted = fisheye.distort(&undistorted);
+/// assert!((fisheye.undistort(&distorted)? - undistorted).norm() < 1e-12);
+/// # Ok::<(), geometry::ProjectionError>(())
+/// ```
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub enum Distortion {
     /// An ideal pinhole.
@@ -86,24 +98,16 @@ impl Distortion {
         }
     }
 
-    /// Checks that coefficients are finite and in range.
+    /// Checks that the coefficients are finite and in range.
     pub(super) fn validate(&self) -> Result<(), CameraError> {
-        let finite = match self {
-            Self::None => true,
-            Self::RadialTangential(k) | Self::Equidistant(k) => k.iter().all(|value| value.is_finite()),
-            Self::Fov(omega) => {
-                if !(MIN_OMEGA..std::f64::consts::PI).contains(omega) {
-                    let text =
-                        format!("the FOV parameter is {omega} rad; it must lie between {MIN_OMEGA} and pi");
-                    return Err(CameraError::Distortion(text));
-                }
-                true
+        match *self {
+            Self::RadialTangential(k) | Self::Equidistant(k) if !k.iter().all(|value| value.is_finite()) => {
+                Err(CameraError::DistortionCoefficients(k))
             }
-        };
-        if finite {
-            Ok(())
-        } else {
-            Err(CameraError::Distortion(format!("{self:?} has a coefficient that is not finite")))
+            Self::Fov(omega) if !(MIN_OMEGA..std::f64::consts::PI).contains(&omega) => {
+                Err(CameraError::FovParameter { omega, min: MIN_OMEGA })
+            }
+            _ => Ok(()),
         }
     }
 

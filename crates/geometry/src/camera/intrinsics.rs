@@ -1,17 +1,17 @@
-//! A camera as a vector of numbers, for whoever estimates them: `[fx, fy, cx, cy, distortion...]`.
+//! Intrinsics as a parameter vector for online calibration: `[fx, fy, cx, cy, distortion...]`.
 
 use super::distortion::{Distortion, equidistant_powers, fov_scale};
 use super::{Camera, ProjectionError, normalize};
 use nalgebra::{SMatrix, SVector, Vector2, Vector3};
 
-/// Most numbers that a camera has.
+/// Maximum number of intrinsic parameters.
 pub const MAX_INTRINSICS: usize = 8;
 
-/// Derivative of a pixel by the intrinsics; columns that the camera's model does not have are zero.
+/// Jacobian of a pixel with respect to the intrinsics; columns of parameters that the model does not have are zero.
 pub type IntrinsicsJacobian = SMatrix<f64, 2, MAX_INTRINSICS>;
 
 impl Camera {
-    /// How many numbers this camera has: four, and those of its distortion.
+    /// Number of intrinsic parameters: four and those of the distortion.
     pub fn intrinsics_len(&self) -> usize {
         4 + match self.distortion {
             Distortion::None => 0,
@@ -20,8 +20,8 @@ impl Camera {
         }
     }
 
-    /// Adds to the numbers of the camera: `[fx, fy, cx, cy]` in pixels, then the distortion's as its model lists them.
-    /// What is beyond [`Self::intrinsics_len`] is ignored.
+    /// Adds a correction to the intrinsics: `[fx, fy, cx, cy]` in pixels, then the distortion parameters in the order of
+    /// the model. Elements from [`Self::intrinsics_len`] on are ignored.
     pub fn add_to_intrinsics(&mut self, change: &SVector<f64, MAX_INTRINSICS>) {
         for k in 0..2 {
             self.focal[k] += change[k];
@@ -36,7 +36,7 @@ impl Camera {
         }
     }
 
-    /// Derivative of the pixel of a point (camera frame, metres) by the intrinsics.
+    /// Jacobian of the pixel of a point (camera frame, metres) with respect to the intrinsics.
     ///
     /// # Errors
     /// [`ProjectionError`] as in [`Camera::project`].
@@ -61,7 +61,7 @@ impl Camera {
     }
 }
 
-/// Derivatives of the distorted normalized coordinates by the coefficients; zero beyond the model's.
+/// Derivatives of the distorted normalized coordinates with respect to the coefficients; zero beyond the model.
 fn distortion_derivatives(distortion: &Distortion, normalized: &Vector2<f64>) -> [Vector2<f64>; 4] {
     let (x, y) = (normalized.x, normalized.y);
     let r2 = normalized.norm_squared();

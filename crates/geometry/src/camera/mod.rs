@@ -1,59 +1,25 @@
 //! Pinhole cameras with lens distortion: project, unproject, and the Jacobians.
 
 mod distortion;
+mod error;
 mod intrinsics;
 mod undistortion;
 
 pub use distortion::Distortion;
+pub use error::{CameraError, ProjectionError};
 pub use intrinsics::{IntrinsicsJacobian, MAX_INTRINSICS};
 
 use nalgebra::{Matrix2, Matrix2x3, Unit, Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 
-/// Depth (metres) at or below which a point counts as behind the camera.
+/// Depth (metres) at or below which a point is behind the camera.
 const MIN_DEPTH: f64 = 1e-9;
-
-/// Why a point has no pixel, or a pixel no ray.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum ProjectionError {
-    /// The point lies behind the camera or in its focal plane.
-    #[error("the point is behind the camera")]
-    BehindCamera,
-    /// The ray or pixel lies where the distortion model folds back or has no inverse.
-    #[error("the ray is outside of the range where the distortion model can be inverted")]
-    OutsideModel,
-    /// A coordinate is NaN or infinite.
-    #[error("a coordinate is not finite")]
-    NotFinite,
-}
-
-/// Why a camera cannot be used.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum CameraError {
-    /// An image without pixels.
-    #[error("the image size is {width} x {height}; both must be positive")]
-    EmptyImage {
-        /// Width, pixels.
-        width: u32,
-        /// Height, pixels.
-        height: u32,
-    },
-    /// A focal length that is not a positive number.
-    #[error("the focal lengths are {0} and {1} pixels; both must be positive and finite")]
-    FocalLength(f64, f64),
-    /// A principal point that is not finite.
-    #[error("the principal point is ({0}, {1}); both must be finite")]
-    Centre(f64, f64),
-    /// Distortion coefficients outside of their range.
-    #[error("distortion: {0}")]
-    Distortion(String),
-}
 
 /// A pinhole camera with lens distortion.
 ///
 /// # Coordinate systems
 /// Camera frame: x right, y down, z forward, metres. Normalized coordinates: `(x / z, y / z)` for z > 0, undistorted.
-/// Pixels: distorted, as the camera saw them; (0, 0) is the centre of the top-left pixel.
+/// Pixels: distorted, as observed; (0, 0) is the centre of the top-left pixel.
 ///
 /// ```text
 /// pixel = focal .* distort(x / z, y / z) + centre
@@ -86,12 +52,12 @@ pub struct Camera {
     pub focal: [f64; 2],
     /// Principal point `[cx, cy]`, pixels.
     pub centre: [f64; 2],
-    /// The lens.
+    /// Lens distortion.
     pub distortion: Distortion,
 }
 
 impl Camera {
-    /// The distorted pixel of a point in the camera frame (metres). The pixel may lie outside of the image, see
+    /// The distorted pixel of a point in the camera frame (metres). The pixel may lie outside the image, see
     /// [`Camera::contains`].
     ///
     /// # Errors
@@ -144,7 +110,7 @@ impl Camera {
     /// The undistorted normalized coordinates `(x / z, y / z)` of a pixel, to rounding precision.
     ///
     /// # Errors
-    /// [`ProjectionError::OutsideModel`] where no ray in front of the camera has this pixel,
+    /// [`ProjectionError::OutsideModel`] if no ray in front of the camera has this pixel,
     /// [`ProjectionError::NotFinite`] on NaN or infinity.
     pub fn unproject(&self, pixel: &Vector2<f64>) -> Result<Vector2<f64>, ProjectionError> {
         let [fx, fy] = self.focal;
@@ -153,7 +119,7 @@ impl Camera {
         self.distortion.undistort(&distorted)
     }
 
-    /// The unit vector in the camera frame towards what a pixel saw.
+    /// The bearing of a pixel: unit vector in the camera frame towards the observed point.
     ///
     /// # Errors
     /// As [`Camera::unproject`].
@@ -168,11 +134,11 @@ impl Camera {
             && (-0.5..=f64::from(self.height) - 0.5).contains(&pixel.y)
     }
 
-    /// Checks a camera that was read or received.
+    /// Validates the parameters, for decoded data.
     ///
     /// # Errors
-    /// [`CameraError`] on an empty image, a focal length that is not positive, or a coefficient that is not finite or
-    /// out of its range.
+    /// [`CameraError`] if the image is empty, a focal length is not positive, or a coefficient is not finite or out of
+    /// range.
     pub fn validate(&self) -> Result<(), CameraError> {
         if self.width == 0 || self.height == 0 {
             return Err(CameraError::EmptyImage { width: self.width, height: self.height });

@@ -1,25 +1,24 @@
-//! The way back, from distorted to undistorted normalized coordinates: closed form where there is one, guarded Newton
-//! iterations with the analytic derivatives where there is none.
+//! Undistortion: closed form where it exists, otherwise guarded Newton iterations with analytic derivatives.
 
-use super::ProjectionError;
 use super::distortion::{Distortion, equidistant, fov_scale, radial_limit_squared};
+use super::error::ProjectionError;
 use nalgebra::Vector2;
 use std::f64::consts::FRAC_PI_2;
 
 /// Newton converges in 3 to 6 steps inside of a real image; far outside, damping may need more.
 const MAX_ITERATIONS: usize = 50;
-/// Residual (normalized units) at which an iteration has converged; 1e-14 is 5e-12 px at a focal length of 500.
+/// Residual (normalized coordinates) at convergence; 1e-14 is 5e-12 px at a focal length of 500.
 const CONVERGED: f64 = 1e-14;
-/// Residual (normalized units) that is still accepted where rounding stops the iteration earlier.
+/// Maximum residual (normalized coordinates) where rounding stops the iteration earlier.
 const ACCEPTABLE: f64 = 1e-12;
 /// Halvings of one Newton step.
 const MAX_HALVINGS: usize = 20;
 
 impl Distortion {
-    /// Undoes [`Distortion::distort`].
+    /// Undistorted normalized coordinates: the inverse of [`Distortion::distort`].
     ///
     /// # Errors
-    /// [`ProjectionError::OutsideModel`] where no ray in front of the camera is distorted to this place.
+    /// [`ProjectionError::OutsideModel`] if no ray in front of the camera maps to `distorted`.
     pub fn undistort(&self, distorted: &Vector2<f64>) -> Result<Vector2<f64>, ProjectionError> {
         match self {
             Self::None => Ok(*distorted),
@@ -48,7 +47,7 @@ impl Distortion {
     }
 }
 
-/// Two-dimensional Newton with step halving, kept inside of the circle where the model is one-to-one.
+/// Two-dimensional Newton with step halving inside the circle where the model is one-to-one.
 fn undistort_newton(
     model: &Distortion,
     limit_squared: f64,
@@ -89,7 +88,7 @@ fn undistort_newton(
     if residual.norm() <= ACCEPTABLE * tolerance { Ok(estimate) } else { Err(ProjectionError::OutsideModel) }
 }
 
-/// The angle (rad, below 90 degrees) whose equidistant polynomial is `radius`: Newton inside of a shrinking bracket.
+/// The angle (rad, below 90 degrees) whose equidistant polynomial is `radius`: bracketed Newton.
 fn equidistant_angle(k: &[f64; 4], radius: f64) -> Result<f64, ProjectionError> {
     let (mut low, mut high) = (0.0, FRAC_PI_2);
     let mut angle = radius.min(0.99 * FRAC_PI_2);

@@ -5,12 +5,12 @@ use crate::pose::Pose;
 use crate::rotation::Rotation;
 use nalgebra::{Matrix3, Rotation3, Vector3};
 
-/// The pose `a_from_b` that brings the points of frame b closest to those of frame a, in the least squares sense.
+/// The pose `a_from_b` that aligns the points of frame b with those of frame a by least squares.
 ///
 /// Source: Umeyama, PAMI 1991.
 ///
 /// # Errors
-/// [`PnpError::Degenerate`] where the decomposition fails.
+/// [`PnpError::Degenerate`] if the decomposition fails.
 pub(super) fn align_points(in_a: &[Vector3<f64>], in_b: &[Vector3<f64>]) -> Result<Pose, PnpError> {
     let (mean_a, mean_b) = (mean(in_a), mean(in_b));
     let correlation: Matrix3<f64> =

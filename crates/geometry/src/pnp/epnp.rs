@@ -1,4 +1,4 @@
-//! The pose from six or more points, in time linear in their number.
+//! EPnP: the pose from six or more points in linear time.
 //!
 //! Every point is a weighted sum of four control points. In the camera frame the twelve coordinates of these solve a
 //! homogeneous linear system; they are a combination of its four smallest right singular vectors, with factors that keep
@@ -13,16 +13,15 @@ use nalgebra::{
     DMatrix, DVector, Matrix3, Matrix4, SMatrix, SVector, SymmetricEigen, Vector2, Vector3, Vector4,
 };
 
-/// With fewer points the linear system has several null vectors; P3P serves better there.
+/// With fewer points the linear system has several null vectors; use P3P.
 const MIN_POINTS: usize = 6;
-/// Ratio of the smallest to the largest standard deviation of the points along their principal axes, below which they
-/// count as lying in a plane.
+/// Ratio of the smallest to the largest standard deviation along the principal axes below which points are coplanar.
 const PLANAR: f64 = 1e-3;
 /// Gauss-Newton steps on the four factors.
 const BETA_STEPS: usize = 15;
 /// Pairs of control points.
 const PAIRS: [(usize, usize); 6] = [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)];
-/// The products of factors that each initial guess solves for, all others taken for zero.
+/// The products of factors that each initial guess solves for, with all others zero.
 const GUESSES: [&[(usize, usize)]; 4] = [
     &[(0, 0)],
     &[(0, 0), (0, 1), (1, 1)],
@@ -37,8 +36,8 @@ const GUESSES: [&[(usize, usize)]; 4] = [
 /// * `normalized`: n undistorted normalized coordinates, see [`crate::Camera::unproject`].
 ///
 /// # Errors
-/// [`PnpError::TooFew`] below six points, [`PnpError::Degenerate`] where they lie (nearly) in a plane or a line,
-/// [`PnpError::NoSolution`] where no candidate has the points in front of the camera, [`PnpError::LengthMismatch`],
+/// [`PnpError::TooFew`] below six points, [`PnpError::Degenerate`] if they are (nearly) coplanar or collinear,
+/// [`PnpError::NoSolution`] if no candidate has the points in front of the camera, [`PnpError::LengthMismatch`],
 /// [`PnpError::InvalidInput`].
 pub fn epnp(points: &[Vector3<f64>], normalized: &[Vector2<f64>]) -> Result<Pose, PnpError> {
     check_input(points, normalized)?;
@@ -73,7 +72,7 @@ fn check_input(points: &[Vector3<f64>], normalized: &[Vector2<f64>]) -> Result<(
     if finite.clone().all(|value| value.is_finite()) { Ok(()) } else { Err(PnpError::InvalidInput) }
 }
 
-/// The centroid, and one point a principal axis at one standard deviation.
+/// The centroid, and one point per principal axis at one standard deviation.
 fn control_points(points: &[Vector3<f64>]) -> Result<[Vector3<f64>; 4], PnpError> {
     let centre = mean(points);
     let scatter: Matrix3<f64> = points.iter().map(|p| (p - centre) * (p - centre).transpose()).sum();

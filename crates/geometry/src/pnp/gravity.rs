@@ -1,11 +1,11 @@
-//! The pose from two points when the vertical is known in both frames: yaw and position in closed form.
+//! The pose from two points and the direction of gravity in both frames: yaw and position in closed form.
 
 use super::PnpError;
 use crate::pose::Pose;
 use crate::rotation::{Rotation, exp};
 use nalgebra::{Unit, UnitVector3, Vector2, Vector3};
 
-/// Parts of a length or of a unit vector below which a configuration counts as degenerate.
+/// Relative length below which a configuration is degenerate.
 const DEGENERATE: f64 = 1e-9;
 
 /// The direction of gravity in both frames. The lengths do not matter.
@@ -29,7 +29,7 @@ impl Gravity {
 
 /// Up to two poses `world_from_camera` from two points and the direction of gravity.
 ///
-/// Turn both frames so that gravity is z. Then only the yaw `psi` and the position are unknown:
+/// With both frames rotated so that gravity is z, only the yaw `psi` and the position are unknown:
 ///
 /// ```text
 /// P_1 - P_2 = Rz(psi) (d_1 b_1 - d_2 b_2)
@@ -44,8 +44,8 @@ impl Gravity {
 /// * `gravity_in_world`, `gravity_in_camera`: the same direction in both frames.
 ///
 /// # Errors
-/// [`PnpError::Degenerate`] where the points lie one above the other or coincide, or both rays are horizontal;
-/// [`PnpError::NoSolution`] where no pose has both points in front of the camera; [`PnpError::InvalidInput`].
+/// [`PnpError::Degenerate`] if the points are vertically aligned or coincide, or both rays are horizontal;
+/// [`PnpError::NoSolution`] if no pose has both points in front of the camera; [`PnpError::InvalidInput`].
 ///
 /// Source: own derivation; the problem is that of Kukelova, Bujnak & Pajdla, ACCV 2010.
 pub fn gravity_two_point(
@@ -76,8 +76,8 @@ pub fn gravity_two_point(
         if d0 <= 0.0 || d1 <= 0.0 {
             continue;
         }
-        let seen: Vector2<f64> = (rays[0] * d0 - rays[1] * d1).xy();
-        let yaw = seen.perp(&horizontal).atan2(seen.dot(&horizontal));
+        let observed: Vector2<f64> = (rays[0] * d0 - rays[1] * d1).xy();
+        let yaw = observed.perp(&horizontal).atan2(observed.dot(&horizontal));
         let yaw_rotation = exp(&Vector3::new(0.0, 0.0, yaw));
         let translation = level_points[0] - yaw_rotation * (rays[0] * d0);
         let world_from_level = level_from_world.inverse();
@@ -109,7 +109,7 @@ fn depths(difference: &Vector3<f64>, rays: &[Vector3<f64>; 2]) -> Result<Vec<[f6
     }
     let discriminant = b * b - a * c;
     if discriminant < 0.0 {
-        // With noise a double root may be missed by a little: take the nearest approach.
+        // With noise a double root may vanish: take the closest approach.
         if -discriminant > 1e-4 * (b * b + (a * c).abs()) {
             return Err(PnpError::NoSolution);
         }
@@ -121,7 +121,7 @@ fn depths(difference: &Vector3<f64>, rays: &[Vector3<f64>; 2]) -> Result<Vec<[f6
     Ok(roots.iter().map(|s| [foot[0] + s * along[0], foot[1] + s * along[1]]).collect())
 }
 
-/// The rotation that turns a direction into z.
+/// The rotation that maps a direction to z.
 fn level_from(direction: &UnitVector3<f64>) -> Rotation {
     Rotation::rotation_between_axis(direction, &Vector3::z_axis())
         .unwrap_or_else(|| exp(&Vector3::new(std::f64::consts::PI, 0.0, 0.0)))

@@ -1,8 +1,7 @@
-//! The pose of a camera from points known in a world frame and the pixels that saw them.
+//! Perspective-n-point: the pose of a camera from known world points and their pixels.
 //!
-//! Minimal solvers ([`p3p`], [`gravity_two_point`]), a linear one for many points ([`epnp`]), a search that stands
-//! outliers ([`solve_ransac`]), and the refinement that gives the pose its covariance ([`refine`]). All return
-//! `world_from_camera`.
+//! Minimal solvers ([`p3p`], [`gravity_two_point`]), a linear solver for many points ([`epnp`]), robust estimation
+//! ([`solve_ransac`]), and refinement with covariance ([`refine`]). All return `world_from_camera`.
 
 mod align;
 mod epnp;
@@ -21,12 +20,12 @@ use crate::camera::Camera;
 use crate::pose::Pose;
 use nalgebra::{Vector2, Vector3};
 
-/// A point of the world and the pixel that saw it.
+/// A world point and its observed pixel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Correspondence {
     /// In the world frame, metres.
     pub point: Vector3<f64>,
-    /// Distorted pixel, as the camera saw it.
+    /// Distorted pixel.
     pub pixel: Vector2<f64>,
 }
 
@@ -35,8 +34,8 @@ impl Correspondence {
         self.point.iter().chain(self.pixel.iter()).all(|value| value.is_finite())
     }
 
-    /// Distance (pixels) between the pixel and the projection of the point; `None` where it has no projection, for
-    /// example behind the camera.
+    /// Distance (pixels) between the pixel and the projection of the point; `None` if it cannot be projected, for example
+    /// behind the camera.
     pub fn reprojection_error(&self, camera: &Camera, world_from_camera: &Pose) -> Option<f64> {
         let pixel = camera.project(&world_from_camera.inverse_transform(&self.point)).ok()?;
         Some((self.pixel - pixel).norm())
@@ -45,6 +44,7 @@ impl Correspondence {
 
 /// Why a pose could not be found.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
 pub enum PnpError {
     /// Fewer correspondences than the method needs.
     #[error("{given} correspondences; at least {needed} are needed")]
@@ -54,7 +54,7 @@ pub enum PnpError {
         /// Number of correspondences needed.
         needed: usize,
     },
-    /// Two lists that belong together differ in length.
+    /// The numbers of points and rays differ.
     #[error("{points} points for {rays} rays")]
     LengthMismatch {
         /// Number of points given.
@@ -62,17 +62,17 @@ pub enum PnpError {
         /// Number of rays given.
         rays: usize,
     },
-    /// NaN or infinity in the input, or an option out of its range.
-    #[error("a point, pixel, pose or option is not finite or out of its range")]
+    /// NaN or infinity in the input, or an option out of range.
+    #[error("a point, pixel, pose or option is not finite or out of range")]
     InvalidInput,
-    /// The geometry does not fix the pose: points in a line, in a plane (EPnP), one above the other (two-point), or rays
-    /// that coincide.
-    #[error("the points or rays are in a degenerate position")]
+    /// Degenerate configuration: collinear points, coplanar points (EPnP), vertically aligned points (two-point), or
+    /// coinciding rays.
+    #[error("the points or rays are in a degenerate configuration")]
     Degenerate,
-    /// No pose in front of the camera explains the correspondences.
+    /// No pose with the points in front of the camera explains the correspondences.
     #[error("no pose explains the correspondences")]
     NoSolution,
-    /// The best pose explains fewer correspondences than asked for.
+    /// The best pose has fewer inliers than required.
     #[error("only {found} inliers; {needed} are needed")]
     TooFewInliers {
         /// Inliers of the best pose.

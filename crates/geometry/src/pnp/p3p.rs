@@ -13,13 +13,13 @@ use crate::pose::Pose;
 use crate::rotation::Rotation;
 use nalgebra::{Matrix2, Matrix3, Matrix3x2, Rotation3, SymmetricEigen, Unit, UnitVector3, Vector3};
 
-/// Sine of an angle of the triangle, or between rays, below which the problem counts as degenerate.
+/// Sine of an angle of the triangle, or between rays, below which the problem is degenerate.
 const DEGENERATE_SINE: f64 = 1e-7;
 /// Newton steps on the depths; a simple root needs two or three, a double root converges linearly.
 const POLISH_STEPS: usize = 12;
-/// Residual of the three quadrics, as a part of the largest squared distance, up to which a solution is one.
+/// Maximum residual of the three quadrics relative to the largest squared distance.
 const ACCEPTED_RESIDUAL: f64 = 1e-9;
-/// Solutions whose depths differ by less than this part are the same.
+/// Relative difference of depths below which solutions are identical.
 const SAME_SOLUTION: f64 = 1e-9;
 
 /// Up to four poses `world_from_camera` from three points.
@@ -29,7 +29,7 @@ const SAME_SOLUTION: f64 = 1e-9;
 /// * `points`: in the world frame, metres, in the same order.
 ///
 /// # Errors
-/// [`PnpError::Degenerate`] where the points lie in a line or two rays coincide, [`PnpError::NoSolution`] where no pose
+/// [`PnpError::Degenerate`] if the points are collinear or two rays coincide, [`PnpError::NoSolution`] if no pose
 /// has the three points in front of the camera, [`PnpError::InvalidInput`].
 pub fn p3p(bearings: &[UnitVector3<f64>; 3], points: &[Vector3<f64>; 3]) -> Result<Vec<Pose>, PnpError> {
     let rays = bearings.map(Unit::into_inner);
@@ -62,7 +62,7 @@ struct Distances {
     cosines: [f64; 3],
     /// Squared distances of each pair, scaled so that the largest is one.
     squared: [f64; 3],
-    /// The scale taken off (m^2).
+    /// The scale of `squared` (m^2).
     unit: f64,
 }
 
@@ -93,12 +93,12 @@ impl Distances {
         m
     }
 
-    /// The directions that both cones share, all components of one sign turned positive.
+    /// The common directions of both cones, with positive components.
     fn directions(&self) -> Vec<Vector3<f64>> {
         let m = [self.matrix(0), self.matrix(1), self.matrix(2)];
         let d1 = (m[0] * self.squared[2] - m[2] * self.squared[0]).normalize();
         let d2 = (m[1] * self.squared[2] - m[2] * self.squared[1]).normalize();
-        // det(D1 + g D2) = c0 + c1 g + c2 g^2 + c3 g^3; swapped where needed so that the cubic's head is not the small end.
+        // det(D1 + g D2) = c0 + c1 g + c2 g^2 + c3 g^3; swapped if needed so that |c3| >= |c0|.
         let (d1, d2) = if d2.determinant().abs() >= d1.determinant().abs() { (d1, d2) } else { (d2, d1) };
         let cubic = pencil_cubic(&d1, &d2);
         let (degenerate, cone) = match steepest_root(&cubic) {
@@ -137,7 +137,7 @@ impl Distances {
         scale.is_finite().then(|| direction * scale)
     }
 
-    /// Newton on the three quadrics. Returns depths in metres, or `None` where they do not end in front of the camera.
+    /// Newton on the three quadrics. Returns depths in metres, or `None` if they are not in front of the camera.
     fn polish(&self, mut depths: Vector3<f64>) -> Option<Vector3<f64>> {
         let mut residual = self.residual(&depths);
         for _ in 0..POLISH_STEPS {
@@ -183,9 +183,9 @@ fn pencil_cubic(a: &Matrix3<f64>, b: &Matrix3<f64>) -> [f64; 4] {
     [a.determinant(), mixed(a, b), mixed(b, a), b.determinant()]
 }
 
-/// The real root of a cubic (constant first) with the steepest slope, polished; `None` where the cubic has no head.
+/// The real root of a cubic (constant first) with the steepest slope, polished; `None` if the cubic coefficient vanishes.
 ///
-/// Any real root serves: where the cones meet in real directions, the planes of every real root are real.
+/// Any real root is valid: if the cones intersect in real directions, the planes of every real root are real.
 fn steepest_root(c: &[f64; 4]) -> Option<f64> {
     let largest = c.iter().fold(0.0_f64, |m, value| m.max(value.abs()));
     if c[3].abs() <= 1e-14 * largest || largest == 0.0 {
@@ -243,7 +243,7 @@ fn plane_basis(normal: &Vector3<f64>) -> Matrix3x2<f64> {
     Matrix3x2::from_columns(&[first, n.cross(&first)])
 }
 
-/// The pose that brings the triangle in the camera onto the triangle in the world.
+/// The pose that maps the triangle in the camera frame to the triangle in the world frame.
 fn pose_of_depths(depths: &Vector3<f64>, rays: &[Vector3<f64>; 3], points: &[Vector3<f64>; 3]) -> Pose {
     let seen = [rays[0] * depths[0], rays[1] * depths[1], rays[2] * depths[2]];
     let matrix = triangle_axes(points) * triangle_axes(&seen).transpose();

@@ -1,8 +1,8 @@
-//! The pose from correspondences of which many may be wrong.
+//! Robust pose estimation from correspondences with outliers: MSAC with local optimization.
 //!
 //! Samples of two (gravity known) or three correspondences give candidate poses, scored by truncated squared residuals.
-//! A candidate that beats all before it is refined on its inliers in all six degrees of freedom, so that gravity
-//! only guides the search: its error (about a degree) is allowed for when candidates are scored, and is gone after.
+//! The best candidate so far is refined on its inliers in all six degrees of freedom, so that gravity only guides the
+//! sampling: its error (about a degree) widens the threshold for candidates and does not affect the result.
 //!
 //! Sources: Fischler & Bolles, CACM 1981; Torr & Zisserman, CVIU 2000 (MSAC); Chum, Matas & Kittler, DAGM 2003 (local
 //! optimization).
@@ -18,35 +18,35 @@ use nalgebra::UnitVector3;
 use rand::rngs::Xoshiro256PlusPlus;
 use rand::{RngExt, SeedableRng};
 
-/// Error of the given gravity (radians) that candidates are allowed when they are scored: 1 degree.
+/// Tolerated error of the given gravity when candidates are scored, radians: 1 degree.
 const GRAVITY_TOLERANCE: f64 = 0.017_453_292_519_943_295;
-/// The first candidates of a search are drawn in any case: not every sample of inliers gives a good pose.
+/// Minimum number of samples: not every sample of inliers gives a good pose.
 const MIN_SAMPLES: usize = 20;
-/// How many times more samples than the textbook number are drawn, for the same reason.
+/// Factor on the theoretical number of samples, for the same reason.
 const SAMPLE_FACTOR: f64 = 3.0;
-/// Rounds of refinement and of choosing the inliers again.
+/// Rounds of refinement and inlier selection.
 const REFIT_ROUNDS: usize = 6;
 /// Iterations of each refinement.
 const REFIT_ITERATIONS: usize = 10;
 /// Huber's threshold of the refinements, in standard deviations of a pixel.
 const HUBER_SIGMAS: f64 = 2.5;
-/// The pose has six unknowns, so three points fit exactly and prove nothing.
+/// Minimum number of inliers: three points always fit the six unknowns exactly.
 const MIN_INLIERS: usize = 4;
 
-/// How to search.
+/// Settings of [`solve_ransac`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RansacOptions {
-    /// Residual (pixels) up to which a correspondence is an inlier.
+    /// Maximum residual of an inlier, pixels.
     pub threshold_px: f64,
-    /// Wanted probability that the search has drawn a sample of inliers, in (0, 1).
+    /// Probability of having drawn a sample of inliers, in (0, 1).
     pub confidence: f64,
-    /// Largest number of samples.
+    /// Maximum number of samples.
     pub max_iterations: usize,
-    /// Fewest inliers of a pose that is returned; never below 4.
+    /// Minimum number of inliers; never below 4.
     pub min_inliers: usize,
-    /// Of the random samples: the same seed and input give the same pose.
+    /// Seed of the random samples; the same seed and input give the same pose.
     pub seed: u64,
-    /// The direction of gravity in both frames, to about 1 degree. Samples are of two points with it, of three without.
+    /// The direction of gravity in both frames, to about 1 degree. Minimal samples have two points with it, three without.
     pub gravity: Option<Gravity>,
 }
 
@@ -64,30 +64,56 @@ impl Default for RansacOptions {
     }
 }
 
-/// A pose and what supports it.
+/// A pose and its inliers.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PnpSolution {
-    /// The pose, refined on the inliers; its covariance takes the points for exact.
+    /// The pose, refined on the inliers; its covariance assumes exact points.
     pub world_from_camera: PoseWithCovariance,
-    /// Indices of the inliers into the correspondences, rising.
+    /// Indices of the inliers, ascending.
     pub inliers: Vec<usize>,
-    /// Mean length of the residuals of the inliers, pixels.
+    /// Mean norm of the residuals of the inliers, pixels.
     pub mean_error_px: f64,
 }
 
-/// Finds the pose that most correspondences agree on, and refines it on them.
+/// Estimates `world_from_camera` robustly and refines it on the inliers.
 ///
 /// # Arguments
-/// * `correspondences`: in any order, outliers among them. Points that fall behind the camera, and pixels without a ray,
-///   are outliers.
-/// * `sigma_px`: standard deviation of an inlier's pixel in u and in v.
+/// * `correspondences`: in any order, with outliers. Points behind the camera and pixels that cannot be unprojected are
+///   outliers.
+/// * `sigma_px`: standard deviation of an inlier pixel in u and in v.
 ///
 /// # Returns
 /// The pose with the covariance of [`refine`], and its inliers.
 ///
 /// # Errors
-/// [`PnpError::TooFew`] below `min_inliers` correspondences, [`PnpError::TooFewInliers`] where no pose has that many,
-/// [`PnpError::InvalidInput`] on NaN or infinity and on options out of their range.
+/// [`PnpError::TooFew`] below `min_inliers` correspondences, [`PnpError::TooFewInliers`] if no pose has that many,
+/// [`PnpError::InvalidInput`] on NaN or infinity and on options out of range.
+///
+/// # Example
+/// ```
+/// use geometry::pnp::{Correspondence, RansacOptions, solve_ransac};
+/// use geometry::{Camera, Distortion, Pose, rotation};
+/// use nalgebra::{Vector2, Vector3};
+///
+/// let camera =
+///     Camera { width: 752, height: 480, focal: [460.0; 2], centre: [376.0, 240.0], distortion: Distortion::None };
+/// let truth = Pose::new(rotation::exp(&Vector3::new(0.1, -0.2, 0.3)), Vector3::new(1.0, 2.0, 0.5));
+/// let mut correspondences: Vec<Correspondence> = (0..40)
+///     .map(|k| {
+///         let k = f64::from(k);
+///         let in_camera = Vector3::new((1.7 * k).sin(), (2.3 * k).cos(), 5.0 + (0.9 * k).sin());
+///         let pixel = camera.project(&in_camera).unwrap();
+///         Correspondence { point: truth.transform(&in_camera), pixel }
+///     })
+///     .collect();
+/// for outlier in &mut correspondences[..12] {
+///     outlier.pixel += Vector2::new(60.0, -45.0);
+/// }
+/// let found = solve_ransac(&camera, &correspondences, &RansacOptions::default(), 1.0)?;
+/// assert_eq!(found.inliers, (12..40).collect::<Vec<_>>());
+/// assert!(found.world_from_camera.pose.local(&truth).norm() < 1e-6);
+/// # Ok::<(), geometry::PnpError>(())
+/// ```
 pub fn solve_ransac(
     camera: &Camera,
     correspondences: &[Correspondence],
@@ -128,7 +154,7 @@ fn check_options(options: &RansacOptions, sigma_px: f64) -> Result<(), PnpError>
     if valid { Ok(()) } else { Err(PnpError::InvalidInput) }
 }
 
-/// Where candidate poses come from.
+/// The minimal solver.
 enum Sampler {
     TwoPoint { in_world: UnitVector3<f64>, in_camera: UnitVector3<f64> },
     ThreePoint,
@@ -143,10 +169,10 @@ impl Sampler {
     }
 }
 
-/// A pose with the correspondences that agree with it.
+/// A pose with its inliers.
 struct Support {
     pose: Pose,
-    /// Sum of the squared residuals, each cut off at the squared threshold.
+    /// Sum of the squared residuals, truncated at the squared threshold.
     score: f64,
     inliers: Vec<usize>,
 }
@@ -198,7 +224,7 @@ impl Search<'_> {
         best
     }
 
-    /// Candidates from a gravity that is a little off are off by that angle.
+    /// Threshold for candidates, which includes the error of the gravity.
     fn candidate_threshold(&self) -> f64 {
         match self.sampler {
             Sampler::ThreePoint => self.options.threshold_px,
@@ -222,7 +248,7 @@ impl Search<'_> {
         poses.unwrap_or_default()
     }
 
-    /// Truncated squared residuals; stops early above `enough`.
+    /// Sum of truncated squared residuals; stops early above `enough`.
     fn score(&self, pose: &Pose, threshold: f64, enough: f64) -> f64 {
         let limit = threshold * threshold;
         let mut sum = 0.0;
@@ -252,8 +278,8 @@ impl Search<'_> {
         support
     }
 
-    /// Refines on the inliers, with a threshold that shrinks from that of a candidate to the strict one. Never worse, by
-    /// the strict score, than the pose it was given.
+    /// Local optimization: refines on the inliers with a threshold that decreases from that of a candidate to the strict
+    /// one. Never worse by the strict score than the given pose.
     fn optimize(&self, pose: &Pose, candidate_threshold: f64) -> Support {
         let strict = self.options.threshold_px;
         let mut best = self.support(pose, strict);
@@ -289,7 +315,7 @@ impl Search<'_> {
         ((SAMPLE_FACTOR * textbook).ceil() as usize).max(MIN_SAMPLES)
     }
 
-    /// The last refinement, on the final inliers.
+    /// Final refinement on the final inliers.
     fn finish(&self, support: &Support, needed: usize) -> Result<PnpSolution, PnpError> {
         let world_from_camera = self.refit(support)?;
         let last = self.support(&world_from_camera.pose, self.options.threshold_px);
@@ -305,7 +331,7 @@ impl Search<'_> {
     }
 }
 
-/// The first `size` (at most 3) of the returned numbers are distinct and below `count`; the others repeat the first.
+/// Draws `size` (at most 3) distinct indices below `count`; the remaining elements repeat the first.
 fn draw_distinct(random: &mut Xoshiro256PlusPlus, count: usize, size: usize) -> [usize; 3] {
     let mut sample = [random.random_range(0..count); 3];
     for k in 1..size.min(count) {

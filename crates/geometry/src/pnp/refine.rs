@@ -1,4 +1,4 @@
-//! Refinement of a pose on the pixels, and its covariance.
+//! Refinement of a pose on pixel residuals, and its covariance.
 
 use super::{Correspondence, PnpError};
 use crate::camera::Camera;
@@ -7,15 +7,13 @@ use crate::robust::huber;
 use crate::uncertain_pose::{PoseWithCovariance, symmetric};
 use nalgebra::{Matrix6, Vector6};
 
-/// First damping, as a part of the diagonal of the normal matrix.
+/// Initial damping relative to the diagonal of the normal matrix.
 const INITIAL_DAMPING: f64 = 1e-6;
-/// Relative fall of the cost below which the iteration has converged.
+/// Relative decrease of the cost at convergence.
 const CONVERGED: f64 = 1e-10;
-/// Length (standard deviations) of the residual of a point that has no pixel. It only keeps steps from pushing points
-/// behind the camera.
+/// Residual (standard deviations) of a point that cannot be projected; it keeps steps from moving points behind the camera.
 const UNSEEN_SIGMAS: f64 = 1e3;
-/// Smallest ratio of the eigenvalues of the normal matrix, scaled to a unit diagonal, of a pose that is fixed by its
-/// points.
+/// Minimum ratio of the eigenvalues of the normal matrix, scaled to a unit diagonal, for an observable pose.
 const MIN_CONDITION: f64 = 1e-12;
 
 /// Refines a pose by Levenberg-Marquardt on the pixel residuals.
@@ -23,16 +21,16 @@ const MIN_CONDITION: f64 = 1e-12;
 /// # Arguments
 /// * `initial`: `world_from_camera` to start from.
 /// * `sigma_px`: standard deviation of a pixel in u and in v.
-/// * `iterations`: at most so many; from a RANSAC pose 3 to 6 are used.
-/// * `huber_sigmas`: residual, in standard deviations, from which on Huber's weight falls; `None` for least squares.
+/// * `iterations`: maximum number; 3 to 6 are needed from a RANSAC pose.
+/// * `huber_sigmas`: threshold of Huber's loss in standard deviations; `None` for least squares.
 ///
 /// # Returns
-/// `world_from_camera` with the covariance `(J^T W J)^-1` of `[dtheta, dp]` in the world frame, for points that are known
-/// exactly. Points behind the camera have no part in it.
+/// `world_from_camera` with the covariance `(J^T W J)^-1` of `[dtheta, dp]` in the world frame, for exact points.
+/// Points behind the camera do not contribute.
 ///
 /// # Errors
-/// [`PnpError::TooFew`] below three points in front of the camera, [`PnpError::Degenerate`] where they do not fix the
-/// pose, [`PnpError::InvalidInput`] on NaN or infinity or a sigma that is not positive.
+/// [`PnpError::TooFew`] below three points in front of the camera, [`PnpError::Degenerate`] if the pose is not
+/// observable, [`PnpError::InvalidInput`] on NaN or infinity or a sigma that is not positive.
 pub fn refine(
     camera: &Camera,
     correspondences: &[Correspondence],
@@ -69,8 +67,8 @@ pub fn refine(
             damping = (damping * 100.0).max(1e-3);
         }
     }
-    if current.seen < 3 {
-        return Err(PnpError::TooFew { given: current.seen, needed: 3 });
+    if current.visible < 3 {
+        return Err(PnpError::TooFew { given: current.visible, needed: 3 });
     }
     let covariance = invert_information(&current.information).ok_or(PnpError::Degenerate)?;
     Ok(PoseWithCovariance::new(pose, covariance))
@@ -88,15 +86,19 @@ struct Linearization {
     cost: f64,
     gradient: Vector6<f64>,
     information: Matrix6<f64>,
-    /// Number of points that have a pixel.
-    seen: usize,
+    /// Number of points that can be projected.
+    visible: usize,
 }
 
 impl Problem<'_> {
     fn linearize(&self, world_from_camera: &Pose) -> Linearization {
         let unseen_length = UNSEEN_SIGMAS.max(f64::from(self.camera.width) * self.inverse_sigma);
-        let mut sum =
-            Linearization { cost: 0.0, gradient: Vector6::zeros(), information: Matrix6::zeros(), seen: 0 };
+        let mut sum = Linearization {
+            cost: 0.0,
+            gradient: Vector6::zeros(),
+            information: Matrix6::zeros(),
+            visible: 0,
+        };
         for correspondence in self.correspondences {
             let in_camera = world_from_camera.inverse_transform(&correspondence.point);
             let Ok((pixel, by_point)) = self.camera.project_with_jacobian(&in_camera) else {
@@ -110,13 +112,13 @@ impl Problem<'_> {
             sum.cost += loss;
             sum.gradient += jacobian.tr_mul(&residual) * weight;
             sum.information += jacobian.tr_mul(&jacobian) * weight;
-            sum.seen += 1;
+            sum.visible += 1;
         }
         sum
     }
 }
 
-/// The covariance, where the information is well-conditioned apart from the units of its rows.
+/// The covariance; `None` if the information, scaled to a unit diagonal, is ill-conditioned.
 fn invert_information(information: &Matrix6<f64>) -> Option<Matrix6<f64>> {
     let scale = information.diagonal().map(|value| 1.0 / value.sqrt());
     if !scale.iter().all(|value| value.is_finite()) {

@@ -1,12 +1,12 @@
-//! Levenberg-Marquardt over a landmark's inverse depth in its anchor view.
+//! Levenberg-Marquardt over the inverse-depth parameters of a landmark in its anchor view.
 //!
-//! The landmark is `p_anchor = (x, y, 1) / rho`. A view sees it in the direction of
+//! The landmark is `p_anchor = (x, y, 1) / rho`. Its bearing in a view is the direction of
 //!
 //! ```text
 //! h = C (x, y, 1) + rho t,      camera_from_anchor = (C, t)
 //! ```
 //!
-//! which is the point times `rho`, and has the same pixel. Even `rho = 0`, a landmark at infinity, has one.
+//! which is the point times `rho` and has the same pixel. It is defined for `rho = 0`, a landmark at infinity.
 
 use super::View;
 use crate::camera::Camera;
@@ -14,23 +14,23 @@ use crate::pose::Pose;
 use crate::robust::huber;
 use nalgebra::{Matrix3, Vector2, Vector3};
 
-/// First damping, as a part of the diagonal of the normal matrix.
+/// Initial damping relative to the diagonal of the normal matrix.
 const INITIAL_DAMPING: f64 = 1e-6;
-/// Relative fall of the cost below which the iteration has converged.
+/// Relative decrease of the cost at convergence.
 const CONVERGED: f64 = 1e-8;
 
-/// A landmark in its anchor view.
+/// Inverse-depth parameters in the anchor view.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct InverseDepth {
-    /// Normalized coordinates.
+    /// Normalized coordinate.
     pub x: f64,
-    /// Normalized coordinates.
+    /// Normalized coordinate.
     pub y: f64,
     /// Inverse depth, 1/m.
     pub rho: f64,
 }
 
-/// What the iteration needs to know of a view.
+/// A view relative to the anchor.
 pub(super) struct ViewGeometry<'a> {
     camera: &'a Camera,
     pixel: Vector2<f64>,
@@ -83,15 +83,15 @@ struct Linearization {
     information: Matrix3<f64>,
 }
 
-/// Where the iteration ended.
+/// The result of the iteration.
 pub(super) struct Solution {
     pub estimate: InverseDepth,
-    /// Of `(x, y, rho)`.
+    /// Information of `(x, y, rho)`.
     pub information: Matrix3<f64>,
 }
 
 impl Residuals<'_> {
-    /// `None` where a view cannot see the landmark.
+    /// `None` if a view cannot observe the landmark.
     fn linearize(&self, landmark: &InverseDepth) -> Option<Linearization> {
         let mut cost = 0.0;
         let mut gradient = Vector3::zeros();
@@ -120,7 +120,7 @@ impl Residuals<'_> {
         Some(Linearization { cost, gradient, information })
     }
 
-    /// Mean length of the residuals (pixels); infinite where a view cannot see the landmark.
+    /// Mean norm of the residuals (pixels); infinite if a view cannot observe the landmark.
     pub fn mean_length(&self, landmark: &InverseDepth) -> f64 {
         let length = |view: &ViewGeometry| {
             view.camera
@@ -131,8 +131,8 @@ impl Residuals<'_> {
     }
 }
 
-/// Minimizes from a linear solution (metres, anchor frame), or from the anchor's ray at infinity where that solution is
-/// missing or behind a camera. `None` where neither can be seen by all views.
+/// Minimizes from a linear solution (metres, anchor frame), or from infinity along the anchor ray if that solution is
+/// missing or behind a camera. `None` if neither is observable by all views.
 pub(super) fn solve(
     residuals: &Residuals,
     anchor: &Vector2<f64>,

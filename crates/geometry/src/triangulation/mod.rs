@@ -1,4 +1,4 @@
-//! The position of a landmark from pixels of cameras whose poses are known.
+//! Triangulation of landmarks from cameras with known poses.
 
 mod inverse_depth;
 
@@ -8,39 +8,38 @@ use inverse_depth::{InverseDepth, Residuals, ViewGeometry};
 use nalgebra::{Matrix3, Vector2, Vector3};
 use smallvec::SmallVec;
 
-/// Views up to this number need no memory from the heap: a filter's window of stereo images.
+/// Number of views without heap allocation: the sliding window of a filter with stereo images.
 const USUAL_VIEWS: usize = 48;
 
-/// One sight of the landmark.
+/// One observation of the landmark.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct View {
-    /// Pose of the camera; all views share the parent frame.
+    /// Pose of the camera; all views have the same parent frame.
     pub parent_from_camera: Pose,
-    /// Distorted pixel, as the camera saw it.
+    /// Distorted pixel.
     pub pixel: Vector2<f64>,
     /// Standard deviation of the pixel in u and in v, pixels.
     pub sigma_px: f64,
 }
 
-/// When a triangulation is good enough.
+/// Settings and acceptance thresholds of [`triangulate`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TriangulationOptions {
-    /// Smallest angle (radians) between the first ray and the one that differs most from it.
+    /// Minimum parallax (radians): largest angle between the first ray and any other.
     pub min_parallax: f64,
-    /// Largest standard deviation of the inverse depth in the first camera, as a part of the inverse depth. Beyond it
-    /// the covariance no longer describes the error.
+    /// Maximum standard deviation of the inverse depth in the first camera, relative to the inverse depth. Beyond it the
+    /// error is not Gaussian.
     pub max_relative_depth_sigma: f64,
-    /// Smallest depth (metres) in any view.
+    /// Minimum depth in any view, metres.
     pub min_depth: f64,
-    /// Largest number of Levenberg-Marquardt iterations after the linear solution.
+    /// Maximum number of Levenberg-Marquardt iterations after the linear solution.
     pub max_iterations: usize,
-    /// Residual, in standard deviations, from which on Huber's weight falls; infinite for plain least squares.
+    /// Threshold of Huber's loss in standard deviations; infinite for least squares.
     pub huber_sigmas: f64,
 }
 
 impl Default for TriangulationOptions {
-    /// 2 mrad (one pixel at a focal length of 500), depth known to a factor of two, no nearer than 5 cm, 5 iterations,
-    /// not robust.
+    /// 2 mrad (one pixel at a focal length of 500), 50 % relative depth sigma, 5 cm, 5 iterations, least squares.
     fn default() -> Self {
         Self {
             min_parallax: 2e-3,
@@ -52,24 +51,25 @@ impl Default for TriangulationOptions {
     }
 }
 
-/// A landmark.
+/// A triangulated landmark.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Triangulated {
-    /// In the parent frame of the views, metres.
+    /// Position in the parent frame of the views, metres.
     pub position: Vector3<f64>,
-    /// Of the position, for the sigmas of the views and exact poses (m^2, parent frame).
+    /// Covariance of the position for the sigmas of the views and exact poses (m^2, parent frame).
     pub covariance: Matrix3<f64>,
-    /// Mean length of the pixel residuals, pixels.
+    /// Mean norm of the pixel residuals, pixels.
     pub mean_reprojection_error: f64,
 }
 
 /// Why a landmark could not be triangulated.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
 pub enum TriangulationError {
     /// Fewer than two views.
     #[error("{0} views; at least two are needed")]
     TooFewViews(usize),
-    /// As many cameras as views are needed.
+    /// The number of cameras is not the number of views.
     #[error("{cameras} cameras for {views} views")]
     LengthMismatch {
         /// Number of cameras given.
@@ -77,17 +77,17 @@ pub enum TriangulationError {
         /// Number of views given.
         views: usize,
     },
-    /// NaN, infinity, or a sigma that is not positive.
+    /// NaN or infinity, or a sigma that is not positive.
     #[error("a pose, pixel or sigma is not finite or not positive")]
     InvalidInput,
-    /// A pixel without a ray.
-    #[error("a pixel has no ray: {0}")]
-    NoRay(ProjectionError),
+    /// A pixel that cannot be unprojected.
+    #[error("a pixel cannot be unprojected: {0}")]
+    NoRay(#[source] ProjectionError),
     /// The rays are too close to parallel, or the depth is too uncertain.
-    #[error("the rays are too close to parallel to tell the depth")]
+    #[error("the rays are too close to parallel to observe the depth")]
     Degenerate,
-    /// The solution lies behind a camera, or nearer than the smallest depth.
-    #[error("the landmark is behind or too near to a camera")]
+    /// The solution lies behind a camera or below the minimum depth.
+    #[error("the landmark is behind or too close to a camera")]
     BehindCamera,
 }
 
@@ -97,17 +97,37 @@ pub enum TriangulationError {
 /// in the first view.
 ///
 /// # Arguments
-/// * `camera_of_view`: n cameras, one a view (the same reference may repeat).
+/// * `camera_of_view`: n cameras, one per view (references may repeat).
 /// * `views`: n views, in any order; the first is the anchor of the inverse depth.
 ///
 /// # Returns
-/// The landmark in the common parent frame of the views (metres), its covariance (m^2), and how well it fits. The fit is
-/// not judged: an outlying pixel shows in `mean_reprojection_error` and [`reprojection_error`].
+/// The landmark in the common parent frame of the views (metres), its covariance (m^2), and the mean residual. Outliers
+/// are not rejected: they show in `mean_reprojection_error` and [`reprojection_error`].
 ///
 /// # Errors
-/// [`TriangulationError::TooFewViews`] below two views, [`TriangulationError::Degenerate`] where the parallax is below
-/// `min_parallax` or the depth more uncertain than `max_relative_depth_sigma`, [`TriangulationError::BehindCamera`],
+/// [`TriangulationError::TooFewViews`] below two views, [`TriangulationError::Degenerate`] if the parallax is below
+/// `min_parallax` or the relative depth sigma above `max_relative_depth_sigma`, [`TriangulationError::BehindCamera`],
 /// [`TriangulationError::NoRay`], [`TriangulationError::InvalidInput`], [`TriangulationError::LengthMismatch`].
+///
+/// # Example
+/// ```
+/// use geometry::{Camera, Distortion, Pose, TriangulationOptions, View, triangulate};
+/// use nalgebra::Vector3;
+///
+/// let camera =
+///     Camera { width: 752, height: 480, focal: [460.0; 2], centre: [376.0, 240.0], distortion: Distortion::None };
+/// let landmark = Vector3::new(0.3, -0.2, 4.0);
+/// let views = [0.0, 0.1, 0.2].map(|x| {
+///     let global_from_camera = Pose { translation: Vector3::new(x, 0.0, 0.0), ..Pose::identity() };
+///     let pixel = camera.project(&global_from_camera.inverse_transform(&landmark)).unwrap();
+///     View { parent_from_camera: global_from_camera, pixel, sigma_px: 1.0 }
+/// });
+/// let triangulated = triangulate(&[&camera; 3], &views, &TriangulationOptions::default())?;
+/// assert!((triangulated.position - landmark).norm() < 1e-6);
+/// // The depth is the least certain direction.
+/// assert!(triangulated.covariance.m33 > triangulated.covariance.m11);
+/// # Ok::<(), geometry::TriangulationError>(())
+/// ```
 ///
 /// Source: Mourikis & Roumeliotis, ICRA 2007, appendix; Civera, Davison & Montiel, T-RO 2008 (inverse depth).
 pub fn triangulate(
@@ -134,7 +154,7 @@ pub fn triangulate(
 
     let InverseDepth { x, y, rho } = solution.estimate;
     if rho <= 0.0 {
-        // Rays that diverge within their noise are at infinity; rays that clearly diverge meet behind the cameras.
+        // Rays that diverge within their noise intersect at infinity; rays that clearly diverge, behind the cameras.
         let sigma = solution.information.try_inverse().map_or(f64::INFINITY, |c| c.m33.sqrt());
         let behind = -rho > 3.0 * sigma;
         return Err(if behind { TriangulationError::BehindCamera } else { TriangulationError::Degenerate });
@@ -160,11 +180,11 @@ pub fn triangulate(
     })
 }
 
-/// Distance (pixels) between where a view saw the landmark and where it should have seen a `position` (metres, parent
-/// frame of the view).
+/// Distance (pixels) between the observed pixel of a view and the projection of a `position` (metres, parent frame of
+/// the view).
 ///
 /// # Errors
-/// [`ProjectionError`] where the position has no pixel in the view.
+/// [`ProjectionError`] if the position cannot be projected.
 pub fn reprojection_error(
     camera: &Camera,
     view: &View,
@@ -220,7 +240,7 @@ impl RaySystem {
         self.right += projector * centre;
     }
 
-    /// The largest angle to the first ray, radians (up to a right angle).
+    /// Largest angle to the first ray, radians (at most a right angle).
     fn parallax(&self) -> f64 {
         self.max_sin_squared.min(1.0).sqrt().asin()
     }

@@ -5,6 +5,7 @@ use geometry::{Camera, Distortion, Pose, rotation};
 use nalgebra::{SVector, Vector2, Vector3};
 use rand::rngs::Xoshiro256PlusPlus;
 use rand::{RngExt, SeedableRng};
+use rand_distr::StandardNormal;
 
 /// A generator of random numbers for tests.
 pub struct Random(Xoshiro256PlusPlus);
@@ -22,10 +23,8 @@ impl Random {
         self.0.random_range(0..count)
     }
 
-    /// Box & Muller.
     pub fn normal(&mut self) -> f64 {
-        let u = self.uniform(1e-300, 1.0);
-        (-2.0 * u.ln()).sqrt() * (std::f64::consts::TAU * self.uniform(0.0, 1.0)).cos()
+        self.0.sample(StandardNormal)
     }
 
     pub fn normal_vector<const N: usize>(&mut self) -> SVector<f64, N> {

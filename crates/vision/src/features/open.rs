@@ -1,22 +1,23 @@
-//! Extractors by name, as a configuration or a map names them.
+//! Extractors by name, as in a configuration or a map.
 
-use super::FeatureExtractor;
 use super::classical::SiftExtractor;
+use super::extractor::FeatureExtractor;
 use std::path::Path;
 
-/// The extractor that needs no weights.
+/// The default extractor, which needs no weights.
 pub const DEFAULT_EXTRACTOR: &str = "sift-1";
 
 /// The names that [`open`] knows; all but the first need the feature `neural`.
 pub const KNOWN: [&str; 3] = [DEFAULT_EXTRACTOR, super::weights::XFEAT.name, super::weights::R2D2.name];
 
-/// Why an extractor is not to be had.
+/// Why an extractor could not be opened.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum OpenError {
     /// No extractor has that name.
-    #[error("there is no extractor named {0}; known are {known}", known = KNOWN.join(", "))]
+    #[error("unknown extractor {0}; known extractors: {known}", known = KNOWN.join(", "))]
     UnknownExtractor(String),
-    /// The program was built without networks.
+    /// The program was built without the feature `neural`.
     #[error("extractor {0} needs a program built with `--features neural`")]
     NeedsNeural(String),
     /// The weights are missing or damaged.
@@ -28,7 +29,7 @@ pub enum OpenError {
 /// Opens an extractor by its name.
 ///
 /// # Arguments
-/// * `weights_dir`: where the weights of networks are; by default [`super::weights::default_folder`].
+/// * `weights_dir`: the folder of network weights; by default [`super::weights::default_folder`].
 ///
 /// # Errors
 /// [`OpenError`].

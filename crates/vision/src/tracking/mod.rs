@@ -1,16 +1,17 @@
-//! Following points from image to image and from camera to camera: the front end of visual odometry.
+//! Feature tracking from image to image and between stereo cameras: the front end of visual odometry.
 //!
 //! | module | what |
 //! |---|---|
-//! | [`lucas_kanade`] | finds a patch of one image in another |
-//! | [`relative_pose`] | motion between two views from bearings |
-//! | [`outliers`] | which tracks do not follow the scene |
-//! | [`stereo`] | finds a point in the second camera |
-//! | [`frame`] | what goes into the tracker and what comes out |
-//! | [`tracker`] | puts all together: images in, tracks out |
+//! | [`lucas_kanade`] | alignment of a patch with another image |
+//! | [`relative_pose`] | relative pose of two images from bearings |
+//! | [`outliers`] | outlier rejection by RANSAC on the epipolar geometry |
+//! | [`stereo`] | stereo matching in the second camera |
+//! | [`frames`] | input and output of the tracker |
+//! | [`options`] | settings of the tracker |
+//! | [`tracker`] | the tracker: images in, tracks out |
 
 mod block;
-pub mod frame;
+pub mod frames;
 pub mod lucas_kanade;
 pub mod options;
 pub mod outliers;
@@ -20,12 +21,10 @@ pub mod stereo;
 mod template;
 pub mod tracker;
 
-pub use frame::{TrackedPixel, TrackerError, TrackerFrame, TrackerReport};
-pub use lucas_kanade::{AlignmentOptions, Found, Lost, Warp, align, align_mutually};
+pub use frames::{TrackedPixel, TrackerError, TrackerFrame, TrackerReport};
+pub use lucas_kanade::{Alignment, AlignmentError, AlignmentOptions, Warp, align, align_with_backward_check};
 pub use options::TrackerOptions;
 pub use outliers::{Consensus, OutlierOptions, find_outliers};
-pub use relative_pose::{BearingPair, Refinement, RelativePose, rotation_between};
+pub use relative_pose::{BearingPair, RefinementOptions, RelativePose, rotation_between};
 pub use stereo::{StereoMatch, StereoOptions, StereoPair};
 pub use tracker::Tracker;
-
-pub(crate) use template::smaller_eigenvalue;

@@ -3,12 +3,13 @@
 use super::lucas_kanade::AlignmentOptions;
 use super::outliers::OutlierOptions;
 use super::stereo::StereoOptions;
-use crate::corners::CornerOptions;
-use crate::equalization::Equalization;
+use crate::detection::CornerOptions;
+use crate::image::Equalization;
 use crate::image::GrayImage;
 
-/// Settings of a [`super::Tracker`], to be changed one by one.
+/// Settings of a [`super::Tracker`].
 ///
+/// # Example
 /// ```
 /// use vision::Equalization;
 /// use vision::tracking::TrackerOptions;
@@ -16,22 +17,23 @@ use crate::image::GrayImage;
 /// assert_eq!(options.points, 150);
 /// ```
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct TrackerOptions {
-    /// How many points to keep in sight.
+    /// Number of points to track.
     pub points: usize,
-    /// Which corners to take.
+    /// Corner detection.
     pub corners: CornerOptions,
-    /// How patches are found from image to image.
+    /// Alignment from image to image.
     pub alignment: AlignmentOptions,
-    /// How they are found in the second camera.
+    /// Stereo matching.
     pub stereo: StereoOptions,
-    /// Which tracks are thrown out.
+    /// Outlier rejection.
     pub outliers: OutlierOptions,
-    /// What is done to an image first.
+    /// Preprocessing of the images.
     pub equalization: Equalization,
-    /// Nothing is tracked where these are zero, one a camera; of the size of the camera's images.
+    /// One mask per camera, of the size of its images; nothing is tracked where it is zero.
     pub masks: [Option<GrayImage>; 2],
-    /// Time between two images above which all tracks end, nanoseconds.
+    /// Maximum interval between two images, nanoseconds; after a longer one all tracks end.
     pub max_gap_ns: i64,
 }
 
@@ -51,28 +53,28 @@ impl Default for TrackerOptions {
 }
 
 impl TrackerOptions {
-    /// How many points to keep in sight.
+    /// Number of points to track.
     pub fn points(mut self, points: usize) -> Self {
         self.points = points;
         self
     }
 
-    /// What is done to an image first.
+    /// Preprocessing of the images.
     pub fn equalization(mut self, equalization: Equalization) -> Self {
         self.equalization = equalization;
         self
     }
 
-    /// Nothing is tracked where the mask of a camera (0 or 1) is zero.
+    /// Sets the mask of a camera (0 or 1); nothing is tracked where it is zero.
     ///
     /// # Panics
-    /// For a third camera.
+    /// If `camera` is not 0 or 1.
     pub fn mask(mut self, camera: usize, mask: GrayImage) -> Self {
         self.masks[camera] = Some(mask);
         self
     }
 
-    /// Time between two images above which all tracks end, nanoseconds.
+    /// Maximum interval between two images, nanoseconds; after a longer one all tracks end.
     pub fn max_gap_ns(mut self, max_gap_ns: i64) -> Self {
         self.max_gap_ns = max_gap_ns;
         self

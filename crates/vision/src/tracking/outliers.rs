@@ -1,24 +1,24 @@
-//! Which tracks follow the scene and which do not: RANSAC on the epipolar geometry of two images.
+//! Outlier rejection: RANSAC on the epipolar geometry of two images.
 //!
-//! With the rotation from the gyroscope two points give the direction of motion: it is orthogonal to every
-//! `(R f) x g`. Without, five points are adjusted from a small motion on. Either way the best hypothesis is refined on
-//! all points, the rotation included: a gyroscope has a bias.
+//! With the rotation from a gyroscope two points give the direction of translation: it is orthogonal to every
+//! `(R f) x g`. Without it, a relative pose is fitted to five points, starting from a small motion. The best hypothesis
+//! is refined on all inliers, rotation included, because gyroscopes have a bias.
 //!
 //! Sources: Fischler & Bolles, CACM 1981; Troiani et al., "2-point-based outlier rejection for camera-IMU systems",
 //! ICRA 2014; the five-point step in [`super::relative_pose`].
 
-use super::relative_pose::{BearingPair, Refinement, RelativePose, rotation_between};
+use super::relative_pose::{BearingPair, RefinementOptions, RelativePose, rotation_between};
 use geometry::Rotation;
 use nalgebra::Vector3;
 
 /// Settings of [`find_outliers`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OutlierOptions {
-    /// Angle from the epipolar line beyond which a track is an outlier, radians.
+    /// Maximum angle between an inlier and its epipolar plane, radians.
     pub threshold: f64,
-    /// Most hypotheses to try.
+    /// Maximum number of hypotheses.
     pub max_hypotheses: usize,
-    /// Same seed, same result.
+    /// Seed of the random samples; the same seed and input give the same result.
     pub seed: u64,
 }
 
@@ -29,31 +29,29 @@ impl Default for OutlierOptions {
     }
 }
 
-/// What [`find_outliers`] found.
+/// The result of [`find_outliers`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Consensus {
-    /// For each pair whether it fits.
+    /// For each pair whether it is an inlier.
     pub inliers: Vec<bool>,
-    /// The motion that most pairs agree on.
+    /// The relative pose with the most inliers.
     pub pose: RelativePose,
 }
 
-/// Probability that at least one sample without outliers was drawn, at which drawing ends.
+/// Probability of having drawn a sample without outliers at which sampling ends.
 const CONFIDENCE: f64 = 0.999;
-/// Pairs below which nothing can be said: five unknowns, and some pairs to contradict them.
+/// Minimum number of pairs: five unknowns and some redundancy.
 const MIN_PAIRS: usize = 8;
-/// Rounds of refinement and recounting.
+/// Rounds of refinement and inlier selection.
 const REFINEMENTS: usize = 4;
 
-/// Separates the pairs that one rigid scene explains from the rest.
+/// Separates inliers of one relative pose from outliers.
 ///
 /// # Arguments
-/// * `rotation`: `current_from_previous`, where it is known, and how well: standard deviation, radians. The refinement
-///   corrects it within that.
+/// * `rotation`: `current_from_previous`, if known, and its standard deviation (radians), a prior of the refinement.
 ///
 /// # Returns
-/// None with fewer than eight pairs, or where no motion explains even five of them: then nothing is known about any
-/// of them.
+/// `None` with fewer than eight pairs, or if no relative pose has five inliers.
 pub fn find_outliers(
     pairs: &[BearingPair],
     rotation: Option<(&Rotation, f64)>,
@@ -65,12 +63,17 @@ pub fn find_outliers(
     let mut search = Search { pairs, options, random: SplitMix(options.seed), best: None };
     match rotation {
         Some((rotation, _)) => search.known_rotation(rotation),
-        None => search.free(),
+        None => search.unknown_rotation(),
     }
     let (mut pose, mut count) = search.best?;
     let sigma = rotation.map_or(f64::INFINITY, |(_, sigma)| sigma);
     let noise = options.threshold / 3.0;
-    let refinement = Refinement { scale: options.threshold, noise, rotation_sigma: sigma, iterations: 4 };
+    let refinement = RefinementOptions {
+        scale: options.threshold,
+        sigma_bearing_rad: noise,
+        sigma_rotation_rad: sigma,
+        iterations: 4,
+    };
     for _ in 0..REFINEMENTS {
         let near = |pair: &&BearingPair| pose.residual(pair) < 2.0 * options.threshold;
         let fitting: Vec<BearingPair> = pairs.iter().filter(near).copied().collect();
@@ -102,44 +105,44 @@ impl Search<'_> {
         self.pairs.iter().filter(|pair| pose.residual(pair) < self.options.threshold).count()
     }
 
-    fn offer(&mut self, pose: RelativePose) {
+    fn consider(&mut self, pose: RelativePose) {
         let count = self.count(&pose);
         if self.best.is_none_or(|(_, best)| count > best) {
             self.best = Some((pose, count));
         }
     }
 
-    /// Whether enough samples of `size` pairs were drawn.
+    /// Whether enough samples of `size` pairs have been drawn.
     fn is_enough(&self, drawn: usize, size: i32) -> bool {
-        let share = self.best.map_or(0.0, |(_, count)| count as f64 / self.pairs.len() as f64);
-        let failing = (1.0 - share.powi(size)).max(1e-12);
+        let inlier_ratio = self.best.map_or(0.0, |(_, count)| count as f64 / self.pairs.len() as f64);
+        let failing = (1.0 - inlier_ratio.powi(size)).max(1e-12);
         drawn as f64 * failing.ln() < (1.0 - CONFIDENCE).ln()
     }
 
     fn known_rotation(&mut self, rotation: &Rotation) {
         let normals: Vec<Vector3<f64>> =
             self.pairs.iter().map(|pair| (rotation * pair.previous).cross(&pair.current)).collect();
-        // Standing still is a hypothesis of its own: every direction explains it.
-        self.offer(RelativePose { current_from_previous: *rotation, direction: Vector3::z() });
+        // Pure rotation is a hypothesis of its own: any direction of translation explains it.
+        self.consider(RelativePose { current_from_previous: *rotation, direction: Vector3::z() });
         let mut drawn = 0;
         while drawn < self.options.max_hypotheses && !self.is_enough(drawn, 2) {
             drawn += 1;
             let [i, j] = self.random.distinct::<2>(self.pairs.len());
             let Some(direction) = normals[i].cross(&normals[j]).try_normalize(1e-12) else { continue };
             for direction in [direction, -direction] {
-                self.offer(RelativePose { current_from_previous: *rotation, direction });
+                self.consider(RelativePose { current_from_previous: *rotation, direction });
             }
         }
     }
 
-    fn free(&mut self) {
-        // What translation adds to the motion of a point is mostly below this many thresholds.
-        let turned = rotation_between(self.pairs, 10.0 * self.options.threshold, 10);
-        self.offer(RelativePose { current_from_previous: turned, direction: Vector3::z() });
-        let refinement = Refinement {
+    fn unknown_rotation(&mut self) {
+        // The parallax of most points is below this many thresholds.
+        let rotation = rotation_between(self.pairs, 10.0 * self.options.threshold, 10);
+        self.consider(RelativePose { current_from_previous: rotation, direction: Vector3::z() });
+        let refinement = RefinementOptions {
             scale: f64::INFINITY,
-            noise: self.options.threshold / 3.0,
-            rotation_sigma: f64::INFINITY,
+            sigma_bearing_rad: self.options.threshold / 3.0,
+            sigma_rotation_rad: f64::INFINITY,
             iterations: 8,
         };
         let mut drawn = 0;
@@ -147,10 +150,10 @@ impl Search<'_> {
             let direction = [Vector3::x(), Vector3::y(), Vector3::z()][drawn % 3];
             drawn += 1;
             let sample = self.random.distinct::<5>(self.pairs.len()).map(|index| self.pairs[index]);
-            let start = RelativePose { current_from_previous: turned, direction };
+            let start = RelativePose { current_from_previous: rotation, direction };
             let Some(pose) = start.refined(&sample, &refinement) else { continue };
-            self.offer(pose);
-            self.offer(RelativePose { direction: -pose.direction, ..pose });
+            self.consider(pose);
+            self.consider(RelativePose { direction: -pose.direction, ..pose });
         }
     }
 }

@@ -1,11 +1,11 @@
-//! Rotation and direction of motion between two views, from bearings: residual and Gauss-Newton refinement.
+//! Relative pose of two images from bearings, up to scale: residual and Gauss-Newton refinement.
 //!
-//! For unit bearings `f` (before) and `g` (after) and `R` = `current_from_previous`, the point lies somewhere on the
-//! great half-circle from `R f` (infinitely far) to `t` (where the camera was, seen from where it is). The residual is
-//! the angle of `g` to that half-circle. It never exceeds the angle between `g` and `R f`, so that points are
-//! explained by any direction while the camera stands or only turns.
+//! For unit bearings `f` (previous) and `g` (current) and `R` = `current_from_previous`, the current bearing lies on the
+//! great half-circle from `R f` (a point at infinity) to `t` (the direction of the previous camera centre). The residual
+//! is the angle between `g` and that half-circle. It never exceeds the angle between `g` and `R f`, so that any
+//! direction explains the points under pure rotation.
 //!
-//! Source of the refinement from nearby: Lui & Drummond, "An iterative 5-pt algorithm for fast and robust essential
+//! Source of the refinement: Lui & Drummond, "An iterative 5-pt algorithm for fast and robust essential
 //! matrix estimation", BMVC 2013.
 
 use geometry::Rotation;
@@ -26,27 +26,28 @@ pub struct BearingPair {
 pub struct RelativePose {
     /// Takes vectors of the previous camera frame to the current one.
     pub current_from_previous: Rotation,
-    /// Unit vector towards where the camera was, in the current camera frame. Arbitrary where the camera stood.
+    /// Unit vector towards the previous camera centre, in the current camera frame. Arbitrary without translation.
     pub direction: Vector3<f64>,
 }
 
-/// How [`RelativePose::refined`] weighs and ends.
+/// Settings of [`RelativePose::refined`].
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Refinement {
-    /// Pairs beyond this angle count less and less (Geman-McClure), radians; infinite to weigh all alike.
+pub struct RefinementOptions {
+    /// Scale of the robust loss (Geman-McClure), radians; infinite for least squares.
     pub scale: f64,
-    /// Noise of a bearing, radians.
-    pub noise: f64,
-    /// How well the rotation is known from elsewhere, radians; infinite if not at all.
-    pub rotation_sigma: f64,
-    /// Steps of Gauss and Newton.
+    /// Standard deviation of a bearing, radians.
+    pub sigma_bearing_rad: f64,
+    /// Prior standard deviation of the rotation, radians; infinite without a prior.
+    pub sigma_rotation_rad: f64,
+    /// Gauss-Newton iterations.
     pub iterations: usize,
 }
 
-/// The rotation alone that brings most pairs together: least squares on the sphere, robust against the others.
+/// The pure rotation `current_from_previous` that best aligns the bearings: robust least squares on the sphere.
 ///
 /// # Arguments
-/// * `scale`: pairs that are further apart count less and less, radians.
+/// * `scale`: scale of the Geman-McClure loss, radians.
+/// * `iterations`: Gauss-Newton iterations.
 pub fn rotation_between(pairs: &[BearingPair], scale: f64, iterations: usize) -> Rotation {
     let mut rotation = Rotation::identity();
     for _ in 0..iterations {
@@ -66,7 +67,7 @@ pub fn rotation_between(pairs: &[BearingPair], scale: f64, iterations: usize) ->
 }
 
 impl RelativePose {
-    /// The angle by which a pair does not fit, radians.
+    /// Angle between the current bearing and its epipolar half-circle, radians.
     pub fn residual(&self, pair: &BearingPair) -> f64 {
         let far = self.current_from_previous * pair.previous;
         let moved = pair.current - far;
@@ -74,20 +75,20 @@ impl RelativePose {
         let normal = self.direction.cross(&far);
         let length = normal.norm();
         if length < 1e-9 || moved.dot(&along) < 0.0 {
-            // Towards the wrong side of the circle: the nearest point of the half-circle is its beginning.
+            // Behind the half-circle: its nearest point is the bearing at infinity.
             return moved.norm();
         }
         (pair.current.dot(&normal) / length).abs().min(moved.norm())
     }
 
-    /// Least squares of the angles to the epipolar planes, from this pose on.
+    /// Minimizes the angles to the epipolar planes by Gauss-Newton, starting from this pose.
     ///
     /// # Returns
-    /// None where the equations have no solution.
-    pub fn refined(&self, pairs: &[BearingPair], options: &Refinement) -> Option<Self> {
-        // Keeps the direction where nothing moved: a parallax of a tenth of the noise counts for nothing.
-        let damping = 1e-2 * options.noise * options.noise;
-        let prior = (options.noise / options.rotation_sigma).powi(2);
+    /// `None` if the normal equations are singular.
+    pub fn refined(&self, pairs: &[BearingPair], options: &RefinementOptions) -> Option<Self> {
+        // Damps the direction without translation: a parallax of a tenth of the noise has no influence.
+        let damping = 1e-2 * options.sigma_bearing_rad * options.sigma_bearing_rad;
+        let prior = (options.sigma_bearing_rad / options.sigma_rotation_rad).powi(2);
         let mut pose = *self;
         let mut correction = Vector3::zeros();
         for _ in 0..options.iterations {

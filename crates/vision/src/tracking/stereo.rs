@@ -1,22 +1,25 @@
-//! The second camera of a pair: finds there what the first one tracks.
+//! Stereo matching: points of the first camera in the second.
 //!
-//! The search starts where the point would be at its distance of the image before, or at the usual distance in this
-//! image. What was found must lie near the epipolar line of the pixel in the first image, and in front of both.
+//! The search starts at the inverse depth of the previous image or at the median of this image. A match must lie near
+//! the epipolar line of the pixel and in front of both cameras.
 
-use super::lucas_kanade::{AlignmentOptions, Found, align_mutually};
-use super::prediction::{Sight, predict};
-use crate::pyramid::Pyramid;
+use super::lucas_kanade::{Alignment, AlignmentOptions, align_with_backward_check};
+use super::prediction::{Ray, predict};
+use crate::image::Pyramid;
 use geometry::{Camera, Pose};
 use nalgebra::Vector2;
 
-/// Two calibrated cameras with a fixed pose to each other.
+/// A calibrated stereo pair.
+///
+/// # Coordinate systems
+/// `second_from_first` maps coordinates of the first camera frame to the second (x right, y down, z forward, metres).
 #[derive(Clone, Debug, PartialEq)]
 pub struct StereoPair {
     /// The first camera.
     pub first: Camera,
     /// The second camera.
     pub second: Camera,
-    /// Pose of the first camera in the frame of the second, metres.
+    /// Pose of the first camera in the frame of the second.
     pub second_from_first: Pose,
 }
 
@@ -25,9 +28,9 @@ pub struct StereoPair {
 pub struct StereoOptions {
     /// Settings of the alignment.
     pub alignment: AlignmentOptions,
-    /// Furthest from the epipolar line, pixels. Twice the noise of a track and what calibration leaves.
+    /// Maximum distance to the epipolar line, pixels: twice the noise of a track, plus calibration errors.
     pub max_epipolar_error: f64,
-    /// Largest inverse depth to believe, 1/m.
+    /// Maximum inverse depth, 1/m.
     pub max_inverse_depth: f64,
 }
 
@@ -37,24 +40,25 @@ impl Default for StereoOptions {
     }
 }
 
-/// A point in the second camera.
+/// A match in the second camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StereoMatch {
-    /// Where the second camera sees it, pixels.
+    /// Distorted pixel in the second camera.
     pub pixel: Vector2<f64>,
-    /// Its inverse depth in the first camera, 1/m; 0 where it is too far to tell.
+    /// Inverse depth in the first camera, 1/m; 0 at infinity.
     pub inverse_depth: f64,
 }
 
 impl StereoPair {
-    /// Looks for a pixel of the first camera in the second.
+    /// Finds a pixel of the first camera in the second.
     ///
     /// # Arguments
-    /// * `first`, `second`: what the cameras see at the same instant.
-    /// * `guesses`: inverse depths (1/m) to start from, in this order until one leads to a match.
+    /// * `first`, `second`: images of both cameras at the same time.
+    /// * `pixel`: distorted pixel in the first image.
+    /// * `guesses`: initial inverse depths (1/m), tried in this order until one leads to a match.
     ///
     /// # Returns
-    /// None where nothing is there that fits.
+    /// `None` without a match that satisfies the epipolar constraint.
     pub fn find(
         &self,
         first: &Pyramid,
@@ -63,21 +67,22 @@ impl StereoPair {
         guesses: &[f64],
         options: &StereoOptions,
     ) -> Option<StereoMatch> {
-        let sight = Sight::new(&self.first, pixel)?;
+        let ray = Ray::new(&self.first, pixel)?;
         guesses.iter().find_map(|inverse_depth| {
-            let guess = predict(&self.first, &self.second, &self.second_from_first, &sight, *inverse_depth)?;
-            let found = align_mutually(first, second, pixel.cast(), &guess, &options.alignment).ok()?;
-            self.check(&sight, &found, options)
+            let guess = predict(&self.first, &self.second, &self.second_from_first, &ray, *inverse_depth)?;
+            let found =
+                align_with_backward_check(first, second, pixel.cast(), &guess, &options.alignment).ok()?;
+            self.check(&ray, &found, options)
         })
     }
 
-    /// What was found, if it lies on the epipolar line and in front of both cameras.
-    fn check(&self, sight: &Sight, found: &Found, options: &StereoOptions) -> Option<StereoMatch> {
+    /// The match, if it satisfies the epipolar constraint and lies in front of both cameras.
+    fn check(&self, ray: &Ray, found: &Alignment, options: &StereoOptions) -> Option<StereoMatch> {
         let pixel: Vector2<f64> = found.warp.centre.cast();
         let normalized = self.second.unproject(&pixel).ok()?;
-        let far = self.second_from_first.rotation * sight.normalized.push(1.0);
+        let far = self.second_from_first.rotation * ray.normalized.push(1.0);
         let towards = self.second_from_first.translation;
-        // The depth along the line far + inverse_depth * towards that is nearest in the second image.
+        // The inverse depth whose point on the line `far + inverse_depth * towards` is nearest in the second image.
         let (a, b) = (far.xy() - normalized * far.z, towards.xy() - normalized * towards.z);
         let inverse_depth = (-a.dot(&b) / b.norm_squared()).max(0.0);
         if inverse_depth.is_nan() || inverse_depth > options.max_inverse_depth {

@@ -1,9 +1,9 @@
-//! What a patch looked like, prepared so that it can be found again quickly.
+//! The template of a patch for inverse compositional alignment.
 //!
-//! Alignment is inverse compositional: the gradients and the normal matrix belong to the template and are worked out
-//! once. A change of brightness `I = gain * T + bias` is taken out of the problem instead of being estimated: the
-//! Jacobian's columns are made orthogonal to the constant and to the template, so that neither bias nor gain reaches
-//! the step, and the gain that scales the step is a projection.
+//! Gradients and normal matrix belong to the template and are computed once. A brightness change
+//! `I = gain * T + bias` is projected out instead of being estimated: the columns of the Jacobian are made orthogonal to
+//! the constant and to the template, so that neither bias nor gain affects the step; the gain that scales the step is a
+//! projection.
 //!
 //! ```text
 //! I(c + A x) ~ gain T(x + D x + d) + bias,    J = [ gx gy | gx x  gx y  gy x  gy y ],    Jp = (1 - projections) J
@@ -14,11 +14,12 @@
 //! "Efficient region tracking", PAMI 1998 (projecting out linear appearance change).
 
 use super::block::{Block, HALF, Patch, SIDE, centre, dot, subtract};
+use crate::detection::score::smaller_eigenvalue;
 use crate::image::GrayImage;
 use nalgebra::{SMatrix, SVector, Vector2};
 
-/// Smallest eigenvalue of the normal matrix of the translation, per sample: (grey levels / px)^2. Below it a patch is
-/// an edge or plain and does not say where it is. Noise alone of one grey level gives 0.5.
+/// Smallest eigenvalue of the normal matrix of the translation, per sample: (grey levels / px)^2. Below it the
+/// position is not observable (edge or uniform patch). Noise of one grey level gives 0.5.
 const MIN_STRUCTURE: f32 = 1.0;
 
 /// A patch of an image with its `P` Jacobian columns: 2 for translation, 6 with the linear part.
@@ -35,9 +36,9 @@ pub(super) struct Template<const P: usize> {
     prior: f32,
 }
 
-/// What one comparison with an image says.
+/// One Gauss-Newton step.
 pub(super) struct Step<const P: usize> {
-    /// By how much the template is off: `(dx, dy | D row by row)`, in the template's pixels.
+    /// Increment of the template warp: `(dx, dy | D row by row)`, in the template's pixels.
     pub(super) delta: SVector<f32, P>,
 }
 
@@ -45,12 +46,12 @@ impl<const P: usize> Template<P> {
     /// The template around a pixel position of an image.
     ///
     /// `prior` is the weight of the prior on each element of the linear part: (noise in grey levels / its standard
-    /// deviation)^2. None where the patch is outside or has no structure in two directions.
+    /// deviation)^2. `None` if the patch is outside the image or has no gradients in two directions.
     pub(super) fn new(image: &GrayImage, at: Vector2<f32>, prior: f32) -> Option<Box<Self>> {
         const APRON: usize = SIDE + 2;
         let block = Block::around(image, at)?;
         let samples = block.grid::<APRON>(at.add_scalar(-HALF - 1.0))?;
-        // Boxed and filled in place: it is several kilobytes, which are not worth moving about.
+        // Boxed and filled in place: several kilobytes.
         let mut template = Box::new(Self {
             jacobian: [[[0.0; SIDE]; SIDE]; P],
             centred: [[0.0; SIDE]; SIDE],
@@ -101,12 +102,12 @@ impl<const P: usize> Template<P> {
         Some(template)
     }
 
-    /// Compares with samples of another image. `off` is by how much the linear part is away from its prior.
+    /// The step for samples of another image. `deviation` is the difference of the linear part from its prior, row by row.
     ///
-    /// None where what is seen is no copy of the template at all: inverted or without contrast.
+    /// `None` if the samples have no contrast in common with the template.
     #[inline]
-    pub(super) fn step(&self, seen: &Patch, off: &[f32; 4]) -> Option<Step<P>> {
-        /// Below a twentieth of the contrast there is nothing to align.
+    pub(super) fn step(&self, seen: &Patch, deviation: &[f32; 4]) -> Option<Step<P>> {
+        /// Minimum contrast relative to the template.
         const MIN_GAIN: f32 = 0.05;
         let gain = dot(&self.centred, seen) / self.energy;
         if gain < MIN_GAIN {
@@ -117,12 +118,12 @@ impl<const P: usize> Template<P> {
             right[i] = dot(&self.jacobian[i], seen) / gain;
         }
         for i in 2..P {
-            right[i] += self.prior * off[i - 2];
+            right[i] += self.prior * deviation[i - 2];
         }
         Some(Step { delta: self.inverse * right })
     }
 
-    /// Correlation coefficient of the template with what is seen, -1 to 1.
+    /// Correlation coefficient of the template with samples of another image, -1 to 1.
     pub(super) fn correlation(&self, mut seen: Patch) -> f32 {
         centre(&mut seen);
         let energy = dot(&seen, &seen);
@@ -130,7 +131,7 @@ impl<const P: usize> Template<P> {
     }
 }
 
-/// A component of the gradient times how far right (or down) of the centre each sample is.
+/// A component of the gradient times the offset of each sample from the centre, to the right or down.
 fn times_offset(gradient: &Patch, right: bool, out: &mut Patch) {
     for y in 0..SIDE {
         let down = y as f32 - HALF;
@@ -138,10 +139,4 @@ fn times_offset(gradient: &Patch, right: bool, out: &mut Patch) {
             out[y][x] = gradient[y][x] * if right { x as f32 - HALF } else { down };
         }
     }
-}
-
-/// The smaller eigenvalue of the symmetric matrix `[a b; b c]`.
-pub(crate) fn smaller_eigenvalue(a: f32, b: f32, c: f32) -> f32 {
-    let half = 0.5 * (a - c);
-    0.5 * (a + c) - (half * half + b * b).sqrt()
 }

@@ -1,13 +1,12 @@
 //! Files of weights that are damaged, foreign or hostile are errors.
 
 use super::reference::Tensors;
-use super::{engines, random_xfeat, state, torch_file};
-use std::io::{Cursor, Write as _};
+use super::{engines, random_xfeat, state, weights_file};
+use sha2::{Digest as _, Sha256};
 use std::path::Path;
-use vision::features::neural::state_dict::{StateDict, StateDictError};
-use vision::features::neural::{Network, write_xfeat};
+use vision::features::neural::{Network, StateDict, StateDictError, WeightsError, write_xfeat};
+use vision::features::weights::WeightsFile;
 use vision::features::{OpenError, open};
-use zip::write::{SimpleFileOptions, ZipWriter};
 
 fn small() -> Tensors {
     let tensor = |name: &str, shape: &[usize]| {
@@ -18,9 +17,9 @@ fn small() -> Tensors {
 }
 
 #[test]
-fn what_torch_writes_is_read_back() {
+fn what_is_written_is_read_back() {
     let tensors = small();
-    let read = StateDict::read(&torch_file::write(&tensors)).unwrap();
+    let read = StateDict::read(&weights_file::write(&tensors)).unwrap();
     for (name, (shape, data)) in &tensors {
         assert_eq!(read.get(name, shape).unwrap(), data, "{name}");
     }
@@ -29,50 +28,64 @@ fn what_torch_writes_is_read_back() {
 }
 
 #[test]
-fn a_file_cut_anywhere_is_an_error_and_flipped_bytes_never_give_other_numbers() {
-    let bytes = torch_file::write(&small());
+fn a_file_cut_anywhere_is_an_error_and_a_flipped_byte_never_a_panic() {
+    let bytes = weights_file::write(&small());
     for end in 0..bytes.len() {
         assert!(StateDict::read(&bytes[..end]).is_err(), "{end} of {} bytes", bytes.len());
     }
-    let whole = StateDict::read(&bytes).unwrap();
+    let header_end = 8 + u64::from_le_bytes(bytes[..8].try_into().unwrap()) as usize;
     let mut errors = 0;
-    for position in 0..bytes.len() {
+    for position in 0..header_end {
         let mut damaged = bytes.clone();
         damaged[position] ^= 0x41;
-        // What is not used (dates, flags) may change; the zip checksums guard the rest.
-        match StateDict::read(&damaged) {
-            Ok(read) => assert_eq!(read, whole, "byte {position}"),
-            Err(_) => errors += 1,
-        }
+        errors += usize::from(StateDict::read(&damaged).is_err());
     }
-    assert!(errors > bytes.len() / 2);
+    // What is left are names, which the network misses, and the padding.
+    assert!(errors > header_end / 2, "{errors} of {header_end}");
 }
 
 #[test]
-fn tensors_beyond_their_storage_are_errors() {
-    let tensors = small();
-    let pickle = torch_file::table(&tensors);
-    for storages in [vec![], vec![vec![0; 4]; 3], vec![vec![]; 3]] {
-        assert!(StateDict::read(&torch_file::archive(&pickle, &storages)).is_err());
-    }
-    // A shape of 2^62 numbers whose count overflows, and one larger than any file.
-    for shape in [vec![1 << 30, 1 << 30, 1 << 30], vec![1 << 30, 1]] {
-        let huge: Tensors = [("a".to_owned(), (shape, vec![1.0; 4]))].into();
-        assert!(matches!(StateDict::read(&torch_file::write(&huge)), Err(StateDictError::Tensor { .. })));
+fn a_flipped_byte_of_a_stored_file_is_refused_by_its_checksum() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("r2d2-1.onnx");
+    let onnx = super::extractors::blob_network();
+    std::fs::write(WeightsFile::checksum_path(&path), format!("{:x}  r2d2-1.onnx\n", Sha256::digest(&onnx)))
+        .unwrap();
+    std::fs::write(&path, &onnx).unwrap();
+    assert!(open("r2d2-1", Some(folder.path())).is_ok());
+    for position in (0..onnx.len()).step_by(97) {
+        let mut damaged = onnx.clone();
+        damaged[position] ^= 0x41;
+        std::fs::write(&path, damaged).unwrap();
+        let error = open("r2d2-1", Some(folder.path())).err().unwrap();
+        assert!(
+            matches!(error, OpenError::Weights(WeightsError::Checksum { .. })),
+            "byte {position}: {error}"
+        );
     }
 }
 
 #[test]
-fn an_archive_that_unpacks_to_too_much_is_refused() {
-    let options = SimpleFileOptions::default().compression_method(zip::CompressionMethod::Deflated);
-    let mut bomb = ZipWriter::new(Cursor::new(Vec::new()));
-    bomb.start_file("archive/data.pkl", options).unwrap();
-    for _ in 0..65 {
-        bomb.write_all(&vec![b'N'; 1 << 20]).unwrap();
+fn tensors_beyond_the_data_are_errors() {
+    let header = |shape: &str, end: u64| {
+        format!(r#"{{"a":{{"dtype":"F32","shape":[{shape}],"data_offsets":[0,{end}]}}}}"#)
+    };
+    let read = |header: &str| StateDict::read(&weights_file::assemble(header, &[0; 16]));
+    assert!(read(&header("4", 16)).is_ok());
+    // More or fewer numbers than the data, a shape whose size overflows, offsets beyond the file.
+    for (shape, end) in [("5", 16), ("3", 16), ("2", 8), ("4", 20), ("5", 20), ("4611686018427387904,4", 16)]
+    {
+        let error = read(&header(shape, end)).err();
+        assert!(matches!(error, Some(StateDictError::Format(_))), "{shape} {end}: {error:?}");
     }
-    let bytes = bomb.finish().unwrap().into_inner();
-    assert!(bytes.len() < 1 << 20);
-    assert!(matches!(StateDict::read(&bytes), Err(StateDictError::TooLarge)));
+}
+
+#[test]
+fn a_header_longer_than_the_file_is_refused_without_memory_for_it() {
+    for length in [u64::MAX, 1 << 62, 1 << 40, 90 << 20, 17] {
+        let bytes = [&length.to_le_bytes()[..], &[b' '; 16]].concat();
+        assert!(matches!(StateDict::read(&bytes), Err(StateDictError::Format(_))), "{length}");
+    }
 }
 
 #[test]
@@ -129,7 +142,7 @@ fn errors_name_the_file_and_how_to_get_it() {
     let folder = tempfile::tempdir().unwrap();
     let message = |name: &str, folder: &Path| open(name, Some(folder)).err().unwrap().to_string();
     for (name, file, command) in [
-        ("xfeat-1", "xfeat.pt", "driftless weights xfeat"),
+        ("xfeat-1", "xfeat.safetensors", "driftless weights xfeat"),
         ("r2d2-1", "r2d2-1.onnx", "driftless weights r2d2"),
     ] {
         let path = folder.path().join(file);
@@ -145,4 +158,14 @@ fn errors_name_the_file_and_how_to_get_it() {
     std::fs::write(folder.path().join("r2d2-1.onnx.sha256"), "00ff  r2d2-1.onnx\n").unwrap();
     assert!(message("r2d2-1", folder.path()).contains("SHA-256"));
     assert!(matches!(open("superb-7", None), Err(OpenError::UnknownExtractor(name)) if name == "superb-7"));
+}
+
+#[test]
+fn a_torch_file_of_an_earlier_version_is_an_error_that_says_how_to_convert_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let old = folder.path().join("xfeat.pt");
+    std::fs::write(&old, b"torch").unwrap();
+    let message = open("xfeat-1", Some(folder.path())).err().unwrap().to_string();
+    let command = format!("driftless weights xfeat --from {}", old.display());
+    assert!(message.contains("xfeat.safetensors") && message.contains(&command), "{message}");
 }

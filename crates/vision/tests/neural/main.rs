@@ -7,12 +7,11 @@ mod files;
 mod networks;
 mod published;
 mod reference;
-mod torch_file;
+mod weights_file;
 
 use rand::{RngExt as _, SeedableRng as _, rngs::Xoshiro256PlusPlus};
 use reference::Tensors;
-use vision::features::neural::Engine;
-use vision::features::neural::state_dict::StateDict;
+use vision::features::neural::{Engine, StateDict};
 
 /// The engines of this machine: rten always, ONNX Runtime where its library is.
 fn engines() -> Vec<Engine> {
@@ -40,5 +39,5 @@ fn random_xfeat(seed: u64) -> Tensors {
 }
 
 fn state(tensors: &Tensors) -> StateDict {
-    StateDict::read(&torch_file::write(tensors)).unwrap()
+    StateDict::read(&weights_file::write(tensors)).unwrap()
 }

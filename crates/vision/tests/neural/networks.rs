@@ -3,8 +3,7 @@
 use super::reference::{Map, xfeat};
 use super::{engines, random_xfeat, state};
 use vision::features::neural::graph::{Convolution, Graph};
-use vision::features::neural::state_dict::Tensor;
-use vision::features::neural::{Network, NetworkError, write_xfeat};
+use vision::features::neural::{Network, NetworkError, Tensor, write_xfeat};
 
 fn wave(c: usize, y: usize, x: usize) -> f32 {
     ((c * 131 + y * 37 + x * 17) as f32 * 0.61).sin()
@@ -39,7 +38,7 @@ fn every_operator_does_what_it_says() {
     graph.relu("normalized", "relu");
     graph.convolve("relu", "second", &second);
     graph.add("plain", "second", "sum");
-    graph.enlarge("sum", "large", 4);
+    graph.upsample("sum", "large", 4);
     graph.sigmoid("large", "sigmoid");
     let names = ["plain", "normalized", "relu", "sum", "large", "sigmoid"];
     for name in names {

@@ -5,8 +5,7 @@ use super::reference::{Map, xfeat, xfeat_shapes};
 use geometry::{Camera, Distortion, Pose};
 use nalgebra::{Matrix3, Matrix4, Rotation3, UnitQuaternion, Vector2, Vector3};
 use std::path::{Path, PathBuf};
-use vision::features::neural::state_dict::StateDict;
-use vision::features::neural::{Network, XfeatExtractor, write_xfeat};
+use vision::features::neural::{Network, StateDict, WeightsError, XfeatExtractor, write_xfeat};
 use vision::features::weights::{XFEAT, default_folder};
 use vision::{DescriptorView, FeatureExtractor as _, GrayImage, MatchOptions, Metric, match_descriptors};
 
@@ -38,6 +37,20 @@ fn the_published_network_gives_the_numbers_of_a_direct_computation() {
             let worst = found.data.iter().zip(&expected.data).fold(0.0_f32, |w, (a, b)| w.max((a - b).abs()));
             assert!(worst < 1e-4 * largest, "{name} in {engine:?}: {worst} of {largest}");
         }
+    }
+}
+
+#[test]
+fn a_flipped_byte_of_the_published_weights_is_refused() {
+    let Some(path) = weights() else { return };
+    let bytes = std::fs::read(path).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    for position in [0, 100, bytes.len() / 2, bytes.len() - 1] {
+        let mut damaged = bytes.clone();
+        damaged[position] ^= 0x41;
+        std::fs::write(folder.path().join(XFEAT.file), damaged).unwrap();
+        let error = XfeatExtractor::open(folder.path()).err().unwrap();
+        assert!(matches!(error, WeightsError::Checksum { .. }), "byte {position}: {error}");
     }
 }
 

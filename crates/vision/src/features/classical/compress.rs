@@ -1,20 +1,19 @@
-//! The 128 numbers of a histogram as 64 signed bytes.
+//! Compression of the 128 numbers of a histogram to 64 signed bytes.
 //!
-//! The histogram is transformed by cosines over its rows and columns and by the Fourier series over its directions. Like
-//! an image's, its energy gathers in the low frequencies: the 64 coefficients that are kept hold 94 % of the variance
-//! (the best 64 that exist, those of a principal component analysis, 96 %). Each has its known mean taken off, so that
-//! angles between descriptors use the whole range, and is divided by the square root of its known standard deviation,
-//! half the way to equal weights.
+//! The histogram is transformed by a cosine transform over rows and columns and a Fourier series over directions. Its
+//! energy is concentrated in low frequencies: the 64 retained coefficients hold 94 % of the variance (96 % for the
+//! optimum, a principal component analysis). Each is centred by its mean, so that angles between descriptors use the whole
+//! range, and divided by the square root of its standard deviation, halfway to whitening.
 
 use super::histogram::{CELLS, DIRECTIONS, NUMBERS};
 use std::f32::consts::{PI, TAU};
 
-/// Bytes a descriptor.
+/// Bytes per descriptor.
 pub(super) const WIDTH: usize = 64;
-/// Root mean square of the bytes: 3 standard deviations fit.
+/// Root mean square of the bytes: three standard deviations fit.
 const BYTE_DEVIATION: f32 = 127.0 / 3.0;
 
-/// A coefficient that is kept: its frequencies over rows, columns and directions, its mean and standard deviation.
+/// A retained coefficient: its frequencies over rows, columns and directions, its mean and standard deviation.
 type Coefficient = (u8, u8, u8, f32, f32);
 
 /// The 64 coefficients of largest variance, of 20,000 histograms from 40 images of EuRoC's `MH_01_easy`
@@ -41,11 +40,11 @@ const KEPT: [Coefficient; WIDTH] = [
     (0, 3, 4, 0.000, 0.029), (2, 1, 0, 0.001, 0.028), (1, 1, 5, 0.000, 0.028), (2, 2, 4, 0.000, 0.028)
 ];
 
-/// The projection with its weights.
+/// The weighted projection.
 pub(super) struct Compressor {
-    /// For each byte what it sums the histogram with.
+    /// Weights of the histogram for each byte.
     rows: Vec<[f32; NUMBERS]>,
-    /// For each byte what the mean histogram would give.
+    /// Value of the mean histogram for each byte.
     means: [f32; WIDTH],
 }
 
@@ -91,7 +90,7 @@ fn harmonic(frequency: u8, direction: usize) -> f32 {
     (norm / DIRECTIONS as f32).sqrt() * if frequency == 0 { 1.0 } else { wave }
 }
 
-/// In eight lanes, which the compiler turns into vector instructions.
+/// Scalar product in eight lanes, which the compiler vectorizes.
 fn dot(a: &[f32; NUMBERS], b: &[f32; NUMBERS]) -> f32 {
     let mut sums = [0.0; 8];
     for (x, y) in a.as_chunks::<8>().0.iter().zip(b.as_chunks::<8>().0) {
@@ -130,7 +129,7 @@ mod tests {
         let compressor = Compressor::new();
         let distance = |count| {
             let (a, b) = (compressor.compress(&even), compressor.compress(&moved(count)));
-            crate::distance(crate::Metric::CosineInt8, &a, &b)
+            crate::matching::distance(crate::matching::Metric::CosineInt8, &a, &b)
         };
         let distances = [0, 4, 16, 64].map(distance);
         assert!(distances[0] == 0.0 && distances.is_sorted_by(|a, b| a < b), "{distances:?}");

@@ -1,4 +1,4 @@
-//! What a point looks like: histograms of gradient directions in cells around it.
+//! Descriptor of a keypoint: histograms of gradient directions in cells around it.
 //!
 //! Source: Lowe, IJCV 2004, section 6; Arandjelovic & Zisserman, CVPR 2012 (square roots).
 
@@ -6,35 +6,36 @@ use super::patch::Gradients;
 use super::plane::Plane;
 use std::f32::consts::TAU;
 
-/// Cells a side.
+/// Cells per side.
 pub(super) const CELLS: usize = 4;
-/// Directions a cell.
+/// Directions per cell.
 pub(super) const DIRECTIONS: usize = 8;
-/// Numbers of a histogram.
+/// Numbers of a descriptor histogram.
 pub(super) const NUMBERS: usize = CELLS * CELLS * DIRECTIONS;
-/// Side of a cell in units of the point's sigma; Lowe's.
+/// Side of a cell in units of the keypoint's sigma; Lowe's.
 const CELL_SIGMAS: f32 = 3.0;
-/// Cells a side with one more on every side, which takes what falls outside.
+/// Cells per side including a border of one cell for votes outside.
 const WIDE: usize = CELLS + 2;
-/// Gradients a side of a cell: 0.6 sigma apart, which the blur of the level allows.
+/// Gradients per side of a cell, 0.6 sigma apart, which the blur of the level permits.
 const SAMPLES: usize = 5;
-/// Gradients a side of the grid: half a cell beyond the outer cells takes part in them.
+/// Gradients per side of the grid: half a cell beyond the outer cells contributes to them.
 const SIDE: usize = (CELLS + 1) * SAMPLES;
-/// No number may be larger than this part of the norm; Lowe's.
-const LARGEST: f32 = 0.2;
+/// Numbers are clipped at this fraction of the norm; Lowe's.
+const CLIP: f32 = 0.2;
 
-/// Computes histograms; keeps its buffers.
-pub(super) struct Describer {
-    /// For each sample along a side: the cell before it (from -1), its share in that one and in the next.
-    shares: Vec<(usize, f32, f32)>,
+/// Computes descriptor histograms; buffers are reused.
+pub(super) struct HistogramBuilder {
+    /// For each sample along a side: the cell before it (starting at -1) and its interpolation weights in that cell and the
+    /// next.
+    cell_weights: Vec<(usize, f32, f32)>,
     weights: Vec<f32>,
     gradients: Gradients,
 }
 
-impl Describer {
+impl HistogramBuilder {
     pub(super) fn new() -> Self {
         let position = |k: usize| (k as f32 + 0.5) / SAMPLES as f32;
-        let shares = (0..SIDE)
+        let cell_weights = (0..SIDE)
             .map(|k| {
                 let cell = position(k) as usize;
                 let beyond = position(k) - cell as f32;
@@ -46,11 +47,11 @@ impl Describer {
         let middle = 0.5 * (CELLS + 1) as f32;
         let falloff = |k: usize| (-0.5 * ((position(k) - middle) / half).powi(2)).exp();
         let weights = (0..SIDE * SIDE).map(|k| falloff(k % SIDE) * falloff(k / SIDE)).collect();
-        Self { shares, weights, gradients: Gradients::default() }
+        Self { cell_weights, weights, gradients: Gradients::default() }
     }
 
-    /// The histogram of a point: rows of cells, columns of cells, directions; square roots, of norm 1 (zero where the
-    /// image is flat).
+    /// The histogram of a keypoint: rows of cells, columns of cells, directions; square roots, of norm 1 (zero in uniform
+    /// image regions).
     pub(super) fn histogram(
         &mut self,
         plane: &Plane,
@@ -63,25 +64,25 @@ impl Describer {
         let mut wide = [[[0.0_f32; DIRECTIONS]; WIDE]; WIDE];
         let bins_a_radian = DIRECTIONS as f32 / TAU;
         for row in 0..SIDE {
-            let (cell_row, upper, lower) = self.shares[row];
+            let (cell_row, upper, lower) = self.cell_weights[row];
             for column in 0..SIDE {
                 let k = row * SIDE + column;
-                let (cell_column, left, right) = self.shares[column];
+                let (cell_column, left, right) = self.cell_weights[column];
                 let length = self.gradients.lengths[k] * self.weights[k];
                 let position = self.gradients.directions[k] * bins_a_radian;
                 let bin = position as usize;
                 let beyond = position - bin as f32;
                 let (first, second) = (bin % DIRECTIONS, (bin + 1) % DIRECTIONS);
                 let (in_first, in_second) = (length * (1.0 - beyond), length * beyond);
-                for (r, c, share) in [
+                for (r, c, weight) in [
                     (cell_row, cell_column, upper * left),
                     (cell_row, cell_column + 1, upper * right),
                     (cell_row + 1, cell_column, lower * left),
                     (cell_row + 1, cell_column + 1, lower * right),
                 ] {
                     let cell = &mut wide[r][c];
-                    cell[first] += share * in_first;
-                    cell[second] += share * in_second;
+                    cell[first] += weight * in_first;
+                    cell[second] += weight * in_second;
                 }
             }
         }
@@ -95,10 +96,10 @@ impl Describer {
     }
 }
 
-/// Norm 1, large numbers cut, and the square roots of the shares, whose norm is 1 again.
+/// Clips at a fraction of the norm, then takes square roots of the L1-normalized numbers: L2 norm 1.
 fn normalize(numbers: &mut [f32; NUMBERS]) {
     let norm = numbers.iter().map(|number| number * number).sum::<f32>().sqrt();
-    let limit = LARGEST * norm;
+    let limit = CLIP * norm;
     for number in numbers.iter_mut() {
         *number = number.min(limit);
     }

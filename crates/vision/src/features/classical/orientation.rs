@@ -1,4 +1,4 @@
-//! Which way up a point is: the direction that most gradients around it have.
+//! Dominant orientation of a keypoint: peak of the histogram of gradient directions.
 //!
 //! Source: Lowe, IJCV 2004, section 5.
 
@@ -6,24 +6,24 @@ use super::patch::Gradients;
 use super::plane::Plane;
 use std::f32::consts::TAU;
 
-/// Gradients a side of the grid.
+/// Gradients per side of the grid.
 const SIDE: usize = 15;
-/// Distance of the gradients, in units of the point's sigma: the grid reaches 4.2 sigma to each side.
+/// Spacing of the gradients in units of the keypoint's sigma: the grid extends 4.2 sigma to each side.
 const STEP: f32 = 0.6;
-/// Standard deviation of the weights, in units of the point's sigma; Lowe's.
+/// Standard deviation of the weights in units of the keypoint's sigma; Lowe's.
 const WINDOW_SIGMA: f32 = 1.5;
 /// Bins of the histogram: 10 degrees each; Lowe's.
 const BINS: usize = 36;
-/// Rounds of smoothing the histogram with [1 1 1]/3.
+/// Passes of smoothing the histogram with [1 1 1]/3.
 const SMOOTHINGS: usize = 4;
 
-/// Finds orientations; keeps its buffers.
-pub(super) struct Orienter {
+/// Estimates orientations; buffers are reused.
+pub(super) struct OrientationEstimator {
     weights: Vec<f32>,
     gradients: Gradients,
 }
 
-impl Orienter {
+impl OrientationEstimator {
     pub(super) fn new() -> Self {
         let middle = 0.5 * (SIDE - 1) as f32;
         let falloff = |k: usize| (-0.5 * ((k as f32 - middle) * STEP / WINDOW_SIGMA).powi(2)).exp();

@@ -1,4 +1,4 @@
-//! The gradients around a point, on a grid that is turned and scaled with it.
+//! Gradients on a grid rotated and scaled with the keypoint.
 
 use super::plane::Plane;
 use std::f32::consts::{FRAC_PI_2, PI, TAU};
@@ -14,7 +14,7 @@ pub(super) struct Gradients {
 }
 
 impl Gradients {
-    /// Samples `side * side` gradients around `centre` (pixels of the plane), `step` pixels apart, on axes turned by
+    /// Samples `side * side` gradients around `centre` (pixels of the plane), `step` pixels apart, on axes rotated by
     /// `angle` (radians, x towards y).
     pub(super) fn sample(&mut self, plane: &Plane, centre: [f32; 2], step: f32, angle: f32, side: usize) {
         let wide = side + 2;
@@ -43,9 +43,9 @@ impl Gradients {
     }
 }
 
-/// The direction of `(x, y)` in 0 to 2 pi, to 2e-3 radians; far quicker than the library's, and the same everywhere.
+/// `atan2(y, x)` in 0 to 2 pi, to 2e-3 radians; faster than the standard library, and identical on all platforms.
 ///
-/// The arc tangent of 0 to 1 by the polynomial of Abramowitz & Stegun, 4.4.47, shortened.
+/// The arc tangent on 0 to 1 by the polynomial of Abramowitz & Stegun, 4.4.47, shortened.
 fn direction(y: f32, x: f32) -> f32 {
     let (large, small) = (x.abs().max(y.abs()), x.abs().min(y.abs()));
     let ratio = small / large.max(f32::MIN_POSITIVE);

@@ -1,10 +1,10 @@
-//! Planes of numbers, and the filters that a scale space is made of.
+//! Images in floating point and the filters of the scale space.
 
-use crate::GrayImage;
+use crate::image::GrayImage;
 
-/// A kernel reaches this many standard deviations to each side; beyond lie 0.3 % of its weight.
+/// Kernel radius in standard deviations; 0.3 % of the weight is beyond.
 const KERNEL_SIGMAS: f32 = 3.0;
-/// Columns that are summed at once.
+/// Columns summed in parallel.
 const LANES: usize = 16;
 
 /// A grey image in floating point, row after row.
@@ -19,7 +19,7 @@ pub(super) struct Plane {
 }
 
 impl Plane {
-    /// The grey levels of an image.
+    /// Copies the grey levels of an image.
     pub(super) fn copy_image(&mut self, image: &GrayImage) {
         (self.width, self.height) = (image.width(), image.height());
         self.data.clear();
@@ -31,7 +31,7 @@ impl Plane {
         &self.data[y * self.width..(y + 1) * self.width]
     }
 
-    /// Becomes `other` at twice the pixels a side, interpolated; pixel `(x, y)` becomes `(2 x, 2 y)`.
+    /// Sets to `other` upsampled by two with interpolation; pixel `(x, y)` becomes `(2 x, 2 y)`.
     pub(super) fn double(&mut self, other: &Self) {
         (self.width, self.height) = (2 * other.width, 2 * other.height);
         self.data.clear();
@@ -43,7 +43,7 @@ impl Plane {
         }
     }
 
-    /// Becomes every second pixel of every second row of `other`; pixel `(2 x, 2 y)` becomes `(x, y)`.
+    /// Sets to every second pixel of every second row of `other`; pixel `(2 x, 2 y)` becomes `(x, y)`.
     pub(super) fn halve(&mut self, other: &Self) {
         (self.width, self.height) = (other.width / 2, other.height / 2);
         self.data.clear();
@@ -52,10 +52,10 @@ impl Plane {
         }
     }
 
-    /// Becomes `other` convolved with a Gaussian of standard deviation `sigma` pixels; the border repeats.
+    /// Sets to `other` convolved with a Gaussian of standard deviation `sigma` pixels; the border is replicated.
     ///
     /// # Arguments
-    /// * `difference`: becomes the result minus `other`.
+    /// * `difference`: set to the result minus `other`.
     pub(super) fn blur(&mut self, other: &Self, sigma: f32, mut difference: Option<&mut Self>) {
         let (width, last) = (other.width, other.height - 1);
         let kernel = half_kernel(sigma);
@@ -88,7 +88,7 @@ impl Plane {
         self.data.resize(width * height, 0.0);
     }
 
-    /// The value between four pixels; the border repeats. The plane must have two rows and columns.
+    /// Bilinear interpolation; the border is replicated. The plane must have at least two rows and columns.
     pub(super) fn bilinear(&self, x: f32, y: f32) -> f32 {
         let (x, y) = (x.clamp(0.0, (self.width - 1) as f32), y.clamp(0.0, (self.height - 1) as f32));
         let (column, row) = ((x as usize).min(self.width - 2), (y as usize).min(self.height - 2));
@@ -100,7 +100,7 @@ impl Plane {
     }
 }
 
-/// Appends a row and the means between its neighbours.
+/// Appends a row with the means of neighbours in between.
 fn push_doubled(data: &mut Vec<f32>, mut row: impl Iterator<Item = f32>) {
     let Some(mut left) = row.next() else { return };
     for right in row {
@@ -110,7 +110,7 @@ fn push_doubled(data: &mut Vec<f32>, mut row: impl Iterator<Item = f32>) {
     data.extend([left, left]);
 }
 
-/// The centre and one side of a Gaussian kernel whose whole sums to 1.
+/// Centre and one side of a normalized Gaussian kernel.
 fn half_kernel(sigma: f32) -> Vec<f32> {
     let radius = (KERNEL_SIGMAS * sigma).ceil() as usize;
     let mut kernel: Vec<f32> = (0..=radius).map(|k| (-0.5 * (k as f32 / sigma).powi(2)).exp()).collect();
@@ -123,7 +123,7 @@ fn half_kernel(sigma: f32) -> Vec<f32> {
 
 /// `out = kernel[0] * centre + sum of kernel[k] * (a + b)` for the two rows `a`, `b` that `pair` gives for `k` from 1 on.
 ///
-/// In blocks that fit the registers: every row is read once, `out` written once.
+/// Blocked for registers: every row is read once, `out` written once.
 fn weighted_sum<'a>(
     out: &mut [f32],
     centre: &[f32],

@@ -1,25 +1,25 @@
-//! The image at growing blur, and where its differences are extreme.
+//! Gaussian scale space and extrema of its differences.
 //!
 //! Source: Lowe, IJCV 2004, sections 3 and 4.
 
 use super::plane::Plane;
 
-/// Blur (pixels) that a camera's image is taken to have.
+/// Assumed blur of the camera image, pixels.
 const CAMERA_SIGMA: f32 = 0.5;
 /// Blur (pixels of the octave) of the first level of each octave; Lowe's.
 const FIRST_SIGMA: f32 = 1.6;
-/// Levels after which the blur has doubled; Lowe's.
+/// Levels per octave (the blur doubles); Lowe's.
 pub(super) const LEVELS: usize = 3;
-/// Octaves end when a side is shorter than this (pixels): no point would have room to be described.
-const LEAST_SIDE: usize = 24;
-/// Border (pixels of the octave) without extrema.
+/// Minimum width and height of an octave, pixels: a descriptor must fit.
+const MIN_SIDE: usize = 24;
+/// Border without extrema, pixels of the octave.
 const BORDER: usize = 5;
-/// Largest ratio of the principal curvatures; Lowe's. Beyond it a point slides along an edge.
+/// Largest ratio of the principal curvatures; Lowe's. Beyond it a point is not localized along an edge.
 const MAX_CURVATURE_RATIO: f32 = 10.0;
-/// Farthest that a refined position may be from its pixel, and from its level: a little beyond the half way, so that one
-/// between two pixels is not handed to and fro.
+/// Maximum offset of a refined extremum from its pixel and level: slightly above one half, so that an extremum between two
+/// pixels does not alternate.
 const MAX_OFFSET: f32 = 0.6;
-/// Steps from pixel to pixel that the refinement may take.
+/// Maximum number of steps of the refinement.
 const MAX_STEPS: usize = 5;
 
 /// An extremum of the difference of Gaussians.
@@ -37,31 +37,31 @@ pub(super) struct Extremum {
     pub(super) response: f32,
 }
 
-/// Images of one size with blur growing by `2^(1/LEVELS)`.
+/// Images of one size with blur increasing by factors of `2^(1/LEVELS)`.
 #[derive(Default)]
 pub(super) struct Octave {
-    /// Pixels of the image a pixel of this octave.
+    /// Size of a pixel of this octave in pixels of the image.
     pub(super) pixel_size: f32,
-    /// `LEVELS + 3` of them.
+    /// `LEVELS + 3` images.
     pub(super) levels: Vec<Plane>,
-    /// Each level but the first minus the one before.
+    /// Each level except the first minus the previous one.
     differences: Vec<Plane>,
 }
 
-/// The octaves of an image. The memory is kept for the next image.
+/// The octaves of an image; memory is reused for the next image.
 #[derive(Default)]
 pub(super) struct ScaleSpace {
     octaves: Vec<Octave>,
-    /// How many of them belong to the present image.
+    /// Number of octaves of the current image.
     used: usize,
     base: Plane,
 }
 
 impl ScaleSpace {
-    /// Becomes that of an image.
+    /// Builds the scale space of an image.
     ///
     /// # Arguments
-    /// * `doubled`: whether the first octave has twice the image's pixels a side.
+    /// * `doubled`: whether the first octave has twice the resolution of the image.
     pub(super) fn build(&mut self, image: &Plane, doubled: bool) {
         let (mut pixel_size, blur) = if doubled { (0.5, 2.0 * CAMERA_SIGMA) } else { (1.0, CAMERA_SIGMA) };
         if doubled {
@@ -71,7 +71,7 @@ impl ScaleSpace {
         }
         let first_blur = (FIRST_SIGMA * FIRST_SIGMA - blur * blur).sqrt();
         self.used = 0;
-        while self.base.width.min(self.base.height) >= LEAST_SIDE {
+        while self.base.width.min(self.base.height) >= MIN_SIDE {
             if self.used == self.octaves.len() {
                 self.octaves.push(Octave::new());
             }
@@ -88,12 +88,12 @@ impl ScaleSpace {
         &self.octaves[..self.used]
     }
 
-    /// Where an extremum is in the image.
+    /// Pixel of an extremum in the image.
     pub(super) fn pixel_of(&self, extremum: &Extremum) -> [f32; 2] {
         extremum.position.map(|coordinate| coordinate * self.octaves[extremum.octave].pixel_size)
     }
 
-    /// The extrema whose response is at least `threshold` grey levels, refined; no edges.
+    /// Refined extrema with a response of at least `threshold` grey levels, without edges.
     pub(super) fn extrema(&self, threshold: f32) -> Vec<Extremum> {
         let mut found = Vec::new();
         for (index, octave) in self.octaves().iter().enumerate() {
@@ -109,7 +109,7 @@ impl Octave {
         Self { pixel_size: 1.0, levels: planes(LEVELS + 3), differences: planes(LEVELS + 2) }
     }
 
-    /// `blur`: what `base` lacks to the blur of the first level, if anything.
+    /// `blur`: additional blur of the first level with respect to `base`, if any.
     fn build(&mut self, base: &Plane, pixel_size: f32, blur: Option<f32>) {
         self.pixel_size = pixel_size;
         match blur {
@@ -126,14 +126,14 @@ impl Octave {
 
     fn extrema(&self, octave: usize, threshold: f32, found: &mut Vec<Extremum>) {
         let (width, height) = (self.levels[0].width, self.levels[0].height);
-        let mut promising = vec![false; width];
+        let mut candidate = vec![false; width];
         for level in 1..=LEVELS {
             let stack =
                 [&self.differences[level - 1], &self.differences[level], &self.differences[level + 1]];
             for y in BORDER..height - BORDER {
-                // Half: the refined response may be larger than that of the pixel.
-                mark_promising(stack[1], y, 0.5 * threshold, &mut promising);
-                for (x, &promises) in promising.iter().enumerate().take(width - BORDER).skip(BORDER) {
+                // Half the threshold: the refined response may exceed that of the pixel.
+                mark_candidates(stack[1], y, 0.5 * threshold, &mut candidate);
+                for (x, &promises) in candidate.iter().enumerate().take(width - BORDER).skip(BORDER) {
                     if promises && is_extreme(stack, x, y) {
                         found.extend(refine(&self.differences, octave, [level, x, y], threshold));
                     }
@@ -143,13 +143,13 @@ impl Octave {
     }
 }
 
-/// Blur (pixels of the octave) of a level, which may lie between two.
+/// Blur of a (fractional) level, pixels of the octave.
 fn sigma_of(level: f32) -> f32 {
     FIRST_SIGMA * (level / LEVELS as f32).exp2()
 }
 
-/// Marks the pixels of a row that are strong enough and beat their four neighbours; in vector instructions.
-fn mark_promising(plane: &Plane, y: usize, least: f32, marks: &mut [bool]) {
+/// Marks the pixels of a row above the threshold that exceed their four neighbours; vectorized.
+fn mark_candidates(plane: &Plane, y: usize, least: f32, marks: &mut [bool]) {
     let inner = plane.width - 2;
     let (row, above, below) = (plane.row(y), &plane.row(y - 1)[1..=inner], &plane.row(y + 1)[1..=inner]);
     let (left, here, right) = (&row[..inner], &row[1..=inner], &row[2..]);
@@ -158,7 +158,7 @@ fn mark_promising(plane: &Plane, y: usize, least: f32, marks: &mut [bool]) {
         let high = left[x].max(right[x]).max(above[x].max(below[x]));
         let low = left[x].min(right[x]).min(above[x].min(below[x]));
         let lead = (value - high).max(low - value);
-        // One comparison: of two the compiler would make branches.
+        // One comparison, so that the compiler vectorizes.
         *mark = lead.min(value.abs() - least) > 0.0;
     }
 }
@@ -167,7 +167,7 @@ fn mark_promising(plane: &Plane, y: usize, least: f32, marks: &mut [bool]) {
 fn is_extreme(stack: [&Plane; 3], x: usize, y: usize) -> bool {
     let value = stack[1].row(y)[x];
     let sign = value.signum();
-    // The own plane first: it refuses most pixels. Of equal neighbours none is extreme.
+    // The own plane first, it rejects most pixels. Equal neighbours are not extrema.
     let beats = |plane: &Plane, rows: [usize; 3], own: bool| {
         rows.iter().all(|&row| {
             let three = &plane.row(row)[x - 1..=x + 1];
@@ -181,7 +181,7 @@ fn is_extreme(stack: [&Plane; 3], x: usize, y: usize) -> bool {
     beats(stack[1], [y, y - 1, y + 1], true) && beats(stack[0], rows, false) && beats(stack[2], rows, false)
 }
 
-/// The top of the parabola through the neighbours of `[level, x, y]`, unless it is weak, on an edge or elsewhere.
+/// Sub-pixel refinement from `[level, x, y]`; `None` if weak, on an edge, or not converged.
 fn refine(differences: &[Plane], octave: usize, start: [usize; 3], threshold: f32) -> Option<Extremum> {
     let [mut level, mut x, mut y] = start;
     let (width, height) = (differences[0].width, differences[0].height);
@@ -204,7 +204,7 @@ fn refine(differences: &[Plane], octave: usize, start: [usize; 3], threshold: f3
     None
 }
 
-/// The nearest whole number to `index + offset`, if it is in `from..to`.
+/// `index + offset` rounded, if it is in `from..to`.
 fn moved(index: usize, offset: f32, from: usize, to: usize) -> Option<usize> {
     let target = (index as f32 + offset).round();
     (target >= from as f32 && target < to as f32).then_some(target as usize)

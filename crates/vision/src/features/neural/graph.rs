@@ -1,40 +1,38 @@
-//! Writes a network as an ONNX file in memory, so that a runtime that reads ONNX runs it: just the operators that
-//! XFeat needs.
+//! Writes a network as an ONNX file in memory, for any ONNX runtime; only the operators that XFeat needs.
 //!
 //! Tensors are named; batch and channels come first (`[1, channels, rows, columns]`). An ONNX file is a protocol-buffer
 //! message; the field numbers are those of `onnx.proto` (IR version 8, operator set 13).
 
 /// ONNX's IR version: 8 came with operator set 15, and every runtime reads it.
 const IR_VERSION: u64 = 8;
-/// The operator set whose definitions of the operators below are meant.
+/// Version of the operator set.
 const OPERATOR_SET: u64 = 13;
 /// `TensorProto.DataType.FLOAT`.
 const FLOAT: u64 = 1;
 
-/// A convolution's numbers.
+/// Parameters of a convolution.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Convolution {
-    /// Output channels, input channels, rows and columns of the kernel, in this order of axes.
+    /// `[output channels, input channels, rows, columns]` of the kernel.
     pub shape: [usize; 4],
     /// The kernel.
     pub weights: Vec<f32>,
-    /// One number an output channel.
+    /// One number per output channel.
     pub bias: Vec<f32>,
-    /// Pixels from one output to the next, in both directions.
+    /// Stride in both directions, pixels.
     pub stride: usize,
-    /// Zeros put around the input on every side.
+    /// Zero padding on every side, pixels.
     pub padding: usize,
 }
 
 impl Convolution {
-    /// The convolution followed by a normalization to the given mean and variance of each output channel, as one
-    /// convolution.
+    /// Folds a batch normalization with fixed mean and variance of each output channel into the convolution.
     ///
     /// # Panics
-    /// Unless there is a mean and a variance an output channel.
+    /// If the number of means or variances is not the number of output channels.
     pub fn normalized(mut self, mean: &[f32], variance: &[f32], epsilon: f32) -> Self {
         let [outputs, ..] = self.shape;
-        assert!(mean.len() == outputs && variance.len() == outputs, "one mean and variance a channel");
+        assert!(mean.len() == outputs && variance.len() == outputs, "one mean and variance per channel");
         let kernel = self.weights.len() / outputs;
         for channel in 0..outputs {
             let scale = (variance[channel] + epsilon).sqrt().recip();
@@ -47,7 +45,7 @@ impl Convolution {
     }
 }
 
-/// A network that is being written.
+/// A network under construction.
 #[derive(Default)]
 pub struct Graph {
     nodes: Vec<Message>,
@@ -57,12 +55,12 @@ pub struct Graph {
 }
 
 impl Graph {
-    /// An input of the given channels and any number of rows and columns.
+    /// Adds an input with a number of channels and any number of rows and columns.
     pub fn input(&mut self, name: &str, channels: usize) {
         self.inputs.push(value_info(name, channels));
     }
 
-    /// Makes a tensor an output of the network.
+    /// Declares a tensor as output.
     pub fn output(&mut self, name: &str, channels: usize) {
         self.outputs.push(value_info(name, channels));
     }
@@ -95,9 +93,8 @@ impl Graph {
         self.node("Add", &[a, b], name, &[])
     }
 
-    /// `name` = input with `factor` times as many rows and columns, interpolated linearly between the centres of its
-    /// pixels.
-    pub fn enlarge(&mut self, input: &str, name: &str, factor: usize) -> String {
+    /// `name` = input upsampled by `factor` with bilinear interpolation between pixel centres.
+    pub fn upsample(&mut self, input: &str, name: &str, factor: usize) -> String {
         let factor = factor as f32;
         let scales = self.constant(&format!("{name}.scales"), &[4], &[1.0, 1.0, factor, factor]);
         let attributes = [text("mode", "linear"), text("coordinate_transformation_mode", "half_pixel")];
@@ -155,7 +152,7 @@ impl Graph {
     }
 }
 
-/// An attribute of whole numbers (`AttributeProto`, type INTS).
+/// An integer attribute (`AttributeProto`, type INTS).
 fn integers(name: &str, values: &[usize]) -> Message {
     let mut attribute = Message::default();
     attribute.text(1, name);
@@ -166,7 +163,7 @@ fn integers(name: &str, values: &[usize]) -> Message {
     attribute
 }
 
-/// An attribute of text (`AttributeProto`, type STRING).
+/// A string attribute (`AttributeProto`, type STRING).
 fn text(name: &str, value: &str) -> Message {
     let mut attribute = Message::default();
     attribute.text(1, name);
@@ -210,13 +207,13 @@ struct Message {
 
 impl Message {
     fn number(&mut self, field: u64, value: u64) {
-        self.variable(field << 3);
-        self.variable(value);
+        self.varint(field << 3);
+        self.varint(value);
     }
 
     fn block(&mut self, field: u64, bytes: &[u8]) {
-        self.variable(field << 3 | 2);
-        self.variable(bytes.len() as u64);
+        self.varint(field << 3 | 2);
+        self.varint(bytes.len() as u64);
         self.bytes.extend_from_slice(bytes);
     }
 
@@ -228,8 +225,8 @@ impl Message {
         self.block(field, &message.bytes);
     }
 
-    /// A number of variable length: seven bits a byte, lowest first, the eighth says that more follow.
-    fn variable(&mut self, mut value: u64) {
+    /// A varint: seven bits per byte, lowest first; the eighth bit marks that more follow.
+    fn varint(&mut self, mut value: u64) {
         while value >= 0x80 {
             self.bytes.push(value as u8 | 0x80);
             value >>= 7;

@@ -1,12 +1,12 @@
-//! Unit vectors as signed bytes.
+//! Quantization of unit vectors to signed bytes.
 //!
-//! The distance of [`crate::Metric::CosineInt8`] does not depend on the length of a descriptor, so each one is scaled
-//! by itself: its largest number becomes 127 or -127. Nothing is clipped and every byte counts.
+//! The distance of [`crate::matching::Metric::CosineInt8`] does not depend on the length of a descriptor, so each one is
+//! scaled individually: its largest magnitude becomes 127. Nothing is clipped.
 
 /// The largest signed byte.
 const LARGEST: f32 = 127.0;
 
-/// Appends the vector to `bytes`, one signed byte a number. The zero vector stays zero.
+/// Appends the vector to `bytes`, one signed byte per number. The zero vector stays zero.
 pub fn quantize(vector: &[f32], bytes: &mut Vec<u8>) {
     let largest = vector.iter().fold(0.0_f32, |largest, number| largest.max(number.abs()));
     let scale = if largest > 0.0 { LARGEST / largest } else { 0.0 };

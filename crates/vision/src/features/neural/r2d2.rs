@@ -1,7 +1,7 @@
-//! R2D2: keypoints that are repeatable and whose descriptors are reliable, 128 numbers each.
+//! R2D2: repeatable and reliable keypoints with descriptors of 128 numbers.
 //!
-//! The published weights are for non-commercial use, so this project does not bring them. Who may use them converts
-//! them once, in the folder of the published program (github.com/naver/r2d2), with PyTorch:
+//! The published weights are for non-commercial use and not distributed here. To use them, convert them once with PyTorch
+//! in the folder of the published program (github.com/naver/r2d2):
 //!
 //! ```text
 //! python3 - <<'END'
@@ -24,94 +24,97 @@
 //! Source: Revaud, Weinzaepfel, De Souza & Humenberger, "R2D2: Repeatable and Reliable Detector and Descriptor",
 //! NeurIPS 2019.
 
-use super::best;
-use super::dense::{Descriptors, Heat};
+use super::dense_maps::{Descriptors, Heatmap};
 use super::network::{Engine, Network, NetworkError};
 use super::quantize::quantize;
-use super::state_dict::Tensor;
+use super::selection::select_best;
+use super::tensor::Tensor;
 use super::weights::{self, WeightsError};
-use crate::features::check_size;
+use crate::features::extractor::{ExtractError, FeatureExtractor, ImageFeatures, Keypoint, check_size};
 use crate::features::weights::R2D2;
-use crate::{ExtractError, FeatureExtractor, GrayImage, ImageFeatures, Keypoint, Metric};
+use crate::image::GrayImage;
+use crate::matching::Metric;
 use std::path::Path;
 
 /// Numbers of a descriptor.
 const DIMENSION: usize = 128;
 const INPUT: &str = "image";
 const OUTPUTS: [&str; 3] = ["descriptors", "repeatability", "reliability"];
-/// Mean and standard deviation of red, green and blue (0 to 1) in the training's images.
+/// Mean of red, green and blue (0 to 1) in the training images.
 const COLOUR_MEAN: [f32; 3] = [0.485, 0.456, 0.406];
-/// See [`COLOUR_MEAN`].
+/// Standard deviation of red, green and blue (0 to 1) in the training images.
 const COLOUR_DEVIATION: [f32; 3] = [0.229, 0.224, 0.225];
-/// Places that a keypoint excels on every side (3 x 3), as published.
-const NEIGHBOURHOOD: usize = 1;
-/// Least repeatability and reliability of a keypoint, as published.
-const LEAST: f32 = 0.7;
-/// Fewest pixels a side that an image is looked at with.
-const LEAST_SIDE: usize = 32;
-/// The image is looked at in these sizes. The published program takes eight, down to a quarter; three, a factor of the
-/// root of 2 apart, take a fifth of its time.
+/// Radius of non-maximum suppression (3 x 3), as published.
+const PEAK_RADIUS: usize = 1;
+/// Minimum repeatability and reliability of a keypoint, as published.
+const MIN_SCORE: f32 = 0.7;
+/// Minimum width and height of an image at any scale, pixels.
+const MIN_SIDE: usize = 32;
+/// Image scales. The published program has eight, down to a quarter; three with a ratio of sqrt(2) take a fifth of the
+/// time.
 const SCALES: [f32; 3] = [1.0, std::f32::consts::FRAC_1_SQRT_2, 0.5];
 
-/// See the module.
+/// The extractor `r2d2-1`; see the module documentation.
 pub struct R2d2Extractor {
     network: Network,
     scales: Vec<f32>,
 }
 
 impl R2d2Extractor {
-    /// The extractor with the network of the file `r2d2-1.onnx` in a folder.
+    /// Loads the network from the file `r2d2-1.onnx` in a folder.
     ///
     /// # Errors
-    /// [`WeightsError`]: no such file, damaged, or another network.
+    /// [`WeightsError`]: the file is missing, damaged or a different network.
     pub fn open(folder: &Path) -> Result<Self, WeightsError> {
         let path = folder.join(R2D2.file);
         let bytes = weights::read_checked(&path, &R2D2)?;
-        Self::from_onnx(bytes, Engine::best())
-            .map_err(|error| WeightsError::unusable(&path, &R2D2, error.to_string()))
+        Self::from_onnx(bytes, Engine::best()).map_err(|error| WeightsError::unusable(&path, &R2D2, error))
     }
 
-    /// The extractor with the network of an ONNX file: its input is `image` `[1, 3, rows, columns]`, its outputs are
+    /// Creates an extractor from the bytes of an ONNX file: its input is `image` `[1, 3, rows, columns]`, its outputs are
     /// `descriptors` `[1, 128, rows, columns]`, `repeatability` and `reliability` `[1, 1, rows, columns]`.
     ///
     /// # Errors
-    /// [`NetworkError`]; the network is tried on a small image.
+    /// [`NetworkError`]; the network is tested on a small image.
     pub fn from_onnx(onnx: Vec<u8>, engine: Engine) -> Result<Self, NetworkError> {
         let network = Network::load(onnx, INPUT, &OUTPUTS, engine)?;
         let mut extractor = Self { network, scales: SCALES.to_vec() };
-        // Rows and columns differ, and are not those of the conversion.
-        extractor.look(&GrayImage::from_fn(40, LEAST_SIDE, |x, y| (x * y) as u8))?;
+        // Rows and columns differ from each other and from those of the conversion.
+        extractor.extract_scale(&GrayImage::from_fn(40, MIN_SIDE, |x, y| (x * y) as u8))?;
         Ok(extractor)
     }
 
-    /// Looks at images in other sizes, as fractions of the full one.
+    /// Sets the image scales, as fractions of the full resolution.
     #[must_use]
     pub fn with_scales(mut self, scales: &[f32]) -> Self {
         self.scales = scales.to_vec();
         self
     }
 
-    /// The keypoints of an image of one size, and their descriptors.
-    fn look(&mut self, image: &GrayImage) -> Result<Vec<(Keypoint, [f32; DIMENSION])>, NetworkError> {
+    /// Keypoints and descriptors at one scale.
+    fn extract_scale(
+        &mut self,
+        image: &GrayImage,
+    ) -> Result<Vec<(Keypoint, [f32; DIMENSION])>, NetworkError> {
         let (width, height) = (image.width(), image.height());
         let outputs = self.network.run([1, 3, height, width], prepare(image))?;
         let [descriptors, repeatability, reliability] = <[Tensor; 3]>::try_from(outputs)
-            .map_err(|outputs| NetworkError::Run(format!("{} outputs", outputs.len())))?;
+            .map_err(|outputs| NetworkError::Outputs { found: outputs.len(), needed: OUTPUTS.len() })?;
         let descriptors = Descriptors::from_output(OUTPUTS[0], &descriptors, DIMENSION, height, width)?;
-        let repeatability = Heat::from_output(OUTPUTS[1], repeatability, height, width)?;
-        let reliability = Heat::from_output(OUTPUTS[2], reliability, height, width)?;
-        let mut seen = Vec::new();
-        for peak in repeatability.peaks(NEIGHBOURHOOD, LEAST) {
+        let repeatability = Heatmap::from_output(OUTPUTS[1], repeatability, height, width)?;
+        let reliability = Heatmap::from_output(OUTPUTS[2], reliability, height, width)?;
+        let mut candidates = Vec::new();
+        for peak in repeatability.peaks(PEAK_RADIUS, MIN_SCORE) {
             let (x, y) = (peak.x as f32, peak.y as f32);
             let reliable = reliability.bilinear(x, y);
-            if reliable > LEAST {
+            if reliable > MIN_SCORE {
                 let mut vector = [0.0; DIMENSION];
                 descriptors.nearest(x, y, &mut vector);
                 let pixel = repeatability.refine(peak);
-                seen.push((Keypoint { pixel, scale: 1.0, score: peak.heat * reliable }, vector));
+                candidates.push((Keypoint { pixel, scale: 1.0, score: peak.heat * reliable }, vector));
             }
         }
-        Ok(seen)
+        Ok(candidates)
     }
 }
 
@@ -134,44 +137,38 @@ impl FeatureExtractor for R2d2Extractor {
         mask: Option<&GrayImage>,
         max_features: usize,
     ) -> Result<ImageFeatures, ExtractError> {
-        check_size(image, mask, LEAST_SIDE)?;
-        let mut seen = Vec::new();
+        check_size(image, mask, MIN_SIDE)?;
+        let mut candidates = Vec::new();
         for scale in self.scales.clone() {
             let size = |side: usize| (side as f32 * scale).round() as usize;
             let (width, height) = (size(image.width()), size(image.height()));
-            if width < LEAST_SIDE || height < LEAST_SIDE {
+            if width < MIN_SIDE || height < MIN_SIDE {
                 continue;
             }
             let found = if (width, height) == (image.width(), image.height()) {
-                self.look(image)
+                self.extract_scale(image)
             } else {
-                self.look(&shrink(image, width, height))
+                self.extract_scale(&shrink(image, width, height))
             };
-            let found = found.map_err(|error| ExtractError::Network(error.to_string()))?;
+            let found = found.map_err(|error| ExtractError::Extractor(error.into()))?;
             let (fx, fy) = (image.width() as f32 / width as f32, image.height() as f32 / height as f32);
-            seen.extend(found.into_iter().map(|(mut keypoint, vector)| {
+            candidates.extend(found.into_iter().map(|(mut keypoint, vector)| {
                 let [u, v] = keypoint.pixel;
                 keypoint.pixel = [(u + 0.5) * fx - 0.5, (v + 0.5) * fy - 0.5];
                 keypoint.scale = fx;
                 (keypoint, vector)
             }));
         }
-        let (keypoints, vectors) = best(seen, image, mask, max_features);
+        let (keypoints, vectors) = select_best(candidates, image, mask, max_features);
         let mut descriptors = Vec::with_capacity(vectors.len() * DIMENSION);
         for vector in &vectors {
             quantize(vector, &mut descriptors);
         }
-        Ok(ImageFeatures {
-            keypoints,
-            metric: Metric::CosineInt8,
-            width: DIMENSION,
-            descriptors,
-            global: None,
-        })
+        Ok(ImageFeatures { keypoints, metric: Metric::CosineInt8, width: DIMENSION, descriptors })
     }
 }
 
-/// The image as three equal colours, each with the training's mean and deviation taken off.
+/// The image as three equal channels, normalized by mean and standard deviation of the training images.
 fn prepare(image: &GrayImage) -> Vec<f32> {
     let mut numbers = Vec::with_capacity(3 * image.pixels().len());
     for (mean, deviation) in COLOUR_MEAN.iter().zip(COLOUR_DEVIATION) {
@@ -180,23 +177,24 @@ fn prepare(image: &GrayImage) -> Vec<f32> {
     numbers
 }
 
-/// A smaller image: each pixel is the mean of the area that it covers.
+/// Area downsampling: each pixel is the mean of the area that it covers.
 fn shrink(image: &GrayImage, width: usize, height: usize) -> GrayImage {
-    let columns = shares(image.width(), width);
-    let rows = shares(image.height(), height);
+    let columns = coverage(image.width(), width);
+    let rows = coverage(image.height(), height);
     GrayImage::from_fn(width, height, |x, y| {
         let mut sum = 0.0;
-        for &(row, row_share) in &rows[y] {
+        for &(row, row_weight) in &rows[y] {
             let line = image.row(row);
-            let of_row: f32 = columns[x].iter().map(|&(column, share)| share * f32::from(line[column])).sum();
-            sum += row_share * of_row;
+            let of_row: f32 =
+                columns[x].iter().map(|&(column, weight)| weight * f32::from(line[column])).sum();
+            sum += row_weight * of_row;
         }
         sum.round() as u8
     })
 }
 
-/// For each of `to` equal parts of `from` pixels, the pixels that it covers and their shares of it.
-fn shares(from: usize, to: usize) -> Vec<Vec<(usize, f32)>> {
+/// For each of `to` equal parts of `from` pixels, the pixels that it covers and their weights.
+fn coverage(from: usize, to: usize) -> Vec<Vec<(usize, f32)>> {
     let step = from as f32 / to as f32;
     let part = |index: usize| {
         let (start, end) = (index as f32 * step, (index as f32 + 1.0) * step);

@@ -1,27 +1,39 @@
-//! Reading files of weights: the right file or an error that says how to get it.
+//! Reading files of weights with their checksums.
 
+use super::network::NetworkError;
 use crate::features::weights::WeightsFile;
 use sha2::{Digest as _, Sha256};
 use std::path::{Path, PathBuf};
 
-/// Why there are no weights.
+/// Why weights could not be loaded.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum WeightsError {
-    /// The file is not there, or cannot be read.
+    /// The file is missing or cannot be read.
     #[error("the weights of {name} cannot be read from {}: {source}; get them with `{command}`", path.display())]
     Unreadable {
         /// The extractor.
         name: &'static str,
         /// The file.
         path: PathBuf,
-        /// What is wrong.
+        /// The cause.
         source: std::io::Error,
-        /// How to get them.
+        /// The command that fetches them.
         command: &'static str,
     },
-    /// The file is not the right one.
+    /// Only the PyTorch file of an earlier version is there.
+    #[error("{} is missing, and {} is no longer read; convert it with `{command} --from {}`", path.display(), old.display(), old.display())]
+    Unconverted {
+        /// The missing file.
+        path: PathBuf,
+        /// The PyTorch file.
+        old: PathBuf,
+        /// The command that fetches or converts the weights.
+        command: &'static str,
+    },
+    /// The checksum is wrong.
     #[error(
-        "{} is not the right file or is damaged (SHA-256 {found}, {needed} is needed); get it again with `{command}`",
+        "{} is damaged or not the expected file (SHA-256 {found}, {needed} is needed); get it again with `{command}`",
         path.display()
     )]
     Checksum {
@@ -29,34 +41,36 @@ pub enum WeightsError {
         path: PathBuf,
         /// SHA-256 of the file.
         found: String,
-        /// SHA-256 of the right file.
+        /// The expected SHA-256.
         needed: String,
-        /// How to get it.
+        /// The command that fetches it.
         command: &'static str,
     },
-    /// The file holds something else than the weights of this network.
-    #[error("{} cannot be used: {reason}; get it again with `{command}`", path.display())]
+    /// The file does not hold the weights of this network.
+    #[error("{} cannot be used: {source}; get it again with `{command}`", path.display())]
     Unusable {
         /// The file.
         path: PathBuf,
-        /// What is wrong.
-        reason: String,
-        /// How to get it.
+        /// The cause.
+        source: Box<NetworkError>,
+        /// The command that fetches it.
         command: &'static str,
     },
 }
 
 impl WeightsError {
-    pub(super) fn unusable(path: &Path, file: &WeightsFile, reason: String) -> Self {
-        Self::Unusable { path: path.to_path_buf(), reason, command: file.command }
+    pub(super) fn unusable(path: &Path, file: &WeightsFile, error: NetworkError) -> Self {
+        Self::Unusable { path: path.to_path_buf(), source: Box::new(error), command: file.command }
     }
 }
 
-/// Reads a file of weights and checks its SHA-256: against the known one, or else against the one beside it, where
-/// there is one.
+/// Reads a file of weights and checks its SHA-256 against the known one, or against its checksum file if there is one.
 pub(super) fn read_checked(path: &Path, file: &WeightsFile) -> Result<Vec<u8>, WeightsError> {
     let bytes = std::fs::read(path).map_err(|source| {
-        let (path, command) = (path.to_path_buf(), file.command);
+        let (path, old, command) = (path.to_path_buf(), path.with_extension("pt"), file.command);
+        if source.kind() == std::io::ErrorKind::NotFound && old.exists() {
+            return WeightsError::Unconverted { path, old, command };
+        }
         WeightsError::Unreadable { name: file.name, path, source, command }
     })?;
     let beside = || {

@@ -1,71 +1,73 @@
-//! XFeat: keypoints and 64 numbers each, from a small network.
+//! XFeat: keypoints with descriptors of 64 numbers, from a small network.
 //!
-//! Differences from the published program, each of which keeps pixels exact: images whose sides are no multiples of 32
-//! are continued at the right and at the bottom by their last column and row instead of being resampled; descriptors
-//! are read where the keypoint is in the map of cells (`(u - 3.5) / 8`); keypoints lie between the pixels
-//! (parabola through the logarithm of the heat).
+//! Differences from the published program, which keep pixels exact: images whose sides are not multiples of 32 are padded
+//! on the right and at the bottom by replication instead of being resampled; descriptors are interpolated at the position
+//! of the keypoint in the map of cells (`(u - 3.5) / 8`); keypoints have sub-pixel positions (parabola through the
+//! logarithm of the heatmap).
 //!
 //! Source: Potje, Cadar, Araujo, Martins & Nascimento, CVPR 2024.
 
-use super::best;
-use super::dense::{Descriptors, Heat};
+use super::dense_maps::{Descriptors, Heatmap};
 use super::network::{Engine, Network, NetworkError};
 use super::quantize::quantize;
-use super::state_dict::{StateDict, Tensor};
+use super::selection::select_best;
+use super::state_dict::StateDict;
+use super::tensor::Tensor;
 use super::weights::{self, WeightsError};
 use super::xfeat_network::{self, CELL, DIMENSION, INPUT, KEYPOINT_CHANNELS, MULTIPLE, OUTPUTS};
-use crate::features::check_size;
+use crate::features::extractor::{ExtractError, FeatureExtractor, ImageFeatures, Keypoint, check_size};
 use crate::features::weights::XFEAT;
-use crate::{ExtractError, FeatureExtractor, GrayImage, ImageFeatures, Keypoint, Metric};
+use crate::image::GrayImage;
+use crate::matching::Metric;
 use std::path::Path;
 
-/// Places of the heat map that a keypoint excels on every side (5 x 5), as published.
-const NEIGHBOURHOOD: usize = 2;
-/// Least heat of a keypoint, as published.
-const MIN_HEAT: f32 = 0.05;
+/// Radius of non-maximum suppression in the heatmap (5 x 5), as published.
+const PEAK_RADIUS: usize = 2;
+/// Minimum score of a keypoint, as published.
+const MIN_SCORE: f32 = 0.05;
 /// Added to the variance of the image's brightness (0 to 1), as in the training.
 const EPSILON: f32 = 1e-5;
 
-/// See the module.
+/// The extractor `xfeat-1`; see the module documentation.
 pub struct XfeatExtractor {
     network: Network,
 }
 
 impl XfeatExtractor {
-    /// The extractor with the published weights, from the file `xfeat.pt` in a folder.
+    /// Loads the published weights from the file `xfeat.safetensors` in a folder.
     ///
     /// # Errors
-    /// [`WeightsError`]: no such file, or it is not the published one.
+    /// [`WeightsError`]: the file is missing, or its checksum is not that of the published weights.
     pub fn open(folder: &Path) -> Result<Self, WeightsError> {
         let path = folder.join(XFEAT.file);
         let bytes = weights::read_checked(&path, &XFEAT)?;
-        let unusable = |reason: String| WeightsError::unusable(&path, &XFEAT, reason);
-        let state = StateDict::read(&bytes).map_err(|error| unusable(error.to_string()))?;
-        Self::from_weights(&state, Engine::best()).map_err(|error| unusable(error.to_string()))
+        let unusable = |error: NetworkError| WeightsError::unusable(&path, &XFEAT, error);
+        let state = StateDict::read(&bytes).map_err(|error| unusable(error.into()))?;
+        Self::from_weights(&state, Engine::best()).map_err(unusable)
     }
 
-    /// The extractor with other weights.
+    /// Creates an extractor with other weights, for example of a network that you trained.
     ///
     /// # Errors
-    /// [`NetworkError::Load`] where a tensor is missing or has another shape.
+    /// [`NetworkError::Weights`] if a tensor is missing, not finite or has a wrong shape; [`NetworkError::Load`].
     pub fn from_weights(state: &StateDict, engine: Engine) -> Result<Self, NetworkError> {
-        let onnx = xfeat_network::write(state).map_err(|error| NetworkError::Load(error.to_string()))?;
+        let onnx = xfeat_network::write(state)?;
         Ok(Self { network: Network::load(onnx, INPUT, &OUTPUTS, engine)? })
     }
 
-    /// Keypoints in no order, and the map of descriptors.
+    /// Keypoints (unsorted), and the map of descriptors.
     fn detect(&mut self, image: &GrayImage) -> Result<(Vec<(Keypoint, ())>, Descriptors), NetworkError> {
         let (rows, columns, numbers) = prepare(image);
         let (cell_rows, cell_columns) = (rows / CELL, columns / CELL);
         let outputs = self.network.run([1, 1, rows, columns], numbers)?;
         let [descriptors, keypoints, reliability] = <[Tensor; 3]>::try_from(outputs)
-            .map_err(|outputs| NetworkError::Run(format!("{} outputs", outputs.len())))?;
+            .map_err(|outputs| NetworkError::Outputs { found: outputs.len(), needed: OUTPUTS.len() })?;
         let descriptors =
             Descriptors::from_output(OUTPUTS[0], &descriptors, DIMENSION, cell_rows, cell_columns)?;
         let heat = heat_of_pixels(&keypoints, cell_rows, cell_columns)?;
-        let reliability = Heat::from_output(OUTPUTS[2], reliability, cell_rows, cell_columns)?;
-        let peaks = heat.peaks(NEIGHBOURHOOD, MIN_HEAT);
-        // Beyond the image is only its continuation.
+        let reliability = Heatmap::from_output(OUTPUTS[2], reliability, cell_rows, cell_columns)?;
+        let peaks = heat.peaks(PEAK_RADIUS, MIN_SCORE);
+        // Ignores the padding.
         let inside = peaks.into_iter().filter(|peak| peak.x < image.width() && peak.y < image.height());
         let candidates = inside.map(|peak| {
             let [u, v] = heat.refine(peak);
@@ -77,10 +79,10 @@ impl XfeatExtractor {
         Ok((candidates.collect(), descriptors))
     }
 
-    /// Keypoints with descriptors of norm 1, before these become bytes; best first.
+    /// Extracts keypoints with `f32` descriptors of norm 1, before quantization; best first.
     ///
     /// # Errors
-    /// [`ExtractError`].
+    /// As [`FeatureExtractor::extract`].
     pub fn extract_floats(
         &mut self,
         image: &GrayImage,
@@ -88,9 +90,8 @@ impl XfeatExtractor {
         max_features: usize,
     ) -> Result<(Vec<Keypoint>, Vec<[f32; DIMENSION]>), ExtractError> {
         check_size(image, mask, MULTIPLE)?;
-        let (candidates, map) =
-            self.detect(image).map_err(|error| ExtractError::Network(error.to_string()))?;
-        let (keypoints, _) = best(candidates, image, mask, max_features);
+        let (candidates, map) = self.detect(image).map_err(|error| ExtractError::Extractor(error.into()))?;
+        let (keypoints, _) = select_best(candidates, image, mask, max_features);
         let descriptors = keypoints.iter().map(|keypoint| {
             let [x, y] = keypoint.pixel.map(cell_of_pixel);
             let mut vector = [0.0; DIMENSION];
@@ -126,22 +127,16 @@ impl FeatureExtractor for XfeatExtractor {
         for vector in &vectors {
             quantize(vector, &mut descriptors);
         }
-        Ok(ImageFeatures {
-            keypoints,
-            metric: Metric::CosineInt8,
-            width: DIMENSION,
-            descriptors,
-            global: None,
-        })
+        Ok(ImageFeatures { keypoints, metric: Metric::CosineInt8, width: DIMENSION, descriptors })
     }
 }
 
-/// Where a pixel lies in the map of cells: the centre of the first cell is between its eight pixels.
+/// Coordinate of a pixel in the map of cells: the centre of a cell lies between its eight pixels.
 fn cell_of_pixel(pixel: f32) -> f32 {
     (pixel - (CELL - 1) as f32 / 2.0) / CELL as f32
 }
 
-/// The image with mean 0 and variance 1, continued to rows and columns that are multiples of 32.
+/// The image normalized to mean 0 and variance 1, padded to multiples of 32 rows and columns.
 fn prepare(image: &GrayImage) -> (usize, usize, Vec<f32>) {
     let rows = image.height().next_multiple_of(MULTIPLE);
     let columns = image.width().next_multiple_of(MULTIPLE);
@@ -164,8 +159,12 @@ fn prepare(image: &GrayImage) -> (usize, usize, Vec<f32>) {
     (rows, columns, numbers)
 }
 
-/// How likely each pixel is a keypoint: the softmax of the 65 numbers of its cell.
-fn heat_of_pixels(keypoints: &Tensor, cell_rows: usize, cell_columns: usize) -> Result<Heat, NetworkError> {
+/// Keypoint probability of each pixel: softmax over the 65 channels of its cell.
+fn heat_of_pixels(
+    keypoints: &Tensor,
+    cell_rows: usize,
+    cell_columns: usize,
+) -> Result<Heatmap, NetworkError> {
     let needed = vec![1, KEYPOINT_CHANNELS, cell_rows, cell_columns];
     if keypoints.shape != needed {
         let (name, found) = (OUTPUTS[1].to_owned(), keypoints.shape.clone());
@@ -173,20 +172,20 @@ fn heat_of_pixels(keypoints: &Tensor, cell_rows: usize, cell_columns: usize) -> 
     }
     let (width, height, cells) = (cell_columns * CELL, cell_rows * CELL, cell_rows * cell_columns);
     let mut data = vec![0.0; width * height];
-    let mut likely = [0.0; KEYPOINT_CHANNELS];
+    let mut probabilities = [0.0; KEYPOINT_CHANNELS];
     for cell in 0..cells {
         let logits = keypoints.data[cell..].iter().step_by(cells);
         let largest = logits.clone().fold(f32::NEG_INFINITY, |largest, &logit| largest.max(logit));
-        for (value, logit) in likely.iter_mut().zip(logits) {
+        for (value, logit) in probabilities.iter_mut().zip(logits) {
             *value = (logit - largest).exp();
         }
-        let sum: f32 = likely.iter().sum();
+        let sum: f32 = probabilities.iter().sum();
         let corner = cell / cell_columns * CELL * width + cell % cell_columns * CELL;
-        for (row, values) in likely.as_chunks::<CELL>().0.iter().enumerate() {
+        for (row, values) in probabilities.as_chunks::<CELL>().0.iter().enumerate() {
             for (column, value) in values.iter().enumerate() {
                 data[corner + row * width + column] = value / sum;
             }
         }
     }
-    Ok(Heat { width, height, data })
+    Ok(Heatmap { width, height, data })
 }

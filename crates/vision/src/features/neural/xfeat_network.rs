@@ -1,4 +1,4 @@
-//! The network of XFeat, written from its weights.
+//! The network of XFeat as an ONNX graph.
 //!
 //! ```text
 //! image [1, H, W] (of mean 0 and variance 1; H and W multiples of 32)
@@ -7,12 +7,11 @@
 //!   block3: 64 (stride 2), 64, 64 (1x1)                                                             H/8   a
 //!   block4: 64 (stride 2), 64, 64                                                                   H/16  b
 //!   block5: 128 (stride 2), 128, 128, 64 (1x1)                                                      H/32  c
-//!   block_fusion(a + enlarged b + enlarged c): 64, 64, 64 (1x1, plain)  -> descriptors [64, H/8, W/8]
+//!   block_fusion(a + upsampled b + upsampled c): 64, 64, 64 (1x1, plain)  -> descriptors [64, H/8, W/8]
 //!   heatmap_head(descriptors): 64, 64, 1 (1x1), sigmoid                 -> reliability [1, H/8, W/8]
 //!   keypoint_head(each 8x8 pixels as 64 channels): 64, 64, 64, 65 (1x1) -> keypoints   [65, H/8, W/8]
 //! ```
-//! Every layer is a 3x3 convolution, normalization by fixed statistics (folded into the convolution here) and ReLU,
-//! where nothing else is said. The mean and the 1x1 convolution of the skip are one 4x4 convolution of stride 4, the
+//! Unless noted, every layer is a 3x3 convolution, batch normalization (folded into the convolution here) and ReLU. The mean and the 1x1 convolution of the skip are one 4x4 convolution of stride 4, the
 //! first layer of the keypoint head is one 8x8 convolution of stride 8: the same numbers.
 //!
 //! Source: Potje, Cadar, Araujo, Martins & Nascimento, "XFeat: Accelerated Features for Lightweight Image Matching",
@@ -23,24 +22,24 @@ use super::state_dict::{StateDict, StateDictError};
 
 /// Columns and rows of the image must be multiples of this.
 pub(super) const MULTIPLE: usize = 32;
-/// Pixels a side of a cell: the outputs have one place a cell.
+/// Side of a cell, pixels: the outputs have one value per cell.
 pub(super) const CELL: usize = 8;
 /// Numbers of a descriptor.
 pub(super) const DIMENSION: usize = 64;
-/// Channels of the keypoint head: one a pixel of a cell, and one for "none of them".
+/// Channels of the keypoint head: one per pixel of a cell, and one for "no keypoint".
 pub(super) const KEYPOINT_CHANNELS: usize = CELL * CELL + 1;
 /// Added to variances, as in the training.
 const EPSILON: f32 = 1e-5;
 
-/// The names of the network's tensors.
+/// Name of the input tensor.
 pub(super) const INPUT: &str = "image";
-/// See [`INPUT`].
+/// Names of the output tensors.
 pub(super) const OUTPUTS: [&str; 3] = ["descriptors", "keypoints", "reliability"];
 
 /// Writes the network as an ONNX file in memory.
 ///
 /// # Errors
-/// [`StateDictError`] where a tensor is missing, has another shape or is not finite.
+/// [`StateDictError`] if a tensor is missing, has a wrong shape or is not finite.
 pub fn write(weights: &StateDict) -> Result<Vec<u8>, StateDictError> {
     let mut network = Writer { weights, graph: Graph::default() };
     network.graph.input(INPUT, 1);
@@ -67,8 +66,8 @@ impl Writer<'_> {
         let b = self.block("block4", &a, 64, &[(64, 3, 2), (64, 3, 1), (64, 3, 1)])?;
         let c = self.block("block5", &b, 64, &[(128, 3, 2), (128, 3, 1), (128, 3, 1), (64, 1, 1)])?;
 
-        let b = self.graph.enlarge(&b, "block4.enlarged", 2);
-        let c = self.graph.enlarge(&c, "block5.enlarged", 4);
+        let b = self.graph.upsample(&b, "block4.upsampled", 2);
+        let c = self.graph.upsample(&c, "block5.upsampled", 4);
         let sum = self.graph.add(&a, &b, "pyramid.partial");
         let sum = self.graph.add(&sum, &c, "pyramid");
         let fused = self.block("block_fusion", &sum, 64, &[(64, 3, 1), (64, 3, 1)])?;
@@ -85,7 +84,7 @@ impl Writer<'_> {
         Ok(())
     }
 
-    /// Layers one after the other, each given by output channels, kernel side and stride.
+    /// A sequence of layers, each given by output channels, kernel size and stride.
     fn block(
         &mut self,
         name: &str,
@@ -144,7 +143,7 @@ impl Writer<'_> {
         Ok(self.graph.relu(&sum, name))
     }
 
-    /// A 1x1 convolution of 64 channels, and nothing after it.
+    /// A 1x1 convolution of 64 channels without normalization and ReLU.
     fn plain(
         &mut self,
         input: &str,
@@ -159,7 +158,7 @@ impl Writer<'_> {
         Ok(self.graph.convolve(input, output, &convolution))
     }
 
-    /// The mean of each 4x4 pixels, times one number a channel, plus another.
+    /// Mean over 4x4 pixels, scaled and offset for each channel.
     fn skip(&mut self) -> Result<String, StateDictError> {
         const SIDE: usize = 4;
         let factors = self.weights.get("skip1.1.weight", &[24, 1, 1, 1])?;

@@ -1,7 +1,7 @@
-//! Networks that ONNX Runtime runs, from a shared library that is looked for when the first network is loaded.
+//! Networks run by ONNX Runtime, whose shared library is searched when the first network is loaded.
 
-use super::network::NetworkError;
-use super::state_dict::Tensor;
+use super::super::tensor::Tensor;
+use super::error::NetworkError;
 use crate::features::weights;
 use ort::environment::Environment;
 use std::path::PathBuf;
@@ -9,10 +9,10 @@ use std::sync::OnceLock;
 
 /// File name of the library.
 const LIBRARY: &str = if cfg!(target_os = "macos") { "libonnxruntime.dylib" } else { "libonnxruntime.so" };
-/// The environment variable that names the library's file; usual for programs that load it.
+/// The environment variable with the path of the library, as other programs use it.
 const LIBRARY_VARIABLE: &str = "ORT_DYLIB_PATH";
 
-/// The library, loaded once a process; `None` where it is not found or too old.
+/// The library, loaded once per process; `None` if it is not found or too old.
 pub(super) fn environment() -> Option<&'static Environment> {
     static ENVIRONMENT: OnceLock<Option<Environment>> = OnceLock::new();
     ENVIRONMENT.get_or_init(load_library).as_ref()
@@ -24,7 +24,7 @@ fn load_library() -> Option<Environment> {
     let candidates = [named, beside_weights, Some(PathBuf::from(LIBRARY))];
     candidates.into_iter().flatten().find_map(|path| {
         let environment = ort::init_from(path).ok()?.with_name("driftless").build().ok()?;
-        // Errors are returned; nothing else is worth a line.
+        // Errors are returned; no other log output.
         environment.set_log_level(ort::logging::LogLevel::Fatal);
         Some(environment)
     })
@@ -39,7 +39,7 @@ pub(super) struct Session {
 impl Session {
     pub fn load(onnx: &[u8], input: &str, outputs: &[&str]) -> Result<Self, NetworkError> {
         let environment = environment().ok_or(NetworkError::NoEngine)?;
-        let session = one_thread(environment, onnx).map_err(|error| NetworkError::Load(error.to_string()))?;
+        let session = one_thread(environment, onnx).map_err(|error| NetworkError::Load(error.into()))?;
         for name in outputs {
             if !session.outputs().iter().any(|outlet| outlet.name() == *name) {
                 return Err(NetworkError::Tensor((*name).to_owned()));
@@ -57,7 +57,7 @@ impl Session {
         numbers: Vec<f32>,
         outputs: &[String],
     ) -> Result<Vec<Tensor>, NetworkError> {
-        let failed = |error: ort::Error| NetworkError::Run(error.to_string());
+        let failed = |error: ort::Error| NetworkError::Run(error.into());
         let image = ort::value::Tensor::from_array((shape, numbers)).map_err(failed)?;
         let found = self.session.run(ort::inputs![self.input.as_str() => image]).map_err(failed)?;
         outputs

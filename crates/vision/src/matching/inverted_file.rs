@@ -1,40 +1,41 @@
-//! Near descriptors among very many: an inverted file.
+//! Inverted file: approximate nearest-neighbour search among very many descriptors.
 //!
-//! Every stored descriptor is in the list of its word (see the vocabulary in `words`). A query looks through the
-//! lists of its few nearest words and measures every distance there exactly, so nothing farther than asked for is
-//! returned, and what is missed lies beyond a border that the query is not near to.
+//! Every stored descriptor is in the inverted list of its visual word. A query probes the lists of its few nearest words
+//! and computes every distance there exactly: nothing farther than the given distance is returned; neighbours in lists
+//! that are not probed are missed.
 //!
 //! # Where the defaults come from
-//! `map_server/benches/match_query`: 10,000 keyframes, 509,000 landmarks, 64 signed bytes. With 256 entries a word and 4
+//! `map_server/benches/match_query`: 10,000 keyframes, 509,000 landmarks, 64 signed bytes. With 256 entries per word and 4
 //! probes a query of 500 descriptors took 33 ms there on a busy machine, with 128 and 3 16 ms, with 128 and 2 12 ms (at
 //! most 2048 words in all cases); a keyframe of the place came first for every one of 40 images each time.
 //!
 //! Source: Jegou, Douze, Schmid, "Product quantization for nearest neighbor search", PAMI 2011 (IVF with several probes).
 
-use crate::descriptors::{DescriptorError, DescriptorView, Metric};
-use crate::prepared::Prepared;
-use crate::words::Words;
+use super::descriptors::{DescriptorError, DescriptorView, Metric};
+use super::prepared::PreparedDescriptors;
+use super::vocabulary::Vocabulary;
 
-/// Stored descriptors a word on average: lists that are short beside the cost of finding a query's words.
-const ENTRIES_A_WORD: usize = 128;
-/// Most words: a query is compared with each.
+/// Mean length of an inverted list: short compared with the cost of finding the words of a query.
+const ENTRIES_PER_WORD: usize = 128;
+/// Maximum size of the vocabulary: a query is compared with each word.
 const MAX_WORDS: usize = 2048;
-/// Words whose lists a query looks through.
+/// Inverted lists that a query probes.
 const PROBES: usize = 2;
-/// Descriptors a word that the words are trained on.
-const SAMPLE_A_WORD: usize = 32;
+/// Training descriptors per word.
+const SAMPLE_PER_WORD: usize = 32;
 
 /// A stored descriptor near a query.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Hit {
     /// Distance, in the unit of the [`Metric`].
     pub distance: f32,
-    /// What was stored with the descriptor.
+    /// The number stored with the descriptor.
     pub payload: u32,
 }
 
-/// Descriptors of one metric and width with a number each, to be searched by distance.
+/// Descriptors of one metric and width with a payload each, searchable by distance.
 ///
+/// # Example
 /// ```
 /// use vision::{DescriptorView, Metric, InvertedFile};
 /// let stored = DescriptorView::new(Metric::CosineInt8, 2, &[100, 0, 0, 100])?;
@@ -49,19 +50,19 @@ pub struct InvertedFile {
     metric: Metric,
     width: usize,
     /// `None` for an empty index.
-    words: Option<Words>,
-    /// `starts[word]..starts[word + 1]` are the entries of a word.
+    vocabulary: Option<Vocabulary>,
+    /// `starts[word]..starts[word + 1]` is the inverted list of a word.
     starts: Vec<u32>,
     payloads: Vec<u32>,
-    /// Of the entries, in the order of `payloads`.
-    entries: Prepared,
+    /// Descriptors in the order of `payloads`.
+    entries: PreparedDescriptors,
 }
 
 impl InvertedFile {
-    /// Trains words and files every descriptor under its word.
+    /// Trains a vocabulary and adds every descriptor to the inverted list of its word.
     ///
     /// # Arguments
-    /// * `payloads`: one number a descriptor, which its finders get back; not necessarily unique.
+    /// * `payloads`: one number per descriptor, returned by [`Self::search`]; not necessarily unique.
     ///
     /// # Errors
     /// [`DescriptorError::Groups`] where the number of payloads is not that of the descriptors,
@@ -74,40 +75,40 @@ impl InvertedFile {
         u32::try_from(count).map_err(|_| DescriptorError::Full)?;
         let (metric, width) = (descriptors.metric(), descriptors.width());
         if count == 0 {
-            let entries = Prepared::new(&descriptors);
+            let entries = PreparedDescriptors::new(&descriptors);
             return Ok(Self {
                 metric,
                 width,
-                words: None,
+                vocabulary: None,
                 starts: Vec::new(),
                 payloads: Vec::new(),
                 entries,
             });
         }
-        let word_count = (count / ENTRIES_A_WORD).clamp(1, MAX_WORDS);
-        let step = (count / (word_count * SAMPLE_A_WORD)).max(1);
+        let word_count = (count / ENTRIES_PER_WORD).clamp(1, MAX_WORDS);
+        let step = (count / (word_count * SAMPLE_PER_WORD)).max(1);
         let sample: Vec<u8> = descriptors.iter().step_by(step).flatten().copied().collect();
-        let words = Words::train(DescriptorView::new(metric, width, &sample)?, word_count);
+        let vocabulary = Vocabulary::train(DescriptorView::new(metric, width, &sample)?, word_count);
 
-        let word_of = words.nearest(descriptors, 1);
-        let mut starts = vec![0_u32; words.len() + 1];
+        let word_of = vocabulary.nearest(descriptors, 1);
+        let mut starts = vec![0_u32; vocabulary.len() + 1];
         for &word in &word_of {
             starts[word as usize + 1] += 1;
         }
-        for word in 0..words.len() {
+        for word in 0..vocabulary.len() {
             starts[word + 1] += starts[word];
         }
         let mut next = starts.clone();
-        let mut filed = vec![0_u32; count];
-        let mut sorted = vec![0_u8; descriptors.bytes().len()];
+        let mut sorted_payloads = vec![0_u32; count];
+        let mut sorted_bytes = vec![0_u8; descriptors.bytes().len()];
         for ((descriptor, &payload), &word) in descriptors.iter().zip(payloads).zip(&word_of) {
             let at = next[word as usize] as usize;
             next[word as usize] += 1;
-            filed[at] = payload;
-            sorted[at * width..(at + 1) * width].copy_from_slice(descriptor);
+            sorted_payloads[at] = payload;
+            sorted_bytes[at * width..(at + 1) * width].copy_from_slice(descriptor);
         }
-        let entries = Prepared::new(&DescriptorView::new(metric, width, &sorted)?);
-        Ok(Self { metric, width, words: Some(words), starts, payloads: filed, entries })
+        let entries = PreparedDescriptors::new(&DescriptorView::new(metric, width, &sorted_bytes)?);
+        Ok(Self { metric, width, vocabulary: Some(vocabulary), starts, payloads: sorted_payloads, entries })
     }
 
     /// Number of descriptors.
@@ -115,17 +116,17 @@ impl InvertedFile {
         self.payloads.len()
     }
 
-    /// Whether there is none.
+    /// Whether it holds no descriptors.
     pub fn is_empty(&self) -> bool {
         self.payloads.is_empty()
     }
 
-    /// Finds the stored descriptors near each query.
+    /// Finds stored descriptors within a distance of each query (approximate: lists that are not probed are missed).
     ///
     /// # Arguments
     /// * `max_distance`: in the unit of the [`Metric`].
-    /// * `visit`: called for each query in order with its index and what was found, in no particular but always the
-    ///   same order.
+    /// * `visit`: called for each query in order with its index and its hits. The hits are not sorted, but their order is
+    ///   deterministic.
     ///
     /// # Errors
     /// [`DescriptorError::Mismatch`] for another metric or width.
@@ -138,10 +139,10 @@ impl InvertedFile {
         if queries.metric() != self.metric || queries.width() != self.width {
             return Err(DescriptorError::Mismatch { left: queries.width(), right: self.width });
         }
-        let Some(words) = &self.words else { return Ok(()) };
-        let probes = PROBES.min(words.len());
-        let near_words = words.nearest(queries, probes);
-        let prepared = Prepared::new(&queries);
+        let Some(vocabulary) = &self.vocabulary else { return Ok(()) };
+        let probes = PROBES.min(vocabulary.len());
+        let near_words = vocabulary.nearest(queries, probes);
+        let prepared = PreparedDescriptors::new(&queries);
         let (mut row, mut hits) = (Vec::new(), Vec::new());
         for (query, near_words) in near_words.chunks_exact(probes).enumerate() {
             hits.clear();

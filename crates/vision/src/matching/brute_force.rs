@@ -1,16 +1,16 @@
-//! Which descriptor of one image is which of another (or of a map): nearest neighbours that stand three checks.
+//! Matching by brute force: nearest neighbours under a distance threshold, a ratio test and a mutual check.
 //!
 //! # Where the defaults come from
 //! Measured on the recorded sequences of `target/data` (fraction of bits that differ):
 //!
-//! | | right matches | wrong ones, nearest |
+//! | | correct matches | nearest wrong ones |
 //! |---|---|---|
 //! | `yq`, `MH_01_easy`/`MH_03_medium`: 256 bits, simulated flips | mean 0.095, 99 % below 0.14, largest 0.18 | 0.33 at least, 0.40 typically |
 //! | `walk`, end against the first 10 s: 384 bits, a real extractor | median 0.09, 75 % below 0.14, 95 % below 0.21 | from 0.09 on, 0.22 to 0.30 typically |
 //!
-//! On `yq` any threshold between 0.18 and 0.32 separates perfectly, ratio test or not (the ratio of right matches is
-//! at most 0.44, that of wrong ones at least 0.86). `walk` decides. Matches a frame that pass the mutual check, of the
-//! same place (true) and of another place (all wrong):
+//! On `yq` any threshold between 0.18 and 0.32 separates perfectly, ratio test or not (the ratio of correct matches is
+//! at most 0.44, that of wrong ones at least 0.86). The defaults come from `walk`. Matches per frame that pass the mutual
+//! check, at the same place (correct) and at another place (all wrong):
 //!
 //! | max_distance | ratio | same place | other place |
 //! |---|---|---|---|
@@ -20,27 +20,28 @@
 //! | 0.20 | 0.8 | 152 | 3.1 |
 //! | 0.25 | 0.7 | 143 | 1.0 |
 
-use crate::descriptors::{DescriptorError, DescriptorView, Metric};
-use crate::prepared::Prepared;
+use super::descriptors::{DescriptorError, DescriptorView, Metric};
+use super::prepared::PreparedDescriptors;
 use std::collections::HashMap;
 
-/// What a match must satisfy.
+/// Conditions on a match.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MatchOptions {
     /// Largest distance, in the unit of the [`Metric`].
     pub max_distance: f32,
-    /// The distance must be less than this times that of the nearest rival of another group; `None` for no such test.
+    /// Ratio test: the distance must be less than this times the distance to the nearest descriptor of another group;
+    /// `None` disables it.
     pub ratio: Option<f32>,
-    /// The query must also be the nearest one of the train descriptor's group.
+    /// Mutual check: the query must also be the nearest one to the group of the train descriptor.
     pub mutual: bool,
 }
 
 impl MatchOptions {
-    /// Defaults for a metric; the module says what they were measured on.
+    /// Defaults for a metric; the module documentation says on which data they were measured.
     ///
     /// Hamming: 0.25, ratio 0.8. Cosine: 0.3 and ratio 0.64, Euclidean (unit vectors): 0.77 and ratio 0.8, which is
     /// the same: `cosine distance = euclidean^2 / 2` (Lowe's ratio is one of Euclidean distances). The float values
-    /// are not measured here: no recorded data holds float descriptors.
+    /// are not measured: no recorded data holds float descriptors.
     pub fn for_metric(metric: Metric) -> Self {
         let (max_distance, ratio) = match metric {
             Metric::Hamming => (0.25, 0.8),
@@ -51,7 +52,7 @@ impl MatchOptions {
     }
 }
 
-/// Two descriptors that belong together.
+/// A query descriptor and its nearest train descriptor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Match {
     /// Index of the query descriptor.
@@ -64,7 +65,7 @@ pub struct Match {
 
 /// Matches every query descriptor with its nearest train descriptor, by brute force.
 ///
-/// Of equal distances the smaller index wins, so the result does not depend on anything but the input.
+/// Ties are resolved in favour of the smaller index: the result is deterministic.
 ///
 /// ```
 /// use vision::{DescriptorView, MatchOptions, Metric, match_descriptors};
@@ -76,10 +77,10 @@ pub struct Match {
 /// ```
 ///
 /// # Returns
-/// At most one match a query, ordered by query.
+/// At most one match per query, ordered by query.
 ///
 /// # Errors
-/// [`DescriptorError::Mismatch`] where metric or width differ.
+/// [`DescriptorError::Mismatch`] if metric or width differ.
 pub fn match_descriptors(
     query: DescriptorView<'_>,
     train: DescriptorView<'_>,
@@ -89,17 +90,17 @@ pub fn match_descriptors(
     match_grouped(query, train, &groups, options)
 }
 
-/// Like [`match_descriptors`], where several train descriptors may show the same thing.
+/// Like [`match_descriptors`], where several train descriptors may belong to the same landmark.
 ///
-/// Train descriptors of one group (the same landmark seen by several keyframes) are no rivals of each other in the
-/// ratio test, and with `mutual` a group is matched by at most one query: the nearest to any of its descriptors.
+/// Train descriptors of one group (a landmark observed by several keyframes) do not compete in the ratio test, and with
+/// `mutual` a group is matched by at most one query: the nearest to any of its descriptors.
 ///
 /// # Arguments
-/// * `train_groups`: one number a train descriptor; equal numbers are the same thing.
+/// * `train_groups`: one group number per train descriptor.
 ///
 /// # Errors
-/// [`DescriptorError::Mismatch`] where metric or width differ, [`DescriptorError::Groups`] where the number of groups
-/// is not that of the train descriptors.
+/// [`DescriptorError::Mismatch`] if metric or width differ, [`DescriptorError::Groups`] if the number of group numbers
+/// differs from the number of train descriptors.
 pub fn match_grouped(
     query: DescriptorView<'_>,
     train: DescriptorView<'_>,
@@ -113,8 +114,8 @@ pub fn match_grouped(
         return Err(DescriptorError::Groups { groups: train_groups.len(), descriptors: train.len() });
     }
     let groups = dense_groups(train_groups);
-    let (query_data, train_data) = (Prepared::new(&query), Prepared::new(&train));
-    // Of each train descriptor, so that the loop over them has no other memory to write to.
+    let (query_data, train_data) = (PreparedDescriptors::new(&query), PreparedDescriptors::new(&train));
+    // Indexed by train descriptor, so that the inner loop writes to no other memory.
     let mut nearest_distance = vec![f32::INFINITY; train.len()];
     let mut nearest_index = vec![u32::MAX; train.len()];
     let mut matches = Vec::new();
@@ -136,15 +137,16 @@ pub fn match_grouped(
     Ok(matches)
 }
 
-/// The nearest train descriptor, if it is near enough and no other group comes too close.
+/// The nearest train descriptor, if it passes the distance threshold and the ratio test.
 fn nearest(query: usize, row: &[f32], groups: &Groups, options: &MatchOptions) -> Option<Match> {
     let distance = least(row);
     if !distance.is_finite() || distance > options.max_distance {
         return None;
     }
     let train = row.iter().position(|&other| other <= distance)?;
-    let clear = options.ratio.is_none_or(|ratio| distance < ratio * rival(row, train, groups));
-    clear.then_some(Match { query, train, distance })
+    let passes_ratio =
+        options.ratio.is_none_or(|ratio| distance < ratio * second_nearest(row, train, groups));
+    passes_ratio.then_some(Match { query, train, distance })
 }
 
 /// The smallest of many distances, infinite for none.
@@ -161,7 +163,7 @@ fn least(distances: &[f32]) -> f32 {
 }
 
 /// The smallest distance to a train descriptor of another group than that of `train`, infinite for none.
-fn rival(row: &[f32], train: usize, groups: &Groups) -> f32 {
+fn second_nearest(row: &[f32], train: usize, groups: &Groups) -> f32 {
     match groups {
         Groups::Single => least(&row[..train]).min(least(&row[train + 1..])),
         Groups::Dense(groups) => {
@@ -171,7 +173,7 @@ fn rival(row: &[f32], train: usize, groups: &Groups) -> f32 {
     }
 }
 
-/// Distance and index of the query nearest to any descriptor of each group; of equal ones the first query.
+/// Distance and index of the query nearest to any descriptor of each group; ties go to the first query.
 fn nearest_query_of_groups(groups: &Groups, distances: &[f32], queries: &[u32]) -> Vec<(f32, u32)> {
     let mut nearest = vec![(f32::INFINITY, u32::MAX); distances.len()];
     for (train, (&distance, &query)) in distances.iter().zip(queries).enumerate() {
@@ -183,11 +185,11 @@ fn nearest_query_of_groups(groups: &Groups, distances: &[f32], queries: &[u32]) 
     nearest
 }
 
-/// Which train descriptors show the same thing.
+/// Which train descriptors belong to the same landmark.
 enum Groups {
     /// Each is a group of its own.
     Single,
-    /// The group of each, numbered from 0.
+    /// The group index of each.
     Dense(Vec<usize>),
 }
 

@@ -1,8 +1,8 @@
-//! Descriptors as they lie in memory, and how far apart two of them are.
+//! Descriptors in memory, metrics, and distances between two descriptors.
 
 use thiserror::Error;
 
-/// How two descriptors are compared, and what a distance between them means.
+/// How two descriptors are compared.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Metric {
     /// Binary descriptors: the fraction of bits that differ, 0 to 1; unrelated ones are near 0.5.
@@ -28,15 +28,16 @@ impl Metric {
     }
 }
 
-/// Bytes that are no descriptors, or descriptors that cannot be compared.
+/// Invalid descriptor bytes, or descriptors that cannot be compared.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[non_exhaustive]
 pub enum DescriptorError {
     /// A descriptor's width is zero, or not a multiple of 4 although it holds `f32` numbers.
     #[error("descriptors of {width} bytes cannot be compared by {metric:?} distance")]
     Width {
-        /// Bytes a descriptor.
+        /// Bytes per descriptor.
         width: usize,
-        /// How they were to be compared.
+        /// The metric.
         metric: Metric,
     },
     /// The bytes are not a whole number of descriptors.
@@ -44,34 +45,35 @@ pub enum DescriptorError {
     Length {
         /// Number of bytes.
         bytes: usize,
-        /// Bytes a descriptor.
+        /// Bytes per descriptor.
         width: usize,
     },
-    /// Two sets differ in metric or width, or a descriptor does not have the index's width.
+    /// Two sets differ in metric or width.
     #[error(
         "descriptors of {left} bytes cannot be compared with descriptors of {right} bytes, or their metrics differ"
     )]
     Mismatch {
-        /// Bytes a descriptor on one side.
+        /// Bytes per descriptor of the first set.
         left: usize,
-        /// Bytes a descriptor on the other.
+        /// Bytes per descriptor of the second set.
         right: usize,
     },
-    /// The list of groups is not as long as the list of descriptors.
-    #[error("{groups} group numbers were given for {descriptors} descriptors")]
+    /// The number of group numbers (or payloads) is not the number of descriptors.
+    #[error("{groups} group numbers or payloads for {descriptors} descriptors")]
     Groups {
         /// Number of group numbers.
         groups: usize,
         /// Number of descriptors.
         descriptors: usize,
     },
-    /// The index numbers its entries with 32 bits and is full.
-    #[error("the index is full")]
+    /// More descriptors than an index can number with 32 bits.
+    #[error("an index holds at most 2^32 - 1 descriptors")]
     Full,
 }
 
-/// Borrowed descriptors of one width, one after the other without gaps.
+/// Borrowed descriptors of one metric and width, one after the other without gaps.
 ///
+/// # Example
 /// ```
 /// use vision::{DescriptorView, Metric};
 /// let view = DescriptorView::new(Metric::Hamming, 2, &[0xff, 0x00, 0x0f, 0x00])?;
@@ -102,17 +104,17 @@ impl<'a> DescriptorView<'a> {
         Ok(Self { metric, width, bytes })
     }
 
-    /// How they are compared.
+    /// The metric by which they are compared.
     pub fn metric(&self) -> Metric {
         self.metric
     }
 
-    /// Bytes a descriptor.
+    /// Bytes per descriptor.
     pub fn width(&self) -> usize {
         self.width
     }
 
-    /// All of them.
+    /// The bytes of all descriptors.
     pub fn bytes(&self) -> &'a [u8] {
         self.bytes
     }
@@ -122,7 +124,7 @@ impl<'a> DescriptorView<'a> {
         self.bytes.len() / self.width
     }
 
-    /// Whether there is none.
+    /// Whether there are no descriptors.
     pub fn is_empty(&self) -> bool {
         self.bytes.is_empty()
     }
@@ -147,7 +149,7 @@ impl<'a> IntoIterator for &DescriptorView<'a> {
     }
 }
 
-/// Number of bits that differ.
+/// Number of bits that differ (Hamming distance).
 ///
 /// Both must have the same length; bytes beyond the shorter one are not compared.
 ///
@@ -158,9 +160,9 @@ pub fn hamming(a: &[u8], b: &[u8]) -> u32 {
     let (words_a, rest_a) = a.as_chunks::<8>();
     let (words_b, rest_b) = b.as_chunks::<8>();
     let word = |bytes: &[u8; 8]| u64::from_le_bytes(*bytes);
-    let describe: u32 = words_a.iter().zip(words_b).map(|(x, y)| (word(x) ^ word(y)).count_ones()).sum();
+    let in_words: u32 = words_a.iter().zip(words_b).map(|(x, y)| (word(x) ^ word(y)).count_ones()).sum();
     let in_rest: u32 = rest_a.iter().zip(rest_b).map(|(x, y)| (x ^ y).count_ones()).sum();
-    describe + in_rest
+    in_words + in_rest
 }
 
 /// The numbers of a float descriptor.
@@ -173,7 +175,7 @@ pub(crate) fn signed(bytes: &[u8]) -> impl Iterator<Item = f32> {
     bytes.iter().map(|&byte| f32::from(byte.cast_signed()))
 }
 
-/// A distance that is not a number (the descriptors held NaN or infinity) is infinite: such descriptors match nothing.
+/// Maps NaN (the descriptors held NaN or infinity) to infinity: such descriptors match nothing.
 pub(crate) fn number_or_infinite(distance: f32) -> f32 {
     if distance.is_nan() { f32::INFINITY } else { distance }
 }
@@ -183,7 +185,7 @@ pub(crate) fn distance_of_cosine(cosine: f32) -> f32 {
     number_or_infinite(1.0 - cosine).max(0.0)
 }
 
-/// Distance of two descriptors of the same width, as [`Metric`] defines it; infinite where it is not a number.
+/// Distance of two descriptors of the same width, as [`Metric`] defines it; infinite where it would be NaN.
 pub fn distance(metric: Metric, a: &[u8], b: &[u8]) -> f32 {
     match metric {
         Metric::Hamming => hamming(a, b) as f32 / (8 * a.len()).max(1) as f32,
@@ -209,7 +211,7 @@ fn cosine_distance(pairs: impl Iterator<Item = (f32, f32)>) -> f32 {
     if norms == 0.0 { 1.0 } else { distance_of_cosine(dot / norms) }
 }
 
-/// Scalar product of two vectors of signed bytes, exact up to 2^17 of them.
+/// Scalar product of two vectors of signed bytes; exact up to 2^17 elements.
 pub(crate) fn dot_int8(a: &[u8], b: &[u8]) -> i32 {
     let product = |(x, y): (&u8, &u8)| i32::from(x.cast_signed()) * i32::from(y.cast_signed());
     a.iter().zip(b).map(product).sum()

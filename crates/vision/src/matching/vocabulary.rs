@@ -1,34 +1,33 @@
-//! A vocabulary: the words that the descriptors of a map fall into.
+//! Visual vocabulary: descriptors quantized to visual words.
 //!
-//! Words are unit vectors found by spherical k-means; a descriptor belongs to the word with which it has the largest
-//! cosine. Bits count as +1 and -1: the cosine of two such vectors is `1 - 2 h`, `h` the fraction of bits that differ,
-//! so near words are near in Hamming distance too.
+//! Words are unit vectors found by spherical k-means; a descriptor is assigned to the word of largest cosine
+//! similarity. Bits are mapped to +1 and -1: the cosine of two such vectors is `1 - 2 h`, with `h` the fraction of bits
+//! that differ, so the order is that of the Hamming distance.
 //!
 //! Sources: Sivic & Zisserman, "Video Google", ICCV 2003; Dhillon & Modha, "Concept decompositions for large sparse
 //! text data using clustering", Machine Learning 2001 (spherical k-means).
 
-use crate::descriptors::{DescriptorView, Metric, floats, signed};
+use super::descriptors::{DescriptorView, Metric, floats, signed};
 use nalgebra::DMatrix;
 
-/// Rounds of k-means. The assignment that follows looks into several words, so the last digit is of no use.
-const ROUNDS: usize = 6;
+/// Iterations of k-means. Queries probe several words, so full convergence brings nothing.
+const ITERATIONS: usize = 6;
 
-/// Descriptors that one matrix product works on: 1024 x 256 numbers stay in the second-level cache.
+/// Descriptors per matrix product: 1024 x 256 numbers stay in the second-level cache.
 const BLOCK: usize = 256;
 
-/// Words of one metric and dimension.
+/// Visual words of one metric and dimension.
 #[derive(Clone, Debug)]
-pub(crate) struct Words {
+pub(crate) struct Vocabulary {
     metric: Metric,
-    /// A unit vector a row.
-    rows: DMatrix<f32>,
+    /// One unit vector per row.
+    centroids: DMatrix<f32>,
 }
 
-impl Words {
-    /// Finds words among descriptors.
+impl Vocabulary {
+    /// Trains a vocabulary on descriptors.
     ///
-    /// The same descriptors give the same words on every machine of one kind: the first words are descriptors at equal
-    /// steps through the list.
+    /// Deterministic on machines of one kind: the initial centroids are descriptors at equal steps through the sample.
     ///
     /// # Arguments
     /// * `sample`: not empty.
@@ -37,17 +36,17 @@ impl Words {
         let count = count.clamp(1, sample.len().max(1));
         let first: Vec<usize> = (0..count).map(|word| word * sample.len() / count).collect();
         let dimension = dimension(&sample);
-        let mut rows = DMatrix::zeros(count, dimension);
+        let mut centroids = DMatrix::zeros(count, dimension);
         for (word, &index) in first.iter().enumerate() {
             let numbers = unit_numbers(sample.metric(), sample.get(index).unwrap_or_default());
             for (column, &number) in numbers.iter().enumerate() {
-                rows[(word, column)] = number;
+                centroids[(word, column)] = number;
             }
         }
-        let mut words = Self { metric: sample.metric(), rows };
-        for _ in 0..ROUNDS {
+        let mut vocabulary = Self { metric: sample.metric(), centroids };
+        for _ in 0..ITERATIONS {
             let mut sums = DMatrix::<f32>::zeros(count, dimension);
-            words.for_each_block(sample, |_, block, scores| {
+            vocabulary.for_each_block(sample, |_, block, scores| {
                 for (numbers, scores) in block.column_iter().zip(scores.column_iter()) {
                     let word = scores.imax();
                     for (column, &number) in numbers.iter().enumerate() {
@@ -55,23 +54,23 @@ impl Words {
                     }
                 }
             });
-            for (mut row, sum) in words.rows.row_iter_mut().zip(sums.row_iter()) {
+            for (mut row, sum) in vocabulary.centroids.row_iter_mut().zip(sums.row_iter()) {
                 let norm = sum.norm();
-                // A word that nothing belongs to stays where it is.
+                // The centroid of an empty cluster stays.
                 if norm > 0.0 {
                     row.copy_from(&(sum / norm));
                 }
             }
         }
-        words
+        vocabulary
     }
 
     /// Number of words.
     pub(crate) fn len(&self) -> usize {
-        self.rows.nrows()
+        self.centroids.nrows()
     }
 
-    /// The `count` nearest words of every descriptor, nearest first: `count` (at most [`Self::len`]) numbers each.
+    /// The `count` nearest words of every descriptor, nearest first: `count` (at most [`Self::len`]) word indices each.
     pub(crate) fn nearest(&self, descriptors: DescriptorView<'_>, count: usize) -> Vec<u32> {
         let count = count.min(self.len());
         let mut nearest = Vec::with_capacity(count * descriptors.len());
@@ -94,25 +93,25 @@ impl Words {
         nearest
     }
 
-    /// Calls with the index of the first descriptor of a block, the block (a column a descriptor) and the cosines
-    /// with all words (a column a descriptor).
+    /// Calls `visit` for every block of descriptors: index of its first descriptor, the unit vectors (one per column),
+    /// and the cosines with all words (one column per descriptor).
     fn for_each_block(
         &self,
         descriptors: DescriptorView<'_>,
         mut visit: impl FnMut(usize, &DMatrix<f32>, &DMatrix<f32>),
     ) {
-        let dimension = self.rows.ncols();
+        let dimension = self.centroids.ncols();
         for (number, chunk) in descriptors.bytes().chunks(BLOCK * descriptors.width()).enumerate() {
             let count = chunk.len() / descriptors.width();
             let numbers = chunk.chunks_exact(descriptors.width());
             let numbers: Vec<f32> = numbers.flat_map(|bytes| unit_numbers(self.metric, bytes)).collect();
             let block = DMatrix::from_vec(dimension, count, numbers);
-            visit(number * BLOCK, &block, &(&self.rows * &block));
+            visit(number * BLOCK, &block, &(&self.centroids * &block));
         }
     }
 }
 
-/// Numbers a descriptor.
+/// Dimension of the descriptors as vectors.
 fn dimension(view: &DescriptorView<'_>) -> usize {
     match view.metric() {
         Metric::Hamming => 8 * view.width(),
@@ -121,7 +120,7 @@ fn dimension(view: &DescriptorView<'_>) -> usize {
     }
 }
 
-/// A descriptor as a vector of norm 1; zeros, and what holds numbers that are not finite, as zeros.
+/// A descriptor as a unit vector; a zero vector where its norm is zero or not finite.
 fn unit_numbers(metric: Metric, bytes: &[u8]) -> Vec<f32> {
     let mut numbers: Vec<f32> = match metric {
         Metric::Hamming => {

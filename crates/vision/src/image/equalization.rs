@@ -1,33 +1,33 @@
-//! Histogram equalization: grey levels spread over the whole range, so that corners in poor light are seen.
+//! Histogram equalization, global and local (CLAHE), so that corners are found in poor light.
 //!
 //! Source of the local variant (CLAHE): Zuiderveld, "Contrast limited adaptive histogram equalization",
 //! Graphics Gems IV, 1994.
 
-use crate::image::GrayImage;
+use super::gray::GrayImage;
 
 /// Grey levels.
 const LEVELS: usize = 256;
 /// Fractional bits of the interpolation weights of [`equalize_locally`].
 const WEIGHT_BITS: u32 = 7;
 
-/// What is done to an image before anything is sought in it.
+/// Contrast preprocessing of an image.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Equalization {
-    /// Nothing.
+    /// None.
     #[default]
     Off,
     /// One histogram for the whole image, see [`equalize`].
     Global,
-    /// One histogram a tile, with a limit on the contrast, see [`equalize_locally`].
+    /// One histogram per tile with a contrast limit (CLAHE), see [`equalize_locally`].
     Local(LocalEqualization),
 }
 
 /// Settings of [`equalize_locally`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LocalEqualization {
-    /// Tiles across and down.
+    /// Tiles `[columns, rows]`.
     pub tiles: [usize; 2],
-    /// The most by which contrast grows: a bin holds at most this many times the pixels of an even histogram.
+    /// Clip limit, as a multiple of the mean bin height: contrast grows by at most this factor.
     pub clip: f32,
 }
 
@@ -39,7 +39,7 @@ impl Default for LocalEqualization {
 }
 
 impl Equalization {
-    /// The image as this setting wants it.
+    /// Applies the setting to an image.
     pub fn apply(&self, image: GrayImage) -> GrayImage {
         match self {
             Self::Off => image,
@@ -49,9 +49,9 @@ impl Equalization {
     }
 }
 
-/// Spreads the grey levels so that each part of the range holds as many pixels as any other.
+/// Global histogram equalization.
 ///
-/// A brighter pixel never becomes darker than one that it outshone; an image of one grey level stays as it is.
+/// The mapping of grey levels is monotonic; an image of one grey level is returned unchanged.
 pub fn equalize(image: &GrayImage) -> GrayImage {
     let mut histogram = [0u32; LEVELS];
     for pixel in image.pixels() {
@@ -66,18 +66,17 @@ pub fn equalize(image: &GrayImage) -> GrayImage {
     let mut below = 0u32;
     for (level, count) in histogram.iter().enumerate() {
         below += count;
-        let share = f64::from(below.saturating_sub(darkest)) / f64::from(rest);
-        table[level] = (share * (LEVELS - 1) as f64).round() as u8;
+        let fraction = f64::from(below.saturating_sub(darkest)) / f64::from(rest);
+        table[level] = (fraction * (LEVELS - 1) as f64).round() as u8;
     }
     let pixels = image.pixels().iter().map(|pixel| table[usize::from(*pixel)]).collect();
     GrayImage::from_parts(image.width(), image.height(), pixels)
 }
 
-/// Equalizes every part of the image by the histogram of its surroundings, without raising contrast (and noise)
-/// by more than a limit.
+/// Contrast-limited adaptive histogram equalization (CLAHE).
 ///
-/// The image is cut into tiles; each has a table of its own, and a pixel takes the tables of the four tiles around
-/// it, by distance.
+/// Every tile has a lookup table from its clipped histogram; a pixel interpolates the tables of the four nearest tiles
+/// bilinearly.
 pub fn equalize_locally(image: &GrayImage, options: &LocalEqualization) -> GrayImage {
     let (width, height) = (image.width(), image.height());
     let across = options.tiles[0].clamp(1, width);
@@ -90,10 +89,11 @@ pub fn equalize_locally(image: &GrayImage, options: &LocalEqualization) -> GrayI
             tables.push(clipped_table(image, x, y, options.clip));
         }
     }
-    let columns: Vec<Between> = (0..width).map(|x| Between::new(x, width, across)).collect();
+    let columns: Vec<TileInterpolation> =
+        (0..width).map(|x| TileInterpolation::new(x, width, across)).collect();
     let mut pixels = Vec::with_capacity(width * height);
     for y in 0..height {
-        let rows = Between::new(y, height, down);
+        let rows = TileInterpolation::new(y, height, down);
         let upper = &tables[rows.first * across..(rows.first + 1) * across];
         let lower = &tables[rows.second * across..(rows.second + 1) * across];
         pixels.extend(image.row(y).iter().zip(&columns).map(|(pixel, at)| {
@@ -107,22 +107,22 @@ pub fn equalize_locally(image: &GrayImage, options: &LocalEqualization) -> GrayI
     GrayImage::from_parts(width, height, pixels)
 }
 
-/// The two tiles between whose centres a row or column lies, with their weights in `2^-WEIGHT_BITS`.
+/// The two tiles between whose centres a row or column lies, with their weights in units of `2^-WEIGHT_BITS`.
 #[derive(Clone, Copy)]
-struct Between {
+struct TileInterpolation {
     first: usize,
     second: usize,
     weights: [u32; 2],
 }
 
-impl Between {
+impl TileInterpolation {
     fn new(at: usize, side: usize, tiles: usize) -> Self {
         let tile = (at as f32 + 0.5) * tiles as f32 / side as f32 - 0.5;
         let first = tile.max(0.0).floor() as usize;
         let second = (first + 1).min(tiles - 1);
         let one = 1u32 << WEIGHT_BITS;
-        let share = ((tile.max(0.0) - first as f32) * one as f32).round() as u32;
-        Self { first, second, weights: [one - share, share] }
+        let weight = ((tile.max(0.0) - first as f32) * one as f32).round() as u32;
+        Self { first, second, weights: [one - weight, weight] }
     }
 
     fn mix(&self, first: u8, second: u8) -> u32 {
@@ -130,7 +130,7 @@ impl Between {
     }
 }
 
-/// The table of one tile: its cumulated histogram, with what exceeds the limit spread over all levels.
+/// The lookup table of one tile: cumulative histogram, with counts above the clip limit distributed over all levels.
 fn clipped_table(
     image: &GrayImage,
     x: std::ops::Range<usize>,
@@ -154,7 +154,7 @@ fn clipped_table(
     let mut table = [0u8; LEVELS];
     let mut below = 0.0;
     for (value, bin) in table.iter_mut().zip(histogram) {
-        // The middle of the bin, so that black stays black only if black is all there is below.
+        // The middle of the bin.
         let own = bin + excess / LEVELS as f32;
         *value = ((below + 0.5 * own) / pixels * (LEVELS - 1) as f32).round().min(255.0) as u8;
         below += own;

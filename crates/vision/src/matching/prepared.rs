@@ -1,15 +1,14 @@
-//! Descriptors made ready to be compared many times.
+//! Descriptors converted once for many comparisons.
 //!
-//! Distances are those of [`crate::distance`]. Signed bytes are compared by a product of matrices of `f32`: sums of
-//! products of bytes are whole numbers below 2^24 for up to 1024 of them, so they are exact in whatever order they are
-//! summed, and the matrix product uses the widest instructions that the processor has (AVX2 where a plain loop, compiled
+//! Distances are those of [`super::descriptors::distance`]. Signed bytes are compared by a product of matrices of `f32`: sums of
+//! products of up to 1024 bytes are integers of at most 2^24, exact in any order of summation, and the matrix product uses the widest instructions that the processor has (AVX2 where a plain loop, compiled
 //! for every x86-64, may use SSE2 only).
 
 use std::ops::Range;
 
 use nalgebra::{DMatrix, DMatrixView};
 
-use crate::descriptors::{
+use super::descriptors::{
     DescriptorView, Metric, distance_of_cosine, floats, int8_distance, inverse_norm_int8, number_or_infinite,
     signed,
 };
@@ -19,17 +18,17 @@ const MAX_EXACT_DIMENSION: usize = 1024;
 /// Descriptors of one side in a matrix product: 64 rows of distances to 400 others stay in the second-level cache.
 const BLOCK: usize = 64;
 
-/// Descriptors made ready to be compared many times: words of bits, or numbers (of norm 1 for the cosine).
-pub(crate) enum Prepared {
-    /// Words a descriptor, and all words; the last word of each is filled up with zeros.
+/// Descriptors in the form in which distances are computed fastest.
+pub(crate) enum PreparedDescriptors {
+    /// 64-bit words per descriptor, bits per descriptor, all words; the last word of each is padded with zeros.
     Bits { words: usize, bits: usize, data: Vec<u64> },
-    /// Numbers a descriptor, all numbers, and whether they are unit vectors compared by their cosine.
+    /// Numbers per descriptor, all numbers, and whether they are unit vectors compared by their cosine.
     Floats { dimension: usize, data: Vec<f32>, cosine: bool },
-    /// Bytes a descriptor, all bytes, and 1 over the norm of each descriptor.
+    /// Bytes per descriptor, all bytes, and 1 over the norm of each descriptor.
     Int8 { dimension: usize, data: Vec<u8>, inverse_norms: Vec<f32> },
 }
 
-impl Prepared {
+impl PreparedDescriptors {
     /// Converts each descriptor once.
     pub(crate) fn new(view: &DescriptorView<'_>) -> Self {
         match view.metric() {
@@ -78,7 +77,7 @@ impl Prepared {
         }
     }
 
-    /// Writes the distances from descriptor `index` to a range of `others`, which must be of the same format.
+    /// Writes the distances from descriptor `index` to a range of `others`, which must have the same format.
     pub(crate) fn distances_to(&self, index: usize, others: &Self, range: Range<usize>, row: &mut Vec<f32>) {
         row.clear();
         match (self, others) {
@@ -114,8 +113,8 @@ impl Prepared {
         }
     }
 
-    /// Calls with the index of each descriptor in order and its distances to all `others`, which must be of the same
-    /// format.
+    /// Calls `visit` with the index of each descriptor in order and its distances to all `others`, which must have the
+    /// same format.
     pub(crate) fn for_each_row(&self, others: &Self, mut visit: impl FnMut(usize, &[f32])) {
         if let (
             Self::Int8 { dimension, data, inverse_norms },
@@ -148,7 +147,7 @@ impl Prepared {
     }
 }
 
-/// Scalar product of signed bytes of which one side was widened before, exact like [`crate::descriptors::dot_int8`].
+/// Scalar product of signed bytes of which one side was widened before, exact like [`super::descriptors::dot_int8`].
 fn dot_widened(a: &[i16], b: &[u8]) -> i32 {
     let product = |(x, y): (&i16, &u8)| i32::from(*x) * i32::from(i16::from(y.cast_signed()));
     a.iter().zip(b).map(product).sum()

@@ -1,18 +1,19 @@
-//! Image pyramids: the same image at half, quarter, ... the resolution, smoothed before it is thinned out.
+//! Gaussian image pyramids: the image at half, quarter, ... the resolution, low-pass filtered before subsampling.
 //!
-//! Pixel `(x, y)` of level `l` has its centre where pixel `(x, y) * 2^l` of the image has its own: a pixel position
-//! is carried from level to level by a factor of two, without offset.
+//! The centre of pixel `(x, y)` of level `l` is the centre of pixel `(x, y) * 2^l` of the image: pixel positions scale
+//! by a factor of two from level to level, without offset.
 //!
 //! Source: Burt & Adelson, "The Laplacian pyramid as a compact image code", IEEE Trans. Communications 1983; the
 //! kernel is its binomial one, `[1 4 6 4 1] / 16` in both directions.
 
-use crate::image::GrayImage;
+use super::gray::GrayImage;
 
-/// Levels are not made smaller than this, pixels a side: less than a tracked patch says nothing.
+/// Minimum width and height of a level, pixels: a tracked patch must fit.
 const MIN_SIDE: usize = 16;
 
-/// An image and its smaller copies.
+/// An image and its subsampled copies.
 ///
+/// # Example
 /// ```
 /// let image = vision::GrayImage::from_fn(64, 48, |x, _| x as u8);
 /// let pyramid = vision::Pyramid::new(image, 2);
@@ -26,8 +27,8 @@ pub struct Pyramid {
 }
 
 impl Pyramid {
-    /// The pyramid of an image, with up to `levels` levels (at least one, the image itself); fewer where the next
-    /// one would have a side below 16 pixels.
+    /// Builds the pyramid with up to `levels` levels, the image itself included (at least one); fewer if the next level
+    /// would have fewer than 16 columns or rows.
     pub fn new(image: GrayImage, levels: usize) -> Self {
         let mut all = vec![image];
         for level in 1..levels {
@@ -41,7 +42,7 @@ impl Pyramid {
         Self { levels: all }
     }
 
-    /// How many levels there are.
+    /// Number of levels.
     pub fn levels(&self) -> usize {
         self.levels.len()
     }
@@ -49,7 +50,7 @@ impl Pyramid {
     /// The image at level `level`; 0 is the image itself.
     ///
     /// # Panics
-    /// At [`Pyramid::levels`] and above.
+    /// If `level >= levels()`.
     pub fn level(&self, level: usize) -> &GrayImage {
         &self.levels[level]
     }
@@ -60,13 +61,12 @@ impl Pyramid {
     }
 }
 
-/// An image of half the size (rounded up): smoothed, then every second pixel. Beyond the border the border pixel is
-/// repeated.
+/// An image of half the size (rounded up): low-pass filtered, then every second pixel. Border pixels are replicated.
 pub fn halve(image: &GrayImage) -> GrayImage {
     let (width, height) = (image.width(), image.height());
     let (out_width, out_height) = (width.div_ceil(2), height.div_ceil(2));
     let mut pixels = vec![0; out_width * out_height];
-    // One row of vertical sums with two repeated pixels on the left and three on the right.
+    // One row of vertical sums with two replicated pixels on the left and three on the right.
     let mut sums = vec![0u16; width + 5];
     for (y, out) in pixels.chunks_exact_mut(out_width).enumerate() {
         let row = |offset: usize| image.row((2 * y + offset).saturating_sub(2).min(height - 1));
@@ -83,7 +83,7 @@ pub fn halve(image: &GrayImage) -> GrayImage {
     GrayImage::from_parts(out_width, out_height, pixels)
 }
 
-/// The vertical half of the kernel: at most 16 * 255 a pixel.
+/// The vertical pass of the kernel: at most 16 * 255 per pixel.
 fn add_rows(rows: [&[u8]; 5], sums: &mut [u16]) {
     let n = sums.len();
     let [a, b, c, d, e] = rows.map(|row| &row[..n]);

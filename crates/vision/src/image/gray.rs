@@ -1,18 +1,22 @@
-//! Grey images, and reading them.
+//! 8-bit grey images; PNG and JPEG files.
 
 use std::path::{Path, PathBuf};
 
-/// Larger images are refused before anything is allocated for them.
+/// Maximum width and height of a file, pixels: larger ones are refused before memory is allocated.
 const MAX_SIDE: u32 = 16_384;
 
 /// An 8-bit grey image, row after row without gaps.
 ///
-/// Pixel `(0, 0)` is the top-left one, and the coordinates `(0.0, 0.0)` are its centre.
+/// # Coordinate systems
+/// x runs to the right, y down. Pixel `(0, 0)` is the top-left one; its centre has the coordinates `(0.0, 0.0)`.
 ///
+/// # Example
 /// ```
 /// let image = vision::GrayImage::from_fn(4, 3, |x, y| (10 * y + x) as u8);
 /// assert_eq!((image.width(), image.height()), (4, 3));
 /// assert_eq!(image.row(2), &[20, 21, 22, 23]);
+/// assert_eq!(image.get(3, 1), 13);
+/// assert!(vision::GrayImage::new(4, 3, vec![0; 11]).is_err());
 /// ```
 #[derive(Clone, PartialEq, Eq)]
 pub struct GrayImage {
@@ -21,15 +25,16 @@ pub struct GrayImage {
     pixels: Vec<u8>,
 }
 
-/// Why an image is not to be had.
+/// Why an image could not be read, written or created.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum ImageError {
-    /// The file cannot be read, or is no image of a kind that is understood.
+    /// The file cannot be read, or is not a PNG or JPEG image.
     #[error("{}: {source}; a PNG or JPEG image is needed", path.display())]
     Unreadable {
         /// The file.
         path: PathBuf,
-        /// What is wrong with it.
+        /// The cause.
         source: image::ImageError,
     },
     /// The file cannot be written.
@@ -37,13 +42,13 @@ pub enum ImageError {
     Unwritable {
         /// The file.
         path: PathBuf,
-        /// What went wrong.
+        /// The cause.
         source: image::ImageError,
     },
     /// The image cannot be encoded.
     #[error("the image cannot be encoded: {0}")]
     Encoding(#[source] image::ImageError),
-    /// The bytes do not fill the image.
+    /// The number of bytes is not width times height, or zero.
     #[error("{bytes} bytes are not an image of {width} x {height} pixels")]
     Size {
         /// Columns.
@@ -56,7 +61,7 @@ pub enum ImageError {
 }
 
 impl GrayImage {
-    /// An image of the given pixels, row after row.
+    /// An image from its pixels, row after row.
     ///
     /// # Errors
     /// [`ImageError::Size`] unless there are `width * height` of them, and at least one.
@@ -67,7 +72,7 @@ impl GrayImage {
         Ok(Self { width, height, pixels })
     }
 
-    /// An image of pixels that are known to fill it.
+    /// An image from pixels whose number is known to be right.
     pub(crate) fn from_parts(width: usize, height: usize, pixels: Vec<u8>) -> Self {
         debug_assert_eq!(width * height, pixels.len());
         Self { width, height, pixels }
@@ -82,10 +87,11 @@ impl GrayImage {
         Self { width, height, pixels }
     }
 
-    /// Reads a PNG or JPEG file; colours become their brightness.
+    /// Reads a PNG or JPEG file; colours are converted to luma.
     ///
     /// # Errors
-    /// [`ImageError::Unreadable`]: no such file, cut off, damaged, no image, or beyond 16,384 pixels a side.
+    /// [`ImageError::Unreadable`]: the file is missing, truncated, damaged, not an image, or has more than 16,384
+    /// columns or rows.
     pub fn read(path: &Path) -> Result<Self, ImageError> {
         let unreadable = |source| ImageError::Unreadable { path: path.to_path_buf(), source };
         let mut reader = image::ImageReader::open(path)
@@ -100,7 +106,7 @@ impl GrayImage {
         Self::new(width, height, grey.into_raw())
     }
 
-    /// Writes a PNG or JPEG file, as its ending says.
+    /// Writes a PNG or JPEG file, chosen by the file name extension.
     ///
     /// # Errors
     /// [`ImageError::Unwritable`].
@@ -110,10 +116,10 @@ impl GrayImage {
             .map_err(|source| ImageError::Unwritable { path: path.to_path_buf(), source })
     }
 
-    /// The image as the bytes of a PNG file.
+    /// Encodes the image as a PNG file in memory.
     ///
     /// # Errors
-    /// [`ImageError::Encoding`]: sides beyond what PNG can say.
+    /// [`ImageError::Encoding`]: more columns or rows than PNG supports.
     pub fn to_png(&self) -> Result<Vec<u8>, ImageError> {
         let (width, height) = (self.width as u32, self.height as u32);
         let mut png = std::io::Cursor::new(Vec::new());
@@ -138,7 +144,7 @@ impl GrayImage {
         &self.pixels
     }
 
-    /// All pixels, row after row, to be changed.
+    /// All pixels, row after row, mutable.
     pub fn pixels_mut(&mut self) -> &mut [u8] {
         &mut self.pixels
     }
@@ -146,7 +152,7 @@ impl GrayImage {
     /// The pixels of row `y`.
     ///
     /// # Panics
-    /// Below the last row.
+    /// If `y >= height`.
     pub fn row(&self, y: usize) -> &[u8] {
         &self.pixels[y * self.width..(y + 1) * self.width]
     }
@@ -154,7 +160,7 @@ impl GrayImage {
     /// The pixel in column `x` and row `y`.
     ///
     /// # Panics
-    /// Outside the image.
+    /// If the pixel lies outside the image.
     pub fn get(&self, x: usize, y: usize) -> u8 {
         self.row(y)[x]
     }

@@ -1,20 +1,20 @@
-//! Maps over an image: finding their peaks to a fraction of a pixel, and reading them between their places.
+//! Dense maps over an image: sub-pixel peaks, and interpolation.
 
 use super::network::NetworkError;
-use super::state_dict::Tensor;
+use super::tensor::Tensor;
 use std::cmp::Ordering;
 
-/// Bicubic interpolation's parameter (the slope at the first neighbour), as in the training of XFeat.
+/// Parameter of bicubic interpolation (slope at the first neighbour), as in the training of XFeat.
 const CUBIC: f32 = -0.75;
 
-/// One number a place.
-pub(super) struct Heat {
+/// One number per cell.
+pub(super) struct Heatmap {
     pub width: usize,
     pub height: usize,
     pub data: Vec<f32>,
 }
 
-/// A place that has more heat than its neighbours.
+/// A local maximum.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Peak {
     pub x: usize,
@@ -22,8 +22,8 @@ pub(super) struct Peak {
     pub heat: f32,
 }
 
-impl Heat {
-    /// An output `[1, 1, height, width]` of a network.
+impl Heatmap {
+    /// From a network output `[1, 1, height, width]`.
     pub fn from_output(
         name: &str,
         tensor: Tensor,
@@ -38,8 +38,8 @@ impl Heat {
         self.data[y * self.width + x]
     }
 
-    /// Every place above `threshold` that is the greatest of the square of `radius` places around it. Of equal
-    /// neighbours the first in reading order is taken.
+    /// Every cell above `threshold` that is the maximum of the square of `radius` cells around it. Of equal neighbours the
+    /// first in row-major order is taken.
     pub fn peaks(&self, radius: usize, threshold: f32) -> Vec<Peak> {
         let mut peaks = Vec::new();
         for y in 0..self.height {
@@ -68,8 +68,8 @@ impl Heat {
         })
     }
 
-    /// Where the top of a peak lies between the places: the vertex of the parabola through the logarithms of a peak
-    /// and its two neighbours, in each direction. A peak at the border stays where it is.
+    /// Sub-cell position of a peak: vertex of the parabola through the logarithms of the peak and its two neighbours, along
+    /// each axis. A peak at the border is not refined.
     pub fn refine(&self, peak: Peak) -> [f32; 2] {
         let (x, y) = (peak.x, peak.y);
         let inside = x > 0 && y > 0 && x + 1 < self.width && y + 1 < self.height;
@@ -83,7 +83,7 @@ impl Heat {
         [x as f32 + dx, y as f32 + dy]
     }
 
-    /// The heat between the places, linearly; beyond the border that of the border.
+    /// Bilinear interpolation; the border is replicated.
     pub fn bilinear(&self, x: f32, y: f32) -> f32 {
         let x = x.clamp(0.0, (self.width - 1) as f32);
         let y = y.clamp(0.0, (self.height - 1) as f32);
@@ -96,13 +96,13 @@ impl Heat {
     }
 }
 
-/// Where the parabola through three values at -1, 0 and 1 has its top, at most half a place away.
+/// Vertex of the parabola through three values at -1, 0 and 1, within half a cell.
 fn vertex(before: f32, top: f32, after: f32) -> f32 {
     let curvature = before - 2.0 * top + after;
     if curvature < 0.0 { (0.5 * (before - after) / curvature).clamp(-0.5, 0.5) } else { 0.0 }
 }
 
-/// A unit vector a place, one after the other.
+/// One unit vector per cell, row-major.
 pub(super) struct Descriptors {
     width: usize,
     height: usize,
@@ -111,7 +111,7 @@ pub(super) struct Descriptors {
 }
 
 impl Descriptors {
-    /// An output `[1, dimension, height, width]` of a network; vectors are scaled to norm 1.
+    /// From a network output `[1, dimension, height, width]`; vectors are normalized.
     pub fn from_output(
         name: &str,
         tensor: &Tensor,
@@ -120,11 +120,11 @@ impl Descriptors {
         width: usize,
     ) -> Result<Self, NetworkError> {
         check_shape(name, tensor, &[1, dimension, height, width])?;
-        let places = height * width;
-        let mut data = vec![0.0; places * dimension];
-        for (channel, values) in tensor.data.chunks_exact(places).enumerate() {
-            for (place, &value) in values.iter().enumerate() {
-                data[place * dimension + channel] = value;
+        let cells = height * width;
+        let mut data = vec![0.0; cells * dimension];
+        for (channel, values) in tensor.data.chunks_exact(cells).enumerate() {
+            for (cell, &value) in values.iter().enumerate() {
+                data[cell * dimension + channel] = value;
             }
         }
         for vector in data.chunks_exact_mut(dimension) {
@@ -133,26 +133,25 @@ impl Descriptors {
         Ok(Self { width, height, dimension, data })
     }
 
-    /// The unit vector of the nearest place, into `vector`.
+    /// Writes the unit vector of the nearest cell to `vector`.
     pub fn nearest(&self, x: f32, y: f32, vector: &mut [f32]) {
         let x = x.round().clamp(0.0, (self.width - 1) as f32) as usize;
         let y = y.round().clamp(0.0, (self.height - 1) as f32) as usize;
         vector.copy_from_slice(self.get(x, y));
     }
 
-    /// The unit vector between the places by bicubic interpolation, into `vector`; beyond the border the border's
-    /// vectors go on.
+    /// Writes the unit vector by bicubic interpolation to `vector`; the border is replicated.
     pub fn bicubic(&self, x: f32, y: f32, vector: &mut [f32]) {
         let (left, top) = (x.floor(), y.floor());
         let (weights_x, weights_y) = (cubic_weights(x - left), cubic_weights(y - top));
-        let clamp = |place: f32, size: usize| place.clamp(0.0, (size - 1) as f32) as usize;
+        let clamp = |cell: f32, size: usize| cell.clamp(0.0, (size - 1) as f32) as usize;
         vector.fill(0.0);
         for (row, weight_y) in weights_y.iter().enumerate() {
-            let place_y = clamp(top + row as f32 - 1.0, self.height);
+            let cell_y = clamp(top + row as f32 - 1.0, self.height);
             for (column, weight_x) in weights_x.iter().enumerate() {
-                let place_x = clamp(left + column as f32 - 1.0, self.width);
+                let cell_x = clamp(left + column as f32 - 1.0, self.width);
                 let weight = weight_x * weight_y;
-                for (sum, number) in vector.iter_mut().zip(self.get(place_x, place_y)) {
+                for (sum, number) in vector.iter_mut().zip(self.get(cell_x, cell_y)) {
                     *sum += weight * number;
                 }
             }
@@ -166,7 +165,7 @@ impl Descriptors {
     }
 }
 
-/// Weights of the places at -1, 0, 1 and 2 for a point at `t` in [0, 1].
+/// Weights of the cells at -1, 0, 1 and 2 for a point at `t` in [0, 1].
 ///
 /// Source: Keys, "Cubic convolution interpolation for digital image processing", 1981.
 fn cubic_weights(t: f32) -> [f32; 4] {
@@ -198,13 +197,13 @@ fn check_shape(name: &str, tensor: &Tensor, needed: &[usize]) -> Result<(), Netw
 mod tests {
     use super::*;
 
-    fn heat(width: usize, height: usize, value: impl Fn(f32, f32) -> f32) -> Heat {
+    fn heat(width: usize, height: usize, value: impl Fn(f32, f32) -> f32) -> Heatmap {
         let data = (0..width * height).map(|i| value((i % width) as f32, (i / width) as f32)).collect();
-        Heat { width, height, data }
+        Heatmap { width, height, data }
     }
 
     #[test]
-    fn the_top_of_a_bell_is_found_to_a_thousandth_of_a_place() {
+    fn the_peak_of_a_gaussian_is_found_to_a_thousandth_of_a_cell() {
         for (cx, cy) in [(5.0, 4.0), (5.3, 4.2), (4.6, 4.49)] {
             let bell = heat(12, 9, |x, y| (-0.4 * ((x - cx).powi(2) + (y - cy).powi(2))).exp());
             let peaks = bell.peaks(2, 0.05);
@@ -229,7 +228,7 @@ mod tests {
     }
 
     #[test]
-    fn interpolation_agrees_with_the_places_and_with_straight_lines_between() {
+    fn interpolation_agrees_with_the_cells_and_is_linear_between() {
         let ramp = heat(8, 6, |x, y| 0.1 * x + 0.2 * y);
         assert!((ramp.bilinear(2.5, 3.25) - 0.9).abs() < 1e-6);
         assert!((ramp.bilinear(-3.0, 99.0) - 1.0).abs() < 1e-6);

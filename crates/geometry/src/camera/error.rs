@@ -1,0 +1,47 @@
+//! Errors of cameras.
+
+/// Why a point cannot be projected, or a pixel not be unprojected.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum ProjectionError {
+    /// The point lies behind the camera or in its focal plane.
+    #[error("the point is behind the camera")]
+    BehindCamera,
+    /// The ray or pixel is outside the range where the distortion model is invertible.
+    #[error("the ray is outside the range where the distortion model is invertible")]
+    OutsideModel,
+    /// A coordinate is NaN or infinite.
+    #[error("a coordinate is not finite")]
+    NotFinite,
+}
+
+/// Why camera parameters are invalid.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum CameraError {
+    /// An image without pixels.
+    #[error("the image size is {width} x {height}; both must be positive")]
+    EmptyImage {
+        /// Width, pixels.
+        width: u32,
+        /// Height, pixels.
+        height: u32,
+    },
+    /// A focal length that is not a positive number.
+    #[error("the focal lengths are {0} and {1} pixels; both must be positive and finite")]
+    FocalLength(f64, f64),
+    /// A principal point that is not finite.
+    #[error("the principal point is ({0}, {1}); both must be finite")]
+    Centre(f64, f64),
+    /// A distortion coefficient that is not finite.
+    #[error("the distortion coefficients are {0:?}; all must be finite")]
+    DistortionCoefficients([f64; 4]),
+    /// The parameter of the FOV model is out of range.
+    #[error("the FOV parameter is {omega} rad; it must lie between {min} and pi")]
+    FovParameter {
+        /// The parameter, radians.
+        omega: f64,
+        /// Its minimum, radians.
+        min: f64,
+    },
+}

@@ -1,0 +1,9 @@
+//! Grey images: reading and writing them, pyramids, and histogram equalization.
+
+pub mod equalization;
+mod gray;
+pub mod pyramid;
+
+pub use equalization::{Equalization, LocalEqualization, equalize, equalize_locally};
+pub use gray::{GrayImage, ImageError};
+pub use pyramid::Pyramid;

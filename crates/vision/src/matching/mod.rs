@@ -1,0 +1,20 @@
+//! Descriptors, distances between them, and nearest-neighbour matching and search.
+//!
+//! | module | what |
+//! |---|---|
+//! | [`descriptors`] | descriptors in memory, metrics and distances |
+//! | [`brute_force`] | matching two sets: nearest neighbours with distance, ratio and mutual checks |
+//! | [`inverted_file`] | approximate search among very many descriptors, by a visual vocabulary |
+//! | [`prototypes`] | few descriptors that represent all observations of one landmark |
+
+pub mod brute_force;
+pub mod descriptors;
+pub mod inverted_file;
+mod prepared;
+pub mod prototypes;
+mod vocabulary;
+
+pub use brute_force::{Match, MatchOptions, match_descriptors, match_grouped};
+pub use descriptors::{DescriptorError, DescriptorView, Metric, distance, hamming};
+pub use inverted_file::{Hit, InvertedFile};
+pub use prototypes::prototype_descriptors;
