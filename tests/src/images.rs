@@ -17,7 +17,7 @@ const NEAR: f64 = 1.0;
 /// ... and this angle between the optical axes (degrees).
 const NEAR_DEG: f64 = 35.0;
 
-/// What came of one query.
+/// Result of one query.
 #[derive(Clone, Copy, Debug)]
 pub struct Found {
     /// Index of the frame.
@@ -37,7 +37,7 @@ pub struct Split {
     pub sequence: Sequence,
     /// Indices of the frames that the map is made of.
     pub map: Vec<usize>,
-    /// Indices of the frames that are looked for.
+    /// Indices of the query frames.
     pub queries: Vec<usize>,
 }
 
@@ -56,7 +56,7 @@ impl Split {
         Some(global_from_imu * self.sequence.cameras[0].imu_from_camera)
     }
 
-    /// Builds the map from the truth, which is said to be good to 1 cm and 1 deg.
+    /// Builds the map from the ground truth, stated with sigmas of 1 cm and 1 deg.
     pub fn build(
         &self,
         extractor: &mut dyn FeatureExtractor,
@@ -80,10 +80,10 @@ impl Split {
         (Arc::new(LoadedMap::from_contents(contents).unwrap()), report)
     }
 
-    /// Looks for every query in a map, each without any prior.
+    /// Localizes every query in a map, each without a prior.
     ///
     /// # Arguments
-    /// * `change`: what is done to the image before.
+    /// * `change`: applied to the image first.
     pub fn localize(
         &self,
         map: &LoadedMap,
@@ -91,7 +91,7 @@ impl Split {
         max_features: usize,
         change: impl Fn(GrayImage) -> GrayImage,
     ) -> Vec<Found> {
-        let look = |&frame: &usize| {
+        let localized = |&frame: &usize| {
             let truth = self.global_from_camera(frame)?;
             let file = self.sequence.frames[frame].images[0].as_ref()?;
             let image = change(file.read().unwrap().into_owned());
@@ -114,7 +114,7 @@ impl Split {
             });
             Some(Found { frame, near: self.has_map_image_near(&truth), error, nees })
         };
-        self.queries.iter().filter_map(look).collect()
+        self.queries.iter().filter_map(localized).collect()
     }
 
     fn has_map_image_near(&self, pose: &Pose) -> bool {

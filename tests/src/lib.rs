@@ -1,12 +1,12 @@
-//! What the end to end tests share: a small place, a server that can be stopped and started again, robots.
+//! What the end to end tests share: a small scenario, a server that can be stopped and started again, robots.
 //!
-//! Nothing in this package is part of the product. Faults of the surroundings (no free port, no disk) panic.
+//! Nothing in this package is part of the product. Faults of the environment (no free port, no disk) panic.
 
 #![allow(clippy::unwrap_used, clippy::missing_panics_doc)]
 
 pub mod data;
 pub mod images;
 pub mod network;
-pub mod place;
 pub mod robot;
+pub mod scenario;
 pub mod server;

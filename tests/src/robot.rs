@@ -1,4 +1,4 @@
-//! Robots, told by the same switches as the programs.
+//! Robots, configured with the switches of the programs.
 
 use clap::Parser;
 use onboard::{MapLink, Outcome, RobotArguments, run_robot};
@@ -25,8 +25,7 @@ pub fn run(sequence: &Sequence, out: &Path, switches: &str, link: Option<MapLink
     outcome
 }
 
-/// The estimator never stopped: there is a state of every frame from the first one on, which comes within the rest
-/// at the beginning.
+/// Asserts a state of every frame from the first one on, which comes within the rest at the beginning.
 pub fn assert_every_frame_has_a_state(outcome: &Outcome, sequence: &Sequence) {
     let states: Vec<i64> = outcome.states().unwrap().iter().map(|state| state.stamp_ns).collect();
     let frames: Vec<i64> = sequence.frames.iter().map(|frame| frame.stamp_ns).collect();
@@ -35,7 +34,7 @@ pub fn assert_every_frame_has_a_state(outcome: &Outcome, sequence: &Sequence) {
     assert_eq!(states, frames[skipped..]);
 }
 
-/// The question about one image of a recording, without any prior; the image must have features.
+/// The match request of one image of a recording, without a prior; the image must have features.
 pub fn request(sequence: &Sequence, frame: usize) -> MatchRequest {
     let frame = &sequence.frames[frame];
     MatchRequest {

@@ -15,13 +15,13 @@ use protocol::{
 use recognition::{LoadedMap, RecognitionOptions};
 use sensors::{Recording, Sequence, writer};
 use tests::network::{messages, only_error};
-use tests::place::Place;
 use tests::robot::{arguments, assert_every_frame_has_a_state, images, request, run};
+use tests::scenario::MappedScenario;
 use tests::server::{Client, Server};
 
 /// Writes the beginning of a recording, spoils one file, and returns what opening it says.
 fn complaint(file: &str, spoil: impl Fn(String) -> Option<String>) -> String {
-    let mut short = Place::shared().recordings.live.clone();
+    let mut short = MappedScenario::shared().recordings.live.clone();
     short.frames.truncate(20);
     let end_ns = short.frames[19].stamp_ns;
     short.imu_samples.retain(|sample| sample.stamp_ns <= end_ns);
@@ -70,7 +70,7 @@ fn a_spoiled_recording_is_refused_with_file_and_line() {
 #[test]
 fn a_reading_that_is_no_number_is_dropped_and_the_run_goes_on() {
     // A driver that feeds the estimator directly is checked there, not by a file reader.
-    let mut live = Place::shared().recordings.live.clone();
+    let mut live = MappedScenario::shared().recordings.live.clone();
     let middle = live.imu_samples.len() / 2;
     live.imu_samples[middle].accelerometer.y = f64::NAN;
     live.imu_samples[middle + 400].stamp_ns -= 50_000_000;
@@ -85,10 +85,10 @@ fn a_reading_that_is_no_number_is_dropped_and_the_run_goes_on() {
 
 #[test]
 fn a_robot_that_asks_for_an_unknown_map_is_told_so_and_goes_on() {
-    let place = Place::shared();
-    let live = &place.recordings.live;
+    let scenario = MappedScenario::shared();
+    let live = &scenario.recordings.live;
     let folder = tempfile::tempdir().unwrap();
-    let server = Server::start("ring", place.loaded());
+    let server = Server::start("ring", scenario.loaded());
     let client = Client::connect(server.endpoint());
     let outcome = run(live, folder.path(), "", Some(client.link("cellar")));
     assert_every_frame_has_a_state(&outcome, live);
@@ -105,10 +105,10 @@ fn a_robot_that_asks_for_an_unknown_map_is_told_so_and_goes_on() {
 
 #[test]
 fn a_name_that_no_key_can_hold_is_refused_before_the_run() {
-    let place = Place::shared();
+    let scenario = MappedScenario::shared();
     let folder = tempfile::tempdir().unwrap();
     let client = Client::open(&[], &[]);
-    let (live, out) = (&place.recordings.live, folder.path());
+    let (live, out) = (&scenario.recordings.live, folder.path());
     let refused = |switches: &str, map: &str| {
         let result = onboard::run_robot(live, &arguments(out, switches), Some(client.link(map)), |_| {});
         format!("{:#}", result.unwrap_err())
@@ -125,9 +125,9 @@ fn a_name_that_no_key_can_hold_is_refused_before_the_run() {
 
 #[test]
 fn hostile_queries_are_answered_with_errors_and_the_server_lives_on() {
-    let place = Place::shared();
-    let live = &place.recordings.live;
-    let server = Server::start("ring", place.loaded());
+    let scenario = MappedScenario::shared();
+    let live = &scenario.recordings.live;
+    let server = Server::start("ring", scenario.loaded());
     let client = Client::connect(server.endpoint());
     let good = request(live, images(live)[5]);
     let payload = protocol::encode(Format::Bincode, &good).unwrap();
@@ -185,7 +185,7 @@ fn hostile_queries_are_answered_with_errors_and_the_server_lives_on() {
     let replies: Vec<MatchReply> = messages(ask("map/ring/match", payload));
     assert!(replies.len() > 1 && matches!(replies.last(), Some(MatchReply::Done(_))));
     let info: Vec<MapInfoReply> = messages(client.ask("map/ring/info", None));
-    assert_eq!(info[0].keyframes as usize, place.map.keyframes.len());
+    assert_eq!(info[0].keyframes as usize, scenario.map.keyframes.len());
     assert!(!server.statistics().panicked);
     client.close();
     server.stop();
@@ -248,9 +248,9 @@ fn odometry(
 
 #[test]
 fn an_answer_that_comes_too_late_is_reported_and_does_no_harm() {
-    let place = Place::shared();
-    let live = &place.recordings.live;
-    let map = LoadedMap::from_contents(place.map.clone()).unwrap();
+    let scenario = MappedScenario::shared();
+    let live = &scenario.recordings.live;
+    let map = LoadedMap::from_contents(scenario.map.clone()).unwrap();
     let asked = images(live).into_iter().find(|&frame| frame > 30).unwrap();
     let answer = answer_of(&map, live, asked);
     let frames = asked + 30;

@@ -1,30 +1,30 @@
-//! The filter knows how wrong it is, over several places and all its outputs. Taking the map for exact does not.
+//! Consistency (NEES) of all outputs over several scenarios; the filter that takes the map for exact is inconsistent.
 #![allow(clippy::unwrap_used)]
 
 use evaluation::{RunScore, nees_bounds};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
-use tests::place::Place;
 use tests::robot::run;
+use tests::scenario::MappedScenario;
 use tests::server::{Client, Server};
 
-/// Places, each with its own ways, noise, landmarks and errors of the map: so many independent samples.
+/// Scenarios, each with its own trajectories, noise, landmarks and errors of the map: independent samples.
 const PLACES: u64 = 6;
-/// Confidence of the bounds. Generous: a mean over a run scatters less than the single sample that it is taken for.
+/// Confidence of the bounds. Generous: a mean over a run varies less than the single sample that it counts as.
 const CONFIDENCE: f64 = 0.999;
 
 /// Takes the NEES per degree of freedom of one output from a score.
 type Nees<'a> = &'a dyn Fn(&RunScore) -> f64;
 
-/// Scores of the default filter and of `mapconst` in one place.
+/// Scores of the default filter and of `mapconst` in one scenario.
 fn scores(seed: u64) -> [RunScore; 2] {
-    let place = Place::new(seed);
+    let scenario = MappedScenario::new(seed);
     let folder = tempfile::tempdir().unwrap();
-    let server = Server::start("ring", place.loaded());
+    let server = Server::start("ring", scenario.loaded());
     let client = Client::connect(server.endpoint());
     let scores = ["multi", "mapconst"].map(|mode| {
         let switches = format!("--mode {mode}");
-        run(&place.recordings.live, folder.path(), &switches, Some(client.link("ring")))
+        run(&scenario.recordings.live, folder.path(), &switches, Some(client.link("ring")))
             .summary
             .score
             .unwrap()

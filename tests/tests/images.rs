@@ -15,7 +15,7 @@ use vision::FeatureExtractor;
 use vision::features::open;
 
 const MAP_FEATURES: usize = 1000;
-/// Time after the first fix from which on poses are scored, nanoseconds.
+/// Time after the map initialization from which on poses are scored, nanoseconds.
 const SETTLED_NS: i64 = 5_000_000_000;
 /// The truth's own standard deviation, m.
 const TRUTH_SIGMA: f64 = 0.01;
@@ -112,10 +112,11 @@ fn few_images_keep_a_robot_in_the_map() {
     server.unlink(&link);
     server.stop().unwrap();
     let truth = TruthTrack::new(live.groundtruth.as_deref().unwrap());
-    let first_fix_ns =
+    let initialized_ns =
         outcome.states().unwrap().iter().find(|state| state.global_from_imu.is_some()).unwrap().stamp_ns;
     let (mut last_ns, mut scored) = (i64::MIN, 0);
-    for state in outcome.states().unwrap().iter().filter(|state| state.stamp_ns > first_fix_ns + SETTLED_NS) {
+    for state in outcome.states().unwrap().iter().filter(|state| state.stamp_ns > initialized_ns + SETTLED_NS)
+    {
         let gap_ns = state.stamp_ns.saturating_sub(last_ns);
         last_ns = state.stamp_ns;
         let estimate = state.global_from_imu.as_ref().unwrap();

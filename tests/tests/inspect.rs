@@ -1,4 +1,4 @@
-//! An inspected query says what the answer says, and the picture shows it.
+//! The inspection of a query agrees with the reply, and the plot shows it.
 #![allow(clippy::unwrap_used)]
 
 use clap::Parser;
@@ -7,8 +7,8 @@ use recognition::{InspectedKeyframe, Inspection, KeyframeVerdict, RecognitionOpt
 use sensors::writer;
 use std::collections::HashSet;
 use std::path::Path;
-use tests::place::Place;
 use tests::robot::{images, request};
+use tests::scenario::MappedScenario;
 use tools::command::inspect::{Args, Report, inspect};
 use vision::GrayImage;
 
@@ -27,12 +27,12 @@ fn args(words: &[&str]) -> Args {
 }
 
 fn question(frame: usize) -> LocalizeRequest {
-    let asked = request(&Place::shared().recordings.live, frame);
+    let asked = request(&MappedScenario::shared().recordings.live, frame);
     LocalizeRequest { camera: asked.camera, features: asked.features, prior: None, gravity_in_camera: None }
 }
 
 fn ask(request: &LocalizeRequest) -> Inspection {
-    Place::shared().loaded().inspect(request, &RecognitionOptions::default()).unwrap()
+    MappedScenario::shared().loaded().inspect(request, &RecognitionOptions::default()).unwrap()
 }
 
 /// Inliers are within the gate, all other matches beyond it, and the mean is that of the inliers.
@@ -49,9 +49,9 @@ fn check_errors(keyframe: &InspectedKeyframe) {
 
 #[test]
 fn an_inspection_agrees_with_the_answer() {
-    let (place, options) = (Place::shared(), RecognitionOptions::default());
-    let map = place.loaded();
-    for &frame in images(&place.recordings.live).iter().step_by(12) {
+    let (scenario, options) = (MappedScenario::shared(), RecognitionOptions::default());
+    let map = scenario.loaded();
+    for &frame in images(&scenario.recordings.live).iter().step_by(12) {
         let request = question(frame);
         let inspection = map.inspect(&request, &options).unwrap();
         assert_eq!(inspection.reply, map.localize(&request, &options).unwrap());
@@ -74,7 +74,7 @@ fn an_inspection_agrees_with_the_answer() {
 
 #[test]
 fn a_feature_that_was_moved_is_an_outlier() {
-    let mut request = question(images(&Place::shared().recordings.live)[20]);
+    let mut request = question(images(&MappedScenario::shared().recordings.live)[20]);
     let before = ask(&request).keyframes[0].clone();
     let moved: HashSet<usize> =
         before.matches.iter().filter(|found| found.inlier).map(|found| found.feature).take(9).collect();
@@ -89,9 +89,9 @@ fn a_feature_that_was_moved_is_an_outlier() {
 }
 
 #[test]
-fn a_query_that_is_not_recognized_says_why() {
-    let full = question(images(&Place::shared().recordings.live)[20]);
-    // The same features at shuffled places: everything matches, and nothing fits.
+fn a_query_that_is_not_recognized_has_a_reason() {
+    let full = question(images(&MappedScenario::shared().recordings.live)[20]);
+    // The same features at permuted pixels: everything matches, and no pose fits.
     let mut shuffled = full.clone();
     let count = shuffled.features.pixels.len();
     shuffled.features.pixels = (0..count).map(|at| full.features.pixels[(at * 37 + 11) % count]).collect();
@@ -109,12 +109,12 @@ fn a_query_that_is_not_recognized_says_why() {
     assert!(inspection.keyframes.is_empty());
 }
 
-/// Writes the place's live run and its map, and inspects the run at `at`.
+/// Writes the scenario's live run and its map, and inspects the run at `at`.
 fn inspect_in(folder: &Path, at: &str, more: &[&str]) -> anyhow::Result<Report> {
     let (live, map, out) = (folder.join("live <&>"), folder.join("ring.db"), folder.join("picture.svg"));
     if !map.exists() {
-        writer::write(&Place::shared().recordings.live, &live).unwrap();
-        Place::shared().database(folder);
+        writer::write(&MappedScenario::shared().recordings.live, &live).unwrap();
+        MappedScenario::shared().database(folder);
     }
     let words =
         [live.to_str().unwrap(), "--at", at, "--map", map.to_str().unwrap(), "--out", out.to_str().unwrap()];
@@ -144,14 +144,14 @@ fn the_picture_is_xml_with_a_line_for_every_match() {
 #[test]
 fn images_are_inside_the_picture() {
     // Grey images of the right size stand in for real ones: the features come from the recording.
-    let place = Place::shared();
+    let scenario = MappedScenario::shared();
     let folder = tempfile::tempdir().unwrap();
     let sequence = folder.path().join("map");
-    let mut keyframes = place.recordings.map.clone();
-    let stamps: HashSet<i64> = place.map.keyframes.iter().map(|keyframe| keyframe.stamp_ns).collect();
+    let mut keyframes = scenario.recordings.map.clone();
+    let stamps: HashSet<i64> = scenario.map.keyframes.iter().map(|keyframe| keyframe.stamp_ns).collect();
     keyframes.frames.retain(|frame| stamps.contains(&frame.stamp_ns));
     writer::write(&keyframes, &sequence).unwrap();
-    let camera = &place.recordings.map.cameras[0].camera;
+    let camera = &scenario.recordings.map.cameras[0].camera;
     let grey = GrayImage::from_fn(camera.width as usize, camera.height as usize, |x, y| (x + y) as u8);
     let data = sequence.join("mav0/cam0/data");
     std::fs::create_dir(&data).unwrap();
@@ -168,7 +168,7 @@ fn images_are_inside_the_picture() {
 }
 
 #[test]
-fn what_cannot_be_inspected_is_named() {
+fn errors_name_what_cannot_be_inspected() {
     let folder = tempfile::tempdir().unwrap();
     let error = |at: &str, more: &[&str]| format!("{:#}", inspect_in(folder.path(), at, more).unwrap_err());
     let said = error("99", &[]);

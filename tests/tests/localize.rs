@@ -5,21 +5,21 @@ use estimator::Localization;
 use evaluation::trajectory::{StateKind, states, tum};
 use onboard::{Outcome, run_robot};
 use std::path::Path;
-use tests::place::Place;
 use tests::robot::{arguments, assert_every_frame_has_a_state, run};
+use tests::scenario::MappedScenario;
 use tests::server::Client;
 use tools::in_process::{LocalServer, load_map};
 
-/// Position error (RMS) that a robot may have in G in this place, metres. The map's poses are off by 0.1 m an axis.
+/// Position error (RMS) that a robot may have in G in this scenario, metres. The map's poses are off by 0.1 m an axis.
 const BOUND_M: f64 = 0.15;
 /// The same of its rotation, degrees. The map's poses are off by 0.9 degrees an axis.
 const BOUND_DEG: f64 = 0.5;
-/// Position error of odometry alone, laid over the truth in yaw and position, metres in 88.
+/// Position error of odometry alone after alignment in yaw and position, metres, over 88 m.
 const BOUND_ODOMETRY_M: f64 = 0.5;
 /// NEES per degree of freedom that one run may have, whose errors are correlated all along.
 const PLAUSIBLE_NEES: std::ops::Range<f64> = 0.1..4.0;
 
-/// The robot had its first fix soon, stayed near the truth, knows how near, and is localized at the end.
+/// The robot initialized in the map early, is accurate and consistent, and is localized at the end.
 fn check_localized(outcome: &Outcome) {
     let summary = &outcome.summary;
     let status = summary.final_status.as_ref().unwrap();
@@ -27,7 +27,7 @@ fn check_localized(outcome: &Outcome) {
     assert!(summary.queries.sent > 30 && summary.queries.failed == 0, "{:?}", summary.queries);
     assert!(summary.queries.accepted * 10 > summary.queries.sent * 8, "{:?}", summary.queries);
     let score = summary.score.as_ref().unwrap();
-    assert!(score.first_fix_s.unwrap() < 3.0, "{:?}", score.first_fix_s);
+    assert!(score.map_initialization_s.unwrap() < 3.0, "{:?}", score.map_initialization_s);
     let pose = score.pose.as_ref().unwrap();
     assert!(pose.samples > 200 && pose.rmse_m < BOUND_M && pose.rmse_deg < BOUND_DEG, "{pose:?}");
     assert!(PLAUSIBLE_NEES.contains(&pose.nees_pose.unwrap()), "{pose:?}");
@@ -35,7 +35,7 @@ fn check_localized(outcome: &Outcome) {
     assert!(score.local.rmse_m < 2.0 * BOUND_M, "{:?}", score.local);
 }
 
-/// Every file of the output folder is there, can be read, and says what the run said.
+/// Every file of the output folder exists, can be read, and agrees with the run.
 fn check_files(folder: &Path, outcome: &Outcome, with_map: bool) {
     let read = states::read(&folder.join("states.csv")).unwrap();
     assert_eq!(read.len(), outcome.summary.frames);
@@ -67,8 +67,8 @@ fn check_files(folder: &Path, outcome: &Outcome, with_map: bool) {
     assert_eq!(rows.len() as u64, queries.answered + queries.failed);
     if with_map {
         let columns = events.headers().unwrap().clone();
-        let place = columns.iter().position(|column| column == "accepted").unwrap();
-        let accepted = rows.iter().filter(|row| &row[place] == "true").count() as u64;
+        let column = columns.iter().position(|column| column == "accepted").unwrap();
+        let accepted = rows.iter().filter(|row| &row[column] == "true").count() as u64;
         assert_eq!(accepted, outcome.summary.queries.accepted);
     }
 
@@ -84,16 +84,17 @@ fn check_files(folder: &Path, outcome: &Outcome, with_map: bool) {
 
 #[test]
 fn a_robot_localizes_in_a_map_that_was_built_stored_and_served() {
-    let place = Place::shared();
+    let scenario = MappedScenario::shared();
     let folder = tempfile::tempdir().unwrap();
-    let map = load_map(&place.database(folder.path())).unwrap();
+    let map = load_map(&scenario.database(folder.path())).unwrap();
     let server = LocalServer::start(vec![("ring".to_owned(), map)]).unwrap();
     let client = Client::connect(server.endpoint());
     let mut errors = Vec::new();
     for mode in ["single", "multi"] {
         let out = folder.path().join(mode);
-        let outcome = run(&place.recordings.live, &out, &format!("--mode {mode}"), Some(client.link("ring")));
-        assert_every_frame_has_a_state(&outcome, &place.recordings.live);
+        let outcome =
+            run(&scenario.recordings.live, &out, &format!("--mode {mode}"), Some(client.link("ring")));
+        assert_every_frame_has_a_state(&outcome, &scenario.recordings.live);
         check_localized(&outcome);
         check_files(&out, &outcome, true);
         errors.push(outcome.summary.score.unwrap().pose.unwrap().rmse_m);
@@ -105,12 +106,12 @@ fn a_robot_localizes_in_a_map_that_was_built_stored_and_served() {
 
 #[test]
 fn one_camera_and_a_start_in_motion_will_do() {
-    let place = Place::shared();
+    let scenario = MappedScenario::shared();
     let folder = tempfile::tempdir().unwrap();
-    let server = LocalServer::start(vec![("ring".to_owned(), place.loaded())]).unwrap();
+    let server = LocalServer::start(vec![("ring".to_owned(), scenario.loaded())]).unwrap();
     let client = Client::connect(server.endpoint());
-    // From the middle of the way on: there is no rest to start from.
-    let mut late = place.recordings.live.clone();
+    // From the middle of the run on: there is no rest to start from.
+    let mut late = scenario.recordings.live.clone();
     let begin_ns = late.frames[late.frames.len() / 2].stamp_ns;
     late.imu_samples.retain(|sample| sample.stamp_ns >= begin_ns);
     late.frames.retain(|frame| frame.stamp_ns >= begin_ns);
@@ -129,11 +130,11 @@ fn one_camera_and_a_start_in_motion_will_do() {
 
 #[test]
 fn odometry_needs_neither_server_nor_map() {
-    let place = Place::shared();
+    let scenario = MappedScenario::shared();
     let folder = tempfile::tempdir().unwrap();
-    let outcome = run(&place.recordings.live, folder.path(), "--mode odometry", None);
+    let outcome = run(&scenario.recordings.live, folder.path(), "--mode odometry", None);
     let summary = &outcome.summary;
-    assert_every_frame_has_a_state(&outcome, &place.recordings.live);
+    assert_every_frame_has_a_state(&outcome, &scenario.recordings.live);
     assert_eq!((summary.queries.sent, summary.keyframes_pulled), (0, 0));
     assert_eq!(summary.final_status.as_ref().unwrap().localization, Localization::OdometryOnly);
     assert!(outcome.states().unwrap().iter().all(|state| state.global_from_imu.is_none()));

@@ -1,4 +1,4 @@
-//! A map is served anew while robots use it: what they believe of their pose in it, over Monte-Carlo runs and over a network.
+//! Changes of the served map while robots use it: the consistency of their pose, over Monte-Carlo runs and over a network.
 #![allow(clippy::unwrap_used)]
 
 use estimator::EstimatorConfig;
@@ -17,11 +17,11 @@ use simulation::monte_carlo::{
 use simulation::{Scenario, SimulationOptions};
 use std::sync::Arc;
 use std::time::Duration;
-use tests::place::Place;
 use tests::robot::{arguments, assert_every_frame_has_a_state};
+use tests::scenario::MappedScenario;
 use tests::server::{Client, Server};
 
-/// Runs of 20 s of which the last 8 are judged: the map changed just before, by 0.3 m and 1.7 degrees an axis.
+/// Runs of 20 s of which the last 8 are scored: the map changed just before, by 0.3 m and 1.7 degrees an axis.
 fn pose_after_a_change(new_errors: bool, is_stated: bool) -> (OutputScore, usize) {
     let change =
         MapChangeOptions { at_s: 12.0, sigma_theta_rad: 0.03, sigma_p_m: 0.3, new_errors, is_stated };
@@ -43,7 +43,7 @@ fn pose_after_a_change(new_errors: bool, is_stated: bool) -> (OutputScore, usize
     };
     let variant = Variant { name: "default".to_owned(), config: EstimatorConfig::default(), cameras: 2 };
     let all = run(&options, &[variant], |_| {}).unwrap().remove(0);
-    let score = score(&all, &ScoreOptions { skip_after_first_fix_s: 0.0, ..ScoreOptions::default() });
+    let score = score(&all, &ScoreOptions { skip_after_initialization_s: 0.0, ..ScoreOptions::default() });
     assert_eq!((score.runs, score.diverged, score.not_localized), (30, 0, 0));
     let pose = score.pose.unwrap();
     for (part, nees) in [("rotation", &pose.rotation), ("position", &pose.position), ("pose", &pose.pose)] {
@@ -64,7 +64,7 @@ fn nees_in_g_is_as_stated_behind_a_change_that_is_stated_and_above_it_without() 
             assert!(matches!(nees.verdict, Verdict::Inside | Verdict::Near), "{nees:?}");
         }
         assert_eq!(jumps, 0);
-        // The law has power: without the noise the same runs are overconfident.
+        // Without the process noise the same runs are overconfident.
         let (pose, _) = pose_after_a_change(new_errors, false);
         assert_eq!(pose.pose.verdict, Verdict::Overconfident, "{:?}", pose.pose);
     }
@@ -80,7 +80,7 @@ fn moved(mut map: MapContents, new_from_old: &Pose) -> MapContents {
     map
 }
 
-/// The next version of a map, with other names for all of it: nobody can say how far it moved.
+/// The next version of a map, with new ids, so that its motion cannot be computed.
 fn renamed(mut map: MapContents) -> MapContents {
     const BY: u64 = 10_000;
     map.info.version += 1;
@@ -95,29 +95,29 @@ fn renamed(mut map: MapContents) -> MapContents {
     map
 }
 
-/// Frames before which the map's news are nonsense, it moves, and it becomes another map.
+/// Frames before which an invalid notification comes, the map moves, and it becomes another map.
 const NONSENSE: usize = 60;
 const MOVES: usize = 120;
 const IS_ANOTHER: usize = 180;
 
 #[test]
-fn a_robot_follows_a_map_that_is_served_anew_and_is_never_lost() {
-    let place = Place::shared();
-    let live = &place.recordings.live;
+fn a_robot_follows_changes_of_the_map_and_stays_localized() {
+    let scenario = MappedScenario::shared();
+    let live = &scenario.recordings.live;
     let folder = tempfile::tempdir().unwrap();
-    let server = Server::start("ring", place.loaded());
+    let server = Server::start("ring", scenario.loaded());
     let client = Client::connect(server.endpoint());
     let key = keys::map_changes("ring").unwrap();
     let news = client.runtime.block_on(async { client.session.declare_subscriber(&key).await }).unwrap();
-    // Upright, so that the map still knows gravity.
+    // About gravity, so that the map's gravity remains valid.
     let moves = [
         Pose::new(rotation::exp(&Vector3::new(0.0, 0.0, 0.02)), Vector3::new(0.2, -0.3, 0.1)),
         Pose::new(rotation::exp(&Vector3::new(0.0, 0.0, -1.0)), Vector3::new(40.0, 5.0, -7.0)),
     ];
-    let second = moved(place.map.clone(), &moves[0]);
+    let second = moved(scenario.map.clone(), &moves[0]);
     let third = renamed(moved(second.clone(), &moves[1]));
     let load = |map: &MapContents| Arc::new(LoadedMap::from_contents(map.clone()).unwrap());
-    // The robot hears of it with the same message; a moment later than this one, perhaps.
+    // The robot gets the same notification, perhaps a moment later than this subscriber.
     let heard = || {
         client.runtime.block_on(async { news.recv_async().await }).unwrap();
         std::thread::sleep(Duration::from_millis(50));
@@ -159,7 +159,7 @@ fn a_robot_follows_a_map_that_is_served_anew_and_is_never_lost() {
     let last = live.frames.len() - 1;
     assert!(accepted(0, MOVES) > 5 && accepted(MOVES, IS_ANOTHER) > 5 && accepted(IS_ANOTHER, last) > 5);
 
-    // Before each change, and at the end: the pose is that in the frame of the version of the time.
+    // Before each change, and at the end: the pose is in the frame of the map's version at that time.
     let truth = live.groundtruth.as_ref().unwrap();
     let in_version = [Pose::identity(), moves[0], moves[1] * moves[0]];
     for (frame, new_from_old) in
@@ -176,7 +176,7 @@ fn a_robot_follows_a_map_that_is_served_anew_and_is_never_lost() {
         );
         assert!(turn < 0.02 && shift < 0.15, "frame {frame}: {turn} rad, {shift} m");
     }
-    // The move did not make it jump: what it believed of its pose when the news came allowed for it.
+    // The change did not cause a jump: the pose's covariance was inflated with the notification.
     let index = states.iter().position(|state| state.stamp_ns == stamp(MOVES)).unwrap();
     for pair in states[index..index + 40].windows(2) {
         let [before, now] = [&pair[0], &pair[1]].map(|state| state.global_from_imu.as_ref().unwrap());

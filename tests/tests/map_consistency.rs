@@ -1,4 +1,4 @@
-//! The pose in G is as good as the filter says, whatever the map answers: over Monte-Carlo runs.
+//! Consistency of the pose in G under noisy, wrong and missing replies of the map, over Monte-Carlo runs.
 #![allow(clippy::unwrap_used)]
 
 use estimator::EstimatorConfig;
@@ -50,7 +50,7 @@ fn nees_of_all_three_poses_is_as_stated() {
 }
 
 #[test]
-fn a_first_fix_from_a_dozen_matches_with_one_keyframe_is_as_uncertain_as_stated() {
+fn a_map_initialization_from_a_dozen_matches_with_one_keyframe_is_as_uncertain_as_stated() {
     let simulation = SimulationOptions { duration_s: Some(60.0), ..SimulationOptions::default() };
     let answers =
         AnswerOptions { every_s: 1.0, max_matches: 12, max_keyframes: 1, ..AnswerOptions::default() };
@@ -82,9 +82,9 @@ fn a_place_that_looks_the_same_does_not_move_the_pose_beyond_what_is_stated() {
     let map = score.map;
     assert!(map.wrong_places >= 1000, "only {} were tried", map.wrong_places);
     assert_eq!(map.jumps, 0, "{map:?}");
-    assert!(map.wrong_places_accepted * 100 <= map.wrong_places, "{map:?}");
+    assert!(map.wrong_places_used * 100 <= map.wrong_places, "{map:?}");
     // Nor are the right ones lost with them.
-    assert!(map.accepted * 100 >= 90 * map.answers, "{map:?}");
+    assert!(map.used * 100 >= 90 * map.answers, "{map:?}");
 }
 
 #[test]

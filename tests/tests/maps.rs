@@ -1,4 +1,4 @@
-//! A map is the same after its server was killed, and after it was exported and imported again.
+//! A map is unchanged after its server was killed, and after export and import.
 #![allow(clippy::unwrap_used)]
 
 use map::text::{read_map, write_map};
@@ -6,13 +6,13 @@ use map::{StoreError, store};
 use protocol::MatchReply;
 use recognition::{LoadedMap, RecognitionOptions};
 use std::path::Path;
-use tests::place::Place;
 use tests::robot::{images, request};
+use tests::scenario::MappedScenario;
 use tools::in_process::load_map;
 
 /// The answers to all images of the live run, but for how long they took.
-fn answers(map: &LoadedMap, place: &Place) -> Vec<MatchReply> {
-    let live = &place.recordings.live;
+fn answers(map: &LoadedMap, scenario: &MappedScenario) -> Vec<MatchReply> {
+    let live = &scenario.recordings.live;
     let mut all = Vec::new();
     for frame in images(live) {
         let mut replies = map.answer(&request(live, frame), &RecognitionOptions::default()).unwrap();
@@ -39,11 +39,11 @@ fn copy(from: &Path, to: &Path) {
 
 #[test]
 fn a_map_that_was_acknowledged_is_whole_after_a_kill_and_answers_alike() {
-    let place = Place::shared();
+    let scenario = MappedScenario::shared();
     let folder = tempfile::tempdir().unwrap();
     let (path, killed) = (folder.path().join("ring.db"), folder.path().join("killed.db"));
-    let store = store::create(&path, &place.map.info).unwrap();
-    let version = store.replace_all(&place.map).unwrap();
+    let store = store::create(&path, &scenario.map.info).unwrap();
+    let version = store.replace_all(&scenario.map).unwrap();
     // What the disk holds while the program is still running is what a kill leaves behind.
     copy(&path, &killed);
     let here = LoadedMap::load(store.as_ref()).unwrap();
@@ -51,34 +51,34 @@ fn a_map_that_was_acknowledged_is_whole_after_a_kill_and_answers_alike() {
     let survivor = store::open(&killed).unwrap();
     let contents = survivor.read_contents().unwrap();
     assert_eq!(contents.info.version, version);
-    assert_eq!(contents.keyframes, place.map.keyframes);
-    assert_eq!(contents.landmarks, place.map.landmarks);
-    let found = answers(&here, place);
+    assert_eq!(contents.keyframes, scenario.map.keyframes);
+    assert_eq!(contents.landmarks, scenario.map.landmarks);
+    let found = answers(&here, scenario);
     assert!(found.iter().filter(|reply| matches!(reply, MatchReply::Keyframe(_))).count() > 100);
-    assert_eq!(found, answers(&LoadedMap::load(survivor.as_ref()).unwrap(), place));
-    assert_eq!(found, answers(&load_map(&path).unwrap(), place));
+    assert_eq!(found, answers(&LoadedMap::load(survivor.as_ref()).unwrap(), scenario));
+    assert_eq!(found, answers(&load_map(&path).unwrap(), scenario));
 }
 
 #[test]
 fn a_map_that_was_exported_and_imported_answers_alike() {
-    let place = Place::shared();
+    let scenario = MappedScenario::shared();
     let folder = tempfile::tempdir().unwrap();
-    let original = store::open(place.database(folder.path())).unwrap();
+    let original = store::open(scenario.database(folder.path())).unwrap();
     let text = folder.path().join("text");
     write_map(&text, &original.read_contents().unwrap()).unwrap();
     let second = folder.path().join("second.db");
     store::save_map(&second, &read_map(&text).unwrap(), false).unwrap();
     let imported = load_map(&second).unwrap();
     let original = LoadedMap::load(original.as_ref()).unwrap();
-    assert_eq!(answers(&original, place), answers(&imported, place));
+    assert_eq!(answers(&original, scenario), answers(&imported, scenario));
 }
 
 #[test]
 fn a_damaged_record_is_named_and_the_rest_still_localizes() {
-    let place = Place::shared();
+    let scenario = MappedScenario::shared();
     let folder = tempfile::tempdir().unwrap();
-    let path = place.database(folder.path());
-    let damaged = place.map.landmarks[5].id;
+    let path = scenario.database(folder.path());
+    let damaged = scenario.map.landmarks[5].id;
     loop {
         // A database that was just closed stays locked until sled's threads have let go of it.
         let Ok(database) = sled::open(&path) else { continue };
@@ -99,8 +99,8 @@ fn a_damaged_record_is_named_and_the_rest_still_localizes() {
     assert!(error.to_string().contains("ring.db"), "{error}");
     let map = LoadedMap::load(store.as_ref()).unwrap();
     assert_eq!(map.damaged_records(), 1);
-    assert_eq!(map.landmark_count(), place.map.landmarks.len() - 1);
-    let found = answers(&map, place);
+    assert_eq!(map.landmark_count(), scenario.map.landmarks.len() - 1);
+    let found = answers(&map, scenario);
     assert!(found.iter().filter(|reply| matches!(reply, MatchReply::Keyframe(_))).count() > 100);
 }
 

@@ -1,4 +1,4 @@
-//! Servers that come and go, several robots, and whoever listens to them.
+//! Servers that start and stop, several robots, and third-party subscribers.
 #![allow(clippy::unwrap_used)]
 
 use estimator::Localization;
@@ -9,8 +9,8 @@ use std::collections::BTreeSet;
 use std::sync::Barrier;
 use std::sync::{Arc, Mutex};
 use tests::network::messages;
-use tests::place::Place;
 use tests::robot::{arguments, assert_every_frame_has_a_state, run};
+use tests::scenario::MappedScenario;
 use tests::server::{Client, Server};
 use tools::in_process::free_endpoint;
 use zenoh::sample::SampleKind;
@@ -20,10 +20,10 @@ const OUTAGE: std::ops::Range<usize> = 100..180;
 
 #[test]
 fn a_robot_keeps_its_odometry_without_the_server_and_is_corrected_when_it_is_back() {
-    let place = Place::shared();
-    let live = &place.recordings.live;
+    let scenario = MappedScenario::shared();
+    let live = &scenario.recordings.live;
     let folder = tempfile::tempdir().unwrap();
-    let map = place.loaded();
+    let map = scenario.loaded();
     let mut server = Some(Server::start("ring", map.clone()));
     let endpoint = server.as_ref().unwrap().endpoint().to_owned();
     let client = Client::connect(&endpoint);
@@ -57,7 +57,7 @@ fn a_robot_keeps_its_odometry_without_the_server_and_is_corrected_when_it_is_bac
     }
     assert!(before > 5 && during > 3 && after > 5, "{before} before, {during} during, {after} after");
 
-    // Its odometry carried the pose in G through the outage; the map made it sure again.
+    // Odometry carried the pose in G through the outage; the map reduced its uncertainty again.
     let sigma_m = |frame: usize| {
         let mut states = outcome.states().unwrap().into_iter();
         let state = states.find(|state| state.stamp_ns == stamp(frame)).unwrap();
@@ -75,8 +75,8 @@ fn a_robot_keeps_its_odometry_without_the_server_and_is_corrected_when_it_is_bac
 
 #[test]
 fn a_robot_whose_server_is_never_there_runs_to_the_end() {
-    let place = Place::shared();
-    let live = &place.recordings.live;
+    let scenario = MappedScenario::shared();
+    let live = &scenario.recordings.live;
     let folder = tempfile::tempdir().unwrap();
     let nobody = Client::open(&[], &[&free_endpoint().unwrap()]);
     let outcome = run(live, folder.path(), "--deadline 0.2", Some(nobody.link("ring")));
@@ -91,7 +91,7 @@ fn a_robot_whose_server_is_never_there_runs_to_the_end() {
     nobody.close();
 }
 
-/// What somebody heard of one robot.
+/// The messages that a subscriber received from one robot.
 #[derive(Default)]
 struct Heard {
     poses: Vec<RobotPose>,
@@ -115,10 +115,10 @@ impl Heard {
 
 #[test]
 fn two_robots_share_a_server_and_a_third_party_follows_both() {
-    let place = Place::shared();
-    let live = &place.recordings.live;
+    let scenario = MappedScenario::shared();
+    let live = &scenario.recordings.live;
     let folder = tempfile::tempdir().unwrap();
-    let server = Server::start("ring", place.loaded());
+    let server = Server::start("ring", scenario.loaded());
     let watching = free_endpoint().unwrap();
     let watcher = Client::open(&[&watching], &[server.endpoint()]);
 
@@ -127,7 +127,7 @@ fn two_robots_share_a_server_and_a_third_party_follows_both() {
         .runtime
         .block_on(async { watcher.session.liveliness().declare_subscriber("robot/*").history(true).await })
         .unwrap();
-    // A channel that nobody empties would fill, and hold up the tokens behind it: a callback takes everything.
+    // A channel that nobody empties would fill, and block the tokens behind it: a callback takes everything.
     let heard = Arc::new(Mutex::new(names.map(|_| Heard::default())));
     let (all, session) = (Arc::clone(&heard), watcher.session.clone());
     let note = move |sample: zenoh::sample::Sample| {
@@ -198,7 +198,7 @@ fn two_robots_share_a_server_and_a_third_party_follows_both() {
         for count in [heard.poses.len(), heard.odometry.len()] {
             assert!(count > 50 && count <= states.len(), "{count} messages of {} frames", states.len());
         }
-        // How it is, a robot says from the first image on, before it has a pose too.
+        // A robot publishes its status from the first image on, before it has a pose.
         let (statuses, images) = (heard.statuses.len(), live.frames.len());
         assert!(statuses > 50 && statuses <= images, "{statuses} statuses of {images} images");
         for pose in &heard.poses {

@@ -1,4 +1,4 @@
-//! The odometry knows how wrong it is: NEES over Monte-Carlo runs, each of which starts from a drawn state.
+//! Consistency of the odometry: NEES over Monte-Carlo runs, each of which starts from a sampled state.
 #![allow(clippy::unwrap_used)]
 
 use estimator::{EstimatorConfig, MapMode};
@@ -9,10 +9,10 @@ use simulation::monte_carlo::{
 };
 use simulation::{Scenario, SimulationOptions};
 
-/// As many runs as a chi-square interval is worth looking at for.
+/// Number of runs: enough for a useful chi-square interval.
 const RUNS: usize = 20;
 
-/// A hand in a room, from rest: every direction is turned about and accelerated along.
+/// Hand-held in a room, from rest: rotation about and acceleration along every axis.
 fn runs(runs: usize, calibration: CalibrationErrors, variants: &[Variant]) -> Vec<VariantRuns> {
     let scenario = Scenario::Room;
     let options = MonteCarloOptions {
@@ -74,7 +74,7 @@ fn a_wrong_calibration_is_a_tenth_as_wrong_after_a_minute() {
         let name = &all.variant.name;
         for trial in &all.trials {
             assert_eq!(trial.diverged, None, "{name}, seed {}", trial.seed);
-            let found = &trial.found_calibration[0];
+            let found = &trial.estimated_calibration[0];
             println!("{name}, seed {}: {found:?}", trial.seed);
             assert!(found.deg < 0.2 && found.m < 0.003, "{name}, seed {}: {found:?}", trial.seed);
             let (late, longer) = (found.seconds.abs(), found.focal_fraction);

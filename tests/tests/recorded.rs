@@ -63,7 +63,7 @@ fn pose_within(outcome: &Outcome, metres: f64, degrees: f64) -> Score {
     score
 }
 
-fn assert_honest(score: &Score) {
+fn assert_consistent(score: &Score) {
     let nees = score.nees_pose.unwrap();
     assert!((0.5..=1.5).contains(&nees), "NEES {nees}");
 }
@@ -75,13 +75,13 @@ fn the_papers_simulation() {
     let (refined, map) =
         (built(&map, f64::INFINITY, StoredPoses::Refined), built(&map, f64::INFINITY, StoredPoses::Given));
     let of_refined = localize(&live, &refined, "--init truth --mode multi");
-    assert_honest(&pose_within(&of_refined, 0.05, 0.12));
-    assert_honest(&pose_within(&localize(&live, &map, "--init truth --mode single"), 0.13, 0.30));
+    assert_consistent(&pose_within(&of_refined, 0.05, 0.12));
+    assert_consistent(&pose_within(&localize(&live, &map, "--init truth --mode single"), 0.13, 0.30));
     let multi = localize(&live, &map, "--init truth --mode multi");
     let score = pose_within(&multi, 0.10, 0.25);
-    assert_honest(&score);
+    assert_consistent(&score);
     assert!(multi.summary.score.as_ref().unwrap().local.rmse_m <= 0.20);
-    // Taking the map for exact costs three times the error and all honesty.
+    // Taking the map for exact costs three times the error and all consistency.
     let exact = localize(&live, &map, "--init truth --mode mapconst").summary.score.unwrap().pose.unwrap();
     assert!(exact.rmse_m > 3.0 * score.rmse_m && exact.nees_pose.unwrap() > 50.0);
 }
@@ -93,14 +93,14 @@ fn the_papers_place_with_its_real_matches() {
     let outcome =
         localize(&live, &imported(&map), "--init truth --mode single --sigma-match 3 --sigma-map 3");
     let score = pose_within(&outcome, 0.30, 0.35);
-    assert_honest(&score);
+    assert_consistent(&score);
     assert!(score.max_m < 0.8, "a wrong match moved the pose: {} m", score.max_m);
 }
 
 #[test]
 #[ignore = "needs the recordings in target/data"]
 fn real_imu_and_real_matches() {
-    // The truth of v202 turns by half a degree against its own images: no filter can be honest about it.
+    // The ground truth of v202 rotates by half a degree against its own images: no filter can be consistent with it.
     for (place, metres, degrees, is_sound) in
         [("mh05_on_mh01", 0.08, 0.5, true), ("v202_on_v201", 0.03, 0.5, false)]
     {
@@ -110,7 +110,7 @@ fn real_imu_and_real_matches() {
         let switches = format!("--init truth --mode single {REAL}");
         let score = pose_within(&localize(&folder.join("live"), &map, &switches), metres, degrees);
         if is_sound {
-            assert_honest(&score);
+            assert_consistent(&score);
         }
     }
 }
@@ -130,7 +130,7 @@ fn ten_loops_in_a_map_whose_gravity_is_not_along_z() {
     let folder = recording("loops/scenario_1");
     let outcome =
         localize(&folder.join("live"), &imported(&folder.join("map")), "--init truth --mode single");
-    assert_honest(&pose_within(&outcome, 0.15, 0.30));
+    assert_consistent(&pose_within(&outcome, 0.15, 0.30));
 }
 
 #[test]

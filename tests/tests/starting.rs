@@ -6,11 +6,11 @@ use evaluation::trajectory::StateRow;
 use onboard::{Outcome, run_robot};
 use sensors::Sequence;
 use std::ops::Range;
-use tests::place::Place;
 use tests::robot::{arguments, run};
+use tests::scenario::MappedScenario;
 use tests::server::{Client, Server};
 
-/// A recording whose tracks are nonsense for some seconds: every pixel is somebody else's.
+/// A recording whose tracks are permuted for some seconds: every pixel belongs to another track.
 fn scrambled(sequence: &Sequence, seconds: Range<f64>) -> Sequence {
     let mut scrambled = sequence.clone();
     let first_ns = scrambled.frames[0].stamp_ns;
@@ -27,21 +27,21 @@ fn scrambled(sequence: &Sequence, seconds: Range<f64>) -> Sequence {
     scrambled
 }
 
-/// Length of the way that states say over that of the truth.
+/// Length of the estimated path over that of the true one.
 fn length_ratio(states: &[StateRow], sequence: &Sequence) -> f64 {
     let truth = sequence.groundtruth.as_deref().unwrap();
     let (mut estimated, mut true_length) = (0.0, 0.0);
     // Over half a second, so that noise does not add to the length.
     for pair in states.iter().step_by(10).collect::<Vec<_>>().windows(2) {
-        let true_place = |stamp_ns: i64| {
+        let true_position = |stamp_ns: i64| {
             let after = truth.partition_point(|row| row.stamp_ns < stamp_ns).min(truth.len() - 1);
             let (a, b) = (&truth[after.saturating_sub(1)], &truth[after]);
             let part = (stamp_ns - a.stamp_ns) as f64 / ((b.stamp_ns - a.stamp_ns) as f64).max(1.0);
             a.pose.translation.lerp(&b.pose.translation, part)
         };
-        let place = |state: &StateRow| state.local_from_imu.pose.translation;
-        estimated += (place(pair[1]) - place(pair[0])).norm();
-        true_length += (true_place(pair[1].stamp_ns) - true_place(pair[0].stamp_ns)).norm();
+        let position = |state: &StateRow| state.local_from_imu.pose.translation;
+        estimated += (position(pair[1]) - position(pair[0])).norm();
+        true_length += (true_position(pair[1].stamp_ns) - true_position(pair[0].stamp_ns)).norm();
     }
     estimated / true_length
 }
@@ -55,7 +55,7 @@ fn assert_scale(outcome: &Outcome, sequence: &Sequence, from_ns: i64) {
 
 #[test]
 fn one_camera_or_two_start_in_motion() {
-    let live = &Place::shared().recordings.live;
+    let live = &MappedScenario::shared().recordings.live;
     for cameras in ["mono", "stereo"] {
         let folder = tempfile::tempdir().unwrap();
         let switches = format!("--mode odometry --cameras {cameras} --start-at 9 --duration 12");
@@ -68,10 +68,10 @@ fn one_camera_or_two_start_in_motion() {
 }
 
 #[test]
-fn after_a_divergence_the_filter_starts_again_l_goes_on_and_the_place_is_found_anew() {
-    let place = Place::shared();
-    let live = scrambled(&place.recordings.live, 9.0..14.0);
-    let server = Server::start("ring", place.loaded());
+fn after_a_divergence_the_filter_starts_again_in_the_same_local_frame_and_localizes_again() {
+    let scenario = MappedScenario::shared();
+    let live = scrambled(&scenario.recordings.live, 9.0..14.0);
+    let server = Server::start("ring", scenario.loaded());
     let client = Client::connect(server.endpoint());
     let folder = tempfile::tempdir().unwrap();
     let outcome = run(&live, folder.path(), "", Some(client.link("ring")));
@@ -83,22 +83,22 @@ fn after_a_divergence_the_filter_starts_again_l_goes_on_and_the_place_is_found_a
     let (gone, back) = (summary.divergences[0].seconds, summary.starts[1].seconds);
     assert!(gone < 13.5 && back > 14.0 && back < 18.0, "no filter from {gone} s to {back} s");
 
-    // No state in between, and the odometry frame goes on: where it was last believed, not back in the origin.
+    // No state in between, and the odometry frame goes on: at the last trusted pose, not back at the origin.
     let states = &outcome.states().unwrap();
     let first_ns = live.frames[0].stamp_ns;
     let at = |seconds: f64| first_ns + (seconds * 1e9) as i64;
     assert!(!states.iter().any(|state| (at(gone)..at(back) - 1_000_000).contains(&state.stamp_ns)));
     let nearest = |seconds: f64| {
-        let place = states.partition_point(|state| state.stamp_ns < at(seconds) - 1_000_000);
-        states[place].local_from_imu.pose
+        let index = states.partition_point(|state| state.stamp_ns < at(seconds) - 1_000_000);
+        states[index].local_from_imu.pose
     };
-    let (believed, again) = (nearest(9.0), nearest(back));
-    assert!(believed.translation.norm() > 5.0);
-    let jump = (again.translation - believed.translation).norm();
+    let (last_trusted, again) = (nearest(9.0), nearest(back));
+    assert!(last_trusted.translation.norm() > 5.0);
+    let jump = (again.translation - last_trusted.translation).norm();
     assert!(jump < 6.0, "L jumped by {jump} m");
     assert_scale(&outcome, &live, at(back));
 
-    // The old transform is gone with the old filter; the map gives a new one, and it fits.
+    // The old transform was dropped with the old filter; the map gives a new one.
     let status = summary.final_status.as_ref().unwrap();
     assert_eq!(status.localization, Localization::Localized, "{}", status.reason);
     let last = states.last().unwrap();
@@ -108,8 +108,8 @@ fn after_a_divergence_the_filter_starts_again_l_goes_on_and_the_place_is_found_a
 }
 
 #[test]
-fn a_robot_that_sees_nonsense_ends_and_says_why_it_never_started() {
-    let live = scrambled(&Place::shared().recordings.live, 0.0..1e9);
+fn a_robot_with_permuted_tracks_ends_and_reports_why_it_never_started() {
+    let live = scrambled(&MappedScenario::shared().recordings.live, 0.0..1e9);
     let folder = tempfile::tempdir().unwrap();
     let switches = arguments(folder.path(), "--mode odometry --start-at 9 --duration 6");
     let outcome = run_robot(&live, &switches, None, |_| {}).unwrap();
@@ -127,8 +127,8 @@ fn a_robot_that_sees_nonsense_ends_and_says_why_it_never_started() {
 }
 
 #[test]
-fn an_excerpt_that_is_not_there_is_refused() {
-    let live = &Place::shared().recordings.live;
+fn an_excerpt_beyond_the_recording_is_refused() {
+    let live = &MappedScenario::shared().recordings.live;
     let folder = tempfile::tempdir().unwrap();
     for (switches, why) in [
         ("--start-at 1e6", "no image after that"),

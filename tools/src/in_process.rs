@@ -14,7 +14,7 @@ use tokio::runtime::Runtime;
 /// Loads a map database into memory, ready to be served.
 ///
 /// # Errors
-/// A sentence that names the database.
+/// A database that cannot be opened or read; the error names it.
 pub fn load_map(database: &Path) -> Result<Arc<LoadedMap>> {
     let store = store::open(database)?;
     let map = LoadedMap::load(store.as_ref()).with_context(|| format!("map {}", database.display()))?;
@@ -33,7 +33,7 @@ impl LocalServer {
     /// Serves `maps` on a free port of the loopback interface.
     ///
     /// # Errors
-    /// A sentence: no free port, or Zenoh refuses.
+    /// No free port, or an error of Zenoh.
     pub fn start(maps: Vec<(String, Arc<LoadedMap>)>) -> Result<Self> {
         let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build()?;
         let endpoint = free_endpoint()?;
@@ -44,12 +44,12 @@ impl LocalServer {
         Ok(Self { runtime, session, server: Some(server), endpoint })
     }
 
-    /// Where robots connect to.
+    /// The endpoint that robots connect to.
     pub fn endpoint(&self) -> &str {
         &self.endpoint
     }
 
-    /// A robot's own session to this server.
+    /// Opens a session of a robot to this server.
     ///
     /// # Errors
     /// Zenoh's.

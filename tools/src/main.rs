@@ -5,7 +5,7 @@ use std::io::IsTerminal as _;
 use std::process::ExitCode;
 use tools::command::Command;
 
-/// Driftless: localize robots in one shared, drift-free map.
+/// Driftless: localize robots in one shared, drift-free map
 #[derive(Debug, Parser)]
 #[command(name = "driftless", version, arg_required_else_help = true)]
 struct Cli {

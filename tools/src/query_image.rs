@@ -1,4 +1,4 @@
-//! The image that a question to a map is about, from a file or from a recording, with its features.
+//! The image of a query, from a file or from a recording, with its features.
 
 use std::path::Path;
 
@@ -12,16 +12,16 @@ use vision::GrayImage;
 
 use map::text::read_camera;
 
-/// An image to be recognized.
+/// An image to localize.
 #[derive(Clone, Debug)]
 pub struct QueryImage {
-    /// The file, or the recording and when in it.
+    /// The file, or the recording and the time in it.
     pub name: String,
     /// The camera that took it.
     pub camera: Camera,
-    /// The picture itself; `None` for a recording that has only features.
+    /// The image itself; `None` for a recording that has only features.
     pub image: Option<GrayImage>,
-    /// What is to be compared with the map.
+    /// Its features.
     pub features: FeatureSet,
 }
 
@@ -40,7 +40,7 @@ impl QueryImage {
         Ok(Self { name: file.display().to_string(), camera, image: Some(image), features })
     }
 
-    /// Takes what camera 0 of a recording saw: its `features.csv` where it has one, else the features of the image.
+    /// Reads an image of camera 0 of a recording: its `features.csv` where it has one, else the features of the image.
     ///
     /// # Arguments
     /// * `at_s`: seconds from the first frame; the nearest frame that can be used is taken.
@@ -63,7 +63,7 @@ impl QueryImage {
         Ok(Self { name: format!("{} at {time_s:.3} s", recording.display()), camera, image, features })
     }
 
-    /// The question where it was taken, without any prior.
+    /// A localization request without a prior.
     pub fn request(&self) -> LocalizeRequest {
         LocalizeRequest {
             camera: self.camera.clone(),

@@ -1,4 +1,4 @@
-//! The commands as a person at the shell sees them.
+//! The commands, run as programs.
 #![allow(clippy::unwrap_used)]
 
 use std::path::Path;
@@ -9,14 +9,14 @@ fn driftless(arguments: &[&str]) -> Output {
 }
 
 /// Standard output of a command that succeeds.
-fn said(arguments: &[&str]) -> String {
+fn stdout_of(arguments: &[&str]) -> String {
     let output = driftless(arguments);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     String::from_utf8(output.stdout).unwrap()
 }
 
 /// Standard error of a command that fails.
-fn complained(arguments: &[&str]) -> String {
+fn stderr_of(arguments: &[&str]) -> String {
     let output = driftless(arguments);
     assert!(!output.status.success());
     String::from_utf8(output.stderr).unwrap()
@@ -27,16 +27,16 @@ fn text(path: &Path) -> &str {
 }
 
 #[test]
-fn a_simulated_place_is_written_and_compares_to_itself_without_error() {
+fn a_simulated_town_is_written_and_compares_to_itself_without_error() {
     let folder = tempfile::tempdir().unwrap();
-    let written = said(&["simulate", "--out", text(folder.path()), "--speed", "12", "--json"]);
+    let written = stdout_of(&["simulate", "--out", text(folder.path()), "--speed", "12", "--json"]);
     let summaries: serde_json::Value = serde_json::from_str(&written).unwrap();
     assert!(summaries.as_array().unwrap().iter().all(|run| run["distance_m"].as_f64().unwrap() > 300.0));
     assert!(folder.path().join("map/reference_poses.csv").exists());
 
     let truth = folder.path().join("live/mav0/state_groundtruth_estimate0/data.csv");
     for align in ["none", "yaw", "se3"] {
-        let figures = said(&[
+        let figures = stdout_of(&[
             "evaluate",
             "--groundtruth",
             text(&truth),
@@ -57,26 +57,26 @@ fn a_simulated_place_is_written_and_compares_to_itself_without_error() {
 #[test]
 fn a_given_trajectory_is_simulated() {
     let folder = tempfile::tempdir().unwrap();
-    let way = folder.path().join("way.tum");
+    let trajectory = folder.path().join("given.tum");
     let lines = (0..60).map(|index| {
         let t = f64::from(index) * 0.1;
         format!("{:.9} {t} {} 1 0 0 0 1\n", 100.0 + t, (0.5 * t).sin())
     });
-    std::fs::write(&way, lines.collect::<String>()).unwrap();
+    std::fs::write(&trajectory, lines.collect::<String>()).unwrap();
     let out = folder.path().join("hall");
-    let said = said(&["simulate", "--out", text(&out), "--trajectory", text(&way)]);
-    assert!(said.contains("hall/live: 6 m in 5 s"), "{said}");
+    let printed = stdout_of(&["simulate", "--out", text(&out), "--trajectory", text(&trajectory)]);
+    assert!(printed.contains("hall/live: 6 m in 5 s"), "{printed}");
 }
 
 #[test]
-fn what_cannot_be_done_is_said_with_the_file_and_the_remedy() {
+fn errors_name_the_file_and_the_remedy() {
     let folder = tempfile::tempdir().unwrap();
     let truth = folder.path().join("truth.tum");
     std::fs::write(&truth, "1 0 0 0 0 0 0 1\n2 0 0 0 0 0 0 1\n").unwrap();
     let late = folder.path().join("late.tum");
     std::fs::write(&late, "101 0 0 0 0 0 0 1\n102 0 0 0 0 0 0 1\n").unwrap();
     let evaluate = |groundtruth: &Path, estimate: &Path, align: &str| {
-        complained(&[
+        stderr_of(&[
             "evaluate",
             "--groundtruth",
             text(groundtruth),
@@ -89,14 +89,30 @@ fn what_cannot_be_done_is_said_with_the_file_and_the_remedy() {
     assert!(evaluate(&truth, &folder.path().join("none.tum"), "none").contains("none.tum is missing"));
     assert!(evaluate(&truth, &late, "none").contains("no poses in common"));
     assert!(evaluate(&truth, &truth, "se3").contains("align with yaw or none"));
-    assert!(complained(&["plot", text(folder.path())]).contains("states.csv is missing"));
-    let bad = complained(&["simulate", "--out", text(folder.path()), "--outliers", "2"]);
+    assert!(stderr_of(&["plot", text(folder.path())]).contains("states.csv is missing"));
+    let bad = stderr_of(&["simulate", "--out", text(folder.path()), "--outliers", "2"]);
     assert!(bad.contains("outlier_fraction is 2, but must be between 0 and 1"), "{bad}");
 }
 
 #[test]
 fn every_help_shows_an_example() {
-    for command in ["simulate", "evaluate", "plot"] {
-        assert!(said(&[command, "--help"]).contains(&format!("driftless {command} ")), "{command}");
+    for command in [
+        "demo",
+        "simulate",
+        "build-map",
+        "import-map",
+        "export-map",
+        "map-info",
+        "query",
+        "localize",
+        "inspect",
+        "run",
+        "track",
+        "evaluate",
+        "montecarlo",
+        "plot",
+        "weights",
+    ] {
+        assert!(stdout_of(&[command, "--help"]).contains(&format!("driftless {command} ")), "{command}");
     }
 }

@@ -1,4 +1,4 @@
-//! Absolute trajectory error: how far each pose is from the true one.
+//! Absolute trajectory error (ATE): the difference between each estimated pose and the true one.
 
 use super::{Pair, Statistics};
 use crate::trajectory::StampedPose;
@@ -32,7 +32,14 @@ impl PoseErrors {
     }
 }
 
-/// The error of each pair, after the estimate was moved by `reference_from_estimate`.
+/// The error of each pair after alignment, see the [example of the crate](crate).
+///
+/// # Arguments
+/// * `pairs`: indices into `reference` and `estimate`, from [`associate`](crate::associate).
+/// * `reference_from_estimate`: the alignment, from [`align`](crate::align).
+///
+/// # Panics
+/// Where an index of a pair is out of range.
 pub fn absolute_errors(
     reference: &[StampedPose],
     estimate: &[StampedPose],

@@ -1,4 +1,4 @@
-//! Laying an estimated trajectory over the true one, where the estimate has a frame of its own.
+//! Alignment of an estimated trajectory with the true one, where the estimate has a frame of its own.
 
 use geometry::pose::Pose;
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
@@ -7,19 +7,20 @@ use thiserror::Error;
 /// Singular values of the covariance of positions below this (relative to the largest) count as zero.
 const DEGENERATE: f64 = 1e-12;
 
-/// How an estimate is laid over the truth.
+/// Which transformation aligns an estimate with the truth.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Alignment {
-    /// Not at all: both are in the same frame.
+    /// None: both are in the same frame.
     None,
-    /// Turned about gravity and moved: what odometry cannot know. Unit directions in which gravity pulls.
+    /// A rotation about gravity and a translation: the four unobservable directions of visual-inertial odometry. Both
+    /// fields are the unit direction of gravity.
     Yaw {
         /// In the frame of the reference.
         gravity_in_reference: Vector3<f64>,
         /// In the frame of the estimate.
         gravity_in_estimate: Vector3<f64>,
     },
-    /// Turned and moved in any way.
+    /// A rotation and a translation.
     Se3,
 }
 
@@ -30,22 +31,35 @@ pub enum AlignmentError {
     #[error("the trajectories have no poses in common: check their times, or allow a larger time difference")]
     NoPairs,
     /// The positions are on a line, or all the same.
-    #[error("the positions lie on one line, so a rotation cannot be told: align with yaw or none")]
+    #[error("the positions lie on one line, which leaves the rotation undetermined: align with yaw or none")]
     Degenerate,
 }
 
-/// The motion that lays the estimated positions over the true ones with the least sum of squared distances.
+/// The rigid transformation (no scale) that minimizes the sum of squared distances between positions.
 ///
 /// # Arguments
-/// * `pairs`: position in the reference, position in the estimate, metres.
+/// * `pairs`: n pairs of position in the reference and position in the estimate, metres.
 ///
 /// # Returns
 /// `reference_from_estimate`.
 ///
 /// # Errors
-/// [`AlignmentError`].
+/// [`AlignmentError::NoPairs`] without pairs, [`AlignmentError::Degenerate`] where the positions lie on one line and the
+/// whole rotation is asked for.
 ///
 /// Source: Umeyama, PAMI 1991, without scale; about gravity, the angle that maximizes the same sum in closed form.
+///
+/// ```
+/// use evaluation::{Alignment, align};
+/// use nalgebra::Vector3;
+///
+/// let shift = Vector3::new(1.0, 2.0, 3.0);
+/// let corners = [Vector3::zeros(), Vector3::x(), Vector3::y()];
+/// let pairs: Vec<_> = corners.map(|corner| (corner + shift, corner)).to_vec();
+/// let reference_from_estimate = align(&pairs, &Alignment::Se3)?;
+/// assert!((reference_from_estimate.translation - shift).norm() < 1e-9);
+/// # Ok::<(), evaluation::AlignmentError>(())
+/// ```
 pub fn align(pairs: &[(Vector3<f64>, Vector3<f64>)], alignment: &Alignment) -> Result<Pose, AlignmentError> {
     let mut sums = PositionSums::default();
     for (reference, estimate) in pairs {
@@ -54,7 +68,7 @@ pub fn align(pairs: &[(Vector3<f64>, Vector3<f64>)], alignment: &Alignment) -> R
     sums.align(alignment)
 }
 
-/// What an alignment needs to know of any number of pairs of positions.
+/// The sums over pairs of positions that determine an alignment: constant memory for any number of pairs.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct PositionSums {
     count: usize,
@@ -78,7 +92,7 @@ impl PositionSums {
         self.products += reference * estimate.transpose();
     }
 
-    /// [`align`] of the pairs that were added.
+    /// The alignment of the pairs that were added; see [`align`].
     ///
     /// # Errors
     /// [`AlignmentError`].
@@ -118,13 +132,13 @@ fn best_rotation(correlation: &Matrix3<f64>) -> Result<UnitQuaternion<f64>, Alig
     Ok(UnitQuaternion::new_normalize(UnitQuaternion::from_rotation_matrix(&rotation).into_inner()))
 }
 
-/// The same among the rotations that take one gravity to the other.
+/// The best of the rotations that map one direction of gravity to the other.
 fn about_gravity(
     correlation: &Matrix3<f64>,
     gravity_in_reference: &Vector3<f64>,
     gravity_in_estimate: &Vector3<f64>,
 ) -> UnitQuaternion<f64> {
-    let level = levelling(gravity_in_reference, gravity_in_estimate);
+    let level = rotation_between(gravity_in_reference, gravity_in_estimate);
     // Correlation of the reference with the levelled estimate. With R = Exp(angle axis),
     // trace(R^T C) = const + cos(angle) * (trace(C) - axis^T C axis) + sin(angle) * axis^T vee(C - C^T).
     let levelled = correlation * level.to_rotation_matrix().matrix().transpose();
@@ -135,8 +149,8 @@ fn about_gravity(
     UnitQuaternion::from_scaled_axis(axis * sine.atan2(cosine)) * level
 }
 
-/// The shortest rotation that takes `from` to `to`.
-pub(crate) fn levelling(to: &Vector3<f64>, from: &Vector3<f64>) -> UnitQuaternion<f64> {
+/// The shortest rotation that maps `from` to `to`.
+pub(crate) fn rotation_between(to: &Vector3<f64>, from: &Vector3<f64>) -> UnitQuaternion<f64> {
     UnitQuaternion::rotation_between(from, to).unwrap_or_else(|| {
         // Opposite directions: half a turn about any axis across.
         let across = from.cross(&Vector3::ith(from.iamin(), 1.0)).normalize();

@@ -1,4 +1,4 @@
-//! Which poses of two trajectories belong together: the nearest in time.
+//! Association of the poses of two trajectories by time.
 
 use crate::trajectory::StampedPose;
 
@@ -15,7 +15,20 @@ pub struct Pair {
 ///
 /// # Arguments
 /// * `reference`, `estimate`: in order of time.
-/// * `max_difference_ns`: what is further apart has no partner; 10 ms is customary.
+/// * `max_difference_ns`: largest time difference of a pair, nanoseconds; 10 ms is usual.
+///
+/// # Returns
+/// The pairs in order of time. Poses without a partner are left out.
+///
+/// ```
+/// use evaluation::trajectory::StampedPose;
+/// use evaluation::{Pair, associate};
+/// use geometry::Pose;
+///
+/// let at = |stamp_ns| StampedPose { stamp_ns, pose: Pose::identity() };
+/// let pairs = associate(&[at(0), at(100), at(200)], &[at(98), at(250)], 10);
+/// assert_eq!(pairs, [Pair { reference: 1, estimate: 0 }]);
+/// ```
 pub fn associate(reference: &[StampedPose], estimate: &[StampedPose], max_difference_ns: i64) -> Vec<Pair> {
     if estimate.len() > reference.len() {
         let pairs = nearest(reference, estimate, max_difference_ns);

@@ -1,4 +1,4 @@
-//! Consistency: whether errors are as large as the covariance says (NEES, 1 a degree of freedom is right).
+//! Consistency of a pose with its covariance: the NEES per degree of freedom, whose expectation is 1.
 
 use geometry::pose::Pose;
 use geometry::uncertain_pose::PoseWithCovariance;
@@ -19,7 +19,20 @@ pub struct Nees {
 
 /// NEES of an estimate: `e^T P^-1 e / n` with the error `[dtheta, dp]` of the parent frame.
 ///
+/// # Returns
 /// `None` where the covariance is not positive definite: an estimate that claims to be exact is never consistent.
+///
+/// ```
+/// use evaluation::nees;
+/// use geometry::{Pose, PoseWithCovariance};
+/// use nalgebra::{Matrix6, UnitQuaternion, Vector3};
+///
+/// // A standard deviation of 0.1 (rad and m) on each axis, and a position that is off by 0.2 m along x.
+/// let estimate = PoseWithCovariance::new(Pose::identity(), Matrix6::identity() * 0.01);
+/// let truth = Pose::new(UnitQuaternion::identity(), Vector3::new(0.2, 0.0, 0.0));
+/// let nees = nees(&estimate, &truth).expect("the covariance is positive definite");
+/// assert!((nees.position - 4.0 / 3.0).abs() < 1e-12 && nees.rotation == 0.0);
+/// ```
 pub fn nees(estimate: &PoseWithCovariance, truth: &Pose) -> Option<Nees> {
     let error = estimate.pose.local(truth);
     let block =
@@ -55,12 +68,12 @@ impl NeesSum {
         self.samples += 1;
     }
 
-    /// How many were added.
+    /// Number of samples.
     pub fn samples(&self) -> usize {
         self.samples
     }
 
-    /// Their mean, `None` without any.
+    /// The mean; `None` without samples.
     pub fn mean(&self) -> Option<Nees> {
         let count = self.samples as f64;
         (self.samples > 0).then(|| Nees {
@@ -71,17 +84,22 @@ impl NeesSum {
     }
 }
 
-/// Between which bounds the mean NEES per degree of freedom of a consistent estimator lies.
+/// The interval in which the mean NEES per degree of freedom of a consistent estimator lies.
 ///
 /// # Arguments
 /// * `degrees_of_freedom`: of one sample, 3 or 6 here.
-/// * `samples`: how many *independent* ones were averaged; successive poses of one run are anything but.
+/// * `samples`: number of *independent* samples in the mean; successive poses of one run are correlated.
 /// * `confidence`: for example 0.95.
 ///
 /// # Returns
-/// Lower and upper bound, `None` where an argument makes no sense.
+/// Lower and upper bound; `None` for no samples or degrees of freedom, or a confidence outside of (0, 1).
 ///
 /// Source: Bar-Shalom, Li, Kirubarajan, *Estimation with Applications to Tracking and Navigation*, section 5.4.
+///
+/// ```
+/// let (low, high) = evaluation::nees_bounds(6, 20, 0.95).expect("valid arguments");
+/// assert!(low < 1.0 && 1.0 < high);
+/// ```
 pub fn nees_bounds(degrees_of_freedom: usize, samples: usize, confidence: f64) -> Option<(f64, f64)> {
     if !(confidence > 0.0 && confidence < 1.0) {
         return None;

@@ -1,16 +1,16 @@
-//! Consistency over many runs: the NEES of an ensemble, judged so that correlation in time does not count as evidence.
+//! Consistency over many runs: the NEES of an ensemble, with a verdict that holds despite correlation in time.
 //!
 //! Successive errors of one run are correlated over seconds to the whole run, so `runs x times` samples are far fewer
-//! independent ones. Two honest readings:
+//! independent ones. Two statistics are valid:
 //!
-//! * **At each time** the runs are independent: their mean NEES there lies in `chi2(N n) / (N n)` with the stated
-//!   probability. Reported is the fraction of times inside. Neighbouring times go in and out together, so that the
-//!   fraction itself scatters a lot about 95 %.
+//! * **At each time** the runs are independent: their mean NEES lies in `chi2(N n) / (N n)` with the stated probability.
+//!   The fraction of times inside is reported. Neighbouring times are correlated, so that the fraction itself varies a lot
+//!   about 95 %.
 //! * **Over all**, a run is one sample: its NEES averaged over time. The mean over runs has the expectation 1. A time
 //!   average varies at most as much as the NEES of a single instant, so the interval `chi2(N n) / (N n)` of `N` single
 //!   instants is never too narrow: a mean outside of it is inconsistent at the stated confidence, whatever the
-//!   correlation. This is the [`Verdict`]. How much the averages do scatter is told beside it (Student's t over runs):
-//!   where that interval excludes 1 and the verdict is `Inside`, the inconsistency is real, but small.
+//!   correlation. This is the [`Verdict`]. A confidence interval of the true mean (Student's t over runs) is reported
+//!   beside it: where it excludes 1 and the verdict is `Inside`, the inconsistency is real, but small.
 //!
 //! Source: Bar-Shalom, Li, Kirubarajan, *Estimation with Applications to Tracking and Navigation*, 2001, section 5.4.2.
 
@@ -19,19 +19,19 @@ use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 use std::collections::BTreeMap;
 
-/// What passes where the chi-square interval is narrower: a NEES that is off by less costs nothing in practice.
+/// Mean NEES that passes even where the chi-square interval is narrower: smaller deviations have no practical effect.
 const TOLERATED: (f64, f64) = (0.7, 1.4);
 
 /// NEES per degree of freedom of one run: time since its begin (nanoseconds), value.
 pub type NeesSeries = Vec<(i64, f64)>;
 
-/// How the mean over runs stands to its interval.
+/// The mean over runs compared with its interval.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Verdict {
     /// Within the chi-square interval.
     Inside,
-    /// Outside of it, but between 0.7 and 1.4: there are so many runs that a harmless deviation shows.
+    /// Outside of it, but between 0.7 and 1.4: with many runs even a harmless deviation is significant.
     Near,
     /// The covariance is too small.
     Overconfident,
@@ -68,9 +68,9 @@ pub struct TimePoint {
     pub seconds: f64,
     /// Mean NEES per degree of freedom over the runs that have one here.
     pub mean: f64,
-    /// Between which bounds the mean of so many runs lies.
+    /// Interval of the mean of so many runs for a consistent estimator.
     pub interval: (f64, f64),
-    /// How many runs these are.
+    /// Number of these runs.
     pub runs: usize,
 }
 
@@ -81,9 +81,9 @@ pub struct EnsembleNees {
     pub runs: usize,
     /// Mean over runs of each run's average over time.
     pub mean: f64,
-    /// Where the mean of so many independent single samples lies.
+    /// Interval of the mean of as many independent samples for a consistent estimator.
     pub interval: (f64, f64),
-    /// Where the true mean lies, by the scatter of the runs' averages (Student's t). `None` for one run.
+    /// Confidence interval of the true mean, from the variation of the runs' averages (Student's t). `None` for one run.
     pub mean_interval: Option<(f64, f64)>,
     /// Fraction of the instants at which the mean over runs is within its interval.
     pub times_inside: f64,
@@ -94,7 +94,7 @@ pub struct EnsembleNees {
 }
 
 impl EnsembleNees {
-    /// Of runs.
+    /// Computes the NEES of an ensemble.
     ///
     /// # Arguments
     /// * `runs`: one series a run, with the same times in each where they have values; an empty one does not count.
@@ -102,7 +102,16 @@ impl EnsembleNees {
     /// * `confidence`: for example 0.95.
     ///
     /// # Returns
-    /// `None` without any run, or for a confidence that is none.
+    /// `None` where every series is empty, or for a confidence outside of (0, 1).
+    ///
+    /// ```
+    /// use evaluation::{EnsembleNees, Verdict};
+    ///
+    /// // Ten runs of a filter whose standard deviation is half of its true error: NEES 4.
+    /// let runs: Vec<_> = (0..10).map(|_| (0..100).map(|k| (k * 100_000_000, 4.0)).collect()).collect();
+    /// let ensemble = EnsembleNees::of(&runs, 3, 0.95).expect("there are runs");
+    /// assert_eq!(ensemble.verdict, Verdict::Overconfident);
+    /// ```
     pub fn of(runs: &[NeesSeries], degrees_of_freedom: usize, confidence: f64) -> Option<Self> {
         let averages: Vec<f64> = runs.iter().filter_map(average).collect();
         let interval = nees_bounds(degrees_of_freedom, averages.len(), confidence)?;

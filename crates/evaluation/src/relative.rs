@@ -1,20 +1,26 @@
-//! Relative pose error: how far the motion over a given stretch is from the true one.
+//! Relative pose error (RPE): the difference between the estimated and the true motion over segments of a given length.
 
 use super::{Pair, PoseErrors};
 use crate::trajectory::StampedPose;
 
-/// How long a stretch is. Stretches follow each other without overlap; the last, incomplete one is left out.
+/// Length of a segment. Segments follow each other without overlap; the last, incomplete one is left out.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Delta {
-    /// So many pairs of poses, at least 1.
+    /// Number of pairs of poses, at least 1.
     Frames(usize),
-    /// At least so many metres along the estimated path.
+    /// Distance along the estimated path, metres, reached or exceeded by every segment.
     Metres(f64),
-    /// At least so many seconds of the estimate.
+    /// Time, seconds, reached or exceeded by every segment.
     Seconds(f64),
 }
 
-/// The error of the motion over each stretch. It does not depend on the alignment.
+/// The error of the motion over each segment. It does not depend on the alignment.
+///
+/// # Arguments
+/// * `pairs`: indices into `reference` and `estimate`, from [`associate`](crate::associate).
+///
+/// # Panics
+/// Where an index of a pair is out of range.
 pub fn relative_errors(
     reference: &[StampedPose],
     estimate: &[StampedPose],
@@ -22,7 +28,7 @@ pub fn relative_errors(
     delta: Delta,
 ) -> PoseErrors {
     let mut errors = PoseErrors::default();
-    let ends = stretches(estimate, pairs, delta);
+    let ends = segment_ends(estimate, pairs, delta);
     for (from, to) in ends.iter().zip(ends.iter().skip(1)) {
         let (from, to) = (pairs[*from], pairs[*to]);
         let motion = |poses: &[StampedPose], from: usize, to: usize| {
@@ -34,8 +40,8 @@ pub fn relative_errors(
     errors
 }
 
-/// Where stretches end, as indices of pairs; the first pair is the first of them.
-fn stretches(estimate: &[StampedPose], pairs: &[Pair], delta: Delta) -> Vec<usize> {
+/// Ends of the segments, as indices of pairs; the first is the first pair.
+fn segment_ends(estimate: &[StampedPose], pairs: &[Pair], delta: Delta) -> Vec<usize> {
     if let Delta::Frames(step) = delta {
         return (0..pairs.len()).step_by(step.max(1)).collect();
     }

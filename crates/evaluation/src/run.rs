@@ -1,13 +1,13 @@
 //! The score of a run: local pose, `global_from_local` and pose in G, each with its error and its consistency.
 //!
-//! Looking at the pose in G alone hides a filter that gains yaw information which is not there: the local pose and
-//! the transform can be ruined while their product is fine. So all three are always scored.
+//! The pose in G alone cannot show a filter that gains information about yaw that is not there: the local pose and the
+//! transform can be wrong while their product is right. So all three are always scored.
 //!
-//! The odometry frame L is defined by the run itself, so its true place is too: L's z axis is against gravity, and
-//! L lies where the first estimate has no error in position and none in the rotation about z.
+//! The odometry frame L is defined by the run itself, and so is its true pose in G: L's z axis points against gravity, and
+//! the first estimate has no error in position and none in the rotation about z.
 
 use super::alignment::PositionSums;
-use super::alignment::levelling;
+use super::alignment::rotation_between;
 use super::statistics::RunningStatistics;
 use super::{Alignment, Nees, NeesSum, Statistics, nees};
 use crate::trajectory::{StateKind, StateRow};
@@ -24,13 +24,13 @@ const MAX_TRUTH_GAP_NS: i64 = 250_000_000;
 /// Which part of a run is scored.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ScoreOptions {
-    /// The transform and the pose in G count from so long after the first fix on, seconds.
-    pub skip_after_first_fix_s: f64,
+    /// Time after the map initialization from which on the transform and the pose in G are scored, seconds.
+    pub skip_after_initialization_s: f64,
 }
 
 impl Default for ScoreOptions {
     fn default() -> Self {
-        Self { skip_after_first_fix_s: 5.0 }
+        Self { skip_after_initialization_s: 5.0 }
     }
 }
 
@@ -38,7 +38,7 @@ impl Default for ScoreOptions {
 #[derive(Debug, Error)]
 pub enum ScoreError {
     /// There is no instant at which both the estimate and the truth are known.
-    #[error("no estimate lies within the time of the ground truth: is it the truth of this run?")]
+    #[error("no estimate lies within the time of the ground truth: is it the ground truth of this run?")]
     NoOverlap,
     /// The states or the truth cannot be read.
     #[error(transparent)]
@@ -62,7 +62,7 @@ pub struct Score {
     pub nees_position: Option<f64>,
     /// The same of the whole pose.
     pub nees_pose: Option<f64>,
-    /// How many instants were scored.
+    /// Number of scored instants.
     pub samples: usize,
 }
 
@@ -71,12 +71,11 @@ pub struct Score {
 pub struct RunScore {
     /// `local_from_imu`, over the whole run.
     pub local: Score,
-    /// `global_from_local`, from some time after the first fix on.
+    /// `global_from_local`, from some time after the map initialization on.
     pub transform: Option<Score>,
-    /// `global_from_imu`, from some time after the first fix on; not aligned.
+    /// `global_from_imu`, from some time after the map initialization on; not aligned.
     pub pose: Option<Score>,
-    /// Position error of `local_from_imu` over the whole run when it is laid over the truth as well as a rotation
-    /// about gravity and a shift can, metres.
+    /// Position error of `local_from_imu` over the whole run after alignment in yaw and position, metres.
     pub odometry_yaw_aligned_m: Statistics,
     /// Rotation error of the same, degrees.
     pub odometry_yaw_aligned_deg: Statistics,
@@ -84,18 +83,18 @@ pub struct RunScore {
     pub distance_m: f64,
     /// Time from the first to the last scored estimate, seconds.
     pub duration_s: f64,
-    /// Time from the first estimate to the first fix, seconds.
-    pub first_fix_s: Option<f64>,
+    /// Time from the first estimate to the map initialization, seconds.
+    pub map_initialization_s: Option<f64>,
 }
 
-/// One error of one pose, and what the filter thought of it.
+/// One error of one pose, with the standard deviations that the filter claims.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ErrorSample {
     /// Time, nanoseconds.
     pub stamp_ns: i64,
     /// `[dtheta, dp]` from the estimate to the truth, parent frame, rad and metres.
     pub error: Vector6<f64>,
-    /// Standard deviation of each, by the filter.
+    /// Standard deviation of each component by the filter's covariance.
     pub sigma: Vector6<f64>,
     /// NEES, where the covariance was positive definite.
     pub nees: Option<Nees>,
@@ -104,7 +103,7 @@ pub struct ErrorSample {
 /// All errors of a run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RunErrors {
-    /// Where L truly lies.
+    /// The true pose of L in G.
     pub true_global_from_local: Pose,
     /// Of `local_from_imu`.
     pub local: Vec<ErrorSample>,
@@ -129,7 +128,7 @@ impl RunErrors {
 ///
 /// # Arguments
 /// * `truth`: of the IMU in G; interpolated over gaps up to 0.25 s.
-/// * `gravity_in_truth`: unit direction in which gravity pulls, in the truth's frame.
+/// * `gravity_in_truth`: unit direction of gravity in the truth's frame.
 ///
 /// # Errors
 /// [`ScoreError::NoOverlap`].
@@ -140,15 +139,15 @@ pub fn run_errors(
 ) -> Result<RunErrors, ScoreError> {
     let known = known_states(states, truth);
     let (first, first_true) = known.first().ok_or(ScoreError::NoOverlap)?;
-    let global_from_local = place_of_local(&first.local_from_imu.pose, first_true, &gravity_in_truth);
+    let global_from_local = true_global_from_local(&first.local_from_imu.pose, first_true, &gravity_in_truth);
     Ok(errors_of(&known, global_from_local))
 }
 
-/// The errors of each output of a run whose place of L is known, as it is in a simulation.
+/// The errors of each output of a run where the true pose of L is known, as in a simulation.
 ///
 /// # Arguments
 /// * `truth`: of the IMU in G; interpolated over gaps up to 0.25 s.
-/// * `true_global_from_local`: where L truly lies.
+/// * `true_global_from_local`: the true pose of L in G.
 ///
 /// # Errors
 /// [`ScoreError::NoOverlap`].
@@ -200,11 +199,11 @@ pub fn score_run(
     score_rows(states, truth, gravity_in_truth, options)
 }
 
-/// Scores a run of any length in memory that does not depend on it.
+/// Scores a run of any length in constant memory.
 ///
 /// # Arguments
-/// * `states`, `truth`: start the rows anew; both are read twice.
-/// * `gravity_in_truth`: unit direction in which gravity pulls, in the truth's frame.
+/// * `states`, `truth`: each call opens the rows from their beginning; both are read twice.
+/// * `gravity_in_truth`: unit direction of gravity in the truth's frame.
 ///
 /// # Errors
 /// [`ScoreError`].
@@ -216,13 +215,14 @@ pub fn score_rows<'a>(
 ) -> Result<RunScore, ScoreError> {
     let overview = Overview::of(states()?, truth()?)?;
     let (first, first_true) = overview.first_known.as_ref().ok_or(ScoreError::NoOverlap)?;
-    let global_from_local = place_of_local(&first.local_from_imu.pose, first_true, &gravity_in_truth);
+    let global_from_local = true_global_from_local(&first.local_from_imu.pose, first_true, &gravity_in_truth);
     let local_from_global = global_from_local.inverse();
     let alignment =
         Alignment::Yaw { gravity_in_reference: gravity_in_truth, gravity_in_estimate: -Vector3::z() };
     let aligned = overview.positions.align(&alignment).map_err(|_| ScoreError::NoOverlap)?;
-    let first_fix = overview.first_fix_ns;
-    let from = first_fix.map_or(i64::MAX, |fix| fix + (options.skip_after_first_fix_s * 1e9) as i64);
+    let initialized = overview.initialized_ns;
+    let from = initialized
+        .map_or(i64::MAX, |stamp_ns| stamp_ns + (options.skip_after_initialization_s * 1e9) as i64);
 
     let (mut local, mut transform, mut pose) = <(ScoreSum, ScoreSum, ScoreSum)>::default();
     let (mut metres, mut degrees) = <(RunningStatistics, RunningStatistics)>::default();
@@ -250,15 +250,18 @@ pub fn score_rows<'a>(
         odometry_yaw_aligned_deg: degrees.statistics().ok_or(ScoreError::NoOverlap)?,
         distance_m: overview.distance_m,
         duration_s: seconds(first.stamp_ns, overview.last_known_ns),
-        first_fix_s: first_fix.zip(overview.first_ns).map(|(fix, first_ns)| seconds(first_ns, fix)),
+        map_initialization_s: initialized
+            .zip(overview.first_ns)
+            .map(|(stamp_ns, first_ns)| seconds(first_ns, stamp_ns)),
     })
 }
 
-/// What the errors of a run depend on, gathered before they are summed.
+/// What the scoring of a run needs before it can begin, from a first pass.
 #[derive(Default)]
 struct Overview {
     first_ns: Option<i64>,
-    first_fix_ns: Option<i64>,
+    /// Time of the first pose in G.
+    initialized_ns: Option<i64>,
     first_known: Option<(StateRow, Pose)>,
     last_known_ns: i64,
     positions: PositionSums,
@@ -267,17 +270,17 @@ struct Overview {
 
 impl Overview {
     fn of(states: Rows<'_, StateRow>, truth: Rows<'_, TruthRow>) -> Result<Self, ScoreError> {
-        let (mut first_ns, mut first_fix_ns) = (None, None);
-        let watched = states.inspect(|state| {
+        let (mut first_ns, mut initialized_ns) = (None, None);
+        let observed = states.inspect(|state| {
             let Ok(state) = state else { return };
             first_ns.get_or_insert(state.stamp_ns);
             if state.global_from_imu.is_some() {
-                first_fix_ns.get_or_insert(state.stamp_ns);
+                initialized_ns.get_or_insert(state.stamp_ns);
             }
         });
         let mut overview = Self::default();
         let mut before: Option<Vector3<f64>> = None;
-        for known in KnownStates::new(Box::new(watched), truth) {
+        for known in KnownStates::new(Box::new(observed), truth) {
             let (state, truth) = known?;
             let here = truth.translation;
             overview.distance_m += before.replace(here).map_or(0.0, |before| (here - before).norm());
@@ -285,7 +288,7 @@ impl Overview {
             overview.last_known_ns = state.stamp_ns;
             overview.first_known.get_or_insert((state, truth));
         }
-        Ok(Self { first_ns, first_fix_ns, ..overview })
+        Ok(Self { first_ns, initialized_ns, ..overview })
     }
 }
 
@@ -343,10 +346,14 @@ fn known_states<'a>(states: &'a [StateRow], truth: &[TruthRow]) -> Vec<(&'a Stat
     states.iter().filter_map(known).collect()
 }
 
-/// The true `global_from_local`: L's z axis against gravity, and no error of the first estimate in position and in
+/// The true `global_from_local`: L's z axis points against gravity, and the first estimate has no error in position and in
 /// the rotation about z.
-fn place_of_local(local_from_imu: &Pose, global_from_imu: &Pose, gravity_in_global: &Vector3<f64>) -> Pose {
-    let level = levelling(gravity_in_global, &-Vector3::z());
+fn true_global_from_local(
+    local_from_imu: &Pose,
+    global_from_imu: &Pose,
+    gravity_in_global: &Vector3<f64>,
+) -> Pose {
+    let level = rotation_between(gravity_in_global, &-Vector3::z());
     // The rotation error is Exp(e) = Rz(-yaw) level^T R_GI R_LI^T; its quaternion must have no z component.
     let error = level.inverse() * global_from_imu.rotation * local_from_imu.rotation.inverse();
     let yaw = 2.0 * error.k.atan2(error.w);
@@ -363,7 +370,7 @@ fn sample(stamp_ns: i64, estimate: &PoseWithCovariance, truth: &Pose) -> ErrorSa
     }
 }
 
-/// The errors of one of the three poses, summed up.
+/// Sums over the errors of one of the three poses.
 #[derive(Default)]
 struct ScoreSum {
     square_rad: f64,

@@ -1,28 +1,28 @@
-//! A list of errors in a few numbers.
+//! Statistics of a list of errors.
 
 use serde::Serialize;
 
-/// A list of errors in a few numbers, in the unit of the errors.
+/// Statistics of a list of errors, in the unit of the errors.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Statistics {
     /// Root of the mean square.
     pub rmse: f64,
     /// Mean.
     pub mean: f64,
-    /// The middle one, or the mean of the two in the middle.
+    /// Median.
     pub median: f64,
-    /// The smallest.
+    /// Smallest error.
     pub min: f64,
-    /// The largest.
+    /// Largest error.
     pub max: f64,
     /// Standard deviation about the mean, of the list itself (divided by n).
     pub std: f64,
-    /// How many there are.
+    /// Number of errors.
     pub samples: usize,
 }
 
 impl Statistics {
-    /// Of a list, `None` when it is empty.
+    /// The statistics of a list; `None` when it is empty.
     pub fn of(errors: &[f64]) -> Option<Self> {
         let mut sorted = errors.to_vec();
         sorted.sort_unstable_by(f64::total_cmp);
@@ -42,7 +42,7 @@ impl Statistics {
     }
 }
 
-/// Errors that are kept for the median.
+/// Errors that are stored for the median.
 const KEPT: usize = 16_384;
 
 /// [`Statistics`] of a list of any length, in memory that does not depend on it.
@@ -82,7 +82,7 @@ impl RunningStatistics {
             }
             self.kept.push(error);
         }
-        // Welford's way: it loses no digits where the errors hardly differ.
+        // Welford's algorithm: no cancellation where the errors hardly differ.
         self.samples += 1;
         let before = error - self.mean;
         self.mean += before / self.samples as f64;
@@ -91,7 +91,7 @@ impl RunningStatistics {
         self.max = self.max.max(error);
     }
 
-    /// The statistics; `None` of nothing.
+    /// The statistics; `None` without errors.
     pub(super) fn statistics(&self) -> Option<Statistics> {
         let median = Statistics::of(&self.kept)?.median;
         let (mean, variance) = (self.mean, self.squares / self.samples as f64);

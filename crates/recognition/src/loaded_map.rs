@@ -7,7 +7,7 @@ use protocol::KeyframeId;
 use vision::{DescriptorError, DescriptorView, Metric};
 
 use super::elements::{LoadedKeyframe, LoadedLandmark, ObservedLandmark, point_in_keyframe};
-use super::index::{LandmarkIndex, LandmarkIndexBuilder, metric_of};
+use super::index::{LandmarkIndex, LandmarkIndexBuilder};
 use map::contents::{ContentsError, MapContents};
 use map::model::{Keyframe, Landmark, MapMetadata};
 use map::store::{MapStore, StoreError};

@@ -1,4 +1,4 @@
-//! The place-recognition extractor: some of what the left camera sees, with descriptors that flicker, among clutter.
+//! The feature extractor for place recognition: visible landmarks with noisy descriptors, among clutter.
 
 use super::SimulationOptions;
 use super::random::{Purpose, normal, stream};
@@ -40,7 +40,7 @@ impl<'a> Extractor<'a> {
         let mut features: Vec<(Vector2<f64>, [u8; DESCRIPTOR_BYTES])> = Vec::new();
         for (landmark, pixel) in seen {
             let noise = Vector2::new(normal(rng), normal(rng)) * options.sigma_feature_px;
-            features.push((pixel + noise, flicker(rng, options, landmarks[landmark].descriptor)));
+            features.push((pixel + noise, flip_bits(rng, options, landmarks[landmark].descriptor)));
         }
         let (width, height) = (f64::from(sensor.camera.width), f64::from(sensor.camera.height));
         for _ in 0..options.clutter {
@@ -65,8 +65,8 @@ impl<'a> Extractor<'a> {
     }
 }
 
-/// Each bit is wrong now and then.
-fn flicker(
+/// Flips each bit with a given probability.
+fn flip_bits(
     rng: &mut StdRng,
     options: &SimulationOptions,
     descriptor: [u8; DESCRIPTOR_BYTES],
@@ -76,11 +76,11 @@ fn flicker(
     })
 }
 
-/// Stretches of a run in which the map is of no use: fog, a lorry ahead, a street that was rebuilt.
+/// The drop-outs of a run: stretches without features, as in fog, behind a lorry, in a street that was rebuilt.
 ///
-/// As fractions of the run, in order, without overlap; the first tenth is spared so that the run can begin. They add
-/// up to about `options.dropout_fraction`.
-pub(crate) fn dropouts(options: &SimulationOptions, run: u64) -> Vec<Range<f64>> {
+/// Fractions of the run, in order, without overlap, none in the first tenth; they add up to about
+/// `options.dropout_fraction`.
+pub(crate) fn dropout_intervals(options: &SimulationOptions, run: u64) -> Vec<Range<f64>> {
     const STRETCHES: usize = 3;
     const SPARED: f64 = 0.1;
     let mut rng = stream(options.seed, run, Purpose::Dropouts);

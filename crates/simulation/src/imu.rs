@@ -1,4 +1,4 @@
-//! What the IMU measures along a motion: exact, plus white noise, plus wandering biases.
+//! IMU readings along a trajectory: exact values, white noise, and biases that walk.
 
 use super::random::Purpose;
 use super::random::{normal3, stream};
@@ -7,9 +7,9 @@ use super::{GRAVITY, SimulationOptions};
 use nalgebra::Vector3;
 use sensors::ImuSample;
 
-/// Standard deviation of the gyroscope's bias when it is switched on, rad/s.
+/// Standard deviation of the gyroscope's initial bias, rad/s.
 const FIRST_GYROSCOPE_BIAS: f64 = 0.002;
-/// The same of the accelerometer, m/s^2.
+/// Standard deviation of the accelerometer's initial bias, m/s^2.
 const FIRST_ACCELEROMETER_BIAS: f64 = 0.01;
 
 /// Samples, and the true biases at each of them.
@@ -30,9 +30,9 @@ pub(crate) fn record(options: &SimulationOptions, motion: &Spline, run: u64) -> 
     let gravity = -Vector3::z() * GRAVITY;
     let mut record =
         ImuRecord { samples: Vec::new(), gyroscope_biases: Vec::new(), accelerometer_biases: Vec::new() };
-    let switched_on = if options.noise_free_imu { 0.0 } else { 1.0 };
-    let mut gyroscope_bias = normal3(&mut rng) * (switched_on * FIRST_GYROSCOPE_BIAS);
-    let mut accelerometer_bias = normal3(&mut rng) * (switched_on * FIRST_ACCELEROMETER_BIAS);
+    let noise_gain = if options.noise_free_imu { 0.0 } else { 1.0 };
+    let mut gyroscope_bias = normal3(&mut rng) * (noise_gain * FIRST_GYROSCOPE_BIAS);
+    let mut accelerometer_bias = normal3(&mut rng) * (noise_gain * FIRST_ACCELEROMETER_BIAS);
     let stamps = (0_i64..)
         .map(|index| motion.start_ns() + (index as f64 * 1e9 / options.imu_rate_hz).round() as i64)
         .take_while(|stamp_ns| *stamp_ns <= motion.end_ns());
@@ -44,15 +44,15 @@ pub(crate) fn record(options: &SimulationOptions, motion: &Spline, run: u64) -> 
             stamp_ns,
             gyroscope: now.angular_velocity
                 + gyroscope_bias
-                + white.0 * (switched_on * noise.gyroscope * root_rate),
+                + white.0 * (noise_gain * noise.gyroscope * root_rate),
             accelerometer: specific_force
                 + accelerometer_bias
-                + white.1 * (switched_on * noise.accelerometer * root_rate),
+                + white.1 * (noise_gain * noise.accelerometer * root_rate),
         });
         record.gyroscope_biases.push(gyroscope_bias);
         record.accelerometer_biases.push(accelerometer_bias);
-        gyroscope_bias += normal3(&mut rng) * (switched_on * noise.gyroscope_walk / root_rate);
-        accelerometer_bias += normal3(&mut rng) * (switched_on * noise.accelerometer_walk / root_rate);
+        gyroscope_bias += normal3(&mut rng) * (noise_gain * noise.gyroscope_walk / root_rate);
+        accelerometer_bias += normal3(&mut rng) * (noise_gain * noise.accelerometer_walk / root_rate);
     }
     record
 }

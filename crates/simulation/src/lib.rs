@@ -1,13 +1,23 @@
-//! Simulates a place and two runs through it: one to build a map from, one to localize in it.
+//! Simulated recordings of a world: one run to build a map from, one to localize in that map; and Monte-Carlo runs of the
+//! estimator.
 //!
-//! Trajectories are splines with exact derivatives, so that IMU, tracks, features and truth agree to the last digit
+//! Trajectories are splines with exact derivatives, so that IMU, tracks, features and ground truth agree to the last digit
 //! before noise is added. The same seed gives the same bytes.
+//!
+//! | module | content |
+//! |---|---|
+//! | [`Scenario`], [`SimulationOptions`] | what is simulated |
+//! | [`simulate`] | both recordings, as [`sensors::Sequence`] |
+//! | [`spline`] | continuous trajectories with velocity, acceleration and angular velocity |
+//! | [`monte_carlo`] | many seeded runs of the estimator against the simulated truth, and their NEES |
+//!
+//! World frame: z up, gravity along -z, metres. Body frame: x forward, y left, z up.
 //!
 //! ```
 //! use simulation::{SimulationOptions, simulate};
 //! let options = SimulationOptions { seed: 7, speed: 12.0, ..SimulationOptions::default() };
-//! let place = simulate(&options)?;
-//! assert!(place.map.reference_poses.is_some() && place.live.groundtruth.is_some());
+//! let scenario = simulate(&options)?;
+//! assert!(scenario.map.reference_poses.is_some() && scenario.live.groundtruth.is_some());
 //! # Ok::<(), simulation::SimulationError>(())
 //! ```
 #![cfg_attr(test, allow(clippy::unwrap_used))]
@@ -42,15 +52,15 @@ pub const GRAVITY: f64 = 9.81;
 pub struct SimulationOptions {
     /// Same seed, same bytes.
     pub seed: u64,
-    /// The built-in way, where no trajectory is given.
+    /// The built-in trajectory, where none is given.
     pub scenario: Scenario,
     /// Cruising speed on a built-in street, m/s.
     pub speed: f64,
-    /// Ends the runs after so many seconds; unset, at the end of the way.
+    /// Length of the runs, seconds; unset, to the end of the trajectory.
     pub duration_s: Option<f64>,
-    /// The way of the map's run instead of a built-in one: the body (x forward, y left) in a world with z up.
+    /// Trajectory of the map's run instead of a built-in one: the body (x forward, y left) in a world with z up.
     pub map_trajectory: Option<Vec<StampedPose>>,
-    /// The way of the live run; unset, the map's way a metre to the left.
+    /// Trajectory of the live run; unset, that of the map's run, 1 m to the left.
     pub live_trajectory: Option<Vec<StampedPose>>,
     /// Images a second.
     pub frame_rate_hz: f64,
@@ -60,15 +70,15 @@ pub struct SimulationOptions {
     pub imu_noise: ImuNoise,
     /// An IMU without noise and bias, for tests of integration.
     pub noise_free_imu: bool,
-    /// Landmarks a metre of way.
+    /// Landmarks per metre of trajectory.
     pub landmarks_per_metre: f64,
-    /// Depth at which landmarks are put before the camera, nearest and furthest, metres.
+    /// Range of depths at which landmarks are placed in front of the camera, metres.
     pub depth_m: [f64; 2],
-    /// Distance from which and up to which a landmark is seen, metres.
+    /// Range of distances at which a landmark is visible, metres.
     pub sight_m: [f64; 2],
-    /// Tracks alive in a frame, at most.
+    /// Most tracks in a frame.
     pub max_tracks: usize,
-    /// Noise of a tracked pixel, px.
+    /// Standard deviation of a tracked pixel, px.
     pub sigma_track_px: f64,
     /// Fraction of tracked pixels that are 10 to 50 px off.
     pub outlier_fraction: f64,
@@ -76,23 +86,23 @@ pub struct SimulationOptions {
     pub map_feature_period_s: f64,
     /// The same in the live run.
     pub live_feature_period_s: f64,
-    /// Features of landmarks in an image, at most.
+    /// Most features of landmarks in an image.
     pub max_features: usize,
-    /// Features of nothing in an image.
+    /// Features in an image that belong to no landmark.
     pub clutter: usize,
-    /// Noise of a feature's pixel, px.
+    /// Standard deviation of a feature's pixel, px.
     pub sigma_feature_px: f64,
-    /// Probability that the extractor finds a landmark that is in view.
+    /// Probability that the extractor detects a visible landmark.
     pub repeatability: f64,
     /// Probability that a bit of a descriptor is wrong.
     pub bit_flips: f64,
-    /// Fraction of landmarks that look like another one.
+    /// Fraction of landmarks with the descriptor of another one.
     pub repeated_texture: f64,
     /// Fraction of the live run without features.
     pub dropout_fraction: f64,
-    /// Error of the reference poses, metres along each axis. The paper's map has 0.1.
+    /// Standard deviation of the reference positions, metres an axis. The paper's map has 0.1.
     pub sigma_reference_p_m: f64,
-    /// Error of the reference poses, rad about each axis. The paper's map has 0.0158.
+    /// Standard deviation of the reference rotations, rad an axis. The paper's map has 0.0158.
     pub sigma_reference_theta_rad: f64,
 }
 
@@ -131,7 +141,7 @@ impl Default for SimulationOptions {
 }
 
 impl SimulationOptions {
-    /// Complains about what cannot be simulated.
+    /// Checks that the options can be simulated.
     fn check(&self) -> Result<(), SimulationError> {
         let positive = [
             ("speed", self.speed),
@@ -174,44 +184,45 @@ impl SimulationOptions {
     }
 }
 
-/// Why nothing could be simulated.
+/// Why a simulation is impossible.
 #[derive(Clone, Debug, PartialEq, Error)]
+#[non_exhaustive]
 pub enum SimulationError {
-    /// An option makes no sense.
+    /// An option is out of range.
     #[error("{name} is {value}, but must be {wanted}")]
     Option {
-        /// Which.
+        /// The option.
         name: &'static str,
-        /// What it was.
+        /// Its value.
         value: f64,
-        /// What it must be.
+        /// The permitted values.
         wanted: &'static str,
     },
-    /// A given trajectory is over too soon.
+    /// A given trajectory is too short.
     #[error("the trajectory lasts {seconds:.1} s; at least {wanted} s are needed")]
     TrajectoryTooShort {
-        /// How long it lasts.
+        /// Its duration.
         seconds: f64,
-        /// How long it must.
+        /// The least duration.
         wanted: f64,
     },
 }
 
-/// A place, as two recordings of it.
+/// Two recordings of one simulated world.
 #[derive(Clone, Debug)]
 pub struct SimulatedScenario {
     /// The run to build the map from, with reference poses that are off by what they state.
     pub map: Sequence,
-    /// The run to localize, with stretches in which the map is of no use.
+    /// The run to localize, with drop-outs: stretches without features to match.
     pub live: Sequence,
 }
 
-/// Simulates a place and two runs through it.
+/// Simulates a world and two runs through it; see the [example of the crate](crate).
 ///
-/// Both runs are in one world frame with z up, gravity along -z; the truth of both is in it.
+/// The ground truth of both runs is in one world frame, z up, gravity along -z.
 ///
 /// # Errors
-/// [`SimulationError`] for options that make no sense and trajectories that are too short.
+/// [`SimulationError`] for options out of range and trajectories that are too short.
 pub fn simulate(options: &SimulationOptions) -> Result<SimulatedScenario, SimulationError> {
     let world = simulate_world(options)?;
     Ok(SimulatedScenario {
@@ -220,31 +231,39 @@ pub fn simulate(options: &SimulationOptions) -> Result<SimulatedScenario, Simula
     })
 }
 
-/// A place and two ways through it, of which nothing is recorded yet.
+/// A world and two trajectories through it, before anything is recorded.
 pub(crate) struct SimulatedWorld {
-    /// The rig: left and right camera.
+    /// Left and right camera.
     pub(crate) cameras: Vec<CameraSensor>,
-    /// All that there is to see.
+    /// All landmarks.
     pub(crate) landmarks: Vec<Landmark>,
-    /// The way of the map's run: `world_from_imu`.
-    pub(crate) map_way: Spline,
-    /// The way of the live run.
-    pub(crate) live_way: Spline,
+    /// Trajectory of the map's run: `world_from_imu`.
+    pub(crate) map_trajectory: Spline,
+    /// Trajectory of the live run: `world_from_imu`.
+    pub(crate) live_trajectory: Spline,
 }
 
-/// Makes a place and the ways through it; see [`simulate`].
+/// Simulates a world and the trajectories through it; see [`simulate`].
 pub(crate) fn simulate_world(options: &SimulationOptions) -> Result<SimulatedWorld, SimulationError> {
     options.check()?;
-    let ways = run::ways(options)?;
+    let trajectories = run::trajectories(options)?;
     let cameras = rig::stereo(options.frame_rate_hz);
-    let landmarks = world::landmarks(options, &cameras[0], &ways.first_laps);
-    Ok(SimulatedWorld { cameras, landmarks, map_way: ways.map, live_way: ways.live })
+    let landmarks = world::landmarks(options, &cameras[0], &trajectories.first_laps);
+    Ok(SimulatedWorld {
+        cameras,
+        landmarks,
+        map_trajectory: trajectories.map,
+        live_trajectory: trajectories.live,
+    })
 }
 
 impl SimulatedWorld {
     /// Records one of the runs.
     pub(crate) fn record(&self, options: &SimulationOptions, kind: run::Kind) -> Sequence {
-        let way = if kind == run::Kind::Map { &self.map_way } else { &self.live_way };
-        run::record(options, kind, way, &self.cameras, &self.landmarks)
+        let trajectory = match kind {
+            run::Kind::Map => &self.map_trajectory,
+            run::Kind::Live => &self.live_trajectory,
+        };
+        run::record(options, kind, trajectory, &self.cameras, &self.landmarks)
     }
 }

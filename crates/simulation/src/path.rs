@@ -1,10 +1,10 @@
-//! The ways that the two runs take: a built-in course, or along a given trajectory.
+//! The trajectories of the two runs: built-in, or along a given trajectory.
 //!
 //! World frame: z up, metres. Body frame: x forward, y left, z up.
 
 use super::SimulationError;
 use super::random::{Purpose, stream};
-use super::scenario::{Scenario, in_a_hand};
+use super::scenario::{Scenario, hand_held};
 use super::spline::Spline;
 use evaluation::trajectory::StampedPose;
 use geometry::pose::Pose;
@@ -14,18 +14,18 @@ use std::f64::consts::TAU;
 
 /// Distance between control poses. Faster wobble than a few of these cannot be expressed.
 const KNOT_NS: i64 = 200_000_000;
-/// Standing still before the start, so that a robot can find gravity and its gyroscope's bias.
+/// Rest before the start, from which a robot finds gravity and its gyroscope's bias, seconds.
 const REST_BEFORE_S: f64 = 2.5;
-/// Standing still at the end, seconds.
+/// Rest at the end, seconds.
 const REST_AFTER_S: f64 = 1.0;
-/// How long it takes to speed up, seconds.
+/// Time to reach the cruising speed, seconds.
 const SPEED_UP_S: f64 = 3.0;
 /// Braking begins so far before the end, metres.
 const BRAKE_M: f64 = 8.0;
 /// A given trajectory must last at least so long, seconds.
 const MIN_DURATION_S: f64 = 3.0;
 
-/// How the way of one run differs from the middle of the street.
+/// How the trajectory of one run differs from the middle of the street.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Style {
     /// Mean distance to the left of the middle, metres.
@@ -43,7 +43,7 @@ impl Style {
     }
 }
 
-/// Along a built-in way, streets at about `speed` m/s.
+/// Along a built-in trajectory; on streets at about `speed` m/s.
 pub(crate) fn built_in(
     scenario: Scenario,
     start_ns: i64,
@@ -52,7 +52,7 @@ pub(crate) fn built_in(
 ) -> Result<Spline, SimulationError> {
     let knot_s = KNOT_NS as f64 * 1e-9;
     if scenario == Scenario::Room {
-        let pose = |knot: i32| in_a_hand(f64::from(knot - 1) * knot_s, REST_BEFORE_S, &style.phases);
+        let pose = |knot: i32| hand_held(f64::from(knot - 1) * knot_s, REST_BEFORE_S, &style.phases);
         return spline(start_ns, KNOT_NS, (0..).map_while(pose).collect());
     }
     let length = scenario.length();
@@ -157,7 +157,7 @@ mod tests {
     }
 
     #[test]
-    fn a_hand_starts_from_rest_and_moves_as_hands_do() {
+    fn the_hand_held_body_starts_from_rest_and_moves_as_hands_do() {
         let spline = built_in(Scenario::Room, 0, 4.0, &Style::of_run(3, 1)).unwrap();
         assert!(spline.at(1_500_000_000).velocity.norm() < 1e-9);
         let stamps = || (6_000_000_000..60_000_000_000).step_by(50_000_000);

@@ -1,11 +1,13 @@
 //! Independent streams of random numbers from one seed, so that a change to one part leaves the others as they were.
+//!
+//! Normal numbers are those of `rand_distr::StandardNormal`; this is the only place of the crate that samples them.
 
 use nalgebra::Vector3;
 use rand::SeedableRng;
 use rand::rngs::StdRng;
 use rand_distr::{Distribution, StandardNormal};
 
-/// What random numbers are for.
+/// What a stream is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Purpose {
     World = 1,
@@ -34,7 +36,7 @@ pub(crate) fn normal(rng: &mut StdRng) -> f64 {
     StandardNormal.sample(rng)
 }
 
-/// Three of them.
+/// Three independent standard normal numbers.
 pub(crate) fn normal3(rng: &mut StdRng) -> Vector3<f64> {
     Vector3::from_fn(|_, _| normal(rng))
 }

@@ -1,4 +1,4 @@
-//! The robot's sensors: a stereo pair that looks forward, and an IMU.
+//! The cameras of the simulated robot: a forward-looking stereo pair.
 
 use geometry::camera::{Camera, Distortion};
 use geometry::pose::Pose;
@@ -8,7 +8,7 @@ use sensors::CameraSensor;
 /// Distance between the two cameras, metres: EuRoC's.
 const BASELINE: f64 = 0.11;
 
-/// The stereo pair: two lenses like those of EuRoC's first camera, left one first.
+/// The stereo pair, left camera first; both have the intrinsics of EuRoC's first camera.
 pub(crate) fn stereo(rate_hz: f64) -> Vec<CameraSensor> {
     let camera = Camera {
         width: 752,

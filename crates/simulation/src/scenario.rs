@@ -1,4 +1,4 @@
-//! The built-in ways: a street round a block, ten loops on a circle, a hand in a room.
+//! The built-in trajectories: a street round a block, ten loops on a circle, a hand-held body in a room.
 //!
 //! World frame: z up, metres. Body frame: x forward, y left, z up.
 
@@ -12,26 +12,27 @@ const HALF_LENGTH: f64 = 55.0;
 const HALF_WIDTH: f64 = 32.5;
 /// Radius of its corners, metres.
 const CORNER: f64 = 12.0;
-/// Radius of the loops, metres, and how often they are driven: the place `loops` of the paper's authors.
+/// Radius of the loops, metres, and their number: as in the simulation `loops` of the paper's authors.
 const LOOP_RADIUS: f64 = 20.0;
 const LOOPS: f64 = 10.0;
-/// How long the hand moves, seconds.
+/// Duration of the hand-held trajectory, seconds.
 const ROOM_S: f64 = 300.0;
 
-/// A built-in way.
+/// A built-in trajectory.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Scenario {
     /// Once round a block of houses, 326 m, from rest to rest.
     #[default]
     Block,
     /// Ten loops of 126 m on a circle that rises and falls by a metre, in motion from the start.
     Loops,
-    /// Five minutes of a hand that sways within a few metres and looks around, from rest.
+    /// Five minutes hand-held, within a few metres and looking around, from rest.
     Room,
 }
 
 impl Scenario {
-    /// Usual speed, m/s; that of a hand is its own.
+    /// Usual speed, m/s; without effect on `Room`.
     pub fn usual_speed(self) -> f64 {
         match self {
             Self::Block | Self::Room => 4.0,
@@ -39,7 +40,7 @@ impl Scenario {
         }
     }
 
-    /// Depth at which landmarks stand before the camera, nearest and furthest, metres.
+    /// Range of depths of landmarks in front of the camera, metres.
     pub fn depth_m(self) -> [f64; 2] {
         match self {
             Self::Block | Self::Loops => [4.0, 30.0],
@@ -47,7 +48,7 @@ impl Scenario {
         }
     }
 
-    /// Whether the body stands still at first.
+    /// Whether the body is at rest at first.
     pub(crate) fn starts_at_rest(self) -> bool {
         self != Self::Loops
     }
@@ -60,12 +61,12 @@ impl Scenario {
         }
     }
 
-    /// Length of the whole way, metres.
+    /// Length of the whole trajectory, metres.
     pub(crate) fn length(self) -> f64 {
         self.lap_length() * if self == Self::Loops { LOOPS } else { 1.0 }
     }
 
-    /// How far the street rises and falls twice a lap, metres.
+    /// Amplitude of the street's height, twice a lap, metres.
     pub(crate) fn hills_m(self) -> f64 {
         if self == Self::Block { 1.5 } else { 1.0 }
     }
@@ -108,15 +109,15 @@ fn round_the_block(mut rest: f64) -> (Vector2<f64>, f64) {
     (position, heading)
 }
 
-/// The body in a hand, at rest until `rest_s`.
+/// The hand-held body, at rest until `rest_s`.
 ///
 /// # Arguments
-/// * `phases`: of position (three) and rotation (three), rad: no two runs are alike.
-pub(crate) fn in_a_hand(time: f64, rest_s: f64, phases: &[f64; 6]) -> Option<Pose> {
+/// * `phases`: of position (three) and rotation (three), rad; they differ from run to run.
+pub(crate) fn hand_held(time: f64, rest_s: f64, phases: &[f64; 6]) -> Option<Pose> {
     if time > ROOM_S {
         return None;
     }
-    // Time itself speeds up smoothly, so that the hand starts from rest at any phase.
+    // Time itself speeds up smoothly, so that the motion starts from rest at any phase.
     let since = (time - rest_s).max(0.0);
     let own = if since < 2.0 { since * since / 4.0 } else { since - 1.0 };
     let wave = |period: f64, phase: f64| (TAU * own / period + phase).sin();

@@ -17,7 +17,7 @@ pub struct Spline {
     controls: Vec<Pose>,
 }
 
-/// Where a body is and how it moves, at one instant.
+/// Pose and derivatives of a body at one instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Motion {
     /// The body in the world: `world_from_body`.

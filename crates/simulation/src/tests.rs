@@ -6,7 +6,7 @@ use nalgebra::Vector2;
 use sensors::{Frame, TruthTrack, writer};
 use std::collections::BTreeMap;
 
-/// The whole way, but at a run.
+/// The whole trajectory at three times the usual speed.
 fn quick(seed: u64) -> SimulationOptions {
     SimulationOptions { seed, speed: 10.0, ..SimulationOptions::default() }
 }
@@ -22,8 +22,8 @@ fn the_same_seed_gives_the_same_bytes_and_another_seed_others() {
         ["mav0/imu0/data.csv", "mav0/cam0/tracks.csv", "mav0/cam0/features.csv", "mav0/cam1/tracks.csv"];
     let mut contents = Vec::new();
     for (name, seed) in [("a", 5), ("b", 5), ("c", 6)] {
-        let place = simulate(&quick(seed)).unwrap();
-        writer::write(&place.live, &folder.path().join(name)).unwrap();
+        let scenario = simulate(&quick(seed)).unwrap();
+        writer::write(&scenario.live, &folder.path().join(name)).unwrap();
         contents.push(files.map(|file| std::fs::read(folder.path().join(name).join(file)).unwrap()));
     }
     assert_eq!(contents[0], contents[1]);
@@ -35,8 +35,8 @@ fn the_same_seed_gives_the_same_bytes_and_another_seed_others() {
 #[test]
 fn what_is_written_is_what_was_simulated() {
     let folder = tempfile::tempdir().unwrap();
-    let place = simulate(&quick(3)).unwrap();
-    for (name, sequence) in [("map", &place.map), ("live", &place.live)] {
+    let scenario = simulate(&quick(3)).unwrap();
+    for (name, sequence) in [("map", &scenario.map), ("live", &scenario.live)] {
         let root = folder.path().join(name);
         writer::write(sequence, &root).unwrap();
         let read = Sequence::open(&root).unwrap();
@@ -48,8 +48,8 @@ fn what_is_written_is_what_was_simulated() {
 
 #[test]
 fn tracks_triangulate_and_reproject_to_the_noise_level() {
-    let place = simulate(&quick(2)).unwrap();
-    let live = &place.live;
+    let scenario = simulate(&quick(2)).unwrap();
+    let live = &scenario.live;
     let mut views: BTreeMap<u64, Vec<(Pose, u8, Vector2<f64>)>> = BTreeMap::new();
     for frame in &live.frames {
         let world_from_imu = truth_at(live, frame);
@@ -88,10 +88,10 @@ fn tracks_triangulate_and_reproject_to_the_noise_level() {
 
 #[test]
 fn ids_never_return_and_are_shared_by_the_cameras() {
-    let place = simulate(&quick(4)).unwrap();
+    let scenario = simulate(&quick(4)).unwrap();
     let mut last_seen: BTreeMap<u64, usize> = BTreeMap::new();
     let mut stereo = 0;
-    for (index, frame) in place.live.frames.iter().enumerate() {
+    for (index, frame) in scenario.live.frames.iter().enumerate() {
         let of = |camera: u8| frame.tracks.iter().filter(move |track| track.camera == camera);
         assert!(of(0).count() <= 100 && of(0).count() > 60, "{} tracks at {index}", of(0).count());
         stereo += of(1).filter(|right| of(0).any(|left| left.feature_id == right.feature_id)).count();
@@ -101,17 +101,17 @@ fn ids_never_return_and_are_shared_by_the_cameras() {
             assert!(before.is_none_or(|before| before + 3 >= index));
         }
     }
-    assert!(stereo > 50 * place.live.frames.len());
+    assert!(stereo > 50 * scenario.live.frames.len());
 }
 
 #[test]
 fn outliers_are_as_many_as_asked_for() {
     let far = |fraction: f64| {
         let exact = SimulationOptions { sigma_track_px: 0.0, speed: 3.0, ..quick(1) };
-        let place = simulate(&SimulationOptions { outlier_fraction: fraction, ..exact }).unwrap();
+        let scenario = simulate(&SimulationOptions { outlier_fraction: fraction, ..exact }).unwrap();
         // Without noise and at a walk, a second difference of more than 8 px is due to an outlier.
         let mut tracks: BTreeMap<u64, Vec<Vector2<f64>>> = BTreeMap::new();
-        for frame in &place.live.frames {
+        for frame in &scenario.live.frames {
             for track in frame.tracks.iter().filter(|track| track.camera == 0) {
                 tracks.entry(track.feature_id).or_default().push(track.pixel);
             }
@@ -125,8 +125,8 @@ fn outliers_are_as_many_as_asked_for() {
 
 #[test]
 fn reference_poses_are_off_by_what_they_state() {
-    let place = simulate(&SimulationOptions::default()).unwrap();
-    let map = &place.map;
+    let scenario = simulate(&SimulationOptions::default()).unwrap();
+    let map = &scenario.map;
     let track = TruthTrack::new(map.groundtruth.as_ref().unwrap());
     let poses = map.reference_poses.as_ref().unwrap();
     let errors: Vec<_> = poses
@@ -157,20 +157,20 @@ fn the_map_drops_out_for_the_stated_part_of_the_run() {
 
 #[test]
 fn runs_are_long_and_take_different_lines() {
-    let place = simulate(&SimulationOptions::default()).unwrap();
-    for sequence in [&place.map, &place.live] {
+    let scenario = simulate(&SimulationOptions::default()).unwrap();
+    for sequence in [&scenario.map, &scenario.live] {
         let truth = sequence.groundtruth.as_ref().unwrap();
         let path: f64 =
             truth.windows(2).map(|pair| (pair[1].pose.translation - pair[0].pose.translation).norm()).sum();
         assert!(path >= 300.0, "{path}");
     }
-    let map = place.map.groundtruth.unwrap();
+    let map = scenario.map.groundtruth.unwrap();
     let nearest = |row: &sensors::TruthRow| {
         map.iter()
             .map(|other| (other.pose.translation - row.pose.translation).norm())
             .fold(f64::MAX, f64::min)
     };
-    let live = place.live.groundtruth.unwrap();
+    let live = scenario.live.groundtruth.unwrap();
     let mean = live.iter().map(nearest).sum::<f64>() / live.len() as f64;
     assert!((0.7..3.0).contains(&mean), "{mean}");
 }

@@ -1,4 +1,4 @@
-//! The odometry front end: follows what both cameras see from image to image, a pixel of noise at a time.
+//! The odometry front end: tracks of the visible landmarks in both cameras, with pixel noise.
 
 use super::SimulationOptions;
 use super::random::{Purpose, normal, stream};
@@ -11,9 +11,9 @@ use rand::seq::SliceRandom;
 use sensors::{CameraSensor, TrackObservation};
 use std::collections::BTreeMap;
 
-/// Tracks end for no visible reason this often, a frame.
+/// Probability that a track is lost, a frame.
 const LOSS: f64 = 0.01;
-/// Files give pixels to so many parts.
+/// Files give pixels to this fraction.
 const PIXEL_PARTS: f64 = 1000.0;
 
 /// The front end, between two images.
@@ -31,8 +31,8 @@ impl<'a> FrontEnd<'a> {
         Self { options, rng, alive: BTreeMap::new(), next_id: 0 }
     }
 
-    /// Looks at the next image. A landmark that comes back after a gap gets a new id, as from a real tracker.
-    pub(crate) fn look(
+    /// Tracks into the next image. A landmark that comes back after a gap gets a new id, as from a real tracker.
+    pub(crate) fn track(
         &mut self,
         world_from_imu: &Pose,
         cameras: &[CameraSensor],
@@ -58,7 +58,7 @@ impl<'a> FrontEnd<'a> {
             let camera_from_world = world_from_imu.compose(&sensor.imu_from_camera).inverse();
             for (landmark, feature_id) in &self.alive {
                 let exact = project(sensor, &camera_from_world.transform(&landmarks[*landmark].position));
-                let noisy = exact.map(|pixel| blur(&mut self.rng, self.options, pixel));
+                let noisy = exact.map(|pixel| measured(&mut self.rng, self.options, pixel));
                 if let Some(pixel) = noisy.filter(|pixel| sensor.camera.contains(pixel)) {
                     observations.push(TrackObservation {
                         camera: camera as u8,
@@ -72,8 +72,8 @@ impl<'a> FrontEnd<'a> {
     }
 }
 
-/// A pixel as it is measured: with noise, and now and then somewhere else altogether.
-fn blur(rng: &mut StdRng, options: &SimulationOptions, pixel: Vector2<f64>) -> Vector2<f64> {
+/// A measured pixel: with noise, or an outlier.
+fn measured(rng: &mut StdRng, options: &SimulationOptions, pixel: Vector2<f64>) -> Vector2<f64> {
     let mut noise = Vector2::new(normal(rng), normal(rng)) * options.sigma_track_px;
     if options.outlier_fraction > 0.0 && rng.random_bool(options.outlier_fraction) {
         let (angle, far) = (rng.random_range(0.0..std::f64::consts::TAU), rng.random_range(10.0..50.0));
@@ -101,8 +101,8 @@ pub(crate) fn visible(
         .enumerate()
         .filter_map(|(index, landmark)| {
             let point = camera_from_world.transform(&landmark.position);
-            let sighted = point.z >= near && point.norm_squared() <= far * far;
-            sighted.then(|| project(sensor, &point)).flatten().map(|pixel| (index, pixel))
+            let is_in_range = point.z >= near && point.norm_squared() <= far * far;
+            is_in_range.then(|| project(sensor, &point)).flatten().map(|pixel| (index, pixel))
         })
         .collect()
 }

@@ -1,4 +1,4 @@
-//! The place: landmarks where the cameras look, each with a descriptor.
+//! The simulated world: landmarks in front of the cameras, each with a descriptor.
 
 use super::SimulationOptions;
 use super::random::{Purpose, stream};
@@ -11,36 +11,36 @@ use sensors::CameraSensor;
 
 /// Bytes a descriptor (256 bits).
 pub(crate) const DESCRIPTOR_BYTES: usize = 32;
-/// A turn of one radian shows as much of the place as so many metres of way.
+/// Metres of trajectory that show as many new landmarks as a rotation of one radian.
 const METRES_A_RADIAN: f64 = 5.0;
-/// The way is looked at in steps of so long.
+/// Step along the trajectory, nanoseconds.
 const STEP_NS: i64 = 50_000_000;
 
-/// A point of the place.
+/// A landmark.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Landmark {
-    /// Where, in the world, metres.
+    /// Position in the world, metres.
     pub(crate) position: Vector3<f64>,
-    /// What it looks like.
+    /// Its descriptor, without noise.
     pub(crate) descriptor: [u8; DESCRIPTOR_BYTES],
 }
 
-/// Spreads landmarks along the ways of all runs, evenly by what the camera gets to see.
+/// Distributes landmarks along the trajectories of all runs, in proportion to what the camera newly sees.
 pub(crate) fn landmarks(
     options: &SimulationOptions,
     camera: &CameraSensor,
-    ways: &[Spline],
+    trajectories: &[Spline],
 ) -> Vec<Landmark> {
     let mut rng = stream(options.seed, 0, Purpose::World);
     let mut landmarks: Vec<Landmark> = Vec::new();
-    // Each run brings its share, so that both see the same density.
-    let density = options.landmarks_per_metre / ways.len() as f64;
-    for way in ways {
-        // The start is looked at as if it had been driven to.
+    // Each run contributes its part, so that both see the same density.
+    let density = options.landmarks_per_metre / trajectories.len() as f64;
+    for trajectory in trajectories {
+        // The view of the start has as many landmarks as one reached by driving.
         let mut due = density * 15.0;
-        let mut before = way.at(way.start_ns()).pose;
-        for stamp_ns in (way.start_ns()..way.end_ns()).step_by(STEP_NS as usize) {
-            let pose = way.at(stamp_ns).pose;
+        let mut before = trajectory.at(trajectory.start_ns()).pose;
+        for stamp_ns in (trajectory.start_ns()..trajectory.end_ns()).step_by(STEP_NS as usize) {
+            let pose = trajectory.at(stamp_ns).pose;
             let turned = rotation::log(&(before.rotation.inverse() * pose.rotation)).norm();
             due += density * ((pose.translation - before.translation).norm() + METRES_A_RADIAN * turned);
             before = pose;
@@ -48,7 +48,7 @@ pub(crate) fn landmarks(
                 due -= 1.0;
                 if let Some(in_camera) = visible_point(&mut rng, options, camera) {
                     let position = pose.compose(&camera.imu_from_camera).transform(&in_camera);
-                    let descriptor = look(&mut rng, options, &landmarks);
+                    let descriptor = new_descriptor(&mut rng, options, &landmarks);
                     landmarks.push(Landmark { position, descriptor });
                 }
             }
@@ -70,8 +70,12 @@ fn visible_point(
     Some(Vector3::new(normalized.x, normalized.y, 1.0) * depth)
 }
 
-/// A descriptor of its own, or now and then the one of another landmark: windows, bricks, railings.
-fn look(rng: &mut StdRng, options: &SimulationOptions, others: &[Landmark]) -> [u8; DESCRIPTOR_BYTES] {
+/// A new descriptor, or that of another landmark (repeated texture: windows, bricks, railings).
+fn new_descriptor(
+    rng: &mut StdRng,
+    options: &SimulationOptions,
+    others: &[Landmark],
+) -> [u8; DESCRIPTOR_BYTES] {
     if !others.is_empty() && rng.random_bool(options.repeated_texture) {
         return others[rng.random_range(0..others.len())].descriptor;
     }

@@ -1,4 +1,4 @@
-//! `driftless build-map`: a reference sequence becomes a map.
+//! `driftless build-map`: builds a map from a recording with reference poses.
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -19,18 +19,19 @@ use mapping::{BuildOptions, BuildReport, Extraction, Spread, Stage, StoredPoses,
 #[expect(clippy::struct_excessive_bools, reason = "each is a switch of its own")]
 #[derive(Clone, Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
-    driftless build-map place/map --map place.db\n  \
-    driftless build-map place/map --map start.db --until 10\n  \
-    driftless build-map my_run --map my.db --sigma-theta 0.005 --sigma-p 0.02 --gravity 0,0,-1\n\n\
+    driftless build-map town/map --map town.db\n  \
+    driftless build-map town/map --map start.db --until 10\n  \
+    driftless build-map my_run --map my.db --sigma-theta 0.005 --sigma-p 0.02 --gravity 0,0,-1\n  \
     driftless build-map V1_01_easy --map vicon_room.db --sigma-theta 0.0175 --sigma-p 0.01\n\n\
-    SEQ holds mav0/cam0 (and cam1, for stereo) with sensor.yaml, data.csv and images in data/, and \
-    reference_poses.csv. Where there is a cam0/features.csv it is taken instead of the images. Without \
-    reference_poses.csv the ground truth is taken for the poses, and the sigmas must be given.")]
+    SEQ holds mav0/cam0 (and cam1, for stereo) with sensor.yaml, data.csv and images in data/, and\n\
+    reference_poses.csv. A cam0/features.csv replaces the images. Without reference_poses.csv the ground truth\n\
+    gives the poses, and --sigma-theta and --sigma-p must be given. What is stated too small makes the robots\n\
+    overconfident: state the sigmas of your poses, not those you wish for.")]
 pub struct Args {
-    /// Folder of the reference sequence
+    /// The recording, a folder in the EuRoC layout
     #[arg(value_name = "SEQ")]
     pub sequence: PathBuf,
-    /// Database to make
+    /// Database to create
     #[arg(long, value_name = "DB")]
     pub map: PathBuf,
     /// Poses of the IMU in the map's frame [default: SEQ/reference_poses.csv, else the ground truth]
@@ -51,22 +52,22 @@ pub struct Args {
     /// State the given poses with independent errors, instead of refined ones with their joint covariance
     #[arg(long)]
     pub no_refine_poses: bool,
-    /// Leave out what comes before this time, s from the first frame
+    /// Use frames from this time on, seconds from the first frame
     #[arg(long, value_name = "SECONDS")]
     pub from: Option<f64>,
-    /// Leave out what comes after this time, s from the first frame
+    /// Use frames up to this time, seconds from the first frame
     #[arg(long, value_name = "SECONDS")]
     pub until: Option<f64>,
-    /// Take a keyframe when the camera has moved this far, m
+    /// Select a keyframe when the camera has moved this far, m
     #[arg(long, value_name = "M", default_value_t = 0.2)]
     pub min_distance: f64,
-    /// ... or has turned by this angle, deg
+    /// ... or has rotated by this angle, deg
     #[arg(long, value_name = "DEG", default_value_t = 5.0)]
     pub min_rotation: f64,
-    /// Match each keyframe with this many that follow it
+    /// Match each keyframe with this many that follow it in time
     #[arg(long, value_name = "N", default_value_t = 10)]
     pub time_neighbours: usize,
-    /// ... and with this many others near it that look the same way
+    /// ... and with this many others nearby with a similar viewing direction
     #[arg(long, value_name = "N", default_value_t = 10)]
     pub space_neighbours: usize,
     /// Use camera 0 only, where the recording has images of two
@@ -75,10 +76,10 @@ pub struct Args {
     /// How features are extracted from images
     #[command(flatten)]
     pub features: FeatureArguments,
-    /// Picture of the map from above: keyframes, landmarks, places with too few (SVG)
+    /// Plot the coverage of the map: keyframes, landmarks, keyframes with too few
     #[arg(long, value_name = "SVG")]
     pub svg: Option<PathBuf>,
-    /// Replace a map that is there already
+    /// Replace an existing map
     #[arg(long)]
     pub force: bool,
     /// Print the report as JSON
@@ -159,7 +160,7 @@ fn references(args: &Args, sequence: &Sequence) -> anyhow::Result<Vec<ReferenceP
     };
     let (Some(sigma_theta), Some(sigma_p)) = (args.sigma_theta, args.sigma_p) else {
         bail!(
-            "{} has no reference_poses.csv; to build from its ground truth, say how good that is with --sigma-theta \
+            "{} has no reference_poses.csv; to build from its ground truth, state its standard deviations with --sigma-theta \
              RAD and --sigma-p M",
             args.sequence.display()
         );

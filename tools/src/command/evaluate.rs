@@ -1,4 +1,4 @@
-//! `driftless evaluate`: how far an estimated trajectory is from the truth, and whether it knows.
+//! `driftless evaluate`: accuracy (ATE, RPE) and consistency (NEES) of an estimated trajectory.
 
 use anyhow::{Context, ensure};
 use evaluation::trajectory::{StateKind, TrajectoryFile, read_any};
@@ -15,14 +15,14 @@ use std::path::PathBuf;
 /// Confidence of the bounds printed beside the NEES.
 const CONFIDENCE: f64 = 0.95;
 
-/// How the estimate is laid over the truth.
+/// How the estimate is aligned with the ground truth.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum AlignArgument {
-    /// Not at all: both are in the same frame
+    /// Not aligned: both are in the same frame
     None,
-    /// Turned about gravity and moved
+    /// Rotation about gravity, and translation
     Yaw,
-    /// Turned and moved in any way (Umeyama, without scale)
+    /// Rotation and translation (Umeyama, without scale)
     Se3,
 }
 
@@ -50,7 +50,7 @@ impl From<StateArgument> for StateKind {
     }
 }
 
-/// What the length of the stretches of the relative error is counted in.
+/// Unit of the segment length of the relative error.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum UnitArgument {
     /// Poses
@@ -69,19 +69,19 @@ pub enum UnitArgument {
     driftless evaluate --groundtruth truth.tum --estimate out/odometry.tum --align yaw\n  \
     driftless evaluate --groundtruth truth.tum --estimate out/states.csv --state global_from_imu --json")]
 pub struct Args {
-    /// The truth
+    /// Ground truth
     #[arg(long, value_name = "FILE")]
     groundtruth: PathBuf,
     /// The estimate
     #[arg(long, value_name = "FILE")]
     estimate: PathBuf,
-    /// How the estimate is laid over the truth
+    /// How the estimate is aligned with the ground truth
     #[arg(long, value_enum, default_value = "none")]
     align: AlignArgument,
     /// Which pose, where the estimate is a states.csv
     #[arg(long, value_enum, default_value = "global_from_imu")]
     state: StateArgument,
-    /// Direction in which gravity pulls in the truth's frame, for --align yaw
+    /// Direction of gravity in the ground truth's frame, for --align yaw
     #[arg(
         long,
         value_name = "X,Y,Z",
@@ -90,7 +90,7 @@ pub struct Args {
         default_value = "0,0,-1"
     )]
     gravity: Vec<f64>,
-    /// Direction in which gravity pulls in the estimate's frame, for --align yaw
+    /// Direction of gravity in the estimate's frame, for --align yaw
     #[arg(
         long,
         value_name = "X,Y,Z",
@@ -99,13 +99,13 @@ pub struct Args {
         default_value = "0,0,-1"
     )]
     estimate_gravity: Vec<f64>,
-    /// Poses further apart in time have no partner, seconds
+    /// Largest time difference of associated poses, seconds
     #[arg(long, value_name = "S", default_value_t = 0.01)]
     max_difference: f64,
-    /// Length of the stretches of the relative error
+    /// Segment length of the relative error (RPE)
     #[arg(long, default_value_t = 1.0)]
     delta: f64,
-    /// What that length is counted in
+    /// Unit of --delta
     #[arg(long, value_enum, default_value = "frames")]
     delta_unit: UnitArgument,
     /// Print the figures as JSON
@@ -124,7 +124,7 @@ struct Report {
     nees: Option<NeesReport>,
 }
 
-/// Consistency, with the bounds for as many *independent* samples.
+/// Consistency, with the bounds of as many *independent* samples.
 #[derive(Debug, Serialize)]
 struct NeesReport {
     #[serde(flatten)]
@@ -139,7 +139,8 @@ struct NeesReport {
 /// # Errors
 /// Files that cannot be read, have no time in common, or cannot be aligned.
 pub fn run(args: &Args) -> anyhow::Result<()> {
-    let truth = read_any(&args.groundtruth, StateKind::GlobalFromImu).context("the truth cannot be read")?;
+    let truth =
+        read_any(&args.groundtruth, StateKind::GlobalFromImu).context("the ground truth cannot be read")?;
     let estimate = read_any(&args.estimate, args.state.into()).context("the estimate cannot be read")?;
     ensure!(args.max_difference >= 0.0, "--max-difference must not be negative");
     let pairs = associate(&truth.poses, &estimate.poses, (args.max_difference * 1e9).round() as i64);
@@ -157,8 +158,8 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
             gravity_in_estimate: direction(&args.estimate_gravity, "--estimate-gravity")?,
         },
     };
-    let moved = align(&positions, &alignment).context("the trajectories cannot be compared")?;
-    let absolute = absolute_errors(&truth.poses, &estimate.poses, &pairs, &moved);
+    let aligned = align(&positions, &alignment).context("the trajectories cannot be compared")?;
+    let absolute = absolute_errors(&truth.poses, &estimate.poses, &pairs, &aligned);
     let relative = relative_errors(&truth.poses, &estimate.poses, &pairs, delta(args)?);
     let report = Report {
         pairs: pairs.len(),
@@ -166,7 +167,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         ate_deg: absolute.rotation(),
         rpe_m: relative.translation(),
         rpe_deg: relative.rotation(),
-        nees: consistency(&truth, &estimate, &pairs, &moved),
+        nees: consistency(&truth, &estimate, &pairs, &aligned),
     };
     if args.json {
         println!("{}", serde_json::to_string_pretty(&report)?);
@@ -248,7 +249,7 @@ fn print(report: &Report, args: &Args) {
                 "{name:<16}{:>12.6}{:>12.6}{:>12.6}{:>12.6}{:>12.6}",
                 s.rmse, s.mean, s.median, s.std, s.max
             ),
-            None => println!("{name:<16}   no stretch of {} {unit} is complete", args.delta),
+            None => println!("{name:<16}   no segment of {} {unit} is complete", args.delta),
         }
     }
     if let Some(nees) = &report.nees {
@@ -256,7 +257,7 @@ fn print(report: &Report, args: &Args) {
             bounds.map_or_else(String::new, |(low, high)| format!(" ({low:.3} to {high:.3})"))
         };
         println!(
-            "NEES per degree of freedom, 1 is right (95 % bounds of {} independent samples): \
+            "NEES per degree of freedom, 1 is consistent (95 % bounds of {} independent samples): \
              rotation {:.3}{}, position {:.3}{}, pose {:.3}{}",
             nees.samples,
             nees.mean.rotation,

@@ -1,4 +1,4 @@
-//! `driftless export-map`: a database becomes a plain-text map.
+//! `driftless export-map`: converts a database to a plain-text map.
 
 use std::path::PathBuf;
 
@@ -10,12 +10,12 @@ use map::text::write_map;
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
 #[command(after_help = "Example:\n  driftless export-map --map yq.db --to yq_text\n\n\
-                        `driftless import-map yq_text --map copy.db` then makes an equal map.")]
+                        `driftless import-map yq_text --map copy.db` restores an equal map.")]
 pub struct Args {
     /// Database of the map
     #[arg(long, value_name = "DB")]
     pub map: PathBuf,
-    /// Folder to write, made if needed
+    /// Folder to write, created if needed
     #[arg(long, value_name = "DIR")]
     pub to: PathBuf,
     /// Print the result as JSON

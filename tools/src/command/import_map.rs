@@ -1,4 +1,4 @@
-//! `driftless import-map`: a plain-text map becomes a database.
+//! `driftless import-map`: converts a plain-text map to a database.
 
 use std::path::{Path, PathBuf};
 
@@ -17,7 +17,7 @@ pub struct Args {
     /// Folder of the plain-text map
     #[arg(value_name = "DIR")]
     pub folder: PathBuf,
-    /// Database to make
+    /// Database to create
     #[arg(long, value_name = "DB")]
     pub map: PathBuf,
     /// Direction in which gravity points in the map's frame, for example 0,0,-1 [default: as in DIR, or unknown]
@@ -26,7 +26,7 @@ pub struct Args {
     /// Standard deviation of the map's pixels in px [default: as in DIR, or 1]
     #[arg(long, value_name = "PX")]
     pub sigma_pixel: Option<f64>,
-    /// Replace a map that is there already
+    /// Replace an existing map
     #[arg(long)]
     pub force: bool,
     /// Print the result as JSON
@@ -74,7 +74,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Refuses early, before any work, what is refused anyway.
+/// Refuses to overwrite a map before any work is done.
 pub(super) fn check_free(map: &Path, force: bool) -> anyhow::Result<()> {
     if map.exists() && !force {
         bail!("{} exists already: choose another path, or replace the map with --force", map.display());
@@ -82,7 +82,7 @@ pub(super) fn check_free(map: &Path, force: bool) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The unit vector that three numbers separated by commas mean.
+/// A unit vector from three numbers separated by commas.
 pub(super) fn parse_direction(text: &str) -> Result<Vector3<f64>, String> {
     let numbers: Result<Vec<f64>, _> = text.split(',').map(|number| number.trim().parse()).collect();
     let direction = match numbers.as_deref() {
@@ -91,5 +91,5 @@ pub(super) fn parse_direction(text: &str) -> Result<Vector3<f64>, String> {
     };
     direction
         .filter(|direction| direction.iter().all(|value| value.is_finite()))
-        .ok_or_else(|| "three numbers that point somewhere are needed, for example 0,0,-1".to_owned())
+        .ok_or_else(|| "a direction of three numbers is needed, for example 0,0,-1".to_owned())
 }

@@ -1,4 +1,4 @@
-//! `driftless inspect`: what of an image matched what of a map, as a picture and as numbers.
+//! `driftless inspect`: the matches of an image with a map, as a plot and as numbers.
 
 use std::path::{Path, PathBuf};
 
@@ -20,17 +20,17 @@ use crate::server_query::{describe, print_fix};
 #[derive(Clone, Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     driftless inspect query.png --camera V1_01_easy/mav0/cam0/sensor.yaml --map room.db --sequence V1_01_easy\n  \
-    driftless inspect place/live --at 12.5 --map place.db --out match.svg\n  \
+    driftless inspect town/live --at 12.5 --map town.db --out match.svg\n  \
     driftless inspect query.png --camera sensor.yaml --map room.db --keyframe 17 --json\n\n\
-    The picture shows the query beside the keyframe that matched best, a line for each match: green for inliers, red\n\
-    for outliers, orange where no camera pose explains the matches. Open it in a browser: the pointer over a match\n\
-    shows its descriptor distance and its reprojection error. A map holds no images; --sequence names the recording\n\
-    that it was built of, which does. Without it the keyframe's landmarks are drawn on grey.\n\n\
+    The plot shows the query beside the keyframe that matched best, with a line for each match: green for inliers, red\n\
+    for outliers, orange where no camera pose fits. In a browser, the pointer over a match shows its descriptor distance\n\
+    and its reprojection error. A map holds no images; --sequence names the recording that it was built from. Without\n\
+    it the keyframe's landmarks are drawn on grey.\n\n\
     How to read it:\n  \
-    few matches            another place, light or view than the map's; or another extractor's settings\n  \
-    many, no inliers       things that look alike; a wrong --camera\n  \
+    few matches            another place, light or viewpoint than in the map; other settings of the extractor\n  \
+    many, no inliers       repeated texture; a wrong --camera\n  \
     inliers in a corner    too little of the image is in the map for a certain pose\n  \
-    errors near the gate   a wrong --camera, or a map whose landmarks are off\n\n\
+    errors near the gate   a wrong --camera, or inaccurate landmarks in the map\n\n\
     Exit code 0: recognized. 2: the map was searched and the image was not recognized. 1: anything else.")]
 pub struct Args {
     /// An image, PNG or JPEG, or a recording, a folder in the EuRoC layout
@@ -42,16 +42,16 @@ pub struct Args {
     /// The camera that took IMAGE: a sensor.yaml in the form of EuRoC or Kalibr
     #[arg(long, value_name = "YAML")]
     pub camera: Option<PathBuf>,
-    /// When in SEQ, s from the first frame; its features.csv is taken where it has one, else its image
+    /// Time in SEQ, seconds from the first frame; its features.csv is used where it has one, else its image
     #[arg(long, value_name = "SECONDS")]
     pub at: Option<f64>,
-    /// The recording that the map was built of, for the keyframe's image
+    /// The recording that the map was built from, for the keyframe's image
     #[arg(long, value_name = "SEQ")]
     pub sequence: Option<PathBuf>,
     /// Draw this keyframe instead of the best one
     #[arg(long, value_name = "ID")]
     pub keyframe: Option<KeyframeId>,
-    /// The picture
+    /// The plot
     #[arg(long, value_name = "SVG", default_value = "inspection.svg")]
     pub out: PathBuf,
     /// How features are extracted
@@ -62,14 +62,14 @@ pub struct Args {
     pub json: bool,
 }
 
-/// An inspected query, and its picture.
+/// An inspected query, and its plot.
 #[derive(Clone, Debug)]
 pub struct Report {
-    /// What to call the query.
+    /// Name of the query.
     pub query: String,
     /// Number of its features.
     pub features: usize,
-    /// What to call the map.
+    /// Name of the map.
     pub map: String,
     /// The answer and its candidates.
     pub inspection: Inspection,
@@ -156,14 +156,14 @@ fn read_query(args: &Args) -> Result<QueryImage> {
     }
 }
 
-/// The keyframe's image, out of the recording that the map was built of; `None` for a recording without images.
+/// The keyframe's image, from the recording that the map was built from; `None` for a recording without images.
 fn keyframe_image(recording: &Path, keyframe: &InspectedKeyframe) -> Result<Option<GrayImage>> {
     let sequence = Sequence::open(recording).context("--sequence")?;
     let found = sequence.frames.binary_search_by_key(&keyframe.stamp_ns, |frame| frame.stamp_ns);
     let Ok(at) = found else {
         bail!(
             "--sequence: {} has no image of {} ns, when keyframe {} was taken: give the recording that the map was \
-             built of",
+             built from",
             recording.display(),
             keyframe.stamp_ns,
             keyframe.id

@@ -1,4 +1,4 @@
-//! `driftless localize`: one image, one pose.
+//! `driftless localize`: the pose of a single image.
 
 use std::path::PathBuf;
 
@@ -34,7 +34,7 @@ pub struct Args {
     pub json: bool,
 }
 
-/// Exit code for an image that the map does not know.
+/// Exit code for an image that was not recognized.
 pub(super) const NOT_RECOGNIZED: i32 = 2;
 
 /// Runs the command.

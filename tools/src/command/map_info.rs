@@ -1,4 +1,4 @@
-//! `driftless map-info`: what a map holds.
+//! `driftless map-info`: the contents of a map.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -22,7 +22,7 @@ pub struct Args {
     pub json: bool,
 }
 
-/// All that is printed.
+/// Everything that is printed.
 #[derive(Serialize)]
 struct Summary {
     map: PathBuf,

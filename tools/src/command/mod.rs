@@ -1,4 +1,4 @@
-//! The subcommands, one file each: its arguments and what it prints. The work itself is in the libraries.
+//! The subcommands, one file each: arguments and output. The work itself is in the libraries.
 
 use clap::Subcommand;
 
@@ -16,40 +16,44 @@ pub mod query;
 pub mod run;
 pub mod simulate;
 pub mod track;
+#[cfg(feature = "neural")]
+pub mod weights;
+#[cfg(not(feature = "neural"))]
+#[path = "no_weights.rs"]
 pub mod weights;
 
-/// What `driftless` can do.
+/// The subcommands of `driftless`.
 #[derive(Debug, Subcommand)]
 pub enum Command {
     /// Simulate, build a map, localize in it, and compare: the whole system in a minute
     Demo(demo::Args),
-    /// Simulate a place and two runs through it, as sequences on disk
+    /// Simulate a town and two runs through it, as recordings on disk
     Simulate(simulate::Args),
-    /// Build a map from a reference sequence
+    /// Build a map from a recording with reference poses
     BuildMap(build_map::Args),
     /// Import a plain-text map
     ImportMap(import_map::Args),
     /// Export a map as plain text
     ExportMap(export_map::Args),
-    /// Print what a map holds
+    /// Print the contents of a map: counts, extent, uncertainties
     MapInfo(map_info::Args),
-    /// Ask a running map server
+    /// Query a running map server with the features of an image
     Query(query::Args),
-    /// Ask a running map server where an image was taken
+    /// Localize a single image with a running map server
     Localize(localize::Args),
-    /// Draw what of an image matched what of a map, and say why it was recognized or not
+    /// Plot the matches of an image with a map, and print why it was recognized or not
     Inspect(inspect::Args),
     /// Run a robot through a recording, with a map server in the same process
     Run(run::Args),
     /// Track points through the images of a recording
     Track(track::Args),
-    /// Compare an estimated trajectory with the truth
+    /// Compare an estimated trajectory with the ground truth: ATE, RPE, NEES
     Evaluate(evaluate::Args),
-    /// Run the filter many times in simulation and judge whether its errors are what it says
+    /// Run the filter many times in simulation and test its consistency (NEES)
     Montecarlo(montecarlo::Args),
-    /// Draw the pictures of a run
+    /// Draw the plots of a run
     Plot(plot::Args),
-    /// Get the weights of networks, or list which are there
+    /// Install the weights of feature networks, or list the installed ones
     Weights(weights::Args),
 }
 
@@ -57,7 +61,7 @@ impl Command {
     /// Runs the subcommand.
     ///
     /// # Errors
-    /// Whatever the subcommand could not do, in words for the person at the shell.
+    /// The error of the subcommand, as a message for the user.
     pub fn run(self) -> anyhow::Result<()> {
         match self {
             Self::Demo(args) => demo::run(&args),

@@ -1,4 +1,4 @@
-//! `driftless montecarlo`: many simulated runs, and whether the filter's errors are what it says.
+//! `driftless montecarlo`: many simulated runs, and the consistency of the filter.
 
 use crate::plotting::{EnsembleLine, draw_ensemble};
 use anyhow::{Context, bail};
@@ -25,29 +25,30 @@ Examples:
   driftless montecarlo --trajectory loops --speed 5.6 --seconds 203.3 --gap 20:201    # 1 km without the map, three answers
   driftless montecarlo --estimator-config paper.yaml --estimator-config ours.yaml --json
 
-How to read it: NEES is the squared error in units of the filter's own covariance, per degree of freedom. Right is 1;
-above, the filter is overconfident; below, it is too modest. Errors of one run are correlated in time, so a run counts
-as ONE sample: its NEES averaged over time (of G_T_L: its last estimate). The mean over the N runs is judged by
-chi2(N n)/(N n) at 95 %, n = 3 or 6: \"ok\" inside, \"near\" outside but within 0.7..1.4, \"HIGH\" or \"LOW\" else. A time
-average scatters less than a single sample, so what fails here is inconsistent for certain; the bracket behind says
-where the true mean lies (Student's t over runs). The percentage is the share of instants at which the mean over runs is
-within the interval: about 95 where all is well. \"Ended within 3 sigma\" counts the runs whose last pose in G was so near
-to the truth (99.73 % of 6 degrees of freedom): the figure to look at after a gap. (Bar-Shalom, Li, Kirubarajan 2001, section 5.4.2.)
+How to read the table: NEES is the squared error in units of the filter's own covariance, per degree of freedom. 1 is
+consistent, above 1 overconfident, below 1 conservative. Errors of one run are correlated in time, so a run counts as ONE
+sample: its NEES averaged over time (of G_T_L: its last estimate). The mean over the N runs is tested against
+chi2(N n)/(N n) at 95 %, n = 3 or 6: \"ok\" inside, \"near\" outside but within 0.7..1.4, otherwise \"HIGH\" or \"LOW\". A
+time average varies less than a single sample, so a failure is significant; the bracket is a confidence interval of the
+true mean (Student's t over runs). The percentage is the fraction of instants at which the mean over runs is within the
+interval: about 95 for a consistent filter. \"Ended within 3 sigma\" counts the runs whose last pose in G was within 3
+sigma of the truth (99.73 % of 6 degrees of freedom): the figure for recovery after a gap.
+(Bar-Shalom, Li, Kirubarajan 2001, section 5.4.2.)
 
-Every seed has its own way, landmarks, noise, map and first state. The first state is the truth minus a draw from the
-covariance that the filter starts from; all variants get the same draws.")]
+Every seed has its own trajectory, landmarks, noise, map and initial state. The initial state is the truth minus a sample
+of the covariance that the filter starts from; all variants get the same samples.")]
 pub struct Args {
-    /// How many runs of each variant, each with a seed of its own
+    /// Number of runs of each variant, each with its own seed
     #[arg(long, default_value_t = 20)]
     runs: usize,
     /// Seed of the first run
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Runs at once [default: one a processor]
+    /// Number of parallel runs [default: one a processor]
     #[arg(long)]
     threads: Option<usize>,
-    /// The way: block (street, from rest), loops (10 x 126 m, in motion), room (a hand, from rest), or a TUM file
-    #[arg(long, value_name = "WAY", default_value = "block")]
+    /// The trajectory: block (street, from rest), loops (10 x 126 m, in motion), room (hand-held, from rest), or a TUM file
+    #[arg(long, value_name = "NAME|TUM", default_value = "block")]
     trajectory: String,
     /// Length of a run, seconds
     #[arg(long, default_value_t = 60.0)]
@@ -55,71 +56,71 @@ pub struct Args {
     /// Speed on block or loops, m/s [default: 4 on block, 3.14 on loops]
     #[arg(long, value_name = "M/S")]
     speed: Option<f64>,
-    /// Cameras of the filter; several are compared
+    /// Cameras of the filter; several, separated by commas, are compared
     #[arg(long, value_enum, value_delimiter = ',', default_value = "stereo")]
     cameras: Vec<Cameras>,
-    /// What to do with the map; several are compared
+    /// Use of the map; several, separated by commas, are compared
     #[arg(long, value_enum, value_delimiter = ',', default_value = "multi")]
     mode: Vec<Mode>,
-    /// YAML file with estimator settings, as for `driftless run`; several are compared
+    /// YAML file with estimator settings, as for `driftless run`; given several times, they are compared
     #[arg(long, value_name = "FILE")]
     estimator_config: Vec<PathBuf>,
-    /// Time between two images that the map is asked about, seconds
+    /// Time between two queries of the map, seconds
     #[arg(long, value_name = "SECONDS", default_value_t = 1.0)]
     match_every: f64,
-    /// No answers between these times, seconds; may be given several times
+    /// Drop-out: no replies between these times, seconds; may be given several times
     #[arg(long, value_name = "FROM:TO", value_parser = pair)]
     gap: Vec<(f64, f64)>,
-    /// Matches in an answer, at most
+    /// Most matches in a reply
     #[arg(long, value_name = "N", default_value_t = AnswerOptions::default().max_matches)]
     matches: usize,
-    /// Keyframes in an answer, at most
+    /// Most keyframes in a reply
     #[arg(long, value_name = "N", default_value_t = AnswerOptions::default().max_keyframes)]
     max_keyframes: usize,
-    /// Fraction of the matches of every answer that are wrong
+    /// Fraction of wrong matches in every reply
     #[arg(long, value_name = "FRACTION", default_value_t = 0.0)]
     wrong_matches: f64,
-    /// Fraction of answers that are of another place that looks the same (never the first, which nothing contradicts)
+    /// Fraction of replies of another place that looks the same (never the first, which nothing contradicts)
     #[arg(long, value_name = "FRACTION", default_value_t = 0.0)]
     wrong_place: f64,
-    /// Error of the map's keyframes about and along each axis, as stated to the filter; the paper's by default
+    /// Standard deviation of the map's keyframes an axis, as stated to the filter; the paper's by default
     #[arg(long, value_name = "DEG:M", value_parser = pair, default_value = "0.905:0.1")]
     map_noise: (f64, f64),
-    /// How far the landmarks of a keyframe are off together in its frame, as a part of their distance; in the map and in
-    /// the filter
+    /// Standard deviation of the error that the landmarks of a keyframe share, as a fraction of their distance; in the map
+    /// and in the filter
     #[arg(long, value_name = "FRACTION", default_value_t = MapOptions::default().shift)]
     map_shift: f64,
     /// Distance between keyframes of the map, metres
     #[arg(long, value_name = "M", default_value_t = MapOptions::default().keyframe_distance_m)]
     keyframe_distance: f64,
-    /// Initial standard deviations of the yaw and position of L, which are else nearly exact: a loose gauge
+    /// Initial standard deviations of the yaw and position in L [default: nearly exact]
     #[arg(long, value_name = "DEG:M", value_parser = pair)]
     sigma_start: Option<(f64, f64)>,
-    /// Noise of tracked pixels, px, in the images and in the filter
+    /// Standard deviation of tracked pixels, px, in the images and in the filter
     #[arg(long, value_name = "PX", default_value_t = SimulationOptions::default().sigma_track_px)]
     pixel_noise: f64,
     /// Fraction of tracked pixels that are 10 to 50 px off
     #[arg(long, value_name = "FRACTION", default_value_t = 0.0)]
     outliers: f64,
-    /// Tracks alive in an image, at most
+    /// Most tracks in an image
     #[arg(long, value_name = "N", default_value_t = SimulationOptions::default().max_tracks)]
     tracks: usize,
-    /// Tell the filter a pose of the cameras on the body that is turned and moved by so much, in a drawn direction
+    /// Error of the cameras' pose on the body as the filter is given it, in a random direction
     #[arg(long, value_name = "DEG:M", value_parser = pair)]
     extrinsic_error: Option<(f64, f64)>,
-    /// Stamp images so much late or early (the sign is drawn), seconds
+    /// Error of the stamps of images, seconds; the sign is random
     #[arg(long, value_name = "SECONDS", default_value_t = 0.0)]
     time_offset: f64,
-    /// Tell the filter focal lengths that are off by this fraction (the sign is drawn)
+    /// Relative error of the focal lengths as the filter is given them; the sign is random
     #[arg(long, value_name = "FRACTION", default_value_t = 0.0)]
     focal_error: f64,
-    /// Score the local pose from so long after the begin on, seconds
+    /// Score the local pose from this time after the begin on, seconds
     #[arg(long, value_name = "SECONDS", default_value_t = ScoreOptions::default().skip_s)]
     skip: f64,
-    /// Score G_T_L and the pose in G from so long after the first fix on, seconds
-    #[arg(long, value_name = "SECONDS", default_value_t = ScoreOptions::default().skip_after_first_fix_s)]
-    skip_after_fix: f64,
-    /// Draw the NEES over time with its bounds
+    /// Score G_T_L and the pose in G from this time after the map initialization on, seconds
+    #[arg(long, value_name = "SECONDS", default_value_t = ScoreOptions::default().skip_after_initialization_s)]
+    skip_after_initialization: f64,
+    /// Plot the NEES over time with its bounds
     #[arg(long, value_name = "SVG")]
     svg: Option<PathBuf>,
     /// Print the scores as JSON
@@ -130,15 +131,16 @@ pub struct Args {
 /// Runs the command.
 ///
 /// # Errors
-/// Options that make no sense, settings or a trajectory that cannot be read, a picture that cannot be written.
+/// Options out of range, settings or a trajectory that cannot be read, a plot that cannot be written.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let options = options(args)?;
     let variants = variants(args, &options.simulation)?;
     let bar = run_bar(options.runs);
     let all = run_all(&options, &variants, |done| bar.set_position(done as u64))
-        .context("nothing was simulated")?;
+        .context("the simulation is impossible")?;
     bar.finish_and_clear();
-    let scoring = ScoreOptions { skip_s: args.skip, skip_after_first_fix_s: args.skip_after_fix };
+    let scoring =
+        ScoreOptions { skip_s: args.skip, skip_after_initialization_s: args.skip_after_initialization };
     let scores: Vec<EnsembleScore> = all.iter().map(|runs| score(runs, &scoring)).collect();
     if args.json {
         println!("{}", serde_json::to_string_pretty(&scores)?);
@@ -185,7 +187,7 @@ fn options(args: &Args) -> anyhow::Result<MonteCarloOptions> {
             bail!("--{name} is {value}; it must be positive");
         }
     }
-    let (scenario, given) = way(&args.trajectory)?;
+    let (scenario, given) = trajectory(&args.trajectory)?;
     let (extrinsic_deg, extrinsic_m) = args.extrinsic_error.unwrap_or_default();
     Ok(MonteCarloOptions {
         runs: args.runs,
@@ -227,8 +229,8 @@ fn options(args: &Args) -> anyhow::Result<MonteCarloOptions> {
     })
 }
 
-/// A built-in way by its name, or a trajectory from a file.
-fn way(name: &str) -> anyhow::Result<(Scenario, Option<Vec<evaluation::trajectory::StampedPose>>)> {
+/// A built-in trajectory by its name, or one from a file.
+fn trajectory(name: &str) -> anyhow::Result<(Scenario, Option<Vec<evaluation::trajectory::StampedPose>>)> {
     Ok(match name {
         "block" => (Scenario::Block, None),
         "loops" => (Scenario::Loops, None),
@@ -241,7 +243,7 @@ fn way(name: &str) -> anyhow::Result<(Scenario, Option<Vec<evaluation::trajector
     })
 }
 
-/// What the filter is told where the map's landmarks are exact: it takes positive numbers only.
+/// Stated to the filter where the map's landmarks are exact: it takes positive numbers only.
 const EXACT: f64 = 1e-9;
 
 /// Every mode with every number of cameras and every settings file.
@@ -294,12 +296,12 @@ fn draw(path: &Path, args: &Args, all: &[VariantRuns], scoring: &ScoreOptions) -
     Ok(())
 }
 
-/// Two numbers with a colon between.
+/// Two numbers separated by a colon.
 fn pair(text: &str) -> Result<(f64, f64), String> {
     let parts = text.split_once(':').and_then(|(first, second)| {
         let number =
             |text: &str| text.trim().parse::<f64>().ok().filter(|value| value.is_finite() && *value >= 0.0);
         Some((number(first)?, number(second)?))
     });
-    parts.ok_or_else(|| "two numbers with a colon between are wanted, for example 2:0.03".to_owned())
+    parts.ok_or_else(|| "two numbers separated by a colon are needed, for example 2:0.03".to_owned())
 }

@@ -1,4 +1,4 @@
-//! `driftless plot`: the pictures of a run.
+//! `driftless plot`: the plots of a run.
 
 use crate::plotting::{RunFiles, draw_run, read_keyframes};
 use anyhow::{Context, ensure};
@@ -10,25 +10,25 @@ use std::path::PathBuf;
 #[derive(Clone, Debug, clap::Args)]
 #[command(after_help = "Examples:\n  driftless plot out\n  \
     driftless plot out --groundtruth SEQ/mav0/state_groundtruth_estimate0/data.csv --keyframes map/keyframes.csv\n\n\
-    Draws trajectory.svg, over_time.svg, error_local.svg, error_transform.svg, error_pose.svg and reprojection.svg;\n\
-    what the run's files do not tell is left out, and said.")]
+    Draws trajectory.svg, over_time.svg, error_local.svg, error_transform.svg, error_pose.svg and reprojection.svg.\n\
+    Plots for which the run has no data are left out, and named with the reason.")]
 pub struct Args {
     /// Output folder of a run, with its states.csv
     #[arg(value_name = "DIR")]
     run: PathBuf,
-    /// The truth; left out, that of the recording which summary.json names
+    /// Ground truth [default: that of the recording which summary.json names]
     #[arg(long, value_name = "FILE")]
     groundtruth: Option<PathBuf>,
-    /// Direction in which gravity pulls in the truth's frame; left out, it is worked out from the recording
+    /// Direction of gravity in the ground truth's frame [default: computed from the recording]
     #[arg(long, value_name = "X,Y,Z", value_delimiter = ',', allow_hyphen_values = true)]
     gravity: Option<Vec<f64>>,
-    /// keyframes.csv of the map in plain text, to be drawn from above
+    /// keyframes.csv of the map in plain text, to draw them in the plan view
     #[arg(long, value_name = "FILE")]
     keyframes: Option<PathBuf>,
-    /// Folder for the pictures; left out, the run's
+    /// Folder for the plots [default: DIR]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// Print what was drawn as JSON
+    /// Print the list of plots as JSON
     #[arg(long)]
     json: bool,
 }
@@ -36,7 +36,7 @@ pub struct Args {
 /// Runs the command.
 ///
 /// # Errors
-/// A run without `states.csv`, a file that cannot be understood, a picture that cannot be written.
+/// A run without `states.csv`, a file that cannot be parsed, a plot that cannot be written.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let gravity = args.gravity.as_deref().map(direction).transpose()?;
     let mut run =

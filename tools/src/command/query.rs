@@ -1,4 +1,4 @@
-//! `driftless query`: asks a running map server from the shell.
+//! `driftless query`: queries a running map server.
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -15,8 +15,8 @@ use map::text::{read_camera, read_image_features};
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
-#[command(after_help = "Example:\n  map_server --map place=place.db &\n  \
-    driftless query --map place --features place/live/mav0/cam0/features.csv\n\n\
+#[command(after_help = "Example:\n  map_server --map town=town.db &\n  \
+    driftless query --map town --features town/live/mav0/cam0/features.csv\n\n\
     FILE has lines of: timestamp [ns],u [px],v [px],descriptor [hex]. The camera is read from sensor.yaml beside it.")]
 pub struct Args {
     /// Name under which the server serves the map
@@ -34,10 +34,10 @@ pub struct Args {
     /// The descriptors are f32 numbers, not bits
     #[arg(long)]
     pub float: bool,
-    /// Most keyframes to ask for
+    /// Most keyframes in the reply
     #[arg(long, value_name = "N", default_value_t = 4)]
     pub max_keyframes: u16,
-    /// Ask for the pose only
+    /// Request only the pose
     #[arg(long)]
     pub localize: bool,
     /// Where the server is
@@ -48,7 +48,7 @@ pub struct Args {
     pub json: bool,
 }
 
-/// What the server said.
+/// Replies of the server.
 struct Answer {
     keyframes: Vec<MatchedKeyframe>,
     status: Option<MatchStatus>,

@@ -1,4 +1,4 @@
-//! `driftless simulate`: a place and two runs through it, as recordings on disk.
+//! `driftless simulate`: a simulated town and two runs through it, as recordings on disk.
 
 use anyhow::Context;
 use evaluation::trajectory::{StampedPose, tum};
@@ -11,24 +11,27 @@ use std::path::{Path, PathBuf};
 #[derive(Clone, Debug, clap::Args)]
 #[command(after_help = "Examples:\n  driftless simulate --out town --seed 3\n  \
     driftless simulate --out hall --trajectory MH_01.tum --live-trajectory MH_03.tum\n\n\
-    Writes OUT/map (build a map from it with `driftless build-map OUT/map --map town.db`) and OUT/live.")]
+    Writes two recordings in the EuRoC layout: OUT/map, with reference poses, and OUT/live. Then:\n  \
+    driftless build-map OUT/map --map town.db --sigma-pixel 1 --gravity 0,0,-1\n  \
+    driftless run --sequence OUT/live --map town.db --init truth --out run\n  \
+    driftless plot run")]
 pub struct Args {
-    /// Folder to write to; `map` and `live` are created in it
+    /// Folder to write; the recordings `map` and `live` are created in it
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// Same seed, same files
+    /// Seed; the same seed gives the same files
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Way of the map's run instead of the built-in one: a TUM trajectory of the body (x forward, z up)
+    /// Trajectory of the map's run, a TUM file of the body (x forward, z up) [default: once round a block of houses]
     #[arg(long, value_name = "TUM")]
     trajectory: Option<PathBuf>,
-    /// Way of the live run; left out, the map's way a metre to the left
+    /// Trajectory of the live run, a TUM file [default: that of the map's run, 1 m to the left]
     #[arg(long, value_name = "TUM")]
     live_trajectory: Option<PathBuf>,
-    /// Cruising speed on the built-in way, m/s
+    /// Cruising speed on the built-in trajectory, m/s
     #[arg(long, default_value_t = SimulationOptions::default().speed)]
     speed: f64,
-    /// Noise of tracked pixels, px
+    /// Standard deviation of tracked pixels, px
     #[arg(long, value_name = "PX", default_value_t = SimulationOptions::default().sigma_track_px)]
     pixel_noise: f64,
     /// Fraction of tracked pixels that are 10 to 50 px off
@@ -37,10 +40,10 @@ pub struct Args {
     /// Fraction of the live run without features to match
     #[arg(long, value_name = "FRACTION", default_value_t = SimulationOptions::default().dropout_fraction)]
     dropout: f64,
-    /// Error of the map's reference poses, metres along each axis
+    /// Standard deviation of the map's reference positions, metres an axis
     #[arg(long, value_name = "M", default_value_t = SimulationOptions::default().sigma_reference_p_m)]
     sigma_reference_p_m: f64,
-    /// Error of the map's reference poses, rad about each axis
+    /// Standard deviation of the map's reference rotations, rad an axis
     #[arg(long, value_name = "RAD", default_value_t = SimulationOptions::default().sigma_reference_theta_rad)]
     sigma_reference_theta_rad: f64,
     /// Print what was written as JSON
@@ -48,7 +51,7 @@ pub struct Args {
     json: bool,
 }
 
-/// What one recording holds.
+/// Contents of one recording.
 #[derive(Serialize)]
 struct Summary {
     path: PathBuf,
@@ -63,13 +66,13 @@ struct Summary {
 /// Runs the command.
 ///
 /// # Errors
-/// Options that make no sense, a trajectory that cannot be read, a folder that cannot be written.
+/// Options out of range, a trajectory that cannot be read, a folder that cannot be written.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let options = SimulationOptions {
         seed: args.seed,
         speed: args.speed,
-        map_trajectory: args.trajectory.as_deref().map(read_way).transpose()?,
-        live_trajectory: args.live_trajectory.as_deref().map(read_way).transpose()?,
+        map_trajectory: args.trajectory.as_deref().map(read_trajectory).transpose()?,
+        live_trajectory: args.live_trajectory.as_deref().map(read_trajectory).transpose()?,
         sigma_track_px: args.pixel_noise,
         outlier_fraction: args.outliers,
         dropout_fraction: args.dropout,
@@ -77,9 +80,9 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         sigma_reference_theta_rad: args.sigma_reference_theta_rad,
         ..SimulationOptions::default()
     };
-    let place = simulate(&options).context("nothing was simulated")?;
+    let scenario = simulate(&options).context("the simulation is impossible")?;
     let mut summaries = Vec::new();
-    for (name, sequence) in [("map", &place.map), ("live", &place.live)] {
+    for (name, sequence) in [("map", &scenario.map), ("live", &scenario.live)] {
         let root = args.out.join(name);
         writer::write(sequence, &root).context("the recording was not written")?;
         summaries.push(summary(root, sequence));
@@ -103,8 +106,8 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn read_way(path: &Path) -> anyhow::Result<Vec<StampedPose>> {
-    tum::read(path).context("the trajectory cannot be followed")
+fn read_trajectory(path: &Path) -> anyhow::Result<Vec<StampedPose>> {
+    tum::read(path).context("the trajectory cannot be read")
 }
 
 fn summary(path: PathBuf, sequence: &Sequence) -> Summary {

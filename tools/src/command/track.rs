@@ -1,4 +1,4 @@
-//! `driftless track`: the odometry's front end on the images of a recording, as `tracks.csv`.
+//! `driftless track`: feature tracks of the images of a recording, written as `tracks.csv`.
 
 use anyhow::{Context, Result, bail};
 use clap::ValueEnum;
@@ -15,25 +15,25 @@ use vision::{Equalization, GrayImage, LocalEqualization};
 #[derive(clap::Args, Debug)]
 #[command(after_help = "Examples:\n  driftless track MH_01 --out MH_01_tracks\n  \
     driftless track MH_01 --cameras 1 --points 150 --equalize local\n\n\
-    Writes mav0/camN/tracks.csv. With --out the new folder also gets calibration, IMU and truth, but no images:\n\
-    `driftless run DIR --mode odometry --out run` plays it.")]
+    Writes mav0/camN/tracks.csv. With --out the new folder also gets calibration, IMU and ground truth, but no images:\n\
+    `driftless run --sequence DIR --mode odometry --out run` runs on it.")]
 pub struct Args {
     /// The recording, a folder in the EuRoC layout with images
     #[arg(value_name = "SEQ")]
     sequence: PathBuf,
-    /// Write a recording of its own here; left out, the tracks go into SEQ
+    /// Write a new recording to this folder [default: the tracks are written into SEQ]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Cameras to use, 1 or 2 [default: as many as the recording has]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=2))]
     cameras: Option<u8>,
-    /// Points to keep in sight
+    /// Points to track in each image
     #[arg(long, value_name = "N", default_value_t = TrackerOptions::default().points)]
     points: usize,
-    /// Spread the grey levels first, for poor light
+    /// Equalize the histogram first, for poor light
     #[arg(long, value_enum, default_value = "off")]
     equalize: Equalize,
-    /// Image that is black (zero) where camera 0 must not be tracked: the robot's own body, say
+    /// Image that is black (zero) where camera 0 sees the robot itself
     #[arg(long, value_name = "FILE")]
     mask: Option<PathBuf>,
     /// The same for camera 1
@@ -50,14 +50,14 @@ pub struct Args {
     json: bool,
 }
 
-/// What is done to the grey levels.
+/// Histogram equalization.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Equalize {
-    /// Nothing.
+    /// None.
     Off,
     /// By the histogram of the whole image.
     Global,
-    /// By the histogram of the surroundings (CLAHE).
+    /// Adaptive (CLAHE).
     Local,
 }
 
@@ -209,7 +209,7 @@ fn tracker_options(args: &Args) -> Result<TrackerOptions> {
     let mut options = TrackerOptions::default().points(args.points).equalization(args.equalize.into());
     for (camera, path) in [&args.mask, &args.second_mask].into_iter().enumerate() {
         if let Some(path) = path {
-            options = options.mask(camera, GrayImage::read(path).context("the mask is not to be had")?);
+            options = options.mask(camera, GrayImage::read(path).context("the mask cannot be read")?);
         }
     }
     Ok(options)

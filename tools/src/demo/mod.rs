@@ -101,7 +101,7 @@ pub struct Demo {
 /// Runs the demo.
 ///
 /// # Arguments
-/// * `out`: folder for the map, the runs and the plots of the first seed, and for `demo.json`.
+/// * `out`: folder for `demo.json`, `comparison.svg`, and a folder `seed_N` for the map and the runs of each seed.
 /// * `conditions`: what is simulated.
 /// * `progress`: called with each step as it begins.
 ///
@@ -109,14 +109,10 @@ pub struct Demo {
 /// A folder that cannot be written, no free port for the server, no seed.
 pub fn run_demo(out: &Path, conditions: &Conditions, progress: &mut dyn FnMut(&str)) -> Result<Demo> {
     std::fs::create_dir_all(out).with_context(|| format!("cannot create the folder {}", out.display()))?;
-    // What belongs to the other seeds is only needed while they run.
-    let scratch = tempfile::tempdir_in(out).context("no temporary folder")?;
     let mut first: Option<(Town, Vec<Run>)> = None;
     let mut summary = DemoSums::default();
     for seed in conditions.seed_range() {
-        let folder =
-            if first.is_none() { out.to_path_buf() } else { scratch.path().join(format!("seed_{seed}")) };
-        let town = Town::build(conditions, seed, &folder, progress)?;
+        let town = Town::build(conditions, seed, &out.join(format!("seed_{seed}")), progress)?;
         let runs = town.run_all(&VARIANTS, progress)?;
         summary.add(&town, &runs);
         first.get_or_insert((town, runs));

@@ -143,7 +143,7 @@ impl Run {
         &self,
         samples: &'a [ErrorSample],
     ) -> impl Iterator<Item = &'a ErrorSample> + use<'a> {
-        let skip_ns = (ScoreOptions::default().skip_after_first_fix_s * 1e9) as i64;
+        let skip_ns = (ScoreOptions::default().skip_after_initialization_s * 1e9) as i64;
         let from_ns = self.errors.pose.first().map_or(i64::MIN, |sample| sample.stamp_ns + skip_ns);
         samples.iter().filter(move |sample| sample.stamp_ns >= from_ns)
     }

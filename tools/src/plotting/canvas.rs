@@ -1,22 +1,22 @@
-//! A sheet of paper: title, legend, and the space below for panels.
+//! The sheet of a plot: title, legend, and the area below for panels.
 
-use super::PlotError;
+use super::error::{DrawError, PlotError};
 use plotters::coord::Shift;
 use plotters::prelude::*;
 use std::path::{Path, PathBuf};
 
-/// Where pictures are drawn.
+/// Where plots are drawn.
 pub(crate) type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 
-/// The truth.
+/// Ground truth.
 pub(crate) const TRUTH: RGBColor = RGBColor(165, 165, 168);
 /// The estimate.
 pub(crate) const ESTIMATE: RGBColor = RGBColor(31, 101, 173);
-/// Odometry, and whatever is to be told from the estimate.
+/// Odometry, and what is to be distinguished from the estimate.
 pub(crate) const ODOMETRY: RGBColor = RGBColor(222, 125, 32);
-/// Good news.
+/// Used matches, inliers.
 pub(crate) const GOOD: RGBColor = RGBColor(38, 140, 88);
-/// Bad news.
+/// Rejected matches, outliers.
 pub(crate) const BAD: RGBColor = RGBColor(200, 55, 60);
 /// One colour a run or a filter of a comparison; a fifth and more share the last.
 pub(crate) const COLOURS: [RGBColor; 4] = [ODOMETRY, ESTIMATE, GOOD, BAD];
@@ -24,12 +24,12 @@ pub(crate) const COLOURS: [RGBColor; 4] = [ODOMETRY, ESTIMATE, GOOD, BAD];
 pub(crate) const MAP: RGBColor = RGBColor(150, 120, 190);
 /// Bounds.
 pub(crate) const BAND: RGBColor = RGBColor(205, 222, 240);
-/// Letters.
+/// Text.
 pub(crate) const INK: RGBColor = RGBColor(45, 45, 50);
-/// Lines behind everything.
+/// Grid lines.
 pub(crate) const GRID: RGBColor = RGBColor(228, 228, 232);
 
-/// The font of all letters, by its generic name: what the viewer has.
+/// The font of all text, by its generic name: the viewer chooses it.
 pub(crate) const FONT: &str = "sans-serif";
 /// Height of title and legend, px.
 const HEADER: i32 = 68;
@@ -38,10 +38,10 @@ const CAPTION_LINE: i32 = 20;
 const CAPTION_SIZE: i32 = 14;
 const TITLE_SIZE: i32 = 21;
 const LEGEND_SIZE: i32 = 15;
-/// Mean width of a letter as a share of its height; no font is loaded to measure it.
+/// Mean width of a letter as a fraction of its height; no font is loaded to measure it.
 const LETTER_WIDTH: f64 = 0.44;
 
-/// What an entry of the legend looks like.
+/// Symbol of an entry of the legend.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Mark {
     Line,
@@ -67,7 +67,7 @@ pub(crate) fn draw(
     size: (u32, u32),
     title: &str,
     legend: &[LegendEntry],
-    fill: impl FnOnce(&Area<'_>) -> Result<(), String>,
+    fill: impl FnOnce(&Area<'_>) -> Result<(), DrawError>,
 ) -> Result<PathBuf, PlotError> {
     draw_with_caption(path, size, title, &[], legend, fill)
 }
@@ -79,33 +79,28 @@ pub(crate) fn draw_with_caption(
     title: &str,
     caption: &[String],
     legend: &[LegendEntry],
-    fill: impl FnOnce(&Area<'_>) -> Result<(), String>,
+    fill: impl FnOnce(&Area<'_>) -> Result<(), DrawError>,
 ) -> Result<PathBuf, PlotError> {
-    let paint = || -> Result<(), String> {
+    let paint = || -> Result<(), DrawError> {
         let sheet = SVGBackend::new(path, size).into_drawing_area();
-        sheet.fill(&WHITE).map_err(text)?;
+        sheet.fill(&WHITE)?;
         let caption_height = CAPTION_LINE * caption.len() as i32;
         let (header, body) = sheet.split_vertically(HEADER + caption_height);
         let style = TextStyle::from((FONT, TITLE_SIZE).into_font()).color(&INK);
-        header.draw(&Text::new(title, (20, 12), style)).map_err(text)?;
+        header.draw(&Text::new(title, (20, 12), style))?;
         let style = TextStyle::from((FONT, CAPTION_SIZE).into_font()).color(&INK);
         for (line, top) in caption.iter().zip((0..).map(|line| 42 + CAPTION_LINE * line)) {
-            header.draw(&Text::new(line.as_str(), (22, top), style.clone())).map_err(text)?;
+            header.draw(&Text::new(line.as_str(), (22, top), style.clone()))?;
         }
         draw_legend(&header, legend, 52 + caption_height)?;
         fill(&body)?;
-        sheet.present().map_err(text)
+        sheet.present()
     };
-    paint().map_err(|problem| PlotError::Draw { path: path.to_path_buf(), problem })?;
+    paint().map_err(|error| PlotError::draw(path, error))?;
     Ok(path.to_path_buf())
 }
 
-/// The message of an error of the drawing library, whatever its type.
-pub(crate) fn text(error: impl std::fmt::Display) -> String {
-    error.to_string()
-}
-
-fn draw_legend(header: &Area<'_>, legend: &[LegendEntry], middle: i32) -> Result<(), String> {
+fn draw_legend(header: &Area<'_>, legend: &[LegendEntry], middle: i32) -> Result<(), DrawError> {
     let style = TextStyle::from((FONT, LEGEND_SIZE).into_font()).color(&INK);
     let mut x = 22;
     for entry in legend {
@@ -113,18 +108,18 @@ fn draw_legend(header: &Area<'_>, legend: &[LegendEntry], middle: i32) -> Result
         match entry.mark {
             Mark::Line => {
                 let line = PathElement::new(vec![(x, middle), (x + 24, middle)], colour.stroke_width(3));
-                header.draw(&line).map_err(text)?;
+                header.draw(&line)?;
             }
             Mark::Patch => {
                 let patch = Rectangle::new([(x, middle - 6), (x + 24, middle + 6)], colour.filled());
-                header.draw(&patch).map_err(text)?;
+                header.draw(&patch)?;
             }
             Mark::Dot => {
-                header.draw(&Circle::new((x + 12, middle), 5, colour.filled())).map_err(text)?;
+                header.draw(&Circle::new((x + 12, middle), 5, colour.filled()))?;
             }
         }
         let label = Text::new(entry.text.as_str(), (x + 31, middle - LEGEND_SIZE / 2), style.clone());
-        header.draw(&label).map_err(text)?;
+        header.draw(&label)?;
         let width = entry.text.chars().count() as f64 * f64::from(LEGEND_SIZE) * LETTER_WIDTH;
         x += 31 + width as i32 + 26;
     }

@@ -1,11 +1,12 @@
 //! Several runs over the same recording in one picture: their trajectories, and their errors beside the uncertainty that
 //! they claim.
 
-use super::canvas::{self, Area, BAD, ESTIMATE, GOOD, MAP, Mark, ODOMETRY, TRUTH, entry, text};
+use super::canvas::{self, Area, BAD, ESTIMATE, GOOD, MAP, Mark, ODOMETRY, TRUTH, entry};
+use super::error::{DrawError, PlotError};
 use super::panel::{Band, Dots, Line, Panel};
+use super::run_files::Truth;
 use super::series::{quantile, thin, thin_path};
-use super::trajectory::{View, plan};
-use super::{PlotError, Truth};
+use super::trajectory::{PlanView, plan};
 use evaluation::ErrorSample;
 use evaluation::trajectory::StampedPose;
 use nalgebra::Vector3;
@@ -75,7 +76,7 @@ pub fn stretches_without_features(frames: &[Frame], longer_than_ns: i64) -> Vec<
 /// Draws a comparison: the plan on the left, a panel of errors for each run on the right.
 ///
 /// # Errors
-/// [`PlotError::Draw`] where the picture cannot be written.
+/// [`PlotError::Draw`] where the plot cannot be written.
 pub fn draw(comparison: &Comparison, path: &Path) -> Result<PathBuf, PlotError> {
     let exaggeration = comparison.exaggeration();
     let mut legend = vec![entry(Mark::Dot, MAP, "keyframes of the map"), entry(Mark::Line, TRUTH, "truth")];
@@ -117,12 +118,12 @@ impl Comparison {
         EXAGGERATIONS.iter().rev().find(fitting).copied().unwrap_or(1.0)
     }
 
-    fn draw_plan(&self, area: &Area<'_>, exaggeration: f64) -> Result<(), String> {
-        let view = View::along(&self.truth.gravity);
+    fn draw_plan(&self, area: &Area<'_>, exaggeration: f64) -> Result<(), DrawError> {
+        let view = PlanView::along(&self.truth.gravity);
         let track = TruthTrack::new(&self.truth.rows);
         let rows = || self.truth.rows.iter();
         let path_line = |positions: Vec<Vector3<f64>>, colour: RGBColor, width: u32| {
-            let points: Vec<_> = positions.iter().map(|position| view.look(position)).collect();
+            let points: Vec<_> = positions.iter().map(|position| view.project(position)).collect();
             Line { points: thin_path(&points), colour, width }
         };
         let mut lines: Vec<Line> = self
@@ -141,11 +142,11 @@ impl Comparison {
             });
             lines.push(path_line(exaggerated.collect(), colour, 2));
         }
-        let keyframes = self.keyframes.iter().map(|position| view.look(position)).collect();
+        let keyframes = self.keyframes.iter().map(|position| view.project(position)).collect();
         plan(area, lines, vec![Dots { points: keyframes, colour: MAP, radius: 2 }])
     }
 
-    fn draw_errors(&self, area: &Area<'_>) -> Result<(), String> {
+    fn draw_errors(&self, area: &Area<'_>) -> Result<(), DrawError> {
         let runs = self.runs.len();
         let errors = || self.runs.iter().flat_map(|run| &run.errors);
         let highest = errors().map(position_error).fold(1e-6, f64::max);
@@ -155,7 +156,7 @@ impl Comparison {
         for (index, ((run, colour), area)) in
             self.coloured().zip(area.split_evenly((runs.max(1), 1))).enumerate()
         {
-            self.error_panel(run, colour, top, index + 1 == runs).draw(&area).map_err(text)?;
+            self.error_panel(run, colour, top, index + 1 == runs).draw(&area)?;
         }
         Ok(())
     }

@@ -1,9 +1,9 @@
-//! A map from above: where keyframes look, what they see, and where a robot will hardly be localized.
+//! Plan view of a map: keyframes, their viewing directions, landmarks, and keyframes with too few of them.
 
-use super::PlotError;
 use super::canvas::{self, BAD, ESTIMATE, Mark, TRUTH, entry};
+use super::error::PlotError;
 use super::panel::{Dots, Line};
-use super::trajectory::{View, plan};
+use super::trajectory::{PlanView, plan};
 use map::contents::MapContents;
 use nalgebra::Vector3;
 use std::collections::HashMap;
@@ -11,20 +11,20 @@ use std::path::{Path, PathBuf};
 
 use mapping::BuildReport;
 
-/// Length of the stroke that shows where a keyframe looks, as a part of the keyframes' extent.
+/// Length of a viewing direction, as a fraction of the keyframes' extent.
 const STROKE: f64 = 0.1;
-/// Landmarks further from the keyframes' middle than this many times their extent are not drawn: the sky.
+/// Landmarks further from the keyframes' centre than this many times their extent are not drawn.
 const REACH: f64 = 3.0;
 
-/// Draws a map from above, along gravity where the map knows it, else along its z axis.
+/// Draws the plan view of a map, along gravity where the map states it, else along its z axis.
 ///
 /// # Errors
 /// [`PlotError`] where the picture cannot be written.
 pub fn draw_coverage(map: &MapContents, path: &Path) -> Result<PathBuf, PlotError> {
-    let view = View::along(&map.info.gravity_in_global.unwrap_or_else(|| -Vector3::z()));
+    let view = PlanView::along(&map.info.gravity_in_global.unwrap_or_else(|| -Vector3::z()));
     let poses: HashMap<_, _> =
         map.keyframes.iter().map(|keyframe| (keyframe.id, keyframe.global_from_keyframe.pose)).collect();
-    let positions: Vec<(f64, f64)> = poses.values().map(|pose| view.look(&pose.translation)).collect();
+    let positions: Vec<(f64, f64)> = poses.values().map(|pose| view.project(&pose.translation)).collect();
     let (middle, extent) = middle_and_extent(&positions);
     let mut seen: HashMap<u64, usize> = HashMap::new();
     let mut landmarks = Vec::new();
@@ -33,7 +33,7 @@ pub fn draw_coverage(map: &MapContents, path: &Path) -> Result<PathBuf, PlotErro
             *seen.entry(observation.keyframe).or_default() += 1;
         }
         if let Some(pose) = poses.get(&landmark.anchor) {
-            let point = view.look(&pose.transform(&landmark.position_in_anchor));
+            let point = view.project(&pose.transform(&landmark.position_in_anchor));
             if (point.0 - middle.0).hypot(point.1 - middle.1) <= REACH * extent {
                 landmarks.push(point);
             }
@@ -42,8 +42,8 @@ pub fn draw_coverage(map: &MapContents, path: &Path) -> Result<PathBuf, PlotErro
     let (mut good, mut poor, mut strokes) = (Vec::new(), Vec::new(), Vec::new());
     for (id, pose) in &poses {
         let is_poor = seen.get(id).is_none_or(|&count| count < BuildReport::FEW_LANDMARKS);
-        let at = view.look(&pose.translation);
-        let ahead = view.look(&(pose.translation + pose.rotation * Vector3::z() * (STROKE * extent)));
+        let at = view.project(&pose.translation);
+        let ahead = view.project(&(pose.translation + pose.rotation * Vector3::z() * (STROKE * extent)));
         let colour = if is_poor { BAD } else { ESTIMATE };
         strokes.push(Line { points: vec![at, ahead], colour, width: 1 });
         if is_poor { &mut poor } else { &mut good }.push(at);
@@ -51,7 +51,7 @@ pub fn draw_coverage(map: &MapContents, path: &Path) -> Result<PathBuf, PlotErro
     let few = format!("fewer than {} landmarks: {} keyframes", BuildReport::FEW_LANDMARKS, poor.len());
     let legend = [
         entry(Mark::Dot, TRUTH, &format!("{} landmarks", map.landmarks.len())),
-        entry(Mark::Dot, ESTIMATE, &format!("{} keyframes and where they look", good.len())),
+        entry(Mark::Dot, ESTIMATE, &format!("{} keyframes with viewing direction", good.len())),
         entry(Mark::Dot, BAD, &few),
     ];
     let dots = vec![
@@ -59,7 +59,7 @@ pub fn draw_coverage(map: &MapContents, path: &Path) -> Result<PathBuf, PlotErro
         Dots { points: good, colour: ESTIMATE, radius: 3 },
         Dots { points: poor, colour: BAD, radius: 4 },
     ];
-    let title = format!("{} \u{2013} what the map covers, from above", map.info.name);
+    let title = format!("{} \u{2013} coverage, plan view", map.info.name);
     canvas::draw(path, (1000, 900), &title, &legend, |body| plan(body, strokes, dots))
 }
 

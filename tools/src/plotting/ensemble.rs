@@ -1,31 +1,31 @@
 //! The NEES of many runs over time, beside the bounds of a consistent filter.
 
-use super::PlotError;
-use super::canvas::{self, BAND, COLOURS, GRID, Mark, entry, text};
+use super::canvas::{self, BAND, COLOURS, GRID, Mark, entry};
+use super::error::PlotError;
 use super::panel::{Line, Panel};
 use super::series::{quantile, thin};
 use evaluation::TimePoint;
 use std::path::{Path, PathBuf};
 
-/// A NEES beyond this is drawn here: how far beyond does not matter.
+/// Larger NEES are drawn at this value.
 const HIGHEST: f64 = 10.0;
 
 /// One filter: its mean NEES over the runs at each time.
 #[derive(Clone, Debug)]
 pub struct EnsembleLine {
-    /// What to call it.
+    /// Its name.
     pub name: String,
     /// The mean over runs, with its interval.
     pub points: Vec<TimePoint>,
 }
 
-/// Draws a panel an output, and in each a line a filter.
+/// Draws a panel for each output, with a line for each filter.
 ///
 /// # Arguments
 /// * `panels`: name of an output, and the filters that have it. Empty ones are left out.
 ///
 /// # Errors
-/// [`PlotError::Draw`] where the picture cannot be written.
+/// [`PlotError::Draw`] where the plot cannot be written.
 pub fn draw_ensemble(
     path: &Path,
     title: &str,
@@ -40,7 +40,7 @@ pub fn draw_ensemble(
     let height = 68 + 260 * panels.len().max(1) as u32;
     canvas::draw(path, (1120, height), title, &legend, |body| {
         for ((name, lines), area) in panels.iter().zip(body.split_evenly((panels.len(), 1))) {
-            panel(name, lines).draw(&area).map_err(text)?;
+            panel(name, lines).draw(&area)?;
         }
         Ok(())
     })

@@ -1,7 +1,7 @@
-//! The six errors of one pose over time, with the bounds that the filter believes in.
+//! The six errors of one pose over time, with the bounds of the filter's covariance.
 
-use super::PlotError;
-use super::canvas::{self, BAND, ESTIMATE, GRID, Mark, entry, text};
+use super::canvas::{self, BAND, ESTIMATE, GRID, Mark, entry};
+use super::error::PlotError;
 use super::panel::{Band, Line, Panel};
 use super::run_files::RunFiles;
 use super::series::{quantile, thin};
@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 
 /// Bounds are drawn at so many standard deviations.
 const BOUND: f64 = 3.0;
-/// The axis shows this share of the bounds: the first ones after a start are so wide that nothing else would be seen.
+/// Quantile of the bounds that the axis shows: the first ones after a start are too wide for one scale.
 const SHOWN_BOUNDS: f64 = 0.97;
 
 /// Draws the errors of one pose.
@@ -29,7 +29,7 @@ pub(crate) fn draw(
         for (index, area) in body.split_evenly((3, 2)).iter().enumerate() {
             // Rotation on the left, position on the right; x, y, z downwards.
             let (axis, is_position) = (index / 2, index % 2 == 1);
-            panel(run, samples, axis, is_position, index >= 4).draw(area).map_err(text)?;
+            panel(run, samples, axis, is_position, index >= 4).draw(area)?;
         }
         Ok(())
     })
@@ -64,7 +64,7 @@ fn panel(run: &RunFiles, samples: &[ErrorSample], axis: usize, is_position: bool
     }
 }
 
-/// Says the same figures as the summary of the run.
+/// The title, with the figures of the run's summary.
 fn title(run: &RunFiles, kind: StateKind) -> String {
     let (what, score) = match kind {
         StateKind::LocalFromImu => ("local pose (IMU in L)", run.score().map(|score| score.local)),

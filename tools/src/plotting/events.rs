@@ -1,6 +1,6 @@
-//! `events.csv`: what became of each query.
+//! `events.csv`: the result of each query.
 
-use super::PlotError;
+use super::error::PlotError;
 use serde::Deserialize;
 use std::path::Path;
 
@@ -9,11 +9,11 @@ use std::path::Path;
 pub struct QueryEvent {
     /// Time of the image, nanoseconds.
     pub stamp_ns: i64,
-    /// What the server said: `matched`, `no_match`, ..
+    /// Outcome by the server: `matched`, `no_match`, ..
     pub outcome: String,
-    /// Landmarks that were matched.
+    /// Matched landmarks.
     pub matches: usize,
-    /// Matches that agree on a pose.
+    /// Matches consistent with one pose.
     pub inliers: usize,
     /// Mean reprojection error of the matches before the update, px.
     pub mean_reprojection_px: Option<f64>,
@@ -21,7 +21,7 @@ pub struct QueryEvent {
     pub relinearized: bool,
     /// Whether the state was updated.
     pub accepted: bool,
-    /// Why not.
+    /// Reason for a rejection.
     #[serde(default)]
     pub reason: String,
 }
@@ -29,9 +29,9 @@ pub struct QueryEvent {
 /// Reads `events.csv`.
 ///
 /// # Errors
-/// [`PlotError::File`] with the line that cannot be understood.
+/// [`PlotError::Events`] with the line that cannot be understood.
 pub fn read_events(path: &Path) -> Result<Vec<QueryEvent>, PlotError> {
-    let wrong = |error: csv::Error| PlotError::File { path: path.to_path_buf(), problem: error.to_string() };
+    let wrong = |source: csv::Error| PlotError::Events { path: path.to_path_buf(), source };
     let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_path(path).map_err(wrong)?;
     reader.deserialize().collect::<Result<_, _>>().map_err(wrong)
 }

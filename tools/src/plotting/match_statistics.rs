@@ -1,11 +1,11 @@
-//! Below the images of [`super::matches`]: how wrong the matches are, how much they look alike, and how the other
-//! candidates fared.
+//! Below the images of [`super::matches`]: histograms of reprojection errors and descriptor distances, and the other
+//! candidates.
 
 use plotters::style::RGBColor;
 use recognition::{InspectedKeyframe, InspectedMatch, Inspection, KeyframeVerdict};
 
 use super::canvas::{BAD, GOOD, GRID, INK, MAP, ODOMETRY, TRUTH};
-use super::matches::{MARGIN, WIDTH};
+use super::match_layout::{MARGIN, WIDTH};
 use super::svg::{Anchor, Attribute, Svg, css};
 
 /// Height of the bars, px.
@@ -137,7 +137,7 @@ impl Histogram {
     }
 }
 
-/// How a comparison ended, in a few words.
+/// The result of the comparison with a keyframe.
 pub fn describe_verdict(keyframe: &InspectedKeyframe) -> &'static str {
     match (keyframe.verdict, keyframe.in_answer) {
         (KeyframeVerdict::Verified, true) => "part of the answer",

@@ -1,8 +1,8 @@
-//! What matched what: the query beside a keyframe, with a line from each feature to its landmark.
+//! Matches: the query beside a keyframe, with a line from each feature to its landmark.
 //!
 //! ```text
 //! headline: recognized or not, counts, pose with its standard deviations
-//! query image            | keyframe image         green: inliers, red: outliers, orange: no pose to tell
+//! query image            | keyframe image         green: inliers, red: outliers, orange: no pose
 //! errors in px | descriptor distances | all candidates             see `match_statistics`
 //! ```
 //! The images are inside the file. The pointer over a match shows its numbers.
@@ -14,16 +14,13 @@ use recognition::{InspectedKeyframe, InspectedMatch, Inspection, KeyframeVerdict
 use std::path::{Path, PathBuf};
 use vision::{GrayImage, ImageError};
 
-use super::PlotError;
 use super::canvas::{BAD, GOOD, GRID, INK, MAP, ODOMETRY, TRUTH};
+use super::error::PlotError;
+use super::match_layout::{MARGIN, WIDTH};
 use super::match_statistics::{describe_verdict, draw_statistics};
 use super::svg::{Anchor, Attribute, Svg, css};
 use crate::server_query::describe;
 
-/// Width of the picture, px.
-pub(super) const WIDTH: f64 = 1500.0;
-/// Space at the border and between panels, px.
-pub(super) const MARGIN: f64 = 24.0;
 /// Height of headline and legend, px.
 const HEADER: f64 = 112.0;
 /// Height of what is written below an image, px.
@@ -43,7 +40,7 @@ const STYLE: &str = ".photo{opacity:.76}.match line{stroke-width:1.3;stroke-opac
 /// What is drawn.
 #[derive(Clone, Copy, Debug)]
 pub struct MatchPicture<'a> {
-    /// What to call the query.
+    /// Name of the query.
     pub query: &'a str,
     /// The camera that took it.
     pub camera: &'a Camera,
@@ -51,7 +48,7 @@ pub struct MatchPicture<'a> {
     pub image: Option<&'a GrayImage>,
     /// All features of the query (px).
     pub features: &'a [[f32; 2]],
-    /// What to call the map.
+    /// Name of the map.
     pub map: &'a str,
     /// The answer and its candidates.
     pub inspection: &'a Inspection,
@@ -85,14 +82,13 @@ impl Panel {
     }
 }
 
-/// Draws what matched what.
+/// Draws the matches of a query with one keyframe.
 ///
 /// # Errors
-/// [`PlotError::Draw`] where the picture cannot be written.
+/// [`PlotError::Draw`] where the plot cannot be written.
 pub fn draw_matches(picture: &MatchPicture<'_>, path: &Path) -> Result<PathBuf, PlotError> {
-    let failed = |problem: String| PlotError::Draw { path: path.to_path_buf(), problem };
-    let text = paint(picture).map_err(|error| failed(error.to_string()))?;
-    std::fs::write(path, text).map_err(|error| failed(error.to_string()))?;
+    let text = paint(picture).map_err(|error| PlotError::draw(path, error))?;
+    std::fs::write(path, text).map_err(|error| PlotError::draw(path, error))?;
     Ok(path.to_path_buf())
 }
 
@@ -111,7 +107,7 @@ fn paint(picture: &MatchPicture<'_>) -> Result<String, ImageError> {
     caption(&mut svg, &left, &format!("query: {}", picture.query));
     if let Some(keyframe) = picture.keyframe {
         draw_image(&mut svg, &right, picture.keyframe_image, &keyframe.landmark_pixels, MAP)?;
-        caption(&mut svg, &right, &keyframe_in_words(picture, keyframe));
+        caption(&mut svg, &right, &keyframe_text(picture, keyframe));
         // Inliers last, on top.
         for inliers in [false, true] {
             for found in keyframe.matches.iter().filter(|found| found.inlier == inliers) {
@@ -136,9 +132,9 @@ fn draw_header(svg: &mut Svg, picture: &MatchPicture<'_>) {
                 "Recognized: {} of {} matches agree within {:.2} px on average",
                 fix.inliers, fix.matched_features, fix.mean_error_px
             ),
-            pose_in_words(&fix.global_from_camera),
+            pose_text(&fix.global_from_camera),
         ),
-        None => (BAD, format!("Not recognized: {}", describe(reply.outcome)), best_in_words(picture)),
+        None => (BAD, format!("Not recognized: {}", describe(reply.outcome)), best_match_text(picture)),
     };
     svg.rectangle((MARGIN, 16.0), (6.0, 48.0), &[("fill", &css(colour))]);
     svg.words((MARGIN + 18.0, 35.0), 22.0, Anchor::Start, INK, &title);
@@ -147,7 +143,7 @@ fn draw_header(svg: &mut Svg, picture: &MatchPicture<'_>) {
 }
 
 /// A pose with its standard deviations.
-fn pose_in_words(pose: &PoseWithCovariance) -> String {
+fn pose_text(pose: &PoseWithCovariance) -> String {
     let variance = pose.covariance.diagonal();
     let sigma = |first: usize| Vector3::from_fn(|axis, _| variance[first + axis].sqrt());
     let (theta, position, p) = (sigma(0) * 1.0_f64.to_degrees(), sigma(3), &pose.pose.translation);
@@ -157,8 +153,8 @@ fn pose_in_words(pose: &PoseWithCovariance) -> String {
     )
 }
 
-/// How near a query came that was not recognized.
-fn best_in_words(picture: &MatchPicture<'_>) -> String {
+/// The best match of a query that was not recognized.
+fn best_match_text(picture: &MatchPicture<'_>) -> String {
     let features = picture.features.len();
     let Some(keyframe) = picture.keyframe else { return format!("{features} features in the query") };
     let (id, matches) = (keyframe.id, keyframe.matches.len());
@@ -228,7 +224,7 @@ fn draw_image(
     Ok(())
 }
 
-/// Writes below an image, the end of what is too long: of a path that tells most.
+/// Writes below an image. Of a text that is too long the end is shown: the most specific part of a path.
 fn caption(svg: &mut Svg, panel: &Panel, text: &str) {
     let fitting = (panel.size.0 / (CAPTION_SIZE * LETTER_WIDTH)) as usize;
     let length = text.chars().count();
@@ -240,8 +236,8 @@ fn caption(svg: &mut Svg, panel: &Panel, text: &str) {
     svg.words((panel.left, panel.bottom() + 20.0), CAPTION_SIZE, Anchor::Start, INK, &text);
 }
 
-/// The keyframe beside the query, by itself.
-fn keyframe_in_words(picture: &MatchPicture<'_>, keyframe: &InspectedKeyframe) -> String {
+/// The caption of the keyframe.
+fn keyframe_text(picture: &MatchPicture<'_>, keyframe: &InspectedKeyframe) -> String {
     let is_candidate = picture.inspection.keyframes.iter().any(|candidate| candidate.id == keyframe.id);
     let error = keyframe.mean_error_px.map_or_else(String::new, |error| format!(" within {error:.2} px"));
     format!(
@@ -270,7 +266,7 @@ fn draw_match(
     let from = left.place(found.query_pixel.map(f64::from));
     let to = right.place(found.keyframe_pixel.map(f64::from));
     svg.open("g", &[("class", &"match")]);
-    svg.hover(&match_in_words(found, class));
+    svg.hover(&match_text(found, class));
     svg.line(from, to, &[("class", &class), ("stroke", &colour)]);
     if let (true, Some(predicted)) = (found.inlier, found.predicted_pixel) {
         let tip = left.place(predicted);
@@ -283,8 +279,8 @@ fn draw_match(
     svg.close();
 }
 
-/// What shows on hovering.
-fn match_in_words(found: &InspectedMatch, class: &str) -> String {
+/// The tooltip of a match.
+fn match_text(found: &InspectedMatch, class: &str) -> String {
     let error = match (found.error_px(), class) {
         (Some(error), _) => format!("reprojection error {error:.2} px"),
         (None, "outlier") => "landmark behind the camera".to_owned(),

@@ -1,11 +1,11 @@
 //! The position along each axis over time.
 
-use super::PlotError;
-use super::canvas::{self, ESTIMATE, Mark, ODOMETRY, TRUTH, entry, text};
+use super::canvas::{self, ESTIMATE, Mark, ODOMETRY, TRUTH, entry};
+use super::error::PlotError;
 use super::panel::{Line, Panel};
 use super::run_files::RunFiles;
 use super::series::{range, thin};
-use super::trajectory::View;
+use super::trajectory::PlanView;
 use evaluation::trajectory::StateKind;
 use nalgebra::Vector3;
 use std::path::{Path, PathBuf};
@@ -19,17 +19,17 @@ pub(crate) fn draw(run: &RunFiles, path: &Path) -> Result<PathBuf, PlotError> {
         (StateKind::LocalFromImu, "local pose in L (the run never localized)", ODOMETRY)
     };
     let gravity = run.truth.as_ref().map_or_else(|| -Vector3::z(), |truth| truth.gravity);
-    // L is level by definition, so only what is in G has to be levelled.
-    let view = View::along(if localized { &gravity } else { &LOCAL_GRAVITY });
+    // L is gravity-aligned by definition; G may have any orientation.
+    let view = PlanView::along(if localized { &gravity } else { &LOCAL_GRAVITY });
     let estimate: Vec<(f64, [f64; 3])> = run
         .states
         .iter()
         .filter_map(|state| Some((run.seconds(state.stamp_ns), state.get(kind)?)))
-        .map(|(time, state)| (time, view.look_with_height(&state.pose.translation)))
+        .map(|(time, state)| (time, view.project_with_height(&state.pose.translation)))
         .collect();
     let truth: Vec<(f64, [f64; 3])> = if localized {
         let rows = run.truth_rows().iter();
-        rows.map(|row| (run.seconds(row.stamp_ns), view.look_with_height(&row.pose.translation))).collect()
+        rows.map(|row| (run.seconds(row.stamp_ns), view.project_with_height(&row.pose.translation))).collect()
     } else {
         Vec::new()
     };
@@ -54,7 +54,7 @@ pub(crate) fn draw(run: &RunFiles, path: &Path) -> Result<PathBuf, PlotError> {
                 ],
                 ..Panel::default()
             };
-            panel.draw(area).map_err(text)?;
+            panel.draw(area)?;
         }
         Ok(())
     })

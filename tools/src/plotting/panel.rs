@@ -1,6 +1,7 @@
 //! One set of axes with lines, bands and dots.
 
-use super::canvas::{Area, FONT, GRID, INK, text};
+use super::canvas::{Area, FONT, GRID, INK};
+use super::error::DrawError;
 use plotters::prelude::*;
 use std::ops::Range;
 
@@ -64,7 +65,7 @@ pub(crate) fn inner_size(area: &Area<'_>) -> (f64, f64) {
 
 impl Panel {
     /// Draws the panel into an area.
-    pub(crate) fn draw(&self, area: &Area<'_>) -> Result<(), String> {
+    pub(crate) fn draw(&self, area: &Area<'_>) -> Result<(), DrawError> {
         let mut builder = ChartBuilder::on(area);
         if !self.title.is_empty() {
             builder.caption(&self.title, (FONT, LETTERS).into_font().color(&INK));
@@ -74,8 +75,7 @@ impl Panel {
             .margin_right(RIGHT)
             .x_label_area_size(BELOW)
             .y_label_area_size(LEFT)
-            .build_cartesian_2d(self.x.clone(), self.y.clone())
-            .map_err(text)?;
+            .build_cartesian_2d(self.x.clone(), self.y.clone())?;
         let letters = (FONT, LETTERS).into_font().color(&INK);
         chart
             .configure_mesh()
@@ -90,30 +90,29 @@ impl Panel {
             .y_labels(6)
             .x_label_formatter(&|value| number(*value, &self.x))
             .y_label_formatter(&|value| number(*value, &self.y))
-            .draw()
-            .map_err(text)?;
+            .draw()?;
         for band in &self.bands {
             let clipped =
                 |(x, height): &(f64, f64), sign: f64| (*x, (sign * height).clamp(self.y.start, self.y.end));
             let upper = band.heights.iter().map(|point| clipped(point, 1.0));
             let lower = band.heights.iter().rev().map(|point| clipped(point, -1.0));
             let polygon = Polygon::new(upper.chain(lower).collect::<Vec<_>>(), band.colour.filled());
-            chart.draw_series(std::iter::once(polygon)).map_err(text)?;
+            chart.draw_series(std::iter::once(polygon))?;
         }
         for needles in &self.needles {
             let style = needles.colour.stroke_width(needles.width);
             let lines =
                 needles.points.iter().map(|(x, y)| PathElement::new(vec![(*x, 0.0), (*x, *y)], style));
-            chart.draw_series(lines).map_err(text)?;
+            chart.draw_series(lines)?;
         }
         for line in &self.lines {
             let style = line.colour.stroke_width(line.width);
-            chart.draw_series(LineSeries::new(line.points.iter().copied(), style)).map_err(text)?;
+            chart.draw_series(LineSeries::new(line.points.iter().copied(), style))?;
         }
         for dots in &self.dots {
             let circles =
                 dots.points.iter().map(|point| Circle::new(*point, dots.radius, dots.colour.filled()));
-            chart.draw_series(circles).map_err(text)?;
+            chart.draw_series(circles)?;
         }
         Ok(())
     }

@@ -1,7 +1,7 @@
-//! What each query came to.
+//! The result of each query.
 
-use super::PlotError;
-use super::canvas::{self, BAD, ESTIMATE, GOOD, Mark, ODOMETRY, TRUTH, entry, text};
+use super::canvas::{self, BAD, ESTIMATE, GOOD, Mark, ODOMETRY, TRUTH, entry};
+use super::error::PlotError;
 use super::events::QueryEvent;
 use super::panel::{Dots, Needles, Panel};
 use super::run_files::RunFiles;
@@ -11,18 +11,18 @@ use std::path::{Path, PathBuf};
 /// Draws reprojection errors, matches and inliers of all queries.
 pub(crate) fn draw(run: &RunFiles, events: &[QueryEvent], path: &Path) -> Result<PathBuf, PlotError> {
     let legend = [
-        entry(Mark::Dot, GOOD, "accepted"),
-        entry(Mark::Dot, ODOMETRY, "accepted, re-linearized"),
-        entry(Mark::Dot, BAD, "refused"),
+        entry(Mark::Dot, GOOD, "used"),
+        entry(Mark::Dot, ODOMETRY, "used, re-linearized"),
+        entry(Mark::Dot, BAD, "rejected"),
         entry(Mark::Line, ESTIMATE, "inliers"),
         entry(Mark::Line, TRUTH, "matches"),
     ];
-    let accepted = events.iter().filter(|event| event.accepted).count();
-    let title = format!("{} \u{2013} {} queries, {accepted} accepted", run.name, events.len());
+    let used = events.iter().filter(|event| event.accepted).count();
+    let title = format!("{} \u{2013} {} queries, {used} used", run.name, events.len());
     canvas::draw(path, (1120, 660), &title, &legend, |body| {
         let areas = body.split_evenly((2, 1));
-        errors(run, events).draw(&areas[0]).map_err(text)?;
-        counts(run, events).draw(&areas[1]).map_err(text)
+        errors(run, events).draw(&areas[0])?;
+        counts(run, events).draw(&areas[1])
     })
 }
 

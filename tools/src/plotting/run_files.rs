@@ -1,32 +1,32 @@
-//! The output folder of a run, and the truth it can be held against.
+//! The output folder of a run, and its ground truth.
 
-use super::events::read_events;
-use super::{PlotError, QueryEvent};
+use super::error::PlotError;
+use super::events::{QueryEvent, read_events};
 use evaluation::trajectory::{StateRow, states};
 use evaluation::{RunErrors, RunScore, ScoreError, ScoreOptions, run_errors, score_run};
 use nalgebra::Vector3;
 use sensors::{Sequence, TruthRow, read_groundtruth};
 use std::path::{Path, PathBuf};
 
-/// The truth of a run.
+/// The ground truth of a run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Truth {
-    /// Of the IMU in G.
+    /// Pose of the IMU in G.
     pub rows: Vec<TruthRow>,
-    /// Unit direction in which gravity pulls in G.
+    /// Unit direction of gravity in G.
     pub gravity: Vector3<f64>,
 }
 
-/// What is known of a run.
+/// The data of a run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RunFiles {
-    /// What to call it in titles.
+    /// Its name in titles.
     pub name: String,
-    /// What it put out.
+    /// Its outputs.
     pub states: Vec<StateRow>,
     /// Its queries, if it kept a record of them.
     pub events: Option<Vec<QueryEvent>>,
-    /// The truth, if it is known.
+    /// Its ground truth, if known.
     pub truth: Option<Truth>,
     /// Positions of the map's keyframes in G, metres; empty where they are not known.
     pub keyframes: Vec<Vector3<f64>>,
@@ -38,9 +38,9 @@ impl RunFiles {
     /// Reads an output folder.
     ///
     /// # Arguments
-    /// * `groundtruth`: the truth's file; left out, the recording that `summary.json` names is looked at.
-    /// * `gravity`: where it pulls in the truth's frame; left out, it is worked out from the recording that the
-    ///   truth belongs to, and along -z where that is not possible.
+    /// * `groundtruth`: file of the ground truth; `None` takes it from the recording that `summary.json` names.
+    /// * `gravity`: its direction in the frame of the ground truth; `None` computes it from the recording, with -z where
+    ///   that is not possible.
     ///
     /// # Errors
     /// [`PlotError`] where `states.csv` is missing, or a file cannot be understood.
@@ -107,15 +107,15 @@ impl RunFiles {
 /// # Errors
 /// [`PlotError`] where the file cannot be read.
 pub fn read_keyframes(path: &Path) -> Result<Vec<Vector3<f64>>, PlotError> {
-    let wrong = |problem: String| PlotError::File { path: path.to_path_buf(), problem };
-    let text = std::fs::read_to_string(path).map_err(|error| wrong(error.to_string()))?;
+    let text = std::fs::read_to_string(path)
+        .map_err(|source| PlotError::Read { path: path.to_path_buf(), source })?;
     let rows = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty() && !line.starts_with('#'));
     rows.map(|(index, line)| {
         let cells: Vec<f64> =
             line.split(',').skip(2).take(3).map_while(|cell| cell.trim().parse().ok()).collect();
         <[f64; 3]>::try_from(cells)
             .map(Vector3::from)
-            .map_err(|_| wrong(format!("line {}: columns 3 to 5 are no position", index + 1)))
+            .map_err(|_| PlotError::Keyframe { path: path.to_path_buf(), line: index + 1 })
     })
     .collect()
 }
@@ -152,7 +152,7 @@ fn truth_from_summary(
         return Ok(None);
     };
     let summary: serde_json::Value = serde_json::from_str(&text)
-        .map_err(|error| PlotError::File { path: path.to_path_buf(), problem: error.to_string() })?;
+        .map_err(|source| PlotError::Summary { path: path.to_path_buf(), source })?;
     let Some(root) = summary.get("sequence").and_then(serde_json::Value::as_str).map(PathBuf::from) else {
         missing.push(
             "summary.json does not name the recording, so no truth and no errors are drawn.".to_owned(),

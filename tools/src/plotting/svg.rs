@@ -1,4 +1,4 @@
-//! A writer of SVG for what the plotting library cannot do: embedded images and words that show on hovering.
+//! A writer of SVG for what the plotting library cannot do: embedded images and tooltips.
 //!
 //! Text and attributes are escaped here and nowhere else, and every element that is opened is closed at the end.
 
@@ -13,7 +13,7 @@ use super::canvas::FONT;
 /// An attribute of an element.
 pub(super) type Attribute<'a> = (&'a str, &'a dyn Display);
 
-/// A drawing in the making.
+/// A drawing in progress.
 pub(super) struct Svg {
     text: String,
     open: Vec<&'static str>,

@@ -1,7 +1,7 @@
-//! The run from above.
+//! Plan view of a run.
 
-use super::PlotError;
-use super::canvas::{self, Area, BAD, ESTIMATE, GOOD, LegendEntry, MAP, Mark, ODOMETRY, TRUTH, entry, text};
+use super::canvas::{self, Area, BAD, ESTIMATE, GOOD, LegendEntry, MAP, Mark, ODOMETRY, TRUTH, entry};
+use super::error::{DrawError, PlotError};
 use super::panel::{Dots, Line, Panel, inner_size};
 use super::run_files::RunFiles;
 use super::series::{range, thin_path};
@@ -11,53 +11,53 @@ use nalgebra::{UnitQuaternion, Vector3};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-/// Looks down along gravity.
-pub(crate) struct View {
-    /// Turns gravity to -z.
+/// Projection along gravity.
+pub(crate) struct PlanView {
+    /// Rotates gravity to -z.
     level: UnitQuaternion<f64>,
 }
 
-impl View {
-    /// For a frame in which gravity pulls along `gravity`.
+impl PlanView {
+    /// For a frame with gravity along `gravity`.
     pub(crate) fn along(gravity: &Vector3<f64>) -> Self {
         let half_turn = || UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
         Self { level: UnitQuaternion::rotation_between(gravity, &-Vector3::z()).unwrap_or_else(half_turn) }
     }
 
-    /// A position on the plan.
-    pub(crate) fn look(&self, position: &Vector3<f64>) -> (f64, f64) {
+    /// A position in the plan: x, y.
+    pub(crate) fn project(&self, position: &Vector3<f64>) -> (f64, f64) {
         let seen = self.level * position;
         (seen.x, seen.y)
     }
 
-    /// A position on the plan, and its height.
-    pub(crate) fn look_with_height(&self, position: &Vector3<f64>) -> [f64; 3] {
+    /// A position in the plan, and its height.
+    pub(crate) fn project_with_height(&self, position: &Vector3<f64>) -> [f64; 3] {
         (self.level * position).into()
     }
 }
 
-/// Draws the run from above.
+/// Draws the plan view of a run.
 pub(crate) fn draw(run: &RunFiles, path: &Path) -> Result<PathBuf, PlotError> {
     let gravity = run.truth.as_ref().map_or_else(|| -Vector3::z(), |truth| truth.gravity);
-    let view = View::along(&gravity);
+    let view = PlanView::along(&gravity);
     let mut legend = Vec::new();
     let mut lines = Vec::new();
     let mut dots = Vec::new();
     if !run.keyframes.is_empty() {
-        let points = run.keyframes.iter().map(|position| view.look(position)).collect();
+        let points = run.keyframes.iter().map(|position| view.project(position)).collect();
         dots.push(Dots { points, colour: MAP, radius: 3 });
         legend.push(entry(Mark::Dot, MAP, "keyframes of the map"));
     }
     add_truth(run, &view, &mut lines, &mut legend);
     add_local(run, &view, &mut lines, &mut legend);
     add_pose(run, &view, &mut lines, &mut legend);
-    add_fixes(run, &view, &mut dots, &mut legend);
-    let title = format!("{} \u{2013} from above", run.name);
+    add_queries(run, &view, &mut dots, &mut legend);
+    let title = format!("{} \u{2013} plan view", run.name);
     canvas::draw(path, (1000, 900), &title, &legend, |body| plan(body, lines, dots))
 }
 
 /// A plan with the same scale along both axes.
-pub(crate) fn plan(area: &Area<'_>, lines: Vec<Line>, dots: Vec<Dots>) -> Result<(), String> {
+pub(crate) fn plan(area: &Area<'_>, lines: Vec<Line>, dots: Vec<Dots>) -> Result<(), DrawError> {
     let points = || {
         let of_lines = lines.iter().flat_map(|line| line.points.iter());
         of_lines.chain(dots.iter().flat_map(|dots| dots.points.iter()))
@@ -69,7 +69,7 @@ pub(crate) fn plan(area: &Area<'_>, lines: Vec<Line>, dots: Vec<Dots>) -> Result
     );
     let panel =
         Panel { x_label: "x [m]", y_label: "y [m]".to_owned(), x, y, lines, dots, ..Panel::default() };
-    panel.draw(area).map_err(text)
+    panel.draw(area)
 }
 
 /// Widens one of two ranges so that a metre is as long on both axes.
@@ -82,53 +82,54 @@ fn same_scale(x: Range<f64>, y: Range<f64>, (width, height): (f64, f64)) -> (Ran
     (widened(x, width), widened(y, height))
 }
 
-fn add_truth(run: &RunFiles, view: &View, lines: &mut Vec<Line>, legend: &mut Vec<LegendEntry>) {
-    let points: Vec<_> = run.truth_rows().iter().map(|row| view.look(&row.pose.translation)).collect();
+fn add_truth(run: &RunFiles, view: &PlanView, lines: &mut Vec<Line>, legend: &mut Vec<LegendEntry>) {
+    let points: Vec<_> = run.truth_rows().iter().map(|row| view.project(&row.pose.translation)).collect();
     if !points.is_empty() {
         lines.push(Line { points: thin_path(&points), colour: TRUTH, width: 4 });
         legend.push(entry(Mark::Line, TRUTH, "truth"));
     }
 }
 
-/// The local pose, laid where L truly lies, or else where the filter last believed it to lie.
-fn add_local(run: &RunFiles, view: &View, lines: &mut Vec<Line>, legend: &mut Vec<LegendEntry>) {
-    let truly = run.errors().and_then(Result::ok).map(|errors| errors.true_global_from_local);
-    let believed =
+/// The local pose, with L at its true pose, or else at the last estimate of it.
+fn add_local(run: &RunFiles, view: &PlanView, lines: &mut Vec<Line>, legend: &mut Vec<LegendEntry>) {
+    let true_pose = run.errors().and_then(Result::ok).map(|errors| errors.true_global_from_local);
+    let last_estimate =
         || run.states.iter().rev().find_map(|state| state.global_from_local.as_ref()).map(|state| state.pose);
-    let (place, label) = match truly {
-        Some(place) => (place, "local pose, L where it truly lies"),
-        None => match believed() {
-            Some(place) => (place, "local pose, L where it was last believed to lie"),
+    let (global_from_local, label) = match true_pose {
+        Some(pose) => (pose, "local pose, with L at its true pose"),
+        None => match last_estimate() {
+            Some(pose) => (pose, "local pose, with L at its last estimate"),
             None => (Pose::identity(), "local pose in L"),
         },
     };
-    let at =
-        |state: &evaluation::trajectory::StateRow| place.transform(&state.local_from_imu.pose.translation);
-    let points: Vec<_> = run.states.iter().map(|state| view.look(&at(state))).collect();
+    let at = |state: &evaluation::trajectory::StateRow| {
+        global_from_local.transform(&state.local_from_imu.pose.translation)
+    };
+    let points: Vec<_> = run.states.iter().map(|state| view.project(&at(state))).collect();
     lines.push(Line { points: thin_path(&points), colour: ODOMETRY, width: 2 });
     legend.push(entry(Mark::Line, ODOMETRY, label));
 }
 
-fn add_pose(run: &RunFiles, view: &View, lines: &mut Vec<Line>, legend: &mut Vec<LegendEntry>) {
+fn add_pose(run: &RunFiles, view: &PlanView, lines: &mut Vec<Line>, legend: &mut Vec<LegendEntry>) {
     let poses = run.states.iter().filter_map(|state| state.get(StateKind::GlobalFromImu));
-    let points: Vec<_> = poses.map(|state| view.look(&state.pose.translation)).collect();
+    let points: Vec<_> = poses.map(|state| view.project(&state.pose.translation)).collect();
     if !points.is_empty() {
         lines.push(Line { points: thin_path(&points), colour: ESTIMATE, width: 2 });
         legend.push(entry(Mark::Line, ESTIMATE, "pose in G"));
     }
 }
 
-/// Where queries corrected the pose, and where their answers were refused.
-fn add_fixes(run: &RunFiles, view: &View, dots: &mut Vec<Dots>, legend: &mut Vec<LegendEntry>) {
+/// Positions of queries whose match was used, and of those whose match was rejected.
+fn add_queries(run: &RunFiles, view: &PlanView, dots: &mut Vec<Dots>, legend: &mut Vec<LegendEntry>) {
     let matched = run.events.iter().flatten().filter(|event| event.matches > 0);
     let (mut good, mut bad) = (Vec::new(), Vec::new());
     for event in matched {
         let state = run.states.binary_search_by_key(&event.stamp_ns, |state| state.stamp_ns).ok();
         let Some(pose) = state.and_then(|index| run.states[index].global_from_imu.as_ref()) else { continue };
         let list = if event.accepted { &mut good } else { &mut bad };
-        list.push(view.look(&pose.pose.translation));
+        list.push(view.project(&pose.pose.translation));
     }
-    for (points, colour, label) in [(good, GOOD, "match accepted"), (bad, BAD, "match refused")] {
+    for (points, colour, label) in [(good, GOOD, "match used"), (bad, BAD, "match rejected")] {
         if !points.is_empty() {
             dots.push(Dots { points, colour, radius: 3 });
             legend.push(entry(Mark::Dot, colour, label));

@@ -89,19 +89,19 @@ fn relative_errors_agree_with_evo() {
 }
 
 #[test]
-fn stretches_of_seconds_are_as_long_as_asked() {
+fn segments_of_seconds_have_the_given_length() {
     let (reference, estimate) = (reference(), estimate());
     let pairs = associate(&reference, &estimate, 10_000_000);
     let errors = relative_errors(&reference, &estimate, &pairs, Delta::Seconds(1.0));
-    // 10 s, in stretches of 1 s that may overshoot by one missing pose.
+    // 10 s, in segments of 1 s that may overshoot by one missing pose.
     assert!((8..=9).contains(&errors.metres.len()), "{}", errors.metres.len());
 }
 
 #[test]
-fn a_moved_copy_is_laid_back_exactly() {
+fn a_moved_copy_is_aligned_exactly() {
     let truth = reference();
     let gravity = Vector3::new(-1.0, 0.2, 0.1).normalize();
-    let level = alignment::levelling(&gravity, &-Vector3::z());
+    let level = alignment::rotation_between(&gravity, &-Vector3::z());
     let yawed = Pose::new(level * rotation(0.0, 0.0, 2.5), Vector3::new(3.0, 4.0, -5.0));
     let tilted = Pose::new(rotation(0.4, -1.1, 2.0), Vector3::new(3.0, 4.0, -5.0));
     let about_gravity = Alignment::Yaw { gravity_in_reference: gravity, gravity_in_estimate: -Vector3::z() };

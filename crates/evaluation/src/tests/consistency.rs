@@ -1,4 +1,4 @@
-//! NEES is 1 for an honest filter, and only for an honest one.
+//! NEES is 1 for a consistent filter, and only for a consistent one.
 
 use super::*;
 use geometry::uncertain_pose::PoseWithCovariance;
@@ -11,7 +11,7 @@ fn normal(rng: &mut StdRng) -> f64 {
     (0..12).map(|_| rng.random_range(-0.5..0.5)).sum()
 }
 
-/// Mean NEES of estimates whose errors are `factor` times as large as they say.
+/// Mean NEES of estimates whose errors are `factor` times as large as their covariance says.
 fn mean_nees(factor: f64) -> Nees {
     let mut rng = StdRng::seed_from_u64(3);
     let root = Matrix6::from_fn(|_, _| rng.random_range(-0.05..0.05)) + Matrix6::identity() * 0.05;
@@ -29,7 +29,7 @@ fn mean_nees(factor: f64) -> Nees {
 }
 
 #[test]
-fn honest_estimates_have_a_nees_of_one_within_the_bounds() {
+fn consistent_estimates_have_a_nees_of_one_within_the_bounds() {
     let mean = mean_nees(1.0);
     for (value, degrees) in [(mean.rotation, 3), (mean.position, 3), (mean.pose, 6)] {
         let (low, high) = nees_bounds(degrees, 4000, 0.999).unwrap();
@@ -39,8 +39,8 @@ fn honest_estimates_have_a_nees_of_one_within_the_bounds() {
 
 #[test]
 fn an_estimate_twice_as_wrong_as_it_says_has_a_nees_of_four() {
-    let (honest, boasting) = (mean_nees(1.0), mean_nees(2.0));
-    assert!((boasting.pose / honest.pose - 4.0).abs() < 1e-9);
+    let (consistent, overconfident) = (mean_nees(1.0), mean_nees(2.0));
+    assert!((overconfident.pose / consistent.pose - 4.0).abs() < 1e-9);
 }
 
 #[test]

@@ -6,9 +6,9 @@ use geometry::uncertain_pose::PoseWithCovariance;
 use nalgebra::Matrix6;
 use sensors::TruthRow;
 
-/// Where L truly lies; gravity in G pulls along -x.
+/// The true pose of L in G; gravity in G is along -x.
 fn true_global_from_local() -> Pose {
-    let level = alignment::levelling(&gravity(), &-Vector3::z());
+    let level = alignment::rotation_between(&gravity(), &-Vector3::z());
     Pose::new(level * rotation(0.0, 0.0, 1.2), Vector3::new(7.0, -2.0, 3.0))
 }
 
@@ -27,24 +27,25 @@ fn truth() -> Vec<TruthRow> {
     reference().into_iter().map(row).collect()
 }
 
-fn sure(pose: Pose) -> PoseWithCovariance {
+fn certain(pose: Pose) -> PoseWithCovariance {
     PoseWithCovariance::new(pose, Matrix6::identity() * 1e-4)
 }
 
-/// A perfect run whose first fix comes at the 40th frame, with L moved against the truth by `gauge` after that.
+/// A perfect run whose map initialization comes at the 40th frame, with L moved against the truth by `gauge`.
 fn states(gauge: impl Fn(usize) -> Pose) -> Vec<StateRow> {
-    let place = true_global_from_local();
+    let global_from_local = true_global_from_local();
     truth()
         .iter()
         .enumerate()
         .map(|(index, row)| {
-            let local_from_imu = gauge(index).compose(&place.inverse()).compose(&row.pose);
-            let fixed = index >= 40;
+            let local_from_imu = gauge(index).compose(&global_from_local.inverse()).compose(&row.pose);
+            let is_initialized = index >= 40;
             StateRow {
                 stamp_ns: row.stamp_ns,
-                local_from_imu: sure(local_from_imu),
-                global_from_local: fixed.then(|| sure(place.compose(&gauge(index).inverse()))),
-                global_from_imu: fixed.then(|| sure(row.pose)),
+                local_from_imu: certain(local_from_imu),
+                global_from_local: is_initialized
+                    .then(|| certain(global_from_local.compose(&gauge(index).inverse()))),
+                global_from_imu: is_initialized.then(|| certain(row.pose)),
             }
         })
         .collect()
@@ -61,7 +62,9 @@ fn a_perfect_run_has_no_error_wherever_local_lies() {
     }
     assert!(score.odometry_yaw_aligned_m.max < 1e-9);
     assert_eq!((score.local.samples, score.pose.unwrap().samples), (200, 200 - 40 - 100));
-    assert!((score.first_fix_s.unwrap() - 2.0).abs() < 1e-9 && (score.duration_s - 9.95).abs() < 1e-9);
+    assert!(
+        (score.map_initialization_s.unwrap() - 2.0).abs() < 1e-9 && (score.duration_s - 9.95).abs() < 1e-9
+    );
     let errors = run_errors(&states(|_| Pose::identity()), &truth(), gravity()).unwrap();
     assert!(errors.true_global_from_local.local(&true_global_from_local()).amax() < 1e-9);
 }
@@ -114,7 +117,7 @@ fn a_run_that_never_localizes_has_a_local_score_only() {
         (state.global_from_local, state.global_from_imu) = (None, None);
     }
     let score = score_run(&states, &truth(), gravity(), &ScoreOptions::default()).unwrap();
-    assert!(score.pose.is_none() && score.transform.is_none() && score.first_fix_s.is_none());
+    assert!(score.pose.is_none() && score.transform.is_none() && score.map_initialization_s.is_none());
     assert_eq!(
         score_run(&states, &truth()[..1], -gravity(), &ScoreOptions::default()).unwrap().local.samples,
         1

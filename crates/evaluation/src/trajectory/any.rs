@@ -1,4 +1,4 @@
-//! Reads whatever trajectory file it is given, by looking at its first line.
+//! Reads a trajectory file of any of the formats, recognized by its first line.
 
 use super::{StampedPose, StateKind, states, tum};
 use nalgebra::Matrix6;
@@ -18,7 +18,7 @@ pub struct TrajectoryFile {
 
 /// Reads a TUM file, EuRoC ground truth, or one state of a `states.csv`.
 ///
-/// `state` chooses from `states.csv`, and is not looked at for the others.
+/// `state` selects a pose of `states.csv`; other formats ignore it.
 ///
 /// # Errors
 /// [`SequenceError`] with the file and the line.
@@ -53,7 +53,7 @@ fn one_state(path: &Path, state: StateKind) -> Result<TrajectoryFile, SequenceEr
 /// The first line that is neither empty nor a comment.
 fn first_row(path: &Path) -> Result<Option<String>, SequenceError> {
     let file = File::open(path).map_err(|source| match source.kind() {
-        std::io::ErrorKind::NotFound => SequenceError::missing(path, "it is meant to be a trajectory"),
+        std::io::ErrorKind::NotFound => SequenceError::missing(path, "a trajectory was expected there"),
         _ => SequenceError::io(path, source),
     })?;
     for line in BufReader::new(file).lines() {

@@ -1,6 +1,6 @@
 //! Trajectories on disk: TUM files, EuRoC ground truth, and `states.csv` with covariances.
 //!
-//! | file | what | module |
+//! | file | content | module |
 //! |---|---|---|
 //! | `*.tum` | `t x y z qx qy qz qw`, seconds with 9 decimals | [`tum`] |
 //! | `states.csv` | each output of a run with its 6x6 covariance | [`states`] |
@@ -20,6 +20,6 @@ use geometry::pose::Pose;
 pub struct StampedPose {
     /// Time, nanoseconds.
     pub stamp_ns: i64,
-    /// The pose; the file says of what in what.
+    /// The pose; which frames it relates, its context says.
     pub pose: Pose,
 }

@@ -1,4 +1,4 @@
-//! `states.csv`: everything a run put out, each pose with its covariance.
+//! `states.csv`: every output of a run, each pose with its covariance.
 //!
 //! One line a pose: time, which pose, position, quaternion (w first), and the upper triangle of the 6x6 covariance of
 //! `[dtheta, dp]` (rad, metres, parent frame), row by row: `c_00, c_01 .. c_05, c_11 .. c_55`.
@@ -42,7 +42,7 @@ impl StateKind {
     }
 }
 
-/// What a run put out at one instant.
+/// The outputs of a run at one instant.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StateRow {
     /// Time, nanoseconds.
@@ -92,7 +92,7 @@ impl StateWriter {
         Ok(Self { path: path.to_path_buf(), out })
     }
 
-    /// Appends what was put out at one instant.
+    /// Appends the outputs of one instant.
     ///
     /// # Errors
     /// [`SequenceError::Io`] with the file.
@@ -133,17 +133,17 @@ pub fn write(path: &Path, rows: &[StateRow]) -> Result<(), SequenceError> {
 pub fn read(path: &Path) -> Result<Vec<StateRow>, SequenceError> {
     let rows: Vec<StateRow> = StateReader::open(path)?.collect::<Result<_, _>>()?;
     if rows.is_empty() {
-        return Err(SequenceError::empty(path, "the run put nothing out; look at its log"));
+        return Err(SequenceError::empty(path, "the run has no output; see its log"));
     }
     Ok(rows)
 }
 
-/// Reads `states.csv` instant by instant, none of it kept. It ends with the first error.
+/// Reads `states.csv` instant by instant, in constant memory. It ends with the first error.
 pub struct StateReader {
-    /// Gone after the last row or an error.
+    /// `None` after the last row or an error.
     table: Option<Table>,
-    /// The instant that is put together.
-    begun: Option<StateRow>,
+    /// The instant whose rows are being read.
+    pending: Option<StateRow>,
 }
 
 impl StateReader {
@@ -152,7 +152,7 @@ impl StateReader {
     /// # Errors
     /// [`SequenceError`] with the file.
     pub fn open(path: &Path) -> Result<Self, SequenceError> {
-        Ok(Self { table: Some(Table::open(path, "a run writes it to its --out folder")?), begun: None })
+        Ok(Self { table: Some(Table::open(path, "a run writes it to its --out folder")?), pending: None })
     }
 
     fn read_next(&mut self) -> Result<Option<StateRow>, SequenceError> {
@@ -160,29 +160,29 @@ impl StateReader {
         while let Some(row) = table.next_row()? {
             let (stamp_ns, kind, state) = parse_state(&row)?;
             if kind == StateKind::LocalFromImu {
-                check_order(&row, self.begun.as_ref().map(|before| before.stamp_ns), stamp_ns)?;
-                let begun = StateRow {
+                check_order(&row, self.pending.as_ref().map(|before| before.stamp_ns), stamp_ns)?;
+                let row_begun = StateRow {
                     stamp_ns,
                     local_from_imu: state,
                     global_from_local: None,
                     global_from_imu: None,
                 };
-                match self.begun.replace(begun) {
+                match self.pending.replace(row_begun) {
                     Some(whole) => return Ok(Some(whole)),
                     None => continue,
                 }
             }
-            let Some(begun) = self.begun.as_mut().filter(|begun| begun.stamp_ns == stamp_ns) else {
+            let Some(pending) = self.pending.as_mut().filter(|pending| pending.stamp_ns == stamp_ns) else {
                 return Err(row.wrong("local_from_imu of the same time must come first"));
             };
-            let place = match kind {
-                StateKind::GlobalFromLocal => &mut begun.global_from_local,
-                _ => &mut begun.global_from_imu,
+            let slot = match kind {
+                StateKind::GlobalFromLocal => &mut pending.global_from_local,
+                _ => &mut pending.global_from_imu,
             };
-            *place = Some(state);
+            *slot = Some(state);
         }
         self.table = None;
-        Ok(self.begun.take())
+        Ok(self.pending.take())
     }
 }
 

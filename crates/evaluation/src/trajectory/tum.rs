@@ -10,6 +10,7 @@ use std::fmt::Write as _;
 use std::fs::File;
 use std::io::{BufWriter, Write as _};
 use std::path::{Path, PathBuf};
+use thiserror::Error;
 
 /// How far a written quaternion's length may be from 1.
 const QUATERNION_TOLERANCE: f64 = 1e-2;
@@ -18,11 +19,11 @@ const NANOSECONDS: i64 = 1_000_000_000;
 /// Reads a TUM trajectory. Empty lines and lines that begin with `#` are skipped.
 ///
 /// # Errors
-/// [`SequenceError`] with the file and the line: a row that is cut off or not finite, a quaternion that is none,
+/// [`SequenceError`] with the file and the line: a row that is cut off or not finite, a quaternion without unit length,
 /// time stamps out of order, no rows at all.
 pub fn read(path: &Path) -> Result<Vec<StampedPose>, SequenceError> {
     let text = std::fs::read_to_string(path).map_err(|source| match source.kind() {
-        std::io::ErrorKind::NotFound => SequenceError::missing(path, "it is meant to be a trajectory"),
+        std::io::ErrorKind::NotFound => SequenceError::missing(path, "a trajectory was expected there"),
         _ => SequenceError::io(path, source),
     })?;
     let mut poses: Vec<StampedPose> = Vec::new();
@@ -31,17 +32,14 @@ pub fn read(path: &Path) -> Result<Vec<StampedPose>, SequenceError> {
         if line.is_empty() || line.starts_with('#') {
             continue;
         }
-        let wrong = |problem: String| SequenceError::Row {
+        let wrong = |problem: RowProblem| SequenceError::Row {
             path: path.to_path_buf(),
             line: index as u64 + 1,
-            problem,
+            problem: problem.to_string(),
         };
         let pose = parse_line(line).map_err(wrong)?;
         if let Some(before) = poses.last().filter(|before| before.stamp_ns >= pose.stamp_ns) {
-            return Err(wrong(format!(
-                "its time does not come after {}: sort the file by time",
-                seconds(before.stamp_ns)
-            )));
+            return Err(wrong(RowProblem::Order { before_ns: before.stamp_ns }));
         }
         poses.push(pose);
     }
@@ -156,25 +154,41 @@ pub fn nanoseconds(text: &str) -> Option<i64> {
     Some(if negative { -value } else { value })
 }
 
-fn parse_line(line: &str) -> Result<StampedPose, String> {
+/// Why a row is not a pose.
+#[derive(Debug, PartialEq, Error)]
+enum RowProblem {
+    #[error("its time does not come after {}: sort the file by time", seconds(*before_ns))]
+    Order { before_ns: i64 },
+    #[error("\"{0}\" is no time in seconds")]
+    Time(String),
+    #[error("the row is cut off: `t x y z qx qy qz qw` are 8 numbers")]
+    CutOff,
+    #[error("column {column}: \"{cell}\": {source}")]
+    Number { column: usize, cell: String, source: std::num::ParseFloatError },
+    #[error("column {column} is {value}: delete the row")]
+    NotFinite { column: usize, value: f64 },
+    #[error("the quaternion has length {norm:.3} instead of 1: check the order of the columns")]
+    Quaternion { norm: f64 },
+}
+
+fn parse_line(line: &str) -> Result<StampedPose, RowProblem> {
     let mut cells = line.split_ascii_whitespace();
     let stamp = cells.next().unwrap_or_default();
-    let stamp_ns = nanoseconds(stamp).ok_or_else(|| format!("\"{stamp}\" is no time in seconds"))?;
+    let stamp_ns = nanoseconds(stamp).ok_or_else(|| RowProblem::Time(stamp.to_owned()))?;
     let mut values = [0.0_f64; 7];
     for (index, value) in values.iter_mut().enumerate() {
-        let cell = cells.next().ok_or("the row is cut off: `t x y z qx qy qz qw` are 8 numbers")?;
-        *value = cell.parse().map_err(|error| format!("column {}: \"{cell}\": {error}", index + 2))?;
+        let column = index + 2;
+        let cell = cells.next().ok_or(RowProblem::CutOff)?;
+        *value =
+            cell.parse().map_err(|source| RowProblem::Number { column, cell: cell.to_owned(), source })?;
         if !value.is_finite() {
-            return Err(format!("column {} is {value}: delete the row", index + 2));
+            return Err(RowProblem::NotFinite { column, value: *value });
         }
     }
     let [x, y, z, qx, qy, qz, qw] = values;
     let quaternion = Quaternion::new(qw, qx, qy, qz);
     if (quaternion.norm() - 1.0).abs() > QUATERNION_TOLERANCE {
-        return Err(format!(
-            "the quaternion has length {:.3} instead of 1: check the order of the columns",
-            quaternion.norm()
-        ));
+        return Err(RowProblem::Quaternion { norm: quaternion.norm() });
     }
     let pose = Pose::new(UnitQuaternion::new_normalize(quaternion), Vector3::new(x, y, z));
     Ok(StampedPose { stamp_ns, pose })

@@ -1,8 +1,8 @@
-//! What the map says to the images of a run, as `map_server` would: keyframes by rank, landmarks in their anchors.
+//! The map's replies to the images of a run, as `map_server` would give them: ranked keyframes, landmarks in their anchors.
 //!
-//! The pixels of the image are drawn anew for each; those of the map are always the same. Wrong matches have a pixel from
-//! anywhere in the image. A wrong place is the right answer turned about gravity and moved elsewhere: the geometry of the
-//! place fits, only it is not the place, as with two floors of a building.
+//! The noise of the image's pixels is sampled for each image, that of the map's once. A wrong match has a random pixel. A
+//! wrong place is the right reply rotated about gravity and moved: its geometry is consistent, but it is another place, as
+//! with two floors of a building.
 
 use super::noisy_map::NoisyMap;
 use super::{AnswerOptions, global_from_world};
@@ -20,20 +20,20 @@ use sensors::Frame;
 use std::collections::{BTreeMap, HashSet};
 use std::f64::consts::TAU;
 
-/// A keyframe of an answer has at least so many matches, as in `map_server`.
+/// Least matches of a keyframe in a reply, as in `map_server`.
 const MIN_MATCHES: usize = 8;
-/// A wrong place is so far away, metres.
-const ELSEWHERE_M: std::ops::Range<f64> = 10.0..60.0;
-/// Keyframes of a wrong place have names of their own.
-const ELSEWHERE_ID: u64 = 1 << 32;
+/// Distance of a wrong place, metres.
+const WRONG_PLACE_M: std::ops::Range<f64> = 10.0..60.0;
+/// Added to the ids of keyframes of a wrong place.
+const WRONG_PLACE_ID: u64 = 1 << 32;
 
-/// An answer, and whether it is of another place.
+/// A reply, and whether it is of another place.
 pub(crate) struct Answer {
     pub(crate) answer: MapAnswer,
     pub(crate) is_wrong_place: bool,
 }
 
-/// The answers to all images of a run; `None` where the map was not asked or knows nothing.
+/// The replies to all images of a run; `None` where the map was not queried or has no match.
 pub(crate) fn to_frames(
     options: &AnswerOptions,
     simulation: &SimulationOptions,
@@ -47,24 +47,24 @@ pub(crate) fn to_frames(
     let mut is_first = true;
     let answer_to = |(index, frame): (usize, &Frame)| {
         let seconds = index as f64 / simulation.frame_rate_hz;
-        let is_asked = index > 0 && index.is_multiple_of(every);
-        if !is_asked || options.gaps_s.iter().any(|gap| gap.contains(&seconds)) {
+        let is_queried = index > 0 && index.is_multiple_of(every);
+        if !is_queried || options.gaps_s.iter().any(|gap| gap.contains(&seconds)) {
             return None;
         }
-        let world_from_imu = world.live_way.at(frame.stamp_ns).pose;
+        let world_from_imu = world.live_trajectory.at(frame.stamp_ns).pose;
         let mut answer = matched(options, simulation, &mut rng, world, map, &world_from_imu)?;
-        spoil(&mut answer, options.wrong_matches, &mut rng, map);
+        add_wrong_matches(&mut answer, options.wrong_matches, &mut rng, map);
         let is_wrong_place = rng.random_bool(options.wrong_place) && !is_first;
         is_first = false;
         if is_wrong_place {
-            move_elsewhere(&mut answer, &mut rng);
+            move_to_wrong_place(&mut answer, &mut rng);
         }
         Some(Answer { answer, is_wrong_place })
     };
     frames.iter().enumerate().map(answer_to).collect()
 }
 
-/// The right answer.
+/// The right reply.
 fn matched(
     options: &AnswerOptions,
     simulation: &SimulationOptions,
@@ -126,7 +126,7 @@ fn matched(
     })
 }
 
-/// Keyframes that saw most of what the image sees, best first.
+/// Keyframes by the number of landmarks that they share with the image, best first.
 fn best_keyframes(map: &NoisyMap, seen: &[(usize, Vector2<f64>)], count: usize) -> Vec<usize> {
     let mut votes: BTreeMap<usize, usize> = BTreeMap::new();
     for (landmark, _) in seen {
@@ -140,8 +140,8 @@ fn best_keyframes(map: &NoisyMap, seen: &[(usize, Vector2<f64>)], count: usize) 
     ranked.into_iter().take(count.max(1)).map(|(keyframe, _)| keyframe).collect()
 }
 
-/// Matches some features with the wrong landmark.
-fn spoil(answer: &mut MapAnswer, fraction: f64, rng: &mut StdRng, map: &NoisyMap) {
+/// Replaces the pixels of some matches by random ones.
+fn add_wrong_matches(answer: &mut MapAnswer, fraction: f64, rng: &mut StdRng, map: &NoisyMap) {
     let (width, height) = (f64::from(map.camera.width), f64::from(map.camera.height));
     for landmark in &mut answer.landmarks {
         if rng.random_bool(fraction) {
@@ -151,10 +151,10 @@ fn spoil(answer: &mut MapAnswer, fraction: f64, rng: &mut StdRng, map: &NoisyMap
     }
 }
 
-/// Turns an answer about gravity and moves it: another place that looks the same.
-fn move_elsewhere(answer: &mut MapAnswer, rng: &mut StdRng) {
+/// Rotates a reply about gravity and moves it: another place that looks the same.
+fn move_to_wrong_place(answer: &mut MapAnswer, rng: &mut StdRng) {
     let (turn, bearing) = (rng.random_range(0.0..TAU), rng.random_range(0.0..TAU));
-    let far = rng.random_range(ELSEWHERE_M);
+    let far = rng.random_range(WRONG_PLACE_M);
     let here = answer.keyframes[0].global_from_keyframe.pose.translation;
     let upright = global_from_world();
     let aside = upright.rotation * Vector3::new(bearing.cos(), bearing.sin(), 0.0) * far;
@@ -162,13 +162,13 @@ fn move_elsewhere(answer: &mut MapAnswer, rng: &mut StdRng) {
     let moved =
         |pose: &Pose| Pose::new(turned * pose.rotation, here + aside + turned * (pose.translation - here));
     for keyframe in &mut answer.keyframes {
-        keyframe.id += ELSEWHERE_ID;
+        keyframe.id += WRONG_PLACE_ID;
         let stated = keyframe.global_from_keyframe;
-        // Its covariance is the same in every direction, so that turning leaves it as it is.
+        // Its covariance is isotropic, so a rotation does not change it.
         keyframe.global_from_keyframe = PoseWithCovariance::new(moved(&stated.pose), stated.covariance);
     }
     for landmark in &mut answer.landmarks {
-        landmark.anchor += ELSEWHERE_ID;
-        landmark.observations.iter_mut().for_each(|(keyframe, _)| *keyframe += ELSEWHERE_ID);
+        landmark.anchor += WRONG_PLACE_ID;
+        landmark.observations.iter_mut().for_each(|(keyframe, _)| *keyframe += WRONG_PLACE_ID);
     }
 }

@@ -1,7 +1,8 @@
-//! A calibration that is wrong: what the filter is told of its cameras, beside what they are.
+//! Calibration errors: the calibration that the filter is given, beside the true one.
 //!
-//! The pair of cameras is turned and moved on the body as one piece, and both lenses are off by the same factor: what was
-//! calibrated together is wrong together. Sizes are the given ones in every run; directions and signs are drawn.
+//! Both cameras are rotated and moved on the body as one rigid rig, and both focal lengths have the same relative error:
+//! what was calibrated together is wrong together. The magnitudes are the same in every run; directions and signs are
+//! random.
 
 use crate::random::{Purpose, normal, normal3, stream};
 use estimator::CalibratedCamera;
@@ -9,20 +10,20 @@ use geometry::{Pose, rotation};
 use nalgebra::Vector3;
 use serde::Serialize;
 
-/// How wrong the stated calibration is, by its sizes.
+/// Magnitudes of the errors of the stated calibration.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct CalibrationErrors {
-    /// Angle by which the cameras are turned on the body, rad.
+    /// Rotation of the cameras on the body, rad.
     pub rotation_rad: f64,
-    /// Distance by which they are moved on it, metres.
+    /// Translation of the cameras on the body, metres.
     pub translation_m: f64,
-    /// Stamps of images are late or early by so much, seconds.
+    /// Error of the stamps of images, seconds.
     pub time_offset_s: f64,
-    /// The focal lengths are off by this fraction.
+    /// Relative error of the focal lengths.
     pub focal_fraction: f64,
 }
 
-/// The calibration that a filter is told in one run.
+/// The calibration that a filter is given in one run.
 #[derive(Clone, Debug)]
 pub(crate) struct Stated {
     /// The cameras.
@@ -32,23 +33,23 @@ pub(crate) struct Stated {
 }
 
 impl CalibrationErrors {
-    /// Draws directions and signs for one run.
+    /// Samples directions and signs for one run.
     pub(crate) fn draw(&self, seed: u64, truth: &[CalibratedCamera]) -> Stated {
         let mut rng = stream(seed, 1, Purpose::Calibration);
         let turn = direction(normal3(&mut rng)) * self.rotation_rad;
         let shift = direction(normal3(&mut rng)) * self.translation_m;
         let mut sign = || normal(&mut rng).signum();
         let (delay, longer) = (sign() * self.time_offset_s, 1.0 + sign() * self.focal_fraction);
-        let told = |eye: &CalibratedCamera| {
-            let mut told = eye.clone();
-            told.imu_from_camera = Pose::new(
-                rotation::exp(&turn) * eye.imu_from_camera.rotation,
-                eye.imu_from_camera.translation + shift,
+        let stated = |camera: &CalibratedCamera| {
+            let mut stated = camera.clone();
+            stated.imu_from_camera = Pose::new(
+                rotation::exp(&turn) * camera.imu_from_camera.rotation,
+                camera.imu_from_camera.translation + shift,
             );
-            told.camera.focal = eye.camera.focal.map(|focal| focal * longer);
-            told
+            stated.camera.focal = camera.camera.focal.map(|focal| focal * longer);
+            stated
         };
-        Stated { rig: truth.iter().map(told).collect(), image_delay_ns: (delay * 1e9).round() as i64 }
+        Stated { rig: truth.iter().map(stated).collect(), image_delay_ns: (delay * 1e9).round() as i64 }
     }
 }
 
@@ -56,27 +57,27 @@ fn direction(drawn: Vector3<f64>) -> Vector3<f64> {
     drawn.try_normalize(1e-9).unwrap_or_else(Vector3::x)
 }
 
-/// How far one camera's calibration is from the truth.
+/// Error of one camera's calibration.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct CalibrationError {
     /// Rotation, degrees.
     pub deg: f64,
     /// Position on the body, metres.
     pub m: f64,
-    /// Time of images, seconds: what is believed to be their delay minus what it is.
+    /// Delay of the images, seconds: estimated minus true.
     pub seconds: f64,
-    /// Focal length, as a fraction, the larger of both.
+    /// Relative error of the focal length, the larger of both axes.
     pub focal_fraction: f64,
 }
 
 impl CalibrationError {
-    /// Of what a filter believes, told or estimated.
+    /// The error of an estimated or stated calibration.
     ///
     /// # Arguments
-    /// * `delay_s`: by how much stamps of images are late: believed, true.
-    pub fn of(believed: &CalibratedCamera, truth: &CalibratedCamera, delay_s: (f64, f64)) -> Self {
-        let focal = |k: usize| (believed.camera.focal[k] / truth.camera.focal[k] - 1.0).abs();
-        let (pose, true_pose) = (&believed.imu_from_camera, &truth.imu_from_camera);
+    /// * `delay_s`: delay of the stamps of images, seconds: estimated, true.
+    pub fn of(estimate: &CalibratedCamera, truth: &CalibratedCamera, delay_s: (f64, f64)) -> Self {
+        let focal = |k: usize| (estimate.camera.focal[k] / truth.camera.focal[k] - 1.0).abs();
+        let (pose, true_pose) = (&estimate.imu_from_camera, &truth.imu_from_camera);
         Self {
             deg: pose.rotation.angle_to(&true_pose.rotation).to_degrees(),
             m: (pose.translation - true_pose.translation).norm(),

@@ -1,7 +1,6 @@
-//! A map that is served anew in the middle of a run: its frame moves, and its keyframes get other errors.
+//! A new version of the map in the middle of a run: its frame moves, and its keyframes may get other errors.
 //!
-//! G is the frame of the new version, so the truth is the same all the time; before the change the map lies where the drawn
-//! move had not happened yet, and only what the filter says after the change is judged.
+//! G is the frame of the new version, so the truth does not change; only the filter's outputs after the change are scored.
 
 use super::answers::{self, Answer};
 use super::noisy_map::NoisyMap;
@@ -12,18 +11,18 @@ use estimator::{ChangeSize, MapRevision};
 use geometry::{Pose, PoseWithCovariance, rotation};
 use sensors::Frame;
 
-/// How the map changes, and what is said of it.
+/// How the map changes, and what the server states about it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MapChangeOptions {
-    /// When, seconds since the begin.
+    /// Time of the change, seconds from the first image.
     pub at_s: f64,
-    /// Standard deviation of the turn of the map's frame about the robot's place, rad an axis.
+    /// Standard deviation of the rotation of the map's frame about the robot's position, rad an axis.
     pub sigma_theta_rad: f64,
-    /// The same of its shift, metres an axis.
+    /// Standard deviation of its translation, metres an axis.
     pub sigma_p_m: f64,
-    /// The keyframes' own errors are drawn anew; else they stay what they are.
+    /// Whether the keyframes get new errors, or keep theirs.
     pub new_errors: bool,
-    /// Whether the news state these deviations; else they state none.
+    /// Whether the server states these standard deviations, or zero.
     pub is_stated: bool,
 }
 
@@ -31,11 +30,11 @@ pub struct MapChangeOptions {
 pub(crate) struct MapChange {
     /// The first image after it.
     pub(crate) stamp_ns: i64,
-    /// What the server says.
-    pub(crate) news: MapRevision,
+    /// The notification of the server.
+    pub(crate) revision: MapRevision,
 }
 
-/// The answers to all images of a run by the map as it is then, and its change.
+/// The replies to all images of a run by the version of the map at that time, and the change.
 pub(crate) fn answers_and_change(
     options: &MonteCarloOptions,
     simulation: &SimulationOptions,
@@ -55,9 +54,9 @@ pub(crate) fn answers_and_change(
     let mut rng = stream(seed, 0, Purpose::MapChange);
     let (turn, shift) = (normal3(&mut rng) * change.sigma_theta_rad, normal3(&mut rng) * change.sigma_p_m);
     let stamp_ns = frames[begin].stamp_ns;
-    let place = (global_from_world() * world.live_way.at(stamp_ns).pose).translation;
+    let robot = (global_from_world() * world.live_trajectory.at(stamp_ns).pose).translation;
     let turn = rotation::exp(&turn);
-    let old_from_new = Pose::new(turn, place + shift - turn * place).inverse();
+    let old_from_new = Pose::new(turn, robot + shift - turn * robot).inverse();
     let second =
         if change.new_errors { by(&NoisyMap::new(&options.map, simulation, 1, world)) } else { by(&map) };
     let before =
@@ -74,15 +73,15 @@ pub(crate) fn answers_and_change(
         sigma_position_m: scale * change.sigma_p_m,
     };
     let changed_keyframes = (0..map.keyframes.len() as u64).collect();
-    let news = MapRevision { from_version: 1, version: 2, changed_keyframes, size: Some(size) };
-    (before.chain(after).collect(), Some(MapChange { stamp_ns, news }))
+    let revision = MapRevision { from_version: 1, version: 2, changed_keyframes, size: Some(size) };
+    (before.chain(after).collect(), Some(MapChange { stamp_ns, revision }))
 }
 
-/// The answer of the map as it lay before.
+/// A reply in the frame of the old version.
 fn moved(mut answer: Answer, old_from_new: &Pose) -> Answer {
     for keyframe in &mut answer.answer.keyframes {
         let stated = &mut keyframe.global_from_keyframe;
-        // Its covariance is the same in every direction, so that turning leaves it as it is.
+        // Its covariance is isotropic, so a rotation does not change it.
         *stated = PoseWithCovariance::new(*old_from_new * stated.pose, stated.covariance);
     }
     let gravity = &mut answer.answer.gravity_in_global;

@@ -1,20 +1,36 @@
-//! Many seeded runs of the estimator in simulated worlds: whether it is as good as it says, and as it was.
+//! Monte-Carlo runs of the estimator in simulated worlds: its accuracy, and its consistency (NEES).
 //!
-//! Everything happens in memory: [`crate`] makes IMU and tracks, `noisy_map` a map whose keyframes are off
-//! by what it states, `answers` what that map says to an image, and `trial` plays it to the pure estimator. Each seed
-//! has its own way, place, noise, map and first state; all variants of the filter get the same of it.
+//! Everything happens in memory: [`crate`] simulates IMU and tracks, `noisy_map` a map whose keyframes have the errors
+//! that it states, `answers` the map's replies to images, and `trial` runs the estimator on them. Each seed has its own
+//! trajectory, world, noise, map and initial state, which are the same for all variants of the filter.
 //!
-//! What makes the NEES mean something: the first state is the truth minus a draw from the covariance that the filter
-//! starts from (`start`), so L is known exactly and every error is judged against it.
+//! The initial state is the truth minus a sample of the covariance that the filter starts from (`start`), so the true pose
+//! of L is known exactly, and the NEES has its expectation from the first image on.
 //!
-//! | module | what it draws |
+//! | module | what is sampled |
 //! |---|---|
-//! | `start` | the first state, and where L lies |
+//! | `start` | the initial state, and the true pose of L |
 //! | `noisy_map` | poses and pixels of the map's keyframes, once a seed |
 //! | `answers` | pixels of the image, wrong matches, wrong places |
 //! | `map_change` | how the map moves in the middle of a run |
-//! | [`calibration`] | the calibration that the filter is told |
-//! | `trial`, [`mod@score`] | one run, and what all of them say |
+//! | [`calibration`] | the errors of the calibration that the filter is given |
+//! | `trial` | one run |
+//! | [`mod@score`], [`report`] | statistics over all runs, and their table |
+//!
+//! ```
+//! use estimator::EstimatorConfig;
+//! use simulation::SimulationOptions;
+//! use simulation::monte_carlo::{MonteCarloOptions, ScoreOptions, Variant, run, score};
+//!
+//! let mut options = MonteCarloOptions::default();
+//! options.runs = 2;
+//! options.simulation = SimulationOptions { duration_s: Some(3.0), ..SimulationOptions::default() };
+//! let variant = Variant { name: "default".to_owned(), config: EstimatorConfig::default(), cameras: 2 };
+//! let all = run(&options, &[variant], |_| {})?;
+//! let score = score(&all[0], &ScoreOptions::default());
+//! assert_eq!((score.runs, score.diverged), (2, 0));
+//! # Ok::<(), simulation::SimulationError>(())
+//! ```
 
 mod answers;
 pub mod calibration;
@@ -30,7 +46,7 @@ mod tests;
 
 pub use calibration::{CalibrationError, CalibrationErrors};
 pub use map_change::MapChangeOptions;
-pub use score::{EnsembleScore, OutputScore, score};
+pub use score::{EnsembleScore, OutputScore, ScoreOptions, score};
 pub use trial::{MapCounts, Trial};
 
 use crate::{SimulationError, SimulationOptions};
@@ -43,25 +59,40 @@ use std::ops::Range;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// What is run.
+/// What is run: 20 seeds from 1 on, by default.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MonteCarloOptions {
-    /// How many seeds.
+    /// Number of seeds.
     pub runs: usize,
-    /// The first of them.
+    /// The first seed.
     pub first_seed: u64,
-    /// Threads; a seed is run by one.
+    /// Threads; each seed is run by one.
     pub threads: usize,
-    /// The world and its sensors. Its seed is that of each run.
+    /// The world and its sensors. The field `seed` is replaced by that of each run.
     pub simulation: SimulationOptions,
-    /// How wrong the map is.
+    /// Errors of the map.
     pub map: MapOptions,
-    /// When it is asked and how wrong its answers are.
+    /// When the map is queried, and errors of its replies.
     pub answers: AnswerOptions,
-    /// How it changes in the middle of the run; only what comes then is judged.
+    /// A change of the map in the middle of the run; only what comes after it is scored.
     pub map_change: Option<MapChangeOptions>,
-    /// How wrong the calibration is that the filter is told.
+    /// Errors of the calibration that the filter is given.
     pub calibration: CalibrationErrors,
+}
+
+impl Default for MonteCarloOptions {
+    fn default() -> Self {
+        Self {
+            runs: 20,
+            first_seed: 1,
+            threads: std::thread::available_parallelism().map_or(1, usize::from),
+            simulation: SimulationOptions::default(),
+            map: MapOptions::default(),
+            answers: AnswerOptions::default(),
+            map_change: None,
+            calibration: CalibrationErrors::default(),
+        }
+    }
 }
 
 /// The map: keyframes with noise, once a seed.
@@ -71,10 +102,10 @@ pub struct MapOptions {
     pub sigma_theta_rad: f64,
     /// The same of its position along each axis, metres. The paper's map has 0.1.
     pub sigma_p_m: f64,
-    /// A keyframe every so many metres of way (and every 0.35 rad of turning).
+    /// Distance between keyframes, metres; also one after every 0.35 rad of rotation.
     pub keyframe_distance_m: f64,
-    /// How far the landmarks of a keyframe are off together in its frame, in each direction, as a part of their distance;
-    /// stated to the filter.
+    /// Standard deviation of the error that all landmarks of a keyframe share in its frame, each axis, as a fraction of
+    /// their distance; stated to the filter.
     pub shift: f64,
 }
 
@@ -84,21 +115,21 @@ impl Default for MapOptions {
     }
 }
 
-/// The answers of the map.
+/// The replies of the map.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AnswerOptions {
-    /// Time between two images that the map is asked about, seconds.
+    /// Time between two queries, seconds.
     pub every_s: f64,
-    /// Stretches of the run without any answer, seconds.
+    /// Drop-outs: stretches of the run without replies, seconds.
     pub gaps_s: Vec<Range<f64>>,
-    /// Fraction of the matches of an answer that are of something else.
+    /// Fraction of wrong matches in a reply.
     pub wrong_matches: f64,
-    /// Probability that a whole answer is of another place that looks the same. Never the first one, which nothing
-    /// could contradict.
+    /// Probability that a whole reply is of another place that looks the same. Never the first one, which nothing could
+    /// contradict.
     pub wrong_place: f64,
-    /// Keyframes in an answer, at most.
+    /// Most keyframes in a reply.
     pub max_keyframes: usize,
-    /// Matches in an answer, at most.
+    /// Most matches in a reply.
     pub max_matches: usize,
 }
 
@@ -115,14 +146,14 @@ impl Default for AnswerOptions {
     }
 }
 
-/// One of the filters that are compared.
+/// A filter to compare.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Variant {
-    /// What to call it.
+    /// Its name.
     pub name: String,
     /// Its settings.
     pub config: EstimatorConfig,
-    /// How many cameras of the rig it uses.
+    /// Number of cameras that it uses.
     pub cameras: usize,
 }
 
@@ -135,17 +166,20 @@ pub struct VariantRuns {
     pub trials: Vec<Trial>,
 }
 
-/// The simulated world in G. It lies on its side, gravity along -x as in the paper's places: nothing may assume z.
+/// The simulated world in G, with gravity along -x as in the paper's simulations: the filter must not assume z.
 fn global_from_world() -> Pose {
     Pose::new(rotation::exp(&(Vector3::y() * FRAC_PI_2)), Vector3::zeros())
 }
 
 /// Runs every variant on every seed.
 ///
-/// The same options give the same result on any number of threads.
+/// The result depends on the options only, not on the number of threads.
 ///
 /// # Arguments
-/// * `progress`: called with the number of seeds that are done, from any thread.
+/// * `progress`: called with the number of finished seeds, from any thread.
+///
+/// # Returns
+/// The runs of each variant, in the order of `variants`.
 ///
 /// # Errors
 /// [`SimulationError`] for a world that cannot be simulated.

@@ -1,8 +1,8 @@
-//! A map as a mapping system leaves it: keyframes that are off by what they state, pixels with noise, drawn once a seed.
+//! A map with errors: keyframe poses with the stated covariance, pixels with noise, sampled once a seed.
 //!
-//! Each keyframe's pose has an error of its own. Landmarks are triangulated from the noisy pixels and stand in the
-//! keyframes' own frames, where that error does not matter; so near a keyframe the map is as good as its pixels, but for a
-//! shift that all landmarks of a keyframe share.
+//! Each keyframe's pose has an independent error. Landmarks are triangulated from the noisy pixels and expressed in the
+//! keyframes' frames, where that error has no effect; so near a keyframe the map is as good as its pixels, but for an error
+//! that all landmarks of a keyframe share.
 
 use super::{MapOptions, global_from_world};
 use crate::SimulatedWorld;
@@ -16,22 +16,22 @@ use rand::RngExt;
 use rand::seq::SliceRandom;
 use std::collections::{BTreeMap, HashMap};
 
-/// A keyframe is also made after so much turning, rad.
+/// Rotation after which a keyframe is made, rad.
 pub(crate) const KEYFRAME_TURN: f64 = 0.35;
-/// The way is looked at in steps of so long, nanoseconds.
+/// Step along the trajectory, nanoseconds.
 const STEP_NS: i64 = 50_000_000;
-/// Views that a landmark is triangulated from, at most.
+/// Most views that a landmark is triangulated from.
 const MAX_VIEWS: usize = 8;
 
 /// A keyframe.
 pub(crate) struct Keyframe {
     /// Its pose in G as the map states it, with covariance.
     pub(crate) stated: PoseWithCovariance,
-    /// Where it truly is: `world_from_camera`.
+    /// Its true pose.
     pub(crate) world_from_camera: Pose,
-    /// How far its landmarks are off in its camera's frame, as a part of their distance.
+    /// Error that its landmarks share in its camera's frame, as a fraction of their distance.
     pub(crate) shift: Vector3<f64>,
-    /// Pixels of the landmarks that it saw.
+    /// Pixels of the landmarks that it observes.
     pub(crate) seen: BTreeMap<usize, Vector2<f64>>,
 }
 
@@ -39,18 +39,18 @@ pub(crate) struct Keyframe {
 pub(crate) struct NoisyMap {
     /// Its camera.
     pub(crate) camera: Camera,
-    /// Keyframes along the map's way.
+    /// Keyframes along the map's trajectory.
     pub(crate) keyframes: Vec<Keyframe>,
-    /// Landmarks that were triangulated, in the simulated world but for their own noise; metres.
+    /// Triangulated landmarks in the simulated world, metres.
     pub(crate) landmarks: HashMap<usize, Vector3<f64>>,
-    /// Keyframes that saw each landmark.
+    /// Keyframes that observe each landmark.
     pub(crate) observers: HashMap<usize, Vec<usize>>,
     /// Noise of its pixels, px.
     pub(crate) sigma_px: f64,
 }
 
 impl NoisyMap {
-    /// Maps a world along the map's way. Each version has noise of its own.
+    /// Maps a world along the map's trajectory. Each version has its own noise.
     pub(crate) fn new(
         options: &MapOptions,
         simulation: &SimulationOptions,
@@ -59,9 +59,9 @@ impl NoisyMap {
     ) -> Self {
         let mut rng = stream(simulation.seed, version, Purpose::NoisyMap);
         let mut shifts = stream(simulation.seed, version, Purpose::MapShift);
-        let (eye, sigma_px) = (&world.cameras[0], simulation.sigma_feature_px);
+        let (camera, sigma_px) = (&world.cameras[0], simulation.sigma_feature_px);
         let mut map = Self {
-            camera: eye.camera.clone(),
+            camera: camera.camera.clone(),
             keyframes: Vec::new(),
             landmarks: HashMap::new(),
             observers: HashMap::new(),
@@ -71,7 +71,7 @@ impl NoisyMap {
             if k < 3 { options.sigma_theta_rad.powi(2) } else { options.sigma_p_m.powi(2) }
         }));
         for world_from_imu in keyframe_poses(options, world) {
-            let mut seen = visible(simulation, &world_from_imu, eye, &world.landmarks);
+            let mut seen = visible(simulation, &world_from_imu, camera, &world.landmarks);
             seen.retain(|_| rng.random_bool(simulation.repeatability));
             seen.shuffle(&mut rng);
             seen.truncate(simulation.max_features);
@@ -80,12 +80,12 @@ impl NoisyMap {
             let seen: BTreeMap<usize, Vector2<f64>> = seen
                 .into_iter()
                 .map(|(landmark, pixel)| (landmark, noisy(pixel)))
-                .filter(|(_, pixel)| eye.camera.contains(pixel))
+                .filter(|(_, pixel)| camera.camera.contains(pixel))
                 .collect();
             for &landmark in seen.keys() {
                 map.observers.entry(landmark).or_default().push(map.keyframes.len());
             }
-            let world_from_camera = world_from_imu * eye.imu_from_camera;
+            let world_from_camera = world_from_imu * camera.imu_from_camera;
             let (turn, shift) =
                 (normal3(&mut rng) * options.sigma_theta_rad, normal3(&mut rng) * options.sigma_p_m);
             let error = Vector6::new(turn.x, turn.y, turn.z, shift.x, shift.y, shift.z);
@@ -107,7 +107,7 @@ impl NoisyMap {
 
     fn triangulate_landmarks(&mut self) {
         for (&landmark, observers) in &self.observers {
-            // Spread over all that saw it, for the longest baseline.
+            // Distributed over all observers, for a long baseline.
             let step = observers.len().div_ceil(MAX_VIEWS).max(1);
             let views: Vec<View> = observers
                 .iter()
@@ -129,12 +129,12 @@ impl NoisyMap {
     }
 }
 
-/// Where keyframes are made: `world_from_imu`.
+/// The poses at which keyframes are made: `world_from_imu`.
 fn keyframe_poses(options: &MapOptions, world: &SimulatedWorld) -> Vec<Pose> {
-    let way = &world.map_way;
+    let trajectory = &world.map_trajectory;
     let mut poses: Vec<Pose> = Vec::new();
-    for stamp_ns in (way.start_ns()..way.end_ns()).step_by(STEP_NS as usize) {
-        let pose = way.at(stamp_ns).pose;
+    for stamp_ns in (trajectory.start_ns()..trajectory.end_ns()).step_by(STEP_NS as usize) {
+        let pose = trajectory.at(stamp_ns).pose;
         let is_far = poses.last().is_none_or(|last| {
             (pose.translation - last.translation).norm() >= options.keyframe_distance_m
                 || pose.rotation.angle_to(&last.rotation) >= KEYFRAME_TURN

@@ -5,7 +5,7 @@ use evaluation::trajectory::StateKind;
 use evaluation::{EnsembleNees, Verdict, nees_bounds};
 use std::fmt::Write as _;
 
-/// What an output is called in tables and pictures.
+/// Name of an output in tables and plots.
 pub fn name_of(kind: StateKind) -> &'static str {
     match kind {
         StateKind::LocalFromImu => "local pose",
@@ -55,7 +55,7 @@ fn line(output: &OutputScore, kind: StateKind) -> String {
     let cell = |nees: &EnsembleNees| {
         let spread =
             nees.mean_interval.map_or_else(String::new, |(low, high)| format!("[{low:.2} {high:.2}]"));
-        // One sample a run has no share of times.
+        // One sample a run: no fraction of times.
         let times = match kind {
             StateKind::GlobalFromLocal => String::new(),
             _ => format!("{:.0} %", 100.0 * nees.times_inside),
@@ -89,32 +89,34 @@ fn remarks(runs: &VariantRuns, score: &EnsembleScore) -> Vec<String> {
         remarks.push(format!("{} runs ended early; seed {}: {reason}", score.diverged, trial.seed));
     }
     if score.not_localized > 0 {
-        remarks.push(format!("{} runs did not know where they were at the end", score.not_localized));
+        remarks.push(format!("{} runs were not localized at the end", score.not_localized));
     }
     let map = &score.map;
     if map.answers + map.wrong_places > 0 {
-        let mut told = format!("{} of {} answers taken in", map.accepted, map.answers);
+        let mut counts = format!("{} of {} replies used", map.used, map.answers);
         if map.wrong_places > 0 {
-            let _ = write!(told, ", {} of {} of wrong places", map.wrong_places_accepted, map.wrong_places);
+            let _ = write!(counts, ", {} of {} of wrong places", map.wrong_places_used, map.wrong_places);
         }
-        remarks.push(format!("{told}; {} moved the pose in G by more than 3 sigma", map.jumps));
+        remarks.push(format!("{counts}; {} moved the pose in G by more than 3 sigma", map.jumps));
         remarks.push(format!(
             "{} of {} runs ended within 3 sigma of the true pose in G",
             score.ended_within_3_sigma, score.runs
         ));
     }
-    remarks.extend(told_calibration(runs));
+    remarks.extend(calibration_remark(runs));
     remarks
 }
 
-/// How wrong the calibration was that the filter was told, where it was, and what the filter made of it.
-fn told_calibration(runs: &VariantRuns) -> Option<String> {
-    let told = runs.trials.first()?.told_calibration.first()?;
-    let is_wrong = told.deg > 1e-9 || told.m > 0.0 || told.seconds != 0.0 || told.focal_fraction > 0.0;
-    let found = runs.trials.iter().filter(|trial| trial.diverged.is_none());
-    let found: Vec<&CalibrationError> = found.filter_map(|trial| trial.found_calibration.first()).collect();
+/// Errors of the stated calibration, where it has any, and of the estimated one.
+fn calibration_remark(runs: &VariantRuns) -> Option<String> {
+    let stated = runs.trials.first()?.stated_calibration.first()?;
+    let is_wrong =
+        stated.deg > 1e-9 || stated.m > 0.0 || stated.seconds != 0.0 || stated.focal_fraction > 0.0;
+    let completed = runs.trials.iter().filter(|trial| trial.diverged.is_none());
+    let estimated: Vec<&CalibrationError> =
+        completed.filter_map(|trial| trial.estimated_calibration.first()).collect();
     let mean = |of: &dyn Fn(&CalibrationError) -> f64| {
-        found.iter().map(|error| of(error).abs()).sum::<f64>() / found.len().max(1) as f64
+        estimated.iter().map(|error| of(error).abs()).sum::<f64>() / estimated.len().max(1) as f64
     };
     let ended = CalibrationError {
         deg: mean(&|error| error.deg),
@@ -124,8 +126,8 @@ fn told_calibration(runs: &VariantRuns) -> Option<String> {
     };
     is_wrong.then(|| {
         format!(
-            "told a calibration that is off by {}, ended with {} in the mean",
-            describe(told),
+            "stated calibration off by {}, estimated at the end off by {} in the mean",
+            describe(stated),
             describe(&ended)
         )
     })

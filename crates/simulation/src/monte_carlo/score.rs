@@ -1,4 +1,4 @@
-//! What all runs of a variant say together: RMSE and NEES of each output, with a verdict.
+//! The score of all runs of a variant: RMSE and NEES of each output, with a verdict.
 
 use super::trial::THREE_SIGMA;
 use super::{MapCounts, Trial, VariantRuns};
@@ -10,18 +10,18 @@ use serde::Serialize;
 /// Confidence of all intervals.
 pub const CONFIDENCE: f64 = 0.95;
 
-/// Which part of a run counts.
+/// Which part of a run is scored.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ScoreOptions {
-    /// The local pose counts from so long after the begin on, seconds.
+    /// Time after the begin from which on the local pose is scored, seconds.
     pub skip_s: f64,
-    /// The transform and the pose in G count from so long after the first fix on, seconds.
-    pub skip_after_first_fix_s: f64,
+    /// Time after the map initialization from which on the transform and the pose in G are scored, seconds.
+    pub skip_after_initialization_s: f64,
 }
 
 impl Default for ScoreOptions {
     fn default() -> Self {
-        Self { skip_s: 0.0, skip_after_first_fix_s: 5.0 }
+        Self { skip_s: 0.0, skip_after_initialization_s: 5.0 }
     }
 }
 
@@ -43,23 +43,23 @@ pub struct OutputScore {
 /// A variant over all runs.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct EnsembleScore {
-    /// What it is called.
+    /// Its name.
     pub name: String,
-    /// Runs.
+    /// Number of runs.
     pub runs: usize,
     /// Runs that ended early.
     pub diverged: usize,
-    /// Runs that use the map and did not know where they are at the end.
+    /// Runs with a map that were not localized at the end.
     pub not_localized: usize,
     /// `local_from_imu`.
     pub local: Option<OutputScore>,
-    /// `global_from_local`: one error a run that hardly changes, so only the last estimate of each run counts for NEES.
+    /// `global_from_local`: its error hardly changes within a run, so the NEES is that of the last estimate of each run.
     pub transform: Option<OutputScore>,
     /// `global_from_imu`.
     pub pose: Option<OutputScore>,
     /// Runs whose last pose in G was within 3 sigma of the truth (99.73 % of 6 degrees of freedom).
     pub ended_within_3_sigma: usize,
-    /// What became of the map's answers, over all runs.
+    /// Counts of the map's replies, over all runs.
     pub map: MapCounts,
 }
 
@@ -91,9 +91,9 @@ pub fn score(all: &VariantRuns, options: &ScoreOptions) -> EnsembleScore {
         ended_within_3_sigma: trials.iter().filter(|trial| ended_within_3_sigma(trial)).count(),
         map: MapCounts {
             answers: sum(|map| map.answers),
-            accepted: sum(|map| map.accepted),
+            used: sum(|map| map.used),
             wrong_places: sum(|map| map.wrong_places),
-            wrong_places_accepted: sum(|map| map.wrong_places_accepted),
+            wrong_places_used: sum(|map| map.wrong_places_used),
             jumps: sum(|map| map.jumps),
         },
     }
@@ -104,14 +104,14 @@ pub fn pose_nees_over_time(all: &VariantRuns, kind: StateKind, options: &ScoreOp
     let series: Vec<NeesSeries> = all
         .trials
         .iter()
-        .map(|trial| series(trial, counted(trial, kind, options), |nees| nees.pose))
+        .map(|trial| series(trial, scored(trial, kind, options), |nees| nees.pose))
         .collect();
     over_time(&series, 6, CONFIDENCE)
 }
 
 fn output_score(trials: &[Trial], kind: StateKind, options: &ScoreOptions) -> Option<OutputScore> {
     let samples: Vec<(&Trial, &[ErrorSample])> =
-        trials.iter().map(|trial| (trial, counted(trial, kind, options))).collect();
+        trials.iter().map(|trial| (trial, scored(trial, kind, options))).collect();
     let nees_of = |degrees_of_freedom, part: fn(&Nees) -> f64| {
         let runs: Vec<NeesSeries> = samples
             .iter()
@@ -145,13 +145,13 @@ fn ended_within_3_sigma(trial: &Trial) -> bool {
     last.and_then(|sample| sample.nees.as_ref()).is_some_and(|nees| nees.pose * 6.0 <= THREE_SIGMA)
 }
 
-/// The samples of a run that count.
-fn counted<'a>(trial: &'a Trial, kind: StateKind, options: &ScoreOptions) -> &'a [ErrorSample] {
+/// The samples of a run that are scored.
+fn scored<'a>(trial: &'a Trial, kind: StateKind, options: &ScoreOptions) -> &'a [ErrorSample] {
     let Some(errors) = &trial.errors else { return &[] };
     let samples = errors.get(kind);
-    let from_s = match (kind, trial.first_fix_s) {
+    let from_s = match (kind, trial.map_initialization_s) {
         (StateKind::LocalFromImu, _) => options.skip_s,
-        (_, Some(fix_s)) => fix_s + options.skip_after_first_fix_s,
+        (_, Some(initialization_s)) => initialization_s + options.skip_after_initialization_s,
         (_, None) => return &[],
     };
     let from_ns = trial.begin_ns + (from_s * 1e9) as i64;
@@ -162,7 +162,7 @@ fn last(samples: &[ErrorSample]) -> &[ErrorSample] {
     &samples[samples.len().saturating_sub(1)..]
 }
 
-/// NEES over the time since the begin. A covariance that is not positive definite gives none that is a number.
+/// NEES over the time since the begin; not a number where the covariance is not positive definite.
 fn series(trial: &Trial, samples: &[ErrorSample], part: fn(&Nees) -> f64) -> NeesSeries {
     let value = |sample: &ErrorSample| {
         (sample.stamp_ns - trial.begin_ns, sample.nees.as_ref().map_or(f64::NAN, part))

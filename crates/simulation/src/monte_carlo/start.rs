@@ -1,4 +1,4 @@
-//! The first state of a run: the truth minus a draw from the covariance that the filter starts from.
+//! The initial state of a run: the truth minus a sample of the covariance that the filter starts from.
 //!
 //! L is known from the truth alone: its origin is the true first position, z is up, and its yaw is that of the true first
 //! attitude. So the errors of the very first estimate are a sample of its covariance in all 15 numbers, yaw and position
@@ -12,17 +12,17 @@ use estimator::{InitialSigmas, InitialState};
 use geometry::Pose;
 use nalgebra::{SVector, Vector3, Vector6};
 
-/// Where a run starts.
+/// The start of a run.
 pub(crate) struct Start {
-    /// What the filter is told.
+    /// The initial state that the filter is given.
     pub(crate) initial: InitialState,
-    /// Where L truly lies.
+    /// The true pose of L in G.
     pub(crate) global_from_local: Pose,
 }
 
-/// Draws the first state.
+/// Samples the initial state.
 ///
-/// The draw is the same for every variant of a seed, in units of the variant's standard deviations.
+/// The sample is the same for every variant of a seed, in units of the variant's standard deviations.
 ///
 /// # Arguments
 /// * `motion`: the truth at `stamp_ns`, of the IMU in the simulated world.

@@ -1,4 +1,4 @@
-//! One run: a seed's world, played to each variant of the filter.
+//! One run: a seed's world, and each variant of the filter on it.
 
 use super::answers::Answer;
 use super::calibration::Stated;
@@ -17,17 +17,17 @@ use serde::Serialize;
 /// Chi-square with 6 degrees of freedom at 99.73 %, the confidence of three standard deviations.
 pub(super) const THREE_SIGMA: f64 = 20.06;
 
-/// What became of the map's answers.
+/// Counts of the map's replies.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct MapCounts {
-    /// Answers of the right place.
+    /// Replies of the right place.
     pub answers: usize,
-    /// Of these, taken in.
-    pub accepted: usize,
-    /// Answers of a wrong place.
+    /// Of these, used in an update.
+    pub used: usize,
+    /// Replies of a wrong place.
     pub wrong_places: usize,
-    /// Of these, taken in.
-    pub wrong_places_accepted: usize,
+    /// Of these, used in an update.
+    pub wrong_places_used: usize,
     /// Updates that moved the pose in G by more than its 3 sigma (99.73 % of 6 degrees of freedom).
     pub jumps: usize,
 }
@@ -39,28 +39,28 @@ pub struct Trial {
     pub seed: u64,
     /// Time of the first image, nanoseconds.
     pub begin_ns: i64,
-    /// All its errors; `None` when not even the first image was got over.
+    /// All its errors; `None` where the filter failed on the first image.
     pub errors: Option<RunErrors>,
-    /// When the map first gave a pose, seconds since the begin.
-    pub first_fix_s: Option<f64>,
-    /// What became of the map's answers.
+    /// Time of the map initialization, seconds since the begin.
+    pub map_initialization_s: Option<f64>,
+    /// Counts of the map's replies.
     pub map: MapCounts,
-    /// Whether a filter that uses the map knew where it is at the end.
+    /// Whether the filter was localized in the map at the end.
     pub localized: bool,
     /// Why it ended early.
     pub diverged: Option<String>,
-    /// How far the calibration that it was told is from the truth, for each camera.
-    pub told_calibration: Vec<CalibrationError>,
-    /// How far the filter's own calibration is from the truth at the end, by camera.
-    pub found_calibration: Vec<CalibrationError>,
+    /// Errors of the calibration that the filter was given, by camera.
+    pub stated_calibration: Vec<CalibrationError>,
+    /// Errors of the filter's own calibration at the end, by camera.
+    pub estimated_calibration: Vec<CalibrationError>,
 }
 
-/// Everything of a seed that no variant changes.
+/// What all variants of a seed share.
 struct Seed<'a> {
     number: u64,
     world: SimulatedWorld,
     live: Sequence,
-    /// Answers to the frames of `live`.
+    /// Replies to the frames of `live`.
     answers: Vec<Option<Answer>>,
     change: Option<MapChange>,
     options: &'a MonteCarloOptions,
@@ -85,10 +85,10 @@ pub(crate) fn run_seed(
     Ok(variants.iter().map(|variant| one.run(variant)).collect())
 }
 
-/// A run that is going on.
+/// A run in progress.
 struct Player<'a> {
     estimator: Estimator,
-    /// The answer to the image before, with that image's clone.
+    /// The reply to the previous image, with that image's clone.
     pending: Option<(CloneId, &'a Answer)>,
     states: Vec<StateRow>,
     map: MapCounts,
@@ -108,11 +108,11 @@ impl Seed<'_> {
             .collect();
         let stated = self.options.calibration.draw(self.number, &truth);
         let true_delay_s = stated.image_delay_ns as f64 * 1e-9;
-        let told_calibration = stated
+        let stated_calibration = stated
             .rig
             .iter()
             .zip(&truth)
-            .map(|(told, truth)| CalibrationError::of(told, truth, (0.0, true_delay_s)))
+            .map(|(given, truth)| CalibrationError::of(given, truth, (0.0, true_delay_s)))
             .collect();
         let begin_ns = self.live.frames.first().map_or(0, |frame| frame.stamp_ns + stated.image_delay_ns);
         let start = self.start(variant, begin_ns);
@@ -120,12 +120,12 @@ impl Seed<'_> {
             seed: self.number,
             begin_ns,
             errors: None,
-            first_fix_s: None,
+            map_initialization_s: None,
             map: MapCounts::default(),
             localized: false,
             diverged: None,
-            told_calibration,
-            found_calibration: Vec::new(),
+            stated_calibration,
+            estimated_calibration: Vec::new(),
         };
         let estimator = match Estimator::new(variant.config.clone(), stated.rig.clone(), &start.initial) {
             Ok(estimator) => estimator,
@@ -136,14 +136,14 @@ impl Seed<'_> {
         };
         let mut player = Player { estimator, pending: None, states: Vec::new(), map: MapCounts::default() };
         trial.diverged = self.play(&mut player, variant, &stated).err().map(|error| error.to_string());
-        let fix = player.states.iter().find(|state| state.global_from_imu.is_some());
-        trial.first_fix_s = fix.map(|state| (state.stamp_ns - begin_ns) as f64 * 1e-9);
+        let initialized = player.states.iter().find(|state| state.global_from_imu.is_some());
+        trial.map_initialization_s = initialized.map(|state| (state.stamp_ns - begin_ns) as f64 * 1e-9);
         trial.map = player.map;
         trial.localized = player.estimator.status().localization == Localization::Localized;
         let found = player.estimator.calibration();
         let delays = (-found.time_offset, true_delay_s);
         let cameras = found.cameras.iter().zip(&truth);
-        trial.found_calibration =
+        trial.estimated_calibration =
             cameras.map(|(found, truth)| CalibrationError::of(found, truth, delays)).collect();
         trial.errors =
             run_errors_in(&player.states, &self.truth(&player.states), start.global_from_local).ok();
@@ -151,7 +151,7 @@ impl Seed<'_> {
     }
 
     fn start(&self, variant: &Variant, begin_ns: i64) -> start::Start {
-        let motion = self.world.live_way.at(begin_ns);
+        let motion = self.world.live_trajectory.at(begin_ns);
         let rows = self.live.groundtruth.as_deref().unwrap_or_default();
         let row = rows.iter().rfind(|row| row.stamp_ns <= begin_ns);
         let biases = row.and_then(|row| row.gyroscope_bias.zip(row.accelerometer_bias)).unwrap_or_default();
@@ -167,7 +167,7 @@ impl Seed<'_> {
         let mut readings = self.live.imu_samples.iter().peekable();
         for (frame, answer) in self.live.frames.iter().zip(&self.answers) {
             let stamp_ns = frame.stamp_ns + stated.image_delay_ns;
-            if stamp_ns > self.world.live_way.end_ns() {
+            if stamp_ns > self.world.live_trajectory.end_ns() {
                 break;
             }
             let until_ns = player.estimator.imu_stamp_ns(stamp_ns);
@@ -187,11 +187,11 @@ impl Seed<'_> {
         Ok(())
     }
 
-    /// The truth at the stamps that the filter was told.
+    /// The truth at the stamps that the filter was given.
     fn truth(&self, states: &[StateRow]) -> Vec<TruthRow> {
         let row = |state: &StateRow| TruthRow {
             stamp_ns: state.stamp_ns,
-            pose: global_from_world() * self.world.live_way.at(state.stamp_ns).pose,
+            pose: global_from_world() * self.world.live_trajectory.at(state.stamp_ns).pose,
             velocity: None,
             gyroscope_bias: None,
             accelerometer_bias: None,
@@ -201,7 +201,7 @@ impl Seed<'_> {
 }
 
 impl<'a> Player<'a> {
-    /// One image. As in a robot, the answer to an image comes with the next one.
+    /// One image. As in a robot, the reply to an image arrives with the next one.
     fn frame(
         &mut self,
         frame: &Frame,
@@ -215,10 +215,10 @@ impl<'a> Player<'a> {
         let tracks: Vec<TrackObservation> = frame.tracks.iter().filter(used).copied().collect();
         self.estimator.track_update(&tracks)?;
         if let Some(change) = change {
-            self.estimator.map_changed(&change.news);
+            self.estimator.map_changed(&change.revision);
         }
-        if let Some((asked, answer)) = self.pending.take() {
-            self.take(asked, answer)?;
+        if let Some((queried, answer)) = self.pending.take() {
+            self.map_update(queried, answer)?;
         }
         self.states.push(StateRow {
             stamp_ns: self.estimator.stamp_ns(),
@@ -233,18 +233,18 @@ impl<'a> Player<'a> {
         Ok(())
     }
 
-    fn take(&mut self, asked: CloneId, answer: &Answer) -> Result<(), EstimatorError> {
+    fn map_update(&mut self, queried: CloneId, answer: &Answer) -> Result<(), EstimatorError> {
         let before = self.estimator.global_from_imu();
-        let report = self.estimator.map_update(asked, &answer.answer)?;
-        self.estimator.unpin(asked);
+        let report = self.estimator.map_update(queried, &answer.answer)?;
+        self.estimator.unpin(queried);
         let counts = &mut self.map;
-        let (count, accepted) = if answer.is_wrong_place {
-            (&mut counts.wrong_places, &mut counts.wrong_places_accepted)
+        let (count, used) = if answer.is_wrong_place {
+            (&mut counts.wrong_places, &mut counts.wrong_places_used)
         } else {
-            (&mut counts.answers, &mut counts.accepted)
+            (&mut counts.answers, &mut counts.used)
         };
         *count += 1;
-        *accepted += usize::from(report.rejection.is_none());
+        *used += usize::from(report.rejection.is_none());
         let moved = before.zip(self.estimator.global_from_imu());
         let far = moved.and_then(|(before, after)| nees(&before, &after.pose));
         counts.jumps += usize::from(far.is_some_and(|far| far.pose * 6.0 > THREE_SIGMA));

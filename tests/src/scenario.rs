@@ -1,4 +1,4 @@
-//! A small simulated place: once round a ring of 88 m, at rest at both ends.
+//! A small simulated scenario: once round a ring of 88 m, at rest at both ends.
 
 use evaluation::trajectory::StampedPose;
 use geometry::pose::Pose;
@@ -14,26 +14,26 @@ use std::sync::{Arc, OnceLock};
 
 /// Radius of the ring, metres.
 const RADIUS: f64 = 14.0;
-/// Standing still before the start, seconds: the robot finds gravity and its gyroscope's bias.
+/// Rest before the start, from which the robot finds gravity and its gyroscope's bias, seconds.
 const REST_BEFORE_S: f64 = 2.0;
-/// Standing still at the end, seconds.
+/// Rest at the end, seconds.
 const REST_AFTER_S: f64 = 1.0;
-/// Time for the way round, seconds.
+/// Time for the round, seconds.
 const ROUND_S: f64 = 27.0;
 /// Distance between the given poses, nanoseconds.
 const STEP_NS: i64 = 50_000_000;
 
-/// A place, its two recordings, and the map that was built of the first.
+/// A scenario: its two recordings, and the map that was built from the first.
 #[derive(Clone, Debug)]
-pub struct Place {
-    /// What was simulated.
+pub struct MappedScenario {
+    /// The simulated recordings.
     pub recordings: SimulatedScenario,
     /// The map.
     pub map: MapContents,
 }
 
-impl Place {
-    /// Simulates and maps the place; the same seed gives the same place.
+impl MappedScenario {
+    /// Simulates and maps the scenario of a seed.
     pub fn new(seed: u64) -> Self {
         let recordings = simulate(&options(seed)).unwrap();
         let references = recordings.map.reference_poses.clone().unwrap();
@@ -44,10 +44,10 @@ impl Place {
         Self { recordings, map }
     }
 
-    /// The place that most tests run in, built once.
+    /// The scenario of most tests, built once.
     pub fn shared() -> &'static Self {
-        static PLACE: OnceLock<Place> = OnceLock::new();
-        PLACE.get_or_init(|| Place::new(7))
+        static SHARED: OnceLock<MappedScenario> = OnceLock::new();
+        SHARED.get_or_init(|| MappedScenario::new(7))
     }
 
     /// The map in a new database in `folder`, closed again.
@@ -63,7 +63,7 @@ impl Place {
     }
 }
 
-/// Settings of the simulation of a small place.
+/// Options of the simulation.
 pub fn options(seed: u64) -> SimulationOptions {
     let phase = seed as f64;
     SimulationOptions {
@@ -76,7 +76,7 @@ pub fn options(seed: u64) -> SimulationOptions {
     }
 }
 
-/// The way of one run: `lateral` metres to the left of the ring, swaying.
+/// Trajectory of one run: `lateral` metres to the left of the ring, swaying.
 fn ring(phase: f64, lateral: f64) -> Vec<StampedPose> {
     let duration_s = REST_BEFORE_S + ROUND_S + REST_AFTER_S;
     let count = (duration_s * 1e9) as i64 / STEP_NS;
