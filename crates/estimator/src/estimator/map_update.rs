@@ -36,7 +36,7 @@ impl Estimator {
     /// # use estimator::{CalibratedCamera, Estimator, EstimatorConfig, ImuSample, InitialSigmas, InitialState};
     /// # use geometry::{Camera, Distortion};
     /// use estimator::{Localization, MapAnswer, MapKeyframe, MatchedLandmark};
-    /// use geometry::PoseWithCovariance;
+    /// use geometry::{Pose, PoseWithCovariance};
     /// use nalgebra::{Matrix6, Vector3};
     /// # let camera = Camera {
     /// #     width: 640, height: 480, focal: [400.0; 2], centre: [320.0, 240.0], distortion: Distortion::None,
