@@ -4,6 +4,9 @@ use evaluation::trajectory::{StateKind, read_any};
 use std::path::Path;
 
 /// `sensor.yaml` of a camera.
+///
+/// # Panics
+/// A camera that was read is not valid.
 pub fn sensor_yaml(data: &[u8]) {
     in_file("sensor.yaml", data, |path| {
         if let Ok(camera) = sensors::read_lens(path) {
@@ -13,6 +16,9 @@ pub fn sensor_yaml(data: &[u8]) {
 }
 
 /// Trajectories (TUM, EuRoC ground truth, `states.csv`) and reference poses.
+///
+/// # Panics
+/// Rows that were read are not in order of time, or not finite.
 pub fn csv_tables(data: &[u8]) {
     in_file("table.csv", data, |path| {
         if let Ok(rows) = sensors::read_groundtruth(path) {

@@ -5,17 +5,26 @@
 
 mod files;
 mod messages;
+mod records;
+#[cfg(feature = "neural")]
+mod weights;
 
 pub use files::{csv_tables, sensor_yaml};
-pub use messages::{protocol_bincode, protocol_json};
+pub use messages::{bincode_payloads, protocol_bincode, protocol_json};
+pub use records::store_records;
+#[cfg(feature = "neural")]
+pub use weights::weights;
 
 /// A fuzz target.
 pub type Target = fn(&[u8]);
 
 /// All targets with their names.
-pub const TARGETS: [(&str, Target); 4] = [
+pub const TARGETS: &[(&str, Target)] = &[
     ("protocol_bincode", protocol_bincode),
     ("protocol_json", protocol_json),
     ("sensor_yaml", sensor_yaml),
     ("csv_tables", csv_tables),
+    ("store_records", store_records),
+    #[cfg(feature = "neural")]
+    ("weights", weights),
 ];

@@ -53,3 +53,15 @@ fn sealed_round_trip<M: Message>(payload: &[u8]) {
     bytes.extend_from_slice(payload);
     round_trip::<M>(Format::Bincode, &bytes);
 }
+
+/// The bincode payloads of a JSON message, without their envelope: seeds for [`protocol_bincode`].
+pub fn bincode_payloads(json: &[u8]) -> Vec<Vec<u8>> {
+    let mut payloads = Vec::new();
+    for_each_message!(transcode, json, &mut payloads);
+    payloads
+}
+
+fn transcode<M: Message>(json: &[u8], payloads: &mut Vec<Vec<u8>>) {
+    let bytes = decode::<M>(Format::Json, json).and_then(|message| encode(Format::Bincode, &message));
+    payloads.extend(bytes.ok().and_then(|bytes| bytes.get(16..).map(<[u8]>::to_vec)));
+}

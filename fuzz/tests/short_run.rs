@@ -1,17 +1,19 @@
 //! Runs every target on its seeds and on seeded mutations of them, on a stable toolchain.
 #![allow(clippy::unwrap_used)]
 
-use driftless_fuzz::TARGETS;
+use driftless_fuzz::{TARGETS, bincode_payloads};
+use map::store::record::{InfoRecord, KeyframeRecord, LandmarkRecord, seal};
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 use std::path::Path;
+use testing::{Place, PlaceOptions};
 
 /// Mutations of each seed.
 const MUTATIONS: usize = 300;
 
 #[test]
 fn no_target_panics_on_mutated_seeds() {
-    for (name, target) in TARGETS {
+    for &(name, target) in TARGETS {
         let seeds = seeds(name);
         assert!(!seeds.is_empty(), "{name} has no seeds in corpus/{name}");
         let mut rng = StdRng::seed_from_u64(1);
@@ -26,13 +28,33 @@ fn no_target_panics_on_mutated_seeds() {
 
 fn seeds(name: &str) -> Vec<Vec<u8>> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let folder = match name {
-        "protocol_json" => root.join("../protocol/examples/json"),
-        other => root.join("corpus").join(other),
-    };
+    let json = || files(&root.join("../protocol/examples/json"));
+    match name {
+        "protocol_json" => json(),
+        "protocol_bincode" => json().iter().flat_map(|example| bincode_payloads(example)).collect(),
+        "store_records" => records(),
+        other => files(&root.join("corpus").join(other)),
+    }
+}
+
+fn files(folder: &Path) -> Vec<Vec<u8>> {
     let mut files: Vec<_> = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).collect();
     files.sort();
     files.iter().map(|file| std::fs::read(file).unwrap()).collect()
+}
+
+/// One record of each table: its version and its payload, without the checksum between them.
+fn records() -> Vec<Vec<u8>> {
+    let options = PlaceOptions { keyframes: 3, landmarks: 60, ..PlaceOptions::default() };
+    let place = Place::new(&options);
+    let map = &place.map;
+    let key = [0; 8];
+    let sealed = [
+        seal("info", &key, &InfoRecord::new(&map.info, 1)).unwrap(),
+        seal("keyframes", &key, &KeyframeRecord::new(&map.keyframes[0])).unwrap(),
+        seal("landmarks", &key, &LandmarkRecord::new(&map.landmarks[0])).unwrap(),
+    ];
+    sealed.iter().map(|bytes| [&bytes[..1], &bytes[5..]].concat()).collect()
 }
 
 /// One to four changes: a flipped bit, a cut, a repeated part, an overwritten number, a piece of another seed.

@@ -50,7 +50,7 @@ async fn main() -> Result<(), Error> {
     let info = hall.info(deadline).await?;
     println!("map {}: {} keyframes, {} landmarks", info.name, info.keyframes, info.landmarks);
     if database.is_none() {
-        let truth = scene.camera_at(7.3, 0.4);
+        let truth = Scene::camera_at(7.3, 0.4);
         let reply = hall.localize(&scene.request(&truth), deadline).await?;
         let fix = reply.fix.ok_or("the image was not recognized")?;
         let (p, t) = (fix.global_from_camera.pose.translation, truth.translation);
@@ -95,7 +95,7 @@ impl Scene {
     }
 
     /// A camera that looks along x, 1 m above the ground.
-    fn camera_at(&self, x: f64, y: f64) -> Pose {
+    fn camera_at(x: f64, y: f64) -> Pose {
         let quarter = std::f64::consts::FRAC_PI_2;
         Pose::new(UnitQuaternion::from_euler_angles(-quarter, 0.0, -quarter), Vector3::new(x, y, 1.0))
     }
@@ -117,7 +117,7 @@ impl Scene {
         contents.info.gravity_in_global = Some(-Vector3::z());
         let mut observed = vec![Vec::new(); self.landmarks.len()];
         for id in 0..12 {
-            let pose = self.camera_at(2.0 * id as f64, 0.0);
+            let pose = Self::camera_at(2.0 * id as f64, 0.0);
             for (index, pixel) in self.visible(&pose) {
                 observed[index].push((id, pose, pixel));
             }

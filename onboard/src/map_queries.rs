@@ -183,7 +183,7 @@ impl RobotRun<'_> {
         let failure = answer.as_ref().err().map(ToString::to_string);
         match (&self.last_failure, &failure) {
             (None, Some(reason)) => {
-                tracing::warn!(reason, "a map query was not answered; odometry continues")
+                tracing::warn!(reason, "a map query was not answered; odometry continues");
             }
             (Some(_), None) => tracing::info!("map queries are answered again"),
             _ => {}

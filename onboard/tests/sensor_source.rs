@@ -33,7 +33,7 @@ impl<'a> Generator<'a> {
 }
 
 impl SensorSource for Generator<'_> {
-    fn name(&self) -> &str {
+    fn name(&self) -> &'static str {
         "generator"
     }
 

@@ -79,7 +79,7 @@ pub(crate) fn require_each<T>(
 
 /// Human-readable text: at most [`MAX_TEXT_BYTES`].
 pub(crate) fn require_short(text: &str, field: &str) -> Result<(), InvalidField> {
-    let reason = format!("is longer than {} bytes", MAX_TEXT_BYTES);
+    let reason = format!("is longer than {MAX_TEXT_BYTES} bytes");
     require(text.len() <= MAX_TEXT_BYTES, field, &reason)
 }
 

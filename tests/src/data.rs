@@ -15,7 +15,7 @@ pub fn recording(name: &str) -> PathBuf {
     let folder = data_folder().join(name);
     assert!(
         folder.is_dir(),
-        "the recording {name} is missing: there is no {}. Unpack the recordings with `../shared/data/unpack target/data`",
+        "the recording {name} is missing: there is no {}. docs/src/benchmarks.md says which recordings the tests need",
         folder.display()
     );
     folder

@@ -91,7 +91,7 @@ mod tests {
     }
 
     impl SensorSource for Script {
-        fn name(&self) -> &str {
+        fn name(&self) -> &'static str {
             "script"
         }
 

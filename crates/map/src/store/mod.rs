@@ -11,7 +11,7 @@
 mod database;
 mod error;
 mod map_store;
-mod record;
+pub mod record;
 mod sled_store;
 
 pub use database::{create, open, save_map};

@@ -21,11 +21,10 @@ const OLDEST_RECORD_VERSION: u8 = 1;
 const HEADER_BYTES: usize = 5;
 
 /// Puts a record into its envelope.
-pub(in crate::store) fn seal<T: Serialize>(
-    table: &str,
-    key: &[u8],
-    record: &T,
-) -> Result<Vec<u8>, RecordError> {
+///
+/// # Errors
+/// [`RecordError::Unencodable`].
+pub fn seal<T: Serialize>(table: &str, key: &[u8], record: &T) -> Result<Vec<u8>, RecordError> {
     let mut bytes = vec![0; HEADER_BYTES];
     options()
         .serialize_into(&mut bytes, record)
@@ -37,21 +36,19 @@ pub(in crate::store) fn seal<T: Serialize>(
 }
 
 /// Takes a record out of its envelope.
-pub(in crate::store) fn unseal<T: DeserializeOwned>(
-    table: &str,
-    key: &[u8],
-    bytes: &[u8],
-) -> Result<T, RecordError> {
+///
+/// # Errors
+/// A damaged envelope, another version, or a payload that is no such record.
+pub fn unseal<T: DeserializeOwned>(table: &str, key: &[u8], bytes: &[u8]) -> Result<T, RecordError> {
     let (_, payload) = open(table, key, bytes)?;
     decode(payload)
 }
 
 /// Takes the info of a map of any readable version out of its envelope.
-pub(in crate::store) fn unseal_info(
-    table: &str,
-    key: &[u8],
-    bytes: &[u8],
-) -> Result<InfoRecord, RecordError> {
+///
+/// # Errors
+/// As [`unseal`].
+pub fn unseal_info(table: &str, key: &[u8], bytes: &[u8]) -> Result<InfoRecord, RecordError> {
     match open(table, key, bytes)? {
         (1, payload) => decode::<InfoRecordV1>(payload).map(InfoRecord::from),
         (_, payload) => decode(payload),

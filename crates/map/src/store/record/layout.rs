@@ -17,7 +17,7 @@ const UNIT_TOLERANCE: f64 = 1e-6;
 
 /// [`MapMetadata`] on disk.
 #[derive(Serialize, Deserialize)]
-pub(in crate::store) struct InfoRecord {
+pub struct InfoRecord {
     name: String,
     created_by: String,
     version: u64,
@@ -56,7 +56,8 @@ impl From<InfoRecordV1> for InfoRecord {
 }
 
 impl InfoRecord {
-    pub(in crate::store) fn new(info: &MapMetadata, version: u64) -> InfoRecord {
+    /// The record of a map's metadata at a version.
+    pub fn new(info: &MapMetadata, version: u64) -> InfoRecord {
         InfoRecord {
             name: info.name.clone(),
             created_by: info.created_by.clone(),
@@ -69,7 +70,11 @@ impl InfoRecord {
         }
     }
 
-    pub(in crate::store) fn into_info(self) -> Result<MapMetadata, RecordError> {
+    /// The metadata that the record holds.
+    ///
+    /// # Errors
+    /// A value that no map can have.
+    pub fn into_info(self) -> Result<MapMetadata, RecordError> {
         Ok(MapMetadata {
             name: self.name,
             created_by: self.created_by,
@@ -85,7 +90,7 @@ impl InfoRecord {
 
 /// [`Keyframe`] on disk; its id is the key.
 #[derive(Serialize, Deserialize)]
-pub(in crate::store) struct KeyframeRecord {
+pub struct KeyframeRecord {
     stamp_ns: i64,
     /// w, x, y, z
     quaternion: [f64; 4],
@@ -97,7 +102,8 @@ pub(in crate::store) struct KeyframeRecord {
 }
 
 impl KeyframeRecord {
-    pub(in crate::store) fn new(keyframe: &Keyframe) -> KeyframeRecord {
+    /// The record of a keyframe.
+    pub fn new(keyframe: &Keyframe) -> KeyframeRecord {
         let pose = &keyframe.global_from_keyframe.pose;
         let quaternion = pose.rotation.quaternion();
         KeyframeRecord {
@@ -110,7 +116,11 @@ impl KeyframeRecord {
         }
     }
 
-    pub(in crate::store) fn into_keyframe(self, id: KeyframeId) -> Result<Keyframe, RecordError> {
+    /// The keyframe that the record holds; its id is the key.
+    ///
+    /// # Errors
+    /// A value that no keyframe can have.
+    pub fn into_keyframe(self, id: KeyframeId) -> Result<Keyframe, RecordError> {
         let [w, x, y, z] = self.quaternion;
         let quaternion = Quaternion::new(w, x, y, z);
         let deviation = (quaternion.norm() - 1.0).abs();
@@ -207,7 +217,7 @@ impl FeaturesRecord {
 
 /// [`Landmark`] on disk; its id is the key.
 #[derive(Serialize, Deserialize)]
-pub(in crate::store) struct LandmarkRecord {
+pub struct LandmarkRecord {
     anchor: u64,
     position_in_anchor: [f64; 3],
     observations: Vec<ObservationRecord>,
@@ -222,7 +232,8 @@ struct ObservationRecord {
 }
 
 impl LandmarkRecord {
-    pub(in crate::store) fn new(landmark: &Landmark) -> LandmarkRecord {
+    /// The record of a landmark.
+    pub fn new(landmark: &Landmark) -> LandmarkRecord {
         let observations = landmark.observations.iter().map(|observation| ObservationRecord {
             keyframe: observation.keyframe,
             pixel: observation.pixel,
@@ -235,7 +246,8 @@ impl LandmarkRecord {
         }
     }
 
-    pub(in crate::store) fn into_landmark(self, id: LandmarkId) -> Landmark {
+    /// The landmark that the record holds; its id is the key.
+    pub fn into_landmark(self, id: LandmarkId) -> Landmark {
         let observations = self.observations.into_iter().map(|observation| Observation {
             keyframe: observation.keyframe,
             pixel: observation.pixel,
@@ -252,18 +264,16 @@ impl LandmarkRecord {
 
 /// [`KeyframeCrossCovariance`] on disk, by columns; the pair is the key.
 #[derive(Serialize, Deserialize)]
-pub(in crate::store) struct CrossCovarianceRecord([[f64; 6]; 6]);
+pub struct CrossCovarianceRecord([[f64; 6]; 6]);
 
 impl CrossCovarianceRecord {
-    pub(in crate::store) fn new(cross: &KeyframeCrossCovariance) -> CrossCovarianceRecord {
+    /// The record of a cross-covariance block.
+    pub fn new(cross: &KeyframeCrossCovariance) -> CrossCovarianceRecord {
         CrossCovarianceRecord(cross.block.into())
     }
 
-    pub(in crate::store) fn into_cross_covariance(
-        self,
-        a: KeyframeId,
-        b: KeyframeId,
-    ) -> KeyframeCrossCovariance {
+    /// The block that the record holds; the keyframes are the key.
+    pub fn into_cross_covariance(self, a: KeyframeId, b: KeyframeId) -> KeyframeCrossCovariance {
         KeyframeCrossCovariance { a, b, block: Matrix6::from(self.0) }
     }
 }

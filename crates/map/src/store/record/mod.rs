@@ -4,6 +4,6 @@ mod envelope;
 mod error;
 mod layout;
 
-pub(super) use envelope::{seal, unseal, unseal_info};
+pub use envelope::{seal, unseal, unseal_info};
 pub use error::RecordError;
-pub(super) use layout::{CrossCovarianceRecord, InfoRecord, KeyframeRecord, LandmarkRecord};
+pub use layout::{CrossCovarianceRecord, InfoRecord, KeyframeRecord, LandmarkRecord};
