@@ -30,7 +30,7 @@ const STOP_TIMEOUT: Duration = Duration::from_secs(5);
 /// # Example
 /// ```
 /// use client::{MapClient, SessionOptions, close_session, open_session};
-/// use map::{MapContents, MapInfo};
+/// use map::{MapContents, MapMetadata};
 /// use map_server::{MapServer, ServedMap, ServerOptions};
 /// use protocol::DescriptorKind;
 /// use recognition::LoadedMap;
@@ -39,7 +39,7 @@ const STOP_TIMEOUT: Duration = Duration::from_secs(5);
 ///
 /// # #[tokio::main]
 /// # async fn main() -> Result<(), Box<dyn std::error::Error + Send + Sync>> {
-/// let contents = MapContents::empty(MapInfo::new("hall", "example", DescriptorKind::Binary, 32));
+/// let contents = MapContents::empty(MapMetadata::new("hall", "example", DescriptorKind::Binary, 32));
 /// let map = Arc::new(LoadedMap::from_contents(contents)?);
 /// let session = open_session(&SessionOptions::default()).await?;
 /// let maps = vec![ServedMap { name: "hall".into(), map }];

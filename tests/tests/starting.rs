@@ -114,7 +114,7 @@ fn a_robot_with_permuted_tracks_ends_and_reports_why_it_never_started() {
     let switches = arguments(folder.path(), "--mode odometry --start-at 9 --duration 6");
     let outcome = run_robot(&live, &switches, None, |_| {}).unwrap();
     let why = outcome.summary.ended_early.as_ref().unwrap();
-    assert!(why.contains("no start was found in 6"), "{why}");
+    assert!(why.contains("was not initialized in 6"), "{why}");
     assert!(outcome.states().unwrap().is_empty());
 
     // From truth it starts, diverges, and does not loop.
@@ -123,7 +123,7 @@ fn a_robot_with_permuted_tracks_ends_and_reports_why_it_never_started() {
     assert_eq!((outcome.summary.divergences.len(), outcome.summary.starts.len()), (1, 1));
     let status = outcome.summary.final_status.unwrap();
     assert_eq!(status.localization, Localization::Lost);
-    assert!(status.reason.contains("no start"), "{}", status.reason);
+    assert!(status.reason.contains("dynamic initialization"), "{}", status.reason);
 }
 
 #[test]

@@ -8,7 +8,7 @@
 //! ```
 //! Its noise is larger than that of its pixels: the same pixels are used by the rows of the landmarks, and all landmarks of a
 //! keyframe share a position error where the pose of the keyframe did not fit those that they were triangulated with, which
-//! no residual shows. [`solved_covariance`] includes both.
+//! no residual shows. `solved_covariance` includes both.
 
 use crate::map_update::map_answer::MapAnswer;
 use crate::map_update::map_measurement::Linearization;

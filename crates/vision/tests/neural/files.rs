@@ -49,8 +49,8 @@ fn a_flipped_byte_of_a_stored_file_is_refused_by_its_checksum() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("r2d2-1.onnx");
     let onnx = super::extractors::blob_network();
-    std::fs::write(WeightsFile::checksum_path(&path), format!("{:x}  r2d2-1.onnx\n", Sha256::digest(&onnx)))
-        .unwrap();
+    let checksum: String = Sha256::digest(&onnx).iter().map(|byte| format!("{byte:02x}")).collect();
+    std::fs::write(WeightsFile::checksum_path(&path), format!("{checksum}  r2d2-1.onnx\n")).unwrap();
     std::fs::write(&path, &onnx).unwrap();
     assert!(open("r2d2-1", Some(folder.path())).is_ok());
     for position in (0..onnx.len()).step_by(97) {

@@ -41,8 +41,9 @@ fn the_published_network_gives_the_numbers_of_a_direct_computation() {
 }
 
 #[test]
+#[ignore = "needs the weights of XFeat"]
 fn a_flipped_byte_of_the_published_weights_is_refused() {
-    let Some(path) = weights() else { return };
+    let path = weights();
     let bytes = std::fs::read(path).unwrap();
     let folder = tempfile::tempdir().unwrap();
     for position in [0, 100, bytes.len() / 2, bytes.len() - 1] {
