@@ -3,6 +3,7 @@
 use super::reference::Tensors;
 use super::{engines, random_xfeat, state, weights_file};
 use sha2::{Digest as _, Sha256};
+use std::fmt::Write as _;
 use std::path::Path;
 use vision::features::neural::{Network, StateDict, StateDictError, WeightsError, write_xfeat};
 use vision::features::weights::WeightsFile;
@@ -49,7 +50,10 @@ fn a_flipped_byte_of_a_stored_file_is_refused_by_its_checksum() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("r2d2-1.onnx");
     let onnx = super::extractors::blob_network();
-    let checksum: String = Sha256::digest(&onnx).iter().map(|byte| format!("{byte:02x}")).collect();
+    let mut checksum = String::new();
+    for byte in Sha256::digest(&onnx) {
+        write!(checksum, "{byte:02x}").unwrap();
+    }
     std::fs::write(WeightsFile::checksum_path(&path), format!("{checksum}  r2d2-1.onnx\n")).unwrap();
     std::fs::write(&path, &onnx).unwrap();
     assert!(open("r2d2-1", Some(folder.path())).is_ok());
