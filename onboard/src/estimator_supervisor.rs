@@ -5,7 +5,7 @@
 
 use estimator::{
     CalibratedCamera, Estimator, EstimatorConfig, EstimatorError, ImuSample, InitMethod, InitStatus,
-    Initialization, Initializer, LastTrustedPose, Localization, Status, TrackObservation,
+    Initialization, Initializer, LastTrustedPose, LearnedNoise, Localization, Status, TrackObservation,
 };
 
 /// A filter that diverges earlier than this was initialized badly, nanoseconds.
@@ -34,6 +34,8 @@ pub struct EstimatorSupervisor {
     /// Time of the newest initialization, nanoseconds.
     started_ns: i64,
     last_trusted: Option<LastTrustedPose>,
+    /// Noise levels that the last filter learned.
+    learned_noise: Option<LearnedNoise>,
     bad_initializations: i32,
     /// Why the last filter diverged.
     divergence: Option<String>,
@@ -60,6 +62,7 @@ impl EstimatorSupervisor {
             phase: Phase::Initializing(Box::new(initializer)),
             started_ns: i64::MAX,
             last_trusted: None,
+            learned_noise: None,
             bad_initializations: 0,
             divergence: None,
             init_status: InitStatus::NoData,
@@ -138,6 +141,9 @@ impl EstimatorSupervisor {
         };
         self.next_warning_ns = None;
         let mut estimator = Estimator::new(self.config.clone(), self.rig.clone(), &initial)?;
+        if let Some(learned) = &self.learned_noise {
+            estimator.resume_noise(learned);
+        }
         for reading in initializer.readings_for(&initial) {
             estimator.imu(*reading)?;
         }
@@ -160,12 +166,18 @@ impl EstimatorSupervisor {
     pub fn update_last_trusted(&mut self) {
         let Phase::Running(estimator) = &self.phase else { return };
         if !estimator.is_suspicious() {
+            self.learned_noise = Some(estimator.learned_noise());
             self.last_trusted = Some(LastTrustedPose {
                 stamp_ns: estimator.stamp_ns(),
                 local_from_imu: estimator.local_from_imu().pose,
                 gyroscope_bias: estimator.biases().0,
             });
         }
+    }
+
+    /// Noise levels as learned up to now; `None` before the first image.
+    pub fn learned_noise(&self) -> Option<LearnedNoise> {
+        self.estimator().map(Estimator::learned_noise).or(self.learned_noise)
     }
 
     /// From when on [`EstimatorSupervisor::reinitialize`] needs the readings, nanoseconds; `None` during

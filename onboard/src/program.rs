@@ -288,6 +288,7 @@ impl FinishedRun {
             reinitializations: recorder.reinitializations(),
             starts: recorder.starts.clone(),
             divergences: recorder.divergences.clone(),
+            learned_noise: recorder.learned_noise,
             final_status: recorder.final_status.clone(),
             interrupted: matches!(ended_early, Some(RunError::Interrupted { .. })),
             ended_early: ended_early.map(|reason| reason.to_string()),

@@ -342,6 +342,7 @@ impl RobotRun<'_> {
 
     fn close(&mut self, recorder: &mut Recorder) {
         recorder.imu_gaps = self.imu.gaps();
+        recorder.learned_noise = self.supervisor.learned_noise();
         recorder.final_status = Some(self.supervisor.status().with_failure(self.last_failure.as_deref()));
         if let Some(publisher) = self.publisher.take() {
             publisher.close();

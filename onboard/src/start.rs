@@ -2,6 +2,7 @@
 
 use super::arguments::Init;
 use estimator::initialization::static_init::{REST_SECONDS, StaticInitError};
+use estimator::propagation::GYROSCOPE_BIAS;
 use estimator::{EstimatorConfig, ImuSample, InitialState};
 use nalgebra::Vector3;
 use sensors::{Recording, SequenceError, TruthRow};
@@ -164,10 +165,30 @@ fn from_truth(recording: &Recording<'_>, config: &EstimatorConfig) -> Result<Ini
         return Err(StartError::NoVelocity);
     };
     let stamp_ns = row.stamp_ns.max(imu_begin_ns);
-    let mut start = InitialState::from_truth(stamp_ns, &row.pose, &velocity, &gravity, config.initial);
-    start.imu.gyroscope_bias = row.gyroscope_bias.unwrap_or_default();
-    start.imu.accelerometer_bias = row.accelerometer_bias.unwrap_or_default();
+    let at = |sigmas| InitialState::from_truth(stamp_ns, &row.pose, &velocity, &gravity, sigmas);
+    if let Some((gyroscope, accelerometer)) = row.gyroscope_bias.zip(row.accelerometer_bias) {
+        let mut start = at(config.initial.with_known_biases());
+        (start.imu.gyroscope_bias, start.imu.accelerometer_bias) = (gyroscope, accelerometer);
+        return Ok(start);
+    }
+    let mut start = at(config.initial);
+    // The truth does not know the biases; a moment at rest shows that of the gyroscope.
+    if let Some(rest) = first_rest(&readings_from(recording, stamp_ns)?, config) {
+        start.imu.gyroscope_bias = rest.imu.gyroscope_bias;
+        let measured = rest.covariance.fixed_view::<3, 3>(GYROSCOPE_BIAS, GYROSCOPE_BIAS);
+        start.covariance.fixed_view_mut::<3, 3>(GYROSCOPE_BIAS, GYROSCOPE_BIAS).copy_from(&measured);
+    }
     Ok(start)
+}
+
+/// The readings in which [`first_rest`] searches, from a time on.
+fn readings_from(recording: &Recording<'_>, from_ns: i64) -> Result<Vec<ImuSample>, SequenceError> {
+    let until_ns = from_ns.saturating_add((SEARCH_SECONDS * 1e9) as i64);
+    let of_time = |reading: &Result<ImuSample, SequenceError>| {
+        reading.as_ref().map_or(true, |reading| reading.stamp_ns <= until_ns)
+    };
+    let readings = recording.imu_samples()?.take_while(of_time);
+    readings.filter(|reading| reading.as_ref().map_or(true, |reading| reading.stamp_ns >= from_ns)).collect()
 }
 
 fn slope(a: &TruthRow, b: &TruthRow) -> Vector3<f64> {

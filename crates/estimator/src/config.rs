@@ -73,6 +73,34 @@ impl Default for ImuNoise {
     }
 }
 
+/// Which noise levels are adapted to the innovations; see [`noise_adaptation`](crate::noise_adaptation).
+///
+/// Those that are not adapted are as stated in [`EstimatorConfig`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+#[non_exhaustive]
+pub struct AdaptiveNoise {
+    /// White noise of the IMU, from [`EstimatorConfig::imu_noise`] upwards: a data sheet states a sensor at rest.
+    pub imu: bool,
+    /// Noise of tracked pixels, from 0.4 of [`EstimatorConfig::sigma_track_px`] upwards.
+    pub tracks: bool,
+    /// Noise of matched pixels in the image and in the map, from that of [`EstimatorConfig::sigma_match_px`] and
+    /// [`EstimatorConfig::sigma_map_px`] upwards.
+    pub matches: bool,
+}
+
+impl AdaptiveNoise {
+    /// All noise as stated.
+    pub const NONE: Self = Self { imu: false, tracks: false, matches: false };
+}
+
+impl Default for AdaptiveNoise {
+    /// All of it.
+    fn default() -> Self {
+        Self { imu: true, tracks: true, matches: true }
+    }
+}
+
 /// Standard deviations of the initial IMU state.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -86,25 +114,44 @@ pub struct InitialSigmas {
     pub sigma_position_m: f64,
     /// Velocity, m/s.
     pub sigma_velocity_m_s: f64,
-    /// Gyroscope bias, rad/s.
+    /// Gyroscope bias, rad/s, where it is unknown; an initialization at rest measures it.
     pub sigma_gyroscope_bias_rad_s: f64,
-    /// Accelerometer bias, m/s^2.
+    /// Accelerometer bias, m/s^2, where it is unknown.
     pub sigma_accelerometer_bias_m_s2: f64,
+}
+
+impl InitialSigmas {
+    /// Standard deviation of a gyroscope bias from ground truth, rad/s; as in OpenVINS.
+    const KNOWN_GYROSCOPE_BIAS_RAD_S: f64 = 0.02;
+    /// The same of the accelerometer's, m/s^2.
+    const KNOWN_ACCELEROMETER_BIAS_M_S2: f64 = 0.02;
+
+    /// The same with biases that are known from ground truth.
+    pub fn with_known_biases(self) -> Self {
+        let Self {
+            sigma_gyroscope_bias_rad_s: gyroscope, sigma_accelerometer_bias_m_s2: accelerometer, ..
+        } = self;
+        Self {
+            sigma_gyroscope_bias_rad_s: gyroscope.min(Self::KNOWN_GYROSCOPE_BIAS_RAD_S),
+            sigma_accelerometer_bias_m_s2: accelerometer.min(Self::KNOWN_ACCELEROMETER_BIAS_M_S2),
+            ..self
+        }
+    }
 }
 
 impl Default for InitialSigmas {
     /// The values of OpenVINS for an initialization from ground truth, except yaw and position: L is *defined* by the
     /// first pose, so both are exact. With uncertain ones (0.017 rad, 0.05 m) updates can shift L against
     /// `global_from_local`: the error of the local pose on the recording `yq/live` was 1.18 m instead of 0.18 m, that in G
-    /// the same.
+    /// the same. The biases are unknown: real ones of EuRoC's sensor are 0.08 rad/s and up to 0.3 m/s^2.
     fn default() -> Self {
         Self {
             sigma_tilt_rad: 0.017,
             sigma_yaw_rad: 1e-4,
             sigma_position_m: 1e-3,
             sigma_velocity_m_s: 0.01,
-            sigma_gyroscope_bias_rad_s: 0.02,
-            sigma_accelerometer_bias_m_s2: 0.02,
+            sigma_gyroscope_bias_rad_s: 0.1,
+            sigma_accelerometer_bias_m_s2: 0.2,
         }
     }
 }
@@ -140,6 +187,8 @@ pub struct EstimatorConfig {
     pub window: usize,
     /// IMU noise densities.
     pub imu_noise: ImuNoise,
+    /// Which noise levels are adapted to the innovations.
+    pub adaptive_noise: AdaptiveNoise,
     /// Gravity, m/s^2.
     pub gravity: f64,
     /// Standard deviations of the initial state.
@@ -207,6 +256,7 @@ impl Default for EstimatorConfig {
             zero_velocity: true,
             window: 20,
             imu_noise: ImuNoise::default(),
+            adaptive_noise: AdaptiveNoise::default(),
             gravity: 9.81,
             initial: InitialSigmas::default(),
             slam_features: 30,

@@ -248,7 +248,8 @@ mod tests {
             gyroscope_bias: Vector3::zeros(),
             accelerometer_bias: Vector3::zeros(),
         };
-        let config = EstimatorConfig::default();
+        let mut config = EstimatorConfig::default();
+        config.initial = config.initial.with_known_biases();
         let initial = InitialState { stamp_ns: 0, imu, covariance: config.initial.covariance() };
         Health::new(&initial, &config)
     }

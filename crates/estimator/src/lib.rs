@@ -30,6 +30,7 @@
 //! | [`state`] | layout of the active state |
 //! | [`schmidt`], [`covariance`] | joint covariance of the active state and the held keyframes |
 //! | [`gate`] | chi-square tests |
+//! | [`noise_adaptation`] | noise of IMU, tracks and matches from the innovations |
 //! | [`odometry`] | feature tracks: MSCKF update, SLAM features, zero-velocity update |
 //! | [`map_update`] | answers of the map: verification, linearization, versions |
 //! | [`initialization`] | initial state at rest (static) and in motion (dynamic) |
@@ -49,6 +50,7 @@ pub mod initialization;
 pub mod linear_algebra;
 pub mod map_update;
 pub mod measurement;
+pub mod noise_adaptation;
 pub mod odometry;
 pub mod propagation;
 pub mod schmidt;
@@ -57,7 +59,9 @@ pub mod state;
 mod test_scene;
 
 pub use calibration::{CalibratedCamera, Calibration, OnlineCalibration};
-pub use config::{ConfigError, EstimatorConfig, ImuNoise, InitialSigmas, MapMode, Relinearization};
+pub use config::{
+    AdaptiveNoise, ConfigError, EstimatorConfig, ImuNoise, InitialSigmas, MapMode, Relinearization,
+};
 pub use error::EstimatorError;
 pub use estimator::Estimator;
 pub use estimator::status::{Localization, Status, StatusReason};
@@ -68,6 +72,7 @@ pub use initialization::static_init::InitialState;
 pub use map_update::map_answer::{MapAnswer, MapKeyframe, MatchedLandmark};
 pub use map_update::map_report::{MapReport, Rejection};
 pub use map_update::map_revision::{ChangeSize, MapRevision, RevisionEffect};
+pub use noise_adaptation::LearnedNoise;
 pub use odometry::msckf_update::TrackReport;
 pub use odometry::tracks::TrackObservation;
 pub use state::CloneId;

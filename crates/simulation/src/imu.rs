@@ -25,7 +25,7 @@ pub(crate) struct ImuRecord {
 /// `w / sqrt(rate)` from sample to sample.
 pub(crate) fn record(options: &SimulationOptions, motion: &Spline, run: u64) -> ImuRecord {
     let mut rng = stream(options.seed, run, Purpose::Imu);
-    let noise = &options.imu_noise;
+    let noise = options.imu_noise.inflated(options.imu_noise_scale);
     let root_rate = options.imu_rate_hz.sqrt();
     let gravity = -Vector3::z() * GRAVITY;
     let mut record =

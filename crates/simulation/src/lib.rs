@@ -66,8 +66,10 @@ pub struct SimulationOptions {
     pub frame_rate_hz: f64,
     /// IMU samples a second.
     pub imu_rate_hz: f64,
-    /// Noise densities of the IMU; EuRoC's by default.
+    /// Noise densities of the IMU as its calibration states them; EuRoC's by default.
     pub imu_noise: ImuNoise,
+    /// White noise of the IMU as a multiple of the stated one: data sheets state a sensor at rest.
+    pub imu_noise_scale: f64,
     /// An IMU without noise and bias, for tests of integration.
     pub noise_free_imu: bool,
     /// Landmarks per metre of trajectory.
@@ -118,6 +120,7 @@ impl Default for SimulationOptions {
             frame_rate_hz: 10.0,
             imu_rate_hz: 200.0,
             imu_noise: ImuNoise::default(),
+            imu_noise_scale: 1.0,
             noise_free_imu: false,
             landmarks_per_metre: 16.0,
             depth_m: [4.0, 30.0],

@@ -90,22 +90,22 @@ pub struct RobotArguments {
     #[arg(long, help_heading = ESTIMATOR)]
     pub no_relinearize: bool,
 
-    /// Factor on the white noise densities of the IMU's sensor.yaml (sensors on vehicles: about 3)
-    #[arg(long, value_name = "FACTOR", default_value_t = 1.0, help_heading = NOISE)]
-    pub imu_noise_scale: f64,
-    /// Standard deviation of tracked pixels, px
+    /// Factor on the white noise densities of the IMU's sensor.yaml [default: learned during the run]
+    #[arg(long, value_name = "FACTOR", help_heading = NOISE)]
+    pub imu_noise_scale: Option<f64>,
+    /// Standard deviation of tracked pixels, px [default: learned during the run, from 1 px on]
     #[arg(long, value_name = "PX", help_heading = NOISE)]
     pub sigma_track: Option<f64>,
-    /// Standard deviation of matched pixels in the robot's image, px
+    /// Standard deviation of matched pixels in the robot's image, px [default: learned during the run, at least 1 px]
     #[arg(long, value_name = "PX", help_heading = NOISE)]
     pub sigma_match: Option<f64>,
-    /// Standard deviation of matched pixels in the map's images, px [default: as the map states]
+    /// Standard deviation of matched pixels in the map's images, px [default: learned, at least what the map states]
     #[arg(long, value_name = "PX", help_heading = NOISE)]
     pub sigma_map: Option<f64>,
-    /// Initial standard deviation of the gyroscope bias, rad/s
+    /// Initial standard deviation of an unknown gyroscope bias, rad/s
     #[arg(long, value_name = "RAD/S", help_heading = NOISE)]
     pub sigma_gyroscope_bias: Option<f64>,
-    /// Initial standard deviation of the accelerometer bias, m/s^2
+    /// Initial standard deviation of an unknown accelerometer bias, m/s^2
     #[arg(long, value_name = "M/S2", help_heading = NOISE)]
     pub sigma_accelerometer_bias: Option<f64>,
 }
@@ -154,10 +154,15 @@ impl RobotArguments {
             Some(path) => read_settings(path, &of_sensor)?,
             None => of_sensor,
         };
-        if !(self.imu_noise_scale.is_finite() && self.imu_noise_scale > 0.0) {
-            bail!("--imu-noise-scale is {}; it must be a positive number", self.imu_noise_scale);
+        if let Some(scale) = self.imu_noise_scale {
+            if !(scale.is_finite() && scale > 0.0) {
+                bail!("--imu-noise-scale is {scale}; it must be a positive number");
+            }
+            config.imu_noise = config.imu_noise.inflated(scale);
         }
-        config.imu_noise = config.imu_noise.inflated(self.imu_noise_scale);
+        config.adaptive_noise.imu &= self.imu_noise_scale.is_none();
+        config.adaptive_noise.tracks &= self.sigma_track.is_none();
+        config.adaptive_noise.matches &= self.sigma_match.is_none() && self.sigma_map.is_none();
         config.mode = self.mode.map_or(config.mode, Into::into);
         if self.no_relinearize {
             config.relinearization = Relinearization::Off;

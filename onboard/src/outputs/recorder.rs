@@ -7,7 +7,7 @@ use super::summary::{
     DivergenceSummary, ImuGapSummary, MapChangeSummary, QuerySummary, StartSummary, Summary, Timings,
     TrackSummary, Traffic,
 };
-use estimator::{Estimator, EstimatorError, InitMethod, Status, TrackReport};
+use estimator::{Estimator, EstimatorError, InitMethod, LearnedNoise, Status, TrackReport};
 use evaluation::trajectory::StateRow;
 use std::path::Path;
 
@@ -55,6 +55,8 @@ pub struct Recorder {
     pub divergences: Vec<DivergenceSummary>,
     /// Status at the end.
     pub final_status: Option<Status>,
+    /// Noise levels learned at the end.
+    pub learned_noise: Option<LearnedNoise>,
 }
 
 impl Recorder {
@@ -85,6 +87,7 @@ impl Recorder {
             starts: Vec::new(),
             divergences: Vec::new(),
             final_status: None,
+            learned_noise: None,
         })
     }
 

@@ -1,6 +1,6 @@
 //! The summary of a run: `summary.json`.
 
-use estimator::{EstimatorConfig, Status};
+use estimator::{EstimatorConfig, LearnedNoise, Status};
 use evaluation::RunScore;
 use serde::Serialize;
 use std::time::Duration;
@@ -192,6 +192,8 @@ pub struct Summary {
     pub starts: Vec<StartSummary>,
     /// Divergences, after each of which the filter was initialized again.
     pub divergences: Vec<DivergenceSummary>,
+    /// Noise levels that the filter learned, or that the settings fixed; none where it was never initialized.
+    pub learned_noise: Option<LearnedNoise>,
     /// Status at the end.
     pub final_status: Option<Status>,
     /// Whether the run was stopped from outside (Ctrl-C).

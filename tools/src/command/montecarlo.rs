@@ -99,6 +99,18 @@ pub struct Args {
     /// Standard deviation of tracked pixels, px, in the images and in the filter
     #[arg(long, value_name = "PX", default_value_t = SimulationOptions::default().sigma_track_px)]
     pixel_noise: f64,
+    /// White noise of the IMU as a multiple of what the filter is told
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
+    true_imu_noise: f64,
+    /// Standard deviation of tracked pixels in the images, px [default: as the filter is told]
+    #[arg(long, value_name = "PX")]
+    true_track_noise: Option<f64>,
+    /// Standard deviation of matched pixels in the images and in the map, px; the filter is told 1
+    #[arg(long, value_name = "PX", default_value_t = SimulationOptions::default().sigma_feature_px)]
+    true_match_noise: f64,
+    /// Start with the error of unknown biases instead of a small one (0.1 rad/s and 0.2 m/s^2, unless the settings differ)
+    #[arg(long)]
+    unknown_biases: bool,
     /// Fraction of tracked pixels that are 10 to 50 px off
     #[arg(long, value_name = "FRACTION", default_value_t = 0.0)]
     outliers: f64,
@@ -200,7 +212,9 @@ fn options(args: &Args) -> anyhow::Result<MonteCarloOptions> {
             duration_s: Some(args.seconds),
             map_trajectory: given,
             max_tracks: args.tracks,
-            sigma_track_px: args.pixel_noise,
+            imu_noise_scale: args.true_imu_noise,
+            sigma_track_px: args.true_track_noise.unwrap_or(args.pixel_noise),
+            sigma_feature_px: args.true_match_noise,
             outlier_fraction: args.outliers,
             live_feature_period_s: 1e9,
             ..SimulationOptions::default()
@@ -219,7 +233,9 @@ fn options(args: &Args) -> anyhow::Result<MonteCarloOptions> {
             wrong_place: args.wrong_place,
             max_keyframes: args.max_keyframes,
             max_matches: args.matches,
+            stated_sigma_px: AnswerOptions::default().stated_sigma_px,
         },
+        biases_are_known: !args.unknown_biases,
         calibration: CalibrationErrors {
             rotation_rad: extrinsic_deg.to_radians(),
             translation_m: extrinsic_m,

@@ -4,6 +4,7 @@ use super::Estimator;
 use crate::KeyframeId;
 use crate::calibration::{CalibratedCamera, Calibration};
 use crate::config::EstimatorConfig;
+use crate::noise_adaptation::{LearnedNoise, NoiseAdaptation};
 use crate::state::{Block, CloneId, rotation_adjoint};
 use geometry::{Pose, PoseWithCovariance};
 use nalgebra::{Matrix6, Vector3};
@@ -85,6 +86,16 @@ impl Estimator {
     pub fn gravity_in_first_camera(&self, clone: CloneId) -> Option<Vector3<f64>> {
         let local_from_imu = self.state.clones[self.state.clone_index(clone)?].local_from_imu;
         Some(self.gravity_in_camera(&local_from_imu))
+    }
+
+    /// Noise levels as learned up to now; see [`noise_adaptation`](crate::noise_adaptation).
+    pub fn learned_noise(&self) -> LearnedNoise {
+        self.noise.learned()
+    }
+
+    /// Continues from noise levels that another filter of the same sensors has learned.
+    pub fn resume_noise(&mut self, learned: &LearnedNoise) {
+        self.noise = NoiseAdaptation::new(&self.config, Some(learned));
     }
 
     /// Whether most tracks of the newest second contradict the state: not yet a divergence, but the pose should not be

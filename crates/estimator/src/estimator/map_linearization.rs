@@ -9,9 +9,11 @@ use crate::map_update::map_measurement::{
 };
 use crate::map_update::verification::VerifiedAnswer;
 use crate::measurement::{Information, StateBlocks};
+use crate::noise_adaptation::MatchNoise;
 use crate::propagation::IMU_DIM;
-use crate::state::{Block, CloneId};
+use crate::state::{Block, CloneId, POSE_DIM};
 use geometry::Pose;
+use nalgebra::{DMatrix, DVector};
 
 /// The linearized measurements of an answer.
 pub(super) struct LinearizedMapUpdate {
@@ -20,6 +22,13 @@ pub(super) struct LinearizedMapUpdate {
     pub(super) used: usize,
     /// Number of landmarks within the contradiction confidence.
     pub(super) plausible: usize,
+}
+
+/// The linearized measurement of one landmark, landmark eliminated.
+#[derive(Clone, Debug)]
+pub(super) struct LandmarkRows {
+    jacobian: DMatrix<f64>,
+    residual: DVector<f64>,
 }
 
 impl Estimator {
@@ -60,15 +69,14 @@ impl Estimator {
         StateBlocks { active, keyframes: slots }
     }
 
-    /// Linearizes and gates all landmarks.
+    /// Linearizes all landmarks, whitened by the stated noise.
     pub(super) fn linearize(
         &self,
         landmarks: &[&MatchedLandmark],
         answer: &MapAnswer,
         keyframes: &[KeyframeId],
-        columns: &StateBlocks,
         point: &Linearization,
-    ) -> LinearizedMapUpdate {
+    ) -> Vec<LandmarkRows> {
         let valid = answer.sigma_map_px.is_finite() && answer.sigma_map_px > 0.0;
         let stated_sigma = if valid { answer.sigma_map_px } else { self.config.sigma_match_px };
         let settings = MapMeasurementSettings {
@@ -76,14 +84,51 @@ impl Estimator {
             sigma_map_px: self.config.sigma_map_px.unwrap_or(stated_sigma),
             map_is_exact: self.config.mode == MapMode::MapConst,
         };
-        let joint = self.covariance.joint(columns);
         let poses = |id: KeyframeId| self.pose_of(id, answer);
         let calibration = &self.state.calibration;
+        let linearized = landmarks.iter().filter_map(|landmark| {
+            linearize_landmark(landmark, answer, keyframes, &poses, calibration, point, &settings)
+        });
+        linearized.map(|(jacobian, residual)| LandmarkRows { jacobian, residual }).collect()
+    }
+
+    /// The noise of the matches of an answer.
+    pub(super) fn noise_of_matches(
+        &self,
+        landmarks: &[LandmarkRows],
+        columns: &StateBlocks,
+        verified: &VerifiedAnswer,
+    ) -> MatchNoise {
+        let count = landmarks.iter().map(|rows| rows.residual.len()).sum();
+        let mut jacobian = DMatrix::zeros(count, columns.len());
+        let mut residual = DVector::zeros(count);
+        let mut begin = 0;
+        for rows in landmarks {
+            let len = rows.residual.len();
+            jacobian.rows_mut(begin, len).copy_from(&rows.jacobian);
+            residual.rows_mut(begin, len).copy_from(&rows.residual);
+            begin += len;
+        }
+        let reprojection = verified.mean_error_px / self.config.sigma_match_px;
+        self.noise.of_matches(&jacobian, &residual, 2 * POSE_DIM, landmarks.len(), reprojection)
+    }
+
+    /// Whitens all landmarks by the learned noise, gates them, and sums up those that pass.
+    ///
+    /// # Arguments
+    /// * `sigma_factor`: factor on the stated noise.
+    pub(super) fn gate(
+        &self,
+        landmarks: &[LandmarkRows],
+        columns: &StateBlocks,
+        sigma_factor: f64,
+    ) -> LinearizedMapUpdate {
+        let whiten = 1.0 / sigma_factor;
+        let joint = self.covariance.joint(columns);
         let mut linearized =
             LinearizedMapUpdate { information: Information::new(columns.clone()), used: 0, plausible: 0 };
-        for landmark in landmarks {
-            let rows = linearize_landmark(landmark, answer, keyframes, &poses, calibration, point, &settings);
-            let Some((jacobian, residual)) = rows else { continue };
+        for rows in landmarks {
+            let (jacobian, residual) = (&rows.jacobian * whiten, &rows.residual * whiten);
             if self.landmark_gate.accepts_rows(&joint, &jacobian, &residual) {
                 linearized.information.add(&jacobian, &residual);
                 linearized.used += 1;

@@ -11,6 +11,7 @@ use crate::map_update::map_report::{MapReport, Rejection};
 use crate::map_update::solved_pose::median_depth;
 use crate::map_update::verification::{VerificationSettings, VerifiedAnswer, verify};
 use crate::measurement::Information;
+use crate::noise_adaptation::correction::BeforeUpdate;
 use crate::state::CloneId;
 use geometry::PoseWithCovariance;
 
@@ -218,7 +219,11 @@ impl Estimator {
         let columns = self.pull_keyframes(clone, &keyframes, answer);
         let exact = self.config.mode == MapMode::MapConst;
         for iteration in 1..=self.config.map_iterations {
-            let mut linearized = self.linearize(&landmarks, answer, &keyframes, &columns, &point);
+            let rows = self.linearize(&landmarks, answer, &keyframes, &point);
+            // A map that is taken as exact is taken at its word.
+            let noise = (!exact).then(|| self.noise_of_matches(&rows, &columns, verified));
+            let sigma_factor = noise.as_ref().map_or(1.0, |noise| noise.sigma_factor);
+            let mut linearized = self.gate(&rows, &columns, sigma_factor);
             if report.initialized {
                 self.add_solved_pose(&mut linearized.information, answer, verified, &keyframes, &point);
             }
@@ -247,8 +252,15 @@ impl Estimator {
                 point.at = self.next_point(clone, &information, &point)?;
                 continue;
             }
+            let before = BeforeUpdate::of(&self.state.imu, &self.covariance);
             self.covariance.information_update(&information, &mut self.correction)?;
             self.state.retract(&self.correction);
+            if let Some(noise) = noise {
+                self.noise.accept_matches(noise);
+                if !report.initialized {
+                    self.note_correction(&before);
+                }
+            }
             self.check_health()?;
         }
         Ok(Ok(()))

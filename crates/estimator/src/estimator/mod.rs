@@ -20,6 +20,7 @@ use crate::imu::ImuBuffer;
 use crate::initialization::static_init::InitialState;
 use crate::linear_algebra::dense::Dense;
 use crate::map_update::map_revision::MapVersion;
+use crate::noise_adaptation::NoiseAdaptation;
 use crate::odometry::msckf_update::MsckfSettings;
 use crate::odometry::tracks::TrackStore;
 use crate::propagation::{IMU_DIM, ImuMatrix, MotionEstimate};
@@ -113,6 +114,7 @@ pub struct Estimator {
     /// Consecutive rejections after which `global_from_local` was removed, until the next map update.
     lost_after: Option<usize>,
     health: Health,
+    noise: NoiseAdaptation,
 }
 
 impl Estimator {
@@ -157,11 +159,13 @@ impl Estimator {
                 gate: Gate::new(config.track_gate),
                 stationary: false,
                 outlier_sigmas: OUTLIER_SIGMAS,
+                learns_noise: config.adaptive_noise.tracks,
                 max_tracks: config.max_tracks,
             },
             landmark_gate: Gate::new(config.landmark_gate),
             contradiction_gate: Gate::new(CONTRADICTION_CONFIDENCE),
             frame_gate: Gate::new(config.frame_gate),
+            noise: NoiseAdaptation::new(&config, None),
             config,
             imu: ImuBuffer::default(),
             state,

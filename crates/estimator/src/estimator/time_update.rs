@@ -54,8 +54,8 @@ impl Estimator {
         let readings = self.imu.interval(self.state.stamp_ns, stamp_ns, IMU_SLACK_NS)?;
         let newest = MotionEstimate::of(&self.state.imu);
         let first = if self.config.first_estimates { &self.state.first_motion } else { &newest };
-        let propagated =
-            propagate(&self.state.imu, first, &readings, &self.config.imu_noise, self.config.gravity);
+        let noise = self.noise.imu_noise(&self.config.imu_noise);
+        let propagated = propagate(&self.state.imu, first, &readings, &noise, self.config.gravity);
         if let Some(last) = readings.last() {
             let rate = last.gyroscope - propagated.state.gyroscope_bias;
             self.angular_velocity = propagated.state.local_from_imu.rotation * rate;

@@ -4,6 +4,7 @@ use super::Estimator;
 use super::time_update::clones_beyond_window;
 use crate::error::EstimatorError;
 use crate::measurement::LinearizedMeasurement;
+use crate::noise_adaptation::correction::BeforeUpdate;
 use crate::odometry::msckf_update::{MsckfUpdate, TrackReport};
 use crate::odometry::pixel_measurement::Layout;
 use crate::odometry::slam_update::{SlamUpdate, SlamUpdateSettings};
@@ -75,13 +76,26 @@ impl Estimator {
             return Ok(TrackReport::default());
         };
         let mut update = std::mem::take(&mut self.odometry_update);
+        self.msckf_settings.sigma_px = self.noise.sigma_track_px();
+        let before = BeforeUpdate::of(&self.state.imu, &self.covariance);
         let report = self.odometry(newest, observations, &mut update);
         self.odometry_update = update;
         let report = report?;
+        // The zero-velocity update states a velocity, whatever the noise of the IMU.
+        if !report.stationary && report.used + report.slam_features > 0 {
+            self.note_correction(&before);
+        }
         self.health.note_tracks(self.state.stamp_ns, &report);
         self.check_health()?;
         self.marginalize_old_clones();
         Ok(report)
+    }
+
+    /// Adapts the noise of the IMU to the correction by an update.
+    pub(super) fn note_correction(&mut self, before: &BeforeUpdate) {
+        for ratio in before.ratios(&self.state.imu, &self.covariance).into_iter().flatten() {
+            self.noise.note_correction(ratio);
+        }
     }
 
     fn odometry(
@@ -108,7 +122,7 @@ impl Estimator {
         }
         let mut report = self.msckf_update(update, in_state)?;
         let settings = SlamUpdateSettings {
-            sigma_px: self.config.sigma_track_px,
+            sigma_px: self.msckf_settings.sigma_px,
             first_estimates: self.config.first_estimates,
             gate: &self.msckf_settings.gate,
         };
@@ -133,6 +147,9 @@ impl Estimator {
         };
         let report =
             msckf.collect(&self.state, &self.covariance, finished, &self.msckf_settings, accept_slam_feature);
+        for nis_per_row in msckf.nis_per_row.drain(..) {
+            self.noise.note_track(nis_per_row);
+        }
         self.tracks.recycle(finished);
         self.insert_slam_features(msckf);
         if msckf.information.rows > 0 {
@@ -170,7 +187,7 @@ impl Estimator {
     /// Zero-velocity update, where the tracks show a stationary body and the gate accepts it.
     fn zero_velocity_update(&mut self, rows: &mut LinearizedMeasurement) -> Result<bool, EstimatorError> {
         let stationary = self.config.zero_velocity
-            && zero_velocity::is_stationary(&self.state, &self.tracks, self.config.sigma_track_px);
+            && zero_velocity::is_stationary(&self.state, &self.tracks, self.msckf_settings.sigma_px);
         if !stationary {
             return Ok(false);
         }

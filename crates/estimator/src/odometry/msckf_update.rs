@@ -12,6 +12,7 @@ use crate::calibration::{CalibratedCamera, Projection};
 use crate::covariance::JointCovariance;
 use crate::gate::Gate;
 use crate::measurement::Information;
+use crate::noise_adaptation::TRACKS_PER_IMAGE;
 use crate::odometry::feature_measurement::{DelayedInitialization, FeatureMeasurement};
 use crate::odometry::pixel_measurement::{Layout, linearize_pixel};
 use crate::odometry::tracks::{CloneObservation, Track};
@@ -56,6 +57,8 @@ pub struct MsckfSettings {
     /// Residual after triangulation beyond which an observation is an outlier, sigmas. Wide, because the residual contains
     /// the errors of the clones.
     pub outlier_sigmas: f64,
+    /// Note the NIS of some tracks.
+    pub learns_noise: bool,
     /// Maximum number of tracks; the longest are preferred.
     pub max_tracks: usize,
 }
@@ -97,6 +100,8 @@ pub struct MsckfUpdate {
     pub new_features: Vec<NewFeature>,
     /// Their initialization.
     pub initialization: DelayedInitialization,
+    /// Normalized innovation squared of some tracks before their gate, for each degree of freedom.
+    pub nis_per_row: Vec<f64>,
     feature: FeatureMeasurement,
 }
 
@@ -140,7 +145,13 @@ impl MsckfUpdate {
                 continue;
             }
             let bound = settings.gate.bound(self.feature.free_rows());
-            let nis = self.feature.nis(state, covariance.active(), &layout, bound);
+            // The exact NIS, where the noise is adapted to it.
+            let is_noted = settings.learns_noise && self.nis_per_row.len() < TRACKS_PER_IMAGE;
+            let enough = if is_noted { 0.0 } else { bound };
+            let nis = self.feature.nis(state, covariance.active(), &layout, enough);
+            if let (true, Ok(nis)) = (is_noted, &nis) {
+                self.nis_per_row.push(nis / self.feature.free_rows() as f64);
+            }
             let plausible = nis.is_ok_and(|nis| nis <= bound);
             if !plausible || self.feature.add_to(&mut self.information, state, &layout).is_err() {
                 report.gated += 1;
@@ -160,6 +171,7 @@ impl MsckfUpdate {
 
     fn begin(&mut self, layout: &Layout) {
         self.new_features.clear();
+        self.nis_per_row.clear();
         self.initialization.clear();
         self.information.blocks.active.clear();
         self.information.blocks.active.extend(layout.runs());
@@ -299,6 +311,7 @@ mod tests {
 
     fn settings() -> MsckfSettings {
         MsckfSettings {
+            learns_noise: true,
             sigma_px: 1.2,
             first_estimates: true,
             gate: Gate::new(0.95),

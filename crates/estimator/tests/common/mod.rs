@@ -68,7 +68,9 @@ impl World {
         }
     }
 
-    pub fn estimator(&self, config: EstimatorConfig) -> Estimator {
+    /// A filter that starts from the truth, biases included.
+    pub fn estimator(&self, mut config: EstimatorConfig) -> Estimator {
+        config.initial = config.initial.with_known_biases();
         let imu = ImuState {
             local_from_imu: pose_at(0),
             velocity: Vector3::new(0.4, 0.9, 0.27),

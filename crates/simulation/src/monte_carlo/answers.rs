@@ -122,7 +122,7 @@ fn matched(
         held_at_query: Vec::new(),
         landmarks,
         gravity_in_global: Some(global_from_world().rotation * -Vector3::z()),
-        sigma_map_px: map.sigma_px,
+        sigma_map_px: options.stated_sigma_px,
     })
 }
 

@@ -78,6 +78,9 @@ pub struct MonteCarloOptions {
     pub map_change: Option<MapChangeOptions>,
     /// Errors of the calibration that the filter is given.
     pub calibration: CalibrationErrors,
+    /// The filter starts from the biases of the truth with a small error; else with the error of unknown ones, as
+    /// [`InitialSigmas`](estimator::InitialSigmas) state it.
+    pub biases_are_known: bool,
 }
 
 impl Default for MonteCarloOptions {
@@ -91,6 +94,7 @@ impl Default for MonteCarloOptions {
             answers: AnswerOptions::default(),
             map_change: None,
             calibration: CalibrationErrors::default(),
+            biases_are_known: true,
         }
     }
 }
@@ -131,6 +135,8 @@ pub struct AnswerOptions {
     pub max_keyframes: usize,
     /// Most matches in a reply.
     pub max_matches: usize,
+    /// Standard deviation of the map's pixels as it states it, px.
+    pub stated_sigma_px: f64,
 }
 
 impl Default for AnswerOptions {
@@ -142,6 +148,7 @@ impl Default for AnswerOptions {
             wrong_place: 0.0,
             max_keyframes: 4,
             max_matches: 100,
+            stated_sigma_px: 1.0,
         }
     }
 }

@@ -155,7 +155,11 @@ impl Seed<'_> {
         let rows = self.live.groundtruth.as_deref().unwrap_or_default();
         let row = rows.iter().rfind(|row| row.stamp_ns <= begin_ns);
         let biases = row.and_then(|row| row.gyroscope_bias.zip(row.accelerometer_bias)).unwrap_or_default();
-        start::draw(self.number, begin_ns, &motion, biases, &variant.config.initial)
+        let sigmas = match self.options.biases_are_known {
+            true => variant.config.initial.with_known_biases(),
+            false => variant.config.initial,
+        };
+        start::draw(self.number, begin_ns, &motion, biases, &sigmas)
     }
 
     fn play<'a>(

@@ -26,9 +26,12 @@ pub struct Run {
     pub noise: f64,
     /// Part of the pixels that are 10 to 50 px off.
     pub outliers: f64,
+    /// The biases are as large as unknown ones.
+    pub unknown_biases: bool,
 }
 
-pub const USUAL: Run = Run { seed: 1, stereo: false, shaken: 1.5, noise: 1.0, outliers: 0.0 };
+pub const USUAL: Run =
+    Run { seed: 1, stereo: false, shaken: 1.5, noise: 1.0, outliers: 0.0, unknown_biases: false };
 
 pub fn normal(rng: &mut StdRng) -> f64 {
     (0..12).map(|_| rng.random::<f64>()).sum::<f64>() - 6.0
@@ -102,7 +105,10 @@ impl Motion {
 
 pub fn world(run: Run) -> World {
     let mut rng = StdRng::seed_from_u64(run.seed);
-    let config = EstimatorConfig::default();
+    let mut config = EstimatorConfig::default();
+    if !run.unknown_biases {
+        config.initial = config.initial.with_known_biases();
+    }
     let motion = Motion {
         turn: vector(&mut rng) * 0.5,
         swing: vector(&mut rng) * 0.15,
