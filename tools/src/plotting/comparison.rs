@@ -183,7 +183,6 @@ impl Comparison {
             x: 0.0..seconds(end_ns).max(1e-3),
             y: 0.0..top,
             series: shades.chain([claimed, error]).collect(),
-            ..Panel::default()
         }
     }
 }

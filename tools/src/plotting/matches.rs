@@ -131,10 +131,11 @@ impl Sheet {
                 ),
                 pose_text(&fix.global_from_camera),
             ),
-            None => {
-                let reason = describe(picture.inspection.reply.outcome);
-                ("outlier", format!("Not recognized: {reason}"), best_match_text(picture))
-            }
+            None => (
+                "outlier",
+                format!("Not recognized: {}", describe(picture.inspection.reply.outcome)),
+                best_match_text(picture),
+            ),
         };
         let mut sheet =
             Self { outcome, title, detail, legend: legend(picture), query, keyframe, height: 0.0 };
@@ -339,7 +340,7 @@ mod tests {
             height: 3,
             focal: [1.0; 2],
             centre: [1.5, 1.0],
-            distortion: Default::default(),
+            distortion: geometry::Distortion::None,
         };
         let query = Panel::new(LEFT[0], &camera, None, &[], "\"><script> & more").unwrap();
         let (title, detail) = ("a < b".to_owned(), String::new());
