@@ -2,7 +2,7 @@
 //!
 //! "Nothing matched" is an answer, not an error: see [`crate::MatchOutcome`].
 
-use crate::codec::{CodecError, Message};
+use crate::codec::CodecError;
 use crate::limits::MAX_TEXT_BYTES;
 use crate::validate::{InvalidField, Validate, require_short};
 use serde::{Deserialize, Serialize};
@@ -67,9 +67,4 @@ impl Validate for ErrorReply {
     fn validate(&self) -> Result<(), InvalidField> {
         require_short(&self.message, "message")
     }
-}
-
-impl Message for ErrorReply {
-    const TAG: u16 = 11;
-    const NAME: &'static str = "error_reply";
 }

@@ -1,7 +1,7 @@
 //! The features of one image: pixels and descriptors.
 
 use crate::limits::{MAX_EXTRACTOR_BYTES, MAX_FEATURES};
-use crate::validate::{InvalidField, Validate, require};
+use crate::validate::{InvalidField, Validate, require, require_valid};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 /// Data type of descriptors, which decides how they are compared.
@@ -250,7 +250,7 @@ impl Validate for FeatureSet {
         {
             return Err(InvalidField::new(format!("pixels[{index}]"), "is not finite"));
         }
-        self.descriptors.validate().map_err(|violation| violation.within("descriptors"))?;
+        require_valid(&self.descriptors, "descriptors")?;
         validate_extractor(&self.extractor)?;
         let described = self.descriptors.len();
         require(

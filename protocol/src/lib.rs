@@ -61,6 +61,7 @@ pub mod limits;
 pub mod localize;
 pub mod map;
 pub mod matching;
+mod messages;
 pub mod robot;
 pub mod validate;
 mod wire;

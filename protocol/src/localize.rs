@@ -1,10 +1,9 @@
 //! `map/{map}/localize`: features and a camera in, its global pose out, for clients without an estimator.
 
-use crate::codec::Message;
 use crate::features::FeatureSet;
 use crate::limits::KeyframeId;
 use crate::matching::{MatchOutcome, PosePrior};
-use crate::validate::{InvalidField, Validate, require, require_unit};
+use crate::validate::{InvalidField, Validate, require, require_not_negative, require_unit, require_valid};
 use crate::wire;
 use geometry::camera::Camera;
 use geometry::uncertain_pose::PoseWithCovariance;
@@ -14,7 +13,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LocalizeRequest {
     /// The camera that took it.
-    #[serde(with = "wire::camera")]
+    #[serde(with = "wire::CameraForm")]
     pub camera: Camera,
     /// Features of the image.
     pub features: FeatureSet,
@@ -28,18 +27,11 @@ pub struct LocalizeRequest {
 
 impl Validate for LocalizeRequest {
     fn validate(&self) -> Result<(), InvalidField> {
-        Validate::validate(&self.camera).map_err(|violation| violation.within("camera"))?;
-        self.features.validate().map_err(|violation| violation.within("features"))?;
-        if let Some(prior) = &self.prior {
-            prior.validate().map_err(|violation| violation.within("prior"))?;
-        }
-        self.gravity_in_camera.as_ref().map_or(Ok(()), |gravity| require_unit(gravity, "gravity_in_camera"))
+        require_valid(&self.camera, "camera")?;
+        require_valid(&self.features, "features")?;
+        require_valid(self.prior.as_ref(), "prior")?;
+        require_unit(self.gravity_in_camera.as_ref(), "gravity_in_camera")
     }
-}
-
-impl Message for LocalizeRequest {
-    const TAG: u16 = 3;
-    const NAME: &'static str = "localize_request";
 }
 
 /// The answer to a [`LocalizeRequest`]: a pose exactly if the outcome is [`MatchOutcome::Matched`].
@@ -58,20 +50,15 @@ impl Validate for LocalizeReply {
     fn validate(&self) -> Result<(), InvalidField> {
         let consistent = self.fix.is_some() == (self.outcome == MatchOutcome::Matched);
         require(consistent, "fix", "must be present exactly when the outcome is `matched`")?;
-        self.fix.as_ref().map_or(Ok(()), |fix| fix.validate().map_err(|violation| violation.within("fix")))
+        require_valid(self.fix.as_ref(), "fix")
     }
-}
-
-impl Message for LocalizeReply {
-    const TAG: u16 = 4;
-    const NAME: &'static str = "localize_reply";
 }
 
 /// A camera pose estimated from one image.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LocalizedPose {
     /// The camera in the map's frame; the covariance includes that of the map.
-    #[serde(with = "wire::uncertain_pose")]
+    #[serde(with = "wire::PoseForm")]
     pub global_from_camera: PoseWithCovariance,
     /// The keyframe that matched best.
     pub keyframe: KeyframeId,
@@ -85,9 +72,8 @@ pub struct LocalizedPose {
 
 impl Validate for LocalizedPose {
     fn validate(&self) -> Result<(), InvalidField> {
-        self.global_from_camera.validate().map_err(|violation| violation.within("global_from_camera"))?;
+        require_valid(&self.global_from_camera, "global_from_camera")?;
         require(self.inliers <= self.matched_features, "inliers", "exceeds matched_features")?;
-        let sensible = self.mean_error_px.is_finite() && self.mean_error_px >= 0.0;
-        require(sensible, "mean_error_px", "is not a finite, non-negative number")
+        require_not_negative(self.mean_error_px, "mean_error_px")
     }
 }

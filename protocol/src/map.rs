@@ -1,12 +1,13 @@
 //! `map/{map}/info`, `map/{map}/keyframes/{id}` and `map/{map}/changes`: reading a map remotely, and notices of its
 //! changes.
 
-use crate::codec::Message;
 use crate::features::{DescriptorFormat, validate_extractor};
-use crate::keys;
 use crate::limits::{KeyframeId, LandmarkId};
 use crate::matching::KeyframeRecord;
-use crate::validate::{InvalidField, Validate, require, require_each, require_finite, require_unit};
+use crate::validate::{
+    InvalidField, Validate, require, require_each, require_finite, require_name, require_not_negative,
+    require_positive, require_unit, require_valid,
+};
 use serde::{Deserialize, Serialize};
 
 /// Properties of a map: the answer to `map/{map}/info`.
@@ -44,25 +45,13 @@ pub struct MapInfoReply {
 
 impl Validate for MapInfoReply {
     fn validate(&self) -> Result<(), InvalidField> {
-        keys::validate_name(&self.name).map_err(|error| InvalidField::new("name", error.to_string()))?;
-        if let Some(gravity) = &self.gravity_in_global {
-            require_unit(gravity, "gravity_in_global")?;
-        }
-        if let Some(extent) = &self.extent {
-            extent.validate().map_err(|violation| violation.within("extent"))?;
-        }
-        if let Some(format) = &self.descriptors {
-            format.validate().map_err(|violation| violation.within("descriptors"))?;
-        }
+        require_name(&self.name, "name")?;
+        require_unit(self.gravity_in_global.as_ref(), "gravity_in_global")?;
+        require_valid(self.extent.as_ref(), "extent")?;
+        require_valid(self.descriptors.as_ref(), "descriptors")?;
         validate_extractor(&self.extractor)?;
-        let positive = self.sigma_map_px.is_finite() && self.sigma_map_px > 0.0;
-        require(positive, "sigma_map_px", "is not a finite, positive number")
+        require_positive(self.sigma_map_px, "sigma_map_px")
     }
-}
-
-impl Message for MapInfoReply {
-    const TAG: u16 = 5;
-    const NAME: &'static str = "map_info_reply";
 }
 
 /// Axis-aligned bounding box of all keyframe positions in the map's frame, metres.
@@ -96,14 +85,9 @@ pub struct KeyframeReply {
 
 impl Validate for KeyframeReply {
     fn validate(&self) -> Result<(), InvalidField> {
-        self.keyframe.validate().map_err(|violation| violation.within("keyframe"))?;
+        require_valid(&self.keyframe, "keyframe")?;
         require_each(&self.landmarks, "landmarks", Validate::validate)
     }
-}
-
-impl Message for KeyframeReply {
-    const TAG: u16 = 6;
-    const NAME: &'static str = "keyframe_reply";
 }
 
 /// A landmark and its observation in one keyframe.
@@ -153,16 +137,9 @@ pub struct MapChangeNotice {
 
 impl Validate for MapChangeNotice {
     fn validate(&self) -> Result<(), InvalidField> {
-        keys::validate_name(&self.map).map_err(|error| InvalidField::new("map", error.to_string()))?;
-        let check =
-            |change: &StatedChange| change.validate().map_err(|violation| violation.within("stated_change"));
-        self.stated_change.as_ref().map_or(Ok(()), check)
+        require_name(&self.map, "map")?;
+        require_valid(self.stated_change.as_ref(), "stated_change")
     }
-}
-
-impl Message for MapChangeNotice {
-    const TAG: u16 = 7;
-    const NAME: &'static str = "map_change_notice";
 }
 
 /// Size of the motion of a map between two versions: process noise for `global_from_local`.
@@ -176,9 +153,7 @@ pub struct StatedChange {
 
 impl Validate for StatedChange {
     fn validate(&self) -> Result<(), InvalidField> {
-        for (value, field) in [(self.sigma_theta_rad, "sigma_theta_rad"), (self.sigma_p_m, "sigma_p_m")] {
-            require(value.is_finite() && value >= 0.0, field, "is not a finite, non-negative number")?;
-        }
-        Ok(())
+        require_not_negative(self.sigma_theta_rad, "sigma_theta_rad")?;
+        require_not_negative(self.sigma_p_m, "sigma_p_m")
     }
 }

@@ -12,8 +12,11 @@
 use crate::codec::{Message, malformed_json};
 use crate::features::FeatureSet;
 use crate::limits::{KeyframeId, LandmarkId};
-use crate::validate::{InvalidField, Validate, require, require_each, require_finite, require_unit};
-use crate::{keys, wire};
+use crate::validate::{
+    InvalidField, Validate, require, require_each, require_finite, require_name, require_not_negative,
+    require_positive, require_unit, require_valid,
+};
+use crate::wire;
 use geometry::camera::Camera;
 use geometry::uncertain_pose::PoseWithCovariance;
 use nalgebra::Matrix6;
@@ -23,13 +26,13 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PosePrior {
     /// Camera in the map's frame with its covariance; the search is restricted to it.
-    #[serde(with = "wire::uncertain_pose")]
+    #[serde(with = "wire::PoseForm")]
     pub global_from_camera: PoseWithCovariance,
 }
 
 impl Validate for PosePrior {
     fn validate(&self) -> Result<(), InvalidField> {
-        self.global_from_camera.validate().map_err(|violation| violation.within("global_from_camera"))
+        require_valid(&self.global_from_camera, "global_from_camera")
     }
 }
 
@@ -41,7 +44,7 @@ pub struct MatchRequest {
     /// Sensor time of the image, nanoseconds.
     pub stamp_ns: i64,
     /// The camera that took it.
-    #[serde(with = "wire::camera")]
+    #[serde(with = "wire::CameraForm")]
     pub camera: Camera,
     /// Features of the image. May be empty; the outcome is then [`MatchOutcome::TooFewFeatures`].
     pub features: FeatureSet,
@@ -64,22 +67,13 @@ pub struct MatchRequest {
 
 impl Validate for MatchRequest {
     fn validate(&self) -> Result<(), InvalidField> {
-        keys::validate_name(&self.robot).map_err(|error| InvalidField::new("robot", error.to_string()))?;
-        Validate::validate(&self.camera).map_err(|violation| violation.within("camera"))?;
-        self.features.validate().map_err(|violation| violation.within("features"))?;
-        if let Some(prior) = &self.prior {
-            prior.validate().map_err(|violation| violation.within("prior"))?;
-        }
-        if let Some(gravity) = &self.gravity_in_camera {
-            require_unit(gravity, "gravity_in_camera")?;
-        }
+        require_name(&self.robot, "robot")?;
+        require_valid(&self.camera, "camera")?;
+        require_valid(&self.features, "features")?;
+        require_valid(self.prior.as_ref(), "prior")?;
+        require_unit(self.gravity_in_camera.as_ref(), "gravity_in_camera")?;
         require(self.max_keyframes > 0, "max_keyframes", "is zero")
     }
-}
-
-impl Message for MatchRequest {
-    const TAG: u16 = 1;
-    const NAME: &'static str = "match_request";
 }
 
 /// One part of the answer to a [`MatchRequest`].
@@ -98,8 +92,8 @@ pub enum MatchReply {
 impl Validate for MatchReply {
     fn validate(&self) -> Result<(), InvalidField> {
         match self {
-            Self::Keyframe(keyframe) => keyframe.validate().map_err(|violation| violation.within("keyframe")),
-            Self::Done(status) => status.validate().map_err(|violation| violation.within("done")),
+            Self::Keyframe(keyframe) => require_valid(keyframe, "keyframe"),
+            Self::Done(status) => require_valid(status, "done"),
         }
     }
 }
@@ -131,17 +125,17 @@ pub struct KeyframeRecord {
     /// Sensor time of its image, nanoseconds.
     pub stamp_ns: i64,
     /// Its camera in the map's frame with the covariance in the map.
-    #[serde(with = "wire::uncertain_pose")]
+    #[serde(with = "wire::PoseForm")]
     pub global_from_keyframe: PoseWithCovariance,
     /// The camera that took it.
-    #[serde(with = "wire::camera")]
+    #[serde(with = "wire::CameraForm")]
     pub camera: Camera,
 }
 
 impl Validate for KeyframeRecord {
     fn validate(&self) -> Result<(), InvalidField> {
-        self.global_from_keyframe.validate().map_err(|violation| violation.within("global_from_keyframe"))?;
-        Validate::validate(&self.camera).map_err(|violation| violation.within("camera"))
+        require_valid(&self.global_from_keyframe, "global_from_keyframe")?;
+        require_valid(&self.camera, "camera")
     }
 }
 
@@ -186,7 +180,7 @@ pub struct MatchedKeyframe {
 
 impl Validate for MatchedKeyframe {
     fn validate(&self) -> Result<(), InvalidField> {
-        self.keyframe.validate().map_err(|violation| violation.within("keyframe"))?;
+        require_valid(&self.keyframe, "keyframe")?;
         require_each(&self.cross_covariances, "cross_covariances", Validate::validate)?;
         require_each(&self.matches, "matches", Validate::validate)?;
         let mut features: Vec<u32> = self.matches.iter().map(|found| found.feature).collect();
@@ -216,11 +210,7 @@ pub struct LandmarkMatch {
 impl Validate for LandmarkMatch {
     fn validate(&self) -> Result<(), InvalidField> {
         require_finite(&self.position_in_anchor, "position_in_anchor")?;
-        require(
-            self.distance.is_finite() && self.distance >= 0.0,
-            "distance",
-            "is not a finite, non-negative number",
-        )?;
+        require_not_negative(self.distance.into(), "distance")?;
         require_each(&self.observations, "observations", Validate::validate)
     }
 }
@@ -281,10 +271,7 @@ pub struct MatchStatus {
 
 impl Validate for MatchStatus {
     fn validate(&self) -> Result<(), InvalidField> {
-        if let Some(gravity) = &self.gravity_in_global {
-            require_unit(gravity, "gravity_in_global")?;
-        }
-        let positive = self.sigma_map_px.is_finite() && self.sigma_map_px > 0.0;
-        require(positive, "sigma_map_px", "is not a finite, positive number")
+        require_unit(self.gravity_in_global.as_ref(), "gravity_in_global")?;
+        require_positive(self.sigma_map_px, "sigma_map_px")
     }
 }

@@ -1,8 +1,7 @@
 //! `robot/{robot}/pose`, `/odometry` and `/status`: published by robots.
 
-use crate::codec::Message;
-use crate::validate::{InvalidField, Validate, require_finite, require_short};
-use crate::{keys, wire};
+use crate::validate::{InvalidField, Validate, require_finite, require_name, require_short, require_valid};
+use crate::wire;
 use geometry::uncertain_pose::PoseWithCovariance;
 use serde::{Deserialize, Serialize};
 
@@ -16,24 +15,19 @@ pub struct RobotPose {
     /// Version of the map at the last map update.
     pub map_version: u64,
     /// The IMU in the map's frame.
-    #[serde(with = "wire::uncertain_pose")]
+    #[serde(with = "wire::PoseForm")]
     pub global_from_imu: PoseWithCovariance,
     /// The odometry frame in the map's frame.
-    #[serde(with = "wire::uncertain_pose")]
+    #[serde(with = "wire::PoseForm")]
     pub global_from_local: PoseWithCovariance,
 }
 
 impl Validate for RobotPose {
     fn validate(&self) -> Result<(), InvalidField> {
-        keys::validate_name(&self.map).map_err(|error| InvalidField::new("map", error.to_string()))?;
-        self.global_from_imu.validate().map_err(|violation| violation.within("global_from_imu"))?;
-        self.global_from_local.validate().map_err(|violation| violation.within("global_from_local"))
+        require_name(&self.map, "map")?;
+        require_valid(&self.global_from_imu, "global_from_imu")?;
+        require_valid(&self.global_from_local, "global_from_local")
     }
-}
-
-impl Message for RobotPose {
-    const TAG: u16 = 8;
-    const NAME: &'static str = "robot_pose";
 }
 
 /// Pose of a robot in its odometry frame: continuous, drifting, available without a map.
@@ -42,7 +36,7 @@ pub struct RobotOdometry {
     /// Sensor time, nanoseconds.
     pub stamp_ns: i64,
     /// The IMU in the odometry frame.
-    #[serde(with = "wire::uncertain_pose")]
+    #[serde(with = "wire::PoseForm")]
     pub local_from_imu: PoseWithCovariance,
     /// Velocity of the IMU in the odometry frame, m/s.
     pub velocity_in_local: [f64; 3],
@@ -52,15 +46,10 @@ pub struct RobotOdometry {
 
 impl Validate for RobotOdometry {
     fn validate(&self) -> Result<(), InvalidField> {
-        self.local_from_imu.validate().map_err(|violation| violation.within("local_from_imu"))?;
+        require_valid(&self.local_from_imu, "local_from_imu")?;
         require_finite(&self.velocity_in_local, "velocity_in_local")?;
         require_finite(&self.angular_velocity_in_imu, "angular_velocity_in_imu")
     }
-}
-
-impl Message for RobotOdometry {
-    const TAG: u16 = 9;
-    const NAME: &'static str = "robot_odometry";
 }
 
 /// Localization state of a robot.
@@ -101,14 +90,6 @@ pub struct RobotStatus {
 impl Validate for RobotStatus {
     fn validate(&self) -> Result<(), InvalidField> {
         require_short(&self.reason, "reason")?;
-        let check = |map: &String| {
-            keys::validate_name(map).map_err(|error| InvalidField::new("map", error.to_string()))
-        };
-        self.map.as_ref().map_or(Ok(()), check)
+        self.map.as_ref().map_or(Ok(()), |map| require_name(map, "map"))
     }
-}
-
-impl Message for RobotStatus {
-    const TAG: u16 = 10;
-    const NAME: &'static str = "robot_status";
 }

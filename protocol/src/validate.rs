@@ -4,6 +4,7 @@
 //! therefore validated after decoding and before encoding; the error names the field, for example
 //! `keyframe.global_from_keyframe.rotation`. Covariances are checked by [`check_covariance`].
 
+use crate::keys;
 use crate::limits::MAX_TEXT_BYTES;
 use geometry::camera::Camera;
 use geometry::covariance_check::check_covariance;
@@ -60,7 +61,29 @@ pub(crate) fn require_finite(values: &[f64], field: &str) -> Result<(), InvalidF
 }
 
 /// A direction: three finite numbers of norm 1.
-pub(crate) fn require_unit(direction: &[f64; 3], field: &str) -> Result<(), InvalidField> {
+pub(crate) fn require_positive(value: f64, field: &str) -> Result<(), InvalidField> {
+    require(value.is_finite() && value > 0.0, field, "is not a finite, positive number")
+}
+
+pub(crate) fn require_not_negative(value: f64, field: &str) -> Result<(), InvalidField> {
+    require(value.is_finite() && value >= 0.0, field, "is not a finite, non-negative number")
+}
+
+/// Checks a field that is a message's part; an absent one is valid.
+pub(crate) fn require_valid<'a, T: Validate + 'a>(
+    part: impl Into<Option<&'a T>>,
+    field: &str,
+) -> Result<(), InvalidField> {
+    part.into().map_or(Ok(()), |part| part.validate().map_err(|violation| violation.within(field)))
+}
+
+pub(crate) fn require_name(name: &str, field: &str) -> Result<(), InvalidField> {
+    keys::validate_name(name).map_err(|error| InvalidField::new(field, error.to_string()))
+}
+
+/// Checks a direction; an absent one is valid.
+pub(crate) fn require_unit(direction: Option<&[f64; 3]>, field: &str) -> Result<(), InvalidField> {
+    let Some(direction) = direction else { return Ok(()) };
     require_finite(direction, field)?;
     let norm = direction.iter().map(|value| value * value).sum::<f64>().sqrt();
     require((norm - 1.0).abs() <= UNIT_TOLERANCE, field, &format!("has norm {norm}, not 1"))

@@ -21,11 +21,29 @@ use serde::{Deserialize, Serialize};
 /// Quaternions computed in f64 round-trip bit by bit; those written with few decimals are normalized.
 const EXACT_NORM_TOLERANCE: f64 = 1e-12;
 
+/// `#[serde(with = "wire::PoseForm")]`
 #[derive(Serialize, Deserialize)]
-struct PoseForm {
+#[serde(remote = "PoseWithCovariance")]
+pub(crate) struct PoseForm {
+    #[serde(getter = "rotation_wxyz")]
     rotation_wxyz: [f64; 4],
+    #[serde(getter = "translation")]
     translation: [f64; 3],
+    #[serde(getter = "covariance_rows")]
     covariance: [[f64; 6]; 6],
+}
+
+fn rotation_wxyz(uncertain: &PoseWithCovariance) -> [f64; 4] {
+    let rotation = uncertain.pose.rotation;
+    [rotation.w, rotation.i, rotation.j, rotation.k]
+}
+
+fn translation(uncertain: &PoseWithCovariance) -> [f64; 3] {
+    uncertain.pose.translation.into()
+}
+
+fn covariance_rows(uncertain: &PoseWithCovariance) -> [[f64; 6]; 6] {
+    rows_of(&uncertain.covariance)
 }
 
 fn rows_of(matrix: &Matrix6<f64>) -> [[f64; 6]; 6] {
@@ -47,17 +65,6 @@ fn rotation_from_wxyz([w, x, y, z]: [f64; 4]) -> UnitQuaternion<f64> {
     }
 }
 
-impl From<&PoseWithCovariance> for PoseForm {
-    fn from(uncertain: &PoseWithCovariance) -> Self {
-        let rotation = uncertain.pose.rotation;
-        Self {
-            rotation_wxyz: [rotation.w, rotation.i, rotation.j, rotation.k],
-            translation: uncertain.pose.translation.into(),
-            covariance: rows_of(&uncertain.covariance),
-        }
-    }
-}
-
 impl From<PoseForm> for PoseWithCovariance {
     fn from(form: PoseForm) -> Self {
         PoseWithCovariance {
@@ -67,25 +74,6 @@ impl From<PoseForm> for PoseWithCovariance {
             },
             covariance: from_rows(&form.covariance),
         }
-    }
-}
-
-/// `#[serde(with = "wire::uncertain_pose")]`
-pub(crate) mod uncertain_pose {
-    use super::{PoseForm, PoseWithCovariance};
-    use serde::{Deserialize, Deserializer, Serialize, Serializer};
-
-    pub(crate) fn serialize<S: Serializer>(
-        value: &PoseWithCovariance,
-        serializer: S,
-    ) -> Result<S::Ok, S::Error> {
-        PoseForm::from(value).serialize(serializer)
-    }
-
-    pub(crate) fn deserialize<'de, D: Deserializer<'de>>(
-        deserializer: D,
-    ) -> Result<PoseWithCovariance, D::Error> {
-        PoseForm::deserialize(deserializer).map(Into::into)
     }
 }
 
@@ -103,62 +91,25 @@ pub(crate) mod matrix6 {
     }
 }
 
+/// `#[serde(with = "wire::CameraForm")]`
 #[derive(Serialize, Deserialize)]
-struct CameraForm {
+#[serde(remote = "Camera")]
+pub(crate) struct CameraForm {
     width: u32,
     height: u32,
     focal: [f64; 2],
     centre: [f64; 2],
-    distortion: DistortionForm,
+    #[serde(with = "DistortionForm")]
+    distortion: Distortion,
 }
 
 #[derive(Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
+#[serde(remote = "Distortion", rename_all = "snake_case")]
 enum DistortionForm {
     None,
     RadialTangential([f64; 4]),
     Equidistant([f64; 4]),
     Fov(f64),
-}
-
-impl From<&Camera> for CameraForm {
-    fn from(camera: &Camera) -> Self {
-        let distortion = match camera.distortion {
-            Distortion::None => DistortionForm::None,
-            Distortion::RadialTangential(coefficients) => DistortionForm::RadialTangential(coefficients),
-            Distortion::Equidistant(coefficients) => DistortionForm::Equidistant(coefficients),
-            Distortion::Fov(omega) => DistortionForm::Fov(omega),
-        };
-        let Camera { width, height, focal, centre, .. } = *camera;
-        Self { width, height, focal, centre, distortion }
-    }
-}
-
-impl From<CameraForm> for Camera {
-    fn from(form: CameraForm) -> Self {
-        let CameraForm { width, height, focal, centre, distortion } = form;
-        let distortion = match distortion {
-            DistortionForm::None => Distortion::None,
-            DistortionForm::RadialTangential(coefficients) => Distortion::RadialTangential(coefficients),
-            DistortionForm::Equidistant(coefficients) => Distortion::Equidistant(coefficients),
-            DistortionForm::Fov(omega) => Distortion::Fov(omega),
-        };
-        Camera { width, height, focal, centre, distortion }
-    }
-}
-
-/// `#[serde(with = "wire::camera")]`
-pub(crate) mod camera {
-    use super::{Camera, CameraForm};
-    use serde::{Deserialize, Deserializer, Serialize, Serializer};
-
-    pub(crate) fn serialize<S: Serializer>(value: &Camera, serializer: S) -> Result<S::Ok, S::Error> {
-        CameraForm::from(value).serialize(serializer)
-    }
-
-    pub(crate) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Camera, D::Error> {
-        CameraForm::deserialize(deserializer).map(Into::into)
-    }
 }
 
 /// `#[serde(with = "wire::keyframe_set")]`: a set of keyframe ids.

@@ -57,9 +57,14 @@ fn every_message_type_has_an_example() {
     let mut defined = BTreeSet::new();
     for path in files("src").into_values() {
         let source = std::fs::read_to_string(path).unwrap();
-        let names =
-            source.lines().filter_map(|line| line.trim().strip_prefix("const NAME: &'static str = \""));
-        defined.extend(names.filter_map(|rest| rest.strip_suffix("\";")).map(str::to_owned));
+        let names = source.lines().map(str::trim).filter_map(|line| {
+            let constant = line.strip_prefix("const NAME: &'static str = \"");
+            // In the table of messages: tag, name, type.
+            let row = line.split_once(" \"").filter(|(tag, _)| tag.parse::<u16>().is_ok());
+            let (name, _) = constant.or(row.map(|(_, rest)| rest))?.split_once('"')?;
+            Some(name.to_owned())
+        });
+        defined.extend(names);
     }
     assert_eq!(shown, defined);
     // A match answer has two forms.

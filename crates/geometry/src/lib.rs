@@ -6,7 +6,7 @@
 //! | [`pose`], [`uncertain_pose`] | rigid poses, their covariance and its propagation |
 //! | [`camera`] | pinhole cameras with radial-tangential, equidistant or FOV distortion, and their Jacobians |
 //! | [`triangulation`] | landmarks from several views, with covariance |
-//! | [`pnp`] | camera poses from known landmarks: P3P, gravity two-point, EPnP, RANSAC, refinement |
+//! | [`pnp`] | camera poses from known landmarks: P3P, gravity two-point, RANSAC, refinement |
 //! | [`robust`] | Huber's loss |
 //! | [`numeric`] | numeric Jacobians for tests |
 //!

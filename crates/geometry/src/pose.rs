@@ -1,7 +1,7 @@
 //! Rigid poses with the error convention of the whole project.
 
 use crate::rotation::{self, Rotation, skew};
-use nalgebra::{Matrix3, Matrix3x6, Quaternion, UnitQuaternion, Vector3, Vector6};
+use nalgebra::{Matrix3, Matrix3x6, Vector3, Vector6};
 use serde::{Deserialize, Serialize};
 use std::ops::Mul;
 
@@ -126,16 +126,6 @@ impl Pose {
     /// not normalize.
     pub fn check_unit(&self) -> bool {
         self.is_finite() && (self.rotation.quaternion().norm() - 1.0).abs() <= UNIT_NORM_TOLERANCE
-    }
-
-    /// The pose with its quaternion normalized; `None` if it is zero or not finite.
-    pub fn renormalized(&self) -> Option<Self> {
-        let quaternion: Quaternion<f64> = *self.rotation.quaternion();
-        if !self.is_finite() {
-            return None;
-        }
-        let rotation = UnitQuaternion::try_new(quaternion, 1e-9)?;
-        Some(Self { rotation, translation: self.translation })
     }
 
     /// Jacobians of [`Pose::transform`] with respect to the pose's `[dtheta, dp]` (3x6) and the point (3x3).

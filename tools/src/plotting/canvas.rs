@@ -1,6 +1,6 @@
 //! The sheet of a plot: title, legend, and the area below for panels.
 
-use super::error::{DrawError, PlotError};
+use anyhow::Context as _;
 use plotters::coord::Shift;
 use plotters::prelude::*;
 use std::path::{Path, PathBuf};
@@ -67,8 +67,8 @@ pub(crate) fn draw(
     size: (u32, u32),
     title: &str,
     legend: &[LegendEntry],
-    fill: impl FnOnce(&Area<'_>) -> Result<(), DrawError>,
-) -> Result<PathBuf, PlotError> {
+    fill: impl FnOnce(&Area<'_>) -> anyhow::Result<()>,
+) -> anyhow::Result<PathBuf> {
     draw_with_caption(path, size, title, &[], legend, fill)
 }
 
@@ -79,9 +79,9 @@ pub(crate) fn draw_with_caption(
     title: &str,
     caption: &[String],
     legend: &[LegendEntry],
-    fill: impl FnOnce(&Area<'_>) -> Result<(), DrawError>,
-) -> Result<PathBuf, PlotError> {
-    let paint = || -> Result<(), DrawError> {
+    fill: impl FnOnce(&Area<'_>) -> anyhow::Result<()>,
+) -> anyhow::Result<PathBuf> {
+    let paint = || {
         let sheet = SVGBackend::new(path, size).into_drawing_area();
         sheet.fill(&WHITE)?;
         let caption_height = CAPTION_LINE * caption.len() as i32;
@@ -94,13 +94,18 @@ pub(crate) fn draw_with_caption(
         }
         draw_legend(&header, legend, 52 + caption_height)?;
         fill(&body)?;
-        sheet.present()
+        anyhow::Ok(sheet.present()?)
     };
-    paint().map_err(|error| PlotError::draw(path, error))?;
+    paint().with_context(|| not_written(path))?;
     Ok(path.to_path_buf())
 }
 
-fn draw_legend(header: &Area<'_>, legend: &[LegendEntry], middle: i32) -> Result<(), DrawError> {
+/// What could not be done, for an error.
+pub(crate) fn not_written(path: &Path) -> String {
+    format!("the plot {} was not written", path.display())
+}
+
+fn draw_legend(header: &Area<'_>, legend: &[LegendEntry], middle: i32) -> anyhow::Result<()> {
     let style = TextStyle::from((FONT, LEGEND_SIZE).into_font()).color(&INK);
     let mut x = 22;
     for entry in legend {

@@ -2,8 +2,7 @@
 //! they claim.
 
 use super::canvas::{self, Area, BAD, ESTIMATE, GOOD, MAP, Mark, ODOMETRY, TRUTH, entry};
-use super::error::{DrawError, PlotError};
-use super::panel::{Band, Dots, Line, Panel};
+use super::panel::{Panel, Series, Shape};
 use super::run_files::Truth;
 use super::series::{quantile, thin, thin_path};
 use super::trajectory::{PlanView, plan};
@@ -76,8 +75,8 @@ pub fn stretches_without_features(frames: &[Frame], longer_than_ns: i64) -> Vec<
 /// Draws a comparison: the plan on the left, a panel of errors for each run on the right.
 ///
 /// # Errors
-/// [`PlotError::Draw`] where the plot cannot be written.
-pub fn draw(comparison: &Comparison, path: &Path) -> Result<PathBuf, PlotError> {
+/// The plot cannot be written.
+pub fn draw(comparison: &Comparison, path: &Path) -> anyhow::Result<PathBuf> {
     let exaggeration = comparison.exaggeration();
     let mut legend = vec![entry(Mark::Dot, MAP, "keyframes of the map"), entry(Mark::Line, TRUTH, "truth")];
     for (run, colour) in comparison.coloured() {
@@ -118,15 +117,15 @@ impl Comparison {
         EXAGGERATIONS.iter().rev().find(fitting).copied().unwrap_or(1.0)
     }
 
-    fn draw_plan(&self, area: &Area<'_>, exaggeration: f64) -> Result<(), DrawError> {
+    fn draw_plan(&self, area: &Area<'_>, exaggeration: f64) -> anyhow::Result<()> {
         let view = PlanView::along(&self.truth.gravity);
         let track = TruthTrack::new(&self.truth.rows);
         let rows = || self.truth.rows.iter();
         let path_line = |positions: Vec<Vector3<f64>>, colour: RGBColor, width: u32| {
             let points: Vec<_> = positions.iter().map(|position| view.project(position)).collect();
-            Line { points: thin_path(&points), colour, width }
+            Series::line(thin_path(&points), colour, width)
         };
-        let mut lines: Vec<Line> = self
+        let mut series: Vec<Series> = self
             .dropouts
             .iter()
             .map(|stretch| {
@@ -134,19 +133,20 @@ impl Comparison {
                 path_line(inside.map(|row| row.pose.translation).collect(), SHADE, 22)
             })
             .collect();
-        lines.push(path_line(rows().map(|row| row.pose.translation).collect(), TRUTH, 3));
+        series.push(path_line(rows().map(|row| row.pose.translation).collect(), TRUTH, 3));
         for (run, colour) in self.coloured() {
             let exaggerated = run.poses.iter().filter_map(|pose| {
                 let truth = track.pose(pose.stamp_ns, MAX_TRUTH_GAP_NS)?.translation;
                 Some(truth + (pose.pose.translation - truth) * exaggeration)
             });
-            lines.push(path_line(exaggerated.collect(), colour, 2));
+            series.push(path_line(exaggerated.collect(), colour, 2));
         }
         let keyframes = self.keyframes.iter().map(|position| view.project(position)).collect();
-        plan(area, lines, vec![Dots { points: keyframes, colour: MAP, radius: 2 }])
+        series.push(Series::dots(keyframes, MAP, 2));
+        plan(area, series)
     }
 
-    fn draw_errors(&self, area: &Area<'_>) -> Result<(), DrawError> {
+    fn draw_errors(&self, area: &Area<'_>) -> anyhow::Result<()> {
         let runs = self.runs.len();
         let errors = || self.runs.iter().flat_map(|run| &run.errors);
         let highest = errors().map(position_error).fold(1e-6, f64::max);
@@ -166,23 +166,23 @@ impl Comparison {
         let start_ns = self.truth.rows.first().map_or(0, |row| row.stamp_ns);
         let end_ns = self.truth.rows.last().map_or(1, |row| row.stamp_ns);
         let seconds = |stamp_ns: i64| (stamp_ns - start_ns) as f64 * 1e-9;
-        let series = |value: &dyn Fn(&ErrorSample) -> f64| -> Vec<(f64, f64)> {
+        let points = |value: &dyn Fn(&ErrorSample) -> f64| -> Vec<(f64, f64)> {
             run.errors.iter().map(|sample| (seconds(sample.stamp_ns), value(sample))).collect()
         };
-        let shades = self.dropouts.iter().map(|stretch| Band {
-            heights: vec![(seconds(stretch.start), top), (seconds(stretch.end), top)],
-            colour: SHADE,
-        });
-        let claimed = Band { heights: thin(&series(&claimed_bound)), colour: pale(colour) };
+        let band = |points, colour| Series { points, colour, shape: Shape::Band };
+        let shades = self
+            .dropouts
+            .iter()
+            .map(|stretch| band(vec![(seconds(stretch.start), top), (seconds(stretch.end), top)], SHADE));
+        let claimed = band(thin(&points(&claimed_bound)), pale(colour));
+        let error = Series::line(thin(&points(&position_error)), colour, 2);
         Panel {
             title: format!("{}. {}", run.name, run.figures),
             x_label: if is_last { "time [s]" } else { "" },
             y_label: "error [m]".to_owned(),
             x: 0.0..seconds(end_ns).max(1e-3),
             y: 0.0..top,
-            bands: shades.chain([claimed]).collect(),
-            lines: vec![Line { points: thin(&series(&position_error)), colour, width: 2 }],
-            ..Panel::default()
+            series: shades.chain([claimed, error]).collect(),
         }
     }
 }

@@ -1,8 +1,7 @@
 //! Plan view of a map: keyframes, their viewing directions, landmarks, and keyframes with too few of them.
 
 use super::canvas::{self, BAD, ESTIMATE, Mark, TRUTH, entry};
-use super::error::PlotError;
-use super::panel::{Dots, Line};
+use super::panel::Series;
 use super::trajectory::{PlanView, plan};
 use map::contents::MapContents;
 use nalgebra::Vector3;
@@ -19,8 +18,8 @@ const REACH: f64 = 3.0;
 /// Draws the plan view of a map, along gravity where the map states it, else along its z axis.
 ///
 /// # Errors
-/// [`PlotError`] where the picture cannot be written.
-pub fn draw_coverage(map: &MapContents, path: &Path) -> Result<PathBuf, PlotError> {
+/// The picture cannot be written.
+pub fn draw_coverage(map: &MapContents, path: &Path) -> anyhow::Result<PathBuf> {
     let view = PlanView::along(&map.info.gravity_in_global.unwrap_or_else(|| -Vector3::z()));
     let poses: HashMap<_, _> =
         map.keyframes.iter().map(|keyframe| (keyframe.id, keyframe.global_from_keyframe.pose)).collect();
@@ -39,13 +38,13 @@ pub fn draw_coverage(map: &MapContents, path: &Path) -> Result<PathBuf, PlotErro
             }
         }
     }
-    let (mut good, mut poor, mut strokes) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut good, mut poor, mut series) = (Vec::new(), Vec::new(), Vec::new());
     for (id, pose) in &poses {
         let is_poor = seen.get(id).is_none_or(|&count| count < BuildReport::FEW_LANDMARKS);
         let at = view.project(&pose.translation);
         let ahead = view.project(&(pose.translation + pose.rotation * Vector3::z() * (STROKE * extent)));
         let colour = if is_poor { BAD } else { ESTIMATE };
-        strokes.push(Line { points: vec![at, ahead], colour, width: 1 });
+        series.push(Series::line(vec![at, ahead], colour, 1));
         if is_poor { &mut poor } else { &mut good }.push(at);
     }
     let few = format!("fewer than {} landmarks: {} keyframes", BuildReport::FEW_LANDMARKS, poor.len());
@@ -54,13 +53,11 @@ pub fn draw_coverage(map: &MapContents, path: &Path) -> Result<PathBuf, PlotErro
         entry(Mark::Dot, ESTIMATE, &format!("{} keyframes with viewing direction", good.len())),
         entry(Mark::Dot, BAD, &few),
     ];
-    let dots = vec![
-        Dots { points: landmarks, colour: TRUTH, radius: 1 },
-        Dots { points: good, colour: ESTIMATE, radius: 3 },
-        Dots { points: poor, colour: BAD, radius: 4 },
-    ];
+    series.push(Series::dots(landmarks, TRUTH, 1));
+    series.push(Series::dots(good, ESTIMATE, 3));
+    series.push(Series::dots(poor, BAD, 4));
     let title = format!("{} \u{2013} coverage, plan view", map.info.name);
-    canvas::draw(path, (1000, 900), &title, &legend, |body| plan(body, strokes, dots))
+    canvas::draw(path, (1000, 900), &title, &legend, |body| plan(body, series))
 }
 
 /// Middle of some points, and how far the farthest is from it (at least 1 m).

@@ -1,8 +1,7 @@
 //! The NEES of many runs over time, beside the bounds of a consistent filter.
 
 use super::canvas::{self, BAND, COLOURS, GRID, Mark, entry};
-use super::error::PlotError;
-use super::panel::{Line, Panel};
+use super::panel::{Panel, Series};
 use super::series::{quantile, thin};
 use evaluation::TimePoint;
 use std::path::{Path, PathBuf};
@@ -25,12 +24,12 @@ pub struct EnsembleLine {
 /// * `panels`: name of an output, and the filters that have it. Empty ones are left out.
 ///
 /// # Errors
-/// [`PlotError::Draw`] where the plot cannot be written.
+/// The plot cannot be written.
 pub fn draw_ensemble(
     path: &Path,
     title: &str,
     panels: &[(&str, Vec<EnsembleLine>)],
-) -> Result<PathBuf, PlotError> {
+) -> anyhow::Result<PathBuf> {
     let has_points = |lines: &[EnsembleLine]| lines.iter().any(|line| !line.points.is_empty());
     let panels: Vec<_> = panels.iter().filter(|(_, lines)| has_points(lines)).collect();
     let mut legend = vec![entry(Mark::Line, BAND, "95 % of a consistent filter")];
@@ -66,23 +65,20 @@ fn panel(name: &str, lines: &[EnsembleLine]) -> Panel {
     };
     // The longest line has the bounds of all: the filters of a picture have the same runs.
     let longest = lines.iter().max_by_key(|line| line.points.len());
-    let mut drawn = vec![Line { points: vec![(0.0, 1.0), (end, 1.0)], colour: GRID, width: 2 }];
+    let mut series = vec![Series::line(vec![(0.0, 1.0), (end, 1.0)], GRID, 2)];
     if let Some(longest) = longest {
         for bound in [(|point| point.interval.0) as fn(&TimePoint) -> f64, |point| point.interval.1] {
-            drawn.push(Line { points: curve(longest, bound), colour: BAND, width: 3 });
+            series.push(Series::line(curve(longest, bound), BAND, 3));
         }
     }
-    drawn.extend(lines.iter().enumerate().map(|(k, line)| Line {
-        points: curve(line, |point| point.mean),
-        colour: colour(k),
-        width: 2,
-    }));
+    let means = |line: &EnsembleLine| curve(line, |point| point.mean);
+    series.extend(lines.iter().enumerate().map(|(k, line)| Series::line(means(line), colour(k), 2)));
     Panel {
         x_label: "time [s]",
         y_label: format!("NEES, {name}"),
         x: 0.0..end,
         y: 0.0..top,
-        lines: drawn,
+        series,
         ..Panel::default()
     }
 }

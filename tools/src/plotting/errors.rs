@@ -1,8 +1,7 @@
 //! The six errors of one pose over time, with the bounds of the filter's covariance.
 
 use super::canvas::{self, BAND, ESTIMATE, GRID, Mark, entry};
-use super::error::PlotError;
-use super::panel::{Band, Line, Panel};
+use super::panel::{Panel, Series, Shape};
 use super::run_files::RunFiles;
 use super::series::{quantile, thin};
 use evaluation::ErrorSample;
@@ -20,7 +19,7 @@ pub(crate) fn draw(
     kind: StateKind,
     samples: &[ErrorSample],
     path: &Path,
-) -> Result<PathBuf, PlotError> {
+) -> anyhow::Result<PathBuf> {
     let legend = [
         entry(Mark::Line, ESTIMATE, "error (truth minus estimate)"),
         entry(Mark::Patch, BAND, "3 standard deviations, by the filter"),
@@ -55,10 +54,10 @@ fn panel(run: &RunFiles, samples: &[ErrorSample], axis: usize, is_position: bool
         },
         x: 0.0..run.duration(),
         y: -height..height,
-        bands: vec![Band { heights: thin(&bounds), colour: BAND }],
-        lines: vec![
-            Line { points: vec![(0.0, 0.0), (run.duration(), 0.0)], colour: GRID, width: 1 },
-            Line { points: thin(&errors), colour: ESTIMATE, width: 1 },
+        series: vec![
+            Series { points: thin(&bounds), colour: BAND, shape: Shape::Band },
+            Series::line(vec![(0.0, 0.0), (run.duration(), 0.0)], GRID, 1),
+            Series::line(thin(&errors), ESTIMATE, 1),
         ],
         ..Panel::default()
     }

@@ -5,37 +5,34 @@
 //! query image            | keyframe image         green: inliers, red: outliers, orange: no pose
 //! errors in px | descriptor distances | all candidates             see `match_statistics`
 //! ```
-//! The images are inside the file. The pointer over a match shows its numbers.
+//! The images are inside the file. The pointer over a match shows its numbers. The drawing itself is the template
+//! `templates/matches.svg`.
 
+use anyhow::Context as _;
+use askama::Template;
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
 use geometry::{Camera, PoseWithCovariance};
 use nalgebra::Vector3;
-use plotters::style::RGBColor;
 use recognition::{InspectedKeyframe, InspectedMatch, Inspection, KeyframeVerdict};
 use std::path::{Path, PathBuf};
 use vision::{GrayImage, ImageError};
 
-use super::canvas::{BAD, GOOD, GRID, INK, MAP, ODOMETRY, TRUTH};
-use super::error::PlotError;
-use super::match_layout::{MARGIN, WIDTH};
-use super::match_statistics::{describe_verdict, draw_statistics};
-use super::svg::{Anchor, Attribute, Svg, css};
+use super::canvas::not_written;
+use super::match_statistics::{Candidate, Histogram, describe_verdict, distances, errors, list_candidates};
 use crate::server_query::describe;
 
-/// Height of headline and legend, px.
-const HEADER: f64 = 112.0;
-/// Height of what is written below an image, px.
+/// Left sides of both images, their top and their width, px; as in the template.
+const LEFT: [f64; 2] = [24.0, 762.0];
+const TOP: f64 = 112.0;
+const WIDTH: f64 = 714.0;
+/// Height of what is written below an image, and of the statistics, px.
 const CAPTION: f64 = 30.0;
-/// Height of the letters there, px.
-const CAPTION_SIZE: f64 = 14.0;
-/// Height of the statistics, px.
-const FOOTER: f64 = 218.0;
+const STATISTICS: f64 = 218.0;
+/// Letters of a caption that fit below an image.
+const CAPTION_LETTERS: usize = 96;
 /// Reprojection errors are drawn so many times longer: inliers are off by a pixel or two.
 const EXAGGERATION: f64 = 5.0;
-/// Mean width of a letter as a share of its height.
-const LETTER_WIDTH: f64 = 0.53;
-/// The lines stand out from a paler image.
-const STYLE: &str = ".photo{opacity:.76}.match line{stroke-width:1.3;stroke-opacity:.75}.match .error{stroke-width:1.8;\
-    stroke-opacity:1}.match circle{stroke:white;stroke-width:.8}.match:hover line{stroke-width:3.5;stroke-opacity:1}";
 
 /// What is drawn.
 #[derive(Clone, Copy, Debug)]
@@ -58,88 +55,173 @@ pub struct MatchPicture<'a> {
     pub keyframe_image: Option<&'a GrayImage>,
 }
 
-/// An image on the sheet.
-struct Panel {
-    left: f64,
-    top: f64,
-    scale: f64,
-    size: (f64, f64),
+/// The picture; classes are those of the template's style.
+#[derive(Template)]
+#[template(path = "matches.svg")]
+struct Sheet {
+    outcome: &'static str,
+    title: String,
+    detail: String,
+    legend: Vec<LegendEntry>,
+    query: Panel,
+    keyframe: Option<Keyframe>,
+    height: f64,
 }
 
-impl Panel {
-    fn new(left: f64, width: f64, camera: &Camera) -> Self {
-        let scale = width / f64::from(camera.width.max(1));
-        Self { left, top: HEADER, scale, size: (width, scale * f64::from(camera.height)) }
-    }
+struct LegendEntry {
+    class: &'static str,
+    symbol: &'static str,
+    text: String,
+}
 
-    /// Where a pixel is on the sheet; pixel (0, 0) is the centre of the first one.
-    fn place(&self, pixel: [f64; 2]) -> (f64, f64) {
-        (self.left + (pixel[0] + 0.5) * self.scale, self.top + (pixel[1] + 0.5) * self.scale)
-    }
+/// An image, with points on it.
+struct Panel {
+    left: f64,
+    height: f64,
+    /// Pixels of the sheet a pixel of the image.
+    scale: f64,
+    png_base64: Option<String>,
+    points: Vec<(f64, f64)>,
+    caption: String,
+}
 
-    fn bottom(&self) -> f64 {
-        self.top + self.size.1
-    }
+struct Keyframe {
+    panel: Panel,
+    matches: Vec<MatchLine>,
+    /// Without a pose there are no reprojection errors.
+    errors: Option<Histogram>,
+    distances: Histogram,
+    /// The class of the matches that are no inliers.
+    other: &'static str,
+    candidates: Vec<Candidate>,
+    candidate_count: usize,
+    most_matches: usize,
+}
+
+struct MatchLine {
+    class: &'static str,
+    hover: String,
+    from: (f64, f64),
+    to: (f64, f64),
+    error_tip: Option<(f64, f64)>,
 }
 
 /// Draws the matches of a query with one keyframe.
 ///
 /// # Errors
-/// [`PlotError::Draw`] where the plot cannot be written.
-pub fn draw_matches(picture: &MatchPicture<'_>, path: &Path) -> Result<PathBuf, PlotError> {
-    let text = paint(picture).map_err(|error| PlotError::draw(path, error))?;
-    std::fs::write(path, text).map_err(|error| PlotError::draw(path, error))?;
+/// The plot cannot be written.
+pub fn draw_matches(picture: &MatchPicture<'_>, path: &Path) -> anyhow::Result<PathBuf> {
+    let text = Sheet::of(picture)?.render()?;
+    std::fs::write(path, text).with_context(|| not_written(path))?;
     Ok(path.to_path_buf())
 }
 
-fn paint(picture: &MatchPicture<'_>) -> Result<String, ImageError> {
-    let width = (WIDTH - 3.0 * MARGIN) / 2.0;
-    let left = Panel::new(MARGIN, width, picture.camera);
-    let right_camera = picture.keyframe.map_or(picture.camera, |keyframe| &keyframe.camera);
-    let right = Panel::new(2.0 * MARGIN + width, width, right_camera);
-    let footer_top = left.bottom().max(right.bottom()) + CAPTION;
-    let has_statistics = picture.keyframe.is_some();
-    let height = footer_top + if has_statistics { FOOTER } else { 0.0 };
-
-    let mut svg = Svg::new((WIDTH, height.ceil()), STYLE);
-    draw_header(&mut svg, picture);
-    draw_image(&mut svg, &left, picture.image, picture.features, TRUTH)?;
-    caption(&mut svg, &left, &format!("query: {}", picture.query));
-    if let Some(keyframe) = picture.keyframe {
-        draw_image(&mut svg, &right, picture.keyframe_image, &keyframe.landmark_pixels, MAP)?;
-        caption(&mut svg, &right, &keyframe_text(picture, keyframe));
-        // Inliers last, on top.
-        for inliers in [false, true] {
-            for found in keyframe.matches.iter().filter(|found| found.inlier == inliers) {
-                draw_match(&mut svg, found, keyframe, (&left, &right));
-            }
-        }
-        draw_statistics(&mut svg, picture.inspection, keyframe, footer_top);
-    } else {
-        svg.rectangle((right.left, right.top), right.size, &[("fill", &css(GRID))]);
-        let middle = (right.left + right.size.0 / 2.0, right.top + right.size.1 / 2.0);
-        svg.words(middle, 18.0, Anchor::Middle, INK, "no keyframe to compare with");
+impl Sheet {
+    fn of(picture: &MatchPicture<'_>) -> Result<Self, ImageError> {
+        let caption = format!("query: {}", picture.query);
+        let query = Panel::new(LEFT[0], picture.camera, picture.image, picture.features, &caption)?;
+        let keyframe =
+            picture.keyframe.map(|keyframe| Keyframe::of(picture, keyframe, &query)).transpose()?;
+        let (outcome, title, detail) = match &picture.inspection.reply.fix {
+            Some(fix) => (
+                "inlier",
+                format!(
+                    "Recognized: {} of {} matches agree within {:.2} px on average",
+                    fix.inliers, fix.matched_features, fix.mean_error_px
+                ),
+                pose_text(&fix.global_from_camera),
+            ),
+            None => (
+                "outlier",
+                format!("Not recognized: {}", describe(picture.inspection.reply.outcome)),
+                best_match_text(picture),
+            ),
+        };
+        let mut sheet =
+            Self { outcome, title, detail, legend: legend(picture), query, keyframe, height: 0.0 };
+        let statistics = if sheet.keyframe.is_some() { STATISTICS } else { 0.0 };
+        sheet.height = (sheet.statistics_top() + statistics).ceil();
+        Ok(sheet)
     }
-    Ok(svg.finish())
+
+    /// Where the statistics begin, px.
+    fn statistics_top(&self) -> f64 {
+        let beside = self.keyframe.as_ref().map_or(0.0, |keyframe| keyframe.panel.height);
+        TOP + self.query.height.max(beside) + CAPTION
+    }
 }
 
-fn draw_header(svg: &mut Svg, picture: &MatchPicture<'_>) {
-    let reply = &picture.inspection.reply;
-    let (colour, title, detail) = match &reply.fix {
-        Some(fix) => (
-            GOOD,
-            format!(
-                "Recognized: {} of {} matches agree within {:.2} px on average",
-                fix.inliers, fix.matched_features, fix.mean_error_px
-            ),
-            pose_text(&fix.global_from_camera),
-        ),
-        None => (BAD, format!("Not recognized: {}", describe(reply.outcome)), best_match_text(picture)),
-    };
-    svg.rectangle((MARGIN, 16.0), (6.0, 48.0), &[("fill", &css(colour))]);
-    svg.words((MARGIN + 18.0, 35.0), 22.0, Anchor::Start, INK, &title);
-    svg.words((MARGIN + 18.0, 60.0), 15.0, Anchor::Start, INK, &detail);
-    draw_legend(svg, picture);
+impl Panel {
+    fn new(
+        left: f64,
+        camera: &Camera,
+        image: Option<&GrayImage>,
+        pixels: &[[f32; 2]],
+        caption: &str,
+    ) -> Result<Self, ImageError> {
+        let scale = WIDTH / f64::from(camera.width.max(1));
+        let png = image.map(GrayImage::to_png).transpose()?;
+        let mut panel = Self {
+            left,
+            height: rounded(scale * f64::from(camera.height)),
+            scale,
+            png_base64: png.map(|png| STANDARD.encode(png)),
+            points: Vec::new(),
+            caption: shortened(caption),
+        };
+        panel.points = pixels.iter().map(|pixel| panel.place(pixel.map(f64::from))).collect();
+        Ok(panel)
+    }
+
+    /// Where a pixel is on the sheet; pixel (0, 0) is the centre of the first one.
+    fn place(&self, pixel: [f64; 2]) -> (f64, f64) {
+        let [x, y] = pixel.map(|coordinate| (coordinate + 0.5) * self.scale);
+        (rounded(self.left + x), rounded(TOP + y))
+    }
+}
+
+impl Keyframe {
+    fn of(
+        picture: &MatchPicture<'_>,
+        keyframe: &InspectedKeyframe,
+        query: &Panel,
+    ) -> Result<Self, ImageError> {
+        let caption = keyframe_text(picture, keyframe);
+        let (image, pixels) = (picture.keyframe_image, &keyframe.landmark_pixels);
+        let panel = Panel::new(LEFT[1], &keyframe.camera, image, pixels, &caption)?;
+        let has_pose = keyframe.global_from_camera.is_some();
+        let other = if has_pose { "outlier" } else { "unposed" };
+        // Inliers last, on top.
+        let mut matches: Vec<&InspectedMatch> = keyframe.matches.iter().collect();
+        matches.sort_by_key(|found| found.inlier);
+        let line = |found: &InspectedMatch| {
+            let class = if found.inlier { "inlier" } else { other };
+            let from = query.place(found.query_pixel.map(f64::from));
+            let longer = |predicted: [f64; 2]| {
+                let tip = query.place(predicted);
+                (from.0 + EXAGGERATION * (tip.0 - from.0), from.1 + EXAGGERATION * (tip.1 - from.1))
+            };
+            MatchLine {
+                class,
+                hover: match_text(found, class),
+                from,
+                to: panel.place(found.keyframe_pixel.map(f64::from)),
+                error_tip: found.predicted_pixel.filter(|_| found.inlier).map(longer),
+            }
+        };
+        let matches = matches.into_iter().map(line).collect();
+        let candidates = list_candidates(picture.inspection, keyframe);
+        Ok(Self {
+            panel,
+            matches,
+            errors: has_pose.then(|| errors(keyframe)),
+            distances: distances(keyframe),
+            other,
+            most_matches: candidates.iter().map(|candidate| candidate.matches).max().unwrap_or(0).max(1),
+            candidates,
+            candidate_count: picture.inspection.keyframes.len(),
+        })
+    }
 }
 
 /// A pose with its standard deviations.
@@ -169,71 +251,29 @@ fn best_match_text(picture: &MatchPicture<'_>) -> String {
     format!("{features} features in the query, {matches} match keyframe {id}: {why}")
 }
 
-fn draw_legend(svg: &mut Svg, picture: &MatchPicture<'_>) {
-    let (mut x, middle) = (MARGIN + 18.0, 89.0);
-    let mut entry = |svg: &mut Svg, colour: RGBColor, is_line: bool, text: &str| {
-        let colour = css(colour);
-        if is_line {
-            let stroke: [Attribute<'_>; 2] = [("stroke", &colour), ("stroke-width", &3)];
-            svg.line((x, middle), (x + 24.0, middle), &stroke);
-        } else {
-            svg.dot((x + 12.0, middle), 4.0, &[("fill", &colour)]);
-        }
-        svg.words((x + 31.0, middle + 5.0), 14.0, Anchor::Start, INK, text);
-        x += 31.0 + text.chars().count() as f64 * 14.0 * LETTER_WIDTH + 24.0;
-    };
+fn legend(picture: &MatchPicture<'_>) -> Vec<LegendEntry> {
+    const LINE: &str = "\u{2501}\u{2501}";
+    const DOT: &str = "\u{25cf}";
+    let entry = |class, symbol, text| LegendEntry { class, symbol, text };
+    let mut legend = Vec::new();
     if let Some(keyframe) = picture.keyframe {
         let (matches, inliers) = (keyframe.matches.len(), keyframe.inliers());
         if keyframe.global_from_camera.is_some() {
-            entry(svg, GOOD, true, &format!("{inliers} inliers"));
             let outliers =
                 format!("{} outliers: off by more than {:.1} px", matches - inliers, keyframe.gate_px);
-            entry(svg, BAD, true, &outliers);
+            legend.push(entry("inlier", LINE, format!("{inliers} inliers")));
+            legend.push(entry("outlier", LINE, outliers));
             let error = format!("reprojection error, drawn {EXAGGERATION} times longer");
-            entry(svg, ODOMETRY, true, &error);
+            legend.push(entry("error", LINE, error));
         } else {
-            entry(
-                svg,
-                ODOMETRY,
-                true,
-                &format!("{matches} matches, without a pose to tell right from wrong"),
-            );
+            let unposed = format!("{matches} matches, without a pose to tell right from wrong");
+            legend.push(entry("unposed", LINE, unposed));
         }
         let landmarks = format!("{} landmarks of the keyframe", keyframe.landmark_pixels.len());
-        entry(svg, MAP, false, &landmarks);
+        legend.push(entry("landmark", DOT, landmarks));
     }
-    entry(svg, TRUTH, false, &format!("{} features of the query", picture.features.len()));
-}
-
-fn draw_image(
-    svg: &mut Svg,
-    panel: &Panel,
-    image: Option<&GrayImage>,
-    pixels: &[[f32; 2]],
-    colour: RGBColor,
-) -> Result<(), ImageError> {
-    match image {
-        Some(image) => svg.image(image, (panel.left, panel.top), panel.size)?,
-        None => svg.rectangle((panel.left, panel.top), panel.size, &[("fill", &css(GRID))]),
-    }
-    svg.open("g", &[("fill", &css(colour)), ("fill-opacity", &0.9)]);
-    for pixel in pixels {
-        svg.dot(panel.place(pixel.map(f64::from)), 1.9, &[]);
-    }
-    svg.close();
-    Ok(())
-}
-
-/// Writes below an image. Of a text that is too long the end is shown: the most specific part of a path.
-fn caption(svg: &mut Svg, panel: &Panel, text: &str) {
-    let fitting = (panel.size.0 / (CAPTION_SIZE * LETTER_WIDTH)) as usize;
-    let length = text.chars().count();
-    let text = if length > fitting {
-        "\u{2026}".chars().chain(text.chars().skip(length - fitting + 1)).collect()
-    } else {
-        text.to_owned()
-    };
-    svg.words((panel.left, panel.bottom() + 20.0), CAPTION_SIZE, Anchor::Start, INK, &text);
+    legend.push(entry("feature", DOT, format!("{} features of the query", picture.features.len())));
+    legend
 }
 
 /// The caption of the keyframe.
@@ -251,34 +291,6 @@ fn keyframe_text(picture: &MatchPicture<'_>, keyframe: &InspectedKeyframe) -> St
     )
 }
 
-fn draw_match(
-    svg: &mut Svg,
-    found: &InspectedMatch,
-    keyframe: &InspectedKeyframe,
-    (left, right): (&Panel, &Panel),
-) {
-    let (class, colour) = match (found.inlier, keyframe.global_from_camera.is_some()) {
-        (true, _) => ("inlier", GOOD),
-        (false, true) => ("outlier", BAD),
-        (false, false) => ("unposed", ODOMETRY),
-    };
-    let colour = css(colour);
-    let from = left.place(found.query_pixel.map(f64::from));
-    let to = right.place(found.keyframe_pixel.map(f64::from));
-    svg.open("g", &[("class", &"match")]);
-    svg.hover(&match_text(found, class));
-    svg.line(from, to, &[("class", &class), ("stroke", &colour)]);
-    if let (true, Some(predicted)) = (found.inlier, found.predicted_pixel) {
-        let tip = left.place(predicted);
-        let longer = (from.0 + EXAGGERATION * (tip.0 - from.0), from.1 + EXAGGERATION * (tip.1 - from.1));
-        svg.line(from, longer, &[("class", &"error"), ("stroke", &css(ODOMETRY))]);
-    }
-    for end in [from, to] {
-        svg.dot(end, 3.0, &[("fill", &colour)]);
-    }
-    svg.close();
-}
-
 /// The tooltip of a match.
 fn match_text(found: &InspectedMatch, class: &str) -> String {
     let error = match (found.error_px(), class) {
@@ -290,4 +302,58 @@ fn match_text(found: &InspectedMatch, class: &str) -> String {
         "{class}: feature {} and landmark {}\ndescriptor distance {:.3}\n{error}",
         found.feature, found.landmark, found.distance
     )
+}
+
+/// A caption that fits below an image. Of a text that is too long the end is shown: the most specific part of a path.
+/// What XML cannot hold (in the name of a file) becomes the replacement character.
+fn shortened(caption: &str) -> String {
+    let replaced = |letter: char| letter.is_control() || matches!(letter, '\u{fffe}' | '\u{ffff}');
+    let letters = caption.chars().map(|letter| if replaced(letter) { '\u{fffd}' } else { letter });
+    let length = caption.chars().count();
+    if length <= CAPTION_LETTERS {
+        return letters.collect();
+    }
+    std::iter::once('\u{2026}').chain(letters.skip(length - CAPTION_LETTERS + 1)).collect()
+}
+
+/// A coordinate as precise as a picture needs it.
+fn rounded(value: f64) -> f64 {
+    (value * 100.0).round() / 100.0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn captions_are_shortened_at_their_begin_and_hold_no_control_characters() {
+        assert_eq!(shortened("a < b\u{1}"), "a < b\u{fffd}");
+        let long = shortened(&format!("{}/image.png", "folder".repeat(30)));
+        assert!(long.starts_with("\u{2026}") && long.ends_with("/image.png"), "{long}");
+        assert_eq!(long.chars().count(), CAPTION_LETTERS);
+    }
+
+    #[test]
+    fn texts_cannot_break_out_of_the_markup() {
+        let camera = Camera {
+            width: 4,
+            height: 3,
+            focal: [1.0; 2],
+            centre: [1.5, 1.0],
+            distortion: geometry::Distortion::None,
+        };
+        let query = Panel::new(LEFT[0], &camera, None, &[], "\"><script> & more").unwrap();
+        let (title, detail) = ("a < b".to_owned(), String::new());
+        let sheet = Sheet {
+            outcome: "inlier",
+            title,
+            detail,
+            legend: Vec::new(),
+            query,
+            keyframe: None,
+            height: 9.0,
+        };
+        let text = sheet.render().unwrap();
+        assert!(!text.contains("<script") && !text.contains("a < b") && text.ends_with("</svg>"), "{text}");
+    }
 }

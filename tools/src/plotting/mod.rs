@@ -17,10 +17,7 @@ mod canvas;
 pub mod comparison;
 mod coverage;
 mod ensemble;
-mod error;
 mod errors;
-mod events;
-mod match_layout;
 mod match_statistics;
 mod matches;
 mod over_time;
@@ -28,7 +25,6 @@ mod panel;
 mod reprojection;
 mod run_files;
 mod series;
-mod svg;
 mod trajectory;
 
 #[cfg(test)]
@@ -36,12 +32,12 @@ mod tests;
 
 pub use coverage::draw_coverage;
 pub use ensemble::{EnsembleLine, draw_ensemble};
-pub use error::PlotError;
-pub use events::{QueryEvent, read_events};
 pub use match_statistics::describe_verdict;
 pub use matches::{MatchPicture, draw_matches};
 pub use run_files::{RunFiles, Truth, read_keyframes};
 
+use anyhow::Context as _;
+use canvas::not_written;
 use evaluation::trajectory::StateKind;
 use std::path::{Path, PathBuf};
 
@@ -57,9 +53,9 @@ pub struct Drawn {
 /// Draws all plots of a run for which its files have the data.
 ///
 /// # Errors
-/// [`PlotError`] where a plot cannot be written.
-pub fn draw_run(run: &RunFiles, out: &Path) -> Result<Drawn, PlotError> {
-    std::fs::create_dir_all(out).map_err(|error| PlotError::draw(out, error))?;
+/// A plot cannot be written.
+pub fn draw_run(run: &RunFiles, out: &Path) -> anyhow::Result<Drawn> {
+    std::fs::create_dir_all(out).with_context(|| not_written(out))?;
     let mut drawn = Drawn { pictures: Vec::new(), missing: run.missing.clone() };
     drawn.pictures.push(trajectory::draw(run, &out.join("trajectory.svg"))?);
     drawn.pictures.push(over_time::draw(run, &out.join("over_time.svg"))?);

@@ -1,8 +1,7 @@
 //! The position along each axis over time.
 
 use super::canvas::{self, ESTIMATE, Mark, ODOMETRY, TRUTH, entry};
-use super::error::PlotError;
-use super::panel::{Line, Panel};
+use super::panel::{Panel, Series};
 use super::run_files::RunFiles;
 use super::series::{range, thin};
 use super::trajectory::PlanView;
@@ -11,7 +10,7 @@ use nalgebra::Vector3;
 use std::path::{Path, PathBuf};
 
 /// Draws the position over time: in G where the run localized, in L else.
-pub(crate) fn draw(run: &RunFiles, path: &Path) -> Result<PathBuf, PlotError> {
+pub(crate) fn draw(run: &RunFiles, path: &Path) -> anyhow::Result<PathBuf> {
     let localized = run.states.iter().any(|state| state.global_from_imu.is_some());
     let (kind, what, colour) = if localized {
         (StateKind::GlobalFromImu, "pose in G", ESTIMATE)
@@ -48,10 +47,7 @@ pub(crate) fn draw(run: &RunFiles, path: &Path) -> Result<PathBuf, PlotError> {
                 y_label: format!("{} [m]", ["x", "y", "height"][axis]),
                 x: 0.0..run.duration(),
                 y: range(true_line.iter().chain(&line).map(|point| point.1)),
-                lines: vec![
-                    Line { points: thin(&true_line), colour: TRUTH, width: 4 },
-                    Line { points: thin(&line), colour, width: 2 },
-                ],
+                series: vec![Series::line(thin(&true_line), TRUTH, 4), Series::line(thin(&line), colour, 2)],
                 ..Panel::default()
             };
             panel.draw(area)?;

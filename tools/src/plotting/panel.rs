@@ -1,35 +1,39 @@
-//! One set of axes with lines, bands and dots.
+//! One set of axes with series of points.
 
 use super::canvas::{Area, FONT, GRID, INK};
-use super::error::DrawError;
 use plotters::prelude::*;
 use std::ops::Range;
 
-/// A line through points.
-pub(crate) struct Line {
+/// Points, and how they are drawn.
+pub(crate) struct Series {
     pub(crate) points: Vec<(f64, f64)>,
     pub(crate) colour: RGBColor,
-    pub(crate) width: u32,
+    pub(crate) shape: Shape,
 }
 
-/// Dots at points.
-pub(crate) struct Dots {
-    pub(crate) points: Vec<(f64, f64)>,
-    pub(crate) colour: RGBColor,
-    pub(crate) radius: u32,
+/// How points are drawn; sizes in px.
+#[derive(Clone, Copy)]
+pub(crate) enum Shape {
+    /// A line of a width through them.
+    Line(u32),
+    /// Dots of a radius.
+    Dots(u32),
+    /// The space between `-y` and `y`.
+    Band,
+    /// Upright lines of a width from 0.
+    Needles(u32),
 }
 
-/// The space between `-height` and `height`.
-pub(crate) struct Band {
-    pub(crate) heights: Vec<(f64, f64)>,
-    pub(crate) colour: RGBColor,
-}
+impl Series {
+    /// A line through points.
+    pub(crate) fn line(points: Vec<(f64, f64)>, colour: RGBColor, width: u32) -> Self {
+        Self { points, colour, shape: Shape::Line(width) }
+    }
 
-/// Upright lines from 0 to points.
-pub(crate) struct Needles {
-    pub(crate) points: Vec<(f64, f64)>,
-    pub(crate) colour: RGBColor,
-    pub(crate) width: u32,
+    /// Dots at points.
+    pub(crate) fn dots(points: Vec<(f64, f64)>, colour: RGBColor, radius: u32) -> Self {
+        Self { points, colour, shape: Shape::Dots(radius) }
+    }
 }
 
 /// One set of axes. What is listed later is drawn over what is listed before.
@@ -41,10 +45,7 @@ pub(crate) struct Panel {
     pub(crate) y_label: String,
     pub(crate) x: Range<f64>,
     pub(crate) y: Range<f64>,
-    pub(crate) bands: Vec<Band>,
-    pub(crate) needles: Vec<Needles>,
-    pub(crate) lines: Vec<Line>,
-    pub(crate) dots: Vec<Dots>,
+    pub(crate) series: Vec<Series>,
 }
 
 /// Room for the numbers beside and below the axes, px.
@@ -65,7 +66,7 @@ pub(crate) fn inner_size(area: &Area<'_>) -> (f64, f64) {
 
 impl Panel {
     /// Draws the panel into an area.
-    pub(crate) fn draw(&self, area: &Area<'_>) -> Result<(), DrawError> {
+    pub(crate) fn draw(&self, area: &Area<'_>) -> anyhow::Result<()> {
         let mut builder = ChartBuilder::on(area);
         if !self.title.is_empty() {
             builder.caption(&self.title, (FONT, LETTERS).into_font().color(&INK));
@@ -91,28 +92,28 @@ impl Panel {
             .x_label_formatter(&|value| number(*value, &self.x))
             .y_label_formatter(&|value| number(*value, &self.y))
             .draw()?;
-        for band in &self.bands {
-            let clipped =
-                |(x, height): &(f64, f64), sign: f64| (*x, (sign * height).clamp(self.y.start, self.y.end));
-            let upper = band.heights.iter().map(|point| clipped(point, 1.0));
-            let lower = band.heights.iter().rev().map(|point| clipped(point, -1.0));
-            let polygon = Polygon::new(upper.chain(lower).collect::<Vec<_>>(), band.colour.filled());
-            chart.draw_series(std::iter::once(polygon))?;
-        }
-        for needles in &self.needles {
-            let style = needles.colour.stroke_width(needles.width);
-            let lines =
-                needles.points.iter().map(|(x, y)| PathElement::new(vec![(*x, 0.0), (*x, *y)], style));
-            chart.draw_series(lines)?;
-        }
-        for line in &self.lines {
-            let style = line.colour.stroke_width(line.width);
-            chart.draw_series(LineSeries::new(line.points.iter().copied(), style))?;
-        }
-        for dots in &self.dots {
-            let circles =
-                dots.points.iter().map(|point| Circle::new(*point, dots.radius, dots.colour.filled()));
-            chart.draw_series(circles)?;
+        for Series { points, colour, shape } in &self.series {
+            match *shape {
+                Shape::Line(width) => {
+                    let line = LineSeries::new(points.iter().copied(), colour.stroke_width(width));
+                    chart.draw_series(line)?;
+                }
+                Shape::Dots(radius) => {
+                    chart.draw_series(points.iter().map(|at| Circle::new(*at, radius, colour.filled())))?;
+                }
+                Shape::Band => {
+                    let clipped = |(x, y): (f64, f64)| (x, y.clamp(self.y.start, self.y.end));
+                    let lower = points.iter().rev().map(|(x, y)| (*x, -y));
+                    let outline = points.iter().copied().chain(lower).map(clipped);
+                    chart.draw_series([Polygon::new(outline.collect::<Vec<_>>(), colour.filled())])?;
+                }
+                Shape::Needles(width) => {
+                    let upright = |(x, y): &(f64, f64)| {
+                        PathElement::new(vec![(*x, 0.0), (*x, *y)], colour.stroke_width(width))
+                    };
+                    chart.draw_series(points.iter().map(upright))?;
+                }
+            }
         }
         Ok(())
     }

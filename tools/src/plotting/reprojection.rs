@@ -1,15 +1,14 @@
 //! The result of each query.
 
 use super::canvas::{self, BAD, ESTIMATE, GOOD, Mark, ODOMETRY, TRUTH, entry};
-use super::error::PlotError;
-use super::events::QueryEvent;
-use super::panel::{Dots, Needles, Panel};
+use super::panel::{Panel, Series, Shape};
 use super::run_files::RunFiles;
+use onboard::Event;
 use plotters::style::RGBColor;
 use std::path::{Path, PathBuf};
 
 /// Draws reprojection errors, matches and inliers of all queries.
-pub(crate) fn draw(run: &RunFiles, events: &[QueryEvent], path: &Path) -> Result<PathBuf, PlotError> {
+pub(crate) fn draw(run: &RunFiles, events: &[Event], path: &Path) -> anyhow::Result<PathBuf> {
     let legend = [
         entry(Mark::Dot, GOOD, "used"),
         entry(Mark::Dot, ODOMETRY, "used, re-linearized"),
@@ -26,33 +25,33 @@ pub(crate) fn draw(run: &RunFiles, events: &[QueryEvent], path: &Path) -> Result
     })
 }
 
-fn errors(run: &RunFiles, events: &[QueryEvent]) -> Panel {
-    let chosen = |wanted: &dyn Fn(&QueryEvent) -> bool, colour: RGBColor| {
+fn errors(run: &RunFiles, events: &[Event]) -> Panel {
+    let chosen = |wanted: &dyn Fn(&Event) -> bool, colour: RGBColor| {
         let events = events.iter().filter(|event| wanted(event));
         let points =
             events.filter_map(|event| Some((run.seconds(event.stamp_ns), event.mean_reprojection_px?)));
-        Dots { points: points.collect(), colour, radius: 3 }
+        Series::dots(points.collect(), colour, 3)
     };
-    let dots = vec![
+    let series = vec![
         chosen(&|event| event.accepted && !event.relinearized, GOOD),
         chosen(&|event| event.accepted && event.relinearized, ODOMETRY),
         chosen(&|event| !event.accepted, BAD),
     ];
-    let highest = dots.iter().flat_map(|dots| &dots.points).map(|point| point.1).fold(1.0, f64::max);
+    let highest = series.iter().flat_map(|series| &series.points).map(|point| point.1).fold(1.0, f64::max);
     Panel {
         x_label: "",
         y_label: "mean reprojection error [px]".to_owned(),
         x: 0.0..run.duration(),
         y: 0.0..highest * 1.08,
-        dots,
+        series,
         ..Panel::default()
     }
 }
 
-fn counts(run: &RunFiles, events: &[QueryEvent]) -> Panel {
-    let needles = |count: &dyn Fn(&QueryEvent) -> usize, colour: RGBColor, width: u32| {
+fn counts(run: &RunFiles, events: &[Event]) -> Panel {
+    let needles = |count: &dyn Fn(&Event) -> usize, colour: RGBColor| {
         let points = events.iter().map(|event| (run.seconds(event.stamp_ns), count(event) as f64));
-        Needles { points: points.filter(|point| point.1 > 0.0).collect(), colour, width }
+        Series { points: points.filter(|point| point.1 > 0.0).collect(), colour, shape: Shape::Needles(2) }
     };
     let highest = events.iter().map(|event| event.matches).max().unwrap_or(0).max(1) as f64;
     Panel {
@@ -60,10 +59,7 @@ fn counts(run: &RunFiles, events: &[QueryEvent]) -> Panel {
         y_label: "matches, inliers".to_owned(),
         x: 0.0..run.duration(),
         y: 0.0..highest * 1.08,
-        needles: vec![
-            needles(&|event| event.matches, TRUTH, 2),
-            needles(&|event| event.inliers, ESTIMATE, 2),
-        ],
+        series: vec![needles(&|event| event.matches, TRUTH), needles(&|event| event.inliers, ESTIMATE)],
         ..Panel::default()
     }
 }

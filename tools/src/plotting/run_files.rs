@@ -1,10 +1,10 @@
 //! The output folder of a run, and its ground truth.
 
-use super::error::PlotError;
-use super::events::{QueryEvent, read_events};
+use anyhow::Context as _;
 use evaluation::trajectory::{StateRow, states};
 use evaluation::{RunErrors, RunScore, ScoreError, ScoreOptions, run_errors, score_run};
 use nalgebra::Vector3;
+use onboard::Event;
 use sensors::{Sequence, TruthRow, read_groundtruth};
 use std::path::{Path, PathBuf};
 
@@ -18,14 +18,14 @@ pub struct Truth {
 }
 
 /// The data of a run.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 pub struct RunFiles {
     /// Its name in titles.
     pub name: String,
     /// Its outputs.
     pub states: Vec<StateRow>,
     /// Its queries, if it kept a record of them.
-    pub events: Option<Vec<QueryEvent>>,
+    pub events: Option<Vec<Event>>,
     /// Its ground truth, if known.
     pub truth: Option<Truth>,
     /// Positions of the map's keyframes in G, metres; empty where they are not known.
@@ -43,12 +43,12 @@ impl RunFiles {
     ///   that is not possible.
     ///
     /// # Errors
-    /// [`PlotError`] where `states.csv` is missing, or a file cannot be understood.
+    /// `states.csv` is missing, or a file cannot be understood.
     pub fn read(
         folder: &Path,
         groundtruth: Option<&Path>,
         gravity: Option<Vector3<f64>>,
-    ) -> Result<Self, PlotError> {
+    ) -> anyhow::Result<Self> {
         let mut missing = Vec::new();
         let states = states::read(&folder.join("states.csv"))?;
         let events_path = folder.join("events.csv");
@@ -105,26 +105,33 @@ impl RunFiles {
 /// Positions of keyframes from the `keyframes.csv` of a map in plain text, metres.
 ///
 /// # Errors
-/// [`PlotError`] where the file cannot be read.
-pub fn read_keyframes(path: &Path) -> Result<Vec<Vector3<f64>>, PlotError> {
-    let text = std::fs::read_to_string(path)
-        .map_err(|source| PlotError::Read { path: path.to_path_buf(), source })?;
+/// The file cannot be read, or has a row without a position.
+pub fn read_keyframes(path: &Path) -> anyhow::Result<Vec<Vector3<f64>>> {
+    let text = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
     let rows = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty() && !line.starts_with('#'));
     rows.map(|(index, line)| {
         let cells: Vec<f64> =
             line.split(',').skip(2).take(3).map_while(|cell| cell.trim().parse().ok()).collect();
-        <[f64; 3]>::try_from(cells)
-            .map(Vector3::from)
-            .map_err(|_| PlotError::Keyframe { path: path.to_path_buf(), line: index + 1 })
+        let position = <[f64; 3]>::try_from(cells).ok().map(Vector3::from);
+        position.with_context(|| {
+            format!("{}: line {}: columns 3 to 5 are no position", path.display(), index + 1)
+        })
     })
     .collect()
+}
+
+/// Reads `events.csv`.
+fn read_events(path: &Path) -> anyhow::Result<Vec<Event>> {
+    let reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_path(path);
+    let rows = reader.and_then(|reader| reader.into_deserialize().collect());
+    rows.with_context(|| path.display().to_string())
 }
 
 fn truth_from_file(
     path: &Path,
     gravity: Option<Vector3<f64>>,
     missing: &mut Vec<String>,
-) -> Result<Truth, PlotError> {
+) -> anyhow::Result<Truth> {
     let rows = read_groundtruth(path)?;
     // SEQ/mav0/state_groundtruth_estimate0/data.csv
     let recording = path.ancestors().nth(3).filter(|root| root.join("mav0/imu0").is_dir());
@@ -144,15 +151,15 @@ fn truth_from_summary(
     path: &Path,
     gravity: Option<Vector3<f64>>,
     missing: &mut Vec<String>,
-) -> Result<Option<Truth>, PlotError> {
+) -> anyhow::Result<Option<Truth>> {
     let Ok(text) = std::fs::read_to_string(path) else {
         missing.push(
             "There is no summary.json to name the recording, so no truth and no errors are drawn.".to_owned(),
         );
         return Ok(None);
     };
-    let summary: serde_json::Value = serde_json::from_str(&text)
-        .map_err(|source| PlotError::Summary { path: path.to_path_buf(), source })?;
+    let summary: serde_json::Value =
+        serde_json::from_str(&text).with_context(|| path.display().to_string())?;
     let Some(root) = summary.get("sequence").and_then(serde_json::Value::as_str).map(PathBuf::from) else {
         missing.push(
             "summary.json does not name the recording, so no truth and no errors are drawn.".to_owned(),

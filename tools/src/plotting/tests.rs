@@ -104,7 +104,7 @@ fn what_is_missing_is_said_and_not_drawn() {
 #[test]
 fn a_run_without_states_cannot_be_drawn() {
     let folder = tempfile::tempdir().unwrap();
-    let error = RunFiles::read(folder.path(), None, None).unwrap_err().to_string();
+    let error = format!("{:#}", RunFiles::read(folder.path(), None, None).unwrap_err());
     assert!(error.contains("states.csv") && error.contains("missing"), "{error}");
 }
 
@@ -113,7 +113,7 @@ fn events_that_are_cut_off_are_an_error_with_the_line() {
     let folder = run_folder(true);
     let path = folder.path().join("events.csv");
     std::fs::write(&path, &EVENTS[..EVENTS.len() - 20]).unwrap();
-    let error = read_events(&path).unwrap_err().to_string();
+    let error = format!("{:#}", RunFiles::read(folder.path(), None, None).unwrap_err());
     assert!(error.contains("events.csv") && error.contains("line: 5"), "{error}");
 }
 

@@ -1,8 +1,7 @@
 //! Plan view of a run.
 
 use super::canvas::{self, Area, BAD, ESTIMATE, GOOD, LegendEntry, MAP, Mark, ODOMETRY, TRUTH, entry};
-use super::error::{DrawError, PlotError};
-use super::panel::{Dots, Line, Panel, inner_size};
+use super::panel::{Panel, Series, inner_size};
 use super::run_files::RunFiles;
 use super::series::{range, thin_path};
 use evaluation::trajectory::StateKind;
@@ -37,38 +36,33 @@ impl PlanView {
 }
 
 /// Draws the plan view of a run.
-pub(crate) fn draw(run: &RunFiles, path: &Path) -> Result<PathBuf, PlotError> {
+pub(crate) fn draw(run: &RunFiles, path: &Path) -> anyhow::Result<PathBuf> {
     let gravity = run.truth.as_ref().map_or_else(|| -Vector3::z(), |truth| truth.gravity);
     let view = PlanView::along(&gravity);
     let mut legend = Vec::new();
-    let mut lines = Vec::new();
-    let mut dots = Vec::new();
+    let mut series = Vec::new();
     if !run.keyframes.is_empty() {
-        let points = run.keyframes.iter().map(|position| view.project(position)).collect();
-        dots.push(Dots { points, colour: MAP, radius: 3 });
         legend.push(entry(Mark::Dot, MAP, "keyframes of the map"));
     }
-    add_truth(run, &view, &mut lines, &mut legend);
-    add_local(run, &view, &mut lines, &mut legend);
-    add_pose(run, &view, &mut lines, &mut legend);
-    add_queries(run, &view, &mut dots, &mut legend);
+    add_truth(run, &view, &mut series, &mut legend);
+    add_local(run, &view, &mut series, &mut legend);
+    add_pose(run, &view, &mut series, &mut legend);
+    let keyframes = run.keyframes.iter().map(|position| view.project(position));
+    series.push(Series::dots(keyframes.collect(), MAP, 3));
+    add_queries(run, &view, &mut series, &mut legend);
     let title = format!("{} \u{2013} plan view", run.name);
-    canvas::draw(path, (1000, 900), &title, &legend, |body| plan(body, lines, dots))
+    canvas::draw(path, (1000, 900), &title, &legend, |body| plan(body, series))
 }
 
 /// A plan with the same scale along both axes.
-pub(crate) fn plan(area: &Area<'_>, lines: Vec<Line>, dots: Vec<Dots>) -> Result<(), DrawError> {
-    let points = || {
-        let of_lines = lines.iter().flat_map(|line| line.points.iter());
-        of_lines.chain(dots.iter().flat_map(|dots| dots.points.iter()))
-    };
+pub(crate) fn plan(area: &Area<'_>, series: Vec<Series>) -> anyhow::Result<()> {
+    let points = || series.iter().flat_map(|series| series.points.iter());
     let (x, y) = same_scale(
         range(points().map(|point| point.0)),
         range(points().map(|point| point.1)),
         inner_size(area),
     );
-    let panel =
-        Panel { x_label: "x [m]", y_label: "y [m]".to_owned(), x, y, lines, dots, ..Panel::default() };
+    let panel = Panel { x_label: "x [m]", y_label: "y [m]".to_owned(), x, y, series, ..Panel::default() };
     panel.draw(area)
 }
 
@@ -82,16 +76,16 @@ fn same_scale(x: Range<f64>, y: Range<f64>, (width, height): (f64, f64)) -> (Ran
     (widened(x, width), widened(y, height))
 }
 
-fn add_truth(run: &RunFiles, view: &PlanView, lines: &mut Vec<Line>, legend: &mut Vec<LegendEntry>) {
+fn add_truth(run: &RunFiles, view: &PlanView, series: &mut Vec<Series>, legend: &mut Vec<LegendEntry>) {
     let points: Vec<_> = run.truth_rows().iter().map(|row| view.project(&row.pose.translation)).collect();
     if !points.is_empty() {
-        lines.push(Line { points: thin_path(&points), colour: TRUTH, width: 4 });
+        series.push(Series::line(thin_path(&points), TRUTH, 4));
         legend.push(entry(Mark::Line, TRUTH, "truth"));
     }
 }
 
 /// The local pose, with L at its true pose, or else at the last estimate of it.
-fn add_local(run: &RunFiles, view: &PlanView, lines: &mut Vec<Line>, legend: &mut Vec<LegendEntry>) {
+fn add_local(run: &RunFiles, view: &PlanView, series: &mut Vec<Series>, legend: &mut Vec<LegendEntry>) {
     let true_pose = run.errors().and_then(Result::ok).map(|errors| errors.true_global_from_local);
     let last_estimate =
         || run.states.iter().rev().find_map(|state| state.global_from_local.as_ref()).map(|state| state.pose);
@@ -106,21 +100,21 @@ fn add_local(run: &RunFiles, view: &PlanView, lines: &mut Vec<Line>, legend: &mu
         global_from_local.transform(&state.local_from_imu.pose.translation)
     };
     let points: Vec<_> = run.states.iter().map(|state| view.project(&at(state))).collect();
-    lines.push(Line { points: thin_path(&points), colour: ODOMETRY, width: 2 });
+    series.push(Series::line(thin_path(&points), ODOMETRY, 2));
     legend.push(entry(Mark::Line, ODOMETRY, label));
 }
 
-fn add_pose(run: &RunFiles, view: &PlanView, lines: &mut Vec<Line>, legend: &mut Vec<LegendEntry>) {
+fn add_pose(run: &RunFiles, view: &PlanView, series: &mut Vec<Series>, legend: &mut Vec<LegendEntry>) {
     let poses = run.states.iter().filter_map(|state| state.get(StateKind::GlobalFromImu));
     let points: Vec<_> = poses.map(|state| view.project(&state.pose.translation)).collect();
     if !points.is_empty() {
-        lines.push(Line { points: thin_path(&points), colour: ESTIMATE, width: 2 });
+        series.push(Series::line(thin_path(&points), ESTIMATE, 2));
         legend.push(entry(Mark::Line, ESTIMATE, "pose in G"));
     }
 }
 
 /// Positions of queries whose match was used, and of those whose match was rejected.
-fn add_queries(run: &RunFiles, view: &PlanView, dots: &mut Vec<Dots>, legend: &mut Vec<LegendEntry>) {
+fn add_queries(run: &RunFiles, view: &PlanView, series: &mut Vec<Series>, legend: &mut Vec<LegendEntry>) {
     let matched = run.events.iter().flatten().filter(|event| event.matches > 0);
     let (mut good, mut bad) = (Vec::new(), Vec::new());
     for event in matched {
@@ -131,7 +125,7 @@ fn add_queries(run: &RunFiles, view: &PlanView, dots: &mut Vec<Dots>, legend: &m
     }
     for (points, colour, label) in [(good, GOOD, "match used"), (bad, BAD, "match rejected")] {
         if !points.is_empty() {
-            dots.push(Dots { points, colour, radius: 3 });
+            series.push(Series::dots(points, colour, 3));
             legend.push(entry(Mark::Dot, colour, label));
         }
     }

@@ -1,16 +1,13 @@
 //! Perspective-n-point: the pose of a camera from known world points and their pixels.
 //!
-//! Minimal solvers ([`p3p`], [`gravity_two_point`]), a linear solver for many points ([`epnp`]), robust estimation
-//! ([`solve_ransac`]), and refinement with covariance ([`refine`]). All return `world_from_camera`.
+//! Minimal solvers ([`p3p`], [`gravity_two_point`]), robust estimation ([`solve_ransac`]), and refinement with covariance
+//! ([`refine`]). All return `world_from_camera`.
 
-mod align;
-mod epnp;
 mod gravity;
 mod p3p;
 mod ransac;
 mod refine;
 
-pub use epnp::epnp;
 pub use gravity::{Gravity, gravity_two_point};
 pub use p3p::p3p;
 pub use ransac::{PnpSolution, RansacOptions, solve_ransac};
@@ -54,19 +51,10 @@ pub enum PnpError {
         /// Number of correspondences needed.
         needed: usize,
     },
-    /// The numbers of points and rays differ.
-    #[error("{points} points for {rays} rays")]
-    LengthMismatch {
-        /// Number of points given.
-        points: usize,
-        /// Number of rays given.
-        rays: usize,
-    },
     /// NaN or infinity in the input, or an option out of range.
     #[error("a point, pixel, pose or option is not finite or out of range")]
     InvalidInput,
-    /// Degenerate configuration: collinear points, coplanar points (EPnP), vertically aligned points (two-point), or
-    /// coinciding rays.
+    /// Degenerate configuration: collinear points, vertically aligned points (two-point), or coinciding rays.
     #[error("the points or rays are in a degenerate configuration")]
     Degenerate,
     /// No pose with the points in front of the camera explains the correspondences.

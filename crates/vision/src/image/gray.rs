@@ -144,11 +144,6 @@ impl GrayImage {
         &self.pixels
     }
 
-    /// All pixels, row after row, mutable.
-    pub fn pixels_mut(&mut self) -> &mut [u8] {
-        &mut self.pixels
-    }
-
     /// The pixels of row `y`.
     ///
     /// # Panics

@@ -17,11 +17,6 @@ pub enum Metric {
 }
 
 impl Metric {
-    /// Whether descriptors are bits rather than `f32` numbers.
-    pub fn is_binary(self) -> bool {
-        self == Self::Hamming
-    }
-
     /// Whether descriptors are `f32` numbers.
     pub fn is_float(self) -> bool {
         matches!(self, Self::Cosine | Self::Euclidean)
@@ -173,6 +168,16 @@ pub(crate) fn floats(bytes: &[u8]) -> impl Iterator<Item = f32> {
 /// The numbers of a descriptor of signed bytes.
 pub(crate) fn signed(bytes: &[u8]) -> impl Iterator<Item = f32> {
     bytes.iter().map(|&byte| f32::from(byte.cast_signed()))
+}
+
+/// Scales a vector to norm 1; the zero vector stays.
+pub(crate) fn normalize(vector: &mut [f32]) {
+    let norm = vector.iter().map(|number| number * number).sum::<f32>().sqrt();
+    if norm > 0.0 {
+        for number in vector {
+            *number /= norm;
+        }
+    }
 }
 
 /// Maps NaN (the descriptors held NaN or infinity) to infinity: such descriptors match nothing.

@@ -9,8 +9,8 @@ use std::ops::Range;
 use nalgebra::{DMatrix, DMatrixView};
 
 use super::descriptors::{
-    DescriptorView, Metric, distance_of_cosine, floats, int8_distance, inverse_norm_int8, number_or_infinite,
-    signed,
+    DescriptorView, Metric, distance_of_cosine, floats, int8_distance, inverse_norm_int8, normalize,
+    number_or_infinite, signed,
 };
 
 /// Largest dimension whose scalar products of signed bytes are exact in `f32`: `1024 * 128 * 128 = 2^24`.
@@ -48,25 +48,17 @@ impl PreparedDescriptors {
                 let data = floats(view.bytes()).collect();
                 Self::Floats { dimension: view.width() / 4, data, cosine: false }
             }
-            Metric::Cosine => Self::unit_vectors(view.width() / 4, floats(view.bytes()).collect()),
+            Metric::Cosine => {
+                let (dimension, mut data) = (view.width() / 4, floats(view.bytes()).collect::<Vec<f32>>());
+                data.chunks_exact_mut(dimension).for_each(normalize);
+                Self::Floats { dimension, data, cosine: true }
+            }
             Metric::CosineInt8 => Self::Int8 {
                 dimension: view.width(),
                 data: view.bytes().to_vec(),
                 inverse_norms: view.iter().map(inverse_norm_int8).collect(),
             },
         }
-    }
-
-    fn unit_vectors(dimension: usize, mut data: Vec<f32>) -> Self {
-        for descriptor in data.chunks_exact_mut(dimension) {
-            let norm = descriptor.iter().map(|x| x * x).sum::<f32>().sqrt();
-            if norm > 0.0 {
-                for number in descriptor {
-                    *number /= norm;
-                }
-            }
-        }
-        Self::Floats { dimension, data, cosine: true }
     }
 
     fn len(&self) -> usize {

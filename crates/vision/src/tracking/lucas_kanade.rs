@@ -184,7 +184,7 @@ fn align_level(
             sample(&block).ok_or(AlignmentError::Diverged)?
         };
         let step = template.step(&seen, &[0.0; 4]).ok_or(AlignmentError::LowCorrelation)?;
-        let delta = if is_identity { step.delta } else { warp.linear * step.delta };
+        let delta = if is_identity { step } else { warp.linear * step };
         centre -= delta;
         if delta.norm_squared() < options.tolerance * options.tolerance {
             break;
@@ -214,7 +214,7 @@ fn refine(
         let seen = sample(&mut block, &warp)?;
         let deviation = warp.linear - guess.linear;
         let deviation = [deviation.m11, deviation.m12, deviation.m21, deviation.m22];
-        let delta = template.step(&seen, &deviation).ok_or(AlignmentError::LowCorrelation)?.delta;
+        let delta = template.step(&seen, &deviation).ok_or(AlignmentError::LowCorrelation)?;
         // Inverse composition: the increment x -> x + D x + d of the template is undone in the image.
         let change = Matrix2::new(1.0 + delta[2], delta[3], delta[4], 1.0 + delta[5]);
         warp.linear *= change.try_inverse().ok_or(AlignmentError::Diverged)?;

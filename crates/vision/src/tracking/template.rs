@@ -36,12 +36,6 @@ pub(super) struct Template<const P: usize> {
     prior: f32,
 }
 
-/// One Gauss-Newton step.
-pub(super) struct Step<const P: usize> {
-    /// Increment of the template warp: `(dx, dy | D row by row)`, in the template's pixels.
-    pub(super) delta: SVector<f32, P>,
-}
-
 impl<const P: usize> Template<P> {
     /// The template around a pixel position of an image.
     ///
@@ -102,11 +96,12 @@ impl<const P: usize> Template<P> {
         Some(template)
     }
 
-    /// The step for samples of another image. `deviation` is the difference of the linear part from its prior, row by row.
+    /// The Gauss-Newton step for samples of another image: the increment of the template warp, `(dx, dy | D row by row)`, in
+    /// the template's pixels. `deviation` is the difference of the linear part from its prior, row by row.
     ///
     /// `None` if the samples have no contrast in common with the template.
     #[inline]
-    pub(super) fn step(&self, seen: &Patch, deviation: &[f32; 4]) -> Option<Step<P>> {
+    pub(super) fn step(&self, seen: &Patch, deviation: &[f32; 4]) -> Option<SVector<f32, P>> {
         /// Minimum contrast relative to the template.
         const MIN_GAIN: f32 = 0.05;
         let gain = dot(&self.centred, seen) / self.energy;
@@ -120,7 +115,7 @@ impl<const P: usize> Template<P> {
         for i in 2..P {
             right[i] += self.prior * deviation[i - 2];
         }
-        Some(Step { delta: self.inverse * right })
+        Some(self.inverse * right)
     }
 
     /// Correlation coefficient of the template with samples of another image, -1 to 1.

@@ -2,6 +2,7 @@
 
 use super::network::NetworkError;
 use super::tensor::Tensor;
+use crate::matching::descriptors::normalize;
 use std::cmp::Ordering;
 
 /// Parameter of bicubic interpolation (slope at the first neighbour), as in the training of XFeat.
@@ -172,16 +173,6 @@ fn cubic_weights(t: f32) -> [f32; 4] {
     let near = |d: f32| ((CUBIC + 2.0) * d - (CUBIC + 3.0)) * d * d + 1.0;
     let far = |d: f32| ((CUBIC * d - 5.0 * CUBIC) * d + 8.0 * CUBIC) * d - 4.0 * CUBIC;
     [far(1.0 + t), near(t), near(1.0 - t), far(2.0 - t)]
-}
-
-/// Scales a vector to norm 1; the zero vector stays.
-pub(super) fn normalize(vector: &mut [f32]) {
-    let norm = vector.iter().map(|number| number * number).sum::<f32>().sqrt();
-    if norm > 0.0 {
-        for number in vector {
-            *number /= norm;
-        }
-    }
 }
 
 fn check_shape(name: &str, tensor: &Tensor, needed: &[usize]) -> Result<(), NetworkError> {

@@ -74,6 +74,6 @@ pub use network::{Engine, Network, NetworkError};
 pub use r2d2::R2d2Extractor;
 pub use state_dict::{StateDict, StateDictError};
 pub use tensor::Tensor;
-pub use weights::WeightsError;
+pub use weights::{WeightsError, sha256};
 pub use xfeat::XfeatExtractor;
 pub use xfeat_network::write as write_xfeat;

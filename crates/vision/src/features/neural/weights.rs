@@ -73,12 +73,8 @@ pub(super) fn read_checked(path: &Path, file: &WeightsFile) -> Result<Vec<u8>, W
         }
         WeightsError::Unreadable { name: file.name, path, source, command }
     })?;
-    let beside = || {
-        let text = std::fs::read_to_string(WeightsFile::checksum_path(path)).ok()?;
-        text.split_whitespace().next().map(str::to_owned)
-    };
-    if let Some(needed) = file.sha256.map(str::to_owned).or_else(beside) {
-        let found = hexadecimal(&Sha256::digest(&bytes));
+    if let Some(needed) = file.needed_sha256(path) {
+        let found = sha256(&bytes);
         if found != needed {
             return Err(WeightsError::Checksum {
                 path: path.to_path_buf(),
@@ -91,7 +87,8 @@ pub(super) fn read_checked(path: &Path, file: &WeightsFile) -> Result<Vec<u8>, W
     Ok(bytes)
 }
 
-fn hexadecimal(bytes: &[u8]) -> String {
+/// The SHA-256 of a file's bytes, hexadecimal.
+pub fn sha256(bytes: &[u8]) -> String {
     let digit = |number: u8| char::from_digit(number.into(), 16).unwrap_or_default();
-    bytes.iter().flat_map(|byte| [digit(byte >> 4), digit(byte & 15)]).collect()
+    Sha256::digest(bytes).iter().flat_map(|byte| [digit(byte >> 4), digit(byte & 15)]).collect()
 }

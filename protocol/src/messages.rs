@@ -1,0 +1,31 @@
+//! The messages: tag in the bincode envelope and name in JSON. The tag and name of `MatchReply` (2) are with its own JSON
+//! form, in `matching`.
+
+use crate::codec::Message;
+use crate::error_reply::ErrorReply;
+use crate::localize::{LocalizeReply, LocalizeRequest};
+use crate::map::{KeyframeReply, MapChangeNotice, MapInfoReply};
+use crate::matching::MatchRequest;
+use crate::robot::{RobotOdometry, RobotPose, RobotStatus};
+
+macro_rules! messages {
+    ($($tag:literal $name:literal $message:ty;)*) => {
+        $(impl Message for $message {
+            const TAG: u16 = $tag;
+            const NAME: &'static str = $name;
+        })*
+    };
+}
+
+messages! {
+    1 "match_request" MatchRequest;
+    3 "localize_request" LocalizeRequest;
+    4 "localize_reply" LocalizeReply;
+    5 "map_info_reply" MapInfoReply;
+    6 "keyframe_reply" KeyframeReply;
+    7 "map_change_notice" MapChangeNotice;
+    8 "robot_pose" RobotPose;
+    9 "robot_odometry" RobotOdometry;
+    10 "robot_status" RobotStatus;
+    11 "error_reply" ErrorReply;
+}
