@@ -40,6 +40,7 @@ fn pose_after_a_change(new_errors: bool, is_stated: bool) -> (OutputScore, usize
         answers: AnswerOptions { every_s: 2.0, ..AnswerOptions::default() },
         map_change: Some(change),
         calibration: CalibrationErrors::default(),
+        ..MonteCarloOptions::default()
     };
     let variant = Variant { name: "default".to_owned(), config: EstimatorConfig::default(), cameras: 2 };
     let all = run(&options, &[variant], |_| {}).unwrap().remove(0);

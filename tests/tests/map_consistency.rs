@@ -25,6 +25,7 @@ fn ensemble(
         answers,
         map_change: None,
         calibration: CalibrationErrors::default(),
+        ..MonteCarloOptions::default()
     };
     let variant = Variant { name: "default".to_owned(), config: EstimatorConfig::default(), cameras };
     let all = run(&options, &[variant], |_| {}).unwrap().remove(0);

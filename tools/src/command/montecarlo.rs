@@ -236,6 +236,7 @@ fn options(args: &Args) -> anyhow::Result<MonteCarloOptions> {
             stated_sigma_px: AnswerOptions::default().stated_sigma_px,
         },
         biases_are_known: !args.unknown_biases,
+        disturbance: None,
         calibration: CalibrationErrors {
             rotation_rad: extrinsic_deg.to_radians(),
             translation_m: extrinsic_m,

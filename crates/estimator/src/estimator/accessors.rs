@@ -5,6 +5,7 @@ use crate::KeyframeId;
 use crate::calibration::{CalibratedCamera, Calibration};
 use crate::config::EstimatorConfig;
 use crate::noise_adaptation::{LearnedNoise, NoiseAdaptation};
+use crate::propagation::{ACCELEROMETER_BIAS, GYROSCOPE_BIAS};
 use crate::state::{Block, CloneId, rotation_adjoint};
 use geometry::{Pose, PoseWithCovariance};
 use nalgebra::{Matrix6, Vector3};
@@ -47,6 +48,14 @@ impl Estimator {
     /// Biases of gyroscope (rad/s) and accelerometer (m/s^2).
     pub fn biases(&self) -> (Vector3<f64>, Vector3<f64>) {
         (self.state.imu.gyroscope_bias, self.state.imu.accelerometer_bias)
+    }
+
+    /// Standard deviations of the biases of gyroscope (rad/s) and accelerometer (m/s^2).
+    pub fn sigma_biases(&self) -> (Vector3<f64>, Vector3<f64>) {
+        let sigma = |begin: usize| {
+            Vector3::from_fn(|k, _| self.covariance.active()[(begin + k, begin + k)].max(0.0).sqrt())
+        };
+        (sigma(GYROSCOPE_BIAS), sigma(ACCELEROMETER_BIAS))
     }
 
     /// `global_from_local` with the covariance of its error in G; `None` before the map initialization.

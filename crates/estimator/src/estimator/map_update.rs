@@ -93,6 +93,7 @@ impl Estimator {
             matches: answer.landmarks.len(),
             inliers: 0,
             used: 0,
+            plausible: 0,
             mean_reprojection_px: None,
             relinearized: false,
             initialized: false,
@@ -100,17 +101,25 @@ impl Estimator {
             rejection: None,
         };
         report.rejection = self.update_in_version(clone, &answer, &mut report)?.err();
-        match &report.rejection {
+        match report.rejection {
             None => {
                 self.rejections_in_a_row = 0;
                 self.lost_after = None;
                 self.last_map_update_ns = Some(self.state.stamp_ns);
+                if self.is_doubted_by(&report) {
+                    self.give_way(clone, &answer, &mut report)?;
+                } else {
+                    self.map_fixes.clear();
+                }
             }
             Some(
                 Rejection::Implausible { .. }
                 | Rejection::FewLandmarks { .. }
                 | Rejection::Contradicts { .. },
-            ) => self.note_contradiction(),
+            ) => {
+                self.note_contradiction();
+                self.give_way(clone, &answer, &mut report)?;
+            }
             Some(_) => {}
         }
         self.covariance.held.deactivate_unused();
@@ -185,6 +194,7 @@ impl Estimator {
             self.insert_transform(solved_transform, median_depth(answer, &verified));
         }
         let measured = best.global_from_keyframe.change_of_child(&verified.best_from_camera.pose);
+        self.note_fix(clone, &verified, &measured);
         let point = Linearization { estimate, at, first_position };
         let outcome = self.iterate(clone, answer, &verified, point, &measured, report)?;
         if outcome.is_err() && report.initialized {
@@ -228,7 +238,7 @@ impl Estimator {
                 self.add_solved_pose(&mut linearized.information, answer, verified, &keyframes, &point);
             }
             let LinearizedMapUpdate { information, used, plausible } = linearized;
-            report.used = used;
+            (report.used, report.plausible) = (used, plausible);
             let agrees = exact || 2 * plausible >= inliers;
             let passes = iteration > 1 || self.passes_outlier_test(agrees, clone, measured);
             let need = self.config.min_inliers.div_ceil(2);

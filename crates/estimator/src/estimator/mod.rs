@@ -6,6 +6,7 @@ mod map_linearization;
 mod map_revision;
 mod map_update;
 mod outlier_test;
+mod rescue;
 pub mod status;
 mod time_update;
 mod track_update;
@@ -19,6 +20,7 @@ use crate::health::Health;
 use crate::imu::ImuBuffer;
 use crate::initialization::static_init::InitialState;
 use crate::linear_algebra::dense::Dense;
+use crate::map_update::map_fix::{MapFix, MapFixes};
 use crate::map_update::map_revision::MapVersion;
 use crate::noise_adaptation::NoiseAdaptation;
 use crate::odometry::msckf_update::MsckfSettings;
@@ -110,6 +112,10 @@ pub struct Estimator {
     rejections_in_a_row: usize,
     /// `global_from_local` according to the last answer, if most of that contradicted the state.
     contradiction: Option<Pose>,
+    /// Poses of answers that contradicted the state.
+    map_fixes: MapFixes,
+    /// That of the last answer, as long as it is not known whether it updates the state.
+    newest_fix: Option<MapFix>,
     last_map_update_ns: Option<i64>,
     /// Consecutive rejections after which `global_from_local` was removed, until the next map update.
     lost_after: Option<usize>,
@@ -179,6 +185,8 @@ impl Estimator {
             map_version: MapVersion::default(),
             rejections_in_a_row: 0,
             contradiction: None,
+            map_fixes: MapFixes::default(),
+            newest_fix: None,
             last_map_update_ns: None,
             lost_after: None,
             health,

@@ -73,6 +73,9 @@ impl Estimator {
 
     /// The localization status with its reason as a type.
     pub fn localization(&self) -> (Localization, StatusReason) {
+        if let (Some(_), Some(rejections)) = (&self.state.transform, self.is_contradicted()) {
+            return (Localization::Lost, StatusReason::Contradicted { rejections });
+        }
         match (&self.state.transform, self.lost_after, self.last_map_update_ns) {
             (Some(_), _, Some(last_ns)) => {
                 let seconds_ago = (self.state.stamp_ns - last_ns) as f64 * 1e-9;

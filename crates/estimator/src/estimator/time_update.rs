@@ -3,8 +3,10 @@
 use super::Estimator;
 use crate::error::EstimatorError;
 use crate::imu::{BadImuSample, ImuSample};
+use crate::map_update::map_fix::ImuMotion;
 use crate::propagation::{IMU_DIM, MotionEstimate, propagate};
 use crate::state::{ActiveState, Block, CloneId, ClonedPose, POSE_DIM};
+use nalgebra::Vector3;
 use smallvec::SmallVec;
 use std::ops::Range;
 
@@ -42,7 +44,12 @@ impl Estimator {
             return Err(EstimatorError::OldFrame { stamp_ns, state_ns: from_ns });
         }
         if to_ns > from_ns {
+            let before = self.state.imu;
             self.propagate_to(to_ns)?;
+            let gravity = -Vector3::z() * self.config.gravity;
+            let since_ns = self.state.clones.last().map_or(from_ns, |newest| newest.stamp_ns);
+            let motion = ImuMotion::between(&before, &self.state.imu, [since_ns, stamp_ns], &gravity);
+            self.map_fixes.add_motion(motion);
         }
         self.check_health()?;
         // `track_update` may be left out for an image without tracks.

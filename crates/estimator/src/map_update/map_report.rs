@@ -54,6 +54,15 @@ pub enum Rejection {
         /// Inliers of the geometric verification.
         inliers: usize,
     },
+    /// Successive answers agree with each other and not with the state, which was replaced by theirs; the next answer
+    /// initializes `global_from_local`.
+    #[error(
+        "the last {fixes} answers agree with each other and not with the state: it was replaced by theirs"
+    )]
+    Restarted {
+        /// Number of answers.
+        fixes: usize,
+    },
     /// The update as a whole failed the gate.
     #[error("contradicts the state: NIS {nis:.0} over {rows} rows exceeds {bound:.0}")]
     Implausible {
@@ -77,6 +86,8 @@ pub struct MapReport {
     pub inliers: usize,
     /// Landmarks that passed the gate and were used.
     pub used: usize,
+    /// Landmarks that do not contradict the state.
+    pub plausible: usize,
     /// Mean reprojection error of the inliers at the predicted pose, px; `None` where one of them does not project.
     pub mean_reprojection_px: Option<f64>,
     /// The linearization point was moved.

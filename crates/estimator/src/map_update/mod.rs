@@ -1,6 +1,7 @@
 //! Map updates: answers of the map, their verification, linearization and versions.
 
 pub mod map_answer;
+pub mod map_fix;
 pub mod map_measurement;
 pub mod map_report;
 pub mod map_revision;

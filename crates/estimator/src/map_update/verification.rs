@@ -98,9 +98,7 @@ pub fn verify(
             gravity,
             ..RansacOptions::default()
         };
-        let Ok(solution) = solve_ransac(&calibrated.camera, &correspondences, &options, 1.0) else {
-            continue;
-        };
+        let Some(solution) = solve(&calibrated.camera, &correspondences, &options) else { continue };
         inliers.extend(solution.inliers.iter().map(|&k| members[k]));
         if best.as_ref().is_none_or(|(_, before)| solution.inliers.len() > before.inliers.len()) {
             best = Some((keyframe.id, solution));
@@ -117,6 +115,23 @@ pub fn verify(
         }
         None => Err(NotVerified::NoPose { have: most, need: settings.min_inliers }),
     }
+}
+
+/// The pose with the most inliers. The direction of gravity guides the search; where it finds less than half of the matches,
+/// the tilt of the state may be wrong, and a pose without it that has more than half of them is better.
+fn solve(
+    camera: &Camera,
+    correspondences: &[Correspondence],
+    options: &RansacOptions,
+) -> Option<PnpSolution> {
+    let guided = solve_ransac(camera, correspondences, options, 1.0).ok();
+    let half = correspondences.len().div_ceil(2);
+    if options.gravity.is_none() || guided.as_ref().is_some_and(|found| found.inliers.len() >= half) {
+        return guided;
+    }
+    let unguided =
+        RansacOptions { gravity: None, min_inliers: half.max(options.min_inliers), ..options.clone() };
+    solve_ransac(camera, correspondences, &unguided, 1.0).ok().or(guided)
 }
 
 fn mean_focal(camera: &Camera) -> f64 {

@@ -12,6 +12,7 @@
 //! | `start` | the initial state, and the true pose of L |
 //! | `noisy_map` | poses and pixels of the map's keyframes, once a seed |
 //! | `answers` | pixels of the image, wrong matches, wrong places |
+//! | `disturbance` | an undetected failure of the filter, and its rescue |
 //! | `map_change` | how the map moves in the middle of a run |
 //! | [`calibration`] | the errors of the calibration that the filter is given |
 //! | `trial` | one run |
@@ -34,6 +35,7 @@
 
 mod answers;
 pub mod calibration;
+mod disturbance;
 mod map_change;
 mod noisy_map;
 pub mod report;
@@ -45,6 +47,7 @@ mod trial;
 mod tests;
 
 pub use calibration::{CalibrationError, CalibrationErrors};
+pub use disturbance::{Disturbance, DisturbedState, Rescue};
 pub use map_change::MapChangeOptions;
 pub use score::{EnsembleScore, OutputScore, ScoreOptions, score};
 pub use trial::{MapCounts, Trial};
@@ -81,6 +84,8 @@ pub struct MonteCarloOptions {
     /// The filter starts from the biases of the truth with a small error; else with the error of unknown ones, as
     /// [`InitialSigmas`](estimator::InitialSigmas) state it.
     pub biases_are_known: bool,
+    /// An undetected failure of the filter in the middle of the run.
+    pub disturbance: Option<Disturbance>,
 }
 
 impl Default for MonteCarloOptions {
@@ -95,6 +100,7 @@ impl Default for MonteCarloOptions {
             map_change: None,
             calibration: CalibrationErrors::default(),
             biases_are_known: true,
+            disturbance: None,
         }
     }
 }

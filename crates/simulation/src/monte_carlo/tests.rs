@@ -25,6 +25,7 @@ fn options(runs: usize, seconds: f64) -> MonteCarloOptions {
         answers: AnswerOptions::default(),
         map_change: None,
         calibration: CalibrationErrors::default(),
+        ..MonteCarloOptions::default()
     }
 }
 

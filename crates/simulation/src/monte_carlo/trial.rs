@@ -3,11 +3,12 @@
 use super::answers::Answer;
 use super::calibration::Stated;
 use super::map_change::{MapChange, answers_and_change};
-use super::{CalibrationError, MonteCarloOptions, Variant, global_from_world, start};
+use super::{CalibrationError, MonteCarloOptions, Rescue, Variant, global_from_world, start};
 use crate::run::Kind;
 use crate::{SimulatedWorld, SimulationError, simulate_world};
 use estimator::{
-    CalibratedCamera, CloneId, Estimator, EstimatorError, Localization, MapMode, TrackObservation,
+    CalibratedCamera, CloneId, Estimator, EstimatorError, ImuSample, Initializer, Localization, MapMode,
+    TrackObservation,
 };
 use evaluation::trajectory::StateRow;
 use evaluation::{RunErrors, nees, run_errors_in};
@@ -47,6 +48,8 @@ pub struct Trial {
     pub map: MapCounts,
     /// Whether the filter was localized in the map at the end.
     pub localized: bool,
+    /// The rescue after a disturbance.
+    pub rescue: Option<Rescue>,
     /// Why it ended early.
     pub diverged: Option<String>,
     /// Errors of the calibration that the filter was given, by camera.
@@ -92,6 +95,11 @@ struct Player<'a> {
     pending: Option<(CloneId, &'a Answer)>,
     states: Vec<StateRow>,
     map: MapCounts,
+    /// The next initialization, where the estimator gave up after a disturbance.
+    initializer: Option<Initializer>,
+    rescue: Option<Rescue>,
+    /// An answer came with the newest image.
+    is_answered: bool,
 }
 
 impl Seed<'_> {
@@ -123,6 +131,7 @@ impl Seed<'_> {
             map_initialization_s: None,
             map: MapCounts::default(),
             localized: false,
+            rescue: None,
             diverged: None,
             stated_calibration,
             estimated_calibration: Vec::new(),
@@ -134,11 +143,20 @@ impl Seed<'_> {
                 return trial;
             }
         };
-        let mut player = Player { estimator, pending: None, states: Vec::new(), map: MapCounts::default() };
+        let mut player = Player {
+            estimator,
+            pending: None,
+            states: Vec::new(),
+            map: MapCounts::default(),
+            initializer: None,
+            rescue: None,
+            is_answered: false,
+        };
         trial.diverged = self.play(&mut player, variant, &stated).err().map(|error| error.to_string());
         let initialized = player.states.iter().find(|state| state.global_from_imu.is_some());
         trial.map_initialization_s = initialized.map(|state| (state.stamp_ns - begin_ns) as f64 * 1e-9);
         trial.map = player.map;
+        trial.rescue = player.rescue;
         trial.localized = player.estimator.status().localization == Localization::Localized;
         let found = player.estimator.calibration();
         let delays = (-found.time_offset, true_delay_s);
@@ -176,17 +194,47 @@ impl Seed<'_> {
             }
             let until_ns = player.estimator.imu_stamp_ns(stamp_ns);
             while let Some(reading) = readings.next_if(|reading| reading.stamp_ns <= until_ns) {
-                player.estimator.imu(*reading)?;
+                player.imu(*reading)?;
             }
             // The reading after the image: between two of them it is interpolated.
             if let Some(reading) = readings.next() {
-                player.estimator.imu(*reading)?;
+                player.imu(*reading)?;
             }
             let change = self.change.as_ref().filter(|change| change.stamp_ns == frame.stamp_ns);
-            player.frame(frame, stamp_ns, variant, answer.as_ref(), change)?;
+            let done = player.frame(frame, stamp_ns, variant, answer.as_ref(), change);
+            self.disturb(player, frame.stamp_ns, variant, &stated.rig, done)?;
             if self.change.as_ref().is_some_and(|change| frame.stamp_ns < change.stamp_ns) {
                 player.states.clear();
             }
+        }
+        Ok(())
+    }
+
+    /// Disturbs the filter when it is time, and continues after it gave up for that.
+    fn disturb(
+        &self,
+        player: &mut Player<'_>,
+        stamp_ns: i64,
+        variant: &Variant,
+        rig: &[CalibratedCamera],
+        done: Result<(), EstimatorError>,
+    ) -> Result<(), EstimatorError> {
+        let Some(disturbance) = &self.options.disturbance else { return done };
+        match done {
+            Err(EstimatorError::Diverged(_)) if player.rescue.is_some() => {
+                player.pending = None;
+                player.initializer = Some(Initializer::new(variant.config.clone(), rig.to_vec()));
+            }
+            done => done?,
+        }
+        let begin_ns = self.live.frames.first().map_or(0, |frame| frame.stamp_ns);
+        let seconds = (stamp_ns - begin_ns) as f64 * 1e-9;
+        if player.rescue.is_none() && seconds >= disturbance.at_s {
+            disturbance.apply(self.number, &mut player.estimator);
+            player.rescue = Some(Rescue::default());
+        } else if let Some(rescue) = player.rescue.as_mut().filter(|_| player.initializer.is_none()) {
+            let truth = self.world.live_trajectory.at(player.estimator.stamp_ns()).pose;
+            rescue.note(&player.estimator, &(global_from_world() * truth), player.is_answered);
         }
         Ok(())
     }
@@ -205,6 +253,27 @@ impl Seed<'_> {
 }
 
 impl<'a> Player<'a> {
+    fn imu(&mut self, reading: ImuSample) -> Result<(), EstimatorError> {
+        match &mut self.initializer {
+            Some(initializer) => Ok(initializer.imu(reading)?),
+            None => self.estimator.imu(reading),
+        }
+    }
+
+    /// Whether the estimator runs, after a try to initialize it where it does not.
+    fn is_running(&mut self, stamp_ns: i64, tracks: &[TrackObservation]) -> Result<bool, EstimatorError> {
+        let Some(initializer) = &mut self.initializer else { return Ok(true) };
+        let Ok(found) = initializer.image(stamp_ns, tracks) else { return Ok(false) };
+        let rig = self.estimator.calibration().cameras.clone();
+        let mut estimator = Estimator::new(self.estimator.config().clone(), rig, &found.initial)?;
+        for reading in initializer.readings_for(&found.initial) {
+            estimator.imu(*reading)?;
+        }
+        self.estimator = estimator;
+        self.initializer = None;
+        Ok(true)
+    }
+
     /// One image. As in a robot, the reply to an image arrives with the next one.
     fn frame(
         &mut self,
@@ -214,9 +283,13 @@ impl<'a> Player<'a> {
         answer: Option<&'a Answer>,
         change: Option<&MapChange>,
     ) -> Result<(), EstimatorError> {
-        let clone = self.estimator.time_update(stamp_ns)?;
         let used = |track: &&TrackObservation| usize::from(track.camera) < variant.cameras;
         let tracks: Vec<TrackObservation> = frame.tracks.iter().filter(used).copied().collect();
+        self.is_answered = false;
+        if !self.is_running(stamp_ns, &tracks)? {
+            return Ok(());
+        }
+        let clone = self.estimator.time_update(stamp_ns)?;
         self.estimator.track_update(&tracks)?;
         if let Some(change) = change {
             self.estimator.map_changed(&change.revision);
@@ -241,6 +314,7 @@ impl<'a> Player<'a> {
         let before = self.estimator.global_from_imu();
         let report = self.estimator.map_update(queried, &answer.answer)?;
         self.estimator.unpin(queried);
+        self.is_answered = true;
         let counts = &mut self.map;
         let (count, used) = if answer.is_wrong_place {
             (&mut counts.wrong_places, &mut counts.wrong_places_used)

@@ -1,0 +1,165 @@
+//! Rescue of a wrong state by the map.
+//!
+//! A filter that is wrong rejects right answers. Successive answers that agree with each other, by odometry or by the IMU,
+//! and not with the state show that it is the state; see [`map_fix`](crate::map_update::map_fix). Two of them make the pose
+//! in G untrusted, three replace it: `global_from_local` alone where odometry agrees with them, else the whole state, from
+//! the poses of the map, the motion of the IMU between them and the direction of gravity in the map.
+
+use super::Estimator;
+use crate::error::EstimatorError;
+use crate::initialization::static_init::{InitialState, gravity_aligned};
+use crate::map_update::map_answer::MapAnswer;
+use crate::map_update::map_fix::{FixedMotion, MapFix};
+use crate::map_update::map_report::{MapReport, Rejection};
+use crate::map_update::verification::VerifiedAnswer;
+use crate::propagation::{IMU_DIM, ImuError, ImuState};
+use crate::state::CloneId;
+use geometry::{Pose, PoseWithCovariance, rotation};
+use nalgebra::Vector3;
+
+/// Squared Mahalanobis distance of the pose of the map from the state beyond which it is evidence: 99.9 % of six degrees of
+/// freedom. Three in a row that agree with each other are needed.
+const MIN_SQUARED: f64 = 22.5;
+/// Inliers of an answer that can be evidence against the state.
+const MIN_INLIERS: usize = 20;
+/// Successive fixes that make the pose in G untrusted.
+const UNTRUSTED_AFTER: usize = 2;
+/// Successive fixes that replace it.
+const REPLACED_AFTER: usize = 3;
+/// Error of a wrong state's biases in its own standard deviations.
+const BIAS_SIGMAS: f64 = 10.0;
+/// Added to the standard deviations of a fix: errors of PnP, rad and metres.
+const PNP_SIGMAS: [f64; 2] = [0.01, 0.05];
+
+impl Estimator {
+    /// The pose by the map alone, as evidence in case that the state contradicts it.
+    pub(super) fn note_fix(
+        &mut self,
+        clone: CloneId,
+        verified: &VerifiedAnswer,
+        measured: &PoseWithCovariance,
+    ) {
+        self.newest_fix = None;
+        let (Some(index), Some(transform)) = (self.state.clone_index(clone), self.state.transform) else {
+            return;
+        };
+        if verified.inliers.len() < MIN_INLIERS {
+            return;
+        }
+        let Some(predicted) = self.global_from_camera(clone) else { return };
+        let mut measured = *measured;
+        for k in 0..6 {
+            measured.covariance[(k, k)] += PNP_SIGMAS[k / 3].powi(2);
+        }
+        let together = PoseWithCovariance::new(predicted.pose, predicted.covariance + measured.covariance);
+        let clone = &self.state.clones[index];
+        let variance =
+            |begin: usize| (begin..begin + 3).map(|k| measured.covariance[(k, k)]).fold(0.0, f64::max);
+        self.newest_fix = Some(MapFix {
+            stamp_ns: clone.stamp_ns,
+            global_from_imu: measured.pose * self.first_camera().imu_from_camera.inverse(),
+            predicted: transform * clone.local_from_imu,
+            local_from_imu: clone.local_from_imu,
+            is_far: together.nees(&measured.pose).is_none_or(|squared| squared > MIN_SQUARED),
+            sigma_rotation: variance(0).sqrt(),
+            sigma_position: variance(3).sqrt(),
+        });
+    }
+
+    /// Whether the last answer is evidence against the state although it updated it.
+    pub(super) fn is_doubted_by(&self, report: &MapReport) -> bool {
+        // A minority that agrees updates the state, but does not confirm it.
+        !report.initialized
+            && (2 * report.plausible < report.inliers || self.newest_fix.is_some_and(|fix| fix.is_far))
+    }
+
+    /// Whether the map contradicts the pose in G.
+    pub(super) fn is_contradicted(&self) -> Option<usize> {
+        Some(self.map_fixes.len()).filter(|count| *count >= UNTRUSTED_AFTER)
+    }
+
+    /// Takes in a rejected answer as evidence against the state, and gives way to enough of it.
+    ///
+    /// # Errors
+    /// [`EstimatorError::Diverged`]: the filter must be initialized again.
+    pub(super) fn give_way(
+        &mut self,
+        clone: CloneId,
+        answer: &MapAnswer,
+        report: &mut MapReport,
+    ) -> Result<(), EstimatorError> {
+        let Some(fix) = self.newest_fix.take() else { return Ok(()) };
+        if self.map_fixes.add(fix) < REPLACED_AFTER {
+            return Ok(());
+        }
+        if self.map_fixes.agree_by_odometry(REPLACED_AFTER) {
+            self.remove_transform();
+            self.contradiction = None;
+            self.map_fixes.clear();
+            report.rejection = self.update_in_version(clone, answer, report)?.err();
+            if report.rejection.is_none() {
+                self.lost_after = None;
+                self.last_map_update_ns = Some(self.state.stamp_ns);
+            }
+            return Ok(());
+        }
+        let Some(gravity) = answer.gravity_in_global.map(|down| down * self.config.gravity) else {
+            return Ok(());
+        };
+        let newest_ns = self.state.clones.last().map_or(self.state.stamp_ns, |newest| newest.stamp_ns);
+        if let Some(motion) = self.map_fixes.fixed_motion(&gravity, newest_ns) {
+            let fixes = self.map_fixes.len();
+            self.restart(&self.state_of(&motion, &gravity, fix.sigma_rotation))?;
+            report.rejection = Some(Rejection::Restarted { fixes });
+        }
+        Ok(())
+    }
+
+    /// The state of a motion in G; position and yaw in L are continuous.
+    fn state_of(&self, motion: &FixedMotion, gravity: &Vector3<f64>, sigma_tilt: f64) -> InitialState {
+        let body_from_global = motion.global_from_imu.rotation.inverse();
+        let upright = gravity_aligned(&(body_from_global * -gravity));
+        let now = &self.state.imu.local_from_imu;
+        let difference = now.rotation * upright.inverse();
+        // The rotation about z of a quaternion is given by its components k and w.
+        let yaw = 2.0 * difference.k.atan2(difference.w);
+        let rotation = rotation::exp(&Vector3::new(0.0, 0.0, yaw)) * upright;
+        let mut sigmas = self.config.initial;
+        sigmas.sigma_tilt_rad = sigma_tilt;
+        sigmas.sigma_velocity_m_s = motion.sigma_velocity;
+        // The biases may be what is wrong.
+        let (gyroscope, accelerometer) = self.sigma_biases();
+        let widened = |sigma: Vector3<f64>, unknown: f64| (BIAS_SIGMAS * sigma.max()).min(unknown);
+        sigmas.sigma_gyroscope_bias_rad_s = widened(gyroscope, sigmas.sigma_gyroscope_bias_rad_s);
+        sigmas.sigma_accelerometer_bias_m_s2 = widened(accelerometer, sigmas.sigma_accelerometer_bias_m_s2);
+        InitialState {
+            stamp_ns: self.state.stamp_ns,
+            imu: ImuState {
+                local_from_imu: Pose::new(rotation, now.translation),
+                velocity: rotation * (body_from_global * motion.velocity),
+                ..self.state.imu
+            },
+            covariance: sigmas.covariance(),
+        }
+    }
+
+    /// Continues as a new filter from another state; noise, calibration and readings are kept.
+    fn restart(&mut self, initial: &InitialState) -> Result<(), EstimatorError> {
+        let mut fresh = Self::new(self.config.clone(), self.state.calibration.cameras.clone(), initial)?;
+        fresh.state.calibration.time_offset = self.state.calibration.time_offset;
+        fresh.imu = std::mem::take(&mut self.imu);
+        fresh.noise = self.noise.clone();
+        fresh.next_clone = self.next_clone;
+        fresh.lost_after = Some(self.map_fixes.len());
+        *self = fresh;
+        Ok(())
+    }
+
+    /// Moves the state of the IMU without telling the covariance, as an undetected failure would: for tests of recovery.
+    ///
+    /// # Arguments
+    /// * `error`: `[δθ, δp, δv, δb_g, δb_a]` in L, rad, metres, m/s, rad/s, m/s^2.
+    pub fn displace(&mut self, error: &[f64; IMU_DIM]) {
+        self.state.imu = self.state.imu.retract(&ImuError::from_row_slice(error));
+    }
+}
