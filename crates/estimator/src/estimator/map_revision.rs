@@ -67,7 +67,7 @@ impl Estimator {
     }
 
     /// Process noise of `global_from_local`.
-    fn add_transform_noise(&mut self, size: ChangeSize) {
+    pub(super) fn add_transform_noise(&mut self, size: ChangeSize) {
         if let Some(range) = self.state.range(Block::Transform) {
             let noise = transform_noise(&self.state.imu.local_from_imu.translation, size);
             self.covariance.add_noise(range.start, &noise);

@@ -96,6 +96,7 @@ impl Estimator {
             plausible: 0,
             mean_reprojection_px: None,
             relinearized: false,
+            inflated: false,
             initialized: false,
             nis: None,
             rejection: None,
@@ -113,7 +114,8 @@ impl Estimator {
                 }
             }
             Some(
-                Rejection::Implausible { .. }
+                Rejection::Far { .. }
+                | Rejection::Implausible { .. }
                 | Rejection::FewLandmarks { .. }
                 | Rejection::Contradicts { .. },
             ) => {
@@ -194,9 +196,18 @@ impl Estimator {
             self.insert_transform(solved_transform, median_depth(answer, &verified));
         }
         let measured = best.global_from_keyframe.change_of_child(&verified.best_from_camera.pose);
-        self.note_fix(clone, &verified, &measured);
+        self.note_fix(clone, &verified, &self.with_pnp_noise(answer, &verified, &measured));
         let point = Linearization { estimate, at, first_position };
-        let outcome = self.iterate(clone, answer, &verified, point, &measured, report)?;
+        let mut outcome = self.iterate(clone, answer, &verified, point, &measured, report)?;
+        if let (Err(Rejection::Far { .. }), Some(missing)) = (&outcome, self.missing_noise()) {
+            let before = self.covariance.clone();
+            self.add_transform_noise(missing);
+            outcome = self.iterate(clone, answer, &verified, point, &measured, report)?;
+            match outcome {
+                Ok(()) => report.inflated = true,
+                Err(_) => self.covariance = before,
+            }
+        }
         if outcome.is_err() && report.initialized {
             self.remove_transform();
             report.initialized = false;
@@ -257,6 +268,14 @@ impl Estimator {
             if !exact && !self.frame_gate.accepts(nis, rows) {
                 let bound = self.frame_gate.bound(rows);
                 return Ok(Err(self.revert_pull(&new, Rejection::Implausible { nis, rows, bound })));
+            }
+            if iteration == 1 && !report.initialized && !exact && self.newest_fix.is_some() {
+                let Ok((nis, rows)) = self.covariance.explained_nis(&information) else {
+                    return Ok(Err(self.revert_pull(&new, Rejection::InconsistentMap)));
+                };
+                if !self.contradiction_gate.accepts(nis, rows) {
+                    return Ok(Err(self.revert_pull(&new, Rejection::Far { nis, rows })));
+                }
             }
             if iteration < self.config.map_iterations {
                 point.at = self.next_point(clone, &information, &point)?;

@@ -11,25 +11,29 @@ use crate::initialization::static_init::{InitialState, gravity_aligned};
 use crate::map_update::map_answer::MapAnswer;
 use crate::map_update::map_fix::{FixedMotion, MapFix};
 use crate::map_update::map_report::{MapReport, Rejection};
+use crate::map_update::map_revision::ChangeSize;
 use crate::map_update::verification::VerifiedAnswer;
 use crate::propagation::{IMU_DIM, ImuError, ImuState};
 use crate::state::CloneId;
 use geometry::{Pose, PoseWithCovariance, rotation};
 use nalgebra::Vector3;
 
-/// Squared Mahalanobis distance of the pose of the map from the state beyond which it is evidence: 99.9 % of six degrees of
-/// freedom. Three in a row that agree with each other are needed.
-const MIN_SQUARED: f64 = 22.5;
+/// Squared Mahalanobis distance of the pose of the map from the state beyond which it is evidence: 99.99 % of six degrees of
+/// freedom.
+const MIN_SQUARED: f64 = 27.9;
 /// Inliers of an answer that can be evidence against the state.
 const MIN_INLIERS: usize = 20;
 /// Successive fixes that make the pose in G untrusted.
 const UNTRUSTED_AFTER: usize = 2;
 /// Successive fixes that replace it.
 const REPLACED_AFTER: usize = 3;
+/// Angle between gravity in the map and in the state beyond which the state is tilted, rad: odometry agrees with the map then
+/// for a short time only.
+const MAX_TILT_RAD: f64 = 0.04;
+/// An answer that is nearer to the state than this, metres and rad, is of the same place, whatever it contradicts.
+const NEAR: [f64; 2] = [2.0, 0.2];
 /// Error of a wrong state's biases in its own standard deviations.
 const BIAS_SIGMAS: f64 = 10.0;
-/// Added to the standard deviations of a fix: errors of PnP, rad and metres.
-const PNP_SIGMAS: [f64; 2] = [0.01, 0.05];
 
 impl Estimator {
     /// The pose by the map alone, as evidence in case that the state contradicts it.
@@ -47,10 +51,6 @@ impl Estimator {
             return;
         }
         let Some(predicted) = self.global_from_camera(clone) else { return };
-        let mut measured = *measured;
-        for k in 0..6 {
-            measured.covariance[(k, k)] += PNP_SIGMAS[k / 3].powi(2);
-        }
         let together = PoseWithCovariance::new(predicted.pose, predicted.covariance + measured.covariance);
         let clone = &self.state.clones[index];
         let variance =
@@ -66,11 +66,26 @@ impl Estimator {
         });
     }
 
+    /// By how much the pose of an answer of the same place is beyond the covariances: what noise the state lacks.
+    pub(super) fn missing_noise(&self) -> Option<ChangeSize> {
+        let fix = self.newest_fix?;
+        let apart = fix.predicted.local(&fix.global_from_imu);
+        let (turned, shifted) = (apart.fixed_rows::<3>(0).norm(), apart.fixed_rows::<3>(3).norm());
+        let is_near = shifted < NEAR[0] && turned < NEAR[1];
+        let an_axis = 3.0_f64.sqrt().recip();
+        is_near.then_some(ChangeSize {
+            sigma_rotation_rad: turned * an_axis,
+            sigma_position_m: shifted * an_axis,
+        })
+    }
+
     /// Whether the last answer is evidence against the state although it updated it.
     pub(super) fn is_doubted_by(&self, report: &MapReport) -> bool {
         // A minority that agrees updates the state, but does not confirm it.
         !report.initialized
-            && (2 * report.plausible < report.inliers || self.newest_fix.is_some_and(|fix| fix.is_far))
+            && (report.inflated
+                || 2 * report.plausible < report.inliers
+                || self.newest_fix.is_some_and(|fix| fix.is_far))
     }
 
     /// Whether the map contradicts the pose in G.
@@ -92,7 +107,10 @@ impl Estimator {
         if self.map_fixes.add(fix) < REPLACED_AFTER {
             return Ok(());
         }
-        if self.map_fixes.agree_by_odometry(REPLACED_AFTER) {
+        let gravity = answer.gravity_in_global.map(|down| down * self.config.gravity);
+        let is_tilted =
+            gravity.is_some_and(|gravity| self.map_fixes.tilt(&gravity, REPLACED_AFTER) > MAX_TILT_RAD);
+        if self.map_fixes.agree_by_odometry(REPLACED_AFTER) && !is_tilted {
             self.remove_transform();
             self.contradiction = None;
             self.map_fixes.clear();
@@ -103,9 +121,7 @@ impl Estimator {
             }
             return Ok(());
         }
-        let Some(gravity) = answer.gravity_in_global.map(|down| down * self.config.gravity) else {
-            return Ok(());
-        };
+        let Some(gravity) = gravity else { return Ok(()) };
         let newest_ns = self.state.clones.last().map_or(self.state.stamp_ns, |newest| newest.stamp_ns);
         if let Some(motion) = self.map_fixes.fixed_motion(&gravity, newest_ns) {
             let fixes = self.map_fixes.len();

@@ -163,6 +163,18 @@ impl MapFixes {
         newest.len() >= count && newest.windows(2).all(|pair| pair[1].agrees_by_odometry(&pair[0]))
     }
 
+    /// Mean angle between gravity by the newest fixes and by the state, rad.
+    ///
+    /// # Arguments
+    /// * `gravity`: in G.
+    pub fn tilt(&self, gravity: &Vector3<f64>, count: usize) -> f64 {
+        let newest = &self.fixes[self.fixes.len().saturating_sub(count)..];
+        let in_local = |fix: &MapFix| {
+            fix.local_from_imu.rotation * (fix.global_from_imu.rotation.inverse() * gravity.normalize())
+        };
+        newest.iter().map(in_local).sum::<Vector3<f64>>().angle(&-Vector3::z())
+    }
+
     /// Whether the rotation between two fixes is that of the gyroscope.
     fn agrees_by_imu(&self, before: &MapFix, after: &MapFix) -> bool {
         let Some(motion) = self.motion_between(before.stamp_ns, after.stamp_ns) else { return false };

@@ -54,6 +54,14 @@ pub enum Rejection {
         /// Inliers of the geometric verification.
         inliers: usize,
     },
+    /// The pose that the matches show is too far from the state.
+    #[error("its pose contradicts the state: NIS {nis:.0} over {rows} degrees of freedom")]
+    Far {
+        /// Normalized innovation squared of the poses.
+        nis: f64,
+        /// Degrees of freedom.
+        rows: usize,
+    },
     /// Successive answers agree with each other and not with the state, which was replaced by theirs; the next answer
     /// initializes `global_from_local`.
     #[error(
@@ -90,6 +98,9 @@ pub struct MapReport {
     pub plausible: usize,
     /// Mean reprojection error of the inliers at the predicted pose, px; `None` where one of them does not project.
     pub mean_reprojection_px: Option<f64>,
+    /// The pose of the answer was further from the state than their covariances allow; that of `global_from_local` was
+    /// inflated by the difference.
+    pub inflated: bool,
     /// The linearization point was moved.
     pub relinearized: bool,
     /// `global_from_local` was initialized by this answer.
