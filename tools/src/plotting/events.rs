@@ -1,6 +1,7 @@
 //! `events.csv`: the result of each query.
 
 use super::error::PlotError;
+use sensors::read_written_lines;
 use serde::Deserialize;
 use std::path::Path;
 
@@ -26,12 +27,13 @@ pub struct QueryEvent {
     pub reason: String,
 }
 
-/// Reads `events.csv`.
+/// Reads `events.csv`. A last row that is cut off, as when a run is killed, is left out with a warning.
 ///
 /// # Errors
 /// [`PlotError::Events`] with the line that cannot be understood.
 pub fn read_events(path: &Path) -> Result<Vec<QueryEvent>, PlotError> {
     let wrong = |source: csv::Error| PlotError::Events { path: path.to_path_buf(), source };
-    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_path(path).map_err(wrong)?;
+    let lines = read_written_lines(path, "a run writes it to its --out folder")?;
+    let mut reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(lines.text.as_bytes());
     reader.deserialize().collect::<Result<_, _>>().map_err(wrong)
 }

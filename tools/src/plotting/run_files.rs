@@ -2,10 +2,10 @@
 
 use super::error::PlotError;
 use super::events::{QueryEvent, read_events};
-use evaluation::trajectory::{StateRow, states};
+use evaluation::trajectory::{StateKind, StateRow, read_any, states};
 use evaluation::{RunErrors, RunScore, ScoreError, ScoreOptions, run_errors, score_run};
 use nalgebra::Vector3;
-use sensors::{Sequence, TruthRow, read_groundtruth};
+use sensors::{Recording, TruthRow};
 use std::path::{Path, PathBuf};
 
 /// The ground truth of a run.
@@ -125,10 +125,11 @@ fn truth_from_file(
     gravity: Option<Vector3<f64>>,
     missing: &mut Vec<String>,
 ) -> Result<Truth, PlotError> {
-    let rows = read_groundtruth(path)?;
+    let file = read_any(path, &[StateKind::GlobalFromImu])?;
+    let rows = file.poses.iter().map(|row| TruthRow::of_pose(row.stamp_ns, row.pose)).collect();
     // SEQ/mav0/state_groundtruth_estimate0/data.csv
     let recording = path.ancestors().nth(3).filter(|root| root.join("mav0/imu0").is_dir());
-    let measured = || recording.and_then(|root| Sequence::open(root).ok()?.truth_gravity());
+    let measured = || recording.and_then(|root| Recording::open(root).ok()?.truth_gravity().ok().flatten());
     let gravity = gravity.or_else(measured).unwrap_or_else(|| {
         missing.push(
             "Where gravity pulls in the truth's frame cannot be worked out; it is taken along -z (see --gravity)."
