@@ -87,13 +87,13 @@ fn camera_pose(
     imu_from_camera: &geometry::pose::Pose,
     options: &BuildOptions,
 ) -> PoseWithCovariance {
-    let covariance = stated_covariance(reference.covariance, options);
+    let covariance = stated_covariance(&reference.covariance, options);
     PoseWithCovariance::new(reference.pose, covariance).change_of_child(imu_from_camera)
 }
 
 /// The covariance of a reference pose; a sigma of the options replaces its block, and what that block was correlated with.
-pub(super) fn stated_covariance(of_pose: Matrix6<f64>, options: &BuildOptions) -> Matrix6<f64> {
-    let mut covariance = of_pose;
+pub(super) fn stated_covariance(of_pose: &Matrix6<f64>, options: &BuildOptions) -> Matrix6<f64> {
+    let mut covariance = *of_pose;
     for (first, sigma) in [(0, options.sigma_theta_rad), (3, options.sigma_p_m)] {
         let Some(sigma) = sigma else { continue };
         covariance.fixed_rows_mut::<3>(first).fill(0.0);

@@ -271,7 +271,7 @@ fn a_pose_between_two_is_at_most_as_certain_as_both_and_a_sigma_replaces_its_blo
     assert_eq!(poses.at(100).unwrap().covariance, narrow);
     assert!((poses.at(25).unwrap().covariance - (wide * 0.75 + narrow * 0.25)).amax() < 1e-15);
     let options = BuildOptions { sigma_p_m: Some(0.2), ..BuildOptions::default() };
-    let stated = stated_covariance(narrow, &options);
+    let stated = stated_covariance(&narrow, &options);
     assert_eq!(stated.fixed_view::<3, 3>(0, 0), narrow.fixed_view::<3, 3>(0, 0));
     assert_eq!((stated[(4, 4)], stated[(0, 4)], stated[(4, 0)]), (0.2 * 0.2, 0.0, 0.0));
 }

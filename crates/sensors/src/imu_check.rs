@@ -200,7 +200,9 @@ mod tests {
 
     fn check(samples: &[ImuSample]) -> Result<(), ImuUnitError> {
         let mut check = ImuCheck::default();
-        samples.iter().for_each(|sample| check.add(sample));
+        for sample in samples {
+            check.add(sample);
+        }
         check.finish(None)
     }
 
@@ -225,7 +227,9 @@ mod tests {
     #[test]
     fn a_drone_passes_whose_thrust_hides_its_tilt() {
         let mut samples = swinging(1.0);
-        samples.iter_mut().for_each(|sample| sample.accelerometer = Vector3::z() * 9.9);
+        for sample in &mut samples {
+            sample.accelerometer = Vector3::z() * 9.9;
+        }
         assert_eq!(check(&samples), Ok(()));
     }
 

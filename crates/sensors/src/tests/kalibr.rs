@@ -9,13 +9,17 @@ fn rows(pose: &Pose) -> String {
     let mut matrix = Matrix4::identity();
     matrix.fixed_view_mut::<3, 3>(0, 0).copy_from(pose.rotation.to_rotation_matrix().matrix());
     matrix.fixed_view_mut::<3, 1>(0, 3).copy_from(&pose.translation);
-    matrix.row_iter().map(|row| format!("  - [{}, {}, {}, {}]\n", row[0], row[1], row[2], row[3])).collect()
+    let line = |row: usize| {
+        let cells = [0, 1, 2, 3].map(|column| matrix[(row, column)].to_string());
+        format!("  - [{}]\n", cells.join(", "))
+    };
+    [0, 1, 2, 3].map(line).concat()
 }
 
 /// The camera chain of a recording, as kalibr_calibrate_imu_camera writes it. With `chained` the second camera is given
 /// with respect to the first.
 fn chain(sequence: &Sequence, chained: bool) -> String {
-    let mut text = String::new();
+    let mut text = Vec::new();
     for (index, sensor) in sequence.cameras.iter().enumerate() {
         let (model, coefficients) = match &sensor.camera.distortion {
             Distortion::None => ("none", Vec::new()),
@@ -24,16 +28,16 @@ fn chain(sequence: &Sequence, chained: bool) -> String {
             Distortion::Fov(omega) => ("fov", vec![*omega]),
         };
         let camera_from_imu = sensor.imu_from_camera.inverse();
-        text += &format!("cam{index}:\n  cam_overlaps: [{}]\n", 1 - index);
+        text.push(format!("cam{index}:\n  cam_overlaps: [{}]\n", 1 - index));
         if index == 0 || !chained {
-            text += &format!("  T_cam_imu:\n{}", rows(&camera_from_imu));
+            text.push(format!("  T_cam_imu:\n{}", rows(&camera_from_imu)));
         }
         if index == 1 {
             let first_from_imu = sequence.cameras[0].imu_from_camera.inverse();
-            text += &format!("  T_cn_cnm1:\n{}", rows(&(camera_from_imu * first_from_imu.inverse())));
+            text.push(format!("  T_cn_cnm1:\n{}", rows(&(camera_from_imu * first_from_imu.inverse()))));
         }
         let camera = &sensor.camera;
-        text += &format!(
+        text.push(format!(
             "  camera_model: pinhole\n  distortion_coeffs: {coefficients:?}\n  distortion_model: {model}\n  \
              intrinsics: [{}, {}, {}, {}]\n  resolution: [{}, {}]\n  rostopic: /cam{index}/image_raw\n  \
              timeshift_cam_imu: {}\n",
@@ -44,9 +48,9 @@ fn chain(sequence: &Sequence, chained: bool) -> String {
             camera.width,
             camera.height,
             SHIFT_NS as f64 * 1e-9
-        );
+        ));
     }
-    text
+    text.concat()
 }
 
 /// As it goes into Kalibr.
@@ -112,9 +116,8 @@ fn named_files_come_before_sensor_yaml_and_found_files_after_it() {
     let written = sequence(2);
     let (folder, elsewhere) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     writer::write(&written, folder.path()).unwrap();
-    let mut files = CalibrationFiles::default();
-    files.cameras = Some(elsewhere.path().join("c.yaml"));
-    files.imu = Some(elsewhere.path().join("i.yaml"));
+    let file = |name| Some(elsewhere.path().join(name));
+    let files = CalibrationFiles { cameras: file("c.yaml"), imu: file("i.yaml") };
     std::fs::write(files.cameras.as_ref().unwrap(), chain(&written, false)).unwrap();
     std::fs::write(files.imu.as_ref().unwrap(), IMU).unwrap();
     assert_read(&Sequence::open_with(folder.path(), &files).unwrap(), &written);
