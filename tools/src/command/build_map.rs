@@ -333,7 +333,7 @@ mod tests {
             global_from_local: None,
             global_from_imu: None,
         };
-        states::write(&path, &[row.clone()]).unwrap();
+        states::write(&path, std::slice::from_ref(&row)).unwrap();
         let poses = poses_of_file(&path, &args("")).unwrap();
         assert!((poses[0].covariance - covariance).amax() < 1e-12);
 
