@@ -52,6 +52,8 @@ pub fn map_answer(
         .collect();
     MapAnswer {
         map_version: status.map_version,
+        // Answers do not name it yet: all are taken for answers of one map.
+        map_identity: 0,
         keyframes,
         held_at_query: held.to_vec(),
         landmarks,
