@@ -2,6 +2,7 @@
 
 use crate::codec::Message;
 use crate::features::FeatureSet;
+use crate::identity::MapIdentity;
 use crate::limits::KeyframeId;
 use crate::matching::{MatchOutcome, PosePrior};
 use crate::validate::{InvalidField, Validate, require, require_unit};
@@ -47,6 +48,8 @@ impl Message for LocalizeRequest {
 pub struct LocalizeReply {
     /// Version of the searched map.
     pub map_version: u64,
+    /// Identity of the map: other maps have versions of the same numbers.
+    pub map_identity: MapIdentity,
     /// Result of the search.
     pub outcome: MatchOutcome,
     /// The pose found.

@@ -11,8 +11,11 @@
 
 use crate::codec::{Message, malformed_json};
 use crate::features::FeatureSet;
+use crate::identity::MapIdentity;
 use crate::limits::{KeyframeId, LandmarkId};
-use crate::validate::{InvalidField, Validate, require, require_each, require_finite, require_unit};
+use crate::validate::{
+    InvalidField, Validate, require, require_each, require_finite, require_position, require_unit,
+};
 use crate::{keys, wire};
 use geometry::camera::Camera;
 use geometry::uncertain_pose::PoseWithCovariance;
@@ -84,7 +87,7 @@ impl Message for MatchRequest {
 
 /// One part of the answer to a [`MatchRequest`].
 ///
-/// In JSON `{"schema": 3, "type": "match_reply", "keyframe": {..}}` or `{.., "done": {..}}`.
+/// In JSON `{"schema": 4, "type": "match_reply", "keyframe": {..}}` or `{.., "done": {..}}`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 #[allow(clippy::large_enum_variant)] // one value at a time, moved once
@@ -171,6 +174,8 @@ impl Validate for CrossCovarianceBlock {
 pub struct MatchedKeyframe {
     /// Version of the map.
     pub map_version: u64,
+    /// Identity of the map: other maps have versions of the same numbers.
+    pub map_identity: MapIdentity,
     /// 0 is the best match; covisible keyframes without matches of their own come last.
     pub rank: u16,
     /// The keyframe.
@@ -215,7 +220,7 @@ pub struct LandmarkMatch {
 
 impl Validate for LandmarkMatch {
     fn validate(&self) -> Result<(), InvalidField> {
-        require_finite(&self.position_in_anchor, "position_in_anchor")?;
+        require_position(&self.position_in_anchor, "position_in_anchor")?;
         require(
             self.distance.is_finite() && self.distance >= 0.0,
             "distance",
@@ -264,6 +269,8 @@ pub enum MatchOutcome {
 pub struct MatchStatus {
     /// Version of the searched map.
     pub map_version: u64,
+    /// Identity of the map: other maps have versions of the same numbers.
+    pub map_identity: MapIdentity,
     /// Result of the search.
     pub outcome: MatchOutcome,
     /// Number of [`MatchReply::Keyframe`]s sent before this one: if fewer were received, some were lost.

@@ -1,6 +1,7 @@
 //! `robot/{robot}/pose`, `/odometry` and `/status`: published by robots.
 
 use crate::codec::Message;
+use crate::identity::MapIdentity;
 use crate::validate::{InvalidField, Validate, require_finite, require_short};
 use crate::{keys, wire};
 use geometry::uncertain_pose::PoseWithCovariance;
@@ -15,6 +16,8 @@ pub struct RobotPose {
     pub map: String,
     /// Version of the map at the last map update.
     pub map_version: u64,
+    /// Identity of the map: other maps have versions of the same numbers.
+    pub map_identity: MapIdentity,
     /// The IMU in the map's frame.
     #[serde(with = "wire::uncertain_pose")]
     pub global_from_imu: PoseWithCovariance,

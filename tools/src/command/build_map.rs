@@ -10,9 +10,9 @@ use onboard::extraction::FeatureArguments;
 use sensors::{ReferencePose, Sequence, read_reference_poses};
 use serde_json::json;
 
-use super::import_map::{check_free, parse_direction};
+use super::import_map::parse_direction;
 use crate::plotting::draw_coverage;
-use map::store::save_map;
+use map::store::{ensure_free, save_map};
 use mapping::{BuildOptions, BuildReport, Extraction, Spread, Stage, StoredPoses, build_map};
 
 /// Arguments.
@@ -26,7 +26,8 @@ use mapping::{BuildOptions, BuildReport, Extraction, Spread, Stage, StoredPoses,
     SEQ holds mav0/cam0 (and cam1, for stereo) with sensor.yaml, data.csv and images in data/, and\n\
     reference_poses.csv. A cam0/features.csv replaces the images. Without reference_poses.csv the ground truth\n\
     gives the poses, and --sigma-theta and --sigma-p must be given. What is stated too small makes the robots\n\
-    overconfident: state the sigmas of your poses, not those you wish for.")]
+    overconfident: state the sigmas of your poses, not those you wish for.\n\n\
+    All sigmas of poses, given and printed, are standard deviations per axis.")]
 pub struct Args {
     /// The recording, a folder in the EuRoC layout
     #[arg(value_name = "SEQ")]
@@ -79,7 +80,7 @@ pub struct Args {
     /// Plot the coverage of the map: keyframes, landmarks, keyframes with too few
     #[arg(long, value_name = "SVG")]
     pub svg: Option<PathBuf>,
-    /// Replace an existing map
+    /// Replace an existing map: the new one is its next version, with the same identity
     #[arg(long)]
     pub force: bool,
     /// Print the report as JSON
@@ -93,7 +94,7 @@ pub struct Args {
 /// A sequence without features or poses, a file that cannot be read (with its line), a database that exists already.
 #[expect(clippy::needless_pass_by_value, reason = "every command owns its arguments")]
 pub fn run(args: Args) -> anyhow::Result<()> {
-    check_free(&args.map, args.force)?;
+    ensure_free(&args.map, args.force)?;
     let sequence = Sequence::open(&args.sequence)?;
     let references = references(&args, &sequence)?;
     let options = options(&args)?;
@@ -119,14 +120,17 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     let built = build_map(&sequence, &references, extraction, &options, &mut show);
     bar.finish_and_clear();
     let (contents, report) = built?;
-    let version = save_map(&args.map, &contents, args.force)?;
+    let saved = save_map(&args.map, &contents, args.force)?;
     if let Some(picture) = &args.svg {
         draw_coverage(&contents, picture)?;
     }
     if args.json {
-        println!("{:#}", json!({ "map": args.map, "version": version, "report": report }));
+        println!(
+            "{:#}",
+            json!({ "map": args.map, "version": saved.version, "identity": saved.identity, "report": report })
+        );
     } else {
-        println!("{}: version {version}", args.map.display());
+        println!("{}: version {} of map {}", args.map.display(), saved.version, saved.identity);
         print_report(&report);
     }
     Ok(())
@@ -221,8 +225,8 @@ fn print_report(report: &BuildReport) {
     println!("pixel sigma, px             {:.2}", report.sigma_px);
     println!("poses corrected by, deg     {}", spread(&report.pose_correction_deg, 2));
     println!("                    m       {}", spread(&report.pose_correction_m, 3));
-    println!("poses stated to, deg        {}", spread(&report.sigma_pose_deg, 2));
-    println!("                 m          {}", spread(&report.sigma_pose_m, 3));
+    println!("sigma of poses per axis, deg {}", spread(&report.sigma_pose_deg, 3));
+    println!("                         m   {}", spread(&report.sigma_pose_m, 3));
     println!("correlated pairs            {}", report.cross_covariances);
     let few = BuildReport::FEW_LANDMARKS;
     println!("keyframes below {few} landmarks {}", report.poor_keyframes.len());
