@@ -182,7 +182,10 @@ fn refining_poses_finds_landmarks_that_noisy_poses_hide() {
 fn given_poses_are_stated_with_their_covariance_where_that_is_asked_for() {
     let world = world(3, 1.0, 1.0);
     let options = BuildOptions { stored_poses: StoredPoses::Given, ..BuildOptions::default() };
-    let (contents, _) = build(&world, &options);
+    let (contents, report) = build(&world, &options);
+    // The sigmas of the report are per axis, as those that were given; a rotation's is the same in the camera.
+    assert!((report.sigma_pose_deg.median.to_radians() - SIGMA_THETA).abs() < 1e-9, "{report:?}");
+    assert!(report.sigma_pose_m.median < 1.5 * SIGMA_P, "{report:?}");
     let imu_from_camera = world.sequence.cameras[0].imu_from_camera;
     assert_eq!(contents.keyframes.len(), world.references.len());
     for (keyframe, reference) in contents.keyframes.iter().zip(&world.references) {

@@ -84,6 +84,7 @@ impl LoadedMap {
         };
         let status = MatchStatus {
             map_version: self.info.version,
+            map_identity: self.identity,
             outcome: search.outcome,
             keyframes_sent: keyframes.len() as u16,
             searched_keyframes: search.searched_keyframes as u32,
@@ -138,7 +139,7 @@ impl LoadedMap {
         let fix = fix.filter(|fix| fix.inliers as usize >= options.min_fix_inliers);
         let unverified = search.outcome == MatchOutcome::Matched && fix.is_none();
         let outcome = if unverified { MatchOutcome::NotVerified } else { search.outcome };
-        Ok(LocalizeReply { map_version: self.info.version, outcome, fix })
+        Ok(LocalizeReply { map_version: self.info.version, map_identity: self.identity, outcome, fix })
     }
 
     /// The fused pose, or that of the best keyframe where fusion failed.
@@ -185,7 +186,8 @@ impl LoadedMap {
             }
         });
         let landmarks = landmarks.collect();
-        Some(KeyframeReply { map_version: self.info.version, keyframe: record(loaded), landmarks })
+        let (map_version, map_identity) = (self.info.version, self.identity);
+        Some(KeyframeReply { map_version, map_identity, keyframe: record(loaded), landmarks })
     }
 
     /// Describes the map under the name by which it is served.
@@ -199,6 +201,7 @@ impl LoadedMap {
         MapInfoReply {
             name: name.to_owned(),
             version: self.info.version,
+            identity: self.identity,
             database_schema: STORE_SCHEMA,
             keyframes: self.keyframe_count() as u64,
             landmarks: self.landmark_count() as u64,

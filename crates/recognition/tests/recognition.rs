@@ -450,7 +450,7 @@ fn a_map_that_is_damaged_in_places_is_still_served() {
     tree.insert(place.map.keyframes[5].id.to_be_bytes(), b"damaged".as_slice()).unwrap();
     drop((tree, database));
 
-    let map = LoadedMap::load(store::open(&path).unwrap().as_ref()).unwrap();
+    let map = LoadedMap::load(store::load_map(&path).unwrap()).unwrap();
     assert_eq!((map.damaged_records(), map.keyframe_count()), (1, place.map.keyframes.len() - 1));
     let request = place.request(&place.camera_at(10.0, 0.0, 0.0), 2, &mut StdRng::seed_from_u64(21));
     assert_eq!(ask(&map, &request).1.outcome, MatchOutcome::Matched);

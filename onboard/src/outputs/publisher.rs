@@ -1,6 +1,7 @@
 //! Publishes pose, odometry and status of the robot in the background.
 
 use super::name_watch::NameWatch;
+use crate::map_conversion::map_identity;
 use estimator::{Estimator, Localization, Status};
 use nalgebra::Vector3;
 use protocol::{Format, Message, RobotOdometry, RobotPose, RobotState, RobotStatus, keys};
@@ -111,13 +112,18 @@ impl Publisher {
                 angular_velocity_in_imu: angular_velocity.into(),
             },
         );
-        let global = (estimator.global_from_imu(), estimator.global_from_local(), estimator.map_version());
-        if let (Some(global_from_imu), Some(global_from_local), Some(map_version)) = global {
-            let map = self.map.clone();
-            self.send(
-                &self.pose_key,
-                &RobotPose { stamp_ns, map, map_version, global_from_imu, global_from_local },
-            );
+        let poses = estimator.global_from_imu().zip(estimator.global_from_local());
+        let map = estimator.map_version().zip(estimator.map_identity());
+        if let Some(((global_from_imu, global_from_local), (map_version, identity))) = poses.zip(map) {
+            let pose = RobotPose {
+                stamp_ns,
+                map: self.map.clone(),
+                map_version,
+                map_identity: map_identity(identity),
+                global_from_imu,
+                global_from_local,
+            };
+            self.send(&self.pose_key, &pose);
         }
         self.publish_status(stamp_ns, estimator.status().with_failure(failure), counts);
     }

@@ -13,9 +13,9 @@ use onboard::extraction::FeatureArguments;
 use sensors::{ReferencePose, Sequence, check_stereo};
 use serde_json::json;
 
-use super::import_map::{check_free, parse_direction};
+use super::import_map::parse_direction;
 use crate::plotting::draw_coverage;
-use map::store::save_map;
+use map::store::{ensure_free, save_map};
 use mapping::{BuildOptions, BuildReport, Extraction, Spread, Stage, StoredPoses, build_map};
 
 /// Largest plausible `--sigma-theta`, rad: 29 degrees. With more the pose says nothing, and linearization fails.
@@ -37,7 +37,8 @@ const MAX_SIGMA_THETA: f64 = 0.5;
     overconfident: state the sigmas of your poses, not those you wish for.\n\n\
     --poses takes reference_poses.csv, a TUM file (t x y z qx qy qz qw, in seconds), EuRoC ground truth (ns, position,\n\
     quaternion with w first; 8 or 17 columns) or states.csv of a run, recognized by content. The first and the last\n\
-    state their uncertainty; the others need --sigma-theta and --sigma-p.")]
+    state their uncertainty; the others need --sigma-theta and --sigma-p. All sigmas of poses, given and printed, are\n\
+    standard deviations per axis.")]
 pub struct Args {
     /// The recording, a folder in the EuRoC layout
     #[arg(value_name = "SEQ")]
@@ -93,7 +94,7 @@ pub struct Args {
     /// Plot the coverage of the map: keyframes, landmarks, keyframes with too few
     #[arg(long, value_name = "SVG")]
     pub svg: Option<PathBuf>,
-    /// Replace an existing map
+    /// Replace an existing map: the new one is its next version, with the same identity
     #[arg(long)]
     pub force: bool,
     /// Print the report as JSON
@@ -107,7 +108,7 @@ pub struct Args {
 /// A sequence without features or poses, a file that cannot be read (with its line), a database that exists already.
 #[expect(clippy::needless_pass_by_value, reason = "every command owns its arguments")]
 pub fn run(args: Args) -> anyhow::Result<()> {
-    check_free(&args.map, args.force)?;
+    ensure_free(&args.map, args.force)?;
     let sequence = Sequence::open_without_readings(&args.sequence, &args.calibration.files())?;
     if !args.mono {
         check_stereo(&sequence.cameras, sequence.frames.iter().cloned().map(Ok))?;
@@ -136,14 +137,17 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     let built = build_map(&sequence, &references, extraction, &options, &mut show);
     bar.finish_and_clear();
     let (contents, report) = built?;
-    let version = save_map(&args.map, &contents, args.force)?;
+    let saved = save_map(&args.map, &contents, args.force)?;
     if let Some(picture) = &args.svg {
         draw_coverage(&contents, picture)?;
     }
     if args.json {
-        println!("{:#}", json!({ "map": args.map, "version": version, "report": report }));
+        println!(
+            "{:#}",
+            json!({ "map": args.map, "version": saved.version, "identity": saved.identity, "report": report })
+        );
     } else {
-        println!("{}: version {version}", args.map.display());
+        println!("{}: version {} of map {}", args.map.display(), saved.version, saved.identity);
         print_report(&report);
     }
     Ok(())
@@ -271,8 +275,8 @@ fn print_report(report: &BuildReport) {
     println!("pixel sigma, px             {:.2}", report.sigma_px);
     println!("poses corrected by, deg     {}", spread(&report.pose_correction_deg, 2));
     println!("                    m       {}", spread(&report.pose_correction_m, 3));
-    println!("poses stated to, deg        {}", spread(&report.sigma_pose_deg, 2));
-    println!("                 m          {}", spread(&report.sigma_pose_m, 3));
+    println!("sigma of poses per axis, deg {}", spread(&report.sigma_pose_deg, 3));
+    println!("                         m   {}", spread(&report.sigma_pose_m, 3));
     println!("correlated pairs            {}", report.cross_covariances);
     let few = BuildReport::FEW_LANDMARKS;
     println!("keyframes below {few} landmarks {}", report.poor_keyframes.len());

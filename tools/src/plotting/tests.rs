@@ -1,7 +1,7 @@
 //! Pictures hold what is known, and say what is not.
 
-use super::*;
 use super::run_files::read_events;
+use super::*;
 use crate::plotting::comparison::{ComparedRun, Comparison};
 use evaluation::ErrorSample;
 use evaluation::trajectory::{StampedPose, StateRow, states};
