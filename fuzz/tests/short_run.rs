@@ -50,7 +50,7 @@ fn records() -> Vec<Vec<u8>> {
     let map = &place.map;
     let key = [0; 8];
     let sealed = [
-        seal("info", &key, &InfoRecord::new(&map.info, 1)).unwrap(),
+        seal("info", &key, &InfoRecord::new(&map.info)).unwrap(),
         seal("keyframes", &key, &KeyframeRecord::new(&map.keyframes[0])).unwrap(),
         seal("landmarks", &key, &LandmarkRecord::new(&map.landmarks[0])).unwrap(),
     ];

@@ -30,7 +30,7 @@ async fn main() -> Result<(), Error> {
     let database = std::env::args().nth(1);
     let scene = Scene::new(&mut StdRng::seed_from_u64(1));
     let map = match &database {
-        Some(path) => LoadedMap::load(store::open(Path::new(path))?.as_ref())?,
+        Some(path) => LoadedMap::load(store::load_map(Path::new(path))?)?,
         None => LoadedMap::from_contents(scene.map())?,
     };
 

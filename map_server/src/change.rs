@@ -20,6 +20,7 @@ const MIN_COVARIANCE_CHANGE: f64 = 1e-6;
 pub(crate) fn between(name: &str, old: &LoadedMap, new: &LoadedMap) -> MapChangeNotice {
     let mut change = MapChangeNotice {
         map: name.to_owned(),
+        identity: new.identity(),
         from_version: old.info().version,
         version: new.info().version,
         changed: Vec::new(),

@@ -1,7 +1,7 @@
 //! The databases of the served maps: loaded when the server starts, and again on request.
 //!
-//! A database is closed once it was loaded, so that another program can write the next version of the map to it meanwhile.
-//! If the new version cannot be loaded, the previous one continues to be served.
+//! A copy of a database is read, so another program can write the next version of the map to it meanwhile. If the new
+//! version cannot be loaded, the previous one continues to be served.
 
 use std::path::PathBuf;
 use std::str::FromStr;
@@ -9,7 +9,8 @@ use std::sync::Arc;
 
 use anyhow::{Context, bail};
 use map::store;
-use map_server::{MapServer, ServedMap};
+use map_server::{MapServer, ServeError, ServedMap};
+use protocol::MapIdentity;
 use protocol::keys::{NameError, validate_name};
 use recognition::LoadedMap;
 
@@ -49,12 +50,14 @@ impl FromStr for MapArgument {
 /// Loads a map into memory.
 pub fn load(argument: &MapArgument) -> anyhow::Result<ServedMap> {
     let MapArgument { name, database } = argument;
-    let store = store::open(database).with_context(|| format!("map {name} cannot be served"))?;
-    let map = LoadedMap::load(store.as_ref()).with_context(|| format!("map {name} cannot be served"))?;
+    let cannot = || format!("map {name} cannot be served");
+    let stored = store::load_map(database).with_context(cannot)?;
+    let map = LoadedMap::load(stored).with_context(cannot)?;
     tracing::info!(
         name,
         database = %database.display(),
         version = map.info().version,
+        identity = %map.identity(),
         keyframes = map.keyframe_count(),
         landmarks = map.landmark_count(),
         "loaded a map"
@@ -73,14 +76,16 @@ pub fn load(argument: &MapArgument) -> anyhow::Result<ServedMap> {
 pub async fn reload(server: &MapServer, maps: &[MapArgument]) {
     for argument in maps {
         let name = &argument.name;
-        let served = server.version(name);
+        let Some(present) = server.served(name) else { continue };
+        let (served, identity) = (present.info().version, present.identity());
+        drop(present);
         let reading = {
             let argument = argument.clone();
-            tokio::task::spawn_blocking(move || newer(&argument, served))
+            tokio::task::spawn_blocking(move || newer(&argument, served, identity))
         };
         let read = reading.await.unwrap_or_else(|error| Err(error.into()));
         let replaced = match read {
-            Ok(Some(map)) => server.replace(name, map, None).await.map_err(anyhow::Error::from),
+            Ok(Some(map)) => server.replace(name, map, None).await,
             Ok(None) => {
                 tracing::info!(name, version = served, "the database has the version that is served");
                 continue;
@@ -96,19 +101,37 @@ pub async fn reload(server: &MapServer, maps: &[MapArgument]) {
                 continue;
             }
         };
-        if let Err(error) = replaced {
-            tracing::warn!(name, "the new version is served, but its notice was not published: {error:#}");
+        match replaced {
+            Ok(()) => {}
+            Err(error @ ServeError::OtherMap { .. }) => {
+                tracing::warn!(
+                    name,
+                    version = served,
+                    "reload refused; the previous version continues to be served: {error}"
+                );
+            }
+            Err(error) => {
+                tracing::warn!(
+                    name,
+                    "the new version is served, but its notice was not published: {error:#}"
+                );
+            }
         }
     }
 }
 
-/// The map in a database, if its version differs from the served one.
-fn newer(argument: &MapArgument, served: Option<u64>) -> anyhow::Result<Option<Arc<LoadedMap>>> {
-    let store = store::open(&argument.database)?;
-    if Some(store.info()?.version) == served {
+/// The map in a database, if its version or its identity differs from the served one.
+fn newer(
+    argument: &MapArgument,
+    served: u64,
+    identity: MapIdentity,
+) -> anyhow::Result<Option<Arc<LoadedMap>>> {
+    let stored = store::load_map(&argument.database)?;
+    let info = &stored.contents.info;
+    if (info.version, info.identity) == (served, Some(identity)) {
         return Ok(None);
     }
-    let map = LoadedMap::load(store.as_ref())?;
+    let map = LoadedMap::load(stored)?;
     match (map.damaged_records(), map.keyframe_count()) {
         (0, 1..) => Ok(Some(Arc::new(map))),
         (0, 0) => bail!("the new version has no keyframes"),

@@ -1,7 +1,7 @@
 //! Why a server does not start, or a map is not replaced.
 
-use protocol::CodecError;
 use protocol::keys::NameError;
+use protocol::{CodecError, MapIdentity};
 
 /// Why a server does not start, or a map is not replaced.
 #[derive(Debug, thiserror::Error)]
@@ -21,6 +21,20 @@ pub enum ServeError {
     UnknownMap {
         /// The name.
         name: String,
+    },
+    /// What is to be served is no version of the map that is served.
+    #[error(
+        "map {name} is {served}, and {given} is another map: robots would take the poses in one for poses in the other; \
+         write it over the served one to make it its next version (--force), or serve it under another name, or restart the \
+         server and the robots"
+    )]
+    OtherMap {
+        /// The name under which the map is served.
+        name: String,
+        /// Identity of the served map.
+        served: MapIdentity,
+        /// Identity of the other one.
+        given: MapIdentity,
     },
     /// A message cannot be encoded.
     #[error(transparent)]

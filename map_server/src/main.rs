@@ -34,6 +34,7 @@ Examples:
 
 Maps are built by `driftless build-map` or imported by `driftless import-map`. A map is loaded when the server starts,
 and at SIGHUP if its version changed; if that fails, the previous version continues to be served and the log says why.
+Another map than the served one (see `driftless map-info`: identity) is not loaded at SIGHUP: restart the server for it.
 Ctrl-C or SIGTERM stops the server gracefully.";
 
 /// Serves maps to robots over Zenoh: matches images with keyframes and estimates where they were taken.

@@ -108,9 +108,9 @@ impl MapServer {
         Ok(MapServer { session, maps, token, queryables, queue, workers })
     }
 
-    /// The version of a map that is being served; `None` for a map that this server does not have.
-    pub fn version(&self, name: &str) -> Option<u64> {
-        self.maps.get(name).map(|served| served.current().info().version)
+    /// The map that is being served under a name; `None` for one that this server does not have.
+    pub fn served(&self, name: &str) -> Option<Arc<LoadedMap>> {
+        self.maps.get(name).map(|served| served.current())
     }
 
     /// Counters since the start.
@@ -118,7 +118,7 @@ impl MapServer {
         self.queue.statistics()
     }
 
-    /// Replaces a map while it is served and publishes the difference on `map/{map}/changes`. Queries in progress are
+    /// Replaces a map by another version of it while it is served and publishes the difference on `map/{map}/changes`. Queries in progress are
     /// answered with the previous map.
     ///
     /// # Arguments
@@ -126,7 +126,8 @@ impl MapServer {
     ///   both versions have.
     ///
     /// # Errors
-    /// [`ServeError::UnknownMap`]; [`ServeError::Zenoh`] if the map was replaced but the notice was not published.
+    /// [`ServeError::UnknownMap`]; [`ServeError::OtherMap`] for a map of another identity: a version that was made in memory
+    /// states the identity of the served map in its info; [`ServeError::Zenoh`] if the map was replaced but the notice was not published.
     pub async fn replace(
         &self,
         name: &str,
@@ -134,6 +135,10 @@ impl MapServer {
         stated_change: Option<StatedChange>,
     ) -> Result<(), ServeError> {
         let served = self.maps.get(name).ok_or_else(|| ServeError::UnknownMap { name: name.to_owned() })?;
+        let (served_identity, given) = (served.current().identity(), map.identity());
+        if served_identity != given {
+            return Err(ServeError::OtherMap { name: name.to_owned(), served: served_identity, given });
+        }
         let previous = served.replace(Arc::clone(&map));
         let mut change = change::between(name, &previous, &map);
         change.stated_change = stated_change.or(change.stated_change);

@@ -62,6 +62,11 @@ fn wrong_arguments_say_what_to_do() {
     let (output, error) = run(&["--map", "hall=/does/not/exist"]);
     assert!(!output.status.success() && error.contains("/does/not/exist"), "{error}");
     assert!(error.contains("driftless build-map"), "{error}");
+    let empty = tempfile::tempdir().unwrap();
+    let (output, error) = run(&["--map", &format!("hall={}", empty.path().display())]);
+    assert!(!output.status.success() && error.contains("the folder is empty"), "{error}");
+    assert!(error.contains("driftless build-map"), "{error}");
+    assert_eq!(std::fs::read_dir(empty.path()).unwrap().count(), 0);
 }
 
 #[test]
@@ -97,7 +102,7 @@ async fn it_serves_below_its_namespace_and_stops_on_sigterm() {
     assert_eq!(refusal.code, ErrorCode::UnknownMap);
     assert!(refusal.message.contains("hall"), "{refusal}");
     // The database is not held while it is served.
-    assert!(store::open(&path).is_ok());
+    assert!(store::load_map(&path).is_ok());
 
     let (second, error) = run(&["--map", &map, "--listen", &endpoint]);
     assert!(!second.status.success() && error.contains(&endpoint), "{error}");
@@ -139,23 +144,45 @@ async fn sighup_serves_the_new_version_and_says_what_changed() {
     assert_eq!(version().await, 1);
     let news = client.declare_subscriber("map/hall/changes").await.unwrap();
 
-    // Nothing new; then a database that another program is writing to.
+    // Nothing new; then an unfinished map.
     signal(&server, "-HUP");
     says("has the version that is served", 1).await;
-    let writing = store::open(&path).unwrap();
+    let (manifest, aside) = (path.join("manifest.json"), directory.path().join("manifest.json"));
+    std::fs::rename(&manifest, &aside).unwrap();
     signal(&server, "-HUP");
     says("the previous version continues to be served", 1).await;
-    assert!(std::fs::read_to_string(&log).unwrap().contains("in use by another program"));
+    assert!(std::fs::read_to_string(&log).unwrap().contains("is unfinished"));
     assert_eq!(version().await, 1);
+    std::fs::rename(&aside, &manifest).unwrap();
+
+    // Another map under the same path.
+    let former = directory.path().join("former.db");
+    std::fs::rename(&path, &former).unwrap();
+    let other = PlaceOptions { seed: 2, keyframes: 5, landmarks: 100, ..PlaceOptions::default() };
+    store::save_map(&path, &Place::new(&other).map, false).unwrap();
+    signal(&server, "-HUP");
+    says("is another map", 1).await;
+    says("the previous version continues to be served", 2).await;
+    std::fs::remove_dir_all(&path).unwrap();
+    std::fs::rename(&former, &path).unwrap();
+
+    // A damaged one.
+    let database = path.join("version-1/db");
+    let whole = std::fs::read(&database).unwrap();
+    std::fs::write(&database, &whole[..whole.len() * 99 / 100]).unwrap();
+    signal(&server, "-HUP");
+    says("version-1/db has", 1).await;
+    says("the previous version continues to be served", 3).await;
+    assert_eq!(version().await, 1);
+    std::fs::write(&database, &whole).unwrap();
 
     // Two keyframes moved by 0.3 m together, out of five.
-    let mut contents = writing.read_contents().unwrap();
+    let mut contents = store::load_map(&path).unwrap().whole().unwrap();
     let moved: Vec<u64> = contents.keyframes[..2].iter().map(|keyframe| keyframe.id).collect();
     for keyframe in &mut contents.keyframes[..2] {
         keyframe.global_from_keyframe.pose.translation.y += 0.3;
     }
-    writing.replace_all(&contents).unwrap();
-    drop(writing);
+    store::save_map(&path, &contents, true).unwrap();
     signal(&server, "-HUP");
     let change = news.recv_async().await.unwrap();
     let change: MapChangeNotice = protocol::decode(Format::Bincode, &change.payload().to_bytes()).unwrap();
@@ -169,7 +196,7 @@ async fn sighup_serves_the_new_version_and_says_what_changed() {
     // A database that is gone does not end what is served.
     std::fs::remove_dir_all(&path).unwrap();
     signal(&server, "-HUP");
-    says("the previous version continues to be served", 2).await;
+    says("the previous version continues to be served", 4).await;
     assert_eq!(version().await, 2);
 
     signal(&server, "-TERM");

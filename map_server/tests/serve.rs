@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use client::{SessionOptions, open_session};
-use map_server::{MapServer, ServedMap, ServerOptions};
+use map_server::{MapServer, ServeError, ServedMap, ServerOptions};
 use protocol::{
     DescriptorKind, Descriptors, ErrorCode, ErrorReply, FeatureSet, Format, KeyframeReply, LocalizeReply,
     LocalizeRequest, MapChangeNotice, MapInfoReply, MatchOutcome, MatchReply, MatchRequest, Message,
@@ -226,7 +226,7 @@ async fn bad_queries_are_answered_with_errors_and_the_server_goes_on() {
     let cases: Vec<(Option<Vec<u8>>, ErrorCode)> = vec![
         (None, ErrorCode::BadRequest),
         (Some(b"hello".to_vec()), ErrorCode::BadRequest),
-        (Some(b"{\"schema\": 3}".to_vec()), ErrorCode::BadRequest),
+        (Some(b"{\"schema\": 4}".to_vec()), ErrorCode::BadRequest),
         (Some(vec![0xff; 100_000]), ErrorCode::BadRequest),
         (Some(changed(&|payload| payload.truncate(payload.len() / 2))), ErrorCode::BadRequest),
         (Some(changed(&|payload| *payload.last_mut().unwrap() ^= 1)), ErrorCode::BadRequest),
@@ -384,6 +384,17 @@ async fn a_replaced_map_is_announced_and_answers_with_its_version() {
     let answers = ask(&scene.client, "map/hall/info", None, None).await;
     assert_eq!(decoded::<MapInfoReply>(answers[0].clone(), Format::Bincode).version, 8);
     assert!(scene.server.replace("cellar", map, None).await.is_err());
+
+    // Another map is no version of this one.
+    let other = Place::new(&PlaceOptions { seed: 3, keyframes: 4, landmarks: 60, ..PlaceOptions::default() });
+    let other = Arc::new(LoadedMap::from_contents(other.map).unwrap());
+    let error = scene.server.replace("hall", Arc::clone(&other), None).await.unwrap_err();
+    assert!(matches!(error, ServeError::OtherMap { .. }), "{error}");
+    let said = error.to_string();
+    assert!(said.contains("hall") && said.contains(&other.identity().to_string()), "{said}");
+    let answers = ask(&scene.client, "map/hall/info", None, None).await;
+    let info = decoded::<MapInfoReply>(answers[0].clone(), Format::Bincode);
+    assert_eq!((info.version, info.identity), (8, scene.place.map.info.identity.unwrap()));
     scene.end().await;
 }
 

@@ -4,7 +4,7 @@ use anyhow::{Context as _, Result, bail};
 use clap::Parser;
 use client::session::{DEFAULT_ENDPOINT, SessionOptions, close_session, open_session};
 use estimator::MapMode;
-use onboard::arguments::{INPUT, MAP, OUTPUT};
+use onboard::arguments::{CalibrationArguments, INPUT, MAP, OUTPUT};
 use onboard::{MapLink, RobotArguments, StopSignal, progress, run_robot_until, stdout};
 use sensors::Recording;
 use std::io::IsTerminal as _;
@@ -33,6 +33,9 @@ struct Arguments {
     /// The recording: a folder in the EuRoC layout
     #[arg(long, value_name = "DIR", help_heading = INPUT)]
     sequence: PathBuf,
+    /// Calibration
+    #[command(flatten)]
+    calibration: CalibrationArguments,
     /// Name of the map on the server (not needed with --mode odometry)
     #[arg(long, value_name = "NAME", help_heading = MAP)]
     map: Option<String>,
@@ -72,7 +75,7 @@ fn localize() -> Result<()> {
         .init();
     let arguments = Arguments::parse();
     let stop = StopSignal::on_interrupt().context("signals cannot be handled")?;
-    let recording = Recording::open(&arguments.sequence)?;
+    let recording = Recording::open_with(&arguments.sequence, &arguments.calibration.files())?;
     let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build()?;
     let link = match (&arguments.map, arguments.robot.map_mode()?) {
         (_, MapMode::Odometry) => None,

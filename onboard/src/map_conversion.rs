@@ -2,7 +2,7 @@
 
 use estimator::{ChangeSize, MapAnswer, MapKeyframe, MapRevision, MatchedLandmark};
 use nalgebra::{Vector2, Vector3};
-use protocol::{FeatureSet, KeyframeId, MapChangeNotice, MatchStatus, MatchedKeyframe};
+use protocol::{FeatureSet, KeyframeId, MapChangeNotice, MapIdentity, MatchStatus, MatchedKeyframe};
 
 /// Assembles the replies to one query.
 ///
@@ -11,7 +11,7 @@ use protocol::{FeatureSet, KeyframeId, MapChangeNotice, MatchStatus, MatchedKeyf
 /// # Arguments
 /// * `features`: of the query.
 /// * `held`: keyframes in the robot's state at the time of the query.
-/// * `replies`: in any order; those of another map version than the status are ignored.
+/// * `replies`: in any order; those of another map or map version than the status are ignored.
 pub fn map_answer(
     features: &FeatureSet,
     held: &[KeyframeId],
@@ -19,7 +19,10 @@ pub fn map_answer(
     mut replies: Vec<MatchedKeyframe>,
 ) -> MapAnswer {
     replies.sort_by_key(|reply| reply.rank);
-    replies.retain(|reply| reply.map_version == status.map_version);
+    let of_status = |reply: &MatchedKeyframe| {
+        (reply.map_version, reply.map_identity) == (status.map_version, status.map_identity)
+    };
+    replies.retain(of_status);
     let landmarks = replies
         .iter()
         .flat_map(|reply| &reply.matches)
@@ -52,12 +55,23 @@ pub fn map_answer(
         .collect();
     MapAnswer {
         map_version: status.map_version,
+        map_identity: identity_number(status.map_identity),
         keyframes,
         held_at_query: held.to_vec(),
         landmarks,
         gravity_in_global: status.gravity_in_global.map(Vector3::from),
         sigma_map_px: status.sigma_map_px,
     }
+}
+
+/// The estimator's form of the identity of a map.
+pub fn identity_number(identity: MapIdentity) -> u128 {
+    u128::from_be_bytes(identity.to_bytes())
+}
+
+/// The identity of a map that the estimator names.
+pub fn map_identity(number: u128) -> MapIdentity {
+    MapIdentity::from_bytes(number.to_be_bytes())
 }
 
 fn pixel_of(pixel: [f32; 2]) -> Vector2<f64> {
@@ -84,6 +98,7 @@ mod tests {
     fn a_revision_names_the_keyframes_with_changed_keyframes_and_the_size_of_the_change() {
         let revision = map_revision(MapChangeNotice {
             map: "hall".to_owned(),
+            identity: MapIdentity::from_bytes([7; 16]),
             from_version: 3,
             version: 4,
             changed: vec![1, 2, 5],

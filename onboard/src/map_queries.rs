@@ -4,11 +4,11 @@
 //! not applied.
 
 use super::extraction::{Extracted, ExtractionThread};
-use super::map_conversion::{map_answer, map_revision};
+use super::map_conversion::{identity_number, map_answer, map_revision};
 use super::outputs::{Event, Recorder, Traffic};
 use super::run::RobotRun;
-use client::{ClientError, MapChangeSubscriber, MatchAnswer, QueryResult, QueryTasks};
-use estimator::{CloneId, EstimatorError, MapMode, RevisionEffect};
+use client::{MapChangeSubscriber, MatchAnswer, QueryResult, QueryTasks};
+use estimator::{CloneId, EstimatorError, MapMode, Rejection, RevisionEffect};
 use protocol::{FeatureSet, MatchOutcome, MatchRequest, PosePrior};
 use sensors::Frame;
 use std::time::{Duration, Instant};
@@ -98,10 +98,13 @@ impl RobotRun<'_> {
 
     /// Applies the changes of the map that were received.
     fn apply_map_changes(&mut self, recorder: &mut Recorder) {
-        while let Some(revision) =
-            self.map_changes.as_mut().and_then(MapChangeSubscriber::poll).map(map_revision)
-        {
+        while let Some(notice) = self.map_changes.as_mut().and_then(MapChangeSubscriber::poll) {
             let Some(estimator) = self.supervisor.estimator_mut() else { continue };
+            if estimator.map_identity().is_some_and(|held| held != identity_number(notice.identity)) {
+                tracing::warn!(identity = %notice.identity, "ignored a change of another map of the same name");
+                continue;
+            }
+            let revision = map_revision(notice);
             let (from, version) = (revision.from_version, revision.version);
             match estimator.map_changed(&revision) {
                 RevisionEffect::CarriedOver => {
@@ -147,7 +150,7 @@ impl RobotRun<'_> {
         result: &QueryResult<CloneId>,
         recorder: &mut Recorder,
     ) -> Result<(), EstimatorError> {
-        self.note_failure(&result.answer);
+        let failure = result.answer.as_ref().err().map(ToString::to_string);
         recorder.traffic.add(&Traffic { sent: result.bytes_sent, received: result.bytes_received });
         let request = &result.request;
         let matched = result.answer.as_ref().ok();
@@ -159,31 +162,36 @@ impl RobotRun<'_> {
             recorder.keyframes_pulled += answer.keyframes.len();
         }
         let Some(estimator) = self.supervisor.estimator_since(request.stamp_ns) else {
+            self.note_failure(failure);
             let mut event = Event::new(result, request.stamp_ns);
             event.note_failure("the estimator was initialized again after this query was sent");
             recorder.note_event(&event);
             return Ok(());
         };
         let mut event = Event::new(result, estimator.stamp_ns());
+        let mut refusal = None;
         match (&matched, &result.answer) {
             (Some(answer), _) => {
                 let report = estimator.map_update(result.token, answer)?;
                 event.note_report(&report);
+                refusal = report.rejection.filter(|reason| matches!(reason, Rejection::OtherMap { .. }));
             }
             (None, Ok(answer)) => event.note_no_match(answer.status.outcome),
             (None, Err(error)) => event.note_failure(&error.to_string()),
         }
         estimator.unpin(result.token);
         recorder.note_event(&event);
+        self.note_failure(
+            failure.or_else(|| refusal.map(|reason| format!("its answer is refused: {reason}"))),
+        );
         Ok(())
     }
 
-    /// Keeps why the last query was not answered, and logs when that changes.
-    fn note_failure(&mut self, answer: &Result<MatchAnswer, ClientError>) {
-        let failure = answer.as_ref().err().map(ToString::to_string);
+    /// Keeps why the last query had no answer that can be used, and logs when that changes.
+    fn note_failure(&mut self, failure: Option<String>) {
         match (&self.last_failure, &failure) {
             (None, Some(reason)) => {
-                tracing::warn!(reason, "a map query was not answered; odometry continues");
+                tracing::warn!(reason, "a map query had no usable answer; odometry continues");
             }
             (Some(_), None) => tracing::info!("map queries are answered again"),
             _ => {}

@@ -14,7 +14,7 @@ use estimator::{CalibratedCamera, Estimator, EstimatorConfig, InitialState, MapM
 use evaluation::trajectory::StateRow;
 use evaluation::trajectory::states::StateReader;
 use evaluation::{RunScore, ScoreError, ScoreOptions, score_rows};
-use sensors::{Contents, Recording, Rows, SensorCalibration, SensorSource, SequenceError};
+use sensors::{Contents, Recording, Rows, SensorCalibration, SensorSource, SequenceError, check_stereo};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 use tokio::runtime::Handle;
@@ -96,6 +96,9 @@ pub fn run_robot_until<'a>(
     }
     let config = arguments.estimator_config(recording.calibration())?;
     check(arguments)?;
+    if arguments.camera_count(recording.calibration())? > 1 && recording.contents().images {
+        check_stereo(&recording.calibration().cameras, recording.frames()?)?;
+    }
     let initial = initial_state(&recording, arguments.init, &config)?;
     let mut source = recording.source()?;
     let run = play(stop, &mut source, (config, initial), arguments, link, progress)?;

@@ -1,7 +1,7 @@
 //! Progress bar and report of a run on the terminal.
 
 use super::outputs::Summary;
-use evaluation::Score;
+use evaluation::{Score, ScoreOptions};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::fmt::Write as _;
 
@@ -28,6 +28,13 @@ pub fn report(summary: &Summary) -> String {
         summary.realtime_factor,
         summary.milliseconds_per_frame.total
     );
+    if summary.skipped_frames > 0 {
+        let _ = writeln!(
+            text,
+            "{} frames were skipped: their image could not be used, or there were no IMU readings; see the log",
+            summary.skipped_frames
+        );
+    }
     if summary.map.is_some() {
         let queries = &summary.queries;
         let _ = writeln!(
@@ -64,6 +71,12 @@ pub fn report(summary: &Summary) -> String {
         if let Some(pose) = &score.pose {
             line("global_from_imu", pose);
         }
+        let _ = writeln!(
+            text,
+            "  truth interpolated; local_from_imu and odometry: all frames; the others: from {} s after the map \
+             initialization on, not aligned",
+            ScoreOptions::default().skip_after_initialization_s
+        );
         let _ = writeln!(
             text,
             "odometry alone, aligned in yaw and position: {:.4} m over {:.0} m",

@@ -12,6 +12,7 @@
 //! | [`robot`] | what a robot publishes |
 //! | [`features`] | pixels and descriptors of one image |
 //! | [`error_reply`] | why a query was not answered |
+//! | [`identity`] | which map an answer is from |
 //! | [`keys`] | key expressions and the names in them |
 //! | [`codec`] | bytes: envelope, checksum, limits, schema version |
 //! | [`validate`] | the checks on a decoded message |
@@ -39,7 +40,7 @@
 //! ```
 //! use protocol::{Format, LocalizeRequest, decode};
 //! let request: LocalizeRequest = decode(Format::Json, br#"{
-//!     "schema": 3,
+//!     "schema": 4,
 //!     "camera": {"width": 640, "height": 480, "focal": [500, 500], "centre": [319.5, 239.5], "distortion": "none"},
 //!     "features": {"pixels": [[10, 20]], "descriptors": {"kind": "binary", "width": 2, "hex": ["a0ff"]}}
 //! }"#)?;
@@ -56,6 +57,7 @@ struct Readme;
 pub mod codec;
 pub mod error_reply;
 pub mod features;
+pub mod identity;
 pub mod keys;
 pub mod limits;
 pub mod localize;
@@ -69,6 +71,7 @@ mod wire;
 pub use codec::{CodecError, Format, Message, decode, encode};
 pub use error_reply::{ErrorCode, ErrorReply};
 pub use features::{DescriptorFormat, DescriptorKind, Descriptors, FeatureSet};
+pub use identity::MapIdentity;
 pub use limits::{
     KeyframeId, LandmarkId, MAX_EXTRACTOR_BYTES, MAX_FEATURES, MAX_MESSAGE_BYTES, MAX_TEXT_BYTES,
     SCHEMA_VERSION,

@@ -9,7 +9,9 @@
 ///   change of a map (were `sigma_theta` and `sigma_p`). In JSON, `"type"` is `map_info_reply` (was `map_info`) and
 ///   `map_change_notice` (was `map_change`). The bincode payloads are those of schema 2. Covariances are checked with a
 ///   tolerance of 1e-6 (was 1e-5).
-pub const SCHEMA_VERSION: u16 = 3;
+/// * 4: answers, the info of a map, its changes and the poses of robots name the identity of the map; coordinates of positions
+///   are at most 1e7 m.
+pub const SCHEMA_VERSION: u16 = 4;
 
 /// Longest payload that is encoded or decoded, envelope included.
 ///

@@ -1,6 +1,7 @@
 //! `map/{map}/localize`: features and a camera in, its global pose out, for clients without an estimator.
 
 use crate::features::FeatureSet;
+use crate::identity::MapIdentity;
 use crate::limits::KeyframeId;
 use crate::matching::{MatchOutcome, PosePrior};
 use crate::validate::{InvalidField, Validate, require, require_not_negative, require_unit, require_valid};
@@ -39,6 +40,8 @@ impl Validate for LocalizeRequest {
 pub struct LocalizeReply {
     /// Version of the searched map.
     pub map_version: u64,
+    /// Identity of the map: other maps have versions of the same numbers.
+    pub map_identity: MapIdentity,
     /// Result of the search.
     pub outcome: MatchOutcome,
     /// The pose found.

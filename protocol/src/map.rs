@@ -2,10 +2,11 @@
 //! changes.
 
 use crate::features::{DescriptorFormat, validate_extractor};
+use crate::identity::MapIdentity;
 use crate::limits::{KeyframeId, LandmarkId};
 use crate::matching::KeyframeRecord;
 use crate::validate::{
-    InvalidField, Validate, require, require_each, require_finite, require_name, require_not_negative,
+    InvalidField, Validate, require, require_each, require_name, require_not_negative, require_position,
     require_positive, require_unit, require_valid,
 };
 use serde::{Deserialize, Serialize};
@@ -17,6 +18,8 @@ pub struct MapInfoReply {
     pub name: String,
     /// Version of the map; grows with every change.
     pub version: u64,
+    /// Identity of the map: the same for all its versions, different for different maps.
+    pub identity: MapIdentity,
     /// Schema of its database (not of this message).
     pub database_schema: u16,
     /// Number of keyframes.
@@ -65,8 +68,8 @@ pub struct Extent {
 
 impl Validate for Extent {
     fn validate(&self) -> Result<(), InvalidField> {
-        require_finite(&self.min, "min")?;
-        require_finite(&self.max, "max")?;
+        require_position(&self.min, "min")?;
+        require_position(&self.max, "max")?;
         require(self.min.iter().zip(&self.max).all(|(low, high)| low <= high), "min", "exceeds max")
     }
 }
@@ -76,6 +79,8 @@ impl Validate for Extent {
 pub struct KeyframeReply {
     /// Version of the map.
     pub map_version: u64,
+    /// Identity of the map: other maps have versions of the same numbers.
+    pub map_identity: MapIdentity,
     /// The keyframe.
     pub keyframe: KeyframeRecord,
     /// The landmarks that it observes.
@@ -105,7 +110,7 @@ pub struct KeyframeLandmark {
 
 impl Validate for KeyframeLandmark {
     fn validate(&self) -> Result<(), InvalidField> {
-        require_finite(&self.position_in_anchor, "position_in_anchor")?;
+        require_position(&self.position_in_anchor, "position_in_anchor")?;
         require(self.pixel.iter().all(|value| value.is_finite()), "pixel", "is not finite")
     }
 }
@@ -116,6 +121,8 @@ impl Validate for KeyframeLandmark {
 pub struct MapChangeNotice {
     /// Name of the map.
     pub map: String,
+    /// Identity of the map, the same before and after the change.
+    pub identity: MapIdentity,
     /// Version before the change. A robot that uses another version missed a notice and cannot use `stated_change`.
     pub from_version: u64,
     /// Version after the change.

@@ -11,10 +11,11 @@
 
 use crate::codec::{Message, malformed_json};
 use crate::features::FeatureSet;
+use crate::identity::MapIdentity;
 use crate::limits::{KeyframeId, LandmarkId};
 use crate::validate::{
     InvalidField, Validate, require, require_each, require_finite, require_name, require_not_negative,
-    require_positive, require_unit, require_valid,
+    require_position, require_positive, require_unit, require_valid,
 };
 use crate::wire;
 use geometry::camera::Camera;
@@ -78,7 +79,7 @@ impl Validate for MatchRequest {
 
 /// One part of the answer to a [`MatchRequest`].
 ///
-/// In JSON `{"schema": 3, "type": "match_reply", "keyframe": {..}}` or `{.., "done": {..}}`.
+/// In JSON `{"schema": 4, "type": "match_reply", "keyframe": {..}}` or `{.., "done": {..}}`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 #[allow(clippy::large_enum_variant)] // one value at a time, moved once
@@ -165,6 +166,8 @@ impl Validate for CrossCovarianceBlock {
 pub struct MatchedKeyframe {
     /// Version of the map.
     pub map_version: u64,
+    /// Identity of the map: other maps have versions of the same numbers.
+    pub map_identity: MapIdentity,
     /// 0 is the best match; covisible keyframes without matches of their own come last.
     pub rank: u16,
     /// The keyframe.
@@ -209,7 +212,7 @@ pub struct LandmarkMatch {
 
 impl Validate for LandmarkMatch {
     fn validate(&self) -> Result<(), InvalidField> {
-        require_finite(&self.position_in_anchor, "position_in_anchor")?;
+        require_position(&self.position_in_anchor, "position_in_anchor")?;
         require_not_negative(self.distance.into(), "distance")?;
         require_each(&self.observations, "observations", Validate::validate)
     }
@@ -254,6 +257,8 @@ pub enum MatchOutcome {
 pub struct MatchStatus {
     /// Version of the searched map.
     pub map_version: u64,
+    /// Identity of the map: other maps have versions of the same numbers.
+    pub map_identity: MapIdentity,
     /// Result of the search.
     pub outcome: MatchOutcome,
     /// Number of [`MatchReply::Keyframe`]s sent before this one: if fewer were received, some were lost.

@@ -1,5 +1,6 @@
 //! `robot/{robot}/pose`, `/odometry` and `/status`: published by robots.
 
+use crate::identity::MapIdentity;
 use crate::validate::{InvalidField, Validate, require_finite, require_name, require_short, require_valid};
 use crate::wire;
 use geometry::uncertain_pose::PoseWithCovariance;
@@ -14,6 +15,8 @@ pub struct RobotPose {
     pub map: String,
     /// Version of the map at the last map update.
     pub map_version: u64,
+    /// Identity of the map: other maps have versions of the same numbers.
+    pub map_identity: MapIdentity,
     /// The IMU in the map's frame.
     #[serde(with = "wire::PoseForm")]
     pub global_from_imu: PoseWithCovariance,

@@ -10,6 +10,7 @@ use geometry::camera::Camera;
 use geometry::covariance_check::check_covariance;
 use geometry::pose::Pose;
 use geometry::uncertain_pose::PoseWithCovariance;
+use geometry::{MAX_COORDINATE_M, is_coordinate};
 use thiserror::Error;
 
 /// How far the norm of a decoded quaternion or direction may be from 1.
@@ -58,6 +59,13 @@ pub(crate) fn require(holds: bool, field: &str, reason: &str) -> Result<(), Inva
 /// Every number is finite.
 pub(crate) fn require_finite(values: &[f64], field: &str) -> Result<(), InvalidField> {
     require(values.iter().all(|value| value.is_finite()), field, "is not finite")
+}
+
+/// Every number is a coordinate of a position, m.
+pub(crate) fn require_position(values: &[f64], field: &str) -> Result<(), InvalidField> {
+    require_finite(values, field)?;
+    let reason = format!("has a coordinate beyond {MAX_COORDINATE_M:e} m");
+    require(values.iter().copied().all(is_coordinate), field, &reason)
 }
 
 /// A direction: three finite numbers of norm 1.
@@ -116,7 +124,7 @@ impl Validate for Pose {
             "rotation",
             &format!("is not a unit quaternion (norm {norm})"),
         )?;
-        require_finite(self.translation.as_slice(), "translation")
+        require_position(self.translation.as_slice(), "translation")
     }
 }
 

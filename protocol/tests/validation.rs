@@ -156,9 +156,44 @@ fn replies_that_contradict_themselves() {
     reply.outcome = if reply.fix.is_some() { MatchOutcome::NoMatch } else { MatchOutcome::Matched };
     assert!(reply.validate().is_err());
 
-    let both = "{\"schema\":3,\"type\":\"match_reply\",\"keyframe\":null,\"done\":null}";
+    let both = "{\"schema\":4,\"type\":\"match_reply\",\"keyframe\":null,\"done\":null}";
     let error = decode::<MatchReply>(Format::Json, both.as_bytes()).unwrap_err();
     assert!(error.to_string().contains("either `keyframe` or `done`"), "{error}");
+}
+
+/// A server's answer with a position beyond the bound on coordinates is refused where it arrives.
+#[test]
+fn positions_of_answers_are_bounded() {
+    let refused = |field: &str, message: &mut serde_json::Value, pointer: &str| {
+        let place = message.pointer_mut(pointer).unwrap();
+        let sound = std::mem::replace(place, 1e300.into());
+        let bytes = message.to_string();
+        let error = match message["type"].as_str().unwrap() {
+            "match_reply" => decode::<MatchReply>(Format::Json, bytes.as_bytes()).unwrap_err(),
+            "keyframe_reply" => decode::<KeyframeReply>(Format::Json, bytes.as_bytes()).unwrap_err(),
+            "map_info_reply" => decode::<MapInfoReply>(Format::Json, bytes.as_bytes()).unwrap_err(),
+            _ => decode::<LocalizeReply>(Format::Json, bytes.as_bytes()).unwrap_err(),
+        };
+        let CodecError::Invalid { violation, .. } = &error else { panic!("{error}") };
+        assert_eq!(violation.field, field, "{error}");
+        assert!(error.to_string().contains("beyond 1e7 m"), "{error}");
+        *message.pointer_mut(pointer).unwrap() = sound;
+    };
+    let example = |name: &str| -> serde_json::Value {
+        let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/json");
+        serde_json::from_slice(&std::fs::read(folder.join(name)).unwrap()).unwrap()
+    };
+    let mut reply = example("match_reply_keyframe.json");
+    let pose = "/keyframe/keyframe/global_from_keyframe/translation/1";
+    refused("keyframe.keyframe.global_from_keyframe.translation", &mut reply, pose);
+    let landmark = "/keyframe/matches/0/position_in_anchor/2";
+    refused("keyframe.matches[0].position_in_anchor", &mut reply, landmark);
+    let mut reply = example("keyframe_reply.json");
+    refused("landmarks[1].position_in_anchor", &mut reply, "/landmarks/1/position_in_anchor/0");
+    let mut reply = example("map_info_reply.json");
+    refused("extent.max", &mut reply, "/extent/max/2");
+    let mut reply = example("localize_reply.json");
+    refused("fix.global_from_camera.translation", &mut reply, "/fix/global_from_camera/translation/0");
 }
 
 /// The receiver does not rely on the sender's checks: JSON with a covariance that is none.

@@ -64,11 +64,8 @@ impl Split {
     ) -> (Arc<LoadedMap>, BuildReport) {
         let mut sequence = self.sequence.clone();
         sequence.frames = self.map.iter().map(|&index| self.sequence.frames[index].clone()).collect();
-        let reference = |row: &sensors::TruthRow| ReferencePose {
-            stamp_ns: row.stamp_ns,
-            pose: row.pose,
-            sigma_theta_rad: 1_f64.to_radians(),
-            sigma_p_m: 0.01,
+        let reference = |row: &sensors::TruthRow| {
+            ReferencePose::isotropic(row.stamp_ns, row.pose, 1_f64.to_radians(), 0.01)
         };
         let references: Vec<ReferencePose> = sequence.groundtruth.iter().flatten().map(reference).collect();
         let mut options = BuildOptions::default();

@@ -42,62 +42,53 @@ fn a_map_that_was_acknowledged_is_whole_after_a_kill_and_answers_alike() {
     let scenario = MappedScenario::shared();
     let folder = tempfile::tempdir().unwrap();
     let (path, killed) = (folder.path().join("ring.db"), folder.path().join("killed.db"));
-    let store = store::create(&path, &scenario.map.info).unwrap();
-    let version = store.replace_all(&scenario.map).unwrap();
-    // What the disk holds while the program is still running is what a kill leaves behind.
+    let saved = store::save_map(&path, &scenario.map, false).unwrap();
+    // What the disk holds when writing is acknowledged is what a kill leaves behind.
     copy(&path, &killed);
-    let here = LoadedMap::load(store.as_ref()).unwrap();
-    drop(store);
-    let survivor = store::open(&killed).unwrap();
-    let contents = survivor.read_contents().unwrap();
-    assert_eq!(contents.info.version, version);
+    let contents = store::load_map(&killed).unwrap().whole().unwrap();
+    assert_eq!((contents.info.version, contents.info.identity), (saved.version, Some(saved.identity)));
     assert_eq!(contents.keyframes, scenario.map.keyframes);
     assert_eq!(contents.landmarks, scenario.map.landmarks);
-    let found = answers(&here, scenario);
+    let found = answers(&load_map(&path).unwrap(), scenario);
     assert!(found.iter().filter(|reply| matches!(reply, MatchReply::Keyframe(_))).count() > 100);
-    assert_eq!(found, answers(&LoadedMap::load(survivor.as_ref()).unwrap(), scenario));
-    assert_eq!(found, answers(&load_map(&path).unwrap(), scenario));
+    assert_eq!(found, answers(&LoadedMap::from_contents(contents).unwrap(), scenario));
 }
 
 #[test]
-fn a_map_that_was_exported_and_imported_answers_alike() {
+fn a_map_that_was_exported_and_imported_answers_alike_and_is_the_same_map() {
     let scenario = MappedScenario::shared();
     let folder = tempfile::tempdir().unwrap();
-    let original = store::open(scenario.database(folder.path())).unwrap();
+    let path = scenario.database(folder.path());
     let text = folder.path().join("text");
-    write_map(&text, &original.read_contents().unwrap()).unwrap();
+    write_map(&text, &store::load_map(&path).unwrap().whole().unwrap()).unwrap();
     let second = folder.path().join("second.db");
     store::save_map(&second, &read_map(&text).unwrap(), false).unwrap();
-    let imported = load_map(&second).unwrap();
-    let original = LoadedMap::load(original.as_ref()).unwrap();
+    let (original, imported) = (load_map(&path).unwrap(), load_map(&second).unwrap());
+    assert_eq!(original.identity(), imported.identity());
     assert_eq!(answers(&original, scenario), answers(&imported, scenario));
 }
 
 #[test]
-fn a_damaged_record_is_named_and_the_rest_still_localizes() {
+fn a_damaged_record_of_a_former_database_is_named_and_the_rest_still_localizes() {
     let scenario = MappedScenario::shared();
     let folder = tempfile::tempdir().unwrap();
-    let path = scenario.database(folder.path());
+    let path = folder.path().join("ring.db");
     let damaged = scenario.map.landmarks[5].id;
-    loop {
-        // A database that was just closed stays locked until sled's threads have let go of it.
-        let Ok(database) = sled::open(&path) else { continue };
-        let tree = database.open_tree("landmarks").unwrap();
-        let mut bytes = tree.get(damaged.to_be_bytes()).unwrap().unwrap().to_vec();
-        let middle = bytes.len() / 2;
-        bytes[middle] ^= 0x40;
-        tree.insert(damaged.to_be_bytes(), bytes).unwrap();
-        tree.flush().unwrap();
-        break;
-    }
-    let store = store::open(&path).unwrap();
-    let error = store.read_contents().unwrap_err();
+    let mut contents = scenario.map.clone();
+    contents.info.version = 1;
+    testing::write_former_database(&path, &contents, 2, &|table, key, bytes| {
+        if table == "landmarks" && key == damaged.to_be_bytes() {
+            let middle = bytes.len() / 2;
+            bytes[middle] ^= 0x40;
+        }
+    });
+    let map = load_map(&path).unwrap();
+    let error = store::load_map(&path).unwrap().whole().unwrap_err();
     assert!(
         matches!(&error, StoreError::Corrupt { record, .. } if *record == format!("landmark {damaged}")),
         "{error}"
     );
     assert!(error.to_string().contains("ring.db"), "{error}");
-    let map = LoadedMap::load(store.as_ref()).unwrap();
     assert_eq!(map.damaged_records(), 1);
     assert_eq!(map.landmark_count(), scenario.map.landmarks.len() - 1);
     let found = answers(&map, scenario);

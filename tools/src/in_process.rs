@@ -16,8 +16,8 @@ use tokio::runtime::Runtime;
 /// # Errors
 /// A database that cannot be opened or read; the error names it.
 pub fn load_map(database: &Path) -> Result<Arc<LoadedMap>> {
-    let store = store::open(database)?;
-    let map = LoadedMap::load(store.as_ref()).with_context(|| format!("map {}", database.display()))?;
+    let map =
+        LoadedMap::load(store::load_map(database)?).with_context(|| format!("map {}", database.display()))?;
     Ok(Arc::new(map))
 }
 

@@ -7,7 +7,7 @@ use geometry::Camera;
 use onboard::extraction::FeatureArguments;
 use protocol::{FeatureSet, LocalizeRequest};
 use sensors::feature_set;
-use sensors::{Frame, ImageData, Sequence};
+use sensors::{CalibrationFiles, Frame, ImageData, Sequence};
 use vision::GrayImage;
 
 use map::text::read_camera;
@@ -29,7 +29,7 @@ impl QueryImage {
     /// Reads an image and extracts its features.
     ///
     /// # Arguments
-    /// * `camera_file`: a `sensor.yaml` of the camera that took it.
+    /// * `camera_file`: a `sensor.yaml` of the camera that took it, or a camera chain of Kalibr, whose `cam0` took it.
     ///
     /// # Errors
     /// An image, a camera, a mask or weights that cannot be read, an image of another size than the camera's.
@@ -43,13 +43,19 @@ impl QueryImage {
     /// Reads an image of camera 0 of a recording: its `features.csv` where it has one, else the features of the image.
     ///
     /// # Arguments
+    /// * `files`: calibration of Kalibr, in place of the recording's own.
     /// * `at_s`: seconds from the first frame; the nearest frame that can be used is taken.
     ///
     /// # Errors
     /// A recording that cannot be read, that is shorter than `at_s`, or that has neither features nor images; whatever
     /// [`QueryImage::from_file`] refuses.
-    pub fn from_recording(recording: &Path, at_s: f64, arguments: &FeatureArguments) -> Result<Self> {
-        let sequence = Sequence::open(recording)?;
+    pub fn from_recording(
+        recording: &Path,
+        files: &CalibrationFiles,
+        at_s: f64,
+        arguments: &FeatureArguments,
+    ) -> Result<Self> {
+        let sequence = Sequence::open_without_readings(recording, files)?;
         let camera = sequence.cameras[0].camera.clone();
         let (frame, time_s) = nearest_frame(&sequence, at_s)?;
         let file = frame.images[0].as_ref().and_then(ImageData::path);

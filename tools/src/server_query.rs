@@ -96,7 +96,9 @@ pub fn describe(outcome: MatchOutcome) -> &'static str {
     match outcome {
         MatchOutcome::Matched => "the server matched, but gave no pose",
         MatchOutcome::NoMatch => "no keyframe looks like the image",
-        MatchOutcome::NotVerified => "some keyframes look alike, but no pose explains the matches",
+        MatchOutcome::NotVerified => {
+            "some keyframes look alike, but no pose explains the matches: is --camera the one that took the image?"
+        }
         MatchOutcome::TooFewFeatures => "the image has too few features",
         MatchOutcome::Ambiguous => "two places of the map look alike: give a prior pose",
         MatchOutcome::EmptyMap => "the map has no keyframes",

@@ -191,6 +191,7 @@ impl Holder {
         });
         let answer = MapAnswer {
             map_version: 1,
+            map_identity: 1,
             keyframes: stated.collect(),
             held_at_query: Vec::new(),
             landmarks: landmarks.collect(),

@@ -17,7 +17,7 @@
 //! A map server needs nothing but a queryable; this one lives in the client's own session:
 //! ```
 //! use client::{MapClient, SessionOptions, close_session, open_session};
-//! use protocol::{Format, MapInfoReply};
+//! use protocol::{Format, MapIdentity, MapInfoReply};
 //! use std::time::{Duration, Instant};
 //! use zenoh::Wait;
 //!
@@ -25,7 +25,8 @@
 //! # async fn main() -> Result<(), Box<dyn std::error::Error + Send + Sync>> {
 //! let session = open_session(&SessionOptions::default()).await?;
 //! let info = MapInfoReply {
-//!     name: "hall".into(), version: 4, database_schema: 3, keyframes: 212, landmarks: 9841, observations: 35120,
+//!     name: "hall".into(), version: 4, identity: MapIdentity::from_bytes([7; 16]), database_schema: 3, keyframes: 212,
+//!     landmarks: 9841, observations: 35120,
 //!     cross_covariances: 0, gravity_in_global: None, extent: None, descriptors: None, extractor: "orb-1".into(),
 //!     sigma_map_px: 1.0,
 //! };

@@ -26,7 +26,8 @@ const QUEUE_LENGTH: usize = 16;
 /// let mut changes = MapChangeSubscriber::subscribe(&session, "hall").await?;
 ///
 /// // What a map server publishes when it replaces a map:
-/// let notice = r#"{"schema": 3, "map": "hall", "from_version": 4, "version": 5, "moved": [41]}"#;
+/// let notice = r#"{"schema": 4, "map": "hall", "identity": "8f3c1e0a5b7d4926a1c04be2d97f6350",
+///     "from_version": 4, "version": 5, "moved": [41]}"#;
 /// session.put("map/hall/changes", notice).encoding(Format::Json.encoding()).await?;
 ///
 /// let notice = loop {
@@ -96,11 +97,12 @@ fn read(map: &str, format: Format, payload: &[u8]) -> Result<MapChangeNotice, No
 #[cfg(test)]
 mod tests {
     use super::*;
-    use protocol::StatedChange;
+    use protocol::{MapIdentity, StatedChange};
 
     fn notice() -> MapChangeNotice {
         MapChangeNotice {
             map: "hall".to_owned(),
+            identity: MapIdentity::from_bytes([7; 16]),
             from_version: 3,
             version: 4,
             changed: vec![1, 2, 5],

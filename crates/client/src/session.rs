@@ -9,6 +9,9 @@ use std::time::Duration;
 /// Default endpoint of servers and clients.
 pub const DEFAULT_ENDPOINT: &str = "tcp/127.0.0.1:7447";
 
+const LISTEN: &str = "the endpoint to listen on";
+const CONNECT: &str = "the endpoint to connect to";
+
 /// How long closing a session may take.
 const CLOSE_TIMEOUT: Duration = Duration::from_secs(5);
 
@@ -60,6 +63,16 @@ pub enum SessionError {
         /// Error of Zenoh.
         problem: String,
     },
+    /// An endpoint has no protocol or no port.
+    #[error("{what} {value:?} is no endpoint: write {suggestion} (protocol/address:port)")]
+    Endpoint {
+        /// What it is for.
+        what: &'static str,
+        /// As given.
+        value: String,
+        /// What was probably meant.
+        suggestion: String,
+    },
     /// Zenoh did not open the session.
     #[error(
         "the Zenoh session did not open (listening on {listen:?}): {problem}; is the port taken already?"
@@ -76,7 +89,7 @@ impl SessionOptions {
     /// The Zenoh configuration of these options.
     ///
     /// # Errors
-    /// [`SessionError::ConfigFile`], [`SessionError::Value`].
+    /// [`SessionError::ConfigFile`], [`SessionError::Endpoint`], [`SessionError::Value`].
     pub fn to_config(&self) -> Result<zenoh::Config, SessionError> {
         let mut config = match &self.config_file {
             Some(path) => zenoh::Config::from_file(path).map_err(|problem| SessionError::ConfigFile {
@@ -88,11 +101,13 @@ impl SessionOptions {
         if self.router {
             insert(&mut config, "mode", "mode", "router")?;
         }
-        if !self.listen.is_empty() {
-            insert(&mut config, "listen/endpoints", "the endpoint to listen on", &self.listen)?;
-        }
-        if !self.connect.is_empty() {
-            insert(&mut config, "connect/endpoints", "the endpoint to connect to", &self.connect)?;
+        for (key, what, endpoints) in
+            [("listen/endpoints", LISTEN, &self.listen), ("connect/endpoints", CONNECT, &self.connect)]
+        {
+            endpoints.iter().try_for_each(|endpoint| check_endpoint(what, endpoint))?;
+            if !endpoints.is_empty() {
+                insert(&mut config, key, what, endpoints)?;
+            }
         }
         if let Some(namespace) = &self.namespace {
             insert(&mut config, "namespace", "the namespace", namespace)?;
@@ -129,9 +144,30 @@ fn closed_config() -> Result<zenoh::Config, SessionError> {
     let mut config = zenoh::Config::default();
     insert(&mut config, "mode", "mode", "peer")?;
     insert(&mut config, "scouting/multicast/enabled", "multicast scouting", &false)?;
-    insert(&mut config, "listen/endpoints", "the endpoint to listen on", &Vec::<String>::new())?;
-    insert(&mut config, "connect/endpoints", "the endpoint to connect to", &Vec::<String>::new())?;
+    insert(&mut config, "listen/endpoints", LISTEN, &Vec::<String>::new())?;
+    insert(&mut config, "connect/endpoints", CONNECT, &Vec::<String>::new())?;
     Ok(config)
+}
+
+/// Checks that an endpoint is written as `protocol/address:port`; which protocols there are, Zenoh says.
+fn check_endpoint(what: &'static str, value: &str) -> Result<(), SessionError> {
+    // As in a URL, which many write first.
+    let (protocol, locator) = match value.split_once("://") {
+        Some((_, locator)) => (None, locator),
+        None => value.split_once('/').map_or((None, value), |(protocol, locator)| (Some(protocol), locator)),
+    };
+    // Metadata and configuration may follow.
+    let address = locator.split(['?', '#']).next().unwrap_or_default().trim_end_matches('/');
+    let is_port = |port: &str| port.parse::<u16>().is_ok();
+    let has_port = address.rsplit_once(':').is_some_and(|(host, port)| !host.is_empty() && is_port(port));
+    // Protocols of the local machine have paths for addresses.
+    let needs_port = !matches!(protocol, Some("unixsock-stream" | "unixpipe" | "serial"));
+    if protocol.is_some_and(|protocol| !protocol.is_empty()) && (has_port || !needs_port) {
+        return Ok(());
+    }
+    let host = if has_port { address.to_owned() } else { format!("{}:7447", address.trim_end_matches(':')) };
+    let suggestion = format!("{}/{host}", protocol.filter(|protocol| !protocol.is_empty()).unwrap_or("tcp"));
+    Err(SessionError::Endpoint { what, value: value.to_owned(), suggestion })
 }
 
 fn insert<T: serde::Serialize + ?Sized>(
@@ -143,4 +179,40 @@ fn insert<T: serde::Serialize + ?Sized>(
     let failed = |value: String, problem: String| SessionError::Value { what, value, problem };
     let json = serde_json::to_string(value).map_err(|problem| failed(String::new(), problem.to_string()))?;
     config.insert_json5(key, &json).map_err(|problem| failed(json.clone(), problem.to_string()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_endpoint_without_protocol_or_port_is_refused_with_the_corrected_one() {
+        for (given, suggestion) in [
+            ("10.0.0.1:7447", "tcp/10.0.0.1:7447"),
+            ("10.0.0.1", "tcp/10.0.0.1:7447"),
+            ("tcp/10.0.0.1", "tcp/10.0.0.1:7447"),
+            ("tcp://robot7:7448", "tcp/robot7:7448"),
+            ("http://robot7:7448/", "tcp/robot7:7448"),
+            ("/robot7:7448", "tcp/robot7:7448"),
+            ("[fe80::1]:7447", "tcp/[fe80::1]:7447"),
+            ("localhost:port", "tcp/localhost:port:7447"),
+        ] {
+            let robot = SessionOptions { connect: vec![given.to_owned()], ..SessionOptions::default() };
+            let server = SessionOptions { listen: vec![given.to_owned()], ..SessionOptions::default() };
+            for (options, what) in [(robot, "connect to"), (server, "listen on")] {
+                let error = options.to_config().unwrap_err().to_string();
+                assert!(error.contains(what) && error.contains(&format!("write {suggestion} ")), "{error}");
+                assert!(error.contains(given) && !error.contains('{'), "{error}");
+            }
+        }
+    }
+
+    #[test]
+    fn endpoints_of_zenoh_pass() {
+        for given in
+            ["tcp/127.0.0.1:7447", "tcp/[::1]:0", "tcp/host.local:7447?prio=1-3", "unixsock-stream/run/map"]
+        {
+            assert!(check_endpoint(CONNECT, given).is_ok(), "{given}");
+        }
+    }
 }

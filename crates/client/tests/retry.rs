@@ -4,7 +4,7 @@
 use client::{ClientError, MapClient, QueryTasks, SessionOptions, close_session, open_session};
 use geometry::{Camera, Distortion, Pose, PoseWithCovariance};
 use protocol::{
-    DescriptorFormat, DescriptorKind, ErrorCode, ErrorReply, FeatureSet, Format, KeyframeRecord,
+    DescriptorFormat, DescriptorKind, ErrorCode, ErrorReply, FeatureSet, Format, KeyframeRecord, MapIdentity,
     MatchOutcome, MatchReply, MatchRequest, MatchStatus, MatchedKeyframe,
 };
 use std::sync::Arc;
@@ -49,6 +49,7 @@ fn keyframe() -> MatchReply {
     };
     MatchReply::Keyframe(MatchedKeyframe {
         map_version: 3,
+        map_identity: MapIdentity::from_bytes([7; 16]),
         rank: 0,
         keyframe,
         cross_covariances: Vec::new(),
@@ -59,6 +60,7 @@ fn keyframe() -> MatchReply {
 fn status(outcome: MatchOutcome, keyframes_sent: u16) -> MatchReply {
     MatchReply::Done(MatchStatus {
         map_version: 3,
+        map_identity: MapIdentity::from_bytes([7; 16]),
         outcome,
         keyframes_sent,
         searched_keyframes: 1,

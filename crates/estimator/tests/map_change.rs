@@ -251,3 +251,25 @@ fn an_answer_of_another_map_that_is_refused_does_not_cost_the_transform() {
     assert_eq!(says(&estimator), before.1);
     assert_eq!((estimator.held_keyframes(), estimator.map_version()), (before.0.1, Some(1)));
 }
+
+#[test]
+fn answers_of_another_map_are_refused_whatever_their_version() {
+    let (world, mut estimator, mut frame) = localized();
+    assert_eq!(estimator.map_identity(), Some(1));
+    for version in [1, 2] {
+        // Beyond the time in which an announcement of a version is waited for.
+        for _ in 0..3 * estimator::map_update::map_revision::ANNOUNCEMENT_NS / FRAME_NS / 2 {
+            let clone = next(&world, &mut estimator, &mut frame);
+            let (held, pose) = (estimator.held_keyframes(), says(&estimator));
+            let shift = Pose { translation: Vector3::new(5.0, 0.0, 0.0), ..Pose::identity() };
+            let mut other = moved(world.answer(frame, frame, 4), version, &shift);
+            other.map_identity = 2;
+            let report = estimator.map_update(clone, &other).unwrap();
+            assert_eq!(report.rejection, Some(Rejection::OtherMap { answered: 2, held: 1 }));
+            assert_eq!((estimator.held_keyframes(), says(&estimator)), (held, pose));
+        }
+    }
+    let clone = next(&world, &mut estimator, &mut frame);
+    let report = estimator.map_update(clone, &world.answer(frame, frame, 20)).unwrap();
+    assert!(accepted(&report), "{report:?}");
+}

@@ -83,6 +83,7 @@ fn scene(count: usize, pixel_noise: f64) -> Scene {
         answer: MapAnswer {
             held_at_query: Vec::new(),
             map_version: 1,
+            map_identity: 1,
             keyframes,
             landmarks,
             gravity_in_global: None,

@@ -1,6 +1,7 @@
 //! Association of the poses of two trajectories by time.
 
 use crate::trajectory::StampedPose;
+use sensors::{TruthRow, TruthTrack};
 
 /// Poses of two trajectories at (nearly) the same time, by index.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -51,4 +52,38 @@ fn nearest<'a>(
         let best = candidates.filter(|other| *other < many.len()).min_by_key(difference)?;
         (difference(&best) <= max_difference_ns).then_some((index, best))
     })
+}
+
+/// The reference at the times of an estimate, interpolated between poses that are at most `max_gap_ns` apart.
+///
+/// # Returns
+/// The interpolated reference, and the pairs of its poses with those of the estimate.
+///
+/// ```
+/// use evaluation::trajectory::StampedPose;
+/// use evaluation::{Pair, interpolate_reference};
+/// use geometry::Pose;
+/// use nalgebra::{UnitQuaternion, Vector3};
+///
+/// let at = |stamp_ns, x| {
+///     StampedPose { stamp_ns, pose: Pose::new(UnitQuaternion::identity(), Vector3::x() * x) }
+/// };
+/// let (reference, pairs) = interpolate_reference(&[at(0, 1.0), at(100, 3.0)], &[at(-10, 0.0), at(25, 0.0)], 200);
+/// assert_eq!(reference, [at(25, 1.5)]);
+/// assert_eq!(pairs, [Pair { reference: 0, estimate: 1 }]);
+/// ```
+pub fn interpolate_reference(
+    reference: &[StampedPose],
+    estimate: &[StampedPose],
+    max_gap_ns: i64,
+) -> (Vec<StampedPose>, Vec<Pair>) {
+    let rows: Vec<TruthRow> = reference.iter().map(|row| TruthRow::of_pose(row.stamp_ns, row.pose)).collect();
+    let track = TruthTrack::new(&rows);
+    let (mut interpolated, mut pairs) = (Vec::new(), Vec::new());
+    for (index, row) in estimate.iter().enumerate() {
+        let Some(pose) = track.pose(row.stamp_ns, max_gap_ns) else { continue };
+        pairs.push(Pair { reference: interpolated.len(), estimate: index });
+        interpolated.push(StampedPose { stamp_ns: row.stamp_ns, pose });
+    }
+    (interpolated, pairs)
 }

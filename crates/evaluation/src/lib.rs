@@ -65,12 +65,12 @@ mod tests;
 
 pub use absolute::{PoseErrors, absolute_errors};
 pub use alignment::{Alignment, AlignmentError, align};
-pub use association::{Pair, associate};
+pub use association::{Pair, associate, interpolate_reference};
 pub use consistency::{Nees, NeesSum, nees, nees_bounds};
 pub use ensemble::{EnsembleNees, NeesSeries, TimePoint, Verdict};
 pub use relative::{Delta, relative_errors};
 pub use run::{
-    ErrorSample, RunErrors, RunScore, Score, ScoreError, ScoreOptions, run_errors, run_errors_in, score_rows,
-    score_run,
+    ErrorSample, MAX_TRUTH_GAP_NS, RunErrors, RunScore, Score, ScoreError, ScoreOptions, run_errors,
+    run_errors_in, score_rows, score_run,
 };
 pub use statistics::Statistics;

@@ -19,7 +19,7 @@ use serde::Serialize;
 use thiserror::Error;
 
 /// Truth is interpolated between rows that are at most so far apart.
-const MAX_TRUTH_GAP_NS: i64 = 250_000_000;
+pub const MAX_TRUTH_GAP_NS: i64 = 250_000_000;
 
 /// Which part of a run is scored.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -19,6 +19,7 @@
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 pub mod camera;
+pub mod coordinate;
 pub mod covariance_check;
 pub mod numeric;
 pub mod pnp;
@@ -29,6 +30,7 @@ pub mod triangulation;
 pub mod uncertain_pose;
 
 pub use camera::{Camera, CameraError, Distortion, IntrinsicsJacobian, MAX_INTRINSICS, ProjectionError};
+pub use coordinate::{MAX_COORDINATE_M, is_coordinate};
 pub use pnp::{Correspondence, Gravity, PnpError, PnpSolution, RansacOptions};
 pub use pose::Pose;
 pub use rotation::Rotation;

@@ -89,6 +89,28 @@ impl PoseWithCovariance {
         Some(error.dot(&information_times_error))
     }
 
+    /// Standard deviation of the rotation per axis (rad): the root mean square over the three axes.
+    ///
+    /// ```
+    /// use geometry::uncertain_pose::isotropic_covariance;
+    /// use geometry::{Pose, PoseWithCovariance};
+    ///
+    /// let pose = PoseWithCovariance::new(Pose::identity(), isotropic_covariance(0.01, 0.1));
+    /// assert!((pose.sigma_theta_rad() - 0.01).abs() < 1e-12 && (pose.sigma_p_m() - 0.1).abs() < 1e-12);
+    /// ```
+    pub fn sigma_theta_rad(&self) -> f64 {
+        self.sigma_per_axis(0)
+    }
+
+    /// Standard deviation of the position per axis (m): the root mean square over the three axes.
+    pub fn sigma_p_m(&self) -> f64 {
+        self.sigma_per_axis(3)
+    }
+
+    fn sigma_per_axis(&self, first: usize) -> f64 {
+        (self.covariance.diagonal().fixed_rows::<3>(first).sum() / 3.0).max(0.0).sqrt()
+    }
+
     /// Whether the pose is finite with a quaternion of unit length, and the covariance passes [`check_covariance`]. For
     /// decoded data.
     pub fn is_plausible(&self) -> bool {

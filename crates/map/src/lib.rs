@@ -1,7 +1,7 @@
 //! Keyframe maps: their elements, their invariants, and how they are stored.
 //!
 //! A map holds camera poses with covariances and cross-covariances, and landmarks that are anchored in them. Programs
-//! build it with the crate `mapping`, store it with [`store::save_map`], open it with [`store::open`], and search it with
+//! build it with the crate `mapping`, store it with [`store::save_map`], read it with [`store::load_map`], and search it with
 //! the crate `recognition`.
 //!
 //! | module | what |
@@ -19,4 +19,4 @@ pub mod text;
 
 pub use contents::{ContentsError, MapContents};
 pub use model::{Keyframe, KeyframeCrossCovariance, Landmark, MapMetadata, Observation};
-pub use store::{MapStore, RecordError, Records, STORE_SCHEMA, StoreError};
+pub use store::{MapStore, RecordError, STORE_SCHEMA, SavedMap, StoreError, StoredMap};

@@ -8,7 +8,7 @@
 use geometry::camera::Camera;
 use geometry::uncertain_pose::PoseWithCovariance;
 use nalgebra::{Matrix6, Vector3};
-use protocol::{DescriptorKind, FeatureSet, KeyframeId, LandmarkId};
+use protocol::{DescriptorKind, FeatureSet, KeyframeId, LandmarkId, MapIdentity};
 
 /// Standard deviation of a map pixel (px) where the builder of a map states no other: features are located to about a
 /// pixel.
@@ -23,6 +23,10 @@ pub struct MapMetadata {
     pub created_by: String,
     /// Grows by one with every change. A store sets it; the value given to a store is not used.
     pub version: u64,
+    /// The same for all versions of a map, and different for different maps. A store sets it to the
+    /// [digest](crate::MapContents::digest) of the first version; the value given to a store is not used. `None`: the map
+    /// was never stored.
+    pub identity: Option<MapIdentity>,
     /// Unit vector of the direction in which gravity points (downwards), in G. `None`: not known.
     pub gravity_in_global: Option<Vector3<f64>>,
     /// The kind of all descriptors of the map.
@@ -36,7 +40,7 @@ pub struct MapMetadata {
 }
 
 impl MapMetadata {
-    /// Info of a new map: version 0, gravity and extractor unknown, [`DEFAULT_SIGMA_PX`].
+    /// Info of a new map: version 0, no identity, gravity and extractor unknown, [`DEFAULT_SIGMA_PX`].
     ///
     /// # Arguments
     /// * `descriptor_width`: bytes in one descriptor.
@@ -50,6 +54,7 @@ impl MapMetadata {
             name: name.into(),
             created_by: created_by.into(),
             version: 0,
+            identity: None,
             gravity_in_global: None,
             descriptor_kind,
             descriptor_width,

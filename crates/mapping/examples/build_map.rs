@@ -33,8 +33,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
 
     let folder = tempfile::tempdir()?;
     let path = folder.path().join("street.db");
-    let version = map::store::save_map(&path, &contents, false)?;
-    let stored = map::store::open(&path)?.read_contents()?;
+    let version = map::store::save_map(&path, &contents, false)?.version;
+    let stored = map::store::load_map(&path)?.whole()?;
     println!("{}: version {version}, {} keyframes", path.display(), stored.keyframes.len());
     Ok(())
 }

@@ -103,14 +103,9 @@ pub(super) fn fill_report(
     contents: &MapContents,
 ) {
     report.cross_covariances = contents.cross_covariances.len();
-    let sigma = |first: usize| {
-        let trace = move |covariance: &Matrix6<f64>| covariance.diagonal().fixed_rows::<3>(first).sum();
-        Spread::of(
-            contents.keyframes.iter().map(|keyframe| trace(&keyframe.global_from_keyframe.covariance).sqrt()),
-        )
-    };
-    report.sigma_pose_m = sigma(3);
-    report.sigma_pose_deg = sigma(0).scaled(1_f64.to_degrees());
+    let poses = || contents.keyframes.iter().map(|keyframe| &keyframe.global_from_keyframe);
+    report.sigma_pose_m = Spread::of(poses().map(PoseWithCovariance::sigma_p_m));
+    report.sigma_pose_deg = Spread::of(poses().map(|pose| pose.sigma_theta_rad().to_degrees()));
     report.landmarks = contents.landmarks.len();
     report.observations = contents.observation_count();
     let longest = contents.landmarks.iter().map(|landmark| landmark.observations.len()).max().unwrap_or(1);

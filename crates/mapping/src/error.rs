@@ -37,6 +37,22 @@ pub enum BuildError {
         /// The recording.
         sequence: String,
     },
+    /// An image has another size than its camera.
+    #[error(
+        "{image} has {} x {} pixels, but the calibration of cam{camera} is for {} x {}: give the calibration of these \
+         images, or scale resolution and intrinsics with them",
+        size.0, size.1, calibrated.0, calibrated.1
+    )]
+    ImageSize {
+        /// The file.
+        image: String,
+        /// Its columns and rows.
+        size: (usize, usize),
+        /// Columns and rows by the calibration.
+        calibrated: (usize, usize),
+        /// The camera, 0 or 1.
+        camera: usize,
+    },
     /// The extractor failed.
     #[error("{image}: {source}")]
     Extraction {

@@ -2,6 +2,7 @@
 
 use std::borrow::Cow;
 
+use geometry::camera::Camera;
 use nalgebra::Vector2;
 use protocol::FeatureSet;
 use sensors::{Frame, ImageData, Sequence};
@@ -78,25 +79,38 @@ impl<'e, 'r> FeatureSource<'e, 'r> {
             let recorded = |features| FrameFeatures { features: Cow::Borrowed(features), stereo: Vec::new() };
             return Ok(frame.features.as_ref().map(recorded));
         };
-        let mut extract = |file: &ImageData, mask: Option<&GrayImage>| match file.read() {
-            Ok(image) => extraction
-                .extractor
-                .extract(&image, mask, extraction.max_features)
-                .map(Some)
-                .map_err(|source| BuildError::Extraction { image: file.to_string(), source }),
+        let mut extract = |index: usize, file: &ImageData, mask: Option<&GrayImage>| match file.read() {
+            Ok(image) => {
+                check_size(index, file, &image, &self.cameras[index].camera)?;
+                extraction
+                    .extractor
+                    .extract(&image, mask, extraction.max_features)
+                    .map(Some)
+                    .map_err(|source| BuildError::Extraction { image: file.to_string(), source })
+            }
             Err(error) => {
                 self.unreadable.push(error.to_string());
                 Ok(None)
             }
         };
         let Some(file) = &frame.images[0] else { return Ok(None) };
-        let Some(first) = extract(file, extraction.mask)? else { return Ok(None) };
+        let Some(first) = extract(0, file, extraction.mask)? else { return Ok(None) };
         let stereo = match (&frame.images[1], self.cameras.get(1)) {
-            (Some(file), Some(_)) if extraction.stereo => extract(file, None)?
+            (Some(file), Some(_)) if extraction.stereo => extract(1, file, None)?
                 .map_or_else(Vec::new, |second| match_stereo(self.cameras, &first, &second)),
             _ => Vec::new(),
         };
         let features = Cow::Owned(feature_set(extraction.extractor.name(), first));
         Ok(Some(FrameFeatures { features, stereo }))
     }
+}
+
+/// Checks that an image has the size of its camera.
+fn check_size(index: usize, file: &ImageData, image: &GrayImage, camera: &Camera) -> Result<(), BuildError> {
+    let size = (image.width(), image.height());
+    let calibrated = (camera.width as usize, camera.height as usize);
+    if size == calibrated {
+        return Ok(());
+    }
+    Err(BuildError::ImageSize { image: file.to_string(), size, calibrated, camera: index })
 }

@@ -18,8 +18,10 @@ impl ReferencePoses {
         ReferencePoses { poses }
     }
 
-    /// The pose at a time, interpolated where it lies between two given ones at most 0.11 s apart; its sigmas are the
-    /// larger ones of the two.
+    /// The pose at a time, interpolated where it lies between two given ones at most 0.11 s apart.
+    ///
+    /// The error of the interpolated pose is `(1 - f) e_a + f e_b`; whatever the correlation of the two, its covariance
+    /// is at most `(1 - f) P_a + f P_b`, which is taken.
     pub(super) fn at(&self, stamp_ns: i64) -> Option<ReferencePose> {
         let next = self.poses.partition_point(|pose| pose.stamp_ns < stamp_ns);
         let after = self.poses.get(next)?;
@@ -35,8 +37,7 @@ impl ReferencePoses {
         Some(ReferencePose {
             stamp_ns,
             pose: before.pose.interpolate(&after.pose, fraction),
-            sigma_theta_rad: before.sigma_theta_rad.max(after.sigma_theta_rad),
-            sigma_p_m: before.sigma_p_m.max(after.sigma_p_m),
+            covariance: before.covariance * (1.0 - fraction) + after.covariance * fraction,
         })
     }
 }

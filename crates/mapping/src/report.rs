@@ -25,11 +25,6 @@ impl Spread {
         let at = |part: f64| values[((values.len() - 1) as f64 * part).round() as usize];
         Spread { mean: values.iter().sum::<f64>() / values.len() as f64, median: at(0.5), p95: at(0.95) }
     }
-
-    /// The spread of the values times a factor.
-    pub(super) fn scaled(self, factor: f64) -> Spread {
-        Spread { mean: self.mean * factor, median: self.median * factor, p95: self.p95 * factor }
-    }
 }
 
 /// Statistics of a run of [`super::build_map`].
@@ -62,9 +57,9 @@ pub struct BuildReport {
     pub reprojection_px: Spread,
     /// Reprojection errors with the reference poses (px).
     pub reprojection_through_given_px: Spread,
-    /// Standard deviation of the stated rotations (deg, root of the sum over three axes).
+    /// Standard deviation of the stated rotations per axis (deg, root mean square over the three).
     pub sigma_pose_deg: Spread,
-    /// Standard deviation of the stated positions (m, root of the sum over three axes).
+    /// Standard deviation of the stated positions per axis (m, root mean square over the three).
     pub sigma_pose_m: Spread,
     /// Pairs of keyframes with a cross-covariance.
     pub cross_covariances: usize,

@@ -18,9 +18,11 @@ use sensors::{CameraSensor, Frame, ReferencePose, Sequence};
 use super::block_matrix::BlockMatrix;
 use super::camera::{CameraPose, MappingCamera};
 use super::joint_covariance::joint_covariance;
+use super::keyframe_selection::stated_covariance;
 use super::landmark::{InverseDepthLandmark, LandmarkObservation};
 use super::matching::FeatureMatch;
 use super::normal_equations::{LandmarkBlocks, NormalEquations};
+use super::reference_poses::ReferencePoses;
 use super::{BuildOptions, BuildReport, Spread, StoredPoses, build_map, tracks};
 
 fn normal(rng: &mut StdRng) -> f64 {
@@ -111,12 +113,8 @@ fn world(seed: u64, pose_noise: f64, pixel_noise: f64) -> World {
         world.sequence.frames.push(Frame { stamp_ns, features: Some(features), ..Frame::default() });
         let sigmas = [SIGMA_THETA, SIGMA_P];
         let error = Vector6::from_fn(|row, _| normal(&mut rng) * sigmas[row / 3] * pose_noise);
-        world.references.push(ReferencePose {
-            stamp_ns,
-            pose: (global_from_camera * imu_from_camera.inverse()).retract(&error),
-            sigma_theta_rad: SIGMA_THETA,
-            sigma_p_m: SIGMA_P,
-        });
+        let pose = (global_from_camera * imu_from_camera.inverse()).retract(&error);
+        world.references.push(ReferencePose::isotropic(stamp_ns, pose, SIGMA_THETA, SIGMA_P));
         world.truth.push(global_from_camera);
         world.labels.push(labels);
     }
@@ -184,7 +182,10 @@ fn refining_poses_finds_landmarks_that_noisy_poses_hide() {
 fn given_poses_are_stated_with_their_covariance_where_that_is_asked_for() {
     let world = world(3, 1.0, 1.0);
     let options = BuildOptions { stored_poses: StoredPoses::Given, ..BuildOptions::default() };
-    let (contents, _) = build(&world, &options);
+    let (contents, report) = build(&world, &options);
+    // The sigmas of the report are per axis, as those that were given; a rotation's is the same in the camera.
+    assert!((report.sigma_pose_deg.median.to_radians() - SIGMA_THETA).abs() < 1e-9, "{report:?}");
+    assert!(report.sigma_pose_m.median < 1.5 * SIGMA_P, "{report:?}");
     let imu_from_camera = world.sequence.cameras[0].imu_from_camera;
     assert_eq!(contents.keyframes.len(), world.references.len());
     for (keyframe, reference) in contents.keyframes.iter().zip(&world.references) {
@@ -261,6 +262,21 @@ fn exact_poses_are_possible() {
         BuildOptions { sigma_theta_rad: Some(0.0), sigma_p_m: Some(0.0), ..BuildOptions::default() };
     let (contents, report) = build(&world, &options);
     assert!(report.pose_correction_m.p95 < 1e-3 && !contents.landmarks.is_empty());
+}
+
+#[test]
+fn a_pose_between_two_is_at_most_as_certain_as_both_and_a_sigma_replaces_its_block() {
+    let wide = Matrix6::from_diagonal(&Vector6::new(1e-4, 2e-4, 3e-4, 0.04, 0.05, 0.06));
+    let mut narrow = wide * 0.5;
+    (narrow[(0, 4)], narrow[(4, 0)]) = (1e-4, 1e-4);
+    let at = |stamp_ns, covariance| ReferencePose { stamp_ns, pose: Pose::identity(), covariance };
+    let poses = ReferencePoses::new(&[at(0, wide), at(100, narrow)]);
+    assert_eq!(poses.at(100).unwrap().covariance, narrow);
+    assert!((poses.at(25).unwrap().covariance - (wide * 0.75 + narrow * 0.25)).amax() < 1e-15);
+    let options = BuildOptions { sigma_p_m: Some(0.2), ..BuildOptions::default() };
+    let stated = stated_covariance(&narrow, &options);
+    assert_eq!(stated.fixed_view::<3, 3>(0, 0), narrow.fixed_view::<3, 3>(0, 0));
+    assert_eq!((stated[(4, 4)], stated[(0, 4)], stated[(4, 0)]), (0.2 * 0.2, 0.0, 0.0));
 }
 
 #[test]

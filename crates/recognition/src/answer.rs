@@ -48,6 +48,7 @@ pub(crate) fn matched_keyframes(
             verified.get(rank).map(|verified| landmark_matches(map, verified, &sent, &held, &mut taken));
         MatchedKeyframe {
             map_version: map.info.version,
+            map_identity: map.identity,
             rank: rank as u16,
             keyframe: record(&map.keyframes[keyframe]),
             cross_covariances: cross_covariances(map, keyframe, &sent[..rank], &held),

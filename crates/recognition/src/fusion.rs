@@ -37,6 +37,10 @@ const MEDIAN_OF_RAYLEIGH: f64 = 1.1774;
 const GATE_SIGMAS: f64 = 4.0;
 /// Residual, in standard deviations, at which Geman and McClure's weight has fallen to a quarter.
 const SOFT_SIGMAS: f64 = 3.0;
+/// Focal lengths may be off by this part: landmarks of coarse maps are off by as much of their distance.
+const MAX_FOCAL_ERROR: f64 = 0.05;
+/// ... and by so many standard deviations of the estimate.
+const FOCAL_SIGMAS: f64 = 6.0;
 /// Lower bound of the residuals' scale, as a part of the stated pixel noise: few residuals can be small by chance.
 const MIN_SCALE: f64 = 0.5;
 
@@ -49,6 +53,25 @@ pub(crate) struct FusedPose {
     pub(crate) matched: usize,
     /// Mean reprojection error of the matches within the gate (px).
     pub(crate) mean_error_px: f64,
+    /// How much longer the focal length is by the matches than by the camera.
+    pub(crate) focal_error: Option<FocalError>,
+}
+
+/// The relative error of a focal length, from the residuals of a pose.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct FocalError {
+    /// The focal length that fits the residuals best, over that of the camera, minus one.
+    pub(crate) relative: f64,
+    /// Its standard deviation.
+    pub(crate) sigma: f64,
+}
+
+impl FocalError {
+    /// Whether the camera cannot be the one that took the image. A wrong focal length moves the pose by decimetres and
+    /// leaves small residuals, so the covariance of the pose says nothing of it.
+    pub(crate) fn contradicts_camera(&self) -> bool {
+        self.relative.abs() > MAX_FOCAL_ERROR && self.relative.abs() > FOCAL_SIGMAS * self.sigma
+    }
 }
 
 /// Fuses the verified keyframes of one place; `None` where that fails; then the pose of the best
@@ -91,6 +114,7 @@ pub(crate) fn fuse(
     if normal.inliers < options.min_inliers {
         return None;
     }
+    let focal_error = normal.focal_error();
     let covariance: Matrix6<f64> =
         normal.information.cholesky()?.inverse().fixed_view::<6, 6>(0, 0).into_owned();
     let covariance = (covariance + covariance.transpose()) * 0.5;
@@ -101,6 +125,7 @@ pub(crate) fn fuse(
         inliers: normal.inliers,
         matched: normal.matched,
         mean_error_px: normal.mean_error_px,
+        focal_error,
     })
 }
 
@@ -160,6 +185,30 @@ struct NormalEquations {
     inliers: usize,
     matched: usize,
     mean_error_px: f64,
+    focal: FocalSums,
+}
+
+/// Sums over the weighted derivatives by the logarithm of the focal length.
+struct FocalSums {
+    information: f64,
+    gradient: f64,
+    /// With the pose and `x`.
+    coupling: DVector<f64>,
+}
+
+impl NormalEquations {
+    /// The error of the focal length, estimated together with the pose and the keyframes' errors; `None` where the
+    /// matches do not determine it.
+    fn focal_error(&self) -> Option<FocalError> {
+        let cholesky = self.information.clone().cholesky()?;
+        let by_coupling = cholesky.solve(&self.focal.coupling);
+        let information = self.focal.information - self.focal.coupling.dot(&by_coupling);
+        if information <= 0.0 {
+            return None;
+        }
+        let relative = (self.focal.gradient - by_coupling.dot(&self.gradient)) / information;
+        Some(FocalError { relative, sigma: information.sqrt().recip() })
+    }
 }
 
 /// A match at one state.
@@ -170,6 +219,8 @@ struct MatchResidual {
     length: f64,
     by_camera: SMatrix<f64, 2, 6>,
     by_keyframe: SMatrix<f64, 2, 6>,
+    /// By the logarithm of the focal length (px).
+    by_focal: Vector2<f64>,
 }
 
 impl Problem<'_> {
@@ -197,6 +248,7 @@ impl Problem<'_> {
                     length: error.norm(),
                     by_camera: by_point * by_pose,
                     by_keyframe: by_point * by_global * by_error,
+                    by_focal: pixel - Vector2::from(self.image.camera.centre),
                 });
             }
         }
@@ -227,6 +279,9 @@ impl Problem<'_> {
         let mut camera_gradient = Vector6::zeros();
         // Of each keyframe: its own block, its block with the camera, its gradient.
         let mut blocks = vec![(Matrix6::zeros(), Matrix6::zeros(), Vector6::zeros()); count];
+        let (mut focal_information, mut focal_gradient) = (0.0, 0.0);
+        let mut focal_with_camera = Vector6::zeros();
+        let mut focal_with_keyframes = DVector::<f64>::zeros(6 * count);
         for residual in residuals.iter().filter(|residual| residual.length <= state.gate) {
             let softness = 1.0 + (residual.length / (SOFT_SIGMAS * scale)).powi(2);
             let weight = 1.0 / (softness.powi(2) * f64::from(pairs[residual.feature].1) * sigma.powi(2));
@@ -236,7 +291,16 @@ impl Problem<'_> {
             *own += residual.by_keyframe.tr_mul(&residual.by_keyframe) * weight;
             *with_camera += residual.by_camera.tr_mul(&residual.by_keyframe) * weight;
             *gradient += residual.by_keyframe.tr_mul(&residual.error) * weight;
+            focal_information += residual.by_focal.norm_squared() * weight;
+            focal_gradient += residual.by_focal.dot(&residual.error) * weight;
+            focal_with_camera += residual.by_camera.tr_mul(&residual.by_focal) * weight;
+            let mut with_keyframe = focal_with_keyframes.fixed_rows_mut::<6>(6 * residual.keyframe);
+            with_keyframe += residual.by_keyframe.tr_mul(&residual.by_focal) * weight;
         }
+        let mut coupling = DVector::<f64>::zeros(6 + 6 * count);
+        coupling.fixed_rows_mut::<6>(0).copy_from(&focal_with_camera);
+        coupling.rows_mut(6, 6 * count).copy_from(&self.root.tr_mul(&focal_with_keyframes));
+        let focal = FocalSums { information: focal_information, gradient: focal_gradient, coupling };
 
         let size = 6 * count;
         let mut own = DMatrix::<f64>::zeros(size, size);
@@ -249,9 +313,9 @@ impl Problem<'_> {
         }
         let mut information = DMatrix::<f64>::identity(6 + size, 6 + size);
         information.fixed_view_mut::<6, 6>(0, 0).copy_from(&camera);
-        let coupling = &with_camera * &self.root;
-        information.view_mut((0, 6), (6, size)).copy_from(&coupling);
-        information.view_mut((6, 0), (size, 6)).copy_from(&coupling.transpose());
+        let whitened_with_camera = &with_camera * &self.root;
+        information.view_mut((0, 6), (6, size)).copy_from(&whitened_with_camera);
+        information.view_mut((6, 0), (size, 6)).copy_from(&whitened_with_camera.transpose());
         let mut whitened = information.view_mut((6, 6), (size, size));
         whitened += self.root.tr_mul(&(own * &self.root));
         let mut whole_gradient = DVector::<f64>::zeros(6 + size);
@@ -266,6 +330,7 @@ impl Problem<'_> {
             inliers: pairs.iter().filter(|pair| pair.1 > 0).count(),
             matched: pairs.iter().filter(|pair| pair.0).count(),
             mean_error_px,
+            focal,
         })
     }
 

@@ -3,14 +3,14 @@
 use std::collections::HashMap;
 
 use nalgebra::Matrix6;
-use protocol::KeyframeId;
+use protocol::{KeyframeId, MapIdentity};
 use vision::{DescriptorError, DescriptorView, Metric};
 
 use super::elements::{LoadedKeyframe, LoadedLandmark, ObservedLandmark, point_in_keyframe};
 use super::index::{LandmarkIndex, LandmarkIndexBuilder};
 use map::contents::{ContentsError, MapContents};
 use map::model::{Keyframe, Landmark, MapMetadata};
-use map::store::{MapStore, StoreError};
+use map::store::StoredMap;
 
 /// A map in memory, indexed for queries. It is immutable: a new version of the map is a new `LoadedMap`.
 ///
@@ -27,6 +27,7 @@ use map::store::{MapStore, StoreError};
 /// ```
 pub struct LoadedMap {
     pub(crate) info: MapMetadata,
+    pub(crate) identity: MapIdentity,
     pub(crate) keyframes: Vec<LoadedKeyframe>,
     pub(crate) landmarks: Vec<LoadedLandmark>,
     indices: HashMap<KeyframeId, usize>,
@@ -41,9 +42,6 @@ pub struct LoadedMap {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum LoadError {
-    /// The store failed.
-    #[error(transparent)]
-    Store(#[from] StoreError),
     /// The map violates an invariant of maps.
     #[error("the map is invalid: {0}")]
     Invalid(#[from] ContentsError),
@@ -53,17 +51,17 @@ pub enum LoadError {
 }
 
 impl LoadedMap {
-    /// Reads and indexes a map. Damaged records are logged and left out: a robot can still localize with the rest.
+    /// Indexes a map that was read from a database. Damaged records are logged and left out: a robot can still localize
+    /// with the rest.
     ///
     /// # Errors
-    /// [`LoadError`] where the info of the map is unreadable or what can be read is not a map.
-    pub fn load(store: &dyn MapStore) -> Result<LoadedMap, LoadError> {
-        let (contents, errors) = store.read_readable()?;
-        for error in &errors {
+    /// [`LoadError`] where what could be read is not a map.
+    pub fn load(stored: StoredMap) -> Result<LoadedMap, LoadError> {
+        for error in &stored.damaged {
             tracing::error!("{error}; it is left out");
         }
-        let mut map = LoadedMap::from_contents(contents)?;
-        map.damaged = errors.len();
+        let mut map = LoadedMap::from_contents(stored.contents)?;
+        map.damaged = stored.damaged.len();
         Ok(map)
     }
 
@@ -74,6 +72,7 @@ impl LoadedMap {
     pub fn from_contents(mut contents: MapContents) -> Result<LoadedMap, LoadError> {
         contents.validate()?;
         contents.sort();
+        let identity = contents.info.identity.unwrap_or_else(|| contents.digest());
         let MapContents { info, keyframes, landmarks, cross_covariances } = contents;
         let indices: HashMap<_, _> =
             keyframes.iter().enumerate().map(|(at, keyframe)| (keyframe.id, at)).collect();
@@ -87,7 +86,8 @@ impl LoadedMap {
         let mut map = LoadedMap {
             index: LandmarkIndexBuilder::new(info.descriptor_kind, usize::from(info.descriptor_width))
                 .build()?,
-            info,
+            info: MapMetadata { identity: Some(identity), ..info },
+            identity,
             keyframes: keyframes.collect(),
             landmarks: Vec::with_capacity(landmarks.len()),
             indices,
@@ -142,6 +142,12 @@ impl LoadedMap {
     /// The map as a whole.
     pub fn info(&self) -> &MapMetadata {
         &self.info
+    }
+
+    /// The identity of the map, the same for all its versions: that of its info, or where that has none the
+    /// [digest](MapContents::digest) of the map.
+    pub fn identity(&self) -> MapIdentity {
+        self.identity
     }
 
     /// Number of keyframes.

@@ -13,7 +13,7 @@ use vision::{DescriptorError, DescriptorView};
 
 use super::answer::{matched_keyframes, record};
 use super::consensus::{Consensus, find_consensus};
-use super::fusion::{FusedPose, fuse};
+use super::fusion::{FocalError, FusedPose, fuse};
 use super::index::best_voted;
 use super::loaded_map::LoadedMap;
 use super::options::RecognitionOptions;
@@ -84,6 +84,7 @@ impl LoadedMap {
         };
         let status = MatchStatus {
             map_version: self.info.version,
+            map_identity: self.identity,
             outcome: search.outcome,
             keyframes_sent: keyframes.len() as u16,
             searched_keyframes: search.searched_keyframes as u32,
@@ -99,7 +100,8 @@ impl LoadedMap {
     /// Answers a one-shot localization query.
     ///
     /// The pose is estimated from all verified keyframes of the place together. Its covariance contains the pixel noise,
-    /// the scatter of the landmarks and the uncertainty of the keyframes.
+    /// the scatter of the landmarks and the uncertainty of the keyframes. Where the matches show that the camera's focal
+    /// length is wrong by more than 5 %, no pose is given.
     ///
     /// # Errors
     /// [`QueryError`] where the query cannot be compared with the map.
@@ -116,14 +118,28 @@ impl LoadedMap {
                 let descriptors = self.view(&request.features)?;
                 let (camera, features) = (&request.camera, &request.features);
                 let image = Image { camera, features, descriptors, gravity_in_camera: gravity };
-                Some(self.localized(best, fuse(self, &search.place, &image, options)))
+                let fused = fuse(self, &search.place, &image, options);
+                let contradiction = fused.as_ref().and_then(|fused| fused.focal_error);
+                if let Some(error) = contradiction.filter(FocalError::contradicts_camera) {
+                    tracing::warn!(
+                        "the matches contradict the camera: they fit a focal length {:+.0} % ({:.0} px instead of \
+                         {:.0} px); no pose is given, since it would be wrong by far more than its covariance: give the \
+                         camera that took the image",
+                        100.0 * error.relative,
+                        camera.focal[0] * (1.0 + error.relative),
+                        camera.focal[0]
+                    );
+                    let outcome = MatchOutcome::NotVerified;
+                    return Ok(LocalizeReply { map_version: self.info.version, outcome, fix: None });
+                }
+                Some(self.localized(best, fused))
             }
             None => None,
         };
         let fix = fix.filter(|fix| fix.inliers as usize >= options.min_fix_inliers);
         let unverified = search.outcome == MatchOutcome::Matched && fix.is_none();
         let outcome = if unverified { MatchOutcome::NotVerified } else { search.outcome };
-        Ok(LocalizeReply { map_version: self.info.version, outcome, fix })
+        Ok(LocalizeReply { map_version: self.info.version, map_identity: self.identity, outcome, fix })
     }
 
     /// The fused pose, or that of the best keyframe where fusion failed.
@@ -133,6 +149,7 @@ impl LoadedMap {
             inliers: best.inliers.len(),
             matched: best.matches.len(),
             mean_error_px: best.mean_error_px,
+            focal_error: None,
         });
         LocalizedPose {
             global_from_camera: fused.global_from_camera,
@@ -169,7 +186,8 @@ impl LoadedMap {
             }
         });
         let landmarks = landmarks.collect();
-        Some(KeyframeReply { map_version: self.info.version, keyframe: record(loaded), landmarks })
+        let (map_version, map_identity) = (self.info.version, self.identity);
+        Some(KeyframeReply { map_version, map_identity, keyframe: record(loaded), landmarks })
     }
 
     /// Describes the map under the name by which it is served.
@@ -183,6 +201,7 @@ impl LoadedMap {
         MapInfoReply {
             name: name.to_owned(),
             version: self.info.version,
+            identity: self.identity,
             database_schema: STORE_SCHEMA,
             keyframes: self.keyframe_count() as u64,
             landmarks: self.landmark_count() as u64,

@@ -450,7 +450,7 @@ fn a_map_that_is_damaged_in_places_is_still_served() {
     tree.insert(place.map.keyframes[5].id.to_be_bytes(), b"damaged".as_slice()).unwrap();
     drop((tree, database));
 
-    let map = LoadedMap::load(store::open(&path).unwrap().as_ref()).unwrap();
+    let map = LoadedMap::load(store::load_map(&path).unwrap()).unwrap();
     assert_eq!((map.damaged_records(), map.keyframe_count()), (1, place.map.keyframes.len() - 1));
     let request = place.request(&place.camera_at(10.0, 0.0, 0.0), 2, &mut StdRng::seed_from_u64(21));
     assert_eq!(ask(&map, &request).1.outcome, MatchOutcome::Matched);
@@ -484,4 +484,25 @@ fn the_uncertainty_of_the_keyframes_is_in_the_fix_and_common_errors_do_not_avera
     }
     let common = variance_in(contents);
     assert!((0.24..0.3).contains(&common), "{common}");
+}
+
+#[test]
+fn a_camera_with_a_wrong_focal_length_gets_no_pose() {
+    let place = Place::new(&PlaceOptions::default());
+    let map = loaded(&place);
+    let mut rng = StdRng::seed_from_u64(21);
+    let (mut given, mut wrong_by_far) = ([0; 3], 0);
+    for _ in 0..20 {
+        let truth = random_pose(&place, &mut rng);
+        let request = localize_request(place.request(&truth, 1, &mut rng));
+        for (index, factor) in [1.0, 0.85, 1.15].into_iter().enumerate() {
+            let mut wrong = request.clone();
+            wrong.camera.focal = wrong.camera.focal.map(|focal| focal * factor);
+            let reply = map.localize(&wrong, &RecognitionOptions::default()).unwrap();
+            let Some(fix) = reply.fix else { continue };
+            given[index] += 1;
+            wrong_by_far += usize::from(fix.global_from_camera.nees(&truth).unwrap() > 100.0);
+        }
+    }
+    assert!(given[0] >= 19 && given[1] + given[2] <= 2, "{given:?}, {wrong_by_far}");
 }

@@ -1,5 +1,6 @@
 //! Errors of recordings and other sensor sources.
 
+use super::ImuUnitError;
 use std::path::{Path, PathBuf};
 use thiserror::Error;
 
@@ -40,6 +41,42 @@ pub enum SequenceError {
         line: u64,
         /// What is wrong, and what to do.
         problem: String,
+    },
+    /// An image has another size than the calibration of its camera states.
+    #[error(
+        "{} has {} x {} pixels, but the calibration of cam{camera} is for {} x {}: give the calibration of these images, \
+         or scale resolution and intrinsics with them",
+        path.display(), size.0, size.1, calibrated.0, calibrated.1
+    )]
+    ImageSize {
+        /// The file.
+        path: PathBuf,
+        /// Its columns and rows.
+        size: (u32, u32),
+        /// Columns and rows by the calibration.
+        calibrated: (u32, u32),
+        /// The camera, 0 or 1.
+        camera: usize,
+    },
+    /// The readings of the IMU are in other units, or lack gravity.
+    #[error("{}: {source}", path.display())]
+    ImuUnits {
+        /// The file of the readings.
+        path: PathBuf,
+        /// What is wrong, and what to do.
+        source: ImuUnitError,
+    },
+    /// The images of the two cameras are swapped, or their poses on the IMU.
+    #[error(
+        "the cameras are swapped: {as_swapped} matches of the first images lie in front of the cameras with cam0 and cam1 \
+         exchanged, and {as_given} as given; exchange the folders cam0/data and cam1/data, or the poses (T_BS) of the \
+         two cameras"
+    )]
+    SwappedCameras {
+        /// Matches that agree with the cameras as given.
+        as_given: usize,
+        /// Matches that agree with the cameras exchanged.
+        as_swapped: usize,
     },
     /// A table has no rows.
     #[error("{} holds no rows: {advice}", path.display())]

@@ -12,8 +12,8 @@ use vision::{GrayImage, ImageError};
 /// end made of them, or both.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Frame {
-    /// Time of exposure on the clock of the cameras, nanoseconds. Its offset to the IMU's clock is the estimator's to
-    /// estimate.
+    /// Time of exposure on the clock of the cameras, nanoseconds. A calibrated offset to the IMU's clock (Kalibr's
+    /// `timeshift_cam_imu`) is added already; what remains is the estimator's to estimate.
     pub stamp_ns: i64,
     /// The images of camera 0 and camera 1.
     pub images: [Option<ImageData>; 2],

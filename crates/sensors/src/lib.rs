@@ -7,8 +7,11 @@
 //! | `recording`, `merged` | [`Recording`], on disk or in memory; [`RecordingSource`], which plays it |
 //! | `memory` | [`Sequence`], a recording in memory |
 //! | `euroc` | the EuRoC ASL folder layout: reader and [`writer`] |
+//! | `kalibr` | calibrations of Kalibr: [`CalibrationFiles`] |
+//! | `imu_check`, `image_check`, `stereo_check` | units, sizes and wiring that contradict the calibration, recognized from the data |
 //! | `truth`, `gravity` | ground truth, its interpolation, and the direction of gravity in its frame (evaluation only) |
 //! | `table` | [`Table`], a CSV reader whose errors name file and line |
+//! | `written_lines` | [`read_written_lines`], the complete lines of a file whose writer was killed |
 //! | `features` | [`feature_set`], features of an image as they are stored and sent |
 //! | `error` | [`SensorError`] of a source, [`SequenceError`] of a file |
 //!
@@ -23,7 +26,8 @@
 //! DIR/mav0/state_groundtruth_estimate0/data.csv          ground truth, if known
 //! DIR/reference_poses.csv                                poses to build a map from, if there are any
 //! ```
-//! The body frame is the IMU's.
+//! The body frame is the IMU's. In place of the `sensor.yaml` files, Kalibr's camera chain and `imu.yaml` may lie in `DIR`,
+//! `DIR/mav0` or `DIR/dso`.
 //!
 //! ```no_run
 //! let sequence = sensors::Sequence::open("recording".as_ref())?;
@@ -33,18 +37,24 @@
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 mod calibration;
+mod calibration_yaml;
 mod error;
 mod euroc;
 mod features;
 mod frame;
 mod gravity;
+mod image_check;
+mod imu_check;
+mod kalibr;
 mod memory;
 mod merged;
 mod recording;
 mod rows;
 mod source;
+mod stereo_check;
 mod table;
 mod truth;
+mod written_lines;
 
 #[cfg(test)]
 mod tests;
@@ -52,13 +62,17 @@ mod tests;
 pub use calibration::{CameraSensor, ImuSensor, SensorCalibration};
 pub use error::{SensorError, SequenceError};
 pub use estimator::{ImuNoise, ImuSample, TrackObservation};
-pub use euroc::{pose_cells, read_groundtruth, read_lens, read_reference_poses, writer};
+pub use euroc::{FolderCalibration, pose_cells, read_groundtruth, read_lens, read_reference_poses, writer};
 pub use features::{feature_set, kind_of, metric_of};
 pub use frame::{Frame, ImageData};
+pub use imu_check::ImuUnitError;
+pub use kalibr::CalibrationFiles;
 pub use memory::Sequence;
 pub use merged::RecordingSource;
 pub use recording::Recording;
 pub use rows::Rows;
 pub use source::{Contents, SensorEvent, SensorSource};
+pub use stereo_check::check_stereo;
 pub use table::{Row, Table, check_order};
 pub use truth::{ReferencePose, TruthRow, TruthTrack};
+pub use written_lines::{WrittenLines, read_written_lines, warn_cut_off};

@@ -1,10 +1,12 @@
 //! A recording that is read while it is played, so that memory does not grow with its length.
 
 use super::euroc::Folder;
+use super::image_check::ImageCheck;
+use super::imu_check::ImuCheck;
 use super::rows::{Rows, Stamped};
 use super::{
-    Contents, Frame, ImuSample, RecordingSource, SensorCalibration, Sequence, SequenceError, TruthRow,
-    gravity,
+    CalibrationFiles, Contents, Frame, ImuSample, RecordingSource, SensorCalibration, Sequence,
+    SequenceError, TruthRow, gravity,
 };
 use nalgebra::Vector3;
 use std::cell::OnceCell;
@@ -61,12 +63,26 @@ impl Recording<'static> {
     /// # Errors
     /// As [`Sequence::open`].
     pub fn open(root: &Path) -> Result<Self, SequenceError> {
-        let (folder, calibration) = Folder::open(root)?;
+        Self::open_with(root, &CalibrationFiles::default())
+    }
+
+    /// [`Recording::open`] with calibration files of Kalibr in place of the recording's own.
+    ///
+    /// # Errors
+    /// As [`Sequence::open`].
+    pub fn open_with(root: &Path, files: &CalibrationFiles) -> Result<Self, SequenceError> {
+        let (folder, calibration) = Folder::open(root, files)?;
         let mut contents = Contents::default();
+        let (mut images, mut readings) = (ImageCheck::default(), ImuCheck::default());
         for frame in folder.frames()? {
-            contents.add(&frame?);
+            let frame = frame?;
+            images.add(&frame, &calibration.cameras)?;
+            contents.add(&frame);
         }
-        folder.imu_samples()?.try_for_each(|sample| sample.map(drop))?;
+        for sample in folder.imu_samples()? {
+            readings.add(&sample?);
+        }
+        folder.check_units(&readings, calibration.imu.as_ref())?;
         folder.truth()?.try_for_each(|row| row.map(drop))?;
         Ok(Self {
             root: root.to_path_buf(),

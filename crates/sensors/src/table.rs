@@ -6,6 +6,7 @@ use super::error::SequenceError;
 use csv::{ByteRecord, Reader, ReaderBuilder};
 use std::fmt::Display;
 use std::fs::File;
+use std::io::{Read as _, Seek as _, SeekFrom};
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
@@ -29,6 +30,9 @@ pub struct Table {
     reader: Reader<File>,
     record: ByteRecord,
     rows: u64,
+    /// Length of the file, bytes.
+    length: u64,
+    ends_with_line_feed: bool,
 }
 
 impl Table {
@@ -40,17 +44,26 @@ impl Table {
     /// # Errors
     /// [`SequenceError::Missing`] or [`SequenceError::Io`], with the file.
     pub fn open(path: &Path, advice: &str) -> Result<Self, SequenceError> {
-        let file = File::open(path).map_err(|source| match source.kind() {
+        let mut file = File::open(path).map_err(|source| match source.kind() {
             std::io::ErrorKind::NotFound => SequenceError::missing(path, advice),
             _ => SequenceError::io(path, source),
         })?;
+        let (length, ends_with_line_feed) =
+            length_and_end(&mut file).map_err(|source| SequenceError::io(path, source))?;
         let reader = ReaderBuilder::new()
             .has_headers(false)
             .flexible(true)
             .quoting(false)
             .buffer_capacity(1 << 16)
             .from_reader(file);
-        Ok(Self { path: path.to_path_buf(), reader, record: ByteRecord::new(), rows: 0 })
+        Ok(Self {
+            path: path.to_path_buf(),
+            reader,
+            record: ByteRecord::new(),
+            rows: 0,
+            length,
+            ends_with_line_feed,
+        })
     }
 
     /// Reads the next row; `None` at the end of the file.
@@ -82,10 +95,29 @@ impl Table {
         }
     }
 
+    /// Whether the row that was read last is the end of a file that does not end in a line feed.
+    ///
+    /// A program that is killed while it writes a table leaves such a row: its last cell may be half a number.
+    pub fn row_is_unterminated(&self) -> bool {
+        !self.ends_with_line_feed && self.reader.position().byte() >= self.length
+    }
+
     /// The row that was read last; without any cells before the first [`Table::next_row`].
     pub fn row(&self) -> Row<'_> {
         Row { path: &self.path, record: &self.record }
     }
+}
+
+/// Length of a file in bytes, and whether its last byte is a line feed; its position is the beginning again.
+fn length_and_end(file: &mut File) -> std::io::Result<(u64, bool)> {
+    let length = file.seek(SeekFrom::End(0))?;
+    let mut last = [b'\n'];
+    if length > 0 {
+        file.seek(SeekFrom::Start(length - 1))?;
+        file.read_exact(&mut last)?;
+    }
+    file.rewind()?;
+    Ok((length, last == [b'\n']))
 }
 
 /// A first cell that begins with a letter names a column.
@@ -162,7 +194,11 @@ impl<'a> Row<'a> {
     /// # Errors
     /// [`SequenceError::Row`]: the cell is not a whole number.
     pub fn stamp(&self) -> Result<i64, SequenceError> {
-        self.parse(0)
+        let cell = self.cell(0)?;
+        let text = std::str::from_utf8(cell).unwrap_or("not text");
+        text.parse().map_err(|error| {
+            self.wrong(format!("column 1: \"{text}\" is no time in whole nanoseconds: {error}"))
+        })
     }
 
     /// A cell as a finite number.

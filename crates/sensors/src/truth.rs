@@ -1,7 +1,8 @@
 //! Ground truth and its interpolation, and the reference poses of a mapping run.
 
 use geometry::pose::Pose;
-use nalgebra::Vector3;
+use geometry::uncertain_pose::isotropic_covariance;
+use nalgebra::{Matrix6, Vector3};
 
 /// One row of ground truth.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -18,17 +19,35 @@ pub struct TruthRow {
     pub accelerometer_bias: Option<Vector3<f64>>,
 }
 
-/// A pose of the IMU in the map's frame as a mapping system estimated it, with the stated sigmas.
+impl TruthRow {
+    /// A row of which only the pose is known.
+    pub fn of_pose(stamp_ns: i64, pose: Pose) -> Self {
+        Self { stamp_ns, pose, velocity: None, gyroscope_bias: None, accelerometer_bias: None }
+    }
+}
+
+/// A pose of the IMU in the map's frame as a mapping system estimated it, with its stated covariance.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ReferencePose {
     /// Time, nanoseconds.
     pub stamp_ns: i64,
     /// The IMU in the map's frame: `global_from_imu`.
     pub pose: Pose,
-    /// Standard deviation of the rotation about each axis, rad.
-    pub sigma_theta_rad: f64,
-    /// Standard deviation of the position along each axis, metres.
-    pub sigma_p_m: f64,
+    /// Covariance of its error `[dtheta, dp]` in the map's frame (rad^2, rad m, m^2).
+    pub covariance: Matrix6<f64>,
+}
+
+impl ReferencePose {
+    /// A pose with the same standard deviation about each axis (rad), and along each axis (m).
+    pub fn isotropic(stamp_ns: i64, pose: Pose, sigma_theta_rad: f64, sigma_p_m: f64) -> Self {
+        Self { stamp_ns, pose, covariance: isotropic_covariance(sigma_theta_rad, sigma_p_m) }
+    }
+
+    /// The largest standard deviations of the rotation about an axis (rad) and of the position along an axis (m).
+    pub fn largest_sigmas(&self) -> (f64, f64) {
+        let sigma = |first: usize| self.covariance.diagonal().fixed_rows::<3>(first).max().sqrt();
+        (sigma(0), sigma(3))
+    }
 }
 
 /// Ground truth as a function of time.

@@ -164,7 +164,7 @@ fn reference_poses(options: &SimulationOptions, trajectory: &Spline, frames: &[F
             let turn: Vector3<f64> = normal3(&mut rng) * sigma_theta_rad;
             let shift: Vector3<f64> = normal3(&mut rng) * sigma_p_m;
             let pose = Pose::new(rotation::exp(&turn) * truth.rotation, truth.translation + shift);
-            ReferencePose { stamp_ns: frame.stamp_ns, pose, sigma_theta_rad, sigma_p_m }
+            ReferencePose::isotropic(frame.stamp_ns, pose, sigma_theta_rad, sigma_p_m)
         })
         .collect()
 }

@@ -1,6 +1,10 @@
 //! A seeded synthetic place for tests: keyframes along a path, landmarks around it, and images taken along it.
 #![allow(clippy::unwrap_used, clippy::missing_panics_doc, missing_docs)]
 
+mod former_database;
+
+pub use former_database::{former_bytes, write_former_database};
+
 use geometry::uncertain_pose::isotropic_covariance;
 use geometry::{Camera, Distortion, Pose, PoseWithCovariance};
 use map::{Keyframe, KeyframeCrossCovariance, Landmark, MapContents, MapMetadata, Observation};
@@ -175,6 +179,8 @@ impl Place {
             self.map.cross_covariances.push(KeyframeCrossCovariance { a, b, block: covariance * 0.4 });
         }
         self.map.sort();
+        // Changed versions of it are versions of the same map.
+        self.map.info.identity = Some(self.map.digest());
     }
 
     /// The features that an extractor sees from a pose: points with flipped bits, and clutter.
@@ -226,16 +232,4 @@ pub fn flipped(descriptor: &[u8], probability: f64, rng: &mut StdRng) -> Vec<u8>
 /// A standard normal number.
 pub fn normal(rng: &mut StdRng) -> f64 {
     StandardNormal.sample(rng)
-}
-
-/// The database under a map, opened without the store to damage it. A map that was just closed is locked for a
-/// moment longer.
-pub fn open_database(path: &std::path::Path) -> sled::Db {
-    loop {
-        match sled::open(path) {
-            Ok(database) => return database,
-            Err(error) => assert!(error.to_string().contains("lock"), "{error}"),
-        }
-        std::thread::sleep(std::time::Duration::from_millis(10));
-    }
 }

@@ -1,8 +1,10 @@
 //! Switches of the robot, shared by `onboard` and `driftless run`.
 
+mod calibration;
 mod choices;
 mod settings;
 
+pub use calibration::CalibrationArguments;
 pub use choices::{Calibrate, Cameras, Init, Mode};
 pub use settings::{SettingsError, read_settings};
 

@@ -8,6 +8,10 @@ use std::collections::VecDeque;
 /// longer is taken to have stopped; without a bound, all frames up to its next reading would be held in memory.
 const MAX_IMU_WAIT_NS: i64 = 60_000_000_000;
 
+/// At most so many readings are held while the next frame is searched: 20 minutes at 200 Hz, 15 MB. Where no frame comes
+/// for longer (the images ended, and the IMU did not), the oldest ones are dropped.
+const MAX_READINGS: usize = 1 << 18;
+
 /// Events of a source that were read and not handed out yet.
 pub(crate) struct SensorQueue<'a> {
     source: &'a mut dyn SensorSource,
@@ -64,7 +68,12 @@ impl<'a> SensorQueue<'a> {
             return false;
         }
         match self.source.next() {
-            Ok(Some(SensorEvent::Imu(reading))) => self.readings.push_back(reading),
+            Ok(Some(SensorEvent::Imu(reading))) => {
+                if self.readings.len() == MAX_READINGS {
+                    self.readings.pop_front();
+                }
+                self.readings.push_back(reading);
+            }
             Ok(Some(SensorEvent::Frame(frame))) => self.frames.push_back(frame),
             // Other sensors are of no use to the estimator.
             Ok(Some(_)) => {}
@@ -122,6 +131,17 @@ mod tests {
 
     fn script(events: impl IntoIterator<Item = SensorEvent>) -> Script {
         Script { calibration: SensorCalibration::default(), events: events.into_iter().collect() }
+    }
+
+    #[test]
+    fn memory_is_bounded_where_the_imu_outlasts_the_images() {
+        let last = MAX_READINGS as i64 + 1000;
+        let mut source = script([frame(0)].into_iter().chain((1..=last).map(reading)));
+        let mut queue = SensorQueue::new(&mut source);
+        assert!(queue.next_frame().unwrap().is_some());
+        assert_eq!(queue.next_frame_ns(), None);
+        assert_eq!(queue.readings.len(), MAX_READINGS);
+        assert_eq!(queue.readings.back().unwrap().stamp_ns, last * SECOND_NS);
     }
 
     #[test]

@@ -2,6 +2,7 @@
 
 mod event;
 mod files;
+mod name_watch;
 mod publisher;
 mod recorder;
 mod summary;

@@ -1,5 +1,7 @@
 //! Publishes pose, odometry and status of the robot in the background.
 
+use super::name_watch::NameWatch;
+use crate::map_conversion::map_identity;
 use estimator::{Estimator, Localization, Status};
 use nalgebra::Vector3;
 use protocol::{Format, Message, RobotOdometry, RobotPose, RobotState, RobotStatus, keys};
@@ -33,7 +35,7 @@ pub enum PublisherError {
     Liveliness(zenoh::Error),
 }
 
-/// Publishes under `robot/{robot}/...` and declares the robot's liveliness token.
+/// Publishes under `robot/{robot}/...`, declares the robot's liveliness token, and watches for others of its name.
 #[derive(Debug)]
 pub struct Publisher {
     map: String,
@@ -44,6 +46,7 @@ pub struct Publisher {
     runtime: Handle,
     sending: JoinHandle<()>,
     alive: LivelinessToken,
+    name_watch: NameWatch,
 }
 
 /// How long the last messages may take when the run ends.
@@ -65,6 +68,7 @@ impl Publisher {
         let alive = runtime
             .block_on(async { session.liveliness().declare_token(alive_key).await })
             .map_err(PublisherError::Liveliness)?;
+        let name_watch = runtime.block_on(NameWatch::start(&session, robot))?;
         let sending = runtime.spawn(async move {
             while let Some((key, encoding, payload)) = messages.recv().await {
                 if let Err(error) = session.put(key, payload).encoding(encoding).await {
@@ -81,7 +85,13 @@ impl Publisher {
             runtime: runtime.clone(),
             sending,
             alive,
+            name_watch,
         })
+    }
+
+    /// Number of other robots that were seen on the network with the name of this one.
+    pub fn namesakes(&self) -> usize {
+        self.name_watch.namesakes()
     }
 
     /// Publishes the state of a frame. Messages that do not fit into the queue are dropped: newer ones follow.
@@ -102,13 +112,18 @@ impl Publisher {
                 angular_velocity_in_imu: angular_velocity.into(),
             },
         );
-        let global = (estimator.global_from_imu(), estimator.global_from_local(), estimator.map_version());
-        if let (Some(global_from_imu), Some(global_from_local), Some(map_version)) = global {
-            let map = self.map.clone();
-            self.send(
-                &self.pose_key,
-                &RobotPose { stamp_ns, map, map_version, global_from_imu, global_from_local },
-            );
+        let poses = estimator.global_from_imu().zip(estimator.global_from_local());
+        let map = estimator.map_version().zip(estimator.map_identity());
+        if let Some(((global_from_imu, global_from_local), (map_version, identity))) = poses.zip(map) {
+            let pose = RobotPose {
+                stamp_ns,
+                map: self.map.clone(),
+                map_version,
+                map_identity: map_identity(identity),
+                global_from_imu,
+                global_from_local,
+            };
+            self.send(&self.pose_key, &pose);
         }
         self.publish_status(stamp_ns, estimator.status().with_failure(failure), counts);
     }
@@ -132,12 +147,13 @@ impl Publisher {
 
     /// Sends the queued messages, then undeclares the liveliness token.
     pub fn close(self) {
-        let Self { queue, runtime, sending, alive, .. } = self;
+        let Self { queue, runtime, sending, alive, name_watch, .. } = self;
         drop(queue);
         runtime.block_on(async {
             if tokio::time::timeout(CLOSE_TIMEOUT, sending).await.is_err() {
                 tracing::warn!("the last messages were not published within {CLOSE_TIMEOUT:?}: the network is slow or gone");
             }
+            name_watch.stop().await;
             if let Err(error) = alive.undeclare().await {
                 tracing::debug!(%error, "the liveliness token was gone with its session");
             }

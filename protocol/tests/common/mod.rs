@@ -148,15 +148,21 @@ fn landmark_matches() -> impl Strategy<Value = Vec<LandmarkMatch>> {
     })
 }
 
+fn identities() -> impl Strategy<Value = MapIdentity> {
+    any::<[u8; 16]>().prop_map(MapIdentity::from_bytes)
+}
+
 fn cross_covariances() -> impl Strategy<Value = CrossCovarianceBlock> {
     (any::<u64>(), vec(-1.0..1.0f64, 36))
         .prop_map(|(other, block)| CrossCovarianceBlock { other, block: Matrix6::from_row_slice(&block) })
 }
 
 pub fn matched_keyframes() -> impl Strategy<Value = MatchedKeyframe> {
-    (any::<u64>(), any::<u16>(), keyframes(), vec(cross_covariances(), 0..3), landmark_matches()).prop_map(
-        |(map_version, rank, keyframe, cross_covariances, matches)| MatchedKeyframe {
+    let map = (any::<u64>(), identities());
+    (map, any::<u16>(), keyframes(), vec(cross_covariances(), 0..3), landmark_matches()).prop_map(
+        |((map_version, map_identity), rank, keyframe, cross_covariances, matches)| MatchedKeyframe {
             map_version,
+            map_identity,
             rank,
             keyframe,
             cross_covariances,
@@ -178,15 +184,17 @@ fn outcomes() -> impl Strategy<Value = MatchOutcome> {
 
 pub fn match_replies() -> impl Strategy<Value = MatchReply> {
     let numbers = (any::<u64>(), any::<u16>(), any::<u32>(), any::<u64>());
-    let status = (numbers, outcomes(), option::of(directions()), 0.1..5.0f64).prop_map(
+    let status = (numbers, identities(), outcomes(), option::of(directions()), 0.1..5.0f64).prop_map(
         |(
             (map_version, keyframes_sent, searched_keyframes, elapsed_us),
+            map_identity,
             outcome,
             gravity_in_global,
             sigma_map_px,
         )| {
             MatchStatus {
                 map_version,
+                map_identity,
                 outcome,
                 keyframes_sent,
                 searched_keyframes,
@@ -220,8 +228,9 @@ pub fn localize_replies() -> impl Strategy<Value = LocalizeReply> {
             mean_error_px,
         },
     );
-    (any::<u64>(), option::of(fix)).prop_map(|(map_version, fix)| LocalizeReply {
+    (any::<u64>(), identities(), option::of(fix)).prop_map(|(map_version, map_identity, fix)| LocalizeReply {
         map_version,
+        map_identity,
         outcome: if fix.is_some() { MatchOutcome::Matched } else { MatchOutcome::NoMatch },
         fix,
     })
@@ -235,7 +244,7 @@ pub fn map_infos() -> impl Strategy<Value = MapInfoReply> {
     });
     let format = features().prop_map(|features| features.descriptors.format());
     (
-        names(),
+        (names(), identities()),
         any::<u16>(),
         counts,
         option::of(directions()),
@@ -244,10 +253,19 @@ pub fn map_infos() -> impl Strategy<Value = MapInfoReply> {
         0.1..5.0f64,
     )
         .prop_map(
-            |(name, database_schema, counts, gravity_in_global, extent, descriptors, sigma_map_px)| {
+            |(
+                (name, identity),
+                database_schema,
+                counts,
+                gravity_in_global,
+                extent,
+                descriptors,
+                sigma_map_px,
+            )| {
                 MapInfoReply {
                     name,
                     version: counts[0],
+                    identity,
                     database_schema,
                     keyframes: counts[1],
                     landmarks: counts[2],
@@ -272,33 +290,34 @@ pub fn keyframe_replies() -> impl Strategy<Value = KeyframeReply> {
             pixel,
         },
     );
-    (any::<u64>(), keyframes(), vec(landmark, 0..5))
-        .prop_map(|(map_version, keyframe, landmarks)| KeyframeReply { map_version, keyframe, landmarks })
+    (any::<u64>(), identities(), keyframes(), vec(landmark, 0..5)).prop_map(
+        |(map_version, map_identity, keyframe, landmarks)| KeyframeReply {
+            map_version,
+            map_identity,
+            keyframe,
+            landmarks,
+        },
+    )
 }
 
 pub fn map_changes() -> impl Strategy<Value = MapChangeNotice> {
     let stated = (0.0..1.0f64, 0.0..10.0f64)
         .prop_map(|(sigma_theta_rad, sigma_p_m)| StatedChange { sigma_theta_rad, sigma_p_m });
     let ids = || vec(any::<u64>(), 0..5);
-    (names(), any::<(u64, u64)>(), ids(), ids(), ids(), option::of(stated)).prop_map(
-        |(map, (from_version, version), changed, moved, removed, stated_change)| MapChangeNotice {
-            map,
-            from_version,
-            version,
-            changed,
-            moved,
-            removed,
-            stated_change,
+    ((names(), identities()), any::<(u64, u64)>(), ids(), ids(), ids(), option::of(stated)).prop_map(
+        |((map, identity), (from_version, version), changed, moved, removed, stated_change)| {
+            MapChangeNotice { map, identity, from_version, version, changed, moved, removed, stated_change }
         },
     )
 }
 
 pub fn robot_poses() -> impl Strategy<Value = RobotPose> {
-    (any::<i64>(), names(), any::<u64>(), poses(), poses()).prop_map(
-        |(stamp_ns, map, map_version, global_from_imu, global_from_local)| RobotPose {
+    (any::<i64>(), names(), any::<u64>(), identities(), poses(), poses()).prop_map(
+        |(stamp_ns, map, map_version, map_identity, global_from_imu, global_from_local)| RobotPose {
             stamp_ns,
             map,
             map_version,
+            map_identity,
             global_from_imu,
             global_from_local,
         },

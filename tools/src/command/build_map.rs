@@ -1,19 +1,25 @@
 //! `driftless build-map`: builds a map from a recording with reference poses.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use anyhow::bail;
+use anyhow::{Context as _, bail};
+use evaluation::trajectory::{StampedPose, StateKind, read_any};
+use geometry::covariance_check::check_covariance;
 use indicatif::{ProgressBar, ProgressStyle};
-use nalgebra::Vector3;
+use nalgebra::{Matrix6, Vector3};
+use onboard::arguments::CalibrationArguments;
 use onboard::extraction::FeatureArguments;
-use sensors::{ReferencePose, Sequence, read_reference_poses};
+use sensors::{ReferencePose, Sequence, check_stereo};
 use serde_json::json;
 
-use super::import_map::{check_free, parse_direction};
+use super::import_map::parse_direction;
 use crate::plotting::draw_coverage;
-use map::store::save_map;
+use map::store::{ensure_free, save_map};
 use mapping::{BuildOptions, BuildReport, Extraction, Spread, Stage, StoredPoses, build_map};
+
+/// Largest plausible `--sigma-theta`, rad: 29 degrees. With more the pose says nothing, and linearization fails.
+const MAX_SIGMA_THETA: f64 = 0.5;
 
 /// Arguments.
 #[expect(clippy::struct_excessive_bools, reason = "each is a switch of its own")]
@@ -22,19 +28,28 @@ use mapping::{BuildOptions, BuildReport, Extraction, Spread, Stage, StoredPoses,
     driftless build-map town/map --map town.db\n  \
     driftless build-map town/map --map start.db --until 10\n  \
     driftless build-map my_run --map my.db --sigma-theta 0.005 --sigma-p 0.02 --gravity 0,0,-1\n  \
+    driftless build-map my_run --map my.db --poses odometry.tum --sigma-theta 0.02 --sigma-p 0.1\n  \
+    driftless build-map my_run --map my.db --poses out/states.csv\n  \
     driftless build-map V1_01_easy --map vicon_room.db --sigma-theta 0.0175 --sigma-p 0.01\n\n\
     SEQ holds mav0/cam0 (and cam1, for stereo) with sensor.yaml, data.csv and images in data/, and\n\
     reference_poses.csv. A cam0/features.csv replaces the images. Without reference_poses.csv the ground truth\n\
     gives the poses, and --sigma-theta and --sigma-p must be given. What is stated too small makes the robots\n\
-    overconfident: state the sigmas of your poses, not those you wish for.")]
+    overconfident: state the sigmas of your poses, not those you wish for.\n\n\
+    --poses takes reference_poses.csv, a TUM file (t x y z qx qy qz qw, in seconds), EuRoC ground truth (ns, position,\n\
+    quaternion with w first; 8 or 17 columns) or states.csv of a run, recognized by content. The first and the last\n\
+    state their uncertainty; the others need --sigma-theta and --sigma-p. All sigmas of poses, given and printed, are\n\
+    standard deviations per axis.")]
 pub struct Args {
     /// The recording, a folder in the EuRoC layout
     #[arg(value_name = "SEQ")]
     pub sequence: PathBuf,
+    /// Calibration
+    #[command(flatten)]
+    pub calibration: CalibrationArguments,
     /// Database to create
     #[arg(long, value_name = "DB")]
     pub map: PathBuf,
-    /// Poses of the IMU in the map's frame [default: SEQ/reference_poses.csv, else the ground truth]
+    /// Poses of the IMU in the map's frame, in any of the formats below [default: SEQ/reference_poses.csv, else the ground truth]
     #[arg(long, value_name = "FILE")]
     pub poses: Option<PathBuf>,
     /// Standard deviation of every pose's rotation about each axis, rad [default: as in the file of poses]
@@ -79,7 +94,7 @@ pub struct Args {
     /// Plot the coverage of the map: keyframes, landmarks, keyframes with too few
     #[arg(long, value_name = "SVG")]
     pub svg: Option<PathBuf>,
-    /// Replace an existing map
+    /// Replace an existing map: the new one is its next version, with the same identity
     #[arg(long)]
     pub force: bool,
     /// Print the report as JSON
@@ -93,10 +108,13 @@ pub struct Args {
 /// A sequence without features or poses, a file that cannot be read (with its line), a database that exists already.
 #[expect(clippy::needless_pass_by_value, reason = "every command owns its arguments")]
 pub fn run(args: Args) -> anyhow::Result<()> {
-    check_free(&args.map, args.force)?;
-    let sequence = Sequence::open(&args.sequence)?;
-    let references = references(&args, &sequence)?;
+    ensure_free(&args.map, args.force)?;
+    let sequence = Sequence::open_without_readings(&args.sequence, &args.calibration.files())?;
+    if !args.mono {
+        check_stereo(&sequence.cameras, sequence.frames.iter().cloned().map(Ok))?;
+    }
     let options = options(&args)?;
+    let references = references(&args, &sequence)?;
     let bar = progress_bar(args.json);
     let mut stage_shown = None;
     let mut show = |stage: Stage, done: usize, all: usize| {
@@ -119,14 +137,17 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     let built = build_map(&sequence, &references, extraction, &options, &mut show);
     bar.finish_and_clear();
     let (contents, report) = built?;
-    let version = save_map(&args.map, &contents, args.force)?;
+    let saved = save_map(&args.map, &contents, args.force)?;
     if let Some(picture) = &args.svg {
         draw_coverage(&contents, picture)?;
     }
     if args.json {
-        println!("{:#}", json!({ "map": args.map, "version": version, "report": report }));
+        println!(
+            "{:#}",
+            json!({ "map": args.map, "version": saved.version, "identity": saved.identity, "report": report })
+        );
     } else {
-        println!("{}: version {version}", args.map.display());
+        println!("{}: version {} of map {}", args.map.display(), saved.version, saved.identity);
         print_report(&report);
     }
     Ok(())
@@ -147,7 +168,7 @@ fn progress_bar(hidden: bool) -> ProgressBar {
 /// The poses to build from: those of `--poses`, of the sequence, or the ground truth.
 fn references(args: &Args, sequence: &Sequence) -> anyhow::Result<Vec<ReferencePose>> {
     if let Some(path) = &args.poses {
-        return Ok(read_reference_poses(path)?);
+        return poses_of_file(path, args);
     }
     if let Some(poses) = &sequence.reference_poses {
         return Ok(poses.clone());
@@ -165,16 +186,38 @@ fn references(args: &Args, sequence: &Sequence) -> anyhow::Result<Vec<ReferenceP
             args.sequence.display()
         );
     };
-    let reference = |row: &sensors::TruthRow| ReferencePose {
-        stamp_ns: row.stamp_ns,
-        pose: row.pose,
-        sigma_theta_rad: sigma_theta,
-        sigma_p_m: sigma_p,
-    };
+    let reference =
+        |row: &sensors::TruthRow| ReferencePose::isotropic(row.stamp_ns, row.pose, sigma_theta, sigma_p);
     Ok(truth.iter().map(reference).collect())
 }
 
+/// The poses of `--poses`, of any format; the sigmas are those of the file where it has some, else of the switches.
+fn poses_of_file(path: &Path, args: &Args) -> anyhow::Result<Vec<ReferencePose>> {
+    let file = read_any(path, &[StateKind::GlobalFromImu, StateKind::LocalFromImu])?;
+    eprintln!("{}: {} poses, read as {}", path.display(), file.poses.len(), file.format);
+    let Some(covariances) = file.covariances else {
+        let (Some(sigma_theta), Some(sigma_p)) = (args.sigma_theta, args.sigma_p) else {
+            bail!(
+                "{} ({}) states no standard deviations: state those of its poses with --sigma-theta RAD and --sigma-p M",
+                path.display(),
+                file.format
+            );
+        };
+        let reference =
+            |row: &StampedPose| ReferencePose::isotropic(row.stamp_ns, row.pose, sigma_theta, sigma_p);
+        return Ok(file.poses.iter().map(reference).collect());
+    };
+    let reference = |(row, covariance): (&StampedPose, Matrix6<f64>)| {
+        check_covariance(&covariance).with_context(|| {
+            format!("{}: the covariance of the pose at {} ns", path.display(), row.stamp_ns)
+        })?;
+        Ok(ReferencePose { stamp_ns: row.stamp_ns, pose: row.pose, covariance })
+    };
+    file.poses.iter().zip(covariances).map(reference).collect()
+}
+
 fn options(args: &Args) -> anyhow::Result<BuildOptions> {
+    check_sigma_theta(args.sigma_theta)?;
     let [from_s, until_s] = [args.from.unwrap_or(0.0), args.until.unwrap_or(f64::INFINITY)];
     if until_s.is_nan() || from_s.is_nan() || until_s < from_s {
         bail!("--until {until_s} comes before --from {from_s}");
@@ -195,6 +238,17 @@ fn options(args: &Args) -> anyhow::Result<BuildOptions> {
     options.time_neighbours = args.time_neighbours;
     options.space_neighbours = args.space_neighbours;
     Ok(options)
+}
+
+/// Refuses degrees given for radians.
+fn check_sigma_theta(sigma_theta: Option<f64>) -> anyhow::Result<()> {
+    if let Some(sigma) = sigma_theta.filter(|sigma| *sigma > MAX_SIGMA_THETA) {
+        bail!(
+            "--sigma-theta {sigma} is more than {MAX_SIGMA_THETA}: it is in radians; {sigma} degrees are {:.3}",
+            sigma.to_radians()
+        );
+    }
+    Ok(())
 }
 
 fn print_report(report: &BuildReport) {
@@ -221,8 +275,8 @@ fn print_report(report: &BuildReport) {
     println!("pixel sigma, px             {:.2}", report.sigma_px);
     println!("poses corrected by, deg     {}", spread(&report.pose_correction_deg, 2));
     println!("                    m       {}", spread(&report.pose_correction_m, 3));
-    println!("poses stated to, deg        {}", spread(&report.sigma_pose_deg, 2));
-    println!("                 m          {}", spread(&report.sigma_pose_m, 3));
+    println!("sigma of poses per axis, deg {}", spread(&report.sigma_pose_deg, 3));
+    println!("                         m   {}", spread(&report.sigma_pose_m, 3));
     println!("correlated pairs            {}", report.cross_covariances);
     let few = BuildReport::FEW_LANDMARKS;
     println!("keyframes below {few} landmarks {}", report.poor_keyframes.len());
@@ -242,4 +296,62 @@ fn histogram(counts: &[usize]) -> String {
         text.push(format!("and more: {}", counts[SHOWN..].iter().sum::<usize>()));
     }
     text.join(", ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser;
+    use evaluation::trajectory::states::{self, StateRow};
+    use geometry::Pose;
+    use geometry::uncertain_pose::{PoseWithCovariance, isotropic_covariance};
+
+    #[derive(Parser)]
+    struct CommandLine {
+        #[command(flatten)]
+        args: Args,
+    }
+
+    fn args(switches: &str) -> Args {
+        let line = ["build-map", "SEQ", "--map", "m.db"].into_iter().chain(switches.split_whitespace());
+        CommandLine::try_parse_from(line).unwrap().args
+    }
+
+    #[test]
+    fn poses_of_a_tum_file_need_sigmas_and_those_of_a_run_have_covariances() {
+        let folder = tempfile::tempdir().unwrap();
+        let tum = folder.path().join("odometry.tum");
+        std::fs::write(&tum, "10.5 1 2 3 0 0 0 1\n10.6 1 2 3 0 0 0 1\n").unwrap();
+        let error = poses_of_file(&tum, &args("")).unwrap_err().to_string();
+        assert!(error.contains("--sigma-theta") && error.contains("TUM"), "{error}");
+        let poses = poses_of_file(&tum, &args("--sigma-theta 0.02 --sigma-p 0.1")).unwrap();
+        assert_eq!((poses.len(), poses[0].stamp_ns), (2, 10_500_000_000));
+        assert_eq!(poses[1].covariance, isotropic_covariance(0.02, 0.1));
+
+        let path = folder.path().join("states.csv");
+        let mut covariance = isotropic_covariance(0.02, 0.1);
+        (covariance[(0, 4)], covariance[(4, 0)]) = (1e-4, 1e-4);
+        let row = StateRow {
+            stamp_ns: 7,
+            local_from_imu: PoseWithCovariance::new(Pose::identity(), covariance),
+            global_from_local: None,
+            global_from_imu: None,
+        };
+        states::write(&path, std::slice::from_ref(&row)).unwrap();
+        let poses = poses_of_file(&path, &args("")).unwrap();
+        assert!((poses[0].covariance - covariance).amax() < 1e-12);
+
+        let mut indefinite = row;
+        indefinite.local_from_imu.covariance[(3, 3)] = -1.0;
+        states::write(&path, &[indefinite]).unwrap();
+        let error = format!("{:#}", poses_of_file(&path, &args("")).unwrap_err());
+        assert!(error.contains("states.csv") && error.contains("7 ns"), "{error}");
+    }
+
+    #[test]
+    fn degrees_for_radians_are_refused() {
+        let error = options(&args("--sigma-theta 5")).unwrap_err().to_string();
+        assert!(error.contains("radians") && error.contains("5 degrees are 0.087"), "{error}");
+        assert!(options(&args("--sigma-theta 0.087")).is_ok());
+    }
 }

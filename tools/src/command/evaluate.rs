@@ -1,10 +1,10 @@
 //! `driftless evaluate`: accuracy (ATE, RPE) and consistency (NEES) of an estimated trajectory.
 
 use anyhow::{Context, ensure};
-use evaluation::trajectory::{StateKind, TrajectoryFile, read_any};
+use evaluation::trajectory::{PoseFormat, StateKind, TrajectoryFile, read_any};
 use evaluation::{
-    Alignment, Delta, Nees, NeesSum, Pair, Statistics, absolute_errors, align, associate, nees, nees_bounds,
-    relative_errors,
+    Alignment, Delta, MAX_TRUTH_GAP_NS, Nees, NeesSum, Pair, ScoreOptions, Statistics, absolute_errors,
+    align, associate, interpolate_reference, nees, nees_bounds, relative_errors,
 };
 use geometry::pose::Pose;
 use geometry::uncertain_pose::PoseWithCovariance;
@@ -63,11 +63,16 @@ pub enum UnitArgument {
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
-#[command(after_help = "Files: TUM trajectories, EuRoC ground truth (data.csv), or states.csv of a run.\n\n\
+#[command(
+    after_help = "Files: TUM trajectories, EuRoC ground truth (data.csv), or states.csv of a run, recognized by content.\n\n\
+    For a run the figures are those of its own summary: the truth is interpolated (gaps up to 0.25 s), the pose in the\n\
+    map is not aligned and counts from 5 s after the map initialization on, odometry counts from its first pose on.\n\
+    `--skip 0 --max-difference 0.01` compares as evo does.\n\n\
     Examples:\n  \
     driftless evaluate --groundtruth SEQ/mav0/state_groundtruth_estimate0/data.csv --estimate out/pose.tum\n  \
     driftless evaluate --groundtruth truth.tum --estimate out/odometry.tum --align yaw\n  \
-    driftless evaluate --groundtruth truth.tum --estimate out/states.csv --state global_from_imu --json")]
+    driftless evaluate --groundtruth truth.tum --estimate out/states.csv --state global_from_imu --json"
+)]
 pub struct Args {
     /// Ground truth
     #[arg(long, value_name = "FILE")]
@@ -99,9 +104,14 @@ pub struct Args {
         default_value = "0,0,-1"
     )]
     estimate_gravity: Vec<f64>,
-    /// Largest time difference of associated poses, seconds
-    #[arg(long, value_name = "S", default_value_t = 0.01)]
-    max_difference: f64,
+    /// Pair each pose with the nearest one of the ground truth within this time, seconds, as evo does [default: interpolate
+    /// the ground truth, as `run` does]
+    #[arg(long, value_name = "S")]
+    max_difference: Option<f64>,
+    /// Leave out so many seconds from the first pose on [default: 5 for the poses of a run in the map, which are not
+    /// aligned, as `run` does; else 0]
+    #[arg(long, value_name = "S")]
+    skip: Option<f64>,
     /// Segment length of the relative error (RPE)
     #[arg(long, default_value_t = 1.0)]
     delta: f64,
@@ -117,6 +127,8 @@ pub struct Args {
 #[derive(Debug, Serialize)]
 struct Report {
     pairs: usize,
+    /// What was compared, in words.
+    scored: String,
     ate_m: Option<Statistics>,
     ate_deg: Option<Statistics>,
     rpe_m: Option<Statistics>,
@@ -139,11 +151,20 @@ struct NeesReport {
 /// # Errors
 /// Files that cannot be read, have no time in common, or cannot be aligned.
 pub fn run(args: &Args) -> anyhow::Result<()> {
-    let truth =
-        read_any(&args.groundtruth, StateKind::GlobalFromImu).context("the ground truth cannot be read")?;
-    let estimate = read_any(&args.estimate, args.state.into()).context("the estimate cannot be read")?;
-    ensure!(args.max_difference >= 0.0, "--max-difference must not be negative");
-    let pairs = associate(&truth.poses, &estimate.poses, (args.max_difference * 1e9).round() as i64);
+    let report = evaluate(args)?;
+    if args.json {
+        println!("{}", serde_json::to_string_pretty(&report)?);
+    } else {
+        print(&report, args);
+    }
+    Ok(())
+}
+
+fn evaluate(args: &Args) -> anyhow::Result<Report> {
+    let truth = read_any(&args.groundtruth, &[StateKind::GlobalFromImu])
+        .context("the ground truth cannot be read")?;
+    let estimate = read_any(&args.estimate, &[args.state.into()]).context("the estimate cannot be read")?;
+    let (truth, estimate, pairs, scored) = paired(args, truth, estimate)?;
     let positions: Vec<_> = pairs
         .iter()
         .map(|pair| {
@@ -161,20 +182,70 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let aligned = align(&positions, &alignment).context("the trajectories cannot be compared")?;
     let absolute = absolute_errors(&truth.poses, &estimate.poses, &pairs, &aligned);
     let relative = relative_errors(&truth.poses, &estimate.poses, &pairs, delta(args)?);
-    let report = Report {
+    Ok(Report {
         pairs: pairs.len(),
+        scored,
         ate_m: absolute.translation(),
         ate_deg: absolute.rotation(),
         rpe_m: relative.translation(),
         rpe_deg: relative.rotation(),
         nees: consistency(&truth, &estimate, &pairs, &aligned),
-    };
-    if args.json {
-        println!("{}", serde_json::to_string_pretty(&report)?);
+    })
+}
+
+/// Poses of both trajectories at the same times, and which they are, in words.
+fn paired(
+    args: &Args,
+    mut truth: TrajectoryFile,
+    mut estimate: TrajectoryFile,
+) -> anyhow::Result<(TrajectoryFile, TrajectoryFile, Vec<Pair>, String)> {
+    let skip_s = args.skip.unwrap_or_else(|| default_skip(args.align, estimate.format));
+    ensure!(skip_s >= 0.0, "--skip must not be negative");
+    skip(&mut estimate, skip_s);
+    let from = if skip_s > 0.0 {
+        format!("from {skip_s} s after the first pose on")
     } else {
-        print(&report, args);
+        "all poses".to_owned()
+    };
+    let (pairs, truth_at) = match args.max_difference {
+        None => {
+            let (interpolated, pairs) =
+                interpolate_reference(&truth.poses, &estimate.poses, MAX_TRUTH_GAP_NS);
+            truth.poses = interpolated;
+            (pairs, "interpolated".to_owned())
+        }
+        Some(seconds) => {
+            ensure!(seconds >= 0.0, "--max-difference must not be negative");
+            let pairs = associate(&truth.poses, &estimate.poses, (seconds * 1e9).round() as i64);
+            (pairs, format!("the nearest within {seconds} s"))
+        }
+    };
+    Ok((truth, estimate, pairs, format!("{from}, truth {truth_at}")))
+}
+
+/// The poses of a run in the map are scored from some time after the map initialization on, which is their first pose.
+fn default_skip(align: AlignArgument, estimate: PoseFormat) -> f64 {
+    let of_run = match estimate {
+        PoseFormat::TumOfRun => true,
+        PoseFormat::States(kind) => kind != StateKind::LocalFromImu,
+        _ => false,
+    };
+    if of_run && align == AlignArgument::None {
+        ScoreOptions::default().skip_after_initialization_s
+    } else {
+        0.0
     }
-    Ok(())
+}
+
+/// Removes the first seconds of a trajectory.
+fn skip(file: &mut TrajectoryFile, seconds: f64) {
+    let Some(first) = file.poses.first() else { return };
+    let from_ns = first.stamp_ns.saturating_add((seconds * 1e9) as i64);
+    let skipped = file.poses.partition_point(|row| row.stamp_ns < from_ns);
+    file.poses.drain(..skipped);
+    if let Some(covariances) = &mut file.covariances {
+        covariances.drain(..skipped);
+    }
 }
 
 fn direction(given: &[f64], option: &str) -> anyhow::Result<Vector3<f64>> {
@@ -231,7 +302,7 @@ fn print(report: &Report, args: &Args) {
         AlignArgument::Yaw => "aligned in yaw and position",
         AlignArgument::Se3 => "aligned in rotation and position",
     };
-    println!("{} pairs of poses, {align}", report.pairs);
+    println!("{} pairs of poses ({}), {align}", report.pairs, report.scored);
     println!("{:<16}{:>12}{:>12}{:>12}{:>12}{:>12}", "", "rmse", "mean", "median", "std", "max");
     let unit = match args.delta_unit {
         UnitArgument::Frames => "frames",
@@ -267,5 +338,91 @@ fn print(report: &Report, args: &Args) {
             nees.mean.pose,
             bounds(nees.bounds_6)
         );
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser;
+    use evaluation::score_run;
+    use evaluation::trajectory::states::{self, StateRow};
+    use evaluation::trajectory::{StampedPose, tum};
+    use geometry::uncertain_pose::isotropic_covariance;
+    use nalgebra::UnitQuaternion;
+    use sensors::TruthRow;
+
+    #[derive(Parser)]
+    struct CommandLine {
+        #[command(flatten)]
+        args: Args,
+    }
+
+    fn report(truth: &std::path::Path, estimate: &std::path::Path, switches: &str) -> Report {
+        let paths =
+            ["evaluate", "--groundtruth", truth.to_str().unwrap(), "--estimate", estimate.to_str().unwrap()];
+        let line = paths.into_iter().chain(switches.split_whitespace());
+        evaluate(&CommandLine::try_parse_from(line).unwrap().args).unwrap()
+    }
+
+    /// A curve; `t` in seconds.
+    fn pose(t: f64) -> Pose {
+        Pose::new(
+            UnitQuaternion::from_scaled_axis(Vector3::new(0.1 * t.sin(), 0.0, 0.3 * t)),
+            Vector3::new((0.9 * t).sin(), (0.7 * t).cos(), 0.1 * t),
+        )
+    }
+
+    /// A run of 20 s that is localized after 3 s, with errors that shrink, and truth at other times.
+    fn files(folder: &std::path::Path) -> (Vec<StateRow>, Vec<TruthRow>) {
+        let rows = (0..400).map(|index| {
+            let t = f64::from(index) * 0.05;
+            let error = Vector3::new(0.3, -0.2, 0.1) * (-0.2 * t).exp();
+            let wrong = Pose::new(pose(t).rotation, pose(t).translation + error);
+            let with = |pose| PoseWithCovariance::new(pose, isotropic_covariance(0.01, 0.1));
+            StateRow {
+                stamp_ns: i64::from(index) * 50_000_000,
+                local_from_imu: with(wrong),
+                global_from_local: (index >= 60).then(|| with(Pose::identity())),
+                global_from_imu: (index >= 60).then(|| with(wrong)),
+            }
+        });
+        let rows: Vec<StateRow> = rows.collect();
+        let truth: Vec<TruthRow> = (0..2000)
+            .map(|index| {
+                TruthRow::of_pose(index * 11_000_000 - 7_000_000, pose(index as f64 * 0.011 - 0.007))
+            })
+            .collect();
+        states::write(&folder.join("states.csv"), &rows).unwrap();
+        let stamped = |stamp_ns, pose| StampedPose { stamp_ns, pose };
+        let global = rows.iter().filter_map(|row| Some(stamped(row.stamp_ns, row.global_from_imu?.pose)));
+        tum::write(&folder.join("pose.tum"), &global.collect::<Vec<_>>()).unwrap();
+        let local: Vec<_> = rows.iter().map(|row| stamped(row.stamp_ns, row.local_from_imu.pose)).collect();
+        tum::write(&folder.join("odometry.tum"), &local).unwrap();
+        let reference: Vec<_> = truth.iter().map(|row| stamped(row.stamp_ns, row.pose)).collect();
+        tum::write(&folder.join("truth.tum"), &reference).unwrap();
+        (rows, truth)
+    }
+
+    #[test]
+    fn the_figures_of_a_run_are_those_of_its_summary() {
+        let folder = tempfile::tempdir().unwrap();
+        let (rows, truth) = files(folder.path());
+        let summary = score_run(&rows, &truth, -Vector3::z(), &ScoreOptions::default()).unwrap();
+        let pose = summary.pose.unwrap();
+        let truth = folder.path().join("truth.tum");
+        for file in ["states.csv", "pose.tum"] {
+            let report = report(&truth, &folder.path().join(file), "");
+            assert_eq!(report.pairs, pose.samples);
+            assert!((report.ate_m.unwrap().rmse - pose.rmse_m).abs() < 1e-7, "{file}");
+            assert!((report.ate_deg.unwrap().rmse - pose.rmse_deg).abs() < 1e-4, "{file}");
+            assert!(report.scored.contains("from 5 s") && report.scored.contains("interpolated"));
+        }
+        let odometry = report(&truth, &folder.path().join("odometry.tum"), "--align yaw");
+        assert!((odometry.ate_m.unwrap().rmse - summary.odometry_yaw_aligned_m.rmse).abs() < 1e-7);
+        assert!(odometry.scored.starts_with("all poses"));
+        // As evo compares: other frames, other partners, other figures.
+        let evo = report(&truth, &folder.path().join("pose.tum"), "--skip 0 --max-difference 0.01");
+        assert!(evo.pairs == 340 && evo.ate_m.unwrap().rmse > 1.5 * pose.rmse_m);
     }
 }

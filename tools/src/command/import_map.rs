@@ -1,12 +1,12 @@
 //! `driftless import-map`: converts a plain-text map to a database.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use anyhow::bail;
 use nalgebra::Vector3;
 use serde_json::json;
 
-use map::store::save_map;
+use map::store::{ensure_free, save_map};
 use map::text::read_map;
 
 /// Arguments.
@@ -26,7 +26,7 @@ pub struct Args {
     /// Standard deviation of the map's pixels in px [default: as in DIR, or 1]
     #[arg(long, value_name = "PX")]
     pub sigma_pixel: Option<f64>,
-    /// Replace an existing map
+    /// Replace an existing map: the new one is its next version, with the same identity
     #[arg(long)]
     pub force: bool,
     /// Print the result as JSON
@@ -40,7 +40,7 @@ pub struct Args {
 /// A text file that cannot be read (with its line), a database that exists already or cannot be written.
 #[expect(clippy::needless_pass_by_value, reason = "every command owns its arguments")]
 pub fn run(args: Args) -> anyhow::Result<()> {
-    check_free(&args.map, args.force)?;
+    ensure_free(&args.map, args.force)?;
     let mut contents = read_map(&args.folder)?;
     if args.gravity.is_some() {
         contents.info.gravity_in_global = args.gravity;
@@ -51,12 +51,13 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         }
         contents.info.sigma_px = sigma;
     }
-    let version = save_map(&args.map, &contents, args.force)?;
+    let saved = save_map(&args.map, &contents, args.force)?;
     let observations = contents.observation_count();
     if args.json {
         let result = json!({
             "map": args.map,
-            "version": version,
+            "version": saved.version,
+            "identity": saved.identity,
             "keyframes": contents.keyframes.len(),
             "landmarks": contents.landmarks.len(),
             "observations": observations,
@@ -65,19 +66,13 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         println!("{result:#}");
     } else {
         println!(
-            "{}: {} keyframes, {} landmarks, {observations} observations, version {version}",
+            "{}: {} keyframes, {} landmarks, {observations} observations, version {} of map {}",
             args.map.display(),
             contents.keyframes.len(),
             contents.landmarks.len(),
+            saved.version,
+            saved.identity,
         );
-    }
-    Ok(())
-}
-
-/// Refuses to overwrite a map before any work is done.
-pub(super) fn check_free(map: &Path, force: bool) -> anyhow::Result<()> {
-    if map.exists() && !force {
-        bail!("{} exists already: choose another path, or replace the map with --force", map.display());
     }
     Ok(())
 }

@@ -3,10 +3,11 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, bail};
+use onboard::arguments::CalibrationArguments;
 use onboard::extraction::FeatureArguments;
 use protocol::{Format, KeyframeId};
 use recognition::{InspectedKeyframe, InspectedMatch, Inspection, RecognitionOptions};
-use sensors::{ImageData, Sequence};
+use sensors::{CalibrationFiles, ImageData, Sequence};
 use serde_json::{Value, json};
 use vision::GrayImage;
 
@@ -39,9 +40,12 @@ pub struct Args {
     /// Database of the map
     #[arg(long, value_name = "DB")]
     pub map: PathBuf,
-    /// The camera that took IMAGE: a sensor.yaml in the form of EuRoC or Kalibr
+    /// The camera that took IMAGE: its sensor.yaml, or a camera chain of Kalibr (cam0)
     #[arg(long, value_name = "YAML")]
     pub camera: Option<PathBuf>,
+    /// Calibration of SEQ
+    #[command(flatten)]
+    pub calibration: CalibrationArguments,
     /// Time in SEQ, seconds from the first frame; its features.csv is used where it has one, else its image
     #[arg(long, value_name = "SECONDS")]
     pub at: Option<f64>,
@@ -118,7 +122,7 @@ pub fn inspect(args: &Args) -> Result<Report> {
         None => candidates.first().cloned(),
     };
     let keyframe_image = match (&args.sequence, &shown) {
-        (Some(sequence), Some(keyframe)) => keyframe_image(sequence, keyframe)?,
+        (Some(sequence), Some(keyframe)) => keyframe_image(sequence, &args.calibration.files(), keyframe)?,
         _ => None,
     };
     let map_name = args.map.display().to_string();
@@ -144,7 +148,7 @@ fn read_query(args: &Args) -> Result<QueryImage> {
         if args.camera.is_some() {
             bail!("--camera: the recording {query} states its own camera");
         }
-        QueryImage::from_recording(&args.query, at_s, &args.features)
+        QueryImage::from_recording(&args.query, &args.calibration.files(), at_s, &args.features)
     } else {
         if args.at.is_some() {
             bail!("--at: {query} is no recording, which is a folder with mav0/cam0 in it");
@@ -157,8 +161,12 @@ fn read_query(args: &Args) -> Result<QueryImage> {
 }
 
 /// The keyframe's image, from the recording that the map was built from; `None` for a recording without images.
-fn keyframe_image(recording: &Path, keyframe: &InspectedKeyframe) -> Result<Option<GrayImage>> {
-    let sequence = Sequence::open(recording).context("--sequence")?;
+fn keyframe_image(
+    recording: &Path,
+    files: &CalibrationFiles,
+    keyframe: &InspectedKeyframe,
+) -> Result<Option<GrayImage>> {
+    let sequence = Sequence::open_without_readings(recording, files).context("--sequence")?;
     let found = sequence.frames.binary_search_by_key(&keyframe.stamp_ns, |frame| frame.stamp_ns);
     let Ok(at) = found else {
         bail!(

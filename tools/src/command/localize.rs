@@ -20,7 +20,7 @@ pub struct Args {
     /// The image, PNG or JPEG
     #[arg(long, value_name = "FILE")]
     pub image: PathBuf,
-    /// The camera that took it: a sensor.yaml in the form of EuRoC or Kalibr
+    /// The camera that took it: its sensor.yaml, or a camera chain of Kalibr (cam0)
     #[arg(long, value_name = "YAML")]
     pub camera: PathBuf,
     /// How features are extracted

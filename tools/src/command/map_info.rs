@@ -3,16 +3,20 @@
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
+use geometry::PoseWithCovariance;
 use map::contents::MapContents;
-use map::store::{self, STORE_SCHEMA};
+use map::store::{self, StoredMap};
 use nalgebra::Vector3;
+use protocol::MapIdentity;
 use serde::Serialize;
 
 use mapping::Spread;
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
-#[command(after_help = "Example:\n  driftless map-info --map yq.db")]
+#[command(after_help = "Example:\n  driftless map-info --map yq.db\n\n\
+                        The sigmas are standard deviations of the keyframes' poses per axis, as build-map prints them.\n\
+                        The identity is the same for all versions of a map, and different for different maps.")]
 pub struct Args {
     /// Database of the map
     #[arg(long, value_name = "DB")]
@@ -29,6 +33,7 @@ struct Summary {
     name: String,
     created_by: String,
     version: u64,
+    identity: Option<MapIdentity>,
     schema: u16,
     bytes_on_disk: u64,
     keyframes: usize,
@@ -45,7 +50,7 @@ struct Summary {
     extent_max_m: Option<[f64; 3]>,
     /// Time between the first and the last keyframe (s).
     duration_s: f64,
-    /// Root mean square over the axes, by keyframe.
+    /// Standard deviations of a pose per axis (root mean square over the three), by keyframe.
     sigma_theta_deg: Spread,
     sigma_p_m: Spread,
     observations_per_landmark: Spread,
@@ -56,12 +61,10 @@ struct Summary {
 /// Runs the command.
 ///
 /// # Errors
-/// A database that is missing or in use, or whose info cannot be read. Other damaged records are listed.
+/// A database that is missing, unfinished or damaged. Damaged records of a map of an older schema are listed.
 pub fn run(args: Args) -> anyhow::Result<()> {
-    let store = store::open(&args.map)?;
-    let (contents, errors) = store.read_readable()?;
-    let damaged = errors.iter().map(ToString::to_string).collect();
-    let summary = summary(args.map, &contents, damaged, store.size_on_disk()?);
+    let stored = store::load_map(&args.map)?;
+    let summary = summary(args.map, &stored);
     if args.json {
         println!("{}", serde_json::to_string_pretty(&summary)?);
     } else {
@@ -70,24 +73,14 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn summary(
-    map: PathBuf,
-    contents: &MapContents,
-    damaged_records: Vec<String>,
-    bytes_on_disk: u64,
-) -> Summary {
+fn summary(map: PathBuf, stored: &StoredMap) -> Summary {
+    let contents: &MapContents = &stored.contents;
     let positions =
         || contents.keyframes.iter().map(|keyframe| keyframe.global_from_keyframe.pose.translation);
     let corner = |pick: fn(f64, f64) -> f64| -> Option<[f64; 3]> {
         positions().reduce(|a: Vector3<f64>, b| a.zip_map(&b, pick)).map(Into::into)
     };
-    let sigma = |first: usize| {
-        let variances = contents.keyframes.iter().map(move |keyframe| {
-            let diagonal = keyframe.global_from_keyframe.covariance.diagonal();
-            diagonal.rows(first, 3).sum() / 3.0
-        });
-        Spread::of(variances.map(|variance| variance.max(0.0).sqrt()))
-    };
+    let poses = || contents.keyframes.iter().map(|keyframe| &keyframe.global_from_keyframe);
     let mut seen: BTreeMap<u64, usize> = contents.keyframes.iter().map(|keyframe| (keyframe.id, 0)).collect();
     for observation in contents.landmarks.iter().flat_map(|landmark| &landmark.observations) {
         *seen.entry(observation.keyframe).or_default() += 1;
@@ -95,20 +88,19 @@ fn summary(
     let stamps = || contents.keyframes.iter().map(|keyframe| keyframe.stamp_ns);
     let duration_ns =
         stamps().max().zip(stamps().min()).map_or(0, |(last, first)| last.saturating_sub(first));
-    let theta = sigma(0);
-    let degrees = |radians: f64| radians.to_degrees();
     Summary {
         map,
         name: contents.info.name.clone(),
         created_by: contents.info.created_by.clone(),
         version: contents.info.version,
-        schema: STORE_SCHEMA,
-        bytes_on_disk,
+        identity: contents.info.identity,
+        schema: stored.schema,
+        bytes_on_disk: stored.bytes_on_disk,
         keyframes: contents.keyframes.len(),
         landmarks: contents.landmarks.len(),
         observations: contents.observation_count(),
         cross_covariances: contents.cross_covariances.len(),
-        damaged_records,
+        damaged_records: stored.damaged.iter().map(ToString::to_string).collect(),
         descriptor_kind: contents.info.descriptor_kind.label(),
         descriptor_bytes: contents.info.descriptor_width,
         sigma_px: contents.info.sigma_px,
@@ -116,12 +108,8 @@ fn summary(
         extent_min_m: corner(f64::min),
         extent_max_m: corner(f64::max),
         duration_s: duration_ns as f64 * 1e-9,
-        sigma_theta_deg: Spread {
-            mean: degrees(theta.mean),
-            median: degrees(theta.median),
-            p95: degrees(theta.p95),
-        },
-        sigma_p_m: sigma(3),
+        sigma_theta_deg: Spread::of(poses().map(|pose| pose.sigma_theta_rad().to_degrees())),
+        sigma_p_m: Spread::of(poses().map(PoseWithCovariance::sigma_p_m)),
         observations_per_landmark: Spread::of(
             contents.landmarks.iter().map(|landmark| landmark.observations.len() as f64),
         ),
@@ -141,6 +129,9 @@ fn print_summary(summary: &Summary) {
     println!("map                      {}", summary.map.display());
     println!("  name                   {}, by {}", summary.name, summary.created_by);
     println!("  version                {} (schema {})", summary.version, summary.schema);
+    if let Some(identity) = summary.identity {
+        println!("  identity               {identity}");
+    }
     println!("  size on disk           {:.2} MB", summary.bytes_on_disk as f64 * 1e-6);
     println!("keyframes                {} over {:.1} s", summary.keyframes, summary.duration_s);
     println!(
@@ -148,8 +139,8 @@ fn print_summary(summary: &Summary) {
         vector(summary.extent_min_m, "none"),
         vector(summary.extent_max_m, "none")
     );
-    println!("  sigma, deg             {}", spread(&summary.sigma_theta_deg, 3));
-    println!("  sigma, m               {}", spread(&summary.sigma_p_m, 3));
+    println!("  sigma per axis, deg    {}", spread(&summary.sigma_theta_deg, 3));
+    println!("  sigma per axis, m      {}", spread(&summary.sigma_p_m, 3));
     println!("  cross-covariances      {}", summary.cross_covariances);
     println!("landmarks                {}", summary.landmarks);
     println!("  depth in anchor, m     {}", spread(&summary.landmark_depth_m, 1));

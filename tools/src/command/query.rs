@@ -28,7 +28,7 @@ pub struct Args {
     /// Which image of FILE, ns [default: the first]
     #[arg(long, value_name = "NS")]
     pub stamp: Option<i64>,
-    /// Camera of the image [default: sensor.yaml beside FILE]
+    /// Camera of the image: its sensor.yaml, or a camera chain of Kalibr (cam0) [default: sensor.yaml beside FILE]
     #[arg(long, value_name = "YAML")]
     pub camera: Option<PathBuf>,
     /// The descriptors are f32 numbers, not bits

@@ -3,7 +3,7 @@
 use crate::in_process::{LocalServer, load_map};
 use anyhow::{Result, bail};
 use estimator::MapMode;
-use onboard::arguments::INPUT;
+use onboard::arguments::{CalibrationArguments, INPUT};
 use onboard::{RobotArguments, StopSignal, progress, run_robot_until};
 use sensors::Recording;
 use std::path::PathBuf;
@@ -18,6 +18,9 @@ pub struct Args {
     /// The recording: a folder in the EuRoC layout
     #[arg(long, value_name = "DIR", help_heading = INPUT)]
     sequence: PathBuf,
+    /// Calibration
+    #[command(flatten)]
+    calibration: CalibrationArguments,
     /// The map's database (not needed with --mode odometry)
     #[arg(long, value_name = "DB")]
     map: Option<PathBuf>,
@@ -34,7 +37,7 @@ pub struct Args {
 /// What the recording, the map or the output folder lacks; a run that ended early.
 pub fn run(args: &Args) -> Result<()> {
     let stop = StopSignal::on_interrupt()?;
-    let recording = Recording::open(&args.sequence)?;
+    let recording = Recording::open_with(&args.sequence, &args.calibration.files())?;
     let server = match (&args.map, args.robot.map_mode()?) {
         (_, MapMode::Odometry) => None,
         (None, _) => {

@@ -2,14 +2,20 @@
 
 use anyhow::{Context, Result, bail};
 use clap::ValueEnum;
+use onboard::arguments::CalibrationArguments;
 use onboard::start::first_rest;
 use onboard::{FrontEnd, progress};
-use sensors::{Frame, Sequence, writer};
+use sensors::{
+    CalibrationFiles, FolderCalibration, Frame, ImuSample, Recording, Rows, Sequence, check_stereo, writer,
+};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 use vision::tracking::TrackerOptions;
 use vision::{Equalization, GrayImage, LocalEqualization};
+
+/// A rest is searched in so much of the beginning, nanoseconds; [`first_rest`] looks no further than 10 s.
+const REST_SEARCH_NS: i64 = 11_000_000_000;
 
 /// Arguments of `driftless track`.
 #[derive(clap::Args, Debug)]
@@ -21,6 +27,9 @@ pub struct Args {
     /// The recording, a folder in the EuRoC layout with images
     #[arg(value_name = "SEQ")]
     sequence: PathBuf,
+    /// Calibration
+    #[command(flatten)]
+    calibration: CalibrationArguments,
     /// Write a new recording to this folder [default: the tracks are written into SEQ]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
@@ -97,21 +106,24 @@ struct Summary {
 /// A recording without images, tracks that are there already, a mask that does not fit, a folder that cannot be
 /// written.
 pub fn run(args: &Args) -> Result<()> {
-    let mut sequence = Sequence::open(&args.sequence)?;
+    let files = args.calibration.files();
+    let mut sequence = Sequence::open_without_readings(&args.sequence, &files)?;
+    let recording = Recording::open_with(&args.sequence, &files)?;
     let cameras = camera_count(args, &sequence)?;
     let root = args.out.as_deref().unwrap_or(&args.sequence);
     let written: Vec<PathBuf> =
         (0..cameras).map(|camera| root.join(format!("mav0/cam{camera}/tracks.csv"))).collect();
     refuse_to_overwrite(args, root)?;
+    check_stereo(&sequence.cameras[..cameras], sequence.frames.iter().cloned().map(Ok))?;
     let options = tracker_options(args)?;
     let mut front_end =
         FrontEnd::new(&sequence.cameras[..cameras], options).context("the tracker cannot start")?;
-    let mut summary = track(args, &mut sequence, &mut front_end);
+    let mut summary = track(args, &mut sequence, &recording, &mut front_end)?;
     summary.written = written;
     if summary.observations == 0 {
         bail!("nothing was tracked in {}", args.sequence.display());
     }
-    write(args, &sequence, cameras)?;
+    write(args, &mut sequence, cameras)?;
     if args.json {
         println!("{}", serde_json::to_string_pretty(&summary)?);
     } else {
@@ -121,11 +133,16 @@ pub fn run(args: &Args) -> Result<()> {
 }
 
 /// Plays all images through the front end, and puts the tracks into the frames.
-fn track(args: &Args, sequence: &mut Sequence, front_end: &mut FrontEnd) -> Summary {
-    if let Some(start) = resting_start(sequence) {
+fn track(
+    args: &Args,
+    sequence: &mut Sequence,
+    recording: &Recording<'_>,
+    front_end: &mut FrontEnd,
+) -> Result<Summary> {
+    if let Some(start) = resting_start(recording)? {
         front_end.set_gyroscope_bias(start);
     }
-    let imu = if args.no_gyroscope { &[][..] } else { &sequence.imu_samples };
+    let mut imu = ReadingWindow::new(recording)?;
     let bar = progress::frame_bar(sequence.frames.len());
     let begin = Instant::now();
     let mut summary = Summary::default();
@@ -137,7 +154,9 @@ fn track(args: &Args, sequence: &mut Sequence, front_end: &mut FrontEnd) -> Summ
             continue;
         }
         summary.frames += 1;
-        match front_end.track_frame(frame, imu) {
+        let readings =
+            if args.no_gyroscope { &[] } else { imu.up_to(front_end.last_stamp_ns(), frame.stamp_ns)? };
+        match front_end.track_frame(frame, readings) {
             Ok(tracks) => frame.tracks = tracks,
             Err(error) => {
                 summary.left_out += 1;
@@ -162,16 +181,51 @@ fn track(args: &Args, sequence: &mut Sequence, front_end: &mut FrontEnd) -> Summ
     lengths.sort_unstable();
     summary.track_length = lengths.get(lengths.len() / 2).copied().unwrap_or(0);
     summary.gyroscope_bias = front_end.gyroscope_bias().into();
-    summary
+    Ok(summary)
+}
+
+/// The readings around one image interval, read as they are needed.
+struct ReadingWindow<'a> {
+    rows: Rows<'a, ImuSample>,
+    readings: Vec<ImuSample>,
+}
+
+impl<'a> ReadingWindow<'a> {
+    fn new(recording: &'a Recording<'_>) -> Result<Self> {
+        Ok(Self { rows: recording.imu_samples()?, readings: Vec::new() })
+    }
+
+    /// The readings from the last one before `from_ns` to the first one not before `to_ns`.
+    fn up_to(&mut self, from_ns: Option<i64>, to_ns: i64) -> Result<&[ImuSample]> {
+        let from_ns = from_ns.unwrap_or(to_ns);
+        while self.readings.last().is_none_or(|last| last.stamp_ns < to_ns) {
+            let Some(reading) = self.rows.next().transpose()? else { break };
+            // Before the first image, and where images are missing, old readings are of no use.
+            if reading.stamp_ns <= from_ns {
+                self.readings.clear();
+            }
+            self.readings.push(reading);
+        }
+        let needed = self.readings.partition_point(|reading| reading.stamp_ns <= from_ns).saturating_sub(1);
+        self.readings.drain(..needed);
+        Ok(&self.readings)
+    }
 }
 
 /// The gyroscope's bias from a start at rest, if the recording has one.
-fn resting_start(sequence: &Sequence) -> Option<nalgebra::Vector3<f64>> {
+fn resting_start(recording: &Recording<'_>) -> Result<Option<nalgebra::Vector3<f64>>> {
     let mut config = estimator::EstimatorConfig::default();
-    if let Some(gravity) = sequence.imu.as_ref().and_then(|imu| imu.gravity_magnitude) {
-        config.gravity = gravity;
+    let imu = recording.calibration().imu.as_ref();
+    config.gravity = imu.and_then(|imu| imu.gravity_magnitude).unwrap_or(config.gravity);
+    let mut readings: Vec<ImuSample> = Vec::new();
+    for reading in recording.imu_samples()? {
+        let reading = reading?;
+        if readings.first().is_some_and(|first| reading.stamp_ns - first.stamp_ns > REST_SEARCH_NS) {
+            break;
+        }
+        readings.push(reading);
     }
-    Some(first_rest(&sequence.imu_samples, &config)?.imu.gyroscope_bias)
+    Ok(first_rest(&readings, &config).map(|start| start.imu.gyroscope_bias))
 }
 
 fn camera_count(args: &Args, sequence: &Sequence) -> Result<usize> {
@@ -216,10 +270,15 @@ fn tracker_options(args: &Args) -> Result<TrackerOptions> {
 }
 
 /// Writes the tracks, and beside them what a recording needs when they go into a folder of their own.
-fn write(args: &Args, sequence: &Sequence, cameras: usize) -> Result<()> {
+fn write(args: &Args, sequence: &mut Sequence, cameras: usize) -> Result<()> {
     let root = args.out.as_deref().unwrap_or(&args.sequence);
+    let calibration = FolderCalibration::read(&args.sequence, &args.calibration.files())?;
+    // tracks.csv has the stamps of data.csv.
+    for frame in &mut sequence.frames {
+        frame.stamp_ns -= calibration.time_offset_ns;
+    }
     if args.out.is_some() {
-        copy_without_images(&args.sequence, root, cameras)?;
+        copy_without_images(&args.sequence, root, cameras, &calibration.files)?;
     }
     for camera in cameras..2 {
         // Tracks of an earlier run, with other names for the points.
@@ -232,19 +291,25 @@ fn write(args: &Args, sequence: &Sequence, cameras: usize) -> Result<()> {
 }
 
 /// Copies calibration, lists of images, IMU and truth.
-fn copy_without_images(from: &Path, to: &Path, cameras: usize) -> Result<()> {
+fn copy_without_images(from: &Path, to: &Path, cameras: usize, kalibr: &CalibrationFiles) -> Result<()> {
     let sensors = (0..cameras).map(|camera| format!("mav0/cam{camera}")).chain(["mav0/imu0".to_owned()]);
-    let mut files: Vec<String> = sensors
-        .flat_map(|sensor| ["sensor.yaml", "data.csv"].map(|file| format!("{sensor}/{file}")))
-        .collect();
+    let mut files: Vec<String> = Vec::new();
+    for sensor in sensors {
+        files.push(format!("{sensor}/data.csv"));
+        let of_kalibr = if sensor.ends_with("imu0") { &kalibr.imu } else { &kalibr.cameras };
+        if of_kalibr.is_none() {
+            files.push(format!("{sensor}/sensor.yaml"));
+        }
+    }
     files.push("mav0/cam0/features.csv".to_owned());
     files.push("mav0/state_groundtruth_estimate0/data.csv".to_owned());
     files.push("reference_poses.csv".to_owned());
-    for file in files {
-        let (source, target) = (from.join(&file), to.join(&file));
-        if !source.exists() {
-            continue;
-        }
+    let mut copies: Vec<(PathBuf, PathBuf)> =
+        files.iter().map(|file| (from.join(file), to.join(file))).filter(|(from, _)| from.exists()).collect();
+    for (file, name) in [(&kalibr.cameras, "camchain-imucam.yaml"), (&kalibr.imu, "imu.yaml")] {
+        copies.extend(file.iter().map(|file| (file.clone(), to.join(name))));
+    }
+    for (source, target) in copies {
         let copied = std::fs::create_dir_all(target.parent().unwrap_or(to))
             .and_then(|()| std::fs::copy(&source, &target));
         copied.with_context(|| format!("cannot copy {} to {}", source.display(), target.display()))?;

@@ -1,11 +1,11 @@
 //! The output folder of a run, and its ground truth.
 
 use anyhow::Context as _;
-use evaluation::trajectory::{StateRow, states};
+use evaluation::trajectory::{StateKind, StateRow, read_any, states};
 use evaluation::{RunErrors, RunScore, ScoreError, ScoreOptions, run_errors, score_run};
 use nalgebra::Vector3;
 use onboard::Event;
-use sensors::{Sequence, TruthRow, read_groundtruth};
+use sensors::{Recording, TruthRow, read_written_lines};
 use std::path::{Path, PathBuf};
 
 /// The ground truth of a run.
@@ -120,10 +120,11 @@ pub fn read_keyframes(path: &Path) -> anyhow::Result<Vec<Vector3<f64>>> {
     .collect()
 }
 
-/// Reads `events.csv`.
-fn read_events(path: &Path) -> anyhow::Result<Vec<Event>> {
-    let reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_path(path);
-    let rows = reader.and_then(|reader| reader.into_deserialize().collect());
+/// Reads `events.csv`. A last row that is cut off, as when a run is killed, is left out with a warning.
+pub(crate) fn read_events(path: &Path) -> anyhow::Result<Vec<Event>> {
+    let lines = read_written_lines(path, "a run writes it to its --out folder")?;
+    let reader = csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(lines.text.as_bytes());
+    let rows: Result<_, _> = reader.into_deserialize().collect();
     rows.with_context(|| path.display().to_string())
 }
 
@@ -132,10 +133,11 @@ fn truth_from_file(
     gravity: Option<Vector3<f64>>,
     missing: &mut Vec<String>,
 ) -> anyhow::Result<Truth> {
-    let rows = read_groundtruth(path)?;
+    let file = read_any(path, &[StateKind::GlobalFromImu])?;
+    let rows = file.poses.iter().map(|row| TruthRow::of_pose(row.stamp_ns, row.pose)).collect();
     // SEQ/mav0/state_groundtruth_estimate0/data.csv
     let recording = path.ancestors().nth(3).filter(|root| root.join("mav0/imu0").is_dir());
-    let measured = || recording.and_then(|root| Sequence::open(root).ok()?.truth_gravity());
+    let measured = || recording.and_then(|root| Recording::open(root).ok()?.truth_gravity().ok().flatten());
     let gravity = gravity.or_else(measured).unwrap_or_else(|| {
         missing.push(
             "Where gravity pulls in the truth's frame cannot be worked out; it is taken along -z (see --gravity)."

@@ -1,5 +1,6 @@
 //! Pictures hold what is known, and say what is not.
 
+use super::run_files::read_events;
 use super::*;
 use crate::plotting::comparison::{ComparedRun, Comparison};
 use evaluation::ErrorSample;
@@ -109,12 +110,27 @@ fn a_run_without_states_cannot_be_drawn() {
 }
 
 #[test]
-fn events_that_are_cut_off_are_an_error_with_the_line() {
+fn a_run_that_was_killed_is_drawn_up_to_its_last_whole_row() {
     let folder = run_folder(true);
     let path = folder.path().join("events.csv");
-    std::fs::write(&path, &EVENTS[..EVENTS.len() - 20]).unwrap();
-    let error = format!("{:#}", RunFiles::read(folder.path(), None, None).unwrap_err());
-    assert!(error.contains("events.csv") && error.contains("line: 5"), "{error}");
+    for cut in [1, 20] {
+        std::fs::write(&path, &EVENTS[..EVENTS.len() - cut]).unwrap();
+        assert_eq!(read_events(&path).unwrap().len(), 3);
+    }
+    let states_path = folder.path().join("states.csv");
+    let text = std::fs::read_to_string(&states_path).unwrap();
+    std::fs::write(&states_path, &text[..text.len() - 30]).unwrap();
+    let run = RunFiles::read(folder.path(), None, None).unwrap();
+    assert_eq!((run.states.len(), run.events.unwrap().len()), (states().len(), 3));
+}
+
+#[test]
+fn an_event_that_is_cut_off_in_the_middle_is_an_error_with_the_line() {
+    let folder = run_folder(true);
+    let path = folder.path().join("events.csv");
+    std::fs::write(&path, EVENTS.replacen(",40,38,25.5,true,true,", "", 1)).unwrap();
+    let error = format!("{:#}", read_events(&path).unwrap_err());
+    assert!(error.contains("events.csv") && error.contains("line: 2"), "{error}");
 }
 
 #[test]

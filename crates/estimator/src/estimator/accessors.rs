@@ -128,6 +128,11 @@ impl Estimator {
         self.map_version.in_use()
     }
 
+    /// Identity of the map that the held keyframes belong to; `None` before the map initialization.
+    pub fn map_identity(&self) -> Option<u128> {
+        self.map_version.identity()
+    }
+
     pub(super) fn first_camera(&self) -> &CalibratedCamera {
         &self.state.calibration.cameras[0]
     }

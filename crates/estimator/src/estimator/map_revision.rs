@@ -83,6 +83,9 @@ impl Estimator {
         report: &mut MapReport,
     ) -> UpdateResult {
         let answered = answer.map_version;
+        if let Some(held) = self.map_version.identity().filter(|held| *held != answer.map_identity) {
+            return Ok(Err(Rejection::OtherMap { answered: answer.map_identity, held }));
+        }
         let query_ns =
             self.state.clone_index(clone).map_or(i64::MIN, |index| self.state.clones[index].stamp_ns);
         if let Some(held) = self.map_version.in_use() {
@@ -105,6 +108,7 @@ impl Estimator {
             (self.state, self.covariance) = before;
         } else {
             self.map_version.begin(answered, query_ns);
+            self.map_version.belong_to(answer.map_identity);
         }
         Ok(outcome)
     }

@@ -59,6 +59,7 @@ impl Estimator {
     /// });
     /// let answer = MapAnswer {
     ///     map_version: 1,
+    ///     map_identity: 1,
     ///     keyframes: vec![MapKeyframe {
     ///         id: 7,
     ///         global_from_keyframe: PoseWithCovariance::new(global_from_keyframe, Matrix6::identity() * 1e-4),

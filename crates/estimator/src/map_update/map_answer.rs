@@ -36,6 +36,8 @@ pub struct MatchedLandmark {
 pub struct MapAnswer {
     /// Version of the map.
     pub map_version: u64,
+    /// Identity of the map: the same for all its versions, different for different maps.
+    pub map_identity: u128,
     /// Best first.
     pub keyframes: Vec<MapKeyframe>,
     /// Keyframes held by the filter at the time of the query; the answer contains its cross-covariances with them.

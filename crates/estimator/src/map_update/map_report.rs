@@ -9,6 +9,17 @@ pub enum Rejection {
     /// The clone of its image was marginalized: the answer came after its deadline.
     #[error("the answer came too late: the clone of its image was marginalized")]
     TooLate,
+    /// It is of another map than the one in use, whatever its version.
+    #[error(
+        "it is of the map {answered:032x}, the map {held:032x} is in use: another map is served under this name; restart the \
+         robot to use that one"
+    )]
+    OtherMap {
+        /// Identity of the map of the answer.
+        answered: u128,
+        /// Identity of the map in use.
+        held: u128,
+    },
     /// It is of an older map version than the one in use.
     #[error("it is of map version {answered}, version {held} is in use")]
     OldMapVersion {

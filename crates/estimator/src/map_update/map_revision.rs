@@ -24,6 +24,8 @@
 //! outdated and rejected. An answer of a new version may arrive before the announcement: such answers are rejected for
 //! [`ANNOUNCEMENT_NS`]. After that, or where the announcement is not of a change from the version in use (one was lost), the
 //! map is treated as a different one: all keyframes are invalidated and `global_from_local` is initialized again.
+//!
+//! Answers of another map, as its identity tells, are rejected whatever their version.
 
 use crate::KeyframeId;
 use crate::state::POSE_DIM;
@@ -71,6 +73,8 @@ pub enum RevisionEffect {
 pub(crate) struct MapVersion {
     /// Version of the held keyframes.
     held: Option<u64>,
+    /// Identity of the map that they belong to.
+    identity: Option<u128>,
     /// Time of the newest image when that version came into use, nanoseconds.
     since_ns: i64,
     /// Another version that answered before its announcement, and the time of the state then, nanoseconds.
@@ -81,7 +85,7 @@ pub(crate) struct MapVersion {
 
 impl Default for MapVersion {
     fn default() -> Self {
-        Self { held: None, since_ns: i64::MIN, unannounced: None, reinitialize: None }
+        Self { held: None, identity: None, since_ns: i64::MIN, unannounced: None, reinitialize: None }
     }
 }
 
@@ -117,7 +121,17 @@ impl MapVersion {
 
     /// Sets the version in use.
     pub(crate) fn begin(&mut self, version: u64, since_ns: i64) {
-        *self = Self { held: Some(version), since_ns, ..Self::default() };
+        *self = Self { held: Some(version), identity: self.identity, since_ns, ..Self::default() };
+    }
+
+    /// Identity of the map in use.
+    pub(crate) fn identity(&self) -> Option<u128> {
+        self.identity
+    }
+
+    /// Sets the identity of the map in use.
+    pub(crate) fn belong_to(&mut self, identity: u128) {
+        self.identity = Some(identity);
     }
 }
 

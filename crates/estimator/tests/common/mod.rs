@@ -164,6 +164,7 @@ impl World {
         assert!(landmarks.len() > 20, "{} landmarks", landmarks.len());
         MapAnswer {
             map_version: 1,
+            map_identity: 1,
             keyframes,
             held_at_query: Vec::new(),
             landmarks,

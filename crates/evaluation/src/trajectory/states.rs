@@ -5,7 +5,7 @@
 
 use geometry::uncertain_pose::PoseWithCovariance;
 use nalgebra::Matrix6;
-use sensors::{Row, SequenceError, Table, check_order, pose_cells};
+use sensors::{Row, SequenceError, Table, check_order, pose_cells, warn_cut_off};
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
@@ -125,7 +125,7 @@ pub fn write(path: &Path, rows: &[StateRow]) -> Result<(), SequenceError> {
     writer.flush()
 }
 
-/// Reads `states.csv`.
+/// Reads `states.csv`. A last row that is cut off, as when a run is killed, is left out with a warning.
 ///
 /// # Errors
 /// [`SequenceError`] with the file and the line: an unknown state, a row that is cut off or not finite, time stamps
@@ -138,12 +138,15 @@ pub fn read(path: &Path) -> Result<Vec<StateRow>, SequenceError> {
     Ok(rows)
 }
 
-/// Reads `states.csv` instant by instant, in constant memory. It ends with the first error.
+/// Reads `states.csv` instant by instant, in constant memory. It ends with the first error, or before a last row that is
+/// cut off, with a warning.
 pub struct StateReader {
     /// `None` after the last row or an error.
     table: Option<Table>,
     /// The instant whose rows are being read.
     pending: Option<StateRow>,
+    path: PathBuf,
+    cut_off_line: Option<u64>,
 }
 
 impl StateReader {
@@ -152,12 +155,24 @@ impl StateReader {
     /// # Errors
     /// [`SequenceError`] with the file.
     pub fn open(path: &Path) -> Result<Self, SequenceError> {
-        Ok(Self { table: Some(Table::open(path, "a run writes it to its --out folder")?), pending: None })
+        let table = Some(Table::open(path, "a run writes it to its --out folder")?);
+        Ok(Self { table, pending: None, path: path.to_path_buf(), cut_off_line: None })
+    }
+
+    /// The last line, where it has no line feed: a program was killed while it wrote it, and it was left out.
+    pub fn cut_off_line(&self) -> Option<u64> {
+        self.cut_off_line
     }
 
     fn read_next(&mut self) -> Result<Option<StateRow>, SequenceError> {
         let Some(table) = &mut self.table else { return Ok(None) };
-        while let Some(row) = table.next_row()? {
+        while table.next_row()?.is_some() {
+            if table.row_is_unterminated() {
+                self.cut_off_line = Some(table.row().line());
+                warn_cut_off(&self.path, table.row().line());
+                break;
+            }
+            let row = table.row();
             let (stamp_ns, kind, state) = parse_state(&row)?;
             if kind == StateKind::LocalFromImu {
                 check_order(&row, self.pending.as_ref().map(|before| before.stamp_ns), stamp_ns)?;
@@ -302,7 +317,31 @@ mod tests {
             let error = read(&path).unwrap_err().to_string();
             assert!(error.contains("line ") && error.contains(word), "{error}");
         }
-        std::fs::write(&path, &text[..text.trim_end().rfind(',').unwrap()]).unwrap();
-        assert!(read(&path).unwrap_err().to_string().contains("cut off"));
+        let middle = text.find("\n1503911171749927283").unwrap();
+        let shortened = format!("{}{}", &text[..middle - 20], &text[middle..]);
+        std::fs::write(&path, shortened).unwrap();
+        let error = read(&path).unwrap_err().to_string();
+        assert!(error.contains("line 2") && error.contains("cut off"), "{error}");
+    }
+
+    #[test]
+    fn a_last_row_that_a_killed_run_cut_off_is_left_out() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("states.csv");
+        write(&path, &rows()).unwrap();
+        let text = std::fs::read_to_string(&path).unwrap();
+        let lines = text.lines().count() as u64;
+        let row_length = text.lines().last().unwrap().len();
+        for (cut, expected) in
+            [(1, Some(lines)), (3, Some(lines)), (row_length, Some(lines)), (row_length + 1, None)]
+        {
+            std::fs::write(&path, &text[..text.len() - cut]).unwrap();
+            let mut reader = StateReader::open(&path).unwrap();
+            let read: Vec<StateRow> = reader.by_ref().collect::<Result<_, _>>().unwrap();
+            assert_eq!(reader.cut_off_line(), expected, "{cut}");
+            // The last row is the global pose of the last instant; its local pose is complete.
+            assert_eq!((read.len(), read[18].global_from_imu.is_some()), (20, true));
+            assert!(read[19].global_from_local.is_some() && read[19].global_from_imu.is_none());
+        }
     }
 }

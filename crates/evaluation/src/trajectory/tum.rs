@@ -5,7 +5,7 @@
 use super::StampedPose;
 use geometry::pose::Pose;
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
-use sensors::SequenceError;
+use sensors::{SequenceError, read_written_lines};
 use std::fmt::Write as _;
 use std::fs::File;
 use std::io::{BufWriter, Write as _};
@@ -15,21 +15,24 @@ use thiserror::Error;
 /// How far a written quaternion's length may be from 1.
 const QUATERNION_TOLERANCE: f64 = 1e-2;
 const NANOSECONDS: i64 = 1_000_000_000;
+/// First line of the files that [`TumWriter`] writes.
+pub(super) const HEADER: &str = "# timestamp [s] x y z [m] qx qy qz qw";
 
-/// Reads a TUM trajectory. Empty lines and lines that begin with `#` are skipped.
+/// Reads a TUM trajectory. Empty lines, lines that begin with `#` and a header are skipped.
+///
+/// A file of [`TumWriter`] whose last line has no line feed was cut off by the end of its program: that line is left out,
+/// with a warning.
 ///
 /// # Errors
 /// [`SequenceError`] with the file and the line: a row that is cut off or not finite, a quaternion without unit length,
 /// time stamps out of order, no rows at all.
 pub fn read(path: &Path) -> Result<Vec<StampedPose>, SequenceError> {
-    let text = std::fs::read_to_string(path).map_err(|source| match source.kind() {
-        std::io::ErrorKind::NotFound => SequenceError::missing(path, "a trajectory was expected there"),
-        _ => SequenceError::io(path, source),
-    })?;
+    let text = text_of(path)?;
     let mut poses: Vec<StampedPose> = Vec::new();
     for (index, line) in text.lines().enumerate() {
         let line = line.trim();
-        if line.is_empty() || line.starts_with('#') {
+        let is_header = poses.is_empty() && line.starts_with("timestamp");
+        if line.is_empty() || line.starts_with('#') || is_header {
             continue;
         }
         let wrong = |problem: RowProblem| SequenceError::Row {
@@ -49,6 +52,18 @@ pub fn read(path: &Path) -> Result<Vec<StampedPose>, SequenceError> {
     Ok(poses)
 }
 
+/// The text of a file; of one that a killed program wrote, the complete lines.
+fn text_of(path: &Path) -> Result<String, SequenceError> {
+    let text = std::fs::read_to_string(path).map_err(|source| match source.kind() {
+        std::io::ErrorKind::NotFound => SequenceError::missing(path, "a trajectory was expected there"),
+        _ => SequenceError::io(path, source),
+    })?;
+    if !text.starts_with(HEADER) || text.ends_with('\n') {
+        return Ok(text);
+    }
+    Ok(read_written_lines(path, "a trajectory was expected there")?.text)
+}
+
 /// Writes a TUM trajectory pose by pose while a run goes on.
 #[derive(Debug)]
 pub struct TumWriter {
@@ -64,7 +79,7 @@ impl TumWriter {
     pub fn create(path: &Path) -> Result<Self, SequenceError> {
         let create = || {
             let mut out = BufWriter::new(File::create(path)?);
-            writeln!(out, "# timestamp [s] x y z [m] qx qy qz qw")?;
+            writeln!(out, "{HEADER}")?;
             Ok(out)
         };
         let out = create().map_err(|source| SequenceError::io(path, source))?;
@@ -159,7 +174,9 @@ pub fn nanoseconds(text: &str) -> Option<i64> {
 enum RowProblem {
     #[error("its time does not come after {}: sort the file by time", seconds(*before_ns))]
     Order { before_ns: i64 },
-    #[error("\"{0}\" is no time in seconds")]
+    #[error(
+        "\"{0}\" is no time in seconds: with nanoseconds, separate the columns by commas (EuRoC's layout, q_w first)"
+    )]
     Time(String),
     #[error("the row is cut off: `t x y z qx qy qz qw` are 8 numbers")]
     CutOff,
@@ -262,5 +279,24 @@ mod tests {
         }
         std::fs::write(&path, "# nothing\n").unwrap();
         assert!(matches!(read(&path), Err(SequenceError::Empty { .. })));
+    }
+
+    #[test]
+    fn a_last_row_that_a_killed_run_cut_off_is_left_out() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("pose.tum");
+        let pose = |stamp_ns| StampedPose { stamp_ns, pose: Pose::identity() };
+        write(&path, &[pose(1), pose(2)]).unwrap();
+        let text = std::fs::read_to_string(&path).unwrap();
+        // Also where only the last digits are missing: the row looks complete, but is not what was written.
+        for cut in [1, 4, 9, 60] {
+            std::fs::write(&path, &text[..text.len() - cut]).unwrap();
+            assert_eq!(read(&path).unwrap(), [pose(1)], "{cut}");
+        }
+        std::fs::write(&path, text.replacen(" 1.000000000", "", 1)).unwrap();
+        assert!(read(&path).unwrap_err().to_string().contains("line 2"));
+        // Other programs may end their last line as they like.
+        std::fs::write(&path, "1 0 0 0 0 0 0 1\n2 0 0 0 0 0 0 1").unwrap();
+        assert_eq!(read(&path).unwrap().len(), 2);
     }
 }

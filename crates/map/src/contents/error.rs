@@ -1,7 +1,7 @@
 //! Which invariant of maps is violated, and by which record.
 
-use geometry::CameraError;
 use geometry::covariance_check::CovarianceError;
+use geometry::{CameraError, MAX_COORDINATE_M};
 use protocol::{KeyframeId, LandmarkId, MAX_EXTRACTOR_BYTES};
 
 /// An invariant that a map violates.
@@ -79,9 +79,12 @@ pub enum KeyframeProblem {
     /// Two keyframes have this id.
     #[error("the id occurs twice")]
     Duplicate,
-    /// The position has an infinite or undefined coordinate.
-    #[error("its position is not finite")]
-    Position,
+    /// The position has an undefined coordinate, or one beyond the bound.
+    #[error("its position {position:?} is not finite, or exceeds {MAX_COORDINATE_M:e} m")]
+    Position {
+        /// Its value (m).
+        position: [f64; 3],
+    },
     /// The rotation is no unit quaternion.
     #[error("its quaternion has length {norm}, not 1")]
     Quaternion {
@@ -120,9 +123,12 @@ pub enum LandmarkProblem {
     /// Two landmarks have this id.
     #[error("the id occurs twice")]
     Duplicate,
-    /// The position has an infinite or undefined coordinate.
-    #[error("its position is not finite")]
-    Position,
+    /// The position has an undefined coordinate, or one beyond the bound.
+    #[error("its position {position:?} is not finite, or exceeds {MAX_COORDINATE_M:e} m")]
+    Position {
+        /// Its value (m).
+        position: [f64; 3],
+    },
     /// An observing keyframe is missing.
     #[error("it is observed by keyframe {keyframe}, which is not in the map")]
     UnknownKeyframe {

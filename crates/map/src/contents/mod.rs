@@ -1,5 +1,6 @@
 //! A whole map in memory, and the invariants that every map satisfies.
 
+mod digest;
 mod error;
 mod validation;
 
@@ -8,7 +9,6 @@ use std::collections::BTreeSet;
 use protocol::KeyframeId;
 
 pub use error::{ContentsError, CrossCovarianceProblem, KeyframeProblem, LandmarkProblem, MetadataProblem};
-pub(crate) use validation::check_metadata;
 
 use crate::model::{Keyframe, KeyframeCrossCovariance, Landmark, MapMetadata};
 

@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use geometry::covariance_check::check_covariance;
+use geometry::is_coordinate;
 use nalgebra::{Matrix6, SMatrix};
 use protocol::{DescriptorKind, KeyframeId, MAX_EXTRACTOR_BYTES};
 
@@ -19,7 +20,7 @@ const UNIT_TOLERANCE: f64 = 1e-6;
 type Keyframes<'a> = BTreeMap<KeyframeId, &'a Keyframe>;
 
 impl MapContents {
-    /// Checks every invariant of a map: ids are unique, references exist, numbers are finite, quaternions and gravity
+    /// Checks every invariant of a map: ids are unique, references exist, numbers are finite, positions are within [`geometry::MAX_COORDINATE_M`], quaternions and gravity
     /// are of unit length, pixels lie in their images, descriptors have the map's width, covariances (of one
     /// keyframe, and of each pair with a cross-covariance) are symmetric and positive semi-definite, and each
     /// landmark is observed by its anchor.
@@ -58,7 +59,7 @@ fn ensure<E>(holds: bool, problem: E) -> Result<(), E> {
 }
 
 /// Checks what applies to the map as a whole.
-pub(crate) fn check_metadata(info: &MapMetadata) -> Result<(), ContentsError> {
+fn check_metadata(info: &MapMetadata) -> Result<(), ContentsError> {
     metadata_problem(info).map_or(Ok(()), |problem| Err(ContentsError::Metadata { problem }))
 }
 
@@ -83,7 +84,8 @@ fn metadata_problem(info: &MapMetadata) -> Option<MetadataProblem> {
 /// Checks one keyframe by itself.
 fn check_keyframe(info: &MapMetadata, keyframe: &Keyframe) -> Result<(), KeyframeProblem> {
     let pose = &keyframe.global_from_keyframe.pose;
-    ensure(pose.translation.iter().all(|value| value.is_finite()), KeyframeProblem::Position)?;
+    let position: [f64; 3] = pose.translation.into();
+    ensure(position.iter().copied().all(is_coordinate), KeyframeProblem::Position { position })?;
     let norm = pose.rotation.quaternion().norm();
     ensure(is_unit(norm), KeyframeProblem::Quaternion { norm })?;
     keyframe.camera.validate().map_err(KeyframeProblem::Camera)?;
@@ -108,8 +110,8 @@ fn check_landmark(
     landmark: &Landmark,
     keyframes: &Keyframes<'_>,
 ) -> Result<(), LandmarkProblem> {
-    let finite = landmark.position_in_anchor.iter().all(|value| value.is_finite());
-    ensure(finite, LandmarkProblem::Position)?;
+    let position: [f64; 3] = landmark.position_in_anchor.into();
+    ensure(position.iter().copied().all(is_coordinate), LandmarkProblem::Position { position })?;
     let mut observers = BTreeSet::new();
     for observation in &landmark.observations {
         let id = observation.keyframe;

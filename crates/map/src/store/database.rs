@@ -1,60 +1,68 @@
-//! Creating, opening and replacing the database of a map.
+//! Reading and writing the map in a folder.
 
 use std::path::Path;
 
 use super::error::StoreError;
+use super::folder;
 use super::map_store::MapStore;
 use super::sled_store::SledStore;
+use super::stored_map::{SavedMap, StoredMap};
 use crate::contents::MapContents;
-use crate::model::MapMetadata;
 
-/// Creates a new map without keyframes, of version 0.
+/// The database of all maps.
+static STORE: &dyn MapStore = &SledStore;
+
+/// Reads the map in a folder; nothing is written to it, and other programs may read or replace the map meanwhile.
 ///
-/// # Arguments
-/// * `path`: a directory that does not exist yet, or is empty.
+/// Every byte is verified by checksums before it is used. Reading needs as much space in the temporary folder (`TMPDIR`) as
+/// the map takes, and frees it before it returns.
 ///
 /// # Errors
-/// [`StoreError::Exists`], [`StoreError::Invalid`] for impossible `info`, [`StoreError::Database`].
-pub fn create(path: impl AsRef<Path>, info: &MapMetadata) -> Result<Box<dyn MapStore>, StoreError> {
-    Ok(Box::new(SledStore::create(path.as_ref(), info)?))
+/// [`StoreError::Missing`], [`StoreError::NotAMap`], [`StoreError::Unfinished`], [`StoreError::Damaged`],
+/// [`StoreError::Schema`], [`StoreError::Read`], [`StoreError::Copy`]; [`StoreError::InUse`] for a map of an older schema
+/// that an older program writes to.
+pub fn load_map(path: impl AsRef<Path>) -> Result<StoredMap, StoreError> {
+    folder::read(path.as_ref(), STORE)
 }
 
-/// Opens the map in a directory.
+/// Writes a map into a new folder, or with `replace` in place of the map that is there. The new one then has the identity of
+/// the former and a version that is one larger, so that robots which hold parts of it learn of the change. Both are set by
+/// this function; those of `contents` are not used.
+///
+/// The map appears in one step once all of it is on the disk and was read back: whatever stops the program, and whatever
+/// fails, the map that was there before remains. A folder with an unfinished map counts as free.
 ///
 /// # Errors
-/// [`StoreError::Missing`], [`StoreError::NotAMap`], [`StoreError::Schema`], [`StoreError::InUse`],
-/// [`StoreError::Database`].
-pub fn open(path: impl AsRef<Path>) -> Result<Box<dyn MapStore>, StoreError> {
-    Ok(Box::new(SledStore::open(path.as_ref())?))
-}
-
-/// Writes a map into a new database, or with `replace` over the map that is there, whose version then grows by one, so
-/// that robots which hold parts of it learn of the change.
-///
-/// # Returns
-/// The version of the map.
-///
-/// # Errors
-/// [`StoreError::Invalid`] for a map that violates an invariant (nothing is written then), [`StoreError::Exists`]
-/// without `replace`, and with it [`StoreError::NotAMap`] where the path holds something else; [`StoreError::Database`].
+/// [`StoreError::Invalid`] for a map that violates an invariant, [`StoreError::Exists`] without `replace`, and with it
+/// [`StoreError::NotAMap`] where the path holds something else; [`StoreError::InUse`] where another program writes the map;
+/// [`StoreError::Write`], for example of a full disk.
 ///
 /// # Example
 /// ```
-/// use map::{MapContents, MapMetadata, MapStore as _, store};
+/// use map::{MapContents, MapMetadata, store};
 /// use protocol::DescriptorKind;
 ///
 /// let folder = tempfile::tempdir()?;
 /// let path = folder.path().join("hall.db");
 /// let contents = MapContents::empty(MapMetadata::new("hall", "example", DescriptorKind::Binary, 32));
-/// assert_eq!(store::save_map(&path, &contents, false)?, 1);
-/// assert_eq!(store::save_map(&path, &contents, true)?, 2);
-/// assert_eq!(store::open(&path)?.read_contents()?.info.name, "hall");
+/// let first = store::save_map(&path, &contents, false)?;
+/// let second = store::save_map(&path, &contents, true)?;
+/// assert_eq!((first.version, second.version), (1, 2));
+/// assert_eq!(first.identity, second.identity);
+/// assert_eq!(store::load_map(&path)?.whole()?.info.name, "hall");
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
-pub fn save_map(path: &Path, contents: &MapContents, replace: bool) -> Result<u64, StoreError> {
+pub fn save_map(path: &Path, contents: &MapContents, replace: bool) -> Result<SavedMap, StoreError> {
     contents.validate()?;
-    let empty = || std::fs::read_dir(path).is_ok_and(|mut entries| entries.next().is_none());
-    let store =
-        if replace && path.exists() && !empty() { open(path)? } else { create(path, &contents.info)? };
-    store.replace_all(contents)
+    let mut contents = contents.clone();
+    contents.sort();
+    folder::write(path, contents, replace, STORE)
+}
+
+/// Ensures that [`save_map`] would not write over something that must stay: to be asked before a map is built.
+///
+/// # Errors
+/// [`StoreError::Exists`] without `replace`, and with it [`StoreError::NotAMap`]; [`StoreError::Read`].
+pub fn ensure_free(path: &Path, replace: bool) -> Result<(), StoreError> {
+    folder::ensure_free(path, replace, STORE)
 }

@@ -1,11 +1,11 @@
-//! Why a map store could not do what it was asked for.
+//! Why a map could not be read or written.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use super::record::RecordError;
 use crate::contents::ContentsError;
 
-/// Why a store could not do what it was asked for.
+/// Why a map could not be read or written.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum StoreError {
@@ -16,9 +16,9 @@ pub enum StoreError {
         path: PathBuf,
     },
     /// A new map must not overwrite what is there.
-    #[error("{path} exists already: choose another path, or remove it first")]
+    #[error("{path} exists already: choose another path, or replace the map with --force")]
     Exists {
-        /// Where the map should have been created.
+        /// Where the map should have been written.
         path: PathBuf,
     },
     /// The path holds something else.
@@ -28,6 +28,15 @@ pub enum StoreError {
         path: PathBuf,
         /// What was found.
         problem: &'static str,
+    },
+    /// The program that wrote the map was stopped before it was complete.
+    #[error(
+        "the map {path} is unfinished: the program that wrote it was stopped before its end; \
+         build or import it again (--force is not needed)"
+    )]
+    Unfinished {
+        /// The path.
+        path: PathBuf,
     },
     /// The map was written by an incompatible version of this program.
     #[error(
@@ -42,13 +51,25 @@ pub enum StoreError {
         /// [`super::STORE_SCHEMA`].
         expected: u16,
     },
-    /// Another process has the map open.
-    #[error("the map {path} is in use by another program (a map_server?): stop it first")]
+    /// Another process writes the map.
+    #[error(
+        "the map {path} is in use by another program (a build or an import?): wait for its end, or stop it"
+    )]
     InUse {
         /// The path.
         path: PathBuf,
     },
-    /// One record cannot be read; all others still can.
+    /// The files of the map are not those that were written.
+    #[error(
+        "the map {path} is damaged: {damage}; restore it from a backup, or build or import it again with --force"
+    )]
+    Damaged {
+        /// The path.
+        path: PathBuf,
+        /// What is wrong with it.
+        damage: Damage,
+    },
+    /// One record of a map of an older schema cannot be read; all others still can.
     #[error("{record} in the map {path} is damaged: {problem}")]
     Corrupt {
         /// The path.
@@ -61,12 +82,163 @@ pub enum StoreError {
     /// The new contents violate an invariant of maps; nothing was written.
     #[error("the map would become invalid: {0}")]
     Invalid(#[from] ContentsError),
-    /// The database under the map failed.
-    #[error("the database {path} failed: {source}")]
-    Database {
+    /// A file or folder of the map cannot be read.
+    #[error("cannot read {path}: {source}")]
+    Read {
+        /// The file or folder.
+        path: PathBuf,
+        /// The error of the system.
+        source: std::io::Error,
+    },
+    /// The copy that is read cannot be made.
+    #[error(
+        "the map {path} cannot be copied to {folder} for reading: {source}; free {} MB there, or set TMPDIR to a folder \
+         with more space",
+        bytes.div_ceil(1_000_000)
+    )]
+    Copy {
         /// The path.
         path: PathBuf,
+        /// The temporary folder.
+        folder: PathBuf,
+        /// Bytes of the map's files.
+        bytes: u64,
+        /// The error of the system.
+        source: std::io::Error,
+    },
+    /// The map cannot be written. What was there before is still there.
+    #[error("the map {path} cannot be written: {problem}; what was there before is unchanged")]
+    Write {
+        /// The path.
+        path: PathBuf,
+        /// What failed.
+        problem: WriteProblem,
+    },
+}
+
+/// What is wrong with the files of a map.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Damage {
+    /// The list of the map's files is unusable.
+    #[error("its {file} cannot be understood ({reason})")]
+    Manifest {
+        /// Name of the file.
+        file: &'static str,
+        /// What is wrong.
+        reason: String,
+    },
+    /// A file is not there.
+    #[error("the file {file} is missing")]
+    MissingFile {
+        /// Its path in the folder of the map.
+        file: String,
+    },
+    /// A file is shorter or longer than it was written.
+    #[error("the file {file} has {found} bytes, {expected} were written")]
+    Length {
+        /// Its path in the folder of the map.
+        file: String,
+        /// Its bytes.
+        found: u64,
+        /// The bytes that were written.
+        expected: u64,
+    },
+    /// A file has other bytes than were written.
+    #[error("the bytes of the file {file} have changed since it was written")]
+    Checksum {
+        /// Its path in the folder of the map.
+        file: String,
+    },
+    /// The database in the files cannot be read.
+    #[error("its database cannot be read ({0})")]
+    Database(DatabaseError),
+    /// The records are not those that were written.
+    #[error("the map in its database is not the one that was written")]
+    Contents,
+    /// The database does not come to an end.
+    #[error("its database was not read within {seconds} s")]
+    Endless {
+        /// The limit (s).
+        seconds: u64,
+    },
+}
+
+/// Why a map cannot be written.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum WriteProblem {
+    /// A file or folder cannot be written, for example because the disk is full.
+    #[error("{file}: {source}")]
+    File {
+        /// The file or folder.
+        file: PathBuf,
+        /// The error of the system.
+        source: std::io::Error,
+    },
+    /// The database reported an error, for example because the disk is full.
+    #[error("{0}")]
+    Database(DatabaseError),
+    /// What was written was not read back.
+    #[error("reading it back failed ({0}); is the disk full?")]
+    NotReadBack(Box<StoreError>),
+}
+
+/// Why the database in a folder could not be read or written.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum DatabaseError {
+    /// The database holds something else than a map.
+    #[error("it holds no map schema")]
+    NoMap,
+    /// The map was never written to its end.
+    #[error("the map in it is unfinished")]
+    Unfinished,
+    /// The map is of another schema.
+    #[error("it has schema {found}")]
+    Schema {
+        /// The number in the database.
+        found: u16,
+    },
+    /// A record without which the others mean nothing.
+    #[error("{record}: {problem}")]
+    Record {
+        /// Which record.
+        record: String,
+        /// What is wrong with it.
+        problem: RecordError,
+    },
+    /// The keys of a table do not ascend.
+    #[error("the keys of its table {table} are out of order")]
+    Order {
+        /// The table.
+        table: &'static str,
+    },
+    /// The database reported an error.
+    #[error("{source}")]
+    Failed {
         /// The error of the database.
         source: Box<dyn std::error::Error + Send + Sync>,
     },
+    /// The database panicked.
+    #[error("the database panicked: {message}")]
+    Panicked {
+        /// Text of the panic.
+        message: String,
+    },
+}
+
+impl StoreError {
+    /// A database that cannot be read, as an error of the map at a path.
+    pub(super) fn unreadable(path: &Path, error: DatabaseError) -> StoreError {
+        let path = path.to_owned();
+        match error {
+            DatabaseError::NoMap => StoreError::NotAMap { path, problem: "its database holds no map schema" },
+            DatabaseError::Unfinished => StoreError::Unfinished { path },
+            DatabaseError::Schema { found } => {
+                StoreError::Schema { path, found, expected: super::STORE_SCHEMA }
+            }
+            error => StoreError::Damaged { path, damage: Damage::Database(error) },
+        }
+    }
 }

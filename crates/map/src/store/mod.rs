@@ -1,28 +1,36 @@
-//! Maps in databases: the [`MapStore`] trait, and the functions that create, open and replace them.
+//! Maps in databases: reading and writing them, and the [`MapStore`] trait of the database under them.
 //!
 //! | module | what |
 //! |---|---|
 //! | `error` | [`StoreError`] |
+//! | `database` | [`load_map`], [`save_map`]: the only place that names an implementation |
+//! | `folder` | the folder of a map: versions, checksums, verified copies; independent of the database |
+//! | `guarded` | calls that may panic |
 //! | `map_store` | the trait [`MapStore`] |
 //! | `record` | the bytes of a record: versions, checksums, layout; independent of the database |
 //! | `sled_store` | the trait on the embedded database sled |
-//! | `database` | [`create`], [`open`], [`save_map`]: the only place that names an implementation |
+//! | `stored_map` | [`StoredMap`], [`SavedMap`] |
 
 mod database;
 mod error;
+mod folder;
+mod guarded;
 mod map_store;
 pub mod record;
 mod sled_store;
+mod stored_map;
 
-pub use database::{create, open, save_map};
-pub use error::StoreError;
-pub use map_store::{MapStore, Records};
+pub use database::{ensure_free, load_map, save_map};
+pub use error::{Damage, DatabaseError, StoreError, WriteProblem};
+pub use map_store::{MapStore, ReadMap};
 pub use record::RecordError;
+pub use stored_map::{SavedMap, StoredMap};
 
-/// Layout of a map on disk. A database with a larger number is refused on opening.
+/// Layout of a map on disk. A map with a larger number is refused.
 ///
-/// 1: as in the first release. 2: the info of the map names the extractor. Every change writes the newest.
-pub const STORE_SCHEMA: u16 = 2;
+/// 1: as in the first release. 2: the info of the map names the extractor. 3: a folder with a manifest and checksums around
+/// the database; the info has the identity. Every change writes the newest.
+pub const STORE_SCHEMA: u16 = 3;
 
 /// The oldest layout that is read.
 pub const OLDEST_STORE_SCHEMA: u16 = 1;

@@ -80,7 +80,7 @@ fn read_keyframes(folder: &Path) -> Result<BTreeMap<KeyframeId, Keyframe>, MapFi
             id: row.integer(0, "id")?,
             stamp_ns: row.integer(1, "timestamp")?,
             global_from_keyframe: PoseWithCovariance {
-                pose: Pose::new(rotation(&row)?, Vector3::from(row.numbers(2, "position")?)),
+                pose: Pose::new(rotation(&row)?, Vector3::from(row.position(2, "position")?)),
                 covariance: isotropic(&row)?,
             },
             camera,
@@ -178,7 +178,7 @@ fn read_landmarks(
         let landmark = Landmark {
             id,
             anchor: keyframe_of(&row, 1, keyframes)?.id,
-            position_in_anchor: Vector3::from(row.numbers(2, "position")?),
+            position_in_anchor: Vector3::from(row.position(2, "position")?),
             observations: Vec::new(),
         };
         if landmarks.insert(id, landmark).is_some() {

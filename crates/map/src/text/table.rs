@@ -3,6 +3,8 @@
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
+use geometry::{MAX_COORDINATE_M, is_coordinate};
+
 use super::error::MapFileError;
 
 /// One line of a table, without the line end.
@@ -124,6 +126,18 @@ impl<'a> Row<'a> {
             *value = self.number(first + offset, name)?;
         }
         Ok(values)
+    }
+
+    /// The coordinates of a position (m), finite and within [`MAX_COORDINATE_M`].
+    pub(super) fn position(&self, first: usize, name: &str) -> Result<[f64; 3], MapFileError> {
+        let position = self.numbers(first, name)?;
+        match position.into_iter().find(|value| !is_coordinate(*value)) {
+            Some(value) => Err(self.error(
+                format!("the {name} has the coordinate {value:e} m, more than {MAX_COORDINATE_M:e} m"),
+                "write metres, in a frame whose origin is nearby",
+            )),
+            None => Ok(position),
+        }
     }
 
     /// One field of hexadecimal digits as bytes.

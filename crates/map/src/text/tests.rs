@@ -163,6 +163,15 @@ fn a_number_that_is_none_is_named() {
 }
 
 #[test]
+fn a_position_beyond_the_bound_is_named() {
+    let said = complaint_about("landmarks.csv", |text| format!("{text}999,3,0,1e300,1\n"));
+    assert!(said.contains("landmarks.csv, line 42") && said.contains("position"), "{said}");
+    assert!(said.contains("1e300 m, more than 1e7 m"), "{said}");
+    let said = complaint_about("keyframes.csv", |text| format!("{text}99,1,0,0,-2e7,1,0,0,0,0.01,0.1\n"));
+    assert!(said.contains("keyframes.csv, line 10") && said.contains("-2e7 m"), "{said}");
+}
+
+#[test]
 fn a_reference_to_nothing_is_named() {
     let said = complaint_about("observations.csv", |text| format!("{text}1,4,10,10,00\n"));
     assert!(said.contains("line 122") && said.contains("keyframe 4 is not in keyframes.csv"), "{said}");

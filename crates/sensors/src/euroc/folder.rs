@@ -3,9 +3,19 @@
 use super::camera_folder::FrameRows;
 use super::sensor_yaml;
 use super::tables::{TimedRow, TimedRows, read_reference_poses};
+use crate::image_check::ImageCheck;
+use crate::imu_check::ImuCheck;
+use crate::kalibr::{self, CalibrationFiles};
 use crate::rows::Rows;
-use crate::{Frame, ImuSample, SensorCalibration, Sequence, SequenceError, TruthRow};
+use crate::{
+    CameraSensor, Frame, ImuSample, ImuSensor, SensorCalibration, Sequence, SequenceError, Table, TruthRow,
+};
+use geometry::camera::Camera;
+use geometry::pose::Pose;
 use std::path::{Path, PathBuf};
+
+/// Images from which the rate of a camera is measured, where its calibration does not state it.
+const RATE_IMAGES: usize = 100;
 
 /// A recording on disk. Every call opens the file again.
 #[derive(Clone, Debug)]
@@ -13,33 +23,93 @@ pub(crate) struct Folder {
     root: PathBuf,
     cameras: usize,
     has_imu: bool,
+    time_offset_ns: i64,
 }
 
-impl Folder {
+/// The calibration of a recording in a folder, and where it comes from.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FolderCalibration {
+    /// The sensors.
+    pub sensors: SensorCalibration,
+    /// What was added to the time stamps of the images to obtain the IMU's, nanoseconds: Kalibr's `timeshift_cam_imu`.
+    pub time_offset_ns: i64,
+    /// Kalibr's files, where they were used in place of `sensor.yaml`.
+    pub files: CalibrationFiles,
+}
+
+impl FolderCalibration {
     /// Reads the calibration of a recording, and nothing else.
-    pub(crate) fn open(root: &Path) -> Result<(Self, SensorCalibration), SequenceError> {
+    ///
+    /// # Arguments
+    /// * `files`: Kalibr's; what is not given is read from the `sensor.yaml` files, or found in the folder.
+    ///
+    /// # Errors
+    /// [`SequenceError`] with the file.
+    pub fn read(root: &Path, files: &CalibrationFiles) -> Result<Self, SequenceError> {
         let mav = root.join("mav0");
         if !mav.is_dir() {
             let advice = "a recording is a folder in the EuRoC layout, with mav0/cam0 in it; check the path";
             return Err(SequenceError::missing(&mav, advice));
         }
-        let imu_folder = mav.join("imu0");
-        let imu = if imu_folder.is_dir() {
-            Some(sensor_yaml::read_imu(&imu_folder.join("sensor.yaml"))?)
-        } else {
-            None
+        let files = files.completed(root)?;
+        let imu = match (&files.imu, mav.join("imu0")) {
+            (_, folder) if !folder.is_dir() => None,
+            (Some(path), _) => Some(kalibr::read_imu(path)?),
+            (None, folder) => Some(sensor_yaml::read_imu(&folder.join("sensor.yaml"))?),
         };
-        let mut cameras = vec![sensor_yaml::read_camera(&mav.join("cam0/sensor.yaml"))?];
-        if mav.join("cam1").is_dir() {
-            cameras.push(sensor_yaml::read_camera(&mav.join("cam1/sensor.yaml"))?);
-        }
-        let folder = Self { root: root.to_path_buf(), cameras: cameras.len(), has_imu: imu.is_some() };
-        Ok((folder, SensorCalibration { imu, cameras }))
+        let count = if mav.join("cam1").is_dir() { 2 } else { 1 };
+        let folders = (0..count).map(|index| mav.join(format!("cam{index}")));
+        let Some(path) = &files.cameras else {
+            let read = |folder: PathBuf| sensor_yaml::read_camera(&folder.join("sensor.yaml"));
+            let cameras = folders.map(read).collect::<Result<_, _>>()?;
+            return Ok(Self { sensors: SensorCalibration { imu, cameras }, time_offset_ns: 0, files });
+        };
+        let chain = kalibr::read_camera_chain(path, count)?;
+        let sensor = |((camera, imu_from_camera), folder): ((Camera, Pose), PathBuf)| {
+            Ok(CameraSensor { camera, imu_from_camera, rate_hz: rate_of(&folder.join("data.csv"))? })
+        };
+        let cameras = chain.cameras.into_iter().zip(folders).map(sensor).collect::<Result<_, _>>()?;
+        let sensors = SensorCalibration { imu, cameras };
+        Ok(Self { sensors, time_offset_ns: chain.time_offset_ns, files })
+    }
+}
+
+/// Images a second by the median interval of the first images of a list; 1 for a single image.
+fn rate_of(path: &Path) -> Result<f64, SequenceError> {
+    let mut table = Table::open(path, "it lists the time stamps of this camera's images")?;
+    let mut stamps = Vec::new();
+    while stamps.len() < RATE_IMAGES {
+        let Some(row) = table.next_row()? else { break };
+        stamps.push(row.stamp()?);
+    }
+    let mut intervals: Vec<i64> = stamps.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    intervals.sort_unstable();
+    let median = intervals.get(intervals.len() / 2).copied();
+    Ok(median.filter(|&interval| interval > 0).map_or(1.0, |interval| 1e9 / interval as f64))
+}
+
+impl Folder {
+    /// Reads the calibration of a recording, and nothing else.
+    pub(crate) fn open(
+        root: &Path,
+        files: &CalibrationFiles,
+    ) -> Result<(Self, SensorCalibration), SequenceError> {
+        let FolderCalibration { sensors, time_offset_ns, .. } = FolderCalibration::read(root, files)?;
+        let folder = Self {
+            root: root.to_path_buf(),
+            cameras: sensors.cameras.len(),
+            has_imu: sensors.imu.is_some(),
+            time_offset_ns,
+        };
+        Ok((folder, sensors))
     }
 
-    /// The frames.
+    /// The frames, with the calibrated time offset of the cameras added to their stamps.
     pub(crate) fn frames(&self) -> Result<Rows<'static, Frame>, SequenceError> {
-        Ok(Box::new(FrameRows::open(&self.root.join("mav0"), self.cameras)?))
+        let offset_ns = self.time_offset_ns;
+        let rows = FrameRows::open(&self.root.join("mav0"), self.cameras)?;
+        let shifted = move |frame: Frame| Frame { stamp_ns: frame.stamp_ns + offset_ns, ..frame };
+        Ok(Box::new(rows.map(move |frame| frame.map(shifted))))
     }
 
     /// The IMU's readings; none without an IMU.
@@ -49,6 +119,13 @@ impl Folder {
         } else {
             Ok(Box::new(std::iter::empty()))
         }
+    }
+
+    /// Checks the units of the readings.
+    pub(crate) fn check_units(&self, check: &ImuCheck, imu: Option<&ImuSensor>) -> Result<(), SequenceError> {
+        let gravity = imu.and_then(|imu| imu.gravity_magnitude);
+        let path = || self.root.join("mav0/imu0/data.csv");
+        check.finish(gravity).map_err(|source| SequenceError::ImuUnits { path: path(), source })
     }
 
     /// Whether there is ground truth.
@@ -75,12 +152,53 @@ impl Sequence {
     ///
     /// # Errors
     /// [`SequenceError`] with the file, the line, and what to do: a missing calibration or table, a row that is cut
-    /// off or not finite, time stamps out of order, tracks or features of an image that is not listed, a camera model
+    /// off or not finite, time stamps out of order, readings in other units, images of another size than calibrated, tracks or features of an image that is not listed, a camera model
     /// or a descriptor that is not supported.
     pub fn open(root: &Path) -> Result<Self, SequenceError> {
-        let (folder, SensorCalibration { imu, cameras }) = Folder::open(root)?;
-        let imu_samples = folder.imu_samples()?.collect::<Result<_, _>>()?;
-        let frames = folder.frames()?.collect::<Result<_, _>>()?;
+        Self::open_with(root, &CalibrationFiles::default())
+    }
+
+    /// [`Sequence::open`] with calibration files of Kalibr in place of the recording's own.
+    ///
+    /// # Errors
+    /// As [`Sequence::open`].
+    pub fn open_with(root: &Path, files: &CalibrationFiles) -> Result<Self, SequenceError> {
+        let mut imu_samples = Vec::new();
+        let sequence = Self::read(root, files, |sample| imu_samples.push(*sample))?;
+        Ok(Self { imu_samples, ..sequence })
+    }
+
+    /// [`Sequence::open_with`] without the readings of the IMU, which are checked and not kept: `imu_samples` is empty.
+    ///
+    /// For what needs frames and poses only, as building a map does: an hour of readings takes 40 MB.
+    ///
+    /// # Errors
+    /// As [`Sequence::open`].
+    pub fn open_without_readings(root: &Path, files: &CalibrationFiles) -> Result<Self, SequenceError> {
+        Self::read(root, files, |_| {})
+    }
+
+    /// Reads and checks everything; the readings of the IMU go to `keep`.
+    fn read(
+        root: &Path,
+        files: &CalibrationFiles,
+        mut keep: impl FnMut(&ImuSample),
+    ) -> Result<Self, SequenceError> {
+        let (folder, SensorCalibration { imu, cameras }) = Folder::open(root, files)?;
+        let mut readings = ImuCheck::default();
+        for sample in folder.imu_samples()? {
+            let sample = sample?;
+            readings.add(&sample);
+            keep(&sample);
+        }
+        folder.check_units(&readings, imu.as_ref())?;
+        let mut images = ImageCheck::default();
+        let mut frames = Vec::new();
+        for frame in folder.frames()? {
+            let frame = frame?;
+            images.add(&frame, &cameras)?;
+            frames.push(frame);
+        }
         let groundtruth: Vec<TruthRow> = folder.truth()?.collect::<Result<_, _>>()?;
         let reference_path = root.join("reference_poses.csv");
         let reference_poses =
@@ -88,7 +206,7 @@ impl Sequence {
         Ok(Self {
             root: root.to_path_buf(),
             imu,
-            imu_samples,
+            imu_samples: Vec::new(),
             cameras,
             frames,
             groundtruth: (!groundtruth.is_empty()).then_some(groundtruth),

@@ -7,5 +7,6 @@ mod tables;
 pub mod writer;
 
 pub(crate) use folder::Folder;
+pub use folder::FolderCalibration;
 pub use sensor_yaml::read_lens;
 pub use tables::{pose_cells, read_groundtruth, read_reference_poses};

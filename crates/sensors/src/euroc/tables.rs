@@ -106,7 +106,7 @@ impl TimedRow for ReferencePose {
         if sigma_theta_rad <= 0.0 || sigma_p_m <= 0.0 {
             return Err(row.wrong("a standard deviation is not positive: say how uncertain the pose is"));
         }
-        Ok(Self { stamp_ns, pose: pose_cells(row, 1)?, sigma_theta_rad, sigma_p_m })
+        Ok(Self::isotropic(stamp_ns, pose_cells(row, 1)?, sigma_theta_rad, sigma_p_m))
     }
 }
 

@@ -13,7 +13,8 @@ use std::path::Path;
 
 /// Writes every file of a recording below `root`, which is created.
 ///
-/// Images are listed but not written: what is read again has tracks and features only.
+/// Images are listed but not written: what is read again has tracks and features only. Of the covariances of reference
+/// poses the largest standard deviations are written.
 ///
 /// # Errors
 /// [`SequenceError::Io`] with the file that could not be written.
@@ -63,7 +64,8 @@ pub fn write(sequence: &Sequence, root: &Path) -> Result<(), SequenceError> {
             )?;
             poses.iter().try_for_each(|row| {
                 let pose = pose_cells(&row.pose);
-                writeln!(out, "{},{pose},{},{}", row.stamp_ns, row.sigma_theta_rad, row.sigma_p_m)
+                let (sigma_theta_rad, sigma_p_m) = row.largest_sigmas();
+                writeln!(out, "{},{pose},{sigma_theta_rad},{sigma_p_m}", row.stamp_ns)
             })
         })?;
     }

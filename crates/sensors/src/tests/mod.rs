@@ -2,6 +2,8 @@
 
 mod bad_input;
 mod gravity;
+mod kalibr;
+mod plausibility;
 mod round_trip;
 mod source;
 
@@ -45,12 +47,8 @@ fn sequence(seed: u64) -> Sequence {
     let cameras = cameras.into_iter().map(|distortion| camera(&mut rng, distortion)).collect::<Vec<_>>();
     let frames = (0..8).map(|index| frame(&mut rng, index, cameras.len() as u8)).collect();
     let groundtruth = (0..10).map(|index| truth_row(&mut rng, index)).collect();
-    let reference = (0..5).map(|index| ReferencePose {
-        stamp_ns: START_NS + index * 1_000_000_000,
-        pose: pose(&mut rng),
-        sigma_theta_rad: 0.0158,
-        sigma_p_m: 0.1,
-    });
+    let reference = (0..5)
+        .map(|index| ReferencePose::isotropic(START_NS + index * 1_000_000_000, pose(&mut rng), 0.0158, 0.1));
     Sequence {
         root: PathBuf::new(),
         reference_poses: Some(reference.collect()),

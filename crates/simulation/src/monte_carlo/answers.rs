@@ -118,6 +118,7 @@ fn matched(
     });
     Some(MapAnswer {
         map_version: 1,
+        map_identity: 1,
         keyframes: keyframes.collect(),
         held_at_query: Vec::new(),
         landmarks,

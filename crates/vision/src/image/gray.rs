@@ -1,5 +1,7 @@
 //! 8-bit grey images; PNG and JPEG files.
 
+use super::completeness::is_cut_off;
+use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
 /// Maximum width and height of a file, pixels: larger ones are refused before memory is allocated.
@@ -36,6 +38,14 @@ pub enum ImageError {
         path: PathBuf,
         /// The cause.
         source: image::ImageError,
+    },
+    /// The file ends before its image does.
+    #[error("{}: the image is cut off after {bytes} bytes; copy it again", path.display())]
+    CutOff {
+        /// The file.
+        path: PathBuf,
+        /// Its length.
+        bytes: usize,
     },
     /// The file cannot be written.
     #[error("{}: {source}", path.display())]
@@ -90,12 +100,16 @@ impl GrayImage {
     /// Reads a PNG or JPEG file; colours are converted to luma.
     ///
     /// # Errors
-    /// [`ImageError::Unreadable`]: the file is missing, truncated, damaged, not an image, or has more than 16,384
-    /// columns or rows.
+    /// [`ImageError::CutOff`]; [`ImageError::Unreadable`]: the file is missing, damaged, not an image, or has more than
+    /// 16,384 columns or rows.
     pub fn read(path: &Path) -> Result<Self, ImageError> {
         let unreadable = |source| ImageError::Unreadable { path: path.to_path_buf(), source };
-        let mut reader = image::ImageReader::open(path)
-            .and_then(image::ImageReader::with_guessed_format)
+        let bytes = std::fs::read(path).map_err(|error| unreadable(error.into()))?;
+        if is_cut_off(&bytes) {
+            return Err(ImageError::CutOff { path: path.to_path_buf(), bytes: bytes.len() });
+        }
+        let mut reader = image::ImageReader::new(Cursor::new(bytes))
+            .with_guessed_format()
             .map_err(|error| unreadable(error.into()))?;
         let mut limits = image::Limits::default();
         limits.max_image_width = Some(MAX_SIDE);
@@ -104,6 +118,18 @@ impl GrayImage {
         let grey = reader.decode().map_err(unreadable)?.into_luma8();
         let (width, height) = (grey.width() as usize, grey.height() as usize);
         Self::new(width, height, grey.into_raw())
+    }
+
+    /// Columns and rows of a PNG or JPEG file, from its header.
+    ///
+    /// # Errors
+    /// [`ImageError::Unreadable`].
+    pub fn size_of_file(path: &Path) -> Result<(u32, u32), ImageError> {
+        image::ImageReader::open(path)
+            .and_then(image::ImageReader::with_guessed_format)
+            .map_err(image::ImageError::from)
+            .and_then(image::ImageReader::into_dimensions)
+            .map_err(|source| ImageError::Unreadable { path: path.to_path_buf(), source })
     }
 
     /// Writes a PNG or JPEG file, chosen by the file name extension.
@@ -122,7 +148,7 @@ impl GrayImage {
     /// [`ImageError::Encoding`]: more columns or rows than PNG supports.
     pub fn to_png(&self) -> Result<Vec<u8>, ImageError> {
         let (width, height) = (self.width as u32, self.height as u32);
-        let mut png = std::io::Cursor::new(Vec::new());
+        let mut png = Cursor::new(Vec::new());
         let (colour, format) = (image::ExtendedColorType::L8, image::ImageFormat::Png);
         image::write_buffer_with_format(&mut png, &self.pixels, width, height, colour, format)
             .map_err(ImageError::Encoding)?;

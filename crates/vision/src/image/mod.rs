@@ -1,5 +1,6 @@
 //! Grey images: reading and writing them, pyramids, and histogram equalization.
 
+mod completeness;
 pub mod equalization;
 mod gray;
 pub mod pyramid;

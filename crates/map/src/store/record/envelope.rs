@@ -11,10 +11,11 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 use super::error::RecordError;
-use super::layout::{InfoRecord, InfoRecordV1};
+use super::layout::{InfoRecord, InfoRecordV1, InfoRecordV2};
 
-/// Version of the structures in [`super::layout`]. Version 1 differs in the info of the map only, see [`InfoRecordV1`].
-const RECORD_VERSION: u8 = 2;
+/// Version of the structures in [`super::layout`]. Versions 1 and 2 differ in the info of the map only, see
+/// [`InfoRecordV1`] and [`InfoRecordV2`].
+const RECORD_VERSION: u8 = 3;
 /// The oldest version that is read.
 const OLDEST_RECORD_VERSION: u8 = 1;
 /// Bytes before the payload.
@@ -51,8 +52,15 @@ pub fn unseal<T: DeserializeOwned>(table: &str, key: &[u8], bytes: &[u8]) -> Res
 pub fn unseal_info(table: &str, key: &[u8], bytes: &[u8]) -> Result<InfoRecord, RecordError> {
     match open(table, key, bytes)? {
         (1, payload) => decode::<InfoRecordV1>(payload).map(InfoRecord::from),
+        (2, payload) => decode::<InfoRecordV2>(payload).map(InfoRecord::from),
         (_, payload) => decode(payload),
     }
+}
+
+/// The bytes of a record without an envelope, for a digest over records.
+pub(crate) fn payload<T: Serialize>(record: &T) -> Vec<u8> {
+    // Only a writer that refuses bytes, or a type that bincode does not know, makes this fail.
+    options().serialize(record).unwrap_or_default()
 }
 
 /// The version and the payload of an intact record.

@@ -6,7 +6,7 @@ use geometry::camera::{Camera, Distortion};
 use geometry::pose::Pose;
 use geometry::uncertain_pose::PoseWithCovariance;
 use nalgebra::{Matrix6, Quaternion, UnitQuaternion, Vector3};
-use protocol::{DescriptorKind, Descriptors, FeatureSet, KeyframeId, LandmarkId};
+use protocol::{DescriptorKind, Descriptors, FeatureSet, KeyframeId, LandmarkId, MapIdentity};
 use serde::{Deserialize, Serialize};
 
 use super::error::RecordError;
@@ -26,6 +26,36 @@ pub struct InfoRecord {
     descriptor_width: u16,
     sigma_px: f64,
     extractor: String,
+    identity: Option<[u8; 16]>,
+}
+
+/// [`InfoRecord`] of record version 2, when maps had no identity.
+#[derive(Serialize, Deserialize)]
+pub(super) struct InfoRecordV2 {
+    name: String,
+    created_by: String,
+    version: u64,
+    gravity_in_global: Option<[f64; 3]>,
+    descriptor_kind: u8,
+    descriptor_width: u16,
+    sigma_px: f64,
+    extractor: String,
+}
+
+impl From<InfoRecordV2> for InfoRecord {
+    fn from(old: InfoRecordV2) -> InfoRecord {
+        InfoRecord {
+            name: old.name,
+            created_by: old.created_by,
+            version: old.version,
+            gravity_in_global: old.gravity_in_global,
+            descriptor_kind: old.descriptor_kind,
+            descriptor_width: old.descriptor_width,
+            sigma_px: old.sigma_px,
+            extractor: old.extractor,
+            identity: None,
+        }
+    }
 }
 
 /// [`InfoRecord`] of record version 1, when maps did not name their extractor.
@@ -51,22 +81,24 @@ impl From<InfoRecordV1> for InfoRecord {
             descriptor_width: old.descriptor_width,
             sigma_px: old.sigma_px,
             extractor: String::new(),
+            identity: None,
         }
     }
 }
 
 impl InfoRecord {
-    /// The record of a map's metadata at a version.
-    pub fn new(info: &MapMetadata, version: u64) -> InfoRecord {
+    /// The record of a map's metadata.
+    pub fn new(info: &MapMetadata) -> InfoRecord {
         InfoRecord {
             name: info.name.clone(),
             created_by: info.created_by.clone(),
-            version,
+            version: info.version,
             gravity_in_global: info.gravity_in_global.map(Into::into),
             descriptor_kind: kind_to_byte(info.descriptor_kind),
             descriptor_width: info.descriptor_width,
             sigma_px: info.sigma_px,
             extractor: info.extractor.clone(),
+            identity: info.identity.map(MapIdentity::to_bytes),
         }
     }
 
@@ -84,6 +116,7 @@ impl InfoRecord {
             descriptor_width: self.descriptor_width,
             sigma_px: self.sigma_px,
             extractor: self.extractor,
+            identity: self.identity.map(MapIdentity::from_bytes),
         })
     }
 }

@@ -4,6 +4,7 @@ mod envelope;
 mod error;
 mod layout;
 
+pub(crate) use envelope::payload;
 pub use envelope::{seal, unseal, unseal_info};
 pub use error::RecordError;
 pub use layout::{CrossCovarianceRecord, InfoRecord, KeyframeRecord, LandmarkRecord};

@@ -1,39 +1,49 @@
-//! Opening the database of a map, which one process can do at a time.
+//! Opening and closing a sled database.
 
+use std::fs::File;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use crate::store::error::StoreError;
+use crate::store::error::DatabaseError;
 
 /// The database's page cache. A map is read once into memory, so a large cache would hold everything twice.
 const CACHE_BYTES: u64 = 128 * 1024 * 1024;
 
-/// How long opening waits for the lock of a database. One that was closed a moment ago, even by this process, is
-/// locked until sled's background threads have let go of it.
-const UNLOCK_TIME: Duration = Duration::from_millis(500);
-/// How long to wait before the lock is tried again.
-const UNLOCK_POLL: Duration = Duration::from_millis(10);
+/// How long closing waits for sled's background threads to let go of the files.
+const CLOSING_TIME: Duration = Duration::from_secs(10);
+/// How often it looks.
+const CLOSING_POLL: Duration = Duration::from_millis(2);
 
 /// Opens a database, or creates an empty one.
-pub(super) fn open_database(path: &Path) -> Result<sled::Db, StoreError> {
+pub(super) fn open_database(folder: &Path) -> Result<sled::Db, DatabaseError> {
     let config = sled::Config::new()
-        .path(path)
+        .path(folder)
         .cache_capacity(CACHE_BYTES)
-        // Every commit is flushed before it is acknowledged, so no timer is needed.
+        // It is flushed before it is closed, so no timer is needed.
         .flush_every_ms(None);
-    let is_locked =
-        |error: &sled::Error| matches!(error, sled::Error::Io(error) if error.to_string().contains("lock"));
+    config.open().map_err(failed)
+}
+
+/// Flushes and closes a database. All handles of its trees must have been dropped.
+///
+/// # Errors
+/// [`DatabaseError::Failed`]: not everything is on the disk.
+pub(super) fn close_database(folder: &Path, database: sled::Db) -> Result<(), DatabaseError> {
+    database.flush().map_err(failed)?;
+    drop(database);
+    // sled holds this lock until the last of its threads is done with the files.
+    let file = File::open(folder.join("db")).map_err(|source| failed(source.into()))?;
     let started = Instant::now();
-    loop {
-        match config.open() {
-            Err(source) if is_locked(&source) && started.elapsed() < UNLOCK_TIME => {
-                std::thread::sleep(UNLOCK_POLL);
-            }
-            Err(source) if is_locked(&source) => return Err(StoreError::InUse { path: path.to_owned() }),
-            Err(source) => {
-                return Err(StoreError::Database { path: path.to_owned(), source: source.into() });
-            }
-            Ok(database) => return Ok(database),
+    while file.try_lock().is_err() {
+        if started.elapsed() > CLOSING_TIME {
+            let source = format!("it was not closed within {} s", CLOSING_TIME.as_secs()).into();
+            return Err(DatabaseError::Failed { source });
         }
+        std::thread::sleep(CLOSING_POLL);
     }
+    Ok(())
+}
+
+pub(super) fn failed(source: sled::Error) -> DatabaseError {
+    DatabaseError::Failed { source: source.into() }
 }

@@ -1,4 +1,4 @@
-//! The tables of a map's database, their keys, and the writes of one commit.
+//! The tables of a map's database and their keys.
 //!
 //! | table | key (big endian) | value |
 //! |---|---|---|
@@ -8,15 +8,13 @@
 //! | `landmarks` | id | a landmark with its observations |
 //! | `cross_covariances` | a, b (`a < b`) | a 6x6 block |
 //!
-//! All values but `schema` are records with a checksum, see [`crate::store::record`].
+//! Databases of schema 1 have a table `references` too, which is not read. All values but `schema` are records with a checksum, see [`crate::store::record`].
 
 use protocol::KeyframeId;
 
 pub(super) const SCHEMA_KEY: &[u8] = b"schema";
 pub(super) const SCHEMA_MAGIC: &[u8] = b"DRFTMAP";
 pub(super) const INFO_KEY: &[u8] = b"info";
-/// A table of older databases: which keyframe observes which landmark. No longer written or read.
-pub(super) const OBSOLETE_TABLE: &[u8] = b"references";
 
 /// A table of the database.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -28,13 +26,6 @@ pub(super) enum Table {
 }
 
 impl Table {
-    /// All of them, each at the index of its number.
-    pub(super) const ALL: [Table; 4] =
-        [Table::Info, Table::Keyframes, Table::Landmarks, Table::CrossCovariances];
-
-    /// Those that hold the contents of a map, everything but its info.
-    pub(super) const CONTENTS: [Table; 3] = [Table::Keyframes, Table::Landmarks, Table::CrossCovariances];
-
     /// The name in the database and in checksums.
     pub(super) fn name(self) -> &'static str {
         match self {
@@ -69,21 +60,4 @@ pub(super) fn pair_key(a: KeyframeId, b: KeyframeId) -> [u8; 16] {
     key[..8].copy_from_slice(&a.to_be_bytes());
     key[8..].copy_from_slice(&b.to_be_bytes());
     key
-}
-
-/// The writes of one commit, a batch a table; within a batch the later write of a key wins.
-#[derive(Default)]
-pub(super) struct Writes {
-    /// In the order of [`Table::ALL`].
-    pub(super) batches: [sled::Batch; 4],
-}
-
-impl Writes {
-    pub(super) fn insert(&mut self, table: Table, key: &[u8], value: Vec<u8>) {
-        self.batches[table as usize].insert(key, value);
-    }
-
-    pub(super) fn remove(&mut self, table: Table, key: &[u8]) {
-        self.batches[table as usize].remove(key);
-    }
 }

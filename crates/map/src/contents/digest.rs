@@ -1,0 +1,60 @@
+//! The digest of a map: what a robot sees of it, in 16 bytes.
+
+use protocol::MapIdentity;
+use serde::Serialize;
+use sha2::{Digest as _, Sha256};
+
+use super::MapContents;
+use crate::model::KeyframeCrossCovariance;
+use crate::store::record::{CrossCovarianceRecord, InfoRecord, KeyframeRecord, LandmarkRecord, payload};
+
+impl MapContents {
+    /// The first 16 bytes of the SHA-256 over all records in the order of their ids, whatever their order here. Equal for
+    /// equal maps and different for different ones, but blind to what is only displayed: the name, the creator, the version
+    /// and the identity.
+    pub fn digest(&self) -> MapIdentity {
+        let mut digest = Digest(Sha256::new());
+        let mut info = self.info.clone();
+        info.name.clear();
+        info.created_by.clear();
+        (info.version, info.identity) = (0, None);
+        digest.add("info", &[], &InfoRecord::new(&info));
+        let mut keyframes: Vec<_> = self.keyframes.iter().collect();
+        keyframes.sort_by_key(|keyframe| keyframe.id);
+        for keyframe in keyframes {
+            digest.add("keyframes", &[keyframe.id], &KeyframeRecord::new(keyframe));
+        }
+        let mut landmarks: Vec<_> = self.landmarks.iter().collect();
+        landmarks.sort_by_key(|landmark| landmark.id);
+        for landmark in landmarks {
+            let mut landmark = landmark.clone();
+            landmark.observations.sort_by_key(|observation| observation.keyframe);
+            digest.add("landmarks", &[landmark.id], &LandmarkRecord::new(&landmark));
+        }
+        let mut crosses: Vec<_> =
+            self.cross_covariances.iter().map(KeyframeCrossCovariance::ordered).collect();
+        crosses.sort_by_key(|cross| (cross.a, cross.b));
+        for cross in &crosses {
+            digest.add("cross_covariances", &[cross.a, cross.b], &CrossCovarianceRecord::new(cross));
+        }
+        digest.finish()
+    }
+}
+
+struct Digest(Sha256);
+
+impl Digest {
+    /// Every part is preceded by its length, so that no two sequences of records have the same bytes.
+    fn add<T: Serialize>(&mut self, table: &str, key: &[u64], record: &T) {
+        let key: Vec<u8> = key.iter().flat_map(|id| id.to_le_bytes()).collect();
+        for part in [table.as_bytes(), &key, &payload(record)] {
+            self.0.update((part.len() as u64).to_le_bytes());
+            self.0.update(part);
+        }
+    }
+
+    fn finish(self) -> MapIdentity {
+        let all = self.0.finalize();
+        MapIdentity::from_bytes(std::array::from_fn(|at| all[at]))
+    }
+}

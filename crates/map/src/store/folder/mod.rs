@@ -1,0 +1,82 @@
+//! The folder of a map.
+//!
+//! ```text
+//! manifest.json    which version is the map, and the SHA-256 of its files; written last
+//! version-7/       the database of version 7
+//! lock             held by the program that writes
+//! ```
+//! A new version is written beside the present one, read back, and made the map by renaming the manifest over the old one;
+//! then the old version is removed. A folder without a manifest is unfinished: nobody reads it, and the next map that is
+//! written to it replaces it. Reading writes nothing into the folder.
+//!
+//! Maps of schema 1 and 2 are a database of sled without anything around it.
+
+mod files;
+mod manifest;
+mod reading;
+mod writing;
+
+use std::path::Path;
+
+use super::error::StoreError;
+use manifest::{MANIFEST, Manifest, NEW_MANIFEST};
+pub(super) use reading::read;
+pub(super) use writing::{ensure_free, write};
+
+/// What the names of the folders of versions begin with.
+const VERSION_FOLDER: &str = "version-";
+/// Held by the program that writes.
+const LOCK: &str = "lock";
+
+/// What a folder holds.
+enum Kind {
+    Missing,
+    /// An empty folder.
+    Empty,
+    /// Something that was begun and not completed.
+    Unfinished,
+    Complete(Manifest),
+    /// A map of schema 1 or 2.
+    Former,
+    /// No map.
+    Other(&'static str),
+}
+
+/// What a folder holds.
+///
+/// # Errors
+/// [`StoreError::Read`], and those of a manifest that cannot be understood.
+fn kind_of(map: &Path) -> Result<Kind, StoreError> {
+    let failed = |source| StoreError::Read { path: map.to_owned(), source };
+    match std::fs::metadata(map) {
+        Ok(metadata) if metadata.is_dir() => {}
+        Ok(_) => return Ok(Kind::Other("it is not a folder")),
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Kind::Missing),
+        Err(source) => return Err(failed(source)),
+    }
+    if map.join(MANIFEST).is_file() {
+        return Manifest::read(map).map(Kind::Complete);
+    }
+    let names = entries(map).map_err(failed)?;
+    if names.is_empty() {
+        return Ok(Kind::Empty);
+    }
+    // Opening any other folder would make it a database.
+    if map.join("conf").is_file() && map.join("db").is_file() {
+        return Ok(Kind::Former);
+    }
+    let begun = |name: &String| *name == LOCK || *name == NEW_MANIFEST || name.starts_with(VERSION_FOLDER);
+    if names.iter().all(begun) { Ok(Kind::Unfinished) } else { Ok(Kind::Other("it holds no database")) }
+}
+
+/// The names in a folder.
+fn entries(folder: &Path) -> std::io::Result<Vec<String>> {
+    let name =
+        |entry: std::io::Result<std::fs::DirEntry>| Ok(entry?.file_name().to_string_lossy().into_owned());
+    std::fs::read_dir(folder)?.map(name).collect()
+}
+
+/// Whether a file or folder belongs to a database of schema 1 or 2.
+fn is_of_former(name: &str) -> bool {
+    ["conf", "db", "blobs"].contains(&name) || name.starts_with("snap.")
+}

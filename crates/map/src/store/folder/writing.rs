@@ -1,0 +1,176 @@
+//! Writing a map: beside the present one, read back, and made the map in one step.
+
+use std::fs::{File, TryLockError};
+use std::path::Path;
+
+use super::files;
+use super::manifest::Manifest;
+use super::reading::{self, read_version};
+use super::{Kind, LOCK, VERSION_FOLDER, entries, is_of_former, kind_of};
+use crate::contents::MapContents;
+use crate::store::error::{StoreError, WriteProblem};
+use crate::store::map_store::MapStore;
+use crate::store::stored_map::SavedMap;
+use crate::store::{STORE_SCHEMA, guarded};
+use protocol::MapIdentity;
+
+/// Writes a map into a folder, see [`crate::store::save_map`].
+///
+/// # Arguments
+/// * `contents`: valid and sorted.
+pub(in crate::store) fn write(
+    map: &Path,
+    mut contents: MapContents,
+    replace: bool,
+    store: &'static dyn MapStore,
+) -> Result<SavedMap, StoreError> {
+    let write_failed = |file: &Path, source| StoreError::Write {
+        path: map.to_owned(),
+        problem: WriteProblem::File { file: file.to_owned(), source },
+    };
+    ensure_free(map, replace, store)?;
+    std::fs::create_dir_all(map).map_err(|source| write_failed(map, source))?;
+    let _lock = Lock::take(map)?;
+    // Another program may have completed a map until the lock was free.
+    ensure_free(map, replace, store)?;
+
+    let digest = contents.digest();
+    let present = Present::of(map, store)?;
+    let identity = present.identity.unwrap_or(digest);
+    contents.info.version = present.version + 1;
+    contents.info.identity = Some(identity);
+    let version = contents.info.version;
+    // A folder of that name was left by a program that was stopped.
+    let folder = map.join(format!("{VERSION_FOLDER}{version}"));
+    let manifest = Manifest {
+        schema: STORE_SCHEMA,
+        folder: name_of(&folder),
+        version,
+        identity,
+        digest,
+        files: Vec::new(),
+    };
+    if let Err(error) = write_version(map, &folder, manifest, &contents, store) {
+        // What it left is no map, and is removed before the next one is written.
+        let _ = std::fs::remove_dir_all(&folder);
+        return Err(error);
+    }
+    remove_all_but(map, &name_of(&folder));
+    Ok(SavedMap { version, identity })
+}
+
+/// Refuses to write over something that must stay.
+pub(in crate::store) fn ensure_free(
+    map: &Path,
+    replace: bool,
+    store: &'static dyn MapStore,
+) -> Result<(), StoreError> {
+    let path = || map.to_owned();
+    match kind_of(map) {
+        Ok(Kind::Missing | Kind::Empty | Kind::Unfinished) => Ok(()),
+        Ok(Kind::Other(problem)) if replace => Err(StoreError::NotAMap { path: path(), problem }),
+        // A map whose manifest is damaged is a map that can be replaced.
+        Ok(Kind::Complete(_) | Kind::Former) | Err(StoreError::Damaged { .. }) if replace => Ok(()),
+        Ok(Kind::Former) if matches!(reading::read(map, store), Err(StoreError::Unfinished { .. })) => Ok(()),
+        Ok(_) | Err(StoreError::Damaged { .. }) => Err(StoreError::Exists { path: path() }),
+        Err(error) => Err(error),
+    }
+}
+
+/// The map that is replaced.
+struct Present {
+    /// 0 where there is none.
+    version: u64,
+    /// `None`: there is no map, or its identity cannot be read.
+    identity: Option<MapIdentity>,
+}
+
+impl Present {
+    fn of(map: &Path, store: &'static dyn MapStore) -> Result<Present, StoreError> {
+        let unknown = Present { version: 0, identity: None };
+        match kind_of(map) {
+            Ok(Kind::Complete(manifest)) => {
+                Ok(Present { version: manifest.version, identity: Some(manifest.identity) })
+            }
+            Ok(Kind::Former) => match reading::read(map, store) {
+                Ok(former) => {
+                    let info = former.contents.info;
+                    Ok(Present { version: info.version, identity: info.identity })
+                }
+                Err(StoreError::InUse { path }) => Err(StoreError::InUse { path }),
+                Err(_) => Ok(unknown),
+            },
+            // The number of a version must not come again: robots would take the new map for the old one.
+            Err(StoreError::Damaged { .. }) => {
+                let names = entries(map).unwrap_or_default();
+                let numbers = names.iter().filter_map(|name| name.strip_prefix(VERSION_FOLDER)?.parse().ok());
+                Ok(Present { version: numbers.max().unwrap_or(0), identity: None })
+            }
+            _ => Ok(unknown),
+        }
+    }
+}
+
+fn write_version(
+    map: &Path,
+    folder: &Path,
+    mut manifest: Manifest,
+    contents: &MapContents,
+    store: &dyn MapStore,
+) -> Result<(), StoreError> {
+    let failed = |problem| StoreError::Write { path: map.to_owned(), problem };
+    let file_failed = |source| failed(WriteProblem::File { file: folder.to_owned(), source });
+    match std::fs::remove_dir_all(folder) {
+        Err(error) if error.kind() != std::io::ErrorKind::NotFound => return Err(file_failed(error)),
+        _ => {}
+    }
+    std::fs::create_dir(folder).map_err(file_failed)?;
+    let written = guarded::call(|| store.write(folder, contents)).and_then(|result| result);
+    written.map_err(|error| failed(WriteProblem::Database(error)))?;
+    manifest.files = files::sums(folder).map_err(file_failed)?;
+    // Databases have acknowledged what a full disk did not take.
+    read_version(map, &manifest, store)
+        .map_err(|error| failed(WriteProblem::NotReadBack(Box::new(error))))?;
+    manifest.publish(map).map_err(failed)
+}
+
+/// Removes older versions and databases of older schemas. What cannot be removed takes space until the next version.
+fn remove_all_but(map: &Path, folder: &str) {
+    for name in entries(map).unwrap_or_default() {
+        let path = map.join(&name);
+        let is_old = name.starts_with(VERSION_FOLDER) || is_of_former(&name);
+        if !is_old || name == folder {
+            continue;
+        }
+        let removed =
+            if path.is_dir() { std::fs::remove_dir_all(&path) } else { std::fs::remove_file(&path) };
+        if let Err(error) = removed {
+            tracing::warn!(path = %path.display(), "a former version of the map was not removed: {error}");
+        }
+    }
+}
+
+fn name_of(folder: &Path) -> String {
+    folder.file_name().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+/// Lets one program at a time write a map; released when it is dropped, and when the program ends.
+struct Lock {
+    _file: File,
+}
+
+impl Lock {
+    fn take(map: &Path) -> Result<Lock, StoreError> {
+        let path = map.join(LOCK);
+        let failed = |source| StoreError::Write {
+            path: map.to_owned(),
+            problem: WriteProblem::File { file: path.clone(), source },
+        };
+        let file = File::options().create(true).truncate(false).write(true).open(&path).map_err(failed)?;
+        match file.try_lock() {
+            Ok(()) => Ok(Lock { _file: file }),
+            Err(TryLockError::WouldBlock) => Err(StoreError::InUse { path: map.to_owned() }),
+            Err(TryLockError::Error(source)) => Err(failed(source)),
+        }
+    }
+}

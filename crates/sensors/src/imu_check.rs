@@ -1,0 +1,258 @@
+//! Units of an IMU recognized from its readings: accelerometers in g, gravity removed, gyroscopes in deg/s.
+//!
+//! Over half a second the specific force of a robot is gravity and little else, whatever the orientation, so its mean length
+//! tells the unit. Between two such means a body-fixed direction moves by `du = -w x u dt`: where the gyroscope claims
+//! many turns and the direction of gravity stays, the rates are too large. A drone hides its tilt from the accelerometer
+//! (thrust is along a fixed axis), so that alone is no proof: the claimed rates must be ones that no robot keeps up.
+
+use super::ImuSample;
+use nalgebra::Vector3;
+
+/// Standard gravity, m/s^2.
+const STANDARD_GRAVITY: f64 = 9.806_65;
+/// Readings are averaged over this time, nanoseconds.
+const PERIOD_NS: i64 = 500_000_000;
+/// Periods that are looked at: the first minute.
+const MAX_PERIODS: usize = 120;
+/// Fewer periods say nothing.
+const MIN_PERIODS: usize = 4;
+/// A specific force of this part of gravity is in g: 1/9.81 is 0.102.
+const G_UNITS: std::ops::Range<f64> = 0.085..0.12;
+/// A mean specific force below this part of gravity has no gravity in it.
+const NO_GRAVITY: f64 = 0.06;
+/// Median rate from which on gravity must be seen to turn, rad/s: 170 deg/s, half of the time.
+const FAST_RATE: f64 = 3.0;
+/// Part of the claimed rotation that the direction of gravity follows at least; deg/s leave 1/57.
+const MIN_FOLLOWED: f64 = 0.2;
+/// Fewest claimed turns of the direction of gravity (sum of squares, rad^2) from which the part is computed.
+const MIN_CLAIMED: f64 = 10.0;
+
+/// What is wrong with the readings of an IMU, and what to do.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum ImuUnitError {
+    /// The accelerometer's unit is g.
+    #[error(
+        "the accelerometer reads {mean:.2} where gravity is {gravity:.2} m/s^2: it is in g; multiply columns 5 to 7 by 9.80665"
+    )]
+    AccelerationInG {
+        /// Mean specific force, as read.
+        mean: f64,
+        /// Gravity that was expected, m/s^2.
+        gravity: f64,
+    },
+    /// Gravity is subtracted from the accelerometer.
+    #[error(
+        "the accelerometer reads {mean:.2} m/s^2 on average where gravity is {gravity:.2} m/s^2: gravity was subtracted; \
+         record the raw specific force (not \"linear acceleration\")"
+    )]
+    WithoutGravity {
+        /// Mean specific force, m/s^2.
+        mean: f64,
+        /// Gravity that was expected, m/s^2.
+        gravity: f64,
+    },
+    /// The gyroscope's unit is deg/s.
+    #[error(
+        "the gyroscope reads {rate:.1} half of the time, but the direction of gravity follows only {followed:.0} % of that \
+         rotation: the rates are in deg/s; divide columns 2 to 4 by 57.29578"
+    )]
+    RatesInDegrees {
+        /// Median rate, as read.
+        rate: f64,
+        /// Part of the claimed rotation that the specific force follows, percent.
+        followed: f64,
+    },
+}
+
+/// Looks at the readings of the first minute; give them in order of time.
+#[derive(Debug, Default)]
+pub(crate) struct ImuCheck {
+    periods: Vec<Period>,
+    current: Option<Sum>,
+}
+
+/// Means over one period.
+#[derive(Clone, Copy, Debug)]
+struct Period {
+    specific_force: Vector3<f64>,
+    rate: Vector3<f64>,
+    /// Mean of the lengths of the rates.
+    speed: f64,
+}
+
+#[derive(Debug)]
+struct Sum {
+    begin_ns: i64,
+    count: f64,
+    specific_force: Vector3<f64>,
+    rate: Vector3<f64>,
+    speed: f64,
+}
+
+impl ImuCheck {
+    pub(crate) fn add(&mut self, sample: &ImuSample) {
+        if self.periods.len() >= MAX_PERIODS {
+            return;
+        }
+        let is_complete = |sum: &Sum| sample.stamp_ns - sum.begin_ns >= PERIOD_NS;
+        if let Some(sum) = self.current.take_if(|sum| is_complete(sum)) {
+            self.periods.push(Period {
+                specific_force: sum.specific_force / sum.count,
+                rate: sum.rate / sum.count,
+                speed: sum.speed / sum.count,
+            });
+        }
+        let sum = self.current.get_or_insert(Sum {
+            begin_ns: sample.stamp_ns,
+            count: 0.0,
+            specific_force: Vector3::zeros(),
+            rate: Vector3::zeros(),
+            speed: 0.0,
+        });
+        sum.count += 1.0;
+        sum.specific_force += sample.accelerometer;
+        sum.rate += sample.gyroscope;
+        sum.speed += sample.gyroscope.norm();
+    }
+
+    /// # Arguments
+    /// * `gravity`: as the calibration states it, m/s^2; standard gravity where it does not.
+    ///
+    /// # Errors
+    /// [`ImuUnitError`]; readings of less than two seconds pass.
+    pub(crate) fn finish(&self, gravity: Option<f64>) -> Result<(), ImuUnitError> {
+        if self.periods.len() < MIN_PERIODS {
+            return Ok(());
+        }
+        let gravity = gravity.unwrap_or(STANDARD_GRAVITY);
+        let mean = median(self.periods.iter().map(|period| period.specific_force.norm()));
+        if G_UNITS.contains(&(mean / gravity)) && self.is_steady() {
+            return Err(ImuUnitError::AccelerationInG { mean, gravity });
+        }
+        if mean < NO_GRAVITY * gravity {
+            return Err(ImuUnitError::WithoutGravity { mean, gravity });
+        }
+        let rate = median(self.periods.iter().map(|period| period.speed));
+        if let Some(followed) = self.followed().filter(|part| rate > FAST_RATE && *part < MIN_FOLLOWED) {
+            return Err(ImuUnitError::RatesInDegrees { rate, followed: 100.0 * followed });
+        }
+        Ok(())
+    }
+
+    /// Whether most means have about the same length, as those that are gravity have.
+    fn is_steady(&self) -> bool {
+        let middle = median(self.periods.iter().map(|period| period.specific_force.norm()));
+        let near = |period: &&Period| (period.specific_force.norm() / middle - 1.0).abs() < 0.2;
+        2 * self.periods.iter().filter(near).count() > self.periods.len()
+    }
+
+    /// The part of the claimed rotation that the direction of the specific force follows, by least squares; `None`
+    /// where the claimed rotation is about that direction, or small.
+    fn followed(&self) -> Option<f64> {
+        let (mut product, mut square) = (0.0, 0.0);
+        for pair in self.periods.windows(2) {
+            let [a, b] = [&pair[0], &pair[1]];
+            let directions = (a.specific_force.try_normalize(1e-9), b.specific_force.try_normalize(1e-9));
+            let (Some(before), Some(after)) = directions else { continue };
+            let rotation = (a.rate + b.rate) * (0.5e-9 * PERIOD_NS as f64);
+            let claimed = -rotation.cross(&((before + after) * 0.5));
+            product += claimed.dot(&(after - before));
+            square += claimed.norm_squared();
+        }
+        (square > MIN_CLAIMED).then(|| (product / square).max(0.0))
+    }
+}
+
+fn median(values: impl Iterator<Item = f64>) -> f64 {
+    let mut values: Vec<f64> = values.collect();
+    let middle = values.len() / 2;
+    *values.select_nth_unstable_by(middle, f64::total_cmp).1
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::UnitQuaternion;
+
+    /// A hand-held IMU that swings by `amplitude` (rad), for 20 s.
+    fn swinging(amplitude: f64) -> Vec<ImuSample> {
+        let rotation = |t: f64| {
+            UnitQuaternion::from_scaled_axis(
+                Vector3::new((1.1 * t).sin(), (0.8 * t).cos(), 0.4 * t) * amplitude,
+            )
+        };
+        let step = 0.005;
+        (0..4000)
+            .map(|index| {
+                let t = f64::from(index) * step;
+                let here = rotation(t);
+                let sway = Vector3::new((2.0 * t).sin(), (3.0 * t).cos(), (2.5 * t).sin());
+                ImuSample {
+                    stamp_ns: (t * 1e9) as i64,
+                    gyroscope: (here.inverse() * rotation(t + step)).scaled_axis() / step
+                        + Vector3::new(0.02, -0.07, 0.05),
+                    accelerometer: here.inverse() * (Vector3::z() * 9.81 + sway),
+                }
+            })
+            .collect()
+    }
+
+    fn check(samples: &[ImuSample]) -> Result<(), ImuUnitError> {
+        let mut check = ImuCheck::default();
+        for sample in samples {
+            check.add(sample);
+        }
+        check.finish(None)
+    }
+
+    /// The readings in other units.
+    fn scaled(samples: &[ImuSample], rate: f64, force: f64) -> Vec<ImuSample> {
+        let scaled = |sample: &ImuSample| ImuSample {
+            stamp_ns: sample.stamp_ns,
+            gyroscope: sample.gyroscope * rate,
+            accelerometer: sample.accelerometer * force,
+        };
+        samples.iter().map(scaled).collect()
+    }
+
+    #[test]
+    fn readings_in_si_units_pass_from_rest_to_vigorous_motion() {
+        for amplitude in [0.0, 0.1, 0.5, 1.5] {
+            assert_eq!(check(&swinging(amplitude)), Ok(()), "{amplitude}");
+        }
+        assert_eq!(check(&swinging(0.5)[..100]), Ok(()));
+    }
+
+    #[test]
+    fn a_drone_passes_whose_thrust_hides_its_tilt() {
+        let mut samples = swinging(1.0);
+        for sample in &mut samples {
+            sample.accelerometer = Vector3::z() * 9.9;
+        }
+        assert_eq!(check(&samples), Ok(()));
+    }
+
+    #[test]
+    fn other_units_are_recognized() {
+        for amplitude in [0.0, 0.3, 1.0] {
+            let g = check(&scaled(&swinging(amplitude), 1.0, 1.0 / STANDARD_GRAVITY));
+            assert!(matches!(g, Err(ImuUnitError::AccelerationInG { .. })), "{g:?}");
+        }
+        for amplitude in [0.3, 1.0] {
+            let degrees = check(&scaled(&swinging(amplitude), 1_f64.to_degrees(), 1.0));
+            assert!(matches!(degrees, Err(ImuUnitError::RatesInDegrees { .. })), "{degrees:?}");
+        }
+    }
+
+    #[test]
+    fn subtracted_gravity_is_recognized() {
+        let mut samples = swinging(0.3);
+        for (index, sample) in samples.iter_mut().enumerate() {
+            let t = index as f64 * 0.005;
+            sample.accelerometer = Vector3::new((9.0 * t).sin(), (8.0 * t).cos(), (7.0 * t).sin()) * 0.5;
+        }
+        let error = check(&samples).unwrap_err();
+        assert!(matches!(error, ImuUnitError::WithoutGravity { .. }), "{error}");
+    }
+}

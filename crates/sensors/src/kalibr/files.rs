@@ -1,0 +1,97 @@
+//! Which calibration files of Kalibr belong to a recording.
+
+use super::{is_camera_chain, is_imu};
+use crate::SequenceError;
+use std::path::{Path, PathBuf};
+
+/// Larger YAML files are no calibrations, bytes.
+const MAX_BYTES: u64 = 1 << 20;
+/// Folders of a recording that are searched, in this order; the first one with a calibration counts. TUM-VI has `dso`.
+const FOLDERS: [&str; 3] = ["", "mav0", "dso"];
+
+/// Calibration files of Kalibr that replace the `sensor.yaml` files of a recording.
+///
+/// ```
+/// let mut files = sensors::CalibrationFiles::default();
+/// files.cameras = Some("camchain-imucam.yaml".into());
+/// assert!(files.imu.is_none()); // as the recording states it
+/// ```
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct CalibrationFiles {
+    /// `camchain-imucam.yaml`.
+    pub cameras: Option<PathBuf>,
+    /// `imu.yaml`.
+    pub imu: Option<PathBuf>,
+}
+
+impl CalibrationFiles {
+    /// The files that hold for a recording: these, and for those that are not given and have no `sensor.yaml`, the ones
+    /// in its folder, recognized by their content.
+    ///
+    /// # Errors
+    /// [`SequenceError::Calibration`]: several files in the folder could be meant.
+    pub(crate) fn completed(&self, root: &Path) -> Result<Self, SequenceError> {
+        let mut files = self.clone();
+        let (camera, imu) = (root.join("mav0/cam0/sensor.yaml"), root.join("mav0/imu0/sensor.yaml"));
+        if files.cameras.is_none() {
+            files.cameras =
+                unless_there(&camera, find(root, is_camera_chain, "--calibration")?, "--calibration");
+        }
+        if files.imu.is_none() {
+            files.imu = unless_there(&imu, find(root, is_imu, "--imu-calibration")?, "--imu-calibration");
+        }
+        Ok(files)
+    }
+}
+
+/// The found file, unless the recording has a `sensor.yaml`, which comes first.
+fn unless_there(sensor_yaml: &Path, found: Option<PathBuf>, switch: &str) -> Option<PathBuf> {
+    if !sensor_yaml.exists() {
+        return found;
+    }
+    if let Some(found) = found {
+        tracing::warn!(
+            "{} is used, and {} is not: give it with {switch}, or remove the sensor.yaml files",
+            sensor_yaml.display(),
+            found.display()
+        );
+    }
+    None
+}
+
+/// The only file of a kind in a recording's folder. Among camera chains, one with the IMU comes first.
+fn find(root: &Path, is_kind: fn(&str) -> bool, switch: &str) -> Result<Option<PathBuf>, SequenceError> {
+    for folder in FOLDERS {
+        let mut found = yaml_files(&root.join(folder));
+        found.retain(|(_, text)| is_kind(text));
+        if found.iter().any(|(_, text)| text.contains("T_cam_imu")) {
+            found.retain(|(_, text)| text.contains("T_cam_imu"));
+        }
+        match found.as_slice() {
+            [] => {}
+            [(path, _)] => return Ok(Some(path.clone())),
+            [(path, _), (other, _), ..] => {
+                let problem =
+                    format!("{} could be meant as well: say which with {switch} FILE", other.display());
+                return Err(SequenceError::calibration(path, problem));
+            }
+        }
+    }
+    Ok(None)
+}
+
+/// The YAML files of a folder in order of their names, with their text; what cannot be read is left out.
+fn yaml_files(folder: &Path) -> Vec<(PathBuf, String)> {
+    let Ok(entries) = std::fs::read_dir(folder) else { return Vec::new() };
+    let is_yaml = |path: &PathBuf| {
+        let extension = path.extension().unwrap_or_default();
+        extension == "yaml" || extension == "yml"
+    };
+    let mut paths: Vec<PathBuf> =
+        entries.filter_map(Result::ok).map(|entry| entry.path()).filter(is_yaml).collect();
+    paths.retain(|path| path.metadata().is_ok_and(|metadata| metadata.len() <= MAX_BYTES));
+    paths.sort();
+    let read = |path: PathBuf| std::fs::read_to_string(&path).ok().map(|text| (path, text));
+    paths.into_iter().filter_map(read).collect()
+}

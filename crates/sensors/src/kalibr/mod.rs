@@ -1,0 +1,192 @@
+//! Calibrations as Kalibr writes them: `camchain-imucam.yaml` and `imu.yaml`.
+//!
+//! | entry | meaning | here |
+//! |---|---|---|
+//! | `T_cam_imu` | takes coordinates in the IMU's frame to the camera's | `imu_from_camera` is its inverse |
+//! | `T_cn_cnm1` | takes coordinates in the frame of the camera before to this one's | used where `T_cam_imu` is not there |
+//! | `timeshift_cam_imu` | `t_imu = t_cam + timeshift_cam_imu`, seconds | added to the stamps of frames |
+
+mod files;
+
+pub use files::CalibrationFiles;
+
+use crate::calibration_yaml::{Lens, NoiseYaml, check_positive, parse, pose_from_matrix, read_text};
+use crate::{ImuSensor, SequenceError};
+use geometry::camera::Camera;
+use geometry::pose::Pose;
+use serde::Deserialize;
+use std::path::Path;
+
+/// The cameras of a pair are exposed at the same time; a difference of their time shifts above this is reported, seconds.
+const MAX_SHIFT_DIFFERENCE_S: f64 = 1e-3;
+/// Time shifts beyond this are mistakes: other units, or recordings of different times, seconds.
+const MAX_SHIFT_S: f64 = 10.0;
+/// Largest distance of the IMU from the body frame (metres, radians): they are meant to be the same.
+const BODY_TOLERANCE: f64 = 1e-6;
+
+const CHAIN: &str = "camera chain of Kalibr";
+const IMU: &str = "imu.yaml of Kalibr";
+
+#[derive(Deserialize)]
+struct ChainYaml {
+    cam0: CameraYaml,
+    cam1: Option<CameraYaml>,
+}
+
+#[derive(Deserialize)]
+struct CameraYaml {
+    camera_model: String,
+    intrinsics: Vec<f64>,
+    #[serde(default)]
+    distortion_model: Option<String>,
+    #[serde(default)]
+    distortion_coeffs: Vec<f64>,
+    resolution: [u32; 2],
+    #[serde(rename = "T_cam_imu")]
+    camera_from_imu: Option<Vec<Vec<f64>>>,
+    #[serde(rename = "T_cn_cnm1")]
+    camera_from_previous: Option<Vec<Vec<f64>>>,
+    #[serde(default)]
+    timeshift_cam_imu: f64,
+}
+
+#[derive(Deserialize)]
+struct ImuYaml {
+    update_rate: f64,
+    #[serde(rename = "T_i_b")]
+    imu_from_body: Option<Vec<Vec<f64>>>,
+    #[serde(default)]
+    model: Option<String>,
+    #[serde(flatten)]
+    noise: NoiseYaml,
+}
+
+/// `imu.yaml` as Kalibr's calibration of cameras and IMU writes it.
+#[derive(Deserialize)]
+struct ResultYaml {
+    imu0: ImuYaml,
+}
+
+/// The cameras of a chain.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct CameraChain {
+    /// Projection and `imu_from_camera` of one or two cameras.
+    pub(crate) cameras: Vec<(Camera, Pose)>,
+    /// Added to the time stamps of the cameras to obtain the IMU's, nanoseconds.
+    pub(crate) time_offset_ns: i64,
+}
+
+/// Whether a text is a camera chain.
+pub(crate) fn is_camera_chain(text: &str) -> bool {
+    text.lines().any(|line| line.starts_with("cam0:"))
+}
+
+/// Whether a text is the calibration of an IMU; EuRoC's `sensor.yaml` has the same entries, and `T_BS` or a `sensor_type`.
+pub(crate) fn is_imu(text: &str) -> bool {
+    let has = |entry: &str| text.lines().any(|line| line.starts_with(entry));
+    has("imu0:") || (has("accelerometer_noise_density:") && has("update_rate:"))
+}
+
+/// Reads a camera chain with the poses of the cameras on the IMU.
+///
+/// # Arguments
+/// * `wanted`: number of cameras that the recording has, 1 or 2.
+pub(crate) fn read_camera_chain(path: &Path, wanted: usize) -> Result<CameraChain, SequenceError> {
+    let chain: ChainYaml = parse(path, CHAIN, &read_text(path)?)?;
+    let first_from_imu = camera_from_imu(path, 0, &chain.cam0)?.ok_or_else(|| {
+        SequenceError::calibration(
+            path,
+            "cam0 has no T_cam_imu: this is the result of kalibr_calibrate_cameras; give camchain-imucam.yaml, the \
+             result of kalibr_calibrate_imu_camera",
+        )
+    })?;
+    let mut cameras = vec![(lens(path, &chain.cam0)?, first_from_imu.inverse())];
+    let shift = time_shift(path, "cam0", &chain.cam0)?;
+    if wanted > 1 {
+        let Some(second) = &chain.cam1 else {
+            return Err(SequenceError::calibration(
+                path,
+                "it has no cam1, but the recording has mav0/cam1: calibrate both cameras, or move mav0/cam1 away",
+            ));
+        };
+        let second_from_imu = match (camera_from_imu(path, 1, second)?, &second.camera_from_previous) {
+            (Some(pose), _) => pose,
+            (None, Some(rows)) => pose_from_matrix(path, "cam1: T_cn_cnm1", &rows.concat())? * first_from_imu,
+            (None, None) => {
+                return Err(SequenceError::calibration(path, "cam1 has neither T_cam_imu nor T_cn_cnm1"));
+            }
+        };
+        cameras.push((lens(path, second)?, second_from_imu.inverse()));
+        let difference = time_shift(path, "cam1", second)? - shift;
+        if difference.abs() > MAX_SHIFT_DIFFERENCE_S {
+            tracing::warn!(
+                "{}: the timeshift_cam_imu of cam0 and cam1 differ by {:.1} ms; that of cam0 is used for both",
+                path.display(),
+                difference * 1e3
+            );
+        }
+    }
+    Ok(CameraChain { cameras, time_offset_ns: (shift * 1e9).round() as i64 })
+}
+
+/// The projection of `cam0` of a chain.
+pub(crate) fn first_lens(path: &Path, text: &str) -> Result<Camera, SequenceError> {
+    let chain: ChainYaml = parse(path, CHAIN, text)?;
+    lens(path, &chain.cam0)
+}
+
+/// Reads `imu.yaml`, as it goes into Kalibr or as it comes out.
+pub(crate) fn read_imu(path: &Path) -> Result<ImuSensor, SequenceError> {
+    let text = read_text(path)?;
+    let yaml = if text.lines().any(|line| line.starts_with("imu0:")) {
+        parse::<ResultYaml>(path, IMU, &text)?.imu0
+    } else {
+        parse::<ImuYaml>(path, IMU, &text)?
+    };
+    if let Some(model) = yaml.model.as_deref().filter(|model| *model != "calibrated") {
+        return Err(SequenceError::calibration(
+            path,
+            format!(
+                "model \"{model}\" is unknown: calibrated is the only one; calibrate with --imu-models calibrated"
+            ),
+        ));
+    }
+    if let Some(rows) = &yaml.imu_from_body {
+        let pose = pose_from_matrix(path, "T_i_b", &rows.concat())?;
+        if pose.rotation.angle() > BODY_TOLERANCE || pose.translation.norm() > BODY_TOLERANCE {
+            return Err(SequenceError::calibration(
+                path,
+                "T_i_b is not the identity: give the reference IMU",
+            ));
+        }
+    }
+    check_positive(path, "update_rate", yaml.update_rate)?;
+    Ok(ImuSensor { noise: yaml.noise.noise(path)?, rate_hz: yaml.update_rate, gravity_magnitude: None })
+}
+
+fn lens(path: &Path, yaml: &CameraYaml) -> Result<Camera, SequenceError> {
+    let lens = Lens {
+        resolution: yaml.resolution,
+        camera_model: Some(&yaml.camera_model),
+        intrinsics: &yaml.intrinsics,
+        distortion_model: yaml.distortion_model.as_deref(),
+        distortion: &yaml.distortion_coeffs,
+        distortion_key: "distortion_coeffs",
+    };
+    lens.camera(path)
+}
+
+fn camera_from_imu(path: &Path, index: usize, yaml: &CameraYaml) -> Result<Option<Pose>, SequenceError> {
+    let key = format!("cam{index}: T_cam_imu");
+    yaml.camera_from_imu.as_ref().map(|rows| pose_from_matrix(path, &key, &rows.concat())).transpose()
+}
+
+fn time_shift(path: &Path, camera: &str, yaml: &CameraYaml) -> Result<f64, SequenceError> {
+    let shift = yaml.timeshift_cam_imu;
+    if shift.is_finite() && shift.abs() < MAX_SHIFT_S {
+        return Ok(shift);
+    }
+    let problem =
+        format!("timeshift_cam_imu of {camera} is {shift}, but is in seconds, and below {MAX_SHIFT_S}");
+    Err(SequenceError::calibration(path, problem))
+}

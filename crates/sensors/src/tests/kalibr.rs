@@ -1,0 +1,163 @@
+//! Calibrations of Kalibr take the place of `sensor.yaml`.
+
+use super::*;
+use nalgebra::Matrix4;
+
+const SHIFT_NS: i64 = -7_312_345;
+
+fn rows(pose: &Pose) -> String {
+    let mut matrix = Matrix4::identity();
+    matrix.fixed_view_mut::<3, 3>(0, 0).copy_from(pose.rotation.to_rotation_matrix().matrix());
+    matrix.fixed_view_mut::<3, 1>(0, 3).copy_from(&pose.translation);
+    let line = |row: usize| {
+        let cells = [0, 1, 2, 3].map(|column| matrix[(row, column)].to_string());
+        format!("  - [{}]\n", cells.join(", "))
+    };
+    [0, 1, 2, 3].map(line).concat()
+}
+
+/// The camera chain of a recording, as kalibr_calibrate_imu_camera writes it. With `chained` the second camera is given
+/// with respect to the first.
+fn chain(sequence: &Sequence, chained: bool) -> String {
+    let mut text = Vec::new();
+    for (index, sensor) in sequence.cameras.iter().enumerate() {
+        let (model, coefficients) = match &sensor.camera.distortion {
+            Distortion::None => ("none", Vec::new()),
+            Distortion::RadialTangential(k) => ("radtan", k.to_vec()),
+            Distortion::Equidistant(k) => ("equidistant", k.to_vec()),
+            Distortion::Fov(omega) => ("fov", vec![*omega]),
+        };
+        let camera_from_imu = sensor.imu_from_camera.inverse();
+        text.push(format!("cam{index}:\n  cam_overlaps: [{}]\n", 1 - index));
+        if index == 0 || !chained {
+            text.push(format!("  T_cam_imu:\n{}", rows(&camera_from_imu)));
+        }
+        if index == 1 {
+            let first_from_imu = sequence.cameras[0].imu_from_camera.inverse();
+            text.push(format!("  T_cn_cnm1:\n{}", rows(&(camera_from_imu * first_from_imu.inverse()))));
+        }
+        let camera = &sensor.camera;
+        text.push(format!(
+            "  camera_model: pinhole\n  distortion_coeffs: {coefficients:?}\n  distortion_model: {model}\n  \
+             intrinsics: [{}, {}, {}, {}]\n  resolution: [{}, {}]\n  rostopic: /cam{index}/image_raw\n  \
+             timeshift_cam_imu: {}\n",
+            camera.focal[0],
+            camera.focal[1],
+            camera.centre[0],
+            camera.centre[1],
+            camera.width,
+            camera.height,
+            SHIFT_NS as f64 * 1e-9
+        ));
+    }
+    text.concat()
+}
+
+/// As it goes into Kalibr.
+const IMU: &str = "#Accelerometers\naccelerometer_noise_density: 2.0e-03   #Noise density\naccelerometer_random_walk: \
+                   3.0e-03\n#Gyroscopes\ngyroscope_noise_density: 1.6968e-04\ngyroscope_random_walk: 1.9393e-05\n\
+                   rostopic: /imu0\nupdate_rate: 200\n";
+
+/// As it comes out of Kalibr.
+const RESULT: &str = "imu0:\n  T_i_b:\n  - [1.0, 0.0, 0.0, 0.0]\n  - [0.0, 1.0, 0.0, 0.0]\n  - [0.0, 0.0, 1.0, 0.0]\n  \
+                      - [0.0, 0.0, 0.0, 1.0]\n  accelerometer_noise_density: 0.002\n  accelerometer_random_walk: 0.003\n  \
+                      gyroscope_noise_density: 0.00016968\n  gyroscope_random_walk: 1.9393e-05\n  model: calibrated\n  \
+                      rostopic: /imu0\n  time_offset: 0.0\n  update_rate: 200.0\n";
+
+/// A recording on disk without `sensor.yaml` files.
+fn without_calibration(sequence: &Sequence) -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    writer::write(sequence, folder.path()).unwrap();
+    for sensor in ["imu0", "cam0", "cam1"] {
+        std::fs::remove_file(folder.path().join(format!("mav0/{sensor}/sensor.yaml"))).unwrap();
+    }
+    folder
+}
+
+/// Directions and offset are those of Kalibr: `p_cam = T_cam_imu p_imu`, `t_imu = t_cam + timeshift_cam_imu`.
+fn assert_read(read: &Sequence, written: &Sequence) {
+    let imu = read.imu.as_ref().unwrap();
+    assert_eq!((imu.noise, imu.rate_hz), (ImuNoise::default(), 200.0));
+    for (a, b) in read.cameras.iter().zip(&written.cameras) {
+        assert_eq!(a.camera, b.camera);
+        assert!(a.imu_from_camera.local(&b.imu_from_camera).amax() < 1e-7);
+        assert!((a.rate_hz - 10.0).abs() < 1e-3);
+    }
+    for (a, b) in read.frames.iter().zip(&written.frames) {
+        assert_eq!(a.stamp_ns, b.stamp_ns + SHIFT_NS);
+        assert_eq!((&a.tracks, &a.features), (&b.tracks, &b.features));
+    }
+}
+
+#[test]
+fn files_in_the_folder_are_found_by_their_content() {
+    for seed in [0, 2, 4, 6] {
+        let written = sequence(seed);
+        let folder = without_calibration(&written);
+        for (place, imu, chained) in [("", IMU, false), ("mav0", RESULT, true), ("dso", IMU, true)] {
+            let place = folder.path().join(place);
+            std::fs::create_dir_all(&place).unwrap();
+            let files = [place.join("my-camchain.yaml"), place.join("adis.yaml")];
+            std::fs::write(&files[0], chain(&written, chained)).unwrap();
+            std::fs::write(&files[1], imu).unwrap();
+            assert_read(&Sequence::open(folder.path()).unwrap(), &written);
+            assert_eq!(Recording::open(folder.path()).unwrap().calibration().cameras.len(), 2);
+            let used = FolderCalibration::read(folder.path(), &CalibrationFiles::default()).unwrap();
+            assert_eq!((used.time_offset_ns, used.files.cameras.as_deref()), (SHIFT_NS, Some(&*files[0])));
+            for file in files {
+                std::fs::remove_file(file).unwrap();
+            }
+        }
+    }
+}
+
+#[test]
+fn named_files_come_before_sensor_yaml_and_found_files_after_it() {
+    let written = sequence(2);
+    let (folder, elsewhere) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    writer::write(&written, folder.path()).unwrap();
+    let file = |name| Some(elsewhere.path().join(name));
+    let files = CalibrationFiles { cameras: file("c.yaml"), imu: file("i.yaml") };
+    std::fs::write(files.cameras.as_ref().unwrap(), chain(&written, false)).unwrap();
+    std::fs::write(files.imu.as_ref().unwrap(), IMU).unwrap();
+    assert_read(&Sequence::open_with(folder.path(), &files).unwrap(), &written);
+    std::fs::copy(files.cameras.as_ref().unwrap(), folder.path().join("camchain.yaml")).unwrap();
+    assert_eq!(Sequence::open(folder.path()).unwrap().frames[0].stamp_ns, written.frames[0].stamp_ns);
+    assert_eq!(read_lens(files.cameras.as_ref().unwrap()).unwrap(), written.cameras[0].camera);
+}
+
+#[test]
+fn what_cannot_be_used_is_named_with_what_can() {
+    let written = sequence(2);
+    let folder = without_calibration(&written);
+    let (chain_path, imu_path) = (folder.path().join("camchain-imucam.yaml"), folder.path().join("imu.yaml"));
+    let error = |chain: String, imu: &str| {
+        std::fs::write(&chain_path, chain).unwrap();
+        std::fs::write(&imu_path, imu).unwrap();
+        Sequence::open(folder.path()).unwrap_err().to_string()
+    };
+    let good = chain(&written, false);
+    let only_first = good[..good.find("cam1:").unwrap()].to_owned();
+    for (text, word) in [
+        (good.replacen("pinhole", "ds", 1), "\"ds\" is unknown: pinhole"),
+        (good.replacen("distortion_model: ", "distortion_model: mei", 1), "equidistant or fov"),
+        (good.replacen("T_cam_imu", "T_imu_cam", 1), "kalibr_calibrate_imu_camera"),
+        (good.replacen("intrinsics: [", "intrinsics: [1.0, ", 1), "fu, fv, cu, cv"),
+        (good.replacen("timeshift_cam_imu: ", "timeshift_cam_imu: 1e4 # ", 1), "in seconds"),
+        (only_first, "has no cam1"),
+    ] {
+        let error = error(text, IMU);
+        assert!(error.contains("camchain-imucam.yaml") && error.contains(word), "{error}");
+    }
+    for (imu, word) in [
+        (RESULT.replace("calibrated", "scale-misalignment"), "scale-misalignment"),
+        (IMU.replace("1.6968e-04", "-1"), "gyroscope_noise_density"),
+        (RESULT.replace("- [1.0, 0.0, 0.0, 0.0]", "- [1.0, 0.0, 0.0, 0.3]"), "T_i_b"),
+    ] {
+        let error = error(good.clone(), &imu);
+        assert!(error.contains("imu.yaml") && error.contains(word), "{error}");
+    }
+    std::fs::write(folder.path().join("second.yaml"), &good).unwrap();
+    let error = error(good, IMU);
+    assert!(error.contains("second.yaml") && error.contains("--calibration"), "{error}");
+}

@@ -1,0 +1,64 @@
+//! Finds other robots of the same name on the network.
+//!
+//! The topics of two robots of one name are mixed: subscribers get the poses of both as one robot's. Each robot declares
+//! a token with the id of its session, and watches for tokens of its name. A robot is warned, and not stopped: the token
+//! of a robot that lost power stays for some seconds, and must not keep it from starting again.
+
+use super::publisher::PublisherError;
+use protocol::keys;
+use std::collections::BTreeSet;
+use std::sync::{Arc, Mutex, PoisonError};
+use tokio::task::JoinHandle;
+use zenoh::Session;
+use zenoh::liveliness::LivelinessToken;
+use zenoh::sample::SampleKind;
+
+/// Watches for robots of the same name.
+#[derive(Debug)]
+pub(super) struct NameWatch {
+    token: LivelinessToken,
+    watching: JoinHandle<()>,
+    namesakes: Arc<Mutex<BTreeSet<String>>>,
+}
+
+impl NameWatch {
+    /// Declares `robot/{robot}/session/{id}`, and watches the others.
+    pub(super) async fn start(session: &Session, robot: &str) -> Result<Self, PublisherError> {
+        let prefix = format!("{}/session", keys::robot(robot)?);
+        let own = format!("{prefix}/{}", session.zid());
+        let liveliness = session.liveliness();
+        let tokens = liveliness.declare_subscriber(format!("{prefix}/*")).history(true).await;
+        let tokens = tokens.map_err(PublisherError::Liveliness)?;
+        let token = liveliness.declare_token(own.clone()).await.map_err(PublisherError::Liveliness)?;
+        let namesakes = Arc::new(Mutex::new(BTreeSet::new()));
+        let (seen, robot) = (Arc::clone(&namesakes), robot.to_owned());
+        let watching = tokio::spawn(async move {
+            while let Ok(sample) = tokens.recv_async().await {
+                let key = sample.key_expr().as_str();
+                if sample.kind() != SampleKind::Put || key == own {
+                    continue;
+                }
+                if seen.lock().unwrap_or_else(PoisonError::into_inner).insert(key.to_owned()) {
+                    tracing::error!(
+                        "another robot of the name \"{robot}\" is on this network: subscribers take the poses of both \
+                         for one robot's; give each robot a name of its own with --robot NAME"
+                    );
+                }
+            }
+        });
+        Ok(Self { token, watching, namesakes })
+    }
+
+    /// Number of other robots that were seen so far.
+    pub(super) fn namesakes(&self) -> usize {
+        self.namesakes.lock().unwrap_or_else(PoisonError::into_inner).len()
+    }
+
+    /// Ends the watch and undeclares the token.
+    pub(super) async fn stop(self) {
+        self.watching.abort();
+        if let Err(error) = self.token.undeclare().await {
+            tracing::debug!(%error, "the token of the session was gone with it");
+        }
+    }
+}

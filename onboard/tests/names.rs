@@ -1,0 +1,34 @@
+//! Robots of one name find each other.
+#![allow(clippy::unwrap_used)]
+
+use client::{SessionOptions, close_session, open_session};
+use onboard::outputs::Publisher;
+use std::net::TcpListener;
+use std::time::{Duration, Instant};
+
+#[test]
+fn two_robots_of_one_name_are_noticed_by_both_and_others_are_not() {
+    let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build().unwrap();
+    let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+    let endpoint = format!("tcp/127.0.0.1:{port}");
+    let listening = SessionOptions { listen: vec![endpoint.clone()], ..SessionOptions::default() };
+    let connecting = SessionOptions { connect: vec![endpoint], ..SessionOptions::default() };
+    let first = runtime.block_on(open_session(&listening)).unwrap();
+    let second = runtime.block_on(open_session(&connecting)).unwrap();
+    let third = runtime.block_on(open_session(&connecting)).unwrap();
+
+    let publisher = |session: &zenoh::Session, name| {
+        Publisher::new(session.clone(), runtime.handle(), name, "hall").unwrap()
+    };
+    let robots = [publisher(&first, "robot7"), publisher(&second, "robot7"), publisher(&third, "robot8")];
+    let deadline = Instant::now() + Duration::from_secs(20);
+    while robots[0].namesakes() == 0 || robots[1].namesakes() == 0 {
+        assert!(Instant::now() < deadline, "the robots did not notice each other");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    assert_eq!(robots.each_ref().map(Publisher::namesakes), [1, 1, 0]);
+    robots.into_iter().for_each(Publisher::close);
+    for session in [first, second, third] {
+        runtime.block_on(close_session(&session));
+    }
+}

@@ -1,0 +1,107 @@
+//! The commands about maps, run as programs.
+#![allow(clippy::unwrap_used)]
+
+use std::path::Path;
+use std::process::{Command, Output};
+
+use map::text::write_map;
+use serde_json::Value;
+use testing::{Place, PlaceOptions};
+
+fn driftless(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_driftless")).args(arguments).output().unwrap()
+}
+
+/// What a command that succeeds prints as JSON.
+fn json_of(arguments: &[&str]) -> Value {
+    let output = driftless(&[arguments, &["--json"]].concat());
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    serde_json::from_slice(&output.stdout).unwrap()
+}
+
+/// Standard error of a command that fails.
+fn complaint_of(arguments: &[&str]) -> String {
+    let output = driftless(arguments);
+    assert!(!output.status.success(), "{}", String::from_utf8_lossy(&output.stdout));
+    String::from_utf8(output.stderr).unwrap()
+}
+
+fn text(path: &Path) -> &str {
+    path.to_str().unwrap()
+}
+
+fn text_map(folder: &Path, seed: u64) {
+    let options = PlaceOptions { seed, keyframes: 5, landmarks: 100, ..PlaceOptions::default() };
+    write_map(folder, &Place::new(&options).map).unwrap();
+}
+
+#[test]
+fn two_imports_of_different_maps_are_both_version_1_and_have_different_identities() {
+    let folder = tempfile::tempdir().unwrap();
+    let [one, two] = [1, 2].map(|seed| {
+        let (from, to) =
+            (folder.path().join(format!("text_{seed}")), folder.path().join(format!("{seed}.db")));
+        text_map(&from, seed);
+        let imported = json_of(&["import-map", text(&from), "--map", text(&to)]);
+        let info = json_of(&["map-info", "--map", text(&to)]);
+        assert_eq!((&imported["version"], &imported["identity"]), (&info["version"], &info["identity"]));
+        assert_eq!((&info["version"], &info["schema"]), (&1.into(), &3.into()));
+        info["identity"].as_str().unwrap().to_owned()
+    });
+    assert!(one != two && one.len() == 32, "{one} {two}");
+    // A map that replaces another is its next version.
+    let (from, to) = (folder.path().join("text_2"), folder.path().join("1.db"));
+    let replaced = json_of(&["import-map", text(&from), "--map", text(&to), "--force"]);
+    assert_eq!((&replaced["version"], &replaced["identity"]), (&2.into(), &one.as_str().into()));
+    let shown = driftless(&["map-info", "--map", text(&to)]);
+    let shown = String::from_utf8(shown.stdout).unwrap();
+    assert!(shown.contains(&format!("identity               {one}")), "{shown}");
+    assert!(shown.contains("sigma per axis, deg"), "{shown}");
+}
+
+#[test]
+fn damaged_and_unfinished_maps_are_refused_in_words_and_made_anew() {
+    let folder = tempfile::tempdir().unwrap();
+    let (from, to) = (folder.path().join("text"), folder.path().join("hall.db"));
+    text_map(&from, 1);
+    let import = ["import-map", text(&from), "--map", text(&to)];
+    json_of(&import);
+    let again = complaint_of(&import);
+    assert!(again.contains("hall.db exists already") && again.contains("--force"), "{again}");
+
+    let database = to.join("version-1/db");
+    let mut bytes = std::fs::read(&database).unwrap();
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 4;
+    std::fs::write(&database, bytes).unwrap();
+    let exported = folder.path().join("exported");
+    for command in [
+        vec!["map-info", "--map", text(&to)],
+        vec!["export-map", "--map", text(&to), "--to", text(&exported)],
+    ] {
+        let said = complaint_of(&command);
+        assert!(said.contains("version-1/db") && said.contains("backup"), "{said}");
+        assert!(!said.contains("panicked"), "{said}");
+    }
+    assert!(!exported.exists());
+    json_of(&[&import[..], &["--force"]].concat());
+
+    std::fs::remove_file(to.join("manifest.json")).unwrap();
+    let said = complaint_of(&["map-info", "--map", text(&to)]);
+    assert!(said.contains("hall.db is unfinished"), "{said}");
+    assert_eq!(json_of(&import)["version"], 1);
+}
+
+#[test]
+fn a_position_beyond_the_bound_is_refused_with_its_file_and_line() {
+    let folder = tempfile::tempdir().unwrap();
+    let (from, to) = (folder.path().join("text"), folder.path().join("hall.db"));
+    text_map(&from, 1);
+    let landmarks = from.join("landmarks.csv");
+    let mut lines = std::fs::read_to_string(&landmarks).unwrap();
+    lines.push_str("99999,10,1e300,0,1\n");
+    std::fs::write(&landmarks, lines).unwrap();
+    let said = complaint_of(&["import-map", text(&from), "--map", text(&to)]);
+    assert!(said.contains("landmarks.csv, line ") && said.contains("1e300"), "{said}");
+    assert!(!to.exists());
+}
