@@ -31,6 +31,7 @@ fn runs(runs: usize, calibration: CalibrationErrors, variants: &[Variant]) -> Ve
         answers: AnswerOptions::default(),
         map_change: None,
         calibration,
+        ..MonteCarloOptions::default()
     };
     run(&options, variants, |_| {}).unwrap()
 }

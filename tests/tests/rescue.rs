@@ -16,7 +16,7 @@ const FAILURES: [DisturbedState; 8] = [
     DisturbedState::Position(100.0),
     DisturbedState::Velocity(5.0),
     DisturbedState::Yaw(0.174_533),
-    DisturbedState::Yaw(1.570_796),
+    DisturbedState::Yaw(std::f64::consts::FRAC_PI_2),
     DisturbedState::Tilt(0.087_266),
     DisturbedState::Biases(10.0),
 ];

@@ -129,8 +129,12 @@ impl LoadedMap {
                         camera.focal[0] * (1.0 + error.relative),
                         camera.focal[0]
                     );
-                    let outcome = MatchOutcome::NotVerified;
-                    return Ok(LocalizeReply { map_version: self.info.version, outcome, fix: None });
+                    return Ok(LocalizeReply {
+                        map_version: self.info.version,
+                        map_identity: self.identity,
+                        outcome: MatchOutcome::NotVerified,
+                        fix: None,
+                    });
                 }
                 Some(self.localized(best, fused))
             }

@@ -444,11 +444,13 @@ fn a_map_that_is_damaged_in_places_is_still_served() {
     let directory = tempfile::tempdir().unwrap();
     let path = directory.path().join("map");
     let place = Place::new(&PlaceOptions::default());
-    store::save_map(&path, &place.map, false).unwrap();
-    let database = testing::open_database(&path);
-    let tree = database.open_tree("keyframes").unwrap();
-    tree.insert(place.map.keyframes[5].id.to_be_bytes(), b"damaged".as_slice()).unwrap();
-    drop((tree, database));
+    // Of a former program: a database with checksums is refused as a whole.
+    let damaged = place.map.keyframes[5].id.to_be_bytes();
+    testing::write_former_database(&path, &place.map, 2, &|table, key, bytes| {
+        if table == "keyframes" && key == damaged {
+            *bytes = b"damaged".to_vec();
+        }
+    });
 
     let map = LoadedMap::load(store::load_map(&path).unwrap()).unwrap();
     assert_eq!((map.damaged_records(), map.keyframe_count()), (1, place.map.keyframes.len() - 1));

@@ -6,12 +6,15 @@ use map::{MapContents, MapMetadata};
 /// Bytes before the payload of a record: its version and its checksum.
 const HEADER_BYTES: usize = 5;
 
+/// Changes a record: the name of its tree, its key, its value.
+pub type ChangeRecord<'a> = &'a dyn Fn(&str, &[u8], &mut Vec<u8>);
+
 /// Writes a map as a database of schema 1 or 2. `change` gets every record with its table and key, and may damage it.
 pub fn write_former_database(
     path: &std::path::Path,
     contents: &MapContents,
     schema: u16,
-    change: &dyn Fn(&str, &[u8], &mut Vec<u8>),
+    change: ChangeRecord<'_>,
 ) {
     let database = sled::Config::new().path(path).flush_every_ms(None).open().unwrap();
     let write = |table: &str, key: &[u8], record: Vec<u8>| {

@@ -129,8 +129,7 @@ fn solve(
     if options.gravity.is_none() || guided.as_ref().is_some_and(|found| found.inliers.len() >= half) {
         return guided;
     }
-    let unguided =
-        RansacOptions { gravity: None, min_inliers: half.max(options.min_inliers), ..options.clone() };
+    let unguided = RansacOptions { gravity: None, min_inliers: half.max(options.min_inliers), ..*options };
     solve_ransac(camera, correspondences, &unguided, 1.0).ok().or(guided)
 }
 

@@ -173,10 +173,8 @@ impl Seed<'_> {
         let rows = self.live.groundtruth.as_deref().unwrap_or_default();
         let row = rows.iter().rfind(|row| row.stamp_ns <= begin_ns);
         let biases = row.and_then(|row| row.gyroscope_bias.zip(row.accelerometer_bias)).unwrap_or_default();
-        let sigmas = match self.options.biases_are_known {
-            true => variant.config.initial.with_known_biases(),
-            false => variant.config.initial,
-        };
+        let initial = variant.config.initial;
+        let sigmas = if self.options.biases_are_known { initial.with_known_biases() } else { initial };
         start::draw(self.number, begin_ns, &motion, biases, &sigmas)
     }
 
