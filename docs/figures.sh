@@ -25,11 +25,6 @@ mkdir -p "$out"
 
 # ---------------------------------------------------------------------------------------------------------- recorded
 
-# What is said of real sensors and of matches of learned features.
-real_sensors=(--imu-noise-scale 5 --sigma-track 1.5)
-unknown_biases=(--sigma-gyroscope-bias 0.1 --sigma-accelerometer-bias 0.2)
-learned_matches=(--sigma-match 3 --sigma-map 3)
-
 # The paper's simulation; mapconst takes the map's poses for exact.
 figure_yq() {
   recorded yq/map yq/live || return 0
@@ -46,24 +41,22 @@ figure_yq() {
 figure_yq_real() {
   recorded yq_real/map yq_real/live || return 0
   import map yq_real/map
-  run sm_r yq_real/live --map "$folder/map.db" --init truth --mode single "${learned_matches[@]}"
+  run sm_r yq_real/live --map "$folder/map.db" --init truth --mode single
 }
 
-# EuRoC with the real IMU and the authors' matches; then without `real_sensors`, with what a hand-held IMU needs.
+# EuRoC with the real IMU and the authors' matches; then with the noise that the data sheet states.
 figure_mh05() {
   recorded euroc_real/mh05_on_mh01 || return 0
   import map euroc_real/mh05_on_mh01/map
-  run sm_r euroc_real/mh05_on_mh01/live --map "$folder/map.db" --init truth --mode single \
-    "${real_sensors[@]}" "${unknown_biases[@]}" "${learned_matches[@]}"
-  run sm_r_hand_held euroc_real/mh05_on_mh01/live --map "$folder/map.db" --init truth --mode single \
-    --imu-noise-scale 3 "${unknown_biases[@]}" "${learned_matches[@]}"
+  run sm_r euroc_real/mh05_on_mh01/live --map "$folder/map.db" --init truth --mode single
+  run sm_r_data_sheet euroc_real/mh05_on_mh01/live --map "$folder/map.db" --init truth --mode single \
+    --imu-noise-scale 1
 }
 
 figure_v202() {
   recorded euroc_real/v202_on_v201 || return 0
   import map euroc_real/v202_on_v201/map
-  run sm_r euroc_real/v202_on_v201/live --map "$folder/map.db" --init truth --mode single \
-    "${real_sensors[@]}" "${unknown_biases[@]}" "${learned_matches[@]}"
+  run sm_r euroc_real/v202_on_v201/live --map "$folder/map.db" --init truth --mode single
 }
 
 # A hall mapped by one flight and flown through by another.
@@ -92,8 +85,7 @@ figure_images_between() {
   excerpt images/v1_01_keyframes "$folder/even" 'row % 2 == 0'
   build_from "$folder/odd" map "${truth_as_poses[@]}"
   inspect_all "$folder/even" "$folder/odd" "$folder/map.db"
-  run_in flight "$folder/even" --map "$folder/map.db" --cameras mono \
-    --imu-noise-scale 3 "${unknown_biases[@]}" --sigma-match 2
+  run_in flight "$folder/even" --map "$folder/map.db" --cameras mono
 }
 
 # Later images in a map of the first 50 s.
@@ -108,8 +100,7 @@ figure_images_later() {
 # Odometry from the images of one shaken camera.
 figure_handheld() {
   recorded images/mh_01_handheld_16s || return 0
-  run odometry images/mh_01_handheld_16s --mode odometry --cameras mono --init truth \
-    --imu-noise-scale 3 "${unknown_biases[@]}"
+  run odometry images/mh_01_handheld_16s --mode odometry --cameras mono --init truth
 }
 
 # ------------------------------------------------------------------------------------------------------- simulations

@@ -107,8 +107,7 @@ fn few_images_keep_a_robot_in_the_map() {
     let server = LocalServer::start(vec![("map".to_owned(), Arc::clone(&map))]).unwrap();
     let link = server.link("map").unwrap();
     let out = tempfile::tempdir().unwrap();
-    let switches = "--cameras mono --imu-noise-scale 3 --sigma-gyroscope-bias 0.1 --sigma-accelerometer-bias 0.2 --sigma-match 2";
-    let outcome = run(&live, out.path(), switches, Some(link.clone()));
+    let outcome = run(&live, out.path(), "--cameras mono", Some(link.clone()));
     server.unlink(&link);
     server.stop().unwrap();
     let truth = TruthTrack::new(live.groundtruth.as_deref().unwrap());
@@ -141,8 +140,7 @@ fn few_images_keep_a_robot_in_the_map() {
 fn odometry_from_the_images_of_one_shaken_camera() {
     let sequence = recorded_images("mh_01_handheld_16s");
     let out = tempfile::tempdir().unwrap();
-    let switches = "--mode odometry --cameras mono --init truth --imu-noise-scale 3 --sigma-gyroscope-bias 0.1 \
-                    --sigma-accelerometer-bias 0.2";
+    let switches = "--mode odometry --cameras mono --init truth";
     let score = run(&sequence, out.path(), switches, None).summary.score.unwrap();
     println!("{:?}, aligned {:?}", score.local, score.odometry_yaw_aligned_m);
     assert!(score.odometry_yaw_aligned_m.rmse <= 0.02 && score.local.rmse_deg <= 1.0);

@@ -22,10 +22,6 @@ use tests::data::{data_folder, recording};
 use tests::robot::{arguments, run};
 use tools::in_process::LocalServer;
 
-/// Noise of real sensors and of learned features, see the README.
-const REAL: &str = "--imu-noise-scale 5 --sigma-track 1.5 --sigma-gyroscope-bias 0.1 \
-                    --sigma-accelerometer-bias 0.2 --sigma-match 3 --sigma-map 3";
-
 fn imported(folder: &Path) -> Arc<LoadedMap> {
     Arc::new(LoadedMap::from_contents(read_map(folder).unwrap()).unwrap())
 }
@@ -90,8 +86,7 @@ fn the_papers_simulation() {
 #[ignore = "needs the recordings in target/data"]
 fn the_papers_place_with_its_real_matches() {
     let (map, live) = (recording("yq_real/map"), recording("yq_real/live"));
-    let outcome =
-        localize(&live, &imported(&map), "--init truth --mode single --sigma-match 3 --sigma-map 3");
+    let outcome = localize(&live, &imported(&map), "--init truth --mode single");
     let score = pose_within(&outcome, 0.30, 0.35);
     assert_consistent(&score);
     assert!(score.max_m < 0.8, "a wrong match moved the pose: {} m", score.max_m);
@@ -107,8 +102,8 @@ fn real_imu_and_real_matches() {
         let folder = format!("euroc_real/{place}");
         let folder = recording(&folder);
         let map = imported(&folder.join("map"));
-        let switches = format!("--init truth --mode single {REAL}");
-        let score = pose_within(&localize(&folder.join("live"), &map, &switches), metres, degrees);
+        let outcome = localize(&folder.join("live"), &map, "--init truth --mode single");
+        let score = pose_within(&outcome, metres, degrees);
         if is_sound {
             assert_consistent(&score);
         }
@@ -138,7 +133,7 @@ fn ten_loops_in_a_map_whose_gravity_is_not_along_z() {
 fn a_walk_that_comes_back_to_its_start_is_localized_again() {
     let folder = recording("walk");
     let (out, map) = (tempfile::tempdir().unwrap(), built(&folder, 10.0, StoredPoses::Refined));
-    let outcome = localize_into(out.path(), &folder, &map, "--sigma-accelerometer-bias 0.1");
+    let outcome = localize_into(out.path(), &folder, &map, "");
     let first_ns = outcome.states().unwrap()[0].stamp_ns;
     let again = |event: &&onboard::Event| event.accepted && event.stamp_ns > first_ns + 105_000_000_000;
     assert!(outcome.events().unwrap().iter().filter(again).count() > 10);
