@@ -5,7 +5,7 @@ use clap::Parser;
 use client::session::{DEFAULT_ENDPOINT, SessionOptions, close_session, open_session};
 use estimator::MapMode;
 use onboard::arguments::{CalibrationArguments, INPUT, MAP, OUTPUT};
-use onboard::{MapLink, RobotArguments, StopSignal, progress, run_robot_until, stdout};
+use onboard::{EndedLost, MapLink, RobotArguments, StopSignal, progress, run_robot_until, stdout};
 use sensors::Recording;
 use std::io::IsTerminal as _;
 use std::path::PathBuf;
@@ -61,7 +61,7 @@ fn main() -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("error: {error:#}");
-            ExitCode::FAILURE
+            if error.is::<EndedLost>() { ExitCode::from(EndedLost::EXIT_CODE) } else { ExitCode::FAILURE }
         }
     }
 }
@@ -115,5 +115,6 @@ fn localize() -> Result<()> {
     if let Some(reason) = &outcome.summary.ended_early {
         bail!("the run ended early: {reason}");
     }
+    outcome.summary.check_end()?;
     Ok(())
 }

@@ -93,6 +93,13 @@ pub fn report(summary: &Summary) -> String {
             divergence.seconds, divergence.reason
         );
     }
+    if let Some(noise) = &summary.learned_noise {
+        let _ = writeln!(
+            text,
+            "noise: IMU {:.2} times the stated, tracks {:.2} px, matches {:.2} times the stated",
+            noise.imu_noise_scale, noise.sigma_track_px, noise.match_noise_scale
+        );
+    }
     if let Some(status) = &summary.final_status {
         let _ = writeln!(text, "at the end: {:?}, {}", status.localization, status.reason);
     }

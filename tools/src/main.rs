@@ -27,7 +27,11 @@ fn main() -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("error: {error:#}");
-            ExitCode::FAILURE
+            if error.is::<onboard::EndedLost>() {
+                ExitCode::from(onboard::EndedLost::EXIT_CODE)
+            } else {
+                ExitCode::FAILURE
+            }
         }
     }
 }

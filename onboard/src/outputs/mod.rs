@@ -12,6 +12,6 @@ pub use files::{EVENTS, OutputError, STATES};
 pub use publisher::{Publisher, PublisherError, QueryCounts};
 pub use recorder::Recorder;
 pub use summary::{
-    DivergenceSummary, ImuGapSummary, MapChangeSummary, MillisecondsPerFrame, QuerySummary, StartSummary,
-    Summary, Timings, TrackSummary, Traffic,
+    DivergenceSummary, EndedLost, ImuGapSummary, MapChangeSummary, MillisecondsPerFrame, QuerySummary,
+    StartSummary, Summary, Timings, TrackSummary, Traffic,
 };

@@ -1,6 +1,6 @@
 //! The summary of a run: `summary.json`.
 
-use estimator::{EstimatorConfig, LearnedNoise, Status};
+use estimator::{EstimatorConfig, LearnedNoise, Localization, Status};
 use evaluation::RunScore;
 use serde::Serialize;
 use std::time::Duration;
@@ -145,6 +145,34 @@ pub struct DivergenceSummary {
     pub reason: String,
 }
 
+/// A run that ended without a pose that can be trusted.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("the run ended lost: {reason}")]
+pub struct EndedLost {
+    /// Reason of the last status.
+    pub reason: String,
+}
+
+impl EndedLost {
+    /// Exit code of the programs: neither that of an error (1) nor that of wrong switches (2).
+    pub const EXIT_CODE: u8 = 3;
+}
+
+impl Summary {
+    /// Whether the run came to its end, and the robot knew its pose there.
+    ///
+    /// # Errors
+    /// [`EndedLost`] where it did not know it.
+    pub fn check_end(&self) -> Result<(), EndedLost> {
+        check_status(self.final_status.as_ref())
+    }
+}
+
+fn check_status(last: Option<&Status>) -> Result<(), EndedLost> {
+    let lost = last.filter(|status| status.localization == Localization::Lost);
+    lost.map_or(Ok(()), |status| Err(EndedLost { reason: status.reason.clone() }))
+}
+
 /// The summary of a run.
 #[derive(Clone, Debug, Serialize)]
 pub struct Summary {
@@ -202,4 +230,24 @@ pub struct Summary {
     pub ended_early: Option<String>,
     /// Settings of the estimator.
     pub settings: EstimatorConfig,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn ended(localization: Localization) -> Result<(), EndedLost> {
+        let status =
+            Status { localization, reason: "why".to_owned(), last_map_update_ns: None, held_keyframes: 0 };
+        check_status(Some(&status))
+    }
+
+    #[test]
+    fn only_a_run_that_ended_lost_is_an_error() {
+        assert_eq!(ended(Localization::Localized), Ok(()));
+        assert_eq!(ended(Localization::OdometryOnly), Ok(()));
+        assert_eq!(check_status(None), Ok(()));
+        let lost = ended(Localization::Lost).unwrap_err();
+        assert_eq!(lost.to_string(), "the run ended lost: why");
+    }
 }

@@ -12,7 +12,8 @@ use std::path::PathBuf;
 #[derive(clap::Args, Debug)]
 #[command(
     after_help = "Examples:\n  driftless run --sequence place/live --map place.db --init truth --out run\n  \
-    driftless run --sequence place/live --mode odometry --out run\n\nThen: driftless plot run"
+    driftless run --sequence place/live --mode odometry --out run\n\nThen: driftless plot run\n\n\
+    Exit code: 0, or 3 for a run that ended lost, 1 for an error, 2 for wrong switches"
 )]
 pub struct Args {
     /// The recording: a folder in the EuRoC layout
@@ -65,5 +66,6 @@ pub fn run(args: &Args) -> Result<()> {
     if let Some(reason) = &outcome.summary.ended_early {
         bail!("the run ended early: {reason}");
     }
+    outcome.summary.check_end()?;
     Ok(())
 }
