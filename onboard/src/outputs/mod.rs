@@ -4,12 +4,14 @@ mod event;
 mod files;
 mod name_watch;
 mod publisher;
+mod publisher_error;
 mod recorder;
 mod summary;
 
 pub use event::Event;
 pub use files::{EVENTS, OutputError, STATES};
-pub use publisher::{Publisher, PublisherError, QueryCounts};
+pub use publisher::{Publisher, QueryCounts};
+pub use publisher_error::PublisherError;
 pub use recorder::Recorder;
 pub use summary::{
     DivergenceSummary, EndedLost, ImuGapSummary, MapChangeSummary, MillisecondsPerFrame, QuerySummary,

@@ -4,7 +4,7 @@
 //! a token with the id of its session, and watches for tokens of its name. A robot is warned, and not stopped: the token
 //! of a robot that lost power stays for some seconds, and must not keep it from starting again.
 
-use super::publisher::PublisherError;
+use super::publisher_error::PublisherError;
 use protocol::keys;
 use std::collections::BTreeSet;
 use std::sync::{Arc, Mutex, PoisonError};

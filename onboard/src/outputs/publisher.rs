@@ -1,6 +1,7 @@
 //! Publishes pose, odometry and status of the robot in the background.
 
 use super::name_watch::NameWatch;
+use super::publisher_error::PublisherError;
 use crate::map_conversion::map_identity;
 use estimator::{Estimator, Localization, Status};
 use nalgebra::Vector3;
@@ -21,18 +22,6 @@ pub struct QueryCounts {
     pub sent: u64,
     /// Queries that the map answered, with or without a match.
     pub answered: u64,
-}
-
-/// Why a robot cannot publish.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum PublisherError {
-    /// The robot's name cannot be part of a key expression.
-    #[error(transparent)]
-    Name(#[from] keys::NameError),
-    /// The liveliness token could not be declared.
-    #[error("the liveliness token of the robot cannot be declared: {0}")]
-    Liveliness(zenoh::Error),
 }
 
 /// Publishes under `robot/{robot}/...`, declares the robot's liveliness token, and watches for others of its name.

@@ -3,11 +3,12 @@
 //! The state is moved without telling the covariance, as a fault would. Where the filter notices and gives up, it is
 //! initialized again from IMU and tracks, as on a robot.
 
-use super::trial::THREE_SIGMA;
 use estimator::{Estimator, Localization};
 use geometry::Pose;
 use nalgebra::Vector3;
 
+/// Chi-square with 6 degrees of freedom at 99.73 %, the confidence of three standard deviations.
+pub(super) const THREE_SIGMA: f64 = 20.06;
 /// Position error of a rescued pose in G, metres.
 const RESCUED_M: f64 = 0.3;
 /// Chi-square with 6 degrees of freedom at the confidence of five standard deviations.

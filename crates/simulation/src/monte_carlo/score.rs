@@ -1,6 +1,6 @@
 //! The score of all runs of a variant: RMSE and NEES of each output, with a verdict.
 
-use super::trial::THREE_SIGMA;
+use super::disturbance::THREE_SIGMA;
 use super::{MapCounts, Trial, VariantRuns};
 use evaluation::ensemble::over_time;
 use evaluation::trajectory::StateKind;

@@ -2,6 +2,7 @@
 
 use super::answers::Answer;
 use super::calibration::Stated;
+use super::disturbance::THREE_SIGMA;
 use super::map_change::{MapChange, answers_and_change};
 use super::{CalibrationError, MonteCarloOptions, Rescue, Variant, global_from_world, start};
 use crate::run::Kind;
@@ -14,9 +15,6 @@ use evaluation::trajectory::StateRow;
 use evaluation::{RunErrors, nees, run_errors_in};
 use sensors::{Frame, Sequence, TruthRow};
 use serde::Serialize;
-
-/// Chi-square with 6 degrees of freedom at 99.73 %, the confidence of three standard deviations.
-pub(super) const THREE_SIGMA: f64 = 20.06;
 
 /// Counts of the map's replies.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
