@@ -11,7 +11,7 @@
 //! | IMU | [`correction`] of rotation and velocity by an image or an answer | `P⁻ - P⁺` |
 //! | matches | residuals ([`match_residuals`]) of an answer that no pose explains | the pixel noise |
 //!
-//! Each ratio updates a [`VarianceFactor`] on the stated variance. A track has up to 80 rows and its poses but a few degrees
+//! Each ratio updates a factor on the stated variance. A track has up to 80 rows and its poses but a few degrees
 //! of freedom, so its NIS shows pixel noise mainly; corrections of the state are due to the noise of the IMU mainly. Both
 //! factors converge together.
 //!
