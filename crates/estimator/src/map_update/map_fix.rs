@@ -10,6 +10,8 @@ use std::collections::VecDeque;
 
 /// Time over which the motion is kept, nanoseconds: fixes further apart are not compared.
 const HISTORY_NS: i64 = 20_000_000_000;
+/// Maximum number of images of which the motion is kept: 20 s at 50 Hz.
+const MAX_MOTIONS: usize = 1000;
 /// Tolerance of the rotation between two fixes, rad: errors of their keyframes.
 const ROTATION_TOLERANCE_RAD: f64 = 0.06;
 /// The same for each second between them, rad/s: an unknown gyroscope bias.
@@ -99,10 +101,17 @@ impl ImuMotion {
 }
 
 /// The newest fixes that contradict the state and agree with each other, and the motion since the first of them.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub struct MapFixes {
     fixes: Vec<MapFix>,
     motion: VecDeque<ImuMotion>,
+}
+
+impl Default for MapFixes {
+    /// Without fixes. All memory that the motion ever needs is taken here: an image allocates nothing.
+    fn default() -> Self {
+        Self { fixes: Vec::new(), motion: VecDeque::with_capacity(MAX_MOTIONS) }
+    }
 }
 
 /// Pose and velocity in G by fixes and IMU alone.
@@ -119,11 +128,11 @@ pub struct FixedMotion {
 impl MapFixes {
     /// Adds the motion up to an image.
     pub fn add_motion(&mut self, motion: ImuMotion) {
-        let newest_ns = motion.to_ns;
-        self.motion.push_back(motion);
-        while self.motion.front().is_some_and(|oldest| newest_ns - oldest.from_ns > HISTORY_NS) {
+        let is_old = |oldest: &ImuMotion| motion.to_ns - oldest.from_ns > HISTORY_NS;
+        while self.motion.len() == MAX_MOTIONS || self.motion.front().is_some_and(is_old) {
             self.motion.pop_front();
         }
+        self.motion.push_back(motion);
     }
 
     /// Adds a fix that contradicts the state. One that does not agree with those before replaces them.
