@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::Scenario;
-use estimator::MapMode;
+use estimator::{AdaptiveNoise, MapMode};
 use evaluation::nees_bounds;
 use evaluation::trajectory::StateKind;
 
@@ -125,6 +125,7 @@ fn the_stated_calibration_has_errors_of_the_given_magnitudes() {
 fn a_covariance_that_is_too_small_is_called_so() {
     let mut bold = variant(MapMode::Odometry);
     bold.config.sigma_track_px = 0.3;
+    bold.config.adaptive_noise = AdaptiveNoise::NONE;
     let all = run(&options(12, 12.0), &[variant(MapMode::Odometry), bold], |_| {}).unwrap();
     let verdicts: Vec<_> = all
         .iter()
