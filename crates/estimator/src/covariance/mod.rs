@@ -44,6 +44,18 @@ pub struct JointCovariance {
     workspace: Workspace,
 }
 
+/// Normalized innovation squared (NIS) of measurements in information form.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct InformationNis {
+    /// Of all rows.
+    pub total: f64,
+    /// The part that an error of the state explains. Hundreds of pixels hide an error of their common poses in the total; here
+    /// it stands alone.
+    pub explained: f64,
+    /// Degrees of freedom of that part.
+    pub rank: usize,
+}
+
 impl JointCovariance {
     /// Without held keyframes.
     pub fn new(active: DMatrix<f64>, max_active_keyframes: usize) -> Self {
@@ -213,27 +225,21 @@ impl JointCovariance {
         Ok(self.workspace.residual.column(0).iter().map(|value| value * value).sum())
     }
 
-    /// The same for measurements in information form.
+    /// The normalized innovation squared of measurements in information form, and its part that an error of the state explains.
     ///
     /// # Errors
     /// [`NotPositiveDefinite`] where `P_CC` is not a covariance.
-    pub fn information_nis(&mut self, information: &Information) -> Result<f64, NotPositiveDefinite> {
+    pub fn information_nis(
+        &mut self,
+        information: &Information,
+    ) -> Result<InformationNis, NotPositiveDefinite> {
         self.check_keyframes(&information.blocks)?;
-        self.compressed(information, |joint, rows, unexplained| Ok(unexplained + joint.nis(rows)?))
-    }
-
-    /// The part of [`Self::information_nis`] that an error of the state explains, and its degrees of freedom.
-    ///
-    /// Hundreds of pixels hide an error of their common poses in the NIS of all of them; here it stands alone.
-    ///
-    /// # Errors
-    /// [`NotPositiveDefinite`] where `P_CC` is not a covariance.
-    pub fn explained_nis(&mut self, information: &Information) -> Result<(f64, usize), NotPositiveDefinite> {
-        self.compressed(information, |joint, rows, _| {
+        self.compressed(information, |joint, rows, unexplained| {
             let pivots = (0..rows.jacobian.nrows()).map(|k| rows.jacobian[(k, k)]);
             let largest = pivots.clone().fold(0.0, f64::max);
             let rank = pivots.filter(|pivot| *pivot > MIN_PIVOT * largest).count();
-            Ok((joint.nis(rows)?, rank))
+            let explained = joint.nis(rows)?;
+            Ok(InformationNis { total: unexplained + explained, explained, rank })
         })
     }
 

@@ -264,19 +264,16 @@ impl Estimator {
             let Ok(nis) = self.covariance.information_nis(&information) else {
                 return Ok(Err(self.revert_pull(&new, Rejection::InconsistentMap)));
             };
-            report.nis = Some((nis, rows));
+            report.nis = Some((nis.total, rows));
             // With an exact map this gate would fail all the time; only the landmarks are gated then.
-            if !exact && !self.frame_gate.accepts(nis, rows) {
-                let bound = self.frame_gate.bound(rows);
+            if !exact && !self.frame_gate.accepts(nis.total, rows) {
+                let (nis, bound) = (nis.total, self.frame_gate.bound(rows));
                 return Ok(Err(self.revert_pull(&new, Rejection::Implausible { nis, rows, bound })));
             }
-            if iteration == 1 && !report.initialized && !exact && self.newest_fix.is_some() {
-                let Ok((nis, rows)) = self.covariance.explained_nis(&information) else {
-                    return Ok(Err(self.revert_pull(&new, Rejection::InconsistentMap)));
-                };
-                if !self.contradiction_gate.accepts(nis, rows) {
-                    return Ok(Err(self.revert_pull(&new, Rejection::Far { nis, rows })));
-                }
+            let tests_pose = iteration == 1 && !report.initialized && !exact && self.newest_fix.is_some();
+            if tests_pose && !self.contradiction_gate.accepts(nis.explained, nis.rank) {
+                let (nis, rows) = (nis.explained, nis.rank);
+                return Ok(Err(self.revert_pull(&new, Rejection::Far { nis, rows })));
             }
             if iteration < self.config.map_iterations {
                 point.at = self.next_point(clone, &information, &point)?;

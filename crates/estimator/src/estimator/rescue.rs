@@ -7,7 +7,7 @@
 
 use super::Estimator;
 use crate::error::EstimatorError;
-use crate::initialization::static_init::{InitialState, gravity_aligned};
+use crate::initialization::static_init::{InitialState, gravity_aligned, yaw_between};
 use crate::map_update::map_answer::MapAnswer;
 use crate::map_update::map_fix::{FixedMotion, MapFix};
 use crate::map_update::map_report::{MapReport, Rejection};
@@ -15,7 +15,7 @@ use crate::map_update::map_revision::ChangeSize;
 use crate::map_update::verification::VerifiedAnswer;
 use crate::propagation::{IMU_DIM, ImuError, ImuState};
 use crate::state::CloneId;
-use geometry::{Pose, PoseWithCovariance, rotation};
+use geometry::{Pose, PoseWithCovariance};
 use nalgebra::Vector3;
 
 /// Squared Mahalanobis distance of the pose of the map from the state beyond which it is evidence: 99.99 % of six degrees of
@@ -136,10 +136,7 @@ impl Estimator {
         let body_from_global = motion.global_from_imu.rotation.inverse();
         let upright = gravity_aligned(&(body_from_global * -gravity));
         let now = &self.state.imu.local_from_imu;
-        let difference = now.rotation * upright.inverse();
-        // The rotation about z of a quaternion is given by its components k and w.
-        let yaw = 2.0 * difference.k.atan2(difference.w);
-        let rotation = rotation::exp(&Vector3::new(0.0, 0.0, yaw)) * upright;
+        let rotation = yaw_between(&upright, &now.rotation) * upright;
         let mut sigmas = self.config.initial;
         sigmas.sigma_tilt_rad = sigma_tilt;
         sigmas.sigma_velocity_m_s = motion.sigma_velocity;

@@ -10,7 +10,7 @@ use crate::imu::{BadImuSample, ImuBuffer, ImuSample};
 use crate::initialization::dynamic::{
     BiasPrior, DynamicInitError, InitQuality, Window, WindowImage, initialize_dynamic,
 };
-use crate::initialization::static_init::{InitialState, REST_SECONDS, StaticInitError};
+use crate::initialization::static_init::{InitialState, REST_SECONDS, StaticInitError, yaw_between};
 use crate::odometry::tracks::TrackObservation;
 use geometry::{Pose, rotation};
 use nalgebra::Vector3;
@@ -322,10 +322,7 @@ impl Initializer {
     /// The initial state with position and yaw of the last trusted pose.
     fn continue_local(&self, initial: &InitialState) -> InitialState {
         let Some(last) = &self.last else { return initial.clone() };
-        let difference = last.local_from_imu.rotation * initial.imu.local_from_imu.rotation.inverse();
-        // The rotation about z of a quaternion is given by its components k and w.
-        let yaw = 2.0 * difference.k.atan2(difference.w);
-        let rotation = rotation::exp(&Vector3::new(0.0, 0.0, yaw));
+        let rotation = yaw_between(&initial.imu.local_from_imu.rotation, &last.local_from_imu.rotation);
         initial.transformed(&Pose::new(rotation, last.local_from_imu.translation))
     }
 

@@ -3,7 +3,7 @@
 use crate::config::{EstimatorConfig, InitialSigmas};
 use crate::imu::ImuSample;
 use crate::propagation::{ACCELEROMETER_BIAS, GYROSCOPE_BIAS, ImuMatrix, ImuState, VELOCITY};
-use geometry::{Pose, Rotation};
+use geometry::{Pose, Rotation, rotation};
 use nalgebra::{UnitVector3, Vector3};
 
 /// Initial IMU state with its covariance.
@@ -213,6 +213,14 @@ fn imu_rotation_adjoint(rotation: &Rotation) -> ImuMatrix {
     blocks
 }
 
+/// The rotation about z that gives `from` the yaw of `to`.
+pub(crate) fn yaw_between(from: &Rotation, to: &Rotation) -> Rotation {
+    let difference = to * from.inverse();
+    // The rotation about z of a quaternion is given by its components k and w.
+    let yaw = 2.0 * difference.k.atan2(difference.w);
+    rotation::exp(&Vector3::new(0.0, 0.0, yaw))
+}
+
 /// The smallest rotation from the direction `up` of the body to z: no rotation about gravity.
 pub(crate) fn gravity_aligned(up: &Vector3<f64>) -> Rotation {
     let up = UnitVector3::new_normalize(*up);
@@ -232,7 +240,6 @@ fn statistics(samples: &[ImuSample], value: impl Fn(&ImuSample) -> Vector3<f64>)
 #[cfg(test)]
 mod tests {
     use super::*;
-    use geometry::rotation;
 
     #[test]
     fn at_rest_tilt_and_gyroscope_bias_are_found() {

@@ -26,7 +26,7 @@ const ODOMETRY_FRACTION: f64 = 0.25;
 /// A pose of the IMU in G by the map alone.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MapFix {
-    /// Time of the image by the IMU's clock, nanoseconds.
+    /// Time stamp of the image, nanoseconds.
     pub stamp_ns: i64,
     /// Pose by the map.
     pub global_from_imu: Pose,
@@ -219,7 +219,7 @@ impl MapFixes {
     ///
     /// # Arguments
     /// * `gravity`: in G, m/s^2.
-    /// * `now_ns`: by the IMU's clock; the motion is known up to there.
+    /// * `now_ns`: time stamp of the newest image; the motion is known up to there.
     pub fn fixed_motion(&self, gravity: &Vector3<f64>, now_ns: i64) -> Option<FixedMotion> {
         let [.., first, second, third] = self.fixes.as_slice() else { return None };
         let (velocity, sigma) = self.velocity([second, third], gravity)?;

@@ -126,11 +126,6 @@ impl NoiseAdaptation {
         self.stated_track_px * self.tracks.sigma_factor()
     }
 
-    /// Whether tracks are to be noted.
-    pub fn learns_tracks(&self) -> bool {
-        self.adaptive.tracks
-    }
-
     /// Notes the NIS of a track for each degree of freedom, at the noise of now.
     pub fn note_track(&mut self, nis_per_row: f64) {
         self.tracks.update(nis_per_row);
