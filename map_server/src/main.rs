@@ -3,12 +3,12 @@
 mod databases;
 
 use std::io::IsTerminal as _;
-use std::path::PathBuf;
 use std::process::ExitCode;
 
 use anyhow::Context;
 use clap::Parser;
-use client::{DEFAULT_ENDPOINT, SessionOptions, close_session, open_session};
+use client::session::{Member, Role};
+use client::{SessionArguments, close_session, open_session, without_secrets};
 use databases::MapArgument;
 use map_server::{MapServer, ServerOptions};
 use tracing_subscriber::EnvFilter;
@@ -21,7 +21,7 @@ Examples:
   Serve two maps to the robots of the fleet `north` in the local network:
     map_server --map hall=maps/hall.db --map yard=maps/yard.db --listen tcp/0.0.0.0:7447 --namespace north
 
-  Join a network with a Zenoh router instead of listening:
+  Connect to a Zenoh router instead of listening:
     map_server --map hall=maps/hall.db --connect tcp/10.0.0.1:7447
 
   Then, in another shell:
@@ -37,6 +37,9 @@ and at SIGHUP if its version changed; if that fails, the previous version contin
 Another map than the served one (see `driftless map-info`: identity) is not loaded at SIGHUP: restart the server for it.
 Ctrl-C or SIGTERM stops the server gracefully.";
 
+/// Log filter: of Zenoh, warnings, and who was let in or refused.
+const QUIET: &str = "info,zenoh=warn,zenoh_link_tls=debug,zenoh::net::routing::interceptor=info";
+
 /// Serves maps to robots over Zenoh: matches images with keyframes and estimates where they were taken.
 #[derive(Parser, Debug)]
 #[command(version, after_long_help = EXAMPLES, after_help = "Use --help for examples.")]
@@ -45,25 +48,11 @@ struct Arguments {
     #[arg(long = "map", value_name = "NAME=DB", required = true)]
     maps: Vec<MapArgument>,
 
-    /// Endpoint to listen on, for example tcp/0.0.0.0:7447 for the whole network [default: tcp/127.0.0.1:7447, unless
-    /// --connect or --zenoh-config is given]. May be given several times.
-    #[arg(long, value_name = "ENDPOINT")]
-    listen: Vec<String>,
+    /// How the server is connected [default: --listen tcp/127.0.0.1:7447].
+    #[command(flatten)]
+    session: SessionArguments,
 
-    /// Zenoh router or peer to connect to; retried until it answers. May be given several times.
-    #[arg(long, value_name = "ENDPOINT")]
-    connect: Vec<String>,
-
-    /// Zenoh configuration file (JSON5), for TLS, users, access control; --listen, --connect and --namespace
-    /// override it.
-    #[arg(long, value_name = "FILE")]
-    zenoh_config: Option<PathBuf>,
-
-    /// Prefix of all keys; one namespace per fleet.
-    #[arg(long, value_name = "NAME")]
-    namespace: Option<String>,
-
-    /// Name of this server among others [default: the id of its Zenoh session].
+    /// Name of this server among others [default: that of its certificate, or the id of its Zenoh session].
     #[arg(long, value_name = "NAME")]
     name: Option<String>,
 
@@ -72,7 +61,7 @@ struct Arguments {
     workers: Option<u16>,
 
     /// Log filter: error, warn, info, debug, or per module, like map_server=debug,zenoh=warn.
-    #[arg(long, value_name = "FILTER", default_value = "info,zenoh=warn")]
+    #[arg(long, value_name = "FILTER", default_value = QUIET)]
     log: String,
 }
 
@@ -92,7 +81,7 @@ async fn serve() -> anyhow::Result<()> {
     let filter = EnvFilter::try_new(&arguments.log)
         .with_context(|| format!("--log {:?} is not a log filter; try --log info", arguments.log))?;
     tracing_subscriber::fmt()
-        .with_env_filter(filter)
+        .with_env_filter(without_secrets(filter))
         .with_writer(std::io::stderr)
         .with_ansi(std::io::stderr().is_terminal())
         .init();
@@ -102,21 +91,26 @@ async fn serve() -> anyhow::Result<()> {
 
     let mut reload = ReloadSignal::new()?;
 
+    let name = match &arguments.session.secure {
+        Some(folder) => Some(Member::expect(folder, Role::MapServer, ("--name", arguments.name.as_deref()))?),
+        None => arguments.name.clone(),
+    };
     let maps = arguments.maps.iter().map(databases::load).collect::<anyhow::Result<Vec<_>>>()?;
-    let session_options = session_options(&arguments);
-    let session = open_session(&session_options).await?;
+    let session_options = arguments.session.serving();
+    let session = tokio::select! {
+        session = open_session(&session_options) => session?,
+        signal = &mut stopped => {
+            tracing::info!("{signal}: stopping before the session was open");
+            return Ok(());
+        }
+    };
     let mut options = ServerOptions::default();
-    options.name.clone_from(&arguments.name);
+    options.name = name;
     if let Some(workers) = arguments.workers {
         options.workers = usize::from(workers);
     }
     let server = MapServer::start(session.clone(), maps, options).await?;
-    tracing::info!(
-        listen = ?session_options.listen,
-        connect = ?session_options.connect,
-        namespace = session_options.namespace.as_deref().unwrap_or("(none)"),
-        "ready; Ctrl-C stops"
-    );
+    tracing::info!("ready; Ctrl-C stops");
 
     let signal = loop {
         tokio::select! {
@@ -133,20 +127,6 @@ async fn serve() -> anyhow::Result<()> {
     server.stop().await?;
     close_session(&session).await;
     Ok(())
-}
-
-fn session_options(arguments: &Arguments) -> SessionOptions {
-    let mut options = SessionOptions {
-        config_file: arguments.zenoh_config.clone(),
-        listen: arguments.listen.clone(),
-        connect: arguments.connect.clone(),
-        namespace: arguments.namespace.clone(),
-        ..SessionOptions::default()
-    };
-    if options.listen.is_empty() && options.connect.is_empty() && options.config_file.is_none() {
-        options.listen.push(DEFAULT_ENDPOINT.to_owned());
-    }
-    options
 }
 
 /// The signal that requests a reload of the databases.

@@ -70,6 +70,49 @@ fn wrong_arguments_say_what_to_do() {
 }
 
 #[test]
+fn what_a_configuration_asks_for_in_vain_is_a_refusal_to_start() {
+    let directory = tempfile::tempdir().unwrap();
+    let (path, config) = (directory.path().join("hall.db"), directory.path().join("zenoh.json5"));
+    stored_map(&path);
+    let (map, file) = (format!("hall={}", path.display()), config.display().to_string());
+    for (text, words) in [
+        ("{ listen: { endpoints: ['quic/127.0.0.1:0'] } }", "only tcp and tls"),
+        ("{ transport: { auth: { pubkey: { known_keys_file: 'keys' } } } }", "not by public keys"),
+        ("{ listen: { endpoint: ['tcp/127.0.0.1:0'] } }", "endpoint"),
+    ] {
+        std::fs::write(&config, text).unwrap();
+        let (output, error) = run(&["--map", &map, "--zenoh-config", &file]);
+        assert!(!output.status.success() && error.contains(words), "{text}: {error}");
+    }
+    let folder = directory.path().display().to_string();
+    let (output, error) = run(&["--map", &map, "--secure", &folder]);
+    assert!(!output.status.success() && error.contains("driftless fleet init"), "{error}");
+}
+
+#[test]
+fn passwords_are_not_logged() {
+    let directory = tempfile::tempdir().unwrap();
+    let (path, config) = (directory.path().join("hall.db"), directory.path().join("zenoh.json5"));
+    let log = directory.path().join("log");
+    stored_map(&path);
+    let text = "{ listen: { endpoints: ['tcp/127.0.0.1:0'] },
+        transport: { auth: { usrpwd: { user: 's1', password: 'rosebud' } } } }";
+    std::fs::write(&config, text).unwrap();
+    let map = format!("hall={}", path.display());
+    let stderr = Stdio::from(std::fs::File::create(&log).unwrap());
+    let arguments = ["--map", &map, "--zenoh-config", &config.display().to_string(), "--log", "trace"];
+    let mut server = Running(program().args(arguments).stderr(stderr).spawn().unwrap());
+    let read = || std::fs::read_to_string(&log).unwrap();
+    while !read().contains("ready") {
+        assert!(server.0.try_wait().unwrap().is_none(), "{}", read());
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    signal(&server, "-TERM");
+    assert!(server.0.wait().unwrap().success());
+    assert!(read().contains("TRACE") && !read().contains("rosebud"));
+}
+
+#[test]
 fn help_teaches_by_example() {
     let output = program().arg("--help").output().unwrap();
     let help = String::from_utf8_lossy(&output.stdout);

@@ -2,18 +2,21 @@
 
 use anyhow::{Context as _, Result, bail};
 use clap::Parser;
-use client::session::{DEFAULT_ENDPOINT, SessionOptions, close_session, open_session};
+use client::session::{Member, Role};
+use client::{SessionArguments, without_secrets};
 use estimator::MapMode;
-use onboard::arguments::{CalibrationArguments, INPUT, MAP, OUTPUT};
-use onboard::{EndedLost, MapLink, RobotArguments, StopSignal, progress, run_robot_until, stdout};
+use onboard::arguments::{CalibrationArguments, DEFAULT_ROBOT, INPUT, MAP, OUTPUT};
+use onboard::{
+    EndedLost, OpeningLink, RobotArguments, RobotLink, StopSignal, progress, run_robot_until, stdout,
+};
 use sensors::Recording;
 use std::io::IsTerminal as _;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use tracing_subscriber::EnvFilter;
 
-/// Log filter: warnings, without Zenoh's about a network that is still being discovered.
-const QUIET: &str = "warn,zenoh=error";
+/// Log filter: warnings, without Zenoh's about a network that is still being discovered, but with why it does not connect.
+const QUIET: &str = "warn,client::session=info,zenoh=error,zenoh::net::runtime::orchestrator=warn";
 
 /// Plays a recording and localizes it in the map of a map server.
 ///
@@ -39,15 +42,9 @@ struct Arguments {
     /// Name of the map on the server (not needed with --mode odometry)
     #[arg(long, value_name = "NAME", help_heading = MAP)]
     map: Option<String>,
-    /// Endpoint of the map server or of a router [default: tcp/127.0.0.1:7447]
-    #[arg(long, value_name = "ENDPOINT", help_heading = MAP)]
-    connect: Vec<String>,
-    /// Zenoh configuration file (JSON5)
-    #[arg(long, value_name = "FILE", help_heading = MAP)]
-    zenoh_config: Option<PathBuf>,
-    /// Namespace of the fleet
-    #[arg(long, value_name = "PREFIX", help_heading = MAP)]
-    namespace: Option<String>,
+    /// How the robot is connected [default: --connect tcp/127.0.0.1:7447]
+    #[command(flatten)]
+    session: SessionArguments,
     /// Print the summary as JSON
     #[arg(long, help_heading = OUTPUT)]
     json: bool,
@@ -69,11 +66,16 @@ fn main() -> ExitCode {
 fn localize() -> Result<()> {
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(QUIET));
     tracing_subscriber::fmt()
-        .with_env_filter(filter)
+        .with_env_filter(without_secrets(filter))
         .with_writer(std::io::stderr)
         .with_ansi(std::io::stderr().is_terminal())
         .init();
-    let arguments = Arguments::parse();
+    let mut arguments = Arguments::parse();
+    if let Some(folder) = &arguments.session.secure {
+        // Not given is what the default says.
+        let given = Some(arguments.robot.robot.as_str()).filter(|name| *name != DEFAULT_ROBOT);
+        arguments.robot.robot = Member::expect(folder, Role::Robot, ("--robot", given))?;
+    }
     let stop = StopSignal::on_interrupt().context("signals cannot be handled")?;
     let recording = Recording::open_with(&arguments.sequence, &arguments.calibration.files())?;
     let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build()?;
@@ -83,22 +85,12 @@ fn localize() -> Result<()> {
             bail!("--map NAME is missing: give the name of the map on the server, or use --mode odometry")
         }
         (Some(map), _) => {
-            let mut connect = arguments.connect.clone();
-            if connect.is_empty() && arguments.zenoh_config.is_none() {
-                connect.push(DEFAULT_ENDPOINT.to_owned());
-            }
-            let options = SessionOptions {
-                config_file: arguments.zenoh_config.clone(),
-                connect,
-                namespace: arguments.namespace.clone(),
-                ..SessionOptions::default()
-            };
-            let session =
-                runtime.block_on(open_session(&options)).context("the Zenoh session cannot be opened")?;
-            Some(MapLink { session, runtime: runtime.handle().clone(), map: map.clone() })
+            let options = arguments.session.connecting();
+            let link = OpeningLink::open(options, runtime.handle().clone(), map)
+                .context("the Zenoh session cannot be opened")?;
+            Some(RobotLink::Opening(link))
         }
     };
-    let session = link.as_ref().map(|link| link.session.clone());
     let bar = progress::frame_bar(recording.contents().frames);
     let show = |frame| bar.set_position(frame as u64);
     let outcome = run_robot_until(&stop, recording, &arguments.robot, link, show)?;
@@ -108,9 +100,6 @@ fn localize() -> Result<()> {
     } else {
         print!("{}", progress::report(&outcome.summary));
         println!("written to {}", arguments.robot.out.display());
-    }
-    if let Some(session) = session {
-        runtime.block_on(close_session(&session));
     }
     if let Some(reason) = &outcome.summary.ended_early {
         bail!("the run ended early: {reason}");

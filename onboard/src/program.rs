@@ -4,12 +4,12 @@ use super::arguments::{Init, RobotArguments};
 use super::estimator_supervisor::EstimatorSupervisor;
 use super::extraction::ExtractionThread;
 use super::front_end::FrontEnd;
-use super::outputs::{EVENTS, Event, Publisher, Recorder, STATES, Summary};
+use super::link::{MapLink, RobotLink};
+use super::outputs::{EVENTS, Event, Recorder, STATES, Summary};
 use super::run::{RobotRun, RunError, run};
 use super::start::{excerpt, initial_state};
 use super::stop::StopSignal;
 use anyhow::{Context as _, Result, bail};
-use client::{MapChangeSubscriber, MapClient, QueryTasks};
 use estimator::{CalibratedCamera, Estimator, EstimatorConfig, InitialState, MapMode};
 use evaluation::trajectory::StateRow;
 use evaluation::trajectory::states::StateReader;
@@ -17,20 +17,8 @@ use evaluation::{RunScore, ScoreError, ScoreOptions, score_rows};
 use sensors::{Contents, Recording, Rows, SensorCalibration, SensorSource, SequenceError, check_stereo};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
-use tokio::runtime::Handle;
 use vision::GrayImage;
 use vision::tracking::TrackerOptions;
-
-/// A robot's connection to the map.
-#[derive(Clone, Debug)]
-pub struct MapLink {
-    /// An open session.
-    pub session: zenoh::Session,
-    /// The runtime that the session lives on.
-    pub runtime: Handle,
-    /// Name of the map.
-    pub map: String,
-}
 
 /// The result of a run.
 #[derive(Debug)]
@@ -76,7 +64,7 @@ pub fn run_robot<'a>(
     link: Option<MapLink>,
     progress: impl FnMut(usize),
 ) -> Result<Outcome> {
-    run_robot_until(&StopSignal::default(), recording, arguments, link, progress)
+    run_robot_until(&StopSignal::default(), recording, arguments, link.map(RobotLink::Open), progress)
 }
 
 /// [`run_robot`] until `stop` is raised, or the recording ends.
@@ -87,7 +75,7 @@ pub fn run_robot_until<'a>(
     stop: &StopSignal,
     recording: impl Into<Recording<'a>>,
     arguments: &RobotArguments,
-    link: Option<MapLink>,
+    link: Option<RobotLink>,
     progress: impl FnMut(usize),
 ) -> Result<Outcome> {
     let mut recording = recording.into();
@@ -116,7 +104,7 @@ pub fn run_source_until(
     stop: &StopSignal,
     source: &mut dyn SensorSource,
     arguments: &RobotArguments,
-    link: Option<MapLink>,
+    link: Option<RobotLink>,
     progress: impl FnMut(usize),
 ) -> Result<Outcome> {
     if arguments.init != Init::Auto || arguments.start_at != 0.0 || arguments.duration.is_some() {
@@ -162,13 +150,13 @@ fn play(
     source: &mut dyn SensorSource,
     (config, initial): (EstimatorConfig, Option<InitialState>),
     arguments: &RobotArguments,
-    link: Option<MapLink>,
+    link: Option<RobotLink>,
     progress: impl FnMut(usize),
 ) -> Result<FinishedRun> {
     let (name, contents) = (source.name().to_owned(), source.contents());
     let cameras = arguments.camera_count(source.calibration())?;
     let link = link.filter(|_| config.mode != MapMode::Odometry);
-    let map = link.as_ref().map(|link| link.map.clone());
+    let map = link.as_ref().map(|link| link.map().to_owned());
     let mask = if contents.images { arguments.features.read_mask()? } else { None };
     let front_end = front_end(source.calibration(), contents, arguments, cameras, mask.as_ref())?;
     let supervisor = supervisor(source.calibration(), cameras, &config, initial.as_ref())?;
@@ -180,7 +168,8 @@ fn play(
     robot.max_keyframes = arguments.max_keyframes;
     robot.realtime = arguments.realtime;
     if let Some(link) = link {
-        connect(&mut robot, link, arguments)?;
+        robot.query_deadline = Duration::from_secs_f64(arguments.deadline);
+        robot.set_link(link)?;
         robot.extraction = extraction(contents, arguments, mask)?;
     }
     // Created before the run: a run whose results cannot be kept is not begun.
@@ -213,17 +202,6 @@ fn supervisor(
         }
         None => EstimatorSupervisor::initializing(config.clone(), rig),
     })
-}
-
-/// Connects a robot to its map.
-fn connect(robot: &mut RobotRun<'_>, link: MapLink, arguments: &RobotArguments) -> Result<()> {
-    let deadline = Duration::from_secs_f64(arguments.deadline);
-    let client = MapClient::new(link.session.clone(), &link.map).context("--map")?;
-    robot.queries = Some(QueryTasks::new(client, link.runtime.clone(), deadline));
-    let map_changes = link.runtime.block_on(MapChangeSubscriber::subscribe(&link.session, &link.map))?;
-    robot.map_changes = Some(map_changes);
-    robot.publisher = Some(Publisher::new(link.session, &link.runtime, &arguments.robot, &link.map)?);
-    Ok(())
 }
 
 /// Makes tracks of the images of a source that has images and no tracks.

@@ -4,6 +4,7 @@ use super::estimator_supervisor::EstimatorSupervisor;
 use super::extraction::ExtractionThread;
 use super::front_end::FrontEnd;
 use super::input::{ImuWindow, SensorQueue};
+use super::link::OpeningLink;
 use super::outputs::{Publisher, Recorder, Timings};
 use super::stop::StopSignal;
 use client::{MapChangeSubscriber, QueryTasks};
@@ -18,6 +19,8 @@ use std::time::{Duration, Instant};
 const ANSWER_NS: i64 = 200_000_000;
 /// Default of [`RobotRun::query_interval_ns`], nanoseconds.
 const QUERY_INTERVAL_NS: i64 = 500_000_000;
+/// Default of [`RobotRun::query_deadline`].
+const QUERY_DEADLINE: Duration = Duration::from_secs(2);
 /// Default of [`RobotRun::max_keyframes`].
 const MAX_KEYFRAMES: u16 = 4;
 
@@ -71,6 +74,8 @@ pub struct RobotRun<'a> {
     pub extraction: Option<ExtractionThread>,
     /// Least time between two images that features are extracted from, nanoseconds.
     pub query_interval_ns: i64,
+    /// How long a query may take.
+    pub query_deadline: Duration,
     /// Maximum number of keyframes in one answer.
     pub max_keyframes: u16,
     /// Sends queries to the map server; `None` for odometry only.
@@ -86,6 +91,10 @@ pub struct RobotRun<'a> {
     pub(super) last_extraction_ns: Option<i64>,
     /// Why the last query was not answered; `None` once one is.
     pub(super) last_failure: Option<String>,
+    /// A session that is not open yet.
+    pub(super) opening: Option<OpeningLink>,
+    /// The session that was opened for this run, and the runtime that it lives on.
+    pub(super) own_session: Option<(zenoh::Session, tokio::runtime::Handle)>,
     events: SensorQueue<'a>,
     imu: ImuWindow,
 }
@@ -103,6 +112,7 @@ impl<'a> RobotRun<'a> {
             front_end: None,
             extraction: None,
             query_interval_ns: QUERY_INTERVAL_NS,
+            query_deadline: QUERY_DEADLINE,
             max_keyframes: MAX_KEYFRAMES,
             queries: None,
             map_changes: None,
@@ -111,6 +121,8 @@ impl<'a> RobotRun<'a> {
             query_camera: calibration.cameras.first().map(|first| first.camera.clone()),
             last_extraction_ns: None,
             last_failure: None,
+            opening: None,
+            own_session: None,
             events: SensorQueue::new(source),
             imu,
         }
@@ -168,6 +180,7 @@ impl RobotRun<'_> {
                 self.publish_status(last_ns, recorder);
                 return Err(RunError::Interrupted { seconds: seconds(last_ns) });
             }
+            self.connect_when_open();
             last_ns = frame.stamp_ns;
             self.read_imu(last_ns)?;
             let done = self.process_frame(&frame, recorder);
@@ -347,5 +360,6 @@ impl RobotRun<'_> {
         if let Some(publisher) = self.publisher.take() {
             publisher.close();
         }
+        self.disconnect();
     }
 }

@@ -4,7 +4,9 @@
 
 #![allow(clippy::unwrap_used, clippy::missing_panics_doc)]
 
+pub mod attack;
 pub mod data;
+pub mod fleet;
 pub mod images;
 pub mod network;
 pub mod robot;

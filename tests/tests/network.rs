@@ -1,14 +1,16 @@
 //! Servers that start and stop, several robots, and third-party subscribers.
 #![allow(clippy::unwrap_used)]
 
+use client::SessionOptions;
 use estimator::Localization;
 use geometry::uncertain_pose::PoseWithCovariance;
-use onboard::run_robot;
+use onboard::{OpeningLink, RobotLink, StopSignal, run_robot, run_robot_until};
 use protocol::{Format, Message, RobotOdometry, RobotPose, RobotState, RobotStatus};
 use std::collections::BTreeSet;
 use std::sync::Barrier;
 use std::sync::{Arc, Mutex};
-use tests::network::messages;
+use std::time::Duration;
+use tests::network::{messages, runtime};
 use tests::robot::{arguments, assert_every_frame_has_a_state, run};
 use tests::scenario::MappedScenario;
 use tests::server::{Client, Server};
@@ -78,17 +80,46 @@ fn a_robot_whose_server_is_never_there_runs_to_the_end() {
     let scenario = MappedScenario::shared();
     let live = &scenario.recordings.live;
     let folder = tempfile::tempdir().unwrap();
-    let nobody = Client::open(&[], &[&free_endpoint().unwrap()]);
-    let outcome = run(live, folder.path(), "--deadline 0.2", Some(nobody.link("ring")));
+    let runtime = runtime();
+    let options = SessionOptions { connect: vec![free_endpoint().unwrap()], ..SessionOptions::default() };
+    let link = OpeningLink::open(options, runtime.handle().clone(), "ring").unwrap();
+    let (stop, link) = (StopSignal::default(), Some(RobotLink::Opening(link)));
+    let outcome = run_robot_until(&stop, live, &arguments(folder.path(), ""), link, |_| {}).unwrap();
+    assert_eq!(outcome.summary.ended_early, None);
     assert_every_frame_has_a_state(&outcome, live);
-    assert!(outcome.summary.queries.sent > 30);
-    assert_eq!(outcome.summary.queries.failed, outcome.summary.queries.sent);
-    assert!(outcome.events().unwrap().iter().all(|event| event.reason.contains("no map server answers")));
+    assert_eq!(outcome.summary.queries.sent, 0);
     let status = outcome.summary.final_status.unwrap();
     assert_eq!(status.localization, Localization::OdometryOnly);
-    assert!(status.reason.contains("no map server answers"), "the status must say so: {}", status.reason);
+    assert!(status.reason.contains("not connected"), "the status must say so: {}", status.reason);
     assert!(outcome.summary.score.unwrap().odometry_yaw_aligned_m.rmse < 0.5);
-    nobody.close();
+}
+
+#[test]
+fn a_robot_that_starts_before_its_router_is_localized_when_it_is_there() {
+    let scenario = MappedScenario::shared();
+    let live = &scenario.recordings.live;
+    let folder = tempfile::tempdir().unwrap();
+    let (runtime, endpoint) = (runtime(), free_endpoint().unwrap());
+    let options = SessionOptions { connect: vec![endpoint.clone()], ..SessionOptions::default() };
+    let link = OpeningLink::open(options, runtime.handle().clone(), "ring").unwrap();
+    let (stop, link) = (StopSignal::default(), Some(RobotLink::Opening(link)));
+    let mut server = None;
+    let outcome = run_robot_until(&stop, live, &arguments(folder.path(), ""), link, |frame| {
+        if frame == OUTAGE.start {
+            server = Some(Server::start_on(&endpoint, "ring", scenario.loaded()));
+        }
+        // The recording waits for the session, frame by frame.
+        if server.as_ref().is_some_and(|server| server.statistics().answered == 0) {
+            std::thread::sleep(Duration::from_millis(50));
+        }
+    })
+    .unwrap();
+    let events = outcome.events().unwrap();
+    let first_ns = live.frames[OUTAGE.start].stamp_ns;
+    assert!(events.iter().all(|event| event.stamp_ns >= first_ns));
+    assert!(events.iter().filter(|event| event.accepted).count() > 5, "{events:?}");
+    assert_eq!(outcome.summary.final_status.unwrap().localization, Localization::Localized);
+    server.unwrap().stop();
 }
 
 /// The messages that a subscriber received from one robot.

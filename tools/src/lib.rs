@@ -6,6 +6,7 @@
 
 pub mod command;
 pub mod demo;
+pub mod fleet;
 pub mod in_process;
 
 pub mod plotting;

@@ -1,9 +1,11 @@
 //! The `driftless` command.
 
 use clap::Parser;
+use client::without_secrets;
 use std::io::IsTerminal as _;
 use std::process::ExitCode;
 use tools::command::Command;
+use tracing_subscriber::EnvFilter;
 
 /// Driftless: localize robots in one shared, drift-free map
 #[derive(Debug, Parser)]
@@ -13,13 +15,14 @@ struct Cli {
     command: Command,
 }
 
+/// Log filter: warnings, without Zenoh's about a network that is still being discovered, but with why it does not connect.
+const QUIET: &str = "warn,zenoh=error,zenoh::net::runtime::orchestrator=warn";
+
 fn main() -> ExitCode {
     onboard::stdout::end_quietly_when_closed();
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(QUIET));
     tracing_subscriber::fmt()
-        .with_env_filter(
-            tracing_subscriber::EnvFilter::try_from_default_env()
-                .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("warn,zenoh=error")),
-        )
+        .with_env_filter(without_secrets(filter))
         .with_writer(std::io::stderr)
         .with_ansi(std::io::stderr().is_terminal())
         .init();

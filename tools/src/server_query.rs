@@ -3,19 +3,16 @@
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, bail};
-use client::{ClientError, DEFAULT_ENDPOINT, MapClient, SessionOptions, close_session, open_session};
+use client::{ClientError, MapClient, SessionArguments, close_session, open_session};
 use nalgebra::Vector3;
 use protocol::{LocalizedPose, MatchOutcome};
 
 /// Where a map server is, and how long to wait for it.
 #[derive(Clone, Debug, clap::Args)]
 pub struct ServerArguments {
-    /// Endpoint of the server or of a router
-    #[arg(long, value_name = "ENDPOINT", default_value = DEFAULT_ENDPOINT)]
-    pub connect: Vec<String>,
-    /// Namespace of the fleet
-    #[arg(long, value_name = "PREFIX")]
-    pub namespace: Option<String>,
+    /// How to connect [default: --connect tcp/127.0.0.1:7447]
+    #[command(flatten)]
+    pub session: SessionArguments,
     /// Give up after this time, s
     #[arg(long, value_name = "SECONDS", default_value_t = 5.0)]
     pub timeout: f64,
@@ -39,14 +36,13 @@ impl ServerArguments {
             .enable_all()
             .build()
             .context("no threads for the network could be started")?;
-        let options = SessionOptions {
-            connect: self.connect.clone(),
-            namespace: self.namespace.clone(),
-            ..SessionOptions::default()
-        };
+        let options = self.session.connecting();
         runtime.block_on(async {
-            let session = open_session(&options).await?;
             let deadline = Instant::now() + Duration::from_secs_f64(self.timeout);
+            let Ok(session) = tokio::time::timeout_at(deadline.into(), open_session(&options)).await else {
+                return Err(self.explain(ClientError::NoServer, map));
+            };
+            let session = session?;
             let client = MapClient::new(session.clone(), map).context("--map")?.awaiting_map();
             let answer = query(&client, deadline).await;
             close_session(&session).await;
@@ -62,7 +58,7 @@ impl ServerArguments {
             error if error.is_transient() => anyhow::anyhow!(
                 "no map server at {} answered within {} s ({error}): is map_server running with --map {map}=DB, and is \
                  --connect right?",
-                self.connect.join(", "),
+                self.session.place(),
                 self.timeout
             ),
             error => error.into(),

@@ -27,7 +27,9 @@ async fn main() -> Result<(), Error> {
     let connect = vec![arguments.next().unwrap_or_else(|| DEFAULT_ENDPOINT.to_owned())];
     let file = arguments.next();
 
-    let session = open_session(&SessionOptions { connect, ..SessionOptions::default() }).await?;
+    let options = SessionOptions { connect, ..SessionOptions::default() };
+    // A client waits until somebody answers.
+    let session = tokio::time::timeout(TIMEOUT, open_session(&options)).await??;
     let client = MapClient::new(session.clone(), &map)?;
     let result = ask(&client, file.as_deref()).await;
     close_session(&session).await;

@@ -3,6 +3,7 @@
 //! | module | what |
 //! |---|---|
 //! | [`session`] | opening and closing a Zenoh session |
+//! | `arguments` | the switches of a session (feature `arguments`) |
 //! | [`map_client`] | [`MapClient`]: asynchronous queries to one map |
 //! | [`query_tasks`] | [`QueryTasks`]: match queries in the background, for a thread that must not block |
 //! | [`map_change_subscriber`] | [`MapChangeSubscriber`]: notices of changes of a map |
@@ -46,18 +47,26 @@
 //! ```
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
+#[cfg(feature = "arguments")]
+pub mod arguments;
 pub mod error;
+#[cfg(feature = "arguments")]
+mod log;
 pub mod map_change_subscriber;
 pub mod map_client;
 pub mod query_tasks;
 mod request;
 pub mod session;
 
+#[cfg(feature = "arguments")]
+pub use arguments::SessionArguments;
 pub use error::ClientError;
+#[cfg(feature = "arguments")]
+pub use log::without_secrets;
 pub use map_change_subscriber::MapChangeSubscriber;
 pub use map_client::{MapClient, MatchAnswer};
 pub use query_tasks::{QueryResult, QueryTasks};
-pub use session::{DEFAULT_ENDPOINT, SessionError, SessionOptions, close_session, open_session};
+pub use session::{DEFAULT_ENDPOINT, SessionError, SessionMode, SessionOptions, close_session, open_session};
 
 /// The examples of the README run as tests.
 #[cfg(doctest)]

@@ -22,6 +22,8 @@ pub const INPUT: &str = "Input";
 pub const MAP: &str = "Map and network";
 /// Heading in `--help` of the switches about what is written.
 pub const OUTPUT: &str = "Output";
+/// Name of a robot that was given none.
+pub const DEFAULT_ROBOT: &str = "robot";
 const ESTIMATOR: &str = "Estimator";
 const NOISE: &str = "Noise";
 
@@ -51,8 +53,8 @@ pub struct RobotArguments {
     /// How map keyframes are used [default: as the settings file says, else multi]
     #[arg(long, value_enum, help_heading = MAP)]
     pub mode: Option<Mode>,
-    /// Name of this robot on the network
-    #[arg(long, value_name = "NAME", default_value = "robot", help_heading = MAP)]
+    /// Name of this robot on the network; with --secure that of its certificate
+    #[arg(long, value_name = "NAME", default_value = DEFAULT_ROBOT, help_heading = MAP)]
     pub robot: String,
     /// Maximum number of keyframes in one answer (with --mode multi or mapconst)
     #[arg(long, value_name = "N", default_value_t = 4, help_heading = MAP)]

@@ -6,6 +6,7 @@ pub mod build_map;
 pub mod demo;
 pub mod evaluate;
 pub mod export_map;
+pub mod fleet;
 pub mod import_map;
 pub mod inspect;
 pub mod localize;
@@ -53,6 +54,8 @@ pub enum Command {
     Montecarlo(montecarlo::Args),
     /// Draw the plots of a run
     Plot(plot::Args),
+    /// Secure a fleet: certificates and access control for servers, robots and operators
+    Fleet(fleet::Args),
     /// Install the weights of feature networks, or list the installed ones
     Weights(weights::Args),
 }
@@ -78,6 +81,7 @@ impl Command {
             Self::Evaluate(args) => evaluate::run(&args),
             Self::Montecarlo(args) => montecarlo::run(&args),
             Self::Plot(args) => plot::run(&args),
+            Self::Fleet(args) => fleet::run(args),
             Self::Weights(args) => weights::run(args),
         }
     }

@@ -4,7 +4,7 @@ use crate::in_process::{LocalServer, load_map};
 use anyhow::{Result, bail};
 use estimator::MapMode;
 use onboard::arguments::{CalibrationArguments, INPUT};
-use onboard::{RobotArguments, StopSignal, progress, run_robot_until};
+use onboard::{RobotArguments, RobotLink, StopSignal, progress, run_robot_until};
 use sensors::Recording;
 use std::path::PathBuf;
 
@@ -49,7 +49,7 @@ pub fn run(args: &Args) -> Result<()> {
     let link = server.as_ref().map(|server| server.link("map")).transpose()?;
     let bar = progress::frame_bar(recording.contents().frames);
     let show = |frame| bar.set_position(frame as u64);
-    let outcome = run_robot_until(&stop, recording, &args.robot, link.clone(), show)?;
+    let outcome = run_robot_until(&stop, recording, &args.robot, link.clone().map(RobotLink::Open), show)?;
     bar.finish_and_clear();
     if let Some(server) = server {
         if let Some(link) = &link {
