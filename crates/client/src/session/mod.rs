@@ -145,8 +145,8 @@ impl SessionOptions {
         let mode = self.choose_mode(&settings)?;
         merge(&mut settings, json!({ "mode": mode.name() }));
         if mode == SessionMode::Client {
-            // Until somebody answers; Zenoh gives up at once.
-            merge(&mut settings, json!({ "connect": { "timeout_ms": -1 } }));
+            // One attempt at each endpoint: with more, Zenoh stays at the first one.
+            merge(&mut settings, json!({ "connect": { "timeout_ms": 0 } }));
         }
         Ok(settings)
     }

@@ -1,17 +1,23 @@
 //! Opening and closing a session.
 
 use super::error::SessionError;
-use super::{SessionMode, SessionOptions, checks};
-use std::time::Duration;
+use super::{RETRY_MS, SessionMode, SessionOptions, checks};
+use std::time::{Duration, Instant};
+use tracing::subscriber::{NoSubscriber, with_default};
+use zenoh::Wait as _;
 
 /// How long closing a session may take.
 const CLOSE_TIMEOUT: Duration = Duration::from_secs(5);
+/// The reason of a failed connection is logged at the first attempt, and again after this time.
+const REPEAT: Duration = Duration::from_secs(30);
+/// How Zenoh's error begins where nobody answered, which may change; all else is a fault of the configuration.
+const UNREACHABLE: &str = "Unable to connect";
 
 /// Opens a session, and logs what it is in the network.
 ///
-/// A client is open when it is connected, and waits for that as long as it takes: drop the future to give up. A peer or
-/// router is open as soon as it listens; connecting continues in the background. Connections that are lost are made
-/// again.
+/// A client is open when it is connected, and waits for that as long as it takes: drop the future to give up; an attempt
+/// under way ends by itself within 4 s per endpoint. A peer or router is open as soon as it listens; connecting continues
+/// in the background. Connections that are lost are made again.
 ///
 /// Needs a multi-threaded tokio runtime, as Zenoh does.
 ///
@@ -25,17 +31,48 @@ pub async fn open_session(options: &SessionOptions) -> Result<zenoh::Session, Se
     let mode = settings["mode"].as_str().unwrap_or_default();
     let namespace = settings["namespace"].as_str().unwrap_or("(none)");
     tracing::info!(mode, ?listen, ?connect, namespace, "opening the session");
-    let is_client = mode == SessionMode::Client.name();
-    if is_client {
-        tracing::info!("a client waits until it is connected");
+    let opened = if mode == SessionMode::Client.name() {
+        open_client(&config, &connect).await
+    } else {
+        attempt(config, true).await
+    };
+    opened.map_err(|problem| SessionError::Open { listen, problem })
+}
+
+/// Tries until somebody answers.
+async fn open_client(config: &zenoh::Config, connect: &[String]) -> Result<zenoh::Session, String> {
+    let (mut pause_ms, longest_ms) = RETRY_MS;
+    let mut told: Option<Instant> = None;
+    loop {
+        let tell = told.is_none_or(|at| at.elapsed() >= REPEAT);
+        match attempt(config.clone(), tell).await {
+            Ok(session) => {
+                tracing::info!(?connect, "connected");
+                return Ok(session);
+            }
+            Err(problem) if !problem.starts_with(UNREACHABLE) => return Err(problem),
+            Err(_) if tell => {
+                tracing::warn!(?connect, "not connected yet, trying until somebody answers");
+                told = Some(Instant::now());
+            }
+            Err(_) => {}
+        }
+        tokio::time::sleep(Duration::from_millis(pause_ms)).await;
+        pause_ms = (2 * pause_ms).min(longest_ms);
     }
-    let session = zenoh::open(config)
-        .await
-        .map_err(|problem| SessionError::Open { listen, problem: problem.to_string() })?;
-    if is_client {
-        tracing::info!("connected");
+}
+
+/// Opens a session, on a thread of its own: Zenoh blocks the one that it is called on.
+///
+/// # Arguments
+/// * `tell`: whether Zenoh logs why it does not connect, which its error does not say.
+async fn attempt(config: zenoh::Config, tell: bool) -> Result<zenoh::Session, String> {
+    let open = move || zenoh::open(config).wait();
+    let quietly = move || if tell { open() } else { with_default(NoSubscriber::new(), open) };
+    match tokio::task::spawn_blocking(quietly).await {
+        Ok(opened) => opened.map_err(|problem| problem.to_string()),
+        Err(panic) => Err(panic.to_string()),
     }
-    Ok(session)
 }
 
 /// Closes a session; returns after 5 s at the latest, if the other side does not respond.
