@@ -194,7 +194,7 @@ impl Estimator {
         }
 
         if report.initialized {
-            self.insert_transform(solved_transform, median_depth(answer, &verified));
+            self.insert_solved_transform(solved_transform, median_depth(answer, &verified));
         }
         let measured = best.global_from_keyframe.change_of_child(&verified.best_from_camera.pose);
         self.note_fix(clone, &verified, &self.with_pnp_noise(answer, &verified, &measured));
