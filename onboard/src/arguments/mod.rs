@@ -95,7 +95,7 @@ pub struct RobotArguments {
     /// Factor on the white noise densities of the IMU's sensor.yaml [default: learned during the run]
     #[arg(long, value_name = "FACTOR", help_heading = NOISE)]
     pub imu_noise_scale: Option<f64>,
-    /// Standard deviation of tracked pixels, px [default: learned during the run, from 1.5 px on]
+    /// Standard deviation of tracked pixels, px [default: learned during the run, from 2 px on]
     #[arg(long, value_name = "PX", help_heading = NOISE)]
     pub sigma_track: Option<f64>,
     /// Standard deviation of matched pixels in the robot's image, px [default: learned during the run, at least 1 px]

@@ -30,7 +30,8 @@ impl Estimator {
     /// Adds `global_from_local` to the state, independent of all else.
     pub(super) fn insert_transform(&mut self, transform: &PoseWithCovariance) {
         let independent = Dense::zeros(POSE_DIM, 0);
-        let noise = std::iter::once(DMatrix::from_fn(POSE_DIM, POSE_DIM, |i, k| transform.covariance[(i, k)]));
+        let noise =
+            std::iter::once(DMatrix::from_fn(POSE_DIM, POSE_DIM, |i, k| transform.covariance[(i, k)]));
         self.covariance.insert(self.state.transform_begin(), &StateBlocks::default(), &independent, noise);
         self.state.transform = Some(transform.pose);
     }

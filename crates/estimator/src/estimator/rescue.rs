@@ -170,7 +170,8 @@ impl Estimator {
     /// Adds `global_from_local` to the state by the pose of a motion in G. Its keyframe is not held, so a later answer with it
     /// counts its error as independent: the variances are doubled, as covariance intersection would.
     fn insert_fixed_transform(&mut self, motion: &FixedMotion) {
-        let variance = |k: usize| 2.0 * if k < 3 { motion.sigma_rotation } else { motion.sigma_position }.powi(2);
+        let variance =
+            |k: usize| 2.0 * if k < 3 { motion.sigma_rotation } else { motion.sigma_position }.powi(2);
         let covariance = Matrix6::from_diagonal(&Vector6::from_fn(|k, _| variance(k)));
         let imu_from_local = self.state.imu.local_from_imu.inverse();
         let global_from_imu = PoseWithCovariance::new(motion.global_from_imu, covariance);

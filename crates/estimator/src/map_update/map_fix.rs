@@ -281,3 +281,33 @@ impl MapFixes {
         })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn fix(keyframe: KeyframeId, squared: f64) -> MapFix {
+        MapFix {
+            stamp_ns: 0,
+            global_from_imu: Pose::identity(),
+            predicted: Pose::identity(),
+            local_from_imu: Pose::identity(),
+            keyframe,
+            squared,
+            sigma_rotation: 0.01,
+            sigma_position: 0.1,
+        }
+    }
+
+    #[test]
+    fn one_keyframe_is_no_evidence_twice_unless_no_error_of_it_explains_the_distance() {
+        let mut fixes = MapFixes::default();
+        assert!(!fixes.is_evidence(&fix(1, 10.0)), "two sigmas");
+        assert!(fixes.is_evidence(&fix(1, 20.0)));
+        fixes.add(fix(1, 20.0));
+        assert!(!fixes.is_evidence(&fix(1, 40.0)), "the same keyframe");
+        assert!(fixes.is_evidence(&fix(1, 200.0)));
+        assert!(fixes.is_evidence(&fix(2, 20.0)));
+        assert!(!fixes.is_evidence(&fix(3, f64::NAN)));
+    }
+}

@@ -73,8 +73,8 @@ pub enum Rejection {
         /// Degrees of freedom.
         rows: usize,
     },
-    /// Successive answers agree with each other and not with the state, which was replaced by theirs; the next answer
-    /// initializes `global_from_local`.
+    /// Successive answers agree with each other and not with the state, which was replaced by theirs, `global_from_local`
+    /// included.
     #[error(
         "the last {fixes} answers agree with each other and not with the state: it was replaced by theirs"
     )]
