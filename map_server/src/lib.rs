@@ -41,13 +41,14 @@
 mod change;
 pub mod error;
 mod handlers;
+mod metrics;
 pub mod options;
 mod queue;
 pub mod served_map;
 pub mod server;
 
 pub use error::ServeError;
+pub use metrics::ServerStatistics;
 pub use options::ServerOptions;
-pub use queue::ServerStatistics;
 pub use served_map::ServedMap;
 pub use server::MapServer;

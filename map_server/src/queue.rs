@@ -5,7 +5,7 @@
 //! blocking threads; a panic there ends one query with an error reply.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::time::Instant;
 
 use protocol::{ErrorCode, ErrorReply};
 use tokio::sync::{Mutex, OwnedSemaphorePermit, Semaphore, mpsc};
@@ -13,6 +13,7 @@ use tokio::task::JoinHandle;
 use zenoh::query::Query;
 
 use crate::handlers::{self, Kind};
+use crate::metrics::ServerMetrics;
 use crate::served_map::MapSlot;
 use recognition::RecognitionOptions;
 
@@ -21,6 +22,7 @@ pub(crate) struct Job {
     pub(crate) query: Query,
     pub(crate) kind: Kind,
     pub(crate) map: Arc<MapSlot>,
+    pub(crate) received: Instant,
 }
 
 /// A job with its reservation of the byte limit.
@@ -34,45 +36,28 @@ pub(crate) struct Queue {
     sender: std::sync::Mutex<Option<mpsc::Sender<Ticket>>>,
     /// Free part of the byte limit, KiB.
     free_kib: Arc<Semaphore>,
-    counters: Counters,
-}
-
-#[derive(Default)]
-struct Counters {
-    answered: AtomicU64,
-    failed: AtomicU64,
-    refused: AtomicU64,
-    panicked: AtomicBool,
-}
-
-/// Counters of a server since its start.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[non_exhaustive]
-pub struct ServerStatistics {
-    /// Queries answered, "no match" included.
-    pub answered: u64,
-    /// Queries answered with an error, refused ones excluded.
-    pub failed: u64,
-    /// Queries refused because the queue was full.
-    pub refused: u64,
-    /// Whether answering any query panicked: a bug, please report it.
-    pub panicked: bool,
+    metrics: Arc<ServerMetrics>,
 }
 
 impl Queue {
     /// A queue of at most `length` jobs and `bytes` bytes of payload.
-    pub(crate) fn new(length: usize, bytes: usize) -> (Arc<Queue>, mpsc::Receiver<Ticket>) {
+    pub(crate) fn new(
+        length: usize,
+        bytes: usize,
+        metrics: Arc<ServerMetrics>,
+    ) -> (Arc<Queue>, mpsc::Receiver<Ticket>) {
         let (sender, receiver) = mpsc::channel(length.max(1));
         let free_kib = Arc::new(Semaphore::new((bytes / 1024).clamp(1, Semaphore::MAX_PERMITS)));
         let sender = std::sync::Mutex::new(Some(sender));
-        (Arc::new(Queue { sender, free_kib, counters: Counters::default() }), receiver)
+        (Arc::new(Queue { sender, free_kib, metrics }), receiver)
     }
 
     /// Enqueues a query, or answers it with `Busy`. Never blocks.
     pub(crate) fn put(&self, job: Job) {
         let query = job.query.clone();
+        self.metrics.note_received();
         if self.try_put(job).is_none() {
-            self.counters.refused.fetch_add(1, Ordering::Relaxed);
+            self.metrics.note_refused();
             let message = "the map server has too many queries, ask again later";
             handlers::fail(&query, &ErrorReply::new(ErrorCode::Busy, message));
         }
@@ -88,15 +73,6 @@ impl Queue {
     /// Ends the workers once the queue is empty.
     pub(crate) fn close(&self) {
         self.sender.lock().unwrap_or_else(std::sync::PoisonError::into_inner).take();
-    }
-
-    pub(crate) fn statistics(&self) -> ServerStatistics {
-        ServerStatistics {
-            answered: self.counters.answered.load(Ordering::Relaxed),
-            failed: self.counters.failed.load(Ordering::Relaxed),
-            refused: self.counters.refused.load(Ordering::Relaxed),
-            panicked: self.counters.panicked.load(Ordering::Relaxed),
-        }
     }
 }
 
@@ -117,27 +93,31 @@ async fn work(jobs: Arc<Mutex<mpsc::Receiver<Ticket>>>, options: Arc<Recognition
     loop {
         let next = jobs.lock().await.recv().await;
         let Some(ticket) = next else { return };
-        let query = ticket.job.query.clone();
+        let (query, map) = (ticket.job.query.clone(), Arc::clone(&ticket.job.map));
+        let (kind, received) = (ticket.job.kind, ticket.job.received);
         let options = Arc::clone(&options);
         let answered = catch_panic(move || {
-            let Job { query, kind, map } = &ticket.job;
+            let Job { query, kind, map, .. } = &ticket.job;
             handlers::answer(query, *kind, &map.name, &map.current(), &options)
         });
-        let failure = match answered.await {
+        let answered = answered.await;
+        let duration = received.elapsed();
+        let note_done = |is_answered| queue.metrics.note_done(&map.name, kind, duration, is_answered);
+        let failure = match answered {
             Ok(Ok(())) => {
-                queue.counters.answered.fetch_add(1, Ordering::Relaxed);
+                note_done(true);
                 continue;
             }
             Ok(Err(failure)) => failure,
             Err(panic) => {
-                queue.counters.panicked.store(true, Ordering::Relaxed);
+                queue.metrics.note_panic();
                 tracing::error!(key = query.key_expr().as_str(), "answering a query panicked: {panic}");
                 ErrorReply::new(ErrorCode::Internal, "the map server failed on this query; its log says more")
             }
         };
-        queue.counters.failed.fetch_add(1, Ordering::Relaxed);
-        tracing::debug!(key = query.key_expr().as_str(), "answered with an error: {failure}");
         handlers::fail(&query, &failure);
+        note_done(false);
+        tracing::debug!(key = query.key_expr().as_str(), "answered with an error: {failure}");
     }
 }
 
