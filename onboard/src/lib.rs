@@ -49,7 +49,7 @@ pub mod stop;
 pub use arguments::RobotArguments;
 pub use estimator_supervisor::EstimatorSupervisor;
 pub use front_end::{FrontEnd, FrontEndError};
-pub use outputs::{EndedLost, Event, Recorder, Summary};
+pub use outputs::{EndedLost, Event, Recorder, RobotMetrics, Summary};
 pub use program::{MapLink, Outcome, run_robot, run_robot_until, run_source_until};
 pub use run::{RobotRun, RunError, run};
 pub use stop::StopSignal;

@@ -4,16 +4,22 @@ use anyhow::{Context as _, Result, bail};
 use clap::Parser;
 use client::session::{DEFAULT_ENDPOINT, SessionOptions, close_session, open_session};
 use estimator::MapMode;
+use monitoring::{LogFormat, MonitoringServer, start_log};
 use onboard::arguments::{CalibrationArguments, INPUT, MAP, OUTPUT};
-use onboard::{EndedLost, MapLink, RobotArguments, StopSignal, progress, run_robot_until, stdout};
+use onboard::{
+    EndedLost, MapLink, RobotArguments, RobotMetrics, StopSignal, progress, run_robot_until, stdout,
+};
+use prometheus_client::registry::Registry;
 use sensors::Recording;
-use std::io::IsTerminal as _;
+use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use tracing_subscriber::EnvFilter;
 
 /// Log filter: warnings, without Zenoh's about a network that is still being discovered.
 const QUIET: &str = "warn,zenoh=error";
+/// Log filter in real time: changes of the state and a line a minute as well.
+const REALTIME: &str = "warn,zenoh=error,onboard=info";
 
 /// Plays a recording and localizes it in the map of a map server.
 ///
@@ -26,7 +32,7 @@ const QUIET: &str = "warn,zenoh=error";
         onboard --sequence MH_03 --map hall --connect tcp/192.168.1.2:7447 --out run\n  \
         onboard --sequence MH_03 --mode odometry --out run\n  \
         onboard --sequence MH_03 --map hall --realtime --robot cart7 --namespace site1 --out run\n\n\
-        Log: RUST_LOG=info. Ctrl-C ends the run in good order; the output folder is complete up to there.\n\
+        Log: RUST_LOG=info; with --realtime, changes of the state and a line a minute are logged anyway. Ctrl-C ends the run in good order; the output folder is complete up to there.\n\
         Then: driftless plot run"
 )]
 struct Arguments {
@@ -48,6 +54,14 @@ struct Arguments {
     /// Namespace of the fleet
     #[arg(long, value_name = "PREFIX", help_heading = MAP)]
     namespace: Option<String>,
+    /// Address of an HTTP server of metrics (/metrics, for Prometheus) and health (/health), for example 127.0.0.1:9465
+    ///
+    /// It knows no users: use an address that only operators reach.
+    #[arg(long, value_name = "ADDRESS:PORT", help_heading = OUTPUT)]
+    monitoring: Option<SocketAddr>,
+    /// Format of the log: text for people, json for programs, one object a line
+    #[arg(long, value_name = "FORMAT", default_value_t, help_heading = OUTPUT)]
+    log_format: LogFormat,
     /// Print the summary as JSON
     #[arg(long, help_heading = OUTPUT)]
     json: bool,
@@ -67,16 +81,17 @@ fn main() -> ExitCode {
 }
 
 fn localize() -> Result<()> {
-    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(QUIET));
-    tracing_subscriber::fmt()
-        .with_env_filter(filter)
-        .with_writer(std::io::stderr)
-        .with_ansi(std::io::stderr().is_terminal())
-        .init();
     let arguments = Arguments::parse();
+    let quiet = if arguments.robot.realtime { REALTIME } else { QUIET };
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(quiet));
+    start_log(filter, arguments.log_format);
     let stop = StopSignal::on_interrupt().context("signals cannot be handled")?;
     let recording = Recording::open_with(&arguments.sequence, &arguments.calibration.files())?;
     let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build()?;
+    let monitoring = match arguments.monitoring {
+        Some(address) => Some(runtime.block_on(start_monitoring(address, &arguments.robot.metrics))?),
+        None => None,
+    };
     let link = match (&arguments.map, arguments.robot.map_mode()?) {
         (_, MapMode::Odometry) => None,
         (None, _) => {
@@ -109,6 +124,9 @@ fn localize() -> Result<()> {
         print!("{}", progress::report(&outcome.summary));
         println!("written to {}", arguments.robot.out.display());
     }
+    if let Some(monitoring) = monitoring {
+        runtime.block_on(monitoring.stop());
+    }
     if let Some(session) = session {
         runtime.block_on(close_session(&session));
     }
@@ -117,4 +135,12 @@ fn localize() -> Result<()> {
     }
     outcome.summary.check_end()?;
     Ok(())
+}
+
+/// Serves the metrics of a run.
+async fn start_monitoring(address: SocketAddr, metrics: &RobotMetrics) -> Result<MonitoringServer> {
+    let mut registry = Registry::with_prefix("driftless");
+    metrics.register(&mut registry);
+    let health = metrics.clone();
+    MonitoringServer::start(address, registry, move || health.health()).await.context("--monitoring")
 }

@@ -179,6 +179,7 @@ fn play(
     robot.query_interval_ns = (arguments.query_interval * 1e9) as i64;
     robot.max_keyframes = arguments.max_keyframes;
     robot.realtime = arguments.realtime;
+    robot.metrics = arguments.metrics.clone();
     if let Some(link) = link {
         connect(&mut robot, link, arguments)?;
         robot.extraction = extraction(contents, arguments, mask)?;

@@ -4,10 +4,10 @@ use super::estimator_supervisor::EstimatorSupervisor;
 use super::extraction::ExtractionThread;
 use super::front_end::FrontEnd;
 use super::input::{ImuWindow, SensorQueue};
-use super::outputs::{Publisher, Recorder, Timings};
+use super::outputs::{Publisher, Recorder, RobotMetrics, StatusLine, Timings};
 use super::stop::StopSignal;
 use client::{MapChangeSubscriber, QueryTasks};
-use estimator::{CloneId, EstimatorError, InitMethod, TrackObservation};
+use estimator::{CloneId, EstimatorError, InitMethod, Status, TrackObservation};
 use geometry::Camera;
 use nalgebra::Vector3;
 use sensors::{Frame, SensorError, SensorSource};
@@ -79,6 +79,8 @@ pub struct RobotRun<'a> {
     pub map_changes: Option<MapChangeSubscriber>,
     /// Publishes pose, odometry and status; `None` without a network.
     pub publisher: Option<Publisher>,
+    /// What the run counts.
+    pub metrics: RobotMetrics,
     pub(super) supervisor: EstimatorSupervisor,
     /// Camera 0, which the queries are about.
     pub(super) query_camera: Option<Camera>,
@@ -86,6 +88,7 @@ pub struct RobotRun<'a> {
     pub(super) last_extraction_ns: Option<i64>,
     /// Why the last query was not answered; `None` once one is.
     pub(super) last_failure: Option<String>,
+    status_line: StatusLine,
     events: SensorQueue<'a>,
     imu: ImuWindow,
 }
@@ -107,10 +110,12 @@ impl<'a> RobotRun<'a> {
             queries: None,
             map_changes: None,
             publisher: None,
+            metrics: RobotMetrics::default(),
             supervisor,
             query_camera: calibration.cameras.first().map(|first| first.camera.clone()),
             last_extraction_ns: None,
             last_failure: None,
+            status_line: StatusLine::default(),
             events: SensorQueue::new(source),
             imu,
         }
@@ -233,11 +238,22 @@ impl RobotRun<'_> {
         }
     }
 
-    fn publish_status(&self, stamp_ns: i64, recorder: &Recorder) {
+    /// Publishes the status where there is no pose.
+    fn publish_status(&mut self, stamp_ns: i64, recorder: &Recorder) {
+        let status = self.note_status(recorder);
         if let Some(publisher) = &self.publisher {
-            let status = self.supervisor.status().with_failure(self.last_failure.as_deref());
             publisher.publish_status(stamp_ns, status, recorder.query_counts());
         }
+    }
+
+    /// Takes the status of now into metrics and log.
+    fn note_status(&mut self, recorder: &Recorder) -> Status {
+        let status = self.supervisor.status().with_failure(self.last_failure.as_deref());
+        self.metrics.note_status(&status, &recorder.queries);
+        if self.realtime {
+            self.status_line.log(&status, recorder.frames, &recorder.queries);
+        }
+        status
     }
 
     /// Tries to initialize the estimator, where it does not run yet.
@@ -298,12 +314,14 @@ impl RobotRun<'_> {
         timings.map = begin.elapsed().saturating_sub(waited);
 
         self.supervisor.update_last_trusted();
+        let status = self.note_status(recorder);
         let Some(estimator) = self.supervisor.estimator() else { return Ok(()) };
         recorder.note_state(estimator);
         recorder.timings.add(&timings);
+        self.metrics.note_frame(timings.total());
         if let Some(publisher) = &self.publisher {
             let rate = angular_velocity - estimator.biases().0;
-            publisher.publish(estimator, rate, recorder.query_counts(), self.last_failure.as_deref());
+            publisher.publish(estimator, rate, status, recorder.query_counts());
         }
         self.query_frame(clone, frame, recorder);
         Ok(())
@@ -343,7 +361,7 @@ impl RobotRun<'_> {
     fn close(&mut self, recorder: &mut Recorder) {
         recorder.imu_gaps = self.imu.gaps();
         recorder.learned_noise = self.supervisor.learned_noise();
-        recorder.final_status = Some(self.supervisor.status().with_failure(self.last_failure.as_deref()));
+        recorder.final_status = Some(self.note_status(recorder));
         if let Some(publisher) = self.publisher.take() {
             publisher.close();
         }

@@ -9,6 +9,7 @@ pub use choices::{Calibrate, Cameras, Init, Mode};
 pub use settings::{SettingsError, read_settings};
 
 use super::extraction::FeatureArguments;
+use super::outputs::RobotMetrics;
 use anyhow::{Result, bail};
 use clap::{Args, Parser};
 use estimator::{EstimatorConfig, MapMode, Relinearization};
@@ -31,6 +32,10 @@ pub struct RobotArguments {
     /// Folder for trajectories, states, events and summary; created if necessary
     #[arg(long, value_name = "DIR", help_heading = OUTPUT)]
     pub out: PathBuf,
+
+    /// What the run counts; shared with whoever clones it before the run
+    #[arg(skip)]
+    pub metrics: RobotMetrics,
 
     /// Cameras to use [default: stereo where the recording has cam1]
     #[arg(long, value_enum, help_heading = INPUT)]

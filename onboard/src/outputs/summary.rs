@@ -30,6 +30,11 @@ impl Timings {
         self.frames += 1;
     }
 
+    /// Computing time of all steps.
+    pub fn total(&self) -> Duration {
+        self.front_end + self.propagation + self.tracks + self.map
+    }
+
     /// Milliseconds a frame.
     pub fn mean(&self) -> MillisecondsPerFrame {
         let mean = |total: Duration| total.as_secs_f64() * 1e3 / self.frames.max(1) as f64;
