@@ -250,9 +250,7 @@ impl RobotRun<'_> {
     fn note_status(&mut self, recorder: &Recorder) -> Status {
         let status = self.supervisor.status().with_failure(self.last_failure.as_deref());
         self.metrics.note_status(&status, &recorder.queries);
-        if self.realtime {
-            self.status_line.log(&status, recorder.frames, &recorder.queries);
-        }
+        self.status_line.log(&status, recorder.frames, &recorder.queries);
         status
     }
 

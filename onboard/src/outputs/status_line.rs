@@ -1,32 +1,34 @@
-//! One line a minute in the log of a robot that runs in real time.
+//! Changes of the state in the log of a robot, and one line a minute.
 
 use super::summary::QuerySummary;
-use estimator::Status;
+use estimator::{Localization, Status};
 use std::time::{Duration, Instant};
 
 /// Time between two lines.
 const PERIOD: Duration = Duration::from_mins(1);
 
-/// When the last line was written.
+/// When the last line was written, and what it said.
 #[derive(Debug)]
 pub struct StatusLine {
     last: Instant,
+    localization: Option<Localization>,
 }
 
 impl Default for StatusLine {
-    /// The first line comes after a minute.
+    /// The first line comes with the first status.
     fn default() -> Self {
-        Self { last: Instant::now() }
+        Self { last: Instant::now(), localization: None }
     }
 }
 
 impl StatusLine {
     /// Writes the line if it is due.
     pub fn log(&mut self, status: &Status, frames: usize, queries: &QuerySummary) {
-        if self.last.elapsed() < PERIOD {
+        let is_new = self.localization != Some(status.localization);
+        if !is_new && self.last.elapsed() < PERIOD {
             return;
         }
-        self.last = Instant::now();
+        (self.last, self.localization) = (Instant::now(), Some(status.localization));
         tracing::info!(
             state = ?status.localization,
             reason = status.reason,
