@@ -223,7 +223,9 @@ fn connect(robot: &mut RobotRun<'_>, link: MapLink, arguments: &RobotArguments) 
     robot.queries = Some(QueryTasks::new(client, link.runtime.clone(), deadline));
     let map_changes = link.runtime.block_on(MapChangeSubscriber::subscribe(&link.session, &link.map))?;
     robot.map_changes = Some(map_changes);
-    robot.publisher = Some(Publisher::new(link.session, &link.runtime, &arguments.robot, &link.map)?);
+    let publisher =
+        Publisher::new(link.session, &link.runtime, &arguments.robot, &link.map, arguments.topics.into())?;
+    robot.publisher = Some(publisher);
     Ok(())
 }
 

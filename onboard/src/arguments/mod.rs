@@ -5,7 +5,7 @@ mod choices;
 mod settings;
 
 pub use calibration::CalibrationArguments;
-pub use choices::{Calibrate, Cameras, Init, Mode};
+pub use choices::{Calibrate, Cameras, Init, Mode, TopicFormat};
 pub use settings::{SettingsError, read_settings};
 
 use super::extraction::FeatureArguments;
@@ -59,6 +59,9 @@ pub struct RobotArguments {
     /// Name of this robot on the network
     #[arg(long, value_name = "NAME", default_value = "robot", help_heading = MAP)]
     pub robot: String,
+    /// Format of the pose, odometry and status that are published
+    #[arg(long, value_enum, default_value = "json", help_heading = MAP)]
+    pub topics: TopicFormat,
     /// Maximum number of keyframes in one answer (with --mode multi or mapconst)
     #[arg(long, value_name = "N", default_value_t = 4, help_heading = MAP)]
     pub max_keyframes: u16,
