@@ -1,5 +1,6 @@
 //! Plays a sensor source through the estimator.
 
+use super::alarms::Alarms;
 use super::estimator_supervisor::EstimatorSupervisor;
 use super::extraction::ExtractionThread;
 use super::front_end::FrontEnd;
@@ -7,10 +8,11 @@ use super::input::{ImuWindow, SensorQueue};
 use super::outputs::{Publisher, Recorder, Timings};
 use super::stop::StopSignal;
 use client::{MapChangeSubscriber, QueryTasks};
-use estimator::{CloneId, EstimatorError, InitMethod, TrackObservation};
+use estimator::{Alarm, CloneId, Estimator, EstimatorError, InitMethod, TrackObservation};
 use geometry::Camera;
 use nalgebra::Vector3;
 use sensors::{Frame, SensorError, SensorSource};
+use std::mem::{Discriminant, discriminant};
 use std::time::{Duration, Instant};
 
 /// As fast as possible, an answer is taken to need this time, nanoseconds: it is applied before the next image where
@@ -86,6 +88,7 @@ pub struct RobotRun<'a> {
     pub(super) last_extraction_ns: Option<i64>,
     /// Why the last query was not answered; `None` once one is.
     pub(super) last_failure: Option<String>,
+    alarms: Alarms<Discriminant<Alarm>>,
     events: SensorQueue<'a>,
     imu: ImuWindow,
 }
@@ -111,6 +114,7 @@ impl<'a> RobotRun<'a> {
             query_camera: calibration.cameras.first().map(|first| first.camera.clone()),
             last_extraction_ns: None,
             last_failure: None,
+            alarms: Alarms::default(),
             events: SensorQueue::new(source),
             imu,
         }
@@ -178,10 +182,12 @@ impl RobotRun<'_> {
                 let done = self.apply_answers_before_next_frame(recorder);
                 self.handle_divergence(done, last_ns, recorder)?;
             }
+            self.update_alarms(seconds(last_ns));
             self.drop_old_readings(last_ns);
         }
         let done = self.finish_queries(recorder);
         self.handle_divergence(done, last_ns, recorder)?;
+        self.update_alarms(seconds(last_ns));
         if recorder.starts.is_empty() {
             let status = self.supervisor.status().reason;
             return Err(RunError::NotInitialized { seconds: seconds(last_ns), status });
@@ -231,6 +237,12 @@ impl RobotRun<'_> {
                 Err(RunError::Estimator { seconds: (stamp_ns - recorder.first_ns) as f64 * 1e-9, source })
             }
         }
+    }
+
+    fn update_alarms(&mut self, seconds: f64) {
+        let now = self.supervisor.estimator().map(Estimator::alarms).unwrap_or_default();
+        self.alarms
+            .update(seconds, now.iter().map(|alarm| (discriminant(alarm), alarm.to_string())).collect());
     }
 
     fn publish_status(&self, stamp_ns: i64, recorder: &Recorder) {
@@ -342,6 +354,7 @@ impl RobotRun<'_> {
 
     fn close(&mut self, recorder: &mut Recorder) {
         recorder.imu_gaps = self.imu.gaps();
+        recorder.alarms = self.alarms.kept().to_vec();
         recorder.learned_noise = self.supervisor.learned_noise();
         recorder.final_status = Some(self.supervisor.status().with_failure(self.last_failure.as_deref()));
         if let Some(publisher) = self.publisher.take() {

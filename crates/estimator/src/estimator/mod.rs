@@ -21,6 +21,7 @@ use crate::imu::ImuBuffer;
 use crate::initialization::static_init::InitialState;
 use crate::linear_algebra::dense::Dense;
 use crate::map_update::map_fix::{MapFix, MapFixes};
+use crate::map_update::map_gravity::MapGravity;
 use crate::map_update::map_revision::MapVersion;
 use crate::noise_adaptation::NoiseAdaptation;
 use crate::odometry::msckf_update::MsckfSettings;
@@ -116,6 +117,7 @@ pub struct Estimator {
     map_fixes: MapFixes,
     /// That of the last answer, as long as it is not known whether it updates the state.
     newest_fix: Option<MapFix>,
+    map_gravity: MapGravity,
     last_map_update_ns: Option<i64>,
     /// Consecutive rejections after which `global_from_local` was removed, until the next map update.
     lost_after: Option<usize>,
@@ -187,6 +189,7 @@ impl Estimator {
             contradiction: None,
             map_fixes: MapFixes::default(),
             newest_fix: None,
+            map_gravity: MapGravity::default(),
             last_map_update_ns: None,
             lost_after: None,
             health,

@@ -116,8 +116,7 @@ impl Estimator {
             self.map_fixes.clear();
             report.rejection = self.update_in_version(clone, answer, report)?.err();
             if report.rejection.is_none() {
-                self.lost_after = None;
-                self.last_map_update_ns = Some(self.state.stamp_ns);
+                self.note_success();
             }
             return Ok(());
         }

@@ -2,6 +2,7 @@
 
 pub mod map_answer;
 pub mod map_fix;
+pub mod map_gravity;
 pub mod map_measurement;
 pub mod map_report;
 pub mod map_revision;
