@@ -6,13 +6,13 @@ use super::extraction::ExtractionThread;
 use super::front_end::FrontEnd;
 use super::input::{ImuWindow, SensorQueue};
 use super::outputs::{Publisher, Recorder, Timings};
+use super::run_status::AlarmKind;
 use super::stop::StopSignal;
 use client::{MapChangeSubscriber, QueryTasks};
-use estimator::{Alarm, CloneId, Estimator, EstimatorError, InitMethod, TrackObservation};
+use estimator::{CloneId, EstimatorError, InitMethod, TrackObservation};
 use geometry::Camera;
 use nalgebra::Vector3;
-use sensors::{Frame, SensorError, SensorSource};
-use std::mem::{Discriminant, discriminant};
+use sensors::{Frame, ImuCheck, ImuUnitError, SensorError, SensorSource};
 use std::time::{Duration, Instant};
 
 /// As fast as possible, an answer is taken to need this time, nanoseconds: it is applied before the next image where
@@ -88,7 +88,10 @@ pub struct RobotRun<'a> {
     pub(super) last_extraction_ns: Option<i64>,
     /// Why the last query was not answered; `None` once one is.
     pub(super) last_failure: Option<String>,
-    alarms: Alarms<Discriminant<Alarm>>,
+    pub(super) alarms: Alarms<AlarmKind>,
+    imu_check: ImuCheck,
+    /// What is wrong with the readings.
+    pub(super) imu_fault: Option<ImuUnitError>,
     events: SensorQueue<'a>,
     imu: ImuWindow,
 }
@@ -115,6 +118,8 @@ impl<'a> RobotRun<'a> {
             last_extraction_ns: None,
             last_failure: None,
             alarms: Alarms::default(),
+            imu_check: ImuCheck::new(calibration.imu.as_ref().and_then(|imu| imu.gravity_magnitude)),
+            imu_fault: None,
             events: SensorQueue::new(source),
             imu,
         }
@@ -200,6 +205,9 @@ impl RobotRun<'_> {
         let until_ns = frame_ns.max(self.imu_stamp_ns(frame_ns));
         while self.imu.ends_before(until_ns) {
             let Some(reading) = self.events.next_reading(frame_ns)? else { break };
+            if self.imu_fault.is_none() {
+                self.imu_fault = self.imu_check.add(&reading).err();
+            }
             self.imu.push(reading);
         }
         Ok(())
@@ -236,19 +244,6 @@ impl RobotRun<'_> {
             Err(source) => {
                 Err(RunError::Estimator { seconds: (stamp_ns - recorder.first_ns) as f64 * 1e-9, source })
             }
-        }
-    }
-
-    fn update_alarms(&mut self, seconds: f64) {
-        let now = self.supervisor.estimator().map(Estimator::alarms).unwrap_or_default();
-        self.alarms
-            .update(seconds, now.iter().map(|alarm| (discriminant(alarm), alarm.to_string())).collect());
-    }
-
-    fn publish_status(&self, stamp_ns: i64, recorder: &Recorder) {
-        if let Some(publisher) = &self.publisher {
-            let status = self.supervisor.status().with_failure(self.last_failure.as_deref());
-            publisher.publish_status(stamp_ns, status, recorder.query_counts());
         }
     }
 
@@ -315,7 +310,7 @@ impl RobotRun<'_> {
         recorder.timings.add(&timings);
         if let Some(publisher) = &self.publisher {
             let rate = angular_velocity - estimator.biases().0;
-            publisher.publish(estimator, rate, recorder.query_counts(), self.last_failure.as_deref());
+            publisher.publish(estimator, rate, self.status(), recorder.query_counts());
         }
         self.query_frame(clone, frame, recorder);
         Ok(())
@@ -356,7 +351,7 @@ impl RobotRun<'_> {
         recorder.imu_gaps = self.imu.gaps();
         recorder.alarms = self.alarms.kept().to_vec();
         recorder.learned_noise = self.supervisor.learned_noise();
-        recorder.final_status = Some(self.supervisor.status().with_failure(self.last_failure.as_deref()));
+        recorder.final_status = Some(self.status());
         if let Some(publisher) = self.publisher.take() {
             publisher.close();
         }

@@ -88,8 +88,8 @@ impl Publisher {
         &self,
         estimator: &Estimator,
         angular_velocity: Vector3<f64>,
+        status: Status,
         counts: QueryCounts,
-        failure: Option<&str>,
     ) {
         let stamp_ns = estimator.stamp_ns();
         self.send(
@@ -114,7 +114,7 @@ impl Publisher {
             };
             self.send(&self.pose_key, &pose);
         }
-        self.publish_status(stamp_ns, estimator.status().with_failure(failure), counts);
+        self.publish_status(stamp_ns, status, counts);
     }
 
     /// Publishes the status, also while there is no pose.

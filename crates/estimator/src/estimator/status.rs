@@ -59,16 +59,6 @@ pub struct Status {
     pub held_keyframes: usize,
 }
 
-impl Status {
-    /// Appends to the reason why the map does not answer.
-    pub fn with_failure(mut self, failure: Option<&str>) -> Self {
-        if let Some(failure) = failure {
-            self.reason = format!("{}; the map does not answer: {failure}", self.reason);
-        }
-        self
-    }
-}
-
 impl Estimator {
     /// The localization status.
     pub fn status(&self) -> Status {
