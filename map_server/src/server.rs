@@ -87,8 +87,8 @@ impl MapServer {
         }
         let maps = Arc::new(served);
 
-        let (queue, jobs) = Queue::new(options.queue_length, options.queue_bytes);
-        let workers = queue::start_workers(jobs, options.workers, &options.recognition, &queue);
+        let queue = Queue::new(options.queue_length, options.queue_bytes);
+        let workers = queue::start_workers(&queue, options.workers, &options.recognition);
         let mut queryables = Vec::new();
         for map in maps.values() {
             for kind in Kind::ALL {
