@@ -73,6 +73,7 @@ pub use map_update::map_answer::{MapAnswer, MapKeyframe, MatchedLandmark};
 pub use map_update::map_gravity::GravityFault;
 pub use map_update::map_report::{MapReport, Rejection};
 pub use map_update::map_revision::{ChangeSize, MapRevision, RevisionEffect};
+pub use map_update::map_watch::MapDrift;
 pub use noise_adaptation::LearnedNoise;
 pub use odometry::msckf_update::TrackReport;
 pub use odometry::tracks::TrackObservation;

@@ -103,6 +103,8 @@ impl Estimator {
             nis: None,
             rejection: None,
         };
+        let before =
+            self.filtered_global_from_imu().or_else(|| self.map_watch.predict(&self.local_from_imu()));
         report.rejection = self.update_in_version(clone, &answer, &mut report)?.err();
         match report.rejection {
             None => {
@@ -123,6 +125,11 @@ impl Estimator {
                 self.give_way(clone, &answer, &mut report)?;
             }
             Some(_) => {}
+        }
+        if let (None, true, Some(after)) =
+            (&report.rejection, self.config.mode != MapMode::MapConst, self.filtered_global_from_imu())
+        {
+            self.map_watch.note(self.state.stamp_ns, before.as_ref(), &after, &self.local_from_imu());
         }
         self.covariance.held.deactivate_unused();
         self.covariance.evict(self.config.max_held_keyframes);
@@ -190,7 +197,7 @@ impl Estimator {
         let solved_transform = global_from_imu * local_from_imu.inverse();
         report.initialized = self.state.transform.is_none();
         if report.initialized
-            && !self.map_gravity.fault().is_some_and(|known| known.stated.is_some())
+            && self.map_gravity.fault().is_none_or(|known| known.stated.is_none())
             && let Err(fault) =
                 self.map_gravity.compare(answer.gravity_in_global, solved_transform.rotation * -Vector3::z())
         {

@@ -161,6 +161,7 @@ impl Estimator {
         fresh.state.calibration.time_offset = self.state.calibration.time_offset;
         fresh.imu = std::mem::take(&mut self.imu);
         fresh.noise = self.noise.clone();
+        fresh.map_watch = std::mem::take(&mut self.map_watch);
         fresh.next_clone = self.next_clone;
         fresh.lost_after = Some(self.map_fixes.len());
         *self = fresh;

@@ -2,6 +2,7 @@
 
 use super::Estimator;
 use crate::map_update::map_gravity::GravityFault;
+use crate::map_update::map_watch::MapDrift;
 use serde::{Deserialize, Serialize};
 
 /// Whether the pose in G can be used.
@@ -44,6 +45,9 @@ pub enum Alarm {
     /// Its direction of gravity.
     #[error(transparent)]
     Gravity(#[from] GravityFault),
+    /// Its answers move against odometry.
+    #[error(transparent)]
+    Drift(#[from] MapDrift),
 }
 
 /// [`Localization`] and its reason.
@@ -92,7 +96,8 @@ impl Estimator {
 
     /// What contradicts the map, and what to do about it.
     pub fn alarms(&self) -> Vec<Alarm> {
-        self.map_gravity.fault().map(Alarm::from).into_iter().collect()
+        let gravity = self.map_gravity.fault().map(Alarm::from);
+        gravity.into_iter().chain(self.map_watch.alarm().map(Alarm::from)).collect()
     }
 
     /// Counts a verified answer that the gates rejected. After too many in a row the state is wrong, and
