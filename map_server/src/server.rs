@@ -94,8 +94,8 @@ impl MapServer {
         for map in maps.values() {
             metrics.note_map(&map.name, &map.current());
         }
-        let (queue, jobs) = Queue::new(options.queue_length, options.queue_bytes, Arc::clone(&metrics));
-        let workers = queue::start_workers(jobs, options.workers, &options.recognition, &queue);
+        let queue = Queue::new(options.queue_length, options.queue_bytes, Arc::clone(&metrics));
+        let workers = queue::start_workers(&queue, options.workers, &options.recognition);
         let mut queryables = Vec::new();
         for map in maps.values() {
             for kind in Kind::ALL {

@@ -295,6 +295,7 @@ impl FinishedRun {
             starts: recorder.starts.clone(),
             divergences: recorder.divergences.clone(),
             learned_noise: recorder.learned_noise,
+            alarms: recorder.alarms.clone(),
             final_status: recorder.final_status.clone(),
             interrupted: matches!(ended_early, Some(RunError::Interrupted { .. })),
             ended_early: ended_early.map(|reason| reason.to_string()),

@@ -1,16 +1,18 @@
 //! Plays a sensor source through the estimator.
 
+use super::alarms::Alarms;
 use super::estimator_supervisor::EstimatorSupervisor;
 use super::extraction::ExtractionThread;
 use super::front_end::FrontEnd;
 use super::input::{ImuWindow, SensorQueue};
 use super::outputs::{Publisher, Recorder, RobotMetrics, StatusLine, Timings};
+use super::run_status::AlarmKind;
 use super::stop::StopSignal;
 use client::{MapChangeSubscriber, QueryTasks};
-use estimator::{CloneId, EstimatorError, InitMethod, Status, TrackObservation};
+use estimator::{CloneId, EstimatorError, InitMethod, TrackObservation};
 use geometry::Camera;
 use nalgebra::Vector3;
-use sensors::{Frame, SensorError, SensorSource};
+use sensors::{Frame, ImuCheck, ImuUnitError, SensorError, SensorSource};
 use std::time::{Duration, Instant};
 
 /// As fast as possible, an answer is taken to need this time, nanoseconds: it is applied before the next image where
@@ -88,7 +90,11 @@ pub struct RobotRun<'a> {
     pub(super) last_extraction_ns: Option<i64>,
     /// Why the last query was not answered; `None` once one is.
     pub(super) last_failure: Option<String>,
-    status_line: StatusLine,
+    pub(super) status_line: StatusLine,
+    pub(super) alarms: Alarms<AlarmKind>,
+    imu_check: ImuCheck,
+    /// What is wrong with the readings.
+    pub(super) imu_fault: Option<ImuUnitError>,
     events: SensorQueue<'a>,
     imu: ImuWindow,
 }
@@ -116,6 +122,9 @@ impl<'a> RobotRun<'a> {
             last_extraction_ns: None,
             last_failure: None,
             status_line: StatusLine::default(),
+            alarms: Alarms::default(),
+            imu_check: ImuCheck::new(calibration.imu.as_ref().and_then(|imu| imu.gravity_magnitude)),
+            imu_fault: None,
             events: SensorQueue::new(source),
             imu,
         }
@@ -183,10 +192,12 @@ impl RobotRun<'_> {
                 let done = self.apply_answers_before_next_frame(recorder);
                 self.handle_divergence(done, last_ns, recorder)?;
             }
+            self.update_alarms(seconds(last_ns));
             self.drop_old_readings(last_ns);
         }
         let done = self.finish_queries(recorder);
         self.handle_divergence(done, last_ns, recorder)?;
+        self.update_alarms(seconds(last_ns));
         if recorder.starts.is_empty() {
             let status = self.supervisor.status().reason;
             return Err(RunError::NotInitialized { seconds: seconds(last_ns), status });
@@ -199,6 +210,9 @@ impl RobotRun<'_> {
         let until_ns = frame_ns.max(self.imu_stamp_ns(frame_ns));
         while self.imu.ends_before(until_ns) {
             let Some(reading) = self.events.next_reading(frame_ns)? else { break };
+            if self.imu_fault.is_none() {
+                self.imu_fault = self.imu_check.add(&reading).err();
+            }
             self.imu.push(reading);
         }
         Ok(())
@@ -236,22 +250,6 @@ impl RobotRun<'_> {
                 Err(RunError::Estimator { seconds: (stamp_ns - recorder.first_ns) as f64 * 1e-9, source })
             }
         }
-    }
-
-    /// Publishes the status where there is no pose.
-    fn publish_status(&mut self, stamp_ns: i64, recorder: &Recorder) {
-        let status = self.note_status(recorder);
-        if let Some(publisher) = &self.publisher {
-            publisher.publish_status(stamp_ns, status, recorder.query_counts());
-        }
-    }
-
-    /// Takes the status of now into metrics and log.
-    fn note_status(&mut self, recorder: &Recorder) -> Status {
-        let status = self.supervisor.status().with_failure(self.last_failure.as_deref());
-        self.metrics.note_status(&status, &recorder.queries);
-        self.status_line.log(&status, recorder.frames, &recorder.queries);
-        status
     }
 
     /// Tries to initialize the estimator, where it does not run yet.
@@ -358,6 +356,7 @@ impl RobotRun<'_> {
 
     fn close(&mut self, recorder: &mut Recorder) {
         recorder.imu_gaps = self.imu.gaps();
+        recorder.alarms = self.alarms.kept().to_vec();
         recorder.learned_noise = self.supervisor.learned_noise();
         recorder.final_status = Some(self.note_status(recorder));
         if let Some(publisher) = self.publisher.take() {

@@ -12,6 +12,9 @@ pub const DEFAULT_ENDPOINT: &str = "tcp/127.0.0.1:7447";
 const LISTEN: &str = "the endpoint to listen on";
 const CONNECT: &str = "the endpoint to connect to";
 
+/// Longest message that a session receives, bytes: a payload, and what Zenoh puts around it.
+const MAX_MESSAGE: usize = protocol::MAX_MESSAGE_BYTES + (64 << 10);
+
 /// How long closing a session may take.
 const CLOSE_TIMEOUT: Duration = Duration::from_secs(5);
 
@@ -98,6 +101,8 @@ impl SessionOptions {
             })?,
             None => closed_config()?,
         };
+        // Nothing longer is ever sent; Zenoh would take up to 1 GiB into memory.
+        insert(&mut config, "transport/link/rx/max_message_size", "message size", &MAX_MESSAGE)?;
         if self.router {
             insert(&mut config, "mode", "mode", "router")?;
         }

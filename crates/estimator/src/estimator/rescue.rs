@@ -114,8 +114,7 @@ impl Estimator {
             self.map_fixes.clear();
             report.rejection = self.update_in_version(clone, answer, report)?.err();
             if report.rejection.is_none() {
-                self.lost_after = None;
-                self.last_map_update_ns = Some(self.state.stamp_ns);
+                self.note_success();
             }
             return Ok(());
         }
@@ -160,6 +159,7 @@ impl Estimator {
         fresh.state.calibration.time_offset = self.state.calibration.time_offset;
         fresh.imu = std::mem::take(&mut self.imu);
         fresh.noise = self.noise.clone();
+        fresh.map_watch = std::mem::take(&mut self.map_watch);
         fresh.next_clone = self.next_clone;
         fresh.last_map_update_ns = Some(initial.stamp_ns);
         fresh.insert_fixed_transform(motion);
