@@ -90,7 +90,8 @@ impl InvertedFile {
         let sample: Vec<u8> = descriptors.iter().step_by(step).flatten().copied().collect();
         let vocabulary = Vocabulary::train(DescriptorView::new(metric, width, &sample)?, word_count);
 
-        let word_of = vocabulary.nearest(descriptors, 1);
+        let mut word_of = Vec::with_capacity(count);
+        vocabulary.for_each_nearest(descriptors, 1, |_, words| word_of.push(words[0]));
         let mut starts = vec![0_u32; vocabulary.len() + 1];
         for &word in &word_of {
             starts[word as usize + 1] += 1;
@@ -140,13 +141,11 @@ impl InvertedFile {
             return Err(DescriptorError::Mismatch { left: queries.width(), right: self.width });
         }
         let Some(vocabulary) = &self.vocabulary else { return Ok(()) };
-        let probes = PROBES.min(vocabulary.len());
-        let near_words = vocabulary.nearest(queries, probes);
         let prepared = PreparedDescriptors::new(&queries);
         let (mut row, mut hits) = (Vec::new(), Vec::new());
-        for (query, near_words) in near_words.chunks_exact(probes).enumerate() {
+        vocabulary.for_each_nearest(queries, PROBES, |query, words| {
             hits.clear();
-            for &word in near_words {
+            for &word in words {
                 let range = self.starts[word as usize] as usize..self.starts[word as usize + 1] as usize;
                 prepared.distances_to(query, &self.entries, range.clone(), &mut row);
                 for (&distance, &payload) in row.iter().zip(&self.payloads[range]) {
@@ -156,7 +155,7 @@ impl InvertedFile {
                 }
             }
             visit(query, &hits);
-        }
+        });
         Ok(())
     }
 }
