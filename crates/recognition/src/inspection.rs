@@ -186,7 +186,7 @@ impl Inspector<'_> {
             }
         }
         if let Consensus::Place(place) = find_consensus(verified, self.options) {
-            let id = |verified: &VerifiedKeyframe| self.map.keyframes[verified.keyframe].keyframe.id;
+            let id = |verified: &VerifiedKeyframe| self.map.keyframes[verified.keyframe].id;
             let place: HashSet<KeyframeId> = place.iter().map(id).collect();
             for keyframe in &mut inspected {
                 keyframe.in_answer = place.contains(&keyframe.id);
@@ -196,7 +196,7 @@ impl Inspector<'_> {
     }
 
     fn keyframe(&self, at: usize) -> Result<(InspectedKeyframe, Comparison), QueryError> {
-        let loaded = &self.map.keyframes[at];
+        let keyframe = &self.map.keyframes[at];
         let match_options = MatchOptions::for_metric(self.map.metric());
         let matches =
             match_descriptors(self.image.descriptors, self.map.descriptors_of(at)?, &match_options)?;
@@ -209,11 +209,11 @@ impl Inspector<'_> {
         };
         let focal = f64::midpoint(self.image.camera.focal[0], self.image.camera.focal[1]);
         let inspected = InspectedKeyframe {
-            id: loaded.keyframe.id,
-            stamp_ns: loaded.keyframe.stamp_ns,
-            camera: loaded.keyframe.camera.clone(),
-            landmark_pixels: loaded.observed.iter().map(|landmark| landmark.pixel).collect(),
-            votes: self.votes[at].features,
+            id: keyframe.id,
+            stamp_ns: keyframe.stamp_ns,
+            camera: keyframe.camera.clone(),
+            landmark_pixels: self.map.observations.of(at).pixels.to_vec(),
+            votes: self.votes[at].features as usize,
             verdict,
             in_answer: false,
             matches: matches.iter().map(|one| self.one_match(at, one, found)).collect(),
@@ -225,18 +225,18 @@ impl Inspector<'_> {
     }
 
     fn one_match(&self, at: usize, one: &Match, found: Option<&VerifiedKeyframe>) -> InspectedMatch {
-        let loaded = &self.map.keyframes[at];
-        let observed = &loaded.observed[one.train];
+        let observed = self.map.observations.of(at);
         let predicted = found.and_then(|found| {
-            let in_global = loaded.keyframe.global_from_keyframe.pose.transform(&observed.point);
+            let point = self.map.observed_point(at, one.train);
+            let in_global = self.map.keyframes[at].global_from_keyframe.pose.transform(&point);
             let in_camera = found.global_from_camera.pose.inverse_transform(&in_global);
             self.image.camera.project(&in_camera).ok()
         });
         InspectedMatch {
             feature: one.query,
-            landmark: self.map.landmarks[observed.landmark].id,
+            landmark: self.map.landmarks.ids[observed.landmark(one.train)],
             query_pixel: self.image.features.pixels[one.query],
-            keyframe_pixel: observed.pixel,
+            keyframe_pixel: observed.pixels[one.train],
             distance: one.distance,
             inlier: found.is_some_and(|found| found.inliers.contains(one)),
             predicted_pixel: predicted.map(|pixel: Vector2<f64>| pixel.into()),
