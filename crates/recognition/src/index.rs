@@ -7,7 +7,9 @@
 
 use protocol::DescriptorKind;
 use sensors::metric_of;
-use vision::{DescriptorError, DescriptorView, InvertedFile, MatchOptions, Metric, prototype_descriptors};
+use vision::{
+    DescriptorError, DescriptorView, Hit, InvertedFile, MatchOptions, Metric, prototype_descriptors,
+};
 
 use map::model::Observation;
 
@@ -113,16 +115,39 @@ impl LandmarkIndex {
         keyframe_count: usize,
     ) -> Result<Vec<Votes>, DescriptorError> {
         let mut votes = vec![Votes::default(); keyframe_count];
-        let mut near = Vec::new();
         self.prototypes.search(query, self.max_distance, |feature, hits| {
-            near.clear();
-            near.extend(hits.iter().map(|hit| hit.payload));
-            let weight = FULL_VOTE / count_distinct(&mut near).max(1) as u64;
-            for &keyframe in near.iter().flat_map(|&landmark| landmarks.observers(landmark as usize)) {
-                votes[keyframe as usize].add(feature as u32, weight);
-            }
+            cast_votes(feature, hits, landmarks, &mut votes);
         })?;
         Ok(votes)
+    }
+
+    /// Votes for each keyframe with some of the landmarks only, which must be few: a query feature that is near prototypes
+    /// of `n` of these gives a vote of weight `1/n`.
+    ///
+    /// # Arguments
+    /// * `among`: for each landmark, whether it counts.
+    pub(crate) fn vote_among(
+        &self,
+        query: DescriptorView<'_>,
+        landmarks: &Landmarks,
+        keyframe_count: usize,
+        among: &[bool],
+    ) -> Result<Vec<Votes>, DescriptorError> {
+        let mut votes = vec![Votes::default(); keyframe_count];
+        let asked_for = |landmark: u32| among[landmark as usize];
+        self.prototypes.search_among(query, self.max_distance, asked_for, |feature, hits| {
+            cast_votes(feature, hits, landmarks, &mut votes);
+        })?;
+        Ok(votes)
+    }
+}
+
+/// Adds the votes of one feature.
+fn cast_votes(feature: usize, hits: &[Hit], landmarks: &Landmarks, votes: &mut [Votes]) {
+    let mut near: Vec<u32> = hits.iter().map(|hit| hit.payload).collect();
+    let weight = FULL_VOTE / count_distinct(&mut near).max(1) as u64;
+    for &keyframe in near.iter().flat_map(|&landmark| landmarks.observers(landmark as usize)) {
+        votes[keyframe as usize].add(feature as u32, weight);
     }
 }
 
@@ -206,6 +231,25 @@ mod tests {
         let fast: Vec<(u64, u32)> = votes.iter().map(|votes| (votes.weight, votes.features)).collect();
         assert_eq!(fast, slow);
         assert!(fast.iter().any(|votes| votes.1 > 5));
+    }
+
+    #[test]
+    fn votes_among_some_landmarks_are_those_without_all_others() {
+        let mut random = StdRng::seed_from_u64(3);
+        let (index, landmarks, looks) = random_index(&mut random);
+        let query = DescriptorView::new(Metric::Hamming, 32, &looks).unwrap();
+        let among: Vec<bool> = (0..landmarks.len()).map(|_| random.random_bool(0.2)).collect();
+        let mut slow = vec![Votes::default(); KEYFRAMES];
+        let search = index.prototypes.search(query, index.max_distance, |feature, hits| {
+            let hits: Vec<Hit> = hits.iter().copied().filter(|hit| among[hit.payload as usize]).collect();
+            cast_votes(feature, &hits, &landmarks, &mut slow);
+        });
+        search.unwrap();
+        assert_eq!(index.vote_among(query, &landmarks, KEYFRAMES, &among).unwrap(), slow);
+        assert!(slow.iter().any(|votes| votes.features > 0));
+        let all = vec![true; landmarks.len()];
+        let votes = index.vote(query, &landmarks, KEYFRAMES).unwrap();
+        assert_eq!(index.vote_among(query, &landmarks, KEYFRAMES, &all).unwrap(), votes);
     }
 
     #[test]

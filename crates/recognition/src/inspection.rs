@@ -115,14 +115,13 @@ impl LoadedMap {
         if self.keyframes.is_empty() || request.features.len() < options.min_inliers {
             return Ok(Inspection { reply, keyframes: Vec::new() });
         }
-        let inspector = self.inspector(request, options)?;
         let mut compared = Vec::new();
         if let Some(prior) = &request.prior {
             let near = self.near(&prior.global_from_camera);
-            compared = inspector.candidates(|at| near[at])?;
+            compared = self.inspector(request, options, Some(&near))?.candidates(|at| near[at])?;
         }
         if !compared.iter().any(|keyframe| keyframe.in_answer) {
-            compared = inspector.candidates(|_| true)?;
+            compared = self.inspector(request, options, None)?.candidates(|_| true)?;
         }
         let best = reply.fix.as_ref().map(|fix| fix.keyframe);
         let rank = |keyframe: &InspectedKeyframe| {
@@ -148,19 +147,23 @@ impl LoadedMap {
         options: &RecognitionOptions,
     ) -> Result<Option<InspectedKeyframe>, QueryError> {
         let Some(at) = self.index_of(id) else { return Ok(None) };
-        Ok(Some(self.inspector(request, options)?.keyframe(at)?.0))
+        Ok(Some(self.inspector(request, options, None)?.keyframe(at)?.0))
     }
 
     fn inspector<'a>(
         &'a self,
         request: &'a LocalizeRequest,
         options: &'a RecognitionOptions,
+        near: Option<&[bool]>,
     ) -> Result<Inspector<'a>, QueryError> {
         let descriptors = self.view(&request.features)?;
         let gravity_in_camera = request.gravity_in_camera.map(Vector3::from);
         let image =
             Image { camera: &request.camera, features: &request.features, descriptors, gravity_in_camera };
-        let votes = self.index.vote(descriptors, &self.landmarks, self.keyframes.len())?;
+        let votes = match near {
+            Some(near) => self.votes_near(descriptors, near)?,
+            None => self.index.vote(descriptors, &self.landmarks, self.keyframes.len())?,
+        };
         Ok(Inspector { map: self, image, votes, options })
     }
 }

@@ -14,7 +14,7 @@ use vision::{DescriptorError, DescriptorView};
 use super::answer::{matched_keyframes, record};
 use super::consensus::{Consensus, find_consensus, is_consistent};
 use super::fusion::{FocalError, FusedPose, MAX_FUSED_KEYFRAMES, fuse};
-use super::index::best_voted;
+use super::index::{Votes, best_voted};
 use super::loaded_map::LoadedMap;
 use super::options::RecognitionOptions;
 use super::verification::{Comparison, Image, VerifiedKeyframe, compare, distinct_features};
@@ -27,6 +27,10 @@ const PRIOR_SIGMAS: f64 = 3.0;
 /// Angle (rad) between the optical axes of two cameras beyond which no descriptor matches, before the prior's uncertainty:
 /// what both see is seen from sides that look different.
 const MAX_VIEW_ANGLE: f64 = std::f64::consts::FRAC_PI_2;
+
+/// Keyframes near a prior are few where the map has so many times as many: comparing a landmark by itself takes several
+/// times as long as in a whole list.
+const FEW_KEYFRAMES: usize = 8;
 
 /// Fewest keyframes that must agree with a prior before the search near it ends.
 const MIN_AGREEING: usize = 4;
@@ -290,21 +294,22 @@ impl LoadedMap {
         }
         let descriptors = self.view(features)?;
         let image = Image { camera, features, descriptors, gravity_in_camera };
-        let votes = self.index.vote(descriptors, &self.landmarks, self.keyframes.len())?;
-        let candidates = |eligible: &dyn Fn(usize) -> bool| {
-            best_voted(&votes, options.candidates, options.min_votes, eligible)
+        let candidates = |votes: &[Votes], eligible: &dyn Fn(usize) -> bool| {
+            best_voted(votes, options.candidates, options.min_votes, eligible)
         };
-
         if let Some(prior) = prior {
             let near = self.near(&prior.global_from_camera);
             let expected = Expected { global_from_camera: &prior.global_from_camera, enough };
-            let place = self.recognize(&candidates(&|at| near[at]), &image, Some(&expected), options)?;
+            let votes = self.votes_near(descriptors, &near)?;
+            let candidates = candidates(&votes, &|at| near[at]);
+            let place = self.recognize(&candidates, &image, Some(&expected), options)?;
             if place.outcome == MatchOutcome::Matched {
                 let searched_keyframes = near.iter().filter(|&&near| near).count();
                 return Ok(Search { searched_keyframes, ..place });
             }
         }
-        let place = self.recognize(&candidates(&|_| true), &image, None, options)?;
+        let votes = self.index.vote(descriptors, &self.landmarks, self.keyframes.len())?;
+        let place = self.recognize(&candidates(&votes, &|_| true), &image, None, options)?;
         Ok(Search { searched_keyframes: self.keyframes.len(), ..place })
     }
 
@@ -324,6 +329,23 @@ impl LoadedMap {
                 && (pose.rotation * Vector3::z()).dot(&axis) >= least_cosine
         };
         self.keyframes.iter().map(is_near).collect()
+    }
+
+    /// The votes for keyframes near a prior. Where these are few, only the landmarks that they observe are searched.
+    pub(super) fn votes_near(
+        &self,
+        descriptors: DescriptorView<'_>,
+        near: &[bool],
+    ) -> Result<Vec<Votes>, DescriptorError> {
+        let few: Vec<usize> = (0..near.len()).filter(|&at| near[at]).collect();
+        if few.len() * FEW_KEYFRAMES > near.len() {
+            return self.index.vote(descriptors, &self.landmarks, self.keyframes.len());
+        }
+        let mut among = vec![false; self.landmarks.len()];
+        for landmark in few.iter().flat_map(|&keyframe| self.observations.of(keyframe).landmarks) {
+            among[*landmark as usize] = true;
+        }
+        self.index.vote_among(descriptors, &self.landmarks, self.keyframes.len(), &among)
     }
 
     /// Compares an image with each candidate, until what is expected is reached, and finds the one place that they agree
