@@ -3,6 +3,7 @@
 use crate::error::ClientError;
 use protocol::{ErrorReply, Format, Message, keys};
 use std::time::{Duration, Instant};
+use tokio::sync::mpsc;
 use zenoh::Wait as _;
 use zenoh::bytes::{Encoding, ZBytes};
 use zenoh::qos::CongestionControl;
@@ -119,6 +120,10 @@ impl Request {
     async fn attempt<C: Collector>(&self, traffic: &mut Traffic) -> Result<C::Answer, ClientError> {
         let timeout = self.deadline.saturating_duration_since(Instant::now());
         let (session, key, payload) = (self.session.clone(), self.key.clone(), self.payload.clone());
+        // Zenoh delivers replies from the thread that reads the network, which must not wait: whatever does not fit is more
+        // than an answer has.
+        let (sender, mut replies) = mpsc::channel(MAX_REPLIES + 1);
+        let deliver = move |reply| drop(sender.try_send(reply));
         let send = move || {
             let query = session
                 .get(format!("{key}?{}={}", keys::CLIENT_PARAMETER, session.zid()))
@@ -126,7 +131,8 @@ impl Request {
                 // Replies are sent with the congestion control of the query: blocking, so that none is dropped.
                 .congestion_control(CongestionControl::Block)
                 .consolidation(ConsolidationMode::None)
-                .timeout(timeout);
+                .timeout(timeout)
+                .callback(deliver);
             match payload {
                 Some(payload) => query.payload(payload).encoding(Format::Bincode.encoding()).wait(),
                 None => query.wait(),
@@ -134,20 +140,20 @@ impl Request {
         };
         // On a congested link this blocks its thread for seconds, past the deadline too: not a thread of the runtime.
         let sent = tokio::time::timeout_at(self.deadline.into(), tokio::task::spawn_blocking(send)).await;
-        let replies = match sent {
-            Ok(Ok(Ok(replies))) => replies,
+        match sent {
+            Ok(Ok(Ok(()))) => {}
             Ok(Ok(Err(error))) => return Err(ClientError::Send { problem: error.to_string() }),
             Ok(Err(error)) => return Err(ClientError::Send { problem: error.to_string() }),
             Err(_) => return Err(ClientError::Congested),
-        };
+        }
         let mut collector = C::default();
         let (mut replies_read, mut received) = (0, 0);
         loop {
-            let reply = match tokio::time::timeout_at(self.deadline.into(), replies.recv_async()).await {
-                Ok(Ok(reply)) => reply,
+            let reply = match tokio::time::timeout_at(self.deadline.into(), replies.recv()).await {
+                Ok(Some(reply)) => reply,
                 // The channel closed before the answer was complete: no server, or one that stopped.
-                Ok(Err(_)) if replies_read > 0 => return Err(ClientError::Interrupted),
-                Ok(Err(_)) => return Err(ClientError::NoServer),
+                Ok(None) if replies_read > 0 => return Err(ClientError::Interrupted),
+                Ok(None) => return Err(ClientError::NoServer),
                 Err(_) => return Err(ClientError::Deadline),
             };
             replies_read += 1;
