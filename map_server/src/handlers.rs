@@ -24,6 +24,16 @@ pub(crate) enum Kind {
 impl Kind {
     pub(crate) const ALL: [Kind; 4] = [Kind::Match, Kind::Localize, Kind::Info, Kind::Keyframes];
 
+    /// Its name in metrics.
+    pub(crate) fn name(self) -> &'static str {
+        match self {
+            Kind::Match => "match",
+            Kind::Localize => "localize",
+            Kind::Info => "info",
+            Kind::Keyframes => "keyframes",
+        }
+    }
+
     /// The key expression of its queryable for a map.
     pub(crate) fn key(self, map: &str) -> Result<String, NameError> {
         match self {

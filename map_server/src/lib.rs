@@ -17,7 +17,7 @@
 //! | [`server`] | [`MapServer`]: start, replace a map, stop |
 //! | [`options`] | [`ServerOptions`] |
 //! | [`served_map`] | [`ServedMap`]: a map and its name |
-//! | `queue` | queries between the network and the workers: bounded, counted |
+//! | `queue`, `fair_queue` | queries between the network and the workers: bounded, counted, fair to clients |
 //! | `handlers` | decodes a query, answers it, encodes the reply |
 //! | `change` | differences between two versions of a map |
 //!
@@ -40,14 +40,16 @@
 
 mod change;
 pub mod error;
+mod fair_queue;
 mod handlers;
+mod metrics;
 pub mod options;
 mod queue;
 pub mod served_map;
 pub mod server;
 
 pub use error::ServeError;
+pub use metrics::ServerStatistics;
 pub use options::ServerOptions;
-pub use queue::ServerStatistics;
 pub use served_map::ServedMap;
 pub use server::MapServer;

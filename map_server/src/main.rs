@@ -1,8 +1,9 @@
 //! `map_server`: serves maps over Zenoh.
 
 mod databases;
+mod status_line;
 
-use std::io::IsTerminal as _;
+use std::net::SocketAddr;
 use std::process::ExitCode;
 
 use anyhow::Context;
@@ -11,6 +12,9 @@ use client::session::{Member, Role};
 use client::{SessionArguments, close_session, open_session, without_secrets};
 use databases::MapArgument;
 use map_server::{MapServer, ServerOptions};
+use monitoring::{Health, LogFormat, MonitoringServer, start_log};
+use prometheus_client::registry::Registry;
+use status_line::StatusLine;
 use tracing_subscriber::EnvFilter;
 
 const EXAMPLES: &str = "\
@@ -63,6 +67,15 @@ struct Arguments {
     /// Log filter: error, warn, info, debug, or per module, like map_server=debug,zenoh=warn.
     #[arg(long, value_name = "FILTER", default_value = QUIET)]
     log: String,
+
+    /// Format of the log: text for people, json for programs, one object a line.
+    #[arg(long, value_name = "FORMAT", default_value_t)]
+    log_format: LogFormat,
+
+    /// Address of an HTTP server of metrics (/metrics, for Prometheus) and health (/health), for example
+    /// 127.0.0.1:9464. It knows no users: use an address that only operators reach.
+    #[arg(long, value_name = "ADDRESS:PORT")]
+    monitoring: Option<SocketAddr>,
 }
 
 #[tokio::main]
@@ -80,11 +93,7 @@ async fn serve() -> anyhow::Result<()> {
     let arguments = Arguments::parse();
     let filter = EnvFilter::try_new(&arguments.log)
         .with_context(|| format!("--log {:?} is not a log filter; try --log info", arguments.log))?;
-    tracing_subscriber::fmt()
-        .with_env_filter(without_secrets(filter))
-        .with_writer(std::io::stderr)
-        .with_ansi(std::io::stderr().is_terminal())
-        .init();
+    start_log(without_secrets(filter), arguments.log_format);
     // Before maps are loaded, so that a signal meanwhile is not lost.
     let stopped = stop_signal()?;
     tokio::pin!(stopped);
@@ -110,11 +119,20 @@ async fn serve() -> anyhow::Result<()> {
         options.workers = usize::from(workers);
     }
     let server = MapServer::start(session.clone(), maps, options).await?;
+    let monitoring = match arguments.monitoring {
+        Some(address) => Some(start_monitoring(address, &server).await?),
+        None => None,
+    };
     tracing::info!("ready; Ctrl-C stops");
 
+    let mut status_line = StatusLine::new();
     let signal = loop {
         tokio::select! {
             signal = &mut stopped => break signal,
+            () = status_line.is_due() => {
+                status_line.log(&server);
+                continue;
+            }
             () = reload.recv() => {}
         }
         tracing::info!("SIGHUP: reloading the databases");
@@ -124,9 +142,20 @@ async fn serve() -> anyhow::Result<()> {
         }
     };
     tracing::info!("{signal}: stopping");
+    if let Some(monitoring) = monitoring {
+        monitoring.stop().await;
+    }
     server.stop().await?;
     close_session(&session).await;
     Ok(())
+}
+
+/// Serves the metrics of a server; it is well as long as it serves.
+async fn start_monitoring(address: SocketAddr, server: &MapServer) -> anyhow::Result<MonitoringServer> {
+    let mut registry = Registry::with_prefix("driftless");
+    server.register_metrics(&mut registry);
+    let started = MonitoringServer::start(address, registry, || Health::well("serving")).await;
+    started.context("--monitoring")
 }
 
 /// The signal that requests a reload of the databases.

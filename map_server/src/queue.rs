@@ -1,18 +1,27 @@
-//! Queries between the network and the workers: bounded in number and in bytes.
+//! Queries between the network and the workers: bounded in number and in bytes, and fair to clients.
 //!
 //! Zenoh calls a queryable from the thread that reads the network, so queries are only enqueued there. If the queue is
-//! full, a query is answered with `Busy` at once: overload does not exhaust the server's memory. Matching runs on tokio's
-//! blocking threads; a panic there ends one query with an error reply.
+//! full, a query of the client with the most waiting bytes is answered with `Busy` at once: overload does not exhaust the
+//! server's memory, and whoever causes it pays for it. Matching runs on tokio's blocking threads; a panic there ends one
+//! query with an error reply.
+//!
+//! A client is who it says: the `client` parameter of the query's selector, which this project's clients set to the id of
+//! their session. Queries without one share the place of one client. A client that lies about its name gains as many places
+//! as it invents names, and one that uses the name of another delays that one; the bounds hold all the same. Only access
+//! control keeps such a client out.
 
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Instant;
 
-use protocol::{ErrorCode, ErrorReply};
-use tokio::sync::{Mutex, OwnedSemaphorePermit, Semaphore, mpsc};
+use protocol::{ErrorCode, ErrorReply, keys};
+use tokio::sync::Notify;
 use tokio::task::JoinHandle;
 use zenoh::query::Query;
 
+use crate::fair_queue::FairQueue;
 use crate::handlers::{self, Kind};
+use crate::metrics::ServerMetrics;
 use crate::served_map::MapSlot;
 use recognition::RecognitionOptions;
 
@@ -21,123 +30,110 @@ pub(crate) struct Job {
     pub(crate) query: Query,
     pub(crate) kind: Kind,
     pub(crate) map: Arc<MapSlot>,
-}
-
-/// A job with its reservation of the byte limit.
-pub(crate) struct Ticket {
-    job: Job,
-    _bytes: OwnedSemaphorePermit,
+    pub(crate) received: Instant,
 }
 
 /// Waiting queries.
 pub(crate) struct Queue {
-    sender: std::sync::Mutex<Option<mpsc::Sender<Ticket>>>,
-    /// Free part of the byte limit, KiB.
-    free_kib: Arc<Semaphore>,
-    counters: Counters,
-}
-
-#[derive(Default)]
-struct Counters {
-    answered: AtomicU64,
-    failed: AtomicU64,
-    refused: AtomicU64,
-    panicked: AtomicBool,
-}
-
-/// Counters of a server since its start.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[non_exhaustive]
-pub struct ServerStatistics {
-    /// Queries answered, "no match" included.
-    pub answered: u64,
-    /// Queries answered with an error, refused ones excluded.
-    pub failed: u64,
-    /// Queries refused because the queue was full.
-    pub refused: u64,
-    /// Whether answering any query panicked: a bug, please report it.
-    pub panicked: bool,
+    waiting: Mutex<FairQueue<Job>>,
+    closed: AtomicBool,
+    /// A job was added, or the queue was closed.
+    changed: Notify,
+    metrics: Arc<ServerMetrics>,
 }
 
 impl Queue {
     /// A queue of at most `length` jobs and `bytes` bytes of payload.
-    pub(crate) fn new(length: usize, bytes: usize) -> (Arc<Queue>, mpsc::Receiver<Ticket>) {
-        let (sender, receiver) = mpsc::channel(length.max(1));
-        let free_kib = Arc::new(Semaphore::new((bytes / 1024).clamp(1, Semaphore::MAX_PERMITS)));
-        let sender = std::sync::Mutex::new(Some(sender));
-        (Arc::new(Queue { sender, free_kib, counters: Counters::default() }), receiver)
+    pub(crate) fn new(length: usize, bytes: usize, metrics: Arc<ServerMetrics>) -> Arc<Queue> {
+        Arc::new(Queue {
+            waiting: Mutex::new(FairQueue::new(length, bytes)),
+            closed: AtomicBool::new(false),
+            changed: Notify::new(),
+            metrics,
+        })
     }
 
-    /// Enqueues a query, or answers it with `Busy`. Never blocks.
+    /// Enqueues a query; answers those that do not fit with `Busy`. Never blocks.
     pub(crate) fn put(&self, job: Job) {
-        let query = job.query.clone();
-        if self.try_put(job).is_none() {
-            self.counters.refused.fetch_add(1, Ordering::Relaxed);
+        self.metrics.note_received();
+        let bytes = job.query.payload().map_or(0, zenoh::bytes::ZBytes::len);
+        let client = job.query.parameters().get(keys::CLIENT_PARAMETER).unwrap_or_default().to_owned();
+        let refused = if self.closed.load(Ordering::Acquire) {
+            vec![job]
+        } else {
+            self.lock().put(&client, bytes, job)
+        };
+        self.changed.notify_one();
+        for Job { query, .. } in refused {
+            self.metrics.note_refused();
             let message = "the map server has too many queries, ask again later";
             handlers::fail(&query, &ErrorReply::new(ErrorCode::Busy, message));
         }
     }
 
-    fn try_put(&self, job: Job) -> Option<()> {
-        let kib = job.query.payload().map_or(0, zenoh::bytes::ZBytes::len).div_ceil(1024);
-        let bytes = Arc::clone(&self.free_kib).try_acquire_many_owned(u32::try_from(kib).ok()?).ok()?;
-        let sender = self.sender.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
-        sender.as_ref()?.try_send(Ticket { job, _bytes: bytes }).ok()
+    /// The next job; `None` once the queue is closed and empty.
+    async fn take(&self) -> Option<Job> {
+        loop {
+            let closed = self.closed.load(Ordering::Acquire);
+            let (next, is_empty) = {
+                let mut waiting = self.lock();
+                (waiting.take(), waiting.is_empty())
+            };
+            if closed || !is_empty {
+                // One notification may stand for several changes.
+                self.changed.notify_one();
+            }
+            if next.is_some() || closed {
+                return next;
+            }
+            self.changed.notified().await;
+        }
+    }
+
+    fn lock(&self) -> MutexGuard<'_, FairQueue<Job>> {
+        self.waiting.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Ends the workers once the queue is empty.
     pub(crate) fn close(&self) {
-        self.sender.lock().unwrap_or_else(std::sync::PoisonError::into_inner).take();
-    }
-
-    pub(crate) fn statistics(&self) -> ServerStatistics {
-        ServerStatistics {
-            answered: self.counters.answered.load(Ordering::Relaxed),
-            failed: self.counters.failed.load(Ordering::Relaxed),
-            refused: self.counters.refused.load(Ordering::Relaxed),
-            panicked: self.counters.panicked.load(Ordering::Relaxed),
-        }
+        self.closed.store(true, Ordering::Release);
+        self.changed.notify_one();
     }
 }
 
 /// Starts tasks that answer queries of the queue, each one at a time.
 pub(crate) fn start_workers(
-    jobs: mpsc::Receiver<Ticket>,
+    queue: &Arc<Queue>,
     count: usize,
     options: &RecognitionOptions,
-    queue: &Arc<Queue>,
 ) -> Vec<JoinHandle<()>> {
-    let jobs = Arc::new(Mutex::new(jobs));
     let options = Arc::new(options.clone());
-    let worker = |_| tokio::spawn(work(Arc::clone(&jobs), Arc::clone(&options), Arc::clone(queue)));
+    let worker = |_| tokio::spawn(work(Arc::clone(queue), Arc::clone(&options)));
     (0..count.max(1)).map(worker).collect()
 }
 
-async fn work(jobs: Arc<Mutex<mpsc::Receiver<Ticket>>>, options: Arc<RecognitionOptions>, queue: Arc<Queue>) {
-    loop {
-        let next = jobs.lock().await.recv().await;
-        let Some(ticket) = next else { return };
-        let query = ticket.job.query.clone();
-        let options = Arc::clone(&options);
-        let answered = catch_panic(move || {
-            let Job { query, kind, map } = &ticket.job;
-            handlers::answer(query, *kind, &map.name, &map.current(), &options)
-        });
-        let failure = match answered.await {
+async fn work(queue: Arc<Queue>, options: Arc<RecognitionOptions>) {
+    while let Some(Job { query, kind, map, received }) = queue.take().await {
+        let (asked, slot, options) = (query.clone(), Arc::clone(&map), Arc::clone(&options));
+        let answered =
+            catch_panic(move || handlers::answer(&asked, kind, &slot.name, &slot.current(), &options)).await;
+        let duration = received.elapsed();
+        let note_done = |is_answered| queue.metrics.note_done(&map.name, kind, duration, is_answered);
+        let failure = match answered {
             Ok(Ok(())) => {
-                queue.counters.answered.fetch_add(1, Ordering::Relaxed);
+                note_done(true);
                 continue;
             }
             Ok(Err(failure)) => failure,
             Err(panic) => {
-                queue.counters.panicked.store(true, Ordering::Relaxed);
+                queue.metrics.note_panic();
                 tracing::error!(key = query.key_expr().as_str(), "answering a query panicked: {panic}");
                 ErrorReply::new(ErrorCode::Internal, "the map server failed on this query; its log says more")
             }
         };
-        queue.counters.failed.fetch_add(1, Ordering::Relaxed);
-        tracing::debug!(key = query.key_expr().as_str(), "answered with an error: {failure}");
         handlers::fail(&query, &failure);
+        note_done(false);
+        tracing::debug!(key = query.key_expr().as_str(), "answered with an error: {failure}");
     }
 }
 

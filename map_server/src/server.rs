@@ -2,8 +2,9 @@
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
+use prometheus_client::registry::Registry;
 use protocol::{Format, StatedChange, keys};
 use recognition::LoadedMap;
 use tokio::task::JoinHandle;
@@ -16,8 +17,9 @@ use zenoh::query::{Query, Queryable};
 use crate::change;
 use crate::error::ServeError;
 use crate::handlers::{self, Kind};
+use crate::metrics::{ServerMetrics, ServerStatistics};
 use crate::options::ServerOptions;
-use crate::queue::{self, Job, Queue, ServerStatistics};
+use crate::queue::{self, Job, Queue};
 use crate::served_map::{MapSlot, ServedMap};
 
 /// How long [`MapServer::stop`] waits for queries that are being answered.
@@ -60,6 +62,7 @@ pub struct MapServer {
     token: LivelinessToken,
     queryables: Vec<Queryable<()>>,
     queue: Arc<Queue>,
+    metrics: Arc<ServerMetrics>,
     workers: Vec<JoinHandle<()>>,
 }
 
@@ -87,14 +90,20 @@ impl MapServer {
         }
         let maps = Arc::new(served);
 
-        let (queue, jobs) = Queue::new(options.queue_length, options.queue_bytes);
-        let workers = queue::start_workers(jobs, options.workers, &options.recognition, &queue);
+        let metrics = Arc::new(ServerMetrics::default());
+        for map in maps.values() {
+            metrics.note_map(&map.name, &map.current());
+        }
+        let queue = Queue::new(options.queue_length, options.queue_bytes, Arc::clone(&metrics));
+        let workers = queue::start_workers(&queue, options.workers, &options.recognition);
         let mut queryables = Vec::new();
         for map in maps.values() {
             for kind in Kind::ALL {
                 let key = kind.key(&map.name)?;
                 let (queue, map) = (Arc::clone(&queue), Arc::clone(map));
-                let callback = move |query: Query| queue.put(Job { query, kind, map: Arc::clone(&map) });
+                let callback = move |query: Query| {
+                    queue.put(Job { query, kind, map: Arc::clone(&map), received: Instant::now() });
+                };
                 queryables.push(session.declare_queryable(key).callback(callback).complete(true).await?);
             }
         }
@@ -105,7 +114,7 @@ impl MapServer {
         }
         let token = session.liveliness().declare_token(token_key).await?;
         tracing::info!(server, maps = ?maps.keys().collect::<Vec<_>>(), "serving");
-        Ok(MapServer { session, maps, token, queryables, queue, workers })
+        Ok(MapServer { session, maps, token, queryables, queue, metrics, workers })
     }
 
     /// The map that is being served under a name; `None` for one that this server does not have.
@@ -115,7 +124,12 @@ impl MapServer {
 
     /// Counters since the start.
     pub fn statistics(&self) -> ServerStatistics {
-        self.queue.statistics()
+        self.metrics.statistics()
+    }
+
+    /// Registers the metrics of this server with names that begin with `map_server`.
+    pub fn register_metrics(&self, registry: &mut Registry) {
+        self.metrics.register(registry);
     }
 
     /// Replaces a map by another version of it while it is served and publishes the difference on `map/{map}/changes`. Queries in progress are
@@ -140,6 +154,7 @@ impl MapServer {
             return Err(ServeError::OtherMap { name: name.to_owned(), served: served_identity, given });
         }
         let previous = served.replace(Arc::clone(&map));
+        self.metrics.note_map(name, &map);
         let mut change = change::between(name, &previous, &map);
         change.stated_change = stated_change.or(change.stated_change);
         tracing::info!(
@@ -168,7 +183,7 @@ impl MapServer {
     /// # Errors
     /// [`ServeError::Zenoh`] if something could not be undeclared, for example in a closed session.
     pub async fn stop(self) -> Result<(), ServeError> {
-        let MapServer { token, queryables, queue, workers, .. } = self;
+        let MapServer { token, queryables, queue, metrics, workers, .. } = self;
         let mut result = token.undeclare().await;
         for queryable in queryables {
             let undeclared = queryable.undeclare().await;
@@ -185,7 +200,7 @@ impl MapServer {
         if tokio::time::timeout(STOP_TIMEOUT, all_done).await.is_err() {
             tracing::warn!("abandoned queries that were still being answered after {STOP_TIMEOUT:?}");
         }
-        let ServerStatistics { answered, failed, refused, panicked } = queue.statistics();
+        let ServerStatistics { answered, failed, refused, panicked, .. } = metrics.statistics();
         tracing::info!(answered, failed, refused, panicked, "stopped serving");
         Ok(result?)
     }

@@ -11,6 +11,7 @@
 //! | `input` | reads a [`SensorSource`](sensors::SensorSource) ahead; the window of IMU readings |
 //! | [`start`] | initial state and excerpt of a recording |
 //! | [`estimator_supervisor`] | initializes the estimator, and again after a divergence |
+//! | [`alarms`], `run_status` | what contradicts the sensors or the map: logged when it begins and ends, kept for the summary |
 //! | [`front_end`], [`extraction`] | tracks and features from images |
 //! | [`outputs`] | files, summary, messages |
 //! | [`stop`], [`progress`], [`stdout`] | signals and terminal |
@@ -31,6 +32,7 @@
 //! ```
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
+pub mod alarms;
 pub mod arguments;
 pub mod estimator_supervisor;
 pub mod extraction;
@@ -43,6 +45,7 @@ pub mod outputs;
 pub mod program;
 pub mod progress;
 pub mod run;
+mod run_status;
 pub mod start;
 pub mod stdout;
 pub mod stop;
@@ -51,7 +54,7 @@ pub use arguments::RobotArguments;
 pub use estimator_supervisor::EstimatorSupervisor;
 pub use front_end::{FrontEnd, FrontEndError};
 pub use link::{LinkError, MapLink, OpeningLink, RobotLink};
-pub use outputs::{EndedLost, Event, Recorder, Summary};
+pub use outputs::{EndedLost, Event, Recorder, RobotMetrics, Summary};
 pub use program::{Outcome, run_robot, run_robot_until, run_source_until};
 pub use run::{RobotRun, RunError, run};
 pub use stop::StopSignal;

@@ -135,7 +135,7 @@ impl RobotRun<'_> {
         let MapLink { session, runtime, map } = link;
         let client = MapClient::new(session.clone(), &map)?;
         self.map_changes = Some(runtime.block_on(MapChangeSubscriber::subscribe(&session, &map))?);
-        self.publisher = Some(Publisher::new(session, &runtime, &self.robot, &map)?);
+        self.publisher = Some(Publisher::new(session, &runtime, &self.robot, &map, self.topics)?);
         self.queries = Some(QueryTasks::new(client, runtime, self.query_deadline));
         Ok(())
     }

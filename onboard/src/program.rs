@@ -163,10 +163,12 @@ fn play(
     let mut robot = RobotRun::new(source, supervisor);
     robot.stop = stop.clone();
     robot.robot.clone_from(&arguments.robot);
+    robot.topics = arguments.topics.into();
     robot.front_end = front_end;
     robot.query_interval_ns = (arguments.query_interval * 1e9) as i64;
     robot.max_keyframes = arguments.max_keyframes;
     robot.realtime = arguments.realtime;
+    robot.metrics = arguments.metrics.clone();
     if let Some(link) = link {
         robot.query_deadline = Duration::from_secs_f64(arguments.deadline);
         robot.set_link(link)?;
@@ -270,6 +272,7 @@ impl FinishedRun {
             starts: recorder.starts.clone(),
             divergences: recorder.divergences.clone(),
             learned_noise: recorder.learned_noise,
+            alarms: recorder.alarms.clone(),
             final_status: recorder.final_status.clone(),
             interrupted: matches!(ended_early, Some(RunError::Interrupted { .. })),
             ended_early: ended_early.map(|reason| reason.to_string()),

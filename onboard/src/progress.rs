@@ -100,6 +100,10 @@ pub fn report(summary: &Summary) -> String {
             noise.imu_noise_scale, noise.sigma_track_px, noise.match_noise_scale
         );
     }
+    for alarm in &summary.alarms {
+        let until = alarm.ended_s.map_or_else(String::new, |seconds| format!(" to {seconds:.1} s"));
+        let _ = writeln!(text, "ALARM from {:.1} s{until}: {}", alarm.seconds, alarm.reason);
+    }
     if let Some(status) = &summary.final_status {
         let _ = writeln!(text, "at the end: {:?}, {}", status.localization, status.reason);
     }

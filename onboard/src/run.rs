@@ -1,17 +1,20 @@
 //! Plays a sensor source through the estimator.
 
+use super::alarms::Alarms;
 use super::estimator_supervisor::EstimatorSupervisor;
 use super::extraction::ExtractionThread;
 use super::front_end::FrontEnd;
 use super::input::{ImuWindow, SensorQueue};
 use super::link::OpeningLink;
-use super::outputs::{Publisher, Recorder, Timings};
+use super::outputs::{Publisher, Recorder, RobotMetrics, StatusLine, Timings};
+use super::run_status::AlarmKind;
 use super::stop::StopSignal;
 use client::{MapChangeSubscriber, QueryTasks};
 use estimator::{CloneId, EstimatorError, InitMethod, TrackObservation};
 use geometry::Camera;
 use nalgebra::Vector3;
-use sensors::{Frame, SensorError, SensorSource};
+use protocol::Format;
+use sensors::{Frame, ImuCheck, ImuUnitError, SensorError, SensorSource};
 use std::time::{Duration, Instant};
 
 /// As fast as possible, an answer is taken to need this time, nanoseconds: it is applied before the next image where
@@ -64,6 +67,8 @@ pub struct RobotRun<'a> {
     pub stop: StopSignal,
     /// Name of the robot, for queries.
     pub robot: String,
+    /// Format of what the robot publishes.
+    pub topics: Format,
     /// Number of cameras whose tracks are used.
     pub cameras: usize,
     /// Play at the speed of the recording instead of as fast as possible.
@@ -84,6 +89,8 @@ pub struct RobotRun<'a> {
     pub map_changes: Option<MapChangeSubscriber>,
     /// Publishes pose, odometry and status; `None` without a network.
     pub publisher: Option<Publisher>,
+    /// What the run counts.
+    pub metrics: RobotMetrics,
     pub(super) supervisor: EstimatorSupervisor,
     /// Camera 0, which the queries are about.
     pub(super) query_camera: Option<Camera>,
@@ -95,6 +102,11 @@ pub struct RobotRun<'a> {
     pub(super) opening: Option<OpeningLink>,
     /// The session that was opened for this run, and the runtime that it lives on.
     pub(super) own_session: Option<(zenoh::Session, tokio::runtime::Handle)>,
+    pub(super) status_line: StatusLine,
+    pub(super) alarms: Alarms<AlarmKind>,
+    imu_check: ImuCheck,
+    /// What is wrong with the readings.
+    pub(super) imu_fault: Option<ImuUnitError>,
     events: SensorQueue<'a>,
     imu: ImuWindow,
 }
@@ -107,6 +119,7 @@ impl<'a> RobotRun<'a> {
         Self {
             stop: StopSignal::default(),
             robot: "robot".to_owned(),
+            topics: Format::Json,
             cameras: supervisor.camera_count(),
             realtime: false,
             front_end: None,
@@ -117,12 +130,17 @@ impl<'a> RobotRun<'a> {
             queries: None,
             map_changes: None,
             publisher: None,
+            metrics: RobotMetrics::default(),
             supervisor,
             query_camera: calibration.cameras.first().map(|first| first.camera.clone()),
             last_extraction_ns: None,
             last_failure: None,
             opening: None,
             own_session: None,
+            status_line: StatusLine::default(),
+            alarms: Alarms::default(),
+            imu_check: ImuCheck::new(calibration.imu.as_ref().and_then(|imu| imu.gravity_magnitude)),
+            imu_fault: None,
             events: SensorQueue::new(source),
             imu,
         }
@@ -191,10 +209,12 @@ impl RobotRun<'_> {
                 let done = self.apply_answers_before_next_frame(recorder);
                 self.handle_divergence(done, last_ns, recorder)?;
             }
+            self.update_alarms(seconds(last_ns));
             self.drop_old_readings(last_ns);
         }
         let done = self.finish_queries(recorder);
         self.handle_divergence(done, last_ns, recorder)?;
+        self.update_alarms(seconds(last_ns));
         if recorder.starts.is_empty() {
             let status = self.supervisor.status().reason;
             return Err(RunError::NotInitialized { seconds: seconds(last_ns), status });
@@ -207,6 +227,9 @@ impl RobotRun<'_> {
         let until_ns = frame_ns.max(self.imu_stamp_ns(frame_ns));
         while self.imu.ends_before(until_ns) {
             let Some(reading) = self.events.next_reading(frame_ns)? else { break };
+            if self.imu_fault.is_none() {
+                self.imu_fault = self.imu_check.add(&reading).err();
+            }
             self.imu.push(reading);
         }
         Ok(())
@@ -243,13 +266,6 @@ impl RobotRun<'_> {
             Err(source) => {
                 Err(RunError::Estimator { seconds: (stamp_ns - recorder.first_ns) as f64 * 1e-9, source })
             }
-        }
-    }
-
-    fn publish_status(&self, stamp_ns: i64, recorder: &Recorder) {
-        if let Some(publisher) = &self.publisher {
-            let status = self.supervisor.status().with_failure(self.last_failure.as_deref());
-            publisher.publish_status(stamp_ns, status, recorder.query_counts());
         }
     }
 
@@ -311,12 +327,14 @@ impl RobotRun<'_> {
         timings.map = begin.elapsed().saturating_sub(waited);
 
         self.supervisor.update_last_trusted();
+        let status = self.note_status(recorder);
         let Some(estimator) = self.supervisor.estimator() else { return Ok(()) };
         recorder.note_state(estimator);
         recorder.timings.add(&timings);
+        self.metrics.note_frame(timings.total());
         if let Some(publisher) = &self.publisher {
             let rate = angular_velocity - estimator.biases().0;
-            publisher.publish(estimator, rate, recorder.query_counts(), self.last_failure.as_deref());
+            publisher.publish(estimator, rate, status, recorder.query_counts());
         }
         self.query_frame(clone, frame, recorder);
         Ok(())
@@ -355,8 +373,9 @@ impl RobotRun<'_> {
 
     fn close(&mut self, recorder: &mut Recorder) {
         recorder.imu_gaps = self.imu.gaps();
+        recorder.alarms = self.alarms.kept().to_vec();
         recorder.learned_noise = self.supervisor.learned_noise();
-        recorder.final_status = Some(self.supervisor.status().with_failure(self.last_failure.as_deref()));
+        recorder.final_status = Some(self.note_status(recorder));
         if let Some(publisher) = self.publisher.take() {
             publisher.close();
         }

@@ -1,9 +1,10 @@
 //! A robot plays any sensor source, not only recordings.
 #![allow(clippy::unwrap_used)]
 
+use nalgebra::{UnitQuaternion, Vector3};
 use onboard::arguments::{Init, Mode};
 use onboard::{RobotArguments, StopSignal, run_robot, run_source_until};
-use sensors::{Contents, ImuSample, Sequence};
+use sensors::{Contents, Frame, ImuSample, Sequence};
 use sensors::{SensorCalibration, SensorError, SensorEvent, SensorSource};
 use simulation::{SimulationOptions, simulate};
 
@@ -106,4 +107,43 @@ fn switches_that_need_a_recording_are_refused() {
     let mut generator = Generator::new(&sequence);
     let error = run_source_until(&StopSignal::default(), &mut generator, &arguments, None, |_| {});
     assert!(error.unwrap_err().to_string().contains("generator is not a recording"));
+}
+
+#[test]
+fn a_gyroscope_in_degrees_is_an_alarm_once_the_robot_moves_and_not_before() {
+    let in_degrees = |seconds_of_rest: i64| {
+        let mut sequence = swinging(seconds_of_rest);
+        sequence.imu_samples.iter_mut().for_each(|sample| sample.gyroscope *= 1_f64.to_degrees());
+        let folder = tempfile::tempdir().unwrap();
+        let mut generator = Generator::new(&sequence);
+        let arguments = arguments(folder.path());
+        run_source_until(&StopSignal::default(), &mut generator, &arguments, None, |_| {}).unwrap().summary
+    };
+    let summary = in_degrees(15);
+    let [alarm] = &summary.alarms[..] else { panic!("{:?}", summary.alarms) };
+    assert!(alarm.reason.contains("the rates are in deg/s") && alarm.ended_s.is_none(), "{alarm:?}");
+    assert!((15.0..27.0).contains(&alarm.seconds), "{alarm:?}");
+    assert!(summary.final_status.unwrap().reason.contains("deg/s"));
+    assert_eq!(in_degrees(40).alarms, []);
+}
+
+/// A robot at rest for some seconds, and then swinging, 40 s in all; it has no tracks.
+fn swinging(seconds_of_rest: i64) -> Sequence {
+    let mut sequence = recorded();
+    let rotation = |seconds: f64| {
+        let angle = (seconds - seconds_of_rest as f64).max(0.0);
+        UnitQuaternion::from_scaled_axis(Vector3::new((1.1 * angle).sin(), (0.8 * angle).cos() - 1.0, 0.0))
+    };
+    let reading = |k: i64| {
+        let (step, here) = (0.005, rotation(k as f64 * 0.005));
+        ImuSample {
+            stamp_ns: k * 5_000_000,
+            gyroscope: (here.inverse() * rotation((k + 1) as f64 * step)).scaled_axis() / step,
+            accelerometer: here.inverse() * (Vector3::z() * 9.81),
+        }
+    };
+    sequence.imu_samples = (0..8000).map(reading).collect();
+    let frame = Frame { tracks: Vec::new(), stamp_ns: 0, ..sequence.frames[0].clone() };
+    sequence.frames = (1..400).map(|k| Frame { stamp_ns: k * 100_000_000, ..frame.clone() }).collect();
+    sequence
 }

@@ -1,6 +1,6 @@
 //! The features of one image: pixels and descriptors.
 
-use crate::limits::{MAX_EXTRACTOR_BYTES, MAX_FEATURES};
+use crate::limits::{MAX_EXTRACTOR_BYTES, MAX_FEATURES, MAX_QUERY_FEATURES};
 use crate::validate::{InvalidField, Validate, require, require_valid};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
@@ -259,4 +259,12 @@ impl Validate for FeatureSet {
             &format!("holds {described} descriptors for {count} pixels"),
         )
     }
+}
+
+/// Checks the features of a query: at most [`MAX_QUERY_FEATURES`].
+pub(crate) fn require_query(features: &FeatureSet) -> Result<(), InvalidField> {
+    let count = features.len();
+    let few = count <= MAX_QUERY_FEATURES;
+    require(few, "features", &format!("holds {count} features, a query at most {MAX_QUERY_FEATURES}"))?;
+    require_valid(features, "features")
 }

@@ -16,6 +16,9 @@
 use crate::limits::KeyframeId;
 use thiserror::Error;
 
+/// Parameter of a query's selector that names the client: the server is fair to clients. Anybody can state any name.
+pub const CLIENT_PARAMETER: &str = "client";
+
 /// Longest name, bytes.
 pub const MAX_NAME_BYTES: usize = 64;
 

@@ -22,6 +22,18 @@ pub const MAX_MESSAGE_BYTES: usize = 16 << 20;
 /// Most features in one image. Extractors give 300 to 2,000; the cost of matching grows with the square.
 pub const MAX_FEATURES: usize = 20_000;
 
+/// Most features in one query: matching one costs milliseconds a thousand, and no extractor gives more of a camera's image.
+pub const MAX_QUERY_FEATURES: usize = 5_000;
+
+/// Most keyframes that may be asked for in one answer.
+pub const MAX_ANSWER_KEYFRAMES: u16 = 64;
+
+/// Largest stated change of a map: rotation about each axis, rad. A map that turned by more is another map.
+pub const MAX_CHANGE_RAD: f64 = std::f64::consts::PI;
+
+/// The same for the translation, metres: the extent of a city.
+pub const MAX_CHANGE_M: f64 = 1e4;
+
 /// Longest name of an extractor, bytes.
 pub const MAX_EXTRACTOR_BYTES: usize = 64;
 

@@ -1,6 +1,6 @@
 //! `map/{map}/localize`: features and a camera in, its global pose out, for clients without an estimator.
 
-use crate::features::FeatureSet;
+use crate::features::{FeatureSet, require_query};
 use crate::identity::MapIdentity;
 use crate::limits::KeyframeId;
 use crate::matching::{MatchOutcome, PosePrior};
@@ -29,7 +29,7 @@ pub struct LocalizeRequest {
 impl Validate for LocalizeRequest {
     fn validate(&self) -> Result<(), InvalidField> {
         require_valid(&self.camera, "camera")?;
-        require_valid(&self.features, "features")?;
+        require_query(&self.features)?;
         require_valid(self.prior.as_ref(), "prior")?;
         require_unit(self.gravity_in_camera.as_ref(), "gravity_in_camera")
     }

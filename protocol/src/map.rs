@@ -3,7 +3,7 @@
 
 use crate::features::{DescriptorFormat, validate_extractor};
 use crate::identity::MapIdentity;
-use crate::limits::{KeyframeId, LandmarkId};
+use crate::limits::{KeyframeId, LandmarkId, MAX_CHANGE_M, MAX_CHANGE_RAD};
 use crate::matching::KeyframeRecord;
 use crate::validate::{
     InvalidField, Validate, require, require_each, require_name, require_not_negative, require_position,
@@ -145,6 +145,7 @@ pub struct MapChangeNotice {
 impl Validate for MapChangeNotice {
     fn validate(&self) -> Result<(), InvalidField> {
         require_name(&self.map, "map")?;
+        require(self.version > self.from_version, "version", "is not after from_version")?;
         require_valid(self.stated_change.as_ref(), "stated_change")
     }
 }
@@ -160,7 +161,13 @@ pub struct StatedChange {
 
 impl Validate for StatedChange {
     fn validate(&self) -> Result<(), InvalidField> {
-        require_not_negative(self.sigma_theta_rad, "sigma_theta_rad")?;
-        require_not_negative(self.sigma_p_m, "sigma_p_m")
+        for (sigma, field, most) in [
+            (self.sigma_theta_rad, "sigma_theta_rad", MAX_CHANGE_RAD),
+            (self.sigma_p_m, "sigma_p_m", MAX_CHANGE_M),
+        ] {
+            require_not_negative(sigma, field)?;
+            require(sigma <= most, field, &format!("is more than {most}"))?;
+        }
+        Ok(())
     }
 }

@@ -10,9 +10,9 @@
 //! Without `Done` the answer is incomplete: ask again. It never means "no match".
 
 use crate::codec::{Message, malformed_json};
-use crate::features::FeatureSet;
+use crate::features::{FeatureSet, require_query};
 use crate::identity::MapIdentity;
-use crate::limits::{KeyframeId, LandmarkId};
+use crate::limits::{KeyframeId, LandmarkId, MAX_ANSWER_KEYFRAMES};
 use crate::validate::{
     InvalidField, Validate, require, require_each, require_finite, require_name, require_not_negative,
     require_position, require_positive, require_unit, require_valid,
@@ -70,10 +70,12 @@ impl Validate for MatchRequest {
     fn validate(&self) -> Result<(), InvalidField> {
         require_name(&self.robot, "robot")?;
         require_valid(&self.camera, "camera")?;
-        require_valid(&self.features, "features")?;
+        require_query(&self.features)?;
         require_valid(self.prior.as_ref(), "prior")?;
         require_unit(self.gravity_in_camera.as_ref(), "gravity_in_camera")?;
-        require(self.max_keyframes > 0, "max_keyframes", "is zero")
+        require(self.max_keyframes > 0, "max_keyframes", "is zero")?;
+        let few = self.max_keyframes <= MAX_ANSWER_KEYFRAMES;
+        require(few, "max_keyframes", &format!("is more than {MAX_ANSWER_KEYFRAMES}"))
     }
 }
 

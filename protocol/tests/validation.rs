@@ -93,6 +93,17 @@ fn covariances_of_very_different_units_and_exact_ones_are_sound() {
 }
 
 #[test]
+fn queries_that_cost_too_much() {
+    assert_refused("features", "at most 5000", |request| {
+        let count = protocol::MAX_QUERY_FEATURES + 1;
+        let width = usize::from(request.features.descriptors.width);
+        request.features.pixels = vec![[1.0, 2.0]; count];
+        request.features.descriptors.bytes = vec![0; count * width];
+    });
+    assert_refused("max_keyframes", "more than 64", |request| request.max_keyframes = 65);
+}
+
+#[test]
 fn counts_that_disagree() {
     assert_refused("features.descriptors", "2 descriptors for 3 pixels", |request| {
         request.features.pixels.push([0.0, 0.0]);

@@ -35,7 +35,12 @@ pub struct MappedScenario {
 impl MappedScenario {
     /// Simulates and maps the scenario of a seed.
     pub fn new(seed: u64) -> Self {
-        let recordings = simulate(&options(seed)).unwrap();
+        Self::of(&options(seed))
+    }
+
+    /// Simulates and maps another scenario.
+    pub fn of(simulation: &SimulationOptions) -> Self {
+        let recordings = simulate(simulation).unwrap();
         let references = recordings.map.reference_poses.clone().unwrap();
         let mut options = BuildOptions::default();
         options.name = String::from("ring");

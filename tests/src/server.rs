@@ -4,6 +4,8 @@ use crate::network;
 use client::session::{SessionOptions, close_session, open_session};
 use map_server::{MapServer, ServedMap, ServerOptions, ServerStatistics};
 use onboard::MapLink;
+use prometheus_client::encoding::text::encode;
+use prometheus_client::registry::Registry;
 use recognition::LoadedMap;
 use std::sync::Arc;
 use tokio::runtime::Runtime;
@@ -50,6 +52,15 @@ impl Server {
     /// What it has done.
     pub fn statistics(&self) -> ServerStatistics {
         self.serving.statistics()
+    }
+
+    /// Its metrics as text.
+    pub fn metrics(&self) -> String {
+        let mut registry = Registry::default();
+        self.serving.register_metrics(&mut registry);
+        let mut text = String::new();
+        encode(&mut text, &registry).unwrap();
+        text
     }
 
     /// Serves another version of a map, and tells robots how far it moved as far as its keyframes tell.

@@ -11,11 +11,11 @@ use std::sync::Barrier;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 use tests::network::{messages, runtime};
-use tests::robot::{arguments, assert_every_frame_has_a_state, run};
+use tests::robot::{arguments, assert_every_frame_has_a_state};
 use tests::scenario::MappedScenario;
 use tests::server::{Client, Server};
 use tools::in_process::free_endpoint;
-use zenoh::sample::SampleKind;
+use zenoh::sample::{Sample, SampleKind};
 
 /// Frames from which on the server is gone, and from which on it is there again.
 const OUTAGE: std::ops::Range<usize> = 100..180;
@@ -131,14 +131,15 @@ struct Heard {
 }
 
 impl Heard {
-    fn note(&mut self, topic: &str, payload: &[u8]) {
-        fn read<M: Message>(payload: &[u8]) -> M {
-            protocol::decode(Format::Bincode, payload).unwrap()
+    fn note(&mut self, topic: &str, sample: &Sample) {
+        fn read<M: Message>(sample: &Sample) -> M {
+            let format = Format::from_encoding(&sample.encoding().to_string()).unwrap();
+            protocol::decode(format, &sample.payload().to_bytes()).unwrap()
         }
         match topic {
-            "pose" => self.poses.push(read(payload)),
-            "odometry" => self.odometry.push(read(payload)),
-            "status" => self.statuses.push(read(payload)),
+            "pose" => self.poses.push(read(sample)),
+            "odometry" => self.odometry.push(read(sample)),
+            "status" => self.statuses.push(read(sample)),
             other => panic!("a robot published {other}"),
         }
     }
@@ -161,10 +162,10 @@ fn two_robots_share_a_server_and_a_third_party_follows_both() {
     // A channel that nobody empties would fill, and block the tokens behind it: a callback takes everything.
     let heard = Arc::new(Mutex::new(names.map(|_| Heard::default())));
     let (all, session) = (Arc::clone(&heard), watcher.session.clone());
-    let note = move |sample: zenoh::sample::Sample| {
+    let note = move |sample: Sample| {
         let parts: Vec<&str> = sample.key_expr().as_str().split('/').collect();
         let robot = names.iter().position(|name| *name == parts[1]).unwrap();
-        all.lock().unwrap()[robot].note(parts[2], &sample.payload().to_bytes());
+        all.lock().unwrap()[robot].note(parts[2], &sample);
     };
     let published = watcher
         .runtime
@@ -188,7 +189,9 @@ fn two_robots_share_a_server_and_a_third_party_follows_both() {
                         both_are_seen.wait();
                     }
                 };
-                run_robot(live, &arguments(&out, &format!("--robot {name}")), Some(link), wait).unwrap()
+                let topics = if *name == "bo" { "bincode" } else { "json" };
+                let switches = arguments(&out, &format!("--robot {name} --topics {topics}"));
+                run_robot(live, &switches, Some(link), wait).unwrap()
             })
         });
         let robots: Vec<_> = robots.collect();

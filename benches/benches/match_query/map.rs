@@ -1,7 +1,7 @@
 //! A seeded synthetic map of many places with descriptors whose distances are like those of learned features.
 
 use geometry::{Camera, Distortion, Pose, PoseWithCovariance};
-use map::{Keyframe, Landmark, MapContents, MapMetadata, Observation};
+use map::{Keyframe, KeyframeCrossCovariance, Landmark, MapContents, MapMetadata, Observation};
 use nalgebra::{Matrix6, UnitQuaternion, Vector2, Vector3, Vector6};
 use protocol::{DescriptorKind, Descriptors, FeatureSet, MatchRequest};
 use rand::rngs::StdRng;
@@ -18,6 +18,8 @@ const VIEW: f64 = 0.45;
 /// Part of the landmarks that look like others: windows, tiles.
 const REPEATED_SHARE: f64 = 0.15;
 const REPEATED_LOOKS: usize = 400;
+/// Keyframes before and after each with which it is correlated.
+const CORRELATED: usize = 2;
 /// Keyframes a street, 1 m apart.
 const STREET: usize = 500;
 
@@ -26,11 +28,13 @@ pub struct World {
     /// By street: where, and what it looks like.
     streets: Vec<Vec<(Vector3<f64>, Vec<f32>)>>,
     pub map: Option<MapContents>,
+    /// Part of the landmarks in view that a keyframe or a query observes.
+    observed_share: f64,
 }
 
 impl World {
-    /// A map of `keyframes` keyframes, some 400 landmarks seen from each.
-    pub fn new(keyframes: usize) -> World {
+    /// A map of `keyframes` keyframes, each of which observes a share of the 500 landmarks in its view.
+    pub fn new(keyframes: usize, observed_share: f64) -> World {
         let mut rng = StdRng::seed_from_u64(7);
         let words: Vec<Vec<f32>> = (0..WORDS).map(|_| random(&mut rng, 1.0)).collect();
         let repeated: Vec<Vec<f32>> = (0..REPEATED_LOOKS).map(|_| look(&words, &mut rng)).collect();
@@ -41,7 +45,7 @@ impl World {
             centre: [376.0, 240.0],
             distortion: Distortion::RadialTangential([-0.28, 0.07, 0.0002, 0.00002]),
         };
-        let mut world = World { camera, streets: Vec::new(), map: None };
+        let mut world = World { camera, streets: Vec::new(), map: None, observed_share };
         let mut info = MapMetadata::new("bench", "bench", DescriptorKind::Int8, WIDTH as u16);
         info.gravity_in_global = Some(Vector3::new(0.0, 0.0, -1.0));
         let mut map = MapContents::empty(info);
@@ -69,7 +73,7 @@ impl World {
                 let id = (street * STREET + along) as u64;
                 let truth = World::camera_at(street, along as f64, 0.0, 0.0);
                 for (point, pixel) in world.see(street, &truth, 0.7, &mut rng) {
-                    if rng.random_bool(0.6) {
+                    if rng.random_bool(observed_share) {
                         let descriptor = view(&world.streets[street][point].1, &mut rng);
                         observations[point].push(Observation { keyframe: id, pixel, descriptor });
                     }
@@ -82,6 +86,10 @@ impl World {
                     camera: world.camera.clone(),
                     features: None,
                 });
+                let block = covariance * 0.3;
+                map.cross_covariances.extend((along.saturating_sub(CORRELATED)..along).map(|other| {
+                    KeyframeCrossCovariance { a: (street * STREET + other) as u64, b: id, block }
+                }));
             }
             for (point, observations) in observations.into_iter().enumerate() {
                 if observations.len() < 2 {
@@ -140,7 +148,7 @@ impl World {
     pub fn query(&self, street: usize, pose: &Pose, of_the_place: usize, rng: &mut StdRng) -> MatchRequest {
         let (mut pixels, mut bytes) = (Vec::new(), Vec::new());
         for (point, pixel) in self.see(street, pose, 0.7, rng) {
-            if pixels.len() < of_the_place && rng.random_bool(0.6) {
+            if pixels.len() < of_the_place && rng.random_bool(self.observed_share) {
                 pixels.push(pixel);
                 bytes.extend(view(&self.streets[street][point].1, rng));
             }

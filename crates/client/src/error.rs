@@ -35,6 +35,16 @@ pub enum ClientError {
         /// Keyframes sent, as the final status states.
         sent: usize,
     },
+    /// The answer does not end.
+    #[error(
+        "the answer does not end: {replies} replies of {bytes} bytes; is another program answering for the map server?"
+    )]
+    TooLong {
+        /// Replies read.
+        replies: usize,
+        /// Their bytes.
+        bytes: usize,
+    },
     /// Zenoh reported an error in place of a reply, for example "Timeout" if the server hangs.
     #[error("no answer: {problem}")]
     Transport {
@@ -83,7 +93,11 @@ impl ClientError {
             | Self::KeyframesMissing { .. }
             | Self::Transport { .. } => true,
             Self::Refused(reply) => reply.code == ErrorCode::Busy,
-            Self::Encode(_) | Self::Unreadable(_) | Self::TaskFailed { .. } | Self::Subscribe { .. } => false,
+            Self::Encode(_)
+            | Self::Unreadable(_)
+            | Self::TooLong { .. }
+            | Self::TaskFailed { .. }
+            | Self::Subscribe { .. } => false,
         }
     }
 

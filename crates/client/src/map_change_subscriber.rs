@@ -7,11 +7,17 @@
 use crate::error::ClientError;
 use protocol::{CodecError, Format, MapChangeNotice, keys};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::sync::{Mutex, PoisonError};
+use std::time::{Duration, Instant};
 use zenoh::pubsub::Subscriber;
 use zenoh::sample::Sample;
 
 /// Notices that may wait: a map changes every few minutes at most.
 const QUEUE_LENGTH: usize = 16;
+/// Notices that may come at once after a pause; then one each [`REFILL`].
+const BURST: u32 = 8;
+/// Time after which one more notice is taken: each may cost a robot its pose in the map for a moment.
+const REFILL: Duration = Duration::from_secs(10);
 
 /// A subscription and the notices that it received.
 ///
@@ -56,7 +62,8 @@ impl MapChangeSubscriber {
         let key = keys::map_changes(map).map_err(|error| failed(error.to_string()))?;
         let (sender, receiver) = sync_channel(QUEUE_LENGTH);
         let name = map.to_owned();
-        let callback = move |sample: Sample| enqueue(&name, &sample, &sender);
+        let rate = Mutex::new(Rate { left: BURST, since: Instant::now() });
+        let callback = move |sample: Sample| enqueue(&name, &sample, &sender, &rate);
         let declared = session.declare_subscriber(key).callback(callback).await;
         let subscriber = declared.map_err(|error| failed(error.to_string()))?;
         Ok(Self { receiver, _subscriber: subscriber })
@@ -77,7 +84,33 @@ enum NoticeError {
     OtherMap(String),
 }
 
-fn enqueue(map: &str, sample: &Sample, queue: &SyncSender<MapChangeNotice>) {
+/// How many notices are still taken: a token bucket.
+#[derive(Debug)]
+struct Rate {
+    left: u32,
+    /// From when on the next one is counted.
+    since: Instant,
+}
+
+impl Rate {
+    fn allows(&mut self, now: Instant) -> bool {
+        let more = now.saturating_duration_since(self.since).as_secs() / REFILL.as_secs();
+        let more = u32::try_from(more).unwrap_or(u32::MAX).min(BURST);
+        if more > 0 {
+            self.left = (self.left + more).min(BURST);
+            self.since = now;
+        }
+        let allowed = self.left > 0;
+        self.left = self.left.saturating_sub(1);
+        allowed
+    }
+}
+
+fn enqueue(map: &str, sample: &Sample, queue: &SyncSender<MapChangeNotice>, rate: &Mutex<Rate>) {
+    if !rate.lock().unwrap_or_else(PoisonError::into_inner).allows(Instant::now()) {
+        tracing::debug!(map, "ignored a notice of a map change: they come too often; who publishes them?");
+        return;
+    }
     let format = Format::from_encoding(&sample.encoding().to_string()).unwrap_or_default();
     match read(map, format, &sample.payload().to_bytes()) {
         // A full queue drops the notice.
@@ -131,5 +164,26 @@ mod tests {
         let negative = json.replace("0.01", "-0.01");
         let error = read("hall", Format::Json, negative.as_bytes()).unwrap_err().to_string();
         assert!(error.contains("sigma_theta_rad"), "{error}");
+        for (from, to, field) in [
+            ("0.2", "1e160", "sigma_p_m"),
+            ("0.01", "4", "sigma_theta_rad"),
+            ("\"version\":4", "\"version\":3", "version"),
+        ] {
+            assert!(json.contains(from), "{json}");
+            let error =
+                read("hall", Format::Json, json.replace(from, to).as_bytes()).unwrap_err().to_string();
+            assert!(error.contains(field), "{error}");
+        }
+    }
+
+    #[test]
+    fn notices_are_taken_in_bursts_and_then_at_a_rate() {
+        let begin = Instant::now();
+        let mut rate = Rate { left: BURST, since: begin };
+        let taken = |rate: &mut Rate, at: Duration| (0..100).filter(|_| rate.allows(begin + at)).count();
+        assert_eq!(taken(&mut rate, Duration::ZERO), BURST as usize);
+        assert_eq!(taken(&mut rate, REFILL / 2), 0);
+        assert_eq!(taken(&mut rate, REFILL), 1);
+        assert_eq!(taken(&mut rate, 1000 * REFILL), BURST as usize);
     }
 }

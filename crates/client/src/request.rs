@@ -1,8 +1,9 @@
 //! One request to a queryable: encoded once, sent until the answer is complete or the deadline is near.
 
 use crate::error::ClientError;
-use protocol::{ErrorReply, Format, Message};
+use protocol::{ErrorReply, Format, Message, keys};
 use std::time::{Duration, Instant};
+use tokio::sync::mpsc;
 use zenoh::Wait as _;
 use zenoh::bytes::{Encoding, ZBytes};
 use zenoh::qos::CongestionControl;
@@ -12,6 +13,11 @@ use zenoh::query::{ConsolidationMode, QueryTarget};
 const FIRST_PAUSE: Duration = Duration::from_millis(20);
 /// Longest such pause.
 const LONGEST_PAUSE: Duration = Duration::from_millis(500);
+
+/// Most replies that an attempt reads: the keyframes that may be asked for, and the final status.
+const MAX_REPLIES: usize = protocol::MAX_ANSWER_KEYFRAMES as usize + 1;
+/// Most payload bytes that an attempt reads: an answer of as many keyframes is some megabytes.
+const MAX_RECEIVED: usize = 4 * protocol::MAX_MESSAGE_BYTES;
 
 /// Assembles the replies to one attempt.
 pub(crate) trait Collector: Default {
@@ -114,14 +120,19 @@ impl Request {
     async fn attempt<C: Collector>(&self, traffic: &mut Traffic) -> Result<C::Answer, ClientError> {
         let timeout = self.deadline.saturating_duration_since(Instant::now());
         let (session, key, payload) = (self.session.clone(), self.key.clone(), self.payload.clone());
+        // Zenoh delivers replies from the thread that reads the network, which must not wait: whatever does not fit is more
+        // than an answer has.
+        let (sender, mut replies) = mpsc::channel(MAX_REPLIES + 1);
+        let deliver = move |reply| drop(sender.try_send(reply));
         let send = move || {
             let query = session
-                .get(key)
+                .get(format!("{key}?{}={}", keys::CLIENT_PARAMETER, session.zid()))
                 .target(QueryTarget::BestMatching)
                 // Replies are sent with the congestion control of the query: blocking, so that none is dropped.
                 .congestion_control(CongestionControl::Block)
                 .consolidation(ConsolidationMode::None)
-                .timeout(timeout);
+                .timeout(timeout)
+                .callback(deliver);
             match payload {
                 Some(payload) => query.payload(payload).encoding(Format::Bincode.encoding()).wait(),
                 None => query.wait(),
@@ -129,23 +140,23 @@ impl Request {
         };
         // On a congested link this blocks its thread for seconds, past the deadline too: not a thread of the runtime.
         let sent = tokio::time::timeout_at(self.deadline.into(), tokio::task::spawn_blocking(send)).await;
-        let replies = match sent {
-            Ok(Ok(Ok(replies))) => replies,
+        match sent {
+            Ok(Ok(Ok(()))) => {}
             Ok(Ok(Err(error))) => return Err(ClientError::Send { problem: error.to_string() }),
             Ok(Err(error)) => return Err(ClientError::Send { problem: error.to_string() }),
             Err(_) => return Err(ClientError::Congested),
-        };
+        }
         let mut collector = C::default();
-        let mut any = false;
+        let (mut replies_read, mut received) = (0, 0);
         loop {
-            let reply = match tokio::time::timeout_at(self.deadline.into(), replies.recv_async()).await {
-                Ok(Ok(reply)) => reply,
+            let reply = match tokio::time::timeout_at(self.deadline.into(), replies.recv()).await {
+                Ok(Some(reply)) => reply,
                 // The channel closed before the answer was complete: no server, or one that stopped.
-                Ok(Err(_)) if any => return Err(ClientError::Interrupted),
-                Ok(Err(_)) => return Err(ClientError::NoServer),
+                Ok(None) if replies_read > 0 => return Err(ClientError::Interrupted),
+                Ok(None) => return Err(ClientError::NoServer),
                 Err(_) => return Err(ClientError::Deadline),
             };
-            any = true;
+            replies_read += 1;
             let sample = match reply.result() {
                 Ok(sample) => sample,
                 Err(error) => {
@@ -156,6 +167,10 @@ impl Request {
             };
             let bytes = sample.payload().to_bytes();
             traffic.received += bytes.len();
+            received += bytes.len();
+            if replies_read > MAX_REPLIES || received > MAX_RECEIVED {
+                return Err(ClientError::TooLong { replies: replies_read, bytes: received });
+            }
             let reply =
                 protocol::decode(format_of(sample.encoding()), &bytes).map_err(ClientError::Unreadable)?;
             if let Some(answer) = collector.add(reply) {

@@ -64,14 +64,16 @@ pub use config::{
 };
 pub use error::EstimatorError;
 pub use estimator::Estimator;
-pub use estimator::status::{Localization, Status, StatusReason};
+pub use estimator::status::{Alarm, Localization, Status, StatusReason};
 pub use health::Divergence;
 pub use imu::{BadImuSample, ImuGap, ImuSample};
 pub use initialization::initializer::{InitMethod, InitStatus, Initialization, Initializer, LastTrustedPose};
 pub use initialization::static_init::InitialState;
 pub use map_update::map_answer::{MapAnswer, MapKeyframe, MatchedLandmark};
+pub use map_update::map_gravity::GravityFault;
 pub use map_update::map_report::{MapReport, Rejection};
 pub use map_update::map_revision::{ChangeSize, MapRevision, RevisionEffect};
+pub use map_update::map_watch::MapDrift;
 pub use noise_adaptation::LearnedNoise;
 pub use odometry::msckf_update::TrackReport;
 pub use odometry::tracks::TrackObservation;

@@ -273,3 +273,37 @@ fn answers_of_another_map_are_refused_whatever_their_version() {
     let report = estimator.map_update(clone, &world.answer(frame, frame, 20)).unwrap();
     assert!(accepted(&report), "{report:?}");
 }
+
+#[test]
+fn hostile_changes_leave_a_finite_filter_that_the_map_localizes_again() {
+    let (world, mut estimator, mut frame) = localized();
+    let extremes = [0.0, 1e-300, 1.0, 1e3, 1e9, 1e160, f64::MAX, f64::INFINITY, f64::NAN, -1.0];
+    let mut version = 1;
+    for sigma_rotation_rad in extremes {
+        for sigma_position_m in extremes {
+            let held = estimator.map_version().unwrap();
+            version += 1;
+            estimator.map_changed(&news(
+                held,
+                version,
+                Some(ChangeSize { sigma_rotation_rad, sigma_position_m }),
+            ));
+            if version % 10 == 0 {
+                next(&world, &mut estimator, &mut frame);
+            }
+            assert_finite(&estimator);
+        }
+    }
+    // Versions do not go back.
+    assert_eq!(estimator.map_changed(&news(version, 0, Some(SIZE))), RevisionEffect::None);
+    // The map itself is still of version 1.
+    let end = frame + 40;
+    while frame < end {
+        let clone = next(&world, &mut estimator, &mut frame);
+        estimator.map_update(clone, &world.answer(frame, frame, frame as u64)).unwrap();
+        assert_finite(&estimator);
+    }
+    let truth = world.global_from_local * World::truth(frame);
+    assert!(estimator.global_from_imu().unwrap().pose.local(&truth).amax() < 0.3);
+    assert_eq!(estimator.status().localization, Localization::Localized);
+}

@@ -18,7 +18,8 @@ use protocol::{
     CrossCovarianceBlock, KeyframeId, KeyframePixel, KeyframeRecord, LandmarkMatch, MatchedKeyframe,
 };
 
-use super::elements::LoadedKeyframe;
+use map::model::Keyframe;
+
 use super::loaded_map::LoadedMap;
 use super::options::RecognitionOptions;
 use super::verification::VerifiedKeyframe;
@@ -67,14 +68,14 @@ fn covisible(
     let landmarks: HashSet<usize> = verified
         .iter()
         .flat_map(|verified| {
-            let observed = &map.keyframes[verified.keyframe].observed;
-            verified.inliers.iter().map(|inlier| observed[inlier.train].landmark)
+            let observed = map.observations.of(verified.keyframe);
+            verified.inliers.iter().map(move |inlier| observed.landmark(inlier.train))
         })
         .collect();
-    let observers = landmarks.iter().flat_map(|&landmark| &map.landmarks[landmark].observations);
+    let observers = landmarks.iter().flat_map(|&landmark| map.landmarks.observers(landmark));
     let own: HashSet<usize> = verified.iter().map(|verified| verified.keyframe).collect();
     let counts = count_occurrences(
-        observers.map(|&(keyframe, _)| keyframe).filter(|keyframe| !own.contains(keyframe)),
+        observers.map(|&keyframe| keyframe as usize).filter(|keyframe| !own.contains(keyframe)),
     );
     counts.into_iter().filter(move |&(_, count)| count >= min_covisible).map(|(keyframe, _)| keyframe)
 }
@@ -93,33 +94,35 @@ fn landmark_matches(
     held: &HashSet<KeyframeId>,
     taken: &mut TakenMatches,
 ) -> Vec<LandmarkMatch> {
-    let id_of = |keyframe: usize| map.keyframes[keyframe].keyframe.id;
-    let observed = &map.keyframes[verified.keyframe].observed;
+    let id_of = |keyframe: usize| map.keyframes[keyframe].id;
+    let observed = map.observations.of(verified.keyframe);
     let mut matches = Vec::with_capacity(verified.inliers.len());
     for inlier in &verified.inliers {
-        let observed = &observed[inlier.train];
-        if taken.features.contains(&inlier.query) || taken.landmarks.contains(&observed.landmark) {
+        let landmark = observed.landmark(inlier.train);
+        if taken.features.contains(&inlier.query) || taken.landmarks.contains(&landmark) {
             continue;
         }
         taken.features.insert(inlier.query);
-        taken.landmarks.insert(observed.landmark);
-        let landmark = &map.landmarks[observed.landmark];
-        let (anchor, position) = if sent.contains(&landmark.anchor) {
-            (landmark.anchor, landmark.position_in_anchor)
+        taken.landmarks.insert(landmark);
+        let own_anchor = map.landmarks.anchors[landmark] as usize;
+        let (anchor, position) = if sent.contains(&own_anchor) {
+            (own_anchor, map.landmarks.positions_in_anchor[landmark])
         } else {
-            (verified.keyframe, observed.point)
+            (verified.keyframe, map.observed_point(verified.keyframe, inlier.train))
         };
-        let listed = |keyframe: usize| sent.contains(&keyframe) || held.contains(&id_of(keyframe));
-        let observations = landmark.observations.iter().filter(|&&(keyframe, _)| listed(keyframe));
+        let observers = map.landmarks.observers(landmark).iter().map(|&keyframe| keyframe as usize);
+        let listed = observers.filter(|keyframe| sent.contains(keyframe) || held.contains(&id_of(*keyframe)));
+        let observations = listed.filter_map(|keyframe| {
+            let pixel = map.observations.of(keyframe).pixel_of(landmark)?;
+            Some(KeyframePixel { keyframe: id_of(keyframe), pixel })
+        });
         matches.push(LandmarkMatch {
             feature: inlier.query as u32,
-            landmark: landmark.id,
+            landmark: map.landmarks.ids[landmark],
             anchor: id_of(anchor),
             position_in_anchor: position.into(),
             distance: inlier.distance.max(0.0),
-            observations: observations
-                .map(|&(keyframe, pixel)| KeyframePixel { keyframe: id_of(keyframe), pixel })
-                .collect(),
+            observations: observations.collect(),
         });
     }
     matches
@@ -131,8 +134,8 @@ fn cross_covariances(
     smaller_ranks: &[usize],
     held: &HashSet<KeyframeId>,
 ) -> Vec<CrossCovarianceBlock> {
-    let id = map.keyframes[keyframe].keyframe.id;
-    let mut others: Vec<KeyframeId> = smaller_ranks.iter().map(|&at| map.keyframes[at].keyframe.id).collect();
+    let id = map.keyframes[keyframe].id;
+    let mut others: Vec<KeyframeId> = smaller_ranks.iter().map(|&at| map.keyframes[at].id).collect();
     others.extend(held);
     others.sort_unstable();
     others.dedup();
@@ -144,8 +147,7 @@ fn cross_covariances(
 }
 
 /// A keyframe as it is sent.
-pub(crate) fn record(loaded: &LoadedKeyframe) -> KeyframeRecord {
-    let keyframe = &loaded.keyframe;
+pub(crate) fn record(keyframe: &Keyframe) -> KeyframeRecord {
     KeyframeRecord {
         id: keyframe.id,
         stamp_ns: keyframe.stamp_ns,

@@ -1,39 +1,168 @@
-//! Keyframes and landmarks of a loaded map, which refer to each other by index.
+//! The landmarks of a loaded map and their observations, in flat arrays that refer to each other by index.
+//!
+//! A map has some five observations a landmark and hundreds a keyframe: one allocation each would take more memory than
+//! what it holds.
 
 use geometry::{Camera, Pose};
-use map::model::Keyframe;
+use map::model::Landmark;
 use nalgebra::{Vector2, Vector3};
 use protocol::LandmarkId;
+use vision::DescriptorError;
 
 /// Smallest depth (m) at which a point counts as in front of a camera: less is a division by nearly zero.
 const MIN_DEPTH: f64 = 1e-3;
 
-/// A keyframe with the landmarks that it observes.
-pub(crate) struct LoadedKeyframe {
-    /// Without its features.
-    pub(crate) keyframe: Keyframe,
-    pub(crate) observed: Vec<ObservedLandmark>,
-    /// Descriptors of `observed`, concatenated.
-    pub(crate) descriptors: Vec<u8>,
+/// All landmarks of a map without their descriptors, and which keyframes observe each.
+#[derive(Default)]
+pub(crate) struct Landmarks {
+    pub(crate) ids: Vec<LandmarkId>,
+    /// Index of the keyframe in whose camera frame the position is given.
+    pub(crate) anchors: Vec<u32>,
+    pub(crate) positions_in_anchor: Vec<Vector3<f64>>,
+    /// Indices of the keyframes that observe landmark `at`, ascending: `observers[starts[at]..starts[at + 1]]`.
+    observers: Vec<u32>,
+    starts: Vec<u32>,
 }
 
-/// A landmark as observed by a keyframe.
-pub(crate) struct ObservedLandmark {
-    /// Index into [`super::loaded_map::LoadedMap::landmarks`].
-    pub(crate) landmark: usize,
-    pub(crate) pixel: [f32; 2],
-    /// In the camera frame of the keyframe, see [`point_in_keyframe`].
-    pub(crate) point: Vector3<f64>,
+/// The observations of a map by keyframe, of each by landmark.
+#[derive(Default)]
+pub(crate) struct Observations {
+    /// Those of keyframe `at` are `starts[at]..starts[at + 1]`.
+    starts: Vec<u32>,
+    landmarks: Vec<u32>,
+    pixels: Vec<[f32; 2]>,
+    /// In the camera frame of the keyframe (m), see [`point_in_keyframe`]; `f32` is precise to 6e-8 of the distance.
+    points: Vec<[f32; 3]>,
+    descriptors: Vec<u8>,
+    /// Bytes in a descriptor.
+    width: usize,
 }
 
-/// A landmark without its descriptors.
-pub(crate) struct LoadedLandmark {
-    pub(crate) id: LandmarkId,
-    /// Index into [`super::loaded_map::LoadedMap::keyframes`].
-    pub(crate) anchor: usize,
-    pub(crate) position_in_anchor: Vector3<f64>,
-    /// Index of the keyframe and pixel.
-    pub(crate) observations: Vec<(usize, [f32; 2])>,
+/// The landmarks that one keyframe observes.
+#[derive(Clone, Copy)]
+pub(crate) struct Observed<'a> {
+    /// Index of each landmark, ascending.
+    pub(crate) landmarks: &'a [u32],
+    pub(crate) pixels: &'a [[f32; 2]],
+    points: &'a [[f32; 3]],
+    /// Concatenated.
+    pub(crate) descriptors: &'a [u8],
+}
+
+impl Landmarks {
+    pub(crate) fn with_capacity(landmarks: usize, observations: usize) -> Landmarks {
+        let mut starts = Vec::with_capacity(landmarks + 1);
+        starts.push(0);
+        Landmarks {
+            ids: Vec::with_capacity(landmarks),
+            anchors: Vec::with_capacity(landmarks),
+            positions_in_anchor: Vec::with_capacity(landmarks),
+            observers: Vec::with_capacity(observations),
+            starts,
+        }
+    }
+
+    /// Adds a landmark.
+    ///
+    /// # Arguments
+    /// * `observers`: indices of keyframes, ascending.
+    pub(crate) fn push(&mut self, landmark: &Landmark, anchor: u32, observers: impl Iterator<Item = u32>) {
+        self.ids.push(landmark.id);
+        self.anchors.push(anchor);
+        self.positions_in_anchor.push(landmark.position_in_anchor);
+        self.observers.extend(observers);
+        self.starts.push(self.observers.len() as u32);
+    }
+
+    pub(crate) fn len(&self) -> usize {
+        self.ids.len()
+    }
+
+    /// Indices of the keyframes that observe a landmark, ascending.
+    pub(crate) fn observers(&self, landmark: usize) -> &[u32] {
+        &self.observers[self.starts[landmark] as usize..self.starts[landmark + 1] as usize]
+    }
+}
+
+impl Observations {
+    /// Room for so many observations by each keyframe, to be filled by [`Observations::set`].
+    ///
+    /// # Errors
+    /// [`DescriptorError::Full`] beyond 2^32 - 1 observations.
+    pub(crate) fn with_counts(
+        counts: impl Iterator<Item = u32>,
+        width: usize,
+    ) -> Result<Observations, DescriptorError> {
+        let mut starts = vec![0_u32];
+        let mut total = 0_u32;
+        for count in counts {
+            total = total.checked_add(count).ok_or(DescriptorError::Full)?;
+            starts.push(total);
+        }
+        let count = total as usize;
+        Ok(Observations {
+            starts,
+            landmarks: vec![0; count],
+            pixels: vec![[0.0; 2]; count],
+            points: vec![[0.0; 3]; count],
+            descriptors: vec![0; count * width],
+            width,
+        })
+    }
+
+    /// Fills observation `at` of a keyframe.
+    pub(crate) fn set(
+        &mut self,
+        keyframe: usize,
+        at: usize,
+        landmark: u32,
+        pixel: [f32; 2],
+        point: &Vector3<f64>,
+        descriptor: &[u8],
+    ) {
+        let at = self.starts[keyframe] as usize + at;
+        self.landmarks[at] = landmark;
+        self.pixels[at] = pixel;
+        self.points[at] = [point.x as f32, point.y as f32, point.z as f32];
+        self.descriptors[at * self.width..(at + 1) * self.width].copy_from_slice(descriptor);
+    }
+
+    pub(crate) fn len(&self) -> usize {
+        self.landmarks.len()
+    }
+
+    /// What a keyframe observes.
+    pub(crate) fn of(&self, keyframe: usize) -> Observed<'_> {
+        let range = self.starts[keyframe] as usize..self.starts[keyframe + 1] as usize;
+        Observed {
+            landmarks: &self.landmarks[range.clone()],
+            pixels: &self.pixels[range.clone()],
+            points: &self.points[range.clone()],
+            descriptors: &self.descriptors[range.start * self.width..range.end * self.width],
+        }
+    }
+
+    /// Distances between keyframes and the landmarks that they observe (m).
+    pub(crate) fn distances(&self) -> impl Iterator<Item = f32> {
+        self.points.iter().map(|[x, y, z]| (x * x + y * y + z * z).sqrt())
+    }
+}
+
+impl Observed<'_> {
+    /// Index of observation `at`'s landmark.
+    pub(crate) fn landmark(&self, at: usize) -> usize {
+        self.landmarks[at] as usize
+    }
+
+    /// The landmark of observation `at` in the camera frame of the keyframe (m).
+    pub(crate) fn point(&self, at: usize) -> Vector3<f64> {
+        Vector3::from(self.points[at].map(f64::from))
+    }
+
+    /// Where the keyframe observes a landmark, if it does.
+    pub(crate) fn pixel_of(&self, landmark: usize) -> Option<[f32; 2]> {
+        self.landmarks.binary_search(&(landmark as u32)).ok().map(|at| self.pixels[at])
+    }
 }
 
 /// A landmark in the camera frame of a keyframe that is not its anchor: on the ray of the keyframe's own pixel, at

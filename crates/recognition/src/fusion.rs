@@ -26,7 +26,7 @@ use super::verification::{Image, VerifiedKeyframe};
 
 /// At most this many keyframes are fused, those with most inliers: further ones change the pose little, and the cost
 /// grows with their number.
-const MAX_KEYFRAMES: usize = 6;
+pub(crate) const MAX_FUSED_KEYFRAMES: usize = 6;
 /// Gauss-Newton iterations; from verified poses 5 converge.
 const MAX_ITERATIONS: usize = 10;
 /// A step shorter than this (rad, m) ends the iteration.
@@ -85,7 +85,7 @@ pub(crate) fn fuse(
     image: &Image<'_>,
     options: &RecognitionOptions,
 ) -> Option<FusedPose> {
-    let place = &place[..place.len().min(MAX_KEYFRAMES)];
+    let place = &place[..place.len().min(MAX_FUSED_KEYFRAMES)];
     let stated_sigma = options.sigma_query_px.hypot(map.info.sigma_px);
     let focal = f64::midpoint(image.camera.focal[0], image.camera.focal[1]);
     let problem = Problem {
@@ -134,11 +134,11 @@ fn root_covariance(map: &LoadedMap, place: &[VerifiedKeyframe]) -> DMatrix<f64> 
     let size = 6 * place.len();
     let mut covariance = DMatrix::<f64>::zeros(size, size);
     for (row, a) in place.iter().enumerate() {
-        let a = &map.keyframes[a.keyframe].keyframe;
+        let a = &map.keyframes[a.keyframe];
         let own = &a.global_from_keyframe.covariance;
         covariance.fixed_view_mut::<6, 6>(6 * row, 6 * row).copy_from(own);
         for (column, b) in place.iter().enumerate().take(row) {
-            let b = &map.keyframes[b.keyframe].keyframe;
+            let b = &map.keyframes[b.keyframe];
             if let Some(block) = map.cross_covariance(a.id, b.id) {
                 covariance.fixed_view_mut::<6, 6>(6 * row, 6 * column).copy_from(&block);
                 covariance.fixed_view_mut::<6, 6>(6 * column, 6 * row).copy_from(&block.transpose());
@@ -227,12 +227,12 @@ impl Problem<'_> {
     fn residuals(&self, state: &State) -> Vec<MatchResidual> {
         let mut residuals = Vec::new();
         for (number, verified) in self.place.iter().enumerate() {
-            let loaded = &self.map.keyframes[verified.keyframe];
+            let keyframe = &self.map.keyframes[verified.keyframe];
             let pose_error: Vector6<f64> = state.errors.fixed_rows::<6>(6 * number).into_owned();
-            let global_from_keyframe = loaded.keyframe.global_from_keyframe.pose.retract(&pose_error);
+            let global_from_keyframe = keyframe.global_from_keyframe.pose.retract(&pose_error);
             for found in &verified.matches {
-                let point = &loaded.observed[found.train].point;
-                let in_global = global_from_keyframe.transform(point);
+                let point = self.map.observed_point(verified.keyframe, found.train);
+                let in_global = global_from_keyframe.transform(&point);
                 let in_camera = state.global_from_camera.inverse_transform(&in_global);
                 let Ok((pixel, by_point)) = self.image.camera.project_with_jacobian(&in_camera) else {
                     continue;
@@ -240,7 +240,7 @@ impl Problem<'_> {
                 let observed = Vector2::from(self.image.features.pixels[found.query].map(f64::from));
                 let error = observed - pixel;
                 let (by_pose, by_global) = state.global_from_camera.inverse_transform_jacobians(&in_global);
-                let (by_error, _) = global_from_keyframe.transform_jacobians(point);
+                let (by_error, _) = global_from_keyframe.transform_jacobians(&point);
                 residuals.push(MatchResidual {
                     feature: found.query,
                     keyframe: number,

@@ -7,9 +7,13 @@
 
 use protocol::DescriptorKind;
 use sensors::metric_of;
-use vision::{DescriptorError, DescriptorView, InvertedFile, MatchOptions, Metric, prototype_descriptors};
+use vision::{
+    DescriptorError, DescriptorView, Hit, InvertedFile, MatchOptions, Metric, prototype_descriptors,
+};
 
-use super::elements::LoadedLandmark;
+use map::model::Observation;
+
+use super::elements::Landmarks;
 
 /// Descriptors of one landmark nearer to each other than this part of the largest distance of a match share a
 /// prototype.
@@ -32,7 +36,20 @@ pub(crate) struct Votes {
     /// Sum of the weights, in parts of [`FULL_VOTE`]: integers, so that the sum does not depend on the order of features.
     pub(crate) weight: u64,
     /// Number of query features that voted.
-    pub(crate) features: usize,
+    pub(crate) features: u32,
+    /// One more than the last of these features.
+    last: u32,
+}
+
+impl Votes {
+    /// Adds the vote of a feature, unless it has voted for the keyframe already. Features vote one after the other.
+    fn add(&mut self, feature: u32, weight: u64) {
+        if self.last != feature + 1 {
+            self.last = feature + 1;
+            self.weight += weight;
+            self.features += 1;
+        }
+    }
 }
 
 /// Collects the prototype descriptors of landmarks for an [`LandmarkIndex`].
@@ -41,16 +58,20 @@ pub(crate) struct LandmarkIndexBuilder {
     width: usize,
     descriptors: Vec<u8>,
     landmarks: Vec<u32>,
+    /// Descriptors of the landmark that is added.
+    of_landmark: Vec<u8>,
 }
 
 impl LandmarkIndexBuilder {
-    /// For descriptors of `width` bytes.
-    pub(crate) fn new(kind: DescriptorKind, width: usize) -> LandmarkIndexBuilder {
+    /// For descriptors of `width` bytes of so many landmarks.
+    pub(crate) fn new(kind: DescriptorKind, width: usize, landmarks: usize) -> LandmarkIndexBuilder {
         LandmarkIndexBuilder {
             metric: metric_of(kind),
             width,
-            descriptors: Vec::new(),
-            landmarks: Vec::new(),
+            // Most landmarks have one prototype.
+            descriptors: Vec::with_capacity(width * landmarks),
+            landmarks: Vec::with_capacity(landmarks),
+            of_landmark: Vec::new(),
         }
     }
 
@@ -58,9 +79,17 @@ impl LandmarkIndexBuilder {
         MatchOptions::for_metric(self.metric).max_distance
     }
 
-    /// Adds all descriptors of a landmark (its index), concatenated.
-    pub(crate) fn add(&mut self, landmark: usize, descriptors: &[u8]) -> Result<(), DescriptorError> {
-        let view = DescriptorView::new(self.metric, self.width, descriptors)?;
+    /// Adds all descriptors of a landmark (its index).
+    pub(crate) fn add(
+        &mut self,
+        landmark: usize,
+        observations: &[Observation],
+    ) -> Result<(), DescriptorError> {
+        self.of_landmark.clear();
+        for observation in observations {
+            self.of_landmark.extend_from_slice(&observation.descriptor);
+        }
+        let view = DescriptorView::new(self.metric, self.width, &self.of_landmark)?;
         let prototypes = prototype_descriptors(view, PROTOTYPE_DISTANCE * self.max_distance());
         self.landmarks.extend(std::iter::repeat_n(landmark as u32, prototypes.len() / self.width));
         self.descriptors.extend(prototypes);
@@ -82,26 +111,43 @@ impl LandmarkIndex {
     pub(crate) fn vote(
         &self,
         query: DescriptorView<'_>,
-        landmarks: &[LoadedLandmark],
+        landmarks: &Landmarks,
         keyframe_count: usize,
     ) -> Result<Vec<Votes>, DescriptorError> {
         let mut votes = vec![Votes::default(); keyframe_count];
-        let (mut near, mut keyframes) = (Vec::new(), Vec::new());
-        self.prototypes.search(query, self.max_distance, |_, hits| {
-            near.clear();
-            near.extend(hits.iter().map(|hit| hit.payload));
-            let weight = FULL_VOTE / count_distinct(&mut near).max(1) as u64;
-            keyframes.clear();
-            let observers = near.iter().flat_map(|&landmark| &landmarks[landmark as usize].observations);
-            keyframes.extend(observers.map(|&(keyframe, _)| keyframe as u32));
-            count_distinct(&mut keyframes);
-            for &keyframe in &keyframes {
-                let votes = &mut votes[keyframe as usize];
-                votes.weight += weight;
-                votes.features += 1;
-            }
+        self.prototypes.search(query, self.max_distance, |feature, hits| {
+            cast_votes(feature, hits, landmarks, &mut votes);
         })?;
         Ok(votes)
+    }
+
+    /// Votes for each keyframe with some of the landmarks only, which must be few: a query feature that is near prototypes
+    /// of `n` of these gives a vote of weight `1/n`.
+    ///
+    /// # Arguments
+    /// * `among`: for each landmark, whether it counts.
+    pub(crate) fn vote_among(
+        &self,
+        query: DescriptorView<'_>,
+        landmarks: &Landmarks,
+        keyframe_count: usize,
+        among: &[bool],
+    ) -> Result<Vec<Votes>, DescriptorError> {
+        let mut votes = vec![Votes::default(); keyframe_count];
+        let asked_for = |landmark: u32| among[landmark as usize];
+        self.prototypes.search_among(query, self.max_distance, asked_for, |feature, hits| {
+            cast_votes(feature, hits, landmarks, &mut votes);
+        })?;
+        Ok(votes)
+    }
+}
+
+/// Adds the votes of one feature.
+fn cast_votes(feature: usize, hits: &[Hit], landmarks: &Landmarks, votes: &mut [Votes]) {
+    let mut near: Vec<u32> = hits.iter().map(|hit| hit.payload).collect();
+    let weight = FULL_VOTE / count_distinct(&mut near).max(1) as u64;
+    for &keyframe in near.iter().flat_map(|&landmark| landmarks.observers(landmark as usize)) {
+        votes[keyframe as usize].add(feature as u32, weight);
     }
 }
 
@@ -119,9 +165,107 @@ pub(crate) fn best_voted(
     min_features: usize,
     eligible: impl Fn(usize) -> bool,
 ) -> Vec<usize> {
-    let mut ranked: Vec<usize> =
-        (0..votes.len()).filter(|&index| votes[index].features >= min_features && eligible(index)).collect();
-    ranked.sort_by(|&a, &b| votes[b].weight.cmp(&votes[a].weight).then(a.cmp(&b)));
+    let mut ranked: Vec<usize> = (0..votes.len())
+        .filter(|&index| votes[index].features as usize >= min_features && eligible(index))
+        .collect();
+    let rank = |&a: &usize, &b: &usize| votes[b].weight.cmp(&votes[a].weight).then(a.cmp(&b));
+    if ranked.len() > count && count > 0 {
+        ranked.select_nth_unstable_by(count - 1, rank);
+    }
     ranked.truncate(count);
+    ranked.sort_unstable_by(rank);
     ranked
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use map::model::Landmark;
+    use nalgebra::Vector3;
+    use rand::{RngExt, SeedableRng, rngs::StdRng};
+
+    use super::*;
+
+    const KEYFRAMES: usize = 40;
+
+    /// Landmarks of few different descriptors, each observed by some keyframes.
+    fn random_index(random: &mut StdRng) -> (LandmarkIndex, Landmarks, Vec<u8>) {
+        let looks: Vec<u8> = (0..50 * 32).map(|_| random.random()).collect();
+        let mut builder = LandmarkIndexBuilder::new(DescriptorKind::Binary, 32, 200);
+        let mut landmarks = Landmarks::with_capacity(200, 1000);
+        for number in 0..200 {
+            let observers: BTreeSet<u32> = (0..5).map(|_| random.random_range(0..KEYFRAMES as u32)).collect();
+            let look = random.random_range(0..50) * 32;
+            let observations = observers.iter().map(|&keyframe| Observation {
+                keyframe: u64::from(keyframe),
+                pixel: [0.0; 2],
+                descriptor: looks[look..look + 32].to_vec(),
+            });
+            let observations: Vec<Observation> = observations.collect();
+            builder.add(number, &observations).unwrap();
+            let anchor = observations[0].keyframe;
+            let position_in_anchor = Vector3::z();
+            let landmark = Landmark { id: number as u64, anchor, position_in_anchor, observations };
+            landmarks.push(&landmark, anchor as u32, observers.into_iter());
+        }
+        (builder.build().unwrap(), landmarks, looks)
+    }
+
+    #[test]
+    fn each_feature_votes_once_for_each_keyframe_that_observes_what_it_is_near() {
+        let mut random = StdRng::seed_from_u64(1);
+        let (index, landmarks, looks) = random_index(&mut random);
+        let query = DescriptorView::new(Metric::Hamming, 32, &looks).unwrap();
+        let mut slow = vec![(0, 0); KEYFRAMES];
+        let search = index.prototypes.search(query, index.max_distance, |_, hits| {
+            let near: BTreeSet<u32> = hits.iter().map(|hit| hit.payload).collect();
+            let observers = near.iter().flat_map(|&landmark| landmarks.observers(landmark as usize));
+            for &keyframe in observers.collect::<BTreeSet<_>>() {
+                slow[keyframe as usize].0 += FULL_VOTE / near.len() as u64;
+                slow[keyframe as usize].1 += 1;
+            }
+        });
+        search.unwrap();
+        let votes = index.vote(query, &landmarks, KEYFRAMES).unwrap();
+        let fast: Vec<(u64, u32)> = votes.iter().map(|votes| (votes.weight, votes.features)).collect();
+        assert_eq!(fast, slow);
+        assert!(fast.iter().any(|votes| votes.1 > 5));
+    }
+
+    #[test]
+    fn votes_among_some_landmarks_are_those_without_all_others() {
+        let mut random = StdRng::seed_from_u64(3);
+        let (index, landmarks, looks) = random_index(&mut random);
+        let query = DescriptorView::new(Metric::Hamming, 32, &looks).unwrap();
+        let among: Vec<bool> = (0..landmarks.len()).map(|_| random.random_bool(0.2)).collect();
+        let mut slow = vec![Votes::default(); KEYFRAMES];
+        let search = index.prototypes.search(query, index.max_distance, |feature, hits| {
+            let hits: Vec<Hit> = hits.iter().copied().filter(|hit| among[hit.payload as usize]).collect();
+            cast_votes(feature, &hits, &landmarks, &mut slow);
+        });
+        search.unwrap();
+        assert_eq!(index.vote_among(query, &landmarks, KEYFRAMES, &among).unwrap(), slow);
+        assert!(slow.iter().any(|votes| votes.features > 0));
+        let all = vec![true; landmarks.len()];
+        let votes = index.vote(query, &landmarks, KEYFRAMES).unwrap();
+        assert_eq!(index.vote_among(query, &landmarks, KEYFRAMES, &all).unwrap(), votes);
+    }
+
+    #[test]
+    fn the_best_voted_are_the_first_of_all_in_order() {
+        let mut random = StdRng::seed_from_u64(2);
+        for count in [0, 1, 10, 300] {
+            let vote = |_| Votes {
+                weight: random.random_range(0..30),
+                features: random.random_range(0..6),
+                last: 0,
+            };
+            let votes: Vec<Votes> = (0..200).map(vote).collect();
+            let mut all: Vec<usize> = (0..200).filter(|&at| votes[at].features >= 2 && at % 3 != 0).collect();
+            all.sort_by_key(|&at| (std::cmp::Reverse(votes[at].weight), at));
+            all.truncate(count);
+            assert_eq!(best_voted(&votes, count, 2, |at| at % 3 != 0), all);
+        }
+    }
 }

@@ -115,14 +115,13 @@ impl LoadedMap {
         if self.keyframes.is_empty() || request.features.len() < options.min_inliers {
             return Ok(Inspection { reply, keyframes: Vec::new() });
         }
-        let inspector = self.inspector(request, options)?;
         let mut compared = Vec::new();
         if let Some(prior) = &request.prior {
             let near = self.near(&prior.global_from_camera);
-            compared = inspector.candidates(|at| near[at])?;
+            compared = self.inspector(request, options, Some(&near))?.candidates(|at| near[at])?;
         }
         if !compared.iter().any(|keyframe| keyframe.in_answer) {
-            compared = inspector.candidates(|_| true)?;
+            compared = self.inspector(request, options, None)?.candidates(|_| true)?;
         }
         let best = reply.fix.as_ref().map(|fix| fix.keyframe);
         let rank = |keyframe: &InspectedKeyframe| {
@@ -148,19 +147,23 @@ impl LoadedMap {
         options: &RecognitionOptions,
     ) -> Result<Option<InspectedKeyframe>, QueryError> {
         let Some(at) = self.index_of(id) else { return Ok(None) };
-        Ok(Some(self.inspector(request, options)?.keyframe(at)?.0))
+        Ok(Some(self.inspector(request, options, None)?.keyframe(at)?.0))
     }
 
     fn inspector<'a>(
         &'a self,
         request: &'a LocalizeRequest,
         options: &'a RecognitionOptions,
+        near: Option<&[bool]>,
     ) -> Result<Inspector<'a>, QueryError> {
         let descriptors = self.view(&request.features)?;
         let gravity_in_camera = request.gravity_in_camera.map(Vector3::from);
         let image =
             Image { camera: &request.camera, features: &request.features, descriptors, gravity_in_camera };
-        let votes = self.index.vote(descriptors, &self.landmarks, self.keyframes.len())?;
+        let votes = match near {
+            Some(near) => self.votes_near(descriptors, near)?,
+            None => self.index.vote(descriptors, &self.landmarks, self.keyframes.len())?,
+        };
         Ok(Inspector { map: self, image, votes, options })
     }
 }
@@ -186,7 +189,7 @@ impl Inspector<'_> {
             }
         }
         if let Consensus::Place(place) = find_consensus(verified, self.options) {
-            let id = |verified: &VerifiedKeyframe| self.map.keyframes[verified.keyframe].keyframe.id;
+            let id = |verified: &VerifiedKeyframe| self.map.keyframes[verified.keyframe].id;
             let place: HashSet<KeyframeId> = place.iter().map(id).collect();
             for keyframe in &mut inspected {
                 keyframe.in_answer = place.contains(&keyframe.id);
@@ -196,7 +199,7 @@ impl Inspector<'_> {
     }
 
     fn keyframe(&self, at: usize) -> Result<(InspectedKeyframe, Comparison), QueryError> {
-        let loaded = &self.map.keyframes[at];
+        let keyframe = &self.map.keyframes[at];
         let match_options = MatchOptions::for_metric(self.map.metric());
         let matches =
             match_descriptors(self.image.descriptors, self.map.descriptors_of(at)?, &match_options)?;
@@ -209,11 +212,11 @@ impl Inspector<'_> {
         };
         let focal = f64::midpoint(self.image.camera.focal[0], self.image.camera.focal[1]);
         let inspected = InspectedKeyframe {
-            id: loaded.keyframe.id,
-            stamp_ns: loaded.keyframe.stamp_ns,
-            camera: loaded.keyframe.camera.clone(),
-            landmark_pixels: loaded.observed.iter().map(|landmark| landmark.pixel).collect(),
-            votes: self.votes[at].features,
+            id: keyframe.id,
+            stamp_ns: keyframe.stamp_ns,
+            camera: keyframe.camera.clone(),
+            landmark_pixels: self.map.observations.of(at).pixels.to_vec(),
+            votes: self.votes[at].features as usize,
             verdict,
             in_answer: false,
             matches: matches.iter().map(|one| self.one_match(at, one, found)).collect(),
@@ -225,18 +228,18 @@ impl Inspector<'_> {
     }
 
     fn one_match(&self, at: usize, one: &Match, found: Option<&VerifiedKeyframe>) -> InspectedMatch {
-        let loaded = &self.map.keyframes[at];
-        let observed = &loaded.observed[one.train];
+        let observed = self.map.observations.of(at);
         let predicted = found.and_then(|found| {
-            let in_global = loaded.keyframe.global_from_keyframe.pose.transform(&observed.point);
+            let point = self.map.observed_point(at, one.train);
+            let in_global = self.map.keyframes[at].global_from_keyframe.pose.transform(&point);
             let in_camera = found.global_from_camera.pose.inverse_transform(&in_global);
             self.image.camera.project(&in_camera).ok()
         });
         InspectedMatch {
             feature: one.query,
-            landmark: self.map.landmarks[observed.landmark].id,
+            landmark: self.map.landmarks.ids[observed.landmark(one.train)],
             query_pixel: self.image.features.pixels[one.query],
-            keyframe_pixel: observed.pixel,
+            keyframe_pixel: observed.pixels[one.train],
             distance: one.distance,
             inlier: found.is_some_and(|found| found.inliers.contains(one)),
             predicted_pixel: predicted.map(|pixel: Vector2<f64>| pixel.into()),

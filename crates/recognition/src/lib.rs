@@ -11,8 +11,9 @@
 //!
 //! [`LoadedMap`] holds a map in memory (`loaded_map`, `elements`) and answers the queries (`query`).
 //!
-//! A prior pose restricts the candidates to keyframes near it. A wrong prior costs time, never the answer: where no
-//! keyframe near it is verified, all are searched.
+//! A prior pose restricts the candidates to keyframes near it that do not look the other way, and ends their comparison
+//! once enough of them agree with it. A wrong prior costs time, never the answer: where no keyframe near it is verified,
+//! all are searched.
 //!
 //! The example `recognize` builds a small map and localizes an image in it:
 //! `cargo run -p driftless-recognition --example recognize`.

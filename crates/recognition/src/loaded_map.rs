@@ -1,15 +1,13 @@
 //! A map in memory, indexed for queries.
 
-use std::collections::HashMap;
-
-use nalgebra::Matrix6;
+use nalgebra::{Matrix6, Vector3};
 use protocol::{KeyframeId, MapIdentity};
 use vision::{DescriptorError, DescriptorView, Metric};
 
-use super::elements::{LoadedKeyframe, LoadedLandmark, ObservedLandmark, point_in_keyframe};
+use super::elements::{Landmarks, Observations, point_in_keyframe};
 use super::index::{LandmarkIndex, LandmarkIndexBuilder};
 use map::contents::{ContentsError, MapContents};
-use map::model::{Keyframe, Landmark, MapMetadata};
+use map::model::{Keyframe, KeyframeCrossCovariance, Landmark, MapMetadata};
 use map::store::StoredMap;
 
 /// A map in memory, indexed for queries. It is immutable: a new version of the map is a new `LoadedMap`.
@@ -28,11 +26,12 @@ use map::store::StoredMap;
 pub struct LoadedMap {
     pub(crate) info: MapMetadata,
     pub(crate) identity: MapIdentity,
-    pub(crate) keyframes: Vec<LoadedKeyframe>,
-    pub(crate) landmarks: Vec<LoadedLandmark>,
-    indices: HashMap<KeyframeId, usize>,
+    /// By id, without their features.
+    pub(crate) keyframes: Vec<Keyframe>,
+    pub(crate) landmarks: Landmarks,
+    pub(crate) observations: Observations,
     /// By (a, b), `a < b`.
-    cross_covariances: HashMap<(KeyframeId, KeyframeId), Matrix6<f64>>,
+    cross_covariances: Vec<KeyframeCrossCovariance>,
     pub(crate) index: LandmarkIndex,
     viewing_distance: f64,
     damaged: usize,
@@ -73,69 +72,68 @@ impl LoadedMap {
         contents.validate()?;
         contents.sort();
         let identity = contents.info.identity.unwrap_or_else(|| contents.digest());
-        let MapContents { info, keyframes, landmarks, cross_covariances } = contents;
-        let indices: HashMap<_, _> =
-            keyframes.iter().enumerate().map(|(at, keyframe)| (keyframe.id, at)).collect();
-        let light = |keyframe| Keyframe { features: None, ..keyframe };
-        let keyframes = keyframes.into_iter().map(|keyframe| LoadedKeyframe {
-            keyframe: light(keyframe),
-            observed: Vec::new(),
-            descriptors: Vec::new(),
-        });
-        let mut builder = LandmarkIndexBuilder::new(info.descriptor_kind, usize::from(info.descriptor_width));
+        let MapContents { info, mut keyframes, landmarks, mut cross_covariances } = contents;
+        for keyframe in &mut keyframes {
+            keyframe.features = None;
+        }
+        keyframes.shrink_to_fit();
+        cross_covariances.shrink_to_fit();
+        let (kind, width) = (info.descriptor_kind, usize::from(info.descriptor_width));
+        let observation_count = landmarks.iter().map(|landmark| landmark.observations.len()).sum();
         let mut map = LoadedMap {
-            index: LandmarkIndexBuilder::new(info.descriptor_kind, usize::from(info.descriptor_width))
-                .build()?,
+            index: LandmarkIndexBuilder::new(kind, width, 0).build()?,
             info: MapMetadata { identity: Some(identity), ..info },
             identity,
-            keyframes: keyframes.collect(),
-            landmarks: Vec::with_capacity(landmarks.len()),
-            indices,
-            cross_covariances: cross_covariances
-                .into_iter()
-                .map(|cross| ((cross.a, cross.b), cross.block))
-                .collect(),
+            landmarks: Landmarks::with_capacity(landmarks.len(), observation_count),
+            observations: Observations::default(),
+            keyframes,
+            cross_covariances,
             viewing_distance: 0.0,
             damaged: 0,
         };
-        // By value, so that the memory of the descriptors is freed while they are copied.
-        for landmark in landmarks {
-            map.add_landmark(&landmark, &mut builder)?;
+        map.add_landmarks(&landmarks)?;
+        let mut builder = LandmarkIndexBuilder::new(kind, width, landmarks.len());
+        for (at, landmark) in landmarks.into_iter().enumerate() {
+            builder.add(at, &landmark.observations)?;
         }
         map.index = builder.build()?;
         map.viewing_distance = map.median_distance();
         Ok(map)
     }
 
-    fn add_landmark(
-        &mut self,
-        landmark: &Landmark,
-        builder: &mut LandmarkIndexBuilder,
-    ) -> Result<(), DescriptorError> {
-        // The map is valid, so every keyframe named here exists.
-        let Some(&anchor) = self.indices.get(&landmark.anchor) else { return Ok(()) };
-        let index = self.landmarks.len();
-        let global_from_anchor = self.keyframes[anchor].keyframe.global_from_keyframe.pose;
-        let position_in_global = global_from_anchor.transform(&landmark.position_in_anchor);
-        let mut observations = Vec::with_capacity(landmark.observations.len());
-        for observation in &landmark.observations {
-            let Some(&at) = self.indices.get(&observation.keyframe) else { continue };
-            let loaded = &mut self.keyframes[at];
-            let point = if at == anchor {
-                landmark.position_in_anchor
-            } else {
-                let pose = &loaded.keyframe.global_from_keyframe.pose;
-                point_in_keyframe(&loaded.keyframe.camera, pose, &position_in_global, observation.pixel)
-            };
-            loaded.observed.push(ObservedLandmark { landmark: index, pixel: observation.pixel, point });
-            loaded.descriptors.extend_from_slice(&observation.descriptor);
-            observations.push((at, observation.pixel));
+    /// Adds all landmarks and their observations. The map is valid, so that every keyframe that they name exists.
+    fn add_landmarks(&mut self, landmarks: &[Landmark]) -> Result<(), DescriptorError> {
+        u32::try_from(landmarks.len()).map_err(|_| DescriptorError::Full)?;
+        let mut counts = vec![0_u32; self.keyframes.len()];
+        for observation in landmarks.iter().flat_map(|landmark| &landmark.observations) {
+            if let Some(keyframe) = self.index_of(observation.keyframe) {
+                counts[keyframe] += 1;
+            }
         }
-        let descriptors: Vec<u8> =
-            landmark.observations.iter().flat_map(|observation| &observation.descriptor).copied().collect();
-        builder.add(index, &descriptors)?;
-        let position_in_anchor = landmark.position_in_anchor;
-        self.landmarks.push(LoadedLandmark { id: landmark.id, anchor, position_in_anchor, observations });
+        let width = usize::from(self.info.descriptor_width);
+        self.observations = Observations::with_counts(counts.iter().copied(), width)?;
+        counts.fill(0);
+        for landmark in landmarks {
+            let Some(anchor) = self.index_of(landmark.anchor) else { continue };
+            let global_from_anchor = &self.keyframes[anchor].global_from_keyframe.pose;
+            let position_in_global = global_from_anchor.transform(&landmark.position_in_anchor);
+            let mut observers = Vec::with_capacity(landmark.observations.len());
+            for observation in &landmark.observations {
+                let Some(at) = self.index_of(observation.keyframe) else { continue };
+                let Keyframe { global_from_keyframe, camera, .. } = &self.keyframes[at];
+                let (pixel, descriptor) = (observation.pixel, &observation.descriptor);
+                let point = if at == anchor {
+                    landmark.position_in_anchor
+                } else {
+                    point_in_keyframe(camera, &global_from_keyframe.pose, &position_in_global, pixel)
+                };
+                let number = self.landmarks.len() as u32;
+                self.observations.set(at, counts[at] as usize, number, pixel, &point, descriptor);
+                counts[at] += 1;
+                observers.push(at as u32);
+            }
+            self.landmarks.push(landmark, anchor as u32, observers.into_iter());
+        }
         Ok(())
     }
 
@@ -157,12 +155,12 @@ impl LoadedMap {
 
     /// The keyframes in the order of the store, without their features.
     pub fn keyframes(&self) -> impl Iterator<Item = &Keyframe> {
-        self.keyframes.iter().map(|loaded| &loaded.keyframe)
+        self.keyframes.iter()
     }
 
     /// The keyframe of this id, without its features.
     pub fn keyframe(&self, id: KeyframeId) -> Option<&Keyframe> {
-        self.index_of(id).map(|at| &self.keyframes[at].keyframe)
+        self.index_of(id).map(|at| &self.keyframes[at])
     }
 
     /// Number of landmarks.
@@ -181,7 +179,7 @@ impl LoadedMap {
     }
 
     pub(crate) fn observation_count(&self) -> usize {
-        self.keyframes.iter().map(|loaded| loaded.observed.len()).sum()
+        self.observations.len()
     }
 
     pub(crate) fn cross_covariance_count(&self) -> usize {
@@ -190,21 +188,20 @@ impl LoadedMap {
 
     /// The pairs of keyframes with a cross-covariance, (a, b) with `a < b`.
     pub fn correlated_pairs(&self) -> impl Iterator<Item = (KeyframeId, KeyframeId)> {
-        self.cross_covariances.keys().copied()
+        self.cross_covariances.iter().map(|cross| (cross.a, cross.b))
     }
 
     /// Index of a keyframe in [`LoadedMap::keyframes`].
     pub(crate) fn index_of(&self, id: KeyframeId) -> Option<usize> {
-        self.indices.get(&id).copied()
+        self.keyframes.binary_search_by_key(&id, |keyframe| keyframe.id).ok()
     }
 
     /// Covariance of two keyframes' pose errors, rows of `a`; `None` where they are independent.
     pub fn cross_covariance(&self, a: KeyframeId, b: KeyframeId) -> Option<Matrix6<f64>> {
-        if a < b {
-            self.cross_covariances.get(&(a, b)).copied()
-        } else {
-            self.cross_covariances.get(&(b, a)).map(Matrix6::transpose)
-        }
+        let pair = (a.min(b), a.max(b));
+        let at = self.cross_covariances.binary_search_by_key(&pair, |cross| (cross.a, cross.b)).ok()?;
+        let block = &self.cross_covariances[at].block;
+        Some(if a < b { *block } else { block.transpose() })
     }
 
     /// How the map's descriptors are compared.
@@ -212,19 +209,30 @@ impl LoadedMap {
         sensors::metric_of(self.info.descriptor_kind)
     }
 
-    /// The descriptors of the landmarks that a keyframe observes, in the order of [`LoadedKeyframe::seen`].
+    /// The descriptors of the landmarks that a keyframe observes, in the order of [`Observations::of`].
     pub(crate) fn descriptors_of(&self, keyframe: usize) -> Result<DescriptorView<'_>, DescriptorError> {
-        let bytes = &self.keyframes[keyframe].descriptors;
+        let bytes = self.observations.of(keyframe).descriptors;
         DescriptorView::new(self.metric(), usize::from(self.info.descriptor_width), bytes)
     }
 
     fn median_distance(&self) -> f64 {
-        let observed = self.keyframes.iter().flat_map(|loaded| &loaded.observed);
-        let mut distances: Vec<f64> = observed.map(|landmark| landmark.point.norm()).collect();
+        let mut distances: Vec<f32> = self.observations.distances().collect();
         if distances.is_empty() {
             return 0.0;
         }
         let middle = distances.len() / 2;
-        *distances.select_nth_unstable_by(middle, f64::total_cmp).1
+        f64::from(*distances.select_nth_unstable_by(middle, f32::total_cmp).1)
+    }
+
+    /// The landmark of observation `at` of a keyframe, in the keyframe's camera frame (m): as the map gives it where the
+    /// keyframe is its anchor.
+    pub(crate) fn observed_point(&self, keyframe: usize, at: usize) -> Vector3<f64> {
+        let observed = self.observations.of(keyframe);
+        let landmark = observed.landmark(at);
+        if self.landmarks.anchors[landmark] as usize == keyframe {
+            self.landmarks.positions_in_anchor[landmark]
+        } else {
+            observed.point(at)
+        }
     }
 }

@@ -12,16 +12,28 @@ use protocol::{
 use vision::{DescriptorError, DescriptorView};
 
 use super::answer::{matched_keyframes, record};
-use super::consensus::{Consensus, find_consensus};
-use super::fusion::{FocalError, FusedPose, fuse};
-use super::index::best_voted;
+use super::consensus::{Consensus, find_consensus, is_consistent};
+use super::fusion::{FocalError, FusedPose, MAX_FUSED_KEYFRAMES, fuse};
+use super::index::{Votes, best_voted};
 use super::loaded_map::LoadedMap;
 use super::options::RecognitionOptions;
 use super::verification::{Comparison, Image, VerifiedKeyframe, compare, distinct_features};
+use map::model::Keyframe;
 use map::store::STORE_SCHEMA;
 
 /// How many standard deviations of the prior's position a keyframe may be away, beyond the viewing distance.
 const PRIOR_SIGMAS: f64 = 3.0;
+
+/// Angle (rad) between the optical axes of two cameras beyond which no descriptor matches, before the prior's uncertainty:
+/// what both see is seen from sides that look different.
+const MAX_VIEW_ANGLE: f64 = std::f64::consts::FRAC_PI_2;
+
+/// Keyframes near a prior are few where the map has so many times as many: comparing a landmark by itself takes several
+/// times as long as in a whole list.
+const FEW_KEYFRAMES: usize = 8;
+
+/// Fewest keyframes that must agree with a prior before the search near it ends.
+const MIN_AGREEING: usize = 4;
 
 /// Why a query cannot be answered. "Nothing matched" is an answer, not an error.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -59,6 +71,23 @@ struct Search {
     searched_keyframes: usize,
 }
 
+/// What ends the search near a prior.
+struct Expected<'a> {
+    global_from_camera: &'a PoseWithCovariance,
+    enough: usize,
+}
+
+impl Expected<'_> {
+    /// Whether enough keyframes are verified and all of them agree with the prior. Further candidates share fewer
+    /// features with the image.
+    fn is_reached(&self, verified: &[VerifiedKeyframe], options: &RecognitionOptions) -> bool {
+        let agrees = |keyframe: &VerifiedKeyframe| {
+            is_consistent(&keyframe.global_from_camera, self.global_from_camera, options)
+        };
+        verified.len() >= self.enough && verified.iter().all(agrees)
+    }
+}
+
 impl LoadedMap {
     /// Answers a match query: keyframes by rank, and always a final status.
     ///
@@ -75,8 +104,9 @@ impl LoadedMap {
     ) -> Result<Vec<MatchReply>, QueryError> {
         let start = Instant::now();
         let gravity = request.gravity_in_camera.map(Vector3::from);
-        let search =
-            self.search(&request.camera, &request.features, request.prior.as_ref(), gravity, options)?;
+        let (camera, features, prior) = (&request.camera, &request.features, request.prior.as_ref());
+        let enough = usize::from(request.max_keyframes).max(MIN_AGREEING);
+        let search = self.search(camera, features, prior, gravity, enough, options)?;
         let keyframes = if search.place.is_empty() {
             Vec::new()
         } else {
@@ -111,12 +141,11 @@ impl LoadedMap {
         options: &RecognitionOptions,
     ) -> Result<LocalizeReply, QueryError> {
         let gravity = request.gravity_in_camera.map(Vector3::from);
-        let search =
-            self.search(&request.camera, &request.features, request.prior.as_ref(), gravity, options)?;
+        let (camera, features, prior) = (&request.camera, &request.features, request.prior.as_ref());
+        let search = self.search(camera, features, prior, gravity, MAX_FUSED_KEYFRAMES, options)?;
         let fix = match search.place.first() {
             Some(best) => {
                 let descriptors = self.view(&request.features)?;
-                let (camera, features) = (&request.camera, &request.features);
                 let image = Image { camera, features, descriptors, gravity_in_camera: gravity };
                 let fused = fuse(self, &search.place, &image, options);
                 let contradiction = fused.as_ref().and_then(|fused| fused.focal_error);
@@ -157,7 +186,7 @@ impl LoadedMap {
         });
         LocalizedPose {
             global_from_camera: fused.global_from_camera,
-            keyframe: self.keyframes[best.keyframe].keyframe.id,
+            keyframe: self.keyframes[best.keyframe].id,
             matched_features: fused.matched as u32,
             inliers: fused.inliers as u32,
             mean_error_px: fused.mean_error_px,
@@ -174,30 +203,36 @@ impl LoadedMap {
     pub fn rank_keyframes(&self, features: &FeatureSet, count: usize) -> Result<Vec<KeyframeId>, QueryError> {
         let votes = self.index.vote(self.view(features)?, &self.landmarks, self.keyframes.len())?;
         let ranked = best_voted(&votes, count, 1, |_| true);
-        Ok(ranked.into_iter().map(|at| self.keyframes[at].keyframe.id).collect())
+        Ok(ranked.into_iter().map(|at| self.keyframes[at].id).collect())
     }
 
     /// One keyframe with the landmarks that it observes, `None` where the map has none of that id.
     pub fn keyframe_reply(&self, id: KeyframeId) -> Option<KeyframeReply> {
-        let loaded = &self.keyframes[self.index_of(id)?];
-        let landmarks = loaded.observed.iter().map(|observed| {
-            let landmark = &self.landmarks[observed.landmark];
+        let keyframe = self.index_of(id)?;
+        let observed = self.observations.of(keyframe);
+        let landmarks = observed.landmarks.iter().zip(observed.pixels).map(|(&landmark, &pixel)| {
+            let landmark = landmark as usize;
             KeyframeLandmark {
-                landmark: landmark.id,
-                anchor: self.keyframes[landmark.anchor].keyframe.id,
-                position_in_anchor: landmark.position_in_anchor.into(),
-                pixel: observed.pixel,
+                landmark: self.landmarks.ids[landmark],
+                anchor: self.keyframes[self.landmarks.anchors[landmark] as usize].id,
+                position_in_anchor: self.landmarks.positions_in_anchor[landmark].into(),
+                pixel,
             }
         });
         let landmarks = landmarks.collect();
         let (map_version, map_identity) = (self.info.version, self.identity);
-        Some(KeyframeReply { map_version, map_identity, keyframe: record(loaded), landmarks })
+        Some(KeyframeReply {
+            map_version,
+            map_identity,
+            keyframe: record(&self.keyframes[keyframe]),
+            landmarks,
+        })
     }
 
     /// Describes the map under the name by which it is served.
     pub fn info_reply(&self, name: &str) -> MapInfoReply {
         let positions =
-            || self.keyframes.iter().map(|loaded| loaded.keyframe.global_from_keyframe.pose.translation);
+            || self.keyframes.iter().map(|keyframe| keyframe.global_from_keyframe.pose.translation);
         let extent = positions().next().map(|first| Extent {
             min: positions().fold(first, |low, position| low.inf(&position)).into(),
             max: positions().fold(first, |high, position| high.sup(&position)).into(),
@@ -237,12 +272,17 @@ impl LoadedMap {
         Ok(DescriptorView::new(self.metric(), width, &features.descriptors.bytes)?)
     }
 
+    /// Finds the place of an image: near the prior, and where none is verified there, in the whole map.
+    ///
+    /// # Arguments
+    /// * `enough`: with a prior, further candidates are not compared once so many keyframes agree with it.
     fn search(
         &self,
         camera: &Camera,
         features: &FeatureSet,
         prior: Option<&PosePrior>,
         gravity_in_camera: Option<Vector3<f64>>,
+        enough: usize,
         options: &RecognitionOptions,
     ) -> Result<Search, QueryError> {
         let nothing = |outcome| Ok(Search { outcome, place: Vec::new(), searched_keyframes: 0 });
@@ -254,47 +294,77 @@ impl LoadedMap {
         }
         let descriptors = self.view(features)?;
         let image = Image { camera, features, descriptors, gravity_in_camera };
-        let votes = self.index.vote(descriptors, &self.landmarks, self.keyframes.len())?;
-        let candidates = |eligible: &dyn Fn(usize) -> bool| {
-            best_voted(&votes, options.candidates, options.min_votes, eligible)
+        let candidates = |votes: &[Votes], eligible: &dyn Fn(usize) -> bool| {
+            best_voted(votes, options.candidates, options.min_votes, eligible)
         };
-
         if let Some(prior) = prior {
             let near = self.near(&prior.global_from_camera);
-            let place = self.recognize(&candidates(&|at| near[at]), &image, options)?;
+            let expected = Expected { global_from_camera: &prior.global_from_camera, enough };
+            let votes = self.votes_near(descriptors, &near)?;
+            let candidates = candidates(&votes, &|at| near[at]);
+            let place = self.recognize(&candidates, &image, Some(&expected), options)?;
             if place.outcome == MatchOutcome::Matched {
                 let searched_keyframes = near.iter().filter(|&&near| near).count();
                 return Ok(Search { searched_keyframes, ..place });
             }
         }
-        let place = self.recognize(&candidates(&|_| true), &image, options)?;
+        let votes = self.index.vote(descriptors, &self.landmarks, self.keyframes.len())?;
+        let place = self.recognize(&candidates(&votes, &|_| true), &image, None, options)?;
         Ok(Search { searched_keyframes: self.keyframes.len(), ..place })
     }
 
-    /// Which keyframes may share a field of view with a camera near a prior pose.
+    /// Which keyframes may share a field of view with a camera near a prior pose: by their distance, and by the angle
+    /// between their optical axes.
     pub(super) fn near(&self, prior: &PoseWithCovariance) -> Vec<bool> {
-        let position_covariance = prior.covariance.fixed_view::<3, 3>(3, 3).into_owned();
-        let largest = position_covariance.symmetric_eigenvalues().max().max(0.0);
-        let radius = PRIOR_SIGMAS * largest.sqrt() + self.viewing_distance();
-        let distance = |position: &Vector3<f64>| (position - prior.pose.translation).norm();
-        let is_near = |at: usize| {
-            distance(&self.keyframes[at].keyframe.global_from_keyframe.pose.translation) <= radius
+        let sigma = |start: usize| {
+            let block = prior.covariance.fixed_view::<3, 3>(start, start).into_owned();
+            block.symmetric_eigenvalues().max().max(0.0).sqrt()
         };
-        (0..self.keyframes.len()).map(is_near).collect()
+        let radius = PRIOR_SIGMAS * sigma(3) + self.viewing_distance();
+        let least_cosine = (MAX_VIEW_ANGLE + PRIOR_SIGMAS * sigma(0)).min(std::f64::consts::PI).cos();
+        let axis = prior.pose.rotation * Vector3::z();
+        let is_near = |keyframe: &Keyframe| {
+            let pose = &keyframe.global_from_keyframe.pose;
+            (pose.translation - prior.pose.translation).norm() <= radius
+                && (pose.rotation * Vector3::z()).dot(&axis) >= least_cosine
+        };
+        self.keyframes.iter().map(is_near).collect()
     }
 
-    /// Compares an image with each candidate and finds the one place that they agree on.
+    /// The votes for keyframes near a prior. Where these are few, only the landmarks that they observe are searched.
+    pub(super) fn votes_near(
+        &self,
+        descriptors: DescriptorView<'_>,
+        near: &[bool],
+    ) -> Result<Vec<Votes>, DescriptorError> {
+        let few: Vec<usize> = (0..near.len()).filter(|&at| near[at]).collect();
+        if few.len() * FEW_KEYFRAMES > near.len() {
+            return self.index.vote(descriptors, &self.landmarks, self.keyframes.len());
+        }
+        let mut among = vec![false; self.landmarks.len()];
+        for landmark in few.iter().flat_map(|&keyframe| self.observations.of(keyframe).landmarks) {
+            among[*landmark as usize] = true;
+        }
+        self.index.vote_among(descriptors, &self.landmarks, self.keyframes.len(), &among)
+    }
+
+    /// Compares an image with each candidate, until what is expected is reached, and finds the one place that they agree
+    /// on.
     fn recognize(
         &self,
         candidates: &[usize],
         image: &Image<'_>,
+        expected: Option<&Expected<'_>>,
         options: &RecognitionOptions,
     ) -> Result<Search, QueryError> {
         let mut verified: Vec<VerifiedKeyframe> = Vec::new();
         let mut outcome = MatchOutcome::NoMatch;
         for &candidate in candidates {
-            let expected = verified.first().map(|first| &first.global_from_camera.pose);
-            match compare(self, candidate, image, expected, options)? {
+            if expected.is_some_and(|expected| expected.is_reached(&verified, options)) {
+                break;
+            }
+            let first = verified.first().map(|first| &first.global_from_camera.pose);
+            match compare(self, candidate, image, first, options)? {
                 Comparison::TooFewMatches => {}
                 Comparison::NoPose | Comparison::PoseUncertain(_) => outcome = MatchOutcome::NotVerified,
                 Comparison::Verified(keyframe) => verified.push(*keyframe),

@@ -1,7 +1,5 @@
 //! Matching a query with one keyframe, and verifying the matches by the camera pose (PnP).
 
-use std::collections::HashSet;
-
 use geometry::pnp::{Correspondence, Gravity, PnpError, PnpSolution, RansacOptions, refine, solve_ransac};
 use geometry::{Camera, Pose, PoseWithCovariance};
 use nalgebra::{Vector2, Vector3};
@@ -37,7 +35,7 @@ pub(crate) struct Image<'a> {
 pub(crate) struct VerifiedKeyframe {
     /// Index into [`LoadedMap::keyframes`].
     pub(crate) keyframe: usize,
-    /// Matches that agree with the pose; `train` counts [`super::loaded_map::LoadedKeyframe::seen`].
+    /// Matches that agree with the pose; `train` counts [`super::elements::Observations::of`].
     pub(crate) inliers: Vec<Match>,
     /// All matches before verification.
     pub(crate) matches: Vec<Match>,
@@ -80,13 +78,12 @@ pub(crate) fn compare(
     if matches.len() < options.min_inliers {
         return Ok(Comparison::TooFewMatches);
     }
-    let loaded = &map.keyframes[keyframe];
     let correspondence = |found: &Match| Correspondence {
-        point: loaded.observed[found.train].point,
+        point: map.observed_point(keyframe, found.train),
         pixel: Vector2::from(image.features.pixels[found.query].map(f64::from)),
     };
     let correspondences: Vec<Correspondence> = matches.iter().map(correspondence).collect();
-    let global_from_keyframe = &loaded.keyframe.global_from_keyframe;
+    let global_from_keyframe = &map.keyframes[keyframe].global_from_keyframe;
     let gravity =
         map.info.gravity_in_global.zip(image.gravity_in_camera).map(|(in_global, in_camera)| Gravity {
             in_world: global_from_keyframe.pose.rotation.inverse_transform_vector(&in_global),
@@ -191,8 +188,14 @@ fn is_well_constrained<'a>(
         && sigmas.fixed_rows::<3>(3).norm() <= options.max_relative_sigma_p * sum / count
 }
 
-/// The distinct query features among the inliers of several keyframes.
+/// The number of distinct query features among the inliers of several keyframes.
 pub(crate) fn distinct_features<'a>(verified: impl Iterator<Item = &'a VerifiedKeyframe>) -> usize {
-    let features = verified.flat_map(|verified| &verified.inliers).map(|inlier| inlier.query);
-    features.collect::<HashSet<_>>().len()
+    let mut seen: Vec<bool> = Vec::new();
+    for inlier in verified.flat_map(|verified| &verified.inliers) {
+        if seen.len() <= inlier.query {
+            seen.resize(inlier.query + 1, false);
+        }
+        seen[inlier.query] = true;
+    }
+    seen.iter().filter(|&&seen| seen).count()
 }

@@ -510,3 +510,72 @@ fn a_camera_with_a_wrong_focal_length_gets_no_pose() {
     }
     assert!(given[0] >= 19 && given[1] + given[2] <= 2, "{given:?}, {wrong_by_far}");
 }
+
+#[test]
+fn a_loaded_map_holds_what_its_contents_hold() {
+    let place = Place::new(&PlaceOptions::default());
+    let map = loaded(&place);
+    let mut contents = place.map.clone();
+    contents.sort();
+    assert_eq!(map.info_reply("place").observations as usize, contents.observation_count());
+    for keyframe in &contents.keyframes {
+        let reply = map.keyframe_reply(keyframe.id).unwrap();
+        assert_eq!(reply.keyframe.global_from_keyframe, keyframe.global_from_keyframe);
+        let observed = contents.landmarks.iter().filter_map(|landmark| {
+            let own = landmark.observations.iter().find(|observation| observation.keyframe == keyframe.id)?;
+            Some((landmark.id, landmark.anchor, <[f64; 3]>::from(landmark.position_in_anchor), own.pixel))
+        });
+        let told = reply.landmarks.iter().map(|landmark| {
+            (landmark.landmark, landmark.anchor, landmark.position_in_anchor, landmark.pixel)
+        });
+        assert!(told.eq(observed), "keyframe {}", keyframe.id);
+    }
+    assert!(!contents.cross_covariances.is_empty());
+    for cross in &contents.cross_covariances {
+        assert_eq!(map.cross_covariance(cross.a, cross.b), Some(cross.block));
+        assert_eq!(map.cross_covariance(cross.b, cross.a), Some(cross.block.transpose()));
+    }
+    assert_eq!(map.correlated_pairs().count(), contents.cross_covariances.len());
+    assert_eq!(map.cross_covariance(u64::MAX, contents.keyframes[0].id), None);
+}
+
+/// With a prior, the search ends once enough keyframes agree with it: with the pose that the search of all has.
+#[test]
+fn a_good_prior_does_not_change_the_pose() {
+    let place = Place::new(&PlaceOptions::default());
+    let map = loaded(&place);
+    let mut rng = StdRng::seed_from_u64(35);
+    let mut compared = 0;
+    for _ in 0..30 {
+        let truth = random_pose(&place, &mut rng);
+        let mut request = localize_request(place.request(&truth, 3, &mut rng));
+        let without = map.localize(&request, &RecognitionOptions::default()).unwrap();
+        request.prior = Some(prior_at(truth, 0.1));
+        let with = map.localize(&request, &RecognitionOptions::default()).unwrap();
+        assert!(with.fix.is_some() || without.fix.is_none());
+        let (Some(with), Some(without)) = (with.fix, without.fix) else { continue };
+        let apart = with.global_from_camera.pose.local(&without.global_from_camera.pose);
+        assert!(apart.fixed_rows::<3>(0).norm() < 0.01 && apart.fixed_rows::<3>(3).norm() < 0.1, "{apart}");
+        compared += 1;
+    }
+    assert!(compared >= 25, "{compared}");
+}
+
+#[test]
+fn keyframes_that_look_the_other_way_are_not_near_and_the_search_of_all_follows() {
+    let place = Place::new(&PlaceOptions::default());
+    let map = loaded(&place);
+    let mut rng = StdRng::seed_from_u64(36);
+    let truth = place.camera_at(20.0, 0.3, 0.1);
+    let mut request = place.request(&truth, 1, &mut rng);
+    request.prior = Some(prior_at(place.camera_at(20.0, 0.3, 0.1 + std::f64::consts::PI), 0.1));
+    let (keyframes, turned) = ask(&map, &request);
+    assert!(!keyframes.is_empty());
+    assert_eq!(turned.searched_keyframes as usize, map.keyframe_count());
+    // A robot that does not know its heading says so.
+    let mut uncertain = prior_at(place.camera_at(20.0, 0.3, 0.1 + std::f64::consts::PI), 0.1);
+    uncertain.global_from_camera.covariance.fixed_view_mut::<3, 3>(0, 0).fill_with_identity();
+    request.prior = Some(uncertain);
+    let (_, near) = ask(&map, &request);
+    assert!((near.searched_keyframes as usize) < map.keyframe_count());
+}

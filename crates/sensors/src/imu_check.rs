@@ -4,16 +4,21 @@
 //! tells the unit. Between two such means a body-fixed direction moves by `du = -w x u dt`: where the gyroscope claims
 //! many turns and the direction of gravity stays, the rates are too large. A drone hides its tilt from the accelerometer
 //! (thrust is along a fixed axis), so that alone is no proof: the claimed rates must be ones that no robot keeps up.
+//!
+//! The newest ten seconds are looked at, as long as readings come. What they cannot tell: at rest a gyroscope reads its bias
+//! whatever its unit, so rates in deg/s with a bias below 3 deg/s are recognized only once the robot has turned about a horizontal axis for half of
+//! ten seconds; a robot on wheels, which turns about gravity only, is never told apart by its IMU alone.
 
 use super::ImuSample;
 use nalgebra::Vector3;
+use std::collections::VecDeque;
 
 /// Standard gravity, m/s^2.
 const STANDARD_GRAVITY: f64 = 9.806_65;
 /// Readings are averaged over this time, nanoseconds.
 const PERIOD_NS: i64 = 500_000_000;
-/// Periods that are looked at: the first minute.
-const MAX_PERIODS: usize = 120;
+/// Periods that are looked at: the newest ten seconds.
+const PERIODS: usize = 20;
 /// Fewer periods say nothing.
 const MIN_PERIODS: usize = 4;
 /// A specific force of this part of gravity is in g: 1/9.81 is 0.102.
@@ -65,10 +70,27 @@ pub enum ImuUnitError {
     },
 }
 
-/// Looks at the readings of the first minute; give them in order of time.
-#[derive(Debug, Default)]
-pub(crate) struct ImuCheck {
-    periods: Vec<Period>,
+/// Looks at the readings of a recording or a robot; give them in order of time.
+///
+/// # Example
+/// ```
+/// use nalgebra::Vector3;
+/// use sensors::{ImuCheck, ImuSample, ImuUnitError};
+///
+/// let mut check = ImuCheck::new(None);
+/// let in_g = |k: i64| ImuSample {
+///     stamp_ns: k * 5_000_000,
+///     gyroscope: Vector3::zeros(),
+///     accelerometer: Vector3::new(0.0, 0.0, 1.0),
+/// };
+/// let found = (0..3000).find_map(|k| check.add(&in_g(k)).err());
+/// assert!(matches!(found, Some(ImuUnitError::AccelerationInG { .. })));
+/// ```
+#[derive(Debug)]
+pub struct ImuCheck {
+    /// m/s^2.
+    gravity: f64,
+    periods: VecDeque<Period>,
     current: Option<Sum>,
 }
 
@@ -91,13 +113,27 @@ struct Sum {
 }
 
 impl ImuCheck {
-    pub(crate) fn add(&mut self, sample: &ImuSample) {
-        if self.periods.len() >= MAX_PERIODS {
-            return;
-        }
+    /// A check without readings.
+    ///
+    /// # Arguments
+    /// * `gravity`: as the calibration states it, m/s^2; standard gravity where it does not.
+    pub fn new(gravity: Option<f64>) -> Self {
+        let periods = VecDeque::with_capacity(PERIODS);
+        Self { gravity: gravity.unwrap_or(STANDARD_GRAVITY), periods, current: None }
+    }
+
+    /// Adds a reading.
+    ///
+    /// # Errors
+    /// [`ImuUnitError`]: the newest ten seconds are in another unit.
+    pub fn add(&mut self, sample: &ImuSample) -> Result<(), ImuUnitError> {
         let is_complete = |sum: &Sum| sample.stamp_ns - sum.begin_ns >= PERIOD_NS;
-        if let Some(sum) = self.current.take_if(|sum| is_complete(sum)) {
-            self.periods.push(Period {
+        let complete = self.current.take_if(|sum| is_complete(sum));
+        if let Some(sum) = &complete {
+            if self.periods.len() == PERIODS {
+                self.periods.pop_front();
+            }
+            self.periods.push_back(Period {
                 specific_force: sum.specific_force / sum.count,
                 rate: sum.rate / sum.count,
                 speed: sum.speed / sum.count,
@@ -114,18 +150,18 @@ impl ImuCheck {
         sum.specific_force += sample.accelerometer;
         sum.rate += sample.gyroscope;
         sum.speed += sample.gyroscope.norm();
+        if complete.is_some() && self.periods.len() == PERIODS { self.finish() } else { Ok(()) }
     }
 
-    /// # Arguments
-    /// * `gravity`: as the calibration states it, m/s^2; standard gravity where it does not.
+    /// Checks the newest readings of a recording that may be shorter than ten seconds.
     ///
     /// # Errors
     /// [`ImuUnitError`]; readings of less than two seconds pass.
-    pub(crate) fn finish(&self, gravity: Option<f64>) -> Result<(), ImuUnitError> {
+    pub fn finish(&self) -> Result<(), ImuUnitError> {
         if self.periods.len() < MIN_PERIODS {
             return Ok(());
         }
-        let gravity = gravity.unwrap_or(STANDARD_GRAVITY);
+        let gravity = self.gravity;
         let mean = median(self.periods.iter().map(|period| period.specific_force.norm()));
         if G_UNITS.contains(&(mean / gravity)) && self.is_steady() {
             return Err(ImuUnitError::AccelerationInG { mean, gravity });
@@ -151,8 +187,7 @@ impl ImuCheck {
     /// where the claimed rotation is about that direction, or small.
     fn followed(&self) -> Option<f64> {
         let (mut product, mut square) = (0.0, 0.0);
-        for pair in self.periods.windows(2) {
-            let [a, b] = [&pair[0], &pair[1]];
+        for (a, b) in self.periods.iter().zip(self.periods.iter().skip(1)) {
             let directions = (a.specific_force.try_normalize(1e-9), b.specific_force.try_normalize(1e-9));
             let (Some(before), Some(after)) = directions else { continue };
             let rotation = (a.rate + b.rate) * (0.5e-9 * PERIOD_NS as f64);
@@ -199,11 +234,9 @@ mod tests {
     }
 
     fn check(samples: &[ImuSample]) -> Result<(), ImuUnitError> {
-        let mut check = ImuCheck::default();
-        for sample in samples {
-            check.add(sample);
-        }
-        check.finish(None)
+        let mut check = ImuCheck::new(None);
+        samples.iter().try_for_each(|sample| check.add(sample))?;
+        check.finish()
     }
 
     /// The readings in other units.
@@ -242,6 +275,40 @@ mod tests {
         for amplitude in [0.3, 1.0] {
             let degrees = check(&scaled(&swinging(amplitude), 1_f64.to_degrees(), 1.0));
             assert!(matches!(degrees, Err(ImuUnitError::RatesInDegrees { .. })), "{degrees:?}");
+        }
+    }
+
+    #[test]
+    fn rates_in_degrees_are_recognized_once_a_robot_at_rest_begins_to_move() {
+        let at_rest = ImuSample {
+            stamp_ns: 0,
+            gyroscope: Vector3::new(0.002, -0.007, 0.005),
+            accelerometer: Vector3::z() * 9.81,
+        };
+        // Two minutes at rest, then in motion.
+        let rest_ns = 120_000_000_000;
+        let rest = (0..rest_ns / 5_000_000).map(|k| ImuSample { stamp_ns: k * 5_000_000, ..at_rest });
+        let moving = swinging(0.3)
+            .into_iter()
+            .map(|sample| ImuSample { stamp_ns: sample.stamp_ns + rest_ns, ..sample });
+        let samples = scaled(&rest.chain(moving).collect::<Vec<_>>(), 1_f64.to_degrees(), 1.0);
+        let mut check = ImuCheck::new(None);
+        let found =
+            samples.iter().find_map(|sample| check.add(sample).err().map(|error| (sample.stamp_ns, error)));
+        let (stamp_ns, error) = found.unwrap();
+        assert!(matches!(error, ImuUnitError::RatesInDegrees { .. }), "{error}");
+        assert!((rest_ns..rest_ns + 11_000_000_000).contains(&stamp_ns), "{stamp_ns}");
+    }
+
+    #[test]
+    fn at_rest_and_about_gravity_the_unit_of_the_rates_cannot_be_known() {
+        for speed in [0.0, 40.0] {
+            let about_gravity = |k: i64| ImuSample {
+                stamp_ns: k * 5_000_000,
+                gyroscope: Vector3::new(0.002, -0.007, 0.005 + speed),
+                accelerometer: Vector3::z() * 9.81,
+            };
+            assert_eq!(check(&(0..4000).map(about_gravity).collect::<Vec<_>>()), Ok(()));
         }
     }
 

@@ -65,7 +65,7 @@ pub use estimator::{ImuNoise, ImuSample, TrackObservation};
 pub use euroc::{FolderCalibration, pose_cells, read_groundtruth, read_lens, read_reference_poses, writer};
 pub use features::{feature_set, kind_of, metric_of};
 pub use frame::{Frame, ImageData};
-pub use imu_check::ImuUnitError;
+pub use imu_check::{ImuCheck, ImuUnitError};
 pub use kalibr::CalibrationFiles;
 pub use memory::Sequence;
 pub use merged::RecordingSource;

@@ -2,7 +2,6 @@
 
 use super::euroc::Folder;
 use super::image_check::ImageCheck;
-use super::imu_check::ImuCheck;
 use super::rows::{Rows, Stamped};
 use super::{
     CalibrationFiles, Contents, Frame, ImuSample, RecordingSource, SensorCalibration, Sequence,
@@ -73,16 +72,13 @@ impl Recording<'static> {
     pub fn open_with(root: &Path, files: &CalibrationFiles) -> Result<Self, SequenceError> {
         let (folder, calibration) = Folder::open(root, files)?;
         let mut contents = Contents::default();
-        let (mut images, mut readings) = (ImageCheck::default(), ImuCheck::default());
+        let mut images = ImageCheck::default();
         for frame in folder.frames()? {
             let frame = frame?;
             images.add(&frame, &calibration.cameras)?;
             contents.add(&frame);
         }
-        for sample in folder.imu_samples()? {
-            readings.add(&sample?);
-        }
-        folder.check_units(&readings, calibration.imu.as_ref())?;
+        folder.check_readings(calibration.imu.as_ref(), |_| {})?;
         folder.truth()?.try_for_each(|row| row.map(drop))?;
         Ok(Self {
             root: root.to_path_buf(),

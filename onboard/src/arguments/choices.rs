@@ -2,6 +2,7 @@
 
 use clap::ValueEnum;
 use estimator::MapMode;
+use protocol::Format;
 
 /// Cameras to use.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -32,6 +33,24 @@ impl From<Mode> for MapMode {
             Mode::Single => Self::Single,
             Mode::Multi => Self::Multi,
             Mode::Mapconst => Self::MapConst,
+        }
+    }
+}
+
+/// Format of the messages that a robot publishes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum TopicFormat {
+    /// For everybody: a pose with covariances is 1.9 kB.
+    Json,
+    /// For Driftless programs and narrow links: 0.7 kB.
+    Bincode,
+}
+
+impl From<TopicFormat> for Format {
+    fn from(format: TopicFormat) -> Self {
+        match format {
+            TopicFormat::Json => Self::Json,
+            TopicFormat::Bincode => Self::Bincode,
         }
     }
 }

@@ -5,10 +5,11 @@ mod choices;
 mod settings;
 
 pub use calibration::CalibrationArguments;
-pub use choices::{Calibrate, Cameras, Init, Mode};
+pub use choices::{Calibrate, Cameras, Init, Mode, TopicFormat};
 pub use settings::{SettingsError, read_settings};
 
 use super::extraction::FeatureArguments;
+use super::outputs::RobotMetrics;
 use anyhow::{Result, bail};
 use clap::{Args, Parser};
 use estimator::{EstimatorConfig, MapMode, Relinearization};
@@ -34,6 +35,10 @@ pub struct RobotArguments {
     #[arg(long, value_name = "DIR", help_heading = OUTPUT)]
     pub out: PathBuf,
 
+    /// What the run counts; shared with whoever clones it before the run
+    #[arg(skip)]
+    pub metrics: RobotMetrics,
+
     /// Cameras to use [default: stereo where the recording has cam1]
     #[arg(long, value_enum, help_heading = INPUT)]
     pub cameras: Option<Cameras>,
@@ -56,6 +61,9 @@ pub struct RobotArguments {
     /// Name of this robot on the network; with --secure that of its certificate
     #[arg(long, value_name = "NAME", default_value = DEFAULT_ROBOT, help_heading = MAP)]
     pub robot: String,
+    /// Format of the pose, odometry and status that are published
+    #[arg(long, value_enum, default_value = "json", help_heading = MAP)]
+    pub topics: TopicFormat,
     /// Maximum number of keyframes in one answer (with --mode multi or mapconst)
     #[arg(long, value_name = "N", default_value_t = 4, help_heading = MAP)]
     pub max_keyframes: u16,
@@ -97,7 +105,7 @@ pub struct RobotArguments {
     /// Factor on the white noise densities of the IMU's sensor.yaml [default: learned during the run]
     #[arg(long, value_name = "FACTOR", help_heading = NOISE)]
     pub imu_noise_scale: Option<f64>,
-    /// Standard deviation of tracked pixels, px [default: learned during the run, from 1.5 px on]
+    /// Standard deviation of tracked pixels, px [default: learned during the run, from 2 px on]
     #[arg(long, value_name = "PX", help_heading = NOISE)]
     pub sigma_track: Option<f64>,
     /// Standard deviation of matched pixels in the robot's image, px [default: learned during the run, at least 1 px]

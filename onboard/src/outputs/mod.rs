@@ -2,17 +2,21 @@
 
 mod event;
 mod files;
+mod metrics;
 mod name_watch;
 mod publisher;
 mod publisher_error;
 mod recorder;
+mod status_line;
 mod summary;
 
 pub use event::Event;
 pub use files::{EVENTS, OutputError, STATES};
+pub use metrics::RobotMetrics;
 pub use publisher::{Publisher, QueryCounts};
 pub use publisher_error::PublisherError;
 pub use recorder::Recorder;
+pub use status_line::StatusLine;
 pub use summary::{
     DivergenceSummary, EndedLost, ImuGapSummary, MapChangeSummary, MillisecondsPerFrame, QuerySummary,
     StartSummary, Summary, Timings, TrackSummary, Traffic,

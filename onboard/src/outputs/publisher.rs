@@ -28,6 +28,7 @@ pub struct QueryCounts {
 #[derive(Debug)]
 pub struct Publisher {
     map: String,
+    format: Format,
     queue: Sender<(String, &'static str, Vec<u8>)>,
     pose_key: String,
     odometry_key: String,
@@ -44,6 +45,9 @@ const CLOSE_TIMEOUT: Duration = Duration::from_secs(2);
 impl Publisher {
     /// Declares the robot's liveliness token and starts the publishing task.
     ///
+    /// # Arguments
+    /// * `format`: of all messages; each sample states it as its encoding.
+    ///
     /// # Errors
     /// [`PublisherError`]: the robot's name is not valid in a key expression, or the session is closed.
     pub fn new(
@@ -51,6 +55,7 @@ impl Publisher {
         runtime: &Handle,
         robot: &str,
         map: &str,
+        format: Format,
     ) -> Result<Self, PublisherError> {
         let (queue, mut messages) = channel::<(String, &'static str, Vec<u8>)>(QUEUE);
         let alive_key = keys::robot(robot)?;
@@ -67,6 +72,7 @@ impl Publisher {
         });
         Ok(Self {
             map: map.to_owned(),
+            format,
             queue,
             pose_key: keys::robot_pose(robot)?,
             odometry_key: keys::robot_odometry(robot)?,
@@ -88,8 +94,8 @@ impl Publisher {
         &self,
         estimator: &Estimator,
         angular_velocity: Vector3<f64>,
+        status: Status,
         counts: QueryCounts,
-        failure: Option<&str>,
     ) {
         let stamp_ns = estimator.stamp_ns();
         self.send(
@@ -114,7 +120,7 @@ impl Publisher {
             };
             self.send(&self.pose_key, &pose);
         }
-        self.publish_status(stamp_ns, estimator.status().with_failure(failure), counts);
+        self.publish_status(stamp_ns, status, counts);
     }
 
     /// Publishes the status, also while there is no pose.
@@ -150,10 +156,10 @@ impl Publisher {
     }
 
     fn send<M: Message>(&self, key: &str, message: &M) {
-        match protocol::encode(Format::Bincode, message) {
+        match protocol::encode(self.format, message) {
             Ok(payload) => {
                 // A full queue means a slow network: this message is dropped.
-                let _ = self.queue.try_send((key.to_owned(), Format::Bincode.encoding(), payload));
+                let _ = self.queue.try_send((key.to_owned(), self.format.encoding(), payload));
             }
             Err(error) => tracing::warn!(%error, "a message is invalid and was not published"),
         }

@@ -7,6 +7,7 @@ use super::summary::{
     DivergenceSummary, ImuGapSummary, MapChangeSummary, QuerySummary, StartSummary, Summary, Timings,
     TrackSummary, Traffic,
 };
+use crate::alarms::Alarm;
 use estimator::{Estimator, EstimatorError, InitMethod, LearnedNoise, Status, TrackReport};
 use evaluation::trajectory::StateRow;
 use std::path::Path;
@@ -53,6 +54,8 @@ pub struct Recorder {
     pub starts: Vec<StartSummary>,
     /// Divergences of the filter.
     pub divergences: Vec<DivergenceSummary>,
+    /// Alarms.
+    pub alarms: Vec<Alarm>,
     /// Status at the end.
     pub final_status: Option<Status>,
     /// Noise levels learned at the end.
@@ -86,6 +89,7 @@ impl Recorder {
             first_ns: 0,
             starts: Vec::new(),
             divergences: Vec::new(),
+            alarms: Vec::new(),
             final_status: None,
             learned_noise: None,
         })

@@ -1,5 +1,6 @@
 //! The summary of a run: `summary.json`.
 
+use crate::alarms::Alarm;
 use estimator::{EstimatorConfig, LearnedNoise, Localization, Status};
 use evaluation::RunScore;
 use serde::Serialize;
@@ -28,6 +29,11 @@ impl Timings {
         self.tracks += frame.tracks;
         self.map += frame.map;
         self.frames += 1;
+    }
+
+    /// Computing time of all steps.
+    pub fn total(&self) -> Duration {
+        self.front_end + self.propagation + self.tracks + self.map
     }
 
     /// Milliseconds a frame.
@@ -222,6 +228,8 @@ pub struct Summary {
     pub divergences: Vec<DivergenceSummary>,
     /// Noise levels that the filter learned, or that the settings fixed; none where it was never initialized.
     pub learned_noise: Option<LearnedNoise>,
+    /// What contradicted the sensors or the map, and what to do about it.
+    pub alarms: Vec<Alarm>,
     /// Status at the end.
     pub final_status: Option<Status>,
     /// Whether the run was stopped from outside (Ctrl-C).

@@ -233,7 +233,7 @@ fn options(args: &Args) -> anyhow::Result<MonteCarloOptions> {
             wrong_place: args.wrong_place,
             max_keyframes: args.max_keyframes,
             max_matches: args.matches,
-            stated_sigma_px: AnswerOptions::default().stated_sigma_px,
+            ..AnswerOptions::default()
         },
         biases_are_known: !args.unknown_biases,
         disturbance: None,

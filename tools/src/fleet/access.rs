@@ -46,24 +46,24 @@ type Allowed = (Vec<&'static str>, Vec<String>);
 /// The access control of a member's node.
 pub(super) fn control(fleet: &FleetState, own: &Member) -> Value {
     let hub = fleet.hub();
-    let mut policies = Policies { fleet, rules: Vec::new(), subjects: Vec::new(), policies: Vec::new() };
+    let mut control = AccessControl { fleet, rules: Vec::new(), subjects: Vec::new(), policies: Vec::new() };
     if own == hub {
         for member in fleet.members().iter().filter(|member| *member != own) {
-            policies.add(member, from_member(member, &fleet.maps));
+            control.add(member, from_member(member, &fleet.maps));
         }
         if hub.role == Role::Router {
             // Another router of the same fleet.
-            policies.add(hub, vec![(ALL.to_vec(), everything())]);
+            control.add(hub, vec![(ALL.to_vec(), everything())]);
         }
     } else {
-        policies.add(hub, from_hub(own.role));
+        control.add(hub, from_hub(own.role));
     }
     json!({
         "enabled": true,
         "default_permission": "deny",
-        "rules": policies.rules,
-        "subjects": policies.subjects,
-        "policies": policies.policies,
+        "rules": control.rules,
+        "subjects": control.subjects,
+        "policies": control.policies,
     })
 }
 
@@ -123,14 +123,14 @@ fn everything() -> Vec<String> {
     vec!["**".to_owned()]
 }
 
-struct Policies<'a> {
+struct AccessControl<'a> {
     fleet: &'a FleetState,
     rules: Vec<Value>,
     subjects: Vec<Value>,
     policies: Vec<Value>,
 }
 
-impl Policies<'_> {
+impl AccessControl<'_> {
     /// Allows a member to send some messages, and to receive all.
     fn add(&mut self, member: &Member, allowed: Vec<Allowed>) {
         let who = common_name(member);

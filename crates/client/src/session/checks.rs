@@ -23,9 +23,12 @@ const PLUGINS: &str = "plugins are loaded by zenohd only: remove it";
 const MULTILINK: &str = "this build has one link per transport: remove it";
 const STATISTICS: &str = "this build keeps no statistics by key: remove it";
 
+/// Whether a value asks for something.
+type Asks = fn(&Value) -> bool;
+
 /// Refuses what Zenoh would ignore without a word.
 pub(super) fn check_features(path: &Path, config: &Value) -> Result<(), SessionError> {
-    let features: [(&str, &'static str, fn(&Value) -> bool); 9] = [
+    let features: [(&str, &'static str, Asks); 9] = [
         ("/transport/auth/pubkey", PUBKEY, holds_a_value),
         ("/transport/shared_memory/enabled", SHARED_MEMORY, is_true),
         ("/transport/unicast/compression/enabled", COMPRESSION, is_true),

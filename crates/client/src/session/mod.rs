@@ -46,6 +46,9 @@ const KEEP_ALIVES: u64 = 4;
 /// How long one attempt to connect may take, milliseconds: packets to a machine that is off are not answered.
 const OPEN_TIMEOUT_MS: u64 = 4000;
 
+/// Longest message that a session receives, bytes: a payload, and what Zenoh puts around it.
+const MAX_MESSAGE: usize = protocol::MAX_MESSAGE_BYTES + (64 << 10);
+
 /// What a session is in the network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "arguments", derive(clap::ValueEnum))]
@@ -128,6 +131,8 @@ impl SessionOptions {
             }
             merge(&mut settings, file);
         }
+        // Nothing longer is ever sent; Zenoh would take up to 1 GiB into memory.
+        merge(&mut settings, nested("/transport/link/rx/max_message_size", json!(MAX_MESSAGE)));
         for ((key, _), given) in ENDPOINTS.iter().zip([&self.listen, &self.connect]) {
             if !given.is_empty() {
                 merge(&mut settings, nested(key, json!(given)));

@@ -58,18 +58,33 @@ impl Estimator {
         (sigma(GYROSCOPE_BIAS), sigma(ACCELEROMETER_BIAS))
     }
 
-    /// `global_from_local` with the covariance of its error in G; `None` before the map initialization.
+    /// `global_from_local` with the covariance of its error in G, enlarged while the map is in doubt
+    /// ([`Alarm::Drift`](crate::Alarm)); `None` before the map initialization.
     pub fn global_from_local(&self) -> Option<PoseWithCovariance> {
+        let filtered = self.filtered_global_from_local()?;
+        let covariance = filtered.covariance + self.map_watch.doubt(&filtered.pose);
+        Some(PoseWithCovariance { covariance, ..filtered })
+    }
+
+    /// `global_from_local` with the filter's own covariance.
+    fn filtered_global_from_local(&self) -> Option<PoseWithCovariance> {
         let pose = self.state.transform?;
         let adjoint = rotation_adjoint(&pose);
         let covariance = adjoint * self.block(&Block::Transform, &Block::Transform) * adjoint.transpose();
         Some(PoseWithCovariance { pose, covariance })
     }
 
-    /// IMU pose in G with the covariance of its error in G, correlations between both parts included; `None` before the map
-    /// initialization.
+    /// IMU pose in G with the covariance of its error in G, correlations between both parts included, enlarged while the
+    /// map is in doubt ([`Alarm::Drift`](crate::Alarm)); `None` before the map initialization.
     pub fn global_from_imu(&self) -> Option<PoseWithCovariance> {
-        let transform = self.global_from_local()?;
+        let filtered = self.filtered_global_from_imu()?;
+        let covariance = filtered.covariance + self.map_watch.doubt(&filtered.pose);
+        Some(PoseWithCovariance { covariance, ..filtered })
+    }
+
+    /// IMU pose in G with the filter's own covariance.
+    pub(super) fn filtered_global_from_imu(&self) -> Option<PoseWithCovariance> {
+        let transform = self.filtered_global_from_local()?;
         Some(transform.compose_correlated(
             &self.local_from_imu(),
             &(rotation_adjoint(&transform.pose) * self.block(&Block::Transform, &Block::ImuPose)),
@@ -79,7 +94,7 @@ impl Estimator {
     /// Pose of the first camera in G at a clone, the prior of a map query; `None` for a marginalized clone and before the
     /// map initialization.
     pub fn global_from_camera(&self, clone: CloneId) -> Option<PoseWithCovariance> {
-        let transform = self.global_from_local()?;
+        let transform = self.filtered_global_from_local()?;
         let index = self.state.clone_index(clone)?;
         let (pose, block) = (self.state.clones[index].local_from_imu, Block::Clone(index));
         let global_from_imu = transform.compose_correlated(

@@ -10,7 +10,7 @@ use crate::map_update::verification::VerifiedAnswer;
 use crate::measurement::{Information, StateBlocks};
 use crate::state::{Block, POSE_DIM, rotation_adjoint};
 use geometry::{Pose, PoseWithCovariance};
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{DMatrix, Matrix6, Vector6};
 
 impl Estimator {
     /// Adds `global_from_local` to the state at the PnP solution, with a prior so wide that the update determines whatever it
@@ -18,16 +18,22 @@ impl Estimator {
     ///
     /// # Arguments
     /// * `depth`: median distance of the landmarks, metres.
-    pub(super) fn insert_transform(&mut self, transform: Pose, depth: f64) {
+    pub(super) fn insert_solved_transform(&mut self, transform: Pose, depth: f64) {
         let rotation = self.config.sigma_transform_rotation_rad.powi(2);
         let position = (self.config.sigma_transform_depth_fraction * depth)
             .max(self.config.sigma_transform_position_m)
             .powi(2);
-        let variances = DVector::from_fn(POSE_DIM, |k, _| if k < 3 { rotation } else { position });
+        let variances = Vector6::from_fn(|k, _| if k < 3 { rotation } else { position });
+        self.insert_transform(&PoseWithCovariance::new(transform, Matrix6::from_diagonal(&variances)));
+    }
+
+    /// Adds `global_from_local` to the state, independent of all else.
+    pub(super) fn insert_transform(&mut self, transform: &PoseWithCovariance) {
         let independent = Dense::zeros(POSE_DIM, 0);
-        let noise = std::iter::once(DMatrix::from_diagonal(&variances));
+        let noise =
+            std::iter::once(DMatrix::from_fn(POSE_DIM, POSE_DIM, |i, k| transform.covariance[(i, k)]));
         self.covariance.insert(self.state.transform_begin(), &StateBlocks::default(), &independent, noise);
-        self.state.transform = Some(transform);
+        self.state.transform = Some(transform.pose);
     }
 
     /// Marginalizes `global_from_local`.

@@ -14,6 +14,7 @@ use crate::measurement::Information;
 use crate::noise_adaptation::correction::BeforeUpdate;
 use crate::state::CloneId;
 use geometry::PoseWithCovariance;
+use nalgebra::Vector3;
 
 /// Updated, rejected, or failed.
 pub(super) type UpdateResult = Result<Result<(), Rejection>, EstimatorError>;
@@ -102,12 +103,12 @@ impl Estimator {
             nis: None,
             rejection: None,
         };
+        let before =
+            self.filtered_global_from_imu().or_else(|| self.map_watch.predict(&self.local_from_imu()));
         report.rejection = self.update_in_version(clone, &answer, &mut report)?.err();
         match report.rejection {
             None => {
-                self.rejections_in_a_row = 0;
-                self.lost_after = None;
-                self.last_map_update_ns = Some(self.state.stamp_ns);
+                self.note_success();
                 if self.is_doubted_by(&report) {
                     self.give_way(clone, &answer, &mut report)?;
                 } else {
@@ -125,13 +126,25 @@ impl Estimator {
             }
             Some(_) => {}
         }
+        if let (None, true, Some(after)) =
+            (&report.rejection, self.config.mode != MapMode::MapConst, self.filtered_global_from_imu())
+        {
+            self.map_watch.note(self.state.stamp_ns, before.as_ref(), &after, &self.local_from_imu());
+        }
         self.covariance.held.deactivate_unused();
         self.covariance.evict(self.config.max_held_keyframes);
         Ok(report)
     }
 
+    /// An answer updated the state: what was noted against it does not count any more.
+    pub(super) fn note_success(&mut self) {
+        self.rejections_in_a_row = 0;
+        self.lost_after = None;
+        self.last_map_update_ns = Some(self.state.stamp_ns);
+    }
+
     /// The part of an answer that the mode allows and whose correlation with the held keyframes is known.
-    fn restrict(&self, answer: &MapAnswer) -> MapAnswer {
+    fn restrict(&mut self, answer: &MapAnswer) -> MapAnswer {
         let mut restricted = answer.clone();
         let correlated = self.covariance.held.has_correlations()
             || answer.keyframes.iter().any(|keyframe| !keyframe.cross_covariances.is_empty());
@@ -142,6 +155,7 @@ impl Estimator {
             restricted.keyframes.truncate(1);
         }
         restricted.remove_dangling_references();
+        restricted.gravity_in_global = self.map_gravity.believed(answer.gravity_in_global);
         restricted
     }
 
@@ -164,7 +178,13 @@ impl Estimator {
             min_inliers: self.config.min_inliers,
             gravity_in_camera: Some(self.gravity_in_camera(&local_from_imu)),
         };
-        let verified = match verify(answer, self.first_camera(), &settings) {
+        let verified = verify(answer, self.first_camera(), &settings).or_else(|rejection| {
+            // A wrong direction of gravity in the map must not hide itself.
+            let unguided = VerificationSettings { gravity_in_camera: None, ..settings };
+            let may_be_wrong = self.state.transform.is_none() && answer.gravity_in_global.is_some();
+            if may_be_wrong { verify(answer, self.first_camera(), &unguided) } else { Err(rejection) }
+        });
+        let verified = match verified {
             Ok(verified) => verified,
             Err(rejection) => return Ok(Err(rejection.into())),
         };
@@ -176,6 +196,14 @@ impl Estimator {
             * self.first_camera().imu_from_camera.inverse();
         let solved_transform = global_from_imu * local_from_imu.inverse();
         report.initialized = self.state.transform.is_none();
+        if report.initialized
+            && self.map_gravity.fault().is_none_or(|known| known.stated.is_none())
+            && let Err(fault) =
+                self.map_gravity.compare(answer.gravity_in_global, solved_transform.rotation * -Vector3::z())
+        {
+            report.initialized = false;
+            return Ok(Err(fault.into()));
+        }
         let transform = self.state.transform.unwrap_or(solved_transform);
         let estimate = LinearizationPoint { local_from_imu, global_from_local: transform };
 
@@ -194,7 +222,7 @@ impl Estimator {
         }
 
         if report.initialized {
-            self.insert_transform(solved_transform, median_depth(answer, &verified));
+            self.insert_solved_transform(solved_transform, median_depth(answer, &verified));
         }
         let measured = best.global_from_keyframe.change_of_child(&verified.best_from_camera.pose);
         self.note_fix(clone, &verified, &self.with_pnp_noise(answer, &verified, &measured));

@@ -21,7 +21,9 @@ use crate::imu::ImuBuffer;
 use crate::initialization::static_init::InitialState;
 use crate::linear_algebra::dense::Dense;
 use crate::map_update::map_fix::{MapFix, MapFixes};
+use crate::map_update::map_gravity::MapGravity;
 use crate::map_update::map_revision::MapVersion;
+use crate::map_update::map_watch::MapWatch;
 use crate::noise_adaptation::NoiseAdaptation;
 use crate::odometry::msckf_update::MsckfSettings;
 use crate::odometry::tracks::TrackStore;
@@ -116,6 +118,8 @@ pub struct Estimator {
     map_fixes: MapFixes,
     /// That of the last answer, as long as it is not known whether it updates the state.
     newest_fix: Option<MapFix>,
+    map_gravity: MapGravity,
+    map_watch: MapWatch,
     last_map_update_ns: Option<i64>,
     /// Consecutive rejections after which `global_from_local` was removed, until the next map update.
     lost_after: Option<usize>,
@@ -187,6 +191,8 @@ impl Estimator {
             contradiction: None,
             map_fixes: MapFixes::default(),
             newest_fix: None,
+            map_gravity: MapGravity::default(),
+            map_watch: MapWatch::default(),
             last_map_update_ns: None,
             lost_after: None,
             health,

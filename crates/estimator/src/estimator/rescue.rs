@@ -16,11 +16,8 @@ use crate::map_update::verification::VerifiedAnswer;
 use crate::propagation::{IMU_DIM, ImuError, ImuState};
 use crate::state::CloneId;
 use geometry::{Pose, PoseWithCovariance};
-use nalgebra::Vector3;
+use nalgebra::{Matrix6, Vector3, Vector6};
 
-/// Squared Mahalanobis distance of the pose of the map from the state beyond which it is evidence: 99.99 % of six degrees of
-/// freedom.
-const MIN_SQUARED: f64 = 27.9;
 /// Inliers of an answer that can be evidence against the state.
 const MIN_INLIERS: usize = 20;
 /// Successive fixes that make the pose in G untrusted.
@@ -60,7 +57,8 @@ impl Estimator {
             global_from_imu: measured.pose * self.first_camera().imu_from_camera.inverse(),
             predicted: transform * clone.local_from_imu,
             local_from_imu: clone.local_from_imu,
-            is_far: together.nees(&measured.pose).is_none_or(|squared| squared > MIN_SQUARED),
+            keyframe: verified.best,
+            squared: together.nees(&measured.pose).unwrap_or(f64::INFINITY),
             sigma_rotation: variance(0).sqrt(),
             sigma_position: variance(3).sqrt(),
         });
@@ -85,7 +83,7 @@ impl Estimator {
         !report.initialized
             && (report.inflated
                 || 2 * report.plausible < report.inliers
-                || self.newest_fix.is_some_and(|fix| fix.is_far))
+                || self.newest_fix.is_some_and(|fix| fix.is_far()))
     }
 
     /// Whether the map contradicts the pose in G.
@@ -104,7 +102,7 @@ impl Estimator {
         report: &mut MapReport,
     ) -> Result<(), EstimatorError> {
         let Some(fix) = self.newest_fix.take() else { return Ok(()) };
-        if self.map_fixes.add(fix) < REPLACED_AFTER {
+        if !self.map_fixes.is_evidence(&fix) || self.map_fixes.add(fix) < REPLACED_AFTER {
             return Ok(());
         }
         let gravity = answer.gravity_in_global.map(|down| down * self.config.gravity);
@@ -116,8 +114,7 @@ impl Estimator {
             self.map_fixes.clear();
             report.rejection = self.update_in_version(clone, answer, report)?.err();
             if report.rejection.is_none() {
-                self.lost_after = None;
-                self.last_map_update_ns = Some(self.state.stamp_ns);
+                self.note_success();
             }
             return Ok(());
         }
@@ -125,20 +122,20 @@ impl Estimator {
         let newest_ns = self.state.clones.last().map_or(self.state.stamp_ns, |newest| newest.stamp_ns);
         if let Some(motion) = self.map_fixes.fixed_motion(&gravity, newest_ns) {
             let fixes = self.map_fixes.len();
-            self.restart(&self.state_of(&motion, &gravity, fix.sigma_rotation))?;
+            self.restart(&self.state_of(&motion, &gravity), &motion)?;
             report.rejection = Some(Rejection::Restarted { fixes });
         }
         Ok(())
     }
 
     /// The state of a motion in G; position and yaw in L are continuous.
-    fn state_of(&self, motion: &FixedMotion, gravity: &Vector3<f64>, sigma_tilt: f64) -> InitialState {
+    fn state_of(&self, motion: &FixedMotion, gravity: &Vector3<f64>) -> InitialState {
         let body_from_global = motion.global_from_imu.rotation.inverse();
         let upright = gravity_aligned(&(body_from_global * -gravity));
         let now = &self.state.imu.local_from_imu;
         let rotation = yaw_between(&upright, &now.rotation) * upright;
         let mut sigmas = self.config.initial;
-        sigmas.sigma_tilt_rad = sigma_tilt;
+        sigmas.sigma_tilt_rad = motion.sigma_rotation;
         sigmas.sigma_velocity_m_s = motion.sigma_velocity;
         // The biases may be what is wrong.
         let (gyroscope, accelerometer) = self.sigma_biases();
@@ -156,16 +153,29 @@ impl Estimator {
         }
     }
 
-    /// Continues as a new filter from another state; noise, calibration and readings are kept.
-    fn restart(&mut self, initial: &InitialState) -> Result<(), EstimatorError> {
+    /// Continues as a new filter from another state, at the pose in G of a motion; noise, calibration and readings are kept.
+    fn restart(&mut self, initial: &InitialState, motion: &FixedMotion) -> Result<(), EstimatorError> {
         let mut fresh = Self::new(self.config.clone(), self.state.calibration.cameras.clone(), initial)?;
         fresh.state.calibration.time_offset = self.state.calibration.time_offset;
         fresh.imu = std::mem::take(&mut self.imu);
         fresh.noise = self.noise.clone();
+        fresh.map_watch = std::mem::take(&mut self.map_watch);
         fresh.next_clone = self.next_clone;
-        fresh.lost_after = Some(self.map_fixes.len());
+        fresh.last_map_update_ns = Some(initial.stamp_ns);
+        fresh.insert_fixed_transform(motion);
         *self = fresh;
         Ok(())
+    }
+
+    /// Adds `global_from_local` to the state by the pose of a motion in G. Its keyframe is not held, so a later answer with it
+    /// counts its error as independent: the variances are doubled, as covariance intersection would.
+    fn insert_fixed_transform(&mut self, motion: &FixedMotion) {
+        let variance =
+            |k: usize| 2.0 * if k < 3 { motion.sigma_rotation } else { motion.sigma_position }.powi(2);
+        let covariance = Matrix6::from_diagonal(&Vector6::from_fn(|k, _| variance(k)));
+        let imu_from_local = self.state.imu.local_from_imu.inverse();
+        let global_from_imu = PoseWithCovariance::new(motion.global_from_imu, covariance);
+        self.insert_transform(&global_from_imu.change_of_child(&imu_from_local));
     }
 
     /// Moves the state of the IMU without telling the covariance, as an undetected failure would: for tests of recovery.

@@ -1,6 +1,8 @@
 //! Localization status.
 
 use super::Estimator;
+use crate::map_update::map_gravity::GravityFault;
+use crate::map_update::map_watch::MapDrift;
 use serde::{Deserialize, Serialize};
 
 /// Whether the pose in G can be used.
@@ -36,6 +38,18 @@ pub enum StatusReason {
     NoMatchYet,
 }
 
+/// What contradicts the map although the pose in it may be corrected by it.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum Alarm {
+    /// Its direction of gravity.
+    #[error(transparent)]
+    Gravity(#[from] GravityFault),
+    /// Its answers move against odometry.
+    #[error(transparent)]
+    Drift(#[from] MapDrift),
+}
+
 /// [`Localization`] and its reason.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Status {
@@ -49,23 +63,17 @@ pub struct Status {
     pub held_keyframes: usize,
 }
 
-impl Status {
-    /// Appends to the reason why the map does not answer.
-    pub fn with_failure(mut self, failure: Option<&str>) -> Self {
-        if let Some(failure) = failure {
-            self.reason = format!("{}; the map does not answer: {failure}", self.reason);
-        }
-        self
-    }
-}
-
 impl Estimator {
     /// The localization status.
     pub fn status(&self) -> Status {
         let (localization, reason) = self.localization();
+        let mut reason = reason.to_string();
+        for alarm in self.alarms() {
+            reason = format!("{reason}; {alarm}");
+        }
         Status {
             localization,
-            reason: reason.to_string(),
+            reason,
             last_map_update_ns: self.last_map_update_ns,
             held_keyframes: self.covariance.held.len(),
         }
@@ -84,6 +92,12 @@ impl Estimator {
             (_, Some(rejections), _) => (Localization::Lost, StatusReason::Contradicted { rejections }),
             _ => (Localization::OdometryOnly, StatusReason::NoMatchYet),
         }
+    }
+
+    /// What contradicts the map, and what to do about it.
+    pub fn alarms(&self) -> Vec<Alarm> {
+        let gravity = self.map_gravity.fault().map(Alarm::from);
+        gravity.into_iter().chain(self.map_watch.alarm().map(Alarm::from)).collect()
     }
 
     /// Counts a verified answer that the gates rejected. After too many in a row the state is wrong, and

@@ -3,6 +3,7 @@
 //! A wrong place contradicts the state as well. But the poses of successive answers of the right place agree with the motion
 //! between them, as odometry or the IMU alone measured it, and those of wrong places do not.
 
+use crate::KeyframeId;
 use crate::propagation::ImuState;
 use geometry::{Pose, Rotation};
 use nalgebra::Vector3;
@@ -20,6 +21,13 @@ const ROTATION_TOLERANCE_RAD_S: f64 = 0.1;
 const ACCELERATION_TOLERANCE: f64 = 0.6;
 /// Maximum plausible speed, m/s.
 const MAX_SPEED: f64 = 60.0;
+/// Squared Mahalanobis distance between map and state beyond which a fix is evidence against the state, if those before it
+/// are of other keyframes: 99 % of six degrees of freedom.
+const EVIDENCE: f64 = 16.8;
+/// Beyond which it contradicts the state: 99.99 %.
+const FAR: f64 = 27.9;
+/// Beyond which no error of a keyframe explains it: ten sigmas in one direction.
+const CERTAIN: f64 = 100.0;
 /// Odometry between two fixes may be wrong by this fraction of the distance to the state.
 const ODOMETRY_FRACTION: f64 = 0.25;
 
@@ -34,8 +42,10 @@ pub struct MapFix {
     pub predicted: Pose,
     /// Pose in L according to the state.
     pub local_from_imu: Pose,
-    /// Whether both are further apart than their covariances allow.
-    pub is_far: bool,
+    /// Keyframe that it is relative to. Fixes relative to one keyframe share its error.
+    pub keyframe: KeyframeId,
+    /// Squared Mahalanobis distance between the pose by the map and that of the state.
+    pub squared: f64,
     /// Standard deviation of the rotation, rad.
     pub sigma_rotation: f64,
     /// Standard deviation of the position, metres.
@@ -43,6 +53,11 @@ pub struct MapFix {
 }
 
 impl MapFix {
+    /// Whether map and state are further apart than their covariances allow.
+    pub fn is_far(&self) -> bool {
+        self.squared > FAR
+    }
+
     /// Whether two fixes are apart as odometry says, much better than either agrees with the state.
     pub fn agrees_by_odometry(&self, before: &Self) -> bool {
         let moved = before.local_from_imu.inverse() * self.local_from_imu;
@@ -121,6 +136,10 @@ pub struct FixedMotion {
     pub global_from_imu: Pose,
     /// Velocity in G, m/s.
     pub velocity: Vector3<f64>,
+    /// Standard deviation of the rotation, rad.
+    pub sigma_rotation: f64,
+    /// Standard deviation of the position, metres.
+    pub sigma_position: f64,
     /// Standard deviation of the velocity, m/s.
     pub sigma_velocity: f64,
 }
@@ -133,6 +152,13 @@ impl MapFixes {
             self.motion.pop_front();
         }
         self.motion.push_back(motion);
+    }
+
+    /// Whether a fix shows more than the error of a keyframe that the map states: of hundreds of keyframes, one is wrong by
+    /// four sigmas, and all answers with it contradict a right state in the same way.
+    pub fn is_evidence(&self, fix: &MapFix) -> bool {
+        let is_new = self.fixes.iter().all(|before| before.keyframe != fix.keyframe);
+        fix.squared > if is_new { EVIDENCE } else { CERTAIN }
     }
 
     /// Adds a fix that contradicts the state. One that does not agree with those before replaces them.
@@ -231,7 +257,13 @@ impl MapFixes {
         if (velocity - expected).norm() > tolerance || velocity.norm() > MAX_SPEED {
             return None;
         }
-        let fixed = FixedMotion { global_from_imu: third.global_from_imu, velocity, sigma_velocity: sigma };
+        let fixed = FixedMotion {
+            global_from_imu: third.global_from_imu,
+            velocity,
+            sigma_rotation: third.sigma_rotation,
+            sigma_position: third.sigma_position,
+            sigma_velocity: sigma,
+        };
         if third.stamp_ns == now_ns {
             return Some(fixed);
         }
@@ -244,7 +276,38 @@ impl MapFixes {
         Some(FixedMotion {
             global_from_imu: Pose::new(rotation * since.rotation, position),
             velocity: velocity + gravity * seconds + rotation * since.velocity,
+            sigma_position: third.sigma_position.hypot(sigma * seconds),
             ..fixed
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn fix(keyframe: KeyframeId, squared: f64) -> MapFix {
+        MapFix {
+            stamp_ns: 0,
+            global_from_imu: Pose::identity(),
+            predicted: Pose::identity(),
+            local_from_imu: Pose::identity(),
+            keyframe,
+            squared,
+            sigma_rotation: 0.01,
+            sigma_position: 0.1,
+        }
+    }
+
+    #[test]
+    fn one_keyframe_is_no_evidence_twice_unless_no_error_of_it_explains_the_distance() {
+        let mut fixes = MapFixes::default();
+        assert!(!fixes.is_evidence(&fix(1, 10.0)), "two sigmas");
+        assert!(fixes.is_evidence(&fix(1, 20.0)));
+        fixes.add(fix(1, 20.0));
+        assert!(!fixes.is_evidence(&fix(1, 40.0)), "the same keyframe");
+        assert!(fixes.is_evidence(&fix(1, 200.0)));
+        assert!(fixes.is_evidence(&fix(2, 20.0)));
+        assert!(!fixes.is_evidence(&fix(3, f64::NAN)));
     }
 }

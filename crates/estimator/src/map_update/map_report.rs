@@ -1,5 +1,6 @@
 //! Result of a map update.
 
+use crate::map_update::map_gravity::GravityFault;
 use crate::map_update::verification::NotVerified;
 
 /// Why an answer of the map did not update the state.
@@ -45,6 +46,9 @@ pub enum Rejection {
     /// Geometric verification failed.
     #[error(transparent)]
     NotVerified(#[from] NotVerified),
+    /// The map's direction of gravity is not that of the images and the IMU; the next answer must show the same.
+    #[error(transparent)]
+    Gravity(#[from] GravityFault),
     /// Too few landmarks passed the gate.
     #[error("{used} of {inliers} verified landmarks passed the gate, {need} are needed")]
     FewLandmarks {
@@ -73,8 +77,8 @@ pub enum Rejection {
         /// Degrees of freedom.
         rows: usize,
     },
-    /// Successive answers agree with each other and not with the state, which was replaced by theirs; the next answer
-    /// initializes `global_from_local`.
+    /// Successive answers agree with each other and not with the state, which was replaced by theirs, `global_from_local`
+    /// included.
     #[error(
         "the last {fixes} answers agree with each other and not with the state: it was replaced by theirs"
     )]

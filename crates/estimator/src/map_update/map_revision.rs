@@ -35,6 +35,10 @@ use nalgebra::{Matrix6, Vector3};
 /// leave the server within milliseconds; in a recording played as fast as possible that can be a second.
 pub const ANNOUNCEMENT_NS: i64 = 2_000_000_000;
 
+/// Largest motion in a change that keeps `global_from_local`, metres per axis: beyond, its estimate says nothing, and a
+/// covariance with such a variance beside those of centimetres is badly conditioned.
+pub const MAX_CHANGE_M: f64 = 1000.0;
+
 /// Motion of a map in a change: standard deviations of a pose error of G at any position in it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ChangeSize {
@@ -64,7 +68,7 @@ pub enum RevisionEffect {
     CarriedOver,
     /// The next answer of the new version initializes `global_from_local` again.
     Reinitialized,
-    /// None: no map version is in use yet, or already this one.
+    /// None: no map version is in use yet, or this one or a newer one already.
     None,
 }
 

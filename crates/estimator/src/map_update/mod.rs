@@ -2,8 +2,10 @@
 
 pub mod map_answer;
 pub mod map_fix;
+pub mod map_gravity;
 pub mod map_measurement;
 pub mod map_report;
 pub mod map_revision;
+pub mod map_watch;
 pub mod solved_pose;
 pub mod verification;

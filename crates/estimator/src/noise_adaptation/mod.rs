@@ -43,8 +43,8 @@ const INDEPENDENT_MATCHES: f64 = 30.0;
 /// Mean length of a vector of two normal errors, in standard deviations.
 const MEAN_LENGTH: f64 = 1.2533;
 
-const IMU: Adaptation = Adaptation { start: 9.0, floor: 1.0, first_gain: 0.1, last_gain: 0.01 };
-const TRACKS: Adaptation = Adaptation { start: 2.25, floor: 0.16, first_gain: 0.05, last_gain: 0.005 };
+const IMU: Adaptation = Adaptation { start: 25.0, floor: 1.0, first_gain: 0.1, last_gain: 0.01 };
+const TRACKS: Adaptation = Adaptation { start: 4.0, floor: 0.16, first_gain: 0.1, last_gain: 0.005 };
 const MATCHES: Adaptation = Adaptation { start: 4.0, floor: 1.0, first_gain: 1.0, last_gain: 0.1 };
 
 /// Noise levels as learned from the innovations; those that are fixed by the settings are as stated there.

@@ -5,7 +5,7 @@ use crate::camera::Camera;
 use crate::pose::Pose;
 use crate::robust::huber;
 use crate::uncertain_pose::{PoseWithCovariance, symmetric};
-use nalgebra::{Matrix6, Vector6};
+use nalgebra::{Matrix2x6, Matrix6, Vector6};
 
 /// Initial damping relative to the diagonal of the normal matrix.
 const INITIAL_DAMPING: f64 = 1e-6;
@@ -99,15 +99,19 @@ impl Problem<'_> {
             information: Matrix6::zeros(),
             visible: 0,
         };
+        let camera_from_world = world_from_camera.rotation.to_rotation_matrix().inverse();
         for correspondence in self.correspondences {
-            let in_camera = world_from_camera.inverse_transform(&correspondence.point);
+            let from_camera = correspondence.point - world_from_camera.translation;
+            let in_camera = camera_from_world * from_camera;
             let Ok((pixel, by_point)) = self.camera.project_with_jacobian(&in_camera) else {
                 sum.cost += huber(unseen_length, self.threshold).1;
                 continue;
             };
             let residual = (correspondence.pixel - pixel) * self.inverse_sigma;
-            let (by_pose, _) = world_from_camera.inverse_transform_jacobians(&correspondence.point);
-            let jacobian = by_point * self.inverse_sigma * by_pose;
+            let by_world = by_point * self.inverse_sigma * camera_from_world.matrix();
+            let mut jacobian = Matrix2x6::zeros();
+            jacobian.fixed_view_mut::<2, 3>(0, 0).copy_from(&(by_world * from_camera.cross_matrix()));
+            jacobian.fixed_view_mut::<2, 3>(0, 3).copy_from(&-by_world);
             let (weight, loss) = huber(residual.norm(), self.threshold);
             sum.cost += loss;
             sum.gradient += jacobian.tr_mul(&residual) * weight;

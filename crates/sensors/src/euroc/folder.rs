@@ -121,11 +121,20 @@ impl Folder {
         }
     }
 
-    /// Checks the units of the readings.
-    pub(crate) fn check_units(&self, check: &ImuCheck, imu: Option<&ImuSensor>) -> Result<(), SequenceError> {
-        let gravity = imu.and_then(|imu| imu.gravity_magnitude);
-        let path = || self.root.join("mav0/imu0/data.csv");
-        check.finish(gravity).map_err(|source| SequenceError::ImuUnits { path: path(), source })
+    /// Reads all readings of the IMU, checks their units, and hands each to `keep`.
+    pub(crate) fn check_readings(
+        &self,
+        imu: Option<&ImuSensor>,
+        mut keep: impl FnMut(&ImuSample),
+    ) -> Result<(), SequenceError> {
+        let in_file = |source| SequenceError::ImuUnits { path: self.root.join("mav0/imu0/data.csv"), source };
+        let mut check = ImuCheck::new(imu.and_then(|imu| imu.gravity_magnitude));
+        for sample in self.imu_samples()? {
+            let sample = sample?;
+            check.add(&sample).map_err(in_file)?;
+            keep(&sample);
+        }
+        check.finish().map_err(in_file)
     }
 
     /// Whether there is ground truth.
@@ -182,16 +191,10 @@ impl Sequence {
     fn read(
         root: &Path,
         files: &CalibrationFiles,
-        mut keep: impl FnMut(&ImuSample),
+        keep: impl FnMut(&ImuSample),
     ) -> Result<Self, SequenceError> {
         let (folder, SensorCalibration { imu, cameras }) = Folder::open(root, files)?;
-        let mut readings = ImuCheck::default();
-        for sample in folder.imu_samples()? {
-            let sample = sample?;
-            readings.add(&sample);
-            keep(&sample);
-        }
-        folder.check_units(&readings, imu.as_ref())?;
+        folder.check_readings(imu.as_ref(), keep)?;
         let mut images = ImageCheck::default();
         let mut frames = Vec::new();
         for frame in folder.frames()? {

@@ -45,6 +45,7 @@ pub(crate) fn to_frames(
     let mut rng = stream(seed, 1, Purpose::Answers);
     let every = (options.every_s * simulation.frame_rate_hz).round().max(1.0) as usize;
     let mut is_first = true;
+    let mut lies: Option<(usize, Vector3<f64>)> = None;
     let answer_to = |(index, frame): (usize, &Frame)| {
         let seconds = index as f64 / simulation.frame_rate_hz;
         let is_queried = index > 0 && index.is_multiple_of(every);
@@ -58,6 +59,12 @@ pub(crate) fn to_frames(
         is_first = false;
         if is_wrong_place {
             move_to_wrong_place(&mut answer, &mut rng);
+        }
+        if let Some(lie) = options.lie.filter(|lie| seconds >= lie.from_s) {
+            let (count, pivot) =
+                lies.unwrap_or((0, answer.keyframes[0].global_from_keyframe.pose.translation));
+            lie.tell(&mut answer, count, &pivot);
+            lies = Some((count + 1, pivot));
         }
         Some(Answer { answer, is_wrong_place })
     };
@@ -162,14 +169,19 @@ fn move_to_wrong_place(answer: &mut MapAnswer, rng: &mut StdRng) {
     let turned = upright.rotation * rotation::exp(&(Vector3::z() * turn)) * upright.rotation.inverse();
     let moved =
         |pose: &Pose| Pose::new(turned * pose.rotation, here + aside + turned * (pose.translation - here));
+    move_keyframes(answer, moved, WRONG_PLACE_ID);
+}
+
+/// Moves the keyframes of a reply, which become others.
+pub(super) fn move_keyframes(answer: &mut MapAnswer, moved: impl Fn(&Pose) -> Pose, new_id: u64) {
     for keyframe in &mut answer.keyframes {
-        keyframe.id += WRONG_PLACE_ID;
+        keyframe.id += new_id;
         let stated = keyframe.global_from_keyframe;
         // Its covariance is isotropic, so a rotation does not change it.
         keyframe.global_from_keyframe = PoseWithCovariance::new(moved(&stated.pose), stated.covariance);
     }
     for landmark in &mut answer.landmarks {
-        landmark.anchor += WRONG_PLACE_ID;
-        landmark.observations.iter_mut().for_each(|(keyframe, _)| *keyframe += WRONG_PLACE_ID);
+        landmark.anchor += new_id;
+        landmark.observations.iter_mut().for_each(|(keyframe, _)| *keyframe += new_id);
     }
 }

@@ -36,6 +36,7 @@
 mod answers;
 pub mod calibration;
 mod disturbance;
+mod lie;
 mod map_change;
 mod noisy_map;
 pub mod report;
@@ -48,6 +49,7 @@ mod tests;
 
 pub use calibration::{CalibrationError, CalibrationErrors};
 pub use disturbance::{Disturbance, DisturbedState, Rescue};
+pub use lie::Lie;
 pub use map_change::MapChangeOptions;
 pub use score::{EnsembleScore, OutputScore, ScoreOptions, score};
 pub use trial::{MapCounts, Trial};
@@ -143,6 +145,8 @@ pub struct AnswerOptions {
     pub max_matches: usize,
     /// Standard deviation of the map's pixels as it states it, px.
     pub stated_sigma_px: f64,
+    /// A server that lies.
+    pub lie: Option<Lie>,
 }
 
 impl Default for AnswerOptions {
@@ -155,6 +159,7 @@ impl Default for AnswerOptions {
             max_keyframes: 4,
             max_matches: 100,
             stated_sigma_px: 1.0,
+            lie: None,
         }
     }
 }

@@ -8,8 +8,8 @@ use super::{CalibrationError, MonteCarloOptions, Rescue, Variant, global_from_wo
 use crate::run::Kind;
 use crate::{SimulatedWorld, SimulationError, simulate_world};
 use estimator::{
-    CalibratedCamera, CloneId, Estimator, EstimatorError, ImuSample, Initializer, Localization, MapMode,
-    TrackObservation,
+    Alarm, CalibratedCamera, CloneId, Estimator, EstimatorError, ImuSample, Initializer, Localization,
+    MapMode, TrackObservation,
 };
 use evaluation::trajectory::StateRow;
 use evaluation::{RunErrors, nees, run_errors_in};
@@ -44,6 +44,8 @@ pub struct Trial {
     pub map_initialization_s: Option<f64>,
     /// Counts of the map's replies.
     pub map: MapCounts,
+    /// When the watch over the map first raised an alarm, seconds since the begin.
+    pub alarm_s: Option<f64>,
     /// Whether the filter was localized in the map at the end.
     pub localized: bool,
     /// The rescue after a disturbance.
@@ -93,6 +95,7 @@ struct Player<'a> {
     pending: Option<(CloneId, &'a Answer)>,
     states: Vec<StateRow>,
     map: MapCounts,
+    alarm_ns: Option<i64>,
     /// The next initialization, where the estimator gave up after a disturbance.
     initializer: Option<Initializer>,
     rescue: Option<Rescue>,
@@ -128,6 +131,7 @@ impl Seed<'_> {
             errors: None,
             map_initialization_s: None,
             map: MapCounts::default(),
+            alarm_s: None,
             localized: false,
             rescue: None,
             diverged: None,
@@ -146,6 +150,7 @@ impl Seed<'_> {
             pending: None,
             states: Vec::new(),
             map: MapCounts::default(),
+            alarm_ns: None,
             initializer: None,
             rescue: None,
             is_answered: false,
@@ -154,6 +159,7 @@ impl Seed<'_> {
         let initialized = player.states.iter().find(|state| state.global_from_imu.is_some());
         trial.map_initialization_s = initialized.map(|state| (state.stamp_ns - begin_ns) as f64 * 1e-9);
         trial.map = player.map;
+        trial.alarm_s = player.alarm_ns.map(|alarm_ns| (alarm_ns - begin_ns) as f64 * 1e-9);
         trial.rescue = player.rescue;
         trial.localized = player.estimator.status().localization == Localization::Localized;
         let found = player.estimator.calibration();
@@ -310,6 +316,10 @@ impl<'a> Player<'a> {
         let before = self.estimator.global_from_imu();
         let report = self.estimator.map_update(queried, &answer.answer)?;
         self.estimator.unpin(queried);
+        let is_alarm = self.estimator.alarms().iter().any(|alarm| matches!(alarm, Alarm::Drift(_)));
+        if is_alarm {
+            self.alarm_ns.get_or_insert(self.estimator.stamp_ns());
+        }
         self.is_answered = true;
         let counts = &mut self.map;
         let (count, used) = if answer.is_wrong_place {

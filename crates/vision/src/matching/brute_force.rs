@@ -21,6 +21,7 @@
 //! | 0.25 | 0.7 | 143 | 1.0 |
 
 use super::descriptors::{DescriptorError, DescriptorView, Metric};
+use super::kernels::{least, update_least};
 use super::prepared::PreparedDescriptors;
 use std::collections::HashMap;
 
@@ -121,12 +122,7 @@ pub fn match_grouped(
     let mut matches = Vec::new();
     query_data.for_each_row(&train_data, |index, row| {
         if options.mutual {
-            let best = nearest_distance.iter_mut().zip(&mut nearest_index);
-            for (&distance, (least, nearest)) in row.iter().zip(best) {
-                let nearer = distance < *least;
-                *least = if nearer { distance } else { *least };
-                *nearest = if nearer { index as u32 } else { *nearest };
-            }
+            update_least(row, index as u32, &mut nearest_distance, &mut nearest_index);
         }
         matches.extend(nearest(index, row, &groups, options));
     });
@@ -147,19 +143,6 @@ fn nearest(query: usize, row: &[f32], groups: &Groups, options: &MatchOptions) -
     let passes_ratio =
         options.ratio.is_none_or(|ratio| distance < ratio * second_nearest(row, train, groups));
     passes_ratio.then_some(Match { query, train, distance })
-}
-
-/// The smallest of many distances, infinite for none.
-fn least(distances: &[f32]) -> f32 {
-    // Sixteen lanes and comparisons, which the compiler turns into vector instructions.
-    let (blocks, rest) = distances.as_chunks::<16>();
-    let mut lanes = [f32::INFINITY; 16];
-    for block in blocks {
-        for (lane, &distance) in lanes.iter_mut().zip(block) {
-            *lane = if distance < *lane { distance } else { *lane };
-        }
-    }
-    lanes.iter().chain(rest).fold(f32::INFINITY, |least, &distance| least.min(distance))
 }
 
 /// The smallest distance to a train descriptor of another group than that of `train`, infinite for none.

@@ -229,6 +229,7 @@ pub(crate) fn inverse_norm_int8(bytes: &[u8]) -> f32 {
 }
 
 /// Cosine distance from the scalar product and the inverse norms; 1 where one of these is 0.
+#[inline]
 pub(crate) fn int8_distance(dot: f32, inverse_norm_a: f32, inverse_norm_b: f32) -> f32 {
     let distance = 1.0 - dot * (inverse_norm_a * inverse_norm_b);
     // Rounding; a comparison rather than `max`, which would not become a vector instruction.

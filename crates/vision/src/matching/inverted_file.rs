@@ -11,6 +11,8 @@
 //!
 //! Source: Jegou, Douze, Schmid, "Product quantization for nearest neighbor search", PAMI 2011 (IVF with several probes).
 
+use std::ops::Range;
+
 use super::descriptors::{DescriptorError, DescriptorView, Metric};
 use super::prepared::PreparedDescriptors;
 use super::vocabulary::Vocabulary;
@@ -90,7 +92,8 @@ impl InvertedFile {
         let sample: Vec<u8> = descriptors.iter().step_by(step).flatten().copied().collect();
         let vocabulary = Vocabulary::train(DescriptorView::new(metric, width, &sample)?, word_count);
 
-        let word_of = vocabulary.nearest(descriptors, 1);
+        let mut word_of = Vec::with_capacity(count);
+        vocabulary.for_each_nearest(descriptors, 1, |_, words| word_of.push(words[0]));
         let mut starts = vec![0_u32; vocabulary.len() + 1];
         for &word in &word_of {
             starts[word as usize + 1] += 1;
@@ -134,29 +137,64 @@ impl InvertedFile {
         &self,
         queries: DescriptorView<'_>,
         max_distance: f32,
+        visit: impl FnMut(usize, &[Hit]),
+    ) -> Result<(), DescriptorError> {
+        let mut row = Vec::new();
+        self.search_lists(queries, visit, |prepared, query, range, hits| {
+            prepared.distances_to(query, &self.entries, range.clone(), &mut row);
+            for (&distance, &payload) in row.iter().zip(&self.payloads[range]) {
+                if distance <= max_distance {
+                    hits.push(Hit { distance, payload });
+                }
+            }
+        })
+    }
+
+    /// Like [`Self::search`], among the few descriptors whose payload is asked for: what [`Self::search`] would find of them.
+    ///
+    /// # Errors
+    /// As [`Self::search`].
+    pub fn search_among(
+        &self,
+        queries: DescriptorView<'_>,
+        max_distance: f32,
+        asked_for: impl Fn(u32) -> bool,
+        visit: impl FnMut(usize, &[Hit]),
+    ) -> Result<(), DescriptorError> {
+        let mut row = Vec::new();
+        self.search_lists(queries, visit, |prepared, query, range, hits| {
+            for at in range {
+                let payload = self.payloads[at];
+                if asked_for(payload) {
+                    prepared.distances_to(query, &self.entries, at..at + 1, &mut row);
+                    let near = row.iter().filter(|&&distance| distance <= max_distance);
+                    hits.extend(near.map(|&distance| Hit { distance, payload }));
+                }
+            }
+        })
+    }
+
+    /// Calls `search` for each query and each inverted list that it probes, and `visit` with what was found in all of them.
+    fn search_lists(
+        &self,
+        queries: DescriptorView<'_>,
         mut visit: impl FnMut(usize, &[Hit]),
+        mut search: impl FnMut(&PreparedDescriptors, usize, Range<usize>, &mut Vec<Hit>),
     ) -> Result<(), DescriptorError> {
         if queries.metric() != self.metric || queries.width() != self.width {
             return Err(DescriptorError::Mismatch { left: queries.width(), right: self.width });
         }
         let Some(vocabulary) = &self.vocabulary else { return Ok(()) };
-        let probes = PROBES.min(vocabulary.len());
-        let near_words = vocabulary.nearest(queries, probes);
         let prepared = PreparedDescriptors::new(&queries);
-        let (mut row, mut hits) = (Vec::new(), Vec::new());
-        for (query, near_words) in near_words.chunks_exact(probes).enumerate() {
+        let mut hits = Vec::new();
+        vocabulary.for_each_nearest(queries, PROBES, |query, words| {
             hits.clear();
-            for &word in near_words {
-                let range = self.starts[word as usize] as usize..self.starts[word as usize + 1] as usize;
-                prepared.distances_to(query, &self.entries, range.clone(), &mut row);
-                for (&distance, &payload) in row.iter().zip(&self.payloads[range]) {
-                    if distance <= max_distance {
-                        hits.push(Hit { distance, payload });
-                    }
-                }
+            for &word in words {
+                let [start, end] = [word, word + 1].map(|at| self.starts[at as usize] as usize);
+                search(&prepared, query, start..end, &mut hits);
             }
             visit(query, &hits);
-        }
+        });
         Ok(())
     }
 }

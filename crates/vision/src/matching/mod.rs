@@ -7,9 +7,14 @@
 //! | [`inverted_file`] | approximate search among very many descriptors, by a visual vocabulary |
 //! | [`prototypes`] | few descriptors that represent all observations of one landmark |
 
+#[cfg(target_arch = "x86_64")]
+#[allow(clippy::inline_always)] // see `kernels`
+mod avx2;
 pub mod brute_force;
 pub mod descriptors;
 pub mod inverted_file;
+#[allow(clippy::inline_always)] // its documentation says why
+mod kernels;
 mod prepared;
 pub mod prototypes;
 mod vocabulary;

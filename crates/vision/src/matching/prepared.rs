@@ -1,22 +1,13 @@
 //! Descriptors converted once for many comparisons.
 //!
-//! Distances are those of [`super::descriptors::distance`]. Signed bytes are compared by a product of matrices of `f32`: sums of
-//! products of up to 1024 bytes are integers of at most 2^24, exact in any order of summation, and the matrix product uses the widest instructions that the processor has (AVX2 where a plain loop, compiled
-//! for every x86-64, may use SSE2 only).
+//! Distances are those of [`super::descriptors::distance`].
 
 use std::ops::Range;
 
-use nalgebra::{DMatrix, DMatrixView};
-
 use super::descriptors::{
-    DescriptorView, Metric, distance_of_cosine, floats, int8_distance, inverse_norm_int8, normalize,
-    number_or_infinite, signed,
+    DescriptorView, Metric, distance_of_cosine, floats, inverse_norm_int8, normalize, number_or_infinite,
 };
-
-/// Largest dimension whose scalar products of signed bytes are exact in `f32`: `1024 * 128 * 128 = 2^24`.
-const MAX_EXACT_DIMENSION: usize = 1024;
-/// Descriptors of one side in a matrix product: 64 rows of distances to 400 others stay in the second-level cache.
-const BLOCK: usize = 64;
+use super::kernels::{DotProduct, Euclidean, FlippedBits, compare_each, int8_distances, int8_products};
 
 /// Descriptors in the form in which distances are computed fastest.
 pub(crate) enum PreparedDescriptors {
@@ -75,31 +66,33 @@ impl PreparedDescriptors {
         match (self, others) {
             (Self::Bits { words, bits, data }, Self::Bits { data: others, .. }) => {
                 let own = &data[index * words..(index + 1) * words];
-                let scale = *bits as f32;
                 let others = &others[range.start * words..range.end * words];
-                row.extend(others.chunks_exact(*words).map(|other| {
-                    let flips: u32 = own.iter().zip(other).map(|(x, y)| (x ^ y).count_ones()).sum();
-                    flips as f32 / scale
-                }));
+                compare_each(&FlippedBits { own, bits: *bits as f32 }, others, *words, row);
             }
             (Self::Floats { dimension, data, cosine }, Self::Floats { data: others, .. }) => {
                 let own = &data[index * dimension..(index + 1) * dimension];
                 let others = &others[range.start * dimension..range.end * dimension];
-                row.extend(others.chunks_exact(*dimension).map(|other| {
-                    if *cosine { distance_of_cosine(dot(own, other)) } else { euclidean(own, other) }
-                }));
+                if *cosine {
+                    compare_each(&DotProduct { own }, others, *dimension, row);
+                    for cosine in row.iter_mut() {
+                        *cosine = distance_of_cosine(*cosine);
+                    }
+                } else {
+                    compare_each(&Euclidean { own }, others, *dimension, row);
+                    for distance in row.iter_mut() {
+                        *distance = number_or_infinite(*distance);
+                    }
+                }
             }
             (
                 Self::Int8 { dimension, data, inverse_norms },
                 Self::Int8 { data: others, inverse_norms: others_norms, .. },
             ) => {
                 let own = &data[index * dimension..(index + 1) * dimension];
-                // Widened once: with 64 bytes 7.0 ns a product instead of 9.2 (SSE2).
                 let own: Vec<i16> = own.iter().map(|byte| byte.cast_signed().into()).collect();
                 let others = &others[range.start * dimension..range.end * dimension];
-                row.extend(others.chunks_exact(*dimension).zip(&others_norms[range]).map(|(other, norm)| {
-                    int8_distance(dot_widened(&own, other) as f32, inverse_norms[index], *norm)
-                }));
+                int8_products(&own, others, row);
+                int8_distances(row, inverse_norms[index], &others_norms[range]);
             }
             _ => {}
         }
@@ -108,60 +101,10 @@ impl PreparedDescriptors {
     /// Calls `visit` with the index of each descriptor in order and its distances to all `others`, which must have the
     /// same format.
     pub(crate) fn for_each_row(&self, others: &Self, mut visit: impl FnMut(usize, &[f32])) {
-        if let (
-            Self::Int8 { dimension, data, inverse_norms },
-            Self::Int8 { data: others, inverse_norms: others_norms, .. },
-        ) = (self, others)
-            && *dimension <= MAX_EXACT_DIMENSION
-        {
-            let numbers: Vec<f32> = signed(others).collect();
-            let others = DMatrixView::from_slice(&numbers, *dimension, others_norms.len()).transpose();
-            let mut dots = DMatrix::zeros(others.nrows(), BLOCK);
-            for (block, bytes) in data.chunks(BLOCK * dimension).enumerate() {
-                let own = DMatrix::from_iterator(*dimension, bytes.len() / dimension, signed(bytes));
-                let mut dots = dots.columns_mut(0, own.ncols());
-                dots.gemm(1.0, &others, &own, 0.0);
-                for (offset, mut column) in dots.column_iter_mut().enumerate() {
-                    let index = block * BLOCK + offset;
-                    for (dot, norm) in column.iter_mut().zip(others_norms) {
-                        *dot = int8_distance(*dot, inverse_norms[index], *norm);
-                    }
-                    visit(index, column.as_slice());
-                }
-            }
-            return;
-        }
         let mut row = Vec::with_capacity(others.len());
         for index in 0..self.len() {
             self.distances_to(index, others, 0..others.len(), &mut row);
             visit(index, &row);
         }
     }
-}
-
-/// Scalar product of signed bytes of which one side was widened before, exact like [`super::descriptors::dot_int8`].
-fn dot_widened(a: &[i16], b: &[u8]) -> i32 {
-    let product = |(x, y): (&i16, &u8)| i32::from(*x) * i32::from(i16::from(y.cast_signed()));
-    a.iter().zip(b).map(product).sum()
-}
-
-/// Sums in eight lanes, which the compiler turns into vector instructions (a plain sum must keep its order).
-fn lanes(a: &[f32], b: &[f32], term: impl Fn(f32, f32) -> f32) -> f32 {
-    let (blocks_a, rest_a) = a.as_chunks::<8>();
-    let (blocks_b, rest_b) = b.as_chunks::<8>();
-    let mut sums = [0.0; 8];
-    for (x, y) in blocks_a.iter().zip(blocks_b) {
-        for lane in 0..8 {
-            sums[lane] += term(x[lane], y[lane]);
-        }
-    }
-    sums.iter().sum::<f32>() + rest_a.iter().zip(rest_b).map(|(x, y)| term(*x, *y)).sum::<f32>()
-}
-
-fn dot(a: &[f32], b: &[f32]) -> f32 {
-    lanes(a, b, |x, y| x * y)
-}
-
-fn euclidean(a: &[f32], b: &[f32]) -> f32 {
-    number_or_infinite(lanes(a, b, |x, y| (x - y) * (x - y)).sqrt())
 }

@@ -36,18 +36,17 @@ impl MapStore for SledStore {
 }
 
 fn write_tables(database: &sled::Db, contents: &MapContents) -> Result<(), DatabaseError> {
-    let keyframes = Tree::open(database, Table::Keyframes)?;
-    for keyframe in &contents.keyframes {
-        keyframes.write(&keyframe.id.to_be_bytes(), &KeyframeRecord::new(keyframe))?;
-    }
-    let landmarks = Tree::open(database, Table::Landmarks)?;
-    for landmark in &contents.landmarks {
-        landmarks.write(&landmark.id.to_be_bytes(), &LandmarkRecord::new(landmark))?;
-    }
-    let cross_covariances = Tree::open(database, Table::CrossCovariances)?;
-    for cross in contents.cross_covariances.iter().map(KeyframeCrossCovariance::ordered) {
-        cross_covariances.write(&pair_key(cross.a, cross.b), &CrossCovarianceRecord::new(&cross))?;
-    }
+    let keyframes = contents.keyframes.iter();
+    Tree::open(database, Table::Keyframes)?
+        .write_all(keyframes.map(|keyframe| (keyframe.id.to_be_bytes(), || KeyframeRecord::new(keyframe))))?;
+    let landmarks = contents.landmarks.iter();
+    Tree::open(database, Table::Landmarks)?
+        .write_all(landmarks.map(|landmark| (landmark.id.to_be_bytes(), || LandmarkRecord::new(landmark))))?;
+    let cross_covariances = contents.cross_covariances.iter().map(KeyframeCrossCovariance::ordered);
+    Tree::open(database, Table::CrossCovariances)?.write_all(
+        cross_covariances
+            .map(|cross| (pair_key(cross.a, cross.b), move || CrossCovarianceRecord::new(&cross))),
+    )?;
     let info = Tree::open(database, Table::Info)?;
     info.write(INFO_KEY, &InfoRecord::new(&contents.info))?;
     let schema = [SCHEMA_MAGIC, &STORE_SCHEMA.to_le_bytes()].concat();
@@ -121,6 +120,24 @@ impl Tree {
         let bytes = record::seal(self.table.name(), key, record)
             .map_err(|problem| DatabaseError::Record { record: self.table.describe(key), problem })?;
         self.tree.insert(key, bytes).map_err(failed)?;
+        Ok(())
+    }
+
+    /// Writes records in the order of their keys: first all keys with empty values, then the values.
+    ///
+    /// sled rewrites a leaf of its tree whenever that is split, and the former versions stay in the file: twice the size
+    /// of the records. Splitting empty leaves first costs next to nothing, and a full leaf is not rewritten until it has
+    /// been changed more often than it has keys.
+    fn write_all<K: AsRef<[u8]>, T: Serialize>(
+        &self,
+        records: impl Iterator<Item = (K, impl FnOnce() -> T)> + Clone,
+    ) -> Result<(), DatabaseError> {
+        for (key, _) in records.clone() {
+            self.tree.insert(key, &[]).map_err(failed)?;
+        }
+        for (key, record) in records {
+            self.write(key.as_ref(), &record())?;
+        }
         Ok(())
     }
 

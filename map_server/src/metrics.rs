@@ -1,0 +1,143 @@
+//! Metrics of a server, for Prometheus.
+
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::time::Duration;
+
+use prometheus_client::encoding::EncodeLabelSet;
+use prometheus_client::metrics::counter::Counter;
+use prometheus_client::metrics::family::Family;
+use prometheus_client::metrics::gauge::Gauge;
+use prometheus_client::metrics::histogram::{Histogram, exponential_buckets};
+use prometheus_client::registry::{Registry, Unit};
+
+use crate::handlers::Kind;
+use recognition::LoadedMap;
+
+/// Label of what one map has.
+#[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
+struct MapLabel {
+    map: String,
+}
+
+/// Labels of what the queries of one kind about one map have.
+#[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
+struct QueryLabels {
+    map: String,
+    kind: &'static str,
+}
+
+/// Counters of a server since its start.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[non_exhaustive]
+pub struct ServerStatistics {
+    /// Queries answered, "no match" included.
+    pub answered: u64,
+    /// Queries answered with an error, refused ones excluded.
+    pub failed: u64,
+    /// Queries refused because the queue was full.
+    pub refused: u64,
+    /// Time from the receipt of a query to its last reply, summed over answered and failed queries.
+    pub answer_time: Duration,
+    /// Whether answering any query panicked: a bug, please report it.
+    pub panicked: bool,
+}
+
+/// What a server counts.
+pub(crate) struct ServerMetrics {
+    answered: Counter,
+    failed: Counter,
+    refused: Counter,
+    waiting: Gauge,
+    durations: Family<QueryLabels, Histogram>,
+    keyframes: Family<MapLabel, Gauge>,
+    versions: Family<MapLabel, Gauge<u64, AtomicU64>>,
+    answer_us: AtomicU64,
+    panicked: AtomicBool,
+}
+
+/// From half a millisecond to 8 s.
+fn duration_histogram() -> Histogram {
+    Histogram::new(exponential_buckets(0.0005, 2.0, 15))
+}
+
+impl Default for ServerMetrics {
+    fn default() -> Self {
+        Self {
+            answered: Counter::default(),
+            failed: Counter::default(),
+            refused: Counter::default(),
+            waiting: Gauge::default(),
+            durations: Family::new_with_constructor(duration_histogram),
+            keyframes: Family::default(),
+            versions: Family::default(),
+            answer_us: AtomicU64::new(0),
+            panicked: AtomicBool::new(false),
+        }
+    }
+}
+
+impl ServerMetrics {
+    /// Registers all metrics under the prefix `map_server`.
+    pub(crate) fn register(&self, registry: &mut Registry) {
+        let registry = registry.sub_registry_with_prefix("map_server");
+        registry.register("queries_answered", "Queries answered, no match included", self.answered.clone());
+        registry.register("queries_failed", "Queries answered with an error", self.failed.clone());
+        registry.register("queries_refused", "Queries refused as busy", self.refused.clone());
+        registry.register("queries_waiting", "Queries received and not answered yet", self.waiting.clone());
+        registry.register_with_unit(
+            "query_duration",
+            "Time from the receipt of a query to its last reply",
+            Unit::Seconds,
+            self.durations.clone(),
+        );
+        registry.register("map_keyframes", "Keyframes of a served map", self.keyframes.clone());
+        registry.register("map_version", "Version of a served map", self.versions.clone());
+    }
+
+    /// A query waits.
+    pub(crate) fn note_received(&self) {
+        self.waiting.inc();
+    }
+
+    /// A query that was received was refused because the queue was full.
+    pub(crate) fn note_refused(&self) {
+        self.waiting.dec();
+        self.refused.inc();
+    }
+
+    /// A query that waited was answered, or failed.
+    pub(crate) fn note_done(&self, map: &str, kind: Kind, duration: Duration, is_answered: bool) {
+        self.waiting.dec();
+        if is_answered {
+            self.answered.inc()
+        } else {
+            self.failed.inc()
+        };
+        let micros = u64::try_from(duration.as_micros()).unwrap_or(u64::MAX);
+        self.answer_us.fetch_add(micros, Ordering::Relaxed);
+        let labels = QueryLabels { map: map.to_owned(), kind: kind.name() };
+        self.durations.get_or_create(&labels).observe(duration.as_secs_f64());
+    }
+
+    /// Answering a query panicked.
+    pub(crate) fn note_panic(&self) {
+        self.panicked.store(true, Ordering::Relaxed);
+    }
+
+    /// A map is served from now on.
+    pub(crate) fn note_map(&self, name: &str, map: &LoadedMap) {
+        let label = MapLabel { map: name.to_owned() };
+        self.keyframes.get_or_create(&label).set(map.keyframe_count() as i64);
+        self.versions.get_or_create(&label).set(map.info().version);
+    }
+
+    pub(crate) fn statistics(&self) -> ServerStatistics {
+        ServerStatistics {
+            answered: self.answered.get(),
+            failed: self.failed.get(),
+            refused: self.refused.get(),
+            answer_time: Duration::from_micros(self.answer_us.load(Ordering::Relaxed)),
+            panicked: self.panicked.load(Ordering::Relaxed),
+        }
+    }
+}

@@ -1,0 +1,123 @@
+//! Metrics and health of a robot, for Prometheus and for whatever restarts programs.
+
+use super::summary::QuerySummary;
+use estimator::{Localization, Status};
+use monitoring::Health;
+use prometheus_client::encoding::EncodeLabelSet;
+use prometheus_client::metrics::counter::Counter;
+use prometheus_client::metrics::family::Family;
+use prometheus_client::metrics::gauge::Gauge;
+use prometheus_client::metrics::histogram::{Histogram, exponential_buckets};
+use prometheus_client::registry::{Registry, Unit};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+/// Label of a localization state.
+#[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
+struct StateLabel {
+    state: &'static str,
+}
+
+/// The states and their labels, as in published status messages.
+const STATES: [(Localization, &str); 3] = [
+    (Localization::OdometryOnly, "odometry_only"),
+    (Localization::Localized, "localized"),
+    (Localization::Lost, "lost"),
+];
+
+/// What a run counts while it goes on. Clones share the counters.
+///
+/// ```
+/// use onboard::RobotMetrics;
+/// use prometheus_client::registry::Registry;
+///
+/// let metrics = RobotMetrics::default();
+/// let mut registry = Registry::default();
+/// metrics.register(&mut registry);
+/// assert!(!metrics.health().is_well, "no frame yet");
+/// ```
+#[derive(Clone, Debug)]
+pub struct RobotMetrics {
+    frames: Counter,
+    frame_duration: Histogram,
+    queries_sent: Counter,
+    queries_answered: Counter,
+    answers_accepted: Counter,
+    localization: Family<StateLabel, Gauge>,
+    held_keyframes: Gauge,
+    health: Arc<Mutex<Health>>,
+}
+
+impl Default for RobotMetrics {
+    fn default() -> Self {
+        Self {
+            frames: Counter::default(),
+            // From a quarter of a millisecond to 4 s.
+            frame_duration: Histogram::new(exponential_buckets(0.000_25, 2.0, 15)),
+            queries_sent: Counter::default(),
+            queries_answered: Counter::default(),
+            answers_accepted: Counter::default(),
+            localization: Family::default(),
+            held_keyframes: Gauge::default(),
+            health: Arc::new(Mutex::new(Health::unwell("no image yet"))),
+        }
+    }
+}
+
+impl RobotMetrics {
+    /// Registers all metrics under the prefix `robot`.
+    pub fn register(&self, registry: &mut Registry) {
+        let registry = registry.sub_registry_with_prefix("robot");
+        registry.register("frames", "Images processed", self.frames.clone());
+        registry.register_with_unit(
+            "frame_duration",
+            "Computing time of an image, map updates included",
+            Unit::Seconds,
+            self.frame_duration.clone(),
+        );
+        registry.register("queries_sent", "Map queries sent", self.queries_sent.clone());
+        registry.register(
+            "queries_answered",
+            "Map queries answered, no match included",
+            self.queries_answered.clone(),
+        );
+        registry.register(
+            "answers_accepted",
+            "Answers that corrected the pose",
+            self.answers_accepted.clone(),
+        );
+        registry.register("localization", "1 for the present state, else 0", self.localization.clone());
+        registry.register("held_keyframes", "Keyframes held in the estimator", self.held_keyframes.clone());
+    }
+
+    /// Whether the robot has a pose that can be trusted: in the map, or by odometry before the first match.
+    pub fn health(&self) -> Health {
+        self.health.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// Counts a frame that was processed.
+    pub(crate) fn note_frame(&self, duration: Duration) {
+        self.frames.inc();
+        self.frame_duration.observe(duration.as_secs_f64());
+    }
+
+    /// Takes the status and the number of queries of now.
+    pub(crate) fn note_status(&self, status: &Status, queries: &QuerySummary) {
+        for (state, name) in STATES {
+            let label = StateLabel { state: name };
+            self.localization.get_or_create(&label).set(i64::from(status.localization == state));
+        }
+        self.held_keyframes.set(status.held_keyframes as i64);
+        raise(&self.queries_sent, queries.sent);
+        raise(&self.queries_answered, queries.answered);
+        raise(&self.answers_accepted, queries.accepted);
+        let is_well = status.localization != Localization::Lost;
+        *self.health.lock().unwrap_or_else(PoisonError::into_inner) =
+            Health { is_well, reason: status.reason.clone() };
+    }
+}
+
+/// Raises a counter to a total that was counted elsewhere.
+fn raise(counter: &Counter, total: u64) {
+    counter.inc_by(total.saturating_sub(counter.get()));
+}

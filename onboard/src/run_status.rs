@@ -1,0 +1,52 @@
+//! What a run says of itself: its status, and its alarms.
+
+use super::outputs::Recorder;
+use super::run::RobotRun;
+use estimator::{Alarm, Estimator, Status};
+use std::mem::{Discriminant, discriminant};
+
+/// Kinds of alarms.
+#[derive(Debug, PartialEq)]
+pub(crate) enum AlarmKind {
+    Map(Discriminant<Alarm>),
+    ImuUnits,
+}
+
+impl RobotRun<'_> {
+    /// Logs and keeps the alarms that begin and end.
+    ///
+    /// # Arguments
+    /// * `seconds`: since the first frame.
+    pub(super) fn update_alarms(&mut self, seconds: f64) {
+        let of_map = self.supervisor.estimator().map(Estimator::alarms).unwrap_or_default();
+        let of_map = of_map.iter().map(|alarm| (AlarmKind::Map(discriminant(alarm)), alarm.to_string()));
+        let of_imu = self.imu_fault.map(|fault| (AlarmKind::ImuUnits, fault.to_string()));
+        self.alarms.update(seconds, of_map.chain(of_imu).collect());
+    }
+
+    /// The status, with why the map does not answer and what is wrong with the readings.
+    pub(super) fn status(&self) -> Status {
+        let mut status = self.supervisor.status();
+        let failure = self.last_failure.as_ref().map(|failure| format!("the map does not answer: {failure}"));
+        for fault in failure.into_iter().chain(self.imu_fault.map(|fault| fault.to_string())) {
+            status.reason = format!("{}; {fault}", status.reason);
+        }
+        status
+    }
+
+    /// Publishes the status where there is no pose.
+    pub(super) fn publish_status(&mut self, stamp_ns: i64, recorder: &Recorder) {
+        let status = self.note_status(recorder);
+        if let Some(publisher) = &self.publisher {
+            publisher.publish_status(stamp_ns, status, recorder.query_counts());
+        }
+    }
+
+    /// Takes the status of now into metrics and log.
+    pub(super) fn note_status(&mut self, recorder: &Recorder) -> Status {
+        let status = self.status();
+        self.metrics.note_status(&status, &recorder.queries);
+        self.status_line.log(&status, recorder.frames, &recorder.queries);
+        status
+    }
+}

@@ -1,0 +1,88 @@
+//! A map whose server begins to lie in the middle of a run: the watch over the map must raise an alarm, and the robot must
+//! not go on claiming centimetres.
+#![allow(clippy::unwrap_used)]
+
+use estimator::EstimatorConfig;
+use simulation::monte_carlo::{AnswerOptions, Lie, MapOptions, MonteCarloOptions, Trial, Variant, run};
+use simulation::{Scenario, SimulationOptions};
+
+const FROM_S: f64 = 15.0;
+
+fn trials(runs: usize, lie: Option<Lie>, map: MapOptions, cameras: usize) -> Vec<Trial> {
+    let options = MonteCarloOptions {
+        runs,
+        simulation: SimulationOptions {
+            scenario: Scenario::Loops,
+            speed: 3.0,
+            duration_s: Some(40.0),
+            live_feature_period_s: 1e9,
+            ..SimulationOptions::default()
+        },
+        map,
+        answers: AnswerOptions { every_s: 1.0, lie, ..AnswerOptions::default() },
+        ..MonteCarloOptions::default()
+    };
+    let variant = Variant { name: "default".to_owned(), config: EstimatorConfig::default(), cameras };
+    run(&options, &[variant], |_| {}).unwrap().remove(0).trials
+}
+
+/// A map that was surveyed to 2 cm and 0.2 degrees.
+fn surveyed() -> MapOptions {
+    MapOptions { sigma_theta_rad: 0.003, sigma_p_m: 0.02, shift: 0.005, ..MapOptions::default() }
+}
+
+/// Asserts that a lie raises the alarm before it has moved the position by `within_m` (with one camera, with two), and that the error stays below a
+/// NEES of 9 (over six degrees of freedom) of what is claimed; that nothing diverges and no number is lost.
+fn assert_doubted(lie: Lie, within_m: [f64; 2]) {
+    for (cameras, within_m) in [1, 2].into_iter().zip(within_m) {
+        for trial in trials(3, Some(lie), surveyed(), cameras) {
+            assert_eq!(trial.diverged, None);
+            let alarm_s = trial.alarm_s.unwrap_or(f64::INFINITY);
+            let (mut moved_m, mut nees) = (0.0_f64, 0.0_f64);
+            for sample in &trial.errors.as_ref().unwrap().pose {
+                let seconds = (sample.stamp_ns - trial.begin_ns) as f64 * 1e-9;
+                assert!(sample.error.iter().chain(sample.sigma.iter()).all(|value| value.is_finite()));
+                if (FROM_S..alarm_s).contains(&seconds) {
+                    moved_m = moved_m.max(sample.error.fixed_rows::<3>(3).norm());
+                }
+                nees = nees.max(sample.nees.map_or(f64::INFINITY, |nees| nees.pose));
+            }
+            let what = format!(
+                "cameras {cameras} seed {}: alarm at {alarm_s:.1} s, {moved_m:.2} m, NEES {nees:.1}",
+                trial.seed
+            );
+            println!("{what}");
+            assert!(alarm_s.is_finite() && moved_m < within_m && nees < 9.0, "{lie:?}, {what}");
+        }
+    }
+}
+
+#[test]
+fn a_lie_of_half_a_metre_is_doubted() {
+    assert_doubted(Lie { at_once_m: 0.5, ..Lie::from(FROM_S) }, [0.5; 2]);
+}
+
+#[test]
+fn a_lie_that_grows_by_five_centimetres_with_each_answer_is_doubted() {
+    // One camera leaves the odometry less certain, and so more to be explained by it.
+    assert_doubted(Lie { each_m: 0.05, ..Lie::from(FROM_S) }, [0.7, 0.5]);
+}
+
+#[test]
+fn a_lie_of_0_2_rad_is_doubted() {
+    assert_doubted(Lie { yaw_rad: 0.2, ..Lie::from(FROM_S) }, [0.5; 2]);
+}
+
+#[test]
+fn a_new_version_five_metres_away_is_doubted() {
+    assert_doubted(Lie { at_once_m: 5.0, new_version: true, ..Lie::from(FROM_S) }, [0.5; 2]);
+}
+
+#[test]
+fn an_honest_map_raises_no_alarm() {
+    for map in [surveyed(), MapOptions::default()] {
+        for trial in trials(20, None, map, 2) {
+            assert_eq!((trial.diverged, trial.alarm_s), (None, None), "seed {}", trial.seed);
+        }
+    }
+}
