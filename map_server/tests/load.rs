@@ -61,8 +61,8 @@ fn requests(place: &Place, has_prior: bool, seed: u64) -> Vec<MatchRequest> {
         let pose = place.path[rng.random_range(0..place.path.len())];
         let mut request = place.request(&pose, 4, &mut rng);
         let covariance = isotropic_covariance(0.05, 0.3);
-        request.prior = has_prior
-            .then(|| PosePrior { global_from_camera: PoseWithCovariance::new(pose, covariance) });
+        request.prior =
+            has_prior.then(|| PosePrior { global_from_camera: PoseWithCovariance::new(pose, covariance) });
         request
     };
     (0..20).map(|_| from_somewhere()).collect()

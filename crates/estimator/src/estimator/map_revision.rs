@@ -42,7 +42,7 @@ impl Estimator {
     /// # Ok::<(), estimator::EstimatorError>(())
     /// ```
     pub fn map_changed(&mut self, revision: &MapRevision) -> RevisionEffect {
-        let Some(held) = self.map_version.in_use().filter(|held| *held < revision.version) else {
+        let Some(held) = self.map_version.in_use().filter(|held| *held != revision.version) else {
             return RevisionEffect::None;
         };
         let is_linear = |size: &ChangeSize| {

@@ -68,7 +68,7 @@ pub enum RevisionEffect {
     CarriedOver,
     /// The next answer of the new version initializes `global_from_local` again.
     Reinitialized,
-    /// None: no map version is in use yet, or this one or a newer one already.
+    /// None: no map version is in use yet, or already this one.
     None,
 }
 
