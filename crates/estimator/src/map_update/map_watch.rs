@@ -15,7 +15,8 @@ const ANSWERS: usize = 64;
 /// Squared Mahalanobis distance of a sum of corrections beyond which it is an alarm: chi-square with six degrees of freedom,
 /// 1 - 1e-6.
 const ALARM: f64 = 38.3;
-/// The same beyond which the claimed covariance is enlarged: 99.9 %. On a real flight whose filter has a NEES of 1.8 an honest map reaches 22.7 once, and 16.8 for minutes.
+/// The same beyond which the claimed covariance is enlarged: 99.9 %. An honest map reaches 22.7 on a real flight whose filter
+/// has a NEES of 1.8.
 const DOUBT: f64 = 22.5;
 /// The same below which an alarm ends: 95 %.
 const AGREES: f64 = 12.6;
