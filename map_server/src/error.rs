@@ -22,6 +22,19 @@ pub enum ServeError {
         /// The name.
         name: String,
     },
+    /// The version is not newer than the one that is served.
+    #[error(
+        "version {given} of map {name} is not newer than version {served}, which is served: make it the next version \
+         (import-map --force), or restart the server"
+    )]
+    OldVersion {
+        /// Name of the map.
+        name: String,
+        /// Version that is served.
+        served: u64,
+        /// Version that was to replace it.
+        given: u64,
+    },
     /// What is to be served is no version of the map that is served.
     #[error(
         "map {name} is {served}, and {given} is another map: robots would take the poses in one for poses in the other; \

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use prometheus_client::registry::Registry;
-use protocol::{Format, StatedChange, keys};
+use protocol::{Format, StatedChange, Validate as _, keys};
 use recognition::LoadedMap;
 use tokio::task::JoinHandle;
 use zenoh::Session;
@@ -137,11 +137,12 @@ impl MapServer {
     ///
     /// # Arguments
     /// * `stated_change`: size of the map's motion, if known to the caller; otherwise computed from the keyframes that
-    ///   both versions have.
+    ///   both versions have. One beyond [`protocol::MAX_CHANGE_RAD`] or [`protocol::MAX_CHANGE_M`] counts as unknown.
     ///
     /// # Errors
     /// [`ServeError::UnknownMap`]; [`ServeError::OtherMap`] for a map of another identity: a version that was made in memory
-    /// states the identity of the served map in its info; [`ServeError::Zenoh`] if the map was replaced but the notice was not published.
+    /// states the identity of the served map in its info; [`ServeError::OldVersion`] for a version that is not newer;
+    /// [`ServeError::Zenoh`] if the map was replaced but the notice was not published.
     pub async fn replace(
         &self,
         name: &str,
@@ -153,10 +154,14 @@ impl MapServer {
         if served_identity != given {
             return Err(ServeError::OtherMap { name: name.to_owned(), served: served_identity, given });
         }
+        let (serving, version) = (served.current().info().version, map.info().version);
+        if version <= serving {
+            return Err(ServeError::OldVersion { name: name.to_owned(), served: serving, given: version });
+        }
         let previous = served.replace(Arc::clone(&map));
         self.metrics.note_map(name, &map);
         let mut change = change::between(name, &previous, &map);
-        change.stated_change = stated_change.or(change.stated_change);
+        change.stated_change = stated_change.or(change.stated_change).filter(|size| size.validate().is_ok());
         tracing::info!(
             name,
             from_version = change.from_version,

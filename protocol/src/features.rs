@@ -265,6 +265,7 @@ impl Validate for FeatureSet {
 pub(crate) fn require_query(features: &FeatureSet) -> Result<(), InvalidField> {
     let count = features.len();
     let few = count <= MAX_QUERY_FEATURES;
-    require(few, "features", &format!("holds {count} features, a query at most {MAX_QUERY_FEATURES}"))?;
+    let reason = format!("holds {count} features, more than the {MAX_QUERY_FEATURES} of a query");
+    require(few, "features.pixels", &reason)?;
     require_valid(features, "features")
 }

@@ -94,7 +94,7 @@ fn covariances_of_very_different_units_and_exact_ones_are_sound() {
 
 #[test]
 fn queries_that_cost_too_much() {
-    assert_refused("features", "at most 5000", |request| {
+    assert_refused("features.pixels", "more than the 5000 of a query", |request| {
         let count = protocol::MAX_QUERY_FEATURES + 1;
         let width = usize::from(request.features.descriptors.width);
         request.features.pixels = vec![[1.0, 2.0]; count];

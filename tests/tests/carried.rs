@@ -61,7 +61,7 @@ fn carried(missing: Missing) -> (Vec<RobotState>, Outcome) {
     let client = Client::connect(server.endpoint());
     let (sender, receiver) = std::sync::mpsc::channel();
     let said = move |sample: zenoh::sample::Sample| {
-        let status: RobotStatus = protocol::decode(Format::Bincode, &sample.payload().to_bytes()).unwrap();
+        let status: RobotStatus = protocol::decode(Format::Json, &sample.payload().to_bytes()).unwrap();
         sender.send(status.state).unwrap();
     };
     let subscriber = client.session.declare_subscriber("robot/ada/status").callback(said);

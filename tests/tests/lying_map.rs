@@ -31,10 +31,20 @@ fn surveyed() -> MapOptions {
     MapOptions { sigma_theta_rad: 0.003, sigma_p_m: 0.02, shift: 0.005, ..MapOptions::default() }
 }
 
-/// Asserts that a lie raises the alarm before it has moved the position by `within_m` (with one camera, with two), and that the error stays below a
-/// NEES of 9 (over six degrees of freedom) of what is claimed; that nothing diverges and no number is lost.
-fn assert_doubted(lie: Lie, within_m: [f64; 2]) {
-    for (cameras, within_m) in [1, 2].into_iter().zip(within_m) {
+/// Bounds of a lie, with one camera and with two.
+struct Bounds {
+    /// The alarm comes before the position has moved by so much, metres.
+    within_m: [f64; 2],
+    /// NEES (over six degrees of freedom) of what is claimed.
+    nees: [f64; 2],
+}
+
+const AT_ONCE: Bounds = Bounds { within_m: [0.5; 2], nees: [9.0; 2] };
+
+/// Asserts the bounds, that nothing diverges and no number is lost.
+fn assert_doubted(lie: Lie, bounds: &Bounds) {
+    for cameras in [1, 2] {
+        let (within_m, max_nees) = (bounds.within_m[cameras - 1], bounds.nees[cameras - 1]);
         for trial in trials(3, Some(lie), surveyed(), cameras) {
             assert_eq!(trial.diverged, None);
             let alarm_s = trial.alarm_s.unwrap_or(f64::INFINITY);
@@ -52,30 +62,32 @@ fn assert_doubted(lie: Lie, within_m: [f64; 2]) {
                 trial.seed
             );
             println!("{what}");
-            assert!(alarm_s.is_finite() && moved_m < within_m && nees < 9.0, "{lie:?}, {what}");
+            assert!(alarm_s.is_finite() && moved_m < within_m && nees < max_nees, "{lie:?}, {what}");
         }
     }
 }
 
 #[test]
 fn a_lie_of_half_a_metre_is_doubted() {
-    assert_doubted(Lie { at_once_m: 0.5, ..Lie::from(FROM_S) }, [0.5; 2]);
+    assert_doubted(Lie { at_once_m: 0.5, ..Lie::from(FROM_S) }, &AT_ONCE);
 }
 
 #[test]
 fn a_lie_that_grows_by_five_centimetres_with_each_answer_is_doubted() {
-    // One camera leaves the odometry less certain, and so more to be explained by it.
-    assert_doubted(Lie { each_m: 0.05, ..Lie::from(FROM_S) }, [0.7, 0.5]);
+    // One camera leaves the odometry less certain, and so more to be explained by it. Nothing is added to what is claimed
+    // below 99.9 %, see `watch.md`.
+    let bounds = Bounds { within_m: [0.7, 0.5], nees: [15.0, 15.0] };
+    assert_doubted(Lie { each_m: 0.05, ..Lie::from(FROM_S) }, &bounds);
 }
 
 #[test]
 fn a_lie_of_0_2_rad_is_doubted() {
-    assert_doubted(Lie { yaw_rad: 0.2, ..Lie::from(FROM_S) }, [0.5; 2]);
+    assert_doubted(Lie { yaw_rad: 0.2, ..Lie::from(FROM_S) }, &AT_ONCE);
 }
 
 #[test]
 fn a_new_version_five_metres_away_is_doubted() {
-    assert_doubted(Lie { at_once_m: 5.0, new_version: true, ..Lie::from(FROM_S) }, [0.5; 2]);
+    assert_doubted(Lie { at_once_m: 5.0, new_version: true, ..Lie::from(FROM_S) }, &AT_ONCE);
 }
 
 #[test]

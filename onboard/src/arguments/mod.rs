@@ -65,7 +65,7 @@ pub struct RobotArguments {
     #[arg(long, value_enum, default_value = "json", help_heading = MAP)]
     pub topics: TopicFormat,
     /// Maximum number of keyframes in one answer (with --mode multi or mapconst)
-    #[arg(long, value_name = "N", default_value_t = 4, help_heading = MAP)]
+    #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u16).range(1..=64), help_heading = MAP)]
     pub max_keyframes: u16,
     /// Seconds to wait for the answer to a map query
     #[arg(long, value_name = "SECONDS", default_value_t = 2.0, help_heading = MAP)]

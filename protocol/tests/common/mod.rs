@@ -97,7 +97,8 @@ fn priors() -> impl Strategy<Value = Option<PosePrior>> {
 pub fn match_requests() -> impl Strategy<Value = MatchRequest> {
     let first = (names(), any::<i64>(), cameras(), features(), priors());
     let held = btree_set(any::<u64>(), 0..5).prop_map(|ids| ids.into_iter().collect());
-    let second = (option::of(directions()), held, option::of(any::<u64>()), 1..u16::MAX);
+    let second =
+        (option::of(directions()), held, option::of(any::<u64>()), 1..=protocol::MAX_ANSWER_KEYFRAMES);
     (first, second).prop_map(
         |(
             (robot, stamp_ns, camera, features, prior),
@@ -304,7 +305,8 @@ pub fn map_changes() -> impl Strategy<Value = MapChangeNotice> {
     let stated = (0.0..1.0f64, 0.0..10.0f64)
         .prop_map(|(sigma_theta_rad, sigma_p_m)| StatedChange { sigma_theta_rad, sigma_p_m });
     let ids = || vec(any::<u64>(), 0..5);
-    ((names(), identities()), any::<(u64, u64)>(), ids(), ids(), ids(), option::of(stated)).prop_map(
+    let versions = (0..u64::MAX).prop_flat_map(|from| (Just(from), from + 1..=u64::MAX));
+    ((names(), identities()), versions, ids(), ids(), ids(), option::of(stated)).prop_map(
         |((map, identity), (from_version, version), changed, moved, removed, stated_change)| {
             MapChangeNotice { map, identity, from_version, version, changed, moved, removed, stated_change }
         },

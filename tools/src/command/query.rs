@@ -35,7 +35,7 @@ pub struct Args {
     #[arg(long)]
     pub float: bool,
     /// Most keyframes in the reply
-    #[arg(long, value_name = "N", default_value_t = 4)]
+    #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u16).range(1..=64))]
     pub max_keyframes: u16,
     /// Request only the pose
     #[arg(long)]

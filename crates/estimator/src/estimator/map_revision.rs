@@ -5,7 +5,7 @@ use super::map_update::UpdateResult;
 use crate::map_update::map_answer::MapAnswer;
 use crate::map_update::map_report::{MapReport, Rejection};
 use crate::map_update::map_revision::{
-    ChangeSize, MAX_CHANGE_M, MapRevision, RevisionEffect, transform_noise,
+    ChangeSize, MAX_LINEAR_CHANGE_M, MapRevision, RevisionEffect, transform_noise,
 };
 use crate::state::{Block, CloneId};
 
@@ -42,13 +42,13 @@ impl Estimator {
     /// # Ok::<(), estimator::EstimatorError>(())
     /// ```
     pub fn map_changed(&mut self, revision: &MapRevision) -> RevisionEffect {
-        let Some(held) = self.map_version.in_use().filter(|held| *held < revision.version) else {
+        let Some(held) = self.map_version.in_use().filter(|held| *held != revision.version) else {
             return RevisionEffect::None;
         };
         let is_linear = |size: &ChangeSize| {
             // A rotation beyond the prior of `global_from_local` makes the present estimate useless.
             (0.0..=self.config.sigma_transform_rotation_rad).contains(&size.sigma_rotation_rad)
-                && (0.0..=MAX_CHANGE_M).contains(&size.sigma_position_m)
+                && (0.0..=MAX_LINEAR_CHANGE_M).contains(&size.sigma_position_m)
         };
         match revision.size.filter(is_linear) {
             Some(size) if held == revision.from_version => {

@@ -21,9 +21,9 @@ const ROTATION_TOLERANCE_RAD_S: f64 = 0.1;
 const ACCELERATION_TOLERANCE: f64 = 0.6;
 /// Maximum plausible speed, m/s.
 const MAX_SPEED: f64 = 60.0;
-/// Squared Mahalanobis distance between map and state beyond which a fix is evidence against the state, if those before it
-/// are of other keyframes: 99 % of six degrees of freedom.
-const EVIDENCE: f64 = 16.8;
+/// Squared Mahalanobis distance between map and state beyond which a rejected or doubted fix is evidence against the state,
+/// if those before it are of other keyframes: the mean of six degrees of freedom.
+const EVIDENCE: f64 = 6.0;
 /// Beyond which it contradicts the state: 99.99 %.
 const FAR: f64 = 27.9;
 /// Beyond which no error of a keyframe explains it: ten sigmas in one direction.
@@ -302,7 +302,7 @@ mod tests {
     #[test]
     fn one_keyframe_is_no_evidence_twice_unless_no_error_of_it_explains_the_distance() {
         let mut fixes = MapFixes::default();
-        assert!(!fixes.is_evidence(&fix(1, 10.0)), "two sigmas");
+        assert!(!fixes.is_evidence(&fix(1, 5.0)), "as expected");
         assert!(fixes.is_evidence(&fix(1, 20.0)));
         fixes.add(fix(1, 20.0));
         assert!(!fixes.is_evidence(&fix(1, 40.0)), "the same keyframe");

@@ -37,7 +37,7 @@ pub const ANNOUNCEMENT_NS: i64 = 2_000_000_000;
 
 /// Largest motion in a change that keeps `global_from_local`, metres per axis: beyond, its estimate says nothing, and a
 /// covariance with such a variance beside those of centimetres is badly conditioned.
-pub const MAX_CHANGE_M: f64 = 1000.0;
+pub const MAX_LINEAR_CHANGE_M: f64 = 1000.0;
 
 /// Motion of a map in a change: standard deviations of a pose error of G at any position in it.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -68,7 +68,7 @@ pub enum RevisionEffect {
     CarriedOver,
     /// The next answer of the new version initializes `global_from_local` again.
     Reinitialized,
-    /// None: no map version is in use yet, or this one or a newer one already.
+    /// None: no map version is in use yet, or already this one.
     None,
 }
 

@@ -15,8 +15,9 @@ const ANSWERS: usize = 64;
 /// Squared Mahalanobis distance of a sum of corrections beyond which it is an alarm: chi-square with six degrees of freedom,
 /// 1 - 1e-6.
 const ALARM: f64 = 38.3;
-/// The same beyond which the claimed covariance is enlarged: 99 %.
-const DOUBT: f64 = 16.8;
+/// The same beyond which the claimed covariance is enlarged: 99.9 %. An honest map reaches 22.7 on a real flight whose filter
+/// has a NEES of 1.8.
+const DOUBT: f64 = 22.5;
 /// The same below which an alarm ends: 95 %.
 const AGREES: f64 = 12.6;
 /// An alarm ends when no further corrections contradict odometry for this time, nanoseconds: a map that stays where it is
@@ -295,7 +296,9 @@ mod tests {
                 filter.answer(&lie);
                 let moved = filter.error.fixed_rows::<3>(3).norm();
                 alarm_m = alarm_m.or(filter.watch.alarm().map(|_| moved));
-                assert!(filter.nees() < 9.0, "seed {seed}: NEES {} at {moved} m", filter.nees());
+                // Below the bound of doubt nothing is added: two answers later the lie shows.
+                let bound = if alarm_m.is_some() { 9.0 } else { 15.0 };
+                assert!(filter.nees() < bound, "seed {seed}: NEES {} at {moved} m", filter.nees());
             }
             assert!(alarm_m.is_some_and(|metres| metres < 0.5), "seed {seed}: {alarm_m:?}");
         }
