@@ -11,6 +11,7 @@
 //! | [`error`] | [`RosError`] |
 //!
 //! Names, tokens, attachments and quality of service are pure functions, tested against goldens.
+#![cfg_attr(test, allow(clippy::unwrap_used))]
 
 pub mod attachment;
 pub mod error;

@@ -40,10 +40,10 @@ fn check(kind: &'static str, name: &str, parts: &str) -> Result<(), NameError> {
 /// # Errors
 /// [`NameError`]: see there.
 pub fn check_node(name: &str) -> Result<(), NameError> {
-    check("node name", name, name).and_then(|()| match name.contains('/') {
-        true => Err(NameError { kind: "node name", name: name.to_owned(), reason: "it holds '/'" }),
-        false => Ok(()),
-    })
+    if name.contains('/') {
+        return Err(NameError { kind: "node name", name: name.to_owned(), reason: "it holds '/'" });
+    }
+    check("node name", name, name)
 }
 
 /// The absolute namespace, with a `/` before and none after; `/` for the empty one.

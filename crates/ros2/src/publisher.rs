@@ -12,7 +12,7 @@ use zenoh::liveliness::LivelinessToken;
 /// Publishes messages of one type on one topic. Other nodes see it as long as it exists.
 #[derive(Debug)]
 pub struct Publisher<M> {
-    publisher: zenoh::pubsub::Publisher<'static>,
+    samples: zenoh::pubsub::Publisher<'static>,
     _token: LivelinessToken,
     gid: [u8; GID_BYTES],
     sent: AtomicI64,
@@ -21,11 +21,11 @@ pub struct Publisher<M> {
 
 impl<M: RosMessage> Publisher<M> {
     pub(crate) fn new(
-        publisher: zenoh::pubsub::Publisher<'static>,
+        samples: zenoh::pubsub::Publisher<'static>,
         token: LivelinessToken,
         gid: [u8; GID_BYTES],
     ) -> Self {
-        Self { publisher, _token: token, gid, sent: AtomicI64::new(0), message: PhantomData }
+        Self { samples, _token: token, gid, sent: AtomicI64::new(0), message: PhantomData }
     }
 
     /// Sends a message. On a congested network it is dropped: newer ones follow.
@@ -38,7 +38,7 @@ impl<M: RosMessage> Publisher<M> {
             source_stamp_ns: now_ns(),
             gid: self.gid,
         };
-        let put = self.publisher.put(encode(message)?).attachment(attachment.to_bytes());
+        let put = self.samples.put(encode(message)?).attachment(attachment.to_bytes());
         put.await.map_err(RosError::zenoh("the message cannot be published"))
     }
 }

@@ -1,4 +1,5 @@
 //! Two nodes over real Zenoh sessions.
+#![allow(clippy::unwrap_used)]
 
 use ros_messages::nav_msgs::Odometry;
 use ros_messages::sensor_msgs::{Image, Imu};

@@ -45,8 +45,7 @@ fn tokens_of_nodes_and_topics() {
 #[test]
 fn the_id_of_a_publisher_is_the_hash_of_its_token() {
     let id = gid("@ros2_lv/0/aac3178e146ba6f1fc6e6a4085e77f21/0/0/NN/%/%/listener");
-    let hexadecimal: String = id.iter().map(|byte| format!("{byte:02x}")).collect();
-    assert_eq!(hexadecimal, "5bd72f4daf53c0bb00c7394e7fc19547");
+    assert_eq!(u128::from_be_bytes(id), 0x5bd7_2f4d_af53_c0bb_00c7_394e_7fc1_9547);
 }
 
 #[test]

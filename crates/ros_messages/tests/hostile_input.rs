@@ -1,4 +1,5 @@
 //! Bytes from a network or a file may be anything: no panic, and no memory beyond a small multiple of them.
+#![allow(clippy::unwrap_used)]
 
 use proptest::prelude::*;
 use ros_messages::diagnostic_msgs::{DiagnosticArray, DiagnosticStatus, KeyValue};
@@ -112,5 +113,5 @@ fn what_is_not_a_number_arrives_as_such() {
     let reading = Imu { linear_acceleration: [f64::NAN, f64::INFINITY, -0.0].into(), ..Default::default() };
     let decoded: Imu = decode(&encode(&reading).unwrap()).unwrap();
     assert!(decoded.linear_acceleration.x.is_nan());
-    assert_eq!(decoded.linear_acceleration.y, f64::INFINITY);
+    assert!(decoded.linear_acceleration.y.is_infinite() && decoded.linear_acceleration.z.is_sign_negative());
 }

@@ -48,10 +48,11 @@ impl RosOutput {
 
     /// Publishes an estimate; dropped where the network is slow, newer ones follow.
     pub fn publish(&mut self, estimate: &Estimate) {
-        match messages(&self.settings, &mut self.odom, estimate) {
-            Some(messages) => drop(self.queue.try_send(messages)),
-            None => tracing::warn!(estimate.stamp_ns, "this time cannot be written in ROS: not published"),
-        }
+        let Some(messages) = messages(&self.settings, &mut self.odom, estimate) else {
+            return tracing::warn!(estimate.stamp_ns, "this time cannot be written in ROS: not published");
+        };
+        // A full queue means a slow network: these messages are dropped.
+        let _ = self.queue.try_send(messages);
     }
 
     /// Publishes the status now if it changed, and every second.
