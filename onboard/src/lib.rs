@@ -13,7 +13,7 @@
 //! | [`estimator_supervisor`] | initializes the estimator, and again after a divergence |
 //! | [`alarms`], `run_status` | what contradicts the sensors or the map: logged when it begins and ends, kept for the summary |
 //! | [`front_end`], [`extraction`] | tracks and features from images |
-//! | [`outputs`] | files, summary, messages |
+//! | [`outputs`] | files, summary, messages, ROS 2 topics |
 //! | [`stop`], [`progress`], [`stdout`] | signals and terminal |
 //!
 //! A robot without map and network, on a simulated recording:

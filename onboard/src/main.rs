@@ -6,7 +6,8 @@ use client::session::{Member, Role};
 use client::{SessionArguments, without_secrets};
 use estimator::MapMode;
 use monitoring::{LogFormat, MonitoringServer, start_log};
-use onboard::arguments::{CalibrationArguments, DEFAULT_ROBOT, INPUT, MAP, OUTPUT};
+use onboard::arguments::{CalibrationArguments, DEFAULT_ROBOT, INPUT, MAP, OUTPUT, RosArguments};
+use onboard::outputs::RosOutput;
 use onboard::{
     EndedLost, OpeningLink, RobotArguments, RobotLink, RobotMetrics, StopSignal, progress, run_robot_until,
     stdout,
@@ -63,6 +64,8 @@ struct Arguments {
     #[arg(long, help_heading = OUTPUT)]
     json: bool,
     #[command(flatten)]
+    ros: RosArguments,
+    #[command(flatten)]
     robot: RobotArguments,
 }
 
@@ -94,7 +97,13 @@ fn localize() -> Result<()> {
         Some(address) => Some(runtime.block_on(start_monitoring(address, &arguments.robot.metrics))?),
         None => None,
     };
-    let link = match (&arguments.map, arguments.robot.map_mode()?) {
+    let map_mode = arguments.robot.map_mode()?;
+    let ros = arguments.ros.settings(&arguments.robot.robot, map_mode != MapMode::Odometry);
+    let ros =
+        ros.map(|settings| RosOutput::start(settings, runtime.handle())).transpose().context("--ros2")?;
+    let (topics, ros_task) = ros.unzip();
+    arguments.robot.ros = topics;
+    let link = match (&arguments.map, map_mode) {
         (_, MapMode::Odometry) => None,
         (None, _) => {
             bail!("--map NAME is missing: give the name of the map on the server, or use --mode odometry")
@@ -110,6 +119,10 @@ fn localize() -> Result<()> {
     let show = |frame| bar.set_position(frame as u64);
     let outcome = run_robot_until(&stop, recording, &arguments.robot, link, show)?;
     bar.finish_and_clear();
+    arguments.robot.ros = None;
+    if let Some(task) = ros_task {
+        runtime.block_on(task.finish());
+    }
     if arguments.json {
         println!("{}", serde_json::to_string_pretty(&outcome.summary)?);
     } else {

@@ -169,6 +169,7 @@ fn play(
     robot.max_keyframes = arguments.max_keyframes;
     robot.realtime = arguments.realtime;
     robot.metrics = arguments.metrics.clone();
+    robot.ros.clone_from(&arguments.ros);
     if let Some(link) = link {
         robot.query_deadline = Duration::from_secs_f64(arguments.deadline);
         robot.set_link(link)?;

@@ -6,7 +6,7 @@ use super::extraction::ExtractionThread;
 use super::front_end::FrontEnd;
 use super::input::{ImuWindow, SensorQueue};
 use super::link::OpeningLink;
-use super::outputs::{Publisher, Recorder, RobotMetrics, StatusLine, Timings};
+use super::outputs::{Estimate, Publisher, Recorder, RobotMetrics, RosOutput, StatusLine, Timings};
 use super::run_status::AlarmKind;
 use super::stop::StopSignal;
 use client::{MapChangeSubscriber, QueryTasks};
@@ -89,6 +89,8 @@ pub struct RobotRun<'a> {
     pub map_changes: Option<MapChangeSubscriber>,
     /// Publishes pose, odometry and status; `None` without a network.
     pub publisher: Option<Publisher>,
+    /// Publishes for ROS 2.
+    pub ros: Option<RosOutput>,
     /// What the run counts.
     pub metrics: RobotMetrics,
     pub(super) supervisor: EstimatorSupervisor,
@@ -130,6 +132,7 @@ impl<'a> RobotRun<'a> {
             queries: None,
             map_changes: None,
             publisher: None,
+            ros: None,
             metrics: RobotMetrics::default(),
             supervisor,
             query_camera: calibration.cameras.first().map(|first| first.camera.clone()),
@@ -260,6 +263,9 @@ impl RobotRun<'_> {
                 tracing::error!(%error, "the estimator diverged; no pose until it is initialized again");
                 recorder.note_divergence(stamp_ns, &error);
                 self.supervisor.reinitialize(stamp_ns, &error, self.imu.handed_out());
+                if let Some(ros) = &mut self.ros {
+                    ros.restart();
+                }
                 self.publish_status(stamp_ns, recorder);
                 Ok(())
             }
@@ -332,8 +338,12 @@ impl RobotRun<'_> {
         recorder.note_state(estimator);
         recorder.timings.add(&timings);
         self.metrics.note_frame(timings.total());
+        let rate = angular_velocity - estimator.biases().0;
+        if let Some(ros) = &mut self.ros {
+            ros.publish(&Estimate::of(estimator, rate));
+            ros.publish_status(estimator.stamp_ns(), &status, recorder.query_counts());
+        }
         if let Some(publisher) = &self.publisher {
-            let rate = angular_velocity - estimator.biases().0;
             publisher.publish(estimator, rate, status, recorder.query_counts());
         }
         self.query_frame(clone, frame, recorder);

@@ -37,6 +37,9 @@ impl RobotRun<'_> {
     /// Publishes the status where there is no pose.
     pub(super) fn publish_status(&mut self, stamp_ns: i64, recorder: &Recorder) {
         let status = self.note_status(recorder);
+        if let Some(ros) = &self.ros {
+            ros.publish_status(stamp_ns, &status, recorder.query_counts());
+        }
         if let Some(publisher) = &self.publisher {
             publisher.publish_status(stamp_ns, status, recorder.query_counts());
         }

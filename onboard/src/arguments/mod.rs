@@ -2,14 +2,16 @@
 
 mod calibration;
 mod choices;
+mod ros;
 mod settings;
 
 pub use calibration::CalibrationArguments;
 pub use choices::{Calibrate, Cameras, Init, Mode, TopicFormat};
+pub use ros::{ImuInBaseLink, RosArguments};
 pub use settings::{SettingsError, read_settings};
 
 use super::extraction::FeatureArguments;
-use super::outputs::RobotMetrics;
+use super::outputs::{RobotMetrics, RosOutput};
 use anyhow::{Result, bail};
 use clap::{Args, Parser};
 use estimator::{EstimatorConfig, MapMode, Relinearization};
@@ -38,6 +40,9 @@ pub struct RobotArguments {
     /// What the run counts; shared with whoever clones it before the run
     #[arg(skip)]
     pub metrics: RobotMetrics,
+    /// Topics for ROS 2, where there are any
+    #[arg(skip)]
+    pub ros: Option<RosOutput>,
 
     /// Cameras to use [default: stereo where the recording has cam1]
     #[arg(long, value_enum, help_heading = INPUT)]

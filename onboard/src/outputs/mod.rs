@@ -7,6 +7,7 @@ mod name_watch;
 mod publisher;
 mod publisher_error;
 mod recorder;
+mod ros;
 mod status_line;
 mod summary;
 
@@ -16,6 +17,7 @@ pub use metrics::RobotMetrics;
 pub use publisher::{Publisher, QueryCounts};
 pub use publisher_error::PublisherError;
 pub use recorder::Recorder;
+pub use ros::{Estimate, RosFrames, RosOutput, RosOutputTask, RosSettings};
 pub use status_line::StatusLine;
 pub use summary::{
     DivergenceSummary, EndedLost, ImuGapSummary, MapChangeSummary, MillisecondsPerFrame, QuerySummary,

@@ -1,0 +1,109 @@
+//! A node.
+
+use super::error::RosError;
+use super::liveliness::{Endpoint, NodeIdentity, TopicIdentity, gid};
+use super::names::{absolute_namespace, absolute_topic, check_node, data_key};
+use super::publisher::Publisher;
+use super::qos::Qos;
+use super::subscriber::Subscriber;
+use ros_messages::RosMessage;
+use std::sync::atomic::{AtomicU64, Ordering};
+use zenoh::Session;
+use zenoh::liveliness::LivelinessToken;
+
+/// What a node is called.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct NodeOptions {
+    /// Domain, `ROS_DOMAIN_ID`: nodes of other domains are not seen.
+    pub domain: u32,
+    /// Namespace of the node, and of topics that do not begin with `/`.
+    pub namespace: String,
+    /// Name; letters, digits and `_`.
+    pub name: String,
+}
+
+impl Default for NodeOptions {
+    /// The node `/driftless` in domain 0.
+    fn default() -> Self {
+        Self { domain: 0, namespace: "/".to_owned(), name: "driftless".to_owned() }
+    }
+}
+
+/// A node: other nodes see it, its publishers and its subscribers as long as they exist. One for each session.
+///
+/// The session's Zenoh namespace must be that of the other nodes, which is none where nothing is configured.
+#[derive(Debug)]
+pub struct Node {
+    session: Session,
+    identity: NodeIdentity,
+    next_entity: AtomicU64,
+    _token: LivelinessToken,
+}
+
+impl Node {
+    /// Announces a node over an open session.
+    ///
+    /// # Errors
+    /// [`RosError`]: a name that ROS does not allow, or a session that is closed.
+    pub async fn new(session: Session, options: NodeOptions) -> Result<Self, RosError> {
+        check_node(&options.name)?;
+        let identity = NodeIdentity {
+            domain: options.domain,
+            session: session.zid().to_string(),
+            number: 0,
+            namespace: absolute_namespace(&options.namespace)?,
+            name: options.name,
+        };
+        let token = declare(&session, identity.token()).await?;
+        Ok(Self { session, identity, next_entity: AtomicU64::new(1), _token: token })
+    }
+
+    /// Announces a publisher.
+    ///
+    /// # Arguments
+    /// * `topic`: below the node's namespace unless it begins with `/`.
+    ///
+    /// # Errors
+    /// As [`Node::new`].
+    pub async fn publisher<M: RosMessage>(&self, topic: &str, qos: Qos) -> Result<Publisher<M>, RosError> {
+        let topic = absolute_topic(&self.identity.namespace, topic)?;
+        let token = self.topic_token::<M>(Endpoint::Publisher, &topic, qos);
+        let key = data_key(self.identity.domain, &topic, M::TYPE_NAME, M::TYPE_HASH);
+        let publisher = self.session.declare_publisher(key).await;
+        let publisher = publisher.map_err(RosError::zenoh("the publisher cannot be declared"))?;
+        let gid = gid(&token);
+        Ok(Publisher::new(publisher, declare(&self.session, token).await?, gid))
+    }
+
+    /// Announces a subscriber of any version of a type.
+    ///
+    /// # Arguments
+    /// * `topic`: below the node's namespace unless it begins with `/`.
+    /// * `capacity`: messages that wait to be received; the oldest are dropped for newer ones.
+    ///
+    /// # Errors
+    /// As [`Node::new`].
+    pub async fn subscriber<M: RosMessage + Send + 'static>(
+        &self,
+        topic: &str,
+        qos: Qos,
+        capacity: usize,
+    ) -> Result<Subscriber<M>, RosError> {
+        let topic = absolute_topic(&self.identity.namespace, topic)?;
+        let token = self.topic_token::<M>(Endpoint::Subscriber, &topic, qos);
+        let key = data_key(self.identity.domain, &topic, M::TYPE_NAME, "*");
+        let subscriber = Subscriber::declare(&self.session, key, capacity).await?;
+        Ok(subscriber.announced(declare(&self.session, token).await?))
+    }
+
+    fn topic_token<M: RosMessage>(&self, endpoint: Endpoint, topic: &str, qos: Qos) -> String {
+        let entity = self.next_entity.fetch_add(1, Ordering::Relaxed);
+        let (type_name, type_hash) = (M::TYPE_NAME, M::TYPE_HASH);
+        self.identity.topic_token(entity, &TopicIdentity { endpoint, topic, type_name, type_hash, qos })
+    }
+}
+
+async fn declare(session: &Session, token: String) -> Result<LivelinessToken, RosError> {
+    let declared = session.liveliness().declare_token(token).await;
+    declared.map_err(RosError::zenoh("the liveliness token cannot be declared"))
+}

@@ -1,0 +1,49 @@
+//! A publisher.
+
+use super::attachment::Attachment;
+use super::error::RosError;
+use super::liveliness::GID_BYTES;
+use ros_messages::{RosMessage, encode};
+use std::marker::PhantomData;
+use std::sync::atomic::{AtomicI64, Ordering};
+use std::time::SystemTime;
+use zenoh::liveliness::LivelinessToken;
+
+/// Publishes messages of one type on one topic. Other nodes see it as long as it exists.
+#[derive(Debug)]
+pub struct Publisher<M> {
+    samples: zenoh::pubsub::Publisher<'static>,
+    _token: LivelinessToken,
+    gid: [u8; GID_BYTES],
+    sent: AtomicI64,
+    message: PhantomData<fn(M)>,
+}
+
+impl<M: RosMessage> Publisher<M> {
+    pub(crate) fn new(
+        samples: zenoh::pubsub::Publisher<'static>,
+        token: LivelinessToken,
+        gid: [u8; GID_BYTES],
+    ) -> Self {
+        Self { samples, _token: token, gid, sent: AtomicI64::new(0), message: PhantomData }
+    }
+
+    /// Sends a message. On a congested network it is dropped: newer ones follow.
+    ///
+    /// # Errors
+    /// [`RosError`]: the message cannot be written, or the session is closed.
+    pub async fn publish(&self, message: &M) -> Result<(), RosError> {
+        let attachment = Attachment {
+            sequence_number: self.sent.fetch_add(1, Ordering::Relaxed) + 1,
+            source_stamp_ns: now_ns(),
+            gid: self.gid,
+        };
+        let put = self.samples.put(encode(message)?).attachment(attachment.to_bytes());
+        put.await.map_err(RosError::zenoh("the message cannot be published"))
+    }
+}
+
+fn now_ns() -> i64 {
+    let since_epoch = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
+    since_epoch.as_nanos() as i64
+}

@@ -1,0 +1,92 @@
+//! Switches of the ROS 2 topics.
+
+use crate::outputs::{RosFrames, RosSettings};
+use client::SessionOptions;
+use client::session::{DEFAULT_ENDPOINT, SessionMode};
+use geometry::Pose;
+use nalgebra::{UnitQuaternion, Vector3};
+use std::str::FromStr;
+
+/// Heading in `--help` of the switches about ROS 2.
+const ROS: &str = "ROS 2";
+
+/// Switches of the ROS 2 topics.
+#[derive(clap::Args, Clone, Debug)]
+pub struct RosArguments {
+    /// Publish odometry, pose, transforms and diagnostics for ROS 2 (RMW_IMPLEMENTATION=rmw_zenoh_cpp)
+    #[arg(long, help_heading = ROS)]
+    pub ros2: bool,
+    /// Zenoh router of ROS 2 (rmw_zenohd), in a session of its own: --namespace and --secure do not concern it
+    #[arg(long, value_name = "ENDPOINT", default_value = DEFAULT_ENDPOINT, requires = "ros2", help_heading = ROS)]
+    pub ros2_connect: String,
+    /// ROS_DOMAIN_ID of the other nodes
+    #[arg(long, value_name = "N", default_value_t = 0, requires = "ros2", help_heading = ROS)]
+    pub ros2_domain: u32,
+    /// Namespace of node and topics, for example cart7 [default: none]; /tf and /diagnostics have none
+    #[arg(long, value_name = "NAME", default_value = "", hide_default_value = true, requires = "ros2", help_heading = ROS)]
+    pub ros2_namespace: String,
+    /// Names of the frames of map, odometry and robot
+    #[arg(long, value_name = "MAP,ODOM,BASE", default_value = "map,odom,base_link", requires = "ros2", help_heading = ROS)]
+    pub frames: RosFrames,
+    /// The IMU in base_link: metres and radians (fixed-axis roll, pitch, yaw, as in URDF) [default: base_link is the IMU]
+    #[arg(long, value_name = "X,Y,Z,ROLL,PITCH,YAW", default_value = "0,0,0,0,0,0", hide_default_value = true,
+        allow_hyphen_values = true, requires = "ros2", help_heading = ROS)]
+    pub imu_in_base_link: ImuInBaseLink,
+}
+
+/// The pose of the IMU in the robot's frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ImuInBaseLink(pub Pose);
+
+impl FromStr for ImuInBaseLink {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let numbers: Result<Vec<f64>, _> = text.split(',').map(|number| number.trim().parse()).collect();
+        match numbers.as_deref() {
+            Ok(&[x, y, z, roll, pitch, yaw]) if numbers.iter().flatten().all(|number| number.is_finite()) => {
+                let rotation = UnitQuaternion::from_euler_angles(roll, pitch, yaw);
+                Ok(Self(Pose::new(rotation, Vector3::new(x, y, z))))
+            }
+            _ => Err("give six numbers: x,y,z,roll,pitch,yaw in metres and radians".to_owned()),
+        }
+    }
+}
+
+impl RosArguments {
+    /// The settings of the topics; `None` without `--ros2`.
+    ///
+    /// # Arguments
+    /// * `robot`: its name, for diagnostics.
+    /// * `map_expected`: whether the robot is to be localized in a map.
+    pub fn settings(&self, robot: &str, map_expected: bool) -> Option<RosSettings> {
+        self.ros2.then(|| RosSettings {
+            session: SessionOptions {
+                connect: vec![self.ros2_connect.clone()],
+                mode: Some(SessionMode::Client),
+                ..SessionOptions::default()
+            },
+            domain: self.ros2_domain,
+            namespace: self.ros2_namespace.clone(),
+            frames: self.frames.clone(),
+            imu_from_base: self.imu_in_base_link.0.inverse(),
+            robot: robot.to_owned(),
+            map_expected,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_imu_in_base_link_is_read_as_in_urdf() {
+        let ImuInBaseLink(pose) = "0.1,-0.2,0.3,0,0,1.5707963267948966".parse().unwrap();
+        let in_base = pose.transform(&Vector3::new(1.0, 0.0, 0.0));
+        assert!((in_base - Vector3::new(0.1, 0.8, 0.3)).norm() < 1e-12, "{in_base}");
+        for wrong in ["", "1,2,3", "0,0,0,0,0,x", "0,0,0,0,0,nan", "0,0,0,0,0,0,0"] {
+            assert!(wrong.parse::<ImuInBaseLink>().is_err(), "{wrong}");
+        }
+    }
+}

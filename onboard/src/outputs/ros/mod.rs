@@ -1,0 +1,22 @@
+//! ROS 2 topics of a robot, over Zenoh as `rmw_zenoh` does it.
+//!
+//! | topic | type | what |
+//! |---|---|---|
+//! | `odometry` | `nav_msgs/Odometry` | odom from base_link, smooth |
+//! | `pose` | `geometry_msgs/PoseWithCovarianceStamped` | map from base_link, where localized |
+//! | `/tf` | `tf2_msgs/TFMessage` | map from odom (may jump), odom from base_link (REP-105) |
+//! | `/diagnostics` | `diagnostic_msgs/DiagnosticArray` | the status, every second and when it changes |
+
+mod diagnostics;
+mod messages;
+mod odom_frame;
+mod output;
+mod serving;
+mod settings;
+
+#[cfg(test)]
+mod tests;
+
+pub use messages::Estimate;
+pub use output::{RosOutput, RosOutputTask};
+pub use settings::{RosFrames, RosSettings};

@@ -1,0 +1,83 @@
+//! Hands estimates over to the task that publishes them.
+
+use super::diagnostics::Diagnostics;
+use super::messages::{Estimate, Messages, messages};
+use super::odom_frame::OdomFrame;
+use super::serving::serve;
+use super::settings::RosSettings;
+use crate::outputs::QueryCounts;
+use estimator::Status;
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::runtime::Handle;
+use tokio::sync::{mpsc, watch};
+use tokio::task::JoinHandle;
+
+/// Estimates that may be queued for the network before new ones are dropped.
+const QUEUE: usize = 64;
+/// How long the last messages may take when the run ends.
+const CLOSE_TIMEOUT: Duration = Duration::from_secs(2);
+
+/// The ROS 2 topics of a run. Nothing here waits for the network.
+#[derive(Clone, Debug)]
+pub struct RosOutput {
+    settings: Arc<RosSettings>,
+    odom: OdomFrame,
+    queue: mpsc::Sender<Messages>,
+    diagnostics: watch::Sender<Option<Diagnostics>>,
+}
+
+/// The task that publishes. It ends when all its [`RosOutput`]s are dropped.
+#[derive(Debug)]
+pub struct RosOutputTask(JoinHandle<()>);
+
+impl RosOutput {
+    /// Begins to connect, in the background.
+    ///
+    /// # Errors
+    /// An endpoint or a name that cannot be used.
+    pub fn start(settings: RosSettings, runtime: &Handle) -> anyhow::Result<(Self, RosOutputTask)> {
+        settings.session.to_config()?;
+        ros2::names::absolute_namespace(&settings.namespace)?;
+        let settings = Arc::new(settings);
+        let (queue, waiting) = mpsc::channel(QUEUE);
+        let (diagnostics, last) = watch::channel(None);
+        let task = RosOutputTask(runtime.spawn(serve(Arc::clone(&settings), waiting, last)));
+        Ok((Self { settings, odom: OdomFrame::default(), queue, diagnostics }, task))
+    }
+
+    /// Publishes an estimate; dropped where the network is slow, newer ones follow.
+    pub fn publish(&mut self, estimate: &Estimate) {
+        let Some(messages) = messages(&self.settings, &mut self.odom, estimate) else {
+            return tracing::warn!(estimate.stamp_ns, "this time cannot be written in ROS: not published");
+        };
+        // A full queue means a slow network: these messages are dropped.
+        let _ = self.queue.try_send(messages);
+    }
+
+    /// Publishes the status now if it changed, and every second.
+    pub fn publish_status(&self, stamp_ns: i64, status: &Status, counts: QueryCounts) {
+        let new = Diagnostics::of(&self.settings, stamp_ns, status, counts);
+        self.diagnostics.send_if_modified(|last| {
+            let changed = last.as_ref().is_none_or(|last| new.differs_from(last));
+            *last = Some(new);
+            changed
+        });
+    }
+
+    /// The estimator starts again, with another odometry frame.
+    pub fn restart(&mut self) {
+        self.odom.restart();
+    }
+}
+
+impl RosOutputTask {
+    /// Waits until the last messages are sent. All outputs must be dropped before.
+    pub async fn finish(self) {
+        let Self(mut task) = self;
+        if tokio::time::timeout(CLOSE_TIMEOUT, &mut task).await.is_err() {
+            tracing::warn!("the last ROS messages were not published within {CLOSE_TIMEOUT:?}");
+            task.abort();
+        }
+    }
+}

@@ -1,0 +1,117 @@
+//! Connects to ROS 2 and publishes what is queued.
+
+use super::diagnostics::Diagnostics;
+use super::messages::Messages;
+use super::settings::RosSettings;
+use client::session::{close_session, open_session};
+use ros_messages::diagnostic_msgs::DiagnosticArray;
+use ros_messages::geometry_msgs::PoseWithCovarianceStamped;
+use ros_messages::nav_msgs::Odometry;
+use ros_messages::tf2_msgs::TFMessage;
+use ros2::{Node, NodeOptions, Publisher, Qos, RosError};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+use tokio::sync::{mpsc, watch};
+
+/// Period of the diagnostics.
+const PERIOD: Duration = Duration::from_secs(1);
+/// Depth of `/tf`: what `tf2_ros` publishes with.
+const TF_DEPTH: usize = 100;
+
+struct Topics {
+    _node: Node,
+    odometry: Publisher<Odometry>,
+    pose: Publisher<PoseWithCovarianceStamped>,
+    transforms: Publisher<TFMessage>,
+    diagnostics: Publisher<DiagnosticArray>,
+}
+
+/// Publishes until nobody sends any more.
+pub async fn serve(
+    settings: Arc<RosSettings>,
+    mut queue: mpsc::Receiver<Messages>,
+    mut diagnostics: watch::Receiver<Option<Diagnostics>>,
+) {
+    let session = tokio::select! {
+        opened = open_session(&settings.session) => opened,
+        () = closed(diagnostics.clone()) => return,
+    };
+    let session = match session {
+        Ok(session) => session,
+        Err(error) => return tracing::error!(%error, "there will be no ROS topics in this run"),
+    };
+    match Topics::announce(&session, &settings).await {
+        Ok(topics) => {
+            // What was queued before the connection is old.
+            while queue.try_recv().is_ok() {}
+            topics.publish_all(&mut queue, &mut diagnostics).await;
+        }
+        Err(error) => tracing::error!(%error, "there will be no ROS topics in this run"),
+    }
+    close_session(&session).await;
+}
+
+/// Waits until all outputs are dropped.
+async fn closed(mut diagnostics: watch::Receiver<Option<Diagnostics>>) {
+    while diagnostics.changed().await.is_ok() {}
+}
+
+impl Topics {
+    async fn announce(session: &zenoh::Session, settings: &RosSettings) -> Result<Self, RosError> {
+        let options = NodeOptions {
+            domain: settings.domain,
+            namespace: settings.namespace.clone(),
+            ..NodeOptions::default()
+        };
+        let node = Node::new(session.clone(), options).await?;
+        let transforms = Qos { depth: TF_DEPTH, ..Qos::reliable() };
+        Ok(Self {
+            odometry: node.publisher("odometry", Qos::reliable()).await?,
+            pose: node.publisher("pose", Qos::reliable()).await?,
+            transforms: node.publisher("/tf", transforms).await?,
+            diagnostics: node.publisher("/diagnostics", Qos::reliable()).await?,
+            _node: node,
+        })
+    }
+
+    async fn publish_all(
+        &self,
+        queue: &mut mpsc::Receiver<Messages>,
+        diagnostics: &mut watch::Receiver<Option<Diagnostics>>,
+    ) {
+        let mut period = tokio::time::interval(PERIOD);
+        loop {
+            let published = tokio::select! {
+                messages = queue.recv() => match messages {
+                    Some(messages) => self.publish(&messages).await,
+                    None => return,
+                },
+                Ok(()) = diagnostics.changed() => self.publish_diagnostics(diagnostics).await,
+                _ = period.tick() => self.publish_diagnostics(diagnostics).await,
+            };
+            if let Err(error) = published {
+                tracing::debug!(%error, "a ROS message was not published");
+            }
+        }
+    }
+
+    async fn publish(&self, messages: &Messages) -> Result<(), RosError> {
+        self.transforms.publish(&messages.transforms).await?;
+        self.odometry.publish(&messages.odometry).await?;
+        if let Some(pose) = &messages.pose {
+            self.pose.publish(pose).await?;
+        }
+        Ok(())
+    }
+
+    async fn publish_diagnostics(
+        &self,
+        diagnostics: &mut watch::Receiver<Option<Diagnostics>>,
+    ) -> Result<(), RosError> {
+        let message = diagnostics.borrow_and_update().as_ref().map(|last| last.at(Instant::now()));
+        match message {
+            Some(message) => self.diagnostics.publish(&message).await,
+            None => Ok(()),
+        }
+    }
+}

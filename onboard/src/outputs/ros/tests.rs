@@ -1,0 +1,265 @@
+//! Messages against the definitions of REP-103 and REP-105, and through a Zenoh session.
+
+use super::messages::{Estimate, GlobalEstimate, Messages, messages};
+use super::odom_frame::OdomFrame;
+use super::{RosFrames, RosOutput, RosSettings};
+use crate::outputs::QueryCounts;
+use client::SessionOptions;
+use client::session::{SessionMode, close_session, open_session};
+use estimator::{Localization, Status};
+use geometry::{Pose, PoseWithCovariance, rotation};
+use nalgebra::{Matrix6, Quaternion, UnitQuaternion, Vector3, Vector6};
+use ros_messages::RosMessage;
+use ros_messages::diagnostic_msgs::{DiagnosticArray, DiagnosticStatus};
+use ros_messages::geometry_msgs::{self, PoseWithCovarianceStamped, TransformStamped};
+use ros_messages::nav_msgs::Odometry;
+use ros_messages::tf2_msgs::TFMessage;
+use ros2::{Node, NodeOptions, Qos, Subscriber};
+use std::time::Duration;
+
+/// Settings with a robot frame that is turned and moved against the IMU.
+pub fn settings() -> RosSettings {
+    RosSettings {
+        session: SessionOptions::default(),
+        domain: 0,
+        namespace: String::new(),
+        frames: RosFrames { map: "map".into(), odom: "odom".into(), base_link: "base_link".into() },
+        imu_from_base: pose([0.3, -0.7, 0.2], [0.5, -0.1, 0.4]),
+        robot: "cart7".to_owned(),
+        map_expected: true,
+    }
+}
+
+fn pose(turn: [f64; 3], translation: [f64; 3]) -> Pose {
+    Pose::new(rotation::exp(&turn.into()), translation.into())
+}
+
+fn estimate() -> Estimate {
+    let local_from_imu = pose([0.1, 0.2, 1.3], [4.0, 5.0, 0.6]);
+    let global_from_local = pose([0.0, 0.0, -2.0], [10.0, 20.0, 0.0]);
+    let covariance =
+        Matrix6::from_fn(
+            |row, column| if row == column { 1.0 + row as f64 } else { 0.01 * (row + column) as f64 },
+        );
+    Estimate {
+        stamp_ns: 1_403_636_579_763_555_584,
+        local_from_imu: PoseWithCovariance::new(local_from_imu, covariance),
+        velocity_in_local: Vector3::new(1.0, -2.0, 0.5),
+        angular_velocity_in_imu: Vector3::new(0.3, -0.4, 0.9),
+        global: Some(GlobalEstimate {
+            global_from_imu: PoseWithCovariance::new(global_from_local * local_from_imu, covariance),
+            global_from_local,
+        }),
+    }
+}
+
+fn made(odom: &mut OdomFrame, estimate: &Estimate) -> Messages {
+    messages(&settings(), odom, estimate).unwrap()
+}
+
+fn read_pose(position: geometry_msgs::Vector3, orientation: geometry_msgs::Quaternion) -> Pose {
+    let geometry_msgs::Quaternion { x, y, z, w } = orientation;
+    Pose::new(UnitQuaternion::from_quaternion(Quaternion::new(w, x, y, z)), <[f64; 3]>::from(position).into())
+}
+
+fn read_transform(transform: &TransformStamped) -> Pose {
+    read_pose(transform.transform.translation, transform.transform.rotation)
+}
+
+fn assert_near(a: &Pose, b: &Pose) {
+    assert!(a.local(b).norm() < 1e-9, "{a:?} is not {b:?}");
+}
+
+#[test]
+fn transforms_lead_from_the_map_over_odom_to_the_robot() {
+    let messages = made(&mut OdomFrame::default(), &estimate());
+    let [odom_from_base, map_from_odom] = &messages.transforms.transforms[..] else {
+        panic!("two transforms")
+    };
+    let names =
+        |transform: &TransformStamped| (transform.header.frame_id.clone(), transform.child_frame_id.clone());
+    assert_eq!(names(odom_from_base), ("odom".into(), "base_link".into()));
+    assert_eq!(names(map_from_odom), ("map".into(), "odom".into()));
+    let map_from_base = read_transform(map_from_odom) * read_transform(odom_from_base);
+    let pose = messages.pose.unwrap();
+    assert_eq!(pose.header.frame_id, "map");
+    assert_eq!(pose.header.stamp.to_nanoseconds(), estimate().stamp_ns);
+    assert_near(&map_from_base, &read_pose(pose.pose.pose.position, pose.pose.pose.orientation));
+    assert_near(
+        &map_from_base,
+        &(estimate().global.unwrap().global_from_imu.pose * settings().imu_from_base),
+    );
+}
+
+#[test]
+fn a_correction_by_the_map_moves_odom_in_the_map_and_not_the_robot_in_odom() {
+    let mut odom = OdomFrame::default();
+    let before = made(&mut odom, &estimate());
+    let mut corrected = estimate();
+    let global = corrected.global.as_mut().unwrap();
+    global.global_from_local = pose([0.0, 0.0, 1.0], [-3.0, 2.0, 1.0]);
+    global.global_from_imu.pose = global.global_from_local * corrected.local_from_imu.pose;
+    let after = made(&mut odom, &corrected);
+    assert_eq!(after.odometry, before.odometry);
+    assert_eq!(after.transforms.transforms[0], before.transforms.transforms[0]);
+    assert_ne!(after.transforms.transforms[1], before.transforms.transforms[1]);
+}
+
+#[test]
+fn a_new_odometry_frame_of_the_estimator_does_not_move_the_robot() {
+    let mut odom = OdomFrame::default();
+    let before = made(&mut odom, &estimate());
+    odom.restart();
+    let mut restarted = estimate();
+    // The new L has the yaw and the position of now for its origin; roll and pitch are those of gravity.
+    let new_from_old = pose([0.0, 0.0, 0.8], [-7.0, 1.0, 2.0]);
+    restarted.local_from_imu = restarted.local_from_imu.change_of_parent(&new_from_old);
+    restarted.velocity_in_local = new_from_old.rotation * restarted.velocity_in_local;
+    let global = restarted.global.as_mut().unwrap();
+    global.global_from_local = global.global_from_local * new_from_old.inverse();
+    let after = made(&mut odom, &restarted);
+    for (new, old) in after.transforms.transforms.iter().zip(&before.transforms.transforms) {
+        assert_near(&read_transform(new), &read_transform(old));
+    }
+    let covariances = after.odometry.pose.covariance.iter().zip(&before.odometry.pose.covariance);
+    assert!(covariances.clone().all(|(new, old)| (new - old).abs() < 1e-9), "{covariances:?}");
+}
+
+/// The derivative of the robot's pose along the motion that the estimate states.
+#[test]
+fn the_twist_is_the_motion_of_the_robot_in_its_own_frame() {
+    let (settings, estimate) = (settings(), estimate());
+    let twist = made(&mut OdomFrame::default(), &estimate).odometry.twist.twist;
+    let at = |seconds: f64| {
+        let imu = estimate.local_from_imu.pose;
+        let turned = imu.rotation * rotation::exp(&(estimate.angular_velocity_in_imu * seconds));
+        Pose::new(turned, imu.translation + estimate.velocity_in_local * seconds) * settings.imu_from_base
+    };
+    let step = 1e-6;
+    let motion = at(-step).inverse() * at(step);
+    let linear = at(0.0).rotation.inverse() * (at(step).translation - at(-step).translation) / (2.0 * step);
+    let angular = motion.rotation.scaled_axis() / (2.0 * step);
+    assert!((Vector3::from(<[f64; 3]>::from(twist.linear)) - linear).norm() < 1e-6);
+    assert!((Vector3::from(<[f64; 3]>::from(twist.angular)) - angular).norm() < 1e-6);
+}
+
+/// REP-103 and `geometry_msgs/PoseWithCovariance`: x, y, z, then rotations about the fixed axes of the header's frame.
+#[test]
+fn the_covariance_is_that_of_the_robots_error_about_fixed_axes() {
+    let estimate = estimate();
+    let covariance = made(&mut OdomFrame::default(), &estimate).odometry.pose.covariance;
+    // Errors of the IMU along each direction, and what they do to the robot.
+    let root = estimate.local_from_imu.covariance.cholesky().unwrap().l();
+    let step = 1e-6;
+    let base = |error: &Vector6<f64>| {
+        let imu = estimate.local_from_imu.pose;
+        let turned = rotation::exp(&error.fixed_rows::<3>(0).into_owned()) * imu.rotation;
+        Pose::new(turned, imu.translation + error.fixed_rows::<3>(3)) * settings().imu_from_base
+    };
+    let mut expected = Matrix6::zeros();
+    for column in 0..6 {
+        let error: Vector6<f64> = root.column(column) * step;
+        let (ahead, behind) = (base(&error), base(&-error));
+        let position = (ahead.translation - behind.translation) / (2.0 * step);
+        let turn = (ahead.rotation * behind.rotation.inverse()).scaled_axis() / (2.0 * step);
+        let ros = Vector6::new(position.x, position.y, position.z, turn.x, turn.y, turn.z);
+        expected += ros * ros.transpose();
+    }
+    for (at, value) in covariance.iter().enumerate() {
+        let expected = expected[(at / 6, at % 6)];
+        assert!((value - expected).abs() < 1e-6, "{at}: {value} is not {expected}");
+    }
+}
+
+#[test]
+fn before_the_map_is_known_there_is_odometry_only() {
+    let messages = made(&mut OdomFrame::default(), &Estimate { global: None, ..estimate() });
+    assert_eq!(messages.pose, None);
+    assert_eq!(messages.transforms.transforms.len(), 1);
+    assert_eq!(messages.odometry.child_frame_id, "base_link");
+}
+
+fn endpoint() -> String {
+    let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    format!("tcp/{}", listener.local_addr().unwrap())
+}
+
+fn status() -> Status {
+    Status {
+        localization: Localization::Localized,
+        reason: "fine".into(),
+        last_map_update_ns: None,
+        held_keyframes: 3,
+    }
+}
+
+fn runtime() -> tokio::runtime::Runtime {
+    tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build().unwrap()
+}
+
+async fn next<M: RosMessage + Send + 'static>(subscriber: &Subscriber<M>) -> M {
+    let received = tokio::time::timeout(Duration::from_secs(20), subscriber.receive()).await;
+    received.expect("in time").unwrap().message.unwrap()
+}
+
+#[test]
+fn other_nodes_receive_all_topics() {
+    let runtime = runtime();
+    let endpoint = endpoint();
+    let router = SessionOptions { listen: vec![endpoint.clone()], ..SessionOptions::default() };
+    let router = runtime.block_on(open_session(&router)).unwrap();
+    let options = NodeOptions { domain: 9, namespace: "cart7".into(), name: "rviz".into() };
+    let node = runtime.block_on(Node::new(router.clone(), options)).unwrap();
+    let (odometry, pose, transforms, diagnostics) = runtime.block_on(async {
+        (
+            node.subscriber::<Odometry>("odometry", Qos::reliable(), 10).await.unwrap(),
+            node.subscriber::<PoseWithCovarianceStamped>("pose", Qos::reliable(), 10).await.unwrap(),
+            node.subscriber::<TFMessage>("/tf", Qos::reliable(), 10).await.unwrap(),
+            node.subscriber::<DiagnosticArray>("/diagnostics", Qos::reliable(), 10).await.unwrap(),
+        )
+    });
+    let mut settings = settings();
+    settings.session.connect = vec![endpoint];
+    (settings.domain, settings.namespace) = (9, "cart7".into());
+    let (mut output, task) = RosOutput::start(settings, runtime.handle()).unwrap();
+    output.publish_status(estimate().stamp_ns, &status(), QueryCounts { sent: 2, answered: 1 });
+    let diagnosed = runtime.block_on(next(&diagnostics));
+    assert_eq!(
+        (diagnosed.status[0].level, diagnosed.status[0].hardware_id.as_str()),
+        (DiagnosticStatus::OK, "cart7")
+    );
+    output.publish(&estimate());
+    let expected = made(&mut OdomFrame::default(), &estimate());
+    assert_eq!(runtime.block_on(next(&odometry)), expected.odometry);
+    assert_eq!(Some(runtime.block_on(next(&pose))), expected.pose);
+    assert_eq!(runtime.block_on(next(&transforms)), expected.transforms);
+    // What is queued at the end is sent.
+    output.publish(&estimate());
+    drop(output);
+    runtime.block_on(task.finish());
+    assert_eq!(runtime.block_on(next(&odometry)), expected.odometry);
+    runtime.block_on(close_session(&router));
+}
+
+#[test]
+fn without_a_router_estimates_are_dropped_and_the_run_ends() {
+    let runtime = runtime();
+    let mut settings = settings();
+    settings.session.connect = vec![endpoint()];
+    settings.session.mode = Some(SessionMode::Client);
+    let (mut output, task) = RosOutput::start(settings, runtime.handle()).unwrap();
+    for _ in 0..1000 {
+        output.publish(&estimate());
+        output.publish_status(estimate().stamp_ns, &status(), QueryCounts::default());
+    }
+    drop(output);
+    runtime.block_on(task.finish());
+}
+
+#[test]
+fn a_namespace_that_ros_does_not_allow_is_refused() {
+    let mut settings = settings();
+    settings.namespace = "cart-7".into();
+    let error = RosOutput::start(settings, runtime().handle()).unwrap_err();
+    assert!(error.to_string().contains("cart-7"), "{error}");
+}
