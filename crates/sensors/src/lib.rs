@@ -6,6 +6,7 @@
 //! | `calibration`, `frame` | [`SensorCalibration`]; [`Frame`] and [`ImageData`] |
 //! | `recording`, `merged` | [`Recording`], on disk or in memory; [`RecordingSource`], which plays it |
 //! | `memory` | [`Sequence`], a recording in memory |
+//! | [`live`] | measurements that arrive now |
 //! | `euroc` | the EuRoC ASL folder layout: reader and [`writer`] |
 //! | `kalibr` | calibrations of Kalibr: [`CalibrationFiles`] |
 //! | `imu_check`, `image_check`, `stereo_check` | units, sizes and wiring that contradict the calibration, recognized from the data |
@@ -46,6 +47,7 @@ mod gravity;
 mod image_check;
 mod imu_check;
 mod kalibr;
+pub mod live;
 mod memory;
 mod merged;
 mod recording;
