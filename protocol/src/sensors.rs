@@ -29,8 +29,8 @@ use serde::{Deserialize, Serialize};
 pub const MAX_IMU_BYTES: usize = 1 << 20;
 /// Longest header of an image.
 pub const MAX_HEADER_BYTES: usize = 4096;
-/// Longest image: 16 megapixels in colour, and then some.
-pub const MAX_IMAGE_BYTES: usize = 64 << 20;
+/// Longest image: 5 megapixels in colour. Sessions drop longer messages.
+pub const MAX_IMAGE_BYTES: usize = MAX_MESSAGE_BYTES;
 /// Most tracks of one instant.
 pub const MAX_TRACKS: usize = 20_000;
 
@@ -49,7 +49,9 @@ pub enum SensorMessageError {
         most: usize,
     },
     /// An image without a header.
-    #[error("the header is missing: send {{\"stamp_ns\": .., \"encoding\": ..}} as the attachment of the image")]
+    #[error(
+        "the header is missing: send {{\"stamp_ns\": .., \"encoding\": ..}} as the attachment of the image"
+    )]
     NoHeader,
     /// Not the JSON that is expected.
     #[error("{what} is not as documented: {source}")]
@@ -138,7 +140,7 @@ impl TracksMessage {
     pub fn decode(payload: &[u8]) -> Result<Self, SensorMessageError> {
         let message: Self = json("the message of tracks", payload, MAX_MESSAGE_BYTES)?;
         if message.tracks.len() > MAX_TRACKS {
-            return Err(InvalidField::new("tracks", &format!("holds more than {MAX_TRACKS}")).into());
+            return Err(InvalidField::new("tracks", format!("holds more than {MAX_TRACKS}")).into());
         }
         if !message.tracks.iter().all(|(_, _, u, v)| u.is_finite() && v.is_finite()) {
             return Err(InvalidField::new("tracks", "holds a pixel that is not finite").into());
@@ -233,9 +235,13 @@ mod tests {
     fn errors_name_what_is_missing_or_too_long() {
         let text = |error: SensorMessageError| error.to_string();
         assert!(text(ImageHeader::decode(None).unwrap_err()).contains("attachment"));
-        assert!(text(ImageHeader::decode(Some(b"{\"encoding\": \"jpeg\"}")).unwrap_err()).contains("stamp_ns"));
+        assert!(
+            text(ImageHeader::decode(Some(b"{\"encoding\": \"jpeg\"}")).unwrap_err()).contains("stamp_ns")
+        );
         assert!(text(decode_imu(&vec![b' '; MAX_IMU_BYTES + 1]).unwrap_err()).contains("too long"));
-        assert!(text(decode_imu(b"{\"stamp_ns\": 1, \"gyroscope\": [0, 0, NaN]}").unwrap_err()).contains("IMU"));
+        assert!(
+            text(decode_imu(b"{\"stamp_ns\": 1, \"gyroscope\": [0, 0, NaN]}").unwrap_err()).contains("IMU")
+        );
         assert!(check_image_length(MAX_IMAGE_BYTES + 1).is_err() && check_image_length(1).is_ok());
     }
 }

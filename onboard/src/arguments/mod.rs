@@ -2,10 +2,12 @@
 
 mod calibration;
 mod choices;
+mod live;
 mod settings;
 
 pub use calibration::CalibrationArguments;
-pub use choices::{Calibrate, Cameras, Init, Mode, TopicFormat};
+pub use choices::{Calibrate, Cameras, FrameKind, Init, Mode, Source, TopicFormat};
+pub use live::LiveArguments;
 pub use settings::{SettingsError, read_settings};
 
 use super::extraction::FeatureArguments;
