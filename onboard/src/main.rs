@@ -191,14 +191,11 @@ fn open_until(stop: &StopSignal, arguments: &Arguments, runtime: &Runtime) -> Re
         let opening = open_session(&options);
         tokio::pin!(opening);
         while !stop.is_stopped() {
-            match tokio::time::timeout(SESSION_WARNING, &mut opening).await {
-                Ok(session) => {
-                    return Ok(Some(session.context("the Zenoh session cannot be opened")?));
-                }
-                Err(_) => {
-                    tracing::warn!("no router and no peer answers yet at {}", arguments.session.place())
-                }
+            if let Ok(session) = tokio::time::timeout(SESSION_WARNING, &mut opening).await {
+                return Ok(Some(session.context("the Zenoh session cannot be opened")?));
             }
+            let place = arguments.session.place();
+            tracing::warn!("no router and no peer answers yet at {place}");
         }
         Ok(None)
     })

@@ -37,7 +37,7 @@ fn live(recording: &Recording<'_>, server: &Server, settings: &LiveSettings, out
     let outcome = std::thread::scope(|scope| {
         let running = scope.spawn(|| {
             run_source_until(&stop, &mut source, &arguments, link, |index| {
-                frames.store(index + 1, Ordering::Relaxed)
+                frames.store(index + 1, Ordering::Relaxed);
             })
         });
         let driver = Client::open(&[], &[server.endpoint()]);
