@@ -12,6 +12,7 @@
 //! | [`start`] | initial state and excerpt of a recording |
 //! | [`estimator_supervisor`] | initializes the estimator, and again after a divergence |
 //! | [`alarms`], `run_status` | what contradicts the sensors or the map: logged when it begins and ends, kept for the summary |
+//! | [`native`] | live sensors over Zenoh |
 //! | [`front_end`], [`extraction`] | tracks and features from images |
 //! | [`outputs`] | files, summary, messages, ROS 2 topics |
 //! | [`stop`], [`progress`], [`stdout`] | signals and terminal |
@@ -41,6 +42,7 @@ mod input;
 mod link;
 pub mod map_conversion;
 mod map_queries;
+pub mod native;
 pub mod outputs;
 pub mod program;
 pub mod progress;

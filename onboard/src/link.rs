@@ -31,9 +31,16 @@ pub struct OpeningLink {
     map: String,
 }
 
-/// A robot's connection to the map.
+/// A robot's connection to the network.
 #[derive(Debug)]
 pub enum RobotLink {
+    /// Over an open session, without a map: the robot publishes, and asks nothing.
+    Network {
+        /// An open session, which stays open when the run ends.
+        session: zenoh::Session,
+        /// The runtime that the session lives on.
+        runtime: Handle,
+    },
     /// Over an open session.
     Open(MapLink),
     /// Over a session that is being opened.
@@ -62,11 +69,12 @@ impl From<MapLink> for RobotLink {
 }
 
 impl RobotLink {
-    /// Name of the map.
-    pub fn map(&self) -> &str {
+    /// Name of the map, if there is one.
+    pub fn map(&self) -> Option<&str> {
         match self {
-            Self::Open(link) => &link.map,
-            Self::Opening(link) => &link.map,
+            Self::Network { .. } => None,
+            Self::Open(link) => Some(&link.map),
+            Self::Opening(link) => Some(&link.map),
         }
     }
 }
@@ -95,10 +103,14 @@ impl OpeningLink {
 }
 
 impl RobotRun<'_> {
-    /// Gives the robot a map to query, now or when the session is open.
+    /// Connects the robot, now or when the session is open.
     pub(super) fn set_link(&mut self, link: RobotLink) -> Result<(), LinkError> {
-        keys::validate_name(link.map())?;
+        link.map().map_or(Ok(()), keys::validate_name)?;
         match link {
+            RobotLink::Network { session, runtime } => {
+                self.publisher = Some(Publisher::new(session, &runtime, &self.robot, None, self.topics)?);
+                Ok(())
+            }
             RobotLink::Open(link) => self.connect(link),
             RobotLink::Opening(link) => {
                 self.last_failure = Some("not connected: no router and no map server answers yet".to_owned());
@@ -135,7 +147,7 @@ impl RobotRun<'_> {
         let MapLink { session, runtime, map } = link;
         let client = MapClient::new(session.clone(), &map)?;
         self.map_changes = Some(runtime.block_on(MapChangeSubscriber::subscribe(&session, &map))?);
-        self.publisher = Some(Publisher::new(session, &runtime, &self.robot, &map, self.topics)?);
+        self.publisher = Some(Publisher::new(session, &runtime, &self.robot, Some(&map), self.topics)?);
         self.queries = Some(QueryTasks::new(client, runtime, self.query_deadline));
         Ok(())
     }

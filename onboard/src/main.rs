@@ -1,22 +1,28 @@
-//! The robot program: plays a recording through the estimator, and localizes it in the map of a map server.
+//! The robot program: plays live sensors or a recording through the estimator, and localizes it in the map of a map server.
 
 use anyhow::{Context as _, Result, bail};
 use clap::Parser;
-use client::session::{Member, Role};
+use client::session::{Member, Role, close_session, open_session};
 use client::{SessionArguments, without_secrets};
 use estimator::MapMode;
 use monitoring::{LogFormat, MonitoringServer, start_log};
-use onboard::arguments::{CalibrationArguments, DEFAULT_ROBOT, INPUT, MAP, OUTPUT, RosArguments};
+use onboard::arguments::{
+    CalibrationArguments, DEFAULT_ROBOT, INPUT, LiveArguments, MAP, OUTPUT, RosArguments, Source,
+};
+use onboard::native::NativeSensors;
 use onboard::outputs::RosOutput;
 use onboard::{
-    EndedLost, OpeningLink, RobotArguments, RobotLink, RobotMetrics, StopSignal, progress, run_robot_until,
-    stdout,
+    EndedLost, MapLink, OpeningLink, Outcome, RobotArguments, RobotLink, RobotMetrics, StopSignal, progress,
+    run_robot_until, run_source_until, stdout,
 };
 use prometheus_client::registry::Registry;
-use sensors::Recording;
+use sensors::live::LiveSource;
+use sensors::{Recording, read_rig_calibration};
 use std::net::SocketAddr;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::time::Duration;
+use tokio::runtime::Runtime;
 use tracing_subscriber::EnvFilter;
 
 /// Log filter: warnings, without Zenoh's about a network that is still being discovered, but with why it does not connect.
@@ -25,7 +31,10 @@ const QUIET: &str = "warn,client::session=info,zenoh=error,zenoh::net::runtime::
 const REALTIME: &str =
     "warn,onboard=info,client::session=info,zenoh=error,zenoh::net::runtime::orchestrator=warn";
 
-/// Plays a recording and localizes it in the map of a map server.
+/// A session that takes longer to open is reported, each time.
+const SESSION_WARNING: Duration = Duration::from_secs(2);
+
+/// Plays live sensors or a recording, and localizes the robot in the map of a map server.
 ///
 /// The estimator never waits for the network: without a server the robot continues with odometry, and its status says so.
 #[derive(Parser, Debug)]
@@ -35,14 +44,20 @@ const REALTIME: &str =
     after_help = "Examples:\n  \
         onboard --sequence MH_03 --map hall --connect tcp/192.168.1.2:7447 --out run\n  \
         onboard --sequence MH_03 --mode odometry --out run\n  \
-        onboard --sequence MH_03 --map hall --realtime --robot cart7 --namespace site1 --out run\n\n\
+        onboard --sequence MH_03 --map hall --realtime --robot cart7 --namespace site1 --out run\n  \
+        onboard --source native --calibration camchain-imucam.yaml --map hall --robot cart7 --out run\n\n\
         Log: RUST_LOG=info; with --realtime, changes of the state and a line a minute are logged anyway. Ctrl-C ends the run in good order; the output folder is complete up to there.\n\
         Then: driftless plot run"
 )]
 struct Arguments {
+    /// Where measurements come from
+    #[arg(long, value_enum, default_value = "recording", help_heading = INPUT)]
+    source: Source,
     /// The recording: a folder in the EuRoC layout
-    #[arg(long, value_name = "DIR", help_heading = INPUT)]
-    sequence: PathBuf,
+    #[arg(long, value_name = "DIR", required_if_eq("source", "recording"), help_heading = INPUT)]
+    sequence: Option<PathBuf>,
+    #[command(flatten)]
+    live: LiveArguments,
     /// Calibration
     #[command(flatten)]
     calibration: CalibrationArguments,
@@ -82,7 +97,8 @@ fn main() -> ExitCode {
 
 fn localize() -> Result<()> {
     let mut arguments = Arguments::parse();
-    let quiet = if arguments.robot.realtime { REALTIME } else { QUIET };
+    let is_live = arguments.source != Source::Recording;
+    let quiet = if arguments.robot.realtime || is_live { REALTIME } else { QUIET };
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(quiet));
     start_log(without_secrets(filter), arguments.log_format);
     if let Some(folder) = &arguments.session.secure {
@@ -91,34 +107,24 @@ fn localize() -> Result<()> {
         arguments.robot.robot = Member::expect(folder, Role::Robot, ("--robot", given))?;
     }
     let stop = StopSignal::on_interrupt().context("signals cannot be handled")?;
-    let recording = Recording::open_with(&arguments.sequence, &arguments.calibration.files())?;
     let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build()?;
     let monitoring = match arguments.monitoring {
         Some(address) => Some(runtime.block_on(start_monitoring(address, &arguments.robot.metrics))?),
         None => None,
     };
-    let map_mode = arguments.robot.map_mode()?;
-    let ros = arguments.ros.settings(&arguments.robot.robot, map_mode != MapMode::Odometry);
-    let ros =
-        ros.map(|settings| RosOutput::start(settings, runtime.handle())).transpose().context("--ros2")?;
+    let ros = arguments
+        .ros
+        .settings(&arguments.robot.robot, arguments.robot.map_mode()? != MapMode::Odometry)
+        .map(|settings| RosOutput::start(settings, runtime.handle()))
+        .transpose()
+        .context("--ros2")?;
     let (topics, ros_task) = ros.unzip();
     arguments.robot.ros = topics;
-    let link = match (&arguments.map, map_mode) {
-        (_, MapMode::Odometry) => None,
-        (None, _) => {
-            bail!("--map NAME is missing: give the name of the map on the server, or use --mode odometry")
-        }
-        (Some(map), _) => {
-            let options = arguments.session.connecting();
-            let link = OpeningLink::open(options, runtime.handle().clone(), map)
-                .context("the Zenoh session cannot be opened")?;
-            Some(RobotLink::Opening(link))
-        }
+    let outcome = match (arguments.source, &arguments.sequence) {
+        (Source::Recording, Some(sequence)) => play_recording(&stop, sequence, &arguments, &runtime)?,
+        (Source::Recording, None) => bail!("--sequence DIR is missing"),
+        (Source::Native, _) => play_live(&stop, &arguments, &runtime)?,
     };
-    let bar = progress::frame_bar(recording.contents().frames);
-    let show = |frame| bar.set_position(frame as u64);
-    let outcome = run_robot_until(&stop, recording, &arguments.robot, link, show)?;
-    bar.finish_and_clear();
     arguments.robot.ros = None;
     if let Some(task) = ros_task {
         runtime.block_on(task.finish());
@@ -137,6 +143,79 @@ fn localize() -> Result<()> {
     }
     outcome.summary.check_end()?;
     Ok(())
+}
+
+/// The map's name; `None` with `--mode odometry`.
+fn map_of(arguments: &Arguments) -> Result<Option<&str>> {
+    match (&arguments.map, arguments.robot.map_mode()?) {
+        (_, MapMode::Odometry) => Ok(None),
+        (None, _) => {
+            bail!("--map NAME is missing: give the name of the map on the server, or use --mode odometry")
+        }
+        (Some(map), _) => Ok(Some(map)),
+    }
+}
+
+fn play_recording(
+    stop: &StopSignal,
+    sequence: &Path,
+    arguments: &Arguments,
+    runtime: &Runtime,
+) -> Result<Outcome> {
+    let recording = Recording::open_with(sequence, &arguments.calibration.files())?;
+    let open = |map| OpeningLink::open(arguments.session.connecting(), runtime.handle().clone(), map);
+    let link = map_of(arguments)?.map(open).transpose().context("the Zenoh session cannot be opened")?;
+    let bar = progress::frame_bar(recording.contents().frames);
+    let show = |frame| bar.set_position(frame as u64);
+    let outcome = run_robot_until(stop, recording, &arguments.robot, link.map(RobotLink::Opening), show)?;
+    bar.finish_and_clear();
+    Ok(outcome)
+}
+
+fn play_live(stop: &StopSignal, arguments: &Arguments, runtime: &Runtime) -> Result<Outcome> {
+    let files = &arguments.calibration;
+    let Some(path) = &files.calibration else {
+        bail!(
+            "--calibration is missing: live sensors need Kalibr's camchain-imucam.yaml, or a folder with the calibration"
+        )
+    };
+    let map = map_of(arguments)?;
+    let calibration = read_rig_calibration(path, files.imu_calibration.as_deref())?;
+    let settings = arguments.live.settings(&calibration, &arguments.robot)?;
+    let robot = &arguments.robot.robot;
+    let name = format!("live sensors of {robot}");
+    let (inputs, mut source) = LiveSource::new(name, calibration.sensors, &settings);
+    let Some(session) = open_until(stop, arguments, runtime)? else {
+        bail!("interrupted before {} answered", arguments.session.place())
+    };
+    let streams = LiveArguments::streams(&settings);
+    let sensors = NativeSensors::subscribe(&session, runtime.handle(), robot, &streams, &inputs)?;
+    let (of_link, handle) = (session.clone(), runtime.handle().clone());
+    let link = match map {
+        Some(map) => RobotLink::Open(MapLink { session: of_link, runtime: handle, map: map.to_owned() }),
+        None => RobotLink::Network { session: of_link, runtime: handle },
+    };
+    let outcome = run_source_until(stop, &mut source, &arguments.robot, Some(link), |_| {});
+    drop(sensors);
+    runtime.block_on(close_session(&session));
+    outcome
+}
+
+/// Opens the session, which the sensors come over; `None` where the program is told to stop before.
+fn open_until(stop: &StopSignal, arguments: &Arguments, runtime: &Runtime) -> Result<Option<zenoh::Session>> {
+    let options = arguments.session.connecting();
+    runtime.block_on(async {
+        let opening = open_session(&options);
+        tokio::pin!(opening);
+        while !stop.is_stopped() {
+            if let Ok(session) = tokio::time::timeout(SESSION_WARNING, &mut opening).await {
+                return Ok(Some(session.context("the Zenoh session cannot be opened")?));
+            }
+            let place = arguments.session.place();
+            tracing::warn!("no router and no peer answers yet at {place}");
+        }
+        Ok(None)
+    })
 }
 
 /// Serves the metrics of a run.

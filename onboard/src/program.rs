@@ -155,8 +155,8 @@ fn play(
 ) -> Result<FinishedRun> {
     let (name, contents) = (source.name().to_owned(), source.contents());
     let cameras = arguments.camera_count(source.calibration())?;
-    let link = link.filter(|_| config.mode != MapMode::Odometry);
-    let map = link.as_ref().map(|link| link.map().to_owned());
+    let link = link.filter(|link| link.map().is_none() || config.mode != MapMode::Odometry);
+    let map = link.as_ref().and_then(RobotLink::map).map(str::to_owned);
     let mask = if contents.images { arguments.features.read_mask()? } else { None };
     let front_end = front_end(source.calibration(), contents, arguments, cameras, mask.as_ref())?;
     let supervisor = supervisor(source.calibration(), cameras, &config, initial.as_ref())?;
@@ -167,13 +167,15 @@ fn play(
     robot.front_end = front_end;
     robot.query_interval_ns = (arguments.query_interval * 1e9) as i64;
     robot.max_keyframes = arguments.max_keyframes;
-    robot.realtime = arguments.realtime;
+    robot.realtime |= arguments.realtime;
     robot.metrics = arguments.metrics.clone();
     robot.ros.clone_from(&arguments.ros);
     if let Some(link) = link {
         robot.query_deadline = Duration::from_secs_f64(arguments.deadline);
         robot.set_link(link)?;
-        robot.extraction = extraction(contents, arguments, mask)?;
+        if map.is_some() {
+            robot.extraction = extraction(contents, arguments, mask)?;
+        }
     }
     // Created before the run: a run whose results cannot be kept is not begun.
     let mut recorder = Recorder::create(&arguments.out).context("--out")?;
@@ -255,6 +257,7 @@ impl FinishedRun {
             cameras,
             frames: recorder.frames,
             skipped_frames: recorder.skipped_frames,
+            dropped_frames: recorder.dropped_frames,
             dropped_imu: recorder.dropped_imu,
             imu_gaps: recorder.imu_gaps,
             seconds,

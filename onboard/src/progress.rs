@@ -28,6 +28,10 @@ pub fn report(summary: &Summary) -> String {
         summary.realtime_factor,
         summary.milliseconds_per_frame.total
     );
+    if summary.dropped_frames > 0 {
+        let _ =
+            writeln!(text, "dropped     {} frames: see the alarms in summary.json", summary.dropped_frames);
+    }
     if summary.skipped_frames > 0 {
         let _ = writeln!(
             text,

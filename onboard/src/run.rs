@@ -4,7 +4,7 @@ use super::alarms::Alarms;
 use super::estimator_supervisor::EstimatorSupervisor;
 use super::extraction::ExtractionThread;
 use super::front_end::FrontEnd;
-use super::input::{ImuWindow, SensorQueue};
+use super::input::{ImuWindow, NextFrame, SensorQueue};
 use super::link::OpeningLink;
 use super::outputs::{Estimate, Publisher, Recorder, RobotMetrics, RosOutput, StatusLine, Timings};
 use super::run_status::AlarmKind;
@@ -14,6 +14,7 @@ use estimator::{CloneId, EstimatorError, InitMethod, TrackObservation};
 use geometry::Camera;
 use nalgebra::Vector3;
 use protocol::Format;
+use sensors::live::LiveFault;
 use sensors::{Frame, ImuCheck, ImuUnitError, SensorError, SensorSource};
 use std::time::{Duration, Instant};
 
@@ -71,8 +72,10 @@ pub struct RobotRun<'a> {
     pub topics: Format,
     /// Number of cameras whose tracks are used.
     pub cameras: usize,
-    /// Play at the speed of the recording instead of as fast as possible.
+    /// Play at the speed of the recording instead of as fast as possible. A live source is played as it comes.
     pub realtime: bool,
+    /// Measurements arrive now.
+    is_live: bool,
     /// Makes tracks of images; `None` for a source that has tracks.
     pub front_end: Option<FrontEnd>,
     /// Makes features of images for queries; `None` for a source that has features.
@@ -109,7 +112,9 @@ pub struct RobotRun<'a> {
     imu_check: ImuCheck,
     /// What is wrong with the readings.
     pub(super) imu_fault: Option<ImuUnitError>,
-    events: SensorQueue<'a>,
+    /// What is wrong with a live source.
+    pub(super) live_faults: Vec<LiveFault>,
+    pub(super) events: SensorQueue<'a>,
     imu: ImuWindow,
 }
 
@@ -118,12 +123,14 @@ impl<'a> RobotRun<'a> {
     pub fn new(source: &'a mut dyn SensorSource, supervisor: EstimatorSupervisor) -> Self {
         let calibration = source.calibration();
         let imu = ImuWindow::new(calibration.imu.as_ref().map_or(1.0, |imu| imu.rate_hz));
+        let is_live = source.live().is_some();
         Self {
             stop: StopSignal::default(),
             robot: "robot".to_owned(),
             topics: Format::Json,
             cameras: supervisor.camera_count(),
-            realtime: false,
+            realtime: is_live,
+            is_live,
             front_end: None,
             extraction: None,
             query_interval_ns: QUERY_INTERVAL_NS,
@@ -144,6 +151,7 @@ impl<'a> RobotRun<'a> {
             alarms: Alarms::default(),
             imu_check: ImuCheck::new(calibration.imu.as_ref().and_then(|imu| imu.gravity_magnitude)),
             imu_fault: None,
+            live_faults: Vec::new(),
             events: SensorQueue::new(source),
             imu,
         }
@@ -180,24 +188,41 @@ impl RobotRun<'_> {
         recorder: &mut Recorder,
         mut progress: impl FnMut(usize),
     ) -> Result<(), RunError> {
-        let first_ns = self.events.next_frame_ns().unwrap_or_default();
-        let seconds = |stamp_ns: i64| (stamp_ns - first_ns) as f64 * 1e-9;
-        recorder.first_ns = first_ns;
-        if self.supervisor.estimator().is_some() {
-            recorder.note_start(first_ns, None);
-        }
-        let (mut index, mut last_ns) = (0, first_ns);
-        while let Some(frame) = self.events.next_frame()? {
+        let mut first_ns = None;
+        let (mut index, mut last_ns, mut last_frame) = (0, 0, begin);
+        loop {
+            let next = self.events.next_frame()?;
+            self.update_live(recorder);
+            if self.is_live && self.stop.is_stopped() {
+                break;
+            }
+            let frame = match next {
+                NextFrame::Frame(frame) => frame,
+                NextFrame::End => break,
+                NextFrame::Tick => {
+                    self.connect_when_open();
+                    let now_ns = last_ns + last_frame.elapsed().as_nanos() as i64;
+                    self.publish_status(now_ns, recorder);
+                    self.update_alarms((now_ns - first_ns.unwrap_or(0)) as f64 * 1e-9);
+                    continue;
+                }
+            };
+            let first_ns = *first_ns.get_or_insert_with(|| self.begin(&frame, recorder));
+            let seconds = |stamp_ns: i64| (stamp_ns - first_ns) as f64 * 1e-9;
+            last_frame = Instant::now();
+            if index == 0 {
+                last_ns = first_ns;
+            }
             progress(index);
             index += 1;
             if self.supervisor.starts_after(frame.stamp_ns) {
                 continue;
             }
-            if self.realtime {
+            if self.realtime && !self.is_live {
                 let due = Duration::from_nanos((frame.stamp_ns - first_ns).max(0) as u64);
                 self.stop.sleep_until(begin + due);
             }
-            if self.stop.is_stopped() {
+            if self.stop.is_stopped() && !self.is_live {
                 self.publish_status(last_ns, recorder);
                 return Err(RunError::Interrupted { seconds: seconds(last_ns) });
             }
@@ -215,14 +240,27 @@ impl RobotRun<'_> {
             self.update_alarms(seconds(last_ns));
             self.drop_old_readings(last_ns);
         }
+        let seconds = (last_ns - first_ns.unwrap_or(last_ns)) as f64 * 1e-9;
         let done = self.finish_queries(recorder);
         self.handle_divergence(done, last_ns, recorder)?;
-        self.update_alarms(seconds(last_ns));
+        self.update_alarms(seconds);
         if recorder.starts.is_empty() {
-            let status = self.supervisor.status().reason;
-            return Err(RunError::NotInitialized { seconds: seconds(last_ns), status });
+            let status = self.status().reason;
+            return Err(RunError::NotInitialized { seconds, status });
         }
         Ok(())
+    }
+
+    /// Begins with the first frame.
+    ///
+    /// # Returns
+    /// Its time, nanoseconds.
+    fn begin(&self, frame: &Frame, recorder: &mut Recorder) -> i64 {
+        recorder.first_ns = frame.stamp_ns;
+        if self.supervisor.estimator().is_some() {
+            recorder.note_start(frame.stamp_ns, None);
+        }
+        frame.stamp_ns
     }
 
     /// Reads the IMU up to the first reading that is not before a frame, on the clocks of both sensors.

@@ -3,6 +3,7 @@
 use super::outputs::Recorder;
 use super::run::RobotRun;
 use estimator::{Alarm, Estimator, Status};
+use sensors::live::{FaultKind, Stream};
 use std::mem::{Discriminant, discriminant};
 
 /// Kinds of alarms.
@@ -10,6 +11,7 @@ use std::mem::{Discriminant, discriminant};
 pub(crate) enum AlarmKind {
     Map(Discriminant<Alarm>),
     ImuUnits,
+    Sensor(Stream, FaultKind),
 }
 
 impl RobotRun<'_> {
@@ -21,17 +23,33 @@ impl RobotRun<'_> {
         let of_map = self.supervisor.estimator().map(Estimator::alarms).unwrap_or_default();
         let of_map = of_map.iter().map(|alarm| (AlarmKind::Map(discriminant(alarm)), alarm.to_string()));
         let of_imu = self.imu_fault.map(|fault| (AlarmKind::ImuUnits, fault.to_string()));
-        self.alarms.update(seconds, of_map.chain(of_imu).collect());
+        let of_sensors = self
+            .live_faults
+            .iter()
+            .map(|fault| (AlarmKind::Sensor(fault.stream, fault.kind), fault.to_string()));
+        self.alarms.update(seconds, of_map.chain(of_imu).chain(of_sensors).collect());
     }
 
     /// The status, with why the map does not answer and what is wrong with the readings.
     pub(super) fn status(&self) -> Status {
         let mut status = self.supervisor.status();
         let failure = self.last_failure.as_ref().map(|failure| format!("the map does not answer: {failure}"));
-        for fault in failure.into_iter().chain(self.imu_fault.map(|fault| fault.to_string())) {
+        let of_sensors = self.live_faults.iter().map(ToString::to_string);
+        let of_units = self.imu_fault.map(|fault| fault.to_string());
+        for fault in failure.into_iter().chain(of_units).chain(of_sensors) {
             status.reason = format!("{}; {fault}", status.reason);
         }
         status
+    }
+
+    /// Asks a live source what is wrong with it.
+    pub(super) fn update_live(&mut self, recorder: &mut Recorder) {
+        let Some(report) = self.events.live() else { return };
+        recorder.dropped_frames = report.dropped_frames;
+        self.live_faults = report.faults;
+        if let Some(publisher) = &mut self.publisher {
+            publisher.set_clock_shift(report.clock_shift_ns);
+        }
     }
 
     /// Publishes the status where there is no pose.

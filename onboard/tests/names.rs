@@ -18,7 +18,7 @@ fn two_robots_of_one_name_are_noticed_by_both_and_others_are_not() {
     let third = runtime.block_on(open_session(&connecting)).unwrap();
 
     let publisher = |session: &zenoh::Session, name| {
-        Publisher::new(session.clone(), runtime.handle(), name, "hall", protocol::Format::Json).unwrap()
+        Publisher::new(session.clone(), runtime.handle(), name, Some("hall"), protocol::Format::Json).unwrap()
     };
     let robots = [publisher(&first, "robot7"), publisher(&second, "robot7"), publisher(&third, "robot8")];
     let deadline = Instant::now() + Duration::from_secs(20);

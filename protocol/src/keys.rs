@@ -5,6 +5,7 @@
 //! | [`map_match`], [`map_localize`], [`map_info`], [`map_keyframe`] | queryable |
 //! | [`map_changes`] | publisher |
 //! | [`robot_pose`], [`robot_odometry`], [`robot_status`] | publisher |
+//! | [`robot_imu`], [`robot_camera`], [`robot_tracks`] | subscriber |
 //! | [`robot`], [`map_server`] | liveliness |
 //!
 //! ```
@@ -155,6 +156,30 @@ pub fn robot_odometry(robot: &str) -> Result<String, NameError> {
 /// [`NameError`] if the name cannot be part of a key.
 pub fn robot_status(robot: &str) -> Result<String, NameError> {
     key("robot", robot, "/status")
+}
+
+/// `robot/{robot}/sensors/imu`: [`crate::sensors::ImuMessage`]s.
+///
+/// # Errors
+/// [`NameError`] if the name cannot be part of a key.
+pub fn robot_imu(robot: &str) -> Result<String, NameError> {
+    key("robot", robot, "/sensors/imu")
+}
+
+/// `robot/{robot}/sensors/cam{index}`: images with a [`crate::sensors::ImageHeader`].
+///
+/// # Errors
+/// [`NameError`] if the name cannot be part of a key.
+pub fn robot_camera(robot: &str, index: usize) -> Result<String, NameError> {
+    key("robot", robot, &format!("/sensors/cam{index}"))
+}
+
+/// `robot/{robot}/sensors/tracks`: [`crate::sensors::TracksMessage`]s.
+///
+/// # Errors
+/// [`NameError`] if the name cannot be part of a key.
+pub fn robot_tracks(robot: &str) -> Result<String, NameError> {
+    key("robot", robot, "/sensors/tracks")
 }
 
 /// `robot/{robot}`: liveliness of a robot.

@@ -10,6 +10,7 @@
 //! | [`localize`] | an image in, its global pose out, for clients without an estimator |
 //! | [`map`] | reading a map remotely, and notices of its changes |
 //! | [`robot`] | what a robot publishes |
+//! | [`sensors`] | what drivers send to a robot |
 //! | [`features`] | pixels and descriptors of one image |
 //! | [`error_reply`] | why a query was not answered |
 //! | [`identity`] | which map an answer is from |
@@ -65,6 +66,7 @@ pub mod map;
 pub mod matching;
 mod messages;
 pub mod robot;
+pub mod sensors;
 pub mod validate;
 mod wire;
 

@@ -6,8 +6,9 @@
 //! | `calibration`, `frame` | [`SensorCalibration`]; [`Frame`] and [`ImageData`] |
 //! | `recording`, `merged` | [`Recording`], on disk or in memory; [`RecordingSource`], which plays it |
 //! | `memory` | [`Sequence`], a recording in memory |
+//! | [`live`] | measurements that arrive now |
 //! | `euroc` | the EuRoC ASL folder layout: reader and [`writer`] |
-//! | `kalibr` | calibrations of Kalibr: [`CalibrationFiles`] |
+//! | `kalibr`, `rig_calibration` | calibrations of Kalibr: [`CalibrationFiles`]; of a robot: [`read_rig_calibration`] |
 //! | `imu_check`, `image_check`, `stereo_check` | units, sizes and wiring that contradict the calibration, recognized from the data |
 //! | `truth`, `gravity` | ground truth, its interpolation, and the direction of gravity in its frame (evaluation only) |
 //! | `table` | [`Table`], a CSV reader whose errors name file and line |
@@ -46,9 +47,11 @@ mod gravity;
 mod image_check;
 mod imu_check;
 mod kalibr;
+pub mod live;
 mod memory;
 mod merged;
 mod recording;
+mod rig_calibration;
 mod rows;
 mod source;
 mod stereo_check;
@@ -70,6 +73,7 @@ pub use kalibr::CalibrationFiles;
 pub use memory::Sequence;
 pub use merged::RecordingSource;
 pub use recording::Recording;
+pub use rig_calibration::read_rig_calibration;
 pub use rows::Rows;
 pub use source::{Contents, SensorEvent, SensorSource};
 pub use stereo_check::check_stereo;

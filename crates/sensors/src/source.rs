@@ -1,5 +1,6 @@
 //! Where a robot's measurements come from: [`SensorSource`].
 
+use super::live::LiveReport;
 use super::{Frame, ImuSample, SensorCalibration, SensorError};
 
 /// A stream of IMU readings and camera frames in order of time, with the calibration of the sensors.
@@ -14,7 +15,8 @@ use super::{Frame, ImuSample, SensorCalibration, SensorError};
 /// consumer's to handle, who reads ahead as far as it needs (for a frame at time t: to the first reading at or after t
 /// plus the offset, so that the motion is known up to t).
 ///
-/// A source whose data arrive late, in bursts or out of order has to sort them before it returns them.
+/// A source whose data arrive late, in bursts or out of order has to sort them before it returns them. A live source
+/// does not hold readings back for frames that are still on their way: a frame may come after later readings.
 ///
 /// # Example
 /// A source that computes its measurements:
@@ -77,6 +79,11 @@ pub trait SensorSource {
     /// [`SensorError`]: nothing can be read any more. Damage that later events survive (one undecodable message) is
     /// to be logged and left out instead.
     fn next(&mut self) -> Result<Option<SensorEvent>, SensorError>;
+
+    /// What a live source says of itself; `None` for a recording, which can wait for its reader.
+    fn live(&self) -> Option<LiveReport> {
+        None
+    }
 }
 
 /// One measurement.
@@ -87,14 +94,18 @@ pub enum SensorEvent {
     Imu(ImuSample),
     /// What the cameras gave at one instant.
     Frame(Frame),
+    /// Nothing: a live source without frames returns it a few times a second, so that its reader can look at
+    /// [`SensorSource::live`] and whether to stop.
+    Tick,
 }
 
 impl SensorEvent {
-    /// Time of the measurement on its sensor's clock, nanoseconds.
-    pub fn stamp_ns(&self) -> i64 {
+    /// Time of the measurement on its sensor's clock, nanoseconds; none of a tick.
+    pub fn stamp_ns(&self) -> Option<i64> {
         match self {
-            Self::Imu(sample) => sample.stamp_ns,
-            Self::Frame(frame) => frame.stamp_ns,
+            Self::Imu(sample) => Some(sample.stamp_ns),
+            Self::Frame(frame) => Some(frame.stamp_ns),
+            Self::Tick => None,
         }
     }
 }
@@ -137,5 +148,9 @@ impl<S: SensorSource + ?Sized> SensorSource for Box<S> {
 
     fn next(&mut self) -> Result<Option<SensorEvent>, SensorError> {
         (**self).next()
+    }
+
+    fn live(&self) -> Option<LiveReport> {
+        (**self).live()
     }
 }

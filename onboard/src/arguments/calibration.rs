@@ -5,11 +5,12 @@ use clap::Args;
 use sensors::CalibrationFiles;
 use std::path::PathBuf;
 
-/// Calibration files of Kalibr, in place of the recording's own.
+/// Calibration files, in place of the recording's own.
 #[derive(Args, Clone, Debug, Default)]
 pub struct CalibrationArguments {
-    /// Kalibr's camchain-imucam.yaml [default: the recording's sensor.yaml files, else a camera chain in its folder]
-    #[arg(long, value_name = "YAML", help_heading = INPUT)]
+    /// Kalibr's camchain-imucam.yaml; for live sensors also a folder with it, or one in the EuRoC layout [default: the
+    /// recording's sensor.yaml files, else a camera chain in its folder]
+    #[arg(long, value_name = "YAML_OR_DIR", help_heading = INPUT)]
     pub calibration: Option<PathBuf>,
     /// Kalibr's imu.yaml [default: the recording's imu0/sensor.yaml, else an imu.yaml in its folder]
     #[arg(long, value_name = "YAML", help_heading = INPUT)]

@@ -4,6 +4,28 @@ use clap::ValueEnum;
 use estimator::MapMode;
 use protocol::Format;
 
+/// Where measurements come from.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum Source {
+    /// A recording: --sequence.
+    #[default]
+    Recording,
+    /// Live sensors over Zenoh, in Driftless' own messages; needs --calibration.
+    Native,
+}
+
+/// What live frames are made of.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum FrameKind {
+    /// Images.
+    #[default]
+    Images,
+    /// Tracks of a front end that runs elsewhere.
+    Tracks,
+    /// Such tracks, with features for place recognition.
+    Features,
+}
+
 /// Cameras to use.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Cameras {

@@ -2,11 +2,13 @@
 
 mod calibration;
 mod choices;
+mod live;
 mod ros;
 mod settings;
 
 pub use calibration::CalibrationArguments;
-pub use choices::{Calibrate, Cameras, Init, Mode, TopicFormat};
+pub use choices::{Calibrate, Cameras, FrameKind, Init, Mode, Source, TopicFormat};
+pub use live::LiveArguments;
 pub use ros::{ImuInBaseLink, RosArguments};
 pub use settings::{SettingsError, read_settings};
 

@@ -4,4 +4,4 @@ mod imu_window;
 mod sensor_queue;
 
 pub(crate) use imu_window::ImuWindow;
-pub(crate) use sensor_queue::SensorQueue;
+pub(crate) use sensor_queue::{NextFrame, SensorQueue};

@@ -1,6 +1,7 @@
 //! Reads a sensor source ahead, and hands out its readings and frames each for itself.
 
 use estimator::ImuSample;
+use sensors::live::LiveReport;
 use sensors::{Frame, SensorError, SensorEvent, SensorSource};
 use std::collections::VecDeque;
 
@@ -11,6 +12,23 @@ const MAX_IMU_WAIT_NS: i64 = 60_000_000_000;
 /// At most so many readings are held while the next frame is searched: 20 minutes at 200 Hz, 15 MB. Where no frame comes
 /// for longer (the images ended, and the IMU did not), the oldest ones are dropped.
 const MAX_READINGS: usize = 1 << 18;
+
+/// What comes next.
+#[derive(Debug, PartialEq)]
+pub(crate) enum NextFrame {
+    Frame(Frame),
+    /// A live source has no frame at the moment.
+    Tick,
+    End,
+}
+
+/// What was read.
+#[derive(PartialEq)]
+enum Read {
+    Event,
+    Tick,
+    End,
+}
 
 /// Events of a source that were read and not handed out yet.
 pub(crate) struct SensorQueue<'a> {
@@ -28,25 +46,36 @@ impl<'a> SensorQueue<'a> {
         Self { source, readings: VecDeque::new(), frames: VecDeque::new(), ended: false, error: None }
     }
 
-    /// The next frame; `None` after the last.
+    /// What the source says of itself, if it is live.
+    pub(crate) fn live(&self) -> Option<LiveReport> {
+        self.source.live()
+    }
+
+    /// The next frame, or that there is none now.
     ///
     /// # Errors
     /// That of the source, after the frames before it.
-    pub(crate) fn next_frame(&mut self) -> Result<Option<Frame>, SensorError> {
-        self.next_frame_ns();
+    pub(crate) fn next_frame(&mut self) -> Result<NextFrame, SensorError> {
+        while self.frames.is_empty() {
+            match self.read() {
+                Read::Event => {}
+                Read::Tick => return Ok(NextFrame::Tick),
+                Read::End => break,
+            }
+        }
         match self.frames.pop_front() {
-            Some(frame) => Ok(Some(frame)),
-            None => self.error.take().map_or(Ok(None), Err),
+            Some(frame) => Ok(NextFrame::Frame(frame)),
+            None => self.error.take().map_or(Ok(NextFrame::End), Err),
         }
     }
 
-    /// Time of the next frame, nanoseconds; `None` after the last, or where the source fails before it.
+    /// Time of the next frame of a recording, nanoseconds; `None` after the last, or where the source fails before it.
     pub(crate) fn next_frame_ns(&mut self) -> Option<i64> {
-        while self.frames.is_empty() && self.read() {}
+        while self.frames.is_empty() && self.read() == Read::Event {}
         self.frames.front().map(|frame| frame.stamp_ns)
     }
 
-    /// The next reading; `None` after the last, or where it comes more than [`MAX_IMU_WAIT_NS`] after `frame_ns`.
+    /// The next reading; `None` after the last, where a live source has none at the moment, or where it comes more than [`MAX_IMU_WAIT_NS`] after `frame_ns`.
     ///
     /// # Errors
     /// That of the source, after the readings before it.
@@ -54,7 +83,7 @@ impl<'a> SensorQueue<'a> {
         let horizon_ns = frame_ns.saturating_add(MAX_IMU_WAIT_NS);
         while self.readings.is_empty()
             && self.frames.back().is_none_or(|newest| newest.stamp_ns <= horizon_ns)
-            && self.read()
+            && self.read() == Read::Event
         {}
         match self.readings.pop_front() {
             Some(reading) => Ok(Some(reading)),
@@ -62,10 +91,10 @@ impl<'a> SensorQueue<'a> {
         }
     }
 
-    /// Reads one event; `false` where there is none.
-    fn read(&mut self) -> bool {
+    /// Reads one event.
+    fn read(&mut self) -> Read {
         if self.ended {
-            return false;
+            return Read::End;
         }
         match self.source.next() {
             Ok(Some(SensorEvent::Imu(reading))) => {
@@ -75,6 +104,7 @@ impl<'a> SensorQueue<'a> {
                 self.readings.push_back(reading);
             }
             Ok(Some(SensorEvent::Frame(frame))) => self.frames.push_back(frame),
+            Ok(Some(SensorEvent::Tick)) => return Read::Tick,
             // Other sensors are of no use to the estimator.
             Ok(Some(_)) => {}
             Ok(None) => self.ended = true,
@@ -83,7 +113,7 @@ impl<'a> SensorQueue<'a> {
                 self.error = Some(error);
             }
         }
-        !self.ended
+        if self.ended { Read::End } else { Read::Event }
     }
 }
 
@@ -129,6 +159,15 @@ mod tests {
         SensorEvent::Frame(Frame { stamp_ns: seconds * SECOND_NS, ..Frame::default() })
     }
 
+    /// The next frame; `None` at the end.
+    fn next(queue: &mut SensorQueue<'_>) -> Option<Frame> {
+        match queue.next_frame().unwrap() {
+            NextFrame::Frame(frame) => Some(frame),
+            NextFrame::End => None,
+            NextFrame::Tick => panic!("the script is no live source"),
+        }
+    }
+
     fn script(events: impl IntoIterator<Item = SensorEvent>) -> Script {
         Script { calibration: SensorCalibration::default(), events: events.into_iter().collect() }
     }
@@ -138,7 +177,7 @@ mod tests {
         let last = MAX_READINGS as i64 + 1000;
         let mut source = script([frame(0)].into_iter().chain((1..=last).map(reading)));
         let mut queue = SensorQueue::new(&mut source);
-        assert!(queue.next_frame().unwrap().is_some());
+        assert!(next(&mut queue).is_some());
         assert_eq!(queue.next_frame_ns(), None);
         assert_eq!(queue.readings.len(), MAX_READINGS);
         assert_eq!(queue.readings.back().unwrap().stamp_ns, last * SECOND_NS);
@@ -148,21 +187,21 @@ mod tests {
     fn an_error_comes_after_all_that_was_read_before_it() {
         let mut source = script([reading(1), frame(1), frame(2), reading(3)]);
         let mut queue = SensorQueue::new(&mut source);
-        assert_eq!(queue.next_frame().unwrap().unwrap().stamp_ns, SECOND_NS);
+        assert_eq!(next(&mut queue).unwrap().stamp_ns, SECOND_NS);
         assert_eq!(queue.next_frame_ns(), Some(2 * SECOND_NS));
         for seconds in [1, 3] {
             assert_eq!(queue.next_reading(SECOND_NS).unwrap().unwrap().stamp_ns, seconds * SECOND_NS);
         }
-        assert_eq!(queue.next_frame().unwrap().unwrap().stamp_ns, 2 * SECOND_NS);
+        assert_eq!(next(&mut queue).unwrap().stamp_ns, 2 * SECOND_NS);
         assert!(queue.next_frame().unwrap_err().to_string().contains("torn page"));
-        assert_eq!(queue.next_frame().unwrap(), None);
+        assert_eq!(next(&mut queue), None);
     }
 
     #[test]
     fn a_reading_is_waited_for_over_a_minute_of_frames_and_no_longer() {
         let mut source = script([reading(0)].into_iter().chain((0..1000).map(frame)));
         let mut queue = SensorQueue::new(&mut source);
-        queue.next_frame().unwrap();
+        next(&mut queue).unwrap();
         assert!(queue.next_reading(0).unwrap().is_some());
         assert_eq!(queue.next_reading(0).unwrap(), None);
         let held = queue.frames.len();

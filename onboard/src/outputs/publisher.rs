@@ -27,7 +27,9 @@ pub struct QueryCounts {
 /// Publishes under `robot/{robot}/...`, declares the robot's liveliness token, and watches for others of its name.
 #[derive(Debug)]
 pub struct Publisher {
-    map: String,
+    map: Option<String>,
+    /// Added to all stamps, nanoseconds.
+    clock_shift_ns: i64,
     format: Format,
     queue: Sender<(String, &'static str, Vec<u8>)>,
     pose_key: String,
@@ -46,6 +48,7 @@ impl Publisher {
     /// Declares the robot's liveliness token and starts the publishing task.
     ///
     /// # Arguments
+    /// * `map`: its name; `None` for a robot without a map, which publishes no pose in one.
     /// * `format`: of all messages; each sample states it as its encoding.
     ///
     /// # Errors
@@ -54,7 +57,7 @@ impl Publisher {
         session: zenoh::Session,
         runtime: &Handle,
         robot: &str,
-        map: &str,
+        map: Option<&str>,
         format: Format,
     ) -> Result<Self, PublisherError> {
         let (queue, mut messages) = channel::<(String, &'static str, Vec<u8>)>(QUEUE);
@@ -71,7 +74,8 @@ impl Publisher {
             }
         });
         Ok(Self {
-            map: map.to_owned(),
+            map: map.map(str::to_owned),
+            clock_shift_ns: 0,
             format,
             queue,
             pose_key: keys::robot_pose(robot)?,
@@ -89,6 +93,11 @@ impl Publisher {
         self.name_watch.namesakes()
     }
 
+    /// Sets what is added to all stamps, nanoseconds: jumps of the sensors' clock, which the estimator does not see.
+    pub fn set_clock_shift(&mut self, shift_ns: i64) {
+        self.clock_shift_ns = shift_ns;
+    }
+
     /// Publishes the state of a frame. Messages that do not fit into the queue are dropped: newer ones follow.
     pub fn publish(
         &self,
@@ -101,7 +110,7 @@ impl Publisher {
         self.send(
             &self.odometry_key,
             &RobotOdometry {
-                stamp_ns,
+                stamp_ns: self.sensor_stamp_ns(stamp_ns),
                 local_from_imu: estimator.local_from_imu(),
                 velocity_in_local: estimator.velocity().into(),
                 angular_velocity_in_imu: angular_velocity.into(),
@@ -109,10 +118,11 @@ impl Publisher {
         );
         let poses = estimator.global_from_imu().zip(estimator.global_from_local());
         let map = estimator.map_version().zip(estimator.map_identity());
-        if let Some(((global_from_imu, global_from_local), (map_version, identity))) = poses.zip(map) {
+        let named = self.map.as_ref().zip(poses.zip(map));
+        if let Some((map, ((global_from_imu, global_from_local), (map_version, identity)))) = named {
             let pose = RobotPose {
-                stamp_ns,
-                map: self.map.clone(),
+                stamp_ns: self.sensor_stamp_ns(stamp_ns),
+                map: map.clone(),
                 map_version,
                 map_identity: map_identity(identity),
                 global_from_imu,
@@ -128,11 +138,11 @@ impl Publisher {
         self.send(
             &self.status_key,
             &RobotStatus {
-                stamp_ns,
+                stamp_ns: self.sensor_stamp_ns(stamp_ns),
                 state: robot_state(status.localization),
                 reason: status.reason,
-                map: Some(self.map.clone()),
-                last_map_update_ns: status.last_map_update_ns,
+                map: self.map.clone(),
+                last_map_update_ns: status.last_map_update_ns.map(|stamp_ns| self.sensor_stamp_ns(stamp_ns)),
                 keyframes_held: status.held_keyframes as u32,
                 queries_sent: counts.sent,
                 queries_answered: counts.answered,
@@ -153,6 +163,11 @@ impl Publisher {
                 tracing::debug!(%error, "the liveliness token was gone with its session");
             }
         });
+    }
+
+    /// A time of the estimator on the sensors' clock.
+    fn sensor_stamp_ns(&self, stamp_ns: i64) -> i64 {
+        stamp_ns.saturating_add(self.clock_shift_ns)
     }
 
     fn send<M: Message>(&self, key: &str, message: &M) {

@@ -38,6 +38,8 @@ pub struct Recorder {
     pub map_changes: MapChangeSummary,
     /// Frames skipped: no IMU readings, an unusable image.
     pub skipped_frames: usize,
+    /// Frames that a live source dropped because nobody read them in time, or because they had no readings.
+    pub dropped_frames: u64,
     /// IMU readings that the estimator refused.
     pub dropped_imu: usize,
     /// Gaps between IMU readings.
@@ -81,6 +83,7 @@ impl Recorder {
             queries: QuerySummary::default(),
             map_changes: MapChangeSummary::default(),
             skipped_frames: 0,
+            dropped_frames: 0,
             dropped_imu: 0,
             imu_gaps: ImuGapSummary::default(),
             wall_seconds: 0.0,

@@ -192,6 +192,8 @@ pub struct Summary {
     pub frames: usize,
     /// Frames that were skipped: no IMU readings, an unusable image.
     pub skipped_frames: usize,
+    /// Frames that a live source dropped: the processor did not keep up, or there were no readings for them.
+    pub dropped_frames: u64,
     /// IMU readings that the estimator refused.
     pub dropped_imu: usize,
     /// Gaps between IMU readings.

@@ -12,6 +12,7 @@ pub mod inspect;
 pub mod localize;
 pub mod map_info;
 pub mod montecarlo;
+pub mod play;
 pub mod plot;
 pub mod query;
 pub mod run;
@@ -46,6 +47,8 @@ pub enum Command {
     Inspect(inspect::Args),
     /// Run a robot through a recording, with a map server in the same process
     Run(run::Args),
+    /// Publish a recording as the live sensors of a robot
+    Play(play::Args),
     /// Track points through the images of a recording
     Track(track::Args),
     /// Compare an estimated trajectory with the ground truth: ATE, RPE, NEES
@@ -77,6 +80,7 @@ impl Command {
             Self::Localize(args) => localize::run(&args),
             Self::Inspect(args) => inspect::run(&args),
             Self::Run(args) => run::run(&args),
+            Self::Play(args) => play::run(&args),
             Self::Track(args) => track::run(&args),
             Self::Evaluate(args) => evaluate::run(&args),
             Self::Montecarlo(args) => montecarlo::run(&args),

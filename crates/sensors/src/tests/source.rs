@@ -27,6 +27,7 @@ fn a_source_returns_everything_in_order_of_time_and_readings_before_frames() {
                     assert!(readings.last().unwrap().stamp_ns <= frame.stamp_ns);
                     frames.push(frame);
                 }
+                SensorEvent::Tick => unreachable!("a recording has no ticks"),
             }
         }
         assert_eq!((readings, frames), (sequence.imu_samples, sequence.frames));

@@ -47,6 +47,15 @@ pub enum ImageError {
         /// Its length.
         bytes: usize,
     },
+    /// Bytes in memory are not a PNG or JPEG image.
+    #[error("{0}; a PNG or JPEG image is needed")]
+    Undecodable(#[source] image::ImageError),
+    /// Bytes in memory end before their image does.
+    #[error("the image is cut off after {bytes} bytes")]
+    Incomplete {
+        /// Their number.
+        bytes: usize,
+    },
     /// The file cannot be written.
     #[error("{}: {source}", path.display())]
     Unwritable {
@@ -103,21 +112,47 @@ impl GrayImage {
     /// [`ImageError::CutOff`]; [`ImageError::Unreadable`]: the file is missing, damaged, not an image, or has more than
     /// 16,384 columns or rows.
     pub fn read(path: &Path) -> Result<Self, ImageError> {
-        let unreadable = |source| ImageError::Unreadable { path: path.to_path_buf(), source };
-        let bytes = std::fs::read(path).map_err(|error| unreadable(error.into()))?;
-        if is_cut_off(&bytes) {
-            return Err(ImageError::CutOff { path: path.to_path_buf(), bytes: bytes.len() });
+        let path = || path.to_path_buf();
+        let bytes = std::fs::read(path())
+            .map_err(|error| ImageError::Unreadable { path: path(), source: error.into() })?;
+        Self::decode(&bytes).map_err(|error| match error {
+            ImageError::Incomplete { bytes } => ImageError::CutOff { path: path(), bytes },
+            ImageError::Undecodable(source) => ImageError::Unreadable { path: path(), source },
+            other => other,
+        })
+    }
+
+    /// Decodes a PNG or JPEG file in memory; colours are converted to luma.
+    ///
+    /// # Errors
+    /// [`ImageError::Incomplete`]; [`ImageError::Undecodable`]: damaged, not an image, or more than 16,384 columns or
+    /// rows.
+    pub fn decode(bytes: &[u8]) -> Result<Self, ImageError> {
+        if is_cut_off(bytes) {
+            return Err(ImageError::Incomplete { bytes: bytes.len() });
         }
         let mut reader = image::ImageReader::new(Cursor::new(bytes))
             .with_guessed_format()
-            .map_err(|error| unreadable(error.into()))?;
+            .map_err(|error| ImageError::Undecodable(error.into()))?;
         let mut limits = image::Limits::default();
         limits.max_image_width = Some(MAX_SIDE);
         limits.max_image_height = Some(MAX_SIDE);
         reader.limits(limits);
-        let grey = reader.decode().map_err(unreadable)?.into_luma8();
+        let grey = reader.decode().map_err(ImageError::Undecodable)?.into_luma8();
         let (width, height) = (grey.width() as usize, grey.height() as usize);
         Self::new(width, height, grey.into_raw())
+    }
+
+    /// Columns and rows of a PNG or JPEG file in memory, from its header.
+    ///
+    /// # Errors
+    /// [`ImageError::Undecodable`].
+    pub fn size_of_encoded(bytes: &[u8]) -> Result<(u32, u32), ImageError> {
+        image::ImageReader::new(Cursor::new(bytes))
+            .with_guessed_format()
+            .map_err(image::ImageError::from)
+            .and_then(image::ImageReader::into_dimensions)
+            .map_err(ImageError::Undecodable)
     }
 
     /// Columns and rows of a PNG or JPEG file, from its header.

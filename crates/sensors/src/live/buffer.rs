@@ -1,0 +1,264 @@
+//! All that a live source does, without threads and clocks of its own: messages in, events in order of time out.
+
+use super::assembly::{Assembly, PendingFrame};
+use super::fault::{FaultKind, FaultLog, LiveFault};
+use super::image::LiveImage;
+use super::lane::{Jump, Lane};
+use super::reorder::Reorder;
+use super::repetition::{Compared, Repetition};
+use super::settings::{LiveFrames, LiveSettings};
+use super::stream::Stream;
+use crate::{ImuSample, SensorCalibration, TrackObservation};
+use protocol::FeatureSet;
+use std::collections::VecDeque;
+use std::sync::mpsc::SyncSender;
+use std::time::Duration;
+
+/// Frames that wait for readings of the IMU: two seconds at 20 Hz.
+const MAX_WAITING_FOR_IMU: usize = 40;
+/// Readings that wait for the estimator: 80 minutes at 200 Hz, 60 MB. Beyond, the reader is taken to be gone.
+const MAX_READINGS: usize = 1 << 20;
+/// Stamps are nanoseconds since 1970 or since a start; later ones than in the year 2096 are mistakes.
+const STAMPS_NS: std::ops::RangeInclusive<i64> = 0..=4_000_000_000_000_000_000;
+
+/// What is ready.
+#[derive(Debug, PartialEq)]
+pub(super) enum Ready {
+    Imu(ImuSample),
+    Frame(i64, PendingFrame),
+}
+
+/// Messages on their way to the estimator.
+#[derive(Debug)]
+pub(super) struct LiveBuffer {
+    max_waiting_frames: usize,
+    camera_offset_ns: i64,
+    imu: Lane<ImuSample>,
+    cameras: Vec<Lane<LiveImage>>,
+    tracks: Option<Lane<PendingFrame>>,
+    repetitions: [Repetition; 2],
+    newest_jump: Option<Jump>,
+    reorder: Reorder<ImuSample>,
+    assembly: Assembly,
+    /// In order of time, not returned yet.
+    readings: VecDeque<ImuSample>,
+    frames: VecDeque<(i64, PendingFrame)>,
+    /// Time of the newest reading in order.
+    imu_until_ns: i64,
+    faults: FaultLog,
+    /// Gets every reading in order as soon as it is there.
+    tap: Option<SyncSender<ImuSample>>,
+}
+
+impl LiveBuffer {
+    pub(super) fn new(calibration: &SensorCalibration, settings: &LiveSettings) -> Self {
+        let (cameras, tracks) = match settings.frames {
+            LiveFrames::Images => {
+                let sensors = calibration.cameras.iter().take(settings.cameras.min(2)).enumerate();
+                let lane = |(index, sensor): (usize, &crate::CameraSensor)| {
+                    let stated_hz = Some(sensor.rate_hz).filter(|_| settings.camera_rate_is_stated);
+                    Lane::new(Stream::Camera(index), stated_hz)
+                };
+                (sensors.map(lane).collect(), None)
+            }
+            LiveFrames::Tracks { .. } => (Vec::new(), Some(Lane::new(Stream::Tracks, None))),
+        };
+        let images = cameras.len();
+        Self {
+            max_waiting_frames: settings.max_waiting_frames.max(1),
+            camera_offset_ns: settings.camera_offset_ns,
+            imu: Lane::new(Stream::Imu, calibration.imu.as_ref().map(|imu| imu.rate_hz)),
+            cameras,
+            tracks,
+            repetitions: Default::default(),
+            newest_jump: None,
+            reorder: Reorder::new(),
+            assembly: Assembly::new(images, settings.pair_tolerance_ns),
+            readings: VecDeque::new(),
+            frames: VecDeque::new(),
+            imu_until_ns: i64::MIN,
+            faults: FaultLog::default(),
+            tap: None,
+        }
+    }
+
+    /// Every reading goes to `tap` as soon as those before it are there; one that does not fit is left out there.
+    pub(super) fn set_tap(&mut self, tap: SyncSender<ImuSample>) {
+        self.tap = Some(tap);
+    }
+
+    pub(super) fn imu(&mut self, reading: ImuSample, now: Duration) {
+        self.imu.arrived(now);
+        if !reading.gyroscope.iter().chain(&reading.accelerometer).all(|value| value.is_finite()) {
+            let problem = "readings are not finite, and are not used; check the sensor".to_owned();
+            return self.faults.note(Stream::Imu, FaultKind::NotFinite, now, problem);
+        }
+        if !self.is_stamp(Stream::Imu, reading.stamp_ns, now) {
+            return;
+        }
+        let message = (reading.stamp_ns, reading);
+        for (stamp_ns, reading) in self.imu.admit(message, now, &mut self.newest_jump, &mut self.faults) {
+            if !self.reorder.push(stamp_ns, now, ImuSample { stamp_ns, ..reading }) {
+                let problem = "readings come after later ones were used, and cannot be sorted in".to_owned();
+                self.faults.note(Stream::Imu, FaultKind::Late, now, problem);
+            }
+        }
+        self.sort_readings(now);
+    }
+
+    pub(super) fn image(&mut self, camera: usize, stamp_ns: i64, image: LiveImage, now: Duration) {
+        let stream = Stream::Camera(camera);
+        let stamp_ns = stamp_ns.saturating_add(self.camera_offset_ns);
+        // Images of a camera that is not used are none of ours.
+        let Some(lane) = self.cameras.get_mut(camera) else { return };
+        lane.arrived(now);
+        if !self.is_stamp(stream, stamp_ns, now) {
+            return;
+        }
+        let Some(lane) = self.cameras.get_mut(camera) else { return };
+        let messages = lane.admit((stamp_ns, image), now, &mut self.newest_jump, &mut self.faults);
+        for (stamp_ns, image) in messages {
+            match self.repetitions[camera].check(stamp_ns, &image) {
+                Compared::New => self.assembly.image(camera, (stamp_ns, image), now, &mut self.faults),
+                Compared::Same => {}
+                Compared::Frozen(seconds) => {
+                    let problem = format!(
+                        "the same image again and again for {seconds:.1} s, not used: the camera is frozen; restart its driver"
+                    );
+                    self.faults.note(stream, FaultKind::Frozen, now, problem);
+                }
+            }
+        }
+        self.sort_frames(now);
+    }
+
+    pub(super) fn tracks(
+        &mut self,
+        stamp_ns: i64,
+        tracks: Vec<TrackObservation>,
+        features: Option<FeatureSet>,
+        now: Duration,
+    ) {
+        let stamp_ns = stamp_ns.saturating_add(self.camera_offset_ns);
+        let Some(lane) = &mut self.tracks else { return };
+        lane.arrived(now);
+        if !self.is_stamp(Stream::Tracks, stamp_ns, now) {
+            return;
+        }
+        let Some(lane) = &mut self.tracks else { return };
+        let frame = PendingFrame { tracks, features, ..PendingFrame::default() };
+        for message in lane.admit((stamp_ns, frame), now, &mut self.newest_jump, &mut self.faults) {
+            self.assembly.tracks(message, now, &mut self.faults);
+        }
+        self.sort_frames(now);
+    }
+
+    /// Notes a message that cannot be read.
+    pub(super) fn refuse(&mut self, stream: Stream, problem: String, now: Duration) {
+        match stream {
+            Stream::Imu => self.imu.arrived(now),
+            Stream::Camera(camera) => {
+                let Some(lane) = self.cameras.get_mut(camera) else { return };
+                lane.arrived(now);
+            }
+            Stream::Tracks => {
+                let Some(lane) = &mut self.tracks else { return };
+                lane.arrived(now);
+            }
+        }
+        self.faults.note(stream, FaultKind::Unreadable, now, problem);
+    }
+
+    fn is_stamp(&mut self, stream: Stream, stamp_ns: i64, now: Duration) -> bool {
+        let is_stamp = STAMPS_NS.contains(&stamp_ns);
+        if !is_stamp {
+            let problem =
+                format!("a stamp of {stamp_ns} ns is no time since 1970; {} are not used", stream.noun());
+            self.faults.note(stream, FaultKind::WrongStamp, now, problem);
+        }
+        is_stamp
+    }
+
+    fn sort_readings(&mut self, now: Duration) {
+        while let Some((stamp_ns, reading)) = self.reorder.pop(now, self.imu.period_ns(), |_| true) {
+            self.imu_until_ns = stamp_ns;
+            if let Some(tap) = &self.tap {
+                let _ = tap.try_send(reading);
+            }
+            if self.readings.len() == MAX_READINGS {
+                self.readings.pop_front();
+            }
+            self.readings.push_back(reading);
+        }
+    }
+
+    fn sort_frames(&mut self, now: Duration) {
+        let is_alive = [0, 1].map(|camera| self.cameras.get(camera).is_some_and(|lane| lane.is_alive(now)));
+        let period_ns = match &self.tracks {
+            Some(lane) => lane.period_ns(),
+            None => self.cameras.first().and_then(Lane::period_ns),
+        };
+        while let Some(frame) = self.assembly.pop(now, period_ns, is_alive, &mut self.faults) {
+            self.frames.push_back(frame);
+        }
+        let stream = if self.tracks.is_some() { Stream::Tracks } else { Stream::Camera(0) };
+        let noun = stream.noun();
+        let due = self.frames.partition_point(|(stamp_ns, _)| *stamp_ns <= self.imu_until_ns);
+        for _ in self.max_waiting_frames..due {
+            self.frames.pop_front();
+            let problem = format!("{noun} are dropped, the oldest first: the processor does not keep up");
+            self.faults.note(stream, FaultKind::Overload, now, problem);
+        }
+        let due = due.min(self.max_waiting_frames);
+        while self.frames.len() - due > MAX_WAITING_FOR_IMU {
+            self.frames.remove(due);
+            let problem = format!("{noun} are dropped because there are no readings of the IMU for them");
+            self.faults.note(stream, FaultKind::WithoutImu, now, problem);
+        }
+    }
+
+    /// The next event, if there is one.
+    pub(super) fn poll(&mut self, now: Duration) -> Option<Ready> {
+        self.sort_readings(now);
+        self.sort_frames(now);
+        let frame_ns = self.frames.front().map(|(stamp_ns, _)| *stamp_ns);
+        let reading_ns = self.readings.front().map(|reading| reading.stamp_ns);
+        let reading_is_next = reading_ns.is_some_and(|ns| frame_ns.is_none_or(|frame_ns| ns <= frame_ns));
+        if reading_is_next {
+            return self.readings.pop_front().map(Ready::Imu);
+        }
+        // A frame waits until the motion up to it is known.
+        if frame_ns.is_some_and(|frame_ns| frame_ns <= self.imu_until_ns) {
+            return self.frames.pop_front().map(|(stamp_ns, frame)| Ready::Frame(stamp_ns, frame));
+        }
+        None
+    }
+
+    /// What is wrong at present.
+    pub(super) fn active_faults(&self, now: Duration) -> Vec<LiveFault> {
+        let states = std::iter::once(self.imu.state(now))
+            .chain(self.cameras.iter().map(|lane| lane.state(now)))
+            .chain(self.tracks.iter().map(|lane| lane.state(now)));
+        states.flatten().chain(self.faults.active(now)).collect()
+    }
+
+    /// How often a kind of fault happened.
+    pub(super) fn count(&self, kind: FaultKind) -> u64 {
+        self.faults.total(kind)
+    }
+
+    /// How often a kind of fault happened on one stream.
+    #[cfg(test)]
+    pub(super) fn count_of(&self, stream: Stream, kind: FaultKind) -> u64 {
+        self.faults.count(stream, kind)
+    }
+
+    /// What is subtracted from the stamps of frames since the clocks jumped, nanoseconds.
+    pub(super) fn clock_shift_ns(&self) -> i64 {
+        match (&self.tracks, self.cameras.first()) {
+            (Some(lane), _) => lane.jumped_ns(),
+            (None, Some(lane)) => lane.jumped_ns(),
+            (None, None) => self.imu.jumped_ns(),
+        }
+    }
+}

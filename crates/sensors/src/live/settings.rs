@@ -1,0 +1,66 @@
+//! Settings of a live source.
+
+use crate::{Contents, FolderCalibration, SensorCalibration};
+
+/// What the frames of a live source are made of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum LiveFrames {
+    /// Images of the cameras.
+    Images,
+    /// Tracks of a front end that runs elsewhere.
+    Tracks {
+        /// Whether features for place recognition come with them.
+        features: bool,
+    },
+}
+
+/// How measurements are put in order.
+#[derive(Clone, Debug)]
+#[non_exhaustive]
+pub struct LiveSettings {
+    /// What is expected.
+    pub frames: LiveFrames,
+    /// Cameras whose images are used, 1 or 2.
+    pub cameras: usize,
+    /// Whether the calibration states the rate of the cameras; Kalibr's does not.
+    pub camera_rate_is_stated: bool,
+    /// Largest difference between the stamps of the two images of a stereo pair, nanoseconds.
+    pub pair_tolerance_ns: i64,
+    /// Added to the stamps of images, nanoseconds: Kalibr's `timeshift_cam_imu`.
+    pub camera_offset_ns: i64,
+    /// Frames that may wait for the estimator; beyond, the oldest is dropped. Five are a quarter of a second at 20 Hz.
+    pub max_waiting_frames: usize,
+}
+
+impl LiveSettings {
+    /// Images of all cameras that are calibrated.
+    pub fn images(calibration: &SensorCalibration) -> Self {
+        Self {
+            frames: LiveFrames::Images,
+            cameras: calibration.cameras.len().min(2),
+            camera_rate_is_stated: true,
+            pair_tolerance_ns: 5_000_000,
+            camera_offset_ns: 0,
+            max_waiting_frames: 5,
+        }
+    }
+
+    /// Images of all cameras of a calibration that was read from files.
+    pub fn of_files(calibration: &FolderCalibration) -> Self {
+        Self {
+            camera_rate_is_stated: calibration.files.cameras.is_none(),
+            camera_offset_ns: calibration.time_offset_ns,
+            ..Self::images(&calibration.sensors)
+        }
+    }
+
+    /// What the frames carry.
+    pub(super) fn contents(&self) -> Contents {
+        let (images, tracks, features) = match self.frames {
+            LiveFrames::Images => (true, false, false),
+            LiveFrames::Tracks { features } => (false, true, features),
+        };
+        Contents { frames: None, images, tracks, features }
+    }
+}

@@ -1,0 +1,43 @@
+//! The calibration of a robot that plays no recording.
+
+use crate::calibration_yaml::read_text;
+use crate::kalibr::{self, CalibrationFiles};
+use crate::{CameraSensor, FolderCalibration, SensorCalibration, SequenceError};
+use std::path::{Path, PathBuf};
+
+/// Kalibr does not state the rate of the cameras; this stands in its place and is compared with nothing.
+const UNSTATED_RATE_HZ: f64 = 20.0;
+
+/// Reads the calibration of a robot's sensors.
+///
+/// # Arguments
+/// * `path`: a folder in the EuRoC layout, of which the `sensor.yaml` files are read and nothing else; a folder with Kalibr's
+///   files in it; or Kalibr's camera chain.
+/// * `imu`: Kalibr's `imu.yaml`, where it is not beside the camera chain.
+///
+/// # Errors
+/// [`SequenceError`] with the file.
+pub fn read_rig_calibration(path: &Path, imu: Option<&Path>) -> Result<FolderCalibration, SequenceError> {
+    let mut files = CalibrationFiles { cameras: None, imu: imu.map(Path::to_path_buf) };
+    let folder = if path.is_file() {
+        files.cameras = Some(path.to_path_buf());
+        path.parent().unwrap_or(Path::new("")).to_path_buf()
+    } else {
+        path.to_path_buf()
+    };
+    let files = files.completed(&folder)?;
+    let Some(chain_path) = &files.cameras else {
+        return FolderCalibration::read(path, &files);
+    };
+    let has_second = read_text(chain_path)?.lines().any(|line| line.starts_with("cam1:"));
+    let chain = kalibr::read_camera_chain(chain_path, if has_second { 2 } else { 1 })?;
+    let advice = "the noise of the IMU is needed: give Kalibr's imu.yaml with --imu-calibration";
+    let imu_path: &PathBuf =
+        files.imu.as_ref().ok_or_else(|| SequenceError::missing(&folder.join("imu.yaml"), advice))?;
+    let imu = Some(kalibr::read_imu(imu_path)?);
+    let sensor =
+        |(camera, imu_from_camera)| CameraSensor { camera, imu_from_camera, rate_hz: UNSTATED_RATE_HZ };
+    let cameras = chain.cameras.into_iter().map(sensor).collect();
+    let sensors = SensorCalibration { imu, cameras };
+    Ok(FolderCalibration { sensors, time_offset_ns: chain.time_offset_ns, files })
+}

@@ -1,0 +1,56 @@
+//! Switches of live sensors.
+
+use super::choices::FrameKind;
+use super::{INPUT, RobotArguments};
+use anyhow::{Result, bail};
+use clap::Args;
+use sensors::FolderCalibration;
+use sensors::live::{LiveFrames, LiveSettings, Stream};
+
+/// How live sensors are taken.
+#[derive(Args, Clone, Debug)]
+pub struct LiveArguments {
+    /// What live frames are made of
+    #[arg(long, value_enum, value_name = "WHAT", default_value = "images", help_heading = INPUT)]
+    pub live_frames: FrameKind,
+    /// Live frames that may wait for the estimator; beyond, the oldest is dropped
+    #[arg(long, value_name = "N", default_value_t = 5, help_heading = INPUT)]
+    pub max_waiting_frames: usize,
+    /// Largest difference between the stamps of the two images of a live stereo pair, milliseconds
+    #[arg(long, value_name = "MS", default_value_t = 5.0, help_heading = INPUT)]
+    pub pair_tolerance_ms: f64,
+}
+
+impl LiveArguments {
+    /// Settings of the source.
+    ///
+    /// # Errors
+    /// A switch is out of range, or contradicts the calibration.
+    pub fn settings(&self, calibration: &FolderCalibration, robot: &RobotArguments) -> Result<LiveSettings> {
+        if !(0.0..=1000.0).contains(&self.pair_tolerance_ms) {
+            bail!("--pair-tolerance-ms is {}; it must be from 0 to 1000", self.pair_tolerance_ms);
+        }
+        if self.max_waiting_frames == 0 {
+            bail!("--max-waiting-frames is 0; it must be at least 1");
+        }
+        let mut settings = LiveSettings::of_files(calibration);
+        settings.cameras = robot.camera_count(&calibration.sensors)?;
+        settings.pair_tolerance_ns = (self.pair_tolerance_ms * 1e6) as i64;
+        settings.max_waiting_frames = self.max_waiting_frames;
+        settings.frames = match self.live_frames {
+            FrameKind::Images => LiveFrames::Images,
+            FrameKind::Tracks => LiveFrames::Tracks { features: false },
+            FrameKind::Features => LiveFrames::Tracks { features: true },
+        };
+        Ok(settings)
+    }
+
+    /// The streams that are expected with these settings.
+    pub fn streams(settings: &LiveSettings) -> Vec<Stream> {
+        let frames = match settings.frames {
+            LiveFrames::Images => (0..settings.cameras).map(Stream::Camera).collect(),
+            _ => vec![Stream::Tracks],
+        };
+        std::iter::once(Stream::Imu).chain(frames).collect()
+    }
+}

@@ -1,0 +1,146 @@
+//! Live sensors over Zenoh in Driftless' own form: see [`protocol::sensors`].
+
+use estimator::{ImuSample, TrackObservation};
+use nalgebra::{Vector2, Vector3};
+use protocol::keys::{self, NameError};
+use protocol::sensors::{ImageHeader, SensorMessageError, TracksMessage, check_image_length, decode_imu};
+use sensors::live::{LiveImage, LiveInputs, PixelEncoding, RawImage, Stream};
+use tokio::runtime::Handle;
+use zenoh::pubsub::Subscriber;
+use zenoh::sample::Sample;
+
+/// Why the sensors of a robot cannot be subscribed to.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum NativeError {
+    /// The name of the robot cannot be part of a key.
+    #[error("--robot: {0}")]
+    Name(#[from] NameError),
+    /// The session refuses.
+    #[error("{key} cannot be subscribed to: {source}")]
+    Subscribe {
+        /// The key.
+        key: String,
+        /// Zenoh's error.
+        source: zenoh::Error,
+    },
+}
+
+/// Why a message is not used.
+#[derive(Debug, thiserror::Error)]
+enum Refusal {
+    #[error(transparent)]
+    Message(#[from] SensorMessageError),
+    #[error("the encoding {0:?} is unknown: use mono8, bgr8, rgb8, jpeg or png")]
+    Encoding(String),
+    #[error("a step of {0} bytes a row is too long")]
+    Step(u64),
+}
+
+/// Subscriptions to the sensors of a robot, which end when this is dropped.
+#[derive(Debug)]
+pub struct NativeSensors {
+    _subscribers: Vec<Subscriber<()>>,
+}
+
+impl NativeSensors {
+    /// Subscribes to the IMU and the given streams of frames.
+    ///
+    /// Messages are parsed on Zenoh's threads and handed to `inputs`, which never waits; images are decoded elsewhere.
+    ///
+    /// # Errors
+    /// [`NativeError`].
+    pub fn subscribe(
+        session: &zenoh::Session,
+        runtime: &Handle,
+        robot: &str,
+        streams: &[Stream],
+        inputs: &LiveInputs,
+    ) -> Result<Self, NativeError> {
+        let mut subscribers = Vec::new();
+        for stream in streams {
+            let key = match *stream {
+                Stream::Camera(index) => keys::robot_camera(robot, index)?,
+                Stream::Tracks => keys::robot_tracks(robot)?,
+                _ => keys::robot_imu(robot)?,
+            };
+            let (stream, inputs) = (*stream, inputs.clone());
+            let take = move |sample: Sample| {
+                if let Err(refusal) = hand_in(stream, &sample, &inputs) {
+                    inputs.refuse(stream, refusal);
+                }
+            };
+            let declared = runtime.block_on(async { session.declare_subscriber(&key).callback(take).await });
+            subscribers.push(declared.map_err(|source| NativeError::Subscribe { key, source })?);
+        }
+        Ok(Self { _subscribers: subscribers })
+    }
+}
+
+fn hand_in(stream: Stream, sample: &Sample, inputs: &LiveInputs) -> Result<(), Refusal> {
+    match stream {
+        Stream::Camera(camera) => {
+            check_image_length(sample.payload().len())?;
+            let header = ImageHeader::decode(sample.attachment().map(|bytes| bytes.to_bytes()).as_deref())?;
+            let image = image(&header, sample.payload().to_bytes().into_owned())?;
+            inputs.image(camera, header.stamp_ns, image);
+        }
+        Stream::Tracks => {
+            let TracksMessage { stamp_ns, tracks, features } =
+                TracksMessage::decode(&sample.payload().to_bytes())?;
+            let observation = |(camera, feature_id, u, v)| TrackObservation {
+                camera,
+                feature_id,
+                pixel: Vector2::new(u, v),
+            };
+            inputs.tracks(stamp_ns, tracks.into_iter().map(observation).collect(), features);
+        }
+        _ => {
+            for reading in decode_imu(&sample.payload().to_bytes())? {
+                let (gyroscope, accelerometer) =
+                    (Vector3::from(reading.gyroscope), Vector3::from(reading.accelerometer));
+                inputs.imu(ImuSample { stamp_ns: reading.stamp_ns, gyroscope, accelerometer });
+            }
+        }
+    }
+    Ok(())
+}
+
+fn image(header: &ImageHeader, bytes: Vec<u8>) -> Result<LiveImage, Refusal> {
+    if matches!(header.encoding.as_str(), "jpeg" | "png") {
+        return Ok(LiveImage::Encoded(bytes));
+    }
+    let Some(encoding) = PixelEncoding::of_name(&header.encoding) else {
+        return Err(Refusal::Encoding(header.encoding.chars().take(32).collect()));
+    };
+    let (width, height) = (header.width, header.height);
+    let without_gaps = u64::from(width) * encoding.bytes() as u64;
+    let step = match header.step {
+        Some(step) => step,
+        None => u32::try_from(without_gaps).map_err(|_| Refusal::Step(without_gaps))?,
+    };
+    Ok(LiveImage::Raw(RawImage { width, height, step, encoding, bytes }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn header(text: &str) -> ImageHeader {
+        ImageHeader::decode(Some(text.as_bytes())).unwrap()
+    }
+
+    #[test]
+    fn images_are_taken_in_the_documented_encodings_and_no_other() {
+        let raw =
+            image(&header(r#"{"stamp_ns": 1, "encoding": "bgr8", "width": 2, "height": 1}"#), vec![7; 6]);
+        let gray = raw.unwrap().into_gray((2, 1)).unwrap();
+        assert_eq!(gray.pixels(), [7, 7]);
+        let jpeg = image(&header(r#"{"stamp_ns": 1, "encoding": "jpeg"}"#), vec![1, 2]).unwrap();
+        assert_eq!(jpeg, LiveImage::Encoded(vec![1, 2]));
+        let unknown = image(&header(r#"{"stamp_ns": 1, "encoding": "yuv422"}"#), Vec::new()).unwrap_err();
+        assert!(unknown.to_string().contains("yuv422") && unknown.to_string().contains("mono8"), "{unknown}");
+        let wide = header(r#"{"stamp_ns": 1, "encoding": "rgb8", "width": 4000000000, "height": 1}"#);
+        assert!(image(&wide, Vec::new()).is_err());
+    }
+}

@@ -1,0 +1,95 @@
+//! A robot with live sensors over Zenoh, beside the same robot with the recording.
+#![allow(clippy::unwrap_used)]
+
+use geometry::pose::Pose;
+use onboard::native::NativeSensors;
+use onboard::{Outcome, RobotLink, StopSignal, run_robot, run_source_until};
+use sensors::live::{LiveFrames, LiveSettings, LiveSource, Stream};
+use sensors::{Recording, SensorCalibration};
+use std::path::Path;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::{Duration, Instant};
+use tests::robot::arguments;
+use tests::scenario::MappedScenario;
+use tests::server::{Client, Server};
+use tools::playback::NativePlayer;
+
+const ROBOT: &str = "cart7";
+/// Length of the stretch that is played, nanoseconds.
+const STRETCH_NS: i64 = 6_000_000_000;
+/// Nothing waits longer for the robot, whatever is wrong.
+const GIVE_UP: Duration = Duration::from_mins(2);
+
+/// Plays a recording through the server's router into a robot with live sensors.
+fn live(recording: &Recording<'_>, server: &Server, settings: &LiveSettings, out: &Path) -> Outcome {
+    let calibration: SensorCalibration = recording.calibration().clone();
+    let (inputs, mut source) = LiveSource::new("test", calibration, settings);
+    let robot = Client::connect(server.endpoint());
+    let streams = match settings.frames {
+        LiveFrames::Images => vec![Stream::Imu, Stream::Camera(0), Stream::Camera(1)],
+        _ => vec![Stream::Imu, Stream::Tracks],
+    };
+    let subscribed =
+        NativeSensors::subscribe(&robot.session, robot.runtime.handle(), ROBOT, &streams, &inputs).unwrap();
+    let arguments = arguments(out, &format!("--robot {ROBOT} --cameras stereo"));
+    let (stop, frames) = (StopSignal::default(), AtomicUsize::new(0));
+    let link = Some(RobotLink::Open(robot.link("ring")));
+    let outcome = std::thread::scope(|scope| {
+        let running = scope.spawn(|| {
+            run_source_until(&stop, &mut source, &arguments, link, |index| {
+                frames.store(index + 1, Ordering::Relaxed);
+            })
+        });
+        let driver = Client::open(&[], &[server.endpoint()]);
+        let player =
+            NativePlayer::new(&driver.session, driver.runtime.handle(), ROBOT, recording.contents()).unwrap();
+        player.wait_for_robot(&stop).unwrap();
+        let published = player.play(&mut recording.source().unwrap(), 1.0, 0, &stop).unwrap();
+        let begin = Instant::now();
+        while frames.load(Ordering::Relaxed) < published.frames && begin.elapsed() < GIVE_UP {
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        stop.stop();
+        drop(player);
+        driver.close();
+        running.join().unwrap().unwrap()
+    });
+    drop(subscribed);
+    robot.close();
+    outcome
+}
+
+#[test]
+fn a_robot_with_live_tracks_does_what_it_does_with_the_recording() {
+    let scenario = MappedScenario::shared();
+    let sequence = &scenario.recordings.live;
+    let first_ns = sequence.frames[0].stamp_ns;
+    let recording = Recording::from(sequence).between(first_ns, first_ns + STRETCH_NS);
+    let server = Server::start("ring", scenario.loaded());
+
+    let folder = tempfile::tempdir().unwrap();
+    let client = Client::connect(server.endpoint());
+    let switches = arguments(&folder.path().join("offline"), "--cameras stereo");
+    let offline = run_robot(recording.clone(), &switches, Some(client.link("ring")), |_| {}).unwrap();
+    client.close();
+
+    let mut settings = LiveSettings::images(recording.calibration());
+    settings.frames = LiveFrames::Tracks { features: true };
+    // However busy the machine is.
+    settings.max_waiting_frames = 1000;
+    let live = live(&recording, &server, &settings, &folder.path().join("live"));
+    server.stop();
+
+    assert_eq!(live.summary.ended_early, None);
+    let stamps =
+        |outcome: &Outcome| outcome.states().unwrap().iter().map(|state| state.stamp_ns).collect::<Vec<_>>();
+    assert_eq!(live.summary.dropped_frames, 0);
+    assert_eq!(stamps(&live), stamps(&offline), "every frame is used");
+    assert_eq!(live.summary.queries.sent, offline.summary.queries.sent);
+    assert_eq!(live.summary.queries.accepted, offline.summary.queries.accepted);
+    assert!(live.summary.queries.accepted > 0);
+    let last = |outcome: &Outcome| -> Pose { outcome.states().unwrap().last().unwrap().local_from_imu.pose };
+    let (of_live, of_offline) = (last(&live), last(&offline));
+    let distance = (of_live.translation - of_offline.translation).norm();
+    assert!(distance < 0.02, "{distance} m apart");
+}
