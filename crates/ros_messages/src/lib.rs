@@ -1,0 +1,23 @@
+//! ROS 2 messages of a localizer: structs, type names, type hashes (REP-2016) and CDR, without ROS.
+//!
+//! | module | what |
+//! |---|---|
+//! | [`message`] | [`RosMessage`]: name and hash of a type |
+//! | [`cdr`] | [`encode`] and [`decode`]: CDR with its header, bounded by the input |
+//! | [`builtin_interfaces`], [`std_msgs`], [`geometry_msgs`], [`sensor_msgs`], [`nav_msgs`], [`tf2_msgs`], [`diagnostic_msgs`] | one module for each ROS package |
+//!
+//! Fields have the names, the order and the units of their ROS definitions (REP-103: metres, radians, seconds).
+//! Decoded values are not validated: a NaN or a width of zero is what the sender wrote.
+
+pub mod builtin_interfaces;
+pub mod cdr;
+pub mod diagnostic_msgs;
+pub mod geometry_msgs;
+pub mod message;
+pub mod nav_msgs;
+pub mod sensor_msgs;
+pub mod std_msgs;
+pub mod tf2_msgs;
+
+pub use cdr::{CdrError, decode, encode};
+pub use message::RosMessage;

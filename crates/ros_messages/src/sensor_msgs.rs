@@ -1,0 +1,121 @@
+//! Package `sensor_msgs`.
+
+use crate::geometry_msgs::{Quaternion, Vector3};
+use crate::message::RosMessage;
+use crate::std_msgs::Header;
+use serde::{Deserialize, Serialize};
+
+/// `sensor_msgs/msg/Imu`.
+///
+/// Covariances are 3x3 by rows; all zero means unknown, a first element of -1 that the value itself is not given.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Imu {
+    /// Time and frame of the readings.
+    pub header: Header,
+    /// Orientation, if the device estimates it.
+    pub orientation: Quaternion,
+    /// rad^2.
+    pub orientation_covariance: [f64; 9],
+    /// rad/s.
+    pub angular_velocity: Vector3,
+    /// rad^2/s^2.
+    pub angular_velocity_covariance: [f64; 9],
+    /// Specific force, m/s^2.
+    pub linear_acceleration: Vector3,
+    /// m^2/s^4.
+    pub linear_acceleration_covariance: [f64; 9],
+}
+
+impl RosMessage for Imu {
+    const TYPE_NAME: &'static str = "sensor_msgs/msg/Imu";
+    const TYPE_HASH: &'static str = "RIHS01_7d9a00ff131080897a5ec7e26e315954b8eae3353c3f995c55faf71574000b5b";
+}
+
+/// `sensor_msgs/msg/Image`: pixels by rows.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Image {
+    /// Time of exposure and the camera's optical frame.
+    pub header: Header,
+    /// Rows.
+    pub height: u32,
+    /// Columns.
+    pub width: u32,
+    /// Channels, their meaning and size: `mono8`, `bgr8`, `bayer_rggb8`, ...
+    pub encoding: String,
+    /// 1 if channels of more than a byte are big endian.
+    pub is_bigendian: u8,
+    /// Bytes of a row with its padding.
+    pub step: u32,
+    /// `step * height` bytes.
+    #[serde(with = "serde_bytes")]
+    pub data: Vec<u8>,
+}
+
+impl RosMessage for Image {
+    const TYPE_NAME: &'static str = "sensor_msgs/msg/Image";
+    const TYPE_HASH: &'static str = "RIHS01_d31d41a9a4c4bc8eae9be757b0beed306564f7526c88ea6a4588fb9582527d47";
+}
+
+/// `sensor_msgs/msg/CompressedImage`.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct CompressedImage {
+    /// Time of exposure and the camera's optical frame.
+    pub header: Header,
+    /// Begins with or ends in `jpeg` or `png`, for example `mono8; jpeg compressed `.
+    pub format: String,
+    /// An image file.
+    #[serde(with = "serde_bytes")]
+    pub data: Vec<u8>,
+}
+
+impl RosMessage for CompressedImage {
+    const TYPE_NAME: &'static str = "sensor_msgs/msg/CompressedImage";
+    const TYPE_HASH: &'static str = "RIHS01_15640771531571185e2efc8a100baf923961a4d15d5569652e6cb6691e8e371a";
+}
+
+/// A part of a sensor's image.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct RegionOfInterest {
+    /// Leftmost column.
+    pub x_offset: u32,
+    /// Topmost row.
+    pub y_offset: u32,
+    /// Rows; 0: all.
+    pub height: u32,
+    /// Columns; 0: all.
+    pub width: u32,
+    /// Whether rectified images are of this region.
+    pub do_rectify: bool,
+}
+
+/// `sensor_msgs/msg/CameraInfo`. Matrices are by rows.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct CameraInfo {
+    /// Time of exposure and the camera's optical frame.
+    pub header: Header,
+    /// Rows at calibration.
+    pub height: u32,
+    /// Columns at calibration.
+    pub width: u32,
+    /// `plumb_bob`, `rational_polynomial` or `equidistant`.
+    pub distortion_model: String,
+    /// Distortion parameters.
+    pub d: Vec<f64>,
+    /// 3x3 intrinsics of the raw image; `k[0]` is 0 for a camera without calibration.
+    pub k: [f64; 9],
+    /// 3x3 rectification.
+    pub r: [f64; 9],
+    /// 3x4 projection of the rectified image; `p[3]` is -f b for the right camera of a pair.
+    pub p: [f64; 12],
+    /// Columns that are one pixel; 0 as 1.
+    pub binning_x: u32,
+    /// Rows that are one pixel; 0 as 1.
+    pub binning_y: u32,
+    /// Part of the full resolution, before binning.
+    pub roi: RegionOfInterest,
+}
+
+impl RosMessage for CameraInfo {
+    const TYPE_NAME: &'static str = "sensor_msgs/msg/CameraInfo";
+    const TYPE_HASH: &'static str = "RIHS01_b3dfd68ff46c9d56c80fd3bd4ed22c7a4ddce8c8348f2f59c299e73118e7e275";
+}
