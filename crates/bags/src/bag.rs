@@ -2,6 +2,7 @@
 
 use crate::storage::{Channel, Encoding, OpenFile, Place, Schema, Storage};
 use crate::{BagError, mcap_file, rosbag1_file, rosbag2_folder, sqlite_file};
+use std::fmt;
 use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -9,7 +10,6 @@ use std::path::{Path, PathBuf};
 /// A recording: its topics, and where their messages are.
 ///
 /// Methods take `&self`, also from several threads; messages are read from the file when they are asked for.
-#[derive(Debug)]
 pub struct Bag {
     path: PathBuf,
     topics: Vec<Topic>,
@@ -40,6 +40,12 @@ pub struct StoredMessage {
     pub log_ns: i64,
     /// Where it is; see [`Bag::read`].
     pub place: Place,
+}
+
+impl fmt::Debug for Bag {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(formatter, "Bag({}, {} topics)", self.path.display(), self.topics.len())
+    }
 }
 
 impl Bag {

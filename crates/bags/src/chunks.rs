@@ -3,6 +3,7 @@
 use crate::BagError;
 use crate::storage::{MAX_MESSAGE, NO_CHUNK};
 use std::collections::VecDeque;
+use std::fmt;
 use std::fs::File;
 use std::io::{BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
@@ -57,7 +58,6 @@ pub(crate) struct Unpacked {
 }
 
 /// An open file and its chunks.
-#[derive(Debug)]
 pub(crate) struct ChunkedFile {
     path: PathBuf,
     length: u64,
@@ -65,6 +65,12 @@ pub(crate) struct ChunkedFile {
     pub(crate) chunks: Vec<Chunk>,
     /// The chunks that were used last, the newest at the end.
     cache: Mutex<VecDeque<(u32, Arc<Vec<u8>>)>>,
+}
+
+impl fmt::Debug for ChunkedFile {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(formatter, "{} with {} chunks", self.path.display(), self.chunks.len())
+    }
 }
 
 impl ChunkedFile {

@@ -5,8 +5,10 @@
 //! | `source` | [`SensorSource`], the interface that a robot plays: [`SensorEvent`]s in order of time |
 //! | `calibration`, `frame` | [`SensorCalibration`]; [`Frame`] and [`ImageData`] |
 //! | `recording`, `merged` | [`Recording`], on disk or in memory; [`RecordingSource`], which plays it |
+//! | `stored` | what a format on disk provides; opening any of them |
 //! | `memory` | [`Sequence`], a recording in memory |
 //! | `euroc` | the EuRoC ASL folder layout: reader and [`writer`] |
+//! | `bag` (feature `bags`) | MCAP, rosbag2 and rosbag1: [`BagSensors`] |
 //! | `kalibr` | calibrations of Kalibr: [`CalibrationFiles`] |
 //! | `imu_check`, `image_check`, `stereo_check` | units, sizes and wiring that contradict the calibration, recognized from the data |
 //! | `truth`, `gravity` | ground truth, its interpolation, and the direction of gravity in its frame (evaluation only) |
@@ -36,6 +38,8 @@
 //! ```
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
+#[cfg(feature = "bags")]
+mod bag;
 mod calibration;
 mod calibration_yaml;
 mod error;
@@ -52,6 +56,7 @@ mod recording;
 mod rows;
 mod source;
 mod stereo_check;
+mod stored;
 mod table;
 mod truth;
 mod written_lines;
@@ -59,12 +64,14 @@ mod written_lines;
 #[cfg(test)]
 mod tests;
 
+#[cfg(feature = "bags")]
+pub use bag::{BagCamera, BagError, BagSensors};
 pub use calibration::{CameraSensor, ImuSensor, SensorCalibration};
 pub use error::{SensorError, SequenceError};
 pub use estimator::{ImuNoise, ImuSample, TrackObservation};
 pub use euroc::{FolderCalibration, pose_cells, read_groundtruth, read_lens, read_reference_poses, writer};
 pub use features::{feature_set, kind_of, metric_of};
-pub use frame::{Frame, ImageData};
+pub use frame::{Frame, ImageData, StoredImage};
 pub use imu_check::{ImuCheck, ImuUnitError};
 pub use kalibr::CalibrationFiles;
 pub use memory::Sequence;
@@ -73,6 +80,7 @@ pub use recording::Recording;
 pub use rows::Rows;
 pub use source::{Contents, SensorEvent, SensorSource};
 pub use stereo_check::check_stereo;
+pub use stored::is_recording;
 pub use table::{Row, Table, check_order};
 pub use truth::{ReferencePose, TruthRow, TruthTrack};
 pub use written_lines::{WrittenLines, read_written_lines, warn_cut_off};
