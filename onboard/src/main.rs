@@ -39,8 +39,8 @@ const REALTIME: &str =
         Then: driftless plot run"
 )]
 struct Arguments {
-    /// The recording: a folder in the EuRoC layout
-    #[arg(long, value_name = "DIR", help_heading = INPUT)]
+    /// The recording: a folder in the EuRoC layout, or a bag (MCAP, rosbag2, rosbag1)
+    #[arg(long, value_name = "DIR|FILE", help_heading = INPUT)]
     sequence: PathBuf,
     /// Calibration
     #[command(flatten)]
