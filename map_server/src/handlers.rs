@@ -55,14 +55,27 @@ impl Kind {
     }
 }
 
-/// Answers a query. An error is returned, not yet sent.
+/// Keyframes that one turn of a query for all of them sends: such a query must not keep a worker from the others.
+const KEYFRAMES_A_TURN: usize = 16;
+
+/// How far the answer to a query is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Progress {
+    /// Everything was sent.
+    Done,
+    /// The first keyframes of the map were sent, the last turn's with so many bytes.
+    Keyframes { sent: usize, bytes: usize },
+}
+
+/// Answers a query, or goes on after the first `sent` keyframes. An error is returned, not yet sent.
 pub(crate) fn answer(
     query: &Query,
     kind: Kind,
     name: &str,
     map: &LoadedMap,
+    sent: usize,
     options: &RecognitionOptions,
-) -> Result<(), ErrorReply> {
+) -> Result<Progress, ErrorReply> {
     let format = reply_format(query).map_err(|error| ErrorReply::from(&error))?;
     let key = || kind.key(name).map_err(|error| internal(&error));
     match kind {
@@ -70,40 +83,54 @@ pub(crate) fn answer(
             let request: MatchRequest = decode(query)?;
             let replies = map.answer(&request, options).map_err(|error| query_error(name, &error))?;
             let key = key()?;
-            replies.iter().try_for_each(|reply| send(query, &key, format, reply))
+            for reply in &replies {
+                send(query, &key, format, reply)?;
+            }
         }
         Kind::Localize => {
             let request: LocalizeRequest = decode(query)?;
             let reply = map.localize(&request, options).map_err(|error| query_error(name, &error))?;
-            send(query, &key()?, format, &reply)
+            send(query, &key()?, format, &reply)?;
         }
-        Kind::Info => send(query, &key()?, format, &map.info_reply(name)),
-        Kind::Keyframes => send_keyframes(query, name, map, format),
+        Kind::Info => {
+            send(query, &key()?, format, &map.info_reply(name))?;
+        }
+        Kind::Keyframes => return send_keyframes(query, name, map, sent, format),
     }
+    Ok(Progress::Done)
 }
 
-/// Sends one keyframe, or all for a wildcard in the key.
-fn send_keyframes(query: &Query, name: &str, map: &LoadedMap, format: Format) -> Result<(), ErrorReply> {
+/// Sends one keyframe, or those of one turn for a wildcard in the key.
+fn send_keyframes(
+    query: &Query,
+    name: &str,
+    map: &LoadedMap,
+    sent: usize,
+    format: Format,
+) -> Result<Progress, ErrorReply> {
     let asked = query.key_expr().as_str();
     if let Some(id) = keys::keyframe_of(asked) {
         let unknown =
             || ErrorReply::new(ErrorCode::UnknownKeyframe, format!("map {name} has no keyframe {id}"));
         let reply = map.keyframe_reply(id).ok_or_else(unknown)?;
         let key = keys::map_keyframe(name, id).map_err(|error| internal(&error))?;
-        return send(query, &key, format, &reply);
+        send(query, &key, format, &reply)?;
+        return Ok(Progress::Done);
     }
     if !asked.ends_with('*') {
         let message = format!("{asked} does not end with the id of a keyframe (a whole number), or with *");
         return Err(ErrorReply::new(ErrorCode::BadRequest, message));
     }
-    for keyframe in map.keyframes() {
+    let mut bytes = 0;
+    for keyframe in map.keyframes().skip(sent).take(KEYFRAMES_A_TURN) {
         let id = keyframe.id;
         let key = keys::map_keyframe(name, id).map_err(|error| internal(&error))?;
         if let Some(reply) = map.keyframe_reply(id) {
-            send(query, &key, format, &reply)?;
+            bytes += send(query, &key, format, &reply)?;
         }
     }
-    Ok(())
+    let sent = sent + KEYFRAMES_A_TURN;
+    Ok(if sent < map.keyframe_count() { Progress::Keyframes { sent, bytes } } else { Progress::Done })
 }
 
 /// Refuses a query about a map that this server does not have. Queries about its own maps, and about several maps at
@@ -135,10 +162,16 @@ pub(crate) fn fail(query: &Query, error: &ErrorReply) {
     }
 }
 
-fn send<M: Message>(query: &Query, key: &str, format: Format, message: &M) -> Result<(), ErrorReply> {
+/// Sends a reply.
+///
+/// # Returns
+/// Its bytes.
+fn send<M: Message>(query: &Query, key: &str, format: Format, message: &M) -> Result<usize, ErrorReply> {
     let payload = protocol::encode(format, message).map_err(|error| internal(&error))?;
+    let bytes = payload.len();
     let reply = query.reply(key, payload).encoding(Encoding::from(format.encoding()));
-    reply.wait().map_err(|error| internal(&error))
+    reply.wait().map_err(|error| internal(&error))?;
+    Ok(bytes)
 }
 
 /// The requested format of the reply: the query's parameter, else the format of its payload.

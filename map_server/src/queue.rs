@@ -20,10 +20,10 @@ use tokio::task::JoinHandle;
 use zenoh::query::Query;
 
 use crate::fair_queue::FairQueue;
-use crate::handlers::{self, Kind};
+use crate::handlers::{self, Kind, Progress};
 use crate::metrics::ServerMetrics;
 use crate::served_map::MapSlot;
-use recognition::RecognitionOptions;
+use recognition::{LoadedMap, RecognitionOptions};
 
 /// A query to be answered.
 pub(crate) struct Job {
@@ -31,6 +31,15 @@ pub(crate) struct Job {
     pub(crate) kind: Kind,
     pub(crate) map: Arc<MapSlot>,
     pub(crate) received: Instant,
+    /// What a query for all keyframes got in its former turns: so many of the keyframes of a version.
+    pub(crate) begun: Option<(Arc<LoadedMap>, usize)>,
+}
+
+impl Job {
+    /// A query that was just received.
+    pub(crate) fn new(query: Query, kind: Kind, map: Arc<MapSlot>) -> Self {
+        Self { query, kind, map, received: Instant::now(), begun: None }
+    }
 }
 
 /// Waiting queries.
@@ -57,6 +66,11 @@ impl Queue {
     pub(crate) fn put(&self, job: Job) {
         self.metrics.note_received();
         let bytes = job.query.payload().map_or(0, zenoh::bytes::ZBytes::len);
+        self.enqueue(job, bytes);
+    }
+
+    /// Enqueues a job whose next turn counts as so many bytes.
+    fn enqueue(&self, job: Job, bytes: usize) {
         let client = job.query.parameters().get(keys::CLIENT_PARAMETER).unwrap_or_default().to_owned();
         let refused = if self.closed.load(Ordering::Acquire) {
             vec![job]
@@ -113,15 +127,21 @@ pub(crate) fn start_workers(
 }
 
 async fn work(queue: Arc<Queue>, options: Arc<RecognitionOptions>) {
-    while let Some(Job { query, kind, map, received }) = queue.take().await {
+    while let Some(Job { query, kind, map, received, begun }) = queue.take().await {
+        let (loaded, sent) = begun.unwrap_or_else(|| (map.current(), 0));
         let (asked, slot, options) = (query.clone(), Arc::clone(&map), Arc::clone(&options));
+        let version = Arc::clone(&loaded);
         let answered =
-            catch_panic(move || handlers::answer(&asked, kind, &slot.name, &slot.current(), &options)).await;
+            catch_panic(move || handlers::answer(&asked, kind, &slot.name, &version, sent, &options)).await;
         let duration = received.elapsed();
         let note_done = |is_answered| queue.metrics.note_done(&map.name, kind, duration, is_answered);
         let failure = match answered {
-            Ok(Ok(())) => {
+            Ok(Ok(Progress::Done)) => {
                 note_done(true);
+                continue;
+            }
+            Ok(Ok(Progress::Keyframes { sent, bytes })) => {
+                queue.enqueue(Job { query, kind, map, received, begun: Some((loaded, sent)) }, bytes);
                 continue;
             }
             Ok(Err(failure)) => failure,

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use prometheus_client::registry::Registry;
 use protocol::{Format, StatedChange, Validate as _, keys};
@@ -102,7 +102,7 @@ impl MapServer {
                 let key = kind.key(&map.name)?;
                 let (queue, map) = (Arc::clone(&queue), Arc::clone(map));
                 let callback = move |query: Query| {
-                    queue.put(Job { query, kind, map: Arc::clone(&map), received: Instant::now() });
+                    queue.put(Job::new(query, kind, Arc::clone(&map)));
                 };
                 queryables.push(session.declare_queryable(key).callback(callback).complete(true).await?);
             }

@@ -8,6 +8,7 @@ pub mod attack;
 pub mod data;
 pub mod fleet;
 pub mod images;
+pub mod link;
 pub mod network;
 pub mod robot;
 pub mod scenario;

@@ -1,5 +1,6 @@
 //! Errors of fleets.
 
+use client::session::SessionError;
 use protocol::keys::NameError;
 use std::path::PathBuf;
 
@@ -32,6 +33,9 @@ pub enum FleetError {
     /// A name cannot be part of a key.
     #[error(transparent)]
     Name(#[from] NameError),
+    /// The namespace cannot be used.
+    #[error(transparent)]
+    Namespace(#[from] SessionError),
     /// A name has another meaning in the folder of the fleet.
     #[error("no member can have the name {name:?}: give another one")]
     ReservedName {

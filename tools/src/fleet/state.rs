@@ -2,7 +2,7 @@
 
 use super::error::FleetError;
 use super::{ROUTER, member_config};
-use client::session::{Member, Role};
+use client::session::{Member, Role, check_namespace};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
@@ -67,7 +67,7 @@ impl FleetState {
             return Err(FleetError::NoServer);
         }
         maps.iter().try_for_each(|map| protocol::keys::validate_name(map))?;
-        namespace.iter().flat_map(|names| names.split('/')).try_for_each(protocol::keys::validate_name)?;
+        namespace.iter().try_for_each(|namespace| check_namespace(namespace))?;
         let mut state = Self { address, port, maps, namespace, members: Vec::new() };
         if router || servers.len() > 1 {
             state.members.push(Member { name: ROUTER.to_owned(), role: Role::Router });

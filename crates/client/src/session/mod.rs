@@ -211,7 +211,11 @@ fn read(path: &Path) -> Result<Value, SessionError> {
     Ok(value)
 }
 
-fn check_namespace(namespace: &str) -> Result<(), SessionError> {
+/// Checks a namespace.
+///
+/// # Errors
+/// [`SessionError::Value`] if one of its names cannot be part of a key.
+pub fn check_namespace(namespace: &str) -> Result<(), SessionError> {
     let failed =
         |problem: String| SessionError::Value { what: "the namespace", value: namespace.to_owned(), problem };
     namespace

@@ -5,9 +5,10 @@
 //! that are not probed are missed.
 //!
 //! # Where the defaults come from
-//! `benches/benches/match_query`, before its loops were vectorized: 10,000 keyframes, 509,000 landmarks, 64 signed bytes. With 256 entries per word and 4
-//! probes a query of 500 descriptors took 33 ms there on a busy machine, with 128 and 3 16 ms, with 128 and 2 12 ms (at
-//! most 2048 words in all cases); a keyframe of the place came first for every one of 40 images each time.
+//! `benches/benches/match_query`, before its loops were vectorized: 10,000 keyframes, 509,000 landmarks, 64 signed bytes.
+//! With 256 entries per word and 4 probes a query of 500 descriptors took 33 ms there on a busy machine, with 128 and 3
+//! 16 ms, with 128 and 2 12 ms (at most 2048 words in all cases); a keyframe of the place came first for every one of 40
+//! images each time.
 //!
 //! Source: Jegou, Douze, Schmid, "Product quantization for nearest neighbor search", PAMI 2011 (IVF with several probes).
 

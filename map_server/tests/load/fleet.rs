@@ -1,24 +1,13 @@
-//! A fleet's load on one server, measured: not a check, so it runs only when asked for.
+//! A fleet's load on one server.
 //!
-//! ```sh
-//! cargo test --release -p driftless-map-server --test load -- --ignored --nocapture
-//! ```
 //! `ROBOTS=100 SECONDS=600 KEYFRAMES=1000` in the environment change what is measured. Where `taskset` is installed, the
 //! server runs on processor 0 and the robots on the others.
-#![cfg(unix)]
-#![allow(clippy::unwrap_used, missing_docs)]
 
-use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
+use crate::town::{MAP, Server, quantile_ms, requests, setting, town};
 use client::{ClientError, MapClient, SessionOptions, close_session, open_session};
-use geometry::PoseWithCovariance;
-use geometry::uncertain_pose::isotropic_covariance;
-use map::store;
-use protocol::{MatchRequest, PosePrior};
-use rand::rngs::StdRng;
-use rand::{RngExt as _, SeedableRng as _};
-use testing::{Place, PlaceOptions};
+use protocol::MatchRequest;
 
 /// Time that a robot waits for an answer.
 const DEADLINE: Duration = Duration::from_secs(2);
@@ -26,47 +15,6 @@ const DEADLINE: Duration = Duration::from_secs(2);
 const PERIOD: Duration = Duration::from_secs(1);
 /// One robot of so many has no prior.
 const WITHOUT_PRIOR: usize = 10;
-
-fn setting(name: &str, default: usize) -> usize {
-    std::env::var(name).map_or(default, |text| text.parse().unwrap())
-}
-
-/// Ends the server whatever happens.
-struct Running(Child);
-
-impl Drop for Running {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
-
-fn start_server(arguments: &[&str]) -> Running {
-    let program = env!("CARGO_BIN_EXE_map_server");
-    let has_taskset = Command::new("taskset").arg("-V").stdout(Stdio::null()).status().is_ok();
-    let mut command = if has_taskset {
-        let mut command = Command::new("taskset");
-        command.args(["-c", "0", program]);
-        command
-    } else {
-        Command::new(program)
-    };
-    Running(command.args(arguments).args(["--workers", "1"]).spawn().unwrap())
-}
-
-/// Requests from places along the path of a map; `has_prior` states the pose to 0.3 m and 3 deg.
-fn requests(place: &Place, has_prior: bool, seed: u64) -> Vec<MatchRequest> {
-    let mut rng = StdRng::seed_from_u64(seed);
-    let mut from_somewhere = || {
-        let pose = place.path[rng.random_range(0..place.path.len())];
-        let mut request = place.request(&pose, 4, &mut rng);
-        let covariance = isotropic_covariance(0.05, 0.3);
-        request.prior =
-            has_prior.then(|| PosePrior { global_from_camera: PoseWithCovariance::new(pose, covariance) });
-        request
-    };
-    (0..20).map(|_| from_somewhere()).collect()
-}
 
 /// What one robot saw.
 #[derive(Default)]
@@ -79,7 +27,7 @@ struct Seen {
 async fn drive(endpoint: String, requests: Vec<MatchRequest>, first: Instant, end: Instant) -> Seen {
     let options = SessionOptions { connect: vec![endpoint], ..SessionOptions::default() };
     let session = open_session(&options).await.unwrap();
-    let client = MapClient::new(session.clone(), "town").unwrap().awaiting_map();
+    let client = MapClient::new(session.clone(), MAP).unwrap().awaiting_map();
     let mut seen = Seen::default();
     let mut due = first;
     for request in requests.iter().cycle() {
@@ -99,24 +47,15 @@ async fn drive(endpoint: String, requests: Vec<MatchRequest>, first: Instant, en
     seen
 }
 
-fn quantile(sorted: &[Duration], part: f64) -> f64 {
-    let index = ((sorted.len() as f64 * part) as usize).min(sorted.len().saturating_sub(1));
-    sorted.get(index).map_or(f64::NAN, |duration| duration.as_secs_f64() * 1e3)
-}
-
 #[test]
 #[ignore = "a measurement of a minute or more"]
 fn latencies_of_a_fleet() {
     let (robots, seconds, keyframes) =
         (setting("ROBOTS", 100), setting("SECONDS", 60), setting("KEYFRAMES", 1000));
-    let options = PlaceOptions { keyframes, landmarks: 50 * keyframes, ..PlaceOptions::default() };
-    let place = Place::new(&options);
+    let place = town(keyframes);
     let folder = tempfile::tempdir().unwrap();
-    let database = folder.path().join("town.db");
-    store::save_map(&database, &place.map, false).unwrap();
     let endpoint = format!("tcp/127.0.0.1:{}", setting("PORT", 17_447));
-    let map = format!("town={}", database.display());
-    let server = start_server(&["--map", &map, "--listen", &endpoint]);
+    let server = Server::start(&place, folder.path(), &endpoint, None);
 
     let runtime = tokio::runtime::Runtime::new().unwrap();
     // The server loads its map, and all robots connect.
@@ -135,7 +74,7 @@ fn latencies_of_a_fleet() {
     let mut medians = Vec::new();
     for robot in &mut seen {
         robot.latencies.sort();
-        medians.push(quantile(&robot.latencies, 0.5));
+        medians.push(quantile_ms(&robot.latencies, 0.5));
     }
     let mut all: Vec<Duration> = seen.iter().flat_map(|robot| robot.latencies.iter().copied()).collect();
     all.sort();
@@ -146,8 +85,8 @@ fn latencies_of_a_fleet() {
         all.len(),
         total(|robot| robot.busy),
         total(|robot| robot.failed),
-        quantile(&all, 0.5),
-        quantile(&all, 0.99),
+        quantile_ms(&all, 0.5),
+        quantile_ms(&all, 0.99),
         medians[0],
         medians[medians.len() - 1],
     );

@@ -1,0 +1,12 @@
+//! Load on one server, measured: no checks, so they run only when asked for.
+//!
+//! ```sh
+//! cargo test --release -p driftless-map-server --test load -- --ignored --nocapture latencies_of_a_fleet
+//! cargo test --release -p driftless-map-server --test load -- --ignored --nocapture hostile_load
+//! ```
+#![cfg(target_os = "linux")]
+#![allow(clippy::unwrap_used, missing_docs)]
+
+mod fleet;
+mod hostile;
+mod town;
