@@ -53,8 +53,8 @@ struct Arguments {
     /// Where measurements come from
     #[arg(long, value_enum, default_value = "recording", help_heading = INPUT)]
     source: Source,
-    /// The recording: a folder in the EuRoC layout
-    #[arg(long, value_name = "DIR", required_if_eq("source", "recording"), help_heading = INPUT)]
+    /// The recording: a folder in the EuRoC layout, or a bag (MCAP, rosbag2, rosbag1)
+    #[arg(long, value_name = "DIR|FILE", required_if_eq("source", "recording"), help_heading = INPUT)]
     sequence: Option<PathBuf>,
     #[command(flatten)]
     live: LiveArguments,

@@ -4,8 +4,9 @@ use estimator::{ImuSample, TrackObservation};
 use nalgebra::{Vector2, Vector3};
 use protocol::keys::{self, NameError};
 use protocol::sensors::{ImageHeader, SensorMessageError, TracksMessage, check_image_length, decode_imu};
-use sensors::live::{LiveImage, LiveInputs, PixelEncoding, RawImage, Stream};
+use sensors::live::{LiveImage, LiveInputs, RawPixels, Stream};
 use tokio::runtime::Handle;
+use vision::RawImage;
 use zenoh::pubsub::Subscriber;
 use zenoh::sample::Sample;
 
@@ -31,7 +32,7 @@ pub enum NativeError {
 enum Refusal {
     #[error(transparent)]
     Message(#[from] SensorMessageError),
-    #[error("the encoding {0:?} is unknown: use mono8, bgr8, rgb8, jpeg or png")]
+    #[error("the encoding {0:?} is unknown: use jpeg, png, mono8, bgr8, rgb8 or another of docs/src/live.md")]
     Encoding(String),
     #[error("a step of {0} bytes a row is too long")]
     Step(u64),
@@ -110,16 +111,17 @@ fn image(header: &ImageHeader, bytes: Vec<u8>) -> Result<LiveImage, Refusal> {
     if matches!(header.encoding.as_str(), "jpeg" | "png") {
         return Ok(LiveImage::Encoded(bytes));
     }
-    let Some(encoding) = PixelEncoding::of_name(&header.encoding) else {
-        return Err(Refusal::Encoding(header.encoding.chars().take(32).collect()));
+    let encoding = &header.encoding;
+    let Some(pixel_bytes) = RawImage::bytes_per_pixel(encoding) else {
+        return Err(Refusal::Encoding(encoding.chars().take(32).collect()));
     };
-    let (width, height) = (header.width, header.height);
-    let without_gaps = u64::from(width) * encoding.bytes() as u64;
+    let (width, height, encoding) = (header.width, header.height, encoding.clone());
+    let without_gaps = u64::from(width) * pixel_bytes as u64;
     let step = match header.step {
         Some(step) => step,
         None => u32::try_from(without_gaps).map_err(|_| Refusal::Step(without_gaps))?,
     };
-    Ok(LiveImage::Raw(RawImage { width, height, step, encoding, bytes }))
+    Ok(LiveImage::Raw(RawPixels { width, height, step, encoding, big_endian: false, bytes }))
 }
 
 #[cfg(test)]
@@ -138,8 +140,8 @@ mod tests {
         assert_eq!(gray.pixels(), [7, 7]);
         let jpeg = image(&header(r#"{"stamp_ns": 1, "encoding": "jpeg"}"#), vec![1, 2]).unwrap();
         assert_eq!(jpeg, LiveImage::Encoded(vec![1, 2]));
-        let unknown = image(&header(r#"{"stamp_ns": 1, "encoding": "yuv422"}"#), Vec::new()).unwrap_err();
-        assert!(unknown.to_string().contains("yuv422") && unknown.to_string().contains("mono8"), "{unknown}");
+        let unknown = image(&header(r#"{"stamp_ns": 1, "encoding": "h264"}"#), Vec::new()).unwrap_err();
+        assert!(unknown.to_string().contains("h264") && unknown.to_string().contains("mono8"), "{unknown}");
         let wide = header(r#"{"stamp_ns": 1, "encoding": "rgb8", "width": 4000000000, "height": 1}"#);
         assert!(image(&wide, Vec::new()).is_err());
     }

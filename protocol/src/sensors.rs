@@ -82,7 +82,7 @@ pub struct ImuMessage {
 pub struct ImageHeader {
     /// Time of exposure on the camera's clock, nanoseconds.
     pub stamp_ns: i64,
-    /// `mono8`, `rgb8`, `bgr8`, `jpeg` or `png`.
+    /// `jpeg`, `png`, or the format of raw pixels: `mono8`, `rgb8`, `bgr8` ...
     pub encoding: String,
     /// Columns; not needed for `jpeg` and `png`.
     #[serde(default)]

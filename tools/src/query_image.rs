@@ -35,8 +35,9 @@ impl QueryImage {
     /// An image, a camera, a mask or weights that cannot be read, an image of another size than the camera's.
     pub fn from_file(file: &Path, camera_file: &Path, arguments: &FeatureArguments) -> Result<Self> {
         let camera = read_camera(camera_file)?;
-        let image = read_image(file, &camera, &format!("the camera of {}", camera_file.display()))?;
-        let features = extract(&image, file, arguments)?;
+        let data = ImageData::from(file.to_path_buf());
+        let image = read_image(&data, &camera, &format!("the camera of {}", camera_file.display()))?;
+        let features = extract(&image, &data, arguments)?;
         Ok(Self { name: file.display().to_string(), camera, image: Some(image), features })
     }
 
@@ -58,12 +59,12 @@ impl QueryImage {
         let sequence = Sequence::open_without_readings(recording, files)?;
         let camera = sequence.cameras[0].camera.clone();
         let (frame, time_s) = nearest_frame(&sequence, at_s)?;
-        let file = frame.images[0].as_ref().and_then(ImageData::path);
+        let data = frame.images[0].as_ref();
         let of = format!("camera 0 of {}", recording.display());
-        let image = file.map(|file| read_image(file, &camera, &of)).transpose()?;
-        let features = match (&frame.features, &image, file) {
+        let image = data.map(|data| read_image(data, &camera, &of)).transpose()?;
+        let features = match (&frame.features, &image, data) {
             (Some(features), _, _) => features.clone(),
-            (None, Some(image), Some(file)) => extract(image, file, arguments)?,
+            (None, Some(image), Some(data)) => extract(image, data, arguments)?,
             _ => bail!("{} has neither features nor images of camera 0", recording.display()),
         };
         Ok(Self { name: format!("{} at {time_s:.3} s", recording.display()), camera, image, features })
@@ -87,12 +88,11 @@ impl QueryImage {
 ///
 /// # Errors
 /// An image that cannot be read, another size.
-pub fn read_image(file: &Path, camera: &Camera, camera_of: &str) -> Result<GrayImage> {
-    let image = GrayImage::read(file)?;
+pub fn read_image(data: &ImageData, camera: &Camera, camera_of: &str) -> Result<GrayImage> {
+    let image = data.read()?.into_owned();
     if (image.width(), image.height()) != (camera.width as usize, camera.height as usize) {
         bail!(
-            "{} has {} x {} pixels, {camera_of} {} x {}: give the camera that took the image",
-            file.display(),
+            "{data} has {} x {} pixels, {camera_of} {} x {}: give the camera that took the image",
             image.width(),
             image.height(),
             camera.width,
@@ -102,12 +102,11 @@ pub fn read_image(file: &Path, camera: &Camera, camera_of: &str) -> Result<GrayI
     Ok(image)
 }
 
-fn extract(image: &GrayImage, file: &Path, arguments: &FeatureArguments) -> Result<FeatureSet> {
+fn extract(image: &GrayImage, data: &ImageData, arguments: &FeatureArguments) -> Result<FeatureSet> {
     let mut extractor = arguments.open()?;
     let mask = arguments.read_mask()?;
-    let seen = extractor
-        .extract(image, mask.as_ref(), arguments.max_features)
-        .with_context(|| file.display().to_string())?;
+    let seen =
+        extractor.extract(image, mask.as_ref(), arguments.max_features).with_context(|| data.to_string())?;
     Ok(feature_set(extractor.name(), seen))
 }
 

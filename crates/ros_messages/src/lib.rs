@@ -4,6 +4,7 @@
 //! |---|---|
 //! | [`message`] | [`RosMessage`]: name and hash of a type |
 //! | [`cdr`] | [`encode`] and [`decode`]: CDR with its header, bounded by the input |
+//! | [`ros1`] | the same messages as ROS 1 writes them, decoded only |
 //! | [`builtin_interfaces`], [`std_msgs`], [`geometry_msgs`], [`sensor_msgs`], [`nav_msgs`], [`tf2_msgs`], [`diagnostic_msgs`] | one module for each ROS package |
 //!
 //! Fields have the names, the order and the units of their ROS definitions (REP-103: metres, radians, seconds).
@@ -15,6 +16,7 @@ pub mod diagnostic_msgs;
 pub mod geometry_msgs;
 pub mod message;
 pub mod nav_msgs;
+pub mod ros1;
 pub mod sensor_msgs;
 pub mod std_msgs;
 pub mod tf2_msgs;

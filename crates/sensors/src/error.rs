@@ -78,6 +78,18 @@ pub enum SequenceError {
         /// Matches that agree with the cameras exchanged.
         as_swapped: usize,
     },
+    /// A bag's topics are not those of a robot's sensors, or it is not clear which are meant.
+    #[error("{}: {problem}", path.display())]
+    Topics {
+        /// The bag.
+        path: PathBuf,
+        /// What is wrong, and what to do.
+        problem: String,
+    },
+    /// A bag cannot be read.
+    #[cfg(feature = "bags")]
+    #[error(transparent)]
+    Bag(#[from] bags::BagError),
     /// A table has no rows.
     #[error("{} holds no rows: {advice}", path.display())]
     Empty {

@@ -31,13 +31,33 @@ pub enum ImageData {
     File(PathBuf),
     /// Decoded pixels.
     Pixels(Arc<GrayImage>),
+    /// An image in a bag, read and decoded when it is needed.
+    Stored(Arc<dyn StoredImage>),
+}
+
+/// An image that is neither a file nor in memory, as one in a bag.
+pub trait StoredImage: fmt::Debug + Send + Sync {
+    /// What it is called in messages; different for every image.
+    fn name(&self) -> String;
+
+    /// Reads and decodes it.
+    ///
+    /// # Errors
+    /// [`ImageError`]: it cannot be read or decoded.
+    fn read(&self) -> Result<GrayImage, ImageError>;
+}
+
+impl PartialEq for dyn StoredImage {
+    fn eq(&self, other: &Self) -> bool {
+        self.name() == other.name()
+    }
 }
 
 impl ImageData {
-    /// The grey image; a file is read and decoded.
+    /// The grey image; what is not in memory is read and decoded.
     ///
     /// # Errors
-    /// [`ImageError`]: the file cannot be read or decoded.
+    /// [`ImageError`]: it cannot be read or decoded.
     ///
     /// ```
     /// let image = vision::GrayImage::from_fn(4, 3, |x, y| (10 * y + x) as u8);
@@ -48,14 +68,26 @@ impl ImageData {
         match self {
             Self::File(path) => GrayImage::read(path).map(Cow::Owned),
             Self::Pixels(image) => Ok(Cow::Borrowed(image)),
+            Self::Stored(image) => image.read().map(Cow::Owned),
         }
+    }
+
+    /// Columns and rows, of a file from its header.
+    ///
+    /// # Errors
+    /// As [`ImageData::read`].
+    pub fn size(&self) -> Result<(u32, u32), ImageError> {
+        if let Self::File(path) = self {
+            return GrayImage::size_of_file(path);
+        }
+        self.read().map(|image| (image.width() as u32, image.height() as u32))
     }
 
     /// The file, where the image is one.
     pub fn path(&self) -> Option<&Path> {
         match self {
             Self::File(path) => Some(path),
-            Self::Pixels(_) => None,
+            Self::Pixels(_) | Self::Stored(_) => None,
         }
     }
 }
@@ -67,6 +99,7 @@ impl fmt::Display for ImageData {
             Self::Pixels(image) => {
                 write!(formatter, "an image of {} x {} pixels", image.width(), image.height())
             }
+            Self::Stored(image) => formatter.write_str(&image.name()),
         }
     }
 }

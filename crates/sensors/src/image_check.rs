@@ -1,10 +1,8 @@
 //! Whether the images of a recording have the size that the calibration states.
 
 use super::{CameraSensor, Frame, ImageData, SequenceError};
-use std::path::Path;
-use vision::GrayImage;
 
-/// Checks the first image of each camera, from the headers of the files.
+/// Checks the first image of each camera, of files from their headers.
 #[derive(Debug, Default)]
 pub(crate) struct ImageCheck {
     is_checked: [bool; 2],
@@ -15,13 +13,13 @@ impl ImageCheck {
     /// [`SequenceError::ImageSize`]. An image that cannot be read is left to its reader.
     pub(crate) fn add(&mut self, frame: &Frame, cameras: &[CameraSensor]) -> Result<(), SequenceError> {
         for (index, sensor) in cameras.iter().enumerate().take(2) {
-            let Some(file) = frame.images[index].as_ref().and_then(ImageData::path) else { continue };
+            let Some(image) = frame.images[index].as_ref() else { continue };
             if self.is_checked[index] {
                 continue;
             }
-            if let Ok(size) = GrayImage::size_of_file(file) {
+            if let Ok(size) = image.size() {
                 self.is_checked[index] = true;
-                check_size(file, size, (sensor.camera.width, sensor.camera.height), index)?;
+                check_size(image, size, (sensor.camera.width, sensor.camera.height), index)?;
             }
         }
         Ok(())
@@ -29,7 +27,7 @@ impl ImageCheck {
 }
 
 fn check_size(
-    file: &Path,
+    image: &ImageData,
     size: (u32, u32),
     calibrated: (u32, u32),
     camera: usize,
@@ -37,5 +35,5 @@ fn check_size(
     if size == calibrated {
         return Ok(());
     }
-    Err(SequenceError::ImageSize { path: file.to_path_buf(), size, calibrated, camera })
+    Err(SequenceError::ImageSize { path: image.to_string().into(), size, calibrated, camera })
 }

@@ -5,9 +5,11 @@
 //! | `source` | [`SensorSource`], the interface that a robot plays: [`SensorEvent`]s in order of time |
 //! | `calibration`, `frame` | [`SensorCalibration`]; [`Frame`] and [`ImageData`] |
 //! | `recording`, `merged` | [`Recording`], on disk or in memory; [`RecordingSource`], which plays it |
+//! | `stored` | what a format on disk provides; opening any of them |
 //! | `memory` | [`Sequence`], a recording in memory |
 //! | [`live`] | measurements that arrive now |
 //! | `euroc` | the EuRoC ASL folder layout: reader and [`writer`] |
+//! | `bag` (feature `bags`) | MCAP, rosbag2 and rosbag1: [`BagSensors`] |
 //! | `kalibr`, `rig_calibration` | calibrations of Kalibr: [`CalibrationFiles`]; of a robot: [`read_rig_calibration`] |
 //! | `imu_check`, `image_check`, `stereo_check` | units, sizes and wiring that contradict the calibration, recognized from the data |
 //! | `truth`, `gravity` | ground truth, its interpolation, and the direction of gravity in its frame (evaluation only) |
@@ -37,6 +39,8 @@
 //! ```
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
+#[cfg(feature = "bags")]
+mod bag;
 mod calibration;
 mod calibration_yaml;
 mod error;
@@ -55,6 +59,7 @@ mod rig_calibration;
 mod rows;
 mod source;
 mod stereo_check;
+mod stored;
 mod table;
 mod truth;
 mod written_lines;
@@ -62,12 +67,14 @@ mod written_lines;
 #[cfg(test)]
 mod tests;
 
+#[cfg(feature = "bags")]
+pub use bag::{BagCamera, BagError, BagSensors};
 pub use calibration::{CameraSensor, ImuSensor, SensorCalibration};
 pub use error::{SensorError, SequenceError};
 pub use estimator::{ImuNoise, ImuSample, TrackObservation};
 pub use euroc::{FolderCalibration, pose_cells, read_groundtruth, read_lens, read_reference_poses, writer};
 pub use features::{feature_set, kind_of, metric_of};
-pub use frame::{Frame, ImageData};
+pub use frame::{Frame, ImageData, StoredImage};
 pub use imu_check::{ImuCheck, ImuUnitError};
 pub use kalibr::CalibrationFiles;
 pub use memory::Sequence;
@@ -77,6 +84,7 @@ pub use rig_calibration::read_rig_calibration;
 pub use rows::Rows;
 pub use source::{Contents, SensorEvent, SensorSource};
 pub use stereo_check::check_stereo;
+pub use stored::is_recording;
 pub use table::{Row, Table, check_order};
 pub use truth::{ReferencePose, TruthRow, TruthTrack};
 pub use written_lines::{WrittenLines, read_written_lines, warn_cut_off};

@@ -1,8 +1,8 @@
 //! A recording that is read while it is played, so that memory does not grow with its length.
 
-use super::euroc::Folder;
 use super::image_check::ImageCheck;
 use super::rows::{Rows, Stamped};
+use super::stored::{self, Stored};
 use super::{
     CalibrationFiles, Contents, Frame, ImuSample, RecordingSource, SensorCalibration, Sequence,
     SequenceError, TruthRow, gravity,
@@ -10,6 +10,7 @@ use super::{
 use nalgebra::Vector3;
 use std::cell::OnceCell;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// The IMU's readings are part of an excerpt from so long before it to so long after it, nanoseconds.
 const IMU_LEAD_NS: i64 = 100_000_000;
@@ -49,12 +50,12 @@ pub struct Recording<'a> {
 /// Where the rows are.
 #[derive(Clone, Debug)]
 enum Storage<'a> {
-    Folder(Folder),
+    Disk(Arc<dyn Stored>),
     Memory(&'a Sequence),
 }
 
 impl Recording<'static> {
-    /// Opens a recording in the EuRoC layout.
+    /// Opens a recording: a folder in the EuRoC layout, or a bag (MCAP, rosbag2, rosbag1).
     ///
     /// Every row that a run needs is read once and checked, and nothing of it kept: a damaged row is found now, and
     /// not in the middle of the run.
@@ -65,25 +66,25 @@ impl Recording<'static> {
         Self::open_with(root, &CalibrationFiles::default())
     }
 
-    /// [`Recording::open`] with calibration files of Kalibr in place of the recording's own.
+    /// [`Recording::open`] with calibration files in place of the recording's own, and the names of a bag's topics.
     ///
     /// # Errors
     /// As [`Sequence::open`].
     pub fn open_with(root: &Path, files: &CalibrationFiles) -> Result<Self, SequenceError> {
-        let (folder, calibration) = Folder::open(root, files)?;
+        let (stored, calibration) = stored::open(root, files)?;
         let mut contents = Contents::default();
         let mut images = ImageCheck::default();
-        for frame in folder.frames()? {
+        for frame in stored.frames()? {
             let frame = frame?;
             images.add(&frame, &calibration.cameras)?;
             contents.add(&frame);
         }
-        folder.check_readings(calibration.imu.as_ref(), |_| {})?;
-        folder.truth()?.try_for_each(|row| row.map(drop))?;
+        stored::check_readings(&*stored, calibration.imu.as_ref(), |_| {})?;
+        stored.truth()?.try_for_each(|row| row.map(drop))?;
         Ok(Self {
             root: root.to_path_buf(),
             calibration,
-            storage: Storage::Folder(folder),
+            storage: Storage::Disk(stored),
             contents,
             span_ns: (i64::MIN, i64::MAX),
             gravity: OnceCell::new(),
@@ -105,7 +106,7 @@ impl<'a> From<&'a Sequence> for Recording<'a> {
 }
 
 impl Recording<'_> {
-    /// The folder of the recording; empty where it was never on disk.
+    /// The folder or the bag of the recording; empty where it was never on disk.
     pub fn root(&self) -> &Path {
         &self.root
     }
@@ -141,7 +142,7 @@ impl Recording<'_> {
     /// [`SequenceError`] with the file.
     pub fn frames(&self) -> Result<Rows<'_, Frame>, SequenceError> {
         let rows: Rows<'_, Frame> = match &self.storage {
-            Storage::Folder(folder) => folder.frames()?,
+            Storage::Disk(stored) => stored.frames()?,
             Storage::Memory(sequence) => Box::new(sequence.frames.iter().cloned().map(Ok)),
         };
         Ok(self.within(rows, 0))
@@ -153,7 +154,7 @@ impl Recording<'_> {
     /// [`SequenceError`] with the file.
     pub fn imu_samples(&self) -> Result<Rows<'_, ImuSample>, SequenceError> {
         let rows: Rows<'_, ImuSample> = match &self.storage {
-            Storage::Folder(folder) => folder.imu_samples()?,
+            Storage::Disk(stored) => stored.imu_samples()?,
             Storage::Memory(sequence) => Box::new(sequence.imu_samples.iter().copied().map(Ok)),
         };
         Ok(self.within(rows, IMU_LEAD_NS))
@@ -162,7 +163,7 @@ impl Recording<'_> {
     /// Whether there is ground truth.
     pub fn has_truth(&self) -> bool {
         match &self.storage {
-            Storage::Folder(folder) => folder.has_truth(),
+            Storage::Disk(stored) => stored.has_truth(),
             Storage::Memory(sequence) => sequence.groundtruth.is_some(),
         }
     }
@@ -173,7 +174,7 @@ impl Recording<'_> {
     /// [`SequenceError`] with the file.
     pub fn truth(&self) -> Result<Rows<'_, TruthRow>, SequenceError> {
         let rows: Rows<'_, TruthRow> = match &self.storage {
-            Storage::Folder(folder) => folder.truth()?,
+            Storage::Disk(stored) => stored.truth()?,
             Storage::Memory(sequence) => Box::new(sequence.groundtruth.iter().flatten().copied().map(Ok)),
         };
         Ok(self.within(rows, TRUTH_LEAD_NS))

@@ -18,7 +18,7 @@ const UNSTATED_RATE_HZ: f64 = 20.0;
 /// # Errors
 /// [`SequenceError`] with the file.
 pub fn read_rig_calibration(path: &Path, imu: Option<&Path>) -> Result<FolderCalibration, SequenceError> {
-    let mut files = CalibrationFiles { cameras: None, imu: imu.map(Path::to_path_buf) };
+    let mut files = CalibrationFiles { imu: imu.map(Path::to_path_buf), ..CalibrationFiles::default() };
     let folder = if path.is_file() {
         files.cameras = Some(path.to_path_buf());
         path.parent().unwrap_or(Path::new("")).to_path_buf()
@@ -30,11 +30,11 @@ pub fn read_rig_calibration(path: &Path, imu: Option<&Path>) -> Result<FolderCal
         return FolderCalibration::read(path, &files);
     };
     let has_second = read_text(chain_path)?.lines().any(|line| line.starts_with("cam1:"));
-    let chain = kalibr::read_camera_chain(chain_path, if has_second { 2 } else { 1 })?;
+    let chain = kalibr::read_camera_chain(chain_path, &vec![None; if has_second { 2 } else { 1 }])?;
     let advice = "the noise of the IMU is needed: give Kalibr's imu.yaml with --imu-calibration";
     let imu_path: &PathBuf =
         files.imu.as_ref().ok_or_else(|| SequenceError::missing(&folder.join("imu.yaml"), advice))?;
-    let imu = Some(kalibr::read_imu(imu_path)?);
+    let imu = Some(kalibr::read_imu(imu_path, None)?);
     let sensor =
         |(camera, imu_from_camera)| CameraSensor { camera, imu_from_camera, rate_hz: UNSTATED_RATE_HZ };
     let cameras = chain.cameras.into_iter().map(sensor).collect();

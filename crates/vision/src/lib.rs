@@ -22,7 +22,7 @@ pub mod tracking;
 pub use detection::{Corner, CornerOptions, detect_corners};
 pub use features::{ExtractError, FeatureExtractor, ImageFeatures, Keypoint};
 pub use image::{
-    Equalization, GrayImage, ImageError, LocalEqualization, Pyramid, equalize, equalize_locally,
+    Equalization, GrayImage, ImageError, LocalEqualization, Pyramid, RawImage, equalize, equalize_locally,
 };
 pub use matching::{
     DescriptorError, DescriptorView, Hit, InvertedFile, Match, MatchOptions, Metric, distance, hamming,

@@ -40,7 +40,7 @@ const MAX_SIGMA_THETA: f64 = 0.5;
     state their uncertainty; the others need --sigma-theta and --sigma-p. All sigmas of poses, given and printed, are\n\
     standard deviations per axis.")]
 pub struct Args {
-    /// The recording, a folder in the EuRoC layout
+    /// The recording: a folder in the EuRoC layout, or a bag (MCAP, rosbag2, rosbag1)
     #[arg(value_name = "SEQ")]
     pub sequence: PathBuf,
     /// Calibration

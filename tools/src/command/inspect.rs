@@ -7,7 +7,7 @@ use onboard::arguments::CalibrationArguments;
 use onboard::extraction::FeatureArguments;
 use protocol::{Format, KeyframeId};
 use recognition::{InspectedKeyframe, InspectedMatch, Inspection, RecognitionOptions};
-use sensors::{CalibrationFiles, ImageData, Sequence};
+use sensors::{CalibrationFiles, Sequence, is_recording};
 use serde_json::{Value, json};
 use vision::GrayImage;
 
@@ -34,7 +34,7 @@ use crate::server_query::{describe, print_fix};
     errors near the gate   a wrong --camera, or inaccurate landmarks in the map\n\n\
     Exit code 0: recognized. 2: the map was searched and the image was not recognized. 1: anything else.")]
 pub struct Args {
-    /// An image, PNG or JPEG, or a recording, a folder in the EuRoC layout
+    /// An image, PNG or JPEG, or a recording: a folder in the EuRoC layout or a bag
     #[arg(value_name = "IMAGE|SEQ")]
     pub query: PathBuf,
     /// Database of the map
@@ -143,7 +143,7 @@ pub fn inspect(args: &Args) -> Result<Report> {
 
 fn read_query(args: &Args) -> Result<QueryImage> {
     let query = args.query.display();
-    if args.query.is_dir() {
+    if is_recording(&args.query) {
         let Some(at_s) = args.at else { bail!("{query} is a recording: say when in it with --at SECONDS") };
         if args.camera.is_some() {
             bail!("--camera: the recording {query} states its own camera");
@@ -151,7 +151,7 @@ fn read_query(args: &Args) -> Result<QueryImage> {
         QueryImage::from_recording(&args.query, &args.calibration.files(), at_s, &args.features)
     } else {
         if args.at.is_some() {
-            bail!("--at: {query} is no recording, which is a folder with mav0/cam0 in it");
+            bail!("--at: {query} is no recording, which is a folder with mav0/cam0 in it or a bag");
         }
         let Some(camera) = &args.camera else {
             bail!("{query}: say which camera took it with --camera YAML");
@@ -177,9 +177,9 @@ fn keyframe_image(
             keyframe.id
         );
     };
-    let file = sequence.frames[at].images[0].as_ref().and_then(ImageData::path);
     let camera_of = format!("the camera of keyframe {}", keyframe.id);
-    file.map(|file| read_image(file, &keyframe.camera, &camera_of)).transpose()
+    let image = sequence.frames[at].images[0].as_ref();
+    image.map(|image| read_image(image, &keyframe.camera, &camera_of)).transpose()
 }
 
 fn print(report: &Report) {

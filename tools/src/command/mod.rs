@@ -8,6 +8,8 @@ pub mod evaluate;
 pub mod export_map;
 pub mod fleet;
 pub mod import_map;
+#[cfg(feature = "bags")]
+pub mod info;
 pub mod inspect;
 pub mod localize;
 pub mod map_info;
@@ -45,6 +47,9 @@ pub enum Command {
     Localize(localize::Args),
     /// Plot the matches of an image with a map, and print why it was recognized or not
     Inspect(inspect::Args),
+    /// List the topics of a bag, and which of them are the sensors of a robot
+    #[cfg(feature = "bags")]
+    Info(info::Args),
     /// Run a robot through a recording, with a map server in the same process
     Run(run::Args),
     /// Publish a recording as the live sensors of a robot
@@ -78,6 +83,8 @@ impl Command {
             Self::MapInfo(args) => map_info::run(args),
             Self::Query(args) => query::run(args),
             Self::Localize(args) => localize::run(&args),
+            #[cfg(feature = "bags")]
+            Self::Info(args) => info::run(&args),
             Self::Inspect(args) => inspect::run(&args),
             Self::Run(args) => run::run(&args),
             Self::Play(args) => play::run(&args),

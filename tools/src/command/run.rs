@@ -16,8 +16,8 @@ use std::path::PathBuf;
     Exit code: 0, or 3 for a run that ended lost, 1 for an error, 2 for wrong switches"
 )]
 pub struct Args {
-    /// The recording: a folder in the EuRoC layout
-    #[arg(long, value_name = "DIR", help_heading = INPUT)]
+    /// The recording: a folder in the EuRoC layout, or a bag (MCAP, rosbag2, rosbag1)
+    #[arg(long, value_name = "DIR|FILE", help_heading = INPUT)]
     sequence: PathBuf,
     /// Calibration
     #[command(flatten)]

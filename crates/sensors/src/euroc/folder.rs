@@ -3,12 +3,11 @@
 use super::camera_folder::FrameRows;
 use super::sensor_yaml;
 use super::tables::{TimedRow, TimedRows, read_reference_poses};
-use crate::image_check::ImageCheck;
-use crate::imu_check::ImuCheck;
 use crate::kalibr::{self, CalibrationFiles};
 use crate::rows::Rows;
+use crate::stored::Stored;
 use crate::{
-    CameraSensor, Frame, ImuSample, ImuSensor, SensorCalibration, Sequence, SequenceError, Table, TruthRow,
+    CameraSensor, Frame, ImuSample, ReferencePose, SensorCalibration, SequenceError, Table, TruthRow,
 };
 use geometry::camera::Camera;
 use geometry::pose::Pose;
@@ -54,7 +53,7 @@ impl FolderCalibration {
         let files = files.completed(root)?;
         let imu = match (&files.imu, mav.join("imu0")) {
             (_, folder) if !folder.is_dir() => None,
-            (Some(path), _) => Some(kalibr::read_imu(path)?),
+            (Some(path), _) => Some(kalibr::read_imu(path, None)?),
             (None, folder) => Some(sensor_yaml::read_imu(&folder.join("sensor.yaml"))?),
         };
         let count = if mav.join("cam1").is_dir() { 2 } else { 1 };
@@ -64,9 +63,9 @@ impl FolderCalibration {
             let cameras = folders.map(read).collect::<Result<_, _>>()?;
             return Ok(Self { sensors: SensorCalibration { imu, cameras }, time_offset_ns: 0, files });
         };
-        let chain = kalibr::read_camera_chain(path, count)?;
+        let chain = kalibr::read_camera_chain(path, &vec![None; count])?;
         let sensor = |((camera, imu_from_camera), folder): ((Camera, Pose), PathBuf)| {
-            Ok(CameraSensor { camera, imu_from_camera, rate_hz: rate_of(&folder.join("data.csv"))? })
+            rate_of(&folder.join("data.csv")).map(|rate_hz| CameraSensor { camera, imu_from_camera, rate_hz })
         };
         let cameras = chain.cameras.into_iter().zip(folders).map(sensor).collect::<Result<_, _>>()?;
         let sensors = SensorCalibration { imu, cameras };
@@ -104,116 +103,41 @@ impl Folder {
         Ok((folder, sensors))
     }
 
-    /// The frames, with the calibrated time offset of the cameras added to their stamps.
-    pub(crate) fn frames(&self) -> Result<Rows<'static, Frame>, SequenceError> {
+    fn truth_path(&self) -> PathBuf {
+        self.root.join("mav0/state_groundtruth_estimate0/data.csv")
+    }
+}
+
+impl Stored for Folder {
+    fn frames(&self) -> Result<Rows<'static, Frame>, SequenceError> {
         let offset_ns = self.time_offset_ns;
         let rows = FrameRows::open(&self.root.join("mav0"), self.cameras)?;
         let shifted = move |frame: Frame| Frame { stamp_ns: frame.stamp_ns + offset_ns, ..frame };
         Ok(Box::new(rows.map(move |frame| frame.map(shifted))))
     }
 
-    /// The IMU's readings; none without an IMU.
-    pub(crate) fn imu_samples(&self) -> Result<Rows<'static, ImuSample>, SequenceError> {
-        if self.has_imu {
-            table(&self.root.join("mav0/imu0/data.csv"))
-        } else {
-            Ok(Box::new(std::iter::empty()))
-        }
+    fn imu_samples(&self) -> Result<Rows<'static, ImuSample>, SequenceError> {
+        if self.has_imu { table(&self.readings_path()) } else { Ok(Box::new(std::iter::empty())) }
     }
 
-    /// Reads all readings of the IMU, checks their units, and hands each to `keep`.
-    pub(crate) fn check_readings(
-        &self,
-        imu: Option<&ImuSensor>,
-        mut keep: impl FnMut(&ImuSample),
-    ) -> Result<(), SequenceError> {
-        let in_file = |source| SequenceError::ImuUnits { path: self.root.join("mav0/imu0/data.csv"), source };
-        let mut check = ImuCheck::new(imu.and_then(|imu| imu.gravity_magnitude));
-        for sample in self.imu_samples()? {
-            let sample = sample?;
-            check.add(&sample).map_err(in_file)?;
-            keep(&sample);
-        }
-        check.finish().map_err(in_file)
+    fn readings_path(&self) -> PathBuf {
+        self.root.join("mav0/imu0/data.csv")
     }
 
-    /// Whether there is ground truth.
-    pub(crate) fn has_truth(&self) -> bool {
+    fn has_truth(&self) -> bool {
         self.truth_path().exists()
     }
 
-    /// The ground truth; none where it is not known.
-    pub(crate) fn truth(&self) -> Result<Rows<'static, TruthRow>, SequenceError> {
+    fn truth(&self) -> Result<Rows<'static, TruthRow>, SequenceError> {
         if self.has_truth() { table(&self.truth_path()) } else { Ok(Box::new(std::iter::empty())) }
     }
 
-    fn truth_path(&self) -> PathBuf {
-        self.root.join("mav0/state_groundtruth_estimate0/data.csv")
+    fn reference_poses(&self) -> Result<Option<Vec<ReferencePose>>, SequenceError> {
+        let path = self.root.join("reference_poses.csv");
+        path.exists().then(|| read_reference_poses(&path)).transpose()
     }
 }
 
 fn table<T: TimedRow + 'static>(path: &Path) -> Result<Rows<'static, T>, SequenceError> {
     Ok(Box::new(TimedRows::open(path)?))
-}
-
-impl Sequence {
-    /// Reads a recording in the EuRoC layout into memory, and checks all of it.
-    ///
-    /// # Errors
-    /// [`SequenceError`] with the file, the line, and what to do: a missing calibration or table, a row that is cut
-    /// off or not finite, time stamps out of order, readings in other units, images of another size than calibrated, tracks or features of an image that is not listed, a camera model
-    /// or a descriptor that is not supported.
-    pub fn open(root: &Path) -> Result<Self, SequenceError> {
-        Self::open_with(root, &CalibrationFiles::default())
-    }
-
-    /// [`Sequence::open`] with calibration files of Kalibr in place of the recording's own.
-    ///
-    /// # Errors
-    /// As [`Sequence::open`].
-    pub fn open_with(root: &Path, files: &CalibrationFiles) -> Result<Self, SequenceError> {
-        let mut imu_samples = Vec::new();
-        let sequence = Self::read(root, files, |sample| imu_samples.push(*sample))?;
-        Ok(Self { imu_samples, ..sequence })
-    }
-
-    /// [`Sequence::open_with`] without the readings of the IMU, which are checked and not kept: `imu_samples` is empty.
-    ///
-    /// For what needs frames and poses only, as building a map does: an hour of readings takes 40 MB.
-    ///
-    /// # Errors
-    /// As [`Sequence::open`].
-    pub fn open_without_readings(root: &Path, files: &CalibrationFiles) -> Result<Self, SequenceError> {
-        Self::read(root, files, |_| {})
-    }
-
-    /// Reads and checks everything; the readings of the IMU go to `keep`.
-    fn read(
-        root: &Path,
-        files: &CalibrationFiles,
-        keep: impl FnMut(&ImuSample),
-    ) -> Result<Self, SequenceError> {
-        let (folder, SensorCalibration { imu, cameras }) = Folder::open(root, files)?;
-        folder.check_readings(imu.as_ref(), keep)?;
-        let mut images = ImageCheck::default();
-        let mut frames = Vec::new();
-        for frame in folder.frames()? {
-            let frame = frame?;
-            images.add(&frame, &cameras)?;
-            frames.push(frame);
-        }
-        let groundtruth: Vec<TruthRow> = folder.truth()?.collect::<Result<_, _>>()?;
-        let reference_path = root.join("reference_poses.csv");
-        let reference_poses =
-            reference_path.exists().then(|| read_reference_poses(&reference_path)).transpose()?;
-        Ok(Self {
-            root: root.to_path_buf(),
-            imu,
-            imu_samples: Vec::new(),
-            cameras,
-            frames,
-            groundtruth: (!groundtruth.is_empty()).then_some(groundtruth),
-            reference_poses,
-        })
-    }
 }

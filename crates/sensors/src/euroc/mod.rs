@@ -2,7 +2,7 @@
 
 mod camera_folder;
 mod folder;
-mod sensor_yaml;
+pub(crate) mod sensor_yaml;
 mod tables;
 pub mod writer;
 

@@ -9,7 +9,10 @@ const MAX_BYTES: u64 = 1 << 20;
 /// Folders of a recording that are searched, in this order; the first one with a calibration counts. TUM-VI has `dso`.
 const FOLDERS: [&str; 3] = ["", "mav0", "dso"];
 
-/// Calibration files of Kalibr that replace the `sensor.yaml` files of a recording.
+/// What a recording does not say of itself: calibration files that replace its own, and which topics of a bag are meant.
+///
+/// For a folder in the EuRoC layout the files are Kalibr's. For a bag, `cameras` may also be such a folder, of which only the
+/// calibration is read, and Kalibr's camera chain may leave `intrinsics` out where the bag has the cameras' `CameraInfo`.
 ///
 /// ```
 /// let mut files = sensors::CalibrationFiles::default();
@@ -19,10 +22,14 @@ const FOLDERS: [&str; 3] = ["", "mav0", "dso"];
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct CalibrationFiles {
-    /// `camchain-imucam.yaml`.
+    /// `camchain-imucam.yaml`; for a bag also the folder of a calibration.
     pub cameras: Option<PathBuf>,
     /// `imu.yaml`.
     pub imu: Option<PathBuf>,
+    /// The topic of the IMU in a bag; without it the only one of its type.
+    pub imu_topic: Option<String>,
+    /// The topics of camera 0 and camera 1 in a bag; without them those of their type, in order of their names.
+    pub camera_topics: Vec<String>,
 }
 
 impl CalibrationFiles {

@@ -35,13 +35,15 @@ struct ChainYaml {
 
 #[derive(Deserialize)]
 struct CameraYaml {
-    camera_model: String,
+    camera_model: Option<String>,
+    /// Left out where a bag has the camera's `CameraInfo`.
+    #[serde(default)]
     intrinsics: Vec<f64>,
     #[serde(default)]
     distortion_model: Option<String>,
     #[serde(default)]
     distortion_coeffs: Vec<f64>,
-    resolution: [u32; 2],
+    resolution: Option<[u32; 2]>,
     #[serde(rename = "T_cam_imu")]
     camera_from_imu: Option<Vec<Vec<f64>>>,
     #[serde(rename = "T_cn_cnm1")]
@@ -52,7 +54,7 @@ struct CameraYaml {
 
 #[derive(Deserialize)]
 struct ImuYaml {
-    update_rate: f64,
+    update_rate: Option<f64>,
     #[serde(rename = "T_i_b")]
     imu_from_body: Option<Vec<Vec<f64>>>,
     #[serde(default)]
@@ -90,8 +92,9 @@ pub(crate) fn is_imu(text: &str) -> bool {
 /// Reads a camera chain with the poses of the cameras on the IMU.
 ///
 /// # Arguments
-/// * `wanted`: number of cameras that the recording has, 1 or 2.
-pub(crate) fn read_camera_chain(path: &Path, wanted: usize) -> Result<CameraChain, SequenceError> {
+/// * `known`: for each of the one or two cameras of the recording, its projection as the recording itself states it; used
+///   where the file leaves `intrinsics` out.
+pub(crate) fn read_camera_chain(path: &Path, known: &[Option<Camera>]) -> Result<CameraChain, SequenceError> {
     let chain: ChainYaml = parse(path, CHAIN, &read_text(path)?)?;
     let first_from_imu = camera_from_imu(path, 0, &chain.cam0)?.ok_or_else(|| {
         SequenceError::calibration(
@@ -100,13 +103,14 @@ pub(crate) fn read_camera_chain(path: &Path, wanted: usize) -> Result<CameraChai
              result of kalibr_calibrate_imu_camera",
         )
     })?;
-    let mut cameras = vec![(lens(path, &chain.cam0)?, first_from_imu.inverse())];
+    let mut cameras = vec![(lens(path, &chain.cam0, known.first())?, first_from_imu.inverse())];
     let shift = time_shift(path, "cam0", &chain.cam0)?;
-    if wanted > 1 {
+    if known.len() > 1 {
         let Some(second) = &chain.cam1 else {
             return Err(SequenceError::calibration(
                 path,
-                "it has no cam1, but the recording has mav0/cam1: calibrate both cameras, or move mav0/cam1 away",
+                "it has no cam1, but the recording has two cameras: calibrate both, or use one (move mav0/cam1 away; of a \
+                 bag, name it with --camera-topic)",
             ));
         };
         let second_from_imu = match (camera_from_imu(path, 1, second)?, &second.camera_from_previous) {
@@ -116,7 +120,7 @@ pub(crate) fn read_camera_chain(path: &Path, wanted: usize) -> Result<CameraChai
                 return Err(SequenceError::calibration(path, "cam1 has neither T_cam_imu nor T_cn_cnm1"));
             }
         };
-        cameras.push((lens(path, second)?, second_from_imu.inverse()));
+        cameras.push((lens(path, second, known.get(1))?, second_from_imu.inverse()));
         let difference = time_shift(path, "cam1", second)? - shift;
         if difference.abs() > MAX_SHIFT_DIFFERENCE_S {
             tracing::warn!(
@@ -132,11 +136,14 @@ pub(crate) fn read_camera_chain(path: &Path, wanted: usize) -> Result<CameraChai
 /// The projection of `cam0` of a chain.
 pub(crate) fn first_lens(path: &Path, text: &str) -> Result<Camera, SequenceError> {
     let chain: ChainYaml = parse(path, CHAIN, text)?;
-    lens(path, &chain.cam0)
+    lens(path, &chain.cam0, None)
 }
 
 /// Reads `imu.yaml`, as it goes into Kalibr or as it comes out.
-pub(crate) fn read_imu(path: &Path) -> Result<ImuSensor, SequenceError> {
+///
+/// # Arguments
+/// * `measured_hz`: readings a second, where the file does not state them.
+pub(crate) fn read_imu(path: &Path, measured_hz: Option<f64>) -> Result<ImuSensor, SequenceError> {
     let text = read_text(path)?;
     let yaml = if text.lines().any(|line| line.starts_with("imu0:")) {
         parse::<ResultYaml>(path, IMU, &text)?.imu0
@@ -160,14 +167,27 @@ pub(crate) fn read_imu(path: &Path) -> Result<ImuSensor, SequenceError> {
             ));
         }
     }
-    check_positive(path, "update_rate", yaml.update_rate)?;
-    Ok(ImuSensor { noise: yaml.noise.noise(path)?, rate_hz: yaml.update_rate, gravity_magnitude: None })
+    let Some(rate_hz) = yaml.update_rate.or(measured_hz) else {
+        return Err(SequenceError::calibration(path, "update_rate is missing: the readings a second"));
+    };
+    check_positive(path, "update_rate", rate_hz)?;
+    Ok(ImuSensor { noise: yaml.noise.noise(path)?, rate_hz, gravity_magnitude: None })
 }
 
-fn lens(path: &Path, yaml: &CameraYaml) -> Result<Camera, SequenceError> {
+fn lens(path: &Path, yaml: &CameraYaml, known: Option<&Option<Camera>>) -> Result<Camera, SequenceError> {
+    if yaml.intrinsics.is_empty()
+        && let Some(Some(camera)) = known
+    {
+        return Ok(camera.clone());
+    }
+    let (Some(model), Some(resolution)) = (&yaml.camera_model, yaml.resolution) else {
+        let problem =
+            "a camera needs camera_model, intrinsics and resolution, unless a bag has its CameraInfo";
+        return Err(SequenceError::calibration(path, problem));
+    };
     let lens = Lens {
-        resolution: yaml.resolution,
-        camera_model: Some(&yaml.camera_model),
+        resolution,
+        camera_model: Some(model),
         intrinsics: &yaml.intrinsics,
         distortion_model: yaml.distortion_model.as_deref(),
         distortion: &yaml.distortion_coeffs,

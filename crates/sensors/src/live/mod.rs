@@ -29,7 +29,7 @@ mod watch;
 mod tests;
 
 pub use fault::{FaultKind, LiveFault};
-pub use image::{LiveImage, LiveImageError, PixelEncoding, RawImage};
+pub use image::{LiveImage, LiveImageError, RawPixels};
 pub use settings::{LiveFrames, LiveSettings};
 pub use source::{LiveInputs, LiveReport, LiveSource};
 pub use stream::Stream;

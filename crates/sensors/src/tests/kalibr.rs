@@ -117,7 +117,8 @@ fn named_files_come_before_sensor_yaml_and_found_files_after_it() {
     let (folder, elsewhere) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     writer::write(&written, folder.path()).unwrap();
     let file = |name| Some(elsewhere.path().join(name));
-    let files = CalibrationFiles { cameras: file("c.yaml"), imu: file("i.yaml") };
+    let files =
+        CalibrationFiles { cameras: file("c.yaml"), imu: file("i.yaml"), ..CalibrationFiles::default() };
     std::fs::write(files.cameras.as_ref().unwrap(), chain(&written, false)).unwrap();
     std::fs::write(files.imu.as_ref().unwrap(), IMU).unwrap();
     assert_read(&Sequence::open_with(folder.path(), &files).unwrap(), &written);

@@ -5,7 +5,7 @@ use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
 /// Maximum width and height of a file, pixels: larger ones are refused before memory is allocated.
-const MAX_SIDE: u32 = 16_384;
+pub(super) const MAX_SIDE: u32 = 16_384;
 
 /// An 8-bit grey image, row after row without gaps.
 ///
@@ -67,6 +67,37 @@ pub enum ImageError {
     /// The image cannot be encoded.
     #[error("the image cannot be encoded: {0}")]
     Encoding(#[source] image::ImageError),
+    /// The pixels of an uncompressed image are in a format that is not known.
+    #[error(
+        "encoding \"{encoding}\" is not supported: use mono8, mono16, rgb8, bgr8, rgba8, bgra8, a bayer pattern of 8 bits, \
+         yuv422 or yuv422_yuy2"
+    )]
+    Format {
+        /// The format's name.
+        encoding: String,
+    },
+    /// The data of an uncompressed image do not fit its size.
+    #[error(
+        "{bytes} bytes in rows of {step} are not an image of {} x {} pixels in {encoding}", size.0, size.1
+    )]
+    Raw {
+        /// The format of the pixels.
+        encoding: String,
+        /// Columns and rows.
+        size: (u32, u32),
+        /// Bytes from one row to the next.
+        step: u32,
+        /// Bytes given.
+        bytes: usize,
+    },
+    /// The image is part of a recording that cannot be read there.
+    #[error("{name}: {source}")]
+    Source {
+        /// What was to be read.
+        name: String,
+        /// The cause.
+        source: Box<dyn std::error::Error + Send + Sync>,
+    },
     /// The number of bytes is not width times height, or zero.
     #[error("{bytes} bytes are not an image of {width} x {height} pixels")]
     Size {
@@ -77,6 +108,18 @@ pub enum ImageError {
         /// Bytes given.
         bytes: usize,
     },
+}
+
+impl ImageError {
+    /// Names the file whose bytes could not be decoded.
+    #[must_use]
+    pub fn of(self, path: &Path) -> Self {
+        match self {
+            Self::Incomplete { bytes } => Self::CutOff { path: path.to_path_buf(), bytes },
+            Self::Undecodable(source) => Self::Unreadable { path: path.to_path_buf(), source },
+            other => other,
+        }
+    }
 }
 
 impl GrayImage {
@@ -112,14 +155,8 @@ impl GrayImage {
     /// [`ImageError::CutOff`]; [`ImageError::Unreadable`]: the file is missing, damaged, not an image, or has more than
     /// 16,384 columns or rows.
     pub fn read(path: &Path) -> Result<Self, ImageError> {
-        let path = || path.to_path_buf();
-        let bytes = std::fs::read(path())
-            .map_err(|error| ImageError::Unreadable { path: path(), source: error.into() })?;
-        Self::decode(&bytes).map_err(|error| match error {
-            ImageError::Incomplete { bytes } => ImageError::CutOff { path: path(), bytes },
-            ImageError::Undecodable(source) => ImageError::Unreadable { path: path(), source },
-            other => other,
-        })
+        let bytes = std::fs::read(path).map_err(|error| ImageError::Undecodable(error.into()).of(path))?;
+        Self::decode(&bytes).map_err(|error| error.of(path))
     }
 
     /// Decodes a PNG or JPEG file in memory; colours are converted to luma.

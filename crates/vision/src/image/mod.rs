@@ -4,7 +4,9 @@ mod completeness;
 pub mod equalization;
 mod gray;
 pub mod pyramid;
+mod raw;
 
 pub use equalization::{Equalization, LocalEqualization, equalize, equalize_locally};
 pub use gray::{GrayImage, ImageError};
 pub use pyramid::Pyramid;
+pub use raw::RawImage;

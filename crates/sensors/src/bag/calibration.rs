@@ -1,0 +1,113 @@
+//! The calibration of a bag's sensors: files in the ways of EuRoC and Kalibr, and the recorded `CameraInfo`.
+
+use super::camera_info;
+use super::topics::BagSensors;
+use crate::euroc::sensor_yaml;
+use crate::kalibr::{self, CameraChain};
+use crate::{CalibrationFiles, CameraSensor, SensorCalibration, SequenceError};
+use bags::{Bag, Topic};
+use geometry::camera::Camera;
+use std::path::{Path, PathBuf};
+
+/// Messages from which the rate of a topic is measured, where its calibration does not state it.
+const RATE_MESSAGES: usize = 100;
+
+/// Calibration, and what is added to the time stamps of the images.
+pub(super) struct BagCalibration {
+    pub(super) sensors: SensorCalibration,
+    pub(super) time_offset_ns: i64,
+}
+
+/// Reads the calibration of the sensors of a bag.
+///
+/// It is looked for in the folder that `files` names, else in the bag's own; a file that is named comes first, then one
+/// with the bag's name.
+pub(super) fn read(
+    bag: &Bag,
+    sensors: &BagSensors,
+    files: &CalibrationFiles,
+) -> Result<BagCalibration, SequenceError> {
+    let path = bag.path();
+    let beside = || if path.is_dir() { path } else { path.parent().unwrap_or(path) };
+    let (root, mut files) = match &files.cameras {
+        Some(folder) if folder.is_dir() => {
+            (folder.clone(), CalibrationFiles { cameras: None, ..files.clone() })
+        }
+        Some(file) => (file.parent().unwrap_or(file).to_path_buf(), files.clone()),
+        None => (beside().to_path_buf(), files.clone()),
+    };
+    let own = path.with_extension("yaml");
+    if files.cameras.is_none() && root == beside() && own.is_file() {
+        files.cameras = Some(own);
+    }
+    if let (Some(file), None) = (&files.cameras, &files.imu)
+        && kalibr::is_imu(&std::fs::read_to_string(file).unwrap_or_default())
+    {
+        files.imu = Some(file.clone());
+    }
+    let files = files.completed(&root)?;
+    let rates: Vec<f64> =
+        sensors.cameras.iter().map(|camera| rate_of(&bag.topics()[camera.images])).collect();
+    let (cameras, time_offset_ns) = match &files.cameras {
+        Some(file) => {
+            let infos = camera_infos(bag, sensors)?;
+            let CameraChain { cameras, time_offset_ns } = kalibr::read_camera_chain(file, &infos)?;
+            let sensor =
+                |((camera, imu_from_camera), rate_hz)| CameraSensor { camera, imu_from_camera, rate_hz };
+            (cameras.into_iter().zip(rates).map(sensor).collect(), time_offset_ns)
+        }
+        None => (euroc_cameras(path, &root, sensors.cameras.len())?, 0),
+    };
+    let imu = match (sensors.imu, &files.imu) {
+        (None, _) => None,
+        (Some(topic), Some(file)) => Some(kalibr::read_imu(file, Some(rate_of(&bag.topics()[topic])))?),
+        (Some(_), None) => Some(sensor_yaml::read_imu(&euroc_file(path, &root, "imu0")?)?),
+    };
+    Ok(BagCalibration { sensors: SensorCalibration { imu, cameras }, time_offset_ns })
+}
+
+/// The projection of each camera by its `CameraInfo`.
+fn camera_infos(bag: &Bag, sensors: &BagSensors) -> Result<Vec<Option<Camera>>, SequenceError> {
+    let read = |camera: &super::BagCamera| match camera.info {
+        Some(info) => camera_info::read(bag, camera.images, info),
+        None => Ok(None),
+    };
+    sensors.cameras.iter().map(read).collect()
+}
+
+fn euroc_cameras(bag: &Path, root: &Path, count: usize) -> Result<Vec<CameraSensor>, SequenceError> {
+    (0..count)
+        .map(|index| sensor_yaml::read_camera(&euroc_file(bag, root, &format!("cam{index}"))?))
+        .collect()
+}
+
+/// The `sensor.yaml` of a sensor in a folder of the EuRoC layout.
+fn euroc_file(bag: &Path, root: &Path, sensor: &str) -> Result<PathBuf, SequenceError> {
+    let file = root.join(format!("mav0/{sensor}/sensor.yaml"));
+    if file.is_file() {
+        return Ok(file);
+    }
+    let (what, switch) = if sensor == "imu0" {
+        ("noise of the IMU", "--imu-calibration YAML (Kalibr's imu.yaml)")
+    } else {
+        ("pose of the camera on the IMU", "--calibration YAML (Kalibr's camchain-imucam.yaml)")
+    };
+    Err(SequenceError::calibration(
+        bag,
+        format!(
+            "the {what} ({sensor}) is not known, and {} has no calibration: give {switch}, or --calibration DIR with a \
+                 folder in the EuRoC layout",
+            root.display()
+        ),
+    ))
+}
+
+/// Messages a second by the median interval of the first ones; 1 for a single message.
+fn rate_of(topic: &Topic) -> f64 {
+    let first = &topic.messages[..topic.messages.len().min(RATE_MESSAGES)];
+    let mut intervals: Vec<i64> =
+        first.windows(2).map(|pair| pair[1].log_ns.saturating_sub(pair[0].log_ns)).collect();
+    intervals.sort_unstable();
+    let median = intervals.get(intervals.len() / 2).copied();
+    median.filter(|&interval| interval > 0).map_or(1.0, |interval| 1e9 / interval as f64)
+}

@@ -1,0 +1,70 @@
+//! Messages of a bag, of ROS 1 or ROS 2.
+
+use bags::{Bag, BagError, Encoding, Place};
+use ros_messages::sensor_msgs::{CompressedImage, Image};
+use ros_messages::{CdrError, RosMessage, decode, ros1};
+use std::path::Path;
+use vision::{GrayImage, ImageError, RawImage};
+
+/// Bytes that hold the stamp of a header, in either encoding.
+const STAMP_BYTES: usize = 12;
+
+/// Why a message is of no use.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum MessageError {
+    #[error(transparent)]
+    Bag(#[from] BagError),
+    #[error(transparent)]
+    Cdr(#[from] CdrError),
+    #[error(transparent)]
+    Ros1(#[from] ros1::Ros1Error),
+    #[error("encoding \"{0}\" is unknown: ROS 1 and CDR are read; convert the recording with its own tools")]
+    Encoding(String),
+}
+
+/// Reads a message.
+pub(super) fn read<M: RosMessage>(bag: &Bag, topic: usize, place: Place) -> Result<M, MessageError> {
+    let bytes = bag.read(place)?;
+    Ok(match &bag.topics()[topic].encoding {
+        Encoding::Ros1 => ros1::decode(&bytes)?,
+        Encoding::Cdr => decode(&bytes)?,
+        other => return Err(MessageError::Encoding(other.to_string())),
+    })
+}
+
+/// Time stamp of the header with which a message begins, nanoseconds; the rest of the message is not read.
+pub(super) fn read_stamp(bag: &Bag, topic: usize, place: Place) -> Option<i64> {
+    let start: [u8; STAMP_BYTES] = bag.read_start(place, STAMP_BYTES).ok()?.try_into().ok()?;
+    // ROS 1: sequence number, seconds, nanoseconds. CDR: its own header, the second byte of which is the byte order.
+    let [_, order, .., s0, s1, s2, s3, n0, n1, n2, n3] = start;
+    let (seconds, nanoseconds) = ([s0, s1, s2, s3], [n0, n1, n2, n3]);
+    let is_big_endian = match &bag.topics()[topic].encoding {
+        Encoding::Ros1 => false,
+        Encoding::Cdr => order == 0,
+        _ => return None,
+    };
+    let (seconds, nanoseconds) = if is_big_endian {
+        (i32::from_be_bytes(seconds), u32::from_be_bytes(nanoseconds))
+    } else {
+        (i32::from_le_bytes(seconds), u32::from_le_bytes(nanoseconds))
+    };
+    Some(i64::from(seconds) * 1_000_000_000 + i64::from(nanoseconds))
+}
+
+/// The grey image of a `sensor_msgs/Image`.
+pub(super) fn gray(image: &Image) -> Result<GrayImage, ImageError> {
+    let raw = RawImage {
+        encoding: &image.encoding,
+        width: image.width,
+        height: image.height,
+        step: image.step,
+        big_endian: image.is_bigendian != 0,
+        data: &image.data,
+    };
+    raw.to_gray()
+}
+
+/// The grey image of a `sensor_msgs/CompressedImage`. `name`: what it is called in errors.
+pub(super) fn gray_of_compressed(image: &CompressedImage, name: &str) -> Result<GrayImage, ImageError> {
+    GrayImage::decode(&image.data).map_err(|error| error.of(Path::new(name)))
+}

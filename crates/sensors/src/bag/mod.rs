@@ -1,0 +1,16 @@
+//! Recordings as MCAP, rosbag2 or rosbag1.
+//!
+//! The stamps of readings and images are those in their headers, not the times at which they were recorded.
+
+mod calibration;
+mod camera_info;
+mod image;
+mod messages;
+mod recording;
+mod rows;
+mod topics;
+
+pub use bags::BagError;
+pub use topics::{BagCamera, BagSensors};
+
+pub(crate) use recording::BagRecording;

@@ -1,0 +1,139 @@
+//! Recordings on disk, whatever their format.
+
+use super::euroc::Folder;
+use super::image_check::ImageCheck;
+use super::imu_check::ImuCheck;
+use super::rows::Rows;
+use super::{
+    CalibrationFiles, Frame, ImuSample, ImuSensor, ReferencePose, SensorCalibration, Sequence, SequenceError,
+    TruthRow,
+};
+use std::fmt::Debug;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// The rows of a recording on disk. Every call reads them from the beginning.
+pub(crate) trait Stored: Debug + Send + Sync {
+    /// The frames, strictly increasing in time, with the calibrated time offset of the cameras added to their stamps.
+    fn frames(&self) -> Result<Rows<'static, Frame>, SequenceError>;
+
+    /// The IMU's readings, strictly increasing in time and finite; none without an IMU.
+    fn imu_samples(&self) -> Result<Rows<'static, ImuSample>, SequenceError>;
+
+    /// What the readings are read from, for errors.
+    fn readings_path(&self) -> PathBuf;
+
+    /// Whether there is ground truth.
+    fn has_truth(&self) -> bool {
+        false
+    }
+
+    /// The ground truth; none where it is not known.
+    fn truth(&self) -> Result<Rows<'static, TruthRow>, SequenceError> {
+        Ok(Box::new(std::iter::empty()))
+    }
+
+    /// Poses to build a map from, if there are any.
+    fn reference_poses(&self) -> Result<Option<Vec<ReferencePose>>, SequenceError> {
+        Ok(None)
+    }
+}
+
+/// Whether a path is a recording rather than an image: a folder, or a bag.
+pub fn is_recording(path: &Path) -> bool {
+    #[cfg(feature = "bags")]
+    if bags::Bag::is_bag(path) {
+        return true;
+    }
+    path.is_dir()
+}
+
+/// Opens a recording with its calibration: a folder in the EuRoC layout, or a bag.
+pub(crate) fn open(
+    root: &Path,
+    files: &CalibrationFiles,
+) -> Result<(Arc<dyn Stored>, SensorCalibration), SequenceError> {
+    #[cfg(feature = "bags")]
+    if bags::Bag::is_bag(root) {
+        let (bag, calibration) = super::bag::BagRecording::open(root, files)?;
+        return Ok((Arc::new(bag), calibration));
+    }
+    let (folder, calibration) = Folder::open(root, files)?;
+    Ok((Arc::new(folder), calibration))
+}
+
+/// Reads all readings of the IMU, checks their units, and hands each to `keep`.
+pub(crate) fn check_readings(
+    stored: &dyn Stored,
+    imu: Option<&ImuSensor>,
+    mut keep: impl FnMut(&ImuSample),
+) -> Result<(), SequenceError> {
+    let in_file = |source| SequenceError::ImuUnits { path: stored.readings_path(), source };
+    let mut check = ImuCheck::new(imu.and_then(|imu| imu.gravity_magnitude));
+    for sample in stored.imu_samples()? {
+        let sample = sample?;
+        check.add(&sample).map_err(in_file)?;
+        keep(&sample);
+    }
+    check.finish().map_err(in_file)
+}
+
+impl Sequence {
+    /// Reads a recording in the EuRoC layout, or a bag, into memory, and checks all of it. Images stay on disk.
+    ///
+    /// # Errors
+    /// [`SequenceError`] with the file, the line, and what to do: a missing calibration or table, a row that is cut
+    /// off or not finite, time stamps out of order, readings in other units, images of another size than calibrated,
+    /// tracks or features of an image that is not listed, a camera model or a descriptor that is not supported, a bag
+    /// whose topics cannot be told apart.
+    pub fn open(root: &Path) -> Result<Self, SequenceError> {
+        Self::open_with(root, &CalibrationFiles::default())
+    }
+
+    /// [`Sequence::open`] with calibration files in place of the recording's own.
+    ///
+    /// # Errors
+    /// As [`Sequence::open`].
+    pub fn open_with(root: &Path, files: &CalibrationFiles) -> Result<Self, SequenceError> {
+        let mut imu_samples = Vec::new();
+        let sequence = Self::read(root, files, |sample| imu_samples.push(*sample))?;
+        Ok(Self { imu_samples, ..sequence })
+    }
+
+    /// [`Sequence::open_with`] without the readings of the IMU, which are checked and not kept: `imu_samples` is empty.
+    ///
+    /// For what needs frames and poses only, as building a map does: an hour of readings takes 40 MB.
+    ///
+    /// # Errors
+    /// As [`Sequence::open`].
+    pub fn open_without_readings(root: &Path, files: &CalibrationFiles) -> Result<Self, SequenceError> {
+        Self::read(root, files, |_| {})
+    }
+
+    /// Reads and checks everything; the readings of the IMU go to `keep`.
+    fn read(
+        root: &Path,
+        files: &CalibrationFiles,
+        keep: impl FnMut(&ImuSample),
+    ) -> Result<Self, SequenceError> {
+        let (stored, SensorCalibration { imu, cameras }) = open(root, files)?;
+        check_readings(&*stored, imu.as_ref(), keep)?;
+        let mut images = ImageCheck::default();
+        let mut frames = Vec::new();
+        for frame in stored.frames()? {
+            let frame = frame?;
+            images.add(&frame, &cameras)?;
+            frames.push(frame);
+        }
+        let groundtruth: Vec<TruthRow> = stored.truth()?.collect::<Result<_, _>>()?;
+        Ok(Self {
+            root: root.to_path_buf(),
+            imu,
+            imu_samples: Vec::new(),
+            cameras,
+            frames,
+            groundtruth: (!groundtruth.is_empty()).then_some(groundtruth),
+            reference_poses: stored.reference_poses()?,
+        })
+    }
+}

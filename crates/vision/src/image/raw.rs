@@ -1,0 +1,237 @@
+//! Uncompressed images as cameras and their drivers give them.
+
+use super::gray::MAX_SIDE;
+use super::{GrayImage, ImageError};
+
+/// An uncompressed image: rows of pixels, `step` bytes apart.
+///
+/// `encoding` is one of the names that ROS uses:
+///
+/// | encoding | grey value |
+/// |---|---|
+/// | `mono8`, `8UC1` | as it is |
+/// | `mono16`, `16UC1` | the upper byte, so that 65,535 is white: 10 or 12 bits must lie in the upper ones |
+/// | `rgb8`, `bgr8`, `rgba8`, `bgra8`, `8UC3`, `8UC4` | luma, as of PNG and JPEG files |
+/// | `bayer_rggb8`, `bayer_bggr8`, `bayer_gbrg8`, `bayer_grbg8` | (R + 2 G + B) / 4 of the 3 x 3 pixels around |
+/// | `yuv422` (`uyvy`), `yuv422_yuy2` (`yuyv`) | luma |
+///
+/// # Example
+/// ```
+/// let data = [10, 20, 0, 30, 40, 0]; // two pixels a row, and a byte that belongs to none
+/// let image = vision::RawImage { encoding: "mono8", width: 2, height: 2, step: 3, big_endian: false, data: &data };
+/// assert_eq!(image.to_gray()?.pixels(), [10, 20, 30, 40]);
+/// # Ok::<(), vision::ImageError>(())
+/// ```
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct RawImage<'a> {
+    /// Name of the pixels' format.
+    pub encoding: &'a str,
+    /// Columns.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// Bytes from one row to the next.
+    pub step: u32,
+    /// Whether the upper byte of 16 bits comes first.
+    pub big_endian: bool,
+    /// The rows.
+    pub data: &'a [u8],
+}
+
+/// How the bytes of a row become grey values.
+enum Pixels {
+    /// The byte `offset` of every `stride`.
+    Byte { offset: usize, stride: usize },
+    /// Bytes of red, green and blue in every `stride`.
+    Colour { rgb: [usize; 3], stride: usize },
+    /// One colour a pixel.
+    Bayer,
+}
+
+impl Pixels {
+    fn of(encoding: &str, big_endian: bool) -> Option<Self> {
+        Some(match encoding {
+            "mono8" | "8UC1" => Self::Byte { offset: 0, stride: 1 },
+            "mono16" | "16UC1" => Self::Byte { offset: usize::from(!big_endian), stride: 2 },
+            "yuv422" | "uyvy" => Self::Byte { offset: 1, stride: 2 },
+            "yuv422_yuy2" | "yuyv" => Self::Byte { offset: 0, stride: 2 },
+            "rgb8" => Self::Colour { rgb: [0, 1, 2], stride: 3 },
+            "bgr8" | "8UC3" => Self::Colour { rgb: [2, 1, 0], stride: 3 },
+            "rgba8" => Self::Colour { rgb: [0, 1, 2], stride: 4 },
+            "bgra8" | "8UC4" => Self::Colour { rgb: [2, 1, 0], stride: 4 },
+            "bayer_rggb8" | "bayer_bggr8" | "bayer_gbrg8" | "bayer_grbg8" => Self::Bayer,
+            _ => return None,
+        })
+    }
+
+    /// Bytes of a pixel.
+    fn stride(&self) -> usize {
+        match self {
+            Self::Byte { stride, .. } | Self::Colour { stride, .. } => *stride,
+            Self::Bayer => 1,
+        }
+    }
+}
+
+impl RawImage<'_> {
+    /// Bytes of a pixel in an encoding; `None` where it is not in the table.
+    pub fn bytes_per_pixel(encoding: &str) -> Option<usize> {
+        Some(Pixels::of(encoding, false)?.stride())
+    }
+
+    /// Converts to grey.
+    ///
+    /// # Errors
+    /// [`ImageError::Format`] for an encoding that is not in the table; [`ImageError::Raw`] where the data are too short
+    /// for the stated size, or the size is zero or above 16,384 columns or rows.
+    pub fn to_gray(&self) -> Result<GrayImage, ImageError> {
+        let pixels = Pixels::of(self.encoding, self.big_endian)
+            .ok_or_else(|| ImageError::Format { encoding: self.encoding.to_owned() })?;
+        let (width, height, step) = (self.width as usize, self.height as usize, self.step as usize);
+        let is_allowed = |side: u32| (1..=MAX_SIDE).contains(&side);
+        let row_bytes = width * pixels.stride();
+        let is_there = is_allowed(self.width)
+            && is_allowed(self.height)
+            && row_bytes <= step
+            && step * (height - 1) + row_bytes <= self.data.len();
+        if !is_there {
+            return Err(ImageError::Raw {
+                encoding: self.encoding.to_owned(),
+                size: (self.width, self.height),
+                step: self.step,
+                bytes: self.data.len(),
+            });
+        }
+        let rows = self.data.chunks(step).take(height).map(|row| &row[..row_bytes]);
+        let grey = match pixels {
+            Pixels::Byte { offset: 0, stride: 1 } => rows.flatten().copied().collect(),
+            Pixels::Byte { offset, stride } => {
+                rows.flat_map(|row| row.iter().skip(offset).step_by(stride)).copied().collect()
+            }
+            Pixels::Colour { rgb, stride } => {
+                let colour = |pixel: &[u8]| rgb.map(|at| pixel[at]);
+                luma(
+                    self.width,
+                    self.height,
+                    rows.flat_map(|row| row.chunks_exact(stride).flat_map(colour)).collect(),
+                )
+            }
+            Pixels::Bayer => smooth_bayer(&rows.flatten().copied().collect::<Vec<u8>>(), width, height),
+        };
+        GrayImage::new(width, height, grey)
+    }
+}
+
+/// Luma of red, green and blue bytes, with the weights that are used for files; empty where their number is wrong.
+fn luma(width: u32, height: u32, rgb: Vec<u8>) -> Vec<u8> {
+    let image = image::RgbImage::from_raw(width, height, rgb);
+    image.map(|image| image::DynamicImage::from(image).into_luma8().into_raw()).unwrap_or_default()
+}
+
+/// Smooths with the weights 1-2-1 in both directions: in every 3 x 3 pixels of a Bayer pattern red and blue then weigh a
+/// quarter each and green a half, wherever the pattern begins. At the borders it is mirrored, which keeps the pattern.
+fn smooth_bayer(pixels: &[u8], width: usize, height: usize) -> Vec<u8> {
+    let mirrored = |at: usize, size: usize| {
+        let (before, after) =
+            (at.checked_sub(1).unwrap_or(1), if at + 1 < size { at + 1 } else { at.saturating_sub(1) });
+        [before.min(size - 1), at, at, after]
+    };
+    let mut grey = Vec::with_capacity(pixels.len());
+    for y in 0..height {
+        let rows = mirrored(y, height);
+        for x in 0..width {
+            let columns = mirrored(x, width);
+            let sum: u32 = rows
+                .iter()
+                .flat_map(|row| columns.iter().map(move |column| u32::from(pixels[row * width + column])))
+                .sum();
+            grey.push(((sum + 8) / 16) as u8);
+        }
+    }
+    grey
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const COLOUR: [u8; 3] = [200, 100, 40];
+
+    fn image<'a>(encoding: &'a str, bytes_per_pixel: u32, data: &'a [u8]) -> RawImage<'a> {
+        RawImage { encoding, width: 6, height: 4, step: 6 * bytes_per_pixel, big_endian: false, data }
+    }
+
+    fn repeated(pixel: &[u8]) -> Vec<u8> {
+        pixel.repeat(24)
+    }
+
+    #[test]
+    fn every_order_of_colours_gives_the_same_luma_as_a_file() {
+        let [red, green, blue] = COLOUR;
+        let file = image::RgbImage::from_pixel(6, 4, image::Rgb(COLOUR));
+        let expected = image::DynamicImage::from(file).into_luma8().into_raw();
+        for (encoding, pixel) in [
+            ("rgb8", &[red, green, blue][..]),
+            ("bgr8", &[blue, green, red]),
+            ("rgba8", &[red, green, blue, 7]),
+            ("bgra8", &[blue, green, red, 7]),
+        ] {
+            let data = repeated(pixel);
+            let grey = image(encoding, pixel.len() as u32, &data).to_gray().unwrap();
+            assert_eq!(grey.pixels(), expected, "{encoding}");
+        }
+    }
+
+    #[test]
+    fn a_bayer_pattern_of_one_colour_is_grey_everywhere() {
+        let [red, green, blue] = COLOUR.map(u32::from);
+        let expected = ((red + 2 * green + blue + 2) / 4) as u8;
+        for (encoding, pattern) in [
+            ("bayer_rggb8", [0, 1, 1, 2]),
+            ("bayer_bggr8", [2, 1, 1, 0]),
+            ("bayer_gbrg8", [1, 2, 0, 1]),
+            ("bayer_grbg8", [1, 0, 2, 1]),
+        ] {
+            let pixel = |at: usize| COLOUR[pattern[(at / 6 % 2) * 2 + at % 2]];
+            let data: Vec<u8> = (0..24).map(pixel).collect();
+            let grey = image(encoding, 1, &data).to_gray().unwrap();
+            assert!(grey.pixels().iter().all(|&value| value == expected), "{encoding}: {:?}", grey.pixels());
+        }
+    }
+
+    #[test]
+    fn sixteen_bits_are_scaled_to_eight_in_both_byte_orders() {
+        let little = repeated(&0xab_cd_u16.to_le_bytes());
+        assert_eq!(image("mono16", 2, &little).to_gray().unwrap().get(5, 3), 0xab);
+        let big = repeated(&0xab_cd_u16.to_be_bytes());
+        let raw = RawImage { big_endian: true, ..image("mono16", 2, &big) };
+        assert_eq!(raw.to_gray().unwrap().get(5, 3), 0xab);
+    }
+
+    #[test]
+    fn yuv_gives_its_luma() {
+        let (uyvy, yuyv) = (repeated(&[1, 90]), repeated(&[90, 1]));
+        assert_eq!(image("yuv422", 2, &uyvy).to_gray().unwrap().get(5, 3), 90);
+        assert_eq!(image("yuv422_yuy2", 2, &yuyv).to_gray().unwrap().get(5, 3), 90);
+    }
+
+    #[test]
+    fn sizes_that_contradict_the_data_are_refused() {
+        let data = [0; 24];
+        let raw = image("mono8", 1, &data);
+        assert!(raw.to_gray().is_ok());
+        for wrong in [
+            RawImage { width: 0, ..raw },
+            RawImage { height: 0, ..raw },
+            RawImage { height: 5, ..raw },
+            RawImage { step: 5, ..raw },
+            RawImage { step: u32::MAX, ..raw },
+            RawImage { width: u32::MAX, height: u32::MAX, step: u32::MAX, ..raw },
+            RawImage { encoding: "rgb8", ..raw },
+        ] {
+            assert!(matches!(wrong.to_gray(), Err(ImageError::Raw { .. })), "{wrong:?}");
+        }
+        let unknown = RawImage { encoding: "32FC1", ..raw };
+        assert!(matches!(unknown.to_gray(), Err(ImageError::Format { .. })));
+    }
+}
