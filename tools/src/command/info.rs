@@ -80,17 +80,18 @@ impl TopicReport {
         let median = intervals.get(intervals.len() / 2).copied().filter(|&median| median > 0);
         let is_gap =
             |interval: &&i64| median.is_some_and(|median| **interval >= median.saturating_mul(GAP_FACTOR));
-        let gaps = intervals.iter().filter(is_gap);
+        // Sorted, so that the last one is the longest.
+        let gaps: Vec<i64> = intervals.iter().filter(is_gap).copied().collect();
         Self {
             name: topic.name.clone(),
             type_name: topic.type_name.clone(),
             encoding: topic.encoding.to_string(),
             messages: topic.messages.len(),
             first_ns: stamps().next(),
-            last_ns: stamps().last(),
+            last_ns: stamps().next_back(),
             rate_hz: median.map(|median| 1e9 / median as f64),
-            gaps: gaps.clone().count(),
-            longest_gap_s: gaps.last().map_or(0.0, |gap| *gap as f64 * 1e-9),
+            gaps: gaps.len(),
+            longest_gap_s: gaps.last().map_or(0.0, |&gap| gap as f64 * 1e-9),
         }
     }
 }

@@ -51,7 +51,7 @@ pub enum Command {
     #[cfg(feature = "bags")]
     Info(info::Args),
     /// Run a robot through a recording, with a map server in the same process
-    Run(run::Args),
+    Run(Box<run::Args>),
     /// Publish a recording as the live sensors of a robot
     Play(play::Args),
     /// Track points through the images of a recording
