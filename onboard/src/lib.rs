@@ -46,6 +46,7 @@ pub mod native;
 pub mod outputs;
 pub mod program;
 pub mod progress;
+pub mod ros_sensors;
 pub mod run;
 mod run_status;
 pub mod start;

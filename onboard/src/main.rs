@@ -3,7 +3,7 @@
 use anyhow::{Context as _, Result, bail};
 use clap::Parser;
 use client::session::{Member, Role, close_session, open_session};
-use client::{SessionArguments, without_secrets};
+use client::{SessionArguments, SessionOptions, without_secrets};
 use estimator::MapMode;
 use monitoring::{LogFormat, MonitoringServer, start_log};
 use onboard::arguments::{
@@ -11,6 +11,7 @@ use onboard::arguments::{
 };
 use onboard::native::NativeSensors;
 use onboard::outputs::RosOutput;
+use onboard::ros_sensors::{RosSensors, RosTopics};
 use onboard::{
     EndedLost, MapLink, OpeningLink, Outcome, RobotArguments, RobotLink, RobotMetrics, StopSignal, progress,
     run_robot_until, run_source_until, stdout,
@@ -123,7 +124,7 @@ fn localize() -> Result<()> {
     let outcome = match (arguments.source, &arguments.sequence) {
         (Source::Recording, Some(sequence)) => play_recording(&stop, sequence, &arguments, &runtime)?,
         (Source::Recording, None) => bail!("--sequence DIR is missing"),
-        (Source::Native, _) => play_live(&stop, &arguments, &runtime)?,
+        (Source::Native | Source::Ros2, _) => play_live(&stop, &arguments, &runtime)?,
     };
     arguments.robot.ros = None;
     if let Some(task) = ros_task {
@@ -163,11 +164,10 @@ fn play_recording(
     runtime: &Runtime,
 ) -> Result<Outcome> {
     let recording = Recording::open_with(sequence, &arguments.calibration.files())?;
-    let open = |map| OpeningLink::open(arguments.session.connecting(), runtime.handle().clone(), map);
-    let link = map_of(arguments)?.map(open).transpose().context("the Zenoh session cannot be opened")?;
+    let link = opening_link(arguments, runtime)?;
     let bar = progress::frame_bar(recording.contents().frames);
     let show = |frame| bar.set_position(frame as u64);
-    let outcome = run_robot_until(stop, recording, &arguments.robot, link.map(RobotLink::Opening), show)?;
+    let outcome = run_robot_until(stop, recording, &arguments.robot, link, show)?;
     bar.finish_and_clear();
     Ok(outcome)
 }
@@ -179,13 +179,27 @@ fn play_live(stop: &StopSignal, arguments: &Arguments, runtime: &Runtime) -> Res
             "--calibration is missing: live sensors need Kalibr's camchain-imucam.yaml, or a folder with the calibration"
         )
     };
-    let map = map_of(arguments)?;
     let calibration = read_rig_calibration(path, files.imu_calibration.as_deref())?;
-    let settings = arguments.live.settings(&calibration, &arguments.robot)?;
+    let mut settings = arguments.live.settings(&calibration, &arguments.robot)?;
+    if arguments.source == Source::Ros2 {
+        let topics = RosTopics::of(files, &mut settings)?;
+        let (inputs, mut source) = LiveSource::new("ROS 2 topics", calibration.sensors, &settings);
+        let Some(session) = open_until(stop, &arguments.ros.session(), runtime)? else {
+            bail!("interrupted before {} answered", arguments.ros.ros2_connect)
+        };
+        let subscribed = RosSensors::start(session.clone(), arguments.ros.sensor_node(), &topics, &inputs);
+        let sensors = runtime.block_on(subscribed).context("the topics of the sensors")?;
+        let link = opening_link(arguments, runtime)?;
+        let outcome = run_source_until(stop, &mut source, &arguments.robot, link, |_| {});
+        drop(sensors);
+        runtime.block_on(close_session(&session));
+        return outcome;
+    }
+    let map = map_of(arguments)?;
     let robot = &arguments.robot.robot;
     let name = format!("live sensors of {robot}");
     let (inputs, mut source) = LiveSource::new(name, calibration.sensors, &settings);
-    let Some(session) = open_until(stop, arguments, runtime)? else {
+    let Some(session) = open_until(stop, &arguments.session.connecting(), runtime)? else {
         bail!("interrupted before {} answered", arguments.session.place())
     };
     let streams = LiveArguments::streams(&settings);
@@ -201,18 +215,27 @@ fn play_live(stop: &StopSignal, arguments: &Arguments, runtime: &Runtime) -> Res
     outcome
 }
 
-/// Opens the session, which the sensors come over; `None` where the program is told to stop before.
-fn open_until(stop: &StopSignal, arguments: &Arguments, runtime: &Runtime) -> Result<Option<zenoh::Session>> {
-    let options = arguments.session.connecting();
+/// The robot's link to its map, which opens while the robot runs; `None` with `--mode odometry`.
+fn opening_link(arguments: &Arguments, runtime: &Runtime) -> Result<Option<RobotLink>> {
+    let open = |map| OpeningLink::open(arguments.session.connecting(), runtime.handle().clone(), map);
+    let link = map_of(arguments)?.map(open).transpose().context("the Zenoh session cannot be opened")?;
+    Ok(link.map(RobotLink::Opening))
+}
+
+/// Opens the session that the sensors come over; `None` where the program is told to stop before.
+fn open_until(
+    stop: &StopSignal,
+    options: &SessionOptions,
+    runtime: &Runtime,
+) -> Result<Option<zenoh::Session>> {
     runtime.block_on(async {
-        let opening = open_session(&options);
+        let opening = open_session(options);
         tokio::pin!(opening);
         while !stop.is_stopped() {
             if let Ok(session) = tokio::time::timeout(SESSION_WARNING, &mut opening).await {
                 return Ok(Some(session.context("the Zenoh session cannot be opened")?));
             }
-            let place = arguments.session.place();
-            tracing::warn!("no router and no peer answers yet at {place}");
+            tracing::warn!(connect = ?options.connect, "no router and no peer answers yet");
         }
         Ok(None)
     })

@@ -17,10 +17,10 @@ pub struct CalibrationArguments {
     /// Kalibr's imu.yaml [default: the recording's imu0/sensor.yaml, else an imu.yaml in its folder]
     #[arg(long, value_name = "YAML", help_heading = INPUT)]
     pub imu_calibration: Option<PathBuf>,
-    /// Topic of the IMU in a bag [default: the only sensor_msgs/Imu]
+    /// Topic of the IMU: in a bag [default: the only sensor_msgs/Imu], or with --source ros2
     #[arg(long, value_name = "TOPIC", help_heading = INPUT)]
     pub imu_topic: Option<String>,
-    /// Topic of a camera in a bag, once for each camera [default: those with images, in order of their names]
+    /// Topic of a camera, once for each: in a bag [default: those with images, in order of their names], or with --source ros2
     #[arg(long, value_name = "TOPIC", help_heading = INPUT)]
     pub camera_topic: Vec<String>,
 }

@@ -12,6 +12,8 @@ pub enum Source {
     Recording,
     /// Live sensors over Zenoh, in Driftless' own messages; needs --calibration.
     Native,
+    /// Topics of ROS 2 over Zenoh: --imu-topic, --camera-topic; needs --calibration.
+    Ros2,
 }
 
 /// What live frames are made of.

@@ -5,6 +5,7 @@ use client::SessionOptions;
 use client::session::{DEFAULT_ENDPOINT, SessionMode};
 use geometry::Pose;
 use nalgebra::{UnitQuaternion, Vector3};
+use ros2::NodeOptions;
 use std::str::FromStr;
 
 /// Heading in `--help` of the switches about ROS 2.
@@ -16,14 +17,15 @@ pub struct RosArguments {
     /// Publish odometry, pose, transforms and diagnostics for ROS 2 (RMW_IMPLEMENTATION=rmw_zenoh_cpp)
     #[arg(long, help_heading = ROS)]
     pub ros2: bool,
-    /// Zenoh router of ROS 2 (rmw_zenohd), in a session of its own: --namespace and --secure do not concern it
-    #[arg(long, value_name = "ENDPOINT", default_value = DEFAULT_ENDPOINT, requires = "ros2", help_heading = ROS)]
+    /// Zenoh router of ROS 2 (rmw_zenohd), for --ros2 and --source ros2, in sessions of their own: --namespace and
+    /// --secure do not concern it
+    #[arg(long, value_name = "ENDPOINT", default_value = DEFAULT_ENDPOINT, help_heading = ROS)]
     pub ros2_connect: String,
     /// ROS_DOMAIN_ID of the other nodes
-    #[arg(long, value_name = "N", default_value_t = 0, requires = "ros2", help_heading = ROS)]
+    #[arg(long, value_name = "N", default_value_t = 0, help_heading = ROS)]
     pub ros2_domain: u32,
     /// Namespace of node and topics, for example cart7 [default: none]; /tf and /diagnostics have none
-    #[arg(long, value_name = "NAME", default_value = "", hide_default_value = true, requires = "ros2", help_heading = ROS)]
+    #[arg(long, value_name = "NAME", default_value = "", hide_default_value = true, help_heading = ROS)]
     pub ros2_namespace: String,
     /// Names of the frames of map, odometry and robot
     #[arg(long, value_name = "MAP,ODOM,BASE", default_value = "map,odom,base_link", requires = "ros2", help_heading = ROS)]
@@ -54,6 +56,21 @@ impl FromStr for ImuInBaseLink {
 }
 
 impl RosArguments {
+    /// A session to the router of ROS 2.
+    pub fn session(&self) -> SessionOptions {
+        SessionOptions {
+            connect: vec![self.ros2_connect.clone()],
+            mode: Some(SessionMode::Client),
+            ..SessionOptions::default()
+        }
+    }
+
+    /// The node that subscribes to sensors.
+    pub fn sensor_node(&self) -> NodeOptions {
+        let (domain, namespace) = (self.ros2_domain, self.ros2_namespace.clone());
+        NodeOptions { domain, namespace, name: "driftless_sensors".to_owned() }
+    }
+
     /// The settings of the topics; `None` without `--ros2`.
     ///
     /// # Arguments
@@ -61,11 +78,7 @@ impl RosArguments {
     /// * `map_expected`: whether the robot is to be localized in a map.
     pub fn settings(&self, robot: &str, map_expected: bool) -> Option<RosSettings> {
         self.ros2.then(|| RosSettings {
-            session: SessionOptions {
-                connect: vec![self.ros2_connect.clone()],
-                mode: Some(SessionMode::Client),
-                ..SessionOptions::default()
-            },
+            session: self.session(),
             domain: self.ros2_domain,
             namespace: self.ros2_namespace.clone(),
             frames: self.frames.clone(),
