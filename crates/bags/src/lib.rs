@@ -6,11 +6,12 @@
 //! | `storage` | what a format has to provide |
 //! | `mcap_file`, `sqlite_file`, `rosbag1_file` | the formats |
 //! | `rosbag2_folder` | the files of a rosbag2, by its `metadata.yaml` |
+//! | `chunk_index` | where the messages are, for the formats with chunks |
 //! | `chunks` | reading and unpacking chunks, with a small cache |
 //! | `fields` | numbers and strings of a byte slice |
 //! | `error` | [`BagError`] |
 //!
-//! Opening reads the index, which takes 24 bytes of memory a message, and no message. A file that was cut off, as by a
+//! Opening reads the index, which takes 32 bytes of memory a message, and no message. A file that was cut off, as by a
 //! full disk or a robot that was switched off, is read as far as it goes; [`Bag::damage`] says what is missing.
 //!
 //! The messages themselves are opaque here: their bytes come with the name of their type and their encoding.
@@ -25,6 +26,7 @@
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 mod bag;
+mod chunk_index;
 mod chunks;
 mod error;
 mod fields;

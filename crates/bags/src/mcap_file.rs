@@ -5,6 +5,7 @@
 //! is read in the same way as a complete one.
 
 use crate::BagError;
+use crate::chunk_index::ChunkIndex;
 use crate::chunks::{Chunk, ChunkedFile, Packing};
 use crate::fields::Fields;
 use crate::storage::{
@@ -30,27 +31,19 @@ pub(crate) fn open(path: &Path) -> Result<OpenFile, BagError> {
     Ok(index.finish())
 }
 
-/// Messages of a channel: log time, chunk, offset.
-type Messages = Vec<(i64, u32, u64)>;
-
 struct Index {
-    file: ChunkedFile,
+    chunked: ChunkIndex<u16>,
     schemas: HashMap<u16, (String, Schema)>,
     channels: BTreeMap<u16, mcap::records::Channel>,
-    messages: BTreeMap<u16, Messages>,
-    /// The newest chunk and what its index says so far, by channel.
-    newest: Option<(u32, Vec<(u16, Messages)>)>,
     damage: Damage,
 }
 
 impl Index {
     fn new(path: &Path) -> Result<Self, BagError> {
         Ok(Self {
-            file: ChunkedFile::open(path)?,
+            chunked: ChunkIndex::new(ChunkedFile::open(path)?),
             schemas: HashMap::new(),
             channels: BTreeMap::new(),
-            messages: BTreeMap::new(),
-            newest: None,
             damage: Damage::default(),
         })
     }
@@ -59,15 +52,15 @@ impl Index {
     fn walk(&mut self) -> Result<(), BagError> {
         let mut at = MAGIC.len() as u64;
         loop {
-            let head = self.file.range(at, RECORD_HEAD)?;
+            let head = self.chunked.file.range(at, RECORD_HEAD)?;
             let mut fields = Fields::new(&head);
             let (Some(code), Some(length)) = (fields.u8(), fields.u64()) else {
-                self.damage.add(format!("the file is cut off at byte {}", self.file.length()));
+                self.damage.add(format!("the file is cut off at byte {}", self.chunked.file.length()));
                 break;
             };
             let body = at + RECORD_HEAD;
             let end = body.saturating_add(length);
-            let is_cut = end > self.file.length();
+            let is_cut = end > self.chunked.file.length();
             if code == 0 || (is_cut && code > op::DATA_END) {
                 self.damage.add(format!("there is no record at byte {at}: what follows is left out"));
                 break;
@@ -79,9 +72,13 @@ impl Index {
                 op::CHUNK => self.add_chunk(body, end)?,
                 op::MESSAGE if !is_cut => self.add_message(at)?,
                 op::MESSAGE_INDEX | op::SCHEMA | op::CHANNEL if !is_cut && length <= MAX_MESSAGE => {
-                    let bytes = self.file.range(body, length)?;
+                    let bytes = self.chunked.file.range(body, length)?;
                     match parse_record(code, &bytes) {
-                        Ok(Record::MessageIndex(index)) => self.add_index(&index),
+                        Ok(Record::MessageIndex(index)) => {
+                            let entries = index.records.iter();
+                            let entries = entries.map(|entry| (entry.log_time as i64, entry.offset));
+                            self.chunked.add_index(index.channel_id, entries);
+                        }
                         Ok(record) => self.add_description(record),
                         Err(error) => self.damage.add(format!("the record at byte {at}: {error}")),
                     }
@@ -103,60 +100,31 @@ impl Index {
 
     /// Takes note of a chunk.
     fn add_chunk(&mut self, body: u64, end: u64) -> Result<(), BagError> {
-        let head = self.file.range(body, CHUNK_HEAD)?;
+        let head = self.chunked.file.range(body, CHUNK_HEAD)?;
         let Some((chunk, head_length)) = chunk_head(&head) else {
             self.damage.add(format!("the chunk at byte {body} has no valid head, or an unknown compression"));
             return Ok(());
         };
         let start = body + head_length;
-        let packed = chunk.packed.min(end.min(self.file.length()).saturating_sub(start));
-        self.file.chunks.push(Chunk { start, packed, ..chunk });
-        self.newest = Some((self.file.chunks.len() as u32 - 1, Vec::new()));
+        let packed = chunk.packed.min(end.min(self.chunked.file.length()).saturating_sub(start));
+        self.chunked.add_chunk(Chunk { start, packed, ..chunk });
         Ok(())
     }
 
-    /// Takes the messages of a channel in the newest chunk from its index.
-    fn add_index(&mut self, index: &mcap::records::MessageIndex) {
-        let Some(&(number, _)) = self.newest.as_ref() else { return };
-        let (number, base) = self.base(number);
-        let entries = index.records.iter();
-        let messages =
-            entries.map(|entry| (entry.log_time as i64, number, base.saturating_add(entry.offset))).collect();
-        if let Some((_, channels)) = &mut self.newest {
-            channels.push((index.channel_id, messages));
-        }
-    }
-
-    /// Takes the index of the newest chunk, or searches the chunk itself where its index is missing or cut off.
+    /// Ends the newest chunk; searches it where its index is missing or cut off.
     fn end_chunk(&mut self, is_complete: bool) -> Result<(), BagError> {
-        let Some((number, channels)) = self.newest.take() else { return Ok(()) };
-        if channels.is_empty() || !is_complete {
-            return self.scan_chunk(number);
-        }
-        for (channel, messages) in channels {
-            self.messages.entry(channel).or_default().extend(messages);
-        }
-        Ok(())
-    }
-
-    /// How the messages of a chunk are addressed: those that are not compressed are read from the file.
-    fn base(&self, number: u32) -> (u32, u64) {
-        match self.file.chunks[number as usize] {
-            Chunk { packing: Packing::None, start, .. } => (NO_CHUNK, start),
-            _ => (number, 0),
-        }
+        self.chunked.end_chunk(is_complete).map_or(Ok(()), |number| self.scan_chunk(number))
     }
 
     /// Finds the messages of a chunk in itself.
     fn scan_chunk(&mut self, number: u32) -> Result<(), BagError> {
-        let unpacked = self.file.unpack(self.file.chunks[number as usize])?;
+        let unpacked = self.chunked.file.unpack(self.chunked.file.chunks[number as usize])?;
         unpacked.problem.into_iter().for_each(|problem| self.damage.add(problem));
-        let (number, base) = self.base(number);
         for_each_record(&unpacked.bytes, |code, offset, body| {
             if code == op::MESSAGE {
                 let mut fields = Fields::new(body);
                 if let (Some(channel), Some(stamp_ns)) = (u16_of(&mut fields), log_time(&mut fields)) {
-                    self.messages.entry(channel).or_default().push((stamp_ns, number, base + offset));
+                    self.chunked.add_message(channel, stamp_ns, number, offset);
                 }
             } else if let Ok(record) = parse_record(code, body) {
                 self.add_description(record);
@@ -167,10 +135,10 @@ impl Index {
 
     /// Takes note of a message outside of chunks.
     fn add_message(&mut self, at: u64) -> Result<(), BagError> {
-        let head = self.file.range(at + RECORD_HEAD, MESSAGE_HEAD)?;
+        let head = self.chunked.file.range(at + RECORD_HEAD, MESSAGE_HEAD)?;
         let mut fields = Fields::new(&head);
         if let (Some(channel), Some(stamp_ns)) = (u16_of(&mut fields), log_time(&mut fields)) {
-            self.messages.entry(channel).or_default().push((stamp_ns, NO_CHUNK, at));
+            self.chunked.add_message(channel, stamp_ns, NO_CHUNK, at);
         }
         Ok(())
     }
@@ -190,11 +158,11 @@ impl Index {
 
     /// Reads the channels that are described in chunks only.
     fn read_missing_channels(&mut self) -> Result<(), BagError> {
-        for number in 0..self.file.chunks.len() {
-            if self.messages.keys().all(|id| self.channels.contains_key(id)) {
+        for number in 0..self.chunked.file.chunks.len() {
+            if self.chunked.messages.keys().all(|id| self.channels.contains_key(id)) {
                 break;
             }
-            let unpacked = self.file.unpack(self.file.chunks[number])?;
+            let unpacked = self.chunked.file.unpack(self.chunked.file.chunks[number])?;
             for_each_record(&unpacked.bytes, |code, _, body| {
                 if matches!(code, op::SCHEMA | op::CHANNEL)
                     && let Ok(record) = parse_record(code, body)
@@ -215,13 +183,13 @@ impl Index {
                 type_name: schema.map(|(name, _)| short_type(name)).unwrap_or_default(),
                 encoding: Encoding::of(&channel.message_encoding),
                 schema: schema.map(|(_, schema)| schema.clone()),
-                messages: self.messages.remove(&id).unwrap_or_default(),
+                messages: self.chunked.messages.remove(&id).unwrap_or_default(),
             });
         }
-        for (id, messages) in &self.messages {
+        for (id, messages) in &self.chunked.messages {
             self.damage.add(format!("{} messages of channel {id}, which is not described", messages.len()));
         }
-        OpenFile { channels, storage: Box::new(McapFile { file: self.file }), damage: self.damage }
+        OpenFile { channels, storage: Box::new(McapFile { file: self.chunked.file }), damage: self.damage }
     }
 }
 

@@ -5,6 +5,7 @@
 //! such a file, and unpacks every chunk to find a message.
 
 use crate::BagError;
+use crate::chunk_index::ChunkIndex;
 use crate::chunks::{Chunk, ChunkedFile, Packing};
 use crate::fields::Fields;
 use crate::storage::{
@@ -26,10 +27,8 @@ const CONNECTION: u8 = 0x07;
 /// Reads the index of a file.
 pub(crate) fn open(path: &Path) -> Result<OpenFile, BagError> {
     let mut index = Index {
-        file: ChunkedFile::open(path)?,
+        chunked: ChunkIndex::new(ChunkedFile::open(path)?),
         connections: BTreeMap::new(),
-        messages: BTreeMap::new(),
-        newest: None,
         damage: Damage::default(),
     };
     index.walk()?;
@@ -43,23 +42,17 @@ struct Connection {
     definition: Vec<u8>,
 }
 
-/// Messages of a connection: log time, chunk, offset.
-type Messages = Vec<(i64, u32, u64)>;
-
 struct Index {
-    file: ChunkedFile,
-    connections: BTreeMap<u32, Connection>,
     /// By connection.
-    messages: BTreeMap<u32, Messages>,
-    /// The newest chunk and what its index says so far, by connection.
-    newest: Option<(u32, Vec<(u32, Messages)>)>,
+    chunked: ChunkIndex<u32>,
+    connections: BTreeMap<u32, Connection>,
     damage: Damage,
 }
 
 impl Index {
     fn walk(&mut self) -> Result<(), BagError> {
         let mut at = MAGIC.len() as u64;
-        while at < self.file.length() {
+        while at < self.chunked.file.length() {
             let Some((head, data, length)) = self.record_at(at)? else {
                 self.damage
                     .add(format!("the file is cut off or damaged at byte {at}: what follows is left out"));
@@ -70,21 +63,21 @@ impl Index {
             if code != Some(INDEX) {
                 self.end_chunk(true)?;
             }
-            let is_cut = data + length > self.file.length();
+            let is_cut = data + length > self.chunked.file.length();
             match code {
                 Some(BAG) => self.check_closed(&head),
                 Some(CHUNK) => self.add_chunk(&head, data, length),
                 Some(INDEX) if !is_cut => {
-                    let entries = self.file.range(data, length)?;
+                    let entries = self.chunked.file.range(data, length)?;
                     self.add_index(&head, &entries);
                 }
                 Some(CONNECTION) if !is_cut => {
-                    let data = self.file.range(data, length)?;
+                    let data = self.chunked.file.range(data, length)?;
                     self.add_connection(&head, &data);
                 }
                 Some(MESSAGE) if !is_cut => {
                     if let (Some(connection), Some(stamp_ns)) = (head.u32(b"conn"), head.time()) {
-                        self.messages.entry(connection).or_default().push((stamp_ns, NO_CHUNK, at));
+                        self.chunked.add_message(connection, stamp_ns, NO_CHUNK, at);
                     }
                 }
                 _ => {}
@@ -101,7 +94,7 @@ impl Index {
     /// The head of a bag that was closed says where its index is.
     fn check_closed(&mut self, head: &Head<'_>) {
         let index = head.field(b"index_pos").and_then(|value| Fields::new(value).u64());
-        if !index.is_some_and(|index| (1..self.file.length()).contains(&index)) {
+        if !index.is_some_and(|index| (1..self.chunked.file.length()).contains(&index)) {
             self.damage.add("the bag was not closed, or its end is missing");
         }
     }
@@ -111,7 +104,7 @@ impl Index {
         let Some(head_length) = self.u32_at(at)?.filter(|length| *length <= MAX_HEAD) else {
             return Ok(None);
         };
-        let head = self.file.range(at + 4, head_length)?;
+        let head = self.chunked.file.range(at + 4, head_length)?;
         if head.len() as u64 != head_length || Head::new(&head).code().is_none() {
             return Ok(None);
         }
@@ -120,7 +113,7 @@ impl Index {
     }
 
     fn u32_at(&self, at: u64) -> Result<Option<u64>, BagError> {
-        Ok(Fields::new(&self.file.range(at, 4)?).u32().map(u64::from))
+        Ok(Fields::new(&self.chunked.file.range(at, 4)?).u32().map(u64::from))
     }
 
     fn add_chunk(&mut self, head: &Head<'_>, data: u64, length: u64) {
@@ -129,62 +122,32 @@ impl Index {
             self.damage.add(format!("the chunk at byte {data} has an unknown compression"));
             return;
         };
-        let packed = length.min(self.file.length().saturating_sub(data));
-        self.file.chunks.push(Chunk {
-            packing,
-            start: data,
-            packed,
-            unpacked: u64::from(unpacked),
-            crc: None,
-        });
-        self.newest = Some((self.file.chunks.len() as u32 - 1, Vec::new()));
+        let packed = length.min(self.chunked.file.length().saturating_sub(data));
+        let unpacked = u64::from(unpacked);
+        self.chunked.add_chunk(Chunk { packing, start: data, packed, unpacked, crc: None });
     }
 
     /// Takes the messages of a connection in the newest chunk from its index.
     fn add_index(&mut self, head: &Head<'_>, entries: &[u8]) {
-        let (Some(&(number, _)), Some(connection)) = (self.newest.as_ref(), head.u32(b"conn")) else {
-            return;
-        };
-        let (number, base) = self.base(number);
-        let mut messages = Vec::new();
+        let Some(connection) = head.u32(b"conn") else { return };
         let mut fields = Fields::new(entries);
-        while let (Some(stamp_ns), Some(offset)) = (time(&mut fields), fields.u32()) {
-            messages.push((stamp_ns, number, base + u64::from(offset)));
-        }
-        if let Some((_, connections)) = &mut self.newest {
-            connections.push((connection, messages));
-        }
+        let entries = std::iter::from_fn(|| Some((time(&mut fields)?, u64::from(fields.u32()?))));
+        self.chunked.add_index(connection, entries);
     }
 
-    /// Takes the index of the newest chunk, or searches the chunk itself where its index is missing or cut off.
+    /// Ends the newest chunk; searches it where its index is missing or cut off.
     fn end_chunk(&mut self, is_complete: bool) -> Result<(), BagError> {
-        let Some((number, connections)) = self.newest.take() else { return Ok(()) };
-        if connections.is_empty() || !is_complete {
-            return self.scan_chunk(number);
-        }
-        for (connection, messages) in connections {
-            self.messages.entry(connection).or_default().extend(messages);
-        }
-        Ok(())
-    }
-
-    /// How the messages of a chunk are addressed: those that are not compressed are read from the file.
-    fn base(&self, number: u32) -> (u32, u64) {
-        match self.file.chunks[number as usize] {
-            Chunk { packing: Packing::None, start, .. } => (NO_CHUNK, start),
-            _ => (number, 0),
-        }
+        self.chunked.end_chunk(is_complete).map_or(Ok(()), |number| self.scan_chunk(number))
     }
 
     /// Finds the messages of a chunk in itself.
     fn scan_chunk(&mut self, number: u32) -> Result<(), BagError> {
-        let unpacked = self.file.unpack(self.file.chunks[number as usize])?;
+        let unpacked = self.chunked.file.unpack(self.chunked.file.chunks[number as usize])?;
         unpacked.problem.into_iter().for_each(|problem| self.damage.add(problem));
-        let (number, base) = self.base(number);
         for_each_record(&unpacked.bytes, |offset, head, data| match head.code() {
             Some(MESSAGE) => {
                 if let (Some(connection), Some(stamp_ns)) = (head.u32(b"conn"), head.time()) {
-                    self.messages.entry(connection).or_default().push((stamp_ns, number, base + offset));
+                    self.chunked.add_message(connection, stamp_ns, number, offset);
                 }
             }
             Some(CONNECTION) => self.add_connection(head, data),
@@ -207,11 +170,11 @@ impl Index {
 
     /// Reads the connections of a bag that was not closed: they are in its chunks.
     fn read_missing_connections(&mut self) -> Result<(), BagError> {
-        for number in 0..self.file.chunks.len() {
-            if self.messages.keys().all(|id| self.connections.contains_key(id)) {
+        for number in 0..self.chunked.file.chunks.len() {
+            if self.chunked.messages.keys().all(|id| self.connections.contains_key(id)) {
                 break;
             }
-            let unpacked = self.file.unpack(self.file.chunks[number])?;
+            let unpacked = self.chunked.file.unpack(self.chunked.file.chunks[number])?;
             for_each_record(&unpacked.bytes, |_, head, data| {
                 if head.code() == Some(CONNECTION) {
                     self.add_connection(head, data);
@@ -229,14 +192,14 @@ impl Index {
                 type_name: short_type(&connection.type_name),
                 encoding: Encoding::Ros1,
                 schema: Some(Schema { encoding: "ros1msg".to_owned(), text: connection.definition }),
-                messages: self.messages.remove(&id).unwrap_or_default(),
+                messages: self.chunked.messages.remove(&id).unwrap_or_default(),
             });
         }
-        for (id, messages) in &self.messages {
+        for (id, messages) in &self.chunked.messages {
             self.damage
                 .add(format!("{} messages of connection {id}, which is not described", messages.len()));
         }
-        OpenFile { channels, storage: Box::new(Rosbag1File { file: self.file }), damage: self.damage }
+        OpenFile { channels, storage: Box::new(Rosbag1File { file: self.chunked.file }), damage: self.damage }
     }
 }
 
