@@ -17,8 +17,8 @@ use onboard::{
     run_robot_until, run_source_until, stdout,
 };
 use prometheus_client::registry::Registry;
-use sensors::live::LiveSource;
-use sensors::{Recording, read_rig_calibration};
+use sensors::live::{LiveSettings, LiveSource};
+use sensors::{Recording, SensorCalibration, read_rig_calibration};
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -124,7 +124,8 @@ fn localize() -> Result<()> {
     let outcome = match (arguments.source, &arguments.sequence) {
         (Source::Recording, Some(sequence)) => play_recording(&stop, sequence, &arguments, &runtime)?,
         (Source::Recording, None) => bail!("--sequence DIR is missing"),
-        (Source::Native | Source::Ros2, _) => play_live(&stop, &arguments, &runtime)?,
+        (Source::Native, _) => play_native(&stop, &arguments, &runtime)?,
+        (Source::Ros2, _) => play_ros2(&stop, &arguments, &runtime)?,
     };
     arguments.robot.ros = None;
     if let Some(task) = ros_task {
@@ -172,7 +173,8 @@ fn play_recording(
     Ok(outcome)
 }
 
-fn play_live(stop: &StopSignal, arguments: &Arguments, runtime: &Runtime) -> Result<Outcome> {
+/// The calibration of live sensors, and how they are taken.
+fn live_settings(arguments: &Arguments) -> Result<(SensorCalibration, LiveSettings)> {
     let files = &arguments.calibration;
     let Some(path) = &files.calibration else {
         bail!(
@@ -180,25 +182,15 @@ fn play_live(stop: &StopSignal, arguments: &Arguments, runtime: &Runtime) -> Res
         )
     };
     let calibration = read_rig_calibration(path, files.imu_calibration.as_deref())?;
-    let mut settings = arguments.live.settings(&calibration, &arguments.robot)?;
-    if arguments.source == Source::Ros2 {
-        let topics = RosTopics::of(files, &mut settings)?;
-        let (inputs, mut source) = LiveSource::new("ROS 2 topics", calibration.sensors, &settings);
-        let Some(session) = open_until(stop, &arguments.ros.session(), runtime)? else {
-            bail!("interrupted before {} answered", arguments.ros.ros2_connect)
-        };
-        let subscribed = RosSensors::start(session.clone(), arguments.ros.sensor_node(), &topics, &inputs);
-        let sensors = runtime.block_on(subscribed).context("the topics of the sensors")?;
-        let link = opening_link(arguments, runtime)?;
-        let outcome = run_source_until(stop, &mut source, &arguments.robot, link, |_| {});
-        drop(sensors);
-        runtime.block_on(close_session(&session));
-        return outcome;
-    }
+    let settings = arguments.live.settings(&calibration, &arguments.robot)?;
+    Ok((calibration.sensors, settings))
+}
+
+fn play_native(stop: &StopSignal, arguments: &Arguments, runtime: &Runtime) -> Result<Outcome> {
+    let (calibration, settings) = live_settings(arguments)?;
     let map = map_of(arguments)?;
     let robot = &arguments.robot.robot;
-    let name = format!("live sensors of {robot}");
-    let (inputs, mut source) = LiveSource::new(name, calibration.sensors, &settings);
+    let (inputs, mut source) = LiveSource::new(format!("live sensors of {robot}"), calibration, &settings);
     let Some(session) = open_until(stop, &arguments.session.connecting(), runtime)? else {
         bail!("interrupted before {} answered", arguments.session.place())
     };
@@ -210,6 +202,22 @@ fn play_live(stop: &StopSignal, arguments: &Arguments, runtime: &Runtime) -> Res
         None => RobotLink::Network { session: of_link, runtime: handle },
     };
     let outcome = run_source_until(stop, &mut source, &arguments.robot, Some(link), |_| {});
+    drop(sensors);
+    runtime.block_on(close_session(&session));
+    outcome
+}
+
+fn play_ros2(stop: &StopSignal, arguments: &Arguments, runtime: &Runtime) -> Result<Outcome> {
+    let (calibration, mut settings) = live_settings(arguments)?;
+    let topics = RosTopics::of(&arguments.calibration, &mut settings)?;
+    let (inputs, mut source) = LiveSource::new("ROS 2 topics", calibration, &settings);
+    let Some(session) = open_until(stop, &arguments.ros.session(), runtime)? else {
+        bail!("interrupted before {} answered", arguments.ros.ros2_connect)
+    };
+    let subscribed = RosSensors::start(session.clone(), arguments.ros.sensor_node(), &topics, &inputs);
+    let sensors = runtime.block_on(subscribed).context("the topics of the sensors")?;
+    let link = opening_link(arguments, runtime)?;
+    let outcome = run_source_until(stop, &mut source, &arguments.robot, link, |_| {});
     drop(sensors);
     runtime.block_on(close_session(&session));
     outcome
