@@ -18,6 +18,7 @@ use simulation::SimulationOptions;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
+use testing::resident_mb;
 use tests::data::recording;
 use tests::fleet::router;
 use tests::link::{Condition, Link};
@@ -131,13 +132,6 @@ fn trouble(link: &Link, is_over: &AtomicBool, seed: u64) {
     }
 }
 
-/// Resident memory of this process, MB; `None` where it is not known.
-fn resident_mb() -> Option<f64> {
-    let status = std::fs::read_to_string("/proc/self/status").ok()?;
-    let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"))?;
-    line.trim().trim_end_matches(" kB").parse::<f64>().ok().map(|kb| kb / 1024.0)
-}
-
 fn drive(live: &Sequence, link: RobotLink, switches: &str) -> Outcome {
     let folder = tempfile::tempdir().unwrap();
     run_robot_until(&StopSignal::default(), live, &arguments(folder.path(), switches), Some(link), |_| {})
@@ -179,7 +173,7 @@ fn through_chaos(live: &Sequence, map: &Arc<LoadedMap>, robots: usize, seed: u64
                 println!(
                     "{:.0} s: {failures} failures, {:.0?} MB",
                     begin.elapsed().as_secs_f64(),
-                    resident_mb()
+                    resident_mb(std::process::id())
                 );
             }
         }

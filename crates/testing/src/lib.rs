@@ -2,8 +2,10 @@
 #![allow(clippy::unwrap_used, clippy::missing_panics_doc, missing_docs)]
 
 mod former_database;
+mod memory;
 
 pub use former_database::{former_bytes, write_former_database};
+pub use memory::resident_mb;
 
 use geometry::uncertain_pose::isotropic_covariance;
 use geometry::{Camera, Distortion, Pose, PoseWithCovariance};

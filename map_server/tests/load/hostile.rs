@@ -12,7 +12,7 @@ use client::{MapChangeSubscriber, MapClient, SessionOptions, close_session, open
 use protocol::{Format, MatchRequest};
 use rand::rngs::StdRng;
 use rand::{RngExt as _, SeedableRng as _};
-use testing::Place;
+use testing::{Place, resident_mb};
 use zenoh::Session;
 
 /// Time that the good robot waits for an answer.
@@ -26,13 +26,6 @@ const ATTACKS: [&str; 6] = ["payloads", "features", "many features", "sessions",
 
 fn options(endpoint: &str) -> SessionOptions {
     SessionOptions { connect: vec![endpoint.to_owned()], ..SessionOptions::default() }
-}
-
-/// Resident memory of a process, MB.
-fn resident_mb(process: u32) -> f64 {
-    let status = std::fs::read_to_string(format!("/proc/{process}/status")).unwrap();
-    let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).unwrap();
-    line.trim().trim_end_matches(" kB").parse::<f64>().unwrap() / 1024.0
 }
 
 /// What the good robot sees in a while.
@@ -91,7 +84,7 @@ fn hostile_load() {
             while changes.poll().is_some() {
                 told += 1;
             }
-            let (server_mb, robot_mb) = (resident_mb(server.id()), resident_mb(std::process::id()));
+            let (server_mb, robot_mb) = (resident_mb(server.id()).unwrap(), resident_mb(std::process::id()).unwrap());
             if let Some(attacker) = &mut attacker {
                 assert!(attacker.try_wait().unwrap().is_none(), "{name}: the attacker ended, and proved nothing");
                 attacker.kill().unwrap();
