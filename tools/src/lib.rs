@@ -8,6 +8,7 @@ pub mod command;
 pub mod demo;
 pub mod fleet;
 pub mod in_process;
+pub mod odometry;
 pub mod playback;
 pub mod plotting;
 pub mod query_image;

@@ -52,6 +52,7 @@ pub mod map_update;
 pub mod measurement;
 pub mod noise_adaptation;
 pub mod odometry;
+pub mod preintegration;
 pub mod propagation;
 pub mod schmidt;
 pub mod state;

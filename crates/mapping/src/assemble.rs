@@ -19,7 +19,7 @@ use super::options::BuildOptions;
 use super::report::{BuildReport, Spread};
 
 /// Ids count from 1, as in the recorded maps.
-fn keyframe_id(view: usize) -> KeyframeId {
+pub(super) fn keyframe_id(view: usize) -> KeyframeId {
     view as KeyframeId + 1
 }
 
@@ -36,7 +36,8 @@ pub(super) fn map_contents(
     sigma_px: f64,
     options: &BuildOptions,
 ) -> Result<MapContents, BuildError> {
-    let descriptors = &views[0].features.descriptors;
+    let Some(first) = views.iter().find(|view| view.is_keyframe()) else { return Err(BuildError::NoKeyframes) };
+    let descriptors = &first.features.descriptors;
     let mut info = MapMetadata::new(
         options.name.clone(),
         options.created_by.clone(),
@@ -45,15 +46,16 @@ pub(super) fn map_contents(
     );
     info.gravity_in_global = options.gravity_in_global;
     info.sigma_px = sigma_px;
-    info.extractor.clone_from(&views[0].features.extractor);
+    info.extractor.clone_from(&first.features.extractor);
     let mut contents = MapContents::empty(info);
     let pose = |view: usize| match &joint {
-        Some(joint) => PoseWithCovariance::new(bundle.poses[view], joint.own[view]),
+        Some(joint) => PoseWithCovariance::new(bundle.poses[view], joint.own[&view]),
         None => views[view].prior,
     };
     contents.keyframes = views
         .iter()
         .enumerate()
+        .filter(|(_, content)| content.is_keyframe())
         .map(|(view, content)| Keyframe {
             id: keyframe_id(view),
             stamp_ns: content.stamp_ns,
@@ -68,8 +70,15 @@ pub(super) fn map_contents(
         block,
     };
     contents.cross_covariances = joint.into_iter().flat_map(|joint| joint.cross).map(cross).collect();
+    let has_descriptors = |landmark: &&InverseDepthLandmark| {
+        landmark.observations.iter().all(|observation| {
+            let (view, feature) = observation.feature;
+            feature < views[view].features.len()
+        })
+    };
+    let landmarks = bundle.landmarks.iter().filter(has_descriptors);
     contents.landmarks =
-        (1..).zip(&bundle.landmarks).map(|(id, landmark)| map_landmark(id, landmark, views)).collect();
+        (1..).zip(landmarks).map(|(id, landmark)| map_landmark(id, landmark, views)).collect();
     contents.sort();
     contents.validate()?;
     Ok(contents)

@@ -7,12 +7,15 @@
 use geometry::pose::Pose;
 use geometry::rotation::left_jacobian_inverse;
 use geometry::uncertain_pose::PoseWithCovariance;
-use nalgebra::{Matrix6, Vector6};
+use nalgebra::{DMatrix, DVector, Matrix6, Vector6};
 
-use super::block_matrix::BlockMatrix;
 use super::camera::{CameraPose, MappingCamera};
+use super::inertial::{InertialChain, Motion};
 use super::landmark::InverseDepthLandmark;
+use super::layout::{MOTION, POSE, StateLayout};
 use super::normal_equations::{LandmarkBlocks, NormalEquations};
+use super::relative_pose::RelativePose;
+use super::sparse_system::SparseFactor;
 
 /// Lower bounds of the standard deviations of a prior pose (rad, m), which keep the equations well-conditioned where a map
 /// is built from exact poses.
@@ -36,6 +39,8 @@ const DAMPING: [f64; 3] = [1e-4, 1e-8, 1e4];
 pub(super) struct Bundle {
     /// `global_from_camera` of each view.
     pub(super) poses: Vec<Pose>,
+    /// Velocity and biases of each view; empty without an IMU.
+    pub(super) motions: Vec<Motion>,
     /// All landmarks.
     pub(super) landmarks: Vec<InverseDepthLandmark>,
 }
@@ -47,25 +52,45 @@ impl Bundle {
     }
 }
 
-/// What the bundle is adjusted to.
-pub(super) struct Problem<'a> {
-    cameras: &'a [MappingCamera],
-    priors: &'a [PoseWithCovariance],
-    information: Vec<Matrix6<f64>>,
-    sigma_px: f64,
+/// A prior of a pose.
+#[derive(Clone, Debug)]
+pub(super) struct PosePrior {
+    /// The view.
+    pub(super) view: usize,
+    /// Mean, `global_from_camera`.
+    pub(super) pose: Pose,
+    /// Inverse covariance of `[δθ, δp]` in G.
+    pub(super) information: Matrix6<f64>,
 }
 
-impl<'a> Problem<'a> {
-    /// A problem with its cameras, prior poses and pixel noise (px).
-    pub(super) fn new(
-        cameras: &'a [MappingCamera],
-        priors: &'a [PoseWithCovariance],
-        sigma_px: f64,
-    ) -> Problem<'a> {
-        let information = priors.iter().map(|prior| pose_information(&prior.covariance)).collect();
-        Problem { cameras, priors, information, sigma_px }
+impl PosePrior {
+    /// The prior that a reference pose is, with a lower bound of its covariance for exact poses.
+    pub(super) fn of_reference(view: usize, reference: &PoseWithCovariance) -> PosePrior {
+        let mut floored = reference.covariance;
+        for index in 0..6 {
+            floored[(index, index)] += MIN_SIGMAS[index / 3].powi(2);
+        }
+        let information =
+            floored.try_inverse().unwrap_or_else(|| Matrix6::identity() / MIN_SIGMAS[0].powi(2));
+        PosePrior { view, pose: reference.pose, information }
     }
+}
 
+/// What the bundle is adjusted to, besides the pixels of its landmarks.
+pub(super) struct Problem<'a> {
+    /// The cameras.
+    pub(super) cameras: &'a [MappingCamera],
+    /// Priors of poses: reference poses, or that of the first pose, which defines G.
+    pub(super) priors: &'a [PosePrior],
+    /// Readings of the IMU between the views.
+    pub(super) inertial: Option<&'a InertialChain>,
+    /// Relative poses, of which some may be wrong.
+    pub(super) relative_poses: &'a [RelativePose],
+    /// Standard deviation of a pixel (px).
+    pub(super) sigma_px: f64,
+}
+
+impl Problem<'_> {
     /// Minimizes the cost from an initial bundle (Levenberg-Marquardt).
     ///
     /// # Arguments
@@ -85,8 +110,8 @@ impl<'a> Problem<'a> {
             progress(step, MAX_STEPS);
             let before = self.cost(&bundle, scale);
             let candidate = self.step(&bundle, scale, damping);
-            let after = self.cost(&candidate, scale);
-            if after < before {
+            let after = candidate.as_ref().map_or(f64::INFINITY, |candidate| self.cost(candidate, scale));
+            if let Some(candidate) = candidate.filter(|_| after < before) {
                 bundle = candidate;
                 damping = (damping / 3.0).max(least);
                 accepted_scale = scale;
@@ -103,38 +128,57 @@ impl<'a> Problem<'a> {
         bundle
     }
 
-    /// The normal equations of the poses at the minimum, with all landmarks eliminated: the information matrix of the poses.
-    pub(super) fn reduced_equations(&self, bundle: &Bundle) -> BlockMatrix {
-        self.equations(bundle, LAST_SCALE, 0.0).reduced()
+    /// The factor of the information matrix of all states at the minimum, with the landmarks eliminated.
+    pub(super) fn information(&self, bundle: &Bundle) -> Option<SparseFactor> {
+        self.equations(bundle, LAST_SCALE, 0.0).system().factor()
     }
 
-    /// One damped Gauss-Newton step.
-    fn step(&self, bundle: &Bundle, scale: f64, damping: f64) -> Bundle {
-        let step = self.equations(bundle, scale, damping).solve();
-        Bundle {
-            poses: bundle.poses.iter().zip(&step.poses).map(|(pose, error)| pose.retract(error)).collect(),
-            landmarks: bundle
-                .landmarks
-                .iter()
-                .zip(&step.landmarks)
-                .map(|(landmark, error)| landmark.corrected(error))
-                .collect(),
-        }
+    /// The layout of the states.
+    pub(super) fn layout(&self, bundle: &Bundle) -> StateLayout {
+        StateLayout { views: bundle.poses.len(), inertial: self.inertial.is_some() }
+    }
+
+    /// One damped Gauss-Newton step; `None` where the equations are singular.
+    fn step(&self, bundle: &Bundle, scale: f64, damping: f64) -> Option<Bundle> {
+        let layout = self.layout(bundle);
+        let step = self.equations(bundle, scale, damping).solve(damping)?;
+        let pose = |(view, pose): (usize, &Pose)| {
+            pose.retract(&step.states.fixed_rows::<POSE>(layout.pose(view).start).into_owned())
+        };
+        let motion = |(view, motion): (usize, &Motion)| {
+            motion.retract(&step.states.fixed_rows::<MOTION>(layout.motion(view).start).into_owned())
+        };
+        let landmarks = bundle.landmarks.iter().zip(&step.landmarks);
+        Some(Bundle {
+            poses: bundle.poses.iter().enumerate().map(pose).collect(),
+            motions: bundle.motions.iter().enumerate().map(motion).collect(),
+            landmarks: landmarks.map(|(landmark, error)| landmark.corrected(error)).collect(),
+        })
     }
 
     /// The normal equations at a bundle.
     fn equations(&self, bundle: &Bundle, scale: f64, damping: f64) -> NormalEquations {
-        let mut equations = NormalEquations::new(bundle.poses.len());
-        for (view, pose) in bundle.poses.iter().enumerate() {
-            let (error, jacobian) = self.prior_error(view, pose);
-            let weighted = jacobian.transpose() * self.information[view];
-            equations.add_pose(view, &(weighted * jacobian), &-(weighted * error));
+        let layout = self.layout(bundle);
+        let mut equations = NormalEquations::new(layout);
+        for prior in self.priors {
+            let (error, jacobian) = prior_error(prior, &bundle.poses[prior.view]);
+            equations.add_residual(
+                layout.pose(prior.view).collect(),
+                &DMatrix::from_column_slice(POSE, POSE, jacobian.as_slice()),
+                &DMatrix::from_column_slice(POSE, POSE, prior.information.as_slice()),
+                &DVector::from_column_slice(error.as_slice()),
+            );
+        }
+        if let Some(inertial) = self.inertial {
+            inertial.add_to(&mut equations, layout, &bundle.poses, &bundle.motions);
+        }
+        for relative in self.relative_poses {
+            relative.add_to(&mut equations, layout, &bundle.poses, scale);
         }
         let poses = bundle.camera_poses();
         for landmark in &bundle.landmarks {
             self.add_landmark(&mut equations, landmark, &poses, scale, damping);
         }
-        equations.damp(damping);
         equations
     }
 
@@ -185,15 +229,6 @@ impl<'a> Problem<'a> {
         equations.add_landmark(blocks);
     }
 
-    /// The error `[δθ, δp]` of a pose relative to its prior, and its Jacobian by a further error.
-    fn prior_error(&self, view: usize, pose: &Pose) -> (Vector6<f64>, Matrix6<f64>) {
-        let error = self.priors[view].pose.local(pose);
-        let mut jacobian = Matrix6::identity();
-        let by_rotation = left_jacobian_inverse(&error.fixed_rows::<3>(0).into_owned());
-        jacobian.fixed_view_mut::<3, 3>(0, 0).copy_from(&by_rotation);
-        (error, jacobian)
-    }
-
     /// Information of a residual of this length (px^-2): `sigma^-2 / (1 + (e / scale sigma)^2)`.
     fn weight(&self, residual: f64, scale: f64) -> f64 {
         let sigmas = residual / self.sigma_px;
@@ -202,30 +237,30 @@ impl<'a> Problem<'a> {
 
     /// The cost whose weights are [`Problem::weight`].
     fn cost(&self, bundle: &Bundle, scale: f64) -> f64 {
-        let priors: f64 = bundle
-            .poses
-            .iter()
-            .enumerate()
-            .map(|(view, pose)| {
-                let error = self.priors[view].pose.local(pose);
-                0.5 * error.dot(&(self.information[view] * error))
-            })
-            .sum();
+        let prior = |prior: &PosePrior| {
+            let error = prior.pose.local(&bundle.poses[prior.view]);
+            0.5 * error.dot(&(prior.information * error))
+        };
+        let priors: f64 = self.priors.iter().map(prior).sum();
+        let inertial =
+            self.inertial.map_or(0.0, |inertial| inertial.cost(&bundle.poses, &bundle.motions));
+        let relative: f64 =
+            self.relative_poses.iter().map(|relative| relative.cost(&bundle.poses, scale)).sum();
         let poses = bundle.camera_poses();
         let robust = |error: f64| {
             let sigmas = (error / self.sigma_px).min(1e6);
             0.5 * scale * scale * (sigmas / scale).powi(2).ln_1p()
         };
         let errors = bundle.landmarks.iter().flat_map(|landmark| landmark.errors(self.cameras, &poses));
-        priors + errors.map(robust).sum::<f64>()
+        priors + inertial + relative + errors.map(robust).sum::<f64>()
     }
 }
 
-/// Inverse of a covariance, with a lower bound for exact poses.
-fn pose_information(covariance: &Matrix6<f64>) -> Matrix6<f64> {
-    let mut floored = *covariance;
-    for index in 0..6 {
-        floored[(index, index)] += MIN_SIGMAS[index / 3].powi(2);
-    }
-    floored.try_inverse().unwrap_or_else(|| Matrix6::identity() / MIN_SIGMAS[0].powi(2))
+/// The error `[δθ, δp]` of a pose relative to its prior, and its Jacobian by a further error.
+fn prior_error(prior: &PosePrior, pose: &Pose) -> (Vector6<f64>, Matrix6<f64>) {
+    let error = prior.pose.local(pose);
+    let mut jacobian = Matrix6::identity();
+    let by_rotation = left_jacobian_inverse(&error.fixed_rows::<3>(0).into_owned());
+    jacobian.fixed_view_mut::<3, 3>(0, 0).copy_from(&by_rotation);
+    (error, jacobian)
 }

@@ -77,6 +77,24 @@ pub enum BuildError {
     /// Descriptors cannot be compared.
     #[error("the descriptors cannot be matched: {0}")]
     Descriptors(#[from] vision::DescriptorError),
+    /// No image with features has a pose.
+    #[error("no image with features has a pose: the map would have no keyframe")]
+    NoKeyframes,
+    /// Odometry gave no poses.
+    #[error(
+        "the odometry gave no pose of an image with features ({states} poses): look at what `driftless run --mode odometry` \
+         says of this recording, or give poses with --poses"
+    )]
+    NoOdometry {
+        /// Number of poses.
+        states: usize,
+    },
+    /// Place recognition cannot search the map.
+    #[error("places seen again cannot be searched: {0}")]
+    Recognition(#[from] recognition::QueryError),
+    /// Place recognition cannot load the map.
+    #[error("places seen again cannot be searched: {0}")]
+    Index(#[from] recognition::LoadError),
     /// The joint covariance of the poses cannot be computed.
     #[error(
         "the refined poses have no covariance: are the sigmas of the reference poses far too large? --no-refine-poses states \

@@ -1,7 +1,7 @@
 //! The joint covariance of the refined poses.
 //!
-//! It is the inverse of the reduced normal equations. All blocks are computed column by column, and those that the map
-//! states are kept.
+//! It is the inverse of the normal equations with the landmarks eliminated. All blocks are computed column by column, and
+//! those that the map states are kept.
 //!
 //! # Which blocks a map states
 //! All, up to [`ALL_UP_TO`] keyframes. Beyond, those of keyframes near each other: omitting the rest would in general
@@ -11,9 +11,12 @@
 //!
 //! Source: Gaspari & Cohn, "Construction of correlation functions in two and three dimensions", QJRMS 1999, eq. 4.10.
 
+use std::collections::BTreeMap;
+
 use nalgebra::{Matrix6, Vector3};
 
-use super::block_matrix::{BlockCholesky, BlockMatrix};
+use super::layout::{POSE, StateLayout};
+use super::sparse_system::SparseFactor;
 
 /// Maps of up to this many keyframes state the cross-covariance of every pair: their database stays below 2 MB.
 const ALL_UP_TO: usize = 100;
@@ -21,39 +24,44 @@ const ALL_UP_TO: usize = 100;
 /// linearly.
 const MEAN_NEIGHBOURS: usize = 100;
 
-/// Covariances and cross-covariances of the keyframes' poses.
+/// Covariances and cross-covariances of the keyframes' poses, by view.
 pub(super) struct JointCovariance {
     /// Covariance of each pose.
-    pub(super) own: Vec<Matrix6<f64>>,
+    pub(super) own: BTreeMap<usize, Matrix6<f64>>,
     /// `E[e_i e_j^T]` with `i < j`; all others are zero.
     pub(super) cross: Vec<(usize, usize, Matrix6<f64>)>,
 }
 
-/// The joint covariance of poses at the given positions (m), from their reduced normal equations.
+/// The joint covariance of the poses of some views.
 ///
-/// # Returns
-/// `None` where the equations are not positive definite.
+/// # Arguments
+/// * `factor`: of the information matrix of all states.
+/// * `views`: those whose covariance is wanted, at `positions` (m).
 pub(super) fn joint_covariance(
-    equations: &BlockMatrix,
+    factor: &SparseFactor,
+    layout: StateLayout,
+    views: &[usize],
     positions: &[Vector3<f64>],
     mut progress: impl FnMut(usize, usize),
-) -> Option<JointCovariance> {
-    let factor = BlockCholesky::new(equations)?;
+) -> JointCovariance {
     let support = (positions.len() > ALL_UP_TO).then(|| support(positions));
-    let mut joint = JointCovariance { own: Vec::new(), cross: Vec::new() };
+    let mut joint = JointCovariance { own: BTreeMap::new(), cross: Vec::new() };
     for j in 0..positions.len() {
         progress(j, positions.len());
-        let column = factor.inverse_column(j);
-        joint.own.push((column[j] + column[j].transpose()) * 0.5);
-        for (i, block) in column.iter().enumerate().take(j) {
+        let columns: Vec<usize> = layout.pose(views[j]).collect();
+        let inverse = factor.inverse_columns(&columns);
+        let block =
+            |i: usize| -> Matrix6<f64> { inverse.fixed_view::<POSE, POSE>(layout.pose(views[i]).start, 0).into() };
+        joint.own.insert(views[j], (block(j) + block(j).transpose()) * 0.5);
+        for i in 0..j {
             let distance = (positions[i] - positions[j]).norm();
             let kept = support.map_or(1.0, |support| gaspari_cohn(2.0 * distance / support));
             if kept > 0.0 {
-                joint.cross.push((i, j, block * kept));
+                joint.cross.push((views[i], views[j], block(i) * kept));
             }
         }
     }
-    Some(joint)
+    joint
 }
 
 /// The distance (m) within which a keyframe has [`MEAN_NEIGHBOURS`] others on average.

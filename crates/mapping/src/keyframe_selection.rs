@@ -53,7 +53,14 @@ pub(super) fn select_keyframes<'a>(
                 .is_some_and(|last| overlap(last, &features).is_ok_and(|part| part < options.min_overlap));
         if is_new && !features.is_empty() {
             let rays = rays(&sensor.camera, &features);
-            views.push(KeyframeView { stamp_ns: frame.stamp_ns, features, stereo, rays, prior });
+            views.push(KeyframeView {
+                stamp_ns: frame.stamp_ns,
+                features,
+                tracked: Vec::new(),
+                stereo,
+                rays,
+                prior,
+            });
         }
     }
     progress(Stage::KeyframeSelection, candidates.len(), candidates.len());
@@ -82,7 +89,7 @@ fn overlap(last: &KeyframeView<'_>, features: &FeatureSet) -> Result<f64, Descri
 }
 
 /// The camera's pose and covariance from the IMU's: through the lever arm rotation errors cause position errors.
-fn camera_pose(
+pub(super) fn camera_pose(
     reference: &ReferencePose,
     imu_from_camera: &geometry::pose::Pose,
     options: &BuildOptions,

@@ -11,12 +11,16 @@ use vision::{DescriptorError, DescriptorView};
 /// A feature: index of its keyframe, index within the keyframe.
 pub(super) type FeatureId = (usize, usize);
 
-/// An image that becomes a keyframe.
+/// An image that becomes a keyframe, or, without features of its own, ties keyframes together by the tracks of the odometry.
+///
+/// Its features are counted first those with descriptors, then the points that the odometry tracks.
 pub(super) struct KeyframeView<'a> {
     /// When it was taken (ns).
     pub(super) stamp_ns: i64,
-    /// Its features.
+    /// Its features with descriptors.
     pub(super) features: Cow<'a, FeatureSet>,
+    /// Pixels of the points that the odometry tracks.
+    pub(super) tracked: Vec<Vector2<f64>>,
     /// Pixel of each feature in the image of the second camera, where it was matched there.
     pub(super) stereo: Vec<Option<Vector2<f64>>>,
     /// Normalized coordinates of each feature, `None` where the pixel cannot be unprojected.
@@ -28,8 +32,15 @@ pub(super) struct KeyframeView<'a> {
 impl KeyframeView<'_> {
     /// Pixel of a feature.
     pub(super) fn pixel(&self, feature: usize) -> Vector2<f64> {
-        let [u, v] = self.features.pixels[feature];
-        Vector2::new(f64::from(u), f64::from(v))
+        match self.features.pixels.get(feature) {
+            Some(&[u, v]) => Vector2::new(f64::from(u), f64::from(v)),
+            None => self.tracked[feature - self.features.len()],
+        }
+    }
+
+    /// Whether it becomes a keyframe of the map.
+    pub(super) fn is_keyframe(&self) -> bool {
+        !self.features.is_empty()
     }
 
     /// Pixel of a feature in the image of the second camera.

@@ -22,32 +22,40 @@
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 mod assemble;
-mod block_matrix;
 mod bundle_adjustment;
 mod camera;
 mod error;
 mod feature_source;
+mod inertial;
 mod joint_covariance;
 mod keyframe_selection;
 mod keyframe_view;
 mod landmark;
+mod layout;
+mod loop_closure;
 mod matching;
 mod normal_equations;
+mod odometry;
 mod options;
 mod pipeline;
 mod progress;
 mod reference_poses;
 mod refinement;
+mod relative_pose;
 mod report;
+mod sparse_system;
 mod stereo_matching;
 #[cfg(test)]
 mod tests;
 mod tracks;
 mod triangulation;
+mod without_references;
 
 pub use error::BuildError;
 pub use feature_source::Extraction;
+pub use odometry::Odometry;
 pub use options::{BuildOptions, StoredPoses};
 pub use pipeline::build_map;
 pub use progress::{Progress, Stage};
 pub use report::{BuildReport, Spread};
+pub use without_references::build_map_from_odometry;

@@ -30,15 +30,24 @@ pub(super) struct FeatureMatch {
     pub(super) distance: f32,
 }
 
-/// The pairs of keyframes to match, each with the smaller index first.
-pub(super) fn pairs(views: &[KeyframeView<'_>], options: &BuildOptions) -> Vec<(usize, usize)> {
-    let mut pairs = BTreeSet::new();
-    for (i, view) in views.iter().enumerate() {
+/// Pairs of keyframes that are near in time, each with the smaller index first.
+pub(super) fn pairs_in_time(views: &[KeyframeView<'_>], options: &BuildOptions) -> Vec<(usize, usize)> {
+    let of_view = |i: usize| {
         let near_in_time = (i + 1)..(i + 1 + options.time_neighbours).min(views.len());
-        let same_direction = |j: &usize| view.axis().angle(&views[*j].axis()) <= MAX_ANGLE_IN_TIME;
-        pairs.extend(near_in_time.filter(same_direction).map(|j| (i, j)));
+        let same_direction =
+            move |j: &usize| views[i].axis().angle(&views[*j].axis()) <= MAX_ANGLE_IN_TIME;
+        near_in_time.filter(same_direction).map(move |j| (i, j))
+    };
+    let both_have_features = |&(i, j): &(usize, usize)| views[i].is_keyframe() && views[j].is_keyframe();
+    (0..views.len()).flat_map(of_view).filter(both_have_features).collect()
+}
+
+/// The pairs of keyframes to match, in time and in space, each with the smaller index first.
+pub(super) fn pairs(views: &[KeyframeView<'_>], options: &BuildOptions) -> Vec<(usize, usize)> {
+    let mut pairs: BTreeSet<(usize, usize)> = pairs_in_time(views, options).into_iter().collect();
+    for (i, view) in views.iter().enumerate().filter(|(_, view)| view.is_keyframe()) {
         let mut near_in_space: Vec<(f64, usize)> = (0..views.len())
-            .filter(|j| j.abs_diff(i) > options.time_neighbours)
+            .filter(|&j| j.abs_diff(i) > options.time_neighbours && views[j].is_keyframe())
             .filter_map(|j| Some((spatial_distance(view, &views[j])?, j)))
             .collect();
         near_in_space.sort_by(|a, b| a.0.total_cmp(&b.0));

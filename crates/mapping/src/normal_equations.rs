@@ -1,35 +1,38 @@
-//! The normal equations of all poses and landmarks, and their solution with the landmarks eliminated (Schur complement).
+//! The normal equations of all states and landmarks, and their solution with the landmarks eliminated (Schur complement).
 //!
 //! ```text
 //! | H  W | | x |   | g |        S x = g - W V^-1 l,   S = H - W V^-1 W^T
 //! | W' V | | y | = | l |        y = V^-1 (l - W^T x)
 //! ```
-//! `x` holds 6 numbers a pose, `y` 3 a landmark, `V` is block-diagonal. `S` is never formed: conjugate gradients only
-//! need its product with a vector, whose cost is linear in the number of observations. The prior on every pose keeps `S`
-//! well-conditioned.
+//! `x` holds 6 numbers a pose, and with an IMU 9 more for each pose (`layout`); `y` holds 3 a landmark, `V` is
+//! block-diagonal. `S` is sparse: two poses share a block where they observe a common landmark.
 //!
-//! Source: Agarwal, Snavely, Seitz & Szeliski, "Bundle adjustment in the large", ECCV 2010.
+//! Source: Triggs, McLauchlan, Hartley & Fitzgibbon, "Bundle adjustment: a modern synthesis", 2000, section 6.
 
 use std::collections::BTreeMap;
 
-use nalgebra::{Matrix3, Matrix6, Matrix6x3, Vector3, Vector6};
+use nalgebra::{DMatrix, DVector, Matrix3, Matrix6, Matrix6x3, Vector3, Vector6};
 
-use super::block_matrix::BlockMatrix;
+use super::layout::StateLayout;
+use super::sparse_system::SparseSystem;
 
-/// Conjugate gradients stop when the residual has fallen by this factor (inexact Newton): the outer iteration corrects
-/// the rest.
-const TOLERANCE: f64 = 1e-3;
-/// Or after this many iterations.
-const MAX_STEPS: usize = 100;
-
-/// Normal equations of the poses and landmarks of a bundle.
+/// Normal equations of the states and landmarks of a bundle.
 pub(super) struct NormalEquations {
-    /// Diagonal blocks of H.
+    layout: StateLayout,
+    /// Diagonal blocks of H from landmarks.
     diagonal: Vec<Matrix6<f64>>,
     /// g.
-    gradient: Vec<Vector6<f64>>,
+    gradient: DVector<f64>,
+    /// Further terms of H.
+    terms: Vec<Term>,
     /// The blocks of each landmark.
     landmarks: Vec<LandmarkBlocks>,
+}
+
+/// A term of H between a few unknowns.
+struct Term {
+    indices: Vec<usize>,
+    information: DMatrix<f64>,
 }
 
 /// The blocks of one landmark.
@@ -45,28 +48,50 @@ pub(super) struct LandmarkBlocks {
     pub(super) gradient: Vector3<f64>,
 }
 
-/// The solution: an error for each pose and each landmark.
+/// The solution.
 pub(super) struct Step {
-    /// `[δθ, δp]` of each pose.
-    pub(super) poses: Vec<Vector6<f64>>,
+    /// Error of all states, as the layout says.
+    pub(super) states: DVector<f64>,
     /// `[ray, inverse depth]` of each landmark.
     pub(super) landmarks: Vec<Vector3<f64>>,
 }
 
 impl NormalEquations {
-    /// Equations without terms for a number of poses.
-    pub(super) fn new(poses: usize) -> NormalEquations {
+    /// Equations without terms.
+    pub(super) fn new(layout: StateLayout) -> NormalEquations {
         NormalEquations {
-            diagonal: vec![Matrix6::zeros(); poses],
-            gradient: vec![Vector6::zeros(); poses],
+            layout,
+            diagonal: vec![Matrix6::zeros(); layout.views],
+            gradient: DVector::zeros(layout.dim()),
+            terms: Vec::new(),
             landmarks: Vec::new(),
         }
     }
 
     /// Adds information on one pose.
-    pub(super) fn add_pose(&mut self, pose: usize, information: &Matrix6<f64>, gradient: &Vector6<f64>) {
-        self.diagonal[pose] += information;
-        self.gradient[pose] += gradient;
+    pub(super) fn add_pose(&mut self, view: usize, information: &Matrix6<f64>, gradient: &Vector6<f64>) {
+        self.diagonal[view] += information;
+        let mut rows = self.gradient.fixed_rows_mut::<6>(self.layout.pose(view).start);
+        rows += gradient;
+    }
+
+    /// Adds a residual of unknowns at any indices.
+    ///
+    /// # Arguments
+    /// * `jacobian`: of the residual, a column for each of `indices`.
+    pub(super) fn add_residual(
+        &mut self,
+        indices: Vec<usize>,
+        jacobian: &DMatrix<f64>,
+        information: &DMatrix<f64>,
+        residual: &DVector<f64>,
+    ) {
+        let weighted = jacobian.tr_mul(information);
+        let gradient = &weighted * residual;
+        for (&index, value) in indices.iter().zip(gradient.iter()) {
+            self.gradient[index] -= value;
+        }
+        self.terms.push(Term { indices, information: weighted * jacobian });
     }
 
     /// Adds a landmark. One whose V is singular is held constant.
@@ -75,124 +100,88 @@ impl NormalEquations {
         self.landmarks.push(landmark);
     }
 
-    /// Multiplies the diagonal of H by `1 + damping`. (That of V is damped before it is added.)
-    pub(super) fn damp(&mut self, damping: f64) {
-        for block in &mut self.diagonal {
-            for index in 0..6 {
-                block[(index, index)] *= 1.0 + damping;
+    /// Solves the equations with the diagonal of H multiplied by `1 + damping`. (That of V is damped before it is added.)
+    ///
+    /// # Returns
+    /// `None` where S is not positive definite.
+    pub(super) fn solve(&self, damping: f64) -> Option<Step> {
+        let mut right = self.gradient.clone();
+        for landmark in &self.landmarks {
+            let eliminated = landmark.information * landmark.gradient;
+            for (view, coupling) in &landmark.couplings {
+                let mut rows = right.fixed_rows_mut::<6>(self.layout.pose(*view).start);
+                rows -= coupling * eliminated;
+            }
+        }
+        let mut system = self.system();
+        self.damp(&mut system, damping);
+        let states = system.factor()?.solve(&right);
+        let eliminated = |landmark: &LandmarkBlocks| {
+            let known = landmark.couplings.iter().fold(Vector3::zeros(), |sum, (view, coupling)| {
+                sum + coupling.tr_mul(&states.fixed_rows::<6>(self.layout.pose(*view).start))
+            });
+            landmark.information * (landmark.gradient - known)
+        };
+        let landmarks = self.landmarks.iter().map(eliminated).collect();
+        Some(Step { states, landmarks })
+    }
+
+    fn damp(&self, system: &mut SparseSystem, damping: f64) {
+        for (view, block) in self.diagonal.iter().enumerate() {
+            for (index, value) in self.layout.pose(view).zip(block.diagonal().iter()) {
+                system.add_diagonal(index, damping * value);
+            }
+        }
+        for term in &self.terms {
+            for (&index, value) in term.indices.iter().zip(term.information.diagonal().iter()) {
+                system.add_diagonal(index, damping * value);
             }
         }
     }
 
-    /// Solves the equations.
-    pub(super) fn solve(&self) -> Step {
-        let poses = self.solve_poses();
-        let landmarks = self
-            .landmarks
-            .iter()
-            .map(|landmark| {
-                let known = landmark.couplings.iter().fold(Vector3::zeros(), |sum, (view, coupling)| {
-                    sum + coupling.transpose() * poses[*view]
-                });
-                landmark.information * (landmark.gradient - known)
-            })
-            .collect();
-        Step { poses, landmarks }
+    /// S: the information matrix of the states.
+    pub(super) fn system(&self) -> SparseSystem {
+        let mut system = SparseSystem::new(self.layout.dim());
+        let indices = |view: usize| -> Vec<usize> { self.layout.pose(view).collect() };
+        for ((a, b), block) in self.eliminated() {
+            // The block (b, a), below the diagonal.
+            system.add(&indices(b), &indices(a), &block.transpose());
+        }
+        for term in &self.terms {
+            system.add(&term.indices, &term.indices, &term.information);
+        }
+        system
     }
 
-    /// S in blocks.
-    pub(super) fn reduced(&self) -> BlockMatrix {
-        let mut reduced = BlockMatrix { diagonal: self.diagonal.clone(), upper: BTreeMap::new() };
+    /// The blocks (a, b) with `a <= b` that landmarks cause, after their elimination.
+    fn eliminated(&self) -> BTreeMap<(usize, usize), Matrix6<f64>> {
+        let mut blocks: BTreeMap<(usize, usize), Matrix6<f64>> = BTreeMap::new();
+        let mut add = |a: usize, b: usize, block: &Matrix6<f64>| {
+            if a <= b {
+                *blocks.entry((a, b)).or_default() += block;
+            } else {
+                *blocks.entry((b, a)).or_default() += block.transpose();
+            }
+        };
+        for (view, block) in self.diagonal.iter().enumerate() {
+            add(view, view, block);
+        }
         for landmark in &self.landmarks {
             for (a, b, block) in &landmark.pairs {
-                reduced.add(*a, *b, block);
+                add(*a, *b, block);
             }
             for (index, (a, by_a)) in landmark.couplings.iter().enumerate() {
                 let eliminated = by_a * landmark.information;
-                reduced.add(*a, *a, &-(eliminated * by_a.transpose()));
+                add(*a, *a, &-(eliminated * by_a.transpose()));
                 for (b, by_b) in &landmark.couplings[index + 1..] {
                     let block = -(eliminated * by_b.transpose());
-                    reduced.add(*a, *b, &block);
+                    add(*a, *b, &block);
                     if a == b {
-                        reduced.add(*a, *b, &block.transpose());
+                        add(*a, *b, &block.transpose());
                     }
                 }
             }
         }
-        reduced
-    }
-
-    /// S times a vector.
-    fn product(&self, x: &[Vector6<f64>]) -> Vec<Vector6<f64>> {
-        let mut y: Vec<Vector6<f64>> = self.diagonal.iter().zip(x).map(|(block, x)| block * x).collect();
-        for landmark in &self.landmarks {
-            for (a, b, block) in &landmark.pairs {
-                y[*a] += block * x[*b];
-                y[*b] += block.tr_mul(&x[*a]);
-            }
-            let mut sum = Vector3::zeros();
-            for (view, coupling) in &landmark.couplings {
-                sum += coupling.tr_mul(&x[*view]);
-            }
-            let eliminated = landmark.information * sum;
-            for (view, coupling) in &landmark.couplings {
-                y[*view] -= coupling * eliminated;
-            }
-        }
-        y
-    }
-
-    /// Conjugate gradients, preconditioned with the inverses of the diagonal blocks of S.
-    fn solve_poses(&self) -> Vec<Vector6<f64>> {
-        let mut right = self.gradient.clone();
-        let mut blocks = self.diagonal.clone();
-        for landmark in &self.landmarks {
-            let eliminated = landmark.information * landmark.gradient;
-            for (view, coupling) in &landmark.couplings {
-                right[*view] -= coupling * eliminated;
-                blocks[*view] -= coupling * landmark.information * coupling.transpose();
-            }
-        }
-        let preconditioner: Vec<Matrix6<f64>> =
-            blocks.iter().map(|block| block.try_inverse().unwrap_or_else(Matrix6::identity)).collect();
-        let precondition = |vector: &[Vector6<f64>]| -> Vec<Vector6<f64>> {
-            preconditioner.iter().zip(vector).map(|(inverse, x)| inverse * x).collect()
-        };
-        let mut solution = vec![Vector6::zeros(); right.len()];
-        let mut residual = right;
-        let mut preconditioned = precondition(&residual);
-        let mut direction = preconditioned.clone();
-        let mut size = dot(&residual, &preconditioned);
-        let goal = size * TOLERANCE * TOLERANCE;
-        for _ in 0..MAX_STEPS {
-            if size <= goal || size <= 0.0 {
-                break;
-            }
-            let product = self.product(&direction);
-            let curvature = dot(&direction, &product);
-            if curvature <= 0.0 {
-                break;
-            }
-            let length = size / curvature;
-            add_scaled(&mut solution, &direction, length);
-            add_scaled(&mut residual, &product, -length);
-            preconditioned = precondition(&residual);
-            let next = dot(&residual, &preconditioned);
-            for (direction, new) in direction.iter_mut().zip(&preconditioned) {
-                *direction = new + *direction * (next / size);
-            }
-            size = next;
-        }
-        solution
-    }
-}
-
-fn dot(a: &[Vector6<f64>], b: &[Vector6<f64>]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| a.dot(b)).sum()
-}
-
-fn add_scaled(target: &mut [Vector6<f64>], direction: &[Vector6<f64>], scale: f64) {
-    for (target, direction) in target.iter_mut().zip(direction) {
-        *target += direction * scale;
+        blocks
     }
 }

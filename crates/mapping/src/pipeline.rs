@@ -7,6 +7,7 @@ use map::contents::MapContents;
 use sensors::{ReferencePose, Sequence};
 
 use super::assemble;
+use super::bundle_adjustment::Bundle;
 use super::camera::{CameraPose, MappingCamera};
 use super::error::BuildError;
 use super::feature_source::{Extraction, FeatureSource};
@@ -14,9 +15,9 @@ use super::keyframe_selection::select_keyframes;
 use super::keyframe_view::{FeatureId, KeyframeView};
 use super::landmark::InverseDepthLandmark;
 use super::matching::{self, FeatureMatch};
-use super::options::{BuildOptions, FIRST_SIGMA_PX};
+use super::options::{BuildOptions, FIRST_SIGMA_PX, StoredPoses};
 use super::progress::{Progress, Stage};
-use super::refinement::refine_all;
+use super::refinement::{Constraints, covariance_of, refine_all};
 use super::report::BuildReport;
 use super::tracks;
 use super::triangulation::{Scene, triangulate};
@@ -52,9 +53,19 @@ pub fn build_map(
         unreadable_images: source.unreadable,
         ..BuildReport::default()
     };
-    let matches = match_all(&cameras, &views, options, &mut report, progress)?;
-    let landmarks = triangulate_all(&cameras, &views, matches, options, &mut report, progress);
-    let (bundle, joint) = refine_all(&cameras, &views, landmarks, options, &mut report, progress)?;
+    let pairs = matching::pairs(&views, options);
+    let matches = match_all(&cameras, &views, &pairs, options, &mut report, progress)?;
+    let landmarks = triangulate_all(&cameras, &views, matches, Vec::new(), options, &mut report, progress);
+    let constraints = Constraints::of_references(&views);
+    let poses = views.iter().map(|view| view.prior.pose).collect();
+    let mut bundle = Bundle { poses, motions: Vec::new(), landmarks };
+    report.sigma_px = options.sigma_px.unwrap_or(FIRST_SIGMA_PX);
+    if options.refine_poses {
+        bundle = refine_all(&cameras, &constraints, bundle, options, &mut report, progress);
+    }
+    let joint = (options.refine_poses && options.stored_poses == StoredPoses::Refined)
+        .then(|| covariance_of(&cameras, &constraints, &bundle, &views, report.sigma_px, progress))
+        .transpose()?;
     let contents =
         assemble::map_contents(&cameras[0].camera, &views, &bundle, joint, report.sigma_px, options)?;
     assemble::fill_report(&mut report, &cameras, &views, &bundle, &contents);
@@ -62,7 +73,7 @@ pub fn build_map(
     Ok((contents, report))
 }
 
-fn check(options: &BuildOptions) -> Result<(), BuildError> {
+pub(super) fn check(options: &BuildOptions) -> Result<(), BuildError> {
     for sigma in [options.sigma_theta_rad, options.sigma_p_m].into_iter().flatten() {
         if !(sigma.is_finite() && sigma >= 0.0) {
             return Err(BuildError::PoseSigma { sigma });
@@ -77,32 +88,37 @@ fn check(options: &BuildOptions) -> Result<(), BuildError> {
     Ok(())
 }
 
-fn match_all(
+/// Matches pairs of views.
+pub(super) fn match_all(
     cameras: &[MappingCamera],
     views: &[KeyframeView<'_>],
+    pairs: &[(usize, usize)],
     options: &BuildOptions,
     report: &mut BuildReport,
     progress: Progress<'_>,
 ) -> Result<Vec<FeatureMatch>, BuildError> {
     let sigma_px = options.sigma_px.unwrap_or(FIRST_SIGMA_PX);
-    let pairs = matching::pairs(views, options);
-    report.pairs = pairs.len();
+    report.pairs += pairs.len();
     let mut matches = Vec::new();
     for (done, &pair) in pairs.iter().enumerate() {
         progress(Stage::Matching, done, pairs.len());
         matches.extend(matching::match_pair(&cameras[0].camera, views, pair, sigma_px, options)?);
     }
     progress(Stage::Matching, pairs.len(), pairs.len());
-    report.matches = matches.len();
+    report.matches += matches.len();
     Ok(matches)
 }
 
 /// Joins matches into tracks and triangulates each. Features that are dropped from a track may be of another landmark, so
 /// their matches are joined and triangulated once more.
-fn triangulate_all(
+///
+/// # Arguments
+/// * `tracked`: further tracks, of points without descriptors.
+pub(super) fn triangulate_all(
     cameras: &[MappingCamera],
     views: &[KeyframeView<'_>],
     matches: Vec<FeatureMatch>,
+    tracked: Vec<Vec<FeatureId>>,
     options: &BuildOptions,
     report: &mut BuildReport,
     progress: Progress<'_>,
@@ -112,6 +128,7 @@ fn triangulate_all(
     let scene = Scene { cameras, views, poses: &poses, sigma_px: options.sigma_px.unwrap_or(FIRST_SIGMA_PX) };
     let mut tracks = tracks::chain(&counts, matches.clone());
     tracks.extend(tracks::stereo_singles(views, &tracks));
+    tracks.extend(tracked);
     let mut landmarks = Vec::new();
     let mut dropped: HashSet<FeatureId> = HashSet::new();
     for (done, track) in tracks.iter().enumerate() {

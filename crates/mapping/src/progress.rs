@@ -4,8 +4,12 @@
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Stage {
+    /// Running odometry over the recording, before [`crate::build_map_from_odometry`].
+    Odometry,
     /// Selecting keyframes and extracting their features.
     KeyframeSelection,
+    /// Finding places that are seen again.
+    PlaceRecognition,
     /// Matching pairs of keyframes.
     Matching,
     /// Triangulating the landmarks, one by one.
@@ -20,7 +24,9 @@ impl Stage {
     /// Its name in a progress bar.
     pub fn label(self) -> &'static str {
         match self {
+            Self::Odometry => "odometry",
             Self::KeyframeSelection => "keyframes",
+            Self::PlaceRecognition => "places",
             Self::Matching => "matching",
             Self::Triangulation => "triangulation",
             Self::BundleAdjustment => "bundle adjustment",

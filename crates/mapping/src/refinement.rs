@@ -1,15 +1,15 @@
 //! Bundle adjustment in rounds, with outliers dropped in between, and the covariance of the result.
 
-use geometry::uncertain_pose::PoseWithCovariance;
-
-use super::bundle_adjustment::{Bundle, Problem};
+use super::bundle_adjustment::{Bundle, PosePrior, Problem};
 use super::camera::{CameraPose, MappingCamera};
 use super::error::BuildError;
+use super::inertial::InertialChain;
 use super::joint_covariance::{JointCovariance, joint_covariance};
 use super::keyframe_view::KeyframeView;
 use super::landmark::InverseDepthLandmark;
-use super::options::{BuildOptions, FIRST_SIGMA_PX, StoredPoses};
+use super::options::{BuildOptions, FIRST_SIGMA_PX};
 use super::progress::{Progress, Stage};
+use super::relative_pose::RelativePose;
 use super::report::BuildReport;
 
 /// An observation is dropped when its reprojection error after refinement exceeds this (standard deviations of a pixel).
@@ -23,23 +23,50 @@ const SIGMA_PX_LIMITS: [f64; 2] = [1.0, 5.0];
 /// Number of landmarks from which pixel noise can be estimated: its median is then within 20 %.
 const MIN_LANDMARKS: usize = 50;
 
-/// Refines poses and landmarks, estimates the pixel noise, and computes the covariance of the poses.
+/// What is known of the states besides the pixels.
+#[derive(Default)]
+pub(super) struct Constraints {
+    /// Priors of poses.
+    pub(super) priors: Vec<PosePrior>,
+    /// Readings of the IMU between views.
+    pub(super) inertial: Option<InertialChain>,
+    /// Relative poses of places seen again.
+    pub(super) relative_poses: Vec<RelativePose>,
+}
+
+impl Constraints {
+    /// Reference poses as priors.
+    pub(super) fn of_references(views: &[KeyframeView<'_>]) -> Constraints {
+        let prior = |(view, content): (usize, &KeyframeView<'_>)| PosePrior::of_reference(view, &content.prior);
+        Constraints { priors: views.iter().enumerate().map(prior).collect(), ..Constraints::default() }
+    }
+
+    /// The least-squares problem for a pixel noise (px).
+    fn problem<'a>(&'a self, cameras: &'a [MappingCamera], sigma_px: f64) -> Problem<'a> {
+        Problem {
+            cameras,
+            priors: &self.priors,
+            inertial: self.inertial.as_ref(),
+            relative_poses: &self.relative_poses,
+            sigma_px,
+        }
+    }
+}
+
+/// Refines poses and landmarks, drops outliers, and estimates the pixel noise, which goes into the report.
 pub(super) fn refine_all(
     cameras: &[MappingCamera],
-    views: &[KeyframeView<'_>],
-    landmarks: Vec<InverseDepthLandmark>,
+    constraints: &Constraints,
+    start: Bundle,
     options: &BuildOptions,
     report: &mut BuildReport,
     progress: Progress<'_>,
-) -> Result<(Bundle, Option<JointCovariance>), BuildError> {
-    let priors: Vec<PoseWithCovariance> = views.iter().map(|view| view.prior).collect();
-    let mut bundle = Bundle { poses: priors.iter().map(|prior| prior.pose).collect(), landmarks };
+) -> Bundle {
+    let mut bundle = start;
     let mut sigma_px = options.sigma_px.unwrap_or(FIRST_SIGMA_PX);
-    let rounds = if options.refine_poses { ROUNDS } else { 0 };
-    for round in 0..rounds {
-        let problem = Problem::new(cameras, &priors, sigma_px);
-        bundle = problem.refine(bundle, round == 0, |done, steps| {
-            progress(Stage::BundleAdjustment, round * steps + done, rounds * steps);
+    for round in 0..ROUNDS {
+        bundle = constraints.problem(cameras, sigma_px).refine(bundle, round == 0, |done, steps| {
+            progress(Stage::BundleAdjustment, round * steps + done, ROUNDS * steps);
         });
         if options.sigma_px.is_none() {
             sigma_px = estimated_sigma_px(&bundle, cameras).unwrap_or(sigma_px);
@@ -55,13 +82,28 @@ pub(super) fn refine_all(
         report.dropped_observations += before - after;
     }
     report.sigma_px = sigma_px;
-    if !options.refine_poses || options.stored_poses == StoredPoses::Given {
-        return Ok((bundle, None));
-    }
-    let equations = Problem::new(cameras, &priors, sigma_px).reduced_equations(&bundle);
-    let positions: Vec<_> = bundle.poses.iter().map(|pose| pose.translation).collect();
-    let joint = joint_covariance(&equations, &positions, |done, all| progress(Stage::Covariance, done, all));
-    Ok((bundle, Some(joint.ok_or(BuildError::Indefinite)?)))
+    bundle
+}
+
+/// The joint covariance of the poses of all keyframes.
+///
+/// # Errors
+/// [`BuildError::Indefinite`].
+pub(super) fn covariance_of(
+    cameras: &[MappingCamera],
+    constraints: &Constraints,
+    bundle: &Bundle,
+    views: &[KeyframeView<'_>],
+    sigma_px: f64,
+    progress: Progress<'_>,
+) -> Result<JointCovariance, BuildError> {
+    let problem = constraints.problem(cameras, sigma_px);
+    let factor = problem.information(bundle).ok_or(BuildError::Indefinite)?;
+    let keyframes: Vec<usize> = (0..views.len()).filter(|&view| views[view].is_keyframe()).collect();
+    let positions: Vec<_> = keyframes.iter().map(|&view| bundle.poses[view].translation).collect();
+    let layout = problem.layout(bundle);
+    let show = |done, all| progress(Stage::Covariance, done, all);
+    Ok(joint_covariance(&factor, layout, &keyframes, &positions, show))
 }
 
 /// The pixel noise from the residuals of a refined bundle (px): that of the median landmark, which is robust to outliers. The squared residuals of a landmark with `n` observations, over the noise's variance, are chi-square distributed

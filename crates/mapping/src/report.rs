@@ -41,6 +41,10 @@ pub struct BuildReport {
     pub pairs: usize,
     /// Matches that satisfy the epipolar constraint.
     pub matches: usize,
+    /// Loops that place recognition found; zero for a map from reference poses.
+    pub loops: usize,
+    /// Those of them that contradict the trajectory.
+    pub refused_loops: usize,
     /// Observations that were dropped as outliers.
     pub dropped_observations: usize,
     /// Features that were matched in the second camera.

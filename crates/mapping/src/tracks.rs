@@ -35,7 +35,7 @@ pub(super) fn stereo_singles(views: &[KeyframeView<'_>], tracks: &[Vec<FeatureId
     let of_view = |(index, view): (usize, &KeyframeView<'_>)| -> Vec<FeatureId> {
         let alone =
             |feature: &FeatureId| view.stereo_pixel(feature.1).is_some() && !tracked.contains(feature);
-        (0..view.rays.len()).map(|feature| (index, feature)).filter(alone).collect()
+        (0..view.features.len()).map(|feature| (index, feature)).filter(alone).collect()
     };
     views.iter().enumerate().flat_map(of_view).map(|feature| vec![feature]).collect()
 }

@@ -7,6 +7,7 @@
 //! | `consensus` | do their poses agree? | one place, or none |
 //! | `answer` | rules of an answer | replies to a match query |
 //! | `fusion` | the pose from all verified keyframes | reply to a localization query |
+//! | `places` | keyframes that show an image's place, each for itself | for map building |
 //! | `inspection` | all intermediate results | for diagnosis |
 //!
 //! [`LoadedMap`] holds a map in memory (`loaded_map`, `elements`) and answers the queries (`query`).
@@ -27,10 +28,12 @@ mod index;
 mod inspection;
 mod loaded_map;
 mod options;
+mod places;
 mod query;
 mod verification;
 
 pub use inspection::{InspectedKeyframe, InspectedMatch, Inspection, KeyframeVerdict};
 pub use loaded_map::{LoadError, LoadedMap};
 pub use options::RecognitionOptions;
+pub use places::VerifiedPlace;
 pub use query::QueryError;

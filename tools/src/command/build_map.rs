@@ -1,4 +1,4 @@
-//! `driftless build-map`: builds a map from a recording with reference poses.
+//! `driftless build-map`: builds a map from a recording, with reference poses or without.
 
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -14,9 +14,12 @@ use sensors::{ReferencePose, Sequence, check_stereo};
 use serde_json::json;
 
 use super::import_map::parse_direction;
+use crate::odometry::run_odometry;
 use crate::plotting::draw_coverage;
 use map::store::{ensure_free, save_map};
-use mapping::{BuildOptions, BuildReport, Extraction, Spread, Stage, StoredPoses, build_map};
+use mapping::{
+    BuildOptions, BuildReport, Extraction, Spread, Stage, StoredPoses, build_map, build_map_from_odometry,
+};
 
 /// Largest plausible `--sigma-theta`, rad: 29 degrees. With more the pose says nothing, and linearization fails.
 const MAX_SIGMA_THETA: f64 = 0.5;
@@ -49,8 +52,9 @@ pub struct Args {
     /// Database to create
     #[arg(long, value_name = "DB")]
     pub map: PathBuf,
-    /// Poses of the IMU in the map's frame, in any of the formats below [default: SEQ/reference_poses.csv, else the ground truth]
-    #[arg(long, value_name = "FILE")]
+    /// Poses of the IMU in the map's frame, in any of the formats below; `none` builds from odometry and loops
+    /// [default: SEQ/reference_poses.csv, if there is one, else none]
+    #[arg(long, value_name = "FILE|none")]
     pub poses: Option<PathBuf>,
     /// Standard deviation of every pose's rotation about each axis, rad [default: as in the file of poses]
     #[arg(long, value_name = "RAD")]
@@ -109,12 +113,15 @@ pub struct Args {
 #[expect(clippy::needless_pass_by_value, reason = "every command owns its arguments")]
 pub fn run(args: Args) -> anyhow::Result<()> {
     ensure_free(&args.map, args.force)?;
-    let sequence = Sequence::open_without_readings(&args.sequence, &args.calibration.files())?;
+    let mut sequence = Sequence::open_without_readings(&args.sequence, &args.calibration.files())?;
     if !args.mono {
         check_stereo(&sequence.cameras, sequence.frames.iter().cloned().map(Ok))?;
     }
     let options = options(&args)?;
     let references = references(&args, &sequence)?;
+    if references.is_none() {
+        sequence = Sequence::open_with(&args.sequence, &args.calibration.files())?;
+    }
     let bar = progress_bar(args.json);
     let mut stage_shown = None;
     let mut show = |stage: Stage, done: usize, all: usize| {
@@ -134,7 +141,13 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         mask: mask.as_ref(),
         stereo: !args.mono,
     });
-    let built = build_map(&sequence, &references, extraction, &options, &mut show);
+    let built = if let Some(references) = references {
+        build_map(&sequence, &references, extraction, &options, &mut show)
+    } else {
+        let cameras = if args.mono { 1 } else { sequence.cameras.len().min(2) };
+        let odometry = run_odometry(&mut sequence, cameras, |done, all| show(Stage::Odometry, done, all))?;
+        build_map_from_odometry(&sequence, &odometry, extraction, &options, &mut show)
+    };
     bar.finish_and_clear();
     let (contents, report) = built?;
     let saved = save_map(&args.map, &contents, args.force)?;
@@ -165,30 +178,36 @@ fn progress_bar(hidden: bool) -> ProgressBar {
     bar
 }
 
-/// The poses to build from: those of `--poses`, of the sequence, or the ground truth.
-fn references(args: &Args, sequence: &Sequence) -> anyhow::Result<Vec<ReferencePose>> {
+/// The poses to build from: those of `--poses`, of the sequence, or the ground truth where its standard deviations are
+/// given; `None` to build without.
+fn references(args: &Args, sequence: &Sequence) -> anyhow::Result<Option<Vec<ReferencePose>>> {
+    if args.poses.as_deref() == Some(Path::new("none")) {
+        return Ok(None);
+    }
     if let Some(path) = &args.poses {
-        return poses_of_file(path, args);
+        return poses_of_file(path, args).map(Some);
     }
     if let Some(poses) = &sequence.reference_poses {
-        return Ok(poses.clone());
+        return Ok(Some(poses.clone()));
     }
-    let Some(truth) = &sequence.groundtruth else {
-        bail!(
-            "{} has neither reference_poses.csv nor ground truth: give the poses of the IMU with --poses FILE",
+    match (&sequence.groundtruth, args.sigma_theta, args.sigma_p) {
+        (_, None, None) => Ok(None),
+        (Some(truth), Some(sigma_theta), Some(sigma_p)) => {
+            let reference =
+                |row: &sensors::TruthRow| ReferencePose::isotropic(row.stamp_ns, row.pose, sigma_theta, sigma_p);
+            Ok(Some(truth.iter().map(reference).collect()))
+        }
+        (Some(_), ..) => bail!(
+            "{} has no reference_poses.csv; to build from its ground truth, state both its standard deviations, with \
+             --sigma-theta RAD and --sigma-p M; without either the map is built from odometry",
             args.sequence.display()
-        );
-    };
-    let (Some(sigma_theta), Some(sigma_p)) = (args.sigma_theta, args.sigma_p) else {
-        bail!(
-            "{} has no reference_poses.csv; to build from its ground truth, state its standard deviations with --sigma-theta \
-             RAD and --sigma-p M",
+        ),
+        (None, ..) => bail!(
+            "--sigma-theta and --sigma-p are the uncertainty of poses, and {} has none: give them with --poses FILE, or leave \
+             the switches out to build from odometry",
             args.sequence.display()
-        );
-    };
-    let reference =
-        |row: &sensors::TruthRow| ReferencePose::isotropic(row.stamp_ns, row.pose, sigma_theta, sigma_p);
-    Ok(truth.iter().map(reference).collect())
+        ),
+    }
 }
 
 /// The poses of `--poses`, of any format; the sigmas are those of the file where it has some, else of the switches.
@@ -269,6 +288,9 @@ fn print_report(report: &BuildReport) {
         println!("left out                    {image}");
     }
     println!("pairs matched               {} with {} matches", report.pairs, report.matches);
+    if report.loops > 0 {
+        println!("loops                       {} found, {} of them refused", report.loops, report.refused_loops);
+    }
     println!("observations dropped        {}", report.dropped_observations);
     println!("reprojection error, px      {}", spread(&report.reprojection_px, 2));
     println!("  through the given poses   {}", spread(&report.reprojection_through_given_px, 2));

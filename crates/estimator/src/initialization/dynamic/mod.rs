@@ -18,7 +18,6 @@ pub mod gyroscope_bias;
 pub mod init_quality;
 pub mod landmark_block;
 pub mod normal_equations;
-pub mod preintegration;
 pub mod problem;
 pub mod reprojection;
 #[cfg(test)]
@@ -38,7 +37,7 @@ use closed_form::{FirstMotion, Integrated};
 use geometry::Pose;
 use geometry::triangulation::{TriangulationOptions, View, triangulate};
 use nalgebra::Vector3;
-use preintegration::PreintegratedImu;
+use crate::preintegration::PreintegratedImu;
 use problem::{Estimate, Problem, WindowLandmark};
 use reprojection::InverseDepthLandmark;
 use window::{MIN_TRACKS, WindowTrack};

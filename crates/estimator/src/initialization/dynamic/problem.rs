@@ -1,6 +1,6 @@
 //! The least-squares problem of a window: what is given, the unknowns, and a step of the unknowns.
 
-use super::preintegration::PreintegratedImu;
+use crate::preintegration::PreintegratedImu;
 use super::reprojection::InverseDepthLandmark;
 use super::window::{Window, WindowObservation};
 use crate::calibration::CalibratedCamera;

@@ -1,0 +1,40 @@
+//! Where the unknowns of each view are in the error of all states.
+
+use std::ops::Range;
+
+/// Errors of a pose, `[δθ, δp]` in G.
+pub(super) const POSE: usize = 6;
+/// Errors of a motion: velocity, bias of the gyroscope, bias of the accelerometer.
+pub(super) const MOTION: usize = 9;
+
+/// The layout `[pose of each view | motion of each view]`; without an IMU there are no motions.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct StateLayout {
+    /// Number of views.
+    pub(super) views: usize,
+    /// Whether there are motions.
+    pub(super) inertial: bool,
+}
+
+impl StateLayout {
+    /// Number of unknowns.
+    pub(super) fn dim(self) -> usize {
+        self.views * if self.inertial { POSE + MOTION } else { POSE }
+    }
+
+    /// The pose of a view.
+    pub(super) fn pose(self, view: usize) -> Range<usize> {
+        POSE * view..POSE * (view + 1)
+    }
+
+    /// The motion of a view.
+    pub(super) fn motion(self, view: usize) -> Range<usize> {
+        let begin = POSE * self.views + MOTION * view;
+        begin..begin + MOTION
+    }
+
+    /// Pose and motion of a view, 15 in the order of an IMU state.
+    pub(super) fn state(self, view: usize) -> impl Iterator<Item = usize> {
+        self.pose(view).chain(self.motion(view))
+    }
+}

@@ -1,0 +1,92 @@
+//! Loops: places that are seen again, found by recognition and judged by the trajectory.
+
+use std::collections::BTreeMap;
+
+use map::contents::MapContents;
+use nalgebra::{Matrix3, Matrix6, Vector3};
+use recognition::{LoadedMap, RecognitionOptions};
+
+use super::assemble::keyframe_id;
+use super::camera::MappingCamera;
+use super::error::BuildError;
+use super::keyframe_view::KeyframeView;
+use super::progress::{Progress, Stage};
+use super::relative_pose::RelativePose;
+use geometry::pose::Pose;
+
+/// Loops of one view that are kept: those with the most matches.
+const LOOPS_A_VIEW: usize = 2;
+/// Least standard deviations of a loop (rad, m): landmarks of a map under construction are not exact.
+const MIN_SIGMAS: [f64; 2] = [0.01, 0.05];
+/// A loop is refused when its squared distance from the adjusted trajectory exceeds this: chi-square with 6 degrees of
+/// freedom, 0.1 %.
+const GATE: f64 = 22.5;
+
+/// Finds views that show a place that a much earlier view shows.
+///
+/// # Arguments
+/// * `contents`: the map so far.
+/// * `least_gap`: views closer to each other in the sequence are neighbours and no loop.
+///
+/// # Errors
+/// [`BuildError::Index`], [`BuildError::Recognition`].
+pub(super) fn find_loops(
+    contents: MapContents,
+    cameras: &[MappingCamera],
+    views: &[KeyframeView<'_>],
+    poses: &[Pose],
+    least_gap: usize,
+    progress: Progress<'_>,
+) -> Result<Vec<RelativePose>, BuildError> {
+    let gravity_in_global = contents.info.gravity_in_global;
+    let map = LoadedMap::from_contents(contents)?;
+    let index_of: BTreeMap<u64, usize> = (0..views.len()).map(|view| (keyframe_id(view), view)).collect();
+    let options = RecognitionOptions::default();
+    let mut loops = Vec::new();
+    for (view, content) in views.iter().enumerate() {
+        progress(Stage::PlaceRecognition, view, views.len());
+        if !content.is_keyframe() || view < least_gap {
+            continue;
+        }
+        let gravity_in_camera = gravity_in_global.map(|down| poses[view].rotation.inverse() * down);
+        let latest = keyframe_id(view - least_gap);
+        let eligible = |keyframe: u64| keyframe <= latest;
+        let places = map.verified_places(
+            &cameras[0].camera,
+            &content.features,
+            gravity_in_camera,
+            &eligible,
+            &options,
+        )?;
+        for place in places.iter().take(LOOPS_A_VIEW) {
+            let earlier = index_of[&place.keyframe];
+            let first = &poses[earlier];
+            loops.push(RelativePose {
+                views: [earlier, view],
+                first_from_second: first.inverse().compose(&place.global_from_camera.pose),
+                information: information(first, &place.global_from_camera.covariance),
+            });
+        }
+    }
+    progress(Stage::PlaceRecognition, views.len(), views.len());
+    Ok(loops)
+}
+
+/// Inverse covariance in the frame of the earlier view, from the covariance in G.
+fn information(earlier: &Pose, covariance: &Matrix6<f64>) -> Matrix6<f64> {
+    let to_view = earlier.rotation.inverse().to_rotation_matrix().into_inner();
+    let mut both = Matrix6::zeros();
+    both.fixed_view_mut::<3, 3>(0, 0).copy_from(&to_view);
+    both.fixed_view_mut::<3, 3>(3, 3).copy_from(&to_view);
+    let mut in_view = both * covariance * both.transpose();
+    for (begin, sigma) in [(0, MIN_SIGMAS[0]), (3, MIN_SIGMAS[1])] {
+        let mut block = in_view.fixed_view_mut::<3, 3>(begin, begin);
+        block += Matrix3::from_diagonal(&Vector3::repeat(sigma * sigma));
+    }
+    in_view.try_inverse().unwrap_or_else(Matrix6::zeros)
+}
+
+/// The loops that agree with the adjusted trajectory.
+pub(super) fn consistent(loops: &[RelativePose], poses: &[Pose]) -> Vec<RelativePose> {
+    loops.iter().filter(|found| found.distance(poses) <= GATE).cloned().collect()
+}

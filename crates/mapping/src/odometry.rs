@@ -1,0 +1,165 @@
+//! What odometry knows of a recording, and the views of a map that is built from it.
+
+use std::borrow::Cow;
+use std::collections::HashMap;
+
+use estimator::EstimatorConfig;
+use estimator::propagation::ImuState;
+use geometry::camera::Camera;
+use nalgebra::Vector2;
+use protocol::FeatureSet;
+use sensors::{Frame, ReferencePose, Sequence};
+
+use super::feature_source::FeatureSource;
+use super::keyframe_selection::{camera_pose, select_keyframes};
+use super::keyframe_view::{FeatureId, KeyframeView};
+use super::options::BuildOptions;
+use super::progress::Progress;
+use super::error::BuildError;
+
+/// Uncertainty of the odometry between keyframes that are matched with each other (rad, m): what the epipolar constraint
+/// and the first triangulation are relaxed by. It has hardly drifted between neighbours.
+pub(super) const LOCAL_SIGMAS: [f64; 2] = [0.005, 0.03];
+/// Longest time between views (ns): through longer intervals of IMU readings the position is lost.
+const MAX_INTERVAL_NS: i64 = 1_000_000_000;
+
+/// The odometry of a recording.
+#[derive(Clone, Debug)]
+pub struct Odometry {
+    /// Time of an image (ns), and the state then: pose of the IMU in L, velocity in L, biases. In order of time.
+    pub states: Vec<(i64, ImuState)>,
+    /// Settings of the estimator that was run: the noise of the IMU, gravity, initial standard deviations.
+    pub config: EstimatorConfig,
+}
+
+impl Odometry {
+    /// The state at the time of an image.
+    pub(super) fn at(&self, stamp_ns: i64) -> Option<&ImuState> {
+        let at = self.states.binary_search_by_key(&stamp_ns, |(stamp_ns, _)| *stamp_ns).ok()?;
+        Some(&self.states[at].1)
+    }
+
+    /// The views: keyframes as the camera moves, and in between images that are tied to them by tracks.
+    ///
+    /// # Errors
+    /// [`BuildError`] where there is no keyframe.
+    pub(super) fn select_views<'a>(
+        &self,
+        sequence: &'a Sequence,
+        source: &mut FeatureSource<'_, '_>,
+        options: &BuildOptions,
+        progress: Progress<'_>,
+    ) -> Result<Vec<KeyframeView<'a>>, BuildError> {
+        let [sigma_theta, sigma_p] = LOCAL_SIGMAS;
+        let references: Vec<ReferencePose> = self
+            .states
+            .iter()
+            .map(|(stamp_ns, state)| {
+                ReferencePose::isotropic(*stamp_ns, state.local_from_imu, sigma_theta, sigma_p)
+            })
+            .collect();
+        let without_states = || sequence.frames.iter().all(|frame| self.at(frame.stamp_ns).is_none());
+        if without_states() {
+            return Err(BuildError::NoOdometry { states: self.states.len() });
+        }
+        let keyframes = select_keyframes(sequence, &references, source, options, progress)?;
+        let format = keyframes[0].features.descriptors.format();
+        let mut views: Vec<KeyframeView<'a>> = Vec::with_capacity(keyframes.len());
+        for keyframe in keyframes {
+            if let Some(last_ns) = views.last().map(|view| view.stamp_ns) {
+                let frames = between(&sequence.frames, last_ns, keyframe.stamp_ns);
+                for frame in spaced(frames, last_ns, keyframe.stamp_ns) {
+                    let Some(state) = self.at(frame.stamp_ns) else { continue };
+                    let reference = ReferencePose::isotropic(
+                        frame.stamp_ns,
+                        state.local_from_imu,
+                        sigma_theta,
+                        sigma_p,
+                    );
+                    views.push(KeyframeView {
+                        stamp_ns: frame.stamp_ns,
+                        features: Cow::Owned(FeatureSet::empty(format)),
+                        tracked: Vec::new(),
+                        stereo: Vec::new(),
+                        rays: Vec::new(),
+                        prior: camera_pose(&reference, &sequence.cameras[0].imu_from_camera, options),
+                    });
+                }
+            }
+            views.push(keyframe);
+        }
+        views.retain(|view| self.at(view.stamp_ns).is_some());
+        if views.is_empty() {
+            return Err(BuildError::NoOdometry { states: self.states.len() });
+        }
+        Ok(views)
+    }
+}
+
+/// The frames after one time and before another.
+fn between(frames: &[Frame], from_ns: i64, to_ns: i64) -> &[Frame] {
+    let begin = frames.partition_point(|frame| frame.stamp_ns <= from_ns);
+    let end = frames.partition_point(|frame| frame.stamp_ns < to_ns);
+    &frames[begin..end.max(begin)]
+}
+
+/// Frames with tracks, so many that no interval is longer than [`MAX_INTERVAL_NS`] where there are some.
+fn spaced(frames: &[Frame], from_ns: i64, to_ns: i64) -> impl Iterator<Item = &Frame> {
+    let parts = ((to_ns - from_ns + MAX_INTERVAL_NS - 1) / MAX_INTERVAL_NS).max(1);
+    let mut last_part = 0;
+    frames.iter().filter(move |frame| {
+        let part = (frame.stamp_ns - from_ns) * parts / (to_ns - from_ns).max(1);
+        let is_first = part > last_part && !frame.tracks.is_empty();
+        if is_first {
+            last_part = part;
+        }
+        is_first
+    })
+}
+
+/// Adds the points that the odometry tracks to the views.
+///
+/// A track is broken where its point is not seen in an image: front ends may give its name to another point.
+///
+/// # Returns
+/// The tracks of at least two views, and those that one view sees in stereo.
+pub(super) fn add_tracks(views: &mut [KeyframeView<'_>], frames: &[Frame], camera: &Camera) -> Vec<Vec<FeatureId>> {
+    let view_at: HashMap<i64, usize> =
+        views.iter().enumerate().map(|(index, view)| (view.stamp_ns, index)).collect();
+    let mut tracks: Vec<Vec<FeatureId>> = Vec::new();
+    // Of each point in the last frame: the frame and its track.
+    let mut alive: HashMap<u64, usize> = HashMap::new();
+    for frame in frames {
+        let seen = frame.tracks.iter().filter(|point| point.camera == 0);
+        let mut next = HashMap::with_capacity(alive.len());
+        for point in seen {
+            let track = alive.get(&point.feature_id).copied().unwrap_or_else(|| {
+                tracks.push(Vec::new());
+                tracks.len() - 1
+            });
+            next.insert(point.feature_id, track);
+        }
+        alive = next;
+        let Some(&index) = view_at.get(&frame.stamp_ns) else { continue };
+        let view = &mut views[index];
+        view.stereo.resize(view.features.len(), None);
+        let second: HashMap<u64, Vector2<f64>> = frame
+            .tracks
+            .iter()
+            .filter(|point| point.camera == 1)
+            .map(|point| (point.feature_id, point.pixel))
+            .collect();
+        for point in frame.tracks.iter().filter(|point| point.camera == 0) {
+            let ray = camera.contains(&point.pixel).then(|| camera.unproject(&point.pixel).ok()).flatten();
+            if ray.is_none() {
+                continue;
+            }
+            tracks[alive[&point.feature_id]].push((index, view.rays.len()));
+            view.tracked.push(point.pixel);
+            view.rays.push(ray);
+            view.stereo.push(second.get(&point.feature_id).copied());
+        }
+    }
+    tracks.retain(|track| track.len() >= 2);
+    tracks
+}

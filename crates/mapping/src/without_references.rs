@@ -1,0 +1,205 @@
+//! Map building without reference poses: odometry, loops, and one visual-inertial bundle adjustment.
+//!
+//! G has z up, its origin at the first view's camera and the yaw that odometry gave it.
+
+use std::time::Instant;
+
+use geometry::uncertain_pose::PoseWithCovariance;
+use map::contents::MapContents;
+use nalgebra::{Matrix6, Vector3};
+use sensors::Sequence;
+
+use super::assemble;
+use super::bundle_adjustment::{Bundle, PosePrior};
+use super::camera::MappingCamera;
+use super::error::BuildError;
+use super::feature_source::{Extraction, FeatureSource};
+use super::inertial::{InertialChain, Motion, gauge_information};
+use super::joint_covariance::JointCovariance;
+use super::keyframe_view::{FeatureId, KeyframeView};
+use super::landmark::InverseDepthLandmark;
+use super::loop_closure::{consistent, find_loops};
+use super::matching::{self, FeatureMatch};
+use super::odometry::{LOCAL_SIGMAS, Odometry, add_tracks};
+use super::options::{BuildOptions, FIRST_SIGMA_PX};
+use super::pipeline::{check, match_all, triangulate_all};
+use super::progress::Progress;
+use super::refinement::{Constraints, covariance_of, refine_all};
+use super::report::BuildReport;
+use geometry::uncertain_pose::isotropic_covariance;
+
+/// What defines G: standard deviations of yaw (rad), of the tilt that only gravity gives (rad), and of the position (m) of
+/// the first view.
+const GAUGE_SIGMAS: [f64; 3] = [1e-4, 0.5, 1e-3];
+/// Uncertainty of a view after loops are closed, for the epipolar constraint (rad, m).
+const ADJUSTED_SIGMAS: [f64; 2] = [0.005, 0.05];
+/// Standard deviations of keyframes while loops are searched (rad, m): recognition wants some, none is used.
+const SEARCH_SIGMAS: [f64; 2] = [1e-5, 1e-4];
+
+/// Builds a map from a recording without reference poses.
+///
+/// # Arguments
+/// * `sequence`: with readings of the IMU. Tracks in its frames tie the views together besides the features.
+/// * `odometry`: states at its images.
+/// * `extraction`: how features are extracted from images; `None` takes those that the recording has.
+/// * `progress`: called with the stage and its steps.
+///
+/// # Returns
+/// The map, sorted and valid, and statistics of it. Its covariance is relative to the first keyframe's position and yaw.
+///
+/// # Errors
+/// [`BuildError`], with what to do.
+pub fn build_map_from_odometry(
+    sequence: &Sequence,
+    odometry: &Odometry,
+    extraction: Option<Extraction<'_>>,
+    options: &BuildOptions,
+    progress: Progress<'_>,
+) -> Result<(MapContents, BuildReport), BuildError> {
+    check(options)?;
+    let start = Instant::now();
+    let mut options = options.clone();
+    options.gravity_in_global = Some(-Vector3::z());
+    let cameras = MappingCamera::of_sensors(&sequence.cameras);
+    let mut source = FeatureSource::new(extraction, &cameras);
+    let mut views = odometry.select_views(sequence, &mut source, &options, progress)?;
+    let report = BuildReport {
+        keyframes: views.iter().filter(|view| view.is_keyframe()).count(),
+        stereo_features: views.iter().map(KeyframeView::stereo_count).sum(),
+        unreadable_images: source.unreadable,
+        ..BuildReport::default()
+    };
+    let tracks = add_tracks(&mut views, &sequence.frames, &cameras[0].camera);
+    let mut builder = Builder { sequence, odometry, cameras, options, views, tracks, report, progress };
+    let (bundle, constraints) = builder.build()?;
+    let Builder { cameras, options, views, mut report, progress, .. } = builder;
+    let joint = covariance_of(&cameras, &constraints, &bundle, &views, report.sigma_px, progress)?;
+    let contents = contents_of(&cameras, &views, &bundle, joint, report.sigma_px, &options)?;
+    assemble::fill_report(&mut report, &cameras, &views, &bundle, &contents);
+    report.seconds = start.elapsed().as_secs_f64();
+    Ok((contents, report))
+}
+
+fn contents_of(
+    cameras: &[MappingCamera],
+    views: &[KeyframeView<'_>],
+    bundle: &Bundle,
+    joint: JointCovariance,
+    sigma_px: f64,
+    options: &BuildOptions,
+) -> Result<MapContents, BuildError> {
+    assemble::map_contents(&cameras[0].camera, views, bundle, Some(joint), sigma_px, options)
+}
+
+/// What the stages share.
+struct Builder<'a, 'p> {
+    sequence: &'a Sequence,
+    odometry: &'a Odometry,
+    cameras: Vec<MappingCamera>,
+    options: BuildOptions,
+    views: Vec<KeyframeView<'a>>,
+    /// Tracks of points without descriptors.
+    tracks: Vec<Vec<FeatureId>>,
+    report: BuildReport,
+    progress: Progress<'p>,
+}
+
+impl Builder<'_, '_> {
+    /// Adjusts the trajectory by neighbours, then closes loops, then adjusts all with the landmarks of all places fused.
+    fn build(&mut self) -> Result<(Bundle, Constraints), BuildError> {
+        let mut motions: Vec<Motion> = self
+            .views
+            .iter()
+            .filter_map(|view| self.odometry.at(view.stamp_ns))
+            .map(Motion::of)
+            .collect();
+        let in_time: Vec<(usize, usize)> = matching::pairs_in_time(&self.views, &self.options);
+        let matches = self.matches(&in_time)?;
+        let landmarks = self.landmarks(&matches);
+        let mut constraints = self.constraints(&motions);
+        let mut bundle = self.adjust(&constraints, &motions, landmarks);
+        let loops = self.find_loops(&bundle)?;
+        self.report.loops = loops.len();
+        motions.clone_from(&bundle.motions);
+        constraints = self.constraints(&motions);
+        constraints.relative_poses.clone_from(&loops);
+        bundle = self.adjust_from(&constraints, bundle);
+        let accepted = consistent(&loops, &bundle.poses);
+        self.report.refused_loops = loops.len() - accepted.len();
+        // Again without those that are refused: they still pull.
+        constraints.relative_poses = accepted;
+        bundle = self.adjust_from(&constraints, bundle);
+        self.set_priors(&bundle, ADJUSTED_SIGMAS);
+        let in_space: Vec<(usize, usize)> =
+            matching::pairs(&self.views, &self.options).into_iter().filter(|pair| !in_time.contains(pair)).collect();
+        let mut all = matches;
+        all.extend(self.matches(&in_space)?);
+        let landmarks = self.landmarks(&all);
+        motions.clone_from(&bundle.motions);
+        constraints = self.constraints(&motions);
+        self.report.dropped_observations = 0;
+        let bundle = self.adjust(&constraints, &motions, landmarks);
+        Ok((bundle, constraints))
+    }
+
+    fn matches(&mut self, pairs: &[(usize, usize)]) -> Result<Vec<FeatureMatch>, BuildError> {
+        match_all(&self.cameras, &self.views, pairs, &self.options, &mut self.report, self.progress)
+    }
+
+    fn landmarks(&mut self, matches: &[FeatureMatch]) -> Vec<InverseDepthLandmark> {
+        let (matches, tracks) = (matches.to_vec(), self.tracks.clone());
+        triangulate_all(&self.cameras, &self.views, matches, tracks, &self.options, &mut self.report, self.progress)
+    }
+
+    /// The first pose, which defines G, and the readings of the IMU.
+    fn constraints(&self, motions: &[Motion]) -> Constraints {
+        let [sigma_yaw, sigma_tilt, sigma_p] = GAUGE_SIGMAS;
+        let stamps_ns: Vec<i64> = self.views.iter().map(|view| view.stamp_ns).collect();
+        let imu_from_camera = self.sequence.cameras[0].imu_from_camera;
+        let config = &self.odometry.config;
+        let readings = &self.sequence.imu_samples;
+        Constraints {
+            priors: vec![PosePrior {
+                view: 0,
+                pose: self.views[0].prior.pose,
+                information: gauge_information(sigma_yaw, sigma_tilt, sigma_p),
+            }],
+            inertial: Some(InertialChain::new(readings, &stamps_ns, motions, imu_from_camera, config)),
+            relative_poses: Vec::new(),
+        }
+    }
+
+    fn adjust(
+        &mut self,
+        constraints: &Constraints,
+        motions: &[Motion],
+        landmarks: Vec<InverseDepthLandmark>,
+    ) -> Bundle {
+        let poses = self.views.iter().map(|view| view.prior.pose).collect();
+        self.adjust_from(constraints, Bundle { poses, motions: motions.to_vec(), landmarks })
+    }
+
+    fn adjust_from(&mut self, constraints: &Constraints, bundle: Bundle) -> Bundle {
+        refine_all(&self.cameras, constraints, bundle, &self.options, &mut self.report, self.progress)
+    }
+
+    fn find_loops(&mut self, bundle: &Bundle) -> Result<Vec<super::relative_pose::RelativePose>, BuildError> {
+        self.set_priors(bundle, LOCAL_SIGMAS);
+        let keyframes = self.views.iter().enumerate().filter(|(_, view)| view.is_keyframe());
+        let [sigma_theta, sigma_p] = SEARCH_SIGMAS;
+        let covariance: Matrix6<f64> = isotropic_covariance(sigma_theta, sigma_p);
+        let own = keyframes.map(|(view, _)| (view, covariance)).collect();
+        let joint = JointCovariance { own, cross: Vec::new() };
+        let sigma_px = self.options.sigma_px.unwrap_or(FIRST_SIGMA_PX);
+        let contents = contents_of(&self.cameras, &self.views, bundle, joint, sigma_px, &self.options)?;
+        let gap = self.options.time_neighbours + 1;
+        find_loops(contents, &self.cameras, &self.views, &bundle.poses, gap, self.progress)
+    }
+
+    /// Takes the poses of the views from a bundle.
+    fn set_priors(&mut self, bundle: &Bundle, [sigma_theta, sigma_p]: [f64; 2]) {
+        for (view, pose) in self.views.iter_mut().zip(&bundle.poses) {
+            view.prior = PoseWithCovariance::new(*pose, isotropic_covariance(sigma_theta, sigma_p));
+        }
+    }
+}

@@ -1,0 +1,61 @@
+//! The keyframes of a map that show what an image shows, each verified for itself.
+
+use geometry::{Camera, PoseWithCovariance};
+use nalgebra::Vector3;
+use protocol::{FeatureSet, KeyframeId};
+
+use super::index::best_voted;
+use super::loaded_map::LoadedMap;
+use super::options::RecognitionOptions;
+use super::query::QueryError;
+use super::verification::{Comparison, Image, compare};
+
+/// A keyframe that shows the place of an image.
+#[derive(Clone, Debug)]
+pub struct VerifiedPlace {
+    /// The keyframe.
+    pub keyframe: KeyframeId,
+    /// The camera in G by this keyframe alone; its covariance contains that of the keyframe's pose.
+    pub global_from_camera: PoseWithCovariance,
+    /// Number of matches that agree with the pose.
+    pub inliers: usize,
+}
+
+impl LoadedMap {
+    /// The keyframes that show what an image shows, each verified by the camera's pose, most inliers first.
+    ///
+    /// Unlike the answer to a query they need not agree on one place: while a map is being built, its poses have drifted.
+    ///
+    /// # Arguments
+    /// * `eligible`: which keyframes are searched.
+    ///
+    /// # Errors
+    /// [`QueryError`] where the image cannot be compared with the map.
+    pub fn verified_places(
+        &self,
+        camera: &Camera,
+        features: &FeatureSet,
+        gravity_in_camera: Option<Vector3<f64>>,
+        eligible: &dyn Fn(KeyframeId) -> bool,
+        options: &RecognitionOptions,
+    ) -> Result<Vec<VerifiedPlace>, QueryError> {
+        if features.len() < options.min_inliers {
+            return Ok(Vec::new());
+        }
+        let image = Image { camera, features, descriptors: self.view(features)?, gravity_in_camera };
+        let votes = self.index.vote(image.descriptors, &self.landmarks, self.keyframes.len())?;
+        let is_eligible = |at: usize| eligible(self.keyframes[at].id);
+        let mut places = Vec::new();
+        for candidate in best_voted(&votes, options.candidates, options.min_votes, is_eligible) {
+            if let Comparison::Verified(found) = compare(self, candidate, &image, None, options)? {
+                places.push(VerifiedPlace {
+                    keyframe: self.keyframes[candidate].id,
+                    global_from_camera: found.global_from_camera,
+                    inliers: found.inliers.len(),
+                });
+            }
+        }
+        places.sort_by_key(|place| std::cmp::Reverse(place.inliers));
+        Ok(places)
+    }
+}

@@ -1,0 +1,124 @@
+//! Odometry over a recording in memory, for building a map from it.
+
+use anyhow::{Context as _, Result, bail};
+use estimator::{CalibratedCamera, EstimatorError, MapMode, TrackObservation};
+use estimator::propagation::ImuState;
+use mapping::Odometry;
+use onboard::{EstimatorSupervisor, FrontEnd, RobotArguments};
+use sensors::{ImuSample, Sequence};
+use std::path::Path;
+use vision::tracking::TrackerOptions;
+
+/// Runs odometry over a recording.
+///
+/// Tracks that are made of images are put into its frames. Images before the initialization have no state.
+///
+/// # Arguments
+/// * `cameras`: 1 or 2.
+/// * `progress`: called with the number of frames done.
+///
+/// # Errors
+/// A recording without IMU, tracks and images, or in which the estimator is never initialized.
+pub fn run_odometry(
+    sequence: &mut Sequence,
+    cameras: usize,
+    mut progress: impl FnMut(usize, usize),
+) -> Result<Odometry> {
+    if sequence.imu_samples.is_empty() {
+        bail!(
+            "{} has no readings of an IMU, and no poses were given: a map needs one of them; give poses with --poses FILE",
+            sequence.root.display()
+        );
+    }
+    let mut config = RobotArguments::with_defaults(Path::new("."))?.estimator_config(&sequence.calibration())?;
+    config.mode = MapMode::Odometry;
+    let of_sensor = |sensor: &sensors::CameraSensor| CalibratedCamera {
+        camera: sensor.camera.clone(),
+        imu_from_camera: sensor.imu_from_camera,
+    };
+    let rig: Vec<CalibratedCamera> = sequence.cameras[..cameras].iter().map(of_sensor).collect();
+    let mut supervisor = EstimatorSupervisor::initializing(config.clone(), rig);
+    let contents = sequence.contents();
+    let mut front_end = if contents.tracks {
+        None
+    } else {
+        let options = TrackerOptions::default();
+        Some(FrontEnd::new(&sequence.cameras[..cameras], options).context("the tracker cannot start")?)
+    };
+    let mut states: Vec<(i64, ImuState)> = Vec::new();
+    let mut next_reading = 0;
+    let frames = sequence.frames.len();
+    for (index, frame) in sequence.frames.iter_mut().enumerate() {
+        progress(index, frames);
+        let begin = next_reading;
+        // Up to the first one that is not before the frame.
+        while next_reading < sequence.imu_samples.len() {
+            let reading = sequence.imu_samples[next_reading];
+            next_reading += 1;
+            match supervisor.imu(reading) {
+                Ok(()) | Err(EstimatorError::BadImu(_)) => {}
+                Err(error) => return Err(error.into()),
+            }
+            if reading.stamp_ns >= frame.stamp_ns {
+                break;
+            }
+        }
+        if let Some(front_end) = &mut front_end {
+            if frame.images[0].is_none() {
+                continue;
+            }
+            let readings = &sequence.imu_samples[begin.saturating_sub(2)..next_reading];
+            match front_end.track_frame(frame, readings) {
+                Ok(tracks) => frame.tracks = tracks,
+                Err(error) => {
+                    tracing::warn!(%error, "image left out");
+                    continue;
+                }
+            }
+        }
+        let used = |track: &&TrackObservation| usize::from(track.camera) < cameras;
+        let tracks: Vec<TrackObservation> = frame.tracks.iter().filter(used).copied().collect();
+        match step(&mut supervisor, frame.stamp_ns, &tracks) {
+            Ok(Some(state)) => states.push((frame.stamp_ns, state)),
+            Ok(None) | Err(EstimatorError::NoImu { .. } | EstimatorError::OldFrame { .. }) => {}
+            Err(error @ EstimatorError::Diverged(_)) => {
+                tracing::warn!(%error, "odometry starts again");
+                let read: &[ImuSample] = &sequence.imu_samples[..next_reading];
+                supervisor.reinitialize(frame.stamp_ns, &error, read);
+            }
+            Err(error) => return Err(error.into()),
+        }
+    }
+    if states.is_empty() {
+        bail!(
+            "{}: odometry was never initialized: {}",
+            sequence.root.display(),
+            supervisor.status().reason
+        );
+    }
+    if let Some(learned) = supervisor.learned_noise() {
+        config.imu_noise = config.imu_noise.inflated(learned.imu_noise_scale);
+    }
+    Ok(Odometry { states, config })
+}
+
+/// One image; `None` where the estimator is not initialized.
+fn step(
+    supervisor: &mut EstimatorSupervisor,
+    stamp_ns: i64,
+    tracks: &[TrackObservation],
+) -> Result<Option<ImuState>, EstimatorError> {
+    supervisor.try_initialize(stamp_ns, tracks)?;
+    let Some(estimator) = supervisor.estimator_mut() else { return Ok(None) };
+    estimator.time_update(stamp_ns)?;
+    estimator.track_update(tracks)?;
+    let (gyroscope_bias, accelerometer_bias) = estimator.biases();
+    let state = ImuState {
+        local_from_imu: estimator.local_from_imu().pose,
+        velocity: estimator.velocity(),
+        gyroscope_bias,
+        accelerometer_bias,
+    };
+    supervisor.update_last_trusted();
+    Ok(Some(state))
+}
