@@ -99,7 +99,7 @@ pub fn run_odometry(
     if let Some(learned) = supervisor.learned_noise() {
         config.imu_noise = config.imu_noise.inflated(learned.imu_noise_scale);
     }
-    Ok(Odometry { states, config })
+    Ok(Odometry { states, cameras, config })
 }
 
 /// One image; `None` where the estimator is not initialized.

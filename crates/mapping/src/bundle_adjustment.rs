@@ -84,7 +84,7 @@ pub(super) struct Problem<'a> {
     pub(super) priors: &'a [PosePrior],
     /// Readings of the IMU between the views.
     pub(super) inertial: Option<&'a InertialChain>,
-    /// Relative poses, of which some may be wrong.
+    /// Relative poses of places that are seen again.
     pub(super) relative_poses: &'a [RelativePose],
     /// Standard deviation of a pixel (px).
     pub(super) sigma_px: f64,
@@ -173,7 +173,7 @@ impl Problem<'_> {
             inertial.add_to(&mut equations, layout, &bundle.poses, &bundle.motions);
         }
         for relative in self.relative_poses {
-            relative.add_to(&mut equations, layout, &bundle.poses, scale);
+            relative.add_to(&mut equations, layout, &bundle.poses);
         }
         let poses = bundle.camera_poses();
         for landmark in &bundle.landmarks {
@@ -245,7 +245,7 @@ impl Problem<'_> {
         let inertial =
             self.inertial.map_or(0.0, |inertial| inertial.cost(&bundle.poses, &bundle.motions));
         let relative: f64 =
-            self.relative_poses.iter().map(|relative| relative.cost(&bundle.poses, scale)).sum();
+            self.relative_poses.iter().map(|relative| 0.5 * relative.distance(&bundle.poses)).sum();
         let poses = bundle.camera_poses();
         let robust = |error: f64| {
             let sigmas = (error / self.sigma_px).min(1e6);

@@ -3,21 +3,26 @@
 use std::collections::BTreeMap;
 
 use map::contents::MapContents;
-use nalgebra::{Matrix3, Matrix6, Vector3};
+use nalgebra::{DMatrix, Matrix3, Matrix6, SMatrix, Vector3};
 use recognition::{LoadedMap, RecognitionOptions};
 
 use super::assemble::keyframe_id;
 use super::camera::MappingCamera;
 use super::error::BuildError;
 use super::keyframe_view::KeyframeView;
+use super::layout::{POSE, StateLayout};
 use super::progress::{Progress, Stage};
 use super::relative_pose::RelativePose;
+use super::sparse_system::SparseFactor;
 use geometry::pose::Pose;
 
 /// Loops of one view that are kept: those with the most matches.
 const LOOPS_A_VIEW: usize = 2;
 /// Least standard deviations of a loop (rad, m): landmarks of a map under construction are not exact.
 const MIN_SIGMAS: [f64; 2] = [0.01, 0.05];
+/// The standard deviations of a trajectory without loops are taken for so many times as large: those that calibration files
+/// state of an IMU are too small by this factor on real recordings.
+const TRAJECTORY_FACTOR: f64 = 3.0;
 /// A loop is refused when its squared distance from the adjusted trajectory exceeds this: chi-square with 6 degrees of
 /// freedom, 0.1 %.
 const GATE: f64 = 22.5;
@@ -84,6 +89,39 @@ fn information(earlier: &Pose, covariance: &Matrix6<f64>) -> Matrix6<f64> {
         block += Matrix3::from_diagonal(&Vector3::repeat(sigma * sigma));
     }
     in_view.try_inverse().unwrap_or_else(Matrix6::zeros)
+}
+
+/// The loops that a trajectory, with its uncertainty, does not contradict.
+///
+/// # Arguments
+/// * `factor`: of the information matrix of all states of the trajectory.
+pub(super) fn plausible(
+    loops: Vec<RelativePose>,
+    poses: &[Pose],
+    factor: &SparseFactor,
+    layout: StateLayout,
+) -> Vec<RelativePose> {
+    let mut columns: BTreeMap<usize, DMatrix<f64>> = BTreeMap::new();
+    for view in loops.iter().flat_map(|found| found.views) {
+        columns.entry(view).or_insert_with(|| {
+            let wanted: Vec<usize> = layout.pose(view).collect();
+            factor.inverse_columns(&wanted)
+        });
+    }
+    let covariance = |views: [usize; 2]| {
+        let mut joint = SMatrix::<f64, 12, 12>::zeros();
+        for (column, view) in views.iter().enumerate() {
+            for (row, other) in views.iter().enumerate() {
+                let block = columns[view].fixed_view::<POSE, POSE>(layout.pose(*other).start, 0);
+                joint.fixed_view_mut::<POSE, POSE>(POSE * row, POSE * column).copy_from(&block);
+            }
+        }
+        (joint + joint.transpose()) * (0.5 * TRAJECTORY_FACTOR * TRAJECTORY_FACTOR)
+    };
+    let is_plausible = |found: &RelativePose| {
+        found.distance_with(poses, &covariance(found.views)).is_some_and(|distance| distance <= GATE)
+    };
+    loops.into_iter().filter(is_plausible).collect()
 }
 
 /// The loops that agree with the adjusted trajectory.

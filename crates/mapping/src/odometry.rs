@@ -28,6 +28,8 @@ const MAX_INTERVAL_NS: i64 = 1_000_000_000;
 pub struct Odometry {
     /// Time of an image (ns), and the state then: pose of the IMU in L, velocity in L, biases. In order of time.
     pub states: Vec<(i64, ImuState)>,
+    /// Number of cameras that were used: 1 or 2.
+    pub cameras: usize,
     /// Settings of the estimator that was run: the noise of the IMU, gravity, initial standard deviations.
     pub config: EstimatorConfig,
 }
@@ -121,9 +123,19 @@ fn spaced(frames: &[Frame], from_ns: i64, to_ns: i64) -> impl Iterator<Item = &F
 ///
 /// A track is broken where its point is not seen in an image: front ends may give its name to another point.
 ///
+/// # Arguments
+/// * `frames`: all of the recording.
+/// * `camera`: camera 0.
+/// * `stereo`: whether points of camera 1 are used.
+///
 /// # Returns
-/// The tracks of at least two views, and those that one view sees in stereo.
-pub(super) fn add_tracks(views: &mut [KeyframeView<'_>], frames: &[Frame], camera: &Camera) -> Vec<Vec<FeatureId>> {
+/// The tracks of at least two views.
+pub(super) fn add_tracks(
+    views: &mut [KeyframeView<'_>],
+    frames: &[Frame],
+    camera: &Camera,
+    stereo: bool,
+) -> Vec<Vec<FeatureId>> {
     let view_at: HashMap<i64, usize> =
         views.iter().enumerate().map(|(index, view)| (view.stamp_ns, index)).collect();
     let mut tracks: Vec<Vec<FeatureId>> = Vec::new();
@@ -146,7 +158,7 @@ pub(super) fn add_tracks(views: &mut [KeyframeView<'_>], frames: &[Frame], camer
         let second: HashMap<u64, Vector2<f64>> = frame
             .tracks
             .iter()
-            .filter(|point| point.camera == 1)
+            .filter(|point| stereo && point.camera == 1)
             .map(|point| (point.feature_id, point.pixel))
             .collect();
         for point in frame.tracks.iter().filter(|point| point.camera == 0) {

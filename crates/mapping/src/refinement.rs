@@ -7,6 +7,7 @@ use super::inertial::InertialChain;
 use super::joint_covariance::{JointCovariance, joint_covariance};
 use super::keyframe_view::KeyframeView;
 use super::landmark::InverseDepthLandmark;
+use super::loop_closure::plausible;
 use super::options::{BuildOptions, FIRST_SIGMA_PX};
 use super::progress::{Progress, Stage};
 use super::relative_pose::RelativePose;
@@ -39,6 +40,22 @@ impl Constraints {
     pub(super) fn of_references(views: &[KeyframeView<'_>]) -> Constraints {
         let prior = |(view, content): (usize, &KeyframeView<'_>)| PosePrior::of_reference(view, &content.prior);
         Constraints { priors: views.iter().enumerate().map(prior).collect(), ..Constraints::default() }
+    }
+
+    /// The loops that the trajectory of a bundle, with its uncertainty, does not contradict.
+    ///
+    /// # Errors
+    /// [`BuildError::Indefinite`].
+    pub(super) fn plausible_loops(
+        &self,
+        cameras: &[MappingCamera],
+        bundle: &Bundle,
+        loops: Vec<RelativePose>,
+        sigma_px: f64,
+    ) -> Result<Vec<RelativePose>, BuildError> {
+        let problem = self.problem(cameras, sigma_px);
+        let factor = problem.information(bundle).ok_or(BuildError::Indefinite)?;
+        Ok(plausible(loops, &bundle.poses, &factor, problem.layout(bundle)))
     }
 
     /// The least-squares problem for a pixel noise (px).

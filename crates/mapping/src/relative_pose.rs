@@ -1,4 +1,4 @@
-//! Relative poses of two views, as place recognition finds them: some may be wrong.
+//! Relative poses of two views, as place recognition finds them.
 
 use geometry::pose::Pose;
 use geometry::rotation::{left_jacobian_inverse, right_jacobian_inverse, skew};
@@ -55,20 +55,25 @@ impl RelativePose {
         jacobian
     }
 
-    /// Adds the linearized residual with Cauchy's weight.
+    /// Squared length of the residual where the poses themselves are uncertain.
     ///
     /// # Arguments
-    /// * `scale`: of Cauchy's loss, in standard deviations.
-    pub(super) fn add_to(
-        &self,
-        equations: &mut NormalEquations,
-        layout: StateLayout,
-        poses: &[Pose],
-        scale: f64,
-    ) {
+    /// * `covariance`: of the errors of both poses (12x12).
+    ///
+    /// # Returns
+    /// `None` where the covariance is singular.
+    pub(super) fn distance_with(&self, poses: &[Pose], covariance: &SMatrix<f64, 12, 12>) -> Option<f64> {
         let residual = self.residual(poses);
-        let weight = (1.0 + self.distance(poses) / (scale * scale)).recip();
-        let information = self.information_in_global(poses) * weight;
+        let jacobian = self.jacobian(poses, &residual);
+        let measured = self.information_in_global(poses).try_inverse()?;
+        let total = jacobian * covariance * jacobian.transpose() + measured;
+        Some(residual.dot(&total.cholesky()?.solve(&residual)))
+    }
+
+    /// Adds the linearized residual.
+    pub(super) fn add_to(&self, equations: &mut NormalEquations, layout: StateLayout, poses: &[Pose]) {
+        let residual = self.residual(poses);
+        let information = self.information_in_global(poses);
         let jacobian = self.jacobian(poses, &residual);
         equations.add_residual(
             layout.pose(self.views[0]).chain(layout.pose(self.views[1])).collect(),
@@ -76,11 +81,6 @@ impl RelativePose {
             &DMatrix::from_column_slice(POSE, POSE, information.as_slice()),
             &DVector::from_column_slice(residual.as_slice()),
         );
-    }
-
-    /// Cauchy's loss of the residual.
-    pub(super) fn cost(&self, poses: &[Pose], scale: f64) -> f64 {
-        0.5 * scale * scale * (self.distance(poses) / (scale * scale)).ln_1p()
     }
 }
 

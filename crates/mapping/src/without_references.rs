@@ -69,7 +69,7 @@ pub fn build_map_from_odometry(
         unreadable_images: source.unreadable,
         ..BuildReport::default()
     };
-    let tracks = add_tracks(&mut views, &sequence.frames, &cameras[0].camera);
+    let tracks = add_tracks(&mut views, &sequence.frames, &cameras[0].camera, odometry.cameras > 1);
     let mut builder = Builder { sequence, odometry, cameras, options, views, tracks, report, progress };
     let (bundle, constraints) = builder.build()?;
     let Builder { cameras, options, views, mut report, progress, .. } = builder;
@@ -116,19 +116,9 @@ impl Builder<'_, '_> {
         let in_time: Vec<(usize, usize)> = matching::pairs_in_time(&self.views, &self.options);
         let matches = self.matches(&in_time)?;
         let landmarks = self.landmarks(&matches);
-        let mut constraints = self.constraints(&motions);
+        let constraints = self.constraints(&motions);
         let mut bundle = self.adjust(&constraints, &motions, landmarks);
-        let loops = self.find_loops(&bundle)?;
-        self.report.loops = loops.len();
-        motions.clone_from(&bundle.motions);
-        constraints = self.constraints(&motions);
-        constraints.relative_poses.clone_from(&loops);
-        bundle = self.adjust_from(&constraints, bundle);
-        let accepted = consistent(&loops, &bundle.poses);
-        self.report.refused_loops = loops.len() - accepted.len();
-        // Again without those that are refused: they still pull.
-        constraints.relative_poses = accepted;
-        bundle = self.adjust_from(&constraints, bundle);
+        bundle = self.close_loops(bundle)?;
         self.set_priors(&bundle, ADJUSTED_SIGMAS);
         let in_space: Vec<(usize, usize)> =
             matching::pairs(&self.views, &self.options).into_iter().filter(|pair| !in_time.contains(pair)).collect();
@@ -136,10 +126,31 @@ impl Builder<'_, '_> {
         all.extend(self.matches(&in_space)?);
         let landmarks = self.landmarks(&all);
         motions.clone_from(&bundle.motions);
-        constraints = self.constraints(&motions);
+        let constraints = self.constraints(&motions);
         self.report.dropped_observations = 0;
         let bundle = self.adjust(&constraints, &motions, landmarks);
         Ok((bundle, constraints))
+    }
+
+    /// Finds places that are seen again and adjusts the trajectory to them. Loops that contradict the trajectory by more
+    /// than its covariance allows are refused at once, those that contradict the others after an adjustment.
+    fn close_loops(&mut self, mut bundle: Bundle) -> Result<Bundle, BuildError> {
+        let found = self.find_loops(&bundle)?;
+        self.report.loops = found.len();
+        let mut constraints = self.constraints(&bundle.motions);
+        let mut loops = constraints.plausible_loops(&self.cameras, &bundle, found, self.report.sigma_px)?;
+        loop {
+            constraints = self.constraints(&bundle.motions);
+            constraints.relative_poses.clone_from(&loops);
+            bundle = self.adjust_from(&constraints, bundle);
+            let count = loops.len();
+            loops = consistent(&loops, &bundle.poses);
+            if loops.len() == count {
+                break;
+            }
+        }
+        self.report.refused_loops = self.report.loops - loops.len();
+        Ok(bundle)
     }
 
     fn matches(&mut self, pairs: &[(usize, usize)]) -> Result<Vec<FeatureMatch>, BuildError> {
