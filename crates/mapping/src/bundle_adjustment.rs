@@ -130,7 +130,7 @@ impl Problem<'_> {
 
     /// The factor of the information matrix of all states at the minimum, with the landmarks eliminated.
     pub(super) fn information(&self, bundle: &Bundle) -> Option<SparseFactor> {
-        self.equations(bundle, LAST_SCALE, 0.0).system().factor()
+        self.equations(bundle, f64::INFINITY, 0.0).system().factor()
     }
 
     /// The layout of the states.
