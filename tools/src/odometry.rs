@@ -1,8 +1,8 @@
 //! Odometry over a recording in memory, for building a map from it.
 
 use anyhow::{Context as _, Result, bail};
-use estimator::{CalibratedCamera, EstimatorError, MapMode, TrackObservation};
 use estimator::propagation::ImuState;
+use estimator::{CalibratedCamera, EstimatorError, MapMode, TrackObservation};
 use mapping::Odometry;
 use onboard::{EstimatorSupervisor, FrontEnd, RobotArguments};
 use sensors::{ImuSample, Sequence};
@@ -30,7 +30,8 @@ pub fn run_odometry(
             sequence.root.display()
         );
     }
-    let mut config = RobotArguments::with_defaults(Path::new("."))?.estimator_config(&sequence.calibration())?;
+    let mut config =
+        RobotArguments::with_defaults(Path::new("."))?.estimator_config(&sequence.calibration())?;
     config.mode = MapMode::Odometry;
     let of_sensor = |sensor: &sensors::CameraSensor| CalibratedCamera {
         camera: sensor.camera.clone(),
@@ -90,11 +91,7 @@ pub fn run_odometry(
         }
     }
     if states.is_empty() {
-        bail!(
-            "{}: odometry was never initialized: {}",
-            sequence.root.display(),
-            supervisor.status().reason
-        );
+        bail!("{}: odometry was never initialized: {}", sequence.root.display(), supervisor.status().reason);
     }
     if let Some(learned) = supervisor.learned_noise() {
         config.imu_noise = config.imu_noise.inflated(learned.imu_noise_scale);

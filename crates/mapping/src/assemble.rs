@@ -36,7 +36,9 @@ pub(super) fn map_contents(
     sigma_px: f64,
     options: &BuildOptions,
 ) -> Result<MapContents, BuildError> {
-    let Some(first) = views.iter().find(|view| view.is_keyframe()) else { return Err(BuildError::NoKeyframes) };
+    let Some(first) = views.iter().find(|view| view.is_keyframe()) else {
+        return Err(BuildError::NoKeyframes);
+    };
     let descriptors = &first.features.descriptors;
     let mut info = MapMetadata::new(
         options.name.clone(),

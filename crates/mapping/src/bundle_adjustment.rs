@@ -138,26 +138,32 @@ impl Problem<'_> {
         StateLayout { views: bundle.poses.len(), inertial: self.inertial.is_some() }
     }
 
-    /// One damped Gauss-Newton step; `None` where the equations are singular.
-    fn step(&self, bundle: &Bundle, scale: f64, damping: f64) -> Option<Bundle> {
+    /// A bundle moved by an error of its states.
+    pub(super) fn moved(&self, bundle: &Bundle, error: &DVector<f64>) -> Bundle {
         let layout = self.layout(bundle);
-        let step = self.equations(bundle, scale, damping).solve(damping)?;
         let pose = |(view, pose): (usize, &Pose)| {
-            pose.retract(&step.states.fixed_rows::<POSE>(layout.pose(view).start).into_owned())
+            pose.retract(&error.fixed_rows::<POSE>(layout.pose(view).start).into_owned())
         };
         let motion = |(view, motion): (usize, &Motion)| {
-            motion.retract(&step.states.fixed_rows::<MOTION>(layout.motion(view).start).into_owned())
+            motion.retract(&error.fixed_rows::<MOTION>(layout.motion(view).start).into_owned())
         };
-        let landmarks = bundle.landmarks.iter().zip(&step.landmarks);
-        Some(Bundle {
+        Bundle {
             poses: bundle.poses.iter().enumerate().map(pose).collect(),
             motions: bundle.motions.iter().enumerate().map(motion).collect(),
-            landmarks: landmarks.map(|(landmark, error)| landmark.corrected(error)).collect(),
-        })
+            landmarks: bundle.landmarks.clone(),
+        }
+    }
+
+    /// One damped Gauss-Newton step; `None` where the equations are singular.
+    fn step(&self, bundle: &Bundle, scale: f64, damping: f64) -> Option<Bundle> {
+        let step = self.equations(bundle, scale, damping).solve(damping)?;
+        let landmarks = bundle.landmarks.iter().zip(&step.landmarks);
+        let landmarks = landmarks.map(|(landmark, error)| landmark.corrected(error)).collect();
+        Some(Bundle { landmarks, ..self.moved(bundle, &step.states) })
     }
 
     /// The normal equations at a bundle.
-    fn equations(&self, bundle: &Bundle, scale: f64, damping: f64) -> NormalEquations {
+    pub(super) fn equations(&self, bundle: &Bundle, scale: f64, damping: f64) -> NormalEquations {
         let layout = self.layout(bundle);
         let mut equations = NormalEquations::new(layout);
         for prior in self.priors {
@@ -236,14 +242,13 @@ impl Problem<'_> {
     }
 
     /// The cost whose weights are [`Problem::weight`].
-    fn cost(&self, bundle: &Bundle, scale: f64) -> f64 {
+    pub(super) fn cost(&self, bundle: &Bundle, scale: f64) -> f64 {
         let prior = |prior: &PosePrior| {
             let error = prior.pose.local(&bundle.poses[prior.view]);
             0.5 * error.dot(&(prior.information * error))
         };
         let priors: f64 = self.priors.iter().map(prior).sum();
-        let inertial =
-            self.inertial.map_or(0.0, |inertial| inertial.cost(&bundle.poses, &bundle.motions));
+        let inertial = self.inertial.map_or(0.0, |inertial| inertial.cost(&bundle.poses, &bundle.motions));
         let relative: f64 =
             self.relative_poses.iter().map(|relative| 0.5 * relative.distance(&bundle.poses)).sum();
         let poses = bundle.camera_poses();

@@ -6,7 +6,7 @@ use geometry::camera::Camera;
 use nalgebra::Vector2;
 use protocol::FeatureSet;
 use sensors::{Frame, ImageData, Sequence};
-use vision::{FeatureExtractor, GrayImage};
+use vision::{FeatureExtractor, GrayImage, ImageFeatures};
 
 use super::camera::MappingCamera;
 use super::error::BuildError;
@@ -67,41 +67,64 @@ impl<'e, 'r> FeatureSource<'e, 'r> {
         }
     }
 
-    /// The features of a frame; `None` where its image cannot be read, which is recorded in `unreadable`.
+    /// The features of camera 0; `None` where its image cannot be read, which is recorded in `unreadable`.
     ///
     /// # Errors
-    /// [`BuildError::Extraction`].
+    /// [`BuildError::Extraction`], [`BuildError::ImageSize`].
     pub(super) fn features_of<'f>(
         &mut self,
         frame: &'f Frame,
+    ) -> Result<Option<Cow<'f, FeatureSet>>, BuildError> {
+        if self.extraction.is_none() {
+            return Ok(frame.features.as_ref().map(Cow::Borrowed));
+        }
+        Ok(self.extract(frame, 0)?.map(|features| Cow::Owned(self.named(features))))
+    }
+
+    /// The features of camera 0 and where camera 1 sees them; `None` as in [`FeatureSource::features_of`].
+    ///
+    /// # Errors
+    /// [`BuildError::Extraction`], [`BuildError::ImageSize`].
+    pub(super) fn stereo_features_of<'f>(
+        &mut self,
+        frame: &'f Frame,
     ) -> Result<Option<FrameFeatures<'f>>, BuildError> {
-        let Some(extraction) = &mut self.extraction else {
-            let recorded = |features| FrameFeatures { features: Cow::Borrowed(features), stereo: Vec::new() };
-            return Ok(frame.features.as_ref().map(recorded));
+        let is_stereo = self.extraction.as_ref().is_some_and(|extraction| extraction.stereo);
+        if !is_stereo || self.cameras.len() < 2 {
+            let features = self.features_of(frame)?;
+            return Ok(features.map(|features| FrameFeatures { features, stereo: Vec::new() }));
+        }
+        let Some(first) = self.extract(frame, 0)? else { return Ok(None) };
+        let stereo = self
+            .extract(frame, 1)?
+            .map_or_else(Vec::new, |second| match_stereo(self.cameras, &first, &second));
+        Ok(Some(FrameFeatures { features: Cow::Owned(self.named(first)), stereo }))
+    }
+
+    fn named(&self, features: ImageFeatures) -> FeatureSet {
+        let name = self.extraction.as_ref().map_or("", |extraction| extraction.extractor.name());
+        feature_set(name, features)
+    }
+
+    /// Extracts the features of one camera; `None` without an image that can be read.
+    fn extract(&mut self, frame: &Frame, camera: usize) -> Result<Option<ImageFeatures>, BuildError> {
+        let (Some(extraction), Some(file)) = (&mut self.extraction, &frame.images[camera]) else {
+            return Ok(None);
         };
-        let mut extract = |index: usize, file: &ImageData, mask: Option<&GrayImage>| match file.read() {
-            Ok(image) => {
-                check_size(index, file, &image, &self.cameras[index].camera)?;
-                extraction
-                    .extractor
-                    .extract(&image, mask, extraction.max_features)
-                    .map(Some)
-                    .map_err(|source| BuildError::Extraction { image: file.to_string(), source })
-            }
+        let image = match file.read() {
+            Ok(image) => image,
             Err(error) => {
                 self.unreadable.push(error.to_string());
-                Ok(None)
+                return Ok(None);
             }
         };
-        let Some(file) = &frame.images[0] else { return Ok(None) };
-        let Some(first) = extract(0, file, extraction.mask)? else { return Ok(None) };
-        let stereo = match (&frame.images[1], self.cameras.get(1)) {
-            (Some(file), Some(_)) if extraction.stereo => extract(1, file, None)?
-                .map_or_else(Vec::new, |second| match_stereo(self.cameras, &first, &second)),
-            _ => Vec::new(),
-        };
-        let features = Cow::Owned(feature_set(extraction.extractor.name(), first));
-        Ok(Some(FrameFeatures { features, stereo }))
+        check_size(camera, file, &image, &self.cameras[camera].camera)?;
+        let mask = extraction.mask.filter(|_| camera == 0);
+        extraction
+            .extractor
+            .extract(&image, mask, extraction.max_features)
+            .map(Some)
+            .map_err(|source| BuildError::Extraction { image: file.to_string(), source })
     }
 }
 

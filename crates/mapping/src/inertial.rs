@@ -197,7 +197,11 @@ fn interpolated(readings: &[ImuSample], next: usize, stamp_ns: i64) -> ImuSample
 }
 
 /// Yaw and position of a pose: the part of it that neither images nor IMU see, as a block of information.
-pub(super) fn gauge_information(sigma_yaw_rad: f64, sigma_tilt_rad: f64, sigma_p_m: f64) -> nalgebra::Matrix6<f64> {
+pub(super) fn gauge_information(
+    sigma_yaw_rad: f64,
+    sigma_tilt_rad: f64,
+    sigma_p_m: f64,
+) -> nalgebra::Matrix6<f64> {
     let mut information = nalgebra::Matrix6::zeros();
     let tilt = sigma_tilt_rad.powi(-2);
     let rotation = Matrix3::from_diagonal(&Vector3::new(tilt, tilt, sigma_yaw_rad.powi(-2)));

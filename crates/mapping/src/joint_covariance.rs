@@ -50,8 +50,9 @@ pub(super) fn joint_covariance(
         progress(j, positions.len());
         let columns: Vec<usize> = layout.pose(views[j]).collect();
         let inverse = factor.inverse_columns(&columns);
-        let block =
-            |i: usize| -> Matrix6<f64> { inverse.fixed_view::<POSE, POSE>(layout.pose(views[i]).start, 0).into() };
+        let block = |i: usize| -> Matrix6<f64> {
+            inverse.fixed_view::<POSE, POSE>(layout.pose(views[i]).start, 0).into()
+        };
         joint.own.insert(views[j], (block(j) + block(j).transpose()) * 0.5);
         for i in 0..j {
             let distance = (positions[i] - positions[j]).norm();

@@ -17,6 +17,8 @@ use super::reference_poses::ReferencePoses;
 /// Part of the thresholds of motion from which on features are extracted and compared with the last keyframe: images
 /// before are skipped, since extraction is expensive.
 const EXTRACTION_THRESHOLD: f64 = 0.5;
+/// The next comparison is after this much more motion.
+const EXTRACTION_STEP: f64 = 0.25;
 
 /// Selects keyframes: images with a pose, when the camera has moved enough since the last keyframe, or when too few of its
 /// features are matched.
@@ -38,20 +40,25 @@ pub(super) fn select_keyframes<'a>(
     let seconds = |stamp_ns: i64| (stamp_ns - first.stamp_ns) as f64 * 1e-9;
     let in_time = |frame: &&&Frame| (options.from_s..=options.until_s).contains(&seconds(frame.stamp_ns));
     let mut views: Vec<KeyframeView<'a>> = Vec::new();
+    let mut next_comparison = EXTRACTION_THRESHOLD;
     for (done, frame) in candidates.iter().enumerate().filter(|(_, frame)| in_time(frame)) {
         progress(Stage::KeyframeSelection, done, candidates.len());
         let Some(reference) = poses.at(frame.stamp_ns) else { continue };
         let prior = camera_pose(&reference, &sensor.imu_from_camera, options);
         let change = views.last().map_or(f64::INFINITY, |last| relative_motion(&last.prior, &prior, options));
-        if change < EXTRACTION_THRESHOLD {
+        if change < next_comparison.min(1.0) {
             continue;
         }
-        let Some(FrameFeatures { features, stereo }) = source.features_of(frame)? else { continue };
-        let is_new = change >= 1.0
-            || views
-                .last()
-                .is_some_and(|last| overlap(last, &features).is_ok_and(|part| part < options.min_overlap));
-        if is_new && !features.is_empty() {
+        if let Some(last) = views.last().filter(|_| change < 1.0) {
+            next_comparison = change + EXTRACTION_STEP;
+            let Some(features) = source.features_of(frame)? else { continue };
+            if overlap(last, &features)? >= options.min_overlap {
+                continue;
+            }
+        }
+        let Some(FrameFeatures { features, stereo }) = source.stereo_features_of(frame)? else { continue };
+        if !features.is_empty() {
+            next_comparison = EXTRACTION_THRESHOLD;
             let rays = rays(&sensor.camera, &features);
             views.push(KeyframeView {
                 stamp_ns: frame.stamp_ns,

@@ -7,7 +7,7 @@ pub(super) const POSE: usize = 6;
 /// Errors of a motion: velocity, bias of the gyroscope, bias of the accelerometer.
 pub(super) const MOTION: usize = 9;
 
-/// The layout `[pose of each view | motion of each view]`; without an IMU there are no motions.
+/// The layout `[pose, motion]` of each view; without an IMU there are no motions.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct StateLayout {
     /// Number of views.
@@ -17,24 +17,30 @@ pub(super) struct StateLayout {
 }
 
 impl StateLayout {
+    /// Number of unknowns of a view.
+    fn stride(self) -> usize {
+        if self.inertial { POSE + MOTION } else { POSE }
+    }
+
     /// Number of unknowns.
     pub(super) fn dim(self) -> usize {
-        self.views * if self.inertial { POSE + MOTION } else { POSE }
+        self.views * self.stride()
     }
 
     /// The pose of a view.
     pub(super) fn pose(self, view: usize) -> Range<usize> {
-        POSE * view..POSE * (view + 1)
+        let begin = self.stride() * view;
+        begin..begin + POSE
     }
 
     /// The motion of a view.
     pub(super) fn motion(self, view: usize) -> Range<usize> {
-        let begin = POSE * self.views + MOTION * view;
+        let begin = self.stride() * view + POSE;
         begin..begin + MOTION
     }
 
     /// Pose and motion of a view, 15 in the order of an IMU state.
-    pub(super) fn state(self, view: usize) -> impl Iterator<Item = usize> {
-        self.pose(view).chain(self.motion(view))
+    pub(super) fn state(self, view: usize) -> Range<usize> {
+        self.pose(view).start..self.motion(view).end
     }
 }

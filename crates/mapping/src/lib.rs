@@ -1,4 +1,4 @@
-//! Offline map building from a reference sequence: images or their features, and poses with known uncertainty.
+//! Offline map building from a recording: images or their features, and poses with known uncertainty or odometry.
 //!
 //! | step | module |
 //! |---|---|
@@ -7,11 +7,12 @@
 //! | neighbouring keyframes are matched, with the epipolar constraint | `matching` |
 //! | matches are joined into tracks | `tracks` |
 //! | each track is triangulated with the reference poses and their covariances | `triangulation` |
-//! | all landmarks and poses are refined, with the reference poses as priors | `refinement`, `bundle_adjustment` |
+//! | without reference poses: places seen again | `loop_closure` |
+//! | all landmarks and poses are refined, with the reference poses as priors or with the IMU | `refinement`, `bundle_adjustment`, `inertial` |
 //! | the joint covariance of the refined poses | `joint_covariance` |
 //! | the map is assembled | `assemble` |
 //!
-//! [`build_map`] runs them all (`pipeline`). The map states the refined poses, each with its covariance and its
+//! [`build_map`] runs them all (`pipeline`); [`build_map_from_odometry`] without reference poses (`without_references`). The map states the refined poses, each with its covariance and its
 //! cross-covariances with other keyframes, so that a robot can weight keyframes whose errors are correlated.
 //! With [`StoredPoses::Given`] it states the reference poses instead, whose errors are independent. Landmarks come from the
 //! refinement either way, in their anchors' camera frames; the estimator uses them as linearization points only, beside the

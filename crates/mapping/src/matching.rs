@@ -34,8 +34,7 @@ pub(super) struct FeatureMatch {
 pub(super) fn pairs_in_time(views: &[KeyframeView<'_>], options: &BuildOptions) -> Vec<(usize, usize)> {
     let of_view = |i: usize| {
         let near_in_time = (i + 1)..(i + 1 + options.time_neighbours).min(views.len());
-        let same_direction =
-            move |j: &usize| views[i].axis().angle(&views[*j].axis()) <= MAX_ANGLE_IN_TIME;
+        let same_direction = move |j: &usize| views[i].axis().angle(&views[*j].axis()) <= MAX_ANGLE_IN_TIME;
         near_in_time.filter(same_direction).map(move |j| (i, j))
     };
     let both_have_features = |&(i, j): &(usize, usize)| views[i].is_keyframe() && views[j].is_keyframe();

@@ -68,6 +68,12 @@ impl NormalEquations {
         }
     }
 
+    /// The negative gradient of the cost by the states.
+    #[cfg(test)]
+    pub(super) fn gradient(&self) -> &DVector<f64> {
+        &self.gradient
+    }
+
     /// Adds information on one pose.
     pub(super) fn add_pose(&mut self, view: usize, information: &Matrix6<f64>, gradient: &Vector6<f64>) {
         self.diagonal[view] += information;

@@ -10,12 +10,12 @@ use nalgebra::Vector2;
 use protocol::FeatureSet;
 use sensors::{Frame, ReferencePose, Sequence};
 
+use super::error::BuildError;
 use super::feature_source::FeatureSource;
 use super::keyframe_selection::{camera_pose, select_keyframes};
 use super::keyframe_view::{FeatureId, KeyframeView};
 use super::options::BuildOptions;
 use super::progress::Progress;
-use super::error::BuildError;
 
 /// Uncertainty of the odometry between keyframes that are matched with each other (rad, m): what the epipolar constraint
 /// and the first triangulation are relaxed by. It has hardly drifted between neighbours.
@@ -72,12 +72,8 @@ impl Odometry {
                 let frames = between(&sequence.frames, last_ns, keyframe.stamp_ns);
                 for frame in spaced(frames, last_ns, keyframe.stamp_ns) {
                     let Some(state) = self.at(frame.stamp_ns) else { continue };
-                    let reference = ReferencePose::isotropic(
-                        frame.stamp_ns,
-                        state.local_from_imu,
-                        sigma_theta,
-                        sigma_p,
-                    );
+                    let reference =
+                        ReferencePose::isotropic(frame.stamp_ns, state.local_from_imu, sigma_theta, sigma_p);
                     views.push(KeyframeView {
                         stamp_ns: frame.stamp_ns,
                         features: Cow::Owned(FeatureSet::empty(format)),

@@ -17,7 +17,7 @@ use super::landmark::InverseDepthLandmark;
 use super::matching::{self, FeatureMatch};
 use super::options::{BuildOptions, FIRST_SIGMA_PX, StoredPoses};
 use super::progress::{Progress, Stage};
-use super::refinement::{Constraints, covariance_of, refine_all};
+use super::refinement::{Constraints, ROUNDS, covariance_of, refine_all};
 use super::report::BuildReport;
 use super::tracks;
 use super::triangulation::{Scene, triangulate};
@@ -61,7 +61,7 @@ pub fn build_map(
     let mut bundle = Bundle { poses, motions: Vec::new(), landmarks };
     report.sigma_px = options.sigma_px.unwrap_or(FIRST_SIGMA_PX);
     if options.refine_poses {
-        bundle = refine_all(&cameras, &constraints, bundle, options, &mut report, progress);
+        bundle = refine_all(&cameras, &constraints, bundle, ROUNDS, options, &mut report, progress);
     }
     let joint = (options.refine_poses && options.stored_poses == StoredPoses::Refined)
         .then(|| covariance_of(&cameras, &constraints, &bundle, &views, report.sigma_px, progress))

@@ -15,8 +15,8 @@ use super::report::BuildReport;
 
 /// An observation is dropped when its reprojection error after refinement exceeds this (standard deviations of a pixel).
 const REPROJECTION_GATE: f64 = 4.0;
-/// Rounds of bundle adjustment; outliers are dropped after each.
-const ROUNDS: usize = 3;
+/// Rounds of bundle adjustment of a finished map; outliers are dropped after each.
+pub(super) const ROUNDS: usize = 3;
 /// Limits of the estimated pixel noise (px). The images of a map agree better with each other than with a robot's: with
 /// the 0.36 px of V1_01, a filter run in that map rejects four of ten correct matches; more than 5 px is no feature.
 const SIGMA_PX_LIMITS: [f64; 2] = [1.0, 5.0];
@@ -38,7 +38,8 @@ pub(super) struct Constraints {
 impl Constraints {
     /// Reference poses as priors.
     pub(super) fn of_references(views: &[KeyframeView<'_>]) -> Constraints {
-        let prior = |(view, content): (usize, &KeyframeView<'_>)| PosePrior::of_reference(view, &content.prior);
+        let prior =
+            |(view, content): (usize, &KeyframeView<'_>)| PosePrior::of_reference(view, &content.prior);
         Constraints { priors: views.iter().enumerate().map(prior).collect(), ..Constraints::default() }
     }
 
@@ -71,19 +72,23 @@ impl Constraints {
 }
 
 /// Refines poses and landmarks, drops outliers, and estimates the pixel noise, which goes into the report.
+///
+/// # Arguments
+/// * `rounds`: [`ROUNDS`], or fewer for a bundle that is adjusted again.
 pub(super) fn refine_all(
     cameras: &[MappingCamera],
     constraints: &Constraints,
     start: Bundle,
+    rounds: usize,
     options: &BuildOptions,
     report: &mut BuildReport,
     progress: Progress<'_>,
 ) -> Bundle {
     let mut bundle = start;
     let mut sigma_px = options.sigma_px.unwrap_or(FIRST_SIGMA_PX);
-    for round in 0..ROUNDS {
+    for round in 0..rounds {
         bundle = constraints.problem(cameras, sigma_px).refine(bundle, round == 0, |done, steps| {
-            progress(Stage::BundleAdjustment, round * steps + done, ROUNDS * steps);
+            progress(Stage::BundleAdjustment, round * steps + done, rounds * steps);
         });
         if options.sigma_px.is_none() {
             sigma_px = estimated_sigma_px(&bundle, cameras).unwrap_or(sigma_px);

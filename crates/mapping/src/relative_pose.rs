@@ -92,7 +92,8 @@ mod tests {
 
     #[test]
     fn the_jacobian_is_the_numeric_derivative() {
-        let pose = |x: f64| Pose::new(exp(&Vector3::new(0.3 * x, -0.5, 0.2 + x)), Vector3::new(x, 2.0 * x, -1.0));
+        let pose =
+            |x: f64| Pose::new(exp(&Vector3::new(0.3 * x, -0.5, 0.2 + x)), Vector3::new(x, 2.0 * x, -1.0));
         let poses = [pose(0.4), pose(1.1)];
         let measured = RelativePose {
             views: [0, 1],

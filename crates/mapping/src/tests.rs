@@ -1,27 +1,33 @@
 //! Laws of map building, on a small simulated place.
 
+use std::cell::RefCell;
 use std::path::PathBuf;
 
+use estimator::EstimatorConfig;
 use geometry::camera::{Camera, Distortion};
 use geometry::numeric::numeric_jacobian;
 use geometry::pose::Pose;
 use geometry::rotation;
+use geometry::uncertain_pose::{PoseWithCovariance, isotropic_covariance};
 use map::contents::MapContents;
 use nalgebra::{DMatrix, DVector, Matrix3, Matrix6, Matrix6x3, Vector2, Vector3, Vector6};
 use protocol::{DescriptorFormat, DescriptorKind, FeatureSet};
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 use rand_distr::{Distribution, StandardNormal};
-use sensors::{CameraSensor, Frame, ReferencePose, Sequence};
+use sensors::{CameraSensor, Frame, ImuSample, ReferencePose, Sequence};
 
+use super::bundle_adjustment::{Bundle, PosePrior, Problem};
 use super::camera::{CameraPose, MappingCamera};
+use super::inertial::{InertialChain, Motion};
 use super::joint_covariance::joint_covariance;
 use super::keyframe_selection::stated_covariance;
-use super::layout::{POSE, StateLayout};
 use super::landmark::{InverseDepthLandmark, LandmarkObservation};
+use super::layout::{POSE, StateLayout};
 use super::matching::FeatureMatch;
 use super::normal_equations::{LandmarkBlocks, NormalEquations};
 use super::reference_poses::ReferencePoses;
+use super::relative_pose::RelativePose;
 use super::sparse_system::SparseSystem;
 use super::{BuildOptions, BuildReport, Spread, StoredPoses, build_map, tracks};
 
@@ -478,6 +484,76 @@ fn eliminating_landmarks_solves_the_full_equations() {
         DVector::from_iterator(3 * landmarks, step.landmarks.iter().flat_map(|x| x.iter().copied()));
     assert!((solution.rows(0, 6 * poses) - step.states).amax() < 1e-9 * solution.norm());
     assert!((solution.rows(6 * poses, 3 * landmarks) - points_found).amax() < 1e-9 * solution.norm());
+}
+
+#[test]
+fn the_equations_are_the_gradient_of_the_cost() {
+    let rng = RefCell::new(StdRng::seed_from_u64(14));
+    let vector = |size: f64| Vector3::from_fn(|_, _| size * rng.borrow_mut().random_range(-1.0..1.0));
+    let pose = || Pose::new(rotation::exp(&vector(0.4)), vector(1.0));
+    let poses = vec![pose(), pose(), pose()];
+    let motion =
+        || Motion { velocity: vector(2.0), gyroscope_bias: vector(0.02), accelerometer_bias: vector(0.1) };
+    let motions = vec![motion(), motion(), motion()];
+    let readings: Vec<ImuSample> = (0..=200)
+        .map(|index| ImuSample {
+            stamp_ns: index * 5_000_000,
+            gyroscope: vector(0.5),
+            accelerometer: Vector3::new(0.0, 0.0, 9.81) + vector(1.0),
+        })
+        .collect();
+    let world = world(3, 0.0, 1.0);
+    let camera = MappingCamera::of_sensors(&world.sequence.cameras);
+    let imu_from_camera = world.sequence.cameras[0].imu_from_camera;
+    let config = EstimatorConfig::default();
+    // The third view has no readings of its own.
+    let stamps_ns = [3_000_000, 700_000_000, 5_000_000_000];
+    let chain = InertialChain::new(&readings, &stamps_ns, &motions, imu_from_camera, &config);
+    let prior = PoseWithCovariance::new(pose(), isotropic_covariance(0.1, 0.2));
+    let relative = RelativePose {
+        views: [0, 2],
+        first_from_second: pose(),
+        information: Matrix6::from_diagonal(&Vector6::new(3.0, 2.0, 1.0, 4.0, 5.0, 6.0)),
+    };
+    let at = |view: usize, pixel: [f64; 2]| LandmarkObservation {
+        feature: (view, 0),
+        camera: 0,
+        pixel: Vector2::from(pixel),
+    };
+    let landmark = InverseDepthLandmark {
+        anchor: 0,
+        ray: Vector2::new(0.1, -0.05),
+        inverse_depth: 0.1,
+        observations: vec![at(0, [400.0, 230.0]), at(1, [380.0, 260.0])],
+    };
+    let (priors, relative_poses) = ([PosePrior::of_reference(1, &prior)], [relative]);
+    let without = Problem {
+        cameras: &camera,
+        priors: &priors,
+        inertial: None,
+        relative_poses: &relative_poses,
+        sigma_px: 1.5,
+    };
+    let bundle = Bundle { poses, motions: Vec::new(), landmarks: vec![landmark] };
+    equations_are_the_gradient(&without, &bundle);
+    // The readings outweigh everything else, so they are checked by themselves too.
+    equations_are_the_gradient(&Problem { inertial: Some(&chain), ..without }, &Bundle { motions, ..bundle });
+}
+
+fn equations_are_the_gradient(problem: &Problem<'_>, bundle: &Bundle) {
+    let equations = problem.equations(bundle, 3.0, 0.0);
+    let dim = problem.layout(bundle).dim();
+    for index in 0..dim {
+        let cost = |step: f64| {
+            let mut error = DVector::zeros(dim);
+            error[index] = step;
+            problem.cost(&problem.moved(bundle, &error), 3.0)
+        };
+        let numeric = (cost(1e-6) - cost(-1e-6)) / 2e-6;
+        let stated = -equations.gradient()[index];
+        let tolerance = 1e-6 * equations.gradient().amax();
+        assert!((numeric - stated).abs() < tolerance, "{index}: {numeric} {stated}");
+    }
 }
 
 #[test]

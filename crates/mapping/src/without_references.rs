@@ -24,7 +24,7 @@ use super::odometry::{LOCAL_SIGMAS, Odometry, add_tracks};
 use super::options::{BuildOptions, FIRST_SIGMA_PX};
 use super::pipeline::{check, match_all, triangulate_all};
 use super::progress::Progress;
-use super::refinement::{Constraints, covariance_of, refine_all};
+use super::refinement::{Constraints, ROUNDS, covariance_of, refine_all};
 use super::report::BuildReport;
 use geometry::uncertain_pose::isotropic_covariance;
 
@@ -107,28 +107,26 @@ struct Builder<'a, 'p> {
 impl Builder<'_, '_> {
     /// Adjusts the trajectory by neighbours, then closes loops, then adjusts all with the landmarks of all places fused.
     fn build(&mut self) -> Result<(Bundle, Constraints), BuildError> {
-        let mut motions: Vec<Motion> = self
-            .views
-            .iter()
-            .filter_map(|view| self.odometry.at(view.stamp_ns))
-            .map(Motion::of)
-            .collect();
+        let mut motions: Vec<Motion> =
+            self.views.iter().filter_map(|view| self.odometry.at(view.stamp_ns)).map(Motion::of).collect();
         let in_time: Vec<(usize, usize)> = matching::pairs_in_time(&self.views, &self.options);
         let matches = self.matches(&in_time)?;
         let landmarks = self.landmarks(&matches);
         let constraints = self.constraints(&motions);
-        let mut bundle = self.adjust(&constraints, &motions, landmarks);
+        let mut bundle = self.adjust(&constraints, self.bundle(&motions, landmarks), 1);
         bundle = self.close_loops(bundle)?;
         self.set_priors(&bundle, ADJUSTED_SIGMAS);
-        let in_space: Vec<(usize, usize)> =
-            matching::pairs(&self.views, &self.options).into_iter().filter(|pair| !in_time.contains(pair)).collect();
+        let in_space: Vec<(usize, usize)> = matching::pairs(&self.views, &self.options)
+            .into_iter()
+            .filter(|pair| !in_time.contains(pair))
+            .collect();
         let mut all = matches;
         all.extend(self.matches(&in_space)?);
         let landmarks = self.landmarks(&all);
         motions.clone_from(&bundle.motions);
         let constraints = self.constraints(&motions);
         self.report.dropped_observations = 0;
-        let bundle = self.adjust(&constraints, &motions, landmarks);
+        let bundle = self.adjust(&constraints, self.bundle(&motions, landmarks), ROUNDS);
         Ok((bundle, constraints))
     }
 
@@ -139,10 +137,10 @@ impl Builder<'_, '_> {
         self.report.loops = found.len();
         let mut constraints = self.constraints(&bundle.motions);
         let mut loops = constraints.plausible_loops(&self.cameras, &bundle, found, self.report.sigma_px)?;
-        loop {
+        while !loops.is_empty() {
             constraints = self.constraints(&bundle.motions);
             constraints.relative_poses.clone_from(&loops);
-            bundle = self.adjust_from(&constraints, bundle);
+            bundle = self.adjust(&constraints, bundle, 1);
             let count = loops.len();
             loops = consistent(&loops, &bundle.poses);
             if loops.len() == count {
@@ -159,7 +157,15 @@ impl Builder<'_, '_> {
 
     fn landmarks(&mut self, matches: &[FeatureMatch]) -> Vec<InverseDepthLandmark> {
         let (matches, tracks) = (matches.to_vec(), self.tracks.clone());
-        triangulate_all(&self.cameras, &self.views, matches, tracks, &self.options, &mut self.report, self.progress)
+        triangulate_all(
+            &self.cameras,
+            &self.views,
+            matches,
+            tracks,
+            &self.options,
+            &mut self.report,
+            self.progress,
+        )
     }
 
     /// The first pose, which defines G, and the readings of the IMU.
@@ -180,18 +186,14 @@ impl Builder<'_, '_> {
         }
     }
 
-    fn adjust(
-        &mut self,
-        constraints: &Constraints,
-        motions: &[Motion],
-        landmarks: Vec<InverseDepthLandmark>,
-    ) -> Bundle {
+    /// The bundle at the poses of the views.
+    fn bundle(&self, motions: &[Motion], landmarks: Vec<InverseDepthLandmark>) -> Bundle {
         let poses = self.views.iter().map(|view| view.prior.pose).collect();
-        self.adjust_from(constraints, Bundle { poses, motions: motions.to_vec(), landmarks })
+        Bundle { poses, motions: motions.to_vec(), landmarks }
     }
 
-    fn adjust_from(&mut self, constraints: &Constraints, bundle: Bundle) -> Bundle {
-        refine_all(&self.cameras, constraints, bundle, &self.options, &mut self.report, self.progress)
+    fn adjust(&mut self, constraints: &Constraints, bundle: Bundle, rounds: usize) -> Bundle {
+        refine_all(&self.cameras, constraints, bundle, rounds, &self.options, &mut self.report, self.progress)
     }
 
     fn find_loops(&mut self, bundle: &Bundle) -> Result<Vec<super::relative_pose::RelativePose>, BuildError> {

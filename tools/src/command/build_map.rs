@@ -1,7 +1,7 @@
 //! `driftless build-map`: builds a map from a recording, with reference poses or without.
 
 use std::path::{Path, PathBuf};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, bail};
 use evaluation::trajectory::{StampedPose, StateKind, read_any};
@@ -28,16 +28,18 @@ const MAX_SIGMA_THETA: f64 = 0.5;
 #[expect(clippy::struct_excessive_bools, reason = "each is a switch of its own")]
 #[derive(Clone, Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
+    driftless build-map my_run --map my.db --svg my.svg\n  \
     driftless build-map town/map --map town.db\n  \
     driftless build-map town/map --map start.db --until 10\n  \
     driftless build-map my_run --map my.db --sigma-theta 0.005 --sigma-p 0.02 --gravity 0,0,-1\n  \
     driftless build-map my_run --map my.db --poses odometry.tum --sigma-theta 0.02 --sigma-p 0.1\n  \
     driftless build-map my_run --map my.db --poses out/states.csv\n  \
     driftless build-map V1_01_easy --map vicon_room.db --sigma-theta 0.0175 --sigma-p 0.01\n\n\
-    SEQ holds mav0/cam0 (and cam1, for stereo) with sensor.yaml, data.csv and images in data/, and\n\
-    reference_poses.csv. A cam0/features.csv replaces the images. Without reference_poses.csv the ground truth\n\
-    gives the poses, and --sigma-theta and --sigma-p must be given. What is stated too small makes the robots\n\
-    overconfident: state the sigmas of your poses, not those you wish for.\n\n\
+    SEQ holds mav0/cam0 (and cam1, for stereo) with sensor.yaml, data.csv and images in data/, and mav0/imu0. A\n\
+    cam0/features.csv replaces the images. Odometry, places seen again and one visual-inertial adjustment give the poses.\n\n\
+    Where poses are known, SEQ/reference_poses.csv or --poses gives them, or the ground truth with --sigma-theta and\n\
+    --sigma-p, and the map is built in their frame. What is stated too small makes the robots overconfident: state the\n\
+    sigmas of your poses, not those you wish for.\n\n\
     --poses takes reference_poses.csv, a TUM file (t x y z qx qy qz qw, in seconds), EuRoC ground truth (ns, position,\n\
     quaternion with w first; 8 or 17 columns) or states.csv of a run, recognized by content. The first and the last\n\
     state their uncertainty; the others need --sigma-theta and --sigma-p. All sigmas of poses, given and printed, are\n\
@@ -123,10 +125,9 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         sequence = Sequence::open_with(&args.sequence, &args.calibration.files())?;
     }
     let bar = progress_bar(args.json);
-    let mut stage_shown = None;
+    let mut times = StageTimes::default();
     let mut show = |stage: Stage, done: usize, all: usize| {
-        if stage_shown != Some(stage) {
-            stage_shown = Some(stage);
+        if times.enter(stage) {
             bar.set_message(stage.label());
         }
         bar.set_length(all as u64);
@@ -162,8 +163,47 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     } else {
         println!("{}: version {} of map {}", args.map.display(), saved.version, saved.identity);
         print_report(&report);
+        println!("  of it                     {}", times.summary());
     }
     Ok(())
+}
+
+/// How long each stage took.
+#[derive(Default)]
+struct StageTimes {
+    seconds: Vec<(Stage, f64)>,
+    now: Option<(Stage, Instant)>,
+}
+
+impl StageTimes {
+    /// Notes that a stage goes on.
+    ///
+    /// # Returns
+    /// Whether it has just begun.
+    fn enter(&mut self, stage: Stage) -> bool {
+        if self.now.is_some_and(|(now, _)| now == stage) {
+            return false;
+        }
+        self.leave();
+        self.now = Some((stage, Instant::now()));
+        true
+    }
+
+    fn leave(&mut self) {
+        let Some((stage, begin)) = self.now.take() else { return };
+        let seconds = begin.elapsed().as_secs_f64();
+        match self.seconds.iter_mut().find(|(known, _)| *known == stage) {
+            Some((_, sum)) => *sum += seconds,
+            None => self.seconds.push((stage, seconds)),
+        }
+    }
+
+    /// All stages in a line.
+    fn summary(&mut self) -> String {
+        self.leave();
+        let stage = |(stage, seconds): &(Stage, f64)| format!("{} {seconds:.1} s", stage.label());
+        self.seconds.iter().map(stage).collect::<Vec<_>>().join(", ")
+    }
 }
 
 fn progress_bar(hidden: bool) -> ProgressBar {
@@ -193,8 +233,9 @@ fn references(args: &Args, sequence: &Sequence) -> anyhow::Result<Option<Vec<Ref
     match (&sequence.groundtruth, args.sigma_theta, args.sigma_p) {
         (_, None, None) => Ok(None),
         (Some(truth), Some(sigma_theta), Some(sigma_p)) => {
-            let reference =
-                |row: &sensors::TruthRow| ReferencePose::isotropic(row.stamp_ns, row.pose, sigma_theta, sigma_p);
+            let reference = |row: &sensors::TruthRow| {
+                ReferencePose::isotropic(row.stamp_ns, row.pose, sigma_theta, sigma_p)
+            };
             Ok(Some(truth.iter().map(reference).collect()))
         }
         (Some(_), ..) => bail!(
@@ -289,7 +330,10 @@ fn print_report(report: &BuildReport) {
     }
     println!("pairs matched               {} with {} matches", report.pairs, report.matches);
     if report.loops > 0 {
-        println!("loops                       {} found, {} of them refused", report.loops, report.refused_loops);
+        println!(
+            "loops                       {} found, {} of them refused",
+            report.loops, report.refused_loops
+        );
     }
     println!("observations dropped        {}", report.dropped_observations);
     println!("reprojection error, px      {}", spread(&report.reprojection_px, 2));

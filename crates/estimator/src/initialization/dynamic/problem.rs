@@ -1,10 +1,10 @@
 //! The least-squares problem of a window: what is given, the unknowns, and a step of the unknowns.
 
-use crate::preintegration::PreintegratedImu;
 use super::reprojection::InverseDepthLandmark;
 use super::window::{Window, WindowObservation};
 use crate::calibration::CalibratedCamera;
 use crate::config::EstimatorConfig;
+use crate::preintegration::PreintegratedImu;
 use crate::propagation::{IMU_DIM, ImuState};
 use geometry::robust::huber;
 use nalgebra::{DVector, Vector3};

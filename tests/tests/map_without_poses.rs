@@ -1,0 +1,123 @@
+//! Maps from recordings without reference poses: as accurate and as uncertain as they state.
+#![allow(clippy::unwrap_used)]
+
+use geometry::{Pose, rotation};
+use map::contents::MapContents;
+use mapping::{BuildOptions, BuildReport, build_map_from_odometry};
+use nalgebra::{DMatrix, DVector, Vector3};
+use sensors::Sequence;
+use simulation::{Scenario, SimulationOptions, simulate};
+use tools::odometry::run_odometry;
+
+/// More than one round of a loop of 126 m, with features of every second image and a third of all descriptors repeated.
+fn recording(seed: u64) -> Sequence {
+    let options = SimulationOptions {
+        seed,
+        scenario: Scenario::Loops,
+        speed: 3.0,
+        duration_s: Some(48.0),
+        live_feature_period_s: 0.5,
+        dropout_fraction: 0.0,
+        ..SimulationOptions::default()
+    };
+    simulate(&options).unwrap().live
+}
+
+fn build(sequence: &mut Sequence, cameras: usize) -> (MapContents, BuildReport) {
+    let odometry = run_odometry(sequence, cameras, |_, _| {}).unwrap();
+    build_map_from_odometry(sequence, &odometry, None, &BuildOptions::default(), &mut |_, _, _| {}).unwrap()
+}
+
+/// The true pose of the camera at the time of each keyframe, moved to G by position and yaw of the first keyframe.
+fn true_poses(sequence: &Sequence, contents: &MapContents) -> Vec<Pose> {
+    let truth = sequence.groundtruth.as_ref().unwrap();
+    let imu_from_camera = sequence.cameras[0].imu_from_camera;
+    let at = |stamp_ns: i64| {
+        let next = truth.partition_point(|row| row.stamp_ns < stamp_ns).clamp(1, truth.len() - 1);
+        let (before, after) = (&truth[next - 1], &truth[next]);
+        let fraction = (stamp_ns - before.stamp_ns) as f64 / (after.stamp_ns - before.stamp_ns) as f64;
+        before.pose.interpolate(&after.pose, fraction).compose(&imu_from_camera)
+    };
+    let world: Vec<Pose> = contents.keyframes.iter().map(|keyframe| at(keyframe.stamp_ns)).collect();
+    let first = &contents.keyframes[0].global_from_keyframe.pose;
+    let turn = rotation::log(&(first.rotation * world[0].rotation.inverse()));
+    let yaw = rotation::exp(&Vector3::new(0.0, 0.0, turn.z));
+    let global_from_world = Pose::new(yaw, first.translation - yaw * world[0].translation);
+    world.iter().map(|pose| global_from_world.compose(pose)).collect()
+}
+
+/// Errors of all keyframes but the first, which defines G, and their joint covariance.
+fn errors(contents: &MapContents, truth: &[Pose]) -> (DVector<f64>, DMatrix<f64>) {
+    let count = contents.keyframes.len();
+    let mut covariance = DMatrix::zeros(6 * count, 6 * count);
+    let mut error = DVector::zeros(6 * count);
+    for (index, (keyframe, truth)) in contents.keyframes.iter().zip(truth).enumerate() {
+        let pose = &keyframe.global_from_keyframe;
+        covariance.fixed_view_mut::<6, 6>(6 * index, 6 * index).copy_from(&pose.covariance);
+        error.fixed_rows_mut::<6>(6 * index).copy_from(&pose.pose.local(truth));
+    }
+    let at = |id: u64| contents.keyframes.iter().position(|keyframe| keyframe.id == id).unwrap();
+    for cross in &contents.cross_covariances {
+        let (a, b) = (6 * at(cross.a), 6 * at(cross.b));
+        covariance.fixed_view_mut::<6, 6>(a, b).copy_from(&cross.block);
+        covariance.fixed_view_mut::<6, 6>(b, a).copy_from(&cross.block.transpose());
+    }
+    let rest = 6 * count - 6;
+    (error.rows(6, rest).into_owned(), covariance.view((6, 6), (rest, rest)).into_owned())
+}
+
+/// # Returns
+/// NEES of all keyframes together, and its degrees of freedom.
+fn joint_nees(seed: u64, cameras: usize) -> (f64, f64) {
+    let mut sequence = recording(seed);
+    let (contents, report) = build(&mut sequence, cameras);
+    assert!(report.loops > 3 && report.refused_loops < report.loops, "{report:?}");
+    let truth = true_poses(&sequence, &contents);
+    let (error, covariance) = errors(&contents, &truth);
+    let nees = error.dot(&covariance.cholesky().unwrap().solve(&error));
+    let positions = error.iter().skip(3).step_by(6).map(|error| error * error).sum::<f64>();
+    println!(
+        "seed {seed}: {} keyframes, {} loops, error along x {:.3} m, NEES {:.2}",
+        contents.keyframes.len(),
+        report.loops,
+        (positions / contents.keyframes.len() as f64).sqrt(),
+        nees / error.len() as f64
+    );
+    (nees, error.len() as f64)
+}
+
+fn errors_are_as_stated(seeds: std::ops::RangeInclusive<u64>, cameras: usize) {
+    let (mut nees, mut freedom) = (0.0, 0.0);
+    for seed in seeds {
+        let (of_run, freedom_of_run) = joint_nees(seed, cameras);
+        nees += of_run;
+        freedom += freedom_of_run;
+    }
+    let ratio = nees / freedom;
+    assert!((0.7..1.4).contains(&ratio), "NEES {ratio}");
+}
+
+#[test]
+fn errors_of_a_stereo_map_are_as_stated() {
+    errors_are_as_stated(1..=3, 2);
+}
+
+#[test]
+fn errors_of_a_mono_map_are_as_stated() {
+    errors_are_as_stated(1..=3, 1);
+}
+
+#[test]
+#[ignore = "takes minutes"]
+fn errors_of_forty_maps_are_as_stated() {
+    errors_are_as_stated(1..=20, 2);
+    errors_are_as_stated(1..=20, 1);
+}
+
+#[test]
+fn a_recording_without_imu_says_what_is_missing() {
+    let mut sequence = recording(1);
+    sequence.imu_samples.clear();
+    let error = run_odometry(&mut sequence, 2, |_, _| {}).unwrap_err().to_string();
+    assert!(error.contains("IMU") && error.contains("--poses"), "{error}");
+}
