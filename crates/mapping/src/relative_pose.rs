@@ -1,8 +1,8 @@
 //! Relative poses of two views, as place recognition finds them.
 
 use geometry::pose::Pose;
-use geometry::rotation::{left_jacobian_inverse, right_jacobian_inverse, skew};
-use nalgebra::{DMatrix, DVector, Matrix6, SMatrix, Vector6};
+use geometry::rotation::{left_jacobian_inverse, skew};
+use nalgebra::{DMatrix, DVector, Matrix3, Matrix6, SMatrix, Vector6};
 
 use super::layout::{POSE, StateLayout};
 use super::normal_equations::NormalEquations;
@@ -19,39 +19,36 @@ pub(super) struct RelativePose {
 }
 
 impl RelativePose {
-    /// Estimated minus measured pose of the second view, `[δθ, δp]` in G.
+    /// Estimated minus measured pose of the second view, `[δθ, δp]` in the camera frame of the first view.
     fn residual(&self, poses: &[Pose]) -> Vector6<f64> {
-        poses[self.views[0]].compose(&self.first_from_second).local(&poses[self.views[1]])
+        self.first_from_second.local(&self.estimated(poses))
     }
 
-    /// The information in G.
-    fn information_in_global(&self, poses: &[Pose]) -> Matrix6<f64> {
-        let rotation = poses[self.views[0]].rotation.to_rotation_matrix().into_inner();
-        let mut both = Matrix6::zeros();
-        both.fixed_view_mut::<3, 3>(0, 0).copy_from(&rotation);
-        both.fixed_view_mut::<3, 3>(3, 3).copy_from(&rotation);
-        both * self.information * both.transpose()
+    fn estimated(&self, poses: &[Pose]) -> Pose {
+        poses[self.views[0]].inverse().compose(&poses[self.views[1]])
     }
 
     /// Squared length of the residual, in standard deviations.
     pub(super) fn distance(&self, poses: &[Pose]) -> f64 {
         let residual = self.residual(poses);
-        residual.dot(&(self.information_in_global(poses) * residual))
+        residual.dot(&(self.information * residual))
     }
 
-    /// The Jacobian of the residual by the errors of the first and the second view.
+    /// The Jacobian of the residual by the errors of the first and the second view, in G.
     fn jacobian(&self, poses: &[Pose], residual: &Vector6<f64>) -> SMatrix<f64, POSE, 12> {
-        let rotation_error = residual.fixed_rows::<3>(0).into_owned();
-        let lever = poses[self.views[0]].rotation * self.first_from_second.translation;
+        let first = &poses[self.views[0]];
+        let to_first = first.rotation.inverse().to_rotation_matrix().into_inner();
+        let rotation = left_jacobian_inverse(&residual.fixed_rows::<3>(0).into_owned()) * to_first;
+        let baseline = poses[self.views[1]].translation - first.translation;
         let mut jacobian = SMatrix::<f64, POSE, 12>::zeros();
-        let mut put = |row: usize, column: usize, block: nalgebra::Matrix3<f64>| {
+        let mut put = |row: usize, column: usize, block: Matrix3<f64>| {
             jacobian.fixed_view_mut::<3, 3>(row, column).copy_from(&block);
         };
-        put(0, 0, -right_jacobian_inverse(&rotation_error));
-        put(3, 0, skew(&lever));
-        put(3, 3, -nalgebra::Matrix3::identity());
-        put(0, 6, left_jacobian_inverse(&rotation_error));
-        put(3, 9, nalgebra::Matrix3::identity());
+        put(0, 0, -rotation);
+        put(0, 6, rotation);
+        put(3, 0, to_first * skew(&baseline));
+        put(3, 3, -to_first);
+        put(3, 9, to_first);
         jacobian
     }
 
@@ -65,7 +62,7 @@ impl RelativePose {
     pub(super) fn distance_with(&self, poses: &[Pose], covariance: &SMatrix<f64, 12, 12>) -> Option<f64> {
         let residual = self.residual(poses);
         let jacobian = self.jacobian(poses, &residual);
-        let measured = self.information_in_global(poses).try_inverse()?;
+        let measured = self.information.try_inverse()?;
         let total = jacobian * covariance * jacobian.transpose() + measured;
         Some(residual.dot(&total.cholesky()?.solve(&residual)))
     }
@@ -73,12 +70,11 @@ impl RelativePose {
     /// Adds the linearized residual.
     pub(super) fn add_to(&self, equations: &mut NormalEquations, layout: StateLayout, poses: &[Pose]) {
         let residual = self.residual(poses);
-        let information = self.information_in_global(poses);
         let jacobian = self.jacobian(poses, &residual);
         equations.add_residual(
             layout.pose(self.views[0]).chain(layout.pose(self.views[1])).collect(),
             &DMatrix::from_column_slice(POSE, 12, jacobian.as_slice()),
-            &DMatrix::from_column_slice(POSE, POSE, information.as_slice()),
+            &DMatrix::from_column_slice(POSE, POSE, self.information.as_slice()),
             &DVector::from_column_slice(residual.as_slice()),
         );
     }
