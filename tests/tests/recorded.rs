@@ -9,9 +9,11 @@
 //! Without a recording its test fails and names it.
 #![allow(clippy::unwrap_used)]
 
-use evaluation::Score;
+use evaluation::trajectory::StampedPose;
+use evaluation::{Alignment, Pair, Score, absolute_errors, align, interpolate_reference};
+use map::MapContents;
 use map::text::{read_map, write_map};
-use mapping::{BuildOptions, StoredPoses, build_map};
+use mapping::{BuildOptions, BuildReport, StoredPoses, build_map, build_map_from_odometry};
 use nalgebra::{Matrix3, Vector3};
 use onboard::{Outcome, RobotArguments};
 use recognition::LoadedMap;
@@ -21,6 +23,7 @@ use std::sync::Arc;
 use tests::data::{data_folder, recording};
 use tests::robot::{arguments, run};
 use tools::in_process::LocalServer;
+use tools::odometry::run_odometry;
 
 fn imported(folder: &Path) -> Arc<LoadedMap> {
     Arc::new(LoadedMap::from_contents(read_map(folder).unwrap()).unwrap())
@@ -118,6 +121,86 @@ fn a_hall_mapped_by_another_flight() {
     let map = built(&map, f64::INFINITY, StoredPoses::Refined);
     pose_within(&localize(&live, &map, "--init truth --mode single"), 0.03, 0.3);
     pose_within(&localize(&live, &map, "--init truth --mode multi"), 0.025, 0.3);
+}
+
+/// A map without reference poses, from a folder.
+fn built_from_odometry(folder: &Path) -> (Sequence, MapContents, BuildReport) {
+    let mut sequence = Sequence::open(folder).unwrap();
+    let cameras = sequence.cameras.len();
+    let odometry = run_odometry(&mut sequence, cameras, |_, _| {}).unwrap();
+    let options = BuildOptions::default();
+    let (contents, report) =
+        build_map_from_odometry(&sequence, &odometry, None, &options, &mut |_, _, _| {}).unwrap();
+    (sequence, contents, report)
+}
+
+#[test]
+#[ignore = "needs the recordings in target/data"]
+fn a_hall_mapped_without_reference_poses() {
+    let (sequence, contents, report) = built_from_odometry(&recording("odometry/MH_01_easy"));
+    assert!(report.loops > 100 && report.refused_loops * 20 < report.loops, "{report:?}");
+    let truth: Vec<StampedPose> = sequence
+        .groundtruth
+        .iter()
+        .flatten()
+        .map(|row| StampedPose { stamp_ns: row.stamp_ns, pose: row.pose })
+        .collect();
+    let camera_from_imu = sequence.cameras[0].imu_from_camera.inverse();
+    let of_imu = |keyframe: &map::Keyframe| StampedPose {
+        stamp_ns: keyframe.stamp_ns,
+        pose: keyframe.global_from_keyframe.pose.compose(&camera_from_imu),
+    };
+    let estimate: Vec<StampedPose> = contents.keyframes.iter().map(of_imu).collect();
+    let (truth, pairs) = interpolate_reference(&truth, &estimate, 60_000_000);
+    assert!(pairs.len() > 200, "{} keyframes", pairs.len());
+    let positions: Vec<_> = pairs
+        .iter()
+        .map(|pair| (estimate[pair.estimate].pose.translation, truth[pair.reference].pose.translation))
+        .collect();
+    let gravity = -Vector3::z();
+    let yaw = Alignment::Yaw { gravity_in_reference: gravity, gravity_in_estimate: gravity };
+    // The truth is moved into the map.
+    let global_from_truth = align(&positions, &yaw).unwrap();
+    let errors = absolute_errors(&estimate, &truth, &swapped(&pairs), &global_from_truth);
+    let (metres, degrees) = (errors.translation().unwrap().rmse, errors.rotation().unwrap().rmse);
+    assert!(metres < 0.006 && degrees < 0.06, "{metres} m, {degrees} deg");
+
+    let map = Arc::new(LoadedMap::from_contents(contents).unwrap());
+    let mut live = Sequence::open(&recording("odometry/MH_03_medium")).unwrap();
+    for row in live.groundtruth.iter_mut().flatten() {
+        row.pose = global_from_truth.compose(&row.pose);
+        row.velocity = row.velocity.map(|velocity| global_from_truth.rotation * velocity);
+    }
+    let server = LocalServer::start(vec![("map".to_owned(), map)]).unwrap();
+    let link = server.link("map").unwrap();
+    let out = tempfile::tempdir().unwrap();
+    let outcome = run(&live, out.path(), "--init truth --mode multi", Some(link.clone()));
+    server.unlink(&link);
+    server.stop().unwrap();
+    assert_consistent(&pose_within(&outcome, 0.02, 0.15));
+}
+
+fn swapped(pairs: &[Pair]) -> Vec<Pair> {
+    pairs.iter().map(|pair| Pair { reference: pair.estimate, estimate: pair.reference }).collect()
+}
+
+#[test]
+#[ignore = "needs the recordings in target/data"]
+fn a_walk_without_reference_poses_ends_where_it_began() {
+    let (_, contents, report) = built_from_odometry(&recording("walk"));
+    // Doors that look alike are metres apart.
+    assert!(report.loops > report.refused_loops + 10 && report.refused_loops > 5, "{report:?}");
+    let first_ns = contents.keyframes[0].stamp_ns;
+    let seconds = |stamp_ns: i64| (stamp_ns - first_ns) as f64 * 1e-9;
+    // Landmarks of the first ten seconds are seen again in the end.
+    let at = |id: u64| contents.keyframes.iter().find(|keyframe| keyframe.id == id).unwrap();
+    let spans = |landmark: &&map::Landmark| {
+        let stamps: Vec<f64> =
+            landmark.observations.iter().map(|o| seconds(at(o.keyframe).stamp_ns)).collect();
+        stamps.iter().any(|&t| t < 10.0) && stamps.iter().any(|&t| t > 105.0)
+    };
+    let fused = contents.landmarks.iter().filter(spans).count();
+    assert!(fused > 50, "{fused} landmarks");
 }
 
 #[test]

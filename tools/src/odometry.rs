@@ -2,12 +2,15 @@
 
 use anyhow::{Context as _, Result, bail};
 use estimator::propagation::ImuState;
-use estimator::{CalibratedCamera, EstimatorError, MapMode, TrackObservation};
+use estimator::{CalibratedCamera, EstimatorConfig, EstimatorError, MapMode, TrackObservation};
 use mapping::Odometry;
 use onboard::{EstimatorSupervisor, FrontEnd, RobotArguments};
 use sensors::{ImuSample, Sequence};
 use std::path::Path;
 use vision::tracking::TrackerOptions;
+
+/// Points are lost between images further apart than this (median, ns): a robot turns by 20 degrees meanwhile.
+const MAX_TRACKED_GAP_NS: i64 = 300_000_000;
 
 /// Runs odometry over a recording.
 ///
@@ -24,15 +27,7 @@ pub fn run_odometry(
     cameras: usize,
     mut progress: impl FnMut(usize, usize),
 ) -> Result<Odometry> {
-    if sequence.imu_samples.is_empty() {
-        bail!(
-            "{} has no readings of an IMU, and no poses were given: a map needs one of them; give poses with --poses FILE",
-            sequence.root.display()
-        );
-    }
-    let mut config =
-        RobotArguments::with_defaults(Path::new("."))?.estimator_config(&sequence.calibration())?;
-    config.mode = MapMode::Odometry;
+    let mut config = odometry_config(sequence)?;
     let of_sensor = |sensor: &sensors::CameraSensor| CalibratedCamera {
         camera: sensor.camera.clone(),
         imu_from_camera: sensor.imu_from_camera,
@@ -97,6 +92,33 @@ pub fn run_odometry(
         config.imu_noise = config.imu_noise.inflated(learned.imu_noise_scale);
     }
     Ok(Odometry { states, cameras, config })
+}
+
+/// Whether images of two cameras follow each other so slowly that points cannot be tracked.
+pub fn is_sparse(sequence: &Sequence) -> bool {
+    let contents = sequence.contents();
+    let mut gaps: Vec<i64> =
+        sequence.frames.windows(2).map(|frames| frames[1].stamp_ns - frames[0].stamp_ns).collect();
+    gaps.sort_unstable();
+    let slow = gaps.get(gaps.len() / 2).is_some_and(|&gap_ns| gap_ns > MAX_TRACKED_GAP_NS);
+    slow && contents.images && !contents.tracks && sequence.cameras.len() > 1
+}
+
+/// Settings of odometry over a recording.
+///
+/// # Errors
+/// A recording without an IMU.
+pub fn odometry_config(sequence: &Sequence) -> Result<EstimatorConfig> {
+    if sequence.imu_samples.is_empty() {
+        bail!(
+            "{} has no readings of an IMU, and no poses were given: a map needs one of them; give poses with --poses FILE",
+            sequence.root.display()
+        );
+    }
+    let mut config =
+        RobotArguments::with_defaults(Path::new("."))?.estimator_config(&sequence.calibration())?;
+    config.mode = MapMode::Odometry;
+    Ok(config)
 }
 
 /// One image; `None` where the estimator is not initialized.

@@ -89,6 +89,26 @@ pub enum BuildError {
         /// Number of poses.
         states: usize,
     },
+    /// Hardly any images show one place.
+    #[error(
+        "only {located} of {images} stereo pairs show a place that an earlier one shows, or the IMU does not cover them: images \
+         this far apart must overlap"
+    )]
+    TooFewRegistered {
+        /// Pairs of images.
+        images: usize,
+        /// Those whose pose is known.
+        located: usize,
+    },
+    /// The trajectory of the images does not fit the readings of the IMU.
+    #[error(
+        "images and IMU contradict each other: together they give a gravity of {gravity:.2} m/s^2; check the extrinsics and \
+         baseline of the cameras, the time offset between camera and IMU, and the units of the IMU"
+    )]
+    ContradictsImu {
+        /// Magnitude of gravity (m/s^2).
+        gravity: f64,
+    },
     /// Place recognition cannot search the map.
     #[error("places seen again cannot be searched: {0}")]
     Recognition(#[from] recognition::QueryError),

@@ -169,7 +169,7 @@ impl InertialChain {
 }
 
 /// The readings from one time to another, interpolated at both ends; `None` where they do not cover the interval.
-fn readings_between(readings: &[ImuSample], from_ns: i64, to_ns: i64) -> Option<Vec<ImuSample>> {
+pub(super) fn readings_between(readings: &[ImuSample], from_ns: i64, to_ns: i64) -> Option<Vec<ImuSample>> {
     let (first, last) = (readings.first()?, readings.last()?);
     if to_ns <= from_ns || first.stamp_ns > from_ns + SLACK_NS || last.stamp_ns < to_ns - SLACK_NS {
         return None;

@@ -117,7 +117,7 @@ pub(super) fn stated_covariance(of_pose: &Matrix6<f64>, options: &BuildOptions) 
     covariance
 }
 
-fn rays(camera: &Camera, features: &FeatureSet) -> Vec<Option<Vector2<f64>>> {
+pub(super) fn rays(camera: &Camera, features: &FeatureSet) -> Vec<Option<Vector2<f64>>> {
     let ray = |&[u, v]: &[f32; 2]| {
         let pixel = Vector2::new(f64::from(u), f64::from(v));
         camera.contains(&pixel).then(|| camera.unproject(&pixel).ok()).flatten()

@@ -7,6 +7,7 @@
 //! | neighbouring keyframes are matched, with the epipolar constraint | `matching` |
 //! | matches are joined into tracks | `tracks` |
 //! | each track is triangulated with the reference poses and their covariances | `triangulation` |
+//! | without reference poses, images too far apart to track points: their poses | `stereo_registration` |
 //! | without reference poses: places seen again | `loop_closure` |
 //! | all landmarks and poses are refined, with the reference poses as priors or with the IMU | `refinement`, `bundle_adjustment`, `inertial` |
 //! | the joint covariance of the refined poses | `joint_covariance` |
@@ -46,6 +47,7 @@ mod relative_pose;
 mod report;
 mod sparse_system;
 mod stereo_matching;
+mod stereo_registration;
 #[cfg(test)]
 mod tests;
 mod tracks;
@@ -59,4 +61,5 @@ pub use options::{BuildOptions, StoredPoses};
 pub use pipeline::build_map;
 pub use progress::{Progress, Stage};
 pub use report::{BuildReport, Spread};
+pub use stereo_registration::register_stereo_images;
 pub use without_references::build_map_from_odometry;

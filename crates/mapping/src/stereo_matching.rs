@@ -33,11 +33,11 @@ pub(super) fn match_stereo(
         near.map(|j| (j, right.distance(j, &left, i))).collect()
     };
     let candidates: Vec<Vec<(usize, f32)>> = (0..left.rays.len()).map(distances).collect();
-    let mut best_of_sensorsht = vec![(f32::INFINITY, usize::MAX); right.rays.len()];
+    let mut best_of_right = vec![(f32::INFINITY, usize::MAX); right.rays.len()];
     for (i, near) in candidates.iter().enumerate() {
         for &(j, distance) in near {
-            if distance < best_of_sensorsht[j].0 {
-                best_of_sensorsht[j] = (distance, i);
+            if distance < best_of_right[j].0 {
+                best_of_right[j] = (distance, i);
             }
         }
     }
@@ -52,7 +52,7 @@ pub(super) fn match_stereo(
             }
         }
         let distinct = options.ratio.is_none_or(|ratio| best.1 < ratio * next);
-        let found = best.1 <= options.max_distance && distinct && best_of_sensorsht[best.0].1 == i;
+        let found = best.1 <= options.max_distance && distinct && best_of_right[best.0].1 == i;
         found.then(|| Vector2::from(second.keypoints[best.0].pixel.map(f64::from)))
     };
     candidates.iter().enumerate().map(partner).collect()

@@ -12,13 +12,15 @@ use onboard::arguments::CalibrationArguments;
 use onboard::extraction::FeatureArguments;
 use sensors::{ReferencePose, Sequence, check_stereo};
 use serde_json::json;
+use vision::{FeatureExtractor, GrayImage};
 
 use super::import_map::parse_direction;
-use crate::odometry::run_odometry;
+use crate::odometry::{is_sparse, odometry_config, run_odometry};
 use crate::plotting::draw_coverage;
 use map::store::{ensure_free, save_map};
 use mapping::{
     BuildOptions, BuildReport, Extraction, Spread, Stage, StoredPoses, build_map, build_map_from_odometry,
+    register_stereo_images,
 };
 
 /// Largest plausible `--sigma-theta`, rad: 29 degrees. With more the pose says nothing, and linearization fails.
@@ -136,18 +138,32 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     let from_images = sequence.has_images() && !sequence.has_features();
     let mut extractor = if from_images { Some(args.features.open()?) } else { None };
     let mask = args.features.read_mask()?;
-    let extraction = extractor.as_mut().map(|extractor| Extraction {
-        extractor: extractor.as_mut(),
-        max_features: args.features.max_features,
-        mask: mask.as_ref(),
-        stereo: !args.mono,
-    });
     let built = if let Some(references) = references {
-        build_map(&sequence, &references, extraction, &options, &mut show)
+        build_map(
+            &sequence,
+            &references,
+            extraction_of(&mut extractor, mask.as_ref(), &args),
+            &options,
+            &mut show,
+        )
     } else {
         let cameras = if args.mono { 1 } else { sequence.cameras.len().min(2) };
-        let odometry = run_odometry(&mut sequence, cameras, |done, all| show(Stage::Odometry, done, all))?;
-        build_map_from_odometry(&sequence, &odometry, extraction, &options, &mut show)
+        let odometry = match extraction_of(&mut extractor, mask.as_ref(), &args)
+            .filter(|_| cameras > 1 && is_sparse(&sequence))
+        {
+            Some(extraction) => {
+                let config = odometry_config(&sequence)?;
+                register_stereo_images(&sequence, extraction, &config, &mut show)?
+            }
+            None => run_odometry(&mut sequence, cameras, |done, all| show(Stage::Odometry, done, all))?,
+        };
+        build_map_from_odometry(
+            &sequence,
+            &odometry,
+            extraction_of(&mut extractor, mask.as_ref(), &args),
+            &options,
+            &mut show,
+        )
     };
     bar.finish_and_clear();
     let (contents, report) = built?;
@@ -166,6 +182,16 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         println!("  of it                     {}", times.summary());
     }
     Ok(())
+}
+
+/// What the switches say of extraction; `None` for a recording that has features.
+fn extraction_of<'a>(
+    extractor: &'a mut Option<Box<dyn FeatureExtractor>>,
+    mask: Option<&'a GrayImage>,
+    args: &Args,
+) -> Option<Extraction<'a>> {
+    let extractor = extractor.as_mut()?.as_mut();
+    Some(Extraction { extractor, max_features: args.features.max_features, mask, stereo: !args.mono })
 }
 
 /// How long each stage took.
