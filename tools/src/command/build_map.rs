@@ -26,6 +26,9 @@ use mapping::{
 /// Largest plausible `--sigma-theta`, rad: 29 degrees. With more the pose says nothing, and linearization fails.
 const MAX_SIGMA_THETA: f64 = 0.5;
 
+/// Images that are too far apart to track points are all keyframes, unless the camera stands still, m.
+const MIN_DISTANCE_OF_SPARSE_IMAGES: f64 = 0.01;
+
 /// Arguments.
 #[expect(clippy::struct_excessive_bools, reason = "each is a switch of its own")]
 #[derive(Clone, Debug, clap::Args)]
@@ -81,12 +84,13 @@ pub struct Args {
     /// Use frames up to this time, seconds from the first frame
     #[arg(long, value_name = "SECONDS")]
     pub until: Option<f64>,
-    /// Select a keyframe when the camera has moved this far, m
-    #[arg(long, value_name = "M", default_value_t = 0.2)]
-    pub min_distance: f64,
-    /// ... or has rotated by this angle, deg
-    #[arg(long, value_name = "DEG", default_value_t = 5.0)]
-    pub min_rotation: f64,
+    /// Select a keyframe when the camera has moved this far, m [default: 0.2; without poses, all images that are too far
+    /// apart to track points]
+    #[arg(long, value_name = "M")]
+    pub min_distance: Option<f64>,
+    /// ... or has rotated by this angle, deg [default: 5]
+    #[arg(long, value_name = "DEG")]
+    pub min_rotation: Option<f64>,
     /// Match each keyframe with this many that follow it in time
     #[arg(long, value_name = "N", default_value_t = 10)]
     pub time_neighbours: usize,
@@ -121,7 +125,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     if !args.mono {
         check_stereo(&sequence.cameras, sequence.frames.iter().cloned().map(Ok))?;
     }
-    let options = options(&args)?;
+    let mut options = options(&args)?;
     let references = references(&args, &sequence)?;
     if references.is_none() {
         sequence = Sequence::open_with(&args.sequence, &args.calibration.files())?;
@@ -153,6 +157,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         {
             Some(extraction) => {
                 let config = odometry_config(&sequence)?;
+                options.min_distance = args.min_distance.unwrap_or(MIN_DISTANCE_OF_SPARSE_IMAGES);
                 register_stereo_images(&sequence, extraction, &config, &mut show)?
             }
             None => run_odometry(&mut sequence, cameras, |done, all| show(Stage::Odometry, done, all))?,
@@ -319,8 +324,8 @@ fn options(args: &Args) -> anyhow::Result<BuildOptions> {
     options.sigma_p_m = args.sigma_p;
     options.sigma_px = args.sigma_pixel;
     options.stored_poses = if args.no_refine_poses { StoredPoses::Given } else { StoredPoses::Refined };
-    options.min_distance = args.min_distance;
-    options.min_rotation = args.min_rotation.to_radians();
+    options.min_distance = args.min_distance.unwrap_or(options.min_distance);
+    options.min_rotation = args.min_rotation.map_or(options.min_rotation, f64::to_radians);
     options.time_neighbours = args.time_neighbours;
     options.space_neighbours = args.space_neighbours;
     Ok(options)
