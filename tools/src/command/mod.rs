@@ -5,6 +5,7 @@ use clap::Subcommand;
 pub mod build_map;
 pub mod demo;
 pub mod evaluate;
+pub mod export_colmap;
 pub mod export_map;
 pub mod fleet;
 pub mod import_map;
@@ -33,12 +34,14 @@ pub enum Command {
     Demo(demo::Args),
     /// Simulate a town and two runs through it, as recordings on disk
     Simulate(simulate::Args),
-    /// Build a map from a recording with reference poses
+    /// Build a map from a recording, with or without reference poses
     BuildMap(build_map::Args),
     /// Import a plain-text map
     ImportMap(import_map::Args),
     /// Export a map as plain text
     ExportMap(export_map::Args),
+    /// Export a map as a COLMAP model
+    ExportColmap(export_colmap::Args),
     /// Print the contents of a map: counts, extent, uncertainties
     MapInfo(map_info::Args),
     /// Query a running map server with the features of an image
@@ -80,6 +83,7 @@ impl Command {
             Self::BuildMap(args) => build_map::run(args),
             Self::ImportMap(args) => import_map::run(args),
             Self::ExportMap(args) => export_map::run(args),
+            Self::ExportColmap(args) => export_colmap::run(args),
             Self::MapInfo(args) => map_info::run(args),
             Self::Query(args) => query::run(args),
             Self::Localize(args) => localize::run(&args),

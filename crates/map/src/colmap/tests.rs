@@ -1,0 +1,86 @@
+//! A written model against COLMAP's own definitions.
+
+use super::{ColmapError, write_model};
+use crate::MapContents;
+use crate::model::{Keyframe, Landmark, MapMetadata, Observation};
+use geometry::camera::{Camera, Distortion};
+use geometry::uncertain_pose::{PoseWithCovariance, isotropic_covariance};
+use geometry::{Pose, rotation};
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use protocol::DescriptorKind;
+
+/// Two keyframes that see three landmarks, pixels without noise.
+fn map() -> MapContents {
+    let distortion = Distortion::RadialTangential([-0.28, 0.07, 2e-4, 2e-5]);
+    let camera =
+        Camera { width: 752, height: 480, focal: [458.0, 457.0], centre: [367.0, 248.0], distortion };
+    let poses =
+        [0.0, 0.3].map(|x| Pose::new(rotation::exp(&Vector3::new(0.1, x, -0.2)), Vector3::new(x, 1.0, 2.0)));
+    let keyframe = |index: usize| Keyframe {
+        id: index as u64 + 1,
+        stamp_ns: 1_000_000_000 * (index as i64 + 1),
+        global_from_keyframe: PoseWithCovariance::new(poses[index], isotropic_covariance(0.01, 0.02)),
+        camera: camera.clone(),
+        features: None,
+    };
+    let landmark = |id: u64| {
+        let in_anchor = Vector3::new(0.4 * id as f64 - 1.0, 0.2, 4.0 + id as f64);
+        let in_global = poses[0].transform(&in_anchor);
+        let observation = |index: usize| {
+            let pixel = camera.project(&poses[index].inverse_transform(&in_global)).unwrap();
+            let pixel = [pixel.x as f32, pixel.y as f32];
+            Observation { keyframe: index as u64 + 1, pixel, descriptor: vec![id as u8; 32] }
+        };
+        let observations = vec![observation(0), observation(1)];
+        Landmark { id, anchor: 1, position_in_anchor: in_anchor, observations }
+    };
+    let mut contents = MapContents::empty(MapMetadata::new("hall", "test", DescriptorKind::Binary, 32));
+    contents.keyframes = vec![keyframe(0), keyframe(1)];
+    contents.landmarks = vec![landmark(1), landmark(2), landmark(3)];
+    contents
+}
+
+fn numbers(line: &str) -> Vec<f64> {
+    line.split(' ').map_while(|word| word.parse().ok()).collect()
+}
+
+#[test]
+fn points_project_to_their_pixels_by_colmaps_definitions() {
+    let folder = tempfile::tempdir().unwrap();
+    write_model(folder.path(), &map(), |keyframe| format!("{}.png", keyframe.stamp_ns)).unwrap();
+    let read = |name: &str| std::fs::read_to_string(folder.path().join(name)).unwrap();
+    let lines = |text: &str| -> Vec<String> {
+        text.lines().filter(|line| !line.starts_with('#')).map(str::to_owned).collect()
+    };
+    let cameras = read("cameras.txt");
+    let camera = lines(&cameras).remove(0);
+    let parameters = numbers(camera.strip_prefix("1 OPENCV 752 480 ").unwrap());
+    let [fx, fy, cx, cy, k1, k2, p1, p2] = parameters[..] else { panic!("{camera}") };
+    let images = lines(&read("images.txt"));
+    assert!(
+        images[0].ends_with(" 1 1000000000.png") && images[2].ends_with(" 1 2000000000.png"),
+        "{images:?}"
+    );
+    for point in lines(&read("points3D.txt")) {
+        let point = numbers(&point);
+        let position = Vector3::new(point[1], point[2], point[3]);
+        assert!(point[7] < 1e-3, "error {}", point[7]);
+        assert_eq!(point.len(), 8 + 2 * 2);
+        for track in point[8..].chunks(2) {
+            let line = 2 * (track[0] as usize - 1);
+            let [_, w, x, y, z, tx, ty, tz, ..] = numbers(&images[line])[..] else { panic!() };
+            let turn = UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z));
+            let in_camera = turn * position + Vector3::new(tx, ty, tz);
+            let (u, v) = (in_camera.x / in_camera.z, in_camera.y / in_camera.z);
+            let r2 = u * u + v * v;
+            let radial = 1.0 + k1 * r2 + k2 * r2 * r2;
+            let du = u * radial + 2.0 * p1 * u * v + p2 * (r2 + 2.0 * u * u);
+            let dv = v * radial + 2.0 * p2 * u * v + p1 * (r2 + 2.0 * v * v);
+            let seen = &numbers(&images[line + 1])[3 * track[1] as usize..][..3];
+            assert!((fx * du + cx - seen[0]).abs() < 1e-3 && (fy * dv + cy - seen[1]).abs() < 1e-3);
+            assert_eq!(seen[2] as u64, point[0] as u64);
+        }
+    }
+    let again = write_model(folder.path(), &map(), |_| String::new());
+    assert!(matches!(again, Err(ColmapError::Occupied { .. })), "{again:?}");
+}

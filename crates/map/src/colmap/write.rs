@@ -1,0 +1,171 @@
+//! Writing a COLMAP model in text.
+
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+use geometry::camera::{Camera, Distortion};
+use nalgebra::Vector2;
+use protocol::{KeyframeId, LandmarkId};
+
+use crate::contents::{ContentsError, MapContents};
+use crate::model::{Keyframe, Landmark};
+
+/// The files of a model.
+const FILES: [&str; 3] = ["cameras.txt", "images.txt", "points3D.txt"];
+/// From our pixels to COLMAP's.
+const PIXEL_OFFSET: f64 = 0.5;
+
+/// Why a model cannot be written.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ColmapError {
+    /// The map violates an invariant.
+    #[error("the map is invalid: {0}")]
+    Contents(#[from] ContentsError),
+    /// The folder holds a model already.
+    #[error("{} holds a COLMAP model already: give another folder", path.display())]
+    Occupied {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// A file or folder could not be written.
+    #[error("cannot write {}: {reason}; check the folder's rights and free space", path.display())]
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// The error of the system.
+        reason: std::io::Error,
+    },
+}
+
+/// Writes a map as a COLMAP model into a folder, which is made if needed.
+///
+/// # Arguments
+/// * `image_name`: of the image of a keyframe, as COLMAP is to find it.
+///
+/// # Errors
+/// [`ColmapError`].
+pub fn write_model(
+    folder: &Path,
+    contents: &MapContents,
+    image_name: impl Fn(&Keyframe) -> String,
+) -> Result<(), ColmapError> {
+    contents.validate()?;
+    if FILES.iter().any(|name| folder.join(name).exists()) {
+        return Err(ColmapError::Occupied { path: folder.to_owned() });
+    }
+    std::fs::create_dir_all(folder)
+        .map_err(|reason| ColmapError::Write { path: folder.to_owned(), reason })?;
+    let model = Model::new(contents);
+    let texts = [model.cameras_text(), model.images_text(&image_name), model.points_text()];
+    for (name, text) in FILES.iter().zip(texts) {
+        let path = folder.join(name);
+        std::fs::write(&path, text).map_err(|reason| ColmapError::Write { path, reason })?;
+    }
+    Ok(())
+}
+
+struct Model<'a> {
+    contents: &'a MapContents,
+    cameras: Vec<&'a Camera>,
+    keyframes: BTreeMap<KeyframeId, &'a Keyframe>,
+    /// Of each keyframe: the landmark and pixel of its points.
+    points: BTreeMap<KeyframeId, Vec<(LandmarkId, [f32; 2])>>,
+}
+
+impl<'a> Model<'a> {
+    fn new(contents: &'a MapContents) -> Model<'a> {
+        let mut cameras: Vec<&Camera> = Vec::new();
+        for keyframe in &contents.keyframes {
+            if !cameras.contains(&&keyframe.camera) {
+                cameras.push(&keyframe.camera);
+            }
+        }
+        let mut points: BTreeMap<KeyframeId, Vec<(LandmarkId, [f32; 2])>> = BTreeMap::new();
+        for landmark in &contents.landmarks {
+            for observation in &landmark.observations {
+                points.entry(observation.keyframe).or_default().push((landmark.id, observation.pixel));
+            }
+        }
+        let keyframes = contents.keyframes.iter().map(|keyframe| (keyframe.id, keyframe)).collect();
+        Model { contents, cameras, keyframes, points }
+    }
+
+    fn cameras_text(&self) -> String {
+        let mut text = String::from("# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n");
+        for (id, camera) in (1..).zip(&self.cameras) {
+            let [fx, fy] = camera.focal;
+            let [cx, cy] = camera.centre.map(|centre| centre + PIXEL_OFFSET);
+            let (model, distortion): (&str, &[f64]) = match &camera.distortion {
+                Distortion::None => ("PINHOLE", &[]),
+                Distortion::RadialTangential(parameters) => ("OPENCV", parameters),
+                Distortion::Equidistant(parameters) => ("OPENCV_FISHEYE", parameters),
+                Distortion::Fov(omega) => ("FOV", std::slice::from_ref(omega)),
+            };
+            let _ = write!(text, "{id} {model} {} {} {fx} {fy} {cx} {cy}", camera.width, camera.height);
+            for parameter in distortion {
+                let _ = write!(text, " {parameter}");
+            }
+            text.push('\n');
+        }
+        text
+    }
+
+    fn images_text(&self, image_name: &impl Fn(&Keyframe) -> String) -> String {
+        let mut text = String::from(
+            "# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME\n# POINTS2D[] as (X, Y, POINT3D_ID)\n",
+        );
+        for keyframe in &self.contents.keyframes {
+            let camera = self.cameras.iter().position(|camera| **camera == keyframe.camera).unwrap_or(0) + 1;
+            let camera_from_global = keyframe.global_from_keyframe.pose.inverse();
+            let (q, t) = (camera_from_global.rotation, camera_from_global.translation);
+            let name = image_name(keyframe);
+            let _ = writeln!(
+                text,
+                "{} {} {} {} {} {} {} {} {camera} {name}",
+                keyframe.id, q.w, q.i, q.j, q.k, t.x, t.y, t.z
+            );
+            let mut separator = "";
+            for (landmark, pixel) in self.points.get(&keyframe.id).into_iter().flatten() {
+                let [u, v] = pixel.map(|coordinate| f64::from(coordinate) + PIXEL_OFFSET);
+                let _ = write!(text, "{separator}{u} {v} {landmark}");
+                separator = " ";
+            }
+            text.push('\n');
+        }
+        text
+    }
+
+    fn points_text(&self) -> String {
+        let mut text =
+            String::from("# POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[] as (IMAGE_ID, POINT2D_IDX)\n");
+        // The position of each point in the list of its keyframe, counted as the lists were filled.
+        let mut counted: BTreeMap<KeyframeId, usize> = BTreeMap::new();
+        for landmark in &self.contents.landmarks {
+            let Some(anchor) = self.keyframes.get(&landmark.anchor) else { continue };
+            let p = anchor.global_from_keyframe.pose.transform(&landmark.position_in_anchor);
+            let error = self.mean_error(landmark, &p);
+            let _ = write!(text, "{} {} {} {} 128 128 128 {error}", landmark.id, p.x, p.y, p.z);
+            for observation in &landmark.observations {
+                let index = counted.entry(observation.keyframe).or_default();
+                let _ = write!(text, " {} {index}", observation.keyframe);
+                *index += 1;
+            }
+            text.push('\n');
+        }
+        text
+    }
+
+    /// Mean reprojection error of a landmark at a position in G (px), of the observations that see it.
+    fn mean_error(&self, landmark: &Landmark, position: &nalgebra::Vector3<f64>) -> f64 {
+        let errors = landmark.observations.iter().filter_map(|observation| {
+            let keyframe = self.keyframes.get(&observation.keyframe)?;
+            let in_camera = keyframe.global_from_keyframe.pose.inverse_transform(position);
+            let seen = Vector2::from(observation.pixel.map(f64::from));
+            Some((keyframe.camera.project(&in_camera).ok()? - seen).norm())
+        });
+        let (sum, count) = errors.fold((0.0, 0_u32), |(sum, count), error| (sum + error, count + 1));
+        sum / f64::from(count.max(1))
+    }
+}
