@@ -172,7 +172,11 @@ impl RobotRun<'_> {
         let mut refusal = None;
         match (&matched, &result.answer) {
             (Some(answer), _) => {
+                let before = estimator.local_from_imu();
                 let report = estimator.map_update(result.token, answer)?;
+                if let Some(ros) = &mut self.ros {
+                    ros.correct(&before, &estimator.local_from_imu());
+                }
                 event.note_report(&report);
                 refusal = report.rejection.filter(|reason| matches!(reason, Rejection::OtherMap { .. }));
             }

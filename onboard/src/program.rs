@@ -6,6 +6,7 @@ use super::extraction::ExtractionThread;
 use super::front_end::FrontEnd;
 use super::link::{MapLink, RobotLink};
 use super::outputs::{EVENTS, Event, Recorder, STATES, Summary};
+use super::prediction::Prediction;
 use super::run::{RobotRun, RunError, run};
 use super::start::{excerpt, initial_state};
 use super::stop::StopSignal;
@@ -160,7 +161,12 @@ fn play(
     let mask = if contents.images { arguments.features.read_mask()? } else { None };
     let front_end = front_end(source.calibration(), contents, arguments, cameras, mask.as_ref())?;
     let supervisor = supervisor(source.calibration(), cameras, &config, initial.as_ref())?;
+    let readings = source.tap_imu();
     let mut robot = RobotRun::new(source, supervisor);
+    robot.prediction = readings
+        .map(Prediction::start)
+        .transpose()
+        .context("the thread of the prediction cannot be started")?;
     robot.stop = stop.clone();
     robot.robot.clone_from(&arguments.robot);
     robot.topics = arguments.topics.into();

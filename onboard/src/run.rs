@@ -7,12 +7,12 @@ use super::front_end::FrontEnd;
 use super::input::{ImuWindow, NextFrame, SensorQueue};
 use super::link::OpeningLink;
 use super::outputs::{Estimate, Publisher, Recorder, RobotMetrics, RosOutput, StatusLine, Timings};
+use super::prediction::{Basis, Prediction, Publish};
 use super::run_status::AlarmKind;
 use super::stop::StopSignal;
 use client::{MapChangeSubscriber, QueryTasks};
 use estimator::{CloneId, EstimatorError, InitMethod, TrackObservation};
 use geometry::Camera;
-use nalgebra::Vector3;
 use protocol::Format;
 use sensors::live::LiveFault;
 use sensors::{Frame, ImuCheck, ImuUnitError, SensorError, SensorSource};
@@ -94,6 +94,8 @@ pub struct RobotRun<'a> {
     pub publisher: Option<Publisher>,
     /// Publishes for ROS 2.
     pub ros: Option<RosOutput>,
+    /// Publishes odometry at the rate of the IMU; `None` for a recording.
+    pub(super) prediction: Option<Prediction>,
     /// What the run counts.
     pub metrics: RobotMetrics,
     pub(super) supervisor: EstimatorSupervisor,
@@ -140,6 +142,7 @@ impl<'a> RobotRun<'a> {
             map_changes: None,
             publisher: None,
             ros: None,
+            prediction: None,
             metrics: RobotMetrics::default(),
             supervisor,
             query_camera: calibration.cameras.first().map(|first| first.camera.clone()),
@@ -304,6 +307,9 @@ impl RobotRun<'_> {
                 if let Some(ros) = &mut self.ros {
                     ros.restart();
                 }
+                if let Some(prediction) = &self.prediction {
+                    prediction.lost();
+                }
                 self.publish_status(stamp_ns, recorder);
                 Ok(())
             }
@@ -343,7 +349,7 @@ impl RobotRun<'_> {
         timings.front_end = begin.elapsed();
 
         let begin = Instant::now();
-        let angular_velocity = self.feed_imu(frame.stamp_ns, recorder);
+        self.feed_imu(frame.stamp_ns, recorder);
         let tracks = self.initialize(frame.stamp_ns, tracks, recorder)?;
         let (Some(tracks), Some(estimator)) = (tracks, self.supervisor.estimator_mut()) else {
             // Answers to queries of the last filter are of no use, but must not pile up.
@@ -376,13 +382,18 @@ impl RobotRun<'_> {
         recorder.note_state(estimator);
         recorder.timings.add(&timings);
         self.metrics.note_frame(timings.total());
-        let rate = angular_velocity - estimator.biases().0;
         if let Some(ros) = &mut self.ros {
-            ros.publish(&Estimate::of(estimator, rate));
+            ros.publish(&Estimate::of(estimator, &status));
             ros.publish_status(estimator.stamp_ns(), &status, recorder.query_counts());
         }
         if let Some(publisher) = &self.publisher {
-            publisher.publish(estimator, rate, status, recorder.query_counts());
+            publisher.publish(estimator, status, recorder.query_counts());
+        }
+        if let Some(prediction) = &self.prediction {
+            let native = self.publisher.as_ref().map(|publisher| Box::new(publisher.predicted()) as Publish);
+            let ros = self.ros.as_ref().and_then(RosOutput::predicted);
+            let publish = native.into_iter().chain(ros.map(|ros| Box::new(ros) as Publish)).collect();
+            prediction.update(Basis { predictor: estimator.predictor(), publish });
         }
         self.query_frame(clone, frame, recorder);
         Ok(())
@@ -406,9 +417,8 @@ impl RobotRun<'_> {
             .ok()
     }
 
-    /// Hands the IMU readings up to the first one after the frame to the estimator, and returns the angular velocity of
-    /// that one, rad/s.
-    fn feed_imu(&mut self, frame_ns: i64, recorder: &mut Recorder) -> Vector3<f64> {
+    /// Hands the IMU readings up to the first one after the frame to the estimator.
+    fn feed_imu(&mut self, frame_ns: i64, recorder: &mut Recorder) {
         let until_ns = self.imu_stamp_ns(frame_ns);
         while let Some(reading) = self.imu.hand_out(until_ns) {
             if let Err(error) = self.supervisor.imu(reading) {
@@ -416,7 +426,6 @@ impl RobotRun<'_> {
                 recorder.dropped_imu += 1;
             }
         }
-        self.imu.handed_out().last().map_or_else(Vector3::zeros, |reading| reading.gyroscope)
     }
 
     fn close(&mut self, recorder: &mut Recorder) {
@@ -424,6 +433,7 @@ impl RobotRun<'_> {
         recorder.alarms = self.alarms.kept().to_vec();
         recorder.learned_noise = self.supervisor.learned_noise();
         recorder.final_status = Some(self.note_status(recorder));
+        self.prediction = None;
         if let Some(publisher) = self.publisher.take() {
             publisher.close();
         }

@@ -50,6 +50,9 @@ impl RobotRun<'_> {
         if let Some(publisher) = &mut self.publisher {
             publisher.set_clock_shift(report.clock_shift_ns);
         }
+        if let Some(ros) = &mut self.ros {
+            ros.set_clock_shift(report.clock_shift_ns);
+        }
     }
 
     /// Publishes the status where there is no pose.
