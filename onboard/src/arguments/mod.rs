@@ -5,12 +5,14 @@ mod choices;
 mod live;
 mod ros;
 mod settings;
+mod settings_file;
 
 pub use calibration::CalibrationArguments;
 pub use choices::{Calibrate, Cameras, FrameKind, Init, Mode, Source, TopicFormat};
 pub use live::LiveArguments;
 pub use ros::{ImuInBaseLink, RosArguments};
 pub use settings::{SettingsError, read_settings};
+pub use settings_file::{SettingsFileError, settings_text, with_settings};
 
 use super::extraction::FeatureArguments;
 use super::outputs::{RobotMetrics, RosOutput};
