@@ -71,6 +71,7 @@ fn localize() -> Result<()> {
         .context("--ros2")?;
     let (topics, ros_task) = ros.unzip();
     arguments.robot.ros = topics;
+    arguments.robot.body = arguments.ros.body();
     let outcome = match (arguments.source, &arguments.sequence) {
         (Source::Recording, Some(sequence)) => play_recording(&stop, sequence, &arguments, &runtime)?,
         (Source::Recording, None) => bail!("--sequence DIR is missing"),

@@ -6,7 +6,9 @@ use super::extraction::ExtractionThread;
 use super::front_end::FrontEnd;
 use super::input::{ImuWindow, NextFrame, SensorQueue};
 use super::link::OpeningLink;
-use super::outputs::{Estimate, Publisher, Recorder, RobotMetrics, RosOutput, StatusLine, Timings};
+use super::outputs::{
+    Estimate, MessageRecording, Publisher, Recorder, RobotMetrics, RosOutput, StatusLine, Timings,
+};
 use super::prediction::{Basis, Prediction, Publish};
 use super::run_status::AlarmKind;
 use super::stop::StopSignal;
@@ -94,6 +96,8 @@ pub struct RobotRun<'a> {
     pub publisher: Option<Publisher>,
     /// Publishes for ROS 2.
     pub ros: Option<RosOutput>,
+    /// Records what is published, and the sensors.
+    pub(super) recording: Option<MessageRecording>,
     /// Publishes odometry at the rate of the IMU; `None` for a recording.
     pub(super) prediction: Option<Prediction>,
     /// What the run counts.
@@ -142,6 +146,7 @@ impl<'a> RobotRun<'a> {
             map_changes: None,
             publisher: None,
             ros: None,
+            recording: None,
             prediction: None,
             metrics: RobotMetrics::default(),
             supervisor,
@@ -274,6 +279,9 @@ impl RobotRun<'_> {
             if self.imu_fault.is_none() {
                 self.imu_fault = self.imu_check.add(&reading).err();
             }
+            if let Some(recording) = &mut self.recording {
+                recording.reading(&reading);
+            }
             self.imu.push(reading);
         }
         Ok(())
@@ -306,6 +314,9 @@ impl RobotRun<'_> {
                 self.supervisor.reinitialize(stamp_ns, &error, self.imu.handed_out());
                 if let Some(ros) = &mut self.ros {
                     ros.restart();
+                }
+                if let Some(recording) = &mut self.recording {
+                    recording.restart();
                 }
                 if let Some(prediction) = &self.prediction {
                     prediction.lost();
@@ -343,6 +354,9 @@ impl RobotRun<'_> {
     }
 
     fn process_frame(&mut self, frame: &Frame, recorder: &mut Recorder) -> Result<(), EstimatorError> {
+        if let Some(recording) = &mut self.recording {
+            recording.frame(frame);
+        }
         let mut timings = Timings::default();
         let begin = Instant::now();
         let Some(tracks) = self.tracks_of(frame, recorder) else { return Ok(()) };
@@ -382,6 +396,10 @@ impl RobotRun<'_> {
         recorder.note_state(estimator);
         recorder.timings.add(&timings);
         self.metrics.note_frame(timings.total());
+        if let Some(recording) = &mut self.recording {
+            recording.estimate(&Estimate::of(estimator, &status));
+            recording.status(estimator.stamp_ns(), &status, recorder.query_counts());
+        }
         if let Some(ros) = &mut self.ros {
             ros.publish(&Estimate::of(estimator, &status));
             ros.publish_status(estimator.stamp_ns(), &status, recorder.query_counts());
@@ -433,7 +451,7 @@ impl RobotRun<'_> {
         recorder.alarms = self.alarms.kept().to_vec();
         recorder.learned_noise = self.supervisor.learned_noise();
         recorder.final_status = Some(self.note_status(recorder));
-        self.prediction = None;
+        (self.prediction, self.recording) = (None, None);
         if let Some(publisher) = self.publisher.take() {
             publisher.close();
         }

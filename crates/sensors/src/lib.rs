@@ -56,6 +56,7 @@ mod memory;
 mod merged;
 mod recording;
 mod rig_calibration;
+pub mod ros;
 mod rows;
 mod source;
 mod stereo_check;

@@ -1,7 +1,7 @@
 //! Estimates as ROS messages.
 
 use super::odom_frame::OdomFrame;
-use super::settings::RosSettings;
+use super::settings::RosBody;
 use estimator::{Estimator, Localization, Motion, Status};
 use geometry::{Pose, PoseWithCovariance};
 use nalgebra::{Matrix3, Matrix6, Vector3};
@@ -58,13 +58,13 @@ pub struct Messages {
 }
 
 /// Makes the messages of an estimate; `None` for a time that ROS cannot write (before 1901, after 2038).
-pub fn messages(settings: &RosSettings, odom: &mut OdomFrame, estimate: &Estimate) -> Option<Messages> {
-    let local_from_base = estimate.motion.state.local_from_imu * settings.imu_from_base;
+pub fn messages(body: &RosBody, odom: &mut OdomFrame, estimate: &Estimate) -> Option<Messages> {
+    let local_from_base = estimate.motion.state.local_from_imu * body.imu_from_base;
     let odom_from_local = odom.update(&local_from_base);
-    let odometry = odometry(settings, &odom_from_local, &estimate.motion)?;
+    let odometry = odometry(body, &odom_from_local, &estimate.motion)?;
     let stamp = odometry.header.stamp;
     let header = |frame: &String| Header { stamp, frame_id: frame.clone() };
-    let frames = &settings.frames;
+    let frames = &body.frames;
     let transform = |parent: &String, child: &String, pose: &Pose| TransformStamped {
         header: header(parent),
         child_frame_id: child.clone(),
@@ -80,25 +80,21 @@ pub fn messages(settings: &RosSettings, odom: &mut OdomFrame, estimate: &Estimat
         odometry,
         pose: estimate.global.as_ref().map(|global| PoseWithCovarianceStamped {
             header: header(&frames.map),
-            pose: pose(&global.global_from_imu.change_of_child(&settings.imu_from_base)),
+            pose: pose(&global.global_from_imu.change_of_child(&body.imu_from_base)),
         }),
         transforms: TFMessage { transforms },
     })
 }
 
 /// Pose and velocities of the robot in `odom`; `None` for a time that ROS cannot write.
-pub fn odometry(
-    settings: &RosSettings,
-    odom_from_local: &PoseWithCovariance,
-    motion: &Motion,
-) -> Option<Odometry> {
+pub fn odometry(body: &RosBody, odom_from_local: &PoseWithCovariance, motion: &Motion) -> Option<Odometry> {
     let stamp = Time::from_nanoseconds(motion.stamp_ns)?;
-    let local_from_base = motion.local_from_imu().change_of_child(&settings.imu_from_base);
+    let local_from_base = motion.local_from_imu().change_of_child(&body.imu_from_base);
     Some(Odometry {
-        header: Header { stamp, frame_id: settings.frames.odom.clone() },
-        child_frame_id: settings.frames.base_link.clone(),
+        header: Header { stamp, frame_id: body.frames.odom.clone() },
+        child_frame_id: body.frames.base_link.clone(),
         pose: pose(&odom_from_local.compose(&local_from_base)),
-        twist: twist(&settings.imu_from_base, motion),
+        twist: twist(&body.imu_from_base, motion),
     })
 }
 

@@ -18,6 +18,9 @@ mod settings;
 #[cfg(test)]
 mod tests;
 
+pub(crate) use diagnostics::Diagnostics;
 pub use messages::Estimate;
+pub(crate) use messages::messages;
+pub(crate) use odom_frame::OdomFrame;
 pub use output::{RosOutput, RosOutputTask};
-pub use settings::{RosFrames, RosSettings};
+pub use settings::{RosBody, RosFrames, RosSettings};

@@ -61,7 +61,7 @@ impl RosOutput {
     pub fn publish(&mut self, estimate: &Estimate) {
         let mut estimate = estimate.clone();
         estimate.motion.stamp_ns = estimate.motion.stamp_ns.saturating_add(self.clock_shift_ns);
-        let Some(messages) = messages(&self.settings, &mut self.odom, &estimate) else {
+        let Some(messages) = messages(&self.settings.body, &mut self.odom, &estimate) else {
             let stamp_ns = estimate.motion.stamp_ns;
             return tracing::warn!(stamp_ns, "this time cannot be written in ROS: not published");
         };
@@ -76,7 +76,7 @@ impl RosOutput {
         Some(move |motion: &Motion| {
             let mut motion = *motion;
             motion.stamp_ns = motion.stamp_ns.saturating_add(clock_shift_ns);
-            if let Some(odometry) = odometry(&settings, &odom_from_local, &motion) {
+            if let Some(odometry) = odometry(&settings.body, &odom_from_local, &motion) {
                 let _ = queue.try_send(Outgoing::Predicted(Box::new(odometry)));
             }
         })
@@ -95,7 +95,7 @@ impl RosOutput {
     /// Publishes the status now if it changed, and every second.
     pub fn publish_status(&self, stamp_ns: i64, status: &Status, counts: QueryCounts) {
         let stamp_ns = stamp_ns.saturating_add(self.clock_shift_ns);
-        let new = Diagnostics::of(&self.settings, stamp_ns, status, counts);
+        let new = Diagnostics::of(&self.settings.robot, self.settings.map_expected, stamp_ns, status, counts);
         self.diagnostics.send_if_modified(|last| {
             let changed = last.as_ref().is_none_or(|last| new.differs_from(last));
             *last = Some(new);

@@ -2,7 +2,7 @@
 
 use super::messages::{Estimate, GlobalEstimate, Messages, messages};
 use super::odom_frame::OdomFrame;
-use super::{RosFrames, RosOutput, RosSettings};
+use super::{RosBody, RosOutput, RosSettings};
 use crate::outputs::QueryCounts;
 use client::SessionOptions;
 use client::session::{SessionMode, close_session, open_session};
@@ -24,8 +24,7 @@ pub fn settings() -> RosSettings {
         session: SessionOptions::default(),
         domain: 0,
         namespace: String::new(),
-        frames: RosFrames { map: "map".into(), odom: "odom".into(), base_link: "base_link".into() },
-        imu_from_base: pose([0.3, -0.7, 0.2], [0.5, -0.1, 0.4]),
+        body: RosBody { imu_from_base: pose([0.3, -0.7, 0.2], [0.5, -0.1, 0.4]), ..RosBody::default() },
         robot: "cart7".to_owned(),
         map_expected: true,
     }
@@ -65,7 +64,7 @@ fn estimate() -> Estimate {
 }
 
 fn made(odom: &mut OdomFrame, estimate: &Estimate) -> Messages {
-    messages(&settings(), odom, estimate).unwrap()
+    messages(&settings().body, odom, estimate).unwrap()
 }
 
 fn read_pose(position: geometry_msgs::Vector3, orientation: geometry_msgs::Quaternion) -> Pose {
@@ -98,7 +97,7 @@ fn transforms_lead_from_the_map_over_odom_to_the_robot() {
     assert_near(&map_from_base, &read_pose(pose.pose.pose.position, pose.pose.pose.orientation));
     assert_near(
         &map_from_base,
-        &(estimate().global.unwrap().global_from_imu.pose * settings().imu_from_base),
+        &(estimate().global.unwrap().global_from_imu.pose * settings().body.imu_from_base),
     );
 }
 
@@ -147,7 +146,7 @@ fn the_twist_is_the_motion_of_the_robot_in_its_own_frame() {
         let motion = &estimate.motion;
         let imu = motion.state.local_from_imu;
         let turned = imu.rotation * rotation::exp(&(motion.angular_velocity * seconds));
-        Pose::new(turned, imu.translation + motion.state.velocity * seconds) * settings.imu_from_base
+        Pose::new(turned, imu.translation + motion.state.velocity * seconds) * settings.body.imu_from_base
     };
     let step = 1e-6;
     let motion = at(-step).inverse() * at(step);
@@ -168,7 +167,7 @@ fn the_covariance_is_that_of_the_robots_error_about_fixed_axes() {
     let base = |error: &Vector6<f64>| {
         let imu = estimate.motion.state.local_from_imu;
         let turned = rotation::exp(&error.fixed_rows::<3>(0).into_owned()) * imu.rotation;
-        Pose::new(turned, imu.translation + error.fixed_rows::<3>(3)) * settings().imu_from_base
+        Pose::new(turned, imu.translation + error.fixed_rows::<3>(3)) * settings().body.imu_from_base
     };
     let mut expected = Matrix6::zeros();
     for column in 0..6 {
