@@ -165,9 +165,7 @@ mod tests {
         assert_eq!(missing, [&"write-config"]);
         let uncommented: String = text.lines().fold(String::new(), |text, line| {
             let is_setting = line.starts_with('#') && !line.starts_with("# ");
-            // Of what belongs to the topics of ROS only.
-            let alone = !["#frames", "#imu-in-base-link"].iter().any(|key| line.starts_with(key));
-            text + if is_setting && alone { &line[1..] } else { line } + "\n"
+            text + if is_setting { &line[1..] } else { line } + "\n"
         });
         let given = Arguments::try_parse_from(line("--out /tmp/run --sequence /data")).unwrap();
         let read = read(&uncommented, "").unwrap();

@@ -1,4 +1,5 @@
 //! The robot program: plays live sensors or a recording through the estimator, and localizes it in the map of a map server.
+#![cfg_attr(test, allow(clippy::unwrap_used))]
 
 mod cli;
 

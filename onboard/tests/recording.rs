@@ -51,7 +51,7 @@ fn a_recording_holds_what_the_files_of_the_run_hold() {
     assert!(messages::<DiagnosticArray>(&bag, "/diagnostics").len() >= states.len());
     let readings = messages::<Imu>(&bag, "/imu");
     let first = &recording.imu_samples[0];
-    assert_eq!(<[f64; 3]>::from(readings[0].angular_velocity), <[f64; 3]>::from(first.gyroscope));
+    assert_eq!(Vector3::from(<[f64; 3]>::from(readings[0].angular_velocity)), first.gyroscope);
     assert!(readings.len() > 900, "{}", readings.len());
 }
 

@@ -36,7 +36,7 @@ pub struct BagWriter(Inner);
 
 #[derive(Debug)]
 enum Inner {
-    Mcap(McapWriter),
+    Mcap(Box<McapWriter>),
     Sqlite(SqliteWriter),
 }
 
@@ -47,7 +47,7 @@ impl BagWriter {
     /// [`BagError`]: it exists already, or cannot be created.
     pub fn create(path: &Path, format: Format) -> Result<Self, BagError> {
         Ok(Self(match format {
-            Format::Mcap => Inner::Mcap(McapWriter::create(path)?),
+            Format::Mcap => Inner::Mcap(Box::new(McapWriter::create(path)?)),
             Format::Rosbag2 => Inner::Sqlite(SqliteWriter::create(path)?),
         }))
     }

@@ -25,14 +25,14 @@ impl Motion {
     pub(crate) fn new(
         stamp_ns: i64,
         state: ImuState,
-        covariance: ImuMatrix,
+        covariance: &ImuMatrix,
         rate: &AngularRate,
         noise: &ImuNoise,
     ) -> Self {
         Self {
             stamp_ns,
             state,
-            covariance,
+            covariance: *covariance,
             angular_velocity: rate.gyroscope - state.gyroscope_bias,
             angular_velocity_variance: noise.gyroscope.powi(2) * rate.bandwidth_hz,
         }
@@ -114,11 +114,11 @@ pub struct MotionPredictor {
 impl MotionPredictor {
     pub(crate) fn new(
         stamp_ns: i64,
-        covariance: ImuMatrix,
+        covariance: &ImuMatrix,
         propagation: Propagation,
         noise: ImuNoise,
     ) -> Self {
-        Self { stamp_ns, covariance, propagation, noise, newest: None }
+        Self { stamp_ns, covariance: *covariance, propagation, noise, newest: None }
     }
 
     /// Time of the state from which is predicted, nanoseconds.
@@ -151,7 +151,7 @@ impl MotionPredictor {
         let transition = &propagated.transition;
         let covariance = transition * self.covariance * transition.transpose() + propagated.noise;
         let rate = AngularRate::at_end(&[before.unwrap_or(from), reading]);
-        Some(Motion::new(reading.stamp_ns, propagated.state, covariance, &rate, &self.noise))
+        Some(Motion::new(reading.stamp_ns, propagated.state, &covariance, &rate, &self.noise))
     }
 }
 
@@ -195,7 +195,7 @@ mod tests {
             expected += by * by.transpose();
         }
         let rate = AngularRate { gyroscope: reading, bandwidth_hz: 200.0 };
-        let motion = Motion::new(0, state, root * root.transpose(), &rate, &noise);
+        let motion = Motion::new(0, state, &(root * root.transpose()), &rate, &noise);
         let difference = motion.twist_covariance(&point) - expected;
         assert!(difference.amax() < 1e-7, "{difference}");
     }

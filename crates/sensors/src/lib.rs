@@ -43,6 +43,8 @@
 mod bag;
 mod calibration;
 mod calibration_yaml;
+#[cfg(feature = "bags")]
+pub mod convert;
 mod error;
 mod euroc;
 mod features;

@@ -228,13 +228,12 @@ fn write_all(mut writer: BagWriter, items: &Receiver<Item>) -> Result<(), BagErr
                     Content::Cdr(bytes) => Some(bytes),
                     Content::Image(image) => image_bytes(&image, stamp_ns, &topic),
                 };
-                let to = match topics.get(&topic) {
-                    Some(to) => *to,
-                    None => {
-                        let to = writer.topic(&topic, &of)?;
-                        topics.insert(topic, to);
-                        to
-                    }
+                let to = if let Some(to) = topics.get(&topic) {
+                    *to
+                } else {
+                    let to = writer.topic(&topic, &of)?;
+                    topics.insert(topic, to);
+                    to
                 };
                 if let Some(bytes) = bytes {
                     writer.write(to, stamp_ns, &bytes)?;

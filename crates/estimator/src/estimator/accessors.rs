@@ -52,7 +52,7 @@ impl Estimator {
         Motion::new(
             self.state.stamp_ns,
             self.state.imu,
-            covariance,
+            &covariance,
             &self.angular_rate,
             &self.propagation_noise(),
         )
@@ -62,7 +62,7 @@ impl Estimator {
     pub fn predictor(&self) -> MotionPredictor {
         MotionPredictor::new(
             self.state.stamp_ns,
-            self.imu_covariance(),
+            &self.imu_covariance(),
             self.propagation(),
             self.propagation_noise(),
         )
