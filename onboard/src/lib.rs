@@ -13,6 +13,7 @@
 //! | [`estimator_supervisor`] | initializes the estimator, and again after a divergence |
 //! | [`alarms`], `run_status` | what contradicts the sensors or the map: logged when it begins and ends, kept for the summary |
 //! | [`native`] | live sensors over Zenoh |
+//! | `prediction` | odometry at the rate of the IMU |
 //! | [`front_end`], [`extraction`] | tracks and features from images |
 //! | [`outputs`] | files, summary, messages, ROS 2 topics |
 //! | [`stop`], [`progress`], [`stdout`] | signals and terminal |
@@ -44,6 +45,7 @@ pub mod map_conversion;
 mod map_queries;
 pub mod native;
 pub mod outputs;
+mod prediction;
 pub mod program;
 pub mod progress;
 pub mod ros_sensors;

@@ -1,26 +1,27 @@
 //! The robot program: plays live sensors or a recording through the estimator, and localizes it in the map of a map server.
+#![cfg_attr(test, allow(clippy::unwrap_used))]
+
+mod cli;
 
 use anyhow::{Context as _, Result, bail};
-use clap::Parser;
+use cli::Arguments;
 use client::session::{Member, Role, close_session, open_session};
-use client::{SessionArguments, SessionOptions, without_secrets};
+use client::{SessionOptions, without_secrets};
 use estimator::MapMode;
-use monitoring::{LogFormat, MonitoringServer, start_log};
-use onboard::arguments::{
-    CalibrationArguments, DEFAULT_ROBOT, INPUT, LiveArguments, MAP, OUTPUT, RosArguments, Source,
-};
+use monitoring::{MonitoringServer, start_log};
+use onboard::arguments::{DEFAULT_ROBOT, LiveArguments, Source};
 use onboard::native::NativeSensors;
 use onboard::outputs::RosOutput;
 use onboard::ros_sensors::{RosSensors, RosTopics};
 use onboard::{
-    EndedLost, MapLink, OpeningLink, Outcome, RobotArguments, RobotLink, RobotMetrics, StopSignal, progress,
-    run_robot_until, run_source_until, stdout,
+    EndedLost, MapLink, OpeningLink, Outcome, RobotLink, RobotMetrics, StopSignal, progress, run_robot_until,
+    run_source_until, stdout,
 };
 use prometheus_client::registry::Registry;
 use sensors::live::{LiveSettings, LiveSource};
 use sensors::{Recording, SensorCalibration, read_rig_calibration};
 use std::net::SocketAddr;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::ExitCode;
 use std::time::Duration;
 use tokio::runtime::Runtime;
@@ -35,56 +36,6 @@ const REALTIME: &str =
 /// A session that takes longer to open is reported, each time.
 const SESSION_WARNING: Duration = Duration::from_secs(2);
 
-/// Plays live sensors or a recording, and localizes the robot in the map of a map server.
-///
-/// The estimator never waits for the network: without a server the robot continues with odometry, and its status says so.
-#[derive(Parser, Debug)]
-#[command(
-    version,
-    arg_required_else_help = true,
-    after_help = "Examples:\n  \
-        onboard --sequence MH_03 --map hall --connect tcp/192.168.1.2:7447 --out run\n  \
-        onboard --sequence MH_03 --mode odometry --out run\n  \
-        onboard --sequence MH_03 --map hall --realtime --robot cart7 --namespace site1 --out run\n  \
-        onboard --source native --calibration camchain-imucam.yaml --map hall --robot cart7 --out run\n\n\
-        Log: RUST_LOG=info; with --realtime, changes of the state and a line a minute are logged anyway. Ctrl-C ends the run in good order; the output folder is complete up to there.\n\
-        Then: driftless plot run"
-)]
-struct Arguments {
-    /// Where measurements come from
-    #[arg(long, value_enum, default_value = "recording", help_heading = INPUT)]
-    source: Source,
-    /// The recording: a folder in the EuRoC layout, or a bag (MCAP, rosbag2, rosbag1)
-    #[arg(long, value_name = "DIR|FILE", required_if_eq("source", "recording"), help_heading = INPUT)]
-    sequence: Option<PathBuf>,
-    #[command(flatten)]
-    live: LiveArguments,
-    /// Calibration
-    #[command(flatten)]
-    calibration: CalibrationArguments,
-    /// Name of the map on the server (not needed with --mode odometry)
-    #[arg(long, value_name = "NAME", help_heading = MAP)]
-    map: Option<String>,
-    /// How the robot is connected [default: --connect tcp/127.0.0.1:7447]
-    #[command(flatten)]
-    session: SessionArguments,
-    /// Address of an HTTP server of metrics (/metrics, for Prometheus) and health (/health), for example 127.0.0.1:9465
-    ///
-    /// It knows no users: use an address that only operators reach.
-    #[arg(long, value_name = "ADDRESS:PORT", help_heading = OUTPUT)]
-    monitoring: Option<SocketAddr>,
-    /// Format of the log: text for people, json for programs, one object a line
-    #[arg(long, value_name = "FORMAT", default_value_t, help_heading = OUTPUT)]
-    log_format: LogFormat,
-    /// Print the summary as JSON
-    #[arg(long, help_heading = OUTPUT)]
-    json: bool,
-    #[command(flatten)]
-    ros: RosArguments,
-    #[command(flatten)]
-    robot: RobotArguments,
-}
-
 fn main() -> ExitCode {
     stdout::end_quietly_when_closed();
     match localize() {
@@ -97,7 +48,7 @@ fn main() -> ExitCode {
 }
 
 fn localize() -> Result<()> {
-    let mut arguments = Arguments::parse();
+    let Some(mut arguments) = Arguments::read()? else { return Ok(()) };
     let is_live = arguments.source != Source::Recording;
     let quiet = if arguments.robot.realtime || is_live { REALTIME } else { QUIET };
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(quiet));
@@ -121,6 +72,7 @@ fn localize() -> Result<()> {
         .context("--ros2")?;
     let (topics, ros_task) = ros.unzip();
     arguments.robot.ros = topics;
+    arguments.robot.body = arguments.ros.body();
     let outcome = match (arguments.source, &arguments.sequence) {
         (Source::Recording, Some(sequence)) => play_recording(&stop, sequence, &arguments, &runtime)?,
         (Source::Recording, None) => bail!("--sequence DIR is missing"),

@@ -165,14 +165,21 @@ impl RobotRun<'_> {
             self.note_failure(failure);
             let mut event = Event::new(result, request.stamp_ns);
             event.note_failure("the estimator was initialized again after this query was sent");
-            recorder.note_event(&event);
+            self.note_event(&event, recorder);
             return Ok(());
         };
         let mut event = Event::new(result, estimator.stamp_ns());
         let mut refusal = None;
         match (&matched, &result.answer) {
             (Some(answer), _) => {
+                let before = estimator.local_from_imu();
                 let report = estimator.map_update(result.token, answer)?;
+                if let Some(ros) = &mut self.ros {
+                    ros.correct(&before, &estimator.local_from_imu());
+                }
+                if let Some(recording) = &mut self.recording {
+                    recording.correct(&before, &estimator.local_from_imu());
+                }
                 event.note_report(&report);
                 refusal = report.rejection.filter(|reason| matches!(reason, Rejection::OtherMap { .. }));
             }
@@ -180,11 +187,18 @@ impl RobotRun<'_> {
             (None, Err(error)) => event.note_failure(&error.to_string()),
         }
         estimator.unpin(result.token);
-        recorder.note_event(&event);
+        self.note_event(&event, recorder);
         self.note_failure(
             failure.or_else(|| refusal.map(|reason| format!("its answer is refused: {reason}"))),
         );
         Ok(())
+    }
+
+    fn note_event(&mut self, event: &Event, recorder: &mut Recorder) {
+        recorder.note_event(event);
+        if let Some(recording) = &mut self.recording {
+            recording.event(event);
+        }
     }
 
     /// Keeps why the last query had no answer that can be used, and logs when that changes.

@@ -5,7 +5,8 @@ use super::estimator_supervisor::EstimatorSupervisor;
 use super::extraction::ExtractionThread;
 use super::front_end::FrontEnd;
 use super::link::{MapLink, RobotLink};
-use super::outputs::{EVENTS, Event, Recorder, STATES, Summary};
+use super::outputs::{EVENTS, Event, MessageRecording, Recorder, RecordingSettings, STATES, Summary};
+use super::prediction::Prediction;
 use super::run::{RobotRun, RunError, run};
 use super::start::{excerpt, initial_state};
 use super::stop::StopSignal;
@@ -160,7 +161,12 @@ fn play(
     let mask = if contents.images { arguments.features.read_mask()? } else { None };
     let front_end = front_end(source.calibration(), contents, arguments, cameras, mask.as_ref())?;
     let supervisor = supervisor(source.calibration(), cameras, &config, initial.as_ref())?;
+    let readings = source.tap_imu();
     let mut robot = RobotRun::new(source, supervisor);
+    robot.prediction = readings
+        .map(Prediction::start)
+        .transpose()
+        .context("the thread of the prediction cannot be started")?;
     robot.stop = stop.clone();
     robot.robot.clone_from(&arguments.robot);
     robot.topics = arguments.topics.into();
@@ -168,6 +174,7 @@ fn play(
     robot.query_interval_ns = (arguments.query_interval * 1e9) as i64;
     robot.max_keyframes = arguments.max_keyframes;
     robot.realtime |= arguments.realtime;
+    robot.recording = recording(arguments, robot.realtime, map.is_some())?;
     robot.metrics = arguments.metrics.clone();
     robot.ros.clone_from(&arguments.ros);
     if let Some(link) = link {
@@ -185,6 +192,23 @@ fn play(
     }
     recorder.finish_states()?;
     Ok(FinishedRun { name, map, cameras, config, recorder, ended_early, out: arguments.out.clone() })
+}
+
+/// The recording that `--record` asks for.
+fn recording(
+    arguments: &RobotArguments,
+    realtime: bool,
+    map_expected: bool,
+) -> Result<Option<MessageRecording>> {
+    let Some(path) = &arguments.record else { return Ok(None) };
+    let settings = RecordingSettings {
+        body: arguments.body.clone(),
+        robot: arguments.robot.clone(),
+        map_expected,
+        sensors: arguments.record_sensors,
+        realtime,
+    };
+    MessageRecording::start(path, settings).map(Some).context("--record")
 }
 
 /// The estimator in its initial state, or about to initialize itself.

@@ -2,12 +2,11 @@
 
 use crate::arguments::CalibrationArguments;
 use anyhow::bail;
-use nalgebra::Vector3;
 use ros_messages::RosMessage;
 use ros_messages::sensor_msgs::{CompressedImage, Image, Imu};
 use ros2::{Node, NodeOptions, Qos, Received, RosError, Subscriber};
-use sensors::ImuSample;
 use sensors::live::{LiveFrames, LiveImage, LiveInputs, LiveSettings, RawPixels, Stream};
+use sensors::ros::{NotMeasured, imu_sample};
 use tokio::task::JoinHandle;
 use vision::RawImage;
 
@@ -74,7 +73,7 @@ impl RosSensors {
         let node = Node::new(session, node).await?;
         let imu = node.subscriber::<Imu>(&topics.imu, Qos::sensor_data(), IMU_QUEUE).await?;
         let mut tasks = vec![hand_in(imu, inputs, Stream::Imu, |inputs, message| {
-            inputs.imu(reading(&message)?);
+            inputs.imu(imu_sample(&message)?);
             Ok(())
         })];
         for (camera, topic) in topics.cameras.iter().enumerate() {
@@ -132,28 +131,10 @@ fn hand_in<M: RosMessage + Send + 'static>(
 /// Why a message is of no use.
 #[derive(Debug, thiserror::Error)]
 enum Unusable {
-    #[error("the driver says that it has no {0} (covariance[0] is -1)")]
-    NotMeasured(&'static str),
+    #[error(transparent)]
+    NotMeasured(#[from] NotMeasured),
     #[error("images are {0:?}: set the driver to mono8, rgb8 or bgr8, or use its compressed topic")]
     Encoding(String),
-}
-
-fn reading(message: &Imu) -> Result<ImuSample, Unusable> {
-    // Exactly -1 by the definition of the message.
-    #[allow(clippy::float_cmp)]
-    let is_missing = |covariance: &[f64; 9]| covariance[0] == -1.0;
-    if is_missing(&message.angular_velocity_covariance) {
-        return Err(Unusable::NotMeasured("angular velocity"));
-    }
-    if is_missing(&message.linear_acceleration_covariance) {
-        return Err(Unusable::NotMeasured("acceleration"));
-    }
-    let vector = |vector| Vector3::from(<[f64; 3]>::from(vector));
-    Ok(ImuSample {
-        stamp_ns: message.header.stamp.to_nanoseconds(),
-        gyroscope: vector(message.angular_velocity),
-        accelerometer: vector(message.linear_acceleration),
-    })
 }
 
 fn raw_image(message: Image) -> Result<LiveImage, Unusable> {

@@ -6,13 +6,15 @@ use super::extraction::ExtractionThread;
 use super::front_end::FrontEnd;
 use super::input::{ImuWindow, NextFrame, SensorQueue};
 use super::link::OpeningLink;
-use super::outputs::{Estimate, Publisher, Recorder, RobotMetrics, RosOutput, StatusLine, Timings};
+use super::outputs::{
+    Estimate, MessageRecording, Publisher, Recorder, RobotMetrics, RosOutput, StatusLine, Timings,
+};
+use super::prediction::{Basis, Prediction, Publish};
 use super::run_status::AlarmKind;
 use super::stop::StopSignal;
 use client::{MapChangeSubscriber, QueryTasks};
 use estimator::{CloneId, EstimatorError, InitMethod, TrackObservation};
 use geometry::Camera;
-use nalgebra::Vector3;
 use protocol::Format;
 use sensors::live::LiveFault;
 use sensors::{Frame, ImuCheck, ImuUnitError, SensorError, SensorSource};
@@ -94,6 +96,10 @@ pub struct RobotRun<'a> {
     pub publisher: Option<Publisher>,
     /// Publishes for ROS 2.
     pub ros: Option<RosOutput>,
+    /// Records what is published, and the sensors.
+    pub(super) recording: Option<MessageRecording>,
+    /// Publishes odometry at the rate of the IMU; `None` for a recording.
+    pub(super) prediction: Option<Prediction>,
     /// What the run counts.
     pub metrics: RobotMetrics,
     pub(super) supervisor: EstimatorSupervisor,
@@ -140,6 +146,8 @@ impl<'a> RobotRun<'a> {
             map_changes: None,
             publisher: None,
             ros: None,
+            recording: None,
+            prediction: None,
             metrics: RobotMetrics::default(),
             supervisor,
             query_camera: calibration.cameras.first().map(|first| first.camera.clone()),
@@ -271,6 +279,9 @@ impl RobotRun<'_> {
             if self.imu_fault.is_none() {
                 self.imu_fault = self.imu_check.add(&reading).err();
             }
+            if let Some(recording) = &mut self.recording {
+                recording.reading(&reading);
+            }
             self.imu.push(reading);
         }
         Ok(())
@@ -303,6 +314,12 @@ impl RobotRun<'_> {
                 self.supervisor.reinitialize(stamp_ns, &error, self.imu.handed_out());
                 if let Some(ros) = &mut self.ros {
                     ros.restart();
+                }
+                if let Some(recording) = &mut self.recording {
+                    recording.restart();
+                }
+                if let Some(prediction) = &self.prediction {
+                    prediction.lost();
                 }
                 self.publish_status(stamp_ns, recorder);
                 Ok(())
@@ -337,13 +354,16 @@ impl RobotRun<'_> {
     }
 
     fn process_frame(&mut self, frame: &Frame, recorder: &mut Recorder) -> Result<(), EstimatorError> {
+        if let Some(recording) = &mut self.recording {
+            recording.frame(frame);
+        }
         let mut timings = Timings::default();
         let begin = Instant::now();
         let Some(tracks) = self.tracks_of(frame, recorder) else { return Ok(()) };
         timings.front_end = begin.elapsed();
 
         let begin = Instant::now();
-        let angular_velocity = self.feed_imu(frame.stamp_ns, recorder);
+        self.feed_imu(frame.stamp_ns, recorder);
         let tracks = self.initialize(frame.stamp_ns, tracks, recorder)?;
         let (Some(tracks), Some(estimator)) = (tracks, self.supervisor.estimator_mut()) else {
             // Answers to queries of the last filter are of no use, but must not pile up.
@@ -376,13 +396,22 @@ impl RobotRun<'_> {
         recorder.note_state(estimator);
         recorder.timings.add(&timings);
         self.metrics.note_frame(timings.total());
-        let rate = angular_velocity - estimator.biases().0;
+        if let Some(recording) = &mut self.recording {
+            recording.estimate(&Estimate::of(estimator, &status));
+            recording.status(estimator.stamp_ns(), &status, recorder.query_counts());
+        }
         if let Some(ros) = &mut self.ros {
-            ros.publish(&Estimate::of(estimator, rate));
+            ros.publish(&Estimate::of(estimator, &status));
             ros.publish_status(estimator.stamp_ns(), &status, recorder.query_counts());
         }
         if let Some(publisher) = &self.publisher {
-            publisher.publish(estimator, rate, status, recorder.query_counts());
+            publisher.publish(estimator, status, recorder.query_counts());
+        }
+        if let Some(prediction) = &self.prediction {
+            let native = self.publisher.as_ref().map(|publisher| Box::new(publisher.predicted()) as Publish);
+            let ros = self.ros.as_ref().and_then(RosOutput::predicted);
+            let publish = native.into_iter().chain(ros.map(|ros| Box::new(ros) as Publish)).collect();
+            prediction.update(Basis { predictor: estimator.predictor(), publish });
         }
         self.query_frame(clone, frame, recorder);
         Ok(())
@@ -406,9 +435,8 @@ impl RobotRun<'_> {
             .ok()
     }
 
-    /// Hands the IMU readings up to the first one after the frame to the estimator, and returns the angular velocity of
-    /// that one, rad/s.
-    fn feed_imu(&mut self, frame_ns: i64, recorder: &mut Recorder) -> Vector3<f64> {
+    /// Hands the IMU readings up to the first one after the frame to the estimator.
+    fn feed_imu(&mut self, frame_ns: i64, recorder: &mut Recorder) {
         let until_ns = self.imu_stamp_ns(frame_ns);
         while let Some(reading) = self.imu.hand_out(until_ns) {
             if let Err(error) = self.supervisor.imu(reading) {
@@ -416,7 +444,6 @@ impl RobotRun<'_> {
                 recorder.dropped_imu += 1;
             }
         }
-        self.imu.handed_out().last().map_or_else(Vector3::zeros, |reading| reading.gyroscope)
     }
 
     fn close(&mut self, recorder: &mut Recorder) {
@@ -424,6 +451,7 @@ impl RobotRun<'_> {
         recorder.alarms = self.alarms.kept().to_vec();
         recorder.learned_noise = self.supervisor.learned_noise();
         recorder.final_status = Some(self.note_status(recorder));
+        (self.prediction, self.recording) = (None, None);
         if let Some(publisher) = self.publisher.take() {
             publisher.close();
         }

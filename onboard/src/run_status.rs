@@ -50,11 +50,20 @@ impl RobotRun<'_> {
         if let Some(publisher) = &mut self.publisher {
             publisher.set_clock_shift(report.clock_shift_ns);
         }
+        if let Some(recording) = &mut self.recording {
+            recording.set_clock_shift(report.clock_shift_ns);
+        }
+        if let Some(ros) = &mut self.ros {
+            ros.set_clock_shift(report.clock_shift_ns);
+        }
     }
 
     /// Publishes the status where there is no pose.
     pub(super) fn publish_status(&mut self, stamp_ns: i64, recorder: &Recorder) {
         let status = self.note_status(recorder);
+        if let Some(recording) = &mut self.recording {
+            recording.status(stamp_ns, &status, recorder.query_counts());
+        }
         if let Some(ros) = &self.ros {
             ros.publish_status(stamp_ns, &status, recorder.query_counts());
         }

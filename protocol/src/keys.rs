@@ -4,7 +4,7 @@
 //! |---|---|
 //! | [`map_match`], [`map_localize`], [`map_info`], [`map_keyframe`] | queryable |
 //! | [`map_changes`] | publisher |
-//! | [`robot_pose`], [`robot_odometry`], [`robot_status`] | publisher |
+//! | [`robot_pose`], [`robot_odometry`], [`robot_odometry_predicted`], [`robot_status`] | publisher |
 //! | [`robot_imu`], [`robot_camera`], [`robot_tracks`] | subscriber |
 //! | [`robot`], [`map_server`] | liveliness |
 //!
@@ -148,6 +148,14 @@ pub fn robot_pose(robot: &str) -> Result<String, NameError> {
 /// [`NameError`] if the name cannot be part of a key.
 pub fn robot_odometry(robot: &str) -> Result<String, NameError> {
     key("robot", robot, "/odometry")
+}
+
+/// `robot/{robot}/odometry_predicted`: [`crate::RobotOdometry`] at the rate of the IMU.
+///
+/// # Errors
+/// [`NameError`] if the name cannot be part of a key.
+pub fn robot_odometry_predicted(robot: &str) -> Result<String, NameError> {
+    key("robot", robot, "/odometry_predicted")
 }
 
 /// `robot/{robot}/status`: [`crate::RobotStatus`].

@@ -4,10 +4,14 @@
 use geometry::pose::Pose;
 use onboard::native::NativeSensors;
 use onboard::{Outcome, RobotLink, StopSignal, run_robot, run_source_until};
+use protocol::sensors::decode_imu;
+use protocol::{RobotOdometry, keys};
 use sensors::live::{LiveFrames, LiveSettings, LiveSource, Stream};
 use sensors::{Recording, SensorCalibration};
+use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 use tests::robot::arguments;
 use tests::scenario::MappedScenario;
@@ -20,8 +24,20 @@ const STRETCH_NS: i64 = 6_000_000_000;
 /// Nothing waits longer for the robot, whatever is wrong.
 const GIVE_UP: Duration = Duration::from_mins(2);
 
+/// When readings and the poses that are predicted to them arrived at a third party, by stamp.
+#[derive(Default)]
+struct Arrivals {
+    readings: BTreeMap<i64, Instant>,
+    predictions: Vec<(Instant, RobotOdometry)>,
+}
+
 /// Plays a recording through the server's router into a robot with live sensors.
-fn live(recording: &Recording<'_>, server: &Server, settings: &LiveSettings, out: &Path) -> Outcome {
+fn live(
+    recording: &Recording<'_>,
+    server: &Server,
+    settings: &LiveSettings,
+    out: &Path,
+) -> (Outcome, Arrivals) {
     let calibration: SensorCalibration = recording.calibration().clone();
     let (inputs, mut source) = LiveSource::new("test", calibration, settings);
     let robot = Client::connect(server.endpoint());
@@ -31,6 +47,27 @@ fn live(recording: &Recording<'_>, server: &Server, settings: &LiveSettings, out
     };
     let subscribed =
         NativeSensors::subscribe(&robot.session, robot.runtime.handle(), ROBOT, &streams, &inputs).unwrap();
+    let (arrivals, third) = (Arc::new(Mutex::new(Arrivals::default())), Client::connect(server.endpoint()));
+    let listeners =
+        [keys::robot_imu(ROBOT).unwrap(), keys::robot_odometry_predicted(ROBOT).unwrap()].map(|key| {
+            let arrivals = Arc::clone(&arrivals);
+            let take = move |sample: zenoh::sample::Sample| {
+                let (now, payload) = (Instant::now(), sample.payload().to_bytes());
+                let mut arrivals = arrivals.lock().unwrap();
+                if sample.key_expr().as_str().ends_with("imu") {
+                    let readings = decode_imu(&payload).unwrap();
+                    arrivals.readings.extend(readings.iter().map(|reading| (reading.stamp_ns, now)));
+                } else {
+                    arrivals
+                        .predictions
+                        .push((now, protocol::decode(protocol::Format::Json, &payload).unwrap()));
+                }
+            };
+            third
+                .runtime
+                .block_on(async { third.session.declare_subscriber(key).callback(take).await })
+                .unwrap()
+        });
     let arguments = arguments(out, &format!("--robot {ROBOT} --cameras stereo"));
     let (stop, frames) = (StopSignal::default(), AtomicUsize::new(0));
     let link = Some(RobotLink::Open(robot.link("ring")));
@@ -54,9 +91,38 @@ fn live(recording: &Recording<'_>, server: &Server, settings: &LiveSettings, out
         driver.close();
         running.join().unwrap().unwrap()
     });
-    drop(subscribed);
+    drop((subscribed, listeners));
     robot.close();
-    outcome
+    third.close();
+    let arrivals = std::mem::take(&mut *arrivals.lock().unwrap());
+    (outcome, arrivals)
+}
+
+/// Poses at the rate of the IMU, in order, near those of the images.
+fn check_predictions(arrivals: &Arrivals, outcome: &Outcome) {
+    let predictions: Vec<&RobotOdometry> =
+        arrivals.predictions.iter().map(|(_, odometry)| odometry).collect();
+    assert!(predictions.is_sorted_by(|a, b| a.stamp_ns < b.stamp_ns));
+    let states = outcome.states().unwrap();
+    let first_ns = states[0].stamp_ns;
+    let readings = arrivals.readings.range(first_ns..).count();
+    assert!(predictions.len() * 10 > readings * 7, "{} of {readings}", predictions.len());
+    for odometry in &predictions {
+        let later = states.iter().find(|state| state.stamp_ns >= odometry.stamp_ns);
+        let Some(state) = later else { break };
+        let from_state = odometry.local_from_imu.pose.translation - state.local_from_imu.pose.translation;
+        assert!(from_state.norm() < 0.5, "{from_state}");
+    }
+    let mut delays: Vec<Duration> = arrivals
+        .predictions
+        .iter()
+        .filter_map(|(at, odometry)| {
+            Some(at.saturating_duration_since(*arrivals.readings.get(&odometry.stamp_ns)?))
+        })
+        .collect();
+    delays.sort_unstable();
+    println!("{} predictions, median delay {:?}", delays.len(), delays[delays.len() / 2]);
+    println!("95 %: {:?}", delays[delays.len() * 95 / 100]);
 }
 
 #[test]
@@ -77,8 +143,9 @@ fn a_robot_with_live_tracks_does_what_it_does_with_the_recording() {
     settings.frames = LiveFrames::Tracks { features: true };
     // However busy the machine is.
     settings.max_waiting_frames = 1000;
-    let live = live(&recording, &server, &settings, &folder.path().join("live"));
+    let (live, arrivals) = live(&recording, &server, &settings, &folder.path().join("live"));
     server.stop();
+    check_predictions(&arrivals, &live);
 
     assert_eq!(live.summary.ended_early, None);
     let stamps =

@@ -28,6 +28,7 @@ use tests::data::{data_folder, recording};
 use tests::robot::{arguments, run};
 use tools::in_process::LocalServer;
 use tools::odometry::{is_sparse, odometry_config, run_odometry};
+use vision::FeatureExtractor;
 use vision::features::open;
 
 fn imported(folder: &Path) -> Arc<LoadedMap> {
@@ -197,21 +198,29 @@ fn swapped(pairs: &[Pair]) -> Vec<Pair> {
     pairs.iter().map(|pair| Pair { reference: pair.estimate, estimate: pair.reference }).collect()
 }
 
+fn extraction_by(extractor: &mut Box<dyn FeatureExtractor>) -> Extraction<'_> {
+    Extraction { extractor: extractor.as_mut(), max_features: 1000, mask: None, stereo: true }
+}
+
 #[test]
 #[ignore = "needs the recordings in target/data"]
 fn a_room_of_sparse_stereo_images_mapped_without_reference_poses() {
     let sequence = Sequence::open(&recording("images/v1_01_keyframes")).unwrap();
     assert!(is_sparse(&sequence));
     let mut extractor = open("sift-1", None).unwrap();
-    let mut extraction =
-        || Extraction { extractor: extractor.as_mut(), max_features: 1000, mask: None, stereo: true };
     let config = odometry_config(&sequence).unwrap();
-    let odometry = register_stereo_images(&sequence, extraction(), &config, &mut |_, _, _| {}).unwrap();
+    let odometry =
+        register_stereo_images(&sequence, extraction_by(&mut extractor), &config, &mut |_, _, _| {}).unwrap();
     let mut options = BuildOptions::default();
     options.min_distance = 0.01;
-    let (contents, _) =
-        build_map_from_odometry(&sequence, &odometry, Some(extraction()), &options, &mut |_, _, _| {})
-            .unwrap();
+    let (contents, _) = build_map_from_odometry(
+        &sequence,
+        &odometry,
+        Some(extraction_by(&mut extractor)),
+        &options,
+        &mut |_, _, _| {},
+    )
+    .unwrap();
     assert_eq!(contents.keyframes.len(), 100);
     let (_, metres, degrees) = errors_of(&sequence, &contents);
     // 0.9 % of scale and 0.4 deg are the calibration's.

@@ -6,6 +6,7 @@
 //! | `storage` | what a format has to provide |
 //! | `mcap_file`, `sqlite_file`, `rosbag1_file` | the formats |
 //! | `rosbag2_folder` | the files of a rosbag2, by its `metadata.yaml` |
+//! | `writer`, `mcap_writer`, `sqlite_writer` | [`BagWriter`]: MCAP and rosbag2 of ROS 2 messages |
 //! | `chunk_index` | where the messages are, for the formats with chunks |
 //! | `chunks` | reading and unpacking chunks, with a small cache |
 //! | `fields` | numbers and strings of a byte slice |
@@ -31,11 +32,15 @@ mod chunks;
 mod error;
 mod fields;
 mod mcap_file;
+mod mcap_writer;
 mod rosbag1_file;
 mod rosbag2_folder;
 mod sqlite_file;
+mod sqlite_writer;
 mod storage;
+mod writer;
 
 pub use bag::{Bag, StoredMessage, Topic};
 pub use error::BagError;
 pub use storage::{Encoding, Place, Schema};
+pub use writer::{BagWriter, Format, MessageType, WrittenTopic};

@@ -16,12 +16,12 @@ pub struct ImuSample {
 }
 
 impl ImuSample {
-    fn is_finite(&self) -> bool {
+    pub(crate) fn is_finite(&self) -> bool {
         self.gyroscope.iter().chain(self.accelerometer.iter()).all(|value| value.is_finite())
     }
 
     /// Linear interpolation between two samples.
-    fn between(a: &Self, b: &Self, stamp_ns: i64) -> Self {
+    pub(crate) fn between(a: &Self, b: &Self, stamp_ns: i64) -> Self {
         let span = (b.stamp_ns - a.stamp_ns) as f64;
         let weight = if span > 0.0 { (stamp_ns - a.stamp_ns) as f64 / span } else { 0.0 };
         Self {

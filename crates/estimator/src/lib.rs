@@ -27,6 +27,7 @@
 //! | [`calibration`] | cameras, their extrinsics, time offset, and which of it is estimated online |
 //! | [`config`] | all settings |
 //! | [`propagation`] | IMU state, its integration and error transition |
+//! | [`motion`] | pose and velocities with covariance, now and predicted by the IMU |
 //! | [`state`] | layout of the active state |
 //! | [`schmidt`], [`covariance`] | joint covariance of the active state and the held keyframes |
 //! | [`gate`] | chi-square tests |
@@ -50,6 +51,7 @@ pub mod initialization;
 pub mod linear_algebra;
 pub mod map_update;
 pub mod measurement;
+pub mod motion;
 pub mod noise_adaptation;
 pub mod odometry;
 pub mod preintegration;
@@ -75,6 +77,7 @@ pub use map_update::map_gravity::GravityFault;
 pub use map_update::map_report::{MapReport, Rejection};
 pub use map_update::map_revision::{ChangeSize, MapRevision, RevisionEffect};
 pub use map_update::map_watch::MapDrift;
+pub use motion::{Motion, MotionPredictor};
 pub use noise_adaptation::LearnedNoise;
 pub use odometry::msckf_update::TrackReport;
 pub use odometry::tracks::TrackObservation;

@@ -108,33 +108,69 @@ pub fn propagate(
     noise: &ImuNoise,
     gravity: f64,
 ) -> Propagated {
-    let gravity = Vector3::new(0.0, 0.0, -gravity);
-    let mut now = *state;
-    let mut transition = ImuMatrix::identity();
-    let mut covariance = ImuMatrix::zeros();
-    let mut elapsed = 0.0;
+    let mut propagation = Propagation::new(state, first, noise, gravity);
     for pair in readings.windows(2) {
-        let dt = (pair[1].stamp_ns - pair[0].stamp_ns) as f64 * 1e-9;
-        if dt <= 0.0 {
-            continue;
-        }
-        let (next, step) = integrate(&now, &pair[0], &pair[1], dt, &gravity);
-        step.apply(&mut transition);
-        step.apply(&mut covariance);
-        covariance.transpose_mut();
-        step.apply(&mut covariance);
-        covariance += step_noise(&noise_across_gap(noise, dt), dt);
-        now = next;
-        elapsed += dt;
+        propagation.step(&pair[0], &pair[1]);
     }
-    // The columns of the rotation error in closed form, evaluated at the first estimates.
-    let end = &now.local_from_imu.translation;
-    let velocity_gain = now.velocity - first.velocity - gravity * elapsed;
-    let position_gain = end - first.position - first.velocity * elapsed - gravity * (0.5 * elapsed * elapsed);
-    transition.fixed_view_mut::<3, 3>(VELOCITY, 0).copy_from(&-rotation::skew(&velocity_gain));
-    transition.fixed_view_mut::<3, 3>(3, 0).copy_from(&-rotation::skew(&position_gain));
-    covariance = (covariance + covariance.transpose()) * 0.5;
-    Propagated { state: now, transition, noise: covariance }
+    propagation.end()
+}
+
+/// [`propagate`] one pair of samples at a time.
+#[derive(Clone, Debug)]
+pub struct Propagation {
+    first: MotionEstimate,
+    noise: ImuNoise,
+    gravity: Vector3<f64>,
+    now: ImuState,
+    transition: ImuMatrix,
+    covariance: ImuMatrix,
+    /// Seconds since the begin.
+    elapsed: f64,
+}
+
+impl Propagation {
+    /// Nothing is integrated yet; arguments as those of [`propagate`].
+    pub fn new(state: &ImuState, first: &MotionEstimate, noise: &ImuNoise, gravity: f64) -> Self {
+        Self {
+            first: *first,
+            noise: *noise,
+            gravity: Vector3::new(0.0, 0.0, -gravity),
+            now: *state,
+            transition: ImuMatrix::identity(),
+            covariance: ImuMatrix::zeros(),
+            elapsed: 0.0,
+        }
+    }
+
+    /// Integrates from `a`, which is where the last step ended, to `b`. Samples of one time change nothing.
+    pub fn step(&mut self, a: &ImuSample, b: &ImuSample) {
+        let dt = (b.stamp_ns - a.stamp_ns) as f64 * 1e-9;
+        if dt <= 0.0 {
+            return;
+        }
+        let (next, step) = integrate(&self.now, a, b, dt, &self.gravity);
+        step.apply(&mut self.transition);
+        step.apply(&mut self.covariance);
+        self.covariance.transpose_mut();
+        step.apply(&mut self.covariance);
+        self.covariance += step_noise(&noise_across_gap(&self.noise, dt), dt);
+        self.now = next;
+        self.elapsed += dt;
+    }
+
+    /// The result up to now.
+    pub fn end(&self) -> Propagated {
+        let Self { first, gravity, now, elapsed, .. } = *self;
+        let (mut transition, covariance) = (self.transition, self.covariance);
+        // The columns of the rotation error in closed form, evaluated at the first estimates.
+        let end = &now.local_from_imu.translation;
+        let velocity_gain = now.velocity - first.velocity - gravity * elapsed;
+        let position_gain =
+            end - first.position - first.velocity * elapsed - gravity * (0.5 * elapsed * elapsed);
+        transition.fixed_view_mut::<3, 3>(VELOCITY, 0).copy_from(&-rotation::skew(&velocity_gain));
+        transition.fixed_view_mut::<3, 3>(3, 0).copy_from(&-rotation::skew(&position_gain));
+        Propagated { state: now, transition, noise: (covariance + covariance.transpose()) * 0.5 }
+    }
 }
 
 /// Error transition of one step: the identity plus these blocks.

@@ -3,7 +3,7 @@
 
 mod common;
 
-use common::{FRAME_NS, World, accepted, says};
+use common::{FRAME_NS, World, accepted, imu_at, says};
 use estimator::{
     AdaptiveNoise, Estimator, EstimatorConfig, EstimatorError, Localization, MapMode, Rejection,
 };
@@ -186,4 +186,36 @@ fn the_map_never_tells_where_local_is() {
         "the map turned L by {turned} rad, known to {}: {yaw_error}, {yaw_alone} without",
         with_map[0]
     );
+}
+
+#[test]
+fn a_prediction_is_the_time_update_that_the_filter_would_make() {
+    let (_, mut estimator, frame) = localized(EstimatorConfig::default());
+    // A state between two readings, as that of an image mostly is.
+    let state_ns = frame * FRAME_NS + 12_500_000;
+    let stamps: Vec<i64> = (1..=30).map(|k| frame * FRAME_NS + k * 5_000_000).collect();
+    for stamp_ns in stamps.iter().take_while(|stamp_ns| **stamp_ns < state_ns + 5_000_000) {
+        estimator.imu(imu_at(*stamp_ns)).unwrap();
+    }
+    estimator.time_update(state_ns).unwrap();
+    let (mut predictor, untouched) = (estimator.predictor(), estimator.clone());
+    assert_eq!(predictor.state_ns(), state_ns);
+    for stamp_ns in &stamps {
+        let motion = predictor.add(imu_at(*stamp_ns));
+        assert_eq!(predictor.add(imu_at(*stamp_ns)), None, "a reading counts once");
+        let mut updated = untouched.clone();
+        for later in stamps.iter().filter(|later| **later > state_ns + 5_000_000 && *later <= stamp_ns) {
+            updated.imu(imu_at(*later)).unwrap();
+        }
+        let Some(motion) = motion else {
+            assert!(*stamp_ns <= state_ns);
+            continue;
+        };
+        updated.time_update(*stamp_ns).unwrap();
+        let expected = updated.motion();
+        assert_eq!((motion.stamp_ns, motion.state), (*stamp_ns, expected.state));
+        assert!((motion.angular_velocity - expected.angular_velocity).norm() < 1e-12);
+        let difference = (motion.covariance - expected.covariance).amax();
+        assert!(difference < 1e-12 * expected.covariance.amax(), "{stamp_ns}: {difference}");
+    }
 }

@@ -1,5 +1,6 @@
 //! Package `diagnostic_msgs`.
 
+use crate::definition::{self, Definition};
 use crate::message::RosMessage;
 use crate::std_msgs::Header;
 use serde::{Deserialize, Serialize};
@@ -51,4 +52,5 @@ pub struct DiagnosticArray {
 impl RosMessage for DiagnosticArray {
     const TYPE_NAME: &'static str = "diagnostic_msgs/msg/DiagnosticArray";
     const TYPE_HASH: &'static str = "RIHS01_5a8a36efb05fb25070fa0fb3810290c0e6cd4862b54a8fb975a1ee8dc55a333e";
+    const DEFINITION: Definition = definition::DIAGNOSTICS;
 }

@@ -1,5 +1,6 @@
 //! Package `geometry_msgs`.
 
+use crate::definition::{self, Definition};
 use crate::message::RosMessage;
 use crate::std_msgs::Header;
 use serde::{Deserialize, Serialize};
@@ -90,6 +91,7 @@ pub struct PoseWithCovarianceStamped {
 impl RosMessage for PoseWithCovarianceStamped {
     const TYPE_NAME: &'static str = "geometry_msgs/msg/PoseWithCovarianceStamped";
     const TYPE_HASH: &'static str = "RIHS01_26432f9803e43727d3c8f668d1fdb3c630f548af631e2f4e31382371bfea3b6e";
+    const DEFINITION: Definition = definition::POSE_STAMPED;
 }
 
 /// Velocities of a body.

@@ -4,6 +4,7 @@
 //! |---|---|
 //! | [`message`] | [`RosMessage`]: name and hash of a type |
 //! | [`cdr`] | [`encode`] and [`decode`]: CDR with its header, bounded by the input |
+//! | `definition` | [`definition`]: the text of a type for recordings |
 //! | [`ros1`] | the same messages as ROS 1 writes them, decoded only |
 //! | [`builtin_interfaces`], [`std_msgs`], [`geometry_msgs`], [`sensor_msgs`], [`nav_msgs`], [`tf2_msgs`], [`diagnostic_msgs`] | one module for each ROS package |
 //!
@@ -12,6 +13,7 @@
 
 pub mod builtin_interfaces;
 pub mod cdr;
+mod definition;
 pub mod diagnostic_msgs;
 pub mod geometry_msgs;
 pub mod message;
@@ -22,4 +24,5 @@ pub mod std_msgs;
 pub mod tf2_msgs;
 
 pub use cdr::{CdrError, decode, encode};
+pub use definition::{Definition, definition};
 pub use message::RosMessage;

@@ -1,5 +1,6 @@
 //! Package `nav_msgs`.
 
+use crate::definition::{self, Definition};
 use crate::geometry_msgs::{PoseWithCovariance, TwistWithCovariance};
 use crate::message::RosMessage;
 use crate::std_msgs::Header;
@@ -21,4 +22,5 @@ pub struct Odometry {
 impl RosMessage for Odometry {
     const TYPE_NAME: &'static str = "nav_msgs/msg/Odometry";
     const TYPE_HASH: &'static str = "RIHS01_3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0";
+    const DEFINITION: Definition = definition::ODOMETRY;
 }

@@ -1,5 +1,6 @@
 //! Package `sensor_msgs`.
 
+use crate::definition::{self, Definition};
 use crate::geometry_msgs::{Quaternion, Vector3};
 use crate::message::RosMessage;
 use crate::std_msgs::Header;
@@ -29,6 +30,7 @@ pub struct Imu {
 impl RosMessage for Imu {
     const TYPE_NAME: &'static str = "sensor_msgs/msg/Imu";
     const TYPE_HASH: &'static str = "RIHS01_7d9a00ff131080897a5ec7e26e315954b8eae3353c3f995c55faf71574000b5b";
+    const DEFINITION: Definition = definition::IMU;
 }
 
 /// `sensor_msgs/msg/Image`: pixels by rows.
@@ -54,6 +56,7 @@ pub struct Image {
 impl RosMessage for Image {
     const TYPE_NAME: &'static str = "sensor_msgs/msg/Image";
     const TYPE_HASH: &'static str = "RIHS01_d31d41a9a4c4bc8eae9be757b0beed306564f7526c88ea6a4588fb9582527d47";
+    const DEFINITION: Definition = definition::IMAGE;
 }
 
 /// `sensor_msgs/msg/CompressedImage`.
@@ -71,6 +74,7 @@ pub struct CompressedImage {
 impl RosMessage for CompressedImage {
     const TYPE_NAME: &'static str = "sensor_msgs/msg/CompressedImage";
     const TYPE_HASH: &'static str = "RIHS01_15640771531571185e2efc8a100baf923961a4d15d5569652e6cb6691e8e371a";
+    const DEFINITION: Definition = definition::COMPRESSED_IMAGE;
 }
 
 /// A part of a sensor's image.
@@ -118,4 +122,5 @@ pub struct CameraInfo {
 impl RosMessage for CameraInfo {
     const TYPE_NAME: &'static str = "sensor_msgs/msg/CameraInfo";
     const TYPE_HASH: &'static str = "RIHS01_b3dfd68ff46c9d56c80fd3bd4ed22c7a4ddce8c8348f2f59c299e73118e7e275";
+    const DEFINITION: Definition = definition::CAMERA_INFO;
 }

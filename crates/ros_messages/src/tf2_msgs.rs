@@ -1,5 +1,6 @@
 //! Package `tf2_msgs`.
 
+use crate::definition::{self, Definition};
 use crate::geometry_msgs::TransformStamped;
 use crate::message::RosMessage;
 use serde::{Deserialize, Serialize};
@@ -14,4 +15,5 @@ pub struct TFMessage {
 impl RosMessage for TFMessage {
     const TYPE_NAME: &'static str = "tf2_msgs/msg/TFMessage";
     const TYPE_HASH: &'static str = "RIHS01_e369d0f05a23ae52508854b66f6aa0437f3449d652e8cbf22d5abe85d020f087";
+    const DEFINITION: Definition = definition::TRANSFORMS;
 }

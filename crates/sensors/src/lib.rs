@@ -43,6 +43,8 @@
 mod bag;
 mod calibration;
 mod calibration_yaml;
+#[cfg(feature = "bags")]
+pub mod convert;
 mod error;
 mod euroc;
 mod features;
@@ -56,6 +58,7 @@ mod memory;
 mod merged;
 mod recording;
 mod rig_calibration;
+pub mod ros;
 mod rows;
 mod source;
 mod stereo_check;

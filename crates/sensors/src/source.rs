@@ -2,6 +2,7 @@
 
 use super::live::LiveReport;
 use super::{Frame, ImuSample, SensorCalibration, SensorError};
+use std::sync::mpsc::Receiver;
 
 /// A stream of IMU readings and camera frames in order of time, with the calibration of the sensors.
 ///
@@ -84,6 +85,14 @@ pub trait SensorSource {
     fn live(&self) -> Option<LiveReport> {
         None
     }
+
+    /// Readings of the IMU in order of time as soon as they are there, before [`Self::next`] returns them, for whoever predicts
+    /// poses from them; `None` for a recording.
+    ///
+    /// A receiver that is two seconds behind misses readings. There is one; a further call replaces it.
+    fn tap_imu(&self) -> Option<Receiver<ImuSample>> {
+        None
+    }
 }
 
 /// One measurement.
@@ -152,5 +161,9 @@ impl<S: SensorSource + ?Sized> SensorSource for Box<S> {
 
     fn live(&self) -> Option<LiveReport> {
         (**self).live()
+    }
+
+    fn tap_imu(&self) -> Option<Receiver<ImuSample>> {
+        (**self).tap_imu()
     }
 }

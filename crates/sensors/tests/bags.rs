@@ -4,7 +4,11 @@
 #![cfg(feature = "bags")]
 #![allow(clippy::unwrap_used, missing_docs)]
 
+use bags::{BagWriter, Format, MessageType};
 use nalgebra::Vector3;
+use ros_messages::sensor_msgs::{CompressedImage, Imu};
+use ros_messages::{RosMessage, definition, encode};
+use sensors::ros::{ImageMessage, image_message, imu_message};
 use sensors::{CalibrationFiles, ImageData, Recording, SensorEvent, SensorSource, Sequence, SequenceError};
 use std::path::{Path, PathBuf};
 
@@ -136,4 +140,56 @@ fn a_bag_that_is_cut_off_is_played_up_to_there() {
         let (cut, all) = (events(&cut), events(&all));
         assert!(cut.len() > all.len() / 3 && cut.len() < all.len(), "{name}: {} of {}", cut.len(), all.len());
     }
+}
+
+#[test]
+fn a_folder_with_a_calibration_serves_folders_as_it_serves_bags() {
+    let plain = Recording::open(&data("euroc")).unwrap();
+    let given = Recording::open_with(&data("euroc"), &files()).unwrap();
+    assert_eq!(given.calibration(), plain.calibration());
+    let empty = tempfile::tempdir().unwrap();
+    let mut files = CalibrationFiles::default();
+    files.cameras = Some(empty.path().to_path_buf());
+    let error = Recording::open_with(&data("euroc"), &files).unwrap_err().to_string();
+    assert!(error.contains(&empty.path().display().to_string()) && error.contains("missing"), "{error}");
+}
+
+#[test]
+fn readings_that_are_not_finite_are_left_out_and_unknown_types_do_not_matter() {
+    let folder = tempfile::tempdir().unwrap();
+    let plain = Recording::open(&data("euroc")).unwrap();
+    let readings: Vec<_> = plain.imu_samples().unwrap().map(Result::unwrap).collect();
+    let path = folder.path().join("nan.mcap");
+    let mut writer = BagWriter::create(&path, Format::Mcap).unwrap();
+    let of = |name, hash, definition| MessageType { name, hash, definition };
+    let imu = of(Imu::TYPE_NAME, Imu::TYPE_HASH, definition::<Imu>());
+    let image = of(CompressedImage::TYPE_NAME, CompressedImage::TYPE_HASH, definition::<CompressedImage>());
+    let strange = of("acme_msgs/msg/Secret", "", "acme_msgs/Riddle riddle\n".to_owned());
+    let [imu, image, strange] = [("/imu0", imu), ("/cam0/image_raw/compressed", image), ("/secret", strange)]
+        .map(|(name, of)| writer.topic(name, &of).unwrap());
+    for (index, reading) in readings.iter().enumerate() {
+        let mut reading = *reading;
+        match index {
+            7 => reading.gyroscope.y = f64::NAN,
+            9 => reading.accelerometer.z = f64::INFINITY,
+            _ => {}
+        }
+        let message = encode(&imu_message(&reading).unwrap()).unwrap();
+        writer.write(imu, reading.stamp_ns, &message).unwrap();
+        writer.write(strange, reading.stamp_ns, b"not even CDR").unwrap();
+    }
+    for frame in plain.frames().unwrap().map(Result::unwrap) {
+        let message =
+            image_message(frame.images[0].as_ref().unwrap(), frame.stamp_ns, "cam0").unwrap().unwrap();
+        let ImageMessage::Compressed(message) = message else { panic!("the images are files") };
+        writer.write(image, frame.stamp_ns, &encode(&message).unwrap()).unwrap();
+    }
+    writer.finish().unwrap();
+    let bag = Recording::open_with(&path, &files()).unwrap();
+    let mut expected = readings;
+    expected.remove(9);
+    expected.remove(7);
+    let found: Vec<_> = bag.imu_samples().unwrap().map(Result::unwrap).collect();
+    assert_eq!(found, expected);
+    assert_eq!(bag.contents().frames, plain.contents().frames);
 }

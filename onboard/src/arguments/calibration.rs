@@ -10,7 +10,7 @@ use std::path::PathBuf;
 pub struct CalibrationArguments {
     /// Kalibr's camchain-imucam.yaml [default: the recording's sensor.yaml files, else a camera chain in its folder]
     ///
-    /// For live sensors and bags also a folder with it, or one in the EuRoC layout. Where a bag has the CameraInfo of its
+    /// Also a folder with it, or one in the EuRoC layout. Where a bag has the CameraInfo of its
     /// cameras, the file may leave their intrinsics out.
     #[arg(long, value_name = "YAML|DIR", help_heading = INPUT)]
     pub calibration: Option<PathBuf>,

@@ -5,15 +5,17 @@ mod choices;
 mod live;
 mod ros;
 mod settings;
+mod settings_file;
 
 pub use calibration::CalibrationArguments;
 pub use choices::{Calibrate, Cameras, FrameKind, Init, Mode, Source, TopicFormat};
 pub use live::LiveArguments;
 pub use ros::{ImuInBaseLink, RosArguments};
 pub use settings::{SettingsError, read_settings};
+pub use settings_file::{SettingsFileError, settings_text, with_settings};
 
 use super::extraction::FeatureArguments;
-use super::outputs::{RobotMetrics, RosOutput};
+use super::outputs::{RobotMetrics, RosBody, RosOutput};
 use anyhow::{Result, bail};
 use clap::{Args, Parser};
 use estimator::{EstimatorConfig, MapMode, Relinearization};
@@ -38,6 +40,19 @@ pub struct RobotArguments {
     /// Folder for trajectories, states, events and summary; created if necessary
     #[arg(long, value_name = "DIR", help_heading = OUTPUT)]
     pub out: PathBuf,
+
+    /// Record poses, odometry, transforms, status and queries in an MCAP file, as messages of ROS 2: for Foxglove, PlotJuggler
+    /// and `ros2 bag`
+    ///
+    /// An older file of this name stays; the new one is then FILE_2.
+    #[arg(long, value_name = "FILE", help_heading = OUTPUT)]
+    pub record: Option<PathBuf>,
+    /// Record readings and images, too
+    #[arg(long, requires = "record", help_heading = OUTPUT)]
+    pub record_sensors: bool,
+    /// The robot's frames, for --record
+    #[arg(skip)]
+    pub body: RosBody,
 
     /// What the run counts; shared with whoever clones it before the run
     #[arg(skip)]

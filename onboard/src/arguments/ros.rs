@@ -1,6 +1,6 @@
 //! Switches of the ROS 2 topics.
 
-use crate::outputs::{RosFrames, RosSettings};
+use crate::outputs::{RosBody, RosFrames, RosSettings};
 use client::SessionOptions;
 use client::session::{DEFAULT_ENDPOINT, SessionMode};
 use geometry::Pose;
@@ -27,12 +27,12 @@ pub struct RosArguments {
     /// Namespace of node and topics, for example cart7 [default: none]; /tf and /diagnostics have none
     #[arg(long, value_name = "NAME", default_value = "", hide_default_value = true, help_heading = ROS)]
     pub ros2_namespace: String,
-    /// Names of the frames of map, odometry and robot
-    #[arg(long, value_name = "MAP,ODOM,BASE", default_value = "map,odom,base_link", requires = "ros2", help_heading = ROS)]
+    /// Names of the frames of map, odometry and robot, for --ros2 and --record
+    #[arg(long, value_name = "MAP,ODOM,BASE", default_value = "map,odom,base_link", help_heading = ROS)]
     pub frames: RosFrames,
     /// The IMU in base_link: metres and radians (fixed-axis roll, pitch, yaw, as in URDF) [default: base_link is the IMU]
     #[arg(long, value_name = "X,Y,Z,ROLL,PITCH,YAW", default_value = "0,0,0,0,0,0", hide_default_value = true,
-        allow_hyphen_values = true, requires = "ros2", help_heading = ROS)]
+        allow_hyphen_values = true, help_heading = ROS)]
     pub imu_in_base_link: ImuInBaseLink,
 }
 
@@ -71,6 +71,11 @@ impl RosArguments {
         NodeOptions { domain, namespace, name: "driftless_sensors".to_owned() }
     }
 
+    /// The frames of the robot.
+    pub fn body(&self) -> RosBody {
+        RosBody { frames: self.frames.clone(), imu_from_base: self.imu_in_base_link.0.inverse() }
+    }
+
     /// The settings of the topics; `None` without `--ros2`.
     ///
     /// # Arguments
@@ -81,8 +86,7 @@ impl RosArguments {
             session: self.session(),
             domain: self.ros2_domain,
             namespace: self.ros2_namespace.clone(),
-            frames: self.frames.clone(),
-            imu_from_base: self.imu_in_base_link.0.inverse(),
+            body: self.body(),
             robot: robot.to_owned(),
             map_expected,
         })

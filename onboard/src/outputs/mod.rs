@@ -7,6 +7,11 @@ mod name_watch;
 mod publisher;
 mod publisher_error;
 mod recorder;
+#[cfg(feature = "bags")]
+mod recording;
+#[cfg(not(feature = "bags"))]
+#[path = "no_recording.rs"]
+mod recording;
 mod ros;
 mod status_line;
 mod summary;
@@ -17,7 +22,8 @@ pub use metrics::RobotMetrics;
 pub use publisher::{Publisher, QueryCounts};
 pub use publisher_error::PublisherError;
 pub use recorder::Recorder;
-pub use ros::{Estimate, RosFrames, RosOutput, RosOutputTask, RosSettings};
+pub(crate) use recording::{MessageRecording, RecordingSettings};
+pub use ros::{Estimate, RosBody, RosFrames, RosOutput, RosOutputTask, RosSettings};
 pub use status_line::StatusLine;
 pub use summary::{
     DivergenceSummary, EndedLost, ImuGapSummary, MapChangeSummary, MillisecondsPerFrame, QuerySummary,

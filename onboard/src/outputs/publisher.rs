@@ -3,9 +3,9 @@
 use super::name_watch::NameWatch;
 use super::publisher_error::PublisherError;
 use crate::map_conversion::map_identity;
-use estimator::{Estimator, Localization, Status};
-use nalgebra::Vector3;
+use estimator::{Estimator, Localization, Motion, Status};
 use protocol::{Format, Message, RobotOdometry, RobotPose, RobotState, RobotStatus, keys};
+use std::sync::Arc;
 use std::time::Duration;
 use tokio::runtime::Handle;
 use tokio::sync::mpsc::{Sender, channel};
@@ -14,6 +14,9 @@ use zenoh::liveliness::LivelinessToken;
 
 /// Messages that may be queued for the network before new ones are dropped.
 const QUEUE: usize = 64;
+
+/// Key, encoding and payload.
+type Outgoing = (Arc<str>, &'static str, Vec<u8>);
 
 /// Counts of queries for status messages.
 #[derive(Clone, Copy, Debug, Default)]
@@ -31,10 +34,11 @@ pub struct Publisher {
     /// Added to all stamps, nanoseconds.
     clock_shift_ns: i64,
     format: Format,
-    queue: Sender<(String, &'static str, Vec<u8>)>,
-    pose_key: String,
-    odometry_key: String,
-    status_key: String,
+    queue: Sender<Outgoing>,
+    pose_key: Arc<str>,
+    odometry_key: Arc<str>,
+    predicted_key: Arc<str>,
+    status_key: Arc<str>,
     runtime: Handle,
     sending: JoinHandle<()>,
     alive: LivelinessToken,
@@ -60,7 +64,7 @@ impl Publisher {
         map: Option<&str>,
         format: Format,
     ) -> Result<Self, PublisherError> {
-        let (queue, mut messages) = channel::<(String, &'static str, Vec<u8>)>(QUEUE);
+        let (queue, mut messages) = channel::<Outgoing>(QUEUE);
         let alive_key = keys::robot(robot)?;
         let alive = runtime
             .block_on(async { session.liveliness().declare_token(alive_key).await })
@@ -68,7 +72,7 @@ impl Publisher {
         let name_watch = runtime.block_on(NameWatch::start(&session, robot))?;
         let sending = runtime.spawn(async move {
             while let Some((key, encoding, payload)) = messages.recv().await {
-                if let Err(error) = session.put(key, payload).encoding(encoding).await {
+                if let Err(error) = session.put(&*key, payload).encoding(encoding).await {
                     tracing::debug!(%error, "a message was not published");
                 }
             }
@@ -78,9 +82,10 @@ impl Publisher {
             clock_shift_ns: 0,
             format,
             queue,
-            pose_key: keys::robot_pose(robot)?,
-            odometry_key: keys::robot_odometry(robot)?,
-            status_key: keys::robot_status(robot)?,
+            pose_key: keys::robot_pose(robot)?.into(),
+            odometry_key: keys::robot_odometry(robot)?.into(),
+            predicted_key: keys::robot_odometry_predicted(robot)?.into(),
+            status_key: keys::robot_status(robot)?.into(),
             runtime: runtime.clone(),
             sending,
             alive,
@@ -99,24 +104,11 @@ impl Publisher {
     }
 
     /// Publishes the state of a frame. Messages that do not fit into the queue are dropped: newer ones follow.
-    pub fn publish(
-        &self,
-        estimator: &Estimator,
-        angular_velocity: Vector3<f64>,
-        status: Status,
-        counts: QueryCounts,
-    ) {
+    pub fn publish(&self, estimator: &Estimator, status: Status, counts: QueryCounts) {
         let stamp_ns = estimator.stamp_ns();
-        self.send(
-            &self.odometry_key,
-            &RobotOdometry {
-                stamp_ns: self.sensor_stamp_ns(stamp_ns),
-                local_from_imu: estimator.local_from_imu(),
-                velocity_in_local: estimator.velocity().into(),
-                angular_velocity_in_imu: angular_velocity.into(),
-            },
-        );
-        let poses = estimator.global_from_imu().zip(estimator.global_from_local());
+        self.send(&self.odometry_key, &odometry(&estimator.motion(), self.clock_shift_ns));
+        let trusted = status.localization != Localization::Lost;
+        let poses = estimator.global_from_imu().zip(estimator.global_from_local()).filter(|_| trusted);
         let map = estimator.map_version().zip(estimator.map_identity());
         let named = self.map.as_ref().zip(poses.zip(map));
         if let Some((map, ((global_from_imu, global_from_local), (map_version, identity)))) = named {
@@ -170,14 +162,34 @@ impl Publisher {
         stamp_ns.saturating_add(self.clock_shift_ns)
     }
 
-    fn send<M: Message>(&self, key: &str, message: &M) {
-        match protocol::encode(self.format, message) {
-            Ok(payload) => {
-                // A full queue means a slow network: this message is dropped.
-                let _ = self.queue.try_send((key.to_owned(), self.format.encoding(), payload));
-            }
-            Err(error) => tracing::warn!(%error, "a message is invalid and was not published"),
+    fn send<M: Message>(&self, key: &Arc<str>, message: &M) {
+        send(&self.queue, self.format, key, message);
+    }
+
+    /// Publishes odometry that is predicted from the newest state; dropped where the network is slow.
+    pub(crate) fn predicted(&self) -> impl Fn(&Motion) + Send + 'static {
+        let (queue, format, key) = (self.queue.clone(), self.format, Arc::clone(&self.predicted_key));
+        let clock_shift_ns = self.clock_shift_ns;
+        move |motion| send(&queue, format, &key, &odometry(motion, clock_shift_ns))
+    }
+}
+
+fn odometry(motion: &Motion, clock_shift_ns: i64) -> RobotOdometry {
+    RobotOdometry {
+        stamp_ns: motion.stamp_ns.saturating_add(clock_shift_ns),
+        local_from_imu: motion.local_from_imu(),
+        velocity_in_local: motion.state.velocity.into(),
+        angular_velocity_in_imu: motion.angular_velocity.into(),
+    }
+}
+
+fn send<M: Message>(queue: &Sender<Outgoing>, format: Format, key: &Arc<str>, message: &M) {
+    match protocol::encode(format, message) {
+        Ok(payload) => {
+            // A full queue means a slow network: this message is dropped.
+            let _ = queue.try_send((Arc::clone(key), format.encoding(), payload));
         }
+        Err(error) => tracing::warn!(%error, "a message is invalid and was not published"),
     }
 }
 

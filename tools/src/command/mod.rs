@@ -3,6 +3,8 @@
 use clap::Subcommand;
 
 pub mod build_map;
+#[cfg(feature = "bags")]
+pub mod convert;
 pub mod demo;
 pub mod evaluate;
 pub mod export_colmap;
@@ -53,6 +55,9 @@ pub enum Command {
     /// List the topics of a bag, and which of them are the sensors of a robot
     #[cfg(feature = "bags")]
     Info(info::Args),
+    /// Write a recording in another format: EuRoC folder, MCAP, rosbag2
+    #[cfg(feature = "bags")]
+    Convert(convert::Args),
     /// Run a robot through a recording, with a map server in the same process
     Run(Box<run::Args>),
     /// Publish a recording as the live sensors of a robot
@@ -89,6 +94,8 @@ impl Command {
             Self::Localize(args) => localize::run(&args),
             #[cfg(feature = "bags")]
             Self::Info(args) => info::run(&args),
+            #[cfg(feature = "bags")]
+            Self::Convert(args) => convert::run(&args),
             Self::Inspect(args) => inspect::run(&args),
             Self::Run(args) => run::run(&args),
             Self::Play(args) => play::run(&args),

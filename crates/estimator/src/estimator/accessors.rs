@@ -3,9 +3,10 @@
 use super::Estimator;
 use crate::KeyframeId;
 use crate::calibration::{CalibratedCamera, Calibration};
-use crate::config::EstimatorConfig;
+use crate::config::{EstimatorConfig, ImuNoise};
+use crate::motion::{Motion, MotionPredictor};
 use crate::noise_adaptation::{LearnedNoise, NoiseAdaptation};
-use crate::propagation::{ACCELEROMETER_BIAS, GYROSCOPE_BIAS};
+use crate::propagation::{ACCELEROMETER_BIAS, GYROSCOPE_BIAS, IMU_DIM, ImuMatrix};
 use crate::state::{Block, CloneId, rotation_adjoint};
 use geometry::{Pose, PoseWithCovariance};
 use nalgebra::{Matrix6, Vector3};
@@ -43,6 +44,37 @@ impl Estimator {
     /// Velocity of the IMU in L, m/s.
     pub fn velocity(&self) -> Vector3<f64> {
         self.state.imu.velocity
+    }
+
+    /// Pose, velocity, biases and angular velocity of now, with the covariance of their errors.
+    pub fn motion(&self) -> Motion {
+        let covariance = self.imu_covariance();
+        Motion::new(
+            self.state.stamp_ns,
+            self.state.imu,
+            &covariance,
+            &self.angular_rate,
+            &self.propagation_noise(),
+        )
+    }
+
+    /// Predicts the motion after now from readings that the filter has not integrated yet.
+    pub fn predictor(&self) -> MotionPredictor {
+        MotionPredictor::new(
+            self.state.stamp_ns,
+            &self.imu_covariance(),
+            self.propagation(),
+            self.propagation_noise(),
+        )
+    }
+
+    fn imu_covariance(&self) -> ImuMatrix {
+        self.covariance.active().view().fixed_view::<IMU_DIM, IMU_DIM>(0, 0).into_owned()
+    }
+
+    /// Noise densities of the IMU as learned up to now.
+    fn propagation_noise(&self) -> ImuNoise {
+        self.noise.imu_noise(&self.config.imu_noise)
     }
 
     /// Biases of gyroscope (rad/s) and accelerometer (m/s^2).

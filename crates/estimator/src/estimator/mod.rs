@@ -24,13 +24,14 @@ use crate::map_update::map_fix::{MapFix, MapFixes};
 use crate::map_update::map_gravity::MapGravity;
 use crate::map_update::map_revision::MapVersion;
 use crate::map_update::map_watch::MapWatch;
+use crate::motion::AngularRate;
 use crate::noise_adaptation::NoiseAdaptation;
 use crate::odometry::msckf_update::MsckfSettings;
 use crate::odometry::tracks::TrackStore;
 use crate::propagation::{IMU_DIM, ImuMatrix, MotionEstimate};
 use crate::state::ActiveState;
 use geometry::Pose;
-use nalgebra::{DMatrix, DVector, Vector3};
+use nalgebra::{DMatrix, DVector};
 use track_update::OdometryUpdate;
 
 /// Confidence of the gate beyond which a landmark of the map contradicts the state. All landmarks of a keyframe share the
@@ -96,8 +97,8 @@ pub struct Estimator {
     config: EstimatorConfig,
     imu: ImuBuffer,
     state: ActiveState,
-    /// Angular velocity of the body in L at the time of the state, rad/s.
-    angular_velocity: Vector3<f64>,
+    /// What the gyroscope measured at the time of the state.
+    angular_rate: AngularRate,
     covariance: JointCovariance,
     tracks: TrackStore,
     msckf_settings: MsckfSettings,
@@ -179,7 +180,7 @@ impl Estimator {
             config,
             imu: ImuBuffer::default(),
             state,
-            angular_velocity: Vector3::zeros(),
+            angular_rate: AngularRate::default(),
             covariance,
             tracks: TrackStore::default(),
             odometry_update: OdometryUpdate::default(),

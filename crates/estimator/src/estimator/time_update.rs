@@ -4,7 +4,8 @@ use super::Estimator;
 use crate::error::EstimatorError;
 use crate::imu::{BadImuSample, ImuSample};
 use crate::map_update::map_fix::ImuMotion;
-use crate::propagation::{IMU_DIM, MotionEstimate, propagate};
+use crate::motion::AngularRate;
+use crate::propagation::{IMU_DIM, MotionEstimate, Propagation};
 use crate::state::{ActiveState, Block, CloneId, ClonedPose, POSE_DIM};
 use nalgebra::Vector3;
 use smallvec::SmallVec;
@@ -59,20 +60,24 @@ impl Estimator {
 
     fn propagate_to(&mut self, stamp_ns: i64) -> Result<(), EstimatorError> {
         let readings = self.imu.interval(self.state.stamp_ns, stamp_ns, IMU_SLACK_NS)?;
-        let newest = MotionEstimate::of(&self.state.imu);
-        let first = if self.config.first_estimates { &self.state.first_motion } else { &newest };
-        let noise = self.noise.imu_noise(&self.config.imu_noise);
-        let propagated = propagate(&self.state.imu, first, &readings, &noise, self.config.gravity);
-        if let Some(last) = readings.last() {
-            let rate = last.gyroscope - propagated.state.gyroscope_bias;
-            self.angular_velocity = propagated.state.local_from_imu.rotation * rate;
-        }
+        let mut propagation = self.propagation();
+        readings.windows(2).for_each(|pair| propagation.step(&pair[0], &pair[1]));
+        let propagated = propagation.end();
+        self.angular_rate = AngularRate::at_end(&readings);
         self.covariance.time_update(&propagated.transition, &propagated.noise);
         self.state.imu = propagated.state;
         self.state.stamp_ns = stamp_ns;
         self.state.first_motion = MotionEstimate::of(&propagated.state);
         self.imu.remove_before(stamp_ns);
         Ok(())
+    }
+
+    /// A propagation from the state, with nothing integrated yet.
+    pub(super) fn propagation(&self) -> Propagation {
+        let newest = MotionEstimate::of(&self.state.imu);
+        let first = if self.config.first_estimates { &self.state.first_motion } else { &newest };
+        let noise = self.noise.imu_noise(&self.config.imu_noise);
+        Propagation::new(&self.state.imu, first, &noise, self.config.gravity)
     }
 
     /// Stochastic cloning: the newest pose is appended to the state with its correlations.
@@ -83,7 +88,10 @@ impl Estimator {
         self.covariance.gather(&[0..dim, 0..POSE_DIM]);
         if self.state.calibration.estimates_time_offset() {
             // The pose at the true time of the image differs by the motion over the error of the time offset.
-            let (rotation, velocity) = (self.angular_velocity, self.state.imu.velocity);
+            let state = &self.state.imu;
+            let rotation =
+                state.local_from_imu.rotation * (self.angular_rate.gyroscope - state.gyroscope_bias);
+            let velocity = state.velocity;
             let motion = [rotation.x, rotation.y, rotation.z, velocity.x, velocity.y, velocity.z];
             self.covariance.add_dependence(dim, &motion, IMU_DIM);
         }

@@ -2,6 +2,7 @@
 
 use super::image::BagImage;
 use super::messages::{self, MessageError};
+use crate::ros::imu_sample;
 use crate::{Frame, ImageData, ImuSample, SequenceError};
 use bags::Bag;
 use nalgebra::Vector3;
@@ -88,13 +89,7 @@ pub(super) fn readings(
 }
 
 fn reading(message: Result<Imu, MessageError>) -> Option<ImuSample> {
-    let message = message.ok()?;
-    let vector = |vector: ros_messages::geometry_msgs::Vector3| Vector3::from(<[f64; 3]>::from(vector));
-    let sample = ImuSample {
-        stamp_ns: message.header.stamp.to_nanoseconds(),
-        gyroscope: vector(message.angular_velocity),
-        accelerometer: vector(message.linear_acceleration),
-    };
+    let sample = imu_sample(&message.ok()?).ok()?;
     let is_finite = |vector: &Vector3<f64>| vector.iter().all(|value| value.is_finite());
     (is_finite(&sample.gyroscope) && is_finite(&sample.accelerometer)).then_some(sample)
 }

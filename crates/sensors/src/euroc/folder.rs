@@ -40,11 +40,20 @@ impl FolderCalibration {
     /// Reads the calibration of a recording, and nothing else.
     ///
     /// # Arguments
-    /// * `files`: Kalibr's; what is not given is read from the `sensor.yaml` files, or found in the folder.
+    /// * `files`: Kalibr's, or a folder with a calibration; what is not given is read from the `sensor.yaml` files, or found in
+    ///   the folder.
     ///
     /// # Errors
     /// [`SequenceError`] with the file.
     pub fn read(root: &Path, files: &CalibrationFiles) -> Result<Self, SequenceError> {
+        if let Some(folder) = files.cameras.as_ref().filter(|path| path.is_dir()) {
+            let others = CalibrationFiles { cameras: None, ..files.clone() };
+            let found = others.completed(folder)?;
+            // Kalibr's files in that folder, else its sensor.yaml files.
+            let (root, files) =
+                if found.cameras.is_some() { (root, found) } else { (folder.as_path(), others) };
+            return Self::read(root, &files);
+        }
         let mav = root.join("mav0");
         if !mav.is_dir() {
             let advice = "a recording is a folder in the EuRoC layout, with mav0/cam0 in it; check the path";

@@ -3,31 +3,31 @@
 //! Numbers are written with all digits: reading gives the same bits back, except for rotations, which are normalized
 //! and come back to 15 digits.
 
-use crate::{CameraSensor, Frame, ImuSensor, Sequence, SequenceError};
+use crate::{CameraSensor, Frame, ImageData, ImuSensor, SensorCalibration, Sequence, SequenceError};
 use geometry::camera::Distortion;
 use geometry::pose::Pose;
 use nalgebra::Vector3;
+use std::ffi::OsStr;
 use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::Path;
 
 /// Writes every file of a recording below `root`, which is created.
 ///
-/// Images are listed but not written: what is read again has tracks and features only. Of the covariances of reference
-/// poses the largest standard deviations are written.
+/// Images are listed and not written: copy them to `mav0/cam0/data` under [`image_name`], else what is read again has tracks
+/// and features only. Of the covariances of reference poses the largest standard deviations are written.
 ///
 /// # Errors
 /// [`SequenceError::Io`] with the file that could not be written.
 pub fn write(sequence: &Sequence, root: &Path) -> Result<(), SequenceError> {
     let mav = root.join("mav0");
-    if let Some(imu) = &sequence.imu {
-        write_file(&mav.join("imu0/sensor.yaml"), |out| imu_yaml(out, imu))?;
+    write_calibration(&sequence.calibration(), root)?;
+    if sequence.imu.is_some() {
         write_file(&mav.join("imu0/data.csv"), |out| imu_rows(out, sequence))?;
     }
-    for (index, camera) in sequence.cameras.iter().enumerate() {
+    for index in 0..sequence.cameras.len() {
         let folder = mav.join(format!("cam{index}"));
-        write_file(&folder.join("sensor.yaml"), |out| camera_yaml(out, camera))?;
-        write_file(&folder.join("data.csv"), |out| image_rows(out, &sequence.frames))?;
+        write_file(&folder.join("data.csv"), |out| image_rows(out, &sequence.frames, index))?;
         let tracked = |frame: &Frame| frame.tracks.iter().any(|track| usize::from(track.camera) == index);
         if sequence.frames.iter().any(tracked) {
             write_file(&folder.join("tracks.csv"), |out| track_rows(out, &sequence.frames, index))?;
@@ -70,6 +70,27 @@ pub fn write(sequence: &Sequence, root: &Path) -> Result<(), SequenceError> {
         })?;
     }
     Ok(())
+}
+
+/// Writes only the `sensor.yaml` files, below `root`, which is created.
+///
+/// # Errors
+/// [`SequenceError::Io`] with the file that could not be written.
+pub fn write_calibration(calibration: &SensorCalibration, root: &Path) -> Result<(), SequenceError> {
+    if let Some(imu) = &calibration.imu {
+        write_file(&root.join("mav0/imu0/sensor.yaml"), |out| imu_yaml(out, imu))?;
+    }
+    for (index, camera) in calibration.cameras.iter().enumerate() {
+        let path = root.join(format!("mav0/cam{index}/sensor.yaml"));
+        write_file(&path, |out| camera_yaml(out, camera))?;
+    }
+    Ok(())
+}
+
+/// Name of an image's file in the EuRoC layout: its time, and the extension of the file that it comes from.
+pub fn image_name(stamp_ns: i64, image: Option<&ImageData>) -> String {
+    let extension = image.and_then(ImageData::path).and_then(Path::extension);
+    format!("{stamp_ns}.{}", extension.map_or("png".into(), OsStr::to_string_lossy))
 }
 
 /// Writes only the tracks, one `tracks.csv` for each of the first `cameras` cameras, below `root`.
@@ -159,9 +180,14 @@ fn camera_yaml(out: &mut Out, sensor: &CameraSensor) -> std::io::Result<()> {
     writeln!(out, "distortion_coefficients: [{list}]")
 }
 
-fn image_rows(out: &mut Out, frames: &[Frame]) -> std::io::Result<()> {
+/// Of a recording without images all frames are listed.
+fn image_rows(out: &mut Out, frames: &[Frame], camera: usize) -> std::io::Result<()> {
     writeln!(out, "#timestamp [ns],filename")?;
-    frames.iter().try_for_each(|frame| writeln!(out, "{0},{0}.png", frame.stamp_ns))
+    let image = |frame: &Frame| frame.images.get(camera).cloned().flatten();
+    let has_images = frames.iter().any(|frame| image(frame).is_some());
+    frames.iter().filter(|frame| !has_images || image(frame).is_some()).try_for_each(|frame| {
+        writeln!(out, "{},{}", frame.stamp_ns, image_name(frame.stamp_ns, image(frame).as_ref()))
+    })
 }
 
 fn track_rows(out: &mut Out, frames: &[Frame], camera: usize) -> std::io::Result<()> {

@@ -83,15 +83,6 @@ impl LiveInputs {
         self.shared.lock().1 = true;
         self.shared.arrived.notify_one();
     }
-
-    /// Readings of the IMU in order of time as soon as they are there, for whoever predicts poses from them.
-    ///
-    /// A reader that is two seconds behind misses readings. There is one such channel; a further call replaces it.
-    pub fn tap_imu(&self) -> Receiver<ImuSample> {
-        let (tap, readings) = sync_channel(TAP);
-        self.shared.lock().0.set_tap(tap);
-        readings
-    }
 }
 
 /// What a live source says of itself.
@@ -236,5 +227,11 @@ impl SensorSource for LiveSource {
             dropped_frames: buffer.count(FaultKind::Overload) + buffer.count(FaultKind::WithoutImu),
             clock_shift_ns: buffer.clock_shift_ns(),
         })
+    }
+
+    fn tap_imu(&self) -> Option<Receiver<ImuSample>> {
+        let (tap, readings) = sync_channel(TAP);
+        self.shared.lock().0.set_tap(tap);
+        Some(readings)
     }
 }

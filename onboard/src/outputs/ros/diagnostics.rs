@@ -1,7 +1,6 @@
 //! The status as ROS diagnostics.
 
 use super::super::publisher::QueryCounts;
-use super::settings::RosSettings;
 use estimator::{Localization, Status};
 use ros_messages::builtin_interfaces::Time;
 use ros_messages::diagnostic_msgs::{DiagnosticArray, DiagnosticStatus, KeyValue};
@@ -22,10 +21,10 @@ pub struct Diagnostics {
 
 impl Diagnostics {
     /// The diagnostics of a status at a time of the sensors, nanoseconds.
-    pub fn of(settings: &RosSettings, stamp_ns: i64, status: &Status, counts: QueryCounts) -> Self {
+    pub fn of(robot: &str, map_expected: bool, stamp_ns: i64, status: &Status, counts: QueryCounts) -> Self {
         let level = match status.localization {
             Localization::Localized => DiagnosticStatus::OK,
-            Localization::OdometryOnly if !settings.map_expected => DiagnosticStatus::OK,
+            Localization::OdometryOnly if !map_expected => DiagnosticStatus::OK,
             Localization::OdometryOnly => DiagnosticStatus::WARN,
             Localization::Lost => DiagnosticStatus::ERROR,
         };
@@ -39,7 +38,7 @@ impl Diagnostics {
             level,
             name: "driftless: localization".to_owned(),
             message: status.reason.clone(),
-            hardware_id: settings.robot.clone(),
+            hardware_id: robot.to_owned(),
             values: vec![
                 value("state", state.to_owned()),
                 value("keyframes held", status.held_keyframes.to_string()),
@@ -79,11 +78,9 @@ mod tests {
     use super::*;
 
     fn diagnostics(map_expected: bool, localization: Localization, reason: &str) -> Diagnostics {
-        let mut settings = super::super::tests::settings();
-        settings.map_expected = map_expected;
         let status =
             Status { localization, reason: reason.to_owned(), last_map_update_ns: None, held_keyframes: 3 };
-        Diagnostics::of(&settings, 5_000_000_007, &status, QueryCounts { sent: 2, answered: 1 })
+        Diagnostics::of("cart7", map_expected, 5_000_000_007, &status, QueryCounts { sent: 2, answered: 1 })
     }
 
     fn level(localization: Localization, map_expected: bool) -> u8 {

@@ -1,10 +1,10 @@
 //! Estimates as ROS messages.
 
 use super::odom_frame::OdomFrame;
-use super::settings::RosSettings;
-use estimator::Estimator;
+use super::settings::RosBody;
+use estimator::{Estimator, Localization, Motion, Status};
 use geometry::{Pose, PoseWithCovariance};
-use nalgebra::{Matrix6, Vector3};
+use nalgebra::{Matrix3, Matrix6, Vector3};
 use ros_messages::builtin_interfaces::Time;
 use ros_messages::geometry_msgs::{
     self, PoseWithCovarianceStamped, Transform, TransformStamped, Twist, TwistWithCovariance,
@@ -13,18 +13,12 @@ use ros_messages::nav_msgs::Odometry;
 use ros_messages::std_msgs::Header;
 use ros_messages::tf2_msgs::TFMessage;
 
-/// Motion of the IMU at one time.
+/// What is published of one image.
 #[derive(Clone, Debug)]
 pub struct Estimate {
-    /// Time, nanoseconds.
-    pub stamp_ns: i64,
-    /// Pose in L.
-    pub local_from_imu: PoseWithCovariance,
-    /// Velocity in L, m/s.
-    pub velocity_in_local: Vector3<f64>,
-    /// Angular velocity in the IMU's frame, rad/s.
-    pub angular_velocity_in_imu: Vector3<f64>,
-    /// Pose in G and that of L, once localized.
+    /// Motion in L.
+    pub motion: Motion,
+    /// Pose in G and that of L, where localized.
     pub global: Option<GlobalEstimate>,
 }
 
@@ -38,15 +32,13 @@ pub struct GlobalEstimate {
 }
 
 impl Estimate {
-    /// The estimate of now.
-    pub fn of(estimator: &Estimator, angular_velocity_in_imu: Vector3<f64>) -> Self {
+    /// The estimate of now. A robot that is lost has no pose in the map.
+    pub fn of(estimator: &Estimator, status: &Status) -> Self {
         let poses = estimator.global_from_imu().zip(estimator.global_from_local());
+        let trusted = poses.filter(|_| status.localization != Localization::Lost);
         Self {
-            stamp_ns: estimator.stamp_ns(),
-            local_from_imu: estimator.local_from_imu(),
-            velocity_in_local: estimator.velocity(),
-            angular_velocity_in_imu,
-            global: poses.map(|(global_from_imu, global_from_local)| GlobalEstimate {
+            motion: estimator.motion(),
+            global: trusted.map(|(global_from_imu, global_from_local)| GlobalEstimate {
                 global_from_imu,
                 global_from_local: global_from_local.pose,
             }),
@@ -66,51 +58,64 @@ pub struct Messages {
 }
 
 /// Makes the messages of an estimate; `None` for a time that ROS cannot write (before 1901, after 2038).
-pub fn messages(settings: &RosSettings, odom: &mut OdomFrame, estimate: &Estimate) -> Option<Messages> {
-    let stamp = Time::from_nanoseconds(estimate.stamp_ns)?;
+pub fn messages(body: &RosBody, odom: &mut OdomFrame, estimate: &Estimate) -> Option<Messages> {
+    let local_from_base = estimate.motion.state.local_from_imu * body.imu_from_base;
+    let odom_from_local = odom.update(&local_from_base);
+    let odometry = odometry(body, &odom_from_local, &estimate.motion)?;
+    let stamp = odometry.header.stamp;
     let header = |frame: &String| Header { stamp, frame_id: frame.clone() };
-    let frames = &settings.frames;
-    let local_from_base = estimate.local_from_imu.change_of_child(&settings.imu_from_base);
-    let odom_from_local = odom.update(&local_from_base.pose);
-    let odom_from_base = local_from_base.change_of_parent(&odom_from_local);
+    let frames = &body.frames;
     let transform = |parent: &String, child: &String, pose: &Pose| TransformStamped {
         header: header(parent),
         child_frame_id: child.clone(),
         transform: Transform { translation: vector(&pose.translation), rotation: quaternion(pose) },
     };
-    let mut transforms = vec![transform(&frames.odom, &frames.base_link, &odom_from_base.pose)];
+    let mut transforms =
+        vec![transform(&frames.odom, &frames.base_link, &(odom_from_local.pose * local_from_base))];
     if let Some(global) = &estimate.global {
-        let map_from_odom = global.global_from_local * odom_from_local.inverse();
+        let map_from_odom = global.global_from_local * odom_from_local.pose.inverse();
         transforms.push(transform(&frames.map, &frames.odom, &map_from_odom));
     }
     Some(Messages {
-        odometry: Odometry {
-            header: header(&frames.odom),
-            child_frame_id: frames.base_link.clone(),
-            pose: pose(&odom_from_base),
-            twist: TwistWithCovariance {
-                twist: twist(&settings.imu_from_base, estimate),
-                ..Default::default()
-            },
-        },
+        odometry,
         pose: estimate.global.as_ref().map(|global| PoseWithCovarianceStamped {
             header: header(&frames.map),
-            pose: pose(&global.global_from_imu.change_of_child(&settings.imu_from_base)),
+            pose: pose(&global.global_from_imu.change_of_child(&body.imu_from_base)),
         }),
         transforms: TFMessage { transforms },
     })
 }
 
+/// Pose and velocities of the robot in `odom`; `None` for a time that ROS cannot write.
+pub fn odometry(body: &RosBody, odom_from_local: &PoseWithCovariance, motion: &Motion) -> Option<Odometry> {
+    let stamp = Time::from_nanoseconds(motion.stamp_ns)?;
+    let local_from_base = motion.local_from_imu().change_of_child(&body.imu_from_base);
+    Some(Odometry {
+        header: Header { stamp, frame_id: body.frames.odom.clone() },
+        child_frame_id: body.frames.base_link.clone(),
+        pose: pose(&odom_from_local.compose(&local_from_base)),
+        twist: twist(&body.imu_from_base, motion),
+    })
+}
+
 /// Velocities of the robot's frame in itself.
-fn twist(imu_from_base: &Pose, estimate: &Estimate) -> Twist {
-    let angular_in_imu = estimate.angular_velocity_in_imu;
-    let imu_from_local = estimate.local_from_imu.pose.rotation.inverse();
-    let linear_in_imu =
-        imu_from_local * estimate.velocity_in_local + angular_in_imu.cross(&imu_from_base.translation);
+fn twist(imu_from_base: &Pose, motion: &Motion) -> TwistWithCovariance {
+    let angular_in_imu = motion.angular_velocity;
+    let imu_from_local = motion.state.local_from_imu.rotation.inverse();
+    let point = &imu_from_base.translation;
+    let linear_in_imu = imu_from_local * motion.state.velocity + angular_in_imu.cross(point);
     let base_from_imu = imu_from_base.rotation.inverse();
-    Twist {
-        linear: vector(&(base_from_imu * linear_in_imu)),
-        angular: vector(&(base_from_imu * angular_in_imu)),
+    let axes: Matrix3<f64> = base_from_imu.to_rotation_matrix().into_inner();
+    let mut turn = Matrix6::zeros();
+    turn.fixed_view_mut::<3, 3>(0, 0).copy_from(&axes);
+    turn.fixed_view_mut::<3, 3>(3, 3).copy_from(&axes);
+    let covariance = turn * motion.twist_covariance(point) * turn.transpose();
+    TwistWithCovariance {
+        twist: Twist {
+            linear: vector(&(base_from_imu * linear_in_imu)),
+            angular: vector(&(base_from_imu * angular_in_imu)),
+        },
+        covariance: std::array::from_fn(|at| covariance[(at / 6, at % 6)]),
     }
 }
 

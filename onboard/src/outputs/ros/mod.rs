@@ -3,6 +3,7 @@
 //! | topic | type | what |
 //! |---|---|---|
 //! | `odometry` | `nav_msgs/Odometry` | odom from base_link, smooth |
+//! | `odometry_predicted` | `nav_msgs/Odometry` | the same at the rate of the IMU |
 //! | `pose` | `geometry_msgs/PoseWithCovarianceStamped` | map from base_link, where localized |
 //! | `/tf` | `tf2_msgs/TFMessage` | map from odom (may jump), odom from base_link (REP-105) |
 //! | `/diagnostics` | `diagnostic_msgs/DiagnosticArray` | the status, every second and when it changes |
@@ -17,6 +18,9 @@ mod settings;
 #[cfg(test)]
 mod tests;
 
+pub(crate) use diagnostics::Diagnostics;
 pub use messages::Estimate;
+pub(crate) use messages::messages;
+pub(crate) use odom_frame::OdomFrame;
 pub use output::{RosOutput, RosOutputTask};
-pub use settings::{RosFrames, RosSettings};
+pub use settings::{RosBody, RosFrames, RosSettings};

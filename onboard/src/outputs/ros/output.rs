@@ -1,12 +1,14 @@
 //! Hands estimates over to the task that publishes them.
 
 use super::diagnostics::Diagnostics;
-use super::messages::{Estimate, Messages, messages};
+use super::messages::{Estimate, Messages, messages, odometry};
 use super::odom_frame::OdomFrame;
 use super::serving::serve;
 use super::settings::RosSettings;
 use crate::outputs::QueryCounts;
-use estimator::Status;
+use estimator::{Motion, Status};
+use geometry::PoseWithCovariance;
+use ros_messages::nav_msgs::Odometry;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::runtime::Handle;
@@ -18,12 +20,21 @@ const QUEUE: usize = 64;
 /// How long the last messages may take when the run ends.
 const CLOSE_TIMEOUT: Duration = Duration::from_secs(2);
 
+/// What is queued.
+#[derive(Debug)]
+pub(super) enum Outgoing {
+    Estimate(Box<Messages>),
+    Predicted(Box<Odometry>),
+}
+
 /// The ROS 2 topics of a run. Nothing here waits for the network.
 #[derive(Clone, Debug)]
 pub struct RosOutput {
     settings: Arc<RosSettings>,
     odom: OdomFrame,
-    queue: mpsc::Sender<Messages>,
+    queue: mpsc::Sender<Outgoing>,
+    /// Added to all stamps, nanoseconds.
+    clock_shift_ns: i64,
     diagnostics: watch::Sender<Option<Diagnostics>>,
 }
 
@@ -43,21 +54,48 @@ impl RosOutput {
         let (queue, waiting) = mpsc::channel(QUEUE);
         let (diagnostics, last) = watch::channel(None);
         let task = RosOutputTask(runtime.spawn(serve(Arc::clone(&settings), waiting, last)));
-        Ok((Self { settings, odom: OdomFrame::default(), queue, diagnostics }, task))
+        Ok((Self { settings, odom: OdomFrame::default(), queue, clock_shift_ns: 0, diagnostics }, task))
     }
 
     /// Publishes an estimate; dropped where the network is slow, newer ones follow.
     pub fn publish(&mut self, estimate: &Estimate) {
-        let Some(messages) = messages(&self.settings, &mut self.odom, estimate) else {
-            return tracing::warn!(estimate.stamp_ns, "this time cannot be written in ROS: not published");
+        let mut estimate = estimate.clone();
+        estimate.motion.stamp_ns = estimate.motion.stamp_ns.saturating_add(self.clock_shift_ns);
+        let Some(messages) = messages(&self.settings.body, &mut self.odom, &estimate) else {
+            let stamp_ns = estimate.motion.stamp_ns;
+            return tracing::warn!(stamp_ns, "this time cannot be written in ROS: not published");
         };
         // A full queue means a slow network: these messages are dropped.
-        let _ = self.queue.try_send(messages);
+        let _ = self.queue.try_send(Outgoing::Estimate(Box::new(messages)));
+    }
+
+    /// Publishes odometry that is predicted from the last estimate, where there is one; dropped where the network is slow.
+    pub(crate) fn predicted(&self) -> Option<impl Fn(&Motion) + Send + 'static> {
+        let (settings, queue) = (Arc::clone(&self.settings), self.queue.clone());
+        let (odom_from_local, clock_shift_ns) = (self.odom.newest()?, self.clock_shift_ns);
+        Some(move |motion: &Motion| {
+            let mut motion = *motion;
+            motion.stamp_ns = motion.stamp_ns.saturating_add(clock_shift_ns);
+            if let Some(odometry) = odometry(&settings.body, &odom_from_local, &motion) {
+                let _ = queue.try_send(Outgoing::Predicted(Box::new(odometry)));
+            }
+        })
+    }
+
+    /// The map corrected the pose of the IMU in L, at one time: the robot does not move in `odom`.
+    pub fn correct(&mut self, before: &PoseWithCovariance, after: &PoseWithCovariance) {
+        self.odom.correct(before, after);
+    }
+
+    /// Sets what is added to all stamps, nanoseconds: jumps of the sensors' clock, which the estimator does not see.
+    pub fn set_clock_shift(&mut self, shift_ns: i64) {
+        self.clock_shift_ns = shift_ns;
     }
 
     /// Publishes the status now if it changed, and every second.
     pub fn publish_status(&self, stamp_ns: i64, status: &Status, counts: QueryCounts) {
-        let new = Diagnostics::of(&self.settings, stamp_ns, status, counts);
+        let stamp_ns = stamp_ns.saturating_add(self.clock_shift_ns);
+        let new = Diagnostics::of(&self.settings.robot, self.settings.map_expected, stamp_ns, status, counts);
         self.diagnostics.send_if_modified(|last| {
             let changed = last.as_ref().is_none_or(|last| new.differs_from(last));
             *last = Some(new);

@@ -2,6 +2,7 @@
 
 use super::diagnostics::Diagnostics;
 use super::messages::Messages;
+use super::output::Outgoing;
 use super::settings::RosSettings;
 use client::session::{close_session, open_session};
 use ros_messages::diagnostic_msgs::DiagnosticArray;
@@ -21,15 +22,16 @@ const TF_DEPTH: usize = 100;
 struct Topics {
     _node: Node,
     odometry: Publisher<Odometry>,
+    predicted: Publisher<Odometry>,
     pose: Publisher<PoseWithCovarianceStamped>,
     transforms: Publisher<TFMessage>,
     diagnostics: Publisher<DiagnosticArray>,
 }
 
 /// Publishes until nobody sends any more.
-pub async fn serve(
+pub(super) async fn serve(
     settings: Arc<RosSettings>,
-    mut queue: mpsc::Receiver<Messages>,
+    mut queue: mpsc::Receiver<Outgoing>,
     mut diagnostics: watch::Receiver<Option<Diagnostics>>,
 ) {
     let session = tokio::select! {
@@ -67,6 +69,7 @@ impl Topics {
         let transforms = Qos { depth: TF_DEPTH, ..Qos::reliable() };
         Ok(Self {
             odometry: node.publisher("odometry", Qos::reliable()).await?,
+            predicted: node.publisher("odometry_predicted", Qos::sensor_data()).await?,
             pose: node.publisher("pose", Qos::reliable()).await?,
             transforms: node.publisher("/tf", transforms).await?,
             diagnostics: node.publisher("/diagnostics", Qos::reliable()).await?,
@@ -76,14 +79,15 @@ impl Topics {
 
     async fn publish_all(
         &self,
-        queue: &mut mpsc::Receiver<Messages>,
+        queue: &mut mpsc::Receiver<Outgoing>,
         diagnostics: &mut watch::Receiver<Option<Diagnostics>>,
     ) {
         let mut period = tokio::time::interval(PERIOD);
         loop {
             let published = tokio::select! {
                 messages = queue.recv() => match messages {
-                    Some(messages) => self.publish(&messages).await,
+                    Some(Outgoing::Estimate(messages)) => self.publish(&messages).await,
+                    Some(Outgoing::Predicted(odometry)) => self.predicted.publish(&odometry).await,
                     None => return,
                 },
                 Ok(()) = diagnostics.changed() => self.publish_diagnostics(diagnostics).await,

@@ -13,14 +13,30 @@ pub struct RosSettings {
     pub domain: u32,
     /// Namespace of node and topics; empty for none.
     pub namespace: String,
-    /// Names of the frames.
-    pub frames: RosFrames,
-    /// Pose of the robot's frame in the IMU's.
-    pub imu_from_base: Pose,
+    /// The robot's frames.
+    pub body: RosBody,
     /// Name of the robot, the hardware of the diagnostics.
     pub robot: String,
     /// Whether odometry without a pose in the map is worth a warning.
     pub map_expected: bool,
+}
+
+/// The frames of a robot, and its IMU in them.
+#[derive(Clone, Debug)]
+pub struct RosBody {
+    /// Names of the frames.
+    pub frames: RosFrames,
+    /// Pose of the robot's frame in the IMU's.
+    pub imu_from_base: Pose,
+}
+
+impl Default for RosBody {
+    /// `map`, `odom` and `base_link`, which is the IMU.
+    fn default() -> Self {
+        let names = ["map", "odom", "base_link"].map(str::to_owned);
+        let [map, odom, base_link] = names;
+        Self { frames: RosFrames { map, odom, base_link }, imu_from_base: Pose::identity() }
+    }
 }
 
 /// Names of the frames of REP-105.

@@ -2,11 +2,12 @@
 
 use super::messages::{Estimate, GlobalEstimate, Messages, messages};
 use super::odom_frame::OdomFrame;
-use super::{RosFrames, RosOutput, RosSettings};
+use super::{RosBody, RosOutput, RosSettings};
 use crate::outputs::QueryCounts;
 use client::SessionOptions;
 use client::session::{SessionMode, close_session, open_session};
-use estimator::{Localization, Status};
+use estimator::propagation::{ImuMatrix, ImuState};
+use estimator::{Localization, Motion, Status};
 use geometry::{Pose, PoseWithCovariance, rotation};
 use nalgebra::{Matrix6, Quaternion, UnitQuaternion, Vector3, Vector6};
 use ros_messages::RosMessage;
@@ -23,8 +24,7 @@ pub fn settings() -> RosSettings {
         session: SessionOptions::default(),
         domain: 0,
         namespace: String::new(),
-        frames: RosFrames { map: "map".into(), odom: "odom".into(), base_link: "base_link".into() },
-        imu_from_base: pose([0.3, -0.7, 0.2], [0.5, -0.1, 0.4]),
+        body: RosBody { imu_from_base: pose([0.3, -0.7, 0.2], [0.5, -0.1, 0.4]), ..RosBody::default() },
         robot: "cart7".to_owned(),
         map_expected: true,
     }
@@ -41,11 +41,21 @@ fn estimate() -> Estimate {
         Matrix6::from_fn(
             |row, column| if row == column { 1.0 + row as f64 } else { 0.01 * (row + column) as f64 },
         );
+    let mut of_state = ImuMatrix::identity() * 0.01;
+    of_state.fixed_view_mut::<6, 6>(0, 0).copy_from(&covariance);
     Estimate {
-        stamp_ns: 1_403_636_579_763_555_584,
-        local_from_imu: PoseWithCovariance::new(local_from_imu, covariance),
-        velocity_in_local: Vector3::new(1.0, -2.0, 0.5),
-        angular_velocity_in_imu: Vector3::new(0.3, -0.4, 0.9),
+        motion: Motion {
+            stamp_ns: 1_403_636_579_763_555_584,
+            state: ImuState {
+                local_from_imu,
+                velocity: Vector3::new(1.0, -2.0, 0.5),
+                gyroscope_bias: Vector3::zeros(),
+                accelerometer_bias: Vector3::zeros(),
+            },
+            covariance: of_state,
+            angular_velocity: Vector3::new(0.3, -0.4, 0.9),
+            angular_velocity_variance: 0.001,
+        },
         global: Some(GlobalEstimate {
             global_from_imu: PoseWithCovariance::new(global_from_local * local_from_imu, covariance),
             global_from_local,
@@ -54,7 +64,7 @@ fn estimate() -> Estimate {
 }
 
 fn made(odom: &mut OdomFrame, estimate: &Estimate) -> Messages {
-    messages(&settings(), odom, estimate).unwrap()
+    messages(&settings().body, odom, estimate).unwrap()
 }
 
 fn read_pose(position: geometry_msgs::Vector3, orientation: geometry_msgs::Quaternion) -> Pose {
@@ -83,11 +93,11 @@ fn transforms_lead_from_the_map_over_odom_to_the_robot() {
     let map_from_base = read_transform(map_from_odom) * read_transform(odom_from_base);
     let pose = messages.pose.unwrap();
     assert_eq!(pose.header.frame_id, "map");
-    assert_eq!(pose.header.stamp.to_nanoseconds(), estimate().stamp_ns);
+    assert_eq!(pose.header.stamp.to_nanoseconds(), estimate().motion.stamp_ns);
     assert_near(&map_from_base, &read_pose(pose.pose.pose.position, pose.pose.pose.orientation));
     assert_near(
         &map_from_base,
-        &(estimate().global.unwrap().global_from_imu.pose * settings().imu_from_base),
+        &(estimate().global.unwrap().global_from_imu.pose * settings().body.imu_from_base),
     );
 }
 
@@ -98,7 +108,7 @@ fn a_correction_by_the_map_moves_odom_in_the_map_and_not_the_robot_in_odom() {
     let mut corrected = estimate();
     let global = corrected.global.as_mut().unwrap();
     global.global_from_local = pose([0.0, 0.0, 1.0], [-3.0, 2.0, 1.0]);
-    global.global_from_imu.pose = global.global_from_local * corrected.local_from_imu.pose;
+    global.global_from_imu.pose = global.global_from_local * corrected.motion.state.local_from_imu;
     let after = made(&mut odom, &corrected);
     assert_eq!(after.odometry, before.odometry);
     assert_eq!(after.transforms.transforms[0], before.transforms.transforms[0]);
@@ -113,8 +123,10 @@ fn a_new_odometry_frame_of_the_estimator_does_not_move_the_robot() {
     let mut restarted = estimate();
     // The new L has the yaw and the position of now for its origin; roll and pitch are those of gravity.
     let new_from_old = pose([0.0, 0.0, 0.8], [-7.0, 1.0, 2.0]);
-    restarted.local_from_imu = restarted.local_from_imu.change_of_parent(&new_from_old);
-    restarted.velocity_in_local = new_from_old.rotation * restarted.velocity_in_local;
+    let local = restarted.motion.local_from_imu().change_of_parent(&new_from_old);
+    restarted.motion.state.local_from_imu = local.pose;
+    restarted.motion.covariance.fixed_view_mut::<6, 6>(0, 0).copy_from(&local.covariance);
+    restarted.motion.state.velocity = new_from_old.rotation * restarted.motion.state.velocity;
     let global = restarted.global.as_mut().unwrap();
     global.global_from_local = global.global_from_local * new_from_old.inverse();
     let after = made(&mut odom, &restarted);
@@ -131,9 +143,10 @@ fn the_twist_is_the_motion_of_the_robot_in_its_own_frame() {
     let (settings, estimate) = (settings(), estimate());
     let twist = made(&mut OdomFrame::default(), &estimate).odometry.twist.twist;
     let at = |seconds: f64| {
-        let imu = estimate.local_from_imu.pose;
-        let turned = imu.rotation * rotation::exp(&(estimate.angular_velocity_in_imu * seconds));
-        Pose::new(turned, imu.translation + estimate.velocity_in_local * seconds) * settings.imu_from_base
+        let motion = &estimate.motion;
+        let imu = motion.state.local_from_imu;
+        let turned = imu.rotation * rotation::exp(&(motion.angular_velocity * seconds));
+        Pose::new(turned, imu.translation + motion.state.velocity * seconds) * settings.body.imu_from_base
     };
     let step = 1e-6;
     let motion = at(-step).inverse() * at(step);
@@ -149,12 +162,12 @@ fn the_covariance_is_that_of_the_robots_error_about_fixed_axes() {
     let estimate = estimate();
     let covariance = made(&mut OdomFrame::default(), &estimate).odometry.pose.covariance;
     // Errors of the IMU along each direction, and what they do to the robot.
-    let root = estimate.local_from_imu.covariance.cholesky().unwrap().l();
+    let root = estimate.motion.local_from_imu().covariance.cholesky().unwrap().l();
     let step = 1e-6;
     let base = |error: &Vector6<f64>| {
-        let imu = estimate.local_from_imu.pose;
+        let imu = estimate.motion.state.local_from_imu;
         let turned = rotation::exp(&error.fixed_rows::<3>(0).into_owned()) * imu.rotation;
-        Pose::new(turned, imu.translation + error.fixed_rows::<3>(3)) * settings().imu_from_base
+        Pose::new(turned, imu.translation + error.fixed_rows::<3>(3)) * settings().body.imu_from_base
     };
     let mut expected = Matrix6::zeros();
     for column in 0..6 {
@@ -210,9 +223,10 @@ fn other_nodes_receive_all_topics() {
     let router = runtime.block_on(open_session(&router)).unwrap();
     let options = NodeOptions { domain: 9, namespace: "cart7".into(), name: "rviz".into() };
     let node = runtime.block_on(Node::new(router.clone(), options)).unwrap();
-    let (odometry, pose, transforms, diagnostics) = runtime.block_on(async {
+    let (odometry, predicted, pose, transforms, diagnostics) = runtime.block_on(async {
         (
             node.subscriber::<Odometry>("odometry", Qos::reliable(), 10).await.unwrap(),
+            node.subscriber::<Odometry>("odometry_predicted", Qos::sensor_data(), 10).await.unwrap(),
             node.subscriber::<PoseWithCovarianceStamped>("pose", Qos::reliable(), 10).await.unwrap(),
             node.subscriber::<TFMessage>("/tf", Qos::reliable(), 10).await.unwrap(),
             node.subscriber::<DiagnosticArray>("/diagnostics", Qos::reliable(), 10).await.unwrap(),
@@ -222,7 +236,7 @@ fn other_nodes_receive_all_topics() {
     settings.session.connect = vec![endpoint];
     (settings.domain, settings.namespace) = (9, "cart7".into());
     let (mut output, task) = RosOutput::start(settings, runtime.handle()).unwrap();
-    output.publish_status(estimate().stamp_ns, &status(), QueryCounts { sent: 2, answered: 1 });
+    output.publish_status(estimate().motion.stamp_ns, &status(), QueryCounts { sent: 2, answered: 1 });
     let diagnosed = runtime.block_on(next(&diagnostics));
     assert_eq!(
         (diagnosed.status[0].level, diagnosed.status[0].hardware_id.as_str()),
@@ -233,11 +247,21 @@ fn other_nodes_receive_all_topics() {
     assert_eq!(runtime.block_on(next(&odometry)), expected.odometry);
     assert_eq!(Some(runtime.block_on(next(&pose))), expected.pose);
     assert_eq!(runtime.block_on(next(&transforms)), expected.transforms);
-    // What is queued at the end is sent.
+    let mut motion = estimate().motion;
+    motion.stamp_ns += 5_000_000;
+    motion.state.local_from_imu.translation.x += 0.01;
+    output.predicted().unwrap()(&motion);
+    let mut later = estimate();
+    later.motion = motion;
+    assert_eq!(runtime.block_on(next(&predicted)), made(&mut OdomFrame::default(), &later).odometry);
+    // What is queued at the end is sent, with the stamps of the sensors.
+    output.set_clock_shift(3_600_000_000_000);
     output.publish(&estimate());
     drop(output);
     runtime.block_on(task.finish());
-    assert_eq!(runtime.block_on(next(&odometry)), expected.odometry);
+    let mut shifted = estimate();
+    shifted.motion.stamp_ns += 3_600_000_000_000;
+    assert_eq!(runtime.block_on(next(&odometry)), made(&mut OdomFrame::default(), &shifted).odometry);
     runtime.block_on(close_session(&router));
 }
 
@@ -250,7 +274,7 @@ fn without_a_router_estimates_are_dropped_and_the_run_ends() {
     let (mut output, task) = RosOutput::start(settings, runtime.handle()).unwrap();
     for _ in 0..1000 {
         output.publish(&estimate());
-        output.publish_status(estimate().stamp_ns, &status(), QueryCounts::default());
+        output.publish_status(estimate().motion.stamp_ns, &status(), QueryCounts::default());
     }
     drop(output);
     runtime.block_on(task.finish());

@@ -10,7 +10,7 @@ fn what_drivers_hand_in_on_their_threads_comes_out_decoded() {
     let calibration = calibration(1);
     let settings = LiveSettings { max_waiting_frames: 1000, ..LiveSettings::images(&calibration) };
     let (inputs, mut source) = LiveSource::new("test", calibration, &settings);
-    let readings = inputs.tap_imu();
+    let readings = source.tap_imu().unwrap();
     let driver = std::thread::spawn(move || {
         for (_, message) in on_time(1, 2) {
             match message {

@@ -1,0 +1,90 @@
+//! What is written is read again.
+#![allow(clippy::unwrap_used, missing_docs)]
+
+use bags::{Bag, BagError, BagWriter, Encoding, Format, MessageType};
+use std::path::Path;
+
+const FORMATS: [Format; 2] = [Format::Mcap, Format::Rosbag2];
+const START_NS: i64 = 1_403_636_579_763_555_584;
+
+fn types() -> [MessageType; 2] {
+    let of =
+        |name, definition: &str| MessageType { name, hash: "RIHS01_0", definition: definition.to_owned() };
+    [of("std_msgs/msg/String", "string data\n"), of("sensor_msgs/msg/Imu", "std_msgs/Header header\n")]
+}
+
+fn message(number: u8) -> (i64, Vec<u8>) {
+    (START_NS + i64::from(number) * 5_000_000, [&[0, 1, 0, 0, number][..], &[7; 300]].concat())
+}
+
+/// Writes messages to two topics, every third to the second.
+fn write(writer: &mut BagWriter, numbers: std::ops::Range<u8>) {
+    let [text, imu] = types();
+    let topics = [writer.topic("/chatter", &text).unwrap(), writer.topic("/imu", &imu).unwrap()];
+    for number in numbers {
+        let (log_ns, bytes) = message(number);
+        writer.write(topics[usize::from(number % 3 == 0)], log_ns, &bytes).unwrap();
+    }
+}
+
+fn check(path: &Path, format: Format, numbers: std::ops::Range<u8>) {
+    let bag = Bag::open(path).unwrap();
+    let found: Vec<_> = bag.topics().iter().map(|topic| (&*topic.name, &*topic.type_name)).collect();
+    assert_eq!(found, [("/chatter", "std_msgs/String"), ("/imu", "sensor_msgs/Imu")], "{format:?}");
+    for (topic, of) in bag.topics().iter().zip(types()) {
+        assert_eq!(topic.encoding, Encoding::Cdr);
+        let schema = topic.schema.as_ref().unwrap();
+        assert_eq!((&*schema.encoding, &*schema.text), ("ros2msg", of.definition.as_bytes()), "{format:?}");
+        let is_imu = topic.name == "/imu";
+        let expected: Vec<_> =
+            numbers.clone().filter(|number| (number % 3 == 0) == is_imu).map(message).collect();
+        let read = topic.messages.iter().map(|message| (message.log_ns, bag.read(message.place).unwrap()));
+        assert_eq!(read.collect::<Vec<_>>(), expected, "{format:?}");
+    }
+}
+
+#[test]
+fn both_formats_are_read_back_with_all_they_hold() {
+    let folder = tempfile::tempdir().unwrap();
+    for format in FORMATS {
+        let path = folder.path().join(format!("{format:?}"));
+        let mut writer = BagWriter::create(&path, format).unwrap();
+        write(&mut writer, 0..100);
+        writer.finish().unwrap();
+        assert!(Bag::open(&path).unwrap().damage().is_empty(), "{:?}", Bag::open(&path).unwrap().damage());
+        check(&path, format, 0..100);
+    }
+}
+
+#[test]
+fn what_was_flushed_is_there_when_the_program_is_killed() {
+    let folder = tempfile::tempdir().unwrap();
+    for format in FORMATS {
+        let path = folder.path().join(format!("{format:?}"));
+        let mut writer = BagWriter::create(&path, format).unwrap();
+        write(&mut writer, 0..60);
+        writer.flush().unwrap();
+        write(&mut writer, 60..70);
+        // What a killed program leaves: the files as they are, and no word to the writer.
+        let left = folder.path().join(format!("{format:?}_left"));
+        let file = if path.is_dir() { path.join(format!("{format:?}_0.db3")) } else { path.clone() };
+        std::fs::copy(&file, &left).unwrap();
+        let log = file.with_extension("db3-wal");
+        if log.exists() {
+            std::fs::copy(log, folder.path().join(format!("{format:?}_left-wal"))).unwrap();
+        }
+        check(&left, format, 0..60);
+    }
+}
+
+#[test]
+fn what_is_there_is_not_overwritten() {
+    let folder = tempfile::tempdir().unwrap();
+    for format in FORMATS {
+        let path = folder.path().join(format!("{format:?}"));
+        std::fs::write(&path, "mine").unwrap();
+        let error = BagWriter::create(&path, format).unwrap_err();
+        assert!(matches!(&error, BagError::Io { .. }) && error.to_string().contains("exists"), "{error}");
+        assert_eq!(std::fs::read_to_string(&path).unwrap(), "mine");
+    }
+}

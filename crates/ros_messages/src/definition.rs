@@ -1,0 +1,102 @@
+//! The definitions of the messages, as recordings carry them (`ros2msg`): their fields, and those of the types in them.
+
+use crate::message::RosMessage;
+use std::fmt::Write as _;
+
+/// A type and its fields, a line each.
+type Fields = (&'static str, &'static str);
+
+const TIME: Fields = ("builtin_interfaces/Time", "int32 sec\nuint32 nanosec\n");
+const HEADER: Fields = ("std_msgs/Header", "builtin_interfaces/Time stamp\nstring frame_id\n");
+const VECTOR3: Fields = ("geometry_msgs/Vector3", "float64 x\nfloat64 y\nfloat64 z\n");
+const POINT: Fields = ("geometry_msgs/Point", "float64 x\nfloat64 y\nfloat64 z\n");
+const QUATERNION: Fields =
+    ("geometry_msgs/Quaternion", "float64 x 0\nfloat64 y 0\nfloat64 z 0\nfloat64 w 1\n");
+const POSE: Fields =
+    ("geometry_msgs/Pose", "geometry_msgs/Point position\ngeometry_msgs/Quaternion orientation\n");
+const POSE_WITH_COVARIANCE: Fields =
+    ("geometry_msgs/PoseWithCovariance", "geometry_msgs/Pose pose\nfloat64[36] covariance\n");
+const TWIST: Fields =
+    ("geometry_msgs/Twist", "geometry_msgs/Vector3 linear\ngeometry_msgs/Vector3 angular\n");
+const TWIST_WITH_COVARIANCE: Fields =
+    ("geometry_msgs/TwistWithCovariance", "geometry_msgs/Twist twist\nfloat64[36] covariance\n");
+const TRANSFORM: Fields =
+    ("geometry_msgs/Transform", "geometry_msgs/Vector3 translation\ngeometry_msgs/Quaternion rotation\n");
+const TRANSFORM_STAMPED: Fields = (
+    "geometry_msgs/TransformStamped",
+    "std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/Transform transform\n",
+);
+const KEY_VALUE: Fields = ("diagnostic_msgs/KeyValue", "string key\nstring value\n");
+const DIAGNOSTIC_STATUS: Fields = (
+    "diagnostic_msgs/DiagnosticStatus",
+    "byte OK=0\nbyte WARN=1\nbyte ERROR=2\nbyte STALE=3\nbyte level\nstring name\nstring message\nstring hardware_id\n\
+     diagnostic_msgs/KeyValue[] values\n",
+);
+const REGION_OF_INTEREST: Fields = (
+    "sensor_msgs/RegionOfInterest",
+    "uint32 x_offset\nuint32 y_offset\nuint32 height\nuint32 width\nbool do_rectify\n",
+);
+
+pub(crate) const ODOMETRY: Definition = Definition {
+    fields: "std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/PoseWithCovariance pose\n\
+             geometry_msgs/TwistWithCovariance twist\n",
+    types: &[
+        HEADER,
+        TIME,
+        POSE_WITH_COVARIANCE,
+        POSE,
+        POINT,
+        QUATERNION,
+        TWIST_WITH_COVARIANCE,
+        TWIST,
+        VECTOR3,
+    ],
+};
+pub(crate) const POSE_STAMPED: Definition = Definition {
+    fields: "std_msgs/Header header\ngeometry_msgs/PoseWithCovariance pose\n",
+    types: &[HEADER, TIME, POSE_WITH_COVARIANCE, POSE, POINT, QUATERNION],
+};
+pub(crate) const TRANSFORMS: Definition = Definition {
+    fields: "geometry_msgs/TransformStamped[] transforms\n",
+    types: &[TRANSFORM_STAMPED, HEADER, TIME, TRANSFORM, VECTOR3, QUATERNION],
+};
+pub(crate) const DIAGNOSTICS: Definition = Definition {
+    fields: "std_msgs/Header header\ndiagnostic_msgs/DiagnosticStatus[] status\n",
+    types: &[HEADER, TIME, DIAGNOSTIC_STATUS, KEY_VALUE],
+};
+pub(crate) const IMU: Definition = Definition {
+    fields: "std_msgs/Header header\ngeometry_msgs/Quaternion orientation\nfloat64[9] orientation_covariance\n\
+             geometry_msgs/Vector3 angular_velocity\nfloat64[9] angular_velocity_covariance\n\
+             geometry_msgs/Vector3 linear_acceleration\nfloat64[9] linear_acceleration_covariance\n",
+    types: &[HEADER, TIME, QUATERNION, VECTOR3],
+};
+pub(crate) const IMAGE: Definition = Definition {
+    fields: "std_msgs/Header header\nuint32 height\nuint32 width\nstring encoding\nuint8 is_bigendian\nuint32 step\n\
+             uint8[] data\n",
+    types: &[HEADER, TIME],
+};
+pub(crate) const COMPRESSED_IMAGE: Definition =
+    Definition { fields: "std_msgs/Header header\nstring format\nuint8[] data\n", types: &[HEADER, TIME] };
+pub(crate) const CAMERA_INFO: Definition = Definition {
+    fields: "std_msgs/Header header\nuint32 height\nuint32 width\nstring distortion_model\nfloat64[] d\nfloat64[9] k\n\
+             float64[9] r\nfloat64[12] p\nuint32 binning_x\nuint32 binning_y\nsensor_msgs/RegionOfInterest roi\n",
+    types: &[HEADER, TIME, REGION_OF_INTEREST],
+};
+
+/// The definition of a type.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Definition {
+    /// Its fields in the language of ROS 2, a line each.
+    fields: &'static str,
+    /// The types of its fields, and of theirs.
+    types: &'static [Fields],
+}
+
+/// The definition of a message with those of all types in it, as recordings carry it under the name `ros2msg`.
+pub fn definition<M: RosMessage>() -> String {
+    let mut text = M::DEFINITION.fields.to_owned();
+    for (name, fields) in M::DEFINITION.types {
+        let _ = write!(text, "{}\nMSG: {name}\n{fields}", "=".repeat(80));
+    }
+    text
+}

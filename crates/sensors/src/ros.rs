@@ -1,0 +1,100 @@
+//! Readings and images as messages of ROS, and back.
+
+use crate::{ImageData, ImuSample};
+use nalgebra::Vector3;
+use ros_messages::builtin_interfaces::Time;
+use ros_messages::sensor_msgs::{CompressedImage, Image, Imu};
+use ros_messages::std_msgs::Header;
+use std::path::Path;
+use vision::ImageError;
+
+/// The driver says that it does not measure something.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("the driver says that it has no {0} (covariance[0] is -1)")]
+pub struct NotMeasured(pub &'static str);
+
+/// The reading that a message holds; its values may be not finite.
+///
+/// # Errors
+/// [`NotMeasured`]: angular velocity or acceleration is not given.
+///
+/// ```
+/// use ros_messages::sensor_msgs::Imu;
+/// let mut message = Imu::default();
+/// message.angular_velocity.z = 0.5;
+/// assert_eq!(sensors::ros::imu_sample(&message)?.gyroscope.z, 0.5);
+/// # Ok::<(), sensors::ros::NotMeasured>(())
+/// ```
+pub fn imu_sample(message: &Imu) -> Result<ImuSample, NotMeasured> {
+    // Exactly -1 by the definition of the message.
+    #[allow(clippy::float_cmp)]
+    let is_missing = |covariance: &[f64; 9]| covariance[0] == -1.0;
+    if is_missing(&message.angular_velocity_covariance) {
+        return Err(NotMeasured("angular velocity"));
+    }
+    if is_missing(&message.linear_acceleration_covariance) {
+        return Err(NotMeasured("acceleration"));
+    }
+    let vector = |vector| Vector3::from(<[f64; 3]>::from(vector));
+    Ok(ImuSample {
+        stamp_ns: message.header.stamp.to_nanoseconds(),
+        gyroscope: vector(message.angular_velocity),
+        accelerometer: vector(message.linear_acceleration),
+    })
+}
+
+/// A reading as a message, without orientation; `None` for a time that ROS cannot write (before 1901, after 2038).
+pub fn imu_message(reading: &ImuSample) -> Option<Imu> {
+    let mut message = Imu {
+        header: header(reading.stamp_ns, "imu")?,
+        angular_velocity: <[f64; 3]>::from(reading.gyroscope).into(),
+        linear_acceleration: <[f64; 3]>::from(reading.accelerometer).into(),
+        ..Imu::default()
+    };
+    message.orientation_covariance[0] = -1.0;
+    Some(message)
+}
+
+/// An image as a message.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum ImageMessage {
+    /// Grey pixels.
+    Raw(Image),
+    /// The bytes of a PNG or JPEG file.
+    Compressed(CompressedImage),
+}
+
+/// An image as a message: a file as it is, anything else as grey pixels; `None` for a time that ROS cannot write.
+///
+/// # Errors
+/// [`ImageError`]: it cannot be read or decoded.
+pub fn image_message(
+    image: &ImageData,
+    stamp_ns: i64,
+    frame: &str,
+) -> Result<Option<ImageMessage>, ImageError> {
+    let Some(header) = header(stamp_ns, frame) else { return Ok(None) };
+    if let Some(path) = image.path() {
+        let data = read(path)?;
+        let format =
+            if data.starts_with(b"\x89PNG") { "mono8; png compressed " } else { "mono8; jpeg compressed " };
+        return Ok(Some(ImageMessage::Compressed(CompressedImage {
+            header,
+            format: format.to_owned(),
+            data,
+        })));
+    }
+    let gray = image.read()?;
+    let (width, height) = (gray.width() as u32, gray.height() as u32);
+    let (encoding, data) = ("mono8".to_owned(), gray.pixels().to_vec());
+    Ok(Some(ImageMessage::Raw(Image { header, height, width, encoding, is_bigendian: 0, step: width, data })))
+}
+
+fn read(path: &Path) -> Result<Vec<u8>, ImageError> {
+    std::fs::read(path)
+        .map_err(|source| ImageError::Source { name: path.display().to_string(), source: source.into() })
+}
+
+fn header(stamp_ns: i64, frame: &str) -> Option<Header> {
+    Some(Header { stamp: Time::from_nanoseconds(stamp_ns)?, frame_id: frame.to_owned() })
+}

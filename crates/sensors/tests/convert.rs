@@ -1,0 +1,86 @@
+//! A recording is the same in every format that it is converted to.
+#![cfg(feature = "bags")]
+#![allow(clippy::unwrap_used, missing_docs)]
+
+use sensors::convert::{ConvertError, Target, convert};
+use sensors::{CalibrationFiles, ImageData, Recording, SensorEvent, SensorSource};
+use std::path::{Path, PathBuf};
+
+fn data(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../bags/tests/data").join(name)
+}
+
+fn calibrated(folder: &Path) -> CalibrationFiles {
+    let mut files = CalibrationFiles::default();
+    files.cameras = Some(folder.to_path_buf());
+    files
+}
+
+fn assert_same(found: &Recording<'_>, expected: &Recording<'_>, name: &str) {
+    assert_eq!(found.calibration().imu, expected.calibration().imu, "{name}");
+    for (found, expected) in found.calibration().cameras.iter().zip(&expected.calibration().cameras) {
+        assert_eq!((&found.camera, found.rate_hz), (&expected.camera, expected.rate_hz), "{name}");
+        assert!(found.imu_from_camera.local(&expected.imu_from_camera).norm() < 1e-12, "{name}");
+    }
+    let events = |recording: &Recording<'_>| {
+        let mut source = recording.source().unwrap();
+        std::iter::from_fn(|| source.next().unwrap()).collect::<Vec<_>>()
+    };
+    let (found, expected) = (events(found), events(expected));
+    assert_eq!(found.len(), expected.len(), "{name}");
+    let pixels = |image: &Option<ImageData>| image.as_ref().map(|image| image.read().unwrap().into_owned());
+    for pair in found.iter().zip(&expected) {
+        match pair {
+            (SensorEvent::Frame(found), SensorEvent::Frame(expected)) => {
+                assert_eq!(found.stamp_ns, expected.stamp_ns, "{name}");
+                assert_eq!(
+                    found.images.each_ref().map(pixels),
+                    expected.images.each_ref().map(pixels),
+                    "{name}"
+                );
+            }
+            (found, expected) => assert_eq!(found, expected, "{name}"),
+        }
+    }
+}
+
+#[test]
+fn readings_images_and_calibration_survive_every_way() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name);
+    let none = CalibrationFiles::default();
+    let expected = Recording::open(&data("euroc")).unwrap();
+    let mut frames = 0;
+    // From the folder to both kinds of bags,
+    let mcap = convert(&data("euroc"), &none, &at("a.mcap"), Target::Mcap, |done| frames = done).unwrap();
+    assert_eq!(Some(frames), expected.contents().frames);
+    assert_same(
+        &Recording::open_with(&at("a.mcap"), &calibrated(&mcap.calibration)).unwrap(),
+        &expected,
+        "mcap",
+    );
+    convert(&data("euroc"), &none, &at("a_rosbag2"), Target::Rosbag2, |_| {}).unwrap();
+    assert_same(&Recording::open(&at("a_rosbag2")).unwrap(), &expected, "rosbag2");
+    // from a bag of ROS 1 to one of ROS 2,
+    let files = calibrated(&data("euroc"));
+    convert(&data("excerpt.bag"), &files, &at("b_rosbag2"), Target::Rosbag2, |_| {}).unwrap();
+    assert_same(&Recording::open(&at("b_rosbag2")).unwrap(), &expected, "rosbag1");
+    // and back to a folder.
+    for (bag, calibration) in [("a.mcap", &mcap.calibration), ("b_rosbag2", &at("b_rosbag2"))] {
+        let out = at(&format!("{bag}_folder"));
+        convert(&at(bag), &calibrated(calibration), &out, Target::Euroc, |_| {}).unwrap();
+        assert_same(&Recording::open(&out).unwrap(), &expected, bag);
+    }
+}
+
+#[test]
+fn nothing_is_overwritten() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("mine.mcap");
+    std::fs::write(&out, "mine").unwrap();
+    for target in [Target::Euroc, Target::Mcap, Target::Rosbag2] {
+        let error = convert(&data("euroc"), &CalibrationFiles::default(), &out, target, |_| {}).unwrap_err();
+        assert!(matches!(error, ConvertError::Exists { .. }), "{error}");
+    }
+    assert_eq!(std::fs::read_to_string(&out).unwrap(), "mine");
+}
