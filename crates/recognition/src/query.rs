@@ -352,7 +352,9 @@ impl LoadedMap {
         let voters: Vec<u8> = descriptors.iter().step_by(step).flatten().copied().collect();
         let voters = DescriptorView::new(descriptors.metric(), descriptors.width(), &voters)?;
         let mut votes = self.index.vote_among(voters, &self.landmarks, self.keyframes.len(), &among)?;
-        votes.iter_mut().for_each(|votes| votes.stand_for(step as u32));
+        for votes in &mut votes {
+            votes.stand_for(step as u32);
+        }
         Ok(votes)
     }
 
