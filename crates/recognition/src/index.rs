@@ -2,8 +2,8 @@
 //!
 //! The prototype descriptors of every landmark of the map (means of its observations' descriptors) are in one inverted
 //! file. A query feature that is near prototypes of `n` different landmarks gives each keyframe that observes one of them
-//! a vote of weight `1/n`, once per keyframe: features that occur everywhere carry no information about the place, and a
-//! wall of equal windows cannot outvote a door.
+//! a vote of weight `1/n`, once per keyframe (of many landmarks, only the nearest count): features that occur everywhere
+//! carry no information about the place, and a wall of equal windows cannot outvote a door.
 
 use protocol::DescriptorKind;
 use sensors::metric_of;
@@ -18,6 +18,10 @@ use super::elements::Landmarks;
 /// Descriptors of one landmark nearer to each other than this part of the largest distance of a match share a
 /// prototype.
 const PROTOTYPE_DISTANCE: f32 = 0.75;
+
+/// Of the prototypes near a feature so many vote, the nearest: one that is near hundreds says little by each, and to count
+/// its votes takes longer than to find them.
+const MAX_VOTED: usize = 32;
 
 /// The weight of a feature that is near one landmark only.
 const FULL_VOTE: u64 = 1 << 20;
@@ -49,6 +53,12 @@ impl Votes {
             self.weight += weight;
             self.features += 1;
         }
+    }
+
+    /// Counts each feature for so many, of which only it has voted.
+    pub(crate) fn stand_for(&mut self, features: u32) {
+        self.weight *= u64::from(features);
+        self.features *= features;
     }
 }
 
@@ -142,10 +152,17 @@ impl LandmarkIndex {
     }
 }
 
-/// Adds the votes of one feature.
+/// Adds the votes of one feature, for what observes the nearest landmarks.
 fn cast_votes(feature: usize, hits: &[Hit], landmarks: &Landmarks, votes: &mut [Votes]) {
-    let mut near: Vec<u32> = hits.iter().map(|hit| hit.payload).collect();
-    let weight = FULL_VOTE / count_distinct(&mut near).max(1) as u64;
+    let mut nearest: Vec<Hit> = hits.to_vec();
+    if hits.len() > MAX_VOTED {
+        let order = |a: &Hit, b: &Hit| a.distance.total_cmp(&b.distance).then(a.payload.cmp(&b.payload));
+        nearest.select_nth_unstable_by(MAX_VOTED, order);
+        nearest.truncate(MAX_VOTED);
+    }
+    let left_out = hits.len() - nearest.len();
+    let mut near: Vec<u32> = nearest.iter().map(|hit| hit.payload).collect();
+    let weight = FULL_VOTE / (left_out + count_distinct(&mut near)).max(1) as u64;
     for &keyframe in near.iter().flat_map(|&landmark| landmarks.observers(landmark as usize)) {
         votes[keyframe as usize].add(feature as u32, weight);
     }
@@ -250,6 +267,27 @@ mod tests {
         let all = vec![true; landmarks.len()];
         let votes = index.vote(query, &landmarks, KEYFRAMES).unwrap();
         assert_eq!(index.vote_among(query, &landmarks, KEYFRAMES, &all).unwrap(), votes);
+    }
+
+    #[test]
+    fn of_many_near_landmarks_the_nearest_vote_with_the_weight_of_all() {
+        let mut landmarks = Landmarks::with_capacity(KEYFRAMES, KEYFRAMES);
+        for number in 0..KEYFRAMES as u32 {
+            let (id, anchor) = (u64::from(number), u64::from(number));
+            let position_in_anchor = Vector3::z();
+            let landmark = Landmark { id, anchor, position_in_anchor, observations: Vec::new() };
+            landmarks.push(&landmark, number, std::iter::once(number));
+        }
+        // The larger the number, the nearer.
+        let distance = |payload: u32| 0.3 - 0.001 * payload as f32;
+        let hits = (0..KEYFRAMES as u32).map(|payload| Hit { distance: distance(payload), payload });
+        let hits: Vec<Hit> = hits.collect();
+        let mut votes = vec![Votes::default(); KEYFRAMES];
+        cast_votes(0, &hits, &landmarks, &mut votes);
+        let first = KEYFRAMES - MAX_VOTED;
+        assert!(votes[..first].iter().all(|votes| votes.features == 0));
+        let weight = FULL_VOTE / KEYFRAMES as u64;
+        assert!(votes[first..].iter().all(|votes| (votes.features, votes.weight) == (1, weight)));
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! Every intermediate result of a query, for diagnosing why an image was recognized or not.
 //!
-//! Candidates, comparison and consensus are those of the answers themselves; here nothing is discarded.
+//! Candidates, comparison and consensus are those of the answers themselves; here nothing is discarded, and candidates that an
+//! answer needs no more are compared too.
 
 use std::collections::HashSet;
 

@@ -32,8 +32,11 @@ const MAX_VIEW_ANGLE: f64 = std::f64::consts::FRAC_PI_2;
 /// times as long as in a whole list.
 const FEW_KEYFRAMES: usize = 8;
 
-/// Fewest keyframes that must agree with a prior before the search near it ends.
+/// Fewest keyframes that must agree before the search ends.
 const MIN_AGREEING: usize = 4;
+
+/// Features that vote for keyframes near a prior, at most: these are few, and the votes only rank them.
+const VOTERS_NEAR_PRIOR: usize = 160;
 
 /// Why a query cannot be answered. "Nothing matched" is an answer, not an error.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -71,20 +74,18 @@ struct Search {
     searched_keyframes: usize,
 }
 
-/// What ends the search near a prior.
-struct Expected<'a> {
-    global_from_camera: &'a PoseWithCovariance,
+/// What makes further candidates of a place needless: they share fewer features with the image.
+struct Sufficient<'a> {
+    prior: Option<&'a PoseWithCovariance>,
     enough: usize,
 }
 
-impl Expected<'_> {
-    /// Whether enough keyframes are verified and all of them agree with the prior. Further candidates share fewer
-    /// features with the image.
+impl Sufficient<'_> {
+    /// Whether enough keyframes are verified, and all of them agree with the prior, or without one with the first.
     fn is_reached(&self, verified: &[VerifiedKeyframe], options: &RecognitionOptions) -> bool {
-        let agrees = |keyframe: &VerifiedKeyframe| {
-            is_consistent(&keyframe.global_from_camera, self.global_from_camera, options)
-        };
-        verified.len() >= self.enough && verified.iter().all(agrees)
+        let Some(first) = verified.first().filter(|_| verified.len() >= self.enough) else { return false };
+        let reference = self.prior.unwrap_or(&first.global_from_camera);
+        verified.iter().all(|keyframe| is_consistent(&keyframe.global_from_camera, reference, options))
     }
 }
 
@@ -275,7 +276,7 @@ impl LoadedMap {
     /// Finds the place of an image: near the prior, and where none is verified there, in the whole map.
     ///
     /// # Arguments
-    /// * `enough`: with a prior, further candidates are not compared once so many keyframes agree with it.
+    /// * `enough`: once so many keyframes agree, further candidates of their place are not compared.
     fn search(
         &self,
         camera: &Camera,
@@ -299,17 +300,18 @@ impl LoadedMap {
         };
         if let Some(prior) = prior {
             let near = self.near(&prior.global_from_camera);
-            let expected = Expected { global_from_camera: &prior.global_from_camera, enough };
+            let sufficient = Sufficient { prior: Some(&prior.global_from_camera), enough };
             let votes = self.votes_near(descriptors, &near)?;
             let candidates = candidates(&votes, &|at| near[at]);
-            let place = self.recognize(&candidates, &image, Some(&expected), options)?;
+            let place = self.recognize(&candidates, &image, &sufficient, options)?;
             if place.outcome == MatchOutcome::Matched {
                 let searched_keyframes = near.iter().filter(|&&near| near).count();
                 return Ok(Search { searched_keyframes, ..place });
             }
         }
         let votes = self.index.vote(descriptors, &self.landmarks, self.keyframes.len())?;
-        let place = self.recognize(&candidates(&votes, &|_| true), &image, None, options)?;
+        let sufficient = Sufficient { prior: None, enough };
+        let place = self.recognize(&candidates(&votes, &|_| true), &image, &sufficient, options)?;
         Ok(Search { searched_keyframes: self.keyframes.len(), ..place })
     }
 
@@ -331,7 +333,8 @@ impl LoadedMap {
         self.keyframes.iter().map(is_near).collect()
     }
 
-    /// The votes for keyframes near a prior. Where these are few, only the landmarks that they observe are searched.
+    /// The votes for keyframes near a prior. Where these are few, some of the features vote, and only the landmarks that
+    /// the keyframes observe are searched.
     pub(super) fn votes_near(
         &self,
         descriptors: DescriptorView<'_>,
@@ -345,23 +348,40 @@ impl LoadedMap {
         for landmark in few.iter().flat_map(|&keyframe| self.observations.of(keyframe).landmarks) {
             among[*landmark as usize] = true;
         }
-        self.index.vote_among(descriptors, &self.landmarks, self.keyframes.len(), &among)
+        let step = descriptors.len().div_ceil(VOTERS_NEAR_PRIOR).max(1);
+        let voters: Vec<u8> = descriptors.iter().step_by(step).flatten().copied().collect();
+        let voters = DescriptorView::new(descriptors.metric(), descriptors.width(), &voters)?;
+        let mut votes = self.index.vote_among(voters, &self.landmarks, self.keyframes.len(), &among)?;
+        for votes in &mut votes {
+            votes.stand_for(step as u32);
+        }
+        Ok(votes)
     }
 
-    /// Compares an image with each candidate, until what is expected is reached, and finds the one place that they agree
-    /// on.
+    /// Compares an image with each candidate and finds the one place that they agree on.
+    ///
+    /// Where enough of them agree, the candidates that remain matter only if they are of another place, which makes the
+    /// answer ambiguous; with a prior not even these.
     fn recognize(
         &self,
         candidates: &[usize],
         image: &Image<'_>,
-        expected: Option<&Expected<'_>>,
+        sufficient: &Sufficient<'_>,
         options: &RecognitionOptions,
     ) -> Result<Search, QueryError> {
         let mut verified: Vec<VerifiedKeyframe> = Vec::new();
         let mut outcome = MatchOutcome::NoMatch;
+        // Whether a keyframe may share a field of view with those that are sufficient.
+        let mut of_the_place: Option<Vec<bool>> = None;
         for &candidate in candidates {
-            if expected.is_some_and(|expected| expected.is_reached(&verified, options)) {
-                break;
+            if of_the_place.is_none() && sufficient.is_reached(&verified, options) {
+                if sufficient.prior.is_some() {
+                    break;
+                }
+                of_the_place = Some(self.near(&verified[0].global_from_camera));
+            }
+            if of_the_place.as_ref().is_some_and(|of_the_place| of_the_place[candidate]) {
+                continue;
             }
             let first = verified.first().map(|first| &first.global_from_camera.pose);
             match compare(self, candidate, image, first, options)? {

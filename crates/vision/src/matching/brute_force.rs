@@ -21,7 +21,7 @@
 //! | 0.25 | 0.7 | 143 | 1.0 |
 
 use super::descriptors::{DescriptorError, DescriptorView, Metric};
-use super::kernels::{least, update_least};
+use super::kernels::{two_least, update_least};
 use super::prepared::PreparedDescriptors;
 use std::collections::HashMap;
 
@@ -87,8 +87,7 @@ pub fn match_descriptors(
     train: DescriptorView<'_>,
     options: &MatchOptions,
 ) -> Result<Vec<Match>, DescriptorError> {
-    let groups: Vec<u64> = (0..train.len() as u64).collect();
-    match_grouped(query, train, &groups, options)
+    match_groups(query, train, &Groups::Single, options)
 }
 
 /// Like [`match_descriptors`], where several train descriptors may belong to the same landmark.
@@ -108,13 +107,21 @@ pub fn match_grouped(
     train_groups: &[u64],
     options: &MatchOptions,
 ) -> Result<Vec<Match>, DescriptorError> {
-    if query.metric() != train.metric() || query.width() != train.width() {
-        return Err(DescriptorError::Mismatch { left: query.width(), right: train.width() });
-    }
     if train_groups.len() != train.len() {
         return Err(DescriptorError::Groups { groups: train_groups.len(), descriptors: train.len() });
     }
-    let groups = dense_groups(train_groups);
+    match_groups(query, train, &dense_groups(train_groups), options)
+}
+
+fn match_groups(
+    query: DescriptorView<'_>,
+    train: DescriptorView<'_>,
+    groups: &Groups,
+    options: &MatchOptions,
+) -> Result<Vec<Match>, DescriptorError> {
+    if query.metric() != train.metric() || query.width() != train.width() {
+        return Err(DescriptorError::Mismatch { left: query.width(), right: train.width() });
+    }
     let (query_data, train_data) = (PreparedDescriptors::new(&query), PreparedDescriptors::new(&train));
     // Indexed by train descriptor, so that the inner loop writes to no other memory.
     let mut nearest_distance = vec![f32::INFINITY; train.len()];
@@ -124,10 +131,10 @@ pub fn match_grouped(
         if options.mutual {
             update_least(row, index as u32, &mut nearest_distance, &mut nearest_index);
         }
-        matches.extend(nearest(index, row, &groups, options));
+        matches.extend(nearest(index, row, groups, options));
     });
     if options.mutual {
-        let nearest_query = nearest_query_of_groups(&groups, &nearest_distance, &nearest_index);
+        let nearest_query = nearest_query_of_groups(groups, &nearest_distance, &nearest_index);
         matches.retain(|found| nearest_query[groups.of(found.train)].1 as usize == found.query);
     }
     Ok(matches)
@@ -135,25 +142,23 @@ pub fn match_grouped(
 
 /// The nearest train descriptor, if it passes the distance threshold and the ratio test.
 fn nearest(query: usize, row: &[f32], groups: &Groups, options: &MatchOptions) -> Option<Match> {
-    let distance = least(row);
+    let (distance, second) = two_least(row);
     if !distance.is_finite() || distance > options.max_distance {
         return None;
     }
     let train = row.iter().position(|&other| other <= distance)?;
-    let passes_ratio =
-        options.ratio.is_none_or(|ratio| distance < ratio * second_nearest(row, train, groups));
+    let second = match groups {
+        Groups::Single => second,
+        Groups::Dense(groups) => second_nearest(row, train, groups),
+    };
+    let passes_ratio = options.ratio.is_none_or(|ratio| distance < ratio * second);
     passes_ratio.then_some(Match { query, train, distance })
 }
 
 /// The smallest distance to a train descriptor of another group than that of `train`, infinite for none.
-fn second_nearest(row: &[f32], train: usize, groups: &Groups) -> f32 {
-    match groups {
-        Groups::Single => least(&row[..train]).min(least(&row[train + 1..])),
-        Groups::Dense(groups) => {
-            let others = row.iter().zip(groups).filter(|&(_, &group)| group != groups[train]);
-            others.fold(f32::INFINITY, |least, (&distance, _)| least.min(distance))
-        }
-    }
+fn second_nearest(row: &[f32], train: usize, groups: &[usize]) -> f32 {
+    let others = row.iter().zip(groups).filter(|&(_, &group)| group != groups[train]);
+    others.fold(f32::INFINITY, |least, (&distance, _)| least.min(distance))
 }
 
 /// Distance and index of the query nearest to any descriptor of each group; ties go to the first query.

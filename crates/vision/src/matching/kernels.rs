@@ -66,10 +66,9 @@ impl<C: Comparison> Row<'_, C> {
     }
 }
 
-/// The fraction of bits that differ.
+/// The number of bits that differ.
 pub(super) struct FlippedBits<'a> {
     pub(super) own: &'a [u64],
-    pub(super) bits: f32,
 }
 
 impl Comparison for FlippedBits<'_> {
@@ -78,7 +77,26 @@ impl Comparison for FlippedBits<'_> {
     #[inline(always)]
     fn with(&self, other: &[u64]) -> f32 {
         let own = &self.own[..other.len()];
-        own.iter().zip(other).map(|(x, y)| (x ^ y).count_ones()).sum::<u32>() as f32 / self.bits
+        own.iter().zip(other).map(|(x, y)| (x ^ y).count_ones()).sum::<u32>() as f32
+    }
+}
+
+/// Turns numbers of bits into fractions of so many: by itself, since divisions one by one take longer than counting.
+pub(super) fn fractions(counts: &mut [f32], bits: f32) {
+    Arch::new().dispatch(Fractions { counts, bits });
+}
+
+struct Fractions<'a> {
+    counts: &'a mut [f32],
+    bits: f32,
+}
+
+impl NullaryFnOnce for Fractions<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        self.counts.iter_mut().for_each(|count| *count /= self.bits);
     }
 }
 
@@ -136,28 +154,48 @@ impl NullaryFnOnce for Int8Distances<'_> {
     }
 }
 
-/// The smallest of many distances, infinite for none.
-pub(super) fn least(distances: &[f32]) -> f32 {
-    Arch::new().dispatch(Least(distances))
+/// The smallest of many distances and the next, infinite where there is none. They are equal where two are.
+pub(super) fn two_least(distances: &[f32]) -> (f32, f32) {
+    Arch::new().dispatch(TwoLeast(distances))
 }
 
-struct Least<'a>(&'a [f32]);
+struct TwoLeast<'a>(&'a [f32]);
 
-impl NullaryFnOnce for Least<'_> {
-    type Output = f32;
+impl NullaryFnOnce for TwoLeast<'_> {
+    type Output = (f32, f32);
 
     #[inline(always)]
-    fn call(self) -> f32 {
-        // Lanes and comparisons, which become vector instructions.
-        let (blocks, rest) = self.0.as_chunks::<32>();
-        let mut lanes = [f32::INFINITY; 32];
+    fn call(self) -> (f32, f32) {
+        let (blocks, rest) = self.0.as_chunks::<LANES>();
+        let mut least = [f32::INFINITY; LANES];
+        let mut second = [f32::INFINITY; LANES];
         for block in blocks {
-            for (lane, &distance) in lanes.iter_mut().zip(block) {
-                *lane = if distance < *lane { distance } else { *lane };
+            for (lane, distance) in block.iter().enumerate() {
+                let larger = larger(*distance, least[lane]);
+                second[lane] = smaller(larger, second[lane]);
+                least[lane] = smaller(*distance, least[lane]);
             }
         }
-        lanes.iter().chain(rest).fold(f32::INFINITY, |least, &distance| least.min(distance))
+        let both = least.iter().chain(&second).chain(rest);
+        both.fold((f32::INFINITY, f32::INFINITY), |(least, second), &distance| {
+            (smaller(distance, least), smaller(larger(distance, least), second))
+        })
     }
+}
+
+/// Numbers in a vector of AVX2, twice: additions of one wait for those of the other.
+const LANES: usize = 16;
+
+/// Comparisons rather than `min` and `max`, which do not become one instruction.
+#[inline(always)]
+fn smaller(new: f32, old: f32) -> f32 {
+    if new < old { new } else { old }
+}
+
+/// NaN for a NaN, which no comparison takes.
+#[inline(always)]
+fn larger(new: f32, old: f32) -> f32 {
+    if new < old { old } else { new }
 }
 
 /// Where `row` is less than `least`, replaces that, and the index beside it by `index`.
@@ -177,10 +215,21 @@ impl NullaryFnOnce for UpdateLeast<'_> {
 
     #[inline(always)]
     fn call(self) {
-        for ((&distance, least), index) in self.row.iter().zip(self.least).zip(self.indices) {
-            let nearer = distance < *least;
-            *least = if nearer { distance } else { *least };
-            *index = if nearer { self.index } else { *index };
+        let (rows, row) = self.row.as_chunks::<LANES>();
+        let (leasts, least) = self.least.as_chunks_mut::<LANES>();
+        let (indices, index) = self.indices.as_chunks_mut::<LANES>();
+        for ((row, least), index) in rows.iter().zip(leasts).zip(indices) {
+            // Copies: of a choice between two places the compiler makes no vector instruction.
+            let (old, old_index) = (*least, *index);
+            for lane in 0..LANES {
+                least[lane] = smaller(row[lane], old[lane]);
+                index[lane] = if row[lane] < old[lane] { self.index } else { old_index[lane] };
+            }
+        }
+        for ((&distance, least), index) in row.iter().zip(least).zip(index) {
+            if distance < *least {
+                (*least, *index) = (distance, self.index);
+            }
         }
     }
 }

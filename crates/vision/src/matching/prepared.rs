@@ -7,7 +7,9 @@ use std::ops::Range;
 use super::descriptors::{
     DescriptorView, Metric, distance_of_cosine, floats, inverse_norm_int8, normalize, number_or_infinite,
 };
-use super::kernels::{DotProduct, Euclidean, FlippedBits, compare_each, int8_distances, int8_products};
+use super::kernels::{
+    DotProduct, Euclidean, FlippedBits, compare_each, fractions, int8_distances, int8_products,
+};
 
 /// Descriptors in the form in which distances are computed fastest.
 pub(crate) enum PreparedDescriptors {
@@ -67,7 +69,8 @@ impl PreparedDescriptors {
             (Self::Bits { words, bits, data }, Self::Bits { data: others, .. }) => {
                 let own = &data[index * words..(index + 1) * words];
                 let others = &others[range.start * words..range.end * words];
-                compare_each(&FlippedBits { own, bits: *bits as f32 }, others, *words, row);
+                compare_each(&FlippedBits { own }, others, *words, row);
+                fractions(row, *bits as f32);
             }
             (Self::Floats { dimension, data, cosine }, Self::Floats { data: others, .. }) => {
                 let own = &data[index * dimension..(index + 1) * dimension];

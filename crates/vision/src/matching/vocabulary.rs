@@ -91,10 +91,14 @@ impl Vocabulary {
         let (mut groups, mut words) = (Nearest::new(GROUP_PROBES), Nearest::new(count));
         let mut nearest = Vec::with_capacity(count);
         for (index, descriptor) in descriptors.iter().enumerate() {
-            numbers.clear();
-            push_unit_numbers(self.metric, descriptor, &mut numbers);
             rounded.clear();
-            rounded.extend(round(&numbers).map(i16::from));
+            if self.metric == Metric::Hamming {
+                rounded.extend(descriptor.iter().flat_map(|&byte| SIGNS_OF_BITS[usize::from(byte)]));
+            } else {
+                numbers.clear();
+                push_unit_numbers(self.metric, descriptor, &mut numbers);
+                rounded.extend(round(&numbers).map(i16::from));
+            }
             groups.ranked.clear();
             self.groups.cosines(0..self.groups.len(), &rounded, &mut cosines);
             groups.add(&cosines, 0);
@@ -147,7 +151,23 @@ impl RoundedVectors {
 fn round(vector: &[f32]) -> impl Iterator<Item = i8> {
     let largest = vector.iter().fold(0.0_f32, |largest, number| largest.max(number.abs()));
     let scale = if largest > 0.0 { 127.0 / largest } else { 0.0 };
-    vector.iter().map(move |number| (number * scale).round() as i8)
+    // Not `round`, which is a function call where the processor may be of any kind.
+    vector.iter().map(move |number| (number * scale + 0.5_f32.copysign(*number)) as i8)
+}
+
+/// The eight bits of a byte as what [`round`] makes of their unit vector.
+static SIGNS_OF_BITS: [[i16; 8]; 256] = signs_of_bits();
+
+const fn signs_of_bits() -> [[i16; 8]; 256] {
+    let mut signs = [[-127; 8]; 256];
+    let mut at = 0;
+    while at < 8 * 256 {
+        if (at / 8) >> (at % 8) & 1 == 1 {
+            signs[at / 8][at % 8] = 127;
+        }
+        at += 1;
+    }
+    signs
 }
 
 /// Unit vectors, one after the other.
