@@ -27,7 +27,7 @@ pub fn run_odometry(
     cameras: usize,
     mut progress: impl FnMut(usize, usize),
 ) -> Result<Odometry> {
-    let mut config = odometry_config(sequence)?;
+    let config = odometry_config(sequence)?;
     let of_sensor = |sensor: &sensors::CameraSensor| CalibratedCamera {
         camera: sensor.camera.clone(),
         imu_from_camera: sensor.imu_from_camera,
@@ -46,7 +46,6 @@ pub fn run_odometry(
     let frames = sequence.frames.len();
     for (index, frame) in sequence.frames.iter_mut().enumerate() {
         progress(index, frames);
-        let begin = next_reading;
         // Up to the first one that is not before the frame.
         while next_reading < sequence.imu_samples.len() {
             let reading = sequence.imu_samples[next_reading];
@@ -63,8 +62,10 @@ pub fn run_odometry(
             if frame.images[0].is_none() {
                 continue;
             }
-            let readings = &sequence.imu_samples[begin.saturating_sub(2)..next_reading];
-            match front_end.track_frame(frame, readings) {
+            let since_ns = front_end.last_stamp_ns().unwrap_or(frame.stamp_ns);
+            let read = &sequence.imu_samples[..next_reading];
+            let begin = read.partition_point(|reading| reading.stamp_ns <= since_ns).saturating_sub(1);
+            match front_end.track_frame(frame, &read[begin..]) {
                 Ok(tracks) => frame.tracks = tracks,
                 Err(error) => {
                     tracing::warn!(%error, "image left out");
@@ -88,10 +89,8 @@ pub fn run_odometry(
     if states.is_empty() {
         bail!("{}: odometry was never initialized: {}", sequence.root.display(), supervisor.status().reason);
     }
-    if let Some(learned) = supervisor.learned_noise() {
-        config.imu_noise = config.imu_noise.inflated(learned.imu_noise_scale);
-    }
-    Ok(Odometry { states, cameras, config })
+    let imu_noise_scale = supervisor.learned_noise().map_or(1.0, |learned| learned.imu_noise_scale);
+    Ok(Odometry { states, cameras, imu_noise_scale, config })
 }
 
 /// Whether images of two cameras follow each other so slowly that points cannot be tracked.

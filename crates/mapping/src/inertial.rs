@@ -125,13 +125,33 @@ impl InertialChain {
         })
     }
 
+    /// The factor on the noise of the IMU by which its readings would fit the bundle: more than 1 where they fit worse than
+    /// stated, and less than 1 where the images leave them freedom.
+    ///
+    /// Six of the fifteen residuals of an interval are left when velocities and biases are estimated.
+    pub(super) fn noise_scale(&self, poses: &[Pose], motions: &[Motion]) -> f64 {
+        if self.intervals.is_empty() {
+            return 1.0;
+        }
+        let squares: f64 =
+            self.intervals.iter().map(|interval| 2.0 * self.interval_cost(interval, poses, motions)).sum();
+        (squares / (6.0 * self.intervals.len() as f64)).sqrt()
+    }
+
+    fn interval_cost(
+        &self,
+        (view, interval): &(usize, PreintegratedImu),
+        poses: &[Pose],
+        motions: &[Motion],
+    ) -> f64 {
+        let [begin, end] = [*view, view + 1].map(|at| self.imu_state(&poses[at], &motions[at]));
+        let residual = interval.residual(&begin, &end);
+        0.5 * residual.dot(&(interval.information * residual))
+    }
+
     /// Half the sum of the squared residuals, in standard deviations.
     pub(super) fn cost(&self, poses: &[Pose], motions: &[Motion]) -> f64 {
-        let of_interval = |(view, interval): &(usize, PreintegratedImu)| {
-            let [begin, end] = [*view, view + 1].map(|at| self.imu_state(&poses[at], &motions[at]));
-            let residual = interval.residual(&begin, &end);
-            0.5 * residual.dot(&(interval.information * residual))
-        };
+        let of_interval = |interval: &(usize, PreintegratedImu)| self.interval_cost(interval, poses, motions);
         let priors = self
             .priors(motions)
             .map(|(_, error, information)| 0.5 * error.component_mul(&error).dot(&information));

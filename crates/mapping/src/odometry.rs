@@ -30,7 +30,9 @@ pub struct Odometry {
     pub states: Vec<(i64, ImuState)>,
     /// Number of cameras that were used: 1 or 2.
     pub cameras: usize,
-    /// Settings of the estimator that was run: the noise of the IMU, gravity, initial standard deviations.
+    /// Factor on the stated noise of the IMU that was learned; 1 where none was.
+    pub imu_noise_scale: f64,
+    /// Settings of the estimator that was run: the stated noise of the IMU, gravity, initial standard deviations.
     pub config: EstimatorConfig,
 }
 

@@ -45,6 +45,8 @@ pub struct BuildReport {
     pub loops: usize,
     /// Those of them that contradict the trajectory.
     pub refused_loops: usize,
+    /// Factor on the stated noise of the IMU by which its readings fit the images; zero for a map from reference poses.
+    pub imu_noise_scale: f64,
     /// Observations that were dropped as outliers.
     pub dropped_observations: usize,
     /// Features that were matched in the second camera.

@@ -79,7 +79,7 @@ pub fn register_stereo_images(
         .map(|pair| (pair.view.stamp_ns, pair.first_from_camera.compose(&imu_from_camera.inverse())))
         .collect();
     let states = align_with_imu(sequence, &poses, config)?;
-    Ok(Odometry { states, cameras: 2, config: config.clone() })
+    Ok(Odometry { states, cameras: 2, imu_noise_scale: 1.0, config: config.clone() })
 }
 
 /// The landmarks that one pair of images shows.

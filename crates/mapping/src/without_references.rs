@@ -4,6 +4,7 @@
 
 use std::time::Instant;
 
+use estimator::EstimatorConfig;
 use geometry::uncertain_pose::PoseWithCovariance;
 use map::contents::MapContents;
 use nalgebra::{Matrix6, Vector3};
@@ -63,14 +64,18 @@ pub fn build_map_from_odometry(
     let cameras = MappingCamera::of_sensors(&sequence.cameras);
     let mut source = FeatureSource::new(extraction, &cameras);
     let mut views = odometry.select_views(sequence, &mut source, &options, progress)?;
-    let report = BuildReport {
+    let mut report = BuildReport {
         keyframes: views.iter().filter(|view| view.is_keyframe()).count(),
         stereo_features: views.iter().map(KeyframeView::stereo_count).sum(),
         unreadable_images: source.unreadable,
         ..BuildReport::default()
     };
     let tracks = add_tracks(&mut views, &sequence.frames, &cameras[0].camera, odometry.cameras > 1);
-    let mut builder = Builder { sequence, odometry, cameras, options, views, tracks, report, progress };
+    report.imu_noise_scale = odometry.imu_noise_scale;
+    let mut config = odometry.config.clone();
+    config.imu_noise = config.imu_noise.inflated(odometry.imu_noise_scale);
+    let mut builder =
+        Builder { sequence, odometry, config, cameras, options, views, tracks, report, progress };
     let (bundle, constraints) = builder.build()?;
     let Builder { cameras, options, views, mut report, progress, .. } = builder;
     let joint = covariance_of(&cameras, &constraints, &bundle, &views, report.sigma_px, progress)?;
@@ -95,6 +100,8 @@ fn contents_of(
 struct Builder<'a, 'p> {
     sequence: &'a Sequence,
     odometry: &'a Odometry,
+    /// Settings of the odometry, with the noise of the IMU as it turns out.
+    config: EstimatorConfig,
     cameras: Vec<MappingCamera>,
     options: BuildOptions,
     views: Vec<KeyframeView<'a>>,
@@ -124,6 +131,7 @@ impl Builder<'_, '_> {
         all.extend(self.matches(&in_space)?);
         let landmarks = self.landmarks(&all);
         motions.clone_from(&bundle.motions);
+        self.learn_imu_noise(&bundle);
         let constraints = self.constraints(&motions);
         self.report.dropped_observations = 0;
         let bundle = self.adjust(&constraints, self.bundle(&motions, landmarks), ROUNDS);
@@ -151,6 +159,14 @@ impl Builder<'_, '_> {
         Ok(bundle)
     }
 
+    /// Increases the stated noise of the IMU where its readings do not fit the images as it says.
+    fn learn_imu_noise(&mut self, bundle: &Bundle) {
+        let chain = self.constraints(&bundle.motions).inertial;
+        let scale = chain.map_or(1.0, |chain| chain.noise_scale(&bundle.poses, &bundle.motions)).max(1.0);
+        self.report.imu_noise_scale *= scale;
+        self.config.imu_noise = self.config.imu_noise.inflated(scale);
+    }
+
     fn matches(&mut self, pairs: &[(usize, usize)]) -> Result<Vec<FeatureMatch>, BuildError> {
         match_all(&self.cameras, &self.views, pairs, &self.options, &mut self.report, self.progress)
     }
@@ -173,7 +189,7 @@ impl Builder<'_, '_> {
         let [sigma_yaw, sigma_tilt, sigma_p] = GAUGE_SIGMAS;
         let stamps_ns: Vec<i64> = self.views.iter().map(|view| view.stamp_ns).collect();
         let imu_from_camera = self.sequence.cameras[0].imu_from_camera;
-        let config = &self.odometry.config;
+        let config = &self.config;
         let readings = &self.sequence.imu_samples;
         Constraints {
             priors: vec![PosePrior {

@@ -29,6 +29,9 @@ const MAX_SIGMA_THETA: f64 = 0.5;
 /// Images that are too far apart to track points are all keyframes, unless the camera stands still, m.
 const MIN_DISTANCE_OF_SPARSE_IMAGES: f64 = 0.01;
 
+/// Real sensors have two to four times the noise that their calibration states, from a sensor at rest.
+const MAX_PLAUSIBLE_NOISE_SCALE: f64 = 6.0;
+
 /// Arguments.
 #[expect(clippy::struct_excessive_bools, reason = "each is a switch of its own")]
 #[derive(Clone, Debug, clap::Args)]
@@ -360,6 +363,15 @@ fn print_report(report: &BuildReport) {
         println!("left out                    {image}");
     }
     println!("pairs matched               {} with {} matches", report.pairs, report.matches);
+    if report.imu_noise_scale > 0.0 {
+        println!("noise of the IMU            {:.1} times the stated", report.imu_noise_scale);
+        if report.imu_noise_scale > MAX_PLAUSIBLE_NOISE_SCALE {
+            println!(
+                "                            images and IMU hardly agree: check the time offset between them, the extrinsics, and the \
+                 noise that the calibration states"
+            );
+        }
+    }
     if report.loops > 0 {
         println!(
             "loops                       {} found, {} of them refused",
