@@ -1,18 +1,19 @@
 //! What the IMU says of consecutive views: preintegrated readings between them.
 
 use estimator::EstimatorConfig;
+use estimator::imu::ImuBuffer;
 use estimator::preintegration::PreintegratedImu;
 use estimator::propagation::{IMU_DIM, ImuMatrix, ImuState};
 use geometry::pose::Pose;
 use geometry::rotation::skew;
-use nalgebra::{DMatrix, DVector, Matrix3, SVector, Vector3};
+use nalgebra::{DMatrix, DVector, Matrix3, Matrix6, SVector, Vector3};
 use sensors::ImuSample;
 
 use super::layout::{MOTION, StateLayout};
 use super::normal_equations::NormalEquations;
 
 /// How far the first and the last reading of an interval may be extrapolated (ns): a few periods of any IMU.
-const SLACK_NS: i64 = 20_000_000;
+pub(super) const IMU_SLACK_NS: i64 = 20_000_000;
 /// Weak priors of every motion (m/s, rad/s, m/s^2), far beyond what a robot does: they keep the equations regular where
 /// readings are missing.
 const MOTION_SIGMAS: [f64; 3] = [50.0, 1.0, 5.0];
@@ -70,14 +71,14 @@ impl InertialChain {
     /// * `stamps_ns`: of the views, on the clock of the IMU.
     /// * `motions`: of the views; the readings are integrated with their biases, those of the first view are the prior.
     pub(super) fn new(
-        readings: &[ImuSample],
+        readings: &ImuBuffer,
         stamps_ns: &[i64],
         motions: &[Motion],
         imu_from_camera: Pose,
         config: &EstimatorConfig,
     ) -> InertialChain {
         let interval = |(begin, ends): (usize, &[i64])| {
-            let between = readings_between(readings, ends[0], ends[1])?;
+            let between = readings.interval(ends[0], ends[1], IMU_SLACK_NS).ok()?;
             let Motion { gyroscope_bias, accelerometer_bias, .. } = motions[begin];
             let preintegrated =
                 PreintegratedImu::new(&between, &gyroscope_bias, &accelerometer_bias, config)?;
@@ -188,41 +189,19 @@ impl InertialChain {
     }
 }
 
-/// The readings from one time to another, interpolated at both ends; `None` where they do not cover the interval.
-pub(super) fn readings_between(readings: &[ImuSample], from_ns: i64, to_ns: i64) -> Option<Vec<ImuSample>> {
-    let (first, last) = (readings.first()?, readings.last()?);
-    if to_ns <= from_ns || first.stamp_ns > from_ns + SLACK_NS || last.stamp_ns < to_ns - SLACK_NS {
-        return None;
+/// All readings of a recording. Those that are not finite or not newer than the one before are left out.
+pub(super) fn buffered(readings: &[ImuSample]) -> ImuBuffer {
+    let mut buffer = ImuBuffer::default();
+    for reading in readings {
+        // The odometry has counted and named them.
+        let _ = buffer.push(*reading);
     }
-    let begin = readings.partition_point(|reading| reading.stamp_ns <= from_ns);
-    let end = readings.partition_point(|reading| reading.stamp_ns < to_ns);
-    let mut between = vec![interpolated(readings, begin, from_ns)];
-    between.extend_from_slice(&readings[begin.min(end)..end]);
-    between.push(interpolated(readings, end, to_ns));
-    Some(between)
-}
-
-/// The reading at a time, between the one at `next` and the one before it.
-fn interpolated(readings: &[ImuSample], next: usize, stamp_ns: i64) -> ImuSample {
-    let after = &readings[next.min(readings.len() - 1)];
-    let before = &readings[next.saturating_sub(1)];
-    let span = (after.stamp_ns - before.stamp_ns) as f64;
-    let fraction =
-        if span > 0.0 { ((stamp_ns - before.stamp_ns) as f64 / span).clamp(0.0, 1.0) } else { 0.0 };
-    ImuSample {
-        stamp_ns,
-        gyroscope: before.gyroscope.lerp(&after.gyroscope, fraction),
-        accelerometer: before.accelerometer.lerp(&after.accelerometer, fraction),
-    }
+    buffer
 }
 
 /// Yaw and position of a pose: the part of it that neither images nor IMU see, as a block of information.
-pub(super) fn gauge_information(
-    sigma_yaw_rad: f64,
-    sigma_tilt_rad: f64,
-    sigma_p_m: f64,
-) -> nalgebra::Matrix6<f64> {
-    let mut information = nalgebra::Matrix6::zeros();
+pub(super) fn gauge_information(sigma_yaw_rad: f64, sigma_tilt_rad: f64, sigma_p_m: f64) -> Matrix6<f64> {
+    let mut information = Matrix6::zeros();
     let tilt = sigma_tilt_rad.powi(-2);
     let rotation = Matrix3::from_diagonal(&Vector3::new(tilt, tilt, sigma_yaw_rad.powi(-2)));
     information.fixed_view_mut::<3, 3>(0, 0).copy_from(&rotation);

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use geometry::pose::Pose;
 use map::contents::MapContents;
 use nalgebra::{DMatrix, Matrix3, Matrix6, SMatrix, Vector3};
 use recognition::{LoadedMap, RecognitionOptions};
@@ -14,7 +15,6 @@ use super::layout::{POSE, StateLayout};
 use super::progress::{Progress, Stage};
 use super::relative_pose::RelativePose;
 use super::sparse_system::SparseFactor;
-use geometry::pose::Pose;
 
 /// Loops of one view that are kept: those with the most matches.
 const LOOPS_A_VIEW: usize = 2;

@@ -2,6 +2,7 @@
 //! earlier ones, and the IMU gives gravity, velocities and biases to the trajectory.
 
 use estimator::EstimatorConfig;
+use estimator::imu::ImuBuffer;
 use estimator::propagation::{GYROSCOPE_BIAS, ImuState, MotionEstimate, Propagated, propagate};
 use geometry::pnp::{Correspondence, PnpSolution, RansacOptions, solve_ransac};
 use geometry::pose::Pose;
@@ -14,7 +15,7 @@ use vision::{MatchOptions, match_descriptors};
 use super::camera::{CameraPose, MappingCamera};
 use super::error::BuildError;
 use super::feature_source::{Extraction, FeatureSource, FrameFeatures};
-use super::inertial::readings_between;
+use super::inertial::{IMU_SLACK_NS, buffered};
 use super::keyframe_selection::rays;
 use super::keyframe_view::KeyframeView;
 use super::odometry::Odometry;
@@ -157,12 +158,13 @@ fn align_with_imu(
     poses: &[(i64, Pose)],
     config: &EstimatorConfig,
 ) -> Result<Vec<(i64, ImuState)>, BuildError> {
-    let without_bias = intervals(sequence, poses, Vector3::zeros(), config);
+    let readings = buffered(&sequence.imu_samples);
+    let without_bias = intervals(&readings, poses, Vector3::zeros(), config);
     if poses.len() < 3 || without_bias.len() < 2 {
         return Err(BuildError::TooFewRegistered { images: sequence.frames.len(), located: poses.len() });
     }
     let gyroscope_bias = gyroscope_bias(poses, &without_bias);
-    let intervals = intervals(sequence, poses, gyroscope_bias, config);
+    let intervals = intervals(&readings, poses, gyroscope_bias, config);
     let solution = velocities_and_gravity(poses, &intervals).ok_or(BuildError::Indefinite)?;
     let gravity: Vector3<f64> = solution.fixed_rows::<3>(3 * poses.len()).into_owned();
     let magnitude = gravity.norm();
@@ -186,7 +188,7 @@ fn align_with_imu(
 }
 
 fn intervals(
-    sequence: &Sequence,
+    readings: &ImuBuffer,
     poses: &[(i64, Pose)],
     gyroscope_bias: Vector3<f64>,
     config: &EstimatorConfig,
@@ -200,9 +202,9 @@ fn intervals(
     };
     let interval = |(begin, ends): (usize, &[(i64, Pose)])| {
         let seconds = (ends[1].0 - ends[0].0) as f64 * 1e-9;
-        let readings = readings_between(&sequence.imu_samples, ends[0].0, ends[1].0)
-            .filter(|_| seconds <= MAX_INTERVAL_S)?;
-        let change = propagate(&rest, &MotionEstimate::of(&rest), &readings, &config.imu_noise, 0.0);
+        let between = readings.interval(ends[0].0, ends[1].0, IMU_SLACK_NS).ok();
+        let between = between.filter(|_| seconds <= MAX_INTERVAL_S)?;
+        let change = propagate(&rest, &MotionEstimate::of(&rest), &between, &config.imu_noise, 0.0);
         Some(Interval { begin, seconds, change })
     };
     poses.windows(2).enumerate().filter_map(interval).collect()

@@ -19,7 +19,7 @@ use sensors::{CameraSensor, Frame, ImuSample, ReferencePose, Sequence};
 
 use super::bundle_adjustment::{Bundle, PosePrior, Problem};
 use super::camera::{CameraPose, MappingCamera};
-use super::inertial::{InertialChain, Motion};
+use super::inertial::{InertialChain, Motion, buffered};
 use super::joint_covariance::joint_covariance;
 use super::keyframe_selection::stated_covariance;
 use super::landmark::{InverseDepthLandmark, LandmarkObservation};
@@ -508,7 +508,7 @@ fn the_equations_are_the_gradient_of_the_cost() {
     let config = EstimatorConfig::default();
     // The third view has no readings of its own.
     let stamps_ns = [3_000_000, 700_000_000, 5_000_000_000];
-    let chain = InertialChain::new(&readings, &stamps_ns, &motions, imu_from_camera, &config);
+    let chain = InertialChain::new(&buffered(&readings), &stamps_ns, &motions, imu_from_camera, &config);
     let prior = PoseWithCovariance::new(pose(), isotropic_covariance(0.1, 0.2));
     let relative = RelativePose {
         views: [0, 2],

@@ -5,7 +5,8 @@
 use std::time::Instant;
 
 use estimator::EstimatorConfig;
-use geometry::uncertain_pose::PoseWithCovariance;
+use estimator::imu::ImuBuffer;
+use geometry::uncertain_pose::{PoseWithCovariance, isotropic_covariance};
 use map::contents::MapContents;
 use nalgebra::{Matrix6, Vector3};
 use sensors::Sequence;
@@ -15,7 +16,7 @@ use super::bundle_adjustment::{Bundle, PosePrior};
 use super::camera::MappingCamera;
 use super::error::BuildError;
 use super::feature_source::{Extraction, FeatureSource};
-use super::inertial::{InertialChain, Motion, gauge_information};
+use super::inertial::{InertialChain, Motion, buffered, gauge_information};
 use super::joint_covariance::JointCovariance;
 use super::keyframe_view::{FeatureId, KeyframeView};
 use super::landmark::InverseDepthLandmark;
@@ -26,8 +27,8 @@ use super::options::{BuildOptions, FIRST_SIGMA_PX};
 use super::pipeline::{check, match_all, triangulate_all};
 use super::progress::Progress;
 use super::refinement::{Constraints, ROUNDS, covariance_of, refine_all};
+use super::relative_pose::RelativePose;
 use super::report::BuildReport;
-use geometry::uncertain_pose::isotropic_covariance;
 
 /// What defines G: standard deviations of yaw (rad), of the tilt that only gravity gives (rad), and of the position (m) of
 /// the first view.
@@ -72,10 +73,11 @@ pub fn build_map_from_odometry(
     };
     let tracks = add_tracks(&mut views, &sequence.frames, &cameras[0].camera, odometry.cameras > 1);
     report.imu_noise_scale = odometry.imu_noise_scale;
+    let readings = buffered(&sequence.imu_samples);
     let mut config = odometry.config.clone();
     config.imu_noise = config.imu_noise.inflated(odometry.imu_noise_scale);
     let mut builder =
-        Builder { sequence, odometry, config, cameras, options, views, tracks, report, progress };
+        Builder { sequence, readings, odometry, config, cameras, options, views, tracks, report, progress };
     let (bundle, constraints) = builder.build()?;
     let Builder { cameras, options, views, mut report, progress, .. } = builder;
     let joint = covariance_of(&cameras, &constraints, &bundle, &views, report.sigma_px, progress)?;
@@ -99,6 +101,7 @@ fn contents_of(
 /// What the stages share.
 struct Builder<'a, 'p> {
     sequence: &'a Sequence,
+    readings: ImuBuffer,
     odometry: &'a Odometry,
     /// Settings of the odometry, with the noise of the IMU as it turns out.
     config: EstimatorConfig,
@@ -190,14 +193,13 @@ impl Builder<'_, '_> {
         let stamps_ns: Vec<i64> = self.views.iter().map(|view| view.stamp_ns).collect();
         let imu_from_camera = self.sequence.cameras[0].imu_from_camera;
         let config = &self.config;
-        let readings = &self.sequence.imu_samples;
         Constraints {
             priors: vec![PosePrior {
                 view: 0,
                 pose: self.views[0].prior.pose,
                 information: gauge_information(sigma_yaw, sigma_tilt, sigma_p),
             }],
-            inertial: Some(InertialChain::new(readings, &stamps_ns, motions, imu_from_camera, config)),
+            inertial: Some(InertialChain::new(&self.readings, &stamps_ns, motions, imu_from_camera, config)),
             relative_poses: Vec::new(),
         }
     }
@@ -212,7 +214,7 @@ impl Builder<'_, '_> {
         refine_all(&self.cameras, constraints, bundle, rounds, &self.options, &mut self.report, self.progress)
     }
 
-    fn find_loops(&mut self, bundle: &Bundle) -> Result<Vec<super::relative_pose::RelativePose>, BuildError> {
+    fn find_loops(&mut self, bundle: &Bundle) -> Result<Vec<RelativePose>, BuildError> {
         self.set_priors(bundle, LOCAL_SIGMAS);
         let keyframes = self.views.iter().enumerate().filter(|(_, view)| view.is_keyframe());
         let [sigma_theta, sigma_p] = SEARCH_SIGMAS;
