@@ -13,3 +13,4 @@ pub mod playback;
 pub mod plotting;
 pub mod query_image;
 pub mod server_query;
+pub mod stage_bar;

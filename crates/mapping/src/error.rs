@@ -109,6 +109,34 @@ pub enum BuildError {
         /// Magnitude of gravity (m/s^2).
         gravity: f64,
     },
+    /// A COLMAP model has no scale.
+    #[error(
+        "no two images of the model are a stereo pair of the recording (names with the same time stamp in cam0 and cam1), so \
+         its scale is unknown: give the metres in its unit of length with --scale"
+    )]
+    ColmapScale,
+    /// An image has another size than its camera in a COLMAP model.
+    #[error(
+        "{image} has {} x {} pixels, but the model's camera has {} x {}: give the images that the model was made of",
+        size.0, size.1, calibrated.0, calibrated.1
+    )]
+    ColmapImageSize {
+        /// Its name.
+        image: String,
+        /// Its columns and rows.
+        size: (usize, usize),
+        /// Columns and rows by the model.
+        calibrated: (usize, usize),
+    },
+    /// No point of a COLMAP model has descriptors.
+    #[error(
+        "no point of the model has a feature of the extractor in two images ({unreadable} images cannot be read): check the \
+         folder of images, and raise --max-features"
+    )]
+    NoDescribedPoints {
+        /// Images that cannot be read.
+        unreadable: usize,
+    },
     /// Place recognition cannot search the map.
     #[error("places seen again cannot be searched: {0}")]
     Recognition(#[from] recognition::QueryError),

@@ -13,7 +13,8 @@
 //! | the joint covariance of the refined poses | `joint_covariance` |
 //! | the map is assembled | `assemble` |
 //!
-//! [`build_map`] runs them all (`pipeline`); [`build_map_from_odometry`] without reference poses (`without_references`). The map states the refined poses, each with its covariance and its
+//! [`build_map`] runs them all (`pipeline`); [`build_map_from_odometry`] without reference poses (`without_references`); [`import_colmap`] takes
+//! poses and points from a COLMAP model instead (`colmap`). The map states the refined poses, each with its covariance and its
 //! cross-covariances with other keyframes, so that a robot can weight keyframes whose errors are correlated.
 //! With [`StoredPoses::Given`] it states the reference poses instead, whose errors are independent. Landmarks come from the
 //! refinement either way, in their anchors' camera frames; the estimator uses them as linearization points only, beside the
@@ -26,6 +27,7 @@
 mod assemble;
 mod bundle_adjustment;
 mod camera;
+mod colmap;
 mod error;
 mod feature_source;
 mod inertial;
@@ -54,6 +56,7 @@ mod tracks;
 mod triangulation;
 mod without_references;
 
+pub use colmap::{ColmapFrame, ColmapImport, Gravity, import_colmap};
 pub use error::BuildError;
 pub use feature_source::Extraction;
 pub use odometry::Odometry;

@@ -14,7 +14,7 @@ use super::relative_pose::RelativePose;
 use super::report::BuildReport;
 
 /// An observation is dropped when its reprojection error after refinement exceeds this (standard deviations of a pixel).
-const REPROJECTION_GATE: f64 = 4.0;
+pub(super) const REPROJECTION_GATE: f64 = 4.0;
 /// Rounds of bundle adjustment of a finished map; outliers are dropped after each.
 pub(super) const ROUNDS: usize = 3;
 /// Limits of the estimated pixel noise (px). The images of a map agree better with each other than with a robot's: with
@@ -128,22 +128,33 @@ pub(super) fn covariance_of(
     Ok(joint_covariance(&factor, layout, &keyframes, &positions, show))
 }
 
-/// The pixel noise from the residuals of a refined bundle (px): that of the median landmark, which is robust to outliers. The squared residuals of a landmark with `n` observations, over the noise's variance, are chi-square distributed
-/// with `2n - 3` degrees of freedom, whose median Wilson and Hilferty approximate. `None` without landmarks.
+/// The pixel noise from the residuals of a refined bundle (px); `None` without landmarks.
 fn estimated_sigma_px(bundle: &Bundle, cameras: &[MappingCamera]) -> Option<f64> {
     let poses = bundle.camera_poses();
-    let variance = |landmark: &InverseDepthLandmark| {
-        let freedom = (2 * landmark.observations.len() - 3) as f64;
-        let median = freedom * (1.0 - 2.0 / (9.0 * freedom)).powi(3);
-        landmark.errors(cameras, &poses).iter().map(|error| error * error).sum::<f64>() / median
-    };
-    let variances = |least_views: usize| -> Vec<f64> {
-        let observed = bundle.landmarks.iter().filter(|landmark| landmark.view_count() >= least_views);
-        observed.map(variance).filter(|value| value.is_finite()).collect()
+    let of = |least_views: usize| {
+        let observed = bundle.landmarks.iter().filter(move |landmark| landmark.view_count() >= least_views);
+        observed.map(|landmark| landmark.errors(cameras, &poses))
     };
     // A stereo pair at one instant agrees better than views from different places, as a robot's will be.
-    let mut variances =
-        Some(variances(2)).filter(|all| all.len() >= MIN_LANDMARKS).unwrap_or_else(|| variances(1));
+    if of(2).count() >= MIN_LANDMARKS { median_sigma_px(of(2)) } else { median_sigma_px(of(1)) }
+}
+
+/// The pixel noise (px) by the median landmark, which is robust to outliers. The squared residuals of a landmark with `n`
+/// observations, over the noise's variance, are chi-square distributed with `2n - 3` degrees of freedom, whose median
+/// Wilson and Hilferty approximate.
+///
+/// # Arguments
+/// * `landmarks`: reprojection errors of each landmark, at least two (px).
+///
+/// # Returns
+/// The noise within [`SIGMA_PX_LIMITS`]; `None` without landmarks.
+pub(super) fn median_sigma_px(landmarks: impl Iterator<Item = Vec<f64>>) -> Option<f64> {
+    let variance = |errors: Vec<f64>| {
+        let freedom = (2 * errors.len() - 3) as f64;
+        let median = freedom * (1.0 - 2.0 / (9.0 * freedom)).powi(3);
+        errors.iter().map(|error| error * error).sum::<f64>() / median
+    };
+    let mut variances: Vec<f64> = landmarks.map(variance).filter(|value| value.is_finite()).collect();
     if variances.is_empty() {
         return None;
     }

@@ -158,33 +158,57 @@ fn align_with_imu(
     poses: &[(i64, Pose)],
     config: &EstimatorConfig,
 ) -> Result<Vec<(i64, ImuState)>, BuildError> {
-    let readings = buffered(&sequence.imu_samples);
-    let without_bias = intervals(&readings, poses, Vector3::zeros(), config);
-    if poses.len() < 3 || without_bias.len() < 2 {
-        return Err(BuildError::TooFewRegistered { images: sequence.frames.len(), located: poses.len() });
-    }
-    let gyroscope_bias = gyroscope_bias(poses, &without_bias);
-    let intervals = intervals(&readings, poses, gyroscope_bias, config);
-    let solution = velocities_and_gravity(poses, &intervals).ok_or(BuildError::Indefinite)?;
-    let gravity: Vector3<f64> = solution.fixed_rows::<3>(3 * poses.len()).into_owned();
-    let magnitude = gravity.norm();
-    if !(PLAUSIBLE_GRAVITY[0]..=PLAUSIBLE_GRAVITY[1]).contains(&magnitude) {
-        return Err(BuildError::ContradictsImu { gravity: magnitude });
-    }
+    let (intervals, gyroscope_bias) = unbiased_intervals(sequence, poses, config)?;
+    let Alignment { velocities, gravity, .. } = velocities_and_gravity(poses, &intervals)?;
     let up_from_first = UnitQuaternion::rotation_between(&gravity, &-Vector3::z())
         .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI));
     let local_from_first = Pose::new(up_from_first, -(up_from_first * poses[0].1.translation));
     let state = |(index, (stamp_ns, pose)): (usize, &(i64, Pose))| {
-        let velocity: Vector3<f64> = solution.fixed_rows::<3>(3 * index).into_owned();
         let state = ImuState {
             local_from_imu: local_from_first.compose(pose),
-            velocity: up_from_first * velocity,
+            velocity: up_from_first * velocities[index],
             gyroscope_bias,
             accelerometer_bias: Vector3::zeros(),
         };
         (*stamp_ns, state)
     };
     Ok(poses.iter().enumerate().map(state).collect())
+}
+
+/// Gravity in the frame of a trajectory, as the readings of the IMU say.
+///
+/// # Arguments
+/// * `poses`: of the IMU, with their time stamps (ns), in any frame, metric.
+///
+/// # Returns
+/// Gravity (m/s^2) and the standard deviation of its direction (rad).
+///
+/// # Errors
+/// [`BuildError::TooFewRegistered`], [`BuildError::ContradictsImu`].
+pub(super) fn gravity_of(
+    sequence: &Sequence,
+    poses: &[(i64, Pose)],
+    config: &EstimatorConfig,
+) -> Result<(Vector3<f64>, f64), BuildError> {
+    let (intervals, _) = unbiased_intervals(sequence, poses, config)?;
+    let Alignment { gravity, gravity_covariance, .. } = velocities_and_gravity(poses, &intervals)?;
+    let largest = gravity_covariance.symmetric_eigenvalues().max();
+    Ok((gravity, largest.sqrt() / gravity.norm()))
+}
+
+/// The readings between poses, integrated with the bias of the gyroscope that the rotations of the poses show.
+fn unbiased_intervals(
+    sequence: &Sequence,
+    poses: &[(i64, Pose)],
+    config: &EstimatorConfig,
+) -> Result<(Vec<Interval>, Vector3<f64>), BuildError> {
+    let readings = buffered(&sequence.imu_samples);
+    let without_bias = intervals(&readings, poses, Vector3::zeros(), config);
+    if poses.len() < 3 || without_bias.len() < 2 {
+        return Err(BuildError::TooFewRegistered { images: sequence.frames.len(), located: poses.len() });
+    }
+    let gyroscope_bias = gyroscope_bias(poses, &without_bias);
+    Ok((intervals(&readings, poses, gyroscope_bias, config), gyroscope_bias))
 }
 
 fn intervals(
@@ -224,11 +248,23 @@ fn gyroscope_bias(poses: &[(i64, Pose)], intervals: &[Interval]) -> Vector3<f64>
     information.try_inverse().map_or_else(Vector3::zeros, |inverse| inverse * gradient)
 }
 
+/// How a trajectory moves, in its own frame.
+struct Alignment {
+    /// Of each pose (m/s).
+    velocities: Vec<Vector3<f64>>,
+    /// m/s^2.
+    gravity: Vector3<f64>,
+    gravity_covariance: Matrix3<f64>,
+}
+
 /// The velocity of each pose and gravity, in the frame of the poses, by linear least squares:
 /// ```text
 /// p_j - p_i = v_i T + g T^2 / 2 + R_i dp,   v_j - v_i = g T + R_i dv
 /// ```
-fn velocities_and_gravity(poses: &[(i64, Pose)], intervals: &[Interval]) -> Option<DVector<f64>> {
+///
+/// # Errors
+/// [`BuildError::ContradictsImu`] for a gravity that is none, [`BuildError::Indefinite`].
+fn velocities_and_gravity(poses: &[(i64, Pose)], intervals: &[Interval]) -> Result<Alignment, BuildError> {
     let dim = 3 * poses.len() + 3;
     let mut system = SparseSystem::new(dim);
     let mut right = DVector::zeros(dim);
@@ -254,7 +290,20 @@ fn velocities_and_gravity(poses: &[(i64, Pose)], intervals: &[Interval]) -> Opti
             }
         }
     }
-    Some(system.factor()?.solve(&right))
+    let factor = system.factor().ok_or(BuildError::Indefinite)?;
+    let solution = factor.solve(&right);
+    let triple = |index: usize| Vector3::from(solution.fixed_rows::<3>(3 * index));
+    let gravity = triple(poses.len());
+    let magnitude = gravity.norm();
+    if !(PLAUSIBLE_GRAVITY[0]..=PLAUSIBLE_GRAVITY[1]).contains(&magnitude) {
+        return Err(BuildError::ContradictsImu { gravity: magnitude });
+    }
+    let inverse = factor.inverse_columns(&[dim - 3, dim - 2, dim - 1]);
+    Ok(Alignment {
+        velocities: (0..poses.len()).map(triple).collect(),
+        gravity,
+        gravity_covariance: inverse.fixed_view::<3, 3>(dim - 3, 0).into_owned(),
+    })
 }
 
 #[cfg(test)]

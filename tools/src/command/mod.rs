@@ -10,6 +10,7 @@ pub mod evaluate;
 pub mod export_colmap;
 pub mod export_map;
 pub mod fleet;
+pub mod import_colmap;
 pub mod import_map;
 #[cfg(feature = "bags")]
 pub mod info;
@@ -40,6 +41,8 @@ pub enum Command {
     BuildMap(build_map::Args),
     /// Import a plain-text map
     ImportMap(import_map::Args),
+    /// Make a map of a COLMAP model and its images
+    ImportColmap(import_colmap::Args),
     /// Export a map as plain text
     ExportMap(export_map::Args),
     /// Export a map as a COLMAP model
@@ -87,6 +90,7 @@ impl Command {
             Self::Simulate(args) => simulate::run(&args),
             Self::BuildMap(args) => build_map::run(args),
             Self::ImportMap(args) => import_map::run(args),
+            Self::ImportColmap(args) => import_colmap::run(args),
             Self::ExportMap(args) => export_map::run(args),
             Self::ExportColmap(args) => export_colmap::run(args),
             Self::MapInfo(args) => map_info::run(args),

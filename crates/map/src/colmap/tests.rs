@@ -1,6 +1,6 @@
 //! A written model against COLMAP's own definitions.
 
-use super::{ColmapError, write_model};
+use super::{ColmapError, read_model, write_model};
 use crate::MapContents;
 use crate::model::{Keyframe, Landmark, MapMetadata, Observation};
 use geometry::camera::{Camera, Distortion};
@@ -83,4 +83,28 @@ fn points_project_to_their_pixels_by_colmaps_definitions() {
     }
     let again = write_model(folder.path(), &map(), |_| String::new());
     assert!(matches!(again, Err(ColmapError::Occupied { .. })), "{again:?}");
+}
+
+#[test]
+fn a_written_model_is_read_back() {
+    let folder = tempfile::tempdir().unwrap();
+    let map = map();
+    write_model(folder.path(), &map, |keyframe| format!("{}.png", keyframe.stamp_ns)).unwrap();
+    let model = read_model(folder.path()).unwrap();
+    assert_eq!((model.images.len(), model.points.len()), (2, 3));
+    for keyframe in &map.keyframes {
+        let image = &model.images[&u32::try_from(keyframe.id).unwrap()];
+        assert!(image.world_from_camera.local(&keyframe.global_from_keyframe.pose).norm() < 1e-12);
+        let camera = &model.cameras[&image.camera];
+        assert_eq!((camera.focal, camera.distortion), (keyframe.camera.focal, keyframe.camera.distortion));
+        assert!((camera.centre[0] - keyframe.camera.centre[0]).abs() < 1e-9);
+        let seen = map
+            .landmarks
+            .iter()
+            .flat_map(|landmark| landmark.observations.iter().map(|seen| (landmark.id, seen)));
+        for (id, seen) in seen.filter(|(_, seen)| seen.keyframe == keyframe.id) {
+            let read = image.pixels.iter().find(|pixel| pixel.point == id).unwrap();
+            assert!((read.pixel[0] - f64::from(seen.pixel[0])).abs() < 1e-9);
+        }
+    }
 }

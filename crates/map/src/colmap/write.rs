@@ -2,42 +2,16 @@
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use geometry::camera::{Camera, Distortion};
 use nalgebra::Vector2;
 use protocol::{KeyframeId, LandmarkId};
 
-use crate::contents::{ContentsError, MapContents};
+use super::error::ColmapError;
+use super::{BINARY_FILES, PIXEL_OFFSET, TEXT_FILES};
+use crate::contents::MapContents;
 use crate::model::{Keyframe, Landmark};
-
-/// The files of a model.
-const FILES: [&str; 3] = ["cameras.txt", "images.txt", "points3D.txt"];
-/// From our pixels to COLMAP's.
-const PIXEL_OFFSET: f64 = 0.5;
-
-/// Why a model cannot be written.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum ColmapError {
-    /// The map violates an invariant.
-    #[error("the map is invalid: {0}")]
-    Contents(#[from] ContentsError),
-    /// The folder holds a model already.
-    #[error("{} holds a COLMAP model already: give another folder", path.display())]
-    Occupied {
-        /// The folder.
-        path: PathBuf,
-    },
-    /// A file or folder could not be written.
-    #[error("cannot write {}: {reason}; check the folder's rights and free space", path.display())]
-    Write {
-        /// The file.
-        path: PathBuf,
-        /// The error of the system.
-        reason: std::io::Error,
-    },
-}
 
 /// Writes a map as a COLMAP model into a folder, which is made if needed.
 ///
@@ -52,14 +26,14 @@ pub fn write_model(
     image_name: impl Fn(&Keyframe) -> String,
 ) -> Result<(), ColmapError> {
     contents.validate()?;
-    if FILES.iter().any(|name| folder.join(name).exists()) {
+    if TEXT_FILES.iter().chain(&BINARY_FILES).any(|name| folder.join(name).exists()) {
         return Err(ColmapError::Occupied { path: folder.to_owned() });
     }
     std::fs::create_dir_all(folder)
         .map_err(|reason| ColmapError::Write { path: folder.to_owned(), reason })?;
     let model = Model::new(contents);
     let texts = [model.cameras_text(), model.images_text(&image_name), model.points_text()];
-    for (name, text) in FILES.iter().zip(texts) {
+    for (name, text) in TEXT_FILES.iter().zip(texts) {
         let path = folder.join(name);
         std::fs::write(&path, text).map_err(|reason| ColmapError::Write { path, reason })?;
     }

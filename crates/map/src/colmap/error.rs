@@ -1,0 +1,87 @@
+//! Why a COLMAP model cannot be written or read.
+
+use crate::contents::ContentsError;
+use std::path::PathBuf;
+
+/// Why a model cannot be written.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ColmapError {
+    /// The map violates an invariant.
+    #[error("the map is invalid: {0}")]
+    Contents(#[from] ContentsError),
+    /// The folder holds a model already.
+    #[error("{} holds a COLMAP model already: give another folder", path.display())]
+    Occupied {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// A file or folder could not be written.
+    #[error("cannot write {}: {reason}; check the folder's rights and free space", path.display())]
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// The error of the system.
+        reason: std::io::Error,
+    },
+}
+
+/// Why a model cannot be read.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ReadColmapError {
+    /// The folder holds no model.
+    #[error(
+        "{} holds no COLMAP model: cameras, images and points3D are needed, all .bin or all .txt",
+        path.display()
+    )]
+    NoModel {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// A file cannot be read.
+    #[error("cannot read {}: {reason}", path.display())]
+    File {
+        /// The file.
+        path: PathBuf,
+        /// The error of the system.
+        reason: std::io::Error,
+    },
+    /// A file ends early, or holds what no model holds.
+    #[error("{} is damaged at {position}: {problem}", path.display())]
+    Damaged {
+        /// The file.
+        path: PathBuf,
+        /// The line or byte.
+        position: String,
+        /// What is wrong.
+        problem: String,
+    },
+    /// A camera of a model that has no counterpart here.
+    #[error(
+        "camera {camera} has the model {model}, which is not supported: convert it with `colmap model_converter` or \
+         undistort the images (supported are PINHOLE, RADIAL, OPENCV, FOV, OPENCV_FISHEYE and their simple forms)"
+    )]
+    CameraModel {
+        /// Id of the camera.
+        camera: u32,
+        /// Name or number of its model.
+        model: String,
+    },
+    /// The parameters of a camera are impossible.
+    #[error("camera {camera} is invalid: {problem}")]
+    Camera {
+        /// Id of the camera.
+        camera: u32,
+        /// What is wrong.
+        problem: geometry::CameraError,
+    },
+    /// An image names a camera or point that the model does not have.
+    #[error("image {image} names {what}, which the model does not have: is it one model's files?")]
+    Dangling {
+        /// Name of the image.
+        image: String,
+        /// What it names.
+        what: String,
+    },
+}

@@ -1,0 +1,146 @@
+//! The joint covariance of a COLMAP model's poses, from its own reprojection errors.
+//!
+//! The model is at the minimum of its reprojection errors. Their second derivative there, with the points eliminated, is
+//! the information of the poses; it leaves the frame free, which the first image, the scale and gravity fix. The scale is
+//! an observation of the distance between the two keyframes that are farthest apart, so that its error is common to all.
+
+use super::frame::ColmapFrame;
+use crate::error::BuildError;
+use crate::inertial::gauge_information;
+use crate::joint_covariance::{JointCovariance, joint_covariance};
+use crate::layout::{POSE, StateLayout};
+use crate::normal_equations::{LandmarkBlocks, NormalEquations};
+use geometry::Pose;
+use geometry::camera::Camera;
+use geometry::rotation::skew;
+use nalgebra::{DMatrix, DVector, Matrix2x3, Matrix2x6, Matrix6x3, Vector2, Vector3};
+
+/// Standard deviations that fix the frame: of yaw (rad), of the tilt where gravity says none (rad), and of the position
+/// (m) of the first image.
+const GAUGE_SIGMAS: [f64; 3] = [1e-4, 1e-3, 1e-3];
+
+/// A point and the images that see it.
+pub(super) struct Point {
+    /// Id in the model.
+    pub(super) id: u64,
+    /// Position in G (m).
+    pub(super) position: Vector3<f64>,
+    /// View, index of its pixel there, and the pixel.
+    pub(super) seen: Vec<(usize, usize, Vector2<f64>)>,
+}
+
+/// An image: its camera and pose in G (m).
+pub(super) struct View {
+    pub(super) camera: Camera,
+    pub(super) pose: Pose,
+}
+
+impl View {
+    fn in_camera(&self, position: &Vector3<f64>) -> Vector3<f64> {
+        self.pose.inverse_transform(position)
+    }
+
+    /// Reprojection error (px), infinite where the point is not visible.
+    pub(super) fn error(&self, position: &Vector3<f64>, pixel: &Vector2<f64>) -> f64 {
+        self.camera.project(&self.in_camera(position)).map_or(f64::INFINITY, |at| (at - pixel).norm())
+    }
+
+    /// Jacobians of the pixel by the pose's error `[δθ, δp]` in G and by the position of the point.
+    ///
+    /// ```text
+    /// d = R^T (x - p),   dd/dtheta = R^T [x - p]x,   dd/dp = -R^T,   dd/dx = R^T
+    /// ```
+    fn jacobians(&self, position: &Vector3<f64>) -> Option<(Matrix2x6<f64>, Matrix2x3<f64>)> {
+        let (_, by_camera) = self.camera.project_with_jacobian(&self.in_camera(position)).ok()?;
+        let by_point = by_camera * self.pose.rotation.inverse().to_rotation_matrix().matrix();
+        let mut by_pose = Matrix2x6::zeros();
+        let by_rotation = by_point * skew(&(position - self.pose.translation));
+        by_pose.fixed_view_mut::<2, 3>(0, 0).copy_from(&by_rotation);
+        by_pose.fixed_view_mut::<2, 3>(0, 3).copy_from(&-by_point);
+        Some((by_pose, by_point))
+    }
+}
+
+/// The joint covariance of all views.
+///
+/// # Arguments
+/// * `sigma_px`: standard deviation of a pixel (px).
+///
+/// # Errors
+/// [`BuildError::Indefinite`].
+pub(super) fn covariance(
+    views: &[View],
+    points: &[Point],
+    frame: &ColmapFrame,
+    sigma_px: f64,
+    progress: impl FnMut(usize, usize),
+) -> Result<JointCovariance, BuildError> {
+    let layout = StateLayout { views: views.len(), inertial: false };
+    let mut equations = NormalEquations::new(layout);
+    add_frame(&mut equations, layout, views, frame);
+    for point in points {
+        add_point(&mut equations, views, point, sigma_px);
+    }
+    let factor = equations.system().factor().ok_or(BuildError::Indefinite)?;
+    let positions: Vec<_> = views.iter().map(|view| view.pose.translation).collect();
+    let all: Vec<usize> = (0..views.len()).collect();
+    Ok(joint_covariance(&factor, layout, &all, &positions, progress))
+}
+
+fn add_point(equations: &mut NormalEquations, views: &[View], point: &Point, sigma_px: f64) {
+    let weight = sigma_px.powi(-2);
+    let mut blocks = LandmarkBlocks::default();
+    for &(view, ..) in &point.seen {
+        let Some((by_pose, by_point)) = views[view].jacobians(&point.position) else { continue };
+        let weighted = by_pose.transpose() * weight;
+        equations.add_pose(view, &(weighted * by_pose), &nalgebra::Vector6::zeros());
+        let coupling: Matrix6x3<f64> = weighted * by_point;
+        blocks.couplings.push((view, coupling));
+        blocks.information += by_point.transpose() * by_point * weight;
+    }
+    equations.add_landmark(blocks);
+}
+
+/// What fixes the frame: the first view, with the tilt that gravity leaves, and the scale.
+fn add_frame(equations: &mut NormalEquations, layout: StateLayout, views: &[View], frame: &ColmapFrame) {
+    let [sigma_yaw, sigma_tilt, sigma_p] = GAUGE_SIGMAS;
+    let sigma_tilt = frame.gravity.as_ref().map_or(sigma_tilt, |gravity| gravity.sigma_rad.max(sigma_tilt));
+    let up = frame.gravity.as_ref().map_or(Vector3::z(), |gravity| -gravity.in_global);
+    let global_from_upright =
+        nalgebra::UnitQuaternion::rotation_between(&Vector3::z(), &up).unwrap_or_else(|| {
+            nalgebra::UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI)
+        });
+    let turn = global_from_upright.to_rotation_matrix();
+    let mut information = gauge_information(sigma_yaw, sigma_tilt, sigma_p);
+    let turned = turn.matrix() * information.fixed_view::<3, 3>(0, 0) * turn.matrix().transpose();
+    information.fixed_view_mut::<3, 3>(0, 0).copy_from(&turned);
+    equations.add_residual(
+        layout.pose(0).collect(),
+        &DMatrix::identity(POSE, POSE),
+        &DMatrix::from_column_slice(POSE, POSE, information.as_slice()),
+        &DVector::zeros(POSE),
+    );
+    let Some((a, b)) = farthest(views) else { return };
+    let apart = views[b].pose.translation - views[a].pose.translation;
+    let direction = apart.normalize();
+    let mut jacobian = DMatrix::zeros(1, 6);
+    jacobian.fixed_view_mut::<1, 3>(0, 0).copy_from(&-direction.transpose());
+    jacobian.fixed_view_mut::<1, 3>(0, 3).copy_from(&direction.transpose());
+    let sigma = (frame.sigma_scale * apart.norm()).max(1e-6);
+    let position = |view: usize| layout.pose(view).skip(3);
+    equations.add_residual(
+        position(a).chain(position(b)).collect(),
+        &jacobian,
+        &DMatrix::from_element(1, 1, sigma.powi(-2)),
+        &DVector::zeros(1),
+    );
+}
+
+/// Two views that are far apart: the farthest from the first, and the farthest from that one.
+fn farthest(views: &[View]) -> Option<(usize, usize)> {
+    let distance = |a: usize, b: usize| (views[a].pose.translation - views[b].pose.translation).norm();
+    let from = |a: usize| (0..views.len()).max_by(|x, y| distance(a, *x).total_cmp(&distance(a, *y)));
+    let a = from(0)?;
+    let b = from(a)?;
+    (distance(a, b) > 0.0).then_some((a, b))
+}

@@ -1,0 +1,146 @@
+//! The frame of a COLMAP model: its unit of length in metres, and where gravity points in it.
+
+use crate::error::BuildError;
+use crate::stereo_registration::gravity_of;
+use estimator::EstimatorConfig;
+use geometry::Pose;
+use map::colmap::{ColmapImage, ColmapModel};
+use nalgebra::{UnitQuaternion, Vector3};
+use sensors::Sequence;
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// Relative standard deviation of a scale that stereo calibration gives: calibrated baselines are off by about so much.
+const SIGMA_SCALE: f64 = 0.01;
+/// From the median absolute deviation to a standard deviation, for normal errors.
+const MAD_TO_SIGMA: f64 = 1.4826;
+
+/// How G lies in a model's frame.
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct ColmapFrame {
+    /// Metres in the model's unit of length.
+    pub scale: f64,
+    /// Relative standard deviation of the scale.
+    pub sigma_scale: f64,
+    /// Rotation from the model's frame to G.
+    pub global_from_model: UnitQuaternion<f64>,
+    /// What is known of gravity.
+    pub gravity: Option<Gravity>,
+}
+
+/// The direction of gravity.
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct Gravity {
+    /// Unit vector in which gravity points, in G.
+    pub in_global: Vector3<f64>,
+    /// Standard deviation of the tilt (rad).
+    pub sigma_rad: f64,
+}
+
+impl ColmapFrame {
+    /// A model that is metric already, or whose unit of length is known; G is its frame.
+    ///
+    /// # Arguments
+    /// * `scale`: metres in the model's unit of length.
+    /// * `sigma_scale`: relative standard deviation of the scale.
+    /// * `gravity`: direction in which gravity points in the model's frame, where known; it is taken as exact.
+    pub fn given(scale: f64, sigma_scale: f64, gravity: Option<Vector3<f64>>) -> ColmapFrame {
+        let gravity = gravity.map(|in_global| Gravity { in_global, sigma_rad: 0.0 });
+        ColmapFrame { scale, sigma_scale, global_from_model: UnitQuaternion::identity(), gravity }
+    }
+
+    /// The frame of a model of a recording's images: the baseline of its stereo pairs gives the unit of length, its IMU
+    /// the direction of gravity. G has z up.
+    ///
+    /// Images belong to the recording's by their time stamps, which their names state (`cam0/1403715273262142976.jpg`);
+    /// those in a folder named `cam1` are of its second camera.
+    ///
+    /// # Arguments
+    /// * `scale`: known metres in the model's unit of length with their relative standard deviation; `None` to find them.
+    ///
+    /// # Errors
+    /// [`BuildError::ColmapScale`] without stereo pairs, [`BuildError::TooFewRegistered`] and
+    /// [`BuildError::ContradictsImu`] where the readings do not fit.
+    pub fn of_recording(
+        model: &ColmapModel,
+        sequence: &Sequence,
+        scale: Option<(f64, f64)>,
+        config: &EstimatorConfig,
+    ) -> Result<ColmapFrame, BuildError> {
+        let images = stamped(model);
+        let (scale, sigma_scale) = match scale {
+            Some(known) => known,
+            None => stereo_scale(&images, sequence).ok_or(BuildError::ColmapScale)?,
+        };
+        let camera_from_imu = sequence.cameras[0].imu_from_camera.inverse();
+        let pose = |(&(stamp_ns, camera), image): (&(i64, usize), &&ColmapImage)| {
+            let Pose { rotation, translation } = image.world_from_camera;
+            (camera == 0)
+                .then(|| (stamp_ns, Pose::new(rotation, translation * scale).compose(&camera_from_imu)))
+        };
+        let poses: Vec<(i64, Pose)> = images.iter().filter_map(pose).collect();
+        let (gravity, sigma_rad) = gravity_of(sequence, &poses, config)?;
+        let down = -Vector3::z();
+        let global_from_model = UnitQuaternion::rotation_between(&gravity, &down)
+            .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI));
+        Ok(ColmapFrame {
+            scale,
+            sigma_scale,
+            global_from_model,
+            gravity: Some(Gravity { in_global: down, sigma_rad }),
+        })
+    }
+
+    /// A pose of the model in G, metric.
+    pub(super) fn pose(&self, world_from_camera: &Pose) -> Pose {
+        Pose::new(
+            self.global_from_model * world_from_camera.rotation,
+            self.point(&world_from_camera.translation),
+        )
+    }
+
+    /// A point of the model in G, metric.
+    pub(super) fn point(&self, in_model: &Vector3<f64>) -> Vector3<f64> {
+        self.global_from_model * in_model * self.scale
+    }
+}
+
+/// When an image was taken (ns), where its name says so.
+pub(super) fn stamp_ns(name: &str) -> Option<i64> {
+    Path::new(name).file_stem()?.to_str()?.parse().ok()
+}
+
+/// The images whose names are time stamps, by time stamp and camera.
+fn stamped<'m>(model: &'m ColmapModel) -> BTreeMap<(i64, usize), &'m ColmapImage> {
+    let stamped = |image: &'m ColmapImage| {
+        let second = Path::new(&image.name).components().any(|part| part.as_os_str() == "cam1");
+        Some(((stamp_ns(&image.name)?, usize::from(second)), image))
+    };
+    model.images.values().filter_map(stamped).collect()
+}
+
+/// Metres in the unit of length by the median stereo pair, and the relative standard deviation; `None` without pairs.
+fn stereo_scale(images: &BTreeMap<(i64, usize), &ColmapImage>, sequence: &Sequence) -> Option<(f64, f64)> {
+    let [first, second, ..] = &sequence.cameras[..] else { return None };
+    let baseline = (first.imu_from_camera.translation - second.imu_from_camera.translation).norm();
+    let ratio = |(&(stamp_ns, camera), image): (&(i64, usize), &&ColmapImage)| {
+        let other = images.get(&(stamp_ns, 1)).filter(|_| camera == 0)?;
+        let apart = image.world_from_camera.translation - other.world_from_camera.translation;
+        Some(baseline / apart.norm()).filter(|ratio| ratio.is_finite())
+    };
+    let mut ratios: Vec<f64> = images.iter().filter_map(ratio).collect();
+    let scale = median(&mut ratios)?;
+    let mut deviations: Vec<f64> = ratios.iter().map(|ratio| (ratio / scale - 1.0).abs()).collect();
+    let scatter = MAD_TO_SIGMA * median(&mut deviations)? / (ratios.len() as f64).sqrt();
+    Some((scale, SIGMA_SCALE.hypot(scatter)))
+}
+
+fn median(values: &mut [f64]) -> Option<f64> {
+    if values.is_empty() {
+        return None;
+    }
+    let middle = values.len() / 2;
+    Some(*values.select_nth_unstable_by(middle, f64::total_cmp).1)
+}

@@ -1,0 +1,167 @@
+//! `driftless import-colmap`: a map from a COLMAP model and its images.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::bail;
+use map::colmap::{ColmapModel, read_model};
+use map::store::{ensure_free, save_map};
+use mapping::{ColmapFrame, Extraction, import_colmap};
+use nalgebra::Vector3;
+use onboard::extraction::FeatureArguments;
+use sensors::{CalibrationFiles, Sequence};
+use serde_json::json;
+use vision::GrayImage;
+
+use super::import_map::parse_direction;
+use crate::odometry::odometry_config;
+use crate::stage_bar::StageBar;
+
+/// Arguments.
+#[derive(Clone, Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    driftless import-colmap sparse/0 --images my_run --map my.db\n  \
+    driftless import-colmap sparse/0 --images photos --map hall.db --scale 0.42 --gravity 0,1,0\n\n\
+    MODEL holds cameras, images and points3D, as .bin or .txt. Its poses, points and pixels become those of the map;\n\
+    descriptors come from the images, and the covariance from the model's reprojection errors.\n\n\
+    A model has no unit of length and no direction of gravity. Where the images are those of a recording with two\n\
+    cameras and an IMU, its baseline and readings give both: images belong to it by their names, which are time stamps\n\
+    in folders cam0 and cam1. Otherwise --scale and --gravity state them.")]
+pub struct Args {
+    /// Folder of the model
+    #[arg(value_name = "MODEL")]
+    pub model: PathBuf,
+    /// Folder of the images that the model names, or the recording that they are of
+    #[arg(long, value_name = "DIR")]
+    pub images: PathBuf,
+    /// Database to create
+    #[arg(long, value_name = "DB")]
+    pub map: PathBuf,
+    /// The recording that gives scale and gravity [default: DIR, where it is a recording]
+    #[arg(long, value_name = "SEQ")]
+    pub recording: Option<PathBuf>,
+    /// Metres in the model's unit of length [default: by the stereo baseline of the recording]
+    #[arg(long, value_name = "M")]
+    pub scale: Option<f64>,
+    /// Standard deviation of --scale, relative
+    #[arg(long, value_name = "PART", default_value_t = 0.01)]
+    pub sigma_scale: f64,
+    /// Direction in which gravity points in the model's frame, which becomes that of the map, for example 0,1,0
+    /// [default: by the IMU of the recording, with z up]
+    #[arg(long, value_name = "X,Y,Z", value_parser = parse_direction, allow_hyphen_values = true)]
+    pub gravity: Option<Vector3<f64>>,
+    /// How features are extracted from images
+    #[command(flatten)]
+    pub features: FeatureArguments,
+    /// Replace an existing map: the new one is its next version, with the same identity
+    #[arg(long)]
+    pub force: bool,
+    /// Print the result as JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// A model that cannot be read, a scale that is not known, readings that contradict it, a database that exists already.
+#[expect(clippy::needless_pass_by_value, reason = "every command owns its arguments")]
+pub fn run(args: Args) -> anyhow::Result<()> {
+    ensure_free(&args.map, args.force)?;
+    let model = read_model(&args.model)?;
+    let frame = frame(&args, &model)?;
+    let mut extractor = args.features.open()?;
+    let mut extraction = Extraction {
+        extractor: extractor.as_mut(),
+        max_features: args.features.max_features,
+        mask: None,
+        stereo: false,
+    };
+    let mut bar = StageBar::new(args.json);
+    let name = args.map.file_stem().unwrap_or(args.map.as_os_str()).to_string_lossy();
+    let created_by = format!("driftless import-colmap {}", args.model.display());
+    let read = |name: &str| GrayImage::read(&path_of(&args.images, name));
+    let imported = import_colmap(
+        &model,
+        &frame,
+        read,
+        &mut extraction,
+        [&name, &created_by],
+        &mut |stage, done, all| {
+            bar.show(stage, done, all);
+        },
+    );
+    bar.finish();
+    let (contents, report) = imported?;
+    let saved = save_map(&args.map, &contents, args.force)?;
+    if args.json {
+        println!(
+            "{:#}",
+            json!({ "map": args.map, "version": saved.version, "identity": saved.identity, "report": report })
+        );
+        return Ok(());
+    }
+    println!("{}: version {} of map {}", args.map.display(), saved.version, saved.identity);
+    println!("  keyframes                 {} of {} images", report.keyframes, model.images.len());
+    println!("  landmarks                 {} of {} points", report.landmarks, model.points.len());
+    println!(
+        "  observations              {} with a descriptor, {} without, which are left out",
+        report.observations, report.undescribed_observations
+    );
+    println!(
+        "  scale                     {:.5} m in the model's unit, sigma {:.1} %",
+        report.scale,
+        100.0 * report.sigma_scale
+    );
+    println!("  sigma of a pixel          {:.2} px", report.sigma_px);
+    match &frame.gravity {
+        Some(gravity) => {
+            let [x, y, z] = gravity.in_global.into();
+            println!(
+                "  gravity                   {x:.3}, {y:.3}, {z:.3}, sigma {:.2} deg",
+                gravity.sigma_rad.to_degrees()
+            );
+        }
+        None => {
+            println!("  gravity                   not known");
+        }
+    }
+    for image in &report.unreadable_images {
+        eprintln!("left out: {image}");
+    }
+    Ok(())
+}
+
+/// Scale and gravity, by the switches or the recording.
+fn frame(args: &Args, model: &ColmapModel) -> anyhow::Result<ColmapFrame> {
+    let positive = |value: f64| value.is_finite() && value > 0.0;
+    if let Some(scale) = args.scale.filter(|scale| !positive(*scale)) {
+        bail!("--scale {scale}: give a positive number of metres");
+    }
+    if !positive(args.sigma_scale) {
+        bail!("--sigma-scale {}: give a positive number, for example 0.01", args.sigma_scale);
+    }
+    let scale = args.scale.map(|scale| (scale, args.sigma_scale));
+    let is_recording = args.images.join("mav0").is_dir();
+    let recording = args.recording.as_ref().or(is_recording.then_some(&args.images));
+    match (recording, scale, args.gravity) {
+        (Some(recording), scale, None) => {
+            let sequence = Sequence::open_with(recording, &CalibrationFiles::default())?;
+            Ok(ColmapFrame::of_recording(model, &sequence, scale, &odometry_config(&sequence)?)?)
+        }
+        (_, Some((scale, sigma)), gravity) => Ok(ColmapFrame::given(scale, sigma, gravity)),
+        (_, None, _) => bail!(
+            "a COLMAP model has no unit of length: give the metres in it with --scale, or the recording of its images with \
+             --recording SEQ"
+        ),
+    }
+}
+
+/// The file of an image: below the folder, or where a recording in the EuRoC layout has it.
+fn path_of(folder: &Path, name: &str) -> PathBuf {
+    let direct = folder.join(name);
+    let parts = Path::new(name).parent().zip(Path::new(name).file_name());
+    match parts {
+        Some((camera, file)) if !direct.exists() => folder.join("mav0").join(camera).join("data").join(file),
+        _ => direct,
+    }
+}
