@@ -128,6 +128,17 @@ pub enum BuildError {
         /// Columns and rows by the model.
         calibrated: (usize, usize),
     },
+    /// The poses of a COLMAP model have no covariance.
+    #[error(
+        "the model does not determine the poses of its images: {image} sees only {points} points that fit their pixels; \
+         remove such images with `colmap image_deleter`"
+    )]
+    ColmapUndetermined {
+        /// The image that sees the fewest points.
+        image: String,
+        /// Their number.
+        points: usize,
+    },
     /// No point of a COLMAP model has descriptors.
     #[error(
         "no point of the model has a feature of the extractor in two images ({unreadable} images cannot be read): check the \

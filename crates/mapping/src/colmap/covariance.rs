@@ -5,7 +5,6 @@
 //! an observation of the distance between the two keyframes that are farthest apart, so that its error is common to all.
 
 use super::frame::ColmapFrame;
-use crate::error::BuildError;
 use crate::inertial::gauge_information;
 use crate::joint_covariance::{JointCovariance, joint_covariance};
 use crate::layout::{POSE, StateLayout};
@@ -66,25 +65,25 @@ impl View {
 /// # Arguments
 /// * `sigma_px`: standard deviation of a pixel (px).
 ///
-/// # Errors
-/// [`BuildError::Indefinite`].
+/// # Returns
+/// `None` where the points do not determine the poses.
 pub(super) fn covariance(
     views: &[View],
     points: &[Point],
     frame: &ColmapFrame,
     sigma_px: f64,
     progress: impl FnMut(usize, usize),
-) -> Result<JointCovariance, BuildError> {
+) -> Option<JointCovariance> {
     let layout = StateLayout { views: views.len(), inertial: false };
     let mut equations = NormalEquations::new(layout);
     add_frame(&mut equations, layout, views, frame);
     for point in points {
         add_point(&mut equations, views, point, sigma_px);
     }
-    let factor = equations.system().factor().ok_or(BuildError::Indefinite)?;
+    let factor = equations.system().factor()?;
     let positions: Vec<_> = views.iter().map(|view| view.pose.translation).collect();
     let all: Vec<usize> = (0..views.len()).collect();
-    Ok(joint_covariance(&factor, layout, &all, &positions, progress))
+    Some(joint_covariance(&factor, layout, &all, &positions, progress))
 }
 
 fn add_point(equations: &mut NormalEquations, views: &[View], point: &Point, sigma_px: f64) {

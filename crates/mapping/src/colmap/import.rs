@@ -74,9 +74,9 @@ pub fn import_colmap(
     let scene = Scene::new(model, frame);
     let (points, sigma_px) = scene.inliers();
     report.sigma_px = sigma_px;
-    let joint = covariance(&scene.views, &points, frame, sigma_px, |done, all| {
-        progress(Stage::Covariance, done, all);
-    })?;
+    let show = |done, all| progress(Stage::Covariance, done, all);
+    let joint = covariance(&scene.views, &points, frame, sigma_px, show)
+        .ok_or_else(|| scene.undetermined(&points))?;
     let mut info = MapMetadata::new(
         name,
         created_by,
@@ -159,6 +159,20 @@ impl<'a> Scene<'a> {
             (seen.len() > 1).then_some(Point { id: point.id, position: point.position, seen })
         };
         (self.points.iter().filter_map(fitting).collect(), sigma_px)
+    }
+
+    /// The error that names the image which sees the fewest points.
+    fn undetermined(&self, points: &[Point]) -> BuildError {
+        let mut counts = vec![0; self.views.len()];
+        for (view, ..) in points.iter().flat_map(|point| &point.seen) {
+            counts[*view] += 1;
+        }
+        let fewest = (0..counts.len()).min_by_key(|view| counts[*view]);
+        let (image, points) = fewest.map_or_else(
+            || ("no image".to_owned(), 0),
+            |view| (self.images[view].1.name.clone(), counts[view]),
+        );
+        BuildError::ColmapUndetermined { image, points }
     }
 
     /// The points with descriptors in at least two images.

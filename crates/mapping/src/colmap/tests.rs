@@ -196,3 +196,21 @@ fn points_that_do_not_fit_are_left_out_and_images_of_another_size_are_named() {
     let error = import([752, 480], false).unwrap_err();
     assert!(matches!(error, BuildError::NoDescribedPoints { unreadable: 5 }), "{error}");
 }
+
+#[test]
+fn images_that_share_no_points_are_named() {
+    let mut model = ColmapModel::default();
+    model.cameras.insert(1, camera());
+    for id in 1..3 {
+        let name = format!("{id}.png");
+        let image = ColmapImage { name, camera: 1, world_from_camera: Pose::identity(), pixels: Vec::new() };
+        model.images.insert(id, image);
+    }
+    let mut extractor = vision::features::open("sift-1", None).unwrap();
+    let mut extraction =
+        crate::Extraction { extractor: extractor.as_mut(), max_features: 50, mask: None, stereo: false };
+    let read = |_: &str| Ok(vision::GrayImage::from_fn(752, 480, |_, _| 0));
+    let names = ["hall", "test"];
+    let error = super::import_colmap(&model, &frame(), read, &mut extraction, names, &mut |_, _, _| {});
+    assert!(matches!(&error, Err(BuildError::ColmapUndetermined { points: 0, .. })), "{error:?}");
+}
