@@ -18,7 +18,6 @@ use crate::propagation::{
     ACCELEROMETER_BIAS, GYROSCOPE_BIAS, ImuError, ImuMatrix, ImuState, MotionEstimate, Propagated, VELOCITY,
     propagate,
 };
-use geometry::Pose;
 use geometry::rotation::{exp, left_jacobian_inverse, log, right_jacobian, right_jacobian_inverse, skew};
 use nalgebra::{Matrix3, Vector3};
 
@@ -55,15 +54,8 @@ impl PreintegratedImu {
         accelerometer_bias: &Vector3<f64>,
         config: &EstimatorConfig,
     ) -> Option<Self> {
-        let zero = Vector3::zeros();
-        let rest = ImuState {
-            local_from_imu: Pose::identity(),
-            velocity: zero,
-            gyroscope_bias: *gyroscope_bias,
-            accelerometer_bias: *accelerometer_bias,
-        };
-        let motion = MotionEstimate { position: zero, velocity: zero };
-        let integrated = propagate(&rest, &motion, readings, &config.imu_noise, 0.0);
+        let rest = ImuState::at_rest(*gyroscope_bias, *accelerometer_bias);
+        let integrated = propagate(&rest, &MotionEstimate::of(&rest), readings, &config.imu_noise, 0.0);
         let seconds = (readings.last()?.stamp_ns - readings.first()?.stamp_ns) as f64 * 1e-9;
         let information = integrated.noise.cholesky()?.inverse();
         Some(Self { seconds, gravity: Vector3::new(0.0, 0.0, -config.gravity), integrated, information })

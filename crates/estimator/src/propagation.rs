@@ -47,6 +47,16 @@ pub struct ImuState {
 }
 
 impl ImuState {
+    /// At the origin without velocity: where readings are integrated from by themselves.
+    pub fn at_rest(gyroscope_bias: Vector3<f64>, accelerometer_bias: Vector3<f64>) -> Self {
+        Self {
+            local_from_imu: Pose::identity(),
+            velocity: Vector3::zeros(),
+            gyroscope_bias,
+            accelerometer_bias,
+        }
+    }
+
     /// Adds an error `[δθ, δp, δv, δb_g, δb_a]`.
     #[must_use]
     pub fn retract(&self, error: &ImuError) -> Self {

@@ -6,8 +6,9 @@ use std::collections::HashMap;
 use estimator::EstimatorConfig;
 use estimator::propagation::ImuState;
 use geometry::camera::Camera;
+use geometry::uncertain_pose::PoseWithCovariance;
 use nalgebra::Vector2;
-use protocol::FeatureSet;
+use protocol::{DescriptorFormat, FeatureSet};
 use sensors::{Frame, ReferencePose, Sequence};
 
 use super::error::BuildError;
@@ -54,14 +55,8 @@ impl Odometry {
         options: &BuildOptions,
         progress: Progress<'_>,
     ) -> Result<Vec<KeyframeView<'a>>, BuildError> {
-        let [sigma_theta, sigma_p] = LOCAL_SIGMAS;
-        let references: Vec<ReferencePose> = self
-            .states
-            .iter()
-            .map(|(stamp_ns, state)| {
-                ReferencePose::isotropic(*stamp_ns, state.local_from_imu, sigma_theta, sigma_p)
-            })
-            .collect();
+        let references: Vec<ReferencePose> =
+            self.states.iter().map(|(stamp_ns, state)| local_reference(*stamp_ns, state)).collect();
         let without_states = || sequence.frames.iter().all(|frame| self.at(frame.stamp_ns).is_none());
         if without_states() {
             return Err(BuildError::NoOdometry { states: self.states.len() });
@@ -74,16 +69,9 @@ impl Odometry {
                 let frames = between(&sequence.frames, last_ns, keyframe.stamp_ns);
                 for frame in spaced(frames, last_ns, keyframe.stamp_ns) {
                     let Some(state) = self.at(frame.stamp_ns) else { continue };
-                    let reference =
-                        ReferencePose::isotropic(frame.stamp_ns, state.local_from_imu, sigma_theta, sigma_p);
-                    views.push(KeyframeView {
-                        stamp_ns: frame.stamp_ns,
-                        features: Cow::Owned(FeatureSet::empty(format)),
-                        tracked: Vec::new(),
-                        stereo: Vec::new(),
-                        rays: Vec::new(),
-                        prior: camera_pose(&reference, &sequence.cameras[0].imu_from_camera, options),
-                    });
+                    let reference = local_reference(frame.stamp_ns, state);
+                    let prior = camera_pose(&reference, &sequence.cameras[0].imu_from_camera, options);
+                    views.push(bridging_view(frame.stamp_ns, prior, format));
                 }
             }
             views.push(keyframe);
@@ -93,6 +81,24 @@ impl Odometry {
             return Err(BuildError::NoOdometry { states: self.states.len() });
         }
         Ok(views)
+    }
+}
+
+/// The pose of a state, as certain as it is relative to its neighbours.
+fn local_reference(stamp_ns: i64, state: &ImuState) -> ReferencePose {
+    let [sigma_theta, sigma_p] = LOCAL_SIGMAS;
+    ReferencePose::isotropic(stamp_ns, state.local_from_imu, sigma_theta, sigma_p)
+}
+
+/// A view without features of its own, which ties keyframes together by tracks.
+fn bridging_view<'a>(stamp_ns: i64, prior: PoseWithCovariance, format: DescriptorFormat) -> KeyframeView<'a> {
+    KeyframeView {
+        stamp_ns,
+        features: Cow::Owned(FeatureSet::empty(format)),
+        tracked: Vec::new(),
+        stereo: Vec::new(),
+        rays: Vec::new(),
+        prior,
     }
 }
 
@@ -137,7 +143,7 @@ pub(super) fn add_tracks(
     let view_at: HashMap<i64, usize> =
         views.iter().enumerate().map(|(index, view)| (view.stamp_ns, index)).collect();
     let mut tracks: Vec<Vec<FeatureId>> = Vec::new();
-    // Of each point in the last frame: the frame and its track.
+    // The track of each point that the last frame shows.
     let mut alive: HashMap<u64, usize> = HashMap::new();
     for frame in frames {
         let seen = frame.tracks.iter().filter(|point| point.camera == 0);

@@ -47,12 +47,7 @@ pub fn build_map(
     let cameras = MappingCamera::of_sensors(&sequence.cameras);
     let mut source = FeatureSource::new(extraction, &cameras);
     let views = select_keyframes(sequence, references, &mut source, options, progress)?;
-    let mut report = BuildReport {
-        keyframes: views.len(),
-        stereo_features: views.iter().map(KeyframeView::stereo_count).sum(),
-        unreadable_images: source.unreadable,
-        ..BuildReport::default()
-    };
+    let mut report = BuildReport::of_views(&views, source.unreadable);
     let pairs = matching::pairs(&views, options);
     let matches = match_all(&cameras, &views, &pairs, options, &mut report, progress)?;
     let landmarks = triangulate_all(&cameras, &views, matches, Vec::new(), options, &mut report, progress);

@@ -3,6 +3,8 @@
 use protocol::KeyframeId;
 use serde::Serialize;
 
+use super::keyframe_view::KeyframeView;
+
 /// Mean, median and 95th percentile.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Spread {
@@ -80,6 +82,16 @@ pub struct BuildReport {
 }
 
 impl BuildReport {
+    /// The statistics of the selected views.
+    pub(super) fn of_views(views: &[KeyframeView<'_>], unreadable_images: Vec<String>) -> BuildReport {
+        BuildReport {
+            keyframes: views.iter().filter(|view| view.is_keyframe()).count(),
+            stereo_features: views.iter().map(KeyframeView::stereo_count).sum(),
+            unreadable_images,
+            ..BuildReport::default()
+        }
+    }
+
     /// A keyframe with fewer landmarks than this does not localize a robot: PnP needs 8 inliers.
     pub const FEW_LANDMARKS: usize = 10;
 }

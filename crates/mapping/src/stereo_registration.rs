@@ -217,13 +217,7 @@ fn intervals(
     gyroscope_bias: Vector3<f64>,
     config: &EstimatorConfig,
 ) -> Vec<Interval> {
-    let zero = Vector3::zeros();
-    let rest = ImuState {
-        local_from_imu: Pose::identity(),
-        velocity: zero,
-        gyroscope_bias,
-        accelerometer_bias: zero,
-    };
+    let rest = ImuState::at_rest(gyroscope_bias, Vector3::zeros());
     let interval = |(begin, ends): (usize, &[(i64, Pose)])| {
         let seconds = (ends[1].0 - ends[0].0) as f64 * 1e-9;
         let between = readings.interval(ends[0].0, ends[1].0, IMU_SLACK_NS).ok();

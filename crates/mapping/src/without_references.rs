@@ -1,6 +1,6 @@
 //! Map building without reference poses: odometry, loops, and one visual-inertial bundle adjustment.
 //!
-//! G has z up, its origin at the first view's camera and the yaw that odometry gave it.
+//! G is the frame of the odometry: z up, origin and yaw of its first pose.
 
 use std::time::Instant;
 
@@ -65,12 +65,7 @@ pub fn build_map_from_odometry(
     let cameras = MappingCamera::of_sensors(&sequence.cameras);
     let mut source = FeatureSource::new(extraction, &cameras);
     let mut views = odometry.select_views(sequence, &mut source, &options, progress)?;
-    let mut report = BuildReport {
-        keyframes: views.iter().filter(|view| view.is_keyframe()).count(),
-        stereo_features: views.iter().map(KeyframeView::stereo_count).sum(),
-        unreadable_images: source.unreadable,
-        ..BuildReport::default()
-    };
+    let mut report = BuildReport::of_views(&views, source.unreadable);
     let tracks = add_tracks(&mut views, &sequence.frames, &cameras[0].camera, odometry.cameras > 1);
     report.imu_noise_scale = odometry.imu_noise_scale;
     let readings = buffered(&sequence.imu_samples);
@@ -81,21 +76,11 @@ pub fn build_map_from_odometry(
     let (bundle, constraints) = builder.build()?;
     let Builder { cameras, options, views, mut report, progress, .. } = builder;
     let joint = covariance_of(&cameras, &constraints, &bundle, &views, report.sigma_px, progress)?;
-    let contents = contents_of(&cameras, &views, &bundle, joint, report.sigma_px, &options)?;
+    let camera = &cameras[0].camera;
+    let contents = assemble::map_contents(camera, &views, &bundle, Some(joint), report.sigma_px, &options)?;
     assemble::fill_report(&mut report, &cameras, &views, &bundle, &contents);
     report.seconds = start.elapsed().as_secs_f64();
     Ok((contents, report))
-}
-
-fn contents_of(
-    cameras: &[MappingCamera],
-    views: &[KeyframeView<'_>],
-    bundle: &Bundle,
-    joint: JointCovariance,
-    sigma_px: f64,
-    options: &BuildOptions,
-) -> Result<MapContents, BuildError> {
-    assemble::map_contents(&cameras[0].camera, views, bundle, Some(joint), sigma_px, options)
 }
 
 /// What the stages share.
@@ -117,27 +102,28 @@ struct Builder<'a, 'p> {
 impl Builder<'_, '_> {
     /// Adjusts the trajectory by neighbours, then closes loops, then adjusts all with the landmarks of all places fused.
     fn build(&mut self) -> Result<(Bundle, Constraints), BuildError> {
-        let mut motions: Vec<Motion> =
+        let motions: Vec<Motion> =
             self.views.iter().filter_map(|view| self.odometry.at(view.stamp_ns)).map(Motion::of).collect();
         let in_time: Vec<(usize, usize)> = matching::pairs_in_time(&self.views, &self.options);
         let matches = self.matches(&in_time)?;
         let landmarks = self.landmarks(&matches);
         let constraints = self.constraints(&motions);
-        let mut bundle = self.adjust(&constraints, self.bundle(&motions, landmarks), 1);
+        let poses = self.views.iter().map(|view| view.prior.pose).collect();
+        let mut bundle = self.adjust(&constraints, Bundle { poses, motions, landmarks }, 1);
         bundle = self.close_loops(bundle)?;
         self.set_priors(&bundle, ADJUSTED_SIGMAS);
         let in_space: Vec<(usize, usize)> = matching::pairs(&self.views, &self.options)
             .into_iter()
-            .filter(|pair| !in_time.contains(pair))
+            .filter(|pair| in_time.binary_search(pair).is_err())
             .collect();
         let mut all = matches;
         all.extend(self.matches(&in_space)?);
         let landmarks = self.landmarks(&all);
-        motions.clone_from(&bundle.motions);
         self.learn_imu_noise(&bundle);
-        let constraints = self.constraints(&motions);
+        let constraints = self.constraints(&bundle.motions);
         self.report.dropped_observations = 0;
-        let bundle = self.adjust(&constraints, self.bundle(&motions, landmarks), ROUNDS);
+        bundle.landmarks = landmarks;
+        let bundle = self.adjust(&constraints, bundle, ROUNDS);
         Ok((bundle, constraints))
     }
 
@@ -149,7 +135,6 @@ impl Builder<'_, '_> {
         let mut constraints = self.constraints(&bundle.motions);
         let mut loops = constraints.plausible_loops(&self.cameras, &bundle, found, self.report.sigma_px)?;
         while !loops.is_empty() {
-            constraints = self.constraints(&bundle.motions);
             constraints.relative_poses.clone_from(&loops);
             bundle = self.adjust(&constraints, bundle, 1);
             let count = loops.len();
@@ -157,6 +142,7 @@ impl Builder<'_, '_> {
             if loops.len() == count {
                 break;
             }
+            constraints = self.constraints(&bundle.motions);
         }
         self.report.refused_loops = self.report.loops - loops.len();
         Ok(bundle)
@@ -204,12 +190,6 @@ impl Builder<'_, '_> {
         }
     }
 
-    /// The bundle at the poses of the views.
-    fn bundle(&self, motions: &[Motion], landmarks: Vec<InverseDepthLandmark>) -> Bundle {
-        let poses = self.views.iter().map(|view| view.prior.pose).collect();
-        Bundle { poses, motions: motions.to_vec(), landmarks }
-    }
-
     fn adjust(&mut self, constraints: &Constraints, bundle: Bundle, rounds: usize) -> Bundle {
         refine_all(&self.cameras, constraints, bundle, rounds, &self.options, &mut self.report, self.progress)
     }
@@ -222,7 +202,9 @@ impl Builder<'_, '_> {
         let own = keyframes.map(|(view, _)| (view, covariance)).collect();
         let joint = JointCovariance { own, cross: Vec::new() };
         let sigma_px = self.options.sigma_px.unwrap_or(FIRST_SIGMA_PX);
-        let contents = contents_of(&self.cameras, &self.views, bundle, joint, sigma_px, &self.options)?;
+        let camera = &self.cameras[0].camera;
+        let contents =
+            assemble::map_contents(camera, &self.views, bundle, Some(joint), sigma_px, &self.options)?;
         let gap = self.options.time_neighbours + 1;
         find_loops(contents, &self.cameras, &self.views, &bundle.poses, gap, self.progress)
     }

@@ -37,12 +37,7 @@ pub struct Integrated {
 
 /// Integrates the IMU samples of a window.
 pub fn integrate(window: &Window, config: &EstimatorConfig, gyroscope_bias: &Vector3<f64>) -> Integrated {
-    let mut state = ImuState {
-        local_from_imu: Pose::identity(),
-        velocity: Vector3::zeros(),
-        gyroscope_bias: *gyroscope_bias,
-        accelerometer_bias: Vector3::zeros(),
-    };
+    let mut state = ImuState::at_rest(*gyroscope_bias, Vector3::zeros());
     let mut integrated =
         Integrated { first_from_body: vec![state.local_from_imu], velocity: vec![state.velocity] };
     for readings in &window.readings {
