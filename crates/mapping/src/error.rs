@@ -111,10 +111,14 @@ pub enum BuildError {
     },
     /// A COLMAP model has no scale.
     #[error(
-        "no two images of the model are a stereo pair of the recording (names with the same time stamp in cam0 and cam1), so \
-         its scale is unknown: give the metres in its unit of length with --scale"
+        "the scale of the model is unknown: no two images are a stereo pair of the recording (names with the same time stamp \
+         in cam0 and cam1), and its IMU gives it to {percent:.0} % only; give the metres in the model's unit of length with \
+         --scale"
     )]
-    ColmapScale,
+    ColmapScale {
+        /// Standard deviation of the scale that the IMU gives (per cent).
+        percent: f64,
+    },
     /// An image has another size than its camera in a COLMAP model.
     #[error(
         "{image} has {} x {} pixels, but the model's camera has {} x {}: give the images that the model was made of",

@@ -30,6 +30,7 @@ mod camera;
 mod colmap;
 mod error;
 mod feature_source;
+mod imu_alignment;
 mod inertial;
 mod joint_covariance;
 mod keyframe_selection;

@@ -23,9 +23,9 @@ use crate::stage_bar::StageBar;
     driftless import-colmap sparse/0 --images photos --map hall.db --scale 0.42 --gravity 0,1,0\n\n\
     MODEL holds cameras, images and points3D, as .bin or .txt. Its poses, points and pixels become those of the map;\n\
     descriptors come from the images, and the covariance from the model's reprojection errors.\n\n\
-    A model has no unit of length and no direction of gravity. Where the images are those of a recording with two\n\
-    cameras and an IMU, its baseline and readings give both: images belong to it by their names, which are time stamps\n\
-    in folders cam0 and cam1. Otherwise --scale and --gravity state them.")]
+    A model has no unit of length and no direction of gravity. Where the images are those of a recording with an IMU,\n\
+    it gives both, the scale by the stereo baseline where there is one: images belong to it by their names, which are\n\
+    time stamps in folders cam0 and cam1. Otherwise --scale and --gravity state them.")]
 pub struct Args {
     /// Folder of the model
     #[arg(value_name = "MODEL")]
@@ -39,7 +39,7 @@ pub struct Args {
     /// The recording that gives scale and gravity [default: DIR, where it is a recording]
     #[arg(long, value_name = "SEQ")]
     pub recording: Option<PathBuf>,
-    /// Metres in the model's unit of length [default: by the stereo baseline of the recording]
+    /// Metres in the model's unit of length [default: by the recording]
     #[arg(long, value_name = "M")]
     pub scale: Option<f64>,
     /// Standard deviation of --scale, relative

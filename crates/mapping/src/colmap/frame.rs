@@ -1,7 +1,7 @@
 //! The frame of a COLMAP model: its unit of length in metres, and where gravity points in it.
 
 use crate::error::BuildError;
-use crate::stereo_registration::gravity_of;
+use crate::imu_alignment::{ImuAlignment, upright_from};
 use estimator::EstimatorConfig;
 use geometry::Pose;
 use map::colmap::{ColmapImage, ColmapModel};
@@ -12,6 +12,8 @@ use std::path::Path;
 
 /// Relative standard deviation of a scale that stereo calibration gives: calibrated baselines are off by about so much.
 const SIGMA_SCALE: f64 = 0.01;
+/// A scale that is known no better than this tells a robot little.
+const MAX_SIGMA_SCALE: f64 = 0.05;
 /// From the median absolute deviation to a standard deviation, for normal errors.
 const MAD_TO_SIGMA: f64 = 1.4826;
 
@@ -51,8 +53,8 @@ impl ColmapFrame {
         ColmapFrame { scale, sigma_scale, global_from_model: UnitQuaternion::identity(), gravity }
     }
 
-    /// The frame of a model of a recording's images: the baseline of its stereo pairs gives the unit of length, its IMU
-    /// the direction of gravity. G has z up.
+    /// The frame of a model of a recording's images: the baseline of its stereo pairs, or without any the IMU, gives the
+    /// unit of length, the IMU the direction of gravity. G has z up.
     ///
     /// Images belong to the recording's by their time stamps, which their names state (`cam0/1403715273262142976.jpg`);
     /// those in a folder named `cam1` are of its second camera.
@@ -61,7 +63,7 @@ impl ColmapFrame {
     /// * `scale`: known metres in the model's unit of length with their relative standard deviation; `None` to find them.
     ///
     /// # Errors
-    /// [`BuildError::ColmapScale`] without stereo pairs, [`BuildError::TooFewRegistered`] and
+    /// [`BuildError::ColmapScale`] where neither gives the scale, [`BuildError::TooFewRegistered`] and
     /// [`BuildError::ContradictsImu`] where the readings do not fit.
     pub fn of_recording(
         model: &ColmapModel,
@@ -70,27 +72,19 @@ impl ColmapFrame {
         config: &EstimatorConfig,
     ) -> Result<ColmapFrame, BuildError> {
         let images = stamped(model);
-        let (scale, sigma_scale) = match scale {
-            Some(known) => known,
-            None => stereo_scale(&images, sequence).ok_or(BuildError::ColmapScale)?,
-        };
-        let camera_from_imu = sequence.cameras[0].imu_from_camera.inverse();
         let pose = |(&(stamp_ns, camera), image): (&(i64, usize), &&ColmapImage)| {
-            let Pose { rotation, translation } = image.world_from_camera;
-            (camera == 0)
-                .then(|| (stamp_ns, Pose::new(rotation, translation * scale).compose(&camera_from_imu)))
+            (camera == 0).then_some((stamp_ns, image.world_from_camera))
         };
         let poses: Vec<(i64, Pose)> = images.iter().filter_map(pose).collect();
-        let (gravity, sigma_rad) = gravity_of(sequence, &poses, config)?;
-        let down = -Vector3::z();
-        let global_from_model = UnitQuaternion::rotation_between(&gravity, &down)
-            .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI));
-        Ok(ColmapFrame {
-            scale,
-            sigma_scale,
-            global_from_model,
-            gravity: Some(Gravity { in_global: down, sigma_rad }),
-        })
+        let known = scale.or_else(|| stereo_scale(&images, sequence));
+        let alignment = ImuAlignment::new(sequence, &poses, known.map(|(scale, _)| scale), config)?;
+        let (scale, sigma_scale) = known.unwrap_or((alignment.scale, alignment.sigma_scale));
+        if !(scale > 0.0 && sigma_scale < MAX_SIGMA_SCALE) {
+            return Err(BuildError::ColmapScale { percent: 100.0 * sigma_scale });
+        }
+        let gravity = Gravity { in_global: -Vector3::z(), sigma_rad: alignment.sigma_tilt };
+        let global_from_model = upright_from(&alignment.gravity);
+        Ok(ColmapFrame { scale, sigma_scale, global_from_model, gravity: Some(gravity) })
     }
 
     /// A pose of the model in G, metric.
