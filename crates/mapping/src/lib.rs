@@ -12,8 +12,10 @@
 //! | all landmarks and poses are refined, with the reference poses as priors or with the IMU | `refinement`, `bundle_adjustment`, `inertial` |
 //! | the joint covariance of the refined poses | `joint_covariance` |
 //! | the map is assembled | `assemble` |
+//! | a map that exists is extended by another recording | `extension`, `joint_prior`, `landmark_prior` |
 //!
-//! [`build_map`] runs them all (`pipeline`); [`build_map_from_odometry`] without reference poses (`without_references`). The map states the refined poses, each with its covariance and its
+//! [`build_map`] runs them all (`pipeline`); [`build_map_from_odometry`] without reference poses (`without_references`);
+//! [`extend_map`] adds a recording to a map. The map states the refined poses, each with its covariance and its
 //! cross-covariances with other keyframes, so that a robot can weight keyframes whose errors are correlated.
 //! With [`StoredPoses::Given`] it states the reference poses instead, whose errors are independent. Landmarks come from the
 //! refinement either way, in their anchors' camera frames; the estimator uses them as linearization points only, beside the
@@ -27,12 +29,15 @@ mod assemble;
 mod bundle_adjustment;
 mod camera;
 mod error;
+mod extension;
 mod feature_source;
 mod inertial;
 mod joint_covariance;
+mod joint_prior;
 mod keyframe_selection;
 mod keyframe_view;
 mod landmark;
+mod landmark_prior;
 mod layout;
 mod loop_closure;
 mod matching;
@@ -55,6 +60,7 @@ mod triangulation;
 mod without_references;
 
 pub use error::BuildError;
+pub use extension::{ExtendError, ExtensionReport, extend_map};
 pub use feature_source::Extraction;
 pub use odometry::Odometry;
 pub use options::{BuildOptions, StoredPoses};

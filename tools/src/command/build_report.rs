@@ -1,0 +1,131 @@
+//! What `build-map` prints.
+
+use std::time::Instant;
+
+use mapping::{BuildReport, ExtensionReport, Spread, Stage};
+
+/// Real sensors have two to four times the noise that their calibration states, from a sensor at rest.
+const MAX_PLAUSIBLE_NOISE_SCALE: f64 = 6.0;
+
+/// Prints the report of a map of one recording.
+pub(super) fn print_report(report: &BuildReport) {
+    let spread = |spread: &Spread, digits: usize| {
+        let Spread { mean, median, p95 } = spread;
+        format!("mean {mean:.digits$}, median {median:.digits$}, 95 % below {p95:.digits$}")
+    };
+    let mean_length = report.observations as f64 / report.landmarks.max(1) as f64;
+    println!("keyframes                   {}", report.keyframes);
+    println!("landmarks                   {}", report.landmarks);
+    println!("observations                {} ({mean_length:.1} a landmark)", report.observations);
+    println!("  landmarks with 1, 2, ...  {}", histogram(&report.track_lengths));
+    println!("landmarks a keyframe        {}", spread(&report.landmarks_per_keyframe, 0));
+    if report.stereo_features > 0 {
+        println!("features seen in stereo     {}", report.stereo_features);
+    }
+    for image in &report.unreadable_images {
+        println!("left out                    {image}");
+    }
+    println!("pairs matched               {} with {} matches", report.pairs, report.matches);
+    if report.imu_noise_scale > 0.0 {
+        println!("noise of the IMU            {:.1} times the stated", report.imu_noise_scale);
+        if report.imu_noise_scale > MAX_PLAUSIBLE_NOISE_SCALE {
+            println!(
+                "                            images and IMU hardly agree: check the time offset between them, the extrinsics, and the \
+                 noise that the calibration states"
+            );
+        }
+    }
+    if report.loops > 0 {
+        println!(
+            "loops                       {} found, {} of them refused",
+            report.loops, report.refused_loops
+        );
+    }
+    println!("observations dropped        {}", report.dropped_observations);
+    println!("reprojection error, px      {}", spread(&report.reprojection_px, 2));
+    println!("  through the given poses   {}", spread(&report.reprojection_through_given_px, 2));
+    println!("pixel sigma, px             {:.2}", report.sigma_px);
+    println!("poses corrected by, deg     {}", spread(&report.pose_correction_deg, 2));
+    println!("                    m       {}", spread(&report.pose_correction_m, 3));
+    println!("sigma of poses per axis, deg {}", spread(&report.sigma_pose_deg, 3));
+    println!("                         m   {}", spread(&report.sigma_pose_m, 3));
+    println!("correlated pairs            {}", report.cross_covariances);
+    let few = BuildReport::FEW_LANDMARKS;
+    println!("keyframes below {few} landmarks {}", report.poor_keyframes.len());
+    if !report.poor_keyframes.is_empty() {
+        let shown: Vec<String> = report.poor_keyframes.iter().take(20).map(ToString::to_string).collect();
+        let more = if report.poor_keyframes.len() > 20 { ", ..." } else { "" };
+        println!("  ids                       {}{more}", shown.join(", "));
+    }
+    println!("time                        {:.1} s", report.seconds);
+}
+
+/// The first counts, and the sum of the rest.
+fn histogram(counts: &[usize]) -> String {
+    const SHOWN: usize = 9;
+    let mut text: Vec<String> = counts.iter().take(SHOWN).map(ToString::to_string).collect();
+    if counts.len() > SHOWN {
+        text.push(format!("and more: {}", counts[SHOWN..].iter().sum::<usize>()));
+    }
+    text.join(", ")
+}
+
+/// Prints what an extension did to the map.
+pub(super) fn print_extension(report: &ExtensionReport) {
+    println!(
+        "places of the map           {} keyframes of the recording show one, {} agree",
+        report.places, report.agreeing_places
+    );
+    println!(
+        "landmarks seen again        {} with {} observations",
+        report.landmarks_seen_again, report.observations_of_them
+    );
+    println!(
+        "keyframes of the map        {} moved by {:.3} deg, {:.3} m (RMS per axis)",
+        report.stored_keyframes, report.moved_deg, report.moved_m
+    );
+    println!(
+        "  sigma of their positions  {:.3} m before, {:.3} m now (RMS per axis)",
+        report.sigma_before_m, report.sigma_after_m
+    );
+    println!("the map now                 {} keyframes, {} landmarks", report.keyframes, report.landmarks);
+    println!("time                        {:.1} s", report.seconds);
+}
+
+/// How long each stage took.
+#[derive(Default)]
+pub(super) struct StageTimes {
+    seconds: Vec<(Stage, f64)>,
+    now: Option<(Stage, Instant)>,
+}
+
+impl StageTimes {
+    /// Notes that a stage goes on.
+    ///
+    /// # Returns
+    /// Whether it has just begun.
+    pub(super) fn enter(&mut self, stage: Stage) -> bool {
+        if self.now.is_some_and(|(now, _)| now == stage) {
+            return false;
+        }
+        self.leave();
+        self.now = Some((stage, Instant::now()));
+        true
+    }
+
+    fn leave(&mut self) {
+        let Some((stage, begin)) = self.now.take() else { return };
+        let seconds = begin.elapsed().as_secs_f64();
+        match self.seconds.iter_mut().find(|(known, _)| *known == stage) {
+            Some((_, sum)) => *sum += seconds,
+            None => self.seconds.push((stage, seconds)),
+        }
+    }
+
+    /// All stages in a line.
+    pub(super) fn summary(&mut self) -> String {
+        self.leave();
+        let stage = |(stage, seconds): &(Stage, f64)| format!("{} {seconds:.1} s", stage.label());
+        self.seconds.iter().map(stage).collect::<Vec<_>>().join(", ")
+    }
+}
