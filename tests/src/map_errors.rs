@@ -2,25 +2,35 @@
 
 use geometry::{Pose, rotation};
 use map::contents::MapContents;
+use map::model::Keyframe;
 use nalgebra::{DMatrix, DVector, Vector3};
 use sensors::Sequence;
 
-/// The true pose of the camera at the time of each keyframe, moved to G by position and yaw of the first keyframe.
-pub fn true_poses(sequence: &Sequence, contents: &MapContents) -> Vec<Pose> {
+/// The true pose of the IMU at a time, in the frame of the ground truth.
+pub fn true_pose(sequence: &Sequence, stamp_ns: i64) -> Pose {
     let truth = sequence.groundtruth.as_ref().unwrap();
-    let imu_from_camera = sequence.cameras[0].imu_from_camera;
-    let at = |stamp_ns: i64| {
-        let next = truth.partition_point(|row| row.stamp_ns < stamp_ns).clamp(1, truth.len() - 1);
-        let (before, after) = (&truth[next - 1], &truth[next]);
-        let fraction = (stamp_ns - before.stamp_ns) as f64 / (after.stamp_ns - before.stamp_ns) as f64;
-        before.pose.interpolate(&after.pose, fraction).compose(&imu_from_camera)
-    };
-    let world: Vec<Pose> = contents.keyframes.iter().map(|keyframe| at(keyframe.stamp_ns)).collect();
-    let first = &contents.keyframes[0].global_from_keyframe.pose;
-    let turn = rotation::log(&(first.rotation * world[0].rotation.inverse()));
+    let next = truth.partition_point(|row| row.stamp_ns < stamp_ns).clamp(1, truth.len() - 1);
+    let (before, after) = (&truth[next - 1], &truth[next]);
+    let fraction = (stamp_ns - before.stamp_ns) as f64 / (after.stamp_ns - before.stamp_ns) as f64;
+    before.pose.interpolate(&after.pose, fraction)
+}
+
+/// From the frame of the ground truth to G, by position and yaw of the first keyframe.
+pub fn global_from_truth(sequence: &Sequence, contents: &MapContents) -> Pose {
+    let Keyframe { stamp_ns, global_from_keyframe, .. } = &contents.keyframes[0];
+    let truth = true_pose(sequence, *stamp_ns).compose(&sequence.cameras[0].imu_from_camera);
+    let first = &global_from_keyframe.pose;
+    let turn = rotation::log(&(first.rotation * truth.rotation.inverse()));
     let yaw = rotation::exp(&Vector3::new(0.0, 0.0, turn.z));
-    let global_from_world = Pose::new(yaw, first.translation - yaw * world[0].translation);
-    world.iter().map(|pose| global_from_world.compose(pose)).collect()
+    Pose::new(yaw, first.translation - yaw * truth.translation)
+}
+
+/// The true pose of the camera at the time of each keyframe, in G.
+pub fn true_poses(sequence: &Sequence, contents: &MapContents) -> Vec<Pose> {
+    let global_from_truth = global_from_truth(sequence, contents);
+    let imu_from_camera = sequence.cameras[0].imu_from_camera;
+    let camera = |keyframe: &Keyframe| true_pose(sequence, keyframe.stamp_ns).compose(&imu_from_camera);
+    contents.keyframes.iter().map(|keyframe| global_from_truth.compose(&camera(keyframe))).collect()
 }
 
 /// Errors of all keyframes but the first, which defines G, and their joint covariance.

@@ -185,10 +185,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         println!("{}: version {} of map {}", args.map.display(), saved.version, saved.identity);
         match &report {
             Report::Built(report) => print_report(report),
-            Report::Extended(extension) => {
-                print_report(&extension.recording);
-                print_extension(extension);
-            }
+            Report::Extended(report) => print_extension(report),
         }
         println!("  of it                     {}", times.summary());
     }

@@ -26,15 +26,7 @@ pub(super) fn print_report(report: &BuildReport) {
         println!("left out                    {image}");
     }
     println!("pairs matched               {} with {} matches", report.pairs, report.matches);
-    if report.imu_noise_scale > 0.0 {
-        println!("noise of the IMU            {:.1} times the stated", report.imu_noise_scale);
-        if report.imu_noise_scale > MAX_PLAUSIBLE_NOISE_SCALE {
-            println!(
-                "                            images and IMU hardly agree: check the time offset between them, the extrinsics, and the \
-                 noise that the calibration states"
-            );
-        }
-    }
+    print_imu_noise(report.imu_noise_scale);
     if report.loops > 0 {
         println!(
             "loops                       {} found, {} of them refused",
@@ -70,8 +62,28 @@ fn histogram(counts: &[usize]) -> String {
     text.join(", ")
 }
 
+/// Prints the factor on the stated noise of the IMU, where one was learned.
+fn print_imu_noise(scale: f64) {
+    if scale > 0.0 {
+        println!("noise of the IMU            {scale:.1} times the stated");
+        if scale > MAX_PLAUSIBLE_NOISE_SCALE {
+            println!(
+                "                            images and IMU hardly agree: check the time offset between them, the extrinsics, and the \
+                 noise that the calibration states"
+            );
+        }
+    }
+}
+
 /// Prints what an extension did to the map.
 pub(super) fn print_extension(report: &ExtensionReport) {
+    println!("keyframes of the recording  {}", report.new_keyframes);
+    for image in &report.unreadable_images {
+        println!("left out                    {image}");
+    }
+    print_imu_noise(report.imu_noise_scale);
+    println!("loops within it             {}", report.loops);
+    println!("pixel sigma, px             {:.2}", report.sigma_px);
     println!(
         "places of the map           {} keyframes of the recording show one, {} agree",
         report.places, report.agreeing_places

@@ -71,21 +71,25 @@ pub fn extend_map(
     builder.options.sigma_px = Some(sigma_px);
     let found = find_places(stored, &mut builder, &session.poses)?;
     let mut report = ExtensionReport {
-        recording: builder.report.clone(),
+        new_keyframes: builder.report.keyframes,
+        unreadable_images: builder.report.unreadable_images.clone(),
+        loops: builder.report.loops - builder.report.refused_loops,
+        imu_noise_scale: builder.report.imu_noise_scale,
+        sigma_px,
         stored_keyframes: stored.keyframes.len(),
         places: view_count(&found),
         ..ExtensionReport::default()
     };
     let mut both = session;
     both.poses.extend(stored.keyframes.iter().map(|keyframe| keyframe.global_from_keyframe.pose));
-    let alignment = align(&found, &both.poses, keyframes(&builder.views).len())?;
+    let alignment = align(&found, &both.poses, report.new_keyframes)?;
     move_recording(&mut both, builder.views.len(), &alignment);
     let prior = JointPrior::of_map(stored, builder.views.len()).ok_or(ExtendError::Indefinite)?;
     let (mut both, places) = tie(&mut builder, &prior, both, alignment.agreeing)?;
     report.agreeing_places = view_count(&places);
     if report.agreeing_places < MIN_AGREEING {
         return Err(ExtendError::NotConnected {
-            keyframes: report.recording.keyframes,
+            keyframes: report.new_keyframes,
             found: report.places,
             agreeing: report.agreeing_places,
             wanted: MIN_AGREEING,

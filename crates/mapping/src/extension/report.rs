@@ -2,14 +2,20 @@
 
 use serde::Serialize;
 
-use crate::report::BuildReport;
-
 /// Statistics of a run of [`crate::extend_map`].
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct ExtensionReport {
-    /// The new recording by itself.
-    pub recording: BuildReport,
+    /// Keyframes of the recording.
+    pub new_keyframes: usize,
+    /// Images of the recording that could not be read and were left out, with the reason.
+    pub unreadable_images: Vec<String>,
+    /// Loops within the recording.
+    pub loops: usize,
+    /// Factor on the stated noise of the IMU by which its readings fit the images.
+    pub imu_noise_scale: f64,
+    /// Standard deviation of a pixel of the recording, as given or as estimated (px).
+    pub sigma_px: f64,
     /// Keyframes of the map before.
     pub stored_keyframes: usize,
     /// Keyframes of the recording that show a place of the map.
