@@ -9,6 +9,7 @@ pub mod data;
 pub mod fleet;
 pub mod images;
 pub mod link;
+pub mod map_errors;
 pub mod network;
 pub mod robot;
 pub mod scenario;

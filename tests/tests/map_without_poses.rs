@@ -1,12 +1,11 @@
 //! Maps from recordings without reference poses: as accurate and as uncertain as they state.
 #![allow(clippy::unwrap_used)]
 
-use geometry::{Pose, rotation};
 use map::contents::MapContents;
 use mapping::{BuildOptions, BuildReport, build_map_from_odometry};
-use nalgebra::{DMatrix, DVector, Vector3};
 use sensors::Sequence;
 use simulation::{Scenario, SimulationOptions, simulate};
+use tests::map_errors::{errors, true_poses};
 use tools::odometry::run_odometry;
 
 /// More than one round of a loop of 126 m, with features of every second image and a third of all descriptors repeated.
@@ -26,44 +25,6 @@ fn recording(seed: u64) -> Sequence {
 fn build(sequence: &mut Sequence, cameras: usize) -> (MapContents, BuildReport) {
     let odometry = run_odometry(sequence, cameras, |_, _| {}).unwrap();
     build_map_from_odometry(sequence, &odometry, None, &BuildOptions::default(), &mut |_, _, _| {}).unwrap()
-}
-
-/// The true pose of the camera at the time of each keyframe, moved to G by position and yaw of the first keyframe.
-fn true_poses(sequence: &Sequence, contents: &MapContents) -> Vec<Pose> {
-    let truth = sequence.groundtruth.as_ref().unwrap();
-    let imu_from_camera = sequence.cameras[0].imu_from_camera;
-    let at = |stamp_ns: i64| {
-        let next = truth.partition_point(|row| row.stamp_ns < stamp_ns).clamp(1, truth.len() - 1);
-        let (before, after) = (&truth[next - 1], &truth[next]);
-        let fraction = (stamp_ns - before.stamp_ns) as f64 / (after.stamp_ns - before.stamp_ns) as f64;
-        before.pose.interpolate(&after.pose, fraction).compose(&imu_from_camera)
-    };
-    let world: Vec<Pose> = contents.keyframes.iter().map(|keyframe| at(keyframe.stamp_ns)).collect();
-    let first = &contents.keyframes[0].global_from_keyframe.pose;
-    let turn = rotation::log(&(first.rotation * world[0].rotation.inverse()));
-    let yaw = rotation::exp(&Vector3::new(0.0, 0.0, turn.z));
-    let global_from_world = Pose::new(yaw, first.translation - yaw * world[0].translation);
-    world.iter().map(|pose| global_from_world.compose(pose)).collect()
-}
-
-/// Errors of all keyframes but the first, which defines G, and their joint covariance.
-fn errors(contents: &MapContents, truth: &[Pose]) -> (DVector<f64>, DMatrix<f64>) {
-    let count = contents.keyframes.len();
-    let mut covariance = DMatrix::zeros(6 * count, 6 * count);
-    let mut error = DVector::zeros(6 * count);
-    for (index, (keyframe, truth)) in contents.keyframes.iter().zip(truth).enumerate() {
-        let pose = &keyframe.global_from_keyframe;
-        covariance.fixed_view_mut::<6, 6>(6 * index, 6 * index).copy_from(&pose.covariance);
-        error.fixed_rows_mut::<6>(6 * index).copy_from(&pose.pose.local(truth));
-    }
-    let at = |id: u64| contents.keyframes.iter().position(|keyframe| keyframe.id == id).unwrap();
-    for cross in &contents.cross_covariances {
-        let (a, b) = (6 * at(cross.a), 6 * at(cross.b));
-        covariance.fixed_view_mut::<6, 6>(a, b).copy_from(&cross.block);
-        covariance.fixed_view_mut::<6, 6>(b, a).copy_from(&cross.block.transpose());
-    }
-    let rest = 6 * count - 6;
-    (error.rows(6, rest).into_owned(), covariance.view((6, 6), (rest, rest)).into_owned())
 }
 
 /// # Returns

@@ -11,6 +11,7 @@ use nalgebra::{DMatrix, DVector, Matrix6, Vector6};
 
 use super::camera::{CameraPose, MappingCamera};
 use super::inertial::{InertialChain, Motion};
+use super::joint_prior::JointPrior;
 use super::landmark::InverseDepthLandmark;
 use super::layout::{MOTION, POSE, StateLayout};
 use super::normal_equations::{LandmarkBlocks, NormalEquations};
@@ -86,6 +87,8 @@ pub(super) struct Problem<'a> {
     pub(super) inertial: Option<&'a InertialChain>,
     /// Relative poses of places that are seen again.
     pub(super) relative_poses: &'a [RelativePose],
+    /// Poses of the keyframes of a map that is extended.
+    pub(super) stored: Option<&'a JointPrior>,
     /// Standard deviation of a pixel (px).
     pub(super) sigma_px: f64,
 }
@@ -135,7 +138,7 @@ impl Problem<'_> {
 
     /// The layout of the states.
     pub(super) fn layout(&self, bundle: &Bundle) -> StateLayout {
-        StateLayout { views: bundle.poses.len(), inertial: self.inertial.is_some() }
+        StateLayout { views: bundle.poses.len(), motions: bundle.motions.len() }
     }
 
     /// A bundle moved by an error of its states.
@@ -167,7 +170,7 @@ impl Problem<'_> {
         let layout = self.layout(bundle);
         let mut equations = NormalEquations::new(layout);
         for prior in self.priors {
-            let (error, jacobian) = prior_error(prior, &bundle.poses[prior.view]);
+            let (error, jacobian) = pose_error(&prior.pose, &bundle.poses[prior.view]);
             equations.add_residual(
                 layout.pose(prior.view).collect(),
                 &DMatrix::from_column_slice(POSE, POSE, jacobian.as_slice()),
@@ -181,26 +184,36 @@ impl Problem<'_> {
         for relative in self.relative_poses {
             relative.add_to(&mut equations, layout, &bundle.poses);
         }
+        if let Some(stored) = self.stored {
+            stored.add_to(&mut equations, layout, &bundle.poses);
+        }
         let poses = bundle.camera_poses();
         for landmark in &bundle.landmarks {
-            self.add_landmark(&mut equations, landmark, &poses, scale, damping);
+            let mut blocks = LandmarkBlocks::default();
+            if let Some(prior) = &landmark.prior {
+                prior.add_to(&mut equations, &mut blocks, landmark, &bundle.poses);
+            }
+            self.add_pixels(&mut equations, blocks, landmark, &poses, scale, damping);
         }
         equations
     }
 
-    fn add_landmark(
+    fn add_pixels(
         &self,
         equations: &mut NormalEquations,
+        mut blocks: LandmarkBlocks,
         landmark: &InverseDepthLandmark,
         poses: &[CameraPose],
         scale: f64,
         damping: f64,
     ) {
-        let mut blocks = LandmarkBlocks::default();
         let anchor = landmark.anchor_view();
         let mut anchor_coupling = nalgebra::Matrix6x3::zeros();
         for (index, observation) in landmark.observations.iter().enumerate() {
             if index == landmark.anchor {
+                if landmark.prior.is_some() {
+                    continue;
+                }
                 let (pixel, by_ray) = landmark.predict_in_anchor(self.cameras);
                 let residual = observation.pixel - pixel;
                 let weight = self.weight(residual.norm(), scale);
@@ -230,8 +243,10 @@ impl Problem<'_> {
         for index in 0..3 {
             blocks.information[(index, index)] *= 1.0 + damping;
         }
-        // A weak prior on the inverse depth (sigma 1/m) for landmarks without parallax.
-        blocks.information[(2, 2)] += 1.0;
+        if landmark.prior.is_none() {
+            // A weak prior on the inverse depth (sigma 1/m) for landmarks without parallax.
+            blocks.information[(2, 2)] += 1.0;
+        }
         equations.add_landmark(blocks);
     }
 
@@ -251,19 +266,25 @@ impl Problem<'_> {
         let inertial = self.inertial.map_or(0.0, |inertial| inertial.cost(&bundle.poses, &bundle.motions));
         let relative: f64 =
             self.relative_poses.iter().map(|relative| 0.5 * relative.distance(&bundle.poses)).sum();
+        let stored = self.stored.map_or(0.0, |stored| stored.cost(&bundle.poses));
+        let known = bundle
+            .landmarks
+            .iter()
+            .filter_map(|landmark| landmark.prior.as_ref().map(|prior| prior.cost(landmark, &bundle.poses)));
+        let known: f64 = known.sum();
         let poses = bundle.camera_poses();
         let robust = |error: f64| {
             let sigmas = (error / self.sigma_px).min(1e6);
             0.5 * scale * scale * (sigmas / scale).powi(2).ln_1p()
         };
         let errors = bundle.landmarks.iter().flat_map(|landmark| landmark.errors(self.cameras, &poses));
-        priors + inertial + relative + errors.map(robust).sum::<f64>()
+        priors + inertial + relative + stored + known + errors.map(robust).sum::<f64>()
     }
 }
 
-/// The error `[δθ, δp]` of a pose relative to its prior, and its Jacobian by a further error.
-fn prior_error(prior: &PosePrior, pose: &Pose) -> (Vector6<f64>, Matrix6<f64>) {
-    let error = prior.pose.local(pose);
+/// The error `[δθ, δp]` of a pose relative to its mean, and its Jacobian by a further error.
+pub(super) fn pose_error(mean: &Pose, pose: &Pose) -> (Vector6<f64>, Matrix6<f64>) {
+    let error = mean.local(pose);
     let mut jacobian = Matrix6::identity();
     let by_rotation = left_jacobian_inverse(&error.fixed_rows::<3>(0).into_owned());
     jacobian.fixed_view_mut::<3, 3>(0, 0).copy_from(&by_rotation);

@@ -64,6 +64,11 @@ impl KeyframeView<'_> {
     }
 }
 
+/// Indices of the views that become keyframes.
+pub(super) fn keyframes(views: &[KeyframeView<'_>]) -> Vec<usize> {
+    (0..views.len()).filter(|&view| views[view].is_keyframe()).collect()
+}
+
 /// The descriptors of some features.
 pub(super) fn descriptors(features: &FeatureSet) -> Result<DescriptorView<'_>, DescriptorError> {
     let descriptors = &features.descriptors;

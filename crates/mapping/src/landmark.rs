@@ -5,6 +5,7 @@ use nalgebra::{Matrix2, Matrix2x3, Matrix2x6, Vector2, Vector3};
 
 use super::camera::{CameraPose, MAX_DEPTH, MIN_DEPTH, MappingCamera};
 use super::keyframe_view::FeatureId;
+use super::landmark_prior::LandmarkPrior;
 
 /// An observation of a landmark by a keyframe.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -37,6 +38,8 @@ pub(super) struct InverseDepthLandmark {
     pub(super) inverse_depth: f64,
     /// All observations, ordered by view and camera.
     pub(super) observations: Vec<LandmarkObservation>,
+    /// What a map that is extended knows of it: its observations there, of which only the anchor is in `observations`.
+    pub(super) prior: Option<LandmarkPrior>,
 }
 
 /// A predicted pixel and its Jacobians (2 rows, px).
@@ -155,9 +158,13 @@ impl InverseDepthLandmark {
         landmark
     }
 
-    /// Reprojection error of each observation (px), infinite where the landmark is not visible.
+    /// Reprojection error of each observation (px), infinite where the landmark is not visible; zero for an anchor that
+    /// is part of the prior.
     pub(super) fn errors(&self, cameras: &[MappingCamera], poses: &[CameraPose]) -> Vec<f64> {
         let error = |(index, observation): (usize, &LandmarkObservation)| {
+            if index == self.anchor && self.prior.is_some() {
+                return 0.0;
+            }
             let pixel = if index == self.anchor {
                 Some(self.predict_in_anchor(cameras).0)
             } else {
@@ -181,6 +188,7 @@ impl InverseDepthLandmark {
             ray: p.xy() / p.z,
             inverse_depth: 1.0 / p.z.min(MAX_DEPTH),
             observations: self.observations.clone(),
+            prior: self.prior.clone(),
         })
     }
 

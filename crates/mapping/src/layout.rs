@@ -7,35 +7,30 @@ pub(super) const POSE: usize = 6;
 /// Errors of a motion: velocity, bias of the gyroscope, bias of the accelerometer.
 pub(super) const MOTION: usize = 9;
 
-/// The layout `[pose, motion]` of each view; without an IMU there are no motions.
+/// The layout `[pose, motion]` of each view; views without readings of an IMU come last and have no motion.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct StateLayout {
     /// Number of views.
     pub(super) views: usize,
-    /// Whether there are motions.
-    pub(super) inertial: bool,
+    /// Number of views with a motion: the first ones.
+    pub(super) motions: usize,
 }
 
 impl StateLayout {
-    /// Number of unknowns of a view.
-    fn stride(self) -> usize {
-        if self.inertial { POSE + MOTION } else { POSE }
-    }
-
     /// Number of unknowns.
     pub(super) fn dim(self) -> usize {
-        self.views * self.stride()
+        POSE * self.views + MOTION * self.motions
     }
 
     /// The pose of a view.
     pub(super) fn pose(self, view: usize) -> Range<usize> {
-        let begin = self.stride() * view;
+        let begin = POSE * view + MOTION * view.min(self.motions);
         begin..begin + POSE
     }
 
     /// The motion of a view.
     pub(super) fn motion(self, view: usize) -> Range<usize> {
-        let begin = self.stride() * view + POSE;
+        let begin = self.pose(view).end;
         begin..begin + MOTION
     }
 

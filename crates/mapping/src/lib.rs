@@ -7,14 +7,16 @@
 //! | neighbouring keyframes are matched, with the epipolar constraint | `matching` |
 //! | matches are joined into tracks | `tracks` |
 //! | each track is triangulated with the reference poses and their covariances | `triangulation` |
-//! | without reference poses, images too far apart to track points: their poses | `stereo_registration` |
+//! | without reference poses, images too far apart to track points: their poses | `stereo_registration`, `imu_alignment` |
 //! | without reference poses: places seen again | `loop_closure` |
 //! | all landmarks and poses are refined, with the reference poses as priors or with the IMU | `refinement`, `bundle_adjustment`, `inertial` |
 //! | the joint covariance of the refined poses | `joint_covariance` |
 //! | the map is assembled | `assemble` |
+//! | a map that exists is extended by another recording | `extension`, `joint_prior`, `landmark_prior` |
 //!
-//! [`build_map`] runs them all (`pipeline`); [`build_map_from_odometry`] without reference poses (`without_references`); [`import_colmap`] takes
-//! poses and points from a COLMAP model instead (`colmap`). The map states the refined poses, each with its covariance and its
+//! [`build_map`] runs them all (`pipeline`); [`build_map_from_odometry`] without reference poses (`without_references`);
+//! [`extend_map`] adds a recording to a map; [`import_colmap`] takes poses and points from a COLMAP model instead
+//! (`colmap`). The map states the refined poses, each with its covariance and its
 //! cross-covariances with other keyframes, so that a robot can weight keyframes whose errors are correlated.
 //! With [`StoredPoses::Given`] it states the reference poses instead, whose errors are independent. Landmarks come from the
 //! refinement either way, in their anchors' camera frames; the estimator uses them as linearization points only, beside the
@@ -29,13 +31,16 @@ mod bundle_adjustment;
 mod camera;
 mod colmap;
 mod error;
+mod extension;
 mod feature_source;
 mod imu_alignment;
 mod inertial;
 mod joint_covariance;
+mod joint_prior;
 mod keyframe_selection;
 mod keyframe_view;
 mod landmark;
+mod landmark_prior;
 mod layout;
 mod loop_closure;
 mod matching;
@@ -59,6 +64,7 @@ mod without_references;
 
 pub use colmap::{ColmapFrame, ColmapImport, Gravity, import_colmap};
 pub use error::BuildError;
+pub use extension::{ExtendError, ExtensionReport, extend_map};
 pub use feature_source::Extraction;
 pub use odometry::Odometry;
 pub use options::{BuildOptions, StoredPoses};

@@ -78,7 +78,7 @@ pub(super) fn find_loops(
 }
 
 /// Inverse covariance in the frame of the earlier view, from the covariance in G.
-fn information(earlier: &Pose, covariance: &Matrix6<f64>) -> Matrix6<f64> {
+pub(super) fn information(earlier: &Pose, covariance: &Matrix6<f64>) -> Matrix6<f64> {
     let to_view = earlier.rotation.inverse().to_rotation_matrix().into_inner();
     let mut both = Matrix6::zeros();
     both.fixed_view_mut::<3, 3>(0, 0).copy_from(&to_view);

@@ -100,6 +100,22 @@ impl NormalEquations {
         self.terms.push(Term { indices, information: weighted * jacobian });
     }
 
+    /// Adds information on unknowns at any indices.
+    ///
+    /// # Arguments
+    /// * `gradient`: negative gradient of the cost.
+    pub(super) fn add_information(
+        &mut self,
+        indices: Vec<usize>,
+        information: DMatrix<f64>,
+        gradient: &DVector<f64>,
+    ) {
+        for (&index, value) in indices.iter().zip(gradient.iter()) {
+            self.gradient[index] += value;
+        }
+        self.terms.push(Term { indices, information });
+    }
+
     /// Adds a landmark. One whose V is singular is held constant.
     pub(super) fn add_landmark(&mut self, mut landmark: LandmarkBlocks) {
         landmark.information = landmark.information.try_inverse().unwrap_or_else(Matrix3::zeros);

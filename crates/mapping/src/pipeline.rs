@@ -12,7 +12,7 @@ use super::camera::{CameraPose, MappingCamera};
 use super::error::BuildError;
 use super::feature_source::{Extraction, FeatureSource};
 use super::keyframe_selection::select_keyframes;
-use super::keyframe_view::{FeatureId, KeyframeView};
+use super::keyframe_view::{FeatureId, KeyframeView, keyframes};
 use super::landmark::InverseDepthLandmark;
 use super::matching::{self, FeatureMatch};
 use super::options::{BuildOptions, FIRST_SIGMA_PX, StoredPoses};
@@ -59,7 +59,9 @@ pub fn build_map(
         bundle = refine_all(&cameras, &constraints, bundle, ROUNDS, options, &mut report, progress);
     }
     let joint = (options.refine_poses && options.stored_poses == StoredPoses::Refined)
-        .then(|| covariance_of(&cameras, &constraints, &bundle, &views, report.sigma_px, progress))
+        .then(|| {
+            covariance_of(&cameras, &constraints, &bundle, &keyframes(&views), report.sigma_px, progress)
+        })
         .transpose()?;
     let contents =
         assemble::map_contents(&cameras[0].camera, &views, &bundle, joint, report.sigma_px, options)?;

@@ -5,6 +5,7 @@ use super::camera::{CameraPose, MappingCamera};
 use super::error::BuildError;
 use super::inertial::InertialChain;
 use super::joint_covariance::{JointCovariance, joint_covariance};
+use super::joint_prior::JointPrior;
 use super::keyframe_view::KeyframeView;
 use super::landmark::InverseDepthLandmark;
 use super::loop_closure::plausible;
@@ -33,6 +34,8 @@ pub(super) struct Constraints {
     pub(super) inertial: Option<InertialChain>,
     /// Relative poses of places seen again.
     pub(super) relative_poses: Vec<RelativePose>,
+    /// Poses of the keyframes of a map that is extended.
+    pub(super) stored: Option<JointPrior>,
 }
 
 impl Constraints {
@@ -66,6 +69,7 @@ impl Constraints {
             priors: &self.priors,
             inertial: self.inertial.as_ref(),
             relative_poses: &self.relative_poses,
+            stored: self.stored.as_ref(),
             sigma_px,
         }
     }
@@ -107,7 +111,7 @@ pub(super) fn refine_all(
     bundle
 }
 
-/// The joint covariance of the poses of all keyframes.
+/// The joint covariance of the poses of some views.
 ///
 /// # Errors
 /// [`BuildError::Indefinite`].
@@ -115,17 +119,16 @@ pub(super) fn covariance_of(
     cameras: &[MappingCamera],
     constraints: &Constraints,
     bundle: &Bundle,
-    views: &[KeyframeView<'_>],
+    views: &[usize],
     sigma_px: f64,
     progress: Progress<'_>,
 ) -> Result<JointCovariance, BuildError> {
     let problem = constraints.problem(cameras, sigma_px);
     let factor = problem.information(bundle).ok_or(BuildError::Indefinite)?;
-    let keyframes: Vec<usize> = (0..views.len()).filter(|&view| views[view].is_keyframe()).collect();
-    let positions: Vec<_> = keyframes.iter().map(|&view| bundle.poses[view].translation).collect();
+    let positions: Vec<_> = views.iter().map(|&view| bundle.poses[view].translation).collect();
     let layout = problem.layout(bundle);
     let show = |done, all| progress(Stage::Covariance, done, all);
-    Ok(joint_covariance(&factor, layout, &keyframes, &positions, show))
+    Ok(joint_covariance(&factor, layout, views, &positions, show))
 }
 
 /// The pixel noise from the residuals of a refined bundle (px); `None` without landmarks.

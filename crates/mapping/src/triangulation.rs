@@ -51,7 +51,7 @@ pub(super) fn triangulate(
     else {
         return (None, Vec::new());
     };
-    let start = InverseDepthLandmark { anchor, ray, inverse_depth: 1.0, observations };
+    let start = InverseDepthLandmark { anchor, ray, inverse_depth: 1.0, observations, prior: None };
     let (landmark, _) = (0..GRID_SIZE)
         .map(|index| {
             let fraction = index as f64 / (GRID_SIZE - 1) as f64;

@@ -18,7 +18,7 @@ use super::error::BuildError;
 use super::feature_source::{Extraction, FeatureSource};
 use super::inertial::{InertialChain, Motion, buffered, gauge_information};
 use super::joint_covariance::JointCovariance;
-use super::keyframe_view::{FeatureId, KeyframeView};
+use super::keyframe_view::{FeatureId, KeyframeView, keyframes};
 use super::landmark::InverseDepthLandmark;
 use super::loop_closure::{consistent, find_loops};
 use super::matching::{self, FeatureMatch};
@@ -58,24 +58,12 @@ pub fn build_map_from_odometry(
     options: &BuildOptions,
     progress: Progress<'_>,
 ) -> Result<(MapContents, BuildReport), BuildError> {
-    check(options)?;
     let start = Instant::now();
-    let mut options = options.clone();
-    options.gravity_in_global = Some(-Vector3::z());
-    let cameras = MappingCamera::of_sensors(&sequence.cameras);
-    let mut source = FeatureSource::new(extraction, &cameras);
-    let mut views = odometry.select_views(sequence, &mut source, &options, progress)?;
-    let mut report = BuildReport::of_views(&views, source.unreadable);
-    let tracks = add_tracks(&mut views, &sequence.frames, &cameras[0].camera, odometry.cameras > 1);
-    report.imu_noise_scale = odometry.imu_noise_scale;
-    let readings = buffered(&sequence.imu_samples);
-    let mut config = odometry.config.clone();
-    config.imu_noise = config.imu_noise.inflated(odometry.imu_noise_scale);
-    let mut builder =
-        Builder { sequence, readings, odometry, config, cameras, options, views, tracks, report, progress };
+    let mut builder = Builder::new(sequence, odometry, extraction, options, progress)?;
     let (bundle, constraints) = builder.build()?;
     let Builder { cameras, options, views, mut report, progress, .. } = builder;
-    let joint = covariance_of(&cameras, &constraints, &bundle, &views, report.sigma_px, progress)?;
+    let joint =
+        covariance_of(&cameras, &constraints, &bundle, &keyframes(&views), report.sigma_px, progress)?;
     let camera = &cameras[0].camera;
     let contents = assemble::map_contents(camera, &views, &bundle, Some(joint), report.sigma_px, &options)?;
     assemble::fill_report(&mut report, &cameras, &views, &bundle, &contents);
@@ -84,24 +72,69 @@ pub fn build_map_from_odometry(
 }
 
 /// What the stages share.
-struct Builder<'a, 'p> {
+pub(super) struct Builder<'a, 'p> {
     sequence: &'a Sequence,
     readings: ImuBuffer,
     odometry: &'a Odometry,
     /// Settings of the odometry, with the noise of the IMU as it turns out.
     config: EstimatorConfig,
-    cameras: Vec<MappingCamera>,
-    options: BuildOptions,
-    views: Vec<KeyframeView<'a>>,
+    /// The cameras.
+    pub(super) cameras: Vec<MappingCamera>,
+    /// Settings, with the gravity of G.
+    pub(super) options: BuildOptions,
+    /// The keyframes, and what ties them together.
+    pub(super) views: Vec<KeyframeView<'a>>,
     /// Tracks of points without descriptors.
     tracks: Vec<Vec<FeatureId>>,
-    report: BuildReport,
-    progress: Progress<'p>,
+    /// Statistics so far.
+    pub(super) report: BuildReport,
+    /// Called with the stage and its steps.
+    pub(super) progress: Progress<'p>,
 }
 
-impl Builder<'_, '_> {
+impl<'a, 'p> Builder<'a, 'p> {
+    /// Selects the views of a recording.
+    ///
+    /// # Errors
+    /// [`BuildError`] for impossible options and a recording without keyframes.
+    pub(super) fn new(
+        sequence: &'a Sequence,
+        odometry: &'a Odometry,
+        extraction: Option<Extraction<'_>>,
+        options: &BuildOptions,
+        progress: Progress<'p>,
+    ) -> Result<Builder<'a, 'p>, BuildError> {
+        check(options)?;
+        let mut options = options.clone();
+        options.gravity_in_global = Some(-Vector3::z());
+        let cameras = MappingCamera::of_sensors(&sequence.cameras);
+        let mut source = FeatureSource::new(extraction, &cameras);
+        let mut views = odometry.select_views(sequence, &mut source, &options, progress)?;
+        let mut report = BuildReport::of_views(&views, source.unreadable);
+        let tracks = add_tracks(&mut views, &sequence.frames, &cameras[0].camera, odometry.cameras > 1);
+        report.imu_noise_scale = odometry.imu_noise_scale;
+        let readings = buffered(&sequence.imu_samples);
+        let mut config = odometry.config.clone();
+        config.imu_noise = config.imu_noise.inflated(odometry.imu_noise_scale);
+        Ok(Builder {
+            sequence,
+            readings,
+            odometry,
+            config,
+            cameras,
+            options,
+            views,
+            tracks,
+            report,
+            progress,
+        })
+    }
+
     /// Adjusts the trajectory by neighbours, then closes loops, then adjusts all with the landmarks of all places fused.
-    fn build(&mut self) -> Result<(Bundle, Constraints), BuildError> {
+    ///
+    /// # Errors
+    /// [`BuildError`].
+    pub(super) fn build(&mut self) -> Result<(Bundle, Constraints), BuildError> {
         let motions: Vec<Motion> =
             self.views.iter().filter_map(|view| self.odometry.at(view.stamp_ns)).map(Motion::of).collect();
         let in_time: Vec<(usize, usize)> = matching::pairs_in_time(&self.views, &self.options);
@@ -176,21 +209,26 @@ impl Builder<'_, '_> {
     /// The first pose, which defines G, and the readings of the IMU.
     fn constraints(&self, motions: &[Motion]) -> Constraints {
         let [sigma_yaw, sigma_tilt, sigma_p] = GAUGE_SIGMAS;
-        let stamps_ns: Vec<i64> = self.views.iter().map(|view| view.stamp_ns).collect();
-        let imu_from_camera = self.sequence.cameras[0].imu_from_camera;
-        let config = &self.config;
         Constraints {
             priors: vec![PosePrior {
                 view: 0,
                 pose: self.views[0].prior.pose,
                 information: gauge_information(sigma_yaw, sigma_tilt, sigma_p),
             }],
-            inertial: Some(InertialChain::new(&self.readings, &stamps_ns, motions, imu_from_camera, config)),
-            relative_poses: Vec::new(),
+            inertial: Some(self.inertial(motions)),
+            ..Constraints::default()
         }
     }
 
-    fn adjust(&mut self, constraints: &Constraints, bundle: Bundle, rounds: usize) -> Bundle {
+    /// The readings of the IMU between the views.
+    pub(super) fn inertial(&self, motions: &[Motion]) -> InertialChain {
+        let stamps_ns: Vec<i64> = self.views.iter().map(|view| view.stamp_ns).collect();
+        let imu_from_camera = self.sequence.cameras[0].imu_from_camera;
+        InertialChain::new(&self.readings, &stamps_ns, motions, imu_from_camera, &self.config)
+    }
+
+    /// Refines a bundle, see [`refine_all`].
+    pub(super) fn adjust(&mut self, constraints: &Constraints, bundle: Bundle, rounds: usize) -> Bundle {
         refine_all(&self.cameras, constraints, bundle, rounds, &self.options, &mut self.report, self.progress)
     }
 

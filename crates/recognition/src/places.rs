@@ -2,7 +2,7 @@
 
 use geometry::{Camera, PoseWithCovariance};
 use nalgebra::Vector3;
-use protocol::{FeatureSet, KeyframeId};
+use protocol::{FeatureSet, KeyframeId, LandmarkId};
 
 use super::index::best_voted;
 use super::loaded_map::LoadedMap;
@@ -17,8 +17,8 @@ pub struct VerifiedPlace {
     pub keyframe: KeyframeId,
     /// The camera in G by this keyframe alone; its covariance contains that of the keyframe's pose.
     pub global_from_camera: PoseWithCovariance,
-    /// Number of matches that agree with the pose.
-    pub inliers: usize,
+    /// The matches that agree with the pose: features of the image, by number, and landmarks.
+    pub inliers: Vec<(usize, LandmarkId)>,
 }
 
 impl LoadedMap {
@@ -48,14 +48,20 @@ impl LoadedMap {
         let mut places = Vec::new();
         for candidate in best_voted(&votes, options.candidates, options.min_votes, is_eligible) {
             if let Comparison::Verified(found) = compare(self, candidate, &image, None, options)? {
+                let observed = self.observations.of(candidate);
+                let landmark = |at: usize| self.landmarks.ids[observed.landmark(at)];
                 places.push(VerifiedPlace {
                     keyframe: self.keyframes[candidate].id,
                     global_from_camera: found.global_from_camera,
-                    inliers: found.inliers.len(),
+                    inliers: found
+                        .inliers
+                        .iter()
+                        .map(|inlier| (inlier.query, landmark(inlier.train)))
+                        .collect(),
                 });
             }
         }
-        places.sort_by_key(|place| std::cmp::Reverse(place.inliers));
+        places.sort_by_key(|place| std::cmp::Reverse(place.inliers.len()));
         Ok(places)
     }
 }

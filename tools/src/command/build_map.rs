@@ -1,12 +1,10 @@
 //! `driftless build-map`: builds a map from a recording, with reference poses or without.
 
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, bail};
 use evaluation::trajectory::{StampedPose, StateKind, read_any};
 use geometry::covariance_check::check_covariance;
-use indicatif::{ProgressBar, ProgressStyle};
 use nalgebra::{Matrix6, Vector3};
 use onboard::arguments::CalibrationArguments;
 use onboard::extraction::FeatureArguments;
@@ -14,13 +12,16 @@ use sensors::{ReferencePose, Sequence, check_stereo};
 use serde_json::json;
 use vision::{FeatureExtractor, GrayImage};
 
+use super::build_report::{print_extension, print_report};
 use super::import_map::parse_direction;
 use crate::odometry::{is_sparse, odometry_config, run_odometry};
 use crate::plotting::draw_coverage;
-use map::store::{ensure_free, save_map};
+use crate::stage_bar::StageBar;
+use map::MapContents;
+use map::store::{ensure_free, load_map, save_map};
 use mapping::{
-    BuildOptions, BuildReport, Extraction, Spread, Stage, StoredPoses, build_map, build_map_from_odometry,
-    register_stereo_images,
+    BuildOptions, BuildReport, ExtensionReport, Extraction, Odometry, Progress, Stage, StoredPoses,
+    build_map, build_map_from_odometry, extend_map, register_stereo_images,
 };
 
 /// Largest plausible `--sigma-theta`, rad: 29 degrees. With more the pose says nothing, and linearization fails.
@@ -28,9 +29,6 @@ const MAX_SIGMA_THETA: f64 = 0.5;
 
 /// Images that are too far apart to track points are all keyframes, unless the camera stands still, m.
 const MIN_DISTANCE_OF_SPARSE_IMAGES: f64 = 0.01;
-
-/// Real sensors have two to four times the noise that their calibration states, from a sensor at rest.
-const MAX_PLAUSIBLE_NOISE_SCALE: f64 = 6.0;
 
 /// Arguments.
 #[expect(clippy::struct_excessive_bools, reason = "each is a switch of its own")]
@@ -42,6 +40,8 @@ const MAX_PLAUSIBLE_NOISE_SCALE: f64 = 6.0;
     driftless build-map my_run --map my.db --sigma-theta 0.005 --sigma-p 0.02 --gravity 0,0,-1\n  \
     driftless build-map my_run --map my.db --poses odometry.tum --sigma-theta 0.02 --sigma-p 0.1\n  \
     driftless build-map my_run --map my.db --poses out/states.csv\n  \
+    driftless build-map another_run --map my.db --extend
+  \
     driftless build-map V1_01_easy --map vicon_room.db --sigma-theta 0.0175 --sigma-p 0.01\n\n\
     SEQ holds mav0/cam0 (and cam1, for stereo) with sensor.yaml, data.csv and images in data/, and mav0/imu0. A\n\
     cam0/features.csv replaces the images. Odometry, places seen again and one visual-inertial adjustment give the poses.\n\n\
@@ -59,7 +59,7 @@ pub struct Args {
     /// Calibration
     #[command(flatten)]
     pub calibration: CalibrationArguments,
-    /// Database to create
+    /// Database to create, or with --extend the one to extend
     #[arg(long, value_name = "DB")]
     pub map: PathBuf,
     /// Poses of the IMU in the map's frame, in any of the formats below; `none` builds from odometry and loops
@@ -112,6 +112,9 @@ pub struct Args {
     /// Replace an existing map: the new one is its next version, with the same identity
     #[arg(long)]
     pub force: bool,
+    /// Extend the existing map by this recording of the same place; the result is its next version
+    #[arg(long, conflicts_with_all = ["force", "poses", "sigma_theta", "sigma_p", "gravity", "no_refine_poses"])]
+    pub extend: bool,
     /// Print the report as JSON
     #[arg(long)]
     pub json: bool,
@@ -123,59 +126,45 @@ pub struct Args {
 /// A sequence without features or poses, a file that cannot be read (with its line), a database that exists already.
 #[expect(clippy::needless_pass_by_value, reason = "every command owns its arguments")]
 pub fn run(args: Args) -> anyhow::Result<()> {
-    ensure_free(&args.map, args.force)?;
+    let stored = if args.extend { Some(load_map(&args.map)?.whole()?) } else { None };
+    ensure_free(&args.map, args.force || args.extend)?;
     let mut sequence = Sequence::open_without_readings(&args.sequence, &args.calibration.files())?;
     if !args.mono {
         check_stereo(&sequence.cameras, sequence.frames.iter().cloned().map(Ok))?;
     }
     let mut options = options(&args)?;
-    let references = references(&args, &sequence)?;
+    let references = if args.extend { None } else { references(&args, &sequence)? };
     if references.is_none() {
         sequence = Sequence::open_with(&args.sequence, &args.calibration.files())?;
     }
-    let bar = progress_bar(args.json);
-    let mut times = StageTimes::default();
-    let mut show = |stage: Stage, done: usize, all: usize| {
-        if times.enter(stage) {
-            bar.set_message(stage.label());
-        }
-        bar.set_length(all as u64);
-        bar.set_position(done as u64);
-    };
+    let mut bar = StageBar::new(args.json);
+    let mut show = |stage: Stage, done: usize, all: usize| bar.show(stage, done, all);
     let from_images = sequence.has_images() && !sequence.has_features();
     let mut extractor = if from_images { Some(args.features.open()?) } else { None };
     let mask = args.features.read_mask()?;
-    let built = if let Some(references) = references {
-        build_map(
-            &sequence,
-            &references,
-            extraction_of(&mut extractor, mask.as_ref(), &args),
-            &options,
-            &mut show,
-        )
+    let (contents, report) = if let Some(references) = references {
+        let extraction = extraction_of(&mut extractor, mask.as_ref(), &args);
+        let (contents, report) = build_map(&sequence, &references, extraction, &options, &mut show)?;
+        (contents, Report::Built(report))
     } else {
-        let cameras = if args.mono { 1 } else { sequence.cameras.len().min(2) };
-        let odometry = match extraction_of(&mut extractor, mask.as_ref(), &args)
-            .filter(|_| cameras > 1 && is_sparse(&sequence))
-        {
-            Some(extraction) => {
-                let config = odometry_config(&sequence)?;
-                options.min_distance = args.min_distance.unwrap_or(MIN_DISTANCE_OF_SPARSE_IMAGES);
-                register_stereo_images(&sequence, extraction, &config, &mut show)?
-            }
-            None => run_odometry(&mut sequence, cameras, |done, all| show(Stage::Odometry, done, all))?,
-        };
-        build_map_from_odometry(
-            &sequence,
-            &odometry,
-            extraction_of(&mut extractor, mask.as_ref(), &args),
-            &options,
-            &mut show,
-        )
+        let extraction = extraction_of(&mut extractor, mask.as_ref(), &args);
+        let odometry = odometry(&mut sequence, extraction, &args, &mut options, &mut show)?;
+        let extraction = extraction_of(&mut extractor, mask.as_ref(), &args);
+        if let Some(stored) = &stored {
+            let (contents, report) =
+                extend_map(stored, &sequence, &odometry, extraction, &options, &mut show)?;
+            (contents, Report::Extended(report))
+        } else {
+            let (contents, report) =
+                build_map_from_odometry(&sequence, &odometry, extraction, &options, &mut show)?;
+            (contents, Report::Built(report))
+        }
     };
-    bar.finish_and_clear();
-    let (contents, report) = built?;
-    let saved = save_map(&args.map, &contents, args.force)?;
+    let times = bar.finish();
+    if let Some(stored) = &stored {
+        check_unchanged(&args.map, stored)?;
+    }
+    let saved = save_map(&args.map, &contents, args.force || args.extend)?;
     if let Some(picture) = &args.svg {
         draw_coverage(&contents, picture)?;
     }
@@ -186,8 +175,51 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         );
     } else {
         println!("{}: version {} of map {}", args.map.display(), saved.version, saved.identity);
-        print_report(&report);
-        println!("  of it                     {}", times.summary());
+        match &report {
+            Report::Built(report) => print_report(report),
+            Report::Extended(report) => print_extension(report),
+        }
+        println!("  of it                     {}", times);
+    }
+    Ok(())
+}
+
+/// Statistics of the map.
+#[derive(serde::Serialize)]
+#[serde(untagged)]
+enum Report {
+    Built(BuildReport),
+    Extended(ExtensionReport),
+}
+
+/// The trajectory of a recording without reference poses.
+fn odometry(
+    sequence: &mut Sequence,
+    extraction: Option<Extraction<'_>>,
+    args: &Args,
+    options: &mut BuildOptions,
+    show: Progress<'_>,
+) -> anyhow::Result<Odometry> {
+    let cameras = if args.mono { 1 } else { sequence.cameras.len().min(2) };
+    let Some(extraction) = extraction.filter(|_| cameras > 1 && is_sparse(sequence)) else {
+        return run_odometry(sequence, cameras, |done, all| show(Stage::Odometry, done, all));
+    };
+    let config = odometry_config(sequence)?;
+    options.min_distance = args.min_distance.unwrap_or(MIN_DISTANCE_OF_SPARSE_IMAGES);
+    Ok(register_stereo_images(sequence, extraction, &config, show)?)
+}
+
+/// Refuses to replace a version of the map that was written since the map was read.
+fn check_unchanged(path: &Path, stored: &MapContents) -> anyhow::Result<()> {
+    let now = load_map(path)?.contents.info;
+    let read = &stored.info;
+    if (now.version, now.identity) != (read.version, read.identity) {
+        bail!(
+            "{}: version {} was written while version {} was extended: extend that one",
+            path.display(),
+            now.version,
+            read.version
+        );
     }
     Ok(())
 }
@@ -200,56 +232,6 @@ fn extraction_of<'a>(
 ) -> Option<Extraction<'a>> {
     let extractor = extractor.as_mut()?.as_mut();
     Some(Extraction { extractor, max_features: args.features.max_features, mask, stereo: !args.mono })
-}
-
-/// How long each stage took.
-#[derive(Default)]
-struct StageTimes {
-    seconds: Vec<(Stage, f64)>,
-    now: Option<(Stage, Instant)>,
-}
-
-impl StageTimes {
-    /// Notes that a stage goes on.
-    ///
-    /// # Returns
-    /// Whether it has just begun.
-    fn enter(&mut self, stage: Stage) -> bool {
-        if self.now.is_some_and(|(now, _)| now == stage) {
-            return false;
-        }
-        self.leave();
-        self.now = Some((stage, Instant::now()));
-        true
-    }
-
-    fn leave(&mut self) {
-        let Some((stage, begin)) = self.now.take() else { return };
-        let seconds = begin.elapsed().as_secs_f64();
-        match self.seconds.iter_mut().find(|(known, _)| *known == stage) {
-            Some((_, sum)) => *sum += seconds,
-            None => self.seconds.push((stage, seconds)),
-        }
-    }
-
-    /// All stages in a line.
-    fn summary(&mut self) -> String {
-        self.leave();
-        let stage = |(stage, seconds): &(Stage, f64)| format!("{} {seconds:.1} s", stage.label());
-        self.seconds.iter().map(stage).collect::<Vec<_>>().join(", ")
-    }
-}
-
-fn progress_bar(hidden: bool) -> ProgressBar {
-    if hidden {
-        return ProgressBar::hidden();
-    }
-    let bar = ProgressBar::new(0);
-    if let Ok(style) = ProgressStyle::with_template("{msg:>9} [{wide_bar}] {pos}/{len} {elapsed_precise}") {
-        bar.set_style(style.progress_chars("=> "));
-    }
-    bar.enable_steady_tick(Duration::from_millis(200));
-    bar
 }
 
 /// The poses to build from: those of `--poses`, of the sequence, or the ground truth where its standard deviations are
@@ -343,68 +325,6 @@ fn check_sigma_theta(sigma_theta: Option<f64>) -> anyhow::Result<()> {
         );
     }
     Ok(())
-}
-
-fn print_report(report: &BuildReport) {
-    let spread = |spread: &Spread, digits: usize| {
-        let Spread { mean, median, p95 } = spread;
-        format!("mean {mean:.digits$}, median {median:.digits$}, 95 % below {p95:.digits$}")
-    };
-    let mean_length = report.observations as f64 / report.landmarks.max(1) as f64;
-    println!("keyframes                   {}", report.keyframes);
-    println!("landmarks                   {}", report.landmarks);
-    println!("observations                {} ({mean_length:.1} a landmark)", report.observations);
-    println!("  landmarks with 1, 2, ...  {}", histogram(&report.track_lengths));
-    println!("landmarks a keyframe        {}", spread(&report.landmarks_per_keyframe, 0));
-    if report.stereo_features > 0 {
-        println!("features seen in stereo     {}", report.stereo_features);
-    }
-    for image in &report.unreadable_images {
-        println!("left out                    {image}");
-    }
-    println!("pairs matched               {} with {} matches", report.pairs, report.matches);
-    if report.imu_noise_scale > 0.0 {
-        println!("noise of the IMU            {:.1} times the stated", report.imu_noise_scale);
-        if report.imu_noise_scale > MAX_PLAUSIBLE_NOISE_SCALE {
-            println!(
-                "                            images and IMU hardly agree: check the time offset between them, the extrinsics, and the \
-                 noise that the calibration states"
-            );
-        }
-    }
-    if report.loops > 0 {
-        println!(
-            "loops                       {} found, {} of them refused",
-            report.loops, report.refused_loops
-        );
-    }
-    println!("observations dropped        {}", report.dropped_observations);
-    println!("reprojection error, px      {}", spread(&report.reprojection_px, 2));
-    println!("  through the given poses   {}", spread(&report.reprojection_through_given_px, 2));
-    println!("pixel sigma, px             {:.2}", report.sigma_px);
-    println!("poses corrected by, deg     {}", spread(&report.pose_correction_deg, 2));
-    println!("                    m       {}", spread(&report.pose_correction_m, 3));
-    println!("sigma of poses per axis, deg {}", spread(&report.sigma_pose_deg, 3));
-    println!("                         m   {}", spread(&report.sigma_pose_m, 3));
-    println!("correlated pairs            {}", report.cross_covariances);
-    let few = BuildReport::FEW_LANDMARKS;
-    println!("keyframes below {few} landmarks {}", report.poor_keyframes.len());
-    if !report.poor_keyframes.is_empty() {
-        let shown: Vec<String> = report.poor_keyframes.iter().take(20).map(ToString::to_string).collect();
-        let more = if report.poor_keyframes.len() > 20 { ", ..." } else { "" };
-        println!("  ids                       {}{more}", shown.join(", "));
-    }
-    println!("time                        {:.1} s", report.seconds);
-}
-
-/// The first counts, and the sum of the rest.
-fn histogram(counts: &[usize]) -> String {
-    const SHOWN: usize = 9;
-    let mut text: Vec<String> = counts.iter().take(SHOWN).map(ToString::to_string).collect();
-    if counts.len() > SHOWN {
-        text.push(format!("and more: {}", counts[SHOWN..].iter().sum::<usize>()));
-    }
-    text.join(", ")
 }
 
 #[cfg(test)]

@@ -3,6 +3,7 @@
 use clap::Subcommand;
 
 pub mod build_map;
+mod build_report;
 #[cfg(feature = "bags")]
 pub mod convert;
 pub mod demo;
@@ -37,7 +38,7 @@ pub enum Command {
     Demo(demo::Args),
     /// Simulate a town and two runs through it, as recordings on disk
     Simulate(simulate::Args),
-    /// Build a map from a recording, with or without reference poses
+    /// Build a map from a recording, with or without reference poses, or extend one
     BuildMap(build_map::Args),
     /// Import a plain-text map
     ImportMap(import_map::Args),

@@ -40,6 +40,7 @@ fn jacobians_of_a_prediction_are_right() {
             ray: Vector2::new(rng.random_range(-0.2..0.2), rng.random_range(-0.2..0.2)),
             inverse_depth: rng.random_range(0.05..0.3),
             observations: vec![observation(0, 0), observation(0, 1), observation(1, 0), observation(1, 1)],
+            prior: None,
         };
         for observation in &landmark.observations[1..] {
             let at = |anchor: &Pose, view: &Pose, landmark: &InverseDepthLandmark| {
@@ -64,7 +65,7 @@ fn jacobians_of_a_prediction_are_right() {
 }
 
 const fn of_poses(views: usize) -> StateLayout {
-    StateLayout { views, inertial: false }
+    StateLayout { views, motions: 0 }
 }
 
 /// Random reduced equations of poses in a chain with a few loops, and the same as a dense matrix.
@@ -214,6 +215,7 @@ fn the_equations_are_the_gradient_of_the_cost() {
         ray: Vector2::new(0.1, -0.05),
         inverse_depth: 0.1,
         observations: vec![at(0, [400.0, 230.0]), at(1, [380.0, 260.0])],
+        prior: None,
     };
     let (priors, relative_poses) = ([PosePrior::of_reference(1, &prior)], [relative]);
     let without = Problem {
@@ -221,6 +223,7 @@ fn the_equations_are_the_gradient_of_the_cost() {
         priors: &priors,
         inertial: None,
         relative_poses: &relative_poses,
+        stored: None,
         sigma_px: 1.5,
     };
     let bundle = Bundle { poses, motions: Vec::new(), landmarks: vec![landmark] };

@@ -20,6 +20,7 @@ use crate::reference_poses::ReferencePoses;
 use crate::{BuildOptions, BuildReport, Spread, StoredPoses, build_map, tracks};
 
 mod equations;
+mod extension;
 
 fn normal(rng: &mut StdRng) -> f64 {
     StandardNormal.sample(rng)

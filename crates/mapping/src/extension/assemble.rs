@@ -1,0 +1,145 @@
+//! Assembles the extended map.
+
+use std::collections::BTreeMap;
+
+use geometry::uncertain_pose::PoseWithCovariance;
+use map::contents::MapContents;
+use map::model::{KeyframeCrossCovariance, Landmark, Observation};
+use protocol::{KeyframeId, LandmarkId};
+
+use super::error::ExtendError;
+use super::report::ExtensionReport;
+use crate::assemble::{keyframe_id, map_contents};
+use crate::bundle_adjustment::Bundle;
+use crate::joint_covariance::JointCovariance;
+use crate::landmark::InverseDepthLandmark;
+use crate::without_references::Builder;
+
+/// The map of both: what was stored with its ids, moved, and what is new with ids beyond them.
+pub(super) fn extended(
+    stored: &MapContents,
+    builder: &Builder<'_, '_>,
+    both: &Bundle,
+    joint: JointCovariance,
+    sigma_px: f64,
+) -> Result<MapContents, ExtendError> {
+    let views = builder.views.len();
+    let ids = Ids::after(stored, views);
+    let (again, new): (Vec<_>, Vec<_>) =
+        both.landmarks.iter().cloned().partition(|landmark| landmark.prior.is_some());
+    let of_recording = Bundle { poses: both.poses[..views].to_vec(), motions: Vec::new(), landmarks: new };
+    let (inside, beyond): (Vec<_>, Vec<_>) = joint.cross.into_iter().partition(|(i, j, _)| i.max(j) < &views);
+    let camera = &builder.cameras[0].camera;
+    let own = JointCovariance { own: joint.own, cross: inside };
+    let stored_own = own.own.clone();
+    let mut recording =
+        map_contents(camera, &builder.views, &of_recording, Some(own), sigma_px, &builder.options)?;
+
+    let mut contents = stored.clone();
+    contents.info.sigma_px = stored.info.sigma_px.max(sigma_px);
+    for (at, keyframe) in contents.keyframes.iter_mut().enumerate() {
+        let view = views + at;
+        keyframe.global_from_keyframe = PoseWithCovariance::new(both.poses[view], stored_own[&view]);
+    }
+    for keyframe in &mut recording.keyframes {
+        keyframe.id += ids.last_keyframe;
+    }
+    contents.keyframes.append(&mut recording.keyframes);
+    for landmark in &mut recording.landmarks {
+        landmark.id += ids.last_landmark;
+        landmark.anchor += ids.last_keyframe;
+        landmark.observations.iter_mut().for_each(|observation| observation.keyframe += ids.last_keyframe);
+    }
+    add_observations(&mut contents.landmarks, &again, builder, &ids);
+    contents.landmarks.append(&mut recording.landmarks);
+    for cross in &mut recording.cross_covariances {
+        (cross.a, cross.b) = (cross.a + ids.last_keyframe, cross.b + ids.last_keyframe);
+    }
+    contents.cross_covariances = recording.cross_covariances;
+    let cross = |(i, j, block)| KeyframeCrossCovariance { a: ids.keyframe(i), b: ids.keyframe(j), block };
+    contents.cross_covariances.extend(beyond.into_iter().map(cross));
+    contents.sort();
+    contents.validate()?;
+    Ok(contents)
+}
+
+/// Ids of keyframes by view.
+struct Ids {
+    last_keyframe: KeyframeId,
+    last_landmark: LandmarkId,
+    stored: Vec<KeyframeId>,
+    views: usize,
+}
+
+impl Ids {
+    fn after(stored: &MapContents, views: usize) -> Ids {
+        let keyframes: Vec<KeyframeId> = stored.keyframes.iter().map(|keyframe| keyframe.id).collect();
+        Ids {
+            last_keyframe: keyframes.iter().copied().max().unwrap_or_default(),
+            last_landmark: stored.landmarks.iter().map(|landmark| landmark.id).max().unwrap_or_default(),
+            stored: keyframes,
+            views,
+        }
+    }
+
+    fn keyframe(&self, view: usize) -> KeyframeId {
+        match view.checked_sub(self.views) {
+            Some(at) => self.stored[at],
+            None => self.last_keyframe + keyframe_id(view),
+        }
+    }
+}
+
+/// Adds the observations of the recording to the landmarks of the map, and moves these to where both see them.
+fn add_observations(
+    landmarks: &mut [Landmark],
+    again: &[InverseDepthLandmark],
+    builder: &Builder<'_, '_>,
+    ids: &Ids,
+) {
+    let again: BTreeMap<LandmarkId, &InverseDepthLandmark> =
+        again.iter().filter_map(|landmark| Some((landmark.prior.as_ref()?.id, landmark))).collect();
+    for landmark in landmarks {
+        let Some(adjusted) = again.get(&landmark.id) else { continue };
+        landmark.position_in_anchor = adjusted.ray.push(1.0) / adjusted.inverse_depth;
+        for observation in &adjusted.observations {
+            let (view, feature) = observation.feature;
+            let Some(content) = builder.views.get(view).filter(|_| observation.camera == 0) else { continue };
+            let (Some(&pixel), Some(descriptor)) =
+                (content.features.pixels.get(feature), content.features.descriptors.get(feature))
+            else {
+                continue;
+            };
+            let (keyframe, descriptor) = (ids.keyframe(view), descriptor.to_vec());
+            landmark.observations.push(Observation { keyframe, pixel, descriptor });
+        }
+    }
+}
+
+/// Fills in the statistics of the extended map.
+pub(super) fn fill_report(
+    report: &mut ExtensionReport,
+    stored: &MapContents,
+    contents: &MapContents,
+    both: &Bundle,
+) {
+    let again = || both.landmarks.iter().filter(|landmark| landmark.prior.is_some());
+    report.landmarks_seen_again = again().count();
+    report.observations_of_them = again().map(|landmark| landmark.observations.len() - 1).sum();
+    let pairs = || stored.keyframes.iter().zip(&contents.keyframes);
+    let per_axis = |sum: f64| (sum / (3 * stored.keyframes.len()) as f64).sqrt();
+    let moved = |first: usize| {
+        let squares = pairs().map(|(before, after)| {
+            let error = before.global_from_keyframe.pose.local(&after.global_from_keyframe.pose);
+            error.fixed_rows::<3>(first).norm_squared()
+        });
+        per_axis(squares.sum())
+    };
+    report.moved_deg = moved(0).to_degrees();
+    report.moved_m = moved(3);
+    let variance = |pose: &PoseWithCovariance| 3.0 * pose.sigma_p_m().powi(2);
+    report.sigma_before_m = per_axis(pairs().map(|(before, _)| variance(&before.global_from_keyframe)).sum());
+    report.sigma_after_m = per_axis(pairs().map(|(_, after)| variance(&after.global_from_keyframe)).sum());
+    report.keyframes = contents.keyframes.len();
+    report.landmarks = contents.landmarks.len();
+}

@@ -1,0 +1,120 @@
+//! Landmarks of the map that the recording sees again.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use map::contents::MapContents;
+use map::model::Landmark;
+use nalgebra::Vector2;
+use protocol::{KeyframeId, LandmarkId};
+
+use super::places::StoredPlace;
+use crate::keyframe_view::{FeatureId, KeyframeView};
+use crate::landmark::{InverseDepthLandmark, LandmarkObservation};
+use crate::landmark_prior::{LandmarkPrior, StoredObserver};
+
+/// Joins the landmarks of a recording with those of the map that they are.
+///
+/// # Arguments
+/// * `landmarks`: of the recording, by the views.
+///
+/// # Returns
+/// The landmarks that are new, and those of the map, each with its prior and all observations of the recording.
+pub(super) fn fuse(
+    stored: &MapContents,
+    views: &[KeyframeView<'_>],
+    places: &[StoredPlace],
+    landmarks: Vec<InverseDepthLandmark>,
+) -> Vec<InverseDepthLandmark> {
+    let mut shown = shown_landmarks(places);
+    let mut seen: BTreeMap<LandmarkId, Vec<LandmarkObservation>> = BTreeMap::new();
+    let mut fused = Vec::with_capacity(landmarks.len());
+    for landmark in landmarks {
+        let features = landmark.observations.iter().map(|observation| observation.feature);
+        let ids = features.filter_map(|feature| shown.get(&feature).copied());
+        let Some(id) = most_frequent(ids) else {
+            fused.push(landmark);
+            continue;
+        };
+        for observation in &landmark.observations {
+            shown.remove(&observation.feature);
+        }
+        seen.entry(id).or_default().extend(landmark.observations);
+    }
+    for ((view, feature), id) in shown {
+        let first =
+            LandmarkObservation { feature: (view, feature), camera: 0, pixel: views[view].pixel(feature) };
+        let second = views[view].stereo_pixel(feature);
+        let second = second.map(|pixel| LandmarkObservation { camera: 1, pixel, ..first });
+        seen.entry(id).or_default().extend(std::iter::once(first).chain(second));
+    }
+    let known: BTreeMap<LandmarkId, &Landmark> =
+        stored.landmarks.iter().map(|landmark| (landmark.id, landmark)).collect();
+    let view_of: BTreeMap<KeyframeId, usize> =
+        stored.keyframes.iter().map(|keyframe| keyframe.id).zip(0..).collect();
+    fused.extend(seen.into_iter().filter_map(|(id, observations)| {
+        let landmark = with_prior(stored, &view_of, views.len(), known.get(&id)?)?;
+        Some(observed(landmark, observations))
+    }));
+    fused
+}
+
+/// The landmark that each feature shows: the one that most keyframes of the map say.
+fn shown_landmarks(places: &[StoredPlace]) -> BTreeMap<FeatureId, LandmarkId> {
+    let mut said: BTreeMap<FeatureId, Vec<LandmarkId>> = BTreeMap::new();
+    for place in places {
+        for &(feature, id) in &place.matches {
+            said.entry((place.relative.views[1], feature)).or_default().push(id);
+        }
+    }
+    said.into_iter().filter_map(|(feature, ids)| Some((feature, most_frequent(ids.into_iter())?))).collect()
+}
+
+/// The most frequent of some ids, of several the smallest.
+fn most_frequent(ids: impl Iterator<Item = LandmarkId>) -> Option<LandmarkId> {
+    let mut counts: BTreeMap<LandmarkId, usize> = BTreeMap::new();
+    for id in ids {
+        *counts.entry(id).or_default() += 1;
+    }
+    counts.into_iter().max_by_key(|&(id, count)| (count, std::cmp::Reverse(id))).map(|(id, _)| id)
+}
+
+/// A landmark of the map with its prior. Its anchor stays.
+fn with_prior(
+    stored: &MapContents,
+    view_of: &BTreeMap<KeyframeId, usize>,
+    first: usize,
+    landmark: &Landmark,
+) -> Option<InverseDepthLandmark> {
+    let mut observers: Vec<StoredObserver<'_>> = Vec::with_capacity(landmark.observations.len());
+    for observation in &landmark.observations {
+        let at = *view_of.get(&observation.keyframe)?;
+        let keyframe = &stored.keyframes[at];
+        observers.push(StoredObserver {
+            view: first + at,
+            pose: keyframe.global_from_keyframe.pose,
+            camera: &keyframe.camera,
+            pixel: Vector2::from(observation.pixel.map(f64::from)),
+        });
+    }
+    let anchor = landmark.observations.iter().position(|seen| seen.keyframe == landmark.anchor)?;
+    observers.swap(0, anchor);
+    LandmarkPrior::new(landmark, &observers, stored.info.sigma_px)
+}
+
+/// Adds observations, one for each view and camera. The anchor's view comes last of all.
+fn observed(
+    landmark: InverseDepthLandmark,
+    mut observations: Vec<LandmarkObservation>,
+) -> InverseDepthLandmark {
+    observations.sort_by_key(|observation| (observation.view(), observation.feature.1, observation.camera));
+    let mut feature_of: BTreeMap<usize, usize> = BTreeMap::new();
+    observations.retain(|observation| {
+        let (view, feature) = observation.feature;
+        *feature_of.entry(view).or_insert(feature) == feature
+    });
+    let mut unique = BTreeSet::new();
+    observations.retain(|observation| unique.insert((observation.view(), observation.camera)));
+    let anchor = observations.len();
+    observations.extend(landmark.observations);
+    InverseDepthLandmark { anchor, observations, ..landmark }
+}

@@ -1,0 +1,180 @@
+//! Extending a map by another recording of the same place.
+//!
+//! 1. The recording is adjusted by itself, in its own frame with z up.
+//! 2. Its keyframes are searched in the map; the places that agree with each other give yaw and position.
+//! 3. The map enters as the joint prior of its keyframes' poses, the recording with all its states; relative poses of the
+//!    places tie them together.
+//! 4. These relative poses are replaced by what they came from: landmarks of the map, each given the map's poses, with the
+//!    pixels of the recording. Both are adjusted together, and the joint covariance of all keyframes is computed.
+//!
+//! Keyframes and landmarks of the map keep their ids. Landmarks that the recording does not see move with their anchors.
+
+mod assemble;
+mod error;
+mod fusion;
+mod places;
+mod report;
+
+use std::collections::BTreeSet;
+use std::time::Instant;
+
+use map::contents::MapContents;
+use nalgebra::Vector3;
+use sensors::Sequence;
+
+use crate::bundle_adjustment::Bundle;
+use crate::error::BuildError;
+use crate::feature_source::Extraction;
+use crate::joint_prior::JointPrior;
+use crate::keyframe_view::keyframes;
+use crate::loop_closure::consistent;
+use crate::odometry::Odometry;
+use crate::options::BuildOptions;
+use crate::progress::Progress;
+use crate::refinement::{Constraints, ROUNDS, covariance_of};
+use crate::relative_pose::RelativePose;
+use crate::without_references::Builder;
+pub use error::ExtendError;
+use places::{Alignment, MIN_AGREEING, StoredPlace, align, find_places, view_count};
+pub use report::ExtensionReport;
+
+/// Largest angle between the map's direction of gravity and -z (rad).
+const MAX_TILT: f64 = 1e-3;
+
+/// Extends a map by another recording of the same place.
+///
+/// # Arguments
+/// * `stored`: whole and valid, in a frame with z up.
+/// * `sequence`: with readings of the IMU, and features or images as the map's.
+/// * `odometry`: states at its images, in a frame of its own.
+/// * `extraction`: how features are extracted from images; `None` takes those that the recording has.
+///
+/// # Returns
+/// The map of both, sorted and valid, with the joint covariance of all keyframes.
+///
+/// # Errors
+/// [`ExtendError`], with what to do.
+pub fn extend_map(
+    stored: &MapContents,
+    sequence: &Sequence,
+    odometry: &Odometry,
+    extraction: Option<Extraction<'_>>,
+    options: &BuildOptions,
+    progress: Progress<'_>,
+) -> Result<(MapContents, ExtensionReport), ExtendError> {
+    let start = Instant::now();
+    check_vertical(stored)?;
+    let mut builder = Builder::new(sequence, odometry, extraction, options, progress)?;
+    check_new(stored, &builder)?;
+    let (session, _) = builder.build()?;
+    let sigma_px = builder.report.sigma_px;
+    builder.options.sigma_px = Some(sigma_px);
+    let found = find_places(stored, &mut builder, &session.poses)?;
+    let mut report = ExtensionReport {
+        new_keyframes: builder.report.keyframes,
+        unreadable_images: builder.report.unreadable_images.clone(),
+        loops: builder.report.loops - builder.report.refused_loops,
+        imu_noise_scale: builder.report.imu_noise_scale,
+        sigma_px,
+        stored_keyframes: stored.keyframes.len(),
+        places: view_count(&found),
+        ..ExtensionReport::default()
+    };
+    let mut both = session;
+    both.poses.extend(stored.keyframes.iter().map(|keyframe| keyframe.global_from_keyframe.pose));
+    let alignment = align(&found, &both.poses, report.new_keyframes)?;
+    move_recording(&mut both, builder.views.len(), &alignment);
+    let prior = JointPrior::of_map(stored, builder.views.len()).ok_or(ExtendError::Indefinite)?;
+    let (mut both, places) = tie(&mut builder, &prior, both, alignment.agreeing)?;
+    report.agreeing_places = view_count(&places);
+    if report.agreeing_places < MIN_AGREEING {
+        return Err(ExtendError::NotConnected {
+            keyframes: report.new_keyframes,
+            found: report.places,
+            agreeing: report.agreeing_places,
+            wanted: MIN_AGREEING,
+        });
+    }
+    both.landmarks = fusion::fuse(stored, &builder.views, &places, both.landmarks);
+    let constraints = constraints(&builder, &both, &prior, Vec::new());
+    let both = builder.adjust(&constraints, both, ROUNDS);
+    let mut views = keyframes(&builder.views);
+    views.extend(builder.views.len()..both.poses.len());
+    let joint = covariance_of(&builder.cameras, &constraints, &both, &views, sigma_px, builder.progress)?;
+    let contents = assemble::extended(stored, &builder, &both, joint, sigma_px)?;
+    assemble::fill_report(&mut report, stored, &contents, &both);
+    report.seconds = start.elapsed().as_secs_f64();
+    Ok((contents, report))
+}
+
+fn check_vertical(stored: &MapContents) -> Result<(), ExtendError> {
+    if stored.keyframes.is_empty() {
+        return Err(ExtendError::Empty);
+    }
+    let gravity = stored.info.gravity_in_global;
+    if gravity.is_some_and(|gravity| gravity.angle(&-Vector3::z()) <= MAX_TILT) {
+        return Ok(());
+    }
+    Err(ExtendError::Vertical { gravity: gravity.map(Into::into) })
+}
+
+/// Checks that no keyframe of the map is an image of the recording.
+fn check_new(stored: &MapContents, builder: &Builder<'_, '_>) -> Result<(), ExtendError> {
+    let stamps: BTreeSet<i64> = builder.views.iter().map(|view| view.stamp_ns).collect();
+    match stored.keyframes.iter().find(|keyframe| stamps.contains(&keyframe.stamp_ns)) {
+        Some(known) => Err(ExtendError::AlreadyInMap { keyframe: known.id, stamp_ns: known.stamp_ns }),
+        None => Ok(()),
+    }
+}
+
+/// Moves the first views from the frame of the recording to G.
+fn move_recording(both: &mut Bundle, views: usize, alignment: &Alignment) {
+    let transform = &alignment.global_from_recording;
+    for pose in &mut both.poses[..views] {
+        *pose = transform.compose(pose);
+    }
+    for motion in &mut both.motions {
+        motion.velocity = transform.rotation * motion.velocity;
+    }
+}
+
+fn constraints(
+    builder: &Builder<'_, '_>,
+    both: &Bundle,
+    prior: &JointPrior,
+    relative_poses: Vec<RelativePose>,
+) -> Constraints {
+    Constraints {
+        priors: Vec::new(),
+        inertial: Some(builder.inertial(&both.motions)),
+        relative_poses,
+        stored: Some(prior.clone()),
+    }
+}
+
+/// Adjusts the recording to the map by the places that neither their covariances nor the others contradict.
+///
+/// # Arguments
+/// * `places`: the first one is taken for true at first.
+fn tie(
+    builder: &mut Builder<'_, '_>,
+    prior: &JointPrior,
+    mut both: Bundle,
+    places: Vec<StoredPlace>,
+) -> Result<(Bundle, Vec<StoredPlace>), BuildError> {
+    let mut relative: Vec<RelativePose> = places.iter().map(|place| place.relative.clone()).collect();
+    let first = constraints(builder, &both, prior, relative[..1].to_vec());
+    relative = first.plausible_loops(&builder.cameras, &both, relative, builder.report.sigma_px)?;
+    while !relative.is_empty() {
+        let tied = constraints(builder, &both, prior, relative.clone());
+        both = builder.adjust(&tied, both, 1);
+        let count = relative.len();
+        relative = consistent(&relative, &both.poses);
+        if relative.len() == count {
+            break;
+        }
+    }
+    let kept: BTreeSet<[usize; 2]> = relative.iter().map(|relative| relative.views).collect();
+    let places = places.into_iter().filter(|place| kept.contains(&place.relative.views)).collect();
+    Ok((both, places))
+}

@@ -1,0 +1,150 @@
+//! Where a recording is in the map: places that both show.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use geometry::pose::Pose;
+use geometry::rotation;
+use geometry::uncertain_pose::isotropic_covariance;
+use map::contents::MapContents;
+use nalgebra::Vector3;
+use protocol::LandmarkId;
+use recognition::{LoadedMap, RecognitionOptions};
+
+use super::error::ExtendError;
+use crate::error::BuildError;
+use crate::loop_closure::information;
+use crate::progress::Stage;
+use crate::relative_pose::RelativePose;
+use crate::without_references::Builder;
+
+/// Standard deviations of the map's keyframes while places are searched (rad, m): only relative poses are wanted.
+const SEARCH_SIGMAS: [f64; 2] = [1e-5, 1e-4];
+/// Places of one keyframe that are kept: those with the most matches.
+const PLACES_A_VIEW: usize = 4;
+/// Keyframes that must agree on where the recording is.
+pub(super) const MIN_AGREEING: usize = 3;
+/// Two places agree on where the recording is up to this rotation (rad) and distance (m), and ...
+const AGREEMENT: [f64; 2] = [0.1, 0.5];
+/// ... this part of the distance between them, for the drift of both.
+const DRIFT: f64 = 0.03;
+
+/// A keyframe of the map that shows the place of a view.
+#[derive(Clone, Debug)]
+pub(super) struct StoredPlace {
+    /// From the keyframe of the map to the view.
+    pub(super) relative: RelativePose,
+    /// Features of the view and the landmarks that they show.
+    pub(super) matches: Vec<(usize, LandmarkId)>,
+}
+
+/// Searches the keyframes of a recording in the map.
+///
+/// # Arguments
+/// * `poses`: of the views, in a frame with z up.
+///
+/// # Errors
+/// [`BuildError::Index`], [`BuildError::Recognition`].
+pub(super) fn find_places(
+    stored: &MapContents,
+    builder: &mut Builder<'_, '_>,
+    poses: &[Pose],
+) -> Result<Vec<StoredPlace>, BuildError> {
+    let [sigma_theta, sigma_p] = SEARCH_SIGMAS;
+    let mut searched = stored.clone();
+    searched.cross_covariances.clear();
+    for keyframe in &mut searched.keyframes {
+        keyframe.global_from_keyframe.covariance = isotropic_covariance(sigma_theta, sigma_p);
+    }
+    let view_of: BTreeMap<u64, usize> =
+        searched.keyframes.iter().map(|keyframe| keyframe.id).zip(poses.len()..).collect();
+    let map = LoadedMap::from_contents(searched)?;
+    let (options, down) = (RecognitionOptions::default(), -Vector3::z());
+    let mut found = Vec::new();
+    for (view, content) in builder.views.iter().enumerate().filter(|(_, content)| content.is_keyframe()) {
+        (builder.progress)(Stage::PlaceRecognition, view, poses.len());
+        let gravity_in_camera = Some(poses[view].rotation.inverse() * down);
+        let camera = &builder.cameras[0].camera;
+        let places =
+            map.verified_places(camera, &content.features, gravity_in_camera, &|_| true, &options)?;
+        for place in places.into_iter().take(PLACES_A_VIEW) {
+            let stored_view = view_of[&place.keyframe];
+            let keyframe = &stored.keyframes[stored_view - poses.len()].global_from_keyframe.pose;
+            let relative = RelativePose {
+                views: [stored_view, view],
+                first_from_second: keyframe.inverse().compose(&place.global_from_camera.pose),
+                information: information(keyframe, &place.global_from_camera.covariance),
+            };
+            found.push(StoredPlace { relative, matches: place.inliers });
+        }
+    }
+    (builder.progress)(Stage::PlaceRecognition, poses.len(), poses.len());
+    Ok(found)
+}
+
+/// Where the frame of the recording is in G: by the place with which the most views agree.
+pub(super) struct Alignment {
+    /// Turned about the vertical only.
+    pub(super) global_from_recording: Pose,
+    /// The places that agree with it, the one that gives it first.
+    pub(super) agreeing: Vec<StoredPlace>,
+}
+
+/// Aligns a recording with the map.
+///
+/// # Arguments
+/// * `poses`: of the views of the recording in its own frame, then of the map's keyframes in G.
+///
+/// # Errors
+/// [`ExtendError::NotConnected`].
+pub(super) fn align(
+    places: &[StoredPlace],
+    poses: &[Pose],
+    keyframes: usize,
+) -> Result<Alignment, ExtendError> {
+    let measured: Vec<Pose> = places.iter().map(|place| measured(&place.relative, poses)).collect();
+    let agreeing = |first: usize| -> Vec<usize> {
+        let view = places[first].relative.views[1];
+        let transform = turned_about_vertical(&measured[first], &poses[view]);
+        let agrees = |other: &usize| {
+            let pose = &poses[places[*other].relative.views[1]];
+            let error = measured[*other].local(&transform.compose(pose));
+            let distance = (pose.translation - poses[view].translation).norm();
+            error.fixed_rows::<3>(0).norm() <= AGREEMENT[0]
+                && error.fixed_rows::<3>(3).norm() <= AGREEMENT[1] + DRIFT * distance
+        };
+        (0..places.len()).filter(agrees).collect()
+    };
+    let best = (0..places.len()).map(|first| (first, agreeing(first))).max_by_key(|(_, all)| all.len());
+    let (first, all) = best.unwrap_or_default();
+    let chosen: Vec<StoredPlace> = all.iter().map(|&at| places[at].clone()).collect();
+    if view_count(&chosen) < MIN_AGREEING {
+        return Err(ExtendError::NotConnected {
+            keyframes,
+            found: view_count(places),
+            agreeing: view_count(&chosen),
+            wanted: MIN_AGREEING,
+        });
+    }
+    let mut agreeing = chosen;
+    let at = all.iter().position(|&at| at == first).unwrap_or_default();
+    agreeing.swap(0, at);
+    let pose = &poses[places[first].relative.views[1]];
+    Ok(Alignment { global_from_recording: turned_about_vertical(&measured[first], pose), agreeing })
+}
+
+/// Number of views with a place.
+pub(super) fn view_count(places: &[StoredPlace]) -> usize {
+    places.iter().map(|place| place.relative.views[1]).collect::<BTreeSet<_>>().len()
+}
+
+/// The pose of the view in G by a place.
+fn measured(relative: &RelativePose, poses: &[Pose]) -> Pose {
+    poses[relative.views[0]].compose(&relative.first_from_second)
+}
+
+/// The transform with vertical z that takes a pose to another one.
+fn turned_about_vertical(global: &Pose, own: &Pose) -> Pose {
+    let turn = rotation::log(&(global.rotation * own.rotation.inverse()));
+    let yaw = rotation::exp(&Vector3::new(0.0, 0.0, turn.z));
+    Pose::new(yaw, global.translation - yaw * own.translation)
+}

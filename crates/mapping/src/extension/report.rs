@@ -1,0 +1,43 @@
+//! Statistics of an extension.
+
+use serde::Serialize;
+
+/// Statistics of a run of [`crate::extend_map`].
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct ExtensionReport {
+    /// Keyframes of the recording.
+    pub new_keyframes: usize,
+    /// Images of the recording that could not be read and were left out, with the reason.
+    pub unreadable_images: Vec<String>,
+    /// Loops within the recording.
+    pub loops: usize,
+    /// Factor on the stated noise of the IMU by which its readings fit the images.
+    pub imu_noise_scale: f64,
+    /// Standard deviation of a pixel of the recording, as given or as estimated (px).
+    pub sigma_px: f64,
+    /// Keyframes of the map before.
+    pub stored_keyframes: usize,
+    /// Keyframes of the recording that show a place of the map.
+    pub places: usize,
+    /// Those of them that agree with each other and with the adjusted trajectory.
+    pub agreeing_places: usize,
+    /// Landmarks of the map that the recording sees again.
+    pub landmarks_seen_again: usize,
+    /// Observations of them.
+    pub observations_of_them: usize,
+    /// Rotation of the map's keyframes by the extension, root mean square per axis (deg).
+    pub moved_deg: f64,
+    /// The same for their positions (m).
+    pub moved_m: f64,
+    /// Standard deviation of the map's positions before, root mean square per axis (m).
+    pub sigma_before_m: f64,
+    /// ... and after.
+    pub sigma_after_m: f64,
+    /// Keyframes afterwards.
+    pub keyframes: usize,
+    /// Landmarks afterwards.
+    pub landmarks: usize,
+    /// Time taken (s).
+    pub seconds: f64,
+}

@@ -1,0 +1,186 @@
+//! What the observations of a stored landmark say of it, given the poses of the keyframes that observe it.
+//!
+//! The poses of a map state what is left of its observations once the landmarks are eliminated. What these observations
+//! say beyond that is the landmark given the poses:
+//! ```text
+//! y = -V^-1 W^T x + v,   v ~ N(0, V^-1),   V = sum J_y^T J_y / s^2,   W = sum J_x^T J_y / s^2
+//! ```
+//! with `y` the error of ray and inverse depth and `x` the errors of the poses, both relative to the map. Poses and this
+//! together are the same as the observations themselves, so that each is used once, however often a map is extended.
+
+use geometry::camera::Camera;
+use geometry::pose::Pose;
+use map::model::Landmark;
+use nalgebra::{Matrix3, Matrix3x6, Matrix6x3, Vector2, Vector3};
+use protocol::LandmarkId;
+
+use super::bundle_adjustment::pose_error;
+use super::camera::{CameraPose, MIN_DEPTH, MappingCamera};
+use super::landmark::{InverseDepthLandmark, LandmarkObservation};
+use super::normal_equations::{LandmarkBlocks, NormalEquations};
+
+/// Gauss-Newton iterations from the position that the map states.
+const STEPS: usize = 8;
+/// Least information on the inverse depth, m^2: for landmarks without parallax.
+const MIN_DEPTH_INFORMATION: f64 = 1.0;
+
+/// The distribution of a stored landmark given the poses of its keyframes.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct LandmarkPrior {
+    /// Its id in the map.
+    pub(super) id: LandmarkId,
+    /// Ray and inverse depth in its anchor, at the stored poses.
+    mean: Vector3<f64>,
+    /// V.
+    information: Matrix3<f64>,
+    /// View, its stored pose, and its block of `V^-1 W^T`.
+    poses: Vec<(usize, Pose, Matrix3x6<f64>)>,
+}
+
+/// A keyframe that observes a stored landmark.
+pub(super) struct StoredObserver<'a> {
+    /// Its view.
+    pub(super) view: usize,
+    /// Its stored pose.
+    pub(super) pose: Pose,
+    /// Its camera.
+    pub(super) camera: &'a Camera,
+    /// Where it sees the landmark (px).
+    pub(super) pixel: Vector2<f64>,
+}
+
+impl LandmarkPrior {
+    /// The prior of a landmark, and the landmark with its anchor as the only observation.
+    ///
+    /// # Arguments
+    /// * `observers`: its anchor first.
+    /// * `sigma_px`: px.
+    ///
+    /// # Returns
+    /// `None` where the anchor or the landmark is impossible.
+    pub(super) fn new(
+        stored: &Landmark,
+        observers: &[StoredObserver<'_>],
+        sigma_px: f64,
+    ) -> Option<InverseDepthLandmark> {
+        let p = stored.position_in_anchor;
+        if p.z < MIN_DEPTH {
+            return None;
+        }
+        let unmoved = |observer: &StoredObserver<'_>| MappingCamera {
+            camera: observer.camera.clone(),
+            rotation: Matrix3::identity(),
+            offset: Vector3::zeros(),
+        };
+        let cameras: Vec<MappingCamera> = observers.iter().map(unmoved).collect();
+        let poses: Vec<CameraPose> =
+            observers.iter().map(|observer| CameraPose::from(&observer.pose)).collect();
+        let observation = |(at, observer): (usize, &StoredObserver<'_>)| LandmarkObservation {
+            feature: (at, 0),
+            camera: at,
+            pixel: observer.pixel,
+        };
+        let mut landmark = InverseDepthLandmark {
+            anchor: 0,
+            ray: p.xy() / p.z,
+            inverse_depth: p.z.recip(),
+            observations: observers.iter().enumerate().map(observation).collect(),
+            prior: None,
+        };
+        let (mut information, mut couplings) = (Matrix3::zeros(), Vec::new());
+        for _ in 0..STEPS {
+            let gradient;
+            (information, couplings, gradient) = linearize(&landmark, &cameras, &poses, sigma_px);
+            landmark = landmark.corrected(&information.cholesky()?.solve(&gradient));
+        }
+        let inverse = information.try_inverse()?;
+        let poses = observers.iter().zip(&couplings);
+        let prior = LandmarkPrior {
+            id: stored.id,
+            mean: parameters(&landmark),
+            information,
+            poses: poses
+                .map(|(observer, coupling)| (observer.view, observer.pose, inverse * coupling.transpose()))
+                .collect(),
+        };
+        let anchor = LandmarkObservation {
+            feature: (observers.first()?.view, 0),
+            camera: 0,
+            pixel: observers.first()?.pixel,
+        };
+        Some(InverseDepthLandmark { observations: vec![anchor], prior: Some(prior), ..landmark })
+    }
+
+    /// `y + V^-1 W^T x`, with the error of each pose and its Jacobian.
+    fn residual(&self, landmark: &InverseDepthLandmark, poses: &[Pose]) -> Vector3<f64> {
+        let start = parameters(landmark) - self.mean;
+        self.poses.iter().fold(start, |sum, (view, mean, gain)| sum + gain * mean.local(&poses[*view]))
+    }
+
+    /// Half the squared residual, in standard deviations.
+    pub(super) fn cost(&self, landmark: &InverseDepthLandmark, poses: &[Pose]) -> f64 {
+        let residual = self.residual(landmark, poses);
+        0.5 * residual.dot(&(self.information * residual))
+    }
+
+    /// Adds the linearized residual.
+    pub(super) fn add_to(
+        &self,
+        equations: &mut NormalEquations,
+        blocks: &mut LandmarkBlocks,
+        landmark: &InverseDepthLandmark,
+        poses: &[Pose],
+    ) {
+        let weighted = self.information * self.residual(landmark, poses);
+        blocks.information += self.information;
+        blocks.gradient -= weighted;
+        let by_pose: Vec<(usize, Matrix3x6<f64>)> = self
+            .poses
+            .iter()
+            .map(|(view, mean, gain)| (*view, gain * pose_error(mean, &poses[*view]).1))
+            .collect();
+        for (index, (view, by_view)) in by_pose.iter().enumerate() {
+            let coupling: Matrix6x3<f64> = by_view.transpose() * self.information;
+            equations.add_pose(*view, &(coupling * by_view), &-(by_view.transpose() * weighted));
+            for (other, by_other) in &by_pose[index + 1..] {
+                blocks.pairs.push((*view, *other, coupling * by_other));
+            }
+            blocks.couplings.push((*view, coupling));
+        }
+    }
+}
+
+fn parameters(landmark: &InverseDepthLandmark) -> Vector3<f64> {
+    landmark.ray.push(landmark.inverse_depth)
+}
+
+/// V, the blocks of W and the negative gradient by the landmark.
+fn linearize(
+    landmark: &InverseDepthLandmark,
+    cameras: &[MappingCamera],
+    poses: &[CameraPose],
+    sigma_px: f64,
+) -> (Matrix3<f64>, Vec<Matrix6x3<f64>>, Vector3<f64>) {
+    let weight = (sigma_px * sigma_px).recip();
+    let mut information = Matrix3::zeros();
+    information[(2, 2)] = MIN_DEPTH_INFORMATION;
+    let mut gradient = Vector3::zeros();
+    let mut couplings = vec![Matrix6x3::zeros(); poses.len()];
+    for (at, observation) in landmark.observations.iter().enumerate() {
+        if at == landmark.anchor {
+            let (pixel, by_ray) = landmark.predict_in_anchor(cameras);
+            let mut block = information.fixed_view_mut::<2, 2>(0, 0);
+            block += by_ray.transpose() * by_ray * weight;
+            let mut rows = gradient.fixed_rows_mut::<2>(0);
+            rows += by_ray.transpose() * (observation.pixel - pixel) * weight;
+            continue;
+        }
+        let Some(predicted) = landmark.predict(cameras, poses, observation) else { continue };
+        let weighted = predicted.by_landmark.transpose() * weight;
+        information += weighted * predicted.by_landmark;
+        gradient += weighted * (observation.pixel - predicted.pixel);
+        couplings[landmark.anchor] += predicted.by_anchor.transpose() * predicted.by_landmark * weight;
+        couplings[at] += predicted.by_view.transpose() * predicted.by_landmark * weight;
+    }
+    (information, couplings, gradient)
+}

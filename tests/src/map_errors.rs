@@ -1,0 +1,54 @@
+//! Errors of a map without reference poses, relative to its first keyframe.
+
+use geometry::{Pose, rotation};
+use map::contents::MapContents;
+use map::model::Keyframe;
+use nalgebra::{DMatrix, DVector, Vector3};
+use sensors::Sequence;
+
+/// The true pose of the IMU at a time, in the frame of the ground truth.
+pub fn true_pose(sequence: &Sequence, stamp_ns: i64) -> Pose {
+    let truth = sequence.groundtruth.as_ref().unwrap();
+    let next = truth.partition_point(|row| row.stamp_ns < stamp_ns).clamp(1, truth.len() - 1);
+    let (before, after) = (&truth[next - 1], &truth[next]);
+    let fraction = (stamp_ns - before.stamp_ns) as f64 / (after.stamp_ns - before.stamp_ns) as f64;
+    before.pose.interpolate(&after.pose, fraction)
+}
+
+/// From the frame of the ground truth to G, by position and yaw of the first keyframe.
+pub fn global_from_truth(sequence: &Sequence, contents: &MapContents) -> Pose {
+    let Keyframe { stamp_ns, global_from_keyframe, .. } = &contents.keyframes[0];
+    let truth = true_pose(sequence, *stamp_ns).compose(&sequence.cameras[0].imu_from_camera);
+    let first = &global_from_keyframe.pose;
+    let turn = rotation::log(&(first.rotation * truth.rotation.inverse()));
+    let yaw = rotation::exp(&Vector3::new(0.0, 0.0, turn.z));
+    Pose::new(yaw, first.translation - yaw * truth.translation)
+}
+
+/// The true pose of the camera at the time of each keyframe, in G.
+pub fn true_poses(sequence: &Sequence, contents: &MapContents) -> Vec<Pose> {
+    let global_from_truth = global_from_truth(sequence, contents);
+    let imu_from_camera = sequence.cameras[0].imu_from_camera;
+    let camera = |keyframe: &Keyframe| true_pose(sequence, keyframe.stamp_ns).compose(&imu_from_camera);
+    contents.keyframes.iter().map(|keyframe| global_from_truth.compose(&camera(keyframe))).collect()
+}
+
+/// Errors of all keyframes but the first, which defines G, and their joint covariance.
+pub fn errors(contents: &MapContents, truth: &[Pose]) -> (DVector<f64>, DMatrix<f64>) {
+    let count = contents.keyframes.len();
+    let mut covariance = DMatrix::zeros(6 * count, 6 * count);
+    let mut error = DVector::zeros(6 * count);
+    for (index, (keyframe, truth)) in contents.keyframes.iter().zip(truth).enumerate() {
+        let pose = &keyframe.global_from_keyframe;
+        covariance.fixed_view_mut::<6, 6>(6 * index, 6 * index).copy_from(&pose.covariance);
+        error.fixed_rows_mut::<6>(6 * index).copy_from(&pose.pose.local(truth));
+    }
+    let at = |id: u64| contents.keyframes.iter().position(|keyframe| keyframe.id == id).unwrap();
+    for cross in &contents.cross_covariances {
+        let (a, b) = (6 * at(cross.a), 6 * at(cross.b));
+        covariance.fixed_view_mut::<6, 6>(a, b).copy_from(&cross.block);
+        covariance.fixed_view_mut::<6, 6>(b, a).copy_from(&cross.block.transpose());
+    }
+    let rest = 6 * count - 6;
+    (error.rows(6, rest).into_owned(), covariance.view((6, 6), (rest, rest)).into_owned())
+}
