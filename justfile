@@ -6,6 +6,9 @@ set shell := ["bash", "-euo", "pipefail", "-c"]
 # Where the recorded runs are unpacked. They are not part of the repository; see docs/src/benchmarks.md.
 data := env("DRIFTLESS_DATA", justfile_directory() / "target/data")
 
+# The profile in which the demo and the tests on recorded runs are built.
+profile := env("DRIFTLESS_PROFILE", "release")
+
 [private]
 default:
     @just --list --unsorted
@@ -32,9 +35,9 @@ neural:
 
 # The demo: simulate, map, serve, localize
 demo:
-    cargo run --release --locked -p driftless-tools -- demo --out target/ci-demo
+    cargo run --profile {{ profile }} --locked -p driftless-tools -- demo --out target/ci-demo
 
-# Tests on recorded runs, in release; says so where the recordings are not unpacked
+# Tests on recorded runs; says so where the recordings are not unpacked
 recorded:
     #!/usr/bin/env bash
     set -euo pipefail
@@ -42,7 +45,7 @@ recorded:
         echo "SKIPPED: the recorded runs are not unpacked in {{ data }}; their tests were not run"
         exit 0
     fi
-    cargo test --release --locked -p driftless-tests --test recorded --test images -- --ignored
+    cargo test --profile {{ profile }} --locked -p driftless-tests --test recorded --test images -- --ignored
 
 # All tests; those on recorded runs are listed as ignored
 test:

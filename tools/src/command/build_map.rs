@@ -179,7 +179,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
             Report::Built(report) => print_report(report),
             Report::Extended(report) => print_extension(report),
         }
-        println!("  of it                     {}", times);
+        println!("  of it                     {times}");
     }
     Ok(())
 }
