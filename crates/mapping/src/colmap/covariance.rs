@@ -74,7 +74,7 @@ pub(super) fn covariance(
     sigma_px: f64,
     progress: impl FnMut(usize, usize),
 ) -> Option<JointCovariance> {
-    let layout = StateLayout { views: views.len(), inertial: false };
+    let layout = StateLayout { views: views.len(), motions: 0 };
     let mut equations = NormalEquations::new(layout);
     add_frame(&mut equations, layout, views, frame);
     for point in points {
