@@ -19,19 +19,22 @@ use tests::robot::arguments;
 use tests::server::{Client, Server};
 use tools::odometry::run_odometry;
 
-/// Length of a session: a loop takes 42 s.
+/// Length of a session, of which a loop takes 42 s, ...
 const SESSION_S: f64 = 46.0;
+/// ... and of all sessions together, at most.
+const RECORDING_S: f64 = 410.0;
 
 /// Several sessions over one loop of 126 m, and the whole recording that they are cut from.
 ///
 /// # Arguments
 /// * `period_s`: between images with features.
 fn sessions(seed: u64, count: usize, period_s: f64) -> (Vec<Sequence>, Sequence) {
+    let session_s = SESSION_S.min(RECORDING_S / count as f64);
     let options = SimulationOptions {
         seed,
         scenario: Scenario::Loops,
         speed: 3.0,
-        duration_s: Some(SESSION_S * count as f64),
+        duration_s: Some(session_s * count as f64),
         live_feature_period_s: period_s,
         dropout_fraction: 0.0,
         ..SimulationOptions::default()
@@ -39,7 +42,7 @@ fn sessions(seed: u64, count: usize, period_s: f64) -> (Vec<Sequence>, Sequence)
     let whole = simulate(&options).unwrap().live;
     let begin_ns = whole.frames[0].stamp_ns;
     let session = |index: usize| {
-        let limit = |index: usize| begin_ns + (index as f64 * SESSION_S * 1e9) as i64;
+        let limit = |index: usize| begin_ns + (index as f64 * session_s * 1e9) as i64;
         let [from_ns, to_ns] = [limit(index), limit(index + 1)];
         let mut part = whole.clone();
         part.frames.retain(|frame| (from_ns..to_ns).contains(&frame.stamp_ns));

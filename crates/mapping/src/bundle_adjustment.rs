@@ -51,6 +51,27 @@ impl Bundle {
     pub(super) fn camera_poses(&self) -> Vec<CameraPose> {
         self.poses.iter().map(CameraPose::from).collect()
     }
+
+    /// The layout of the states.
+    pub(super) fn layout(&self) -> StateLayout {
+        StateLayout { views: self.poses.len(), motions: self.motions.len() }
+    }
+
+    /// The bundle moved by an error of its states.
+    pub(super) fn moved(&self, error: &DVector<f64>) -> Bundle {
+        let layout = self.layout();
+        let pose = |(view, pose): (usize, &Pose)| {
+            pose.retract(&error.fixed_rows::<POSE>(layout.pose(view).start).into_owned())
+        };
+        let motion = |(view, motion): (usize, &Motion)| {
+            motion.retract(&error.fixed_rows::<MOTION>(layout.motion(view).start).into_owned())
+        };
+        Bundle {
+            poses: self.poses.iter().enumerate().map(pose).collect(),
+            motions: self.motions.iter().enumerate().map(motion).collect(),
+            landmarks: self.landmarks.clone(),
+        }
+    }
 }
 
 /// A prior of a pose.
@@ -136,38 +157,17 @@ impl Problem<'_> {
         self.equations(bundle, f64::INFINITY, 0.0).system().factor()
     }
 
-    /// The layout of the states.
-    pub(super) fn layout(&self, bundle: &Bundle) -> StateLayout {
-        StateLayout { views: bundle.poses.len(), motions: bundle.motions.len() }
-    }
-
-    /// A bundle moved by an error of its states.
-    pub(super) fn moved(&self, bundle: &Bundle, error: &DVector<f64>) -> Bundle {
-        let layout = self.layout(bundle);
-        let pose = |(view, pose): (usize, &Pose)| {
-            pose.retract(&error.fixed_rows::<POSE>(layout.pose(view).start).into_owned())
-        };
-        let motion = |(view, motion): (usize, &Motion)| {
-            motion.retract(&error.fixed_rows::<MOTION>(layout.motion(view).start).into_owned())
-        };
-        Bundle {
-            poses: bundle.poses.iter().enumerate().map(pose).collect(),
-            motions: bundle.motions.iter().enumerate().map(motion).collect(),
-            landmarks: bundle.landmarks.clone(),
-        }
-    }
-
     /// One damped Gauss-Newton step; `None` where the equations are singular.
     fn step(&self, bundle: &Bundle, scale: f64, damping: f64) -> Option<Bundle> {
         let step = self.equations(bundle, scale, damping).solve(damping)?;
         let landmarks = bundle.landmarks.iter().zip(&step.landmarks);
         let landmarks = landmarks.map(|(landmark, error)| landmark.corrected(error)).collect();
-        Some(Bundle { landmarks, ..self.moved(bundle, &step.states) })
+        Some(Bundle { landmarks, ..bundle.moved(&step.states) })
     }
 
     /// The normal equations at a bundle.
     pub(super) fn equations(&self, bundle: &Bundle, scale: f64, damping: f64) -> NormalEquations {
-        let layout = self.layout(bundle);
+        let layout = bundle.layout();
         let mut equations = NormalEquations::new(layout);
         for prior in self.priors {
             let (error, jacobian) = pose_error(&prior.pose, &bundle.poses[prior.view]);

@@ -50,7 +50,7 @@ pub(super) struct StoredObserver<'a> {
 }
 
 impl LandmarkPrior {
-    /// The prior of a landmark, and the landmark with its anchor as the only observation.
+    /// A stored landmark with its prior, its anchor as the only observation.
     ///
     /// # Arguments
     /// * `observers`: its anchor first.
@@ -58,7 +58,7 @@ impl LandmarkPrior {
     ///
     /// # Returns
     /// `None` where the anchor or the landmark is impossible.
-    pub(super) fn new(
+    pub(super) fn landmark(
         stored: &Landmark,
         observers: &[StoredObserver<'_>],
         sigma_px: f64,

@@ -71,7 +71,7 @@ impl Odometry {
                     let Some(state) = self.at(frame.stamp_ns) else { continue };
                     let reference = local_reference(frame.stamp_ns, state);
                     let prior = camera_pose(&reference, &sequence.cameras[0].imu_from_camera, options);
-                    views.push(bridging_view(frame.stamp_ns, prior, format));
+                    views.push(bridging_view(frame.stamp_ns, &prior, format));
                 }
             }
             views.push(keyframe);
@@ -91,14 +91,18 @@ fn local_reference(stamp_ns: i64, state: &ImuState) -> ReferencePose {
 }
 
 /// A view without features of its own, which ties keyframes together by tracks.
-fn bridging_view<'a>(stamp_ns: i64, prior: PoseWithCovariance, format: DescriptorFormat) -> KeyframeView<'a> {
+fn bridging_view<'a>(
+    stamp_ns: i64,
+    prior: &PoseWithCovariance,
+    format: DescriptorFormat,
+) -> KeyframeView<'a> {
     KeyframeView {
         stamp_ns,
         features: Cow::Owned(FeatureSet::empty(format)),
         tracked: Vec::new(),
         stereo: Vec::new(),
         rays: Vec::new(),
-        prior,
+        prior: *prior,
     }
 }
 

@@ -59,7 +59,7 @@ impl Constraints {
     ) -> Result<Vec<RelativePose>, BuildError> {
         let problem = self.problem(cameras, sigma_px);
         let factor = problem.information(bundle).ok_or(BuildError::Indefinite)?;
-        Ok(plausible(loops, &bundle.poses, &factor, problem.layout(bundle)))
+        Ok(plausible(loops, &bundle.poses, &factor, bundle.layout()))
     }
 
     /// The least-squares problem for a pixel noise (px).
@@ -126,7 +126,7 @@ pub(super) fn covariance_of(
     let problem = constraints.problem(cameras, sigma_px);
     let factor = problem.information(bundle).ok_or(BuildError::Indefinite)?;
     let positions: Vec<_> = views.iter().map(|&view| bundle.poses[view].translation).collect();
-    let layout = problem.layout(bundle);
+    let layout = bundle.layout();
     let show = |done, all| progress(Stage::Covariance, done, all);
     Ok(joint_covariance(&factor, layout, views, &positions, show))
 }

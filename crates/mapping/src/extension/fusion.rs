@@ -98,7 +98,7 @@ fn with_prior(
     }
     let anchor = landmark.observations.iter().position(|seen| seen.keyframe == landmark.anchor)?;
     observers.swap(0, anchor);
-    LandmarkPrior::new(landmark, &observers, stored.info.sigma_px)
+    LandmarkPrior::landmark(landmark, &observers, stored.info.sigma_px)
 }
 
 /// Adds observations, one for each view and camera. The anchor's view comes last of all.

@@ -234,12 +234,12 @@ fn the_equations_are_the_gradient_of_the_cost() {
 
 fn equations_are_the_gradient(problem: &Problem<'_>, bundle: &Bundle) {
     let equations = problem.equations(bundle, 3.0, 0.0);
-    let dim = problem.layout(bundle).dim();
+    let dim = bundle.layout().dim();
     for index in 0..dim {
         let cost = |step: f64| {
             let mut error = DVector::zeros(dim);
             error[index] = step;
-            problem.cost(&problem.moved(bundle, &error), 3.0)
+            problem.cost(&bundle.moved(&error), 3.0)
         };
         let numeric = (cost(1e-6) - cost(-1e-6)) / 2e-6;
         let stated = -equations.gradient()[index];

@@ -30,7 +30,7 @@ fn solved(problem: &Problem<'_>, mut bundle: Bundle) -> (Bundle, DMatrix<f64>) {
         let step = problem.equations(&bundle, f64::INFINITY, 0.0).solve(0.0).unwrap();
         let landmarks = bundle.landmarks.iter().zip(&step.landmarks);
         let landmarks = landmarks.map(|(landmark, error)| landmark.corrected(error)).collect();
-        bundle = Bundle { landmarks, ..problem.moved(&bundle, &step.states) };
+        bundle = Bundle { landmarks, ..bundle.moved(&step.states) };
     }
     let size = 6 * bundle.poses.len();
     let columns: Vec<usize> = (0..size).collect();
@@ -118,7 +118,7 @@ fn an_extended_map_is_the_map_of_all_observations() {
             observations: Vec::new(),
         };
         let observers: Vec<_> = in_map.observations.iter().map(observer).collect();
-        let mut again = LandmarkPrior::new(&stored, &observers, SIGMA_PX).unwrap();
+        let mut again = LandmarkPrior::landmark(&stored, &observers, SIGMA_PX).unwrap();
         let new = landmark.observations.iter().filter(|observation| observation.view() < ADDED);
         again.observations.extend(new.copied());
         again
