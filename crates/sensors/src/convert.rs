@@ -1,14 +1,14 @@
 //! A recording in another format.
 
-use crate::ros::{ImageMessage, image_message, imu_message};
+use crate::ros::{image_message, imu_message};
+use crate::ros_bag::{RosBagWriter, message_type};
 use crate::{
-    CalibrationFiles, Frame, ImageData, Recording, SensorError, SensorEvent, SensorSource, Sequence,
-    SequenceError, writer,
+    CalibrationFiles, Frame, Recording, SensorError, SensorEvent, SensorSource, Sequence, SequenceError,
+    writer,
 };
-use bags::{BagError, BagWriter, Format, MessageType, WrittenTopic};
-use ros_messages::sensor_msgs::{CompressedImage, Image};
-use ros_messages::{CdrError, RosMessage, encode};
-use std::collections::BTreeMap;
+use bags::{BagError, Format};
+use ros_messages::sensor_msgs::Imu;
+use ros_messages::{CdrError, encode};
 use std::path::{Path, PathBuf};
 use vision::ImageError;
 
@@ -145,7 +145,7 @@ fn to_bag(
     if target == Target::Mcap && calibration.exists() {
         return Err(ConvertError::Exists { path: calibration });
     }
-    let mut bag = BagOut { writer: BagWriter::create(out, format)?, topics: BTreeMap::new() };
+    let mut bag = RosBagWriter::create(out, format)?;
     let mut source = recording.source()?;
     let mut frames = 0;
     while let Some(event) = source.next()? {
@@ -153,17 +153,17 @@ fn to_bag(
             SensorEvent::Imu(reading) => {
                 let stamp_ns = reading.stamp_ns;
                 let message = imu_message(&reading).ok_or(ConvertError::Time { stamp_ns })?;
-                bag.write("/imu0", stamp_ns, &message)?;
+                bag.write("/imu0", message_type::<Imu>, stamp_ns, &encode(&message)?)?;
             }
             SensorEvent::Frame(frame) => {
-                bag.frame(&frame)?;
+                write_images(&mut bag, &frame)?;
                 frames += 1;
                 progress(frames);
             }
             SensorEvent::Tick => {}
         }
     }
-    bag.writer.finish()?;
+    bag.finish()?;
     writer::write_calibration(recording.calibration(), &calibration)?;
     let contents = recording.contents();
     let parts = [
@@ -175,43 +175,13 @@ fn to_bag(
     Ok(Converted { frames, calibration, left_out })
 }
 
-/// A bag with the topics that have been used.
-struct BagOut {
-    writer: BagWriter,
-    topics: BTreeMap<String, WrittenTopic>,
-}
-
-impl BagOut {
-    fn frame(&mut self, frame: &Frame) -> Result<(), ConvertError> {
-        for (camera, image) in frame.images.iter().enumerate() {
-            let Some(image) = image else { continue };
-            self.image(camera, frame.stamp_ns, image)?;
-        }
-        Ok(())
+fn write_images(bag: &mut RosBagWriter, frame: &Frame) -> Result<(), ConvertError> {
+    let stamp_ns = frame.stamp_ns;
+    for (camera, image) in frame.images.iter().enumerate() {
+        let Some(image) = image else { continue };
+        let message = image_message(image, stamp_ns, &format!("cam{camera}"))?
+            .ok_or(ConvertError::Time { stamp_ns })?;
+        bag.write(&message.topic(camera), || message.message_type(), stamp_ns, &message.encode()?)?;
     }
-
-    fn image(&mut self, camera: usize, stamp_ns: i64, image: &ImageData) -> Result<(), ConvertError> {
-        let message = image_message(image, stamp_ns, &format!("cam{camera}"))?;
-        match message.ok_or(ConvertError::Time { stamp_ns })? {
-            ImageMessage::Raw(image) => {
-                self.write::<Image>(&format!("/cam{camera}/image_raw"), stamp_ns, &image)
-            }
-            ImageMessage::Compressed(image) => {
-                self.write::<CompressedImage>(&format!("/cam{camera}/image_raw/compressed"), stamp_ns, &image)
-            }
-        }
-    }
-
-    fn write<M: RosMessage>(&mut self, name: &str, log_ns: i64, message: &M) -> Result<(), ConvertError> {
-        let topic = if let Some(topic) = self.topics.get(name) {
-            *topic
-        } else {
-            let definition = ros_messages::definition::<M>();
-            let of = MessageType { name: M::TYPE_NAME, hash: M::TYPE_HASH, definition };
-            let topic = self.writer.topic(name, &of)?;
-            self.topics.insert(name.to_owned(), topic);
-            topic
-        };
-        Ok(self.writer.write(topic, log_ns, &encode(message)?)?)
-    }
+    Ok(())
 }

@@ -10,6 +10,7 @@
 //! | [`live`] | measurements that arrive now |
 //! | `euroc` | the EuRoC ASL folder layout: reader and [`writer`] |
 //! | `bag` (feature `bags`) | MCAP, rosbag2 and rosbag1: [`BagSensors`] |
+//! | [`ros`]; `ros_bag` (feature `bags`) | readings and images as messages of ROS; bags of such messages, written |
 //! | `kalibr`, `rig_calibration` | calibrations of Kalibr: [`CalibrationFiles`]; of a robot: [`read_rig_calibration`] |
 //! | `imu_check`, `image_check`, `stereo_check` | units, sizes and wiring that contradict the calibration, recognized from the data |
 //! | `truth`, `gravity` | ground truth, its interpolation, and the direction of gravity in its frame (evaluation only) |
@@ -59,6 +60,8 @@ mod merged;
 mod recording;
 mod rig_calibration;
 pub mod ros;
+#[cfg(feature = "bags")]
+pub mod ros_bag;
 mod rows;
 mod source;
 mod stereo_check;

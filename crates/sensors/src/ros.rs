@@ -2,9 +2,9 @@
 
 use crate::{ImageData, ImuSample};
 use nalgebra::Vector3;
-use ros_messages::builtin_interfaces::Time;
 use ros_messages::sensor_msgs::{CompressedImage, Image, Imu};
 use ros_messages::std_msgs::Header;
+use ros_messages::{CdrError, encode};
 use std::path::Path;
 use vision::ImageError;
 
@@ -46,7 +46,7 @@ pub fn imu_sample(message: &Imu) -> Result<ImuSample, NotMeasured> {
 /// A reading as a message, without orientation; `None` for a time that ROS cannot write (before 1901, after 2038).
 pub fn imu_message(reading: &ImuSample) -> Option<Imu> {
     let mut message = Imu {
-        header: header(reading.stamp_ns, "imu")?,
+        header: Header::new(reading.stamp_ns, "imu")?,
         angular_velocity: <[f64; 3]>::from(reading.gyroscope).into(),
         linear_acceleration: <[f64; 3]>::from(reading.accelerometer).into(),
         ..Imu::default()
@@ -64,6 +64,27 @@ pub enum ImageMessage {
     Compressed(CompressedImage),
 }
 
+impl ImageMessage {
+    /// The topic of a camera's images in this form.
+    pub fn topic(&self, camera: usize) -> String {
+        match self {
+            Self::Raw(_) => format!("/cam{camera}/image_raw"),
+            Self::Compressed(_) => format!("/cam{camera}/image_raw/compressed"),
+        }
+    }
+
+    /// As CDR.
+    ///
+    /// # Errors
+    /// [`CdrError`].
+    pub fn encode(&self) -> Result<Vec<u8>, CdrError> {
+        match self {
+            Self::Raw(image) => encode(image),
+            Self::Compressed(image) => encode(image),
+        }
+    }
+}
+
 /// An image as a message: a file as it is, anything else as grey pixels; `None` for a time that ROS cannot write.
 ///
 /// # Errors
@@ -73,7 +94,7 @@ pub fn image_message(
     stamp_ns: i64,
     frame: &str,
 ) -> Result<Option<ImageMessage>, ImageError> {
-    let Some(header) = header(stamp_ns, frame) else { return Ok(None) };
+    let Some(header) = Header::new(stamp_ns, frame) else { return Ok(None) };
     if let Some(path) = image.path() {
         let data = read(path)?;
         let format =
@@ -93,8 +114,4 @@ pub fn image_message(
 fn read(path: &Path) -> Result<Vec<u8>, ImageError> {
     std::fs::read(path)
         .map_err(|source| ImageError::Source { name: path.display().to_string(), source: source.into() })
-}
-
-fn header(stamp_ns: i64, frame: &str) -> Option<Header> {
-    Some(Header { stamp: Time::from_nanoseconds(stamp_ns)?, frame_id: frame.to_owned() })
 }

@@ -12,6 +12,7 @@ mod recording;
 #[cfg(not(feature = "bags"))]
 #[path = "no_recording.rs"]
 mod recording;
+mod recording_settings;
 mod ros;
 mod status_line;
 mod summary;
@@ -22,7 +23,8 @@ pub use metrics::RobotMetrics;
 pub use publisher::{Publisher, QueryCounts};
 pub use publisher_error::PublisherError;
 pub use recorder::Recorder;
-pub(crate) use recording::{MessageRecording, RecordingSettings};
+pub(crate) use recording::MessageRecording;
+pub(crate) use recording_settings::RecordingSettings;
 pub use ros::{Estimate, RosBody, RosFrames, RosOutput, RosOutputTask, RosSettings};
 pub use status_line::StatusLine;
 pub use summary::{

@@ -2,21 +2,13 @@
 
 use super::event::Event;
 use super::publisher::QueryCounts;
-use super::ros::{Estimate, RosBody};
+use super::recording_settings::RecordingSettings;
+use super::ros::Estimate;
 use estimator::{ImuSample, Status};
 use geometry::PoseWithCovariance;
 use sensors::Frame;
 use std::convert::Infallible;
 use std::path::Path;
-
-/// What would be recorded.
-pub(crate) struct RecordingSettings {
-    pub(crate) body: RosBody,
-    pub(crate) robot: String,
-    pub(crate) map_expected: bool,
-    pub(crate) sensors: bool,
-    pub(crate) realtime: bool,
-}
 
 /// There are none.
 #[derive(Debug)]

@@ -4,18 +4,18 @@
 
 use super::event::Event;
 use super::publisher::QueryCounts;
-use super::ros::{Diagnostics, Estimate, OdomFrame, RosBody, messages};
-use bags::{BagError, BagWriter, Format, MessageType, WrittenTopic};
+use super::recording_settings::RecordingSettings;
+use super::ros::{Diagnostics, Estimate, OdomFrame, messages};
+use bags::{BagError, Format, MessageType};
 use estimator::{ImuSample, Status};
 use geometry::PoseWithCovariance;
-use ros_messages::builtin_interfaces::Time;
 use ros_messages::diagnostic_msgs::{DiagnosticArray, DiagnosticStatus, KeyValue};
 use ros_messages::sensor_msgs::{CompressedImage, Image};
 use ros_messages::std_msgs::Header;
 use ros_messages::{RosMessage, encode};
-use sensors::ros::{ImageMessage, image_message, imu_message};
+use sensors::ros::{image_message, imu_message};
+use sensors::ros_bag::{RosBagWriter, message_type};
 use sensors::{Frame, ImageData};
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::thread::JoinHandle;
@@ -25,21 +25,6 @@ use std::time::{Duration, Instant};
 const QUEUE: usize = 256;
 /// What was written is readable after so long, also when the robot is switched off.
 const FLUSH: Duration = Duration::from_secs(1);
-
-/// What is recorded, and how it is called.
-#[derive(Clone, Debug)]
-pub(crate) struct RecordingSettings {
-    /// Frames and the robot's place in them.
-    pub(crate) body: RosBody,
-    /// Name of the robot.
-    pub(crate) robot: String,
-    /// Whether odometry without a pose in the map is worth a warning.
-    pub(crate) map_expected: bool,
-    /// Whether readings and images are recorded.
-    pub(crate) sensors: bool,
-    /// Whether messages are dropped where the disk is too slow, instead of waiting for it.
-    pub(crate) realtime: bool,
-}
 
 /// A recording that is being written.
 #[derive(Debug)]
@@ -56,7 +41,8 @@ pub(crate) struct MessageRecording {
 /// A message on its way to the disk.
 struct Item {
     topic: String,
-    of: MessageType,
+    /// Makes the type, with its definition: by the thread, once a topic.
+    of: fn() -> MessageType,
     stamp_ns: i64,
     content: Content,
 }
@@ -74,7 +60,7 @@ impl MessageRecording {
     /// [`BagError`]: the file cannot be created.
     pub(crate) fn start(path: &Path, settings: RecordingSettings) -> Result<Self, BagError> {
         let path = unused(path);
-        let writer = BagWriter::create(&path, Format::Mcap)?;
+        let writer = RosBagWriter::create(&path, Format::Mcap)?;
         let (queue, items) = sync_channel(QUEUE);
         let file = path.clone();
         let thread = std::thread::Builder::new()
@@ -142,7 +128,7 @@ impl MessageRecording {
                 value("used", event.used.to_string()),
             ],
         };
-        let Some(header) = header(stamp_ns, "") else { return };
+        let Some(header) = Header::new(stamp_ns, "") else { return };
         self.message("/map_queries", stamp_ns, &DiagnosticArray { header, status: vec![status] });
     }
 
@@ -165,9 +151,9 @@ impl MessageRecording {
         let stamp_ns = frame.stamp_ns.saturating_add(self.clock_shift_ns);
         for (camera, image) in frame.images.iter().enumerate() {
             let Some(image) = image.clone() else { continue };
-            let (topic, of) = match image.path() {
-                Some(_) => (format!("/cam{camera}/image_raw/compressed"), type_of::<CompressedImage>()),
-                None => (format!("/cam{camera}/image_raw"), type_of::<Image>()),
+            let (topic, of): (_, fn() -> MessageType) = match image.path() {
+                Some(_) => (format!("/cam{camera}/image_raw/compressed"), message_type::<CompressedImage>),
+                None => (format!("/cam{camera}/image_raw"), message_type::<Image>),
             };
             self.send(Item { topic, of, stamp_ns, content: Content::Image(image) });
         }
@@ -176,7 +162,7 @@ impl MessageRecording {
     fn message<M: RosMessage>(&mut self, topic: &str, stamp_ns: i64, message: &M) {
         let Ok(bytes) = encode(message) else { return };
         let content = Content::Cdr(bytes);
-        self.send(Item { topic: topic.to_owned(), of: type_of::<M>(), stamp_ns, content });
+        self.send(Item { topic: topic.to_owned(), of: message_type::<M>, stamp_ns, content });
     }
 
     /// Sends to the thread, which is gone where writing failed: that was said.
@@ -214,12 +200,7 @@ fn unused(path: &Path) -> PathBuf {
     candidates.into_iter().find(|candidate| !candidate.exists()).unwrap_or_else(|| path.to_path_buf())
 }
 
-fn type_of<M: RosMessage>() -> MessageType {
-    MessageType { name: M::TYPE_NAME, hash: M::TYPE_HASH, definition: ros_messages::definition::<M>() }
-}
-
-fn write_all(mut writer: BagWriter, items: &Receiver<Item>) -> Result<(), BagError> {
-    let mut topics: BTreeMap<String, WrittenTopic> = BTreeMap::new();
+fn write_all(mut writer: RosBagWriter, items: &Receiver<Item>) -> Result<(), BagError> {
     let mut flushed = Instant::now();
     loop {
         match items.recv_timeout(FLUSH) {
@@ -228,15 +209,8 @@ fn write_all(mut writer: BagWriter, items: &Receiver<Item>) -> Result<(), BagErr
                     Content::Cdr(bytes) => Some(bytes),
                     Content::Image(image) => image_bytes(&image, stamp_ns, &topic),
                 };
-                let to = if let Some(to) = topics.get(&topic) {
-                    *to
-                } else {
-                    let to = writer.topic(&topic, &of)?;
-                    topics.insert(topic, to);
-                    to
-                };
                 if let Some(bytes) = bytes {
-                    writer.write(to, stamp_ns, &bytes)?;
+                    writer.write(&topic, of, stamp_ns, &bytes)?;
                 }
             }
             Err(RecvTimeoutError::Timeout) => {}
@@ -254,12 +228,5 @@ fn image_bytes(image: &ImageData, stamp_ns: i64, topic: &str) -> Option<Vec<u8>>
     let frame = topic.trim_start_matches('/').split('/').next().unwrap_or_default();
     let message = image_message(image, stamp_ns, frame)
         .inspect_err(|error| tracing::warn!(%error, "an image is not recorded"));
-    match message.ok()?? {
-        ImageMessage::Raw(image) => encode(&image).ok(),
-        ImageMessage::Compressed(image) => encode(&image).ok(),
-    }
-}
-
-fn header(stamp_ns: i64, frame: &str) -> Option<Header> {
-    Some(Header { stamp: Time::from_nanoseconds(stamp_ns)?, frame_id: frame.to_owned() })
+    message.ok()??.encode().ok()
 }

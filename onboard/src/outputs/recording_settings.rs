@@ -1,0 +1,18 @@
+//! Settings of the recording of a run.
+
+use super::ros::RosBody;
+
+/// What is recorded, and how it is called.
+#[derive(Clone, Debug)]
+pub(crate) struct RecordingSettings {
+    /// Frames and the robot's place in them.
+    pub(crate) body: RosBody,
+    /// Name of the robot.
+    pub(crate) robot: String,
+    /// Whether odometry without a pose in the map is worth a warning.
+    pub(crate) map_expected: bool,
+    /// Whether readings and images are recorded.
+    pub(crate) sensors: bool,
+    /// Whether messages are dropped where the disk is too slow, instead of waiting for it.
+    pub(crate) realtime: bool,
+}
