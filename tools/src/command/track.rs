@@ -20,11 +20,12 @@ const REST_SEARCH_NS: i64 = 11_000_000_000;
 /// Arguments of `driftless track`.
 #[derive(clap::Args, Debug)]
 #[command(after_help = "Examples:\n  driftless track MH_01 --out MH_01_tracks\n  \
-    driftless track MH_01 --cameras 1 --points 150 --equalize local\n\n\
+    driftless track MH_01 --cameras 1 --points 150 --equalize local\n  \
+    driftless track flight.mcap --calibration MH_01 --out MH_01_tracks\n\n\
     Writes mav0/camN/tracks.csv. With --out the new folder also gets calibration, IMU and ground truth, but no images:\n\
     `driftless run --sequence DIR --mode odometry --out run` runs on it.")]
 pub struct Args {
-    /// The recording, a folder in the EuRoC layout with images
+    /// The recording, with images: a folder in the EuRoC layout, or a bag (MCAP, rosbag2, rosbag1), which needs --out
     #[arg(value_name = "SEQ")]
     sequence: PathBuf,
     /// Calibration
@@ -110,6 +111,12 @@ pub fn run(args: &Args) -> Result<()> {
     let mut sequence = Sequence::open_without_readings(&args.sequence, &files)?;
     let recording = Recording::open_with(&args.sequence, &files)?;
     let cameras = camera_count(args, &sequence)?;
+    if args.out.is_none() && !is_folder(&args.sequence) {
+        bail!(
+            "{} is a bag, which tracks cannot be added to: name a folder for them with --out DIR",
+            args.sequence.display()
+        );
+    }
     let root = args.out.as_deref().unwrap_or(&args.sequence);
     let written: Vec<PathBuf> =
         (0..cameras).map(|camera| root.join(format!("mav0/cam{camera}/tracks.csv"))).collect();
@@ -123,13 +130,23 @@ pub fn run(args: &Args) -> Result<()> {
     if summary.observations == 0 {
         bail!("nothing was tracked in {}", args.sequence.display());
     }
-    write(args, &mut sequence, cameras)?;
+    if is_folder(&args.sequence) {
+        write(args, &mut sequence, cameras)?;
+    } else {
+        sequence.imu_samples = recording.imu_samples()?.collect::<Result<_, _>>()?;
+        writer::write(&sequence, root).context("the tracks were not written")?;
+    }
     if args.json {
         println!("{}", serde_json::to_string_pretty(&summary)?);
     } else {
         print_summary(&summary, cameras);
     }
     Ok(())
+}
+
+/// Whether a recording is a folder in the EuRoC layout, which tracks can be written into.
+fn is_folder(recording: &Path) -> bool {
+    recording.join("mav0").is_dir()
 }
 
 /// Plays all images through the front end, and puts the tracks into the frames.
@@ -269,7 +286,7 @@ fn tracker_options(args: &Args) -> Result<TrackerOptions> {
     Ok(options)
 }
 
-/// Writes the tracks, and beside them what a recording needs when they go into a folder of their own.
+/// Writes the tracks of a folder, and beside them what a recording needs when they go into a folder of their own.
 fn write(args: &Args, sequence: &mut Sequence, cameras: usize) -> Result<()> {
     let root = args.out.as_deref().unwrap_or(&args.sequence);
     let calibration = FolderCalibration::read(&args.sequence, &args.calibration.files())?;
