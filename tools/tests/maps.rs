@@ -105,3 +105,31 @@ fn a_position_beyond_the_bound_is_refused_with_its_file_and_line() {
     assert!(said.contains("landmarks.csv, line ") && said.contains("1e300"), "{said}");
     assert!(!to.exists());
 }
+
+#[test]
+fn an_edited_map_is_the_next_version_without_what_was_taken_out() {
+    let folder = tempfile::tempdir().unwrap();
+    let (from, map, other) =
+        (folder.path().join("text"), folder.path().join("place.db"), folder.path().join("other.db"));
+    text_map(&from, 3);
+    json_of(&["import-map", text(&from), "--map", text(&map)]);
+    let dry = json_of(&["edit-map", "--map", text(&map), "--remove", "2,4-5", "--dry-run"]);
+    assert_eq!((&dry["before"]["keyframes"], &dry["after"]["keyframes"]), (&5.into(), &2.into()));
+    assert!(dry["version"].is_null());
+    assert_eq!(json_of(&["map-info", "--map", text(&map)])["version"], 1);
+    json_of(&["edit-map", "--map", text(&map), "--remove", "1", "--to", text(&other)]);
+    assert_eq!(json_of(&["map-info", "--map", text(&other)])["keyframes"], 4);
+    let edited = json_of(&["edit-map", "--map", text(&map), "--remove", "2,4-5"]);
+    assert_eq!(edited["version"], 2);
+    let info = json_of(&["map-info", "--map", text(&map)]);
+    assert_eq!((&info["version"], &info["keyframes"]), (&2.into(), &2.into()));
+
+    let none = complaint_of(&["edit-map", "--map", text(&map), "--remove", "9"]);
+    assert!(none.contains("no keyframe 9"), "{none}");
+    let all = complaint_of(&["edit-map", "--map", text(&map), "--remove-box=-1e6,-1e6,-1e6,1e6,1e6,1e6"]);
+    assert!(all.contains("no keyframe would be left"), "{all}");
+    let nothing = complaint_of(&["edit-map", "--map", text(&map), "--remove-time", "-5,-3"]);
+    assert!(nothing.contains("remove-time") || nothing.contains("nothing is chosen"), "{nothing}");
+    let odd = complaint_of(&["edit-map", "--map", text(&map), "--remove", "5-2"]);
+    assert!(odd.contains("3,17,20-35"), "{odd}");
+}

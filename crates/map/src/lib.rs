@@ -9,12 +9,14 @@
 //! | [`model`] | keyframes, landmarks, observations, cross-covariances |
 //! | [`contents`] | a whole map in memory and its invariants |
 //! | [`store`] | maps in databases: the [`MapStore`] trait, and its implementation on sled |
-//! | [`colmap`] | export to COLMAP |
+//! | [`edit`] | taking keyframes and landmarks out |
+//! | [`colmap`] | COLMAP models, written and read |
 //! | [`text`] | import from and export to plain text |
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 pub mod colmap;
 pub mod contents;
+pub mod edit;
 pub mod model;
 pub mod store;
 pub mod text;

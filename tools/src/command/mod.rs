@@ -7,6 +7,7 @@ mod build_report;
 #[cfg(feature = "bags")]
 pub mod convert;
 pub mod demo;
+pub mod edit_map;
 pub mod evaluate;
 pub mod export_colmap;
 pub mod export_map;
@@ -48,6 +49,8 @@ pub enum Command {
     ExportMap(export_map::Args),
     /// Export a map as a COLMAP model
     ExportColmap(export_colmap::Args),
+    /// Take keyframes or landmarks out of a map, or thin it out
+    EditMap(edit_map::Args),
     /// Print the contents of a map: counts, extent, uncertainties
     MapInfo(map_info::Args),
     /// Query a running map server with the features of an image
@@ -94,6 +97,7 @@ impl Command {
             Self::ImportColmap(args) => import_colmap::run(args),
             Self::ExportMap(args) => export_map::run(args),
             Self::ExportColmap(args) => export_colmap::run(args),
+            Self::EditMap(args) => edit_map::run(&args),
             Self::MapInfo(args) => map_info::run(args),
             Self::Query(args) => query::run(args),
             Self::Localize(args) => localize::run(&args),
