@@ -141,7 +141,6 @@ fn ten_extensions_do_not_make_a_map_overconfident() {
         for part in &mut parts[1..] {
             map = extend(&map, part).unwrap().0;
         }
-        // Of single keyframes: the correlations of so many are tapered.
         let (nees, error_m) = single(&whole, &map);
         println!("seed {seed}: {} keyframes, {error_m:.4} m, NEES {nees:.2}", map.keyframes.len());
         mean += nees / seeds.clone().count() as f64;

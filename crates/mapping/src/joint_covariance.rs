@@ -18,8 +18,8 @@ use nalgebra::{Matrix6, Vector3};
 use super::layout::{POSE, StateLayout};
 use super::sparse_system::SparseFactor;
 
-/// Maps of up to this many keyframes state the cross-covariance of every pair: their database stays below 2 MB.
-const ALL_UP_TO: usize = 100;
+/// Maps of up to this many keyframes state the cross-covariance of every pair: that takes up to 23 MB.
+pub(super) const ALL_UP_TO: usize = 400;
 /// In larger maps a keyframe has cross-covariances with about this many others, on average: the size of a map then grows
 /// linearly.
 const MEAN_NEIGHBOURS: usize = 100;

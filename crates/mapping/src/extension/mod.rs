@@ -25,6 +25,7 @@ use sensors::Sequence;
 use crate::bundle_adjustment::Bundle;
 use crate::error::BuildError;
 use crate::feature_source::Extraction;
+use crate::joint_covariance::ALL_UP_TO;
 use crate::joint_prior::JointPrior;
 use crate::keyframe_view::keyframes;
 use crate::loop_closure::consistent;
@@ -64,6 +65,9 @@ pub fn extend_map(
 ) -> Result<(MapContents, ExtensionReport), ExtendError> {
     let start = Instant::now();
     check_vertical(stored)?;
+    if stored.keyframes.len() > ALL_UP_TO {
+        return Err(ExtendError::TooLarge { keyframes: stored.keyframes.len(), most: ALL_UP_TO });
+    }
     let mut builder = Builder::new(sequence, odometry, extraction, options, progress)?;
     check_new(stored, &builder)?;
     let (session, _) = builder.build()?;
