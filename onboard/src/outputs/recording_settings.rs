@@ -4,6 +4,7 @@ use super::ros::RosBody;
 
 /// What is recorded, and how it is called.
 #[derive(Clone, Debug)]
+#[cfg_attr(not(feature = "bags"), expect(dead_code, reason = "such a build writes no recordings"))]
 pub(crate) struct RecordingSettings {
     /// Frames and the robot's place in them.
     pub(crate) body: RosBody,

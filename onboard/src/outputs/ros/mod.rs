@@ -18,9 +18,12 @@ mod settings;
 #[cfg(test)]
 mod tests;
 
+#[cfg(feature = "bags")]
 pub(crate) use diagnostics::Diagnostics;
 pub use messages::Estimate;
+#[cfg(feature = "bags")]
 pub(crate) use messages::messages;
+#[cfg(feature = "bags")]
 pub(crate) use odom_frame::OdomFrame;
 pub use output::{RosOutput, RosOutputTask};
 pub use settings::{RosBody, RosFrames, RosSettings};
