@@ -44,7 +44,9 @@ pub fn redundant_keyframes(contents: &MapContents, share: f64) -> BTreeSet<Keyfr
     for (_, id) in order {
         let landmarks = &seen[&id];
         if redundancy(landmarks, &observers) >= share {
-            landmarks.iter().for_each(|&landmark| observers[landmark] -= 1);
+            for &landmark in landmarks {
+                observers[landmark] -= 1;
+            }
             redundant.insert(id);
         }
     }
