@@ -16,7 +16,7 @@ use std::time::{Duration, Instant};
 use tests::robot::arguments;
 use tests::scenario::MappedScenario;
 use tests::server::{Client, Server};
-use tools::playback::NativePlayer;
+use tools::playback::{NativeTopics, play, wait_for_robot};
 
 const ROBOT: &str = "cart7";
 /// Length of the stretch that is played, nanoseconds.
@@ -78,16 +78,16 @@ fn live(
             })
         });
         let driver = Client::open(&[], &[server.endpoint()]);
-        let player =
-            NativePlayer::new(&driver.session, driver.runtime.handle(), ROBOT, recording.contents()).unwrap();
-        player.wait_for_robot(&stop).unwrap();
-        let published = player.play(&mut recording.source().unwrap(), 1.0, 0, &stop).unwrap();
+        let topics =
+            NativeTopics::new(&driver.session, driver.runtime.handle(), ROBOT, recording.contents()).unwrap();
+        wait_for_robot(&topics, &stop).unwrap();
+        let published = play(&topics, &mut recording.source().unwrap(), 1.0, 0, &stop).unwrap();
         let begin = Instant::now();
         while frames.load(Ordering::Relaxed) < published.frames && begin.elapsed() < GIVE_UP {
             std::thread::sleep(Duration::from_millis(20));
         }
         stop.stop();
-        drop(player);
+        drop(topics);
         driver.close();
         running.join().unwrap().unwrap()
     });

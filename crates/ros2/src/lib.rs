@@ -27,7 +27,7 @@ pub use error::RosError;
 pub use names::NameError;
 pub use node::{Node, NodeOptions};
 pub use publisher::Publisher;
-pub use qos::{Qos, Reliability};
+pub use qos::{History, Qos, Reliability};
 pub use subscriber::{Received, Subscriber};
 
 #[cfg(doctest)]

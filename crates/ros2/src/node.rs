@@ -10,6 +10,7 @@ use ros_messages::RosMessage;
 use std::sync::atomic::{AtomicU64, Ordering};
 use zenoh::Session;
 use zenoh::liveliness::LivelinessToken;
+use zenoh::qos::CongestionControl;
 
 /// What a node is called.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -69,7 +70,8 @@ impl Node {
         let topic = absolute_topic(&self.identity.namespace, topic)?;
         let token = self.topic_token::<M>(Endpoint::Publisher, &topic, qos);
         let key = data_key(self.identity.domain, &topic, M::TYPE_NAME, M::TYPE_HASH);
-        let publisher = self.session.declare_publisher(key).await;
+        let congestion = if qos.waits() { CongestionControl::Block } else { CongestionControl::Drop };
+        let publisher = self.session.declare_publisher(key).congestion_control(congestion).await;
         let publisher = publisher.map_err(RosError::zenoh("the publisher cannot be declared"))?;
         let gid = gid(&token);
         Ok(Publisher::new(publisher, declare(&self.session, token).await?, gid))

@@ -28,7 +28,17 @@ impl<M: RosMessage> Publisher<M> {
         Self { samples, _token: token, gid, sent: AtomicI64::new(0), message: PhantomData }
     }
 
-    /// Sends a message. On a congested network it is dropped: newer ones follow.
+    /// Whether a subscriber listens to the topic.
+    ///
+    /// # Errors
+    /// [`RosError`]: the session is closed.
+    pub async fn is_matched(&self) -> Result<bool, RosError> {
+        let status = self.samples.matching_status().await;
+        Ok(status.map_err(RosError::zenoh("the subscribers of a topic are not known"))?.matching())
+    }
+
+    /// Sends a message. On a congested network it is dropped, for newer ones follow, unless the topic's quality of service is
+    /// [`Qos::every_message`](crate::Qos::every_message).
     ///
     /// # Errors
     /// [`RosError`]: the message cannot be written, or the session is closed.

@@ -9,37 +9,62 @@ pub enum Reliability {
     BestEffort,
 }
 
-/// Quality of service of a topic: volatile, and the last messages are kept.
+/// Which messages wait for a slow receiver.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum History {
+    /// The last ones, this many.
+    KeepLast(usize),
+    /// All. A reliable publisher waits where the network is congested.
+    KeepAll,
+}
+
+/// Quality of service of a topic. Its durability is volatile.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Qos {
     /// Whether messages may be lost.
     pub reliability: Reliability,
-    /// Number of messages that wait for a slow receiver.
-    pub depth: usize,
+    /// Which messages wait for a slow receiver.
+    pub history: History,
 }
 
 impl Qos {
     /// Reliable, the last 10: what `rclcpp` uses where nothing else is said, RViz and Nav2 included.
     pub fn reliable() -> Self {
-        Self { reliability: Reliability::Reliable, depth: 10 }
+        Self { reliability: Reliability::Reliable, history: History::KeepLast(10) }
     }
 
     /// Best effort, the last 5: ROS's profile of sensor data.
     pub fn sensor_data() -> Self {
-        Self { reliability: Reliability::BestEffort, depth: 5 }
+        Self { reliability: Reliability::BestEffort, history: History::KeepLast(5) }
     }
 
-    /// The text in tokens: reliability, durability (volatile), history (keep last) and depth, deadline, lifespan,
+    /// Reliable, and no message is dropped: for recordings that are played.
+    pub fn every_message() -> Self {
+        Self { reliability: Reliability::Reliable, history: History::KeepAll }
+    }
+
+    /// Whether a publisher waits where the network is congested, as rmw_zenoh does.
+    pub(crate) fn waits(&self) -> bool {
+        *self == Self::every_message()
+    }
+
+    /// The text in tokens: reliability, durability (volatile), history and depth, deadline, lifespan,
     /// liveliness. Fields that have no value are infinite; no other is left out, since defaults have changed.
     ///
     /// ```
     /// assert_eq!(ros2::Qos::sensor_data().token(), "2:2:1,5:,:,:,,");
+    /// assert_eq!(ros2::Qos::every_message().token(), "1:2:2,10:,:,:,,");
     /// ```
     pub fn token(&self) -> String {
         let reliability = match self.reliability {
             Reliability::Reliable => 1,
             Reliability::BestEffort => 2,
         };
-        format!("{reliability}:2:1,{}:,:,:,,", self.depth)
+        let (history, depth) = match self.history {
+            History::KeepLast(depth) => (1, depth),
+            // The depth of ROS's default profile, which has no meaning then.
+            History::KeepAll => (2, 10),
+        };
+        format!("{reliability}:2:{history},{depth}:,:,:,,")
     }
 }

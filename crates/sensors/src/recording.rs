@@ -116,6 +116,15 @@ impl Recording<'_> {
         &self.calibration
     }
 
+    /// What was added to the recorded stamps of the frames to obtain those of the IMU's clock: Kalibr's
+    /// `timeshift_cam_imu` (ns).
+    pub fn time_offset_ns(&self) -> i64 {
+        match &self.storage {
+            Storage::Disk(stored) => stored.time_offset_ns(),
+            Storage::Memory(_) => 0,
+        }
+    }
+
     /// What the frames carry: of the whole recording, also where this is an excerpt of it.
     pub fn contents(&self) -> Contents {
         self.contents

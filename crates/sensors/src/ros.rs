@@ -6,7 +6,7 @@ use ros_messages::sensor_msgs::{CompressedImage, Image, Imu};
 use ros_messages::std_msgs::Header;
 use ros_messages::{CdrError, encode};
 use std::path::Path;
-use vision::ImageError;
+use vision::{GrayImage, ImageError};
 
 /// The driver says that it does not measure something.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -105,10 +105,14 @@ pub fn image_message(
             data,
         })));
     }
-    let gray = image.read()?;
-    let (width, height) = (gray.width() as u32, gray.height() as u32);
-    let (encoding, data) = ("mono8".to_owned(), gray.pixels().to_vec());
-    Ok(Some(ImageMessage::Raw(Image { header, height, width, encoding, is_bigendian: 0, step: width, data })))
+    Ok(Some(ImageMessage::Raw(pixels_message(image.read()?.as_ref(), header))))
+}
+
+/// Grey pixels as a message.
+pub fn pixels_message(image: &GrayImage, header: Header) -> Image {
+    let (width, height) = (image.width() as u32, image.height() as u32);
+    let (encoding, data) = ("mono8".to_owned(), image.pixels().to_vec());
+    Image { header, height, width, encoding, is_bigendian: 0, step: width, data }
 }
 
 fn read(path: &Path) -> Result<Vec<u8>, ImageError> {

@@ -20,6 +20,9 @@ pub(crate) trait Stored: Debug + Send + Sync {
     /// The IMU's readings, strictly increasing in time and finite; none without an IMU.
     fn imu_samples(&self) -> Result<Rows<'static, ImuSample>, SequenceError>;
 
+    /// What was added to the recorded stamps of the frames (ns).
+    fn time_offset_ns(&self) -> i64;
+
     /// What the readings are read from, for errors.
     fn readings_path(&self) -> PathBuf;
 

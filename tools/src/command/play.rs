@@ -1,12 +1,13 @@
 //! `driftless play`: a recording as live topics.
 
-use crate::playback::NativePlayer;
+use crate::playback::{NativeTopics, RosTopics, SensorTopics, play, wait_for_robot};
 use anyhow::{Context as _, Result, bail};
 use client::SessionArguments;
 use client::session::{close_session, open_session};
 use onboard::StopSignal;
 use onboard::arguments::{CalibrationArguments, DEFAULT_ROBOT};
-use sensors::{FolderCalibration, Recording};
+use ros2::NodeOptions;
+use sensors::Recording;
 use std::path::PathBuf;
 
 /// Form of the topics.
@@ -14,6 +15,8 @@ use std::path::PathBuf;
 pub enum Form {
     /// Driftless' own messages, for `onboard --source native`.
     Native,
+    /// ROS 2 over rmw_zenoh: /imu0, /cam0/image_raw, /cam0/image_raw/compressed.
+    Ros2,
 }
 
 /// Arguments.
@@ -21,10 +24,12 @@ pub enum Form {
 #[command(after_help = "Example:\n  \
     map_server --map hall=hall.db --listen tcp/127.0.0.1:7447 &\n  \
     onboard --source native --calibration MH_03 --map hall --robot cart7 --out run &\n  \
-    driftless play MH_03 --as native --robot cart7\n\n\
+    driftless play MH_03 --as native --robot cart7\n\n  \
+    onboard --source ros2 --imu-topic /imu0 --camera-topic /cam0/image_raw --calibration MH_03 --out run &\n  \
+    driftless play MH_03 --as ros2\n\n\
     Playing begins when the robot listens.")]
 pub struct Args {
-    /// The recording: a folder in the EuRoC layout
+    /// The recording: a folder in the EuRoC layout, or a bag
     #[arg(value_name = "SEQUENCE")]
     pub sequence: PathBuf,
     /// Form of the topics
@@ -33,9 +38,12 @@ pub struct Args {
     /// Speed: 1 is that of the recording
     #[arg(long, value_name = "FACTOR", default_value_t = 1.0)]
     pub rate: f64,
-    /// Name of the robot that listens
+    /// Name of the robot that listens to native topics
     #[arg(long, value_name = "NAME", default_value = DEFAULT_ROBOT)]
     pub robot: String,
+    /// ROS_DOMAIN_ID of the nodes that listen
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub ros2_domain: u32,
     /// Play images also where the recording has tracks
     #[arg(long)]
     pub images: bool,
@@ -55,22 +63,38 @@ pub fn run(args: &Args) -> Result<()> {
     if !(args.rate.is_finite() && args.rate > 0.0) {
         bail!("--rate is {}; it must be a positive number", args.rate);
     }
-    let Form::Native = args.form;
     let stop = StopSignal::on_interrupt().context("signals cannot be handled")?;
     let files = args.calibration.files();
     let recording = Recording::open_with(&args.sequence, &files)?;
-    let offset_ns = FolderCalibration::read(&args.sequence, &files)?.time_offset_ns;
     let mut contents = recording.contents();
     contents.tracks &= !args.images;
     let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build()?;
     let session = runtime
         .block_on(open_session(&args.session.connecting()))
         .context("the Zenoh session cannot be opened")?;
-    let player = NativePlayer::new(&session, runtime.handle(), &args.robot, contents)?;
-    player.wait_for_robot(&stop)?;
-    let published = player.play(&mut recording.source()?, args.rate, offset_ns, &stop)?;
+    let topics: Box<dyn SensorTopics> = match args.form {
+        Form::Native => Box::new(NativeTopics::new(&session, runtime.handle(), &args.robot, contents)?),
+        Form::Ros2 if !contents.images => {
+            bail!(
+                "{} has no images, and ROS 2 has no messages for tracks: play it --as native",
+                args.sequence.display()
+            )
+        }
+        Form::Ros2 => {
+            let node = NodeOptions {
+                domain: args.ros2_domain,
+                name: "driftless_play".to_owned(),
+                ..NodeOptions::default()
+            };
+            let cameras = recording.calibration().cameras.len();
+            Box::new(RosTopics::new(session.clone(), runtime.handle(), node, cameras)?)
+        }
+    };
+    wait_for_robot(topics.as_ref(), &stop)?;
+    let published =
+        play(topics.as_ref(), &mut recording.source()?, args.rate, recording.time_offset_ns(), &stop)?;
     println!("published {} readings and {} frames", published.readings, published.frames);
-    drop(player);
+    drop(topics);
     runtime.block_on(close_session(&session));
     Ok(())
 }

@@ -53,6 +53,10 @@ impl Stored for BagRecording {
         })
     }
 
+    fn time_offset_ns(&self) -> i64 {
+        self.time_offset_ns
+    }
+
     fn readings_path(&self) -> PathBuf {
         let topic = self.imu.as_ref().map_or("", |(topic, _)| &self.bag.topics()[*topic].name);
         format!("{}, {topic}", self.bag.path().display()).into()

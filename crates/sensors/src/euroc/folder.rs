@@ -129,6 +129,10 @@ impl Stored for Folder {
         if self.has_imu { table(&self.readings_path()) } else { Ok(Box::new(std::iter::empty())) }
     }
 
+    fn time_offset_ns(&self) -> i64 {
+        self.time_offset_ns
+    }
+
     fn readings_path(&self) -> PathBuf {
         self.root.join("mav0/imu0/data.csv")
     }

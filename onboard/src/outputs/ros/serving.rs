@@ -9,7 +9,7 @@ use ros_messages::diagnostic_msgs::DiagnosticArray;
 use ros_messages::geometry_msgs::PoseWithCovarianceStamped;
 use ros_messages::nav_msgs::Odometry;
 use ros_messages::tf2_msgs::TFMessage;
-use ros2::{Node, NodeOptions, Publisher, Qos, RosError};
+use ros2::{History, Node, NodeOptions, Publisher, Qos, RosError};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::sync::{mpsc, watch};
@@ -66,7 +66,7 @@ impl Topics {
             ..NodeOptions::default()
         };
         let node = Node::new(session.clone(), options).await?;
-        let transforms = Qos { depth: TF_DEPTH, ..Qos::reliable() };
+        let transforms = Qos { history: History::KeepLast(TF_DEPTH), ..Qos::reliable() };
         Ok(Self {
             odometry: node.publisher("odometry", Qos::reliable()).await?,
             predicted: node.publisher("odometry_predicted", Qos::sensor_data()).await?,

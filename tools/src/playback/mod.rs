@@ -1,0 +1,103 @@
+//! Publishes a recording as live sensors would.
+
+mod native;
+mod ros;
+
+pub use native::NativeTopics;
+pub use ros::RosTopics;
+
+use anyhow::Result;
+use onboard::StopSignal;
+use sensors::{Frame, ImuSample, SensorEvent, SensorSource};
+use std::time::{Duration, Instant};
+
+/// How often it is looked whether a robot listens, and how often it is said that none does.
+const LOOK: Duration = Duration::from_millis(50);
+const LOOKS_A_WARNING: u32 = 40;
+
+/// What was published.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Published {
+    /// Readings of the IMU.
+    pub readings: usize,
+    /// Frames: images or pairs of images, or tracks.
+    pub frames: usize,
+}
+
+/// The topics of a robot's sensors.
+pub trait SensorTopics {
+    /// Whether somebody listens to the IMU and to the frames.
+    ///
+    /// # Errors
+    /// The session is closed.
+    fn are_heard(&self) -> Result<bool>;
+
+    /// The topic of frames, for messages.
+    fn of_frames(&self) -> String;
+
+    /// Publishes a reading.
+    ///
+    /// # Errors
+    /// The session is closed.
+    fn reading(&self, reading: &ImuSample) -> Result<()>;
+
+    /// Publishes a frame.
+    ///
+    /// # Errors
+    /// An image that cannot be read, a session that is closed.
+    fn frame(&self, frame: &Frame) -> Result<()>;
+}
+
+/// Waits until a robot listens, or until `stop` is raised.
+///
+/// # Errors
+/// The session is closed.
+pub fn wait_for_robot(topics: &dyn SensorTopics, stop: &StopSignal) -> Result<()> {
+    let mut looks = 0;
+    while !stop.is_stopped() && !topics.are_heard()? {
+        looks += 1;
+        if looks % LOOKS_A_WARNING == 0 {
+            tracing::warn!("no robot listens to {} yet", topics.of_frames());
+        }
+        std::thread::sleep(LOOK);
+    }
+    Ok(())
+}
+
+/// Plays a source until its end, or until `stop` is raised.
+///
+/// # Arguments
+/// * `rate`: 1 for the speed of the recording.
+/// * `time_offset_ns`: subtracted from the stamps of frames: a calibrated offset, which the robot adds.
+///
+/// # Errors
+/// A recording that cannot be read, a session that is closed.
+pub fn play(
+    topics: &dyn SensorTopics,
+    source: &mut dyn SensorSource,
+    rate: f64,
+    time_offset_ns: i64,
+    stop: &StopSignal,
+) -> Result<Published> {
+    let (mut published, begin, mut first_ns) = (Published::default(), Instant::now(), None);
+    while let Some(event) = source.next()? {
+        let Some(stamp_ns) = event.stamp_ns() else { continue };
+        let since_ns = (stamp_ns - *first_ns.get_or_insert(stamp_ns)).max(0);
+        stop.sleep_until(begin + Duration::from_secs_f64(since_ns as f64 * 1e-9 / rate));
+        if stop.is_stopped() {
+            break;
+        }
+        match event {
+            SensorEvent::Imu(reading) => {
+                topics.reading(&reading)?;
+                published.readings += 1;
+            }
+            SensorEvent::Frame(frame) => {
+                topics.frame(&Frame { stamp_ns: frame.stamp_ns - time_offset_ns, ..frame })?;
+                published.frames += 1;
+            }
+            _ => {}
+        }
+    }
+    Ok(published)
+}

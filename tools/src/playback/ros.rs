@@ -1,0 +1,109 @@
+//! Topics of ROS 2, named as `driftless convert` names them in bags.
+
+use super::SensorTopics;
+use anyhow::{Context as _, Result};
+use ros_messages::sensor_msgs::{CompressedImage, Image, Imu};
+use ros_messages::std_msgs::Header;
+use ros2::{Node, NodeOptions, Publisher, Qos};
+use sensors::ros::{ImageMessage, image_message, imu_message, pixels_message};
+use sensors::{Frame, ImageData, ImuSample};
+use tokio::runtime::Handle;
+
+/// Topic of the IMU.
+const IMU: &str = "/imu0";
+
+/// `/imu0`, `/cam0/image_raw`, `/cam0/image_raw/compressed` and those of camera 1, for `onboard --source ros2` and other
+/// nodes.
+#[derive(Debug)]
+pub struct RosTopics {
+    runtime: Handle,
+    imu: Publisher<Imu>,
+    cameras: Vec<Camera>,
+    _node: Node,
+}
+
+/// The images of a camera in both forms, each published where somebody listens.
+#[derive(Debug)]
+struct Camera {
+    raw: Publisher<Image>,
+    compressed: Publisher<CompressedImage>,
+}
+
+impl RosTopics {
+    /// Announces a node and its topics.
+    ///
+    /// # Arguments
+    /// * `cameras`: number of cameras of the recording.
+    ///
+    /// # Errors
+    /// A name that ROS does not allow, or a session that is closed.
+    pub fn new(session: zenoh::Session, runtime: &Handle, node: NodeOptions, cameras: usize) -> Result<Self> {
+        runtime.block_on(async {
+            let node = Node::new(session, node).await?;
+            let qos = Qos::every_message();
+            let imu = node.publisher(IMU, qos).await?;
+            let mut topics = Vec::new();
+            for camera in 0..cameras {
+                let raw = node.publisher(&format!("/cam{camera}/image_raw"), qos).await?;
+                let compressed = node.publisher(&format!("/cam{camera}/image_raw/compressed"), qos).await?;
+                topics.push(Camera { raw, compressed });
+            }
+            Ok(Self { runtime: runtime.clone(), imu, cameras: topics, _node: node })
+        })
+    }
+}
+
+impl Camera {
+    async fn is_heard(&self) -> Result<bool> {
+        Ok(self.raw.is_matched().await? || self.compressed.is_matched().await?)
+    }
+
+    /// Publishes an image in the forms that somebody listens to; a file as it is, to those who want it compressed.
+    async fn publish(&self, image: &ImageData, header: Header) -> Result<()> {
+        if self.raw.is_matched().await? {
+            self.raw.publish(&pixels_message(image.read()?.as_ref(), header.clone())).await?;
+        }
+        if self.compressed.is_matched().await? {
+            let stamp_ns = header.stamp.to_nanoseconds();
+            let message = match image_message(image, stamp_ns, &header.frame_id)? {
+                Some(ImageMessage::Compressed(message)) => message,
+                _ => {
+                    let format = "mono8; png compressed ".to_owned();
+                    CompressedImage { header, format, data: image.read()?.to_png()? }
+                }
+            };
+            self.compressed.publish(&message).await?;
+        }
+        Ok(())
+    }
+}
+
+impl SensorTopics for RosTopics {
+    fn are_heard(&self) -> Result<bool> {
+        let Some(first) = self.cameras.first() else { return Ok(false) };
+        self.runtime.block_on(async { Ok(self.imu.is_matched().await? && first.is_heard().await?) })
+    }
+
+    fn of_frames(&self) -> String {
+        "/cam0/image_raw".to_owned()
+    }
+
+    fn reading(&self, reading: &ImuSample) -> Result<()> {
+        let message = imu_message(reading).with_context(|| not_a_time(reading.stamp_ns))?;
+        Ok(self.runtime.block_on(self.imu.publish(&message))?)
+    }
+
+    fn frame(&self, frame: &Frame) -> Result<()> {
+        for (index, (image, camera)) in frame.images.iter().zip(&self.cameras).enumerate() {
+            let Some(image) = image else { continue };
+            let header = Header::new(frame.stamp_ns, &format!("cam{index}"))
+                .with_context(|| not_a_time(frame.stamp_ns))?;
+            self.runtime.block_on(camera.publish(image, header))?;
+        }
+        Ok(())
+    }
+}
+
+fn not_a_time(stamp_ns: i64) -> String {
+    format!("{stamp_ns} ns is no time that ROS can write")
+}
