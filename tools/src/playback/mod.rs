@@ -61,6 +61,8 @@ pub fn wait_for_robot(topics: &dyn SensorTopics, stop: &StopSignal) -> Result<()
         }
         std::thread::sleep(LOOK);
     }
+    // What it subscribes to after these.
+    std::thread::sleep(LOOK);
     Ok(())
 }
 

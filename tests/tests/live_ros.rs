@@ -1,0 +1,78 @@
+//! A recording that is played as topics of ROS 2 is what a robot with live sensors gets.
+#![allow(clippy::unwrap_used)]
+
+use onboard::StopSignal;
+use onboard::ros_sensors::{RosSensors, RosTopics};
+use ros2::NodeOptions;
+use sensors::live::{LiveSettings, LiveSource};
+use sensors::{Frame, Recording, SensorEvent, SensorSource};
+use std::path::Path;
+use std::time::{Duration, Instant};
+use tests::server::Client;
+use tools::in_process::free_endpoint;
+use tools::playback::{self, play, wait_for_robot};
+use vision::GrayImage;
+
+/// Nothing takes longer, whatever is wrong.
+const GIVE_UP: Duration = Duration::from_mins(1);
+
+/// Stamp and pixels of a frame.
+fn pixels(frame: &Frame) -> (i64, Vec<GrayImage>) {
+    let images = frame.images.iter().flatten();
+    (frame.stamp_ns, images.map(|image| image.read().unwrap().into_owned()).collect())
+}
+
+/// Readings and frames of a recording.
+fn contents(recording: &Recording<'_>) -> (Vec<i64>, Vec<(i64, Vec<GrayImage>)>) {
+    let readings = recording.imu_samples().unwrap().map(|reading| reading.unwrap().stamp_ns).collect();
+    (readings, recording.frames().unwrap().map(|frame| pixels(&frame.unwrap())).collect())
+}
+
+/// Plays the recording to a robot that listens to images on topics that end so.
+fn played(recording: &Recording<'_>, suffix: &str) -> (Vec<i64>, Vec<(i64, Vec<GrayImage>)>) {
+    let endpoint = free_endpoint().unwrap();
+    let (driver, robot) = (Client::open(&[&endpoint], &[]), Client::open(&[], &[&endpoint]));
+    let calibration = recording.calibration().clone();
+    let mut settings = LiveSettings::images(&calibration);
+    // However busy the machine is.
+    settings.max_waiting_frames = 1000;
+    let (inputs, mut source) = LiveSource::new("test", calibration, &settings);
+    let cameras = (0..2).map(|camera| format!("/cam{camera}/image_raw{suffix}")).collect();
+    let topics = RosTopics { imu: "/imu0".to_owned(), cameras };
+    let node = |name: &str| NodeOptions { name: name.to_owned(), ..NodeOptions::default() };
+    let session = robot.session.clone();
+    let sensors =
+        robot.runtime.block_on(RosSensors::start(session, node("sensors"), &topics, &inputs)).unwrap();
+    let stop = StopSignal::default();
+    let (session, runtime) = (driver.session.clone(), driver.runtime.handle());
+    let topics = playback::RosTopics::new(session, runtime, node("player"), 2).unwrap();
+    wait_for_robot(&topics, &stop).unwrap();
+    let published = play(&topics, &mut recording.source().unwrap(), 1.0, 0, &stop).unwrap();
+    let (mut readings, mut frames, begin) = (Vec::new(), Vec::new(), Instant::now());
+    // A frame waits for a reading after it, and the last one's is not in the recording.
+    while frames.len() + 1 < published.frames {
+        assert!(begin.elapsed() < GIVE_UP, "{} frames of {published:?}", frames.len());
+        match source.next().unwrap().expect("no end") {
+            SensorEvent::Imu(reading) => readings.push(reading.stamp_ns),
+            SensorEvent::Frame(frame) => frames.push(pixels(&frame)),
+            _ => {}
+        }
+    }
+    drop((sensors, topics));
+    driver.close();
+    robot.close();
+    (readings, frames)
+}
+
+#[test]
+fn readings_and_images_are_those_of_the_recording_raw_and_compressed() {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../crates/bags/tests/data/euroc");
+    let recording = Recording::open(&path).unwrap();
+    let (readings, frames) = contents(&recording);
+    assert!(frames.len() > 5 && frames[0].1.len() == 2);
+    for suffix in ["", "/compressed"] {
+        let (found_readings, found) = played(&recording, suffix);
+        assert!(frames.starts_with(&found), "{suffix}: other frames");
+        assert!(readings.starts_with(&found_readings), "{suffix}: other readings");
+    }
+}
