@@ -34,7 +34,7 @@ pub struct Args {
     #[arg(long, value_name = "X0,Y0,Z0,X1,Y1,Z1", value_parser = parse_box, allow_hyphen_values = true)]
     pub remove_box: Option<Region>,
     /// Take out the keyframes of a session: those taken from the first to the second time, ns
-    #[arg(long, value_name = "FROM,UNTIL", value_parser = parse_times)]
+    #[arg(long, value_name = "FROM,UNTIL", value_parser = parse_times, allow_hyphen_values = true)]
     pub remove_time: Option<[i64; 2]>,
     /// Take out the keyframes of whose landmarks at least this part is seen by three others that stay
     #[arg(long, value_name = "PART", num_args = 0..=1, default_missing_value = "0.9")]
