@@ -1,4 +1,4 @@
-//! Errors of a map without reference poses, relative to its first keyframe.
+//! Errors of a map without reference poses.
 
 use geometry::{Pose, rotation};
 use map::contents::MapContents;
@@ -25,9 +25,13 @@ pub fn global_from_truth(sequence: &Sequence, contents: &MapContents) -> Pose {
     Pose::new(yaw, first.translation - yaw * truth.translation)
 }
 
-/// The true pose of the camera at the time of each keyframe, in G.
+/// The true pose of the camera at the time of each keyframe, in G as the first keyframe defines it.
 pub fn true_poses(sequence: &Sequence, contents: &MapContents) -> Vec<Pose> {
-    let global_from_truth = global_from_truth(sequence, contents);
+    true_poses_in(&global_from_truth(sequence, contents), sequence, contents)
+}
+
+/// The true pose of the camera at the time of each keyframe, in a frame that is known.
+pub fn true_poses_in(global_from_truth: &Pose, sequence: &Sequence, contents: &MapContents) -> Vec<Pose> {
     let imu_from_camera = sequence.cameras[0].imu_from_camera;
     let camera = |keyframe: &Keyframe| true_pose(sequence, keyframe.stamp_ns).compose(&imu_from_camera);
     contents.keyframes.iter().map(|keyframe| global_from_truth.compose(&camera(keyframe))).collect()
@@ -35,6 +39,13 @@ pub fn true_poses(sequence: &Sequence, contents: &MapContents) -> Vec<Pose> {
 
 /// Errors of all keyframes but the first, which defines G, and their joint covariance.
 pub fn errors(contents: &MapContents, truth: &[Pose]) -> (DVector<f64>, DMatrix<f64>) {
+    let (error, covariance) = all_errors(contents, truth);
+    let rest = error.len() - 6;
+    (error.rows(6, rest).into_owned(), covariance.view((6, 6), (rest, rest)).into_owned())
+}
+
+/// Errors of all keyframes, and their joint covariance.
+pub fn all_errors(contents: &MapContents, truth: &[Pose]) -> (DVector<f64>, DMatrix<f64>) {
     let count = contents.keyframes.len();
     let mut covariance = DMatrix::zeros(6 * count, 6 * count);
     let mut error = DVector::zeros(6 * count);
@@ -49,6 +60,5 @@ pub fn errors(contents: &MapContents, truth: &[Pose]) -> (DVector<f64>, DMatrix<
         covariance.fixed_view_mut::<6, 6>(a, b).copy_from(&cross.block);
         covariance.fixed_view_mut::<6, 6>(b, a).copy_from(&cross.block.transpose());
     }
-    let rest = 6 * count - 6;
-    (error.rows(6, rest).into_owned(), covariance.view((6, 6), (rest, rest)).into_owned())
+    (error, covariance)
 }

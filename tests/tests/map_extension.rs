@@ -7,7 +7,7 @@ use std::time::Duration;
 use estimator::Localization;
 use map::contents::MapContents;
 use map::store::{load_map, save_map};
-use mapping::{BuildOptions, ExtendError, ExtensionReport, build_map_from_odometry, extend_map};
+use mapping::{BuildOptions, ExtendError, ExtensionReport, PosePriors, build_map_from_odometry, extend_map};
 use onboard::run_robot;
 use protocol::keys;
 use recognition::LoadedMap;
@@ -54,7 +54,16 @@ fn sessions(seed: u64, count: usize, period_s: f64) -> (Vec<Sequence>, Sequence)
 
 fn build(sequence: &mut Sequence) -> MapContents {
     let odometry = run_odometry(sequence, 2, |_, _| {}).unwrap();
-    build_map_from_odometry(sequence, &odometry, None, &BuildOptions::default(), &mut |_, _, _| {}).unwrap().0
+    build_map_from_odometry(
+        sequence,
+        &odometry,
+        &PosePriors::default(),
+        None,
+        &BuildOptions::default(),
+        &mut |_, _, _| {},
+    )
+    .unwrap()
+    .0
 }
 
 fn extend(map: &MapContents, sequence: &mut Sequence) -> Result<(MapContents, ExtensionReport), ExtendError> {

@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used)]
 
 use map::contents::MapContents;
-use mapping::{BuildOptions, BuildReport, build_map_from_odometry};
+use mapping::{BuildOptions, BuildReport, PosePriors, build_map_from_odometry};
 use sensors::Sequence;
 use simulation::{Scenario, SimulationOptions, simulate};
 use tests::map_errors::{errors, true_poses};
@@ -24,7 +24,15 @@ fn recording(seed: u64) -> Sequence {
 
 fn build(sequence: &mut Sequence, cameras: usize) -> (MapContents, BuildReport) {
     let odometry = run_odometry(sequence, cameras, |_, _| {}).unwrap();
-    build_map_from_odometry(sequence, &odometry, None, &BuildOptions::default(), &mut |_, _, _| {}).unwrap()
+    build_map_from_odometry(
+        sequence,
+        &odometry,
+        &PosePriors::default(),
+        None,
+        &BuildOptions::default(),
+        &mut |_, _, _| {},
+    )
+    .unwrap()
 }
 
 /// # Returns

@@ -15,7 +15,7 @@ use geometry::Pose;
 use map::MapContents;
 use map::text::{read_map, write_map};
 use mapping::{
-    BuildOptions, BuildReport, Extraction, StoredPoses, build_map, build_map_from_odometry,
+    BuildOptions, BuildReport, Extraction, PosePriors, StoredPoses, build_map, build_map_from_odometry,
     register_stereo_images,
 };
 use nalgebra::{Matrix3, Vector3};
@@ -135,8 +135,15 @@ fn built_from_odometry(folder: &Path) -> (Sequence, MapContents, BuildReport) {
     let cameras = sequence.cameras.len();
     let odometry = run_odometry(&mut sequence, cameras, |_, _| {}).unwrap();
     let options = BuildOptions::default();
-    let (contents, report) =
-        build_map_from_odometry(&sequence, &odometry, None, &options, &mut |_, _, _| {}).unwrap();
+    let (contents, report) = build_map_from_odometry(
+        &sequence,
+        &odometry,
+        &PosePriors::default(),
+        None,
+        &options,
+        &mut |_, _, _| {},
+    )
+    .unwrap();
     (sequence, contents, report)
 }
 
@@ -216,6 +223,7 @@ fn a_room_of_sparse_stereo_images_mapped_without_reference_poses() {
     let (contents, _) = build_map_from_odometry(
         &sequence,
         &odometry,
+        &PosePriors::default(),
         Some(extraction_by(&mut extractor)),
         &options,
         &mut |_, _, _| {},

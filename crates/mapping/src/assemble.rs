@@ -12,7 +12,7 @@ use protocol::KeyframeId;
 use super::bundle_adjustment::Bundle;
 use super::camera::{CameraPose, MappingCamera};
 use super::error::BuildError;
-use super::joint_covariance::JointCovariance;
+use super::joint_covariance::{ALL_UP_TO, JointCovariance};
 use super::keyframe_view::KeyframeView;
 use super::landmark::InverseDepthLandmark;
 use super::options::BuildOptions;
@@ -117,6 +117,8 @@ pub(super) fn fill_report(
     let poses = || contents.keyframes.iter().map(|keyframe| &keyframe.global_from_keyframe);
     report.sigma_pose_m = Spread::of(poses().map(PoseWithCovariance::sigma_p_m));
     report.sigma_pose_deg = Spread::of(poses().map(|pose| pose.sigma_theta_rad().to_degrees()));
+    report.sigma_scale = sigma_scale(contents);
+    report.sigma_tilt_deg = sigma_tilt(contents).map(f64::to_degrees);
     report.landmarks = contents.landmarks.len();
     report.observations = contents.observation_count();
     let longest = contents.landmarks.iter().map(|landmark| landmark.observations.len()).max().unwrap_or(1);
@@ -140,6 +142,35 @@ pub(super) fn fill_report(
     report.pose_correction_deg =
         Spread::of(corrections().map(|error| norm(error.fixed_rows::<3>(0).into()).to_degrees()));
     report.pose_correction_m = Spread::of(corrections().map(|error| norm(error.fixed_rows::<3>(3).into())));
+}
+
+/// Standard deviation of the first keyframe's rotation about a horizontal axis (rad).
+fn sigma_tilt(contents: &MapContents) -> Option<f64> {
+    let gravity = contents.info.gravity_in_global?;
+    let rotation =
+        contents.keyframes.first()?.global_from_keyframe.covariance.fixed_view::<3, 3>(0, 0).into_owned();
+    Some((0.5 * (rotation.trace() - gravity.dot(&(rotation * gravity)))).max(0.0).sqrt())
+}
+
+/// Standard deviation of the scale that fits the stated positions to the true ones best, in the sense of least squares.
+fn sigma_scale(contents: &MapContents) -> Option<f64> {
+    let keyframes = &contents.keyframes;
+    if keyframes.len() > ALL_UP_TO {
+        return None;
+    }
+    let position = |keyframe: &Keyframe| keyframe.global_from_keyframe.pose.translation;
+    let mean = keyframes.iter().map(position).sum::<Vector3<f64>>() / keyframes.len() as f64;
+    let moment: f64 = keyframes.iter().map(|keyframe| (position(keyframe) - mean).norm_squared()).sum();
+    let weights: BTreeMap<KeyframeId, Vector3<f64>> =
+        keyframes.iter().map(|keyframe| (keyframe.id, (position(keyframe) - mean) / moment)).collect();
+    let term = |a: KeyframeId, b: KeyframeId, block: &Matrix6<f64>| {
+        weights[&a].dot(&(block.fixed_view::<3, 3>(3, 3) * weights[&b]))
+    };
+    let own = |keyframe: &Keyframe| term(keyframe.id, keyframe.id, &keyframe.global_from_keyframe.covariance);
+    let cross = |cross: &KeyframeCrossCovariance| 2.0 * term(cross.a, cross.b, &cross.block);
+    let variance =
+        keyframes.iter().map(own).sum::<f64>() + contents.cross_covariances.iter().map(cross).sum::<f64>();
+    Some(variance.max(0.0).sqrt()).filter(|sigma| sigma.is_finite())
 }
 
 fn reprojection(

@@ -15,6 +15,7 @@ use super::joint_prior::JointPrior;
 use super::landmark::InverseDepthLandmark;
 use super::layout::{MOTION, POSE, StateLayout};
 use super::normal_equations::{LandmarkBlocks, NormalEquations};
+use super::pose_priors::PriorFactors;
 use super::relative_pose::RelativePose;
 use super::sparse_system::SparseFactor;
 
@@ -104,6 +105,8 @@ pub(super) struct Problem<'a> {
     pub(super) cameras: &'a [MappingCamera],
     /// Priors of poses: reference poses, or that of the first pose, which defines G.
     pub(super) priors: &'a [PosePrior],
+    /// Measured poses and positions, some of which may be wrong.
+    pub(super) measured: &'a PriorFactors,
     /// Readings of the IMU between the views.
     pub(super) inertial: Option<&'a InertialChain>,
     /// Relative poses of places that are seen again.
@@ -178,6 +181,7 @@ impl Problem<'_> {
                 &DVector::from_column_slice(error.as_slice()),
             );
         }
+        self.measured.add_to(&mut equations, layout, &bundle.poses, scale);
         if let Some(inertial) = self.inertial {
             inertial.add_to(&mut equations, layout, &bundle.poses, &bundle.motions);
         }
@@ -263,6 +267,7 @@ impl Problem<'_> {
             0.5 * error.dot(&(prior.information * error))
         };
         let priors: f64 = self.priors.iter().map(prior).sum();
+        let measured = self.measured.cost(&bundle.poses, scale);
         let inertial = self.inertial.map_or(0.0, |inertial| inertial.cost(&bundle.poses, &bundle.motions));
         let relative: f64 =
             self.relative_poses.iter().map(|relative| 0.5 * relative.distance(&bundle.poses)).sum();
@@ -278,7 +283,7 @@ impl Problem<'_> {
             0.5 * scale * scale * (sigmas / scale).powi(2).ln_1p()
         };
         let errors = bundle.landmarks.iter().flat_map(|landmark| landmark.errors(self.cameras, &poses));
-        priors + inertial + relative + stored + known + errors.map(robust).sum::<f64>()
+        priors + measured + inertial + relative + stored + known + errors.map(robust).sum::<f64>()
     }
 }
 

@@ -89,6 +89,43 @@ pub enum BuildError {
         /// Number of poses.
         states: usize,
     },
+    /// No pose prior lies in the time of the recording.
+    #[error(
+        "none of the {given} position and pose priors lies in the time of the odometry, {from_ns} to {until_ns} ns: are their \
+         times on the clock of the recording, in nanoseconds?"
+    )]
+    PosePriorsOutside {
+        /// Number of priors.
+        given: usize,
+        /// First pose of the odometry (ns).
+        from_ns: i64,
+        /// Last pose of the odometry (ns).
+        until_ns: i64,
+    },
+    /// Position priors that do not determine yaw.
+    #[error(
+        "{positions} positions within {extent_m:.3} m, known to {sigma_m:.3} m, do not determine yaw: give positions further \
+         apart, or a pose"
+    )]
+    YawUnknown {
+        /// Number of positions.
+        positions: usize,
+        /// Largest horizontal distance from their mean (m).
+        extent_m: f64,
+        /// Their standard deviation along an axis (m).
+        sigma_m: f64,
+    },
+    /// Pose priors that the recording contradicts.
+    #[error(
+        "{refused} of {used} position and pose priors contradict the recording by more than their sigmas allow: check that z \
+         points up in their frame, their times, the lever arm, and that the sigmas are not too small"
+    )]
+    PosePriorsContradict {
+        /// Those that contradict it.
+        refused: usize,
+        /// Those in the time of the recording.
+        used: usize,
+    },
     /// Hardly any images show one place.
     #[error(
         "only {located} of {images} stereo pairs show a place that an earlier one shows, or the IMU does not cover them: images \

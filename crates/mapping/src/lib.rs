@@ -12,6 +12,7 @@
 //! | all landmarks and poses are refined, with the reference poses as priors or with the IMU | `refinement`, `bundle_adjustment`, `inertial` |
 //! | the joint covariance of the refined poses | `joint_covariance` |
 //! | the map is assembled | `assemble` |
+//! | poses and positions that are known besides the recording | `pose_priors` |
 //! | a map that exists is extended by another recording | `extension`, `joint_prior`, `landmark_prior` |
 //!
 //! [`build_map`] runs them all (`pipeline`); [`build_map_from_odometry`] without reference poses (`without_references`);
@@ -48,6 +49,7 @@ mod normal_equations;
 mod odometry;
 mod options;
 mod pipeline;
+mod pose_priors;
 mod progress;
 mod reference_poses;
 mod refinement;
@@ -69,6 +71,7 @@ pub use feature_source::Extraction;
 pub use odometry::Odometry;
 pub use options::{BuildOptions, StoredPoses};
 pub use pipeline::build_map;
+pub use pose_priors::PosePriors;
 pub use progress::{Progress, Stage};
 pub use report::{BuildReport, Spread};
 pub use stereo_registration::register_stereo_images;

@@ -6,6 +6,7 @@ use std::collections::HashMap;
 use estimator::EstimatorConfig;
 use estimator::propagation::ImuState;
 use geometry::camera::Camera;
+use geometry::pose::Pose;
 use geometry::uncertain_pose::PoseWithCovariance;
 use nalgebra::Vector2;
 use protocol::{DescriptorFormat, FeatureSet};
@@ -38,6 +39,20 @@ pub struct Odometry {
 }
 
 impl Odometry {
+    /// The same states in another frame with z up.
+    ///
+    /// # Arguments
+    /// * `to_frame`: from the frame of the states, a rotation about z and a translation.
+    pub(super) fn moved(&self, to_frame: &Pose) -> Odometry {
+        let state = |state: &ImuState| ImuState {
+            local_from_imu: to_frame.compose(&state.local_from_imu),
+            velocity: to_frame.rotation * state.velocity,
+            ..*state
+        };
+        let states = self.states.iter().map(|(stamp_ns, of)| (*stamp_ns, state(of))).collect();
+        Odometry { states, config: self.config.clone(), ..*self }
+    }
+
     /// The state at the time of an image.
     pub(super) fn at(&self, stamp_ns: i64) -> Option<&ImuState> {
         let at = self.states.binary_search_by_key(&stamp_ns, |(stamp_ns, _)| *stamp_ns).ok()?;

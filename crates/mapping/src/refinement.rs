@@ -10,6 +10,7 @@ use super::keyframe_view::KeyframeView;
 use super::landmark::InverseDepthLandmark;
 use super::loop_closure::plausible;
 use super::options::{BuildOptions, FIRST_SIGMA_PX};
+use super::pose_priors::PriorFactors;
 use super::progress::{Progress, Stage};
 use super::relative_pose::RelativePose;
 use super::report::BuildReport;
@@ -30,6 +31,8 @@ const MIN_LANDMARKS: usize = 50;
 pub(super) struct Constraints {
     /// Priors of poses.
     pub(super) priors: Vec<PosePrior>,
+    /// Measured poses and positions, some of which may be wrong.
+    pub(super) measured: PriorFactors,
     /// Readings of the IMU between views.
     pub(super) inertial: Option<InertialChain>,
     /// Relative poses of places seen again.
@@ -67,6 +70,7 @@ impl Constraints {
         Problem {
             cameras,
             priors: &self.priors,
+            measured: &self.measured,
             inertial: self.inertial.as_ref(),
             relative_poses: &self.relative_poses,
             stored: self.stored.as_ref(),

@@ -47,6 +47,12 @@ pub struct BuildReport {
     pub loops: usize,
     /// Those of them that contradict the trajectory.
     pub refused_loops: usize,
+    /// Poses and positions that were given as priors.
+    pub pose_priors: usize,
+    /// Those of them that lie outside the recording.
+    pub pose_priors_outside: usize,
+    /// Those of them that contradict the recording and the others.
+    pub refused_pose_priors: usize,
     /// Factor on the stated noise of the IMU by which its readings fit the images; zero for a map from reference poses.
     pub imu_noise_scale: f64,
     /// Observations that were dropped as outliers.
@@ -69,6 +75,10 @@ pub struct BuildReport {
     pub sigma_pose_deg: Spread,
     /// Standard deviation of the stated positions per axis (m, root mean square over the three).
     pub sigma_pose_m: Spread,
+    /// Standard deviation of the scale of the stated positions (1); `None` where a map is too large to state all correlations.
+    pub sigma_scale: Option<f64>,
+    /// Standard deviation of the first keyframe's tilt against gravity, an axis (deg); `None` where gravity is not known.
+    pub sigma_tilt_deg: Option<f64>,
     /// Pairs of keyframes with a cross-covariance.
     pub cross_covariances: usize,
     /// Rotation between reference and refined poses (deg).

@@ -1,6 +1,7 @@
 //! Map building without reference poses: odometry, loops, and one visual-inertial bundle adjustment.
 //!
-//! G is the frame of the odometry: z up, origin and yaw of its first pose.
+//! G is the frame of the odometry, with z up, origin and yaw of its first pose; or that of poses or positions that are known
+//! besides.
 
 use std::time::Instant;
 
@@ -25,6 +26,7 @@ use super::matching::{self, FeatureMatch};
 use super::odometry::{LOCAL_SIGMAS, Odometry, add_tracks};
 use super::options::{BuildOptions, FIRST_SIGMA_PX};
 use super::pipeline::{check, match_all, triangulate_all};
+use super::pose_priors::{AlignedPriors, PosePriors, PriorFactor, PriorFactors, remove_wrong};
 use super::progress::Progress;
 use super::refinement::{Constraints, ROUNDS, covariance_of, refine_all};
 use super::relative_pose::RelativePose;
@@ -33,6 +35,10 @@ use super::report::BuildReport;
 /// What defines G: standard deviations of yaw (rad), of the tilt that only gravity gives (rad), and of the position (m) of
 /// the first view.
 const GAUGE_SIGMAS: [f64; 3] = [1e-4, 0.5, 1e-3];
+/// The same where known poses or positions define G: next to nothing.
+const WIDE_SIGMAS: [f64; 3] = [10.0, 0.5, 1e4];
+/// The build fails where more than this part of the known poses and positions contradict the recording.
+const MAX_REFUSED: f64 = 0.5;
 /// Uncertainty of a view after loops are closed, for the epipolar constraint (rad, m).
 const ADJUSTED_SIGMAS: [f64; 2] = [0.005, 0.05];
 /// Standard deviations of keyframes while loops are searched (rad, m): recognition wants some, none is used.
@@ -43,23 +49,31 @@ const SEARCH_SIGMAS: [f64; 2] = [1e-5, 1e-4];
 /// # Arguments
 /// * `sequence`: with readings of the IMU. Tracks in its frames tie the views together besides the features.
 /// * `odometry`: states at its images.
+/// * `priors`: poses and positions in G that are known besides; without, G is the frame of the odometry.
 /// * `extraction`: how features are extracted from images; `None` takes those that the recording has.
 /// * `progress`: called with the stage and its steps.
 ///
 /// # Returns
-/// The map, sorted and valid, and statistics of it. Its covariance is relative to the first keyframe's position and yaw.
+/// The map, sorted and valid, and statistics of it. Without priors its covariance is relative to the first keyframe's position
+/// and yaw.
 ///
 /// # Errors
 /// [`BuildError`], with what to do.
 pub fn build_map_from_odometry(
     sequence: &Sequence,
     odometry: &Odometry,
+    priors: &PosePriors,
     extraction: Option<Extraction<'_>>,
     options: &BuildOptions,
     progress: Progress<'_>,
 ) -> Result<(MapContents, BuildReport), BuildError> {
     let start = Instant::now();
+    let aligned = priors.aligned(odometry, &sequence.imu_samples)?;
+    let odometry = aligned.as_ref().map_or(odometry, |aligned| &aligned.odometry);
     let mut builder = Builder::new(sequence, odometry, extraction, options, progress)?;
+    if let Some(aligned) = &aligned {
+        builder.use_priors(priors, aligned);
+    }
     let (bundle, constraints) = builder.build()?;
     let Builder { cameras, options, views, mut report, progress, .. } = builder;
     let joint =
@@ -84,6 +98,8 @@ pub(super) struct Builder<'a, 'p> {
     pub(super) options: BuildOptions,
     /// The keyframes, and what ties them together.
     pub(super) views: Vec<KeyframeView<'a>>,
+    /// Poses and positions that are known besides the recording.
+    known: Vec<PriorFactor>,
     /// Tracks of points without descriptors.
     tracks: Vec<Vec<FeatureId>>,
     /// Statistics so far.
@@ -124,10 +140,18 @@ impl<'a, 'p> Builder<'a, 'p> {
             cameras,
             options,
             views,
+            known: Vec::new(),
             tracks,
             report,
             progress,
         })
+    }
+
+    /// Uses poses and positions that are known besides.
+    fn use_priors(&mut self, priors: &PosePriors, aligned: &AlignedPriors) {
+        self.known = aligned.factors(&self.views, &self.sequence.cameras[0].imu_from_camera);
+        self.report.pose_priors = priors.len();
+        self.report.pose_priors_outside = priors.len() - self.known.len();
     }
 
     /// Adjusts the trajectory by neighbours, then closes loops, then adjusts all with the landmarks of all places fused.
@@ -140,9 +164,10 @@ impl<'a, 'p> Builder<'a, 'p> {
         let in_time: Vec<(usize, usize)> = matching::pairs_in_time(&self.views, &self.options);
         let matches = self.matches(&in_time)?;
         let landmarks = self.landmarks(&matches);
-        let constraints = self.constraints(&motions);
         let poses = self.views.iter().map(|view| view.prior.pose).collect();
-        let mut bundle = self.adjust(&constraints, Bundle { poses, motions, landmarks }, 1);
+        let mut bundle = Bundle { poses, motions, landmarks };
+        bundle = self.adjust(&self.constraints(&bundle), bundle, 1);
+        self.refuse_wrong_priors(&bundle)?;
         bundle = self.close_loops(bundle)?;
         self.set_priors(&bundle, ADJUSTED_SIGMAS);
         let in_space: Vec<(usize, usize)> = matching::pairs(&self.views, &self.options)
@@ -153,11 +178,32 @@ impl<'a, 'p> Builder<'a, 'p> {
         all.extend(self.matches(&in_space)?);
         let landmarks = self.landmarks(&all);
         self.learn_imu_noise(&bundle);
-        let constraints = self.constraints(&bundle.motions);
         self.report.dropped_observations = 0;
         bundle.landmarks = landmarks;
-        let bundle = self.adjust(&constraints, bundle, ROUNDS);
+        let mut constraints = self.constraints(&bundle);
+        bundle = self.adjust(&constraints, bundle, ROUNDS);
+        if self.refuse_wrong_priors(&bundle)? {
+            constraints = self.constraints(&bundle);
+            bundle = self.adjust(&constraints, bundle, 1);
+        }
         Ok((bundle, constraints))
+    }
+
+    /// Leaves out the known poses and positions that the trajectory contradicts.
+    ///
+    /// # Returns
+    /// Whether there are such.
+    ///
+    /// # Errors
+    /// [`BuildError::PosePriorsContradict`] where they are most of them.
+    fn refuse_wrong_priors(&mut self, bundle: &Bundle) -> Result<bool, BuildError> {
+        let wrong = remove_wrong(&mut self.known, &bundle.poses);
+        self.report.refused_pose_priors += wrong;
+        let (refused, used) = (self.report.refused_pose_priors, self.known.len());
+        if refused as f64 > MAX_REFUSED * (refused + used) as f64 {
+            return Err(BuildError::PosePriorsContradict { refused, used: refused + used });
+        }
+        Ok(wrong > 0)
     }
 
     /// Finds places that are seen again and adjusts the trajectory to them. Loops that contradict the trajectory by more
@@ -165,7 +211,7 @@ impl<'a, 'p> Builder<'a, 'p> {
     fn close_loops(&mut self, mut bundle: Bundle) -> Result<Bundle, BuildError> {
         let found = self.find_loops(&bundle)?;
         self.report.loops = found.len();
-        let mut constraints = self.constraints(&bundle.motions);
+        let mut constraints = self.constraints(&bundle);
         let mut loops = constraints.plausible_loops(&self.cameras, &bundle, found, self.report.sigma_px)?;
         while !loops.is_empty() {
             constraints.relative_poses.clone_from(&loops);
@@ -175,7 +221,7 @@ impl<'a, 'p> Builder<'a, 'p> {
             if loops.len() == count {
                 break;
             }
-            constraints = self.constraints(&bundle.motions);
+            constraints = self.constraints(&bundle);
         }
         self.report.refused_loops = self.report.loops - loops.len();
         Ok(bundle)
@@ -183,8 +229,7 @@ impl<'a, 'p> Builder<'a, 'p> {
 
     /// Increases the stated noise of the IMU where its readings do not fit the images as it says.
     fn learn_imu_noise(&mut self, bundle: &Bundle) {
-        let chain = self.constraints(&bundle.motions).inertial;
-        let scale = chain.map_or(1.0, |chain| chain.noise_scale(&bundle.poses, &bundle.motions)).max(1.0);
+        let scale = self.inertial(&bundle.motions).noise_scale(&bundle.poses, &bundle.motions).max(1.0);
         self.report.imu_noise_scale *= scale;
         self.config.imu_noise = self.config.imu_noise.inflated(scale);
     }
@@ -206,16 +251,18 @@ impl<'a, 'p> Builder<'a, 'p> {
         )
     }
 
-    /// The first pose, which defines G, and the readings of the IMU.
-    fn constraints(&self, motions: &[Motion]) -> Constraints {
-        let [sigma_yaw, sigma_tilt, sigma_p] = GAUGE_SIGMAS;
+    /// What defines G, the first pose or known ones, and the readings of the IMU, around a bundle.
+    fn constraints(&self, bundle: &Bundle) -> Constraints {
+        let gauge = if self.known.is_empty() { GAUGE_SIGMAS } else { WIDE_SIGMAS };
+        let [sigma_yaw, sigma_tilt, sigma_p] = gauge;
         Constraints {
             priors: vec![PosePrior {
                 view: 0,
                 pose: self.views[0].prior.pose,
                 information: gauge_information(sigma_yaw, sigma_tilt, sigma_p),
             }],
-            inertial: Some(self.inertial(motions)),
+            measured: PriorFactors::new(&self.known, &bundle.poses),
+            inertial: Some(self.inertial(&bundle.motions)),
             ..Constraints::default()
         }
     }

@@ -78,7 +78,10 @@ pub use bag::{BagCamera, BagError, BagSensors};
 pub use calibration::{CameraSensor, ImuSensor, SensorCalibration};
 pub use error::{SensorError, SequenceError};
 pub use estimator::{ImuNoise, ImuSample, TrackObservation};
-pub use euroc::{FolderCalibration, pose_cells, read_groundtruth, read_lens, read_reference_poses, writer};
+pub use euroc::{
+    FolderCalibration, pose_cells, read_groundtruth, read_lens, read_reference_poses,
+    read_reference_positions, writer,
+};
 pub use features::{feature_set, kind_of, metric_of};
 pub use frame::{Frame, ImageData, StoredImage};
 pub use imu_check::{ImuCheck, ImuUnitError};
@@ -92,5 +95,5 @@ pub use source::{Contents, SensorEvent, SensorSource};
 pub use stereo_check::check_stereo;
 pub use stored::is_recording;
 pub use table::{Row, Table, check_order};
-pub use truth::{ReferencePose, TruthRow, TruthTrack};
+pub use truth::{ReferencePose, ReferencePosition, TruthRow, TruthTrack};
 pub use written_lines::{WrittenLines, read_written_lines, warn_cut_off};

@@ -2,7 +2,7 @@
 
 use geometry::pose::Pose;
 use geometry::uncertain_pose::isotropic_covariance;
-use nalgebra::{Matrix6, Vector3};
+use nalgebra::{Matrix3, Matrix6, Vector3};
 
 /// One row of ground truth.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -48,6 +48,17 @@ impl ReferencePose {
         let sigma = |first: usize| self.covariance.diagonal().fixed_rows::<3>(first).max().sqrt();
         (sigma(0), sigma(3))
     }
+}
+
+/// A position of a point of the robot in the map's frame, for example of an antenna or of a total station's prism.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ReferencePosition {
+    /// Time, nanoseconds.
+    pub stamp_ns: i64,
+    /// The point in the map's frame, metres.
+    pub position: Vector3<f64>,
+    /// Covariance of its error in the map's frame (m^2).
+    pub covariance: Matrix3<f64>,
 }
 
 /// Ground truth as a function of time.

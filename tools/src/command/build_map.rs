@@ -2,10 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context as _, bail};
-use evaluation::trajectory::{StampedPose, StateKind, read_any};
-use geometry::covariance_check::check_covariance;
-use nalgebra::{Matrix6, Vector3};
+use anyhow::bail;
+use nalgebra::Vector3;
 use onboard::arguments::CalibrationArguments;
 use onboard::extraction::FeatureArguments;
 use sensors::{ReferencePose, Sequence, check_stereo};
@@ -14,6 +12,7 @@ use vision::{FeatureExtractor, GrayImage};
 
 use super::build_report::{print_extension, print_report};
 use super::import_map::parse_direction;
+use super::pose_files::{PriorArguments, poses_of_file};
 use crate::odometry::{is_sparse, odometry_config, run_odometry};
 use crate::plotting::draw_coverage;
 use crate::stage_bar::StageBar;
@@ -40,8 +39,8 @@ const MIN_DISTANCE_OF_SPARSE_IMAGES: f64 = 0.01;
     driftless build-map my_run --map my.db --sigma-theta 0.005 --sigma-p 0.02 --gravity 0,0,-1\n  \
     driftless build-map my_run --map my.db --poses odometry.tum --sigma-theta 0.02 --sigma-p 0.1\n  \
     driftless build-map my_run --map my.db --poses out/states.csv\n  \
-    driftless build-map another_run --map my.db --extend
-  \
+    driftless build-map my_run --map my.db --position-priors gnss_enu.csv --lever-arm 0.1,0,0.4\n  \
+    driftless build-map another_run --map my.db --extend\n  \
     driftless build-map V1_01_easy --map vicon_room.db --sigma-theta 0.0175 --sigma-p 0.01\n\n\
     SEQ holds mav0/cam0 (and cam1, for stereo) with sensor.yaml, data.csv and images in data/, and mav0/imu0. A\n\
     cam0/features.csv replaces the images. Odometry, places seen again and one visual-inertial adjustment give the poses.\n\n\
@@ -51,7 +50,10 @@ const MIN_DISTANCE_OF_SPARSE_IMAGES: f64 = 0.01;
     --poses takes reference_poses.csv, a TUM file (t x y z qx qy qz qw, in seconds), EuRoC ground truth (ns, position,\n\
     quaternion with w first; 8 or 17 columns) or states.csv of a run, recognized by content. The first and the last\n\
     state their uncertainty; the others need --sigma-theta and --sigma-p. All sigmas of poses, given and printed, are\n\
-    standard deviations per axis.")]
+    standard deviations per axis.\n\n\
+    --position-priors and --pose-priors are poses at some times only, of a total station, GNSS, surveyed marks or tags. The\n\
+    map is built from odometry, in their frame, whose z axis must point up. Positions are lines `ns,x,y,z`, as EuRoC's\n\
+    leica0/data.csv, or `ns,x,y,z,sigma_x,sigma_y,sigma_z` in metres; wrong ones are refused.")]
 pub struct Args {
     /// The recording: a folder in the EuRoC layout, or a bag (MCAP, rosbag2, rosbag1)
     #[arg(value_name = "SEQ")]
@@ -66,6 +68,9 @@ pub struct Args {
     /// [default: SEQ/reference_poses.csv, if there is one, else none]
     #[arg(long, value_name = "FILE|none")]
     pub poses: Option<PathBuf>,
+    /// Known poses and positions
+    #[command(flatten)]
+    pub priors: PriorArguments,
     /// Standard deviation of every pose's rotation about each axis, rad [default: as in the file of poses]
     #[arg(long, value_name = "RAD")]
     pub sigma_theta: Option<f64>,
@@ -113,7 +118,7 @@ pub struct Args {
     #[arg(long)]
     pub force: bool,
     /// Extend the existing map by this recording of the same place; the result is its next version
-    #[arg(long, conflicts_with_all = ["force", "poses", "sigma_theta", "sigma_p", "gravity", "no_refine_poses"])]
+    #[arg(long, conflicts_with_all = ["force", "poses", "position_priors", "pose_priors", "sigma_theta", "sigma_p", "gravity", "no_refine_poses"])]
     pub extend: bool,
     /// Print the report as JSON
     #[arg(long)]
@@ -134,6 +139,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     }
     let mut options = options(&args)?;
     let references = if args.extend { None } else { references(&args, &sequence)? };
+    let priors = args.priors.read(args.sigma_theta, args.sigma_p)?;
     if references.is_none() {
         sequence = Sequence::open_with(&args.sequence, &args.calibration.files())?;
     }
@@ -145,7 +151,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     let (contents, report) = if let Some(references) = references {
         let extraction = extraction_of(&mut extractor, mask.as_ref(), &args);
         let (contents, report) = build_map(&sequence, &references, extraction, &options, &mut show)?;
-        (contents, Report::Built(report))
+        (contents, Report::Built(Box::new(report)))
     } else {
         let extraction = extraction_of(&mut extractor, mask.as_ref(), &args);
         let odometry = odometry(&mut sequence, extraction, &args, &mut options, &mut show)?;
@@ -156,8 +162,8 @@ pub fn run(args: Args) -> anyhow::Result<()> {
             (contents, Report::Extended(report))
         } else {
             let (contents, report) =
-                build_map_from_odometry(&sequence, &odometry, extraction, &options, &mut show)?;
-            (contents, Report::Built(report))
+                build_map_from_odometry(&sequence, &odometry, &priors, extraction, &options, &mut show)?;
+            (contents, Report::Built(Box::new(report)))
         }
     };
     let times = bar.finish();
@@ -188,7 +194,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
 #[derive(serde::Serialize)]
 #[serde(untagged)]
 enum Report {
-    Built(BuildReport),
+    Built(Box<BuildReport>),
     Extended(ExtensionReport),
 }
 
@@ -237,11 +243,11 @@ fn extraction_of<'a>(
 /// The poses to build from: those of `--poses`, of the sequence, or the ground truth where its standard deviations are
 /// given; `None` to build without.
 fn references(args: &Args, sequence: &Sequence) -> anyhow::Result<Option<Vec<ReferencePose>>> {
-    if args.poses.as_deref() == Some(Path::new("none")) {
+    if args.poses.as_deref() == Some(Path::new("none")) || args.priors.are_given() {
         return Ok(None);
     }
     if let Some(path) = &args.poses {
-        return poses_of_file(path, args).map(Some);
+        return poses_of_file(path, args.sigma_theta, args.sigma_p).map(Some);
     }
     if let Some(poses) = &sequence.reference_poses {
         return Ok(Some(poses.clone()));
@@ -265,31 +271,6 @@ fn references(args: &Args, sequence: &Sequence) -> anyhow::Result<Option<Vec<Ref
             args.sequence.display()
         ),
     }
-}
-
-/// The poses of `--poses`, of any format; the sigmas are those of the file where it has some, else of the switches.
-fn poses_of_file(path: &Path, args: &Args) -> anyhow::Result<Vec<ReferencePose>> {
-    let file = read_any(path, &[StateKind::GlobalFromImu, StateKind::LocalFromImu])?;
-    eprintln!("{}: {} poses, read as {}", path.display(), file.poses.len(), file.format);
-    let Some(covariances) = file.covariances else {
-        let (Some(sigma_theta), Some(sigma_p)) = (args.sigma_theta, args.sigma_p) else {
-            bail!(
-                "{} ({}) states no standard deviations: state those of its poses with --sigma-theta RAD and --sigma-p M",
-                path.display(),
-                file.format
-            );
-        };
-        let reference =
-            |row: &StampedPose| ReferencePose::isotropic(row.stamp_ns, row.pose, sigma_theta, sigma_p);
-        return Ok(file.poses.iter().map(reference).collect());
-    };
-    let reference = |(row, covariance): (&StampedPose, Matrix6<f64>)| {
-        check_covariance(&covariance).with_context(|| {
-            format!("{}: the covariance of the pose at {} ns", path.display(), row.stamp_ns)
-        })?;
-        Ok(ReferencePose { stamp_ns: row.stamp_ns, pose: row.pose, covariance })
-    };
-    file.poses.iter().zip(covariances).map(reference).collect()
 }
 
 fn options(args: &Args) -> anyhow::Result<BuildOptions> {
@@ -331,9 +312,6 @@ fn check_sigma_theta(sigma_theta: Option<f64>) -> anyhow::Result<()> {
 mod tests {
     use super::*;
     use clap::Parser;
-    use evaluation::trajectory::states::{self, StateRow};
-    use geometry::Pose;
-    use geometry::uncertain_pose::{PoseWithCovariance, isotropic_covariance};
 
     #[derive(Parser)]
     struct CommandLine {
@@ -344,37 +322,6 @@ mod tests {
     fn args(switches: &str) -> Args {
         let line = ["build-map", "SEQ", "--map", "m.db"].into_iter().chain(switches.split_whitespace());
         CommandLine::try_parse_from(line).unwrap().args
-    }
-
-    #[test]
-    fn poses_of_a_tum_file_need_sigmas_and_those_of_a_run_have_covariances() {
-        let folder = tempfile::tempdir().unwrap();
-        let tum = folder.path().join("odometry.tum");
-        std::fs::write(&tum, "10.5 1 2 3 0 0 0 1\n10.6 1 2 3 0 0 0 1\n").unwrap();
-        let error = poses_of_file(&tum, &args("")).unwrap_err().to_string();
-        assert!(error.contains("--sigma-theta") && error.contains("TUM"), "{error}");
-        let poses = poses_of_file(&tum, &args("--sigma-theta 0.02 --sigma-p 0.1")).unwrap();
-        assert_eq!((poses.len(), poses[0].stamp_ns), (2, 10_500_000_000));
-        assert_eq!(poses[1].covariance, isotropic_covariance(0.02, 0.1));
-
-        let path = folder.path().join("states.csv");
-        let mut covariance = isotropic_covariance(0.02, 0.1);
-        (covariance[(0, 4)], covariance[(4, 0)]) = (1e-4, 1e-4);
-        let row = StateRow {
-            stamp_ns: 7,
-            local_from_imu: PoseWithCovariance::new(Pose::identity(), covariance),
-            global_from_local: None,
-            global_from_imu: None,
-        };
-        states::write(&path, std::slice::from_ref(&row)).unwrap();
-        let poses = poses_of_file(&path, &args("")).unwrap();
-        assert!((poses[0].covariance - covariance).amax() < 1e-12);
-
-        let mut indefinite = row;
-        indefinite.local_from_imu.covariance[(3, 3)] = -1.0;
-        states::write(&path, &[indefinite]).unwrap();
-        let error = format!("{:#}", poses_of_file(&path, &args("")).unwrap_err());
-        assert!(error.contains("states.csv") && error.contains("7 ns"), "{error}");
     }
 
     #[test]

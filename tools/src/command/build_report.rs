@@ -31,6 +31,12 @@ pub(super) fn print_report(report: &BuildReport) {
             report.loops, report.refused_loops
         );
     }
+    if report.pose_priors > 0 {
+        println!(
+            "pose priors                 {}, {} outside of the recording, {} refused",
+            report.pose_priors, report.pose_priors_outside, report.refused_pose_priors
+        );
+    }
     println!("observations dropped        {}", report.dropped_observations);
     println!("reprojection error, px      {}", spread(&report.reprojection_px, 2));
     println!("  through the given poses   {}", spread(&report.reprojection_through_given_px, 2));
@@ -39,6 +45,12 @@ pub(super) fn print_report(report: &BuildReport) {
     println!("                    m       {}", spread(&report.pose_correction_m, 3));
     println!("sigma of poses per axis, deg {}", spread(&report.sigma_pose_deg, 3));
     println!("                         m   {}", spread(&report.sigma_pose_m, 3));
+    if let Some(sigma) = report.sigma_scale {
+        println!("sigma of scale, %           {:.3}", 100.0 * sigma);
+    }
+    if let Some(sigma) = report.sigma_tilt_deg {
+        println!("sigma of tilt, deg          {sigma:.3}");
+    }
     println!("correlated pairs            {}", report.cross_covariances);
     let few = BuildReport::FEW_LANDMARKS;
     println!("keyframes below {few} landmarks {}", report.poor_keyframes.len());

@@ -22,6 +22,7 @@ pub mod map_info;
 pub mod montecarlo;
 pub mod play;
 pub mod plot;
+mod pose_files;
 pub mod query;
 pub mod run;
 pub mod simulate;

@@ -65,12 +65,12 @@ impl Camera {
         }
         if self.compressed.is_matched().await? {
             let stamp_ns = header.stamp.to_nanoseconds();
-            let message = match image_message(image, stamp_ns, &header.frame_id)? {
-                Some(ImageMessage::Compressed(message)) => message,
-                _ => {
-                    let format = "mono8; png compressed ".to_owned();
-                    CompressedImage { header, format, data: image.read()?.to_png()? }
-                }
+            let stored = image_message(image, stamp_ns, &header.frame_id)?;
+            let message = if let Some(ImageMessage::Compressed(message)) = stored {
+                message
+            } else {
+                let format = "mono8; png compressed ".to_owned();
+                CompressedImage { header, format, data: image.read()?.to_png()? }
             };
             self.compressed.publish(&message).await?;
         }

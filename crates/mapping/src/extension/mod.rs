@@ -31,6 +31,7 @@ use crate::keyframe_view::keyframes;
 use crate::loop_closure::consistent;
 use crate::odometry::Odometry;
 use crate::options::BuildOptions;
+use crate::pose_priors::PriorFactors;
 use crate::progress::Progress;
 use crate::refinement::{Constraints, ROUNDS, covariance_of};
 use crate::relative_pose::RelativePose;
@@ -150,6 +151,7 @@ fn constraints(
 ) -> Constraints {
     Constraints {
         priors: Vec::new(),
+        measured: PriorFactors::default(),
         inertial: Some(builder.inertial(&both.motions)),
         relative_poses,
         stored: Some(prior.clone()),

@@ -7,7 +7,7 @@ use geometry::numeric::numeric_jacobian;
 use geometry::pose::Pose;
 use geometry::rotation;
 use geometry::uncertain_pose::{PoseWithCovariance, isotropic_covariance};
-use nalgebra::{DMatrix, DVector, Matrix3, Matrix6, Matrix6x3, Vector2, Vector3, Vector6};
+use nalgebra::{DMatrix, DVector, Matrix3, Matrix6, Matrix6x3, UnitQuaternion, Vector2, Vector3, Vector6};
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 use sensors::{CameraSensor, ImuSample};
@@ -20,6 +20,7 @@ use crate::joint_covariance::joint_covariance;
 use crate::landmark::{InverseDepthLandmark, LandmarkObservation};
 use crate::layout::{POSE, StateLayout};
 use crate::normal_equations::{LandmarkBlocks, NormalEquations};
+use crate::pose_priors::{PriorFactor, PriorFactors};
 use crate::relative_pose::RelativePose;
 use crate::sparse_system::SparseSystem;
 
@@ -218,9 +219,22 @@ fn the_equations_are_the_gradient_of_the_cost() {
         prior: None,
     };
     let (priors, relative_poses) = ([PosePrior::of_reference(1, &prior)], [relative]);
+    let measured = |view: usize, rotation: Option<UnitQuaternion<f64>>| {
+        let mut information = Matrix6::zeros();
+        information.fixed_view_mut::<3, 3>(3, 3).fill_diagonal(40.0);
+        if rotation.is_some() {
+            information.fixed_view_mut::<3, 3>(0, 0).fill_diagonal(90.0);
+            information[(1, 5)] = 7.0;
+            information[(5, 1)] = 7.0;
+        }
+        PriorFactor { view, point_in_camera: vector(1.0), position: vector(1.0), rotation, information }
+    };
+    let known = [measured(0, None), measured(2, Some(rotation::exp(&vector(0.6))))];
+    let measured = PriorFactors::new(&known, &poses);
     let without = Problem {
         cameras: &camera,
         priors: &priors,
+        measured: &measured,
         inertial: None,
         relative_poses: &relative_poses,
         stored: None,

@@ -16,6 +16,7 @@ use crate::camera::{CameraPose, MappingCamera};
 use crate::joint_prior::JointPrior;
 use crate::landmark::{InverseDepthLandmark, LandmarkObservation};
 use crate::landmark_prior::{LandmarkPrior, StoredObserver};
+use crate::pose_priors::PriorFactors;
 
 /// Of pixels (px), and of reference poses (rad, m): so small that everything is linear.
 const SIGMA_PX: f64 = 0.1;
@@ -78,9 +79,11 @@ fn an_extended_map_is_the_map_of_all_observations() {
         PosePrior::of_reference(view, &PoseWithCovariance::new(truth[view].retract(&error), covariance))
     };
     let priors: Vec<PosePrior> = (0..ADDED + STORED).map(|view| reference(view, &mut rng)).collect();
+    let measured = PriorFactors::default();
     let problem = |priors| Problem {
         cameras: &cameras,
         priors,
+        measured: &measured,
         inertial: None,
         relative_poses: &[],
         stored: None,

@@ -9,4 +9,4 @@ pub mod writer;
 pub(crate) use folder::Folder;
 pub use folder::FolderCalibration;
 pub use sensor_yaml::read_lens;
-pub use tables::{pose_cells, read_groundtruth, read_reference_poses};
+pub use tables::{pose_cells, read_groundtruth, read_reference_poses, read_reference_positions};

@@ -2,9 +2,9 @@
 
 use crate::rows::Stamped;
 use crate::table::{Row, Table, check_order};
-use crate::{ImuSample, ReferencePose, SequenceError, TruthRow};
+use crate::{ImuSample, ReferencePose, ReferencePosition, SequenceError, TruthRow};
 use geometry::pose::Pose;
-use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
 use std::marker::PhantomData;
 use std::path::{Path, PathBuf};
 
@@ -108,6 +108,65 @@ impl TimedRow for ReferencePose {
         }
         Ok(Self::isotropic(stamp_ns, pose_cells(row, 1)?, sigma_theta_rad, sigma_p_m))
     }
+}
+
+/// A position, and its standard deviations along the axes where the table has them.
+struct PositionRow {
+    stamp_ns: i64,
+    position: Vector3<f64>,
+    sigmas_m: Option<Vector3<f64>>,
+    line: u64,
+}
+
+impl Stamped for PositionRow {
+    fn stamp_ns(&self) -> i64 {
+        self.stamp_ns
+    }
+}
+
+impl TimedRow for PositionRow {
+    const PURPOSE: &'static str = "it holds positions";
+    const IF_EMPTY: &'static str = "lines `ns,x,y,z` or `ns,x,y,z,sigma_x,sigma_y,sigma_z` were expected";
+
+    fn read(row: &Row<'_>) -> Result<Self, SequenceError> {
+        row.require(if row.len() > 4 { 7 } else { 4 })?;
+        let sigmas_m = (row.len() > 4).then(|| row.finite_array(4)).transpose()?.map(Vector3::from);
+        if sigmas_m.is_some_and(|sigmas| sigmas.min() <= 0.0) {
+            return Err(row.wrong("a standard deviation is not positive: say how uncertain the position is"));
+        }
+        Ok(Self {
+            stamp_ns: row.stamp()?,
+            position: Vector3::from(row.finite_array(1)?),
+            sigmas_m,
+            line: row.line(),
+        })
+    }
+}
+
+/// Reads positions: `ns,x,y,z`, as EuRoC's `leica0/data.csv`, or `ns,x,y,z,sigma_x,sigma_y,sigma_z` (m).
+///
+/// # Arguments
+/// * `sigma_p_m`: standard deviation along each axis of those that state none.
+///
+/// # Errors
+/// [`SequenceError`] with the file and the line, also where no standard deviation is known.
+pub fn read_reference_positions(
+    path: &Path,
+    sigma_p_m: Option<f64>,
+) -> Result<Vec<ReferencePosition>, SequenceError> {
+    let rows: Vec<PositionRow> = TimedRows::open(path)?.collect::<Result<_, _>>()?;
+    let position = |row: PositionRow| {
+        let unknown = || SequenceError::Row {
+            path: path.to_path_buf(),
+            line: row.line,
+            problem: "no standard deviations: add three columns of them, or state that of all positions"
+                .to_owned(),
+        };
+        let sigmas = row.sigmas_m.or(sigma_p_m.map(Vector3::repeat)).ok_or_else(unknown)?;
+        let covariance = Matrix3::from_diagonal(&sigmas.component_mul(&sigmas));
+        Ok(ReferencePosition { stamp_ns: row.stamp_ns, position: row.position, covariance })
+    };
+    rows.into_iter().map(position).collect()
 }
 
 /// Reads ground truth in EuRoC's layout: time, position, quaternion (w first), and where known velocity and biases.
