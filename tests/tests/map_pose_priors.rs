@@ -43,11 +43,7 @@ fn normal(rng: &mut StdRng) -> f64 {
 /// Times in the recording, between images.
 fn times(sequence: &Sequence, period_s: f64) -> Vec<i64> {
     let (first, last) = (sequence.frames[0].stamp_ns, sequence.frames[sequence.frames.len() - 1].stamp_ns);
-    let period_ns = (period_s * 1e9) as i64;
-    (0..)
-        .map(|index| first + 13_000_000 + index * period_ns)
-        .take_while(|&stamp_ns| stamp_ns < last)
-        .collect()
+    (first + 13_000_000..last).step_by((period_s * 1e9) as usize).collect()
 }
 
 /// Positions of an antenna, a part of them off by metres.
