@@ -4,6 +4,7 @@
 //! can do the same without a shell.
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
+pub mod calibration_check;
 pub mod command;
 pub mod demo;
 pub mod fleet;

@@ -12,6 +12,16 @@ use vision::tracking::TrackerOptions;
 /// Points are lost between images further apart than this (median, ns): a robot turns by 20 degrees meanwhile.
 const MAX_TRACKED_GAP_NS: i64 = 300_000_000;
 
+/// What odometry found.
+pub struct OdometryRun {
+    /// Time of an image (ns), and the state then.
+    pub states: Vec<(i64, ImuState)>,
+    /// How often the filter diverged.
+    pub divergences: usize,
+    /// The filter at the end.
+    pub supervisor: EstimatorSupervisor,
+}
+
 /// Runs odometry over a recording.
 ///
 /// Tracks that are made of images are put into its frames. Images before the initialization have no state.
@@ -25,9 +35,28 @@ const MAX_TRACKED_GAP_NS: i64 = 300_000_000;
 pub fn run_odometry(
     sequence: &mut Sequence,
     cameras: usize,
-    mut progress: impl FnMut(usize, usize),
+    progress: impl FnMut(usize, usize),
 ) -> Result<Odometry> {
     let config = odometry_config(sequence)?;
+    let run = run_configured(sequence, cameras, &config, progress)?;
+    if run.states.is_empty() {
+        let reason = run.supervisor.status().reason;
+        bail!("{}: odometry was never initialized: {reason}", sequence.root.display());
+    }
+    let imu_noise_scale = run.supervisor.learned_noise().map_or(1.0, |learned| learned.imu_noise_scale);
+    Ok(Odometry { states: run.states, cameras, imu_noise_scale, config })
+}
+
+/// [`run_odometry`] with settings; without an error where the filter is never initialized.
+///
+/// # Errors
+/// A tracker that cannot start, a fault of the filter.
+pub fn run_configured(
+    sequence: &mut Sequence,
+    cameras: usize,
+    config: &EstimatorConfig,
+    mut progress: impl FnMut(usize, usize),
+) -> Result<OdometryRun> {
     let of_sensor = |sensor: &sensors::CameraSensor| CalibratedCamera {
         camera: sensor.camera.clone(),
         imu_from_camera: sensor.imu_from_camera,
@@ -42,11 +71,14 @@ pub fn run_odometry(
         Some(FrontEnd::new(&sequence.cameras[..cameras], options).context("the tracker cannot start")?)
     };
     let mut states: Vec<(i64, ImuState)> = Vec::new();
+    let mut divergences = 0;
     let mut next_reading = 0;
     let frames = sequence.frames.len();
     for (index, frame) in sequence.frames.iter_mut().enumerate() {
         progress(index, frames);
-        // Up to the first one that is not before the frame.
+        // Up to the first one that is not before the frame, by the clock of the IMU.
+        let until_ns =
+            supervisor.estimator().map_or(frame.stamp_ns, |running| running.imu_stamp_ns(frame.stamp_ns));
         while next_reading < sequence.imu_samples.len() {
             let reading = sequence.imu_samples[next_reading];
             next_reading += 1;
@@ -54,7 +86,7 @@ pub fn run_odometry(
                 Ok(()) | Err(EstimatorError::BadImu(_)) => {}
                 Err(error) => return Err(error.into()),
             }
-            if reading.stamp_ns >= frame.stamp_ns {
+            if reading.stamp_ns >= until_ns {
                 break;
             }
         }
@@ -82,15 +114,12 @@ pub fn run_odometry(
                 tracing::warn!(%error, "odometry starts again");
                 let read: &[ImuSample] = &sequence.imu_samples[..next_reading];
                 supervisor.reinitialize(frame.stamp_ns, &error, read);
+                divergences += 1;
             }
             Err(error) => return Err(error.into()),
         }
     }
-    if states.is_empty() {
-        bail!("{}: odometry was never initialized: {}", sequence.root.display(), supervisor.status().reason);
-    }
-    let imu_noise_scale = supervisor.learned_noise().map_or(1.0, |learned| learned.imu_noise_scale);
-    Ok(Odometry { states, cameras, imu_noise_scale, config })
+    Ok(OdometryRun { states, divergences, supervisor })
 }
 
 /// Whether images of two cameras follow each other so slowly that points cannot be tracked.

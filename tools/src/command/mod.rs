@@ -4,6 +4,7 @@ use clap::Subcommand;
 
 pub mod build_map;
 mod build_report;
+pub mod check_calibration;
 #[cfg(feature = "bags")]
 pub mod convert;
 pub mod demo;
@@ -66,6 +67,8 @@ pub enum Command {
     /// Write a recording in another format: EuRoC folder, MCAP, rosbag2
     #[cfg(feature = "bags")]
     Convert(convert::Args),
+    /// Say whether a calibration agrees with a recording
+    CheckCalibration(check_calibration::Args),
     /// Run a robot through a recording, with a map server in the same process
     Run(Box<run::Args>),
     /// Publish a recording as the live sensors of a robot
@@ -107,6 +110,7 @@ impl Command {
             #[cfg(feature = "bags")]
             Self::Convert(args) => convert::run(&args),
             Self::Inspect(args) => inspect::run(&args),
+            Self::CheckCalibration(args) => check_calibration::run(&args),
             Self::Run(args) => run::run(&args),
             Self::Play(args) => play::run(&args),
             Self::Track(args) => track::run(&args),

@@ -9,7 +9,7 @@ use crate::noise_adaptation::{LearnedNoise, NoiseAdaptation};
 use crate::propagation::{ACCELEROMETER_BIAS, GYROSCOPE_BIAS, IMU_DIM, ImuMatrix};
 use crate::state::{Block, CloneId, rotation_adjoint};
 use geometry::{Pose, PoseWithCovariance};
-use nalgebra::{Matrix6, Vector3};
+use nalgebra::{DMatrix, Matrix6, Vector3};
 
 impl Estimator {
     /// The settings.
@@ -31,6 +31,16 @@ impl Estimator {
     /// Estimated cameras and time offset.
     pub fn calibration(&self) -> &Calibration {
         &self.state.calibration
+    }
+
+    /// Covariance of the errors of the [`calibration`](Self::calibration), in its order; empty if nothing of it is estimated.
+    pub fn calibration_covariance(&self) -> DMatrix<f64> {
+        let range = self.state.range(Block::Calibration).unwrap_or_default();
+        self.covariance
+            .active()
+            .view()
+            .view((range.start, range.start), (range.len(), range.len()))
+            .into_owned()
     }
 
     /// IMU pose in L, with the covariance of its error `[δθ, δp]` in L (rad, metres).

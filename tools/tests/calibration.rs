@@ -1,0 +1,86 @@
+//! Wrong calibrations are named, right ones agree.
+#![allow(clippy::unwrap_used)]
+
+use geometry::rotation;
+use nalgebra::Vector3;
+use sensors::Sequence;
+use simulation::{Scenario, SimulationOptions, simulate};
+use tools::calibration_check::{Agreement, CalibrationCheck, check_calibration};
+use tools::odometry::odometry_config;
+
+/// Hand-held in a room, half a minute.
+fn recording() -> Sequence {
+    let scenario = Scenario::Room;
+    let options = SimulationOptions {
+        seed: 4,
+        scenario,
+        speed: scenario.usual_speed(),
+        depth_m: scenario.depth_m(),
+        duration_s: Some(30.0),
+        live_feature_period_s: 1e9,
+        ..SimulationOptions::default()
+    };
+    simulate(&options).unwrap().live
+}
+
+fn check(sequence: &mut Sequence, cameras: usize) -> CalibrationCheck {
+    let config = odometry_config(sequence).unwrap();
+    let check = check_calibration(sequence, cameras, &config, |_, _| {}).unwrap();
+    println!("{check:#?}");
+    check
+}
+
+/// Names of what differs.
+fn differing(check: &CalibrationCheck) -> Vec<&str> {
+    let differs = check.parameters.iter().filter(|parameter| parameter.agreement == Agreement::Differs);
+    differs.map(|parameter| parameter.name.as_str()).collect()
+}
+
+#[test]
+fn a_right_calibration_agrees() {
+    for cameras in [1, 2] {
+        let check = check(&mut recording(), cameras);
+        assert!(check.agrees && differing(&check).is_empty());
+        assert!(check.parameters.iter().all(|parameter| parameter.agreement == Agreement::Agrees));
+    }
+}
+
+#[test]
+fn late_images_are_named_with_how_late_they_are() {
+    let mut sequence = recording();
+    for frame in &mut sequence.frames {
+        frame.stamp_ns += 30_000_000;
+    }
+    let check = check(&mut sequence, 2);
+    assert_eq!(differing(&check), ["time offset"]);
+    assert!((check.parameters[0].difference[0] + 30.0).abs() < 1.0, "ms");
+    assert!(!check.agrees);
+}
+
+#[test]
+fn wrong_extrinsics_and_a_wrong_focal_length_are_named() {
+    let mut sequence = recording();
+    for sensor in &mut sequence.cameras {
+        let turned = rotation::exp(&Vector3::new(0.0, 3.0_f64.to_radians(), 0.0));
+        sensor.imu_from_camera.rotation = turned * sensor.imu_from_camera.rotation;
+    }
+    let found = check(&mut sequence, 2);
+    assert_eq!(differing(&found), ["cam0 rotation in the IMU's frame", "cam1 rotation in the IMU's frame"]);
+    assert!((found.parameters[1].difference[1] + 3.0).abs() < 0.2, "deg");
+
+    let mut sequence = recording();
+    sequence.cameras[0].camera.focal.iter_mut().for_each(|focal| *focal *= 1.03);
+    let found = check(&mut sequence, 1);
+    assert_eq!(differing(&found), ["cam0 focal length"]);
+}
+
+#[test]
+fn extrinsics_that_are_inverted_do_not_agree() {
+    let mut sequence = recording();
+    for sensor in &mut sequence.cameras {
+        sensor.imu_from_camera = sensor.imu_from_camera.inverse();
+    }
+    let config = odometry_config(&sequence).unwrap();
+    let agrees = check_calibration(&mut sequence, 2, &config, |_, _| {}).is_ok_and(|check| check.agrees);
+    assert!(!agrees);
+}
