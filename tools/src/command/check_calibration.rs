@@ -85,6 +85,10 @@ fn print(check: &CalibrationCheck) {
     println!("{:.0} s of the recording", check.seconds);
     print_fit("as stated", &check.stated);
     print_fit("estimated", &check.estimated);
+    if let Some(mistake) = check.mistake {
+        println!("MISTAKE: {mistake}");
+        return;
+    }
     for parameter in &check.parameters {
         let numbers =
             |values: &[f64]| values.iter().map(|value| format!("{value:.2}")).collect::<Vec<_>>().join(", ");

@@ -1,5 +1,7 @@
 //! Whether a calibration agrees with a recording: odometry runs with it, and again while estimating it.
 
+mod gross_errors;
+
 use crate::odometry::{OdometryRun, run_configured};
 use anyhow::{Result, bail};
 use estimator::{Estimator, EstimatorConfig, LearnedNoise};
@@ -75,7 +77,9 @@ impl Fit {
 
     /// Why it fits no trajectory, in words.
     pub fn complaint(&self) -> Option<String> {
-        let noise = self.noise?;
+        let Some(noise) = self.noise else {
+            return Some("odometry was never initialized: images and IMU contradict each other".to_owned());
+        };
         if self.divergences > 0 {
             return Some(format!("odometry diverged {} times", self.divergences));
         }
@@ -103,7 +107,9 @@ pub struct CalibrationCheck {
     pub stated: Fit,
     /// Odometry that estimates it.
     pub estimated: Fit,
-    /// What was found.
+    /// A mistake without which odometry fits.
+    pub mistake: Option<&'static str>,
+    /// What was found; empty where odometry that estimates it has no pose at the end.
     pub parameters: Vec<Parameter>,
     /// Whether nothing differs, and odometry fits.
     pub agrees: bool,
@@ -117,7 +123,7 @@ pub struct CalibrationCheck {
 /// * `progress`: called with the number of frames done, twice.
 ///
 /// # Errors
-/// Odometry cannot run, or is never initialized.
+/// Odometry cannot run.
 pub fn check_calibration(
     sequence: &mut Sequence,
     cameras: usize,
@@ -136,19 +142,17 @@ pub fn check_calibration(
     calibration.sigma_position_m = SIGMA_POSITION;
     calibration.sigma_time_offset_s = SIGMA_TIME_OFFSET;
     let estimated = run_configured(sequence, cameras, &online, |done, all| progress(all + done, 2 * all))?;
-    let Some(estimator) = estimated.supervisor.estimator() else {
-        let reason = estimated.supervisor.status().reason;
-        bail!("{}: odometry has no pose at the end: {reason}", sequence.root.display());
-    };
-    let parameters = parameters(estimator, sequence, config);
+    let parameters = estimated.supervisor.estimator();
+    let parameters = parameters.map_or_else(Vec::new, |estimator| parameters_of(estimator, sequence, config));
     let (stated, estimated) = (Fit::of(&stated), Fit::of(&estimated));
+    let fits = gross_errors::fits(&stated, sequence);
+    let mistake = if fits { None } else { gross_errors::find(sequence, cameras, config)? };
     let differs = parameters.iter().any(|parameter| parameter.agreement == Agreement::Differs);
-    let agrees = !differs && stated.complaint().is_none();
-    Ok(CalibrationCheck { seconds, stated, estimated, parameters, agrees })
+    Ok(CalibrationCheck { seconds, stated, estimated, mistake, parameters, agrees: fits && !differs })
 }
 
 /// Compares the estimated calibration with the stated one.
-fn parameters(estimator: &Estimator, sequence: &Sequence, config: &EstimatorConfig) -> Vec<Parameter> {
+fn parameters_of(estimator: &Estimator, sequence: &Sequence, config: &EstimatorConfig) -> Vec<Parameter> {
     let found = estimator.calibration();
     let covariance = estimator.calibration_covariance();
     let initial = found.initial_covariance();
