@@ -13,6 +13,7 @@ use super::camera::{CameraPose, MappingCamera};
 use super::inertial::{InertialChain, Motion};
 use super::joint_prior::JointPrior;
 use super::landmark::InverseDepthLandmark;
+use super::landmark_tie::LandmarkTie;
 use super::layout::{MOTION, POSE, StateLayout};
 use super::normal_equations::{LandmarkBlocks, NormalEquations};
 use super::pose_priors::PriorFactors;
@@ -111,8 +112,10 @@ pub(super) struct Problem<'a> {
     pub(super) inertial: Option<&'a InertialChain>,
     /// Relative poses of places that are seen again.
     pub(super) relative_poses: &'a [RelativePose],
-    /// Poses of the keyframes of a map that is extended.
-    pub(super) stored: Option<&'a JointPrior>,
+    /// Poses of the keyframes of maps that are extended or merged.
+    pub(super) stored: &'a [JointPrior],
+    /// Landmarks that two maps share.
+    pub(super) ties: &'a [LandmarkTie],
     /// Standard deviation of a pixel (px).
     pub(super) sigma_px: f64,
 }
@@ -188,8 +191,11 @@ impl Problem<'_> {
         for relative in self.relative_poses {
             relative.add_to(&mut equations, layout, &bundle.poses);
         }
-        if let Some(stored) = self.stored {
+        for stored in self.stored {
             stored.add_to(&mut equations, layout, &bundle.poses);
+        }
+        for tie in self.ties {
+            tie.add_to(&mut equations, layout, &bundle.poses, scale);
         }
         let poses = bundle.camera_poses();
         for landmark in &bundle.landmarks {
@@ -271,7 +277,8 @@ impl Problem<'_> {
         let inertial = self.inertial.map_or(0.0, |inertial| inertial.cost(&bundle.poses, &bundle.motions));
         let relative: f64 =
             self.relative_poses.iter().map(|relative| 0.5 * relative.distance(&bundle.poses)).sum();
-        let stored = self.stored.map_or(0.0, |stored| stored.cost(&bundle.poses));
+        let stored: f64 = self.stored.iter().map(|stored| stored.cost(&bundle.poses)).sum();
+        let ties: f64 = self.ties.iter().map(|tie| tie.cost(&bundle.poses, scale)).sum();
         let known = bundle
             .landmarks
             .iter()
@@ -283,7 +290,7 @@ impl Problem<'_> {
             0.5 * scale * scale * (sigmas / scale).powi(2).ln_1p()
         };
         let errors = bundle.landmarks.iter().flat_map(|landmark| landmark.errors(self.cameras, &poses));
-        priors + measured + inertial + relative + stored + known + errors.map(robust).sum::<f64>()
+        priors + measured + inertial + relative + stored + ties + known + errors.map(robust).sum::<f64>()
     }
 }
 

@@ -2,7 +2,7 @@
 
 use geometry::pose::Pose;
 use map::contents::MapContents;
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{DMatrix, DVector, Vector3};
 
 use super::bundle_adjustment::pose_error;
 use super::layout::{POSE, StateLayout};
@@ -42,6 +42,21 @@ impl JointPrior {
         }
         let poses = keyframes.iter().map(|keyframe| keyframe.global_from_keyframe.pose).collect();
         Some(JointPrior { first, poses, information: covariance.cholesky()?.inverse() })
+    }
+
+    /// The same without what it says of yaw and position of the whole: of the keyframes relative to each other.
+    pub(super) fn relative(mut self) -> Option<JointPrior> {
+        let mut modes = DMatrix::zeros(POSE * self.poses.len(), 4);
+        for (at, pose) in self.poses.iter().enumerate() {
+            modes[(POSE * at + 2, 0)] = 1.0;
+            let by_yaw = Vector3::z().cross(&pose.translation);
+            modes.fixed_view_mut::<3, 1>(POSE * at + 3, 0).copy_from(&by_yaw);
+            modes.fixed_view_mut::<3, 3>(POSE * at + 3, 1).fill_with_identity();
+        }
+        let weighted = &self.information * &modes;
+        let of_modes = modes.tr_mul(&weighted).cholesky()?;
+        self.information -= &weighted * of_modes.solve(&weighted.transpose());
+        Some(self)
     }
 
     /// Half the squared error, in standard deviations.

@@ -8,11 +8,14 @@
 //! with `y` the error of ray and inverse depth and `x` the errors of the poses, both relative to the map. Poses and this
 //! together are the same as the observations themselves, so that each is used once, however often a map is extended.
 
+use std::collections::BTreeMap;
+
 use geometry::camera::Camera;
 use geometry::pose::Pose;
+use map::contents::MapContents;
 use map::model::Landmark;
 use nalgebra::{Matrix3, Matrix3x6, Matrix6x3, Vector2, Vector3};
-use protocol::LandmarkId;
+use protocol::{KeyframeId, LandmarkId};
 
 use super::bundle_adjustment::pose_error;
 use super::camera::{CameraPose, MIN_DEPTH, MappingCamera};
@@ -50,6 +53,32 @@ pub(super) struct StoredObserver<'a> {
 }
 
 impl LandmarkPrior {
+    /// A landmark of a map with its prior. Its anchor stays.
+    ///
+    /// # Arguments
+    /// * `view_of`: position of each keyframe in the map; its view is `first` behind.
+    pub(super) fn of_map(
+        stored: &MapContents,
+        view_of: &BTreeMap<KeyframeId, usize>,
+        first: usize,
+        landmark: &Landmark,
+    ) -> Option<InverseDepthLandmark> {
+        let mut observers: Vec<StoredObserver<'_>> = Vec::with_capacity(landmark.observations.len());
+        for observation in &landmark.observations {
+            let at = *view_of.get(&observation.keyframe)?;
+            let keyframe = &stored.keyframes[at];
+            observers.push(StoredObserver {
+                view: first + at,
+                pose: keyframe.global_from_keyframe.pose,
+                camera: &keyframe.camera,
+                pixel: Vector2::from(observation.pixel.map(f64::from)),
+            });
+        }
+        let anchor = landmark.observations.iter().position(|seen| seen.keyframe == landmark.anchor)?;
+        observers.swap(0, anchor);
+        Self::landmark(landmark, &observers, stored.info.sigma_px)
+    }
+
     /// A stored landmark with its prior, its anchor as the only observation.
     ///
     /// # Arguments
@@ -117,6 +146,21 @@ impl LandmarkPrior {
         self.poses.iter().fold(start, |sum, (view, mean, gain)| sum + gain * mean.local(&poses[*view]))
     }
 
+    /// Ray and inverse depth in the anchor, given poses.
+    pub(super) fn expected(&self, poses: &[Pose]) -> Vector3<f64> {
+        self.poses.iter().fold(self.mean, |sum, (view, mean, gain)| sum - gain * mean.local(&poses[*view]))
+    }
+
+    /// How they change with the error of each pose: minus these.
+    pub(super) fn gains(&self, poses: &[Pose]) -> impl Iterator<Item = (usize, Matrix3x6<f64>)> {
+        self.poses.iter().map(|(view, mean, gain)| (*view, gain * pose_error(mean, &poses[*view]).1))
+    }
+
+    /// Their covariance, given the poses.
+    pub(super) fn covariance(&self) -> Option<Matrix3<f64>> {
+        self.information.try_inverse()
+    }
+
     /// Half the squared residual, in standard deviations.
     pub(super) fn cost(&self, landmark: &InverseDepthLandmark, poses: &[Pose]) -> f64 {
         let residual = self.residual(landmark, poses);
@@ -134,11 +178,7 @@ impl LandmarkPrior {
         let weighted = self.information * self.residual(landmark, poses);
         blocks.information += self.information;
         blocks.gradient -= weighted;
-        let by_pose: Vec<(usize, Matrix3x6<f64>)> = self
-            .poses
-            .iter()
-            .map(|(view, mean, gain)| (*view, gain * pose_error(mean, &poses[*view]).1))
-            .collect();
+        let by_pose: Vec<(usize, Matrix3x6<f64>)> = self.gains(poses).collect();
         for (index, (view, by_view)) in by_pose.iter().enumerate() {
             let coupling: Matrix6x3<f64> = by_view.transpose() * self.information;
             equations.add_pose(*view, &(coupling * by_view), &-(by_view.transpose() * weighted));

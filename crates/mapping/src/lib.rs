@@ -14,6 +14,7 @@
 //! | the map is assembled | `assemble` |
 //! | poses and positions that are known besides the recording | `pose_priors` |
 //! | a map that exists is extended by another recording | `extension`, `joint_prior`, `landmark_prior` |
+//! | two maps of one place are merged | `merging`, `landmark_tie` |
 //!
 //! [`build_map`] runs them all (`pipeline`); [`build_map_from_odometry`] without reference poses (`without_references`);
 //! [`extend_map`] adds a recording to a map; [`import_colmap`] takes poses and points from a COLMAP model instead
@@ -42,13 +43,16 @@ mod keyframe_selection;
 mod keyframe_view;
 mod landmark;
 mod landmark_prior;
+mod landmark_tie;
 mod layout;
 mod loop_closure;
 mod matching;
+mod merging;
 mod normal_equations;
 mod odometry;
 mod options;
 mod pipeline;
+mod places;
 mod pose_priors;
 mod progress;
 mod reference_poses;
@@ -68,6 +72,7 @@ pub use colmap::{ColmapFrame, ColmapImport, Gravity, import_colmap};
 pub use error::BuildError;
 pub use extension::{ExtendError, ExtensionReport, extend_map};
 pub use feature_source::Extraction;
+pub use merging::{MergeError, MergeReport, merge_maps};
 pub use odometry::Odometry;
 pub use options::{BuildOptions, StoredPoses};
 pub use pipeline::build_map;

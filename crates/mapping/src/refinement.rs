@@ -8,6 +8,7 @@ use super::joint_covariance::{JointCovariance, joint_covariance};
 use super::joint_prior::JointPrior;
 use super::keyframe_view::KeyframeView;
 use super::landmark::InverseDepthLandmark;
+use super::landmark_tie::LandmarkTie;
 use super::loop_closure::plausible;
 use super::options::{BuildOptions, FIRST_SIGMA_PX};
 use super::pose_priors::PriorFactors;
@@ -37,8 +38,10 @@ pub(super) struct Constraints {
     pub(super) inertial: Option<InertialChain>,
     /// Relative poses of places seen again.
     pub(super) relative_poses: Vec<RelativePose>,
-    /// Poses of the keyframes of a map that is extended.
-    pub(super) stored: Option<JointPrior>,
+    /// Poses of the keyframes of maps that are extended or merged.
+    pub(super) stored: Vec<JointPrior>,
+    /// Landmarks that two maps share.
+    pub(super) ties: Vec<LandmarkTie>,
 }
 
 impl Constraints {
@@ -73,7 +76,8 @@ impl Constraints {
             measured: &self.measured,
             inertial: self.inertial.as_ref(),
             relative_poses: &self.relative_poses,
-            stored: self.stored.as_ref(),
+            stored: &self.stored,
+            ties: &self.ties,
             sigma_px,
         }
     }

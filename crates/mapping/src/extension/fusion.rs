@@ -4,13 +4,12 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use map::contents::MapContents;
 use map::model::Landmark;
-use nalgebra::Vector2;
 use protocol::{KeyframeId, LandmarkId};
 
-use super::places::StoredPlace;
 use crate::keyframe_view::{FeatureId, KeyframeView};
 use crate::landmark::{InverseDepthLandmark, LandmarkObservation};
-use crate::landmark_prior::{LandmarkPrior, StoredObserver};
+use crate::landmark_prior::LandmarkPrior;
+use crate::places::StoredPlace;
 
 /// Joins the landmarks of a recording with those of the map that they are.
 ///
@@ -52,7 +51,7 @@ pub(super) fn fuse(
     let view_of: BTreeMap<KeyframeId, usize> =
         stored.keyframes.iter().map(|keyframe| keyframe.id).zip(0..).collect();
     fused.extend(seen.into_iter().filter_map(|(id, observations)| {
-        let landmark = with_prior(stored, &view_of, views.len(), known.get(&id)?)?;
+        let landmark = LandmarkPrior::of_map(stored, &view_of, views.len(), known.get(&id)?)?;
         Some(observed(landmark, observations))
     }));
     fused
@@ -76,29 +75,6 @@ fn most_frequent(ids: impl Iterator<Item = LandmarkId>) -> Option<LandmarkId> {
         *counts.entry(id).or_default() += 1;
     }
     counts.into_iter().max_by_key(|&(id, count)| (count, std::cmp::Reverse(id))).map(|(id, _)| id)
-}
-
-/// A landmark of the map with its prior. Its anchor stays.
-fn with_prior(
-    stored: &MapContents,
-    view_of: &BTreeMap<KeyframeId, usize>,
-    first: usize,
-    landmark: &Landmark,
-) -> Option<InverseDepthLandmark> {
-    let mut observers: Vec<StoredObserver<'_>> = Vec::with_capacity(landmark.observations.len());
-    for observation in &landmark.observations {
-        let at = *view_of.get(&observation.keyframe)?;
-        let keyframe = &stored.keyframes[at];
-        observers.push(StoredObserver {
-            view: first + at,
-            pose: keyframe.global_from_keyframe.pose,
-            camera: &keyframe.camera,
-            pixel: Vector2::from(observation.pixel.map(f64::from)),
-        });
-    }
-    let anchor = landmark.observations.iter().position(|seen| seen.keyframe == landmark.anchor)?;
-    observers.swap(0, anchor);
-    LandmarkPrior::landmark(landmark, &observers, stored.info.sigma_px)
 }
 
 /// Adds observations, one for each view and camera. The anchor's view comes last of all.

@@ -12,12 +12,12 @@
 mod assemble;
 mod error;
 mod fusion;
-mod places;
 mod report;
 
 use std::collections::BTreeSet;
 use std::time::Instant;
 
+use geometry::pose::Pose;
 use map::contents::MapContents;
 use nalgebra::Vector3;
 use sensors::Sequence;
@@ -31,13 +31,13 @@ use crate::keyframe_view::keyframes;
 use crate::loop_closure::consistent;
 use crate::odometry::Odometry;
 use crate::options::BuildOptions;
+use crate::places::{Alignment, MIN_AGREEING, PlaceQuery, StoredPlace, align, find_places, view_count};
 use crate::pose_priors::PriorFactors;
 use crate::progress::Progress;
 use crate::refinement::{Constraints, ROUNDS, covariance_of};
 use crate::relative_pose::RelativePose;
 use crate::without_references::Builder;
 pub use error::ExtendError;
-use places::{Alignment, MIN_AGREEING, StoredPlace, align, find_places, view_count};
 pub use report::ExtensionReport;
 
 /// Largest angle between the map's direction of gravity and -z (rad).
@@ -74,7 +74,7 @@ pub fn extend_map(
     let (session, _) = builder.build()?;
     let sigma_px = builder.report.sigma_px;
     builder.options.sigma_px = Some(sigma_px);
-    let found = find_places(stored, &mut builder, &session.poses)?;
+    let found = places_of(stored, &mut builder, &session.poses)?;
     let mut report = ExtensionReport {
         new_keyframes: builder.report.keyframes,
         unreadable_images: builder.report.unreadable_images.clone(),
@@ -87,18 +87,22 @@ pub fn extend_map(
     };
     let mut both = session;
     both.poses.extend(stored.keyframes.iter().map(|keyframe| keyframe.global_from_keyframe.pose));
-    let alignment = align(&found, &both.poses, report.new_keyframes)?;
+    let not_connected = |agreeing: usize| ExtendError::NotConnected {
+        keyframes: report.new_keyframes,
+        found: report.places,
+        agreeing,
+        wanted: MIN_AGREEING,
+    };
+    let alignment = align(&found, &both.poses).ok_or_else(|| not_connected(0))?;
+    if view_count(&alignment.agreeing) < MIN_AGREEING {
+        return Err(not_connected(view_count(&alignment.agreeing)));
+    }
     move_recording(&mut both, builder.views.len(), &alignment);
     let prior = JointPrior::of_map(stored, builder.views.len()).ok_or(ExtendError::Indefinite)?;
     let (mut both, places) = tie(&mut builder, &prior, both, alignment.agreeing)?;
     report.agreeing_places = view_count(&places);
     if report.agreeing_places < MIN_AGREEING {
-        return Err(ExtendError::NotConnected {
-            keyframes: report.new_keyframes,
-            found: report.places,
-            agreeing: report.agreeing_places,
-            wanted: MIN_AGREEING,
-        });
+        return Err(not_connected(report.agreeing_places));
     }
     both.landmarks = fusion::fuse(stored, &builder.views, &places, both.landmarks);
     let constraints = constraints(&builder, &both, &prior, Vec::new());
@@ -132,6 +136,19 @@ fn check_new(stored: &MapContents, builder: &Builder<'_, '_>) -> Result<(), Exte
     }
 }
 
+/// Searches the keyframes of a recording in the map.
+fn places_of(
+    stored: &MapContents,
+    builder: &mut Builder<'_, '_>,
+    poses: &[Pose],
+) -> Result<Vec<StoredPlace>, BuildError> {
+    let camera = &builder.cameras[0].camera;
+    let keyframes = builder.views.iter().enumerate().filter(|(_, content)| content.is_keyframe());
+    let queries: Vec<PlaceQuery<'_>> =
+        keyframes.map(|(view, content)| PlaceQuery { view, camera, features: &content.features }).collect();
+    find_places(stored, &queries, poses, builder.progress)
+}
+
 /// Moves the first views from the frame of the recording to G.
 fn move_recording(both: &mut Bundle, views: usize, alignment: &Alignment) {
     let transform = &alignment.global_from_recording;
@@ -154,7 +171,8 @@ fn constraints(
         measured: PriorFactors::default(),
         inertial: Some(builder.inertial(&both.motions)),
         relative_poses,
-        stored: Some(prior.clone()),
+        stored: vec![prior.clone()],
+        ties: Vec::new(),
     }
 }
 

@@ -237,7 +237,8 @@ fn the_equations_are_the_gradient_of_the_cost() {
         measured: &measured,
         inertial: None,
         relative_poses: &relative_poses,
-        stored: None,
+        stored: &[],
+        ties: &[],
         sigma_px: 1.5,
     };
     let bundle = Bundle { poses, motions: Vec::new(), landmarks: vec![landmark] };

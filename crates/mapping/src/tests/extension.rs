@@ -1,4 +1,6 @@
-//! The law of extensions: a stored map and further observations are the same as all observations at once.
+//! The laws of extensions and of merging: stored maps and further observations are the same as all observations at once.
+
+use std::ops::Range;
 
 use geometry::pose::Pose;
 use geometry::rotation;
@@ -16,6 +18,7 @@ use crate::camera::{CameraPose, MappingCamera};
 use crate::joint_prior::JointPrior;
 use crate::landmark::{InverseDepthLandmark, LandmarkObservation};
 use crate::landmark_prior::{LandmarkPrior, StoredObserver};
+use crate::landmark_tie::LandmarkTie;
 use crate::pose_priors::PriorFactors;
 
 /// Of pixels (px), and of reference poses (rad, m): so small that everything is linear.
@@ -63,92 +66,182 @@ fn observations(rng: &mut StdRng, poses: &[Pose]) -> Vec<InverseDepthLandmark> {
         .collect()
 }
 
+/// A small place, and everything that is measured of it.
+struct Place {
+    truth: Vec<Pose>,
+    landmarks: Vec<InverseDepthLandmark>,
+    cameras: Vec<MappingCamera>,
+    priors: Vec<PosePrior>,
+    measured: PriorFactors,
+}
+
+impl Place {
+    fn new() -> Place {
+        let mut rng = StdRng::seed_from_u64(21);
+        let small = |rng: &mut StdRng, size: f64| Vector3::from_fn(|_, _| size * rng.random_range(-1.0..1.0));
+        let truth: Vec<Pose> = (0..ADDED + STORED)
+            .map(|_| Pose::new(rotation::exp(&small(&mut rng, 0.05)), small(&mut rng, 0.5)))
+            .collect();
+        let landmarks = observations(&mut rng, &truth);
+        let sensor =
+            sensors::CameraSensor { camera: camera(), imu_from_camera: Pose::identity(), rate_hz: 1.0 };
+        let reference = |view: usize, rng: &mut StdRng| {
+            let covariance = isotropic_covariance(SIGMA_POSE, SIGMA_POSE);
+            let error = nalgebra::Vector6::from_fn(|_, _| normal(rng) * SIGMA_POSE);
+            PosePrior::of_reference(view, &PoseWithCovariance::new(truth[view].retract(&error), covariance))
+        };
+        let priors = (0..ADDED + STORED).map(|view| reference(view, &mut rng)).collect();
+        let cameras = MappingCamera::of_sensors(&[sensor]);
+        Place { truth, landmarks, cameras, priors, measured: PriorFactors::default() }
+    }
+
+    fn problem<'a>(&'a self, priors: &'a [PosePrior]) -> Problem<'a> {
+        Problem {
+            cameras: &self.cameras,
+            priors,
+            measured: &self.measured,
+            inertial: None,
+            relative_poses: &[],
+            stored: &[],
+            ties: &[],
+            sigma_px: SIGMA_PX,
+        }
+    }
+
+    /// Everything at once.
+    fn batch(&self) -> (Bundle, DMatrix<f64>) {
+        solved(&self.problem(&self.priors), bundle(&self.truth, self.landmarks.clone()))
+    }
+
+    /// The map of some views, which count from 0 in it.
+    fn map(&self, views: Range<usize>) -> (Bundle, DMatrix<f64>) {
+        let renumbered = |prior: &PosePrior| PosePrior { view: prior.view - views.start, ..prior.clone() };
+        let priors: Vec<PosePrior> = self.priors[views.clone()].iter().map(renumbered).collect();
+        let in_map = |landmark: &InverseDepthLandmark| {
+            let position = self.truth[landmark.anchor_view()]
+                .transform(&(landmark.ray.push(1.0) / landmark.inverse_depth));
+            let mut landmark = landmark.clone();
+            landmark.observations.retain(|observation| views.contains(&observation.view()));
+            let in_anchor = self.truth[landmark.anchor_view()].inverse_transform(&position);
+            (landmark.ray, landmark.inverse_depth) = (in_anchor.xy() / in_anchor.z, in_anchor.z.recip());
+            landmark.observations.iter_mut().for_each(|observation| observation.feature.0 -= views.start);
+            landmark
+        };
+        let landmarks = self.landmarks.iter().map(in_map).collect();
+        solved(&self.problem(&priors), bundle(&self.truth[views.clone()], landmarks))
+    }
+}
+
+fn bundle(poses: &[Pose], landmarks: Vec<InverseDepthLandmark>) -> Bundle {
+    Bundle { poses: poses.to_vec(), motions: Vec::new(), landmarks }
+}
+
+/// A landmark of a map with what the map knows of it.
+///
+/// # Arguments
+/// * `first`: view of the first keyframe of the map.
+fn with_prior(map: &Bundle, first: usize, in_map: &InverseDepthLandmark) -> InverseDepthLandmark {
+    let camera = camera();
+    let observer = |observation: &LandmarkObservation| StoredObserver {
+        view: first + observation.view(),
+        pose: map.poses[observation.view()],
+        camera: &camera,
+        pixel: observation.pixel,
+    };
+    let stored = Landmark {
+        id: 1,
+        anchor: 1,
+        position_in_anchor: in_map.ray.push(1.0) / in_map.inverse_depth,
+        observations: Vec::new(),
+    };
+    let observers: Vec<_> = in_map.observations.iter().map(observer).collect();
+    LandmarkPrior::landmark(&stored, &observers, SIGMA_PX).unwrap()
+}
+
+/// Poses and covariance of a batch and of what was made of maps are the same.
+fn assert_equal(found: &[Pose], stated: &DMatrix<f64>, batch: &[Pose], expected: &DMatrix<f64>) {
+    let sigma = expected.diagonal().min().sqrt();
+    for (view, (pose, in_batch)) in found.iter().zip(batch).enumerate() {
+        let error = in_batch.local(pose);
+        assert!(error.norm() < 0.05 * sigma, "view {view}: {} of sigma {sigma}", error.norm());
+    }
+    let difference = (stated - expected).amax();
+    assert!(difference < 0.01 * expected.amax(), "{difference} of {}", expected.amax());
+}
+
 #[test]
 fn an_extended_map_is_the_map_of_all_observations() {
-    let mut rng = StdRng::seed_from_u64(21);
-    let small = |rng: &mut StdRng, size: f64| Vector3::from_fn(|_, _| size * rng.random_range(-1.0..1.0));
-    let truth: Vec<Pose> = (0..ADDED + STORED)
-        .map(|_| Pose::new(rotation::exp(&small(&mut rng, 0.05)), small(&mut rng, 0.5)))
-        .collect();
-    let landmarks = observations(&mut rng, &truth);
-    let sensor = sensors::CameraSensor { camera: camera(), imu_from_camera: Pose::identity(), rate_hz: 1.0 };
-    let cameras = MappingCamera::of_sensors(&[sensor]);
-    let reference = |view: usize, rng: &mut StdRng| {
-        let covariance = isotropic_covariance(SIGMA_POSE, SIGMA_POSE);
-        let error = nalgebra::Vector6::from_fn(|_, _| normal(rng) * SIGMA_POSE);
-        PosePrior::of_reference(view, &PoseWithCovariance::new(truth[view].retract(&error), covariance))
-    };
-    let priors: Vec<PosePrior> = (0..ADDED + STORED).map(|view| reference(view, &mut rng)).collect();
-    let measured = PriorFactors::default();
-    let problem = |priors| Problem {
-        cameras: &cameras,
-        priors,
-        measured: &measured,
-        inertial: None,
-        relative_poses: &[],
-        stored: None,
-        sigma_px: SIGMA_PX,
-    };
-    let bundle = |poses: &[Pose], landmarks| Bundle { poses: poses.to_vec(), motions: Vec::new(), landmarks };
-    let (batch, expected) = solved(&problem(&priors), bundle(&truth, landmarks.clone()));
-
-    // The map by itself: its views count from 0.
-    let of_map: Vec<PosePrior> =
-        priors[ADDED..].iter().map(|prior| PosePrior { view: prior.view - ADDED, ..prior.clone() }).collect();
-    let in_map = |landmark: &InverseDepthLandmark| {
-        let mut landmark = landmark.clone();
-        landmark.observations.retain(|observation| observation.view() >= ADDED);
-        landmark.observations.iter_mut().for_each(|observation| observation.feature.0 -= ADDED);
-        landmark
-    };
-    let (map, covariance) =
-        solved(&problem(&of_map), bundle(&truth[ADDED..], landmarks.iter().map(in_map).collect()));
-    let contents = stored(&map, &covariance);
-
-    let joint = JointPrior::of_map(&contents, ADDED).unwrap();
+    let place = Place::new();
+    let (batch, expected) = place.batch();
+    let (map, covariance) = place.map(ADDED..ADDED + STORED);
+    let joint = JointPrior::of_map(&stored(&map, &covariance), ADDED).unwrap();
     let seen_again = |(landmark, in_map): (&InverseDepthLandmark, &InverseDepthLandmark)| {
-        let camera = camera();
-        let observer = |observation: &LandmarkObservation| StoredObserver {
-            view: ADDED + observation.view(),
-            pose: map.poses[observation.view()],
-            camera: &camera,
-            pixel: observation.pixel,
-        };
-        let stored = Landmark {
-            id: 1,
-            anchor: 1,
-            position_in_anchor: in_map.ray.push(1.0) / in_map.inverse_depth,
-            observations: Vec::new(),
-        };
-        let observers: Vec<_> = in_map.observations.iter().map(observer).collect();
-        let mut again = LandmarkPrior::landmark(&stored, &observers, SIGMA_PX).unwrap();
+        let mut again = with_prior(&map, ADDED, in_map);
         let new = landmark.observations.iter().filter(|observation| observation.view() < ADDED);
         again.observations.extend(new.copied());
         again
     };
-    let again = landmarks.iter().zip(&map.landmarks).map(seen_again).collect();
-    let mut poses = truth[..ADDED].to_vec();
+    let again = place.landmarks.iter().zip(&map.landmarks).map(seen_again).collect();
+    let mut poses = place.truth[..ADDED].to_vec();
     poses.extend(&map.poses);
-    let extension = Problem { stored: Some(&joint), ..problem(&priors[..ADDED]) };
+    let extension = Problem { stored: std::slice::from_ref(&joint), ..place.problem(&place.priors[..ADDED]) };
     let (extended, stated) = solved(&extension, bundle(&poses, again));
+    assert_equal(&extended.poses, &stated, &batch.poses, &expected);
 
-    let sigma = expected.diagonal().min().sqrt();
-    for (view, (pose, in_batch)) in extended.poses.iter().zip(&batch.poses).enumerate() {
-        let error = in_batch.local(pose);
-        assert!(error.norm() < 0.05 * sigma, "view {view}: {} of sigma {sigma}", error.norm());
-    }
-    let difference = (&stated - &expected).amax();
-    assert!(difference < 0.01 * expected.amax(), "{difference} of {}", expected.amax());
     let before = covariance.trace();
     let after = stated.view((6 * ADDED, 6 * ADDED), (6 * STORED, 6 * STORED)).trace();
     assert!(after < before, "{after} {before}");
     // The positions of landmarks are those of the batch, too.
+    let sigma = expected.diagonal().min().sqrt();
     let camera_poses: [Vec<CameraPose>; 2] = [extended.camera_poses(), batch.camera_poses()];
     for (a, b) in extended.landmarks.iter().zip(&batch.landmarks) {
         let [a, b] = [(a, &camera_poses[0]), (b, &camera_poses[1])]
             .map(|(l, poses)| l.position(&poses[l.anchor_view()]));
         assert!((a - b).norm() < sigma, "{a} {b}");
     }
+}
+
+#[test]
+fn two_merged_maps_are_the_map_of_all_observations() {
+    let place = Place::new();
+    let (batch, expected) = place.batch();
+    let (first, covariance) = place.map(ADDED..ADDED + STORED);
+    let (second, of_second) = place.map(0..ADDED);
+    let joint = [
+        JointPrior::of_map(&stored(&second, &of_second), 0).unwrap(),
+        JointPrior::of_map(&stored(&first, &covariance), ADDED).unwrap(),
+    ];
+    let poses = [&second.poses[..], &first.poses[..]].concat();
+    let tie = |(one, other): (&InverseDepthLandmark, &InverseDepthLandmark)| {
+        LandmarkTie::new(with_prior(&first, ADDED, one), with_prior(&second, 0, other), &poses).unwrap()
+    };
+    let ties: Vec<LandmarkTie> = first.landmarks.iter().zip(&second.landmarks).map(tie).collect();
+    let merging = Problem { stored: &joint, ties: &ties, ..place.problem(&[]) };
+    let (merged, stated) = solved(&merging, bundle(&poses, Vec::new()));
+    assert_equal(&merged.poses, &stated, &batch.poses, &expected);
+
+    let sigma = expected.diagonal().min().sqrt();
+    for (tie, landmark) in ties.iter().zip(&batch.landmarks) {
+        let anchor = landmark.anchor_view();
+        let position = merged.poses[anchor].transform(&tie.position_in_anchor(&merged.poses).unwrap());
+        let in_batch = batch.poses[anchor].transform(&(landmark.ray.push(1.0) / landmark.inverse_depth));
+        assert!((position - in_batch).norm() < sigma, "{position} {in_batch}");
+        assert!(tie.is_consistent(&merged.poses));
+    }
+}
+
+#[test]
+fn the_prior_of_a_map_without_its_frame_says_nothing_of_yaw_and_position() {
+    let place = Place::new();
+    let (map, covariance) = place.map(ADDED..ADDED + STORED);
+    let joint = JointPrior::of_map(&stored(&map, &covariance), 0).unwrap();
+    let relative = joint.clone().relative().unwrap();
+    let small = Pose::new(rotation::exp(&Vector3::new(0.0, 0.0, 1e-4)), Vector3::new(3e-4, -2e-4, 1e-4));
+    let turned: Vec<Pose> = map.poses.iter().map(|pose| small.compose(pose)).collect();
+    assert!(relative.cost(&turned) < 1e-4 * joint.cost(&turned));
+    let mut bent = map.poses.clone();
+    bent[1] = small.compose(&bent[1]);
+    assert!(relative.cost(&bent) > 0.1 * joint.cost(&bent));
 }
 
 /// The map of an adjusted bundle, without its landmarks.

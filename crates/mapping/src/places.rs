@@ -1,21 +1,20 @@
-//! Where a recording is in the map: places that both show.
+//! Where a recording or another map is in a map: places that both show.
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use geometry::camera::Camera;
 use geometry::pose::Pose;
 use geometry::rotation;
 use geometry::uncertain_pose::isotropic_covariance;
 use map::contents::MapContents;
 use nalgebra::Vector3;
-use protocol::LandmarkId;
+use protocol::{FeatureSet, LandmarkId};
 use recognition::{LoadedMap, RecognitionOptions};
 
-use super::error::ExtendError;
-use crate::error::BuildError;
-use crate::loop_closure::information;
-use crate::progress::Stage;
-use crate::relative_pose::RelativePose;
-use crate::without_references::Builder;
+use super::error::BuildError;
+use super::loop_closure::information;
+use super::progress::{Progress, Stage};
+use super::relative_pose::RelativePose;
 
 /// Standard deviations of the map's keyframes while places are searched (rad, m): only relative poses are wanted.
 const SEARCH_SIGMAS: [f64; 2] = [1e-5, 1e-4];
@@ -37,17 +36,28 @@ pub(super) struct StoredPlace {
     pub(super) matches: Vec<(usize, LandmarkId)>,
 }
 
-/// Searches the keyframes of a recording in the map.
+/// A view whose place is searched.
+pub(super) struct PlaceQuery<'a> {
+    /// The view.
+    pub(super) view: usize,
+    /// The camera that saw the features.
+    pub(super) camera: &'a Camera,
+    /// Its features.
+    pub(super) features: &'a FeatureSet,
+}
+
+/// Searches views in a map.
 ///
 /// # Arguments
-/// * `poses`: of the views, in a frame with z up.
+/// * `poses`: of all views, in a frame with z up; those of the map follow them.
 ///
 /// # Errors
 /// [`BuildError::Index`], [`BuildError::Recognition`].
 pub(super) fn find_places(
     stored: &MapContents,
-    builder: &mut Builder<'_, '_>,
+    queries: &[PlaceQuery<'_>],
     poses: &[Pose],
+    progress: Progress<'_>,
 ) -> Result<Vec<StoredPlace>, BuildError> {
     let [sigma_theta, sigma_p] = SEARCH_SIGMAS;
     let mut searched = stored.clone();
@@ -60,12 +70,12 @@ pub(super) fn find_places(
     let map = LoadedMap::from_contents(searched)?;
     let (options, down) = (RecognitionOptions::default(), -Vector3::z());
     let mut found = Vec::new();
-    for (view, content) in builder.views.iter().enumerate().filter(|(_, content)| content.is_keyframe()) {
-        (builder.progress)(Stage::PlaceRecognition, view, poses.len());
+    for (done, query) in queries.iter().enumerate() {
+        progress(Stage::PlaceRecognition, done, queries.len());
+        let view = query.view;
         let gravity_in_camera = Some(poses[view].rotation.inverse() * down);
-        let camera = &builder.cameras[0].camera;
         let places =
-            map.verified_places(camera, &content.features, gravity_in_camera, &|_| true, &options)?;
+            map.verified_places(query.camera, query.features, gravity_in_camera, &|_| true, &options)?;
         for place in places.into_iter().take(PLACES_A_VIEW) {
             let stored_view = view_of[&place.keyframe];
             let keyframe = &stored.keyframes[stored_view - poses.len()].global_from_keyframe.pose;
@@ -77,7 +87,7 @@ pub(super) fn find_places(
             found.push(StoredPlace { relative, matches: place.inliers });
         }
     }
-    (builder.progress)(Stage::PlaceRecognition, poses.len(), poses.len());
+    progress(Stage::PlaceRecognition, queries.len(), queries.len());
     Ok(found)
 }
 
@@ -94,13 +104,9 @@ pub(super) struct Alignment {
 /// # Arguments
 /// * `poses`: of the views of the recording in its own frame, then of the map's keyframes in G.
 ///
-/// # Errors
-/// [`ExtendError::NotConnected`].
-pub(super) fn align(
-    places: &[StoredPlace],
-    poses: &[Pose],
-    keyframes: usize,
-) -> Result<Alignment, ExtendError> {
+/// # Returns
+/// `None` without any place.
+pub(super) fn align(places: &[StoredPlace], poses: &[Pose]) -> Option<Alignment> {
     let measured: Vec<Pose> = places.iter().map(|place| measured(&place.relative, poses)).collect();
     let agreeing = |first: usize| -> Vec<usize> {
         let view = places[first].relative.views[1];
@@ -115,21 +121,11 @@ pub(super) fn align(
         (0..places.len()).filter(agrees).collect()
     };
     let best = (0..places.len()).map(|first| (first, agreeing(first))).max_by_key(|(_, all)| all.len());
-    let (first, all) = best.unwrap_or_default();
-    let chosen: Vec<StoredPlace> = all.iter().map(|&at| places[at].clone()).collect();
-    if view_count(&chosen) < MIN_AGREEING {
-        return Err(ExtendError::NotConnected {
-            keyframes,
-            found: view_count(places),
-            agreeing: view_count(&chosen),
-            wanted: MIN_AGREEING,
-        });
-    }
-    let mut agreeing = chosen;
-    let at = all.iter().position(|&at| at == first).unwrap_or_default();
-    agreeing.swap(0, at);
+    let (first, all) = best?;
+    let mut agreeing: Vec<StoredPlace> = all.iter().map(|&at| places[at].clone()).collect();
+    agreeing.swap(0, all.iter().position(|&at| at == first)?);
     let pose = &poses[places[first].relative.views[1]];
-    Ok(Alignment { global_from_recording: turned_about_vertical(&measured[first], pose), agreeing })
+    Some(Alignment { global_from_recording: turned_about_vertical(&measured[first], pose), agreeing })
 }
 
 /// Number of views with a place.

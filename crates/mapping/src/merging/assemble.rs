@@ -1,0 +1,107 @@
+//! Assembles the merged map.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use geometry::pose::Pose;
+use geometry::uncertain_pose::PoseWithCovariance;
+use map::contents::MapContents;
+use map::model::{Keyframe, KeyframeCrossCovariance};
+use nalgebra::Vector3;
+use protocol::{KeyframeId, LandmarkId};
+
+use super::{MergeError, MergeReport};
+use crate::joint_covariance::JointCovariance;
+use crate::landmark_tie::LandmarkTie;
+
+/// The map of both: the first one with its ids, moved, and the second one with ids beyond them.
+///
+/// # Arguments
+/// * `poses`: of the second map's keyframes, then of the first one's.
+pub(super) fn merged(
+    first: &MapContents,
+    second: &MapContents,
+    poses: &[Pose],
+    ties: &[LandmarkTie],
+    joint: &JointCovariance,
+) -> Result<MapContents, MergeError> {
+    let last_keyframe = first.keyframes.iter().map(|keyframe| keyframe.id).max().unwrap_or_default();
+    let last_landmark = first.landmarks.iter().map(|landmark| landmark.id).max().unwrap_or_default();
+    let mut contents = first.clone();
+    contents.info.sigma_px = first.info.sigma_px.max(second.info.sigma_px);
+    let new = second
+        .keyframes
+        .iter()
+        .map(|keyframe| Keyframe { id: keyframe.id + last_keyframe, ..keyframe.clone() });
+    let mut keyframes: Vec<Keyframe> = new.chain(first.keyframes.iter().cloned()).collect();
+    for (view, keyframe) in keyframes.iter_mut().enumerate() {
+        keyframe.global_from_keyframe = PoseWithCovariance::new(poses[view], joint.own[&view]);
+    }
+    let id = |view: usize| keyframes[view].id;
+    contents.cross_covariances = joint
+        .cross
+        .iter()
+        .map(|(i, j, block)| KeyframeCrossCovariance { a: id(*i), b: id(*j), block: *block }.ordered())
+        .collect();
+    add_landmarks(&mut contents, second, poses, ties, last_keyframe, last_landmark);
+    contents.keyframes = keyframes;
+    contents.sort();
+    contents.validate()?;
+    Ok(contents)
+}
+
+/// Adds the landmarks of the second map: to those of the first one that they are, or as new ones.
+fn add_landmarks(
+    contents: &mut MapContents,
+    second: &MapContents,
+    poses: &[Pose],
+    ties: &[LandmarkTie],
+    last_keyframe: KeyframeId,
+    last_landmark: LandmarkId,
+) {
+    let tie_of: BTreeMap<LandmarkId, &LandmarkTie> = ties.iter().map(|tie| (tie.ids()[1], tie)).collect();
+    let index_of: BTreeMap<LandmarkId, usize> =
+        contents.landmarks.iter().map(|landmark| landmark.id).zip(0..).collect();
+    for landmark in &second.landmarks {
+        let mut landmark = landmark.clone();
+        landmark.observations.iter_mut().for_each(|seen| seen.keyframe += last_keyframe);
+        let Some(tie) = tie_of.get(&landmark.id) else {
+            landmark.id += last_landmark;
+            landmark.anchor += last_keyframe;
+            contents.landmarks.push(landmark);
+            continue;
+        };
+        let known = &mut contents.landmarks[index_of[&tie.ids()[0]]];
+        if let Some(position) = tie.position_in_anchor(poses) {
+            known.position_in_anchor = position;
+        }
+        known.observations.append(&mut landmark.observations);
+    }
+}
+
+/// Fills in the statistics of the merged map.
+pub(super) fn fill_report(
+    report: &mut MergeReport,
+    first: &MapContents,
+    contents: &MapContents,
+    first_from_second: &Pose,
+) {
+    let kept: BTreeSet<KeyframeId> = first.keyframes.iter().map(|keyframe| keyframe.id).collect();
+    let after: Vec<&Keyframe> =
+        contents.keyframes.iter().filter(|keyframe| kept.contains(&keyframe.id)).collect();
+    let per_axis = |sum: f64| (sum / (3 * first.keyframes.len()) as f64).sqrt();
+    let moved = |begin: usize| {
+        let squares = first.keyframes.iter().zip(&after).map(|(before, after)| {
+            let error = before.global_from_keyframe.pose.local(&after.global_from_keyframe.pose);
+            error.fixed_rows::<3>(begin).norm_squared()
+        });
+        per_axis(squares.sum())
+    };
+    report.moved_deg = moved(0).to_degrees();
+    report.moved_m = moved(3);
+    let variance = |keyframe: &Keyframe| 3.0 * keyframe.global_from_keyframe.sigma_p_m().powi(2);
+    report.sigma_before_m = per_axis(first.keyframes.iter().map(variance).sum());
+    report.sigma_after_m = per_axis(after.iter().map(|keyframe| variance(keyframe)).sum());
+    let Pose { rotation, translation } = first_from_second;
+    let yaw: Vector3<f64> = rotation.scaled_axis();
+    report.first_from_second = [yaw.z.to_degrees(), translation.x, translation.y, translation.z];
+}

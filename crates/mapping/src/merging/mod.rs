@@ -1,0 +1,274 @@
+//! Merging two maps of places that overlap.
+//!
+//! 1. The keyframes of the second map are searched in the first one, by what their landmarks look like; the places that
+//!    agree with each other give yaw and position.
+//! 2. Both maps enter as the joint priors of their keyframes' poses, the second one's without its yaw and position; relative
+//!    poses of the places tie them together.
+//! 3. These relative poses are replaced by the landmarks that both maps have, each given the poses of its map. Together
+//!    this is what the maps were made of, so that no measurement is counted twice.
+//!
+//! The result is in the frame of the first map, whose ids stay.
+
+mod assemble;
+mod error;
+mod landmarks;
+
+use std::collections::BTreeSet;
+use std::time::Instant;
+
+use geometry::pose::Pose;
+use map::contents::MapContents;
+use nalgebra::{Matrix6, Vector3};
+use serde::Serialize;
+
+use crate::bundle_adjustment::Bundle;
+use crate::error::BuildError;
+use crate::joint_covariance::ALL_UP_TO;
+use crate::joint_prior::JointPrior;
+use crate::landmark_tie::LandmarkTie;
+use crate::loop_closure::consistent;
+use crate::options::BuildOptions;
+use crate::places::{MIN_AGREEING, PlaceQuery, StoredPlace, align, find_places, view_count};
+use crate::progress::Progress;
+use crate::refinement::{Constraints, covariance_of, refine_all};
+use crate::relative_pose::RelativePose;
+use crate::report::BuildReport;
+pub use error::MergeError;
+use landmarks::KeyframeFeatures;
+
+/// Largest angle between a map's direction of gravity and -z (rad).
+const MAX_TILT: f64 = 1e-3;
+/// Maps are refused where more than this part of the landmarks that look alike contradict each other.
+const MAX_CONTRADICTING: f64 = 0.5;
+
+/// Statistics of a run of [`merge_maps`].
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct MergeReport {
+    /// Keyframes of the two maps.
+    pub keyframes: [usize; 2],
+    /// Landmarks of the two maps.
+    pub landmarks: [usize; 2],
+    /// Keyframes of the second map that show a place of the first one.
+    pub places: usize,
+    /// Those of them that agree with each other.
+    pub agreeing_places: usize,
+    /// Landmarks that both maps have.
+    pub common_landmarks: usize,
+    /// Landmarks that look alike and lie elsewhere.
+    pub refused_landmarks: usize,
+    /// The second map's frame in the first one's: yaw (deg), x, y, z (m).
+    pub first_from_second: [f64; 4],
+    /// Rotation of the first map's keyframes, root mean square per axis (deg).
+    pub moved_deg: f64,
+    /// The same for their positions (m).
+    pub moved_m: f64,
+    /// Standard deviation of the first map's positions before, root mean square per axis (m).
+    pub sigma_before_m: f64,
+    /// ... and after.
+    pub sigma_after_m: f64,
+    /// Time taken (s).
+    pub seconds: f64,
+}
+
+/// Merges two maps of places that overlap.
+///
+/// # Arguments
+/// * `first`, `second`: whole and valid, in frames with z up, made of different recordings.
+/// * `progress`: called with the stage and its steps.
+///
+/// # Returns
+/// The map of both in the first one's frame, sorted and valid, with the joint covariance of all keyframes.
+///
+/// # Errors
+/// [`MergeError`], with what to do.
+pub fn merge_maps(
+    first: &MapContents,
+    second: &MapContents,
+    progress: Progress<'_>,
+) -> Result<(MapContents, MergeReport), MergeError> {
+    let start = Instant::now();
+    check(first, second)?;
+    let mut report = MergeReport {
+        keyframes: [first, second].map(|map| map.keyframes.len()),
+        landmarks: [first, second].map(|map| map.landmarks.len()),
+        ..MergeReport::default()
+    };
+    let features = KeyframeFeatures::of_map(second);
+    let mut poses: Vec<Pose> = poses_of(second).collect();
+    let queries: Vec<PlaceQuery<'_>> = features.iter().map(KeyframeFeatures::query).collect();
+    let found = find_places(first, &queries, &poses, progress)?;
+    report.places = view_count(&found);
+    poses.extend(poses_of(first));
+    let alignment = align(&found, &poses).ok_or_else(|| not_connected(&report))?;
+    report.agreeing_places = view_count(&alignment.agreeing);
+    if report.agreeing_places < MIN_AGREEING {
+        return Err(not_connected(&report));
+    }
+    let second = moved(second, &alignment.global_from_recording);
+    for (pose, keyframe) in poses.iter_mut().zip(&second.keyframes) {
+        *pose = keyframe.global_from_keyframe.pose;
+    }
+    let views = second.keyframes.len();
+    let priors = || -> Option<[JointPrior; 2]> {
+        Some([JointPrior::of_map(&second, 0)?.relative()?, JointPrior::of_map(first, views)?])
+    };
+    let mut adjuster = Adjuster::new(priors().ok_or(MergeError::Indefinite)?, first, &second, progress);
+    let bundle = Bundle { poses, motions: Vec::new(), landmarks: Vec::new() };
+    let (bundle, places) = adjuster.tie_places(bundle, alignment.agreeing)?;
+    report.agreeing_places = view_count(&places);
+    if report.agreeing_places < MIN_AGREEING {
+        return Err(not_connected(&report));
+    }
+    let ties = landmarks::ties(first, &second, &features, &places, &bundle.poses);
+    let alike = ties.len();
+    let (bundle, constraints) = adjuster.tie_landmarks(bundle, ties);
+    report.common_landmarks = constraints.ties.len();
+    report.refused_landmarks = alike - constraints.ties.len();
+    if report.refused_landmarks as f64 > MAX_CONTRADICTING * alike as f64 {
+        return Err(MergeError::Contradiction { alike, refused: report.refused_landmarks });
+    }
+    let all: Vec<usize> = (0..bundle.poses.len()).collect();
+    let sigma_px = adjuster.sigma_px();
+    let joint = covariance_of(&[], &constraints, &bundle, &all, sigma_px, adjuster.progress)?;
+    let contents = assemble::merged(first, &second, &bundle.poses, &constraints.ties, &joint)?;
+    assemble::fill_report(&mut report, first, &contents, &alignment.global_from_recording);
+    report.seconds = start.elapsed().as_secs_f64();
+    Ok((contents, report))
+}
+
+/// Checks what can be seen without adjusting anything.
+fn check(first: &MapContents, second: &MapContents) -> Result<(), MergeError> {
+    let keyframes = first.keyframes.len() + second.keyframes.len();
+    if first.keyframes.is_empty() || second.keyframes.is_empty() {
+        return Err(MergeError::Empty);
+    }
+    if keyframes > ALL_UP_TO {
+        return Err(MergeError::TooLarge { keyframes, most: ALL_UP_TO });
+    }
+    for (map, which) in [(first, "first"), (second, "second")] {
+        let gravity = map.info.gravity_in_global;
+        if gravity.is_none_or(|gravity| gravity.angle(&-Vector3::z()) > MAX_TILT) {
+            return Err(MergeError::Vertical { which, gravity: gravity.map(Into::into) });
+        }
+    }
+    let (one, other) = (&first.info, &second.info);
+    let formats = [one, other].map(|info| (info.descriptor_kind, info.descriptor_width, &info.extractor));
+    if formats[0] != formats[1] {
+        let name = |info: &map::model::MapMetadata| {
+            format!("{} ({:?}, {} bytes)", info.extractor, info.descriptor_kind, info.descriptor_width)
+        };
+        return Err(MergeError::Extractors { first: name(one), second: name(other) });
+    }
+    let stamps: BTreeSet<i64> = first.keyframes.iter().map(|keyframe| keyframe.stamp_ns).collect();
+    match second.keyframes.iter().find(|keyframe| stamps.contains(&keyframe.stamp_ns)) {
+        Some(known) => Err(MergeError::InBoth { keyframe: known.id, stamp_ns: known.stamp_ns }),
+        None => Ok(()),
+    }
+}
+
+fn not_connected(report: &MergeReport) -> MergeError {
+    MergeError::NotConnected {
+        keyframes: report.keyframes[1],
+        found: report.places,
+        agreeing: report.agreeing_places,
+        wanted: MIN_AGREEING,
+    }
+}
+
+fn poses_of(map: &MapContents) -> impl Iterator<Item = Pose> {
+    map.keyframes.iter().map(|keyframe| keyframe.global_from_keyframe.pose)
+}
+
+/// The map in another frame.
+///
+/// # Arguments
+/// * `to_frame`: from the frame of the map.
+fn moved(map: &MapContents, to_frame: &Pose) -> MapContents {
+    let mut moved = map.clone();
+    let rotation = to_frame.rotation.to_rotation_matrix().into_inner();
+    let mut both = Matrix6::zeros();
+    both.fixed_view_mut::<3, 3>(0, 0).copy_from(&rotation);
+    both.fixed_view_mut::<3, 3>(3, 3).copy_from(&rotation);
+    for keyframe in &mut moved.keyframes {
+        let stated = &mut keyframe.global_from_keyframe;
+        stated.pose = to_frame.compose(&stated.pose);
+        stated.covariance = both * stated.covariance * both.transpose();
+    }
+    for cross in &mut moved.cross_covariances {
+        cross.block = both * cross.block * both.transpose();
+    }
+    moved
+}
+
+/// Adjusts the poses of both maps: those of the second one come first.
+struct Adjuster<'p> {
+    priors: Vec<JointPrior>,
+    options: BuildOptions,
+    report: BuildReport,
+    progress: Progress<'p>,
+}
+
+impl<'p> Adjuster<'p> {
+    fn new(
+        priors: [JointPrior; 2],
+        first: &MapContents,
+        second: &MapContents,
+        progress: Progress<'p>,
+    ) -> Adjuster<'p> {
+        let sigma_px = Some(first.info.sigma_px.max(second.info.sigma_px));
+        let options = BuildOptions { sigma_px, ..BuildOptions::default() };
+        Adjuster { priors: priors.into(), options, report: BuildReport::default(), progress }
+    }
+
+    fn sigma_px(&self) -> f64 {
+        self.options.sigma_px.unwrap_or(1.0)
+    }
+
+    fn constraints(&self, relative_poses: Vec<RelativePose>, ties: Vec<LandmarkTie>) -> Constraints {
+        Constraints { relative_poses, ties, stored: self.priors.clone(), ..Constraints::default() }
+    }
+
+    fn adjust(&mut self, constraints: &Constraints, bundle: Bundle) -> Bundle {
+        refine_all(&[], constraints, bundle, 1, &self.options, &mut self.report, self.progress)
+    }
+
+    /// Adjusts both maps by the places that neither their covariances nor the others contradict.
+    ///
+    /// # Arguments
+    /// * `places`: the first one is taken for true at first.
+    fn tie_places(
+        &mut self,
+        mut bundle: Bundle,
+        places: Vec<StoredPlace>,
+    ) -> Result<(Bundle, Vec<StoredPlace>), BuildError> {
+        let mut relative: Vec<RelativePose> = places.iter().map(|place| place.relative.clone()).collect();
+        let first = self.constraints(relative[..1].to_vec(), Vec::new());
+        relative = first.plausible_loops(&[], &bundle, relative, self.sigma_px())?;
+        while !relative.is_empty() {
+            bundle = self.adjust(&self.constraints(relative.clone(), Vec::new()), bundle);
+            let count = relative.len();
+            relative = consistent(&relative, &bundle.poses);
+            if relative.len() == count {
+                break;
+            }
+        }
+        let kept: BTreeSet<[usize; 2]> = relative.iter().map(|relative| relative.views).collect();
+        let places = places.into_iter().filter(|place| kept.contains(&place.relative.views)).collect();
+        Ok((bundle, places))
+    }
+
+    /// Adjusts both maps by the landmarks that they share, and leaves out those that are two.
+    fn tie_landmarks(&mut self, mut bundle: Bundle, ties: Vec<LandmarkTie>) -> (Bundle, Constraints) {
+        let mut constraints = self.constraints(Vec::new(), ties);
+        while !constraints.ties.is_empty() {
+            bundle = self.adjust(&constraints, bundle);
+            let count = constraints.ties.len();
+            constraints.ties.retain(|tie| tie.is_consistent(&bundle.poses));
+            if constraints.ties.len() == count {
+                break;
+            }
+        }
+        (bundle, constraints)
+    }
+}
