@@ -14,3 +14,4 @@ pub mod network;
 pub mod robot;
 pub mod scenario;
 pub mod server;
+pub mod sessions;

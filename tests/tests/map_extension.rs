@@ -12,73 +12,16 @@ use onboard::run_robot;
 use protocol::keys;
 use recognition::LoadedMap;
 use sensors::Sequence;
-use simulation::{Scenario, SimulationOptions, simulate};
 use tests::data::recording;
 use tests::map_errors::{errors, global_from_truth, true_pose, true_poses};
 use tests::robot::arguments;
 use tests::server::{Client, Server};
+use tests::sessions::{build, nees, sessions};
 use tools::odometry::run_odometry;
-
-/// Length of a session, of which a loop takes 42 s, ...
-const SESSION_S: f64 = 46.0;
-/// ... and of all sessions together, at most.
-const RECORDING_S: f64 = 410.0;
-
-/// Several sessions over one loop of 126 m, and the whole recording that they are cut from.
-///
-/// # Arguments
-/// * `period_s`: between images with features.
-fn sessions(seed: u64, count: usize, period_s: f64) -> (Vec<Sequence>, Sequence) {
-    let session_s = SESSION_S.min(RECORDING_S / count as f64);
-    let options = SimulationOptions {
-        seed,
-        scenario: Scenario::Loops,
-        speed: 3.0,
-        duration_s: Some(session_s * count as f64),
-        live_feature_period_s: period_s,
-        dropout_fraction: 0.0,
-        ..SimulationOptions::default()
-    };
-    let whole = simulate(&options).unwrap().live;
-    let begin_ns = whole.frames[0].stamp_ns;
-    let session = |index: usize| {
-        let limit = |index: usize| begin_ns + (index as f64 * session_s * 1e9) as i64;
-        let [from_ns, to_ns] = [limit(index), limit(index + 1)];
-        let mut part = whole.clone();
-        part.frames.retain(|frame| (from_ns..to_ns).contains(&frame.stamp_ns));
-        part.imu_samples.retain(|reading| (from_ns - 50_000_000..to_ns).contains(&reading.stamp_ns));
-        part
-    };
-    ((0..count).map(session).collect(), whole)
-}
-
-fn build(sequence: &mut Sequence) -> MapContents {
-    let odometry = run_odometry(sequence, 2, |_, _| {}).unwrap();
-    build_map_from_odometry(
-        sequence,
-        &odometry,
-        &PosePriors::default(),
-        None,
-        &BuildOptions::default(),
-        &mut |_, _, _| {},
-    )
-    .unwrap()
-    .0
-}
 
 fn extend(map: &MapContents, sequence: &mut Sequence) -> Result<(MapContents, ExtensionReport), ExtendError> {
     let odometry = run_odometry(sequence, 2, |_, _| {}).unwrap();
     extend_map(map, sequence, &odometry, None, &BuildOptions::default(), &mut |_, _, _| {})
-}
-
-/// NEES of all keyframes together, its degrees of freedom, and the error of the positions of the first session along an
-/// axis (m).
-fn nees(whole: &Sequence, map: &MapContents, first_session: usize) -> (f64, f64, f64) {
-    let (error, covariance) = errors(map, &true_poses(whole, map));
-    let nees = error.dot(&covariance.cholesky().unwrap().solve(&error));
-    let positions = error.rows(0, 6 * (first_session - 1));
-    let squares: f64 = positions.iter().enumerate().filter(|(at, _)| at % 6 > 2).map(|(_, e)| e * e).sum();
-    (nees, error.len() as f64, (squares / (3 * (first_session - 1)) as f64).sqrt())
 }
 
 /// Builds a map of the first session and extends it by the others.

@@ -34,6 +34,8 @@ const SCALE_FACTOR: f64 = 0.6;
 const MAX_STEPS: usize = 25;
 /// Converged when a step lowers the cost by less than this part.
 const CONVERGED: f64 = 1e-4;
+/// Maximum number of undamped steps at the end.
+const FINAL_STEPS: usize = 5;
 /// Damping of the first step, and its limits (Levenberg-Marquardt).
 const DAMPING: [f64; 3] = [1e-4, 1e-8, 1e4];
 
@@ -155,6 +157,22 @@ impl Problem<'_> {
             scale = (scale * SCALE_FACTOR).max(LAST_SCALE);
         }
         progress(MAX_STEPS, MAX_STEPS);
+        if self.stored.is_empty() { bundle } else { self.finish(bundle) }
+    }
+
+    /// Undamped steps. The joint prior of a map knows neighbouring poses to millimetres and the shape of the whole to
+    /// centimetres: damped steps, which are relative to the diagonal, hardly move the whole.
+    fn finish(&self, start: Bundle) -> Bundle {
+        let mut bundle = start;
+        let mut cost = self.cost(&bundle, LAST_SCALE);
+        for _ in 0..FINAL_STEPS {
+            let Some(candidate) = self.step(&bundle, LAST_SCALE, 0.0) else { break };
+            let after = self.cost(&candidate, LAST_SCALE);
+            if after >= cost {
+                break;
+            }
+            (bundle, cost) = (candidate, after);
+        }
         bundle
     }
 

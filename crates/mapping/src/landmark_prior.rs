@@ -5,7 +5,9 @@
 //! ```text
 //! y = -V^-1 W^T x + v,   v ~ N(0, V^-1),   V = sum J_y^T J_y / s^2,   W = sum J_x^T J_y / s^2
 //! ```
-//! with `y` the error of ray and inverse depth and `x` the errors of the poses, both relative to the map. Poses and this
+//! with `y` the error of ray and inverse depth and `x` the errors of the poses, both relative to the map. The inverse depth is
+//! compared by its logarithm: a difference of inverse depths becomes smaller when everything is made larger, so that hundreds
+//! of landmarks, each with its noise, would make a map grow. Poses and this
 //! together are the same as the observations themselves, so that each is used once, however often a map is extended.
 
 use std::collections::BTreeMap;
@@ -24,6 +26,8 @@ use super::normal_equations::{LandmarkBlocks, NormalEquations};
 
 /// Gauss-Newton iterations from the position that the map states.
 const STEPS: usize = 8;
+/// Inverse depths of fewer standard deviations than this have no logarithm that is worth while.
+const MIN_SIGMAS_OF_DEPTH: f64 = 5.0;
 /// Least information on the inverse depth, m^2: for landmarks without parallax.
 const MIN_DEPTH_INFORMATION: f64 = 1.0;
 
@@ -32,6 +36,8 @@ const MIN_DEPTH_INFORMATION: f64 = 1.0;
 pub(super) struct LandmarkPrior {
     /// Its id in the map.
     pub(super) id: LandmarkId,
+    /// Whether the inverse depth is given by its logarithm.
+    pub(super) is_logarithmic: bool,
     /// Ray and inverse depth in its anchor, at the stored poses.
     mean: Vector3<f64>,
     /// V.
@@ -124,13 +130,20 @@ impl LandmarkPrior {
         }
         let inverse = information.try_inverse()?;
         let poses = observers.iter().zip(&couplings);
+        let rho = landmark.inverse_depth;
+        let is_logarithmic = rho > MIN_SIGMAS_OF_DEPTH * inverse[(2, 2)].sqrt();
+        let unit = if is_logarithmic { rho } else { 1.0 };
+        let (to_unit, of_unit) = (
+            Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, 1.0 / unit)),
+            Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, unit)),
+        );
+        let gain = |coupling: &Matrix6x3<f64>| to_unit * inverse * coupling.transpose();
         let prior = LandmarkPrior {
             id: stored.id,
-            mean: parameters(&landmark),
-            information,
-            poses: poses
-                .map(|(observer, coupling)| (observer.view, observer.pose, inverse * coupling.transpose()))
-                .collect(),
+            is_logarithmic,
+            mean: landmark.ray.push(if is_logarithmic { rho.ln() } else { rho }),
+            information: of_unit * information * of_unit,
+            poses: poses.map(|(observer, coupling)| (observer.view, observer.pose, gain(coupling))).collect(),
         };
         let anchor = LandmarkObservation {
             feature: (observers.first()?.view, 0),
@@ -140,13 +153,28 @@ impl LandmarkPrior {
         Some(InverseDepthLandmark { observations: vec![anchor], prior: Some(prior), ..landmark })
     }
 
+    /// Ray and inverse depth as the prior gives them, and their Jacobian by ray and inverse depth.
+    fn parameters(&self, landmark: &InverseDepthLandmark) -> (Vector3<f64>, Matrix3<f64>) {
+        let rho = landmark.inverse_depth;
+        let (depth, slope) = if !self.is_logarithmic {
+            (rho, 1.0)
+        } else if rho > 0.0 {
+            (rho.ln(), rho.recip())
+        } else {
+            // The tangent at the mean.
+            let mean = self.mean.z.exp();
+            (self.mean.z + (rho - mean) / mean, mean.recip())
+        };
+        (landmark.ray.push(depth), Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, slope)))
+    }
+
     /// `y + V^-1 W^T x`, with the error of each pose and its Jacobian.
     fn residual(&self, landmark: &InverseDepthLandmark, poses: &[Pose]) -> Vector3<f64> {
-        let start = parameters(landmark) - self.mean;
+        let start = self.parameters(landmark).0 - self.mean;
         self.poses.iter().fold(start, |sum, (view, mean, gain)| sum + gain * mean.local(&poses[*view]))
     }
 
-    /// Ray and inverse depth in the anchor, given poses.
+    /// Ray and inverse depth (or its logarithm) in the anchor, given poses.
     pub(super) fn expected(&self, poses: &[Pose]) -> Vector3<f64> {
         self.poses.iter().fold(self.mean, |sum, (view, mean, gain)| sum - gain * mean.local(&poses[*view]))
     }
@@ -176,8 +204,9 @@ impl LandmarkPrior {
         poses: &[Pose],
     ) {
         let weighted = self.information * self.residual(landmark, poses);
-        blocks.information += self.information;
-        blocks.gradient -= weighted;
+        let by_landmark = self.parameters(landmark).1;
+        blocks.information += by_landmark * self.information * by_landmark;
+        blocks.gradient -= by_landmark * weighted;
         let by_pose: Vec<(usize, Matrix3x6<f64>)> = self.gains(poses).collect();
         for (index, (view, by_view)) in by_pose.iter().enumerate() {
             let coupling: Matrix6x3<f64> = by_view.transpose() * self.information;
@@ -185,13 +214,9 @@ impl LandmarkPrior {
             for (other, by_other) in &by_pose[index + 1..] {
                 blocks.pairs.push((*view, *other, coupling * by_other));
             }
-            blocks.couplings.push((*view, coupling));
+            blocks.couplings.push((*view, coupling * by_landmark));
         }
     }
-}
-
-fn parameters(landmark: &InverseDepthLandmark) -> Vector3<f64> {
-    landmark.ray.push(landmark.inverse_depth)
 }
 
 /// V, the blocks of W and the negative gradient by the landmark.

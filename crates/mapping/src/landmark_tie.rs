@@ -19,7 +19,7 @@ use super::normal_equations::NormalEquations;
 
 /// Squared residuals beyond this are of two landmarks: chi-square with 3 degrees of freedom, 99.99 %.
 const GATE: f64 = 21.1;
-/// Rows of the residual: ray and inverse depth.
+/// Rows of the residual: ray and logarithm of the inverse depth.
 const ROWS: f64 = 3.0;
 
 /// A landmark of one map and the same of another.
@@ -41,7 +41,7 @@ impl LandmarkTie {
     /// * `poses`: of all views, in one frame.
     ///
     /// # Returns
-    /// `None` where they cannot be compared.
+    /// `None` where they cannot be compared, for example because one is too far away to have a depth.
     pub(super) fn new(
         first: InverseDepthLandmark,
         second: InverseDepthLandmark,
@@ -49,7 +49,7 @@ impl LandmarkTie {
     ) -> Option<LandmarkTie> {
         let of = |landmark: InverseDepthLandmark| {
             let anchor = landmark.anchor_view();
-            Some((anchor, landmark.prior?))
+            Some((anchor, landmark.prior.filter(|prior| prior.is_logarithmic)?))
         };
         let mut tie = LandmarkTie { first: of(first)?, second: of(second)?, information: Matrix3::zeros() };
         let compared = tie.compared(poses)?;
@@ -115,18 +115,14 @@ impl LandmarkTie {
     pub(super) fn position_in_anchor(&self, poses: &[Pose]) -> Option<Vector3<f64>> {
         let residual = self.compared(poses)?.residual;
         let gain = self.first.1.covariance()? * self.information;
-        let fused = self.first.1.expected(poses) - gain * residual;
-        (fused.z > 0.0).then(|| inverted(&fused))
+        Some(inverted(&exponential(&(self.first.1.expected(poses) - gain * residual))))
     }
 
-    /// The first minus the second, as ray and inverse depth in the first one's anchor.
+    /// The first minus the second, as ray and logarithm of the inverse depth in the first one's anchor.
     fn compared(&self, poses: &[Pose]) -> Option<Compared> {
         let ((anchor, first), (other_anchor, second)) = (&self.first, &self.second);
         let (pose, other) = (&poses[*anchor], &poses[*other_anchor]);
-        let parameters = second.expected(poses);
-        if parameters.z <= 0.0 {
-            return None;
-        }
+        let parameters = exponential(&second.expected(poses));
         let turned = other.rotation * inverted(&parameters);
         let apart = other.translation + turned - pose.translation;
         let to_first = pose.rotation.inverse().to_rotation_matrix().into_inner();
@@ -134,9 +130,14 @@ impl LandmarkTie {
         if in_first.z < MIN_DEPTH {
             return None;
         }
-        let by_global = inverted_jacobian(&in_first) * to_first;
-        let by_parameters =
-            by_global * other.rotation.to_rotation_matrix().into_inner() * inverted_jacobian(&parameters);
+        let expected = inverted(&in_first);
+        let to_logarithm = Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, expected.z.recip()));
+        let of_logarithm = Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, parameters.z));
+        let by_global = to_logarithm * inverted_jacobian(&in_first) * to_first;
+        let by_parameters = by_global
+            * other.rotation.to_rotation_matrix().into_inner()
+            * inverted_jacobian(&parameters)
+            * of_logarithm;
         let mut by_pose: BTreeMap<usize, Matrix3x6<f64>> = BTreeMap::new();
         for (view, gain) in first.gains(poses) {
             *by_pose.entry(view).or_default() -= gain;
@@ -153,7 +154,7 @@ impl LandmarkTie {
         };
         of_pose(*anchor, &apart, 1.0);
         of_pose(*other_anchor, &turned, -1.0);
-        let residual = first.expected(poses) - inverted(&in_first);
+        let residual = first.expected(poses) - expected.xy().push(expected.z.ln());
         Some(Compared { residual, by_pose, by_parameters })
     }
 }
@@ -165,6 +166,11 @@ struct Compared {
     by_pose: BTreeMap<usize, Matrix3x6<f64>>,
     /// Jacobian of the second landmark in the first one's anchor by its own parameters.
     by_parameters: Matrix3<f64>,
+}
+
+/// Ray and inverse depth of a ray and the logarithm of the inverse depth.
+fn exponential(parameters: &Vector3<f64>) -> Vector3<f64> {
+    parameters.xy().push(parameters.z.exp())
 }
 
 /// The point of a ray and an inverse depth, and the ray and the inverse depth of a point: `[x, y, 1] / z` is its own inverse.

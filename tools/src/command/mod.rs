@@ -20,6 +20,7 @@ pub mod info;
 pub mod inspect;
 pub mod localize;
 pub mod map_info;
+pub mod merge_maps;
 pub mod montecarlo;
 pub mod play;
 pub mod plot;
@@ -53,6 +54,8 @@ pub enum Command {
     ExportColmap(export_colmap::Args),
     /// Take keyframes or landmarks out of a map, or thin it out
     EditMap(edit_map::Args),
+    /// Make one map of two that overlap
+    MergeMaps(merge_maps::Args),
     /// Print the contents of a map: counts, extent, uncertainties
     MapInfo(map_info::Args),
     /// Query a running map server with the features of an image
@@ -102,6 +105,7 @@ impl Command {
             Self::ExportMap(args) => export_map::run(args),
             Self::ExportColmap(args) => export_colmap::run(args),
             Self::EditMap(args) => edit_map::run(&args),
+            Self::MergeMaps(args) => merge_maps::run(&args),
             Self::MapInfo(args) => map_info::run(args),
             Self::Query(args) => query::run(args),
             Self::Localize(args) => localize::run(&args),

@@ -17,6 +17,7 @@ use std::collections::BTreeSet;
 use std::time::Instant;
 
 use geometry::pose::Pose;
+use geometry::rotation::exp;
 use map::contents::MapContents;
 use nalgebra::{Matrix6, Vector3};
 use serde::Serialize;
@@ -38,6 +39,8 @@ use landmarks::KeyframeFeatures;
 
 /// Largest angle between a map's direction of gravity and -z (rad).
 const MAX_TILT: f64 = 1e-3;
+/// How often the second map is aligned by the landmarks that both have: the first time its yaw is known to a degree or so.
+const ALIGNMENTS: usize = 2;
 /// Maps are refused where more than this part of the landmarks that look alike contradict each other.
 const MAX_CONTRADICTING: f64 = 0.5;
 
@@ -105,34 +108,36 @@ pub fn merge_maps(
     if report.agreeing_places < MIN_AGREEING {
         return Err(not_connected(&report));
     }
-    let second = moved(second, &alignment.global_from_recording);
-    for (pose, keyframe) in poses.iter_mut().zip(&second.keyframes) {
-        *pose = keyframe.global_from_keyframe.pose;
-    }
-    let views = second.keyframes.len();
-    let priors = || -> Option<[JointPrior; 2]> {
-        Some([JointPrior::of_map(&second, 0)?.relative()?, JointPrior::of_map(first, views)?])
-    };
-    let mut adjuster = Adjuster::new(priors().ok_or(MergeError::Indefinite)?, first, &second, progress);
+    let mut to_first = alignment.global_from_recording;
+    let mut aligned = moved(second, &to_first);
+    copy_poses(&aligned, &mut poses);
+    let mut adjuster = Adjuster::new(first, &aligned, progress)?;
     let bundle = Bundle { poses, motions: Vec::new(), landmarks: Vec::new() };
-    let (bundle, places) = adjuster.tie_places(bundle, alignment.agreeing)?;
+    let (mut bundle, places) = adjuster.tie_places(bundle, alignment.agreeing)?;
     report.agreeing_places = view_count(&places);
     if report.agreeing_places < MIN_AGREEING {
         return Err(not_connected(&report));
     }
-    let ties = landmarks::ties(first, &second, &features, &places, &bundle.poses);
-    let alike = ties.len();
-    let (bundle, constraints) = adjuster.tie_landmarks(bundle, ties);
-    report.common_landmarks = constraints.ties.len();
-    report.refused_landmarks = alike - constraints.ties.len();
-    if report.refused_landmarks as f64 > MAX_CONTRADICTING * alike as f64 {
-        return Err(MergeError::Contradiction { alike, refused: report.refused_landmarks });
+    let mut constraints = Constraints::default();
+    for _ in 0..ALIGNMENTS {
+        to_first = aligned_better(&aligned, &bundle.poses).compose(&to_first);
+        aligned = moved(second, &to_first);
+        copy_poses(&aligned, &mut bundle.poses);
+        adjuster.set_priors(first, &aligned)?;
+        let ties = landmarks::ties(first, &aligned, &features, &places, &bundle.poses);
+        let alike = ties.len();
+        (bundle, constraints) = adjuster.tie_landmarks(bundle, ties);
+        report.common_landmarks = constraints.ties.len();
+        report.refused_landmarks = alike - constraints.ties.len();
+        if report.refused_landmarks as f64 > MAX_CONTRADICTING * alike as f64 {
+            return Err(MergeError::Contradiction { alike, refused: report.refused_landmarks });
+        }
     }
     let all: Vec<usize> = (0..bundle.poses.len()).collect();
     let sigma_px = adjuster.sigma_px();
     let joint = covariance_of(&[], &constraints, &bundle, &all, sigma_px, adjuster.progress)?;
-    let contents = assemble::merged(first, &second, &bundle.poses, &constraints.ties, &joint)?;
-    assemble::fill_report(&mut report, first, &contents, &alignment.global_from_recording);
+    let contents = assemble::merged(first, &aligned, &bundle.poses, &constraints.ties, &joint)?;
+    assemble::fill_report(&mut report, first, &contents, &to_first);
     report.seconds = start.elapsed().as_secs_f64();
     Ok((contents, report))
 }
@@ -180,6 +185,23 @@ fn poses_of(map: &MapContents) -> impl Iterator<Item = Pose> {
     map.keyframes.iter().map(|keyframe| keyframe.global_from_keyframe.pose)
 }
 
+/// Sets the first poses to those of a map.
+fn copy_poses(map: &MapContents, poses: &mut [Pose]) {
+    for (pose, of_map) in poses.iter_mut().zip(poses_of(map)) {
+        *pose = of_map;
+    }
+}
+
+/// The rotation about z and the translation by which the keyframes of a map were adjusted on average.
+fn aligned_better(map: &MapContents, poses: &[Pose]) -> Pose {
+    let count = map.keyframes.len() as f64;
+    let pairs = || poses_of(map).zip(poses);
+    let turn = pairs().map(|(before, after)| before.local(after).z).sum::<f64>() / count;
+    let rotation = exp(&Vector3::new(0.0, 0.0, turn));
+    let apart = pairs().map(|(before, after)| after.translation - rotation * before.translation);
+    Pose::new(rotation, apart.sum::<Vector3<f64>>() / count)
+}
+
 /// The map in another frame.
 ///
 /// # Arguments
@@ -211,14 +233,25 @@ struct Adjuster<'p> {
 
 impl<'p> Adjuster<'p> {
     fn new(
-        priors: [JointPrior; 2],
         first: &MapContents,
         second: &MapContents,
         progress: Progress<'p>,
-    ) -> Adjuster<'p> {
+    ) -> Result<Adjuster<'p>, MergeError> {
         let sigma_px = Some(first.info.sigma_px.max(second.info.sigma_px));
         let options = BuildOptions { sigma_px, ..BuildOptions::default() };
-        Adjuster { priors: priors.into(), options, report: BuildReport::default(), progress }
+        let report = BuildReport::default();
+        let mut adjuster = Adjuster { priors: Vec::new(), options, report, progress };
+        adjuster.set_priors(first, second)?;
+        Ok(adjuster)
+    }
+
+    /// Takes the maps as they are in the first one's frame. The prior of the second one is linear in its yaw, so that it must
+    /// be aligned well.
+    fn set_priors(&mut self, first: &MapContents, second: &MapContents) -> Result<(), MergeError> {
+        let relative = JointPrior::of_map(second, 0).and_then(JointPrior::relative);
+        let own = JointPrior::of_map(first, second.keyframes.len());
+        self.priors = [relative, own].into_iter().collect::<Option<_>>().ok_or(MergeError::Indefinite)?;
+        Ok(())
     }
 
     fn sigma_px(&self) -> f64 {

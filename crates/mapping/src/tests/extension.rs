@@ -28,6 +28,9 @@ const SIGMA_POSE: f64 = 3e-4;
 const STORED: usize = 4;
 const ADDED: usize = 3;
 
+/// Landmarks are known to a thousandth of their distance; what is not linear in it is the square of that, and some more.
+const LANDMARK_TOLERANCE: f64 = 1e-4;
+
 /// Gauss-Newton without robust weights, as far as it goes.
 fn solved(problem: &Problem<'_>, mut bundle: Bundle) -> (Bundle, DMatrix<f64>) {
     for _ in 0..8 {
@@ -192,12 +195,11 @@ fn an_extended_map_is_the_map_of_all_observations() {
     let after = stated.view((6 * ADDED, 6 * ADDED), (6 * STORED, 6 * STORED)).trace();
     assert!(after < before, "{after} {before}");
     // The positions of landmarks are those of the batch, too.
-    let sigma = expected.diagonal().min().sqrt();
     let camera_poses: [Vec<CameraPose>; 2] = [extended.camera_poses(), batch.camera_poses()];
     for (a, b) in extended.landmarks.iter().zip(&batch.landmarks) {
         let [a, b] = [(a, &camera_poses[0]), (b, &camera_poses[1])]
             .map(|(l, poses)| l.position(&poses[l.anchor_view()]));
-        assert!((a - b).norm() < sigma, "{a} {b}");
+        assert!((a - b).norm() < LANDMARK_TOLERANCE * a.z, "{a} {b}");
     }
 }
 
@@ -220,12 +222,11 @@ fn two_merged_maps_are_the_map_of_all_observations() {
     let (merged, stated) = solved(&merging, bundle(&poses, Vec::new()));
     assert_equal(&merged.poses, &stated, &batch.poses, &expected);
 
-    let sigma = expected.diagonal().min().sqrt();
     for (tie, landmark) in ties.iter().zip(&batch.landmarks) {
         let anchor = landmark.anchor_view();
         let position = merged.poses[anchor].transform(&tie.position_in_anchor(&merged.poses).unwrap());
         let in_batch = batch.poses[anchor].transform(&(landmark.ray.push(1.0) / landmark.inverse_depth));
-        assert!((position - in_batch).norm() < sigma, "{position} {in_batch}");
+        assert!((position - in_batch).norm() < LANDMARK_TOLERANCE * position.z, "{position} {in_batch}");
         assert!(tie.is_consistent(&merged.poses));
     }
 }

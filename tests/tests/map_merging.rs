@@ -1,0 +1,79 @@
+//! Two maps of one place made one: as accurate and as uncertain as it states.
+#![allow(clippy::unwrap_used)]
+
+use map::contents::MapContents;
+use mapping::{MergeError, MergeReport, merge_maps};
+use tests::sessions::{build, nees, sessions};
+
+fn merge(first: &MapContents, second: &MapContents) -> Result<(MapContents, MergeReport), MergeError> {
+    merge_maps(first, second, &mut |_, _, _| {})
+}
+
+/// Merges the maps of two rounds, each built by itself.
+///
+/// # Returns
+/// Mean square error of the first map's positions before and after (m^2).
+fn errors_are_as_stated(seeds: std::ops::RangeInclusive<u64>) -> [f64; 2] {
+    let count = seeds.clone().count() as f64;
+    let (mut sum, mut all, mut squares) = (0.0, 0.0, [0.0; 2]);
+    for seed in seeds {
+        let (mut parts, whole) = sessions(seed, 2, 1.2);
+        let [first, second] = [0, 1].map(|at| build(&mut parts[at]));
+        let stored = first.keyframes.len();
+        let (of_first, freedom, before_m) = nees(&whole, &first, stored);
+        let (merged, report) = merge(&first, &second).unwrap();
+        let (of_both, freedom_of_both, after_m) = nees(&whole, &merged, stored);
+        println!(
+            "seed {seed}: NEES {:.2}, {before_m:.4} m -> {:.2}, {after_m:.4} m; {report:?}",
+            of_first / freedom,
+            of_both / freedom_of_both
+        );
+        assert!(report.sigma_after_m < report.sigma_before_m, "{report:?}");
+        assert_eq!(merged.keyframes.len(), stored + second.keyframes.len());
+        assert_eq!(
+            merged.landmarks.len(),
+            report.landmarks[0] + report.landmarks[1] - report.common_landmarks
+        );
+        sum += of_both;
+        all += freedom_of_both;
+        squares[0] += before_m.powi(2);
+        squares[1] += after_m.powi(2);
+    }
+    let ratio = sum / all;
+    println!("NEES {ratio:.2}");
+    assert!((0.7..1.4).contains(&ratio), "NEES {ratio}");
+    squares.map(|sum| sum / count)
+}
+
+#[test]
+fn errors_of_two_merged_maps_are_as_stated() {
+    errors_are_as_stated(1..=3);
+}
+
+#[test]
+#[ignore = "takes minutes"]
+fn errors_of_twenty_merged_maps_are_as_stated() {
+    let [before, after] = errors_are_as_stated(1..=20);
+    println!("{:.4} -> {:.4} m", before.sqrt(), after.sqrt());
+    assert!(after < before);
+}
+
+#[test]
+fn maps_that_cannot_be_merged_are_refused_in_words() {
+    let (mut parts, _) = sessions(1, 2, 1.2);
+    let first = build(&mut parts[0]);
+    let said = merge(&first, &first).unwrap_err().to_string();
+    assert!(said.contains("one recording"), "{said}");
+    let (mut others, _) = sessions(7, 1, 1.2);
+    let mut elsewhere = build(&mut others[0]);
+    elsewhere.keyframes.iter_mut().for_each(|keyframe| keyframe.stamp_ns += 3_600_000_000_000);
+    let said = merge(&first, &elsewhere).unwrap_err().to_string();
+    assert!(said.contains("not connected") && said.contains("3 are needed"), "{said}");
+    let mut tilted = elsewhere.clone();
+    tilted.info.gravity_in_global = None;
+    let said = merge(&first, &tilted).unwrap_err().to_string();
+    assert!(said.contains("second map must have z up"), "{said}");
+    elsewhere.info.extractor = "other-1".to_owned();
+    let said = merge(&first, &elsewhere).unwrap_err().to_string();
+    assert!(said.contains("different extractors"), "{said}");
+}
