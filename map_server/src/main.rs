@@ -160,7 +160,7 @@ async fn serve() -> anyhow::Result<()> {
         }
         if let Some(show) = &show {
             for map in &arguments.maps {
-                show.update(&map.name, &server).await?;
+                show.update(&map.name, &server).await;
             }
         }
     };

@@ -44,12 +44,15 @@ impl Show {
     }
 
     /// Shows the version of a map that is served now.
-    pub async fn update(&self, name: &str, server: &MapServer) -> anyhow::Result<()> {
-        let Some(map) = server.served(name) else { return Ok(()) };
-        if self.viewer.version(name) != Some(map.info().version) {
-            self.viewer.set_map(view(name, &map).await?);
+    pub async fn update(&self, name: &str, server: &MapServer) {
+        let Some(map) = server.served(name) else { return };
+        if self.viewer.version(name) == Some(map.info().version) {
+            return;
         }
-        Ok(())
+        match view(name, &map).await {
+            Ok(view) => self.viewer.set_map(view),
+            Err(error) => tracing::error!(name, "the page still shows the previous version: {error:#}"),
+        }
     }
 
     /// Stops at once.

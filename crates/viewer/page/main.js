@@ -2,10 +2,10 @@
 import { Scene } from "./scene.js";
 import { MapLayer } from "./map_layer.js";
 import { Robot } from "./robot_layer.js";
-import { Panel } from "./panel.js";
+import { Panel, STALE_S, stateOf } from "./panel.js";
 import { followLive } from "./live.js";
 import { Replay } from "./replay.js";
-import { theme } from "./colors.js";
+import { STATES, theme } from "./colors.js";
 
 const byId = (id) => document.getElementById(id);
 const chosenTheme = localStorage.getItem("theme");
@@ -89,6 +89,7 @@ function onUpdate(update) {
   for (const published of update.robots) {
     const robot = robotOf(published.robot);
     const isNew = robot.received === undefined;
+    if (robot.published?.is_online === false && published.is_online) robot.restartOdometry();
     robot.published = published;
     robot.received = performance.now();
     const { pose, odometry, answer } = published;
@@ -196,6 +197,13 @@ function bind() {
   });
 }
 
+function describe(robot, elapsed_s) {
+  const { published } = robot;
+  panel.update(published, elapsed_s);
+  const sign = (STATES[stateOf(published)] ?? "").slice(0, 1);
+  robot.setState(sign, !published.pose || published.pose.age_s + elapsed_s > STALE_S);
+}
+
 let last = performance.now();
 let panelDue = 0;
 
@@ -207,7 +215,7 @@ function frame(now) {
   robots.forEach((robot) => robot.draw(now));
   if (now >= panelDue) {
     panelDue = now + 200;
-    robots.forEach((robot) => robot.published && panel.update(robot.published, (now - robot.received) / 1000));
+    for (const robot of robots.values()) if (robot.published) describe(robot, (now - robot.received) / 1000);
   }
   scene.render();
   requestAnimationFrame(frame);

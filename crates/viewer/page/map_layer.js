@@ -107,7 +107,8 @@ export class MapLayer {
 
   ellipsoids(keyframes) {
     const material = new THREE.MeshLambertMaterial({ transparent: true, opacity: 0.35, depthWrite: false });
-    const mesh = new THREE.InstancedMesh(new THREE.SphereGeometry(1, 16, 10), material, keyframes.length);
+    const ball = keyframes.length > 2000 ? new THREE.SphereGeometry(1, 8, 6) : new THREE.SphereGeometry(1, 16, 10);
+    const mesh = new THREE.InstancedMesh(ball, material, keyframes.length);
     keyframes.forEach((keyframe, at) => mesh.setMatrixAt(at, ellipsoid(keyframe.position_covariance, keyframe.position)));
     return mesh;
   }

@@ -1,7 +1,12 @@
 // The list of robots.
 import { robotColor, STATES } from "./colors.js";
 
-const STALE_S = 3;
+// Without a message for this long, a robot is silent, and its pose is old.
+export const STALE_S = 3;
+
+export function stateOf(robot) {
+  return robot.is_online ? robot.status?.state : "gone";
+}
 
 function line(parent, className) {
   const element = document.createElement(className.startsWith("name") || className === "number" ? "span" : "small");
@@ -48,7 +53,7 @@ export class Panel {
   update(robot, elapsed_s) {
     const { parts } = this.entries.get(robot.robot);
     const { status, pose, odometry, answer } = robot;
-    const state = robot.is_online ? status?.state : "gone";
+    const state = stateOf(robot);
     set(parts.state, STATES[state] ?? "no status yet");
     parts.state.className = `state ${state ?? "gone"}`;
     set(parts.reason, status?.reason ?? "");

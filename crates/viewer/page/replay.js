@@ -59,6 +59,7 @@ export class Replay {
     this.slider.value = (1000 * this.now) / this.chart.duration;
     document.getElementById("clock").textContent = `${this.now.toFixed(1)} of ${this.chart.duration.toFixed(1)} s`;
     if (this.run.global.length) this.robot.setPose(pointAt(this.run.global, this.now), false);
+    window.driftless.robots[this.run.name] = { position: this.robot.position };
     this.chart.draw(this.now);
   }
 

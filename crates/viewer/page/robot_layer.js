@@ -71,7 +71,7 @@ export class Robot {
     // A flat arrow along the x axis of the body.
     const shape = new THREE.Shape([[0.6, 0], [-0.4, 0.38], [-0.2, 0], [-0.4, -0.38]].map(([x, y]) => new THREE.Vector2(x, y)));
     const flat = new THREE.ExtrudeGeometry(shape, { depth: 0.12, bevelEnabled: false });
-    this.body = new THREE.Mesh(flat, new THREE.MeshLambertMaterial());
+    this.body = new THREE.Mesh(flat, new THREE.MeshLambertMaterial({ transparent: true }));
     this.body.visible = false;
     this.body.matrixAutoUpdate = false;
     const shell = new THREE.MeshLambertMaterial({ transparent: true, opacity: 0.3, depthWrite: false });
@@ -108,6 +108,19 @@ export class Robot {
     this.cloud.matrix.copy(ellipsoid(globalFromImu.position_covariance, globalFromImu.position));
     this.cloud.matrixWorldNeedsUpdate = true;
     if (isTrailed) this.trail.add(this.position);
+  }
+
+  // A sign of the state before the name; an old pose is pale.
+  setState(sign, isOld) {
+    this.label.textContent = `${sign} ${this.name}`;
+    this.label.classList.toggle("is-old", isOld);
+    this.body.material.opacity = isOld ? 0.4 : 1;
+  }
+
+  // A new process has another odometry frame.
+  restartOdometry() {
+    this.localAnchor = null;
+    this.odometry.set([]);
   }
 
   // The odometry in the map's frame, by the first transform that was known: what the map has corrected since, it lacks.

@@ -1,5 +1,7 @@
 //! A recorded run as the page draws it.
 
+use crate::viewed_map::{position_covariance, rotation_wxyz};
+use geometry::PoseWithCovariance;
 use serde::Serialize;
 
 /// The tracks of a run.
@@ -23,6 +25,7 @@ pub struct RunTracks {
 
 /// A pose of a track.
 #[derive(Clone, Debug, Serialize)]
+#[non_exhaustive]
 pub struct TrackPoint {
     /// Seconds since the start of the run.
     pub t: f64,
@@ -32,6 +35,23 @@ pub struct TrackPoint {
     pub rotation_wxyz: [f64; 4],
     /// Covariance of the position, m^2, by rows; of the ground truth zero.
     pub position_covariance: [[f64; 3]; 3],
-    /// Error of the position, metres; not finite (null) where the truth is not known.
+    /// Error of the position, metres; `None` where the truth is not known.
     pub error_m: Option<[f64; 3]>,
+}
+
+impl TrackPoint {
+    /// A pose at a time.
+    ///
+    /// # Arguments
+    /// * `t`: seconds since the start of the run.
+    /// * `error_m`: error of the position, metres, where the truth is known.
+    pub fn new(t: f64, pose: &PoseWithCovariance, error_m: Option<[f64; 3]>) -> Self {
+        Self {
+            t,
+            position: pose.pose.translation.into(),
+            rotation_wxyz: rotation_wxyz(pose),
+            position_covariance: position_covariance(pose),
+            error_m,
+        }
+    }
 }

@@ -11,7 +11,7 @@ use std::sync::Arc;
 use testing::{Place, PlaceOptions};
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio::net::TcpStream;
-use viewer::{RobotFollower, ViewedMap, Viewer, ViewerServer, follow_robots};
+use viewer::{RobotFollower, RunTracks, ViewedMap, Viewer, ViewerServer, follow_robots};
 use zenoh::Session;
 
 pub struct Shown {
@@ -24,9 +24,13 @@ pub struct Shown {
 
 impl Shown {
     pub async fn start() -> Self {
+        Self::start_with(None).await
+    }
+
+    pub async fn start_with(run: Option<RunTracks>) -> Self {
         let mut place = Place::new(&PlaceOptions::default());
         place.map.info.version = 3;
-        let viewer = Viewer::new();
+        let viewer = Viewer::with_run(run);
         viewer.set_map(ViewedMap::of_contents("place", &place.map));
         let session = open_session(&SessionOptions::default()).await.unwrap();
         let robots = follow_robots(&viewer, &session).await.unwrap();
