@@ -1,7 +1,7 @@
 // Error of the position and 3 sigma over the time of a run.
 import { robotColor, styleColor } from "./colors.js";
 
-const MARGIN = { left: 52, right: 12, top: 8, bottom: 20 };
+const MARGIN = { left: 52, right: 12, top: 20, bottom: 20 };
 
 function niceStep(span, count) {
   const raw = span / count;
@@ -83,6 +83,6 @@ export class Chart {
     context.textAlign = "left";
     const hasError = this.points.some((point) => point.error_m);
     const what = hasError ? "line: error of the position; area: 3σ" : "area: 3σ of the position (the run names no ground truth)";
-    context.fillText(`${what}; ticks below: queries used (upper), not used (lower)`, MARGIN.left + 8, MARGIN.top + 10);
+    context.fillText(`${what}; ticks below: queries used (upper), not used (lower)`, MARGIN.left, 11);
   }
 }

@@ -4,8 +4,14 @@ import { OrbitControls } from "./vendor/OrbitControls.js";
 import { styleColor } from "./colors.js";
 
 const UP = new THREE.Vector3(0, 1, 0);
-// Of the width, what the legend and the list of robots leave.
-const PART_BETWEEN_PANELS = 0.58;
+// The part of the page, pixels, that the legend, the list of robots and the chart leave; all of it where that is little.
+function freeArea(width, height) {
+  const visible = (id) => document.getElementById(id).getBoundingClientRect();
+  const [legend, robots, replay] = [visible("legend"), visible("robots"), visible("replay")];
+  let [left, right] = [legend.right, robots.width ? robots.left : width];
+  if (right - left < 0.4 * width) [left, right] = [0, width];
+  return { left, right, top: 0, bottom: replay.height ? replay.top : height };
+}
 
 // The horizontal direction in which points spread the most.
 function longestHorizontal(points, centre) {
@@ -47,9 +53,13 @@ export class Scene {
   }
 
   resize() {
-    this.renderer.setSize(window.innerWidth, window.innerHeight, false);
-    this.camera.aspect = window.innerWidth / window.innerHeight;
-    this.camera.updateProjectionMatrix();
+    const [width, height] = [window.innerWidth, window.innerHeight];
+    this.renderer.setSize(width, height, false);
+    this.camera.aspect = width / height;
+    // What panels leave is the middle of the picture.
+    this.free = freeArea(width, height);
+    const { left, right, top, bottom } = this.free;
+    this.camera.setViewOffset(width, height, (width - left - right) / 2, (height - top - bottom) / 2, width, height);
   }
 
   applyTheme() {
@@ -94,6 +104,7 @@ export class Scene {
 
   // Looks at all points from a direction: how far upwards, sideways of the longest way and back along it.
   look(upwards, sideways, back) {
+    this.resize();
     const side = new THREE.Vector3().crossVectors(this.along, UP);
     const direction = UP.clone().multiplyScalar(upwards).addScaledVector(side, sideways).addScaledVector(this.along, -back);
     direction.normalize();
@@ -101,14 +112,16 @@ export class Scene {
     const above = new THREE.Vector3().crossVectors(direction, right);
     const centre = this.box.getCenter(new THREE.Vector3());
     const half = Math.tan((this.camera.fov * Math.PI) / 360);
-    const wide = half * this.camera.aspect * (window.innerWidth > 900 ? PART_BETWEEN_PANELS : 0.9);
+    const { left, right: end, top, bottom } = this.free;
+    const wide = (0.92 * half * (end - left)) / window.innerHeight;
+    const high = (0.8 * half * (bottom - top)) / window.innerHeight;
     let distance = 2;
     for (const point of this.points) {
       const offset = point.clone().sub(centre);
-      const needed = Math.max(Math.abs(offset.dot(right)) / wide, Math.abs(offset.dot(above)) / (0.85 * half));
+      const needed = Math.max(Math.abs(offset.dot(right)) / wide, Math.abs(offset.dot(above)) / high);
       distance = Math.max(distance, needed + offset.dot(direction));
     }
-    this.camera.position.copy(centre).addScaledVector(direction, distance * 1.05);
+    this.camera.position.copy(centre).addScaledVector(direction, distance);
     this.controls.target.copy(centre);
     this.controls.update();
   }
