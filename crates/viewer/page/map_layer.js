@@ -83,7 +83,9 @@ export class MapLayer {
     const geometry = new THREE.BufferGeometry();
     geometry.setAttribute("position", new THREE.BufferAttribute(positions, 3));
     geometry.setAttribute("color", new THREE.BufferAttribute(colors, 3));
-    const material = new THREE.PointsMaterial({ size: 2.5, sizeAttenuation: false, vertexColors: true });
+    const material = new THREE.PointsMaterial({
+      size: 2.2, sizeAttenuation: false, vertexColors: true, transparent: true, opacity: 0.75, depthWrite: false,
+    });
     return new THREE.Points(geometry, material);
   }
 
