@@ -17,7 +17,7 @@ use tokio::time::{Instant, Sleep, sleep};
 pub const MAX_CONNECTIONS: usize = 128;
 
 /// A connection on which nothing was received or sent for this long is closed. Viewers answer pings more often.
-const IDLE: Duration = Duration::from_secs(60);
+const IDLE: Duration = Duration::from_mins(1);
 
 /// Accepts at most [`MAX_CONNECTIONS`] connections.
 pub(crate) struct LimitedListener {
@@ -38,13 +38,11 @@ impl Listener for LimitedListener {
     async fn accept(&mut self) -> (LimitedConnection, SocketAddr) {
         loop {
             let (stream, address) = Listener::accept(&mut self.listener).await;
-            match Arc::clone(&self.free).try_acquire_owned() {
-                Ok(permit) => {
-                    let idle = Box::pin(sleep(IDLE));
-                    return (LimitedConnection { stream, idle, _permit: permit }, address);
-                }
-                Err(_) => tracing::debug!(%address, "closed: {MAX_CONNECTIONS} connections are open"),
+            if let Ok(permit) = Arc::clone(&self.free).try_acquire_owned() {
+                let idle = Box::pin(sleep(IDLE));
+                return (LimitedConnection { stream, idle, _permit: permit }, address);
             }
+            tracing::debug!(%address, "closed: {MAX_CONNECTIONS} connections are open");
         }
     }
 

@@ -137,7 +137,7 @@ async fn a_viewer_that_says_much_is_disconnected_and_one_that_does_not_read_stop
     let _ = loud.send(Message::Binary(vec![0; 8 << 20].into())).await;
     let ended = async {
         while let Some(Ok(message)) = loud.next().await {
-            drop(message)
+            drop(message);
         }
     };
     timeout(PATIENCE, ended).await.expect("disconnected");

@@ -17,8 +17,8 @@ pub struct Answer {
 
 /// A message of a robot.
 pub(super) enum Published {
-    Pose(RobotPose),
-    Odometry(RobotOdometry),
+    Pose(Box<RobotPose>),
+    Odometry(Box<RobotOdometry>),
     Status(RobotStatus),
 }
 
@@ -116,6 +116,7 @@ impl ViewedRobot {
         self.is_online = true;
         match published {
             Published::Pose(pose) => {
+                let pose = *pose;
                 self.pose = Some(Dated::now(ViewedGlobal {
                     stamp_ns: pose.stamp_ns,
                     global_from_imu: ViewedPose::of(&pose.global_from_imu),

@@ -42,8 +42,8 @@ fn note_sample(viewer: &Viewer, topic: &str, sample: &Sample) {
         return;
     }
     let published = match topic {
-        "pose" => decode(sample).map(Published::Pose),
-        "odometry" => decode(sample).map(Published::Odometry),
+        "pose" => decode(sample).map(|pose| Published::Pose(Box::new(pose))),
+        "odometry" => decode(sample).map(|odometry| Published::Odometry(Box::new(odometry))),
         _ => decode(sample).map(Published::Status),
     };
     match published {
