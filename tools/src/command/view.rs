@@ -37,7 +37,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let is_run = args.path.join("states.csv").exists();
     ensure!(is_run || args.map.is_none(), "--map is for a run; {} has no states.csv", args.path.display());
     let database = if is_run { args.map.as_ref() } else { Some(&args.path) };
-    let contents = database.map(|path| store::load_map(path)).transpose()?.map(|stored| stored.contents);
+    let contents = database.map(store::load_map).transpose()?.map(|stored| stored.contents);
     let gravity = contents.as_ref().and_then(|contents| contents.info.gravity_in_global);
     let viewer = if is_run {
         let run = RunFiles::read(&args.path, args.groundtruth.as_deref(), None)
