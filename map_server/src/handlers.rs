@@ -9,6 +9,7 @@ use zenoh::Wait;
 use zenoh::bytes::Encoding;
 use zenoh::query::Query;
 
+use crate::answers::AnswerSender;
 use crate::served_map::MapSlot;
 use recognition::{LoadedMap, QueryError, RecognitionOptions};
 
@@ -75,6 +76,7 @@ pub(crate) fn answer(
     map: &LoadedMap,
     sent: usize,
     options: &RecognitionOptions,
+    answers: &AnswerSender,
 ) -> Result<Progress, ErrorReply> {
     let format = reply_format(query).map_err(|error| ErrorReply::from(&error))?;
     let key = || kind.key(name).map_err(|error| internal(&error));
@@ -86,6 +88,7 @@ pub(crate) fn answer(
             for reply in &replies {
                 send(query, &key, format, reply)?;
             }
+            answers.note(query, name, &replies);
         }
         Kind::Localize => {
             let request: LocalizeRequest = decode(query)?;

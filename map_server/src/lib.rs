@@ -19,6 +19,7 @@
 //! | [`served_map`] | [`ServedMap`]: a map and its name |
 //! | `queue`, `fair_queue` | queries between the network and the workers: bounded, counted, fair to clients |
 //! | `handlers` | decodes a query, answers it, encodes the reply |
+//! | `answers` | tells of what matched |
 //! | `change` | differences between two versions of a map |
 //!
 //! # Requirements on clients
@@ -38,6 +39,7 @@
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
+mod answers;
 mod change;
 pub mod error;
 mod fair_queue;
@@ -48,6 +50,7 @@ mod queue;
 pub mod served_map;
 pub mod server;
 
+pub use answers::MatchAnswer;
 pub use error::ServeError;
 pub use metrics::ServerStatistics;
 pub use options::ServerOptions;

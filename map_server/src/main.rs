@@ -1,6 +1,7 @@
 //! `map_server`: serves maps over Zenoh.
 
 mod databases;
+mod show;
 mod status_line;
 
 use std::net::SocketAddr;
@@ -12,8 +13,9 @@ use client::session::{Member, Role};
 use client::{SessionArguments, close_session, open_session, without_secrets};
 use databases::MapArgument;
 use map_server::{MapServer, ServerOptions};
-use monitoring::{Health, LogFormat, MonitoringServer, start_log};
+use monitoring::{Health, LogFormat, MonitoringServer, monitoring_routes, start_log};
 use prometheus_client::registry::Registry;
+use show::Show;
 use status_line::StatusLine;
 use tracing_subscriber::EnvFilter;
 
@@ -27,6 +29,9 @@ Examples:
 
   Connect to a Zenoh router instead of listening:
     map_server --map hall=maps/hall.db --connect tcp/10.0.0.1:7447
+
+  Show the map and the robots in the browser:
+    map_server --map hall=maps/hall.db --http 127.0.0.1:8080
 
   Then, in another shell:
     driftless query --map hall --features frame.csv        one image against the map
@@ -76,6 +81,11 @@ struct Arguments {
     /// 127.0.0.1:9464. It knows no users: use an address that only operators reach.
     #[arg(long, value_name = "ADDRESS:PORT")]
     monitoring: Option<SocketAddr>,
+
+    /// Address of an HTTP server of the live map in the browser (/), for example 127.0.0.1:8080, with metrics and health
+    /// beside it. It knows no users: an address other than loopback shows the map and all robots to everybody who reaches it.
+    #[arg(long, value_name = "ADDRESS:PORT")]
+    http: Option<SocketAddr>,
 }
 
 #[tokio::main]
@@ -123,6 +133,14 @@ async fn serve() -> anyhow::Result<()> {
         Some(address) => Some(start_monitoring(address, &server).await?),
         None => None,
     };
+    let show = match arguments.http {
+        Some(address) => {
+            let names = arguments.maps.iter().map(|map| map.name.as_str());
+            let beside = monitoring_routes(registry_of(&server), serving);
+            Some(Show::start(address, &session, &server, names, beside).await?)
+        }
+        None => None,
+    };
     tracing::info!("ready; Ctrl-C stops");
 
     let mut status_line = StatusLine::new();
@@ -140,8 +158,16 @@ async fn serve() -> anyhow::Result<()> {
             signal = &mut stopped => break signal,
             () = databases::reload(&server, &arguments.maps) => {}
         }
+        if let Some(show) = &show {
+            for map in &arguments.maps {
+                show.update(&map.name, &server).await;
+            }
+        }
     };
     tracing::info!("{signal}: stopping");
+    if let Some(show) = show {
+        show.stop().await;
+    }
     if let Some(monitoring) = monitoring {
         monitoring.stop().await;
     }
@@ -150,12 +176,21 @@ async fn serve() -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Serves the metrics of a server; it is well as long as it serves.
+/// Serves the metrics of a server.
 async fn start_monitoring(address: SocketAddr, server: &MapServer) -> anyhow::Result<MonitoringServer> {
+    let started = MonitoringServer::start(address, registry_of(server), serving).await;
+    started.context("--monitoring")
+}
+
+fn registry_of(server: &MapServer) -> Registry {
     let mut registry = Registry::with_prefix("driftless");
     server.register_metrics(&mut registry);
-    let started = MonitoringServer::start(address, registry, || Health::well("serving")).await;
-    started.context("--monitoring")
+    registry
+}
+
+/// A server is well as long as it serves.
+fn serving() -> Health {
+    Health::well("serving")
 }
 
 /// The signal that requests a reload of the databases.

@@ -19,6 +19,7 @@ use tokio::sync::Notify;
 use tokio::task::JoinHandle;
 use zenoh::query::Query;
 
+use crate::answers::AnswerSender;
 use crate::fair_queue::FairQueue;
 use crate::handlers::{self, Kind, Progress};
 use crate::metrics::ServerMetrics;
@@ -120,19 +121,20 @@ pub(crate) fn start_workers(
     queue: &Arc<Queue>,
     count: usize,
     options: &RecognitionOptions,
+    answers: &AnswerSender,
 ) -> Vec<JoinHandle<()>> {
     let options = Arc::new(options.clone());
-    let worker = |_| tokio::spawn(work(Arc::clone(queue), Arc::clone(&options)));
+    let worker = |_| tokio::spawn(work(Arc::clone(queue), Arc::clone(&options), answers.clone()));
     (0..count.max(1)).map(worker).collect()
 }
 
-async fn work(queue: Arc<Queue>, options: Arc<RecognitionOptions>) {
+async fn work(queue: Arc<Queue>, options: Arc<RecognitionOptions>, answers: AnswerSender) {
     while let Some(Job { query, kind, map, received, begun }) = queue.take().await {
         let (loaded, sent) = begun.unwrap_or_else(|| (map.current(), 0));
         let (asked, slot, options) = (query.clone(), Arc::clone(&map), Arc::clone(&options));
-        let version = Arc::clone(&loaded);
-        let answered =
-            catch_panic(move || handlers::answer(&asked, kind, &slot.name, &version, sent, &options)).await;
+        let (version, answers) = (Arc::clone(&loaded), answers.clone());
+        let job = move || handlers::answer(&asked, kind, &slot.name, &version, sent, &options, &answers);
+        let answered = catch_panic(job).await;
         let duration = received.elapsed();
         let note_done = |is_answered| queue.metrics.note_done(&map.name, kind, duration, is_answered);
         let failure = match answered {

@@ -7,6 +7,7 @@ use std::time::Duration;
 use prometheus_client::registry::Registry;
 use protocol::{Format, StatedChange, Validate as _, keys};
 use recognition::LoadedMap;
+use tokio::sync::broadcast::Receiver;
 use tokio::task::JoinHandle;
 use zenoh::Session;
 use zenoh::bytes::Encoding;
@@ -14,6 +15,7 @@ use zenoh::liveliness::LivelinessToken;
 use zenoh::qos::CongestionControl;
 use zenoh::query::{Query, Queryable};
 
+use crate::answers::{AnswerSender, MatchAnswer};
 use crate::change;
 use crate::error::ServeError;
 use crate::handlers::{self, Kind};
@@ -63,6 +65,7 @@ pub struct MapServer {
     queryables: Vec<Queryable<()>>,
     queue: Arc<Queue>,
     metrics: Arc<ServerMetrics>,
+    answers: AnswerSender,
     workers: Vec<JoinHandle<()>>,
 }
 
@@ -95,7 +98,8 @@ impl MapServer {
             metrics.note_map(&map.name, &map.current());
         }
         let queue = Queue::new(options.queue_length, options.queue_bytes, Arc::clone(&metrics));
-        let workers = queue::start_workers(&queue, options.workers, &options.recognition);
+        let answers = AnswerSender::new();
+        let workers = queue::start_workers(&queue, options.workers, &options.recognition, &answers);
         let mut queryables = Vec::new();
         for map in maps.values() {
             for kind in Kind::ALL {
@@ -114,12 +118,17 @@ impl MapServer {
         }
         let token = session.liveliness().declare_token(token_key).await?;
         tracing::info!(server, maps = ?maps.keys().collect::<Vec<_>>(), "serving");
-        Ok(MapServer { session, maps, token, queryables, queue, metrics, workers })
+        Ok(MapServer { session, maps, token, queryables, queue, metrics, answers, workers })
     }
 
     /// The map that is being served under a name; `None` for one that this server does not have.
     pub fn served(&self, name: &str) -> Option<Arc<LoadedMap>> {
         self.maps.get(name).map(|served| served.current())
+    }
+
+    /// The answers to match queries from now on. A receiver that is too slow misses the oldest.
+    pub fn answers(&self) -> Receiver<MatchAnswer> {
+        self.answers.subscribe()
     }
 
     /// Counters since the start.

@@ -155,6 +155,50 @@ async fn it_serves_below_its_namespace_and_stops_on_sigterm() {
     client.close().await.unwrap();
 }
 
+/// The response to a GET.
+fn get(address: &str, path: &str) -> String {
+    use std::io::{Read as _, Write as _};
+    let mut stream = std::net::TcpStream::connect(address).unwrap();
+    write!(stream, "GET {path} HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n").unwrap();
+    let mut text = String::new();
+    stream.read_to_string(&mut text).unwrap();
+    text
+}
+
+#[test]
+fn the_page_shows_the_version_that_is_served_with_metrics_beside_it() {
+    let directory = tempfile::tempdir().unwrap();
+    let (path, log) = (directory.path().join("hall.db"), directory.path().join("log"));
+    stored_map(&path);
+    let map = format!("hall={}", path.display());
+    let stderr = Stdio::from(std::fs::File::create(&log).unwrap());
+    let arguments = ["--map", &map, "--listen", "tcp/127.0.0.1:0", "--http", "127.0.0.1:0"];
+    let mut server = Running(program().args(arguments).stderr(stderr).spawn().unwrap());
+    let read = || std::fs::read_to_string(&log).unwrap();
+    while !read().contains("ready") {
+        assert!(server.0.try_wait().unwrap().is_none(), "{}", read());
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    let text = read();
+    let (_, rest) = text.split_once("shown on http://").unwrap();
+    let address = rest.split_whitespace().next().unwrap();
+    assert!(get(address, "/").contains("<title>Driftless</title>"));
+    assert!(get(address, "/api/maps").contains(r#""name":"hall""#));
+    assert!(get(address, "/api/maps").contains(r#""version":1"#));
+    assert!(get(address, "/metrics").contains("driftless_map_server"));
+    assert!(get(address, "/health").starts_with("HTTP/1.1 200"));
+
+    let contents = store::load_map(&path).unwrap().whole().unwrap();
+    store::save_map(&path, &contents, true).unwrap();
+    signal(&server, "-HUP");
+    while !get(address, "/api/maps").contains(r#""version":2"#) {
+        assert!(server.0.try_wait().unwrap().is_none(), "{}", read());
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    signal(&server, "-TERM");
+    assert!(server.0.wait().unwrap().success());
+}
+
 /// Sends a signal to the program.
 fn signal(server: &Running, name: &str) {
     let process = server.0.id().to_string();

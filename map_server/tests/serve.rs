@@ -163,6 +163,22 @@ async fn a_match_has_one_keyframe_a_reply_and_ends_with_the_status() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn whoever_shows_answers_is_told_what_matched_for_whom() {
+    let scene = Scene::new().await;
+    let mut answers = scene.server.answers();
+    let replies: Vec<MatchReply> =
+        ask_bincode(&scene.client, "map/hall/match?client=r7", &scene.request(1, 3)).await;
+    let sent = replies.iter().filter_map(|reply| match reply {
+        MatchReply::Keyframe(matched) => Some(matched.keyframe.id),
+        MatchReply::Done(_) => None,
+    });
+    let answer = answers.recv().await.unwrap();
+    assert_eq!((answer.client.as_str(), answer.map.as_str()), ("r7", "hall"));
+    assert_eq!(answer.keyframes, sent.collect::<Vec<_>>());
+    scene.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn an_image_is_localized_in_bincode_and_in_json_alike() {
     let scene = Scene::new().await;
     let request = localize_request(scene.request(2, 1));

@@ -13,5 +13,6 @@ pub mod odometry;
 pub mod playback;
 pub mod plotting;
 pub mod query_image;
+pub mod run_tracks;
 pub mod server_query;
 pub mod stage_bar;

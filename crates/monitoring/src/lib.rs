@@ -34,4 +34,4 @@ mod server;
 
 pub use health::Health;
 pub use log::{LogFormat, LogFormatError, start_log};
-pub use server::{MonitoringError, MonitoringServer};
+pub use server::{MonitoringError, MonitoringServer, monitoring_routes};

@@ -60,11 +60,7 @@ impl MonitoringServer {
         let cannot_bind = |source| MonitoringError::Bind { address, source };
         let listener = TcpListener::bind(address).await.map_err(cannot_bind)?;
         let address = listener.local_addr().map_err(cannot_bind)?;
-        let monitored = Arc::new(Monitored { registry, health: Box::new(health) });
-        let router = Router::new()
-            .route("/metrics", get(metrics))
-            .route("/health", get(health_of))
-            .with_state(monitored);
+        let router = monitoring_routes(registry, health);
         let task = tokio::spawn(async move {
             if let Err(error) = axum::serve(listener, router).await {
                 tracing::error!(%error, "metrics and health are not served any more");
@@ -85,6 +81,15 @@ impl MonitoringServer {
         // Cancelled, as asked for.
         let _ = self.task.await;
     }
+}
+
+/// `/metrics` and `/health`, for a program that has an HTTP server of its own.
+///
+/// # Arguments
+/// * `health`: called for each request of `/health`; must not block.
+pub fn monitoring_routes(registry: Registry, health: impl Fn() -> Health + Send + Sync + 'static) -> Router {
+    let monitored = Arc::new(Monitored { registry, health: Box::new(health) });
+    Router::new().route("/metrics", get(metrics)).route("/health", get(health_of)).with_state(monitored)
 }
 
 async fn metrics(State(monitored): State<Arc<Monitored>>) -> impl IntoResponse {

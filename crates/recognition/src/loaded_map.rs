@@ -168,6 +168,14 @@ impl LoadedMap {
         self.landmarks.len()
     }
 
+    /// Positions of all landmarks in G (m), by id.
+    pub fn landmark_positions(&self) -> impl Iterator<Item = Vector3<f64>> {
+        let landmarks = self.landmarks.anchors.iter().zip(&self.landmarks.positions_in_anchor);
+        landmarks.map(|(&anchor, position)| {
+            self.keyframes[anchor as usize].global_from_keyframe.pose.transform(position)
+        })
+    }
+
     /// Number of records that were damaged and left out on loading.
     pub fn damaged_records(&self) -> usize {
         self.damaged

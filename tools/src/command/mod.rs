@@ -29,6 +29,7 @@ pub mod query;
 pub mod run;
 pub mod simulate;
 pub mod track;
+pub mod view;
 #[cfg(feature = "neural")]
 pub mod weights;
 #[cfg(not(feature = "neural"))]
@@ -84,6 +85,8 @@ pub enum Command {
     Montecarlo(montecarlo::Args),
     /// Draw the plots of a run
     Plot(plot::Args),
+    /// Show a map or a run in the browser
+    View(view::Args),
     /// Secure a fleet: certificates and access control for servers, robots and operators
     Fleet(fleet::Args),
     /// Install the weights of feature networks, or list the installed ones
@@ -121,6 +124,7 @@ impl Command {
             Self::Evaluate(args) => evaluate::run(&args),
             Self::Montecarlo(args) => montecarlo::run(&args),
             Self::Plot(args) => plot::run(&args),
+            Self::View(args) => view::run(&args),
             Self::Fleet(args) => fleet::run(args),
             Self::Weights(args) => weights::run(args),
         }

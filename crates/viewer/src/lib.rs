@@ -1,0 +1,53 @@
+//! The live map in the browser: what `map_server --http` and `driftless view` serve.
+//!
+//! The page, its scripts and three.js are part of the program, so that it works where there is no internet, and asks no
+//! other host for anything. Whoever serves it gives a [`Viewer`] the maps, and follows robots with [`follow_robots`].
+//!
+//! | path | answer |
+//! |---|---|
+//! | `/` and the names of [`assets`] | the page |
+//! | `/api/maps` | the maps: name, identity, version, counts, extent, direction of gravity |
+//! | `/api/maps/{map}/keyframes` | poses with the covariance of the position, metres, in the map's frame G |
+//! | `/api/maps/{map}/landmarks?limit=N` | positions in G as little-endian `f32` triples, metres; an even sample of N |
+//! | `/api/run` | the tracks of a recorded run, or 404 |
+//! | `/api/live` | WebSocket: robots as they publish, at most 20 times a second |
+//!
+//! Only GET is answered. Requests with the name of another host are refused, and WebSockets of pages of other origins,
+//! connections are limited in number ([`MAX_CONNECTIONS`], [`MAX_VIEWERS`]) and in time without progress.
+//!
+//! # Example
+//! ```
+//! use map::{MapContents, MapMetadata};
+//! use protocol::DescriptorKind;
+//! use viewer::{ViewedMap, Viewer, ViewerServer};
+//!
+//! # #[tokio::main(flavor = "current_thread")]
+//! # async fn main() -> Result<(), viewer::ViewerError> {
+//! let contents = MapContents::empty(MapMetadata::new("hall", "example", DescriptorKind::Binary, 32));
+//! let viewer = Viewer::new();
+//! viewer.set_map(ViewedMap::of_contents("hall", &contents));
+//! let server = ViewerServer::start(([127, 0, 0, 1], 0).into(), viewer).await?;
+//! println!("http://{}", server.address());
+//! server.stop().await;
+//! # Ok(())
+//! # }
+//! ```
+#![cfg_attr(test, allow(clippy::unwrap_used))]
+
+mod access;
+mod api;
+pub mod assets;
+mod error;
+mod listener;
+mod live;
+pub mod run;
+mod server;
+mod viewed_map;
+
+pub use api::MAX_LANDMARKS;
+pub use error::ViewerError;
+pub use listener::MAX_CONNECTIONS;
+pub use live::{Answer, MAX_VIEWERS, RobotFollower, follow_robots};
+pub use run::{RunTracks, TrackPoint};
+pub use server::{Viewer, ViewerServer};
+pub use viewed_map::{ViewedKeyframe, ViewedMap};

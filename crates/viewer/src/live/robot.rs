@@ -1,0 +1,163 @@
+//! The latest of what a robot published.
+
+use crate::viewed_map::{position_covariance, rotation_wxyz};
+use geometry::PoseWithCovariance;
+use protocol::{KeyframeId, RobotOdometry, RobotPose, RobotState, RobotStatus};
+use serde::Serialize;
+use std::time::Instant;
+
+/// The answer to a query of a robot.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Answer {
+    /// The map that was asked.
+    pub map: String,
+    /// The keyframes that matched; none for an image that was not recognized.
+    pub keyframes: Vec<KeyframeId>,
+}
+
+/// A message of a robot.
+pub(super) enum Published {
+    Pose(Box<RobotPose>),
+    Odometry(Box<RobotOdometry>),
+    Status(RobotStatus),
+}
+
+/// A pose as the page draws it.
+#[derive(Serialize)]
+struct ViewedPose {
+    position: [f64; 3],
+    rotation_wxyz: [f64; 4],
+    /// m^2, by rows.
+    position_covariance: [[f64; 3]; 3],
+    sigma_theta_rad: f64,
+}
+
+impl ViewedPose {
+    fn of(pose: &PoseWithCovariance) -> Self {
+        Self {
+            position: pose.pose.translation.into(),
+            rotation_wxyz: rotation_wxyz(pose),
+            position_covariance: position_covariance(pose),
+            sigma_theta_rad: pose.sigma_theta_rad(),
+        }
+    }
+}
+
+/// The pose in the map.
+#[derive(Serialize)]
+struct ViewedGlobal {
+    stamp_ns: i64,
+    map: String,
+    map_version: u64,
+    global_from_imu: ViewedPose,
+    global_from_local: ViewedPose,
+}
+
+/// The odometry.
+#[derive(Serialize)]
+struct ViewedOdometry {
+    stamp_ns: i64,
+    local_from_imu: ViewedPose,
+    speed_mps: f64,
+}
+
+/// The status.
+#[derive(Serialize)]
+struct ViewedStatus {
+    state: RobotState,
+    reason: String,
+    map: Option<String>,
+    keyframes_held: u32,
+    queries_sent: u64,
+    queries_answered: u64,
+    last_map_update_age_s: Option<f64>,
+}
+
+/// Something, when it was received, and how long ago that is.
+#[derive(Serialize)]
+struct Dated<T> {
+    #[serde(flatten)]
+    value: T,
+    age_s: f64,
+    #[serde(skip)]
+    received: Instant,
+}
+
+impl<T> Dated<T> {
+    fn now(value: T) -> Self {
+        Self { value, age_s: 0.0, received: Instant::now() }
+    }
+
+    fn set_age(&mut self) {
+        self.age_s = self.received.elapsed().as_secs_f64();
+    }
+}
+
+/// The latest of what a robot published.
+#[derive(Serialize)]
+pub(super) struct ViewedRobot {
+    robot: String,
+    pub(super) is_online: bool,
+    pose: Option<Dated<ViewedGlobal>>,
+    odometry: Option<Dated<ViewedOdometry>>,
+    status: Option<Dated<ViewedStatus>>,
+    answer: Option<Dated<Answer>>,
+    /// Counts the answers, so that a page sees each new one.
+    answers: u64,
+}
+
+impl ViewedRobot {
+    pub(super) fn new(name: &str) -> Self {
+        let robot = name.to_owned();
+        Self { robot, is_online: true, pose: None, odometry: None, status: None, answer: None, answers: 0 }
+    }
+
+    pub(super) fn note(&mut self, published: Published) {
+        self.is_online = true;
+        match published {
+            Published::Pose(pose) => {
+                let pose = *pose;
+                self.pose = Some(Dated::now(ViewedGlobal {
+                    stamp_ns: pose.stamp_ns,
+                    global_from_imu: ViewedPose::of(&pose.global_from_imu),
+                    global_from_local: ViewedPose::of(&pose.global_from_local),
+                    map: pose.map,
+                    map_version: pose.map_version,
+                }));
+            }
+            Published::Odometry(odometry) => {
+                let [x, y, z] = odometry.velocity_in_local;
+                self.odometry = Some(Dated::now(ViewedOdometry {
+                    stamp_ns: odometry.stamp_ns,
+                    local_from_imu: ViewedPose::of(&odometry.local_from_imu),
+                    speed_mps: x.hypot(y).hypot(z),
+                }));
+            }
+            Published::Status(status) => {
+                let age = |last_ns: i64| status.stamp_ns.saturating_sub(last_ns) as f64 * 1e-9;
+                self.status = Some(Dated::now(ViewedStatus {
+                    state: status.state,
+                    last_map_update_age_s: status.last_map_update_ns.map(age),
+                    reason: status.reason,
+                    map: status.map,
+                    keyframes_held: status.keyframes_held,
+                    queries_sent: status.queries_sent,
+                    queries_answered: status.queries_answered,
+                }));
+            }
+        }
+    }
+
+    pub(super) fn note_answer(&mut self, answer: Answer) {
+        self.answer = Some(Dated::now(answer));
+        self.answers += 1;
+    }
+
+    /// States how old everything is at this moment.
+    pub(super) fn set_ages(&mut self) {
+        self.pose.iter_mut().for_each(Dated::set_age);
+        self.odometry.iter_mut().for_each(Dated::set_age);
+        self.status.iter_mut().for_each(Dated::set_age);
+        self.answer.iter_mut().for_each(Dated::set_age);
+    }
+}

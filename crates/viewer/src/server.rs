@@ -1,0 +1,128 @@
+//! What is shown, and the HTTP server that shows it.
+
+use crate::api;
+use crate::error::ViewerError;
+use crate::listener::LimitedListener;
+use crate::live::{Answer, Live};
+use crate::run::RunTracks;
+use crate::viewed_map::ViewedMap;
+use axum::Router;
+use std::collections::BTreeMap;
+use std::net::SocketAddr;
+use std::sync::{Arc, PoisonError, RwLock};
+use tokio::net::TcpListener;
+use tokio::task::JoinHandle;
+
+/// What is shown: maps, robots, a run.
+pub struct Viewer {
+    maps: RwLock<BTreeMap<String, Arc<ViewedMap>>>,
+    run: Option<RunTracks>,
+    pub(crate) live: Live,
+}
+
+impl Viewer {
+    /// Nothing yet.
+    pub fn new() -> Arc<Self> {
+        Self::with_run(None)
+    }
+
+    /// A recorded run, if there is one.
+    pub fn with_run(run: Option<RunTracks>) -> Arc<Self> {
+        Arc::new(Self { maps: RwLock::default(), run, live: Live::default() })
+    }
+
+    /// Shows a map, in place of the one of the same name; open pages load it again.
+    pub fn set_map(&self, map: ViewedMap) {
+        let (name, version) = (map.name().to_owned(), map.version());
+        self.maps.write().unwrap_or_else(PoisonError::into_inner).insert(name.clone(), Arc::new(map));
+        self.live.note_map(&name, version);
+    }
+
+    /// The version of a map that is shown.
+    pub fn version(&self, name: &str) -> Option<u64> {
+        self.map(name).map(|map| map.version())
+    }
+
+    /// Shows the answer to a query of a robot.
+    ///
+    /// # Arguments
+    /// * `client`: who asked, by the id of its Zenoh session; one that is no followed robot's is ignored.
+    pub fn note_answer(&self, client: &str, answer: Answer) {
+        self.live.note_answer(client, answer);
+    }
+
+    pub(crate) fn maps(&self) -> Vec<Arc<ViewedMap>> {
+        self.maps.read().unwrap_or_else(PoisonError::into_inner).values().cloned().collect()
+    }
+
+    pub(crate) fn map(&self, name: &str) -> Option<Arc<ViewedMap>> {
+        self.maps.read().unwrap_or_else(PoisonError::into_inner).get(name).cloned()
+    }
+
+    pub(crate) fn run(&self) -> Option<&RunTracks> {
+        self.run.as_ref()
+    }
+}
+
+/// A running HTTP server.
+pub struct ViewerServer {
+    address: SocketAddr,
+    serving: JoinHandle<()>,
+    ticking: JoinHandle<()>,
+}
+
+impl ViewerServer {
+    /// Starts to serve a viewer.
+    ///
+    /// # Arguments
+    /// * `address`: port 0 takes any free one. It knows no users: other addresses than loopback are warned about.
+    ///
+    /// # Errors
+    /// [`ViewerError::Bind`].
+    pub async fn start(address: SocketAddr, viewer: Arc<Viewer>) -> Result<Self, ViewerError> {
+        Self::start_with(address, viewer, Router::new()).await
+    }
+
+    /// The same, with other routes beside those of the viewer.
+    ///
+    /// # Errors
+    /// [`ViewerError::Bind`].
+    pub async fn start_with(
+        address: SocketAddr,
+        viewer: Arc<Viewer>,
+        beside: Router,
+    ) -> Result<Self, ViewerError> {
+        let cannot_bind = |source| ViewerError::Bind { address, source };
+        let listener = TcpListener::bind(address).await.map_err(cannot_bind)?;
+        let address = listener.local_addr().map_err(cannot_bind)?;
+        if !address.ip().is_loopback() {
+            tracing::warn!(
+                %address,
+                "the map and all robots are shown to everybody who reaches this address; it knows no users"
+            );
+        }
+        let ticking = tokio::spawn(Arc::clone(&viewer).tick_live());
+        let router = api::router(viewer, beside);
+        let serving = tokio::spawn(async move {
+            if let Err(error) = axum::serve(LimitedListener::new(listener), router).await {
+                tracing::error!(%error, "the map is not shown any more");
+            }
+        });
+        tracing::info!("the map is shown on http://{address}");
+        Ok(Self { address, serving, ticking })
+    }
+
+    /// The address that it listens on.
+    pub fn address(&self) -> SocketAddr {
+        self.address
+    }
+
+    /// Stops at once.
+    pub async fn stop(self) {
+        for task in [self.serving, self.ticking] {
+            task.abort();
+            // Cancelled, as asked for.
+            let _ = task.await;
+        }
+    }
+}

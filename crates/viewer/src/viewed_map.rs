@@ -1,0 +1,168 @@
+//! A map as the page draws it.
+
+use axum::body::Bytes;
+use geometry::PoseWithCovariance;
+use map::{Keyframe, MapContents, MapMetadata};
+use nalgebra::{Matrix3, Vector3};
+use protocol::{Extent, KeyframeId};
+use rand::SeedableRng as _;
+use rand::rngs::StdRng;
+use rand::seq::SliceRandom as _;
+use serde::Serialize;
+use std::collections::BTreeMap;
+
+/// Seed of the order of landmarks: the same map is drawn the same way each time.
+const ORDER_SEED: u64 = 1;
+/// Bytes of a landmark: three `f32`.
+pub(crate) const LANDMARK_BYTES: usize = 12;
+
+/// What the list of maps says about a map.
+#[derive(Clone, Debug, Serialize)]
+pub(crate) struct MapSummary {
+    pub(crate) name: String,
+    pub(crate) identity: Option<String>,
+    pub(crate) version: u64,
+    pub(crate) keyframes: usize,
+    pub(crate) landmarks: usize,
+    extent: Option<Extent>,
+    gravity_in_global: Option<[f64; 3]>,
+}
+
+/// A keyframe as the page draws it, in G.
+#[derive(Clone, Debug, Serialize)]
+#[non_exhaustive]
+pub struct ViewedKeyframe {
+    /// Its id.
+    pub id: KeyframeId,
+    /// Position of the camera, metres.
+    pub position: [f64; 3],
+    /// Rotation from the camera frame (x right, y down, z forward) to G.
+    pub rotation_wxyz: [f64; 4],
+    /// Covariance of the position, m^2, by rows.
+    pub position_covariance: [[f64; 3]; 3],
+}
+
+impl ViewedKeyframe {
+    fn of(keyframe: &Keyframe) -> Self {
+        let pose = &keyframe.global_from_keyframe;
+        Self {
+            id: keyframe.id,
+            position: pose.pose.translation.into(),
+            rotation_wxyz: rotation_wxyz(pose),
+            position_covariance: position_covariance(pose),
+        }
+    }
+}
+
+/// Quaternion of a pose, the real part first.
+pub(crate) fn rotation_wxyz(pose: &PoseWithCovariance) -> [f64; 4] {
+    let rotation = pose.pose.rotation;
+    [rotation.w, rotation.i, rotation.j, rotation.k]
+}
+
+/// Covariance of the position, m^2, by rows.
+pub(crate) fn position_covariance(pose: &PoseWithCovariance) -> [[f64; 3]; 3] {
+    let block: Matrix3<f64> = pose.covariance.fixed_view::<3, 3>(3, 3).into();
+    // Symmetric, so that columns are rows.
+    block.into()
+}
+
+/// A map as the page draws it.
+#[derive(Clone, Debug)]
+pub struct ViewedMap {
+    pub(crate) summary: MapSummary,
+    pub(crate) keyframes: Vec<ViewedKeyframe>,
+    /// Little-endian `f32` triples in G, in an order of which every beginning is an even sample.
+    pub(crate) landmarks: Bytes,
+}
+
+impl ViewedMap {
+    /// A map from its parts.
+    ///
+    /// # Arguments
+    /// * `name`: under which it is shown.
+    /// * `landmarks`: positions in G, metres.
+    pub fn new<'a>(
+        name: &str,
+        info: &MapMetadata,
+        keyframes: impl Iterator<Item = &'a Keyframe>,
+        landmarks: impl Iterator<Item = Vector3<f64>>,
+    ) -> Self {
+        let keyframes: Vec<_> = keyframes.map(ViewedKeyframe::of).collect();
+        let mut points: Vec<[f32; 3]> =
+            landmarks.map(|position| [position.x as f32, position.y as f32, position.z as f32]).collect();
+        points.shuffle(&mut StdRng::seed_from_u64(ORDER_SEED));
+        let bytes: Vec<u8> = points.iter().flatten().flat_map(|value| value.to_le_bytes()).collect();
+        let summary = MapSummary {
+            name: name.to_owned(),
+            identity: info.identity.map(|identity| identity.to_string()),
+            version: info.version,
+            keyframes: keyframes.len(),
+            landmarks: points.len(),
+            extent: extent(&keyframes),
+            gravity_in_global: info.gravity_in_global.map(Into::into),
+        };
+        Self { summary, keyframes, landmarks: bytes.into() }
+    }
+
+    /// A map that is in memory.
+    pub fn of_contents(name: &str, contents: &MapContents) -> Self {
+        let poses: BTreeMap<KeyframeId, _> = contents
+            .keyframes
+            .iter()
+            .map(|keyframe| (keyframe.id, &keyframe.global_from_keyframe.pose))
+            .collect();
+        let landmarks = contents.landmarks.iter().filter_map(|landmark| {
+            Some(poses.get(&landmark.anchor)?.transform(&landmark.position_in_anchor))
+        });
+        Self::new(name, &contents.info, contents.keyframes.iter(), landmarks)
+    }
+
+    /// The name under which it is shown.
+    pub fn name(&self) -> &str {
+        &self.summary.name
+    }
+
+    /// Its version.
+    pub fn version(&self) -> u64 {
+        self.summary.version
+    }
+}
+
+/// The box around all keyframes.
+fn extent(keyframes: &[ViewedKeyframe]) -> Option<Extent> {
+    let positions = || keyframes.iter().map(|keyframe| Vector3::from(keyframe.position));
+    let min = positions().reduce(|low, position| low.inf(&position))?;
+    let max = positions().reduce(|high, position| high.sup(&position))?;
+    Some(Extent { min: min.into(), max: max.into() })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use testing::{Place, PlaceOptions};
+
+    #[test]
+    fn the_first_landmarks_are_an_even_sample_of_all() {
+        let place = Place::new(&PlaceOptions::default());
+        let viewed = ViewedMap::of_contents("place", &place.map);
+        let points: Vec<Vector3<f32>> = viewed
+            .landmarks
+            .chunks_exact(LANDMARK_BYTES)
+            .map(|bytes| {
+                let value = |at: usize| f32::from_le_bytes(bytes[at..at + 4].try_into().unwrap());
+                Vector3::new(value(0), value(4), value(8))
+            })
+            .collect();
+        assert_eq!(points.len(), place.map.landmarks.len());
+        let mean = |points: &[Vector3<f32>]| points.iter().sum::<Vector3<f32>>() / points.len() as f32;
+        let all = mean(&points);
+        let variance =
+            points.iter().map(|point| (point - all).norm_squared()).sum::<f32>() / points.len() as f32;
+        let part = points.len() / 4;
+        // Five standard deviations of the mean of such a sample.
+        let bound = 5.0 * (variance / part as f32).sqrt();
+        assert!((mean(&points[..part]) - all).norm() < bound, "an uneven sample");
+        assert!(bound < 0.3 * variance.sqrt(), "a bound that says something");
+    }
+}

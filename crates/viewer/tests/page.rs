@@ -1,0 +1,140 @@
+//! The page in a browser. Skipped, with a line that says so, where no Chromium is installed. Pictures are written to
+//! `target/viewer`.
+#![allow(clippy::unwrap_used)]
+
+#[path = "common/browser.rs"]
+mod browser;
+mod common;
+
+use browser::{Browser, installed};
+use common::Shown;
+use geometry::uncertain_pose::isotropic_covariance;
+use geometry::{Pose, PoseWithCovariance};
+use nalgebra::{UnitQuaternion, Vector3};
+use protocol::RobotState;
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+use viewer::{Answer, RunTracks, TrackPoint};
+
+fn picture(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../target/viewer").join(name)
+}
+
+/// A browser; without one, says that the test is skipped, also where the output of tests is not shown.
+fn browser_or_reason() -> Option<PathBuf> {
+    let program = installed();
+    if program.is_none() {
+        let _ = writeln!(std::io::stderr(), "skipped: no Chromium is installed (apt-get install chromium)");
+    }
+    program
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_page_shows_the_map_and_follows_robots() {
+    let Some(program) = browser_or_reason() else { return };
+    let shown = Shown::start().await;
+    let address = shown.address();
+    let mut browser = Browser::start(&program, 1280, 800).await;
+    browser.prefer("dark").await;
+    browser.open(&format!("http://{address}/#robot=r7")).await;
+    browser.wait_for("window.driftless?.isReady && window.driftless.isConnected").await;
+    let counts = browser.evaluate("window.driftless.counts").await;
+    assert_eq!(counts["keyframes"], shown.place.map.keyframes.len());
+    assert_eq!(counts["landmarks"], shown.place.map.landmarks.len());
+
+    let id = shown.session.zid().to_string();
+    let token = shown.session.liveliness().declare_token(format!("robot/r7/session/{id}")).await.unwrap();
+    shown.publish_robot("r2", 40.0, RobotState::OdometryOnly).await;
+    shown.publish_robot("r9", 8.0, RobotState::Lost).await;
+    for step in 0..60 {
+        let position = shown.publish_robot("r7", 10.0 + 0.25 * f64::from(step), RobotState::Localized).await;
+        shown.publish_robot("r2", 40.0 - 0.1 * f64::from(step), RobotState::OdometryOnly).await;
+        if step % 20 == 19 {
+            let [x, y, z] = position.into();
+            let distance = format!(
+                "(() => {{ const p = window.driftless.robots.r7?.position; \
+                 return Boolean(p) && Math.hypot(p[0] - {x}, p[1] - {y}, p[2] - {z}) < 1e-6; }})()"
+            );
+            browser.wait_for(&distance).await;
+        }
+        tokio::time::sleep(std::time::Duration::from_millis(50)).await;
+    }
+    let state = browser.evaluate("window.driftless.robots.r7.state").await;
+    assert_eq!(state, "localized");
+    assert!(
+        browser.evaluate("window.driftless.robots.r7.trail").await.as_u64().unwrap() > 10,
+        "it left a trail"
+    );
+    assert_eq!(browser.evaluate("document.querySelector('.is-followed .name').textContent").await, "r7");
+
+    browser.press("r").await;
+    browser.press("1").await;
+    browser.press("f").await;
+    let keyframes = shown.place.map.keyframes[10..16].iter().map(|keyframe| keyframe.id).collect();
+    shown.viewer.note_answer(&id, Answer { map: "place".into(), keyframes });
+    browser.wait_for("window.driftless.robots.r7.answers === 1").await;
+    tokio::time::sleep(std::time::Duration::from_millis(300)).await;
+    browser.save_picture(&picture("dark.png")).await;
+
+    browser.press("d").await;
+    browser.press("t").await;
+    tokio::time::sleep(std::time::Duration::from_millis(500)).await;
+    browser.save_picture(&picture("light_top.png")).await;
+    assert_eq!(browser.evaluate("document.documentElement.dataset.theme").await, "light");
+
+    assert!(browser.complaints.is_empty(), "{:?}", browser.complaints);
+    let own =
+        [format!("http://{address}/"), format!("ws://{address}/"), "data:".to_owned(), "about:".to_owned()];
+    let foreign: Vec<_> =
+        browser.requests.iter().filter(|request| !own.iter().any(|own| request.starts_with(own))).collect();
+    assert!(foreign.is_empty() && browser.requests.len() > 10, "{foreign:?}");
+    token.undeclare().await.unwrap();
+}
+
+/// A drive along the path whose bounds shrink whenever the map is used.
+fn drive() -> RunTracks {
+    let place = testing::Place::new(&testing::PlaceOptions::default());
+    let forward = place.camera_at(1.0, 0.0, 0.0).translation - place.camera_at(0.0, 0.0, 0.0).translation;
+    let at = |t: f64, error: Vector3<f64>, sigma_m: f64| {
+        let pose = Pose::new(UnitQuaternion::identity(), place.path[0].translation + forward * t + error);
+        (PoseWithCovariance::new(pose, isotropic_covariance(0.01, sigma_m)), error.into())
+    };
+    let times = || (0..500).map(|step| f64::from(step) * 0.1);
+    let drift = |t: f64| Vector3::new(0.01 * t, 0.02 * (t / 3.0).sin(), 0.0) + place.gravity * 0.004 * t;
+    let estimate = |t: f64| at(t, drift(t % 7.0) * 3.0, 0.05 + 0.01 * (t % 7.0));
+    let point =
+        |t: f64, (pose, error): (PoseWithCovariance, [f64; 3])| TrackPoint::new(t, &pose, Some(error));
+    RunTracks {
+        name: "drive".to_owned(),
+        global: times().map(|t| point(t, estimate(t))).collect(),
+        local: times().map(|t| TrackPoint::new(t, &at(t, drift(t) * 4.0, 0.1 + 0.01 * t).0, None)).collect(),
+        global_from_local: vec![TrackPoint::new(0.0, &PoseWithCovariance::exact(Pose::identity()), None)],
+        truth: times().map(|t| TrackPoint::new(t, &at(t, Vector3::zeros(), 0.0).0, None)).collect(),
+        queries: (0..50).map(|query| (f64::from(query), query % 7 == 0)).collect(),
+        up: (-place.gravity).into(),
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_page_shows_a_run_at_any_time_of_it() {
+    let Some(program) = browser_or_reason() else { return };
+    let run = drive();
+    let [x, y, z] = run.global[100].position;
+    let shown = Shown::start_with(Some(run)).await;
+    // A tablet.
+    let mut browser = Browser::start(&program, 1024, 768).await;
+    browser.prefer("light").await;
+    browser.open(&format!("http://{}/", shown.address())).await;
+    browser.wait_for("window.driftless?.isReady").await;
+    let seek = "(() => { const slider = document.getElementById('time'); slider.value = 201; \
+                slider.dispatchEvent(new Event('input')); return document.getElementById('clock').value; })()";
+    assert_eq!(browser.evaluate(seek).await, "10.0 of 49.9 s");
+    let shown_at = browser.evaluate("window.driftless.robots.drive.position").await;
+    let shown_at: [f64; 3] = serde_json::from_value(shown_at).unwrap();
+    assert!((Vector3::from(shown_at) - Vector3::new(x, y, z)).norm() < 1e-9);
+    tokio::time::sleep(std::time::Duration::from_millis(500)).await;
+    browser.save_picture(&picture("run.png")).await;
+    browser.press(" ").await;
+    browser.wait_for("Number(document.getElementById('time').value) > 201").await;
+    assert!(browser.complaints.is_empty(), "{:?}", browser.complaints);
+}

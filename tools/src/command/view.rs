@@ -1,0 +1,69 @@
+//! `driftless view`: a map or a run in the browser.
+
+use crate::plotting::RunFiles;
+use crate::run_tracks::run_tracks;
+use anyhow::{Context as _, ensure};
+use map::store;
+use nalgebra::Vector3;
+use std::net::{Ipv4Addr, SocketAddr};
+use std::path::{Path, PathBuf};
+use viewer::{ViewedMap, Viewer, ViewerServer};
+
+/// Arguments.
+#[derive(Clone, Debug, clap::Args)]
+#[command(after_help = "Examples:\n  driftless view place.db\n  driftless view out --map place.db\n\n\
+    Shows it on http://127.0.0.1:8080 until Ctrl-C; nothing is written. A running server shows its robots too:\n  \
+    map_server --map place=place.db --http 127.0.0.1:8080")]
+pub struct Args {
+    /// Database of a map, or output folder of a run, with its states.csv
+    #[arg(value_name = "MAP.db|DIR")]
+    path: PathBuf,
+    /// Database of the map that the run was localized in, to show it below the run
+    #[arg(long, value_name = "DB")]
+    map: Option<PathBuf>,
+    /// Ground truth of the run [default: that of the recording which summary.json names]
+    #[arg(long, value_name = "FILE")]
+    groundtruth: Option<PathBuf>,
+    /// Port on this machine; 0 takes any free one
+    #[arg(long, default_value_t = 8080)]
+    port: u16,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// A map or a run that cannot be read, a port that is taken.
+pub fn run(args: &Args) -> anyhow::Result<()> {
+    let is_run = args.path.join("states.csv").exists();
+    ensure!(is_run || args.map.is_none(), "--map is for a run; {} has no states.csv", args.path.display());
+    let database = if is_run { args.map.as_ref() } else { Some(&args.path) };
+    let contents = database.map(store::load_map).transpose()?.map(|stored| stored.contents);
+    let gravity = contents.as_ref().and_then(|contents| contents.info.gravity_in_global);
+    let viewer = if is_run {
+        let run = RunFiles::read(&args.path, args.groundtruth.as_deref(), None)
+            .context("the run cannot be shown")?;
+        for sentence in &run.missing {
+            eprintln!("{sentence}");
+        }
+        Viewer::with_run(Some(run_tracks(&run, gravity.map_or(Vector3::z(), |gravity| -gravity))))
+    } else {
+        Viewer::new()
+    };
+    if let Some((path, contents)) = database.zip(contents) {
+        viewer.set_map(ViewedMap::of_contents(&name_of(path), &contents));
+    }
+    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
+    runtime.block_on(async {
+        let address = SocketAddr::from((Ipv4Addr::LOCALHOST, args.port));
+        let server = ViewerServer::start(address, viewer).await.context("choose another with --port")?;
+        println!("http://{}", server.address());
+        tokio::signal::ctrl_c().await?;
+        server.stop().await;
+        Ok(())
+    })
+}
+
+/// The name of a map, as of `maps/hall.db`.
+fn name_of(database: &Path) -> String {
+    database.file_stem().map_or_else(|| "map".to_owned(), |name| name.to_string_lossy().into_owned())
+}
