@@ -14,7 +14,7 @@ default:
     @just --list --unsorted
 
 # Everything that must hold before a change lands
-ci: fmt clippy doc neural demo recorded test
+ci: fmt clippy doc neural demo recorded test python
 
 # Formatting
 fmt:
@@ -46,6 +46,19 @@ recorded:
         exit 0
     fi
     cargo test --profile {{ profile }} --locked -p driftless-tests --test recorded --test images -- --ignored
+
+# The Python client against a map server and a robot; says so where its packages cannot be installed
+python:
+    #!/usr/bin/env bash
+    set -euo pipefail
+    venv="{{ justfile_directory() }}/target/python"
+    if ! { python3 -m venv "$venv" && "$venv/bin/pip" install --quiet './python[test]'; }; then
+        echo "SKIPPED: the packages of python/ cannot be installed; its tests were not run"
+        exit 0
+    fi
+    cargo build --profile {{ profile }} --locked -p driftless-tools -p driftless-map-server -p driftless-onboard
+    DRIFTLESS_PROGRAMS="{{ justfile_directory() }}/target/{{ if profile == "dev" { "debug" } else { profile } }}" \
+        "$venv/bin/python" -m pytest -q python/tests
 
 # All tests; those on recorded runs are listed as ignored
 test:

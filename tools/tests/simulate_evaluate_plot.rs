@@ -102,6 +102,7 @@ fn every_help_shows_an_example() {
         "build-map",
         "import-map",
         "export-map",
+        "extract-features",
         "map-info",
         "query",
         "localize",

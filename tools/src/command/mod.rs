@@ -12,6 +12,7 @@ pub mod edit_map;
 pub mod evaluate;
 pub mod export_colmap;
 pub mod export_map;
+pub mod extract_features;
 pub mod fleet;
 pub mod import_colmap;
 pub mod import_map;
@@ -61,6 +62,8 @@ pub enum Command {
     MapInfo(map_info::Args),
     /// Query a running map server with the features of an image
     Query(query::Args),
+    /// Print the features of an image as a query for a map server (JSON)
+    ExtractFeatures(extract_features::Args),
     /// Localize a single image with a running map server
     Localize(localize::Args),
     /// Plot the matches of an image with a map, and print why it was recognized or not
@@ -111,6 +114,7 @@ impl Command {
             Self::MergeMaps(args) => merge_maps::run(&args),
             Self::MapInfo(args) => map_info::run(args),
             Self::Query(args) => query::run(args),
+            Self::ExtractFeatures(args) => extract_features::run(&args),
             Self::Localize(args) => localize::run(&args),
             #[cfg(feature = "bags")]
             Self::Info(args) => info::run(&args),

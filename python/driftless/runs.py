@@ -1,0 +1,58 @@
+"""The folder of a recorded run, of `driftless run` or `onboard --out`."""
+
+from __future__ import annotations
+
+import csv
+import json
+from functools import cached_property
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+from .errors import Unreadable
+from .tracks import Track, read_euroc, read_states
+
+
+class Run:
+    """Results of a run. Files are read when they are first asked for."""
+
+    def __init__(self, folder: str | PathLike[str]):
+        self.folder = Path(folder)
+        if not (self.folder / "states.csv").is_file():
+            raise Unreadable(f"{self.folder} is no run: it has no states.csv")
+
+    @cached_property
+    def states(self) -> dict[str, Track]:
+        """`global_from_imu`, `local_from_imu` and `global_from_local`, those that the run has."""
+        return read_states(self.folder / "states.csv")
+
+    @cached_property
+    def summary(self) -> dict[str, Any]:
+        """summary.json; empty where the run was killed before it was written."""
+        path = self.folder / "summary.json"
+        if not path.is_file():
+            return {}
+        try:
+            summary: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        except ValueError as error:
+            raise Unreadable(f"{path}: {error}") from error
+        return summary
+
+    @cached_property
+    def events(self) -> list[dict[str, str]]:
+        """One row of events.csv for each query, as text."""
+        path = self.folder / "events.csv"
+        if not path.is_file():
+            return []
+        with path.open(encoding="utf-8", newline="") as file:
+            rows = csv.DictReader(line.removeprefix("#") for line in file)
+            return [row for row in rows if None not in row.values()]
+
+    @cached_property
+    def truth(self) -> Track | None:
+        """Ground truth of the recording that summary.json names, in the map's frame; `None` where there is none."""
+        sequence = self.summary.get("sequence")
+        if sequence is None:
+            return None
+        path = Path(sequence) / "mav0" / "state_groundtruth_estimate0" / "data.csv"
+        return read_euroc(path) if path.is_file() else None
