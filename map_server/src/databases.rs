@@ -1,9 +1,9 @@
-//! The databases of the served maps: loaded when the server starts, and again on request.
+//! The databases and releases of the served maps: loaded when the server starts, and again on request.
 //!
 //! A copy of a database is read, so another program can write the next version of the map to it meanwhile. If the new
 //! version cannot be loaded, the previous one continues to be served.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::str::FromStr;
 use std::sync::Arc;
 
@@ -14,13 +14,15 @@ use protocol::MapIdentity;
 use protocol::keys::{NameError, validate_name};
 use recognition::LoadedMap;
 
-/// `NAME=DB`
+use crate::released::ReleasedMap;
+
+/// `NAME=DB` or `NAME=URL`
 #[derive(Clone, Debug)]
 pub struct MapArgument {
     /// Name of the map in its keys.
     pub name: String,
-    /// Path of its database.
-    pub database: PathBuf,
+    /// Path of its database, or URL of its releases.
+    pub place: String,
 }
 
 /// Why an argument is not `NAME=DB`.
@@ -38,56 +40,124 @@ impl FromStr for MapArgument {
     type Err = MapArgumentError;
 
     fn from_str(text: &str) -> Result<MapArgument, MapArgumentError> {
-        let (name, database) = text.split_once('=').ok_or(MapArgumentError::NoDatabase)?;
+        let (name, place) = text.split_once('=').ok_or(MapArgumentError::NoDatabase)?;
         validate_name(name)?;
-        if database.is_empty() {
+        if place.is_empty() {
             return Err(MapArgumentError::EmptyPath { name: name.to_owned() });
         }
-        Ok(MapArgument { name: name.to_owned(), database: PathBuf::from(database) })
+        Ok(MapArgument { name: name.to_owned(), place: place.to_owned() })
     }
 }
 
-/// Loads a map into memory.
-pub fn load(argument: &MapArgument) -> anyhow::Result<ServedMap> {
-    let MapArgument { name, database } = argument;
-    let cannot = || format!("map {name} cannot be served");
-    let stored = store::load_map(database).with_context(cannot)?;
-    let map = LoadedMap::load(stored).with_context(cannot)?;
-    tracing::info!(
-        name,
-        database = %database.display(),
-        version = map.info().version,
-        identity = %map.identity(),
-        keyframes = map.keyframe_count(),
-        landmarks = map.landmark_count(),
-        "loaded a map"
-    );
-    if map.damaged_records() > 0 {
-        let damaged = map.damaged_records();
-        tracing::warn!(name, "skipped {damaged} damaged records; build or import the map again");
-    }
-    if map.keyframe_count() == 0 {
-        tracing::warn!(name, "the map has no keyframes: no query will match");
-    }
-    Ok(ServedMap { name: name.clone(), map: Arc::new(map) })
+/// Where a served map comes from.
+#[derive(Clone, Debug)]
+pub struct MapSource {
+    /// Name of the map in its keys.
+    pub name: String,
+    origin: Origin,
 }
 
-/// Loads the databases whose version changed and serves the new versions. Logs the result of each.
-pub async fn reload(server: &MapServer, maps: &[MapArgument]) {
-    for argument in maps {
-        let name = &argument.name;
+#[derive(Clone, Debug)]
+enum Origin {
+    Database(PathBuf),
+    Releases(ReleasedMap),
+}
+
+impl MapSource {
+    /// Opens the source that an argument names; a map is not read yet.
+    ///
+    /// # Arguments
+    /// * `cache`: folder for what is fetched of releases, one folder a map in it.
+    ///
+    /// # Errors
+    /// A URL that is none, a cache that cannot be written.
+    pub fn open(argument: &MapArgument, cache: &Path) -> anyhow::Result<MapSource> {
+        let MapArgument { name, place } = argument;
+        let origin = if place.contains("://") {
+            let released = ReleasedMap::open(place, &cache.join(name));
+            Origin::Releases(released.with_context(|| format!("map {name} cannot be served"))?)
+        } else {
+            Origin::Database(PathBuf::from(place))
+        };
+        Ok(MapSource { name: name.clone(), origin })
+    }
+
+    /// Whether the source is watched for new versions.
+    pub fn has_releases(&self) -> bool {
+        matches!(self.origin, Origin::Releases(_))
+    }
+
+    /// Loads the map into memory.
+    ///
+    /// # Errors
+    /// Whatever keeps it from being read.
+    pub async fn load(&self) -> anyhow::Result<ServedMap> {
+        let MapSource { name, origin } = self.clone();
+        let loading = tokio::task::spawn_blocking(move || match origin {
+            Origin::Database(database) => LoadedMap::load(store::load_map(database)?).map_err(Into::into),
+            Origin::Releases(releases) => releases.load(),
+        });
+        let map = loading.await?.with_context(|| format!("map {name} cannot be served"))?;
+        tracing::info!(
+            name,
+            version = map.info().version,
+            identity = %map.identity(),
+            keyframes = map.keyframe_count(),
+            landmarks = map.landmark_count(),
+            "loaded a map"
+        );
+        if map.damaged_records() > 0 {
+            let damaged = map.damaged_records();
+            tracing::warn!(name, "skipped {damaged} damaged records; build or import the map again");
+        }
+        if map.keyframe_count() == 0 {
+            tracing::warn!(name, "the map has no keyframes: no query will match");
+        }
+        Ok(ServedMap { name, map: Arc::new(map) })
+    }
+
+    /// The map, if its version or its identity differs from the served one.
+    fn newer(&self, served: u64, identity: MapIdentity) -> anyhow::Result<Option<LoadedMap>> {
+        let map = match &self.origin {
+            Origin::Releases(releases) => releases.newer(served, identity)?,
+            Origin::Database(database) => {
+                let stored = store::load_map(database)?;
+                let info = &stored.contents.info;
+                let is_served = (info.version, info.identity) == (served, Some(identity));
+                if is_served { None } else { Some(LoadedMap::load(stored)?) }
+            }
+        };
+        let Some(map) = map else { return Ok(None) };
+        match (map.damaged_records(), map.keyframe_count()) {
+            (0, 1..) => Ok(Some(map)),
+            (0, 0) => bail!("the new version has no keyframes"),
+            (damaged, _) => {
+                bail!("{damaged} records of the new version are damaged; build or import the map again")
+            }
+        }
+    }
+}
+
+/// Serves the new versions of the maps that have one. Logs the result of each.
+pub async fn reload(server: &MapServer, sources: impl Iterator<Item = &MapSource>) {
+    for source in sources {
+        let name = &source.name;
         let Some(present) = server.served(name) else { continue };
         let (served, identity) = (present.info().version, present.identity());
         drop(present);
         let reading = {
-            let argument = argument.clone();
-            tokio::task::spawn_blocking(move || newer(&argument, served, identity))
+            let source = source.clone();
+            tokio::task::spawn_blocking(move || source.newer(served, identity))
         };
         let read = reading.await.unwrap_or_else(|error| Err(error.into()));
         let replaced = match read {
-            Ok(Some(map)) => server.replace(name, map, None).await,
+            Ok(Some(map)) => server.replace(name, Arc::new(map), None).await,
             Ok(None) => {
-                tracing::info!(name, version = served, "the database has the version that is served");
+                if source.has_releases() {
+                    tracing::debug!(name, version = served, "the newest release is served");
+                } else {
+                    tracing::info!(name, version = served, "the database has the version that is served");
+                }
                 continue;
             }
             Err(reason) => {
@@ -116,27 +186,6 @@ pub async fn reload(server: &MapServer, maps: &[MapArgument]) {
                     "the new version is served, but its notice was not published: {error:#}"
                 );
             }
-        }
-    }
-}
-
-/// The map in a database, if its version or its identity differs from the served one.
-fn newer(
-    argument: &MapArgument,
-    served: u64,
-    identity: MapIdentity,
-) -> anyhow::Result<Option<Arc<LoadedMap>>> {
-    let stored = store::load_map(&argument.database)?;
-    let info = &stored.contents.info;
-    if (info.version, info.identity) == (served, Some(identity)) {
-        return Ok(None);
-    }
-    let map = LoadedMap::load(stored)?;
-    match (map.damaged_records(), map.keyframe_count()) {
-        (0, 1..) => Ok(Some(Arc::new(map))),
-        (0, 0) => bail!("the new version has no keyframes"),
-        (damaged, _) => {
-            bail!("{damaged} records of the new version are damaged; build or import the map again")
         }
     }
 }

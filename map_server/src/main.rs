@@ -1,22 +1,26 @@
 //! `map_server`: serves maps over Zenoh.
 
 mod databases;
+mod released;
 mod show;
 mod status_line;
 
 use std::net::SocketAddr;
+use std::path::PathBuf;
 use std::process::ExitCode;
+use std::time::Duration;
 
 use anyhow::Context;
 use clap::Parser;
 use client::session::{Member, Role};
 use client::{SessionArguments, close_session, open_session, without_secrets};
-use databases::MapArgument;
+use databases::{MapArgument, MapSource};
 use map_server::{MapServer, ServerOptions};
 use monitoring::{Health, LogFormat, MonitoringServer, monitoring_routes, start_log};
 use prometheus_client::registry::Registry;
 use show::Show;
 use status_line::StatusLine;
+use tokio::time::MissedTickBehavior;
 use tracing_subscriber::EnvFilter;
 
 const EXAMPLES: &str = "\
@@ -32,6 +36,9 @@ Examples:
 
   Show the map and the robots in the browser:
     map_server --map hall=maps/hall.db --http 127.0.0.1:8080
+
+  Serve the newest release of a map, and follow new ones (see `driftless publish-map`):
+    map_server --map city=s3://bucket/city --cache /var/cache/driftless
 
   Then, in another shell:
     driftless query --map hall --features frame.csv        one image against the map
@@ -53,9 +60,19 @@ const QUIET: &str = "info,zenoh=warn,zenoh_link_tls=debug,zenoh::net::routing::i
 #[derive(Parser, Debug)]
 #[command(version, after_long_help = EXAMPLES, after_help = "Use --help for examples.")]
 struct Arguments {
-    /// A map to serve: its name in keys and its database. May be given several times.
-    #[arg(long = "map", value_name = "NAME=DB", required = true)]
+    /// A map to serve: its name in keys and its database, or the URL of its releases (file:///srv/city, s3://bucket/city;
+    /// see `driftless publish-map`). May be given several times.
+    #[arg(long = "map", value_name = "NAME=DB|URL", required = true)]
     maps: Vec<MapArgument>,
+
+    /// Folder for what is fetched of releases: a restart serves it when the store is away [default: driftless/releases in
+    /// the user's cache folder].
+    #[arg(long, value_name = "DIR")]
+    cache: Option<PathBuf>,
+
+    /// Look for new releases after this time, s.
+    #[arg(long, value_name = "SECONDS", default_value_t = 30, value_parser = clap::value_parser!(u64).range(1..))]
+    watch_releases: u64,
 
     /// How the server is connected [default: --listen tcp/127.0.0.1:7447].
     #[command(flatten)]
@@ -114,7 +131,13 @@ async fn serve() -> anyhow::Result<()> {
         Some(folder) => Some(Member::expect(folder, Role::MapServer, ("--name", arguments.name.as_deref()))?),
         None => arguments.name.clone(),
     };
-    let maps = arguments.maps.iter().map(databases::load).collect::<anyhow::Result<Vec<_>>>()?;
+    let cache = arguments.cache.clone().unwrap_or_else(default_cache);
+    let open = |map: &MapArgument| MapSource::open(map, &cache);
+    let sources = arguments.maps.iter().map(open).collect::<anyhow::Result<Vec<_>>>()?;
+    let mut maps = Vec::with_capacity(sources.len());
+    for source in &sources {
+        maps.push(source.load().await?);
+    }
     let session_options = arguments.session.serving();
     let session = tokio::select! {
         session = open_session(&session_options) => session?,
@@ -143,6 +166,10 @@ async fn serve() -> anyhow::Result<()> {
     };
     tracing::info!("ready; Ctrl-C stops");
 
+    let has_releases = sources.iter().any(MapSource::has_releases);
+    let mut watch = tokio::time::interval(Duration::from_secs(arguments.watch_releases));
+    watch.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    watch.reset();
     let mut status_line = StatusLine::new();
     let signal = loop {
         tokio::select! {
@@ -151,12 +178,20 @@ async fn serve() -> anyhow::Result<()> {
                 status_line.log(&server);
                 continue;
             }
-            () = reload.recv() => {}
-        }
-        tracing::info!("SIGHUP: reloading the databases");
-        tokio::select! {
-            signal = &mut stopped => break signal,
-            () = databases::reload(&server, &arguments.maps) => {}
+            () = reload.recv() => {
+                tracing::info!("SIGHUP: reloading the maps");
+                tokio::select! {
+                    signal = &mut stopped => break signal,
+                    () = databases::reload(&server, sources.iter()) => {}
+                }
+            }
+            _ = watch.tick(), if has_releases => {
+                let released = sources.iter().filter(|source| source.has_releases());
+                tokio::select! {
+                    signal = &mut stopped => break signal,
+                    () = databases::reload(&server, released) => {}
+                }
+            }
         }
         if let Some(show) = &show {
             for map in &arguments.maps {
@@ -174,6 +209,13 @@ async fn serve() -> anyhow::Result<()> {
     server.stop().await?;
     close_session(&session).await;
     Ok(())
+}
+
+/// The user's cache folder, or where there is no user the folder for temporary files.
+fn default_cache() -> PathBuf {
+    let named = |name: &str| std::env::var_os(name).filter(|value| !value.is_empty()).map(PathBuf::from);
+    let folder = named("XDG_CACHE_HOME").or_else(|| named("HOME").map(|home| home.join(".cache")));
+    folder.unwrap_or_else(std::env::temp_dir).join("driftless/releases")
 }
 
 /// Serves the metrics of a server.

@@ -9,6 +9,7 @@ use std::time::Duration;
 use client::{SessionOptions, open_session};
 use map::store;
 use protocol::{ErrorCode, ErrorReply, Format, MapChangeNotice, MapInfoReply};
+use releases::{PublishOptions, ReleaseStore, publish};
 use testing::{Place, PlaceOptions};
 use zenoh::Session;
 
@@ -288,5 +289,80 @@ async fn sighup_serves_the_new_version_and_says_what_changed() {
 
     signal(&server, "-TERM");
     assert!(server.0.wait().unwrap().success());
+    client.close().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn releases_are_followed_and_served_without_their_store() {
+    let directory = tempfile::tempdir().unwrap();
+    let [city, away, cache] = ["city", "away", "cache"].map(|name| directory.path().join(name));
+    let url = format!("file://{}", city.display());
+    let releases = ReleaseStore::open(&url).unwrap();
+    let mut contents =
+        Place::new(&PlaceOptions { keyframes: 5, landmarks: 100, ..PlaceOptions::default() }).map;
+    contents.info.identity = Some(contents.digest());
+    publish(&releases, &contents, &PublishOptions::default(), |_| {}).await.unwrap();
+
+    let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+    let (endpoint, map) = (format!("tcp/127.0.0.1:{port}"), format!("hall={url}"));
+    let cache = cache.display().to_string();
+    let arguments = ["--map", &map, "--listen", &endpoint, "--cache", &cache, "--watch-releases", "1"];
+    let log = directory.path().join("log");
+    let start = || {
+        let stderr = Stdio::from(std::fs::File::options().create(true).append(true).open(&log).unwrap());
+        Running(program().args(arguments).stderr(stderr).spawn().unwrap())
+    };
+    let says = async |what: &str| {
+        while !std::fs::read_to_string(&log).unwrap().contains(what) {
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+    };
+    let server = start();
+    let options = SessionOptions { connect: vec![endpoint.clone()], ..SessionOptions::default() };
+    let client = open_session(&options).await.unwrap();
+    let info = async || {
+        let info = ask(&client, "map/hall/info").await.unwrap();
+        protocol::decode::<MapInfoReply>(Format::Bincode, &info).unwrap()
+    };
+    let first = info().await;
+    assert_eq!((first.version, first.keyframes, Some(first.identity)), (1, 5, contents.info.identity));
+
+    // The next release is served without a signal, and robots are told.
+    let news = client.declare_subscriber("map/hall/changes").await.unwrap();
+    contents.keyframes[2].global_from_keyframe.pose.translation.x += 0.25;
+    publish(&releases, &contents, &PublishOptions::default(), |_| {}).await.unwrap();
+    let notice = news.recv_async().await.unwrap().payload().to_bytes().into_owned();
+    let notice: MapChangeNotice = protocol::decode(Format::Bincode, &notice).unwrap();
+    assert_eq!((notice.from_version, notice.version, notice.moved), (1, 2, vec![contents.keyframes[2].id]));
+    assert_eq!(info().await.version, 2);
+
+    // The store is away: the server goes on, and a restarted one serves what it served last.
+    std::fs::rename(&city, &away).unwrap();
+    signal(&server, "-HUP");
+    drop(server);
+    let server = start();
+    says("serving the one that was served last").await;
+    assert_eq!(info().await.version, 2);
+
+    // A damaged release is refused with the segment's name; once it is whole, it is served.
+    std::fs::rename(&away, &city).unwrap();
+    contents.keyframes[3].global_from_keyframe.pose.translation.y += 0.25;
+    let segments = || -> Vec<_> {
+        std::fs::read_dir(city.join("segments")).unwrap().map(|entry| entry.unwrap().path()).collect()
+    };
+    let former = segments();
+    signal(&server, "-STOP");
+    publish(&releases, &contents, &PublishOptions::default(), |_| {}).await.unwrap();
+    let new = segments().into_iter().find(|path| !former.contains(path)).unwrap();
+    let whole = std::fs::read(&new).unwrap();
+    std::fs::write(&new, &whole[..whole.len() - 3]).unwrap();
+    signal(&server, "-CONT");
+    says("is damaged").await;
+    assert!(std::fs::read_to_string(&log).unwrap().contains(new.file_name().unwrap().to_str().unwrap()));
+    assert_eq!(info().await.version, 2);
+    std::fs::write(&new, &whole).unwrap();
+    while info().await.version < 3 {
+        tokio::time::sleep(Duration::from_millis(50)).await;
+    }
     client.close().await.unwrap();
 }

@@ -50,9 +50,15 @@ class Run:
 
     @cached_property
     def truth(self) -> Track | None:
-        """Ground truth of the recording that summary.json names, in the map's frame; `None` where there is none."""
+        """Ground truth of the recording that summary.json names, in the map's frame; `None` where there is none.
+
+        A relative path is one from here, or from the folder that holds the run.
+        """
         sequence = self.summary.get("sequence")
         if sequence is None:
             return None
-        path = Path(sequence) / "mav0" / "state_groundtruth_estimate0" / "data.csv"
-        return read_euroc(path) if path.is_file() else None
+        for start in (Path(), self.folder.parent):
+            path = start / sequence / "mav0" / "state_groundtruth_estimate0" / "data.csv"
+            if path.is_file():
+                return read_euroc(path)
+        return None

@@ -70,8 +70,10 @@ class Track:
         rotations = _slerp(self.rotations_wxyz[before], self.rotations_wxyz[after], fraction)
         return inside, Track(stamps_ns[inside], translations, rotations)
 
-    def errors(self, truth: Track) -> Errors:
+    def errors(self, truth: Track | None) -> Errors:
         """Errors against a ground truth in the same frame; poses without truth are left out."""
+        if truth is None:
+            raise Unreadable("there is no ground truth: the recording has none, or is not where the run names it")
         inside, reference = truth.at(self.stamps_ns)
         if not inside.any():
             raise Unreadable("the ground truth covers none of these times")

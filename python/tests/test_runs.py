@@ -26,10 +26,10 @@ def test_errors_are_those_of_the_program(place):
     run = Run(place / "out")
     errors = run.states["global_from_imu"].errors(run.truth)
     late = errors.stamps_ns >= errors.stamps_ns[0] + 5 * 10**9
-    score = run.summary["score"]["global_from_imu"]
+    score = run.summary["score"]["pose"]
     rmse = np.sqrt((errors.positions[late] ** 2).sum(axis=1).mean())
     assert rmse == pytest.approx(score["rmse_m"], rel=0.02)
-    assert errors.nees[late].mean() == pytest.approx(score["nees"], rel=0.05)
+    assert errors.nees[late].mean() == pytest.approx(score["nees_pose"], rel=0.05)
 
 
 def test_a_killed_run_is_read_as_far_as_it_goes(place, tmp_path):
@@ -39,6 +39,8 @@ def test_a_killed_run_is_read_as_far_as_it_goes(place, tmp_path):
     whole = Run(place / "out").states["local_from_imu"]
     assert 0.4 < len(half.states["local_from_imu"]) / len(whole) < 0.6
     assert half.summary == {} and half.events == [] and half.truth is None
+    with pytest.raises(Unreadable, match="no ground truth"):
+        half.states["local_from_imu"].errors(half.truth)
 
 
 def test_damage_is_named(place, tmp_path):

@@ -8,9 +8,11 @@ use std::path::PathBuf;
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
-#[command(after_help = "Example:\n  driftless extract-features --image query.png --camera sensor.yaml > request.json\n\n\
+#[command(
+    after_help = "Example:\n  driftless extract-features --image query.png --camera sensor.yaml > request.json\n\n\
     Prints a request for map/{map}/localize, which takes JSON from any client of Zenoh; `prior` and\n\
-    `gravity_in_camera` may be added to it. `driftless localize` extracts and asks in one step.")]
+    `gravity_in_camera` may be added to it. `driftless localize` extracts and asks in one step."
+)]
 pub struct Args {
     /// The image, PNG or JPEG
     #[arg(long, value_name = "FILE")]

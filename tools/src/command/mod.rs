@@ -26,7 +26,9 @@ pub mod montecarlo;
 pub mod play;
 pub mod plot;
 mod pose_files;
+pub mod publish_map;
 pub mod query;
+pub mod releases;
 pub mod run;
 pub mod simulate;
 pub mod track;
@@ -58,6 +60,16 @@ pub enum Command {
     EditMap(edit_map::Args),
     /// Make one map of two that overlap
     MergeMaps(merge_maps::Args),
+    /// Publish a map as a release in an object store, from which map servers take it
+    PublishMap(publish_map::Args),
+    /// List the releases of a map
+    ListReleases(releases::ListArgs),
+    /// Say which cells differ between two releases
+    DiffReleases(releases::DiffArgs),
+    /// Publish the map of a former release again
+    Rollback(releases::RollbackArgs),
+    /// Remove old releases, and what no release needs
+    CleanReleases(releases::CleanArgs),
     /// Print the contents of a map: counts, extent, uncertainties
     MapInfo(map_info::Args),
     /// Query a running map server with the features of an image
@@ -112,6 +124,11 @@ impl Command {
             Self::ExportColmap(args) => export_colmap::run(args),
             Self::EditMap(args) => edit_map::run(&args),
             Self::MergeMaps(args) => merge_maps::run(&args),
+            Self::PublishMap(args) => publish_map::run(&args),
+            Self::ListReleases(args) => releases::list(&args),
+            Self::DiffReleases(args) => releases::diff(&args),
+            Self::Rollback(args) => releases::roll_back(&args),
+            Self::CleanReleases(args) => releases::clean(&args),
             Self::MapInfo(args) => map_info::run(args),
             Self::Query(args) => query::run(args),
             Self::ExtractFeatures(args) => extract_features::run(&args),

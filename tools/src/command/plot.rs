@@ -1,6 +1,6 @@
 //! `driftless plot`: the plots of a run.
 
-use crate::plotting::{RunFiles, draw_run, read_keyframes};
+use crate::plotting::{RunFiles, draw_png, draw_run, read_keyframes};
 use anyhow::{Context, ensure};
 use nalgebra::Vector3;
 use serde_json::json;
@@ -8,7 +8,7 @@ use std::path::PathBuf;
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
-#[command(after_help = "Examples:\n  driftless plot out\n  \
+#[command(after_help = "Examples:\n  driftless plot out\n  driftless plot out --png\n  \
     driftless plot out --groundtruth SEQ/mav0/state_groundtruth_estimate0/data.csv --keyframes map/keyframes.csv\n\n\
     Draws trajectory.svg, over_time.svg, error_local.svg, error_transform.svg, error_pose.svg and reprojection.svg.\n\
     Plots for which the run has no data are left out, and named with the reason.")]
@@ -28,6 +28,12 @@ pub struct Args {
     /// Folder for the plots [default: DIR]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
+    /// Write each plot as PNG, too
+    #[arg(long)]
+    png: bool,
+    /// Pixels of a PNG, times those of the SVG
+    #[arg(long, value_name = "FACTOR", default_value_t = 2.0, requires = "png")]
+    scale: f32,
     /// Print the list of plots as JSON
     #[arg(long)]
     json: bool,
@@ -38,13 +44,18 @@ pub struct Args {
 /// # Errors
 /// A run without `states.csv`, a file that cannot be parsed, a plot that cannot be written.
 pub fn run(args: &Args) -> anyhow::Result<()> {
+    ensure!((0.1..=8.0).contains(&args.scale), "--scale {}: give a factor from 0.1 to 8", args.scale);
     let gravity = args.gravity.as_deref().map(direction).transpose()?;
     let mut run =
         RunFiles::read(&args.run, args.groundtruth.as_deref(), gravity).context("the run cannot be drawn")?;
     if let Some(path) = &args.keyframes {
         run.keyframes = read_keyframes(path).context("the keyframes cannot be drawn")?;
     }
-    let drawn = draw_run(&run, args.out.as_deref().unwrap_or(&args.run))?;
+    let mut drawn = draw_run(&run, args.out.as_deref().unwrap_or(&args.run))?;
+    if args.png {
+        let pixels: Result<Vec<_>, _> = drawn.pictures.iter().map(|svg| draw_png(svg, args.scale)).collect();
+        drawn.pictures.extend(pixels?);
+    }
     if args.json {
         println!(
             "{}",

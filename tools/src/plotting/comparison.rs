@@ -1,7 +1,7 @@
 //! Several runs over the same recording in one picture: their trajectories, and their errors beside the uncertainty that
 //! they claim.
 
-use super::canvas::{self, Area, BAD, ESTIMATE, GOOD, MAP, Mark, ODOMETRY, TRUTH, entry};
+use super::canvas::{self, Area, BAD, ESTIMATE, GOOD, MAP, Mark, ODOMETRY, SHADE, TRUTH, entry};
 use super::panel::{Panel, Series, Shape};
 use super::run_files::Truth;
 use super::series::{quantile, thin, thin_path};
@@ -16,12 +16,12 @@ use std::path::{Path, PathBuf};
 
 /// Truth is interpolated between rows that are at most so far apart.
 const MAX_TRUTH_GAP_NS: i64 = 250_000_000;
+/// Width of the picture, px.
+const WIDTH: u32 = 1400;
 /// Claimed uncertainty is drawn at so many standard deviations.
 const BOUND: f64 = 3.0;
 /// One colour a run; a fifth and more share the last.
 const RUN_COLOURS: [RGBColor; 4] = [ODOMETRY, BAD, ESTIMATE, GOOD];
-/// Stretches without matches.
-const SHADE: RGBColor = RGBColor(232, 232, 228);
 /// In the plan, errors are drawn longer by one of these factors.
 const EXAGGERATIONS: [f64; 6] = [1.0, 2.0, 5.0, 10.0, 20.0, 50.0];
 /// The plan's largest errors come to this fraction of the smaller side of the trajectory.
@@ -88,8 +88,8 @@ pub fn draw(comparison: &Comparison, path: &Path) -> anyhow::Result<PathBuf> {
         "Left: plan view, errors drawn {exaggeration:.0} times as large. Right: distance from the truth (line), and what \
          the filter claims ({BOUND:.0} sigma, filled)."
     ));
-    let height = 620 + 20 * caption.len() as u32;
-    canvas::draw_with_caption(path, (1400, height), &comparison.title, &caption, &legend, |body| {
+    let height = 552 + canvas::header_height(WIDTH, &caption, &legend) as u32;
+    canvas::draw_with_caption(path, (WIDTH, height), &comparison.title, &caption, &legend, |body| {
         let (left, right) = body.split_horizontally(640);
         comparison.draw_plan(&left, exaggeration)?;
         comparison.draw_errors(&right)
@@ -169,12 +169,11 @@ impl Comparison {
         let points = |value: &dyn Fn(&ErrorSample) -> f64| -> Vec<(f64, f64)> {
             run.errors.iter().map(|sample| (seconds(sample.stamp_ns), value(sample))).collect()
         };
-        let band = |points, colour| Series { points, colour, shape: Shape::Band };
-        let shades = self
-            .dropouts
-            .iter()
-            .map(|stretch| band(vec![(seconds(stretch.start), top), (seconds(stretch.end), top)], SHADE));
-        let claimed = band(thin(&points(&claimed_bound)), pale(colour));
+        let dropouts: Vec<Range<f64>> =
+            self.dropouts.iter().map(|stretch| seconds(stretch.start)..seconds(stretch.end)).collect();
+        let shades = Series::columns(&dropouts, SHADE);
+        let claimed =
+            Series { points: thin(&points(&claimed_bound)), colour: pale(colour), shape: Shape::Band };
         let error = Series::line(thin(&points(&position_error)), colour, 2);
         Panel {
             title: format!("{}. {}", run.name, run.figures),

@@ -1,6 +1,7 @@
 //! The six errors of one pose over time, with the bounds of the filter's covariance.
 
 use super::canvas::{self, BAND, ESTIMATE, GRID, Mark, entry};
+use super::map_use::MapUse;
 use super::panel::{Panel, Series, Shape};
 use super::run_files::RunFiles;
 use super::series::{quantile, thin};
@@ -20,21 +21,29 @@ pub(crate) fn draw(
     samples: &[ErrorSample],
     path: &Path,
 ) -> anyhow::Result<PathBuf> {
-    let legend = [
+    let map_use = MapUse::of(run);
+    let mut legend = vec![
         entry(Mark::Line, ESTIMATE, "error (truth minus estimate)"),
         entry(Mark::Patch, BAND, "3 standard deviations, by the filter"),
     ];
+    legend.extend(map_use.legend());
     canvas::draw(path, (1120, 860), &title(run, kind), &legend, |body| {
         for (index, area) in body.split_evenly((3, 2)).iter().enumerate() {
             // Rotation on the left, position on the right; x, y, z downwards.
             let (axis, is_position) = (index / 2, index % 2 == 1);
-            panel(run, samples, axis, is_position, index >= 4).draw(area)?;
+            panel(run, samples, &map_use, (axis, is_position), index >= 4).draw(area)?;
         }
         Ok(())
     })
 }
 
-fn panel(run: &RunFiles, samples: &[ErrorSample], axis: usize, is_position: bool, is_last: bool) -> Panel {
+fn panel(
+    run: &RunFiles,
+    samples: &[ErrorSample],
+    map_use: &MapUse,
+    (axis, is_position): (usize, bool),
+    is_last: bool,
+) -> Panel {
     let (column, scale) = if is_position { (axis + 3, 1.0) } else { (axis, 1f64.to_degrees()) };
     let line = |value: &dyn Fn(&ErrorSample) -> f64| -> Vec<(f64, f64)> {
         samples.iter().map(|sample| (run.seconds(sample.stamp_ns), value(sample) * scale)).collect()
@@ -45,6 +54,11 @@ fn panel(run: &RunFiles, samples: &[ErrorSample], axis: usize, is_position: bool
     let widest = quantile(bounds.iter().map(|(_, bound)| *bound), SHOWN_BOUNDS).unwrap_or(0.0);
     let height = 1.08 * largest.max(widest).max(1e-9);
     let letter = ["x", "y", "z"][axis];
+    let y = -height..height;
+    let band = Series { points: thin(&bounds), colour: BAND, shape: Shape::Band };
+    let zero = Series::line(vec![(0.0, 0.0), (run.duration(), 0.0)], GRID, 1);
+    let error = Series::line(thin(&errors), ESTIMATE, 1);
+    let marks = map_use.marks(&y);
     Panel {
         x_label: if is_last { "time [s]" } else { "" },
         y_label: if is_position {
@@ -53,12 +67,8 @@ fn panel(run: &RunFiles, samples: &[ErrorSample], axis: usize, is_position: bool
             format!("rotation {letter} [deg]")
         },
         x: 0.0..run.duration(),
-        y: -height..height,
-        series: vec![
-            Series { points: thin(&bounds), colour: BAND, shape: Shape::Band },
-            Series::line(vec![(0.0, 0.0), (run.duration(), 0.0)], GRID, 1),
-            Series::line(thin(&errors), ESTIMATE, 1),
-        ],
+        y,
+        series: map_use.bands().chain([band, zero, error]).chain(marks).collect(),
         ..Panel::default()
     }
 }

@@ -11,6 +11,9 @@
 //! | NEES of an ensemble over time, with bounds | one line a filter ([`draw_ensemble`]) |
 //! | `comparison.svg` | several runs: trajectories, errors and claimed uncertainty ([`comparison`]) |
 //!
+//! Over time, grey bands show where the map gave nothing, and dots which answers were used or refused. [`draw_png`] makes pixels of
+//! any of them.
+//!
 //! Without ground truth there are no errors to draw, and [`Drawn::missing`] says so.
 
 mod canvas;
@@ -18,10 +21,13 @@ pub mod comparison;
 mod coverage;
 mod ensemble;
 mod errors;
+mod font;
+mod map_use;
 mod match_statistics;
 mod matches;
 mod over_time;
 mod panel;
+mod png;
 mod reprojection;
 mod run_files;
 mod series;
@@ -34,6 +40,7 @@ pub use coverage::draw_coverage;
 pub use ensemble::{EnsembleLine, draw_ensemble};
 pub use match_statistics::describe_verdict;
 pub use matches::{MatchPicture, draw_matches};
+pub use png::draw_png;
 pub use run_files::{RunFiles, Truth, read_keyframes};
 
 use anyhow::Context as _;

@@ -1,6 +1,7 @@
 //! The position along each axis over time.
 
 use super::canvas::{self, ESTIMATE, Mark, ODOMETRY, TRUTH, entry};
+use super::map_use::MapUse;
 use super::panel::{Panel, Series};
 use super::run_files::RunFiles;
 use super::series::{range, thin};
@@ -36,18 +37,23 @@ pub(crate) fn draw(run: &RunFiles, path: &Path) -> anyhow::Result<PathBuf> {
     if !truth.is_empty() {
         legend.insert(0, entry(Mark::Line, TRUTH, "truth"));
     }
+    let map_use = MapUse::of(run);
+    legend.extend(map_use.legend());
     canvas::draw(path, (1120, 760), &format!("{} \u{2013} position over time", run.name), &legend, |body| {
         for (axis, area) in body.split_evenly((3, 1)).iter().enumerate() {
             let along = |points: &[(f64, [f64; 3])]| -> Vec<(f64, f64)> {
                 points.iter().map(|(time, position)| (*time, position[axis])).collect()
             };
             let (true_line, line) = (along(&truth), along(&estimate));
+            let y = range(true_line.iter().chain(&line).map(|point| point.1));
+            let lines = [Series::line(thin(&true_line), TRUTH, 4), Series::line(thin(&line), colour, 2)];
+            let marks = map_use.marks(&y);
             let panel = Panel {
                 x_label: if axis == 2 { "time [s]" } else { "" },
                 y_label: format!("{} [m]", ["x", "y", "height"][axis]),
                 x: 0.0..run.duration(),
-                y: range(true_line.iter().chain(&line).map(|point| point.1)),
-                series: vec![Series::line(thin(&true_line), TRUTH, 4), Series::line(thin(&line), colour, 2)],
+                y,
+                series: map_use.bands().chain(lines).chain(marks).collect(),
                 ..Panel::default()
             };
             panel.draw(area)?;

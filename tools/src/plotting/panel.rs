@@ -30,6 +30,15 @@ impl Series {
         Self { points, colour, shape: Shape::Line(width) }
     }
 
+    /// Columns over the whole height.
+    pub(crate) fn columns(stretches: &[Range<f64>], colour: RGBColor) -> impl Iterator<Item = Self> {
+        stretches.iter().map(move |stretch| Self {
+            points: vec![(stretch.start, f64::MAX), (stretch.end, f64::MAX)],
+            colour,
+            shape: Shape::Band,
+        })
+    }
+
     /// Dots at points.
     pub(crate) fn dots(points: Vec<(f64, f64)>, colour: RGBColor, radius: u32) -> Self {
         Self { points, colour, shape: Shape::Dots(radius) }

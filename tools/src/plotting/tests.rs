@@ -81,11 +81,40 @@ fn a_run_with_truth_and_events_gives_all_pictures() {
         assert!(svg.contains("<svg") && svg.trim_end().ends_with("</svg>"));
         assert!(!svg.contains("NaN") && !svg.contains("inf"), "{}", picture.display());
     }
+    let errors = std::fs::read_to_string(out.join("error_pose.svg")).unwrap();
+    for shown in ["no answer used", "answer used", "answer refused"] {
+        assert!(errors.contains(shown), "{shown}");
+    }
     if let Ok(keep) = std::env::var("KEEP_PICTURES") {
         for picture in &drawn.pictures {
             std::fs::copy(picture, Path::new(&keep).join(picture.file_name().unwrap())).unwrap();
         }
     }
+}
+
+#[test]
+fn a_picture_in_pixels_has_the_colours_and_letters_of_the_drawing() {
+    let folder = run_folder(true);
+    let mut run = RunFiles::read(folder.path(), None, None).unwrap();
+    run.truth = Some(Truth { rows: truth_rows(), gravity: -Vector3::z() });
+    let drawn = draw_run(&run, folder.path()).unwrap();
+    let svg = drawn.pictures.iter().find(|path| path.ends_with("error_pose.svg")).unwrap();
+    let pixels = |scale: f32| {
+        let png = draw_png(svg, scale).unwrap();
+        assert_eq!(png, folder.path().join("error_pose.png"));
+        image::open(png).unwrap().into_rgb8()
+    };
+    let (once, twice) = (pixels(1.0), pixels(2.0));
+    assert_eq!((once.width() * 2, once.height() * 2), (twice.width(), twice.height()));
+    let count = |colour: plotters::style::RGBColor| {
+        twice.pixels().filter(|pixel| pixel.0 == [colour.0, colour.1, colour.2]).count()
+    };
+    assert!(count(canvas::BAND) > 10_000 && count(canvas::SHADE) > 10_000 && count(canvas::ESTIMATE) > 500);
+    let title = (0..twice.width()).flat_map(|x| (20..70).map(move |y| (x, y)));
+    let dark = title.filter(|(x, y)| twice.get_pixel(*x, *y).0.iter().all(|part| *part < 90)).count();
+    assert!(dark > 500, "the title is written: {dark} dark pixels");
+    let missing = draw_png(&folder.path().join("nothing.svg"), 1.0).unwrap_err();
+    assert!(format!("{missing:#}").contains("nothing.svg"));
 }
 
 #[test]

@@ -1,0 +1,69 @@
+//! Removing what no release needs.
+
+use crate::error::ReleaseError;
+use crate::publish::now_unix_s;
+use crate::store::ReleaseStore;
+use std::collections::BTreeSet;
+use std::time::Duration;
+
+/// What is kept.
+#[derive(Clone, Debug)]
+#[non_exhaustive]
+pub struct CleanOptions {
+    /// Newest releases that are kept, at least one.
+    pub releases: usize,
+    /// Segments that were put within this time are kept: a release that names them may be about to come.
+    pub grace: Duration,
+    /// Remove nothing, only say what would be.
+    pub dry_run: bool,
+}
+
+impl Default for CleanOptions {
+    fn default() -> Self {
+        Self { releases: 10, grace: Duration::from_hours(24), dry_run: false }
+    }
+}
+
+/// What was removed.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Cleaned {
+    /// Numbers of releases.
+    pub releases: Vec<u64>,
+    /// Names of segments.
+    pub segments: Vec<String>,
+    /// Bytes of the segments.
+    pub bytes: u64,
+}
+
+/// Removes all releases but the newest ones, and the segments that the remaining ones do not name.
+///
+/// # Errors
+/// [`ReleaseError::Store`]; [`ReleaseError::Damaged`] for a release that cannot be read: nothing is removed then.
+pub async fn clean(store: &ReleaseStore, options: &CleanOptions) -> Result<Cleaned, ReleaseError> {
+    // Listed first: what is put later is younger than the grace time.
+    let segments = store.segments().await?;
+    let numbers = store.numbers().await?;
+    let (former, kept) = numbers.split_at(numbers.len().saturating_sub(options.releases.max(1)));
+    let mut needed = BTreeSet::new();
+    for number in kept {
+        needed.extend(store.release(*number).await?.cells.into_iter().map(|cell| cell.segment.sha256));
+    }
+    let mut cleaned = Cleaned { releases: former.to_vec(), ..Cleaned::default() };
+    // A release goes before its segments, so that no release lacks any.
+    for number in former.iter().filter(|_| !options.dry_run) {
+        store.remove_release(*number).await?;
+    }
+    let oldest = now_unix_s().saturating_sub(options.grace.as_secs());
+    for (name, object) in segments {
+        let put_s = u64::try_from(object.last_modified.timestamp()).unwrap_or(0);
+        if needed.contains(&name) || put_s > oldest {
+            continue;
+        }
+        if !options.dry_run {
+            store.remove_segment(&name).await?;
+        }
+        cleaned.bytes = cleaned.bytes.saturating_add(object.size);
+        cleaned.segments.push(name);
+    }
+    Ok(cleaned)
+}

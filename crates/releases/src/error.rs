@@ -1,0 +1,126 @@
+//! What can go wrong with releases.
+
+use map::{ContentsError, RecordError};
+use protocol::MapIdentity;
+use std::path::PathBuf;
+
+/// Why a release was not published, read or fetched.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ReleaseError {
+    /// The place is no URL that can be used.
+    #[error("{place} is no place of releases: {reason}; write a folder, or a URL like s3://bucket/city")]
+    Place {
+        /// What was given.
+        place: String,
+        /// Why not.
+        reason: String,
+    },
+    /// The store failed.
+    #[error("{place}: {object} cannot be {done}")]
+    Store {
+        /// The store.
+        place: String,
+        /// What it was about.
+        object: String,
+        /// `read`, `written`, `listed` or `removed`.
+        done: &'static str,
+        /// The error of the store.
+        source: Box<object_store::Error>,
+    },
+    /// Another program published meanwhile.
+    #[error("another program published release {number} at the same time: publish again to come after it")]
+    Conflict {
+        /// The number that was free before.
+        number: u64,
+    },
+    /// The map is not a version of the one that is published there.
+    #[error(
+        "the map has the identity {given}, and {place} holds releases of another map ({published}): publish it elsewhere"
+    )]
+    OtherMap {
+        /// The store.
+        place: String,
+        /// Identity of the given map.
+        given: MapIdentity,
+        /// Identity of the published one.
+        published: MapIdentity,
+    },
+    /// There is no release of that number.
+    #[error("{place} has no release {number}")]
+    NoRelease {
+        /// The store.
+        place: String,
+        /// The number.
+        number: u64,
+    },
+    /// What was read is not what was published.
+    #[error("{place}: {object} is damaged: {reason}")]
+    Damaged {
+        /// The store.
+        place: String,
+        /// The object.
+        object: String,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// A segment that has the right checksum and cannot be understood.
+    #[error("{place}: segment {segment} cannot be read")]
+    Segment {
+        /// The store.
+        place: String,
+        /// Its name.
+        segment: String,
+        /// What is wrong with it.
+        source: SegmentError,
+    },
+    /// The map violates an invariant.
+    #[error(transparent)]
+    Contents(#[from] ContentsError),
+    /// A cell cannot be encoded.
+    #[error("a cell of the map cannot be written")]
+    Record(#[from] RecordError),
+    /// The cache failed.
+    #[error("the cache {path} cannot be used")]
+    Cache {
+        /// File or folder.
+        path: PathBuf,
+        /// The error of the file system.
+        source: std::io::Error,
+    },
+}
+
+/// Why bytes are no segment.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum SegmentError {
+    /// The first bytes are others.
+    #[error("it does not begin as a segment of this version does")]
+    NotASegment,
+    /// It ends too early.
+    #[error("it ends after {bytes} bytes, in the middle of a record")]
+    CutOff {
+        /// Its length.
+        bytes: usize,
+    },
+    /// It goes on after its last record.
+    #[error("{bytes} bytes follow its last record")]
+    TooLong {
+        /// How many.
+        bytes: usize,
+    },
+    /// A record is damaged.
+    #[error("the record at byte {at}")]
+    Record {
+        /// Where.
+        at: usize,
+        /// What is wrong with it.
+        source: RecordError,
+    },
+}
+
+/// An error with its causes, in one line.
+pub(crate) fn with_causes(error: &dyn std::error::Error) -> String {
+    let causes = std::iter::successors(error.source(), |cause| cause.source());
+    causes.fold(error.to_string(), |text, cause| format!("{text}: {cause}"))
+}

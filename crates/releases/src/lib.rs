@@ -1,0 +1,63 @@
+//! Releases of maps in an object store: a folder, Amazon S3, Google Cloud Storage or Azure (feature `cloud`).
+//!
+//! ```text
+//! releases/00000000000000000007.json    what release 7 is: the map's identity and version, and the segments of its cells
+//! segments/{SHA-256}                    the keyframes, landmarks and cross-covariances of a cell
+//! ```
+//! Nothing is ever overwritten: segments are named by their content, and a release is put under the next number only if that
+//! number is free. Of two that publish at once, one is told that the other was first. A segment that did not change is not sent
+//! again. An upload that was stopped leaves segments that no release names; [`clean`] removes them after some time.
+//!
+//! | module | what |
+//! |---|---|
+//! | [`partition`] | cells: a k-d tree over the ground plane, which later releases keep |
+//! | `cells` | a map cut into cells, and put together again without loss |
+//! | `segment` | the bytes of a cell |
+//! | [`release`] | what a release is |
+//! | [`store`] | the object store |
+//! | [`publish`](mod@publish) | publishing a map, going back to a former release |
+//! | [`fetch`](mod@fetch) | the map of a release, every byte verified |
+//! | [`cache`] | segments and the newest release, kept on disk |
+//! | [`clean`](mod@clean) | removing what no release needs |
+//!
+//! # Example
+//! ```
+//! use map::{MapContents, MapMetadata};
+//! use protocol::DescriptorKind;
+//! use releases::{PublishOptions, ReleaseStore, fetch, publish};
+//!
+//! # #[tokio::main]
+//! # async fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! # let folder = tempfile::tempdir()?;
+//! # let place = folder.path().display().to_string();
+//! let store = ReleaseStore::open(&place)?; // or s3://bucket/city
+//! let map = MapContents::empty(MapMetadata::new("city", "example", DescriptorKind::Binary, 32));
+//! publish(&store, &map, &PublishOptions::default(), |_| {}).await?;
+//!
+//! let newest = store.newest().await?.ok_or("nothing was published")?;
+//! assert_eq!(newest.number, 1);
+//! assert_eq!(fetch(&store, &newest, None).await?.keyframes.len(), 0);
+//! # Ok(())
+//! # }
+//! ```
+#![cfg_attr(test, allow(clippy::unwrap_used))]
+
+pub mod cache;
+mod cells;
+pub mod clean;
+mod error;
+pub mod fetch;
+pub mod partition;
+pub mod publish;
+pub mod release;
+mod segment;
+pub mod store;
+
+pub use cache::ReleaseCache;
+pub use clean::{CleanOptions, Cleaned, clean};
+pub use error::{ReleaseError, SegmentError};
+pub use fetch::fetch;
+pub use partition::{CellId, Partition};
+pub use publish::{Outcome, Progress, PublishOptions, Published, publish, roll_back};
+pub use release::{Release, ReleaseDifference, ReleasedCell, ReleasedMap, SegmentName};
+pub use store::ReleaseStore;

@@ -1,0 +1,213 @@
+//! What a release is.
+
+use crate::partition::{CellId, Partition};
+use map::MapMetadata;
+use nalgebra::Vector3;
+use protocol::{DescriptorKind, MapIdentity};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// Layout of releases. One with a larger number is refused.
+pub const RELEASE_SCHEMA: u16 = 1;
+
+/// One state of a map, as it is in the store. Never changes.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Release {
+    /// Layout of this file, see [`RELEASE_SCHEMA`].
+    pub schema: u16,
+    /// Counts the releases, from 1.
+    pub number: u64,
+    /// When it was published, seconds since 1970.
+    pub published_unix_s: u64,
+    /// The release whose map this one has again; `None` for a map of its own.
+    pub rolled_back_to: Option<u64>,
+    /// What applies to the map as a whole.
+    pub map: ReleasedMap,
+    /// Which place belongs to which cell.
+    pub partition: Partition,
+    /// Cells with keyframes, by their numbers.
+    pub cells: Vec<ReleasedCell>,
+}
+
+/// What applies to a released map as a whole.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ReleasedMap {
+    /// Name for display.
+    pub name: String,
+    /// The program and input that it was built with.
+    pub created_by: String,
+    /// Grows from release to release.
+    pub version: u64,
+    /// The same in all releases.
+    pub identity: MapIdentity,
+    /// Of the map's contents; equal where they are.
+    pub digest: MapIdentity,
+    /// Unit vector downwards in G, where it is known.
+    pub gravity_in_global: Option<[f64; 3]>,
+    /// Kind of its descriptors.
+    pub descriptor_kind: DescriptorKind,
+    /// Bytes of a descriptor.
+    pub descriptor_width: u16,
+    /// Standard deviation of its pixels, px.
+    pub sigma_px: f64,
+    /// Extractor of its features.
+    pub extractor: String,
+}
+
+/// One cell of a release.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ReleasedCell {
+    /// Its number in the partition.
+    pub cell: CellId,
+    /// How many keyframes it has.
+    pub keyframes: usize,
+    /// How many landmarks are anchored in them.
+    pub landmarks: usize,
+    /// Smallest and largest coordinates of its keyframes in G, metres.
+    pub extent: [[f64; 3]; 2],
+    /// Where its contents are.
+    pub segment: SegmentName,
+}
+
+/// A segment: its SHA-256 is its name.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SegmentName {
+    /// 64 hexadecimal digits.
+    pub sha256: String,
+    /// Its length.
+    pub bytes: u64,
+}
+
+/// What one release has and another one has not.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct ReleaseDifference {
+    /// Cells of the second only.
+    pub added: Vec<CellId>,
+    /// Cells of the first only.
+    pub removed: Vec<CellId>,
+    /// Cells of both with different contents.
+    pub changed: Vec<CellId>,
+    /// Cells of both with the same contents.
+    pub unchanged: usize,
+    /// What who has the first must fetch for the second.
+    pub bytes: u64,
+}
+
+impl ReleasedMap {
+    pub(crate) fn new(info: &MapMetadata, version: u64, identity: MapIdentity, digest: MapIdentity) -> Self {
+        Self {
+            name: info.name.clone(),
+            created_by: info.created_by.clone(),
+            version,
+            identity,
+            digest,
+            gravity_in_global: info.gravity_in_global.map(Into::into),
+            descriptor_kind: info.descriptor_kind,
+            descriptor_width: info.descriptor_width,
+            sigma_px: info.sigma_px,
+            extractor: info.extractor.clone(),
+        }
+    }
+
+    pub(crate) fn metadata(&self) -> MapMetadata {
+        MapMetadata {
+            version: self.version,
+            identity: Some(self.identity),
+            gravity_in_global: self.gravity_in_global.map(Vector3::from),
+            sigma_px: self.sigma_px,
+            extractor: self.extractor.clone(),
+            ..MapMetadata::new(
+                self.name.as_str(),
+                self.created_by.as_str(),
+                self.descriptor_kind,
+                self.descriptor_width,
+            )
+        }
+    }
+}
+
+impl Release {
+    /// Keyframes of all cells.
+    pub fn keyframes(&self) -> usize {
+        self.cells.iter().map(|cell| cell.keyframes).sum()
+    }
+
+    /// Landmarks of all cells.
+    pub fn landmarks(&self) -> usize {
+        self.cells.iter().map(|cell| cell.landmarks).sum()
+    }
+
+    /// Bytes of all segments.
+    pub fn bytes(&self) -> u64 {
+        self.cells.iter().map(|cell| cell.segment.bytes).fold(0, u64::saturating_add)
+    }
+
+    /// What `later` has and this release has not.
+    pub fn difference(&self, later: &Self) -> ReleaseDifference {
+        let segments = |release: &Self| -> BTreeMap<CellId, SegmentName> {
+            release.cells.iter().map(|cell| (cell.cell, cell.segment.clone())).collect()
+        };
+        let (before, after) = (segments(self), segments(later));
+        let mut difference = ReleaseDifference::default();
+        for (cell, segment) in &after {
+            match before.get(cell) {
+                Some(former) if former == segment => difference.unchanged += 1,
+                Some(_) => difference.changed.push(*cell),
+                None => difference.added.push(*cell),
+            }
+            if !before.values().any(|former| former == segment) {
+                difference.bytes = difference.bytes.saturating_add(segment.bytes);
+            }
+        }
+        difference.removed = before.into_keys().filter(|cell| !after.contains_key(cell)).collect();
+        difference
+    }
+
+    /// Reads the file of a release.
+    pub(crate) fn decode(text: &[u8], number: u64) -> Result<Self, String> {
+        let value: serde_json::Value = serde_json::from_slice(text).map_err(|error| error.to_string())?;
+        // A newer layout may have other fields.
+        let schema = value.get("schema").and_then(serde_json::Value::as_u64).unwrap_or(0);
+        if schema != u64::from(RELEASE_SCHEMA) {
+            return Err(format!("it has schema {schema}, this program reads {RELEASE_SCHEMA}"));
+        }
+        let release: Self = serde_json::from_value(value).map_err(|error| error.to_string())?;
+        if release.number != number {
+            return Err(format!("it says that it is release {}", release.number));
+        }
+        release.partition.check()?;
+        let mut known = release.partition.cells();
+        known.sort_unstable();
+        for pair in release.cells.windows(2) {
+            if pair[0].cell >= pair[1].cell {
+                return Err(format!("cell {} is not in order", pair[1].cell));
+            }
+        }
+        for ReleasedCell { cell, segment, .. } in &release.cells {
+            if known.binary_search(cell).is_err() {
+                return Err(format!("its partition has no cell {cell}"));
+            }
+            if !segment.is_name() {
+                return Err(format!("cell {cell} has the segment {:?}", segment.sha256));
+            }
+        }
+        Ok(release)
+    }
+}
+
+impl SegmentName {
+    /// That of some bytes.
+    pub(crate) fn of(bytes: &[u8]) -> Self {
+        Self { sha256: crate::store::sha256(bytes), bytes: bytes.len() as u64 }
+    }
+
+    /// A hostile name could lead out of the folder of segments.
+    fn is_name(&self) -> bool {
+        let is_digit = |byte: u8| byte.is_ascii_digit() || (b'a'..=b'f').contains(&byte);
+        self.sha256.len() == 64 && self.sha256.bytes().all(is_digit)
+    }
+}

@@ -1,0 +1,215 @@
+//! The object store of releases.
+
+use crate::error::ReleaseError;
+use crate::release::{Release, SegmentName};
+use bytes::Bytes;
+use futures_util::TryStreamExt as _;
+use object_store::path::Path;
+use object_store::{ObjectMeta, ObjectStore, ObjectStoreExt as _, PutMode, PutOptions, PutPayload};
+use sha2::{Digest as _, Sha256};
+use std::fmt::Write as _;
+use std::sync::Arc;
+use url::Url;
+
+/// The file of a release names its segments: a few hundred bytes a cell.
+const MAX_RELEASE_BYTES: u64 = 64 << 20;
+/// Digits of a number in a name, so that names sort as numbers do.
+const DIGITS: usize = 20;
+const RELEASES: &str = "releases";
+const SEGMENTS: &str = "segments";
+const EXTENSION: &str = ".json";
+
+/// The releases of one map in an object store.
+#[derive(Clone, Debug)]
+pub struct ReleaseStore {
+    store: Arc<dyn ObjectStore>,
+    root: Path,
+    place: String,
+}
+
+impl ReleaseStore {
+    /// Opens a store; nothing is read or written yet.
+    ///
+    /// # Arguments
+    /// * `place`: a folder, or a URL: `file:///srv/city`, and with the feature `cloud` `s3://bucket/city`, `gs://bucket/city`,
+    ///   `az://container/city`. Credentials, region and endpoint of a cloud are taken from the environment, from the variables
+    ///   of its own tools (`AWS_ACCESS_KEY_ID`, `AWS_REGION`, `AWS_ENDPOINT`, `GOOGLE_SERVICE_ACCOUNT`, `AZURE_STORAGE_ACCOUNT_NAME`, ...).
+    ///
+    /// # Errors
+    /// [`ReleaseError::Place`].
+    pub fn open(place: &str) -> Result<Self, ReleaseError> {
+        let refused = |reason: String| ReleaseError::Place { place: place.to_owned(), reason };
+        let url = if place.contains("://") {
+            Url::parse(place).map_err(|error| refused(error.to_string()))?
+        } else {
+            let folder = std::path::absolute(place).map_err(|error| refused(error.to_string()))?;
+            Url::from_directory_path(folder).map_err(|()| refused("it is no folder".to_owned()))?
+        };
+        #[cfg(feature = "cloud")]
+        {
+            // Somebody else may have installed a provider before; any is good enough.
+            let _ = rustls::crypto::ring::default_provider().install_default();
+        }
+        let variables = std::env::vars_os().filter_map(|(name, value)| {
+            let name = name.into_string().ok()?.to_ascii_lowercase();
+            let is_ours = ["aws_", "google_", "azure_"].iter().any(|prefix| name.starts_with(prefix));
+            is_ours.then_some((name, value.into_string().ok()?))
+        });
+        let (store, root) =
+            object_store::parse_url_opts(&url, variables).map_err(|error| refused(error.to_string()))?;
+        Ok(Self { store: Arc::from(store), root, place: place.to_owned() })
+    }
+
+    /// The place as it was given.
+    pub fn place(&self) -> &str {
+        &self.place
+    }
+
+    /// The numbers of all releases, ascending.
+    ///
+    /// # Errors
+    /// [`ReleaseError::Store`].
+    pub async fn numbers(&self) -> Result<Vec<u64>, ReleaseError> {
+        let objects = self.list(RELEASES).await?;
+        let number = |object: ObjectMeta| {
+            object.location.filename()?.strip_suffix(EXTENSION)?.parse().ok().filter(|number| *number > 0)
+        };
+        let mut numbers: Vec<u64> = objects.into_iter().filter_map(number).collect();
+        numbers.sort_unstable();
+        Ok(numbers)
+    }
+
+    /// A release.
+    ///
+    /// # Errors
+    /// [`ReleaseError::NoRelease`], [`ReleaseError::Store`], [`ReleaseError::Damaged`].
+    pub async fn release(&self, number: u64) -> Result<Release, ReleaseError> {
+        let object = release_name(number);
+        let text = self.read(&object, MAX_RELEASE_BYTES).await.map_err(|error| match error {
+            ReleaseError::Store { source, .. } if matches!(*source, object_store::Error::NotFound { .. }) => {
+                ReleaseError::NoRelease { place: self.place.clone(), number }
+            }
+            error => error,
+        })?;
+        Release::decode(&text, number).map_err(|reason| self.damaged(object, reason))
+    }
+
+    /// The newest release; `None` where nothing was published.
+    ///
+    /// # Errors
+    /// As [`ReleaseStore::release`].
+    pub async fn newest(&self) -> Result<Option<Release>, ReleaseError> {
+        match self.numbers().await?.last() {
+            Some(number) => self.release(*number).await.map(Some),
+            None => Ok(None),
+        }
+    }
+
+    /// The bytes of a segment, verified.
+    pub(crate) async fn segment(&self, name: &SegmentName) -> Result<Bytes, ReleaseError> {
+        let object = segment_name(name);
+        let bytes = self.read(&object, name.bytes).await?;
+        let found = SegmentName::of(&bytes);
+        if found == *name {
+            return Ok(bytes);
+        }
+        let SegmentName { sha256, bytes } = found;
+        Err(self.damaged(object, format!("its {bytes} bytes have the SHA-256 {sha256}")))
+    }
+
+    /// Puts a segment; one that is there already has the same bytes, and becomes young again.
+    pub(crate) async fn put_segment(&self, name: &SegmentName, bytes: Vec<u8>) -> Result<(), ReleaseError> {
+        let object = segment_name(name);
+        self.put(&object, bytes, PutMode::Overwrite)
+            .await
+            .map_err(|source| self.failed(object, "written", source))
+    }
+
+    /// Puts a release under its number, if that is free.
+    pub(crate) async fn put_release(&self, release: &Release) -> Result<(), ReleaseError> {
+        let object = release_name(release.number);
+        let mut text = serde_json::to_vec_pretty(release)
+            .map_err(|error| self.damaged(object.clone(), error.to_string()))?;
+        text.push(b'\n');
+        match self.put(&object, text, PutMode::Create).await {
+            Ok(()) => Ok(()),
+            Err(object_store::Error::AlreadyExists { .. }) => {
+                Err(ReleaseError::Conflict { number: release.number })
+            }
+            Err(source) => Err(self.failed(object, "written", source)),
+        }
+    }
+
+    /// All segments with the times when they were last put.
+    pub(crate) async fn segments(&self) -> Result<Vec<(String, ObjectMeta)>, ReleaseError> {
+        let objects = self.list(SEGMENTS).await?;
+        let named = |object: ObjectMeta| Some((object.location.filename()?.to_owned(), object));
+        Ok(objects.into_iter().filter_map(named).collect())
+    }
+
+    pub(crate) async fn remove_release(&self, number: u64) -> Result<(), ReleaseError> {
+        self.remove(release_name(number)).await
+    }
+
+    pub(crate) async fn remove_segment(&self, sha256: &str) -> Result<(), ReleaseError> {
+        self.remove(format!("{SEGMENTS}/{sha256}")).await
+    }
+
+    async fn remove(&self, object: String) -> Result<(), ReleaseError> {
+        match self.store.delete(&self.at(&object)).await {
+            Ok(()) | Err(object_store::Error::NotFound { .. }) => Ok(()),
+            Err(source) => Err(self.failed(object, "removed", source)),
+        }
+    }
+
+    async fn put(&self, object: &str, bytes: Vec<u8>, mode: PutMode) -> Result<(), object_store::Error> {
+        let options = PutOptions { mode, ..PutOptions::default() };
+        self.store.put_opts(&self.at(object), PutPayload::from(bytes), options).await.map(drop)
+    }
+
+    async fn read(&self, object: &str, at_most: u64) -> Result<Bytes, ReleaseError> {
+        let failed = |source| self.failed(object.to_owned(), "read", source);
+        let found = self.store.get(&self.at(object)).await.map_err(failed)?;
+        if found.meta.size > at_most {
+            let reason = format!("it has {} bytes, not {at_most} or less", found.meta.size);
+            return Err(self.damaged(object.to_owned(), reason));
+        }
+        found.bytes().await.map_err(failed)
+    }
+
+    async fn list(&self, folder: &str) -> Result<Vec<ObjectMeta>, ReleaseError> {
+        match self.store.list(Some(&self.at(folder))).try_collect().await {
+            Ok(objects) => Ok(objects),
+            Err(object_store::Error::NotFound { .. }) => Ok(Vec::new()),
+            Err(source) => Err(self.failed(folder.to_owned(), "listed", source)),
+        }
+    }
+
+    fn at(&self, object: &str) -> Path {
+        self.root.parts().chain(Path::from(object).parts()).collect()
+    }
+
+    fn failed(&self, object: String, done: &'static str, source: object_store::Error) -> ReleaseError {
+        ReleaseError::Store { place: self.place.clone(), object, done, source: Box::new(source) }
+    }
+
+    pub(crate) fn damaged(&self, object: String, reason: String) -> ReleaseError {
+        ReleaseError::Damaged { place: self.place.clone(), object, reason }
+    }
+}
+
+/// SHA-256 in hexadecimal digits.
+pub(crate) fn sha256(bytes: &[u8]) -> String {
+    Sha256::digest(bytes).iter().fold(String::with_capacity(64), |mut text, byte| {
+        let _ = write!(text, "{byte:02x}");
+        text
+    })
+}
+
+fn release_name(number: u64) -> String {
+    format!("{RELEASES}/{number:0DIGITS$}{EXTENSION}")
+}
+
+fn segment_name(segment: &SegmentName) -> String {
+    format!("{SEGMENTS}/{}", segment.sha256)
+}

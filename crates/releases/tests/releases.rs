@@ -1,0 +1,306 @@
+//! Releases in a local folder: nothing is lost, nothing is sent twice, one publisher wins, damage is named.
+#![allow(clippy::unwrap_used)]
+
+use map::MapContents;
+use map::edit::{keyframes_where, remove_keyframes};
+use releases::{
+    CleanOptions, Outcome, PublishOptions, Published, ReleaseCache, ReleaseError, ReleaseStore, clean, fetch,
+    publish, roll_back,
+};
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+use tempfile::TempDir;
+use testing::{Place, PlaceOptions};
+
+struct Scratch {
+    folder: TempDir,
+    store: ReleaseStore,
+}
+
+impl Scratch {
+    fn new() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let store = ReleaseStore::open(folder.path().join("city").to_str().unwrap()).unwrap();
+        Self { folder, store }
+    }
+
+    fn files(&self, of: &str) -> Vec<PathBuf> {
+        let entries = std::fs::read_dir(self.folder.path().join("city").join(of)).unwrap();
+        let mut files: Vec<_> = entries.map(|entry| entry.unwrap().path()).collect();
+        files.sort();
+        files
+    }
+}
+
+/// A map as a store returns it: sorted, with identity and version.
+fn place(seed: u64) -> MapContents {
+    let mut contents = Place::new(&PlaceOptions { seed, ..PlaceOptions::default() }).map;
+    contents.sort();
+    contents.info.identity = Some(contents.digest());
+    contents.info.version = 1;
+    contents
+}
+
+fn small_cells() -> PublishOptions {
+    let mut options = PublishOptions::default();
+    options.keyframes_a_cell = 6;
+    options
+}
+
+async fn published(store: &ReleaseStore, contents: &MapContents) -> Published {
+    match publish(store, contents, &small_cells(), |_| {}).await.unwrap() {
+        Outcome::Published(published) => *published,
+        Outcome::Unchanged { number } => panic!("release {number} has it already"),
+    }
+}
+
+/// Without the keyframes of the highest id, as after an edit.
+fn without_the_last(contents: &MapContents) -> MapContents {
+    let last = contents.keyframes.last().unwrap().id;
+    let mut less = contents.clone();
+    let removed = keyframes_where(&less, |keyframe| keyframe.id == last);
+    remove_keyframes(&mut less, &removed);
+    less.sort();
+    less.info.version += 1;
+    less
+}
+
+fn causes(error: &ReleaseError) -> String {
+    let error: &dyn std::error::Error = error;
+    let all: Vec<_> =
+        std::iter::successors(Some(error), |error| error.source()).map(ToString::to_string).collect();
+    all.join(": ")
+}
+
+#[tokio::test]
+async fn a_map_comes_back_whole() {
+    let scratch = Scratch::new();
+    let contents = place(1);
+    let Published { release, sent, bytes_sent } = published(&scratch.store, &contents).await;
+    assert_eq!((release.number, release.map.version, sent), (1, 1, release.cells.len()));
+    assert!(release.cells.len() >= 5 && bytes_sent == release.bytes());
+    assert!(release.cells.iter().all(|cell| cell.keyframes <= 6));
+    assert_eq!(scratch.store.newest().await.unwrap().unwrap(), release);
+    assert_eq!(fetch(&scratch.store, &release, None).await.unwrap(), contents);
+    let again = publish(&scratch.store, &contents, &small_cells(), |_| {}).await.unwrap();
+    assert_eq!(again, Outcome::Unchanged { number: 1 });
+}
+
+#[tokio::test]
+async fn only_cells_that_changed_are_sent() {
+    let scratch = Scratch::new();
+    let contents = place(2);
+    let first = published(&scratch.store, &contents).await.release;
+    let less = without_the_last(&contents);
+    let second = published(&scratch.store, &less).await;
+    let difference = first.difference(&second.release);
+    assert!(second.sent >= 1 && second.sent < second.release.cells.len(), "{}", second.sent);
+    assert_eq!(difference.changed.len() + difference.added.len(), second.sent);
+    assert_eq!(difference.bytes, second.bytes_sent);
+    assert!(difference.unchanged > 0);
+    assert_eq!((second.release.number, second.release.map.version), (2, 2));
+    assert_eq!(fetch(&scratch.store, &second.release, None).await.unwrap(), less);
+}
+
+#[tokio::test]
+async fn a_rollback_is_a_new_release_with_a_new_version() {
+    let scratch = Scratch::new();
+    let contents = place(3);
+    published(&scratch.store, &contents).await;
+    published(&scratch.store, &without_the_last(&contents)).await;
+    let Outcome::Published(back) = roll_back(&scratch.store, 1).await.unwrap() else {
+        panic!("nothing changed")
+    };
+    assert_eq!((back.release.number, back.release.map.version, back.release.rolled_back_to), (3, 3, Some(1)));
+    let mut fetched = fetch(&scratch.store, &back.release, None).await.unwrap();
+    assert_eq!(fetched.info.version, 3);
+    fetched.info.version = 1;
+    assert_eq!(fetched, contents);
+    assert_eq!(roll_back(&scratch.store, 1).await.unwrap(), Outcome::Unchanged { number: 3 });
+    assert!(matches!(roll_back(&scratch.store, 9).await, Err(ReleaseError::NoRelease { number: 9, .. })));
+    // What is published next comes after it, though its own version is older.
+    let next = published(&scratch.store, &without_the_last(&contents)).await.release;
+    assert_eq!((next.number, next.map.version), (4, 4));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn of_two_publishers_exactly_one_is_first() {
+    race(&Scratch::new().store).await;
+}
+
+/// Against an S3 store, for example moto: `RELEASES_PLACE=s3://bucket/race AWS_ENDPOINT=http://127.0.0.1:5000 AWS_ALLOW_HTTP=true
+/// AWS_REGION=us-east-1 AWS_ACCESS_KEY_ID=a AWS_SECRET_ACCESS_KEY=b cargo test -p driftless-releases --features cloud -- --ignored`
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs an object store in RELEASES_PLACE"]
+async fn of_two_publishers_in_a_cloud_exactly_one_is_first() {
+    let place = std::env::var("RELEASES_PLACE").expect("RELEASES_PLACE is not set");
+    race(&ReleaseStore::open(&place).unwrap()).await;
+}
+
+/// Two publishers at once, 100 rounds.
+async fn race(store: &ReleaseStore) {
+    let contents = place(4);
+    let mut versions = vec![contents.clone()];
+    for _ in 0..2 {
+        versions.push(without_the_last(versions.last().unwrap()));
+    }
+    published(store, &contents).await;
+    let mut conflicts = 0;
+    for round in 0..100_u64 {
+        let tasks = [1, 2].map(|version| {
+            // Both differ from the present release and from each other.
+            let (store, mut map) = (store.clone(), versions[version].clone());
+            map.info.sigma_px = 1.0 + round as f64 * 1e-3;
+            tokio::spawn(async move { publish(&store, &map, &small_cells(), |_| {}).await })
+        });
+        let mut numbers = Vec::new();
+        for task in tasks {
+            match task.await.unwrap() {
+                Ok(Outcome::Published(published)) => numbers.push(published.release.number),
+                Ok(Outcome::Unchanged { number }) => panic!("{number} is no other map"),
+                Err(ReleaseError::Conflict { .. }) => conflicts += 1,
+                Err(error) => panic!("{}", causes(&error)),
+            }
+        }
+        assert!(!numbers.is_empty(), "round {round}: nobody won");
+        assert!(numbers.len() == 1 || numbers[0] != numbers[1], "round {round}: both won");
+        let newest = store.newest().await.unwrap().unwrap();
+        assert_eq!(numbers.iter().max(), Some(&newest.number));
+        fetch(store, &newest, None).await.unwrap();
+    }
+    let numbers = store.numbers().await.unwrap();
+    assert_eq!(numbers, (1..=numbers.len() as u64).collect::<Vec<_>>(), "no number is left out");
+    assert_eq!(numbers.len() + conflicts, 201);
+    println!("{conflicts} of 200 were told that another was first");
+}
+
+#[tokio::test]
+async fn another_map_is_refused() {
+    let scratch = Scratch::new();
+    published(&scratch.store, &place(5)).await;
+    let error = publish(&scratch.store, &place(6), &small_cells(), |_| {}).await.unwrap_err();
+    assert!(
+        matches!(error, ReleaseError::OtherMap { .. }) && error.to_string().contains("publish it elsewhere")
+    );
+}
+
+#[tokio::test]
+async fn damage_is_named_and_a_torn_upload_changes_nothing() {
+    let scratch = Scratch::new();
+    let contents = place(7);
+    let release = published(&scratch.store, &contents).await.release;
+    // An upload that was stopped before its release was put.
+    let second = published(&scratch.store, &without_the_last(&contents)).await.release;
+    std::fs::remove_file(&scratch.files("releases")[1]).unwrap();
+    assert_eq!(scratch.store.newest().await.unwrap().unwrap(), release);
+    assert_eq!(fetch(&scratch.store, &release, None).await.unwrap(), contents);
+    assert!(matches!(scratch.store.release(2).await, Err(ReleaseError::NoRelease { number: 2, .. })));
+    drop(second);
+
+    let path = scratch.folder.path().join("city/segments").join(&release.cells[1].segment.sha256);
+    let bytes = std::fs::read(&path).unwrap();
+    let fetched = || async { causes(&fetch(&scratch.store, &release, None).await.unwrap_err()) };
+    for at in [0, 40, bytes.len() / 2, bytes.len() - 1] {
+        let mut flipped = bytes.clone();
+        flipped[at] ^= 4;
+        std::fs::write(&path, flipped).unwrap();
+        let said = fetched().await;
+        assert!(said.contains("is damaged") && said.contains(&release.cells[1].segment.sha256), "{said}");
+    }
+    std::fs::write(&path, &bytes[..bytes.len() - 7]).unwrap();
+    assert!(fetched().await.contains("is damaged"));
+    std::fs::write(&path, [bytes.as_slice(), &[0; 9]].concat()).unwrap();
+    assert!(fetched().await.contains("is damaged"));
+    std::fs::remove_file(&path).unwrap();
+    assert!(fetched().await.contains("cannot be read"));
+    std::fs::write(&path, &bytes).unwrap();
+
+    let manifest = &scratch.files("releases")[0];
+    let text = std::fs::read_to_string(manifest).unwrap();
+    for (from, to, says) in [
+        ("\"schema\": 1", "\"schema\": 2", "it has schema 2, this program reads 1"),
+        ("\"number\": 1", "\"number\": 3", "it says that it is release 3"),
+        ("\"sha256\": \"", "\"sha256\": \"../", "has the segment"),
+        ("\"keyframes\"", "\"frames\"", "unknown field"),
+    ] {
+        std::fs::write(manifest, text.replacen(from, to, 1)).unwrap();
+        let said = causes(&scratch.store.newest().await.unwrap_err());
+        assert!(said.contains(says), "{said}");
+    }
+    let other = text.replacen("\"sigma_px\": 1.0", "\"sigma_px\": 2.0", 1);
+    assert_ne!(other, text);
+    std::fs::write(manifest, other).unwrap();
+    let forged = scratch.store.newest().await.unwrap().unwrap();
+    assert!(causes(&fetch(&scratch.store, &forged, None).await.unwrap_err()).contains("give the digest"));
+}
+
+#[tokio::test]
+async fn what_no_release_needs_is_removed_after_the_grace_time() {
+    let scratch = Scratch::new();
+    let contents = place(8);
+    let first = published(&scratch.store, &contents).await.release;
+    let second = published(&scratch.store, &without_the_last(&contents)).await.release;
+    let mut options = CleanOptions::default();
+    options.releases = 1;
+    options.dry_run = true;
+    let young = clean(&scratch.store, &options).await.unwrap();
+    options.dry_run = false;
+    assert_eq!((young.releases, young.segments.len()), (vec![1], 0), "they are within the grace time");
+    options.grace = Duration::ZERO;
+    let cleaned = clean(&scratch.store, &options).await.unwrap();
+    let only_first =
+        first.cells.iter().filter(|cell| second.cells.iter().all(|other| other.segment != cell.segment));
+    assert_eq!(cleaned.segments.len(), only_first.clone().count());
+    assert_eq!(cleaned.bytes, only_first.map(|cell| cell.segment.bytes).sum::<u64>());
+    assert_eq!(scratch.store.numbers().await.unwrap(), [2]);
+    fetch(&scratch.store, &second, None).await.unwrap();
+    assert_eq!(clean(&scratch.store, &options).await.unwrap(), releases::Cleaned::default());
+}
+
+#[tokio::test]
+async fn a_cache_serves_without_the_store_and_heals() {
+    let scratch = Scratch::new();
+    let contents = place(9);
+    let first = published(&scratch.store, &contents).await.release;
+    let folder = scratch.folder.path().join("cache");
+    let cache = ReleaseCache::open(&folder).unwrap();
+    assert!(cache.release().is_none());
+    fetch(&scratch.store, &first, Some(&cache)).await.unwrap();
+    cache.keep_release(&first).unwrap();
+
+    let away = |is_away: bool| {
+        let (here, there) = (scratch.folder.path().join("city"), scratch.folder.path().join("away"));
+        let (from, to): (&Path, &Path) = if is_away { (&here, &there) } else { (&there, &here) };
+        std::fs::rename(from, to).unwrap();
+    };
+    away(true);
+    assert_eq!(cache.release().unwrap(), first);
+    assert_eq!(fetch(&scratch.store, &first, Some(&cache)).await.unwrap(), contents);
+    let damaged = folder.join("segments").join(&first.cells[0].segment.sha256);
+    std::fs::write(&damaged, b"something else").unwrap();
+    assert!(fetch(&scratch.store, &first, Some(&cache)).await.is_err());
+    away(false);
+    assert_eq!(fetch(&scratch.store, &first, Some(&cache)).await.unwrap(), contents);
+    assert!(std::fs::read(&damaged).unwrap().starts_with(b"driftless segment"), "it was fetched again");
+
+    // The next release leaves nothing of the former one behind.
+    let second = published(&scratch.store, &without_the_last(&contents)).await.release;
+    fetch(&scratch.store, &second, Some(&cache)).await.unwrap();
+    cache.keep_release(&second).unwrap();
+    assert_eq!(std::fs::read_dir(folder.join("segments")).unwrap().count(), second.cells.len());
+    std::fs::write(folder.join("release.json"), "{}").unwrap();
+    assert!(cache.release().is_none());
+}
+
+#[test]
+fn places_are_understood_or_named() {
+    for place in ["city", "/srv/city", "file:///srv/city"] {
+        assert_eq!(ReleaseStore::open(place).unwrap().place(), place);
+    }
+    for place in ["http//x", "ftp://host/city", "nonsense://x"] {
+        if let Err(error) = ReleaseStore::open(place) {
+            assert!(error.to_string().contains(place), "{error}");
+        }
+    }
+    assert!(ReleaseStore::open("ftp://host/city").is_err());
+}

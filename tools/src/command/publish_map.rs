@@ -1,0 +1,87 @@
+//! `driftless publish-map`: makes a map a release in an object store.
+
+use super::releases::in_store;
+use indicatif::{ProgressBar, ProgressStyle};
+use map::store::load_map;
+use releases::{Outcome, PublishOptions, Published, publish};
+use serde_json::json;
+use std::path::PathBuf;
+
+/// Arguments.
+#[derive(Clone, Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    driftless publish-map --map city.db --to s3://bucket/city\n  \
+    driftless publish-map --map city.db --to /srv/releases/city\n  \
+    map_server --map city=s3://bucket/city\n\n\
+    The map is cut into cells, one segment each; segments that the newest release has are not sent again. A release never\n\
+    changes. Of two that publish at once, one is told that the other was first. Credentials, region and endpoint come from the\n\
+    environment (AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY, AWS_REGION, AWS_ENDPOINT, GOOGLE_SERVICE_ACCOUNT,\n\
+    AZURE_STORAGE_ACCOUNT_NAME, ...).")]
+pub struct Args {
+    /// Database of the map
+    #[arg(long, value_name = "DB")]
+    map: PathBuf,
+    /// Where its releases are: a folder, file:///..., s3://..., gs://..., az://...
+    #[arg(long, value_name = "URL")]
+    to: String,
+    /// Cut cells with more keyframes than these
+    #[arg(long, value_name = "N", default_value_t = PublishOptions::default().keyframes_a_cell as u64, value_parser = clap::value_parser!(u64).range(1..))]
+    keyframes_per_cell: u64,
+    /// Print the result as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// A map that cannot be read, a store that cannot be written or has another map, another publisher that was faster.
+pub fn run(args: &Args) -> anyhow::Result<()> {
+    let contents = load_map(&args.map)?.whole()?;
+    let mut options = PublishOptions::default();
+    options.keyframes_a_cell = usize::try_from(args.keyframes_per_cell)?;
+    let bar = if args.json { ProgressBar::hidden() } else { ProgressBar::new(0) };
+    bar.set_style(ProgressStyle::with_template("{wide_bar} {pos}/{len} cells {elapsed_precise}")?);
+    let outcome = in_store(&args.to, async |store| {
+        publish(store, &contents, &options, |progress| {
+            bar.set_length(progress.of as u64);
+            bar.set_position(progress.cells as u64);
+        })
+        .await
+    })?;
+    bar.finish_and_clear();
+    print_outcome(&outcome, args.json)
+}
+
+/// Prints what became of a release.
+pub(super) fn print_outcome(outcome: &Outcome, as_json: bool) -> anyhow::Result<()> {
+    match outcome {
+        Outcome::Published(published) => {
+            let Published { release, sent, bytes_sent } = published.as_ref();
+            if as_json {
+                let value = json!({"release": release, "segments_sent": sent, "bytes_sent": bytes_sent});
+                println!("{}", serde_json::to_string_pretty(&value)?);
+                return Ok(());
+            }
+            println!(
+                "release {}: version {} of {}, {} keyframes in {} cells; {sent} segments sent, {}",
+                release.number,
+                release.map.version,
+                release.map.name,
+                release.keyframes(),
+                release.cells.len(),
+                megabytes(*bytes_sent)
+            );
+        }
+        Outcome::Unchanged { number } if as_json => println!("{}", json!({ "unchanged": number })),
+        Outcome::Unchanged { number } => {
+            println!("release {number} has this map already; nothing was published")
+        }
+    }
+    Ok(())
+}
+
+/// Bytes for a person.
+pub(super) fn megabytes(bytes: u64) -> String {
+    format!("{:.1} MB", bytes as f64 * 1e-6)
+}

@@ -1,0 +1,219 @@
+//! `driftless list-releases`, `diff-releases`, `rollback`, `clean-releases`.
+
+use super::publish_map::{megabytes, print_outcome};
+use anyhow::{Context as _, ensure};
+use releases::{CellId, CleanOptions, ReleaseError, ReleaseStore};
+use serde_json::json;
+use std::time::Duration;
+use time::OffsetDateTime;
+
+/// Arguments of `list-releases`.
+#[derive(Clone, Debug, clap::Args)]
+#[command(after_help = "Example:\n  driftless list-releases s3://bucket/city")]
+pub struct ListArgs {
+    /// Where the releases are
+    #[arg(value_name = "URL")]
+    url: String,
+    /// Print them as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// Arguments of `diff-releases`.
+#[derive(Clone, Debug, clap::Args)]
+#[command(after_help = "Example:\n  driftless diff-releases s3://bucket/city 6 7")]
+pub struct DiffArgs {
+    /// Where the releases are
+    #[arg(value_name = "URL")]
+    url: String,
+    /// Number of the earlier release
+    #[arg(value_name = "FROM")]
+    from: u64,
+    /// Number of the later release [default: the newest]
+    #[arg(value_name = "TO")]
+    to: Option<u64>,
+    /// Print the difference as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// Arguments of `rollback`.
+#[derive(Clone, Debug, clap::Args)]
+#[command(after_help = "Example:\n  driftless rollback s3://bucket/city 6\n\n\
+    The map of release 6 becomes the newest release, with a new version. Nothing is removed.")]
+pub struct RollbackArgs {
+    /// Where the releases are
+    #[arg(value_name = "URL")]
+    url: String,
+    /// Number of the release to go back to
+    #[arg(value_name = "RELEASE")]
+    release: u64,
+    /// Print the result as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// Arguments of `clean-releases`.
+#[derive(Clone, Debug, clap::Args)]
+#[command(after_help = "Examples:\n  driftless clean-releases s3://bucket/city --dry-run\n  \
+    driftless clean-releases s3://bucket/city --keep 5\n\n\
+    Segments that were put within the grace time stay, for a release that names them may be about to come.")]
+pub struct CleanArgs {
+    /// Where the releases are
+    #[arg(value_name = "URL")]
+    url: String,
+    /// Keep so many of the newest releases
+    #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u64).range(1..))]
+    keep: u64,
+    /// Keep segments that were put within this time, hours
+    #[arg(long, value_name = "HOURS", default_value_t = 24.0)]
+    grace: f64,
+    /// Remove nothing, only say what would be
+    #[arg(long)]
+    dry_run: bool,
+    /// Print the result as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// Runs `list-releases`.
+///
+/// # Errors
+/// A store that cannot be read. A release that is damaged is listed as such.
+pub fn list(args: &ListArgs) -> anyhow::Result<()> {
+    let all = in_store(&args.url, async |store| {
+        let mut all = Vec::new();
+        for number in store.numbers().await? {
+            all.push((number, store.release(number).await));
+        }
+        Ok(all)
+    })?;
+    if args.json {
+        let value: Vec<_> = all
+            .iter()
+            .map(|(number, release)| match release {
+                Ok(release) => json!(release),
+                Err(error) => json!({"number": number, "error": error.to_string()}),
+            })
+            .collect();
+        println!("{}", serde_json::to_string_pretty(&value)?);
+        return Ok(());
+    }
+    if all.is_empty() {
+        println!("{} has no releases", args.url);
+    }
+    for (number, release) in all {
+        match release {
+            Ok(release) => println!(
+                "{number:>6}  {}  version {}, {} keyframes and {} landmarks in {} cells, {}{}",
+                utc_time(release.published_unix_s),
+                release.map.version,
+                release.keyframes(),
+                release.landmarks(),
+                release.cells.len(),
+                megabytes(release.bytes()),
+                release
+                    .rolled_back_to
+                    .map_or_else(String::new, |to| format!(", the map of release {to} again"))
+            ),
+            Err(error) => println!("{number:>6}  {error}"),
+        }
+    }
+    Ok(())
+}
+
+/// Runs `diff-releases`.
+///
+/// # Errors
+/// A store or a release that cannot be read.
+pub fn diff(args: &DiffArgs) -> anyhow::Result<()> {
+    let (from, to) = in_store(&args.url, async |store| {
+        let from = store.release(args.from).await?;
+        let to = match args.to {
+            Some(number) => Some(store.release(number).await?),
+            None => store.newest().await?,
+        };
+        Ok((from, to))
+    })?;
+    let to = to.context("there are no releases")?;
+    let difference = from.difference(&to);
+    if args.json {
+        let value = json!({"from": from.number, "to": to.number, "cells": difference});
+        println!("{}", serde_json::to_string_pretty(&value)?);
+        return Ok(());
+    }
+    println!(
+        "release {} to {}: keyframes {} to {}, {} cells unchanged, {} to fetch",
+        from.number,
+        to.number,
+        from.keyframes(),
+        to.keyframes(),
+        difference.unchanged,
+        megabytes(difference.bytes)
+    );
+    for (what, cells) in
+        [("changed", &difference.changed), ("added", &difference.added), ("removed", &difference.removed)]
+    {
+        if !cells.is_empty() {
+            let numbers: Vec<String> = cells.iter().map(CellId::to_string).collect();
+            println!("  {what}: {}", numbers.join(", "));
+        }
+    }
+    Ok(())
+}
+
+/// Runs `rollback`.
+///
+/// # Errors
+/// A release that is not there, a store that cannot be written, another publisher that was faster.
+pub fn roll_back(args: &RollbackArgs) -> anyhow::Result<()> {
+    let outcome = in_store(&args.url, async |store| releases::roll_back(store, args.release).await)?;
+    print_outcome(&outcome, args.json)
+}
+
+/// Runs `clean-releases`.
+///
+/// # Errors
+/// A store that cannot be read or written.
+pub fn clean(args: &CleanArgs) -> anyhow::Result<()> {
+    ensure!(args.grace.is_finite() && args.grace >= 0.0, "--grace {}: give a number of hours", args.grace);
+    let mut options = CleanOptions::default();
+    options.releases = usize::try_from(args.keep)?;
+    options.grace = Duration::from_secs_f64(args.grace * 3600.0);
+    options.dry_run = args.dry_run;
+    let cleaned = in_store(&args.url, async |store| releases::clean(store, &options).await)?;
+    if args.json {
+        let value = json!({
+            "releases": cleaned.releases, "segments": cleaned.segments, "bytes": cleaned.bytes, "dry_run": args.dry_run,
+        });
+        println!("{}", serde_json::to_string_pretty(&value)?);
+    } else {
+        println!(
+            "{} {} releases and {} segments, {}",
+            if args.dry_run { "would remove" } else { "removed" },
+            cleaned.releases.len(),
+            cleaned.segments.len(),
+            megabytes(cleaned.bytes)
+        );
+    }
+    Ok(())
+}
+
+/// Does something with the releases at a place.
+pub(super) fn in_store<T>(
+    url: &str,
+    work: impl AsyncFnOnce(&ReleaseStore) -> Result<T, ReleaseError>,
+) -> anyhow::Result<T> {
+    let store = ReleaseStore::open(url)?;
+    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
+    Ok(runtime.block_on(work(&store))?)
+}
+
+/// A time for a person, in UTC.
+fn utc_time(unix_s: u64) -> String {
+    let known =
+        i64::try_from(unix_s).ok().and_then(|seconds| OffsetDateTime::from_unix_timestamp(seconds).ok());
+    let Some(time) = known else { return format!("{unix_s} s") };
+    let (year, month, day) = (time.year(), u8::from(time.month()), time.day());
+    format!("{year}-{month:02}-{day:02} {:02}:{:02}:{:02} UTC", time.hour(), time.minute(), time.second())
+}
