@@ -105,9 +105,17 @@ struct Arguments {
     http: Option<SocketAddr>,
 }
 
-#[tokio::main]
-async fn main() -> ExitCode {
-    match serve().await {
+/// How long the end of the program waits for a release that is being fetched.
+const SHUTDOWN_TIMEOUT: Duration = Duration::from_secs(2);
+
+fn main() -> ExitCode {
+    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build();
+    let served = runtime.context("no threads could be started").and_then(|runtime| {
+        let served = runtime.block_on(serve());
+        runtime.shutdown_timeout(SHUTDOWN_TIMEOUT);
+        served
+    });
+    match served {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("error: {error:#}");

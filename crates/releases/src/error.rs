@@ -17,7 +17,7 @@ pub enum ReleaseError {
         reason: String,
     },
     /// The store failed.
-    #[error("{place}: {object} cannot be {done}")]
+    #[error("{place}: {object} cannot be {done}: {reason}")]
     Store {
         /// The store.
         place: String,
@@ -25,8 +25,8 @@ pub enum ReleaseError {
         object: String,
         /// `read`, `written`, `listed` or `removed`.
         done: &'static str,
-        /// The error of the store.
-        source: Box<object_store::Error>,
+        /// The error of the store, which tells its own causes.
+        reason: Box<object_store::Error>,
     },
     /// Another program published meanwhile.
     #[error("another program published release {number} at the same time: publish again to come after it")]

@@ -231,7 +231,8 @@ mod tests {
             partition.cut(&tower, 10);
             assert_eq!(partition.cells(), [0], "{gravity}");
             // And beside each other they are not.
-            let row: Vec<_> = tower.iter().map(|place| place + gravity.yzx() * (place.norm() + 1.0)).collect();
+            let row: Vec<_> =
+                tower.iter().map(|place| place + gravity.yzx() * (place.norm() + 1.0)).collect();
             partition.cut(&row, 10);
             assert!(partition.cells().len() > 5, "{gravity}");
         }

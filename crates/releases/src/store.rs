@@ -86,7 +86,7 @@ impl ReleaseStore {
     pub async fn release(&self, number: u64) -> Result<Release, ReleaseError> {
         let object = release_name(number);
         let text = self.read(&object, MAX_RELEASE_BYTES).await.map_err(|error| match error {
-            ReleaseError::Store { source, .. } if matches!(*source, object_store::Error::NotFound { .. }) => {
+            ReleaseError::Store { reason, .. } if matches!(*reason, object_store::Error::NotFound { .. }) => {
                 ReleaseError::NoRelease { place: self.place.clone(), number }
             }
             error => error,
@@ -189,8 +189,8 @@ impl ReleaseStore {
         self.root.parts().chain(Path::from(object).parts()).collect()
     }
 
-    fn failed(&self, object: String, done: &'static str, source: object_store::Error) -> ReleaseError {
-        ReleaseError::Store { place: self.place.clone(), object, done, source: Box::new(source) }
+    fn failed(&self, object: String, done: &'static str, reason: object_store::Error) -> ReleaseError {
+        ReleaseError::Store { place: self.place.clone(), object, done, reason: Box::new(reason) }
     }
 
     pub(crate) fn damaged(&self, object: String, reason: String) -> ReleaseError {

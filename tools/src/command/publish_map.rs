@@ -75,7 +75,7 @@ pub(super) fn print_outcome(outcome: &Outcome, as_json: bool) -> anyhow::Result<
         }
         Outcome::Unchanged { number } if as_json => println!("{}", json!({ "unchanged": number })),
         Outcome::Unchanged { number } => {
-            println!("release {number} has this map already; nothing was published")
+            println!("release {number} has this map already; nothing was published");
         }
     }
     Ok(())
