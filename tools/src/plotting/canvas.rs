@@ -193,13 +193,15 @@ mod tests {
         let letters = Letters::of_size(LEGEND_SIZE);
         for width in [400, 700, 2000] {
             let placed = places(width, &legend);
-            let ends =
-                |index: usize| placed.entries[index].0 + BESIDE_MARK + letters.width(&legend[index].text);
-            for index in 0..legend.len() {
-                assert!(ends(index) <= width as i32 - SIDE, "{width}: {}", legend[index].text);
-            }
-            for (index, pair) in placed.entries.windows(2).enumerate() {
-                assert!(pair[0].1 < pair[1].1 || ends(index) < pair[1].0, "{width}");
+            let ends: Vec<i32> = placed
+                .entries
+                .iter()
+                .zip(&legend)
+                .map(|((x, _), entry)| x + BESIDE_MARK + letters.width(&entry.text))
+                .collect();
+            assert!(ends.iter().all(|end| *end <= width as i32 - SIDE), "{width}: {ends:?}");
+            for (pair, end) in placed.entries.windows(2).zip(&ends) {
+                assert!(pair[0].1 < pair[1].1 || *end < pair[1].0, "{width}");
             }
             assert_eq!(placed.rows, placed.entries[5].1 + 1);
         }
