@@ -13,6 +13,9 @@ pub(crate) const FONT_FAMILY: &str = "Go";
 /// Fonts that viewers take for sans-serif are up to so much wider.
 const WIDEST_VIEWER: f64 = 1.12;
 
+/// An SVG of plotters has letters so much smaller than their size says.
+const SIZE_A_PIXEL: f32 = 1.24;
+
 /// Measures and breaks text of one size.
 pub(crate) struct Letters {
     size: i32,
@@ -27,11 +30,12 @@ impl Letters {
 
     /// Width that a text has at most, px.
     pub(crate) fn width(&self, text: &str) -> i32 {
-        let size = Size::new(self.size as f32);
+        let pixels = self.size as f32 / SIZE_A_PIXEL;
         let advances = self.font.as_ref().map(|font| {
-            let (glyphs, metrics) = (font.charmap(), font.glyph_metrics(size, LocationRef::default()));
+            let (glyphs, metrics) =
+                (font.charmap(), font.glyph_metrics(Size::new(pixels), LocationRef::default()));
             let advance = |letter: char| glyphs.map(letter).and_then(|glyph| metrics.advance_width(glyph));
-            text.chars().map(|letter| f64::from(advance(letter).unwrap_or(self.size as f32))).sum::<f64>()
+            text.chars().map(|letter| f64::from(advance(letter).unwrap_or(pixels))).sum::<f64>()
         });
         let width = advances.unwrap_or_else(|| text.chars().count() as f64 * f64::from(self.size));
         (width * WIDEST_VIEWER).ceil() as i32
