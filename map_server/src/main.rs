@@ -1,7 +1,6 @@
 //! `map_server`: serves maps over Zenoh.
 
 mod databases;
-mod show;
 mod status_line;
 
 use std::net::SocketAddr;
@@ -12,10 +11,9 @@ use clap::Parser;
 use client::session::{Member, Role};
 use client::{SessionArguments, close_session, open_session, without_secrets};
 use databases::MapArgument;
-use map_server::{MapServer, ServerOptions};
+use map_server::{MapServer, ServerOptions, Show};
 use monitoring::{Health, LogFormat, MonitoringServer, monitoring_routes, start_log};
 use prometheus_client::registry::Registry;
-use show::Show;
 use status_line::StatusLine;
 use tracing_subscriber::EnvFilter;
 
@@ -137,7 +135,7 @@ async fn serve() -> anyhow::Result<()> {
         Some(address) => {
             let names = arguments.maps.iter().map(|map| map.name.as_str());
             let beside = monitoring_routes(registry_of(&server), serving);
-            Some(Show::start(address, &session, &server, names, beside).await?)
+            Some(Show::start(address, &session, &server, names, beside).await.context("--http")?)
         }
         None => None,
     };
