@@ -188,7 +188,7 @@ impl LoadedMap {
             match comparison {
                 Comparison::TooFewMatches { .. } => {}
                 Comparison::NoPose { .. } | Comparison::PoseUncertain(_) => {
-                    outcome = MatchOutcome::NotVerified
+                    outcome = MatchOutcome::NotVerified;
                 }
                 Comparison::Verified(keyframe) => verified.push(*keyframe),
             }
