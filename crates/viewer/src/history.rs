@@ -9,7 +9,7 @@ use std::collections::{BTreeMap, VecDeque};
 
 /// How long samples are kept, milliseconds.
 const SPAN_MS: u64 = 3_600_000;
-/// Samples that are kept, of all robots together: an hour of [`FULL_RATE_ROBOTS`] robots, 35 MB.
+/// Samples that are kept, of all robots together: an hour of 100 robots, 35 MB.
 pub const MAX_SAMPLES: usize = 360_000;
 /// So many robots are sampled once a second; of more, all are sampled more rarely.
 const FULL_RATE_ROBOTS: usize = 100;
