@@ -2,14 +2,18 @@
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
+use std::time::Instant;
 
 use protocol::keys::{self, NameError};
-use protocol::{ErrorCode, ErrorReply, Format, LocalizeRequest, MatchRequest, Message};
+use protocol::{
+    ErrorCode, ErrorReply, Format, KeyframeId, LocalizeRequest, MatchOutcome, MatchReply, MatchRequest,
+    Message,
+};
 use zenoh::Wait;
 use zenoh::bytes::Encoding;
 use zenoh::query::Query;
 
-use crate::answers::AnswerSender;
+use crate::reports::{AnsweredQuery, ReportSender, position_of};
 use crate::served_map::MapSlot;
 use recognition::{LoadedMap, QueryError, RecognitionOptions};
 
@@ -68,39 +72,86 @@ pub(crate) enum Progress {
     Keyframes { sent: usize, bytes: usize },
 }
 
-/// Answers a query, or goes on after the first `sent` keyframes. An error is returned, not yet sent.
+/// A query in the hands of a worker.
+pub(crate) struct Asked {
+    pub(crate) query: Query,
+    pub(crate) kind: Kind,
+    pub(crate) name: String,
+    pub(crate) received: Instant,
+    /// Keyframes that former turns sent.
+    pub(crate) sent: usize,
+}
+
+/// Answers a query, or goes on after the keyframes that were sent. An error is returned, not yet sent.
 pub(crate) fn answer(
-    query: &Query,
-    kind: Kind,
-    name: &str,
+    asked: &Asked,
     map: &LoadedMap,
-    sent: usize,
     options: &RecognitionOptions,
-    answers: &AnswerSender,
+    reports: &ReportSender,
 ) -> Result<Progress, ErrorReply> {
+    let Asked { query, kind, name, received, sent } = asked;
     let format = reply_format(query).map_err(|error| ErrorReply::from(&error))?;
     let key = || kind.key(name).map_err(|error| internal(&error));
     match kind {
         Kind::Match => {
             let request: MatchRequest = decode(query)?;
-            let replies = map.answer(&request, options).map_err(|error| query_error(name, &error))?;
+            let (replies, search) =
+                map.answer_with_report(&request, options).map_err(|error| query_error(name, &error))?;
             let key = key()?;
             for reply in &replies {
                 send(query, &key, format, reply)?;
             }
-            answers.note(query, name, &replies);
+            let answered = || {
+                let (outcome, keyframes) = outcome_of(&replies);
+                Ok(AnsweredQuery {
+                    outcome,
+                    keyframes,
+                    map_version: map.info().version,
+                    stamp_ns: Some(request.stamp_ns),
+                    features: request.features.len(),
+                    prior_in_global: position_of(request.prior.as_ref()),
+                    search,
+                })
+            };
+            reports.note(query, *kind, name, *received, answered);
         }
         Kind::Localize => {
             let request: LocalizeRequest = decode(query)?;
-            let reply = map.localize(&request, options).map_err(|error| query_error(name, &error))?;
+            let (reply, search) =
+                map.localize_with_report(&request, options).map_err(|error| query_error(name, &error))?;
             send(query, &key()?, format, &reply)?;
+            let answered = || {
+                Ok(AnsweredQuery {
+                    outcome: reply.outcome,
+                    keyframes: reply.fix.iter().map(|fix| fix.keyframe).collect(),
+                    map_version: reply.map_version,
+                    stamp_ns: None,
+                    features: request.features.len(),
+                    prior_in_global: position_of(request.prior.as_ref()),
+                    search,
+                })
+            };
+            reports.note(query, *kind, name, *received, answered);
         }
         Kind::Info => {
             send(query, &key()?, format, &map.info_reply(name))?;
         }
-        Kind::Keyframes => return send_keyframes(query, name, map, sent, format),
+        Kind::Keyframes => return send_keyframes(query, name, map, *sent, format),
     }
     Ok(Progress::Done)
+}
+
+/// The outcome and the keyframes of an answer.
+fn outcome_of(replies: &[MatchReply]) -> (MatchOutcome, Vec<KeyframeId>) {
+    let mut outcome = MatchOutcome::NoMatch;
+    let mut keyframes = Vec::new();
+    for reply in replies {
+        match reply {
+            MatchReply::Keyframe(matched) => keyframes.push(matched.keyframe.id),
+            MatchReply::Done(status) => outcome = status.outcome,
+        }
+    }
+    (outcome, keyframes)
 }
 
 /// Sends one keyframe, or those of one turn for a wildcard in the key.

@@ -19,7 +19,9 @@
 //! | [`served_map`] | [`ServedMap`]: a map and its name |
 //! | `queue`, `fair_queue` | queries between the network and the workers: bounded, counted, fair to clients |
 //! | `handlers` | decodes a query, answers it, encodes the reply |
-//! | `answers` | tells of what matched |
+//! | `reports` | tells what became of each query |
+//! | `durations` | how long queries take, as counts in buckets |
+//! | [`show`] | the live map in the browser |
 //! | `change` | differences between two versions of a map |
 //!
 //! # Requirements on clients
@@ -39,20 +41,25 @@
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
-mod answers;
 mod change;
+mod durations;
 pub mod error;
 mod fair_queue;
 mod handlers;
 mod metrics;
 pub mod options;
 mod queue;
+mod reports;
 pub mod served_map;
 pub mod server;
+pub mod show;
+mod show_statistics;
 
-pub use answers::MatchAnswer;
+pub use durations::DurationCounts;
 pub use error::ServeError;
 pub use metrics::ServerStatistics;
 pub use options::ServerOptions;
+pub use reports::{AnsweredQuery, QueryReport};
 pub use served_map::ServedMap;
 pub use server::MapServer;
+pub use show::Show;

@@ -2,7 +2,6 @@
 
 mod databases;
 mod released;
-mod show;
 mod status_line;
 
 use std::net::SocketAddr;
@@ -15,10 +14,9 @@ use clap::Parser;
 use client::session::{Member, Role};
 use client::{SessionArguments, close_session, open_session, without_secrets};
 use databases::{MapArgument, MapSource};
-use map_server::{MapServer, ServerOptions};
+use map_server::{MapServer, ServerOptions, Show};
 use monitoring::{Health, LogFormat, MonitoringServer, monitoring_routes, start_log};
 use prometheus_client::registry::Registry;
-use show::Show;
 use status_line::StatusLine;
 use tokio::time::MissedTickBehavior;
 use tracing_subscriber::EnvFilter;
@@ -168,7 +166,7 @@ async fn serve() -> anyhow::Result<()> {
         Some(address) => {
             let names = arguments.maps.iter().map(|map| map.name.as_str());
             let beside = monitoring_routes(registry_of(&server), serving);
-            Some(Show::start(address, &session, &server, names, beside).await?)
+            Some(Show::start(address, &session, &server, names, beside).await.context("--http")?)
         }
         None => None,
     };

@@ -10,6 +10,7 @@ use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::metrics::histogram::{Histogram, exponential_buckets};
 use prometheus_client::registry::{Registry, Unit};
 
+use crate::durations::{DurationCounter, DurationCounts};
 use crate::handlers::Kind;
 use recognition::LoadedMap;
 
@@ -36,8 +37,12 @@ pub struct ServerStatistics {
     pub failed: u64,
     /// Queries refused because the queue was full.
     pub refused: u64,
+    /// Queries received and not answered yet, at this moment.
+    pub waiting: u64,
     /// Time from the receipt of a query to its last reply, summed over answered and failed queries.
     pub answer_time: Duration,
+    /// The same, counted in buckets.
+    pub durations: DurationCounts,
     /// Whether answering any query panicked: a bug, please report it.
     pub panicked: bool,
 }
@@ -52,6 +57,7 @@ pub(crate) struct ServerMetrics {
     keyframes: Family<MapLabel, Gauge>,
     versions: Family<MapLabel, Gauge<u64, AtomicU64>>,
     answer_us: AtomicU64,
+    counts: DurationCounter,
     panicked: AtomicBool,
 }
 
@@ -71,6 +77,7 @@ impl Default for ServerMetrics {
             keyframes: Family::default(),
             versions: Family::default(),
             answer_us: AtomicU64::new(0),
+            counts: DurationCounter::default(),
             panicked: AtomicBool::new(false),
         }
     }
@@ -115,6 +122,7 @@ impl ServerMetrics {
         };
         let micros = u64::try_from(duration.as_micros()).unwrap_or(u64::MAX);
         self.answer_us.fetch_add(micros, Ordering::Relaxed);
+        self.counts.observe(duration);
         let labels = QueryLabels { map: map.to_owned(), kind: kind.name() };
         self.durations.get_or_create(&labels).observe(duration.as_secs_f64());
     }
@@ -136,6 +144,8 @@ impl ServerMetrics {
             answered: self.answered.get(),
             failed: self.failed.get(),
             refused: self.refused.get(),
+            waiting: u64::try_from(self.waiting.get()).unwrap_or(0),
+            durations: self.counts.counts(),
             answer_time: Duration::from_micros(self.answer_us.load(Ordering::Relaxed)),
             panicked: self.panicked.load(Ordering::Relaxed),
         }

@@ -19,10 +19,10 @@ use tokio::sync::Notify;
 use tokio::task::JoinHandle;
 use zenoh::query::Query;
 
-use crate::answers::AnswerSender;
 use crate::fair_queue::FairQueue;
-use crate::handlers::{self, Kind, Progress};
+use crate::handlers::{self, Asked, Kind, Progress};
 use crate::metrics::ServerMetrics;
+use crate::reports::ReportSender;
 use crate::served_map::MapSlot;
 use recognition::{LoadedMap, RecognitionOptions};
 
@@ -50,16 +50,23 @@ pub(crate) struct Queue {
     /// A job was added, or the queue was closed.
     changed: Notify,
     metrics: Arc<ServerMetrics>,
+    reports: ReportSender,
 }
 
 impl Queue {
     /// A queue of at most `length` jobs and `bytes` bytes of payload.
-    pub(crate) fn new(length: usize, bytes: usize, metrics: Arc<ServerMetrics>) -> Arc<Queue> {
+    pub(crate) fn new(
+        length: usize,
+        bytes: usize,
+        metrics: Arc<ServerMetrics>,
+        reports: ReportSender,
+    ) -> Arc<Queue> {
         Arc::new(Queue {
             waiting: Mutex::new(FairQueue::new(length, bytes)),
             closed: AtomicBool::new(false),
             changed: Notify::new(),
             metrics,
+            reports,
         })
     }
 
@@ -79,10 +86,12 @@ impl Queue {
             self.lock().put(&client, bytes, job)
         };
         self.changed.notify_one();
-        for Job { query, .. } in refused {
+        for Job { query, kind, map, received, .. } in refused {
             self.metrics.note_refused();
             let message = "the map server has too many queries, ask again later";
-            handlers::fail(&query, &ErrorReply::new(ErrorCode::Busy, message));
+            let error = ErrorReply::new(ErrorCode::Busy, message);
+            handlers::fail(&query, &error);
+            self.reports.note(&query, kind, &map.name, received, || Err(error));
         }
     }
 
@@ -121,19 +130,18 @@ pub(crate) fn start_workers(
     queue: &Arc<Queue>,
     count: usize,
     options: &RecognitionOptions,
-    answers: &AnswerSender,
 ) -> Vec<JoinHandle<()>> {
     let options = Arc::new(options.clone());
-    let worker = |_| tokio::spawn(work(Arc::clone(queue), Arc::clone(&options), answers.clone()));
+    let worker = |_| tokio::spawn(work(Arc::clone(queue), Arc::clone(&options)));
     (0..count.max(1)).map(worker).collect()
 }
 
-async fn work(queue: Arc<Queue>, options: Arc<RecognitionOptions>, answers: AnswerSender) {
+async fn work(queue: Arc<Queue>, options: Arc<RecognitionOptions>) {
     while let Some(Job { query, kind, map, received, begun }) = queue.take().await {
         let (loaded, sent) = begun.unwrap_or_else(|| (map.current(), 0));
-        let (asked, slot, options) = (query.clone(), Arc::clone(&map), Arc::clone(&options));
-        let (version, answers) = (Arc::clone(&loaded), answers.clone());
-        let job = move || handlers::answer(&asked, kind, &slot.name, &version, sent, &options, &answers);
+        let asked = Asked { query: query.clone(), kind, name: map.name.clone(), received, sent };
+        let (version, options, reports) = (Arc::clone(&loaded), Arc::clone(&options), queue.reports.clone());
+        let job = move || handlers::answer(&asked, &version, &options, &reports);
         let answered = catch_panic(job).await;
         let duration = received.elapsed();
         let note_done = |is_answered| queue.metrics.note_done(&map.name, kind, duration, is_answered);
@@ -156,6 +164,7 @@ async fn work(queue: Arc<Queue>, options: Arc<RecognitionOptions>, answers: Answ
         handlers::fail(&query, &failure);
         note_done(false);
         tracing::debug!(key = query.key_expr().as_str(), "answered with an error: {failure}");
+        queue.reports.note(&query, kind, &map.name, received, || Err(failure));
     }
 }
 

@@ -15,13 +15,13 @@ use zenoh::liveliness::LivelinessToken;
 use zenoh::qos::CongestionControl;
 use zenoh::query::{Query, Queryable};
 
-use crate::answers::{AnswerSender, MatchAnswer};
 use crate::change;
 use crate::error::ServeError;
 use crate::handlers::{self, Kind};
 use crate::metrics::{ServerMetrics, ServerStatistics};
 use crate::options::ServerOptions;
 use crate::queue::{self, Job, Queue};
+use crate::reports::{QueryReport, ReportSender};
 use crate::served_map::{MapSlot, ServedMap};
 
 /// How long [`MapServer::stop`] waits for queries that are being answered.
@@ -65,7 +65,7 @@ pub struct MapServer {
     queryables: Vec<Queryable<()>>,
     queue: Arc<Queue>,
     metrics: Arc<ServerMetrics>,
-    answers: AnswerSender,
+    reports: ReportSender,
     workers: Vec<JoinHandle<()>>,
 }
 
@@ -97,9 +97,10 @@ impl MapServer {
         for map in maps.values() {
             metrics.note_map(&map.name, &map.current());
         }
-        let queue = Queue::new(options.queue_length, options.queue_bytes, Arc::clone(&metrics));
-        let answers = AnswerSender::new();
-        let workers = queue::start_workers(&queue, options.workers, &options.recognition, &answers);
+        let reports = ReportSender::new();
+        let (length, bytes) = (options.queue_length, options.queue_bytes);
+        let queue = Queue::new(length, bytes, Arc::clone(&metrics), reports.clone());
+        let workers = queue::start_workers(&queue, options.workers, &options.recognition);
         let mut queryables = Vec::new();
         for map in maps.values() {
             for kind in Kind::ALL {
@@ -118,7 +119,7 @@ impl MapServer {
         }
         let token = session.liveliness().declare_token(token_key).await?;
         tracing::info!(server, maps = ?maps.keys().collect::<Vec<_>>(), "serving");
-        Ok(MapServer { session, maps, token, queryables, queue, metrics, answers, workers })
+        Ok(MapServer { session, maps, token, queryables, queue, metrics, reports, workers })
     }
 
     /// The map that is being served under a name; `None` for one that this server does not have.
@@ -126,14 +127,18 @@ impl MapServer {
         self.maps.get(name).map(|served| served.current())
     }
 
-    /// The answers to match queries from now on. A receiver that is too slow misses the oldest.
-    pub fn answers(&self) -> Receiver<MatchAnswer> {
-        self.answers.subscribe()
+    /// What becomes of queries for a match or a pose from now on. A receiver that is too slow misses the oldest.
+    pub fn reports(&self) -> Receiver<QueryReport> {
+        self.reports.subscribe()
     }
 
     /// Counters since the start.
     pub fn statistics(&self) -> ServerStatistics {
         self.metrics.statistics()
+    }
+
+    pub(crate) fn metrics(&self) -> Arc<ServerMetrics> {
+        Arc::clone(&self.metrics)
     }
 
     /// Registers the metrics of this server with names that begin with `map_server`.

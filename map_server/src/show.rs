@@ -3,81 +3,143 @@
 use std::net::SocketAddr;
 use std::sync::Arc;
 
-use anyhow::Context;
 use axum::Router;
-use map_server::{MapServer, MatchAnswer};
-use recognition::LoadedMap;
+use nalgebra::Vector3;
+use recognition::{Candidate, KeyframeVerdict, LoadedMap};
 use tokio::sync::broadcast::Receiver;
 use tokio::sync::broadcast::error::RecvError;
 use tokio::task::JoinHandle;
-use viewer::{Answer, RobotFollower, ViewedMap, Viewer, ViewerServer, follow_robots};
+use viewer::{
+    CandidateVerdict, RobotFollower, ViewedAnswer, ViewedCandidate, ViewedMap, ViewedQuery, ViewedResult,
+    Viewer, ViewerError, ViewerServer, follow_robots,
+};
 use zenoh::Session;
+
+use crate::reports::{AnsweredQuery, QueryReport};
+use crate::server::MapServer;
+use crate::show_statistics::show_statistics;
 
 /// The page of a map server.
 pub struct Show {
     viewer: Arc<Viewer>,
     server: ViewerServer,
-    answers: JoinHandle<()>,
+    tasks: [JoinHandle<()>; 2],
     _robots: RobotFollower,
 }
 
 impl Show {
     /// Shows the maps of a server and the robots of its session, and what is `beside` it.
+    ///
+    /// # Errors
+    /// [`ViewerError`]: an address that cannot be listened on, a closed session.
     pub async fn start(
         address: SocketAddr,
         session: &Session,
         server: &MapServer,
         names: impl Iterator<Item = &str>,
         beside: Router,
-    ) -> anyhow::Result<Show> {
+    ) -> Result<Self, ViewerError> {
         let viewer = Viewer::new();
         for name in names {
             if let Some(map) = server.served(name) {
-                viewer.set_map(view(name, &map).await?);
+                set_map(&viewer, name, &map).await;
             }
         }
         let robots = follow_robots(&viewer, session).await?;
-        let answers = tokio::spawn(show_answers(Arc::clone(&viewer), server.answers()));
-        let server =
-            ViewerServer::start_with(address, Arc::clone(&viewer), beside).await.context("--http")?;
-        Ok(Show { viewer, server, answers, _robots: robots })
+        let tasks = [
+            tokio::spawn(show_queries(Arc::clone(&viewer), server.reports())),
+            tokio::spawn(show_statistics(Arc::clone(&viewer), server.metrics())),
+        ];
+        let server = ViewerServer::start_with(address, Arc::clone(&viewer), beside).await?;
+        Ok(Self { viewer, server, tasks, _robots: robots })
+    }
+
+    /// The address that it listens on.
+    pub fn address(&self) -> SocketAddr {
+        self.server.address()
     }
 
     /// Shows the version of a map that is served now.
     pub async fn update(&self, name: &str, server: &MapServer) {
         let Some(map) = server.served(name) else { return };
-        if self.viewer.version(name) == Some(map.info().version) {
-            return;
-        }
-        match view(name, &map).await {
-            Ok(view) => self.viewer.set_map(view),
-            Err(error) => tracing::error!(name, "the page still shows the previous version: {error:#}"),
+        if self.viewer.version(name) != Some(map.info().version) {
+            set_map(&self.viewer, name, &map).await;
         }
     }
 
     /// Stops at once.
     pub async fn stop(self) {
-        self.answers.abort();
+        for task in self.tasks {
+            task.abort();
+        }
         self.server.stop().await;
     }
 }
 
 /// A large map takes a second: not on a thread that answers queries.
-async fn view(name: &str, map: &Arc<LoadedMap>) -> anyhow::Result<ViewedMap> {
-    let (name, map) = (name.to_owned(), Arc::clone(map));
-    let drawing = move || ViewedMap::new(&name, map.info(), map.keyframes(), map.landmark_positions());
-    Ok(tokio::task::spawn_blocking(drawing).await?)
+async fn set_map(viewer: &Viewer, name: &str, map: &Arc<LoadedMap>) {
+    let (shown_name, map) = (name.to_owned(), Arc::clone(map));
+    let drawing = move || ViewedMap::new(&shown_name, map.info(), map.keyframes(), map.landmark_positions());
+    match tokio::task::spawn_blocking(drawing).await {
+        Ok(view) => viewer.set_map(view),
+        Err(error) => tracing::error!(name, "this version of the map is not shown: {error}"),
+    }
 }
 
-async fn show_answers(viewer: Arc<Viewer>, mut answers: Receiver<MatchAnswer>) {
+async fn show_queries(viewer: Arc<Viewer>, mut reports: Receiver<QueryReport>) {
     loop {
-        match answers.recv().await {
-            Ok(answer) => {
-                let shown = Answer { map: answer.map, keyframes: answer.keyframes };
-                viewer.note_answer(&answer.client, shown);
+        match reports.recv().await {
+            Ok(report) => {
+                let client = report.client.clone();
+                viewer.note_query(&client, viewed(report));
             }
-            Err(RecvError::Lagged(_)) => {}
+            Err(RecvError::Lagged(missed)) => tracing::debug!(missed, "queries are not shown: too many"),
             Err(RecvError::Closed) => return,
         }
+    }
+}
+
+/// A query as the page shows it.
+fn viewed(report: QueryReport) -> ViewedQuery {
+    let result = match report.result {
+        Ok(answered) => ViewedResult::Answered(Box::new(viewed_answer(&answered))),
+        Err(error) => ViewedResult::Failed { error: error.code, message: error.message },
+    };
+    let duration_ms = report.duration.as_secs_f64() * 1e3;
+    ViewedQuery { kind: report.kind, map: report.map, duration_ms, result }
+}
+
+fn viewed_answer(answered: &AnsweredQuery) -> ViewedAnswer {
+    // JSON knows no infinity.
+    let finite =
+        |position: Vector3<f64>| position.iter().all(|value| value.is_finite()).then(|| position.into());
+    ViewedAnswer {
+        outcome: answered.outcome,
+        map_version: answered.map_version,
+        stamp_ns: answered.stamp_ns,
+        features: answered.features,
+        keyframes: answered.keyframes.clone(),
+        prior_in_global: answered.prior_in_global.and_then(finite),
+        camera_in_global: answered.search.camera_in_global.and_then(finite),
+        candidates: answered.search.candidates.iter().map(viewed_candidate).collect(),
+    }
+}
+
+fn viewed_candidate(candidate: &Candidate) -> ViewedCandidate {
+    ViewedCandidate {
+        keyframe: candidate.keyframe,
+        near_prior: candidate.near_prior,
+        votes: candidate.votes,
+        matches: candidate.matches,
+        inliers: candidate.inliers,
+        mean_error_px: candidate.mean_error_px,
+        verdict: match candidate.verdict {
+            None => CandidateVerdict::NotCompared,
+            Some(KeyframeVerdict::TooFewMatches) => CandidateVerdict::TooFewMatches,
+            Some(KeyframeVerdict::NoPose) => CandidateVerdict::NoPose,
+            Some(KeyframeVerdict::PoseUncertain) => CandidateVerdict::PoseUncertain,
+            Some(KeyframeVerdict::Verified) if candidate.in_answer => CandidateVerdict::InAnswer,
+            Some(KeyframeVerdict::Verified) => CandidateVerdict::Verified,
+        },
     }
 }

@@ -14,7 +14,7 @@ use protocol::{
 };
 use rand::SeedableRng;
 use rand::rngs::StdRng;
-use recognition::LoadedMap;
+use recognition::{KeyframeVerdict, LoadedMap};
 use testing::{Place, PlaceOptions};
 use zenoh::Session;
 use zenoh::query::ConsolidationMode;
@@ -163,18 +163,45 @@ async fn a_match_has_one_keyframe_a_reply_and_ends_with_the_status() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn whoever_shows_answers_is_told_what_matched_for_whom() {
+async fn whoever_shows_queries_is_told_what_matched_for_whom_and_why_not() {
     let scene = Scene::new().await;
-    let mut answers = scene.server.answers();
-    let replies: Vec<MatchReply> =
-        ask_bincode(&scene.client, "map/hall/match?client=r7", &scene.request(1, 3)).await;
+    let mut reports = scene.server.reports();
+    let request = scene.request(1, 3);
+    let replies: Vec<MatchReply> = ask_bincode(&scene.client, "map/hall/match?client=r7", &request).await;
     let sent = replies.iter().filter_map(|reply| match reply {
         MatchReply::Keyframe(matched) => Some(matched.keyframe.id),
         MatchReply::Done(_) => None,
     });
-    let answer = answers.recv().await.unwrap();
-    assert_eq!((answer.client.as_str(), answer.map.as_str()), ("r7", "hall"));
-    assert_eq!(answer.keyframes, sent.collect::<Vec<_>>());
+    let report = reports.recv().await.unwrap();
+    assert_eq!((report.kind, report.client.as_str(), report.map.as_str()), ("match", "r7", "hall"));
+    let answered = report.result.unwrap();
+    assert_eq!(answered.keyframes, sent.collect::<Vec<_>>());
+    assert_eq!((answered.outcome, answered.features), (MatchOutcome::Matched, request.features.len()));
+    let best = &answered.search.candidates[0];
+    assert!(
+        best.in_answer && best.inliers > 8 && best.votes >= 4 && best.inliers <= best.matches,
+        "{best:?}"
+    );
+    assert!(answered.search.camera_in_global.is_some());
+
+    // Where each feature is where another was, no pose explains the matches.
+    let mut shuffled = request.clone();
+    shuffled.features.pixels.rotate_left(request.features.len() / 2);
+    let _: Vec<MatchReply> = ask_bincode(&scene.client, "map/hall/match", &shuffled).await;
+    let refused = reports.recv().await.unwrap();
+    assert_eq!(refused.client, "");
+    let refused = refused.result.unwrap();
+    assert_eq!((refused.outcome, refused.keyframes.len()), (MatchOutcome::NotVerified, 0));
+    assert!(refused.search.candidates.iter().all(|candidate| !candidate.in_answer));
+    let reasons: Vec<_> =
+        refused.search.candidates.iter().filter_map(|candidate| candidate.verdict).collect();
+    assert!(reasons.contains(&KeyframeVerdict::NoPose), "{reasons:?}");
+
+    let long = format!("map/hall/match?client={}", "x".repeat(500));
+    ask(&scene.client, &long, Some(b"hello".to_vec()), None).await;
+    let failed = reports.recv().await.unwrap();
+    assert_eq!(failed.client.len(), 64);
+    assert_eq!(failed.result.unwrap_err().code, ErrorCode::BadRequest);
     scene.end().await;
 }
 

@@ -10,6 +10,7 @@ pub mod demo;
 pub mod fleet;
 pub mod in_process;
 pub mod odometry;
+mod open_page;
 pub mod playback;
 pub mod plotting;
 pub mod query_image;

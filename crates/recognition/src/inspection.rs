@@ -40,6 +40,22 @@ pub enum KeyframeVerdict {
     Verified,
 }
 
+impl KeyframeVerdict {
+    /// The verdict in words.
+    ///
+    /// # Arguments
+    /// * `in_answer`: whether the keyframe agrees with the others of the answer.
+    pub fn describe(self, in_answer: bool) -> &'static str {
+        match self {
+            Self::Verified if in_answer => "part of the answer",
+            Self::Verified => "verified",
+            Self::PoseUncertain => "pose too uncertain",
+            Self::NoPose => "no pose fits",
+            Self::TooFewMatches => "too few matches",
+        }
+    }
+}
+
 /// One keyframe beside the query.
 #[derive(Clone, Debug, PartialEq)]
 pub struct InspectedKeyframe {
@@ -206,8 +222,8 @@ impl Inspector<'_> {
             match_descriptors(self.image.descriptors, self.map.descriptors_of(at)?, &match_options)?;
         let comparison = compare(self.map, at, &self.image, None, self.options)?;
         let (verdict, found) = match &comparison {
-            Comparison::TooFewMatches => (KeyframeVerdict::TooFewMatches, None),
-            Comparison::NoPose => (KeyframeVerdict::NoPose, None),
+            Comparison::TooFewMatches { .. } => (KeyframeVerdict::TooFewMatches, None),
+            Comparison::NoPose { .. } => (KeyframeVerdict::NoPose, None),
             Comparison::PoseUncertain(found) => (KeyframeVerdict::PoseUncertain, Some(found.as_ref())),
             Comparison::Verified(found) => (KeyframeVerdict::Verified, Some(found.as_ref())),
         };

@@ -8,9 +8,10 @@
 //! | `answer` | rules of an answer | replies to a match query |
 //! | `fusion` | the pose from all verified keyframes | reply to a localization query |
 //! | `places` | keyframes that show an image's place, each for itself | for map building |
+//! | `report` | candidates and why they were refused | for each query, kept by a server |
 //! | `inspection` | all intermediate results | for diagnosis |
 //!
-//! [`LoadedMap`] holds a map in memory (`loaded_map`, `elements`) and answers the queries (`query`).
+//! [`LoadedMap`] holds a map in memory (`loaded_map`, `elements`) and answers the queries (`query`, `search`).
 //!
 //! A prior pose restricts the candidates to keyframes near it that do not look the other way, and ends their comparison
 //! once enough of them agree with it. A wrong prior costs time, never the answer: where no keyframe near it is verified,
@@ -30,6 +31,8 @@ mod loaded_map;
 mod options;
 mod places;
 mod query;
+mod report;
+mod search;
 mod verification;
 
 pub use inspection::{InspectedKeyframe, InspectedMatch, Inspection, KeyframeVerdict};
@@ -37,3 +40,4 @@ pub use loaded_map::{LoadError, LoadedMap};
 pub use options::RecognitionOptions;
 pub use places::VerifiedPlace;
 pub use query::QueryError;
+pub use report::{Candidate, SearchReport};

@@ -2,41 +2,24 @@
 
 use std::time::Instant;
 
-use geometry::{Camera, PoseWithCovariance};
 use nalgebra::Vector3;
 use protocol::{
     DescriptorFormat, Extent, FeatureSet, KeyframeId, KeyframeLandmark, KeyframeReply, LocalizeReply,
     LocalizeRequest, LocalizedPose, MapInfoReply, MatchOutcome, MatchReply, MatchRequest, MatchStatus,
-    PosePrior,
 };
 use vision::{DescriptorError, DescriptorView};
 
 use super::answer::{matched_keyframes, record};
-use super::consensus::{Consensus, find_consensus, is_consistent};
 use super::fusion::{FocalError, FusedPose, MAX_FUSED_KEYFRAMES, fuse};
-use super::index::{Votes, best_voted};
+use super::index::best_voted;
 use super::loaded_map::LoadedMap;
 use super::options::RecognitionOptions;
-use super::verification::{Comparison, Image, VerifiedKeyframe, compare, distinct_features};
-use map::model::Keyframe;
+use super::report::SearchReport;
+use super::verification::{Image, VerifiedKeyframe};
 use map::store::STORE_SCHEMA;
-
-/// How many standard deviations of the prior's position a keyframe may be away, beyond the viewing distance.
-const PRIOR_SIGMAS: f64 = 3.0;
-
-/// Angle (rad) between the optical axes of two cameras beyond which no descriptor matches, before the prior's uncertainty:
-/// what both see is seen from sides that look different.
-const MAX_VIEW_ANGLE: f64 = std::f64::consts::FRAC_PI_2;
-
-/// Keyframes near a prior are few where the map has so many times as many: comparing a landmark by itself takes several
-/// times as long as in a whole list.
-const FEW_KEYFRAMES: usize = 8;
 
 /// Fewest keyframes that must agree before the search ends.
 const MIN_AGREEING: usize = 4;
-
-/// Features that vote for keyframes near a prior, at most: these are few, and the votes only rank them.
-const VOTERS_NEAR_PRIOR: usize = 160;
 
 /// Why a query cannot be answered. "Nothing matched" is an answer, not an error.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -66,29 +49,6 @@ pub enum QueryError {
     Descriptors(#[from] DescriptorError),
 }
 
-/// The result of a search.
-struct Search {
-    outcome: MatchOutcome,
-    /// VerifiedKeyframe keyframes of one place, most inliers first; empty unless matched.
-    place: Vec<VerifiedKeyframe>,
-    searched_keyframes: usize,
-}
-
-/// What makes further candidates of a place needless: they share fewer features with the image.
-struct Sufficient<'a> {
-    prior: Option<&'a PoseWithCovariance>,
-    enough: usize,
-}
-
-impl Sufficient<'_> {
-    /// Whether enough keyframes are verified, and all of them agree with the prior, or without one with the first.
-    fn is_reached(&self, verified: &[VerifiedKeyframe], options: &RecognitionOptions) -> bool {
-        let Some(first) = verified.first().filter(|_| verified.len() >= self.enough) else { return false };
-        let reference = self.prior.unwrap_or(&first.global_from_camera);
-        verified.iter().all(|keyframe| is_consistent(&keyframe.global_from_camera, reference, options))
-    }
-}
-
 impl LoadedMap {
     /// Answers a match query: keyframes by rank, and always a final status.
     ///
@@ -103,6 +63,18 @@ impl LoadedMap {
         request: &MatchRequest,
         options: &RecognitionOptions,
     ) -> Result<Vec<MatchReply>, QueryError> {
+        Ok(self.answer_with_report(request, options)?.0)
+    }
+
+    /// The answer to a match query, and what the search found out.
+    ///
+    /// # Errors
+    /// As of [`LoadedMap::answer`].
+    pub fn answer_with_report(
+        &self,
+        request: &MatchRequest,
+        options: &RecognitionOptions,
+    ) -> Result<(Vec<MatchReply>, SearchReport), QueryError> {
         let start = Instant::now();
         let gravity = request.gravity_in_camera.map(Vector3::from);
         let (camera, features, prior) = (&request.camera, &request.features, request.prior.as_ref());
@@ -125,7 +97,7 @@ impl LoadedMap {
         };
         let mut replies: Vec<MatchReply> = keyframes.into_iter().map(MatchReply::Keyframe).collect();
         replies.push(MatchReply::Done(status));
-        Ok(replies)
+        Ok((replies, search.into_report()))
     }
 
     /// Answers a one-shot localization query.
@@ -141,6 +113,18 @@ impl LoadedMap {
         request: &LocalizeRequest,
         options: &RecognitionOptions,
     ) -> Result<LocalizeReply, QueryError> {
+        Ok(self.localize_with_report(request, options)?.0)
+    }
+
+    /// The answer to a one-shot localization query, and what the search found out.
+    ///
+    /// # Errors
+    /// As of [`LoadedMap::localize`].
+    pub fn localize_with_report(
+        &self,
+        request: &LocalizeRequest,
+        options: &RecognitionOptions,
+    ) -> Result<(LocalizeReply, SearchReport), QueryError> {
         let gravity = request.gravity_in_camera.map(Vector3::from);
         let (camera, features, prior) = (&request.camera, &request.features, request.prior.as_ref());
         let search = self.search(camera, features, prior, gravity, MAX_FUSED_KEYFRAMES, options)?;
@@ -159,12 +143,13 @@ impl LoadedMap {
                         camera.focal[0] * (1.0 + error.relative),
                         camera.focal[0]
                     );
-                    return Ok(LocalizeReply {
+                    let reply = LocalizeReply {
                         map_version: self.info.version,
                         map_identity: self.identity,
                         outcome: MatchOutcome::NotVerified,
                         fix: None,
-                    });
+                    };
+                    return Ok((reply, search.into_report()));
                 }
                 Some(self.localized(best, fused))
             }
@@ -173,7 +158,9 @@ impl LoadedMap {
         let fix = fix.filter(|fix| fix.inliers as usize >= options.min_fix_inliers);
         let unverified = search.outcome == MatchOutcome::Matched && fix.is_none();
         let outcome = if unverified { MatchOutcome::NotVerified } else { search.outcome };
-        Ok(LocalizeReply { map_version: self.info.version, map_identity: self.identity, outcome, fix })
+        let (map_version, map_identity) = (self.info.version, self.identity);
+        let reply = LocalizeReply { map_version, map_identity, outcome, fix };
+        Ok((reply, search.into_report()))
     }
 
     /// The fused pose, or that of the best keyframe where fusion failed.
@@ -271,139 +258,5 @@ impl LoadedMap {
         }
         let width = usize::from(query.width);
         Ok(DescriptorView::new(self.metric(), width, &features.descriptors.bytes)?)
-    }
-
-    /// Finds the place of an image: near the prior, and where none is verified there, in the whole map.
-    ///
-    /// # Arguments
-    /// * `enough`: once so many keyframes agree, further candidates of their place are not compared.
-    fn search(
-        &self,
-        camera: &Camera,
-        features: &FeatureSet,
-        prior: Option<&PosePrior>,
-        gravity_in_camera: Option<Vector3<f64>>,
-        enough: usize,
-        options: &RecognitionOptions,
-    ) -> Result<Search, QueryError> {
-        let nothing = |outcome| Ok(Search { outcome, place: Vec::new(), searched_keyframes: 0 });
-        if self.keyframes.is_empty() {
-            return nothing(MatchOutcome::EmptyMap);
-        }
-        if features.len() < options.min_inliers {
-            return nothing(MatchOutcome::TooFewFeatures);
-        }
-        let descriptors = self.view(features)?;
-        let image = Image { camera, features, descriptors, gravity_in_camera };
-        let candidates = |votes: &[Votes], eligible: &dyn Fn(usize) -> bool| {
-            best_voted(votes, options.candidates, options.min_votes, eligible)
-        };
-        if let Some(prior) = prior {
-            let near = self.near(&prior.global_from_camera);
-            let sufficient = Sufficient { prior: Some(&prior.global_from_camera), enough };
-            let votes = self.votes_near(descriptors, &near)?;
-            let candidates = candidates(&votes, &|at| near[at]);
-            let place = self.recognize(&candidates, &image, &sufficient, options)?;
-            if place.outcome == MatchOutcome::Matched {
-                let searched_keyframes = near.iter().filter(|&&near| near).count();
-                return Ok(Search { searched_keyframes, ..place });
-            }
-        }
-        let votes = self.index.vote(descriptors, &self.landmarks, self.keyframes.len())?;
-        let sufficient = Sufficient { prior: None, enough };
-        let place = self.recognize(&candidates(&votes, &|_| true), &image, &sufficient, options)?;
-        Ok(Search { searched_keyframes: self.keyframes.len(), ..place })
-    }
-
-    /// Which keyframes may share a field of view with a camera near a prior pose: by their distance, and by the angle
-    /// between their optical axes.
-    pub(super) fn near(&self, prior: &PoseWithCovariance) -> Vec<bool> {
-        let sigma = |start: usize| {
-            let block = prior.covariance.fixed_view::<3, 3>(start, start).into_owned();
-            block.symmetric_eigenvalues().max().max(0.0).sqrt()
-        };
-        let radius = PRIOR_SIGMAS * sigma(3) + self.viewing_distance();
-        let least_cosine = (MAX_VIEW_ANGLE + PRIOR_SIGMAS * sigma(0)).min(std::f64::consts::PI).cos();
-        let axis = prior.pose.rotation * Vector3::z();
-        let is_near = |keyframe: &Keyframe| {
-            let pose = &keyframe.global_from_keyframe.pose;
-            (pose.translation - prior.pose.translation).norm() <= radius
-                && (pose.rotation * Vector3::z()).dot(&axis) >= least_cosine
-        };
-        self.keyframes.iter().map(is_near).collect()
-    }
-
-    /// The votes for keyframes near a prior. Where these are few, some of the features vote, and only the landmarks that
-    /// the keyframes observe are searched.
-    pub(super) fn votes_near(
-        &self,
-        descriptors: DescriptorView<'_>,
-        near: &[bool],
-    ) -> Result<Vec<Votes>, DescriptorError> {
-        let few: Vec<usize> = (0..near.len()).filter(|&at| near[at]).collect();
-        if few.len() * FEW_KEYFRAMES > near.len() {
-            return self.index.vote(descriptors, &self.landmarks, self.keyframes.len());
-        }
-        let mut among = vec![false; self.landmarks.len()];
-        for landmark in few.iter().flat_map(|&keyframe| self.observations.of(keyframe).landmarks) {
-            among[*landmark as usize] = true;
-        }
-        let step = descriptors.len().div_ceil(VOTERS_NEAR_PRIOR).max(1);
-        let voters: Vec<u8> = descriptors.iter().step_by(step).flatten().copied().collect();
-        let voters = DescriptorView::new(descriptors.metric(), descriptors.width(), &voters)?;
-        let mut votes = self.index.vote_among(voters, &self.landmarks, self.keyframes.len(), &among)?;
-        for votes in &mut votes {
-            votes.stand_for(step as u32);
-        }
-        Ok(votes)
-    }
-
-    /// Compares an image with each candidate and finds the one place that they agree on.
-    ///
-    /// Where enough of them agree, the candidates that remain matter only if they are of another place, which makes the
-    /// answer ambiguous; with a prior not even these.
-    fn recognize(
-        &self,
-        candidates: &[usize],
-        image: &Image<'_>,
-        sufficient: &Sufficient<'_>,
-        options: &RecognitionOptions,
-    ) -> Result<Search, QueryError> {
-        let mut verified: Vec<VerifiedKeyframe> = Vec::new();
-        let mut outcome = MatchOutcome::NoMatch;
-        // Whether a keyframe may share a field of view with those that are sufficient.
-        let mut of_the_place: Option<Vec<bool>> = None;
-        for &candidate in candidates {
-            if of_the_place.is_none() && sufficient.is_reached(&verified, options) {
-                if sufficient.prior.is_some() {
-                    break;
-                }
-                of_the_place = Some(self.near(&verified[0].global_from_camera));
-            }
-            if of_the_place.as_ref().is_some_and(|of_the_place| of_the_place[candidate]) {
-                continue;
-            }
-            let first = verified.first().map(|first| &first.global_from_camera.pose);
-            match compare(self, candidate, image, first, options)? {
-                Comparison::TooFewMatches => {}
-                Comparison::NoPose | Comparison::PoseUncertain(_) => outcome = MatchOutcome::NotVerified,
-                Comparison::Verified(keyframe) => verified.push(*keyframe),
-            }
-        }
-        let place = match find_consensus(verified, options) {
-            Consensus::Nothing => Vec::new(),
-            Consensus::Ambiguous => {
-                tracing::debug!("several places that look alike explain the image: no answer");
-                outcome = MatchOutcome::Ambiguous;
-                Vec::new()
-            }
-            Consensus::Place(place) => {
-                outcome = MatchOutcome::Matched;
-                let features = distinct_features(place.iter());
-                tracing::debug!(keyframes = place.len(), features, "recognized a place");
-                place
-            }
-        };
-        Ok(Search { outcome, place, searched_keyframes: 0 })
     }
 }

@@ -48,9 +48,9 @@ pub(crate) struct VerifiedKeyframe {
 /// The result of comparing an image with a keyframe.
 pub(crate) enum Comparison {
     /// Fewer matches than a verification needs.
-    TooFewMatches,
+    TooFewMatches { matches: usize },
     /// Enough matches, but no pose that explains enough of them.
-    NoPose,
+    NoPose { matches: usize },
     /// A pose explains enough of the matches, but many other poses would as well.
     PoseUncertain(Box<VerifiedKeyframe>),
     /// One pose explains enough of the matches and is well constrained.
@@ -76,7 +76,7 @@ pub(crate) fn compare(
     let match_options = MatchOptions::for_metric(map.metric());
     let matches = match_descriptors(image.descriptors, map.descriptors_of(keyframe)?, &match_options)?;
     if matches.len() < options.min_inliers {
-        return Ok(Comparison::TooFewMatches);
+        return Ok(Comparison::TooFewMatches { matches: matches.len() });
     }
     let correspondence = |found: &Match| Correspondence {
         point: map.observed_point(keyframe, found.train),
@@ -94,7 +94,7 @@ pub(crate) fn compare(
     let guided = expected.and_then(|pose| guided(image.camera, &correspondences, &pose, sigma, options));
     let solution = guided.or_else(|| solve(image.camera, &correspondences, gravity, sigma, options));
     let Some(solution) = solution else {
-        return Ok(Comparison::NoPose);
+        return Ok(Comparison::NoPose { matches: matches.len() });
     };
 
     // Landmarks are not exact: where the fit is worse than the pixel noise, the pose is that much less certain.

@@ -3,7 +3,7 @@ import { robotColor, styleColor } from "./colors.js";
 
 const MARGIN = { left: 52, right: 12, top: 20, bottom: 20 };
 
-function niceStep(span, count) {
+export function niceStep(span, count) {
   const raw = span / count;
   const power = 10 ** Math.floor(Math.log10(raw));
   return power * [1, 2, 5, 10].find((factor) => factor * power >= raw);

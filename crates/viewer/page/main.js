@@ -5,6 +5,11 @@ import { Robot } from "./robot_layer.js";
 import { Panel, STALE_S, stateOf } from "./panel.js";
 import { followLive } from "./live.js";
 import { Replay } from "./replay.js";
+import { History, linkOfTime, timeOfLink } from "./history.js";
+import { Queries } from "./queries.js";
+import { QueryLayer } from "./query_layer.js";
+import { ServerChart } from "./server_chart.js";
+import { Tabs } from "./tabs.js";
 import { STATES, theme } from "./colors.js";
 
 const byId = (id) => document.getElementById(id);
@@ -22,9 +27,15 @@ let maps = [];
 let shown = null;
 let followed = null;
 let replay = null;
+// Only where robots are live:
+let past = null;
+let queries = null;
+let queryLayer = null;
+let serverChart = null;
+let tabs = null;
 
 // What the page shows, for tests and for the console.
-window.driftless = { isReady: false, isConnected: false, map: null, counts: { keyframes: 0, landmarks: 0, robots: 0 }, robots: {} };
+window.driftless = { isReady: false, isConnected: false, map: null, counts: { keyframes: 0, landmarks: 0, robots: 0 }, robots: {}, time: { isLive: true, t: null } };
 
 const link = () => new URLSearchParams(location.hash.slice(1));
 
@@ -79,6 +90,7 @@ function robotOf(name) {
     robot = new Robot(scene, name, robots.size, visible);
     robots.set(name, robot);
     panel.add(name, robot.index);
+    queries?.addRobot(name);
     window.driftless.counts.robots = robots.size;
     if (link().get("robot") === name) follow(name);
   }
@@ -86,35 +98,70 @@ function robotOf(name) {
 }
 
 function onUpdate(update) {
+  past.note(update);
   for (const published of update.robots) {
     const robot = robotOf(published.robot);
-    const isNew = robot.received === undefined;
-    if (robot.published?.is_online === false && published.is_online) robot.restartOdometry();
+    const { published: before } = robot;
+    if (before?.is_online === false && published.is_online) robot.restartOdometry();
     robot.published = published;
     robot.received = performance.now();
-    const { pose, odometry, answer } = published;
-    // The pose in another map has no place in this one.
-    const isHere = pose && (!shown || pose.map === shown.name);
-    if (isHere) robot.setPose(pose.global_from_imu);
-    else robot.position = null;
-    if (odometry) robot.setOdometry(odometry.local_from_imu.position, isHere ? pose.global_from_local : null);
-    if (answer && !isNew && answersSeen.get(published.robot) !== published.answers && answer.map === shown?.name) {
-      robot.setAnswer(answer.keyframes.map((id) => mapLayer.keyframes.get(id)).filter(Boolean), robot.received);
-    }
-    answersSeen.set(published.robot, published.answers);
-    window.driftless.robots[published.robot] = {
-      position: robot.position, state: published.status?.state ?? null, reason: published.status?.reason ?? null,
-      isOnline: published.is_online, answers: published.answers, trail: robot.trail.count,
-    };
+    if (past.isLive) showPublished(robot, before === undefined);
   }
   const version = update.maps?.[shown?.name];
   if (version !== undefined && version !== shown.version) reload(version);
+  if (!isLinkRead) readTimeOfLink();
+}
+
+// Shows a robot as it is now.
+function showPublished(robot, isNew) {
+  const { published } = robot;
+  const { pose, odometry, answer } = published;
+  // The pose in another map has no place in this one.
+  const isHere = pose && (!shown || pose.map === shown.name);
+  if (isHere) robot.setPose(pose.global_from_imu);
+  else robot.position = null;
+  if (odometry) robot.setOdometry(odometry.local_from_imu.position, isHere ? pose.global_from_local : null);
+  if (answer && !isNew && answersSeen.get(robot.name) !== published.answers && answer.map === shown?.name) {
+    robot.setAnswer(answer.keyframes.map((id) => mapLayer.keyframes.get(id)).filter(Boolean), robot.received);
+  }
+  answersSeen.set(robot.name, published.answers);
+  window.driftless.robots[robot.name] = {
+    position: robot.position, state: published.status?.state ?? null, reason: published.status?.reason ?? null,
+    isOnline: published.is_online, answers: published.answers, trail: robot.trail.count,
+  };
+}
+
+// `t`: the time that is shown, null for the present.
+function onTime(t) {
+  for (const robot of robots.values()) {
+    if (t === null && robot.published) showPublished(robot, true);
+    if (t === null) continue;
+    window.driftless.robots[robot.name] = { position: robot.position, state: robot.past?.status?.state ?? null };
+  }
+  window.driftless.time = { isLive: t === null, t };
+  queries.setUntil(t);
+  serverChart.setUntil(t);
+  panelDue = 0;
+}
+
+// The map's history.
+async function loadHistory() {
+  return json(`api/history${shown ? `?map=${encodeURIComponent(shown.name)}` : ""}`);
+}
+
+let isLinkRead = false;
+
+function readTimeOfLink() {
+  isLinkRead = true;
+  const t = timeOfLink(link().get("t") ?? "");
+  if (Number.isFinite(t)) past.seek(t);
 }
 
 async function reload(version) {
   notice(`The map changed to version ${version}.`);
   await loadMaps();
   await showMap(shown.name, false);
+  past?.refresh();
   setTimeout(() => notice(""), 8000);
 }
 
@@ -126,6 +173,7 @@ function notice(text) {
 function follow(name) {
   followed = followed === name ? null : name;
   panel.setFollowed(followed);
+  queries?.setRobot(followed);
   setLink("robot", followed);
 }
 
@@ -137,6 +185,8 @@ function setTheme(name) {
   robots.forEach((robot) => robot.applyTheme());
   panel.applyTheme();
   replay?.applyTheme();
+  queryLayer?.applyTheme();
+  serverChart?.draw();
 }
 
 const letGo = () => followed && follow(followed);
@@ -158,12 +208,17 @@ const KEYS = {
   "?": ACTIONS.help,
   o: () => toggleLayer("odometry"),
   e: () => toggleLayer("ellipsoids"),
-  " ": () => replay?.toggle(),
+  r: () => tabs?.choose("robots"),
+  q: () => tabs?.choose("queries"),
+  s: () => tabs?.choose("server"),
+  l: () => past?.goLive(),
+  " ": () => (past ?? replay?.timeline)?.toggle(),
   Escape: letGo,
 };
 
 function onKey(event) {
-  if (event.ctrlKey || event.metaKey || event.altKey || event.target.closest("select, input[type=range]")) return;
+  if (event.ctrlKey || event.metaKey || event.altKey || event.target.closest("select")) return;
+  if (event.target.closest("input[type=range]") && /^(Arrow|Page|Home|End)/.test(event.key)) return;
   const robot = [...robots.keys()][Number(event.key) - 1];
   if (/^[1-9]$/.test(event.key)) {
     if (robot) follow(robot);
@@ -188,17 +243,22 @@ function bind() {
   }
   byId("map").addEventListener("change", (event) => {
     setLink("map", event.target.value);
-    showMap(event.target.value);
+    showMap(event.target.value).then(() => past?.refresh());
   });
   window.addEventListener("keydown", onKey);
   window.addEventListener("hashchange", () => {
     const robot = link().get("robot");
     if (robot && robot !== followed && robots.has(robot)) follow(robot);
+    if (past) readTimeOfLink();
   });
 }
 
-function describe(robot, elapsed_s) {
-  const { published } = robot;
+function describe(robot, now) {
+  const isPast = past && !past.isLive;
+  if (!isPast && !robot.published) return;
+  const gone = { robot: robot.name, is_online: false };
+  const published = isPast ? robot.past ?? gone : robot.published;
+  const elapsed_s = isPast ? 0 : (now - robot.received) / 1000;
   panel.update(published, elapsed_s);
   const sign = (STATES[stateOf(published)] ?? "").slice(0, 1);
   robot.setState(sign, !published.pose || published.pose.age_s + elapsed_s > STALE_S);
@@ -208,14 +268,15 @@ let last = performance.now();
 let panelDue = 0;
 
 function frame(now) {
-  replay?.step((now - last) / 1000);
+  replay?.timeline.step((now - last) / 1000);
+  past?.frame((now - last) / 1000);
   last = now;
   const place = robots.get(followed)?.worldPosition();
   if (place) scene.follow(place);
   robots.forEach((robot) => robot.draw(now));
   if (now >= panelDue) {
     panelDue = now + 200;
-    for (const robot of robots.values()) if (robot.published) describe(robot, (now - robot.received) / 1000);
+    for (const robot of robots.values()) describe(robot, now);
   }
   scene.render();
   requestAnimationFrame(frame);
@@ -226,10 +287,45 @@ async function showRun() {
   byId("summary").textContent = `Run ${run.name}`;
   document.title = `${run.name} – Driftless`;
   scene.setUp(run.up);
-  byId("robots").hidden = true;
-  replay = new Replay(scene, run, robotOf(run.name));
+  byId("side").hidden = true;
+  replay = new Replay(scene, run, robotOf(run.name), (t) => setLink("t", t.toFixed(1)));
   scene.setPoints(replay.points());
   scene.fit();
+  const t = Number(link().get("t") ?? NaN);
+  if (Number.isFinite(t)) replay.timeline.seek(t);
+}
+
+// The candidates of a query in the map that is shown.
+function showQuery(query) {
+  const isHere = query && query.map === shown?.name;
+  const place = ({ keyframe, verdict }) => ({ keyframe: mapLayer.keyframes.get(keyframe), isUsed: verdict === "in_answer" });
+  const candidates = isHere ? (query.candidates ?? []).map(place).filter(({ keyframe }) => keyframe) : [];
+  const from = query?.camera_in_global ?? query?.prior_in_global ?? null;
+  queryLayer.set(from, candidates, mapLayer.size ?? 0.3);
+  window.driftless.query = query && { number: query.number, outcome: query.outcome ?? query.error, drawn: candidates.length };
+}
+
+function showLive() {
+  past = new History({
+    load: loadHistory,
+    robotNames: () => [...robots.keys()],
+    robotOf,
+    onShown: onTime,
+    onSettle: (t) => setLink("t", t === null ? null : linkOfTime(t)),
+    onError: (error) => notice(`The past cannot be shown: ${error.message}`),
+  });
+  queryLayer = new QueryLayer(scene);
+  queries = new Queries(showQuery);
+  serverChart = new ServerChart();
+  tabs = new Tabs((name) => {
+    queries.setOpen(name === "queries");
+    serverChart.setOpen(name === "server");
+    setLink("tab", name === "robots" ? null : name);
+  }, link().get("tab"));
+  followLive(onUpdate, (isConnected) => {
+    window.driftless.isConnected = isConnected;
+    byId("connection").textContent = isConnected ? "online" : "offline";
+  });
 }
 
 async function start() {
@@ -239,10 +335,7 @@ async function start() {
   if (isRun) await showRun();
   else {
     if (!shown) scene.setPoints([]);
-    followLive(onUpdate, (isConnected) => {
-      window.driftless.isConnected = isConnected;
-      byId("connection").textContent = isConnected ? "live" : "not connected";
-    });
+    showLive();
   }
   window.driftless.isReady = true;
   requestAnimationFrame(frame);

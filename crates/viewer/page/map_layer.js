@@ -90,20 +90,9 @@ export class MapLayer {
   }
 
   frusta(keyframes) {
-    const size = frustumSize(keyframes);
-    const ends = new Float32Array(keyframes.length * EDGES.length * 6);
-    let at = 0;
-    for (const { rotation_wxyz: rotation, position } of keyframes) {
-      const place = pose(rotation, position);
-      const corners = [...CORNERS, [0, 0, 0]].map(([x, y, z]) =>
-        new THREE.Vector3(x * size, y * size, z * size).applyMatrix4(place));
-      for (const end of EDGES.flat()) {
-        corners[end].toArray(ends, at);
-        at += 3;
-      }
-    }
+    this.size = frustumSize(keyframes);
     const geometry = new THREE.BufferGeometry();
-    geometry.setAttribute("position", new THREE.BufferAttribute(ends, 3));
+    geometry.setAttribute("position", new THREE.BufferAttribute(frustumEnds(keyframes, this.size), 3));
     return new THREE.LineSegments(geometry, new THREE.LineBasicMaterial());
   }
 
@@ -114,6 +103,22 @@ export class MapLayer {
     keyframes.forEach((keyframe, at) => mesh.setMatrixAt(at, ellipsoid(keyframe.position_covariance, keyframe.position)));
     return mesh;
   }
+}
+
+// The ends of the edges of frusta, in G.
+export function frustumEnds(keyframes, size) {
+  const ends = new Float32Array(keyframes.length * EDGES.length * 6);
+  let at = 0;
+  for (const { rotation_wxyz: rotation, position } of keyframes) {
+    const place = pose(rotation, position);
+    const corners = [...CORNERS, [0, 0, 0]].map(([x, y, z]) =>
+      new THREE.Vector3(x * size, y * size, z * size).applyMatrix4(place));
+    for (const end of EDGES.flat()) {
+      corners[end].toArray(ends, at);
+      at += 3;
+    }
+  }
+  return ends;
 }
 
 // A third of the usual distance between neighbours, within what is seen.

@@ -66,10 +66,11 @@ export class Panel {
     }
     if (odometry) figures.push(`${odometry.speed_mps.toFixed(1)} m/s`);
     const newest = Math.min(...[pose, odometry, status].filter(Boolean).map((part) => part.age_s)) + elapsed_s;
-    if (newest > STALE_S) figures.push(`nothing for ${newest.toFixed(0)} s`);
+    if (newest > STALE_S && newest < Infinity) figures.push(`nothing for ${newest.toFixed(0)} s`);
     set(parts.figures, figures.join(", "));
     const queries = [];
-    if (status) queries.push(`${status.queries_answered} of ${status.queries_sent} queries answered, ${status.keyframes_held} keyframes held`);
+    if (robot.queries !== undefined) queries.push(robot.queries);
+    else if (status) queries.push(`${status.queries_answered} of ${status.queries_sent} queries answered, ${status.keyframes_held} keyframes held`);
     if (answer) queries.push(answer.keyframes.length ? `last answer: ${answer.keyframes.length} keyframes` : "last answer: no match");
     set(parts.queries, queries.join("; "));
   }

@@ -13,6 +13,7 @@ class Track {
   constructor(parent, material) {
     this.positions = new Float32Array(3 * TRAIL_POINTS);
     this.count = 0;
+    this.every = 1;
     const geometry = new THREE.BufferGeometry();
     geometry.setAttribute("position", new THREE.BufferAttribute(this.positions, 3));
     geometry.setDrawRange(0, 0);
@@ -34,13 +35,18 @@ class Track {
   }
 
   set(positions) {
-    const every = Math.max(1, Math.ceil(positions.length / TRAIL_POINTS));
+    this.every = Math.max(1, Math.ceil(positions.length / TRAIL_POINTS));
     this.count = 0;
-    for (let at = 0; at < positions.length; at += every) {
+    for (let at = 0; at < positions.length; at += this.every) {
       this.positions.set(positions[at], 3 * this.count);
       this.count += 1;
     }
     this.update();
+  }
+
+  // Draws the first points only.
+  reveal(count) {
+    this.line.geometry.setDrawRange(0, Math.min(Math.ceil(count / this.every), this.count));
   }
 
   thin() {
@@ -85,6 +91,7 @@ export class Robot {
     this.rays.frustumCulled = false;
     this.group.add(this.rays);
     this.raysUntil = 0;
+    this.isPast = false;
 
     this.label = document.createElement("div");
     this.label.className = "label";
@@ -140,6 +147,25 @@ export class Robot {
     this.raysUntil = now + RAYS_MS;
   }
 
+  // Shows a trail of the past, of which `setPast` reveals as much as a time has.
+  showPast(trail) {
+    this.isPast = true;
+    this.trail.set(trail);
+  }
+
+  // `pose`: null where it had none.
+  setPast(pose, trailCount) {
+    if (pose) this.setPose(pose, false);
+    else this.position = null;
+    this.trail.reveal(trailCount);
+  }
+
+  showPresent(trail) {
+    this.isPast = false;
+    this.past = null;
+    this.trail.set(trail);
+  }
+
   worldPosition() {
     return this.position && this.scene.world.localToWorld(new THREE.Vector3(...this.position));
   }
@@ -151,9 +177,9 @@ export class Robot {
     this.body.visible = Boolean(place);
     this.cloud.visible = Boolean(place) && ellipsoids;
     this.trail.line.visible = trails;
-    this.odometry.line.visible = odometry;
+    this.odometry.line.visible = odometry && !this.isPast;
     const left = (this.raysUntil - now) / RAYS_MS;
-    this.rays.visible = rays && left > 0;
+    this.rays.visible = rays && left > 0 && !this.isPast;
     this.rays.material.opacity = Math.max(left, 0) * 0.8;
     this.label.hidden = !place;
     if (!place) return;

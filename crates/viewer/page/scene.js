@@ -4,11 +4,11 @@ import { OrbitControls } from "./vendor/OrbitControls.js";
 import { styleColor } from "./colors.js";
 
 const UP = new THREE.Vector3(0, 1, 0);
-// The part of the page, pixels, that the legend, the list of robots and the chart leave; all of it where that is little.
+// The part of the page, pixels, that the legend, the lists and the time slider leave; all of it where that is little.
 function freeArea(width, height) {
   const visible = (id) => document.getElementById(id).getBoundingClientRect();
-  const [legend, robots, replay] = [visible("legend"), visible("robots"), visible("replay")];
-  let [left, right] = [legend.right, robots.width ? robots.left : width];
+  const [legend, side, replay] = [visible("legend"), visible("side"), visible("replay")];
+  let [left, right] = [legend.right, side.width ? side.left : width];
   if (right - left < 0.4 * width) [left, right] = [0, width];
   return { left, right, top: 0, bottom: replay.height ? replay.top : height };
 }

@@ -2,17 +2,24 @@
 
 use crate::access;
 use crate::assets;
+use crate::history::MAX_ANSWER_SAMPLES;
 use crate::live;
+use crate::parameters::{number, parameter};
+use crate::queries::{KeptQuery, MAX_QUERIES};
 use crate::server::Viewer;
+use crate::statistics::STATISTICS_PERIOD;
 use crate::viewed_map::LANDMARK_BYTES;
 use axum::extract::{Path, RawQuery, State};
 use axum::http::{StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use axum::{Json, Router, middleware};
+use serde::Serialize;
 use serde_json::json;
 use std::sync::Arc;
 
+/// Queries in one answer, where it does not say how many.
+const DEFAULT_QUERIES: usize = 50;
 /// Landmarks in one answer: 20 MB.
 pub const MAX_LANDMARKS: usize = 20_000_000 / LANDMARK_BYTES;
 
@@ -25,6 +32,9 @@ pub(crate) fn router(viewer: Arc<Viewer>, beside: Router) -> Router {
         .route("/api/maps/{map}/keyframes", get(keyframes))
         .route("/api/maps/{map}/landmarks", get(landmarks))
         .route("/api/run", get(run))
+        .route("/api/queries", get(queries))
+        .route("/api/history", get(history))
+        .route("/api/statistics", get(statistics))
         .route("/api/live", get(live::socket))
         .with_state(viewer)
         .merge(beside)
@@ -62,19 +72,64 @@ async fn landmarks(
     RawQuery(query): RawQuery,
 ) -> Response {
     let Some(map) = viewer.map(&name) else { return unknown_map() };
-    let Ok(limit) = landmark_limit(query.as_deref().unwrap_or_default()) else {
-        let message = json!({"error": "limit is a number of landmarks, as in ?limit=100000"});
-        return (StatusCode::BAD_REQUEST, Json(message)).into_response();
+    let Ok(limit) = number(query.as_deref().unwrap_or_default(), "limit") else {
+        return bad_request("limit is a number of landmarks, as in ?limit=100000");
     };
+    let limit = limit.map_or(MAX_LANDMARKS, |limit| limit.min(MAX_LANDMARKS as u64) as usize);
     let end = map.landmarks.len().min(limit.saturating_mul(LANDMARK_BYTES));
     let content_type = [(header::CONTENT_TYPE, "application/octet-stream")];
     (content_type, map.landmarks.slice(..end)).into_response()
 }
 
-/// The landmarks asked for, at most [`MAX_LANDMARKS`].
-fn landmark_limit(query: &str) -> Result<usize, std::num::ParseIntError> {
-    let stated = query.split('&').find_map(|parameter| parameter.strip_prefix("limit="));
-    Ok(stated.map_or(Ok(MAX_LANDMARKS), str::parse)?.min(MAX_LANDMARKS))
+fn bad_request(what: &str) -> Response {
+    (StatusCode::BAD_REQUEST, Json(json!({"error": what}))).into_response()
+}
+
+async fn queries(State(viewer): State<Arc<Viewer>>, RawQuery(query): RawQuery) -> Response {
+    let query = query.unwrap_or_default();
+    let (Ok(after), Ok(limit)) = (number(&query, "after"), number(&query, "limit")) else {
+        return bad_request("after and limit are numbers, as in ?robot=r7&after=310&limit=50");
+    };
+    let limit = limit.map_or(DEFAULT_QUERIES, |limit| limit.min(MAX_QUERIES as u64) as usize);
+    let robot = parameter(&query, "robot");
+    let newest = viewer.live.newest_queries(robot.as_deref(), after.unwrap_or(0), limit);
+    let queries: Vec<_> = newest.iter().map(AsRef::as_ref).collect();
+    Json(Queries { now_ms: viewer.live.now_ms(), queries }).into_response()
+}
+
+/// The answer to `/api/queries`.
+#[derive(Serialize)]
+struct Queries<'a> {
+    now_ms: u64,
+    queries: Vec<&'a KeptQuery>,
+}
+
+async fn history(State(viewer): State<Arc<Viewer>>, RawQuery(query): RawQuery) -> Response {
+    let query = query.unwrap_or_default();
+    let read = |name| number(&query, name);
+    let (Ok(from_ms), Ok(to_ms), Ok(samples)) = (read("from"), read("to"), read("samples")) else {
+        return bad_request(
+            "from and to are milliseconds since 1970, samples is their number, at most 20000",
+        );
+    };
+    let limit = samples.map_or(MAX_ANSWER_SAMPLES, |samples| samples.min(MAX_ANSWER_SAMPLES as u64) as usize);
+    let map = parameter(&query, "map");
+    let live = &viewer.live;
+    let answer = live.history(from_ms.unwrap_or(0), to_ms.unwrap_or(u64::MAX), map.as_deref(), limit);
+    Json(Timed { now_ms: live.now_ms(), value: answer }).into_response()
+}
+
+/// An answer and the server's time.
+#[derive(Serialize)]
+struct Timed<T> {
+    now_ms: u64,
+    #[serde(flatten)]
+    value: T,
+}
+
+async fn statistics(State(viewer): State<Arc<Viewer>>) -> impl IntoResponse {
+    let (now_ms, samples) = (viewer.live.now_ms(), viewer.live.statistics());
+    Json(json!({"now_ms": now_ms, "period_s": STATISTICS_PERIOD.as_secs_f64(), "samples": samples}))
 }
 
 async fn run(State(viewer): State<Arc<Viewer>>) -> Response {

@@ -10,10 +10,14 @@
 //! | `/api/maps/{map}/keyframes` | poses with the covariance of the position, metres, in the map's frame G |
 //! | `/api/maps/{map}/landmarks?limit=N` | positions in G as little-endian `f32` triples, metres; an even sample of N |
 //! | `/api/run` | the tracks of a recorded run, or 404 |
+//! | `/api/queries?robot=NAME&after=N&limit=N` | the last queries: candidates, inliers, reasons; newest first |
+//! | `/api/history?from=MS&to=MS&map=NAME` | poses and states of robots in the last hour |
+//! | `/api/statistics` | how busy the map server was in the last hour |
 //! | `/api/live` | WebSocket: robots as they publish, at most 20 times a second |
 //!
-//! Only GET is answered. Requests with the name of another host are refused, and WebSockets of pages of other origins,
-//! connections are limited in number ([`MAX_CONNECTIONS`], [`MAX_VIEWERS`]) and in time without progress.
+//! Only GET is answered. Requests with the name of another host are refused, and WebSockets of pages of other origins.
+//! What is kept is limited, whatever robots publish: [`MAX_QUERIES`] queries, [`MAX_SAMPLES`] samples of the history, an
+//! hour of statistics. Connections are limited in number ([`MAX_CONNECTIONS`], [`MAX_VIEWERS`]) and in time without progress.
 //!
 //! # Example
 //! ```
@@ -37,17 +41,26 @@
 mod access;
 mod api;
 pub mod assets;
+mod clock;
 mod error;
+mod fair_log;
+mod history;
 mod listener;
 mod live;
+mod parameters;
+mod queries;
 pub mod run;
 mod server;
+mod statistics;
 mod viewed_map;
 
 pub use api::MAX_LANDMARKS;
 pub use error::ViewerError;
+pub use history::MAX_SAMPLES;
 pub use listener::MAX_CONNECTIONS;
-pub use live::{Answer, MAX_VIEWERS, RobotFollower, follow_robots};
+pub use live::{MAX_VIEWERS, RobotFollower, follow_robots};
+pub use queries::{CandidateVerdict, MAX_QUERIES, ViewedAnswer, ViewedCandidate, ViewedQuery, ViewedResult};
 pub use run::{RunTracks, TrackPoint};
 pub use server::{Viewer, ViewerServer};
+pub use statistics::{STATISTICS_PERIOD, ServerSample};
 pub use viewed_map::{ViewedKeyframe, ViewedMap};

@@ -3,8 +3,10 @@
 use crate::api;
 use crate::error::ViewerError;
 use crate::listener::LimitedListener;
-use crate::live::{Answer, Live};
+use crate::live::Live;
+use crate::queries::ViewedQuery;
 use crate::run::RunTracks;
+use crate::statistics::ServerSample;
 use crate::viewed_map::ViewedMap;
 use axum::Router;
 use std::collections::BTreeMap;
@@ -43,12 +45,17 @@ impl Viewer {
         self.map(name).map(|map| map.version())
     }
 
-    /// Shows the answer to a query of a robot.
+    /// Shows a query and what became of it; the last [`MAX_QUERIES`](crate::MAX_QUERIES) are kept.
     ///
     /// # Arguments
-    /// * `client`: who asked, by the id of its Zenoh session; one that is no followed robot's is ignored.
-    pub fn note_answer(&self, client: &str, answer: Answer) {
-        self.live.note_answer(client, answer);
+    /// * `client`: who asked, by the id of its Zenoh session; it may be a robot's or not.
+    pub fn note_query(&self, client: &str, query: ViewedQuery) {
+        self.live.note_query(client, query);
+    }
+
+    /// Shows what the map server did in the last [`STATISTICS_PERIOD`](crate::STATISTICS_PERIOD); an hour is kept.
+    pub fn note_statistics(&self, sample: ServerSample) {
+        self.live.note_statistics(sample);
     }
 
     pub(crate) fn maps(&self) -> Vec<Arc<ViewedMap>> {

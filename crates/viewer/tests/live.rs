@@ -3,7 +3,7 @@
 
 mod common;
 
-use common::Shown;
+use common::{Shown, answered};
 use futures_util::{SinkExt as _, StreamExt as _};
 use protocol::RobotState;
 use serde_json::Value;
@@ -13,7 +13,7 @@ use tokio::time::timeout;
 use tokio_tungstenite::tungstenite::client::IntoClientRequest as _;
 use tokio_tungstenite::tungstenite::{Error, Message};
 use tokio_tungstenite::{MaybeTlsStream, WebSocketStream, connect_async};
-use viewer::{Answer, MAX_VIEWERS, ViewedMap};
+use viewer::{MAX_VIEWERS, ViewedMap};
 
 type Socket = WebSocketStream<MaybeTlsStream<TcpStream>>;
 const PATIENCE: Duration = Duration::from_secs(20);
@@ -74,9 +74,9 @@ async fn a_viewer_sees_what_robots_publish_and_what_they_were_answered() {
     let id = shown.session.zid().to_string();
     let token = shown.session.liveliness().declare_token(format!("robot/r7/session/{id}")).await.unwrap();
     let keyframes = vec![14, 15];
-    let answered = first(&mut early, |update| {
-        shown.viewer.note_answer("another", Answer { map: "place".into(), keyframes: vec![] });
-        shown.viewer.note_answer(&id, Answer { map: "place".into(), keyframes: keyframes.clone() });
+    let told = first(&mut early, |update| {
+        shown.viewer.note_query("another", answered(&[], vec![]));
+        shown.viewer.note_query(&id, answered(&keyframes, vec![]));
         update["robots"][0]["answer"].is_object()
     });
     let repeating = async {
@@ -87,9 +87,9 @@ async fn a_viewer_sees_what_robots_publish_and_what_they_were_answered() {
             tokio::time::sleep(Duration::from_millis(60)).await;
         }
     };
-    let answered: Value =
-        tokio::select! { answered = answered => answered, () = repeating => unreachable!() };
-    assert_eq!(answered["robots"][0]["answer"]["keyframes"], serde_json::json!([14, 15]));
+    let told: Value = tokio::select! { told = told => told, () = repeating => unreachable!() };
+    assert!(told["time_ms"].as_u64().unwrap() >= snapshot["time_ms"].as_u64().unwrap());
+    assert_eq!(told["robots"][0]["answer"]["keyframes"], serde_json::json!([14, 15]));
 
     let mut late = connect(&shown).await;
     let snapshot = first(&mut late, |_| true).await;

@@ -1,5 +1,6 @@
 //! `driftless run`: server and robot in one process.
 
+use super::view;
 use crate::in_process::{LocalServer, load_map};
 use anyhow::{Result, bail};
 use estimator::MapMode;
@@ -26,8 +27,11 @@ pub struct Args {
     #[arg(long, value_name = "DB")]
     map: Option<PathBuf>,
     /// Print the summary as JSON
-    #[arg(long)]
+    #[arg(long, conflicts_with = "open")]
     json: bool,
+    /// At its end, show the run in the system's browser until Ctrl-C, as `driftless view` does
+    #[arg(long)]
+    open: bool,
     #[command(flatten)]
     robot: RobotArguments,
 }
@@ -62,6 +66,9 @@ pub fn run(args: &Args) -> Result<()> {
     } else {
         print!("{}", progress::report(&outcome.summary));
         println!("written to {}", args.robot.out.display());
+    }
+    if args.open && !stop.is_stopped() {
+        view::run(&view::Args::of_run(args.robot.out.clone(), args.map.clone()))?;
     }
     if let Some(reason) = &outcome.summary.ended_early {
         bail!("the run ended early: {reason}");

@@ -1,5 +1,6 @@
 //! `driftless view`: a map or a run in the browser.
 
+use crate::open_page::open_page;
 use crate::plotting::RunFiles;
 use crate::run_tracks::run_tracks;
 use anyhow::{Context as _, ensure};
@@ -11,9 +12,11 @@ use viewer::{ViewedMap, Viewer, ViewerServer};
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
-#[command(after_help = "Examples:\n  driftless view place.db\n  driftless view out --map place.db\n\n\
+#[command(
+    after_help = "Examples:\n  driftless view place.db --open\n  driftless view out --map place.db\n\n\
     Shows it on http://127.0.0.1:8080 until Ctrl-C; nothing is written. A running server shows its robots too:\n  \
-    map_server --map place=place.db --http 127.0.0.1:8080")]
+    map_server --map place=place.db --http 127.0.0.1:8080"
+)]
 pub struct Args {
     /// Database of a map, or output folder of a run, with its states.csv
     #[arg(value_name = "MAP.db|DIR")]
@@ -27,6 +30,16 @@ pub struct Args {
     /// Port on this machine; 0 takes any free one
     #[arg(long, default_value_t = 8080)]
     port: u16,
+    /// Open the page in the system's browser
+    #[arg(long)]
+    open: bool,
+}
+
+impl Args {
+    /// A run, opened in the browser, on any free port.
+    pub(super) fn of_run(folder: PathBuf, map: Option<PathBuf>) -> Self {
+        Self { path: folder, map, groundtruth: None, port: 0, open: true }
+    }
 }
 
 /// Runs the command.
@@ -56,7 +69,11 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     runtime.block_on(async {
         let address = SocketAddr::from((Ipv4Addr::LOCALHOST, args.port));
         let server = ViewerServer::start(address, viewer).await.context("choose another with --port")?;
-        println!("http://{}", server.address());
+        let url = format!("http://{}", server.address());
+        println!("{url}");
+        if args.open {
+            open_page(&url);
+        }
         tokio::signal::ctrl_c().await?;
         server.stop().await;
         Ok(())

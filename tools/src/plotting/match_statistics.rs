@@ -1,7 +1,7 @@
 //! Below the images of [`super::matches`]: histograms of reprojection errors and descriptor distances, and the other
 //! candidates.
 
-use recognition::{InspectedKeyframe, InspectedMatch, Inspection, KeyframeVerdict};
+use recognition::{InspectedKeyframe, InspectedMatch, Inspection};
 
 /// Bars of a histogram.
 const BINS: usize = 24;
@@ -85,11 +85,5 @@ pub(super) fn list_candidates(inspection: &Inspection, shown: &InspectedKeyframe
 
 /// The result of the comparison with a keyframe.
 pub fn describe_verdict(keyframe: &InspectedKeyframe) -> &'static str {
-    match (keyframe.verdict, keyframe.in_answer) {
-        (KeyframeVerdict::Verified, true) => "part of the answer",
-        (KeyframeVerdict::Verified, false) => "verified",
-        (KeyframeVerdict::PoseUncertain, _) => "pose too uncertain",
-        (KeyframeVerdict::NoPose, _) => "no pose fits",
-        (KeyframeVerdict::TooFewMatches, _) => "too few matches",
-    }
+    keyframe.verdict.describe(keyframe.in_answer)
 }

@@ -7,17 +7,20 @@ mod robot;
 mod socket;
 mod subscribe;
 
-pub use robot::Answer;
 pub(crate) use socket::socket;
 pub use subscribe::{RobotFollower, follow_robots};
 
+use crate::clock::Clock;
+use crate::history::{History, HistoryAnswer};
+use crate::queries::{KeptQuery, QueryLog, ViewedQuery};
 use crate::server::Viewer;
+use crate::statistics::{ServerSample, StatisticsLog, TimedSample};
 use axum::extract::ws::Utf8Bytes;
 use robot::{Published, ViewedRobot};
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use tokio::sync::{Semaphore, broadcast};
 
 /// Viewers at the same time; others are refused.
@@ -28,17 +31,26 @@ const MAX_ROBOTS: usize = 1000;
 const QUEUE: usize = 16;
 /// Time between two messages to viewers.
 const TICK: Duration = Duration::from_millis(50);
+/// Time between two looks at the robots for the history.
+const SAMPLING: Duration = Duration::from_secs(1);
 
 /// The robots, and who looks at them.
 pub(crate) struct Live {
     state: Mutex<LiveState>,
     updates: broadcast::Sender<Utf8Bytes>,
     viewers: Arc<Semaphore>,
+    clock: Clock,
 }
 
 #[derive(Default)]
 struct LiveState {
     robots: BTreeMap<String, ViewedRobot>,
+    /// Robots and maps in the order in which they came: their numbers.
+    robot_names: Vec<String>,
+    map_names: Vec<String>,
+    queries: QueryLog,
+    history: History,
+    statistics: StatisticsLog,
     /// Robots by the ids of their sessions.
     sessions: BTreeMap<String, String>,
     maps: BTreeMap<String, u64>,
@@ -51,6 +63,10 @@ struct LiveState {
 struct Update<'a> {
     /// Whether it holds all robots.
     is_snapshot: bool,
+    /// The server's time, milliseconds since 1970.
+    time_ms: u64,
+    /// When the history begins.
+    history_since_ms: Option<u64>,
     robots: Vec<&'a ViewedRobot>,
     /// Versions of the maps, where one changed.
     maps: Option<&'a BTreeMap<String, u64>>,
@@ -62,21 +78,69 @@ impl Default for Live {
             state: Mutex::default(),
             updates: broadcast::Sender::new(QUEUE),
             viewers: Arc::new(Semaphore::new(MAX_VIEWERS)),
+            clock: Clock::default(),
         }
     }
 }
 
 impl Live {
+    pub(crate) fn now_ms(&self) -> u64 {
+        self.clock.now_ms()
+    }
+
     pub(crate) fn note_map(&self, name: &str, version: u64) {
         let mut state = self.lock();
-        state.maps.insert(name.to_owned(), version);
+        if state.maps.insert(name.to_owned(), version).is_none() {
+            state.map_names.push(name.to_owned());
+        }
         state.maps_changed = true;
     }
 
-    pub(crate) fn note_answer(&self, client: &str, answer: Answer) {
+    pub(crate) fn note_query(&self, client: &str, query: ViewedQuery) {
+        let now_ms = self.now_ms();
         let mut state = self.lock();
-        if let Some(robot) = state.sessions.get(client).cloned() {
-            state.with_robot(&robot, |robot| robot.note_answer(answer));
+        let robot = state.sessions.get(client).cloned();
+        if let Some(robot) = &robot {
+            state.with_robot(robot, |robot| robot.note_query(&query));
+        }
+        state.queries.add(now_ms, robot.as_deref(), client, query);
+    }
+
+    pub(crate) fn note_statistics(&self, sample: ServerSample) {
+        let now_ms = self.now_ms();
+        self.lock().statistics.add(now_ms, sample);
+    }
+
+    pub(crate) fn newest_queries(&self, of: Option<&str>, after: u64, limit: usize) -> Vec<Arc<KeptQuery>> {
+        self.lock().queries.newest(of, after, limit)
+    }
+
+    pub(crate) fn statistics(&self) -> Vec<TimedSample> {
+        self.lock().statistics.all()
+    }
+
+    /// The history of a span of time, milliseconds since 1970; see [`History::between`].
+    ///
+    /// # Arguments
+    /// * `map`: poses in other maps are left out.
+    pub(crate) fn history(&self, from_ms: u64, to_ms: u64, map: Option<&str>, limit: usize) -> HistoryAnswer {
+        let state = self.lock();
+        let number = map.map(|map| number_of(&state.map_names, map).unwrap_or(u16::MAX));
+        state.history.between(from_ms, to_ms, &state.robot_names, number, limit)
+    }
+
+    /// Adds what happened in the last second to the history.
+    fn sample(&self) {
+        let now_ms = self.now_ms();
+        let mut state = self.lock();
+        let LiveState { robots, robot_names, map_names, history, .. } = &mut *state;
+        if !history.is_due(robots.len()) {
+            return;
+        }
+        for (number, name) in robot_names.iter().enumerate() {
+            if let Some(robot) = robots.get_mut(name) {
+                robot.sample(now_ms, number as u16, |map| number_of(map_names, map), history);
+            }
         }
     }
 
@@ -102,7 +166,7 @@ impl Live {
         let mut state = self.lock();
         state.robots.values_mut().for_each(ViewedRobot::set_ages);
         let robots = state.robots.values().collect();
-        written(&Update { is_snapshot: true, robots, maps: Some(&state.maps) })
+        written(&self.update(&state, true, robots, Some(&state.maps)))
     }
 
     /// What changed since it was last called; `None` for nothing.
@@ -119,7 +183,18 @@ impl Live {
             }
         }
         let robots = changed.iter().filter_map(|name| state.robots.get(name)).collect();
-        Some(written(&Update { is_snapshot: false, robots, maps: maps_changed.then_some(&state.maps) }))
+        Some(written(&self.update(&state, false, robots, maps_changed.then_some(&state.maps))))
+    }
+
+    fn update<'a>(
+        &self,
+        state: &LiveState,
+        is_snapshot: bool,
+        robots: Vec<&'a ViewedRobot>,
+        maps: Option<&'a BTreeMap<String, u64>>,
+    ) -> Update<'a> {
+        let (time_ms, history_since_ms) = (self.now_ms(), state.history.since_ms());
+        Update { is_snapshot, time_ms, history_since_ms, robots, maps }
     }
 
     fn lock(&self) -> MutexGuard<'_, LiveState> {
@@ -132,7 +207,11 @@ impl LiveState {
         if self.robots.len() >= MAX_ROBOTS && !self.robots.contains_key(name) {
             return;
         }
-        change(self.robots.entry(name.to_owned()).or_insert_with(|| ViewedRobot::new(name)));
+        let robot = self.robots.entry(name.to_owned()).or_insert_with(|| {
+            self.robot_names.push(name.to_owned());
+            ViewedRobot::new(name)
+        });
+        change(robot);
         self.changed.insert(name.to_owned());
     }
 }
@@ -142,8 +221,13 @@ impl Viewer {
     pub(crate) async fn tick_live(self: Arc<Self>) {
         let mut ticks = tokio::time::interval(TICK);
         ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
+        let mut sampled = Instant::now();
         loop {
             ticks.tick().await;
+            if sampled.elapsed() >= SAMPLING {
+                sampled += SAMPLING;
+                self.live.sample();
+            }
             if self.live.updates.receiver_count() > 0
                 && let Some(update) = self.live.changes()
             {
@@ -152,6 +236,11 @@ impl Viewer {
             }
         }
     }
+}
+
+/// The number of a name among others.
+fn number_of(names: &[String], name: &str) -> Option<u16> {
+    names.iter().position(|one| one == name).map(|at| at as u16)
 }
 
 /// A message as JSON. Its values are finite, so that it can always be written.

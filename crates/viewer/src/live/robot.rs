@@ -1,18 +1,20 @@
 //! The latest of what a robot published.
 
+use crate::history::{History, Observed, SampledPose, ShownState};
+use crate::queries::{ViewedQuery, ViewedResult};
 use crate::viewed_map::{position_covariance, rotation_wxyz};
 use geometry::PoseWithCovariance;
-use protocol::{KeyframeId, RobotOdometry, RobotPose, RobotState, RobotStatus};
+use protocol::{KeyframeId, MatchOutcome, RobotOdometry, RobotPose, RobotState, RobotStatus};
 use serde::Serialize;
 use std::time::Instant;
 
 /// The answer to a query of a robot.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub struct Answer {
+#[derive(Serialize)]
+struct Answer {
     /// The map that was asked.
-    pub map: String,
+    map: String,
     /// The keyframes that matched; none for an image that was not recognized.
-    pub keyframes: Vec<KeyframeId>,
+    keyframes: Vec<KeyframeId>,
 }
 
 /// A message of a robot.
@@ -39,6 +41,16 @@ impl ViewedPose {
             rotation_wxyz: rotation_wxyz(pose),
             position_covariance: position_covariance(pose),
             sigma_theta_rad: pose.sigma_theta_rad(),
+        }
+    }
+
+    fn sampled(&self, map: u16) -> SampledPose {
+        let [[xx, xy, xz], [_, yy, yz], [_, _, zz]] = self.position_covariance;
+        SampledPose {
+            map,
+            position: self.position,
+            rotation_wxyz: self.rotation_wxyz.map(|value| value as f32),
+            position_covariance: [xx, xy, xz, yy, yz, zz].map(|value| value as f32),
         }
     }
 }
@@ -104,12 +116,32 @@ pub(super) struct ViewedRobot {
     answer: Option<Dated<Answer>>,
     /// Counts the answers, so that a page sees each new one.
     answers: u64,
+    #[serde(skip)]
+    unsampled: Unsampled,
+}
+
+/// What is not yet in the history.
+#[derive(Default)]
+struct Unsampled {
+    has_pose: bool,
+    matched: u16,
+    unmatched: u16,
+    /// The state that the history knows.
+    noted: Option<ShownState>,
 }
 
 impl ViewedRobot {
     pub(super) fn new(name: &str) -> Self {
-        let robot = name.to_owned();
-        Self { robot, is_online: true, pose: None, odometry: None, status: None, answer: None, answers: 0 }
+        Self {
+            robot: name.to_owned(),
+            is_online: true,
+            pose: None,
+            odometry: None,
+            status: None,
+            answer: None,
+            answers: 0,
+            unsampled: Unsampled::default(),
+        }
     }
 
     pub(super) fn note(&mut self, published: Published) {
@@ -117,6 +149,7 @@ impl ViewedRobot {
         match published {
             Published::Pose(pose) => {
                 let pose = *pose;
+                self.unsampled.has_pose = true;
                 self.pose = Some(Dated::now(ViewedGlobal {
                     stamp_ns: pose.stamp_ns,
                     global_from_imu: ViewedPose::of(&pose.global_from_imu),
@@ -148,9 +181,47 @@ impl ViewedRobot {
         }
     }
 
-    pub(super) fn note_answer(&mut self, answer: Answer) {
-        self.answer = Some(Dated::now(answer));
-        self.answers += 1;
+    pub(super) fn note_query(&mut self, query: &ViewedQuery) {
+        let mut is_matched = false;
+        if let ViewedResult::Answered(answer) = &query.result {
+            let answer = answer.as_ref();
+            is_matched = answer.outcome == MatchOutcome::Matched;
+            let answer = Answer { map: query.map.clone(), keyframes: answer.keyframes.clone() };
+            self.answer = Some(Dated::now(answer));
+            self.answers += 1;
+        }
+        let Unsampled { matched, unmatched, .. } = &mut self.unsampled;
+        let count = if is_matched { matched } else { unmatched };
+        *count = count.saturating_add(1);
+    }
+
+    /// Writes down what happened since the last call.
+    ///
+    /// # Arguments
+    /// * `number`: of the robot.
+    /// * `map_number`: of a map by its name; `None` for one that is not shown.
+    pub(super) fn sample(
+        &mut self,
+        t_ms: u64,
+        number: u16,
+        map_number: impl Fn(&str) -> Option<u16>,
+        history: &mut History,
+    ) {
+        let state = ShownState::of(self.is_online, self.status.as_ref().map(|status| status.value.state));
+        if self.unsampled.noted != Some(state) {
+            self.unsampled.noted = Some(state);
+            let reason = self.status.as_ref().map_or("", |status| status.value.reason.as_str());
+            history.note_change(t_ms, &self.robot, state, reason);
+        }
+        let Unsampled { has_pose, matched, unmatched, noted } = std::mem::take(&mut self.unsampled);
+        self.unsampled.noted = noted;
+        let pose = self.pose.as_ref().filter(|_| has_pose).and_then(|pose| {
+            let ViewedGlobal { map, global_from_imu, .. } = &pose.value;
+            Some(global_from_imu.sampled(map_number(map)?))
+        });
+        if pose.is_some() || matched > 0 || unmatched > 0 {
+            history.add(t_ms, Observed { robot: number, state, matched, unmatched, pose });
+        }
     }
 
     /// States how old everything is at this moment.

@@ -5,13 +5,19 @@ use client::{SessionOptions, open_session};
 use geometry::uncertain_pose::isotropic_covariance;
 use geometry::{Pose, PoseWithCovariance};
 use nalgebra::{UnitQuaternion, Vector3};
-use protocol::{Format, MapIdentity, Message, RobotOdometry, RobotPose, RobotState, RobotStatus, keys};
+use protocol::{
+    Format, KeyframeId, MapIdentity, MatchOutcome, Message, RobotOdometry, RobotPose, RobotState,
+    RobotStatus, keys,
+};
 use std::net::SocketAddr;
 use std::sync::Arc;
 use testing::{Place, PlaceOptions};
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio::net::TcpStream;
-use viewer::{RobotFollower, RunTracks, ViewedMap, Viewer, ViewerServer, follow_robots};
+use viewer::{
+    CandidateVerdict, RobotFollower, RunTracks, ViewedAnswer, ViewedCandidate, ViewedMap, ViewedQuery,
+    ViewedResult, Viewer, ViewerServer, follow_robots,
+};
 use zenoh::Session;
 
 pub struct Shown {
@@ -52,6 +58,11 @@ impl Shown {
             String::from_utf8_lossy(&response[..end])
         );
         response[end + 4..].to_vec()
+    }
+
+    /// The JSON of a GET that succeeds.
+    pub async fn json(&self, path: &str) -> serde_json::Value {
+        serde_json::from_slice(&self.body(path).await).unwrap()
     }
 
     pub async fn publish<M: Message>(&self, key: String, message: &M) {
@@ -107,6 +118,35 @@ impl Shown {
         .inverse();
         Pose::new(camera.rotation * camera_from_body, camera.translation)
     }
+}
+
+/// A candidate with ten times as many votes as inliers.
+pub fn candidate(keyframe: KeyframeId, inliers: u32, verdict: CandidateVerdict) -> ViewedCandidate {
+    ViewedCandidate {
+        keyframe,
+        near_prior: false,
+        votes: 10 * inliers,
+        matches: 2 * inliers,
+        inliers,
+        mean_error_px: Some(1.25),
+        verdict,
+    }
+}
+
+/// A query whose image was recognized in some keyframes, or for none was not.
+pub fn answered(keyframes: &[KeyframeId], candidates: Vec<ViewedCandidate>) -> ViewedQuery {
+    let outcome = if keyframes.is_empty() { MatchOutcome::NotVerified } else { MatchOutcome::Matched };
+    let result = ViewedResult::Answered(Box::new(ViewedAnswer {
+        outcome,
+        map_version: 3,
+        stamp_ns: Some(12),
+        features: 400,
+        keyframes: keyframes.to_vec(),
+        prior_in_global: Some([8.0, 0.0, 1.0]),
+        camera_in_global: None,
+        candidates,
+    }));
+    ViewedQuery { kind: "match", map: "place".to_owned(), duration_ms: 14.5, result }
 }
 
 fn reason(state: RobotState) -> &'static str {

@@ -1,0 +1,82 @@
+//! What a search found out on its way to an answer, small enough to be kept for each query.
+//!
+//! Unlike an [`Inspection`](super::Inspection) it costs no further comparison and holds no features.
+
+use nalgebra::Vector3;
+use protocol::KeyframeId;
+
+use super::index::Votes;
+use super::inspection::KeyframeVerdict;
+use super::loaded_map::LoadedMap;
+use super::verification::Comparison;
+
+/// What a search found out.
+#[derive(Clone, Debug, Default, PartialEq)]
+#[non_exhaustive]
+pub struct SearchReport {
+    /// The candidates in the order of their votes: first those near the prior, then those of the whole map, where these were
+    /// searched. At most twice [`candidates`](super::RecognitionOptions::candidates).
+    pub candidates: Vec<Candidate>,
+    /// Position of the camera in G (m) by the keyframe with most inliers; `None` for an image that was not recognized.
+    pub camera_in_global: Option<Vector3<f64>>,
+}
+
+/// One of the keyframes that most features of a query voted for.
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct Candidate {
+    /// Identity within the map.
+    pub keyframe: KeyframeId,
+    /// Whether it was searched because it is near the prior.
+    pub near_prior: bool,
+    /// Query features that voted for it. Near a prior, where some of the features vote for all, an estimate.
+    pub votes: u32,
+    /// Descriptor matches; none where it was not compared.
+    pub matches: u32,
+    /// Matches that agree with the pose that was found; none without one.
+    pub inliers: u32,
+    /// Mean reprojection error of the inliers (px).
+    pub mean_error_px: Option<f64>,
+    /// Result of the comparison; `None` where it was needless, since enough better candidates agreed.
+    pub verdict: Option<KeyframeVerdict>,
+    /// Whether it is one of the keyframes that agree on the answer.
+    pub in_answer: bool,
+}
+
+impl Candidate {
+    /// Candidates that are not compared yet.
+    pub(super) fn list(
+        map: &LoadedMap,
+        candidates: &[usize],
+        votes: &[Votes],
+        near_prior: bool,
+    ) -> Vec<Self> {
+        let one = |&at: &usize| Self {
+            keyframe: map.keyframes[at].id,
+            near_prior,
+            votes: votes[at].features,
+            matches: 0,
+            inliers: 0,
+            mean_error_px: None,
+            verdict: None,
+            in_answer: false,
+        };
+        candidates.iter().map(one).collect()
+    }
+
+    /// Notes the result of the comparison.
+    pub(super) fn note(&mut self, comparison: &Comparison) {
+        let (verdict, matches, found) = match comparison {
+            Comparison::TooFewMatches { matches } => (KeyframeVerdict::TooFewMatches, *matches, None),
+            Comparison::NoPose { matches } => (KeyframeVerdict::NoPose, *matches, None),
+            Comparison::PoseUncertain(found) => {
+                (KeyframeVerdict::PoseUncertain, found.matches.len(), Some(found))
+            }
+            Comparison::Verified(found) => (KeyframeVerdict::Verified, found.matches.len(), Some(found)),
+        };
+        self.verdict = Some(verdict);
+        self.matches = matches as u32;
+        self.inliers = found.map_or(0, |found| found.inliers.len() as u32);
+        self.mean_error_px = found.map(|found| found.mean_error_px);
+    }
+}

@@ -1,0 +1,215 @@
+//! The search for the place of an image: near the prior first, else in the whole map.
+
+use geometry::{Camera, PoseWithCovariance};
+use nalgebra::Vector3;
+use protocol::{FeatureSet, MatchOutcome, PosePrior};
+use vision::{DescriptorError, DescriptorView};
+
+use super::consensus::{Consensus, find_consensus, is_consistent};
+use super::index::{Votes, best_voted};
+use super::loaded_map::LoadedMap;
+use super::options::RecognitionOptions;
+use super::query::QueryError;
+use super::report::{Candidate, SearchReport};
+use super::verification::{Comparison, Image, VerifiedKeyframe, compare, distinct_features};
+use map::model::Keyframe;
+
+/// How many standard deviations of the prior's position a keyframe may be away, beyond the viewing distance.
+const PRIOR_SIGMAS: f64 = 3.0;
+
+/// Angle (rad) between the optical axes of two cameras beyond which no descriptor matches, before the prior's uncertainty:
+/// what both see is seen from sides that look different.
+const MAX_VIEW_ANGLE: f64 = std::f64::consts::FRAC_PI_2;
+
+/// Keyframes near a prior are few where the map has so many times as many: comparing a landmark by itself takes several
+/// times as long as in a whole list.
+const FEW_KEYFRAMES: usize = 8;
+
+/// Features that vote for keyframes near a prior, at most: these are few, and the votes only rank them.
+const VOTERS_NEAR_PRIOR: usize = 160;
+
+/// The result of a search.
+pub(super) struct Search {
+    pub(super) outcome: MatchOutcome,
+    /// Verified keyframes of one place, most inliers first; empty unless matched.
+    pub(super) place: Vec<VerifiedKeyframe>,
+    pub(super) searched_keyframes: usize,
+    pub(super) candidates: Vec<Candidate>,
+}
+
+impl Search {
+    pub(super) fn into_report(self) -> SearchReport {
+        let best = self.place.first();
+        let camera_in_global = best.map(|best| best.global_from_camera.pose.translation);
+        SearchReport { candidates: self.candidates, camera_in_global }
+    }
+}
+
+/// What makes further candidates of a place needless: they share fewer features with the image.
+struct Sufficient<'a> {
+    prior: Option<&'a PoseWithCovariance>,
+    enough: usize,
+}
+
+impl Sufficient<'_> {
+    /// Whether enough keyframes are verified, and all of them agree with the prior, or without one with the first.
+    fn is_reached(&self, verified: &[VerifiedKeyframe], options: &RecognitionOptions) -> bool {
+        let Some(first) = verified.first().filter(|_| verified.len() >= self.enough) else { return false };
+        let reference = self.prior.unwrap_or(&first.global_from_camera);
+        verified.iter().all(|keyframe| is_consistent(&keyframe.global_from_camera, reference, options))
+    }
+}
+
+impl LoadedMap {
+    /// Finds the place of an image: near the prior, and where none is verified there, in the whole map.
+    ///
+    /// # Arguments
+    /// * `enough`: once so many keyframes agree, further candidates of their place are not compared.
+    pub(super) fn search(
+        &self,
+        camera: &Camera,
+        features: &FeatureSet,
+        prior: Option<&PosePrior>,
+        gravity_in_camera: Option<Vector3<f64>>,
+        enough: usize,
+        options: &RecognitionOptions,
+    ) -> Result<Search, QueryError> {
+        let nothing = |outcome| {
+            Ok(Search { outcome, place: Vec::new(), searched_keyframes: 0, candidates: Vec::new() })
+        };
+        if self.keyframes.is_empty() {
+            return nothing(MatchOutcome::EmptyMap);
+        }
+        if features.len() < options.min_inliers {
+            return nothing(MatchOutcome::TooFewFeatures);
+        }
+        let descriptors = self.view(features)?;
+        let image = Image { camera, features, descriptors, gravity_in_camera };
+        let candidates = |votes: &[Votes], eligible: &dyn Fn(usize) -> bool| {
+            best_voted(votes, options.candidates, options.min_votes, eligible)
+        };
+        let mut of_both = Vec::new();
+        if let Some(prior) = prior {
+            let near = self.near(&prior.global_from_camera);
+            let sufficient = Sufficient { prior: Some(&prior.global_from_camera), enough };
+            let votes = self.votes_near(descriptors, &near)?;
+            let candidates = candidates(&votes, &|at| near[at]);
+            of_both = Candidate::list(self, &candidates, &votes, true);
+            let place = self.recognize(&candidates, &mut of_both, &image, &sufficient, options)?;
+            if place.outcome == MatchOutcome::Matched {
+                let searched_keyframes = near.iter().filter(|&&near| near).count();
+                return Ok(Search { searched_keyframes, candidates: of_both, ..place });
+            }
+        }
+        let votes = self.index.vote(descriptors, &self.landmarks, self.keyframes.len())?;
+        let sufficient = Sufficient { prior: None, enough };
+        let candidates = candidates(&votes, &|_| true);
+        let of_prior = of_both.len();
+        of_both.extend(Candidate::list(self, &candidates, &votes, false));
+        let place = self.recognize(&candidates, &mut of_both[of_prior..], &image, &sufficient, options)?;
+        Ok(Search { searched_keyframes: self.keyframes.len(), candidates: of_both, ..place })
+    }
+
+    /// Which keyframes may share a field of view with a camera near a prior pose: by their distance, and by the angle
+    /// between their optical axes.
+    pub(super) fn near(&self, prior: &PoseWithCovariance) -> Vec<bool> {
+        let sigma = |start: usize| {
+            let block = prior.covariance.fixed_view::<3, 3>(start, start).into_owned();
+            block.symmetric_eigenvalues().max().max(0.0).sqrt()
+        };
+        let radius = PRIOR_SIGMAS * sigma(3) + self.viewing_distance();
+        let least_cosine = (MAX_VIEW_ANGLE + PRIOR_SIGMAS * sigma(0)).min(std::f64::consts::PI).cos();
+        let axis = prior.pose.rotation * Vector3::z();
+        let is_near = |keyframe: &Keyframe| {
+            let pose = &keyframe.global_from_keyframe.pose;
+            (pose.translation - prior.pose.translation).norm() <= radius
+                && (pose.rotation * Vector3::z()).dot(&axis) >= least_cosine
+        };
+        self.keyframes.iter().map(is_near).collect()
+    }
+
+    /// The votes for keyframes near a prior. Where these are few, some of the features vote, and only the landmarks that
+    /// the keyframes observe are searched.
+    pub(super) fn votes_near(
+        &self,
+        descriptors: DescriptorView<'_>,
+        near: &[bool],
+    ) -> Result<Vec<Votes>, DescriptorError> {
+        let few: Vec<usize> = (0..near.len()).filter(|&at| near[at]).collect();
+        if few.len() * FEW_KEYFRAMES > near.len() {
+            return self.index.vote(descriptors, &self.landmarks, self.keyframes.len());
+        }
+        let mut among = vec![false; self.landmarks.len()];
+        for landmark in few.iter().flat_map(|&keyframe| self.observations.of(keyframe).landmarks) {
+            among[*landmark as usize] = true;
+        }
+        let step = descriptors.len().div_ceil(VOTERS_NEAR_PRIOR).max(1);
+        let voters: Vec<u8> = descriptors.iter().step_by(step).flatten().copied().collect();
+        let voters = DescriptorView::new(descriptors.metric(), descriptors.width(), &voters)?;
+        let mut votes = self.index.vote_among(voters, &self.landmarks, self.keyframes.len(), &among)?;
+        for votes in &mut votes {
+            votes.stand_for(step as u32);
+        }
+        Ok(votes)
+    }
+
+    /// Compares an image with each candidate and finds the one place that they agree on.
+    ///
+    /// Where enough of them agree, the candidates that remain matter only if they are of another place, which makes the
+    /// answer ambiguous; with a prior not even these.
+    ///
+    /// # Arguments
+    /// * `report`: of each candidate, in the same order.
+    fn recognize(
+        &self,
+        candidates: &[usize],
+        report: &mut [Candidate],
+        image: &Image<'_>,
+        sufficient: &Sufficient<'_>,
+        options: &RecognitionOptions,
+    ) -> Result<Search, QueryError> {
+        let mut verified: Vec<VerifiedKeyframe> = Vec::new();
+        let mut outcome = MatchOutcome::NoMatch;
+        // Whether a keyframe may share a field of view with those that are sufficient.
+        let mut of_the_place: Option<Vec<bool>> = None;
+        for (&candidate, report) in candidates.iter().zip(report.iter_mut()) {
+            if of_the_place.is_none() && sufficient.is_reached(&verified, options) {
+                if sufficient.prior.is_some() {
+                    break;
+                }
+                of_the_place = Some(self.near(&verified[0].global_from_camera));
+            }
+            if of_the_place.as_ref().is_some_and(|of_the_place| of_the_place[candidate]) {
+                continue;
+            }
+            let first = verified.first().map(|first| &first.global_from_camera.pose);
+            let comparison = compare(self, candidate, image, first, options)?;
+            report.note(&comparison);
+            match comparison {
+                Comparison::TooFewMatches { .. } => {}
+                Comparison::NoPose { .. } | Comparison::PoseUncertain(_) => {
+                    outcome = MatchOutcome::NotVerified;
+                }
+                Comparison::Verified(keyframe) => verified.push(*keyframe),
+            }
+        }
+        let place = match find_consensus(verified, options) {
+            Consensus::Nothing => Vec::new(),
+            Consensus::Ambiguous => {
+                tracing::debug!("several places that look alike explain the image: no answer");
+                outcome = MatchOutcome::Ambiguous;
+                Vec::new()
+            }
+            Consensus::Place(place) => {
+                outcome = MatchOutcome::Matched;
+                let features = distinct_features(place.iter());
+                tracing::debug!(keyframes = place.len(), features, "recognized a place");
+                for (at, candidate) in candidates.iter().zip(report) {
+                    candidate.in_answer = place.iter().any(|verified| verified.keyframe == *at);
+                }
+                place
+            }
+        };
+        Ok(Search { outcome, place, searched_keyframes: 0, candidates: Vec::new() })
+    }
+}
