@@ -4,8 +4,9 @@
 use std::path::Path;
 use std::process::Command;
 
-/// Median length of the tracks (frames) that the front end finds in a real recording of 16 s, hand-held; see the test below.
-const TRACK_LENGTH: f64 = 12.0;
+/// Mean length of the tracks (frames) that the front end finds in a real recording of 16 s, of a camera that is shaken by hand:
+/// `driftless track mh_01_handheld_16s --cameras 1` of docs/src/benchmarks.md, 64,000 observations in 4,032 tracks.
+const TRACK_LENGTH: f64 = 15.9;
 
 /// Standard output of a command that succeeds, as JSON.
 fn json_of(arguments: &[&str]) -> serde_json::Value {
@@ -33,12 +34,17 @@ fn rendered_flights_are_written_and_tracked_like_real_images() {
     assert_eq!(images("map/mav0/cam0/data"), images("map/mav0/cam1/data"));
     assert!(out.join("map/reference_poses.csv").exists() && !out.join("live/reference_poses.csv").exists());
 
-    let tracks = json_of(&["track", text(&out.join("map")), "--json"]);
-    let number = |key: &str| tracks[key].as_f64().unwrap();
-    println!("{tracks:#}");
-    assert_eq!(number("left_out"), 0.0);
-    assert!(number("points_in_sight") > 150.0 && number("stereo_share") > 0.6, "{tracks}");
-    let length = number("track_length");
+    let map = out.join("map");
+    let tracks = |cameras: &str| {
+        let tracked = folder.path().join(format!("tracks_{cameras}"));
+        json_of(&["track", text(&map), "--out", text(&tracked), "--cameras", cameras, "--json"])
+    };
+    let (one, two) = (tracks("1"), tracks("2"));
+    let number = |summary: &serde_json::Value, key: &str| summary[key].as_f64().unwrap();
+    println!("{one:#} {two:#}");
+    assert!(number(&one, "left_out") == 0.0 && number(&one, "points_in_sight") > 190.0, "{one}");
+    assert!(number(&two, "stereo_share") > 0.6, "{two}");
+    let length = number(&one, "observations") / number(&one, "tracks");
     assert!((TRACK_LENGTH / 2.0..TRACK_LENGTH * 2.0).contains(&length), "{length} frames");
 }
 

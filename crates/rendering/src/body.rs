@@ -83,7 +83,7 @@ impl Body {
             let corner =
                 middle + outward * (length(&outward) / 2.0) - (x * lengths[0] + y * lengths[1]) / 2.0;
             let rotation = Rotation3::from_matrix_unchecked(Matrix3::from_columns(&[x, y, z]));
-            let texels = lengths.map(|length| ((length as f32 * TEXELS_PER_METRE) as usize).max(1));
+            let texels = lengths.map(|length| ((length as f32 * TEXELS_PER_METRE) as usize).max(2));
             let own_seed = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15).wrapping_add(index as u64);
             Rectangle {
                 body_from_rectangle: Pose::new(UnitQuaternion::from_rotation_matrix(&rotation), corner),

@@ -41,7 +41,7 @@ struct Leaf {
 /// * `texels_per_metre`: the smallest shapes have a radius of 12 mm, the largest of 0.5 m.
 ///
 /// # Panics
-/// If a side is zero.
+/// If a side is shorter than two texels.
 pub fn random_texture(size: [usize; 2], texels_per_metre: f32, seed: u64) -> Texture {
     let mut rng = StdRng::seed_from_u64(seed);
     let [width, height] = size;

@@ -5,7 +5,7 @@
 //! whether any ray of a part of the image does is a question about the corners of that part.
 
 use super::body::Rectangle;
-use super::texture::Texture;
+use super::texture::{SmoothedTexture, Texture};
 use geometry::Pose;
 use nalgebra::Vector3;
 
@@ -40,6 +40,11 @@ impl Linear {
         self.by_x * x + self.by_y * y + self.constant
     }
 
+    /// Its change along a step.
+    fn change(self, step: &[f32; 2]) -> f32 {
+        self.by_x * step[0] + self.by_y * step[1]
+    }
+
     fn max_over(self, range: &RayRange) -> f32 {
         self.at(range.middle) + self.by_x.abs() * range.half[0] + self.by_y.abs() * range.half[1]
     }
@@ -56,15 +61,6 @@ pub(crate) struct Projected<'a> {
     texels_per_metre: [f32; 2],
     texture: &'a Texture,
     brightness: f32,
-}
-
-/// Where a ray meets a rectangle.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Met {
-    /// 1/m.
-    pub(crate) inverse_depth: f32,
-    /// Texels.
-    texel: [f32; 2],
 }
 
 impl<'a> Projected<'a> {
@@ -99,40 +95,55 @@ impl<'a> Projected<'a> {
         nearest > 0.0 && self.inside.iter().all(|linear| linear.max_over(range) >= -OVERLAP_M * nearest)
     }
 
-    /// Where a ray meets the rectangle, if that is nearer than `than` (inverse depth, 1/m, not negative).
+    /// The inverse depth (1/m) at which a ray meets the rectangle, if that is nearer than `than` (1/m, not negative).
     #[inline]
-    pub(crate) fn meets(&self, ray: [f32; 2], than: f32) -> Option<Met> {
+    pub(crate) fn meets(&self, ray: [f32; 2], than: f32) -> Option<f32> {
         let inverse_depth = self.inverse_depth.at(ray);
-        // False for rays that are NaN.
-        let is_nearer = inverse_depth > than;
         let slack = -OVERLAP_M * inverse_depth;
-        if !(is_nearer && self.inside.iter().all(|linear| linear.at(ray) >= slack)) {
-            return None;
-        }
-        let depth = 1.0 / inverse_depth;
-        let texel = [0, 1].map(|axis| self.inside[2 * axis].at(ray) * depth * self.texels_per_metre[axis]);
-        Some(Met { inverse_depth, texel })
+        let [left, right, above, below] = &self.inside;
+        // False for rays that are NaN.
+        let is_met = inverse_depth > than
+            && left.at(ray) >= slack
+            && right.at(ray) >= slack
+            && above.at(ray) >= slack
+            && below.at(ray) >= slack;
+        is_met.then_some(inverse_depth)
     }
 
-    /// The grey level of a pixel whose ray meets the rectangle.
+    /// What a ray sees that meets the rectangle.
+    ///
+    /// # Arguments
+    /// * `inverse_depth`: 1/m, of [`Projected::meets`].
+    /// * `texture`: of [`Projected::smoothed`] at this ray or one near it.
+    #[inline]
+    pub(crate) fn grey(&self, ray: [f32; 2], inverse_depth: f32, texture: &SmoothedTexture<'_>) -> f32 {
+        let depth = 1.0 / inverse_depth;
+        let u = self.inside[0].at(ray) * depth * self.texels_per_metre[0];
+        let v = self.inside[2].at(ray) * depth * self.texels_per_metre[1];
+        self.brightness * texture.grey(u, v)
+    }
+
+    /// The texture as smooth as a pixel sees it whose ray meets the rectangle.
     ///
     /// # Arguments
     /// * `steps`: from this ray to those of the neighbouring pixels, along the row and down.
-    #[inline]
-    pub(crate) fn grey(&self, met: &Met, steps: &[[f32; 2]; 2]) -> f32 {
-        let depth = 1.0 / met.inverse_depth;
-        // Texels from this pixel to its neighbour.
+    pub(crate) fn smoothed(
+        &self,
+        ray: [f32; 2],
+        inverse_depth: f32,
+        steps: &[[f32; 2]; 2],
+    ) -> SmoothedTexture<'a> {
+        let depth = 1.0 / inverse_depth;
+        // Texels from this pixel to its neighbour, squared.
         let moved = |step: &[f32; 2]| {
-            let nearer = self.inverse_depth.by_x * step[0] + self.inverse_depth.by_y * step[1];
-            let along = [0, 1].map(|axis| {
+            let nearer = self.inverse_depth.change(step);
+            let along = |axis: usize| {
                 let linear = self.inside[2 * axis];
-                let change = (linear.by_x * step[0] + linear.by_y * step[1]) * self.texels_per_metre[axis];
-                (change - met.texel[axis] * nearer) * depth
-            });
-            along[0] * along[0] + along[1] * along[1]
+                (linear.change(step) - linear.at(ray) * depth * nearer) * depth * self.texels_per_metre[axis]
+            };
+            along(0).powi(2) + along(1).powi(2)
         };
         let covered_squared = moved(&steps[0]).max(moved(&steps[1]));
-        let level = 0.5 * covered_squared.max(1e-6).log2();
-        self.brightness * self.texture.sample(met.texel[0], met.texel[1], level)
+        self.texture.at_level(0.5 * covered_squared.max(1e-6).log2())
     }
 }

@@ -1,7 +1,7 @@
 //! What a camera sees at one instant.
 
 use super::body::PlacedBody;
-use super::projected::{Met, Projected, RayRange};
+use super::projected::{Projected, RayRange};
 use super::rays::CameraRays;
 use super::sensor::Radiance;
 use geometry::Pose;
@@ -55,10 +55,19 @@ impl View<'_> {
         self.select(left, top, right, bottom);
         let steps = self.rays.steps((left + right) / 2, (top + bottom) / 2);
         for y in top..bottom {
+            // How smooth a rectangle looks hardly changes along a row of the tile.
+            let mut last = None;
             for x in left..right {
-                let Some((index, met)) = self.nearest(self.rays.at(x, y)) else { continue };
+                let ray = self.rays.at(x, y);
+                let Some((index, inverse_depth)) = self.nearest(ray) else { continue };
+                let seen_here = &self.facing[usize::from(index)];
+                let texture = match last {
+                    Some((of, texture)) if of == index => texture,
+                    _ => seen_here.smoothed(ray, inverse_depth, &steps),
+                };
+                last = Some((index, texture));
                 seen[y * width + x] = index;
-                image.values[y * width + x] = self.facing[usize::from(index)].grey(&met, &steps);
+                image.values[y * width + x] = seen_here.grey(ray, inverse_depth, &texture);
             }
         }
     }
@@ -69,15 +78,20 @@ impl View<'_> {
         for y in top..bottom {
             for x in left..right {
                 let ray = self.rays.at(x, y);
+                // NaN changes neither.
                 for axis in 0..2 {
-                    // Neither is changed by NaN.
-                    low[axis] = low[axis].min(ray[axis]);
-                    high[axis] = high[axis].max(ray[axis]);
+                    if ray[axis] < low[axis] {
+                        low[axis] = ray[axis];
+                    }
+                    if ray[axis] > high[axis] {
+                        high[axis] = ray[axis];
+                    }
                 }
             }
         }
-        // Half a pixel more, for the rays beside the middle of a pixel.
-        let margin = [0, 1].map(|axis| (high[axis] - low[axis]) / TILE as f32 + 1e-5);
+        // A pixel more, for the rays beside the middle of a pixel.
+        let steps = self.rays.steps((left + right) / 2, (top + bottom) / 2);
+        let margin = [0, 1].map(|axis| (steps[0][axis].abs() + steps[1][axis].abs()).max(1e-5));
         let range = RayRange {
             middle: [0, 1].map(|axis| 0.5 * (low[axis] + high[axis])),
             half: [0, 1].map(|axis| 0.5 * (high[axis] - low[axis]) + margin[axis]),
@@ -89,16 +103,16 @@ impl View<'_> {
         );
     }
 
+    /// The rectangle that a ray meets first, and its inverse depth there, 1/m.
     #[inline]
-    fn nearest(&self, ray: [f32; 2]) -> Option<(u16, Met)> {
-        let mut nearest: Option<(u16, Met)> = None;
+    fn nearest(&self, ray: [f32; 2]) -> Option<(u16, f32)> {
+        let (mut nearest, mut inverse_depth) = (None, 0.0);
         for index in &self.near {
-            let than = nearest.as_ref().map_or(0.0, |(_, met)| met.inverse_depth);
-            if let Some(met) = self.facing[usize::from(*index)].meets(ray, than) {
-                nearest = Some((*index, met));
+            if let Some(nearer) = self.facing[usize::from(*index)].meets(ray, inverse_depth) {
+                (nearest, inverse_depth) = (Some(*index), nearer);
             }
         }
-        nearest
+        nearest.map(|index| (index, inverse_depth))
     }
 
     /// Averages several rays where neighbouring pixels see different rectangles, so that edges have no steps.
@@ -121,8 +135,11 @@ impl View<'_> {
                 let greys = SUB_PIXELS.map(|[across, down]| {
                     let beside =
                         [0, 1].map(|axis| ray[axis] + across * steps[0][axis] + down * steps[1][axis]);
-                    let nearest = self.nearest(beside);
-                    nearest.map_or(0.0, |(index, met)| self.facing[usize::from(index)].grey(&met, &steps))
+                    self.nearest(beside).map_or(0.0, |(index, inverse_depth)| {
+                        let seen_here = &self.facing[usize::from(index)];
+                        let texture = seen_here.smoothed(beside, inverse_depth, &steps);
+                        seen_here.grey(beside, inverse_depth, &texture)
+                    })
                 });
                 image.values[at] = greys.iter().sum::<f32>() / greys.len() as f32;
             }

@@ -1,5 +1,10 @@
 //! A grey bitmap and its halved copies.
 
+/// Fewest columns and rows of a level: texels are interpolated between neighbours.
+const MIN_SIDE: usize = 2;
+/// Less of the coarser level is not looked up.
+const MIN_PART: f32 = 1e-3;
+
 /// A mip-mapped grey bitmap: level 0 is the finest, and each further level averages two by two texels of the one before.
 ///
 /// # Coordinate systems
@@ -28,7 +33,7 @@ impl Texture {
     /// A bitmap of `[columns, rows]` whose texel in column `u` and row `v` is `value(u, v)`, rounded to 0 to 255.
     ///
     /// # Panics
-    /// If a side is zero.
+    /// If a side is shorter than two texels.
     pub fn from_fn(size: [usize; 2], mut value: impl FnMut(usize, usize) -> f32) -> Self {
         let [width, height] = size;
         let mut texels = Vec::with_capacity(width * height);
@@ -40,7 +45,7 @@ impl Texture {
 
     /// A bitmap from its texels, row after row.
     pub(crate) fn from_texels([width, height]: [usize; 2], texels: Vec<u8>) -> Self {
-        assert!(width > 0 && height > 0 && texels.len() == width * height, "a bitmap has texels");
+        assert!(width.min(height) >= MIN_SIDE && texels.len() == width * height, "a bitmap has texels");
         let mut levels = vec![Level { width, height, texels }];
         while let Some(halved) = levels.last().and_then(Level::halved) {
             levels.push(halved);
@@ -57,25 +62,48 @@ impl Texture {
     ///
     /// # Arguments
     /// * `level`: binary logarithm of the number of texels that a pixel covers.
-    #[inline]
     pub fn sample(&self, u: f32, v: f32, level: f32) -> f32 {
+        self.at_level(level).grey(u, v)
+    }
+
+    /// The bitmap as it looks where a pixel covers some texels; for many points.
+    pub(crate) fn at_level(&self, level: f32) -> SmoothedTexture<'_> {
         let level = level.clamp(0.0, (self.levels.len() - 1) as f32);
         let finer = level as usize;
-        let part = level - finer as f32;
-        let scale = 1.0 / (1_u32 << finer) as f32;
-        let fine = self.levels[finer].bilinear(u * scale, v * scale);
-        if part < 1e-3 {
+        let coarser = (finer + 1).min(self.levels.len() - 1);
+        SmoothedTexture {
+            levels: [&self.levels[finer], &self.levels[coarser]],
+            scales: [finer, coarser].map(|level| 1.0 / (1_u32 << level) as f32),
+            part: level - finer as f32,
+        }
+    }
+}
+
+/// A bitmap between two of its levels.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct SmoothedTexture<'a> {
+    levels: [&'a Level; 2],
+    scales: [f32; 2],
+    /// How much of the second level.
+    part: f32,
+}
+
+impl SmoothedTexture<'_> {
+    #[inline]
+    pub(crate) fn grey(&self, u: f32, v: f32) -> f32 {
+        let fine = self.levels[0].bilinear(u * self.scales[0], v * self.scales[0]);
+        if self.part < MIN_PART {
             return fine;
         }
-        let coarse = self.levels[finer + 1].bilinear(u * scale * 0.5, v * scale * 0.5);
-        fine + part * (coarse - fine)
+        let coarse = self.levels[1].bilinear(u * self.scales[1], v * self.scales[1]);
+        fine + self.part * (coarse - fine)
     }
 }
 
 impl Level {
-    /// The next level; `None` after a single texel.
+    /// The next level; `None` where it would have fewer than two columns or rows.
     fn halved(&self) -> Option<Self> {
-        if self.width == 1 && self.height == 1 {
+        if self.width.min(self.height) <= MIN_SIDE {
             return None;
         }
         let (width, height) = (self.width.div_ceil(2), self.height.div_ceil(2));
@@ -99,12 +127,14 @@ impl Level {
     fn bilinear(&self, u: f32, v: f32) -> f32 {
         let x = (u - 0.5).clamp(0.0, (self.width - 1) as f32);
         let y = (v - 0.5).clamp(0.0, (self.height - 1) as f32);
-        let (column, row) = (x as usize, y as usize);
-        let (right, below) = ((column + 1).min(self.width - 1), (row + 1).min(self.height - 1));
+        let (column, row) = ((x as usize).min(self.width - 2), (y as usize).min(self.height - 2));
         let (s, t) = (x - column as f32, y - row as f32);
-        let at = |column: usize, row: usize| f32::from(self.texels[row * self.width + column]);
-        let upper = at(column, row) + s * (at(right, row) - at(column, row));
-        let lower = at(column, below) + s * (at(right, below) - at(column, below));
+        let begin = row * self.width + column;
+        let texels = &self.texels[begin..begin + self.width + 2];
+        let [upper_left, upper_right] = [f32::from(texels[0]), f32::from(texels[1])];
+        let [lower_left, lower_right] = [f32::from(texels[self.width]), f32::from(texels[self.width + 1])];
+        let upper = upper_left + s * (upper_right - upper_left);
+        let lower = lower_left + s * (lower_right - lower_left);
         upper + t * (lower - upper)
     }
 }

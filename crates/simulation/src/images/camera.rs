@@ -9,9 +9,9 @@ use std::sync::Arc;
 use vision::{GrayImage, ImageError};
 
 /// The image moves by so many pixels, at most, between two instants of the exposure.
-const BLUR_STEP_PX: f64 = 1.0;
+const BLUR_STEP_PX: f64 = 1.5;
 /// Most instants of an exposure.
-const MAX_INSTANTS: usize = 5;
+const MAX_INSTANTS: usize = 4;
 /// Distance of what is seen, for the blur of a camera that does not turn, metres.
 const USUAL_DISTANCE_M: f64 = 2.5;
 /// Seconds in which the gain goes up and down once.
