@@ -45,8 +45,8 @@ impl FlightConditions {
                 100.0 * images.gain_change
             ),
             format!(
-                "IMU: {:.0} Hz, {:.0} times the white noise of EuRoC's data sheet, which is what the filter is told; biases \
-                 that walk.",
+                "IMU: {:.0} Hz with {:.0} times the white noise of EuRoC's data sheet; the filter is told the data sheet's. Biases \
+                 walk.",
                 simulation.imu_rate_hz, self.imu_noise_scale
             ),
             "Map: of a flight by images and IMU alone, without reference poses; its first keyframe defines its frame, in \
