@@ -45,7 +45,7 @@ struct Leaf {
 pub fn random_texture(size: [usize; 2], texels_per_metre: f32, seed: u64) -> Texture {
     let mut rng = StdRng::seed_from_u64(seed);
     let [width, height] = size;
-    let mut texels = vec![((GREYS[0] + GREYS[1]) / 2.0) as u8; width * height];
+    let mut texels = vec![GREYS[0].midpoint(GREYS[1]) as u8; width * height];
     let radii = RADII_M.map(|radius| radius * texels_per_metre);
     // Density r^-3 between the two radii: the mean area of a shape is pi times the mean square of r.
     let [small, large] = radii;

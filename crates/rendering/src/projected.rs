@@ -41,7 +41,7 @@ impl Linear {
     }
 
     /// Its change along a step.
-    fn change(self, step: &[f32; 2]) -> f32 {
+    fn change(self, step: [f32; 2]) -> f32 {
         self.by_x * step[0] + self.by_y * step[1]
     }
 
@@ -135,7 +135,7 @@ impl<'a> Projected<'a> {
     ) -> SmoothedTexture<'a> {
         let depth = 1.0 / inverse_depth;
         // Texels from this pixel to its neighbour, squared.
-        let moved = |step: &[f32; 2]| {
+        let moved = |step: [f32; 2]| {
             let nearer = self.inverse_depth.change(step);
             let along = |axis: usize| {
                 let linear = self.inside[2 * axis];
@@ -143,7 +143,7 @@ impl<'a> Projected<'a> {
             };
             along(0).powi(2) + along(1).powi(2)
         };
-        let covered_squared = moved(&steps[0]).max(moved(&steps[1]));
+        let covered_squared = moved(steps[0]).max(moved(steps[1]));
         self.texture.at_level(0.5 * covered_squared.max(1e-6).log2())
     }
 }

@@ -53,7 +53,7 @@ impl View<'_> {
         let (width, height) = (self.rays.width(), self.rays.height());
         let (right, bottom) = ((left + TILE).min(width), (top + TILE).min(height));
         self.select(left, top, right, bottom);
-        let steps = self.rays.steps((left + right) / 2, (top + bottom) / 2);
+        let steps = self.rays.steps(left.midpoint(right), top.midpoint(bottom));
         for y in top..bottom {
             // How smooth a rectangle looks hardly changes along a row of the tile.
             let mut last = None;
@@ -90,7 +90,7 @@ impl View<'_> {
             }
         }
         // A pixel more, for the rays beside the middle of a pixel.
-        let steps = self.rays.steps((left + right) / 2, (top + bottom) / 2);
+        let steps = self.rays.steps(left.midpoint(right), top.midpoint(bottom));
         let margin = [0, 1].map(|axis| (steps[0][axis].abs() + steps[1][axis].abs()).max(1e-5));
         let range = RayRange {
             middle: [0, 1].map(|axis| 0.5 * (low[axis] + high[axis])),

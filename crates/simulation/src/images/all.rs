@@ -32,7 +32,7 @@ pub enum WriteImagesError {
 /// [`ImageError`]: an image cannot be read; simulated ones always can.
 pub fn render_all(sequence: &mut Sequence, progress: impl FnMut(usize, usize)) -> Result<(), ImageError> {
     let places = places(sequence);
-    let read = |(frame, camera): (usize, usize)| match &sequence.frames[frame].images[camera] {
+    let read = |(frame, camera): Place| match &sequence.frames[frame].images[camera] {
         Some(image) => Ok(Some(ImageData::from(image.read()?.into_owned()))),
         None => Ok(None),
     };
@@ -59,7 +59,7 @@ pub fn write_images(
     for path in (0..sequence.cameras.len()).map(folder) {
         std::fs::create_dir_all(&path).map_err(|source| WriteImagesError::Folder { path, source })?;
     }
-    let write = |(frame, camera): (usize, usize)| -> Result<(), WriteImagesError> {
+    let write = |(frame, camera): Place| -> Result<(), WriteImagesError> {
         let frame = &sequence.frames[frame];
         let Some(image) = &frame.images[camera] else { return Ok(()) };
         image.read()?.write(&folder(camera).join(writer::image_name(frame.stamp_ns, Some(image))))?;
@@ -68,8 +68,11 @@ pub fn write_images(
     on_all_processors(&places(sequence), write, progress).map(drop)
 }
 
-/// Frame and camera of every image.
-fn places(sequence: &Sequence) -> Vec<(usize, usize)> {
+/// Frame and camera of an image.
+type Place = (usize, usize);
+
+/// Those of every image.
+fn places(sequence: &Sequence) -> Vec<Place> {
     let of_frame = |(index, frame): (usize, &sensors::Frame)| {
         let cameras: Vec<usize> = (0..2).filter(|camera| frame.images[*camera].is_some()).collect();
         cameras.into_iter().map(move |camera| (index, camera))
@@ -79,10 +82,10 @@ fn places(sequence: &Sequence) -> Vec<(usize, usize)> {
 
 /// Does something for each image; the first error ends it.
 fn on_all_processors<T: Send, E: Send>(
-    places: &[(usize, usize)],
-    work: impl Fn((usize, usize)) -> Result<T, E> + Sync,
+    places: &[Place],
+    work: impl Fn(Place) -> Result<T, E> + Sync,
     mut progress: impl FnMut(usize, usize),
-) -> Result<Vec<((usize, usize), T)>, E> {
+) -> Result<Vec<(Place, T)>, E> {
     let next = AtomicUsize::new(0);
     let threads = std::thread::available_parallelism().map_or(1, usize::from).min(places.len().max(1));
     let (outbox, results) = channel();

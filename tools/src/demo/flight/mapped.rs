@@ -61,8 +61,8 @@ impl MappedRoom {
             stereo: true,
         };
         let mut options = BuildOptions::default();
-        options.name = "room".to_owned();
-        options.created_by = "driftless demo".to_owned();
+        options.name = String::from("room");
+        options.created_by = String::from("driftless demo");
         options.gravity_in_global = Some(GRAVITY_IN_GLOBAL);
         options.sigma_px = None;
         let priors = PosePriors::default();
