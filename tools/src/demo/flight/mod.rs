@@ -107,7 +107,7 @@ pub fn run_flight(
 
 fn render(sequence: &mut Sequence, run: &str, progress: &mut dyn FnMut(&str)) -> Result<()> {
     render_all(sequence, |done, all| {
-        progress(&format!("rendering the {run} flight: {done} of {all} images"))
+        progress(&format!("rendering the {run} flight: {done} of {all} images"));
     })?;
     Ok(())
 }
