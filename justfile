@@ -33,7 +33,7 @@ neural:
     cargo clippy -p driftless-vision --features neural --all-targets --locked -- -D warnings
     cargo test -p driftless-vision --features neural --test neural --locked
 
-# The demo: simulate, map, serve, localize
+# The demo: render, map, serve, localize
 demo:
     cargo run --profile {{ profile }} --locked -p driftless-tools -- demo --out target/ci-demo
 

@@ -105,10 +105,10 @@ figure_handheld() {
 
 # ------------------------------------------------------------------------------------------------------- simulations
 
-# The table of the demo.
+# The table of the demo from tracks.
 figure_demo() {
   begin
-  "$bin/driftless" demo --out "$folder/demo" --json > "$folder/demo.json"
+  "$bin/driftless" demo --tracks --out "$folder/demo" --json > "$folder/demo.json"
   rows demo "$folder/demo.json"
 }
 

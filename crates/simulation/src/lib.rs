@@ -7,7 +7,8 @@
 //! | module | content |
 //! |---|---|
 //! | [`Scenario`], [`SimulationOptions`] | what is simulated |
-//! | [`simulate`] | both recordings, as [`sensors::Sequence`] |
+//! | [`simulate`] | both recordings with tracks and features, as [`sensors::Sequence`] |
+//! | [`images`] | both recordings with rendered images instead |
 //! | [`spline`] | continuous trajectories with velocity, acceleration and angular velocity |
 //! | [`monte_carlo`] | many seeded runs of the estimator against the simulated truth, and their NEES |
 //!
@@ -23,6 +24,7 @@
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 mod features;
+pub mod images;
 mod imu;
 pub mod monte_carlo;
 mod path;
@@ -209,6 +211,9 @@ pub enum SimulationError {
         /// The least duration.
         wanted: f64,
     },
+    /// Images are simulated in a room, which other trajectories leave.
+    #[error("images are simulated for the built-in flight only: other trajectories leave its room")]
+    NoRoom,
 }
 
 /// Two recordings of one simulated world.

@@ -4,7 +4,7 @@
 
 use super::SimulationError;
 use super::random::{Purpose, stream};
-use super::scenario::{Scenario, hand_held};
+use super::scenario::{Scenario, flight, hand_held};
 use super::spline::Spline;
 use evaluation::trajectory::StampedPose;
 use geometry::pose::Pose;
@@ -16,6 +16,8 @@ use std::f64::consts::TAU;
 const KNOT_NS: i64 = 200_000_000;
 /// Rest before the start, from which a robot finds gravity and its gyroscope's bias, seconds.
 const REST_BEFORE_S: f64 = 2.5;
+/// The same before a flight, whose images cost more, seconds.
+const FLIGHT_REST_S: f64 = 1.2;
 /// Rest at the end, seconds.
 const REST_AFTER_S: f64 = 1.0;
 /// Time to reach the cruising speed, seconds.
@@ -53,6 +55,11 @@ pub(crate) fn built_in(
     let knot_s = KNOT_NS as f64 * 1e-9;
     if scenario == Scenario::Room {
         let pose = |knot: i32| hand_held(f64::from(knot - 1) * knot_s, REST_BEFORE_S, &style.phases);
+        return spline(start_ns, KNOT_NS, (0..).map_while(pose).collect());
+    }
+    if scenario == Scenario::Flight {
+        let pose =
+            |knot: i32| flight(f64::from(knot - 1) * knot_s, FLIGHT_REST_S, style.lateral, &style.phases);
         return spline(start_ns, KNOT_NS, (0..).map_while(pose).collect());
     }
     let length = scenario.length();
@@ -169,6 +176,23 @@ mod tests {
         let rate = most(&|motion| motion.angular_velocity.norm());
         assert!((0.8..4.0).contains(&speed) && (1.0..12.0).contains(&force), "{speed} {force}");
         assert!((0.5..3.0).contains(&rate), "{rate}");
+    }
+
+    #[test]
+    fn a_flight_starts_from_rest_and_keeps_away_from_the_walls() {
+        for run in 0..2 {
+            let spline = built_in(Scenario::Flight, 0, 4.0, &Style::of_run(2, run)).unwrap();
+            assert!(spline.at(800_000_000).velocity.norm() < 1e-9);
+            let motions: Vec<_> =
+                (4_000_000_000..60_000_000_000).step_by(50_000_000).map(|stamp| spline.at(stamp)).collect();
+            let speed = motions.iter().map(|motion| motion.velocity.norm()).fold(0.0, f64::max);
+            let rate = motions.iter().map(|motion| motion.angular_velocity.norm()).fold(0.0, f64::max);
+            assert!((0.5..2.0).contains(&speed) && (0.5..1.6).contains(&rate), "{speed} {rate}");
+            for position in motions.iter().map(|motion| motion.pose.translation) {
+                let [x, y, z] = [position.x, position.y, position.z];
+                assert!((x / 2.6).hypot(y / 2.1) < 1.0 && (1.0..2.0).contains(&z), "{position}");
+            }
+        }
     }
 
     #[test]

@@ -23,6 +23,7 @@ pub(crate) enum Purpose {
     Calibration = 11,
     MapShift = 12,
     MapChange = 13,
+    Images = 14,
 }
 
 /// The stream for one purpose of one run.

@@ -78,7 +78,7 @@ pub(crate) fn trajectories(options: &SimulationOptions) -> Result<Trajectories, 
     Ok(Trajectories { map, live, first_laps })
 }
 
-/// Records a run.
+/// Records a run of tracks and features.
 pub(crate) fn record(
     options: &SimulationOptions,
     kind: Kind,
@@ -86,9 +86,20 @@ pub(crate) fn record(
     cameras: &[CameraSensor],
     landmarks: &[Landmark],
 ) -> Sequence {
-    let run = kind as u64;
-    let imu = imu::record(options, trajectory, run);
     let frames = frames(options, kind, trajectory, cameras, landmarks);
+    with_readings(options, kind, trajectory, cameras, frames)
+}
+
+/// A recording of frames, with IMU and truth of the same motion, and the map's run with reference poses: of the frames with
+/// features, and without any features of all.
+pub(crate) fn with_readings(
+    options: &SimulationOptions,
+    kind: Kind,
+    trajectory: &Spline,
+    cameras: &[CameraSensor],
+    frames: Vec<Frame>,
+) -> Sequence {
+    let imu = imu::record(options, trajectory, kind as u64);
     let truth_stamps =
         std::iter::once(trajectory.start_ns()).chain(frames.iter().map(|frame| frame.stamp_ns));
     let groundtruth = truth_stamps.map(|stamp_ns| {
@@ -133,11 +144,9 @@ fn frames(
     };
     let every = (period_s * options.frame_rate_hz).round().max(1.0) as usize;
     let duration = (trajectory.end_ns() - trajectory.start_ns()) as f64;
-    let count = ((duration - FIRST_FRAME_NS as f64) * 1e-9 * options.frame_rate_hz).max(0.0) as usize + 1;
-    (0..count)
-        .map(|index| {
-            let since = (index as f64 * 1e9 / options.frame_rate_hz).round() as i64;
-            let stamp_ns = trajectory.start_ns() + FIRST_FRAME_NS + since;
+    frame_stamps(options, trajectory)
+        .enumerate()
+        .map(|(index, stamp_ns)| {
             let pose = trajectory.at(stamp_ns).pose;
             let fraction = (stamp_ns - trajectory.start_ns()) as f64 / duration;
             let has_features =
@@ -152,13 +161,25 @@ fn frames(
         .collect()
 }
 
+/// Times of the images of a run, nanoseconds.
+pub(crate) fn frame_stamps(
+    options: &SimulationOptions,
+    trajectory: &Spline,
+) -> impl Iterator<Item = i64> + use<> {
+    let (first_ns, rate_hz) = (trajectory.start_ns() + FIRST_FRAME_NS, options.frame_rate_hz);
+    let seconds = (trajectory.end_ns() - first_ns) as f64 * 1e-9;
+    let count = (seconds * rate_hz).max(0.0) as usize + 1;
+    (0..count).map(move |index| first_ns + (index as f64 * 1e9 / rate_hz).round() as i64)
+}
+
 /// The poses of the images with features as a mapping system gives them: each with an independent error.
 fn reference_poses(options: &SimulationOptions, trajectory: &Spline, frames: &[Frame]) -> Vec<ReferencePose> {
     let mut rng = stream(options.seed, Kind::Map as u64, Purpose::Reference);
     let (sigma_theta_rad, sigma_p_m) = (options.sigma_reference_theta_rad, options.sigma_reference_p_m);
+    let has_features = frames.iter().any(|frame| frame.features.is_some());
     frames
         .iter()
-        .filter(|frame| frame.features.is_some())
+        .filter(|frame| !has_features || frame.features.is_some())
         .map(|frame| {
             let truth = trajectory.at(frame.stamp_ns).pose;
             let turn: Vector3<f64> = normal3(&mut rng) * sigma_theta_rad;

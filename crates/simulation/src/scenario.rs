@@ -1,4 +1,4 @@
-//! The built-in trajectories: a street round a block, ten loops on a circle, a hand-held body in a room.
+//! The built-in trajectories: a street round a block, ten loops on a circle, a hand-held body in a room, a flight in a room.
 //!
 //! World frame: z up, metres. Body frame: x forward, y left, z up.
 
@@ -15,8 +15,13 @@ const CORNER: f64 = 12.0;
 /// Radius of the loops, metres, and their number: as in the simulation `loops` of the paper's authors.
 const LOOP_RADIUS: f64 = 20.0;
 const LOOPS: f64 = 10.0;
-/// Duration of the hand-held trajectory, seconds.
+/// Duration of the trajectories in a room, seconds.
 const ROOM_S: f64 = 300.0;
+
+/// Half axes of the flight round a room, metres, its angular rate (rad/s), and where it begins (rad).
+const FLIGHT_RADII: [f64; 2] = [1.9, 1.4];
+const FLIGHT_RATE: f64 = 0.44;
+const FLIGHT_START: f64 = 0.3;
 
 /// A built-in trajectory.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -29,13 +34,15 @@ pub enum Scenario {
     Loops,
     /// Five minutes hand-held, within a few metres and looking around, from rest.
     Room,
+    /// Five minutes of flight round the middle of a room of 9 m x 7 m, looking ahead, from rest.
+    Flight,
 }
 
 impl Scenario {
-    /// Usual speed, m/s; without effect on `Room`.
+    /// Usual speed, m/s; without effect on `Room` and `Flight`.
     pub fn usual_speed(self) -> f64 {
         match self {
-            Self::Block | Self::Room => 4.0,
+            Self::Block | Self::Room | Self::Flight => 4.0,
             Self::Loops => PI,
         }
     }
@@ -44,7 +51,7 @@ impl Scenario {
     pub fn depth_m(self) -> [f64; 2] {
         match self {
             Self::Block | Self::Loops => [4.0, 30.0],
-            Self::Room => [1.5, 8.0],
+            Self::Room | Self::Flight => [1.5, 8.0],
         }
     }
 
@@ -57,7 +64,7 @@ impl Scenario {
     pub(crate) fn lap_length(self) -> f64 {
         match self {
             Self::Block => 4.0 * (HALF_LENGTH + HALF_WIDTH - 2.0 * CORNER) + TAU * CORNER,
-            Self::Loops | Self::Room => TAU * LOOP_RADIUS,
+            Self::Loops | Self::Room | Self::Flight => TAU * LOOP_RADIUS,
         }
     }
 
@@ -117,9 +124,7 @@ pub(crate) fn hand_held(time: f64, rest_s: f64, phases: &[f64; 6]) -> Option<Pos
     if time > ROOM_S {
         return None;
     }
-    // Time itself speeds up smoothly, so that the motion starts from rest at any phase.
-    let since = (time - rest_s).max(0.0);
-    let own = if since < 2.0 { since * since / 4.0 } else { since - 1.0 };
+    let own = own_time(time, rest_s);
     let wave = |period: f64, phase: f64| (TAU * own / period + phase).sin();
     let position = Vector3::new(
         1.2 * wave(7.3, phases[0]) + 0.2 * wave(2.1, phases[3]),
@@ -132,6 +137,39 @@ pub(crate) fn hand_held(time: f64, rest_s: f64, phases: &[f64; 6]) -> Option<Pos
         0.9 * wave(11.0, phases[5]) + 0.2 * wave(2.7, phases[0]),
     );
     Some(Pose::new(rotation, position))
+}
+
+/// The body in flight round the middle of the room, at rest until `rest_s`.
+///
+/// # Arguments
+/// * `lateral`: how much wider than usual the round is, metres; a wider one is flown faster.
+/// * `phases`: of height and radius (two) and rotation (three), rad; they differ from run to run.
+pub(crate) fn flight(time: f64, rest_s: f64, lateral: f64, phases: &[f64; 6]) -> Option<Pose> {
+    if time > ROOM_S {
+        return None;
+    }
+    let own = own_time(time, rest_s);
+    let wave = |period: f64, phase: f64| (TAU * own / period + phase).sin();
+    let round = FLIGHT_RATE * (1.0 + 0.2 * lateral) * own + FLIGHT_START;
+    let wider = 0.3 * lateral + 0.12 * wave(3.7, phases[0]);
+    let position = Vector3::new(
+        (FLIGHT_RADII[0] + wider) * round.cos(),
+        (FLIGHT_RADII[1] + wider) * round.sin(),
+        1.5 + 0.25 * wave(5.9, phases[1]) + 0.05 * wave(1.7, phases[2]),
+    );
+    let ahead = (FLIGHT_RADII[1] * round.cos()).atan2(-FLIGHT_RADII[0] * round.sin());
+    let rotation = UnitQuaternion::from_euler_angles(
+        0.07 * wave(2.3, phases[3]),
+        0.10 * wave(3.1, phases[4]),
+        ahead + 0.2 * wave(4.3, phases[5]),
+    );
+    Some(Pose::new(rotation, position))
+}
+
+/// Time that speeds up smoothly, so that a motion starts from rest at any phase, seconds.
+fn own_time(time: f64, rest_s: f64) -> f64 {
+    let since = (time - rest_s).max(0.0);
+    if since < 2.0 { since * since / 4.0 } else { since - 1.0 }
 }
 
 #[cfg(test)]

@@ -1,18 +1,24 @@
 //! `driftless demo`: the whole system in a minute.
 
-use crate::demo::conditions::Conditions;
 use crate::demo::figures::Figures;
-use crate::demo::{Demo, Row, run_demo};
+use crate::demo::flight::conditions::FlightConditions;
+use crate::demo::flight::{FlightDemo, run_flight};
+use crate::demo::rows::Row;
+use crate::demo::towns::conditions::Conditions;
+use crate::demo::towns::{TownsDemo, run_towns};
 use indicatif::ProgressBar;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
-#[command(after_help = "Example:\n  driftless demo --out demo --seeds 5\n\n\
-    For each seed: simulates a town and two runs through it, builds a map from the first run, serves it over Zenoh\n\
-    on the loopback interface, and localizes a robot in it, once for each variant. The conditions are printed with\n\
-    the table, and with the same sentences in OUT/comparison.svg; OUT/demo.json has all figures, also by seed.\n\n\
+#[command(after_help = "Examples:\n  driftless demo --out demo\n  driftless demo --tracks --seeds 5\n\n\
+    Renders two flights through a room, builds a map from the images and the IMU of the first, serves it over Zenoh on the\n\
+    loopback interface, and localizes the second, whose images are recognized: from pixels to poses.\n\n\
+    --tracks simulates tracks and features instead of images: for each seed a town, a surveyed map that is off by what it\n\
+    states, and a robot in it, once for each variant of the paper's table.\n\n\
+    The conditions are printed with the table, and with the same sentences in OUT/comparison.svg; OUT/demo.json has all\n\
+    figures, also by seed.\n\n\
     RMSE    root mean square error of the pose in the map's frame G, not aligned\n\
     claims  root mean square of the standard deviation that the filter's own covariance states; should equal RMSE\n\
     NEES    squared error in units of that covariance, per degree of freedom: 1 is consistent, above is overconfident")]
@@ -20,11 +26,14 @@ pub struct Args {
     /// Folder for the map, the runs and the plots
     #[arg(long, value_name = "DIR", default_value = "target/demo")]
     out: PathBuf,
-    /// First seed; each seed is another town
+    /// Seed; with --tracks the first one. Each seed is another place
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Number of seeds behind each figure
-    #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u64).range(1..=1000))]
+    /// Simulate tracks and features in several towns instead of images in a room
+    #[arg(long)]
+    tracks: bool,
+    /// With --tracks: number of seeds behind each figure
+    #[arg(long, value_name = "N", default_value_t = 4, requires = "tracks", value_parser = clap::value_parser!(u64).range(1..=1000))]
     seeds: u64,
     /// Print the figures as JSON
     #[arg(long)]
@@ -38,29 +47,68 @@ pub struct Args {
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let spinner = if args.json { ProgressBar::hidden() } else { ProgressBar::new_spinner() };
     spinner.enable_steady_tick(Duration::from_millis(100));
-    let conditions = Conditions::new(args.seed, args.seeds);
-    let demo = run_demo(&args.out, &conditions, &mut |step| spinner.set_message(step.to_owned()))?;
-    spinner.finish_and_clear();
-    if args.json {
-        println!("{}", serde_json::to_string_pretty(&demo)?);
+    let mut show = |step: &str| spinner.set_message(step.to_owned());
+    if args.tracks {
+        let demo = run_towns(&args.out, &Conditions::new(args.seed, args.seeds), &mut show)?;
+        spinner.finish_and_clear();
+        if args.json {
+            println!("{}", serde_json::to_string_pretty(&demo)?);
+        } else {
+            print_towns(&demo);
+        }
     } else {
-        print_table(&demo);
-        println!("\nplots:");
-        for picture in &demo.pictures {
-            println!("  {}", picture.display());
+        let demo = run_flight(&args.out, &FlightConditions::new(args.seed), &mut show)?;
+        spinner.finish_and_clear();
+        if args.json {
+            println!("{}", serde_json::to_string_pretty(&demo)?);
+        } else {
+            print_flight(&demo);
         }
     }
     Ok(())
 }
 
-fn print_table(demo: &Demo) {
-    for sentence in &demo.conditions_text {
-        println!("{sentence}");
-    }
+fn print_towns(demo: &TownsDemo) {
+    print_lines(&demo.conditions_text);
     println!(
         "{:.0} m in maps of {:.0} keyframes and {:.0} landmarks\n",
         demo.distance_m, demo.keyframes, demo.landmarks
     );
+    print_table(&demo.rows);
+    print_pictures(&demo.pictures);
+}
+
+fn print_flight(demo: &FlightDemo) {
+    let map = &demo.map;
+    print_lines(&demo.conditions_text);
+    println!(
+        "{:.0} m in a map of {} keyframes and {} landmarks; {} places seen again; its keyframes are off by {:.3} m and claim \
+         {:.3} m\n",
+        demo.distance_m, map.keyframes, map.landmarks, map.loops, map.rmse_m, map.sigma_m
+    );
+    print_table(&demo.rows);
+    print_pictures(&demo.pictures);
+    println!("\nin the browser:\n  driftless view {} --map {}", shown(&demo.run), shown(&demo.map_database));
+}
+
+fn shown(path: &Path) -> std::path::Display<'_> {
+    path.display()
+}
+
+fn print_lines(lines: &[String]) {
+    for line in lines {
+        println!("{line}");
+    }
+}
+
+fn print_pictures(pictures: &[PathBuf]) {
+    println!("\nplots:");
+    for picture in pictures {
+        println!("  {}", picture.display());
+    }
+}
+
+fn print_table(rows: &[Row]) {
     println!(
         "{:10}{:^16}{:^16}{:^8}{:^16}{:^16}{:^11}",
         "", "pose in G: RMSE", "claims", "", "local pose", "G_T_L", "queries"
@@ -69,11 +117,11 @@ fn print_table(demo: &Demo) {
         "{:10}{:>7}{:>7}  {:>7}{:>7}  {:>7} {:>7}{:>7}  {:>7}{:>7}  {:>11}",
         "", "m", "deg", "m", "deg", "NEES", "m", "deg", "m", "deg", "used"
     );
-    for row in &demo.rows {
+    for row in rows {
         println!("{}", line(row));
     }
     println!();
-    for row in &demo.rows {
+    for row in rows {
         println!("{:10}{}", row.name, row.description);
     }
     println!("(odometry in G: its local pose, as if L had been placed where it truly is)");

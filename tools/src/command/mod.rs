@@ -44,7 +44,7 @@ pub mod weights;
 pub enum Command {
     /// Simulate, build a map, localize in it, and compare: the whole system in a minute
     Demo(demo::Args),
-    /// Simulate a town and two runs through it, as recordings on disk
+    /// Simulate a place and two runs through it, as recordings on disk: tracks and features, or images
     Simulate(simulate::Args),
     /// Build a map from a recording, with or without reference poses, or extend one
     BuildMap(build_map::Args),

@@ -1,20 +1,26 @@
-//! `driftless simulate`: a simulated town and two runs through it, as recordings on disk.
+//! `driftless simulate`: a simulated place and two runs through it, as recordings on disk: with tracks and features, or with
+//! images.
 
 use anyhow::Context;
 use evaluation::trajectory::{StampedPose, tum};
+use indicatif::{ProgressBar, ProgressStyle};
 use sensors::{Sequence, writer};
 use serde::Serialize;
+use simulation::images::{ImageOptions, simulate_images, write_images};
 use simulation::{SimulationOptions, simulate};
 use std::path::{Path, PathBuf};
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
 #[command(after_help = "Examples:\n  driftless simulate --out town --seed 3\n  \
-    driftless simulate --out hall --trajectory MH_01.tum --live-trajectory MH_03.tum\n\n\
+    driftless simulate --out hall --trajectory MH_01.tum --live-trajectory MH_03.tum\n  \
+    driftless simulate --out room --images --duration 20\n\n\
     Writes two recordings in the EuRoC layout: OUT/map, with reference poses, and OUT/live. Then:\n  \
     driftless build-map OUT/map --map town.db --sigma-pixel 1 --gravity 0,0,-1\n  \
     driftless run --sequence OUT/live --map town.db --init truth --out run\n  \
-    driftless plot run")]
+    driftless plot run\n\n\
+    With --images two flights through one room are rendered, stereo at 20 Hz, instead of tracks and features along a street.\n\
+    Leave --sigma-pixel out then: what the features of images are worth is measured.")]
 pub struct Args {
     /// Folder to write; the recordings `map` and `live` are created in it
     #[arg(long, value_name = "DIR")]
@@ -22,6 +28,12 @@ pub struct Args {
     /// Seed; the same seed gives the same files
     #[arg(long, default_value_t = 1)]
     seed: u64,
+    /// Render images of a furnished room, as PNG files; about 0.3 MB each, 40 a second of the runs
+    #[arg(long, conflicts_with_all = ["trajectory", "live_trajectory", "speed", "pixel_noise", "outliers", "dropout"])]
+    images: bool,
+    /// Length of the live run, seconds; the map's run is 5 s longer [default: to the end of the trajectory; with --images 30]
+    #[arg(long, value_name = "SECONDS")]
+    duration: Option<f64>,
     /// Trajectory of the map's run, a TUM file of the body (x forward, z up) [default: once round a block of houses]
     #[arg(long, value_name = "TUM")]
     trajectory: Option<PathBuf>,
@@ -61,6 +73,7 @@ struct Summary {
     imu_samples: usize,
     track_observations: usize,
     images_with_features: usize,
+    images: usize,
 }
 
 /// Runs the command.
@@ -68,23 +81,22 @@ struct Summary {
 /// # Errors
 /// Options out of range, a trajectory that cannot be read, a folder that cannot be written.
 pub fn run(args: &Args) -> anyhow::Result<()> {
-    let options = SimulationOptions {
-        seed: args.seed,
-        speed: args.speed,
-        map_trajectory: args.trajectory.as_deref().map(read_trajectory).transpose()?,
-        live_trajectory: args.live_trajectory.as_deref().map(read_trajectory).transpose()?,
-        sigma_track_px: args.pixel_noise,
-        outlier_fraction: args.outliers,
-        dropout_fraction: args.dropout,
-        sigma_reference_p_m: args.sigma_reference_p_m,
-        sigma_reference_theta_rad: args.sigma_reference_theta_rad,
-        ..SimulationOptions::default()
-    };
-    let scenario = simulate(&options).context("the simulation is impossible")?;
+    let options = options(args)?;
+    let scenario =
+        if args.images { simulate_images(&options, &ImageOptions::default()) } else { simulate(&options) };
+    let scenario = scenario.context("the simulation is impossible")?;
     let mut summaries = Vec::new();
     for (name, sequence) in [("map", &scenario.map), ("live", &scenario.live)] {
         let root = args.out.join(name);
         writer::write(sequence, &root).context("the recording was not written")?;
+        if args.images {
+            let bar = image_bar(name, args.json);
+            write_images(sequence, &root, |done, all| {
+                bar.set_length(all as u64);
+                bar.set_position(done as u64);
+            })?;
+            bar.finish_and_clear();
+        }
         summaries.push(summary(root, sequence));
     }
     if args.json {
@@ -92,18 +104,51 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         return Ok(());
     }
     for summary in &summaries {
+        let of_frames = if args.images {
+            format!("{} images", summary.images)
+        } else {
+            format!(
+                "{} tracked pixels, {} images with features",
+                summary.track_observations, summary.images_with_features
+            )
+        };
         println!(
-            "{}: {:.0} m in {:.0} s, {} frames, {} tracked pixels, {} images with features, {} IMU samples",
+            "{}: {:.0} m in {:.0} s, {} frames, {of_frames}, {} IMU samples",
             summary.path.display(),
             summary.distance_m,
             summary.duration_s,
             summary.frames,
-            summary.track_observations,
-            summary.images_with_features,
             summary.imu_samples
         );
     }
     Ok(())
+}
+
+fn options(args: &Args) -> anyhow::Result<SimulationOptions> {
+    let usual = if args.images { ImageOptions::simulation() } else { SimulationOptions::default() };
+    Ok(SimulationOptions {
+        seed: args.seed,
+        speed: args.speed,
+        duration_s: args.duration.or(usual.duration_s),
+        map_trajectory: args.trajectory.as_deref().map(read_trajectory).transpose()?,
+        live_trajectory: args.live_trajectory.as_deref().map(read_trajectory).transpose()?,
+        sigma_track_px: args.pixel_noise,
+        outlier_fraction: args.outliers,
+        dropout_fraction: args.dropout,
+        sigma_reference_p_m: args.sigma_reference_p_m,
+        sigma_reference_theta_rad: args.sigma_reference_theta_rad,
+        ..usual
+    })
+}
+
+/// A bar over the images of a run, or none that is seen.
+fn image_bar(run: &str, hidden: bool) -> ProgressBar {
+    let bar = if hidden { ProgressBar::hidden() } else { ProgressBar::new(0) };
+    if let Ok(style) = ProgressStyle::with_template("{msg} [{wide_bar}] {pos}/{len} {elapsed_precise}") {
+        bar.set_style(style.progress_chars("=> "));
+    }
+    bar.set_message(format!("images of {run}"));
+    bar
 }
 
 fn read_trajectory(path: &Path) -> anyhow::Result<Vec<StampedPose>> {
@@ -122,5 +167,6 @@ fn summary(path: PathBuf, sequence: &Sequence) -> Summary {
         imu_samples: sequence.imu_samples.len(),
         track_observations: sequence.frames.iter().map(|frame| frame.tracks.len()).sum(),
         images_with_features: sequence.frames.iter().filter(|frame| frame.features.is_some()).count(),
+        images: sequence.frames.iter().map(|frame| frame.images.iter().flatten().count()).sum(),
     }
 }

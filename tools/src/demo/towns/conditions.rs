@@ -1,13 +1,10 @@
 //! What the demo simulates, and the same in sentences for its table and its picture.
 
+use crate::demo::GRAVITY_IN_GLOBAL;
 use mapping::{BuildOptions, StoredPoses};
-use nalgebra::Vector3;
 use sensors::ImuNoise;
 use serde::Serialize;
 use simulation::SimulationOptions;
-
-/// Direction of gravity in the simulated world, which is the map's frame too.
-pub(super) const GRAVITY_IN_GLOBAL: Vector3<f64> = Vector3::new(0.0, 0.0, -1.0);
 
 /// The conditions under which the variants are compared.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]

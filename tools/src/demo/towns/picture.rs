@@ -1,8 +1,10 @@
 //! The plots of the demo, all of the first seed.
 
-use super::conditions::GRAVITY_IN_GLOBAL;
-use super::town::{Run, Town};
-use super::{Demo, Row};
+use super::TownsDemo;
+use super::town::Town;
+use crate::demo::GRAVITY_IN_GLOBAL;
+use crate::demo::robot::Run;
+use crate::demo::rows::Row;
 use crate::plotting::comparison::{ComparedRun, Comparison, draw, stretches_without_features};
 use crate::plotting::{RunFiles, Truth, draw_run};
 use anyhow::Result;
@@ -16,7 +18,7 @@ const DETAILED: &str = "MM+R";
 const DROPOUT_NS: i64 = 3_000_000_000;
 
 /// Draws the comparison, and all plots of the run with the method itself.
-pub(super) fn draw_all(town: &Town, runs: &[Run], demo: &Demo, out: &Path) -> Result<Vec<PathBuf>> {
+pub(super) fn draw_all(town: &Town, runs: &[Run], demo: &TownsDemo, out: &Path) -> Result<Vec<PathBuf>> {
     let truth = Truth { rows: town.truth().to_vec(), gravity: GRAVITY_IN_GLOBAL };
     let mut pictures = vec![draw(&comparison(town, runs, demo, truth.clone()), &out.join("comparison.svg"))?];
     for run in runs.iter().filter(|run| run.variant.name == DETAILED) {
@@ -29,7 +31,7 @@ pub(super) fn draw_all(town: &Town, runs: &[Run], demo: &Demo, out: &Path) -> Re
     Ok(pictures)
 }
 
-fn comparison(town: &Town, runs: &[Run], demo: &Demo, truth: Truth) -> Comparison {
+fn comparison(town: &Town, runs: &[Run], demo: &TownsDemo, truth: Truth) -> Comparison {
     let compared = runs.iter().zip(&demo.rows).filter(|(run, _)| COMPARED.contains(&run.variant.name));
     Comparison {
         title: format!("A robot in an imperfect map: error, and claimed uncertainty (seed {})", town.seed),

@@ -1,0 +1,140 @@
+//! Random textures: shapes of all sizes that fall on each other, as leaves do.
+//!
+//! With as much area for each octave of sizes, the picture looks alike from every distance, as natural images do: corners
+//! are found at every scale, and no part occurs twice.
+//!
+//! Source: Lee, Mumford & Huang, "Occlusion models for natural images", IJCV 2001.
+
+use super::texture::Texture;
+use rand::rngs::StdRng;
+use rand::{RngExt, SeedableRng};
+use std::f32::consts::TAU;
+
+/// Radii of the shapes, metres.
+const RADII_M: [f32; 2] = [0.012, 0.5];
+/// Every point would be covered so often, on average, if all shapes were discs; they have about half of their area.
+const COVERAGE: f32 = 8.0;
+/// Grey levels of the shapes: of a wall in a lit room, so that a gain of a third does not saturate.
+const GREYS: [f32; 2] = [25.0, 190.0];
+/// Largest change of grey from the middle of a shape to its border.
+const SHADING: f32 = 18.0;
+/// Most sides of a shape.
+const MAX_SIDES: usize = 6;
+
+/// A convex shape.
+struct Leaf {
+    /// Centre, texels.
+    centre: [f32; 2],
+    /// Distance of the corners from the centre, texels.
+    radius: f32,
+    /// Normals of the sides and their distances from the centre, texels; a disc has none.
+    sides: Vec<([f32; 2], f32)>,
+    grey: f32,
+    /// Change of grey a texel.
+    slope: [f32; 2],
+}
+
+/// A random texture.
+///
+/// # Arguments
+/// * `size`: `[columns, rows]`.
+/// * `texels_per_metre`: the smallest shapes have a radius of 12 mm, the largest of 0.5 m.
+///
+/// # Panics
+/// If a side is shorter than two texels.
+pub fn random_texture(size: [usize; 2], texels_per_metre: f32, seed: u64) -> Texture {
+    let mut rng = StdRng::seed_from_u64(seed);
+    let [width, height] = size;
+    let mut texels = vec![GREYS[0].midpoint(GREYS[1]) as u8; width * height];
+    let radii = RADII_M.map(|radius| radius * texels_per_metre);
+    // Density r^-3 between the two radii: the mean area of a shape is pi times the mean square of r.
+    let [small, large] = radii;
+    let mean_square = 2.0 * (large / small).ln() / (small.powi(-2) - large.powi(-2));
+    let margin = large;
+    let area = (width as f32 + 2.0 * margin) * (height as f32 + 2.0 * margin);
+    let count = (COVERAGE * area / (std::f32::consts::PI * mean_square)) as usize;
+    for _ in 0..count {
+        let share: f32 = rng.random_range(0.0..1.0);
+        let radius = (small.powi(-2) - share * (small.powi(-2) - large.powi(-2))).powf(-0.5);
+        // From beyond the border, too, so that it is like the rest.
+        let centre = [
+            rng.random_range(0.0..width as f32 + 2.0 * margin) - margin,
+            rng.random_range(0.0..height as f32 + 2.0 * margin) - margin,
+        ];
+        Leaf::random(&mut rng, centre, radius).paint(size, &mut texels);
+    }
+    Texture::from_texels(size, texels)
+}
+
+impl Leaf {
+    fn random(rng: &mut StdRng, centre: [f32; 2], radius: f32) -> Self {
+        let count = rng.random_range(2..=MAX_SIDES);
+        let turn: f32 = rng.random_range(0.0..TAU);
+        let sides = (0..count).filter(|_| count > 2).map(|side| {
+            let angle = turn + (side as f32 + rng.random_range(-0.25..0.25)) * TAU / count as f32;
+            let distance = radius * rng.random_range(0.4..0.8);
+            ([angle.cos(), angle.sin()], distance)
+        });
+        let sides = sides.collect();
+        let grey = rng.random_range(GREYS[0]..GREYS[1]);
+        let (steep, angle): (f32, f32) =
+            (rng.random_range(0.0..SHADING) / radius, rng.random_range(0.0..TAU));
+        Self { centre, radius, sides, grey, slope: [steep * angle.cos(), steep * angle.sin()] }
+    }
+
+    /// Distance to the border, texels, negative inside.
+    fn distance(&self, x: f32, y: f32) -> f32 {
+        let round = (x * x + y * y).sqrt() - self.radius;
+        let straight = self.sides.iter().map(|([nx, ny], distance)| nx * x + ny * y - distance);
+        straight.fold(round, f32::max)
+    }
+
+    /// Paints the shape over what is there; texels on its border are mixed.
+    fn paint(&self, [width, height]: [usize; 2], texels: &mut [u8]) {
+        let range = |centre: f32, side: usize| {
+            let begin = (centre - self.radius - 1.0).max(0.0) as usize;
+            let end = ((centre + self.radius + 2.0).max(0.0) as usize).min(side);
+            begin.min(end)..end
+        };
+        let columns = range(self.centre[0], width);
+        for row in range(self.centre[1], height) {
+            let y = row as f32 + 0.5 - self.centre[1];
+            let texels = &mut texels[row * width..(row + 1) * width];
+            for column in columns.clone() {
+                let x = column as f32 + 0.5 - self.centre[0];
+                let opacity = (0.5 - self.distance(x, y)).clamp(0.0, 1.0);
+                if opacity > 0.0 {
+                    let grey = self.grey + self.slope[0] * x + self.slope[1] * y;
+                    let before = f32::from(texels[column]);
+                    texels[column] = (before + opacity * (grey - before)).clamp(0.0, 255.0) as u8;
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_texture_is_its_seed_s_and_has_contrast_at_every_scale() {
+        let size = [400, 300];
+        let texture = random_texture(size, 250.0, 3);
+        assert_eq!(texture, random_texture(size, 250.0, 3));
+        assert_ne!(texture, random_texture(size, 250.0, 4));
+        for level in 0..5_usize {
+            let step = 1 << level;
+            let at = |u: usize, v: usize| texture.sample(u as f32, v as f32, level as f32);
+            let (mut squares, mut count) = (0.0, 0.0);
+            for v in (0..size[1]).step_by(step) {
+                for u in (0..size[0] - step).step_by(step) {
+                    squares += (at(u + step, v) - at(u, v)).powi(2);
+                    count += 1.0;
+                }
+            }
+            let contrast = f32::sqrt(squares / count);
+            assert!((6.0..60.0).contains(&contrast), "{contrast} at level {level}");
+        }
+    }
+}

@@ -1,0 +1,123 @@
+//! The map of the first flight.
+
+use crate::demo::GRAVITY_IN_GLOBAL;
+use crate::odometry::run_odometry;
+use anyhow::{Context as _, Result};
+use geometry::{Pose, rotation};
+use map::MapContents;
+use map::store::save_map;
+use mapping::{BuildOptions, Extraction, PosePriors, Stage, build_map_from_odometry};
+use nalgebra::Vector3;
+use sensors::{Sequence, TruthTrack};
+use serde::Serialize;
+use std::path::Path;
+use vision::features::{DEFAULT_EXTRACTOR, open};
+
+/// Most features of an image.
+const MAX_FEATURES: usize = 1000;
+
+/// Figures of the map.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct MapFigures {
+    /// Keyframes.
+    pub keyframes: usize,
+    /// Landmarks.
+    pub landmarks: usize,
+    /// Places that were seen again and tied the map together.
+    pub loops: usize,
+    /// Root mean square of the keyframes' position errors, metres.
+    pub rmse_m: f64,
+    /// The same of the standard deviations that the map states, all axes together, metres.
+    pub sigma_m: f64,
+}
+
+/// The map of the first flight.
+pub(super) struct MappedRoom {
+    /// Its figures.
+    pub(super) figures: MapFigures,
+    /// Positions of its keyframes, metres in G.
+    pub(super) keyframes: Vec<Vector3<f64>>,
+    /// From the room's frame, in which the truth is simulated.
+    global_from_room: Pose,
+}
+
+impl MappedRoom {
+    /// Builds the map of a flight without reference poses, and stores it.
+    pub(super) fn build(
+        mut flight: Sequence,
+        database: &Path,
+        progress: &mut dyn FnMut(&str),
+    ) -> Result<Self> {
+        let cameras = flight.cameras.len();
+        let mut show = |stage: Stage, done: usize, all: usize| {
+            progress(&format!("building the map: {}, {done} of {all}", stage.label()));
+        };
+        let odometry = run_odometry(&mut flight, cameras, |done, all| show(Stage::Odometry, done, all))?;
+        let mut extractor = open(DEFAULT_EXTRACTOR, None)?;
+        let extraction = Extraction {
+            extractor: extractor.as_mut(),
+            max_features: MAX_FEATURES,
+            mask: None,
+            stereo: true,
+        };
+        let mut options = BuildOptions::default();
+        options.name = String::from("room");
+        options.created_by = String::from("driftless demo");
+        options.gravity_in_global = Some(GRAVITY_IN_GLOBAL);
+        options.sigma_px = None;
+        let priors = PosePriors::default();
+        let (contents, report) =
+            build_map_from_odometry(&flight, &odometry, &priors, Some(extraction), &options, &mut show)?;
+        save_map(database, &contents, true)?;
+        let errors =
+            errors_in_own_frame(&flight, &contents).context("the map has no keyframe with a true pose")?;
+        let root_mean = |squares: f64| (squares / contents.keyframes.len() as f64).sqrt();
+        let figures = MapFigures {
+            keyframes: report.keyframes,
+            landmarks: report.landmarks,
+            loops: report.loops - report.refused_loops,
+            rmse_m: root_mean(errors.squares),
+            sigma_m: root_mean(errors.variances),
+        };
+        let position = |keyframe: &map::model::Keyframe| keyframe.global_from_keyframe.pose.translation;
+        let keyframes = contents.keyframes.iter().map(position).collect();
+        Ok(Self { figures, keyframes, global_from_room: errors.global_from_room })
+    }
+
+    /// Moves the ground truth of a recording from the room's frame to that of the map.
+    pub(super) fn place_truth(&self, sequence: &mut Sequence) {
+        for row in sequence.groundtruth.iter_mut().flatten() {
+            row.pose = self.global_from_room.compose(&row.pose);
+            row.velocity = row.velocity.map(|velocity| self.global_from_room.rotation * velocity);
+        }
+    }
+}
+
+/// Errors of the keyframes' positions.
+struct MapErrors {
+    global_from_room: Pose,
+    /// Sum of the squared distances from the truth, m^2.
+    squares: f64,
+    /// Sum of the variances that the map states, m^2.
+    variances: f64,
+}
+
+/// The errors of a map in its own frame, which position and yaw of its first keyframe define.
+fn errors_in_own_frame(flight: &Sequence, contents: &MapContents) -> Option<MapErrors> {
+    let track = TruthTrack::new(flight.groundtruth.as_deref()?);
+    let imu_from_camera = flight.cameras[0].imu_from_camera;
+    let true_camera = |stamp_ns: i64| Some(track.pose(stamp_ns, 0)?.compose(&imu_from_camera));
+    let first = contents.keyframes.iter().min_by_key(|keyframe| keyframe.stamp_ns)?;
+    let (stored, truth) = (&first.global_from_keyframe.pose, true_camera(first.stamp_ns)?);
+    let turn = rotation::log(&(stored.rotation * truth.rotation.inverse()));
+    let yaw = rotation::exp(&Vector3::new(0.0, 0.0, turn.z));
+    let global_from_room = Pose::new(yaw, stored.translation - yaw * truth.translation);
+    let (mut squares, mut variances) = (0.0, 0.0);
+    for keyframe in &contents.keyframes {
+        let estimate = &keyframe.global_from_keyframe;
+        let truth = global_from_room.transform(&true_camera(keyframe.stamp_ns)?.translation);
+        squares += (estimate.pose.translation - truth).norm_squared();
+        variances += estimate.covariance.fixed_view::<3, 3>(3, 3).trace();
+    }
+    Some(MapErrors { global_from_room, squares, variances })
+}

@@ -1,0 +1,150 @@
+//! From pixels: two flights through a rendered room. The first becomes a map, by images and IMU alone; a server answers the
+//! queries of the second, whose images are recognized.
+//!
+//! | module | what |
+//! |---|---|
+//! | [`conditions`] | what is simulated, in numbers and in sentences |
+//! | `mapped` | the map of the first flight, and the truth in its frame |
+//! | `picture` | the comparison, the plots of the run, an image |
+
+pub mod conditions;
+mod mapped;
+mod picture;
+
+use super::robot::{Run, Variant};
+use super::rows::{Row, RowSums};
+use crate::in_process::{LocalServer, load_map};
+use anyhow::{Context as _, Result};
+use conditions::FlightConditions;
+pub use mapped::MapFigures;
+use mapped::MappedRoom;
+use onboard::arguments::{Init, Mode};
+use sensors::{Sequence, writer};
+use serde::Serialize;
+use simulation::images::{render_all, simulate_images};
+use std::path::{Path, PathBuf};
+
+/// The rows of the table, in its order.
+pub const VARIANTS: [Variant; 2] = [
+    Variant { name: "odometry", description: "no map", folder: "odometry", mode: Mode::Odometry },
+    Variant {
+        name: "MM+R",
+        description: "in the map, several keyframes a query",
+        folder: "mm_r",
+        mode: Mode::Multi,
+    },
+];
+
+/// What the demo computed.
+#[derive(Clone, Debug, Serialize)]
+pub struct FlightDemo {
+    /// What was simulated.
+    pub conditions: FlightConditions,
+    /// The same in sentences.
+    pub conditions_text: Vec<String>,
+    /// Distance travelled in the live run, metres.
+    pub distance_m: f64,
+    /// The map.
+    pub map: MapFigures,
+    /// The table.
+    pub rows: Vec<Row>,
+    /// Plots and images that were written.
+    pub pictures: Vec<PathBuf>,
+    /// Database of the map.
+    pub map_database: PathBuf,
+    /// Folder of the run in the map.
+    pub run: PathBuf,
+}
+
+/// Runs the demo from pixels.
+///
+/// # Arguments
+/// * `out`: folder for `demo.json`, `comparison.svg`, the map, the live recording without its images, and a folder for each run.
+/// * `progress`: called with what is being done.
+///
+/// # Errors
+/// A folder that cannot be written, no free port for the server, a run that fails.
+pub fn run_flight(
+    out: &Path,
+    conditions: &FlightConditions,
+    progress: &mut dyn FnMut(&str),
+) -> Result<FlightDemo> {
+    std::fs::create_dir_all(out).with_context(|| format!("cannot create the folder {}", out.display()))?;
+    progress("simulating a room");
+    let (simulation, images) = conditions.simulation();
+    let scenario = simulate_images(&simulation, &images)?;
+    let mut flight = scenario.map;
+    render(&mut flight, "map", progress)?;
+    let database = out.join("map.db");
+    let mapped = MappedRoom::build(flight, &database, progress)?;
+    let mut live = scenario.live;
+    render(&mut live, "live", progress)?;
+    mapped.place_truth(&mut live);
+    live.root = out.join("live");
+    write_without_images(&live)?;
+    let runs = run_all(&live, out, &database, progress)?;
+    progress("drawing");
+    let rows = VARIANTS.iter().zip(&runs).map(|(variant, run)| {
+        let mut sums = RowSums::default();
+        sums.add(conditions.seed, run);
+        sums.finish(variant)
+    });
+    let [_, in_map] = &runs;
+    let mut demo = FlightDemo {
+        conditions: *conditions,
+        conditions_text: conditions.describe(&simulation),
+        distance_m: in_map.distance_m,
+        map: mapped.figures,
+        rows: rows.collect(),
+        pictures: Vec::new(),
+        map_database: database,
+        run: in_map.folder.clone(),
+    };
+    demo.pictures = picture::draw_all(&live, &mapped, &runs, &demo, out)?;
+    std::fs::write(out.join("demo.json"), serde_json::to_string_pretty(&demo)?)?;
+    Ok(demo)
+}
+
+fn render(sequence: &mut Sequence, run: &str, progress: &mut dyn FnMut(&str)) -> Result<()> {
+    render_all(sequence, |done, all| {
+        progress(&format!("rendering the {run} flight: {done} of {all} images"));
+    })?;
+    Ok(())
+}
+
+/// Writes the recording so that the view finds its truth.
+fn write_without_images(live: &Sequence) -> Result<()> {
+    let mut recording = live.clone();
+    for frame in &mut recording.frames {
+        frame.images = [None, None];
+    }
+    writer::write(&recording, &live.root).context("the live recording was not written")
+}
+
+/// Serves the map on the loopback interface, and runs all variants at the same time.
+fn run_all(
+    live: &Sequence,
+    out: &Path,
+    database: &Path,
+    progress: &mut dyn FnMut(&str),
+) -> Result<[Run; VARIANTS.len()]> {
+    let server = LocalServer::start(vec![("demo".to_owned(), load_map(database)?)])?;
+    let links = [server.link("demo")?, server.link("demo")?];
+    let frames = live.frames.len();
+    let run = |index: usize, show: &mut dyn FnMut(usize)| {
+        Run::of(live, VARIANTS[index], (out, Init::Auto), links[index].clone(), show)
+    };
+    let runs = std::thread::scope(|scope| {
+        let odometry = scope.spawn(|| run(0, &mut |_| {}));
+        let in_map = run(1, &mut |frame| {
+            progress(&format!("localizing the live flight: {} of {frames} frames", frame + 1));
+        });
+        let odometry = odometry.join().map_err(|_| anyhow::anyhow!("the run of odometry panicked"))?;
+        Ok::<_, anyhow::Error>([odometry?, in_map?])
+    });
+    for link in &links {
+        server.unlink(link);
+    }
+    server.stop()?;
+    runs
+}
