@@ -33,9 +33,10 @@ neural:
     cargo clippy -p driftless-vision --features neural --all-targets --locked -- -D warnings
     cargo test -p driftless-vision --features neural --test neural --locked
 
-# The demo: render, map, serve, localize
+# The demo, with bounds on what it reaches; leaves its map, run and pictures in target/ci-demo
 demo:
-    cargo run --profile {{ profile }} --locked -p driftless-tools -- demo --out target/ci-demo
+    DEMO_OUT="{{ justfile_directory() }}/target/ci-demo" \
+        cargo test --profile {{ profile }} --locked --workspace --test demo -- --include-ignored --nocapture
 
 # Tests on recorded runs; says so where the recordings are not unpacked
 recorded:
@@ -45,7 +46,7 @@ recorded:
         echo "SKIPPED: the recorded runs are not unpacked in {{ data }}; their tests were not run"
         exit 0
     fi
-    cargo test --profile {{ profile }} --locked -p driftless-tests --test recorded --test images -- --ignored
+    cargo test --profile {{ profile }} --locked --workspace --test recorded --test images -- --ignored
 
 # The Python client against a map server and a robot; says so where its packages cannot be installed
 python:
@@ -56,7 +57,7 @@ python:
         echo "SKIPPED: the packages of python/ cannot be installed; its tests were not run"
         exit 0
     fi
-    cargo build --profile {{ profile }} --locked -p driftless-tools -p driftless-map-server -p driftless-onboard
+    cargo test --profile {{ profile }} --locked --workspace --no-run
     DRIFTLESS_PROGRAMS="{{ justfile_directory() }}/target/{{ if profile == "dev" { "debug" } else { profile } }}" \
         "$venv/bin/python" -m pytest -q python/tests
 

@@ -7,6 +7,7 @@ import os
 import socket
 import subprocess
 import time
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -44,35 +45,63 @@ def place(program, tmp_path_factory):
 
 
 @pytest.fixture(scope="session")
-def endpoint(program, place):
-    """Where a map server serves the place."""
+def room(program, tmp_path_factory):
+    """A folder with rendered images in room/live, and a map of room/map as room.db."""
+    folder = tmp_path_factory.mktemp("room")
+    for arguments in (
+        ["simulate", "--images", "--duration", "2", "--out", "room"],
+        ["build-map", "room/map", "--map", "room.db", "--sigma-theta", "0.0175", "--sigma-p", "0.01"],
+    ):
+        done = subprocess.run([program("driftless"), *arguments], cwd=folder, capture_output=True, text=True)
+        assert done.returncode == 0, f"{arguments}: {done.stderr}"
+    return folder
+
+
+@contextmanager
+def serving(program, name, database):
+    """The endpoint of a server of one map, which is ready."""
+    from driftless import DriftlessError, Fleet
+
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
     server = subprocess.Popen(
-        [program("map_server"), "--map", f"place={place / 'place.db'}", "--listen", endpoint, "--name", "s1"],
+        [program("map_server"), "--map", f"{name}={database}", "--listen", endpoint, "--name", "s1"],
         stderr=subprocess.DEVNULL,
     )
+    deadline = time.monotonic() + 20
+    while True:
+        try:
+            with Fleet(endpoint) as fleet:
+                fleet.info(name)
+                break
+        except DriftlessError:
+            assert time.monotonic() < deadline, "the map server does not answer"
+            time.sleep(0.1)
     yield endpoint
     server.terminate()
     server.wait(10)
 
 
+@pytest.fixture(scope="session")
+def endpoint(program, place):
+    """Where a map server serves the place."""
+    with serving(program, "place", place / "place.db") as endpoint:
+        yield endpoint
+
+
+@pytest.fixture(scope="session")
+def room_endpoint(program, room):
+    """Where a map server serves the room."""
+    with serving(program, "room", room / "room.db") as endpoint:
+        yield endpoint
+
+
 @pytest.fixture
 def fleet(endpoint):
-    from driftless import DriftlessError, Fleet
+    from driftless import Fleet
 
-    deadline = time.monotonic() + 20
-    while True:
-        try:
-            fleet = Fleet(endpoint)
-            break
-        except DriftlessError:
-            assert time.monotonic() < deadline, "the map server does not listen"
-            time.sleep(0.1)
-    with fleet:
-        while not fleet.maps() and time.monotonic() < deadline:
-            time.sleep(0.1)
+    with Fleet(endpoint) as fleet:
         yield fleet
 
 

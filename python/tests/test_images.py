@@ -7,6 +7,7 @@ import pytest
 
 from driftless import DriftlessError, extract_features
 from driftless.features import png
+from driftless.tracks import read_euroc
 
 
 def camera_yaml(folder, width, height):
@@ -23,6 +24,24 @@ def blobs(width, height):
     rng = np.random.default_rng(1)
     coarse = rng.integers(0, 255, (height // 10, width // 10), dtype=np.uint8)
     return np.repeat(np.repeat(coarse, 10, axis=0), 10, axis=1)
+
+
+def test_an_image_is_localized_in_five_lines(room, room_endpoint):
+    sensor = room / "room" / "live" / "mav0" / "cam0"
+    image = sorted((sensor / "data").glob("*.png"))[len(list((sensor / "data").glob("*.png"))) // 2]
+    truth = read_euroc(room / "room" / "live" / "mav0" / "state_groundtruth_estimate0" / "data.csv")
+
+    from driftless import Fleet
+
+    with Fleet(room_endpoint) as fleet:
+        found = fleet.localize("room", image, sensor / "sensor.yaml")
+        print(found.outcome, found.global_from_camera)
+
+    assert found.outcome == "matched" and found.inliers > 30
+    inside, body = truth.at(np.array([int(image.stem)]))
+    assert inside.all()
+    distance = np.linalg.norm(found.global_from_camera.translation - body.translations[0])
+    assert distance < 0.15  # the camera is 0.07 m from the IMU
 
 
 def test_an_array_has_the_features_of_its_file(program, tmp_path):
