@@ -6,7 +6,7 @@
 //! ```
 //! Nothing is ever overwritten: segments are named by their content, and a release is put under the next number only if that
 //! number is free. Of two that publish at once, one is told that the other was first. A segment that did not change is not sent
-//! again. An upload that was stopped leaves segments that no release names; [`clean`] removes them after some time.
+//! again. An upload that was stopped leaves segments that no release names; [`clean`](fn@clean) removes them after some time.
 //!
 //! | module | what |
 //! |---|---|
