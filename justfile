@@ -57,7 +57,7 @@ python:
         echo "SKIPPED: the packages of python/ cannot be installed; its tests were not run"
         exit 0
     fi
-    cargo test --profile {{ profile }} --locked --workspace --no-run
+    cargo test --quiet --profile {{ profile }} --locked --workspace --no-run
     DRIFTLESS_PROGRAMS="{{ justfile_directory() }}/target/{{ if profile == "dev" { "debug" } else { profile } }}" \
         "$venv/bin/python" -m pytest -q python/tests
 
