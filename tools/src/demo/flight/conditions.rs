@@ -18,7 +18,7 @@ pub struct FlightConditions {
 impl FlightConditions {
     /// The demo's conditions for a seed.
     pub fn new(seed: u64) -> Self {
-        Self { seed, live_s: 10.0, imu_noise_scale: 2.0 }
+        Self { seed, live_s: 8.0, imu_noise_scale: 2.0 }
     }
 
     /// The simulation.
