@@ -301,7 +301,7 @@ async fn releases_are_followed_and_served_without_their_store() {
     let mut contents =
         Place::new(&PlaceOptions { keyframes: 5, landmarks: 100, ..PlaceOptions::default() }).map;
     contents.info.identity = Some(contents.digest());
-    publish(&releases, &contents, &PublishOptions::default(), |_| {}).await.unwrap();
+    publish(&releases, contents.clone(), &PublishOptions::default(), |_| {}).await.unwrap();
 
     let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
     let (endpoint, map) = (format!("tcp/127.0.0.1:{port}"), format!("hall={url}"));
@@ -330,7 +330,7 @@ async fn releases_are_followed_and_served_without_their_store() {
     // The next release is served without a signal, and robots are told.
     let news = client.declare_subscriber("map/hall/changes").await.unwrap();
     contents.keyframes[2].global_from_keyframe.pose.translation.x += 0.25;
-    publish(&releases, &contents, &PublishOptions::default(), |_| {}).await.unwrap();
+    publish(&releases, contents.clone(), &PublishOptions::default(), |_| {}).await.unwrap();
     let notice = news.recv_async().await.unwrap().payload().to_bytes().into_owned();
     let notice: MapChangeNotice = protocol::decode(Format::Bincode, &notice).unwrap();
     assert_eq!((notice.from_version, notice.version, notice.moved), (1, 2, vec![contents.keyframes[2].id]));
@@ -352,7 +352,7 @@ async fn releases_are_followed_and_served_without_their_store() {
     };
     let former = segments();
     signal(&server, "-STOP");
-    publish(&releases, &contents, &PublishOptions::default(), |_| {}).await.unwrap();
+    publish(&releases, contents.clone(), &PublishOptions::default(), |_| {}).await.unwrap();
     let new = segments().into_iter().find(|path| !former.contains(path)).unwrap();
     let whole = std::fs::read(&new).unwrap();
     std::fs::write(&new, &whole[..whole.len() - 3]).unwrap();

@@ -32,7 +32,7 @@
 //! # let place = folder.path().display().to_string();
 //! let store = ReleaseStore::open(&place)?; // or s3://bucket/city
 //! let map = MapContents::empty(MapMetadata::new("city", "example", DescriptorKind::Binary, 32));
-//! publish(&store, &map, &PublishOptions::default(), |_| {}).await?;
+//! publish(&store, map, &PublishOptions::default(), |_| {}).await?;
 //!
 //! let newest = store.newest().await?.ok_or("nothing was published")?;
 //! assert_eq!(newest.number, 1);

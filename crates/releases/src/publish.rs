@@ -68,12 +68,11 @@ pub struct Published {
 /// [`ReleaseError::Conflict`] where another program was faster, [`ReleaseError::Store`].
 pub async fn publish(
     store: &ReleaseStore,
-    contents: &MapContents,
+    mut contents: MapContents,
     options: &PublishOptions,
     mut progress: impl FnMut(Progress),
 ) -> Result<Outcome, ReleaseError> {
     contents.validate()?;
-    let mut contents = contents.clone();
     contents.sort();
     let former = store.newest().await?;
     let digest = contents.digest();

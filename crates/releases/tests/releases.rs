@@ -48,7 +48,7 @@ fn small_cells() -> PublishOptions {
 }
 
 async fn published(store: &ReleaseStore, contents: &MapContents) -> Published {
-    match publish(store, contents, &small_cells(), |_| {}).await.unwrap() {
+    match publish(store, contents.clone(), &small_cells(), |_| {}).await.unwrap() {
         Outcome::Published(published) => *published,
         Outcome::Unchanged { number } => panic!("release {number} has it already"),
     }
@@ -82,7 +82,7 @@ async fn a_map_comes_back_whole() {
     assert!(release.cells.iter().all(|cell| cell.keyframes <= 6));
     assert_eq!(scratch.store.newest().await.unwrap().unwrap(), release);
     assert_eq!(fetch(&scratch.store, &release, None).await.unwrap(), contents);
-    let again = publish(&scratch.store, &contents, &small_cells(), |_| {}).await.unwrap();
+    let again = publish(&scratch.store, contents.clone(), &small_cells(), |_| {}).await.unwrap();
     assert_eq!(again, Outcome::Unchanged { number: 1 });
 }
 
@@ -151,7 +151,7 @@ async fn race(store: &ReleaseStore) {
             // Both differ from the present release and from each other.
             let (store, mut map) = (store.clone(), versions[version].clone());
             map.info.sigma_px = 1.0 + round as f64 * 1e-3;
-            tokio::spawn(async move { publish(&store, &map, &small_cells(), |_| {}).await })
+            tokio::spawn(async move { publish(&store, map, &small_cells(), |_| {}).await })
         });
         let mut numbers = Vec::new();
         for task in tasks {
@@ -178,7 +178,7 @@ async fn race(store: &ReleaseStore) {
 async fn another_map_is_refused() {
     let scratch = Scratch::new();
     published(&scratch.store, &place(5)).await;
-    let error = publish(&scratch.store, &place(6), &small_cells(), |_| {}).await.unwrap_err();
+    let error = publish(&scratch.store, place(6), &small_cells(), |_| {}).await.unwrap_err();
     assert!(
         matches!(error, ReleaseError::OtherMap { .. }) && error.to_string().contains("publish it elsewhere")
     );

@@ -12,6 +12,17 @@ export function niceStep(span, count) {
 const length3 = (vector) => Math.hypot(...vector);
 export const sigma3 = (c) => 3 * Math.sqrt(Math.max(c[0][0] + c[1][1] + c[2][2], 0));
 
+// An empty canvas with as many pixels as the screen shows of it; sizes are in CSS pixels.
+export function cleared(canvas) {
+  const scale = window.devicePixelRatio;
+  const [width, height] = [canvas.clientWidth, canvas.clientHeight];
+  canvas.width = width * scale;
+  canvas.height = height * scale;
+  const context = canvas.getContext("2d");
+  context.scale(scale, scale);
+  return { context, width, height };
+}
+
 export class Chart {
   constructor(canvas, run) {
     this.canvas = canvas;
@@ -25,12 +36,7 @@ export class Chart {
   }
 
   draw(now_s) {
-    const scale = window.devicePixelRatio;
-    const [width, height] = [this.canvas.clientWidth, this.canvas.clientHeight];
-    this.canvas.width = width * scale;
-    this.canvas.height = height * scale;
-    const context = this.canvas.getContext("2d");
-    context.scale(scale, scale);
+    const { context, width, height } = cleared(this.canvas);
     const x = (t) => MARGIN.left + (t / this.duration) * (width - MARGIN.left - MARGIN.right);
     const y = (value) => height - MARGIN.bottom - (Math.min(value, this.high) / this.high) * (height - MARGIN.top - MARGIN.bottom);
     this.axes(context, x, y, width, height);

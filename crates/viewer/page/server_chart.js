@@ -1,5 +1,5 @@
 // How busy the map server was over the last hour.
-import { niceStep } from "./chart.js";
+import { cleared, niceStep } from "./chart.js";
 import { robotColor, styleColor } from "./colors.js";
 
 const PERIOD_MS = 5000;
@@ -63,12 +63,7 @@ export class ServerChart {
       const times = at.p50_ms === null ? "" : `, median ${at.p50_ms.toFixed(0)} ms, 99 % within ${at.p99_ms.toFixed(0)} ms`;
       this.figures.textContent = `${at.answered_per_s.toFixed(1)} queries/s${times}, ${at.refused_per_s.toFixed(1)}/s refused as busy, ${at.waiting} waiting.`;
     }
-    const scale = window.devicePixelRatio;
-    const [width, height] = [this.canvas.clientWidth, this.canvas.clientHeight];
-    this.canvas.width = width * scale;
-    this.canvas.height = height * scale;
-    const context = this.canvas.getContext("2d");
-    context.scale(scale, scale);
+    const { context, width, height } = cleared(this.canvas);
     context.font = "11px system-ui, sans-serif";
     const each = height / PLOTS.length;
     PLOTS.forEach((plot, number) => this.plot(context, plot, { top: number * each, height: each, width }));

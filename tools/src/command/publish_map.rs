@@ -43,7 +43,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let bar = if args.json { ProgressBar::hidden() } else { ProgressBar::new(0) };
     bar.set_style(ProgressStyle::with_template("{wide_bar} {pos}/{len} cells {elapsed_precise}")?);
     let outcome = in_store(&args.to, async |store| {
-        publish(store, &contents, &options, |progress| {
+        publish(store, contents, &options, |progress| {
             bar.set_length(progress.of as u64);
             bar.set_position(progress.cells as u64);
         })

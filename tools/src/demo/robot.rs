@@ -22,6 +22,12 @@ pub struct Variant {
     pub mode: Mode,
 }
 
+impl Variant {
+    /// Without a map: what the others are compared with.
+    pub(super) const ODOMETRY: Self =
+        Self { name: "odometry", description: "no map", folder: "odometry", mode: Mode::Odometry };
+}
+
 /// One run of one variant.
 pub(super) struct Run {
     /// The variant.

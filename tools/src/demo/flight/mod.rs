@@ -26,7 +26,7 @@ use std::path::{Path, PathBuf};
 
 /// The rows of the table, in its order.
 pub const VARIANTS: [Variant; 2] = [
-    Variant { name: "odometry", description: "no map", folder: "odometry", mode: Mode::Odometry },
+    Variant::ODOMETRY,
     Variant {
         name: "MM+R",
         description: "in the map, several keyframes a query",

@@ -22,7 +22,7 @@ use town::Town;
 
 /// The rows of the table, in its order. All but odometry re-linearize (the paper's R).
 pub const VARIANTS: [Variant; 4] = [
-    Variant { name: "odometry", description: "no map", folder: "odometry", mode: Mode::Odometry },
+    Variant::ODOMETRY,
     Variant {
         name: "mapconst",
         description: "takes the map for exact",
