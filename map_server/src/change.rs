@@ -1,20 +1,13 @@
-//! Differences between two versions of a map, as robots need them.
-//!
-//! *Which* keyframes moved: a robot's state is correlated with their old errors, not with the new ones. *How far* the map
-//! moved: a robot's pose in the map is wrong by that until the new version corrects it. The size of the motion is the
-//! root mean square over the keyframes that both versions have, per axis, of the rotation from the old to the new pose
-//! and of the change of position. A rigid motion of the whole map is thus measured at the keyframes, where robots are,
-//! and not at the origin of its frame.
+//! Differences between two versions of a map, as robots need them; see [`map::difference`].
 
-use nalgebra::Matrix6;
-use protocol::{KeyframeId, MapChangeNotice, StatedChange};
+use map::difference::{Motion, has_moved, is_recorrelated};
+use protocol::{CodecError, Format, KeyframeId, MapChangeNotice, StatedChange, keys};
+use zenoh::Session;
+use zenoh::bytes::Encoding;
+use zenoh::qos::CongestionControl;
 
+use crate::error::ServeError;
 use recognition::LoadedMap;
-
-/// Smallest change of a pose (m, rad) that counts as motion; less is rounding, as of a map exported as text.
-const MIN_MOTION: f64 = 1e-6;
-/// The same for a covariance, relative to its standard deviations.
-const MIN_COVARIANCE_CHANGE: f64 = 1e-6;
 
 /// The notice of a new version, with the size of the motion computed from the keyframes.
 pub(crate) fn between(name: &str, old: &LoadedMap, new: &LoadedMap) -> MapChangeNotice {
@@ -46,6 +39,22 @@ pub(crate) fn between(name: &str, old: &LoadedMap, new: &LoadedMap) -> MapChange
     change
 }
 
+/// Tells robots of a new version. A notice that is too long for one message tells them only that there is one.
+pub(crate) async fn publish(session: &Session, notice: MapChangeNotice) -> Result<(), ServeError> {
+    let key = keys::map_changes(&notice.map)?;
+    let payload = protocol::encode(Format::Bincode, &notice).or_else(|error| match error {
+        CodecError::TooLong { .. } => {
+            let (changed, moved, removed) = (Vec::new(), Vec::new(), Vec::new());
+            let short = MapChangeNotice { changed, moved, removed, stated_change: None, ..notice };
+            protocol::encode(Format::Bincode, &short)
+        }
+        error => Err(error),
+    })?;
+    let publication = session.put(key, payload).encoding(Encoding::from(Format::Bincode.encoding()));
+    publication.congestion_control(CongestionControl::Block).await?;
+    Ok(())
+}
+
 /// Number of new keyframes.
 pub(crate) fn added(old: &LoadedMap, new: &LoadedMap) -> usize {
     new.keyframes().filter(|keyframe| old.keyframe(keyframe.id).is_none()).count()
@@ -63,32 +72,18 @@ pub(crate) fn describe(change: Option<&StatedChange>) -> String {
 
 /// Motion of the keyframes that both versions have; `None` if there are none.
 fn stated_change(old: &LoadedMap, new: &LoadedMap) -> Option<StatedChange> {
-    let (mut count, mut squared_angle, mut squared_distance) = (0_usize, 0.0, 0.0);
-    for keyframe in old.keyframes() {
-        let before = &keyframe.global_from_keyframe.pose;
-        let Some(keyframe_now) = new.keyframe(keyframe.id) else { continue };
-        let now = &keyframe_now.global_from_keyframe.pose;
-        count += 1;
-        squared_angle += before.rotation.angle_to(&now.rotation).powi(2);
-        squared_distance += (now.translation - before.translation).norm_squared();
+    let mut motion = Motion::default();
+    for before in old.keyframes() {
+        if let Some(now) = new.keyframe(before.id) {
+            motion.add(&before.global_from_keyframe.pose, &now.global_from_keyframe.pose);
+        }
     }
-    let per_axis = |squared: f64| (squared / (3 * count) as f64).sqrt();
-    (count > 0).then(|| StatedChange {
-        sigma_theta_rad: per_axis(squared_angle),
-        sigma_p_m: per_axis(squared_distance),
-    })
+    motion.size()
 }
 
 /// Whether the pose of a keyframe or its covariance changed.
 fn moves(old: &LoadedMap, new: &LoadedMap, id: KeyframeId) -> bool {
-    let [before, now] = [old, new].map(|map| map.keyframe(id).map(|keyframe| &keyframe.global_from_keyframe));
-    let Some((before, now)) = before.zip(now) else { return true };
-    before.pose.local(&now.pose).amax() > MIN_MOTION
-        || differ(
-            &before.covariance,
-            &now.covariance,
-            [&before.covariance, &before.covariance].map(Matrix6::diagonal),
-        )
+    old.keyframe(id).zip(new.keyframe(id)).is_none_or(|(before, now)| has_moved(before, now))
 }
 
 /// The keyframes in both versions with a changed cross-covariance between them, sorted.
@@ -99,9 +94,8 @@ fn with_changed_cross_covariances(old: &LoadedMap, new: &LoadedMap) -> Vec<Keyfr
             continue;
         }
         let [Some(of_a), Some(of_b)] = [a, b].map(|id| old.keyframe(id)) else { continue };
-        let variances = [of_a, of_b].map(|keyframe| keyframe.global_from_keyframe.covariance.diagonal());
         let [before, now] = [old, new].map(|map| map.cross_covariance(a, b).unwrap_or_default());
-        if differ(&before, &now, variances) {
+        if is_recorrelated(&before, &now, [of_a, of_b]) {
             changed.extend([a, b]);
         }
     }
@@ -110,24 +104,10 @@ fn with_changed_cross_covariances(old: &LoadedMap, new: &LoadedMap) -> Vec<Keyfr
     changed
 }
 
-/// Whether two covariances of the same errors differ.
-///
-/// # Arguments
-/// * `variances`: of the errors of the rows and of the columns.
-fn differ(before: &Matrix6<f64>, now: &Matrix6<f64>, variances: [nalgebra::Vector6<f64>; 2]) -> bool {
-    let [rows, columns] = variances;
-    let scale = |row: usize, column: usize| (rows[row] * columns[column]).max(0.0).sqrt();
-    let entry_differs = |row, column| {
-        let change: f64 = now[(row, column)] - before[(row, column)];
-        change.abs() > MIN_COVARIANCE_CHANGE * scale(row, column)
-    };
-    (0..6).any(|row| (0..6).any(|column| entry_differs(row, column)))
-}
-
 #[cfg(test)]
 mod tests {
     use geometry::{Camera, Distortion, Pose, PoseWithCovariance, rotation};
-    use nalgebra::Vector3;
+    use nalgebra::{Matrix6, Vector3};
     use protocol::DescriptorKind;
 
     use super::*;

@@ -49,6 +49,13 @@ impl FromStr for MapArgument {
     }
 }
 
+impl MapArgument {
+    /// Whether its place is one of releases.
+    pub fn is_released(&self) -> bool {
+        self.place.contains("://")
+    }
+}
+
 /// Where a served map comes from.
 #[derive(Clone, Debug)]
 pub struct MapSource {
@@ -73,7 +80,7 @@ impl MapSource {
     /// A URL that is none, a cache that cannot be written.
     pub fn open(argument: &MapArgument, cache: &Path) -> anyhow::Result<MapSource> {
         let MapArgument { name, place } = argument;
-        let origin = if place.contains("://") {
+        let origin = if argument.is_released() {
             let released = ReleasedMap::open(place, &cache.join(name));
             Origin::Releases(released.with_context(|| format!("map {name} cannot be served"))?)
         } else {

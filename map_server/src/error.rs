@@ -2,6 +2,10 @@
 
 use protocol::keys::NameError;
 use protocol::{CodecError, MapIdentity};
+use recognition::LoadError;
+use releases::ReleaseError;
+use tokio::task::JoinError;
+use vision::DescriptorError;
 
 /// Why a server does not start, or a map is not replaced.
 #[derive(Debug, thiserror::Error)]
@@ -49,12 +53,39 @@ pub enum ServeError {
         /// Identity of the other one.
         given: MapIdentity,
     },
+    /// There is nothing to serve.
+    #[error("{place} has no release: publish one with driftless publish-map --to {place}")]
+    NoRelease {
+        /// The store.
+        place: String,
+    },
+    /// A release cannot be read.
+    #[error(transparent)]
+    Release(#[from] ReleaseError),
+    /// A cell of a release cannot be indexed.
+    #[error(transparent)]
+    Load(#[from] LoadError),
+    /// The landmarks that tell cells from each other cannot be indexed.
+    #[error("the cells of the release cannot be told from each other: {0}")]
+    Descriptors(#[from] DescriptorError),
+    /// A task of the server panicked.
+    #[error("a task of the map server ended badly: {problem}")]
+    TaskFailed {
+        /// Text of the panic.
+        problem: String,
+    },
     /// A message cannot be encoded.
     #[error(transparent)]
     Codec(#[from] CodecError),
     /// Zenoh reported an error.
     #[error("Zenoh: {0}")]
     Zenoh(zenoh::Error),
+}
+
+impl ServeError {
+    pub(crate) fn task(error: JoinError) -> ServeError {
+        ServeError::TaskFailed { problem: error.to_string() }
+    }
 }
 
 impl From<zenoh::Error> for ServeError {

@@ -1,21 +1,20 @@
 //! Decodes a query, answers it, encodes the reply.
 
-use std::collections::BTreeMap;
-use std::sync::Arc;
+use std::collections::BTreeSet;
 use std::time::Instant;
 
 use protocol::keys::{self, NameError};
 use protocol::{
-    ErrorCode, ErrorReply, Format, KeyframeId, LocalizeRequest, MatchOutcome, MatchReply, MatchRequest,
-    Message,
+    CellLocalizeReply, CellMatchReply, CellPlace, ErrorCode, ErrorReply, Format, KeyframeId, LocalizeRequest,
+    MatchOutcome, MatchReply, MatchRequest, Message,
 };
 use zenoh::Wait;
 use zenoh::bytes::Encoding;
 use zenoh::query::Query;
 
 use crate::reports::{AnsweredQuery, ReportSender, position_of};
-use crate::served_map::MapSlot;
-use recognition::{LoadedMap, QueryError, RecognitionOptions};
+use recognition::{LoadedMap, QueryError, RecognitionOptions, SearchReport};
+use releases::CellId;
 
 /// A kind of query about one map.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -28,6 +27,8 @@ pub(crate) enum Kind {
 
 impl Kind {
     pub(crate) const ALL: [Kind; 4] = [Kind::Match, Kind::Localize, Kind::Info, Kind::Keyframes];
+    /// Those that a cell answers by itself.
+    pub(crate) const OF_CELLS: [Kind; 3] = [Kind::Match, Kind::Localize, Kind::Keyframes];
 
     /// Its name in metrics.
     pub(crate) fn name(self) -> &'static str {
@@ -39,6 +40,16 @@ impl Kind {
         }
     }
 
+    /// Its name in metrics where one cell is asked.
+    pub(crate) fn name_at_cell(self) -> &'static str {
+        match self {
+            Kind::Match => "cell_match",
+            Kind::Localize => "cell_localize",
+            Kind::Info => "cell_info",
+            Kind::Keyframes => "cell_keyframes",
+        }
+    }
+
     /// The key expression of its queryable for a map.
     pub(crate) fn key(self, map: &str) -> Result<String, NameError> {
         match self {
@@ -46,6 +57,16 @@ impl Kind {
             Kind::Localize => keys::map_localize(map),
             Kind::Info => keys::map_info(map),
             Kind::Keyframes => keys::map_keyframes(map),
+        }
+    }
+
+    /// The key expression of its queryable for a cell of a map.
+    pub(crate) fn cell_key(self, map: &str, cell: CellId) -> Result<String, NameError> {
+        match self {
+            Kind::Match => keys::cell_match(map, cell),
+            Kind::Localize => keys::cell_localize(map, cell),
+            Kind::Info => keys::map_info(map),
+            Kind::Keyframes => keys::cell_keyframe(map, cell, None),
         }
     }
 
@@ -77,6 +98,8 @@ pub(crate) struct Asked {
     pub(crate) query: Query,
     pub(crate) kind: Kind,
     pub(crate) name: String,
+    /// The map is this cell of a map.
+    pub(crate) cell: Option<CellId>,
     pub(crate) received: Instant,
     /// Keyframes that former turns sent.
     pub(crate) sent: usize,
@@ -89,20 +112,28 @@ pub(crate) fn answer(
     options: &RecognitionOptions,
     reports: &ReportSender,
 ) -> Result<Progress, ErrorReply> {
-    let Asked { query, kind, name, received, sent } = asked;
+    let Asked { query, kind, name, cell, received, sent } = asked;
     let format = reply_format(query).map_err(|error| ErrorReply::from(&error))?;
-    let key = || kind.key(name).map_err(|error| internal(&error));
+    let key = || {
+        let key = cell.map_or_else(|| kind.key(name), |cell| kind.cell_key(name, cell));
+        key.map_err(|error| internal(&error))
+    };
     match kind {
         Kind::Match => {
             let request: MatchRequest = decode(query)?;
             let (replies, search) =
                 map.answer_with_report(&request, options).map_err(|error| query_error(name, &error))?;
             let key = key()?;
-            for reply in &replies {
-                send(query, &key, format, reply)?;
+            let answer = CellMatchReply { replies, place: place_of(&search) };
+            if cell.is_some() {
+                send(query, &key, format, &answer)?;
+            } else {
+                for reply in &answer.replies {
+                    send(query, &key, format, reply)?;
+                }
             }
             let answered = || {
-                let (outcome, keyframes) = outcome_of(&replies);
+                let (outcome, keyframes) = outcome_of(&answer.replies);
                 Ok(AnsweredQuery {
                     outcome,
                     keyframes,
@@ -119,7 +150,13 @@ pub(crate) fn answer(
             let request: LocalizeRequest = decode(query)?;
             let (reply, search) =
                 map.localize_with_report(&request, options).map_err(|error| query_error(name, &error))?;
-            send(query, &key()?, format, &reply)?;
+            let answer = CellLocalizeReply { reply, place: place_of(&search) };
+            let reply = &answer.reply;
+            if cell.is_some() {
+                send(query, &key()?, format, &answer)?;
+            } else {
+                send(query, &key()?, format, reply)?;
+            }
             let answered = || {
                 Ok(AnsweredQuery {
                     outcome: reply.outcome,
@@ -136,7 +173,7 @@ pub(crate) fn answer(
         Kind::Info => {
             send(query, &key()?, format, &map.info_reply(name))?;
         }
-        Kind::Keyframes => return send_keyframes(query, name, map, *sent, format),
+        Kind::Keyframes => return send_keyframes(asked, map, *sent, format),
     }
     Ok(Progress::Done)
 }
@@ -154,49 +191,68 @@ fn outcome_of(replies: &[MatchReply]) -> (MatchOutcome, Vec<KeyframeId>) {
     (outcome, keyframes)
 }
 
+/// The place that a search found.
+fn place_of(search: &SearchReport) -> Option<CellPlace> {
+    search.place.as_ref().map(|place| CellPlace {
+        global_from_camera: place.global_from_camera,
+        features: place.features as u32,
+    })
+}
+
 /// Sends one keyframe, or those of one turn for a wildcard in the key.
 fn send_keyframes(
-    query: &Query,
-    name: &str,
+    asked: &Asked,
     map: &LoadedMap,
     sent: usize,
     format: Format,
 ) -> Result<Progress, ErrorReply> {
-    let asked = query.key_expr().as_str();
-    if let Some(id) = keys::keyframe_of(asked) {
-        let unknown =
-            || ErrorReply::new(ErrorCode::UnknownKeyframe, format!("map {name} has no keyframe {id}"));
-        let reply = map.keyframe_reply(id).ok_or_else(unknown)?;
-        let key = keys::map_keyframe(name, id).map_err(|error| internal(&error))?;
-        send(query, &key, format, &reply)?;
+    let Asked { query, name, cell, .. } = asked;
+    let key_of = |id: KeyframeId| {
+        let key = cell
+            .map_or_else(|| keys::map_keyframe(name, id), |cell| keys::cell_keyframe(name, cell, Some(id)));
+        key.map_err(|error| internal(&error))
+    };
+    if let Some(id) = asked_keyframe(query)? {
+        let reply = map.keyframe_reply(id).ok_or_else(|| unknown_keyframe(name, id))?;
+        send(query, &key_of(id)?, format, &reply)?;
         return Ok(Progress::Done);
-    }
-    if !asked.ends_with('*') {
-        let message = format!("{asked} does not end with the id of a keyframe (a whole number), or with *");
-        return Err(ErrorReply::new(ErrorCode::BadRequest, message));
     }
     let mut bytes = 0;
     for keyframe in map.keyframes().skip(sent).take(KEYFRAMES_A_TURN) {
         let id = keyframe.id;
-        let key = keys::map_keyframe(name, id).map_err(|error| internal(&error))?;
         if let Some(reply) = map.keyframe_reply(id) {
-            bytes += send(query, &key, format, &reply)?;
+            bytes += send(query, &key_of(id)?, format, &reply)?;
         }
     }
     let sent = sent + KEYFRAMES_A_TURN;
     Ok(if sent < map.keyframe_count() { Progress::Keyframes { sent, bytes } } else { Progress::Done })
 }
 
+/// The keyframe that is asked for; `None` for all of them.
+pub(crate) fn asked_keyframe(query: &Query) -> Result<Option<KeyframeId>, ErrorReply> {
+    let asked = query.key_expr().as_str();
+    let id = keys::keyframe_of(asked);
+    if id.is_none() && !asked.ends_with('*') {
+        let message = format!("{asked} does not end with the id of a keyframe (a whole number), or with *");
+        return Err(ErrorReply::new(ErrorCode::BadRequest, message));
+    }
+    Ok(id)
+}
+
+pub(crate) fn unknown_keyframe(name: &str, id: KeyframeId) -> ErrorReply {
+    ErrorReply::new(ErrorCode::UnknownKeyframe, format!("map {name} has no keyframe {id}"))
+}
+
 /// Refuses a query about a map that this server does not have. Queries about its own maps, and about several maps at
 /// once, are answered by the queryables of the maps.
-pub(crate) fn refuse_unknown_map(query: &Query, known: &BTreeMap<String, Arc<MapSlot>>) {
+pub(crate) fn refuse_unknown_map(query: &Query, known: &BTreeSet<String>) {
     let Some(name) = query.key_expr().as_str().split('/').nth(1) else { return };
-    if known.contains_key(name) || keys::validate_name(name).is_err() {
+    if known.contains(name) || keys::validate_name(name).is_err() {
         return;
     }
     let served = match known.len() {
         0 => "no map".to_owned(),
-        _ => known.keys().map(String::as_str).collect::<Vec<_>>().join(", "),
+        _ => known.iter().map(String::as_str).collect::<Vec<_>>().join(", "),
     };
     let message = format!("there is no map named {name}; this server has {served}");
     fail(query, &ErrorReply::new(ErrorCode::UnknownMap, message));
@@ -220,7 +276,12 @@ pub(crate) fn fail(query: &Query, error: &ErrorReply) {
 ///
 /// # Returns
 /// Its bytes.
-fn send<M: Message>(query: &Query, key: &str, format: Format, message: &M) -> Result<usize, ErrorReply> {
+pub(crate) fn send<M: Message>(
+    query: &Query,
+    key: &str,
+    format: Format,
+    message: &M,
+) -> Result<usize, ErrorReply> {
     let payload = protocol::encode(format, message).map_err(|error| internal(&error))?;
     let bytes = payload.len();
     let reply = query.reply(key, payload).encoding(Encoding::from(format.encoding()));
@@ -229,7 +290,7 @@ fn send<M: Message>(query: &Query, key: &str, format: Format, message: &M) -> Re
 }
 
 /// The requested format of the reply: the query's parameter, else the format of its payload.
-fn reply_format(query: &Query) -> Result<Format, protocol::CodecError> {
+pub(crate) fn reply_format(query: &Query) -> Result<Format, protocol::CodecError> {
     let parameters = query.parameters();
     if parameters.get("format").is_some() {
         return Format::from_parameters(parameters.as_str());
@@ -245,7 +306,7 @@ fn payload_format(query: &Query, bytes: &[u8]) -> Format {
     stated.unwrap_or_else(|| if is_object() { Format::Json } else { Format::Bincode })
 }
 
-fn decode<M: Message>(query: &Query) -> Result<M, ErrorReply> {
+pub(crate) fn decode<M: Message>(query: &Query) -> Result<M, ErrorReply> {
     let Some(payload) = query.payload().filter(|payload| !payload.is_empty()) else {
         let message = format!("the query has no payload: send a {}", M::NAME);
         return Err(ErrorReply::new(ErrorCode::BadRequest, message));
@@ -254,7 +315,7 @@ fn decode<M: Message>(query: &Query) -> Result<M, ErrorReply> {
     protocol::decode(payload_format(query, &bytes), &bytes).map_err(|error| ErrorReply::from(&error))
 }
 
-fn query_error(map: &str, error: &QueryError) -> ErrorReply {
+pub(crate) fn query_error(map: &str, error: &QueryError) -> ErrorReply {
     let code = match error {
         QueryError::DescriptorMismatch { .. } | QueryError::ExtractorMismatch { .. } => {
             ErrorCode::DescriptorMismatch
@@ -264,6 +325,6 @@ fn query_error(map: &str, error: &QueryError) -> ErrorReply {
     ErrorReply::new(code, format!("map {map}: {error}"))
 }
 
-fn internal(error: &dyn std::fmt::Display) -> ErrorReply {
+pub(crate) fn internal(error: &dyn std::fmt::Display) -> ErrorReply {
     ErrorReply::new(ErrorCode::Internal, format!("the map server failed: {error}"))
 }

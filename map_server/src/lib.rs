@@ -16,6 +16,7 @@
 //! |---|---|
 //! | [`server`] | [`MapServer`]: start, replace a map, stop |
 //! | [`options`] | [`ServerOptions`] |
+//! | [`cells`] | maps that several servers serve together, by cells |
 //! | [`served_map`] | [`ServedMap`]: a map and its name |
 //! | `queue`, `fair_queue` | queries between the network and the workers: bounded, counted, fair to clients |
 //! | `handlers` | decodes a query, answers it, encodes the reply |
@@ -41,6 +42,7 @@
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
+pub mod cells;
 mod change;
 mod durations;
 pub mod error;
@@ -55,6 +57,7 @@ pub mod server;
 pub mod show;
 mod show_statistics;
 
+pub use cells::{CellChoice, CellService, CellServiceOptions};
 pub use durations::DurationCounts;
 pub use error::ServeError;
 pub use metrics::ServerStatistics;

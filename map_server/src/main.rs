@@ -9,14 +9,15 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Duration;
 
-use anyhow::Context;
+use anyhow::{Context, bail};
 use clap::Parser;
 use client::session::{Member, Role};
 use client::{SessionArguments, close_session, open_session, without_secrets};
 use databases::{MapArgument, MapSource};
-use map_server::{MapServer, ServerOptions, Show};
+use map_server::{CellChoice, CellService, CellServiceOptions, MapServer, ServerOptions, Show};
 use monitoring::{Health, LogFormat, MonitoringServer, monitoring_routes, start_log};
 use prometheus_client::registry::Registry;
+use releases::ReleaseStore;
 use status_line::StatusLine;
 use tokio::time::MissedTickBehavior;
 use tracing_subscriber::EnvFilter;
@@ -37,6 +38,9 @@ Examples:
 
   Serve the newest release of a map, and follow new ones (see `driftless publish-map`):
     map_server --map city=s3://bucket/city --cache /var/cache/driftless
+
+  Serve it by several servers that share its cells, each cell at two of them (see the page Releases of the book):
+    map_server --map city=s3://bucket/city --cells auto --connect tcp/10.0.0.1:7447
 
   Then, in another shell:
     driftless query --map hall --features frame.csv        one image against the map
@@ -71,6 +75,15 @@ struct Arguments {
     /// Look for new releases after this time, s.
     #[arg(long, value_name = "SECONDS", default_value_t = 30, value_parser = clap::value_parser!(u64).range(1..))]
     watch_releases: u64,
+
+    /// Serve these cells of maps from releases, and leave the others to other servers: numbers like 0-3,7 (see
+    /// `driftless list-releases --cells`), or auto for a share of them, which changes as servers come and go.
+    #[arg(long, value_name = "CELLS|auto")]
+    cells: Option<CellChoice>,
+
+    /// With --cells auto: have each cell at so many servers.
+    #[arg(long, value_name = "N", default_value_t = 2, requires = "cells", value_parser = clap::value_parser!(u16).range(1..))]
+    replicas: u16,
 
     /// How the server is connected [default: --listen tcp/127.0.0.1:7447].
     #[command(flatten)]
@@ -138,8 +151,15 @@ async fn serve() -> anyhow::Result<()> {
         None => arguments.name.clone(),
     };
     let cache = arguments.cache.clone().unwrap_or_else(default_cache);
-    let open = |map: &MapArgument| MapSource::open(map, &cache);
-    let sources = arguments.maps.iter().map(open).collect::<anyhow::Result<Vec<_>>>()?;
+    let (by_cells, whole): (Vec<_>, Vec<_>) =
+        arguments.maps.iter().partition(|map| arguments.cells.is_some() && map.is_released());
+    if arguments.cells.is_some() && by_cells.is_empty() {
+        bail!(
+            "--cells is for maps from releases (--map NAME=URL), and there is none: publish it with driftless publish-map"
+        );
+    }
+    let open = |map: &&MapArgument| MapSource::open(map, &cache);
+    let sources = whole.iter().map(open).collect::<anyhow::Result<Vec<_>>>()?;
     let mut maps = Vec::with_capacity(sources.len());
     for source in &sources {
         maps.push(source.load().await?);
@@ -158,6 +178,17 @@ async fn serve() -> anyhow::Result<()> {
         options.workers = usize::from(workers);
     }
     let server = MapServer::start(session.clone(), maps, options).await?;
+    let mut services = Vec::new();
+    for MapArgument { name, place } in by_cells {
+        let served = async {
+            let mut options = CellServiceOptions::new(cache.join(name));
+            options.choice = arguments.cells.clone().unwrap_or(CellChoice::Auto);
+            options.replicas = usize::from(arguments.replicas);
+            options.watch = Duration::from_secs(arguments.watch_releases);
+            anyhow::Ok(CellService::start(&server, name, ReleaseStore::open(place)?, options).await?)
+        };
+        services.push(served.await.with_context(|| format!("map {name} cannot be served"))?);
+    }
     let monitoring = match arguments.monitoring {
         Some(address) => Some(start_monitoring(address, &server).await?),
         None => None,
@@ -211,6 +242,9 @@ async fn serve() -> anyhow::Result<()> {
     }
     if let Some(monitoring) = monitoring {
         monitoring.stop().await;
+    }
+    for service in services {
+        service.stop().await;
     }
     server.stop().await?;
     close_session(&session).await;

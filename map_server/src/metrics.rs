@@ -11,8 +11,6 @@ use prometheus_client::metrics::histogram::{Histogram, exponential_buckets};
 use prometheus_client::registry::{Registry, Unit};
 
 use crate::durations::{DurationCounter, DurationCounts};
-use crate::handlers::Kind;
-use recognition::LoadedMap;
 
 /// Label of what one map has.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
@@ -113,7 +111,7 @@ impl ServerMetrics {
     }
 
     /// A query that waited was answered, or failed.
-    pub(crate) fn note_done(&self, map: &str, kind: Kind, duration: Duration, is_answered: bool) {
+    pub(crate) fn note_done(&self, map: &str, kind: &'static str, duration: Duration, is_answered: bool) {
         self.waiting.dec();
         if is_answered {
             self.answered.inc()
@@ -123,7 +121,7 @@ impl ServerMetrics {
         let micros = u64::try_from(duration.as_micros()).unwrap_or(u64::MAX);
         self.answer_us.fetch_add(micros, Ordering::Relaxed);
         self.counts.observe(duration);
-        let labels = QueryLabels { map: map.to_owned(), kind: kind.name() };
+        let labels = QueryLabels { map: map.to_owned(), kind };
         self.durations.get_or_create(&labels).observe(duration.as_secs_f64());
     }
 
@@ -133,10 +131,10 @@ impl ServerMetrics {
     }
 
     /// A map is served from now on.
-    pub(crate) fn note_map(&self, name: &str, map: &LoadedMap) {
+    pub(crate) fn note_map(&self, name: &str, keyframes: usize, version: u64) {
         let label = MapLabel { map: name.to_owned() };
-        self.keyframes.get_or_create(&label).set(map.keyframe_count() as i64);
-        self.versions.get_or_create(&label).set(map.info().version);
+        self.keyframes.get_or_create(&label).set(keyframes as i64);
+        self.versions.get_or_create(&label).set(version);
     }
 
     pub(crate) fn statistics(&self) -> ServerStatistics {

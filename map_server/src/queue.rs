@@ -19,6 +19,7 @@ use tokio::sync::Notify;
 use tokio::task::JoinHandle;
 use zenoh::query::Query;
 
+use crate::cells::routing::RoutedMap;
 use crate::fair_queue::FairQueue;
 use crate::handlers::{self, Asked, Kind, Progress};
 use crate::metrics::ServerMetrics;
@@ -30,7 +31,7 @@ use recognition::{LoadedMap, RecognitionOptions};
 pub(crate) struct Job {
     pub(crate) query: Query,
     pub(crate) kind: Kind,
-    pub(crate) map: Arc<MapSlot>,
+    pub(crate) target: Target,
     pub(crate) received: Instant,
     /// What a query for all keyframes got in its former turns: so many of the keyframes of a version.
     pub(crate) begun: Option<(Arc<LoadedMap>, usize)>,
@@ -38,8 +39,35 @@ pub(crate) struct Job {
 
 impl Job {
     /// A query that was just received.
-    pub(crate) fn new(query: Query, kind: Kind, map: Arc<MapSlot>) -> Self {
-        Self { query, kind, map, received: Instant::now(), begun: None }
+    pub(crate) fn new(query: Query, kind: Kind, target: Target) -> Self {
+        Self { query, kind, target, received: Instant::now(), begun: None }
+    }
+}
+
+/// Who answers a query.
+#[derive(Clone)]
+pub(crate) enum Target {
+    /// A map in memory, or a cell of one.
+    Map(Arc<MapSlot>),
+    /// Cells, here and elsewhere.
+    Routed(Arc<RoutedMap>),
+}
+
+impl Target {
+    /// Name of the map.
+    pub(crate) fn name(&self) -> &str {
+        match self {
+            Target::Map(slot) => &slot.name,
+            Target::Routed(routed) => &routed.name,
+        }
+    }
+
+    /// The kind of a query in metrics: those of cells are counted beside those that they are asked for.
+    fn metric(&self, kind: Kind) -> &'static str {
+        match self {
+            Target::Map(slot) if slot.cell.is_some() => kind.name_at_cell(),
+            _ => kind.name(),
+        }
     }
 }
 
@@ -86,12 +114,12 @@ impl Queue {
             self.lock().put(&client, bytes, job)
         };
         self.changed.notify_one();
-        for Job { query, kind, map, received, .. } in refused {
+        for Job { query, kind, target, received, .. } in refused {
             self.metrics.note_refused();
             let message = "the map server has too many queries, ask again later";
             let error = ErrorReply::new(ErrorCode::Busy, message);
             handlers::fail(&query, &error);
-            self.reports.note(&query, kind, &map.name, received, || Err(error));
+            self.reports.note(&query, kind, target.name(), received, || Err(error));
         }
     }
 
@@ -137,34 +165,80 @@ pub(crate) fn start_workers(
 }
 
 async fn work(queue: Arc<Queue>, options: Arc<RecognitionOptions>) {
-    while let Some(Job { query, kind, map, received, begun }) = queue.take().await {
-        let (loaded, sent) = begun.unwrap_or_else(|| (map.current(), 0));
-        let asked = Asked { query: query.clone(), kind, name: map.name.clone(), received, sent };
-        let (version, options, reports) = (Arc::clone(&loaded), Arc::clone(&options), queue.reports.clone());
-        let job = move || handlers::answer(&asked, &version, &options, &reports);
-        let answered = catch_panic(job).await;
-        let duration = received.elapsed();
-        let note_done = |is_answered| queue.metrics.note_done(&map.name, kind, duration, is_answered);
-        let failure = match answered {
-            Ok(Ok(Progress::Done)) => {
-                note_done(true);
-                continue;
+    while let Some(job) = queue.take().await {
+        match &job.target {
+            Target::Map(slot) => {
+                let slot = Arc::clone(slot);
+                answer_with_map(&queue, job, &slot, &options).await;
             }
-            Ok(Ok(Progress::Keyframes { sent, bytes })) => {
-                queue.enqueue(Job { query, kind, map, received, begun: Some((loaded, sent)) }, bytes);
-                continue;
+            Target::Routed(routed) => {
+                let routed = Arc::clone(routed);
+                route(&queue, job, routed).await;
             }
-            Ok(Err(failure)) => failure,
-            Err(panic) => {
-                queue.metrics.note_panic();
-                tracing::error!(key = query.key_expr().as_str(), "answering a query panicked: {panic}");
-                ErrorReply::new(ErrorCode::Internal, "the map server failed on this query; its log says more")
-            }
-        };
-        handlers::fail(&query, &failure);
-        note_done(false);
-        tracing::debug!(key = query.key_expr().as_str(), "answered with an error: {failure}");
-        queue.reports.note(&query, kind, &map.name, received, || Err(failure));
+        }
+    }
+}
+
+async fn answer_with_map(queue: &Arc<Queue>, job: Job, slot: &MapSlot, options: &Arc<RecognitionOptions>) {
+    let Job { query, kind, target, received, begun } = job;
+    let (loaded, sent) = begun.unwrap_or_else(|| (slot.current(), 0));
+    let (name, cell) = (slot.name.clone(), slot.cell);
+    let asked = Asked { query: query.clone(), kind, name, cell, received, sent };
+    let (version, options, reports) = (Arc::clone(&loaded), Arc::clone(options), queue.reports.clone());
+    let answered = catch_panic(move || handlers::answer(&asked, &version, &options, &reports)).await;
+    match answered {
+        Ok(Ok(Progress::Keyframes { sent, bytes })) => {
+            queue.enqueue(Job { query, kind, target, received, begun: Some((loaded, sent)) }, bytes);
+        }
+        Ok(Ok(Progress::Done)) => queue.note_end(&query, kind, &target, received, Ok(())),
+        Ok(Err(failure)) => queue.note_end(&query, kind, &target, received, Err(failure)),
+        Err(panic) => queue.note_end(&query, kind, &target, received, Err(queue.panicked(&query, &panic))),
+    }
+}
+
+/// Plans with a worker, and asks cells without one.
+async fn route(queue: &Arc<Queue>, job: Job, routed: Arc<RoutedMap>) {
+    let Job { query, kind, target, received, .. } = job;
+    let (planning, asked) = (Arc::clone(&routed), query.clone());
+    let planned = catch_panic(move || planning.plan(&asked, kind, received)).await;
+    let plan = match planned {
+        Ok(Ok(plan)) => plan,
+        Ok(Err(failure)) => return queue.note_end(&query, kind, &target, received, Err(failure)),
+        Err(panic) => {
+            let failure = queue.panicked(&query, &panic);
+            return queue.note_end(&query, kind, &target, received, Err(failure));
+        }
+    };
+    let queue = Arc::clone(queue);
+    tokio::spawn(async move {
+        let answered = routed.answer(plan).await;
+        queue.note_end(&query, kind, &target, received, answered);
+    });
+}
+
+impl Queue {
+    /// Sends the error of a query that failed, and counts the query.
+    fn note_end(
+        &self,
+        query: &Query,
+        kind: Kind,
+        target: &Target,
+        received: Instant,
+        answered: Result<(), ErrorReply>,
+    ) {
+        let is_answered = answered.is_ok();
+        if let Err(failure) = answered {
+            handlers::fail(query, &failure);
+            tracing::debug!(key = query.key_expr().as_str(), "answered with an error: {failure}");
+            self.reports.note(query, kind, target.name(), received, || Err(failure));
+        }
+        self.metrics.note_done(target.name(), target.metric(kind), received.elapsed(), is_answered);
+    }
+
+    fn panicked(&self, query: &Query, panic: &Panicked) -> ErrorReply {
+        self.metrics.note_panic();
+        tracing::error!(key = query.key_expr().as_str(), "answering a query panicked: {panic}");
+        ErrorReply::new(ErrorCode::Internal, "the map server failed on this query; its log says more")
     }
 }
 

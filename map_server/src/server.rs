@@ -1,26 +1,25 @@
 //! Starting a server, replacing a map, stopping.
 
-use std::collections::BTreeMap;
-use std::sync::Arc;
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::{Arc, PoisonError, RwLock};
 use std::time::Duration;
 
 use prometheus_client::registry::Registry;
-use protocol::{Format, StatedChange, Validate as _, keys};
-use recognition::LoadedMap;
+use protocol::{StatedChange, Validate as _, keys};
+use recognition::{LoadedMap, RecognitionOptions};
 use tokio::sync::broadcast::Receiver;
 use tokio::task::JoinHandle;
 use zenoh::Session;
-use zenoh::bytes::Encoding;
 use zenoh::liveliness::LivelinessToken;
-use zenoh::qos::CongestionControl;
 use zenoh::query::{Query, Queryable};
 
+use crate::cells::cell_map::Host;
 use crate::change;
 use crate::error::ServeError;
 use crate::handlers::{self, Kind};
 use crate::metrics::{ServerMetrics, ServerStatistics};
 use crate::options::ServerOptions;
-use crate::queue::{self, Job, Queue};
+use crate::queue::{self, Job, Queue, Target};
 use crate::reports::{QueryReport, ReportSender};
 use crate::served_map::{MapSlot, ServedMap};
 
@@ -37,7 +36,7 @@ const STOP_TIMEOUT: Duration = Duration::from_secs(5);
 /// use map::{MapContents, MapMetadata};
 /// use map_server::{MapServer, ServedMap, ServerOptions};
 /// use protocol::DescriptorKind;
-/// use recognition::LoadedMap;
+/// use recognition::{LoadedMap, RecognitionOptions};
 /// use std::sync::Arc;
 /// use std::time::{Duration, Instant};
 ///
@@ -60,13 +59,18 @@ const STOP_TIMEOUT: Duration = Duration::from_secs(5);
 /// ```
 pub struct MapServer {
     session: Session,
+    /// Its name among others.
+    server: String,
     maps: Arc<BTreeMap<String, Arc<MapSlot>>>,
+    /// Of all maps, those that are served by cells among them.
+    names: Arc<RwLock<BTreeSet<String>>>,
     token: LivelinessToken,
     queryables: Vec<Queryable<()>>,
     queue: Arc<Queue>,
     metrics: Arc<ServerMetrics>,
     reports: ReportSender,
     workers: Vec<JoinHandle<()>>,
+    options: RecognitionOptions,
 }
 
 impl MapServer {
@@ -95,31 +99,69 @@ impl MapServer {
 
         let metrics = Arc::new(ServerMetrics::default());
         for map in maps.values() {
-            metrics.note_map(&map.name, &map.current());
+            let loaded = map.current();
+            metrics.note_map(&map.name, loaded.keyframe_count(), loaded.info().version);
         }
         let reports = ReportSender::new();
         let (length, bytes) = (options.queue_length, options.queue_bytes);
         let queue = Queue::new(length, bytes, Arc::clone(&metrics), reports.clone());
         let workers = queue::start_workers(&queue, options.workers, &options.recognition);
+        let names = Arc::new(RwLock::new(maps.keys().cloned().collect()));
         let mut queryables = Vec::new();
         for map in maps.values() {
             for kind in Kind::ALL {
                 let key = kind.key(&map.name)?;
                 let (queue, map) = (Arc::clone(&queue), Arc::clone(map));
                 let callback = move |query: Query| {
-                    queue.put(Job::new(query, kind, Arc::clone(&map)));
+                    queue.put(Job::new(query, kind, Target::Map(Arc::clone(&map))));
                 };
                 queryables.push(session.declare_queryable(key).callback(callback).complete(true).await?);
             }
         }
         for kind in Kind::ALL {
-            let known = Arc::clone(&maps);
-            let callback = move |query: Query| handlers::refuse_unknown_map(&query, &known);
+            let known = Arc::clone(&names);
+            let callback = move |query: Query| {
+                handlers::refuse_unknown_map(&query, &known.read().unwrap_or_else(PoisonError::into_inner));
+            };
             queryables.push(session.declare_queryable(kind.key_of_any_map()).callback(callback).await?);
         }
         let token = session.liveliness().declare_token(token_key).await?;
         tracing::info!(server, maps = ?maps.keys().collect::<Vec<_>>(), "serving");
-        Ok(MapServer { session, maps, token, queryables, queue, metrics, reports, workers })
+        let options = options.recognition;
+        Ok(MapServer {
+            session,
+            server,
+            maps,
+            names,
+            token,
+            queryables,
+            queue,
+            metrics,
+            reports,
+            workers,
+            options,
+        })
+    }
+
+    /// What a map that is served by cells shares with this server.
+    pub(crate) fn host(&self) -> Host {
+        Host {
+            session: self.session.clone(),
+            server: self.server.clone(),
+            queue: Arc::clone(&self.queue),
+            metrics: Arc::clone(&self.metrics),
+            options: self.options.clone(),
+        }
+    }
+
+    /// Takes a name for a map that is served by cells.
+    pub(crate) fn reserve(&self, name: &str) -> Result<(), ServeError> {
+        let mut names = self.names.write().unwrap_or_else(PoisonError::into_inner);
+        if names.insert(name.to_owned()) {
+            Ok(())
+        } else {
+            Err(ServeError::DuplicateMap { name: name.to_owned() })
+        }
     }
 
     /// The map that is being served under a name; `None` for one that this server does not have.
@@ -173,7 +215,7 @@ impl MapServer {
             return Err(ServeError::OldVersion { name: name.to_owned(), served: serving, given: version });
         }
         let previous = served.replace(Arc::clone(&map));
-        self.metrics.note_map(name, &map);
+        self.metrics.note_map(name, map.keyframe_count(), map.info().version);
         let mut change = change::between(name, &previous, &map);
         change.stated_change = stated_change.or(change.stated_change).filter(|size| size.validate().is_ok());
         tracing::info!(
@@ -188,13 +230,7 @@ impl MapServer {
             motion = change::describe(change.stated_change.as_ref()),
             "replaced a map"
         );
-        let payload = protocol::encode(Format::Bincode, &change)?;
-        let publication = self.session.put(keys::map_changes(name)?, payload);
-        publication
-            .encoding(Encoding::from(Format::Bincode.encoding()))
-            .congestion_control(CongestionControl::Block)
-            .await?;
-        Ok(())
+        change::publish(&self.session, change).await
     }
 
     /// Stops serving: undeclares everything, then answers the queries already received, for at most 5 s.

@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use axum::Router;
 use nalgebra::Vector3;
+use protocol::MatchOutcome;
 use recognition::{Candidate, KeyframeVerdict, LoadedMap};
 use tokio::sync::broadcast::Receiver;
 use tokio::sync::broadcast::error::RecvError;
@@ -113,6 +114,9 @@ fn viewed_answer(answered: &AnsweredQuery) -> ViewedAnswer {
     // JSON knows no infinity.
     let finite =
         |position: Vector3<f64>| position.iter().all(|value| value.is_finite()).then(|| position.into());
+    // Of several places that look alike none is where the camera is.
+    let is_matched = answered.outcome == MatchOutcome::Matched;
+    let camera_in_global = answered.search.camera_in_global().filter(|_| is_matched);
     ViewedAnswer {
         outcome: answered.outcome,
         map_version: answered.map_version,
@@ -120,7 +124,7 @@ fn viewed_answer(answered: &AnsweredQuery) -> ViewedAnswer {
         features: answered.features,
         keyframes: answered.keyframes.clone(),
         prior_in_global: answered.prior_in_global.and_then(finite),
-        camera_in_global: answered.search.camera_in_global.and_then(finite),
+        camera_in_global: camera_in_global.and_then(finite),
         candidates: answered.search.candidates.iter().map(viewed_candidate).collect(),
     }
 }

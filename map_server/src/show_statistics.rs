@@ -47,7 +47,7 @@ mod tests {
         let metrics = ServerMetrics::default();
         let note = |ms, is_answered| {
             metrics.note_received();
-            metrics.note_done("hall", Kind::Match, Duration::from_millis(ms), is_answered);
+            metrics.note_done("hall", Kind::Match.name(), Duration::from_millis(ms), is_answered);
         };
         note(4000, true);
         let earlier = metrics.statistics();

@@ -182,7 +182,7 @@ async fn whoever_shows_queries_is_told_what_matched_for_whom_and_why_not() {
         best.in_answer && best.inliers > 8 && best.votes >= 4 && best.inliers <= best.matches,
         "{best:?}"
     );
-    assert!(answered.search.camera_in_global.is_some());
+    assert!(answered.search.camera_in_global().is_some());
 
     // Where each feature is where another was, no pose explains the matches.
     let mut shuffled = request.clone();

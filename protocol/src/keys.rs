@@ -3,10 +3,11 @@
 //! | key | kind |
 //! |---|---|
 //! | [`map_match`], [`map_localize`], [`map_info`], [`map_keyframe`] | queryable |
+//! | [`cell_match`], [`cell_localize`], [`cell_keyframe`] | queryable, for servers of other cells of the map |
 //! | [`map_changes`] | publisher |
 //! | [`robot_pose`], [`robot_odometry`], [`robot_odometry_predicted`], [`robot_status`] | publisher |
 //! | [`robot_imu`], [`robot_camera`], [`robot_tracks`] | subscriber |
-//! | [`robot`], [`map_server`] | liveliness |
+//! | [`robot`], [`map_server`], [`map_member`], [`cell_holder`], [`version_holder`] | liveliness |
 //!
 //! ```
 //! assert_eq!(protocol::keys::map_match("cellar")?, "map/cellar/match");
@@ -112,6 +113,62 @@ pub fn map_keyframe(map: &str, id: KeyframeId) -> Result<String, NameError> {
 /// [`NameError`] if the name cannot be part of a key.
 pub fn map_keyframes(map: &str) -> Result<String, NameError> {
     key("map", map, "/keyframes/*")
+}
+
+/// `map/{map}/cell/{cell}/match`: [`crate::MatchRequest`] in, [`crate::CellMatchReply`] out.
+///
+/// # Errors
+/// [`NameError`] if the name cannot be part of a key.
+pub fn cell_match(map: &str, cell: u32) -> Result<String, NameError> {
+    key("map", map, &format!("/cell/{cell}/match"))
+}
+
+/// `map/{map}/cell/{cell}/localize`: [`crate::LocalizeRequest`] in, [`crate::CellLocalizeReply`] out.
+///
+/// # Errors
+/// [`NameError`] if the name cannot be part of a key.
+pub fn cell_localize(map: &str, cell: u32) -> Result<String, NameError> {
+    key("map", map, &format!("/cell/{cell}/localize"))
+}
+
+/// `map/{map}/cell/{cell}/keyframes/{id}`: nothing in, [`crate::KeyframeReply`] out; without an id the cell's queryable.
+///
+/// # Errors
+/// [`NameError`] if the name cannot be part of a key.
+pub fn cell_keyframe(map: &str, cell: u32, id: Option<KeyframeId>) -> Result<String, NameError> {
+    let last = id.map_or_else(|| "*".to_owned(), |id| id.to_string());
+    key("map", map, &format!("/cell/{cell}/keyframes/{last}"))
+}
+
+/// `map/{map}/server/{server}`: liveliness of a server that serves some cells of a map; `*` for all servers.
+///
+/// # Errors
+/// [`NameError`] if a name cannot be part of a key.
+pub fn map_member(map: &str, server: Option<&str>) -> Result<String, NameError> {
+    key("map", map, &format!("/server/{}", name_or_all(server)?))
+}
+
+/// `map/{map}/cell/{cell}/server/{server}`: liveliness of a cell at a server; `*` for all.
+///
+/// # Errors
+/// [`NameError`] if a name cannot be part of a key.
+pub fn cell_holder(map: &str, cell: Option<u32>, server: Option<&str>) -> Result<String, NameError> {
+    let cell = cell.map_or_else(|| "*".to_owned(), |cell| cell.to_string());
+    key("map", map, &format!("/cell/{cell}/server/{}", name_or_all(server)?))
+}
+
+/// `map/{map}/version/{version}/server/{server}`: liveliness of a version that a server has loaded; `*` for all servers.
+///
+/// # Errors
+/// [`NameError`] if a name cannot be part of a key.
+pub fn version_holder(map: &str, version: u64, server: Option<&str>) -> Result<String, NameError> {
+    key("map", map, &format!("/version/{version}/server/{}", name_or_all(server)?))
+}
+
+fn name_or_all(name: Option<&str>) -> Result<&str, NameError> {
+    let Some(name) = name else { return Ok("*") };
+    validate_name(name)?;
+    Ok(name)
 }
 
 /// The id at the end of a key of [`map_keyframe`]; `None` for anything else.

@@ -9,6 +9,7 @@
 //! | [`matching`] | a robot asks which keyframes its image matches, one keyframe per reply |
 //! | [`localize`] | an image in, its global pose out, for clients without an estimator |
 //! | [`map`] | reading a map remotely, and notices of its changes |
+//! | [`cells`] | what servers of a map's cells answer to each other |
 //! | [`robot`] | what a robot publishes |
 //! | [`sensors`] | what drivers send to a robot |
 //! | [`features`] | pixels and descriptors of one image |
@@ -55,6 +56,7 @@
 #[doc = include_str!("../README.md")]
 struct Readme;
 
+pub mod cells;
 pub mod codec;
 pub mod error_reply;
 pub mod features;
@@ -70,6 +72,7 @@ pub mod sensors;
 pub mod validate;
 mod wire;
 
+pub use cells::{CellLocalizeReply, CellMatchReply, CellPlace};
 pub use codec::{CodecError, Format, Message, decode, encode};
 pub use error_reply::{ErrorCode, ErrorReply};
 pub use features::{DescriptorFormat, DescriptorKind, Descriptors, FeatureSet};

@@ -1,6 +1,7 @@
 //! The messages: tag in the bincode envelope and name in JSON. The tag and name of `MatchReply` (2) are with its own JSON
 //! form, in `matching`.
 
+use crate::cells::{CellLocalizeReply, CellMatchReply};
 use crate::codec::Message;
 use crate::error_reply::ErrorReply;
 use crate::localize::{LocalizeReply, LocalizeRequest};
@@ -28,4 +29,6 @@ messages! {
     9 "robot_odometry" RobotOdometry;
     10 "robot_status" RobotStatus;
     11 "error_reply" ErrorReply;
+    12 "cell_match_reply" CellMatchReply;
+    13 "cell_localize_reply" CellLocalizeReply;
 }

@@ -44,6 +44,8 @@ fn every_example_is_a_valid_message() {
             RobotPose::NAME => assert_round_trip::<RobotPose>(&text),
             RobotOdometry::NAME => assert_round_trip::<RobotOdometry>(&text),
             RobotStatus::NAME => assert_round_trip::<RobotStatus>(&text),
+            CellMatchReply::NAME => assert_round_trip::<CellMatchReply>(&text),
+            CellLocalizeReply::NAME => assert_round_trip::<CellLocalizeReply>(&text),
             ErrorReply::NAME => assert_round_trip::<ErrorReply>(&text),
             other => panic!("{name} has the unknown type {other}"),
         }

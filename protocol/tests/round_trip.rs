@@ -37,6 +37,8 @@ round_trips! {
     robot_odometry: robot_odometries,
     robot_status: robot_statuses,
     error_reply: error_replies,
+    cell_match_reply: cell_match_replies,
+    cell_localize_reply: cell_localize_replies,
 }
 
 #[test]
@@ -53,6 +55,8 @@ fn every_message_has_its_own_tag_and_name() {
         (RobotOdometry::TAG, RobotOdometry::NAME),
         (RobotStatus::TAG, RobotStatus::NAME),
         (ErrorReply::TAG, ErrorReply::NAME),
+        (CellMatchReply::TAG, CellMatchReply::NAME),
+        (CellLocalizeReply::TAG, CellLocalizeReply::NAME),
     ];
     let tags: std::collections::HashSet<_> = all.iter().map(|(tag, _)| tag).collect();
     let names: std::collections::HashSet<_> = all.iter().map(|(_, name)| name).collect();

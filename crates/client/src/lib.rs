@@ -5,6 +5,7 @@
 //! | [`session`] | opening and closing a Zenoh session |
 //! | `arguments` | the switches of a session (feature `arguments`) |
 //! | [`map_client`] | [`MapClient`]: asynchronous queries to one map |
+//! | [`cell_client`] | [`CellClient`]: queries of a server to the cells of a map |
 //! | [`query_tasks`] | [`QueryTasks`]: match queries in the background, for a thread that must not block |
 //! | [`map_change_subscriber`] | [`MapChangeSubscriber`]: notices of changes of a map |
 //! | [`error`] | [`ClientError`] |
@@ -49,6 +50,7 @@
 
 #[cfg(feature = "arguments")]
 pub mod arguments;
+pub mod cell_client;
 pub mod error;
 #[cfg(feature = "arguments")]
 mod log;
@@ -60,6 +62,7 @@ pub mod session;
 
 #[cfg(feature = "arguments")]
 pub use arguments::SessionArguments;
+pub use cell_client::{CellClient, CellPlacement, ForwardedQuery};
 pub use error::ClientError;
 #[cfg(feature = "arguments")]
 pub use log::without_secrets;

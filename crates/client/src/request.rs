@@ -8,6 +8,7 @@ use zenoh::Wait as _;
 use zenoh::bytes::{Encoding, ZBytes};
 use zenoh::qos::CongestionControl;
 use zenoh::query::{ConsolidationMode, QueryTarget};
+use zenoh::sample::Locality;
 
 /// First pause before a request is sent again; doubled each time.
 const FIRST_PAUSE: Duration = Duration::from_millis(20);
@@ -80,20 +81,35 @@ pub(crate) struct Traffic {
 pub(crate) struct Request {
     session: zenoh::Session,
     key: String,
+    /// Whom the server counts it for.
+    client: String,
+    destination: Locality,
     /// None for keys that take no payload.
-    payload: Option<ZBytes>,
+    payload: Option<(ZBytes, Encoding)>,
     deadline: Instant,
 }
 
 impl Request {
     pub(crate) fn new(session: &zenoh::Session, key: String, deadline: Instant) -> Self {
-        Self { session: session.clone(), key, payload: None, deadline }
+        let client = session.zid().to_string();
+        Self { session: session.clone(), key, client, destination: Locality::Any, payload: None, deadline }
     }
 
-    pub(crate) fn with_payload<Q: Message>(mut self, message: &Q) -> Result<Self, ClientError> {
+    /// In the name of another client, within this session or outside of it.
+    pub(crate) fn for_client(mut self, client: &str, destination: Locality) -> Self {
+        client.clone_into(&mut self.client);
+        self.destination = destination;
+        self
+    }
+
+    pub(crate) fn with_encoded(mut self, payload: ZBytes, encoding: Encoding) -> Self {
+        self.payload = Some((payload, encoding));
+        self
+    }
+
+    pub(crate) fn with_payload<Q: Message>(self, message: &Q) -> Result<Self, ClientError> {
         let payload = protocol::encode(Format::Bincode, message).map_err(ClientError::Encode)?;
-        self.payload = Some(payload.into());
-        Ok(self)
+        Ok(self.with_encoded(payload.into(), Encoding::from(Format::Bincode.encoding())))
     }
 
     /// Sends the request until its answer is complete, as `retry` says, or until the deadline.
@@ -104,7 +120,7 @@ impl Request {
     ) -> Result<C::Answer, ClientError> {
         let mut pause = FIRST_PAUSE;
         loop {
-            traffic.sent += self.payload.as_ref().map_or(0, ZBytes::len);
+            traffic.sent += self.payload.as_ref().map_or(0, |(payload, _)| payload.len());
             let error = match self.attempt::<C>(traffic).await {
                 Ok(answer) => return Ok(answer),
                 Err(error) => error,
@@ -124,9 +140,11 @@ impl Request {
         // than an answer has.
         let (sender, mut replies) = mpsc::channel(MAX_REPLIES + 1);
         let deliver = move |reply| drop(sender.try_send(reply));
+        let (client, destination) = (self.client.clone(), self.destination);
         let send = move || {
             let query = session
-                .get(format!("{key}?{}={}", keys::CLIENT_PARAMETER, session.zid()))
+                .get(format!("{key}?{}={client};format=bincode", keys::CLIENT_PARAMETER))
+                .allowed_destination(destination)
                 .target(QueryTarget::BestMatching)
                 // Replies are sent with the congestion control of the query: blocking, so that none is dropped.
                 .congestion_control(CongestionControl::Block)
@@ -134,7 +152,7 @@ impl Request {
                 .timeout(timeout)
                 .callback(deliver);
             match payload {
-                Some(payload) => query.payload(payload).encoding(Format::Bincode.encoding()).wait(),
+                Some((payload, encoding)) => query.payload(payload).encoding(encoding).wait(),
                 None => query.wait(),
             }
         };

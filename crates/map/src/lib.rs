@@ -10,12 +10,14 @@
 //! | [`contents`] | a whole map in memory and its invariants |
 //! | [`store`] | maps in databases: the [`MapStore`] trait, and its implementation on sled |
 //! | [`edit`] | taking keyframes and landmarks out |
+//! | [`difference`] | what counts as a change between two versions |
 //! | [`colmap`] | COLMAP models, written and read |
 //! | [`text`] | import from and export to plain text |
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 pub mod colmap;
 pub mod contents;
+pub mod difference;
 pub mod edit;
 pub mod model;
 pub mod store;

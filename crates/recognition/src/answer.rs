@@ -42,7 +42,8 @@ pub(crate) fn matched_keyframes(
     let mut sent: Vec<usize> = verified.iter().map(|verified| verified.keyframe).collect();
     sent.extend(covisible(map, verified, options.min_covisible).take(count - sent.len()));
 
-    let held: HashSet<KeyframeId> = held.iter().copied().filter(|&id| map.index_of(id).is_some()).collect();
+    // Those that the map does not have may still be correlated with some of it, where it is a part of a map.
+    let held: HashSet<KeyframeId> = held.iter().copied().collect();
     let mut taken = TakenMatches::default();
     let replies = sent.iter().enumerate().map(|(rank, &keyframe)| {
         let matches =
@@ -72,7 +73,7 @@ fn covisible(
             verified.inliers.iter().map(move |inlier| observed.landmark(inlier.train))
         })
         .collect();
-    let observers = landmarks.iter().flat_map(|&landmark| map.landmarks.observers(landmark));
+    let observers = landmarks.iter().flat_map(|&landmark| map.landmarks.observers.of(landmark));
     let own: HashSet<usize> = verified.iter().map(|verified| verified.keyframe).collect();
     let counts = count_occurrences(
         observers.map(|&keyframe| keyframe as usize).filter(|keyframe| !own.contains(keyframe)),
@@ -110,7 +111,7 @@ fn landmark_matches(
         } else {
             (verified.keyframe, map.observed_point(verified.keyframe, inlier.train))
         };
-        let observers = map.landmarks.observers(landmark).iter().map(|&keyframe| keyframe as usize);
+        let observers = map.landmarks.observers.of(landmark).iter().map(|&keyframe| keyframe as usize);
         let listed = observers.filter(|keyframe| sent.contains(keyframe) || held.contains(&id_of(*keyframe)));
         let observations = listed.filter_map(|keyframe| {
             let pixel = map.observations.of(keyframe).pixel_of(landmark)?;

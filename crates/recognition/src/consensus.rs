@@ -8,6 +8,7 @@ use geometry::PoseWithCovariance;
 use nalgebra::{Matrix6, Vector6};
 
 use super::options::RecognitionOptions;
+use super::report::RecognizedPlace;
 use super::verification::{VerifiedKeyframe, distinct_features};
 
 /// 99.9 % of consistent poses have a smaller squared distance (chi-square, 6 degrees of freedom).
@@ -17,8 +18,8 @@ const CHI_SQUARE_6_999: f64 = 22.458;
 pub(crate) enum Consensus {
     /// There are no verified keyframes.
     Nothing,
-    /// Two different places explain the image nearly equally well.
-    Ambiguous,
+    /// Two different places explain the image nearly equally well. The stronger one.
+    Ambiguous(RecognizedPlace),
     /// They agree: the verified keyframes of the place, most inliers first.
     Place(Vec<VerifiedKeyframe>),
 }
@@ -48,7 +49,8 @@ pub(crate) fn find_consensus(mut verified: Vec<VerifiedKeyframe>, options: &Reco
     let rest: Vec<usize> = all.into_iter().filter(|at| !winner.contains(at)).collect();
     let (rival_support, _) = best_place(&rest);
     if rival_support as f64 >= options.ambiguity_ratio * winner_support as f64 {
-        return Consensus::Ambiguous;
+        let global_from_camera = verified[winner[0]].global_from_camera;
+        return Consensus::Ambiguous(RecognizedPlace { global_from_camera, features: winner_support });
     }
     let mut at = 0;
     verified.retain(|_| {

@@ -19,9 +19,39 @@ pub(crate) struct Landmarks {
     /// Index of the keyframe in whose camera frame the position is given.
     pub(crate) anchors: Vec<u32>,
     pub(crate) positions_in_anchor: Vec<Vector3<f64>>,
-    /// Indices of the keyframes that observe landmark `at`, ascending: `observers[starts[at]..starts[at + 1]]`.
-    observers: Vec<u32>,
+    pub(crate) observers: Observers,
+}
+
+/// Which keyframes observe each landmark.
+pub(crate) struct Observers {
+    /// Indices of the keyframes that observe landmark `at`, ascending: `keyframes[starts[at]..starts[at + 1]]`.
+    keyframes: Vec<u32>,
     starts: Vec<u32>,
+}
+
+impl Default for Observers {
+    fn default() -> Self {
+        Observers::with_capacity(0, 0)
+    }
+}
+
+impl Observers {
+    pub(crate) fn with_capacity(landmarks: usize, observations: usize) -> Observers {
+        let mut starts = Vec::with_capacity(landmarks + 1);
+        starts.push(0);
+        Observers { keyframes: Vec::with_capacity(observations), starts }
+    }
+
+    /// Adds a landmark that these keyframes observe (indices, ascending).
+    pub(crate) fn push(&mut self, observers: impl Iterator<Item = u32>) {
+        self.keyframes.extend(observers);
+        self.starts.push(self.keyframes.len() as u32);
+    }
+
+    /// Indices of the keyframes that observe a landmark, ascending.
+    pub(crate) fn of(&self, landmark: usize) -> &[u32] {
+        &self.keyframes[self.starts[landmark] as usize..self.starts[landmark + 1] as usize]
+    }
 }
 
 /// The observations of a map by keyframe, of each by landmark.
@@ -51,14 +81,11 @@ pub(crate) struct Observed<'a> {
 
 impl Landmarks {
     pub(crate) fn with_capacity(landmarks: usize, observations: usize) -> Landmarks {
-        let mut starts = Vec::with_capacity(landmarks + 1);
-        starts.push(0);
         Landmarks {
             ids: Vec::with_capacity(landmarks),
             anchors: Vec::with_capacity(landmarks),
             positions_in_anchor: Vec::with_capacity(landmarks),
-            observers: Vec::with_capacity(observations),
-            starts,
+            observers: Observers::with_capacity(landmarks, observations),
         }
     }
 
@@ -70,17 +97,11 @@ impl Landmarks {
         self.ids.push(landmark.id);
         self.anchors.push(anchor);
         self.positions_in_anchor.push(landmark.position_in_anchor);
-        self.observers.extend(observers);
-        self.starts.push(self.observers.len() as u32);
+        self.observers.push(observers);
     }
 
     pub(crate) fn len(&self) -> usize {
         self.ids.len()
-    }
-
-    /// Indices of the keyframes that observe a landmark, ascending.
-    pub(crate) fn observers(&self, landmark: usize) -> &[u32] {
-        &self.observers[self.starts[landmark] as usize..self.starts[landmark + 1] as usize]
     }
 }
 

@@ -13,7 +13,7 @@ use vision::{
 
 use map::model::Observation;
 
-use super::elements::Landmarks;
+use super::elements::Observers;
 
 /// Descriptors of one landmark nearer to each other than this part of the largest distance of a match share a
 /// prototype.
@@ -24,7 +24,7 @@ const PROTOTYPE_DISTANCE: f32 = 0.75;
 const MAX_VOTED: usize = 32;
 
 /// The weight of a feature that is near one landmark only.
-const FULL_VOTE: u64 = 1 << 20;
+pub(crate) const FULL_VOTE: u64 = 1 << 20;
 
 /// The landmarks of a map by their descriptors.
 pub(crate) struct LandmarkIndex {
@@ -121,12 +121,12 @@ impl LandmarkIndex {
     pub(crate) fn vote(
         &self,
         query: DescriptorView<'_>,
-        landmarks: &Landmarks,
+        observers: &Observers,
         keyframe_count: usize,
     ) -> Result<Vec<Votes>, DescriptorError> {
         let mut votes = vec![Votes::default(); keyframe_count];
         self.prototypes.search(query, self.max_distance, |feature, hits| {
-            cast_votes(feature, hits, landmarks, &mut votes);
+            cast_votes(feature, hits, observers, &mut votes);
         })?;
         Ok(votes)
     }
@@ -139,21 +139,21 @@ impl LandmarkIndex {
     pub(crate) fn vote_among(
         &self,
         query: DescriptorView<'_>,
-        landmarks: &Landmarks,
+        observers: &Observers,
         keyframe_count: usize,
         among: &[bool],
     ) -> Result<Vec<Votes>, DescriptorError> {
         let mut votes = vec![Votes::default(); keyframe_count];
         let asked_for = |landmark: u32| among[landmark as usize];
         self.prototypes.search_among(query, self.max_distance, asked_for, |feature, hits| {
-            cast_votes(feature, hits, landmarks, &mut votes);
+            cast_votes(feature, hits, observers, &mut votes);
         })?;
         Ok(votes)
     }
 }
 
 /// Adds the votes of one feature, for what observes the nearest landmarks.
-fn cast_votes(feature: usize, hits: &[Hit], landmarks: &Landmarks, votes: &mut [Votes]) {
+fn cast_votes(feature: usize, hits: &[Hit], observers: &Observers, votes: &mut [Votes]) {
     let mut nearest: Vec<Hit> = hits.to_vec();
     if hits.len() > MAX_VOTED {
         let order = |a: &Hit, b: &Hit| a.distance.total_cmp(&b.distance).then(a.payload.cmp(&b.payload));
@@ -163,7 +163,7 @@ fn cast_votes(feature: usize, hits: &[Hit], landmarks: &Landmarks, votes: &mut [
     let left_out = hits.len() - nearest.len();
     let mut near: Vec<u32> = nearest.iter().map(|hit| hit.payload).collect();
     let weight = FULL_VOTE / (left_out + count_distinct(&mut near)).max(1) as u64;
-    for &keyframe in near.iter().flat_map(|&landmark| landmarks.observers(landmark as usize)) {
+    for &keyframe in near.iter().flat_map(|&landmark| observers.of(landmark as usize)) {
         votes[keyframe as usize].add(feature as u32, weight);
     }
 }
@@ -198,8 +198,6 @@ pub(crate) fn best_voted(
 mod tests {
     use std::collections::BTreeSet;
 
-    use map::model::Landmark;
-    use nalgebra::Vector3;
     use rand::{RngExt, SeedableRng, rngs::StdRng};
 
     use super::*;
@@ -207,10 +205,10 @@ mod tests {
     const KEYFRAMES: usize = 40;
 
     /// Landmarks of few different descriptors, each observed by some keyframes.
-    fn random_index(random: &mut StdRng) -> (LandmarkIndex, Landmarks, Vec<u8>) {
+    fn random_index(random: &mut StdRng) -> (LandmarkIndex, Observers, Vec<u8>) {
         let looks: Vec<u8> = (0..50 * 32).map(|_| random.random()).collect();
         let mut builder = LandmarkIndexBuilder::new(DescriptorKind::Binary, 32, 200);
-        let mut landmarks = Landmarks::with_capacity(200, 1000);
+        let mut all_observers = Observers::with_capacity(200, 1000);
         for number in 0..200 {
             let observers: BTreeSet<u32> = (0..5).map(|_| random.random_range(0..KEYFRAMES as u32)).collect();
             let look = random.random_range(0..50) * 32;
@@ -221,30 +219,27 @@ mod tests {
             });
             let observations: Vec<Observation> = observations.collect();
             builder.add(number, &observations).unwrap();
-            let anchor = observations[0].keyframe;
-            let position_in_anchor = Vector3::z();
-            let landmark = Landmark { id: number as u64, anchor, position_in_anchor, observations };
-            landmarks.push(&landmark, anchor as u32, observers.into_iter());
+            all_observers.push(observers.into_iter());
         }
-        (builder.build().unwrap(), landmarks, looks)
+        (builder.build().unwrap(), all_observers, looks)
     }
 
     #[test]
     fn each_feature_votes_once_for_each_keyframe_that_observes_what_it_is_near() {
         let mut random = StdRng::seed_from_u64(1);
-        let (index, landmarks, looks) = random_index(&mut random);
+        let (index, observers, looks) = random_index(&mut random);
         let query = DescriptorView::new(Metric::Hamming, 32, &looks).unwrap();
         let mut slow = vec![(0, 0); KEYFRAMES];
         let search = index.prototypes.search(query, index.max_distance, |_, hits| {
             let near: BTreeSet<u32> = hits.iter().map(|hit| hit.payload).collect();
-            let observers = near.iter().flat_map(|&landmark| landmarks.observers(landmark as usize));
-            for &keyframe in observers.collect::<BTreeSet<_>>() {
+            let observing = near.iter().flat_map(|&landmark| observers.of(landmark as usize));
+            for &keyframe in observing.collect::<BTreeSet<_>>() {
                 slow[keyframe as usize].0 += FULL_VOTE / near.len() as u64;
                 slow[keyframe as usize].1 += 1;
             }
         });
         search.unwrap();
-        let votes = index.vote(query, &landmarks, KEYFRAMES).unwrap();
+        let votes = index.vote(query, &observers, KEYFRAMES).unwrap();
         let fast: Vec<(u64, u32)> = votes.iter().map(|votes| (votes.weight, votes.features)).collect();
         assert_eq!(fast, slow);
         assert!(fast.iter().any(|votes| votes.1 > 5));
@@ -253,37 +248,34 @@ mod tests {
     #[test]
     fn votes_among_some_landmarks_are_those_without_all_others() {
         let mut random = StdRng::seed_from_u64(3);
-        let (index, landmarks, looks) = random_index(&mut random);
+        let (index, observers, looks) = random_index(&mut random);
         let query = DescriptorView::new(Metric::Hamming, 32, &looks).unwrap();
-        let among: Vec<bool> = (0..landmarks.len()).map(|_| random.random_bool(0.2)).collect();
+        let among: Vec<bool> = (0..200).map(|_| random.random_bool(0.2)).collect();
         let mut slow = vec![Votes::default(); KEYFRAMES];
         let search = index.prototypes.search(query, index.max_distance, |feature, hits| {
             let hits: Vec<Hit> = hits.iter().copied().filter(|hit| among[hit.payload as usize]).collect();
-            cast_votes(feature, &hits, &landmarks, &mut slow);
+            cast_votes(feature, &hits, &observers, &mut slow);
         });
         search.unwrap();
-        assert_eq!(index.vote_among(query, &landmarks, KEYFRAMES, &among).unwrap(), slow);
+        assert_eq!(index.vote_among(query, &observers, KEYFRAMES, &among).unwrap(), slow);
         assert!(slow.iter().any(|votes| votes.features > 0));
-        let all = vec![true; landmarks.len()];
-        let votes = index.vote(query, &landmarks, KEYFRAMES).unwrap();
-        assert_eq!(index.vote_among(query, &landmarks, KEYFRAMES, &all).unwrap(), votes);
+        let all = vec![true; 200];
+        let votes = index.vote(query, &observers, KEYFRAMES).unwrap();
+        assert_eq!(index.vote_among(query, &observers, KEYFRAMES, &all).unwrap(), votes);
     }
 
     #[test]
     fn of_many_near_landmarks_the_nearest_vote_with_the_weight_of_all() {
-        let mut landmarks = Landmarks::with_capacity(KEYFRAMES, KEYFRAMES);
+        let mut observers = Observers::with_capacity(KEYFRAMES, KEYFRAMES);
         for number in 0..KEYFRAMES as u32 {
-            let (id, anchor) = (u64::from(number), u64::from(number));
-            let position_in_anchor = Vector3::z();
-            let landmark = Landmark { id, anchor, position_in_anchor, observations: Vec::new() };
-            landmarks.push(&landmark, number, std::iter::once(number));
+            observers.push(std::iter::once(number));
         }
         // The larger the number, the nearer.
         let distance = |payload: u32| 0.3 - 0.001 * payload as f32;
         let hits = (0..KEYFRAMES as u32).map(|payload| Hit { distance: distance(payload), payload });
         let hits: Vec<Hit> = hits.collect();
         let mut votes = vec![Votes::default(); KEYFRAMES];
-        cast_votes(0, &hits, &landmarks, &mut votes);
+        cast_votes(0, &hits, &observers, &mut votes);
         let first = KEYFRAMES - MAX_VOTED;
         assert!(votes[..first].iter().all(|votes| votes.features == 0));
         let weight = FULL_VOTE / KEYFRAMES as u64;

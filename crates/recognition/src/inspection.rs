@@ -179,7 +179,7 @@ impl LoadedMap {
             Image { camera: &request.camera, features: &request.features, descriptors, gravity_in_camera };
         let votes = match near {
             Some(near) => self.votes_near(descriptors, near)?,
-            None => self.index.vote(descriptors, &self.landmarks, self.keyframes.len())?,
+            None => self.index.vote(descriptors, &self.landmarks.observers, self.keyframes.len())?,
         };
         Ok(Inspector { map: self, image, votes, options })
     }

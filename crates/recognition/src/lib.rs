@@ -9,6 +9,8 @@
 //! | `fusion` | the pose from all verified keyframes | reply to a localization query |
 //! | `places` | keyframes that show an image's place, each for itself | for map building |
 //! | `report` | candidates and why they were refused | for each query, kept by a server |
+//! | `coarse` | votes for the parts of a large map | which of them are searched |
+//! | `parts` | do parts that were searched by themselves agree? | one of them, or none |
 //! | `inspection` | all intermediate results | for diagnosis |
 //!
 //! [`LoadedMap`] holds a map in memory (`loaded_map`, `elements`) and answers the queries (`query`, `search`).
@@ -22,6 +24,7 @@
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 mod answer;
+mod coarse;
 mod consensus;
 mod elements;
 mod fusion;
@@ -29,15 +32,19 @@ mod index;
 mod inspection;
 mod loaded_map;
 mod options;
+mod parts;
 mod places;
 mod query;
 mod report;
 mod search;
 mod verification;
 
+pub use coarse::{CoarseIndex, CoarseIndexBuilder, RankedPart};
 pub use inspection::{InspectedKeyframe, InspectedMatch, Inspection, KeyframeVerdict};
 pub use loaded_map::{LoadError, LoadedMap};
 pub use options::RecognitionOptions;
+pub use parts::{PartResult, choose_part};
 pub use places::VerifiedPlace;
 pub use query::QueryError;
-pub use report::{Candidate, SearchReport};
+pub use report::{Candidate, RecognizedPlace, SearchReport};
+pub use search::prior_radius;

@@ -30,7 +30,7 @@ pub struct LoadedMap {
     pub(crate) keyframes: Vec<Keyframe>,
     pub(crate) landmarks: Landmarks,
     pub(crate) observations: Observations,
-    /// By (a, b), `a < b`.
+    /// By (a, b), `a < b`. Of a part of a map also those with keyframes of other parts.
     cross_covariances: Vec<KeyframeCrossCovariance>,
     pub(crate) index: LandmarkIndex,
     viewing_distance: f64,
@@ -68,8 +68,23 @@ impl LoadedMap {
     ///
     /// # Errors
     /// [`LoadError::Invalid`], [`LoadError::Descriptors`].
-    pub fn from_contents(mut contents: MapContents) -> Result<LoadedMap, LoadError> {
+    pub fn from_contents(contents: MapContents) -> Result<LoadedMap, LoadError> {
+        LoadedMap::from_part(contents, Vec::new())
+    }
+
+    /// Indexes a part of a map, which also answers about correlations with the keyframes of other parts.
+    ///
+    /// # Arguments
+    /// * `far_cross_covariances`: of its keyframes with those of other parts, each pair once.
+    ///
+    /// # Errors
+    /// [`LoadError::Invalid`], [`LoadError::Descriptors`].
+    pub fn from_part(
+        mut contents: MapContents,
+        far_cross_covariances: Vec<KeyframeCrossCovariance>,
+    ) -> Result<LoadedMap, LoadError> {
         contents.validate()?;
+        contents.cross_covariances.extend(far_cross_covariances);
         contents.sort();
         let identity = contents.info.identity.unwrap_or_else(|| contents.digest());
         let MapContents { info, mut keyframes, landmarks, mut cross_covariances } = contents;

@@ -43,7 +43,7 @@ impl LoadedMap {
             return Ok(Vec::new());
         }
         let image = Image { camera, features, descriptors: self.view(features)?, gravity_in_camera };
-        let votes = self.index.vote(image.descriptors, &self.landmarks, self.keyframes.len())?;
+        let votes = self.index.vote(image.descriptors, &self.landmarks.observers, self.keyframes.len())?;
         let is_eligible = |at: usize| eligible(self.keyframes[at].id);
         let mut places = Vec::new();
         for candidate in best_voted(&votes, options.candidates, options.min_votes, is_eligible) {

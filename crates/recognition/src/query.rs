@@ -16,6 +16,7 @@ use super::loaded_map::LoadedMap;
 use super::options::RecognitionOptions;
 use super::report::SearchReport;
 use super::verification::{Image, VerifiedKeyframe};
+use map::model::MapMetadata;
 use map::store::STORE_SCHEMA;
 
 /// Fewest keyframes that must agree before the search ends.
@@ -189,7 +190,7 @@ impl LoadedMap {
     /// # Errors
     /// [`QueryError`] where the features cannot be compared with the map.
     pub fn rank_keyframes(&self, features: &FeatureSet, count: usize) -> Result<Vec<KeyframeId>, QueryError> {
-        let votes = self.index.vote(self.view(features)?, &self.landmarks, self.keyframes.len())?;
+        let votes = self.index.vote(self.view(features)?, &self.landmarks.observers, self.keyframes.len())?;
         let ranked = best_voted(&votes, count, 1, |_| true);
         Ok(ranked.into_iter().map(|at| self.keyframes[at].id).collect())
     }
@@ -243,20 +244,32 @@ impl LoadedMap {
     }
 
     fn format(&self) -> DescriptorFormat {
-        DescriptorFormat { kind: self.info.descriptor_kind, width: self.info.descriptor_width }
+        format_of(&self.info)
     }
 
     /// A query's descriptors, which must be comparable with the map's.
     pub(super) fn view<'a>(&self, features: &'a FeatureSet) -> Result<DescriptorView<'a>, QueryError> {
-        let query = features.descriptors.format();
-        if query != self.format() {
-            return Err(QueryError::DescriptorMismatch { query, map: self.format() });
-        }
-        let (stated, wanted) = (&features.extractor, &self.info.extractor);
-        if !stated.is_empty() && !wanted.is_empty() && stated != wanted {
-            return Err(QueryError::ExtractorMismatch { query: stated.clone(), map: wanted.clone() });
-        }
-        let width = usize::from(query.width);
-        Ok(DescriptorView::new(self.metric(), width, &features.descriptors.bytes)?)
+        view_of(&self.info, features)
     }
+}
+
+/// A query's descriptors, which must be comparable with those of a map.
+pub(super) fn view_of<'a>(
+    info: &MapMetadata,
+    features: &'a FeatureSet,
+) -> Result<DescriptorView<'a>, QueryError> {
+    let query = features.descriptors.format();
+    if query != format_of(info) {
+        return Err(QueryError::DescriptorMismatch { query, map: format_of(info) });
+    }
+    let (stated, wanted) = (&features.extractor, &info.extractor);
+    if !stated.is_empty() && !wanted.is_empty() && stated != wanted {
+        return Err(QueryError::ExtractorMismatch { query: stated.clone(), map: wanted.clone() });
+    }
+    let metric = sensors::metric_of(info.descriptor_kind);
+    Ok(DescriptorView::new(metric, usize::from(query.width), &features.descriptors.bytes)?)
+}
+
+fn format_of(info: &MapMetadata) -> DescriptorFormat {
+    DescriptorFormat { kind: info.descriptor_kind, width: info.descriptor_width }
 }

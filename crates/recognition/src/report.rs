@@ -2,6 +2,7 @@
 //!
 //! Unlike an [`Inspection`](super::Inspection) it costs no further comparison and holds no features.
 
+use geometry::PoseWithCovariance;
 use nalgebra::Vector3;
 use protocol::KeyframeId;
 
@@ -17,8 +18,32 @@ pub struct SearchReport {
     /// The candidates in the order of their votes: first those near the prior, then those of the whole map, where these were
     /// searched. At most twice [`candidates`](super::RecognitionOptions::candidates).
     pub candidates: Vec<Candidate>,
+    /// The place that was recognized, or the strongest of those that were ambiguous.
+    pub place: Option<RecognizedPlace>,
+}
+
+/// A place that explains an image.
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct RecognizedPlace {
+    /// The camera in G (rad, m) by the keyframe with most inliers.
+    pub global_from_camera: PoseWithCovariance,
+    /// Query features that it explains.
+    pub features: usize,
+}
+
+impl RecognizedPlace {
+    /// A place that was recognized elsewhere.
+    pub fn new(global_from_camera: PoseWithCovariance, features: usize) -> Self {
+        Self { global_from_camera, features }
+    }
+}
+
+impl SearchReport {
     /// Position of the camera in G (m) by the keyframe with most inliers; `None` for an image that was not recognized.
-    pub camera_in_global: Option<Vector3<f64>>,
+    pub fn camera_in_global(&self) -> Option<Vector3<f64>> {
+        self.place.as_ref().map(|place| place.global_from_camera.pose.translation)
+    }
 }
 
 /// One of the keyframes that most features of a query voted for.

@@ -10,7 +10,7 @@ use super::index::{Votes, best_voted};
 use super::loaded_map::LoadedMap;
 use super::options::RecognitionOptions;
 use super::query::QueryError;
-use super::report::{Candidate, SearchReport};
+use super::report::{Candidate, RecognizedPlace, SearchReport};
 use super::verification::{Comparison, Image, VerifiedKeyframe, compare, distinct_features};
 use map::model::Keyframe;
 
@@ -33,15 +33,15 @@ pub(super) struct Search {
     pub(super) outcome: MatchOutcome,
     /// Verified keyframes of one place, most inliers first; empty unless matched.
     pub(super) place: Vec<VerifiedKeyframe>,
+    /// That place in short, or the strongest of those that are ambiguous.
+    pub(super) strongest: Option<RecognizedPlace>,
     pub(super) searched_keyframes: usize,
     pub(super) candidates: Vec<Candidate>,
 }
 
 impl Search {
     pub(super) fn into_report(self) -> SearchReport {
-        let best = self.place.first();
-        let camera_in_global = best.map(|best| best.global_from_camera.pose.translation);
-        SearchReport { candidates: self.candidates, camera_in_global }
+        SearchReport { candidates: self.candidates, place: self.strongest }
     }
 }
 
@@ -60,6 +60,17 @@ impl Sufficient<'_> {
     }
 }
 
+/// How far from a prior pose the camera may be (m): 3 standard deviations of its position.
+pub fn prior_radius(prior: &PoseWithCovariance) -> f64 {
+    PRIOR_SIGMAS * largest_sigma(prior, 3)
+}
+
+/// The largest standard deviation of a pose's rotation (rad; starts at 0) or position (m; starts at 3).
+fn largest_sigma(prior: &PoseWithCovariance, start: usize) -> f64 {
+    let block = prior.covariance.fixed_view::<3, 3>(start, start).into_owned();
+    block.symmetric_eigenvalues().max().max(0.0).sqrt()
+}
+
 impl LoadedMap {
     /// Finds the place of an image: near the prior, and where none is verified there, in the whole map.
     ///
@@ -75,7 +86,8 @@ impl LoadedMap {
         options: &RecognitionOptions,
     ) -> Result<Search, QueryError> {
         let nothing = |outcome| {
-            Ok(Search { outcome, place: Vec::new(), searched_keyframes: 0, candidates: Vec::new() })
+            let (place, candidates) = (Vec::new(), Vec::new());
+            Ok(Search { outcome, place, strongest: None, searched_keyframes: 0, candidates })
         };
         if self.keyframes.is_empty() {
             return nothing(MatchOutcome::EmptyMap);
@@ -101,7 +113,7 @@ impl LoadedMap {
                 return Ok(Search { searched_keyframes, candidates: of_both, ..place });
             }
         }
-        let votes = self.index.vote(descriptors, &self.landmarks, self.keyframes.len())?;
+        let votes = self.index.vote(descriptors, &self.landmarks.observers, self.keyframes.len())?;
         let sufficient = Sufficient { prior: None, enough };
         let candidates = candidates(&votes, &|_| true);
         let of_prior = of_both.len();
@@ -113,12 +125,9 @@ impl LoadedMap {
     /// Which keyframes may share a field of view with a camera near a prior pose: by their distance, and by the angle
     /// between their optical axes.
     pub(super) fn near(&self, prior: &PoseWithCovariance) -> Vec<bool> {
-        let sigma = |start: usize| {
-            let block = prior.covariance.fixed_view::<3, 3>(start, start).into_owned();
-            block.symmetric_eigenvalues().max().max(0.0).sqrt()
-        };
-        let radius = PRIOR_SIGMAS * sigma(3) + self.viewing_distance();
-        let least_cosine = (MAX_VIEW_ANGLE + PRIOR_SIGMAS * sigma(0)).min(std::f64::consts::PI).cos();
+        let radius = prior_radius(prior) + self.viewing_distance();
+        let angle = MAX_VIEW_ANGLE + PRIOR_SIGMAS * largest_sigma(prior, 0);
+        let least_cosine = angle.min(std::f64::consts::PI).cos();
         let axis = prior.pose.rotation * Vector3::z();
         let is_near = |keyframe: &Keyframe| {
             let pose = &keyframe.global_from_keyframe.pose;
@@ -137,7 +146,7 @@ impl LoadedMap {
     ) -> Result<Vec<Votes>, DescriptorError> {
         let few: Vec<usize> = (0..near.len()).filter(|&at| near[at]).collect();
         if few.len() * FEW_KEYFRAMES > near.len() {
-            return self.index.vote(descriptors, &self.landmarks, self.keyframes.len());
+            return self.index.vote(descriptors, &self.landmarks.observers, self.keyframes.len());
         }
         let mut among = vec![false; self.landmarks.len()];
         for landmark in few.iter().flat_map(|&keyframe| self.observations.of(keyframe).landmarks) {
@@ -146,7 +155,8 @@ impl LoadedMap {
         let step = descriptors.len().div_ceil(VOTERS_NEAR_PRIOR).max(1);
         let voters: Vec<u8> = descriptors.iter().step_by(step).flatten().copied().collect();
         let voters = DescriptorView::new(descriptors.metric(), descriptors.width(), &voters)?;
-        let mut votes = self.index.vote_among(voters, &self.landmarks, self.keyframes.len(), &among)?;
+        let mut votes =
+            self.index.vote_among(voters, &self.landmarks.observers, self.keyframes.len(), &among)?;
         for votes in &mut votes {
             votes.stand_for(step as u32);
         }
@@ -193,9 +203,11 @@ impl LoadedMap {
                 Comparison::Verified(keyframe) => verified.push(*keyframe),
             }
         }
+        let mut strongest = None;
         let place = match find_consensus(verified, options) {
             Consensus::Nothing => Vec::new(),
-            Consensus::Ambiguous => {
+            Consensus::Ambiguous(place) => {
+                strongest = Some(place);
                 tracing::debug!("several places that look alike explain the image: no answer");
                 outcome = MatchOutcome::Ambiguous;
                 Vec::new()
@@ -204,12 +216,16 @@ impl LoadedMap {
                 outcome = MatchOutcome::Matched;
                 let features = distinct_features(place.iter());
                 tracing::debug!(keyframes = place.len(), features, "recognized a place");
+                strongest = place.first().map(|best| {
+                    let global_from_camera = best.global_from_camera;
+                    RecognizedPlace { global_from_camera, features }
+                });
                 for (at, candidate) in candidates.iter().zip(report) {
                     candidate.in_answer = place.iter().any(|verified| verified.keyframe == *at);
                 }
                 place
             }
         };
-        Ok(Search { outcome, place, searched_keyframes: 0, candidates: Vec::new() })
+        Ok(Search { outcome, place, strongest, searched_keyframes: 0, candidates: Vec::new() })
     }
 }

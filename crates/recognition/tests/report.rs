@@ -52,7 +52,7 @@ fn a_report_changes_no_answer_and_names_the_keyframes_of_it() {
         // Those without matches are covisible, and no candidates.
         let verified: Vec<_> = sent(&replies).into_iter().filter(|(_, matches)| *matches > 0).collect();
         assert!(!verified.is_empty() && verified.iter().all(|&(id, _)| in_answer(id)), "{report:?}");
-        let camera = report.camera_in_global.unwrap();
+        let camera = report.camera_in_global().unwrap();
         let truth = place.camera_at(x_m, 0.3, 0.05).translation;
         assert!((camera - truth).norm() < 0.3, "{camera} {truth}");
         let compared = |candidate: &&recognition::Candidate| candidate.verdict.is_some();
@@ -101,7 +101,7 @@ fn a_refused_query_has_a_reason_for_each_candidate() {
     let count = pixels.len();
     shuffled.features.pixels = (0..count).map(|at| pixels[(at * 37 + 11) % count]).collect();
     let (reply, report) = map.localize_with_report(&localize_request(shuffled), &options).unwrap();
-    assert_eq!((reply.outcome, report.camera_in_global), (MatchOutcome::NotVerified, None));
+    assert_eq!((reply.outcome, report.camera_in_global()), (MatchOutcome::NotVerified, None));
     let verdicts = verdicts(&report);
     assert!(verdicts.contains(&Some(KeyframeVerdict::NoPose)), "{verdicts:?}");
     assert!(

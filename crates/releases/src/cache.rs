@@ -49,7 +49,7 @@ impl ReleaseCache {
         let text = serde_json::to_vec_pretty(release)
             .map_err(|error| ReleaseError::Cache { path: path.clone(), source: error.into() })?;
         write(&path, &text)?;
-        let needed: BTreeSet<&str> = release.cells.iter().map(|cell| cell.segment.sha256.as_str()).collect();
+        let needed: BTreeSet<&str> = release.segments().map(|segment| segment.sha256.as_str()).collect();
         let segments = self.folder.join(SEGMENTS);
         let failed = |source| ReleaseError::Cache { path: segments.clone(), source };
         for entry in std::fs::read_dir(&segments).map_err(failed)? {

@@ -2,13 +2,18 @@
 //!
 //! Everything is in exactly one cell: a keyframe in that of its position, a landmark in that of its anchor, a cross-covariance in
 //! that of its first keyframe. So nothing is sent twice, and nothing is lost.
+//!
+//! Beside it a cell has a *border*, what an answer of this cell needs of others: the landmarks that its keyframes observe, the
+//! keyframes that observe one of these, and the cross-covariances of its own keyframes and of those of the border with all
+//! others. So a cell answers for its keyframes with everything that the whole map has: no correlation is cut.
 
 use crate::partition::{CellId, Partition};
 use map::{Keyframe, KeyframeCrossCovariance, Landmark, MapContents, MapMetadata};
 use protocol::KeyframeId;
-use std::collections::BTreeMap;
+use std::borrow::Cow;
+use std::collections::{BTreeMap, BTreeSet};
 
-/// What a map has in one cell.
+/// What a map has in one cell, or in the border of one.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct CellContents {
     pub(crate) keyframes: Vec<Keyframe>,
@@ -19,31 +24,90 @@ pub(crate) struct CellContents {
 /// The same, by reference.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct CellView<'a> {
-    pub(crate) keyframes: Vec<&'a Keyframe>,
+    /// Those of a border without their features.
+    pub(crate) keyframes: Vec<Cow<'a, Keyframe>>,
     pub(crate) landmarks: Vec<&'a Landmark>,
     pub(crate) cross_covariances: Vec<&'a KeyframeCrossCovariance>,
 }
 
+/// A cell and its border.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct BorderedCell<'a> {
+    pub(crate) own: CellView<'a>,
+    pub(crate) border: CellView<'a>,
+}
+
 /// Cuts a valid, sorted map into cells, those without a keyframe left out.
-pub(crate) fn split<'a>(contents: &'a MapContents, partition: &Partition) -> BTreeMap<CellId, CellView<'a>> {
-    let mut cells: BTreeMap<CellId, CellView<'a>> = BTreeMap::new();
-    let mut cell_of_keyframe: BTreeMap<KeyframeId, CellId> = BTreeMap::new();
+pub(crate) fn split<'a>(
+    contents: &'a MapContents,
+    partition: &Partition,
+) -> BTreeMap<CellId, BorderedCell<'a>> {
+    let mut cells: BTreeMap<CellId, BorderedCell<'a>> = BTreeMap::new();
+    let mut cell_of: BTreeMap<KeyframeId, CellId> = BTreeMap::new();
     for keyframe in &contents.keyframes {
         let cell = partition.cell_of(&keyframe.global_from_keyframe.pose.translation);
-        cell_of_keyframe.insert(keyframe.id, cell);
-        cells.entry(cell).or_default().keyframes.push(keyframe);
+        cell_of.insert(keyframe.id, cell);
+        cells.entry(cell).or_default().own.keyframes.push(Cow::Borrowed(keyframe));
     }
-    for landmark in &contents.landmarks {
-        if let Some(cell) = cell_of_keyframe.get(&landmark.anchor).and_then(|cell| cells.get_mut(cell)) {
-            cell.landmarks.push(landmark);
+    let borders = add_landmarks(contents, &cell_of, &mut cells);
+    for keyframe in &contents.keyframes {
+        for cell in borders.get(&keyframe.id).into_iter().flatten() {
+            let bordered = cells.entry(*cell).or_default();
+            bordered.border.keyframes.push(Cow::Owned(without_features(keyframe)));
         }
     }
     for cross in &contents.cross_covariances {
-        if let Some(cell) = cell_of_keyframe.get(&cross.a).and_then(|cell| cells.get_mut(cell)) {
-            cell.cross_covariances.push(cross);
+        let own = cell_of.get(&cross.a);
+        if let Some(cell) = own.and_then(|cell| cells.get_mut(cell)) {
+            cell.own.cross_covariances.push(cross);
+        }
+        let ends = [cross.a, cross.b];
+        let of_borders = ends.iter().filter_map(|end| borders.get(end)).flatten();
+        let all: BTreeSet<&CellId> = cell_of.get(&cross.b).into_iter().chain(of_borders).collect();
+        for cell in all.into_iter().filter(|cell| Some(*cell) != own) {
+            cells.entry(*cell).or_default().border.cross_covariances.push(cross);
         }
     }
     cells
+}
+
+/// Adds each landmark to the cell of its anchor, and to the borders of the other cells that observe it.
+///
+/// # Returns
+/// The cells to whose borders a keyframe belongs.
+fn add_landmarks<'a>(
+    contents: &'a MapContents,
+    cell_of: &BTreeMap<KeyframeId, CellId>,
+    cells: &mut BTreeMap<CellId, BorderedCell<'a>>,
+) -> BTreeMap<KeyframeId, BTreeSet<CellId>> {
+    let mut borders: BTreeMap<KeyframeId, BTreeSet<CellId>> = BTreeMap::new();
+    for landmark in &contents.landmarks {
+        let Some(home) = cell_of.get(&landmark.anchor) else { continue };
+        let observers = || landmark.observations.iter().map(|observation| observation.keyframe);
+        let observing: BTreeSet<CellId> = observers().filter_map(|id| cell_of.get(&id).copied()).collect();
+        for cell in &observing {
+            let bordered = cells.entry(*cell).or_default();
+            let part = if cell == home { &mut bordered.own } else { &mut bordered.border };
+            part.landmarks.push(landmark);
+            if observing.len() > 1 {
+                for observer in observers().filter(|id| cell_of.get(id) != Some(cell)) {
+                    borders.entry(observer).or_default().insert(*cell);
+                }
+            }
+        }
+    }
+    borders
+}
+
+/// A robot needs none of them, and those of the whole image are the larger part of a keyframe.
+fn without_features(keyframe: &Keyframe) -> Keyframe {
+    Keyframe {
+        id: keyframe.id,
+        stamp_ns: keyframe.stamp_ns,
+        global_from_keyframe: keyframe.global_from_keyframe,
+        camera: keyframe.camera.clone(),
+        features: None,
+    }
 }
 
 /// Puts a map together.

@@ -46,7 +46,7 @@ pub async fn clean(store: &ReleaseStore, options: &CleanOptions) -> Result<Clean
     let (former, kept) = numbers.split_at(numbers.len().saturating_sub(options.releases.max(1)));
     let mut needed = BTreeSet::new();
     for number in kept {
-        needed.extend(store.release(*number).await?.cells.into_iter().map(|cell| cell.segment.sha256));
+        needed.extend(store.release(*number).await?.segments().map(|segment| segment.sha256.clone()));
     }
     let mut cleaned = Cleaned { releases: former.to_vec(), ..Cleaned::default() };
     // A release goes before its segments, so that no release lacks any.

@@ -1,5 +1,6 @@
 //! What can go wrong with releases.
 
+use crate::partition::CellId;
 use map::{ContentsError, RecordError};
 use protocol::MapIdentity;
 use std::path::PathBuf;
@@ -52,6 +53,27 @@ pub enum ReleaseError {
         /// The store.
         place: String,
         /// The number.
+        number: u64,
+    },
+    /// The release has no such cell.
+    #[error("release {number} of {place} has no cell {cell}; driftless list-releases --cells names them")]
+    NoCell {
+        /// The store.
+        place: String,
+        /// The release.
+        number: u64,
+        /// The cell.
+        cell: CellId,
+    },
+    /// The cells of the release cannot be served without each other.
+    #[error(
+        "release {number} of {place} was published by an older program, and its cells cannot be served one by one: publish \
+         the map again"
+    )]
+    NotServable {
+        /// The store.
+        place: String,
+        /// The release.
         number: u64,
     },
     /// What was read is not what was published.

@@ -1,13 +1,17 @@
-//! The map of a release.
+//! The map of a release, or some of its cells.
 
 use crate::cache::ReleaseCache;
-use crate::cells::join;
-use crate::error::ReleaseError;
+use crate::cells::{CellContents, join};
+use crate::coarse::CoarseCell;
+use crate::error::{ReleaseError, SegmentError};
+use crate::partition::CellId;
 use crate::release::{Release, SegmentName};
 use crate::segment::decode;
 use crate::store::ReleaseStore;
 use bytes::Bytes;
-use map::MapContents;
+use map::{KeyframeCrossCovariance, MapContents};
+use protocol::KeyframeId;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Fetches the map of a release; its info has the release's version and the identity of all releases.
 ///
@@ -24,13 +28,7 @@ pub async fn fetch(
 ) -> Result<MapContents, ReleaseError> {
     let mut cells = Vec::with_capacity(release.cells.len());
     for cell in &release.cells {
-        let bytes = segment(store, &cell.segment, cache).await?;
-        let contents = decode(&bytes).map_err(|source| ReleaseError::Segment {
-            place: store.place().to_owned(),
-            segment: cell.segment.sha256.clone(),
-            source,
-        })?;
-        cells.push(contents);
+        cells.push(cell_contents(store, &cell.segment, cache).await?);
     }
     let contents = join(release.map.metadata(), cells);
     let digest = contents.digest();
@@ -39,6 +37,87 @@ pub async fn fetch(
         return Err(store.damaged(format!("release {}", release.number), reason));
     }
     Ok(contents)
+}
+
+/// A cell that can be served without the others.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Cell {
+    /// The cell's keyframes, ascending.
+    pub own: Vec<KeyframeId>,
+    /// Its keyframes and those of its border, with the landmarks that its own keyframes observe.
+    pub contents: MapContents,
+    /// Cross-covariances of these keyframes with those of other cells.
+    pub far_cross_covariances: Vec<KeyframeCrossCovariance>,
+}
+
+/// Fetches one cell of a release with its border.
+///
+/// # Arguments
+/// * `cache`: as in [`fetch`](fn@fetch).
+///
+/// # Errors
+/// [`ReleaseError::NoCell`], [`ReleaseError::NotServable`], and as [`fetch`](fn@fetch).
+pub async fn fetch_cell(
+    store: &ReleaseStore,
+    release: &Release,
+    cell: CellId,
+    cache: Option<&ReleaseCache>,
+) -> Result<Cell, ReleaseError> {
+    let released = release.cell(cell).ok_or_else(|| ReleaseError::NoCell {
+        place: store.place().to_owned(),
+        number: release.number,
+        cell,
+    })?;
+    let serving = released.serving.as_ref().ok_or_else(|| not_servable(store, release))?;
+    let inside = cell_contents(store, &released.segment, cache).await?;
+    let border = cell_contents(store, &serving.border, cache).await?;
+    let own = inside.keyframes.iter().map(|keyframe| keyframe.id).collect();
+    let mut contents = join(release.map.metadata(), [inside, border]);
+    let known: BTreeSet<KeyframeId> = contents.keyframes.iter().map(|keyframe| keyframe.id).collect();
+    let is_near = |cross: &KeyframeCrossCovariance| known.contains(&cross.a) && known.contains(&cross.b);
+    let (near, far_cross_covariances) = contents.cross_covariances.into_iter().partition(is_near);
+    contents.cross_covariances = near;
+    contents.validate()?;
+    Ok(Cell { own, contents, far_cross_covariances })
+}
+
+/// Fetches what tells from afar of which cells an image could be: of all cells of a release.
+///
+/// # Errors
+/// As [`fetch_cell`].
+pub async fn fetch_coarse(
+    store: &ReleaseStore,
+    release: &Release,
+    cache: Option<&ReleaseCache>,
+) -> Result<BTreeMap<CellId, CoarseCell>, ReleaseError> {
+    let mut cells = BTreeMap::new();
+    for released in &release.cells {
+        let serving = released.serving.as_ref().ok_or_else(|| not_servable(store, release))?;
+        let bytes = segment(store, &serving.coarse, cache).await?;
+        let width = usize::from(release.map.descriptor_width);
+        let coarse =
+            CoarseCell::decode(&bytes, width).map_err(|source| unreadable(store, &serving.coarse, source))?;
+        cells.insert(released.cell, coarse);
+    }
+    Ok(cells)
+}
+
+fn not_servable(store: &ReleaseStore, release: &Release) -> ReleaseError {
+    ReleaseError::NotServable { place: store.place().to_owned(), number: release.number }
+}
+
+fn unreadable(store: &ReleaseStore, segment: &SegmentName, source: SegmentError) -> ReleaseError {
+    ReleaseError::Segment { place: store.place().to_owned(), segment: segment.sha256.clone(), source }
+}
+
+/// What a segment holds.
+pub(crate) async fn cell_contents(
+    store: &ReleaseStore,
+    name: &SegmentName,
+    cache: Option<&ReleaseCache>,
+) -> Result<CellContents, ReleaseError> {
+    let bytes = segment(store, name, cache).await?;
+    decode(&bytes).map_err(|source| unreadable(store, name, source))
 }
 
 async fn segment(

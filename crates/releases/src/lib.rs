@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! releases/00000000000000000007.json    what release 7 is: the map's identity and version, and the segments of its cells
-//! segments/{SHA-256}                    the keyframes, landmarks and cross-covariances of a cell
+//! segments/{SHA-256}                    the keyframes, landmarks and cross-covariances of a cell, of its border, its coarse landmarks
 //! ```
 //! Nothing is ever overwritten: segments are named by their content, and a release is put under the next number only if that
 //! number is free. Of two that publish at once, one is told that the other was first. A segment that did not change is not sent
@@ -11,12 +11,14 @@
 //! | module | what |
 //! |---|---|
 //! | [`partition`] | cells: a k-d tree over the ground plane, which later releases keep |
-//! | `cells` | a map cut into cells, and put together again without loss |
+//! | `cells` | a map cut into cells with their borders, and put together again without loss |
+//! | [`coarse`] | what tells from afar of which cells an image could be |
+//! | [`change`] | what changed from one release to the next |
 //! | `segment` | the bytes of a cell |
 //! | [`release`] | what a release is |
 //! | [`store`] | the object store |
 //! | [`publish`](mod@publish) | publishing a map, going back to a former release |
-//! | [`fetch`](mod@fetch) | the map of a release, every byte verified |
+//! | [`fetch`](mod@fetch) | the map of a release or single cells of it, every byte verified |
 //! | [`cache`] | segments and the newest release, kept on disk |
 //! | [`clean`](mod@clean) | removing what no release needs |
 //!
@@ -44,7 +46,9 @@
 
 pub mod cache;
 mod cells;
+pub mod change;
 pub mod clean;
+pub mod coarse;
 mod error;
 pub mod fetch;
 pub mod partition;
@@ -54,10 +58,12 @@ mod segment;
 pub mod store;
 
 pub use cache::ReleaseCache;
+pub use change::ReleasedChange;
 pub use clean::{CleanOptions, Cleaned, clean};
+pub use coarse::{CoarseCell, CoarseLandmark};
 pub use error::{ReleaseError, SegmentError};
-pub use fetch::fetch;
+pub use fetch::{Cell, fetch, fetch_cell, fetch_coarse};
 pub use partition::{CellId, Partition};
 pub use publish::{Outcome, Progress, PublishOptions, Published, publish, roll_back};
-pub use release::{Release, ReleaseDifference, ReleasedCell, ReleasedMap, SegmentName};
+pub use release::{Release, ReleaseDifference, ReleasedCell, ReleasedMap, SegmentName, ServedCell};
 pub use store::ReleaseStore;

@@ -1,13 +1,16 @@
 //! Publishing a map, and going back to a former release.
 
-use crate::cells::{CellView, split};
-use crate::error::ReleaseError;
+use crate::cells::{BorderedCell, CellContents, CellView, split};
+use crate::change::{ChangedCells, ReleasedChange};
+use crate::coarse::CoarseCell;
+use crate::error::{ReleaseError, with_causes};
+use crate::fetch::cell_contents;
 use crate::partition::{CellId, Partition};
-use crate::release::{RELEASE_SCHEMA, Release, ReleasedCell, ReleasedMap, SegmentName};
+use crate::release::{RELEASE_SCHEMA, Release, ReleasedCell, ReleasedMap, SegmentName, ServedCell};
 use crate::segment::encode;
 use crate::store::ReleaseStore;
 use map::{Keyframe, MapContents};
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 /// Keyframes in a cell at most, by default: some 200 MB of a map of images.
@@ -85,7 +88,7 @@ pub async fn publish(
                 published: former.map.identity,
             });
         }
-        if former.map.digest == digest {
+        if former.map.digest == digest && former.is_servable_by_cells() {
             return Ok(Outcome::Unchanged { number: former.number });
         }
     }
@@ -97,21 +100,31 @@ pub async fn publish(
     partition.cut(&positions, options.keyframes_a_cell);
 
     // Those that the newest release names are there and stay there.
-    let present: BTreeSet<SegmentName> =
-        former.iter().flat_map(|former| &former.cells).map(|cell| cell.segment.clone()).collect();
-    let views = split(&contents, &partition);
-    let (of, mut sent, mut bytes_sent) = (views.len(), 0, 0);
+    let mut sending = Sending { store, present: BTreeSet::new(), sent: 0, bytes_sent: 0 };
+    sending.present.extend(former.iter().flat_map(Release::segments).cloned());
+    let parts = split(&contents, &partition);
+    let of = parts.len();
     let mut cells = Vec::with_capacity(of);
-    for (done, (cell, view)) in views.iter().enumerate() {
+    for (done, (cell, part)) in parts.iter().enumerate() {
         progress(Progress { cells: done, of });
-        let bytes = encode(view)?;
-        let segment = SegmentName::of(&bytes);
-        if !present.contains(&segment) {
-            (sent, bytes_sent) = (sent + 1, bytes_sent + segment.bytes);
-            store.put_segment(&segment, bytes).await?;
-        }
-        cells.push(released_cell(*cell, view, segment));
+        let segment = sending.put(encode(&part.own)?).await?;
+        let serving = ServedCell {
+            border: sending.put(encode(&part.border)?).await?,
+            coarse: sending.put(CoarseCell::of(part).encode()?).await?,
+            observations: part.own.landmarks.iter().map(|landmark| landmark.observations.len()).sum(),
+            cross_covariances: part.own.cross_covariances.len(),
+            viewing_distance: viewing_distance(&part.own),
+        };
+        cells.push(released_cell(*cell, &part.own, segment, serving));
     }
+    let change = match &former {
+        Some(former) => {
+            let known = change_since(store, former, &cells, &parts).await;
+            Some(known.unwrap_or_else(|| unknown_change(former)))
+        }
+        None => None,
+    };
+    let Sending { sent, bytes_sent, .. } = sending;
     progress(Progress { cells: of, of });
     let former_version = former.as_ref().map_or(0, |former| former.map.version);
     let version = contents.info.version.max(former_version + 1);
@@ -120,6 +133,7 @@ pub async fn publish(
         number: former.as_ref().map_or(0, |former| former.number) + 1,
         published_unix_s: now_unix_s(),
         rolled_back_to: None,
+        change,
         map: ReleasedMap::new(&contents.info, version, identity, digest),
         partition,
         cells,
@@ -138,10 +152,12 @@ pub async fn roll_back(store: &ReleaseStore, number: u64) -> Result<Outcome, Rel
     if newest.map.digest == former.map.digest {
         return Ok(Outcome::Unchanged { number: newest.number });
     }
+    let change = change_back(store, &newest, &former).await.unwrap_or_else(|| unknown_change(&newest));
     let release = Release {
         number: newest.number + 1,
         published_unix_s: now_unix_s(),
         rolled_back_to: Some(number),
+        change: Some(change),
         map: ReleasedMap { version: newest.map.version + 1, ..former.map.clone() },
         ..former
     };
@@ -149,7 +165,104 @@ pub async fn roll_back(store: &ReleaseStore, number: u64) -> Result<Outcome, Rel
     Ok(Outcome::Published(Box::new(Published { release, sent: 0, bytes_sent: 0 })))
 }
 
-fn released_cell(cell: CellId, view: &CellView<'_>, segment: SegmentName) -> ReleasedCell {
+/// Segments on their way into a store.
+struct Sending<'a> {
+    store: &'a ReleaseStore,
+    /// What is there.
+    present: BTreeSet<SegmentName>,
+    sent: usize,
+    bytes_sent: u64,
+}
+
+impl Sending<'_> {
+    /// Puts a segment, unless it is there.
+    async fn put(&mut self, bytes: Vec<u8>) -> Result<SegmentName, ReleaseError> {
+        let segment = SegmentName::of(&bytes);
+        if self.present.insert(segment.clone()) {
+            self.store.put_segment(&segment, bytes).await?;
+            (self.sent, self.bytes_sent) = (self.sent + 1, self.bytes_sent + segment.bytes);
+        }
+        Ok(segment)
+    }
+}
+
+/// What changed since a release; `None` where its segments cannot be read.
+async fn change_since(
+    store: &ReleaseStore,
+    former: &Release,
+    cells: &[ReleasedCell],
+    parts: &BTreeMap<CellId, BorderedCell<'_>>,
+) -> Option<ReleasedChange> {
+    let before = cells_without(store, former, cells).await?;
+    let mut now = ChangedCells::default();
+    let mut unmoved = 0;
+    for (cell, part) in cells.iter().zip(parts.values()) {
+        if is_in(&former.cells, cell) {
+            unmoved += cell.keyframes;
+        } else {
+            now.add(&part.own);
+        }
+    }
+    Some(ReleasedChange::between(former.map.version, &ChangedCells::of(&before), &now, unmoved))
+}
+
+/// What changes when the map of an earlier release takes the place of the newest one.
+async fn change_back(store: &ReleaseStore, newest: &Release, earlier: &Release) -> Option<ReleasedChange> {
+    let before = cells_without(store, newest, &earlier.cells).await?;
+    let now = cells_without(store, earlier, &newest.cells).await?;
+    let unmoved = newest.cells.iter().filter(|cell| is_in(&earlier.cells, cell)).map(|cell| cell.keyframes);
+    let [before, now] = [&before, &now].map(|cells| ChangedCells::of(cells));
+    Some(ReleasedChange::between(newest.map.version, &before, &now, unmoved.sum()))
+}
+
+fn is_in(cells: &[ReleasedCell], cell: &ReleasedCell) -> bool {
+    cells.iter().any(|other| other.segment == cell.segment)
+}
+
+/// The cells of a release that are not among some others.
+async fn cells_without(
+    store: &ReleaseStore,
+    release: &Release,
+    others: &[ReleasedCell],
+) -> Option<Vec<CellContents>> {
+    let mut cells = Vec::new();
+    for cell in release.cells.iter().filter(|cell| !is_in(others, cell)) {
+        match cell_contents(store, &cell.segment, None).await {
+            Ok(contents) => cells.push(contents),
+            Err(error) => {
+                let reason = with_causes(&error);
+                tracing::warn!(
+                    reason,
+                    "it is not known what changed: robots will begin anew with this release"
+                );
+                return None;
+            }
+        }
+    }
+    Some(cells)
+}
+
+fn unknown_change(former: &Release) -> ReleasedChange {
+    ReleasedChange::unknown(former.map.version)
+}
+
+/// Median distance between keyframes and the landmarks that are anchored in them.
+fn viewing_distance(cell: &CellView<'_>) -> f64 {
+    let mut distances: Vec<f64> =
+        cell.landmarks.iter().map(|landmark| landmark.position_in_anchor.norm()).collect();
+    if distances.is_empty() {
+        return 0.0;
+    }
+    let middle = distances.len() / 2;
+    *distances.select_nth_unstable_by(middle, f64::total_cmp).1
+}
+
+fn released_cell(
+    cell: CellId,
+    view: &CellView<'_>,
+    segment: SegmentName,
+    serving: ServedCell,
+) -> ReleasedCell {
     let positions = || view.keyframes.iter().map(|keyframe| keyframe.global_from_keyframe.pose.translation);
     let bound = |start: f64, better: fn(f64, f64) -> f64| {
         std::array::from_fn(|axis| positions().map(|position| position[axis]).fold(start, better))
@@ -160,6 +273,7 @@ fn released_cell(cell: CellId, view: &CellView<'_>, segment: SegmentName) -> Rel
         landmarks: view.landmarks.len(),
         extent: [bound(f64::INFINITY, f64::min), bound(f64::NEG_INFINITY, f64::max)],
         segment,
+        serving: Some(serving),
     }
 }
 

@@ -1,5 +1,6 @@
 //! What a release is.
 
+use crate::change::ReleasedChange;
 use crate::partition::{CellId, Partition};
 use map::MapMetadata;
 use nalgebra::Vector3;
@@ -8,7 +9,12 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
 /// Layout of releases. One with a larger number is refused.
-pub const RELEASE_SCHEMA: u16 = 1;
+///
+/// 1: as in the first version. 2: each cell has a border and coarse landmarks, so that it can be served by itself, and the release
+/// says what changed. New releases have the newest.
+pub const RELEASE_SCHEMA: u16 = 2;
+/// The oldest layout that is read.
+const OLDEST_RELEASE_SCHEMA: u16 = 1;
 
 /// One state of a map, as it is in the store. Never changes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -22,6 +28,9 @@ pub struct Release {
     pub published_unix_s: u64,
     /// The release whose map this one has again; `None` for a map of its own.
     pub rolled_back_to: Option<u64>,
+    /// What changed since the release before; `None` for the first one.
+    #[serde(default)]
+    pub change: Option<ReleasedChange>,
     /// What applies to the map as a whole.
     pub map: ReleasedMap,
     /// Which place belongs to which cell.
@@ -70,6 +79,25 @@ pub struct ReleasedCell {
     pub extent: [[f64; 3]; 2],
     /// Where its contents are.
     pub segment: SegmentName,
+    /// What it needs to be served by itself; `None` in releases of schema 1.
+    #[serde(default)]
+    pub serving: Option<ServedCell>,
+}
+
+/// What a cell needs to be served without the others.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ServedCell {
+    /// What other cells have and an answer of this cell needs.
+    pub border: SegmentName,
+    /// What tells from afar whether an image could be of this cell.
+    pub coarse: SegmentName,
+    /// Observations of the landmarks that are anchored in its keyframes.
+    pub observations: usize,
+    /// Cross-covariances that are stored with its keyframes.
+    pub cross_covariances: usize,
+    /// Median distance between its keyframes and the landmarks that they observe, metres.
+    pub viewing_distance: f64,
 }
 
 /// A segment: its SHA-256 is its name.
@@ -113,7 +141,8 @@ impl ReleasedMap {
         }
     }
 
-    pub(crate) fn metadata(&self) -> MapMetadata {
+    /// What applies to the map as a whole.
+    pub fn metadata(&self) -> MapMetadata {
         MapMetadata {
             version: self.version,
             identity: Some(self.identity),
@@ -130,7 +159,30 @@ impl ReleasedMap {
     }
 }
 
+impl ReleasedCell {
+    /// Its own segment, and those for serving it by itself.
+    pub(crate) fn segments(&self) -> impl Iterator<Item = &SegmentName> {
+        let serving = self.serving.iter().flat_map(|serving| [&serving.border, &serving.coarse]);
+        std::iter::once(&self.segment).chain(serving)
+    }
+}
+
 impl Release {
+    /// Everything that the release names.
+    pub(crate) fn segments(&self) -> impl Iterator<Item = &SegmentName> {
+        self.cells.iter().flat_map(ReleasedCell::segments)
+    }
+
+    /// A cell by its number.
+    pub fn cell(&self, cell: CellId) -> Option<&ReleasedCell> {
+        self.cells.binary_search_by_key(&cell, |released| released.cell).ok().map(|at| &self.cells[at])
+    }
+
+    /// Whether its cells can be served without each other: releases of schema 1 have no borders.
+    pub fn is_servable_by_cells(&self) -> bool {
+        self.cells.iter().all(|cell| cell.serving.is_some())
+    }
+
     /// Keyframes of all cells.
     pub fn keyframes(&self) -> usize {
         self.cells.iter().map(|cell| cell.keyframes).sum()
@@ -172,8 +224,11 @@ impl Release {
         let value: serde_json::Value = serde_json::from_slice(text).map_err(|error| error.to_string())?;
         // A newer layout may have other fields.
         let schema = value.get("schema").and_then(serde_json::Value::as_u64).unwrap_or(0);
-        if schema != u64::from(RELEASE_SCHEMA) {
-            return Err(format!("it has schema {schema}, this program reads {RELEASE_SCHEMA}"));
+        let known = u64::from(OLDEST_RELEASE_SCHEMA)..=u64::from(RELEASE_SCHEMA);
+        if !known.contains(&schema) {
+            return Err(format!(
+                "it has schema {schema}, this program reads {OLDEST_RELEASE_SCHEMA} to {RELEASE_SCHEMA}"
+            ));
         }
         let release: Self = serde_json::from_value(value).map_err(|error| error.to_string())?;
         if release.number != number {
@@ -187,12 +242,14 @@ impl Release {
                 return Err(format!("cell {} is not in order", pair[1].cell));
             }
         }
-        for ReleasedCell { cell, segment, .. } in &release.cells {
-            if known.binary_search(cell).is_err() {
-                return Err(format!("its partition has no cell {cell}"));
+        for cell in &release.cells {
+            if known.binary_search(&cell.cell).is_err() {
+                return Err(format!("its partition has no cell {}", cell.cell));
             }
-            if !segment.is_name() {
-                return Err(format!("cell {cell} has the segment {:?}", segment.sha256));
+            for segment in cell.segments() {
+                if !segment.is_name() {
+                    return Err(format!("cell {} has the segment {:?}", cell.cell, segment.sha256));
+                }
             }
         }
         Ok(release)

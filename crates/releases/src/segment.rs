@@ -138,7 +138,7 @@ mod tests {
         let options = PlaceOptions { keyframes: 6, landmarks: 80, ..PlaceOptions::default() };
         let map = Place::new(&options).map;
         let cells = split(&map, &Partition::whole(map.info.gravity_in_global));
-        let bytes = encode(&cells[&0]).unwrap();
+        let bytes = encode(&cells[&0].own).unwrap();
         let mut sorted = map.clone();
         sorted.sort();
         assert_eq!(join(map.info, [decode(&bytes).unwrap()]), sorted);

@@ -1,5 +1,6 @@
 //! The object store of releases.
 
+use crate::change::ReleasedChange;
 use crate::error::ReleaseError;
 use crate::release::{Release, SegmentName};
 use bytes::Bytes;
@@ -103,6 +104,30 @@ impl ReleaseStore {
             Some(number) => self.release(*number).await.map(Some),
             None => Ok(None),
         }
+    }
+
+    /// What changed from an earlier version to a release; `None` where releases in between are gone or do not say.
+    ///
+    /// # Errors
+    /// As [`ReleaseStore::release`].
+    pub async fn change_since(
+        &self,
+        version: u64,
+        release: &Release,
+    ) -> Result<Option<ReleasedChange>, ReleaseError> {
+        let Some(mut change) = release.change.clone() else { return Ok(None) };
+        let mut number = release.number;
+        while change.from_version > version {
+            number -= 1;
+            let between = match self.release(number).await {
+                Ok(between) => between.change,
+                Err(ReleaseError::NoRelease { .. }) => None,
+                Err(error) => return Err(error),
+            };
+            let Some(between) = between else { return Ok(None) };
+            change = between.then(&change);
+        }
+        Ok(Some(change).filter(|change| change.from_version == version))
     }
 
     /// The bytes of a segment, verified.

@@ -184,8 +184,34 @@ fn outcomes() -> impl Strategy<Value = MatchOutcome> {
 }
 
 pub fn match_replies() -> impl Strategy<Value = MatchReply> {
+    prop_oneof![
+        matched_keyframes().prop_map(MatchReply::Keyframe),
+        match_statuses().prop_map(MatchReply::Done)
+    ]
+}
+
+fn cell_places() -> impl Strategy<Value = CellPlace> {
+    (poses(), any::<u32>())
+        .prop_map(|(global_from_camera, features)| CellPlace { global_from_camera, features })
+}
+
+pub fn cell_match_replies() -> impl Strategy<Value = CellMatchReply> {
+    (vec(matched_keyframes(), 0..3), match_statuses(), option::of(cell_places())).prop_map(
+        |(keyframes, status, place)| {
+            let keyframes = keyframes.into_iter().map(MatchReply::Keyframe);
+            CellMatchReply { replies: keyframes.chain([MatchReply::Done(status)]).collect(), place }
+        },
+    )
+}
+
+pub fn cell_localize_replies() -> impl Strategy<Value = CellLocalizeReply> {
+    (localize_replies(), option::of(cell_places()))
+        .prop_map(|(reply, place)| CellLocalizeReply { reply, place })
+}
+
+fn match_statuses() -> impl Strategy<Value = MatchStatus> {
     let numbers = (any::<u64>(), any::<u16>(), any::<u32>(), any::<u64>());
-    let status = (numbers, identities(), outcomes(), option::of(directions()), 0.1..5.0f64).prop_map(
+    (numbers, identities(), outcomes(), option::of(directions()), 0.1..5.0f64).prop_map(
         |(
             (map_version, keyframes_sent, searched_keyframes, elapsed_us),
             map_identity,
@@ -204,8 +230,7 @@ pub fn match_replies() -> impl Strategy<Value = MatchReply> {
                 sigma_map_px,
             }
         },
-    );
-    prop_oneof![matched_keyframes().prop_map(MatchReply::Keyframe), status.prop_map(MatchReply::Done)]
+    )
 }
 
 pub fn localize_requests() -> impl Strategy<Value = LocalizeRequest> {

@@ -2,7 +2,7 @@
 
 use super::publish_map::{megabytes, print_outcome};
 use anyhow::{Context as _, ensure};
-use releases::{CellId, CleanOptions, ReleaseError, ReleaseStore};
+use releases::{CellId, CleanOptions, Release, ReleaseError, ReleaseStore};
 use serde_json::json;
 use std::time::Duration;
 use time::OffsetDateTime;
@@ -14,7 +14,10 @@ pub struct ListArgs {
     /// Where the releases are
     #[arg(value_name = "URL")]
     url: String,
-    /// Print them as JSON
+    /// Print the cells of each: number, size, extent of its keyframes
+    #[arg(long)]
+    cells: bool,
+    /// Print them as JSON, cells included
     #[arg(long)]
     json: bool,
 }
@@ -104,22 +107,46 @@ pub fn list(args: &ListArgs) -> anyhow::Result<()> {
     }
     for (number, release) in all {
         match release {
-            Ok(release) => println!(
-                "{number:>6}  {}  version {}, {} keyframes and {} landmarks in {} cells, {}{}",
-                utc_time(release.published_unix_s),
-                release.map.version,
-                release.keyframes(),
-                release.landmarks(),
-                release.cells.len(),
-                megabytes(release.bytes()),
-                release
-                    .rolled_back_to
-                    .map_or_else(String::new, |to| format!(", the map of release {to} again"))
-            ),
+            Ok(release) => {
+                println!(
+                    "{number:>6}  {}  version {}, {} keyframes and {} landmarks in {} cells, {}{}",
+                    utc_time(release.published_unix_s),
+                    release.map.version,
+                    release.keyframes(),
+                    release.landmarks(),
+                    release.cells.len(),
+                    megabytes(release.bytes()),
+                    release
+                        .rolled_back_to
+                        .map_or_else(String::new, |to| format!(", the map of release {to} again"))
+                );
+                if args.cells {
+                    print_cells(&release);
+                }
+            }
             Err(error) => println!("{number:>6}  {error}"),
         }
     }
     Ok(())
+}
+
+fn print_cells(release: &Release) {
+    for cell in &release.cells {
+        let [low, high] = cell.extent;
+        println!(
+            "        cell {:>4}: {} keyframes, {} landmarks, {}; x {:.1} to {:.1} m, y {:.1} to {:.1} m, z {:.1} to {:.1} m",
+            cell.cell,
+            cell.keyframes,
+            cell.landmarks,
+            megabytes(cell.segment.bytes),
+            low[0],
+            high[0],
+            low[1],
+            high[1],
+            low[2],
+            high[2]
+        );
+    }
 }
 
 /// Runs `diff-releases`.

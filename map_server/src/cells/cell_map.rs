@@ -1,0 +1,154 @@
+//! The cells of a map that a server has: declared, replaced, withdrawn.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+
+use client::CellClient;
+use protocol::keys;
+use recognition::{LoadedMap, RecognitionOptions};
+use releases::CellId;
+use zenoh::Session;
+use zenoh::liveliness::LivelinessToken;
+use zenoh::query::{Query, Queryable};
+
+use super::directory::CellDirectory;
+use super::routing::RoutedMap;
+use crate::error::ServeError;
+use crate::handlers::Kind;
+use crate::metrics::ServerMetrics;
+use crate::queue::{Job, Queue, Target};
+use crate::served_map::MapSlot;
+
+/// What a map that is served by cells shares with its server.
+#[derive(Clone)]
+pub(crate) struct Host {
+    pub(crate) session: Session,
+    /// Name of the server.
+    pub(crate) server: String,
+    pub(crate) queue: Arc<Queue>,
+    pub(crate) metrics: Arc<ServerMetrics>,
+    pub(crate) options: RecognitionOptions,
+}
+
+/// A map that is served by cells. What it declared is undeclared when it is dropped.
+pub(crate) struct CellMap {
+    host: Host,
+    routed: Arc<RoutedMap>,
+    held: BTreeMap<CellId, HeldCell>,
+    version: LivelinessToken,
+    _queryables: Vec<Queryable<()>>,
+    _member: LivelinessToken,
+}
+
+struct HeldCell {
+    slot: Arc<MapSlot>,
+    // In the order in which they are undeclared.
+    _token: LivelinessToken,
+    _queryables: Vec<Queryable<()>>,
+}
+
+impl CellMap {
+    /// Answers queries about the map, without a cell of its own yet.
+    pub(crate) async fn start(
+        host: Host,
+        name: &str,
+        directory: Arc<CellDirectory>,
+    ) -> Result<CellMap, ServeError> {
+        let client = CellClient::new(host.session.clone(), name)?;
+        let version = host.version_token(name, directory.version()).await?;
+        host.metrics.note_map(name, directory.keyframe_count(), directory.version());
+        let routed = Arc::new(RoutedMap::new(name, client, host.options.clone(), directory));
+        let mut queryables = Vec::new();
+        for kind in Kind::ALL {
+            let (queue, routed) = (Arc::clone(&host.queue), Arc::clone(&routed));
+            let callback = move |query: Query| {
+                queue.put(Job::new(query, kind, Target::Routed(Arc::clone(&routed))));
+            };
+            let queryable = host.session.declare_queryable(kind.key(name)?).callback(callback);
+            queryables.push(queryable.complete(true).await?);
+        }
+        let key = keys::map_member(name, Some(&host.server))?;
+        let member = host.session.liveliness().declare_token(key).await?;
+        Ok(CellMap { host, routed, held: BTreeMap::new(), version, _queryables: queryables, _member: member })
+    }
+
+    pub(crate) fn directory(&self) -> Arc<CellDirectory> {
+        self.routed.directory()
+    }
+
+    /// The cells that this server has.
+    pub(crate) fn cells(&self) -> BTreeSet<CellId> {
+        self.held.keys().copied().collect()
+    }
+
+    /// Serves a cell from now on.
+    pub(crate) async fn add(&mut self, cell: CellId, map: Arc<LoadedMap>) -> Result<(), ServeError> {
+        let name = &self.routed.name;
+        let slot = Arc::new(MapSlot::of_cell(name, cell, map));
+        let mut queryables = Vec::new();
+        for kind in Kind::OF_CELLS {
+            let (queue, slot) = (Arc::clone(&self.host.queue), Arc::clone(&slot));
+            let callback = move |query: Query| {
+                queue.put(Job::new(query, kind, Target::Map(Arc::clone(&slot))));
+            };
+            let queryable =
+                self.host.session.declare_queryable(kind.cell_key(name, cell)?).callback(callback);
+            queryables.push(queryable.complete(true).await?);
+        }
+        let key = keys::cell_holder(name, Some(cell), Some(&self.host.server))?;
+        let token = self.host.session.liveliness().declare_token(key).await?;
+        self.held.insert(cell, HeldCell { slot, _token: token, _queryables: queryables });
+        self.routed.set_here(self.cells());
+        Ok(())
+    }
+
+    /// Serves a cell no more.
+    pub(crate) fn remove(&mut self, cell: CellId) {
+        if let Some(held) = self.held.remove(&cell) {
+            self.routed.set_here(self.cells());
+            drop(held);
+        }
+    }
+
+    /// Tells the other servers that another version is loaded; the former one is declared until the change.
+    pub(crate) async fn announce(&self, version: u64) -> Result<LivelinessToken, ServeError> {
+        self.host.version_token(&self.routed.name, version).await
+    }
+
+    /// Changes over to another version of the map.
+    ///
+    /// # Arguments
+    /// * `cells`: of the new version; those that the server has and that are not among them are withdrawn.
+    /// * `version`: of [`CellMap::announce`].
+    pub(crate) async fn change_over(
+        &mut self,
+        directory: Arc<CellDirectory>,
+        cells: BTreeMap<CellId, Arc<LoadedMap>>,
+        version: LivelinessToken,
+    ) -> Result<(), ServeError> {
+        for cell in self.cells().into_iter().filter(|cell| !cells.contains_key(cell)) {
+            self.remove(cell);
+        }
+        self.host.metrics.note_map(&self.routed.name, directory.keyframe_count(), directory.version());
+        let mut new = Vec::new();
+        for (cell, map) in cells {
+            match self.held.get(&cell) {
+                Some(held) => drop(held.slot.replace(map)),
+                None => new.push((cell, map)),
+            }
+        }
+        self.routed.set_directory(directory);
+        self.version = version;
+        for (cell, map) in new {
+            self.add(cell, map).await?;
+        }
+        Ok(())
+    }
+}
+
+impl Host {
+    async fn version_token(&self, name: &str, version: u64) -> Result<LivelinessToken, ServeError> {
+        let key = keys::version_holder(name, version, Some(&self.server))?;
+        Ok(self.session.liveliness().declare_token(key).await?)
+    }
+}

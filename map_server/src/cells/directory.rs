@@ -1,0 +1,175 @@
+//! Which cells of a map an image could be of.
+
+use std::collections::BTreeMap;
+
+use geometry::PoseWithCovariance;
+use map::MapMetadata;
+use map::store::STORE_SCHEMA;
+use nalgebra::Vector3;
+use protocol::{DescriptorFormat, Extent, FeatureSet, KeyframeId, MapIdentity, MapInfoReply, PosePrior};
+use recognition::{CoarseIndex, CoarseIndexBuilder, QueryError, prior_radius};
+use releases::{CellId, CoarseCell, Release};
+use vision::DescriptorError;
+
+/// A cell is asked first where it has at least this part of the votes of the most likely one.
+const LIKELY: f64 = 0.5;
+/// So many cells are asked first, at most.
+const FIRST_CELLS: usize = 3;
+/// So many cells are asked in all, at most.
+const MOST_CELLS: usize = 8;
+
+/// What every server knows of all cells of a map.
+pub struct CellDirectory {
+    info: MapMetadata,
+    identity: MapIdentity,
+    cells: BTreeMap<CellId, DirectedCell>,
+    coarse: CoarseIndex,
+}
+
+struct DirectedCell {
+    extent: [Vector3<f64>; 2],
+    viewing_distance: f64,
+    /// Ascending.
+    keyframes: Vec<KeyframeId>,
+    landmarks: usize,
+    observations: usize,
+    cross_covariances: usize,
+}
+
+impl CellDirectory {
+    /// The directory of a release.
+    ///
+    /// # Errors
+    /// [`DescriptorError`] for landmarks that cannot be indexed.
+    pub fn new(
+        release: &Release,
+        coarse: BTreeMap<CellId, CoarseCell>,
+    ) -> Result<CellDirectory, DescriptorError> {
+        let info = release.map.metadata();
+        let mut builder = CoarseIndexBuilder::new(info.clone());
+        let mut cells = BTreeMap::new();
+        for (cell, CoarseCell { keyframes, landmarks }) in coarse {
+            let Some((released, serving)) =
+                release.cell(cell).and_then(|released| Some((released, released.serving.as_ref()?)))
+            else {
+                continue;
+            };
+            let looks = landmarks
+                .iter()
+                .map(|landmark| (landmark.descriptor.as_slice(), landmark.observers.as_slice()));
+            builder.add(cell, keyframes.len(), looks)?;
+            let directed = DirectedCell {
+                extent: released.extent.map(Vector3::from),
+                viewing_distance: serving.viewing_distance,
+                keyframes,
+                landmarks: released.landmarks,
+                observations: serving.observations,
+                cross_covariances: serving.cross_covariances,
+            };
+            cells.insert(cell, directed);
+        }
+        Ok(CellDirectory { info, identity: release.map.identity, cells, coarse: builder.build()? })
+    }
+
+    /// Version of the map.
+    pub fn version(&self) -> u64 {
+        self.info.version
+    }
+
+    /// Identity of the map.
+    pub fn identity(&self) -> MapIdentity {
+        self.identity
+    }
+
+    /// All cells.
+    pub fn cells(&self) -> impl Iterator<Item = CellId> {
+        self.cells.keys().copied()
+    }
+
+    /// Ids of all keyframes with their cells.
+    pub fn keyframes(&self) -> impl Iterator<Item = (CellId, KeyframeId)> {
+        self.cells.iter().flat_map(|(cell, directed)| directed.keyframes.iter().map(|id| (*cell, *id)))
+    }
+
+    /// The cell of a keyframe.
+    pub fn cell_of(&self, id: KeyframeId) -> Option<CellId> {
+        let has_it = |directed: &DirectedCell| directed.keyframes.binary_search(&id).is_ok();
+        self.cells.iter().find(|(_, directed)| has_it(directed)).map(|(cell, _)| *cell)
+    }
+
+    /// Number of keyframes of all cells.
+    pub fn keyframe_count(&self) -> usize {
+        self.cells.values().map(|cell| cell.keyframes.len()).sum()
+    }
+
+    /// The cells that are asked first: those near the prior, and without one the most likely.
+    ///
+    /// # Errors
+    /// [`QueryError`] where the features cannot be compared with the map.
+    pub fn first(&self, features: &FeatureSet, prior: Option<&PosePrior>) -> Result<Vec<CellId>, QueryError> {
+        let near = prior.map(|prior| self.near(&prior.global_from_camera)).unwrap_or_default();
+        if (1..=FIRST_CELLS).contains(&near.len()) {
+            return Ok(near);
+        }
+        let ranked = self.coarse.rank(features)?;
+        let eligible: Vec<_> =
+            ranked.into_iter().filter(|ranked| near.is_empty() || near.contains(&ranked.part)).collect();
+        let least = eligible.first().map_or(0.0, |first| LIKELY * first.weight);
+        let likely = eligible.iter().filter(|ranked| ranked.weight >= least);
+        let first: Vec<CellId> = likely.map(|ranked| ranked.part).take(FIRST_CELLS).collect();
+        // An image that shares nothing with the map still gets the answer of a search.
+        Ok(if first.is_empty() { self.cells().take(1).collect() } else { first })
+    }
+
+    /// The cells that are asked when none of the first ones shows the place, the most likely first.
+    ///
+    /// # Errors
+    /// [`QueryError`] where the features cannot be compared with the map.
+    pub fn then(&self, features: &FeatureSet, asked: &[CellId]) -> Result<Vec<CellId>, QueryError> {
+        let ranked = self.coarse.rank(features)?.into_iter().map(|ranked| ranked.part);
+        let others = ranked.filter(|cell| !asked.contains(cell));
+        Ok(others.take(MOST_CELLS.saturating_sub(asked.len())).collect())
+    }
+
+    /// The cells that a camera near a prior pose could see, the nearest first.
+    fn near(&self, prior: &PoseWithCovariance) -> Vec<CellId> {
+        let radius = prior_radius(prior);
+        let mut near: Vec<(f64, CellId)> = Vec::new();
+        for (cell, directed) in &self.cells {
+            let [low, high] = &directed.extent;
+            let nearest = prior.pose.translation.sup(low).inf(high);
+            let distance = (nearest - prior.pose.translation).norm();
+            if distance <= radius + directed.viewing_distance {
+                near.push((distance, *cell));
+            }
+        }
+        near.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+        near.into_iter().map(|(_, cell)| cell).collect()
+    }
+
+    /// Describes the map under the name by which it is served.
+    pub fn info_reply(&self, name: &str) -> MapInfoReply {
+        let sum = |count: fn(&DirectedCell) -> usize| self.cells.values().map(count).sum::<usize>() as u64;
+        let extents = || self.cells.values().map(|cell| &cell.extent);
+        let extent = extents().next().map(|[low, high]| Extent {
+            min: extents().fold(*low, |least, [low, _]| least.inf(low)).into(),
+            max: extents().fold(*high, |most, [_, high]| most.sup(high)).into(),
+        });
+        let format = DescriptorFormat { kind: self.info.descriptor_kind, width: self.info.descriptor_width };
+        MapInfoReply {
+            name: name.to_owned(),
+            version: self.info.version,
+            identity: self.identity,
+            database_schema: STORE_SCHEMA,
+            keyframes: sum(|cell| cell.keyframes.len()),
+            landmarks: sum(|cell| cell.landmarks),
+            observations: sum(|cell| cell.observations),
+            cross_covariances: sum(|cell| cell.cross_covariances),
+            gravity_in_global: self.info.gravity_in_global.map(Into::into),
+            extent,
+            descriptors: (!self.cells.is_empty()).then_some(format),
+            extractor: self.info.extractor.clone(),
+            sigma_map_px: self.info.sigma_px,
+        }
+    }
+}

@@ -1,0 +1,400 @@
+//! Follows the releases of a map and the other servers that serve it, and has the cells that this server is to have.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::PathBuf;
+use std::str::FromStr;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use protocol::{MapChangeNotice, Validate as _, keys};
+use recognition::LoadedMap;
+use releases::{Cell, CellId, Release, ReleaseCache, ReleaseStore, fetch_cell, fetch_coarse};
+use tokio::sync::oneshot;
+use tokio::task::JoinHandle;
+use tokio::time::MissedTickBehavior;
+
+use super::assignment::cells_of;
+use super::cell_map::CellMap;
+use super::directory::CellDirectory;
+use super::tokens::Tokens;
+use crate::change;
+use crate::error::ServeError;
+use crate::server::MapServer;
+
+/// How long the set of servers stays as it is before cells are assigned: several that start together would else fetch all.
+const SETTLING: Duration = Duration::from_secs(1);
+/// How long a server waits at its start for the names of the others.
+const FIRST_TOKENS: Duration = Duration::from_secs(2);
+/// Beyond twice the interval of looking for releases, servers wait so long for each other before they change over.
+const LOADING: Duration = Duration::from_secs(30);
+
+/// Which cells a server is to have.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum CellChoice {
+    /// Its share, as the servers of the map come and go.
+    Auto,
+    /// These.
+    These(BTreeSet<CellId>),
+}
+
+/// Why a text is no choice of cells.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{given:?} names no cells: write auto, or numbers and ranges like 0-3,7")]
+pub struct CellChoiceError {
+    given: String,
+}
+
+/// More cells than these are a slip of the keyboard.
+const MAX_RANGE: u32 = 1 << 20;
+
+impl FromStr for CellChoice {
+    type Err = CellChoiceError;
+
+    fn from_str(text: &str) -> Result<CellChoice, CellChoiceError> {
+        if text == "auto" {
+            return Ok(CellChoice::Auto);
+        }
+        let refused = || CellChoiceError { given: text.to_owned() };
+        let mut cells = BTreeSet::new();
+        for part in text.split(',') {
+            let (first, last) = part.split_once('-').unwrap_or((part, part));
+            let [first, last] =
+                [first, last].map(|number| number.trim().parse::<CellId>().map_err(|_| refused()));
+            let (first, last) = (first?, last?);
+            if first > last || last - first > MAX_RANGE {
+                return Err(refused());
+            }
+            cells.extend(first..=last);
+        }
+        Ok(CellChoice::These(cells))
+    }
+}
+
+/// How the cells of a map are served.
+///
+/// ```
+/// let mut options = map_server::CellServiceOptions::new("maps/city-cache".into());
+/// options.replicas = 3;
+/// ```
+#[derive(Clone, Debug)]
+#[non_exhaustive]
+pub struct CellServiceOptions {
+    /// Folder for what is fetched.
+    pub cache: PathBuf,
+    /// Which cells this server has.
+    pub choice: CellChoice,
+    /// At how many servers each cell is, with [`CellChoice::Auto`].
+    pub replicas: usize,
+    /// Time between two looks for a new release.
+    pub watch: Duration,
+}
+
+impl CellServiceOptions {
+    /// Its share of the cells, each at two servers, and a look for a new release every 30 s.
+    pub fn new(cache: PathBuf) -> Self {
+        Self { cache, choice: CellChoice::Auto, replicas: 2, watch: Duration::from_secs(30) }
+    }
+}
+
+/// The cells of one map, served by a [`MapServer`].
+pub struct CellService {
+    stop: oneshot::Sender<()>,
+    running: JoinHandle<()>,
+}
+
+impl CellService {
+    /// Serves the newest release of a map by cells, and follows new ones. When this returns, queries about the map are answered as
+    /// far as its cells are at any server; this server's own are being fetched.
+    ///
+    /// # Errors
+    /// [`ServeError::Release`] where no release can be read, from the store or from the cache; [`ServeError::Name`],
+    /// [`ServeError::DuplicateMap`], [`ServeError::Zenoh`].
+    pub async fn start(
+        server: &MapServer,
+        name: &str,
+        store: ReleaseStore,
+        options: CellServiceOptions,
+    ) -> Result<CellService, ServeError> {
+        keys::validate_name(name)?;
+        let source = Source { store, cache: ReleaseCache::open(&options.cache)? };
+        let release = source.newest_or_cached().await?;
+        let directory = source.directory(&release).await?;
+        server.reserve(name)?;
+        let host = server.host();
+        let session = host.session.clone();
+        let members = Tokens::follow(&session, keys::map_member(name, None)?).await?;
+        let holders = Tokens::follow(&session, keys::cell_holder(name, None, None)?).await?;
+        let me = host.server.clone();
+        let map = CellMap::start(host, name, directory).await?;
+        tracing::info!(
+            name,
+            release = release.number,
+            version = release.map.version,
+            cells = release.cells.len(),
+            keyframes = release.keyframes(),
+            "serving a map by cells"
+        );
+        let service =
+            Running { name: name.to_owned(), me, source, options, release, map, members, holders, session };
+        let (stop, stopped) = oneshot::channel();
+        let running = tokio::spawn(async move {
+            tokio::select! {
+                _ = stopped => {}
+                () = service.run() => {}
+            }
+        });
+        Ok(CellService { stop, running })
+    }
+
+    /// Serves the map no more.
+    pub async fn stop(self) {
+        drop(self.stop);
+        if let Err(error) = self.running.await {
+            tracing::warn!("serving a map by cells ended badly: {error}");
+        }
+    }
+}
+
+/// Where releases come from.
+#[derive(Clone)]
+struct Source {
+    store: ReleaseStore,
+    cache: ReleaseCache,
+}
+
+impl Source {
+    async fn newest_or_cached(&self) -> Result<Release, ServeError> {
+        let place = || self.store.place().to_owned();
+        let error = match self.store.newest().await {
+            Ok(Some(release)) => return Ok(release),
+            Ok(None) => ServeError::NoRelease { place: place() },
+            Err(error) => error.into(),
+        };
+        let release = self.cache.release().ok_or(error)?;
+        tracing::warn!(
+            place = place(),
+            release = release.number,
+            "no release can be read; serving the last one"
+        );
+        Ok(release)
+    }
+
+    async fn directory(&self, release: &Release) -> Result<Arc<CellDirectory>, ServeError> {
+        let coarse = fetch_coarse(&self.store, release, Some(&self.cache)).await?;
+        let release = release.clone();
+        let indexing = tokio::task::spawn_blocking(move || CellDirectory::new(&release, coarse));
+        Ok(Arc::new(indexing.await.map_err(ServeError::task)??))
+    }
+
+    async fn cell(&self, release: &Release, cell: CellId) -> Result<Arc<LoadedMap>, ServeError> {
+        let fetched = fetch_cell(&self.store, release, cell, Some(&self.cache)).await?;
+        let Cell { contents, far_cross_covariances, .. } = fetched;
+        let indexing = tokio::task::spawn_blocking(|| LoadedMap::from_part(contents, far_cross_covariances));
+        Ok(Arc::new(indexing.await.map_err(ServeError::task)??))
+    }
+}
+
+struct Running {
+    name: String,
+    /// Name of this server.
+    me: String,
+    source: Source,
+    options: CellServiceOptions,
+    release: Release,
+    map: CellMap,
+    members: Tokens,
+    holders: Tokens,
+    session: zenoh::Session,
+}
+
+impl Running {
+    async fn run(mut self) {
+        self.keep_release();
+        let mut watch = tokio::time::interval(self.options.watch);
+        watch.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        watch.reset();
+        if self.options.choice == CellChoice::Auto {
+            tokio::time::sleep(FIRST_TOKENS).await;
+        }
+        loop {
+            let is_settled = self.have_cells().await;
+            tokio::select! {
+                () = self.members.changed() => self.wait_until_settled().await,
+                () = self.holders.changed(), if !is_settled => {}
+                _ = watch.tick() => self.follow_release().await,
+            }
+        }
+    }
+
+    /// Waits until no server has come or gone for a while.
+    async fn wait_until_settled(&mut self) {
+        while tokio::time::timeout(SETTLING, self.members.changed()).await.is_ok() {}
+    }
+
+    fn wanted(&self, release: &Release) -> BTreeSet<CellId> {
+        let all = release.cells.iter().map(|cell| cell.cell);
+        match &self.options.choice {
+            CellChoice::These(cells) => all.filter(|cell| cells.contains(cell)).collect(),
+            CellChoice::Auto => {
+                let mut servers = self.members.names();
+                servers.insert(self.me.clone());
+                cells_of(&self.me, all, &servers, self.options.replicas)
+            }
+        }
+    }
+
+    /// Fetches the cells that this server lacks, and withdraws those that others have now in its place.
+    ///
+    /// # Returns
+    /// Whether it has exactly what it is to have.
+    async fn have_cells(&mut self) -> bool {
+        let wanted = self.wanted(&self.release);
+        let held = self.map.cells();
+        for cell in wanted.difference(&held) {
+            match self.source.cell(&self.release, *cell).await {
+                Ok(loaded) => {
+                    let keyframes = loaded.keyframe_count();
+                    if let Err(error) = self.map.add(*cell, loaded).await {
+                        tracing::error!(name = self.name, cell, "a cell cannot be served: {error}");
+                        continue;
+                    }
+                    tracing::info!(name = self.name, cell, keyframes, "serving a cell");
+                }
+                Err(error) => {
+                    let reason = format!("{:#}", anyhow::Error::from(error));
+                    tracing::warn!(
+                        name = self.name,
+                        cell,
+                        reason,
+                        "a cell cannot be fetched; trying again later"
+                    );
+                }
+            }
+        }
+        let servers = self.members.names().len().max(1);
+        let enough = self.options.replicas.clamp(1, servers);
+        let mut is_settled = wanted.is_subset(&self.map.cells());
+        for cell in held.difference(&wanted) {
+            if self.others_with(*cell) >= enough {
+                self.map.remove(*cell);
+                tracing::info!(name = self.name, cell, "other servers have this cell now");
+            } else {
+                is_settled = false;
+            }
+        }
+        is_settled
+    }
+
+    /// How many other servers have a cell.
+    fn others_with(&self, cell: CellId) -> usize {
+        let (infix, own) = (format!("/cell/{cell}/server/"), format!("/{}", self.me));
+        self.holders.count(|key| key.contains(&infix) && !key.ends_with(&own))
+    }
+
+    /// Looks for a newer release, and changes over to it together with the other servers.
+    async fn follow_release(&mut self) {
+        let newest = match self.source.store.newest().await {
+            Ok(Some(newest)) if newest.number > self.release.number => newest,
+            Ok(_) => return,
+            Err(error) => {
+                let reason = format!("{:#}", anyhow::Error::from(error));
+                tracing::warn!(name = self.name, reason, "no release can be read; the present one is served");
+                return;
+            }
+        };
+        if let Err(error) = self.change_to(newest).await {
+            let reason = format!("{:#}", anyhow::Error::from(error));
+            tracing::warn!(
+                name = self.name,
+                version = self.release.map.version,
+                reason,
+                "the new release cannot be served; the present one is"
+            );
+        }
+    }
+
+    async fn change_to(&mut self, release: Release) -> Result<(), ServeError> {
+        if release.map.identity != self.release.map.identity {
+            return Err(ServeError::OtherMap {
+                name: self.name.clone(),
+                served: self.release.map.identity,
+                given: release.map.identity,
+            });
+        }
+        let served = self.map.directory().version();
+        let change = self.source.store.change_since(served, &release).await?;
+        let directory = self.source.directory(&release).await?;
+        let mut cells = BTreeMap::new();
+        for cell in self.wanted(&release) {
+            cells.insert(cell, self.source.cell(&release, cell).await?);
+        }
+        let token = self.map.announce(release.map.version).await?;
+        self.wait_for_others(release.map.version).await?;
+        self.map.change_over(directory, cells, token).await?;
+        let change = change.unwrap_or_default();
+        tracing::info!(
+            name = self.name,
+            release = release.number,
+            from_version = served,
+            version = release.map.version,
+            changed = change.changed.len(),
+            moved = change.moved.len(),
+            removed = change.removed.len(),
+            "changed over to a release"
+        );
+        let notice = MapChangeNotice {
+            map: self.name.clone(),
+            identity: release.map.identity,
+            from_version: served,
+            version: release.map.version,
+            changed: change.changed,
+            moved: change.moved,
+            removed: change.removed,
+            stated_change: change.stated_change.filter(|size| size.validate().is_ok()),
+        };
+        self.release = release;
+        self.keep_release();
+        change::publish(&self.session, notice).await
+    }
+
+    /// Waits until every server of the map has loaded a version, or has had the time for it.
+    async fn wait_for_others(&mut self, version: u64) -> Result<(), ServeError> {
+        let mut loaded =
+            Tokens::follow(&self.session, keys::version_holder(&self.name, version, None)?).await?;
+        let deadline = Instant::now() + 2 * self.options.watch + LOADING;
+        loop {
+            let missing: Vec<String> = self
+                .members
+                .names()
+                .difference(&loaded.names())
+                .filter(|name| **name != self.me)
+                .cloned()
+                .collect();
+            if missing.is_empty() {
+                return Ok(());
+            }
+            let changed = async {
+                tokio::select! {
+                    () = loaded.changed() => {}
+                    () = self.members.changed() => {}
+                }
+            };
+            if tokio::time::timeout_at(deadline.into(), changed).await.is_err() {
+                tracing::warn!(
+                    name = self.name,
+                    version,
+                    ?missing,
+                    "changing over without these servers, which have not loaded the version: their cells answer when they have"
+                );
+                return Ok(());
+            }
+        }
+    }
+
+    fn keep_release(&self) {
+        if let Err(error) = self.source.cache.keep_release(&self.release) {
+            let reason = format!("{:#}", anyhow::Error::from(error));
+            tracing::warn!(reason, "the release is not kept: a restart needs the store");
+        }
+    }
+}
