@@ -3,13 +3,19 @@
 #![allow(clippy::unwrap_used)]
 
 use client::session::{CONFIG_FILE, Role, SessionMode, SessionOptions, close_session, open_session};
+use map_server::{CellService, CellServiceOptions, MapServer, ServerOptions};
+use protocol::{Format, MatchOutcome};
+use rand::SeedableRng as _;
+use rand::rngs::StdRng;
+use releases::{PublishOptions, ReleaseStore, publish};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
+use testing::{Place, PlaceOptions};
 use tests::attack::{
     Booty, Entry, FORGED, FORGED_STAMP, FORGED_VERSION, FORGERIES, Forger, Forgery, MEMBERS, OUTSIDERS,
     VICTIM, all_answers, status,
 };
-use tests::fleet::{FleetOperator, FleetRobot, FleetServer, PATIENCE, assert_works, session};
+use tests::fleet::{FleetOperator, FleetRobot, FleetServer, MAP, PATIENCE, assert_works, session};
 use tools::fleet::{Fleet, FleetOptions, Validity};
 use tools::in_process::free_endpoint;
 
@@ -63,6 +69,78 @@ async fn members_work_together_and_new_and_renewed_ones_too() {
             close_session(&between).await;
         }
     }
+}
+
+/// Servers ask each other for cells, and robots ask for none.
+#[tokio::test(flavor = "multi_thread")]
+async fn servers_share_the_cells_of_a_map() {
+    let folder = tempfile::tempdir().unwrap();
+    let secure = folder.path().join("fleet");
+    let mut fleet = fleet(&secure, true);
+    fleet.add(Role::MapServer, "north", Validity::default()).unwrap();
+    let between = router_of(&fleet, &secure).await;
+
+    let place = Place::new(&PlaceOptions { keyframes: 24, landmarks: 1200, ..PlaceOptions::default() });
+    let store = ReleaseStore::open(folder.path().join("city").to_str().unwrap()).unwrap();
+    let mut options = PublishOptions::default();
+    options.keyframes_a_cell = 6;
+    publish(&store, place.map.clone(), &options, |_| {}).await.unwrap();
+    let cells = store.newest().await.unwrap().unwrap().cells.len();
+
+    let mut servers = Vec::new();
+    for name in ["north", "south"] {
+        let session = open_session(&member(&secure, name)).await.unwrap();
+        let mut options = ServerOptions::default();
+        options.name = Some(name.to_owned());
+        let server = MapServer::start(session.clone(), Vec::new(), options).await.unwrap();
+        let mut options = CellServiceOptions::new(folder.path().join(name));
+        options.replicas = 1;
+        let service = CellService::start(&server, MAP, store.clone(), options).await.unwrap();
+        servers.push((session, server, service));
+    }
+    let operator = open_session(&member(&secure, "ann")).await.unwrap();
+    let begin = Instant::now();
+    while all_tokens(&operator, "map/hall/cell/*/server/*").await.len() != cells {
+        assert!(begin.elapsed() < PATIENCE);
+        tokio::time::sleep(Duration::from_millis(100)).await;
+    }
+    let holders = all_tokens(&operator, "map/hall/cell/*/server/*").await;
+    assert!(
+        ["north", "south"].iter().all(|name| holders.iter().any(|key| key.ends_with(name))),
+        "{holders:?}"
+    );
+
+    let robot = FleetRobot::start(VICTIM, &member(&secure, VICTIM)).await;
+    let mut rng = StdRng::seed_from_u64(5);
+    for pose in place.path.iter().step_by(4) {
+        let request = place.request(pose, 4, &mut rng);
+        let answer = robot.map.match_image(&request, Instant::now() + PATIENCE).await.unwrap();
+        assert_eq!(answer.status.outcome, MatchOutcome::Matched);
+        let payload = protocol::encode(Format::Bincode, &request).unwrap();
+        for cell in 0..cells {
+            let key = format!("map/hall/cell/{cell}/match");
+            let replies =
+                robot.session.get(key).payload(payload.clone()).encoding(Format::Bincode.encoding());
+            let replies = replies.timeout(Duration::from_millis(300)).await.unwrap();
+            let reply = replies.recv_async().await;
+            assert!(reply.is_err() || reply.unwrap().result().is_err(), "a robot was answered by a cell");
+        }
+    }
+    for (session, server, service) in servers {
+        service.stop().await;
+        server.stop().await.unwrap();
+        close_session(&session).await;
+    }
+    drop(between);
+}
+
+async fn all_tokens(session: &zenoh::Session, keys: &str) -> Vec<String> {
+    let tokens = session.liveliness().get(keys).await.unwrap();
+    let mut found = Vec::new();
+    while let Ok(token) = tokens.recv_async().await {
+        found.extend(token.result().ok().map(|sample| sample.key_expr().as_str().to_owned()));
+    }
+    found
 }
 
 /// Honest members of a running fleet, who notice what is forged.

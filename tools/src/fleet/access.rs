@@ -3,12 +3,12 @@
 //! | role | may |
 //! |---|---|
 //! | robot | query maps, read their changes, publish below its own name |
-//! | map server | answer for maps, publish their changes |
+//! | map server | answer for maps, publish their changes, ask other servers for cells of maps |
 //! | operator | query maps, read what robots and servers publish |
 //! | router | forward |
 //!
 //! What is not allowed is denied. The hub applies this to all that comes from a member. A member applies to the hub what
-//! it has use for: a map server takes no answers, a robot takes no queries.
+//! it has use for: a map server takes no answers but those of cells, a robot takes no queries.
 
 use super::state::FleetState;
 use client::session::{Member, Role};
@@ -77,6 +77,10 @@ fn from_member(member: &Member, maps: &[String]) -> Vec<Allowed> {
     let queries =
         || [of_maps("match"), of_maps("localize"), of_maps("info"), of_maps("keyframes/*")].concat();
     let all_maps = || vec!["map/**".to_owned()];
+    let tokens_of_cells = |name: &str| {
+        let suffixes = ["server", "cell/*/server", "version/*/server"];
+        suffixes.iter().flat_map(|suffix| of_maps(&format!("{suffix}/{name}"))).collect::<Vec<_>>()
+    };
     match member.role {
         Role::Router => vec![(ALL.to_vec(), everything())],
         Role::Robot => vec![
@@ -90,7 +94,12 @@ fn from_member(member: &Member, maps: &[String]) -> Vec<Allowed> {
         Role::MapServer => vec![
             (vec!["declare_queryable", "reply"], all_maps()),
             (vec!["put"], of_maps("changes")),
-            (vec!["liveliness_token"], vec![format!("map_server/{name}")]),
+            (
+                vec!["query"],
+                [of_maps("cell/*/match"), of_maps("cell/*/localize"), of_maps("cell/*/keyframes/*")].concat(),
+            ),
+            (vec!["liveliness_token"], [vec![format!("map_server/{name}")], tokens_of_cells(name)].concat()),
+            (WATCH.to_vec(), tokens_of_cells("*")),
         ],
         Role::Operator => vec![
             (vec!["query"], queries()),
@@ -109,7 +118,10 @@ fn from_hub(role: Role) -> Vec<Allowed> {
     let mut allowed = vec![(declarations, everything())];
     allowed.extend(match role {
         Role::Robot => vec![(vec!["reply", "declare_queryable"], all_maps()), (vec!["put"], changes())],
-        Role::MapServer => vec![(vec!["query"], all_maps())],
+        Role::MapServer => vec![
+            (vec!["query"], all_maps()),
+            (vec!["reply", "declare_queryable"], vec!["map/*/cell/**".to_owned()]),
+        ],
         Role::Operator => vec![
             (vec!["reply", "declare_queryable"], all_maps()),
             (vec!["put"], [changes(), vec!["robot/**".to_owned()]].concat()),
