@@ -148,15 +148,13 @@ fn a_map_that_is_replaced_while_it_is_read_is_read_whole() {
     let path = directory.path().join("map");
     let contents = place(1);
     store::save_map(&path, &contents, false).unwrap();
-    let stop = std::sync::atomic::AtomicBool::new(false);
     std::thread::scope(|scope| {
-        scope.spawn(|| {
+        let writing = scope.spawn(|| {
             for _ in 0..10 {
                 store::save_map(&path, &contents, true).unwrap();
             }
-            stop.store(true, std::sync::atomic::Ordering::Relaxed);
         });
-        while !stop.load(std::sync::atomic::Ordering::Relaxed) {
+        while !writing.is_finished() {
             assert_eq!(read(&path).landmarks, contents.landmarks);
         }
     });

@@ -156,7 +156,14 @@ fn name_of(folder: &Path) -> String {
 
 /// Lets one program at a time write a map; released when it is dropped, and when the program ends.
 struct Lock {
-    _file: File,
+    file: File,
+}
+
+impl Drop for Lock {
+    fn drop(&mut self) {
+        // Closing is not enough: a child process that was just started has the file open until it runs its program.
+        let _ = self.file.unlock();
+    }
 }
 
 impl Lock {
@@ -168,9 +175,25 @@ impl Lock {
         };
         let file = File::options().create(true).truncate(false).write(true).open(&path).map_err(failed)?;
         match file.try_lock() {
-            Ok(()) => Ok(Lock { _file: file }),
+            Ok(()) => Ok(Lock { file }),
             Err(TryLockError::WouldBlock) => Err(StoreError::InUse { path: map.to_owned() }),
             Err(TryLockError::Error(source)) => Err(failed(source)),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_lock_that_a_child_process_has_open_is_free_once_it_is_released() {
+        let map = tempfile::tempdir().unwrap();
+        let lock = Lock::take(map.path()).unwrap();
+        assert!(matches!(Lock::take(map.path()), Err(StoreError::InUse { .. })));
+        let of_child = lock.file.try_clone().unwrap();
+        drop(lock);
+        Lock::take(map.path()).unwrap();
+        drop(of_child);
     }
 }
