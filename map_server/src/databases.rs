@@ -13,6 +13,7 @@ use map_server::{MapServer, ServeError, ServedMap};
 use protocol::MapIdentity;
 use protocol::keys::{NameError, validate_name};
 use recognition::LoadedMap;
+use releases::ReleaseKey;
 
 use crate::released::ReleasedMap;
 
@@ -75,13 +76,14 @@ impl MapSource {
     ///
     /// # Arguments
     /// * `cache`: folder for what is fetched of releases, one folder a map in it.
+    /// * `key`: releases must be signed with it.
     ///
     /// # Errors
     /// A URL that is none, a cache that cannot be written.
-    pub fn open(argument: &MapArgument, cache: &Path) -> anyhow::Result<MapSource> {
+    pub fn open(argument: &MapArgument, cache: &Path, key: Option<&ReleaseKey>) -> anyhow::Result<MapSource> {
         let MapArgument { name, place } = argument;
         let origin = if argument.is_released() {
-            let released = ReleasedMap::open(place, &cache.join(name));
+            let released = ReleasedMap::open(place, &cache.join(name), key);
             Origin::Releases(released.with_context(|| format!("map {name} cannot be served"))?)
         } else {
             Origin::Database(PathBuf::from(place))

@@ -17,7 +17,8 @@ use databases::{MapArgument, MapSource};
 use map_server::{CellChoice, CellService, CellServiceOptions, MapServer, ServerOptions, Show};
 use monitoring::{Health, LogFormat, MonitoringServer, monitoring_routes, start_log};
 use prometheus_client::registry::Registry;
-use releases::ReleaseStore;
+use released::open_store;
+use releases::ReleaseKey;
 use status_line::StatusLine;
 use tokio::time::MissedTickBehavior;
 use tracing_subscriber::EnvFilter;
@@ -75,6 +76,10 @@ struct Arguments {
     /// Look for new releases after this time, s.
     #[arg(long, value_name = "SECONDS", default_value_t = 30, value_parser = clap::value_parser!(u64).range(1..))]
     watch_releases: u64,
+
+    /// Take only releases that are signed with this key: a file of driftless release-key or minisign, or its line.
+    #[arg(long, value_name = "FILE|KEY")]
+    release_key: Option<ReleaseKey>,
 
     /// Serve these cells of maps from releases, and leave the others to other servers: numbers like 0-3,7 (see
     /// `driftless list-releases --cells`), or auto for a share of them, which changes as servers come and go.
@@ -158,7 +163,7 @@ async fn serve() -> anyhow::Result<()> {
             "--cells is for maps from releases (--map NAME=URL), and there is none: publish it with driftless publish-map"
         );
     }
-    let open = |map: &&MapArgument| MapSource::open(map, &cache);
+    let open = |map: &&MapArgument| MapSource::open(map, &cache, arguments.release_key.as_ref());
     let sources = whole.iter().map(open).collect::<anyhow::Result<Vec<_>>>()?;
     let mut maps = Vec::with_capacity(sources.len());
     for source in &sources {
@@ -185,7 +190,8 @@ async fn serve() -> anyhow::Result<()> {
             options.choice = arguments.cells.clone().unwrap_or(CellChoice::Auto);
             options.replicas = usize::from(arguments.replicas);
             options.watch = Duration::from_secs(arguments.watch_releases);
-            anyhow::Ok(CellService::start(&server, name, ReleaseStore::open(place)?, options).await?)
+            let store = open_store(place, arguments.release_key.as_ref())?;
+            anyhow::Ok(CellService::start(&server, name, store, options).await?)
         };
         services.push(served.await.with_context(|| format!("map {name} cannot be served"))?);
     }

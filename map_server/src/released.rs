@@ -5,8 +5,20 @@ use std::path::Path;
 use anyhow::Context;
 use protocol::MapIdentity;
 use recognition::LoadedMap;
-use releases::{Release, ReleaseCache, ReleaseStore, fetch};
+use releases::{Release, ReleaseCache, ReleaseError, ReleaseKey, ReleaseStore, fetch};
 use tokio::runtime::Handle;
+
+/// Opens a store whose releases must be signed with a key, if there is one.
+///
+/// # Errors
+/// A URL that is none.
+pub fn open_store(url: &str, key: Option<&ReleaseKey>) -> Result<ReleaseStore, ReleaseError> {
+    let store = ReleaseStore::open(url)?;
+    Ok(match key {
+        Some(key) => store.signed_with(key.clone()),
+        None => store,
+    })
+}
 
 /// The releases of one map, with a cache of what was fetched.
 #[derive(Clone, Debug)]
@@ -20,8 +32,8 @@ impl ReleasedMap {
     ///
     /// # Errors
     /// A URL that is none, a folder that cannot be made.
-    pub fn open(url: &str, cache: &Path) -> anyhow::Result<ReleasedMap> {
-        Ok(ReleasedMap { store: ReleaseStore::open(url)?, cache: ReleaseCache::open(cache)? })
+    pub fn open(url: &str, cache: &Path, key: Option<&ReleaseKey>) -> anyhow::Result<ReleasedMap> {
+        Ok(ReleasedMap { store: open_store(url, key)?, cache: ReleaseCache::open(cache)? })
     }
 
     /// The map of the newest release, or where the store is away of the one that was served last. Called in a thread that may

@@ -109,6 +109,7 @@ fn every_help_shows_an_example() {
         "diff-releases",
         "rollback",
         "clean-releases",
+        "release-key",
         "query",
         "localize",
         "inspect",

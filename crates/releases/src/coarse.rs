@@ -5,7 +5,7 @@
 use crate::cells::BorderedCell;
 use crate::error::SegmentError;
 use map::store::record::{seal, unseal};
-use map::{Landmark, RecordError};
+use map::{Keyframe, Landmark, RecordError};
 use protocol::KeyframeId;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -18,10 +18,12 @@ const TABLE: &str = "coarse";
 const LANDMARKS_A_KEYFRAME: u32 = 16;
 
 /// The landmarks of a cell that tell it from others.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct CoarseCell {
     /// The cell's keyframes, ascending.
     pub keyframes: Vec<KeyframeId>,
+    /// Their positions in G, metres.
+    pub positions: Vec<[f32; 3]>,
     /// Some landmarks that they observe.
     pub landmarks: Vec<CoarseLandmark>,
 }
@@ -38,6 +40,7 @@ pub struct CoarseLandmark {
 #[derive(Serialize, Deserialize)]
 struct CoarseRecord {
     keyframes: Vec<KeyframeId>,
+    positions: Vec<[f32; 3]>,
     descriptors: Vec<Vec<u8>>,
     observers: Vec<Vec<u32>>,
 }
@@ -66,13 +69,17 @@ impl CoarseCell {
             observers.iter().for_each(|at| taken[*at as usize] += 1);
             landmarks.push(CoarseLandmark { descriptor: seen.descriptor.clone(), observers });
         }
-        Self { keyframes, landmarks }
+        let position =
+            |keyframe: &Keyframe| keyframe.global_from_keyframe.pose.translation.cast::<f32>().into();
+        let positions = cell.own.keyframes.iter().map(|keyframe| position(keyframe)).collect();
+        Self { keyframes, positions, landmarks }
     }
 
     pub(crate) fn encode(self) -> Result<Vec<u8>, RecordError> {
         let (descriptors, observers) =
-            self.landmarks.into_iter().map(|landmark| (landmark.descriptor, landmark.observers)).unzip();
-        let record = CoarseRecord { keyframes: self.keyframes, descriptors, observers };
+            self.landmarks.iter().cloned().map(|landmark| (landmark.descriptor, landmark.observers)).unzip();
+        let Self { keyframes, positions, .. } = self;
+        let record = CoarseRecord { keyframes, positions, descriptors, observers };
         Ok([MAGIC, &seal(TABLE, &[], &record)?].concat())
     }
 
@@ -83,11 +90,12 @@ impl CoarseCell {
     pub(crate) fn decode(bytes: &[u8], width: usize) -> Result<Self, SegmentError> {
         let sealed = bytes.strip_prefix(MAGIC).ok_or(SegmentError::NotASegment)?;
         let damaged = |source| SegmentError::Record { at: MAGIC.len(), source };
-        let CoarseRecord { keyframes, descriptors, observers } =
+        let CoarseRecord { keyframes, positions, descriptors, observers } =
             unseal(TABLE, &[], sealed).map_err(damaged)?;
         let count = keyframes.len();
         let is_known = |observers: &Vec<u32>| observers.iter().all(|at| (*at as usize) < count);
         let is_whole = descriptors.len() == observers.len()
+            && positions.len() == count
             && keyframes.is_sorted()
             && descriptors.iter().all(|descriptor| descriptor.len() == width)
             && observers.iter().all(|observers| observers.is_sorted() && is_known(observers));
@@ -98,7 +106,7 @@ impl CoarseCell {
         let landmarks = descriptors.into_iter().zip(observers);
         let landmarks =
             landmarks.map(|(descriptor, observers)| CoarseLandmark { descriptor, observers }).collect();
-        Ok(Self { keyframes, landmarks })
+        Ok(Self { keyframes, positions, landmarks })
     }
 }
 

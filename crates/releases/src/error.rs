@@ -55,6 +55,24 @@ pub enum ReleaseError {
         /// The number.
         number: u64,
     },
+    /// The release is not signed with the key that it must be signed with.
+    #[error("release {number} of {place} is not signed with the key that was given: {reason}")]
+    NotSigned {
+        /// The store.
+        place: String,
+        /// The release.
+        number: u64,
+        /// What is wrong with its signature.
+        reason: String,
+    },
+    /// A secret key cannot be used.
+    #[error("the key {file} cannot be used: {reason}")]
+    Key {
+        /// File of the key.
+        file: PathBuf,
+        /// Why not.
+        reason: String,
+    },
     /// The release has no such cell.
     #[error("release {number} of {place} has no cell {cell}; driftless list-releases --cells names them")]
     NoCell {

@@ -2,6 +2,7 @@
 //!
 //! ```text
 //! releases/00000000000000000007.json    what release 7 is: the map's identity and version, and the segments of its cells
+//! signatures/{SHA-256}                  of the file of a release, where it is signed
 //! segments/{SHA-256}                    the keyframes, landmarks and cross-covariances of a cell, of its border, its coarse landmarks
 //! ```
 //! Nothing is ever overwritten: segments are named by their content, and a release is put under the next number only if that
@@ -16,6 +17,7 @@
 //! | [`change`] | what changed from one release to the next |
 //! | `segment` | the bytes of a cell |
 //! | [`release`] | what a release is |
+//! | [`signing`] | who may publish |
 //! | [`store`] | the object store |
 //! | [`publish`](mod@publish) | publishing a map, going back to a former release |
 //! | [`fetch`](mod@fetch) | the map of a release or single cells of it, every byte verified |
@@ -55,6 +57,7 @@ pub mod partition;
 pub mod publish;
 pub mod release;
 mod segment;
+pub mod signing;
 pub mod store;
 
 pub use cache::ReleaseCache;
@@ -66,4 +69,7 @@ pub use fetch::{Cell, fetch, fetch_cell, fetch_coarse};
 pub use partition::{CellId, Partition};
 pub use publish::{Outcome, Progress, PublishOptions, Published, publish, roll_back};
 pub use release::{Release, ReleaseDifference, ReleasedCell, ReleasedMap, SegmentName, ServedCell};
+pub use signing::ReleaseKey;
+#[cfg(feature = "signing")]
+pub use signing::SigningKey;
 pub use store::ReleaseStore;

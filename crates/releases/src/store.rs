@@ -3,6 +3,9 @@
 use crate::change::ReleasedChange;
 use crate::error::ReleaseError;
 use crate::release::{Release, SegmentName};
+use crate::signing::ReleaseKey;
+#[cfg(feature = "signing")]
+use crate::signing::SigningKey;
 use bytes::Bytes;
 use futures_util::TryStreamExt as _;
 use object_store::path::Path;
@@ -18,6 +21,9 @@ const MAX_RELEASE_BYTES: u64 = 64 << 20;
 const DIGITS: usize = 20;
 const RELEASES: &str = "releases";
 const SEGMENTS: &str = "segments";
+const SIGNATURES: &str = "signatures";
+/// A signature is a few lines.
+const MAX_SIGNATURE_BYTES: u64 = 4096;
 const EXTENSION: &str = ".json";
 
 /// The releases of one map in an object store.
@@ -26,6 +32,10 @@ pub struct ReleaseStore {
     store: Arc<dyn ObjectStore>,
     root: Path,
     place: String,
+    /// Releases must be signed with it.
+    key: Option<ReleaseKey>,
+    #[cfg(feature = "signing")]
+    signing: Option<Arc<SigningKey>>,
 }
 
 impl ReleaseStore {
@@ -58,7 +68,27 @@ impl ReleaseStore {
         });
         let (store, root) =
             object_store::parse_url_opts(&url, variables).map_err(|error| refused(error.to_string()))?;
-        Ok(Self { store: Arc::from(store), root, place: place.to_owned() })
+        Ok(Self {
+            store: Arc::from(store),
+            root,
+            place: place.to_owned(),
+            key: None,
+            #[cfg(feature = "signing")]
+            signing: None,
+        })
+    }
+
+    /// The same store, whose releases are read only if they are signed with a key.
+    #[must_use]
+    pub fn signed_with(self, key: ReleaseKey) -> Self {
+        Self { key: Some(key), ..self }
+    }
+
+    /// The same store, to which releases are put with a signature.
+    #[cfg(feature = "signing")]
+    #[must_use]
+    pub fn signing_with(self, key: SigningKey) -> Self {
+        Self { signing: Some(Arc::new(key)), ..self }
     }
 
     /// The place as it was given.
@@ -92,6 +122,20 @@ impl ReleaseStore {
             }
             error => error,
         })?;
+        if let Some(key) = &self.key {
+            let not_signed =
+                |reason: String| ReleaseError::NotSigned { place: self.place.clone(), number, reason };
+            let signature = match self.read(&signature_name(&text), MAX_SIGNATURE_BYTES).await {
+                Ok(signature) => signature,
+                Err(ReleaseError::Store { reason, .. })
+                    if matches!(*reason, object_store::Error::NotFound { .. }) =>
+                {
+                    return Err(not_signed("it has no signature".to_owned()));
+                }
+                Err(error) => return Err(error),
+            };
+            key.verify(&text, &signature).map_err(not_signed)?;
+        }
         Release::decode(&text, number).map_err(|reason| self.damaged(object, reason))
     }
 
@@ -156,6 +200,14 @@ impl ReleaseStore {
         let mut text = serde_json::to_vec_pretty(release)
             .map_err(|error| self.damaged(object.clone(), error.to_string()))?;
         text.push(b'\n');
+        #[cfg(feature = "signing")]
+        if let Some(key) = &self.signing {
+            // Before its release, so that none is ever without.
+            let signature = key.sign(&text).map_err(|reason| self.damaged(object.clone(), reason))?;
+            let name = signature_name(&text);
+            let put = self.put(&name, signature, PutMode::Overwrite).await;
+            put.map_err(|source| self.failed(name, "written", source))?;
+        }
         match self.put(&object, text, PutMode::Create).await {
             Ok(()) => Ok(()),
             Err(object_store::Error::AlreadyExists { .. }) => {
@@ -173,7 +225,11 @@ impl ReleaseStore {
     }
 
     pub(crate) async fn remove_release(&self, number: u64) -> Result<(), ReleaseError> {
-        self.remove(release_name(number)).await
+        let object = release_name(number);
+        if let Ok(text) = self.read(&object, MAX_RELEASE_BYTES).await {
+            self.remove(signature_name(&text)).await?;
+        }
+        self.remove(object).await
     }
 
     pub(crate) async fn remove_segment(&self, sha256: &str) -> Result<(), ReleaseError> {
@@ -233,6 +289,11 @@ pub(crate) fn sha256(bytes: &[u8]) -> String {
 
 fn release_name(number: u64) -> String {
     format!("{RELEASES}/{number:0DIGITS$}{EXTENSION}")
+}
+
+/// That of the signature of a release's file.
+fn signature_name(text: &[u8]) -> String {
+    format!("{SIGNATURES}/{}", sha256(text))
 }
 
 fn segment_name(segment: &SegmentName) -> String {

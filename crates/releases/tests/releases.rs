@@ -7,6 +7,8 @@ use releases::{
     CleanOptions, Outcome, PublishOptions, Published, Release, ReleaseCache, ReleaseError, ReleaseStore,
     ReleasedCell, SegmentName, clean, fetch, publish, roll_back,
 };
+#[cfg(feature = "signing")]
+use releases::{ReleaseKey, SigningKey};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -299,6 +301,61 @@ async fn a_cache_serves_without_the_store_and_heals() {
     assert_eq!(std::fs::read_dir(folder.join("segments")).unwrap().count(), second.cells.len());
     std::fs::write(folder.join("release.json"), "{}").unwrap();
     assert!(cache.release().is_none());
+}
+
+#[cfg(feature = "signing")]
+#[tokio::test]
+async fn a_release_without_the_right_signature_is_refused() {
+    let scratch = Scratch::new();
+    let keys = ["ours", "theirs"].map(|name| {
+        let file = scratch.folder.path().join(name);
+        let public = SigningKey::generate(&file).unwrap();
+        assert!(SigningKey::generate(&file).is_err(), "a key was written over");
+        let key: ReleaseKey = public.to_str().unwrap().parse().unwrap();
+        (file, key)
+    });
+    let [(ours, our_key), (theirs, _)] = keys;
+    let reading = scratch.store.clone().signed_with(our_key);
+    let signing = |file: &Path| scratch.store.clone().signing_with(SigningKey::read(file, None).unwrap());
+    let contents = place(10);
+    let release = published(&signing(&ours), &contents).await.release;
+    assert_eq!(reading.newest().await.unwrap().unwrap(), release);
+    assert_eq!(scratch.store.newest().await.unwrap().unwrap(), release, "others need no key");
+
+    // Not signed, signed by others, the signature of another release, a changed release.
+    let less = without_the_last(&contents);
+    let refused = async || causes(&reading.newest().await.unwrap_err());
+    published(&scratch.store, &less).await;
+    assert!(refused().await.contains("it has no signature"));
+    let second = scratch.files("releases")[1].clone();
+    std::fs::remove_file(&second).unwrap();
+    published(&signing(&theirs), &less).await;
+    assert!(refused().await.contains("is not signed with the key"));
+    std::fs::remove_file(&second).unwrap();
+    published(&signing(&ours), &less).await;
+    assert_eq!(reading.newest().await.unwrap().unwrap().number, 2);
+    let signed = std::fs::read(&second).unwrap();
+    std::fs::write(
+        &second,
+        String::from_utf8(signed.clone()).unwrap().replace("\"version\": 2", "\"version\": 9"),
+    )
+    .unwrap();
+    assert!(refused().await.contains("it has no signature"));
+    // A release under another number is the file of its own number.
+    std::fs::write(scratch.folder.path().join("city/releases/00000000000000000003.json"), &signed).unwrap();
+    assert!(refused().await.contains("it says that it is release 2"));
+    std::fs::remove_file(scratch.folder.path().join("city/releases/00000000000000000003.json")).unwrap();
+    std::fs::write(&second, &signed).unwrap();
+    assert_eq!(reading.newest().await.unwrap().unwrap().number, 2);
+
+    // Signatures go with their releases.
+    let mut options = CleanOptions::default();
+    options.releases = 1;
+    options.grace = Duration::ZERO;
+    let before = scratch.files("signatures").len();
+    clean(&scratch.store, &options).await.unwrap();
+    assert_eq!(scratch.files("signatures").len(), before - 1);
+    assert!("nonsense".parse::<ReleaseKey>().is_err());
 }
 
 #[test]

@@ -2,7 +2,6 @@
 
 use std::collections::BTreeMap;
 
-use geometry::PoseWithCovariance;
 use map::MapMetadata;
 use map::store::STORE_SCHEMA;
 use nalgebra::Vector3;
@@ -11,7 +10,7 @@ use recognition::{CoarseIndex, CoarseIndexBuilder, QueryError, prior_radius};
 use releases::{CellId, CoarseCell, Release};
 use vision::DescriptorError;
 
-/// A cell is asked first where it has at least this part of the votes of the most likely one.
+/// A cell is asked first where it has at least this part of the votes of the most likely one, or of its keyframes near a prior.
 const LIKELY: f64 = 0.5;
 /// So many cells are asked first, at most.
 const FIRST_CELLS: usize = 3;
@@ -26,11 +25,22 @@ pub struct CellDirectory {
     coarse: CoarseIndex,
 }
 
+/// The cells near a prior.
+struct Near {
+    cells: Vec<CellId>,
+    /// So many of them have not much fewer keyframes around than the first.
+    main: usize,
+    /// Whether the camera can't be farther from the prior than it sees.
+    is_tight: bool,
+}
+
 struct DirectedCell {
     extent: [Vector3<f64>; 2],
     viewing_distance: f64,
     /// Ascending.
     keyframes: Vec<KeyframeId>,
+    /// In G, metres.
+    positions: Vec<[f32; 3]>,
     landmarks: usize,
     observations: usize,
     cross_covariances: usize,
@@ -48,7 +58,7 @@ impl CellDirectory {
         let info = release.map.metadata();
         let mut builder = CoarseIndexBuilder::new(info.clone());
         let mut cells = BTreeMap::new();
-        for (cell, CoarseCell { keyframes, landmarks }) in coarse {
+        for (cell, CoarseCell { keyframes, positions, landmarks }) in coarse {
             let Some((released, serving)) =
                 release.cell(cell).and_then(|released| Some((released, released.serving.as_ref()?)))
             else {
@@ -62,6 +72,7 @@ impl CellDirectory {
                 extent: released.extent.map(Vector3::from),
                 viewing_distance: serving.viewing_distance,
                 keyframes,
+                positions,
                 landmarks: released.landmarks,
                 observations: serving.observations,
                 cross_covariances: serving.cross_covariances,
@@ -102,18 +113,20 @@ impl CellDirectory {
         self.cells.values().map(|cell| cell.keyframes.len()).sum()
     }
 
-    /// The cells that are asked first: those near the prior, and without one the most likely.
+    /// The cells that are asked first: near a prior that of most keyframes around, without one the most likely.
     ///
     /// # Errors
     /// [`QueryError`] where the features cannot be compared with the map.
     pub fn first(&self, features: &FeatureSet, prior: Option<&PosePrior>) -> Result<Vec<CellId>, QueryError> {
-        let near = prior.map(|prior| self.near(&prior.global_from_camera)).unwrap_or_default();
-        if (1..=FIRST_CELLS).contains(&near.len()) {
-            return Ok(near);
+        let Near { cells, main, is_tight } = self.near(prior);
+        // The borders of the main ones have most of what the others could add.
+        let asked = if is_tight { main.min(FIRST_CELLS) } else { cells.len() };
+        if (1..=FIRST_CELLS).contains(&asked) {
+            return Ok(cells.into_iter().take(asked).collect());
         }
         let ranked = self.coarse.rank(features)?;
         let eligible: Vec<_> =
-            ranked.into_iter().filter(|ranked| near.is_empty() || near.contains(&ranked.part)).collect();
+            ranked.into_iter().filter(|ranked| cells.is_empty() || cells.contains(&ranked.part)).collect();
         let least = eligible.first().map_or(0.0, |first| LIKELY * first.weight);
         let likely = eligible.iter().filter(|ranked| ranked.weight >= least);
         let first: Vec<CellId> = likely.map(|ranked| ranked.part).take(FIRST_CELLS).collect();
@@ -121,30 +134,53 @@ impl CellDirectory {
         Ok(if first.is_empty() { self.cells().take(1).collect() } else { first })
     }
 
-    /// The cells that are asked when none of the first ones shows the place, the most likely first.
+    /// The cells that are asked when none of the first ones shows the place: the others near the prior, then the most likely.
     ///
     /// # Errors
     /// [`QueryError`] where the features cannot be compared with the map.
-    pub fn then(&self, features: &FeatureSet, asked: &[CellId]) -> Result<Vec<CellId>, QueryError> {
+    pub fn then(
+        &self,
+        features: &FeatureSet,
+        prior: Option<&PosePrior>,
+        asked: &[CellId],
+    ) -> Result<Vec<CellId>, QueryError> {
+        let mut then = self.near(prior).cells;
         let ranked = self.coarse.rank(features)?.into_iter().map(|ranked| ranked.part);
-        let others = ranked.filter(|cell| !asked.contains(cell));
-        Ok(others.take(MOST_CELLS.saturating_sub(asked.len())).collect())
-    }
-
-    /// The cells that a camera near a prior pose could see, the nearest first.
-    fn near(&self, prior: &PoseWithCovariance) -> Vec<CellId> {
-        let radius = prior_radius(prior);
-        let mut near: Vec<(f64, CellId)> = Vec::new();
-        for (cell, directed) in &self.cells {
-            let [low, high] = &directed.extent;
-            let nearest = prior.pose.translation.sup(low).inf(high);
-            let distance = (nearest - prior.pose.translation).norm();
-            if distance <= radius + directed.viewing_distance {
-                near.push((distance, *cell));
+        for cell in ranked {
+            if !then.contains(&cell) {
+                then.push(cell);
             }
         }
-        near.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        near.into_iter().map(|(_, cell)| cell).collect()
+        then.retain(|cell| !asked.contains(cell));
+        then.truncate(MOST_CELLS.saturating_sub(asked.len()));
+        Ok(then)
+    }
+
+    /// The cells with keyframes that could share a landmark with a camera near a prior pose, those with most of them first.
+    fn near(&self, prior: Option<&PosePrior>) -> Near {
+        let Some(prior) = prior.map(|prior| &prior.global_from_camera) else {
+            return Near { cells: Vec::new(), main: 0, is_tight: false };
+        };
+        let (position, radius) = (prior.pose.translation, prior_radius(prior));
+        let mut near: Vec<(usize, CellId)> = Vec::new();
+        let mut is_tight = true;
+        for (cell, directed) in &self.cells {
+            let reach = radius + directed.viewing_distance;
+            let [low, high] = &directed.extent;
+            if (position.sup(low).inf(high) - position).norm() > reach {
+                continue;
+            }
+            let is_near = |other: &&[f32; 3]| (Vector3::from(**other).cast() - position).norm() <= reach;
+            let count = directed.positions.iter().filter(is_near).count();
+            if count > 0 {
+                is_tight &= radius <= directed.viewing_distance;
+                near.push((count, *cell));
+            }
+        }
+        near.sort_by_key(|(count, cell)| (std::cmp::Reverse(*count), *cell));
+        let most = near.first().map_or(0, |(count, _)| *count);
+        let main = near.iter().filter(|(count, _)| *count as f64 >= LIKELY * most as f64).count();
+        Near { cells: near.into_iter().map(|(_, cell)| cell).collect(), main, is_tight }
     }
 
     /// Describes the map under the name by which it is served.

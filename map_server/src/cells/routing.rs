@@ -13,7 +13,7 @@ use protocol::{
     LocalizeReply, LocalizeRequest, MapIdentity, MatchOutcome, MatchReply, MatchRequest, MatchStatus,
     Message, PosePrior, keys,
 };
-use recognition::{PartResult, RecognitionOptions, RecognizedPlace, choose_part};
+use recognition::{PartResult, QueryError, RecognitionOptions, RecognizedPlace, choose_part};
 use releases::CellId;
 use tokio::task::JoinSet;
 use zenoh::query::Query;
@@ -117,15 +117,19 @@ impl RoutedMap {
         match wanted {
             Wanted::Match(request, first) => {
                 let asked = Asked { directory, forwarded, has_prior: request.prior.is_some() };
-                let features = move || request.features.clone();
-                let found = self.search::<CellMatchReply>(&asked, first, features).await?;
+                let then = Arc::clone(&asked.directory);
+                let then =
+                    move |first: &[CellId]| then.then(&request.features, request.prior.as_ref(), first);
+                let found = self.search::<CellMatchReply>(&asked, first, then).await?;
                 let key = keys::map_match(&self.name).map_err(|error| handlers::internal(&error))?;
                 send_all(query, key, match_replies(found, received)).await
             }
             Wanted::Localize(request, first) => {
                 let asked = Asked { directory, forwarded, has_prior: request.prior.is_some() };
-                let features = move || request.features.clone();
-                let found = self.search::<CellLocalizeReply>(&asked, first, features).await?;
+                let then = Arc::clone(&asked.directory);
+                let then =
+                    move |first: &[CellId]| then.then(&request.features, request.prior.as_ref(), first);
+                let found = self.search::<CellLocalizeReply>(&asked, first, then).await?;
                 let key = keys::map_localize(&self.name).map_err(|error| handlers::internal(&error))?;
                 send_all(query, key, vec![localize_reply(found)]).await
             }
@@ -177,7 +181,7 @@ impl RoutedMap {
         &self,
         asked: &Asked,
         first: Vec<CellId>,
-        features: impl FnOnce() -> FeatureSet + Send + 'static,
+        then: impl FnOnce(&[CellId]) -> Result<Vec<CellId>, QueryError> + Send + 'static,
     ) -> Result<Found<R>, ErrorReply> {
         let mut replies: Vec<R> = self.ask(asked, &first).await?;
         let outcome = match self.choose(&replies) {
@@ -187,8 +191,7 @@ impl RoutedMap {
         if matches!(outcome, MatchOutcome::Ambiguous | MatchOutcome::TooFewFeatures) {
             return Ok(Found { outcome, winner: None, others: replies });
         }
-        let directory = Arc::clone(&asked.directory);
-        let ranking = tokio::task::spawn_blocking(move || directory.then(&features(), &first));
+        let ranking = tokio::task::spawn_blocking(move || then(&first));
         let then = ranking.await.map_err(|error| handlers::internal(&error))?;
         let then = then.map_err(|error| handlers::query_error(&self.name, &error))?;
         replies.extend(self.ask(asked, &then).await?);

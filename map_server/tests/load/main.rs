@@ -3,10 +3,12 @@
 //! ```sh
 //! cargo test --release -p driftless-map-server --test load -- --ignored --nocapture latencies_of_a_fleet
 //! cargo test --release -p driftless-map-server --test load -- --ignored --nocapture hostile_load
+//! cargo test --release -p driftless-map-server --test load -- --ignored --nocapture a_query_in_cells
 //! ```
 #![cfg(target_os = "linux")]
 #![allow(clippy::unwrap_used, missing_docs)]
 
+mod cells;
 mod fleet;
 mod hostile;
 mod town;

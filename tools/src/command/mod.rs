@@ -70,6 +70,8 @@ pub enum Command {
     Rollback(releases::RollbackArgs),
     /// Remove old releases, and what no release needs
     CleanReleases(releases::CleanArgs),
+    /// Make a key with which releases are signed
+    ReleaseKey(releases::KeyArgs),
     /// Print the contents of a map: counts, extent, uncertainties
     MapInfo(map_info::Args),
     /// Query a running map server with the features of an image
@@ -129,6 +131,7 @@ impl Command {
             Self::DiffReleases(args) => releases::diff(&args),
             Self::Rollback(args) => releases::roll_back(&args),
             Self::CleanReleases(args) => releases::clean(&args),
+            Self::ReleaseKey(args) => releases::generate_key(&args),
             Self::MapInfo(args) => map_info::run(args),
             Self::Query(args) => query::run(args),
             Self::ExtractFeatures(args) => extract_features::run(&args),

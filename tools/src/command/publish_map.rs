@@ -3,7 +3,7 @@
 use super::releases::in_store;
 use indicatif::{ProgressBar, ProgressStyle};
 use map::store::load_map;
-use releases::{Outcome, PublishOptions, Published, publish};
+use releases::{Outcome, PublishOptions, Published, ReleaseError, ReleaseStore, SigningKey, publish};
 use serde_json::json;
 use std::path::PathBuf;
 
@@ -12,6 +12,7 @@ use std::path::PathBuf;
 #[command(after_help = "Examples:\n  \
     driftless publish-map --map city.db --to s3://bucket/city\n  \
     driftless publish-map --map city.db --to /srv/releases/city\n  \
+    driftless publish-map --map city.db --to s3://bucket/city --sign city.key      (of driftless release-key)\n  \
     map_server --map city=s3://bucket/city\n\n\
     The map is cut into cells, one segment each; segments that the newest release has are not sent again. A release never\n\
     changes. Of two that publish at once, one is told that the other was first. Credentials, region and endpoint come from the\n\
@@ -27,9 +28,29 @@ pub struct Args {
     /// Cut cells with more keyframes than these
     #[arg(long, value_name = "N", default_value_t = PublishOptions::default().keyframes_a_cell as u64, value_parser = clap::value_parser!(u64).range(1..))]
     keyframes_per_cell: u64,
+    #[command(flatten)]
+    signing: SigningArgs,
     /// Print the result as JSON
     #[arg(long)]
     json: bool,
+}
+
+/// How a release is signed.
+#[derive(Clone, Debug, clap::Args)]
+pub struct SigningArgs {
+    /// Sign the release with this secret key of driftless release-key or minisign; the password of an encrypted one is taken
+    /// from DRIFTLESS_KEY_PASSWORD
+    #[arg(long, value_name = "KEY")]
+    sign: Option<PathBuf>,
+}
+
+impl SigningArgs {
+    /// The store, to which releases are put with a signature if a key was given.
+    pub(super) fn apply(&self, store: ReleaseStore) -> Result<ReleaseStore, ReleaseError> {
+        let Some(file) = &self.sign else { return Ok(store) };
+        let password = std::env::var("DRIFTLESS_KEY_PASSWORD").ok();
+        Ok(store.signing_with(SigningKey::read(file, password)?))
+    }
 }
 
 /// Runs the command.
@@ -43,7 +64,8 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let bar = if args.json { ProgressBar::hidden() } else { ProgressBar::new(0) };
     bar.set_style(ProgressStyle::with_template("{wide_bar} {pos}/{len} cells {elapsed_precise}")?);
     let outcome = in_store(&args.to, async |store| {
-        publish(store, contents, &options, |progress| {
+        let store = args.signing.apply(store)?;
+        publish(&store, contents, &options, |progress| {
             bar.set_length(progress.of as u64);
             bar.set_position(progress.cells as u64);
         })

@@ -1,9 +1,10 @@
-//! `driftless list-releases`, `diff-releases`, `rollback`, `clean-releases`.
+//! `driftless list-releases`, `diff-releases`, `rollback`, `clean-releases`, `release-key`.
 
-use super::publish_map::{megabytes, print_outcome};
+use super::publish_map::{SigningArgs, megabytes, print_outcome};
 use anyhow::{Context as _, ensure};
-use releases::{CellId, CleanOptions, Release, ReleaseError, ReleaseStore};
+use releases::{CellId, CleanOptions, Release, ReleaseError, ReleaseStore, SigningKey};
 use serde_json::json;
+use std::path::PathBuf;
 use std::time::Duration;
 use time::OffsetDateTime;
 
@@ -51,9 +52,23 @@ pub struct RollbackArgs {
     /// Number of the release to go back to
     #[arg(value_name = "RELEASE")]
     release: u64,
+    #[command(flatten)]
+    signing: SigningArgs,
     /// Print the result as JSON
     #[arg(long)]
     json: bool,
+}
+
+/// Arguments of `release-key`.
+#[derive(Clone, Debug, clap::Args)]
+#[command(after_help = "Example:\n  driftless release-key city.key\n  \
+    driftless publish-map --map city.db --to s3://bucket/city --sign city.key\n  \
+    map_server --map city=s3://bucket/city --release-key city.key.pub\n\n\
+    Keys and signatures are those of minisign.")]
+pub struct KeyArgs {
+    /// File of the new secret key; the public one is written beside it, with .pub
+    #[arg(value_name = "KEY")]
+    key: PathBuf,
 }
 
 /// Arguments of `clean-releases`.
@@ -194,8 +209,20 @@ pub fn diff(args: &DiffArgs) -> anyhow::Result<()> {
 /// # Errors
 /// A release that is not there, a store that cannot be written, another publisher that was faster.
 pub fn roll_back(args: &RollbackArgs) -> anyhow::Result<()> {
-    let outcome = in_store(&args.url, async |store| releases::roll_back(store, args.release).await)?;
+    let outcome = in_store(&args.url, async |store| {
+        releases::roll_back(&args.signing.apply(store)?, args.release).await
+    })?;
     print_outcome(&outcome, args.json)
+}
+
+/// Runs `release-key`.
+///
+/// # Errors
+/// A file that exists or cannot be written.
+pub fn generate_key(args: &KeyArgs) -> anyhow::Result<()> {
+    let public = SigningKey::generate(&args.key)?;
+    println!("wrote {} (secret) and {} (for map servers)", args.key.display(), public.display());
+    Ok(())
 }
 
 /// Runs `clean-releases`.
@@ -208,7 +235,7 @@ pub fn clean(args: &CleanArgs) -> anyhow::Result<()> {
     options.releases = usize::try_from(args.keep)?;
     options.grace = Duration::from_secs_f64(args.grace * 3600.0);
     options.dry_run = args.dry_run;
-    let cleaned = in_store(&args.url, async |store| releases::clean(store, &options).await)?;
+    let cleaned = in_store(&args.url, async |store| releases::clean(&store, &options).await)?;
     if args.json {
         let value = json!({
             "releases": cleaned.releases, "segments": cleaned.segments, "bytes": cleaned.bytes, "dry_run": args.dry_run,
@@ -229,11 +256,11 @@ pub fn clean(args: &CleanArgs) -> anyhow::Result<()> {
 /// Does something with the releases at a place.
 pub(super) fn in_store<T>(
     url: &str,
-    work: impl AsyncFnOnce(&ReleaseStore) -> Result<T, ReleaseError>,
+    work: impl AsyncFnOnce(ReleaseStore) -> Result<T, ReleaseError>,
 ) -> anyhow::Result<T> {
     let store = ReleaseStore::open(url)?;
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
-    Ok(runtime.block_on(work(&store))?)
+    Ok(runtime.block_on(work(store))?)
 }
 
 /// A time for a person, in UTC.

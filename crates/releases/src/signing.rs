@@ -1,0 +1,104 @@
+//! Signatures of releases, in the format of [minisign](https://jedisct1.github.io/minisign/).
+//!
+//! What is signed are the bytes of a release's file, which names the SHA-256 of every segment and its own number: who can write to
+//! the store but has no key can take releases away, and cannot make or change one.
+
+#[cfg(feature = "signing")]
+use crate::error::ReleaseError;
+use minisign_verify::{PublicKey, Signature};
+use std::path::Path;
+use std::str::FromStr;
+
+/// The public key of releases.
+#[derive(Clone, Debug)]
+pub struct ReleaseKey(PublicKey);
+
+impl FromStr for ReleaseKey {
+    type Err = String;
+
+    /// Reads a key: its base64 text, or the file of it.
+    fn from_str(text: &str) -> Result<Self, String> {
+        let path = Path::new(text);
+        let key = if path.is_file() { PublicKey::from_file(path) } else { PublicKey::from_base64(text) };
+        key.map(Self).map_err(|error| {
+            format!("{text} is no public key ({error}): give the file of one, like city.pub, or its line that begins with RW")
+        })
+    }
+}
+
+impl ReleaseKey {
+    /// Verifies the signature of some bytes.
+    pub(crate) fn verify(&self, bytes: &[u8], signature: &[u8]) -> Result<(), String> {
+        let text = std::str::from_utf8(signature).map_err(|error| error.to_string())?;
+        let signature = Signature::decode(text).map_err(|error| error.to_string())?;
+        self.0.verify(bytes, &signature, false).map_err(|error| error.to_string())
+    }
+}
+
+/// The secret key of releases.
+#[cfg(feature = "signing")]
+pub struct SigningKey(minisign::SecretKey);
+
+#[cfg(feature = "signing")]
+impl std::fmt::Debug for SigningKey {
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        formatter.write_str("SigningKey(..)")
+    }
+}
+
+#[cfg(feature = "signing")]
+impl SigningKey {
+    /// Reads a key that minisign or [`SigningKey::generate`] wrote.
+    ///
+    /// # Arguments
+    /// * `password`: of a key that is encrypted.
+    ///
+    /// # Errors
+    /// [`ReleaseError::Key`].
+    pub fn read(file: &Path, password: Option<String>) -> Result<Self, ReleaseError> {
+        let failed = |reason: String| ReleaseError::Key { file: file.to_owned(), reason };
+        let text = std::fs::read_to_string(file).map_err(|error| failed(error.to_string()))?;
+        let sealed = || minisign::SecretKeyBox::from_string(&text).map_err(|error| failed(error.to_string()));
+        let key = match password {
+            Some(password) => sealed()?.into_secret_key(Some(password)),
+            None => sealed()?.into_unencrypted_secret_key(),
+        };
+        key.map(Self).map_err(|error| failed(error.to_string()))
+    }
+
+    /// Writes a new key to `file`, readable by its owner only, and the public one beside it, with `.pub`.
+    ///
+    /// # Errors
+    /// [`ReleaseError::Key`]: files that exist, or cannot be written.
+    pub fn generate(file: &Path) -> Result<std::path::PathBuf, ReleaseError> {
+        use std::io::Write as _;
+        let public_file = file.with_added_extension("pub");
+        let pair = minisign::KeyPair::generate_unencrypted_keypair()
+            .map_err(|error| ReleaseError::Key { file: file.to_owned(), reason: error.to_string() })?;
+        let boxed = |failed: &Path, error: minisign::PError| ReleaseError::Key {
+            file: failed.to_owned(),
+            reason: error.to_string(),
+        };
+        let secret = pair.sk.to_box(None).map_err(|error| boxed(file, error))?.to_bytes();
+        let public = pair.pk.to_box().map_err(|error| boxed(&public_file, error))?.to_bytes();
+        for (path, bytes, mode) in [(file, secret, 0o600), (public_file.as_path(), public, 0o644)] {
+            let mut options = std::fs::File::options();
+            options.write(true).create_new(true);
+            #[cfg(unix)]
+            std::os::unix::fs::OpenOptionsExt::mode(&mut options, mode);
+            #[cfg(not(unix))]
+            let _ = mode;
+            let written = options.open(path).and_then(|mut opened| opened.write_all(&bytes));
+            written
+                .map_err(|error| ReleaseError::Key { file: path.to_owned(), reason: error.to_string() })?;
+        }
+        Ok(public_file)
+    }
+
+    /// The signature of some bytes.
+    pub(crate) fn sign(&self, bytes: &[u8]) -> Result<Vec<u8>, String> {
+        let signature =
+            minisign::sign(None, &self.0, bytes, None, None).map_err(|error| error.to_string())?;
+        Ok(signature.to_bytes())
+    }
+}
