@@ -83,7 +83,7 @@ pub enum ServeError {
 }
 
 impl ServeError {
-    pub(crate) fn task(error: JoinError) -> ServeError {
+    pub(crate) fn task(error: &JoinError) -> ServeError {
         ServeError::TaskFailed { problem: error.to_string() }
     }
 }

@@ -5,7 +5,7 @@ mod released;
 mod status_line;
 
 use std::net::SocketAddr;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Duration;
 
@@ -156,13 +156,7 @@ async fn serve() -> anyhow::Result<()> {
         None => arguments.name.clone(),
     };
     let cache = arguments.cache.clone().unwrap_or_else(default_cache);
-    let (by_cells, whole): (Vec<_>, Vec<_>) =
-        arguments.maps.iter().partition(|map| arguments.cells.is_some() && map.is_released());
-    if arguments.cells.is_some() && by_cells.is_empty() {
-        bail!(
-            "--cells is for maps from releases (--map NAME=URL), and there is none: publish it with driftless publish-map"
-        );
-    }
+    let (by_cells, whole) = arguments.maps_by_cells()?;
     let open = |map: &&MapArgument| MapSource::open(map, &cache, arguments.release_key.as_ref());
     let sources = whole.iter().map(open).collect::<anyhow::Result<Vec<_>>>()?;
     let mut maps = Vec::with_capacity(sources.len());
@@ -183,18 +177,7 @@ async fn serve() -> anyhow::Result<()> {
         options.workers = usize::from(workers);
     }
     let server = MapServer::start(session.clone(), maps, options).await?;
-    let mut services = Vec::new();
-    for MapArgument { name, place } in by_cells {
-        let served = async {
-            let mut options = CellServiceOptions::new(cache.join(name));
-            options.choice = arguments.cells.clone().unwrap_or(CellChoice::Auto);
-            options.replicas = usize::from(arguments.replicas);
-            options.watch = Duration::from_secs(arguments.watch_releases);
-            let store = open_store(place, arguments.release_key.as_ref())?;
-            anyhow::Ok(CellService::start(&server, name, store, options).await?)
-        };
-        services.push(served.await.with_context(|| format!("map {name} cannot be served"))?);
-    }
+    let services = serve_cells(&server, &arguments, by_cells, &cache).await?;
     let monitoring = match arguments.monitoring {
         Some(address) => Some(start_monitoring(address, &server).await?),
         None => None,
@@ -255,6 +238,42 @@ async fn serve() -> anyhow::Result<()> {
     server.stop().await?;
     close_session(&session).await;
     Ok(())
+}
+
+impl Arguments {
+    /// The maps of which this server has some cells, and those that it has as a whole.
+    fn maps_by_cells(&self) -> anyhow::Result<(Vec<&MapArgument>, Vec<&MapArgument>)> {
+        let (by_cells, whole): (Vec<_>, Vec<_>) =
+            self.maps.iter().partition(|map| self.cells.is_some() && map.is_released());
+        if self.cells.is_some() && by_cells.is_empty() {
+            bail!(
+                "--cells is for maps from releases (--map NAME=URL), and there is none: publish it with driftless publish-map"
+            );
+        }
+        Ok((by_cells, whole))
+    }
+}
+
+/// Serves maps by the cells that `--cells` names.
+async fn serve_cells(
+    server: &MapServer,
+    arguments: &Arguments,
+    maps: Vec<&MapArgument>,
+    cache: &Path,
+) -> anyhow::Result<Vec<CellService>> {
+    let mut services = Vec::new();
+    for MapArgument { name, place } in maps {
+        let mut options = CellServiceOptions::new(cache.join(name));
+        options.choice = arguments.cells.clone().unwrap_or(CellChoice::Auto);
+        options.replicas = usize::from(arguments.replicas);
+        options.watch = Duration::from_secs(arguments.watch_releases);
+        let served = async {
+            let store = open_store(place, arguments.release_key.as_ref())?;
+            CellService::start(server, name, store, options).await
+        };
+        services.push(served.await.with_context(|| format!("map {name} cannot be served"))?);
+    }
+    Ok(services)
 }
 
 /// The user's cache folder, or where there is no user the folder for temporary files.

@@ -81,7 +81,7 @@ async fn wait_for_cells(client: &Session, count: usize) {
         if found == count {
             return;
         }
-        assert!(begin.elapsed() < Duration::from_secs(60), "{found} of {count} cells are served");
+        assert!(begin.elapsed() < Duration::from_mins(1), "{found} of {count} cells are served");
         tokio::time::sleep(Duration::from_millis(100)).await;
     }
 }
@@ -373,7 +373,7 @@ async fn wait_for_members(client: &Session, count: usize) {
         if found == count {
             return;
         }
-        assert!(begin.elapsed() < Duration::from_secs(60), "{found} of {count} servers are there");
+        assert!(begin.elapsed() < Duration::from_mins(1), "{found} of {count} servers are there");
         tokio::time::sleep(Duration::from_millis(50)).await;
     }
 }

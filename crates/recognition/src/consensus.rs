@@ -19,7 +19,7 @@ pub(crate) enum Consensus {
     /// There are no verified keyframes.
     Nothing,
     /// Two different places explain the image nearly equally well. The stronger one.
-    Ambiguous(RecognizedPlace),
+    Ambiguous(Box<RecognizedPlace>),
     /// They agree: the verified keyframes of the place, most inliers first.
     Place(Vec<VerifiedKeyframe>),
 }
@@ -50,7 +50,8 @@ pub(crate) fn find_consensus(mut verified: Vec<VerifiedKeyframe>, options: &Reco
     let (rival_support, _) = best_place(&rest);
     if rival_support as f64 >= options.ambiguity_ratio * winner_support as f64 {
         let global_from_camera = verified[winner[0]].global_from_camera;
-        return Consensus::Ambiguous(RecognizedPlace { global_from_camera, features: winner_support });
+        let place = RecognizedPlace { global_from_camera, features: winner_support };
+        return Consensus::Ambiguous(Box::new(place));
     }
     let mut at = 0;
     verified.retain(|_| {

@@ -207,7 +207,7 @@ impl LoadedMap {
         let place = match find_consensus(verified, options) {
             Consensus::Nothing => Vec::new(),
             Consensus::Ambiguous(place) => {
-                strongest = Some(place);
+                strongest = Some(*place);
                 tracing::debug!("several places that look alike explain the image: no answer");
                 outcome = MatchOutcome::Ambiguous;
                 Vec::new()

@@ -66,7 +66,9 @@ impl CoarseCell {
             }
             let own = |id: KeyframeId| number.contains_key(&id);
             let Some(seen) = landmark.observations.iter().find(|seen| own(seen.keyframe)) else { continue };
-            observers.iter().for_each(|at| taken[*at as usize] += 1);
+            for at in &observers {
+                taken[*at as usize] += 1;
+            }
             landmarks.push(CoarseLandmark { descriptor: seen.descriptor.clone(), observers });
         }
         let position =

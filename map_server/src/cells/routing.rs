@@ -371,14 +371,12 @@ fn match_replies(found: Found<CellMatchReply>, received: Instant) -> Vec<MatchRe
 
 fn localize_reply(found: Found<CellLocalizeReply>) -> LocalizeReply {
     let Found { outcome, winner, others } = found;
-    match winner {
-        Some(winner) => winner.reply,
-        None => {
-            let of_any = others.first().map(|other| (other.reply.map_version, other.reply.map_identity));
-            let (map_version, map_identity) = of_any.unwrap_or((0, MapIdentity::from_bytes([0; 16])));
-            LocalizeReply { map_version, map_identity, outcome, fix: None }
-        }
+    if let Some(winner) = winner {
+        return winner.reply;
     }
+    let of_any = others.first().map(|other| (other.reply.map_version, other.reply.map_identity));
+    let (map_version, map_identity) = of_any.unwrap_or((0, MapIdentity::from_bytes([0; 16])));
+    LocalizeReply { map_version, map_identity, outcome, fix: None }
 }
 
 async fn send_keyframe(

@@ -183,14 +183,14 @@ impl Source {
         let coarse = fetch_coarse(&self.store, release, Some(&self.cache)).await?;
         let release = release.clone();
         let indexing = tokio::task::spawn_blocking(move || CellDirectory::new(&release, coarse));
-        Ok(Arc::new(indexing.await.map_err(ServeError::task)??))
+        Ok(Arc::new(indexing.await.map_err(|error| ServeError::task(&error))??))
     }
 
     async fn cell(&self, release: &Release, cell: CellId) -> Result<Arc<LoadedMap>, ServeError> {
         let fetched = fetch_cell(&self.store, release, cell, Some(&self.cache)).await?;
         let Cell { contents, far_cross_covariances, .. } = fetched;
         let indexing = tokio::task::spawn_blocking(|| LoadedMap::from_part(contents, far_cross_covariances));
-        Ok(Arc::new(indexing.await.map_err(ServeError::task)??))
+        Ok(Arc::new(indexing.await.map_err(|error| ServeError::task(&error))??))
     }
 }
 
