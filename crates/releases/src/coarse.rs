@@ -13,9 +13,9 @@ use std::collections::BTreeMap;
 const MAGIC: &[u8] = b"driftless coarse 1\n";
 const TABLE: &str = "coarse";
 
-/// So many landmarks of each keyframe are taken, where it has them. Every tenth of the landmarks of a keyframe of a map of
-/// images is enough: a query shares some with each of the keyframes around.
-const LANDMARKS_A_KEYFRAME: u32 = 16;
+/// So many landmarks of each keyframe are taken, where it has them; neighbours share most of them, so that there are some three
+/// a keyframe in all. With 16, one query in 80 at the end of a path was sent to the wrong cells.
+const LANDMARKS_A_KEYFRAME: u32 = 32;
 
 /// The landmarks of a cell that tell it from others.
 #[derive(Clone, Debug, Default, PartialEq)]
