@@ -3,7 +3,7 @@
 use super::liveliness::GID_BYTES;
 
 /// Length on the wire: two numbers of 8 bytes, the length of the id, the id.
-const BYTES: usize = 8 + 8 + 1 + GID_BYTES;
+pub const ATTACHMENT_BYTES: usize = 8 + 8 + 1 + GID_BYTES;
 
 /// Number, time and sender of a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -18,8 +18,8 @@ pub struct Attachment {
 
 impl Attachment {
     /// The bytes, numbers little endian.
-    pub fn to_bytes(&self) -> [u8; BYTES] {
-        let mut bytes = [0; BYTES];
+    pub fn to_bytes(&self) -> [u8; ATTACHMENT_BYTES] {
+        let mut bytes = [0; ATTACHMENT_BYTES];
         bytes[..8].copy_from_slice(&self.sequence_number.to_le_bytes());
         bytes[8..16].copy_from_slice(&self.source_stamp_ns.to_le_bytes());
         bytes[16] = GID_BYTES as u8;

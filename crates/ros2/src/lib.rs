@@ -7,6 +7,7 @@
 //! | [`names`] | ROS names, and the keys of topics |
 //! | [`liveliness`] | the tokens by which nodes and topics are discovered, and the id (GID) of a publisher |
 //! | [`attachment`] | [`Attachment`]: number, time and sender of a message |
+//! | `history` | transient local topics: what was published before, for subscribers that come later |
 //! | [`qos`] | [`Qos`] and its text in tokens |
 //! | [`error`] | [`RosError`] |
 //!
@@ -15,6 +16,7 @@
 
 pub mod attachment;
 pub mod error;
+mod history;
 pub mod liveliness;
 pub mod names;
 pub mod node;
@@ -27,7 +29,7 @@ pub use error::RosError;
 pub use names::NameError;
 pub use node::{Node, NodeOptions};
 pub use publisher::Publisher;
-pub use qos::{History, Qos, Reliability};
+pub use qos::{Durability, History, Qos, Reliability};
 pub use subscriber::{Received, Subscriber};
 
 #[cfg(doctest)]

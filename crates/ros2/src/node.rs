@@ -1,10 +1,11 @@
 //! A node.
 
 use super::error::RosError;
+use super::history::PublishedHistory;
 use super::liveliness::{Endpoint, NodeIdentity, TopicIdentity, gid};
 use super::names::{absolute_namespace, absolute_topic, check_node, data_key};
 use super::publisher::Publisher;
-use super::qos::Qos;
+use super::qos::{Durability, Qos};
 use super::subscriber::Subscriber;
 use ros_messages::RosMessage;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -68,13 +69,20 @@ impl Node {
     /// As [`Node::new`].
     pub async fn publisher<M: RosMessage>(&self, topic: &str, qos: Qos) -> Result<Publisher<M>, RosError> {
         let topic = absolute_topic(&self.identity.namespace, topic)?;
-        let token = self.topic_token::<M>(Endpoint::Publisher, &topic, qos);
+        let entity = self.next_entity();
+        let token = self.topic_token::<M>(entity, Endpoint::Publisher, &topic, qos);
         let key = data_key(self.identity.domain, &topic, M::TYPE_NAME, M::TYPE_HASH);
         let congestion = if qos.waits() { CongestionControl::Block } else { CongestionControl::Drop };
-        let publisher = self.session.declare_publisher(key).congestion_control(congestion).await;
+        let publisher = self.session.declare_publisher(key.clone()).congestion_control(congestion).await;
         let publisher = publisher.map_err(RosError::zenoh("the publisher cannot be declared"))?;
+        let history = match qos.durability {
+            Durability::TransientLocal => {
+                Some(PublishedHistory::declare(&self.session, &key, entity, qos.kept()).await?)
+            }
+            Durability::Volatile => None,
+        };
         let gid = gid(&token);
-        Ok(Publisher::new(publisher, declare(&self.session, token).await?, gid))
+        Ok(Publisher::new(publisher, history, declare(&self.session, token).await?, gid))
     }
 
     /// Announces a subscriber of any version of a type.
@@ -92,14 +100,17 @@ impl Node {
         capacity: usize,
     ) -> Result<Subscriber<M>, RosError> {
         let topic = absolute_topic(&self.identity.namespace, topic)?;
-        let token = self.topic_token::<M>(Endpoint::Subscriber, &topic, qos);
+        let token = self.topic_token::<M>(self.next_entity(), Endpoint::Subscriber, &topic, qos);
         let key = data_key(self.identity.domain, &topic, M::TYPE_NAME, "*");
-        let subscriber = Subscriber::declare(&self.session, key, capacity).await?;
+        let subscriber = Subscriber::declare(&self.session, key, capacity, qos.durability).await?;
         Ok(subscriber.announced(declare(&self.session, token).await?))
     }
 
-    fn topic_token<M: RosMessage>(&self, endpoint: Endpoint, topic: &str, qos: Qos) -> String {
-        let entity = self.next_entity.fetch_add(1, Ordering::Relaxed);
+    fn next_entity(&self) -> u64 {
+        self.next_entity.fetch_add(1, Ordering::Relaxed)
+    }
+
+    fn topic_token<M: RosMessage>(&self, entity: u64, endpoint: Endpoint, topic: &str, qos: Qos) -> String {
         let (type_name, type_hash) = (M::TYPE_NAME, M::TYPE_HASH);
         self.identity.topic_token(entity, &TopicIdentity { endpoint, topic, type_name, type_hash, qos })
     }

@@ -2,6 +2,7 @@
 
 use super::attachment::Attachment;
 use super::error::RosError;
+use super::history::PublishedHistory;
 use super::liveliness::GID_BYTES;
 use ros_messages::{RosMessage, encode};
 use std::marker::PhantomData;
@@ -13,6 +14,8 @@ use zenoh::liveliness::LivelinessToken;
 #[derive(Debug)]
 pub struct Publisher<M> {
     samples: zenoh::pubsub::Publisher<'static>,
+    /// For subscribers that come later, where the topic is transient local.
+    history: Option<PublishedHistory>,
     _token: LivelinessToken,
     gid: [u8; GID_BYTES],
     sent: AtomicI64,
@@ -22,10 +25,11 @@ pub struct Publisher<M> {
 impl<M: RosMessage> Publisher<M> {
     pub(crate) fn new(
         samples: zenoh::pubsub::Publisher<'static>,
+        history: Option<PublishedHistory>,
         token: LivelinessToken,
         gid: [u8; GID_BYTES],
     ) -> Self {
-        Self { samples, _token: token, gid, sent: AtomicI64::new(0), message: PhantomData }
+        Self { samples, history, _token: token, gid, sent: AtomicI64::new(0), message: PhantomData }
     }
 
     /// Whether a subscriber listens to the topic.
@@ -48,7 +52,11 @@ impl<M: RosMessage> Publisher<M> {
             source_stamp_ns: now_ns(),
             gid: self.gid,
         };
-        let put = self.samples.put(encode(message)?).attachment(attachment.to_bytes());
+        let (payload, attachment) = (encode(message)?, attachment.to_bytes());
+        if let Some(history) = &self.history {
+            history.keep(payload.clone(), attachment);
+        }
+        let put = self.samples.put(payload).attachment(attachment);
         put.await.map_err(RosError::zenoh("the message cannot be published"))
     }
 }

@@ -18,11 +18,22 @@ pub enum History {
     KeepAll,
 }
 
-/// Quality of service of a topic. Its durability is volatile.
+/// Whether subscribers that come later get what was published before.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Durability {
+    /// They do not.
+    Volatile,
+    /// They get the last messages, as many as [`History`] keeps, from the publisher, as long as that exists.
+    TransientLocal,
+}
+
+/// Quality of service of a topic.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Qos {
     /// Whether messages may be lost.
     pub reliability: Reliability,
+    /// Whether subscribers that come later get what was published before.
+    pub durability: Durability,
     /// Which messages wait for a slow receiver.
     pub history: History,
 }
@@ -30,17 +41,39 @@ pub struct Qos {
 impl Qos {
     /// Reliable, the last 10: what `rclcpp` uses where nothing else is said, RViz and Nav2 included.
     pub fn reliable() -> Self {
-        Self { reliability: Reliability::Reliable, history: History::KeepLast(10) }
+        Self::volatile(Reliability::Reliable, History::KeepLast(10))
     }
 
     /// Best effort, the last 5: ROS's profile of sensor data.
     pub fn sensor_data() -> Self {
-        Self { reliability: Reliability::BestEffort, history: History::KeepLast(5) }
+        Self::volatile(Reliability::BestEffort, History::KeepLast(5))
     }
 
     /// Reliable, and no message is dropped: for recordings that are played.
     pub fn every_message() -> Self {
-        Self { reliability: Reliability::Reliable, history: History::KeepAll }
+        Self::volatile(Reliability::Reliable, History::KeepAll)
+    }
+
+    /// Latched: reliable, and who comes later gets the last message. What `/tf_static` and maps have.
+    pub fn latched() -> Self {
+        Self {
+            reliability: Reliability::Reliable,
+            durability: Durability::TransientLocal,
+            history: History::KeepLast(1),
+        }
+    }
+
+    fn volatile(reliability: Reliability, history: History) -> Self {
+        Self { reliability, durability: Durability::Volatile, history }
+    }
+
+    /// Messages that are kept for subscribers that come later.
+    pub(crate) fn kept(&self) -> usize {
+        match (self.durability, self.history) {
+            (Durability::Volatile, _) => 0,
+            (Durability::TransientLocal, History::KeepLast(depth)) => depth.max(1),
+            (Durability::TransientLocal, History::KeepAll) => usize::MAX,
+        }
     }
 
     /// Whether a publisher waits where the network is congested, as rmw_zenoh does.
@@ -48,12 +81,13 @@ impl Qos {
         *self == Self::every_message()
     }
 
-    /// The text in tokens: reliability, durability (volatile), history and depth, deadline, lifespan,
+    /// The text in tokens: reliability, durability, history and depth, deadline, lifespan,
     /// liveliness. Fields that have no value are infinite; no other is left out, since defaults have changed.
     ///
     /// ```
     /// assert_eq!(ros2::Qos::sensor_data().token(), "2:2:1,5:,:,:,,");
     /// assert_eq!(ros2::Qos::every_message().token(), "1:2:2,10:,:,:,,");
+    /// assert_eq!(ros2::Qos::latched().token(), "1:1:1,1:,:,:,,");
     /// ```
     pub fn token(&self) -> String {
         let reliability = match self.reliability {
@@ -65,6 +99,10 @@ impl Qos {
             // The depth of ROS's default profile, which has no meaning then.
             History::KeepAll => (2, 10),
         };
-        format!("{reliability}:2:{history},{depth}:,:,:,,")
+        let durability = match self.durability {
+            Durability::TransientLocal => 1,
+            Durability::Volatile => 2,
+        };
+        format!("{reliability}:{durability}:{history},{depth}:,:,:,,")
     }
 }

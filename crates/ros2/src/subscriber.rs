@@ -2,7 +2,10 @@
 
 use super::attachment::Attachment;
 use super::error::RosError;
+use super::history::{Newest, ReceivedHistory};
+use super::qos::Durability;
 use ros_messages::{CdrError, RosMessage, decode};
+use std::sync::Arc;
 use std::time::{Instant, SystemTime};
 use zenoh::Session;
 use zenoh::handlers::{Callback, IntoHandler, RingChannel, RingChannelHandler};
@@ -26,16 +29,35 @@ pub struct Received<M> {
 #[derive(Debug)]
 pub struct Subscriber<M> {
     samples: zenoh::pubsub::Subscriber<RingChannelHandler<Received<M>>>,
+    _history: Option<ReceivedHistory>,
     _token: Option<LivelinessToken>,
 }
 
 impl<M: RosMessage + Send + 'static> Subscriber<M> {
-    pub(crate) async fn declare(session: &Session, key: String, capacity: usize) -> Result<Self, RosError> {
+    pub(crate) async fn declare(
+        session: &Session,
+        key: String,
+        capacity: usize,
+        durability: Durability,
+    ) -> Result<Self, RosError> {
         let (queue, handler) = IntoHandler::<Received<M>>::into_handler(RingChannel::new(capacity));
-        let receive = move |sample: Sample| queue.call(received(&sample));
-        let samples = session.declare_subscriber(key).with((Callback::from(receive), handler)).await;
+        let newest = Newest::default();
+        let is_latched = durability == Durability::TransientLocal;
+        let receive: Arc<dyn Fn(&Sample) + Send + Sync> = Arc::new(move |sample: &Sample| {
+            let received = received(sample);
+            if !is_latched || newest.is_new(received.attachment.as_ref()) {
+                queue.call(received);
+            }
+        });
+        let live = {
+            let receive = Arc::clone(&receive);
+            Callback::from(move |sample: Sample| receive(&sample))
+        };
+        let samples = session.declare_subscriber(key.clone()).with((live, handler)).await;
         let samples = samples.map_err(RosError::zenoh("the subscriber cannot be declared"))?;
-        Ok(Self { samples, _token: None })
+        let history =
+            if is_latched { Some(ReceivedHistory::fetch(session, &key, &receive).await?) } else { None };
+        Ok(Self { samples, _history: history, _token: None })
     }
 
     /// Keeps the token by which others see it.

@@ -1,13 +1,16 @@
 //! Two nodes over real Zenoh sessions.
 #![allow(clippy::unwrap_used)]
 
+use ros_messages::geometry_msgs::TransformStamped;
 use ros_messages::nav_msgs::Odometry;
 use ros_messages::sensor_msgs::{Image, Imu};
-use ros_messages::{CdrError, RosMessage, encode};
-use ros2::{Node, NodeOptions, Qos, Subscriber};
+use ros_messages::tf2_msgs::TFMessage;
+use ros_messages::{CdrError, RosMessage, decode, encode};
+use ros2::{Attachment, History, Node, NodeOptions, Qos, Subscriber};
 use std::net::TcpListener;
 use std::time::Duration;
 use zenoh::Session;
+use zenoh::query::ConsolidationMode;
 
 const TIMEOUT: Duration = Duration::from_secs(20);
 
@@ -104,4 +107,81 @@ async fn what_is_no_message_is_an_error_and_the_next_one_arrives() {
     let received = next(&subscriber).await;
     assert_eq!(received.message.unwrap(), Imu::default());
     assert_eq!(received.attachment, None);
+}
+
+/// Sends the history of the publishers of a key, as zenoh-ext's advanced subscriber asks for it.
+async fn history(session: &Session, selector: &str) -> Vec<zenoh::sample::Sample> {
+    let replies = session.get(selector).consolidation(ConsolidationMode::None).await.unwrap();
+    let mut samples = Vec::new();
+    while let Ok(reply) = replies.recv_async().await {
+        samples.push(reply.into_result().unwrap());
+    }
+    samples
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn who_comes_later_gets_what_a_latched_topic_had_before() {
+    let (first, second) = sessions().await;
+    let (sender, receiver) = (node(&first, "sender").await, node(&second, "receiver").await);
+    let early = receiver.subscriber::<TFMessage>("/tf_static", Qos::latched(), 10).await.unwrap();
+    let publisher = sender.publisher::<TFMessage>("/tf_static", Qos::latched()).await.unwrap();
+    let message = |child: &str| TFMessage {
+        transforms: vec![TransformStamped {
+            child_frame_id: child.to_owned(),
+            ..TransformStamped::default()
+        }],
+    };
+    for child in ["imu", "imu_link"] {
+        publisher.publish(&message(child)).await.unwrap();
+    }
+    // The first message may have come too; each comes once.
+    let mut received = next(&early).await;
+    if received.attachment.unwrap().sequence_number == 1 {
+        received = next(&early).await;
+    }
+    assert_eq!(received.message.unwrap(), message("imu_link"));
+    let late = receiver.subscriber::<TFMessage>("/tf_static", Qos::latched(), 10).await.unwrap();
+    let received = next(&late).await;
+    assert_eq!(received.attachment.unwrap().sequence_number, 2);
+    assert_eq!(received.message.unwrap(), message("imu_link"));
+    // A volatile subscriber gets nothing.
+    let volatile = receiver.subscriber::<TFMessage>("/tf_static", Qos::reliable(), 10).await.unwrap();
+    publisher.publish(&message("imu")).await.unwrap();
+    for subscriber in [&late, &early, &volatile] {
+        let received = next(subscriber).await;
+        assert_eq!(received.attachment.unwrap().sequence_number, 3);
+        assert!(subscriber.try_receive().unwrap().is_none());
+    }
+    // What another implementation asks for, and sees.
+    let key = format!("3/tf_static/tf2_msgs::msg::dds_::TFMessage_/{}", TFMessage::TYPE_HASH);
+    let name = format!("{key}/@adv/pub/{}/1/_", first.zid());
+    wait_for_token(&second, &name, true).await;
+    for selector in [format!("{key}/@adv/**?_anyke;_max=1"), format!("{name}?_anyke")] {
+        let samples = history(&second, &selector).await;
+        assert_eq!(samples.len(), 1, "{selector}");
+        assert_eq!(samples[0].key_expr().as_str(), key);
+        assert_eq!(decode::<TFMessage>(&samples[0].payload().to_bytes()).unwrap(), message("imu"));
+        let attachment = Attachment::from_bytes(&samples[0].attachment().unwrap().to_bytes()).unwrap();
+        assert_eq!(attachment.sequence_number, 3);
+    }
+    drop(publisher);
+    wait_for_token(&second, &name, false).await;
+    assert!(history(&second, &format!("{key}/@adv/**?_anyke")).await.is_empty());
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_history_holds_as_many_messages_as_its_depth() {
+    let (session, _) = sessions().await;
+    let node = node(&session, "both").await;
+    let qos = Qos { history: History::KeepLast(3), ..Qos::latched() };
+    let publisher = node.publisher::<Image>("/map_image", qos).await.unwrap();
+    for width in 1..=5 {
+        publisher.publish(&Image { width, ..Image::default() }).await.unwrap();
+    }
+    let late = node.subscriber::<Image>("/map_image", qos, 10).await.unwrap();
+    for width in 3..=5 {
+        assert_eq!(next(&late).await.message.unwrap().width, width);
+    }
+    let key = format!("3/map_image/sensor_msgs::msg::dds_::Image_/{}", Image::TYPE_HASH);
+    assert_eq!(history(&session, &format!("{key}/@adv/**?_anyke;_max=2")).await.len(), 2);
 }
