@@ -6,12 +6,14 @@
 mod files;
 mod messages;
 mod records;
+mod sensor_messages;
 #[cfg(feature = "neural")]
 mod weights;
 
 pub use files::{csv_tables, sensor_yaml};
 pub use messages::{bincode_payloads, protocol_bincode, protocol_json};
 pub use records::store_records;
+pub use sensor_messages::{ros_messages, sensor_messages};
 #[cfg(feature = "neural")]
 pub use weights::weights;
 
@@ -25,6 +27,8 @@ pub const TARGETS: &[(&str, Target)] = &[
     ("sensor_yaml", sensor_yaml),
     ("csv_tables", csv_tables),
     ("store_records", store_records),
+    ("sensor_messages", sensor_messages),
+    ("ros_messages", ros_messages),
     #[cfg(feature = "neural")]
     ("weights", weights),
 ];

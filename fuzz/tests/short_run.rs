@@ -33,12 +33,20 @@ fn seeds(name: &str) -> Vec<Vec<u8>> {
         "protocol_json" => json(),
         "protocol_bincode" => json().iter().flat_map(|example| bincode_payloads(example)).collect(),
         "store_records" => records(),
+        "ros_messages" => of_kind(&root.join("../crates/ros_messages/tests/goldens"), |path| {
+            path.extension().is_some_and(|end| end == "cdr")
+        }),
         other => files(&root.join("corpus").join(other)),
     }
 }
 
 fn files(folder: &Path) -> Vec<Vec<u8>> {
+    of_kind(folder, |_| true)
+}
+
+fn of_kind(folder: &Path, is_kind: impl Fn(&Path) -> bool) -> Vec<Vec<u8>> {
     let mut files: Vec<_> = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).collect();
+    files.retain(|path| is_kind(path));
     files.sort();
     files.iter().map(|file| std::fs::read(file).unwrap()).collect()
 }

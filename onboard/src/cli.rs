@@ -140,7 +140,7 @@ mod tests {
     }
 
     const ALL_KINDS: &str = "--source ros2 --calibration /cal/chain.yaml --imu-topic /imu --camera-topic /a --camera-topic /b \
-        --map hall --robot 007 --out /tmp/run --ros2 --imu-in-base-link=-0.1,0,0.2,0,0,1.5 --calibrate extrinsics,time-offset \
+        --map hall --robot 007 --out /tmp/run --ros2 --imu-in-base-link=-0.1,0,0.2,0,0,1.5 --initial-pose-topic /initialpose --calibrate extrinsics,time-offset \
         --max-keyframes 7 --sigma-track 1.5 --connect tcp/10.0.0.1:7447 --mode single --monitoring 127.0.0.1:9465";
 
     #[test]

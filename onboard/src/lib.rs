@@ -12,7 +12,8 @@
 //! | [`start`] | initial state and excerpt of a recording |
 //! | [`estimator_supervisor`] | initializes the estimator, and again after a divergence |
 //! | [`alarms`], `run_status` | what contradicts the sensors or the map: logged when it begins and ends, kept for the summary |
-//! | [`native`] | live sensors over Zenoh |
+//! | [`native`], [`ros_sensors`], [`ros_camera_info`] | live sensors over Zenoh, as ROS 2 topics; projections of their cameras |
+//! | [`initial_pose`] | poses that an operator sets, as priors of map queries |
 //! | `prediction` | odometry at the rate of the IMU |
 //! | [`front_end`], [`extraction`] | tracks and features from images |
 //! | [`outputs`] | files, summary, messages, ROS 2 topics |
@@ -39,6 +40,7 @@ pub mod arguments;
 pub mod estimator_supervisor;
 pub mod extraction;
 pub mod front_end;
+pub mod initial_pose;
 mod input;
 mod link;
 pub mod map_conversion;
@@ -48,6 +50,7 @@ pub mod outputs;
 mod prediction;
 pub mod program;
 pub mod progress;
+pub mod ros_camera_info;
 pub mod ros_sensors;
 pub mod run;
 mod run_status;

@@ -8,10 +8,12 @@ use cli::Arguments;
 use client::session::{Member, Role, close_session, open_session};
 use client::{SessionOptions, without_secrets};
 use estimator::MapMode;
+use geometry::Camera;
 use monitoring::{MonitoringServer, start_log};
 use onboard::arguments::{DEFAULT_ROBOT, LiveArguments, Source};
 use onboard::native::NativeSensors;
 use onboard::outputs::RosOutput;
+use onboard::ros_camera_info::wait_for_cameras;
 use onboard::ros_sensors::{RosSensors, RosTopics};
 use onboard::{
     EndedLost, MapLink, OpeningLink, Outcome, RobotLink, RobotMetrics, StopSignal, progress, run_robot_until,
@@ -19,7 +21,7 @@ use onboard::{
 };
 use prometheus_client::registry::Registry;
 use sensors::live::{LiveSettings, LiveSource};
-use sensors::{Recording, SensorCalibration, read_rig_calibration};
+use sensors::{Recording, SensorCalibration, read_rig_calibration, states_intrinsics};
 use std::net::SocketAddr;
 use std::path::Path;
 use std::process::ExitCode;
@@ -50,6 +52,9 @@ fn main() -> ExitCode {
 fn localize() -> Result<()> {
     let Some(mut arguments) = Arguments::read()? else { return Ok(()) };
     let is_live = arguments.source != Source::Recording;
+    if arguments.source != Source::Native && arguments.live.session().is_some() {
+        bail!("--sensors-listen and --sensors-connect are for --source native")
+    }
     let quiet = if arguments.robot.realtime || is_live { REALTIME } else { QUIET };
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(quiet));
     start_log(without_secrets(filter), arguments.log_format);
@@ -66,13 +71,17 @@ fn localize() -> Result<()> {
     };
     let ros = arguments
         .ros
-        .settings(&arguments.robot.robot, arguments.robot.map_mode()? != MapMode::Odometry)
+        .settings(
+            &arguments.robot.robot,
+            arguments.robot.map_mode()? != MapMode::Odometry,
+            &arguments.robot.initial_poses,
+        )?
         .map(|settings| RosOutput::start(settings, runtime.handle()))
         .transpose()
         .context("--ros2")?;
     let (topics, ros_task) = ros.unzip();
     arguments.robot.ros = topics;
-    arguments.robot.body = arguments.ros.body();
+    arguments.robot.body = arguments.ros.body()?;
     let outcome = match (arguments.source, &arguments.sequence) {
         (Source::Recording, Some(sequence)) => play_recording(&stop, sequence, &arguments, &runtime)?,
         (Source::Recording, None) => bail!("--sequence DIR is missing"),
@@ -125,47 +134,69 @@ fn play_recording(
     Ok(outcome)
 }
 
+/// The file or folder with the calibration of live sensors.
+fn calibration_path(arguments: &Arguments) -> Result<&Path> {
+    let path = arguments.calibration.calibration.as_deref();
+    path.context(
+        "--calibration is missing: live sensors need Kalibr's camchain-imucam.yaml, or a folder with the calibration",
+    )
+}
+
 /// The calibration of live sensors, and how they are taken.
-fn live_settings(arguments: &Arguments) -> Result<(SensorCalibration, LiveSettings)> {
-    let files = &arguments.calibration;
-    let Some(path) = &files.calibration else {
-        bail!(
-            "--calibration is missing: live sensors need Kalibr's camchain-imucam.yaml, or a folder with the calibration"
-        )
-    };
-    let calibration = read_rig_calibration(path, files.imu_calibration.as_deref())?;
+///
+/// # Arguments
+/// * `known`: projections of the cameras, where the calibration may leave them out.
+fn live_settings(arguments: &Arguments, known: &[Camera]) -> Result<(SensorCalibration, LiveSettings)> {
+    let imu = arguments.calibration.imu_calibration.as_deref();
+    let calibration = read_rig_calibration(calibration_path(arguments)?, imu, known)?;
     let settings = arguments.live.settings(&calibration, &arguments.robot)?;
     Ok((calibration.sensors, settings))
 }
 
 fn play_native(stop: &StopSignal, arguments: &Arguments, runtime: &Runtime) -> Result<Outcome> {
-    let (calibration, settings) = live_settings(arguments)?;
+    let (calibration, settings) = live_settings(arguments, &[])?;
     let map = map_of(arguments)?;
     let robot = &arguments.robot.robot;
     let (inputs, mut source) = LiveSource::new(format!("live sensors of {robot}"), calibration, &settings);
-    let Some(session) = open_until(stop, &arguments.session.connecting(), runtime)? else {
-        bail!("interrupted before {} answered", arguments.session.place())
+    let own = arguments.live.session();
+    let options = own.clone().unwrap_or_else(|| arguments.session.connecting());
+    let Some(session) = open_until(stop, &options, runtime)? else {
+        let place = own.map_or_else(|| arguments.session.place(), |own| own.connect.join(", "));
+        bail!("interrupted before {place} answered")
     };
     let streams = LiveArguments::streams(&settings);
     let sensors = NativeSensors::subscribe(&session, runtime.handle(), robot, &streams, &inputs)?;
     let (of_link, handle) = (session.clone(), runtime.handle().clone());
     let link = match map {
-        Some(map) => RobotLink::Open(MapLink { session: of_link, runtime: handle, map: map.to_owned() }),
-        None => RobotLink::Network { session: of_link, runtime: handle },
+        // The sensors need no map server.
+        Some(_) if own.is_some() => opening_link(arguments, runtime)?,
+        Some(map) => {
+            Some(RobotLink::Open(MapLink { session: of_link, runtime: handle, map: map.to_owned() }))
+        }
+        None => Some(RobotLink::Network { session: of_link, runtime: handle }),
     };
-    let outcome = run_source_until(stop, &mut source, &arguments.robot, Some(link), |_| {});
+    let outcome = run_source_until(stop, &mut source, &arguments.robot, link, |_| {});
     drop(sensors);
     runtime.block_on(close_session(&session));
     outcome
 }
 
 fn play_ros2(stop: &StopSignal, arguments: &Arguments, runtime: &Runtime) -> Result<Outcome> {
-    let (calibration, mut settings) = live_settings(arguments)?;
-    let topics = RosTopics::of(&arguments.calibration, &mut settings)?;
-    let (inputs, mut source) = LiveSource::new("ROS 2 topics", calibration, &settings);
+    let topics = RosTopics::of(&arguments.calibration)?;
+    let has_intrinsics = states_intrinsics(calibration_path(arguments)?)?;
+    // What is wrong with the files is said before the network is there.
+    let from_files = has_intrinsics.then(|| live_settings(arguments, &[])).transpose()?;
     let Some(session) = open_until(stop, &arguments.ros.session(), runtime)? else {
         bail!("interrupted before {} answered", arguments.ros.ros2_connect)
     };
+    let (calibration, mut settings) = if let Some(settings) = from_files {
+        settings
+    } else {
+        let cameras = wait_for_cameras(session.clone(), arguments.ros.sensor_node(), &topics.cameras, stop);
+        live_settings(arguments, &runtime.block_on(cameras)?)?
+    };
+    topics.adapt(&mut settings)?;
+    let (inputs, mut source) = LiveSource::new("ROS 2 topics", calibration, &settings);
     let subscribed = RosSensors::start(session.clone(), arguments.ros.sensor_node(), &topics, &inputs);
     let sensors = runtime.block_on(subscribed).context("the topics of the sensors")?;
     let link = opening_link(arguments, runtime)?;

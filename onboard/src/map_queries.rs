@@ -38,6 +38,13 @@ impl RobotRun<'_> {
         }
     }
 
+    /// Takes in the pose that an operator set.
+    pub(super) fn update_initial_pose(&mut self) {
+        let may_ask = self.queries.is_some() || self.opening.is_some();
+        let has_map = may_ask && self.supervisor.config().mode != MapMode::Odometry;
+        self.initial_pose.update(self.supervisor.estimator(), has_map);
+    }
+
     fn send_query(&mut self, clone: CloneId, stamp_ns: i64, features: FeatureSet, recorder: &mut Recorder) {
         let mode = self.supervisor.config().mode;
         let (Some(queries), Some(estimator), Some(camera)) =
@@ -56,8 +63,10 @@ impl RobotRun<'_> {
             stamp_ns,
             camera: camera.clone(),
             features,
-            prior: estimator
-                .global_from_camera(clone)
+            prior: self
+                .initial_pose
+                .prior(estimator, clone)
+                .or_else(|| estimator.global_from_camera(clone))
                 .map(|global_from_camera| PosePrior { global_from_camera }),
             gravity_in_camera: estimator.gravity_in_first_camera(clone).map(Into::into),
             held: estimator.held_keyframes(),
@@ -181,6 +190,9 @@ impl RobotRun<'_> {
                     recording.correct(&before, &estimator.local_from_imu());
                 }
                 event.note_report(&report);
+                if report.rejection.is_none() {
+                    self.initial_pose.answered(estimator, result.token, request.stamp_ns);
+                }
                 refusal = report.rejection.filter(|reason| matches!(reason, Rejection::OtherMap { .. }));
             }
             (None, Ok(answer)) => event.note_no_match(answer.status.outcome),

@@ -4,6 +4,7 @@ use super::arguments::{Init, RobotArguments};
 use super::estimator_supervisor::EstimatorSupervisor;
 use super::extraction::ExtractionThread;
 use super::front_end::FrontEnd;
+use super::initial_pose::InitialPoseSearch;
 use super::link::{MapLink, RobotLink};
 use super::outputs::{EVENTS, Event, MessageRecording, Recorder, RecordingSettings, STATES, Summary};
 use super::prediction::Prediction;
@@ -15,7 +16,9 @@ use estimator::{CalibratedCamera, Estimator, EstimatorConfig, InitialState, MapM
 use evaluation::trajectory::StateRow;
 use evaluation::trajectory::states::StateReader;
 use evaluation::{RunScore, ScoreError, ScoreOptions, score_rows};
-use sensors::{Contents, Recording, Rows, SensorCalibration, SensorSource, SequenceError, check_stereo};
+use sensors::{
+    CameraSensor, Contents, Recording, Rows, SensorCalibration, SensorSource, SequenceError, check_stereo,
+};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 use vision::GrayImage;
@@ -161,6 +164,7 @@ fn play(
     let mask = if contents.images { arguments.features.read_mask()? } else { None };
     let front_end = front_end(source.calibration(), contents, arguments, cameras, mask.as_ref())?;
     let supervisor = supervisor(source.calibration(), cameras, &config, initial.as_ref())?;
+    let mounted = source.calibration().cameras.clone();
     let readings = source.tap_imu();
     let mut robot = RobotRun::new(source, supervisor);
     robot.prediction = readings
@@ -174,9 +178,13 @@ fn play(
     robot.query_interval_ns = (arguments.query_interval * 1e9) as i64;
     robot.max_keyframes = arguments.max_keyframes;
     robot.realtime |= arguments.realtime;
-    robot.recording = recording(arguments, robot.realtime, map.is_some())?;
+    robot.recording = recording(arguments, &mounted, robot.realtime, map.is_some())?;
     robot.metrics = arguments.metrics.clone();
     robot.ros.clone_from(&arguments.ros);
+    if let Some(ros) = &robot.ros {
+        ros.publish_mounting(&mounted);
+    }
+    robot.initial_pose = InitialPoseSearch::new(arguments.initial_poses.clone());
     if let Some(link) = link {
         robot.query_deadline = Duration::from_secs_f64(arguments.deadline);
         robot.set_link(link)?;
@@ -197,12 +205,14 @@ fn play(
 /// The recording that `--record` asks for.
 fn recording(
     arguments: &RobotArguments,
+    cameras: &[CameraSensor],
     realtime: bool,
     map_expected: bool,
 ) -> Result<Option<MessageRecording>> {
     let Some(path) = &arguments.record else { return Ok(None) };
     let settings = RecordingSettings {
         body: arguments.body.clone(),
+        cameras: cameras.to_vec(),
         robot: arguments.robot.clone(),
         map_expected,
         sensors: arguments.record_sensors,

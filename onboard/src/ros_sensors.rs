@@ -29,18 +29,24 @@ pub struct RosTopics {
 impl RosTopics {
     /// The topics that the switches name.
     ///
-    /// # Arguments
-    /// * `settings`: with the number of cameras that are calibrated; fewer topics are fewer cameras.
-    ///
     /// # Errors
-    /// A topic is missing, there are more cameras than are calibrated, or frames are to be no images.
-    pub fn of(arguments: &CalibrationArguments, settings: &mut LiveSettings) -> anyhow::Result<Self> {
+    /// A topic is missing.
+    pub fn of(arguments: &CalibrationArguments) -> anyhow::Result<Self> {
         let (Some(imu), cameras) = (arguments.imu_topic.clone(), arguments.camera_topic.clone()) else {
             bail!("--imu-topic is missing: name the topic of sensor_msgs/Imu, for example /imu")
         };
         if cameras.is_empty() {
             bail!("--camera-topic is missing: name a topic of images, for example /cam0/image_raw")
         }
+        Ok(Self { imu, cameras })
+    }
+
+    /// Adapts the settings of the source to these topics: fewer topics are fewer cameras.
+    ///
+    /// # Errors
+    /// There are more cameras than are calibrated, or frames are to be no images.
+    pub fn adapt(&self, settings: &mut LiveSettings) -> anyhow::Result<()> {
+        let cameras = &self.cameras;
         if cameras.len() > settings.cameras {
             bail!("--camera-topic names {} cameras, but {} are used", cameras.len(), settings.cameras)
         }
@@ -48,7 +54,7 @@ impl RosTopics {
             bail!("ROS 2 has no messages for tracks: leave --live-frames out")
         }
         settings.cameras = cameras.len();
-        Ok(Self { imu, cameras })
+        Ok(())
     }
 }
 

@@ -4,6 +4,7 @@ use super::alarms::Alarms;
 use super::estimator_supervisor::EstimatorSupervisor;
 use super::extraction::ExtractionThread;
 use super::front_end::FrontEnd;
+use super::initial_pose::InitialPoseSearch;
 use super::input::{ImuWindow, NextFrame, SensorQueue};
 use super::link::OpeningLink;
 use super::outputs::{
@@ -102,6 +103,8 @@ pub struct RobotRun<'a> {
     pub(super) prediction: Option<Prediction>,
     /// What the run counts.
     pub metrics: RobotMetrics,
+    /// Poses that an operator sets.
+    pub(super) initial_pose: InitialPoseSearch,
     pub(super) supervisor: EstimatorSupervisor,
     /// Camera 0, which the queries are about.
     pub(super) query_camera: Option<Camera>,
@@ -149,6 +152,7 @@ impl<'a> RobotRun<'a> {
             recording: None,
             prediction: None,
             metrics: RobotMetrics::default(),
+            initial_pose: InitialPoseSearch::default(),
             supervisor,
             query_camera: calibration.cameras.first().map(|first| first.camera.clone()),
             last_extraction_ns: None,
@@ -312,6 +316,7 @@ impl RobotRun<'_> {
                 tracing::error!(%error, "the estimator diverged; no pose until it is initialized again");
                 recorder.note_divergence(stamp_ns, &error);
                 self.supervisor.reinitialize(stamp_ns, &error, self.imu.handed_out());
+                self.initial_pose.diverged();
                 if let Some(ros) = &mut self.ros {
                     ros.restart();
                 }
@@ -344,6 +349,7 @@ impl RobotRun<'_> {
             return Ok(Some(tracks));
         }
         let Some(method) = self.supervisor.try_initialize(stamp_ns, &tracks)? else {
+            self.update_initial_pose();
             self.publish_status(stamp_ns, recorder);
             return Ok(None);
         };
@@ -391,6 +397,7 @@ impl RobotRun<'_> {
         timings.map = begin.elapsed().saturating_sub(waited);
 
         self.supervisor.update_last_trusted();
+        self.update_initial_pose();
         let status = self.note_status(recorder);
         let Some(estimator) = self.supervisor.estimator() else { return Ok(()) };
         recorder.note_state(estimator);

@@ -3,6 +3,7 @@
 use super::outputs::Recorder;
 use super::run::RobotRun;
 use estimator::{Alarm, Estimator, Status};
+use protocol::limits::MAX_TEXT_BYTES;
 use sensors::live::{FaultKind, Stream};
 use std::mem::{Discriminant, discriminant};
 
@@ -36,9 +37,12 @@ impl RobotRun<'_> {
         let failure = self.last_failure.as_ref().map(|failure| format!("the map does not answer: {failure}"));
         let of_sensors = self.live_faults.iter().map(ToString::to_string);
         let of_units = self.imu_fault.map(|fault| fault.to_string());
-        for fault in failure.into_iter().chain(of_units).chain(of_sensors) {
+        let of_operator = self.initial_pose.describe();
+        for fault in of_operator.into_iter().chain(failure).chain(of_units).chain(of_sensors) {
             status.reason = format!("{}; {fault}", status.reason);
         }
+        // A longer text would not be published.
+        status.reason.truncate(status.reason.floor_char_boundary(MAX_TEXT_BYTES));
         status
     }
 

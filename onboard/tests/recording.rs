@@ -48,6 +48,10 @@ fn a_recording_holds_what_the_files_of_the_run_hold() {
         assert!(message.twist.covariance[0] > 0.0);
     }
     assert_eq!(messages::<TFMessage>(&bag, "/tf").len(), states.len());
+    let mounting = messages::<TFMessage>(&bag, "/tf_static");
+    let children: Vec<_> =
+        mounting[0].transforms.iter().map(|transform| transform.child_frame_id.as_str()).collect();
+    assert_eq!((mounting.len(), children), (1, vec!["imu", "cam0", "cam1"]));
     assert!(messages::<DiagnosticArray>(&bag, "/diagnostics").len() >= states.len());
     let readings = messages::<Imu>(&bag, "/imu");
     let first = &recording.imu_samples[0];

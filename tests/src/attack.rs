@@ -196,7 +196,7 @@ impl Forgery {
                 std::mem::forget(token);
             }
             Self::Spies => {
-                let key = pick(&["robot/ada/status", "robot/**", "robot/*/*", "**"]);
+                let key = pick(&["robot/ada/status", "robot/**", "robot/*/*", "**", "robot/ada/sensors/*"]);
                 let overheard = Arc::clone(&booty.overheard);
                 let hear = move |_: zenoh::sample::Sample| {
                     overheard.fetch_add(1, Ordering::Relaxed);

@@ -2,15 +2,18 @@
 #![allow(clippy::unwrap_used)]
 
 use onboard::StopSignal;
+use onboard::ros_camera_info::wait_for_cameras;
 use onboard::ros_sensors::{RosSensors, RosTopics};
 use ros2::NodeOptions;
 use sensors::live::{LiveSettings, LiveSource};
-use sensors::{Frame, Recording, SensorEvent, SensorSource};
-use std::path::Path;
+use sensors::{
+    CameraSensor, Frame, Recording, SensorEvent, SensorSource, read_rig_calibration, states_intrinsics,
+};
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 use tests::server::Client;
 use tools::in_process::free_endpoint;
-use tools::playback::{self, play, wait_for_robot};
+use tools::playback::{self, SensorTopics as _, play, wait_for_robot};
 use vision::GrayImage;
 
 /// Nothing takes longer, whatever is wrong.
@@ -26,6 +29,14 @@ fn pixels(frame: &Frame) -> (i64, Vec<GrayImage>) {
 fn contents(recording: &Recording<'_>) -> (Vec<i64>, Vec<(i64, Vec<GrayImage>)>) {
     let readings = recording.imu_samples().unwrap().map(|reading| reading.unwrap().stamp_ns).collect();
     (readings, recording.frames().unwrap().map(|frame| pixels(&frame.unwrap())).collect())
+}
+
+fn data() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../crates/bags/tests/data/euroc")
+}
+
+fn cameras_of<'a>(recording: &'a Recording<'_>) -> &'a [CameraSensor] {
+    &recording.calibration().cameras
 }
 
 /// Plays the recording to a robot that listens to images on topics that end so.
@@ -45,7 +56,7 @@ fn played(recording: &Recording<'_>, suffix: &str) -> (Vec<i64>, Vec<(i64, Vec<G
         robot.runtime.block_on(RosSensors::start(session, node("sensors"), &topics, &inputs)).unwrap();
     let stop = StopSignal::default();
     let (session, runtime) = (driver.session.clone(), driver.runtime.handle());
-    let topics = playback::RosTopics::new(session, runtime, node("player"), 2).unwrap();
+    let topics = playback::RosTopics::new(session, runtime, node("player"), cameras_of(recording)).unwrap();
     wait_for_robot(&topics, &stop).unwrap();
     let published = play(&topics, &mut recording.source().unwrap(), 1.0, 0, &stop).unwrap();
     let (mut readings, mut frames, begin) = (Vec::new(), Vec::new(), Instant::now());
@@ -66,8 +77,7 @@ fn played(recording: &Recording<'_>, suffix: &str) -> (Vec<i64>, Vec<(i64, Vec<G
 
 #[test]
 fn readings_and_images_are_those_of_the_recording_raw_and_compressed() {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../crates/bags/tests/data/euroc");
-    let recording = Recording::open(&path).unwrap();
+    let recording = Recording::open(&data()).unwrap();
     let (readings, frames) = contents(&recording);
     assert!(frames.len() > 5 && frames[0].1.len() == 2);
     for suffix in ["", "/compressed"] {
@@ -75,4 +85,54 @@ fn readings_and_images_are_those_of_the_recording_raw_and_compressed() {
         assert!(frames.starts_with(&found), "{suffix}: other frames");
         assert!(readings.starts_with(&found_readings), "{suffix}: other readings");
     }
+}
+
+/// Extrinsics and noise; the projections come from the topics.
+const MOUNTING: &str = "cam0:\n  T_cam_imu:\n  - [0.0, 1.0, 0.0, 0.1]\n  - [-1.0, 0.0, 0.0, 0.2]\n  - [0.0, 0.0, 1.0, 0.3]\n  \
+    - [0.0, 0.0, 0.0, 1.0]\ncam1:\n  T_cn_cnm1:\n  - [1.0, 0.0, 0.0, -0.1]\n  - [0.0, 1.0, 0.0, 0.0]\n  \
+    - [0.0, 0.0, 1.0, 0.0]\n  - [0.0, 0.0, 0.0, 1.0]\nimu0:\n  update_rate: 200.0\n  gyroscope_noise_density: 1.0e-4\n  \
+    gyroscope_random_walk: 1.0e-5\n  accelerometer_noise_density: 1.0e-3\n  accelerometer_random_walk: 1.0e-4\n";
+
+#[test]
+fn projections_are_those_of_camera_info_where_the_calibration_has_none() {
+    let recording = Recording::open(&data()).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("mounting.yaml");
+    std::fs::write(&path, MOUNTING).unwrap();
+    assert!(!states_intrinsics(&path).unwrap() && states_intrinsics(&data()).unwrap());
+    let error = read_rig_calibration(&path, None, &[]).unwrap_err().to_string();
+    assert!(error.contains("CameraInfo"), "{error}");
+
+    let endpoint = free_endpoint().unwrap();
+    let (driver, robot) = (Client::open(&[&endpoint], &[]), Client::open(&[], &[&endpoint]));
+    let topics = playback::RosTopics::new(
+        driver.session.clone(),
+        driver.runtime.handle(),
+        NodeOptions { name: "player".to_owned(), ..NodeOptions::default() },
+        cameras_of(&recording),
+    )
+    .unwrap();
+    let (stop, images) = (StopSignal::default(), ["/cam0/image_raw", "/cam1/image_raw/compressed"]);
+    let images = images.map(str::to_owned);
+    let cameras = std::thread::scope(|scope| {
+        let waiting = scope.spawn(|| {
+            let session = robot.session.clone();
+            robot.runtime.block_on(wait_for_cameras(session, NodeOptions::default(), &images, &stop))
+        });
+        let begin = Instant::now();
+        while !waiting.is_finished() && begin.elapsed() < GIVE_UP {
+            topics.prepare().unwrap();
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        stop.stop();
+        waiting.join().unwrap().unwrap()
+    });
+    let found = read_rig_calibration(&path, None, &cameras).unwrap().sensors;
+    for (found, expected) in found.cameras.iter().zip(cameras_of(&recording)) {
+        assert_eq!(found.camera, expected.camera);
+    }
+    assert_eq!((found.cameras.len(), found.imu.unwrap().rate_hz), (2, 200.0));
+    drop(topics);
+    driver.close();
+    robot.close();
 }

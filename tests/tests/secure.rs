@@ -299,6 +299,68 @@ async fn whoever_answers_before_the_server_is_not_believed() {
     drop(between);
 }
 
+/// Publishes until somebody hears it.
+async fn heard(
+    publisher: &zenoh::Session,
+    key: &str,
+    payload: &str,
+    listener: &zenoh::pubsub::Subscriber<zenoh::handlers::FifoChannelHandler<zenoh::sample::Sample>>,
+) -> Vec<String> {
+    let (begin, mut heard) = (Instant::now(), Vec::new());
+    while !heard.iter().any(|text| text == payload) {
+        assert!(begin.elapsed() < PATIENCE, "{payload} on {key} is not heard: {heard:?}");
+        publisher.put(key, payload).await.unwrap();
+        tokio::time::sleep(Duration::from_millis(20)).await;
+        let text = |sample: zenoh::sample::Sample| sample.payload().try_to_string().unwrap().into_owned();
+        heard.extend(listener.drain().map(text));
+    }
+    heard
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn drivers_reach_their_own_robot_and_no_other() {
+    for router in [false, true] {
+        let folder = tempfile::tempdir().unwrap();
+        let place = folder.path().join("fleet");
+        let fleet = fleet(&place, router);
+        let between = router_of(&fleet, &place).await;
+        let server = FleetServer::start(&member(&place, "south")).await;
+        let robot = open_session(&member(&place, VICTIM)).await.unwrap();
+        // The drivers have the folder of their robot.
+        let driver = open_session(&member(&place, VICTIM)).await.unwrap();
+        let operator = open_session(&member(&place, "ann")).await.unwrap();
+        let watched = operator.declare_subscriber("robot/*/sensors/*").await.unwrap();
+        // Another robot's, which does not check what it sends.
+        let forger = Forger::new(&fleet, &place, folder.path());
+        let other = zenoh::open(forger.config(Entry::Member(Role::Robot), "bo")).await.unwrap();
+        let spied = other.declare_subscriber("robot/ada/sensors/*").await.unwrap();
+        let spied_all = other.declare_subscriber("robot/**").await.unwrap();
+        for stream in ["imu", "cam0", "cam1", "tracks"] {
+            let key = format!("robot/{VICTIM}/sensors/{stream}");
+            let sensors = robot.declare_subscriber(key.clone()).await.unwrap();
+            heard(&driver, &key, "honest", &sensors).await;
+            for forged in [key.as_str(), "robot/*/sensors/*", "robot/**", "**"] {
+                other.put(forged, "forged").await.unwrap();
+            }
+            tokio::time::sleep(ARRIVAL).await;
+            let all = heard(&driver, &key, "honest again", &sensors).await;
+            assert!(!all.iter().any(|text| text == "forged"), "{key}: {all:?}");
+        }
+        let of_bo = open_session(&member(&place, "bo")).await.unwrap();
+        let listener = of_bo.declare_subscriber("robot/bo/sensors/imu").await.unwrap();
+        heard(&other, "robot/bo/sensors/imu", "its own", &listener).await;
+        // What the other one published itself it hears, of course.
+        let is_honest = |sample: zenoh::sample::Sample| sample.payload().to_bytes().starts_with(b"honest");
+        assert!(!spied.drain().chain(spied_all.drain()).any(is_honest), "overheard");
+        assert!(watched.drain().any(is_honest), "an operator sees them");
+        for session in [driver, robot, operator, other, of_bo] {
+            close_session(&session).await;
+        }
+        server.stop().await;
+        drop(between);
+    }
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn without_security_every_forgery_is_believed() {
     let at = free_endpoint().unwrap();

@@ -10,7 +10,7 @@
 //! | [`live`] | measurements that arrive now |
 //! | `euroc` | the EuRoC ASL folder layout: reader and [`writer`] |
 //! | `bag` (feature `bags`) | MCAP, rosbag2 and rosbag1: [`BagSensors`] |
-//! | [`ros`]; `ros_bag` (feature `bags`) | readings and images as messages of ROS; bags of such messages, written |
+//! | [`ros`]; `ros_bag` (feature `bags`) | readings, images and projections as messages of ROS; bags of such messages, written |
 //! | `kalibr`, `rig_calibration` | calibrations of Kalibr: [`CalibrationFiles`]; of a robot: [`read_rig_calibration`] |
 //! | `imu_check`, `image_check`, `stereo_check` | units, sizes and wiring that contradict the calibration, recognized from the data |
 //! | `truth`, `gravity` | ground truth, its interpolation, and the direction of gravity in its frame (evaluation only) |
@@ -44,6 +44,7 @@
 mod bag;
 mod calibration;
 mod calibration_yaml;
+mod camera_info;
 #[cfg(feature = "bags")]
 pub mod convert;
 mod error;
@@ -89,7 +90,7 @@ pub use kalibr::CalibrationFiles;
 pub use memory::Sequence;
 pub use merged::RecordingSource;
 pub use recording::Recording;
-pub use rig_calibration::read_rig_calibration;
+pub use rig_calibration::{read_rig_calibration, states_intrinsics};
 pub use rows::Rows;
 pub use source::{Contents, SensorEvent, SensorSource};
 pub use stereo_check::check_stereo;

@@ -3,6 +3,7 @@
 use crate::calibration_yaml::read_text;
 use crate::kalibr::{self, CalibrationFiles};
 use crate::{CameraSensor, FolderCalibration, SensorCalibration, SequenceError};
+use geometry::camera::Camera;
 use std::path::{Path, PathBuf};
 
 /// Kalibr does not state the rate of the cameras; this stands in its place and is compared with nothing.
@@ -14,23 +15,26 @@ const UNSTATED_RATE_HZ: f64 = 20.0;
 /// * `path`: a folder in the EuRoC layout, of which the `sensor.yaml` files are read and nothing else; a folder with Kalibr's
 ///   files in it; or Kalibr's camera chain.
 /// * `imu`: Kalibr's `imu.yaml`, where it is not beside the camera chain.
+/// * `known`: projections of the robot's cameras, used where a camera chain leaves them out; empty where none is known.
 ///
 /// # Errors
 /// [`SequenceError`] with the file.
-pub fn read_rig_calibration(path: &Path, imu: Option<&Path>) -> Result<FolderCalibration, SequenceError> {
-    let mut files = CalibrationFiles { imu: imu.map(Path::to_path_buf), ..CalibrationFiles::default() };
-    let folder = if path.is_file() {
-        files.cameras = Some(path.to_path_buf());
-        path.parent().unwrap_or(Path::new("")).to_path_buf()
-    } else {
-        path.to_path_buf()
-    };
-    let files = files.completed(&folder)?;
+pub fn read_rig_calibration(
+    path: &Path,
+    imu: Option<&Path>,
+    known: &[Camera],
+) -> Result<FolderCalibration, SequenceError> {
+    let (folder, files) = files_of(path, imu)?;
     let Some(chain_path) = &files.cameras else {
         return FolderCalibration::read(path, &files);
     };
-    let has_second = read_text(chain_path)?.lines().any(|line| line.starts_with("cam1:"));
-    let chain = kalibr::read_camera_chain(chain_path, &vec![None; if has_second { 2 } else { 1 }])?;
+    let known: Vec<Option<Camera>> = if known.is_empty() {
+        let has_second = read_text(chain_path)?.lines().any(|line| line.starts_with("cam1:"));
+        vec![None; if has_second { 2 } else { 1 }]
+    } else {
+        known.iter().cloned().map(Some).collect()
+    };
+    let chain = kalibr::read_camera_chain(chain_path, &known)?;
     let advice = "the noise of the IMU is needed: give Kalibr's imu.yaml with --imu-calibration";
     let imu_path: &PathBuf =
         files.imu.as_ref().ok_or_else(|| SequenceError::missing(&folder.join("imu.yaml"), advice))?;
@@ -40,4 +44,28 @@ pub fn read_rig_calibration(path: &Path, imu: Option<&Path>) -> Result<FolderCal
     let cameras = chain.cameras.into_iter().map(sensor).collect();
     let sensors = SensorCalibration { imu, cameras };
     Ok(FolderCalibration { sensors, time_offset_ns: chain.time_offset_ns, files })
+}
+
+/// Whether a calibration that [`read_rig_calibration`] reads states the projections of the cameras.
+///
+/// # Errors
+/// [`SequenceError`] with the file.
+pub fn states_intrinsics(path: &Path) -> Result<bool, SequenceError> {
+    match files_of(path, None)?.1.cameras {
+        Some(chain) => kalibr::states_intrinsics(&chain),
+        None => Ok(true),
+    }
+}
+
+/// The folder of a calibration, and its files.
+fn files_of(path: &Path, imu: Option<&Path>) -> Result<(PathBuf, CalibrationFiles), SequenceError> {
+    let mut files = CalibrationFiles { imu: imu.map(Path::to_path_buf), ..CalibrationFiles::default() };
+    let folder = if path.is_file() {
+        files.cameras = Some(path.to_path_buf());
+        path.parent().unwrap_or(Path::new("")).to_path_buf()
+    } else {
+        path.to_path_buf()
+    };
+    let files = files.completed(&folder)?;
+    Ok((folder, files))
 }

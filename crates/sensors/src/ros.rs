@@ -1,4 +1,6 @@
-//! Readings and images as messages of ROS, and back.
+//! Readings, images and projections as messages of ROS, and back.
+
+pub use crate::camera_info::{camera_info_message, camera_info_topic, camera_of_info};
 
 use crate::{ImageData, ImuSample};
 use nalgebra::Vector3;

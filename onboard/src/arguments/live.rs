@@ -4,6 +4,7 @@ use super::choices::FrameKind;
 use super::{INPUT, RobotArguments};
 use anyhow::{Result, bail};
 use clap::Args;
+use client::SessionOptions;
 use sensors::FolderCalibration;
 use sensors::live::{LiveFrames, LiveSettings, Stream};
 
@@ -13,6 +14,16 @@ pub struct LiveArguments {
     /// What live frames are made of
     #[arg(long, value_enum, value_name = "WHAT", default_value = "images", help_heading = INPUT)]
     pub live_frames: FrameKind,
+    /// Endpoint on which the robot itself listens to drivers of --source native, for example tcp/127.0.0.1:7448 [default: they
+    /// come over the session to the map]
+    ///
+    /// Whoever reaches it is believed, so use an address of the robot itself. Sensors then come without a map server or a
+    /// router, and not over the network.
+    #[arg(long, value_name = "ENDPOINT", conflicts_with = "sensors_connect", help_heading = INPUT)]
+    pub sensors_listen: Option<String>,
+    /// Zenoh router that drivers of --source native are connected to, where that is not the one of the map
+    #[arg(long, value_name = "ENDPOINT", help_heading = INPUT)]
+    pub sensors_connect: Option<String>,
     /// Live frames that may wait for the estimator; beyond, the oldest is dropped
     #[arg(long, value_name = "N", default_value_t = 5, help_heading = INPUT)]
     pub max_waiting_frames: usize,
@@ -43,6 +54,14 @@ impl LiveArguments {
             FrameKind::Features => LiveFrames::Tracks { features: true },
         };
         Ok(settings)
+    }
+
+    /// The session that native sensors come over, where they have one of their own.
+    pub fn session(&self) -> Option<SessionOptions> {
+        let [listen, connect] =
+            [&self.sensors_listen, &self.sensors_connect].map(|endpoint| endpoint.iter().cloned().collect());
+        let options = SessionOptions { listen, connect, ..SessionOptions::default() };
+        (self.sensors_listen.is_some() || self.sensors_connect.is_some()).then_some(options)
     }
 
     /// The streams that are expected with these settings.

@@ -15,6 +15,7 @@ pub use settings::{SettingsError, read_settings};
 pub use settings_file::{SettingsFileError, settings_text, with_settings};
 
 use super::extraction::FeatureArguments;
+use super::initial_pose::InitialPoses;
 use super::outputs::{RobotMetrics, RosBody, RosOutput};
 use anyhow::{Result, bail};
 use clap::{Args, Parser};
@@ -57,6 +58,9 @@ pub struct RobotArguments {
     /// What the run counts; shared with whoever clones it before the run
     #[arg(skip)]
     pub metrics: RobotMetrics,
+    /// Where an operator sets poses
+    #[arg(skip)]
+    pub initial_poses: InitialPoses,
     /// Topics for ROS 2, where there are any
     #[arg(skip)]
     pub ros: Option<RosOutput>,

@@ -1,6 +1,7 @@
 //! Switches of the ROS 2 topics.
 
-use crate::outputs::{RosBody, RosFrames, RosSettings};
+use crate::initial_pose::InitialPoses;
+use crate::outputs::{InitialPoseTopic, RosBody, RosFrames, RosSettings, SensorFrames};
 use client::SessionOptions;
 use client::session::{DEFAULT_ENDPOINT, SessionMode};
 use geometry::Pose;
@@ -27,9 +28,16 @@ pub struct RosArguments {
     /// Namespace of node and topics, for example cart7 [default: none]; /tf and /diagnostics have none
     #[arg(long, value_name = "NAME", default_value = "", hide_default_value = true, help_heading = ROS)]
     pub ros2_namespace: String,
+    /// Topic on which an operator sets the robot's pose in the map, for example /initialpose (RViz's 2D Pose Estimate): where the
+    /// map is searched first [default: none]
+    #[arg(long, value_name = "TOPIC", requires = "ros2", help_heading = ROS)]
+    pub initial_pose_topic: Option<String>,
     /// Names of the frames of map, odometry and robot, for --ros2 and --record
     #[arg(long, value_name = "MAP,ODOM,BASE", default_value = "map,odom,base_link", help_heading = ROS)]
     pub frames: RosFrames,
+    /// Names of the frames of IMU and cameras, whose mounting is published on /tf_static; none: a robot description has it
+    #[arg(long, value_name = "IMU,CAM0,CAM1", default_value = "imu,cam0,cam1", help_heading = ROS)]
+    pub sensor_frames: SensorFrames,
     /// The IMU in base_link: metres and radians (fixed-axis roll, pitch, yaw, as in URDF) [default: base_link is the IMU]
     #[arg(long, value_name = "X,Y,Z,ROLL,PITCH,YAW", default_value = "0,0,0,0,0,0", hide_default_value = true,
         allow_hyphen_values = true, help_heading = ROS)]
@@ -72,8 +80,19 @@ impl RosArguments {
     }
 
     /// The frames of the robot.
-    pub fn body(&self) -> RosBody {
-        RosBody { frames: self.frames.clone(), imu_from_base: self.imu_in_base_link.0.inverse() }
+    ///
+    /// # Errors
+    /// A frame of a sensor has the name of one of the robot.
+    pub fn body(&self) -> anyhow::Result<RosBody> {
+        let body = RosBody {
+            frames: self.frames.clone(),
+            sensor_frames: self.sensor_frames.clone(),
+            imu_from_base: self.imu_in_base_link.0.inverse(),
+        };
+        if let Some(name) = body.ambiguous_frame() {
+            anyhow::bail!("--sensor-frames and --frames both name {name}: give the sensors other names");
+        }
+        Ok(body)
     }
 
     /// The settings of the topics; `None` without `--ros2`.
@@ -81,15 +100,31 @@ impl RosArguments {
     /// # Arguments
     /// * `robot`: its name, for diagnostics.
     /// * `map_expected`: whether the robot is to be localized in a map.
-    pub fn settings(&self, robot: &str, map_expected: bool) -> Option<RosSettings> {
-        self.ros2.then(|| RosSettings {
+    /// * `initial_poses`: where the poses of `--initial-pose-topic` go.
+    ///
+    /// # Errors
+    /// As [`RosArguments::body`].
+    pub fn settings(
+        &self,
+        robot: &str,
+        map_expected: bool,
+        initial_poses: &InitialPoses,
+    ) -> anyhow::Result<Option<RosSettings>> {
+        if !self.ros2 {
+            return Ok(None);
+        }
+        Ok(Some(RosSettings {
             session: self.session(),
             domain: self.ros2_domain,
             namespace: self.ros2_namespace.clone(),
-            body: self.body(),
+            body: self.body()?,
             robot: robot.to_owned(),
             map_expected,
-        })
+            initial_pose: self
+                .initial_pose_topic
+                .clone()
+                .map(|topic| InitialPoseTopic { topic, poses: initial_poses.clone() }),
+        }))
     }
 }
 

@@ -5,7 +5,7 @@
 use super::event::Event;
 use super::publisher::QueryCounts;
 use super::recording_settings::RecordingSettings;
-use super::ros::{Diagnostics, Estimate, OdomFrame, messages};
+use super::ros::{Diagnostics, Estimate, OdomFrame, messages, static_transforms};
 use bags::{BagError, Format, MessageType};
 use estimator::{ImuSample, Status};
 use geometry::PoseWithCovariance;
@@ -32,6 +32,8 @@ pub(crate) struct MessageRecording {
     settings: RecordingSettings,
     odom: OdomFrame,
     clock_shift_ns: i64,
+    /// Whether it is recorded where the sensors are mounted.
+    has_mounting: bool,
     path: PathBuf,
     queue: Option<SyncSender<Item>>,
     thread: Option<JoinHandle<()>>,
@@ -72,7 +74,8 @@ impl MessageRecording {
             })
             .map_err(|source| BagError::Io { path: path.clone(), source })?;
         let (queue, thread) = (Some(queue), Some(thread));
-        Ok(Self { settings, odom: OdomFrame::default(), clock_shift_ns: 0, path, queue, thread, dropped: 0 })
+        let odom = OdomFrame::default();
+        Ok(Self { settings, odom, clock_shift_ns: 0, has_mounting: false, path, queue, thread, dropped: 0 })
     }
 
     /// Sets what is added to all stamps, nanoseconds.
@@ -96,6 +99,11 @@ impl MessageRecording {
         estimate.motion.stamp_ns = estimate.motion.stamp_ns.saturating_add(self.clock_shift_ns);
         let stamp_ns = estimate.motion.stamp_ns;
         let Some(made) = messages(&self.settings.body, &mut self.odom, &estimate) else { return };
+        if !std::mem::replace(&mut self.has_mounting, true) {
+            let stamp = made.odometry.header.stamp;
+            let mounting = static_transforms(&self.settings.body, &self.settings.cameras, stamp);
+            self.message("/tf_static", stamp_ns, &mounting);
+        }
         self.message("/odometry", stamp_ns, &made.odometry);
         self.message("/tf", stamp_ns, &made.transforms);
         if let Some(pose) = &made.pose {

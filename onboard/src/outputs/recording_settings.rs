@@ -1,6 +1,7 @@
 //! Settings of the recording of a run.
 
 use super::ros::RosBody;
+use sensors::CameraSensor;
 
 /// What is recorded, and how it is called.
 #[derive(Clone, Debug)]
@@ -8,6 +9,8 @@ use super::ros::RosBody;
 pub(crate) struct RecordingSettings {
     /// Frames and the robot's place in them.
     pub(crate) body: RosBody,
+    /// Where the cameras are mounted.
+    pub(crate) cameras: Vec<CameraSensor>,
     /// Name of the robot.
     pub(crate) robot: String,
     /// Whether odometry without a pose in the map is worth a warning.

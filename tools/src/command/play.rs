@@ -15,7 +15,7 @@ use std::path::PathBuf;
 pub enum Form {
     /// Driftless' own messages, for `onboard --source native`.
     Native,
-    /// ROS 2 over rmw_zenoh: /imu0, /cam0/image_raw, /cam0/image_raw/compressed.
+    /// ROS 2 over rmw_zenoh: /imu0, /cam0/image_raw, /cam0/image_raw/compressed, /cam0/camera_info.
     Ros2,
 }
 
@@ -86,7 +86,7 @@ pub fn run(args: &Args) -> Result<()> {
                 name: "driftless_play".to_owned(),
                 ..NodeOptions::default()
             };
-            let cameras = recording.calibration().cameras.len();
+            let cameras = &recording.calibration().cameras;
             Box::new(RosTopics::new(session.clone(), runtime.handle(), node, cameras)?)
         }
     };

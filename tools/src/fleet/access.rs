@@ -2,7 +2,7 @@
 //!
 //! | role | may |
 //! |---|---|
-//! | robot | query maps, read their changes, publish below its own name |
+//! | robot | query maps, read their changes, publish below its own name, receive its own sensors |
 //! | map server | answer for maps, publish their changes, ask other servers for cells of maps |
 //! | operator | query maps, read what robots and servers publish |
 //! | router | forward |
@@ -56,7 +56,7 @@ pub(super) fn control(fleet: &FleetState, own: &Member) -> Value {
             control.add(hub, vec![(ALL.to_vec(), everything())]);
         }
     } else {
-        control.add(hub, from_hub(own.role));
+        control.add(hub, from_hub(own));
     }
     json!({
         "enabled": true,
@@ -85,8 +85,8 @@ fn from_member(member: &Member, maps: &[String]) -> Vec<Allowed> {
         Role::Router => vec![(ALL.to_vec(), everything())],
         Role::Robot => vec![
             (vec!["query"], queries()),
-            (vec!["declare_subscriber"], of_maps("changes")),
-            (vec!["put"], vec![format!("robot/{name}/*")]),
+            (vec!["declare_subscriber"], [of_maps("changes"), vec![sensors_of(name)]].concat()),
+            (vec!["put"], vec![format!("robot/{name}/*"), sensors_of(name)]),
             (vec!["liveliness_token"], vec![format!("robot/{name}"), format!("robot/{name}/session/*")]),
             (WATCH.to_vec(), vec![format!("robot/{name}/session/*"), "map_server/*".to_owned()]),
         ],
@@ -109,15 +109,23 @@ fn from_member(member: &Member, maps: &[String]) -> Vec<Allowed> {
     }
 }
 
-/// What may come from the hub to a member of a role.
-fn from_hub(role: Role) -> Vec<Allowed> {
+/// What a robot's drivers publish, with its certificate.
+fn sensors_of(robot: &str) -> String {
+    format!("robot/{robot}/sensors/*")
+}
+
+/// What may come from the hub to a member.
+fn from_hub(own: &Member) -> Vec<Allowed> {
     let all_maps = || vec!["map/**".to_owned()];
     let changes = || vec!["map/*/changes".to_owned()];
     let declarations =
         vec!["declare_subscriber", "liveliness_token", "liveliness_query", "declare_liveliness_subscriber"];
     let mut allowed = vec![(declarations, everything())];
-    allowed.extend(match role {
-        Role::Robot => vec![(vec!["reply", "declare_queryable"], all_maps()), (vec!["put"], changes())],
+    allowed.extend(match own.role {
+        Role::Robot => vec![
+            (vec!["reply", "declare_queryable"], all_maps()),
+            (vec!["put"], [changes(), vec![sensors_of(&own.name)]].concat()),
+        ],
         Role::MapServer => vec![
             (vec!["query"], all_maps()),
             (vec!["reply", "declare_queryable"], vec!["map/*/cell/**".to_owned()]),

@@ -32,6 +32,14 @@ pub trait SensorTopics {
     /// The session is closed.
     fn are_heard(&self) -> Result<bool>;
 
+    /// Publishes what a robot needs before it listens to the sensors.
+    ///
+    /// # Errors
+    /// The session is closed.
+    fn prepare(&self) -> Result<()> {
+        Ok(())
+    }
+
     /// The topic of frames, for messages.
     fn of_frames(&self) -> String;
 
@@ -55,6 +63,7 @@ pub trait SensorTopics {
 pub fn wait_for_robot(topics: &dyn SensorTopics, stop: &StopSignal) -> Result<()> {
     let mut looks = 0;
     while !stop.is_stopped() && !topics.are_heard()? {
+        topics.prepare()?;
         looks += 1;
         if looks % LOOKS_A_WARNING == 0 {
             tracing::warn!("no robot listens to {} yet", topics.of_frames());

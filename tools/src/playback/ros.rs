@@ -2,17 +2,18 @@
 
 use super::SensorTopics;
 use anyhow::{Context as _, Result};
-use ros_messages::sensor_msgs::{CompressedImage, Image, Imu};
+use geometry::camera::Camera as Projection;
+use ros_messages::sensor_msgs::{CameraInfo, CompressedImage, Image, Imu};
 use ros_messages::std_msgs::Header;
 use ros2::{Node, NodeOptions, Publisher, Qos};
-use sensors::ros::{ImageMessage, image_message, imu_message, pixels_message};
-use sensors::{Frame, ImageData, ImuSample};
+use sensors::ros::{ImageMessage, camera_info_message, image_message, imu_message, pixels_message};
+use sensors::{CameraSensor, Frame, ImageData, ImuSample};
 use tokio::runtime::Handle;
 
 /// Topic of the IMU.
 const IMU: &str = "/imu0";
 
-/// `/imu0`, `/cam0/image_raw`, `/cam0/image_raw/compressed` and those of camera 1, for `onboard --source ros2` and other
+/// `/imu0`, `/cam0/image_raw`, `/cam0/image_raw/compressed`, `/cam0/camera_info` and those of camera 1, for `onboard --source ros2` and other
 /// nodes.
 #[derive(Debug)]
 pub struct RosTopics {
@@ -27,26 +28,37 @@ pub struct RosTopics {
 struct Camera {
     raw: Publisher<Image>,
     compressed: Publisher<CompressedImage>,
+    info: Publisher<CameraInfo>,
+    projection: Projection,
 }
 
 impl RosTopics {
     /// Announces a node and its topics.
     ///
     /// # Arguments
-    /// * `cameras`: number of cameras of the recording.
+    /// * `cameras`: those of the recording, whose projections are published with the images.
     ///
     /// # Errors
     /// A name that ROS does not allow, or a session that is closed.
-    pub fn new(session: zenoh::Session, runtime: &Handle, node: NodeOptions, cameras: usize) -> Result<Self> {
+    pub fn new(
+        session: zenoh::Session,
+        runtime: &Handle,
+        node: NodeOptions,
+        cameras: &[CameraSensor],
+    ) -> Result<Self> {
         runtime.block_on(async {
             let node = Node::new(session, node).await?;
             let qos = Qos::every_message();
             let imu = node.publisher(IMU, qos).await?;
             let mut topics = Vec::new();
-            for camera in 0..cameras {
+            for (camera, sensor) in cameras.iter().enumerate() {
                 let raw = node.publisher(&format!("/cam{camera}/image_raw"), qos).await?;
                 let compressed = node.publisher(&format!("/cam{camera}/image_raw/compressed"), qos).await?;
-                topics.push(Camera { raw, compressed });
+                let info = node.publisher(&format!("/cam{camera}/camera_info"), qos).await?;
+                if camera_info_message(&sensor.camera, Header::default()).is_none() {
+                    tracing::warn!("ROS has no name for the distortion of cam{camera}: no CameraInfo of it");
+                }
+                topics.push(Camera { raw, compressed, info, projection: sensor.camera.clone() });
             }
             Ok(Self { runtime: runtime.clone(), imu, cameras: topics, _node: node })
         })
@@ -58,8 +70,17 @@ impl Camera {
         Ok(self.raw.is_matched().await? || self.compressed.is_matched().await?)
     }
 
+    /// Publishes the projection, for those who wait for it before they listen to images too.
+    async fn publish_info(&self, header: Header) -> Result<()> {
+        if let Some(message) = camera_info_message(&self.projection, header) {
+            self.info.publish(&message).await?;
+        }
+        Ok(())
+    }
+
     /// Publishes an image in the forms that somebody listens to; a file as it is, to those who want it compressed.
     async fn publish(&self, image: &ImageData, header: Header) -> Result<()> {
+        self.publish_info(header.clone()).await?;
         if self.raw.is_matched().await? {
             self.raw.publish(&pixels_message(image.read()?.as_ref(), header.clone())).await?;
         }
@@ -82,6 +103,15 @@ impl SensorTopics for RosTopics {
     fn are_heard(&self) -> Result<bool> {
         let Some(first) = self.cameras.first() else { return Ok(false) };
         self.runtime.block_on(async { Ok(self.imu.is_matched().await? && first.is_heard().await?) })
+    }
+
+    /// The projections: a robot may need them for its calibration.
+    fn prepare(&self) -> Result<()> {
+        for (index, camera) in self.cameras.iter().enumerate() {
+            let header = Header { frame_id: format!("cam{index}"), ..Header::default() };
+            self.runtime.block_on(camera.publish_info(header))?;
+        }
+        Ok(())
     }
 
     fn of_frames(&self) -> String {

@@ -148,6 +148,14 @@ impl Estimator {
         Some(global_from_imu.compose(&exact))
     }
 
+    /// Pose of the first camera in L at a clone; `None` for a marginalized clone.
+    pub fn local_from_camera(&self, clone: CloneId) -> Option<PoseWithCovariance> {
+        let index = self.state.clone_index(clone)?;
+        let (pose, block) = (self.state.clones[index].local_from_imu, Block::Clone(index));
+        let local_from_imu = PoseWithCovariance { pose, covariance: self.block(&block, &block) };
+        Some(local_from_imu.change_of_child(&self.first_camera().imu_from_camera))
+    }
+
     /// Unit vector along gravity in the frame of the first camera at a clone; `None` for a marginalized clone.
     pub fn gravity_in_first_camera(&self, clone: CloneId) -> Option<Vector3<f64>> {
         let local_from_imu = self.state.clones[self.state.clone_index(clone)?].local_from_imu;

@@ -1,12 +1,14 @@
 //! The calibration of a bag's sensors: files in the ways of EuRoC and Kalibr, and the recorded `CameraInfo`.
 
-use super::camera_info;
+use super::messages;
 use super::topics::BagSensors;
+use crate::camera_info::camera_of_info;
 use crate::euroc::sensor_yaml;
 use crate::kalibr::{self, CameraChain};
 use crate::{CalibrationFiles, CameraSensor, SensorCalibration, SequenceError};
 use bags::{Bag, Topic};
 use geometry::camera::Camera;
+use ros_messages::sensor_msgs::CameraInfo;
 use std::path::{Path, PathBuf};
 
 /// Messages from which the rate of a topic is measured, where its calibration does not state it.
@@ -69,10 +71,20 @@ pub(super) fn read(
 /// The projection of each camera by its `CameraInfo`.
 fn camera_infos(bag: &Bag, sensors: &BagSensors) -> Result<Vec<Option<Camera>>, SequenceError> {
     let read = |camera: &super::BagCamera| match camera.info {
-        Some(info) => camera_info::read(bag, camera.images, info),
+        Some(info) => camera_info(bag, camera.images, info),
         None => Ok(None),
     };
     sensors.cameras.iter().map(read).collect()
+}
+
+/// The projection by the first sound message of a topic.
+fn camera_info(bag: &Bag, images: usize, info: usize) -> Result<Option<Camera>, SequenceError> {
+    let topic = &bag.topics()[info];
+    let mut messages = topic.messages.iter();
+    let found = messages.find_map(|message| messages::read::<CameraInfo>(bag, info, message.place).ok());
+    let Some(found) = found else { return Ok(None) };
+    let name: PathBuf = format!("{}, {}", bag.path().display(), topic.name).into();
+    camera_of_info(&found, &bag.topics()[images].name, &name)
 }
 
 fn euroc_cameras(bag: &Path, root: &Path, count: usize) -> Result<Vec<CameraSensor>, SequenceError> {

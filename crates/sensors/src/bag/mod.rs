@@ -3,7 +3,6 @@
 //! The stamps of readings and images are those in their headers, not the times at which they were recorded.
 
 mod calibration;
-mod camera_info;
 mod image;
 mod messages;
 mod recording;

@@ -36,7 +36,7 @@ struct ChainYaml {
 #[derive(Deserialize)]
 struct CameraYaml {
     camera_model: Option<String>,
-    /// Left out where a bag has the camera's `CameraInfo`.
+    /// Left out where a bag or a topic has the camera's `CameraInfo`.
     #[serde(default)]
     intrinsics: Vec<f64>,
     #[serde(default)]
@@ -133,6 +133,13 @@ pub(crate) fn read_camera_chain(path: &Path, known: &[Option<Camera>]) -> Result
     Ok(CameraChain { cameras, time_offset_ns: (shift * 1e9).round() as i64 })
 }
 
+/// Whether a chain states the intrinsics of all of its cameras.
+pub(crate) fn states_intrinsics(path: &Path) -> Result<bool, SequenceError> {
+    let chain: ChainYaml = parse(path, CHAIN, &read_text(path)?)?;
+    let mut cameras = std::iter::once(&chain.cam0).chain(&chain.cam1);
+    Ok(cameras.all(|camera| !camera.intrinsics.is_empty()))
+}
+
 /// The projection of `cam0` of a chain.
 pub(crate) fn first_lens(path: &Path, text: &str) -> Result<Camera, SequenceError> {
     let chain: ChainYaml = parse(path, CHAIN, text)?;
@@ -181,8 +188,7 @@ fn lens(path: &Path, yaml: &CameraYaml, known: Option<&Option<Camera>>) -> Resul
         return Ok(camera.clone());
     }
     let (Some(model), Some(resolution)) = (&yaml.camera_model, yaml.resolution) else {
-        let problem =
-            "a camera needs camera_model, intrinsics and resolution, unless a bag has its CameraInfo";
+        let problem = "a camera needs camera_model, intrinsics and resolution, unless a bag or a ROS 2 topic has its CameraInfo";
         return Err(SequenceError::calibration(path, problem));
     };
     let lens = Lens {

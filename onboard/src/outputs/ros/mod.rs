@@ -6,14 +6,18 @@
 //! | `odometry_predicted` | `nav_msgs/Odometry` | the same at the rate of the IMU |
 //! | `pose` | `geometry_msgs/PoseWithCovarianceStamped` | map from base_link, where localized |
 //! | `/tf` | `tf2_msgs/TFMessage` | map from odom (may jump), odom from base_link (REP-105) |
+//! | `/initialpose` | `geometry_msgs/PoseWithCovarianceStamped` | received, where that is wanted: a pose by an operator |
+//! | `/tf_static` | `tf2_msgs/TFMessage` | base_link from IMU, IMU from cameras; latched |
 //! | `/diagnostics` | `diagnostic_msgs/DiagnosticArray` | the status, every second and when it changes |
 
 mod diagnostics;
+mod initial_pose;
 mod messages;
 mod odom_frame;
 mod output;
 mod serving;
 mod settings;
+mod static_transforms;
 
 #[cfg(test)]
 mod tests;
@@ -26,4 +30,6 @@ pub(crate) use messages::messages;
 #[cfg(feature = "bags")]
 pub(crate) use odom_frame::OdomFrame;
 pub use output::{RosOutput, RosOutputTask};
-pub use settings::{RosBody, RosFrames, RosSettings};
+pub use settings::{InitialPoseTopic, RosBody, RosFrames, RosSettings, SensorFrames};
+#[cfg(feature = "bags")]
+pub(crate) use static_transforms::static_transforms;

@@ -5,12 +5,16 @@ use super::messages::{Estimate, Messages, messages, odometry};
 use super::odom_frame::OdomFrame;
 use super::serving::serve;
 use super::settings::RosSettings;
+use super::static_transforms::static_transforms;
 use crate::outputs::QueryCounts;
 use estimator::{Motion, Status};
 use geometry::PoseWithCovariance;
+use ros_messages::builtin_interfaces::Time;
 use ros_messages::nav_msgs::Odometry;
+use ros_messages::tf2_msgs::TFMessage;
+use sensors::CameraSensor;
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, SystemTime};
 use tokio::runtime::Handle;
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
@@ -27,6 +31,12 @@ pub(super) enum Outgoing {
     Predicted(Box<Odometry>),
 }
 
+/// What is published when it changes, the newest only.
+pub(super) struct Changes {
+    pub(super) diagnostics: watch::Receiver<Option<Diagnostics>>,
+    pub(super) static_transforms: watch::Receiver<TFMessage>,
+}
+
 /// The ROS 2 topics of a run. Nothing here waits for the network.
 #[derive(Clone, Debug)]
 pub struct RosOutput {
@@ -36,6 +46,7 @@ pub struct RosOutput {
     /// Added to all stamps, nanoseconds.
     clock_shift_ns: i64,
     diagnostics: watch::Sender<Option<Diagnostics>>,
+    static_transforms: watch::Sender<TFMessage>,
 }
 
 /// The task that publishes. It ends when all its [`RosOutput`]s are dropped.
@@ -49,12 +60,25 @@ impl RosOutput {
     /// An endpoint or a name that cannot be used.
     pub fn start(settings: RosSettings, runtime: &Handle) -> anyhow::Result<(Self, RosOutputTask)> {
         settings.session.to_config()?;
-        ros2::names::absolute_namespace(&settings.namespace)?;
+        let namespace = ros2::names::absolute_namespace(&settings.namespace)?;
+        if let Some(initial_pose) = &settings.initial_pose {
+            ros2::names::absolute_topic(&namespace, &initial_pose.topic)?;
+        }
         let settings = Arc::new(settings);
         let (queue, waiting) = mpsc::channel(QUEUE);
         let (diagnostics, last) = watch::channel(None);
-        let task = RosOutputTask(runtime.spawn(serve(Arc::clone(&settings), waiting, last)));
-        Ok((Self { settings, odom: OdomFrame::default(), queue, clock_shift_ns: 0, diagnostics }, task))
+        let (static_transforms, mounting) = watch::channel(TFMessage::default());
+        let changes = Changes { diagnostics: last, static_transforms: mounting };
+        let task = RosOutputTask(runtime.spawn(serve(Arc::clone(&settings), waiting, changes)));
+        let odom = OdomFrame::default();
+        Ok((Self { settings, odom, queue, clock_shift_ns: 0, diagnostics, static_transforms }, task))
+    }
+
+    /// Publishes where the sensors are mounted, for those who come later as well.
+    pub fn publish_mounting(&self, cameras: &[CameraSensor]) {
+        let since_epoch = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
+        let stamp = Time::from_nanoseconds(since_epoch.as_nanos() as i64).unwrap_or_default();
+        self.static_transforms.send_replace(static_transforms(&self.settings.body, cameras, stamp));
     }
 
     /// Publishes an estimate; dropped where the network is slow, newer ones follow.

@@ -1,8 +1,9 @@
 //! Connects to ROS 2 and publishes what is queued.
 
 use super::diagnostics::Diagnostics;
+use super::initial_pose::{InitialPoseSubscription, next_initial_pose};
 use super::messages::Messages;
-use super::output::Outgoing;
+use super::output::{Changes, Outgoing};
 use super::settings::RosSettings;
 use client::session::{close_session, open_session};
 use ros_messages::diagnostic_msgs::DiagnosticArray;
@@ -21,10 +22,12 @@ const TF_DEPTH: usize = 100;
 
 struct Topics {
     _node: Node,
+    initial_pose: Option<InitialPoseSubscription>,
     odometry: Publisher<Odometry>,
     predicted: Publisher<Odometry>,
     pose: Publisher<PoseWithCovarianceStamped>,
     transforms: Publisher<TFMessage>,
+    static_transforms: Option<Publisher<TFMessage>>,
     diagnostics: Publisher<DiagnosticArray>,
 }
 
@@ -32,11 +35,11 @@ struct Topics {
 pub(super) async fn serve(
     settings: Arc<RosSettings>,
     mut queue: mpsc::Receiver<Outgoing>,
-    mut diagnostics: watch::Receiver<Option<Diagnostics>>,
+    mut changes: Changes,
 ) {
     let session = tokio::select! {
         opened = open_session(&settings.session) => opened,
-        () = closed(diagnostics.clone()) => return,
+        () = closed(changes.diagnostics.clone()) => return,
     };
     let session = match session {
         Ok(session) => session,
@@ -46,7 +49,7 @@ pub(super) async fn serve(
         Ok(topics) => {
             // What was queued before the connection is old.
             while queue.try_recv().is_ok() {}
-            topics.publish_all(&mut queue, &mut diagnostics).await;
+            topics.publish_all(&mut queue, &mut changes).await;
         }
         Err(error) => tracing::error!(%error, "there will be no ROS topics in this run"),
     }
@@ -67,7 +70,12 @@ impl Topics {
         };
         let node = Node::new(session.clone(), options).await?;
         let transforms = Qos { history: History::KeepLast(TF_DEPTH), ..Qos::reliable() };
+        let has_static = !settings.body.sensor_frames.names.is_empty();
+        let static_transforms =
+            if has_static { Some(node.publisher("/tf_static", Qos::latched()).await?) } else { None };
         Ok(Self {
+            static_transforms,
+            initial_pose: InitialPoseSubscription::announce(&node, settings).await?,
             odometry: node.publisher("odometry", Qos::reliable()).await?,
             predicted: node.publisher("odometry_predicted", Qos::sensor_data()).await?,
             pose: node.publisher("pose", Qos::reliable()).await?,
@@ -77,11 +85,8 @@ impl Topics {
         })
     }
 
-    async fn publish_all(
-        &self,
-        queue: &mut mpsc::Receiver<Outgoing>,
-        diagnostics: &mut watch::Receiver<Option<Diagnostics>>,
-    ) {
+    async fn publish_all(&self, queue: &mut mpsc::Receiver<Outgoing>, changes: &mut Changes) {
+        let Changes { diagnostics, static_transforms } = changes;
         let mut period = tokio::time::interval(PERIOD);
         loop {
             let published = tokio::select! {
@@ -92,6 +97,8 @@ impl Topics {
                 },
                 Ok(()) = diagnostics.changed() => self.publish_diagnostics(diagnostics).await,
                 _ = period.tick() => self.publish_diagnostics(diagnostics).await,
+                Ok(()) = static_transforms.changed() => self.publish_static(static_transforms).await,
+                received = next_initial_pose(self.initial_pose.as_ref()) => received,
             };
             if let Err(error) = published {
                 tracing::debug!(%error, "a ROS message was not published");
@@ -106,6 +113,14 @@ impl Topics {
             self.pose.publish(pose).await?;
         }
         Ok(())
+    }
+
+    async fn publish_static(&self, newest: &mut watch::Receiver<TFMessage>) -> Result<(), RosError> {
+        let message = newest.borrow_and_update().clone();
+        match &self.static_transforms {
+            Some(publisher) => publisher.publish(&message).await,
+            None => Ok(()),
+        }
     }
 
     async fn publish_diagnostics(

@@ -1,8 +1,12 @@
 //! Settings of the ROS 2 topics.
 
+use crate::initial_pose::InitialPoses;
 use client::SessionOptions;
 use geometry::Pose;
 use std::str::FromStr;
+
+/// In place of the names of the sensors' frames: none is published.
+const NO_FRAMES: &str = "none";
 
 /// What a robot publishes for ROS 2, and where.
 #[derive(Clone, Debug)]
@@ -19,6 +23,17 @@ pub struct RosSettings {
     pub robot: String,
     /// Whether odometry without a pose in the map is worth a warning.
     pub map_expected: bool,
+    /// Where an operator sets poses.
+    pub initial_pose: Option<InitialPoseTopic>,
+}
+
+/// A topic of poses that an operator sets.
+#[derive(Clone, Debug)]
+pub struct InitialPoseTopic {
+    /// Its name, below the namespace unless it begins with `/`.
+    pub topic: String,
+    /// Where they go.
+    pub poses: InitialPoses,
 }
 
 /// The frames of a robot, and its IMU in them.
@@ -26,6 +41,8 @@ pub struct RosSettings {
 pub struct RosBody {
     /// Names of the frames.
     pub frames: RosFrames,
+    /// Names of the frames of the sensors.
+    pub sensor_frames: SensorFrames,
     /// Pose of the robot's frame in the IMU's.
     pub imu_from_base: Pose,
 }
@@ -35,7 +52,51 @@ impl Default for RosBody {
     fn default() -> Self {
         let names = ["map", "odom", "base_link"].map(str::to_owned);
         let [map, odom, base_link] = names;
-        Self { frames: RosFrames { map, odom, base_link }, imu_from_base: Pose::identity() }
+        Self {
+            frames: RosFrames { map, odom, base_link },
+            sensor_frames: SensorFrames::default(),
+            imu_from_base: Pose::identity(),
+        }
+    }
+}
+
+impl RosBody {
+    /// A frame that is both one of the robot's and one of its sensors', where there is one.
+    pub fn ambiguous_frame(&self) -> Option<&str> {
+        let RosFrames { map, odom, base_link } = &self.frames;
+        let is_of_robot = |name: &&String| [map, odom, base_link].contains(name);
+        self.sensor_frames.names.iter().find(is_of_robot).map(String::as_str)
+    }
+}
+
+/// Names of the frames of the IMU and of the cameras, as far as transforms to them are to be published.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct SensorFrames {
+    /// IMU, camera 0, camera 1; those that are left out are not published.
+    pub names: Vec<String>,
+}
+
+impl Default for SensorFrames {
+    /// `imu`, `cam0`, `cam1`.
+    fn default() -> Self {
+        Self { names: ["imu", "cam0", "cam1"].map(str::to_owned).to_vec() }
+    }
+}
+
+impl FromStr for SensorFrames {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        if text == NO_FRAMES {
+            return Ok(Self { names: Vec::new() });
+        }
+        let names: Vec<&str> = text.split(',').map(str::trim).collect();
+        if names.len() > 3 || !distinct(&names) {
+            return Err("give different names of IMU and cameras, imu,cam0,cam1, as many as are to be \
+                        published, or none"
+                .to_owned());
+        }
+        Ok(Self { names: names.into_iter().map(str::to_owned).collect() })
     }
 }
 
@@ -76,6 +137,19 @@ fn distinct(names: &[&str]) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn frames_of_sensors_are_named_in_order_or_not_at_all() {
+        let names = |text: &str| text.parse::<SensorFrames>().map(|frames| frames.names);
+        assert_eq!(names("none").unwrap(), Vec::<String>::new());
+        assert_eq!(names("cart7/imu, cart7/left").unwrap(), ["cart7/imu", "cart7/left"]);
+        for wrong in ["", "imu,imu", "/imu", "imu,cam0,cam1,cam2", "imu,,cam1"] {
+            assert!(names(wrong).is_err(), "{wrong}");
+        }
+        let body = RosBody { sensor_frames: "imu,base_link".parse().unwrap(), ..RosBody::default() };
+        assert_eq!(body.ambiguous_frame(), Some("base_link"));
+        assert_eq!(RosBody::default().ambiguous_frame(), None);
+    }
 
     #[test]
     fn frames_are_three_different_names() {

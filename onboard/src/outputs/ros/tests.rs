@@ -2,7 +2,8 @@
 
 use super::messages::{Estimate, GlobalEstimate, Messages, messages};
 use super::odom_frame::OdomFrame;
-use super::{RosBody, RosOutput, RosSettings};
+use super::{InitialPoseTopic, RosBody, RosOutput, RosSettings};
+use crate::initial_pose::InitialPoses;
 use crate::outputs::QueryCounts;
 use client::SessionOptions;
 use client::session::{SessionMode, close_session, open_session};
@@ -27,6 +28,7 @@ pub fn settings() -> RosSettings {
         body: RosBody { imu_from_base: pose([0.3, -0.7, 0.2], [0.5, -0.1, 0.4]), ..RosBody::default() },
         robot: "cart7".to_owned(),
         map_expected: true,
+        initial_pose: None,
     }
 }
 
@@ -262,6 +264,57 @@ fn other_nodes_receive_all_topics() {
     let mut shifted = estimate();
     shifted.motion.stamp_ns += 3_600_000_000_000;
     assert_eq!(runtime.block_on(next(&odometry)), made(&mut OdomFrame::default(), &shifted).odometry);
+    runtime.block_on(close_session(&router));
+}
+
+#[test]
+fn where_sensors_are_mounted_arrives_at_nodes_that_come_later_and_poses_of_operators_arrive_here() {
+    let (runtime, endpoint) = (runtime(), endpoint());
+    let router = SessionOptions { listen: vec![endpoint.clone()], ..SessionOptions::default() };
+    let router = runtime.block_on(open_session(&router)).unwrap();
+    let mut settings = settings();
+    settings.session.connect = vec![endpoint];
+    let poses = InitialPoses::default();
+    settings.initial_pose = Some(InitialPoseTopic { topic: "/initialpose".to_owned(), poses: poses.clone() });
+    let body_from_imu = settings.body.imu_from_base.inverse();
+    let (output, task) = RosOutput::start(settings, runtime.handle()).unwrap();
+    output.publish_mounting(&[]);
+    output.publish_status(estimate().motion.stamp_ns, &status(), QueryCounts::default());
+    let node = runtime.block_on(Node::new(router.clone(), NodeOptions::default())).unwrap();
+    let diagnostics =
+        runtime.block_on(node.subscriber::<DiagnosticArray>("/diagnostics", Qos::reliable(), 10)).unwrap();
+    // It is published by now.
+    runtime.block_on(next(&diagnostics));
+    runtime.block_on(next(&diagnostics));
+    let late = runtime.block_on(node.subscriber::<TFMessage>("/tf_static", Qos::latched(), 10)).unwrap();
+    let transforms = runtime.block_on(next(&late)).transforms;
+    let [transform] = &transforms[..] else { panic!("one transform") };
+    assert_eq!((transform.header.frame_id.as_str(), transform.child_frame_id.as_str()), ("base_link", "imu"));
+    assert_near(&read_transform(transform), &body_from_imu);
+
+    let operator = runtime
+        .block_on(node.publisher::<PoseWithCovarianceStamped>("/initialpose", Qos::reliable()))
+        .unwrap();
+    let mut message = PoseWithCovarianceStamped::default();
+    message.header.frame_id = "map".to_owned();
+    message.pose.pose.position.x = 7.0;
+    for (index, variance) in [(0, 0.25), (7, 0.25), (35, 0.07)] {
+        message.pose.covariance[index] = variance;
+    }
+    let set = runtime.block_on(async {
+        for _ in 0..200 {
+            operator.publish(&message).await.unwrap();
+            tokio::time::sleep(Duration::from_millis(50)).await;
+            if let Some(set) = poses.take() {
+                return set;
+            }
+        }
+        panic!("no pose arrived")
+    });
+    let expected = Pose::new(rotation::exp(&Vector3::zeros()), Vector3::x() * 7.0) * body_from_imu;
+    assert_near(&set.unwrap().pose, &expected);
+    drop(output);
+    runtime.block_on(task.finish());
     runtime.block_on(close_session(&router));
 }
 
