@@ -141,6 +141,7 @@ pub(crate) fn answer(
                     stamp_ns: Some(request.stamp_ns),
                     features: request.features.len(),
                     prior_in_global: position_of(request.prior.as_ref()),
+                    fix: None,
                     search,
                 })
             };
@@ -165,6 +166,7 @@ pub(crate) fn answer(
                     stamp_ns: None,
                     features: request.features.len(),
                     prior_in_global: position_of(request.prior.as_ref()),
+                    fix: reply.fix.clone(),
                     search,
                 })
             };

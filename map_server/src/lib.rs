@@ -22,7 +22,7 @@
 //! | `handlers` | decodes a query, answers it, encodes the reply |
 //! | `reports` | tells what became of each query |
 //! | `durations` | how long queries take, as counts in buckets |
-//! | [`show`] | the live map in the browser |
+//! | [`show`], [`images`] | the live map in the browser, and images that people give to it |
 //! | `change` | differences between two versions of a map |
 //!
 //! # Requirements on clients
@@ -48,6 +48,7 @@ mod durations;
 pub mod error;
 mod fair_queue;
 mod handlers;
+pub mod images;
 mod metrics;
 pub mod options;
 mod queue;
@@ -60,6 +61,7 @@ mod show_statistics;
 pub use cells::{CellChoice, CellService, CellServiceOptions};
 pub use durations::DurationCounts;
 pub use error::ServeError;
+pub use images::ImageLocalizer;
 pub use metrics::ServerStatistics;
 pub use options::ServerOptions;
 pub use reports::{AnsweredQuery, QueryReport};

@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant};
 
 use nalgebra::Vector3;
-use protocol::{ErrorReply, KeyframeId, MatchOutcome, PosePrior, keys};
+use protocol::{ErrorReply, KeyframeId, LocalizedPose, MatchOutcome, PosePrior, keys};
 use recognition::SearchReport;
 use tokio::sync::broadcast;
 use zenoh::query::Query;
@@ -48,6 +48,8 @@ pub struct AnsweredQuery {
     pub features: usize,
     /// Position of the camera in G (m) that the query expects.
     pub prior_in_global: Option<Vector3<f64>>,
+    /// The pose of the answer to a `localize` query; `None` for an image that was not recognized.
+    pub fix: Option<LocalizedPose>,
     /// What the search found out.
     pub search: SearchReport,
 }

@@ -17,6 +17,7 @@ use crate::cells::cell_map::Host;
 use crate::change;
 use crate::error::ServeError;
 use crate::handlers::{self, Kind};
+use crate::images::ImageLocalizer;
 use crate::metrics::{ServerMetrics, ServerStatistics};
 use crate::options::ServerOptions;
 use crate::queue::{self, Job, Queue, Target};
@@ -69,8 +70,8 @@ pub struct MapServer {
     queue: Arc<Queue>,
     metrics: Arc<ServerMetrics>,
     reports: ReportSender,
+    recognition: RecognitionOptions,
     workers: Vec<JoinHandle<()>>,
-    options: RecognitionOptions,
 }
 
 impl MapServer {
@@ -127,7 +128,7 @@ impl MapServer {
         }
         let token = session.liveliness().declare_token(token_key).await?;
         tracing::info!(server, maps = ?maps.keys().collect::<Vec<_>>(), "serving");
-        let options = options.recognition;
+        let recognition = options.recognition;
         Ok(MapServer {
             session,
             server,
@@ -138,8 +139,8 @@ impl MapServer {
             queue,
             metrics,
             reports,
+            recognition,
             workers,
-            options,
         })
     }
 
@@ -150,7 +151,7 @@ impl MapServer {
             server: self.server.clone(),
             queue: Arc::clone(&self.queue),
             metrics: Arc::clone(&self.metrics),
-            options: self.options.clone(),
+            options: self.recognition.clone(),
         }
     }
 
@@ -172,6 +173,11 @@ impl MapServer {
     /// What becomes of queries for a match or a pose from now on. A receiver that is too slow misses the oldest.
     pub fn reports(&self) -> Receiver<QueryReport> {
         self.reports.subscribe()
+    }
+
+    /// Localizes images in the maps that are being served, beside the queue of queries.
+    pub fn images(&self) -> ImageLocalizer {
+        ImageLocalizer::of_slots(Arc::clone(&self.maps), self.recognition.clone())
     }
 
     /// Counters since the start.

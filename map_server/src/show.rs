@@ -11,8 +11,8 @@ use tokio::sync::broadcast::Receiver;
 use tokio::sync::broadcast::error::RecvError;
 use tokio::task::JoinHandle;
 use viewer::{
-    CandidateVerdict, RobotFollower, ViewedAnswer, ViewedCandidate, ViewedMap, ViewedQuery, ViewedResult,
-    Viewer, ViewerError, ViewerServer, follow_robots,
+    CandidateVerdict, RobotFollower, RunTracks, ViewedAnswer, ViewedCandidate, ViewedFix, ViewedMap,
+    ViewedQuery, ViewedResult, Viewer, ViewerError, ViewerServer, follow_robots,
 };
 use zenoh::Session;
 
@@ -41,6 +41,7 @@ impl Show {
         beside: Router,
     ) -> Result<Self, ViewerError> {
         let viewer = Viewer::new();
+        viewer.take_images(Arc::new(server.images()));
         for name in names {
             if let Some(map) = server.served(name) {
                 set_map(&viewer, name, &map).await;
@@ -58,6 +59,11 @@ impl Show {
     /// The address that it listens on.
     pub fn address(&self) -> SocketAddr {
         self.server.address()
+    }
+
+    /// Offers a recorded run to those who look at the page, in place of the one before.
+    pub fn set_run(&self, run: &RunTracks) {
+        self.viewer.set_run(run);
     }
 
     /// Shows the version of a map that is served now.
@@ -110,7 +116,7 @@ fn viewed(report: QueryReport) -> ViewedQuery {
     ViewedQuery { kind: report.kind, map: report.map, duration_ms, result }
 }
 
-fn viewed_answer(answered: &AnsweredQuery) -> ViewedAnswer {
+pub(crate) fn viewed_answer(answered: &AnsweredQuery) -> ViewedAnswer {
     // JSON knows no infinity.
     let finite =
         |position: Vector3<f64>| position.iter().all(|value| value.is_finite()).then(|| position.into());
@@ -125,6 +131,7 @@ fn viewed_answer(answered: &AnsweredQuery) -> ViewedAnswer {
         keyframes: answered.keyframes.clone(),
         prior_in_global: answered.prior_in_global.and_then(finite),
         camera_in_global: camera_in_global.and_then(finite),
+        fix: answered.fix.as_ref().map(ViewedFix::of),
         candidates: answered.search.candidates.iter().map(viewed_candidate).collect(),
     }
 }

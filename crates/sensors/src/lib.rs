@@ -80,7 +80,7 @@ pub use calibration::{CameraSensor, ImuSensor, SensorCalibration};
 pub use error::{SensorError, SequenceError};
 pub use estimator::{ImuNoise, ImuSample, TrackObservation};
 pub use euroc::{
-    FolderCalibration, pose_cells, read_groundtruth, read_lens, read_reference_poses,
+    FolderCalibration, lens_of_text, pose_cells, read_groundtruth, read_lens, read_reference_poses,
     read_reference_positions, writer,
 };
 pub use features::{feature_set, kind_of, metric_of};

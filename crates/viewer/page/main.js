@@ -7,6 +7,7 @@ import { followLive } from "./live.js";
 import { Replay } from "./replay.js";
 import { History, linkOfTime, timeOfLink } from "./history.js";
 import { Queries } from "./queries.js";
+import { ImageQuery } from "./image_query.js";
 import { QueryLayer } from "./query_layer.js";
 import { ServerChart } from "./server_chart.js";
 import { Tabs } from "./tabs.js";
@@ -33,6 +34,10 @@ let queries = null;
 let queryLayer = null;
 let serverChart = null;
 let tabs = null;
+let imageQuery = null;
+
+// So many landmarks are loaded: 12 MB.
+const LANDMARKS = 1000000;
 
 // What the page shows, for tests and for the console.
 window.driftless = { isReady: false, isConnected: false, map: null, counts: { keyframes: 0, landmarks: 0, robots: 0 }, robots: {}, time: { isLive: true, t: null } };
@@ -48,8 +53,9 @@ function setLink(key, value) {
 
 async function json(path) {
   const response = await fetch(path);
-  if (!response.ok) throw new Error(`${path}: ${response.status}`);
-  return response.json();
+  if (response.ok) return response.json();
+  const { error } = await response.json().catch(() => ({}));
+  throw new Error(error ?? `${path}: ${response.status}`);
 }
 
 async function loadMaps() {
@@ -67,7 +73,7 @@ async function showMap(name, isNew = true) {
   if (!map) return;
   byId("map").value = map.name;
   const path = `api/maps/${encodeURIComponent(map.name)}`;
-  const [{ keyframes }, response] = await Promise.all([json(`${path}/keyframes`), fetch(`${path}/landmarks`)]);
+  const [{ keyframes }, response] = await Promise.all([json(`${path}/keyframes`), fetch(`${path}/landmarks?limit=${LANDMARKS}`)]);
   const landmarks = new Float32Array(await response.arrayBuffer());
   const up = (map.gravity_in_global ?? [0, 0, -1]).map((value) => -value);
   shown = { name: map.name, version: map.version };
@@ -92,7 +98,7 @@ function robotOf(name) {
     panel.add(name, robot.index);
     queries?.addRobot(name);
     window.driftless.counts.robots = robots.size;
-    if (link().get("robot") === name) follow(name);
+    if (link().get("robot") === name || (!shown && !replay && !followed)) follow(name);
   }
   return robot;
 }
@@ -107,6 +113,7 @@ function onUpdate(update) {
     robot.received = performance.now();
     if (past.isLive) showPublished(robot, before === undefined);
   }
+  if (update.run) offerSwitch();
   const version = update.maps?.[shown?.name];
   if (version !== undefined && version !== shown.version) reload(version);
   if (!isLinkRead) readTimeOfLink();
@@ -119,6 +126,7 @@ function showPublished(robot, isNew) {
   // The pose in another map has no place in this one.
   const isHere = pose && (!shown || pose.map === shown.name);
   if (isHere) robot.setPose(pose.global_from_imu);
+  else if (!shown && odometry) robot.setPose(odometry.local_from_imu);
   else robot.position = null;
   if (odometry) robot.setOdometry(odometry.local_from_imu.position, isHere ? pose.global_from_local : null);
   if (answer && !isNew && answersSeen.get(robot.name) !== published.answers && answer.map === shown?.name) {
@@ -162,6 +170,7 @@ async function reload(version) {
   await loadMaps();
   await showMap(shown.name, false);
   past?.refresh();
+  offerImages();
   setTimeout(() => notice(""), 8000);
 }
 
@@ -189,11 +198,36 @@ function setTheme(name) {
   serverChart?.draw();
 }
 
+// Asked again now and then: a server may begin to search images after it has shown its map.
+async function offerImages() {
+  const { takes_images: isOffered } = await json("api/maps");
+  await imageQuery.offer(isOffered);
+}
+
+// A run that has ended is shown as a whole, or as it was seen.
+function offerSwitch() {
+  const isRun = replay !== null;
+  byId("switch").textContent = isRun ? "Robots and queries" : "Show the whole run";
+  if (byId("switch").hidden && !isRun) notice("The run has ended.");
+  byId("switch").hidden = false;
+}
+
+function switchView() {
+  if (byId("switch").hidden) return;
+  setLink("view", replay ? "live" : null);
+  for (const key of ["t", "tab", "robot"]) setLink(key, null);
+  location.reload();
+}
+
 const letGo = () => followed && follow(followed);
 const ACTIONS = {
   fit: () => { letGo(); scene.fit(); },
   top: () => { letGo(); scene.top(); },
   theme: () => setTheme(theme() === "dark" ? "light" : "dark"),
+  image: () => {
+    tabs?.choose("queries");
+    if (imageQuery?.isOffered) byId("image-file").focus();
+  },
   help: () => (byId("help").open ? byId("help").close() : byId("help").showModal()),
 };
 
@@ -212,17 +246,19 @@ const KEYS = {
   q: () => tabs?.choose("queries"),
   s: () => tabs?.choose("server"),
   l: () => past?.goLive(),
+  i: ACTIONS.image,
+  v: switchView,
   " ": () => (past ?? replay?.timeline)?.toggle(),
   Escape: letGo,
 };
 
 function onKey(event) {
-  if (event.ctrlKey || event.metaKey || event.altKey || event.target.closest("select")) return;
+  if (event.ctrlKey || event.metaKey || event.altKey || event.target.closest("select, textarea")) return;
   if (event.target.closest("input[type=range]") && /^(Arrow|Page|Home|End)/.test(event.key)) return;
   const robot = [...robots.keys()][Number(event.key) - 1];
   if (/^[1-9]$/.test(event.key)) {
     if (robot) follow(robot);
-  } else if (KEYS[event.key] && !(event.key === " " && event.target.closest("button"))) {
+  } else if (KEYS[event.key] && !(event.key === " " && event.target.closest("button, input:not([type=range])"))) {
     event.preventDefault();
     KEYS[event.key]();
   }
@@ -243,8 +279,12 @@ function bind() {
   }
   byId("map").addEventListener("change", (event) => {
     setLink("map", event.target.value);
-    showMap(event.target.value).then(() => past?.refresh());
+    showMap(event.target.value).then(() => {
+      past?.refresh();
+      if (imageQuery) offerImages();
+    });
   });
+  byId("switch").addEventListener("click", switchView);
   window.addEventListener("keydown", onKey);
   window.addEventListener("hashchange", () => {
     const robot = link().get("robot");
@@ -300,9 +340,30 @@ function showQuery(query) {
   const isHere = query && query.map === shown?.name;
   const place = ({ keyframe, verdict }) => ({ keyframe: mapLayer.keyframes.get(keyframe), isUsed: verdict === "in_answer" });
   const candidates = isHere ? (query.candidates ?? []).map(place).filter(({ keyframe }) => keyframe) : [];
-  const from = query?.camera_in_global ?? query?.prior_in_global ?? null;
-  queryLayer.set(from, candidates, mapLayer.size ?? 0.3);
-  window.driftless.query = query && { number: query.number, outcome: query.outcome ?? query.error, drawn: candidates.length };
+  const fix = isHere ? query.fix ?? null : null;
+  const from = fix?.position ?? query?.camera_in_global ?? query?.prior_in_global ?? null;
+  queryLayer.set(from, candidates, mapLayer.size ?? 0.3, fix);
+  window.driftless.query = query && {
+    number: query.number, kind: query.kind, outcome: query.outcome ?? query.error, drawn: candidates.length, camera: fix?.position ?? null,
+  };
+}
+
+// What was found out about an image that was given to the page.
+function showImage(query) {
+  if (!past.isLive) past.goLive();
+  queries.pin(query);
+  const place = query.fix?.position;
+  if (!place) return;
+  letGo();
+  scene.moveTo(place);
+}
+
+// Robots in their odometry frames, whose z axis points upwards.
+function showNoMap() {
+  byId("summary").textContent = "No map: robots are drawn in their odometry frame L.";
+  scene.setUp([0, 0, 1]);
+  scene.setPoints([]);
+  scene.fit();
 }
 
 function showLive() {
@@ -316,9 +377,15 @@ function showLive() {
   });
   queryLayer = new QueryLayer(scene);
   queries = new Queries(showQuery);
+  imageQuery = new ImageQuery({
+    mapName: () => shown?.name ?? null,
+    onGiven: () => tabs.choose("queries"),
+    onAnswer: showImage,
+  });
   serverChart = new ServerChart();
   tabs = new Tabs((name) => {
     queries.setOpen(name === "queries");
+    if (name === "queries") offerImages().catch(() => {});
     serverChart.setOpen(name === "server");
     setLink("tab", name === "robots" ? null : name);
   }, link().get("tab"));
@@ -330,11 +397,13 @@ function showLive() {
 
 async function start() {
   bind();
-  const { is_run: isRun } = await loadMaps();
+  const { is_run: isRun, is_live: isLive } = await loadMaps();
   await showMap(link().get("map"));
-  if (isRun) await showRun();
-  else {
-    if (!shown) scene.setPoints([]);
+  if (isRun && !(isLive && link().get("view") === "live")) {
+    await showRun();
+    if (isLive) offerSwitch();
+  } else {
+    if (!shown) showNoMap();
     showLive();
   }
   window.driftless.isReady = true;

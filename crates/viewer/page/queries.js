@@ -84,6 +84,13 @@ export class Queries {
     this.load();
   }
 
+  // Shows a query of anybody, also while others come in.
+  pin({ number }) {
+    this.select.value = "";
+    this.restart();
+    this.chosen = number;
+  }
+
   async load() {
     if (!this.isOpen || this.isLoading || document.hidden) return;
     this.isLoading = true;
@@ -159,11 +166,21 @@ export class Queries {
       figures.push(query.prior_in_global ? "with a prior" : "without a prior");
       if (query.keyframes.length) figures.push(`${query.keyframes.length} keyframes sent`);
     }
-    byId("query-figures").textContent = `${figures.join(", ")}. ${query.duration_ms.toFixed(1)} ms from receipt to the last reply.`;
+    const time = `${query.duration_ms.toFixed(1)} ms from receipt to the last reply.`;
+    byId("query-figures").textContent = `${figures.join(", ")}. ${time}`;
+    byId("query-fix").hidden = !query.fix;
+    if (query.fix) byId("query-fix").textContent = fixText(query.fix);
     const candidates = query.candidates ?? [];
     byId("candidates").hidden = candidates.length === 0;
     byId("candidates").tBodies[0].replaceChildren(...candidates.flatMap(candidateRows));
   }
+}
+
+function fixText({ position, position_covariance: c, sigma_theta_rad: theta, inliers, matched_features: matched, mean_error_px: error }) {
+  const sigma3 = 3 * Math.sqrt(Math.max((c[0][0] + c[1][1] + c[2][2]) / 3, 0));
+  const place = position.map((value) => value.toFixed(2)).join(", ");
+  const turn = ((3 * theta * 180) / Math.PI).toFixed(2);
+  return `Camera at (${place}) m ± ${sigma3.toFixed(2)} m, ± ${turn}° (3σ): ${inliers} of ${matched} matched features agree, ${error.toFixed(1)} px.`;
 }
 
 function candidateRows(candidate) {

@@ -1,6 +1,6 @@
 // The candidates of a query in the map: solid lines to the keyframes of the answer, dashed ones to those refused.
 import * as THREE from "three";
-import { frustumEnds } from "./map_layer.js";
+import { ellipsoid, frustumEnds } from "./map_layer.js";
 import { styleColor } from "./colors.js";
 
 const DASH_M = 0.2;
@@ -30,10 +30,17 @@ export class QueryLayer {
       rays: lines(scene.world, isUsed ? solid() : dashed()),
       frusta: lines(scene.world, solid()),
     }));
+    this.camera = lines(scene.world, solid());
+    const shell = new THREE.MeshLambertMaterial({ transparent: true, opacity: 0.45, depthWrite: false });
+    this.cloud = new THREE.Mesh(new THREE.SphereGeometry(1, 24, 16), shell);
+    this.cloud.matrixAutoUpdate = false;
+    this.cloud.visible = false;
+    scene.world.add(this.cloud);
     this.applyTheme();
   }
 
   applyTheme() {
+    for (const { material } of [this.camera, this.cloud]) material.color.set(styleColor("--accent"));
     for (const { isUsed, rays, frusta } of this.parts) {
       const color = styleColor(isUsed ? "--localized" : "--lost");
       rays.material.color.set(color);
@@ -41,8 +48,15 @@ export class QueryLayer {
     }
   }
 
-  // `from`: the camera in G, null where it is not known; `candidates`: pairs of a keyframe and whether it is in the answer.
-  set(from, candidates, size) {
+  // `from`: the camera in G, null where it is not known; `candidates`: pairs of a keyframe and whether it is in the answer; `fix`: the
+  // pose that was estimated, or null.
+  set(from, candidates, size, fix) {
+    setEnds(this.camera, frustumEnds(fix ? [fix] : [], 2 * size));
+    this.cloud.visible = Boolean(fix);
+    if (fix) {
+      this.cloud.matrix.copy(ellipsoid(fix.position_covariance, fix.position));
+      this.cloud.matrixWorldNeedsUpdate = true;
+    }
     for (const { isUsed, rays, frusta } of this.parts) {
       const keyframes = candidates.filter((candidate) => candidate.isUsed === isUsed).map(({ keyframe }) => keyframe);
       const ends = from ? keyframes.flatMap(({ position }) => [...from, ...position]) : [];

@@ -141,6 +141,13 @@ export class Scene {
     this.camera.position.add(shift);
   }
 
+  // Moves camera and target to a point of G.
+  moveTo(position) {
+    const shift = this.world.localToWorld(new THREE.Vector3(...position)).sub(this.controls.target);
+    this.controls.target.add(shift);
+    this.camera.position.add(shift);
+  }
+
   // Metres that a pixel shows at a point.
   metresPerPixel(point) {
     const distance = this.camera.position.distanceTo(point);

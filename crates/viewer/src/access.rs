@@ -20,9 +20,9 @@ const CONTENT_SECURITY_POLICY: &str = concat!(
     "form-action 'none'; frame-ancestors 'none'"
 );
 
-/// Refuses what is not a GET of this host, and sets the headers.
+/// Refuses what is neither a GET of this host nor an image for it, and sets the headers.
 pub(crate) async fn guard(request: Request, next: Next) -> Response {
-    let mut response = match refusal(request.method(), request.headers()) {
+    let mut response = match refusal(request.method(), request.uri().path(), request.headers()) {
         Some(refused) => refused.into_response(),
         None => next.run(request).await,
     };
@@ -41,9 +41,11 @@ pub(crate) async fn guard(request: Request, next: Next) -> Response {
     response
 }
 
-fn refusal(method: &Method, headers: &HeaderMap) -> Option<(StatusCode, &'static str)> {
-    if method != Method::GET && method != Method::HEAD {
-        return Some((StatusCode::METHOD_NOT_ALLOWED, "only GET is answered here\n"));
+fn refusal(method: &Method, path: &str, headers: &HeaderMap) -> Option<(StatusCode, &'static str)> {
+    let is_read = method == Method::GET || method == Method::HEAD;
+    if !is_read && !(method == Method::POST && takes_images(path)) {
+        let message = "only GET is answered here, and POST of an image to /api/maps/{map}/localize\n";
+        return Some((StatusCode::METHOD_NOT_ALLOWED, message));
     }
     let Some(host) = text(headers, &header::HOST) else {
         return Some((StatusCode::BAD_REQUEST, "the request names no host\n"));
@@ -59,6 +61,11 @@ fn refusal(method: &Method, headers: &HeaderMap) -> Option<(StatusCode, &'static
         return Some((StatusCode::FORBIDDEN, "pages of other origins are refused\n"));
     }
     None
+}
+
+/// Whether a path is that of a map's search for images.
+fn takes_images(path: &str) -> bool {
+    path.starts_with("/api/maps/") && path.ends_with("/localize")
 }
 
 fn text<'a>(headers: &'a HeaderMap, name: &HeaderName) -> Option<&'a str> {

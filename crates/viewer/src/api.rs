@@ -2,17 +2,20 @@
 
 use crate::access;
 use crate::assets;
+use crate::cameras::CameraAnswer;
 use crate::history::MAX_ANSWER_SAMPLES;
 use crate::live;
 use crate::parameters::{number, parameter};
 use crate::queries::{KeptQuery, MAX_QUERIES};
 use crate::server::Viewer;
 use crate::statistics::STATISTICS_PERIOD;
-use crate::viewed_map::LANDMARK_BYTES;
+use crate::upload;
+use crate::viewed_map::{LANDMARK_BYTES, MAX_LANDMARKS};
+use axum::body::Bytes;
 use axum::extract::{Path, RawQuery, State};
 use axum::http::{StatusCode, header};
 use axum::response::{IntoResponse, Response};
-use axum::routing::get;
+use axum::routing::{get, post};
 use axum::{Json, Router, middleware};
 use serde::Serialize;
 use serde_json::json;
@@ -20,8 +23,9 @@ use std::sync::Arc;
 
 /// Queries in one answer, where it does not say how many.
 const DEFAULT_QUERIES: usize = 50;
-/// Landmarks in one answer: 20 MB.
-pub const MAX_LANDMARKS: usize = 20_000_000 / LANDMARK_BYTES;
+/// Bytes of a query and of a sample in an answer, about.
+const QUERY_BYTES: usize = 4096;
+const SAMPLE_BYTES: usize = 280;
 
 /// The routes of a viewer, and others that are served beside them under the same rules.
 pub(crate) fn router(viewer: Arc<Viewer>, beside: Router) -> Router {
@@ -31,6 +35,8 @@ pub(crate) fn router(viewer: Arc<Viewer>, beside: Router) -> Router {
         .route("/api/maps", get(maps))
         .route("/api/maps/{map}/keyframes", get(keyframes))
         .route("/api/maps/{map}/landmarks", get(landmarks))
+        .route("/api/maps/{map}/cameras", get(cameras))
+        .route("/api/maps/{map}/localize", post(upload::localize))
         .route("/api/run", get(run))
         .route("/api/queries", get(queries))
         .route("/api/history", get(history))
@@ -44,26 +50,70 @@ pub(crate) fn router(viewer: Arc<Viewer>, beside: Router) -> Router {
 async fn page_file(Path(path): Path<String>) -> Response {
     match assets::asset(&path) {
         Some(asset) => ([(header::CONTENT_TYPE, asset.media_type)], asset.bytes).into_response(),
-        None => not_found("there is no such page").into_response(),
+        None => not_found("there is no such page"),
     }
 }
 
-fn not_found(what: &str) -> impl IntoResponse {
-    (StatusCode::NOT_FOUND, Json(json!({"error": what})))
+/// An answer that says what is wrong.
+pub(crate) fn error(status: StatusCode, what: &str) -> Response {
+    (status, Json(json!({"error": what}))).into_response()
 }
 
-fn unknown_map() -> Response {
-    not_found("there is no map of this name; /api/maps lists them").into_response()
+fn not_found(what: &str) -> Response {
+    error(StatusCode::NOT_FOUND, what)
+}
+
+fn bad_request(what: &str) -> Response {
+    error(StatusCode::BAD_REQUEST, what)
+}
+
+pub(crate) fn unknown_map() -> Response {
+    not_found("there is no map of this name; /api/maps lists them")
+}
+
+fn json_bytes(bytes: Bytes) -> Response {
+    ([(header::CONTENT_TYPE, "application/json")], bytes).into_response()
+}
+
+/// An answer that is made for one reader: only so many of them are in memory at the same time.
+///
+/// `bytes`: about its length.
+async fn large<T: Serialize>(viewer: &Viewer, bytes: usize, answer: impl FnOnce() -> T) -> Response {
+    let held = match viewer.outbox.reserve(bytes).await {
+        // Its values are finite, so that it can always be written.
+        Some(room) => room.hold(serde_json::to_vec(&answer()).unwrap_or_default()),
+        None => None,
+    };
+    held.map_or_else(
+        || {
+            error(
+                StatusCode::SERVICE_UNAVAILABLE,
+                "too many large answers are being read: try again in a moment",
+            )
+        },
+        json_bytes,
+    )
 }
 
 async fn maps(State(viewer): State<Arc<Viewer>>) -> impl IntoResponse {
     let maps: Vec<_> = viewer.maps().iter().map(|map| map.summary.clone()).collect();
-    Json(json!({"maps": maps, "is_run": viewer.run().is_some()}))
+    Json(json!({
+        "maps": maps,
+        "is_run": viewer.run().is_some(),
+        "is_live": viewer.is_live(),
+        "takes_images": viewer.images().is_some(),
+    }))
 }
 
 async fn keyframes(State(viewer): State<Arc<Viewer>>, Path(name): Path<String>) -> Response {
     let Some(map) = viewer.map(&name) else { return unknown_map() };
-    Json(json!({"map": name, "version": map.version(), "keyframes": map.keyframes})).into_response()
+    json_bytes(map.keyframes.clone())
+}
+
+async fn cameras(State(viewer): State<Arc<Viewer>>, Path(name): Path<String>) -> Response {
+    let Some(map) = viewer.map(&name) else { return unknown_map() };
+    let cameras: Vec<_> = map.cameras.iter().enumerate().map(CameraAnswer::of).collect();
+    Json(json!({"map": name, "version": map.version(), "cameras": cameras})).into_response()
 }
 
 async fn landmarks(
@@ -81,10 +131,6 @@ async fn landmarks(
     (content_type, map.landmarks.slice(..end)).into_response()
 }
 
-fn bad_request(what: &str) -> Response {
-    (StatusCode::BAD_REQUEST, Json(json!({"error": what}))).into_response()
-}
-
 async fn queries(State(viewer): State<Arc<Viewer>>, RawQuery(query): RawQuery) -> Response {
     let query = query.unwrap_or_default();
     let (Ok(after), Ok(limit)) = (number(&query, "after"), number(&query, "limit")) else {
@@ -94,14 +140,15 @@ async fn queries(State(viewer): State<Arc<Viewer>>, RawQuery(query): RawQuery) -
     let robot = parameter(&query, "robot");
     let newest = viewer.live.newest_queries(robot.as_deref(), after.unwrap_or(0), limit);
     let queries: Vec<_> = newest.iter().map(AsRef::as_ref).collect();
-    Json(Queries { now_ms: viewer.live.now_ms(), queries }).into_response()
+    let answer = || Queries { now_ms: viewer.live.now_ms(), queries: &queries };
+    large(&viewer, QUERY_BYTES * queries.len(), answer).await
 }
 
 /// The answer to `/api/queries`.
 #[derive(Serialize)]
 struct Queries<'a> {
     now_ms: u64,
-    queries: Vec<&'a KeptQuery>,
+    queries: &'a [&'a KeptQuery],
 }
 
 async fn history(State(viewer): State<Arc<Viewer>>, RawQuery(query): RawQuery) -> Response {
@@ -115,8 +162,10 @@ async fn history(State(viewer): State<Arc<Viewer>>, RawQuery(query): RawQuery) -
     let limit = samples.map_or(MAX_ANSWER_SAMPLES, |samples| samples.min(MAX_ANSWER_SAMPLES as u64) as usize);
     let map = parameter(&query, "map");
     let live = &viewer.live;
-    let answer = live.history(from_ms.unwrap_or(0), to_ms.unwrap_or(u64::MAX), map.as_deref(), limit);
-    Json(Timed { now_ms: live.now_ms(), value: answer }).into_response()
+    let span = (from_ms.unwrap_or(0), to_ms.unwrap_or(u64::MAX));
+    let answer =
+        || Timed { now_ms: live.now_ms(), value: live.history(span.0, span.1, map.as_deref(), limit) };
+    large(&viewer, SAMPLE_BYTES * limit, answer).await
 }
 
 /// An answer and the server's time.
@@ -134,7 +183,7 @@ async fn statistics(State(viewer): State<Arc<Viewer>>) -> impl IntoResponse {
 
 async fn run(State(viewer): State<Arc<Viewer>>) -> Response {
     match viewer.run() {
-        Some(run) => Json(run).into_response(),
-        None => not_found("no recorded run is shown; driftless view OUT shows one").into_response(),
+        Some(run) => json_bytes(run),
+        None => not_found("no recorded run is shown; driftless view OUT shows one"),
     }
 }

@@ -38,6 +38,7 @@ pub const ASSETS: &[Asset] = &[
     page_file!("tabs.js", SCRIPT),
     page_file!("queries.js", SCRIPT),
     page_file!("query_layer.js", SCRIPT),
+    page_file!("image_query.js", SCRIPT),
     page_file!("server_chart.js", SCRIPT),
     page_file!("chart.js", SCRIPT),
     page_file!("colors.js", SCRIPT),

@@ -9,15 +9,18 @@
 //! | `/api/maps` | the maps: name, identity, version, counts, extent, direction of gravity |
 //! | `/api/maps/{map}/keyframes` | poses with the covariance of the position, metres, in the map's frame G |
 //! | `/api/maps/{map}/landmarks?limit=N` | positions in G as little-endian `f32` triples, metres; an even sample of N |
+//! | `/api/maps/{map}/cameras` | the different cameras of the keyframes |
+//! | POST `/api/maps/{map}/localize?camera=N` | where an image was taken, where there is a [`LocalizeImage`] |
 //! | `/api/run` | the tracks of a recorded run, or 404 |
 //! | `/api/queries?robot=NAME&after=N&limit=N` | the last queries: candidates, inliers, reasons; newest first |
 //! | `/api/history?from=MS&to=MS&map=NAME` | poses and states of robots in the last hour |
 //! | `/api/statistics` | how busy the map server was in the last hour |
 //! | `/api/live` | WebSocket: robots as they publish, at most 20 times a second |
 //!
-//! Only GET is answered. Requests with the name of another host are refused, and WebSockets of pages of other origins.
-//! What is kept is limited, whatever robots publish: [`MAX_QUERIES`] queries, [`MAX_SAMPLES`] samples of the history, an
-//! hour of statistics. Connections are limited in number ([`MAX_CONNECTIONS`], [`MAX_VIEWERS`]) and in time without progress.
+//! Beside images only GET is answered. Requests with the name of another host are refused, and those of pages of other
+//! origins. What is kept is limited, whatever robots publish: [`MAX_QUERIES`] queries, [`MAX_SAMPLES`] samples of the
+//! history, an hour of statistics. Connections are limited in number ([`MAX_CONNECTIONS`], [`MAX_VIEWERS`]), in time without
+//! progress and in slowness, and answers that wait for slow readers in their bytes ([`MAX_UNSENT_BYTES`]).
 //!
 //! # Example
 //! ```
@@ -41,26 +44,33 @@
 mod access;
 mod api;
 pub mod assets;
+mod cameras;
 mod clock;
 mod error;
 mod fair_log;
 mod history;
+mod images;
 mod listener;
 mod live;
+mod outbox;
 mod parameters;
 mod queries;
 pub mod run;
 mod server;
 mod statistics;
+mod upload;
 mod viewed_map;
 
-pub use api::MAX_LANDMARKS;
 pub use error::ViewerError;
 pub use history::MAX_SAMPLES;
+pub use images::{GivenImage, ImageCamera, ImageError, LocalizeImage, MAX_IMAGE_BYTES};
 pub use listener::MAX_CONNECTIONS;
 pub use live::{MAX_VIEWERS, RobotFollower, follow_robots};
-pub use queries::{CandidateVerdict, MAX_QUERIES, ViewedAnswer, ViewedCandidate, ViewedQuery, ViewedResult};
+pub use outbox::MAX_UNSENT_BYTES;
+pub use queries::{
+    CandidateVerdict, MAX_QUERIES, ViewedAnswer, ViewedCandidate, ViewedFix, ViewedQuery, ViewedResult,
+};
 pub use run::{RunTracks, TrackPoint};
 pub use server::{Viewer, ViewerServer};
 pub use statistics::{STATISTICS_PERIOD, ServerSample};
-pub use viewed_map::{ViewedKeyframe, ViewedMap};
+pub use viewed_map::{MAX_LANDMARKS, ViewedKeyframe, ViewedMap};

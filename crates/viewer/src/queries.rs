@@ -1,7 +1,8 @@
 //! The last queries: what was asked, what was found, and why it was refused.
 
 use crate::fair_log::FairLog;
-use protocol::{ErrorCode, KeyframeId, MatchOutcome};
+use crate::viewed_map::{position_covariance, rotation_wxyz};
+use protocol::{ErrorCode, KeyframeId, LocalizedPose, MatchOutcome};
 use serde::Serialize;
 use std::sync::Arc;
 
@@ -18,7 +19,7 @@ const MAX_TEXT_BYTES: usize = 256;
 /// A query and what became of it, without its features.
 #[derive(Clone, Debug, Serialize)]
 pub struct ViewedQuery {
-    /// Its kind: `match` or `localize`.
+    /// Its kind: `match`, `localize`, or `image` for one that was given to the page.
     pub kind: &'static str,
     /// The map that was asked.
     pub map: String,
@@ -61,8 +62,46 @@ pub struct ViewedAnswer {
     pub prior_in_global: Option<[f64; 3]>,
     /// Where the camera was found, in G, metres.
     pub camera_in_global: Option<[f64; 3]>,
+    /// The pose that was estimated; `None` where none was, and of a match, which leaves that to the robot.
+    pub fix: Option<ViewedFix>,
     /// The keyframes that most features voted for.
     pub candidates: Vec<ViewedCandidate>,
+}
+
+/// The pose of a camera that was estimated from one image, in G.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct ViewedFix {
+    /// Position of the camera, metres.
+    pub position: [f64; 3],
+    /// Rotation from the camera frame (x right, y down, z forward) to G.
+    pub rotation_wxyz: [f64; 4],
+    /// Covariance of the position with that of the map, m^2, by rows.
+    pub position_covariance: [[f64; 3]; 3],
+    /// Standard deviation of the rotation, root mean square of the axes, radians.
+    pub sigma_theta_rad: f64,
+    /// Features that matched a landmark.
+    pub matched_features: u32,
+    /// Those of them that agree with the pose.
+    pub inliers: u32,
+    /// Mean reprojection error of the inliers, pixels.
+    pub mean_error_px: f64,
+}
+
+impl ViewedFix {
+    /// The pose of an answer.
+    pub fn of(pose: &LocalizedPose) -> Self {
+        let global_from_camera = &pose.global_from_camera;
+        Self {
+            position: global_from_camera.pose.translation.into(),
+            rotation_wxyz: rotation_wxyz(global_from_camera),
+            position_covariance: position_covariance(global_from_camera),
+            sigma_theta_rad: global_from_camera.sigma_theta_rad(),
+            matched_features: pose.matched_features,
+            inliers: pose.inliers,
+            mean_error_px: pose.mean_error_px,
+        }
+    }
 }
 
 /// One of the keyframes that most features of a query voted for.
@@ -129,7 +168,13 @@ impl Default for QueryLog {
 
 impl QueryLog {
     /// Keeps a query.
-    pub(crate) fn add(&mut self, time_ms: u64, robot: Option<&str>, client: &str, mut query: ViewedQuery) {
+    pub(crate) fn add(
+        &mut self,
+        time_ms: u64,
+        robot: Option<&str>,
+        client: &str,
+        mut query: ViewedQuery,
+    ) -> Arc<KeptQuery> {
         cut(&mut query.map);
         match &mut query.result {
             ViewedResult::Answered(answer) => {
@@ -143,7 +188,9 @@ impl QueryLog {
         let number = self.0.next_number();
         let owner = robot.unwrap_or(&client).to_owned();
         let robot = robot.map(str::to_owned);
-        self.0.add(&owner, Arc::new(KeptQuery { number, time_ms, robot, client, query }));
+        let kept = Arc::new(KeptQuery { number, time_ms, robot, client, query });
+        self.0.add(&owner, Arc::clone(&kept));
+        kept
     }
 
     /// The newest queries, newest first.

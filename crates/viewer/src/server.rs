@@ -2,35 +2,76 @@
 
 use crate::api;
 use crate::error::ViewerError;
+use crate::images::LocalizeImage;
 use crate::listener::LimitedListener;
 use crate::live::Live;
+use crate::outbox::Outbox;
 use crate::queries::ViewedQuery;
 use crate::run::RunTracks;
 use crate::statistics::ServerSample;
 use crate::viewed_map::ViewedMap;
 use axum::Router;
+use axum::body::Bytes;
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
-use std::sync::{Arc, PoisonError, RwLock};
+use std::sync::{Arc, OnceLock, PoisonError, RwLock};
 use tokio::net::TcpListener;
+use tokio::sync::Semaphore;
 use tokio::task::JoinHandle;
 
 /// What is shown: maps, robots, a run.
 pub struct Viewer {
     maps: RwLock<BTreeMap<String, Arc<ViewedMap>>>,
-    run: Option<RunTracks>,
+    /// The recorded run as JSON.
+    run: RwLock<Option<Bytes>>,
+    /// Whether robots may come.
+    is_live: bool,
+    images: OnceLock<Arc<dyn LocalizeImage>>,
+    /// Images are localized one at a time.
+    pub(crate) image_turn: Arc<Semaphore>,
+    pub(crate) outbox: Outbox,
     pub(crate) live: Live,
 }
 
 impl Viewer {
     /// Nothing yet.
     pub fn new() -> Arc<Self> {
-        Self::with_run(None)
+        Arc::new(Self::empty(true))
     }
 
-    /// A recorded run, if there is one.
+    /// A recorded run, if there is one: the page then does not wait for robots.
     pub fn with_run(run: Option<RunTracks>) -> Arc<Self> {
-        Arc::new(Self { maps: RwLock::default(), run, live: Live::default() })
+        let viewer = Self::empty(run.is_none());
+        if let Some(run) = run {
+            viewer.set_run(&run);
+        }
+        Arc::new(viewer)
+    }
+
+    fn empty(is_live: bool) -> Self {
+        Self {
+            maps: RwLock::default(),
+            run: RwLock::default(),
+            is_live,
+            images: OnceLock::new(),
+            image_turn: Arc::new(Semaphore::new(1)),
+            outbox: Outbox::default(),
+            live: Live::default(),
+        }
+    }
+
+    /// Shows a recorded run, in place of the one before; open pages offer it.
+    pub fn set_run(&self, run: &RunTracks) {
+        // Its values are finite, so that it can always be written.
+        let answer = serde_json::to_vec(run).unwrap_or_default();
+        *self.run.write().unwrap_or_else(PoisonError::into_inner) = Some(answer.into());
+        self.live.note_run(&run.name);
+    }
+
+    /// Lets people localize images in the maps. Once given, it stays.
+    pub fn take_images(&self, images: Arc<dyn LocalizeImage>) {
+        // The first one stays.
+        let _ = self.images.set(images);
     }
 
     /// Shows a map, in place of the one of the same name; open pages load it again.
@@ -50,7 +91,7 @@ impl Viewer {
     /// # Arguments
     /// * `client`: who asked, by the id of its Zenoh session; it may be a robot's or not.
     pub fn note_query(&self, client: &str, query: ViewedQuery) {
-        self.live.note_query(client, query);
+        let _ = self.live.note_query(client, query);
     }
 
     /// Shows what the map server did in the last [`STATISTICS_PERIOD`](crate::STATISTICS_PERIOD); an hour is kept.
@@ -66,8 +107,16 @@ impl Viewer {
         self.maps.read().unwrap_or_else(PoisonError::into_inner).get(name).cloned()
     }
 
-    pub(crate) fn run(&self) -> Option<&RunTracks> {
-        self.run.as_ref()
+    pub(crate) fn run(&self) -> Option<Bytes> {
+        self.run.read().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    pub(crate) fn is_live(&self) -> bool {
+        self.is_live
+    }
+
+    pub(crate) fn images(&self) -> Option<Arc<dyn LocalizeImage>> {
+        self.images.get().cloned()
     }
 }
 

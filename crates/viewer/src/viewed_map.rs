@@ -1,5 +1,6 @@
 //! A map as the page draws it.
 
+use crate::cameras::{ViewedCamera, cameras_of};
 use axum::body::Bytes;
 use geometry::PoseWithCovariance;
 use map::{Keyframe, MapContents, MapMetadata};
@@ -15,6 +16,8 @@ use std::collections::BTreeMap;
 const ORDER_SEED: u64 = 1;
 /// Bytes of a landmark: three `f32`.
 pub(crate) const LANDMARK_BYTES: usize = 12;
+/// Landmarks in one answer: 20 MB.
+pub const MAX_LANDMARKS: usize = 20_000_000 / LANDMARK_BYTES;
 
 /// What the list of maps says about a map.
 #[derive(Clone, Debug, Serialize)]
@@ -67,11 +70,22 @@ pub(crate) fn position_covariance(pose: &PoseWithCovariance) -> [[f64; 3]; 3] {
     block.into()
 }
 
-/// A map as the page draws it.
+/// The answer about the keyframes of a map.
+#[derive(Serialize)]
+struct KeyframesAnswer<'a> {
+    map: &'a str,
+    version: u64,
+    keyframes: &'a [ViewedKeyframe],
+}
+
+/// A map as the page draws it. Its answers are written once, and shared by all readers.
 #[derive(Clone, Debug)]
 pub struct ViewedMap {
     pub(crate) summary: MapSummary,
-    pub(crate) keyframes: Vec<ViewedKeyframe>,
+    /// The keyframes as JSON.
+    pub(crate) keyframes: Bytes,
+    /// The cameras of the keyframes, those of most keyframes first.
+    pub(crate) cameras: Vec<ViewedCamera>,
     /// Little-endian `f32` triples in G, in an order of which every beginning is an even sample.
     pub(crate) landmarks: Bytes,
 }
@@ -88,21 +102,32 @@ impl ViewedMap {
         keyframes: impl Iterator<Item = &'a Keyframe>,
         landmarks: impl Iterator<Item = Vector3<f64>>,
     ) -> Self {
-        let keyframes: Vec<_> = keyframes.map(ViewedKeyframe::of).collect();
+        let stored: Vec<&Keyframe> = keyframes.collect();
+        let cameras = cameras_of(stored.iter().map(|keyframe| &keyframe.camera));
+        let keyframes: Vec<_> = stored.iter().map(|keyframe| ViewedKeyframe::of(keyframe)).collect();
         let mut points: Vec<[f32; 3]> =
             landmarks.map(|position| [position.x as f32, position.y as f32, position.z as f32]).collect();
+        let landmarks = points.len();
         points.shuffle(&mut StdRng::seed_from_u64(ORDER_SEED));
-        let bytes: Vec<u8> = points.iter().flatten().flat_map(|value| value.to_le_bytes()).collect();
+        // More are never sent.
+        points.truncate(MAX_LANDMARKS);
+        let mut bytes = Vec::with_capacity(points.len() * LANDMARK_BYTES);
+        for value in points.iter().flatten() {
+            bytes.extend_from_slice(&value.to_le_bytes());
+        }
         let summary = MapSummary {
             name: name.to_owned(),
             identity: info.identity.map(|identity| identity.to_string()),
             version: info.version,
             keyframes: keyframes.len(),
-            landmarks: points.len(),
+            landmarks,
             extent: extent(&keyframes),
             gravity_in_global: info.gravity_in_global.map(Into::into),
         };
-        Self { summary, keyframes, landmarks: bytes.into() }
+        let answer = KeyframesAnswer { map: name, version: info.version, keyframes: &keyframes };
+        // Its values are finite, so that it can always be written.
+        let keyframes = serde_json::to_vec(&answer).unwrap_or_default().into_boxed_slice().into();
+        Self { summary, keyframes, cameras, landmarks: bytes.into() }
     }
 
     /// A map that is in memory.

@@ -4,6 +4,9 @@
 //! cargo test --release -p driftless-map-server --test load -- --ignored --nocapture latencies_of_a_fleet
 //! cargo test --release -p driftless-map-server --test load -- --ignored --nocapture hostile_load
 //! cargo test --release -p driftless-map-server --test load -- --ignored --nocapture a_query_in_cells
+//! cargo test --release -p driftless-map-server --test load -- --ignored --nocapture first_picture_of_a_city
+//! cargo test --release -p driftless-map-server --test load -- --ignored --nocapture viewers_beside_robots
+//! cargo test --release -p driftless-map-server --test load -- --ignored --nocapture what_a_report_costs
 //! ```
 #![cfg(target_os = "linux")]
 #![allow(clippy::unwrap_used, missing_docs)]
@@ -12,3 +15,4 @@ mod cells;
 mod fleet;
 mod hostile;
 mod town;
+mod viewers;

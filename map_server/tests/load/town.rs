@@ -29,6 +29,17 @@ impl Server {
     ///
     /// `log`: where its log goes; `None`: to that of the test.
     pub fn start(place: &Place, folder: &Path, endpoint: &str, log: Option<File>) -> Self {
+        Self::start_with(place, folder, endpoint, log, &[])
+    }
+
+    /// The same, with other switches.
+    pub fn start_with(
+        place: &Place,
+        folder: &Path,
+        endpoint: &str,
+        log: Option<File>,
+        switches: &[&str],
+    ) -> Self {
         let database = folder.join("town.db");
         store::save_map(&database, &place.map, false).unwrap();
         let program = env!("CARGO_BIN_EXE_map_server");
@@ -44,7 +55,7 @@ impl Server {
             command.stderr(log.try_clone().unwrap()).stdout(log);
         }
         let map = format!("{MAP}={}", database.display());
-        command.args(["--map", &map, "--listen", endpoint, "--workers", "1"]);
+        command.args(["--map", &map, "--listen", endpoint, "--workers", "1"]).args(switches);
         Self(command.spawn().unwrap())
     }
 

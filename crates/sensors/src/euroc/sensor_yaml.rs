@@ -84,8 +84,18 @@ pub(crate) fn read_camera(path: &Path) -> Result<CameraSensor, SequenceError> {
 /// # Errors
 /// [`SequenceError`] with the file: it is missing, an entry is missing or wrong, or the model is unknown.
 pub fn read_lens(path: &Path) -> Result<Camera, SequenceError> {
-    let text = read_text(path)?;
-    if kalibr::is_camera_chain(&text) { kalibr::first_lens(path, &text) } else { lens(path, &text) }
+    lens_of_text(path, &read_text(path)?)
+}
+
+/// The projection of a camera from the text of such a file.
+///
+/// # Arguments
+/// * `name`: of the text, for errors.
+///
+/// # Errors
+/// [`SequenceError::Calibration`]: an entry is missing or wrong, or the model is unknown.
+pub fn lens_of_text(name: &Path, text: &str) -> Result<Camera, SequenceError> {
+    if kalibr::is_camera_chain(text) { kalibr::first_lens(name, text) } else { lens(name, text) }
 }
 
 fn lens(path: &Path, text: &str) -> Result<Camera, SequenceError> {

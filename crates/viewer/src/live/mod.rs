@@ -56,6 +56,9 @@ struct LiveState {
     maps: BTreeMap<String, u64>,
     changed: BTreeSet<String>,
     maps_changed: bool,
+    /// Name of the recorded run.
+    run: Option<String>,
+    run_changed: bool,
 }
 
 /// A message to viewers.
@@ -70,6 +73,8 @@ struct Update<'a> {
     robots: Vec<&'a ViewedRobot>,
     /// Versions of the maps, where one changed.
     maps: Option<&'a BTreeMap<String, u64>>,
+    /// Name of a recorded run that can be shown.
+    run: Option<&'a str>,
 }
 
 impl Default for Live {
@@ -96,14 +101,21 @@ impl Live {
         state.maps_changed = true;
     }
 
-    pub(crate) fn note_query(&self, client: &str, query: ViewedQuery) {
+    pub(crate) fn note_query(&self, client: &str, query: ViewedQuery) -> Arc<KeptQuery> {
         let now_ms = self.now_ms();
         let mut state = self.lock();
         let robot = state.sessions.get(client).cloned();
         if let Some(robot) = &robot {
             state.with_robot(robot, |robot| robot.note_query(&query));
         }
-        state.queries.add(now_ms, robot.as_deref(), client, query);
+        state.queries.add(now_ms, robot.as_deref(), client, query)
+    }
+
+    /// Tells of a recorded run that can be shown now.
+    pub(crate) fn note_run(&self, name: &str) {
+        let mut state = self.lock();
+        state.run = Some(name.to_owned());
+        state.run_changed = true;
     }
 
     pub(crate) fn note_statistics(&self, sample: ServerSample) {
@@ -174,7 +186,8 @@ impl Live {
         let mut state = self.lock();
         let changed = std::mem::take(&mut state.changed);
         let maps_changed = std::mem::take(&mut state.maps_changed);
-        if changed.is_empty() && !maps_changed {
+        let run_changed = std::mem::take(&mut state.run_changed);
+        if changed.is_empty() && !maps_changed && !run_changed {
             return None;
         }
         for name in &changed {
@@ -188,13 +201,13 @@ impl Live {
 
     fn update<'a>(
         &self,
-        state: &LiveState,
+        state: &'a LiveState,
         is_snapshot: bool,
         robots: Vec<&'a ViewedRobot>,
         maps: Option<&'a BTreeMap<String, u64>>,
     ) -> Update<'a> {
         let (time_ms, history_since_ms) = (self.now_ms(), state.history.since_ms());
-        Update { is_snapshot, time_ms, history_since_ms, robots, maps }
+        Update { is_snapshot, time_ms, history_since_ms, robots, maps, run: state.run.as_deref() }
     }
 
     fn lock(&self) -> MutexGuard<'_, LiveState> {

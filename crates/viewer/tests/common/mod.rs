@@ -144,6 +144,7 @@ pub fn answered(keyframes: &[KeyframeId], candidates: Vec<ViewedCandidate>) -> V
         keyframes: keyframes.to_vec(),
         prior_in_global: Some([8.0, 0.0, 1.0]),
         camera_in_global: None,
+        fix: None,
         candidates,
     }));
     ViewedQuery { kind: "match", map: "place".to_owned(), duration_ms: 14.5, result }
@@ -158,9 +159,9 @@ fn reason(state: RobotState) -> &'static str {
 }
 
 /// The whole response to a request as bytes.
-pub async fn response(address: SocketAddr, request: &str) -> Vec<u8> {
+pub async fn response(address: SocketAddr, request: impl AsRef<[u8]>) -> Vec<u8> {
     let mut stream = TcpStream::connect(address).await.unwrap();
-    stream.write_all(request.as_bytes()).await.unwrap();
+    stream.write_all(request.as_ref()).await.unwrap();
     let mut bytes = Vec::new();
     stream.read_to_end(&mut bytes).await.unwrap();
     bytes
