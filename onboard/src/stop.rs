@@ -33,7 +33,7 @@ impl StopSignal {
             runtime.block_on(async {
                 interrupts.next().await;
                 raised.stop();
-                eprintln!("stopping after this frame; press Ctrl-C again to end at once");
+                eprintln!("stopping; press Ctrl-C again to end at once");
                 interrupts.next().await;
                 std::process::exit(KILLED_BY_INTERRUPT);
             });
@@ -50,6 +50,13 @@ impl StopSignal {
     /// Whether the signal was raised.
     pub fn is_stopped(&self) -> bool {
         self.stopped.load(Ordering::Relaxed)
+    }
+
+    /// Sleeps until the signal is raised.
+    pub fn wait(&self) {
+        while !self.is_stopped() {
+            std::thread::sleep(NOTICE);
+        }
     }
 
     /// Sleeps until `due`, or until the signal is raised.

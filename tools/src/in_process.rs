@@ -1,12 +1,16 @@
 //! A map server and robots in one process, over Zenoh on the loopback interface.
 
+use crate::plotting::RunFiles;
+use crate::run_tracks::run_tracks;
 use anyhow::{Context as _, Result};
+use axum::Router;
 use client::session::{SessionOptions, close_session, open_session};
 use map::store;
-use map_server::{MapServer, ServedMap, ServerOptions};
+use map_server::{MapServer, ServedMap, ServerOptions, Show};
+use nalgebra::Vector3;
 use onboard::MapLink;
 use recognition::LoadedMap;
-use std::net::TcpListener;
+use std::net::{Ipv4Addr, SocketAddr, TcpListener};
 use std::path::Path;
 use std::sync::Arc;
 use tokio::runtime::Runtime;
@@ -26,6 +30,10 @@ pub struct LocalServer {
     runtime: Runtime,
     session: zenoh::Session,
     server: Option<MapServer>,
+    /// Names of the maps.
+    names: Vec<String>,
+    /// The live map in the browser, where it is shown.
+    show: Option<Show>,
     endpoint: String,
 }
 
@@ -39,9 +47,47 @@ impl LocalServer {
         let endpoint = free_endpoint()?;
         let options = SessionOptions { listen: vec![endpoint.clone()], ..SessionOptions::default() };
         let session = runtime.block_on(open_session(&options))?;
+        let names = maps.iter().map(|(name, _)| name.clone()).collect();
         let maps = maps.into_iter().map(|(name, map)| ServedMap { name, map }).collect();
         let server = runtime.block_on(MapServer::start(session.clone(), maps, ServerOptions::default()))?;
-        Ok(Self { runtime, session, server: Some(server), endpoint })
+        Ok(Self { runtime, session, server: Some(server), names, show: None, endpoint })
+    }
+
+    /// Shows the maps and the robots in the browser, on a free port of the loopback interface, until the server stops.
+    ///
+    /// # Returns
+    /// The address of the page, as `http://127.0.0.1:41234`.
+    ///
+    /// # Errors
+    /// No free port, or an error of Zenoh.
+    pub fn show(&mut self) -> Result<String> {
+        let server = self.server.as_ref().context("the map server has stopped")?;
+        let (address, names) =
+            (SocketAddr::from((Ipv4Addr::LOCALHOST, 0)), self.names.iter().map(String::as_str));
+        let starting = Show::start(address, &self.session, server, names, Router::new());
+        let show = self.runtime.block_on(starting)?;
+        let url = format!("http://{}", show.address());
+        self.show = Some(show);
+        Ok(url)
+    }
+
+    /// Offers a run to those who look at the page, with its errors where its recording has a ground truth.
+    ///
+    /// # Arguments
+    /// * `folder`: the output of the run.
+    ///
+    /// # Errors
+    /// A run that cannot be read.
+    pub fn show_run(&self, folder: &Path) -> Result<()> {
+        let Some(show) = &self.show else { return Ok(()) };
+        let run = RunFiles::read(folder, None, None).context("the run cannot be shown")?;
+        for sentence in &run.missing {
+            eprintln!("{sentence}");
+        }
+        let served = self.names.first().and_then(|name| self.server.as_ref()?.served(name));
+        let gravity = served.and_then(|map| map.info().gravity_in_global);
+        show.set_run(&run_tracks(&run, gravity.map_or(Vector3::z(), |gravity| -gravity)));
+        Ok(())
     }
 
     /// The endpoint that robots connect to.
@@ -69,6 +115,9 @@ impl LocalServer {
     /// # Errors
     /// Zenoh's.
     pub fn stop(mut self) -> Result<()> {
+        if let Some(show) = self.show.take() {
+            self.runtime.block_on(show.stop());
+        }
         let stopped = match self.server.take() {
             Some(server) => self.runtime.block_on(server.stop()),
             None => Ok(()),

@@ -1,4 +1,23 @@
-//! Opening a page in the system's browser.
+//! The page of this program in the system's browser.
+
+use crate::in_process::LocalServer;
+use onboard::StopSignal;
+use std::path::Path;
+
+/// Prints the address of a page and opens it.
+pub fn announce(url: &str) {
+    println!("{url}");
+    open_page(url);
+}
+
+/// Shows a run that has ended, and leaves the page until the signal is raised. A run that cannot be shown is said to be so.
+pub fn stay(server: &LocalServer, run: &Path, stop: &StopSignal) {
+    if let Err(error) = server.show_run(run) {
+        eprintln!("{error:#}");
+    }
+    eprintln!("the page stays until Ctrl-C");
+    stop.wait();
+}
 
 /// Opens a page in the system's browser; where there is none, prints what to do instead.
 pub fn open_page(url: &str) {

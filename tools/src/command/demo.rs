@@ -6,13 +6,16 @@ use crate::demo::flight::{FlightDemo, run_flight};
 use crate::demo::rows::Row;
 use crate::demo::towns::conditions::Conditions;
 use crate::demo::towns::{TownsDemo, run_towns};
+use crate::open_page::stay;
 use indicatif::ProgressBar;
+use onboard::StopSignal;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
-#[command(after_help = "Examples:\n  driftless demo --out demo\n  driftless demo --tracks --seeds 5\n\n\
+#[command(
+    after_help = "Examples:\n  driftless demo --out demo\n  driftless demo --open\n  driftless demo --tracks --seeds 5\n\n\
     Renders two flights through a room, builds a map from the images and the IMU of the first, serves it over Zenoh on the\n\
     loopback interface, and localizes the second, whose images are recognized: from pixels to poses.\n\n\
     --tracks simulates tracks and features instead of images: for each seed a town, a surveyed map that is off by what it\n\
@@ -21,7 +24,8 @@ use std::time::Duration;
     figures, also by seed.\n\n\
     RMSE    root mean square error of the pose in the map's frame G, not aligned\n\
     claims  root mean square of the standard deviation that the filter's own covariance states; should equal RMSE\n\
-    NEES    squared error in units of that covariance, per degree of freedom: 1 is consistent, above is overconfident")]
+    NEES    squared error in units of that covariance, per degree of freedom: 1 is consistent, above is overconfident"
+)]
 pub struct Args {
     /// Folder for the map, the runs and the plots
     #[arg(long, value_name = "DIR", default_value = "target/demo")]
@@ -38,6 +42,9 @@ pub struct Args {
     /// Print the figures as JSON
     #[arg(long)]
     json: bool,
+    /// Show map and robot in the system's browser from when the robot starts, and its whole run at the end, until Ctrl-C
+    #[arg(long, conflicts_with_all = ["tracks", "json"])]
+    open: bool,
 }
 
 /// Runs the command.
@@ -57,13 +64,18 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
             print_towns(&demo);
         }
     } else {
-        let demo = run_flight(&args.out, &FlightConditions::new(args.seed), &mut show)?;
+        let conditions = FlightConditions::new(args.seed);
+        let (demo, server) = run_flight(&args.out, &conditions, args.open, &mut show)?;
         spinner.finish_and_clear();
         if args.json {
             println!("{}", serde_json::to_string_pretty(&demo)?);
         } else {
             print_flight(&demo);
         }
+        if args.open {
+            stay(&server, &demo.run, &StopSignal::on_interrupt()?);
+        }
+        server.stop()?;
     }
     Ok(())
 }

@@ -1,19 +1,23 @@
 //! `driftless run`: server and robot in one process.
 
-use super::view;
 use crate::in_process::{LocalServer, load_map};
+use crate::open_page::{announce, stay};
 use anyhow::{Result, bail};
 use estimator::MapMode;
 use onboard::arguments::{CalibrationArguments, INPUT};
-use onboard::{RobotArguments, RobotLink, StopSignal, progress, run_robot_until};
+use onboard::{MapLink, RobotArguments, RobotLink, StopSignal, progress, run_robot_until};
 use sensors::Recording;
 use std::path::PathBuf;
+
+/// Name of the map on the network of this process.
+const MAP: &str = "map";
 
 /// Arguments of `driftless run`.
 #[derive(clap::Args, Debug)]
 #[command(
     after_help = "Examples:\n  driftless run --sequence place/live --map place.db --init truth --out run\n  \
-    driftless run --sequence place/live --mode odometry --out run\n\nThen: driftless plot run\n\n\
+    driftless run --sequence place/live --mode odometry --out run\n  \
+    driftless run --sequence place/live --map place.db --out run --open --realtime\n\nThen: driftless plot run\n\n\
     Exit code: 0, or 3 for a run that ended lost, 1 for an error, 2 for wrong switches"
 )]
 pub struct Args {
@@ -29,7 +33,7 @@ pub struct Args {
     /// Print the summary as JSON
     #[arg(long, conflicts_with = "open")]
     json: bool,
-    /// At its end, show the run in the system's browser until Ctrl-C, as `driftless view` does
+    /// Show map and robot in the system's browser from the start, and the whole run at its end, until Ctrl-C
     #[arg(long)]
     open: bool,
     #[command(flatten)]
@@ -43,23 +47,30 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<()> {
     let stop = StopSignal::on_interrupt()?;
     let recording = Recording::open_with(&args.sequence, &args.calibration.files())?;
-    let server = match (&args.map, args.robot.map_mode()?) {
-        (_, MapMode::Odometry) => None,
+    let maps = match (&args.map, args.robot.map_mode()?) {
+        (_, MapMode::Odometry) => Vec::new(),
         (None, _) => {
             bail!("--map DB is missing: build one with `driftless build-map`, or use --mode odometry")
         }
-        (Some(database), _) => Some(LocalServer::start(vec![("map".to_owned(), load_map(database)?)])?),
+        (Some(database), _) => vec![(MAP.to_owned(), load_map(database)?)],
     };
-    let link = server.as_ref().map(|server| server.link("map")).transpose()?;
+    let has_map = !maps.is_empty();
+    let mut server = (has_map || args.open).then(|| LocalServer::start(maps)).transpose()?;
+    if let Some(server) = server.as_mut().filter(|_| args.open) {
+        announce(&server.show()?);
+    }
+    let link = server.as_ref().map(|server| server.link(MAP)).transpose()?;
+    let robot_link = link.clone().map(|link| match link {
+        link if has_map => RobotLink::Open(link),
+        // It publishes for the page.
+        MapLink { session, runtime, .. } => RobotLink::Network { session, runtime },
+    });
     let bar = progress::frame_bar(recording.contents().frames);
     let show = |frame| bar.set_position(frame as u64);
-    let outcome = run_robot_until(&stop, recording, &args.robot, link.clone().map(RobotLink::Open), show)?;
+    let outcome = run_robot_until(&stop, recording, &args.robot, robot_link, show)?;
     bar.finish_and_clear();
-    if let Some(server) = server {
-        if let Some(link) = &link {
-            server.unlink(link);
-        }
-        server.stop()?;
+    if let Some((server, link)) = server.as_ref().zip(link.as_ref()) {
+        server.unlink(link);
     }
     if args.json {
         println!("{}", serde_json::to_string_pretty(&outcome.summary)?);
@@ -67,8 +78,11 @@ pub fn run(args: &Args) -> Result<()> {
         print!("{}", progress::report(&outcome.summary));
         println!("written to {}", args.robot.out.display());
     }
-    if args.open && !stop.is_stopped() {
-        view::run(&view::Args::of_run(args.robot.out.clone(), args.map.clone()))?;
+    if let Some(server) = server {
+        if args.open && !stop.is_stopped() {
+            stay(&server, &args.robot.out, &stop);
+        }
+        server.stop()?;
     }
     if let Some(reason) = &outcome.summary.ended_early {
         bail!("the run ended early: {reason}");

@@ -1,13 +1,16 @@
 //! `driftless view`: a map or a run in the browser.
 
-use crate::open_page::open_page;
+use crate::open_page::announce;
 use crate::plotting::RunFiles;
 use crate::run_tracks::run_tracks;
 use anyhow::{Context as _, ensure};
-use map::store;
+use map::{MapContents, store};
+use map_server::{ImageLocalizer, ServedMap};
 use nalgebra::Vector3;
+use recognition::LoadedMap;
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use viewer::{ViewedMap, Viewer, ViewerServer};
 
 /// Arguments.
@@ -35,13 +38,6 @@ pub struct Args {
     open: bool,
 }
 
-impl Args {
-    /// A run, opened in the browser, on any free port.
-    pub(super) fn of_run(folder: PathBuf, map: Option<PathBuf>) -> Self {
-        Self { path: folder, map, groundtruth: None, port: 0, open: true }
-    }
-}
-
 /// Runs the command.
 ///
 /// # Errors
@@ -62,22 +58,39 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     } else {
         Viewer::new()
     };
-    if let Some((path, contents)) = database.zip(contents) {
-        viewer.set_map(ViewedMap::of_contents(&name_of(path), &contents));
-    }
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
+    if let Some((path, contents)) = database.zip(contents) {
+        let name = name_of(path);
+        viewer.set_map(ViewedMap::of_contents(&name, &contents));
+        if !is_run {
+            let viewer = Arc::clone(&viewer);
+            // The index of a large map takes a while; the page does not wait for it.
+            runtime.spawn_blocking(move || take_images(&viewer, name, contents));
+        }
+    }
     runtime.block_on(async {
         let address = SocketAddr::from((Ipv4Addr::LOCALHOST, args.port));
         let server = ViewerServer::start(address, viewer).await.context("choose another with --port")?;
         let url = format!("http://{}", server.address());
-        println!("{url}");
         if args.open {
-            open_page(&url);
+            announce(&url);
+        } else {
+            println!("{url}");
         }
         tokio::signal::ctrl_c().await?;
         server.stop().await;
         Ok(())
     })
+}
+
+/// Lets people localize images in a map.
+fn take_images(viewer: &Viewer, name: String, contents: MapContents) {
+    match LoadedMap::from_contents(contents) {
+        Ok(map) => {
+            viewer.take_images(Arc::new(ImageLocalizer::new(vec![ServedMap { name, map: Arc::new(map) }])))
+        }
+        Err(error) => tracing::warn!("images cannot be localized in this map: {error}"),
+    }
 }
 
 /// The name of a map, as of `maps/hall.db`.

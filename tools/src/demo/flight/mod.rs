@@ -14,6 +14,7 @@ mod picture;
 use super::robot::{Run, Variant};
 use super::rows::{Row, RowSums};
 use crate::in_process::{LocalServer, load_map};
+use crate::open_page::announce;
 use anyhow::{Context as _, Result};
 use conditions::FlightConditions;
 pub use mapped::MapFigures;
@@ -60,15 +61,20 @@ pub struct FlightDemo {
 ///
 /// # Arguments
 /// * `out`: folder for `demo.json`, `comparison.svg`, the map, the live recording without its images, and a folder for each run.
+/// * `is_shown`: whether the live map is opened in the browser when the robot starts.
 /// * `progress`: called with what is being done.
+///
+/// # Returns
+/// What was computed, and the map server, which still runs.
 ///
 /// # Errors
 /// A folder that cannot be written, no free port for the server, a run that fails.
 pub fn run_flight(
     out: &Path,
     conditions: &FlightConditions,
+    is_shown: bool,
     progress: &mut dyn FnMut(&str),
-) -> Result<FlightDemo> {
+) -> Result<(FlightDemo, LocalServer)> {
     std::fs::create_dir_all(out).with_context(|| format!("cannot create the folder {}", out.display()))?;
     progress("simulating a room");
     let (simulation, images) = conditions.simulation();
@@ -82,7 +88,11 @@ pub fn run_flight(
     mapped.place_truth(&mut live);
     live.root = out.join("live");
     write_without_images(&live)?;
-    let runs = run_all(&live, out, &database, progress)?;
+    let mut server = LocalServer::start(vec![("demo".to_owned(), load_map(&database)?)])?;
+    if is_shown {
+        announce(&server.show()?);
+    }
+    let runs = run_all(&live, out, &server, progress)?;
     progress("drawing");
     let rows = VARIANTS.iter().zip(&runs).map(|(variant, run)| {
         let mut sums = RowSums::default();
@@ -102,7 +112,7 @@ pub fn run_flight(
     };
     demo.pictures = picture::draw_all(&live, &mapped, &runs, &demo, out)?;
     std::fs::write(out.join("demo.json"), serde_json::to_string_pretty(&demo)?)?;
-    Ok(demo)
+    Ok((demo, server))
 }
 
 fn render(sequence: &mut Sequence, run: &str, progress: &mut dyn FnMut(&str)) -> Result<()> {
@@ -121,14 +131,13 @@ fn write_without_images(live: &Sequence) -> Result<()> {
     writer::write(&recording, &live.root).context("the live recording was not written")
 }
 
-/// Serves the map on the loopback interface, and runs all variants at the same time.
+/// Runs all variants at the same time.
 fn run_all(
     live: &Sequence,
     out: &Path,
-    database: &Path,
+    server: &LocalServer,
     progress: &mut dyn FnMut(&str),
 ) -> Result<[Run; VARIANTS.len()]> {
-    let server = LocalServer::start(vec![("demo".to_owned(), load_map(database)?)])?;
     let links = [server.link("demo")?, server.link("demo")?];
     let frames = live.frames.len();
     let run = |index: usize, show: &mut dyn FnMut(usize)| {
@@ -145,6 +154,5 @@ fn run_all(
     for link in &links {
         server.unlink(link);
     }
-    server.stop()?;
     runs
 }
