@@ -65,9 +65,10 @@ python:
 test:
     cargo test --workspace --locked
 
-# Every crate could be published
+# Every crate that is published could be
 package:
-    cargo package --workspace --locked --no-verify
+    cargo package --workspace --locked --no-verify \
+        --exclude driftless-tests --exclude driftless-testing --exclude driftless-benches --exclude driftless-fuzz
 
 # Licences, advisories, sources (needs cargo-deny)
 deny:
