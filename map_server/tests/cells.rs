@@ -69,11 +69,11 @@ impl CellServer {
     }
 }
 
-/// Waits until so many cells are at servers, each counted for each of them.
-async fn wait_for_cells(client: &Session, count: usize) {
+/// Waits until so many tokens are alive.
+async fn wait_for(client: &Session, keys: &str, count: usize) {
     let begin = Instant::now();
     loop {
-        let tokens = client.liveliness().get("map/city/cell/*/server/*").await.unwrap();
+        let tokens = client.liveliness().get(keys).await.unwrap();
         let mut found = 0;
         while tokens.recv_async().await.is_ok() {
             found += 1;
@@ -81,9 +81,18 @@ async fn wait_for_cells(client: &Session, count: usize) {
         if found == count {
             return;
         }
-        assert!(begin.elapsed() < Duration::from_mins(1), "{found} of {count} cells are served");
-        tokio::time::sleep(Duration::from_millis(100)).await;
+        assert!(begin.elapsed() < Duration::from_mins(1), "{found} of {count} tokens at {keys}");
+        tokio::time::sleep(Duration::from_millis(50)).await;
     }
+}
+
+/// Waits until so many cells are at servers, each counted for each of them.
+async fn wait_for_cells(client: &Session, count: usize) {
+    wait_for(client, "map/city/cell/*/server/*", count).await;
+}
+
+async fn wait_for_members(client: &Session, count: usize) {
+    wait_for(client, "map/city/server/*", count).await;
 }
 
 fn town() -> Place {
@@ -360,22 +369,6 @@ async fn kills(rounds: usize, at_once: usize, deadline: Duration) {
     println!("{answered} answers, the slowest after {slowest:?}; cells assigned anew within {settled:?}");
     assert!(lost.is_empty(), "{} of {answered} queries were lost: {:?}", lost.len(), lost[0]);
     assert!(answered > 10 * rounds);
-}
-
-async fn wait_for_members(client: &Session, count: usize) {
-    let begin = Instant::now();
-    loop {
-        let tokens = client.liveliness().get("map/city/server/*").await.unwrap();
-        let mut found = 0;
-        while tokens.recv_async().await.is_ok() {
-            found += 1;
-        }
-        if found == count {
-            return;
-        }
-        assert!(begin.elapsed() < Duration::from_mins(1), "{found} of {count} servers are there");
-        tokio::time::sleep(Duration::from_millis(50)).await;
-    }
 }
 
 #[tokio::test(flavor = "multi_thread")]
