@@ -42,7 +42,8 @@ impl ImageLocalizer {
     }
 
     fn search(&self, map: &LoadedMap, request: &LocalizeRequest) -> Result<ViewedAnswer, ImageError> {
-        let (reply, search) = map.localize_with_report(request, &self.options).map_err(unusable)?;
+        let (reply, search) =
+            map.localize_with_report(request, &self.options).map_err(|error| unusable(&error))?;
         Ok(viewed_answer(&AnsweredQuery {
             outcome: reply.outcome,
             keyframes: reply.fix.iter().map(|fix| fix.keyframe).collect(),
@@ -64,40 +65,42 @@ impl LocalizeImage for ImageLocalizer {
         if extractor.is_empty() {
             let message = "the map does not say which extractor its features come from, so that an image cannot be compared \
                            with it: build the map again from images";
-            return Err(unusable(message));
+            return Err(unusable(&message));
         }
         // Opened for each image: what it needs for a large one is not kept.
-        let mut extractor = open(extractor, None).map_err(unusable)?;
+        let mut extractor = open(extractor, None).map_err(|error| unusable(&error))?;
         let (image, camera) = halved(decode(&given.file)?, camera_of(&given.camera)?)?;
-        let features = extractor.extract(&image, None, MAX_FEATURES).map_err(unusable)?;
+        let features = extractor.extract(&image, None, MAX_FEATURES).map_err(|error| unusable(&error))?;
         drop(image);
         let features = feature_set(extractor.name(), features);
         let request = LocalizeRequest { camera, features, prior: None, gravity_in_camera: None };
-        request.validate().map_err(unusable)?;
+        request.validate().map_err(|error| unusable(&error))?;
         self.search(&map, &request)
     }
 }
 
-fn unusable(problem: impl ToString) -> ImageError {
+fn unusable(problem: &dyn std::fmt::Display) -> ImageError {
     ImageError::Unusable(problem.to_string())
 }
 
 fn decode(file: &[u8]) -> Result<GrayImage, ImageError> {
-    let (width, height) = GrayImage::size_of_encoded(file).map_err(unusable)?;
+    let (width, height) = GrayImage::size_of_encoded(file).map_err(|error| unusable(&error))?;
     if width.max(height) > MAX_SIDE {
         let message = format!(
             "the image has {width} x {height} pixels, more than {MAX_SIDE} x {MAX_SIDE}: give a smaller one, with the \
              calibration of that size"
         );
-        return Err(unusable(message));
+        return Err(unusable(&message));
     }
-    GrayImage::decode(file).map_err(unusable)
+    GrayImage::decode(file).map_err(|error| unusable(&error))
 }
 
 fn camera_of(camera: &ImageCamera) -> Result<Camera, ImageError> {
     match camera {
         ImageCamera::OfMap(camera) => Ok(camera.clone()),
-        ImageCamera::Calibration(text) => lens_of_text(Path::new("the calibration"), text).map_err(unusable),
+        ImageCamera::Calibration(text) => {
+            lens_of_text(Path::new("the calibration"), text).map_err(|error| unusable(&error))
+        }
     }
 }
 
@@ -113,7 +116,7 @@ fn halved(mut image: GrayImage, mut camera: Camera) -> Result<(GrayImage, Camera
              that took it, at this size",
             camera.width, camera.height
         );
-        return Err(unusable(message));
+        return Err(unusable(&message));
     }
     while image.width() * image.height() > MAX_PIXELS {
         image = Pyramid::new(image, 2).level(1).clone();

@@ -72,7 +72,7 @@ fn rooms() -> MapContents {
     let mut extractor = open(DEFAULT_EXTRACTOR, None).unwrap();
     let width = extractor.width() as u16;
     let mut info = MapMetadata::new("rooms", "test", kind_of(extractor.metric()), width);
-    info.extractor = extractor.name().to_owned();
+    extractor.name().clone_into(&mut info.extractor);
     let mut map = MapContents::empty(info);
     for (place, pose) in poses().into_iter().enumerate() {
         let id = 10 + place as u64;
@@ -160,7 +160,7 @@ fn encoded(image: &GrayImage, name: &str) -> Vec<u8> {
 
 /// Percent-encoded, as in a parameter.
 fn parameter(text: &str) -> String {
-    text.bytes().map(|byte| format!("%{byte:02x}")).collect()
+    text.bytes().fold(String::new(), |encoded, byte| encoded + &format!("%{byte:02x}"))
 }
 
 #[tokio::test(flavor = "multi_thread")]

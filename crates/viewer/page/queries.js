@@ -138,7 +138,8 @@ export class Queries {
     button.className = `query${isChosen ? " is-chosen" : ""}`;
     button.dataset.number = query.number;
     button.setAttribute("aria-pressed", isChosen);
-    const who = this.select.value ? "" : ` ${query.robot ?? (query.client.slice(0, 8) || "unnamed")}`;
+    const client = query.kind === "image" ? "(an image)" : query.client.slice(0, 8) || "unnamed";
+    const who = this.select.value ? "" : ` ${query.robot ?? client}`;
     const parts = [[clockText(query.time_ms / 1000), ""], [`${sign} ${words}${who}`, kind], [`${query.duration_ms.toFixed(0)} ms`, ""]];
     for (const [text, className] of parts) {
       const span = document.createElement(className ? "span" : "small");
@@ -164,7 +165,7 @@ export class Queries {
     if (query.outcome) {
       figures.push(`version ${query.map_version}`, `${query.features} features`);
       figures.push(query.prior_in_global ? "with a prior" : "without a prior");
-      if (query.keyframes.length) figures.push(`${query.keyframes.length} keyframes sent`);
+      if (query.kind === "match" && query.keyframes.length) figures.push(`${query.keyframes.length} keyframes sent`);
     }
     const time = `${query.duration_ms.toFixed(1)} ms from receipt to the last reply.`;
     byId("query-figures").textContent = `${figures.join(", ")}. ${time}`;

@@ -43,7 +43,8 @@ pub(crate) async fn guard(request: Request, next: Next) -> Response {
 
 fn refusal(method: &Method, path: &str, headers: &HeaderMap) -> Option<(StatusCode, &'static str)> {
     let is_read = method == Method::GET || method == Method::HEAD;
-    if !is_read && !(method == Method::POST && takes_images(path)) {
+    let is_image = method == Method::POST && takes_images(path);
+    if !is_read && !is_image {
         let message = "only GET is answered here, and POST of an image to /api/maps/{map}/localize\n";
         return Some((StatusCode::METHOD_NOT_ALLOWED, message));
     }

@@ -67,8 +67,11 @@ fn bad_request(what: &str) -> Response {
     error(StatusCode::BAD_REQUEST, what)
 }
 
-pub(crate) fn unknown_map() -> Response {
-    not_found("there is no map of this name; /api/maps lists them")
+/// What is said where there is no map of the name that was asked for.
+pub(crate) const UNKNOWN_MAP: &str = "there is no map of this name; /api/maps lists them";
+
+fn unknown_map() -> Response {
+    not_found(UNKNOWN_MAP)
 }
 
 fn json_bytes(bytes: Bytes) -> Response {

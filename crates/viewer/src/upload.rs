@@ -1,9 +1,9 @@
 //! The answer to a POST of an image.
 
-use crate::api::{error, unknown_map};
+use crate::api::{UNKNOWN_MAP, error};
 use crate::images::{GivenImage, ImageCamera, ImageError, MAX_IMAGE_BYTES};
 use crate::parameters::{number, parameter};
-use crate::queries::{ViewedQuery, ViewedResult};
+use crate::queries::{KeptQuery, ViewedQuery, ViewedResult};
 use crate::server::Viewer;
 use crate::viewed_map::ViewedMap;
 use axum::Json;
@@ -32,6 +32,13 @@ enum Incomplete {
     Broken,
 }
 
+/// What is wrong with a request, or with its image.
+struct Refusal(StatusCode, String);
+
+fn refusal(status: StatusCode, what: &str) -> Refusal {
+    Refusal(status, what.to_owned())
+}
+
 /// `POST /api/maps/{map}/localize?camera=NUMBER`, or with `calibration=TEXT` in place of the camera.
 pub(crate) async fn localize(
     State(viewer): State<Arc<Viewer>>,
@@ -40,10 +47,10 @@ pub(crate) async fn localize(
     mut body: Body,
 ) -> Response {
     match accept(&viewer, &name, query.as_deref().unwrap_or_default(), &mut body).await {
-        Ok(response) => response,
-        Err(refused) => {
+        Ok(kept) => Json(kept.as_ref()).into_response(),
+        Err(Refusal(status, what)) => {
             let _ = timeout(UPLOAD, read(&mut body, MAX_DISCARDED_BYTES, |_| ())).await;
-            refused
+            error(status, &what)
         }
     }
 }
@@ -53,16 +60,14 @@ async fn accept(
     name: &str,
     query: &str,
     body: &mut Body,
-) -> Result<Response, Response> {
-    let Some(images) = viewer.images() else {
-        let message = "this server does not localize images; map_server --http does";
-        return Err(error(StatusCode::NOT_FOUND, message));
-    };
-    let map = viewer.map(name).ok_or_else(unknown_map)?;
+) -> Result<Arc<KeptQuery>, Refusal> {
+    let no_search = "this server does not localize images; map_server --http does";
+    let images = viewer.images().ok_or_else(|| refusal(StatusCode::NOT_FOUND, no_search))?;
+    let map = viewer.map(name).ok_or_else(|| refusal(StatusCode::NOT_FOUND, UNKNOWN_MAP))?;
     let camera = chosen_camera(&map, query)?;
     let busy = "another image is being localized: try again in a moment";
     let turn = Arc::clone(&viewer.image_turn).try_acquire_owned();
-    let turn = turn.map_err(|_| error(StatusCode::TOO_MANY_REQUESTS, busy))?;
+    let turn = turn.map_err(|_| refusal(StatusCode::TOO_MANY_REQUESTS, busy))?;
     let file = upload(body).await?;
     let image = GivenImage { map: name.to_owned(), file, camera };
     let received = Instant::now();
@@ -72,32 +77,23 @@ async fn accept(
         drop(turn);
         found
     };
-    let answer = match tokio::task::spawn_blocking(search).await {
-        Ok(Ok(answer)) => answer,
-        Ok(Err(problem)) => {
-            let status = match problem {
-                ImageError::UnknownMap(_) => StatusCode::NOT_FOUND,
-                ImageError::Unusable(_) => StatusCode::UNPROCESSABLE_ENTITY,
-            };
-            return Ok(error(status, &problem.to_string()));
-        }
-        Err(panic) => {
-            tracing::error!("an image could not be localized: {panic}");
-            return Ok(error(
-                StatusCode::INTERNAL_SERVER_ERROR,
-                "the server failed on this image; its log says more",
-            ));
-        }
-    };
+    let found = tokio::task::spawn_blocking(search).await.map_err(|panic| {
+        tracing::error!("an image could not be localized: {panic}");
+        refusal(StatusCode::INTERNAL_SERVER_ERROR, "the server failed on this image; its log says more")
+    })?;
+    let answer = found.map_err(|problem| match problem {
+        ImageError::UnknownMap(_) => Refusal(StatusCode::NOT_FOUND, problem.to_string()),
+        ImageError::Unusable(_) => Refusal(StatusCode::UNPROCESSABLE_ENTITY, problem.to_string()),
+    })?;
     let duration_ms = received.elapsed().as_secs_f64() * 1e3;
     let result = ViewedResult::Answered(Box::new(answer));
     let query = ViewedQuery { kind: "image", map: name.to_owned(), duration_ms, result };
-    Ok(Json(viewer.live.note_query(CLIENT, query).as_ref()).into_response())
+    Ok(viewer.live.note_query(CLIENT, query))
 }
 
 /// The camera that the request names.
-fn chosen_camera(map: &ViewedMap, query: &str) -> Result<ImageCamera, Response> {
-    let refused = |message: &str| error(StatusCode::BAD_REQUEST, message);
+fn chosen_camera(map: &ViewedMap, query: &str) -> Result<ImageCamera, Refusal> {
+    let refused = |what: &str| refusal(StatusCode::BAD_REQUEST, what);
     if let Some(calibration) = parameter(query, "calibration") {
         if calibration.len() > MAX_CALIBRATION_BYTES {
             return Err(refused("the calibration is longer than 16 KiB; give that of the camera only"));
@@ -112,10 +108,10 @@ fn chosen_camera(map: &ViewedMap, query: &str) -> Result<ImageCamera, Response> 
 }
 
 /// The whole file of an image.
-async fn upload(body: &mut Body) -> Result<Bytes, Response> {
+async fn upload(body: &mut Body) -> Result<Bytes, Refusal> {
     let mut file = Vec::new();
     let received = timeout(UPLOAD, read(body, MAX_IMAGE_BYTES, |part| file.extend_from_slice(&part))).await;
-    let (status, message) = match received {
+    let (status, what) = match received {
         Ok(Ok(())) if is_image(&file) => return Ok(file.into()),
         Ok(Ok(())) => (StatusCode::UNSUPPORTED_MEDIA_TYPE, "this is neither a PNG nor a JPEG image"),
         Ok(Err(Incomplete::TooLarge)) => (
@@ -125,7 +121,7 @@ async fn upload(body: &mut Body) -> Result<Bytes, Response> {
         Ok(Err(Incomplete::Broken)) => (StatusCode::BAD_REQUEST, "the upload ended before the image did"),
         Err(_) => (StatusCode::REQUEST_TIMEOUT, "the upload took longer than 30 s"),
     };
-    Err(error(status, message))
+    Err(refusal(status, what))
 }
 
 fn is_image(file: &[u8]) -> bool {

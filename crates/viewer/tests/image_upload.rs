@@ -19,6 +19,11 @@ use viewer::{
 /// Begins like an image; whether it is one is for the search to say.
 const PNG: &[u8] = b"\x89PNG\r\n\x1a\n and more";
 
+/// The same with so many bytes behind it.
+fn padded(bytes: usize) -> Vec<u8> {
+    [PNG, &vec![0; bytes]].concat()
+}
+
 /// A search that waits until it may answer, and keeps what it was given.
 struct Search {
     may_answer: Mutex<Receiver<()>>,
@@ -121,7 +126,7 @@ async fn one_image_is_searched_at_a_time_and_the_others_are_refused() {
     });
     let given = given.await.unwrap();
     for _ in 0..3 {
-        let (status, answer) = post(address, target, &[PNG, &[0; 1 << 20]].concat()).await;
+        let (status, answer) = post(address, target, &padded(1 << 20)).await;
         assert_eq!(status, 429, "{answer}");
         assert!(answer["error"].as_str().unwrap().contains("another image"), "{answer}");
     }
@@ -140,7 +145,7 @@ async fn what_is_no_image_or_not_from_here_is_refused_in_words() {
     let Searching { shown, allow, given } = start().await;
     let address = shown.address();
     let target = "/api/maps/place/localize";
-    let large = [PNG, &[0; MAX_IMAGE_BYTES]].concat();
+    let large = padded(MAX_IMAGE_BYTES);
     let long = format!("{target}?calibration={}", "x".repeat(20_000));
     for (target, body, status, word) in [
         (target, &b"GIF89a"[..], 415, "PNG"),
@@ -187,7 +192,7 @@ async fn what_is_no_image_or_not_from_here_is_refused_in_words() {
 async fn an_upload_that_ends_early_leaves_the_turn_to_the_next() {
     let Searching { shown, allow, given: _given } = start().await;
     let address = shown.address();
-    let whole = request(address, "/api/maps/place/localize", "", &[PNG, &[0; 100_000]].concat());
+    let whole = request(address, "/api/maps/place/localize", "", &padded(100_000));
     for _ in 0..3 {
         let mut stream = TcpStream::connect(address).await.unwrap();
         stream.write_all(&whole[..whole.len() / 2]).await.unwrap();

@@ -258,20 +258,23 @@ fn viewers_beside_robots() {
             for with in [round % 2, 1 - round % 2] {
                 let pages = Pages::open(address, viewers * with).await;
                 tokio::time::sleep(Duration::from_secs(2)).await;
+                // Without queries, whose number depends on what else the machine does.
                 let (begin, before) = (Instant::now(), processor_s(server.id()));
-                let mut at = 0;
+                tokio::time::sleep(Duration::from_secs(seconds as u64)).await;
+                let share = (processor_s(server.id()) - before) / begin.elapsed().as_secs_f64();
+                used_s[with] += share / rounds as f64;
+                let (begin, mut at) = (Instant::now(), 0);
                 while begin.elapsed() < Duration::from_secs(seconds as u64) {
                     let asked = Instant::now();
-                    client.match_image(&requests[at % requests.len()], asked + Duration::from_secs(5)).await.unwrap();
+                    let request = &requests[at % requests.len()];
+                    client.match_image(request, asked + Duration::from_secs(5)).await.unwrap();
                     all[with].push(asked.elapsed());
                     at += 1;
                     tokio::time::sleep(Duration::from_millis(40).saturating_sub(asked.elapsed())).await;
                 }
-                let share = (processor_s(server.id()) - before) / begin.elapsed().as_secs_f64();
-                used_s[with] += share / rounds as f64;
                 let sent = pages.close();
                 println!(
-                    "{} viewers: {at} queries, {:.1} % of a core, {:.1} MB sent",
+                    "{} viewers: {:.1} % of a core without queries; {at} queries; {:.1} MB sent",
                     viewers * with,
                     100.0 * share,
                     sent as f64 * 1e-6

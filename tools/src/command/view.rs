@@ -87,7 +87,8 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
 fn take_images(viewer: &Viewer, name: String, contents: MapContents) {
     match LoadedMap::from_contents(contents) {
         Ok(map) => {
-            viewer.take_images(Arc::new(ImageLocalizer::new(vec![ServedMap { name, map: Arc::new(map) }])))
+            let map = ServedMap { name, map: Arc::new(map) };
+            viewer.take_images(Arc::new(ImageLocalizer::new(vec![map])));
         }
         Err(error) => tracing::warn!("images cannot be localized in this map: {error}"),
     }
