@@ -4,8 +4,9 @@
 //! last trusted pose. The pose in the map is not carried over; a new filter is localized by its own queries.
 
 use estimator::{
-    CalibratedCamera, Estimator, EstimatorConfig, EstimatorError, ImuSample, InitMethod, InitStatus,
-    Initialization, Initializer, LastTrustedPose, LearnedNoise, Localization, Status, TrackObservation,
+    CalibratedCamera, Divergence, Estimator, EstimatorConfig, EstimatorError, ImuSample, InitMethod,
+    InitStatus, Initialization, Initializer, LastTrustedPose, LearnedNoise, Localization, Status,
+    TrackObservation,
 };
 
 /// A filter that diverges earlier than this was initialized badly, nanoseconds.
@@ -191,7 +192,9 @@ impl EstimatorSupervisor {
     /// # Arguments
     /// * `readings`: those up to now, from [`EstimatorSupervisor::last_trusted_ns`] on; they propagate the yaw.
     pub fn reinitialize(&mut self, now_ns: i64, why: &EstimatorError, readings: &[ImuSample]) {
-        let short = now_ns - self.started_ns < MIN_LIFE_NS;
+        // A gap in the readings says nothing of the initialization.
+        let is_gap = matches!(why, EstimatorError::Diverged(Divergence::MotionUnknown { .. }));
+        let short = !is_gap && now_ns - self.started_ns < MIN_LIFE_NS;
         self.bad_initializations = if short { self.bad_initializations + 1 } else { 0 };
         let pause = if short { 2_f64.powi(self.bad_initializations - 1).min(MAX_PAUSE_S) } else { 0.0 };
         let not_before_ns = now_ns + (pause * 1e9) as i64;

@@ -194,7 +194,7 @@ fn clocks_order_and_drivers_that_fail_do_not_move_the_pose_in_the_map() {
     let scenario = MappedScenario::shared();
     let sequence = &scenario.recordings.live;
     let first_ns = sequence.frames[0].stamp_ns;
-    let recording = Recording::from(sequence).between(first_ns, first_ns + 19 * SECOND_NS);
+    let recording = Recording::from(sequence).between(first_ns, first_ns + 22 * SECOND_NS);
     let server = Server::start("ring", scenario.loaded());
     let mut settings = LiveSettings::images(recording.calibration());
     settings.frames = LiveFrames::Tracks { features: true };
@@ -215,7 +215,7 @@ fn clocks_order_and_drivers_that_fail_do_not_move_the_pose_in_the_map() {
             if within(seconds, 11.0, 12.5) {
                 return faults.begin("nothing for 1.5 s", &["no readings for"]);
             }
-            if within(seconds, 15.0, 16.5) {
+            if within(seconds, 16.0, 17.5) {
                 if let Some(running) = driver.take() {
                     running.stop();
                     faults.begin("the driver restarts", &["no readings for"]);
@@ -263,7 +263,12 @@ fn clocks_order_and_drivers_that_fail_do_not_move_the_pose_in_the_map() {
     });
     assert!(late.is_none(), "{late:?}");
     assert_eq!(statuses.last().unwrap().1.state, RobotState::Localized, "{:?}", statuses.last());
-    assert!(outcome.summary.divergences.is_empty(), "{:?}", outcome.summary.divergences);
+    // Where the motion is not known the robot is lost, says so, and is found again.
+    let divergences = &outcome.summary.divergences;
+    let is_gap = |reason: &str| reason.contains("no IMU readings for");
+    assert!(divergences.len() == 2 && divergences.iter().all(|each| is_gap(&each.reason)), "{divergences:?}");
+    let lost = statuses.iter().filter(|(_, status)| status.state == RobotState::Lost);
+    assert!(lost.clone().any(|(_, status)| is_gap(&status.reason)), "{:?}", lost.last());
 
     // Stamps of the estimator go on without the jumps: they are those of the recording but for the jitter of arrivals.
     let truth = TruthTrack::new(sequence.groundtruth.as_deref().unwrap());
@@ -275,12 +280,12 @@ fn clocks_order_and_drivers_that_fail_do_not_move_the_pose_in_the_map() {
         let Some(expected) = truth.pose(state.stamp_ns, MAX_GAP_NS) else { continue };
         let apart = (pose.pose.translation - expected.translation).norm();
         let sigma = pose.sigma_p_m();
-        assert!(apart < 0.5 + 5.0 * sigma, "{apart} m with sigma {sigma} at {}", state.stamp_ns);
+        assert!(apart < 0.5 && sigma < 0.5, "{apart} m with sigma {sigma} at {}", state.stamp_ns);
         (localized, worst) = (localized + 1, worst.max(apart));
     }
     println!("{} states, {localized} localized, at most {worst:.2} m off", states.len());
     let last_ns = states.last().unwrap().stamp_ns;
-    assert!(last_ns - first_ns > 18 * SECOND_NS, "the robot went on to the end");
+    assert!(last_ns - first_ns > 21 * SECOND_NS, "the robot went on to the end");
     assert!(localized > 130, "{localized}");
 }
 

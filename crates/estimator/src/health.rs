@@ -53,6 +53,12 @@ pub enum Divergence {
         /// The largest that is accepted, m/s.
         limit: f64,
     },
+    /// The IMU was silent for too long.
+    #[error("there are no IMU readings for {seconds:.1} s: the motion in between is not known")]
+    MotionUnknown {
+        /// Length of the gap, seconds.
+        seconds: f64,
+    },
     /// The speed is implausible.
     #[error("speed {speed:.0} m/s exceeds {limit:.0}")]
     Speed {

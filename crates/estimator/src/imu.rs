@@ -121,6 +121,15 @@ impl ImuBuffer {
         Ok(readings)
     }
 
+    /// The longest time between two successive samples that an interval is interpolated from, nanoseconds.
+    pub fn longest_gap_ns(&self, from_ns: i64, to_ns: i64) -> i64 {
+        let begin = self.samples.partition_point(|sample| sample.stamp_ns <= from_ns).saturating_sub(1);
+        let end =
+            (self.samples.partition_point(|sample| sample.stamp_ns < to_ns) + 1).min(self.samples.len());
+        let stamps = self.samples.range(begin.min(end)..end).map(|sample| sample.stamp_ns);
+        stamps.clone().zip(stamps.skip(1)).map(|(one, next)| next - one).max().unwrap_or(0)
+    }
+
     /// The value at `stamp_ns`, which lies before sample `next`.
     fn at(&self, next: usize, stamp_ns: i64) -> ImuSample {
         let clamp = |index: usize| self.samples[index.min(self.samples.len() - 1)];
@@ -144,6 +153,18 @@ mod tests {
 
     fn sample(stamp_ns: i64) -> ImuSample {
         ImuSample { stamp_ns, gyroscope: Vector3::repeat(stamp_ns as f64), accelerometer: Vector3::zeros() }
+    }
+
+    #[test]
+    fn the_longest_gap_is_that_of_the_samples_also_where_an_interval_lies_within_it() {
+        let mut buffer = ImuBuffer::default();
+        for stamp_ns in [0, 5, 10, 40, 45, 50] {
+            buffer.push(sample(stamp_ns)).unwrap();
+        }
+        for (from_ns, to_ns, expected) in [(0, 10, 5), (0, 50, 30), (15, 25, 30), (40, 50, 5), (7, 12, 30)] {
+            assert_eq!(buffer.longest_gap_ns(from_ns, to_ns), expected, "{from_ns} to {to_ns}");
+        }
+        assert_eq!(ImuBuffer::default().longest_gap_ns(0, 10), 0);
     }
 
     #[test]

@@ -2,6 +2,7 @@
 
 use super::Estimator;
 use crate::error::EstimatorError;
+use crate::health::Divergence;
 use crate::imu::{BadImuSample, ImuSample};
 use crate::map_update::map_fix::ImuMotion;
 use crate::motion::AngularRate;
@@ -13,6 +14,10 @@ use std::ops::Range;
 
 /// Maximum time by which the IMU samples may end before an image, nanoseconds.
 const IMU_SLACK_NS: i64 = 20_000_000;
+
+/// Longest gap between IMU samples that is bridged, nanoseconds. The attitude is uncertain by 0.5 rad a second in it, and beyond
+/// this, updates are too far from linear: the state may run away.
+const MAX_GAP_NS: i64 = 1_200_000_000;
 
 impl Estimator {
     /// Stores an IMU sample for the next [`Self::time_update`]. Samples come in the order of time.
@@ -60,6 +65,10 @@ impl Estimator {
 
     fn propagate_to(&mut self, stamp_ns: i64) -> Result<(), EstimatorError> {
         let readings = self.imu.interval(self.state.stamp_ns, stamp_ns, IMU_SLACK_NS)?;
+        let gap_ns = self.imu.longest_gap_ns(self.state.stamp_ns, stamp_ns);
+        if gap_ns > MAX_GAP_NS {
+            return Err(Divergence::MotionUnknown { seconds: gap_ns as f64 * 1e-9 }.into());
+        }
         let mut propagation = self.propagation();
         readings.windows(2).for_each(|pair| propagation.step(&pair[0], &pair[1]));
         let propagated = propagation.end();
