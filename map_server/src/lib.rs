@@ -17,6 +17,7 @@
 //! | [`server`] | [`MapServer`]: start, replace a map, stop |
 //! | [`options`] | [`ServerOptions`] |
 //! | [`cells`] | maps that several servers serve together, by cells |
+//! | [`routing`] | a query about such a map, from its receipt to the answer of one cell |
 //! | [`served_map`] | [`ServedMap`]: a map and its name |
 //! | `queue`, `fair_queue` | queries between the network and the workers: bounded, counted, fair to clients |
 //! | `handlers` | decodes a query, answers it, encodes the reply |
@@ -48,11 +49,13 @@ mod durations;
 pub mod error;
 mod fair_queue;
 mod handlers;
+mod host;
 pub mod images;
 mod metrics;
 pub mod options;
 mod queue;
 mod reports;
+pub mod routing;
 pub mod served_map;
 pub mod server;
 pub mod show;

@@ -19,11 +19,11 @@ use tokio::sync::Notify;
 use tokio::task::JoinHandle;
 use zenoh::query::Query;
 
-use crate::cells::routing::RoutedMap;
 use crate::fair_queue::FairQueue;
 use crate::handlers::{self, Asked, Kind, Progress};
 use crate::metrics::ServerMetrics;
 use crate::reports::ReportSender;
+use crate::routing::RoutedMap;
 use crate::served_map::MapSlot;
 use recognition::{LoadedMap, RecognitionOptions};
 

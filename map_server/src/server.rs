@@ -13,10 +13,10 @@ use zenoh::Session;
 use zenoh::liveliness::LivelinessToken;
 use zenoh::query::{Query, Queryable};
 
-use crate::cells::cell_map::Host;
 use crate::change;
 use crate::error::ServeError;
 use crate::handlers::{self, Kind};
+use crate::host::Host;
 use crate::images::ImageLocalizer;
 use crate::metrics::{ServerMetrics, ServerStatistics};
 use crate::options::ServerOptions;

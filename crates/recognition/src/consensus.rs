@@ -8,7 +8,7 @@ use geometry::PoseWithCovariance;
 use nalgebra::{Matrix6, Vector6};
 
 use super::options::RecognitionOptions;
-use super::report::RecognizedPlace;
+use super::place::RecognizedPlace;
 use super::verification::{VerifiedKeyframe, distinct_features};
 
 /// 99.9 % of consistent poses have a smaller squared distance (chi-square, 6 degrees of freedom).

@@ -7,6 +7,7 @@
 //! | `consensus` | do their poses agree? | one place, or none |
 //! | `answer` | rules of an answer | replies to a match query |
 //! | `fusion` | the pose from all verified keyframes | reply to a localization query |
+//! | `place` | | a recognized place in short |
 //! | `places` | keyframes that show an image's place, each for itself | for map building |
 //! | `report` | candidates and why they were refused | for each query, kept by a server |
 //! | `coarse` | votes for the parts of a large map | which of them are searched |
@@ -33,6 +34,7 @@ mod inspection;
 mod loaded_map;
 mod options;
 mod parts;
+mod place;
 mod places;
 mod query;
 mod report;
@@ -44,7 +46,8 @@ pub use inspection::{InspectedKeyframe, InspectedMatch, Inspection, KeyframeVerd
 pub use loaded_map::{LoadError, LoadedMap};
 pub use options::RecognitionOptions;
 pub use parts::{PartResult, choose_part};
+pub use place::RecognizedPlace;
 pub use places::VerifiedPlace;
 pub use query::QueryError;
-pub use report::{Candidate, RecognizedPlace, SearchReport};
+pub use report::{Candidate, SearchReport};
 pub use search::prior_radius;

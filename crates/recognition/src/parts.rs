@@ -4,7 +4,7 @@ use protocol::MatchOutcome;
 
 use super::consensus::is_consistent;
 use super::options::RecognitionOptions;
-use super::report::RecognizedPlace;
+use super::place::RecognizedPlace;
 
 /// What the search of one part of a map found.
 #[derive(Clone, Copy, Debug)]

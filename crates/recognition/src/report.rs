@@ -2,13 +2,13 @@
 //!
 //! Unlike an [`Inspection`](super::Inspection) it costs no further comparison and holds no features.
 
-use geometry::PoseWithCovariance;
 use nalgebra::Vector3;
 use protocol::KeyframeId;
 
 use super::index::Votes;
 use super::inspection::KeyframeVerdict;
 use super::loaded_map::LoadedMap;
+use super::place::RecognizedPlace;
 use super::verification::Comparison;
 
 /// What a search found out.
@@ -20,23 +20,6 @@ pub struct SearchReport {
     pub candidates: Vec<Candidate>,
     /// The place that was recognized, or the strongest of those that were ambiguous.
     pub place: Option<RecognizedPlace>,
-}
-
-/// A place that explains an image.
-#[derive(Clone, Debug, PartialEq)]
-#[non_exhaustive]
-pub struct RecognizedPlace {
-    /// The camera in G (rad, m) by the keyframe with most inliers.
-    pub global_from_camera: PoseWithCovariance,
-    /// Query features that it explains.
-    pub features: usize,
-}
-
-impl RecognizedPlace {
-    /// A place that was recognized elsewhere.
-    pub fn new(global_from_camera: PoseWithCovariance, features: usize) -> Self {
-        Self { global_from_camera, features }
-    }
 }
 
 impl SearchReport {

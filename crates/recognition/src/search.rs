@@ -9,8 +9,9 @@ use super::consensus::{Consensus, find_consensus, is_consistent};
 use super::index::{Votes, best_voted};
 use super::loaded_map::LoadedMap;
 use super::options::RecognitionOptions;
+use super::place::RecognizedPlace;
 use super::query::QueryError;
-use super::report::{Candidate, RecognizedPlace, SearchReport};
+use super::report::{Candidate, SearchReport};
 use super::verification::{Comparison, Image, VerifiedKeyframe, compare, distinct_features};
 use map::model::Keyframe;
 

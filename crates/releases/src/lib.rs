@@ -51,6 +51,7 @@ mod cells;
 pub mod change;
 pub mod clean;
 pub mod coarse;
+mod digest;
 mod error;
 pub mod fetch;
 pub mod partition;

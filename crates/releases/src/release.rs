@@ -259,7 +259,7 @@ impl Release {
 impl SegmentName {
     /// That of some bytes.
     pub(crate) fn of(bytes: &[u8]) -> Self {
-        Self { sha256: crate::store::sha256(bytes), bytes: bytes.len() as u64 }
+        Self { sha256: crate::digest::sha256(bytes), bytes: bytes.len() as u64 }
     }
 
     /// A hostile name could lead out of the folder of segments.

@@ -1,6 +1,7 @@
 //! The object store of releases.
 
 use crate::change::ReleasedChange;
+use crate::digest::sha256;
 use crate::error::ReleaseError;
 use crate::release::{Release, SegmentName};
 use crate::signing::ReleaseKey;
@@ -10,8 +11,6 @@ use bytes::Bytes;
 use futures_util::TryStreamExt as _;
 use object_store::path::Path;
 use object_store::{ObjectMeta, ObjectStore, ObjectStoreExt as _, PutMode, PutOptions, PutPayload};
-use sha2::{Digest as _, Sha256};
-use std::fmt::Write as _;
 use std::sync::Arc;
 use url::Url;
 
@@ -277,14 +276,6 @@ impl ReleaseStore {
     pub(crate) fn damaged(&self, object: String, reason: String) -> ReleaseError {
         ReleaseError::Damaged { place: self.place.clone(), object, reason }
     }
-}
-
-/// SHA-256 in hexadecimal digits.
-pub(crate) fn sha256(bytes: &[u8]) -> String {
-    Sha256::digest(bytes).iter().fold(String::with_capacity(64), |mut text, byte| {
-        let _ = write!(text, "{byte:02x}");
-        text
-    })
 }
 
 fn release_name(number: u64) -> String {

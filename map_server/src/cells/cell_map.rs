@@ -5,30 +5,17 @@ use std::sync::Arc;
 
 use client::CellClient;
 use protocol::keys;
-use recognition::{LoadedMap, RecognitionOptions};
+use recognition::LoadedMap;
 use releases::CellId;
-use zenoh::Session;
 use zenoh::liveliness::LivelinessToken;
 use zenoh::query::{Query, Queryable};
 
-use super::directory::CellDirectory;
-use super::routing::RoutedMap;
 use crate::error::ServeError;
 use crate::handlers::Kind;
-use crate::metrics::ServerMetrics;
-use crate::queue::{Job, Queue, Target};
+use crate::host::Host;
+use crate::queue::{Job, Target};
+use crate::routing::{CellDirectory, RoutedMap};
 use crate::served_map::MapSlot;
-
-/// What a map that is served by cells shares with its server.
-#[derive(Clone)]
-pub(crate) struct Host {
-    pub(crate) session: Session,
-    /// Name of the server.
-    pub(crate) server: String,
-    pub(crate) queue: Arc<Queue>,
-    pub(crate) metrics: Arc<ServerMetrics>,
-    pub(crate) options: RecognitionOptions,
-}
 
 /// A map that is served by cells. What it declared is undeclared when it is dropped.
 pub(crate) struct CellMap {
@@ -55,7 +42,7 @@ impl CellMap {
         directory: Arc<CellDirectory>,
     ) -> Result<CellMap, ServeError> {
         let client = CellClient::new(host.session.clone(), name)?;
-        let version = host.version_token(name, directory.version()).await?;
+        let version = version_token(&host, name, directory.version()).await?;
         host.metrics.note_map(name, directory.keyframe_count(), directory.version());
         let routed = Arc::new(RoutedMap::new(name, client, host.options.clone(), directory));
         let mut queryables = Vec::new();
@@ -112,7 +99,7 @@ impl CellMap {
 
     /// Tells the other servers that another version is loaded; the former one is declared until the change.
     pub(crate) async fn announce(&self, version: u64) -> Result<LivelinessToken, ServeError> {
-        self.host.version_token(&self.routed.name, version).await
+        version_token(&self.host, &self.routed.name, version).await
     }
 
     /// Changes over to another version of the map.
@@ -146,9 +133,7 @@ impl CellMap {
     }
 }
 
-impl Host {
-    async fn version_token(&self, name: &str, version: u64) -> Result<LivelinessToken, ServeError> {
-        let key = keys::version_holder(name, version, Some(&self.server))?;
-        Ok(self.session.liveliness().declare_token(key).await?)
-    }
+async fn version_token(host: &Host, name: &str, version: u64) -> Result<LivelinessToken, ServeError> {
+    let key = keys::version_holder(name, version, Some(&host.server))?;
+    Ok(host.session.liveliness().declare_token(key).await?)
 }

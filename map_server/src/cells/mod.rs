@@ -2,7 +2,7 @@
 //!
 //! Each server has some cells of the newest release, and of all cells what tells from afar which of them an image could be of. A robot
 //! asks any server, by the keys of any map; that server asks the cells in question, here or at another server, and passes on the
-//! answer of one. Cells overlap by their borders and keep all correlations of their keyframes, so that the answer of one cell is
+//! answer of one ([`routing`](crate::routing)). Cells overlap by their borders and keep all correlations of their keyframes, so that the answer of one cell is
 //! that of the whole map.
 //!
 //! | key (below the session's namespace) | what |
@@ -16,18 +16,13 @@
 //! | module | what |
 //! |---|---|
 //! | `assignment` | which cells a server is to have |
-//! | [`directory`] | which cells an image could be of |
-//! | `routing` | a query from its receipt to the answer of one cell |
 //! | `cell_map` | the cells that a server has, declared and replaced |
 //! | `tokens` | liveliness tokens of others |
 //! | [`service`] | follows releases and the other servers |
 
-pub(crate) mod assignment;
-pub(crate) mod cell_map;
-pub mod directory;
-pub(crate) mod routing;
+mod assignment;
+mod cell_map;
 pub mod service;
 mod tokens;
 
-pub use directory::CellDirectory;
 pub use service::{CellChoice, CellService, CellServiceOptions};

@@ -15,10 +15,10 @@ use tokio::time::MissedTickBehavior;
 
 use super::assignment::cells_of;
 use super::cell_map::CellMap;
-use super::directory::CellDirectory;
 use super::tokens::Tokens;
 use crate::change;
 use crate::error::ServeError;
+use crate::routing::CellDirectory;
 use crate::server::MapServer;
 
 /// How long the set of servers stays as it is before cells are assigned: several that start together would else fetch all.

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
 use map::MapContents;
-use map_server::cells::CellDirectory;
+use map_server::routing::CellDirectory;
 use nalgebra::Vector3;
 use protocol::{MatchOutcome, MatchReply, MatchRequest};
 use recognition::{LoadedMap, RecognitionOptions};

@@ -1,0 +1,20 @@
+//! What a server shares with the maps that it serves by cells.
+
+use std::sync::Arc;
+
+use recognition::RecognitionOptions;
+use zenoh::Session;
+
+use crate::metrics::ServerMetrics;
+use crate::queue::Queue;
+
+/// What a map that is served by cells needs of its server.
+#[derive(Clone)]
+pub(crate) struct Host {
+    pub(crate) session: Session,
+    /// Name of the server.
+    pub(crate) server: String,
+    pub(crate) queue: Arc<Queue>,
+    pub(crate) metrics: Arc<ServerMetrics>,
+    pub(crate) options: RecognitionOptions,
+}
