@@ -6,13 +6,12 @@
 //! ```
 //! With a database as argument, that map is served and only its properties are printed.
 
-use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use client::{MapClient, SessionOptions, close_session, open_session};
 use geometry::{Camera, Distortion, Pose, PoseWithCovariance};
-use map::{Keyframe, Landmark, MapContents, MapMetadata, Observation, store};
+use map::{Keyframe, Landmark, MapContents, MapMetadata, Observation};
 use map_server::{MapServer, ServedMap, ServerOptions};
 use nalgebra::{Matrix6, UnitQuaternion, Vector2, Vector3};
 use protocol::{DescriptorKind, Descriptors, FeatureSet, LocalizeRequest};
@@ -30,7 +29,7 @@ async fn main() -> Result<(), Error> {
     let database = std::env::args().nth(1);
     let scene = Scene::new(&mut StdRng::seed_from_u64(1));
     let map = match &database {
-        Some(path) => LoadedMap::load(store::load_map(Path::new(path))?)?,
+        Some(path) => LoadedMap::read(path)?,
         None => LoadedMap::from_contents(scene.map())?,
     };
 

@@ -103,7 +103,7 @@ impl MapSource {
     pub async fn load(&self) -> anyhow::Result<ServedMap> {
         let MapSource { name, origin } = self.clone();
         let loading = tokio::task::spawn_blocking(move || match origin {
-            Origin::Database(database) => LoadedMap::load(store::load_map(database)?).map_err(Into::into),
+            Origin::Database(database) => LoadedMap::read(database).map_err(Into::into),
             Origin::Releases(releases) => releases.load(),
         });
         let map = loading.await?.with_context(|| format!("map {name} cannot be served"))?;
@@ -130,10 +130,14 @@ impl MapSource {
         let map = match &self.origin {
             Origin::Releases(releases) => releases.newer(served, identity)?,
             Origin::Database(database) => {
-                let stored = store::load_map(database)?;
+                let (stored, landmarks) = store::open_map(database)?;
                 let info = &stored.contents.info;
-                let is_served = (info.version, info.identity) == (served, Some(identity));
-                if is_served { None } else { Some(LoadedMap::load(stored)?) }
+                if (info.version, info.identity) == (served, Some(identity)) {
+                    landmarks.close()?;
+                    None
+                } else {
+                    Some(LoadedMap::load(stored, landmarks)?)
+                }
             }
         };
         let Some(map) = map else { return Ok(None) };

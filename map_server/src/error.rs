@@ -1,5 +1,7 @@
 //! Why a server does not start, or a map is not replaced.
 
+use std::path::PathBuf;
+
 use protocol::keys::NameError;
 use protocol::{CodecError, MapIdentity};
 use recognition::LoadError;
@@ -14,6 +16,15 @@ pub enum ServeError {
     /// A name cannot be part of a key.
     #[error(transparent)]
     Name(#[from] NameError),
+    /// Another server of this name is alive.
+    #[error(
+        "another map server named {name:?} is alive: give each its own --name (in a secured fleet its own certificate), or stop the \
+         other one"
+    )]
+    NameTaken {
+        /// The name.
+        name: String,
+    },
     /// Two maps have the same name.
     #[error("two maps are to be served as {name:?}: give each its own name")]
     DuplicateMap {
@@ -53,15 +64,19 @@ pub enum ServeError {
         /// Identity of the other one.
         given: MapIdentity,
     },
-    /// There is nothing to serve.
-    #[error("{place} has no release: publish one with driftless publish-map --to {place}")]
-    NoRelease {
-        /// The store.
-        place: String,
-    },
     /// A release cannot be read.
     #[error(transparent)]
     Release(#[from] ReleaseError),
+    /// Cells that are not in memory cannot be kept on disk.
+    #[error(
+        "cells cannot be kept in {path}: {source}; choose another folder (--cache), or serve without --memory"
+    )]
+    ColdFolder {
+        /// The folder.
+        path: PathBuf,
+        /// What the system says.
+        source: std::io::Error,
+    },
     /// A cell of a release cannot be indexed.
     #[error(transparent)]
     Load(#[from] LoadError),

@@ -9,6 +9,16 @@ use std::collections::{BTreeMap, VecDeque};
 /// Cost of a job beside its bytes: small ones are not free.
 const BASE_COST: usize = 4096;
 
+/// What a job of so many bytes counts.
+pub(crate) fn cost_of(bytes: usize) -> usize {
+    bytes.saturating_add(BASE_COST)
+}
+
+/// What so many jobs of so many bytes together count.
+pub(crate) fn capacity_of(length: usize, bytes: usize) -> usize {
+    bytes.saturating_add(length.saturating_mul(BASE_COST))
+}
+
 struct Waiting<T> {
     finish: u64,
     cost: usize,
@@ -30,7 +40,7 @@ impl<T> FairQueue<T> {
     /// A queue of at most `length` jobs of `bytes` bytes together.
     pub(crate) fn new(length: usize, bytes: usize) -> Self {
         let max_length = length.max(1);
-        let max_cost = bytes.saturating_add(max_length.saturating_mul(BASE_COST));
+        let max_cost = capacity_of(max_length, bytes);
         Self { clients: BTreeMap::new(), clock: 0, length: 0, cost: 0, max_length, max_cost }
     }
 
@@ -39,7 +49,7 @@ impl<T> FairQueue<T> {
     /// # Returns
     /// The jobs that do not fit: this one, or newest ones of clients with more waiting bytes.
     pub(crate) fn put(&mut self, client: &str, bytes: usize, job: T) -> Vec<T> {
-        let cost = bytes.saturating_add(BASE_COST);
+        let cost = cost_of(bytes);
         if cost > self.max_cost {
             return vec![job];
         }

@@ -3,83 +3,17 @@
 use std::collections::BTreeSet;
 use std::time::Instant;
 
-use protocol::keys::{self, NameError};
 use protocol::{
     CellLocalizeReply, CellMatchReply, CellPlace, ErrorCode, ErrorReply, Format, KeyframeId, LocalizeRequest,
-    MatchOutcome, MatchReply, MatchRequest, Message,
+    MatchOutcome, MatchReply, MatchRequest, Message, keys,
 };
 use zenoh::Wait;
 use zenoh::bytes::Encoding;
 use zenoh::query::Query;
 
+use crate::kind::{Kind, Subject};
 use crate::reports::{AnsweredQuery, ReportSender, position_of};
 use recognition::{LoadedMap, QueryError, RecognitionOptions, SearchReport};
-use releases::CellId;
-
-/// A kind of query about one map.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Kind {
-    Match,
-    Localize,
-    Info,
-    Keyframes,
-}
-
-impl Kind {
-    pub(crate) const ALL: [Kind; 4] = [Kind::Match, Kind::Localize, Kind::Info, Kind::Keyframes];
-    /// Those that a cell answers by itself.
-    pub(crate) const OF_CELLS: [Kind; 3] = [Kind::Match, Kind::Localize, Kind::Keyframes];
-
-    /// Its name in metrics.
-    pub(crate) fn name(self) -> &'static str {
-        match self {
-            Kind::Match => "match",
-            Kind::Localize => "localize",
-            Kind::Info => "info",
-            Kind::Keyframes => "keyframes",
-        }
-    }
-
-    /// Its name in metrics where one cell is asked.
-    pub(crate) fn name_at_cell(self) -> &'static str {
-        match self {
-            Kind::Match => "cell_match",
-            Kind::Localize => "cell_localize",
-            Kind::Info => "cell_info",
-            Kind::Keyframes => "cell_keyframes",
-        }
-    }
-
-    /// The key expression of its queryable for a map.
-    pub(crate) fn key(self, map: &str) -> Result<String, NameError> {
-        match self {
-            Kind::Match => keys::map_match(map),
-            Kind::Localize => keys::map_localize(map),
-            Kind::Info => keys::map_info(map),
-            Kind::Keyframes => keys::map_keyframes(map),
-        }
-    }
-
-    /// The key expression of its queryable for a cell of a map.
-    pub(crate) fn cell_key(self, map: &str, cell: CellId) -> Result<String, NameError> {
-        match self {
-            Kind::Match => keys::cell_match(map, cell),
-            Kind::Localize => keys::cell_localize(map, cell),
-            Kind::Info => keys::map_info(map),
-            Kind::Keyframes => keys::cell_keyframe(map, cell, None),
-        }
-    }
-
-    /// The key expression for maps of any name.
-    pub(crate) fn key_of_any_map(self) -> &'static str {
-        match self {
-            Kind::Match => "map/*/match",
-            Kind::Localize => "map/*/localize",
-            Kind::Info => "map/*/info",
-            Kind::Keyframes => "map/*/keyframes/*",
-        }
-    }
-}
 
 /// Keyframes that one turn of a query for all of them sends: such a query must not keep a worker from the others.
 const KEYFRAMES_A_TURN: usize = 16;
@@ -96,10 +30,9 @@ pub(crate) enum Progress {
 /// A query in the hands of a worker.
 pub(crate) struct Asked {
     pub(crate) query: Query,
-    pub(crate) kind: Kind,
+    pub(crate) subject: Subject,
+    /// Of the map.
     pub(crate) name: String,
-    /// The map is this cell of a map.
-    pub(crate) cell: Option<CellId>,
     pub(crate) received: Instant,
     /// Keyframes that former turns sent.
     pub(crate) sent: usize,
@@ -112,12 +45,10 @@ pub(crate) fn answer(
     options: &RecognitionOptions,
     reports: &ReportSender,
 ) -> Result<Progress, ErrorReply> {
-    let Asked { query, kind, name, cell, received, sent } = asked;
+    let Asked { query, subject, name, received, sent } = asked;
+    let (kind, cell) = (subject.kind(), subject.cell());
     let format = reply_format(query).map_err(|error| ErrorReply::from(&error))?;
-    let key = || {
-        let key = cell.map_or_else(|| kind.key(name), |cell| kind.cell_key(name, cell));
-        key.map_err(|error| internal(&error))
-    };
+    let key = || subject.key(name).map_err(|error| internal(&error));
     match kind {
         Kind::Match => {
             let request: MatchRequest = decode(query)?;
@@ -145,7 +76,7 @@ pub(crate) fn answer(
                     search,
                 })
             };
-            reports.note(query, *kind, name, *received, answered);
+            reports.note(query, kind, name, *received, answered);
         }
         Kind::Localize => {
             let request: LocalizeRequest = decode(query)?;
@@ -170,7 +101,7 @@ pub(crate) fn answer(
                     search,
                 })
             };
-            reports.note(query, *kind, name, *received, answered);
+            reports.note(query, kind, name, *received, answered);
         }
         Kind::Info => {
             send(query, &key()?, format, &map.info_reply(name))?;
@@ -208,9 +139,10 @@ fn send_keyframes(
     sent: usize,
     format: Format,
 ) -> Result<Progress, ErrorReply> {
-    let Asked { query, name, cell, .. } = asked;
+    let Asked { query, name, subject, .. } = asked;
     let key_of = |id: KeyframeId| {
-        let key = cell
+        let key = subject
+            .cell()
             .map_or_else(|| keys::map_keyframe(name, id), |cell| keys::cell_keyframe(name, cell, Some(id)));
         key.map_err(|error| internal(&error))
     };

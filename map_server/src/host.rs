@@ -5,6 +5,7 @@ use std::sync::Arc;
 use recognition::RecognitionOptions;
 use zenoh::Session;
 
+use crate::cells::CellMemory;
 use crate::metrics::ServerMetrics;
 use crate::queue::Queue;
 
@@ -17,4 +18,5 @@ pub(crate) struct Host {
     pub(crate) queue: Arc<Queue>,
     pub(crate) metrics: Arc<ServerMetrics>,
     pub(crate) options: RecognitionOptions,
+    pub(crate) memory: Arc<CellMemory>,
 }

@@ -21,6 +21,7 @@
 //! | [`served_map`] | [`ServedMap`]: a map and its name |
 //! | `queue`, `fair_queue` | queries between the network and the workers: bounded, counted, fair to clients |
 //! | `handlers` | decodes a query, answers it, encodes the reply |
+//! | `names` | no two servers of one name |
 //! | `reports` | tells what became of each query |
 //! | `durations` | how long queries take, as counts in buckets |
 //! | [`show`], [`images`] | the live map in the browser, and images that people give to it |
@@ -51,7 +52,9 @@ mod fair_queue;
 mod handlers;
 mod host;
 pub mod images;
+mod kind;
 mod metrics;
+mod names;
 pub mod options;
 mod queue;
 mod reports;

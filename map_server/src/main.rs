@@ -1,5 +1,6 @@
 //! `map_server`: serves maps over Zenoh.
 
+mod byte_size;
 mod databases;
 mod released;
 mod status_line;
@@ -10,6 +11,7 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use anyhow::{Context, bail};
+use byte_size::ByteSize;
 use clap::Parser;
 use client::session::{Member, Role};
 use client::{SessionArguments, close_session, open_session, without_secrets};
@@ -22,6 +24,10 @@ use releases::ReleaseKey;
 use status_line::StatusLine;
 use tokio::time::MissedTickBehavior;
 use tracing_subscriber::EnvFilter;
+
+/// Reading a map leaves holes that the allocator of glibc keeps: twice what the map holds.
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
 const EXAMPLES: &str = "\
 Examples:
@@ -42,6 +48,7 @@ Examples:
 
   Serve it by several servers that share its cells, each cell at two of them (see the page Releases of the book):
     map_server --map city=s3://bucket/city --cells auto --connect tcp/10.0.0.1:7447
+    map_server --map city=s3://bucket/city --cells auto --connect tcp/10.0.0.1:7447 --memory 8G
 
   Then, in another shell:
     driftless query --map hall --features frame.csv        one image against the map
@@ -89,6 +96,11 @@ struct Arguments {
     /// With --cells auto: have each cell at so many servers.
     #[arg(long, value_name = "N", default_value_t = 2, requires = "cells", value_parser = clap::value_parser!(u16).range(1..))]
     replicas: u16,
+
+    /// With --cells: memory that loaded cells may take, like 8G or 512M. Further cells are on disk, in --cache, and loaded when they
+    /// are asked for; those that were not asked for longest give way [default: all cells are in memory].
+    #[arg(long, value_name = "SIZE", requires = "cells")]
+    memory: Option<ByteSize>,
 
     /// How the server is connected [default: --listen tcp/127.0.0.1:7447].
     #[command(flatten)]
@@ -176,6 +188,7 @@ async fn serve() -> anyhow::Result<()> {
     if let Some(workers) = arguments.workers {
         options.workers = usize::from(workers);
     }
+    options.cell_memory = arguments.memory.map(|ByteSize(bytes)| bytes);
     let server = MapServer::start(session.clone(), maps, options).await?;
     let services = serve_cells(&server, &arguments, by_cells, &cache).await?;
     let monitoring = match arguments.monitoring {

@@ -43,6 +43,18 @@ pub struct ServerStatistics {
     pub durations: DurationCounts,
     /// Whether answering any query panicked: a bug, please report it.
     pub panicked: bool,
+    /// Cells of maps that are served by cells, at this moment.
+    pub cells: u64,
+    /// Those of them that are in memory.
+    pub cells_in_memory: u64,
+    /// Bytes that these take.
+    pub cell_bytes: u64,
+    /// Cells that were loaded from disk because they were asked for.
+    pub cold_loads: u64,
+    /// Times that this failed.
+    pub cold_loads_failed: u64,
+    /// Time that it took, summed over those that were loaded.
+    pub cold_load_time: Duration,
 }
 
 /// What a server counts.
@@ -54,6 +66,13 @@ pub(crate) struct ServerMetrics {
     durations: Family<QueryLabels, Histogram>,
     keyframes: Family<MapLabel, Gauge>,
     versions: Family<MapLabel, Gauge<u64, AtomicU64>>,
+    cells: Gauge,
+    cells_in_memory: Gauge,
+    cell_bytes: Gauge,
+    cold_loads_failed: Counter,
+    cold_load_duration: Histogram,
+    cold_loads: AtomicU64,
+    cold_load_us: AtomicU64,
     answer_us: AtomicU64,
     counts: DurationCounter,
     panicked: AtomicBool,
@@ -74,6 +93,13 @@ impl Default for ServerMetrics {
             durations: Family::new_with_constructor(duration_histogram),
             keyframes: Family::default(),
             versions: Family::default(),
+            cells: Gauge::default(),
+            cells_in_memory: Gauge::default(),
+            cell_bytes: Gauge::default(),
+            cold_loads_failed: Counter::default(),
+            cold_load_duration: duration_histogram(),
+            cold_loads: AtomicU64::new(0),
+            cold_load_us: AtomicU64::new(0),
             answer_us: AtomicU64::new(0),
             counts: DurationCounter::default(),
             panicked: AtomicBool::new(false),
@@ -97,6 +123,25 @@ impl ServerMetrics {
         );
         registry.register("map_keyframes", "Keyframes of a served map", self.keyframes.clone());
         registry.register("map_version", "Version of a served map", self.versions.clone());
+        registry.register("cells", "Cells of maps that are served by cells", self.cells.clone());
+        registry.register("cells_in_memory", "Cells that are in memory", self.cells_in_memory.clone());
+        registry.register_with_unit(
+            "cells_memory",
+            "Memory that cells take",
+            Unit::Bytes,
+            self.cell_bytes.clone(),
+        );
+        registry.register_with_unit(
+            "cold_load_duration",
+            "Time to load a cell that was asked for and not in memory",
+            Unit::Seconds,
+            self.cold_load_duration.clone(),
+        );
+        registry.register(
+            "cold_loads_failed",
+            "Cells that were asked for and could not be loaded",
+            self.cold_loads_failed.clone(),
+        );
     }
 
     /// A query waits.
@@ -137,6 +182,25 @@ impl ServerMetrics {
         self.versions.get_or_create(&label).set(version);
     }
 
+    /// The cells of this server, those in memory, and their bytes.
+    pub(crate) fn note_cells(&self, all: usize, in_memory: usize, bytes: usize) {
+        self.cells.set(all as i64);
+        self.cells_in_memory.set(in_memory as i64);
+        self.cell_bytes.set(i64::try_from(bytes).unwrap_or(i64::MAX));
+    }
+
+    /// A cell that was not in memory was loaded, or could not be.
+    pub(crate) fn note_cold_load(&self, duration: Duration, is_loaded: bool) {
+        if is_loaded {
+            self.cold_load_duration.observe(duration.as_secs_f64());
+            self.cold_loads.fetch_add(1, Ordering::Relaxed);
+            let micros = u64::try_from(duration.as_micros()).unwrap_or(u64::MAX);
+            self.cold_load_us.fetch_add(micros, Ordering::Relaxed);
+        } else {
+            self.cold_loads_failed.inc();
+        }
+    }
+
     pub(crate) fn statistics(&self) -> ServerStatistics {
         ServerStatistics {
             answered: self.answered.get(),
@@ -146,6 +210,12 @@ impl ServerMetrics {
             durations: self.counts.counts(),
             answer_time: Duration::from_micros(self.answer_us.load(Ordering::Relaxed)),
             panicked: self.panicked.load(Ordering::Relaxed),
+            cells: u64::try_from(self.cells.get()).unwrap_or(0),
+            cells_in_memory: u64::try_from(self.cells_in_memory.get()).unwrap_or(0),
+            cell_bytes: u64::try_from(self.cell_bytes.get()).unwrap_or(0),
+            cold_loads: self.cold_loads.load(Ordering::Relaxed),
+            cold_loads_failed: self.cold_loads_failed.get(),
+            cold_load_time: Duration::from_micros(self.cold_load_us.load(Ordering::Relaxed)),
         }
     }
 }

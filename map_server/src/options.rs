@@ -22,10 +22,13 @@ pub struct ServerOptions {
     pub queue_length: usize,
     /// Limit on the sum of the payloads of waiting queries, bytes.
     pub queue_bytes: usize,
+    /// Bytes that loaded cells of maps that are served by cells may take; `None` without a bound. Further cells are on disk, in
+    /// the cache of their map, until they are asked for.
+    pub cell_memory: Option<usize>,
 }
 
 impl Default for ServerOptions {
-    /// One worker per processor; 64 waiting queries of 64 MiB together.
+    /// One worker per processor; 64 waiting queries of 64 MiB together; all cells in memory.
     fn default() -> ServerOptions {
         ServerOptions {
             name: None,
@@ -33,6 +36,7 @@ impl Default for ServerOptions {
             workers: std::thread::available_parallelism().map_or(2, std::num::NonZero::get),
             queue_length: 64,
             queue_bytes: 64 << 20,
+            cell_memory: None,
         }
     }
 }

@@ -12,61 +12,76 @@
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use protocol::{ErrorCode, ErrorReply, keys};
-use tokio::sync::Notify;
+use tokio::sync::{Notify, Semaphore};
 use tokio::task::JoinHandle;
 use zenoh::query::Query;
 
-use crate::fair_queue::FairQueue;
-use crate::handlers::{self, Asked, Kind, Progress};
+use crate::cells::{CellSlot, StoredCell};
+use crate::fair_queue::{self, FairQueue};
+use crate::handlers::{self, Asked, Progress};
+use crate::kind::{CellKind, Kind, Subject};
 use crate::metrics::ServerMetrics;
 use crate::reports::ReportSender;
 use crate::routing::RoutedMap;
 use crate::served_map::MapSlot;
 use recognition::{LoadedMap, RecognitionOptions};
 
+/// So long a query waits for a cell that is not in memory; then it is asked again, or another server is.
+const LONGEST_WAIT: Duration = Duration::from_secs(1);
+
 /// A query to be answered.
 pub(crate) struct Job {
     pub(crate) query: Query,
-    pub(crate) kind: Kind,
     pub(crate) target: Target,
     pub(crate) received: Instant,
-    /// What a query for all keyframes got in its former turns: so many of the keyframes of a version.
+    /// The version that the query is answered with, and how many of its keyframes a query for all of them got in its former
+    /// turns. `None` for one that is still to be had.
     pub(crate) begun: Option<(Arc<LoadedMap>, usize)>,
 }
 
 impl Job {
     /// A query that was just received.
-    pub(crate) fn new(query: Query, kind: Kind, target: Target) -> Self {
-        Self { query, kind, target, received: Instant::now(), begun: None }
+    pub(crate) fn new(query: Query, target: Target) -> Self {
+        Self { query, target, received: Instant::now(), begun: None }
     }
 }
 
-/// Who answers a query.
+/// Who answers a query, of which kind.
 #[derive(Clone)]
 pub(crate) enum Target {
-    /// A map in memory, or a cell of one.
-    Map(Arc<MapSlot>),
+    /// A map in memory.
+    Map(Kind, Arc<MapSlot>),
+    /// A cell of a map, in memory or not.
+    Cell(CellKind, Arc<CellSlot>),
     /// Cells, here and elsewhere.
-    Routed(Arc<RoutedMap>),
+    Routed(Kind, Arc<RoutedMap>),
 }
 
 impl Target {
     /// Name of the map.
     pub(crate) fn name(&self) -> &str {
         match self {
-            Target::Map(slot) => &slot.name,
-            Target::Routed(routed) => &routed.name,
+            Target::Map(_, slot) => &slot.name,
+            Target::Cell(_, slot) => &slot.name,
+            Target::Routed(_, routed) => &routed.name,
         }
     }
 
-    /// The kind of a query in metrics: those of cells are counted beside those that they are asked for.
-    fn metric(&self, kind: Kind) -> &'static str {
+    fn kind(&self) -> Kind {
         match self {
-            Target::Map(slot) if slot.cell.is_some() => kind.name_at_cell(),
-            _ => kind.name(),
+            Target::Map(kind, _) | Target::Routed(kind, _) => *kind,
+            Target::Cell(kind, _) => kind.of_map(),
+        }
+    }
+
+    /// The kind of a query in metrics.
+    fn metric(&self) -> &'static str {
+        match self {
+            Target::Map(kind, _) | Target::Routed(kind, _) => kind.name(),
+            Target::Cell(kind, _) => kind.name(),
         }
     }
 }
@@ -79,6 +94,8 @@ pub(crate) struct Queue {
     changed: Notify,
     metrics: Arc<ServerMetrics>,
     reports: ReportSender,
+    /// Places for queries that wait for a cell, in bytes: as much as the queue has.
+    set_aside: Arc<Semaphore>,
 }
 
 impl Queue {
@@ -89,12 +106,14 @@ impl Queue {
         metrics: Arc<ServerMetrics>,
         reports: ReportSender,
     ) -> Arc<Queue> {
+        let places = fair_queue::capacity_of(length, bytes);
         Arc::new(Queue {
             waiting: Mutex::new(FairQueue::new(length, bytes)),
             closed: AtomicBool::new(false),
             changed: Notify::new(),
             metrics,
             reports,
+            set_aside: Arc::new(Semaphore::new(places.min(Semaphore::MAX_PERMITS))),
         })
     }
 
@@ -114,13 +133,18 @@ impl Queue {
             self.lock().put(&client, bytes, job)
         };
         self.changed.notify_one();
-        for Job { query, kind, target, received, .. } in refused {
-            self.metrics.note_refused();
-            let message = "the map server has too many queries, ask again later";
-            let error = ErrorReply::new(ErrorCode::Busy, message);
-            handlers::fail(&query, &error);
-            self.reports.note(&query, kind, target.name(), received, || Err(error));
+        for job in &refused {
+            self.refuse(job);
         }
+    }
+
+    fn refuse(&self, job: &Job) {
+        let Job { query, target, received, .. } = job;
+        self.metrics.note_refused();
+        let message = "the map server has too many queries, ask again later";
+        let error = ErrorReply::new(ErrorCode::Busy, message);
+        handlers::fail(query, &error);
+        self.reports.note(query, target.kind(), target.name(), *received, || Err(error));
     }
 
     /// The next job; `None` once the queue is closed and empty.
@@ -165,74 +189,102 @@ pub(crate) fn start_workers(
 }
 
 async fn work(queue: Arc<Queue>, options: Arc<RecognitionOptions>) {
-    while let Some(job) = queue.take().await {
-        match &job.target {
-            Target::Map(slot) => {
-                let slot = Arc::clone(slot);
-                answer_with_map(&queue, job, &slot, &options).await;
+    while let Some(mut job) = queue.take().await {
+        let begun = job.begun.take();
+        match job.target.clone() {
+            Target::Map(kind, slot) => {
+                let begun = begun.unwrap_or_else(|| (slot.current(), 0));
+                answer(&queue, job, Subject::Map(kind), begun, &options).await;
             }
-            Target::Routed(routed) => {
-                let routed = Arc::clone(routed);
-                route(&queue, job, routed).await;
+            Target::Cell(kind, slot) => {
+                let cell = slot.current();
+                match begun.or_else(|| Some((cell.if_in_memory()?, 0))) {
+                    Some(begun) => {
+                        answer(&queue, job, Subject::Cell(kind, slot.cell), begun, &options).await;
+                        cell.memory().trim();
+                    }
+                    None => queue.await_cell(job, cell),
+                }
             }
+            Target::Routed(kind, routed) => route(&queue, job, kind, routed).await,
         }
     }
 }
 
-async fn answer_with_map(queue: &Arc<Queue>, job: Job, slot: &MapSlot, options: &Arc<RecognitionOptions>) {
-    let Job { query, kind, target, received, begun } = job;
-    let (loaded, sent) = begun.unwrap_or_else(|| (slot.current(), 0));
-    let (name, cell) = (slot.name.clone(), slot.cell);
-    let asked = Asked { query: query.clone(), kind, name, cell, received, sent };
+/// Answers a query with a map that is in memory.
+async fn answer(
+    queue: &Arc<Queue>,
+    job: Job,
+    subject: Subject,
+    (loaded, sent): (Arc<LoadedMap>, usize),
+    options: &Arc<RecognitionOptions>,
+) {
+    let Job { query, target, received, .. } = job;
+    let name = target.name().to_owned();
+    let asked = Asked { query: query.clone(), subject, name, received, sent };
     let (version, options, reports) = (Arc::clone(&loaded), Arc::clone(options), queue.reports.clone());
     let answered = catch_panic(move || handlers::answer(&asked, &version, &options, &reports)).await;
     match answered {
         Ok(Ok(Progress::Keyframes { sent, bytes })) => {
-            queue.enqueue(Job { query, kind, target, received, begun: Some((loaded, sent)) }, bytes);
+            queue.enqueue(Job { query, target, received, begun: Some((loaded, sent)) }, bytes);
         }
-        Ok(Ok(Progress::Done)) => queue.note_end(&query, kind, &target, received, Ok(())),
-        Ok(Err(failure)) => queue.note_end(&query, kind, &target, received, Err(failure)),
-        Err(panic) => queue.note_end(&query, kind, &target, received, Err(queue.panicked(&query, &panic))),
+        Ok(Ok(Progress::Done)) => queue.note_end(&query, &target, received, Ok(())),
+        Ok(Err(failure)) => queue.note_end(&query, &target, received, Err(failure)),
+        Err(panic) => queue.note_end(&query, &target, received, Err(queue.panicked(&query, &panic))),
     }
 }
 
 /// Plans with a worker, and asks cells without one.
-async fn route(queue: &Arc<Queue>, job: Job, routed: Arc<RoutedMap>) {
-    let Job { query, kind, target, received, .. } = job;
+async fn route(queue: &Arc<Queue>, job: Job, kind: Kind, routed: Arc<RoutedMap>) {
+    let Job { query, target, received, .. } = job;
     let (planning, asked) = (Arc::clone(&routed), query.clone());
     let planned = catch_panic(move || planning.plan(&asked, kind, received)).await;
     let plan = match planned {
         Ok(Ok(plan)) => plan,
-        Ok(Err(failure)) => return queue.note_end(&query, kind, &target, received, Err(failure)),
+        Ok(Err(failure)) => return queue.note_end(&query, &target, received, Err(failure)),
         Err(panic) => {
             let failure = queue.panicked(&query, &panic);
-            return queue.note_end(&query, kind, &target, received, Err(failure));
+            return queue.note_end(&query, &target, received, Err(failure));
         }
     };
     let queue = Arc::clone(queue);
     tokio::spawn(async move {
         let answered = routed.answer(plan).await;
-        queue.note_end(&query, kind, &target, received, answered);
+        queue.note_end(&query, &target, received, answered);
     });
 }
 
 impl Queue {
+    /// Sets a query aside until its cell is in memory, and enqueues it again. No worker waits.
+    fn await_cell(self: &Arc<Self>, job: Job, cell: Arc<StoredCell>) {
+        let bytes = job.query.payload().map_or(0, zenoh::bytes::ZBytes::len);
+        let cost = u32::try_from(fair_queue::cost_of(bytes)).unwrap_or(u32::MAX);
+        let Ok(place) = Arc::clone(&self.set_aside).try_acquire_many_owned(cost) else {
+            return self.refuse(&job);
+        };
+        let queue = Arc::clone(self);
+        tokio::spawn(async move {
+            let brought = cell.bring(LONGEST_WAIT).await;
+            drop(place);
+            match brought {
+                Ok(loaded) => queue.enqueue(Job { begun: Some((loaded, 0)), ..job }, bytes),
+                Err(failure) => {
+                    let Job { query, target, received, .. } = job;
+                    queue.note_end(&query, &target, received, Err(failure));
+                }
+            }
+        });
+    }
+
     /// Sends the error of a query that failed, and counts the query.
-    fn note_end(
-        &self,
-        query: &Query,
-        kind: Kind,
-        target: &Target,
-        received: Instant,
-        answered: Result<(), ErrorReply>,
-    ) {
+    fn note_end(&self, query: &Query, target: &Target, received: Instant, answered: Result<(), ErrorReply>) {
         let is_answered = answered.is_ok();
         if let Err(failure) = answered {
             handlers::fail(query, &failure);
             tracing::debug!(key = query.key_expr().as_str(), "answered with an error: {failure}");
-            self.reports.note(query, kind, target.name(), received, || Err(failure));
+            self.reports.note(query, target.kind(), target.name(), received, || Err(failure));
         }
-        self.metrics.note_done(target.name(), target.metric(kind), received.elapsed(), is_answered);
+        self.metrics.note_done(target.name(), target.metric(), received.elapsed(), is_answered);
     }
 
     fn panicked(&self, query: &Query, panic: &Panicked) -> ErrorReply {

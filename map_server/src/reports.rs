@@ -8,7 +8,7 @@ use recognition::SearchReport;
 use tokio::sync::broadcast;
 use zenoh::query::Query;
 
-use crate::handlers::Kind;
+use crate::kind::Kind;
 
 /// Reports that wait for a receiver; one that is slower misses the oldest.
 const WAITING: usize = 256;

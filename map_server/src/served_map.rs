@@ -3,7 +3,6 @@
 use std::sync::{Arc, PoisonError, RwLock};
 
 use recognition::LoadedMap;
-use releases::CellId;
 
 /// A map and the name under which it is served.
 pub struct ServedMap {
@@ -16,18 +15,12 @@ pub struct ServedMap {
 /// A map that can be replaced while it is served; a query is answered with the one that it started with.
 pub(crate) struct MapSlot {
     pub(crate) name: String,
-    /// The map is this cell of a map.
-    pub(crate) cell: Option<CellId>,
     map: RwLock<Arc<LoadedMap>>,
 }
 
 impl MapSlot {
     pub(crate) fn new(ServedMap { name, map }: ServedMap) -> MapSlot {
-        MapSlot { name, cell: None, map: RwLock::new(map) }
-    }
-
-    pub(crate) fn of_cell(name: &str, cell: CellId, map: Arc<LoadedMap>) -> MapSlot {
-        MapSlot { name: name.to_owned(), cell: Some(cell), map: RwLock::new(map) }
+        MapSlot { name, map: RwLock::new(map) }
     }
 
     pub(crate) fn current(&self) -> Arc<LoadedMap> {

@@ -13,12 +13,15 @@ use zenoh::Session;
 use zenoh::liveliness::LivelinessToken;
 use zenoh::query::{Query, Queryable};
 
+use crate::cells::CellMemory;
 use crate::change;
 use crate::error::ServeError;
-use crate::handlers::{self, Kind};
+use crate::handlers;
 use crate::host::Host;
 use crate::images::ImageLocalizer;
+use crate::kind::Kind;
 use crate::metrics::{ServerMetrics, ServerStatistics};
+use crate::names;
 use crate::options::ServerOptions;
 use crate::queue::{self, Job, Queue, Target};
 use crate::reports::{QueryReport, ReportSender};
@@ -37,7 +40,7 @@ const STOP_TIMEOUT: Duration = Duration::from_secs(5);
 /// use map::{MapContents, MapMetadata};
 /// use map_server::{MapServer, ServedMap, ServerOptions};
 /// use protocol::DescriptorKind;
-/// use recognition::{LoadedMap, RecognitionOptions};
+/// use recognition::LoadedMap;
 /// use std::sync::Arc;
 /// use std::time::{Duration, Instant};
 ///
@@ -71,6 +74,7 @@ pub struct MapServer {
     metrics: Arc<ServerMetrics>,
     reports: ReportSender,
     recognition: RecognitionOptions,
+    cell_memory: Arc<CellMemory>,
     workers: Vec<JoinHandle<()>>,
 }
 
@@ -80,7 +84,8 @@ impl MapServer {
     /// Needs a multi-threaded tokio runtime.
     ///
     /// # Errors
-    /// [`ServeError::Name`], [`ServeError::DuplicateMap`], [`ServeError::Zenoh`]; nothing remains declared.
+    /// [`ServeError::Name`], [`ServeError::NameTaken`], [`ServeError::DuplicateMap`], [`ServeError::Zenoh`]; nothing remains
+    /// declared.
     pub async fn start(
         session: Session,
         maps: Vec<ServedMap>,
@@ -98,6 +103,7 @@ impl MapServer {
         }
         let maps = Arc::new(served);
 
+        names::wait_until_free(&session, &server, &token_key).await?;
         let metrics = Arc::new(ServerMetrics::default());
         for map in maps.values() {
             let loaded = map.current();
@@ -114,7 +120,7 @@ impl MapServer {
                 let key = kind.key(&map.name)?;
                 let (queue, map) = (Arc::clone(&queue), Arc::clone(map));
                 let callback = move |query: Query| {
-                    queue.put(Job::new(query, kind, Target::Map(Arc::clone(&map))));
+                    queue.put(Job::new(query, Target::Map(kind, Arc::clone(&map))));
                 };
                 queryables.push(session.declare_queryable(key).callback(callback).complete(true).await?);
             }
@@ -129,6 +135,7 @@ impl MapServer {
         let token = session.liveliness().declare_token(token_key).await?;
         tracing::info!(server, maps = ?maps.keys().collect::<Vec<_>>(), "serving");
         let recognition = options.recognition;
+        let cell_memory = CellMemory::new(options.cell_memory, Arc::clone(&metrics));
         Ok(MapServer {
             session,
             server,
@@ -140,6 +147,7 @@ impl MapServer {
             metrics,
             reports,
             recognition,
+            cell_memory,
             workers,
         })
     }
@@ -152,6 +160,7 @@ impl MapServer {
             queue: Arc::clone(&self.queue),
             metrics: Arc::clone(&self.metrics),
             options: self.recognition.clone(),
+            memory: Arc::clone(&self.cell_memory),
         }
     }
 

@@ -40,7 +40,7 @@ fn sample(earlier: &ServerStatistics, later: &ServerStatistics, elapsed: Duratio
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::handlers::Kind;
+    use crate::kind::Kind;
 
     #[test]
     fn a_sample_has_what_happened_in_its_period_only() {

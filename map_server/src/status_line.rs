@@ -40,6 +40,20 @@ impl StatusLine {
             mean_ms = format!("{mean_ms:.1}"),
             "the last minute"
         );
+        if now.cells > 0 {
+            let cold_loads = now.cold_loads - self.last.cold_loads;
+            let load_time = now.cold_load_time.saturating_sub(self.last.cold_load_time);
+            let mean_ms = load_time.as_secs_f64() * 1e3 / cold_loads.max(1) as f64;
+            tracing::info!(
+                cells = now.cells,
+                in_memory = now.cells_in_memory,
+                megabytes = now.cell_bytes >> 20,
+                cold_loads,
+                cold_loads_failed = now.cold_loads_failed - self.last.cold_loads_failed,
+                cold_load_mean_ms = format!("{mean_ms:.1}"),
+                "cells"
+            );
+        }
         self.last = now;
     }
 }

@@ -60,6 +60,10 @@ fn wrong_arguments_say_what_to_do() {
     assert!(!output.status.success() && error.contains("NAME=DB"), "{error}");
     let (output, error) = run(&["--map", "a/b=x"]);
     assert!(!output.status.success() && error.contains("a/b"), "{error}");
+    let (output, error) = run(&["--map", "hall=file:///srv/hall", "--cells", "auto", "--memory", "8"]);
+    assert!(!output.status.success() && error.contains("like 8G or 512M"), "{error}");
+    let (output, error) = run(&["--map", "hall=file:///srv/hall", "--memory", "8G"]);
+    assert!(!output.status.success() && error.contains("--cells"), "{error}");
     let (output, error) = run(&["--map", "hall=/does/not/exist"]);
     assert!(!output.status.success() && error.contains("/does/not/exist"), "{error}");
     assert!(error.contains("driftless build-map"), "{error}");

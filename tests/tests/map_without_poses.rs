@@ -90,3 +90,42 @@ fn a_recording_without_imu_says_what_is_missing() {
     let error = run_odometry(&mut sequence, 2, |_, _| {}).unwrap_err().to_string();
     assert!(error.contains("IMU") && error.contains("--poses"), "{error}");
 }
+
+#[test]
+fn a_camera_that_stands_still_makes_no_map_and_a_dark_stretch_is_said() {
+    let options = SimulationOptions {
+        scenario: Scenario::Room,
+        depth_m: Scenario::Room.depth_m(),
+        duration_s: Some(2.2),
+        live_feature_period_s: 0.5,
+        dropout_fraction: 0.0,
+        ..SimulationOptions::default()
+    };
+    let mut still = simulate(&options).unwrap().live;
+    let odometry = run_odometry(&mut still, 2, |_, _| {}).unwrap();
+    let built = build_map_from_odometry(
+        &still,
+        &odometry,
+        &PosePriors::default(),
+        None,
+        &BuildOptions::default(),
+        &mut |_, _, _| {},
+    );
+    let error = built.unwrap_err().to_string();
+    assert!(error.contains("the camera moved by 0.0") && error.contains("record while moving"), "{error}");
+
+    let mut dark = recording(1);
+    let first_ns = dark.frames[0].stamp_ns;
+    for frame in &mut dark.frames {
+        if (10..13).contains(&((frame.stamp_ns - first_ns) / 1_000_000_000)) {
+            frame.tracks.clear();
+            frame.features = None;
+        }
+    }
+    let (contents, report) = build(&mut dark, 2);
+    let untracked = report.untracked_images.unwrap();
+    assert!((2.8..3.3).contains(&untracked.longest_s), "{untracked:?}");
+    let (error, covariance) = errors(&contents, &true_poses(&dark, &contents));
+    let nees = error.dot(&covariance.cholesky().unwrap().solve(&error)) / error.len() as f64;
+    assert!((0.5..1.6).contains(&nees), "the covariance covers the dark stretch: {nees}");
+}

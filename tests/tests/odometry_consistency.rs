@@ -5,7 +5,7 @@ use estimator::{EstimatorConfig, MapMode};
 use evaluation::Verdict;
 use simulation::monte_carlo::score::{ScoreOptions, score};
 use simulation::monte_carlo::{
-    AnswerOptions, CalibrationErrors, MapOptions, MonteCarloOptions, Variant, VariantRuns, run,
+    AnswerOptions, CalibrationErrors, FilterStart, MapOptions, MonteCarloOptions, Variant, VariantRuns, run,
 };
 use simulation::{Scenario, SimulationOptions};
 
@@ -84,5 +84,39 @@ fn a_wrong_calibration_is_a_tenth_as_wrong_after_a_minute() {
         let pose = score(&all, &ScoreOptions::default()).local.unwrap().pose;
         println!("{name}: {:.2}, {:.2?}", pose.mean, pose.interval);
         assert_eq!(pose.verdict, Verdict::Inside, "{name}: {pose:?}");
+    }
+}
+
+/// Half a second at rest, then a gentle start with biases that are not known: nothing of it is taken for rest.
+#[test]
+fn nees_is_within_its_interval_after_the_filter_initialized_itself() {
+    for scenario in [Scenario::Block, Scenario::Flight] {
+        let options = MonteCarloOptions {
+            runs: RUNS,
+            simulation: SimulationOptions {
+                scenario,
+                speed: scenario.usual_speed(),
+                depth_m: scenario.depth_m(),
+                duration_s: Some(20.0),
+                live_feature_period_s: 1e9,
+                ..SimulationOptions::default()
+            },
+            start: FilterStart::Initialization,
+            ..MonteCarloOptions::default()
+        };
+        for all in run(&options, &[odometry("mono", 1), odometry("stereo", 2)], |_| {}).unwrap() {
+            let score = score(&all, &ScoreOptions::default());
+            assert_eq!((score.runs, score.diverged), (RUNS, 0), "{scenario:?} {}", score.name);
+            let local = score.local.unwrap();
+            for (part, nees) in [("rotation", &local.rotation), ("position", &local.position)] {
+                println!("{scenario:?} {} {part}: {:.2}, {:.2?}", score.name, nees.mean, nees.interval);
+                assert_ne!(
+                    nees.verdict,
+                    Verdict::Overconfident,
+                    "{scenario:?} {} {part}: {nees:?}",
+                    score.name
+                );
+            }
+        }
     }
 }

@@ -5,11 +5,10 @@ use crate::run_tracks::run_tracks;
 use anyhow::{Context as _, Result};
 use axum::Router;
 use client::session::{SessionOptions, close_session, open_session};
-use map::store;
 use map_server::{MapServer, ServedMap, ServerOptions, Show};
 use nalgebra::Vector3;
 use onboard::MapLink;
-use recognition::LoadedMap;
+use recognition::{LoadError, LoadedMap};
 use std::net::{Ipv4Addr, SocketAddr, TcpListener};
 use std::path::Path;
 use std::sync::Arc;
@@ -20,8 +19,11 @@ use tokio::runtime::Runtime;
 /// # Errors
 /// A database that cannot be opened or read; the error names it.
 pub fn load_map(database: &Path) -> Result<Arc<LoadedMap>> {
-    let map =
-        LoadedMap::load(store::load_map(database)?).with_context(|| format!("map {}", database.display()))?;
+    let map = LoadedMap::read(database).map_err(|error| match error {
+        // It names the map.
+        LoadError::Store(error) => error.into(),
+        error => anyhow::Error::from(error).context(format!("map {}", database.display())),
+    })?;
     Ok(Arc::new(map))
 }
 

@@ -8,10 +8,12 @@
 mod map;
 mod size;
 
+use std::hash::{DefaultHasher, Hasher as _};
+
 use geometry::{Pose, PoseWithCovariance};
 use map::World;
 use nalgebra::{Matrix6, Vector6};
-use protocol::{LocalizeRequest, MatchOutcome, MatchReply, MatchRequest, PosePrior};
+use protocol::{Format, LocalizeRequest, MatchOutcome, MatchReply, MatchRequest, PosePrior};
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 use recognition::{LoadedMap, RecognitionOptions};
@@ -89,6 +91,8 @@ struct MatchQueries {
     /// Whose first keyframe is of the place.
     right: usize,
     inliers: usize,
+    /// Of all bytes of the answers: equal for equal answers.
+    digest: DefaultHasher,
 }
 
 impl MatchQueries {
@@ -100,22 +104,27 @@ impl MatchQueries {
         right: impl Fn(u64) -> bool,
     ) {
         let request = MatchRequest { prior, ..request.clone() };
-        let replies = self.times.run(|| map.answer(&request, &RecognitionOptions::default()).unwrap());
-        let Some(MatchReply::Done(status)) = replies.last() else { panic!("no status") };
+        let mut replies = self.times.run(|| map.answer(&request, &RecognitionOptions::default()).unwrap());
+        let Some(MatchReply::Done(status)) = replies.last_mut() else { panic!("no status") };
+        status.elapsed_us = 0;
         self.answered += usize::from(status.outcome == MatchOutcome::Matched);
         if let Some(MatchReply::Keyframe(first)) = replies.first() {
             self.right += usize::from(right(first.keyframe.id));
             self.inliers += first.matches.len();
         }
+        for reply in &replies {
+            self.digest.write(&protocol::encode(Format::Bincode, reply).unwrap());
+        }
     }
 
     fn print(self, name: &str) {
         println!(
-            "{name}: {}; answered {} of {QUERIES}, recall@1 {:.3}, {} matches in the first keyframe",
+            "{name}: {}; answered {} of {QUERIES}, recall@1 {:.3}, {} matches in the first keyframe, digest {:016x}",
             spread(self.times.0),
             self.answered,
             self.right as f64 / QUERIES as f64,
-            self.inliers / QUERIES
+            self.inliers / QUERIES,
+            self.digest.finish()
         );
     }
 }
@@ -131,6 +140,8 @@ struct Queries {
     localize: Times,
     /// Position error (m), NEES over 6, inliers.
     fixes: Vec<[f64; 3]>,
+    /// Of the bytes of their replies.
+    digest: DefaultHasher,
 }
 
 impl Queries {
@@ -138,6 +149,7 @@ impl Queries {
         let MatchRequest { camera, features, .. } = request;
         let request = LocalizeRequest { camera, features, prior: None, gravity_in_camera: None };
         let reply = self.localize.run(|| map.localize(&request, &RecognitionOptions::default()).unwrap());
+        self.digest.write(&protocol::encode(Format::Bincode, &reply).unwrap());
         if let Some(fix) = reply.fix {
             let error = truth.local(&fix.global_from_camera.pose);
             let nees = fix.global_from_camera.nees(truth).unwrap() / 6.0;
@@ -155,7 +167,7 @@ impl Queries {
         self.unknown.print("answer without prior");
         self.known.print("answer with prior");
         self.wrong.print("answer with a prior 100 m off");
-        println!("localize: {}", spread(self.localize.0));
+        println!("localize: {}, digest {:016x}", spread(self.localize.0), self.digest.finish());
         for (at, name) in ["error m", "NEES/6", "inliers"].into_iter().enumerate() {
             println!("localize {name}: {}", spread(self.fixes.iter().map(|fix| fix[at]).collect()));
         }

@@ -60,9 +60,9 @@ fn bytes_held(contents: &MapContents) -> i64 {
 pub fn load(path: &str) {
     let before = resident("VmRSS:");
     let start = std::time::Instant::now();
-    let stored = store::load_map(path).unwrap();
+    let (stored, landmarks) = store::open_map(path).unwrap();
     let disk = stored.bytes_on_disk;
-    let map = LoadedMap::load(stored).unwrap();
+    let map = LoadedMap::load(stored, landmarks).unwrap();
     let seconds = start.elapsed().as_secs_f64();
     println!("{disk} {before} {} {} {seconds}", resident("VmRSS:"), resident("VmHWM:"));
     assert!(map.keyframe_count() > 0);

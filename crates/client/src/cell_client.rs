@@ -19,6 +19,27 @@ pub struct ForwardedQuery {
     pub client: String,
 }
 
+/// The answer of a cell to a kind of query.
+pub trait CellReply: Message {
+    /// The key of such queries.
+    ///
+    /// # Errors
+    /// [`NameError`] if the name cannot be part of a key.
+    fn key(map: &str, cell: u32) -> Result<String, NameError>;
+}
+
+impl CellReply for CellMatchReply {
+    fn key(map: &str, cell: u32) -> Result<String, NameError> {
+        keys::cell_match(map, cell)
+    }
+}
+
+impl CellReply for CellLocalizeReply {
+    fn key(map: &str, cell: u32) -> Result<String, NameError> {
+        keys::cell_localize(map, cell)
+    }
+}
+
 /// Where a cell is asked.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CellPlacement {
@@ -48,32 +69,20 @@ impl CellClient {
         Ok(Self { session, map: map.to_owned() })
     }
 
-    /// Asks a cell which keyframes an image matches.
+    /// Passes a query on to a cell.
     ///
     /// # Errors
     /// [`ClientError`]; of the last attempt, if several were made.
-    pub async fn match_image(
+    pub async fn forward<R: CellReply>(
         &self,
         cell: u32,
         placement: CellPlacement,
         query: &ForwardedQuery,
         deadline: Instant,
-    ) -> Result<CellMatchReply, ClientError> {
-        self.forward(keys::cell_match(&self.map, cell), placement, query, deadline).await
-    }
-
-    /// Asks a cell where an image was taken.
-    ///
-    /// # Errors
-    /// [`ClientError`]; of the last attempt, if several were made.
-    pub async fn localize(
-        &self,
-        cell: u32,
-        placement: CellPlacement,
-        query: &ForwardedQuery,
-        deadline: Instant,
-    ) -> Result<CellLocalizeReply, ClientError> {
-        self.forward(keys::cell_localize(&self.map, cell), placement, query, deadline).await
+    ) -> Result<R, ClientError> {
+        let request = self.request(R::key(&self.map, cell), placement, &query.client, deadline)?;
+        let request = request.with_encoded(query.payload.clone(), query.encoding.clone());
+        request.send::<SingleReply<R>>(Retry::Transient, &mut Traffic::default()).await
     }
 
     /// Asks a cell for one of its keyframes.
@@ -91,18 +100,6 @@ impl CellClient {
         let key = keys::cell_keyframe(&self.map, cell, Some(id));
         let request = self.request(key, placement, client, deadline)?;
         request.send::<SingleReply<KeyframeReply>>(Retry::Transient, &mut Traffic::default()).await
-    }
-
-    async fn forward<M: Message>(
-        &self,
-        key: Result<String, NameError>,
-        placement: CellPlacement,
-        query: &ForwardedQuery,
-        deadline: Instant,
-    ) -> Result<M, ClientError> {
-        let request = self.request(key, placement, &query.client, deadline)?;
-        let request = request.with_encoded(query.payload.clone(), query.encoding.clone());
-        request.send::<SingleReply<M>>(Retry::Transient, &mut Traffic::default()).await
     }
 
     fn request(

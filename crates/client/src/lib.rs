@@ -62,7 +62,7 @@ pub mod session;
 
 #[cfg(feature = "arguments")]
 pub use arguments::SessionArguments;
-pub use cell_client::{CellClient, CellPlacement, ForwardedQuery};
+pub use cell_client::{CellClient, CellPlacement, CellReply, ForwardedQuery};
 pub use error::ClientError;
 #[cfg(feature = "arguments")]
 pub use log::without_secrets;

@@ -72,6 +72,7 @@ impl Pose {
     }
 
     /// The point in the child frame (metres): `R^T (p - t)`.
+    #[inline]
     pub fn inverse_transform(&self, p_parent: &Vector3<f64>) -> Vector3<f64> {
         self.rotation.inverse_transform_vector(&(p_parent - self.translation))
     }

@@ -9,13 +9,14 @@ use geometry::camera::Camera;
 use geometry::uncertain_pose::PoseWithCovariance;
 use nalgebra::{Matrix6, Vector3};
 use protocol::{DescriptorKind, FeatureSet, KeyframeId, LandmarkId, MapIdentity};
+use serde::{Deserialize, Serialize};
 
 /// Standard deviation of a map pixel (px) where the builder of a map states no other: features are located to about a
 /// pixel.
 pub const DEFAULT_SIGMA_PX: f64 = 1.0;
 
 /// What applies to the map as a whole.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MapMetadata {
     /// A name for display; the name under which a server serves the map is given to the server.
     pub name: String,
@@ -65,7 +66,7 @@ impl MapMetadata {
 }
 
 /// One camera pose of the map.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Keyframe {
     /// Identity within the map.
     pub id: KeyframeId,
@@ -105,7 +106,7 @@ pub struct Observation {
 }
 
 /// Covariance between the pose errors of two keyframes; the errors of pairs that a map does not list are independent.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct KeyframeCrossCovariance {
     /// The keyframe of the rows. In a stored map `a < b`, see [`KeyframeCrossCovariance::ordered`].
     pub a: KeyframeId,

@@ -102,6 +102,9 @@ fn a_damaged_record_is_named_and_left_out() {
     let names: Vec<String> = stored.damaged.iter().map(ToString::to_string).collect();
     assert!(names[0].contains(&format!("keyframe {keyframe} in the map")), "{names:?}");
     assert!(names[1].contains(&format!("landmark {landmark} in the map")), "{names:?}");
+    let (mut opened, landmarks) = store::open_map(&path).unwrap();
+    landmarks.read(|landmark| opened.contents.landmarks.push(landmark)).unwrap();
+    assert_eq!((opened.damaged.len(), &opened.contents), (2, &stored.contents));
     assert!(matches!(stored.whole(), Err(StoreError::Corrupt { .. })));
     // It can be written again.
     store::save_map(&path, &contents, true).unwrap();

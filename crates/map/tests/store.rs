@@ -237,3 +237,38 @@ fn a_newer_schema_is_refused_with_both_numbers() {
     assert!(matches!(error, StoreError::Schema { found: 7, expected: 3, .. }), "{error}");
     assert!(matches!(store::save_map(&path, &small_place(9), true), Err(StoreError::Schema { .. })));
 }
+
+#[test]
+fn landmarks_that_are_read_one_at_a_time_are_those_of_the_whole_map() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("map");
+    store::save_map(&path, &small_place(5), false).unwrap();
+    let whole = read(&path);
+    let (stored, landmarks) = store::open_map(&path).unwrap();
+    assert_eq!(landmarks.count(), whole.landmarks.len());
+    let observations = whole.landmarks.iter().flat_map(|landmark| &landmark.observations);
+    let mut counts = vec![0; whole.keyframes.len()];
+    for observation in observations {
+        counts[whole.keyframes.binary_search_by_key(&observation.keyframe, |found| found.id).unwrap()] += 1;
+    }
+    assert_eq!(landmarks.observation_counts(), counts);
+    let mut contents = stored.contents;
+    assert!(contents.landmarks.is_empty());
+    landmarks.read(|landmark| contents.landmarks.push(landmark)).unwrap();
+    assert_eq!(contents, whole);
+}
+
+#[test]
+fn a_map_can_be_replaced_while_the_landmarks_of_the_former_are_read() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("map");
+    store::save_map(&path, &small_place(5), false).unwrap();
+    let former = read(&path);
+    let (_, landmarks) = store::open_map(&path).unwrap();
+    replaced(&path, &small_place(6));
+    let mut read_now = Vec::new();
+    landmarks.read(|landmark| read_now.push(landmark)).unwrap();
+    assert_eq!(read_now, former.landmarks);
+    store::open_map(&path).unwrap().1.close().unwrap();
+    assert_ne!(read(&path).landmarks, former.landmarks);
+}

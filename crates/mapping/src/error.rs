@@ -89,6 +89,17 @@ pub enum BuildError {
         /// Number of poses.
         states: usize,
     },
+    /// The camera did not move.
+    #[error(
+        "the camera moved by {moved_m:.2} m in {seconds:.0} s of odometry, too little for a second keyframe: a landmark needs two \
+         places, so record while moving through the place, or set the distance of keyframes smaller"
+    )]
+    NoMotion {
+        /// Largest distance from the first pose (m).
+        moved_m: f64,
+        /// Duration of the odometry (s).
+        seconds: f64,
+    },
     /// No pose prior lies in the time of the recording.
     #[error(
         "none of the {given} position and pose priors lies in the time of the odometry, {from_ns} to {until_ns} ns: are their \

@@ -78,6 +78,6 @@ pub use options::{BuildOptions, StoredPoses};
 pub use pipeline::build_map;
 pub use pose_priors::PosePriors;
 pub use progress::{Progress, Stage};
-pub use report::{BuildReport, Spread};
+pub use report::{BuildReport, Spread, UntrackedImages};
 pub use stereo_registration::register_stereo_images;
 pub use without_references::build_map_from_odometry;

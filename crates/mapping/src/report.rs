@@ -1,6 +1,7 @@
 //! Statistics of a built map.
 
 use protocol::KeyframeId;
+use sensors::Frame;
 use serde::Serialize;
 
 use super::keyframe_view::KeyframeView;
@@ -26,6 +27,41 @@ impl Spread {
         values.sort_by(f64::total_cmp);
         let at = |part: f64| values[((values.len() - 1) as f64 * part).round() as usize];
         Spread { mean: values.iter().sum::<f64>() / values.len() as f64, median: at(0.5), p95: at(0.95) }
+    }
+}
+
+/// Images in which next to nothing was tracked: dark or covered ones.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct UntrackedImages {
+    /// Their number.
+    pub images: usize,
+    /// Number of all images.
+    pub of: usize,
+    /// Longest stretch of them, which the IMU alone bridges (s).
+    pub longest_s: f64,
+}
+
+impl UntrackedImages {
+    /// Fewest tracks of an image that bind it to those before and after it.
+    const FEWEST_TRACKS: usize = 8;
+
+    /// Those of a recording; `None` where there are none, or no image has tracks.
+    pub(super) fn of(frames: &[Frame]) -> Option<UntrackedImages> {
+        let is_tracked = |frame: &Frame| {
+            frame.tracks.iter().filter(|track| track.camera == 0).nth(Self::FEWEST_TRACKS - 1).is_some()
+        };
+        let mut last_tracked = frames.iter().find(|frame| is_tracked(frame))?.stamp_ns;
+        let (mut images, mut longest_ns) = (0, 0);
+        for frame in frames {
+            if is_tracked(frame) {
+                last_tracked = frame.stamp_ns;
+            } else {
+                images += 1;
+                longest_ns = longest_ns.max(frame.stamp_ns - last_tracked);
+            }
+        }
+        let longest_s = longest_ns as f64 * 1e-9;
+        (images > 0).then_some(UntrackedImages { images, of: frames.len(), longest_s })
     }
 }
 
@@ -55,6 +91,8 @@ pub struct BuildReport {
     pub refused_pose_priors: usize,
     /// Factor on the stated noise of the IMU by which its readings fit the images; zero for a map from reference poses.
     pub imu_noise_scale: f64,
+    /// Images in which next to nothing was tracked; for a map from reference poses it is not looked at.
+    pub untracked_images: Option<UntrackedImages>,
     /// Observations that were dropped as outliers.
     pub dropped_observations: usize,
     /// Features that were matched in the second camera.
@@ -104,4 +142,31 @@ impl BuildReport {
 
     /// A keyframe with fewer landmarks than this does not localize a robot: PnP needs 8 inliers.
     pub const FEW_LANDMARKS: usize = 10;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use estimator::TrackObservation;
+    use nalgebra::Vector2;
+
+    #[test]
+    fn the_longest_stretch_without_tracks_is_found() {
+        let frame = |k: i64, tracks: u64| Frame {
+            stamp_ns: k * 500_000_000,
+            images: [None, None],
+            features: None,
+            tracks: (0..tracks)
+                .map(|feature_id| TrackObservation { camera: 0, feature_id, pixel: Vector2::zeros() })
+                .collect(),
+        };
+        let recording = |dark: &[i64]| -> Vec<Frame> {
+            (0..10).map(|k| frame(k, if dark.contains(&k) { 3 } else { 50 })).collect()
+        };
+        assert_eq!(UntrackedImages::of(&recording(&[])), None);
+        let found = UntrackedImages::of(&recording(&[0, 3, 4, 5, 8])).unwrap();
+        assert_eq!(found, UntrackedImages { images: 5, of: 10, longest_s: 1.5 });
+        let all: Vec<i64> = (0..10).collect();
+        assert_eq!(UntrackedImages::of(&recording(&all)), None, "features only");
+    }
 }

@@ -30,7 +30,7 @@ use super::pose_priors::{AlignedPriors, PosePriors, PriorFactor, PriorFactors, r
 use super::progress::Progress;
 use super::refinement::{Constraints, ROUNDS, covariance_of, refine_all};
 use super::relative_pose::RelativePose;
-use super::report::BuildReport;
+use super::report::{BuildReport, UntrackedImages};
 
 /// What defines G: standard deviations of yaw (rad), of the tilt that only gravity gives (rad), and of the position (m) of
 /// the first view.
@@ -71,6 +71,9 @@ pub fn build_map_from_odometry(
     let aligned = priors.aligned(odometry, &sequence.imu_samples)?;
     let odometry = aligned.as_ref().map_or(odometry, |aligned| &aligned.odometry);
     let mut builder = Builder::new(sequence, odometry, extraction, options, progress)?;
+    if builder.report.keyframes < 2 {
+        return Err(no_motion(odometry));
+    }
     if let Some(aligned) = &aligned {
         builder.use_priors(priors, aligned);
     }
@@ -83,6 +86,19 @@ pub fn build_map_from_odometry(
     assemble::fill_report(&mut report, &cameras, &views, &bundle, &contents);
     report.seconds = start.elapsed().as_secs_f64();
     Ok((contents, report))
+}
+
+fn no_motion(odometry: &Odometry) -> BuildError {
+    let mut moved_m: f64 = 0.0;
+    let mut seconds = 0.0;
+    if let Some((first_ns, first)) = odometry.states.first() {
+        for (stamp_ns, state) in &odometry.states {
+            let from_first = state.local_from_imu.translation - first.local_from_imu.translation;
+            moved_m = moved_m.max(from_first.norm());
+            seconds = (stamp_ns - first_ns) as f64 * 1e-9;
+        }
+    }
+    BuildError::NoMotion { moved_m, seconds }
 }
 
 /// What the stages share.
@@ -127,6 +143,7 @@ impl<'a, 'p> Builder<'a, 'p> {
         let mut source = FeatureSource::new(extraction, &cameras);
         let mut views = odometry.select_views(sequence, &mut source, &options, progress)?;
         let mut report = BuildReport::of_views(&views, source.unreadable);
+        report.untracked_images = UntrackedImages::of(&sequence.frames);
         let tracks = add_tracks(&mut views, &sequence.frames, &cameras[0].camera, odometry.cameras > 1);
         report.imu_noise_scale = odometry.imu_noise_scale;
         let readings = buffered(&sequence.imu_samples);

@@ -4,28 +4,51 @@
 //! what it holds.
 
 use geometry::{Camera, Pose};
-use map::model::Landmark;
+use map::model::{Landmark, Observation};
 use nalgebra::{Vector2, Vector3};
 use protocol::LandmarkId;
+use serde::{Deserialize, Serialize};
 use vision::DescriptorError;
 
 /// Smallest depth (m) at which a point counts as in front of a camera: less is a division by nearly zero.
 const MIN_DEPTH: f64 = 1e-3;
 
+/// Where a camera is and where it looks: what a search near a prior reads of every keyframe.
+#[derive(Serialize, Deserialize)]
+pub(crate) struct Viewpoint {
+    /// In G (m).
+    pub(crate) position: Vector3<f64>,
+    /// The optical axis in G, a unit vector.
+    pub(crate) axis: Vector3<f64>,
+}
+
+impl Viewpoint {
+    pub(crate) fn of(global_from_camera: &Pose) -> Viewpoint {
+        let axis = global_from_camera.rotation * Vector3::z();
+        Viewpoint { position: global_from_camera.translation, axis }
+    }
+}
+
 /// All landmarks of a map without their descriptors, and which keyframes observe each.
-#[derive(Default)]
+#[derive(Default, Serialize, Deserialize)]
 pub(crate) struct Landmarks {
+    #[serde(deserialize_with = "vision::exact")]
     pub(crate) ids: Vec<LandmarkId>,
     /// Index of the keyframe in whose camera frame the position is given.
+    #[serde(deserialize_with = "vision::exact")]
     pub(crate) anchors: Vec<u32>,
+    #[serde(deserialize_with = "vision::exact")]
     pub(crate) positions_in_anchor: Vec<Vector3<f64>>,
     pub(crate) observers: Observers,
 }
 
 /// Which keyframes observe each landmark.
+#[derive(Serialize, Deserialize)]
 pub(crate) struct Observers {
     /// Indices of the keyframes that observe landmark `at`, ascending: `keyframes[starts[at]..starts[at + 1]]`.
+    #[serde(deserialize_with = "vision::exact")]
     keyframes: Vec<u32>,
+    #[serde(deserialize_with = "vision::exact")]
     starts: Vec<u32>,
 }
 
@@ -55,14 +78,16 @@ impl Observers {
 }
 
 /// The observations of a map by keyframe, of each by landmark.
-#[derive(Default)]
+#[derive(Default, Serialize, Deserialize)]
 pub(crate) struct Observations {
     /// Those of keyframe `at` are `starts[at]..starts[at + 1]`.
+    #[serde(deserialize_with = "vision::exact")]
     starts: Vec<u32>,
+    #[serde(deserialize_with = "vision::exact")]
     landmarks: Vec<u32>,
+    #[serde(deserialize_with = "vision::exact")]
     pixels: Vec<[f32; 2]>,
-    /// In the camera frame of the keyframe (m), see [`point_in_keyframe`]; `f32` is precise to 6e-8 of the distance.
-    points: Vec<[f32; 3]>,
+    #[serde(with = "serde_bytes")]
     descriptors: Vec<u8>,
     /// Bytes in a descriptor.
     width: usize,
@@ -74,7 +99,6 @@ pub(crate) struct Observed<'a> {
     /// Index of each landmark, ascending.
     pub(crate) landmarks: &'a [u32],
     pub(crate) pixels: &'a [[f32; 2]],
-    points: &'a [[f32; 3]],
     /// Concatenated.
     pub(crate) descriptors: &'a [u8],
 }
@@ -125,27 +149,17 @@ impl Observations {
             starts,
             landmarks: vec![0; count],
             pixels: vec![[0.0; 2]; count],
-            points: vec![[0.0; 3]; count],
             descriptors: vec![0; count * width],
             width,
         })
     }
 
     /// Fills observation `at` of a keyframe.
-    pub(crate) fn set(
-        &mut self,
-        keyframe: usize,
-        at: usize,
-        landmark: u32,
-        pixel: [f32; 2],
-        point: &Vector3<f64>,
-        descriptor: &[u8],
-    ) {
+    pub(crate) fn set(&mut self, keyframe: usize, at: usize, landmark: u32, observation: &Observation) {
         let at = self.starts[keyframe] as usize + at;
         self.landmarks[at] = landmark;
-        self.pixels[at] = pixel;
-        self.points[at] = [point.x as f32, point.y as f32, point.z as f32];
-        self.descriptors[at * self.width..(at + 1) * self.width].copy_from_slice(descriptor);
+        self.pixels[at] = observation.pixel;
+        self.descriptors[at * self.width..(at + 1) * self.width].copy_from_slice(&observation.descriptor);
     }
 
     pub(crate) fn len(&self) -> usize {
@@ -158,14 +172,8 @@ impl Observations {
         Observed {
             landmarks: &self.landmarks[range.clone()],
             pixels: &self.pixels[range.clone()],
-            points: &self.points[range.clone()],
             descriptors: &self.descriptors[range.start * self.width..range.end * self.width],
         }
-    }
-
-    /// Distances between keyframes and the landmarks that they observe (m).
-    pub(crate) fn distances(&self) -> impl Iterator<Item = f32> {
-        self.points.iter().map(|[x, y, z]| (x * x + y * y + z * z).sqrt())
     }
 }
 
@@ -173,11 +181,6 @@ impl Observed<'_> {
     /// Index of observation `at`'s landmark.
     pub(crate) fn landmark(&self, at: usize) -> usize {
         self.landmarks[at] as usize
-    }
-
-    /// The landmark of observation `at` in the camera frame of the keyframe (m).
-    pub(crate) fn point(&self, at: usize) -> Vector3<f64> {
-        Vector3::from(self.points[at].map(f64::from))
     }
 
     /// Where the keyframe observes a landmark, if it does.

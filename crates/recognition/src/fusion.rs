@@ -230,9 +230,8 @@ impl Problem<'_> {
             let keyframe = &self.map.keyframes[verified.keyframe];
             let pose_error: Vector6<f64> = state.errors.fixed_rows::<6>(6 * number).into_owned();
             let global_from_keyframe = keyframe.global_from_keyframe.pose.retract(&pose_error);
-            for found in &verified.matches {
-                let point = self.map.observed_point(verified.keyframe, found.train);
-                let in_global = global_from_keyframe.transform(&point);
+            for (found, point) in verified.matches.iter().zip(&verified.points) {
+                let in_global = global_from_keyframe.transform(point);
                 let in_camera = state.global_from_camera.inverse_transform(&in_global);
                 let Ok((pixel, by_point)) = self.image.camera.project_with_jacobian(&in_camera) else {
                     continue;
@@ -240,7 +239,7 @@ impl Problem<'_> {
                 let observed = Vector2::from(self.image.features.pixels[found.query].map(f64::from));
                 let error = observed - pixel;
                 let (by_pose, by_global) = state.global_from_camera.inverse_transform_jacobians(&in_global);
-                let (by_error, _) = global_from_keyframe.transform_jacobians(&point);
+                let (by_error, _) = global_from_keyframe.transform_jacobians(point);
                 residuals.push(MatchResidual {
                     feature: found.query,
                     keyframe: number,

@@ -7,6 +7,7 @@
 
 use protocol::DescriptorKind;
 use sensors::metric_of;
+use serde::{Deserialize, Serialize};
 use vision::{
     DescriptorError, DescriptorView, Hit, InvertedFile, MatchOptions, Metric, prototype_descriptors,
 };
@@ -27,11 +28,32 @@ const MAX_VOTED: usize = 32;
 pub(crate) const FULL_VOTE: u64 = 1 << 20;
 
 /// The landmarks of a map by their descriptors.
+#[derive(Serialize, Deserialize)]
 pub(crate) struct LandmarkIndex {
     /// Prototype descriptors with the index of their landmark.
     prototypes: InvertedFile,
     /// Largest distance at which a query feature votes.
     max_distance: f32,
+}
+
+/// Some of the landmarks of a map, a bit each: a search asks for every descriptor in the lists that it probes.
+pub(crate) struct LandmarkSet {
+    words: Vec<u64>,
+}
+
+impl LandmarkSet {
+    /// No landmark of so many.
+    pub(crate) fn empty(landmarks: usize) -> LandmarkSet {
+        LandmarkSet { words: vec![0; landmarks.div_ceil(64)] }
+    }
+
+    pub(crate) fn insert(&mut self, landmark: u32) {
+        self.words[landmark as usize / 64] |= 1 << (landmark % 64);
+    }
+
+    fn contains(&self, landmark: u32) -> bool {
+        self.words[landmark as usize / 64] >> (landmark % 64) & 1 == 1
+    }
 }
 
 /// The votes for one keyframe.
@@ -117,6 +139,11 @@ impl LandmarkIndexBuilder {
 }
 
 impl LandmarkIndex {
+    /// An index without landmarks.
+    pub(crate) fn empty(kind: DescriptorKind, width: usize) -> Result<LandmarkIndex, DescriptorError> {
+        LandmarkIndexBuilder::new(kind, width, 0).build()
+    }
+
     /// Votes for each of `keyframe_count` keyframes.
     pub(crate) fn vote(
         &self,
@@ -135,16 +162,16 @@ impl LandmarkIndex {
     /// of `n` of these gives a vote of weight `1/n`.
     ///
     /// # Arguments
-    /// * `among`: for each landmark, whether it counts.
+    /// * `among`: those that count.
     pub(crate) fn vote_among(
         &self,
         query: DescriptorView<'_>,
         observers: &Observers,
         keyframe_count: usize,
-        among: &[bool],
+        among: &LandmarkSet,
     ) -> Result<Vec<Votes>, DescriptorError> {
         let mut votes = vec![Votes::default(); keyframe_count];
-        let asked_for = |landmark: u32| among[landmark as usize];
+        let asked_for = |landmark: u32| among.contains(landmark);
         self.prototypes.search_among(query, self.max_distance, asked_for, |feature, hits| {
             cast_votes(feature, hits, observers, &mut votes);
         })?;
@@ -250,16 +277,18 @@ mod tests {
         let mut random = StdRng::seed_from_u64(3);
         let (index, observers, looks) = random_index(&mut random);
         let query = DescriptorView::new(Metric::Hamming, 32, &looks).unwrap();
-        let among: Vec<bool> = (0..200).map(|_| random.random_bool(0.2)).collect();
+        let mut among = LandmarkSet::empty(200);
+        (0..200).filter(|_| random.random_bool(0.2)).for_each(|landmark| among.insert(landmark));
         let mut slow = vec![Votes::default(); KEYFRAMES];
         let search = index.prototypes.search(query, index.max_distance, |feature, hits| {
-            let hits: Vec<Hit> = hits.iter().copied().filter(|hit| among[hit.payload as usize]).collect();
+            let hits: Vec<Hit> = hits.iter().copied().filter(|hit| among.contains(hit.payload)).collect();
             cast_votes(feature, &hits, &observers, &mut slow);
         });
         search.unwrap();
         assert_eq!(index.vote_among(query, &observers, KEYFRAMES, &among).unwrap(), slow);
         assert!(slow.iter().any(|votes| votes.features > 0));
-        let all = vec![true; 200];
+        let mut all = LandmarkSet::empty(200);
+        (0..200).for_each(|landmark| all.insert(landmark));
         let votes = index.vote(query, &observers, KEYFRAMES).unwrap();
         assert_eq!(index.vote_among(query, &observers, KEYFRAMES, &all).unwrap(), votes);
     }

@@ -8,7 +8,7 @@ use std::collections::HashSet;
 use geometry::{Camera, PoseWithCovariance};
 use nalgebra::{Vector2, Vector3};
 use protocol::{KeyframeId, LandmarkId, LocalizeReply, LocalizeRequest};
-use vision::{Match, MatchOptions, match_descriptors};
+use vision::{Match, MatchOptions, Matcher};
 
 use super::consensus::{Consensus, find_consensus};
 use super::index::{Votes, best_voted};
@@ -218,9 +218,9 @@ impl Inspector<'_> {
     fn keyframe(&self, at: usize) -> Result<(InspectedKeyframe, Comparison), QueryError> {
         let keyframe = &self.map.keyframes[at];
         let match_options = MatchOptions::for_metric(self.map.metric());
-        let matches =
-            match_descriptors(self.image.descriptors, self.map.descriptors_of(at)?, &match_options)?;
-        let comparison = compare(self.map, at, &self.image, None, self.options)?;
+        let mut matcher = Matcher::new(self.image.descriptors);
+        let matches = matcher.matches(self.map.descriptors_of(at)?, &match_options)?;
+        let comparison = compare(self.map, at, &self.image, &mut matcher, None, self.options)?;
         let (verdict, found) = match &comparison {
             Comparison::TooFewMatches { .. } => (KeyframeVerdict::TooFewMatches, None),
             Comparison::NoPose { .. } => (KeyframeVerdict::NoPose, None),

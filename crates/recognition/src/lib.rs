@@ -14,7 +14,7 @@
 //! | `parts` | do parts that were searched by themselves agree? | one of them, or none |
 //! | `inspection` | all intermediate results | for diagnosis |
 //!
-//! [`LoadedMap`] holds a map in memory (`loaded_map`, `elements`) and answers the queries (`query`, `search`).
+//! [`LoadedMap`] holds a map in memory (`loaded_map`, `loading`, `elements`) and answers the queries (`query`, `search`).
 //!
 //! A prior pose restricts the candidates to keyframes near it that do not look the other way, and ends their comparison
 //! once enough of them agree with it. A wrong prior costs time, never the answer: where no keyframe near it is verified,
@@ -28,10 +28,12 @@ mod answer;
 mod coarse;
 mod consensus;
 mod elements;
+mod frozen;
 mod fusion;
 mod index;
 mod inspection;
 mod loaded_map;
+mod loading;
 mod options;
 mod parts;
 mod place;
@@ -42,6 +44,7 @@ mod search;
 mod verification;
 
 pub use coarse::{CoarseIndex, CoarseIndexBuilder, RankedPart};
+pub use frozen::FrozenError;
 pub use inspection::{InspectedKeyframe, InspectedMatch, Inspection, KeyframeVerdict};
 pub use loaded_map::{LoadError, LoadedMap};
 pub use options::RecognitionOptions;

@@ -1,14 +1,18 @@
 //! A map in memory, indexed for queries.
 
+use std::path::Path;
+
 use nalgebra::{Matrix6, Vector3};
 use protocol::{KeyframeId, MapIdentity};
+use serde::{Deserialize, Serialize};
 use vision::{DescriptorError, DescriptorView, Metric};
 
-use super::elements::{Landmarks, Observations, point_in_keyframe};
-use super::index::{LandmarkIndex, LandmarkIndexBuilder};
+use super::elements::{Landmarks, Observations, Viewpoint, point_in_keyframe};
+use super::index::LandmarkIndex;
+use super::loading::MapLoader;
 use map::contents::{ContentsError, MapContents};
 use map::model::{Keyframe, KeyframeCrossCovariance, Landmark, MapMetadata};
-use map::store::StoredMap;
+use map::store::{self, StoreError, StoredLandmarks, StoredMap};
 
 /// A map in memory, indexed for queries. It is immutable: a new version of the map is a new `LoadedMap`.
 ///
@@ -23,24 +27,34 @@ use map::store::StoredMap;
 /// assert_eq!((map.keyframe_count(), map.landmark_count()), (0, 0));
 /// # Ok::<(), recognition::LoadError>(())
 /// ```
+#[derive(Serialize, Deserialize)]
 pub struct LoadedMap {
     pub(crate) info: MapMetadata,
     pub(crate) identity: MapIdentity,
     /// By id, without their features.
+    #[serde(deserialize_with = "vision::exact")]
     pub(crate) keyframes: Vec<Keyframe>,
+    /// Of the keyframes, in the same order.
+    #[serde(deserialize_with = "vision::exact")]
+    pub(crate) viewpoints: Vec<Viewpoint>,
     pub(crate) landmarks: Landmarks,
     pub(crate) observations: Observations,
     /// By (a, b), `a < b`. Of a part of a map also those with keyframes of other parts.
-    cross_covariances: Vec<KeyframeCrossCovariance>,
+    #[serde(deserialize_with = "vision::exact")]
+    pub(crate) cross_covariances: Vec<KeyframeCrossCovariance>,
     pub(crate) index: LandmarkIndex,
-    viewing_distance: f64,
-    damaged: usize,
+    /// Median distance between keyframes and the landmarks that they observe (m).
+    pub(crate) viewing_distance: f64,
+    pub(crate) damaged: usize,
 }
 
 /// Why a map cannot be loaded.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum LoadError {
+    /// The map cannot be read.
+    #[error(transparent)]
+    Store(#[from] StoreError),
     /// The map violates an invariant of maps.
     #[error("the map is invalid: {0}")]
     Invalid(#[from] ContentsError),
@@ -50,16 +64,41 @@ pub enum LoadError {
 }
 
 impl LoadedMap {
-    /// Indexes a map that was read from a database. Damaged records are logged and left out: a robot can still localize
-    /// with the rest.
+    /// Reads the map in a folder and indexes it. Damaged records of maps of older schemas are logged and left out: a robot can
+    /// still localize with the rest.
+    ///
+    /// The landmarks are read one at a time, so that the map is never in memory twice.
     ///
     /// # Errors
-    /// [`LoadError`] where what could be read is not a map.
-    pub fn load(stored: StoredMap) -> Result<LoadedMap, LoadError> {
+    /// [`LoadError::Store`] where it cannot be read, and those of [`LoadedMap::from_contents`] where what could be read is not
+    /// a map.
+    pub fn read(path: impl AsRef<Path>) -> Result<LoadedMap, LoadError> {
+        let (stored, landmarks) = store::open_map(path)?;
+        LoadedMap::load(stored, landmarks)
+    }
+
+    /// Indexes a map whose landmarks are still to be read, see [`LoadedMap::read`].
+    ///
+    /// # Errors
+    /// As [`LoadedMap::read`].
+    pub fn load(stored: StoredMap, landmarks: StoredLandmarks) -> Result<LoadedMap, LoadError> {
         for error in &stored.damaged {
             tracing::error!("{error}; it is left out");
         }
-        let mut map = LoadedMap::from_contents(stored.contents)?;
+        let contents = stored.contents;
+        contents.validate()?;
+        // A stored map has one.
+        let identity = contents.info.identity.unwrap_or_else(|| contents.digest());
+        let mut loader =
+            MapLoader::new(contents, identity, landmarks.count(), landmarks.observation_counts())?;
+        let mut added = Ok(());
+        landmarks.read(|landmark| {
+            if added.is_ok() {
+                added = loader.add(&landmark);
+            }
+        })?;
+        added?;
+        let mut map = loader.finish()?;
         map.damaged = stored.damaged.len();
         Ok(map)
     }
@@ -87,69 +126,13 @@ impl LoadedMap {
         contents.cross_covariances.extend(far_cross_covariances);
         contents.sort();
         let identity = contents.info.identity.unwrap_or_else(|| contents.digest());
-        let MapContents { info, mut keyframes, landmarks, mut cross_covariances } = contents;
-        for keyframe in &mut keyframes {
-            keyframe.features = None;
-        }
-        keyframes.shrink_to_fit();
-        cross_covariances.shrink_to_fit();
-        let (kind, width) = (info.descriptor_kind, usize::from(info.descriptor_width));
-        let observation_count = landmarks.iter().map(|landmark| landmark.observations.len()).sum();
-        let mut map = LoadedMap {
-            index: LandmarkIndexBuilder::new(kind, width, 0).build()?,
-            info: MapMetadata { identity: Some(identity), ..info },
-            identity,
-            landmarks: Landmarks::with_capacity(landmarks.len(), observation_count),
-            observations: Observations::default(),
-            keyframes,
-            cross_covariances,
-            viewing_distance: 0.0,
-            damaged: 0,
-        };
-        map.add_landmarks(&landmarks)?;
-        let mut builder = LandmarkIndexBuilder::new(kind, width, landmarks.len());
-        for (at, landmark) in landmarks.into_iter().enumerate() {
-            builder.add(at, &landmark.observations)?;
-        }
-        map.index = builder.build()?;
-        map.viewing_distance = map.median_distance();
-        Ok(map)
-    }
-
-    /// Adds all landmarks and their observations. The map is valid, so that every keyframe that they name exists.
-    fn add_landmarks(&mut self, landmarks: &[Landmark]) -> Result<(), DescriptorError> {
-        u32::try_from(landmarks.len()).map_err(|_| DescriptorError::Full)?;
-        let mut counts = vec![0_u32; self.keyframes.len()];
-        for observation in landmarks.iter().flat_map(|landmark| &landmark.observations) {
-            if let Some(keyframe) = self.index_of(observation.keyframe) {
-                counts[keyframe] += 1;
-            }
-        }
-        let width = usize::from(self.info.descriptor_width);
-        self.observations = Observations::with_counts(counts.iter().copied(), width)?;
-        counts.fill(0);
+        let landmarks = std::mem::take(&mut contents.landmarks);
+        let counts = observation_counts(&contents.keyframes, &landmarks);
+        let mut loader = MapLoader::new(contents, identity, landmarks.len(), &counts)?;
         for landmark in landmarks {
-            let Some(anchor) = self.index_of(landmark.anchor) else { continue };
-            let global_from_anchor = &self.keyframes[anchor].global_from_keyframe.pose;
-            let position_in_global = global_from_anchor.transform(&landmark.position_in_anchor);
-            let mut observers = Vec::with_capacity(landmark.observations.len());
-            for observation in &landmark.observations {
-                let Some(at) = self.index_of(observation.keyframe) else { continue };
-                let Keyframe { global_from_keyframe, camera, .. } = &self.keyframes[at];
-                let (pixel, descriptor) = (observation.pixel, &observation.descriptor);
-                let point = if at == anchor {
-                    landmark.position_in_anchor
-                } else {
-                    point_in_keyframe(camera, &global_from_keyframe.pose, &position_in_global, pixel)
-                };
-                let number = self.landmarks.len() as u32;
-                self.observations.set(at, counts[at] as usize, number, pixel, &point, descriptor);
-                counts[at] += 1;
-                observers.push(at as u32);
-            }
-            self.landmarks.push(landmark, anchor as u32, observers.into_iter());
+            loader.add_valid(&landmark)?;
         }
-        Ok(())
+        loader.finish()
     }
 
     /// The map as a whole.
@@ -238,24 +221,31 @@ impl LoadedMap {
         DescriptorView::new(self.metric(), usize::from(self.info.descriptor_width), bytes)
     }
 
-    fn median_distance(&self) -> f64 {
-        let mut distances: Vec<f32> = self.observations.distances().collect();
-        if distances.is_empty() {
-            return 0.0;
-        }
-        let middle = distances.len() / 2;
-        f64::from(*distances.select_nth_unstable_by(middle, f32::total_cmp).1)
-    }
-
     /// The landmark of observation `at` of a keyframe, in the keyframe's camera frame (m): as the map gives it where the
-    /// keyframe is its anchor.
+    /// keyframe is its anchor, else see [`point_in_keyframe`].
     pub(crate) fn observed_point(&self, keyframe: usize, at: usize) -> Vector3<f64> {
         let observed = self.observations.of(keyframe);
         let landmark = observed.landmark(at);
-        if self.landmarks.anchors[landmark] as usize == keyframe {
-            self.landmarks.positions_in_anchor[landmark]
-        } else {
-            observed.point(at)
+        let anchor = self.landmarks.anchors[landmark] as usize;
+        let position_in_anchor = &self.landmarks.positions_in_anchor[landmark];
+        if anchor == keyframe {
+            return *position_in_anchor;
+        }
+        let in_global = self.keyframes[anchor].global_from_keyframe.pose.transform(position_in_anchor);
+        let Keyframe { global_from_keyframe, camera, .. } = &self.keyframes[keyframe];
+        // Rounded to `f32`, 6e-8 of the distance.
+        point_in_keyframe(camera, &global_from_keyframe.pose, &in_global, observed.pixels[at])
+            .map(|number| f64::from(number as f32))
+    }
+}
+
+/// How many observations each keyframe has. The map is valid, so that every keyframe that they name exists.
+fn observation_counts(keyframes: &[Keyframe], landmarks: &[Landmark]) -> Vec<u32> {
+    let mut counts = vec![0_u32; keyframes.len()];
+    for observation in landmarks.iter().flat_map(|landmark| &landmark.observations) {
+        if let Ok(at) = keyframes.binary_search_by_key(&observation.keyframe, |keyframe| keyframe.id) {
+            counts[at] = counts[at].saturating_add(1);
         }
     }
+    counts
 }

@@ -3,6 +3,7 @@
 use geometry::{Camera, PoseWithCovariance};
 use nalgebra::Vector3;
 use protocol::{FeatureSet, KeyframeId, LandmarkId};
+use vision::Matcher;
 
 use super::index::best_voted;
 use super::loaded_map::LoadedMap;
@@ -45,9 +46,12 @@ impl LoadedMap {
         let image = Image { camera, features, descriptors: self.view(features)?, gravity_in_camera };
         let votes = self.index.vote(image.descriptors, &self.landmarks.observers, self.keyframes.len())?;
         let is_eligible = |at: usize| eligible(self.keyframes[at].id);
+        let mut matcher = Matcher::new(image.descriptors);
         let mut places = Vec::new();
         for candidate in best_voted(&votes, options.candidates, options.min_votes, is_eligible) {
-            if let Comparison::Verified(found) = compare(self, candidate, &image, None, options)? {
+            if let Comparison::Verified(found) =
+                compare(self, candidate, &image, &mut matcher, None, options)?
+            {
                 let observed = self.observations.of(candidate);
                 let landmark = |at: usize| self.landmarks.ids[observed.landmark(at)];
                 places.push(VerifiedPlace {

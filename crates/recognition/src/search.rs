@@ -3,17 +3,17 @@
 use geometry::{Camera, PoseWithCovariance};
 use nalgebra::Vector3;
 use protocol::{FeatureSet, MatchOutcome, PosePrior};
-use vision::{DescriptorError, DescriptorView};
+use vision::{DescriptorError, DescriptorView, Matcher};
 
 use super::consensus::{Consensus, find_consensus, is_consistent};
-use super::index::{Votes, best_voted};
+use super::elements::Viewpoint;
+use super::index::{LandmarkSet, Votes, best_voted};
 use super::loaded_map::LoadedMap;
 use super::options::RecognitionOptions;
 use super::place::RecognizedPlace;
 use super::query::QueryError;
 use super::report::{Candidate, SearchReport};
 use super::verification::{Comparison, Image, VerifiedKeyframe, compare, distinct_features};
-use map::model::Keyframe;
 
 /// How many standard deviations of the prior's position a keyframe may be away, beyond the viewing distance.
 const PRIOR_SIGMAS: f64 = 3.0;
@@ -129,13 +129,12 @@ impl LoadedMap {
         let radius = prior_radius(prior) + self.viewing_distance();
         let angle = MAX_VIEW_ANGLE + PRIOR_SIGMAS * largest_sigma(prior, 0);
         let least_cosine = angle.min(std::f64::consts::PI).cos();
-        let axis = prior.pose.rotation * Vector3::z();
-        let is_near = |keyframe: &Keyframe| {
-            let pose = &keyframe.global_from_keyframe.pose;
-            (pose.translation - prior.pose.translation).norm() <= radius
-                && (pose.rotation * Vector3::z()).dot(&axis) >= least_cosine
+        let wanted = Viewpoint::of(&prior.pose);
+        let is_near = |viewpoint: &Viewpoint| {
+            (viewpoint.position - wanted.position).norm() <= radius
+                && viewpoint.axis.dot(&wanted.axis) >= least_cosine
         };
-        self.keyframes.iter().map(is_near).collect()
+        self.viewpoints.iter().map(is_near).collect()
     }
 
     /// The votes for keyframes near a prior. Where these are few, some of the features vote, and only the landmarks that
@@ -149,9 +148,9 @@ impl LoadedMap {
         if few.len() * FEW_KEYFRAMES > near.len() {
             return self.index.vote(descriptors, &self.landmarks.observers, self.keyframes.len());
         }
-        let mut among = vec![false; self.landmarks.len()];
+        let mut among = LandmarkSet::empty(self.landmarks.len());
         for landmark in few.iter().flat_map(|&keyframe| self.observations.of(keyframe).landmarks) {
-            among[*landmark as usize] = true;
+            among.insert(*landmark);
         }
         let step = descriptors.len().div_ceil(VOTERS_NEAR_PRIOR).max(1);
         let voters: Vec<u8> = descriptors.iter().step_by(step).flatten().copied().collect();
@@ -179,6 +178,7 @@ impl LoadedMap {
         sufficient: &Sufficient<'_>,
         options: &RecognitionOptions,
     ) -> Result<Search, QueryError> {
+        let mut matcher = Matcher::new(image.descriptors);
         let mut verified: Vec<VerifiedKeyframe> = Vec::new();
         let mut outcome = MatchOutcome::NoMatch;
         // Whether a keyframe may share a field of view with those that are sufficient.
@@ -194,7 +194,7 @@ impl LoadedMap {
                 continue;
             }
             let first = verified.first().map(|first| &first.global_from_camera.pose);
-            let comparison = compare(self, candidate, image, first, options)?;
+            let comparison = compare(self, candidate, image, &mut matcher, first, options)?;
             report.note(&comparison);
             match comparison {
                 Comparison::TooFewMatches { .. } => {}

@@ -4,7 +4,7 @@ use geometry::pnp::{Correspondence, Gravity, PnpError, PnpSolution, RansacOption
 use geometry::{Camera, Pose, PoseWithCovariance};
 use nalgebra::{Vector2, Vector3};
 use protocol::FeatureSet;
-use vision::{DescriptorError, DescriptorView, Match, MatchOptions, match_descriptors};
+use vision::{DescriptorError, DescriptorView, Match, MatchOptions, Matcher};
 
 use super::loaded_map::LoadedMap;
 use super::options::RecognitionOptions;
@@ -39,6 +39,8 @@ pub(crate) struct VerifiedKeyframe {
     pub(crate) inliers: Vec<Match>,
     /// All matches before verification.
     pub(crate) matches: Vec<Match>,
+    /// The landmark of each match in the keyframe's camera frame (m).
+    pub(crate) points: Vec<Vector3<f64>>,
     /// The camera in G, with the uncertainty of the keyframe and of the pixels.
     pub(crate) global_from_camera: PoseWithCovariance,
     /// Mean reprojection error of the inliers (px).
@@ -64,17 +66,19 @@ pub(crate) enum Comparison {
 /// uncertain, so a pose from pixels alone is tried if that fails.
 ///
 /// # Arguments
+/// * `matcher`: of the image's descriptors.
 /// * `expected`: `global_from_camera` as estimated from another keyframe of the map. Where it explains most of the
 ///   matches, RANSAC is skipped; where it does not, it is ignored.
 pub(crate) fn compare(
     map: &LoadedMap,
     keyframe: usize,
     image: &Image<'_>,
+    matcher: &mut Matcher,
     expected: Option<&Pose>,
     options: &RecognitionOptions,
 ) -> Result<Comparison, DescriptorError> {
     let match_options = MatchOptions::for_metric(map.metric());
-    let matches = match_descriptors(image.descriptors, map.descriptors_of(keyframe)?, &match_options)?;
+    let matches = matcher.matches(map.descriptors_of(keyframe)?, &match_options)?;
     if matches.len() < options.min_inliers {
         return Ok(Comparison::TooFewMatches { matches: matches.len() });
     }
@@ -108,6 +112,7 @@ pub(crate) fn compare(
         keyframe,
         inliers: solution.inliers.iter().map(|&inlier| matches[inlier]).collect(),
         matches,
+        points: correspondences.iter().map(|correspondence| correspondence.point).collect(),
         global_from_camera: global_from_keyframe.compose(&keyframe_from_camera),
         mean_error_px: solution.mean_error_px,
     })))

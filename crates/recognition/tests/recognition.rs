@@ -4,7 +4,7 @@
 use std::collections::{HashMap, HashSet};
 
 use geometry::{Pose, PoseWithCovariance};
-use map::{KeyframeCrossCovariance, MapContents, store};
+use map::{KeyframeCrossCovariance, MapContents};
 use nalgebra::{Matrix6, Vector3, Vector6};
 use protocol::{
     DescriptorFormat, DescriptorKind, Descriptors, FeatureSet, LocalizeRequest, MatchOutcome, MatchReply,
@@ -454,7 +454,7 @@ fn a_map_that_is_damaged_in_places_is_still_served() {
         }
     });
 
-    let map = LoadedMap::load(store::load_map(&path).unwrap()).unwrap();
+    let map = LoadedMap::read(&path).unwrap();
     assert_eq!((map.damaged_records(), map.keyframe_count()), (1, place.map.keyframes.len() - 1));
     let request = place.request(&place.camera_at(10.0, 0.0, 0.0), 2, &mut StdRng::seed_from_u64(21));
     assert_eq!(ask(&map, &request).1.outcome, MatchOutcome::Matched);

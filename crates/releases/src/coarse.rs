@@ -78,9 +78,9 @@ impl CoarseCell {
     }
 
     pub(crate) fn encode(self) -> Result<Vec<u8>, RecordError> {
+        let Self { keyframes, positions, landmarks } = self;
         let (descriptors, observers) =
-            self.landmarks.iter().cloned().map(|landmark| (landmark.descriptor, landmark.observers)).unzip();
-        let Self { keyframes, positions, .. } = self;
+            landmarks.into_iter().map(|landmark| (landmark.descriptor, landmark.observers)).unzip();
         let record = CoarseRecord { keyframes, positions, descriptors, observers };
         Ok([MAGIC, &seal(TABLE, &[], &record)?].concat())
     }

@@ -47,6 +47,12 @@ pub enum ReleaseError {
         /// Identity of the published one.
         published: MapIdentity,
     },
+    /// Nothing was published there.
+    #[error("{place} has no release: publish one with driftless publish-map --to {place}")]
+    Empty {
+        /// The store.
+        place: String,
+    },
     /// There is no release of that number.
     #[error("{place} has no release {number}")]
     NoRelease {

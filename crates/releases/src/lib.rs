@@ -21,6 +21,7 @@
 //! | [`store`] | the object store |
 //! | [`publish`](mod@publish) | publishing a map, going back to a former release |
 //! | [`fetch`](mod@fetch) | the map of a release or single cells of it, every byte verified |
+//! | [`source`] | a store with its cache, as a server has them |
 //! | [`cache`] | segments and the newest release, kept on disk |
 //! | [`clean`](mod@clean) | removing what no release needs |
 //!
@@ -59,6 +60,7 @@ pub mod publish;
 pub mod release;
 mod segment;
 pub mod signing;
+pub mod source;
 pub mod store;
 
 pub use cache::ReleaseCache;
@@ -73,4 +75,5 @@ pub use release::{Release, ReleaseDifference, ReleasedCell, ReleasedMap, Segment
 pub use signing::ReleaseKey;
 #[cfg(feature = "signing")]
 pub use signing::SigningKey;
+pub use source::ReleaseSource;
 pub use store::ReleaseStore;

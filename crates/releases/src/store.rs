@@ -77,6 +77,21 @@ impl ReleaseStore {
         })
     }
 
+    /// A store of one's own, with the releases at its root.
+    ///
+    /// # Arguments
+    /// * `place`: its name in messages.
+    pub fn over(store: Arc<dyn ObjectStore>, place: &str) -> Self {
+        Self {
+            store,
+            root: Path::default(),
+            place: place.to_owned(),
+            key: None,
+            #[cfg(feature = "signing")]
+            signing: None,
+        }
+    }
+
     /// The same store, whose releases are read only if they are signed with a key.
     #[must_use]
     pub fn signed_with(self, key: ReleaseKey) -> Self {

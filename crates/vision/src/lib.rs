@@ -25,6 +25,6 @@ pub use image::{
     Equalization, GrayImage, ImageError, LocalEqualization, Pyramid, RawImage, equalize, equalize_locally,
 };
 pub use matching::{
-    DescriptorError, DescriptorView, Hit, InvertedFile, Match, MatchOptions, Metric, distance, hamming,
-    match_descriptors, match_grouped, prototype_descriptors,
+    DescriptorError, DescriptorView, Hit, InvertedFile, Match, MatchOptions, Matcher, Metric, distance,
+    exact, hamming, match_descriptors, match_grouped, prototype_descriptors,
 };

@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used, missing_docs)]
 
 use rand::{RngExt, SeedableRng, rngs::StdRng};
-use vision::{DescriptorView, InvertedFile, MatchOptions, Metric, distance, match_descriptors};
+use vision::{DescriptorView, InvertedFile, MatchOptions, Matcher, Metric, distance, match_descriptors};
 
 /// Widths below, at and beside those that have loops of their own.
 const WIDTHS: [(Metric, &[usize]); 4] = [
@@ -54,6 +54,31 @@ fn matching_finds_the_nearest_by_the_definition_at_every_width_and_count() {
             }
         }
     }
+}
+
+#[test]
+fn a_matcher_that_was_used_finds_what_a_new_one_finds() {
+    let anything = MatchOptions { max_distance: f32::MAX, ratio: None, mutual: true };
+    let mut random = StdRng::seed_from_u64(4);
+    for (metric, widths) in WIDTHS {
+        for &width in widths {
+            let query = descriptors(metric, width, 21, &mut random);
+            let query = DescriptorView::new(metric, width, &query).unwrap();
+            let mut used = Matcher::new(query);
+            // Fewer and more than before, and none.
+            for count in [70, 3, 0, 17, 64, 16] {
+                let train = descriptors(metric, width, count, &mut random);
+                let train = DescriptorView::new(metric, width, &train).unwrap();
+                let matches = used.matches(train, &anything).unwrap();
+                assert_eq!(matches, match_descriptors(query, train, &anything).unwrap());
+                // The nearest pair of all is mutual.
+                assert_eq!(matches.is_empty(), count == 0, "{metric:?} {width} {count}");
+            }
+        }
+    }
+    let narrow = DescriptorView::new(Metric::Hamming, 8, &[0; 8]).unwrap();
+    let wide = DescriptorView::new(Metric::Hamming, 16, &[0; 16]).unwrap();
+    assert!(Matcher::new(narrow).matches(wide, &anything).is_err());
 }
 
 #[test]

@@ -5,17 +5,16 @@ use std::sync::Arc;
 
 use client::CellClient;
 use protocol::keys;
-use recognition::LoadedMap;
 use releases::CellId;
 use zenoh::liveliness::LivelinessToken;
 use zenoh::query::{Query, Queryable};
 
+use super::stored_cell::{CellSlot, StoredCell};
 use crate::error::ServeError;
-use crate::handlers::Kind;
 use crate::host::Host;
+use crate::kind::{CellKind, Kind};
 use crate::queue::{Job, Target};
 use crate::routing::{CellDirectory, RoutedMap};
-use crate::served_map::MapSlot;
 
 /// A map that is served by cells. What it declared is undeclared when it is dropped.
 pub(crate) struct CellMap {
@@ -28,7 +27,7 @@ pub(crate) struct CellMap {
 }
 
 struct HeldCell {
-    slot: Arc<MapSlot>,
+    slot: Arc<CellSlot>,
     // In the order in which they are undeclared.
     _token: LivelinessToken,
     _queryables: Vec<Queryable<()>>,
@@ -49,7 +48,7 @@ impl CellMap {
         for kind in Kind::ALL {
             let (queue, routed) = (Arc::clone(&host.queue), Arc::clone(&routed));
             let callback = move |query: Query| {
-                queue.put(Job::new(query, kind, Target::Routed(Arc::clone(&routed))));
+                queue.put(Job::new(query, Target::Routed(kind, Arc::clone(&routed))));
             };
             let queryable = host.session.declare_queryable(kind.key(name)?).callback(callback);
             queryables.push(queryable.complete(true).await?);
@@ -69,17 +68,16 @@ impl CellMap {
     }
 
     /// Serves a cell from now on.
-    pub(crate) async fn add(&mut self, cell: CellId, map: Arc<LoadedMap>) -> Result<(), ServeError> {
+    pub(crate) async fn add(&mut self, cell: CellId, stored: Arc<StoredCell>) -> Result<(), ServeError> {
         let name = &self.routed.name;
-        let slot = Arc::new(MapSlot::of_cell(name, cell, map));
+        let slot = Arc::new(CellSlot::new(name, cell, stored));
         let mut queryables = Vec::new();
-        for kind in Kind::OF_CELLS {
+        for kind in CellKind::ALL {
             let (queue, slot) = (Arc::clone(&self.host.queue), Arc::clone(&slot));
             let callback = move |query: Query| {
-                queue.put(Job::new(query, kind, Target::Map(Arc::clone(&slot))));
+                queue.put(Job::new(query, Target::Cell(kind, Arc::clone(&slot))));
             };
-            let queryable =
-                self.host.session.declare_queryable(kind.cell_key(name, cell)?).callback(callback);
+            let queryable = self.host.session.declare_queryable(kind.key(name, cell)?).callback(callback);
             queryables.push(queryable.complete(true).await?);
         }
         let key = keys::cell_holder(name, Some(cell), Some(&self.host.server))?;
@@ -94,6 +92,7 @@ impl CellMap {
         if let Some(held) = self.held.remove(&cell) {
             self.routed.set_here(self.cells());
             drop(held);
+            self.host.memory.note_gone();
         }
     }
 
@@ -110,7 +109,7 @@ impl CellMap {
     pub(crate) async fn change_over(
         &mut self,
         directory: Arc<CellDirectory>,
-        cells: BTreeMap<CellId, Arc<LoadedMap>>,
+        cells: BTreeMap<CellId, Arc<StoredCell>>,
         version: LivelinessToken,
     ) -> Result<(), ServeError> {
         for cell in self.cells().into_iter().filter(|cell| !cells.contains_key(cell)) {
@@ -118,16 +117,20 @@ impl CellMap {
         }
         self.host.metrics.note_map(&self.routed.name, directory.keyframe_count(), directory.version());
         let mut new = Vec::new();
-        for (cell, map) in cells {
+        for (cell, stored) in cells {
             match self.held.get(&cell) {
-                Some(held) => drop(held.slot.replace(map)),
-                None => new.push((cell, map)),
+                Some(held) => {
+                    let former = held.slot.replace(Arc::clone(&stored));
+                    stored.warm_up(&former);
+                }
+                None => new.push((cell, stored)),
             }
         }
+        self.host.memory.note_gone();
         self.routed.set_directory(directory);
         self.version = version;
-        for (cell, map) in new {
-            self.add(cell, map).await?;
+        for (cell, stored) in new {
+            self.add(cell, stored).await?;
         }
         Ok(())
     }

@@ -17,12 +17,20 @@
 //! |---|---|
 //! | `assignment` | which cells a server is to have |
 //! | `cell_map` | the cells that a server has, declared and replaced |
+//! | `memory` | how much memory cells may take, and which of them have it |
+//! | `stored_cell` | one cell, in memory or on disk |
+//! | `cold_file` | the file of a cell that is not in memory |
 //! | `tokens` | liveliness tokens of others |
 //! | [`service`] | follows releases and the other servers |
 
 mod assignment;
 mod cell_map;
+mod cold_file;
+mod memory;
 pub mod service;
+mod stored_cell;
 mod tokens;
 
+pub(crate) use memory::CellMemory;
 pub use service::{CellChoice, CellService, CellServiceOptions};
+pub(crate) use stored_cell::{CellSlot, StoredCell};

@@ -1,20 +1,22 @@
 //! Follows the releases of a map and the other servers that serve it, and has the cells that this server is to have.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::str::FromStr;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use protocol::{MapChangeNotice, Validate as _, keys};
-use recognition::LoadedMap;
-use releases::{Cell, CellId, Release, ReleaseCache, ReleaseStore, fetch_cell, fetch_coarse};
+use releases::{CellId, Release, ReleaseSource, ReleaseStore, fetch_coarse};
 use tokio::sync::oneshot;
 use tokio::task::JoinHandle;
 use tokio::time::MissedTickBehavior;
 
 use super::assignment::cells_of;
 use super::cell_map::CellMap;
+use super::cold_file::ColdFolder;
+use super::memory::CellMemory;
+use super::stored_cell::{CellOrigin, StoredCell};
 use super::tokens::Tokens;
 use crate::change;
 use crate::error::ServeError;
@@ -27,6 +29,8 @@ const SETTLING: Duration = Duration::from_secs(1);
 const FIRST_TOKENS: Duration = Duration::from_secs(2);
 /// Beyond twice the interval of looking for releases, servers wait so long for each other before they change over.
 const LOADING: Duration = Duration::from_secs(30);
+/// Below the cache of a map: its cells that are not in memory.
+const COLD: &str = "cold";
 
 /// Which cells a server is to have.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -116,11 +120,13 @@ impl CellService {
         options: CellServiceOptions,
     ) -> Result<CellService, ServeError> {
         keys::validate_name(name)?;
-        let source = Source { store, cache: ReleaseCache::open(&options.cache)? };
-        let release = source.newest_or_cached().await?;
-        let directory = source.directory(&release).await?;
+        let source = ReleaseSource::open(store, &options.cache)?;
+        let release = Arc::new(source.newest_or_cached().await?);
+        let directory = directory_of(&source, &release).await?;
         server.reserve(name)?;
         let host = server.host();
+        let memory = Arc::clone(&host.memory);
+        let cold = memory.bound().map(|_| cold_folder(&options.cache)).transpose()?;
         let session = host.session.clone();
         let members = Tokens::follow(&session, keys::map_member(name, None)?).await?;
         let holders = Tokens::follow(&session, keys::cell_holder(name, None, None)?).await?;
@@ -134,8 +140,19 @@ impl CellService {
             keyframes = release.keyframes(),
             "serving a map by cells"
         );
-        let service =
-            Running { name: name.to_owned(), me, source, options, release, map, members, holders, session };
+        let service = Running {
+            name: name.to_owned(),
+            me,
+            source,
+            options,
+            release,
+            map,
+            memory,
+            cold,
+            members,
+            holders,
+            session,
+        };
         let (stop, stopped) = oneshot::channel();
         let running = tokio::spawn(async move {
             tokio::select! {
@@ -155,53 +172,31 @@ impl CellService {
     }
 }
 
-/// Where releases come from.
-#[derive(Clone)]
-struct Source {
-    store: ReleaseStore,
-    cache: ReleaseCache,
+/// What every server needs of a release.
+async fn directory_of(source: &ReleaseSource, release: &Release) -> Result<Arc<CellDirectory>, ServeError> {
+    let coarse = fetch_coarse(&source.store, release, Some(&source.cache)).await?;
+    let release = release.clone();
+    let indexing = tokio::task::spawn_blocking(move || CellDirectory::new(&release, coarse));
+    Ok(Arc::new(indexing.await.map_err(|error| ServeError::task(&error))??))
 }
 
-impl Source {
-    async fn newest_or_cached(&self) -> Result<Release, ServeError> {
-        let place = || self.store.place().to_owned();
-        let error = match self.store.newest().await {
-            Ok(Some(release)) => return Ok(release),
-            Ok(None) => ServeError::NoRelease { place: place() },
-            Err(error) => error.into(),
-        };
-        let release = self.cache.release().ok_or(error)?;
-        tracing::warn!(
-            place = place(),
-            release = release.number,
-            "no release can be read; serving the last one"
-        );
-        Ok(release)
-    }
-
-    async fn directory(&self, release: &Release) -> Result<Arc<CellDirectory>, ServeError> {
-        let coarse = fetch_coarse(&self.store, release, Some(&self.cache)).await?;
-        let release = release.clone();
-        let indexing = tokio::task::spawn_blocking(move || CellDirectory::new(&release, coarse));
-        Ok(Arc::new(indexing.await.map_err(|error| ServeError::task(&error))??))
-    }
-
-    async fn cell(&self, release: &Release, cell: CellId) -> Result<Arc<LoadedMap>, ServeError> {
-        let fetched = fetch_cell(&self.store, release, cell, Some(&self.cache)).await?;
-        let Cell { contents, far_cross_covariances, .. } = fetched;
-        let indexing = tokio::task::spawn_blocking(|| LoadedMap::from_part(contents, far_cross_covariances));
-        Ok(Arc::new(indexing.await.map_err(|error| ServeError::task(&error))??))
-    }
+/// The folder of cells that are not in memory.
+fn cold_folder(cache: &Path) -> Result<Arc<ColdFolder>, ServeError> {
+    let path = cache.join(COLD);
+    ColdFolder::open(&path).map_err(|source| ServeError::ColdFolder { path, source })
 }
 
 struct Running {
     name: String,
     /// Name of this server.
     me: String,
-    source: Source,
+    source: ReleaseSource,
     options: CellServiceOptions,
-    release: Release,
+    release: Arc<Release>,
     map: CellMap,
+    memory: Arc<CellMemory>,
+    /// With a bound on the memory.
+    cold: Option<Arc<ColdFolder>>,
     members: Tokens,
     holders: Tokens,
     session: zenoh::Session,
@@ -209,7 +204,7 @@ struct Running {
 
 impl Running {
     async fn run(mut self) {
-        self.keep_release();
+        self.source.keep(&self.release);
         let mut watch = tokio::time::interval(self.options.watch);
         watch.set_missed_tick_behavior(MissedTickBehavior::Delay);
         watch.reset();
@@ -251,14 +246,14 @@ impl Running {
         let wanted = self.wanted(&self.release);
         let held = self.map.cells();
         for cell in wanted.difference(&held) {
-            match self.source.cell(&self.release, *cell).await {
-                Ok(loaded) => {
-                    let keyframes = loaded.keyframe_count();
-                    if let Err(error) = self.map.add(*cell, loaded).await {
+            match StoredCell::prepare(self.origin(&self.release, *cell), &self.memory).await {
+                Ok(stored) => {
+                    let (bytes, in_memory) = (stored.bytes(), stored.is_in_memory());
+                    if let Err(error) = self.map.add(*cell, stored).await {
                         tracing::error!(name = self.name, cell, "a cell cannot be served: {error}");
                         continue;
                     }
-                    tracing::info!(name = self.name, cell, keyframes, "serving a cell");
+                    tracing::info!(name = self.name, cell, bytes, in_memory, "serving a cell");
                 }
                 Err(error) => {
                     let reason = format!("{:#}", anyhow::Error::from(error));
@@ -283,6 +278,16 @@ impl Running {
             }
         }
         is_settled
+    }
+
+    fn origin(&self, release: &Arc<Release>, cell: CellId) -> CellOrigin {
+        CellOrigin {
+            name: self.name.clone(),
+            source: self.source.clone(),
+            release: Arc::clone(release),
+            cell,
+            folder: self.cold.clone(),
+        }
     }
 
     /// How many other servers have a cell.
@@ -321,12 +326,13 @@ impl Running {
                 given: release.map.identity,
             });
         }
+        let release = Arc::new(release);
         let served = self.map.directory().version();
         let change = self.source.store.change_since(served, &release).await?;
-        let directory = self.source.directory(&release).await?;
+        let directory = directory_of(&self.source, &release).await?;
         let mut cells = BTreeMap::new();
         for cell in self.wanted(&release) {
-            cells.insert(cell, self.source.cell(&release, cell).await?);
+            cells.insert(cell, StoredCell::prepare(self.origin(&release, cell), &self.memory).await?);
         }
         let token = self.map.announce(release.map.version).await?;
         self.wait_for_others(release.map.version).await?;
@@ -353,7 +359,7 @@ impl Running {
             stated_change: change.stated_change.filter(|size| size.validate().is_ok()),
         };
         self.release = release;
-        self.keep_release();
+        self.source.keep(&self.release);
         change::publish(&self.session, notice).await
     }
 
@@ -388,13 +394,6 @@ impl Running {
                 );
                 return Ok(());
             }
-        }
-    }
-
-    fn keep_release(&self) {
-        if let Err(error) = self.source.cache.keep_release(&self.release) {
-            let reason = format!("{:#}", anyhow::Error::from(error));
-            tracing::warn!(reason, "the release is not kept: a restart needs the store");
         }
     }
 }

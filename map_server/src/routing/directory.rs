@@ -5,8 +5,11 @@ use std::collections::BTreeMap;
 use map::MapMetadata;
 use map::store::STORE_SCHEMA;
 use nalgebra::Vector3;
-use protocol::{DescriptorFormat, Extent, FeatureSet, KeyframeId, MapIdentity, MapInfoReply, PosePrior};
-use recognition::{CoarseIndex, CoarseIndexBuilder, QueryError, prior_radius};
+use protocol::{
+    DescriptorFormat, Extent, FeatureSet, KeyframeId, MapIdentity, MapInfoReply, MatchOutcome, MatchStatus,
+    PosePrior,
+};
+use recognition::{CoarseIndex, CoarseIndexBuilder, QueryError, RankedPart, prior_radius};
 use releases::{CellId, CoarseCell, Release};
 use vision::DescriptorError;
 
@@ -23,6 +26,17 @@ pub struct CellDirectory {
     identity: MapIdentity,
     cells: BTreeMap<CellId, DirectedCell>,
     coarse: CoarseIndex,
+}
+
+/// Where the place of an image is looked for.
+#[derive(Clone, Debug)]
+pub struct CellSearch {
+    /// The cells that are asked first.
+    pub first: Vec<CellId>,
+    /// All cells near the prior.
+    near: Vec<CellId>,
+    /// All cells by the image's features, where these were needed.
+    ranked: Option<Vec<RankedPart>>,
 }
 
 /// The cells near a prior.
@@ -117,43 +131,54 @@ impl CellDirectory {
     ///
     /// # Errors
     /// [`QueryError`] where the features cannot be compared with the map.
-    pub fn first(&self, features: &FeatureSet, prior: Option<&PosePrior>) -> Result<Vec<CellId>, QueryError> {
-        let Near { cells, main, is_tight } = self.near(prior);
+    pub fn search(&self, features: &FeatureSet, prior: Option<&PosePrior>) -> Result<CellSearch, QueryError> {
+        let Near { cells: near, main, is_tight } = self.near(prior);
         // The borders of the main ones have most of what the others could add.
-        let asked = if is_tight { main.min(FIRST_CELLS) } else { cells.len() };
+        let asked = if is_tight { main.min(FIRST_CELLS) } else { near.len() };
         if (1..=FIRST_CELLS).contains(&asked) {
-            return Ok(cells.into_iter().take(asked).collect());
+            return Ok(CellSearch { first: near[..asked].to_vec(), near, ranked: None });
         }
         let ranked = self.coarse.rank(features)?;
-        let eligible: Vec<_> =
-            ranked.into_iter().filter(|ranked| cells.is_empty() || cells.contains(&ranked.part)).collect();
-        let least = eligible.first().map_or(0.0, |first| LIKELY * first.weight);
-        let likely = eligible.iter().filter(|ranked| ranked.weight >= least);
-        let first: Vec<CellId> = likely.map(|ranked| ranked.part).take(FIRST_CELLS).collect();
-        // An image that shares nothing with the map still gets the answer of a search.
-        Ok(if first.is_empty() { self.cells().take(1).collect() } else { first })
+        let eligible = || ranked.iter().filter(|ranked| near.is_empty() || near.contains(&ranked.part));
+        let least = eligible().next().map_or(0.0, |first| LIKELY * first.weight);
+        let likely = eligible().filter(|ranked| ranked.weight >= least);
+        let mut first: Vec<CellId> = likely.map(|ranked| ranked.part).take(FIRST_CELLS).collect();
+        if first.is_empty() {
+            // An image that shares nothing with the map still gets the answer of a search.
+            first.extend(self.cells().next());
+        }
+        Ok(CellSearch { first, near, ranked: Some(ranked) })
     }
 
     /// The cells that are asked when none of the first ones shows the place: the others near the prior, then the most likely.
     ///
     /// # Errors
     /// [`QueryError`] where the features cannot be compared with the map.
-    pub fn then(
-        &self,
-        features: &FeatureSet,
-        prior: Option<&PosePrior>,
-        asked: &[CellId],
-    ) -> Result<Vec<CellId>, QueryError> {
-        let mut then = self.near(prior).cells;
-        let ranked = self.coarse.rank(features)?.into_iter().map(|ranked| ranked.part);
-        for cell in ranked {
-            if !then.contains(&cell) {
-                then.push(cell);
+    pub fn then(&self, features: &FeatureSet, search: CellSearch) -> Result<Vec<CellId>, QueryError> {
+        let CellSearch { first, near: mut then, ranked } = search;
+        let ranked = ranked.map_or_else(|| self.coarse.rank(features), Ok)?;
+        for RankedPart { part, .. } in ranked {
+            if !then.contains(&part) {
+                then.push(part);
             }
         }
-        then.retain(|cell| !asked.contains(cell));
-        then.truncate(MOST_CELLS.saturating_sub(asked.len()));
+        then.retain(|cell| !first.contains(cell));
+        then.truncate(MOST_CELLS.saturating_sub(first.len()));
         Ok(then)
+    }
+
+    /// The end of an answer to a match query.
+    pub(crate) fn status(&self, outcome: MatchOutcome) -> MatchStatus {
+        MatchStatus {
+            map_version: self.info.version,
+            map_identity: self.identity,
+            outcome,
+            keyframes_sent: 0,
+            searched_keyframes: 0,
+            elapsed_us: 0,
+            gravity_in_global: self.info.gravity_in_global.map(Into::into),
+            sigma_map_px: self.info.sigma_px,
+        }
     }
 
     /// The cells with keyframes that could share a landmark with a camera near a prior pose, those with most of them first.

@@ -8,5 +8,5 @@
 pub mod directory;
 mod routed_map;
 
-pub use directory::CellDirectory;
+pub use directory::{CellDirectory, CellSearch};
 pub(crate) use routed_map::RoutedMap;

@@ -7,19 +7,20 @@ use std::collections::BTreeSet;
 use std::sync::{Arc, PoisonError, RwLock};
 use std::time::{Duration, Instant};
 
-use client::{CellClient, CellPlacement, ClientError, ForwardedQuery};
+use client::{CellClient, CellPlacement, CellReply, ClientError, ForwardedQuery};
 use protocol::{
     CellLocalizeReply, CellMatchReply, CellPlace, ErrorCode, ErrorReply, FeatureSet, KeyframeId,
     LocalizeReply, LocalizeRequest, MapIdentity, MatchOutcome, MatchReply, MatchRequest, MatchStatus,
     Message, PosePrior, keys,
 };
-use recognition::{PartResult, QueryError, RecognitionOptions, RecognizedPlace, choose_part};
+use recognition::{PartResult, RecognitionOptions, RecognizedPlace, choose_part};
 use releases::CellId;
 use tokio::task::JoinSet;
 use zenoh::query::Query;
 
-use super::directory::CellDirectory;
-use crate::handlers::{self, Kind};
+use super::directory::{CellDirectory, CellSearch};
+use crate::handlers;
+use crate::kind::Kind;
 
 /// How long the cells of a query are asked: less than a robot waits for its answer.
 const CELL_DEADLINE: Duration = Duration::from_millis(1500);
@@ -46,11 +47,18 @@ pub(crate) struct Plan {
 }
 
 enum Wanted {
-    Match(Arc<MatchRequest>, Vec<CellId>),
-    Localize(Arc<LocalizeRequest>, Vec<CellId>),
+    Match(PlannedSearch),
+    Localize(PlannedSearch),
     Info,
     Keyframe(KeyframeId),
     AllKeyframes,
+}
+
+/// What is needed to find the place of an image.
+struct PlannedSearch {
+    features: FeatureSet,
+    has_prior: bool,
+    cells: CellSearch,
 }
 
 impl RoutedMap {
@@ -84,19 +92,19 @@ impl RoutedMap {
     /// Decodes a query and chooses the cells that are asked first. Takes a processor for a millisecond or more.
     pub(crate) fn plan(&self, query: &Query, kind: Kind, received: Instant) -> Result<Plan, ErrorReply> {
         let directory = self.directory();
-        let first = |features: &FeatureSet, prior: Option<&PosePrior>| {
-            directory.first(features, prior).map_err(|error| handlers::query_error(&self.name, &error))
+        let search = |features: FeatureSet, prior: Option<PosePrior>| {
+            let cells = directory.search(&features, prior.as_ref());
+            let cells = cells.map_err(|error| handlers::query_error(&self.name, &error))?;
+            Ok::<_, ErrorReply>(PlannedSearch { features, has_prior: prior.is_some(), cells })
         };
         let wanted = match kind {
             Kind::Match => {
                 let request: MatchRequest = handlers::decode(query)?;
-                let cells = first(&request.features, request.prior.as_ref())?;
-                Wanted::Match(Arc::new(request), cells)
+                Wanted::Match(search(request.features, request.prior)?)
             }
             Kind::Localize => {
                 let request: LocalizeRequest = handlers::decode(query)?;
-                let cells = first(&request.features, request.prior.as_ref())?;
-                Wanted::Localize(Arc::new(request), cells)
+                Wanted::Localize(search(request.features, request.prior)?)
             }
             Kind::Info => Wanted::Info,
             Kind::Keyframes => match handlers::asked_keyframe(query)? {
@@ -112,26 +120,22 @@ impl RoutedMap {
     }
 
     /// Asks the cells and sends the answer. An error is returned, not yet sent.
-    pub(crate) async fn answer(&self, plan: Plan) -> Result<(), ErrorReply> {
+    pub(crate) async fn answer(self: Arc<Self>, plan: Plan) -> Result<(), ErrorReply> {
         let Plan { query, received, forwarded, directory, wanted } = plan;
         match wanted {
-            Wanted::Match(request, first) => {
-                let asked = Asked { directory, forwarded, has_prior: request.prior.is_some() };
-                let then = Arc::clone(&asked.directory);
-                let then =
-                    move |first: &[CellId]| then.then(&request.features, request.prior.as_ref(), first);
-                let found = self.search::<CellMatchReply>(&asked, first, then).await?;
+            Wanted::Match(search) => {
+                let found = self.search::<CellMatchReply>(&directory, &forwarded, search).await?;
+                let status = directory.status(found.outcome);
                 let key = keys::map_match(&self.name).map_err(|error| handlers::internal(&error))?;
-                send_all(query, key, match_replies(found, received)).await
+                send_all(query, key, match_replies(found, status, received)).await
             }
-            Wanted::Localize(request, first) => {
-                let asked = Asked { directory, forwarded, has_prior: request.prior.is_some() };
-                let then = Arc::clone(&asked.directory);
-                let then =
-                    move |first: &[CellId]| then.then(&request.features, request.prior.as_ref(), first);
-                let found = self.search::<CellLocalizeReply>(&asked, first, then).await?;
+            Wanted::Localize(search) => {
+                let found = self.search::<CellLocalizeReply>(&directory, &forwarded, search).await?;
+                let (map_version, map_identity) = (directory.version(), directory.identity());
+                let nowhere = LocalizeReply { map_version, map_identity, outcome: found.outcome, fix: None };
+                let reply = found.winner.map_or(nowhere, |winner| winner.reply);
                 let key = keys::map_localize(&self.name).map_err(|error| handlers::internal(&error))?;
-                send_all(query, key, vec![localize_reply(found)]).await
+                send_all(query, key, vec![reply]).await
             }
             Wanted::Info => {
                 let key = keys::map_info(&self.name).map_err(|error| handlers::internal(&error))?;
@@ -144,20 +148,17 @@ impl RoutedMap {
                 self.send_keyframe(query, cell, id, forwarded.client).await
             }
             Wanted::AllKeyframes => {
-                let mut fetching = JoinSet::new();
+                let mut sending = JoinSet::new();
                 for (cell, id) in directory.keyframes() {
-                    if fetching.len() >= KEYFRAMES_AT_ONCE
-                        && let Some(Ok(Err(error))) = fetching.join_next().await
+                    if sending.len() >= KEYFRAMES_AT_ONCE
+                        && let Some(sent) = sending.join_next().await
                     {
-                        return Err(error);
+                        sent.map_err(|error| handlers::internal(&error))??;
                     }
-                    let (client, placement) = (self.client.clone(), self.placement(cell));
-                    let (name, query, asking) = (self.name.clone(), query.clone(), forwarded.client.clone());
-                    fetching.spawn(async move {
-                        send_keyframe(&client, &name, query, (cell, placement), id, &asking).await
-                    });
+                    let client = forwarded.client.clone();
+                    sending.spawn(Arc::clone(&self).send_keyframe(query.clone(), cell, id, client));
                 }
-                while let Some(sent) = fetching.join_next().await {
+                while let Some(sent) = sending.join_next().await {
                     sent.map_err(|error| handlers::internal(&error))??;
                 }
                 Ok(())
@@ -165,25 +166,38 @@ impl RoutedMap {
         }
     }
 
+    /// Asks a cell for one of its keyframes, in the name of a client, and sends it.
     async fn send_keyframe(
-        &self,
+        self: Arc<Self>,
         query: Query,
         cell: CellId,
         id: KeyframeId,
         client: String,
     ) -> Result<(), ErrorReply> {
-        let at = (cell, self.placement(cell));
-        send_keyframe(&self.client, &self.name, query, at, id, &client).await
+        let deadline = Instant::now() + CELL_DEADLINE;
+        let asked = self.client.keyframe(cell, self.placement(cell), id, &client, deadline).await;
+        let reply = asked.map_err(|error| match error {
+            ClientError::Refused(reply) => reply,
+            error => self.unanswered(cell, &error),
+        })?;
+        let key = keys::map_keyframe(&self.name, id).map_err(|error| handlers::internal(&error))?;
+        send_all(query, key, vec![reply]).await
+    }
+
+    fn unanswered(&self, cell: CellId, error: &ClientError) -> ErrorReply {
+        ErrorReply::new(ErrorCode::Busy, format!("cell {cell} of map {}: {error}", self.name))
     }
 
     /// Asks the first cells, and where none of them shows the place the next ones.
-    async fn search<R: CellReply>(
+    async fn search<R: PlaceReply>(
         &self,
-        asked: &Asked,
-        first: Vec<CellId>,
-        then: impl FnOnce(&[CellId]) -> Result<Vec<CellId>, QueryError> + Send + 'static,
+        directory: &Arc<CellDirectory>,
+        forwarded: &ForwardedQuery,
+        search: PlannedSearch,
     ) -> Result<Found<R>, ErrorReply> {
-        let mut replies: Vec<R> = self.ask(asked, &first).await?;
+        let PlannedSearch { features, has_prior, cells } = search;
+        let asked = Asked { directory, forwarded, has_prior };
+        let mut replies: Vec<R> = self.ask(&asked, &cells.first).await?;
         let outcome = match self.choose(&replies) {
             Ok(at) => return Ok(Found::at(replies, at)),
             Err(outcome) => outcome,
@@ -191,17 +205,18 @@ impl RoutedMap {
         if matches!(outcome, MatchOutcome::Ambiguous | MatchOutcome::TooFewFeatures) {
             return Ok(Found { outcome, winner: None, others: replies });
         }
-        let ranking = tokio::task::spawn_blocking(move || then(&first));
+        let directory = Arc::clone(directory);
+        let ranking = tokio::task::spawn_blocking(move || directory.then(&features, cells));
         let then = ranking.await.map_err(|error| handlers::internal(&error))?;
         let then = then.map_err(|error| handlers::query_error(&self.name, &error))?;
-        replies.extend(self.ask(asked, &then).await?);
+        replies.extend(self.ask(&asked, &then).await?);
         Ok(match self.choose(&replies) {
             Ok(at) => Found::at(replies, at),
             Err(outcome) => Found { outcome, winner: None, others: replies },
         })
     }
 
-    fn choose<R: CellReply>(&self, replies: &[R]) -> Result<usize, MatchOutcome> {
+    fn choose<R: PlaceReply>(&self, replies: &[R]) -> Result<usize, MatchOutcome> {
         let places: Vec<Option<RecognizedPlace>> = replies
             .iter()
             .map(|reply| {
@@ -218,20 +233,22 @@ impl RoutedMap {
 
     /// The replies of cells. Where a cell does not answer there is no answer, since it could be of that cell; only near a prior
     /// those of the others will do, if one of them shows the place.
-    async fn ask<R: CellReply>(&self, asked: &Asked, cells: &[CellId]) -> Result<Vec<R>, ErrorReply> {
+    async fn ask<R: PlaceReply>(&self, asked: &Asked<'_>, cells: &[CellId]) -> Result<Vec<R>, ErrorReply> {
         let deadline = Instant::now() + CELL_DEADLINE;
+        let version = (asked.directory.identity(), asked.directory.version());
         let mut asking = JoinSet::new();
         for (at, &cell) in cells.iter().enumerate() {
             let (client, placement, forwarded) =
                 (self.client.clone(), self.placement(cell), asked.forwarded.clone());
-            asking.spawn(async move { (at, R::ask(&client, cell, placement, &forwarded, deadline).await) });
+            asking
+                .spawn(async move { (at, client.forward::<R>(cell, placement, &forwarded, deadline).await) });
         }
         let mut replies: Vec<Option<R>> = cells.iter().map(|_| None).collect();
         let mut failure = None;
         while let Some(joined) = asking.join_next().await {
             let (at, reply) = joined.map_err(|error| handlers::internal(&error))?;
             match reply {
-                Ok(reply) if reply.version() == (asked.directory.identity(), asked.directory.version()) => {
+                Ok(reply) if reply.version() == Some(version) => {
                     replies[at] = Some(reply);
                 }
                 Ok(_) => {
@@ -239,10 +256,7 @@ impl RoutedMap {
                     failure = Some(ErrorReply::new(ErrorCode::Busy, message));
                 }
                 Err(ClientError::Refused(reply)) if reply.code != ErrorCode::Busy => return Err(reply),
-                Err(error) => {
-                    let message = format!("cell {} of map {}: {error}", cells[at], self.name);
-                    failure = Some(ErrorReply::new(ErrorCode::Busy, message));
-                }
+                Err(error) => failure = Some(self.unanswered(cells[at], &error)),
             }
         }
         let replies: Vec<R> = replies.into_iter().flatten().collect();
@@ -254,9 +268,9 @@ impl RoutedMap {
 }
 
 /// A query on its way to cells.
-struct Asked {
-    directory: Arc<CellDirectory>,
-    forwarded: ForwardedQuery,
+struct Asked<'a> {
+    directory: &'a CellDirectory,
+    forwarded: &'a ForwardedQuery,
     has_prior: bool,
 }
 
@@ -274,21 +288,15 @@ impl<R> Found<R> {
     }
 }
 
-/// The answer of a cell to a kind of query.
-trait CellReply: Message + Send + 'static {
+/// The answer of a cell about a place.
+trait PlaceReply: CellReply + Send + 'static {
     fn outcome(&self) -> MatchOutcome;
     fn place(&self) -> Option<&CellPlace>;
-    fn version(&self) -> (MapIdentity, u64);
-    fn ask(
-        client: &CellClient,
-        cell: CellId,
-        placement: CellPlacement,
-        query: &ForwardedQuery,
-        deadline: Instant,
-    ) -> impl Future<Output = Result<Self, ClientError>> + Send;
+    /// Of the map; `None` for an answer without an end.
+    fn version(&self) -> Option<(MapIdentity, u64)>;
 }
 
-impl CellReply for CellMatchReply {
+impl PlaceReply for CellMatchReply {
     fn outcome(&self) -> MatchOutcome {
         status_of(&self.replies).map_or(MatchOutcome::NoMatch, |status| status.outcome)
     }
@@ -297,23 +305,12 @@ impl CellReply for CellMatchReply {
         self.place.as_ref()
     }
 
-    fn version(&self) -> (MapIdentity, u64) {
-        let status = status_of(&self.replies).map(|status| (status.map_identity, status.map_version));
-        status.unwrap_or((MapIdentity::from_bytes([0; 16]), 0))
-    }
-
-    async fn ask(
-        client: &CellClient,
-        cell: CellId,
-        placement: CellPlacement,
-        query: &ForwardedQuery,
-        deadline: Instant,
-    ) -> Result<Self, ClientError> {
-        client.match_image(cell, placement, query, deadline).await
+    fn version(&self) -> Option<(MapIdentity, u64)> {
+        status_of(&self.replies).map(|status| (status.map_identity, status.map_version))
     }
 }
 
-impl CellReply for CellLocalizeReply {
+impl PlaceReply for CellLocalizeReply {
     fn outcome(&self) -> MatchOutcome {
         self.reply.outcome
     }
@@ -322,18 +319,8 @@ impl CellReply for CellLocalizeReply {
         self.place.as_ref()
     }
 
-    fn version(&self) -> (MapIdentity, u64) {
-        (self.reply.map_identity, self.reply.map_version)
-    }
-
-    async fn ask(
-        client: &CellClient,
-        cell: CellId,
-        placement: CellPlacement,
-        query: &ForwardedQuery,
-        deadline: Instant,
-    ) -> Result<Self, ClientError> {
-        client.localize(cell, placement, query, deadline).await
+    fn version(&self) -> Option<(MapIdentity, u64)> {
+        Some((self.reply.map_identity, self.reply.map_version))
     }
 }
 
@@ -345,56 +332,21 @@ fn status_of(replies: &[MatchReply]) -> Option<&MatchStatus> {
     })
 }
 
-/// The answer of the winner, or what all cells together found out.
-fn match_replies(found: Found<CellMatchReply>, received: Instant) -> Vec<MatchReply> {
-    let Found { outcome, winner, others } = found;
-    let elsewhere: u32 = others
-        .iter()
-        .filter_map(|reply| status_of(&reply.replies))
-        .fold(0, |sum, status| sum.saturating_add(status.searched_keyframes));
-    let is_matched = winner.is_some();
-    let mut replies =
-        winner.or_else(|| others.into_iter().next()).map_or_else(Vec::new, |reply| reply.replies);
-    replies.retain(|reply| is_matched || matches!(reply, MatchReply::Done(_)));
-    for reply in &mut replies {
-        if let MatchReply::Done(status) = reply {
-            status.outcome = outcome;
-            if !is_matched {
-                status.keyframes_sent = 0;
-            }
-            status.searched_keyframes = status.searched_keyframes.saturating_add(elsewhere);
-            status.elapsed_us = received.elapsed().as_micros() as u64;
-        }
-    }
+/// The keyframes of the winner, if there is one, and an end for all cells together.
+fn match_replies(
+    found: Found<CellMatchReply>,
+    mut status: MatchStatus,
+    received: Instant,
+) -> Vec<MatchReply> {
+    let Found { winner, others, .. } = found;
+    let searched = winner.iter().chain(&others).filter_map(|reply| status_of(&reply.replies));
+    status.searched_keyframes = searched.fold(0, |sum, status| sum.saturating_add(status.searched_keyframes));
+    let mut replies = winner.map_or_else(Vec::new, |winner| winner.replies);
+    replies.retain(|reply| matches!(reply, MatchReply::Keyframe(_)));
+    status.keyframes_sent = replies.len() as u16;
+    status.elapsed_us = received.elapsed().as_micros() as u64;
+    replies.push(MatchReply::Done(status));
     replies
-}
-
-fn localize_reply(found: Found<CellLocalizeReply>) -> LocalizeReply {
-    let Found { outcome, winner, others } = found;
-    if let Some(winner) = winner {
-        return winner.reply;
-    }
-    let of_any = others.first().map(|other| (other.reply.map_version, other.reply.map_identity));
-    let (map_version, map_identity) = of_any.unwrap_or((0, MapIdentity::from_bytes([0; 16])));
-    LocalizeReply { map_version, map_identity, outcome, fix: None }
-}
-
-async fn send_keyframe(
-    client: &CellClient,
-    name: &str,
-    query: Query,
-    (cell, placement): (CellId, CellPlacement),
-    id: KeyframeId,
-    asking: &str,
-) -> Result<(), ErrorReply> {
-    let deadline = Instant::now() + CELL_DEADLINE;
-    let reply =
-        client.keyframe(cell, placement, id, asking, deadline).await.map_err(|error| match error {
-            ClientError::Refused(reply) => reply,
-            error => ErrorReply::new(ErrorCode::Busy, format!("cell {cell} of map {name}: {error}")),
-        })?;
-    let key = keys::map_keyframe(name, id).map_err(|error| handlers::internal(&error))?;
-    send_all(query, key, vec![reply]).await
 }
 
 /// Sends replies from a thread that may block.

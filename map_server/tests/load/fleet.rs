@@ -69,6 +69,8 @@ fn latencies_of_a_fleet() {
         })
         .collect();
     let mut seen: Vec<Seen> = tasks.into_iter().map(|task| runtime.block_on(task).unwrap()).collect();
+    let [memory, peak] = server.memory_mb();
+    println!("server: {memory:.0} MB, {peak:.0} MB at the peak");
     drop(server);
 
     let mut medians = Vec::new();

@@ -4,6 +4,7 @@
 //! cargo test --release -p driftless-map-server --test load -- --ignored --nocapture latencies_of_a_fleet
 //! cargo test --release -p driftless-map-server --test load -- --ignored --nocapture hostile_load
 //! cargo test --release -p driftless-map-server --test load -- --ignored --nocapture a_query_in_cells
+//! cargo test --release -p driftless-map-server --test load -- --ignored --nocapture a_town_at_four
 //! cargo test --release -p driftless-map-server --test load -- --ignored --nocapture first_picture_of_a_city
 //! cargo test --release -p driftless-map-server --test load -- --ignored --nocapture viewers_beside_robots
 //! cargo test --release -p driftless-map-server --test load -- --ignored --nocapture what_a_report_costs
@@ -12,6 +13,7 @@
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod cells;
+mod cold;
 mod fleet;
 mod hostile;
 mod town;

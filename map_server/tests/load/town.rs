@@ -59,6 +59,15 @@ impl Server {
         Self(command.spawn().unwrap())
     }
 
+    /// Memory that it has now and had at most, in MB.
+    pub fn memory_mb(&self) -> [f64; 2] {
+        let status = std::fs::read_to_string(format!("/proc/{}/status", self.id())).unwrap();
+        ["VmRSS:", "VmHWM:"].map(|name| {
+            let line = status.lines().find_map(|line| line.strip_prefix(name)).unwrap();
+            line.trim().trim_end_matches(" kB").parse::<f64>().unwrap() * 1.024e-3
+        })
+    }
+
     /// Its process.
     pub fn id(&self) -> u32 {
         self.0.id()

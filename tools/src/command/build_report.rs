@@ -25,6 +25,12 @@ pub(super) fn print_report(report: &BuildReport) {
     }
     println!("pairs matched               {} with {} matches", report.pairs, report.matches);
     print_imu_noise(report.imu_noise_scale);
+    if let Some(untracked) = &report.untracked_images {
+        println!(
+            "images without tracks       {} of {}, up to {:.1} s in a row that the IMU alone bridges: dark or covered?",
+            untracked.images, untracked.of, untracked.longest_s
+        );
+    }
     if report.loops > 0 {
         println!(
             "loops                       {} found, {} of them refused",

@@ -8,8 +8,8 @@ use indicatif::{ProgressBar, ProgressStyle};
 use onboard::arguments::{Cameras, Mode, read_settings};
 use simulation::monte_carlo::score::{ScoreOptions, pose_nees_over_time};
 use simulation::monte_carlo::{
-    AnswerOptions, CalibrationErrors, EnsembleScore, MapOptions, MonteCarloOptions, Variant, VariantRuns,
-    report, run as run_all, score,
+    AnswerOptions, CalibrationErrors, EnsembleScore, FilterStart, MapOptions, MonteCarloOptions, Variant,
+    VariantRuns, report, run as run_all, score,
 };
 use simulation::{Scenario, SimulationOptions};
 use std::ops::Range;
@@ -47,7 +47,8 @@ pub struct Args {
     /// Number of parallel runs [default: one a processor]
     #[arg(long)]
     threads: Option<usize>,
-    /// The trajectory: block (street, from rest), loops (10 x 126 m, in motion), room (hand-held, from rest), or a TUM file
+    /// The trajectory: block (street, from rest), loops (10 x 126 m, in motion), room (hand-held, from rest), flight
+    /// (indoors, from rest), or a TUM file
     #[arg(long, value_name = "NAME|TUM", default_value = "block")]
     trajectory: String,
     /// Length of a run, seconds
@@ -111,6 +112,9 @@ pub struct Args {
     /// Start with the error of unknown biases instead of a small one (0.1 rad/s and 0.2 m/s^2, unless the settings differ)
     #[arg(long)]
     unknown_biases: bool,
+    /// Let the filter initialize itself, at rest or in motion, instead of starting near the truth
+    #[arg(long, conflicts_with_all = ["unknown_biases", "sigma_start"])]
+    own_start: bool,
     /// Fraction of tracked pixels that are 10 to 50 px off
     #[arg(long, value_name = "FRACTION", default_value_t = 0.0)]
     outliers: f64,
@@ -235,7 +239,11 @@ fn options(args: &Args) -> anyhow::Result<MonteCarloOptions> {
             max_matches: args.matches,
             ..AnswerOptions::default()
         },
-        biases_are_known: !args.unknown_biases,
+        start: match (args.own_start, args.unknown_biases) {
+            (true, _) => FilterStart::Initialization,
+            (false, true) => FilterStart::UnknownBiases,
+            (false, false) => FilterStart::KnownBiases,
+        },
         disturbance: None,
         calibration: CalibrationErrors {
             rotation_rad: extrinsic_deg.to_radians(),
@@ -252,9 +260,11 @@ fn trajectory(name: &str) -> anyhow::Result<(Scenario, Option<Vec<evaluation::tr
         "block" => (Scenario::Block, None),
         "loops" => (Scenario::Loops, None),
         "room" => (Scenario::Room, None),
+        "flight" => (Scenario::Flight, None),
         file => {
             let given = tum::read(Path::new(file));
-            let problem = || format!("--trajectory {file} is neither block, loops, room nor a TUM file");
+            let problem =
+                || format!("--trajectory {file} is neither block, loops, room, flight nor a TUM file");
             (Scenario::Block, Some(given.with_context(problem)?))
         }
     })

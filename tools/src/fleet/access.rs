@@ -99,7 +99,8 @@ fn from_member(member: &Member, maps: &[String]) -> Vec<Allowed> {
                 [of_maps("cell/*/match"), of_maps("cell/*/localize"), of_maps("cell/*/keyframes/*")].concat(),
             ),
             (vec!["liveliness_token"], [vec![format!("map_server/{name}")], tokens_of_cells(name)].concat()),
-            (WATCH.to_vec(), tokens_of_cells("*")),
+            // Its own name: whether another server has it.
+            (WATCH.to_vec(), [vec![format!("map_server/{name}")], tokens_of_cells("*")].concat()),
         ],
         Role::Operator => vec![
             (vec!["query"], queries()),

@@ -122,6 +122,7 @@ pub struct Estimator {
     map_gravity: MapGravity,
     map_watch: MapWatch,
     last_map_update_ns: Option<i64>,
+    last_zero_velocity_ns: Option<i64>,
     /// Consecutive rejections after which `global_from_local` was removed, until the next map update.
     lost_after: Option<usize>,
     health: Health,
@@ -195,6 +196,7 @@ impl Estimator {
             map_gravity: MapGravity::default(),
             map_watch: MapWatch::default(),
             last_map_update_ns: None,
+            last_zero_velocity_ns: None,
             lost_after: None,
             health,
         })

@@ -184,16 +184,20 @@ impl Estimator {
         update.information.blocks.active.extend(Layout::of(&self.state).runs());
     }
 
-    /// Zero-velocity update, where the tracks show a stationary body and the gate accepts it.
+    /// Whether the tracks show a stationary body and the gate accepts it; a zero-velocity update then, if the last one is as
+    /// old as the images that show it.
     fn zero_velocity_update(&mut self, rows: &mut LinearizedMeasurement) -> Result<bool, EstimatorError> {
         let stationary = self.config.zero_velocity
             && zero_velocity::is_stationary(&self.state, &self.tracks, self.msckf_settings.sigma_px);
-        if !stationary {
+        if !stationary || !zero_velocity::zero_displacement(&self.state, rows) {
             return Ok(false);
         }
-        zero_velocity::zero_velocity(&self.state, rows);
         let plausible = self.frame_gate.accepts(self.covariance.nis(rows)?, rows.residual.len());
-        if plausible {
+        let now_ns = self.state.stamp_ns;
+        let is_due =
+            self.last_zero_velocity_ns.is_none_or(|last| now_ns - last >= zero_velocity::MIN_SPAN_NS);
+        if plausible && is_due {
+            self.last_zero_velocity_ns = Some(now_ns);
             self.covariance.measurement_update(rows, &mut self.correction)?;
             self.state.retract(&self.correction);
         }

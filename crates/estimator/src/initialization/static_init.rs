@@ -4,7 +4,7 @@ use crate::config::{EstimatorConfig, InitialSigmas};
 use crate::imu::ImuSample;
 use crate::propagation::{ACCELEROMETER_BIAS, GYROSCOPE_BIAS, ImuMatrix, ImuState, VELOCITY};
 use geometry::{Pose, Rotation, rotation};
-use nalgebra::{UnitVector3, Vector3};
+use nalgebra::{Matrix3, SMatrix, UnitVector3, Vector3};
 
 /// Initial IMU state with its covariance.
 #[derive(Clone, Debug, PartialEq)]
@@ -66,8 +66,11 @@ const MAX_ACCELEROMETER_SIGMA: f64 = 0.25;
 const MAX_GYROSCOPE_SIGMA: f64 = 0.03;
 /// Maximum difference between the specific force at rest and gravity, m/s^2.
 const GRAVITY_TOLERANCE: f64 = 0.6;
-/// Lower bound of the standard deviation of roll and pitch, rad: vibration and scale-factor errors of the accelerometer.
-const MIN_TILT_SIGMA_RAD: f64 = 0.005;
+/// Standard deviation of roll and pitch before the specific force is known, rad.
+const UNKNOWN_TILT_SIGMA_RAD: f64 = 1.0;
+/// Lower bound of the standard deviation of the mean specific force at rest, m/s^2 on each axis: vibration, scale-factor
+/// errors of the accelerometer, and motion so slow that half a second of images does not show it.
+const MIN_FORCE_SIGMA_M_S2: f64 = 0.1;
 /// Standard deviation of the velocity at rest, m/s.
 const REST_VELOCITY_SIGMA_M_S: f64 = 0.05;
 /// Lower bound of the standard deviation of the gyroscope bias, rad/s.
@@ -145,25 +148,25 @@ impl InitialState {
         if (force.norm() - config.gravity).abs() > GRAVITY_TOLERANCE {
             return Err(StaticInitError::NotGravity { norm: force.norm(), gravity: config.gravity });
         }
-        // Tilt and accelerometer bias are not distinguishable at rest: the sigma of the tilt follows from that of the bias.
-        let tilt = config.initial.sigma_accelerometer_bias_m_s2 / config.gravity;
         let sigmas = InitialSigmas {
-            sigma_tilt_rad: tilt.max(MIN_TILT_SIGMA_RAD),
+            sigma_tilt_rad: UNKNOWN_TILT_SIGMA_RAD,
             sigma_velocity_m_s: REST_VELOCITY_SIGMA_M_S,
             // Small oscillations do not average out over half a second.
             sigma_gyroscope_bias_rad_s: (0.5 * rate_sigma).max(MIN_GYROSCOPE_BIAS_SIGMA_RAD_S),
             ..config.initial
         };
+        let local_from_imu = gravity_aligned(&force);
+        let force_sigma = (0.5 * force_sigma).max(MIN_FORCE_SIGMA_M_S2);
         Ok(Self {
             stamp_ns: last.stamp_ns,
             imu: ImuState {
-                local_from_imu: Pose::new(gravity_aligned(&force), Vector3::zeros()),
+                local_from_imu: Pose::new(local_from_imu, Vector3::zeros()),
                 velocity: Vector3::zeros(),
                 gyroscope_bias: rate,
                 // Only the component of the bias along gravity is observable at rest.
                 accelerometer_bias: force.normalize() * (force.norm() - config.gravity),
             },
-            covariance: sigmas.covariance(),
+            covariance: at_rest(&sigmas.covariance(), &local_from_imu, config.gravity, force_sigma),
         })
     }
 
@@ -203,6 +206,29 @@ impl InitialSigmas {
     }
 }
 
+/// The covariance of an IMU error that was `covariance` before the body was found not to accelerate.
+///
+/// The acceleration is `R (f - b_a) + g`, its error `-[z g]x δθ - R δb_a`. It does not distinguish tilt and accelerometer
+/// bias: the sigma of the tilt follows from that of the bias, and both errors cancel each other in the acceleration.
+///
+/// # Arguments
+/// * `local_from_imu`: rotation at rest.
+/// * `gravity`: m/s^2.
+/// * `sigma`: standard deviation of the acceleration on each axis, m/s^2.
+fn at_rest(covariance: &ImuMatrix, local_from_imu: &Rotation, gravity: f64, sigma: f64) -> ImuMatrix {
+    let mut jacobian = SMatrix::<f64, 3, 15>::zeros();
+    jacobian.fixed_view_mut::<3, 3>(0, 0).copy_from(&-rotation::skew(&Vector3::new(0.0, 0.0, gravity)));
+    jacobian
+        .fixed_view_mut::<3, 3>(0, ACCELEROMETER_BIAS)
+        .copy_from(&-local_from_imu.to_rotation_matrix().into_inner());
+    let cross = covariance * jacobian.transpose();
+    let innovation = jacobian * cross + Matrix3::identity() * (sigma * sigma);
+    // The innovation has the variance of the noise at least.
+    let Some(inverse) = innovation.try_inverse() else { return *covariance };
+    let updated = covariance - cross * inverse * cross.transpose();
+    0.5 * (updated + updated.transpose())
+}
+
 /// `diag(R, R, R, I, I)`: maps an IMU error to rotated axes of the local frame.
 fn imu_rotation_adjoint(rotation: &Rotation) -> ImuMatrix {
     let rotation = rotation.to_rotation_matrix().into_inner();
@@ -240,6 +266,9 @@ fn statistics(samples: &[ImuSample], value: impl Fn(&ImuSample) -> Vector3<f64>)
 #[cfg(test)]
 mod tests {
     use super::*;
+    use nalgebra::Matrix2;
+    use rand::{RngExt as _, SeedableRng as _, rngs::StdRng};
+    use rand_distr::StandardNormal;
 
     #[test]
     fn at_rest_tilt_and_gyroscope_bias_are_found() {
@@ -267,6 +296,76 @@ mod tests {
             .collect();
         assert!(matches!(InitialState::from_rest(&shaken, &config), Err(StaticInitError::Moving { .. })));
         assert!(InitialState::from_rest(&samples[..20], &config).is_err());
+    }
+
+    #[test]
+    fn at_rest_tilt_and_accelerometer_bias_cancel_each_other_in_the_acceleration() {
+        let config = EstimatorConfig::default();
+        let tilted = rotation::exp(&Vector3::new(0.4, -1.2, 0.7));
+        let force = tilted.inverse() * Vector3::new(0.0, 0.0, config.gravity);
+        let at =
+            |k: i64| ImuSample { stamp_ns: k * 5_000_000, gyroscope: Vector3::zeros(), accelerometer: force };
+        let samples: Vec<ImuSample> = (0..=100).map(at).collect();
+        let start = InitialState::from_rest(&samples, &config).unwrap();
+        for axis in [Vector3::x(), Vector3::y()] {
+            let mut known = nalgebra::SVector::<f64, 15>::zeros();
+            // An error of the tilt that a bias explains leaves the acceleration as it is.
+            let tilt = 0.01 * axis;
+            let bias = start.imu.local_from_imu.rotation.inverse()
+                * (-rotation::skew(&Vector3::new(0.0, 0.0, config.gravity)) * tilt);
+            known.fixed_rows_mut::<3>(0).copy_from(&tilt);
+            known.fixed_rows_mut::<3>(ACCELEROMETER_BIAS).copy_from(&bias);
+            let state = start.imu.retract(&known);
+            let acceleration = state.local_from_imu.rotation * (force - state.accelerometer_bias)
+                - Vector3::new(0.0, 0.0, config.gravity);
+            assert!(acceleration.norm() < 1e-3, "second order only: {acceleration}");
+            let information = start.covariance.try_inverse().unwrap();
+            let deviations = (known.transpose() * information * known)[0].sqrt();
+            let of_bias = 0.01 * config.gravity / config.initial.sigma_accelerometer_bias_m_s2;
+            assert!((deviations / of_bias - 1.0).abs() < 0.01, "{deviations} instead of {of_bias}");
+
+            known.fixed_rows_mut::<3>(ACCELEROMETER_BIAS).copy_from(&-bias);
+            let deviations = (known.transpose() * information * known)[0].sqrt();
+            let expected = 0.02 * config.gravity / MIN_FORCE_SIGMA_M_S2;
+            assert!(deviations > 0.99 * expected, "{deviations}, {expected}: they do not cancel");
+        }
+    }
+
+    #[test]
+    fn the_tilt_found_at_rest_is_consistent_with_an_unknown_bias() {
+        let config = EstimatorConfig::default();
+        let mut rng = StdRng::seed_from_u64(5);
+        let mut normal = |sigma: f64| Vector3::from_fn(|_, _| sigma * rng.sample::<f64, _>(StandardNormal));
+        let (mut runs, mut nees) = (0, [0.0; 2]);
+        while runs < 500 {
+            let bias = normal(config.initial.sigma_accelerometer_bias_m_s2);
+            let truth = rotation::exp(&normal(0.7));
+            let force = truth.inverse() * Vector3::new(0.0, 0.0, config.gravity) + bias;
+            let samples: Vec<ImuSample> = (0..=100)
+                .map(|k| ImuSample {
+                    stamp_ns: k * 5_000_000,
+                    gyroscope: normal(1e-3),
+                    accelerometer: force + normal(0.03),
+                })
+                .collect();
+            // A bias of three deviations along gravity is refused as a wrong unit.
+            let Ok(start) = InitialState::from_rest(&samples, &config) else { continue };
+            runs += 1;
+            let found = start.imu.local_from_imu.rotation;
+            let truth = yaw_between(&truth, &found) * truth;
+            let tilt = rotation::log(&(truth * found.inverse())).xy();
+            let tilt_covariance: Matrix2<f64> = start.covariance.fixed_view::<2, 2>(0, 0).into();
+            nees[0] += tilt.dot(&(tilt_covariance.try_inverse().unwrap() * tilt)) / 2.0;
+            let of_bias: Matrix3<f64> =
+                start.covariance.fixed_view::<3, 3>(ACCELEROMETER_BIAS, ACCELEROMETER_BIAS).into();
+            let error = bias - start.imu.accelerometer_bias;
+            nees[1] += error.dot(&(of_bias.try_inverse().unwrap() * error)) / 3.0;
+        }
+        let [tilt, bias] = nees.map(|sum| sum / f64::from(runs));
+        // Noise is less than what is stated of vibration: 0.8 is expected of the tilt, with a deviation of 0.04.
+        assert!((tilt - 0.8).abs() < 0.15, "tilt: {tilt}");
+        // Along gravity the bias is known better than is stated.
+        assert!((bias - 0.67).abs() < 0.12, "bias: {bias}");
     }
 
     #[test]

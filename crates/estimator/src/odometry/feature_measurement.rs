@@ -26,6 +26,9 @@ use std::ops::Range;
 pub struct FeatureMeasurement {
     /// One entry per pixel.
     pub pixels: Vec<PixelMeasurement>,
+    /// What is known of the landmark besides its pixels: information about its error, 1/m^2. It is zero at the linearization
+    /// point.
+    pub prior: Option<Matrix3<f64>>,
     /// `Cᵀ` by the columns of the [`Layout`].
     cross: Vec<[f64; 3]>,
     /// `C A^-½`, transposed.
@@ -85,12 +88,16 @@ struct LandmarkBlock {
 impl FeatureMeasurement {
     /// Number of rows after the elimination of the landmark.
     pub fn free_rows(&self) -> usize {
-        (2 * self.pixels.len()).saturating_sub(3)
+        // A prior of the distance is one more row.
+        (2 * self.pixels.len() + usize::from(self.prior.is_some())).saturating_sub(3)
     }
 
     fn landmark_block(&self) -> LandmarkBlock {
-        let mut block =
-            LandmarkBlock { information: Matrix3::zeros(), vector: Vector3::zeros(), residual: 0.0 };
+        let mut block = LandmarkBlock {
+            information: self.prior.unwrap_or_default(),
+            vector: Vector3::zeros(),
+            residual: 0.0,
+        };
         for pixel in &self.pixels {
             block.information += pixel.wrt_landmark.tr_mul(&pixel.wrt_landmark);
             block.vector += pixel.wrt_landmark.tr_mul(&pixel.residual);
@@ -141,7 +148,8 @@ impl FeatureMeasurement {
         let dot = |a: usize, b: usize| -> f64 {
             right_sides.column(a).iter().zip(right_sides.column(b)).map(|(x, y)| x * y).sum()
         };
-        let wrt_landmark = Matrix3::from_fn(|row, column| dot(1 + row, 1 + column));
+        let wrt_landmark =
+            Matrix3::from_fn(|row, column| dot(1 + row, 1 + column)) + self.prior.unwrap_or_default();
         let vector = Vector3::from_fn(|row, _| dot(1 + row, 0));
         let factor = Cholesky::new(wrt_landmark).ok_or(NotPositiveDefinite)?;
         Ok(dot(0, 0) - vector.dot(&factor.solve(&vector)))

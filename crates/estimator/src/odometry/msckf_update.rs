@@ -19,7 +19,7 @@ use crate::odometry::tracks::{CloneObservation, Track};
 use crate::state::{ActiveState, Block};
 use geometry::triangulation::{TriangulationOptions, View, triangulate};
 use geometry::{Camera, Triangulated};
-use nalgebra::{Matrix2x3, Matrix2x6, Vector2, Vector3};
+use nalgebra::{Matrix2x3, Matrix2x6, Matrix3, Vector2, Vector3};
 use smallvec::SmallVec;
 
 /// Result of the odometry update of one image.
@@ -77,6 +77,8 @@ const NONLINEAR_FRACTION: f64 = 0.02;
 
 /// Distance without visible parallax, metres.
 const DISTANT_M: f64 = 1000.0;
+/// Standard deviation of it, metres.
+const SIGMA_DISTANT_M: f64 = 300.0;
 
 /// Maximum standard deviation of the depth of a new SLAM feature, as a fraction of the depth: up to 10 % its position in L
 /// is well approximated by a normal distribution.
@@ -137,9 +139,15 @@ impl MsckfUpdate {
             }
             let triangulated =
                 triangulate_robustly(state, &mut track.observations, sigma_px, largest_error, &mut report);
-            let landmark = triangulated.as_ref().map(|found| found.position).or_else(|| {
-                if settings.stationary { distant_point(state, &track.observations) } else { None }
-            });
+            let mut landmark = triangulated.as_ref().map(|found| found.position);
+            self.feature.prior = None;
+            if landmark.is_none()
+                && settings.stationary
+                && let Some(distant) = distant_point(state, &track.observations)
+            {
+                landmark = Some(distant.position);
+                self.feature.prior = Some(distant.information);
+            }
             if landmark.is_none_or(|landmark| !self.linearize(state, track, &landmark, sigma_px, false)) {
                 report.not_triangulated += 1;
                 continue;
@@ -290,16 +298,28 @@ fn has_accurate_depth(found: &Triangulated, state: &ActiveState, track: &Track) 
     })
 }
 
-/// A point on the first ray so distant that its pixels depend on the rotation only.
-fn distant_point(state: &ActiveState, observations: &[CloneObservation]) -> Option<Vector3<f64>> {
+/// A point so distant that its pixels depend on the rotation only.
+struct DistantPoint {
+    /// Position in L, metres.
+    position: Vector3<f64>,
+    /// Information about its error, 1/m^2. The pixels do not show its distance at all: without it, the elimination of the
+    /// landmark divides by rounding errors, and the rest is information about the tilt that nothing measured.
+    information: Matrix3<f64>,
+}
+
+/// A distant point on the first ray.
+fn distant_point(state: &ActiveState, observations: &[CloneObservation]) -> Option<DistantPoint> {
     let first = observations.first()?;
     let calibrated = state.calibration.cameras.get(usize::from(first.camera))?;
     let clone = &state.clones[state.clone_index(first.clone)?];
     let seen = calibrated.camera.unproject(&first.pixel).ok()?;
-    Some(
-        (clone.local_from_imu * calibrated.imu_from_camera)
-            .transform(&(Vector3::new(seen.x, seen.y, 1.0) * DISTANT_M)),
-    )
+    let away = Vector3::new(seen.x, seen.y, 1.0) * DISTANT_M;
+    let local_from_camera = clone.local_from_imu * calibrated.imu_from_camera;
+    let along = (local_from_camera.rotation * away).normalize();
+    Some(DistantPoint {
+        position: local_from_camera.transform(&away),
+        information: along * along.transpose() / (SIGMA_DISTANT_M * SIGMA_DISTANT_M),
+    })
 }
 
 #[cfg(test)]
@@ -307,6 +327,7 @@ mod tests {
     use super::*;
     use crate::state::CloneId;
     use crate::test_scene::scene;
+    use geometry::{Pose, rotation};
     use nalgebra::DMatrix;
 
     fn settings() -> MsckfSettings {
@@ -350,5 +371,53 @@ mod tests {
             [3, 2].map(|feature_id| Track { feature_id, observations: scene.observations.clone() });
         let report = update.collect(&scene.state, &covariance, &mut tracks, &few, |_| false);
         assert_eq!((report.used, report.left_out, update.new_features.len()), (1, 1, 0));
+    }
+
+    #[test]
+    fn distant_points_of_a_body_at_rest_show_nothing_of_its_position_and_attitude() {
+        let mut scene = scene(false);
+        let count = scene.state.clones.len();
+        let newest = scene.state.clones[count - 1].local_from_imu;
+        for (k, clone) in scene.state.clones.iter_mut().enumerate() {
+            // Its estimates differ by as much as the noise of the IMU makes them.
+            let turned = rotation::exp(&(1e-4 * Vector3::new((k as f64).sin(), 0.3, (k as f64).cos())));
+            let shift = 1e-5 * Vector3::new(0.2, (2.0 * k as f64).sin(), (3.0 * k as f64).cos());
+            clone.local_from_imu = Pose::new(turned * newest.rotation, newest.translation + shift);
+            clone.first_estimate = clone.local_from_imu;
+        }
+        let pixels = [[100.0, 80.0], [320.0, 240.0], [600.0, 400.0], [50.0, 300.0]];
+        let mut tracks: Vec<Track> = (0..)
+            .zip(pixels)
+            .map(|(feature_id, [x, y])| {
+                let mut observations = scene.observations.clone();
+                for (k, observation) in observations.iter_mut().enumerate() {
+                    let noise = Vector2::new((7.0 * k as f64 + x).sin(), (5.0 * k as f64 + y).cos());
+                    observation.pixel = Vector2::new(x, y) + noise;
+                }
+                Track { feature_id, observations }
+            })
+            .collect();
+        let dim = scene.state.dim();
+        let covariance = JointCovariance::new(DMatrix::identity(dim, dim) * 1e-4, 4);
+        let mut update = MsckfUpdate::default();
+        let at_rest = MsckfSettings { stationary: true, ..settings() };
+        let report = update.collect(&scene.state, &covariance, &mut tracks, &at_rest, |_| true);
+        assert_eq!((report.used, report.not_triangulated), (pixels.len(), 0));
+
+        let information = &mut update.information.matrix;
+        information.mirror_lower();
+        let information = information.view().into_owned();
+        let largest = information.amax();
+        let least = information.clone().symmetric_eigenvalues().min();
+        assert!(least > -1e-9 * largest, "{least} of {largest}: no information is negative");
+        let mut gauge = DMatrix::zeros(6 * count, 6);
+        for (index, clone) in scene.state.clones.iter().enumerate() {
+            gauge.fixed_view_mut::<3, 3>(6 * index, 0).fill_with_identity();
+            let lever = rotation::skew(&clone.local_from_imu.translation);
+            gauge.fixed_view_mut::<3, 3>(6 * index + 3, 0).copy_from(&-lever);
+            gauge.fixed_view_mut::<3, 3>(6 * index + 3, 3).fill_with_identity();
+        }
+        let seen = gauge.transpose() * &information * &gauge;
+        assert!(seen.amax() < 1e-4, "1/sigma^2 of a common rotation (rad) and shift (m): {seen}");
     }
 }

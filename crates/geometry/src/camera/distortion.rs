@@ -44,6 +44,7 @@ pub enum Distortion {
 
 impl Distortion {
     /// Distorted normalized coordinates.
+    #[inline]
     pub fn distort(&self, normalized: &Vector2<f64>) -> Vector2<f64> {
         match self {
             Self::None => *normalized,
@@ -61,6 +62,7 @@ impl Distortion {
     }
 
     /// Distorted normalized coordinates, and their Jacobian with respect to the undistorted ones.
+    #[inline]
     pub fn distort_with_jacobian(&self, normalized: &Vector2<f64>) -> (Vector2<f64>, Matrix2<f64>) {
         match self {
             Self::None => (*normalized, Matrix2::identity()),
@@ -88,6 +90,7 @@ impl Distortion {
     }
 
     /// Whether the model is one-to-one from the centre out to this ray.
+    #[inline]
     pub(super) fn covers(&self, normalized: &Vector2<f64>) -> bool {
         match self {
             Self::None | Self::Fov(_) => true,
@@ -163,6 +166,7 @@ pub(super) fn fov_scale(omega: f64) -> f64 {
 /// The squared radius at which `r (1 + k1 r^2 + k2 r^4)` first turns back; infinite where it never does.
 ///
 /// The smallest positive root in `s = r^2` of `1 + 3 k1 s + 5 k2 s^2`.
+#[inline]
 pub(super) fn radial_limit_squared(k1: f64, k2: f64) -> f64 {
     let (a, b) = (5.0 * k2, 3.0 * k1);
     let discriminant = b * b - 4.0 * a;

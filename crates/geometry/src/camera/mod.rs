@@ -63,6 +63,7 @@ impl Camera {
     /// # Errors
     /// [`ProjectionError::BehindCamera`], [`ProjectionError::OutsideModel`] where the distortion folds back,
     /// [`ProjectionError::NotFinite`] on NaN or infinity.
+    #[inline]
     pub fn project(&self, p_camera: &Vector3<f64>) -> Result<Vector2<f64>, ProjectionError> {
         let normalized = normalize(p_camera)?;
         if !self.distortion.covers(&normalized) {
@@ -75,6 +76,7 @@ impl Camera {
     ///
     /// # Errors
     /// As [`Camera::project`].
+    #[inline]
     pub fn project_with_jacobian(
         &self,
         p_camera: &Vector3<f64>,
@@ -92,6 +94,7 @@ impl Camera {
     }
 
     /// The distorted pixel of normalized coordinates, and the Jacobian of the one with respect to the other (pixels).
+    #[inline]
     pub fn distort_normalized_with_jacobian(
         &self,
         normalized: &Vector2<f64>,
@@ -152,6 +155,7 @@ impl Camera {
         self.distortion.validate()
     }
 
+    #[inline]
     fn pixel_of_distorted(&self, distorted: &Vector2<f64>) -> Vector2<f64> {
         Vector2::new(
             self.focal[0] * distorted.x + self.centre[0],
@@ -160,6 +164,7 @@ impl Camera {
     }
 }
 
+#[inline]
 fn normalize(p_camera: &Vector3<f64>) -> Result<Vector2<f64>, ProjectionError> {
     if !p_camera.iter().all(|value| value.is_finite()) {
         return Err(ProjectionError::NotFinite);
@@ -170,6 +175,7 @@ fn normalize(p_camera: &Vector3<f64>) -> Result<Vector2<f64>, ProjectionError> {
     Ok(Vector2::new(p_camera.x / p_camera.z, p_camera.y / p_camera.z))
 }
 
+#[inline]
 fn finite(v: Vector2<f64>) -> Result<Vector2<f64>, ProjectionError> {
     if v.x.is_finite() && v.y.is_finite() { Ok(v) } else { Err(ProjectionError::NotFinite) }
 }

@@ -33,6 +33,7 @@ impl Correspondence {
 
     /// Distance (pixels) between the pixel and the projection of the point; `None` if it cannot be projected, for example
     /// behind the camera.
+    #[inline]
     pub fn reprojection_error(&self, camera: &Camera, world_from_camera: &Pose) -> Option<f64> {
         let pixel = camera.project(&world_from_camera.inverse_transform(&self.point)).ok()?;
         Some((self.pixel - pixel).norm())

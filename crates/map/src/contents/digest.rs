@@ -5,7 +5,7 @@ use serde::Serialize;
 use sha2::{Digest as _, Sha256};
 
 use super::MapContents;
-use crate::model::KeyframeCrossCovariance;
+use crate::model::{Keyframe, KeyframeCrossCovariance, Landmark, MapMetadata};
 use crate::store::record::{CrossCovarianceRecord, InfoRecord, KeyframeRecord, LandmarkRecord, payload};
 
 impl MapContents {
@@ -13,37 +13,57 @@ impl MapContents {
     /// equal maps and different for different ones, but blind to what is only displayed: the name, the creator, the version
     /// and the identity.
     pub fn digest(&self) -> MapIdentity {
-        let mut digest = Digest(Sha256::new());
-        let mut info = self.info.clone();
-        info.name.clear();
-        info.created_by.clear();
-        (info.version, info.identity) = (0, None);
-        digest.add("info", &[], &InfoRecord::new(&info));
+        let mut digest = RunningDigest::new(&self.info);
         let mut keyframes: Vec<_> = self.keyframes.iter().collect();
         keyframes.sort_by_key(|keyframe| keyframe.id);
         for keyframe in keyframes {
-            digest.add("keyframes", &[keyframe.id], &KeyframeRecord::new(keyframe));
+            digest.add_keyframe(keyframe);
         }
         let mut landmarks: Vec<_> = self.landmarks.iter().collect();
         landmarks.sort_by_key(|landmark| landmark.id);
         for landmark in landmarks {
             let mut landmark = landmark.clone();
             landmark.observations.sort_by_key(|observation| observation.keyframe);
-            digest.add("landmarks", &[landmark.id], &LandmarkRecord::new(&landmark));
+            digest.add_landmark(&landmark);
         }
         let mut crosses: Vec<_> =
             self.cross_covariances.iter().map(KeyframeCrossCovariance::ordered).collect();
         crosses.sort_by_key(|cross| (cross.a, cross.b));
         for cross in &crosses {
-            digest.add("cross_covariances", &[cross.a, cross.b], &CrossCovarianceRecord::new(cross));
+            digest.add_cross_covariance(cross);
         }
         digest.finish()
     }
 }
 
-struct Digest(Sha256);
+/// A digest of what is added: all keyframes, all landmarks, all cross-covariances, each in the order of their ids.
+pub(crate) struct RunningDigest(Sha256);
 
-impl Digest {
+impl RunningDigest {
+    pub(crate) fn new(info: &MapMetadata) -> Self {
+        let mut info = info.clone();
+        info.name.clear();
+        info.created_by.clear();
+        (info.version, info.identity) = (0, None);
+        let mut digest = Self(Sha256::new());
+        digest.add("info", &[], &InfoRecord::new(&info));
+        digest
+    }
+
+    pub(crate) fn add_keyframe(&mut self, keyframe: &Keyframe) {
+        self.add("keyframes", &[keyframe.id], &KeyframeRecord::new(keyframe));
+    }
+
+    /// Adds a landmark whose observations are in the order of their keyframes.
+    pub(crate) fn add_landmark(&mut self, landmark: &Landmark) {
+        self.add("landmarks", &[landmark.id], &LandmarkRecord::new(landmark));
+    }
+
+    /// Adds a cross-covariance with `a < b`.
+    pub(crate) fn add_cross_covariance(&mut self, cross: &KeyframeCrossCovariance) {
+        self.add("cross_covariances", &[cross.a, cross.b], &CrossCovarianceRecord::new(cross));
+    }
+
     /// Every part is preceded by its length, so that no two sequences of records have the same bytes.
     fn add<T: Serialize>(&mut self, table: &str, key: &[u64], record: &T) {
         let key: Vec<u8> = key.iter().flat_map(|id| id.to_le_bytes()).collect();
@@ -53,7 +73,7 @@ impl Digest {
         }
     }
 
-    fn finish(self) -> MapIdentity {
+    pub(crate) fn finish(self) -> MapIdentity {
         let all = self.0.finalize();
         MapIdentity::from_bytes(std::array::from_fn(|at| all[at]))
     }

@@ -8,7 +8,9 @@ use std::collections::BTreeSet;
 
 use protocol::KeyframeId;
 
+pub(crate) use digest::RunningDigest;
 pub use error::{ContentsError, CrossCovarianceProblem, KeyframeProblem, LandmarkProblem, MetadataProblem};
+pub use validation::validate_landmark;
 
 use crate::model::{Keyframe, KeyframeCrossCovariance, Landmark, MapMetadata};
 

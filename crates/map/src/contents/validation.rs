@@ -39,7 +39,7 @@ impl MapContents {
         let mut landmark_ids = BTreeSet::new();
         for landmark in &self.landmarks {
             let first = landmark_ids.insert(landmark.id);
-            check_landmark(&self.info, landmark, &keyframes)
+            check_landmark(&self.info, landmark, |id| keyframes.get(&id).copied())
                 .and_then(|()| ensure(first, LandmarkProblem::Duplicate))
                 .map_err(|problem| ContentsError::Landmark { id: landmark.id, problem })?;
         }
@@ -52,6 +52,22 @@ impl MapContents {
         }
         Ok(())
     }
+}
+
+/// Checks the invariants of one landmark, see [`MapContents::validate`], but for the uniqueness of its id.
+///
+/// # Arguments
+/// * `keyframe`: the keyframe of an id, `None` where the map has none of it.
+///
+/// # Errors
+/// [`ContentsError::Landmark`].
+pub fn validate_landmark<'a>(
+    info: &MapMetadata,
+    landmark: &Landmark,
+    keyframe: impl Fn(KeyframeId) -> Option<&'a Keyframe>,
+) -> Result<(), ContentsError> {
+    check_landmark(info, landmark, keyframe)
+        .map_err(|problem| ContentsError::Landmark { id: landmark.id, problem })
 }
 
 fn ensure<E>(holds: bool, problem: E) -> Result<(), E> {
@@ -105,18 +121,18 @@ fn check_keyframe(info: &MapMetadata, keyframe: &Keyframe) -> Result<(), Keyfram
 }
 
 /// Checks one landmark against the keyframes that it names.
-fn check_landmark(
+fn check_landmark<'a>(
     info: &MapMetadata,
     landmark: &Landmark,
-    keyframes: &Keyframes<'_>,
+    keyframe: impl Fn(KeyframeId) -> Option<&'a Keyframe>,
 ) -> Result<(), LandmarkProblem> {
     let position: [f64; 3] = landmark.position_in_anchor.into();
     ensure(position.iter().copied().all(is_coordinate), LandmarkProblem::Position { position })?;
     let mut observers = BTreeSet::new();
     for observation in &landmark.observations {
         let id = observation.keyframe;
-        let keyframe = keyframes.get(&id).ok_or(LandmarkProblem::UnknownKeyframe { keyframe: id })?;
-        check_observation(info, keyframe, observation)?;
+        let observer = keyframe(id).ok_or(LandmarkProblem::UnknownKeyframe { keyframe: id })?;
+        check_observation(info, observer, observation)?;
         ensure(observers.insert(id), LandmarkProblem::ObservedTwice { keyframe: id })?;
     }
     let anchor = landmark.anchor;

@@ -6,6 +6,7 @@ use super::error::StoreError;
 use super::folder;
 use super::map_store::MapStore;
 use super::sled_store::SledStore;
+use super::stored_landmarks::StoredLandmarks;
 use super::stored_map::{SavedMap, StoredMap};
 use crate::contents::MapContents;
 
@@ -23,6 +24,33 @@ static STORE: &dyn MapStore = &SledStore;
 /// that an older program writes to.
 pub fn load_map(path: impl AsRef<Path>) -> Result<StoredMap, StoreError> {
     folder::read(path.as_ref(), STORE)
+}
+
+/// Opens the map in a folder: all of it but the landmarks, and these to be read one at a time.
+///
+/// For those who keep landmarks in a form of their own: the whole map is never in memory twice. As with [`load_map`], all of
+/// it is verified before this returns, and a copy in the temporary folder is freed when the landmarks were read.
+///
+/// # Errors
+/// As [`load_map`].
+///
+/// # Example
+/// ```
+/// use map::{MapContents, MapMetadata, store};
+/// use protocol::DescriptorKind;
+///
+/// let folder = tempfile::tempdir()?;
+/// let path = folder.path().join("hall.db");
+/// let contents = MapContents::empty(MapMetadata::new("hall", "example", DescriptorKind::Binary, 32));
+/// store::save_map(&path, &contents, false)?;
+/// let (stored, landmarks) = store::open_map(&path)?;
+/// let mut count = 0;
+/// landmarks.read(|_| count += 1)?;
+/// assert_eq!((stored.contents.keyframes.len(), count), (0, 0));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+pub fn open_map(path: impl AsRef<Path>) -> Result<(StoredMap, StoredLandmarks), StoreError> {
+    folder::open(path.as_ref(), STORE)
 }
 
 /// Writes a map into a new folder, or with `replace` in place of the map that is there. The new one then has the identity of

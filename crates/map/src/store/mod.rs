@@ -3,13 +3,14 @@
 //! | module | what |
 //! |---|---|
 //! | `error` | [`StoreError`] |
-//! | `database` | [`load_map`], [`save_map`]: the only place that names an implementation |
+//! | `database` | [`load_map`], [`open_map`], [`save_map`]: the only place that names an implementation |
 //! | `folder` | the folder of a map: versions, checksums, verified copies; independent of the database |
 //! | `guarded` | calls that may panic |
 //! | `map_store` | the trait [`MapStore`] |
 //! | `record` | the bytes of a record: versions, checksums, layout; independent of the database |
 //! | `sled_store` | the trait on the embedded database sled |
 //! | `stored_map` | [`StoredMap`], [`SavedMap`] |
+//! | `stored_landmarks` | [`StoredLandmarks`], read one at a time |
 
 mod database;
 mod error;
@@ -18,12 +19,14 @@ mod guarded;
 mod map_store;
 pub mod record;
 mod sled_store;
+mod stored_landmarks;
 mod stored_map;
 
-pub use database::{ensure_free, load_map, save_map};
+pub use database::{ensure_free, load_map, open_map, save_map};
 pub use error::{Damage, DatabaseError, StoreError, WriteProblem};
-pub use map_store::{MapStore, ReadMap};
+pub use map_store::{MapStore, OpenDatabase, ReadMap};
 pub use record::RecordError;
+pub use stored_landmarks::StoredLandmarks;
 pub use stored_map::{SavedMap, StoredMap};
 
 /// Layout of a map on disk. A map with a larger number is refused.

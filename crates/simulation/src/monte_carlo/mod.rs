@@ -5,7 +5,7 @@
 //! trajectory, world, noise, map and initial state, which are the same for all variants of the filter.
 //!
 //! The initial state is the truth minus a sample of the covariance that the filter starts from (`start`), so the true pose
-//! of L is known exactly, and the NEES has its expectation from the first image on.
+//! of L is known exactly, and the NEES has its expectation from the first image on. Or the filter initializes itself.
 //!
 //! | module | what is sampled |
 //! |---|---|
@@ -83,11 +83,22 @@ pub struct MonteCarloOptions {
     pub map_change: Option<MapChangeOptions>,
     /// Errors of the calibration that the filter is given.
     pub calibration: CalibrationErrors,
-    /// The filter starts from the biases of the truth with a small error; else with the error of unknown ones, as
-    /// [`InitialSigmas`](estimator::InitialSigmas) state it.
-    pub biases_are_known: bool,
+    /// What the filter starts from.
+    pub start: FilterStart,
     /// An undetected failure of the filter in the middle of the run.
     pub disturbance: Option<Disturbance>,
+}
+
+/// What the filter of a run starts from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FilterStart {
+    /// The truth with errors, those of the biases small.
+    KnownBiases,
+    /// The truth with errors, those of the biases as [`InitialSigmas`](estimator::InitialSigmas) state them.
+    UnknownBiases,
+    /// What its own initialization finds, at rest or in motion. L is where that put it: the first state has no error in
+    /// position and yaw.
+    Initialization,
 }
 
 impl Default for MonteCarloOptions {
@@ -101,7 +112,7 @@ impl Default for MonteCarloOptions {
             answers: AnswerOptions::default(),
             map_change: None,
             calibration: CalibrationErrors::default(),
-            biases_are_known: true,
+            start: FilterStart::KnownBiases,
             disturbance: None,
         }
     }

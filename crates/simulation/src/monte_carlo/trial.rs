@@ -4,7 +4,7 @@ use super::answers::Answer;
 use super::calibration::Stated;
 use super::disturbance::THREE_SIGMA;
 use super::map_change::{MapChange, answers_and_change};
-use super::{CalibrationError, MonteCarloOptions, Rescue, Variant, global_from_world, start};
+use super::{CalibrationError, FilterStart, MonteCarloOptions, Rescue, Variant, global_from_world, start};
 use crate::run::Kind;
 use crate::{SimulatedWorld, SimulationError, simulate_world};
 use estimator::{
@@ -12,7 +12,8 @@ use estimator::{
     MapMode, TrackObservation,
 };
 use evaluation::trajectory::StateRow;
-use evaluation::{RunErrors, nees, run_errors_in};
+use evaluation::{RunErrors, nees, run_errors, run_errors_in};
+use nalgebra::Vector3;
 use sensors::{Frame, Sequence, TruthRow};
 use serde::Serialize;
 
@@ -96,7 +97,7 @@ struct Player<'a> {
     states: Vec<StateRow>,
     map: MapCounts,
     alarm_ns: Option<i64>,
-    /// The next initialization, where the estimator gave up after a disturbance.
+    /// The next initialization: the first one, or where the estimator gave up after a disturbance.
     initializer: Option<Initializer>,
     rescue: Option<Rescue>,
     /// An answer came with the newest image.
@@ -145,13 +146,14 @@ impl Seed<'_> {
                 return trial;
             }
         };
+        let initializes = self.options.start == FilterStart::Initialization;
         let mut player = Player {
             estimator,
             pending: None,
             states: Vec::new(),
             map: MapCounts::default(),
             alarm_ns: None,
-            initializer: None,
+            initializer: initializes.then(|| Initializer::new(variant.config.clone(), stated.rig.clone())),
             rescue: None,
             is_answered: false,
         };
@@ -167,8 +169,16 @@ impl Seed<'_> {
         let cameras = found.cameras.iter().zip(&truth);
         trial.estimated_calibration =
             cameras.map(|(found, truth)| CalibrationError::of(found, truth, delays)).collect();
-        trial.errors =
-            run_errors_in(&player.states, &self.truth(&player.states), start.global_from_local).ok();
+        let truth = self.truth(&player.states);
+        trial.errors = if initializes {
+            let gravity_in_global = global_from_world().rotation * -Vector3::z();
+            run_errors(&player.states, &truth, gravity_in_global).ok()
+        } else {
+            run_errors_in(&player.states, &truth, start.global_from_local).ok()
+        };
+        if trial.errors.is_none() && trial.diverged.is_none() {
+            trial.diverged = Some("never initialized".to_owned());
+        }
         trial
     }
 
@@ -178,7 +188,10 @@ impl Seed<'_> {
         let row = rows.iter().rfind(|row| row.stamp_ns <= begin_ns);
         let biases = row.and_then(|row| row.gyroscope_bias.zip(row.accelerometer_bias)).unwrap_or_default();
         let initial = variant.config.initial;
-        let sigmas = if self.options.biases_are_known { initial.with_known_biases() } else { initial };
+        let sigmas = match self.options.start {
+            FilterStart::KnownBiases => initial.with_known_biases(),
+            FilterStart::UnknownBiases | FilterStart::Initialization => initial,
+        };
         start::draw(self.number, begin_ns, &motion, biases, &sigmas)
     }
 

@@ -23,6 +23,8 @@
 use super::descriptors::{DescriptorError, DescriptorView, Metric};
 use super::kernels::{two_least, update_least};
 use super::prepared::PreparedDescriptors;
+#[cfg(target_arch = "x86_64")]
+use super::{avx2_rows::Interleaved, descriptors::inverse_norm_int8, kernels::int8_distances};
 use std::collections::HashMap;
 
 /// Conditions on a match.
@@ -87,7 +89,7 @@ pub fn match_descriptors(
     train: DescriptorView<'_>,
     options: &MatchOptions,
 ) -> Result<Vec<Match>, DescriptorError> {
-    match_groups(query, train, &Groups::Single, options)
+    Matcher::new(query).matches(train, options)
 }
 
 /// Like [`match_descriptors`], where several train descriptors may belong to the same landmark.
@@ -110,34 +112,112 @@ pub fn match_grouped(
     if train_groups.len() != train.len() {
         return Err(DescriptorError::Groups { groups: train_groups.len(), descriptors: train.len() });
     }
-    match_groups(query, train, &dense_groups(train_groups), options)
+    Matcher::new(query).grouped_matches(train, &dense_groups(train_groups), options)
 }
 
-fn match_groups(
-    query: DescriptorView<'_>,
-    train: DescriptorView<'_>,
-    groups: &Groups,
-    options: &MatchOptions,
-) -> Result<Vec<Match>, DescriptorError> {
-    if query.metric() != train.metric() || query.width() != train.width() {
-        return Err(DescriptorError::Mismatch { left: query.width(), right: train.width() });
-    }
-    let (query_data, train_data) = (PreparedDescriptors::new(&query), PreparedDescriptors::new(&train));
-    // Indexed by train descriptor, so that the inner loop writes to no other memory.
-    let mut nearest_distance = vec![f32::INFINITY; train.len()];
-    let mut nearest_index = vec![u32::MAX; train.len()];
-    let mut matches = Vec::new();
-    query_data.for_each_row(&train_data, |index, row| {
-        if options.mutual {
-            update_least(row, index as u32, &mut nearest_distance, &mut nearest_index);
+/// Query descriptors that are matched with several sets of train descriptors, one after the other: they are converted, and
+/// memory is allocated, once.
+///
+/// ```
+/// use vision::{DescriptorView, MatchOptions, Matcher, Metric};
+/// let view = |bytes| DescriptorView::new(Metric::CosineInt8, 2, bytes);
+/// let mut matcher = Matcher::new(view(&[100, 0, 0, 100])?);
+/// let options = MatchOptions::for_metric(Metric::CosineInt8);
+/// assert_eq!(matcher.matches(view(&[0, 99])?, &options)?[0].query, 1);
+/// assert_eq!(matcher.matches(view(&[99, 0])?, &options)?[0].query, 0);
+/// # Ok::<(), vision::DescriptorError>(())
+/// ```
+pub struct Matcher {
+    metric: Metric,
+    width: usize,
+    queries: PreparedDescriptors,
+    /// The nearest query of each train descriptor: indexed by that, so that the inner loop writes to no other memory.
+    nearest_distance: Vec<f32>,
+    nearest_index: Vec<u32>,
+    /// Train descriptors of signed bytes, where the processor can compare them interleaved.
+    #[cfg(target_arch = "x86_64")]
+    interleaved: Option<Interleaved>,
+    /// 1 over the norm of each of these.
+    #[cfg(target_arch = "x86_64")]
+    inverse_norms: Vec<f32>,
+}
+
+impl Matcher {
+    /// Converts the query descriptors.
+    pub fn new(query: DescriptorView<'_>) -> Matcher {
+        let (metric, width) = (query.metric(), query.width());
+        Matcher {
+            metric,
+            width,
+            queries: PreparedDescriptors::new(&query),
+            nearest_distance: Vec::new(),
+            nearest_index: Vec::new(),
+            #[cfg(target_arch = "x86_64")]
+            interleaved: Interleaved::new(width).filter(|_| metric == Metric::CosineInt8),
+            #[cfg(target_arch = "x86_64")]
+            inverse_norms: Vec::new(),
         }
-        matches.extend(nearest(index, row, groups, options));
-    });
-    if options.mutual {
-        let nearest_query = nearest_query_of_groups(groups, &nearest_distance, &nearest_index);
-        matches.retain(|found| nearest_query[groups.of(found.train)].1 as usize == found.query);
     }
-    Ok(matches)
+
+    /// Matches every query descriptor with its nearest train descriptor, see [`match_descriptors`].
+    ///
+    /// # Errors
+    /// [`DescriptorError::Mismatch`] if metric or width differ.
+    pub fn matches(
+        &mut self,
+        train: DescriptorView<'_>,
+        options: &MatchOptions,
+    ) -> Result<Vec<Match>, DescriptorError> {
+        self.grouped_matches(train, &Groups::Single, options)
+    }
+
+    fn grouped_matches(
+        &mut self,
+        train: DescriptorView<'_>,
+        groups: &Groups,
+        options: &MatchOptions,
+    ) -> Result<Vec<Match>, DescriptorError> {
+        if self.metric != train.metric() || self.width != train.width() {
+            return Err(DescriptorError::Mismatch { left: self.width, right: train.width() });
+        }
+        let (mut distances, mut indices) =
+            (std::mem::take(&mut self.nearest_distance), std::mem::take(&mut self.nearest_index));
+        distances.clear();
+        distances.resize(train.len(), f32::INFINITY);
+        indices.clear();
+        indices.resize(train.len(), u32::MAX);
+        let mut matches = Vec::new();
+        self.for_each_row(train, |index, row| {
+            if options.mutual {
+                update_least(row, index as u32, &mut distances, &mut indices);
+            }
+            matches.extend(nearest(index, row, groups, options));
+        });
+        if options.mutual {
+            let nearest_query = nearest_query_of_groups(groups, &distances, &indices);
+            matches.retain(|found| nearest_query[groups.of(found.train)].1 as usize == found.query);
+        }
+        (self.nearest_distance, self.nearest_index) = (distances, indices);
+        Ok(matches)
+    }
+
+    /// Calls `visit` with the index of each query descriptor in order and its distances to all train descriptors.
+    fn for_each_row(&mut self, train: DescriptorView<'_>, mut visit: impl FnMut(usize, &[f32])) {
+        #[cfg(target_arch = "x86_64")]
+        if let (Some(interleaved), PreparedDescriptors::Int8 { data, inverse_norms, .. }) =
+            (&mut self.interleaved, &self.queries)
+        {
+            self.inverse_norms.clear();
+            self.inverse_norms.extend(train.iter().map(inverse_norm_int8));
+            interleaved.fill(train.bytes());
+            interleaved.for_each_row(data, |index, row| {
+                int8_distances(row, inverse_norms[index], &self.inverse_norms);
+                visit(index, row);
+            });
+            return;
+        }
+        self.queries.for_each_row(&PreparedDescriptors::new(&train), visit);
+    }
 }
 
 /// The nearest train descriptor, if it passes the distance threshold and the ratio test.

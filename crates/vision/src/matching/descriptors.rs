@@ -1,9 +1,10 @@
 //! Descriptors in memory, metrics, and distances between two descriptors.
 
+use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 /// How two descriptors are compared.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Metric {
     /// Binary descriptors: the fraction of bits that differ, 0 to 1; unrelated ones are near 0.5.
     Hamming,

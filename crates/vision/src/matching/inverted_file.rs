@@ -14,8 +14,10 @@
 
 use std::ops::Range;
 
+use serde::{Deserialize, Serialize};
+
 use super::descriptors::{DescriptorError, DescriptorView, Metric};
-use super::prepared::PreparedDescriptors;
+use super::prepared::{PreparedDescriptor, PreparedDescriptors};
 use super::vocabulary::Vocabulary;
 
 /// Mean length of an inverted list: short compared with the cost of finding the words of a query.
@@ -49,13 +51,16 @@ pub struct Hit {
 /// assert_eq!(found, [7]);
 /// # Ok::<(), vision::DescriptorError>(())
 /// ```
+#[derive(Serialize, Deserialize)]
 pub struct InvertedFile {
     metric: Metric,
     width: usize,
     /// `None` for an empty index.
     vocabulary: Option<Vocabulary>,
     /// `starts[word]..starts[word + 1]` is the inverted list of a word.
+    #[serde(deserialize_with = "super::exact::exact")]
     starts: Vec<u32>,
+    #[serde(deserialize_with = "super::exact::exact")]
     payloads: Vec<u32>,
     /// Descriptors in the order of `payloads`.
     entries: PreparedDescriptors,
@@ -111,7 +116,7 @@ impl InvertedFile {
             sorted_payloads[at] = payload;
             sorted_bytes[at * width..(at + 1) * width].copy_from_slice(descriptor);
         }
-        let entries = PreparedDescriptors::new(&DescriptorView::new(metric, width, &sorted_bytes)?);
+        let entries = PreparedDescriptors::from_bytes(metric, width, sorted_bytes)?;
         Ok(Self { metric, width, vocabulary: Some(vocabulary), starts, payloads: sorted_payloads, entries })
     }
 
@@ -141,8 +146,8 @@ impl InvertedFile {
         visit: impl FnMut(usize, &[Hit]),
     ) -> Result<(), DescriptorError> {
         let mut row = Vec::new();
-        self.search_lists(queries, visit, |prepared, query, range, hits| {
-            prepared.distances_to(query, &self.entries, range.clone(), &mut row);
+        self.search_lists(queries, visit, |query, range, hits| {
+            query.distances_to(&self.entries, range.clone(), &mut row);
             for (&distance, &payload) in row.iter().zip(&self.payloads[range]) {
                 if distance <= max_distance {
                     hits.push(Hit { distance, payload });
@@ -163,11 +168,11 @@ impl InvertedFile {
         visit: impl FnMut(usize, &[Hit]),
     ) -> Result<(), DescriptorError> {
         let mut row = Vec::new();
-        self.search_lists(queries, visit, |prepared, query, range, hits| {
+        self.search_lists(queries, visit, |query, range, hits| {
             for at in range {
                 let payload = self.payloads[at];
                 if asked_for(payload) {
-                    prepared.distances_to(query, &self.entries, at..at + 1, &mut row);
+                    query.distances_to(&self.entries, at..at + 1, &mut row);
                     let near = row.iter().filter(|&&distance| distance <= max_distance);
                     hits.extend(near.map(|&distance| Hit { distance, payload }));
                 }
@@ -180,7 +185,7 @@ impl InvertedFile {
         &self,
         queries: DescriptorView<'_>,
         mut visit: impl FnMut(usize, &[Hit]),
-        mut search: impl FnMut(&PreparedDescriptors, usize, Range<usize>, &mut Vec<Hit>),
+        mut search: impl FnMut(&PreparedDescriptor<'_>, Range<usize>, &mut Vec<Hit>),
     ) -> Result<(), DescriptorError> {
         if queries.metric() != self.metric || queries.width() != self.width {
             return Err(DescriptorError::Mismatch { left: queries.width(), right: self.width });
@@ -190,9 +195,10 @@ impl InvertedFile {
         let mut hits = Vec::new();
         vocabulary.for_each_nearest(queries, PROBES, |query, words| {
             hits.clear();
+            let descriptor = prepared.get(query);
             for &word in words {
                 let [start, end] = [word, word + 1].map(|at| self.starts[at as usize] as usize);
-                search(&prepared, query, start..end, &mut hits);
+                search(&descriptor, start..end, &mut hits);
             }
             visit(query, &hits);
         });

@@ -167,20 +167,49 @@ impl NullaryFnOnce for TwoLeast<'_> {
     #[inline(always)]
     fn call(self) -> (f32, f32) {
         let (blocks, rest) = self.0.as_chunks::<LANES>();
-        let mut least = [f32::INFINITY; LANES];
-        let mut second = [f32::INFINITY; LANES];
+        let mut last = [f32::INFINITY; LANES];
+        last[..rest.len()].copy_from_slice(rest);
+        let mut both = ([f32::INFINITY; LANES], [f32::INFINITY; LANES]);
         for block in blocks {
-            for (lane, distance) in block.iter().enumerate() {
-                let larger = larger(*distance, least[lane]);
-                second[lane] = smaller(larger, second[lane]);
-                least[lane] = smaller(*distance, least[lane]);
-            }
+            both = two_least_of(both, (*block, [f32::INFINITY; LANES]));
         }
-        let both = least.iter().chain(&second).chain(rest);
-        both.fold((f32::INFINITY, f32::INFINITY), |(least, second), &distance| {
-            (smaller(distance, least), smaller(larger(distance, least), second))
-        })
+        let (least, second) = two_least_of(both, (last, [f32::INFINITY; LANES]));
+        // Halves are merged as vectors.
+        let (least, second) = two_least_of(half::<LANES, 8>(0, least, second), half(1, least, second));
+        let (least, second) = two_least_of(half::<8, 4>(0, least, second), half(1, least, second));
+        let (least, second) = two_least_of(half::<4, 2>(0, least, second), half(1, least, second));
+        let ([least], [second]) = two_least_of(half::<2, 1>(0, least, second), half(1, least, second));
+        (least, second)
     }
+}
+
+/// By lane, the two least of four numbers, given by pairs whose first is not larger than the second. None of those in `old` is a
+/// NaN, and of NaNs in `new` none is taken.
+#[inline(always)]
+fn two_least_of<const N: usize>(
+    old: ([f32; N], [f32; N]),
+    new: ([f32; N], [f32; N]),
+) -> ([f32; N], [f32; N]) {
+    let mut both = old;
+    for lane in 0..N {
+        let second = smaller(new.1[lane], old.1[lane]);
+        both.1[lane] = smaller(larger(new.0[lane], old.0[lane]), second);
+        both.0[lane] = smaller(new.0[lane], old.0[lane]);
+    }
+    both
+}
+
+/// The first or the second half of the lanes.
+#[inline(always)]
+fn half<const N: usize, const HALF: usize>(
+    which: usize,
+    least: [f32; N],
+    second: [f32; N],
+) -> ([f32; HALF], [f32; HALF]) {
+    let mut both = ([0.0; HALF], [0.0; HALF]);
+    both.0.copy_from_slice(&least[which * HALF..][..HALF]);
+    both.1.copy_from_slice(&second[which * HALF..][..HALF]);
+    both
 }
 
 /// Numbers in a vector of AVX2, twice: additions of one wait for those of the other.

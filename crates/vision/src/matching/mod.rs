@@ -5,13 +5,18 @@
 //! | [`descriptors`] | descriptors in memory, metrics and distances |
 //! | [`brute_force`] | matching two sets: nearest neighbours with distance, ratio and mutual checks |
 //! | [`inverted_file`] | approximate search among very many descriptors, by a visual vocabulary |
+//! | [`exact`](fn@exact) | vectors that are read into memory of exactly their length |
 //! | [`prototypes`] | few descriptors that represent all observations of one landmark |
 
 #[cfg(target_arch = "x86_64")]
 #[allow(clippy::inline_always)] // see `kernels`
 mod avx2;
+#[cfg(target_arch = "x86_64")]
+#[allow(clippy::inline_always)] // see `kernels`
+mod avx2_rows;
 pub mod brute_force;
 pub mod descriptors;
+mod exact;
 pub mod inverted_file;
 #[allow(clippy::inline_always)] // its documentation says why
 mod kernels;
@@ -19,7 +24,8 @@ mod prepared;
 pub mod prototypes;
 mod vocabulary;
 
-pub use brute_force::{Match, MatchOptions, match_descriptors, match_grouped};
+pub use brute_force::{Match, MatchOptions, Matcher, match_descriptors, match_grouped};
 pub use descriptors::{DescriptorError, DescriptorView, Metric, distance, hamming};
+pub use exact::exact;
 pub use inverted_file::{Hit, InvertedFile};
 pub use prototypes::prototype_descriptors;

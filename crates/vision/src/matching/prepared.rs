@@ -4,21 +4,41 @@
 
 use std::ops::Range;
 
+use serde::{Deserialize, Serialize};
+
 use super::descriptors::{
-    DescriptorView, Metric, distance_of_cosine, floats, inverse_norm_int8, normalize, number_or_infinite,
+    DescriptorError, DescriptorView, Metric, distance_of_cosine, floats, inverse_norm_int8, normalize,
+    number_or_infinite,
 };
 use super::kernels::{
     DotProduct, Euclidean, FlippedBits, compare_each, fractions, int8_distances, int8_products,
 };
 
 /// Descriptors in the form in which distances are computed fastest.
+#[derive(Serialize, Deserialize)]
 pub(crate) enum PreparedDescriptors {
     /// 64-bit words per descriptor, bits per descriptor, all words; the last word of each is padded with zeros.
-    Bits { words: usize, bits: usize, data: Vec<u64> },
+    Bits {
+        words: usize,
+        bits: usize,
+        #[serde(deserialize_with = "super::exact::exact")]
+        data: Vec<u64>,
+    },
     /// Numbers per descriptor, all numbers, and whether they are unit vectors compared by their cosine.
-    Floats { dimension: usize, data: Vec<f32>, cosine: bool },
+    Floats {
+        dimension: usize,
+        #[serde(deserialize_with = "super::exact::exact")]
+        data: Vec<f32>,
+        cosine: bool,
+    },
     /// Bytes per descriptor, all bytes, and 1 over the norm of each descriptor.
-    Int8 { dimension: usize, data: Vec<u8>, inverse_norms: Vec<f32> },
+    Int8 {
+        dimension: usize,
+        #[serde(with = "serde_bytes")]
+        data: Vec<u8>,
+        #[serde(deserialize_with = "super::exact::exact")]
+        inverse_norms: Vec<f32>,
+    },
 }
 
 impl PreparedDescriptors {
@@ -46,12 +66,25 @@ impl PreparedDescriptors {
                 data.chunks_exact_mut(dimension).for_each(normalize);
                 Self::Floats { dimension, data, cosine: true }
             }
-            Metric::CosineInt8 => Self::Int8 {
-                dimension: view.width(),
-                data: view.bytes().to_vec(),
-                inverse_norms: view.iter().map(inverse_norm_int8).collect(),
-            },
+            Metric::CosineInt8 => Self::int8(view.width(), view.bytes().to_vec()),
         }
+    }
+
+    /// Converts descriptors whose bytes are no longer needed, without a copy where the format is that of the bytes.
+    ///
+    /// # Errors
+    /// As [`DescriptorView::new`].
+    pub(crate) fn from_bytes(metric: Metric, width: usize, bytes: Vec<u8>) -> Result<Self, DescriptorError> {
+        let view = DescriptorView::new(metric, width, &bytes)?;
+        Ok(match metric {
+            Metric::CosineInt8 => Self::int8(width, bytes),
+            Metric::Hamming | Metric::Cosine | Metric::Euclidean => Self::new(&view),
+        })
+    }
+
+    fn int8(dimension: usize, data: Vec<u8>) -> Self {
+        let inverse_norms = data.chunks_exact(dimension).map(inverse_norm_int8).collect();
+        Self::Int8 { dimension, data, inverse_norms }
     }
 
     fn len(&self) -> usize {
@@ -62,18 +95,66 @@ impl PreparedDescriptors {
         }
     }
 
-    /// Writes the distances from descriptor `index` to a range of `others`, which must have the same format.
-    pub(crate) fn distances_to(&self, index: usize, others: &Self, range: Range<usize>, row: &mut Vec<f32>) {
+    /// One of them, to be compared with others.
+    pub(crate) fn get(&self, index: usize) -> PreparedDescriptor<'_> {
+        match self {
+            Self::Bits { words, bits, data } => {
+                PreparedDescriptor::Bits { own: &data[index * words..(index + 1) * words], bits: *bits }
+            }
+            Self::Floats { dimension, data, cosine } => PreparedDescriptor::Floats {
+                own: &data[index * dimension..(index + 1) * dimension],
+                cosine: *cosine,
+            },
+            Self::Int8 { dimension, data, inverse_norms } => {
+                let own = &data[index * dimension..(index + 1) * dimension];
+                PreparedDescriptor::Int8 {
+                    own: own.iter().map(|byte| byte.cast_signed().into()).collect(),
+                    inverse_norm: inverse_norms[index],
+                }
+            }
+        }
+    }
+
+    /// Calls `visit` with the index of each descriptor in order and its distances to all `others`, which must have the
+    /// same format.
+    pub(crate) fn for_each_row(&self, others: &Self, mut visit: impl FnMut(usize, &[f32])) {
+        let mut row = Vec::with_capacity(others.len());
+        for index in 0..self.len() {
+            self.get(index).distances_to(others, 0..others.len(), &mut row);
+            visit(index, &row);
+        }
+    }
+}
+
+/// One descriptor in the form in which distances are computed fastest.
+pub(crate) enum PreparedDescriptor<'a> {
+    Bits {
+        own: &'a [u64],
+        /// Bits in a descriptor.
+        bits: usize,
+    },
+    Floats {
+        own: &'a [f32],
+        cosine: bool,
+    },
+    Int8 {
+        /// Widened.
+        own: Vec<i16>,
+        inverse_norm: f32,
+    },
+}
+
+impl PreparedDescriptor<'_> {
+    /// Writes the distances to a range of `others`, which must have the same format.
+    pub(crate) fn distances_to(&self, others: &PreparedDescriptors, range: Range<usize>, row: &mut Vec<f32>) {
         row.clear();
         match (self, others) {
-            (Self::Bits { words, bits, data }, Self::Bits { data: others, .. }) => {
-                let own = &data[index * words..(index + 1) * words];
+            (Self::Bits { own, bits }, PreparedDescriptors::Bits { words, data: others, .. }) => {
                 let others = &others[range.start * words..range.end * words];
                 compare_each(&FlippedBits { own }, others, *words, row);
                 fractions(row, *bits as f32);
             }
-            (Self::Floats { dimension, data, cosine }, Self::Floats { data: others, .. }) => {
-                let own = &data[index * dimension..(index + 1) * dimension];
+            (Self::Floats { own, cosine }, PreparedDescriptors::Floats { dimension, data: others, .. }) => {
                 let others = &others[range.start * dimension..range.end * dimension];
                 if *cosine {
                     compare_each(&DotProduct { own }, others, *dimension, row);
@@ -88,26 +169,14 @@ impl PreparedDescriptors {
                 }
             }
             (
-                Self::Int8 { dimension, data, inverse_norms },
-                Self::Int8 { data: others, inverse_norms: others_norms, .. },
+                Self::Int8 { own, inverse_norm },
+                PreparedDescriptors::Int8 { dimension, data: others, inverse_norms },
             ) => {
-                let own = &data[index * dimension..(index + 1) * dimension];
-                let own: Vec<i16> = own.iter().map(|byte| byte.cast_signed().into()).collect();
                 let others = &others[range.start * dimension..range.end * dimension];
-                int8_products(&own, others, row);
-                int8_distances(row, inverse_norms[index], &others_norms[range]);
+                int8_products(own, others, row);
+                int8_distances(row, *inverse_norm, &inverse_norms[range]);
             }
             _ => {}
-        }
-    }
-
-    /// Calls `visit` with the index of each descriptor in order and its distances to all `others`, which must have the
-    /// same format.
-    pub(crate) fn for_each_row(&self, others: &Self, mut visit: impl FnMut(usize, &[f32])) {
-        let mut row = Vec::with_capacity(others.len());
-        for index in 0..self.len() {
-            self.distances_to(index, others, 0..others.len(), &mut row);
-            visit(index, &row);
         }
     }
 }

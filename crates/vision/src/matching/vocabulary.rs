@@ -14,6 +14,7 @@
 use std::ops::Range;
 
 use nalgebra::{DMatrix, DMatrixView};
+use serde::{Deserialize, Serialize};
 
 use super::descriptors::{DescriptorView, Metric, floats, inverse_norm_int8, normalize, signed};
 use super::kernels::int8_products;
@@ -26,7 +27,7 @@ const BLOCK: usize = 256;
 const GROUP_PROBES: usize = 8;
 
 /// Visual words of one metric and dimension.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct Vocabulary {
     metric: Metric,
     /// Each with at least one word.
@@ -116,9 +117,10 @@ impl Vocabulary {
 }
 
 /// Vectors rounded to signed bytes, which are compared four times as fast.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 struct RoundedVectors {
     dimension: usize,
+    #[serde(with = "serde_bytes")]
     bytes: Vec<u8>,
     /// 1 over the norm of each.
     inverse_norms: Vec<f32>,

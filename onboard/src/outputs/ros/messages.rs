@@ -63,23 +63,17 @@ pub fn messages(body: &RosBody, odom: &mut OdomFrame, estimate: &Estimate) -> Op
     let odom_from_local = odom.update(&local_from_base);
     let odometry = odometry(body, &odom_from_local, &estimate.motion)?;
     let stamp = odometry.header.stamp;
-    let header = |frame: &String| Header { stamp, frame_id: frame.clone() };
     let frames = &body.frames;
-    let transform = |parent: &String, child: &String, pose: &Pose| TransformStamped {
-        header: header(parent),
-        child_frame_id: child.clone(),
-        transform: Transform { translation: vector(&pose.translation), rotation: quaternion(pose) },
-    };
     let mut transforms =
-        vec![transform(&frames.odom, &frames.base_link, &(odom_from_local.pose * local_from_base))];
+        vec![transform(stamp, &frames.odom, &frames.base_link, &(odom_from_local.pose * local_from_base))];
     if let Some(global) = &estimate.global {
         let map_from_odom = global.global_from_local * odom_from_local.pose.inverse();
-        transforms.push(transform(&frames.map, &frames.odom, &map_from_odom));
+        transforms.push(transform(stamp, &frames.map, &frames.odom, &map_from_odom));
     }
     Some(Messages {
         odometry,
         pose: estimate.global.as_ref().map(|global| PoseWithCovarianceStamped {
-            header: header(&frames.map),
+            header: Header { stamp, frame_id: frames.map.clone() },
             pose: pose(&global.global_from_imu.change_of_child(&body.imu_from_base)),
         }),
         transforms: TFMessage { transforms },
@@ -116,6 +110,15 @@ fn twist(imu_from_base: &Pose, motion: &Motion) -> TwistWithCovariance {
             angular: vector(&(base_from_imu * angular_in_imu)),
         },
         covariance: std::array::from_fn(|at| covariance[(at / 6, at % 6)]),
+    }
+}
+
+/// A frame in another one.
+pub(super) fn transform(stamp: Time, parent: &str, child: &str, pose: &Pose) -> TransformStamped {
+    TransformStamped {
+        header: Header { stamp, frame_id: parent.to_owned() },
+        child_frame_id: child.to_owned(),
+        transform: Transform { translation: vector(&pose.translation), rotation: quaternion(pose) },
     }
 }
 

@@ -1,10 +1,8 @@
 //! Where the sensors are mounted, as transforms that do not change.
 
+use super::messages::transform;
 use super::settings::RosBody;
-use geometry::Pose;
 use ros_messages::builtin_interfaces::Time;
-use ros_messages::geometry_msgs::{Quaternion, Transform, TransformStamped};
-use ros_messages::std_msgs::Header;
 use ros_messages::tf2_msgs::TFMessage;
 use sensors::CameraSensor;
 
@@ -15,19 +13,9 @@ use sensors::CameraSensor;
 pub fn static_transforms(body: &RosBody, cameras: &[CameraSensor], stamp: Time) -> TFMessage {
     let mut names = body.sensor_frames.names.iter();
     let Some(imu) = names.next() else { return TFMessage::default() };
-    let transform = |parent: &String, child: &String, pose: &Pose| {
-        let [x, y, z, w] = pose.rotation.coords.into();
-        TransformStamped {
-            header: Header { stamp, frame_id: parent.clone() },
-            child_frame_id: child.clone(),
-            transform: Transform {
-                translation: <[f64; 3]>::from(pose.translation).into(),
-                rotation: Quaternion { x, y, z, w },
-            },
-        }
-    };
-    let base_from_imu = transform(&body.frames.base_link, imu, &body.imu_from_base.inverse());
-    let of_cameras = names.zip(cameras).map(|(name, sensor)| transform(imu, name, &sensor.imu_from_camera));
+    let base_from_imu = transform(stamp, &body.frames.base_link, imu, &body.imu_from_base.inverse());
+    let of_cameras =
+        names.zip(cameras).map(|(name, sensor)| transform(stamp, imu, name, &sensor.imu_from_camera));
     TFMessage { transforms: std::iter::once(base_from_imu).chain(of_cameras).collect() }
 }
 
@@ -35,8 +23,9 @@ pub fn static_transforms(body: &RosBody, cameras: &[CameraSensor], stamp: Time) 
 mod tests {
     use super::*;
     use geometry::camera::{Camera, Distortion};
-    use geometry::rotation;
+    use geometry::{Pose, rotation};
     use nalgebra::{UnitQuaternion, Vector3};
+    use ros_messages::geometry_msgs::{Quaternion, TransformStamped};
 
     fn pose_of(transform: &TransformStamped) -> Pose {
         let Quaternion { x, y, z, w } = transform.transform.rotation;

@@ -20,7 +20,7 @@ use std::path::Path;
 
 use super::error::StoreError;
 use manifest::{MANIFEST, Manifest, NEW_MANIFEST};
-pub(super) use reading::read;
+pub(super) use reading::{TemporaryCopy, open, read};
 pub(super) use writing::{ensure_free, write};
 
 /// What the names of the folders of versions begin with.

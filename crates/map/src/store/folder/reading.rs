@@ -4,7 +4,7 @@
 //! user is readable, any number of programs read it at once, and its database never sees bytes that were not written.
 
 use std::fs::{File, TryLockError};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use tempfile::TempDir;
@@ -12,10 +12,14 @@ use tempfile::TempDir;
 use super::files::{self, CopyError};
 use super::manifest::Manifest;
 use super::{Kind, is_of_former, kind_of};
-use crate::store::error::{Damage, StoreError};
+use crate::contents::RunningDigest;
+use crate::model::Landmark;
+use crate::store::error::{Damage, DatabaseError, StoreError};
 use crate::store::guarded::{self, Unreturned};
-use crate::store::map_store::{MapStore, ReadMap};
+use crate::store::map_store::{MapStore, OpenDatabase, ReadMap};
+use crate::store::stored_landmarks::{LandmarkSource, StoredLandmarks};
 use crate::store::stored_map::StoredMap;
+use protocol::{KeyframeId, MapIdentity};
 
 /// How often reading starts again because the map was replaced meanwhile.
 const ATTEMPTS: usize = 5;
@@ -26,6 +30,24 @@ const MIN_BYTES_PER_SECOND: u64 = 2_000_000;
 
 /// Reads the map in a folder.
 pub(in crate::store) fn read(map: &Path, store: &'static dyn MapStore) -> Result<StoredMap, StoreError> {
+    read_present(map, store, |manifest| read_version(map, manifest, store), Ok)
+}
+
+/// Opens the map in a folder: all but its landmarks, and these to be read one at a time.
+pub(in crate::store) fn open(
+    map: &Path,
+    store: &'static dyn MapStore,
+) -> Result<(StoredMap, StoredLandmarks), StoreError> {
+    read_present(map, store, |manifest| open_version(map, manifest, store), |former| Ok(in_memory(former)))
+}
+
+/// Reads the map in a folder, in one way where it has checksums, and in another way where it has none.
+fn read_present<T>(
+    map: &Path,
+    store: &'static dyn MapStore,
+    of_version: impl Fn(&Manifest) -> Result<T, StoreError>,
+    of_former: impl Fn(StoredMap) -> Result<T, StoreError>,
+) -> Result<T, StoreError> {
     let path = || map.to_owned();
     for _ in 0..ATTEMPTS {
         return match kind_of(map)? {
@@ -36,8 +58,8 @@ pub(in crate::store) fn read(map: &Path, store: &'static dyn MapStore) -> Result
             }),
             Kind::Unfinished => Err(StoreError::Unfinished { path: path() }),
             Kind::Other(problem) => Err(StoreError::NotAMap { path: path(), problem }),
-            Kind::Former => read_former(map, store),
-            Kind::Complete(manifest) => match read_version(map, &manifest, store) {
+            Kind::Former => read_former(map, store).and_then(of_former),
+            Kind::Complete(manifest) => match of_version(&manifest) {
                 Err(_) if was_replaced(map, &manifest) => continue,
                 result => result,
             },
@@ -56,6 +78,118 @@ pub(super) fn read_version(
     manifest: &Manifest,
     store: &dyn MapStore,
 ) -> Result<StoredMap, StoreError> {
+    let copy = verified_copy(map, manifest)?;
+    let read = guarded::call(|| store.read(copy.folder.path())).and_then(|result| result);
+    let read = read.map_err(|error| StoreError::unreadable(map, error))?;
+    let as_written = is_as_written(manifest, &read) && read.contents.digest() == manifest.digest;
+    if as_written { Ok(stored(map, read, manifest.bytes())) } else { Err(contents_damaged(map)) }
+}
+
+/// Opens the version that a manifest names, and reads all of it once to verify it.
+pub(super) fn open_version(
+    map: &Path,
+    manifest: &Manifest,
+    store: &dyn MapStore,
+) -> Result<(StoredMap, StoredLandmarks), StoreError> {
+    let copy = verified_copy(map, manifest)?;
+    let opened = guarded::call(|| {
+        let database = store.open(copy.folder.path())?;
+        let mut frame = database.read_frame()?;
+        let census = Census::take(database.as_ref(), &mut frame)?;
+        Ok((database, frame, census))
+    });
+    let (database, frame, census) =
+        opened.and_then(|result| result).map_err(|error| StoreError::unreadable(map, error))?;
+    let source = LandmarkSource::Database { map: map.to_owned(), database, copy };
+    let landmarks =
+        StoredLandmarks { source, count: census.count, observation_counts: census.observation_counts };
+    if is_as_written(manifest, &frame) && census.digest == manifest.digest {
+        Ok((stored(map, frame, manifest.bytes()), landmarks))
+    } else {
+        landmarks.close()?;
+        Err(contents_damaged(map))
+    }
+}
+
+/// What the landmarks of a database amount to.
+struct Census {
+    count: usize,
+    /// By keyframe.
+    observation_counts: Vec<u32>,
+    /// Of the whole map.
+    digest: MapIdentity,
+}
+
+impl Census {
+    /// Reads all landmarks once. Those that are damaged are added to the others of the map.
+    fn take(database: &dyn OpenDatabase, frame: &mut ReadMap) -> Result<Census, DatabaseError> {
+        let contents = &frame.contents;
+        let mut counts = ObservationCounts::of(contents.keyframes.iter().map(|keyframe| keyframe.id));
+        let mut digest = RunningDigest::new(&contents.info);
+        for keyframe in &contents.keyframes {
+            digest.add_keyframe(keyframe);
+        }
+        let mut count = 0;
+        let damaged = database.read_landmarks(&mut |landmark| {
+            count += 1;
+            digest.add_landmark(&landmark);
+            counts.add(&landmark);
+        })?;
+        for cross in &contents.cross_covariances {
+            digest.add_cross_covariance(cross);
+        }
+        frame.damaged.extend(damaged);
+        Ok(Census { count, observation_counts: counts.counts, digest: digest.finish() })
+    }
+}
+
+/// The landmarks of a map of an older schema, which was read as a whole.
+fn in_memory(mut former: StoredMap) -> (StoredMap, StoredLandmarks) {
+    let landmarks = std::mem::take(&mut former.contents.landmarks);
+    let mut counts = ObservationCounts::of(former.contents.keyframes.iter().map(|keyframe| keyframe.id));
+    for landmark in &landmarks {
+        counts.add(landmark);
+    }
+    let count = landmarks.len();
+    let source = LandmarkSource::Memory(landmarks);
+    (former, StoredLandmarks { source, count, observation_counts: counts.counts })
+}
+
+/// How many observations each keyframe has.
+struct ObservationCounts {
+    /// Ascending.
+    keyframes: Vec<KeyframeId>,
+    counts: Vec<u32>,
+}
+
+impl ObservationCounts {
+    /// Counts for these keyframes, whose ids ascend.
+    fn of(keyframes: impl Iterator<Item = KeyframeId>) -> ObservationCounts {
+        let keyframes: Vec<KeyframeId> = keyframes.collect();
+        ObservationCounts { counts: vec![0; keyframes.len()], keyframes }
+    }
+
+    /// Adds those of a landmark. Observations by other keyframes are left out: such a map is not valid.
+    fn add(&mut self, landmark: &Landmark) {
+        for observation in &landmark.observations {
+            if let Ok(at) = self.keyframes.binary_search(&observation.keyframe) {
+                self.counts[at] = self.counts[at].saturating_add(1);
+            }
+        }
+    }
+}
+
+fn is_as_written(manifest: &Manifest, read: &ReadMap) -> bool {
+    let info = &read.contents.info;
+    info.version == manifest.version && info.identity == Some(manifest.identity) && read.damaged.is_empty()
+}
+
+fn contents_damaged(map: &Path) -> StoreError {
+    StoreError::Damaged { path: map.to_owned(), damage: Damage::Contents }
+}
+
+/// A copy of the files of the version that a manifest names, with the checksums that it states.
+fn verified_copy(map: &Path, manifest: &Manifest) -> Result<TemporaryCopy, StoreError> {
     let damaged = |damage| StoreError::Damaged { path: map.to_owned(), damage };
     let copy = TemporaryCopy::new(map, manifest.bytes())?;
     let version = map.join(&manifest.folder);
@@ -69,14 +203,7 @@ pub(super) fn read_version(
             return Err(damaged(Damage::Checksum { file: name }));
         }
     }
-    let read = guarded::call(|| store.read(copy.folder.path())).and_then(|result| result);
-    let read = read.map_err(|error| StoreError::unreadable(map, error))?;
-    let info = &read.contents.info;
-    let as_written = info.version == manifest.version
-        && info.identity == Some(manifest.identity)
-        && read.damaged.is_empty()
-        && read.contents.digest() == manifest.digest;
-    if as_written { Ok(stored(map, read, manifest.bytes())) } else { Err(damaged(Damage::Contents)) }
+    Ok(copy)
 }
 
 /// Reads a map of schema 1 or 2: nothing says whether its files are those that were written.
@@ -126,20 +253,20 @@ fn stored(map: &Path, read: ReadMap, bytes_on_disk: u64) -> StoredMap {
 }
 
 /// A copy of a map's files that is removed when it is dropped.
-struct TemporaryCopy<'a> {
-    map: &'a Path,
+pub(in crate::store) struct TemporaryCopy {
+    map: PathBuf,
     folder: TempDir,
     /// Of all files together.
     bytes: u64,
 }
 
-impl TemporaryCopy<'_> {
-    fn new(map: &Path, bytes: u64) -> Result<TemporaryCopy<'_>, StoreError> {
+impl TemporaryCopy {
+    fn new(map: &Path, bytes: u64) -> Result<TemporaryCopy, StoreError> {
         let parent = std::env::temp_dir();
         let folder = tempfile::Builder::new().prefix("driftless-map-").tempdir_in(&parent);
         let failed =
             |source| StoreError::Copy { path: map.to_owned(), folder: parent.clone(), bytes, source };
-        let copy = TemporaryCopy { map, folder: folder.map_err(failed)?, bytes };
+        let copy = TemporaryCopy { map: map.to_owned(), folder: folder.map_err(failed)?, bytes };
         tracing::info!(
             map = %map.display(),
             copy = %copy.folder.path().display(),
@@ -155,11 +282,11 @@ impl TemporaryCopy<'_> {
         files::copy(&source, self.folder.path(), path).map_err(|error| match error {
             CopyError::Read(error) if error.kind() == std::io::ErrorKind::NotFound => {
                 let damage = Damage::MissingFile { file: name.to_owned() };
-                StoreError::Damaged { path: self.map.to_owned(), damage }
+                StoreError::Damaged { path: self.map.clone(), damage }
             }
             CopyError::Read(error) => StoreError::Read { path: source, source: error },
             CopyError::Write(error) => StoreError::Copy {
-                path: self.map.to_owned(),
+                path: self.map.clone(),
                 folder: self.folder.path().to_owned(),
                 bytes: self.bytes,
                 source: error,

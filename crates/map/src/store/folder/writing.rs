@@ -5,7 +5,7 @@ use std::path::Path;
 
 use super::files;
 use super::manifest::Manifest;
-use super::reading::{self, read_version};
+use super::reading::{self, open_version};
 use super::{Kind, LOCK, VERSION_FOLDER, entries, is_of_former, kind_of};
 use crate::contents::MapContents;
 use crate::store::error::{StoreError, WriteProblem};
@@ -129,7 +129,8 @@ fn write_version(
     written.map_err(|error| failed(WriteProblem::Database(error)))?;
     manifest.files = files::sums(folder).map_err(file_failed)?;
     // Databases have acknowledged what a full disk did not take.
-    read_version(map, &manifest, store)
+    open_version(map, &manifest, store)
+        .and_then(|(_, landmarks)| landmarks.close())
         .map_err(|error| failed(WriteProblem::NotReadBack(Box::new(error))))?;
     manifest.publish(map).map_err(failed)
 }

@@ -3,17 +3,17 @@
 mod opening;
 mod tables;
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
 use super::error::DatabaseError;
-use super::map_store::{MapStore, ReadMap};
+use super::map_store::{MapStore, OpenDatabase, ReadMap};
 use super::record::{self, CrossCovarianceRecord, InfoRecord, KeyframeRecord, LandmarkRecord, RecordError};
 use super::{OLDEST_STORE_SCHEMA, STORE_SCHEMA};
 use crate::contents::MapContents;
-use crate::model::{KeyframeCrossCovariance, MapMetadata};
-use opening::{close_database, failed, open_database};
+use crate::model::{KeyframeCrossCovariance, Landmark, MapMetadata};
+use opening::{READING_CACHE_BYTES, WRITING_CACHE_BYTES, close_database, failed, open_database};
 use tables::{INFO_KEY, SCHEMA_KEY, SCHEMA_MAGIC, Table, pair_key};
 
 /// Maps in sled databases.
@@ -21,17 +21,48 @@ pub(super) struct SledStore;
 
 impl MapStore for SledStore {
     fn write(&self, folder: &Path, contents: &MapContents) -> Result<(), DatabaseError> {
-        let database = open_database(folder)?;
+        let database = open_database(folder, WRITING_CACHE_BYTES)?;
         write_tables(&database, contents)?;
         close_database(folder, database)
     }
 
-    fn read(&self, folder: &Path) -> Result<ReadMap, DatabaseError> {
-        let database = open_database(folder)?;
-        let read = read_tables(&database)?;
+    fn open(&self, folder: &Path) -> Result<Box<dyn OpenDatabase>, DatabaseError> {
+        let database = open_database(folder, READING_CACHE_BYTES)?;
+        Ok(Box::new(SledDatabase { folder: folder.to_owned(), database }))
+    }
+}
+
+/// An open sled database.
+struct SledDatabase {
+    folder: PathBuf,
+    database: sled::Db,
+}
+
+impl OpenDatabase for SledDatabase {
+    fn read_frame(&self) -> Result<ReadMap, DatabaseError> {
+        read_frame(&self.database)
+    }
+
+    fn read_landmarks(
+        &self,
+        visit: &mut dyn FnMut(Landmark),
+    ) -> Result<Vec<(String, RecordError)>, DatabaseError> {
+        let mut damaged = Vec::new();
+        let decode = |key: &[u8], value: &[u8]| {
+            let id = id_of(key)?;
+            let record: LandmarkRecord = record::unseal(Table::Landmarks.name(), key, value)?;
+            Ok(record.into_landmark(id))
+        };
+        Tree::open(&self.database, Table::Landmarks)?.visit(&mut damaged, decode, |mut landmark| {
+            landmark.observations.sort_by_key(|observation| observation.keyframe);
+            visit(landmark);
+        })?;
+        Ok(damaged)
+    }
+
+    fn close(self: Box<Self>) -> Result<(), DatabaseError> {
         // Nobody needs the copy any more, but its folder must not be removed under a thread of the database.
-        close_database(folder, database)?;
-        Ok(read)
+        close_database(&self.folder, self.database)
     }
 }
 
@@ -54,7 +85,8 @@ fn write_tables(database: &sled::Db, contents: &MapContents) -> Result<(), Datab
     Ok(())
 }
 
-fn read_tables(database: &sled::Db) -> Result<ReadMap, DatabaseError> {
+/// Reads all but the landmarks.
+fn read_frame(database: &sled::Db) -> Result<ReadMap, DatabaseError> {
     let schema = read_schema(database)?;
     let info = read_info(database)?;
     // Older programs gave the version 0 to a map before they wrote it.
@@ -66,11 +98,6 @@ fn read_tables(database: &sled::Db) -> Result<ReadMap, DatabaseError> {
     contents.keyframes = Tree::open(database, Table::Keyframes)?.read(&mut damaged, |key, value| {
         let id = id_of(key)?;
         record::unseal::<KeyframeRecord>(Table::Keyframes.name(), key, value)?.into_keyframe(id)
-    })?;
-    contents.landmarks = Tree::open(database, Table::Landmarks)?.read(&mut damaged, |key, value| {
-        let id = id_of(key)?;
-        let record: LandmarkRecord = record::unseal(Table::Landmarks.name(), key, value)?;
-        Ok(record.into_landmark(id))
     })?;
     let cross_covariances = Tree::open(database, Table::CrossCovariances)?;
     contents.cross_covariances = cross_covariances.read(&mut damaged, |key, value| {
@@ -148,6 +175,18 @@ impl Tree {
         decode: impl Fn(&[u8], &[u8]) -> Result<T, RecordError>,
     ) -> Result<Vec<T>, DatabaseError> {
         let mut records = Vec::new();
+        self.visit(damaged, decode, |record| records.push(record))?;
+        records.shrink_to_fit();
+        Ok(records)
+    }
+
+    /// Visits all records as [`Tree::read`] returns them.
+    fn visit<T>(
+        &self,
+        damaged: &mut Vec<(String, RecordError)>,
+        decode: impl Fn(&[u8], &[u8]) -> Result<T, RecordError>,
+        mut visit: impl FnMut(T),
+    ) -> Result<(), DatabaseError> {
         let mut previous: Option<sled::IVec> = None;
         for entry in &self.tree {
             let (key, value) = entry.map_err(failed)?;
@@ -155,12 +194,12 @@ impl Tree {
                 return Err(DatabaseError::Order { table: self.table.name() });
             }
             match decode(&key, &value) {
-                Ok(record) => records.push(record),
+                Ok(record) => visit(record),
                 Err(problem) => damaged.push((self.table.describe(&key), problem)),
             }
             previous = Some(key);
         }
-        Ok(records)
+        Ok(())
     }
 }
 

@@ -6,8 +6,10 @@ use std::time::{Duration, Instant};
 
 use crate::store::error::DatabaseError;
 
-/// The database's page cache. A map is read once into memory, so a large cache would hold everything twice.
-const CACHE_BYTES: u64 = 128 * 1024 * 1024;
+/// The page cache of a database that is written: its leaves are changed many times.
+pub(super) const WRITING_CACHE_BYTES: u64 = 128 * 1024 * 1024;
+/// The page cache of a database that is read, from the first key to the last: what was read is not needed again.
+pub(super) const READING_CACHE_BYTES: u64 = 8 * 1024 * 1024;
 
 /// How long closing waits for sled's background threads to let go of the files.
 const CLOSING_TIME: Duration = Duration::from_secs(10);
@@ -15,10 +17,13 @@ const CLOSING_TIME: Duration = Duration::from_secs(10);
 const CLOSING_POLL: Duration = Duration::from_millis(2);
 
 /// Opens a database, or creates an empty one.
-pub(super) fn open_database(folder: &Path) -> Result<sled::Db, DatabaseError> {
+///
+/// # Arguments
+/// * `cache_bytes`: of its page cache.
+pub(super) fn open_database(folder: &Path, cache_bytes: u64) -> Result<sled::Db, DatabaseError> {
     let config = sled::Config::new()
         .path(folder)
-        .cache_capacity(CACHE_BYTES)
+        .cache_capacity(cache_bytes)
         // It is flushed before it is closed, so no timer is needed.
         .flush_every_ms(None);
     config.open().map_err(failed)

@@ -1,0 +1,54 @@
+//! A store and the cache of what is served of it.
+
+use crate::cache::ReleaseCache;
+use crate::error::{ReleaseError, with_causes};
+use crate::release::Release;
+use crate::store::ReleaseStore;
+use std::path::Path;
+
+/// The releases of one map, with a cache of what was fetched.
+#[derive(Clone, Debug)]
+pub struct ReleaseSource {
+    /// Where they are published.
+    pub store: ReleaseStore,
+    /// What is served when the store is away.
+    pub cache: ReleaseCache,
+}
+
+impl ReleaseSource {
+    /// Opens the cache of a store.
+    ///
+    /// # Errors
+    /// [`ReleaseError::Cache`].
+    pub fn open(store: ReleaseStore, cache: &Path) -> Result<Self, ReleaseError> {
+        Ok(Self { store, cache: ReleaseCache::open(cache)? })
+    }
+
+    /// The newest release, or where none can be read the one that was served last.
+    ///
+    /// # Errors
+    /// [`ReleaseError::Empty`], and as [`ReleaseStore::release`]: nothing is cached either.
+    pub async fn newest_or_cached(&self) -> Result<Release, ReleaseError> {
+        let error = match self.store.newest().await {
+            Ok(Some(release)) => return Ok(release),
+            Ok(None) => ReleaseError::Empty { place: self.store.place().to_owned() },
+            Err(error) => error,
+        };
+        let Some(release) = self.cache.release() else { return Err(error) };
+        let reason = with_causes(&error);
+        tracing::warn!(
+            release = release.number,
+            reason,
+            "no release can be read; serving the one that was served last"
+        );
+        Ok(release)
+    }
+
+    /// Notes which release is served now. A cache that cannot be written is logged and gone without.
+    pub fn keep(&self, release: &Release) {
+        if let Err(error) = self.cache.keep_release(release) {
+            let reason = with_causes(&error);
+            tracing::warn!(reason, "the release is not kept: a restart needs the store");
+        }
+    }
+}
