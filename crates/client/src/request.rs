@@ -15,6 +15,10 @@ const FIRST_PAUSE: Duration = Duration::from_millis(20);
 /// Longest such pause.
 const LONGEST_PAUSE: Duration = Duration::from_millis(500);
 
+/// Silence after which a request is sent again; doubled each time. A connection that ends takes queries along that
+/// Zenoh does not report as lost.
+const FIRST_SILENCE: Duration = Duration::from_secs(3);
+
 /// Most replies that an attempt reads: the keyframes that may be asked for, and the final status.
 const MAX_REPLIES: usize = protocol::MAX_ANSWER_KEYFRAMES as usize + 1;
 /// Most payload bytes that an attempt reads: an answer of as many keyframes is some megabytes.
@@ -118,22 +122,34 @@ impl Request {
         retry: Retry,
         traffic: &mut Traffic,
     ) -> Result<C::Answer, ClientError> {
-        let mut pause = FIRST_PAUSE;
+        let (mut pause, mut silence) = (FIRST_PAUSE, FIRST_SILENCE);
         loop {
+            let patience = if retry == Retry::Never { Duration::MAX } else { silence };
             traffic.sent += self.payload.as_ref().map_or(0, |(payload, _)| payload.len());
-            let error = match self.attempt::<C>(traffic).await {
+            let error = match self.attempt::<C>(patience, traffic).await {
                 Ok(answer) => return Ok(answer),
                 Err(error) => error,
             };
             if !retry.applies_to(&error) || Instant::now() + pause >= self.deadline {
                 return Err(error);
             }
+            if matches!(error, ClientError::Deadline) {
+                silence *= 2;
+            }
             tokio::time::sleep(pause).await;
             pause = (pause * 2).min(LONGEST_PAUSE);
         }
     }
 
-    async fn attempt<C: Collector>(&self, traffic: &mut Traffic) -> Result<C::Answer, ClientError> {
+    /// Sends the request once.
+    ///
+    /// # Arguments
+    /// * `patience`: longest time without a reply; then the error is [`ClientError::Deadline`], as at the deadline.
+    async fn attempt<C: Collector>(
+        &self,
+        patience: Duration,
+        traffic: &mut Traffic,
+    ) -> Result<C::Answer, ClientError> {
         let timeout = self.deadline.saturating_duration_since(Instant::now());
         let (session, key, payload) = (self.session.clone(), self.key.clone(), self.payload.clone());
         // Zenoh delivers replies from the thread that reads the network, which must not wait: whatever does not fit is more
@@ -167,7 +183,8 @@ impl Request {
         let mut collector = C::default();
         let (mut replies_read, mut received) = (0, 0);
         loop {
-            let reply = match tokio::time::timeout_at(self.deadline.into(), replies.recv()).await {
+            let wait = self.deadline.saturating_duration_since(Instant::now()).min(patience);
+            let reply = match tokio::time::timeout(wait, replies.recv()).await {
                 Ok(Some(reply)) => reply,
                 // The channel closed before the answer was complete: no server, or one that stopped.
                 Ok(None) if replies_read > 0 => return Err(ClientError::Interrupted),

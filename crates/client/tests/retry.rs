@@ -7,7 +7,7 @@ use protocol::{
     DescriptorFormat, DescriptorKind, ErrorCode, ErrorReply, FeatureSet, Format, KeyframeRecord, MapIdentity,
     MatchOutcome, MatchReply, MatchRequest, MatchStatus, MatchedKeyframe,
 };
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 use zenoh::Wait as _;
@@ -74,6 +74,8 @@ fn status(outcome: MatchOutcome, keyframes_sent: u16) -> MatchReply {
 #[derive(Clone)]
 enum Behaviour {
     Silent,
+    /// Never ends the query.
+    Hold,
     Refuse(ErrorCode),
     Reply(Vec<MatchReply>),
     Raw(&'static [u8]),
@@ -91,9 +93,14 @@ impl Scene {
         let session = open_session(&SessionOptions::default()).await.unwrap();
         let queries = Arc::new(AtomicUsize::new(0));
         let count = Arc::clone(&queries);
+        let held = Mutex::new(Vec::new());
         let answer = move |query: Query| {
             let index = count.fetch_add(1, Ordering::Relaxed);
-            behave(&query, behaviours.get(index).unwrap_or_else(|| behaviours.last().unwrap()));
+            let behaviour = behaviours.get(index).unwrap_or_else(|| behaviours.last().unwrap());
+            behave(&query, behaviour);
+            if matches!(behaviour, Behaviour::Hold) {
+                held.lock().unwrap().push(query);
+            }
         };
         let server = session.declare_queryable(KEY).callback(answer).await.unwrap();
         Scene { session, queries, _server: server }
@@ -111,7 +118,7 @@ impl Scene {
 fn behave(query: &Query, behaviour: &Behaviour) {
     let encoding = Format::Bincode.encoding();
     match behaviour {
-        Behaviour::Silent => {}
+        Behaviour::Silent | Behaviour::Hold => {}
         Behaviour::Refuse(code) => {
             let reply = ErrorReply::new(*code, "refused for the test");
             let payload = protocol::encode(Format::Bincode, &reply).unwrap();
@@ -145,6 +152,15 @@ async fn silence_busy_and_incomplete_answers_are_repeated_until_the_answer_is_co
     let answer = scene.client().match_image(&request(), soon(20_000)).await.unwrap();
     assert_eq!((answer.status.outcome, answer.keyframes.len()), (MatchOutcome::Matched, 1));
     assert_eq!(scene.queries(), 5);
+    close_session(&scene.session).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_query_that_got_lost_is_repeated() {
+    let found = Behaviour::Reply(vec![status(MatchOutcome::NoMatch, 0)]);
+    let scene = Scene::new(vec![Behaviour::Hold, found]).await;
+    let answer = scene.client().match_image(&request(), soon(20_000)).await.unwrap();
+    assert_eq!((answer.status.outcome, scene.queries()), (MatchOutcome::NoMatch, 2));
     close_session(&scene.session).await;
 }
 
