@@ -7,8 +7,8 @@ use protocol::{
     DescriptorFormat, DescriptorKind, ErrorCode, ErrorReply, FeatureSet, Format, KeyframeRecord, MapIdentity,
     MatchOutcome, MatchReply, MatchRequest, MatchStatus, MatchedKeyframe,
 };
-use std::sync::{Arc, Mutex};
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 use zenoh::Wait as _;
 use zenoh::query::{Query, Queryable};

@@ -109,7 +109,7 @@ impl Estimator {
         match report.rejection {
             None => {
                 self.note_success();
-                if self.is_doubted_by(&report) {
+                if self.is_doubted_by(&answer, &report) {
                     self.give_way(clone, &answer, &mut report)?;
                 } else {
                     self.map_fixes.clear();

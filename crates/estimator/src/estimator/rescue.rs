@@ -78,12 +78,22 @@ impl Estimator {
     }
 
     /// Whether the last answer is evidence against the state although it updated it.
-    pub(super) fn is_doubted_by(&self, report: &MapReport) -> bool {
+    pub(super) fn is_doubted_by(&self, answer: &MapAnswer, report: &MapReport) -> bool {
         // A minority that agrees updates the state, but does not confirm it.
         !report.initialized
             && (report.inflated
                 || 2 * report.plausible < report.inliers
-                || self.newest_fix.is_some_and(|fix| fix.is_far()))
+                || self.newest_fix.is_some_and(|fix| fix.is_far())
+                || self.remains_tilted(answer))
+    }
+
+    /// Whether gravity in the map is not where the state says, after an answer that was evidence against the state:
+    /// `global_from_local` took in the tilt of the state, and only for a moment does the pose in G look right.
+    fn remains_tilted(&self, answer: &MapAnswer) -> bool {
+        let (Some(down), Some(transform)) = (answer.gravity_in_global, self.state.transform) else {
+            return false;
+        };
+        !self.map_fixes.is_empty() && (transform.rotation * -Vector3::z()).angle(&down) > MAX_TILT_RAD
     }
 
     /// Whether the map contradicts the pose in G.
