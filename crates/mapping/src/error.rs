@@ -100,6 +100,21 @@ pub enum BuildError {
         /// Duration of the odometry (s).
         seconds: f64,
     },
+    /// Parts of the recording that no image ties together.
+    #[error(
+        "the recording falls into pieces: at {at_s:.1} s nothing but the IMU ties its images together, so that what follows is \
+         known to {sigma_deg:.0} deg and {sigma_m:.0} m only; record it again without such a gap, or so that it returns to \
+         its beginning, or build a map of each piece (--until {at_s:.1}, --from {at_s:.1}) and join them with `driftless \
+         merge-maps`"
+    )]
+    Pieces {
+        /// Begin of the second piece (s from the first frame).
+        at_s: f64,
+        /// Standard deviation of its rotation relative to the first piece (deg).
+        sigma_deg: f64,
+        /// The same for its position (m).
+        sigma_m: f64,
+    },
     /// No pose prior lies in the time of the recording.
     #[error(
         "none of the {given} position and pose priors lies in the time of the odometry, {from_ns} to {until_ns} ns: are their \

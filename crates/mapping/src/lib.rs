@@ -12,6 +12,7 @@
 //! | all landmarks and poses are refined, with the reference poses as priors or with the IMU | `refinement`, `bundle_adjustment`, `inertial` |
 //! | the joint covariance of the refined poses | `joint_covariance` |
 //! | the map is assembled | `assemble` |
+//! | without reference poses: refused where parts are not tied together | `pieces` |
 //! | poses and positions that are known besides the recording | `pose_priors` |
 //! | a map that exists is extended by another recording | `extension`, `joint_prior`, `landmark_prior` |
 //! | two maps of one place are merged | `merging`, `landmark_tie` |
@@ -51,6 +52,7 @@ mod merging;
 mod normal_equations;
 mod odometry;
 mod options;
+mod pieces;
 mod pipeline;
 mod places;
 mod pose_priors;

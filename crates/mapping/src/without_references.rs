@@ -25,6 +25,7 @@ use super::loop_closure::{consistent, find_loops};
 use super::matching::{self, FeatureMatch};
 use super::odometry::{LOCAL_SIGMAS, Odometry, add_tracks};
 use super::options::{BuildOptions, FIRST_SIGMA_PX};
+use super::pieces::check_one_piece;
 use super::pipeline::{check, match_all, triangulate_all};
 use super::pose_priors::{AlignedPriors, PosePriors, PriorFactor, PriorFactors, remove_wrong};
 use super::progress::Progress;
@@ -83,6 +84,7 @@ pub fn build_map_from_odometry(
         covariance_of(&cameras, &constraints, &bundle, &keyframes(&views), report.sigma_px, progress)?;
     let camera = &cameras[0].camera;
     let contents = assemble::map_contents(camera, &views, &bundle, Some(joint), report.sigma_px, &options)?;
+    check_one_piece(&contents, sequence.frames.first().map_or(0, |frame| frame.stamp_ns))?;
     assemble::fill_report(&mut report, &cameras, &views, &bundle, &contents);
     report.seconds = start.elapsed().as_secs_f64();
     Ok((contents, report))
