@@ -169,9 +169,15 @@ fn two_places() -> Sequence {
     };
     let (mut both, mut second) = (part(1), part(2));
     let later_ns = 26_000_000_000;
-    second.frames.iter_mut().for_each(|frame| frame.stamp_ns += later_ns);
-    second.imu_samples.iter_mut().for_each(|reading| reading.stamp_ns += later_ns);
-    second.groundtruth.iter_mut().flatten().for_each(|row| row.stamp_ns += later_ns);
+    for frame in &mut second.frames {
+        frame.stamp_ns += later_ns;
+    }
+    for reading in &mut second.imu_samples {
+        reading.stamp_ns += later_ns;
+    }
+    for row in second.groundtruth.iter_mut().flatten() {
+        row.stamp_ns += later_ns;
+    }
     both.frames.extend(second.frames);
     both.imu_samples.extend(second.imu_samples);
     both.groundtruth.as_mut().unwrap().extend(second.groundtruth.unwrap());
