@@ -12,8 +12,9 @@
 //!
 //! # Retries
 //! A query is repeated until its deadline when no server answered, when nothing was heard for 3 s (then 6 s, 12 s, ...),
-//! when the server is busy, or when the answer is incomplete (no final status, or keyframes missing). None of these is ever reported as "no match": that is an answer,
-//! [`protocol::MatchOutcome::NoMatch`]. Any other refusal of the server is returned at once.
+//! when the server is busy, or when the answer is incomplete (no final status, or keyframes missing). None of these is
+//! ever reported as "no match": that is an answer, [`protocol::MatchOutcome::NoMatch`]. Any other refusal of the server
+//! is returned at once.
 //!
 //! # Example
 //! A map server needs nothing but a queryable; this one lives in the client's own session:

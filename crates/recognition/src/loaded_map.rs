@@ -10,8 +10,8 @@ use vision::{DescriptorError, DescriptorView, Metric};
 use super::elements::{Landmarks, Observations, Viewpoint, point_in_keyframe};
 use super::index::LandmarkIndex;
 use super::loading::MapLoader;
-use map::contents::{ContentsError, MapContents};
-use map::model::{Keyframe, KeyframeCrossCovariance, Landmark, MapMetadata};
+use map::contents::{ContentsError, MapContents, ObservationCounts};
+use map::model::{Keyframe, KeyframeCrossCovariance, MapMetadata};
 use map::store::{self, StoreError, StoredLandmarks, StoredMap};
 
 /// A map in memory, indexed for queries. It is immutable: a new version of the map is a new `LoadedMap`.
@@ -127,8 +127,11 @@ impl LoadedMap {
         contents.sort();
         let identity = contents.info.identity.unwrap_or_else(|| contents.digest());
         let landmarks = std::mem::take(&mut contents.landmarks);
-        let counts = observation_counts(&contents.keyframes, &landmarks);
-        let mut loader = MapLoader::new(contents, identity, landmarks.len(), &counts)?;
+        let mut counts = ObservationCounts::of(&contents.keyframes);
+        for landmark in &landmarks {
+            counts.add(landmark);
+        }
+        let mut loader = MapLoader::new(contents, identity, landmarks.len(), &counts.finish())?;
         for landmark in landmarks {
             loader.add_valid(&landmark)?;
         }
@@ -237,15 +240,4 @@ impl LoadedMap {
         point_in_keyframe(camera, &global_from_keyframe.pose, &in_global, observed.pixels[at])
             .map(|number| f64::from(number as f32))
     }
-}
-
-/// How many observations each keyframe has. The map is valid, so that every keyframe that they name exists.
-fn observation_counts(keyframes: &[Keyframe], landmarks: &[Landmark]) -> Vec<u32> {
-    let mut counts = vec![0_u32; keyframes.len()];
-    for observation in landmarks.iter().flat_map(|landmark| &landmark.observations) {
-        if let Ok(at) = keyframes.binary_search_by_key(&observation.keyframe, |keyframe| keyframe.id) {
-            counts[at] = counts[at].saturating_add(1);
-        }
-    }
-    counts
 }

@@ -2,6 +2,7 @@
 
 mod digest;
 mod error;
+mod observation_counts;
 mod validation;
 
 use std::collections::BTreeSet;
@@ -10,6 +11,7 @@ use protocol::KeyframeId;
 
 pub(crate) use digest::RunningDigest;
 pub use error::{ContentsError, CrossCovarianceProblem, KeyframeProblem, LandmarkProblem, MetadataProblem};
+pub use observation_counts::ObservationCounts;
 pub use validation::validate_landmark;
 
 use crate::model::{Keyframe, KeyframeCrossCovariance, Landmark, MapMetadata};

@@ -12,14 +12,13 @@ use tempfile::TempDir;
 use super::files::{self, CopyError};
 use super::manifest::Manifest;
 use super::{Kind, is_of_former, kind_of};
-use crate::contents::RunningDigest;
-use crate::model::Landmark;
+use crate::contents::{ObservationCounts, RunningDigest};
 use crate::store::error::{Damage, DatabaseError, StoreError};
 use crate::store::guarded::{self, Unreturned};
 use crate::store::map_store::{MapStore, OpenDatabase, ReadMap};
 use crate::store::stored_landmarks::{LandmarkSource, StoredLandmarks};
 use crate::store::stored_map::StoredMap;
-use protocol::{KeyframeId, MapIdentity};
+use protocol::MapIdentity;
 
 /// How often reading starts again because the map was replaced meanwhile.
 const ATTEMPTS: usize = 5;
@@ -124,7 +123,7 @@ impl Census {
     /// Reads all landmarks once. Those that are damaged are added to the others of the map.
     fn take(database: &dyn OpenDatabase, frame: &mut ReadMap) -> Result<Census, DatabaseError> {
         let contents = &frame.contents;
-        let mut counts = ObservationCounts::of(contents.keyframes.iter().map(|keyframe| keyframe.id));
+        let mut counts = ObservationCounts::of(&contents.keyframes);
         let mut digest = RunningDigest::new(&contents.info);
         for keyframe in &contents.keyframes {
             digest.add_keyframe(keyframe);
@@ -139,44 +138,20 @@ impl Census {
             digest.add_cross_covariance(cross);
         }
         frame.damaged.extend(damaged);
-        Ok(Census { count, observation_counts: counts.counts, digest: digest.finish() })
+        Ok(Census { count, observation_counts: counts.finish(), digest: digest.finish() })
     }
 }
 
 /// The landmarks of a map of an older schema, which was read as a whole.
 fn in_memory(mut former: StoredMap) -> (StoredMap, StoredLandmarks) {
     let landmarks = std::mem::take(&mut former.contents.landmarks);
-    let mut counts = ObservationCounts::of(former.contents.keyframes.iter().map(|keyframe| keyframe.id));
+    let mut counts = ObservationCounts::of(&former.contents.keyframes);
     for landmark in &landmarks {
         counts.add(landmark);
     }
     let count = landmarks.len();
     let source = LandmarkSource::Memory(landmarks);
-    (former, StoredLandmarks { source, count, observation_counts: counts.counts })
-}
-
-/// How many observations each keyframe has.
-struct ObservationCounts {
-    /// Ascending.
-    keyframes: Vec<KeyframeId>,
-    counts: Vec<u32>,
-}
-
-impl ObservationCounts {
-    /// Counts for these keyframes, whose ids ascend.
-    fn of(keyframes: impl Iterator<Item = KeyframeId>) -> ObservationCounts {
-        let keyframes: Vec<KeyframeId> = keyframes.collect();
-        ObservationCounts { counts: vec![0; keyframes.len()], keyframes }
-    }
-
-    /// Adds those of a landmark. Observations by other keyframes are left out: such a map is not valid.
-    fn add(&mut self, landmark: &Landmark) {
-        for observation in &landmark.observations {
-            if let Ok(at) = self.keyframes.binary_search(&observation.keyframe) {
-                self.counts[at] = self.counts[at].saturating_add(1);
-            }
-        }
-    }
+    (former, StoredLandmarks { source, count, observation_counts: counts.finish() })
 }
 
 fn is_as_written(manifest: &Manifest, read: &ReadMap) -> bool {
