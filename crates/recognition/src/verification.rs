@@ -15,8 +15,9 @@ const MEAN_OF_RAYLEIGH: f64 = 1.2533;
 /// The first gate around an expected pose is this many times wider than that of inliers, for the errors of the keyframes'
 /// poses.
 const GUIDED_FACTOR: f64 = 3.0;
-/// Rounds of refinement and reselection of the inliers from an expected pose; two suffice on recorded maps.
-const GUIDED_ROUNDS: usize = 2;
+/// Rounds of refinement and reselection of the inliers from an expected pose, by how many of these each takes; two suffice on
+/// recorded maps.
+const GUIDED_POINTS: [usize; 2] = [100, usize::MAX];
 /// Gauss-Newton iterations of each of these refinements.
 const GUIDED_ITERATIONS: usize = 6;
 /// Huber's threshold of these refinements, in standard deviations of a pixel; as in RANSAC.
@@ -158,11 +159,13 @@ fn guided(
     let fewest = options.min_inliers.max(correspondences.len().div_ceil(2));
     let mut inliers = within(expected, GUIDED_FACTOR * threshold);
     let mut estimate = PoseWithCovariance::exact(*expected);
-    for _ in 0..GUIDED_ROUNDS {
+    for points in GUIDED_POINTS {
         if inliers.len() < fewest {
             return None;
         }
-        let chosen: Vec<Correspondence> = inliers.iter().map(|&at| correspondences[at]).collect();
+        let step = inliers.len().div_ceil(points);
+        let chosen = inliers.iter().step_by(step).map(|&at| correspondences[at]);
+        let chosen: Vec<Correspondence> = chosen.collect();
         estimate =
             refine(camera, &chosen, &estimate.pose, sigma, GUIDED_ITERATIONS, Some(HUBER_SIGMAS)).ok()?;
         inliers = within(&estimate.pose, threshold);

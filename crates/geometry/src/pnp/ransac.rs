@@ -26,6 +26,8 @@ const MIN_SAMPLES: usize = 20;
 const SAMPLE_FACTOR: f64 = 3.0;
 /// Rounds of refinement and inlier selection.
 const REFIT_ROUNDS: usize = 6;
+/// Inliers that each of these refinements takes, evenly chosen from more: their pose is only scored. The last takes all.
+const REFIT_POINTS: usize = 100;
 /// Iterations of each refinement.
 const REFIT_ITERATIONS: usize = 10;
 /// Huber's threshold of the refinements, in standard deviations of a pixel.
@@ -188,16 +190,8 @@ struct Search<'a> {
 impl Search<'_> {
     /// The best locally optimized pose.
     fn run(&self) -> Option<Support> {
-        let rays: Vec<(usize, UnitVector3<f64>)> = self
-            .correspondences
-            .iter()
-            .enumerate()
-            .filter_map(|(i, correspondence)| Some((i, self.camera.bearing(&correspondence.pixel).ok()?)))
-            .collect();
+        let count = self.correspondences.len();
         let size = self.sampler.size();
-        if rays.len() < size {
-            return None;
-        }
         let mut random = Xoshiro256PlusPlus::seed_from_u64(self.options.seed);
         let threshold = self.candidate_threshold();
         let mut best_candidate = f64::INFINITY;
@@ -206,8 +200,8 @@ impl Search<'_> {
         let mut drawn = 0;
         while drawn < wanted {
             drawn += 1;
-            let sample = draw_distinct(&mut random, rays.len(), size);
-            for pose in self.candidates(&sample, &rays) {
+            let sample = draw_distinct(&mut random, count, size);
+            for pose in self.candidates(&sample) {
                 let score = self.score(&pose, threshold, best_candidate);
                 if score >= best_candidate {
                     continue;
@@ -215,7 +209,7 @@ impl Search<'_> {
                 best_candidate = score;
                 let optimized = self.optimize(&pose, threshold);
                 if best.as_ref().is_none_or(|support| optimized.score < support.score) {
-                    let inlier_ratio = optimized.inliers.len() as f64 / rays.len() as f64;
+                    let inlier_ratio = optimized.inliers.len() as f64 / count as f64;
                     wanted = wanted.min(self.samples_needed(inlier_ratio));
                     best = Some(optimized);
                 }
@@ -235,10 +229,14 @@ impl Search<'_> {
         }
     }
 
-    fn candidates(&self, sample: &[usize; 3], rays: &[(usize, UnitVector3<f64>)]) -> Vec<Pose> {
-        let chosen = sample.map(|k| rays[k]);
-        let points = chosen.map(|(i, _)| self.correspondences[i].point);
-        let bearings = chosen.map(|(_, ray)| ray);
+    /// The poses that explain a sample, none where one of its pixels cannot be unprojected.
+    fn candidates(&self, sample: &[usize; 3]) -> Vec<Pose> {
+        let chosen = sample.map(|at| &self.correspondences[at]);
+        let [Ok(first), Ok(second), Ok(third)] = chosen.map(|chosen| self.camera.bearing(&chosen.pixel))
+        else {
+            return Vec::new();
+        };
+        let (points, bearings) = (chosen.map(|chosen| chosen.point), [first, second, third]);
         let poses = match &self.sampler {
             Sampler::ThreePoint => p3p(&bearings, &points),
             Sampler::TwoPoint { in_world, in_camera } => {
@@ -285,7 +283,7 @@ impl Search<'_> {
         let mut best = self.support(pose, strict);
         let mut current = self.support(pose, candidate_threshold);
         for round in 1..=REFIT_ROUNDS {
-            let Ok(refined) = self.refit(&current) else { break };
+            let Ok(refined) = self.refit(&current, REFIT_POINTS) else { break };
             let strict_support = self.support(&refined.pose, strict);
             let improved = strict_support.score < best.score;
             let threshold = strict + (candidate_threshold - strict) * 0.5_f64.powi(round as i32 + 1);
@@ -304,8 +302,11 @@ impl Search<'_> {
         best
     }
 
-    fn refit(&self, support: &Support) -> Result<PoseWithCovariance, PnpError> {
-        let chosen: Vec<Correspondence> = support.inliers.iter().map(|&i| self.correspondences[i]).collect();
+    /// Refines a pose on at most so many of its inliers.
+    fn refit(&self, support: &Support, at_most: usize) -> Result<PoseWithCovariance, PnpError> {
+        let step = support.inliers.len().div_ceil(at_most).max(1);
+        let chosen = support.inliers.iter().step_by(step).map(|&at| self.correspondences[at]);
+        let chosen: Vec<Correspondence> = chosen.collect();
         refine(self.camera, &chosen, &support.pose, self.sigma_px, REFIT_ITERATIONS, Some(HUBER_SIGMAS))
     }
 
@@ -317,7 +318,7 @@ impl Search<'_> {
 
     /// Final refinement on the final inliers.
     fn finish(&self, support: &Support, needed: usize) -> Result<PnpSolution, PnpError> {
-        let world_from_camera = self.refit(support)?;
+        let world_from_camera = self.refit(support, usize::MAX)?;
         let last = self.support(&world_from_camera.pose, self.options.threshold_px);
         let found = last.inliers.len();
         if found < needed {

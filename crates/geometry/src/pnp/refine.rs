@@ -5,12 +5,12 @@ use crate::camera::Camera;
 use crate::pose::Pose;
 use crate::robust::huber;
 use crate::uncertain_pose::{PoseWithCovariance, symmetric};
-use nalgebra::{Matrix2x6, Matrix6, Vector6};
+use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 
 /// Initial damping relative to the diagonal of the normal matrix.
 const INITIAL_DAMPING: f64 = 1e-6;
-/// Relative decrease of the cost at convergence.
-const CONVERGED: f64 = 1e-10;
+/// Largest step of the last iteration, in standard deviations of the pose. Its own error is smaller by orders.
+const LAST_STEP_SIGMAS: f64 = 1e-3;
 /// Residual (standard deviations) of a point that cannot be projected; it keeps steps from moving points behind the camera.
 const UNSEEN_SIGMAS: f64 = 1e3;
 /// Minimum ratio of the eigenvalues of the normal matrix, scaled to a unit diagonal, for an observable pose.
@@ -55,14 +55,14 @@ pub fn refine(
         }
         let Some(step) = damped.cholesky().map(|factor| factor.solve(&current.gradient)) else { break };
         let candidate = pose.retract(&step);
+        if damping <= INITIAL_DAMPING && step.dot(&current.gradient) <= LAST_STEP_SIGMAS.powi(2) {
+            pose = candidate;
+            break;
+        }
         let next = problem.linearize(&candidate);
         if next.cost <= current.cost {
-            let converged = current.cost - next.cost <= CONVERGED * next.cost;
             (pose, current) = (candidate, next);
             damping *= 0.1;
-            if converged {
-                break;
-            }
         } else {
             damping = (damping * 100.0).max(1e-3);
         }
@@ -90,36 +90,57 @@ struct Linearization {
     visible: usize,
 }
 
+impl Linearization {
+    fn zero() -> Self {
+        Self { cost: 0.0, gradient: Vector6::zeros(), information: Matrix6::zeros(), visible: 0 }
+    }
+}
+
 impl Problem<'_> {
+    /// With `f` from the camera to the point in the world frame, and `u`, `v` the derivatives of the pixel with respect to it, the
+    /// rows of the Jacobian are `[u x f, -u]` and `[v x f, -v]`.
     fn linearize(&self, world_from_camera: &Pose) -> Linearization {
         let unseen_length = UNSEEN_SIGMAS.max(f64::from(self.camera.width) * self.inverse_sigma);
-        let mut sum = Linearization {
-            cost: 0.0,
-            gradient: Vector6::zeros(),
-            information: Matrix6::zeros(),
-            visible: 0,
-        };
+        let mut sum = Linearization::zero();
+        let (mut by_theta, mut by_p) = (Vector3::zeros(), Vector3::zeros());
+        let (mut theta_theta, mut theta_p, mut p_p) = (Matrix3::zeros(), Matrix3::zeros(), Matrix3::zeros());
         let camera_from_world = world_from_camera.rotation.to_rotation_matrix().inverse();
         for correspondence in self.correspondences {
-            let from_camera = correspondence.point - world_from_camera.translation;
-            let in_camera = camera_from_world * from_camera;
+            let f = correspondence.point - world_from_camera.translation;
+            let in_camera = camera_from_world * f;
             let Ok((pixel, by_point)) = self.camera.project_with_jacobian(&in_camera) else {
                 sum.cost += huber(unseen_length, self.threshold).1;
                 continue;
             };
             let residual = (correspondence.pixel - pixel) * self.inverse_sigma;
-            let by_world = by_point * self.inverse_sigma * camera_from_world.matrix();
-            let mut jacobian = Matrix2x6::zeros();
-            jacobian.fixed_view_mut::<2, 3>(0, 0).copy_from(&(by_world * from_camera.cross_matrix()));
-            jacobian.fixed_view_mut::<2, 3>(0, 3).copy_from(&-by_world);
+            let by_world = by_point * camera_from_world.matrix() * self.inverse_sigma;
             let (weight, loss) = huber(residual.norm(), self.threshold);
             sum.cost += loss;
-            sum.gradient += jacobian.tr_mul(&residual) * weight;
-            sum.information += jacobian.tr_mul(&jacobian) * weight;
             sum.visible += 1;
+
+            let [u, v] = [by_world.row(0).transpose(), by_world.row(1).transpose()];
+            let (turned_u, turned_v) = (u.cross(&f), v.cross(&f));
+            let of_both = residual * weight;
+            by_theta += turned_u * of_both.x + turned_v * of_both.y;
+            by_p -= u * of_both.x + v * of_both.y;
+            theta_theta += outer(&(turned_u * weight), &turned_u) + outer(&(turned_v * weight), &turned_v);
+            theta_p -= outer(&(turned_u * weight), &u) + outer(&(turned_v * weight), &v);
+            p_p += outer(&(u * weight), &u) + outer(&(v * weight), &v);
         }
+        sum.gradient.fixed_rows_mut::<3>(0).copy_from(&by_theta);
+        sum.gradient.fixed_rows_mut::<3>(3).copy_from(&by_p);
+        sum.information.fixed_view_mut::<3, 3>(0, 0).copy_from(&theta_theta);
+        sum.information.fixed_view_mut::<3, 3>(0, 3).copy_from(&theta_p);
+        sum.information.fixed_view_mut::<3, 3>(3, 0).copy_from(&theta_p.transpose());
+        sum.information.fixed_view_mut::<3, 3>(3, 3).copy_from(&p_p);
         sum
     }
+}
+
+/// `a b^T`: written out, which the general product is not.
+#[inline]
+fn outer(a: &Vector3<f64>, b: &Vector3<f64>) -> Matrix3<f64> {
+    Matrix3::from_columns(&[a * b.x, a * b.y, a * b.z])
 }
 
 /// The covariance; `None` if the information, scaled to a unit diagonal, is ill-conditioned.
