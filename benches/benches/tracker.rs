@@ -1,4 +1,5 @@
-//! Times the tracker on recorded images, one thread, without reading them: `cargo bench -p benches --bench tracker`.
+//! Times the tracker and the classical features on recorded images, one thread, without reading them:
+//! `cargo bench -p driftless-benches --bench tracker`.
 //!
 //! Takes a folder of images as an argument; without one, EuRoC's `mh_01_handheld_16s` where `target/data` has it.
 //! Prints the median over the frames, milliseconds.
@@ -6,13 +7,19 @@
 use geometry::{Camera, Distortion};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
+use vision::features::classical::SiftExtractor;
 use vision::tracking::{Tracker, TrackerFrame, TrackerOptions};
-use vision::{CornerOptions, Equalization, GrayImage, LocalEqualization, Pyramid, detect_corners};
+use vision::{
+    CornerOptions, Equalization, FeatureExtractor, GrayImage, LocalEqualization, Pyramid, detect_corners,
+};
 
 /// Images held in memory at once.
-const MAX_IMAGES: usize = 200;
+const MAX_IMAGES: usize = 320;
 /// Time between two images, nanoseconds.
 const PERIOD_NS: i64 = 50_000_000;
+/// Features are extracted from every so many images.
+const FEATURE_STRIDE: usize = 10;
+const MAX_FEATURES: usize = 1000;
 
 fn main() {
     let given = std::env::args().skip(1).find(|argument| !argument.starts_with("--"));
@@ -31,7 +38,12 @@ fn main() {
     time("equalization", &images, |image| Equalization::Global.apply(image.clone()).width());
     let local = Equalization::Local(LocalEqualization::default());
     time("local equalization", &images, |image| local.apply(image.clone()).width());
-    for (name, equalization) in [("tracker", Equalization::Off), ("tracker with local equalization", local)] {
+    let equalizations = [
+        ("tracker", Equalization::Off),
+        ("tracker with global equalization", Equalization::Global),
+        ("tracker with local equalization", local),
+    ];
+    for (name, equalization) in equalizations {
         let options = TrackerOptions::default().points(200).equalization(equalization);
         let Ok(mut tracker) = Tracker::new(camera(&images[0]), None, options) else { return };
         let mut stamp_ns = 0;
@@ -47,6 +59,11 @@ fn main() {
             tracker.track(frame).map_or(0, |tracks| tracks.len())
         });
     }
+    let some: Vec<GrayImage> = images.iter().step_by(FEATURE_STRIDE).cloned().collect();
+    let mut extractor = SiftExtractor::default();
+    time("sift-1", &some, |image| {
+        extractor.extract(image, None, MAX_FEATURES).map_or(0, |features| features.keypoints.len())
+    });
 }
 
 /// Runs something on every image and prints the median of its time and of its result.

@@ -11,7 +11,12 @@
 //! # Conventions
 //! Pixel (0, 0) is the centre of the top-left pixel, x to the right, y down; pixels are distorted, as observed.
 //! Descriptors are bytes with a [`Metric`]; extractors state theirs.
+//!
+//! # Vector instructions
+//! A program for every x86-64 may use SSE2 only. [`pulp`] compiles what is inlined into [`pulp::NullaryFnOnce::call`] for AVX2
+//! too, and chooses when it runs. So loops over pixels are `inline(always)`: a function that is called instead would use SSE2.
 #![cfg_attr(test, allow(clippy::unwrap_used))]
+#![allow(clippy::inline_always, reason = "see \"Vector instructions\"")]
 
 pub mod detection;
 pub mod features;

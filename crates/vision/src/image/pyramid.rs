@@ -7,6 +7,7 @@
 //! kernel is its binomial one, `[1 4 6 4 1] / 16` in both directions.
 
 use super::gray::GrayImage;
+use pulp::{Arch, NullaryFnOnce};
 
 /// Minimum width and height of a level, pixels: a tracked patch must fit.
 const MIN_SIDE: usize = 16;
@@ -63,27 +64,44 @@ impl Pyramid {
 
 /// An image of half the size (rounded up): low-pass filtered, then every second pixel. Border pixels are replicated.
 pub fn halve(image: &GrayImage) -> GrayImage {
-    let (width, height) = (image.width(), image.height());
-    let (out_width, out_height) = (width.div_ceil(2), height.div_ceil(2));
-    let mut pixels = vec![0; out_width * out_height];
-    // One row of vertical sums with two replicated pixels on the left and three on the right.
-    let mut sums = vec![0u16; width + 5];
-    for (y, out) in pixels.chunks_exact_mut(out_width).enumerate() {
-        let row = |offset: usize| image.row((2 * y + offset).saturating_sub(2).min(height - 1));
-        add_rows([row(0), row(1), row(2), row(3), row(4)], &mut sums[2..width + 2]);
-        let first = sums[2];
-        sums[..2].fill(first);
-        let last = sums[width + 1];
-        sums[width + 2..].fill(last);
-        for (value, window) in out.iter_mut().zip(sums.windows(5).step_by(2)) {
-            let sum = window[0] + window[4] + 4 * (window[1] + window[3]) + 6 * window[2];
-            *value = ((sum + 128) >> 8) as u8;
+    Arch::new().dispatch(Halve(image))
+}
+
+/// See [`halve`].
+struct Halve<'a>(&'a GrayImage);
+
+impl NullaryFnOnce for Halve<'_> {
+    type Output = GrayImage;
+
+    #[inline(always)]
+    fn call(self) -> GrayImage {
+        let Self(image) = self;
+        let (width, height) = (image.width(), image.height());
+        let (out_width, out_height) = (width.div_ceil(2), height.div_ceil(2));
+        let mut pixels = vec![0; out_width * out_height];
+        // One row of vertical sums with two replicated pixels on the left and on the right, to an even number.
+        let mut sums = vec![0u16; 2 * out_width + 4];
+        for (y, out) in pixels.chunks_exact_mut(out_width).enumerate() {
+            let row = |offset: usize| image.row((2 * y + offset).saturating_sub(2).min(height - 1));
+            add_rows([row(0), row(1), row(2), row(3), row(4)], &mut sums[2..width + 2]);
+            let first = sums[2];
+            sums[..2].fill(first);
+            let last = sums[width + 1];
+            sums[width + 2..].fill(last);
+            let pairs = sums.as_chunks::<2>().0;
+            let (before, own, after) = (&pairs[..out_width], &pairs[1..=out_width], &pairs[2..]);
+            for (x, value) in out.iter_mut().enumerate() {
+                let outer = before[x][0] + after[x][0];
+                let inner = before[x][1] + own[x][1];
+                *value = ((outer + 4 * inner + 6 * own[x][0] + 128) >> 8) as u8;
+            }
         }
+        GrayImage::from_parts(out_width, out_height, pixels)
     }
-    GrayImage::from_parts(out_width, out_height, pixels)
 }
 
 /// The vertical pass of the kernel: at most 16 * 255 per pixel.
+#[inline(always)]
 fn add_rows(rows: [&[u8]; 5], sums: &mut [u16]) {
     let n = sums.len();
     let [a, b, c, d, e] = rows.map(|row| &row[..n]);

@@ -9,16 +9,13 @@
 //! | [`prototypes`] | few descriptors that represent all observations of one landmark |
 
 #[cfg(target_arch = "x86_64")]
-#[allow(clippy::inline_always)] // see `kernels`
 mod avx2;
 #[cfg(target_arch = "x86_64")]
-#[allow(clippy::inline_always)] // see `kernels`
 mod avx2_rows;
 pub mod brute_force;
 pub mod descriptors;
 mod exact;
 pub mod inverted_file;
-#[allow(clippy::inline_always)] // its documentation says why
 mod kernels;
 mod prepared;
 pub mod prototypes;

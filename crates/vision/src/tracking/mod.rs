@@ -12,11 +12,14 @@
 
 mod block;
 pub mod frames;
+mod inverse;
 pub mod lucas_kanade;
 pub mod options;
 pub mod outliers;
+mod patch;
 mod prediction;
 pub mod relative_pose;
+mod search;
 pub mod stereo;
 mod template;
 pub mod tracker;

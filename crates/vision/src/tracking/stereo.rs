@@ -3,7 +3,7 @@
 //! The search starts at the inverse depth of the previous image or at the median of this image. A match must lie near
 //! the epipolar line of the pixel and in front of both cameras.
 
-use super::lucas_kanade::{Alignment, AlignmentOptions, align_with_backward_check};
+use super::lucas_kanade::{Aligner, Alignment, AlignmentOptions};
 use super::prediction::{Ray, predict};
 use crate::image::Pyramid;
 use geometry::{Camera, Pose};
@@ -67,11 +67,23 @@ impl StereoPair {
         guesses: &[f64],
         options: &StereoOptions,
     ) -> Option<StereoMatch> {
+        self.find_by(&mut Aligner::new(), [first, second], pixel, guesses, options)
+    }
+
+    /// [`StereoPair::find`] with the memory of alignments before.
+    pub(super) fn find_by(
+        &self,
+        aligner: &mut Aligner,
+        images: [&Pyramid; 2],
+        pixel: Vector2<f64>,
+        guesses: &[f64],
+        options: &StereoOptions,
+    ) -> Option<StereoMatch> {
         let ray = Ray::new(&self.first, pixel)?;
         guesses.iter().find_map(|inverse_depth| {
             let guess = predict(&self.first, &self.second, &self.second_from_first, &ray, *inverse_depth)?;
-            let found =
-                align_with_backward_check(first, second, pixel.cast(), &guess, &options.alignment).ok()?;
+            let alignment = &options.alignment;
+            let found = aligner.align_with_backward_check(images, pixel.cast(), &guess, alignment).ok()?;
             self.check(&ray, &found, options)
         })
     }

@@ -5,7 +5,7 @@
 //! matched in the second camera.
 
 use super::frames::{TrackedPixel, TrackerError, TrackerFrame, TrackerReport};
-use super::lucas_kanade::{Alignment, Warp, align_with_backward_check};
+use super::lucas_kanade::{Aligner, Alignment, Warp};
 use super::options::TrackerOptions;
 use super::outliers::{OutlierOptions, find_outliers};
 use super::prediction::{Ray, predict_rotated};
@@ -222,15 +222,11 @@ impl Tracker {
         pyramid: &Pyramid,
         rotation: Option<&Rotation>,
     ) -> Vec<Option<Alignment>> {
-        let find = |track: &Track, guess: &Warp| {
-            align_with_backward_check(
-                &previous.pyramid,
-                pyramid,
-                track.pixel(),
-                guess,
-                &self.options.alignment,
-            )
-            .ok()
+        let mut aligner = Aligner::new();
+        let images = [&previous.pyramid, pyramid];
+        let mut find = |track: &Track, guess: &Warp| {
+            let options = &self.options.alignment;
+            aligner.align_with_backward_check(images, track.pixel(), guess, options).ok()
         };
         let mut found: Vec<Option<Alignment>> = previous
             .tracks
@@ -286,6 +282,7 @@ fn match_stereo(
     second: &Pyramid,
     tracks: &mut [Track],
 ) -> Vec<TrackedPixel> {
+    let mut aligner = Aligner::new();
     let mut seen = Vec::with_capacity(tracks.len());
     let mut known: Vec<f64> = tracks.iter().filter_map(|track| track.inverse_depth).collect();
     for track in tracks {
@@ -293,7 +290,9 @@ fn match_stereo(
         let own = track.inverse_depth.or(median_depth).into_iter();
         let guesses: Vec<f64> = own.chain(INITIAL_INVERSE_DEPTHS).collect();
         let max_guesses = if track.inverse_depth.is_some() { 1 } else { guesses.len() };
-        let found = pair.find(first, second, track.ray.pixel, &guesses[..max_guesses], &options.stereo);
+        let guesses_used = &guesses[..max_guesses];
+        let found =
+            pair.find_by(&mut aligner, [first, second], track.ray.pixel, guesses_used, &options.stereo);
         let found = found.filter(|found| is_unmasked(options.masks[1].as_ref(), found.pixel.cast()));
         track.inverse_depth = found.map(|found| found.inverse_depth);
         if let Some(found) = found {

@@ -1,12 +1,16 @@
 //! Gradients on a grid rotated and scaled with the keypoint.
 
 use super::plane::Plane;
+use pulp::{Arch, NullaryFnOnce};
 use std::f32::consts::{FRAC_PI_2, PI, TAU};
+
+/// Samples computed together.
+const LANES: usize = 32;
 
 /// Gradients on a square grid, row after row.
 #[derive(Default)]
 pub(super) struct Gradients {
-    samples: Vec<f32>,
+    samples: Vec<[f32; LANES]>,
     /// Lengths.
     pub(super) lengths: Vec<f32>,
     /// Directions from the grid's x axis, radians in 0 to 2 pi.
@@ -15,29 +19,53 @@ pub(super) struct Gradients {
 
 impl Gradients {
     /// Samples `side * side` gradients around `centre` (pixels of the plane), `step` pixels apart, on axes rotated by
-    /// `angle` (radians, x towards y).
+    /// `angle` (radians, x towards y). At most `LANES - 2` per side.
     pub(super) fn sample(&mut self, plane: &Plane, centre: [f32; 2], step: f32, angle: f32, side: usize) {
+        let axis = [step * angle.cos(), step * angle.sin()];
+        Arch::new().dispatch(Sample { gradients: self, plane, centre, axis, side });
+    }
+}
+
+/// See [`Gradients::sample`].
+struct Sample<'a> {
+    gradients: &'a mut Gradients,
+    plane: &'a Plane,
+    centre: [f32; 2],
+    /// From one sample to the next in a row, pixels.
+    axis: [f32; 2],
+    side: usize,
+}
+
+impl NullaryFnOnce for Sample<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let Self { gradients, plane, centre, axis: [cosine, sine], side } = self;
         let wide = side + 2;
-        let (sine, cosine) = (step * angle.sin(), step * angle.cos());
         let middle = 0.5 * (wide - 1) as f32;
-        self.samples.clear();
-        for row in 0..wide {
+        gradients.samples.resize(wide, [0.0; LANES]);
+        for (row, samples) in gradients.samples.iter_mut().enumerate() {
             let b = row as f32 - middle;
-            self.samples.extend((0..wide).map(|column| {
+            let (mut xs, mut ys) = ([0.0; LANES], [0.0; LANES]);
+            for column in 0..LANES {
                 let a = column as f32 - middle;
-                plane.bilinear(centre[0] + cosine * a - sine * b, centre[1] + sine * a + cosine * b)
-            }));
+                xs[column] = centre[0] + cosine * a - sine * b;
+                ys[column] = centre[1] + sine * a + cosine * b;
+            }
+            plane.bilinear(&xs, &ys, samples);
         }
-        self.lengths.clear();
-        self.directions.clear();
-        for row in 1..=side {
-            let above = &self.samples[(row - 1) * wide + 1..];
-            let here = &self.samples[row * wide..];
-            let below = &self.samples[(row + 1) * wide + 1..];
+        gradients.lengths.resize(side * side, 0.0);
+        gradients.directions.resize(side * side, 0.0);
+        let lengths = gradients.lengths.chunks_exact_mut(side);
+        let directions = gradients.directions.chunks_exact_mut(side);
+        for (rows, (lengths, directions)) in gradients.samples.windows(3).zip(lengths.zip(directions)) {
+            let (above, here, below) = (&rows[0][1..=side], &rows[1], &rows[2][1..=side]);
+            let (before, after) = (&here[..side], &here[2..side + 2]);
             for column in 0..side {
-                let (dx, dy) = (here[column + 2] - here[column], below[column] - above[column]);
-                self.lengths.push((dx * dx + dy * dy).sqrt());
-                self.directions.push(direction(dy, dx));
+                let (dx, dy) = (after[column] - before[column], below[column] - above[column]);
+                lengths[column] = (dx * dx + dy * dy).sqrt();
+                directions[column] = direction(dy, dx);
             }
         }
     }
@@ -46,6 +74,7 @@ impl Gradients {
 /// `atan2(y, x)` in 0 to 2 pi, to 2e-3 radians; faster than the standard library, and identical on all platforms.
 ///
 /// The arc tangent on 0 to 1 by the polynomial of Abramowitz & Stegun, 4.4.47, shortened.
+#[inline(always)]
 fn direction(y: f32, x: f32) -> f32 {
     let (large, small) = (x.abs().max(y.abs()), x.abs().min(y.abs()));
     let ratio = small / large.max(f32::MIN_POSITIVE);
