@@ -48,9 +48,9 @@ mod tests {
             })
         });
         let inverse = invert_positive(matrix).expect("positive definite");
-        for i in 0..6 {
+        for (i, row) in matrix.iter().enumerate() {
             for j in 0..6 {
-                let product: f32 = (0..6).map(|k| matrix[i][k] * inverse[k][j]).sum();
+                let product: f32 = row.iter().zip(&inverse).map(|(value, other)| value * other[j]).sum();
                 assert!((product - f32::from(u8::from(i == j))).abs() < 1e-3, "{i} {j}: {product}");
             }
         }

@@ -235,9 +235,9 @@ impl NullaryFnOnce for AddLinearPart<'_> {
             template.project(column);
         }
         let mut normal = [[0.0; PARAMETERS]; PARAMETERS];
-        for i in 0..PARAMETERS {
-            for j in 0..=i {
-                let product = dot(&template.jacobian[i], &template.jacobian[j]);
+        for (i, column) in template.jacobian.iter().enumerate() {
+            for (j, other) in template.jacobian[..=i].iter().enumerate() {
+                let product = dot(column, other);
                 normal[i][j] = product;
                 normal[j][i] = product;
             }
