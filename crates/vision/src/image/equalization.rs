@@ -43,7 +43,7 @@ impl Equalization {
     pub fn apply(&self, image: GrayImage) -> GrayImage {
         match self {
             Self::Off => image,
-            Self::Global => equalize(&image),
+            Self::Global => equalize_owned(image),
             Self::Local(options) => equalize_locally(&image, options),
         }
     }
@@ -53,14 +53,16 @@ impl Equalization {
 ///
 /// The mapping of grey levels is monotonic; an image of one grey level is returned unchanged.
 pub fn equalize(image: &GrayImage) -> GrayImage {
-    let mut histogram = [0u32; LEVELS];
-    for pixel in image.pixels() {
-        histogram[usize::from(*pixel)] += 1;
-    }
+    equalize_owned(image.clone())
+}
+
+/// [`equalize`] in place.
+fn equalize_owned(mut image: GrayImage) -> GrayImage {
+    let histogram = histogram_of(image.pixels());
     let darkest = histogram.iter().copied().find(|count| *count > 0).unwrap_or(0);
     let rest = image.pixels().len() as u32 - darkest;
     if rest == 0 {
-        return image.clone();
+        return image;
     }
     let mut table = [0u8; LEVELS];
     let mut below = 0u32;
@@ -69,8 +71,33 @@ pub fn equalize(image: &GrayImage) -> GrayImage {
         let fraction = f64::from(below.saturating_sub(darkest)) / f64::from(rest);
         table[level] = (fraction * (LEVELS - 1) as f64).round() as u8;
     }
-    let pixels = image.pixels().iter().map(|pixel| table[usize::from(*pixel)]).collect();
-    GrayImage::from_parts(image.width(), image.height(), pixels)
+    for pixel in image.pixels_mut() {
+        *pixel = table[usize::from(*pixel)];
+    }
+    image
+}
+
+/// Counts of the grey levels.
+fn histogram_of(pixels: &[u8]) -> [u32; LEVELS] {
+    /// Pixels counted apart: a count that was just written is read late, and neighbours are often equal.
+    const APART: usize = 8;
+    let mut histograms = [[0u32; LEVELS]; APART];
+    let (groups, rest) = pixels.as_chunks::<APART>();
+    for group in groups {
+        for (histogram, pixel) in histograms.iter_mut().zip(group) {
+            histogram[usize::from(*pixel)] += 1;
+        }
+    }
+    let [mut sum, others @ ..] = histograms;
+    for pixel in rest {
+        sum[usize::from(*pixel)] += 1;
+    }
+    for other in &others {
+        for (count, more) in sum.iter_mut().zip(other) {
+            *count += more;
+        }
+    }
+    sum
 }
 
 /// Contrast-limited adaptive histogram equalization (CLAHE).

@@ -242,6 +242,11 @@ impl GrayImage {
         &self.pixels
     }
 
+    /// All pixels, to be changed.
+    pub(super) fn pixels_mut(&mut self) -> &mut [u8] {
+        &mut self.pixels
+    }
+
     /// The pixels of row `y`.
     ///
     /// # Panics

@@ -1,7 +1,8 @@
-//! A square block of an image, from which patches are sampled.
+//! The pixels that patches are sampled from.
 //!
-//! Alignment samples the same few hundred pixels repeatedly. They are copied once, with the image border replicated, so that
-//! every access lies inside a square of fixed size.
+//! Where a patch is well inside the image they are those of the image. At its border they are a square block, copied once
+//! with the border replicated. Warped samples are taken from a block in any case, in which a pixel and its neighbours are one
+//! number.
 
 use super::patch::{HALF, Patch, SIDE};
 use crate::image::GrayImage;
@@ -16,93 +17,101 @@ const FRACTION_BITS: u32 = 20;
 /// One pixel in these units.
 const ONE: f32 = (1u32 << FRACTION_BITS) as f32;
 
-/// A square block of an image.
+/// Blocks of an image.
 pub(super) struct Block {
-    pixels: [u8; PIXELS],
-    /// Image coordinates of `pixels[0]`.
-    origin: [i32; 2],
+    /// The pixels, the border of the image replicated; one row and one pixel more than a block.
+    pixels: [u8; PIXELS + BLOCK + 1],
+    /// Image coordinates of `pixels[0]`; `None` before anything of the present image is there.
+    origin: Option<[i32; 2]>,
     /// The pixels with their neighbours, see [`Block::pack`].
     squares: [u32; PIXELS],
+    /// Image coordinates of `squares[0]`.
+    squares_origin: [i32; 2],
 }
 
 impl Block {
     pub(super) fn new() -> Self {
-        Self { pixels: [0; PIXELS], origin: [0; 2], squares: [0; PIXELS] }
+        Self { pixels: [0; PIXELS + BLOCK + 1], origin: None, squares: [0; PIXELS], squares_origin: [0; 2] }
     }
 
-    /// Copies the block around `centre`; `None` if the centre is not finite or far outside the image.
+    /// Forgets what was copied, before another image or another place.
     #[inline(always)]
-    pub(super) fn load(&mut self, image: &GrayImage, centre: Vector2<f32>) -> Option<()> {
-        let [width, height] = [image.width() as i32, image.height() as i32];
-        let inside =
-            |value: f32, side: i32| value >= -(BLOCK as f32) && value <= (side + BLOCK as i32) as f32;
-        if !(inside(centre.x, width) && inside(centre.y, height)) {
-            return None;
+    pub(super) fn clear(&mut self) {
+        self.origin = None;
+    }
+
+    /// The pixels of a grid of `size` samples per side, one pixel apart, whose first is at an image position; `None` if it
+    /// is too far outside the image.
+    ///
+    /// `lanes`: samples that [`Grid::row`] is asked for.
+    #[inline(always)]
+    pub(super) fn grid<'a>(
+        &'a mut self,
+        image: &'a GrayImage,
+        first: Vector2<f32>,
+        size: usize,
+        lanes: usize,
+    ) -> Option<Grid<'a>> {
+        let inside = [image.width(), image.height()];
+        if let Some((at, fx, fy)) = corner([first.x, first.y], inside, lanes, image.width()) {
+            return Some(Grid { pixels: image.pixels(), stride: image.width(), at, fx, fy });
         }
-        let half = BLOCK as i32 / 2 - 1;
-        let [left, top] = [centre.x.floor() as i32 - half, centre.y.floor() as i32 - half];
-        self.origin = [left, top];
-        let whole = left >= 0 && left + BLOCK as i32 <= width;
-        for (y, out) in (top..).zip(self.pixels.as_chunks_mut::<BLOCK>().0) {
+        let in_block = |origin: [i32; 2]| {
+            let position = [first.x - origin[0] as f32, first.y - origin[1] as f32];
+            corner(position, [BLOCK; 2], size, BLOCK)
+        };
+        if self.origin.and_then(in_block).is_none() {
+            let centre = first.add_scalar(0.5 * (size - 1) as f32);
+            self.load(image, origin_around(image, centre)?);
+        }
+        let (at, fx, fy) = in_block(self.origin?)?;
+        Some(Grid { pixels: &self.pixels, stride: BLOCK, at, fx, fy })
+    }
+
+    /// Copies the block from `origin` on.
+    #[inline(always)]
+    fn load(&mut self, image: &GrayImage, origin: [i32; 2]) {
+        let [left, top] = origin;
+        let [width, height] = [image.width() as i32, image.height() as i32];
+        self.origin = Some(origin);
+        // Columns of the block that the image has.
+        let before = (-left).clamp(0, BLOCK as i32);
+        let end = (width - left).clamp(before, BLOCK as i32);
+        let first = (left + before).clamp(0, width) as usize;
+        let (before, end) = (before as usize, end as usize);
+        for (y, out) in (top..).zip(self.pixels.chunks_exact_mut(BLOCK)) {
             let row = image.row(y.clamp(0, height - 1) as usize);
-            if whole {
-                out.copy_from_slice(&row[left as usize..left as usize + BLOCK]);
-            } else {
-                for (x, pixel) in (left..).zip(out) {
-                    *pixel = row[x.clamp(0, width - 1) as usize];
-                }
-            }
+            out[..before].fill(row[0]);
+            out[before..end].copy_from_slice(&row[first..first + end - before]);
+            out[end..].fill(row[row.len() - 1]);
+        }
+    }
+
+    /// Prepares [`Block::warped`] around `centre`: a number for each pixel with its right, lower and lower right neighbour in
+    /// its bytes, so that a sample between them takes one access. `None` if the centre is too far outside the image.
+    #[inline(always)]
+    pub(super) fn pack(&mut self, image: &GrayImage, centre: Vector2<f32>) -> Option<()> {
+        let origin = origin_around(image, centre)?;
+        self.squares_origin = origin;
+        let [left, top] = origin;
+        let last = |from: i32| from + BLOCK as i32;
+        let whole = left >= 0 && top >= 0 && last(left) < image.width() as i32;
+        if whole && last(top) < image.height() as i32 {
+            let first = top as usize * image.width() + left as usize;
+            pack_squares(&image.pixels()[first..], image.width(), &mut self.squares);
+        } else {
+            self.load(image, origin);
+            pack_squares(&self.pixels, BLOCK, &mut self.squares);
         }
         Some(())
-    }
-
-    /// Prepares [`Block::warped`]: a number for each pixel with its right, lower and lower right neighbour in its bytes,
-    /// so that a sample between them takes one access.
-    #[inline(always)]
-    pub(super) fn pack(&mut self) {
-        const LAST: usize = PIXELS - BLOCK - 1;
-        let here = &self.pixels[..LAST];
-        let right = &self.pixels[1..=LAST];
-        let lower = &self.pixels[BLOCK..BLOCK + LAST];
-        let lower_right = &self.pixels[BLOCK + 1..];
-        for (at, square) in self.squares[..LAST].iter_mut().enumerate() {
-            let upper = u32::from(here[at]) | u32::from(right[at]) << 8;
-            *square = upper | u32::from(lower[at]) << 16 | u32::from(lower_right[at]) << 24;
-        }
-    }
-
-    /// Where a grid of `size` samples per side lies whose first is at an image position; `None` if it leaves the block.
-    #[inline(always)]
-    pub(super) fn cell(&self, first: Vector2<f32>, size: usize) -> Option<Cell> {
-        let x = first.x - self.origin[0] as f32;
-        let y = first.y - self.origin[1] as f32;
-        let limit = (BLOCK - size - 1) as f32;
-        if !(x >= 0.0 && y >= 0.0 && x < limit && y < limit) {
-            return None;
-        }
-        let (column, row) = (x as usize, y as usize);
-        Some(Cell { at: row * BLOCK + column, fx: x - column as f32, fy: y - row as f32 })
-    }
-
-    /// `N` samples one pixel apart in the `row`-th row of pixels below `cell`, interpolated along the row only.
-    #[inline(always)]
-    pub(super) fn row<const N: usize>(&self, cell: &Cell, row: usize) -> [f32; N] {
-        let at = cell.at + row * BLOCK;
-        let pixels = &self.pixels[at..=at + N];
-        let mut out = [0.0; N];
-        for i in 0..N {
-            let (left, right) = (f32::from(pixels[i]), f32::from(pixels[i + 1]));
-            out[i] = left + cell.fx * (right - left);
-        }
-        out
     }
 
     /// The samples of a patch whose grid is warped by `linear` and centred at `centre` (pixels); `None` if they leave the
     /// block. It must be packed.
     #[inline(always)]
     pub(super) fn warped(&self, centre: Vector2<f32>, linear: &Matrix2<f32>, out: &mut Patch) -> Option<()> {
-        let x = centre.x - self.origin[0] as f32;
-        let y = centre.y - self.origin[1] as f32;
+        let x = centre.x - self.squares_origin[0] as f32;
+        let y = centre.y - self.squares_origin[1] as f32;
         let reach_x = HALF * (linear.m11.abs() + linear.m12.abs());
         let reach_y = HALF * (linear.m21.abs() + linear.m22.abs());
         let limit = (BLOCK - 2) as f32;
@@ -148,11 +157,66 @@ impl Block {
     }
 }
 
-/// A position in a block.
-pub(super) struct Cell {
+/// Pixels of a grid of samples.
+pub(super) struct Grid<'a> {
+    pixels: &'a [u8],
+    stride: usize,
     /// Index of the pixel at its upper left.
     at: usize,
     fx: f32,
     /// Weight of the lower of two rows.
     pub(super) fy: f32,
+}
+
+impl Grid<'_> {
+    /// `N` samples one pixel apart in the `row`-th row of pixels, interpolated along the row only.
+    #[inline(always)]
+    pub(super) fn row<const N: usize>(&self, row: usize) -> [f32; N] {
+        let pixels = &self.pixels[self.at + row * self.stride..][..=N];
+        let mut out = [0.0; N];
+        for i in 0..N {
+            let (left, right) = (f32::from(pixels[i]), f32::from(pixels[i + 1]));
+            out[i] = left + self.fx * (right - left);
+        }
+        out
+    }
+}
+
+/// Index of the pixel before a position and the fractions beyond it; `None` if `length` samples and one more pixel do not fit
+/// from there on.
+#[inline(always)]
+fn corner(
+    [x, y]: [f32; 2],
+    [width, height]: [usize; 2],
+    length: usize,
+    stride: usize,
+) -> Option<(usize, f32, f32)> {
+    let limit = |side: usize| side as f32 - length as f32 - 1.0;
+    if !(x >= 0.0 && y >= 0.0 && x < limit(width) && y < limit(height)) {
+        return None;
+    }
+    let (column, row) = (x as usize, y as usize);
+    Some((row * stride + column, x - column as f32, y - row as f32))
+}
+
+/// The first pixel of a block around `centre`; `None` if that is not finite or far outside the image.
+#[inline(always)]
+fn origin_around(image: &GrayImage, centre: Vector2<f32>) -> Option<[i32; 2]> {
+    const HALF_BLOCK: i32 = BLOCK as i32 / 2 - 1;
+    let inside = |value: f32, side: usize| value >= -(BLOCK as f32) && value <= (side + BLOCK) as f32;
+    (inside(centre.x, image.width()) && inside(centre.y, image.height()))
+        .then(|| [centre.x.floor() as i32 - HALF_BLOCK, centre.y.floor() as i32 - HALF_BLOCK])
+}
+
+/// See [`Block::pack`]; the neighbours of the last column may be any.
+#[inline(always)]
+fn pack_squares(pixels: &[u8], stride: usize, squares: &mut [u32; PIXELS]) {
+    for (y, out) in squares.as_chunks_mut::<BLOCK>().0.iter_mut().enumerate() {
+        let upper = &pixels[y * stride..][..=BLOCK];
+        let lower = &pixels[(y + 1) * stride..][..=BLOCK];
+        for x in 0..BLOCK {
+            let above = u32::from(upper[x]) | u32::from(upper[x + 1]) << 8;
+            out[x] = above | u32::from(lower[x]) << 16 | u32::from(lower[x + 1]) << 24;
+        }
+    }
 }

@@ -89,9 +89,12 @@ impl Default for AlignmentOptions {
 /// Standard deviation of a sample, grey levels, for weighting the prior on the linear part: sensor noise,
 /// interpolation and other differences between two images.
 const SIGMA_SAMPLE: f32 = 4.0;
-/// Pyramid levels of the backward alignment, which keeps the linear part. Its start is close: more levels would only
-/// increase the risk of divergence.
-const BACKWARD_LEVELS: usize = 2;
+/// Convergence threshold on the step while only the translation is estimated, pixels of the level: what is left is estimated
+/// at the next level, or with the linear part.
+const TRANSLATION_TOLERANCE: f32 = 0.1;
+/// Pyramid levels of the backward alignment, which keeps the linear part. It starts where it should end: more levels would
+/// only increase the risk of divergence.
+const BACKWARD_LEVELS: usize = 1;
 
 /// Aligns the patch around `at` (pixels of the first image) with the second image.
 ///
@@ -151,7 +154,7 @@ impl Aligner {
             .flatten()
             .ok_or(AlignmentError::NoStructure)?;
         let start = Warp { centre, ..*guess };
-        self.search(images[1].base(), start, options).warp(guess.linear)
+        self.search(images[1].base(), start, options.iterations).warp(guess.linear, options)
     }
 
     /// See [`align_with_backward_check`].
@@ -196,18 +199,16 @@ impl Aligner {
             // A finer level may have structure where a coarse one has none.
             if has_template {
                 let start = Warp { centre: centre * scale, ..*guess };
-                centre = self.search(second.level(level), start, options).translation()? / scale;
+                centre = self
+                    .search(second.level(level), start, options.iterations)
+                    .translation(TRANSLATION_TOLERANCE)?
+                    / scale;
             }
         }
         Ok((centre, has_template))
     }
 
-    fn search<'a>(
-        &'a mut self,
-        image: &'a GrayImage,
-        start: Warp,
-        options: &'a AlignmentOptions,
-    ) -> Search<'a> {
-        Search { template: &self.template, image, block: &mut self.block, start, options }
+    fn search<'a>(&'a mut self, image: &'a GrayImage, start: Warp, iterations: usize) -> Search<'a> {
+        Search { template: &self.template, image, block: &mut self.block, start, iterations }
     }
 }

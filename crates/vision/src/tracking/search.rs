@@ -2,7 +2,7 @@
 
 use super::block::Block;
 use super::lucas_kanade::{Alignment, AlignmentError, AlignmentOptions, Warp};
-use super::patch::{HALF, Patch, ZERO};
+use super::patch::{HALF, Patch, SIDE, ZERO};
 use super::template::Template;
 use crate::image::GrayImage;
 use nalgebra::{Matrix2, Vector2};
@@ -21,17 +21,18 @@ pub(super) struct Search<'a> {
     pub(super) block: &'a mut Block,
     /// The initial warp, in pixels of `image`.
     pub(super) start: Warp,
-    pub(super) options: &'a AlignmentOptions,
+    /// The most there are.
+    pub(super) iterations: usize,
 }
 
 impl Search<'_> {
-    /// Estimates the translation with the linear part fixed. Returns the centre.
-    pub(super) fn translation(self) -> Result<Vector2<f32>, AlignmentError> {
+    /// Estimates the translation with the linear part fixed, until a step is shorter than `tolerance`. Returns the centre.
+    pub(super) fn translation(self, tolerance: f32) -> Result<Vector2<f32>, AlignmentError> {
         let is_identity = (self.start.linear - Matrix2::identity()).amax() < IDENTITY_TOLERANCE;
         if is_identity {
-            Arch::new().dispatch(GridSearch(self))
+            Arch::new().dispatch(GridSearch { search: self, tolerance })
         } else {
-            Arch::new().dispatch(WarpedSearch(self))
+            Arch::new().dispatch(WarpedSearch { search: self, tolerance })
         }
     }
 
@@ -39,14 +40,18 @@ impl Search<'_> {
     ///
     /// # Arguments
     /// * `expected`: mean of the prior of the linear part.
-    pub(super) fn warp(self, expected: Matrix2<f32>) -> Result<Alignment, AlignmentError> {
-        Arch::new().dispatch(WarpSearch { search: self, expected })
+    pub(super) fn warp(
+        self,
+        expected: Matrix2<f32>,
+        options: &AlignmentOptions,
+    ) -> Result<Alignment, AlignmentError> {
+        Arch::new().dispatch(WarpSearch { search: self, expected, options })
     }
 
-    /// Loads the block around the present centre.
+    /// Copies what is around the present centre.
     #[inline(always)]
-    fn load(&mut self) -> Result<(), AlignmentError> {
-        self.block.load(self.image, self.start.centre).ok_or(AlignmentError::Diverged)
+    fn pack(&mut self) -> Result<(), AlignmentError> {
+        self.block.pack(self.image, self.start.centre).ok_or(AlignmentError::Diverged)
     }
 
     /// The patch under the present warp.
@@ -54,8 +59,7 @@ impl Search<'_> {
     fn sample(&mut self, seen: &mut Patch) -> Result<(), AlignmentError> {
         let warp = &self.start;
         if self.block.warped(warp.centre, &warp.linear, seen).is_none() {
-            self.load()?;
-            self.block.pack();
+            self.pack()?;
             let warp = &self.start;
             self.block.warped(warp.centre, &warp.linear, seen).ok_or(AlignmentError::Diverged)?;
         }
@@ -64,27 +68,22 @@ impl Search<'_> {
 }
 
 /// The translation where the linear part is the identity.
-struct GridSearch<'a>(Search<'a>);
+struct GridSearch<'a> {
+    search: Search<'a>,
+    tolerance: f32,
+}
 
 impl NullaryFnOnce for GridSearch<'_> {
     type Output = Result<Vector2<f32>, AlignmentError>;
 
     #[inline(always)]
     fn call(self) -> Self::Output {
-        let Self(mut search) = self;
-        let tolerance = search.options.tolerance;
-        search.load()?;
-        for _ in 0..search.options.iterations {
+        let Self { mut search, tolerance } = self;
+        search.block.clear();
+        for _ in 0..search.iterations {
             let first = search.start.centre.add_scalar(-HALF);
-            let step = match search.template.grid_step(search.block, first) {
-                Ok(Some(step)) => step,
-                Ok(None) => {
-                    search.load()?;
-                    let step = search.template.grid_step(search.block, first);
-                    step.map_err(|_| AlignmentError::LowCorrelation)?.ok_or(AlignmentError::Diverged)?
-                }
-                Err(_) => return Err(AlignmentError::LowCorrelation),
-            };
+            let grid = search.block.grid(search.image, first, SIDE, SIDE).ok_or(AlignmentError::Diverged)?;
+            let step = search.template.grid_step(&grid).map_err(|_| AlignmentError::LowCorrelation)?;
             let step = Vector2::from(step);
             search.start.centre -= step;
             if step.norm_squared() < tolerance * tolerance {
@@ -96,19 +95,20 @@ impl NullaryFnOnce for GridSearch<'_> {
 }
 
 /// The translation with any linear part.
-struct WarpedSearch<'a>(Search<'a>);
+struct WarpedSearch<'a> {
+    search: Search<'a>,
+    tolerance: f32,
+}
 
 impl NullaryFnOnce for WarpedSearch<'_> {
     type Output = Result<Vector2<f32>, AlignmentError>;
 
     #[inline(always)]
     fn call(self) -> Self::Output {
-        let Self(mut search) = self;
-        let tolerance = search.options.tolerance;
-        search.load()?;
-        search.block.pack();
+        let Self { mut search, tolerance } = self;
+        search.pack()?;
         let mut seen = ZERO;
-        for _ in 0..search.options.iterations {
+        for _ in 0..search.iterations {
             search.sample(&mut seen)?;
             let step = search.template.step(&seen).map_err(|_| AlignmentError::LowCorrelation)?;
             let step = search.start.linear * Vector2::from(step);
@@ -125,6 +125,7 @@ impl NullaryFnOnce for WarpedSearch<'_> {
 struct WarpSearch<'a> {
     search: Search<'a>,
     expected: Matrix2<f32>,
+    options: &'a AlignmentOptions,
 }
 
 impl NullaryFnOnce for WarpSearch<'_> {
@@ -132,12 +133,11 @@ impl NullaryFnOnce for WarpSearch<'_> {
 
     #[inline(always)]
     fn call(self) -> Self::Output {
-        let Self { mut search, expected } = self;
-        let (tolerance, min_correlation) = (search.options.tolerance, search.options.min_correlation);
-        search.load()?;
-        search.block.pack();
+        let Self { mut search, expected, options } = self;
+        search.pack()?;
         let mut seen = ZERO;
-        for _ in 0..search.options.iterations {
+        let mut is_converged = false;
+        for _ in 0..search.iterations {
             search.sample(&mut seen)?;
             let warp = &mut search.start;
             let deviation = warp.linear - expected;
@@ -153,16 +153,20 @@ impl NullaryFnOnce for WarpSearch<'_> {
                 return Err(AlignmentError::Diverged);
             }
             let turned = delta[2..].iter().fold(0.0f32, |most, value| most.max(value.abs())) * HALF;
-            if moved.amax().max(turned) < tolerance {
+            is_converged = moved.amax().max(turned) < options.tolerance;
+            if is_converged {
                 break;
             }
         }
         if !is_inside(search.image, search.start.centre) {
             return Err(AlignmentError::Diverged);
         }
-        search.sample(&mut seen)?;
+        // The last patch differs by less than the tolerance from the one under the final warp.
+        if !is_converged {
+            search.sample(&mut seen)?;
+        }
         let correlation = search.template.correlation(&seen);
-        if correlation < min_correlation {
+        if correlation < options.min_correlation {
             return Err(AlignmentError::LowCorrelation);
         }
         Ok(Alignment { warp: search.start, correlation })

@@ -13,7 +13,7 @@
 //! Sources: Baker & Matthews, "Lucas-Kanade 20 years on", IJCV 2004 (inverse composition); Hager & Belhumeur,
 //! "Efficient region tracking", PAMI 1998 (projecting out linear appearance change).
 
-use super::block::Block;
+use super::block::{Block, Grid};
 use super::inverse::invert_positive;
 use super::patch::{HALF, Patch, SAMPLES, SIDE, ZERO, dot, mean, subtract, total};
 use crate::detection::score::smaller_eigenvalue;
@@ -79,21 +79,15 @@ impl Template {
         Arch::new().dispatch(AddLinearPart { template: self, prior })
     }
 
-    /// The Gauss-Newton step of the translation alone for the samples of a grid at `first` in the block; `Err` if they have
-    /// no contrast in common with the template, `Ok(None)` if they leave the block.
+    /// The Gauss-Newton step of the translation alone for the samples of a grid in another image.
     #[inline(always)]
-    pub(super) fn grid_step(
-        &self,
-        block: &Block,
-        first: Vector2<f32>,
-    ) -> Result<Option<[f32; 2]>, NoContrast> {
-        let Some(cell) = block.cell(first, SIDE) else { return Ok(None) };
+    pub(super) fn grid_step(&self, grid: &Grid) -> Result<[f32; 2], NoContrast> {
         let mut sums = [[0.0f32; SIDE]; 3];
-        let mut upper = block.row::<SIDE>(&cell, 0);
+        let mut upper = grid.row::<SIDE>(0);
         for k in 0..SIDE {
-            let lower = block.row::<SIDE>(&cell, k + 1);
+            let lower = grid.row::<SIDE>(k + 1);
             for i in 0..SIDE {
-                let sample = upper[i] + cell.fy * (lower[i] - upper[i]);
+                let sample = upper[i] + grid.fy * (lower[i] - upper[i]);
                 sums[0][i] += self.jacobian[0][k][i] * sample;
                 sums[1][i] += self.jacobian[1][k][i] * sample;
                 sums[2][i] += self.centred[k][i] * sample;
@@ -101,7 +95,7 @@ impl Template {
             upper = lower;
         }
         let [right_x, right_y, along] = sums.map(total);
-        self.translation_step(right_x, right_y, along).map(Some)
+        self.translation_step(right_x, right_y, along)
     }
 
     /// The Gauss-Newton step of the translation alone for a patch of another image.
@@ -184,13 +178,13 @@ impl NullaryFnOnce for Set<'_> {
     #[inline(always)]
     fn call(self) -> Option<()> {
         let Self { template, image, at, block } = self;
-        block.load(image, at)?;
-        let cell = block.cell(at.add_scalar(-HALF - 1.0), ROWS)?;
-        let mut upper = block.row::<COLUMNS>(&cell, 0);
+        block.clear();
+        let grid = block.grid(image, at.add_scalar(-HALF - 1.0), ROWS, COLUMNS)?;
+        let mut upper = grid.row::<COLUMNS>(0);
         for (k, samples) in template.samples.iter_mut().enumerate() {
-            let lower = block.row::<COLUMNS>(&cell, k + 1);
+            let lower = grid.row::<COLUMNS>(k + 1);
             for i in 0..COLUMNS {
-                samples[i] = upper[i] + cell.fy * (lower[i] - upper[i]);
+                samples[i] = upper[i] + grid.fy * (lower[i] - upper[i]);
             }
             upper = lower;
         }
