@@ -5,12 +5,12 @@
 //! matched in the second camera.
 
 use super::frames::{TrackedPixel, TrackerError, TrackerFrame, TrackerReport};
-use super::lucas_kanade::{Aligner, Alignment, Warp};
+use super::lucas_kanade::{Aligner, Alignment, AlignmentOptions, Warp};
 use super::options::TrackerOptions;
 use super::outliers::{OutlierOptions, find_outliers};
 use super::prediction::{Ray, predict_rotated};
 use super::relative_pose::{BearingPair, RelativePose};
-use super::stereo::StereoPair;
+use super::stereo::{StereoOptions, StereoPair};
 use crate::detection::detect_corners;
 use crate::detection::spacing::Spacing;
 use crate::image::GrayImage;
@@ -25,6 +25,9 @@ const MERGE_DISTANCE_RATIO: f32 = 0.5;
 const RETRIES: usize = 3;
 /// Initial inverse depths of stereo matching for points without a known one, 1/m.
 const INITIAL_INVERSE_DEPTHS: [f64; 3] = [0.2, 0.0, 0.8];
+/// Pyramid levels of stereo matching where the depth is known from the image before: it moves the point by less than a pixel
+/// until the next.
+const KNOWN_DEPTH_LEVELS: usize = 1;
 
 /// Tracks points through the images of a camera or a stereo pair.
 ///
@@ -286,19 +289,21 @@ fn match_stereo(
     let mut seen = Vec::with_capacity(tracks.len());
     let mut known: Vec<f64> = tracks.iter().filter_map(|track| track.inverse_depth).collect();
     for track in tracks {
-        let median_depth = median(&mut known);
-        let own = track.inverse_depth.or(median_depth).into_iter();
-        let guesses: Vec<f64> = own.chain(INITIAL_INVERSE_DEPTHS).collect();
-        let max_guesses = if track.inverse_depth.is_some() { 1 } else { guesses.len() };
-        let guesses_used = &guesses[..max_guesses];
-        let found =
-            pair.find_by(&mut aligner, [first, second], track.ray.pixel, guesses_used, &options.stereo);
+        let mut find = |guesses: &[f64], levels: usize| {
+            let alignment = AlignmentOptions { levels, ..options.stereo.alignment };
+            let options = StereoOptions { alignment, ..options.stereo };
+            pair.find_by(&mut aligner, [first, second], track.ray.pixel, guesses, &options)
+        };
+        let found = if let Some(own) = track.inverse_depth {
+            find(&[own], KNOWN_DEPTH_LEVELS)
+        } else {
+            let guesses: Vec<f64> = median(&mut known).into_iter().chain(INITIAL_INVERSE_DEPTHS).collect();
+            find(&guesses, options.stereo.alignment.levels)
+        };
         let found = found.filter(|found| is_unmasked(options.masks[1].as_ref(), found.pixel.cast()));
         track.inverse_depth = found.map(|found| found.inverse_depth);
         if let Some(found) = found {
-            if guesses.len() > 1 {
-                known.push(found.inverse_depth);
-            }
+            known.push(found.inverse_depth);
             seen.push(TrackedPixel { camera: 1, feature_id: track.id, pixel: found.pixel });
         }
     }
