@@ -1,7 +1,7 @@
 //! Corner scores of the pixels of a grid cell, and their local maxima.
 
 use super::corner::{Corner, CornerOptions};
-use crate::image::GrayImage;
+use crate::image::{GrayImage, marked};
 use nalgebra::Vector2;
 use pulp::{Arch, NullaryFnOnce};
 use std::ops::Range;
@@ -203,15 +203,6 @@ impl NullaryFnOnce for Mark<'_> {
             marks[i] = own[i] >= most.max(self.least);
         }
     }
-}
-
-/// The indices of what is marked.
-fn marked(marks: &[bool]) -> impl Iterator<Item = usize> + '_ {
-    const TOGETHER: usize = 16;
-    marks.chunks(TOGETHER).enumerate().flat_map(|(chunk, marks)| {
-        let marks = if marks.contains(&true) { marks } else { &[] };
-        marks.iter().enumerate().filter(|(_, mark)| **mark).map(move |(k, _)| chunk * TOGETHER + k)
-    })
 }
 
 /// The smaller eigenvalue of the symmetric matrix `[a b; b c]`.

@@ -25,19 +25,20 @@ pub(super) struct Block {
     origin: Option<[i32; 2]>,
     /// The pixels with their neighbours, see [`Block::pack`].
     squares: [u32; PIXELS],
-    /// Image coordinates of `squares[0]`.
-    squares_origin: [i32; 2],
+    /// Image coordinates of `squares[0]`; `None` before anything of the present image is there.
+    squares_origin: Option<[i32; 2]>,
 }
 
 impl Block {
     pub(super) fn new() -> Self {
-        Self { pixels: [0; PIXELS + BLOCK + 1], origin: None, squares: [0; PIXELS], squares_origin: [0; 2] }
+        Self { pixels: [0; PIXELS + BLOCK + 1], origin: None, squares: [0; PIXELS], squares_origin: None }
     }
 
-    /// Forgets what was copied, before another image or another place.
+    /// Forgets what was copied, before another image.
     #[inline(always)]
     pub(super) fn clear(&mut self) {
         self.origin = None;
+        self.squares_origin = None;
     }
 
     /// The pixels of a grid of `size` samples per side, one pixel apart, whose first is at an image position; `None` if it
@@ -92,7 +93,7 @@ impl Block {
     #[inline(always)]
     pub(super) fn pack(&mut self, image: &GrayImage, centre: Vector2<f32>) -> Option<()> {
         let origin = origin_around(image, centre)?;
-        self.squares_origin = origin;
+        self.squares_origin = Some(origin);
         let [left, top] = origin;
         let last = |from: i32| from + BLOCK as i32;
         let whole = left >= 0 && top >= 0 && last(left) < image.width() as i32;
@@ -106,12 +107,12 @@ impl Block {
         Some(())
     }
 
-    /// The samples of a patch whose grid is warped by `linear` and centred at `centre` (pixels); `None` if they leave the
-    /// block. It must be packed.
+    /// The samples of a patch whose grid is warped by `linear` and centred at `centre` (pixels); `None` if they leave what
+    /// is packed.
     #[inline(always)]
     pub(super) fn warped(&self, centre: Vector2<f32>, linear: &Matrix2<f32>, out: &mut Patch) -> Option<()> {
-        let x = centre.x - self.squares_origin[0] as f32;
-        let y = centre.y - self.squares_origin[1] as f32;
+        let [left, top] = self.squares_origin?;
+        let (x, y) = (centre.x - left as f32, centre.y - top as f32);
         let reach_x = HALF * (linear.m11.abs() + linear.m12.abs());
         let reach_y = HALF * (linear.m21.abs() + linear.m22.abs());
         let limit = (BLOCK - 2) as f32;

@@ -195,9 +195,11 @@ impl Aligner {
         let mut has_template = false;
         for level in (0..levels).rev() {
             let scale = 1.0 / (1u32 << level) as f32;
+            self.block.clear();
             has_template = self.template.set(first.level(level), at * scale, &mut self.block).is_some();
             // A finer level may have structure where a coarse one has none.
             if has_template {
+                self.block.clear();
                 let start = Warp { centre: centre * scale, ..*guess };
                 centre = self
                     .search(second.level(level), start, options.iterations)

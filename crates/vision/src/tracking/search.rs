@@ -18,6 +18,7 @@ pub(super) struct Search<'a> {
     pub(super) template: &'a Template,
     /// The image, or a level of its pyramid.
     pub(super) image: &'a GrayImage,
+    /// What it holds is of `image`, or nothing.
     pub(super) block: &'a mut Block,
     /// The initial warp, in pixels of `image`.
     pub(super) start: Warp,
@@ -48,19 +49,12 @@ impl Search<'_> {
         Arch::new().dispatch(WarpSearch { search: self, expected, options })
     }
 
-    /// Copies what is around the present centre.
-    #[inline(always)]
-    fn pack(&mut self) -> Result<(), AlignmentError> {
-        self.block.pack(self.image, self.start.centre).ok_or(AlignmentError::Diverged)
-    }
-
     /// The patch under the present warp.
     #[inline(always)]
     fn sample(&mut self, seen: &mut Patch) -> Result<(), AlignmentError> {
         let warp = &self.start;
         if self.block.warped(warp.centre, &warp.linear, seen).is_none() {
-            self.pack()?;
-            let warp = &self.start;
+            self.block.pack(self.image, warp.centre).ok_or(AlignmentError::Diverged)?;
             self.block.warped(warp.centre, &warp.linear, seen).ok_or(AlignmentError::Diverged)?;
         }
         Ok(())
@@ -79,7 +73,6 @@ impl NullaryFnOnce for GridSearch<'_> {
     #[inline(always)]
     fn call(self) -> Self::Output {
         let Self { mut search, tolerance } = self;
-        search.block.clear();
         for _ in 0..search.iterations {
             let first = search.start.centre.add_scalar(-HALF);
             let grid = search.block.grid(search.image, first, SIDE, SIDE).ok_or(AlignmentError::Diverged)?;
@@ -106,7 +99,6 @@ impl NullaryFnOnce for WarpedSearch<'_> {
     #[inline(always)]
     fn call(self) -> Self::Output {
         let Self { mut search, tolerance } = self;
-        search.pack()?;
         let mut seen = ZERO;
         for _ in 0..search.iterations {
             search.sample(&mut seen)?;
@@ -134,7 +126,6 @@ impl NullaryFnOnce for WarpSearch<'_> {
     #[inline(always)]
     fn call(self) -> Self::Output {
         let Self { mut search, expected, options } = self;
-        search.pack()?;
         let mut seen = ZERO;
         let mut is_converged = false;
         for _ in 0..search.iterations {

@@ -178,7 +178,6 @@ impl NullaryFnOnce for Set<'_> {
     #[inline(always)]
     fn call(self) -> Option<()> {
         let Self { template, image, at, block } = self;
-        block.clear();
         let grid = block.grid(image, at.add_scalar(-HALF - 1.0), ROWS, COLUMNS)?;
         let mut upper = grid.row::<COLUMNS>(0);
         for (k, samples) in template.samples.iter_mut().enumerate() {

@@ -76,6 +76,8 @@ struct Track {
     ray: Ray,
     /// From stereo matching, 1/m.
     inverse_depth: Option<f64>,
+    /// Images since the last one without a stereo match in spite of all guesses.
+    unmatched: usize,
 }
 
 impl Track {
@@ -270,7 +272,7 @@ impl Tracker {
             detect_corners(pyramid.base(), &existing, mask, self.options.points, &self.options.corners);
         for corner in corners {
             let Some(ray) = Ray::new(&self.camera, corner.pixel.cast()) else { continue };
-            tracks.push(Track { id: self.next_id, ray, inverse_depth: None });
+            tracks.push(Track { id: self.next_id, ray, inverse_depth: None, unmatched: 0 });
             self.next_id += 1;
             self.report.started += 1;
         }
@@ -298,9 +300,13 @@ fn match_stereo(
             find(&[own], KNOWN_DEPTH_LEVELS)
         } else {
             let guesses: Vec<f64> = median(&mut known).into_iter().chain(INITIAL_INVERSE_DEPTHS).collect();
-            find(&guesses, options.stereo.alignment.levels)
+            let in_turn = track.unmatched.checked_sub(1).map(|images| images % guesses.len());
+            let guesses = in_turn.map_or(&guesses[..], |index| &guesses[index..=index]);
+            find(guesses, options.stereo.alignment.levels)
         };
         let found = found.filter(|found| is_unmasked(options.masks[1].as_ref(), found.pixel.cast()));
+        track.unmatched =
+            if found.is_some() || track.inverse_depth.is_some() { 0 } else { track.unmatched + 1 };
         track.inverse_depth = found.map(|found| found.inverse_depth);
         if let Some(found) = found {
             known.push(found.inverse_depth);

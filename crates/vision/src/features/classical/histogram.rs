@@ -29,7 +29,7 @@ pub(super) struct HistogramBuilder {
     /// next.
     cell_weights: Vec<(usize, f32, f32)>,
     weights: Vec<f32>,
-    gradients: Gradients,
+    gradients: Gradients<{ (SIDE + 2).next_multiple_of(8) }>,
 }
 
 impl HistogramBuilder {

@@ -20,7 +20,7 @@ const SMOOTHINGS: usize = 4;
 /// Estimates orientations; buffers are reused.
 pub(super) struct OrientationEstimator {
     weights: Vec<f32>,
-    gradients: Gradients,
+    gradients: Gradients<{ (SIDE + 2).next_multiple_of(8) }>,
 }
 
 impl OrientationEstimator {

@@ -4,12 +4,11 @@ use super::plane::Plane;
 use pulp::{Arch, NullaryFnOnce};
 use std::f32::consts::{FRAC_PI_2, PI, TAU};
 
-/// Samples computed together.
-const LANES: usize = 32;
-
 /// Gradients on a square grid, row after row.
+///
+/// `LANES` samples of a row are computed together: two more than gradients at least, a multiple of eight.
 #[derive(Default)]
-pub(super) struct Gradients {
+pub(super) struct Gradients<const LANES: usize> {
     samples: Vec<[f32; LANES]>,
     /// Lengths.
     pub(super) lengths: Vec<f32>,
@@ -17,9 +16,9 @@ pub(super) struct Gradients {
     pub(super) directions: Vec<f32>,
 }
 
-impl Gradients {
+impl<const LANES: usize> Gradients<LANES> {
     /// Samples `side * side` gradients around `centre` (pixels of the plane), `step` pixels apart, on axes rotated by
-    /// `angle` (radians, x towards y). At most `LANES - 2` per side.
+    /// `angle` (radians, x towards y).
     pub(super) fn sample(&mut self, plane: &Plane, centre: [f32; 2], step: f32, angle: f32, side: usize) {
         let axis = [step * angle.cos(), step * angle.sin()];
         Arch::new().dispatch(Sample { gradients: self, plane, centre, axis, side });
@@ -27,8 +26,8 @@ impl Gradients {
 }
 
 /// See [`Gradients::sample`].
-struct Sample<'a> {
-    gradients: &'a mut Gradients,
+struct Sample<'a, const LANES: usize> {
+    gradients: &'a mut Gradients<LANES>,
     plane: &'a Plane,
     centre: [f32; 2],
     /// From one sample to the next in a row, pixels.
@@ -36,7 +35,7 @@ struct Sample<'a> {
     side: usize,
 }
 
-impl NullaryFnOnce for Sample<'_> {
+impl<const LANES: usize> NullaryFnOnce for Sample<'_, LANES> {
     type Output = ();
 
     #[inline(always)]
@@ -53,7 +52,7 @@ impl NullaryFnOnce for Sample<'_> {
                 xs[column] = centre[0] + cosine * a - sine * b;
                 ys[column] = centre[1] + sine * a + cosine * b;
             }
-            plane.bilinear(&xs, &ys, samples);
+            plane.bilinear(&xs, &ys, wide, samples);
         }
         gradients.lengths.resize(side * side, 0.0);
         gradients.directions.resize(side * side, 0.0);

@@ -78,9 +78,16 @@ impl Plane {
         self.data.resize(width * height, 0.0);
     }
 
-    /// Bilinear interpolation at `N` places; the border is replicated. The plane must have at least two rows and columns.
+    /// Bilinear interpolation at the first `wanted` of `N` places; the border is replicated. The plane must have at least two
+    /// rows and columns.
     #[inline(always)]
-    pub(super) fn bilinear<const N: usize>(&self, xs: &[f32; N], ys: &[f32; N], out: &mut [f32; N]) {
+    pub(super) fn bilinear<const N: usize>(
+        &self,
+        xs: &[f32; N],
+        ys: &[f32; N],
+        wanted: usize,
+        out: &mut [f32; N],
+    ) {
         let [right, bottom] = [(self.width - 1) as f32, (self.height - 1) as f32];
         let (width, last_column, last_row) =
             (self.width as i32, self.width as i32 - 2, self.height as i32 - 2);
@@ -94,7 +101,7 @@ impl Plane {
             corners[k] = row * width + column;
         }
         let mut squares = [[0.0f32; N]; 4];
-        for k in 0..N {
+        for k in 0..wanted.min(N) {
             let above = &self.data[corners[k] as usize..];
             let below = &above[self.width..self.width + 2];
             let above = &above[..2];

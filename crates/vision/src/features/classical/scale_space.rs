@@ -3,6 +3,8 @@
 //! Source: Lowe, IJCV 2004, sections 3 and 4.
 
 use super::plane::Plane;
+use crate::image::marked;
+use pulp::{Arch, NullaryFnOnce};
 
 /// Assumed blur of the camera image, pixels.
 const CAMERA_SIGMA: f32 = 0.5;
@@ -132,9 +134,10 @@ impl Octave {
                 [&self.differences[level - 1], &self.differences[level], &self.differences[level + 1]];
             for y in BORDER..height - BORDER {
                 // Half the threshold: the refined response may exceed that of the pixel.
-                mark_candidates(stack[1], y, 0.5 * threshold, &mut candidate);
-                for (x, &promises) in candidate.iter().enumerate().take(width - BORDER).skip(BORDER) {
-                    if promises && is_extreme(stack, x, y) {
+                let least = 0.5 * threshold;
+                Arch::new().dispatch(MarkCandidates { plane: stack[1], y, least, marks: &mut candidate });
+                for x in marked(&candidate[BORDER..width - BORDER]).map(|index| index + BORDER) {
+                    if is_extreme(stack, x, y) {
                         found.extend(refine(&self.differences, octave, [level, x, y], threshold));
                     }
                 }
@@ -148,18 +151,32 @@ fn sigma_of(level: f32) -> f32 {
     FIRST_SIGMA * (level / LEVELS as f32).exp2()
 }
 
-/// Marks the pixels of a row above the threshold that exceed their four neighbours; vectorized.
-fn mark_candidates(plane: &Plane, y: usize, least: f32, marks: &mut [bool]) {
-    let inner = plane.width - 2;
-    let (row, above, below) = (plane.row(y), &plane.row(y - 1)[1..=inner], &plane.row(y + 1)[1..=inner]);
-    let (left, here, right) = (&row[..inner], &row[1..=inner], &row[2..]);
-    for (x, mark) in marks[1..=inner].iter_mut().enumerate() {
-        let value = here[x];
-        let high = left[x].max(right[x]).max(above[x].max(below[x]));
-        let low = left[x].min(right[x]).min(above[x].min(below[x]));
-        let lead = (value - high).max(low - value);
-        // One comparison, so that the compiler vectorizes.
-        *mark = lead.min(value.abs() - least) > 0.0;
+/// Marks the pixels of row `y` above `least` that exceed their four neighbours.
+struct MarkCandidates<'a> {
+    plane: &'a Plane,
+    y: usize,
+    least: f32,
+    marks: &'a mut [bool],
+}
+
+impl NullaryFnOnce for MarkCandidates<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let Self { plane, y, least, marks } = self;
+        let inner = plane.width - 2;
+        let row = plane.row(y);
+        let (above, below) = (&plane.row(y - 1)[1..=inner], &plane.row(y + 1)[1..=inner]);
+        let (left, here, right) = (&row[..inner], &row[1..=inner], &row[2..]);
+        for (x, mark) in marks[1..=inner].iter_mut().enumerate() {
+            let value = here[x];
+            let high = left[x].max(right[x]).max(above[x].max(below[x]));
+            let low = left[x].min(right[x]).min(above[x].min(below[x]));
+            let lead = (value - high).max(low - value);
+            // One comparison, so that the compiler vectorizes.
+            *mark = lead.min(value.abs() - least) > 0.0;
+        }
     }
 }
 
