@@ -15,9 +15,8 @@ const ANSWERS: usize = 64;
 /// Squared Mahalanobis distance of a sum of corrections beyond which it is an alarm: chi-square with six degrees of freedom,
 /// 1 - 1e-6.
 const ALARM: f64 = 38.3;
-/// The same up to which corrections are plausible: 97.5 %. Beyond, the claimed covariance is enlarged by as much as makes them
-/// plausible again.
-const PLAUSIBLE: f64 = 14.4;
+/// The same up to which corrections are plausible: 99 %. Beyond, the claimed covariance is enlarged.
+const PLAUSIBLE: f64 = 16.8;
 /// The same below which an alarm ends: 95 %.
 const AGREES: f64 = 12.6;
 /// An alarm ends when no further corrections contradict odometry for this time, nanoseconds: a map that stays where it is
@@ -44,10 +43,15 @@ struct Sums {
 }
 
 impl Sums {
+    /// What the answers since `begin` may move the pose by.
+    fn allowed_since(&self, begin: &Self) -> Matrix6<f64> {
+        begin.claimed + self.growth - begin.growth
+    }
+
     /// What the answers since `begin` moved the pose by, and its squared Mahalanobis distance.
     fn since(&self, begin: &Self) -> (Vector6<f64>, f64) {
         let moved = self.correction - begin.correction;
-        let allowed = begin.claimed + self.growth - begin.growth;
+        let allowed = self.allowed_since(begin);
         let squared = allowed.cholesky().map_or(0.0, |factor| moved.dot(&factor.solve(&moved)));
         (moved, squared)
     }
@@ -77,6 +81,17 @@ pub struct MapDrift {
     pub rotation_deg: f64,
 }
 
+/// How much worse a pose in G may be than the filter believes.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+enum Doubt {
+    #[default]
+    None,
+    /// G may have errors of this covariance, `[δθ, δp]` at the origin of the watch.
+    Covariance(Matrix6<f64>),
+    /// G may be off by this error, `[δθ, δp]` at the origin of the watch.
+    Error(Vector6<f64>),
+}
+
 /// The watch.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct MapWatch {
@@ -85,8 +100,7 @@ pub(crate) struct MapWatch {
     sums: VecDeque<Sums>,
     last: Option<AfterAnswer>,
     alarm: Option<Contradiction>,
-    /// Error that G may have beyond the covariance of a pose in it.
-    doubt: Option<Vector6<f64>>,
+    doubt: Doubt,
 }
 
 impl MapWatch {
@@ -156,38 +170,67 @@ impl MapWatch {
             Some((alarm, (moved, squared)))
                 if squared > AGREES && now.stamp_ns - alarm.newest_ns <= HOLD_NS =>
             {
-                self.doubt = Some(moved);
+                self.doubt = Doubt::Error(moved);
             }
             Some(_) => {
                 self.alarm = None;
-                self.doubt = None;
+                self.doubt = Doubt::None;
                 self.sums.clear();
             }
-            None => {
-                self.doubt = worst
-                    .filter(|(_, (_, squared))| *squared > PLAUSIBLE)
-                    .map(|(_, (moved, squared))| moved * (1.0 / PLAUSIBLE - 1.0 / squared).sqrt());
+            None => self.doubt = self.doubt_without_alarm(now),
+        }
+    }
+
+    /// What the implausible sums say of the error of G: the mean of their squares and covariances, of which the more is taken
+    /// the less plausible they are.
+    fn doubt_without_alarm(&self, now: &Sums) -> Doubt {
+        let (mut total, mut largest, mut sum) = (0.0, 0.0_f64, Matrix6::zeros());
+        for begin in &self.sums {
+            let (moved, squared) = now.since(begin);
+            let weight = (squared - PLAUSIBLE) / (ALARM - PLAUSIBLE);
+            if weight > 0.0 {
+                total += weight;
+                largest = largest.max(weight);
+                sum += (moved * moved.transpose() + now.allowed_since(begin)) * weight;
             }
         }
+        if total > 0.0 { Doubt::Covariance(sum * (largest / total)) } else { Doubt::None }
     }
 
     /// The alarm, as long as it lasts.
     pub(crate) fn alarm(&self) -> Option<MapDrift> {
-        let (alarm, moved, newest) = (self.alarm?, self.doubt?, self.sums.back()?);
+        let (Doubt::Error(moved), Some(alarm)) = (self.doubt, self.alarm) else { return None };
+        let newest = self.sums.back()?;
         Some(MapDrift {
             seconds: (newest.stamp_ns - alarm.begin.stamp_ns) as f64 * 1e-9,
-            position_m: self.doubt(&self.last?.global_from_imu.pose)[(3, 3)].sqrt(),
+            position_m: self.shift_at(&moved, &self.last?.global_from_imu.pose).norm(),
             rotation_deg: moved.fixed_rows::<3>(0).norm().to_degrees(),
         })
     }
 
-    /// Covariance that the doubt adds to that of a pose in G: as large as its error would be, in every direction.
-    pub(crate) fn doubt(&self, pose: &Pose) -> Matrix6<f64> {
-        let Some(error) = self.doubt else { return Matrix6::zeros() };
+    /// A pose in G with the covariance that is claimed for it: enlarged by what its error would be, in every direction, or by a
+    /// factor.
+    pub(crate) fn claimed(&self, filtered: PoseWithCovariance) -> PoseWithCovariance {
+        let covariance = match self.doubt {
+            Doubt::None => filtered.covariance,
+            Doubt::Covariance(at_origin) => {
+                let adjoint = from_place(&filtered.pose, &self.origin);
+                filtered.covariance + adjoint * at_origin * adjoint.transpose()
+            }
+            Doubt::Error(moved) => {
+                let rotation = moved.fixed_rows::<3>(0).norm_squared();
+                let position = self.shift_at(&moved, &filtered.pose).norm_squared();
+                let added = Vector6::from_fn(|k, _| if k < 3 { rotation } else { position });
+                filtered.covariance + Matrix6::from_diagonal(&added)
+            }
+        };
+        PoseWithCovariance { covariance, ..filtered }
+    }
+
+    /// What an error of G moves a pose by.
+    fn shift_at(&self, error: &Vector6<f64>, pose: &Pose) -> Vector3<f64> {
         let turn = error.fixed_rows::<3>(0).into_owned();
-        let shift = error.fixed_rows::<3>(3) + turn.cross(&(pose.translation - self.origin));
-        let (rotation, position) = (turn.norm_squared(), shift.norm_squared());
-        Matrix6::from_diagonal(&Vector6::from_fn(|k, _| if k < 3 { rotation } else { position }))
+        error.fixed_rows::<3>(3) + turn.cross(&(pose.translation - self.origin))
     }
 }
 
@@ -195,6 +238,13 @@ impl MapWatch {
 fn to_place(pose: &Pose, place: &Vector3<f64>) -> Matrix6<f64> {
     let mut adjoint = Matrix6::identity();
     adjoint.fixed_view_mut::<3, 3>(3, 0).copy_from(&(pose.translation - place).cross_matrix());
+    adjoint
+}
+
+/// Takes an error of the parent frame at a place to the pose: `δp = δp₀ + δθ × (p − p₀)`.
+fn from_place(pose: &Pose, place: &Vector3<f64>) -> Matrix6<f64> {
+    let mut adjoint = Matrix6::identity();
+    adjoint.fixed_view_mut::<3, 3>(3, 0).copy_from(&(place - pose.translation).cross_matrix());
     adjoint
 }
 
@@ -266,9 +316,7 @@ mod tests {
 
         /// NEES of what is claimed, over six.
         fn nees(&self) -> f64 {
-            let pose = self.pose();
-            let claimed = pose.covariance + self.watch.doubt(&pose.pose);
-            PoseWithCovariance::new(pose.pose, claimed).nees(&Pose::identity()).unwrap() / 6.0
+            self.watch.claimed(self.pose()).nees(&Pose::identity()).unwrap() / 6.0
         }
     }
 
@@ -324,11 +372,13 @@ mod tests {
 
     #[test]
     fn doubt_of_a_rotation_grows_with_the_distance() {
-        let doubt = Some(Vector6::new(0.0, 0.0, 0.1, 0.0, 0.0, 0.0));
+        let doubt = Doubt::Error(Vector6::new(0.0, 0.0, 0.1, 0.0, 0.0, 0.0));
         let watch = MapWatch { doubt, ..MapWatch::default() };
-        let at = |x: f64| watch.doubt(&Pose::new(geometry::Rotation::identity(), Vector3::x() * x));
+        let at = |x: f64| {
+            let pose = Pose::new(geometry::Rotation::identity(), Vector3::x() * x);
+            watch.claimed(PoseWithCovariance::new(pose, Matrix6::zeros())).covariance
+        };
         assert!((at(10.0)[(4, 4)] - 1.0).abs() < 1e-12 && (at(10.0)[(2, 2)] - 0.01).abs() < 1e-12);
         assert!(at(0.0)[(4, 4)] < 1e-12);
-        assert_eq!(MapWatch::default().doubt(&Pose::identity()), Matrix6::zeros());
     }
 }
