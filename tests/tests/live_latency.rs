@@ -175,16 +175,9 @@ fn how_late_the_poses_of_a_live_camera_are() {
     let (endpoint, out) = (free_endpoint().unwrap(), tempfile::tempdir().unwrap());
     let run = out.path().join("run");
     let mut arguments = vec!["--source", "native", "--robot", ROBOT, "--listen", &endpoint];
-    arguments.extend([
-        "--calibration",
-        path.to_str().unwrap(),
-        "--out",
-        run.to_str().unwrap(),
-        "--log",
-        "warn",
-    ]);
+    arguments.extend(["--calibration", path.to_str().unwrap(), "--out", run.to_str().unwrap()]);
     arguments.extend(switches.split_whitespace());
-    let robot = Process::start(&onboard_program(), &arguments);
+    let mut robot = Process::start(&onboard_program(), &arguments);
     let spin = ["-c", "while :; do :; done"];
     let busy = (0..number("BUSY", 0)).map(|_| Process::start(Path::new("sh"), &spin));
     let busy: Vec<Process> = busy.collect();
@@ -198,6 +191,8 @@ fn how_late_the_poses_of_a_live_camera_are() {
     let topics =
         NativeTopics::new(&driver.session, driver.runtime.handle(), ROBOT, played.contents()).unwrap();
     let stop = StopSignal::default();
+    std::thread::sleep(Duration::from_secs(1));
+    assert_eq!(robot.0.try_wait().unwrap(), None, "the robot ended");
     wait_for_robot(&topics, &stop).unwrap();
 
     let first_ns = sequence.frames.first().unwrap().stamp_ns;
