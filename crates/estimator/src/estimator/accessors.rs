@@ -103,7 +103,7 @@ impl Estimator {
     /// `global_from_local` with the covariance of its error in G, enlarged while the map is in doubt
     /// ([`Alarm::Drift`](crate::Alarm)); `None` before the map initialization.
     pub fn global_from_local(&self) -> Option<PoseWithCovariance> {
-        self.filtered_global_from_local().map(|filtered| self.map_watch.claimed(filtered))
+        self.filtered_global_from_local().map(|filtered| self.map_watch.claimed(&filtered))
     }
 
     /// `global_from_local` with the filter's own covariance.
@@ -117,7 +117,7 @@ impl Estimator {
     /// IMU pose in G with the covariance of its error in G, correlations between both parts included, enlarged while the
     /// map is in doubt ([`Alarm::Drift`](crate::Alarm)); `None` before the map initialization.
     pub fn global_from_imu(&self) -> Option<PoseWithCovariance> {
-        self.filtered_global_from_imu().map(|filtered| self.map_watch.claimed(filtered))
+        self.filtered_global_from_imu().map(|filtered| self.map_watch.claimed(&filtered))
     }
 
     /// IMU pose in G with the filter's own covariance.

@@ -82,12 +82,12 @@ pub struct MapDrift {
 }
 
 /// How much worse a pose in G may be than the filter believes.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 enum Doubt {
     #[default]
     None,
     /// G may have errors of this covariance, `[δθ, δp]` at the origin of the watch.
-    Covariance(Matrix6<f64>),
+    Covariance(Box<Matrix6<f64>>),
     /// G may be off by this error, `[δθ, δp]` at the origin of the watch.
     Error(Vector6<f64>),
 }
@@ -194,37 +194,37 @@ impl MapWatch {
                 sum += (moved * moved.transpose() + now.allowed_since(begin)) * weight;
             }
         }
-        if total > 0.0 { Doubt::Covariance(sum * (largest / total)) } else { Doubt::None }
+        if total > 0.0 { Doubt::Covariance(Box::new(sum * (largest / total))) } else { Doubt::None }
     }
 
     /// The alarm, as long as it lasts.
     pub(crate) fn alarm(&self) -> Option<MapDrift> {
-        let (Doubt::Error(moved), Some(alarm)) = (self.doubt, self.alarm) else { return None };
+        let (Doubt::Error(moved), Some(alarm)) = (&self.doubt, self.alarm) else { return None };
         let newest = self.sums.back()?;
         Some(MapDrift {
             seconds: (newest.stamp_ns - alarm.begin.stamp_ns) as f64 * 1e-9,
-            position_m: self.shift_at(&moved, &self.last?.global_from_imu.pose).norm(),
+            position_m: self.shift_at(moved, &self.last?.global_from_imu.pose).norm(),
             rotation_deg: moved.fixed_rows::<3>(0).norm().to_degrees(),
         })
     }
 
     /// A pose in G with the covariance that is claimed for it: enlarged by what its error would be, in every direction, or by a
     /// factor.
-    pub(crate) fn claimed(&self, filtered: PoseWithCovariance) -> PoseWithCovariance {
-        let covariance = match self.doubt {
+    pub(crate) fn claimed(&self, filtered: &PoseWithCovariance) -> PoseWithCovariance {
+        let covariance = match &self.doubt {
             Doubt::None => filtered.covariance,
             Doubt::Covariance(at_origin) => {
                 let adjoint = from_place(&filtered.pose, &self.origin);
-                filtered.covariance + adjoint * at_origin * adjoint.transpose()
+                filtered.covariance + adjoint * **at_origin * adjoint.transpose()
             }
             Doubt::Error(moved) => {
                 let rotation = moved.fixed_rows::<3>(0).norm_squared();
-                let position = self.shift_at(&moved, &filtered.pose).norm_squared();
+                let position = self.shift_at(moved, &filtered.pose).norm_squared();
                 let added = Vector6::from_fn(|k, _| if k < 3 { rotation } else { position });
                 filtered.covariance + Matrix6::from_diagonal(&added)
             }
         };
-        PoseWithCovariance { covariance, ..filtered }
+        PoseWithCovariance { covariance, ..*filtered }
     }
 
     /// What an error of G moves a pose by.
@@ -316,7 +316,7 @@ mod tests {
 
         /// NEES of what is claimed, over six.
         fn nees(&self) -> f64 {
-            self.watch.claimed(self.pose()).nees(&Pose::identity()).unwrap() / 6.0
+            self.watch.claimed(&self.pose()).nees(&Pose::identity()).unwrap() / 6.0
         }
     }
 
@@ -376,7 +376,7 @@ mod tests {
         let watch = MapWatch { doubt, ..MapWatch::default() };
         let at = |x: f64| {
             let pose = Pose::new(geometry::Rotation::identity(), Vector3::x() * x);
-            watch.claimed(PoseWithCovariance::new(pose, Matrix6::zeros())).covariance
+            watch.claimed(&PoseWithCovariance::new(pose, Matrix6::zeros())).covariance
         };
         assert!((at(10.0)[(4, 4)] - 1.0).abs() < 1e-12 && (at(10.0)[(2, 2)] - 0.01).abs() < 1e-12);
         assert!(at(0.0)[(4, 4)] < 1e-12);
