@@ -15,6 +15,9 @@ use vision::{FeatureExtractor, GrayImage, ImageError};
 /// Heading of these switches in `--help`.
 const HEADING: &str = "Image features";
 
+/// Most extractors at once: that many images, and a little more, are in memory.
+const MAX_EXTRACTORS: usize = 8;
+
 /// Which features of images are matched with the map's.
 #[derive(clap::Args, Clone, Debug)]
 pub struct FeatureArguments {
@@ -42,6 +45,16 @@ impl FeatureArguments {
             bail!("--max-features {}: give a number from 1 to {}", self.max_features, protocol::MAX_FEATURES);
         }
         open(&self.extractor, self.weights.as_deref()).context("--extractor")
+    }
+
+    /// Opens one extractor for each processor; only one where the extractor is a network, which uses all processors itself.
+    ///
+    /// # Errors
+    /// As [`FeatureArguments::open`].
+    pub fn open_several(&self) -> Result<Vec<Box<dyn FeatureExtractor>>> {
+        let processors = std::thread::available_parallelism().map_or(1, usize::from);
+        let count = if self.extractor == DEFAULT_EXTRACTOR { processors.min(MAX_EXTRACTORS) } else { 1 };
+        (0..count).map(|_| self.open()).collect()
     }
 
     /// Reads the mask, if there is one.

@@ -101,8 +101,13 @@ fn images_are_localized_in_a_model_of_colmap() {
     let in_map: Vec<i64> = split.map.iter().map(|&index| split.sequence.frames[index].stamp_ns).collect();
     model.images.retain(|_, image| stamp(image).is_some_and(|stamp_ns| in_map.contains(&stamp_ns)));
     let mut extractor = classical();
-    let mut extraction =
-        Extraction { extractor: extractor.as_mut(), max_features: MAP_FEATURES, mask: None, stereo: false };
+    let mut extraction = Extraction {
+        extractor: extractor.as_mut(),
+        others: &mut [],
+        max_features: MAP_FEATURES,
+        mask: None,
+        stereo: false,
+    };
     let folder = recording("images").join("v1_01_keyframes/mav0/cam0/data");
     let read = |name: &str| GrayImage::read(&folder.join(name.trim_start_matches("cam0/")));
     let (contents, report) =

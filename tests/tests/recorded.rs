@@ -206,7 +206,13 @@ fn swapped(pairs: &[Pair]) -> Vec<Pair> {
 }
 
 fn extraction_by(extractor: &mut Box<dyn FeatureExtractor>) -> Extraction<'_> {
-    Extraction { extractor: extractor.as_mut(), max_features: 1000, mask: None, stereo: true }
+    Extraction {
+        extractor: extractor.as_mut(),
+        others: &mut [],
+        max_features: 1000,
+        mask: None,
+        stereo: true,
+    }
 }
 
 #[test]

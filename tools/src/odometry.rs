@@ -5,7 +5,7 @@ use estimator::propagation::ImuState;
 use estimator::{CalibratedCamera, EstimatorConfig, EstimatorError, MapMode, TrackObservation};
 use mapping::Odometry;
 use onboard::{EstimatorSupervisor, FrontEnd, RobotArguments};
-use sensors::{ImuSample, Sequence};
+use sensors::{Frame, ImuSample, Sequence};
 use std::path::Path;
 use vision::tracking::TrackerOptions;
 
@@ -37,17 +37,33 @@ pub fn run_odometry(
     cameras: usize,
     progress: impl FnMut(usize, usize),
 ) -> Result<Odometry> {
+    run_watched(sequence, cameras, progress, |_, _| ())
+}
+
+/// [`run_odometry`], with each state as soon as it is known.
+///
+/// # Arguments
+/// * `located`: called with each image that has a state.
+///
+/// # Errors
+/// As [`run_odometry`].
+pub fn run_watched(
+    sequence: &mut Sequence,
+    cameras: usize,
+    progress: impl FnMut(usize, usize),
+    located: impl FnMut(&Frame, &ImuState),
+) -> Result<Odometry> {
     let config = odometry_config(sequence)?;
-    let run = run_configured(sequence, cameras, &config, progress)?;
+    let run = run_configured(sequence, cameras, &config, progress, located)?;
     if run.states.is_empty() {
         let reason = run.supervisor.status().reason;
         bail!("{}: odometry was never initialized: {reason}", sequence.root.display());
     }
     let imu_noise_scale = run.supervisor.learned_noise().map_or(1.0, |learned| learned.imu_noise_scale);
-    Ok(Odometry { states: run.states, cameras, imu_noise_scale, config })
+    Ok(Odometry { states: run.states, cameras, imu_noise_scale, config, keyframes: None })
 }
 
-/// [`run_odometry`] with settings; without an error where the filter is never initialized.
+/// [`run_watched`] with settings; without an error where the filter is never initialized.
 ///
 /// # Errors
 /// A tracker that cannot start, a fault of the filter.
@@ -56,6 +72,7 @@ pub fn run_configured(
     cameras: usize,
     config: &EstimatorConfig,
     mut progress: impl FnMut(usize, usize),
+    mut located: impl FnMut(&Frame, &ImuState),
 ) -> Result<OdometryRun> {
     let of_sensor = |sensor: &sensors::CameraSensor| CalibratedCamera {
         camera: sensor.camera.clone(),
@@ -108,7 +125,10 @@ pub fn run_configured(
         let used = |track: &&TrackObservation| usize::from(track.camera) < cameras;
         let tracks: Vec<TrackObservation> = frame.tracks.iter().filter(used).copied().collect();
         match step(&mut supervisor, frame.stamp_ns, &tracks) {
-            Ok(Some(state)) => states.push((frame.stamp_ns, state)),
+            Ok(Some(state)) => {
+                located(frame, &state);
+                states.push((frame.stamp_ns, state));
+            }
             Ok(None) | Err(EstimatorError::NoImu { .. } | EstimatorError::OldFrame { .. }) => {}
             Err(error @ EstimatorError::Diverged(_)) => {
                 tracing::warn!(%error, "odometry starts again");

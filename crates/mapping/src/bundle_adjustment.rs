@@ -7,15 +7,17 @@
 use geometry::pose::Pose;
 use geometry::rotation::left_jacobian_inverse;
 use geometry::uncertain_pose::PoseWithCovariance;
-use nalgebra::{DMatrix, DVector, Matrix6, Vector6};
+use nalgebra::{DMatrix, DVector, Matrix6, Matrix6x3, Vector6};
 
 use super::camera::{CameraPose, MappingCamera};
 use super::inertial::{InertialChain, Motion};
 use super::joint_prior::JointPrior;
 use super::landmark::InverseDepthLandmark;
+use super::landmark_equations::{LandmarkBlocks, LandmarkEquations};
 use super::landmark_tie::LandmarkTie;
 use super::layout::{MOTION, POSE, StateLayout};
-use super::normal_equations::{LandmarkBlocks, NormalEquations};
+use super::normal_equations::NormalEquations;
+use super::parallel;
 use super::pose_priors::PriorFactors;
 use super::relative_pose::RelativePose;
 use super::sparse_system::SparseFactor;
@@ -36,6 +38,8 @@ const MAX_STEPS: usize = 25;
 const CONVERGED: f64 = 1e-4;
 /// Maximum number of undamped steps at the end.
 const FINAL_STEPS: usize = 5;
+/// Landmarks whose equations are summed up by one thread: so few that their blocks stay in its cache.
+const RUN: usize = 512;
 /// Damping of the first step, and its limits (Levenberg-Marquardt).
 const DAMPING: [f64; 3] = [1e-4, 1e-8, 1e4];
 
@@ -216,27 +220,54 @@ impl Problem<'_> {
             tie.add_to(&mut equations, layout, &bundle.poses, scale);
         }
         let poses = bundle.camera_poses();
-        for landmark in &bundle.landmarks {
-            let mut blocks = LandmarkBlocks::default();
+        let run = |landmarks: &[InverseDepthLandmark]| {
+            self.landmark_equations(landmarks, bundle, &poses, scale, damping)
+        };
+        parallel::for_each_run(&bundle.landmarks, RUN, run, |of_run| equations.add_landmarks(of_run));
+        equations
+    }
+
+    /// The equations of some landmarks at a bundle.
+    fn landmark_equations(
+        &self,
+        landmarks: &[InverseDepthLandmark],
+        bundle: &Bundle,
+        poses: &[CameraPose],
+        scale: f64,
+        damping: f64,
+    ) -> LandmarkEquations {
+        let mut equations =
+            LandmarkEquations::new(landmarks.iter().flat_map(InverseDepthLandmark::views_with_prior));
+        let mut blocks = LandmarkBlocks::default();
+        for landmark in landmarks {
+            blocks.clear();
             if let Some(prior) = &landmark.prior {
                 prior.add_to(&mut equations, &mut blocks, landmark, &bundle.poses);
             }
-            self.add_pixels(&mut equations, blocks, landmark, &poses, scale, damping);
+            self.add_pixels(&mut equations, &mut blocks, landmark, poses, scale);
+            for index in 0..3 {
+                blocks.information[(index, index)] *= 1.0 + damping;
+            }
+            if landmark.prior.is_none() {
+                // A weak prior on the inverse depth (sigma 1/m) for landmarks without parallax.
+                blocks.information[(2, 2)] += 1.0;
+            }
+            equations.add_landmark(&blocks);
         }
         equations
     }
 
     fn add_pixels(
         &self,
-        equations: &mut NormalEquations,
-        mut blocks: LandmarkBlocks,
+        equations: &mut LandmarkEquations,
+        blocks: &mut LandmarkBlocks,
         landmark: &InverseDepthLandmark,
         poses: &[CameraPose],
         scale: f64,
-        damping: f64,
     ) {
         let anchor = landmark.anchor_view();
-        let mut anchor_coupling = nalgebra::Matrix6x3::zeros();
+        let (mut anchor_information, mut anchor_gradient) = (Matrix6::zeros(), Vector6::zeros());
+        let mut anchor_coupling = Matrix6x3::zeros();
         for (index, observation) in landmark.observations.iter().enumerate() {
             if index == landmark.anchor {
                 if landmark.prior.is_some() {
@@ -255,27 +286,23 @@ impl Problem<'_> {
             let Some(predicted) = landmark.predict(self.cameras, poses, observation) else { continue };
             let residual = observation.pixel - predicted.pixel;
             let weight = self.weight(residual.norm(), scale);
-            let by_anchor = predicted.by_anchor.transpose() * weight;
-            let by_view = predicted.by_view.transpose() * weight;
-            equations.add_pose(anchor, &(by_anchor * predicted.by_anchor), &(by_anchor * residual));
-            equations.add_pose(view, &(by_view * predicted.by_view), &(by_view * residual));
-            if view != anchor {
-                blocks.pairs.push((anchor, view, by_anchor * predicted.by_view));
-                blocks.couplings.push((view, by_view * predicted.by_landmark));
-            }
-            anchor_coupling += by_anchor * predicted.by_landmark;
             blocks.information += predicted.by_landmark.transpose() * predicted.by_landmark * weight;
             blocks.gradient += predicted.by_landmark.transpose() * residual * weight;
+            if view == anchor {
+                // Both cameras of the anchor: the pixel does not depend on its pose.
+                continue;
+            }
+            let by_anchor = predicted.by_anchor.transpose() * weight;
+            let by_view = predicted.by_view.transpose() * weight;
+            anchor_information += by_anchor * predicted.by_anchor;
+            anchor_gradient += by_anchor * residual;
+            anchor_coupling += by_anchor * predicted.by_landmark;
+            equations.add_pose(view, &(by_view * predicted.by_view), &(by_view * residual));
+            equations.add_pair(anchor, view, &(by_anchor * predicted.by_view));
+            blocks.couplings.push((view, by_view * predicted.by_landmark));
         }
+        equations.add_pose(anchor, &anchor_information, &anchor_gradient);
         blocks.couplings.push((anchor, anchor_coupling));
-        for index in 0..3 {
-            blocks.information[(index, index)] *= 1.0 + damping;
-        }
-        if landmark.prior.is_none() {
-            // A weak prior on the inverse depth (sigma 1/m) for landmarks without parallax.
-            blocks.information[(2, 2)] += 1.0;
-        }
-        equations.add_landmark(blocks);
     }
 
     /// Information of a residual of this length (px^-2): `sigma^-2 / (1 + (e / scale sigma)^2)`.

@@ -1,6 +1,7 @@
 //! Features of images: read from the recording where it has them, extracted where it has images.
 
 use std::borrow::Cow;
+use std::collections::HashMap;
 
 use geometry::camera::Camera;
 use nalgebra::Vector2;
@@ -17,6 +18,8 @@ use sensors::feature_set;
 pub struct Extraction<'a> {
     /// Detects and describes features.
     pub extractor: &'a mut dyn FeatureExtractor,
+    /// More extractors of the same kind: as many images more are extracted at the same time.
+    pub others: &'a mut [Box<dyn FeatureExtractor>],
     /// Most features an image.
     pub max_features: usize,
     /// Zero where images of camera 0 show the robot itself: no features there.
@@ -29,8 +32,17 @@ pub struct Extraction<'a> {
 pub(super) struct FeatureSource<'e, 'r> {
     extraction: Option<Extraction<'e>>,
     cameras: &'r [MappingCamera],
+    /// What was extracted ahead, by time (ns) and camera.
+    ready: HashMap<(i64, usize), Extracted>,
     /// Images that could not be read, with the reason.
     pub(super) unreadable: Vec<String>,
+}
+
+/// The features of an image, or why there are none.
+enum Extracted {
+    Features(ImageFeatures),
+    Unreadable(String),
+    Failed(BuildError),
 }
 
 /// The features of a frame.
@@ -47,7 +59,7 @@ impl<'e, 'r> FeatureSource<'e, 'r> {
         extraction: Option<Extraction<'e>>,
         cameras: &'r [MappingCamera],
     ) -> FeatureSource<'e, 'r> {
-        FeatureSource { extraction, cameras, unreadable: Vec::new() }
+        FeatureSource { extraction, cameras, ready: HashMap::new(), unreadable: Vec::new() }
     }
 
     /// Whether a frame can have features.
@@ -65,6 +77,16 @@ impl<'e, 'r> FeatureSource<'e, 'r> {
             Some(_) => BuildError::NoImages { sequence },
             None => BuildError::NoFeatures { sequence },
         }
+    }
+
+    /// Number of images that are extracted at the same time.
+    pub(super) fn at_once(&self) -> usize {
+        self.extraction.as_ref().map_or(0, |extraction| 1 + extraction.others.len())
+    }
+
+    /// Whether camera 1 is used.
+    pub(super) fn is_stereo(&self) -> bool {
+        self.cameras.len() > 1 && self.extraction.as_ref().is_some_and(|extraction| extraction.stereo)
     }
 
     /// The features of camera 0; `None` where its image cannot be read, which is recorded in `unreadable`.
@@ -89,11 +111,11 @@ impl<'e, 'r> FeatureSource<'e, 'r> {
         &mut self,
         frame: &'f Frame,
     ) -> Result<Option<FrameFeatures<'f>>, BuildError> {
-        let is_stereo = self.extraction.as_ref().is_some_and(|extraction| extraction.stereo);
-        if !is_stereo || self.cameras.len() < 2 {
+        if !self.is_stereo() {
             let features = self.features_of(frame)?;
             return Ok(features.map(|features| FrameFeatures { features, stereo: Vec::new() }));
         }
+        self.prepare(&[(frame, 0), (frame, 1)]);
         let Some(first) = self.extract(frame, 0)? else { return Ok(None) };
         let stereo = self
             .extract(frame, 1)?
@@ -101,30 +123,91 @@ impl<'e, 'r> FeatureSource<'e, 'r> {
         Ok(Some(FrameFeatures { features: Cow::Owned(self.named(first)), stereo }))
     }
 
+    /// Whether an image was extracted already.
+    pub(super) fn is_ready(&self, frame: &Frame, camera: usize) -> bool {
+        self.ready.contains_key(&(frame.stamp_ns, camera))
+    }
+
+    /// Extracts images ahead, all at the same time: as many of those that are not ready as there are extractors.
+    pub(super) fn prepare(&mut self, images: &[(&Frame, usize)]) {
+        let Some(extraction) = &mut self.extraction else { return };
+        let extractors = 1 + extraction.others.len();
+        let missing: Vec<(&Frame, usize)> = images
+            .iter()
+            .filter(|(frame, camera)| !self.ready.contains_key(&(frame.stamp_ns, *camera)))
+            .take(extractors)
+            .copied()
+            .collect();
+        let (cameras, max_features) = (self.cameras, extraction.max_features);
+        let mask = extraction.mask;
+        let extract = move |extractor: &mut dyn FeatureExtractor, (frame, index): (&Frame, usize)| {
+            let mask = mask.filter(|_| index == 0);
+            let file = frame.images[index].as_ref()?;
+            let camera = (index, &cameras[index].camera);
+            Some(((frame.stamp_ns, index), extracted(extractor, file, camera, mask, max_features)))
+        };
+        let Some((first, others)) = missing.split_first() else { return };
+        let done: Vec<_> = std::thread::scope(|scope| {
+            let threads: Vec<_> = others
+                .iter()
+                .zip(extraction.others.iter_mut())
+                .map(|(&image, extractor)| scope.spawn(move || extract(extractor.as_mut(), image)))
+                .collect();
+            let of_first = extract(extraction.extractor, *first);
+            let of_others = threads
+                .into_iter()
+                .filter_map(|thread| thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)));
+            of_first.into_iter().chain(of_others).collect()
+        });
+        self.ready.extend(done);
+    }
+
+    /// Forgets what was extracted of images before a time.
+    pub(super) fn forget_before(&mut self, stamp_ns: i64) {
+        self.ready.retain(|(ready_ns, _), _| *ready_ns >= stamp_ns);
+    }
+
     fn named(&self, features: ImageFeatures) -> FeatureSet {
         let name = self.extraction.as_ref().map_or("", |extraction| extraction.extractor.name());
         feature_set(name, features)
     }
 
-    /// Extracts the features of one camera; `None` without an image that can be read.
+    /// The features of one camera; `None` without an image that can be read.
     fn extract(&mut self, frame: &Frame, camera: usize) -> Result<Option<ImageFeatures>, BuildError> {
-        let (Some(extraction), Some(file)) = (&mut self.extraction, &frame.images[camera]) else {
-            return Ok(None);
-        };
-        let image = match file.read() {
-            Ok(image) => image,
-            Err(error) => {
-                self.unreadable.push(error.to_string());
-                return Ok(None);
+        self.prepare(&[(frame, camera)]);
+        match self.ready.get(&(frame.stamp_ns, camera)) {
+            None => Ok(None),
+            Some(Extracted::Features(features)) => Ok(Some(features.clone())),
+            Some(Extracted::Unreadable(reason)) => {
+                self.unreadable.push(reason.clone());
+                Ok(None)
             }
-        };
-        check_size(camera, file, &image, &self.cameras[camera].camera)?;
-        let mask = extraction.mask.filter(|_| camera == 0);
-        extraction
-            .extractor
-            .extract(&image, mask, extraction.max_features)
-            .map(Some)
-            .map_err(|source| BuildError::Extraction { image: file.to_string(), source })
+            Some(Extracted::Failed(_)) => match self.ready.remove(&(frame.stamp_ns, camera)) {
+                Some(Extracted::Failed(error)) => Err(error),
+                _ => Ok(None),
+            },
+        }
+    }
+}
+
+/// Reads an image of a camera and extracts its features.
+fn extracted(
+    extractor: &mut dyn FeatureExtractor,
+    file: &ImageData,
+    (index, camera): (usize, &Camera),
+    mask: Option<&GrayImage>,
+    max_features: usize,
+) -> Extracted {
+    let image = match file.read() {
+        Ok(image) => image,
+        Err(error) => return Extracted::Unreadable(error.to_string()),
+    };
+    if let Err(error) = check_size(index, file, &image, camera) {
+        return Extracted::Failed(error);
+    }
+    match extractor.extract(&image, mask, max_features) {
+        Ok(features) => Extracted::Features(features),
+        Err(source) => Extracted::Failed(BuildError::Extraction { image: file.to_string(), source }),
     }
 }
 

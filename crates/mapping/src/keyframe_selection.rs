@@ -37,48 +37,142 @@ pub(super) fn select_keyframes<'a>(
         return Err(source.no_features(sequence));
     }
     let poses = ReferencePoses::new(references);
-    let seconds = |stamp_ns: i64| (stamp_ns - first.stamp_ns) as f64 * 1e-9;
-    let in_time = |frame: &&&Frame| (options.from_s..=options.until_s).contains(&seconds(frame.stamp_ns));
+    let in_time = |frame: &&&Frame| is_in_time(frame.stamp_ns, first.stamp_ns, options);
+    let with_pose: Vec<(&Frame, PoseWithCovariance)> = candidates
+        .iter()
+        .filter(in_time)
+        .filter_map(|frame| {
+            let reference = poses.at(frame.stamp_ns)?;
+            Some((*frame, camera_pose(&reference, &sensor.imu_from_camera, options)))
+        })
+        .collect();
     let mut views: Vec<KeyframeView<'a>> = Vec::new();
-    let mut next_comparison = EXTRACTION_THRESHOLD;
-    for (done, frame) in candidates.iter().enumerate().filter(|(_, frame)| in_time(frame)) {
-        progress(Stage::KeyframeSelection, done, candidates.len());
-        let Some(reference) = poses.at(frame.stamp_ns) else { continue };
-        let prior = camera_pose(&reference, &sensor.imu_from_camera, options);
-        let change = views.last().map_or(f64::INFINITY, |last| relative_motion(&last.prior, &prior, options));
-        if change < next_comparison.min(1.0) {
-            continue;
-        }
-        if let Some(last) = views.last().filter(|_| change < 1.0) {
-            next_comparison = change + EXTRACTION_STEP;
-            let Some(features) = source.features_of(frame)? else { continue };
-            if overlap(last, &features)? >= options.min_overlap {
-                continue;
-            }
-        }
-        let Some(FrameFeatures { features, stereo }) = source.stereo_features_of(frame)? else { continue };
-        if !features.is_empty() {
-            next_comparison = EXTRACTION_THRESHOLD;
-            let rays = rays(&sensor.camera, &features);
-            views.push(KeyframeView {
-                stamp_ns: frame.stamp_ns,
-                features,
-                tracked: Vec::new(),
-                stereo,
-                rays,
-                prior,
-            });
-        }
+    let mut selector = KeyframeSelector::new(&sensor.camera, options);
+    for (done, &(frame, ref prior)) in with_pose.iter().enumerate() {
+        progress(Stage::KeyframeSelection, done, with_pose.len());
+        let later = with_pose[done + 1..].iter().map(|(frame, prior)| (*frame, prior));
+        views.extend(selector.consider(views.last(), (frame, prior), later, source)?);
     }
-    progress(Stage::KeyframeSelection, candidates.len(), candidates.len());
+    progress(Stage::KeyframeSelection, with_pose.len(), with_pose.len());
     if views.is_empty() {
-        return Err(BuildError::NoCommonStamps {
-            images: candidates.len(),
-            poses: references.len(),
-            in_time: candidates.iter().filter(|frame| in_time(frame)).count(),
-        });
+        return Err(no_common_stamps(sequence, references.len(), source, options));
     }
     Ok(views)
+}
+
+/// The error for a recording in which no image becomes a keyframe.
+///
+/// # Arguments
+/// * `poses`: number of poses that were given.
+pub(super) fn no_common_stamps(
+    sequence: &Sequence,
+    poses: usize,
+    source: &FeatureSource<'_, '_>,
+    options: &BuildOptions,
+) -> BuildError {
+    let first_ns = sequence.frames.first().map_or(0, |first| first.stamp_ns);
+    let images = || sequence.frames.iter().filter(|frame| source.has_features(frame));
+    let in_time = images().filter(|frame| is_in_time(frame.stamp_ns, first_ns, options)).count();
+    BuildError::NoCommonStamps { images: images().count(), poses, in_time }
+}
+
+/// Whether an image is between the times of the options.
+pub(super) fn is_in_time(stamp_ns: i64, first_ns: i64, options: &BuildOptions) -> bool {
+    let seconds = (stamp_ns - first_ns) as f64 * 1e-9;
+    (options.from_s..=options.until_s).contains(&seconds)
+}
+
+/// Selects keyframes from images that are given one by one.
+pub(super) struct KeyframeSelector<'o> {
+    camera: &'o Camera,
+    options: &'o BuildOptions,
+    /// Motion since the last keyframe from which on the next image is compared with it.
+    next_comparison: f64,
+}
+
+impl<'o> KeyframeSelector<'o> {
+    /// Before the first image.
+    pub(super) fn new(camera: &'o Camera, options: &'o BuildOptions) -> KeyframeSelector<'o> {
+        KeyframeSelector { camera, options, next_comparison: EXTRACTION_THRESHOLD }
+    }
+
+    /// Considers one image.
+    ///
+    /// # Arguments
+    /// * `last`: the last keyframe.
+    /// * `later`: images that come after this one, as far as they are known: some may be extracted ahead.
+    ///
+    /// # Returns
+    /// The keyframe that it becomes.
+    ///
+    /// # Errors
+    /// As those of [`FeatureSource::stereo_features_of`].
+    pub(super) fn consider<'f: 'l, 'l>(
+        &mut self,
+        last: Option<&KeyframeView<'_>>,
+        (frame, prior): (&'f Frame, &'l PoseWithCovariance),
+        later: impl Iterator<Item = (&'l Frame, &'l PoseWithCovariance)>,
+        source: &mut FeatureSource<'_, '_>,
+    ) -> Result<Option<KeyframeView<'f>>, BuildError> {
+        let change = last.map_or(f64::INFINITY, |last| relative_motion(&last.prior, prior, self.options));
+        if change < self.next_comparison.min(1.0) {
+            return Ok(None);
+        }
+        source.forget_before(frame.stamp_ns);
+        let wanted = self.wanted(last, std::iter::once((frame, prior)).chain(later), source);
+        if wanted.first().is_some_and(|(first, _)| first.stamp_ns == frame.stamp_ns) {
+            source.prepare(&wanted);
+        }
+        if let Some(last) = last.filter(|_| change < 1.0) {
+            self.next_comparison = change + EXTRACTION_STEP;
+            let Some(features) = source.features_of(frame)? else { return Ok(None) };
+            if overlap(last, &features)? >= self.options.min_overlap {
+                return Ok(None);
+            }
+        }
+        let Some(FrameFeatures { features, stereo }) = source.stereo_features_of(frame)? else {
+            return Ok(None);
+        };
+        if features.is_empty() {
+            return Ok(None);
+        }
+        self.next_comparison = EXTRACTION_THRESHOLD;
+        let (stamp_ns, tracked) = (frame.stamp_ns, Vec::new());
+        let rays = rays(self.camera, &features);
+        Ok(Some(KeyframeView { stamp_ns, features, tracked, stereo, rays, prior: *prior }))
+    }
+
+    /// The images, and of which camera, that are extracted next if those that are compared overlap enough: as many as are
+    /// extracted at the same time.
+    fn wanted<'l>(
+        &self,
+        last: Option<&KeyframeView<'_>>,
+        images: impl Iterator<Item = (&'l Frame, &'l PoseWithCovariance)>,
+        source: &FeatureSource<'_, '_>,
+    ) -> Vec<(&'l Frame, usize)> {
+        let mut last = last.map(|last| last.prior);
+        let mut next_comparison = self.next_comparison;
+        let mut wanted = Vec::new();
+        for (frame, prior) in images {
+            if wanted.len() >= source.at_once() {
+                break;
+            }
+            let change =
+                last.as_ref().map_or(f64::INFINITY, |last| relative_motion(last, prior, self.options));
+            if change < next_comparison.min(1.0) {
+                continue;
+            }
+            let is_keyframe = change >= 1.0;
+            let cameras = if is_keyframe && source.is_stereo() { 0..2 } else { 0..1 };
+            let missing = cameras.filter(|&camera| !source.is_ready(frame, camera));
+            wanted.extend(missing.map(|camera| (frame, camera)));
+            next_comparison = change + EXTRACTION_STEP;
+            if is_keyframe {
+                (last, next_comparison) = (Some(*prior), EXTRACTION_THRESHOLD);
+            }
+        }
+        wanted
+    }
 }
 
 /// How far a camera has moved or rotated, as a part of the thresholds of a new keyframe.

@@ -14,6 +14,7 @@ pub(super) type FeatureId = (usize, usize);
 /// An image that becomes a keyframe, or, without features of its own, ties keyframes together by the tracks of the odometry.
 ///
 /// Its features are counted first those with descriptors, then the points that the odometry tracks.
+#[derive(Debug)]
 pub(super) struct KeyframeView<'a> {
     /// When it was taken (ns).
     pub(super) stamp_ns: i64,
@@ -30,6 +31,23 @@ pub(super) struct KeyframeView<'a> {
 }
 
 impl KeyframeView<'_> {
+    /// With features of its own.
+    pub(super) fn into_owned(self) -> KeyframeView<'static> {
+        KeyframeView { features: Cow::Owned(self.features.into_owned()), ..self }
+    }
+
+    /// The same view with another prior pose.
+    pub(super) fn borrowed(&self, prior: &PoseWithCovariance) -> KeyframeView<'_> {
+        KeyframeView {
+            stamp_ns: self.stamp_ns,
+            features: Cow::Borrowed(self.features.as_ref()),
+            tracked: self.tracked.clone(),
+            stereo: self.stereo.clone(),
+            rays: self.rays.clone(),
+            prior: *prior,
+        }
+    }
+
     /// Pixel of a feature.
     pub(super) fn pixel(&self, feature: usize) -> Vector2<f64> {
         match self.features.pixels.get(feature) {

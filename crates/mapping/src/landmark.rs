@@ -65,6 +65,12 @@ impl InverseDepthLandmark {
         self.observations[self.anchor].view()
     }
 
+    /// The views that say something of it: all that observe it, and those of its prior.
+    pub(super) fn views_with_prior(&self) -> impl Iterator<Item = usize> {
+        let of_prior = self.prior.iter().flat_map(LandmarkPrior::views);
+        self.observations.iter().map(LandmarkObservation::view).chain(of_prior)
+    }
+
     /// Position in G times the inverse depth, as a direction from the anchor: `R [ray, 1]`.
     fn direction(&self, anchor: &CameraPose) -> Vector3<f64> {
         anchor.rotation * self.ray.push(1.0)

@@ -22,7 +22,7 @@ use protocol::{KeyframeId, LandmarkId};
 use super::bundle_adjustment::pose_error;
 use super::camera::{CameraPose, MIN_DEPTH, MappingCamera};
 use super::landmark::{InverseDepthLandmark, LandmarkObservation};
-use super::normal_equations::{LandmarkBlocks, NormalEquations};
+use super::landmark_equations::{LandmarkBlocks, LandmarkEquations};
 
 /// Gauss-Newton iterations from the position that the map states.
 const STEPS: usize = 8;
@@ -153,6 +153,11 @@ impl LandmarkPrior {
         Some(InverseDepthLandmark { observations: vec![anchor], prior: Some(prior), ..landmark })
     }
 
+    /// The views whose poses it depends on.
+    pub(super) fn views(&self) -> impl Iterator<Item = usize> {
+        self.poses.iter().map(|(view, ..)| *view)
+    }
+
     /// Ray and inverse depth as the prior gives them, and their Jacobian by ray and inverse depth.
     fn parameters(&self, landmark: &InverseDepthLandmark) -> (Vector3<f64>, Matrix3<f64>) {
         let rho = landmark.inverse_depth;
@@ -198,7 +203,7 @@ impl LandmarkPrior {
     /// Adds the linearized residual.
     pub(super) fn add_to(
         &self,
-        equations: &mut NormalEquations,
+        equations: &mut LandmarkEquations,
         blocks: &mut LandmarkBlocks,
         landmark: &InverseDepthLandmark,
         poses: &[Pose],
@@ -212,7 +217,7 @@ impl LandmarkPrior {
             let coupling: Matrix6x3<f64> = by_view.transpose() * self.information;
             equations.add_pose(*view, &(coupling * by_view), &-(by_view.transpose() * weighted));
             for (other, by_other) in &by_pose[index + 1..] {
-                blocks.pairs.push((*view, *other, coupling * by_other));
+                equations.add_pair(*view, *other, &(coupling * by_other));
             }
             blocks.couplings.push((*view, coupling * by_landmark));
         }

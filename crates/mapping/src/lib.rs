@@ -4,6 +4,7 @@
 //! |---|---|
 //! | images become keyframes as the camera moves | `keyframe_selection`, `reference_poses` |
 //! | features are read, or extracted and matched in stereo | `feature_source`, `stereo_matching` |
+//! | both on another thread while odometry gives the poses | `selected_keyframes` |
 //! | neighbouring keyframes are matched, with the epipolar constraint | `matching` |
 //! | matches are joined into tracks | `tracks` |
 //! | each track is triangulated with the reference poses and their covariances | `triangulation` |
@@ -43,6 +44,7 @@ mod joint_prior;
 mod keyframe_selection;
 mod keyframe_view;
 mod landmark;
+mod landmark_equations;
 mod landmark_prior;
 mod landmark_tie;
 mod layout;
@@ -52,6 +54,7 @@ mod merging;
 mod normal_equations;
 mod odometry;
 mod options;
+mod parallel;
 mod pieces;
 mod pipeline;
 mod places;
@@ -61,6 +64,7 @@ mod reference_poses;
 mod refinement;
 mod relative_pose;
 mod report;
+mod selected_keyframes;
 mod sparse_system;
 mod stereo_matching;
 mod stereo_registration;
@@ -81,5 +85,6 @@ pub use pipeline::build_map;
 pub use pose_priors::PosePriors;
 pub use progress::{Progress, Stage};
 pub use report::{BuildReport, Spread, UntrackedImages};
+pub use selected_keyframes::{SelectedKeyframes, select_during};
 pub use stereo_registration::register_stereo_images;
 pub use without_references::build_map_from_odometry;

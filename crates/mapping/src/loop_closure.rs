@@ -5,13 +5,14 @@ use std::collections::BTreeMap;
 use geometry::pose::Pose;
 use map::contents::MapContents;
 use nalgebra::{DMatrix, Matrix3, Matrix6, SMatrix, Vector3};
-use recognition::{LoadedMap, RecognitionOptions};
+use recognition::{LoadedMap, RecognitionOptions, VerifiedPlace};
 
 use super::assemble::keyframe_id;
 use super::camera::MappingCamera;
 use super::error::BuildError;
 use super::keyframe_view::KeyframeView;
 use super::layout::{POSE, StateLayout};
+use super::parallel;
 use super::progress::{Progress, Stage};
 use super::relative_pose::RelativePose;
 use super::sparse_system::SparseFactor;
@@ -47,11 +48,10 @@ pub(super) fn find_loops(
     let map = LoadedMap::from_contents(contents)?;
     let index_of: BTreeMap<u64, usize> = (0..views.len()).map(|view| (keyframe_id(view), view)).collect();
     let options = RecognitionOptions::default();
-    let mut loops = Vec::new();
-    for (view, content) in views.iter().enumerate() {
-        progress(Stage::PlaceRecognition, view, views.len());
+    let of_view = |view: usize| -> Result<Vec<RelativePose>, BuildError> {
+        let content = &views[view];
         if !content.is_keyframe() || view < least_gap {
-            continue;
+            return Ok(Vec::new());
         }
         let gravity_in_camera = gravity_in_global.map(|down| poses[view].rotation.inverse() * down);
         let latest = keyframe_id(view - least_gap);
@@ -63,17 +63,22 @@ pub(super) fn find_loops(
             &eligible,
             &options,
         )?;
-        for place in places.iter().take(LOOPS_A_VIEW) {
+        let relative = |place: &VerifiedPlace| {
             let earlier = index_of[&place.keyframe];
             let first = &poses[earlier];
-            loops.push(RelativePose {
+            RelativePose {
                 views: [earlier, view],
                 first_from_second: first.inverse().compose(&place.global_from_camera.pose),
                 information: information(first, &place.global_from_camera.covariance),
-            });
-        }
+            }
+        };
+        Ok(places.iter().take(LOOPS_A_VIEW).map(relative).collect())
+    };
+    let show = |done| progress(Stage::PlaceRecognition, done, views.len());
+    let mut loops = Vec::new();
+    for of_view in parallel::map(views.len(), of_view, show) {
+        loops.extend(of_view?);
     }
-    progress(Stage::PlaceRecognition, views.len(), views.len());
     Ok(loops)
 }
 

@@ -11,9 +11,11 @@
 
 use std::collections::BTreeMap;
 
-use nalgebra::{DMatrix, DVector, Matrix3, Matrix6, Matrix6x3, Vector3, Vector6};
+use nalgebra::{DMatrix, DVector, Matrix6, Vector3};
 
+use super::landmark_equations::{EliminatedLandmarks, LandmarkEquations};
 use super::layout::StateLayout;
+use super::parallel;
 use super::sparse_system::SparseSystem;
 
 /// Normal equations of the states and landmarks of a bundle.
@@ -23,29 +25,20 @@ pub(super) struct NormalEquations {
     diagonal: Vec<Matrix6<f64>>,
     /// g.
     gradient: DVector<f64>,
+    /// `W V^-1 l`.
+    eliminated_gradient: DVector<f64>,
+    /// Blocks (a, b), `a <= b`, of S that landmarks cause, without the diagonal of H.
+    blocks: BTreeMap<(usize, usize), Matrix6<f64>>,
     /// Further terms of H.
     terms: Vec<Term>,
-    /// The blocks of each landmark.
-    landmarks: Vec<LandmarkBlocks>,
+    /// The landmarks, in runs.
+    landmarks: Vec<EliminatedLandmarks>,
 }
 
 /// A term of H between a few unknowns.
 struct Term {
     indices: Vec<usize>,
     information: DMatrix<f64>,
-}
-
-/// The blocks of one landmark.
-#[derive(Default)]
-pub(super) struct LandmarkBlocks {
-    /// Off-diagonal blocks of H: view a, view b, `J_a^T J_b`.
-    pub(super) pairs: Vec<(usize, usize, Matrix6<f64>)>,
-    /// Blocks of W: view, `J_view^T J_point`.
-    pub(super) couplings: Vec<(usize, Matrix6x3<f64>)>,
-    /// V before, and its inverse after [`NormalEquations::add_landmark`].
-    pub(super) information: Matrix3<f64>,
-    /// l.
-    pub(super) gradient: Vector3<f64>,
 }
 
 /// The solution.
@@ -63,6 +56,8 @@ impl NormalEquations {
             layout,
             diagonal: vec![Matrix6::zeros(); layout.views],
             gradient: DVector::zeros(layout.dim()),
+            eliminated_gradient: DVector::zeros(layout.dim()),
+            blocks: BTreeMap::new(),
             terms: Vec::new(),
             landmarks: Vec::new(),
         }
@@ -72,13 +67,6 @@ impl NormalEquations {
     #[cfg(test)]
     pub(super) fn gradient(&self) -> &DVector<f64> {
         &self.gradient
-    }
-
-    /// Adds information on one pose.
-    pub(super) fn add_pose(&mut self, view: usize, information: &Matrix6<f64>, gradient: &Vector6<f64>) {
-        self.diagonal[view] += information;
-        let mut rows = self.gradient.fixed_rows_mut::<6>(self.layout.pose(view).start);
-        rows += gradient;
     }
 
     /// Adds a residual of unknowns at any indices.
@@ -116,10 +104,20 @@ impl NormalEquations {
         self.terms.push(Term { indices, information });
     }
 
-    /// Adds a landmark. One whose V is singular is held constant.
-    pub(super) fn add_landmark(&mut self, mut landmark: LandmarkBlocks) {
-        landmark.information = landmark.information.try_inverse().unwrap_or_else(Matrix3::zeros);
-        self.landmarks.push(landmark);
+    /// Adds a run of landmarks, with what their pixels say of the poses.
+    pub(super) fn add_landmarks(&mut self, run: LandmarkEquations) {
+        for (view, diagonal, gradient, eliminated) in run.of_views() {
+            self.diagonal[view] += diagonal;
+            let begin = self.layout.pose(view).start;
+            let mut rows = self.gradient.fixed_rows_mut::<6>(begin);
+            rows += gradient;
+            let mut rows = self.eliminated_gradient.fixed_rows_mut::<6>(begin);
+            rows += eliminated;
+        }
+        for (views, block) in run.blocks() {
+            *self.blocks.entry(views).or_default() += block;
+        }
+        self.landmarks.push(run.into_landmarks());
     }
 
     /// Solves the equations with the diagonal of H multiplied by `1 + damping`. (That of V is damped before it is added.)
@@ -127,24 +125,11 @@ impl NormalEquations {
     /// # Returns
     /// `None` where S is not positive definite.
     pub(super) fn solve(&self, damping: f64) -> Option<Step> {
-        let mut right = self.gradient.clone();
-        for landmark in &self.landmarks {
-            let eliminated = landmark.information * landmark.gradient;
-            for (view, coupling) in &landmark.couplings {
-                let mut rows = right.fixed_rows_mut::<6>(self.layout.pose(*view).start);
-                rows -= coupling * eliminated;
-            }
-        }
         let mut system = self.system();
         self.damp(&mut system, damping);
-        let states = system.factor()?.solve(&right);
-        let eliminated = |landmark: &LandmarkBlocks| {
-            let known = landmark.couplings.iter().fold(Vector3::zeros(), |sum, (view, coupling)| {
-                sum + coupling.tr_mul(&states.fixed_rows::<6>(self.layout.pose(*view).start))
-            });
-            landmark.information * (landmark.gradient - known)
-        };
-        let landmarks = self.landmarks.iter().map(eliminated).collect();
+        let states = system.factor()?.solve(&(&self.gradient - &self.eliminated_gradient));
+        let of_run = |run: usize| self.landmarks[run].errors(self.layout, &states);
+        let landmarks = parallel::map(self.landmarks.len(), of_run, |_| ()).concat();
         Some(Step { states, landmarks })
     }
 
@@ -165,7 +150,10 @@ impl NormalEquations {
     pub(super) fn system(&self) -> SparseSystem {
         let mut system = SparseSystem::new(self.layout.dim());
         let indices = |view: usize| -> Vec<usize> { self.layout.pose(view).collect() };
-        for ((a, b), block) in self.eliminated() {
+        for (view, block) in self.diagonal.iter().enumerate() {
+            system.add(&indices(view), &indices(view), block);
+        }
+        for (&(a, b), block) in &self.blocks {
             // The block (b, a), below the diagonal.
             system.add(&indices(b), &indices(a), &block.transpose());
         }
@@ -173,37 +161,5 @@ impl NormalEquations {
             system.add(&term.indices, &term.indices, &term.information);
         }
         system
-    }
-
-    /// The blocks (a, b) with `a <= b` that landmarks cause, after their elimination.
-    fn eliminated(&self) -> BTreeMap<(usize, usize), Matrix6<f64>> {
-        let mut blocks: BTreeMap<(usize, usize), Matrix6<f64>> = BTreeMap::new();
-        let mut add = |a: usize, b: usize, block: &Matrix6<f64>| {
-            if a <= b {
-                *blocks.entry((a, b)).or_default() += block;
-            } else {
-                *blocks.entry((b, a)).or_default() += block.transpose();
-            }
-        };
-        for (view, block) in self.diagonal.iter().enumerate() {
-            add(view, view, block);
-        }
-        for landmark in &self.landmarks {
-            for (a, b, block) in &landmark.pairs {
-                add(*a, *b, block);
-            }
-            for (index, (a, by_a)) in landmark.couplings.iter().enumerate() {
-                let eliminated = by_a * landmark.information;
-                add(*a, *a, &-(eliminated * by_a.transpose()));
-                for (b, by_b) in &landmark.couplings[index + 1..] {
-                    let block = -(eliminated * by_b.transpose());
-                    add(*a, *b, &block);
-                    if a == b {
-                        add(*a, *b, &block.transpose());
-                    }
-                }
-            }
-        }
-        blocks
     }
 }

@@ -2,6 +2,7 @@
 
 use std::borrow::Cow;
 use std::collections::HashMap;
+use std::sync::Arc;
 
 use estimator::EstimatorConfig;
 use estimator::propagation::ImuState;
@@ -14,10 +15,11 @@ use sensors::{Frame, ReferencePose, Sequence};
 
 use super::error::BuildError;
 use super::feature_source::FeatureSource;
-use super::keyframe_selection::{camera_pose, select_keyframes};
+use super::keyframe_selection::{camera_pose, no_common_stamps, select_keyframes};
 use super::keyframe_view::{FeatureId, KeyframeView};
 use super::options::BuildOptions;
 use super::progress::Progress;
+use super::selected_keyframes::SelectedKeyframes;
 
 /// Uncertainty of the odometry between keyframes that are matched with each other (rad, m): what the epipolar constraint
 /// and the first triangulation are relaxed by. It has hardly drifted between neighbours.
@@ -36,6 +38,9 @@ pub struct Odometry {
     pub imu_noise_scale: f64,
     /// Settings of the estimator that was run: the stated noise of the IMU, gravity, initial standard deviations.
     pub config: EstimatorConfig,
+    /// Keyframes that were selected while it ran, with the options that the map is built with (see [`crate::select_during`]);
+    /// `None` selects them when it is built.
+    pub keyframes: Option<Arc<SelectedKeyframes>>,
 }
 
 impl Odometry {
@@ -50,7 +55,7 @@ impl Odometry {
             ..*state
         };
         let states = self.states.iter().map(|(stamp_ns, of)| (*stamp_ns, state(of))).collect();
-        Odometry { states, config: self.config.clone(), ..*self }
+        Odometry { states, config: self.config.clone(), keyframes: self.keyframes.clone(), ..*self }
     }
 
     /// The state at the time of an image.
@@ -64,19 +69,17 @@ impl Odometry {
     /// # Errors
     /// [`BuildError`] where there is no keyframe.
     pub(super) fn select_views<'a>(
-        &self,
+        &'a self,
         sequence: &'a Sequence,
         source: &mut FeatureSource<'_, '_>,
         options: &BuildOptions,
         progress: Progress<'_>,
     ) -> Result<Vec<KeyframeView<'a>>, BuildError> {
-        let references: Vec<ReferencePose> =
-            self.states.iter().map(|(stamp_ns, state)| local_reference(*stamp_ns, state)).collect();
         let without_states = || sequence.frames.iter().all(|frame| self.at(frame.stamp_ns).is_none());
         if without_states() {
             return Err(BuildError::NoOdometry { states: self.states.len() });
         }
-        let keyframes = select_keyframes(sequence, &references, source, options, progress)?;
+        let keyframes = self.keyframes(sequence, source, options, progress)?;
         let format = keyframes[0].features.descriptors.format();
         let mut views: Vec<KeyframeView<'a>> = Vec::with_capacity(keyframes.len());
         for keyframe in keyframes {
@@ -97,10 +100,36 @@ impl Odometry {
         }
         Ok(views)
     }
+
+    /// The keyframes: those that were selected already, or selected now.
+    fn keyframes<'a>(
+        &'a self,
+        sequence: &'a Sequence,
+        source: &mut FeatureSource<'_, '_>,
+        options: &BuildOptions,
+        progress: Progress<'_>,
+    ) -> Result<Vec<KeyframeView<'a>>, BuildError> {
+        let Some(selected) = &self.keyframes else {
+            let references: Vec<ReferencePose> =
+                self.states.iter().map(|(stamp_ns, state)| local_reference(*stamp_ns, state)).collect();
+            return select_keyframes(sequence, &references, source, options, progress);
+        };
+        source.unreadable.clone_from(&selected.unreadable);
+        if selected.views.is_empty() {
+            return Err(no_common_stamps(sequence, self.states.len(), source, options));
+        }
+        let view = |selected: &'a KeyframeView<'static>| {
+            let state = self.at(selected.stamp_ns)?;
+            let reference = local_reference(selected.stamp_ns, state);
+            let prior = camera_pose(&reference, &sequence.cameras[0].imu_from_camera, options);
+            Some(selected.borrowed(&prior))
+        };
+        Ok(selected.views.iter().filter_map(view).collect())
+    }
 }
 
 /// The pose of a state, as certain as it is relative to its neighbours.
-fn local_reference(stamp_ns: i64, state: &ImuState) -> ReferencePose {
+pub(super) fn local_reference(stamp_ns: i64, state: &ImuState) -> ReferencePose {
     let [sigma_theta, sigma_p] = LOCAL_SIGMAS;
     ReferencePose::isotropic(stamp_ns, state.local_from_imu, sigma_theta, sigma_p)
 }

@@ -16,11 +16,15 @@ use super::keyframe_view::{FeatureId, KeyframeView, keyframes};
 use super::landmark::InverseDepthLandmark;
 use super::matching::{self, FeatureMatch};
 use super::options::{BuildOptions, FIRST_SIGMA_PX, StoredPoses};
+use super::parallel;
 use super::progress::{Progress, Stage};
 use super::refinement::{Constraints, ROUNDS, covariance_of, refine_all};
 use super::report::BuildReport;
 use super::tracks;
 use super::triangulation::{Scene, triangulate};
+
+/// Tracks that one thread triangulates before it takes others.
+const TRIANGULATION_RUN: usize = 256;
 
 /// Builds a map.
 ///
@@ -97,11 +101,12 @@ pub(super) fn match_all(
     let sigma_px = options.sigma_px.unwrap_or(FIRST_SIGMA_PX);
     report.pairs += pairs.len();
     let mut matches = Vec::new();
-    for (done, &pair) in pairs.iter().enumerate() {
-        progress(Stage::Matching, done, pairs.len());
-        matches.extend(matching::match_pair(&cameras[0].camera, views, pair, sigma_px, options)?);
+    let of_pair =
+        |pair: usize| matching::match_pair(&cameras[0].camera, views, pairs[pair], sigma_px, options);
+    let show = |done| progress(Stage::Matching, done, pairs.len());
+    for of_pair in parallel::map(pairs.len(), of_pair, show) {
+        matches.extend(of_pair?);
     }
-    progress(Stage::Matching, pairs.len(), pairs.len());
     report.matches += matches.len();
     Ok(matches)
 }
@@ -128,9 +133,14 @@ pub(super) fn triangulate_all(
     tracks.extend(tracked);
     let mut landmarks = Vec::new();
     let mut dropped: HashSet<FeatureId> = HashSet::new();
-    for (done, track) in tracks.iter().enumerate() {
-        progress(Stage::Triangulation, done, tracks.len());
-        let (landmark, outliers) = triangulate(&scene, track, options.min_observations);
+    let runs: Vec<&[Vec<FeatureId>]> = tracks.chunks(TRIANGULATION_RUN).collect();
+    let of_run = |run: usize| -> Vec<_> {
+        runs[run].iter().map(|track| triangulate(&scene, track, options.min_observations)).collect()
+    };
+    let show = |done: usize| {
+        progress(Stage::Triangulation, (done * TRIANGULATION_RUN).min(tracks.len()), tracks.len());
+    };
+    for (landmark, outliers) in parallel::map(runs.len(), of_run, show).into_iter().flatten() {
         landmarks.extend(landmark);
         dropped.extend(outliers);
     }

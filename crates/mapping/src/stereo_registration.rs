@@ -56,6 +56,7 @@ pub fn register_stereo_images(
     let mut located: Vec<Located<'_>> = Vec::new();
     for (done, frame) in sequence.frames.iter().enumerate() {
         progress(Stage::Odometry, done, sequence.frames.len());
+        source.forget_before(frame.stamp_ns);
         let Some(features) = source.stereo_features_of(frame)? else { continue };
         let (view, points) = landmarks(&cameras, frame.stamp_ns, features);
         let pose =
@@ -67,7 +68,7 @@ pub fn register_stereo_images(
     let poses: Vec<(i64, Pose)> =
         located.iter().map(|pair| (pair.view.stamp_ns, pair.first_from_camera)).collect();
     let states = ImuAlignment::new(sequence, &poses, Some(1.0), config)?.upright_states();
-    Ok(Odometry { states, cameras: 2, imu_noise_scale: 1.0, config: config.clone() })
+    Ok(Odometry { states, cameras: 2, imu_noise_scale: 1.0, config: config.clone(), keyframes: None })
 }
 
 /// The landmarks that one pair of images shows.

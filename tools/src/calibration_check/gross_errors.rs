@@ -45,7 +45,7 @@ pub(super) fn find(
     let mut found = None;
     for mistake in MISTAKES {
         (mistake.undo)(&mut sequence.cameras);
-        let run = run_configured(sequence, cameras, config, |_, _| {})?;
+        let run = run_configured(sequence, cameras, config, |_, _| (), |_, _| ())?;
         sequence.cameras.clone_from(&stated);
         if fits(&Fit::of(&run), sequence) {
             found = Some(mistake.advice);

@@ -134,14 +134,15 @@ pub fn check_calibration(
         (Some(first), Some(last)) => (last.stamp_ns - first.stamp_ns) as f64 * 1e-9,
         _ => bail!("{} has no frames", sequence.root.display()),
     };
-    let stated = run_configured(sequence, cameras, config, |done, all| progress(done, 2 * all))?;
+    let stated = run_configured(sequence, cameras, config, |done, all| progress(done, 2 * all), |_, _| ())?;
     let mut online = config.clone();
     let calibration = &mut online.calibration;
     (calibration.extrinsics, calibration.intrinsics, calibration.time_offset) = (true, true, true);
     calibration.sigma_rotation_rad = SIGMA_ROTATION;
     calibration.sigma_position_m = SIGMA_POSITION;
     calibration.sigma_time_offset_s = SIGMA_TIME_OFFSET;
-    let estimated = run_configured(sequence, cameras, &online, |done, all| progress(all + done, 2 * all))?;
+    let estimated =
+        run_configured(sequence, cameras, &online, |done, all| progress(all + done, 2 * all), |_, _| ())?;
     let parameters = estimated.supervisor.estimator();
     let parameters = parameters.map_or_else(Vec::new, |estimator| parameters_of(estimator, sequence, config));
     let (stated, estimated) = (Fit::of(&stated), Fit::of(&estimated));

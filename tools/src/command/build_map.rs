@@ -1,6 +1,8 @@
 //! `driftless build-map`: builds a map from a recording, with reference poses or without.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Instant;
 
 use anyhow::bail;
 use nalgebra::Vector3;
@@ -13,14 +15,14 @@ use vision::{FeatureExtractor, GrayImage};
 use super::build_report::{print_extension, print_report};
 use super::import_map::parse_direction;
 use super::pose_files::{PriorArguments, poses_of_file};
-use crate::odometry::{is_sparse, odometry_config, run_odometry};
+use crate::odometry::{is_sparse, odometry_config, run_odometry, run_watched};
 use crate::plotting::draw_coverage;
 use crate::stage_bar::StageBar;
 use map::MapContents;
 use map::store::{ensure_free, load_map, save_map};
 use mapping::{
     BuildOptions, BuildReport, ExtensionReport, Extraction, Odometry, Progress, Stage, StoredPoses,
-    build_map, build_map_from_odometry, extend_map, register_stereo_images,
+    build_map, build_map_from_odometry, extend_map, register_stereo_images, select_during,
 };
 
 /// Largest plausible `--sigma-theta`, rad: 29 degrees. With more the pose says nothing, and linearization fails.
@@ -143,19 +145,20 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     if references.is_none() {
         sequence = Sequence::open_with(&args.sequence, &args.calibration.files())?;
     }
+    let start = Instant::now();
     let mut bar = StageBar::new(args.json);
     let mut show = |stage: Stage, done: usize, all: usize| bar.show(stage, done, all);
     let from_images = sequence.has_images() && !sequence.has_features();
-    let mut extractor = if from_images { Some(args.features.open()?) } else { None };
+    let mut extractors = if from_images { args.features.open_several()? } else { Vec::new() };
     let mask = args.features.read_mask()?;
-    let (contents, report) = if let Some(references) = references {
-        let extraction = extraction_of(&mut extractor, mask.as_ref(), &args);
+    let (contents, mut report) = if let Some(references) = references {
+        let extraction = extraction_of(&mut extractors, mask.as_ref(), &args);
         let (contents, report) = build_map(&sequence, &references, extraction, &options, &mut show)?;
         (contents, Report::Built(Box::new(report)))
     } else {
-        let extraction = extraction_of(&mut extractor, mask.as_ref(), &args);
+        let extraction = extraction_of(&mut extractors, mask.as_ref(), &args);
         let odometry = odometry(&mut sequence, extraction, &args, &mut options, &mut show)?;
-        let extraction = extraction_of(&mut extractor, mask.as_ref(), &args);
+        let extraction = extraction_of(&mut extractors, mask.as_ref(), &args);
         if let Some(stored) = &stored {
             let (contents, report) =
                 extend_map(stored, &sequence, &odometry, extraction, &options, &mut show)?;
@@ -167,6 +170,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         }
     };
     let times = bar.finish();
+    report.set_seconds(start.elapsed().as_secs_f64());
     if let Some(stored) = &stored {
         check_unchanged(&args.map, stored)?;
     }
@@ -198,6 +202,16 @@ enum Report {
     Extended(ExtensionReport),
 }
 
+impl Report {
+    /// Sets how long all of it took, with the odometry that came before the map.
+    fn set_seconds(&mut self, seconds: f64) {
+        match self {
+            Report::Built(report) => report.seconds = seconds,
+            Report::Extended(report) => report.seconds = seconds,
+        }
+    }
+}
+
 /// The trajectory of a recording without reference poses.
 fn odometry(
     sequence: &mut Sequence,
@@ -207,12 +221,22 @@ fn odometry(
     show: Progress<'_>,
 ) -> anyhow::Result<Odometry> {
     let cameras = if args.mono { 1 } else { sequence.cameras.len().min(2) };
-    let Some(extraction) = extraction.filter(|_| cameras > 1 && is_sparse(sequence)) else {
+    let Some(extraction) = extraction else {
         return run_odometry(sequence, cameras, |done, all| show(Stage::Odometry, done, all));
     };
-    let config = odometry_config(sequence)?;
-    options.min_distance = args.min_distance.unwrap_or(MIN_DISTANCE_OF_SPARSE_IMAGES);
-    Ok(register_stereo_images(sequence, extraction, &config, show)?)
+    if cameras > 1 && is_sparse(sequence) {
+        let config = odometry_config(sequence)?;
+        options.min_distance = args.min_distance.unwrap_or(MIN_DISTANCE_OF_SPARSE_IMAGES);
+        return Ok(register_stereo_images(sequence, extraction, &config, show)?);
+    }
+    let sensors = sequence.cameras.clone();
+    let first_ns = sequence.frames.first().map_or(0, |frame| frame.stamp_ns);
+    let (odometry, keyframes) =
+        select_during(&sensors, first_ns, extraction, options, show, |located, show| {
+            run_watched(sequence, cameras, |done, all| show(Stage::Odometry, done, all), located)
+        });
+    let odometry = odometry?;
+    Ok(Odometry { keyframes: Some(Arc::new(keyframes?)), ..odometry })
 }
 
 /// Refuses to replace a version of the map that was written since the map was read.
@@ -232,12 +256,13 @@ fn check_unchanged(path: &Path, stored: &MapContents) -> anyhow::Result<()> {
 
 /// What the switches say of extraction; `None` for a recording that has features.
 fn extraction_of<'a>(
-    extractor: &'a mut Option<Box<dyn FeatureExtractor>>,
+    extractors: &'a mut [Box<dyn FeatureExtractor>],
     mask: Option<&'a GrayImage>,
     args: &Args,
 ) -> Option<Extraction<'a>> {
-    let extractor = extractor.as_mut()?.as_mut();
-    Some(Extraction { extractor, max_features: args.features.max_features, mask, stereo: !args.mono })
+    let (extractor, others) = extractors.split_first_mut()?;
+    let extractor = extractor.as_mut();
+    Some(Extraction { extractor, others, max_features: args.features.max_features, mask, stereo: !args.mono })
 }
 
 /// The poses to build from: those of `--poses`, of the sequence, or the ground truth where its standard deviations are

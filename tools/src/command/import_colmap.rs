@@ -72,6 +72,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     let mut extractor = args.features.open()?;
     let mut extraction = Extraction {
         extractor: extractor.as_mut(),
+        others: &mut [],
         max_features: args.features.max_features,
         mask: None,
         stereo: false,

@@ -7,8 +7,10 @@
 use super::frame::ColmapFrame;
 use crate::inertial::gauge_information;
 use crate::joint_covariance::{JointCovariance, joint_covariance};
+use crate::landmark_equations::{LandmarkBlocks, LandmarkEquations};
 use crate::layout::{POSE, StateLayout};
-use crate::normal_equations::{LandmarkBlocks, NormalEquations};
+use crate::normal_equations::NormalEquations;
+use crate::parallel;
 use geometry::Pose;
 use geometry::camera::Camera;
 use geometry::rotation::skew;
@@ -17,6 +19,8 @@ use nalgebra::{DMatrix, DVector, Matrix2x3, Matrix2x6, Matrix6x3, Vector2, Vecto
 /// Standard deviations that fix the frame: of yaw (rad), of the tilt where gravity says none (rad), and of the position
 /// (m) of the first image.
 const GAUGE_SIGMAS: [f64; 3] = [1e-4, 1e-3, 1e-3];
+/// Points whose equations are summed up by one thread.
+const RUN: usize = 512;
 
 /// A point and the images that see it.
 pub(super) struct Point {
@@ -77,16 +81,24 @@ pub(super) fn covariance(
     let layout = StateLayout { views: views.len(), motions: 0 };
     let mut equations = NormalEquations::new(layout);
     add_frame(&mut equations, layout, views, frame);
-    for point in points {
-        add_point(&mut equations, views, point, sigma_px);
-    }
+    let of_run = |run: &[Point]| of_points(views, run, sigma_px);
+    parallel::for_each_run(points, RUN, of_run, |run| equations.add_landmarks(run));
     let factor = equations.system().factor()?;
     let positions: Vec<_> = views.iter().map(|view| view.pose.translation).collect();
     let all: Vec<usize> = (0..views.len()).collect();
     Some(joint_covariance(&factor, layout, &all, &positions, progress))
 }
 
-fn add_point(equations: &mut NormalEquations, views: &[View], point: &Point, sigma_px: f64) {
+fn of_points(views: &[View], points: &[Point], sigma_px: f64) -> LandmarkEquations {
+    let seen_from = points.iter().flat_map(|point| point.seen.iter().map(|&(view, ..)| view));
+    let mut equations = LandmarkEquations::new(seen_from);
+    for point in points {
+        add_point(&mut equations, views, point, sigma_px);
+    }
+    equations
+}
+
+fn add_point(equations: &mut LandmarkEquations, views: &[View], point: &Point, sigma_px: f64) {
     let weight = sigma_px.powi(-2);
     let mut blocks = LandmarkBlocks::default();
     for &(view, ..) in &point.seen {
@@ -97,7 +109,7 @@ fn add_point(equations: &mut NormalEquations, views: &[View], point: &Point, sig
         blocks.couplings.push((view, coupling));
         blocks.information += by_point.transpose() * by_point * weight;
     }
-    equations.add_landmark(blocks);
+    equations.add_landmark(&blocks);
 }
 
 /// What fixes the frame: the first view, with the tilt that gravity leaves, and the scale.

@@ -187,8 +187,13 @@ fn points_that_do_not_fit_are_left_out_and_images_of_another_size_are_named() {
             }
             Ok(vision::GrayImage::from_fn(size[0], size[1], |x, y| ((x * 7 + y * 13) % 251) as u8))
         };
-        let mut extraction =
-            crate::Extraction { extractor: extractor.as_mut(), max_features: 50, mask: None, stereo: false };
+        let mut extraction = crate::Extraction {
+            extractor: extractor.as_mut(),
+            others: &mut [],
+            max_features: 50,
+            mask: None,
+            stereo: false,
+        };
         super::import_colmap(&model, &frame(), image, &mut extraction, ["hall", "test"], &mut |_, _, _| {})
     };
     let error = import([640, 400], true).unwrap_err();
@@ -207,8 +212,13 @@ fn images_that_share_no_points_are_named() {
         model.images.insert(id, image);
     }
     let mut extractor = vision::features::open("sift-1", None).unwrap();
-    let mut extraction =
-        crate::Extraction { extractor: extractor.as_mut(), max_features: 50, mask: None, stereo: false };
+    let mut extraction = crate::Extraction {
+        extractor: extractor.as_mut(),
+        others: &mut [],
+        max_features: 50,
+        mask: None,
+        stereo: false,
+    };
     let read = |_: &str| Ok(vision::GrayImage::from_fn(752, 480, |_, _| 0));
     let names = ["hall", "test"];
     let error = super::import_colmap(&model, &frame(), read, &mut extraction, names, &mut |_, _, _| {});

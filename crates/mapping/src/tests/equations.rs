@@ -18,8 +18,9 @@ use crate::camera::{CameraPose, MappingCamera};
 use crate::inertial::{InertialChain, Motion, buffered};
 use crate::joint_covariance::joint_covariance;
 use crate::landmark::{InverseDepthLandmark, LandmarkObservation};
+use crate::landmark_equations::{LandmarkBlocks, LandmarkEquations};
 use crate::layout::{POSE, StateLayout};
-use crate::normal_equations::{LandmarkBlocks, NormalEquations};
+use crate::normal_equations::NormalEquations;
 use crate::pose_priors::{PriorFactor, PriorFactors};
 use crate::relative_pose::RelativePose;
 use crate::sparse_system::SparseSystem;
@@ -128,13 +129,13 @@ fn eliminating_landmarks_solves_the_full_equations() {
     let mut rng = StdRng::seed_from_u64(10);
     let (poses, landmarks) = (4, 6);
     let size = 6 * poses + 3 * landmarks;
-    let mut equations = NormalEquations::new(of_poses(poses));
+    let mut run = LandmarkEquations::new(0..poses);
     let mut full = DMatrix::zeros(size, size);
     let mut right = DVector::zeros(size);
     for pose in 0..poses {
         let information = Matrix6::identity() * 30.0;
         let gradient = Vector6::from_fn(|_, _| rng.random_range(-1.0..1.0));
-        equations.add_pose(pose, &information, &gradient);
+        run.add_pose(pose, &information, &gradient);
         let mut block = full.fixed_view_mut::<6, 6>(6 * pose, 6 * pose);
         block += information;
         let mut part = right.fixed_rows_mut::<6>(6 * pose);
@@ -151,10 +152,10 @@ fn eliminating_landmarks_solves_the_full_equations() {
         let coupling = |matrix: DMatrix<f64>| Matrix6x3::from_column_slice(matrix.as_slice());
         let vector = |matrix: DMatrix<f64>| Vector6::from_column_slice(matrix.as_slice());
         let column_residual = DMatrix::from_column_slice(8, 1, residual.as_slice());
-        equations.add_pose(a, &six(by_a.transpose() * by_a), &vector(by_a.transpose() * &column_residual));
-        equations.add_pose(b, &six(by_b.transpose() * by_b), &vector(by_b.transpose() * &column_residual));
-        equations.add_landmark(LandmarkBlocks {
-            pairs: vec![(a, b, six(by_a.transpose() * by_b))],
+        run.add_pose(a, &six(by_a.transpose() * by_a), &vector(by_a.transpose() * &column_residual));
+        run.add_pose(b, &six(by_b.transpose() * by_b), &vector(by_b.transpose() * &column_residual));
+        run.add_pair(a, b, &six(by_a.transpose() * by_b));
+        run.add_landmark(&LandmarkBlocks {
             couplings: vec![
                 (a, coupling(by_a.transpose() * by_landmark)),
                 (b, coupling(by_b.transpose() * by_landmark)),
@@ -169,6 +170,8 @@ fn eliminating_landmarks_solves_the_full_equations() {
         full += row.transpose() * &row;
         right += row.transpose() * residual;
     }
+    let mut equations = NormalEquations::new(of_poses(poses));
+    equations.add_landmarks(run);
     let step = equations.solve(0.0).unwrap();
     let solution = full.cholesky().unwrap().solve(&right);
     let points_found =

@@ -21,6 +21,7 @@ use crate::{BuildOptions, BuildReport, Spread, StoredPoses, build_map, tracks};
 
 mod equations;
 mod extension;
+mod selection;
 
 fn normal(rng: &mut StdRng) -> f64 {
     StandardNormal.sample(rng)

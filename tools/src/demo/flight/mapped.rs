@@ -56,6 +56,7 @@ impl MappedRoom {
         let mut extractor = open(DEFAULT_EXTRACTOR, None)?;
         let extraction = Extraction {
             extractor: extractor.as_mut(),
+            others: &mut [],
             max_features: MAX_FEATURES,
             mask: None,
             stereo: true,
