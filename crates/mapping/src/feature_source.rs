@@ -130,14 +130,13 @@ impl<'e, 'r> FeatureSource<'e, 'r> {
 
     /// Extracts images ahead, all at the same time: as many of those that are not ready as there are extractors.
     pub(super) fn prepare(&mut self, images: &[(&Frame, usize)]) {
-        let Some(extraction) = &mut self.extraction else { return };
-        let extractors = 1 + extraction.others.len();
         let missing: Vec<(&Frame, usize)> = images
             .iter()
-            .filter(|(frame, camera)| !self.ready.contains_key(&(frame.stamp_ns, *camera)))
-            .take(extractors)
+            .filter(|(frame, camera)| !self.is_ready(frame, *camera))
+            .take(self.at_once())
             .copied()
             .collect();
+        let Some(extraction) = &mut self.extraction else { return };
         let (cameras, max_features) = (self.cameras, extraction.max_features);
         let mask = extraction.mask;
         let extract = move |extractor: &mut dyn FeatureExtractor, (frame, index): (&Frame, usize)| {

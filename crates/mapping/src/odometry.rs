@@ -11,7 +11,7 @@ use geometry::pose::Pose;
 use geometry::uncertain_pose::PoseWithCovariance;
 use nalgebra::Vector2;
 use protocol::{DescriptorFormat, FeatureSet};
-use sensors::{Frame, ReferencePose, Sequence};
+use sensors::{CameraSensor, Frame, ReferencePose, Sequence};
 
 use super::error::BuildError;
 use super::feature_source::FeatureSource;
@@ -87,8 +87,7 @@ impl Odometry {
                 let frames = between(&sequence.frames, last_ns, keyframe.stamp_ns);
                 for frame in spaced(frames, last_ns, keyframe.stamp_ns) {
                     let Some(state) = self.at(frame.stamp_ns) else { continue };
-                    let reference = local_reference(frame.stamp_ns, state);
-                    let prior = camera_pose(&reference, &sequence.cameras[0].imu_from_camera, options);
+                    let prior = local_prior(frame.stamp_ns, state, &sequence.cameras[0], options);
                     views.push(bridging_view(frame.stamp_ns, &prior, format));
                 }
             }
@@ -120,16 +119,24 @@ impl Odometry {
         }
         let view = |selected: &'a KeyframeView<'static>| {
             let state = self.at(selected.stamp_ns)?;
-            let reference = local_reference(selected.stamp_ns, state);
-            let prior = camera_pose(&reference, &sequence.cameras[0].imu_from_camera, options);
-            Some(selected.borrowed(&prior))
+            Some(selected.borrowed(&local_prior(selected.stamp_ns, state, &sequence.cameras[0], options)))
         };
         Ok(selected.views.iter().filter_map(view).collect())
     }
 }
 
+/// The pose of a camera at a state, as certain as it is relative to its neighbours.
+pub(super) fn local_prior(
+    stamp_ns: i64,
+    state: &ImuState,
+    sensor: &CameraSensor,
+    options: &BuildOptions,
+) -> PoseWithCovariance {
+    camera_pose(&local_reference(stamp_ns, state), &sensor.imu_from_camera, options)
+}
+
 /// The pose of a state, as certain as it is relative to its neighbours.
-pub(super) fn local_reference(stamp_ns: i64, state: &ImuState) -> ReferencePose {
+fn local_reference(stamp_ns: i64, state: &ImuState) -> ReferencePose {
     let [sigma_theta, sigma_p] = LOCAL_SIGMAS;
     ReferencePose::isotropic(stamp_ns, state.local_from_imu, sigma_theta, sigma_p)
 }

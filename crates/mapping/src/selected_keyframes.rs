@@ -10,9 +10,9 @@ use sensors::{CameraSensor, Frame};
 use super::camera::MappingCamera;
 use super::error::BuildError;
 use super::feature_source::{Extraction, FeatureSource};
-use super::keyframe_selection::{KeyframeSelector, camera_pose, is_in_time};
+use super::keyframe_selection::{KeyframeSelector, is_in_time};
 use super::keyframe_view::KeyframeView;
-use super::odometry::local_reference;
+use super::odometry::local_prior;
 use super::options::BuildOptions;
 use super::progress::{Progress, Stage};
 
@@ -63,8 +63,7 @@ pub fn select_during<T>(
             if frame.images[0].is_none() || !is_in_time(frame.stamp_ns, first_ns, options) {
                 return;
             }
-            let reference = local_reference(frame.stamp_ns, state);
-            let prior = camera_pose(&reference, &sensors[0].imu_from_camera, options);
+            let prior = local_prior(frame.stamp_ns, state, &sensors[0], options);
             // The receiver is gone after an error, which the selection returns.
             let _ = outbox.send((frame.clone(), prior));
         };

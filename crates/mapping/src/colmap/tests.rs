@@ -187,19 +187,17 @@ fn points_that_do_not_fit_are_left_out_and_images_of_another_size_are_named() {
             }
             Ok(vision::GrayImage::from_fn(size[0], size[1], |x, y| ((x * 7 + y * 13) % 251) as u8))
         };
-        let mut extraction = crate::Extraction {
-            extractor: extractor.as_mut(),
-            others: &mut [],
-            max_features: 50,
-            mask: None,
-            stereo: false,
-        };
+        let mut extraction = few_features(extractor.as_mut());
         super::import_colmap(&model, &frame(), image, &mut extraction, ["hall", "test"], &mut |_, _, _| {})
     };
     let error = import([640, 400], true).unwrap_err();
     assert!(matches!(&error, BuildError::ColmapImageSize { image, .. } if image == "0.png"), "{error}");
     let error = import([752, 480], false).unwrap_err();
     assert!(matches!(error, BuildError::NoDescribedPoints { unreadable: 5 }), "{error}");
+}
+
+fn few_features(extractor: &mut dyn vision::FeatureExtractor) -> crate::Extraction<'_> {
+    crate::Extraction { extractor, others: &mut [], max_features: 50, mask: None, stereo: false }
 }
 
 #[test]
@@ -212,13 +210,7 @@ fn images_that_share_no_points_are_named() {
         model.images.insert(id, image);
     }
     let mut extractor = vision::features::open("sift-1", None).unwrap();
-    let mut extraction = crate::Extraction {
-        extractor: extractor.as_mut(),
-        others: &mut [],
-        max_features: 50,
-        mask: None,
-        stereo: false,
-    };
+    let mut extraction = few_features(extractor.as_mut());
     let read = |_: &str| Ok(vision::GrayImage::from_fn(752, 480, |_, _| 0));
     let names = ["hall", "test"];
     let error = super::import_colmap(&model, &frame(), read, &mut extraction, names, &mut |_, _, _| {});
