@@ -5,11 +5,15 @@
 //! cargo test --release --workspace --test live_latency -- --ignored --nocapture
 //! ```
 //! The robot is a process of its own, on processor 1 where `taskset` is installed; what plays the recording is on the others.
+//! Where the ground truth is known, the odometry of each loop is scored from its initialization on.
 //! `SEQUENCE` (a folder in `target/data`), `SWITCHES` (`--mode odometry --cameras mono`), `LOOPS` (1), and `BUSY` (0: programs
 //! that keep the robot's processor busy: with 3 it has a quarter) in the environment change what is measured.
 #![allow(clippy::unwrap_used)]
 
 use anyhow::Result;
+use evaluation::trajectory::{self, StateRow};
+use evaluation::{ScoreOptions, score_run};
+use nalgebra::Vector3;
 use onboard::StopSignal;
 use protocol::sensors::{ImageHeader, decode_imu};
 use protocol::{Format, RobotOdometry, keys};
@@ -153,6 +157,22 @@ impl SensorTopics for Later<'_> {
     }
 }
 
+/// The error and the consistency of the odometry in a loop.
+fn print_score(turn: u64, states: &[StateRow], by_ns: i64, sequence: &Sequence) {
+    let Some(truth) = &sequence.groundtruth else { return };
+    let original = |row: &StateRow| StateRow { stamp_ns: row.stamp_ns - by_ns, ..row.clone() };
+    let states: Vec<StateRow> = states.iter().map(original).collect();
+    match score_run(&states, truth, -Vector3::z(), &ScoreOptions::default()) {
+        Ok(score) => println!(
+            "loop {turn}: {} states, aligned {:.4} m, NEES {:.2}",
+            score.local.samples,
+            score.odometry_yaw_aligned_m.rmse,
+            score.local.nees_pose.unwrap_or(f64::NAN)
+        ),
+        Err(error) => println!("loop {turn}: {error}"),
+    }
+}
+
 fn number(name: &str, default: u64) -> u64 {
     std::env::var(name).map_or(default, |text| text.parse().unwrap())
 }
@@ -197,11 +217,11 @@ fn how_late_the_poses_of_a_live_camera_are() {
 
     let first_ns = sequence.frames.first().unwrap().stamp_ns;
     let length_ns = sequence.frames.last().unwrap().stamp_ns - first_ns;
+    let between_loops_ns = length_ns + PAUSE_S as i64 * 1_000_000_000;
     let (before_s, begin) = (robot.processor_s(), Instant::now());
     let (mut images, mut memory) = (0, Vec::new());
     for turn in 0..number("LOOPS", 1) {
-        let by_ns = turn as i64 * (length_ns + PAUSE_S as i64 * 1_000_000_000);
-        let later = Later { topics: &topics, by_ns };
+        let later = Later { topics: &topics, by_ns: turn as i64 * between_loops_ns };
         images += play(&later, &mut played.source().unwrap(), 1.0, 0, &stop).unwrap().frames;
         memory.push(resident_mb(robot.0.id()).unwrap());
         std::thread::sleep(Duration::from_secs(PAUSE_S));
@@ -226,6 +246,10 @@ fn how_late_the_poses_of_a_live_camera_are() {
         100.0 * share,
         summary["milliseconds_per_frame"]["total"],
     );
+    let states = trajectory::states::read(&run.join("states.csv")).unwrap();
+    for turn in 0..number("LOOPS", 1) {
+        print_score(turn, &states, turn as i64 * between_loops_ns, &sequence);
+    }
     println!("resident after each loop, MB: {memory:.0?}");
     drop(busy);
     driver.close();
