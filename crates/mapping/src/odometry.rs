@@ -136,7 +136,7 @@ pub(super) fn local_prior(
 }
 
 /// The pose of a state, as certain as it is relative to its neighbours.
-fn local_reference(stamp_ns: i64, state: &ImuState) -> ReferencePose {
+pub(super) fn local_reference(stamp_ns: i64, state: &ImuState) -> ReferencePose {
     let [sigma_theta, sigma_p] = LOCAL_SIGMAS;
     ReferencePose::isotropic(stamp_ns, state.local_from_imu, sigma_theta, sigma_p)
 }
