@@ -1,7 +1,8 @@
 //! Records of a map's database.
 
 use map::store::record::{
-    CrossCovarianceRecord, InfoRecord, KeyframeRecord, LandmarkRecord, RecordError, unseal, unseal_info,
+    CommonErrorRecord, CrossCovarianceRecord, InfoRecord, KeyframeRecord, LandmarkRecord, RecordError,
+    unseal, unseal_info,
 };
 
 /// Key of the record; any, since the checksum is made for it.
@@ -24,6 +25,9 @@ fn read_all(bytes: impl Fn(&str) -> Vec<u8>) {
     let cross: Result<CrossCovarianceRecord, RecordError> =
         unseal("cross_covariances", KEY, &bytes("cross_covariances"));
     let _ = cross.map(|record| record.into_cross_covariance(1, 2));
+    let common: Result<CommonErrorRecord, RecordError> =
+        unseal("common_errors", KEY, &bytes("common_errors"));
+    let _ = common.map(|record| record.into_common_error(1));
 }
 
 fn sealed(table: &str, version: u8, payload: &[u8]) -> Vec<u8> {

@@ -1,6 +1,6 @@
 //! Differences between two versions of a map, as robots need them; see [`map::difference`].
 
-use map::difference::{Motion, has_moved, is_recorrelated};
+use map::difference::{Motion, has_moved, has_other_common_error, is_recorrelated};
 use protocol::{CodecError, Format, KeyframeId, MapChangeNotice, StatedChange, keys};
 use zenoh::Session;
 use zenoh::bytes::Encoding;
@@ -87,14 +87,22 @@ fn moves(old: &LoadedMap, new: &LoadedMap, id: KeyframeId) -> bool {
 }
 
 /// The keyframes in both versions with a changed cross-covariance between them, sorted.
+///
+/// Where a keyframe's common error changes, those with all others do.
 fn with_changed_cross_covariances(old: &LoadedMap, new: &LoadedMap) -> Vec<KeyframeId> {
     let mut changed = Vec::new();
-    for (a, b) in old.correlated_pairs().chain(new.correlated_pairs()) {
+    for keyframe in old.keyframes().filter(|keyframe| new.keyframe(keyframe.id).is_some()) {
+        let [before, now] = [old, new].map(|map| map.common_error(keyframe.id));
+        if has_other_common_error(before, now, keyframe) {
+            changed.push(keyframe.id);
+        }
+    }
+    for (a, b) in old.listed_pairs().chain(new.listed_pairs()) {
         if [a, b].iter().any(|id| new.keyframe(*id).is_none()) {
             continue;
         }
         let [Some(of_a), Some(of_b)] = [a, b].map(|id| old.keyframe(id)) else { continue };
-        let [before, now] = [old, new].map(|map| map.cross_covariance(a, b).unwrap_or_default());
+        let [before, now] = [old, new].map(|map| map.listed_block(a, b).unwrap_or_default());
         if is_recorrelated(&before, &now, [of_a, of_b]) {
             changed.extend([a, b]);
         }
@@ -107,12 +115,12 @@ fn with_changed_cross_covariances(old: &LoadedMap, new: &LoadedMap) -> Vec<Keyfr
 #[cfg(test)]
 mod tests {
     use geometry::{Camera, Distortion, Pose, PoseWithCovariance, rotation};
-    use nalgebra::{Matrix6, Vector3};
+    use nalgebra::{Matrix6, Matrix6xX, Vector3};
     use protocol::DescriptorKind;
 
     use super::*;
     use map::contents::MapContents;
-    use map::model::{Keyframe, KeyframeCrossCovariance, MapMetadata};
+    use map::model::{CommonError, Keyframe, KeyframeCrossCovariance, MapMetadata};
 
     fn camera() -> Camera {
         Camera {
@@ -144,6 +152,7 @@ mod tests {
             keyframes: (0..keyframes).map(keyframe).collect(),
             landmarks: Vec::new(),
             cross_covariances: (0..keyframes - 1).map(cross).collect(),
+            common_errors: Vec::new(),
         }
     }
 
@@ -202,6 +211,20 @@ mod tests {
         let change = change(contents(1, 10), new);
         assert_eq!(change.moved, [4, 7, 8]);
         assert_eq!(change.changed, [1, 2, 4, 7, 8]);
+    }
+
+    #[test]
+    fn a_keyframe_with_another_common_error_has_moved() {
+        let [mut old, mut new] = [1, 2].map(|version| contents(version, 10));
+        for (map, scale) in [(&mut old, 1.0), (&mut new, 1.0 + 1e-9)] {
+            map.common_errors = (0..10)
+                .map(|keyframe| CommonError { keyframe, factor: Matrix6xX::repeat(2, 1e-3 * scale) })
+                .collect();
+        }
+        new.common_errors[6].factor *= -1.0;
+        new.common_errors.remove(3);
+        let change = change(old, new);
+        assert_eq!((&change.moved[..], &change.changed[..]), (&[3, 6][..], &[3, 6][..]));
     }
 
     #[test]

@@ -28,7 +28,7 @@
 //! # async fn main() -> Result<(), Box<dyn std::error::Error + Send + Sync>> {
 //! let session = open_session(&SessionOptions::default()).await?;
 //! let info = MapInfoReply {
-//!     name: "hall".into(), version: 4, identity: MapIdentity::from_bytes([7; 16]), database_schema: 3, keyframes: 212,
+//!     name: "hall".into(), version: 4, identity: MapIdentity::from_bytes([7; 16]), database_schema: 4, keyframes: 212,
 //!     landmarks: 9841, observations: 35120,
 //!     cross_covariances: 0, gravity_in_global: None, extent: None, descriptors: None, extractor: "orb-1".into(),
 //!     sigma_map_px: 1.0,

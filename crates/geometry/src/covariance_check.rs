@@ -87,6 +87,38 @@ pub fn check_covariance<const N: usize>(covariance: &SMatrix<f64, N, N>) -> Resu
     check_eigenvalues(&correlation)
 }
 
+/// Checks that `covariance - part` is positive semi-definite, within [`COVARIANCE_TOLERANCE`] of the *covariance*: where `part`
+/// explains all of it, what is left is rounding.
+///
+/// # Arguments
+/// * `covariance`: passes [`check_covariance`].
+///
+/// # Errors
+/// [`CovarianceError`]: the first violation found.
+pub fn check_difference<const N: usize>(
+    covariance: &SMatrix<f64, N, N>,
+    part: &SMatrix<f64, N, N>,
+) -> Result<(), CovarianceError> {
+    let left = covariance - part;
+    if !left.iter().all(|value| value.is_finite()) {
+        return Err(CovarianceError::NotFinite);
+    }
+    let sigma: [f64; N] = std::array::from_fn(|index| covariance[(index, index)].max(0.0).sqrt());
+    let mut scaled = SMatrix::<f64, N, N>::zeros();
+    for row in 0..N {
+        for column in 0..N {
+            let scale = sigma[row] * sigma[column];
+            let entry = (left[(row, column)] + left[(column, row)]) * 0.5;
+            if scale > 0.0 {
+                scaled[(row, column)] = entry / scale;
+            } else if entry != 0.0 {
+                return Err(CovarianceError::ExceedsVariances { row, column });
+            }
+        }
+    }
+    check_eigenvalues(&scaled)
+}
+
 /// No eigenvalue is below minus the tolerance: then, and only then, the matrix plus the tolerance has a Cholesky factor.
 fn check_eigenvalues<const N: usize>(correlation: &SMatrix<f64, N, N>) -> Result<(), CovarianceError> {
     let shift = SMatrix::<f64, N, N>::from_diagonal_element(COVARIANCE_TOLERANCE);

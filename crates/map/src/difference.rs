@@ -5,7 +5,7 @@
 //! both versions have, per axis, of the rotation from the old to the new pose and of the change of position. A rigid motion of
 //! the whole map is thus measured at the keyframes, where robots are, and not at the origin of its frame.
 
-use crate::model::Keyframe;
+use crate::model::{CommonError, Keyframe};
 use geometry::Pose;
 use nalgebra::{Matrix6, Vector6};
 use protocol::StatedChange;
@@ -31,6 +31,28 @@ pub fn has_moved(before: &Keyframe, now: &Keyframe) -> bool {
 pub fn is_recorrelated(before: &Matrix6<f64>, now: &Matrix6<f64>, keyframes: [&Keyframe; 2]) -> bool {
     let [rows, columns] = keyframes.map(|keyframe| keyframe.global_from_keyframe.covariance.diagonal());
     differ(before, now, [&rows, &columns])
+}
+
+/// Whether what a keyframe errs together with others changed by more than rounding.
+///
+/// # Arguments
+/// * `before`, `now`: `None` where the map states none.
+pub fn has_other_common_error(
+    before: Option<&CommonError>,
+    now: Option<&CommonError>,
+    keyframe: &Keyframe,
+) -> bool {
+    let (before, now) = match (before, now) {
+        (None, None) => return false,
+        (Some(before), Some(now)) if before.factor.ncols() == now.factor.ncols() => (before, now),
+        _ => return true,
+    };
+    let variances = keyframe.global_from_keyframe.covariance.diagonal();
+    let change = &now.factor - &before.factor;
+    let row_differs = |(row, variance): (usize, &f64)| {
+        change.row(row).amax() > MIN_COVARIANCE_CHANGE * variance.max(0.0).sqrt()
+    };
+    variances.iter().enumerate().any(row_differs)
 }
 
 /// Whether two covariances of the same errors differ.

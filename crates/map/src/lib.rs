@@ -6,7 +6,7 @@
 //!
 //! | module | what |
 //! |---|---|
-//! | [`model`] | keyframes, landmarks, observations, cross-covariances |
+//! | [`model`] | keyframes, landmarks, observations, cross-covariances, common errors |
 //! | [`contents`] | a whole map in memory and its invariants |
 //! | [`store`] | maps in databases: the [`MapStore`] trait, and its implementation on sled |
 //! | [`edit`] | taking keyframes and landmarks out |
@@ -23,6 +23,6 @@ pub mod model;
 pub mod store;
 pub mod text;
 
-pub use contents::{ContentsError, MapContents};
-pub use model::{Keyframe, KeyframeCrossCovariance, Landmark, MapMetadata, Observation};
+pub use contents::{ContentsError, FarCorrelations, MapContents};
+pub use model::{CommonError, Keyframe, KeyframeCrossCovariance, Landmark, MapMetadata, Observation};
 pub use store::{MapStore, RecordError, STORE_SCHEMA, SavedMap, StoreError, StoredMap};

@@ -1,4 +1,4 @@
-//! The elements of a map: keyframes, landmarks in their anchors, observations, cross-covariances.
+//! The elements of a map: keyframes, landmarks in their anchors, observations, cross-covariances, common errors.
 //!
 //! # Frames
 //! All geometry is relative to the keyframe poses `global_from_keyframe` (G from the keyframe's camera frame, metres). A
@@ -7,7 +7,7 @@
 
 use geometry::camera::Camera;
 use geometry::uncertain_pose::PoseWithCovariance;
-use nalgebra::{Matrix6, Vector3};
+use nalgebra::{Matrix6, Matrix6xX, Vector3};
 use protocol::{DescriptorKind, FeatureSet, KeyframeId, LandmarkId, MapIdentity};
 use serde::{Deserialize, Serialize};
 
@@ -105,7 +105,8 @@ pub struct Observation {
     pub descriptor: Vec<u8>,
 }
 
-/// Covariance between the pose errors of two keyframes; the errors of pairs that a map does not list are independent.
+/// Covariance between the pose errors of two keyframes, beyond what both have in [`CommonError`]s; zero for pairs that a map
+/// does not list.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct KeyframeCrossCovariance {
     /// The keyframe of the rows. In a stored map `a < b`, see [`KeyframeCrossCovariance::ordered`].
@@ -125,4 +126,18 @@ impl KeyframeCrossCovariance {
             KeyframeCrossCovariance { a: self.b, b: self.a, block: self.block.transpose() }
         }
     }
+}
+
+/// What a keyframe errs together with all others: `e = U x + rest`, where `x` holds independent standard normal numbers, the
+/// same for the whole map, and `rest` is correlated as the map's [`KeyframeCrossCovariance`]s say.
+///
+/// So the covariance of two keyframes is `U_a U_bᵀ`, plus the block of the pair where the map lists one. That of a keyframe
+/// with itself stays the one that the keyframe states, which contains `U Uᵀ`. Maps state it where they have too many pairs to
+/// list all.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct CommonError {
+    /// Whose error it is.
+    pub keyframe: KeyframeId,
+    /// `U`, a row for each number of `[δθ, δp]` in G (rad, m), a column for each number of `x`: of all keyframes equally many.
+    pub factor: Matrix6xX<f64>,
 }

@@ -5,14 +5,14 @@ use std::collections::BTreeMap;
 use geometry::camera::Camera;
 use geometry::uncertain_pose::PoseWithCovariance;
 use map::contents::MapContents;
-use map::model::{Keyframe, KeyframeCrossCovariance, Landmark, MapMetadata, Observation};
-use nalgebra::{Matrix6, Vector3};
+use map::model::{CommonError, Keyframe, KeyframeCrossCovariance, Landmark, MapMetadata, Observation};
+use nalgebra::{DVector, Matrix6, Vector3};
 use protocol::KeyframeId;
 
 use super::bundle_adjustment::Bundle;
 use super::camera::{CameraPose, MappingCamera};
 use super::error::BuildError;
-use super::joint_covariance::{ALL_UP_TO, JointCovariance};
+use super::joint_covariance::JointCovariance;
 use super::keyframe_view::KeyframeView;
 use super::landmark::InverseDepthLandmark;
 use super::options::BuildOptions;
@@ -66,12 +66,10 @@ pub(super) fn map_contents(
             features: None,
         })
         .collect();
-    let cross = |(a, b, block): (usize, usize, Matrix6<f64>)| KeyframeCrossCovariance {
-        a: keyframe_id(a),
-        b: keyframe_id(b),
-        block,
-    };
-    contents.cross_covariances = joint.into_iter().flat_map(|joint| joint.cross).map(cross).collect();
+    if let Some(joint) = &joint {
+        (contents.cross_covariances, contents.common_errors) =
+            joint.of_keyframes(|view| Some(keyframe_id(view)));
+    }
     let has_descriptors = |landmark: &&InverseDepthLandmark| {
         landmark.observations.iter().all(|observation| {
             let (view, feature) = observation.feature;
@@ -155,9 +153,6 @@ fn sigma_tilt(contents: &MapContents) -> Option<f64> {
 /// Standard deviation of the scale that fits the stated positions to the true ones best, in the sense of least squares.
 fn sigma_scale(contents: &MapContents) -> Option<f64> {
     let keyframes = &contents.keyframes;
-    if keyframes.len() > ALL_UP_TO {
-        return None;
-    }
     let position = |keyframe: &Keyframe| keyframe.global_from_keyframe.pose.translation;
     let mean = keyframes.iter().map(position).sum::<Vector3<f64>>() / keyframes.len() as f64;
     let moment: f64 = keyframes.iter().map(|keyframe| (position(keyframe) - mean).norm_squared()).sum();
@@ -168,8 +163,16 @@ fn sigma_scale(contents: &MapContents) -> Option<f64> {
     };
     let own = |keyframe: &Keyframe| term(keyframe.id, keyframe.id, &keyframe.global_from_keyframe.covariance);
     let cross = |cross: &KeyframeCrossCovariance| 2.0 * term(cross.a, cross.b, &cross.block);
-    let variance =
-        keyframes.iter().map(own).sum::<f64>() + contents.cross_covariances.iter().map(cross).sum::<f64>();
+    // What keyframes err together, each with the others but not with itself.
+    let weighted = |common: &CommonError| common.factor.fixed_rows::<3>(3).tr_mul(&weights[&common.keyframe]);
+    let columns = contents.common_errors.first().map_or(0, |common| common.factor.ncols());
+    let together =
+        contents.common_errors.iter().fold(DVector::zeros(columns), |sum, common| sum + weighted(common));
+    let with_itself =
+        contents.common_errors.iter().map(|common| weighted(common).norm_squared()).sum::<f64>();
+    let variance = keyframes.iter().map(own).sum::<f64>()
+        + contents.cross_covariances.iter().map(cross).sum::<f64>()
+        + (together.norm_squared() - with_itself);
     Some(variance.max(0.0).sqrt()).filter(|sigma| sigma.is_finite())
 }
 

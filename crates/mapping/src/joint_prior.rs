@@ -2,7 +2,7 @@
 
 use geometry::pose::Pose;
 use map::contents::MapContents;
-use nalgebra::{DMatrix, DVector, Vector3};
+use nalgebra::{DMatrix, DVector, Matrix6, Vector3};
 
 use super::bundle_adjustment::pose_error;
 use super::layout::{POSE, StateLayout};
@@ -35,10 +35,20 @@ impl JointPrior {
             covariance.fixed_view_mut::<POSE, POSE>(POSE * at, POSE * at).copy_from(&own);
         }
         let index_of = |id: u64| keyframes.binary_search_by_key(&id, |keyframe| keyframe.id).ok();
+        let mut add = |a: usize, b: usize, block: &Matrix6<f64>| {
+            let mut upper = covariance.fixed_view_mut::<POSE, POSE>(POSE * a, POSE * b);
+            upper += block;
+            let mut lower = covariance.fixed_view_mut::<POSE, POSE>(POSE * b, POSE * a);
+            lower += block.transpose();
+        };
         for cross in &contents.cross_covariances {
-            let (a, b) = (index_of(cross.a)?, index_of(cross.b)?);
-            covariance.fixed_view_mut::<POSE, POSE>(POSE * a, POSE * b).copy_from(&cross.block);
-            covariance.fixed_view_mut::<POSE, POSE>(POSE * b, POSE * a).copy_from(&cross.block.transpose());
+            add(index_of(cross.a)?, index_of(cross.b)?, &cross.block);
+        }
+        for (at, one) in contents.common_errors.iter().enumerate() {
+            for other in &contents.common_errors[..at] {
+                let together = &one.factor * other.factor.transpose();
+                add(index_of(one.keyframe)?, index_of(other.keyframe)?, &together);
+            }
         }
         let poses = keyframes.iter().map(|keyframe| keyframe.global_from_keyframe.pose).collect();
         Some(JointPrior { first, poses, information: covariance.cholesky()?.inverse() })

@@ -113,11 +113,11 @@ pub struct BuildReport {
     pub sigma_pose_deg: Spread,
     /// Standard deviation of the stated positions per axis (m, root mean square over the three).
     pub sigma_pose_m: Spread,
-    /// Standard deviation of the scale of the stated positions (1); `None` where a map is too large to state all correlations.
+    /// Standard deviation of the scale of the stated positions (1); `None` where they determine none.
     pub sigma_scale: Option<f64>,
     /// Standard deviation of the first keyframe's tilt against gravity, an axis (deg); `None` where gravity is not known.
     pub sigma_tilt_deg: Option<f64>,
-    /// Pairs of keyframes with a cross-covariance.
+    /// Pairs of keyframes with a stated cross-covariance: in large maps all are correlated, and the nearer ones have a block.
     pub cross_covariances: usize,
     /// Rotation between reference and refined poses (deg).
     pub pose_correction_deg: Spread,

@@ -304,7 +304,7 @@ impl<'a, 'p> Builder<'a, 'p> {
         let [sigma_theta, sigma_p] = SEARCH_SIGMAS;
         let covariance: Matrix6<f64> = isotropic_covariance(sigma_theta, sigma_p);
         let own = keyframes.map(|(view, _)| (view, covariance)).collect();
-        let joint = JointCovariance { own, cross: Vec::new() };
+        let joint = JointCovariance::of_independent(own);
         let sigma_px = self.options.sigma_px.unwrap_or(FIRST_SIGMA_PX);
         let camera = &self.cameras[0].camera;
         let contents =

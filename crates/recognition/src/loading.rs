@@ -41,12 +41,13 @@ impl MapLoader {
         observation_counts: &[u32],
     ) -> Result<MapLoader, LoadError> {
         u32::try_from(landmark_count).map_err(|_| DescriptorError::Full)?;
-        let MapContents { info, mut keyframes, mut cross_covariances, .. } = contents;
+        let MapContents { info, mut keyframes, mut cross_covariances, mut common_errors, .. } = contents;
         for keyframe in &mut keyframes {
             keyframe.features = None;
         }
         keyframes.shrink_to_fit();
         cross_covariances.shrink_to_fit();
+        common_errors.shrink_to_fit();
         let (kind, width) = (info.descriptor_kind, usize::from(info.descriptor_width));
         let observations = Observations::with_counts(observation_counts.iter().copied(), width)?;
         let viewpoint = |keyframe: &Keyframe| Viewpoint::of(&keyframe.global_from_keyframe.pose);
@@ -58,6 +59,7 @@ impl MapLoader {
             viewpoints: keyframes.iter().map(viewpoint).collect(),
             keyframes,
             cross_covariances,
+            common_errors,
             viewing_distance: 0.0,
             damaged: 0,
             observations,

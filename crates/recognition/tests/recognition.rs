@@ -254,6 +254,62 @@ fn cross_covariances_go_to_smaller_ranks_and_held_keyframes() {
     assert!(blocks > 0);
 }
 
+/// Keyframes err together whether or not the map lists their pair: every block is sent, that of the pair added.
+#[test]
+fn common_errors_correlate_all_keyframes() {
+    let mut place = Place::new(&PlaceOptions::default());
+    testing::add_common_errors(&mut place.map, 3);
+    let map = loaded(&place);
+    let common =
+        |id: u64| &place.map.common_errors.iter().find(|common| common.keyframe == id).unwrap().factor;
+    let mut request = place.request(&place.camera_at(20.5, 0.0, 0.0), 6, &mut StdRng::seed_from_u64(17));
+    request.held = place.map.keyframes.iter().map(|keyframe| keyframe.id).collect();
+    let (keyframes, _) = ask(&map, &request);
+    assert!(keyframes.len() > 1);
+    for keyframe in &keyframes {
+        let id = keyframe.keyframe.id;
+        assert_eq!(keyframe.cross_covariances.len(), place.map.keyframes.len() - 1);
+        for cross in &keyframe.cross_covariances {
+            let together = common(id) * common(cross.other).transpose();
+            let expected = match map.listed_block(id, cross.other) {
+                Some(beyond) => together + beyond,
+                None => together,
+            };
+            assert!((cross.block - expected).amax() < 1e-15);
+        }
+    }
+    let [a, b] = [keyframes[0].keyframe.id, keyframes[1].keyframe.id];
+    let (there, back) = (map.cross_covariance(a, b).unwrap(), map.cross_covariance(b, a).unwrap());
+    assert!((there - back.transpose()).amax() < 1e-15);
+}
+
+/// A part of a map knows what the keyframes of other parts err together with its own.
+#[test]
+fn a_part_answers_for_keyframes_of_other_parts() {
+    let mut place = Place::new(&PlaceOptions::default());
+    testing::add_common_errors(&mut place.map, 3);
+    let whole = loaded(&place);
+    let mut part = place.map.clone();
+    let outside: std::collections::BTreeSet<u64> =
+        part.keyframes.iter().skip(9).map(|keyframe| keyframe.id).collect();
+    map::edit::remove_keyframes(&mut part, &outside);
+    let inside = part.keyframes[2].id;
+    let far = map::FarCorrelations {
+        cross_covariances: Vec::new(),
+        common_errors: place
+            .map
+            .common_errors
+            .iter()
+            .filter(|common| outside.contains(&common.keyframe))
+            .cloned()
+            .collect(),
+    };
+    let part = LoadedMap::from_part(part, far).unwrap();
+    for other in outside {
+        assert_eq!(part.cross_covariance(inside, other), whole.cross_covariance(inside, other));
+    }
+}
+
 #[test]
 fn the_same_query_has_the_same_answer() {
     let place = Place::new(&PlaceOptions::default());
@@ -535,7 +591,7 @@ fn a_loaded_map_holds_what_its_contents_hold() {
         assert_eq!(map.cross_covariance(cross.a, cross.b), Some(cross.block));
         assert_eq!(map.cross_covariance(cross.b, cross.a), Some(cross.block.transpose()));
     }
-    assert_eq!(map.correlated_pairs().count(), contents.cross_covariances.len());
+    assert_eq!(map.listed_pairs().count(), contents.cross_covariances.len());
     assert_eq!(map.cross_covariance(u64::MAX, contents.keyframes[0].id), None);
 }
 

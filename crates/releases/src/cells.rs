@@ -1,14 +1,15 @@
 //! A map cut into cells, and put together again.
 //!
-//! Everything is in exactly one cell: a keyframe in that of its position, a landmark in that of its anchor, a cross-covariance in
-//! that of its first keyframe. So nothing is sent twice, and nothing is lost.
+//! Everything is in exactly one cell: a keyframe in that of its position with its common error, a landmark in that of its
+//! anchor, a cross-covariance in that of its first keyframe. So nothing is sent twice, and nothing is lost.
 //!
 //! Beside it a cell has a *border*, what an answer of this cell needs of others: the landmarks that its keyframes observe, the
 //! keyframes that observe one of these, and the cross-covariances of its own keyframes and of those of the border with all
-//! others. So a cell answers for its keyframes with everything that the whole map has: no correlation is cut.
+//! others. The common errors of all cells are read besides, since they correlate any two keyframes. So a cell answers for its keyframes
+//! with everything that the whole map has: no correlation is cut.
 
 use crate::partition::{CellId, Partition};
-use map::{Keyframe, KeyframeCrossCovariance, Landmark, MapContents, MapMetadata};
+use map::{CommonError, Keyframe, KeyframeCrossCovariance, Landmark, MapContents, MapMetadata};
 use protocol::KeyframeId;
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
@@ -19,6 +20,7 @@ pub(crate) struct CellContents {
     pub(crate) keyframes: Vec<Keyframe>,
     pub(crate) landmarks: Vec<Landmark>,
     pub(crate) cross_covariances: Vec<KeyframeCrossCovariance>,
+    pub(crate) common_errors: Vec<CommonError>,
 }
 
 /// The same, by reference.
@@ -28,6 +30,16 @@ pub(crate) struct CellView<'a> {
     pub(crate) keyframes: Vec<Cow<'a, Keyframe>>,
     pub(crate) landmarks: Vec<&'a Landmark>,
     pub(crate) cross_covariances: Vec<&'a KeyframeCrossCovariance>,
+    /// A border has none.
+    pub(crate) common_errors: Vec<&'a CommonError>,
+}
+
+impl<'a> CellView<'a> {
+    /// Its common errors alone, which servers of other cells read; `None` where it has none.
+    pub(crate) fn only_common_errors(&self) -> Option<CellView<'a>> {
+        let common_errors = self.common_errors.clone();
+        (!common_errors.is_empty()).then(|| CellView { common_errors, ..CellView::default() })
+    }
 }
 
 /// A cell and its border.
@@ -54,6 +66,11 @@ pub(crate) fn split<'a>(
         for cell in borders.get(&keyframe.id).into_iter().flatten() {
             let bordered = cells.entry(*cell).or_default();
             bordered.border.keyframes.push(Cow::Owned(without_features(keyframe)));
+        }
+    }
+    for common in &contents.common_errors {
+        if let Some(cell) = cell_of.get(&common.keyframe).and_then(|cell| cells.get_mut(cell)) {
+            cell.own.common_errors.push(common);
         }
     }
     for cross in &contents.cross_covariances {
@@ -117,6 +134,7 @@ pub(crate) fn join(info: MapMetadata, cells: impl IntoIterator<Item = CellConten
         contents.keyframes.extend(cell.keyframes);
         contents.landmarks.extend(cell.landmarks);
         contents.cross_covariances.extend(cell.cross_covariances);
+        contents.common_errors.extend(cell.common_errors);
     }
     contents.sort();
     contents

@@ -4,8 +4,8 @@
 //! changed in all of them.
 
 use crate::cells::{CellContents, CellView};
-use map::difference::{Motion, has_moved, is_recorrelated};
-use map::{Keyframe, KeyframeCrossCovariance, Landmark};
+use map::difference::{Motion, has_moved, has_other_common_error, is_recorrelated};
+use map::{CommonError, Keyframe, KeyframeCrossCovariance, Landmark};
 use nalgebra::Matrix6;
 use protocol::{KeyframeId, StatedChange};
 use serde::{Deserialize, Serialize};
@@ -55,7 +55,8 @@ impl ReleasedChange {
                 continue;
             };
             motion.add(&former.global_from_keyframe.pose, &present.global_from_keyframe.pose);
-            if has_moved(former, present) {
+            let common = [before, now].map(|cells| cells.common_errors.get(id).copied());
+            if has_moved(former, present) || has_other_common_error(common[0], common[1], former) {
                 moved.insert(*id);
             }
             if former.camera != present.camera || former.stamp_ns != present.stamp_ns {
@@ -124,6 +125,7 @@ pub(crate) struct ChangedCells<'a> {
     keyframes: BTreeMap<KeyframeId, &'a Keyframe>,
     landmarks: Vec<&'a Landmark>,
     cross_covariances: Vec<&'a KeyframeCrossCovariance>,
+    common_errors: BTreeMap<KeyframeId, &'a CommonError>,
 }
 
 impl<'a> ChangedCells<'a> {
@@ -133,6 +135,7 @@ impl<'a> ChangedCells<'a> {
             changed.keyframes.extend(cell.keyframes.iter().map(|keyframe| (keyframe.id, keyframe)));
             changed.landmarks.extend(&cell.landmarks);
             changed.cross_covariances.extend(&cell.cross_covariances);
+            changed.common_errors.extend(cell.common_errors.iter().map(|common| (common.keyframe, common)));
         }
         changed
     }
@@ -141,6 +144,7 @@ impl<'a> ChangedCells<'a> {
         self.keyframes.extend(cell.keyframes.iter().map(|keyframe| (keyframe.id, keyframe.as_ref())));
         self.landmarks.extend(&cell.landmarks);
         self.cross_covariances.extend(&cell.cross_covariances);
+        self.common_errors.extend(cell.common_errors.iter().map(|common| (common.keyframe, *common)));
     }
 
     /// A digest of what each keyframe observes of these landmarks, whatever their order.

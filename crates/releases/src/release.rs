@@ -11,8 +11,8 @@ use std::collections::BTreeMap;
 /// Layout of releases. One with a larger number is refused.
 ///
 /// 1: as in the first version. 2: each cell has a border and coarse landmarks, so that it can be served by itself, and the release
-/// says what changed. New releases have the newest.
-pub const RELEASE_SCHEMA: u16 = 2;
+/// says what changed. 3: common errors. New releases have the newest.
+pub const RELEASE_SCHEMA: u16 = 3;
 /// The oldest layout that is read.
 const OLDEST_RELEASE_SCHEMA: u16 = 1;
 
@@ -92,6 +92,9 @@ pub struct ServedCell {
     pub border: SegmentName,
     /// What tells from afar whether an image could be of this cell.
     pub coarse: SegmentName,
+    /// What its keyframes err together with those of all cells; `None` where its map states nothing of it.
+    #[serde(default)]
+    pub common_errors: Option<SegmentName>,
     /// Observations of the landmarks that are anchored in its keyframes.
     pub observations: usize,
     /// Cross-covariances that are stored with its keyframes.
@@ -162,7 +165,10 @@ impl ReleasedMap {
 impl ReleasedCell {
     /// Its own segment, and those for serving it by itself.
     pub(crate) fn segments(&self) -> impl Iterator<Item = &SegmentName> {
-        let serving = self.serving.iter().flat_map(|serving| [&serving.border, &serving.coarse]);
+        let serving = self
+            .serving
+            .iter()
+            .flat_map(|serving| [&serving.border, &serving.coarse].into_iter().chain(&serving.common_errors));
         std::iter::once(&self.segment).chain(serving)
     }
 }

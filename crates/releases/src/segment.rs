@@ -1,8 +1,8 @@
 //! The bytes of a cell.
 //!
 //! ```text
-//! "driftless segment 1\n"
-//! for keyframes, landmarks, cross-covariances:
+//! "driftless segment 1\n", or with common errors "driftless segment 2\n"
+//! for keyframes, landmarks, cross-covariances, and in the second case common errors:
 //!     number of records u64 LE
 //!     for each: key (8 bytes, of a pair 16, big-endian) | length u32 LE | record as in a database
 //! ```
@@ -10,17 +10,23 @@
 
 use crate::cells::{CellContents, CellView};
 use crate::error::SegmentError;
-use map::store::record::{CrossCovarianceRecord, KeyframeRecord, LandmarkRecord, seal, unseal};
+use map::store::record::{
+    CommonErrorRecord, CrossCovarianceRecord, KeyframeRecord, LandmarkRecord, seal, unseal,
+};
 use map::{KeyframeCrossCovariance, RecordError};
 
 const MAGIC: &[u8] = b"driftless segment 1\n";
+/// Of a segment with common errors: as long as the other one.
+const MAGIC_COMMON: &[u8] = b"driftless segment 2\n";
 const KEYFRAMES: &str = "keyframes";
 const LANDMARKS: &str = "landmarks";
 const CROSS_COVARIANCES: &str = "cross_covariances";
+const COMMON_ERRORS: &str = "common_errors";
 
 /// Encodes a cell.
 pub(crate) fn encode(cell: &CellView<'_>) -> Result<Vec<u8>, RecordError> {
-    let mut bytes = MAGIC.to_vec();
+    let has_common = !cell.common_errors.is_empty();
+    let mut bytes = if has_common { MAGIC_COMMON } else { MAGIC }.to_vec();
     begin(&mut bytes, cell.keyframes.len());
     for keyframe in &cell.keyframes {
         let key = keyframe.id.to_be_bytes();
@@ -36,13 +42,21 @@ pub(crate) fn encode(cell: &CellView<'_>) -> Result<Vec<u8>, RecordError> {
         let key = pair_key(&cross);
         append(&mut bytes, &key, &seal(CROSS_COVARIANCES, &key, &CrossCovarianceRecord::new(&cross))?)?;
     }
+    if has_common {
+        begin(&mut bytes, cell.common_errors.len());
+        for common in &cell.common_errors {
+            let key = common.keyframe.to_be_bytes();
+            append(&mut bytes, &key, &seal(COMMON_ERRORS, &key, &CommonErrorRecord::new(common))?)?;
+        }
+    }
     Ok(bytes)
 }
 
 /// Decodes a cell. Counts and lengths are believed only as far as there are bytes.
 pub(crate) fn decode(bytes: &[u8]) -> Result<CellContents, SegmentError> {
     let mut reader = Reader { bytes, at: 0 };
-    if reader.take(MAGIC.len()).ok() != Some(MAGIC) {
+    let magic = reader.take(MAGIC.len()).ok();
+    if magic != Some(MAGIC) && magic != Some(MAGIC_COMMON) {
         return Err(SegmentError::NotASegment);
     }
     let mut cell = CellContents::default();
@@ -60,6 +74,13 @@ pub(crate) fn decode(bytes: &[u8]) -> Result<CellContents, SegmentError> {
         cell.cross_covariances.push(reader.record(|[a, b]: [u64; 2], key, sealed| {
             Ok(unseal::<CrossCovarianceRecord>(CROSS_COVARIANCES, key, sealed)?.into_cross_covariance(a, b))
         })?);
+    }
+    if magic == Some(MAGIC_COMMON) {
+        for _ in 0..reader.count()? {
+            cell.common_errors.push(reader.record(|[id]: [u64; 1], key, sealed| {
+                Ok(unseal::<CommonErrorRecord>(COMMON_ERRORS, key, sealed)?.into_common_error(id))
+            })?);
+        }
     }
     match bytes.len() - reader.at {
         0 => Ok(cell),
@@ -132,11 +153,14 @@ mod tests {
     use crate::cells::{join, split};
     use crate::partition::Partition;
     use proptest::prelude::*;
-    use testing::{Place, PlaceOptions};
+    use testing::{Place, PlaceOptions, add_common_errors};
 
-    fn bytes() -> Vec<u8> {
+    fn bytes(common: bool) -> Vec<u8> {
         let options = PlaceOptions { keyframes: 6, landmarks: 80, ..PlaceOptions::default() };
-        let map = Place::new(&options).map;
+        let mut map = Place::new(&options).map;
+        if common {
+            add_common_errors(&mut map, 2);
+        }
         let cells = split(&map, &Partition::whole(map.info.gravity_in_global));
         let bytes = encode(&cells[&0].own).unwrap();
         let mut sorted = map.clone();
@@ -148,14 +172,17 @@ mod tests {
     proptest! {
         #[test]
         fn no_bytes_make_it_panic_and_none_are_believed(
+            common: bool,
             cut in 0..1_000_000_usize, at in 0..1_000_000_usize, bit in 0..8_u8, noise: Vec<u8>,
         ) {
-            let bytes = bytes();
+            let bytes = bytes(common);
             prop_assert!(decode(&bytes[..cut % bytes.len()]).is_err());
             let mut flipped = bytes.clone();
             flipped[at % bytes.len()] ^= 1 << bit;
             prop_assert!(decode(&flipped).is_err());
-            prop_assert!(decode(&[MAGIC, noise.as_slice()].concat()).is_err());
+            for magic in [MAGIC, MAGIC_COMMON] {
+                prop_assert!(decode(&[magic, noise.as_slice()].concat()).is_err());
+            }
             prop_assert!(decode(&[bytes.as_slice(), &[0]].concat()).is_err());
         }
     }

@@ -1,16 +1,16 @@
 //! Cells that are served by themselves: each has all that the map has about its keyframes, and releases say what changed.
 #![allow(clippy::unwrap_used)]
 
-use map::{Keyframe, KeyframeCrossCovariance, MapContents};
+use map::{CommonError, FarCorrelations, Keyframe, KeyframeCrossCovariance, MapContents};
 use nalgebra::Matrix6;
 use protocol::KeyframeId;
 use releases::{
-    Cell, Outcome, PublishOptions, Release, ReleaseError, ReleaseStore, fetch_cell, fetch_coarse, publish,
-    roll_back,
+    Cell, Outcome, PublishOptions, Release, ReleaseError, ReleaseStore, fetch, fetch_cell, fetch_coarse,
+    publish, roll_back,
 };
 use std::collections::{BTreeMap, BTreeSet};
 use tempfile::TempDir;
-use testing::{Place, PlaceOptions};
+use testing::{Place, PlaceOptions, add_common_errors};
 
 /// A map in which every keyframe is correlated with many others, as after a bundle adjustment.
 fn place(seed: u64) -> MapContents {
@@ -56,12 +56,16 @@ fn blocks<'a>(crosses: impl IntoIterator<Item = &'a KeyframeCrossCovariance>) ->
 async fn a_cell_has_all_that_the_map_has_about_its_keyframes_and_those_of_its_border() {
     for (seed, keyframes_a_cell) in [(1, 6), (2, 10), (3, 20), (4, 100)] {
         let (_folder, store) = store();
-        let contents = place(seed);
+        let mut contents = place(seed);
+        if seed % 2 == 0 {
+            add_common_errors(&mut contents, 3);
+        }
         let release = published(&store, &contents, keyframes_a_cell).await;
+        assert_eq!(fetch(&store, &release, None).await.unwrap().common_errors, contents.common_errors);
         let all = blocks(&contents.cross_covariances);
         let mut owned = BTreeSet::new();
         for released in &release.cells {
-            let Cell { own, contents: part, far_cross_covariances } =
+            let Cell { own, contents: part, far: FarCorrelations { cross_covariances, common_errors } } =
                 fetch_cell(&store, &release, released.cell, None).await.unwrap();
             assert_eq!(own.len(), released.keyframes);
             assert!(own.iter().all(|id| owned.insert(*id)), "keyframes of two cells");
@@ -83,7 +87,11 @@ async fn a_cell_has_all_that_the_map_has_about_its_keyframes_and_those_of_its_bo
                 .map(|(pair, block)| (*pair, *block))
                 .collect();
             let near = blocks(&part.cross_covariances);
-            let far = blocks(&far_cross_covariances);
+            let far = blocks(&cross_covariances);
+            let mut common: Vec<CommonError> =
+                part.common_errors.iter().chain(&common_errors).cloned().collect();
+            common.sort_by_key(|common| common.keyframe);
+            assert_eq!(common, contents.common_errors);
             assert_eq!(near.len() + far.len(), expected.len());
             assert_eq!(near.into_iter().chain(far).collect::<Blocks>(), expected);
             for keyframe in &part.keyframes {

@@ -9,8 +9,8 @@ pub use memory::resident_mb;
 
 use geometry::uncertain_pose::isotropic_covariance;
 use geometry::{Camera, Distortion, Pose, PoseWithCovariance};
-use map::{Keyframe, KeyframeCrossCovariance, Landmark, MapContents, MapMetadata, Observation};
-use nalgebra::{UnitQuaternion, Vector2, Vector3, Vector6};
+use map::{CommonError, Keyframe, KeyframeCrossCovariance, Landmark, MapContents, MapMetadata, Observation};
+use nalgebra::{Matrix6xX, UnitQuaternion, Vector2, Vector3, Vector6};
 use protocol::{DescriptorKind, Descriptors, FeatureSet, MatchRequest};
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
@@ -20,6 +20,26 @@ pub const DESCRIPTOR_BYTES: usize = 32;
 /// Standard deviations of a keyframe's pose.
 pub const SIGMA_THETA: f64 = 0.005;
 pub const SIGMA_P: f64 = 0.02;
+
+/// Adds common errors of so many columns to the keyframes of a place: a quarter of their variance at most.
+pub fn add_common_errors(map: &mut MapContents, columns: usize) {
+    let part = (0.04 / columns as f64).sqrt();
+    map.common_errors = map
+        .keyframes
+        .iter()
+        .map(|keyframe| {
+            let sigmas = keyframe.global_from_keyframe.covariance.diagonal().map(f64::sqrt);
+            let sign = |row: usize, column: usize| {
+                let phase = (keyframe.id * (column as u64 + 1)) as usize / 7 + row * (column + 2);
+                if phase.is_multiple_of(3) { -1.0 } else { 1.0 }
+            };
+            let factor = Matrix6xX::from_fn(columns, |row, column| part * sigmas[row] * sign(row, column));
+            CommonError { keyframe: keyframe.id, factor }
+        })
+        .collect();
+    map.sort();
+    map.info.identity = Some(map.digest());
+}
 
 /// How a place is made.
 #[derive(Clone, Debug)]

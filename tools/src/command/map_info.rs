@@ -40,6 +40,7 @@ struct Summary {
     landmarks: usize,
     observations: usize,
     cross_covariances: usize,
+    common_errors: usize,
     damaged_records: Vec<String>,
     descriptor_kind: &'static str,
     descriptor_bytes: u16,
@@ -100,6 +101,7 @@ fn summary(map: PathBuf, stored: &StoredMap) -> Summary {
         landmarks: contents.landmarks.len(),
         observations: contents.observation_count(),
         cross_covariances: contents.cross_covariances.len(),
+        common_errors: contents.common_errors.len(),
         damaged_records: stored.damaged.iter().map(ToString::to_string).collect(),
         descriptor_kind: contents.info.descriptor_kind.label(),
         descriptor_bytes: contents.info.descriptor_width,
@@ -142,6 +144,7 @@ fn print_summary(summary: &Summary) {
     println!("  sigma per axis, deg    {}", spread(&summary.sigma_theta_deg, 3));
     println!("  sigma per axis, m      {}", spread(&summary.sigma_p_m, 3));
     println!("  cross-covariances      {}", summary.cross_covariances);
+    println!("  common errors          {}", summary.common_errors);
     println!("landmarks                {}", summary.landmarks);
     println!("  depth in anchor, m     {}", spread(&summary.landmark_depth_m, 1));
     println!("  a keyframe             {}", spread(&summary.landmarks_per_keyframe, 0));

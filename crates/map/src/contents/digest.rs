@@ -5,8 +5,10 @@ use serde::Serialize;
 use sha2::{Digest as _, Sha256};
 
 use super::MapContents;
-use crate::model::{Keyframe, KeyframeCrossCovariance, Landmark, MapMetadata};
-use crate::store::record::{CrossCovarianceRecord, InfoRecord, KeyframeRecord, LandmarkRecord, payload};
+use crate::model::{CommonError, Keyframe, KeyframeCrossCovariance, Landmark, MapMetadata};
+use crate::store::record::{
+    CommonErrorRecord, CrossCovarianceRecord, InfoRecord, KeyframeRecord, LandmarkRecord, payload,
+};
 
 impl MapContents {
     /// The first 16 bytes of the SHA-256 over all records in the order of their ids, whatever their order here. Equal for
@@ -32,11 +34,17 @@ impl MapContents {
         for cross in &crosses {
             digest.add_cross_covariance(cross);
         }
+        let mut common_errors: Vec<_> = self.common_errors.iter().collect();
+        common_errors.sort_by_key(|common| common.keyframe);
+        for common in common_errors {
+            digest.add_common_error(common);
+        }
         digest.finish()
     }
 }
 
-/// A digest of what is added: all keyframes, all landmarks, all cross-covariances, each in the order of their ids.
+/// A digest of what is added: all keyframes, all landmarks, all cross-covariances, all common errors, each in the order of
+/// their ids.
 pub(crate) struct RunningDigest(Sha256);
 
 impl RunningDigest {
@@ -62,6 +70,10 @@ impl RunningDigest {
     /// Adds a cross-covariance with `a < b`.
     pub(crate) fn add_cross_covariance(&mut self, cross: &KeyframeCrossCovariance) {
         self.add("cross_covariances", &[cross.a, cross.b], &CrossCovarianceRecord::new(cross));
+    }
+
+    pub(crate) fn add_common_error(&mut self, common: &CommonError) {
+        self.add("common_errors", &[common.keyframe], &CommonErrorRecord::new(common));
     }
 
     /// Every part is preceded by its length, so that no two sequences of records have the same bytes.

@@ -40,6 +40,14 @@ pub enum ContentsError {
         /// What is wrong with it.
         problem: CrossCovarianceProblem,
     },
+    /// A common error is impossible.
+    #[error("common error of keyframe {keyframe}: {problem}")]
+    CommonError {
+        /// Whose error it is.
+        keyframe: KeyframeId,
+        /// What is wrong with it.
+        problem: CommonErrorProblem,
+    },
 }
 
 /// What can be wrong with [`crate::MapMetadata`].
@@ -183,4 +191,27 @@ pub enum CrossCovarianceProblem {
     /// The 12x12 covariance of the pair is none.
     #[error("the joint covariance of the two {0}")]
     JointCovariance(CovarianceError),
+}
+
+/// What can be wrong with a [`crate::CommonError`].
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum CommonErrorProblem {
+    /// The keyframe has more than one.
+    #[error("the keyframe occurs twice")]
+    Duplicate,
+    /// The keyframe is missing.
+    #[error("it is not in the map")]
+    UnknownKeyframe,
+    /// Its factor has not as many columns as those of the others.
+    #[error("its factor has {found} columns, that of the first one has {expected}")]
+    Columns {
+        /// Its columns.
+        found: usize,
+        /// Those of the first common error.
+        expected: usize,
+    },
+    /// What is left of the keyframe's covariance, or the covariance itself, is none.
+    #[error("the keyframe's covariance without it {0}")]
+    Remaining(CovarianceError),
 }

@@ -10,11 +10,14 @@ use std::collections::BTreeSet;
 use protocol::KeyframeId;
 
 pub(crate) use digest::RunningDigest;
-pub use error::{ContentsError, CrossCovarianceProblem, KeyframeProblem, LandmarkProblem, MetadataProblem};
+pub use error::{
+    CommonErrorProblem, ContentsError, CrossCovarianceProblem, KeyframeProblem, LandmarkProblem,
+    MetadataProblem,
+};
 pub use observation_counts::ObservationCounts;
 pub use validation::validate_landmark;
 
-use crate::model::{Keyframe, KeyframeCrossCovariance, Landmark, MapMetadata};
+use crate::model::{CommonError, Keyframe, KeyframeCrossCovariance, Landmark, MapMetadata};
 
 /// A map in memory: what import, export and map building work on.
 ///
@@ -40,12 +43,29 @@ pub struct MapContents {
     pub landmarks: Vec<Landmark>,
     /// All known cross-covariances, `a < b`, by (a, b).
     pub cross_covariances: Vec<KeyframeCrossCovariance>,
+    /// What keyframes err together, by keyframe; of those without one, zero.
+    pub common_errors: Vec<CommonError>,
+}
+
+/// What correlates the keyframes of a part of a map with those of other parts.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct FarCorrelations {
+    /// Cross-covariances with them, each pair once.
+    pub cross_covariances: Vec<KeyframeCrossCovariance>,
+    /// Their common errors.
+    pub common_errors: Vec<CommonError>,
 }
 
 impl MapContents {
     /// A map without keyframes.
     pub fn empty(info: MapMetadata) -> MapContents {
-        MapContents { info, keyframes: Vec::new(), landmarks: Vec::new(), cross_covariances: Vec::new() }
+        MapContents {
+            info,
+            keyframes: Vec::new(),
+            landmarks: Vec::new(),
+            cross_covariances: Vec::new(),
+            common_errors: Vec::new(),
+        }
     }
 
     /// Sorts everything by id, the observations of a landmark by keyframe, and cross-covariances to `a < b`.
@@ -59,10 +79,11 @@ impl MapContents {
             *cross = cross.ordered();
         }
         self.cross_covariances.sort_by_key(|cross| (cross.a, cross.b));
+        self.common_errors.sort_by_key(|common| common.keyframe);
     }
 
-    /// Removes landmarks whose anchor is missing, observations in missing keyframes, and cross-covariances of missing
-    /// keyframes.
+    /// Removes landmarks whose anchor is missing, observations in missing keyframes, and cross-covariances and common errors
+    /// of missing keyframes.
     pub(crate) fn drop_dangling(&mut self) {
         let keyframes: BTreeSet<KeyframeId> = self.keyframes.iter().map(|keyframe| keyframe.id).collect();
         self.landmarks.retain(|landmark| keyframes.contains(&landmark.anchor));
@@ -70,6 +91,7 @@ impl MapContents {
             landmark.observations.retain(|observation| keyframes.contains(&observation.keyframe));
         }
         self.cross_covariances.retain(|cross| keyframes.contains(&cross.a) && keyframes.contains(&cross.b));
+        self.common_errors.retain(|common| keyframes.contains(&common.keyframe));
     }
 
     /// Number of observations over all landmarks.

@@ -2,31 +2,33 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use geometry::covariance_check::check_covariance;
+use geometry::covariance_check::{check_covariance, check_difference};
 use geometry::is_coordinate;
 use nalgebra::{Matrix6, SMatrix};
 use protocol::{DescriptorKind, KeyframeId, MAX_EXTRACTOR_BYTES};
 
 use super::error::{
-    ContentsError, CrossCovarianceProblem, KeyframeProblem, LandmarkProblem, MetadataProblem,
+    CommonErrorProblem, ContentsError, CrossCovarianceProblem, KeyframeProblem, LandmarkProblem,
+    MetadataProblem,
 };
 use crate::contents::MapContents;
-use crate::model::{Keyframe, KeyframeCrossCovariance, Landmark, MapMetadata, Observation};
+use crate::model::{CommonError, Keyframe, KeyframeCrossCovariance, Landmark, MapMetadata, Observation};
 
 /// How far the norm of a quaternion or of the gravity direction may be from 1: a map is computed in `f64`, and text
 /// maps are normalized on reading.
 const UNIT_TOLERANCE: f64 = 1e-6;
 
 type Keyframes<'a> = BTreeMap<KeyframeId, &'a Keyframe>;
+type CommonErrors<'a> = BTreeMap<KeyframeId, &'a CommonError>;
 
 impl MapContents {
     /// Checks every invariant of a map: ids are unique, references exist, numbers are finite, positions are within [`geometry::MAX_COORDINATE_M`], quaternions and gravity
     /// are of unit length, pixels lie in their images, descriptors have the map's width, covariances (of one
-    /// keyframe, and of each pair with a cross-covariance) are symmetric and positive semi-definite, and each
-    /// landmark is observed by its anchor.
+    /// keyframe, what its common error leaves of it, and of each pair with a cross-covariance) are symmetric and positive
+    /// semi-definite, and each landmark is observed by its anchor.
     ///
     /// # Errors
-    /// The first [`ContentsError`] in the order metadata, keyframes, landmarks, cross-covariances.
+    /// The first [`ContentsError`] in the order metadata, keyframes, landmarks, common errors, cross-covariances.
     pub fn validate(&self) -> Result<(), ContentsError> {
         check_metadata(&self.info)?;
         let mut keyframes = Keyframes::new();
@@ -43,14 +45,27 @@ impl MapContents {
                 .and_then(|()| ensure(first, LandmarkProblem::Duplicate))
                 .map_err(|problem| ContentsError::Landmark { id: landmark.id, problem })?;
         }
+        let common = self.check_common_errors(&keyframes)?;
         let mut pairs = BTreeSet::new();
         for cross in &self.cross_covariances {
             let first = pairs.insert((cross.a.min(cross.b), cross.a.max(cross.b)));
-            check_cross_covariance(cross, &keyframes)
+            check_cross_covariance(cross, &keyframes, &common)
                 .and_then(|()| ensure(first, CrossCovarianceProblem::Duplicate))
                 .map_err(|problem| ContentsError::CrossCovariance { a: cross.a, b: cross.b, problem })?;
         }
         Ok(())
+    }
+
+    fn check_common_errors(&self, keyframes: &Keyframes<'_>) -> Result<CommonErrors<'_>, ContentsError> {
+        let expected = self.common_errors.first().map_or(0, |common| common.factor.ncols());
+        let mut checked = CommonErrors::new();
+        for common in &self.common_errors {
+            let first = checked.insert(common.keyframe, common).is_none();
+            check_common_error(common, expected, keyframes)
+                .and_then(|()| ensure(first, CommonErrorProblem::Duplicate))
+                .map_err(|problem| ContentsError::CommonError { keyframe: common.keyframe, problem })?;
+        }
+        Ok(checked)
     }
 }
 
@@ -153,19 +168,40 @@ fn check_observation(
     ensure(found == usize::from(expected), problem)
 }
 
+/// Checks one common error against the keyframe whose it is.
+///
+/// # Arguments
+/// * `expected`: columns of its factor.
+fn check_common_error(
+    common: &CommonError,
+    expected: usize,
+    keyframes: &Keyframes<'_>,
+) -> Result<(), CommonErrorProblem> {
+    let keyframe = keyframes.get(&common.keyframe).ok_or(CommonErrorProblem::UnknownKeyframe)?;
+    let found = common.factor.ncols();
+    ensure(found == expected, CommonErrorProblem::Columns { found, expected })?;
+    check_difference(&keyframe.global_from_keyframe.covariance, &(&common.factor * common.factor.transpose()))
+        .map_err(CommonErrorProblem::Remaining)
+}
+
 /// Checks one cross-covariance against the two keyframes that it names.
 fn check_cross_covariance(
     cross: &KeyframeCrossCovariance,
     keyframes: &Keyframes<'_>,
+    common: &CommonErrors<'_>,
 ) -> Result<(), CrossCovarianceProblem> {
     ensure(cross.a != cross.b, CrossCovarianceProblem::SameKeyframe)?;
     let (Some(a), Some(b)) = (keyframes.get(&cross.a), keyframes.get(&cross.b)) else {
         return Err(CrossCovarianceProblem::UnknownKeyframe);
     };
+    let together = match (common.get(&cross.a), common.get(&cross.b)) {
+        (Some(of_a), Some(of_b)) => &of_a.factor * of_b.factor.transpose(),
+        _ => Matrix6::zeros(),
+    };
     let joint = joint_covariance(
         &a.global_from_keyframe.covariance,
         &b.global_from_keyframe.covariance,
-        &cross.block,
+        &(cross.block + together),
     );
     check_covariance(&joint).map_err(CrossCovarianceProblem::JointCovariance)
 }

@@ -13,7 +13,8 @@
 //! |---|---|
 //! | `map.yaml` | name, origin, direction of gravity in G, kind of the descriptors, sigma of the map's pixels |
 //! | `covariances.csv` | keyframe, 6x6 covariance of `[δθ, δp]` in G by rows: replaces the two sigmas |
-//! | `cross_covariances.csv` | two keyframes, 6x6 block `E[e_a e_bᵀ]` by rows |
+//! | `cross_covariances.csv` | two keyframes, 6x6 block `E[e_a e_bᵀ]` by rows, without what `common_errors.csv` says |
+//! | `common_errors.csv` | keyframe, 6xN factor `U` by columns: adds `U_a U_bᵀ` to the covariance of any two keyframes |
 //! | `features.csv` | keyframe, pixel, descriptor: all features of an image, also those without a landmark |
 //! | `camera_1.yaml` ... | further cameras; `keyframes.csv` then has a column with the camera's number |
 //!
@@ -57,10 +58,20 @@ mod names {
     pub(super) const INFO: &str = "map.yaml";
     pub(super) const COVARIANCES: &str = "covariances.csv";
     pub(super) const CROSS_COVARIANCES: &str = "cross_covariances.csv";
+    pub(super) const COMMON_ERRORS: &str = "common_errors.csv";
     pub(super) const FEATURES: &str = "features.csv";
     /// All of them.
-    pub(super) const ALL: [&str; 8] =
-        [KEYFRAMES, LANDMARKS, OBSERVATIONS, CAMERA, INFO, COVARIANCES, CROSS_COVARIANCES, FEATURES];
+    pub(super) const ALL: [&str; 9] = [
+        KEYFRAMES,
+        LANDMARKS,
+        OBSERVATIONS,
+        CAMERA,
+        INFO,
+        COVARIANCES,
+        CROSS_COVARIANCES,
+        COMMON_ERRORS,
+        FEATURES,
+    ];
 
     /// The file of one of several cameras.
     pub(super) fn camera(index: u32) -> String {
@@ -76,5 +87,6 @@ mod columns {
     pub(super) const OBSERVATIONS: &str = "landmark,keyframe,u [px],v [px],descriptor [hex]";
     pub(super) const COVARIANCES: &str = "keyframe,36 entries of the 6x6 covariance by rows";
     pub(super) const CROSS_COVARIANCES: &str = "keyframe_a,keyframe_b,36 entries of the 6x6 block by rows";
+    pub(super) const COMMON_ERRORS: &str = "keyframe,6 entries of each column of its factor";
     pub(super) const FEATURES: &str = "keyframe,u [px],v [px],descriptor [hex]";
 }

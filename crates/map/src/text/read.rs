@@ -4,11 +4,11 @@ use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 
 use crate::contents::MapContents;
-use crate::model::{Keyframe, KeyframeCrossCovariance, Landmark, Observation};
+use crate::model::{CommonError, Keyframe, KeyframeCrossCovariance, Landmark, Observation};
 use geometry::camera::Camera;
 use geometry::pose::Pose;
 use geometry::uncertain_pose::{PoseWithCovariance, isotropic_covariance};
-use nalgebra::{Matrix6, Quaternion, Unit, Vector3};
+use nalgebra::{Matrix6, Matrix6xX, Quaternion, Unit, Vector3};
 use protocol::{DescriptorFormat, DescriptorKind, FeatureSet, KeyframeId, LandmarkId};
 
 use super::camera_yaml::read_camera;
@@ -48,6 +48,7 @@ pub fn read_map(folder: &Path) -> Result<MapContents, MapFileError> {
     let mut contents = MapContents {
         info,
         cross_covariances: read_cross_covariances(folder, &keyframes)?,
+        common_errors: read_common_errors(folder, &keyframes)?,
         keyframes: keyframes.into_values().collect(),
         landmarks: landmarks.into_values().collect(),
     };
@@ -162,6 +163,26 @@ fn read_cross_covariances(
             let (a, b) = (keyframe_of(&row, 0, keyframes)?.id, keyframe_of(&row, 1, keyframes)?.id);
             let block = Matrix6::from_row_slice(&row.numbers::<36>(2, "cross-covariance")?);
             Ok(KeyframeCrossCovariance { a, b, block })
+        })
+        .collect()
+}
+
+fn read_common_errors(
+    folder: &Path,
+    keyframes: &BTreeMap<KeyframeId, Keyframe>,
+) -> Result<Vec<CommonError>, MapFileError> {
+    let Some(table) = Table::read_optional(&folder.join(names::COMMON_ERRORS))? else {
+        return Ok(Vec::new());
+    };
+    table
+        .rows()
+        .map(|row| {
+            let whole = 1 + (row.len() - 1) / 6 * 6;
+            row.expect_fields(whole, whole, columns::COMMON_ERRORS)?;
+            let keyframe = keyframe_of(&row, 0, keyframes)?.id;
+            let entries: Vec<f64> =
+                (1..row.len()).map(|index| row.number(index, "factor")).collect::<Result<_, _>>()?;
+            Ok(CommonError { keyframe, factor: Matrix6xX::from_column_slice(&entries) })
         })
         .collect()
 }

@@ -3,11 +3,11 @@
 use std::path::Path;
 
 use crate::contents::MapContents;
-use crate::model::{Keyframe, KeyframeCrossCovariance, Landmark, MapMetadata, Observation};
+use crate::model::{CommonError, Keyframe, KeyframeCrossCovariance, Landmark, MapMetadata, Observation};
 use geometry::camera::{Camera, Distortion};
 use geometry::pose::Pose;
 use geometry::uncertain_pose::{PoseWithCovariance, isotropic_covariance};
-use nalgebra::{Matrix6, Vector3};
+use nalgebra::{Matrix6, Matrix6xX, Vector3};
 use protocol::{DescriptorKind, Descriptors, FeatureSet};
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
@@ -87,6 +87,10 @@ fn random_map(seed: u64, rich: bool) -> MapContents {
     if rich {
         let block = Matrix6::from_fn(|_, _| rng.random_range(-1e-5..1e-5));
         contents.cross_covariances.push(KeyframeCrossCovariance { a: 6, b: 12, block });
+        for keyframe in [6, 12, 24] {
+            let factor = Matrix6xX::from_fn(7, |_, _| rng.random_range(-1e-3..1e-3));
+            contents.common_errors.push(CommonError { keyframe, factor });
+        }
     }
     contents.sort();
     contents.validate().unwrap();

@@ -62,6 +62,7 @@ fn texts(contents: &MapContents) -> Vec<(String, String)> {
         (names::INFO, info_text(&contents.info, width)),
         (names::COVARIANCES, covariances_text(contents)),
         (names::CROSS_COVARIANCES, cross_covariances_text(contents)),
+        (names::COMMON_ERRORS, common_errors_text(contents)),
         (names::FEATURES, features_text(contents)),
     ];
     files.extend(optional.into_iter().filter_map(|(name, text)| Some((name.to_owned(), text?))));
@@ -161,6 +162,16 @@ fn cross_covariances_text(contents: &MapContents) -> Option<String> {
         text.push('\n');
     }
     (!contents.cross_covariances.is_empty()).then_some(text)
+}
+
+fn common_errors_text(contents: &MapContents) -> Option<String> {
+    let mut text = format!("#{}\n", columns::COMMON_ERRORS);
+    for common in &contents.common_errors {
+        let _ = write!(text, "{}", common.keyframe);
+        push_numbers(&mut text, common.factor.iter().copied());
+        text.push('\n');
+    }
+    (!contents.common_errors.is_empty()).then_some(text)
 }
 
 fn features_text(contents: &MapContents) -> Option<String> {

@@ -11,7 +11,7 @@ use crate::refinement::{REPROJECTION_GATE, median_sigma_px};
 use geometry::uncertain_pose::PoseWithCovariance;
 use map::colmap::{ColmapImage, ColmapModel};
 use map::contents::MapContents;
-use map::model::{Keyframe, KeyframeCrossCovariance, Landmark, MapMetadata, Observation};
+use map::model::{Keyframe, Landmark, MapMetadata, Observation};
 use nalgebra::Vector2;
 use protocol::KeyframeId;
 use sensors::kind_of;
@@ -216,11 +216,8 @@ impl<'a> Scene<'a> {
             }
         };
         contents.keyframes = (0..self.views.len()).filter(is_used).map(keyframe).collect();
-        let cross = |&(a, b, block): &(usize, usize, nalgebra::Matrix6<f64>)| {
-            let both = is_used(&a) && is_used(&b);
-            both.then_some(KeyframeCrossCovariance { a: self.images[a].0, b: self.images[b].0, block })
-        };
-        contents.cross_covariances = joint.cross.iter().filter_map(cross).collect();
+        (contents.cross_covariances, contents.common_errors) =
+            joint.of_keyframes(|view| is_used(&view).then(|| self.images[view].0));
     }
 }
 

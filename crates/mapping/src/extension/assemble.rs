@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use geometry::uncertain_pose::PoseWithCovariance;
 use map::contents::MapContents;
-use map::model::{KeyframeCrossCovariance, Landmark, Observation};
+use map::model::{Landmark, Observation};
 use protocol::{KeyframeId, LandmarkId};
 
 use super::error::ExtendError;
@@ -20,7 +20,7 @@ pub(super) fn extended(
     stored: &MapContents,
     builder: &Builder<'_, '_>,
     both: &Bundle,
-    joint: JointCovariance,
+    joint: &JointCovariance,
     sigma_px: f64,
 ) -> Result<MapContents, ExtendError> {
     let views = builder.views.len();
@@ -28,10 +28,8 @@ pub(super) fn extended(
     let (again, new): (Vec<_>, Vec<_>) =
         both.landmarks.iter().cloned().partition(|landmark| landmark.prior.is_some());
     let of_recording = Bundle { poses: both.poses[..views].to_vec(), motions: Vec::new(), landmarks: new };
-    let (inside, beyond): (Vec<_>, Vec<_>) = joint.cross.into_iter().partition(|(i, j, _)| i.max(j) < &views);
     let camera = &builder.cameras[0].camera;
-    let own = JointCovariance { own: joint.own, cross: inside };
-    let stored_own = own.own.clone();
+    let own = JointCovariance::of_independent(joint.own.clone());
     let mut recording =
         map_contents(camera, &builder.views, &of_recording, Some(own), sigma_px, &builder.options)?;
 
@@ -39,7 +37,7 @@ pub(super) fn extended(
     contents.info.sigma_px = stored.info.sigma_px.max(sigma_px);
     for (at, keyframe) in contents.keyframes.iter_mut().enumerate() {
         let view = views + at;
-        keyframe.global_from_keyframe = PoseWithCovariance::new(both.poses[view], stored_own[&view]);
+        keyframe.global_from_keyframe = PoseWithCovariance::new(both.poses[view], joint.own[&view]);
     }
     for keyframe in &mut recording.keyframes {
         keyframe.id += ids.last_keyframe;
@@ -52,12 +50,8 @@ pub(super) fn extended(
     }
     add_observations(&mut contents.landmarks, &again, builder, &ids);
     contents.landmarks.append(&mut recording.landmarks);
-    for cross in &mut recording.cross_covariances {
-        (cross.a, cross.b) = (cross.a + ids.last_keyframe, cross.b + ids.last_keyframe);
-    }
-    contents.cross_covariances = recording.cross_covariances;
-    let cross = |(i, j, block)| KeyframeCrossCovariance { a: ids.keyframe(i), b: ids.keyframe(j), block };
-    contents.cross_covariances.extend(beyond.into_iter().map(cross));
+    (contents.cross_covariances, contents.common_errors) =
+        joint.of_keyframes(|view| Some(ids.keyframe(view)));
     contents.sort();
     contents.validate()?;
     Ok(contents)

@@ -110,7 +110,7 @@ pub fn extend_map(
     let mut views = keyframes(&builder.views);
     views.extend(builder.views.len()..both.poses.len());
     let joint = covariance_of(&builder.cameras, &constraints, &both, &views, sigma_px, builder.progress)?;
-    let contents = assemble::extended(stored, &builder, &both, joint, sigma_px)?;
+    let contents = assemble::extended(stored, &builder, &both, &joint, sigma_px)?;
     assemble::fill_report(&mut report, stored, &contents, &both);
     report.seconds = start.elapsed().as_secs_f64();
     Ok((contents, report))

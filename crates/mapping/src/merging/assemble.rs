@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use geometry::pose::Pose;
 use geometry::uncertain_pose::PoseWithCovariance;
 use map::contents::MapContents;
-use map::model::{Keyframe, KeyframeCrossCovariance};
+use map::model::Keyframe;
 use nalgebra::Vector3;
 use protocol::{KeyframeId, LandmarkId};
 
@@ -37,11 +37,7 @@ pub(super) fn merged(
         keyframe.global_from_keyframe = PoseWithCovariance::new(poses[view], joint.own[&view]);
     }
     let id = |view: usize| keyframes[view].id;
-    contents.cross_covariances = joint
-        .cross
-        .iter()
-        .map(|(i, j, block)| KeyframeCrossCovariance { a: id(*i), b: id(*j), block: *block }.ordered())
-        .collect();
+    (contents.cross_covariances, contents.common_errors) = joint.of_keyframes(|view| Some(id(view)));
     add_landmarks(&mut contents, second, poses, ties, last_keyframe, last_landmark);
     contents.keyframes = keyframes;
     contents.sort();

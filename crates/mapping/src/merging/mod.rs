@@ -220,6 +220,9 @@ fn moved(map: &MapContents, to_frame: &Pose) -> MapContents {
     for cross in &mut moved.cross_covariances {
         cross.block = both * cross.block * both.transpose();
     }
+    for common in &mut moved.common_errors {
+        common.factor = both * &common.factor;
+    }
     moved
 }
 

@@ -120,7 +120,13 @@ fn what_a_large_map_leaves_out_leaves_a_covariance() {
     let joint = joint_covariance(&factor, of_poses(420), &views, &positions, |_, _| ());
     assert!(joint.cross.len() < 420 * 419 / 2 && joint.cross.len() > 420 * 30, "{}", joint.cross.len());
     let own: Vec<_> = joint.own.values().copied().collect();
-    let stated = dense(&own, joint.cross);
+    let mut stated = dense(&own, joint.cross);
+    for (i, of_i) in &joint.common {
+        for (j, of_j) in joint.common.iter().filter(|(j, _)| *j != i) {
+            let mut block = stated.fixed_view_mut::<6, 6>(6 * i, 6 * j);
+            block += of_i * of_j.transpose();
+        }
+    }
     assert!(stated.clone().cholesky().is_some(), "{}", stated.symmetric_eigenvalues().min());
 }
 

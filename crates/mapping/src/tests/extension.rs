@@ -6,8 +6,8 @@ use geometry::pose::Pose;
 use geometry::rotation;
 use geometry::uncertain_pose::{PoseWithCovariance, isotropic_covariance};
 use map::contents::MapContents;
-use map::model::{Keyframe, KeyframeCrossCovariance, Landmark, MapMetadata};
-use nalgebra::{DMatrix, Vector2, Vector3};
+use map::model::{CommonError, Keyframe, KeyframeCrossCovariance, Landmark, MapMetadata};
+use nalgebra::{DMatrix, Matrix6xX, Vector2, Vector3};
 use protocol::DescriptorKind;
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
@@ -243,6 +243,28 @@ fn the_prior_of_a_map_without_its_frame_says_nothing_of_yaw_and_position() {
     let mut bent = map.poses.clone();
     bent[1] = small.compose(&bent[1]);
     assert!(relative.cost(&bent) > 0.1 * joint.cost(&bent));
+}
+
+#[test]
+fn the_prior_of_a_map_takes_in_what_keyframes_err_together() {
+    let place = Place::new();
+    let (map, covariance) = place.map(ADDED..ADDED + STORED);
+    let listed = stored(&map, &covariance);
+    let mut common = listed.clone();
+    for keyframe in &listed.keyframes {
+        let entry =
+            |row: usize, column: usize| 1e-4 * ((keyframe.id as usize * (row + 3 * column + 1)) as f64).sin();
+        let factor = Matrix6xX::from_fn(2, entry);
+        common.common_errors.push(CommonError { keyframe: keyframe.id, factor });
+    }
+    for cross in &mut common.cross_covariances {
+        let [of_a, of_b] = [cross.a, cross.b].map(|id| &common.common_errors[id as usize - 1].factor);
+        cross.block -= of_a * of_b.transpose();
+    }
+    let mut bent = map.poses.clone();
+    bent[1].translation.x += 1e-3;
+    let [listed, common] = [listed, common].map(|map| JointPrior::of_map(&map, 0).unwrap().cost(&bent));
+    assert!((common / listed - 1.0).abs() < 1e-6, "{common}, {listed}");
 }
 
 /// The map of an adjusted bundle, without its landmarks.

@@ -137,6 +137,9 @@ impl Census {
         for cross in &contents.cross_covariances {
             digest.add_cross_covariance(cross);
         }
+        for common in &contents.common_errors {
+            digest.add_common_error(common);
+        }
         frame.damaged.extend(damaged);
         Ok(Census { count, observation_counts: counts.finish(), digest: digest.finish() })
     }

@@ -5,12 +5,12 @@
 use geometry::camera::{Camera, Distortion};
 use geometry::pose::Pose;
 use geometry::uncertain_pose::PoseWithCovariance;
-use nalgebra::{Matrix6, Quaternion, UnitQuaternion, Vector3};
+use nalgebra::{Matrix6, Matrix6xX, Quaternion, UnitQuaternion, Vector3, Vector6};
 use protocol::{DescriptorKind, Descriptors, FeatureSet, KeyframeId, LandmarkId, MapIdentity};
 use serde::{Deserialize, Serialize};
 
 use super::error::RecordError;
-use crate::model::{Keyframe, KeyframeCrossCovariance, Landmark, MapMetadata, Observation};
+use crate::model::{CommonError, Keyframe, KeyframeCrossCovariance, Landmark, MapMetadata, Observation};
 
 /// How far a stored quaternion may be from unit length: as in a valid map.
 const UNIT_TOLERANCE: f64 = 1e-6;
@@ -308,6 +308,24 @@ impl CrossCovarianceRecord {
     /// The block that the record holds; the keyframes are the key.
     pub fn into_cross_covariance(self, a: KeyframeId, b: KeyframeId) -> KeyframeCrossCovariance {
         KeyframeCrossCovariance { a, b, block: Matrix6::from(self.0) }
+    }
+}
+
+/// [`CommonError`] on disk: the columns of its factor; the keyframe is the key.
+#[derive(Serialize, Deserialize)]
+pub struct CommonErrorRecord(Vec<[f64; 6]>);
+
+impl CommonErrorRecord {
+    /// The record of a common error.
+    pub fn new(common: &CommonError) -> CommonErrorRecord {
+        CommonErrorRecord(common.factor.column_iter().map(|column| column.into_owned().into()).collect())
+    }
+
+    /// The common error that the record holds; the keyframe is the key.
+    pub fn into_common_error(self, keyframe: KeyframeId) -> CommonError {
+        let columns: Vec<Vector6<f64>> = self.0.into_iter().map(Vector6::from).collect();
+        let factor = if columns.is_empty() { Matrix6xX::zeros(0) } else { Matrix6xX::from_columns(&columns) };
+        CommonError { keyframe, factor }
     }
 }
 

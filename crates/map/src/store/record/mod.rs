@@ -7,4 +7,4 @@ mod layout;
 pub(crate) use envelope::payload;
 pub use envelope::{seal, unseal, unseal_info};
 pub use error::RecordError;
-pub use layout::{CrossCovarianceRecord, InfoRecord, KeyframeRecord, LandmarkRecord};
+pub use layout::{CommonErrorRecord, CrossCovarianceRecord, InfoRecord, KeyframeRecord, LandmarkRecord};

@@ -9,7 +9,9 @@ use serde::Serialize;
 
 use super::error::DatabaseError;
 use super::map_store::{MapStore, OpenDatabase, ReadMap};
-use super::record::{self, CrossCovarianceRecord, InfoRecord, KeyframeRecord, LandmarkRecord, RecordError};
+use super::record::{
+    self, CommonErrorRecord, CrossCovarianceRecord, InfoRecord, KeyframeRecord, LandmarkRecord, RecordError,
+};
 use super::{OLDEST_STORE_SCHEMA, STORE_SCHEMA};
 use crate::contents::MapContents;
 use crate::model::{KeyframeCrossCovariance, Landmark, MapMetadata};
@@ -78,6 +80,10 @@ fn write_tables(database: &sled::Db, contents: &MapContents) -> Result<(), Datab
         cross_covariances
             .map(|cross| (pair_key(cross.a, cross.b), move || CrossCovarianceRecord::new(&cross))),
     )?;
+    let common_errors = contents.common_errors.iter();
+    Tree::open(database, Table::CommonErrors)?.write_all(
+        common_errors.map(|common| (common.keyframe.to_be_bytes(), || CommonErrorRecord::new(common))),
+    )?;
     let info = Tree::open(database, Table::Info)?;
     info.write(INFO_KEY, &InfoRecord::new(&contents.info))?;
     let schema = [SCHEMA_MAGIC, &STORE_SCHEMA.to_le_bytes()].concat();
@@ -106,6 +112,11 @@ fn read_frame(database: &sled::Db) -> Result<ReadMap, DatabaseError> {
         let record: CrossCovarianceRecord = record::unseal(Table::CrossCovariances.name(), key, value)?;
         Ok(record.into_cross_covariance(a, b))
     })?;
+    contents.common_errors =
+        Tree::open(database, Table::CommonErrors)?.read(&mut damaged, |key, value| {
+            let record: CommonErrorRecord = record::unseal(Table::CommonErrors.name(), key, value)?;
+            Ok(record.into_common_error(id_of(key)?))
+        })?;
     contents.sort();
     Ok(ReadMap { contents, damaged, schema })
 }

@@ -7,6 +7,7 @@
 //! | `keyframes` | id | a keyframe |
 //! | `landmarks` | id | a landmark with its observations |
 //! | `cross_covariances` | a, b (`a < b`) | a 6x6 block |
+//! | `common_errors` | keyframe | what it errs together with others |
 //!
 //! Databases of schema 1 have a table `references` too, which is not read. All values but `schema` are records with a checksum, see [`crate::store::record`].
 
@@ -23,6 +24,7 @@ pub(super) enum Table {
     Keyframes,
     Landmarks,
     CrossCovariances,
+    CommonErrors,
 }
 
 impl Table {
@@ -33,6 +35,7 @@ impl Table {
             Table::Keyframes => "keyframes",
             Table::Landmarks => "landmarks",
             Table::CrossCovariances => "cross_covariances",
+            Table::CommonErrors => "common_errors",
         }
     }
 
@@ -46,6 +49,7 @@ impl Table {
             Table::Info => "the map's info".to_owned(),
             Table::Keyframes => format!("keyframe {}", id(key)),
             Table::Landmarks => format!("landmark {}", id(key)),
+            Table::CommonErrors => format!("the common error of keyframe {}", id(key)),
             Table::CrossCovariances => {
                 let (a, b) = key.split_at(key.len() / 2);
                 format!("the cross-covariance of keyframes {} and {}", id(a), id(b))

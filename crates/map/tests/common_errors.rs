@@ -1,0 +1,167 @@
+//! Maps that state what keyframes err together.
+#![allow(clippy::unwrap_used, missing_docs)]
+
+use std::collections::BTreeSet;
+use std::path::Path;
+
+use map::contents::CommonErrorProblem;
+use map::difference::has_other_common_error;
+use map::{ContentsError, MapContents, edit, store};
+use proptest::prelude::*;
+use sha2::{Digest as _, Sha256};
+use testing::{Place, PlaceOptions, add_common_errors};
+
+fn place(seed: u64, columns: usize) -> MapContents {
+    let options = PlaceOptions { seed, keyframes: 6, landmarks: 80, ..PlaceOptions::default() };
+    let mut contents = Place::new(&options).map;
+    if columns > 0 {
+        add_common_errors(&mut contents, columns);
+    }
+    contents
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(8))]
+
+    #[test]
+    fn what_is_stored_is_read_back(seed in 0_u64..1000, columns in 0_usize..9) {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("map");
+        let mut contents = place(seed, columns);
+        let saved = store::save_map(&path, &contents, false).unwrap();
+        (contents.info.version, contents.info.identity) = (saved.version, Some(saved.identity));
+        let read = store::load_map(&path).unwrap();
+        prop_assert_eq!(read.schema, 4);
+        prop_assert_eq!(read.contents.digest(), contents.digest());
+        prop_assert_eq!(&read.contents, &contents);
+        let (opened, landmarks) = store::open_map(&path).unwrap();
+        landmarks.close().unwrap();
+        prop_assert_eq!(opened.contents.common_errors, contents.common_errors);
+    }
+}
+
+#[test]
+fn the_digest_is_that_of_the_common_errors_too() {
+    let (without, with) = (place(1, 0), place(1, 3));
+    assert_ne!(without.digest(), with.digest());
+    let mut other = with.clone();
+    other.common_errors[2].factor[(4, 1)] *= 1.01;
+    assert_ne!(other.digest(), with.digest());
+    other = with.clone();
+    other.common_errors.reverse();
+    assert_eq!(other.digest(), with.digest());
+}
+
+#[test]
+fn impossible_common_errors_are_refused() {
+    let problem = |change: &dyn Fn(&mut MapContents)| {
+        let mut contents = place(2, 3);
+        change(&mut contents);
+        match contents.validate().unwrap_err() {
+            ContentsError::CommonError { problem, .. } => problem,
+            error => panic!("{error}"),
+        }
+    };
+    place(2, 3).validate().unwrap();
+    assert_eq!(problem(&|map| map.common_errors[1].keyframe = 999), CommonErrorProblem::UnknownKeyframe);
+    assert_eq!(
+        problem(&|map| map.common_errors[1].keyframe = map.common_errors[0].keyframe),
+        CommonErrorProblem::Duplicate
+    );
+    let columns = CommonErrorProblem::Columns { found: 2, expected: 3 };
+    let cut = |map: &mut MapContents| {
+        map.common_errors[1].factor = map.common_errors[1].factor.clone().remove_column(0);
+    };
+    assert_eq!(problem(&cut), columns);
+    for factor in [1e3, f64::NAN] {
+        let remaining = problem(&|map| map.common_errors[3].factor *= factor);
+        assert!(matches!(remaining, CommonErrorProblem::Remaining(_)), "{remaining}");
+    }
+    // The blocks of pairs add to what they err together.
+    let mut contents = place(2, 3);
+    contents.cross_covariances[0].block *= 2.4;
+    let alone = MapContents { common_errors: Vec::new(), ..contents.clone() };
+    alone.validate().unwrap();
+    assert!(matches!(contents.validate(), Err(ContentsError::CrossCovariance { .. })));
+}
+
+#[test]
+fn keyframes_that_are_taken_out_take_theirs_along() {
+    let mut contents = place(3, 4);
+    let before = contents.clone();
+    let removed: BTreeSet<u64> = [before.keyframes[1].id, before.keyframes[4].id].into();
+    edit::remove_keyframes(&mut contents, &removed);
+    contents.validate().unwrap();
+    let stayed = before.common_errors.iter().filter(|common| !removed.contains(&common.keyframe));
+    assert!(contents.common_errors.iter().eq(stayed));
+}
+
+#[test]
+fn a_change_beyond_rounding_is_one() {
+    let contents = place(4, 3);
+    let (keyframe, common) = (&contents.keyframes[2], &contents.common_errors[2]);
+    assert!(!has_other_common_error(None, None, keyframe));
+    assert!(has_other_common_error(Some(common), None, keyframe));
+    let mut now = common.clone();
+    now.factor[(3, 1)] += 1e-9 * testing::SIGMA_P;
+    assert!(!has_other_common_error(Some(common), Some(&now), keyframe));
+    now.factor[(3, 1)] += 1e-3 * testing::SIGMA_P;
+    assert!(has_other_common_error(Some(common), Some(&now), keyframe));
+    now.factor = now.factor.remove_column(2);
+    assert!(has_other_common_error(Some(common), Some(&now), keyframe));
+}
+
+/// A map of schema 3 has no table of common errors, and is otherwise the same.
+#[test]
+fn a_map_of_schema_3_is_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("map");
+    let contents = place(5, 0);
+    store::save_map(&path, &contents, false).unwrap();
+    let expected = store::load_map(&path).unwrap().contents;
+    let version = path.join("version-1");
+    let database = loop {
+        // sled's threads let go of it a moment later.
+        if let Ok(database) = sled::open(&version) {
+            break database;
+        }
+    };
+    database.drop_tree("common_errors").unwrap();
+    let schema = [b"DRFTMAP", &3_u16.to_le_bytes()[..]].concat();
+    database.open_tree("info").unwrap().insert("schema", schema).unwrap();
+    database.flush().unwrap();
+    drop(database);
+    let file = std::fs::File::open(version.join("db")).unwrap();
+    while file.try_lock().is_err() {
+        std::thread::sleep(std::time::Duration::from_millis(2));
+    }
+    state_files(&path, &version);
+    let stored = store::load_map(&path).unwrap();
+    assert_eq!((stored.schema, &stored.contents), (3, &expected));
+    store::save_map(&path, &contents, true).unwrap();
+    assert_eq!(store::load_map(&path).unwrap().schema, 4);
+}
+
+/// Writes a manifest of schema 3 with the files that are there.
+fn state_files(map: &Path, version: &Path) {
+    let path = map.join("manifest.json");
+    let mut manifest: serde_json::Value = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
+    manifest["schema"] = 3.into();
+    let mut files = Vec::new();
+    let mut folders = vec![version.to_owned()];
+    while let Some(folder) = folders.pop() {
+        for entry in std::fs::read_dir(folder).unwrap() {
+            let entry = entry.unwrap().path();
+            if entry.is_dir() {
+                folders.push(entry);
+                continue;
+            }
+            let bytes = std::fs::read(&entry).unwrap();
+            let sha256: String = Sha256::digest(&bytes).iter().map(|byte| format!("{byte:02x}")).collect();
+            let name = entry.strip_prefix(version).unwrap().to_str().unwrap();
+            files.push(serde_json::json!({ "path": name, "bytes": bytes.len(), "sha256": sha256 }));
+        }
+    }
+    manifest["files"] = files.into();
+    std::fs::write(path, manifest.to_string()).unwrap();
+}

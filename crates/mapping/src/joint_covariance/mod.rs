@@ -1,0 +1,149 @@
+//! The joint covariance of the refined poses.
+//!
+//! It is the inverse `P` of the normal equations with the landmarks eliminated, computed column by column.
+//!
+//! # What a map states
+//! Up to [`Form::all_up_to`] keyframes, every block. Beyond, all pairs would make the size of a map grow with the square of its
+//! length; the full-scale approximation takes the place of `P`:
+//!
+//! ```text
+//! P~ = U U^T + T o (P - U U^T)        o: element by element
+//! ```
+//! with `U` of few columns (`anchors`), which says how far keyframes err together, and what remains near each other only, tapered by
+//! a correlation function `T` of the distance (`taper`). Both terms are covariances, the second one as the product of two
+//! (Schur). The diagonal is that of `P`.
+//!
+//! Derivation and figures: `docs/src/derivations/joint-covariance.md`.
+//!
+//! Source: Sang & Huang, "A full scale approximation of covariance functions for large spatial data sets", JRSS B 2012.
+
+mod anchors;
+mod taper;
+#[cfg(test)]
+mod tests;
+
+use std::collections::BTreeMap;
+
+use map::model::{CommonError, KeyframeCrossCovariance};
+use nalgebra::{Matrix6, Matrix6xX, Vector3};
+use protocol::KeyframeId;
+
+use super::layout::{POSE, StateLayout};
+use super::sparse_system::SparseFactor;
+use anchors::low_rank_part;
+use taper::Taper;
+
+/// Maps of up to this many keyframes state the cross-covariance of every pair: that takes up to 23 MB.
+pub(super) const ALL_UP_TO: usize = 400;
+
+/// How much of a covariance is stated.
+#[derive(Clone, Copy, Debug)]
+struct Form {
+    /// Up to so many poses, every block.
+    all_up_to: usize,
+    /// Beyond, the low-rank part has 6 columns for each of so many poses,
+    anchors: usize,
+    /// and a pose has blocks of what remains with about so many others, on average.
+    neighbours: usize,
+}
+
+/// A keyframe of a large map takes about the room of one in a map of [`ALL_UP_TO`]. Up to 2000 keyframes, the variance of a
+/// relative pose is then right within a few percent, see the derivation.
+const FORM: Form = Form { all_up_to: ALL_UP_TO, anchors: 64, neighbours: 256 };
+
+/// Covariances and cross-covariances of the keyframes' poses, by view.
+pub(super) struct JointCovariance {
+    /// Covariance of each pose.
+    pub(super) own: BTreeMap<usize, Matrix6<f64>>,
+    /// What poses err together: `U`, of each pose as many columns; none in small maps.
+    pub(super) common: BTreeMap<usize, Matrix6xX<f64>>,
+    /// `E[e_i e_j^T]` beyond `U_i U_j^T`, with `i < j`; all others are zero.
+    pub(super) cross: Vec<(usize, usize, Matrix6<f64>)>,
+}
+
+impl JointCovariance {
+    /// Only the covariances of single poses.
+    pub(super) fn of_independent(own: BTreeMap<usize, Matrix6<f64>>) -> JointCovariance {
+        JointCovariance { own, common: BTreeMap::new(), cross: Vec::new() }
+    }
+
+    /// Cross-covariances and common errors as a map states them, of the views that are keyframes.
+    pub(super) fn of_keyframes(
+        &self,
+        id: impl Fn(usize) -> Option<KeyframeId>,
+    ) -> (Vec<KeyframeCrossCovariance>, Vec<CommonError>) {
+        let cross = |(i, j, block): &(usize, usize, Matrix6<f64>)| {
+            Some(KeyframeCrossCovariance { a: id(*i)?, b: id(*j)?, block: *block }.ordered())
+        };
+        let common = |(view, factor): (&usize, &Matrix6xX<f64>)| {
+            Some(CommonError { keyframe: id(*view)?, factor: factor.clone() })
+        };
+        (self.cross.iter().filter_map(cross).collect(), self.common.iter().filter_map(common).collect())
+    }
+}
+
+/// The joint covariance of the poses of some views.
+///
+/// # Arguments
+/// * `factor`: of the information matrix of all states.
+/// * `views`: those whose covariance is wanted, at `positions` (m).
+pub(super) fn joint_covariance(
+    factor: &SparseFactor,
+    layout: StateLayout,
+    views: &[usize],
+    positions: &[Vector3<f64>],
+    progress: impl FnMut(usize, usize),
+) -> JointCovariance {
+    let column = |j: usize| -> Vec<Matrix6<f64>> {
+        let columns: Vec<usize> = layout.pose(views[j]).collect();
+        let inverse = factor.inverse_columns(&columns);
+        let block = |view: &usize| inverse.fixed_view::<POSE, POSE>(layout.pose(*view).start, 0).into();
+        views.iter().map(block).collect()
+    };
+    let Blocks { own, common, cross } = stated(FORM, positions, column, progress);
+    JointCovariance {
+        own: views.iter().copied().zip(own).collect(),
+        common: views.iter().copied().zip(common).collect(),
+        cross: cross.into_iter().map(|(i, j, block)| (views[i], views[j], block)).collect(),
+    }
+}
+
+/// A [`JointCovariance`] by the order of the poses.
+struct Blocks {
+    own: Vec<Matrix6<f64>>,
+    /// Empty where all blocks are in `cross`.
+    common: Vec<Matrix6xX<f64>>,
+    cross: Vec<(usize, usize, Matrix6<f64>)>,
+}
+
+/// What is stated of a covariance.
+///
+/// # Arguments
+/// * `positions`: of the poses (m).
+/// * `column`: `P_:j`, a block for each pose.
+fn stated(
+    form: Form,
+    positions: &[Vector3<f64>],
+    column: impl Fn(usize) -> Vec<Matrix6<f64>>,
+    mut progress: impl FnMut(usize, usize),
+) -> Blocks {
+    let count = positions.len();
+    let taper = (count > form.all_up_to).then(|| Taper::with_mean_neighbours(positions, form.neighbours));
+    let kept = |i: usize, j: usize| taper.map_or(1.0, |taper| taper.kept(&positions[i], &positions[j]));
+    let mut blocks = Blocks { own: Vec::with_capacity(count), common: Vec::new(), cross: Vec::new() };
+    for j in 0..count {
+        progress(j, count);
+        let column = column(j);
+        blocks.own.push((column[j] + column[j].transpose()) * 0.5);
+        let near = (0..j).filter(|&i| kept(i, j) > 0.0);
+        blocks.cross.extend(near.map(|i| (i, j, column[i])));
+    }
+    if taper.is_some() {
+        blocks.common = low_rank_part(&blocks.own, form.anchors, column);
+        for (i, j, block) in &mut blocks.cross {
+            let together = &blocks.common[*i] * blocks.common[*j].transpose();
+            *block = (*block - together) * kept(*i, *j);
+        }
+    }
+    blocks
+}
