@@ -1,5 +1,6 @@
 //! Differences between two versions of a map, as robots need them; see [`map::difference`].
 
+use map::Keyframe;
 use map::difference::{Motion, has_moved, has_other_common_error, is_recorrelated};
 use protocol::{CodecError, Format, KeyframeId, MapChangeNotice, StatedChange, keys};
 use zenoh::Session;
@@ -88,21 +89,25 @@ fn moves(old: &LoadedMap, new: &LoadedMap, id: KeyframeId) -> bool {
 
 /// The keyframes in both versions with a changed cross-covariance between them, sorted.
 ///
-/// Where a keyframe's common error changes, those with all others do.
+/// Where any keyframe's common error changes, what all of them have in common is another one, and so are all cross-covariances.
 fn with_changed_cross_covariances(old: &LoadedMap, new: &LoadedMap) -> Vec<KeyframeId> {
     let mut changed = Vec::new();
-    for keyframe in old.keyframes().filter(|keyframe| new.keyframe(keyframe.id).is_some()) {
-        let [before, now] = [old, new].map(|map| map.common_error(keyframe.id));
-        if has_other_common_error(before, now, keyframe) {
-            changed.push(keyframe.id);
-        }
+    let common = |id: KeyframeId| [old, new].map(|map| map.common_error(id));
+    let in_both = || old.keyframes().filter(|keyframe| new.keyframe(keyframe.id).is_some());
+    let is_other = |keyframe: &Keyframe| {
+        let [before, now] = common(keyframe.id);
+        has_other_common_error(before, now, keyframe)
+    };
+    if in_both().any(is_other) {
+        let has_any = |id: &KeyframeId| common(*id).iter().any(Option::is_some);
+        changed.extend(in_both().map(|keyframe| keyframe.id).filter(has_any));
     }
     for (a, b) in old.listed_pairs().chain(new.listed_pairs()) {
         if [a, b].iter().any(|id| new.keyframe(*id).is_none()) {
             continue;
         }
         let [Some(of_a), Some(of_b)] = [a, b].map(|id| old.keyframe(id)) else { continue };
-        let [before, now] = [old, new].map(|map| map.listed_block(a, b).unwrap_or_default());
+        let [before, now] = [old, new].map(|map| map.cross_covariance(a, b).unwrap_or_default());
         if is_recorrelated(&before, &now, [of_a, of_b]) {
             changed.extend([a, b]);
         }
@@ -214,17 +219,22 @@ mod tests {
     }
 
     #[test]
-    fn a_keyframe_with_another_common_error_has_moved() {
+    fn where_one_has_another_common_error_all_have_moved() {
         let [mut old, mut new] = [1, 2].map(|version| contents(version, 10));
         for (map, scale) in [(&mut old, 1.0), (&mut new, 1.0 + 1e-9)] {
             map.common_errors = (0..10)
                 .map(|keyframe| CommonError { keyframe, factor: Matrix6xX::repeat(2, 1e-3 * scale) })
                 .collect();
         }
-        new.common_errors[6].factor *= -1.0;
+        old.common_errors.remove(5);
+        new.common_errors.remove(5);
+        assert_eq!(change(old.clone(), new.clone()).moved, [0; 0]);
         new.common_errors.remove(3);
+        assert_eq!(change(old.clone(), new.clone()).moved, [0, 1, 2, 3, 4, 6, 7, 8, 9]);
+        new.common_errors[6].factor *= -1.0;
         let change = change(old, new);
-        assert_eq!((&change.moved[..], &change.changed[..]), (&[3, 6][..], &[3, 6][..]));
+        assert_eq!(change.moved, [0, 1, 2, 3, 4, 6, 7, 8, 9]);
+        assert_eq!(change.changed, change.moved);
     }
 
     #[test]

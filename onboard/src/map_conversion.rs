@@ -1,7 +1,7 @@
 //! Conversion of map messages to the estimator's types.
 
 use estimator::{ChangeSize, MapAnswer, MapKeyframe, MapRevision, MatchedLandmark};
-use nalgebra::{Vector2, Vector3};
+use nalgebra::{Matrix6xX, Vector2, Vector3};
 use protocol::{FeatureSet, KeyframeId, MapChangeNotice, MapIdentity, MatchStatus, MatchedKeyframe};
 
 /// Assembles the replies to one query.
@@ -46,6 +46,7 @@ pub fn map_answer(
             id: reply.keyframe.id,
             global_from_keyframe: reply.keyframe.global_from_keyframe,
             camera: reply.keyframe.camera,
+            common_error: Matrix6xX::from_column_slice(reply.common_error.as_flattened()),
             cross_covariances: reply
                 .cross_covariances
                 .iter()

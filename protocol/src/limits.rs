@@ -11,7 +11,9 @@
 ///   tolerance of 1e-6 (was 1e-5).
 /// * 4: answers, the info of a map, its changes and the poses of robots name the identity of the map; coordinates of positions
 ///   are at most 1e7 m.
-pub const SCHEMA_VERSION: u16 = 4;
+/// * 5: keyframes of an answer have a `common_error`, and where the request names the version of the map in
+///   `map_version_held`, correlations among the held keyframes are not sent again.
+pub const SCHEMA_VERSION: u16 = 5;
 
 /// Longest payload that is encoded or decoded, envelope included.
 ///
@@ -27,6 +29,9 @@ pub const MAX_QUERY_FEATURES: usize = 5_000;
 
 /// Most keyframes that may be asked for in one answer.
 pub const MAX_ANSWER_KEYFRAMES: u16 = 64;
+
+/// Most numbers that the errors of all keyframes of a map may have in common.
+pub const MAX_COMMON_ERRORS: usize = 4096;
 
 /// Largest stated change of a map: rotation about each axis, rad. A map that turned by more is another map.
 pub const MAX_CHANGE_RAD: f64 = std::f64::consts::PI;

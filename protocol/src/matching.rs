@@ -12,7 +12,7 @@
 use crate::codec::{Message, malformed_json};
 use crate::features::{FeatureSet, require_query};
 use crate::identity::MapIdentity;
-use crate::limits::{KeyframeId, LandmarkId, MAX_ANSWER_KEYFRAMES};
+use crate::limits::{KeyframeId, LandmarkId, MAX_ANSWER_KEYFRAMES, MAX_COMMON_ERRORS};
 use crate::validate::{
     InvalidField, Validate, require, require_each, require_finite, require_name, require_not_negative,
     require_position, require_positive, require_unit, require_valid,
@@ -55,11 +55,12 @@ pub struct MatchRequest {
     /// Unit vector along gravity (down) in the camera frame, if known.
     #[serde(default)]
     pub gravity_in_camera: Option<[f64; 3]>,
-    /// Keyframes of this map in the robot's state, in any order: the answer includes cross-covariances with them. Decoded
+    /// Keyframes of this map in the robot's state, in any order: the answer says how others are correlated with them. Decoded
     /// from bincode they are sorted and unique.
     #[serde(default, with = "wire::keyframe_set")]
     pub held: Vec<KeyframeId>,
-    /// Version of the map when the held keyframes were fetched.
+    /// Version of the map when the held keyframes were fetched. Where it is the version of the answer, what correlates the
+    /// held keyframes with each other is not sent again.
     #[serde(default)]
     pub map_version_held: Option<u64>,
     /// Maximum number of keyframes in the answer: 1 for single matching.
@@ -81,7 +82,7 @@ impl Validate for MatchRequest {
 
 /// One part of the answer to a [`MatchRequest`].
 ///
-/// In JSON `{"schema": 4, "type": "match_reply", "keyframe": {..}}` or `{.., "done": {..}}`.
+/// In JSON `{"schema": 5, "type": "match_reply", "keyframe": {..}}` or `{.., "done": {..}}`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 #[allow(clippy::large_enum_variant)] // one value at a time, moved once
@@ -174,8 +175,13 @@ pub struct MatchedKeyframe {
     pub rank: u16,
     /// The keyframe.
     pub keyframe: KeyframeRecord,
-    /// Cross-covariances with keyframes in `held` and with keyframes of this answer of smaller rank; absent means
-    /// independent.
+    /// What it errs together with all other keyframes: the columns of `U` in its error `U x + rest`, `[dtheta, dp]` in the
+    /// map's frame, where `x` holds independent standard normal numbers, the same for the whole map. Empty where the map
+    /// states nothing of that, and where it is held in this version.
+    #[serde(default)]
+    pub common_error: Vec<[f64; 6]>,
+    /// Cross-covariances of the rest with keyframes in `held` and with keyframes of this answer of smaller rank; absent means
+    /// independent. Where it is held in this version, those with held keyframes are left out.
     #[serde(default)]
     pub cross_covariances: Vec<CrossCovarianceBlock>,
     /// Matches between features of the query and landmarks; each feature at most once.
@@ -186,6 +192,9 @@ pub struct MatchedKeyframe {
 impl Validate for MatchedKeyframe {
     fn validate(&self) -> Result<(), InvalidField> {
         require_valid(&self.keyframe, "keyframe")?;
+        let few = self.common_error.len() <= MAX_COMMON_ERRORS;
+        require(few, "common_error", &format!("has more than {MAX_COMMON_ERRORS} columns"))?;
+        require_finite(self.common_error.as_flattened(), "common_error")?;
         require_each(&self.cross_covariances, "cross_covariances", Validate::validate)?;
         require_each(&self.matches, "matches", Validate::validate)?;
         let mut features: Vec<u32> = self.matches.iter().map(|found| found.feature).collect();

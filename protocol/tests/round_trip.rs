@@ -97,7 +97,7 @@ fn json_is_what_the_documentation_shows() {
 #[test]
 fn json_written_by_hand_is_understood() {
     let text = r#"{
-        "schema": 4, "comment": "by hand",
+        "schema": 5, "comment": "by hand",
         "camera": {"width": 640, "height": 480, "focal": [500, 500], "centre": [319.5, 239.5], "distortion": {"fov": 0.9}},
         "features": {"pixels": [[10, 20]], "descriptors": {"kind": "binary", "width": 2, "hex": ["A0ff"]}},
         "prior": {"global_from_camera": {"rotation_wxyz": [0.707107, 0, 0.707107, 0], "translation": [1, 2, 3],
@@ -161,6 +161,7 @@ fn a_query_of_500_features_has_40_kb_and_an_answer_of_3_keyframes_120_kb_at_most
             map_identity: MapIdentity::from_bytes([7; 16]),
             rank: rank as u16,
             keyframe,
+            common_error: Vec::new(),
             cross_covariances: (9_000..9_020).map(cross).collect(),
             matches: (rank * 500 / 3..(rank + 1) * 500 / 3).map(found).collect(),
         })

@@ -9,7 +9,7 @@ use estimator::{
     InitialState, MapAnswer, MapKeyframe, MapRevision, MatchedLandmark, RevisionEffect, TrackObservation,
 };
 use geometry::{Camera, Distortion, Pose, PoseWithCovariance, rotation};
-use nalgebra::{Matrix3, Matrix6, Rotation3, UnitQuaternion, Vector3};
+use nalgebra::{Matrix3, Matrix6, Matrix6xX, Rotation3, UnitQuaternion, Vector3};
 use rand::{RngExt, SeedableRng, rngs::StdRng};
 use std::time::{Duration, Instant};
 
@@ -187,6 +187,7 @@ impl Holder {
                 Matrix6::identity() * KEYFRAME_SIGMA.powi(2),
             ),
             camera: self.eye.camera.clone(),
+            common_error: Matrix6xX::zeros(0),
             cross_covariances: Vec::new(),
         });
         let answer = MapAnswer {

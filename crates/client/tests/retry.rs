@@ -52,6 +52,7 @@ fn keyframe() -> MatchReply {
         map_identity: MapIdentity::from_bytes([7; 16]),
         rank: 0,
         keyframe,
+        common_error: Vec::new(),
         cross_covariances: Vec::new(),
         matches: Vec::new(),
     })

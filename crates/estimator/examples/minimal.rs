@@ -8,7 +8,7 @@ use estimator::{
     MapKeyframe, MatchedLandmark, TrackObservation,
 };
 use geometry::{Camera, Distortion, Pose, PoseWithCovariance, Rotation, rotation};
-use nalgebra::{Matrix3, Matrix6, Rotation3, Vector2, Vector3};
+use nalgebra::{Matrix3, Matrix6, Matrix6xX, Rotation3, Vector2, Vector3};
 use rand::{RngExt as _, SeedableRng, rngs::StdRng};
 
 const RADIUS_M: f64 = 2.0;
@@ -72,6 +72,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         id: 1,
         global_from_keyframe: PoseWithCovariance::new(global_from_local * local_from_keyframe, covariance),
         camera: camera.camera.clone(),
+        common_error: Matrix6xX::zeros(0),
         cross_covariances: Vec::new(),
     };
     let in_keyframe = observe(&camera, 0, &world, &mut rng);

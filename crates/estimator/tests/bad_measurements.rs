@@ -6,7 +6,7 @@ mod common;
 use common::{FRAME_NS, World, accepted, assert_finite};
 use estimator::{CloneId, Estimator, EstimatorConfig, MapAnswer};
 use geometry::PoseWithCovariance;
-use nalgebra::{Matrix6, Vector3};
+use nalgebra::{Matrix6, Matrix6xX, Vector3};
 
 /// A filter that is localized, at the frame after which the next answer is due.
 fn localized() -> (World, Estimator, CloneId, i64) {
@@ -107,6 +107,20 @@ fn a_cross_covariance_larger_than_the_covariances_allow() {
     survives(|answer| {
         let other = answer.keyframes[0].id;
         answer.keyframes[1].cross_covariances = vec![(other, Matrix6::repeat(f64::NAN))];
+    });
+}
+
+#[test]
+fn a_common_error_larger_than_the_covariance_allows_or_of_another_map() {
+    for common in
+        [Matrix6xX::repeat(4, 1.0), Matrix6xX::repeat(4, f64::NAN), Matrix6xX::repeat(4, f64::INFINITY)]
+    {
+        survives(|answer| answer.keyframes[1].common_error = common.clone());
+    }
+    survives(|answer| {
+        for (at, keyframe) in answer.keyframes.iter_mut().enumerate() {
+            keyframe.common_error = Matrix6xX::repeat(4 + at, 1e-6);
+        }
     });
 }
 

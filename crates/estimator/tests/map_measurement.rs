@@ -11,7 +11,7 @@ use estimator::state::retract_locally;
 use estimator::{CalibratedCamera, MapAnswer, MapKeyframe, MatchedLandmark};
 use geometry::numeric::numeric_jacobian;
 use geometry::{Camera, Distortion, Pose, PoseWithCovariance, rotation};
-use nalgebra::{DMatrix, DVector, Matrix3, Matrix6, Rotation3, Vector2, Vector3, Vector6};
+use nalgebra::{DMatrix, DVector, Matrix3, Matrix6, Matrix6xX, Rotation3, Vector2, Vector3, Vector6};
 use rand::{RngExt as _, SeedableRng, rngs::StdRng};
 
 const KEYFRAMES: [u64; 3] = [40, 7, 12];
@@ -59,6 +59,7 @@ fn scene(count: usize, pixel_noise: f64) -> Scene {
         id,
         global_from_keyframe: PoseWithCovariance::new(pose, Matrix6::identity() * 1e-6),
         camera: camera(),
+        common_error: Matrix6xX::zeros(0),
         cross_covariances: Vec::new(),
     });
     let keyframes: Vec<MapKeyframe> = keyframes.collect();
@@ -271,11 +272,10 @@ fn error_after(scene: &Scene, estimate: LinearizationPoint, at: LinearizationPoi
     let mut covariance = DMatrix::identity(12, 12) * 1e-6;
     covariance.view_mut((6, 6), (6, 6)).fill_diagonal(4.0);
     let mut joint = JointCovariance::new(covariance, 8);
-    let slots = scene
-        .answer
-        .keyframes
-        .iter()
-        .map(|keyframe| joint.held.activate_or_insert(keyframe.id, &keyframe.global_from_keyframe, &[]));
+    let slots = scene.answer.keyframes.iter().map(|keyframe| {
+        let none = Matrix6xX::zeros(0);
+        joint.held.activate_or_insert(keyframe.id, &keyframe.global_from_keyframe, &none, &[])
+    });
     let slots: Vec<usize> = slots.collect();
     let mut information =
         Information::new(StateBlocks { keyframes: slots, ..StateBlocks::of_active(std::iter::once(0..12)) });

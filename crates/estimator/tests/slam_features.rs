@@ -8,7 +8,7 @@ use estimator::covariance::JointCovariance;
 use estimator::linear_algebra::dense::Dense;
 use estimator::{EstimatorConfig, TrackReport};
 use geometry::{Pose, PoseWithCovariance};
-use nalgebra::{DMatrix, Matrix6, Vector2};
+use nalgebra::{DMatrix, Matrix6, Matrix6xX, Vector2};
 use rand::{RngExt as _, SeedableRng, rngs::StdRng};
 
 #[test]
@@ -22,7 +22,7 @@ fn what_enters_the_state_is_correlated_as_in_the_dense_filter() {
     let mut joint = JointCovariance::new(covariance.clone(), 4);
     // A keyframe that the state already depends on.
     let keyframe = PoseWithCovariance { pose: Pose::identity(), covariance: Matrix6::identity() * 0.2 };
-    let slot = joint.held.activate_or_insert(1, &keyframe, &[]);
+    let slot = joint.held.activate_or_insert(1, &keyframe, &Matrix6xX::zeros(0), &[]);
     let columns = estimator::measurement::StateBlocks {
         keyframes: vec![slot],
         ..estimator::measurement::StateBlocks::of_active(std::iter::once(0..dim))

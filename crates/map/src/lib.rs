@@ -23,6 +23,6 @@ pub mod model;
 pub mod store;
 pub mod text;
 
-pub use contents::{ContentsError, FarCorrelations, MapContents};
+pub use contents::{ContentsError, MapContents};
 pub use model::{CommonError, Keyframe, KeyframeCrossCovariance, Landmark, MapMetadata, Observation};
 pub use store::{MapStore, RecordError, STORE_SCHEMA, SavedMap, StoreError, StoredMap};

@@ -157,7 +157,8 @@ fn state_files(map: &Path, version: &Path) {
                 continue;
             }
             let bytes = std::fs::read(&entry).unwrap();
-            let sha256: String = Sha256::digest(&bytes).iter().map(|byte| format!("{byte:02x}")).collect();
+            let sha256 =
+                Sha256::digest(&bytes).iter().fold(String::new(), |text, byte| text + &format!("{byte:02x}"));
             let name = entry.strip_prefix(version).unwrap().to_str().unwrap();
             files.push(serde_json::json!({ "path": name, "bytes": bytes.len(), "sha256": sha256 }));
         }

@@ -32,7 +32,7 @@ pub(super) fn map_contents(
     camera: &Camera,
     views: &[KeyframeView<'_>],
     bundle: &Bundle,
-    joint: Option<JointCovariance>,
+    joint: Option<&JointCovariance>,
     sigma_px: f64,
     options: &BuildOptions,
 ) -> Result<MapContents, BuildError> {
@@ -50,7 +50,7 @@ pub(super) fn map_contents(
     info.sigma_px = sigma_px;
     info.extractor.clone_from(&first.features.extractor);
     let mut contents = MapContents::empty(info);
-    let pose = |view: usize| match &joint {
+    let pose = |view: usize| match joint {
         Some(joint) => PoseWithCovariance::new(bundle.poses[view], joint.own[&view]),
         None => views[view].prior,
     };
@@ -66,7 +66,7 @@ pub(super) fn map_contents(
             features: None,
         })
         .collect();
-    if let Some(joint) = &joint {
+    if let Some(joint) = joint {
         (contents.cross_covariances, contents.common_errors) =
             joint.of_keyframes(|view| Some(keyframe_id(view)));
     }

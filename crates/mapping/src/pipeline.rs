@@ -67,8 +67,14 @@ pub fn build_map(
             covariance_of(&cameras, &constraints, &bundle, &keyframes(&views), report.sigma_px, progress)
         })
         .transpose()?;
-    let contents =
-        assemble::map_contents(&cameras[0].camera, &views, &bundle, joint, report.sigma_px, options)?;
+    let contents = assemble::map_contents(
+        &cameras[0].camera,
+        &views,
+        &bundle,
+        joint.as_ref(),
+        report.sigma_px,
+        options,
+    )?;
     assemble::fill_report(&mut report, &cameras, &views, &bundle, &contents);
     report.seconds = start.elapsed().as_secs_f64();
     Ok((contents, report))

@@ -83,7 +83,7 @@ pub fn build_map_from_odometry(
     let joint =
         covariance_of(&cameras, &constraints, &bundle, &keyframes(&views), report.sigma_px, progress)?;
     let camera = &cameras[0].camera;
-    let contents = assemble::map_contents(camera, &views, &bundle, Some(joint), report.sigma_px, &options)?;
+    let contents = assemble::map_contents(camera, &views, &bundle, Some(&joint), report.sigma_px, &options)?;
     check_one_piece(&contents, sequence.frames.first().map_or(0, |frame| frame.stamp_ns))?;
     assemble::fill_report(&mut report, &cameras, &views, &bundle, &contents);
     report.seconds = start.elapsed().as_secs_f64();
@@ -308,7 +308,7 @@ impl<'a, 'p> Builder<'a, 'p> {
         let sigma_px = self.options.sigma_px.unwrap_or(FIRST_SIGMA_PX);
         let camera = &self.cameras[0].camera;
         let contents =
-            assemble::map_contents(camera, &self.views, bundle, Some(joint), sigma_px, &self.options)?;
+            assemble::map_contents(camera, &self.views, bundle, Some(&joint), sigma_px, &self.options)?;
         let gap = self.options.time_neighbours + 1;
         find_loops(contents, &self.cameras, &self.views, &bundle.poses, gap, self.progress)
     }

@@ -10,7 +10,8 @@
 //!    depth that the map poses give, on the ray of that keyframe's own pixel. So no keyframe is ever sent only
 //!    as an anchor, and a robot needs nothing but the answer.
 //! 4. Observations are listed for keyframes of the answer and for those that the robot holds.
-//! 5. Cross-covariances are sent towards held keyframes and towards those of smaller rank.
+//! 5. Cross-covariances are sent towards held keyframes and towards those of smaller rank, and the common error of each.
+//!    What the robot knows already, the common errors of held keyframes and the correlations among them, is left out.
 
 use std::collections::{HashMap, HashSet};
 
@@ -18,7 +19,7 @@ use protocol::{
     CrossCovarianceBlock, KeyframeId, KeyframePixel, KeyframeRecord, LandmarkMatch, MatchedKeyframe,
 };
 
-use map::model::Keyframe;
+use map::model::{CommonError, Keyframe};
 
 use super::loaded_map::LoadedMap;
 use super::options::RecognitionOptions;
@@ -30,11 +31,13 @@ use super::verification::VerifiedKeyframe;
 /// * `place`: verified keyframes of one place, most inliers first; not empty.
 /// * `max_keyframes`: how many keyframes are asked for, at least 1.
 /// * `held`: keyframes that the robot holds already.
+/// * `knows_held`: whether it holds them as they are in this version of the map.
 pub(crate) fn matched_keyframes(
     map: &LoadedMap,
     place: &[VerifiedKeyframe],
     max_keyframes: usize,
     held: &[KeyframeId],
+    knows_held: bool,
     options: &RecognitionOptions,
 ) -> Vec<MatchedKeyframe> {
     let count = max_keyframes.clamp(1, options.max_keyframes);
@@ -48,12 +51,16 @@ pub(crate) fn matched_keyframes(
     let replies = sent.iter().enumerate().map(|(rank, &keyframe)| {
         let matches =
             verified.get(rank).map(|verified| landmark_matches(map, verified, &sent, &held, &mut taken));
+        let id = map.keyframes[keyframe].id;
+        let is_known = knows_held && held.contains(&id);
+        let common = if is_known { None } else { map.common_error(id) };
         MatchedKeyframe {
             map_version: map.info.version,
             map_identity: map.identity,
             rank: rank as u16,
             keyframe: record(&map.keyframes[keyframe]),
-            cross_covariances: cross_covariances(map, keyframe, &sent[..rank], &held),
+            common_error: common.map(columns).unwrap_or_default(),
+            cross_covariances: cross_covariances(map, id, &sent[..rank], &held, is_known),
             matches: matches.unwrap_or_default(),
         }
     });
@@ -129,15 +136,21 @@ fn landmark_matches(
     matches
 }
 
+/// # Arguments
+/// * `is_known`: the robot knows how it is correlated with the held keyframes.
 fn cross_covariances(
     map: &LoadedMap,
-    keyframe: usize,
+    id: KeyframeId,
     smaller_ranks: &[usize],
     held: &HashSet<KeyframeId>,
+    is_known: bool,
 ) -> Vec<CrossCovarianceBlock> {
-    let id = map.keyframes[keyframe].id;
     let mut others: Vec<KeyframeId> = smaller_ranks.iter().map(|&at| map.keyframes[at].id).collect();
-    others.extend(held);
+    if is_known {
+        others.retain(|other| !held.contains(other));
+    } else {
+        others.extend(held);
+    }
     others.sort_unstable();
     others.dedup();
     let blocks = others.into_iter().filter(|&other| other != id).filter_map(|other| {
@@ -145,6 +158,11 @@ fn cross_covariances(
         Some(CrossCovarianceBlock { other, block })
     });
     blocks.collect()
+}
+
+/// The columns of a common error.
+fn columns(common: &CommonError) -> Vec<[f64; 6]> {
+    common.factor.column_iter().map(|column| column.into_owned().into()).collect()
 }
 
 /// A keyframe as it is sent.

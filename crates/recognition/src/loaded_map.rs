@@ -10,7 +10,7 @@ use vision::{DescriptorError, DescriptorView, Metric};
 use super::elements::{Landmarks, Observations, Viewpoint, point_in_keyframe};
 use super::index::LandmarkIndex;
 use super::loading::MapLoader;
-use map::contents::{ContentsError, FarCorrelations, MapContents, ObservationCounts};
+use map::contents::{ContentsError, MapContents, ObservationCounts};
 use map::model::{CommonError, Keyframe, KeyframeCrossCovariance, MapMetadata};
 use map::store::{self, StoreError, StoredLandmarks, StoredMap};
 
@@ -42,7 +42,7 @@ pub struct LoadedMap {
     /// By (a, b), `a < b`. Of a part of a map also those with keyframes of other parts.
     #[serde(deserialize_with = "vision::exact")]
     pub(crate) cross_covariances: Vec<KeyframeCrossCovariance>,
-    /// By keyframe. Of a part of a map also those of keyframes of other parts.
+    /// By keyframe.
     #[serde(deserialize_with = "vision::exact")]
     pub(crate) common_errors: Vec<CommonError>,
     pub(crate) index: LandmarkIndex,
@@ -111,20 +111,22 @@ impl LoadedMap {
     /// # Errors
     /// [`LoadError::Invalid`], [`LoadError::Descriptors`].
     pub fn from_contents(contents: MapContents) -> Result<LoadedMap, LoadError> {
-        LoadedMap::from_part(contents, FarCorrelations::default())
+        LoadedMap::from_part(contents, Vec::new())
     }
 
     /// Indexes a part of a map, which also answers about correlations with the keyframes of other parts.
     ///
     /// # Arguments
-    /// * `far`: what correlates its keyframes with those of other parts.
+    /// * `far_cross_covariances`: of its keyframes with those of other parts, each pair once.
     ///
     /// # Errors
     /// [`LoadError::Invalid`], [`LoadError::Descriptors`].
-    pub fn from_part(mut contents: MapContents, far: FarCorrelations) -> Result<LoadedMap, LoadError> {
+    pub fn from_part(
+        mut contents: MapContents,
+        far_cross_covariances: Vec<KeyframeCrossCovariance>,
+    ) -> Result<LoadedMap, LoadError> {
         contents.validate()?;
-        contents.cross_covariances.extend(far.cross_covariances);
-        contents.common_errors.extend(far.common_errors);
+        contents.cross_covariances.extend(far_cross_covariances);
         contents.sort();
         let identity = contents.info.identity.unwrap_or_else(|| contents.digest());
         let landmarks = std::mem::take(&mut contents.landmarks);
@@ -207,25 +209,15 @@ impl LoadedMap {
         self.keyframes.binary_search_by_key(&id, |keyframe| keyframe.id).ok()
     }
 
-    /// Covariance of two keyframes' pose errors, rows of `a`; `None` where they are independent.
+    /// Covariance of two keyframes' pose errors beyond their common errors, rows of `a`; `None` where the map lists none.
     pub fn cross_covariance(&self, a: KeyframeId, b: KeyframeId) -> Option<Matrix6<f64>> {
-        let together = self.common_error(a).zip(self.common_error(b));
-        let together = together.map(|(of_a, of_b)| &of_a.factor * of_b.factor.transpose());
-        match (together, self.listed_block(a, b)) {
-            (Some(together), Some(beyond)) => Some(together + beyond),
-            (together, beyond) => together.or(beyond),
-        }
-    }
-
-    /// The block that the map lists, rows of `a`.
-    pub fn listed_block(&self, a: KeyframeId, b: KeyframeId) -> Option<Matrix6<f64>> {
         let pair = (a.min(b), a.max(b));
         let at = self.cross_covariances.binary_search_by_key(&pair, |cross| (cross.a, cross.b)).ok()?;
         let block = &self.cross_covariances[at].block;
         Some(if a < b { *block } else { block.transpose() })
     }
 
-    /// What a keyframe errs together with others, where the map states it.
+    /// What a keyframe errs together with all others, where the map states it.
     pub fn common_error(&self, id: KeyframeId) -> Option<&CommonError> {
         let at = self.common_errors.binary_search_by_key(&id, |common| common.keyframe).ok()?;
         Some(&self.common_errors[at])

@@ -84,7 +84,9 @@ impl LoadedMap {
         let keyframes = if search.place.is_empty() {
             Vec::new()
         } else {
-            matched_keyframes(self, &search.place, usize::from(request.max_keyframes), &request.held, options)
+            let knows_held = request.map_version_held == Some(self.info.version);
+            let count = usize::from(request.max_keyframes);
+            matched_keyframes(self, &search.place, count, &request.held, knows_held, options)
         };
         let status = MatchStatus {
             map_version: self.info.version,

@@ -254,60 +254,44 @@ fn cross_covariances_go_to_smaller_ranks_and_held_keyframes() {
     assert!(blocks > 0);
 }
 
-/// Keyframes err together whether or not the map lists their pair: every block is sent, that of the pair added.
 #[test]
-fn common_errors_correlate_all_keyframes() {
+fn what_the_robot_knows_of_held_keyframes_is_not_sent_again() {
     let mut place = Place::new(&PlaceOptions::default());
     testing::add_common_errors(&mut place.map, 3);
     let map = loaded(&place);
-    let common =
-        |id: u64| &place.map.common_errors.iter().find(|common| common.keyframe == id).unwrap().factor;
     let mut request = place.request(&place.camera_at(20.5, 0.0, 0.0), 6, &mut StdRng::seed_from_u64(17));
-    request.held = place.map.keyframes.iter().map(|keyframe| keyframe.id).collect();
-    let (keyframes, _) = ask(&map, &request);
-    assert!(keyframes.len() > 1);
-    for keyframe in &keyframes {
-        let id = keyframe.keyframe.id;
-        assert_eq!(keyframe.cross_covariances.len(), place.map.keyframes.len() - 1);
-        for cross in &keyframe.cross_covariances {
-            let together = common(id) * common(cross.other).transpose();
-            let expected = match map.listed_block(id, cross.other) {
-                Some(beyond) => together + beyond,
-                None => together,
-            };
-            assert!((cross.block - expected).amax() < 1e-15);
+    let (all, _) = ask(&map, &request);
+    assert!(all.len() > 2);
+    for keyframe in &all {
+        let stated = map.common_error(keyframe.keyframe.id).unwrap();
+        assert_eq!(keyframe.common_error.as_flattened(), stated.factor.as_slice());
+    }
+
+    // Held in another version, or the robot does not say in which: everything is sent.
+    request.held = all.iter().skip(1).map(|keyframe| keyframe.keyframe.id).collect();
+    for version in [None, Some(map.info().version + 1)] {
+        request.map_version_held = version;
+        let (again, _) = ask(&map, &request);
+        for (keyframe, before) in again.iter().zip(&all) {
+            assert_eq!(keyframe.common_error, before.common_error);
+            assert!(keyframe.cross_covariances.len() >= before.cross_covariances.len());
         }
     }
-    let [a, b] = [keyframes[0].keyframe.id, keyframes[1].keyframe.id];
-    let (there, back) = (map.cross_covariance(a, b).unwrap(), map.cross_covariance(b, a).unwrap());
-    assert!((there - back.transpose()).amax() < 1e-15);
-}
 
-/// A part of a map knows what the keyframes of other parts err together with its own.
-#[test]
-fn a_part_answers_for_keyframes_of_other_parts() {
-    let mut place = Place::new(&PlaceOptions::default());
-    testing::add_common_errors(&mut place.map, 3);
-    let whole = loaded(&place);
-    let mut part = place.map.clone();
-    let outside: std::collections::BTreeSet<u64> =
-        part.keyframes.iter().skip(9).map(|keyframe| keyframe.id).collect();
-    map::edit::remove_keyframes(&mut part, &outside);
-    let inside = part.keyframes[2].id;
-    let far = map::FarCorrelations {
-        cross_covariances: Vec::new(),
-        common_errors: place
-            .map
-            .common_errors
-            .iter()
-            .filter(|common| outside.contains(&common.keyframe))
-            .cloned()
-            .collect(),
-    };
-    let part = LoadedMap::from_part(part, far).unwrap();
-    for other in outside {
-        assert_eq!(part.cross_covariance(inside, other), whole.cross_covariance(inside, other));
+    request.map_version_held = Some(map.info().version);
+    let (again, _) = ask(&map, &request);
+    let new = &all[0].keyframe.id;
+    let mut blocks = 0;
+    for keyframe in &again {
+        let is_new = keyframe.keyframe.id == *new;
+        assert_eq!(keyframe.common_error.is_empty(), !is_new);
+        for cross in &keyframe.cross_covariances {
+            assert!(is_new || cross.other == *new, "two held keyframes");
+            assert_eq!(Some(cross.block), map.cross_covariance(keyframe.keyframe.id, cross.other));
+            blocks += 1;
+        }
     }
+    assert!(blocks > 0);
 }
 
 #[test]

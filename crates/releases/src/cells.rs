@@ -5,8 +5,7 @@
 //!
 //! Beside it a cell has a *border*, what an answer of this cell needs of others: the landmarks that its keyframes observe, the
 //! keyframes that observe one of these, and the cross-covariances of its own keyframes and of those of the border with all
-//! others. The common errors of all cells are read besides, since they correlate any two keyframes. So a cell answers for its keyframes
-//! with everything that the whole map has: no correlation is cut.
+//! others, and their common errors. So a cell answers for its keyframes with everything that the whole map has: no correlation is cut.
 
 use crate::partition::{CellId, Partition};
 use map::{CommonError, Keyframe, KeyframeCrossCovariance, Landmark, MapContents, MapMetadata};
@@ -30,16 +29,7 @@ pub(crate) struct CellView<'a> {
     pub(crate) keyframes: Vec<Cow<'a, Keyframe>>,
     pub(crate) landmarks: Vec<&'a Landmark>,
     pub(crate) cross_covariances: Vec<&'a KeyframeCrossCovariance>,
-    /// A border has none.
     pub(crate) common_errors: Vec<&'a CommonError>,
-}
-
-impl<'a> CellView<'a> {
-    /// Its common errors alone, which servers of other cells read; `None` where it has none.
-    pub(crate) fn only_common_errors(&self) -> Option<CellView<'a>> {
-        let common_errors = self.common_errors.clone();
-        (!common_errors.is_empty()).then(|| CellView { common_errors, ..CellView::default() })
-    }
 }
 
 /// A cell and its border.
@@ -71,6 +61,9 @@ pub(crate) fn split<'a>(
     for common in &contents.common_errors {
         if let Some(cell) = cell_of.get(&common.keyframe).and_then(|cell| cells.get_mut(cell)) {
             cell.own.common_errors.push(common);
+        }
+        for cell in borders.get(&common.keyframe).into_iter().flatten() {
+            cells.entry(*cell).or_default().border.common_errors.push(common);
         }
     }
     for cross in &contents.cross_covariances {

@@ -55,14 +55,14 @@ impl ReleasedChange {
                 continue;
             };
             motion.add(&former.global_from_keyframe.pose, &present.global_from_keyframe.pose);
-            let common = [before, now].map(|cells| cells.common_errors.get(id).copied());
-            if has_moved(former, present) || has_other_common_error(common[0], common[1], former) {
+            if has_moved(former, present) {
                 moved.insert(*id);
             }
             if former.camera != present.camera || former.stamp_ns != present.stamp_ns {
                 changed.insert(*id);
             }
         }
+        moved.extend(with_other_common_errors(before, now));
         // Nobody holds one that is new.
         let is_new = |id: &KeyframeId| now.keyframes.contains_key(id) && !before.keyframes.contains_key(id);
         let is_gone = |id: &KeyframeId| before.keyframes.contains_key(id) && !now.keyframes.contains_key(id);
@@ -117,6 +117,21 @@ impl ReleasedChange {
             }),
         }
     }
+}
+
+/// The keyframes of both with a common error, where that of any is another one: then what all of them have in common is.
+fn with_other_common_errors(before: &ChangedCells<'_>, now: &ChangedCells<'_>) -> Vec<KeyframeId> {
+    let common = |id: &KeyframeId| [before, now].map(|cells| cells.common_errors.get(id).copied());
+    let is_other = |(id, former): (&KeyframeId, &&Keyframe)| {
+        let [before, now] = common(id);
+        has_other_common_error(before, now, former)
+    };
+    let in_both = || before.keyframes.iter().filter(|(id, _)| now.keyframes.contains_key(id));
+    if !in_both().any(is_other) {
+        return Vec::new();
+    }
+    let has_any = |id: &KeyframeId| common(id).iter().any(Option::is_some);
+    in_both().map(|(id, _)| *id).filter(has_any).collect()
 }
 
 /// What a release has in the cells that are not the same in another one.

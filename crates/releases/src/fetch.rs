@@ -9,7 +9,7 @@ use crate::release::{Release, SegmentName};
 use crate::segment::decode;
 use crate::store::ReleaseStore;
 use bytes::Bytes;
-use map::{FarCorrelations, KeyframeCrossCovariance, MapContents};
+use map::{KeyframeCrossCovariance, MapContents};
 use protocol::KeyframeId;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -46,8 +46,8 @@ pub struct Cell {
     pub own: Vec<KeyframeId>,
     /// Its keyframes and those of its border, with the landmarks that its own keyframes observe.
     pub contents: MapContents,
-    /// What correlates these keyframes with those of other cells.
-    pub far: FarCorrelations,
+    /// Cross-covariances of these keyframes with those of other cells.
+    pub far_cross_covariances: Vec<KeyframeCrossCovariance>,
 }
 
 /// Fetches one cell of a release with its border.
@@ -77,23 +77,8 @@ pub async fn fetch_cell(
     let is_near = |cross: &KeyframeCrossCovariance| known.contains(&cross.a) && known.contains(&cross.b);
     let (near, far_cross_covariances) = contents.cross_covariances.into_iter().partition(is_near);
     contents.cross_covariances = near;
-    let mut far = FarCorrelations { cross_covariances: far_cross_covariances, common_errors: Vec::new() };
-    for other in release.cells.iter().filter(|other| other.cell != cell) {
-        let Some(name) = other.serving.as_ref().and_then(|serving| serving.common_errors.as_ref()) else {
-            continue;
-        };
-        for common in cell_contents(store, name, cache).await?.common_errors {
-            let part = if known.contains(&common.keyframe) {
-                &mut contents.common_errors
-            } else {
-                &mut far.common_errors
-            };
-            part.push(common);
-        }
-    }
-    contents.sort();
     contents.validate()?;
-    Ok(Cell { own, contents, far })
+    Ok(Cell { own, contents, far_cross_covariances })
 }
 
 /// Fetches what tells from afar of which cells an image could be: of all cells of a release.

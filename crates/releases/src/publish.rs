@@ -111,10 +111,6 @@ pub async fn publish(
         let serving = ServedCell {
             border: sending.put(encode(&part.border)?).await?,
             coarse: sending.put(CoarseCell::of(part).encode()?).await?,
-            common_errors: match part.own.only_common_errors() {
-                Some(common) => Some(sending.put(encode(&common)?).await?),
-                None => None,
-            },
             observations: part.own.landmarks.iter().map(|landmark| landmark.observations.len()).sum(),
             cross_covariances: part.own.cross_covariances.len(),
             viewing_distance: viewing_distance(&part.own),

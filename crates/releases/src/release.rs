@@ -92,9 +92,6 @@ pub struct ServedCell {
     pub border: SegmentName,
     /// What tells from afar whether an image could be of this cell.
     pub coarse: SegmentName,
-    /// What its keyframes err together with those of all cells; `None` where its map states nothing of it.
-    #[serde(default)]
-    pub common_errors: Option<SegmentName>,
     /// Observations of the landmarks that are anchored in its keyframes.
     pub observations: usize,
     /// Cross-covariances that are stored with its keyframes.
@@ -165,10 +162,7 @@ impl ReleasedMap {
 impl ReleasedCell {
     /// Its own segment, and those for serving it by itself.
     pub(crate) fn segments(&self) -> impl Iterator<Item = &SegmentName> {
-        let serving = self
-            .serving
-            .iter()
-            .flat_map(|serving| [&serving.border, &serving.coarse].into_iter().chain(&serving.common_errors));
+        let serving = self.serving.iter().flat_map(|serving| [&serving.border, &serving.coarse]);
         std::iter::once(&self.segment).chain(serving)
     }
 }

@@ -29,8 +29,8 @@ impl CellOrigin {
     async fn load(&self) -> Result<Arc<LoadedMap>, ServeError> {
         let fetched =
             fetch_cell(&self.source.store, &self.release, self.cell, Some(&self.source.cache)).await?;
-        let Cell { contents, far, .. } = fetched;
-        let indexing = tokio::task::spawn_blocking(|| LoadedMap::from_part(contents, far));
+        let Cell { contents, far_cross_covariances, .. } = fetched;
+        let indexing = tokio::task::spawn_blocking(|| LoadedMap::from_part(contents, far_cross_covariances));
         Ok(Arc::new(indexing.await.map_err(|error| ServeError::task(&error))??))
     }
 

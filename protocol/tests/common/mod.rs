@@ -160,14 +160,19 @@ fn cross_covariances() -> impl Strategy<Value = CrossCovarianceBlock> {
 
 pub fn matched_keyframes() -> impl Strategy<Value = MatchedKeyframe> {
     let map = (any::<u64>(), identities());
-    (map, any::<u16>(), keyframes(), vec(cross_covariances(), 0..3), landmark_matches()).prop_map(
-        |((map_version, map_identity), rank, keyframe, cross_covariances, matches)| MatchedKeyframe {
-            map_version,
-            map_identity,
-            rank,
-            keyframe,
-            cross_covariances,
-            matches,
+    let common_error = vec(prop::array::uniform6(-1.0..1.0f64), 0..3);
+    let correlations = (common_error, vec(cross_covariances(), 0..3));
+    (map, any::<u16>(), keyframes(), correlations, landmark_matches()).prop_map(
+        |((map_version, map_identity), rank, keyframe, (common_error, cross_covariances), matches)| {
+            MatchedKeyframe {
+                map_version,
+                map_identity,
+                rank,
+                keyframe,
+                common_error,
+                cross_covariances,
+                matches,
+            }
         },
     )
 }

@@ -57,6 +57,7 @@ impl Estimator {
             self.covariance.held.activate_or_insert(
                 keyframe.id,
                 &keyframe.global_from_keyframe,
+                &keyframe.common_error,
                 &keyframe.cross_covariances,
             );
         }

@@ -5,13 +5,14 @@ use super::map_linearization::LinearizedMapUpdate;
 use crate::KeyframeId;
 use crate::config::{MapMode, Relinearization};
 use crate::error::EstimatorError;
-use crate::map_update::map_answer::{MapAnswer, MatchedLandmark};
+use crate::map_update::map_answer::{MapAnswer, MapKeyframe, MatchedLandmark};
 use crate::map_update::map_measurement::{Linearization, LinearizationPoint};
 use crate::map_update::map_report::{MapReport, Rejection};
 use crate::map_update::solved_pose::median_depth;
 use crate::map_update::verification::{VerificationSettings, VerifiedAnswer, verify};
 use crate::measurement::Information;
 use crate::noise_adaptation::correction::BeforeUpdate;
+use crate::schmidt::HeldKeyframes;
 use crate::state::CloneId;
 use geometry::PoseWithCovariance;
 use nalgebra::Vector3;
@@ -39,7 +40,7 @@ impl Estimator {
     /// # use geometry::{Camera, Distortion};
     /// use estimator::{Localization, MapAnswer, MapKeyframe, MatchedLandmark};
     /// use geometry::{Pose, PoseWithCovariance};
-    /// use nalgebra::{Matrix6, Vector3};
+    /// use nalgebra::{Matrix6, Matrix6xX, Vector3};
     /// # let camera = Camera {
     /// #     width: 640, height: 480, focal: [400.0; 2], centre: [320.0, 240.0], distortion: Distortion::None,
     /// # };
@@ -65,6 +66,7 @@ impl Estimator {
     ///         id: 7,
     ///         global_from_keyframe: PoseWithCovariance::new(global_from_keyframe, Matrix6::identity() * 1e-4),
     ///         camera: camera.clone(),
+    ///         common_error: Matrix6xX::zeros(0),
     ///         cross_covariances: Vec::new(),
     ///     }],
     ///     held_at_query: estimator.held_keyframes(),
@@ -87,9 +89,11 @@ impl Estimator {
     /// ```
     pub fn map_update(&mut self, clone: CloneId, answer: &MapAnswer) -> Result<MapReport, EstimatorError> {
         let same_map = self.map_version.in_use() == Some(answer.map_version);
-        let answer = self
-            .restrict(answer)
-            .without_invalid(&|id| if same_map { self.covariance.held.map_covariance(id) } else { None });
+        let restricted = self.restrict(answer);
+        let held = same_map.then_some(&self.covariance.held);
+        let common_dim = held.and_then(HeldKeyframes::common_dim);
+        let answer =
+            restricted.without_invalid(&|id| held.and_then(|held| held.map_covariance(id)), common_dim);
         let mut report = MapReport {
             keyframes: answer.keyframes.len(),
             matches: answer.landmarks.len(),
@@ -147,9 +151,12 @@ impl Estimator {
     fn restrict(&mut self, answer: &MapAnswer) -> MapAnswer {
         let mut restricted = answer.clone();
         let correlated = self.covariance.held.has_correlations()
-            || answer.keyframes.iter().any(|keyframe| !keyframe.cross_covariances.is_empty());
-        if correlated && self.map_version.in_use() == Some(answer.map_version) {
-            restricted = restricted.with_known_correlations(&self.held_keyframes());
+            || answer.keyframes.iter().any(MapKeyframe::is_correlated);
+        if self.map_version.in_use() == Some(answer.map_version) {
+            restricted = restricted.without_forgotten(&self.held_keyframes());
+            if correlated {
+                restricted = restricted.with_known_correlations(&self.held_keyframes());
+            }
         }
         if self.config.mode == MapMode::Single {
             restricted.keyframes.truncate(1);
@@ -261,11 +268,8 @@ impl Estimator {
             verified.inliers.iter().map(|&k| &answer.landmarks[k]).collect();
         let inliers = landmarks.len();
         let keyframes = self.keyframes_of(&landmarks, answer);
-        let new: Vec<KeyframeId> = keyframes
-            .iter()
-            .copied()
-            .filter(|&id| self.covariance.held.map_covariance(id).is_none())
-            .collect();
+        let new: Vec<KeyframeId> =
+            keyframes.iter().copied().filter(|&id| !self.covariance.held.contains(id)).collect();
         let columns = self.pull_keyframes(clone, &keyframes, answer);
         let exact = self.config.mode == MapMode::MapConst;
         for iteration in 1..=self.config.map_iterations {

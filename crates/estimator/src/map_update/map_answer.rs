@@ -2,8 +2,8 @@
 
 use crate::KeyframeId;
 use geometry::{Camera, PoseWithCovariance};
-use nalgebra::{Matrix6, SMatrix, Vector2, Vector3};
-use std::collections::HashSet;
+use nalgebra::{Matrix6, Matrix6xX, SMatrix, Vector2, Vector3};
+use std::collections::{HashMap, HashSet};
 
 /// A keyframe of the map that shares landmarks with the image.
 #[derive(Clone, Debug)]
@@ -14,8 +14,20 @@ pub struct MapKeyframe {
     pub global_from_keyframe: PoseWithCovariance,
     /// Intrinsics of its camera.
     pub camera: Camera,
-    /// Cross-covariances with other keyframes, `E[own otherᵀ]`. A keyframe that is not listed is independent.
+    /// What it errs together with all other keyframes: `U` of its error `U x + rest`, where `x` holds independent standard
+    /// normal numbers, the same for the whole map. Without columns where the map states nothing of that, and of keyframes
+    /// that the filter held at the time of the query.
+    pub common_error: Matrix6xX<f64>,
+    /// Cross-covariances of the rest with that of other keyframes, `E[own otherᵀ]`. A keyframe that is not listed is
+    /// independent; two that the filter held at the time of the query are never listed.
     pub cross_covariances: Vec<(KeyframeId, Matrix6<f64>)>,
+}
+
+impl MapKeyframe {
+    /// Whether the map states how its error is correlated with that of any other keyframe.
+    pub(crate) fn is_correlated(&self) -> bool {
+        self.common_error.ncols() > 0 || !self.cross_covariances.is_empty()
+    }
 }
 
 /// A landmark of the map that is matched with a feature of the image.
@@ -40,7 +52,8 @@ pub struct MapAnswer {
     pub map_identity: u128,
     /// Best first.
     pub keyframes: Vec<MapKeyframe>,
-    /// Keyframes held by the filter at the time of the query; the answer contains its cross-covariances with them.
+    /// Keyframes held by the filter at the time of the query. The answer states how all others are correlated with them, and
+    /// assumes that the filter knows how they are correlated with each other.
     pub held_at_query: Vec<KeyframeId>,
     /// Matched landmarks.
     pub landmarks: Vec<MatchedLandmark>,
@@ -56,13 +69,26 @@ impl MapAnswer {
         self.keyframes.iter().find(|keyframe| keyframe.id == id)
     }
 
+    /// Removes keyframes that the filter has dropped since the query, and what refers to them: the answer does not state their
+    /// correlations.
+    ///
+    /// # Arguments
+    /// * `held`: keyframes that the filter holds now.
+    #[must_use]
+    pub(crate) fn without_forgotten(mut self, held: &[KeyframeId]) -> Self {
+        let forgotten = |id: &KeyframeId| self.held_at_query.contains(id) && !held.contains(id);
+        self.keyframes.retain(|keyframe| !forgotten(&keyframe.id));
+        self.remove_dangling_references();
+        self
+    }
+
     /// Removes keyframes whose cross-covariance with keyframes added after the query is unknown, and what refers to them.
     /// Treating them as independent could be inconsistent with the correlation of both with a third keyframe.
     ///
     /// # Arguments
     /// * `held`: keyframes that the filter holds now.
     #[must_use]
-    pub fn with_known_correlations(mut self, held: &[KeyframeId]) -> Self {
+    pub(crate) fn with_known_correlations(mut self, held: &[KeyframeId]) -> Self {
         let answered = self.keyframes.iter().map(|keyframe| keyframe.id);
         let stated: HashSet<KeyframeId> = self.held_at_query.iter().copied().chain(answered).collect();
         if held.iter().all(|id| stated.contains(id)) {
@@ -86,22 +112,30 @@ impl MapAnswer {
     /// covariances, what refers to them, and values that are not finite.
     ///
     /// # Arguments
-    /// * `held`: covariance of a keyframe that the filter holds already.
+    /// * `held`: covariance of a keyframe that the filter holds already: of its error, and of the rest of it.
+    /// * `common_dim`: how many numbers of `x` the filter knows; `None` where it knows none.
     #[must_use]
-    pub fn without_invalid(mut self, held: &dyn Fn(KeyframeId) -> Option<Matrix6<f64>>) -> Self {
+    pub(crate) fn without_invalid(
+        mut self,
+        held: &dyn Fn(KeyframeId) -> Option<[Matrix6<f64>; 2]>,
+        common_dim: Option<usize>,
+    ) -> Self {
         self.keyframes.retain(|keyframe| keyframe.global_from_keyframe.is_plausible());
-        let stated: Vec<(KeyframeId, Matrix6<f64>)> = self
-            .keyframes
-            .iter()
-            .map(|keyframe| (keyframe.id, keyframe.global_from_keyframe.covariance))
-            .collect();
-        let covariance_of =
-            |id| held(id).or_else(|| stated.iter().find(|(other, _)| *other == id).map(|(_, own)| *own));
+        let mut dims = self.keyframes.iter().map(|keyframe| keyframe.common_error.ncols());
+        let dim = common_dim.or_else(|| dims.find(|dim| *dim > 0)).unwrap_or(0);
+        let stated: HashMap<KeyframeId, [Matrix6<f64>; 2]> =
+            self.keyframes.iter().map(|keyframe| (keyframe.id, stated_covariance(keyframe))).collect();
+        let covariance_of = |id| held(id).or_else(|| stated.get(&id).copied());
         self.keyframes.retain(|keyframe| {
-            keyframe.cross_covariances.iter().all(|(other, block)| {
-                let both = covariance_of(keyframe.id).zip(covariance_of(*other));
-                both.is_none_or(|(own, others)| is_joint_covariance(&own, &others, block))
-            })
+            let Some(own) = covariance_of(keyframe.id) else { return false };
+            let common = &keyframe.common_error;
+            let is_valid = common.ncols() == 0 || common.ncols() == dim;
+            let is_alone_valid = is_joint_covariance(&own, &own, &Matrix6::zeros());
+            is_valid
+                && is_alone_valid
+                && keyframe.cross_covariances.iter().all(|(other, block)| {
+                    covariance_of(*other).is_none_or(|other| is_joint_covariance(&own, &other, block))
+                })
         });
         self.remove_dangling_references();
         self.landmarks.retain(|landmark| {
@@ -117,16 +151,27 @@ impl MapAnswer {
     }
 }
 
-/// Whether two covariances with a cross-covariance are a valid joint covariance.
-fn is_joint_covariance(a: &Matrix6<f64>, b: &Matrix6<f64>, block: &Matrix6<f64>) -> bool {
+/// The covariance of a keyframe's error, and of the rest of it.
+fn stated_covariance(keyframe: &MapKeyframe) -> [Matrix6<f64>; 2] {
+    let covariance = keyframe.global_from_keyframe.covariance;
+    [covariance, covariance - &keyframe.common_error * keyframe.common_error.transpose()]
+}
+
+/// Whether two covariances with a cross-covariance are a valid joint covariance, of what two errors are beyond what they have
+/// in common.
+///
+/// # Arguments
+/// * `a`, `b`: covariance of the error, and of the rest of it.
+fn is_joint_covariance(a: &[Matrix6<f64>; 2], b: &[Matrix6<f64>; 2], block: &Matrix6<f64>) -> bool {
     let mut joint = SMatrix::<f64, 12, 12>::zeros();
-    joint.fixed_view_mut::<6, 6>(0, 0).copy_from(a);
-    joint.fixed_view_mut::<6, 6>(6, 6).copy_from(b);
+    joint.fixed_view_mut::<6, 6>(0, 0).copy_from(&a[1]);
+    joint.fixed_view_mut::<6, 6>(6, 6).copy_from(&b[1]);
     joint.fixed_view_mut::<6, 6>(0, 6).copy_from(block);
     joint.fixed_view_mut::<6, 6>(6, 0).copy_from(&block.transpose());
     for k in 0..12 {
+        let variance = if k < 6 { a[0][(k, k)] } else { b[0][(k - 6, k - 6)] };
         // Tolerance for rounding, and for a keyframe without uncertainty.
-        joint[(k, k)] += 1e-9 * joint[(k, k)] + 1e-18;
+        joint[(k, k)] += 1e-9 * variance + 1e-18;
     }
     joint.iter().all(|value| value.is_finite()) && joint.cholesky().is_some()
 }

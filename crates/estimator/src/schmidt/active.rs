@@ -1,8 +1,9 @@
 //! Active keyframes: their sensitivities follow every step of the filter.
 //!
-//! One matrix `[R | M]`, rows are those of the active error state, takes part in all of them. `M` (6 columns for a
+//! One matrix `[R | X | M]`, rows are those of the active error state, takes part in all of them. `M` (6 columns for a
 //! keyframe) are the sensitivities; `R` is the product of all steps since keyframes were last deactivated, the transition
-//! from the newest level of inactive keyframes to now. It has no columns while no keyframe is inactive.
+//! from the newest level of inactive keyframes to now. It has no columns while no keyframe is inactive. `X` is the
+//! sensitivity to what the map's keyframes err together; it has columns only while keyframes are used.
 
 use super::keyframe::{HeldKeyframe, KEYFRAME_DIM};
 use crate::linear_algebra::dense::Dense;
@@ -17,10 +18,12 @@ use std::ops::Range;
 #[derive(Clone, Debug)]
 pub struct ActiveKeyframes {
     keyframes: Vec<HeldKeyframe>,
-    /// `[R | M]`.
+    /// `[R | X | M]`.
     matrix: Dense,
     /// Columns of `R`.
     transition_dim: usize,
+    /// Columns of `X`.
+    common_dim: usize,
     /// Memory reused by each step.
     factor: Dense,
     product: Dense,
@@ -34,6 +37,7 @@ impl ActiveKeyframes {
             keyframes: Vec::new(),
             matrix: Dense::zeros(dim, 0),
             transition_dim: 0,
+            common_dim: 0,
             factor: Dense::default(),
             product: Dense::default(),
             spare: Dense::default(),
@@ -102,12 +106,44 @@ impl ActiveKeyframes {
         self.transition_dim = transition.ncols();
     }
 
+    /// Columns of `X`.
+    pub fn common_dim(&self) -> usize {
+        self.common_dim
+    }
+
+    /// Sets `X`, which has no columns.
+    pub fn set_common(&mut self, common: &Dense) {
+        let mut matrix = self.transition();
+        matrix.append(common);
+        matrix.append(&self.matrix.columns(self.transition_dim..self.matrix.ncols()));
+        self.matrix = matrix;
+        self.common_dim = common.ncols();
+    }
+
+    /// Takes `X` out.
+    pub fn take_common(&mut self) -> Dense {
+        let common = self.matrix.columns(self.columns_of_common());
+        self.matrix.remove_columns(self.columns_of_common());
+        self.common_dim = 0;
+        common
+    }
+
+    /// `target += X Uᵀ`.
+    pub fn add_common_times(&self, common: &Dense, target: &mut Dense) {
+        let of_x = self.matrix.faer().subcols(self.transition_dim, self.common_dim);
+        matmul(target.faer_mut(), Accum::Add, of_x, common.faer().transpose(), 1.0, Par::Seq);
+    }
+
+    fn columns_of_common(&self) -> Range<usize> {
+        self.transition_dim..self.transition_dim + self.common_dim
+    }
+
     fn columns_of(&self, slot: usize) -> Range<usize> {
-        let begin = self.transition_dim + KEYFRAME_DIM * slot;
+        let begin = self.columns_of_common().end + KEYFRAME_DIM * slot;
         begin..begin + KEYFRAME_DIM
     }
 
-    /// `← F [R | M]` for an `F` that touches only the IMU's rows, which are the first.
+    /// `← F [R | X | M]` for an `F` that touches only the IMU's rows, which are the first.
     pub fn propagate(&mut self, transition: &ImuMatrix) {
         self.product.reset(IMU_DIM, self.matrix.ncols());
         for column in 0..self.matrix.ncols() {
@@ -140,7 +176,7 @@ impl ActiveKeyframes {
         self.matrix.insert_rows(at, &self.product, &mut self.spare);
     }
 
-    /// `M -= Wᵀ L⁻¹ H (M_C; scale E_T)` and `R -= Wᵀ L⁻¹ H_C R_C`.
+    /// `M -= Wᵀ L⁻¹ H (M_C; scale E_T)`, `X -= Wᵀ L⁻¹ H (X_C; scale U_T)` and `R -= Wᵀ L⁻¹ H_C R_C`.
     ///
     /// # Arguments
     /// * `whitened`: `W`.
@@ -164,6 +200,12 @@ impl ActiveKeyframes {
                 let target = self.product.column_mut(column);
                 target.iter_mut().zip(numbers).for_each(|(sum, number)| *sum += scale * number);
             }
+            let common = &self.keyframes[slot].common;
+            if common.ncols() > 0 {
+                let of_keyframe = self.factor.faer().subcols(first + KEYFRAME_DIM * k, KEYFRAME_DIM);
+                let target = self.product.faer_mut().subcols_mut(self.transition_dim, self.common_dim);
+                matmul(target, Accum::Add, of_keyframe, common.faer(), scale, Par::Seq);
+            }
         }
         let gain = whitened.faer().transpose();
         matmul(self.matrix.faer_mut(), Accum::Add, gain, self.product.faer(), -1.0, Par::Seq);
@@ -173,11 +215,12 @@ impl ActiveKeyframes {
     pub fn heap_bytes(&self) -> usize {
         let matrices = [&self.matrix, &self.factor, &self.product, &self.spare];
         self.keyframes.capacity() * size_of::<HeldKeyframe>()
+            + self.keyframes.iter().map(|keyframe| keyframe.common.heap_bytes()).sum::<usize>()
             + matrices.iter().map(|matrix| matrix.heap_bytes()).sum::<usize>()
     }
 }
 
-/// `J [R | M]_C` into `product`.
+/// `J [R | X | M]_C` into `product`.
 fn times_blocks(matrix: &Dense, blocks: &StateBlocks, jacobian: &Dense, product: &mut Dense) {
     product.reset(jacobian.nrows(), matrix.ncols());
     for (rows, columns) in blocks.ranges() {

@@ -16,7 +16,8 @@
 //! **Correlated keyframes.** The lower corner is unknown, since keyframes correlated with `j` may be inserted later, but it
 //! is at most `P_NN / x`: the covariance of the whole map is inflated by `1 + 1/x` from then on. To keep that small,
 //! several keyframes are evicted with one `D`, and before that the part of `e_j` that its neighbours predict moves to them:
-//! with `e_j = G e_k + rest`, `M_k += M_j G`, and only `M_j rest` is dropped. That is valid for any `G`.
+//! with `e_j = G e_k + rest`, `M_k += M_j G`, and only `M_j rest` is dropped. That is valid for any `G`. What all keyframes err
+//! together stays: `X` does not change, and all of this is of the errors beyond it.
 //!
 //! **Choice of `x`.** With the relative information `s = tr(P_AA⁻¹ M_j P_j M_jᵀ)` the state grows by less than `x s` in any
 //! direction and the keyframe by `1/x`; `x = sqrt(weight / s)` minimizes `x s + weight / x`. A keyframe of which the state
@@ -132,7 +133,7 @@ impl HeldKeyframes {
         // evicted error that is not predicted.
         let slots = neighbours.iter().filter_map(|id| self.slot_of(*id)).map(|slot| self.get(slot));
         let all: Vec<&HeldKeyframe> = evicted.iter().chain(slots).collect();
-        let joint = self.covariance_between(&all);
+        let joint = self.covariance_of_rests(&all);
         let (own, dim) = (KEYFRAME_DIM * evicted.len(), joint.nrows());
         let mut rest = DMatrix::identity(own, dim);
         for (k, neighbours_of) in neighbours_of.iter().enumerate() {

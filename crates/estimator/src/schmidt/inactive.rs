@@ -9,6 +9,8 @@
 //! A level at most 1.5 times as large as the next one is moved into it, a few keyframes a step, each multiplied by the
 //! transition. An empty level leaves the product of the transitions beside it. So the number of levels is logarithmic in
 //! the number of keyframes, each keyframe is moved logarithmically often, and no single step moves many.
+//!
+//! The sensitivity `X` to what keyframes err together is a member of the newest level, unless it is active.
 
 use super::active::ActiveKeyframes;
 use super::keyframe::{HeldKeyframe, KEYFRAME_DIM};
@@ -16,7 +18,9 @@ use super::level::{InactiveKeyframe, Level};
 use super::rank_factorization::rank_factorization;
 use crate::KeyframeId;
 use crate::linear_algebra::dense::Dense;
+use faer::linalg::matmul::matmul;
 use faer::linalg::matmul::triangular::BlockStructure::Rectangular;
+use faer::{Accum, Par};
 use nalgebra::Matrix6;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -32,6 +36,8 @@ pub struct InactiveKeyframes {
     /// Oldest first. None is empty.
     levels: Vec<Level>,
     keyframes: BTreeMap<KeyframeId, InactiveKeyframe>,
+    /// `X` at the time of the newest level; without columns where it is active or the map states nothing of it.
+    common: Dense,
     next_serial: u64,
 }
 
@@ -51,6 +57,11 @@ impl InactiveKeyframes {
         self.keyframes.get(&id).map(|inactive| &inactive.keyframe)
     }
 
+    /// All of them.
+    pub fn keyframes(&self) -> impl Iterator<Item = &HeldKeyframe> {
+        self.keyframes.values().map(|inactive| &inactive.keyframe)
+    }
+
     /// The `count` keyframes whose last use is longest ago.
     pub fn least_recently_used(&self, count: usize) -> Vec<KeyframeId> {
         let by_last_use = |inactive: &InactiveKeyframe| (inactive.keyframe.last_used, inactive.keyframe.id);
@@ -60,7 +71,16 @@ impl InactiveKeyframes {
     }
 
     /// Adds keyframes with their present sensitivities, as a new level; `R` starts anew.
-    pub fn deactivate(&mut self, members: Vec<(HeldKeyframe, Dense)>, active: &mut ActiveKeyframes) {
+    ///
+    /// # Arguments
+    /// * `common`: `X`, which none of the levels has; without columns where the map states nothing of it.
+    pub fn deactivate(
+        &mut self,
+        members: Vec<(HeldKeyframe, Dense)>,
+        common: Dense,
+        active: &mut ActiveKeyframes,
+    ) {
+        self.common = common;
         if let Some(newest) = self.levels.last_mut() {
             newest.transition_to_next = active.transition();
         }
@@ -70,6 +90,26 @@ impl InactiveKeyframes {
         for (keyframe, sensitivity) in members {
             self.insert(self.levels.len() - 1, keyframe, sensitivity);
         }
+    }
+
+    /// Columns of `X`.
+    pub fn common_dim(&self) -> usize {
+        self.common.ncols()
+    }
+
+    /// `X Uᵀ` now.
+    pub fn common_times(&self, common: &Dense, active: &ActiveKeyframes) -> Dense {
+        let mut product = Dense::zeros(self.common.nrows(), common.nrows());
+        let (of_x, factor) = (self.common.faer(), common.faer().transpose());
+        matmul(product.faer_mut(), Accum::Add, of_x, factor, 1.0, Par::Seq);
+        active.transition_times(&product)
+    }
+
+    /// Takes out `X` as it is now.
+    pub fn take_common(&mut self, active: &mut ActiveKeyframes) -> Dense {
+        let common = active.transition_times(&std::mem::take(&mut self.common));
+        self.remove_empty_levels(active);
+        common
     }
 
     /// Removes a few keyframes.
@@ -184,7 +224,7 @@ impl InactiveKeyframes {
     }
 
     fn remove_empty_levels(&mut self, active: &mut ActiveKeyframes) {
-        while let Some(empty) = self.levels.iter().position(|level| level.members.is_empty()) {
+        while let Some(empty) = self.empty_level() {
             let removed = self.levels.remove(empty);
             let is_newest = empty == self.levels.len();
             let before = empty.checked_sub(1).map(|before| &mut self.levels[before]);
@@ -200,6 +240,12 @@ impl InactiveKeyframes {
                 }
             }
         }
+    }
+
+    /// A level without members; the newest one has `X`, where that is not active.
+    fn empty_level(&self) -> Option<usize> {
+        let without_common = self.levels.len() - usize::from(self.common.ncols() > 0);
+        self.levels[..without_common].iter().position(|level| level.members.is_empty())
     }
 
     /// From the time of a level to that of the next one, or to now.
@@ -245,16 +291,22 @@ impl InactiveKeyframes {
     pub fn levels(&self) -> impl Iterator<Item = (usize, usize)> + '_ {
         self.levels.iter().map(|level| {
             let first = level.members.first().and_then(|id| self.keyframes.get(id));
-            (level.members.len(), first.map_or(0, |member| member.sensitivity.nrows()))
+            (level.members.len(), first.map_or(self.common.nrows(), |member| member.sensitivity.nrows()))
         })
     }
 
     /// Bytes on the heap, without the trees' own bookkeeping.
     pub fn heap_bytes(&self) -> usize {
         let member = size_of::<(KeyframeId, InactiveKeyframe)>() + size_of::<KeyframeId>();
-        let sensitivities = self.keyframes.values().map(|inactive| inactive.sensitivity.heap_bytes());
+        let sensitivities = self
+            .keyframes
+            .values()
+            .map(|inactive| inactive.sensitivity.heap_bytes() + inactive.keyframe.common.heap_bytes());
         let transitions =
             self.levels.iter().map(|level| size_of::<Level>() + level.transition_to_next.heap_bytes());
-        self.keyframes.len() * member + sensitivities.sum::<usize>() + transitions.sum::<usize>()
+        self.common.heap_bytes()
+            + self.keyframes.len() * member
+            + sensitivities.sum::<usize>()
+            + transitions.sum::<usize>()
     }
 }

@@ -8,7 +8,9 @@
 //! [     0       (1 + 1/x) P'   ]  -  [ Cᵀ  P' ]   =   [ -Cᵀ   P'/x ]   is positive semidefinite.
 //! ```
 //! So the state's covariance grows by `x A`, the covariance of the whole map is inflated by `1 + 1/x`, and the new version
-//! enters as independent of the state. Keyframes that both versions share stay, with their sensitivities.
+//! enters as independent of the state. Keyframes that both versions share stay, with their sensitivities. Where these depend on
+//! the `x` that all keyframes have in common, it stays, too, and `e_j` is what an invalidated keyframe errs beyond it;
+//! else `b` contains `X x`.
 //!
 //! Keyframes evicted earlier have inflation factors of their own. Errors of the new version may depend on any of them, so
 //! the largest of these factors holds for every keyframe that enters from then on.
@@ -50,7 +52,12 @@ impl HeldKeyframes {
         if keyframes.is_empty() {
             return;
         }
-        let of_map = self.covariance_of_sum(&keyframes, &sensitivity) / self.inflation.of_map();
+        let mut of_map = self.covariance_of_sum(&keyframes, &sensitivity);
+        if self.common_dim().is_some() && !self.any_has_common_error() {
+            let common = self.take_common();
+            of_map += common.view() * common.view().transpose();
+        }
+        of_map /= self.inflation.of_map();
         let relative = relative_information(&of_map, covariance).max(MIN_RELATIVE_INFORMATION);
         let x = (MAP_WEIGHT / relative).sqrt().max(MIN_X);
         let mut target = covariance.view_mut();
@@ -91,7 +98,7 @@ impl HeldKeyframes {
                     let block = Dense::from_columns(KEYFRAME_DIM, block.as_slice());
                     cross.add_product(sensitivity, columns_of(j), &block, 0..KEYFRAME_DIM, Rectangular);
                 };
-                add(first + k, &keyframe.covariance());
+                add(first + k, &keyframe.covariance_of_rest());
                 for (other, block) in self.correlations.with(keyframe.id) {
                     if let Some(&j) = positions.get(&other) {
                         add(j, block);
@@ -126,6 +133,7 @@ mod tests {
     use crate::measurement::{LinearizedMeasurement, StateBlocks};
     use crate::propagation::ImuMatrix;
     use geometry::{Pose, PoseWithCovariance};
+    use nalgebra::Matrix6xX;
     use rand::{RngExt as _, SeedableRng, rngs::StdRng};
 
     /// IMU, transform and three clones.
@@ -134,7 +142,7 @@ mod tests {
     const STEPS: u64 = 150;
 
     /// Active keyframes and several levels of inactive ones, all with different sensitivities.
-    fn held_after_many_steps(correlated: bool) -> HeldKeyframes {
+    fn held_after_many_steps(correlated: bool, common_dim: usize) -> HeldKeyframes {
         let mut rng = StdRng::seed_from_u64(7);
         let mut draw = |rows: usize, columns: usize| {
             DMatrix::from_fn(rows, columns, |_, _| rng.random_range(-0.2..0.2_f64))
@@ -145,7 +153,9 @@ mod tests {
             let stated = PoseWithCovariance::new(Pose::identity(), root * root.transpose());
             let block = Matrix6::from_iterator(draw(6, 6).iter().copied()) * 0.1;
             let cross: Vec<_> = (id.saturating_sub(9)..id).step_by(4).map(|other| (other, block)).collect();
-            let slot = held.activate_or_insert(id, &stated, if correlated { &cross } else { &[] });
+            let common = Matrix6xX::from_iterator(common_dim, draw(6, common_dim).iter().copied()) * 0.1;
+            let cross: &[_] = if correlated { &cross } else { &[] };
+            let slot = held.activate_or_insert(id, &stated, &common, cross);
             let blocks = StateBlocks { keyframes: vec![slot], ..StateBlocks::of_active([15..21, 21..27]) };
             let jacobian = Dense::from(draw(8, blocks.len()));
             let measurement =
@@ -162,14 +172,15 @@ mod tests {
 
     #[test]
     fn the_covariance_that_is_removed_is_the_sum_over_all_pairs_of_keyframes() {
-        for correlated in [false, true] {
+        for (correlated, common_dim) in [(false, 0), (true, 0), (true, 9)] {
             for ids in [(0..STEPS).collect::<Vec<_>>(), (0..STEPS).step_by(3).collect(), vec![3, 3, 999]] {
-                let mut held = held_after_many_steps(correlated);
+                let mut held = held_after_many_steps(correlated, common_dim);
                 let mut activated = held.clone();
                 activated.activate(&(0..STEPS).collect::<Vec<_>>());
                 let mut slots: Vec<usize> = ids.iter().filter_map(|id| activated.slot_of(*id)).collect();
                 slots.dedup();
-                let covariance = activated.covariance_of(&slots);
+                let keyframes: Vec<&HeldKeyframe> = slots.iter().map(|&slot| activated.get(slot)).collect();
+                let covariance = activated.covariance_of_rests(&keyframes);
                 let of = |slot: usize| {
                     let mut sensitivity = Dense::zeros(DIM, KEYFRAME_DIM);
                     let identity = Dense::identity(KEYFRAME_DIM);
@@ -189,5 +200,33 @@ mod tests {
                 assert!(difference < 1e-10, "{difference} of {} keyframes", slots.len());
             }
         }
+    }
+
+    #[test]
+    fn the_sensitivity_to_what_keyframes_have_in_common_is_that_to_all_of_them() {
+        let mut held = held_after_many_steps(true, 9);
+        held.activate_common();
+        let common = held.active.take_common();
+        held.active.set_common(&common);
+        held.activate(&(0..STEPS).collect::<Vec<_>>());
+        let mut expected = Dense::zeros(DIM, 9);
+        for (slot, keyframe) in held.active.keyframes().iter().enumerate() {
+            held.active.add_sensitivity_times(slot, &keyframe.common, &mut expected);
+        }
+        let difference = (common.view() - expected.view()).amax() / expected.view().amax();
+        assert!(difference < 1e-10, "{difference}");
+
+        // It is gone with the last keyframe that has any of it, and its covariance is the state's.
+        let mut covariance = Dense::identity(DIM);
+        let ids: Vec<u64> = (0..STEPS).collect();
+        held.invalidate(&ids[1..], &mut covariance);
+        assert_eq!(held.common_dim(), Some(9));
+        let before = covariance.view().into_owned();
+        held.invalidate(&[0], &mut covariance);
+        assert_eq!(held.common_dim(), None);
+        let least = common.view() * common.view().transpose();
+        let growth = covariance.view() - before;
+        let rounding = 1e-9 * growth.amax();
+        assert!((growth - least).symmetric_eigenvalues().min() > -rounding);
     }
 }

@@ -11,6 +11,9 @@
 //! ```
 //! so a keyframe that is not used is only multiplied from the left, with or without cross-covariances.
 //!
+//! What all keyframes of a large map err together, `e_k = U_k x + rest`, is one more consider state `x`, of which the
+//! sensitivity `X` is kept: `M` and `P_NN` above are those of the rests then, and `P_Aj = X U_jᵀ + sum of M_k P_kj`.
+//!
 //! | module | |
 //! |---|---|
 //! | `active` | keyframes used lately: every step of the filter applies to their sensitivities |
@@ -46,8 +49,9 @@ use geometry::PoseWithCovariance;
 use inactive::InactiveKeyframes;
 use inflation::MapInflation;
 use keyframe::KEYFRAME_DIM;
-use nalgebra::{DMatrix, Matrix6};
+use nalgebra::{DMatrix, Matrix6, Matrix6xX};
 use std::ops::Range;
+use std::sync::Arc;
 
 /// All held keyframes and their covariance with the active state and each other.
 #[derive(Clone, Debug)]
@@ -98,16 +102,32 @@ impl HeldKeyframes {
         &self.active.keyframes()[slot]
     }
 
-    /// Covariance of a held keyframe, active or inactive, as the map states it.
-    pub fn map_covariance(&self, id: KeyframeId) -> Option<Matrix6<f64>> {
+    /// Whether a keyframe is held, active or inactive.
+    pub fn contains(&self, id: KeyframeId) -> bool {
+        self.find(id).is_some()
+    }
+
+    /// Covariance of a held keyframe as the map states it: of its error, and of what of it is beyond the `U x` of
+    /// [`Self::activate_or_insert`].
+    pub fn map_covariance(&self, id: KeyframeId) -> Option<[Matrix6<f64>; 2]> {
+        let keyframe = self.find(id)?;
+        let covariance = keyframe.global_from_keyframe.covariance;
+        Some([covariance, covariance - keyframe.common_with(keyframe)])
+    }
+
+    fn find(&self, id: KeyframeId) -> Option<&HeldKeyframe> {
         let active = self.slot_of(id).map(|slot| self.get(slot));
-        let keyframe = active.or_else(|| self.inactive.get(id))?;
-        Some(keyframe.global_from_keyframe.covariance)
+        active.or_else(|| self.inactive.get(id))
     }
 
     /// Whether the map states cross-covariances between any held keyframes.
     pub fn has_correlations(&self) -> bool {
-        !self.correlations.is_empty()
+        !self.correlations.is_empty() || self.common_dim().is_some()
+    }
+
+    /// How many numbers `x` has; `None` where the map states nothing of what its keyframes err together.
+    pub fn common_dim(&self) -> Option<usize> {
+        Some(self.active.common_dim().max(self.inactive.common_dim())).filter(|dim| *dim > 0)
     }
 
     /// `P_Aj` of an active slot, state x 6.
@@ -118,13 +138,19 @@ impl HeldKeyframes {
             let block = Dense::from_columns(KEYFRAME_DIM, block.as_slice());
             self.active.add_sensitivity_times(of, &block, &mut cross);
         };
-        add(slot, &keyframe.covariance());
+        add(slot, &keyframe.covariance_of_rest());
         for (other, block) in self.correlations.with(keyframe.id) {
             if let Some(of) = self.slot_of(other) {
                 add(of, block);
             }
         }
+        if keyframe.common.ncols() > 0 && self.active.common_dim() > 0 {
+            self.active.add_common_times(&keyframe.common, &mut cross);
+        }
         let mut cross = DMatrix::from(cross.view());
+        if keyframe.common.ncols() > 0 && self.inactive.common_dim() > 0 {
+            cross += self.inactive.common_times(&keyframe.common, &self.active).view();
+        }
         if let Some(sum) = self.inactive.weighted_sum(self.correlations.with(keyframe.id), &self.active) {
             cross += sum.view();
         }
@@ -139,14 +165,31 @@ impl HeldKeyframes {
 
     /// `P_NN` of some keyframes, without the inflation of the whole map.
     fn covariance_between(&self, keyframes: &[&HeldKeyframe]) -> DMatrix<f64> {
+        self.blocks_between(keyframes, HeldKeyframe::covariance, HeldKeyframe::common_with)
+    }
+
+    /// The same of their errors beyond what all have in common.
+    fn covariance_of_rests(&self, keyframes: &[&HeldKeyframe]) -> DMatrix<f64> {
+        self.blocks_between(keyframes, HeldKeyframe::covariance_of_rest, |_, _| Matrix6::zeros())
+    }
+
+    /// The covariance of some keyframes by blocks.
+    ///
+    /// # Arguments
+    /// * `together`: of two keyframes, what is added to the cross-covariance that the map lists.
+    fn blocks_between(
+        &self,
+        keyframes: &[&HeldKeyframe],
+        own: impl Fn(&HeldKeyframe) -> Matrix6<f64>,
+        together: impl Fn(&HeldKeyframe, &HeldKeyframe) -> Matrix6<f64>,
+    ) -> DMatrix<f64> {
         let dim = KEYFRAME_DIM * keyframes.len();
         let mut covariance = DMatrix::zeros(dim, dim);
         for (i, a) in keyframes.iter().enumerate() {
             for (j, b) in keyframes.iter().enumerate() {
-                let own = (i == j).then(|| a.covariance());
-                if let Some(block) = own.or_else(|| self.correlations.between(a.id, b.id).copied()) {
-                    covariance.fixed_view_mut::<6, 6>(KEYFRAME_DIM * i, KEYFRAME_DIM * j).copy_from(&block);
-                }
+                let listed = || self.correlations.between(a.id, b.id).copied().unwrap_or_default();
+                let block = if i == j { own(a) } else { together(a, b) + listed() };
+                covariance.fixed_view_mut::<6, 6>(KEYFRAME_DIM * i, KEYFRAME_DIM * j).copy_from(&block);
             }
         }
         covariance
@@ -167,11 +210,13 @@ impl HeldKeyframes {
     /// covariance, uncorrelated with the state.
     ///
     /// # Arguments
-    /// * `cross`: covariances with other held keyframes; rows are its own error. Others are ignored.
+    /// * `common`: `U` of its error `U x + rest`, without columns where the map states none; of all keyframes equally many.
+    /// * `cross`: covariances of the rest with other held keyframes; rows are its own error. Others are ignored.
     pub fn activate_or_insert(
         &mut self,
         id: KeyframeId,
         global_from_keyframe: &PoseWithCovariance,
+        common: &Matrix6xX<f64>,
         cross: &[(KeyframeId, Matrix6<f64>)],
     ) -> usize {
         self.uses += 1;
@@ -183,14 +228,21 @@ impl HeldKeyframes {
             return slot;
         }
         for (other, block) in cross {
-            if *other != id && self.map_covariance(*other).is_some() {
+            if *other != id && self.contains(*other) {
                 self.correlations.insert(id, *other, block);
                 self.inflation.set_map_correlated();
             }
         }
+        if common.ncols() > 0 {
+            if self.common_dim().is_none() {
+                self.active.set_common(&Dense::zeros(self.active.dim(), common.ncols()));
+            }
+            self.inflation.set_map_correlated();
+        }
         let keyframe = HeldKeyframe {
             id,
             global_from_keyframe: *global_from_keyframe,
+            common: Arc::new(Dense::from_columns(KEYFRAME_DIM, common.as_slice())),
             inflation: self.inflation.of_entering(id),
             last_used: self.uses,
         };
@@ -206,13 +258,46 @@ impl HeldKeyframes {
             }
             self.correlations.remove(id);
         }
+        // Nothing depends on `x` where no keyframe that depends on it was used.
+        if self.common_dim().is_some() && !self.any_has_common_error() {
+            self.take_common();
+        }
+    }
+
+    /// `X` as it is now, which is zero from then on; without columns where the map states nothing of it.
+    fn take_common(&mut self) -> Dense {
+        self.activate_common();
+        self.active.take_common()
+    }
+
+    /// Steps apply to `X` as to the active keyframes, until [`Self::deactivate_unused`].
+    fn activate_common(&mut self) {
+        if self.inactive.common_dim() > 0 {
+            let common = self.inactive.take_common(&mut self.active);
+            self.active.set_common(&common);
+        }
+    }
+
+    /// Whether the error of any held keyframe depends on `x`.
+    fn any_has_common_error(&self) -> bool {
+        let mut held = self.active.keyframes().iter().chain(self.inactive.keyframes());
+        held.any(|keyframe| keyframe.common.ncols() > 0)
     }
 
     /// Deactivates the least recently used keyframes when more than `max_active` are active. Slots change.
     pub fn deactivate_unused(&mut self) {
+        let members = self.remove_least_recently_used();
+        if !members.is_empty() || self.active.common_dim() > 0 {
+            let common = self.take_common();
+            self.inactive.deactivate(members, common, &mut self.active);
+        }
+    }
+
+    /// Removes the least recently used active keyframes when more than `max_active` are active.
+    fn remove_least_recently_used(&mut self) -> Vec<(HeldKeyframe, Dense)> {
         let count = self.active.keyframes().len();
         if count <= self.max_active {
-            return;
+            return Vec::new();
         }
         let mut by_last_use: Vec<(u64, KeyframeId)> =
             self.active.keyframes().iter().map(|keyframe| (keyframe.last_used, keyframe.id)).collect();
@@ -220,8 +305,7 @@ impl HeldKeyframes {
         // Half of them at once: each level costs a transition matrix.
         let oldest = &by_last_use[..count - self.max_active / 2];
         let slots = oldest.iter().map(|(_, id)| *id);
-        let members = slots.filter_map(|id| self.slot_of(id).map(|slot| self.active.remove(slot))).collect();
-        self.inactive.deactivate(members, &mut self.active);
+        slots.filter_map(|id| self.slot_of(id).map(|slot| self.active.remove(slot))).collect()
     }
 
     /// Background work on inactive keyframes, once an image: bounded by about the cost of a step.
@@ -249,7 +333,7 @@ impl HeldKeyframes {
         self.active.insert_rows(at, blocks, jacobian);
     }
 
-    /// `P_AN -= Wᵀ L⁻¹ H P_CN`, which is `M -= Wᵀ L⁻¹ H (M_C; E_T)`.
+    /// `P_AN -= Wᵀ L⁻¹ H P_CN`, which is `M -= Wᵀ L⁻¹ H (M_C; E_T)` and `X -= Wᵀ L⁻¹ H (X_C; U_T)`.
     ///
     /// # Arguments
     /// * `whitened`: `W`.
@@ -260,6 +344,9 @@ impl HeldKeyframes {
         whitened: &Dense,
         innovation: &Dense,
     ) {
+        if measurement.blocks.keyframes.iter().any(|&slot| self.get(slot).common.ncols() > 0) {
+            self.activate_common();
+        }
         self.active.measurement_update(measurement, whitened, innovation, self.inflation.of_map());
     }
 

@@ -7,7 +7,7 @@ use estimator::{
     MapReport, MatchedLandmark, TrackObservation,
 };
 use geometry::{Camera, Distortion, Pose, PoseWithCovariance, rotation};
-use nalgebra::{Matrix3, Matrix6, Rotation3, Vector2, Vector3, Vector6};
+use nalgebra::{Matrix3, Matrix6, Matrix6xX, Rotation3, Vector2, Vector3, Vector6};
 use rand::{RngExt as _, SeedableRng, rngs::StdRng};
 
 /// Nanoseconds between two images, and between two IMU readings.
@@ -140,6 +140,7 @@ impl World {
                     Matrix6::identity() * KEYFRAME_SIGMA.powi(2),
                 ),
                 camera: self.calibrated.camera.clone(),
+                common_error: Matrix6xX::zeros(0),
                 cross_covariances: Vec::new(),
             }
         });

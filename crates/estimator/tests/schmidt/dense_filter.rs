@@ -6,7 +6,7 @@ use estimator::linear_algebra::dense::Dense;
 use estimator::measurement::StateBlocks;
 use estimator::propagation::ImuMatrix;
 use geometry::{Pose, PoseWithCovariance};
-use nalgebra::{DMatrix, Matrix6};
+use nalgebra::{DMatrix, Matrix6, Matrix6xX};
 use rand::{RngExt as _, rngs::StdRng};
 
 /// Size of the IMU state, which is never marginalized.
@@ -21,22 +21,48 @@ pub fn spd(rng: &mut StdRng, n: usize, scale: f64) -> DMatrix<f64> {
     (&draw * draw.transpose() + DMatrix::identity(n, n)) * scale
 }
 
-/// The map: blocks of four keyframes share one covariance.
+/// How the errors of the map's keyframes are correlated.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Correlation {
+    /// Not at all.
+    None,
+    /// Blocks of four keyframes share one covariance.
+    Blocks,
+    /// And all keyframes but those of every third block err together, in so many directions.
+    BlocksAndCommon(usize),
+}
+
+/// The map.
 pub struct Map {
     blocks: Vec<DMatrix<f64>>,
-    correlated: bool,
+    /// What keyframes err together.
+    common: Vec<Matrix6xX<f64>>,
+    correlation: Correlation,
     pub keyframes: u64,
 }
 
 impl Map {
-    pub fn new(rng: &mut StdRng, keyframes: u64, scale: f64, correlated: bool) -> Self {
+    pub fn new(rng: &mut StdRng, keyframes: u64, scale: f64, correlation: Correlation) -> Self {
         let blocks = (0..keyframes / BLOCK).map(|_| spd(rng, POSE * BLOCK as usize, scale)).collect();
-        Self { blocks, correlated, keyframes }
+        let common = (0..keyframes).map(|id| match correlation {
+            Correlation::BlocksAndCommon(dim) if (id / BLOCK) % 3 != 2 => {
+                Matrix6xX::from_fn(dim, |_, _| (scale / dim as f64).sqrt() * rng.random_range(-5.0..5.0))
+            }
+            _ => Matrix6xX::zeros(0),
+        });
+        Self { blocks, common: common.collect(), correlation, keyframes }
     }
 
     pub fn block(&self, a: u64, b: u64) -> Matrix6<f64> {
+        let [of_a, of_b] = [a, b].map(|id| &self.common[id as usize]);
+        let dim = of_a.ncols().min(of_b.ncols());
+        self.block_of_rests(a, b) + of_a.columns(0, dim) * of_b.columns(0, dim).transpose()
+    }
+
+    /// What is not common to all.
+    fn block_of_rests(&self, a: u64, b: u64) -> Matrix6<f64> {
         let (group_a, group_b) = ((a / BLOCK) as usize, (b / BLOCK) as usize);
-        if a != b && (group_a != group_b || !self.correlated) {
+        if a != b && (group_a != group_b || self.correlation == Correlation::None) {
             return Matrix6::zeros();
         }
         let corner = (POSE * (a % BLOCK) as usize, POSE * (b % BLOCK) as usize);
@@ -50,14 +76,29 @@ impl Map {
     /// The same map with other names: keyframe `BLOCK + k` becomes `k`, and so on round.
     pub fn renamed(mut self) -> Self {
         self.blocks.rotate_left(1);
+        self.common.rotate_left(BLOCK as usize);
+        self
+    }
+
+    /// The same map after the errors of some keyframes turned to their opposite.
+    pub fn opposite(mut self, ids: &[u64]) -> Self {
+        for &id in ids {
+            self.common[id as usize].neg_mut();
+        }
         self
     }
 
     /// Blocks towards the keyframes that are held, as the server sends them.
-    pub fn cross(&self, id: u64, joint: &JointCovariance) -> Vec<(u64, Matrix6<f64>)> {
-        let others =
-            joint.held.ids().filter(|&other| other != id && self.block(id, other) != Matrix6::zeros());
-        others.map(|other| (other, self.block(id, other))).collect()
+    fn cross(&self, id: u64, joint: &JointCovariance) -> Vec<(u64, Matrix6<f64>)> {
+        let others = joint.held.ids().filter(|&other| other != id);
+        let blocks = others.map(|other| (other, self.block_of_rests(id, other)));
+        blocks.filter(|(_, block)| *block != Matrix6::zeros()).collect()
+    }
+
+    /// Activates a keyframe, or inserts it with what the server sends.
+    pub fn activate_one(&self, id: u64, joint: &mut JointCovariance) -> usize {
+        let cross = self.cross(id, joint);
+        joint.held.activate_or_insert(id, &self.keyframe(id), &self.common[id as usize], &cross)
     }
 
     /// Activates matched keyframes, or inserts them; `at_once`: together.
@@ -66,8 +107,7 @@ impl Map {
             joint.held.activate(ids);
         }
         for &id in ids {
-            let cross = self.cross(id, joint);
-            joint.held.activate_or_insert(id, &self.keyframe(id), &cross);
+            self.activate_one(id, joint);
         }
     }
 }

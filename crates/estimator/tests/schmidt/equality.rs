@@ -1,7 +1,7 @@
 //! Exactness: deactivated, moved from level to level and activated again, keyframes are correlated with the state as if every step
 //! had touched all of them.
 
-use crate::dense_filter::{DenseFilter, FIXED, Map, POSE, some_keyframes, spd};
+use crate::dense_filter::{Correlation, DenseFilter, FIXED, Map, POSE, some_keyframes, spd};
 use estimator::covariance::JointCovariance;
 use estimator::measurement::{Information, LinearizedMeasurement, StateBlocks};
 use nalgebra::{DMatrix, DVector};
@@ -18,13 +18,12 @@ fn relative(a: &DMatrix<f64>, b: &DMatrix<f64>) -> f64 {
 }
 
 /// Random propagation, cloning, marginalization, landmarks and updates, with keyframes that are inserted when they
-/// are first matched, deactivated and activated again, against a filter that held all of them all the time;
-/// `correlated` keyframes carry cross-covariances of the map.
-fn check(seed: u64, keyframes: u64, correlated: bool) {
+/// are first matched, deactivated and activated again, against a filter that held all of them all the time.
+fn check(seed: u64, keyframes: u64, correlation: Correlation) {
     let mut rng = StdRng::seed_from_u64(seed);
     let start = spd(&mut rng, FIXED, 0.1);
     let mut joint = JointCovariance::new(start.clone(), 6);
-    let map = Map::new(&mut rng, keyframes, 0.01, correlated);
+    let map = Map::new(&mut rng, keyframes, 0.01, correlation);
     let mut dense = DenseFilter::new(&start, &map);
     let (mut most_levels, mut fewest_rows) = (0, usize::MAX);
     for step in 0..STEPS {
@@ -94,7 +93,7 @@ fn check(seed: u64, keyframes: u64, correlated: bool) {
     assert!(most_levels >= 3, "{most_levels} levels: the law was hardly exercised");
     assert!(fewest_rows < FIXED + 2 * POSE, "{fewest_rows} rows: no rank factorization took place");
     for id in joint.held.ids().collect::<Vec<_>>() {
-        let slot = joint.held.activate_or_insert(id, &map.keyframe(id), &[]);
+        let slot = map.activate_one(id, &mut joint);
         let expected = dense.covariance.view((0, dense.column_of(id)), (dense.active, POSE));
         let apart = relative(&joint.held.cross_covariance(slot), &expected.into_owned());
         assert!(apart < TOLERANCE, "keyframe {id}: {apart:e}");
@@ -107,12 +106,18 @@ fn check(seed: u64, keyframes: u64, correlated: bool) {
 
 #[test]
 fn it_equals_the_dense_filter_with_keyframes_deactivated_and_activated_again() {
-    check(0, 40, false);
-    check(1, 60, false);
+    check(0, 40, Correlation::None);
+    check(1, 60, Correlation::None);
 }
 
 #[test]
 fn it_equals_the_dense_filter_with_cross_covariances_of_the_map() {
-    check(10, 24, true);
-    check(11, 88, true);
+    check(10, 24, Correlation::Blocks);
+    check(11, 88, Correlation::Blocks);
+}
+
+#[test]
+fn it_equals_the_dense_filter_with_what_all_keyframes_err_together() {
+    check(20, 24, Correlation::BlocksAndCommon(9));
+    check(21, 40, Correlation::BlocksAndCommon(30));
 }

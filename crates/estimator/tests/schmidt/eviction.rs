@@ -1,7 +1,7 @@
 //! Eviction is conservative: the stated covariance is never below the true one.
 
 use crate::common::{FRAME_NS, World};
-use crate::dense_filter::{DenseFilter, FIXED, Map, POSE, some_keyframes, spd};
+use crate::dense_filter::{Correlation, DenseFilter, FIXED, Map, POSE, some_keyframes, spd};
 use estimator::covariance::JointCovariance;
 use estimator::measurement::{Information, StateBlocks};
 use estimator::{Estimator, EstimatorConfig};
@@ -13,6 +13,8 @@ const STEPS: usize = 400;
 const ROWS: usize = 10;
 const MAX_ACTIVE: usize = 6;
 const MAX_HELD: usize = 20;
+/// Directions in which all keyframes err together.
+const COMMON: usize = 12;
 
 #[derive(Clone, Copy, PartialEq)]
 enum Eviction {
@@ -31,12 +33,12 @@ struct Outcome {
 }
 
 /// Follows the *true* covariance of the errors under the gains that the filter used, beside the stated one.
-fn run(seed: u64, correlated: bool, eviction: Eviction) -> Outcome {
+fn run(seed: u64, correlation: Correlation, eviction: Eviction) -> Outcome {
     let mut rng = StdRng::seed_from_u64(seed);
     let start = spd(&mut rng, FIXED, 0.1);
     let max_active = if eviction == Eviction::Naive { MAX_HELD } else { MAX_ACTIVE };
     let mut joint = JointCovariance::new(start.clone(), max_active);
-    let map = Map::new(&mut rng, KEYFRAMES, 0.1, correlated);
+    let map = Map::new(&mut rng, KEYFRAMES, 0.1, correlation);
     let mut truth = DenseFilter::new(&start, &map);
     let mut outcome = Outcome { worst: f64::INFINITY, evicted: 0, excess: 0.0 };
     for _ in 0..STEPS {
@@ -106,8 +108,10 @@ pub const ROUNDING: f64 = 1e-9;
 
 #[test]
 fn evicted_keyframes_that_come_back_never_make_the_filter_overconfident() {
-    for (seed, correlated) in [(0, false), (1, false), (2, true), (3, true)] {
-        let outcome = run(seed, correlated, Eviction::Conservative);
+    let (none, blocks, common) =
+        (Correlation::None, Correlation::Blocks, Correlation::BlocksAndCommon(COMMON));
+    for (seed, correlation) in [(0, none), (1, none), (2, blocks), (3, blocks), (4, common), (5, common)] {
+        let outcome = run(seed, correlation, Eviction::Conservative);
         assert!(outcome.evicted > 250, "{} evicted: the law was hardly exercised", outcome.evicted);
         assert!(outcome.worst > -ROUNDING, "seed {seed}: stated below true by {:e}", outcome.worst);
         // An arbitrarily large covariance would be conservative, too.
@@ -117,8 +121,9 @@ fn evicted_keyframes_that_come_back_never_make_the_filter_overconfident() {
 
 #[test]
 fn inserting_an_evicted_keyframe_as_new_would_make_it_overconfident() {
-    for (seed, correlated) in [(0, false), (2, true)] {
-        let outcome = run(seed, correlated, Eviction::Naive);
+    let correlations = [Correlation::None, Correlation::Blocks, Correlation::BlocksAndCommon(COMMON)];
+    for (seed, correlation) in [0, 2, 4].into_iter().zip(correlations) {
+        let outcome = run(seed, correlation, Eviction::Naive);
         assert!(outcome.worst < -1e-3, "seed {seed}: the law above has no power, {:e}", outcome.worst);
     }
 }

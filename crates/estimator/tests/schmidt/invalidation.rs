@@ -1,6 +1,6 @@
 //! Invalidation is conservative, however the errors of the new map version depend on the old ones.
 
-use crate::dense_filter::{BLOCK, DenseFilter, FIXED, Map, POSE, some_keyframes, spd};
+use crate::dense_filter::{BLOCK, Correlation, DenseFilter, FIXED, Map, POSE, some_keyframes, spd};
 use crate::eviction::{ROUNDING, margin, update};
 use estimator::covariance::JointCovariance;
 use nalgebra::DMatrix;
@@ -11,6 +11,8 @@ const STEPS_A_VERSION: usize = 60;
 const VERSIONS: usize = 4;
 const MAX_ACTIVE: usize = 6;
 const MAX_HELD: usize = 14;
+const CORRELATIONS: [Correlation; 3] =
+    [Correlation::None, Correlation::Blocks, Correlation::BlocksAndCommon(12)];
 
 /// How the errors of the new version depend on those of the old one.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -52,7 +54,7 @@ impl Change {
             }
         }
         truth.turn_map(&turn);
-        map
+        map.opposite(&self.other_errors())
     }
 }
 
@@ -64,12 +66,12 @@ struct Outcome {
 }
 
 /// Runs through some map versions; `naive`: drops changed keyframes without inflating any covariance.
-fn run(seed: u64, correlated: bool, change: Change, naive: bool) -> Outcome {
+fn run(seed: u64, correlation: Correlation, change: Change, naive: bool) -> Outcome {
     let mut rng = StdRng::seed_from_u64(seed);
     let start = spd(&mut rng, FIXED, 0.1);
     let max_active = if naive { KEYFRAMES as usize } else { MAX_ACTIVE };
     let mut joint = JointCovariance::new(start.clone(), max_active);
-    let mut map = Map::new(&mut rng, KEYFRAMES, 0.1, correlated);
+    let mut map = Map::new(&mut rng, KEYFRAMES, 0.1, correlation);
     let mut truth = DenseFilter::new(&start, &map);
     let mut worst = f64::INFINITY;
     for version in 0..VERSIONS {
@@ -105,8 +107,8 @@ fn run(seed: u64, correlated: bool, change: Change, naive: bool) -> Outcome {
 #[test]
 fn a_changed_map_never_makes_the_filter_overconfident() {
     for change in [Change::Same, Change::Opposite, Change::HalfOpposite, Change::OtherNames] {
-        for (seed, correlated) in [(0, false), (1, true)] {
-            let outcome = run(seed, correlated, change, false);
+        for (seed, correlation) in CORRELATIONS.into_iter().enumerate() {
+            let outcome = run(seed as u64, correlation, change, false);
             assert!(
                 outcome.worst > -ROUNDING,
                 "{change:?}, {seed}: stated below true by {:e}",
@@ -120,8 +122,8 @@ fn a_changed_map_never_makes_the_filter_overconfident() {
 
 #[test]
 fn treating_the_new_version_as_independent_would_make_it_overconfident() {
-    for (seed, correlated) in [(0, false), (1, true)] {
-        let outcome = run(seed, correlated, Change::Same, true);
+    for (seed, correlation) in CORRELATIONS.into_iter().enumerate() {
+        let outcome = run(seed as u64, correlation, Change::Same, true);
         assert!(outcome.worst < -1e-3, "seed {seed}: the law above has no power, {:e}", outcome.worst);
     }
 }
@@ -131,7 +133,7 @@ fn nothing_is_lost_where_no_error_is_another() {
     let mut rng = StdRng::seed_from_u64(3);
     let start = spd(&mut rng, FIXED, 0.1);
     let mut joint = JointCovariance::new(start.clone(), MAX_ACTIVE);
-    let map = Map::new(&mut rng, KEYFRAMES, 0.1, true);
+    let map = Map::new(&mut rng, KEYFRAMES, 0.1, Correlation::Blocks);
     let mut truth = DenseFilter::new(&start, &map);
     for _ in 0..20 {
         truth.random_step(&mut rng, &mut joint);

@@ -12,13 +12,14 @@ mod invalidation;
 use estimator::covariance::JointCovariance;
 use estimator::measurement::{Information, StateBlocks};
 use geometry::{Pose, PoseWithCovariance};
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{DMatrix, DVector, Matrix6xX};
 
 #[test]
 fn a_keyframe_without_uncertainty_is_accepted() {
     // Bundle adjustment with a fixed gauge states a covariance of zero for the first keyframe.
     let mut joint = JointCovariance::new(DMatrix::identity(21, 21) * 0.1, 6);
-    let slot = joint.held.activate_or_insert(1, &PoseWithCovariance::exact(Pose::identity()), &[]);
+    let (keyframe, none) = (PoseWithCovariance::exact(Pose::identity()), Matrix6xX::zeros(0));
+    let slot = joint.held.activate_or_insert(1, &keyframe, &none, &[]);
     let mut information = Information::new(StateBlocks {
         keyframes: vec![slot],
         ..StateBlocks::of_active(std::iter::once(15..21))

@@ -47,15 +47,6 @@ pub struct MapContents {
     pub common_errors: Vec<CommonError>,
 }
 
-/// What correlates the keyframes of a part of a map with those of other parts.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct FarCorrelations {
-    /// Cross-covariances with them, each pair once.
-    pub cross_covariances: Vec<KeyframeCrossCovariance>,
-    /// Their common errors.
-    pub common_errors: Vec<CommonError>,
-}
-
 impl MapContents {
     /// A map without keyframes.
     pub fn empty(info: MapMetadata) -> MapContents {

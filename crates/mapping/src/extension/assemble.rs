@@ -31,7 +31,7 @@ pub(super) fn extended(
     let camera = &builder.cameras[0].camera;
     let own = JointCovariance::of_independent(joint.own.clone());
     let mut recording =
-        map_contents(camera, &builder.views, &of_recording, Some(own), sigma_px, &builder.options)?;
+        map_contents(camera, &builder.views, &of_recording, Some(&own), sigma_px, &builder.options)?;
 
     let mut contents = stored.clone();
     contents.info.sigma_px = stored.info.sigma_px.max(sigma_px);

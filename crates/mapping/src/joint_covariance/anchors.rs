@@ -48,7 +48,7 @@ pub(super) fn low_rank_part(
 
 /// Mean variance of the rotations, three times, and of the positions.
 fn mean_variances(own: &[Matrix6<f64>]) -> Vector6<f64> {
-    let sum: Vector6<f64> = own.iter().map(|covariance| covariance.diagonal()).sum();
+    let sum: Vector6<f64> = own.iter().map(Matrix6::diagonal).sum();
     let [rotation, position] = [0, 3].map(|at| sum.fixed_rows::<3>(at).sum() / (3 * own.len()) as f64);
     let at_least = f64::MIN_POSITIVE;
     Vector6::from_fn(|index, _| if index < 3 { rotation.max(at_least) } else { position.max(at_least) })

@@ -49,7 +49,7 @@ struct Form {
 
 /// A keyframe of a large map takes about the room of one in a map of [`ALL_UP_TO`]. Up to 2000 keyframes, the variance of a
 /// relative pose is then right within a few percent, see the derivation.
-const FORM: Form = Form { all_up_to: ALL_UP_TO, anchors: 64, neighbours: 256 };
+const FORM: Form = Form { all_up_to: ALL_UP_TO, anchors: 64, neighbours: 192 };
 
 /// Covariances and cross-covariances of the keyframes' poses, by view.
 pub(super) struct JointCovariance {

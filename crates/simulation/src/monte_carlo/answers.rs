@@ -12,7 +12,7 @@ use crate::random::{Purpose, normal, stream};
 use crate::tracks::visible;
 use estimator::{MapAnswer, MapKeyframe, MatchedLandmark};
 use geometry::{Pose, PoseWithCovariance, rotation};
-use nalgebra::{Vector2, Vector3};
+use nalgebra::{Matrix6xX, Vector2, Vector3};
 use rand::RngExt;
 use rand::rngs::StdRng;
 use rand::seq::SliceRandom;
@@ -121,6 +121,7 @@ fn matched(
         id: keyframe as u64,
         global_from_keyframe: map.keyframes[keyframe].stated,
         camera: map.camera.clone(),
+        common_error: Matrix6xX::zeros(0),
         cross_covariances: Vec::new(),
     });
     Some(MapAnswer {
