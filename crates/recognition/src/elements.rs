@@ -32,12 +32,12 @@ impl Viewpoint {
 /// All landmarks of a map without their descriptors, and which keyframes observe each.
 #[derive(Default, Serialize, Deserialize)]
 pub(crate) struct Landmarks {
-    #[serde(deserialize_with = "vision::exact")]
+    #[serde(with = "vision::packed")]
     pub(crate) ids: Vec<LandmarkId>,
     /// Index of the keyframe in whose camera frame the position is given.
-    #[serde(deserialize_with = "vision::exact")]
+    #[serde(with = "vision::packed")]
     pub(crate) anchors: Vec<u32>,
-    #[serde(deserialize_with = "vision::exact")]
+    #[serde(with = "vision::packed")]
     pub(crate) positions_in_anchor: Vec<Vector3<f64>>,
     pub(crate) observers: Observers,
 }
@@ -46,9 +46,9 @@ pub(crate) struct Landmarks {
 #[derive(Serialize, Deserialize)]
 pub(crate) struct Observers {
     /// Indices of the keyframes that observe landmark `at`, ascending: `keyframes[starts[at]..starts[at + 1]]`.
-    #[serde(deserialize_with = "vision::exact")]
+    #[serde(with = "vision::packed")]
     keyframes: Vec<u32>,
-    #[serde(deserialize_with = "vision::exact")]
+    #[serde(with = "vision::packed")]
     starts: Vec<u32>,
 }
 
@@ -81,13 +81,13 @@ impl Observers {
 #[derive(Default, Serialize, Deserialize)]
 pub(crate) struct Observations {
     /// Those of keyframe `at` are `starts[at]..starts[at + 1]`.
-    #[serde(deserialize_with = "vision::exact")]
+    #[serde(with = "vision::packed")]
     starts: Vec<u32>,
-    #[serde(deserialize_with = "vision::exact")]
+    #[serde(with = "vision::packed")]
     landmarks: Vec<u32>,
-    #[serde(deserialize_with = "vision::exact")]
+    #[serde(with = "vision::packed")]
     pixels: Vec<[f32; 2]>,
-    #[serde(with = "serde_bytes")]
+    #[serde(with = "vision::packed")]
     descriptors: Vec<u8>,
     /// Bytes in a descriptor.
     width: usize,

@@ -31,5 +31,5 @@ pub use image::{
 };
 pub use matching::{
     DescriptorError, DescriptorView, Hit, InvertedFile, Match, MatchOptions, Matcher, Metric, distance,
-    exact, hamming, match_descriptors, match_grouped, prototype_descriptors,
+    exact, hamming, match_descriptors, match_grouped, packed, prototype_descriptors,
 };

@@ -58,9 +58,9 @@ pub struct InvertedFile {
     /// `None` for an empty index.
     vocabulary: Option<Vocabulary>,
     /// `starts[word]..starts[word + 1]` is the inverted list of a word.
-    #[serde(deserialize_with = "super::exact::exact")]
+    #[serde(with = "super::packed")]
     starts: Vec<u32>,
-    #[serde(deserialize_with = "super::exact::exact")]
+    #[serde(with = "super::packed")]
     payloads: Vec<u32>,
     /// Descriptors in the order of `payloads`.
     entries: PreparedDescriptors,

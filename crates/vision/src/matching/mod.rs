@@ -6,6 +6,7 @@
 //! | [`brute_force`] | matching two sets: nearest neighbours with distance, ratio and mutual checks |
 //! | [`inverted_file`] | approximate search among very many descriptors, by a visual vocabulary |
 //! | [`exact`](fn@exact) | vectors that are read into memory of exactly their length |
+//! | [`packed`] | vectors of numbers that are read piece by piece |
 //! | [`prototypes`] | few descriptors that represent all observations of one landmark |
 
 #[cfg(target_arch = "x86_64")]
@@ -17,6 +18,7 @@ pub mod descriptors;
 mod exact;
 pub mod inverted_file;
 mod kernels;
+pub mod packed;
 mod prepared;
 pub mod prototypes;
 mod vocabulary;

@@ -21,22 +21,22 @@ pub(crate) enum PreparedDescriptors {
     Bits {
         words: usize,
         bits: usize,
-        #[serde(deserialize_with = "super::exact::exact")]
+        #[serde(with = "super::packed")]
         data: Vec<u64>,
     },
     /// Numbers per descriptor, all numbers, and whether they are unit vectors compared by their cosine.
     Floats {
         dimension: usize,
-        #[serde(deserialize_with = "super::exact::exact")]
+        #[serde(with = "super::packed")]
         data: Vec<f32>,
         cosine: bool,
     },
     /// Bytes per descriptor, all bytes, and 1 over the norm of each descriptor.
     Int8 {
         dimension: usize,
-        #[serde(with = "serde_bytes")]
+        #[serde(with = "super::packed")]
         data: Vec<u8>,
-        #[serde(deserialize_with = "super::exact::exact")]
+        #[serde(with = "super::packed")]
         inverse_norms: Vec<f32>,
     },
 }
