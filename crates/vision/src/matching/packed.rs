@@ -50,7 +50,9 @@ impl<T: Packed, const N: usize> Packed for [T; N] {
 
     #[inline]
     fn pack(&self, bytes: &mut Vec<u8>) {
-        self.iter().for_each(|number| number.pack(bytes));
+        for number in self {
+            number.pack(bytes);
+        }
     }
 
     #[inline]
@@ -84,7 +86,9 @@ pub fn serialize<S: Serializer, T: Packed>(values: &[T], serializer: S) -> Resul
     let mut bytes = Vec::with_capacity(PIECE);
     for piece in pieces {
         bytes.clear();
-        piece.iter().for_each(|value| value.pack(&mut bytes));
+        for value in piece {
+            value.pack(&mut bytes);
+        }
         sequence.serialize_element(Bytes::new(&bytes))?;
     }
     sequence.end()
@@ -130,7 +134,7 @@ impl<'de, T: Packed> DeserializeSeed<'de> for Piece<'_, T> {
     }
 }
 
-impl<'de, T: Packed> Visitor<'de> for Piece<'_, T> {
+impl<T: Packed> Visitor<'_> for Piece<'_, T> {
     type Value = ();
 
     fn expecting(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
