@@ -10,9 +10,9 @@ use super::*;
 use trajectories::{Place, exact, positions};
 
 const PLACES: [Place; 3] = [Place::Street, Place::Rounds, Place::Town];
-/// For 150 poses what [`FORM`] is for 1000: a pose has 6 times as many neighbours in each direction as there are poses from
+/// For 150 poses what [`FORM`] is for 750: a pose has 8 times as many neighbours in each direction as there are poses from
 /// one anchor to the next.
-const SMALL: Form = Form { all_up_to: 20, anchors: 27, neighbours: 68 };
+const SMALL: Form = Form { all_up_to: 20, anchors: 27, neighbours: 90 };
 /// What was stated before: tapered blocks only.
 const TAPERED: Form = Form { all_up_to: 20, anchors: 0, neighbours: 40 };
 
