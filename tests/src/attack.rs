@@ -176,7 +176,7 @@ impl Forgery {
                 let key = pick(&["map/hall/changes", "map/*/changes", "map/hall/*", "map/**"]);
                 let sigma = 10_f64.powi((variation % 300) as i32 - 10);
                 let notice = serde_json::json!({
-                    "schema": 4, "map": "hall", "identity": "8f3c1e0a5b7d4926a1c04be2d97f6350", "from_version": 1,
+                    "schema": protocol::SCHEMA_VERSION, "map": "hall", "identity": "8f3c1e0a5b7d4926a1c04be2d97f6350", "from_version": 1,
                     "version": FORGED_VERSION, "moved": [],
                     "stated_change": { "sigma_theta_rad": sigma, "sigma_p_m": sigma }
                 });

@@ -148,7 +148,7 @@ fn hostile_queries_are_answered_with_errors_and_the_server_lives_on() {
     let error = only_error(&ask("map/ring/match", inner));
     assert_eq!(error.code, ErrorCode::BadRequest);
     assert_eq!(only_error(&ask("map/ring/match", payload[..40].to_vec())).code, ErrorCode::BadRequest);
-    let hostile = br#"{"schema":4,"type":"match_request","robot":"x","stamp_ns":1e999}"#.to_vec();
+    let hostile = br#"{"schema":5,"type":"match_request","robot":"x","stamp_ns":1e999}"#.to_vec();
     assert_eq!(only_error(&ask("map/ring/match", hostile)).code, ErrorCode::BadRequest);
     let other = protocol::encode(Format::Bincode, &good).unwrap();
     let error = only_error(&ask("map/ring/localize", other));
