@@ -1,7 +1,6 @@
 //! Differences between two versions of a map, as robots need them; see [`map::difference`].
 
-use map::Keyframe;
-use map::difference::{Motion, has_moved, has_other_common_error, is_recorrelated};
+use map::difference::{Motion, has_moved, is_recorrelated, with_other_common_errors};
 use protocol::{CodecError, Format, KeyframeId, MapChangeNotice, StatedChange, keys};
 use zenoh::Session;
 use zenoh::bytes::Encoding;
@@ -91,17 +90,8 @@ fn moves(old: &LoadedMap, new: &LoadedMap, id: KeyframeId) -> bool {
 ///
 /// Where any keyframe's common error changes, what all of them have in common is another one, and so are all cross-covariances.
 fn with_changed_cross_covariances(old: &LoadedMap, new: &LoadedMap) -> Vec<KeyframeId> {
-    let mut changed = Vec::new();
-    let common = |id: KeyframeId| [old, new].map(|map| map.common_error(id));
-    let in_both = || old.keyframes().filter(|keyframe| new.keyframe(keyframe.id).is_some());
-    let is_other = |keyframe: &Keyframe| {
-        let [before, now] = common(keyframe.id);
-        has_other_common_error(before, now, keyframe)
-    };
-    if in_both().any(is_other) {
-        let has_any = |id: &KeyframeId| common(*id).iter().any(Option::is_some);
-        changed.extend(in_both().map(|keyframe| keyframe.id).filter(has_any));
-    }
+    let in_both = old.keyframes().filter(|keyframe| new.keyframe(keyframe.id).is_some());
+    let mut changed = with_other_common_errors(in_both, |id| [old, new].map(|map| map.common_error(id)));
     for (a, b) in old.listed_pairs().chain(new.listed_pairs()) {
         if [a, b].iter().any(|id| new.keyframe(*id).is_none()) {
             continue;

@@ -8,7 +8,7 @@
 use crate::model::{CommonError, Keyframe};
 use geometry::Pose;
 use nalgebra::{Matrix6, Vector6};
-use protocol::StatedChange;
+use protocol::{KeyframeId, StatedChange};
 
 /// Smallest change of a pose (m, rad) that counts as motion; less is rounding, as of a map exported as text.
 const MIN_MOTION: f64 = 1e-6;
@@ -53,6 +53,26 @@ pub fn has_other_common_error(
         change.row(row).amax() > MIN_COVARIANCE_CHANGE * variance.max(0.0).sqrt()
     };
     variances.iter().enumerate().any(row_differs)
+}
+
+/// The keyframes with a common error, where that of any is another one: then what all of them have in common is.
+///
+/// # Arguments
+/// * `keyframes`: those of both versions.
+/// * `common`: what a keyframe errs together with others, before and now.
+pub fn with_other_common_errors<'a, 'b>(
+    keyframes: impl Iterator<Item = &'a Keyframe>,
+    common: impl Fn(KeyframeId) -> [Option<&'b CommonError>; 2],
+) -> Vec<KeyframeId> {
+    let (mut with_any, mut is_other) = (Vec::new(), false);
+    for keyframe in keyframes {
+        let [before, now] = common(keyframe.id);
+        is_other |= has_other_common_error(before, now, keyframe);
+        if before.is_some() || now.is_some() {
+            with_any.push(keyframe.id);
+        }
+    }
+    if is_other { with_any } else { Vec::new() }
 }
 
 /// Whether two covariances of the same errors differ.

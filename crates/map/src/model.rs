@@ -141,3 +141,15 @@ pub struct CommonError {
     /// `U`, a row for each number of `[δθ, δp]` in G (rad, m), a column for each number of `x`: of all keyframes equally many.
     pub factor: Matrix6xX<f64>,
 }
+
+impl CommonError {
+    /// The columns of `U`, as they are stored and sent.
+    pub fn columns(&self) -> Vec<[f64; 6]> {
+        self.factor.column_iter().map(|column| column.into_owned().into()).collect()
+    }
+
+    /// What it adds to the covariance of its keyframe with another, `U_a U_bᵀ`; rows are its own.
+    pub fn covariance_with(&self, other: &CommonError) -> Matrix6<f64> {
+        &self.factor * other.factor.transpose()
+    }
+}

@@ -46,8 +46,7 @@ impl JointPrior {
         }
         for (at, one) in contents.common_errors.iter().enumerate() {
             for other in &contents.common_errors[..at] {
-                let together = &one.factor * other.factor.transpose();
-                add(index_of(one.keyframe)?, index_of(other.keyframe)?, &together);
+                add(index_of(one.keyframe)?, index_of(other.keyframe)?, &one.covariance_with(other));
             }
         }
         let poses = keyframes.iter().map(|keyframe| keyframe.global_from_keyframe.pose).collect();

@@ -59,7 +59,7 @@ pub(crate) fn matched_keyframes(
             map_identity: map.identity,
             rank: rank as u16,
             keyframe: record(&map.keyframes[keyframe]),
-            common_error: common.map(columns).unwrap_or_default(),
+            common_error: common.map(CommonError::columns).unwrap_or_default(),
             cross_covariances: cross_covariances(map, id, &sent[..rank], &held, is_known),
             matches: matches.unwrap_or_default(),
         }
@@ -158,11 +158,6 @@ fn cross_covariances(
         Some(CrossCovarianceBlock { other, block })
     });
     blocks.collect()
-}
-
-/// The columns of a common error.
-fn columns(common: &CommonError) -> Vec<[f64; 6]> {
-    common.factor.column_iter().map(|column| column.into_owned().into()).collect()
 }
 
 /// A keyframe as it is sent.

@@ -4,7 +4,7 @@
 //! changed in all of them.
 
 use crate::cells::{CellContents, CellView};
-use map::difference::{Motion, has_moved, has_other_common_error, is_recorrelated};
+use map::difference::{Motion, has_moved, is_recorrelated, with_other_common_errors};
 use map::{CommonError, Keyframe, KeyframeCrossCovariance, Landmark};
 use nalgebra::Matrix6;
 use protocol::{KeyframeId, StatedChange};
@@ -62,7 +62,10 @@ impl ReleasedChange {
                 changed.insert(*id);
             }
         }
-        moved.extend(with_other_common_errors(before, now));
+        let in_both =
+            before.keyframes.values().copied().filter(|former| now.keyframes.contains_key(&former.id));
+        let common = |id| [before, now].map(|cells| cells.common_errors.get(&id).copied());
+        moved.extend(with_other_common_errors(in_both, common));
         // Nobody holds one that is new.
         let is_new = |id: &KeyframeId| now.keyframes.contains_key(id) && !before.keyframes.contains_key(id);
         let is_gone = |id: &KeyframeId| before.keyframes.contains_key(id) && !now.keyframes.contains_key(id);
@@ -117,21 +120,6 @@ impl ReleasedChange {
             }),
         }
     }
-}
-
-/// The keyframes of both with a common error, where that of any is another one: then what all of them have in common is.
-fn with_other_common_errors(before: &ChangedCells<'_>, now: &ChangedCells<'_>) -> Vec<KeyframeId> {
-    let common = |id: &KeyframeId| [before, now].map(|cells| cells.common_errors.get(id).copied());
-    let is_other = |(id, former): (&KeyframeId, &&Keyframe)| {
-        let [before, now] = common(id);
-        has_other_common_error(before, now, former)
-    };
-    let in_both = || before.keyframes.iter().filter(|(id, _)| now.keyframes.contains_key(id));
-    if !in_both().any(is_other) {
-        return Vec::new();
-    }
-    let has_any = |id: &KeyframeId| common(id).iter().any(Option::is_some);
-    in_both().map(|(id, _)| *id).filter(has_any).collect()
 }
 
 /// What a release has in the cells that are not the same in another one.

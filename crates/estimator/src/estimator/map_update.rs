@@ -153,9 +153,10 @@ impl Estimator {
         let correlated = self.covariance.held.has_correlations()
             || answer.keyframes.iter().any(MapKeyframe::is_correlated);
         if self.map_version.in_use() == Some(answer.map_version) {
-            restricted = restricted.without_forgotten(&self.held_keyframes());
+            let held = self.held_keyframes();
+            restricted.remove_forgotten(&held);
             if correlated {
-                restricted = restricted.with_known_correlations(&self.held_keyframes());
+                restricted.remove_unknown_correlations(&held);
             }
         }
         if self.config.mode == MapMode::Single {

@@ -69,34 +69,28 @@ impl MapAnswer {
         self.keyframes.iter().find(|keyframe| keyframe.id == id)
     }
 
-    /// Removes keyframes that the filter has dropped since the query, and what refers to them: the answer does not state their
-    /// correlations.
+    /// Removes keyframes that the filter has dropped since the query: the answer does not state their correlations.
+    /// [`Self::remove_dangling_references`] is to follow.
     ///
     /// # Arguments
     /// * `held`: keyframes that the filter holds now.
-    #[must_use]
-    pub(crate) fn without_forgotten(mut self, held: &[KeyframeId]) -> Self {
+    pub(crate) fn remove_forgotten(&mut self, held: &[KeyframeId]) {
         let forgotten = |id: &KeyframeId| self.held_at_query.contains(id) && !held.contains(id);
         self.keyframes.retain(|keyframe| !forgotten(&keyframe.id));
-        self.remove_dangling_references();
-        self
     }
 
-    /// Removes keyframes whose cross-covariance with keyframes added after the query is unknown, and what refers to them.
+    /// Removes keyframes whose cross-covariance with keyframes added after the query is unknown.
+    /// [`Self::remove_dangling_references`] is to follow.
     /// Treating them as independent could be inconsistent with the correlation of both with a third keyframe.
     ///
     /// # Arguments
     /// * `held`: keyframes that the filter holds now.
-    #[must_use]
-    pub(crate) fn with_known_correlations(mut self, held: &[KeyframeId]) -> Self {
+    pub(crate) fn remove_unknown_correlations(&mut self, held: &[KeyframeId]) {
         let answered = self.keyframes.iter().map(|keyframe| keyframe.id);
         let stated: HashSet<KeyframeId> = self.held_at_query.iter().copied().chain(answered).collect();
-        if held.iter().all(|id| stated.contains(id)) {
-            return self;
+        if !held.iter().all(|id| stated.contains(id)) {
+            self.keyframes.retain(|keyframe| held.contains(&keyframe.id));
         }
-        self.keyframes.retain(|keyframe| held.contains(&keyframe.id));
-        self.remove_dangling_references();
-        self
     }
 
     /// Removes landmarks and observations of keyframes that are not in the answer.

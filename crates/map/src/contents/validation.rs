@@ -180,7 +180,7 @@ fn check_common_error(
     let keyframe = keyframes.get(&common.keyframe).ok_or(CommonErrorProblem::UnknownKeyframe)?;
     let found = common.factor.ncols();
     ensure(found == expected, CommonErrorProblem::Columns { found, expected })?;
-    check_difference(&keyframe.global_from_keyframe.covariance, &(&common.factor * common.factor.transpose()))
+    check_difference(&keyframe.global_from_keyframe.covariance, &common.covariance_with(common))
         .map_err(CommonErrorProblem::Remaining)
 }
 
@@ -195,7 +195,7 @@ fn check_cross_covariance(
         return Err(CrossCovarianceProblem::UnknownKeyframe);
     };
     let together = match (common.get(&cross.a), common.get(&cross.b)) {
-        (Some(of_a), Some(of_b)) => &of_a.factor * of_b.factor.transpose(),
+        (Some(of_a), Some(of_b)) => of_a.covariance_with(of_b),
         _ => Matrix6::zeros(),
     };
     let joint = joint_covariance(

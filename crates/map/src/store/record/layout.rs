@@ -5,7 +5,7 @@
 use geometry::camera::{Camera, Distortion};
 use geometry::pose::Pose;
 use geometry::uncertain_pose::PoseWithCovariance;
-use nalgebra::{Matrix6, Matrix6xX, Quaternion, UnitQuaternion, Vector3, Vector6};
+use nalgebra::{Matrix6, Matrix6xX, Quaternion, UnitQuaternion, Vector3};
 use protocol::{DescriptorKind, Descriptors, FeatureSet, KeyframeId, LandmarkId, MapIdentity};
 use serde::{Deserialize, Serialize};
 
@@ -318,14 +318,12 @@ pub struct CommonErrorRecord(Vec<[f64; 6]>);
 impl CommonErrorRecord {
     /// The record of a common error.
     pub fn new(common: &CommonError) -> CommonErrorRecord {
-        CommonErrorRecord(common.factor.column_iter().map(|column| column.into_owned().into()).collect())
+        CommonErrorRecord(common.columns())
     }
 
     /// The common error that the record holds; the keyframe is the key.
     pub fn into_common_error(self, keyframe: KeyframeId) -> CommonError {
-        let columns: Vec<Vector6<f64>> = self.0.into_iter().map(Vector6::from).collect();
-        let factor = if columns.is_empty() { Matrix6xX::zeros(0) } else { Matrix6xX::from_columns(&columns) };
-        CommonError { keyframe, factor }
+        CommonError { keyframe, factor: Matrix6xX::from_column_slice(self.0.as_flattened()) }
     }
 }
 
