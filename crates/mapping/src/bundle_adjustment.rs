@@ -34,10 +34,13 @@ const LAST_SCALE: f64 = 3.0;
 const SCALE_FACTOR: f64 = 0.6;
 /// Maximum number of iterations: the scale reaches its end after 4, the others are for convergence.
 const MAX_STEPS: usize = 25;
-/// Converged when a step lowers the cost by less than this part.
+/// Damped steps end when one lowers the cost by less than this part.
 const CONVERGED: f64 = 1e-4;
+/// Undamped steps end when one lowers the cost by less than this: the cost is half a squared Mahalanobis distance, so that what is
+/// left then is a small part of a standard deviation in every direction.
+const FINAL_CONVERGED: f64 = 0.01;
 /// Maximum number of undamped steps at the end.
-const FINAL_STEPS: usize = 5;
+const FINAL_STEPS: usize = 20;
 /// Landmarks whose equations are summed up by one thread: so few that their blocks stay in its cache.
 const RUN: usize = 512;
 /// Damping of the first step, and its limits (Levenberg-Marquardt).
@@ -127,7 +130,7 @@ pub(super) struct Problem<'a> {
 }
 
 impl Problem<'_> {
-    /// Minimizes the cost from an initial bundle (Levenberg-Marquardt).
+    /// Minimizes the cost from an initial bundle: Levenberg-Marquardt, then undamped steps.
     ///
     /// # Arguments
     /// * `from_priors`: the poses are still the reference poses, so start with a wide scale.
@@ -161,11 +164,11 @@ impl Problem<'_> {
             scale = (scale * SCALE_FACTOR).max(LAST_SCALE);
         }
         progress(MAX_STEPS, MAX_STEPS);
-        if self.stored.is_empty() { bundle } else { self.finish(bundle) }
+        self.finish(bundle)
     }
 
-    /// Undamped steps. The joint prior of a map knows neighbouring poses to millimetres and the shape of the whole to
-    /// centimetres: damped steps, which are relative to the diagonal, hardly move the whole.
+    /// Undamped steps. Neighbouring poses are known to millimetres and the shape of a long trajectory to decimetres: damped steps, which
+    /// are relative to the diagonal, hardly move the whole, and end some standard deviations from the minimum.
     fn finish(&self, start: Bundle) -> Bundle {
         let mut bundle = start;
         let mut cost = self.cost(&bundle, LAST_SCALE);
@@ -175,7 +178,11 @@ impl Problem<'_> {
             if after >= cost {
                 break;
             }
+            let lowered = cost - after;
             (bundle, cost) = (candidate, after);
+            if lowered < FINAL_CONVERGED {
+                break;
+            }
         }
         bundle
     }

@@ -1,10 +1,10 @@
 //! Loops: places that are seen again, found by recognition and judged by the trajectory.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use geometry::pose::Pose;
 use map::contents::MapContents;
-use nalgebra::{DMatrix, Matrix3, Matrix6, SMatrix, Vector3};
+use nalgebra::{Matrix3, Matrix6, SMatrix, Vector3};
 use recognition::{LoadedMap, RecognitionOptions, VerifiedPlace};
 
 use super::assemble::keyframe_id;
@@ -106,19 +106,13 @@ pub(super) fn plausible(
     factor: &SparseFactor,
     layout: StateLayout,
 ) -> Vec<RelativePose> {
-    let mut columns: BTreeMap<usize, DMatrix<f64>> = BTreeMap::new();
-    for view in loops.iter().flat_map(|found| found.views) {
-        columns.entry(view).or_insert_with(|| {
-            let wanted: Vec<usize> = layout.pose(view).collect();
-            factor.inverse_columns(&wanted)
-        });
-    }
+    let blocks = covariance_blocks(&loops, factor, layout);
     let covariance = |views: [usize; 2]| {
         let mut joint = SMatrix::<f64, 12, 12>::zeros();
         for (column, view) in views.iter().enumerate() {
             for (row, other) in views.iter().enumerate() {
-                let block = columns[view].fixed_view::<POSE, POSE>(layout.pose(*other).start, 0);
-                joint.fixed_view_mut::<POSE, POSE>(POSE * row, POSE * column).copy_from(&block);
+                let block = &blocks[&(*other, *view)];
+                joint.fixed_view_mut::<POSE, POSE>(POSE * row, POSE * column).copy_from(block);
             }
         }
         (joint + joint.transpose()) * (0.5 * TRAJECTORY_FACTOR * TRAJECTORY_FACTOR)
@@ -127,6 +121,30 @@ pub(super) fn plausible(
         found.distance_with(poses, &covariance(found.views)).is_some_and(|distance| distance <= GATE)
     };
     loops.into_iter().filter(is_plausible).collect()
+}
+
+/// Blocks of the covariance of a trajectory, by row and column, between the views of each loop. A column of it is as long as the whole
+/// trajectory, so that few are in memory at once.
+fn covariance_blocks(
+    loops: &[RelativePose],
+    factor: &SparseFactor,
+    layout: StateLayout,
+) -> BTreeMap<(usize, usize), Matrix6<f64>> {
+    let mut partners: BTreeMap<usize, BTreeSet<usize>> = BTreeMap::new();
+    for RelativePose { views, .. } in loops {
+        for view in views {
+            partners.entry(*view).or_default().extend(views);
+        }
+    }
+    let partners: Vec<(usize, BTreeSet<usize>)> = partners.into_iter().collect();
+    let of_column = |index: usize| -> Vec<((usize, usize), Matrix6<f64>)> {
+        let (view, rows) = &partners[index];
+        let wanted: Vec<usize> = layout.pose(*view).collect();
+        let columns = factor.inverse_columns(&wanted);
+        let block = |row: usize| columns.fixed_view::<POSE, POSE>(layout.pose(row).start, 0).into_owned();
+        rows.iter().map(|row| ((*row, *view), block(*row))).collect()
+    };
+    parallel::map(partners.len(), of_column, |_| ()).into_iter().flatten().collect()
 }
 
 /// The loops that agree with the adjusted trajectory.

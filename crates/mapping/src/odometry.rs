@@ -24,8 +24,8 @@ use super::selected_keyframes::SelectedKeyframes;
 /// Uncertainty of the odometry between keyframes that are matched with each other (rad, m): what the epipolar constraint
 /// and the first triangulation are relaxed by. It has hardly drifted between neighbours.
 pub(super) const LOCAL_SIGMAS: [f64; 2] = [0.005, 0.03];
-/// Longest time between views (ns): through longer intervals of IMU readings the position is lost.
-const MAX_INTERVAL_NS: i64 = 1_000_000_000;
+/// Longest time between views (ns): what drifts between keyframes is measured by every view that shows their tracks.
+const MAX_INTERVAL_NS: i64 = 300_000_000;
 
 /// The odometry of a recording.
 #[derive(Clone, Debug)]
