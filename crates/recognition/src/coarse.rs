@@ -24,6 +24,8 @@ pub struct RankedPart {
     pub part: u32,
     /// The votes for it: a feature that is near one landmark only counts 1 for each of six keyframes.
     pub weight: f64,
+    /// Its keyframe with the most votes, by its number in the part.
+    pub keyframe: u32,
 }
 
 /// The landmarks of the parts of a map that tell them from each other.
@@ -108,21 +110,26 @@ impl CoarseIndex {
         let voters = DescriptorView::new(descriptors.metric(), descriptors.width(), &voters)?;
         let votes = self.index.vote(voters, &self.observers, self.keyframes)?;
         let ends = self.parts.iter().skip(1).map(|(_, start)| *start).chain([self.keyframes]);
-        let mut ranked: Vec<(u64, u32)> = Vec::new();
+        let mut ranked: Vec<(u64, u32, u32)> = Vec::new();
         for ((part, start), end) in self.parts.iter().zip(ends) {
-            let weight = strongest(&votes[*start..end]);
-            if weight > 0 {
-                ranked.push((weight, *part));
+            let of_part = &votes[*start..end];
+            let strongest =
+                (0..).zip(of_part).max_by_key(|(at, votes)| (votes.weight, std::cmp::Reverse(*at)));
+            if let Some((keyframe, _)) = strongest.filter(|(_, votes)| votes.weight > 0) {
+                ranked.push((weight(of_part), *part, keyframe));
             }
         }
-        ranked.sort_by_key(|(weight, part)| (std::cmp::Reverse(*weight), *part));
-        let part = |(weight, part)| RankedPart { part, weight: weight as f64 / FULL_VOTE as f64 };
+        ranked.sort_by_key(|(weight, part, _)| (std::cmp::Reverse(*weight), *part));
+        let part = |(weight, part, keyframe)| {
+            let weight = weight as f64 / FULL_VOTE as f64;
+            RankedPart { part, weight, keyframe }
+        };
         Ok(ranked.into_iter().map(part).collect())
     }
 }
 
 /// The votes for the keyframes that have the most.
-fn strongest(votes: &[Votes]) -> u64 {
+fn weight(votes: &[Votes]) -> u64 {
     let mut weights: Vec<u64> = votes.iter().map(|votes| votes.weight).collect();
     if weights.len() > RANKING_KEYFRAMES {
         weights.select_nth_unstable_by_key(RANKING_KEYFRAMES, |weight| std::cmp::Reverse(*weight));

@@ -13,7 +13,7 @@ use recognition::{CoarseIndex, CoarseIndexBuilder, QueryError, RankedPart, prior
 use releases::{CellId, CoarseCell, Release};
 use vision::DescriptorError;
 
-/// A cell is asked first where it has at least this part of the votes of the most likely one, or of its keyframes near a prior.
+/// A cell of another place is asked first where it has at least this part of the votes of the most likely one.
 const LIKELY: f64 = 0.5;
 /// So many cells are asked first, at most.
 const FIRST_CELLS: usize = 3;
@@ -41,9 +41,8 @@ pub struct CellSearch {
 
 /// The cells near a prior.
 struct Near {
+    /// Those with the most keyframes around first.
     cells: Vec<CellId>,
-    /// So many of them have not much fewer keyframes around than the first.
-    main: usize,
     /// Whether the camera can't be farther from the prior than it sees.
     is_tight: bool,
 }
@@ -127,22 +126,26 @@ impl CellDirectory {
         self.cells.values().map(|cell| cell.keyframes.len()).sum()
     }
 
-    /// The cells that are asked first: near a prior that of most keyframes around, without one the most likely.
+    /// The cells that are asked first: near a tight prior that of most keyframes around, else the most likely of each place that the
+    /// image could show. Near a cut the border of one cell has the landmarks that the other could add.
     ///
     /// # Errors
     /// [`QueryError`] where the features cannot be compared with the map.
     pub fn search(&self, features: &FeatureSet, prior: Option<&PosePrior>) -> Result<CellSearch, QueryError> {
-        let Near { cells: near, main, is_tight } = self.near(prior);
-        // The borders of the main ones have most of what the others could add.
-        let asked = if is_tight { main.min(FIRST_CELLS) } else { near.len() };
-        if (1..=FIRST_CELLS).contains(&asked) {
-            return Ok(CellSearch { first: near[..asked].to_vec(), near, ranked: None });
+        let Near { cells: near, is_tight } = self.near(prior);
+        if near.len() == 1 || (is_tight && !near.is_empty()) {
+            return Ok(CellSearch { first: near[..1].to_vec(), near, ranked: None });
         }
         let ranked = self.coarse.rank(features)?;
         let eligible = || ranked.iter().filter(|ranked| near.is_empty() || near.contains(&ranked.part));
         let least = eligible().next().map_or(0.0, |first| LIKELY * first.weight);
-        let likely = eligible().filter(|ranked| ranked.weight >= least);
-        let mut first: Vec<CellId> = likely.map(|ranked| ranked.part).take(FIRST_CELLS).collect();
+        let mut places: Vec<&RankedPart> = Vec::new();
+        for likely in eligible().take_while(|ranked| ranked.weight >= least) {
+            if places.len() < FIRST_CELLS && !places.iter().any(|place| self.show_one_place(place, likely)) {
+                places.push(likely);
+            }
+        }
+        let mut first: Vec<CellId> = places.iter().map(|place| place.part).collect();
         if first.is_empty() {
             // An image that shares nothing with the map still gets the answer of a search.
             first.extend(self.cells().next());
@@ -167,6 +170,16 @@ impl CellDirectory {
         Ok(then)
     }
 
+    /// Whether the strongest keyframes of two cells are no farther from each other than a camera sees there.
+    fn show_one_place(&self, one: &RankedPart, other: &RankedPart) -> bool {
+        let of = |ranked: &RankedPart| {
+            let directed = self.cells.get(&ranked.part)?;
+            let position = directed.positions.get(ranked.keyframe as usize)?;
+            Some((Vector3::from(*position).cast::<f64>(), directed.viewing_distance))
+        };
+        of(one).zip(of(other)).is_some_and(|((one, reach), (other, _))| (one - other).norm() <= reach)
+    }
+
     /// The end of an answer to a match query.
     pub(crate) fn status(&self, outcome: MatchOutcome) -> MatchStatus {
         MatchStatus {
@@ -184,7 +197,7 @@ impl CellDirectory {
     /// The cells with keyframes that could share a landmark with a camera near a prior pose, those with most of them first.
     fn near(&self, prior: Option<&PosePrior>) -> Near {
         let Some(prior) = prior.map(|prior| &prior.global_from_camera) else {
-            return Near { cells: Vec::new(), main: 0, is_tight: false };
+            return Near { cells: Vec::new(), is_tight: false };
         };
         let (position, radius) = (prior.pose.translation, prior_radius(prior));
         let mut near: Vec<(usize, CellId)> = Vec::new();
@@ -203,9 +216,7 @@ impl CellDirectory {
             }
         }
         near.sort_by_key(|(count, cell)| (std::cmp::Reverse(*count), *cell));
-        let most = near.first().map_or(0, |(count, _)| *count);
-        let main = near.iter().filter(|(count, _)| *count as f64 >= LIKELY * most as f64).count();
-        Near { cells: near.into_iter().map(|(_, cell)| cell).collect(), main, is_tight }
+        Near { cells: near.into_iter().map(|(_, cell)| cell).collect(), is_tight }
     }
 
     /// Describes the map under the name by which it is served.
