@@ -79,15 +79,22 @@ fn the_papers_simulation() {
     let (map, live) = (recording("yq/map"), recording("yq/live"));
     let (refined, map) =
         (built(&map, f64::INFINITY, StoredPoses::Refined), built(&map, f64::INFINITY, StoredPoses::Given));
-    let of_refined = localize(&live, &refined, "--init truth --mode multi");
+    let runs = [(&refined, "multi"), (&map, "single"), (&map, "multi"), (&map, "mapconst")];
+    // Minutes of one processor each.
+    let [of_refined, single, multi, exact] = std::thread::scope(|scope| {
+        let run = |(map, mode)| {
+            let live = &live;
+            scope.spawn(move || localize(live, map, &format!("--init truth --mode {mode}")))
+        };
+        runs.map(run).map(|running| running.join().unwrap())
+    });
     assert_consistent(&pose_within(&of_refined, 0.05, 0.12));
-    assert_consistent(&pose_within(&localize(&live, &map, "--init truth --mode single"), 0.13, 0.30));
-    let multi = localize(&live, &map, "--init truth --mode multi");
+    assert_consistent(&pose_within(&single, 0.13, 0.30));
     let score = pose_within(&multi, 0.10, 0.25);
     assert_consistent(&score);
     assert!(multi.summary.score.as_ref().unwrap().local.rmse_m <= 0.20);
     // Taking the map for exact costs three times the error and all consistency.
-    let exact = localize(&live, &map, "--init truth --mode mapconst").summary.score.unwrap().pose.unwrap();
+    let exact = exact.summary.score.unwrap().pose.unwrap();
     assert!(exact.rmse_m > 3.0 * score.rmse_m && exact.nees_pose.unwrap() > 50.0);
 }
 
