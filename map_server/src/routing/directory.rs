@@ -13,7 +13,7 @@ use recognition::{CoarseIndex, CoarseIndexBuilder, QueryError, RankedPart, prior
 use releases::{CellId, CoarseCell, Release};
 use vision::DescriptorError;
 
-/// A cell of another place is asked first where it has at least this part of the votes of the most likely one.
+/// A cell is likely where it has at least this part of the votes of the most likely one, or of its keyframes near a prior.
 const LIKELY: f64 = 0.5;
 /// So many cells are asked first, at most.
 const FIRST_CELLS: usize = 3;
@@ -43,6 +43,8 @@ pub struct CellSearch {
 struct Near {
     /// Those with the most keyframes around first.
     cells: Vec<CellId>,
+    /// So many of them have not much fewer keyframes around than the first.
+    main: usize,
     /// Whether the camera can't be farther from the prior than it sees.
     is_tight: bool,
 }
@@ -126,14 +128,14 @@ impl CellDirectory {
         self.cells.values().map(|cell| cell.keyframes.len()).sum()
     }
 
-    /// The cells that are asked first: near a tight prior that of most keyframes around, else the most likely of each place that the
-    /// image could show. Near a cut the border of one cell has the landmarks that the other could add.
+    /// The cells that are asked first: the one that has most of the keyframes near a tight prior, else the most likely of each place that
+    /// the image could show. Near a cut the border of one cell has most of the landmarks that the other could add.
     ///
     /// # Errors
     /// [`QueryError`] where the features cannot be compared with the map.
     pub fn search(&self, features: &FeatureSet, prior: Option<&PosePrior>) -> Result<CellSearch, QueryError> {
-        let Near { cells: near, is_tight } = self.near(prior);
-        if near.len() == 1 || (is_tight && !near.is_empty()) {
+        let Near { cells: near, main, is_tight } = self.near(prior);
+        if near.len() == 1 || (is_tight && main == 1) {
             return Ok(CellSearch { first: near[..1].to_vec(), near, ranked: None });
         }
         let ranked = self.coarse.rank(features)?;
@@ -197,7 +199,7 @@ impl CellDirectory {
     /// The cells with keyframes that could share a landmark with a camera near a prior pose, those with most of them first.
     fn near(&self, prior: Option<&PosePrior>) -> Near {
         let Some(prior) = prior.map(|prior| &prior.global_from_camera) else {
-            return Near { cells: Vec::new(), is_tight: false };
+            return Near { cells: Vec::new(), main: 0, is_tight: false };
         };
         let (position, radius) = (prior.pose.translation, prior_radius(prior));
         let mut near: Vec<(usize, CellId)> = Vec::new();
@@ -216,7 +218,9 @@ impl CellDirectory {
             }
         }
         near.sort_by_key(|(count, cell)| (std::cmp::Reverse(*count), *cell));
-        Near { cells: near.into_iter().map(|(_, cell)| cell).collect(), is_tight }
+        let most = near.first().map_or(0, |(count, _)| *count);
+        let main = near.iter().filter(|(count, _)| *count as f64 >= LIKELY * most as f64).count();
+        Near { cells: near.into_iter().map(|(_, cell)| cell).collect(), main, is_tight }
     }
 
     /// Describes the map under the name by which it is served.
