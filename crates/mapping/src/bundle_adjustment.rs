@@ -5,26 +5,22 @@
 //! allow, so the poses are estimated with it.
 
 use geometry::pose::Pose;
-use geometry::rotation::left_jacobian_inverse;
-use geometry::uncertain_pose::PoseWithCovariance;
-use nalgebra::{DMatrix, DVector, Matrix6, Matrix6x3, Vector6};
+use nalgebra::{DVector, Matrix6, Matrix6x3, Vector6};
 
 use super::camera::{CameraPose, MappingCamera};
 use super::inertial::{InertialChain, Motion};
-use super::joint_prior::JointPrior;
 use super::landmark::InverseDepthLandmark;
 use super::landmark_equations::{LandmarkBlocks, LandmarkEquations};
 use super::landmark_tie::LandmarkTie;
 use super::layout::{MOTION, POSE, StateLayout};
 use super::normal_equations::NormalEquations;
 use super::parallel;
+use super::pose_prior::PosePrior;
 use super::pose_priors::PriorFactors;
 use super::relative_pose::RelativePose;
 use super::sparse_system::SparseFactor;
+use super::stored_poses::JointPrior;
 
-/// Lower bounds of the standard deviations of a prior pose (rad, m), which keep the equations well-conditioned where a map
-/// is built from exact poses.
-const MIN_SIGMAS: [f64; 2] = [1e-5, 1e-4];
 /// Scale of Cauchy's robust loss in the first iteration (standard deviations of a pixel): reference poses off by
 /// 0.1 m and 0.9 deg cause residuals of 10 px.
 const FIRST_SCALE: f64 = 16.0;
@@ -82,30 +78,6 @@ impl Bundle {
             motions: self.motions.iter().enumerate().map(motion).collect(),
             landmarks: self.landmarks.clone(),
         }
-    }
-}
-
-/// A prior of a pose.
-#[derive(Clone, Debug)]
-pub(super) struct PosePrior {
-    /// The view.
-    pub(super) view: usize,
-    /// Mean, `global_from_camera`.
-    pub(super) pose: Pose,
-    /// Inverse covariance of `[δθ, δp]` in G.
-    pub(super) information: Matrix6<f64>,
-}
-
-impl PosePrior {
-    /// The prior that a reference pose is, with a lower bound of its covariance for exact poses.
-    pub(super) fn of_reference(view: usize, reference: &PoseWithCovariance) -> PosePrior {
-        let mut floored = reference.covariance;
-        for index in 0..6 {
-            floored[(index, index)] += MIN_SIGMAS[index / 3].powi(2);
-        }
-        let information =
-            floored.try_inverse().unwrap_or_else(|| Matrix6::identity() / MIN_SIGMAS[0].powi(2));
-        PosePrior { view, pose: reference.pose, information }
     }
 }
 
@@ -205,13 +177,7 @@ impl Problem<'_> {
         let layout = bundle.layout();
         let mut equations = NormalEquations::new(layout);
         for prior in self.priors {
-            let (error, jacobian) = pose_error(&prior.pose, &bundle.poses[prior.view]);
-            equations.add_residual(
-                layout.pose(prior.view).collect(),
-                &DMatrix::from_column_slice(POSE, POSE, jacobian.as_slice()),
-                &DMatrix::from_column_slice(POSE, POSE, prior.information.as_slice()),
-                &DVector::from_column_slice(error.as_slice()),
-            );
+            prior.add_to(&mut equations, layout, &bundle.poses);
         }
         self.measured.add_to(&mut equations, layout, &bundle.poses, scale);
         if let Some(inertial) = self.inertial {
@@ -320,11 +286,7 @@ impl Problem<'_> {
 
     /// The cost whose weights are [`Problem::weight`].
     pub(super) fn cost(&self, bundle: &Bundle, scale: f64) -> f64 {
-        let prior = |prior: &PosePrior| {
-            let error = prior.pose.local(&bundle.poses[prior.view]);
-            0.5 * error.dot(&(prior.information * error))
-        };
-        let priors: f64 = self.priors.iter().map(prior).sum();
+        let priors: f64 = self.priors.iter().map(|prior| prior.cost(&bundle.poses)).sum();
         let measured = self.measured.cost(&bundle.poses, scale);
         let inertial = self.inertial.map_or(0.0, |inertial| inertial.cost(&bundle.poses, &bundle.motions));
         let relative: f64 =
@@ -344,13 +306,4 @@ impl Problem<'_> {
         let errors = bundle.landmarks.iter().flat_map(|landmark| landmark.errors(self.cameras, &poses));
         priors + measured + inertial + relative + stored + ties + known + errors.map(robust).sum::<f64>()
     }
-}
-
-/// The error `[δθ, δp]` of a pose relative to its mean, and its Jacobian by a further error.
-pub(super) fn pose_error(mean: &Pose, pose: &Pose) -> (Vector6<f64>, Matrix6<f64>) {
-    let error = mean.local(pose);
-    let mut jacobian = Matrix6::identity();
-    let by_rotation = left_jacobian_inverse(&error.fixed_rows::<3>(0).into_owned());
-    jacobian.fixed_view_mut::<3, 3>(0, 0).copy_from(&by_rotation);
-    (error, jacobian)
 }

@@ -19,10 +19,10 @@ use map::model::Landmark;
 use nalgebra::{Matrix3, Matrix3x6, Matrix6x3, Vector2, Vector3};
 use protocol::{KeyframeId, LandmarkId};
 
-use super::bundle_adjustment::pose_error;
 use super::camera::{CameraPose, MIN_DEPTH, MappingCamera};
 use super::landmark::{InverseDepthLandmark, LandmarkObservation};
 use super::landmark_equations::{LandmarkBlocks, LandmarkEquations};
+use super::pose_prior::pose_error;
 
 /// Gauss-Newton iterations from the position that the map states.
 const STEPS: usize = 8;

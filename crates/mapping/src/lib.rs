@@ -15,8 +15,8 @@
 //! | the map is assembled | `assemble` |
 //! | without reference poses: refused where parts are not tied together | `pieces` |
 //! | poses and positions that are known besides the recording | `pose_priors` |
-//! | a map that exists is extended by another recording | `extension`, `joint_prior`, `landmark_prior` |
-//! | two maps of one place are merged | `merging`, `landmark_tie` |
+//! | a map that exists is extended by another recording | `extension`, `stored_poses`, `landmark_prior` |
+//! | two maps of one place are merged | `merging`, `stored_poses`, `landmark_tie` |
 //!
 //! [`build_map`] runs them all (`pipeline`); [`build_map_from_odometry`] without reference poses (`without_references`);
 //! [`extend_map`] adds a recording to a map; [`import_colmap`] takes poses and points from a COLMAP model instead
@@ -34,13 +34,13 @@ mod assemble;
 mod bundle_adjustment;
 mod camera;
 mod colmap;
+mod dense_inverse;
 mod error;
 mod extension;
 mod feature_source;
 mod imu_alignment;
 mod inertial;
 mod joint_covariance;
-mod joint_prior;
 mod keyframe_selection;
 mod keyframe_view;
 mod landmark;
@@ -58,6 +58,7 @@ mod parallel;
 mod pieces;
 mod pipeline;
 mod places;
+mod pose_prior;
 mod pose_priors;
 mod progress;
 mod reference_poses;
@@ -68,8 +69,10 @@ mod selected_keyframes;
 mod sparse_system;
 mod stereo_matching;
 mod stereo_registration;
+mod stored_poses;
 #[cfg(test)]
 mod tests;
+mod tied_keyframes;
 mod tracks;
 mod triangulation;
 mod without_references;

@@ -64,7 +64,7 @@ pub fn build_map(
     }
     let joint = (options.refine_poses && options.stored_poses == StoredPoses::Refined)
         .then(|| {
-            covariance_of(&cameras, &constraints, &bundle, &keyframes(&views), report.sigma_px, progress)
+            covariance_of(&cameras, &constraints, &bundle, &keyframes(&views), &[], report.sigma_px, progress)
         })
         .transpose()?;
     let contents = assemble::map_contents(

@@ -1,20 +1,21 @@
 //! Bundle adjustment in rounds, with outliers dropped in between, and the covariance of the result.
 
-use super::bundle_adjustment::{Bundle, PosePrior, Problem};
+use super::bundle_adjustment::{Bundle, Problem};
 use super::camera::{CameraPose, MappingCamera};
 use super::error::BuildError;
 use super::inertial::InertialChain;
 use super::joint_covariance::{JointCovariance, joint_covariance};
-use super::joint_prior::JointPrior;
 use super::keyframe_view::KeyframeView;
 use super::landmark::InverseDepthLandmark;
 use super::landmark_tie::LandmarkTie;
 use super::loop_closure::plausible;
 use super::options::{BuildOptions, FIRST_SIGMA_PX};
+use super::pose_prior::PosePrior;
 use super::pose_priors::PriorFactors;
 use super::progress::{Progress, Stage};
 use super::relative_pose::RelativePose;
 use super::report::BuildReport;
+use super::stored_poses::{JointPrior, Posterior, StoredPoses};
 
 /// An observation is dropped when its reprojection error after refinement exceeds this (standard deviations of a pixel).
 pub(super) const REPROJECTION_GATE: f64 = 4.0;
@@ -121,6 +122,10 @@ pub(super) fn refine_all(
 
 /// The joint covariance of the poses of some views.
 ///
+/// # Arguments
+/// * `views`: with all tied keyframes of stored maps, in order.
+/// * `stored`: the maps whose keyframes took part in the adjustment.
+///
 /// # Errors
 /// [`BuildError::Indefinite`].
 pub(super) fn covariance_of(
@@ -128,15 +133,16 @@ pub(super) fn covariance_of(
     constraints: &Constraints,
     bundle: &Bundle,
     views: &[usize],
+    stored: &[StoredPoses],
     sigma_px: f64,
     progress: Progress<'_>,
 ) -> Result<JointCovariance, BuildError> {
     let problem = constraints.problem(cameras, sigma_px);
     let factor = problem.information(bundle).ok_or(BuildError::Indefinite)?;
     let positions: Vec<_> = views.iter().map(|&view| bundle.poses[view].translation).collect();
-    let layout = bundle.layout();
+    let posterior = Posterior::new(&factor, bundle.layout(), &bundle.poses, views, stored);
     let show = |done, all| progress(Stage::Covariance, done, all);
-    Ok(joint_covariance(&factor, layout, views, &positions, show))
+    Ok(joint_covariance(&posterior, views, &positions, show))
 }
 
 /// The pixel noise from the residuals of a refined bundle (px); `None` without landmarks.

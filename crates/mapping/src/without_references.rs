@@ -13,7 +13,7 @@ use nalgebra::{Matrix6, Vector3};
 use sensors::Sequence;
 
 use super::assemble;
-use super::bundle_adjustment::{Bundle, PosePrior};
+use super::bundle_adjustment::Bundle;
 use super::camera::MappingCamera;
 use super::error::BuildError;
 use super::feature_source::{Extraction, FeatureSource};
@@ -27,6 +27,7 @@ use super::odometry::{LOCAL_SIGMAS, Odometry, add_tracks};
 use super::options::{BuildOptions, FIRST_SIGMA_PX};
 use super::pieces::check_one_piece;
 use super::pipeline::{check, match_all, triangulate_all};
+use super::pose_prior::PosePrior;
 use super::pose_priors::{AlignedPriors, PosePriors, PriorFactor, PriorFactors, remove_wrong};
 use super::progress::Progress;
 use super::refinement::{Constraints, ROUNDS, covariance_of, refine_all};
@@ -81,7 +82,7 @@ pub fn build_map_from_odometry(
     let (bundle, constraints) = builder.build()?;
     let Builder { cameras, options, views, mut report, progress, .. } = builder;
     let joint =
-        covariance_of(&cameras, &constraints, &bundle, &keyframes(&views), report.sigma_px, progress)?;
+        covariance_of(&cameras, &constraints, &bundle, &keyframes(&views), &[], report.sigma_px, progress)?;
     let camera = &cameras[0].camera;
     let contents = assemble::map_contents(camera, &views, &bundle, Some(&joint), report.sigma_px, &options)?;
     check_one_piece(&contents, sequence.frames.first().map_or(0, |frame| frame.stamp_ns))?;

@@ -11,6 +11,7 @@ use crate::landmark_equations::{LandmarkBlocks, LandmarkEquations};
 use crate::layout::{POSE, StateLayout};
 use crate::normal_equations::NormalEquations;
 use crate::parallel;
+use crate::stored_poses::Posterior;
 use geometry::Pose;
 use geometry::camera::Camera;
 use geometry::rotation::skew;
@@ -86,7 +87,8 @@ pub(super) fn covariance(
     let factor = equations.system().factor()?;
     let positions: Vec<_> = views.iter().map(|view| view.pose.translation).collect();
     let all: Vec<usize> = (0..views.len()).collect();
-    Some(joint_covariance(&factor, layout, &all, &positions, progress))
+    let posterior = Posterior::new(&factor, layout, &[], &all, &[]);
+    Some(joint_covariance(&posterior, &all, &positions, progress))
 }
 
 fn of_points(views: &[View], points: &[Point], sigma_px: f64) -> LandmarkEquations {

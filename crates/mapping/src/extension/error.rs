@@ -15,17 +15,6 @@ pub enum ExtendError {
     /// The map has no keyframes.
     #[error("the map has no keyframes: build it from the recording instead of extending it")]
     Empty,
-    /// The map does not state the correlations of all its keyframes.
-    #[error(
-        "the map has {keyframes} keyframes; of more than {most} it does not state all correlations, and an extension would make it \
-         overconfident: thin it out with `driftless edit-map --thin`, or build the recording as a map of its own"
-    )]
-    TooLarge {
-        /// Keyframes of the map.
-        keyframes: usize,
-        /// Most keyframes of a map that can be extended.
-        most: usize,
-    },
     /// The vertical of the map is unknown or another axis than z.
     #[error(
         "the map's frame must have z up, so that the IMU can be used, but its direction of gravity is {}: build the map without \

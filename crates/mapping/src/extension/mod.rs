@@ -2,8 +2,8 @@
 //!
 //! 1. The recording is adjusted by itself, in its own frame with z up.
 //! 2. Its keyframes are searched in the map; the places that agree with each other give yaw and position.
-//! 3. The map enters as the joint prior of its keyframes' poses, the recording with all its states; relative poses of the
-//!    places tie them together.
+//! 3. The map enters as the joint prior of the poses of the keyframes that the places tie to the recording (`stored_poses`), the
+//!    recording with all its states; relative poses of the places tie them together.
 //! 4. These relative poses are replaced by what they came from: landmarks of the map, each given the map's poses, with the
 //!    pixels of the recording. Both are adjusted together, and the joint covariance of all keyframes is computed.
 //!
@@ -25,8 +25,6 @@ use sensors::Sequence;
 use crate::bundle_adjustment::Bundle;
 use crate::error::BuildError;
 use crate::feature_source::Extraction;
-use crate::joint_covariance::ALL_UP_TO;
-use crate::joint_prior::JointPrior;
 use crate::keyframe_view::keyframes;
 use crate::loop_closure::consistent;
 use crate::odometry::Odometry;
@@ -36,6 +34,8 @@ use crate::pose_priors::PriorFactors;
 use crate::progress::Progress;
 use crate::refinement::{Constraints, ROUNDS, covariance_of};
 use crate::relative_pose::RelativePose;
+use crate::stored_poses::StoredPoses;
+use crate::tied_keyframes::{MOST_TIED, Observers, choose_places};
 use crate::without_references::Builder;
 pub use error::ExtendError;
 pub use report::ExtensionReport;
@@ -66,9 +66,6 @@ pub fn extend_map(
 ) -> Result<(MapContents, ExtensionReport), ExtendError> {
     let start = Instant::now();
     check_vertical(stored)?;
-    if stored.keyframes.len() > ALL_UP_TO {
-        return Err(ExtendError::TooLarge { keyframes: stored.keyframes.len(), most: ALL_UP_TO });
-    }
     let mut builder = Builder::new(sequence, odometry, extraction, options, progress)?;
     check_new(stored, &builder)?;
     let (session, _) = builder.build()?;
@@ -98,18 +95,22 @@ pub fn extend_map(
         return Err(not_connected(view_count(&alignment.agreeing)));
     }
     move_recording(&mut both, builder.views.len(), &alignment);
-    let prior = JointPrior::of_map(stored, builder.views.len()).ok_or(ExtendError::Indefinite)?;
-    let (mut both, places) = tie(&mut builder, &prior, both, alignment.agreeing)?;
+    let (places, tied) = tied_keyframes(stored, builder.views.len(), alignment.agreeing);
+    report.tied_keyframes = tied.len();
+    let poses = [StoredPoses::of_map(stored, builder.views.len(), tied).ok_or(ExtendError::Indefinite)?];
+    let (mut both, places) = tie(&mut builder, &poses[0], both, places)?;
     report.agreeing_places = view_count(&places);
     if report.agreeing_places < MIN_AGREEING {
         return Err(not_connected(report.agreeing_places));
     }
     both.landmarks = fusion::fuse(stored, &builder.views, &places, both.landmarks);
-    let constraints = constraints(&builder, &both, &prior, Vec::new());
-    let both = builder.adjust(&constraints, both, ROUNDS);
+    let constraints = constraints(&builder, &both, &poses[0], Vec::new());
+    let mut both = builder.adjust(&constraints, both, ROUNDS);
+    poses[0].follow(&mut both.poses);
     let mut views = keyframes(&builder.views);
     views.extend(builder.views.len()..both.poses.len());
-    let joint = covariance_of(&builder.cameras, &constraints, &both, &views, sigma_px, builder.progress)?;
+    let joint =
+        covariance_of(&builder.cameras, &constraints, &both, &views, &poses, sigma_px, builder.progress)?;
     let contents = assemble::extended(stored, &builder, &both, &joint, sigma_px)?;
     assemble::fill_report(&mut report, stored, &contents, &both);
     report.seconds = start.elapsed().as_secs_f64();
@@ -160,18 +161,35 @@ fn move_recording(both: &mut Bundle, views: usize, alignment: &Alignment) {
     }
 }
 
+/// The places that are used, and the keyframes of the map that they tie to the recording: those that they show, and all others
+/// that observe what these share with the recording.
+fn tied_keyframes(
+    stored: &MapContents,
+    first: usize,
+    places: Vec<StoredPlace>,
+) -> (Vec<StoredPlace>, Vec<usize>) {
+    let observers = Observers::of_map(stored);
+    let of_place = |place: &StoredPlace| {
+        let mut keyframes = observers.of_landmarks(place.matches.iter().map(|(_, id)| *id));
+        keyframes.insert(place.relative.views[0] - first);
+        keyframes
+    };
+    let (places, tied) = choose_places(places, MOST_TIED, of_place);
+    (places, tied.into_iter().collect())
+}
+
 fn constraints(
     builder: &Builder<'_, '_>,
     both: &Bundle,
-    prior: &JointPrior,
+    stored: &StoredPoses,
     relative_poses: Vec<RelativePose>,
 ) -> Constraints {
     Constraints {
-        priors: Vec::new(),
+        priors: stored.held().collect(),
         measured: PriorFactors::default(),
         inertial: Some(builder.inertial(&both.motions)),
         relative_poses,
-        stored: vec![prior.clone()],
+        stored: vec![stored.prior()],
         ties: Vec::new(),
     }
 }
@@ -182,15 +200,15 @@ fn constraints(
 /// * `places`: the first one is taken for true at first.
 fn tie(
     builder: &mut Builder<'_, '_>,
-    prior: &JointPrior,
+    stored: &StoredPoses,
     mut both: Bundle,
     places: Vec<StoredPlace>,
 ) -> Result<(Bundle, Vec<StoredPlace>), BuildError> {
     let mut relative: Vec<RelativePose> = places.iter().map(|place| place.relative.clone()).collect();
-    let first = constraints(builder, &both, prior, relative[..1].to_vec());
+    let first = constraints(builder, &both, stored, relative[..1].to_vec());
     relative = first.plausible_loops(&builder.cameras, &both, relative, builder.report.sigma_px)?;
     while !relative.is_empty() {
-        let tied = constraints(builder, &both, prior, relative.clone());
+        let tied = constraints(builder, &both, stored, relative.clone());
         both = builder.adjust(&tied, both, 1);
         let count = relative.len();
         relative = consistent(&relative, &both.poses);

@@ -22,6 +22,8 @@ pub struct ExtensionReport {
     pub places: usize,
     /// Those of them that agree with each other and with the adjusted trajectory.
     pub agreeing_places: usize,
+    /// Keyframes of the map that these places tie to the recording; all others follow by their correlations with these.
+    pub tied_keyframes: usize,
     /// Landmarks of the map that the recording sees again.
     pub landmarks_seen_again: usize,
     /// Observations of them.

@@ -28,13 +28,14 @@ use map::model::{CommonError, KeyframeCrossCovariance};
 use nalgebra::{Matrix6, Matrix6xX, Vector3};
 use protocol::KeyframeId;
 
-use super::layout::{POSE, StateLayout};
-use super::sparse_system::SparseFactor;
+#[cfg(test)]
+use super::layout::POSE;
+use super::stored_poses::Posterior;
 use anchors::low_rank_part;
 use taper::Taper;
 
 /// Maps of up to this many keyframes state the cross-covariance of every pair: that takes up to 23 MB.
-pub(super) const ALL_UP_TO: usize = 400;
+const ALL_UP_TO: usize = 400;
 
 /// How much of a covariance is stated.
 #[derive(Clone, Copy, Debug)]
@@ -85,21 +86,14 @@ impl JointCovariance {
 /// The joint covariance of the poses of some views.
 ///
 /// # Arguments
-/// * `factor`: of the information matrix of all states.
-/// * `views`: those whose covariance is wanted, at `positions` (m).
+/// * `posterior`: of the views, which are at `positions` (m).
 pub(super) fn joint_covariance(
-    factor: &SparseFactor,
-    layout: StateLayout,
+    posterior: &Posterior<'_>,
     views: &[usize],
     positions: &[Vector3<f64>],
     progress: impl FnMut(usize, usize),
 ) -> JointCovariance {
-    let column = |j: usize| -> Vec<Matrix6<f64>> {
-        let columns: Vec<usize> = layout.pose(views[j]).collect();
-        let inverse = factor.inverse_columns(&columns);
-        let block = |view: &usize| inverse.fixed_view::<POSE, POSE>(layout.pose(*view).start, 0).into();
-        views.iter().map(block).collect()
-    };
+    let column = |j: usize| posterior.column(j);
     let Blocks { own, common, cross } = stated(FORM, positions, column, progress);
     JointCovariance {
         own: views.iter().copied().zip(own).collect(),

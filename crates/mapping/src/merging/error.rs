@@ -15,17 +15,6 @@ pub enum MergeError {
     /// A map has no keyframes.
     #[error("a map without keyframes cannot be merged")]
     Empty,
-    /// The result would not state all correlations.
-    #[error(
-        "together the maps have {keyframes} keyframes; of more than {most} a map does not state all correlations, and merging would \
-         make it overconfident: thin them out with `driftless edit-map --thin`"
-    )]
-    TooLarge {
-        /// Keyframes of both.
-        keyframes: usize,
-        /// Most keyframes of a merged map.
-        most: usize,
-    },
     /// The vertical of a map is unknown or another axis than z.
     #[error(
         "the frame of the {which} map must have z up, but its direction of gravity is {}: build it without poses, or with --gravity \

@@ -50,6 +50,11 @@ impl KeyframeFeatures<'_> {
         all
     }
 
+    /// The landmark of each feature.
+    pub(super) fn landmarks(&self) -> &[LandmarkId] {
+        &self.landmarks
+    }
+
     /// The query for its place.
     pub(super) fn query(&self) -> PlaceQuery<'_> {
         PlaceQuery { view: self.view, camera: self.camera, features: &self.features }

@@ -2,8 +2,8 @@
 //!
 //! 1. The keyframes of the second map are searched in the first one, by what their landmarks look like; the places that
 //!    agree with each other give yaw and position.
-//! 2. Both maps enter as the joint priors of their keyframes' poses, the second one's without its yaw and position; relative
-//!    poses of the places tie them together.
+//! 2. Both maps enter as the joint priors of the poses of the keyframes that the places tie together (`stored_poses`), the second
+//!    one's without its yaw and position; relative poses of the places tie them.
 //! 3. These relative poses are replaced by the landmarks that both maps have, each given the poses of its map. Together
 //!    this is what the maps were made of, so that no measurement is counted twice.
 //!
@@ -24,8 +24,6 @@ use serde::Serialize;
 
 use crate::bundle_adjustment::Bundle;
 use crate::error::BuildError;
-use crate::joint_covariance::ALL_UP_TO;
-use crate::joint_prior::JointPrior;
 use crate::landmark_tie::LandmarkTie;
 use crate::loop_closure::consistent;
 use crate::options::BuildOptions;
@@ -34,6 +32,8 @@ use crate::progress::Progress;
 use crate::refinement::{Constraints, covariance_of, refine_all};
 use crate::relative_pose::RelativePose;
 use crate::report::BuildReport;
+use crate::stored_poses::StoredPoses;
+use crate::tied_keyframes::{MOST_TIED, Observers, choose_places};
 pub use error::MergeError;
 use landmarks::KeyframeFeatures;
 
@@ -56,6 +56,8 @@ pub struct MergeReport {
     pub places: usize,
     /// Those of them that agree with each other.
     pub agreeing_places: usize,
+    /// Keyframes of the two maps that these places tie to the other map; all others follow by their correlations with these.
+    pub tied_keyframes: [usize; 2],
     /// Landmarks that both maps have.
     pub common_landmarks: usize,
     /// Landmarks that look alike and lie elsewhere.
@@ -111,9 +113,11 @@ pub fn merge_maps(
     let mut to_first = alignment.global_from_recording;
     let mut aligned = moved(second, &to_first);
     copy_poses(&aligned, &mut poses);
-    let mut adjuster = Adjuster::new(first, &aligned, progress)?;
+    let (places, tied) = tied_keyframes(first, second, &features, alignment.agreeing);
+    report.tied_keyframes = [tied[1].len(), tied[0].len()];
+    let mut adjuster = Adjuster::new(first, &aligned, tied, progress)?;
     let bundle = Bundle { poses, motions: Vec::new(), landmarks: Vec::new() };
-    let (mut bundle, places) = adjuster.tie_places(bundle, alignment.agreeing)?;
+    let (mut bundle, places) = adjuster.tie_places(bundle, places)?;
     report.agreeing_places = view_count(&places);
     if report.agreeing_places < MIN_AGREEING {
         return Err(not_connected(&report));
@@ -123,7 +127,7 @@ pub fn merge_maps(
         to_first = aligned_better(&aligned, &bundle.poses).compose(&to_first);
         aligned = moved(second, &to_first);
         copy_poses(&aligned, &mut bundle.poses);
-        adjuster.set_priors(first, &aligned)?;
+        adjuster.stored = Adjuster::stored_poses(first, &aligned, &adjuster.tied)?;
         let ties = landmarks::ties(first, &aligned, &features, &places, &bundle.poses);
         let alike = ties.len();
         (bundle, constraints) = adjuster.tie_landmarks(bundle, ties);
@@ -135,7 +139,8 @@ pub fn merge_maps(
     }
     let all: Vec<usize> = (0..bundle.poses.len()).collect();
     let sigma_px = adjuster.sigma_px();
-    let joint = covariance_of(&[], &constraints, &bundle, &all, sigma_px, adjuster.progress)?;
+    let joint =
+        covariance_of(&[], &constraints, &bundle, &all, &adjuster.stored, sigma_px, adjuster.progress)?;
     let contents = assemble::merged(first, &aligned, &bundle.poses, &constraints.ties, &joint)?;
     assemble::fill_report(&mut report, first, &contents, &to_first);
     report.seconds = start.elapsed().as_secs_f64();
@@ -144,12 +149,8 @@ pub fn merge_maps(
 
 /// Checks what can be seen without adjusting anything.
 fn check(first: &MapContents, second: &MapContents) -> Result<(), MergeError> {
-    let keyframes = first.keyframes.len() + second.keyframes.len();
     if first.keyframes.is_empty() || second.keyframes.is_empty() {
         return Err(MergeError::Empty);
-    }
-    if keyframes > ALL_UP_TO {
-        return Err(MergeError::TooLarge { keyframes, most: ALL_UP_TO });
     }
     for (map, which) in [(first, "first"), (second, "second")] {
         let gravity = map.info.gravity_in_global;
@@ -183,6 +184,30 @@ fn not_connected(report: &MergeReport) -> MergeError {
 
 fn poses_of(map: &MapContents) -> impl Iterator<Item = Pose> {
     map.keyframes.iter().map(|keyframe| keyframe.global_from_keyframe.pose)
+}
+
+/// The places that are used, and the positions in the second and in the first map of the keyframes that they tie together: those that
+/// they show, and all others that observe the landmarks that look alike there.
+fn tied_keyframes(
+    first: &MapContents,
+    second: &MapContents,
+    features: &[KeyframeFeatures<'_>],
+    places: Vec<StoredPlace>,
+) -> (Vec<StoredPlace>, [Vec<usize>; 2]) {
+    let count = second.keyframes.len();
+    let [of_first, of_second] = [first, second].map(Observers::of_map);
+    let views_of = |place: &StoredPlace| {
+        let shown = features[place.relative.views[1]].landmarks();
+        let in_first = of_first.of_landmarks(place.matches.iter().map(|(_, id)| *id));
+        let in_second = of_second.of_landmarks(place.matches.iter().map(|(feature, _)| shown[*feature]));
+        let mut views: BTreeSet<usize> = in_first.into_iter().map(|keyframe| count + keyframe).collect();
+        views.extend(in_second);
+        views.extend(place.relative.views);
+        views
+    };
+    let (places, tied) = choose_places(places, MOST_TIED, views_of);
+    let (of_second, of_first): (Vec<usize>, Vec<usize>) = tied.into_iter().partition(|view| *view < count);
+    (places, [of_second, of_first.into_iter().map(|view| view - count).collect()])
 }
 
 /// Sets the first poses to those of a map.
@@ -228,7 +253,10 @@ fn moved(map: &MapContents, to_frame: &Pose) -> MapContents {
 
 /// Adjusts the poses of both maps: those of the second one come first.
 struct Adjuster<'p> {
-    priors: Vec<JointPrior>,
+    /// The poses of the second map, and of the first one.
+    stored: [StoredPoses; 2],
+    /// Positions in both of the keyframes that are tied.
+    tied: [Vec<usize>; 2],
     options: BuildOptions,
     report: BuildReport,
     progress: Progress<'p>,
@@ -238,23 +266,24 @@ impl<'p> Adjuster<'p> {
     fn new(
         first: &MapContents,
         second: &MapContents,
+        tied: [Vec<usize>; 2],
         progress: Progress<'p>,
     ) -> Result<Adjuster<'p>, MergeError> {
         let sigma_px = Some(first.info.sigma_px.max(second.info.sigma_px));
         let options = BuildOptions { sigma_px, ..BuildOptions::default() };
-        let report = BuildReport::default();
-        let mut adjuster = Adjuster { priors: Vec::new(), options, report, progress };
-        adjuster.set_priors(first, second)?;
-        Ok(adjuster)
+        let stored = Self::stored_poses(first, second, &tied)?;
+        Ok(Adjuster { stored, tied, options, report: BuildReport::default(), progress })
     }
 
-    /// Takes the maps as they are in the first one's frame. The prior of the second one is linear in its yaw, so that it must
-    /// be aligned well.
-    fn set_priors(&mut self, first: &MapContents, second: &MapContents) -> Result<(), MergeError> {
-        let relative = JointPrior::of_map(second, 0).and_then(JointPrior::relative);
-        let own = JointPrior::of_map(first, second.keyframes.len());
-        self.priors = [relative, own].into_iter().collect::<Option<_>>().ok_or(MergeError::Indefinite)?;
-        Ok(())
+    /// The maps as they are in the first one's frame. That of the second one is linear in its yaw, so that it must be aligned well.
+    fn stored_poses(
+        first: &MapContents,
+        second: &MapContents,
+        tied: &[Vec<usize>; 2],
+    ) -> Result<[StoredPoses; 2], MergeError> {
+        let relative = StoredPoses::of_map(second, 0, tied[0].clone()).and_then(StoredPoses::without_frame);
+        let own = StoredPoses::of_map(first, second.keyframes.len(), tied[1].clone());
+        relative.zip(own).map(<[StoredPoses; 2]>::from).ok_or(MergeError::Indefinite)
     }
 
     fn sigma_px(&self) -> f64 {
@@ -262,11 +291,18 @@ impl<'p> Adjuster<'p> {
     }
 
     fn constraints(&self, relative_poses: Vec<RelativePose>, ties: Vec<LandmarkTie>) -> Constraints {
-        Constraints { relative_poses, ties, stored: self.priors.clone(), ..Constraints::default() }
+        let priors = self.stored.iter().flat_map(StoredPoses::held).collect();
+        let stored = self.stored.iter().map(StoredPoses::prior).collect();
+        Constraints { priors, relative_poses, ties, stored, ..Constraints::default() }
     }
 
     fn adjust(&mut self, constraints: &Constraints, bundle: Bundle) -> Bundle {
-        refine_all(&[], constraints, bundle, 1, &self.options, &mut self.report, self.progress)
+        let mut bundle =
+            refine_all(&[], constraints, bundle, 1, &self.options, &mut self.report, self.progress);
+        for stored in &self.stored {
+            stored.follow(&mut bundle.poses);
+        }
+        bundle
     }
 
     /// Adjusts both maps by the places that neither their covariances nor the others contradict.

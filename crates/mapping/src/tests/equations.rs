@@ -13,7 +13,7 @@ use rand::{RngExt, SeedableRng};
 use sensors::{CameraSensor, ImuSample};
 
 use super::{camera, dense, world};
-use crate::bundle_adjustment::{Bundle, PosePrior, Problem};
+use crate::bundle_adjustment::{Bundle, Problem};
 use crate::camera::{CameraPose, MappingCamera};
 use crate::inertial::{InertialChain, Motion, buffered};
 use crate::joint_covariance::joint_covariance;
@@ -21,9 +21,11 @@ use crate::landmark::{InverseDepthLandmark, LandmarkObservation};
 use crate::landmark_equations::{LandmarkBlocks, LandmarkEquations};
 use crate::layout::{POSE, StateLayout};
 use crate::normal_equations::NormalEquations;
+use crate::pose_prior::PosePrior;
 use crate::pose_priors::{PriorFactor, PriorFactors};
 use crate::relative_pose::RelativePose;
 use crate::sparse_system::SparseSystem;
+use crate::stored_poses::Posterior;
 
 #[test]
 fn jacobians_of_a_prediction_are_right() {
@@ -100,7 +102,8 @@ fn the_joint_covariance_is_the_inverse_of_the_equations() {
     // Of some of the poses only: the others are marginalized.
     let views = [0, 2, 3, 4, 5, 7, 8, 9, 11];
     let factor = system.factor().unwrap();
-    let joint = joint_covariance(&factor, of_poses(12), &views, &[Vector3::zeros(); 9], |_, _| ());
+    let posterior = Posterior::new(&factor, of_poses(12), &[], &views, &[]);
+    let joint = joint_covariance(&posterior, &views, &[Vector3::zeros(); 9], |_, _| ());
     let inverse = full.try_inverse().unwrap();
     let expected = DMatrix::from_fn(54, 54, |row, column| {
         inverse[(6 * views[row / 6] + row % 6, 6 * views[column / 6] + column % 6)]
@@ -117,7 +120,8 @@ fn what_a_large_map_leaves_out_leaves_a_covariance() {
     let factor = chain_with_loops(&mut rng, 420).0.factor().unwrap();
     let positions: Vec<_> = (0..420).map(|i| Vector3::new(f64::from(i), 0.0, 0.0)).collect();
     let views: Vec<usize> = (0..420).collect();
-    let joint = joint_covariance(&factor, of_poses(420), &views, &positions, |_, _| ());
+    let posterior = Posterior::new(&factor, of_poses(420), &[], &views, &[]);
+    let joint = joint_covariance(&posterior, &views, &positions, |_, _| ());
     assert!(joint.cross.len() < 420 * 419 / 2 && joint.cross.len() > 420 * 30, "{}", joint.cross.len());
     let own: Vec<_> = joint.own.values().copied().collect();
     let mut stated = dense(&own, joint.cross);

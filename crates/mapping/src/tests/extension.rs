@@ -6,20 +6,21 @@ use geometry::pose::Pose;
 use geometry::rotation;
 use geometry::uncertain_pose::{PoseWithCovariance, isotropic_covariance};
 use map::contents::MapContents;
-use map::model::{CommonError, Keyframe, KeyframeCrossCovariance, Landmark, MapMetadata};
-use nalgebra::{DMatrix, Matrix6xX, Vector2, Vector3};
+use map::model::{Keyframe, KeyframeCrossCovariance, Landmark, MapMetadata};
+use nalgebra::{DMatrix, Vector2, Vector3};
 use protocol::DescriptorKind;
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 
 use super::{camera, normal};
-use crate::bundle_adjustment::{Bundle, PosePrior, Problem};
+use crate::bundle_adjustment::{Bundle, Problem};
 use crate::camera::{CameraPose, MappingCamera};
-use crate::joint_prior::JointPrior;
 use crate::landmark::{InverseDepthLandmark, LandmarkObservation};
 use crate::landmark_prior::{LandmarkPrior, StoredObserver};
 use crate::landmark_tie::LandmarkTie;
+use crate::pose_prior::PosePrior;
 use crate::pose_priors::PriorFactors;
+use crate::stored_poses::StoredPoses;
 
 /// Of pixels (px), and of reference poses (rad, m): so small that everything is linear.
 const SIGMA_PX: f64 = 0.1;
@@ -177,7 +178,7 @@ fn an_extended_map_is_the_map_of_all_observations() {
     let place = Place::new();
     let (batch, expected) = place.batch();
     let (map, covariance) = place.map(ADDED..ADDED + STORED);
-    let joint = JointPrior::of_map(&stored(&map, &covariance), ADDED).unwrap();
+    let joint = prior(&stored(&map, &covariance), ADDED).prior();
     let seen_again = |(landmark, in_map): (&InverseDepthLandmark, &InverseDepthLandmark)| {
         let mut again = with_prior(&map, ADDED, in_map);
         let new = landmark.observations.iter().filter(|observation| observation.view() < ADDED);
@@ -209,10 +210,8 @@ fn two_merged_maps_are_the_map_of_all_observations() {
     let (batch, expected) = place.batch();
     let (first, covariance) = place.map(ADDED..ADDED + STORED);
     let (second, of_second) = place.map(0..ADDED);
-    let joint = [
-        JointPrior::of_map(&stored(&second, &of_second), 0).unwrap(),
-        JointPrior::of_map(&stored(&first, &covariance), ADDED).unwrap(),
-    ];
+    let joint =
+        [prior(&stored(&second, &of_second), 0).prior(), prior(&stored(&first, &covariance), ADDED).prior()];
     let poses = [&second.poses[..], &first.poses[..]].concat();
     let tie = |(one, other): (&InverseDepthLandmark, &InverseDepthLandmark)| {
         LandmarkTie::new(with_prior(&first, ADDED, one), with_prior(&second, 0, other), &poses).unwrap()
@@ -231,40 +230,9 @@ fn two_merged_maps_are_the_map_of_all_observations() {
     }
 }
 
-#[test]
-fn the_prior_of_a_map_without_its_frame_says_nothing_of_yaw_and_position() {
-    let place = Place::new();
-    let (map, covariance) = place.map(ADDED..ADDED + STORED);
-    let joint = JointPrior::of_map(&stored(&map, &covariance), 0).unwrap();
-    let relative = joint.clone().relative().unwrap();
-    let small = Pose::new(rotation::exp(&Vector3::new(0.0, 0.0, 1e-4)), Vector3::new(3e-4, -2e-4, 1e-4));
-    let turned: Vec<Pose> = map.poses.iter().map(|pose| small.compose(pose)).collect();
-    assert!(relative.cost(&turned) < 1e-4 * joint.cost(&turned));
-    let mut bent = map.poses.clone();
-    bent[1] = small.compose(&bent[1]);
-    assert!(relative.cost(&bent) > 0.1 * joint.cost(&bent));
-}
-
-#[test]
-fn the_prior_of_a_map_takes_in_what_keyframes_err_together() {
-    let place = Place::new();
-    let (map, covariance) = place.map(ADDED..ADDED + STORED);
-    let listed = stored(&map, &covariance);
-    let mut common = listed.clone();
-    for keyframe in &listed.keyframes {
-        let entry =
-            |row: usize, column: usize| 1e-4 * ((keyframe.id as usize * (row + 3 * column + 1)) as f64).sin();
-        let factor = Matrix6xX::from_fn(2, entry);
-        common.common_errors.push(CommonError { keyframe: keyframe.id, factor });
-    }
-    for cross in &mut common.cross_covariances {
-        let [of_a, of_b] = [cross.a, cross.b].map(|id| &common.common_errors[id as usize - 1].factor);
-        cross.block -= of_a * of_b.transpose();
-    }
-    let mut bent = map.poses.clone();
-    bent[1].translation.x += 1e-3;
-    let [listed, common] = [listed, common].map(|map| JointPrior::of_map(&map, 0).unwrap().cost(&bent));
-    assert!((common / listed - 1.0).abs() < 1e-6, "{common}, {listed}");
+/// The poses of a map, all of which are tied.
+fn prior(contents: &MapContents, first: usize) -> StoredPoses {
+    StoredPoses::of_map(contents, first, (0..contents.keyframes.len()).collect()).unwrap()
 }
 
 /// The map of an adjusted bundle, without its landmarks.

@@ -27,7 +27,7 @@ fn normal(rng: &mut StdRng) -> f64 {
     StandardNormal.sample(rng)
 }
 
-fn camera() -> Camera {
+pub(crate) fn camera() -> Camera {
     let distortion = Distortion::RadialTangential([-0.28, 0.07, 2e-4, 2e-5]);
     Camera { width: 752, height: 480, focal: [458.0, 457.0], centre: [367.0, 248.0], distortion }
 }

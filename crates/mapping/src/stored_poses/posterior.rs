@@ -1,0 +1,154 @@
+//! The joint covariance of all poses after an adjustment in which the tied keyframes of stored maps took part.
+
+use geometry::pose::Pose;
+use nalgebra::{DMatrix, Matrix6};
+
+use super::StoredPoses;
+use crate::layout::{POSE, StateLayout};
+use crate::parallel;
+use crate::pose_prior::pose_error;
+use crate::sparse_system::SparseFactor;
+
+/// The covariance of the errors `[δθ, δp]` in G of some views, column by column.
+pub(crate) struct Posterior<'a> {
+    factor: &'a SparseFactor,
+    layout: StateLayout,
+    /// The views that are wanted.
+    wanted: Vec<Wanted>,
+    /// Those of them that were adjusted.
+    adjusted: Vec<usize>,
+    maps: Vec<AdjustedMap<'a>>,
+}
+
+/// Where the covariance of a view comes from.
+#[derive(Clone, Copy)]
+enum Wanted {
+    /// The adjustment, where it is the view at this position among those that are adjusted.
+    Adjusted(usize),
+    /// The keyframes of its map that were adjusted.
+    Following { map: usize, keyframe: usize },
+}
+
+/// A stored map after the adjustment.
+struct AdjustedMap<'a> {
+    stored: &'a StoredPoses,
+    /// Jacobian of the error of each keyframe relative to its stored pose, by the error of its adjusted pose.
+    jacobians: Vec<Matrix6<f64>>,
+    /// Where the tied keyframes are among the adjusted views.
+    tied: Vec<usize>,
+    /// Covariance of all adjusted views (rows) with the tied keyframes; without columns where no keyframe follows.
+    with_tied: DMatrix<f64>,
+}
+
+impl<'a> Posterior<'a> {
+    /// # Arguments
+    /// * `factor`: of the information matrix of all states at the minimum.
+    /// * `poses`: of all views, at the minimum.
+    /// * `views`: those whose covariance is wanted, with all tied keyframes, in order.
+    pub(crate) fn new(
+        factor: &'a SparseFactor,
+        layout: StateLayout,
+        poses: &[Pose],
+        views: &[usize],
+        stored: &'a [StoredPoses],
+    ) -> Posterior<'a> {
+        let mut adjusted = Vec::new();
+        let mut wanted = Vec::with_capacity(views.len());
+        for &view in views {
+            let following = stored.iter().enumerate().find_map(|(map, of_map)| {
+                let keyframe = view.checked_sub(of_map.first)?;
+                of_map.follows.get(keyframe)?.then_some(Wanted::Following { map, keyframe })
+            });
+            wanted.push(following.unwrap_or(Wanted::Adjusted(adjusted.len())));
+            if following.is_none() {
+                adjusted.push(view);
+            }
+        }
+        let mut posterior = Posterior { factor, layout, wanted, adjusted, maps: Vec::new() };
+        posterior.maps = stored.iter().map(|of_map| posterior.adjusted_map(of_map, poses)).collect();
+        posterior
+    }
+
+    fn adjusted_map(&self, stored: &'a StoredPoses, poses: &[Pose]) -> AdjustedMap<'a> {
+        let means = stored.means.iter().zip(&poses[stored.first..]);
+        let jacobians = means.map(|(mean, pose)| pose_error(mean, pose).1).collect();
+        let views: Vec<usize> = stored.tied_views().collect();
+        let tied = views.iter().map(|view| self.adjusted.partition_point(|other| other < view)).collect();
+        let columns = if stored.tied.len() < stored.means.len() { views.len() } else { 0 };
+        let mut with_tied = DMatrix::zeros(POSE * self.adjusted.len(), POSE * columns);
+        let of_views = parallel::map(columns, |at| self.adjusted_column(views[at]), |_| ());
+        for (at, column) in of_views.iter().enumerate() {
+            with_tied.columns_mut(POSE * at, POSE).copy_from(column);
+        }
+        AdjustedMap { stored, jacobians, tied, with_tied }
+    }
+
+    /// The column of an adjusted view, with the rows of those that are adjusted and wanted.
+    fn adjusted_column(&self, view: usize) -> DMatrix<f64> {
+        let columns: Vec<usize> = self.layout.pose(view).collect();
+        let inverse = self.factor.inverse_columns(&columns);
+        let mut column = DMatrix::zeros(POSE * self.adjusted.len(), POSE);
+        for (at, &view) in self.adjusted.iter().enumerate() {
+            let rows = inverse.fixed_rows::<POSE>(self.layout.pose(view).start);
+            column.fixed_rows_mut::<POSE>(POSE * at).copy_from(&rows);
+        }
+        column
+    }
+
+    /// The column of the wanted view at this position: a block for each wanted view.
+    pub(crate) fn column(&self, at: usize) -> Vec<Matrix6<f64>> {
+        let (adjusted, own) = match self.wanted[at] {
+            Wanted::Adjusted(position) => (self.adjusted_column(self.adjusted[position]), None),
+            Wanted::Following { map, keyframe } => {
+                let of_map = &self.maps[map];
+                let dependence = of_map.stored.dependence(keyframe);
+                let mut gain = of_map.stored.total_gain(&dependence);
+                of_map.multiply_by_jacobians(&mut gain, Matrix6::transpose);
+                (&of_map.with_tied * gain, Some((map, keyframe, dependence)))
+            }
+        };
+        let following = self.maps.iter().enumerate().map(|(map, of_map)| {
+            if of_map.with_tied.is_empty() {
+                return DMatrix::zeros(0, 0);
+            }
+            let mut of_tied = super::rows_of(&adjusted, &of_map.tied);
+            of_map.multiply_by_jacobians(&mut of_tied, Matrix6::clone_owned);
+            let own = own.as_ref().filter(|own| own.0 == map).map(|own| &own.2);
+            of_map.stored.propagated(&of_tied, own)
+        });
+        let following: Vec<DMatrix<f64>> = following.collect();
+        let by_column =
+            own.as_ref().map(|(map, keyframe, _)| self.maps[*map].inverse_jacobian(*keyframe).transpose());
+        let block = |wanted: &Wanted| -> Matrix6<f64> {
+            let block: Matrix6<f64> = match *wanted {
+                Wanted::Adjusted(position) => adjusted.fixed_view::<POSE, POSE>(POSE * position, 0).into(),
+                Wanted::Following { map, keyframe } => {
+                    let rows = following[map].fixed_view::<POSE, POSE>(POSE * keyframe, 0);
+                    self.maps[map].inverse_jacobian(keyframe) * rows
+                }
+            };
+            by_column.map_or(block, |by_column| block * by_column)
+        };
+        self.wanted.iter().map(block).collect()
+    }
+}
+
+impl AdjustedMap<'_> {
+    /// Multiplies the rows of each tied keyframe by its Jacobian, or what `of_jacobian` makes of it.
+    fn multiply_by_jacobians(
+        &self,
+        rows: &mut DMatrix<f64>,
+        of_jacobian: impl Fn(&Matrix6<f64>) -> Matrix6<f64>,
+    ) {
+        for (at, &keyframe) in self.stored.tied.iter().enumerate() {
+            let product = of_jacobian(&self.jacobians[keyframe]) * rows.fixed_rows::<POSE>(POSE * at);
+            rows.fixed_rows_mut::<POSE>(POSE * at).copy_from(&product);
+        }
+    }
+
+    /// The inverse of the Jacobian of a keyframe: of the error of its adjusted pose by that of its stored pose.
+    fn inverse_jacobian(&self, keyframe: usize) -> Matrix6<f64> {
+        // The inverse of the left Jacobian, which is invertible within half a turn.
+        self.jacobians[keyframe].try_inverse().unwrap_or_else(Matrix6::identity)
+    }
+}

@@ -1,0 +1,64 @@
+//! Which keyframes of a stored map are tied to a recording or another map: those that it shows again.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use map::contents::MapContents;
+use protocol::{KeyframeId, LandmarkId};
+
+use super::places::StoredPlace;
+
+/// Keyframes of a map that are tied, at most: the covariance of their poses is a dense matrix that is inverted.
+pub(super) const MOST_TIED: usize = 600;
+/// The golden ratio's fractional part: multiples of it are spread evenly, however many there are.
+const SPREAD: f64 = 0.618_033_988_749_895;
+
+/// The keyframes of a map by their landmarks.
+pub(super) struct Observers<'a> {
+    keyframes: BTreeMap<KeyframeId, usize>,
+    of_landmark: BTreeMap<LandmarkId, &'a map::model::Landmark>,
+}
+
+impl<'a> Observers<'a> {
+    /// Of a map.
+    pub(super) fn of_map(contents: &'a MapContents) -> Observers<'a> {
+        let keyframes = contents.keyframes.iter().map(|keyframe| keyframe.id).zip(0..).collect();
+        let of_landmark = contents.landmarks.iter().map(|landmark| (landmark.id, landmark)).collect();
+        Observers { keyframes, of_landmark }
+    }
+
+    /// Positions in the map of the keyframes that observe some landmarks.
+    pub(super) fn of_landmarks(&self, landmarks: impl Iterator<Item = LandmarkId>) -> BTreeSet<usize> {
+        let observations = landmarks.filter_map(|id| self.of_landmark.get(&id));
+        let keyframes = observations.flat_map(|landmark| &landmark.observations).map(|seen| seen.keyframe);
+        keyframes.filter_map(|id| self.keyframes.get(&id).copied()).collect()
+    }
+}
+
+/// Chooses the places that are used: all, as long as the keyframes that they tie are not too many, else some of them along the
+/// whole recording. The others are not used: the map stays less certain than it could be, and says so.
+///
+/// # Arguments
+/// * `places`: the first one is kept in any case.
+/// * `views_of`: the views of the stored keyframes that a place ties.
+///
+/// # Returns
+/// The places, in their order, and the views that they tie.
+pub(super) fn choose_places(
+    places: Vec<StoredPlace>,
+    most: usize,
+    views_of: impl Fn(&StoredPlace) -> BTreeSet<usize>,
+) -> (Vec<StoredPlace>, BTreeSet<usize>) {
+    let mut order: Vec<usize> = (0..places.len()).collect();
+    order.sort_by(|a, b| (*a as f64 * SPREAD).fract().total_cmp(&(*b as f64 * SPREAD).fract()));
+    let (mut tied, mut kept) = (BTreeSet::new(), BTreeSet::new());
+    for at in order {
+        let of_place = views_of(&places[at]);
+        let new = of_place.difference(&tied).count();
+        if at == 0 || tied.len() + new <= most {
+            tied.extend(of_place);
+            kept.insert(at);
+        }
+    }
+    let is_kept = |(at, place)| kept.contains(&at).then_some(place);
+    (places.into_iter().enumerate().filter_map(is_kept).collect(), tied)
+}
