@@ -2,8 +2,8 @@
 
 use geometry::{Pose, rotation};
 use map::contents::MapContents;
-use map::model::Keyframe;
-use nalgebra::{DMatrix, DVector, Vector3};
+use map::model::{CommonError, Keyframe};
+use nalgebra::{DMatrix, DVector, Matrix6, Matrix6xX, Vector3};
 use sensors::Sequence;
 
 /// The true pose of the IMU at a time, in the frame of the ground truth.
@@ -61,4 +61,32 @@ pub fn all_errors(contents: &MapContents, truth: &[Pose]) -> (DVector<f64>, DMat
         covariance.fixed_view_mut::<6, 6>(b, a).copy_from(&cross.block.transpose());
     }
     (error, covariance)
+}
+
+/// The same map with its covariance stated as large maps state it: what all keyframes have in common with one of them as common
+/// errors, and what remains by pairs.
+pub fn with_common_errors(contents: &MapContents) -> MapContents {
+    let mut stated = contents.clone();
+    let anchor = &contents.keyframes[contents.keyframes.len() / 2];
+    let variance = anchor.global_from_keyframe.covariance;
+    let with_anchor = |id: u64| -> Matrix6<f64> {
+        let block = |a, b| contents.cross_covariances.iter().find(|cross| (cross.a, cross.b) == (a, b));
+        match id.cmp(&anchor.id) {
+            std::cmp::Ordering::Equal => variance,
+            std::cmp::Ordering::Less => block(id, anchor.id).unwrap().block,
+            std::cmp::Ordering::Greater => block(anchor.id, id).unwrap().block.transpose(),
+        }
+    };
+    let root = variance.cholesky().unwrap().l();
+    let common = |keyframe: &Keyframe| {
+        let factor = root.solve_lower_triangular(&with_anchor(keyframe.id).transpose()).unwrap().transpose();
+        CommonError { keyframe: keyframe.id, factor: Matrix6xX::from_column_slice(factor.as_slice()) }
+    };
+    stated.common_errors = contents.keyframes.iter().map(common).collect();
+    let of = |id: u64| stated.common_errors.iter().find(|common| common.keyframe == id).unwrap();
+    for cross in &mut stated.cross_covariances {
+        cross.block -= of(cross.a).covariance_with(of(cross.b));
+    }
+    stated.validate().unwrap();
+    stated
 }

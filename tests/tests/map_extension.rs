@@ -13,7 +13,7 @@ use protocol::keys;
 use recognition::LoadedMap;
 use sensors::Sequence;
 use tests::data::recording;
-use tests::map_errors::{global_from_truth, true_pose, true_poses};
+use tests::map_errors::{global_from_truth, true_pose, true_poses, with_common_errors};
 use tests::robot::arguments;
 use tests::server::{Client, Server};
 use tests::sessions::{build, nees, sessions};
@@ -24,7 +24,7 @@ fn extend(map: &MapContents, sequence: &mut Sequence) -> Result<(MapContents, Ex
     extend_map(map, sequence, &odometry, None, &BuildOptions::default(), &mut |_, _, _| {})
 }
 
-/// Builds a map of the first session and extends it by the others.
+/// Builds a map of the first session and extends it by the others; with an even seed the map states common errors, as a large one.
 ///
 /// # Returns
 /// NEES and degrees of freedom after the last extension, and the mean square error of the first session's positions before
@@ -35,6 +35,9 @@ fn extended_nees(seed: u64, count: usize, period_s: f64) -> (f64, f64, [f64; 2])
     let first_session = map.keyframes.len();
     let (of_first, freedom, before_m) = nees(&whole, &map, first_session);
     println!("seed {seed}: {first_session} keyframes, {before_m:.4} m, NEES {:.2}", of_first / freedom);
+    if seed % 2 == 0 {
+        map = with_common_errors(&map);
+    }
     let mut result = (0.0, 0.0, [0.0; 2]);
     for part in &mut parts[1..] {
         let (extended, report) = extend(&map, part).unwrap();

@@ -62,6 +62,7 @@ pub(super) fn find_places(
     let [sigma_theta, sigma_p] = SEARCH_SIGMAS;
     let mut searched = stored.clone();
     searched.cross_covariances.clear();
+    searched.common_errors.clear();
     for keyframe in &mut searched.keyframes {
         keyframe.global_from_keyframe.covariance = isotropic_covariance(sigma_theta, sigma_p);
     }

@@ -105,6 +105,10 @@ pub(super) fn print_extension(report: &ExtensionReport) {
         report.places, report.agreeing_places
     );
     println!(
+        "  tied to the recording     {} of {} keyframes; the others follow",
+        report.tied_keyframes, report.stored_keyframes
+    );
+    println!(
         "landmarks seen again        {} with {} observations",
         report.landmarks_seen_again, report.observations_of_them
     );

@@ -86,6 +86,8 @@ fn print(report: &MergeReport) {
         "places of the first map     {} keyframes of the second show one, {} of them agree",
         report.places, report.agreeing_places
     );
+    let [tied, others] = report.tied_keyframes;
+    println!("  keyframes tied by them    {tied} + {others}; the others follow");
     let [yaw, x, y, z] = report.first_from_second;
     println!("second in the first frame   {yaw:.3} deg about z, then {x:.3}, {y:.3}, {z:.3} m");
     println!("first map moved by, an axis {:.4} m, {:.4} deg", report.moved_m, report.moved_deg);
