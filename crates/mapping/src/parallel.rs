@@ -35,6 +35,11 @@ pub(super) fn for_each_run<I: Sync, T: Send>(
     for_each_in_order(processors(), runs.len(), |run| work(runs[run]), take);
 }
 
+/// Does `work` for `0..count`, and gives the results to `take` on this thread, in this order. Few of them are in memory at once.
+pub(super) fn for_each<T: Send>(count: usize, work: impl Fn(usize) -> T + Sync, take: impl FnMut(T)) {
+    for_each_in_order(processors(), count, work, take);
+}
+
 fn processors() -> usize {
     std::thread::available_parallelism().map_or(1, NonZero::get)
 }

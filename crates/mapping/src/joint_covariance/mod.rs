@@ -30,6 +30,7 @@ use protocol::KeyframeId;
 
 #[cfg(test)]
 use super::layout::POSE;
+use super::parallel;
 use super::stored_poses::Posterior;
 use anchors::low_rank_part;
 use taper::Taper;
@@ -118,20 +119,20 @@ struct Blocks {
 fn stated(
     form: Form,
     positions: &[Vector3<f64>],
-    column: impl Fn(usize) -> Vec<Matrix6<f64>>,
+    column: impl Fn(usize) -> Vec<Matrix6<f64>> + Sync,
     mut progress: impl FnMut(usize, usize),
 ) -> Blocks {
     let count = positions.len();
     let taper = (count > form.all_up_to).then(|| Taper::with_mean_neighbours(positions, form.neighbours));
     let kept = |i: usize, j: usize| taper.map_or(1.0, |taper| taper.kept(&positions[i], &positions[j]));
     let mut blocks = Blocks { own: Vec::with_capacity(count), common: Vec::new(), cross: Vec::new() };
-    for j in 0..count {
+    parallel::for_each(count, &column, |column| {
+        let j = blocks.own.len();
         progress(j, count);
-        let column = column(j);
         blocks.own.push((column[j] + column[j].transpose()) * 0.5);
         let near = (0..j).filter(|&i| kept(i, j) > 0.0);
         blocks.cross.extend(near.map(|i| (i, j, column[i])));
-    }
+    });
     if taper.is_some() {
         blocks.common = low_rank_part(&blocks.own, form.anchors, column);
         for (i, j, block) in &mut blocks.cross {

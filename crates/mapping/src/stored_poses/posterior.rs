@@ -95,10 +95,19 @@ impl<'a> Posterior<'a> {
         column
     }
 
+    /// The same for the view at this position among those that are adjusted.
+    fn known_or_computed_column(&self, position: usize) -> DMatrix<f64> {
+        let known = self.maps.iter().filter(|map| !map.with_tied.is_empty()).find_map(|map| {
+            let at = map.tied.binary_search(&position).ok()?;
+            Some(map.with_tied.columns(POSE * at, POSE).into_owned())
+        });
+        known.unwrap_or_else(|| self.adjusted_column(self.adjusted[position]))
+    }
+
     /// The column of the wanted view at this position: a block for each wanted view.
     pub(crate) fn column(&self, at: usize) -> Vec<Matrix6<f64>> {
         let (adjusted, own) = match self.wanted[at] {
-            Wanted::Adjusted(position) => (self.adjusted_column(self.adjusted[position]), None),
+            Wanted::Adjusted(position) => (self.known_or_computed_column(position), None),
             Wanted::Following { map, keyframe } => {
                 let of_map = &self.maps[map];
                 let dependence = of_map.stored.dependence(keyframe);
