@@ -76,10 +76,12 @@ impl<'a> Posterior<'a> {
         let tied = views.iter().map(|view| self.adjusted.partition_point(|other| other < view)).collect();
         let columns = if stored.tied.len() < stored.means.len() { views.len() } else { 0 };
         let mut with_tied = DMatrix::zeros(POSE * self.adjusted.len(), POSE * columns);
-        let of_views = parallel::map(columns, |at| self.adjusted_column(views[at]), |_| ());
-        for (at, column) in of_views.iter().enumerate() {
-            with_tied.columns_mut(POSE * at, POSE).copy_from(column);
-        }
+        let mut next = 0;
+        let column = |at: usize| self.adjusted_column(views[at]);
+        parallel::for_each(columns, column, |column| {
+            with_tied.columns_mut(next, POSE).copy_from(&column);
+            next += POSE;
+        });
         AdjustedMap { stored, jacobians, tied, with_tied }
     }
 
