@@ -62,3 +62,50 @@ pub(super) fn choose_places(
     let is_kept = |(at, place)| kept.contains(&at).then_some(place);
     (places.into_iter().enumerate().filter_map(is_kept).collect(), tied)
 }
+
+#[cfg(test)]
+mod tests {
+    use geometry::pose::Pose;
+    use nalgebra::Matrix6;
+
+    use super::*;
+    use crate::relative_pose::RelativePose;
+
+    /// Places of consecutive views, each of which ties two keyframes that no other ties.
+    fn places(count: usize) -> Vec<StoredPlace> {
+        let relative = |view| RelativePose {
+            views: [1000 + 2 * view, view],
+            first_from_second: Pose::identity(),
+            information: Matrix6::identity(),
+        };
+        (0..count).map(|view| StoredPlace { relative: relative(view), matches: Vec::new() }).collect()
+    }
+
+    fn pair_of(place: &StoredPlace) -> BTreeSet<usize> {
+        let [stored, _] = place.relative.views;
+        BTreeSet::from([stored, stored + 1])
+    }
+
+    #[test]
+    fn all_places_are_used_where_they_tie_few_keyframes() {
+        let (kept, tied) = choose_places(places(30), 60, pair_of);
+        assert_eq!((kept.len(), tied.len()), (30, 60));
+    }
+
+    #[test]
+    fn where_they_tie_too_many_some_along_the_whole_recording_are_used() {
+        let (kept, tied) = choose_places(places(90), 60, pair_of);
+        assert_eq!((kept.len(), tied.len()), (30, 60));
+        let views: Vec<usize> = kept.iter().map(|place| place.relative.views[1]).collect();
+        assert!(views[0] == 0 && views.is_sorted());
+        let widest = views.windows(2).map(|pair| pair[1] - pair[0]).max();
+        assert!(widest.is_some_and(|gap| gap <= 5), "{views:?}");
+    }
+
+    #[test]
+    fn the_first_place_and_those_that_tie_no_further_keyframe_are_used_in_any_case() {
+        let of_place = |place: &StoredPlace| BTreeSet::from([place.relative.views[1] / 10, 7, 8, 9]);
+        let (kept, tied) = choose_places(places(50), 3, of_place);
+        assert_eq!((kept.len(), tied.len()), (10, 4));
+    }
+}
