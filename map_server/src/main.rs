@@ -189,6 +189,7 @@ async fn serve() -> anyhow::Result<()> {
         options.workers = usize::from(workers);
     }
     options.cell_memory = arguments.memory.map(|ByteSize(bytes)| bytes);
+    options.draws_cells = arguments.http.is_some();
     let server = MapServer::start(session.clone(), maps, options).await?;
     let services = serve_cells(&server, &arguments, by_cells, &cache).await?;
     let monitoring = match arguments.monitoring {

@@ -100,6 +100,11 @@ impl CellDirectory {
         Ok(CellDirectory { info, identity: release.map.identity, cells, coarse: builder.build()? })
     }
 
+    /// What applies to the map as a whole.
+    pub fn info(&self) -> &MapMetadata {
+        &self.info
+    }
+
     /// Version of the map.
     pub fn version(&self) -> u64 {
         self.info.version
