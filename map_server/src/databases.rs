@@ -13,16 +13,16 @@ use map_server::{MapServer, ServeError, ServedMap};
 use protocol::MapIdentity;
 use protocol::keys::{NameError, validate_name};
 use recognition::LoadedMap;
-use releases::ReleaseKey;
+use releases::{ReleaseKey, ReleaseStore};
 
 use crate::released::ReleasedMap;
 
-/// `NAME=DB` or `NAME=URL`
+/// `NAME=DB`, `NAME=FOLDER` or `NAME=URL`
 #[derive(Clone, Debug)]
 pub struct MapArgument {
     /// Name of the map in its keys.
     pub name: String,
-    /// Path of its database, or URL of its releases.
+    /// Path of its database, or folder or URL of its releases.
     pub place: String,
 }
 
@@ -51,9 +51,10 @@ impl FromStr for MapArgument {
 }
 
 impl MapArgument {
-    /// Whether its place is one of releases.
+    /// Whether its place is one of releases: a URL, or a folder that was published to. One that holds a map besides is a database.
     pub fn is_released(&self) -> bool {
-        self.place.contains("://")
+        let folder = Path::new(&self.place);
+        self.place.contains("://") || (ReleaseStore::is_published(folder) && !store::is_map(folder))
     }
 }
 

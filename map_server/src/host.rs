@@ -5,7 +5,7 @@ use std::sync::Arc;
 use recognition::RecognitionOptions;
 use zenoh::Session;
 
-use crate::cells::CellMemory;
+use crate::cells::{CellDrawings, CellMemory};
 use crate::metrics::ServerMetrics;
 use crate::queue::Queue;
 
@@ -19,4 +19,6 @@ pub(crate) struct Host {
     pub(crate) metrics: Arc<ServerMetrics>,
     pub(crate) options: RecognitionOptions,
     pub(crate) memory: Arc<CellMemory>,
+    /// Where a page draws them.
+    pub(crate) drawings: Option<Arc<CellDrawings>>,
 }

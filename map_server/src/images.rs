@@ -1,8 +1,8 @@
 //! Images that people give to the live map: features by the map's extractor, then the search of a `localize` query.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
-use std::sync::Arc;
+use std::sync::{Arc, PoisonError, RwLock};
 
 use geometry::Camera;
 use protocol::{LocalizeRequest, Validate as _};
@@ -27,6 +27,8 @@ const MAX_FEATURES: usize = 1000;
 /// Localizes images in maps, as `driftless localize` does.
 pub struct ImageLocalizer {
     maps: Arc<BTreeMap<String, Arc<MapSlot>>>,
+    /// Of all maps, those that are served by cells among them.
+    names: Arc<RwLock<BTreeSet<String>>>,
     options: RecognitionOptions,
 }
 
@@ -34,11 +36,20 @@ impl ImageLocalizer {
     /// In maps that are not served.
     pub fn new(maps: Vec<ServedMap>) -> Self {
         let slots = maps.into_iter().map(|map| (map.name.clone(), Arc::new(MapSlot::new(map))));
-        Self::of_slots(Arc::new(slots.collect()), RecognitionOptions::default())
+        Self::of_slots(Arc::new(slots.collect()), Arc::default(), RecognitionOptions::default())
     }
 
-    pub(crate) fn of_slots(maps: Arc<BTreeMap<String, Arc<MapSlot>>>, options: RecognitionOptions) -> Self {
-        Self { maps, options }
+    pub(crate) fn of_slots(
+        maps: Arc<BTreeMap<String, Arc<MapSlot>>>,
+        names: Arc<RwLock<BTreeSet<String>>>,
+        options: RecognitionOptions,
+    ) -> Self {
+        Self { maps, names, options }
+    }
+
+    fn is_by_cells(&self, name: &str) -> bool {
+        let names = self.names.read().unwrap_or_else(PoisonError::into_inner);
+        names.contains(name) && !self.maps.contains_key(name)
     }
 
     fn search(&self, map: &LoadedMap, request: &LocalizeRequest) -> Result<ViewedAnswer, ImageError> {
@@ -59,6 +70,13 @@ impl ImageLocalizer {
 
 impl LocalizeImage for ImageLocalizer {
     fn localize(&self, given: &GivenImage) -> Result<ViewedAnswer, ImageError> {
+        if self.is_by_cells(&given.map) {
+            let message = format!(
+                "images are searched in maps that a server has as a whole, and {} is served by cells: ask with driftless localize",
+                given.map
+            );
+            return Err(unusable(&message));
+        }
         let slot = self.maps.get(&given.map).ok_or_else(|| ImageError::UnknownMap(given.map.clone()))?;
         let map = slot.current();
         let extractor = &map.info().extractor;

@@ -62,6 +62,7 @@ pub mod routing;
 pub mod served_map;
 pub mod server;
 pub mod show;
+mod show_cells;
 mod show_statistics;
 
 pub use cells::{CellChoice, CellService, CellServiceOptions};

@@ -70,9 +70,10 @@ const QUIET: &str = "info,zenoh=warn,zenoh_link_tls=debug,zenoh::net::routing::i
 #[derive(Parser, Debug)]
 #[command(version, after_long_help = EXAMPLES, after_help = "Use --help for examples.")]
 struct Arguments {
-    /// A map to serve: its name in keys and its database, or the URL of its releases (file:///srv/city, s3://bucket/city;
-    /// see `driftless publish-map`). May be given several times.
-    #[arg(long = "map", value_name = "NAME=DB|URL", required = true)]
+    /// A map to serve: its name in keys and its database, or the folder or URL of its releases (/srv/city, s3://bucket/city; see
+    /// `driftless publish-map`). A folder that may be away when the server starts is given as file:///srv/city. May be given
+    /// several times.
+    #[arg(long = "map", value_name = "NAME=DB|FOLDER|URL", required = true)]
     maps: Vec<MapArgument>,
 
     /// Folder for what is fetched of releases: a restart serves it when the store is away [default: driftless/releases in
@@ -189,6 +190,7 @@ async fn serve() -> anyhow::Result<()> {
         options.workers = usize::from(workers);
     }
     options.cell_memory = arguments.memory.map(|ByteSize(bytes)| bytes);
+    options.draws_cells = arguments.http.is_some();
     let server = MapServer::start(session.clone(), maps, options).await?;
     let services = serve_cells(&server, &arguments, by_cells, &cache).await?;
     let monitoring = match arguments.monitoring {
@@ -260,7 +262,7 @@ impl Arguments {
             self.maps.iter().partition(|map| self.cells.is_some() && map.is_released());
         if self.cells.is_some() && by_cells.is_empty() {
             bail!(
-                "--cells is for maps from releases (--map NAME=URL), and there is none: publish it with driftless publish-map"
+                "--cells is for maps from releases (--map NAME=FOLDER or NAME=URL), and there is none: publish it with driftless publish-map"
             );
         }
         Ok((by_cells, whole))

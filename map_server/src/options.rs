@@ -25,10 +25,12 @@ pub struct ServerOptions {
     /// Bytes that loaded cells of maps that are served by cells may take; `None` without a bound. Further cells are on disk, in
     /// the cache of their map, until they are asked for.
     pub cell_memory: Option<usize>,
+    /// Whether maps that are served by cells are drawn by [`Show`](crate::Show); what is drawn takes at most some 60 MB a map.
+    pub draws_cells: bool,
 }
 
 impl Default for ServerOptions {
-    /// One worker per processor; 64 waiting queries of 64 MiB together; all cells in memory.
+    /// One worker per processor; 64 waiting queries of 64 MiB together; all cells in memory, none drawn.
     fn default() -> ServerOptions {
         ServerOptions {
             name: None,
@@ -37,6 +39,7 @@ impl Default for ServerOptions {
             queue_length: 64,
             queue_bytes: 64 << 20,
             cell_memory: None,
+            draws_cells: false,
         }
     }
 }

@@ -13,7 +13,7 @@ use zenoh::Session;
 use zenoh::liveliness::LivelinessToken;
 use zenoh::query::{Query, Queryable};
 
-use crate::cells::CellMemory;
+use crate::cells::{CellDrawings, CellMemory};
 use crate::change;
 use crate::error::ServeError;
 use crate::handlers;
@@ -75,6 +75,7 @@ pub struct MapServer {
     reports: ReportSender,
     recognition: RecognitionOptions,
     cell_memory: Arc<CellMemory>,
+    drawings: Option<Arc<CellDrawings>>,
     workers: Vec<JoinHandle<()>>,
 }
 
@@ -148,6 +149,7 @@ impl MapServer {
             reports,
             recognition,
             cell_memory,
+            drawings: options.draws_cells.then(CellDrawings::new),
             workers,
         })
     }
@@ -161,6 +163,7 @@ impl MapServer {
             metrics: Arc::clone(&self.metrics),
             options: self.recognition.clone(),
             memory: Arc::clone(&self.cell_memory),
+            drawings: self.drawings.clone(),
         }
     }
 
@@ -184,14 +187,19 @@ impl MapServer {
         self.reports.subscribe()
     }
 
-    /// Localizes images in the maps that are being served, beside the queue of queries.
+    /// Localizes images in the maps that are being served as a whole, beside the queue of queries.
     pub fn images(&self) -> ImageLocalizer {
-        ImageLocalizer::of_slots(Arc::clone(&self.maps), self.recognition.clone())
+        let names = Arc::clone(&self.names);
+        ImageLocalizer::of_slots(Arc::clone(&self.maps), names, self.recognition.clone())
     }
 
     /// Counters since the start.
     pub fn statistics(&self) -> ServerStatistics {
         self.metrics.statistics()
+    }
+
+    pub(crate) fn drawings(&self) -> Option<Arc<CellDrawings>> {
+        self.drawings.clone()
     }
 
     pub(crate) fn metrics(&self) -> Arc<ServerMetrics> {

@@ -18,18 +18,20 @@ use zenoh::Session;
 
 use crate::reports::{AnsweredQuery, QueryReport};
 use crate::server::MapServer;
+use crate::show_cells::CellArtist;
 use crate::show_statistics::show_statistics;
 
 /// The page of a map server.
 pub struct Show {
     viewer: Arc<Viewer>,
     server: ViewerServer,
-    tasks: [JoinHandle<()>; 2],
+    tasks: Vec<JoinHandle<()>>,
     _robots: RobotFollower,
 }
 
 impl Show {
-    /// Shows the maps of a server and the robots of its session, and what is `beside` it.
+    /// Shows the maps of a server and the robots of its session, and what is `beside` it. Maps that are served by cells are shown with the
+    /// cells that the server has, as they come and go, where [`ServerOptions::draws_cells`](crate::ServerOptions) says so.
     ///
     /// # Errors
     /// [`ViewerError`]: an address that cannot be listened on, a closed session.
@@ -48,10 +50,15 @@ impl Show {
             }
         }
         let robots = follow_robots(&viewer, session).await?;
-        let tasks = [
+        let mut tasks = vec![
             tokio::spawn(show_queries(Arc::clone(&viewer), server.reports())),
             tokio::spawn(show_statistics(Arc::clone(&viewer), server.metrics())),
         ];
+        if let Some(drawings) = server.drawings() {
+            let mut artist = CellArtist::new(Arc::clone(&viewer), drawings);
+            artist.draw().await;
+            tasks.push(tokio::spawn(artist.follow()));
+        }
         let server = ViewerServer::start_with(address, Arc::clone(&viewer), beside).await?;
         Ok(Self { viewer, server, tasks, _robots: robots })
     }

@@ -367,3 +367,43 @@ async fn releases_are_followed_and_served_without_their_store() {
     }
     client.close().await.unwrap();
 }
+
+#[test]
+fn a_folder_of_releases_is_served_like_its_url_and_a_database_stays_one() {
+    let directory = tempfile::tempdir().unwrap();
+    let folder = directory.path().join("city");
+    let place = Place::new(&PlaceOptions { keyframes: 5, landmarks: 100, ..PlaceOptions::default() });
+    let published = tokio::runtime::Runtime::new().unwrap().block_on(async {
+        let releases = ReleaseStore::open(folder.to_str().unwrap()).unwrap();
+        publish(&releases, place.map.clone(), &PublishOptions::default(), |_| {}).await
+    });
+    published.unwrap();
+    let (map, cache) = (format!("city={}", folder.display()), directory.path().join("cache"));
+    let serve = |more: &[&str], says: &str| {
+        let log = directory.path().join("log");
+        let stderr = Stdio::from(std::fs::File::create(&log).unwrap());
+        let mut command = program();
+        command.args(["--map", &map, "--listen", "tcp/127.0.0.1:0"]).args(more).arg("--cache").arg(&cache);
+        let mut server = Running(command.stderr(stderr).spawn().unwrap());
+        let read = || std::fs::read_to_string(&log).unwrap();
+        while !(read().contains("ready") && read().contains(says)) {
+            assert!(server.0.try_wait().unwrap().is_none(), "{}", read());
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        signal(&server, "-TERM");
+        assert!(server.0.wait().unwrap().success());
+    };
+    serve(&[], "fetched a release");
+    serve(&["--cells", "auto"], "serving a map by cells");
+
+    // A map that is written beside them is what was asked for by its path; its releases still have a URL.
+    stored_map(&folder.join("of_map"));
+    for entry in std::fs::read_dir(folder.join("of_map")).unwrap() {
+        let entry = entry.unwrap();
+        std::fs::rename(entry.path(), folder.join(entry.file_name())).unwrap();
+    }
+    serve(&[], "loaded a map");
+    assert!(!std::fs::read_to_string(directory.path().join("log")).unwrap().contains("fetched a release"));
+    let (output, error) = run(&["--map", &map, "--cells", "auto"]);
+    assert!(!output.status.success() && error.contains("NAME=FOLDER"), "{error}");
+}

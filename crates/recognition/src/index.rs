@@ -69,7 +69,7 @@ pub(crate) struct Votes {
 
 impl Votes {
     /// Adds the vote of a feature, unless it has voted for the keyframe already. Features vote one after the other.
-    fn add(&mut self, feature: u32, weight: u64) {
+    pub(crate) fn add(&mut self, feature: u32, weight: u64) {
         if self.last != feature + 1 {
             self.last = feature + 1;
             self.weight += weight;
@@ -153,7 +153,7 @@ impl LandmarkIndex {
     ) -> Result<Vec<Votes>, DescriptorError> {
         let mut votes = vec![Votes::default(); keyframe_count];
         self.prototypes.search(query, self.max_distance, |feature, hits| {
-            cast_votes(feature, hits, observers, &mut votes);
+            cast_votes(feature, hits, observers, add_to(&mut votes));
         })?;
         Ok(votes)
     }
@@ -171,16 +171,36 @@ impl LandmarkIndex {
         among: &LandmarkSet,
     ) -> Result<Vec<Votes>, DescriptorError> {
         let mut votes = vec![Votes::default(); keyframe_count];
-        let asked_for = |landmark: u32| among.contains(landmark);
-        self.prototypes.search_among(query, self.max_distance, asked_for, |feature, hits| {
-            cast_votes(feature, hits, observers, &mut votes);
-        })?;
+        self.each_vote(query, observers, |landmark| among.contains(landmark), add_to(&mut votes))?;
         Ok(votes)
+    }
+
+    /// The votes of [`Self::vote_among`] one by one, for whoever counts them for some keyframes only.
+    ///
+    /// # Arguments
+    /// * `asked_for`: which landmarks count.
+    /// * `vote`: called with a keyframe, the feature that votes for it, and the weight. A feature votes once for each landmark;
+    ///   [`Votes::add`] counts the first.
+    pub(crate) fn each_vote(
+        &self,
+        query: DescriptorView<'_>,
+        observers: &Observers,
+        asked_for: impl Fn(u32) -> bool,
+        mut vote: impl FnMut(u32, u32, u64),
+    ) -> Result<(), DescriptorError> {
+        self.prototypes.search_among(query, self.max_distance, asked_for, |feature, hits| {
+            cast_votes(feature, hits, observers, &mut vote);
+        })
     }
 }
 
-/// Adds the votes of one feature, for what observes the nearest landmarks.
-fn cast_votes(feature: usize, hits: &[Hit], observers: &Observers, votes: &mut [Votes]) {
+/// Adds votes to those of all keyframes.
+fn add_to(votes: &mut [Votes]) -> impl FnMut(u32, u32, u64) {
+    |keyframe, feature, weight| votes[keyframe as usize].add(feature, weight)
+}
+
+/// The votes of one feature, for what observes the nearest landmarks.
+fn cast_votes(feature: usize, hits: &[Hit], observers: &Observers, mut vote: impl FnMut(u32, u32, u64)) {
     let mut nearest: Vec<Hit> = hits.to_vec();
     if hits.len() > MAX_VOTED {
         let order = |a: &Hit, b: &Hit| a.distance.total_cmp(&b.distance).then(a.payload.cmp(&b.payload));
@@ -191,7 +211,7 @@ fn cast_votes(feature: usize, hits: &[Hit], observers: &Observers, votes: &mut [
     let mut near: Vec<u32> = nearest.iter().map(|hit| hit.payload).collect();
     let weight = FULL_VOTE / (left_out + count_distinct(&mut near)).max(1) as u64;
     for &keyframe in near.iter().flat_map(|&landmark| observers.of(landmark as usize)) {
-        votes[keyframe as usize].add(feature as u32, weight);
+        vote(keyframe, feature as u32, weight);
     }
 }
 
@@ -282,7 +302,7 @@ mod tests {
         let mut slow = vec![Votes::default(); KEYFRAMES];
         let search = index.prototypes.search(query, index.max_distance, |feature, hits| {
             let hits: Vec<Hit> = hits.iter().copied().filter(|hit| among.contains(hit.payload)).collect();
-            cast_votes(feature, &hits, &observers, &mut slow);
+            cast_votes(feature, &hits, &observers, add_to(&mut slow));
         });
         search.unwrap();
         assert_eq!(index.vote_among(query, &observers, KEYFRAMES, &among).unwrap(), slow);
@@ -304,7 +324,7 @@ mod tests {
         let hits = (0..KEYFRAMES as u32).map(|payload| Hit { distance: distance(payload), payload });
         let hits: Vec<Hit> = hits.collect();
         let mut votes = vec![Votes::default(); KEYFRAMES];
-        cast_votes(0, &hits, &observers, &mut votes);
+        cast_votes(0, &hits, &observers, add_to(&mut votes));
         let first = KEYFRAMES - MAX_VOTED;
         assert!(votes[..first].iter().all(|votes| votes.features == 0));
         let weight = FULL_VOTE / KEYFRAMES as u64;

@@ -77,6 +77,12 @@ impl ReleaseStore {
         })
     }
 
+    /// Whether a folder on this machine holds releases, so that [`ReleaseStore::open`] takes it for a store that was published to.
+    pub fn is_published(folder: &std::path::Path) -> bool {
+        let Ok(files) = std::fs::read_dir(folder.join(RELEASES)) else { return false };
+        files.flatten().any(|file| file.file_name().to_str().and_then(number_of).is_some())
+    }
+
     /// A store of one's own, with the releases at its root.
     ///
     /// # Arguments
@@ -116,9 +122,7 @@ impl ReleaseStore {
     /// [`ReleaseError::Store`].
     pub async fn numbers(&self) -> Result<Vec<u64>, ReleaseError> {
         let objects = self.list(RELEASES).await?;
-        let number = |object: ObjectMeta| {
-            object.location.filename()?.strip_suffix(EXTENSION)?.parse().ok().filter(|number| *number > 0)
-        };
+        let number = |object: ObjectMeta| number_of(object.location.filename()?);
         let mut numbers: Vec<u64> = objects.into_iter().filter_map(number).collect();
         numbers.sort_unstable();
         Ok(numbers)
@@ -295,6 +299,11 @@ impl ReleaseStore {
 
 fn release_name(number: u64) -> String {
     format!("{RELEASES}/{number:0DIGITS$}{EXTENSION}")
+}
+
+/// The number of the release whose file has a name.
+fn number_of(filename: &str) -> Option<u64> {
+    filename.strip_suffix(EXTENSION)?.parse().ok().filter(|number| *number > 0)
 }
 
 /// That of the signature of a release's file.

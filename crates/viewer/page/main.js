@@ -76,18 +76,24 @@ async function showMap(name, isNew = true) {
   const [{ keyframes }, response] = await Promise.all([json(`${path}/keyframes`), fetch(`${path}/landmarks?limit=${LANDMARKS}`)]);
   const landmarks = new Float32Array(await response.arrayBuffer());
   const up = (map.gravity_in_global ?? [0, 0, -1]).map((value) => -value);
-  shown = { name: map.name, version: map.version };
+  shown = { name: map.name, version: map.version, revision: map.revision };
   scene.setUp(up);
   mapLayer.set(keyframes, landmarks, up);
   scene.setPoints(keyframes.map((keyframe) => keyframe.position));
   if (isNew) scene.fit();
   const drawn = landmarks.length / 3;
-  const part = drawn < map.landmarks ? ` (${drawn.toLocaleString("en")} drawn)` : "";
+  const cells = map.cells ? `, ${map.cells.here} of ${map.cells.all} cells` : "";
   byId("summary").textContent =
-    `Version ${map.version}, ${map.keyframes.toLocaleString("en")} keyframes, ${map.landmarks.toLocaleString("en")} landmarks${part}`;
+    `Version ${map.version}${cells}, ${counted(map.keyframes, keyframes.length)} keyframes, ${counted(map.landmarks, drawn)} landmarks`;
   document.title = `${map.name} – Driftless`;
   window.driftless.map = shown;
   Object.assign(window.driftless.counts, { keyframes: keyframes.length, landmarks: drawn });
+}
+
+// A number, and how many of them are drawn where these are fewer.
+function counted(all, drawn) {
+  const text = (count) => count.toLocaleString("en");
+  return drawn < all ? `${text(all)} (${text(drawn)} drawn)` : text(all);
 }
 
 function robotOf(name) {
@@ -114,8 +120,8 @@ function onUpdate(update) {
     if (past.isLive) showPublished(robot, before === undefined);
   }
   if (update.run) offerSwitch();
-  const version = update.maps?.[shown?.name];
-  if (version !== undefined && version !== shown.version) reload(version);
+  const [version, revision] = [update.maps?.[shown?.name], update.revisions?.[shown?.name]];
+  if (revision !== undefined && revision !== shown.revision) reload(version);
   if (!isLinkRead) readTimeOfLink();
 }
 
@@ -166,9 +172,10 @@ function readTimeOfLink() {
 }
 
 async function reload(version) {
-  notice(`The map changed to version ${version}.`);
+  const isNew = version !== shown.version;
+  notice(isNew ? `The map changed to version ${version}.` : "Other cells of the map are here.");
   await loadMaps();
-  await showMap(shown.name, false);
+  await showMap(shown.name, mapLayer.keyframes.size === 0);
   past?.refresh();
   offerImages();
   setTimeout(() => notice(""), 8000);

@@ -46,13 +46,22 @@ impl CameraAnswer {
 
 /// The different cameras among those of all keyframes, most frequent first.
 pub(crate) fn cameras_of<'a>(cameras: impl Iterator<Item = &'a Camera>) -> Vec<ViewedCamera> {
+    counted(cameras.map(|camera| (camera, 1)))
+}
+
+/// The different cameras of parts of a map, most frequent first.
+pub(crate) fn joined_cameras<'a>(parts: impl Iterator<Item = &'a ViewedCamera>) -> Vec<ViewedCamera> {
+    counted(parts.map(|viewed| (&viewed.camera, viewed.keyframes)))
+}
+
+fn counted<'a>(cameras: impl Iterator<Item = (&'a Camera, usize)>) -> Vec<ViewedCamera> {
     let mut found: Vec<ViewedCamera> = Vec::new();
-    for camera in cameras {
+    for (camera, keyframes) in cameras {
         // Neighbours mostly have the same one, which is the last that was found.
         if let Some(known) = found.iter_mut().rev().find(|known| known.camera == *camera) {
-            known.keyframes += 1;
+            known.keyframes += keyframes;
         } else if found.len() < MAX_CAMERAS {
-            found.push(ViewedCamera { camera: camera.clone(), keyframes: 1 });
+            found.push(ViewedCamera { camera: camera.clone(), keyframes });
         }
     }
     found.sort_by_key(|camera| std::cmp::Reverse(camera.keyframes));

@@ -60,6 +60,7 @@ mod server;
 mod statistics;
 mod upload;
 mod viewed_map;
+mod viewed_part;
 
 pub use error::ViewerError;
 pub use history::MAX_SAMPLES;
@@ -74,3 +75,4 @@ pub use run::{RunTracks, TrackPoint};
 pub use server::{Viewer, ViewerServer};
 pub use statistics::{STATISTICS_PERIOD, ServerSample};
 pub use viewed_map::{MAX_LANDMARKS, ViewedKeyframe, ViewedMap};
+pub use viewed_part::{DrawnShare, MAX_KEYFRAMES, ViewedPart};

@@ -75,10 +75,14 @@ impl Viewer {
     }
 
     /// Shows a map, in place of the one of the same name; open pages load it again.
-    pub fn set_map(&self, map: ViewedMap) {
+    pub fn set_map(&self, mut map: ViewedMap) {
         let (name, version) = (map.name().to_owned(), map.version());
-        self.maps.write().unwrap_or_else(PoisonError::into_inner).insert(name.clone(), Arc::new(map));
-        self.live.note_map(&name, version);
+        let mut maps = self.maps.write().unwrap_or_else(PoisonError::into_inner);
+        let revision = maps.get(&name).map_or(1, |former| former.summary.revision + 1);
+        map.summary.revision = revision;
+        maps.insert(name.clone(), Arc::new(map));
+        drop(maps);
+        self.live.note_map(&name, version, revision);
     }
 
     /// The version of a map that is shown.

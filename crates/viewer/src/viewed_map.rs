@@ -1,6 +1,7 @@
 //! A map as the page draws it.
 
-use crate::cameras::{ViewedCamera, cameras_of};
+use crate::cameras::{ViewedCamera, cameras_of, joined_cameras};
+use crate::viewed_part::ViewedPart;
 use axum::body::Bytes;
 use geometry::PoseWithCovariance;
 use map::{Keyframe, MapContents, MapMetadata};
@@ -25,10 +26,23 @@ pub(crate) struct MapSummary {
     pub(crate) name: String,
     pub(crate) identity: Option<String>,
     pub(crate) version: u64,
+    /// Grows whenever the map is drawn anew.
+    pub(crate) revision: u64,
     pub(crate) keyframes: usize,
     pub(crate) landmarks: usize,
+    /// Where it is served by cells: those whose keyframes and landmarks these are.
+    cells: Option<ViewedCells>,
     extent: Option<Extent>,
     gravity_in_global: Option<[f64; 3]>,
+}
+
+/// Cells of a map.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+struct ViewedCells {
+    /// At this server.
+    here: usize,
+    /// At all servers.
+    all: usize,
 }
 
 /// A keyframe as the page draws it, in G.
@@ -46,7 +60,7 @@ pub struct ViewedKeyframe {
 }
 
 impl ViewedKeyframe {
-    fn of(keyframe: &Keyframe) -> Self {
+    pub(crate) fn of(keyframe: &Keyframe) -> Self {
         let pose = &keyframe.global_from_keyframe;
         Self {
             id: keyframe.id,
@@ -105,9 +119,44 @@ impl ViewedMap {
         let stored: Vec<&Keyframe> = keyframes.collect();
         let cameras = cameras_of(stored.iter().map(|keyframe| &keyframe.camera));
         let keyframes: Vec<_> = stored.iter().map(|keyframe| ViewedKeyframe::of(keyframe)).collect();
-        let mut points: Vec<[f32; 3]> =
+        let points: Vec<[f32; 3]> =
             landmarks.map(|position| [position.x as f32, position.y as f32, position.z as f32]).collect();
-        let landmarks = points.len();
+        let counts = (keyframes.len(), points.len());
+        Self::drawn(name, info, counts, None, &keyframes, cameras, points)
+    }
+
+    /// A map that is served by cells, from those that a server has.
+    ///
+    /// # Arguments
+    /// * `all_cells`: how many the map has at all servers.
+    pub fn of_parts<'a>(
+        name: &str,
+        info: &MapMetadata,
+        all_cells: usize,
+        parts: impl Iterator<Item = &'a ViewedPart>,
+    ) -> Self {
+        let parts: Vec<&ViewedPart> = parts.collect();
+        let sum = |count: fn(&ViewedPart) -> usize| parts.iter().map(|part| count(part)).sum::<usize>();
+        let counts = (sum(|part| part.keyframe_count), sum(|part| part.landmark_count));
+        let keyframes: Vec<ViewedKeyframe> = parts.iter().flat_map(|part| &part.keyframes).cloned().collect();
+        let points = parts.iter().flat_map(|part| &part.landmarks).copied().collect();
+        let cells = Some(ViewedCells { here: parts.len(), all: all_cells });
+        let cameras = joined_cameras(parts.iter().flat_map(|part| &part.cameras));
+        Self::drawn(name, info, counts, cells, &keyframes, cameras, points)
+    }
+
+    /// # Arguments
+    /// * `counts`: of all keyframes and landmarks, of which only a sample may be drawn.
+    /// * `points`: landmarks in G (m).
+    fn drawn(
+        name: &str,
+        info: &MapMetadata,
+        counts: (usize, usize),
+        cells: Option<ViewedCells>,
+        keyframes: &[ViewedKeyframe],
+        cameras: Vec<ViewedCamera>,
+        mut points: Vec<[f32; 3]>,
+    ) -> Self {
         points.shuffle(&mut StdRng::seed_from_u64(ORDER_SEED));
         // More are never sent.
         points.truncate(MAX_LANDMARKS);
@@ -119,12 +168,14 @@ impl ViewedMap {
             name: name.to_owned(),
             identity: info.identity.map(|identity| identity.to_string()),
             version: info.version,
-            keyframes: keyframes.len(),
-            landmarks,
-            extent: extent(&keyframes),
+            revision: 0,
+            keyframes: counts.0,
+            landmarks: counts.1,
+            cells,
+            extent: extent(keyframes),
             gravity_in_global: info.gravity_in_global.map(Into::into),
         };
-        let answer = KeyframesAnswer { map: name, version: info.version, keyframes: &keyframes };
+        let answer = KeyframesAnswer { map: name, version: info.version, keyframes };
         // Its values are finite, so that it can always be written.
         let keyframes = serde_json::to_vec(&answer).unwrap_or_default().into_boxed_slice().into();
         Self { summary, keyframes, cameras, landmarks: bytes.into() }

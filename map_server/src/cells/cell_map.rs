@@ -9,6 +9,7 @@ use releases::CellId;
 use zenoh::liveliness::LivelinessToken;
 use zenoh::query::{Query, Queryable};
 
+use super::drawings::DrawnMap;
 use super::stored_cell::{CellSlot, StoredCell};
 use crate::error::ServeError;
 use crate::host::Host;
@@ -55,7 +56,16 @@ impl CellMap {
         }
         let key = keys::map_member(name, Some(&host.server))?;
         let member = host.session.liveliness().declare_token(key).await?;
-        Ok(CellMap { host, routed, held: BTreeMap::new(), version, _queryables: queryables, _member: member })
+        let map = CellMap {
+            host,
+            routed,
+            held: BTreeMap::new(),
+            version,
+            _queryables: queryables,
+            _member: member,
+        };
+        map.draw();
+        Ok(map)
     }
 
     pub(crate) fn directory(&self) -> Arc<CellDirectory> {
@@ -67,8 +77,24 @@ impl CellMap {
         self.held.keys().copied().collect()
     }
 
+    /// Has the live map draw the cells that this server has now.
+    fn draw(&self) {
+        let Some(drawings) = &self.host.drawings else { return };
+        let directory = self.routed.directory();
+        let part = |(cell, held): (&CellId, &HeldCell)| Some((*cell, held.slot.current().drawing()?));
+        let cells = self.held.iter().filter_map(part).collect();
+        let (info, all_cells) = (directory.info().clone(), directory.cells().count());
+        drawings.set(&self.routed.name, DrawnMap { info, all_cells, cells });
+    }
+
     /// Serves a cell from now on.
     pub(crate) async fn add(&mut self, cell: CellId, stored: Arc<StoredCell>) -> Result<(), ServeError> {
+        self.declare(cell, stored).await?;
+        self.draw();
+        Ok(())
+    }
+
+    async fn declare(&mut self, cell: CellId, stored: Arc<StoredCell>) -> Result<(), ServeError> {
         let name = &self.routed.name;
         let slot = Arc::new(CellSlot::new(name, cell, stored));
         let mut queryables = Vec::new();
@@ -93,6 +119,7 @@ impl CellMap {
             self.routed.set_here(self.cells());
             drop(held);
             self.host.memory.note_gone();
+            self.draw();
         }
     }
 
@@ -130,8 +157,9 @@ impl CellMap {
         self.routed.set_directory(directory);
         self.version = version;
         for (cell, stored) in new {
-            self.add(cell, stored).await?;
+            self.declare(cell, stored).await?;
         }
+        self.draw();
         Ok(())
     }
 }

@@ -19,6 +19,7 @@
 //! | `cell_map` | the cells that a server has, declared and replaced |
 //! | `memory` | how much memory cells may take, and which of them have it |
 //! | `stored_cell` | one cell, in memory or on disk |
+//! | `drawings` | what the live map draws of the cells that a server has |
 //! | `cold_file` | the file of a cell that is not in memory |
 //! | `tokens` | liveliness tokens of others |
 //! | [`service`] | follows releases and the other servers |
@@ -26,11 +27,13 @@
 mod assignment;
 mod cell_map;
 mod cold_file;
+mod drawings;
 mod memory;
 pub mod service;
 mod stored_cell;
 mod tokens;
 
+pub(crate) use drawings::{CellDrawings, DrawnMap};
 pub(crate) use memory::CellMemory;
 pub use service::{CellChoice, CellService, CellServiceOptions};
 pub(crate) use stored_cell::{CellSlot, StoredCell};

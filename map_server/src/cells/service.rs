@@ -130,7 +130,7 @@ impl CellService {
         let session = host.session.clone();
         let members = Tokens::follow(&session, keys::map_member(name, None)?).await?;
         let holders = Tokens::follow(&session, keys::cell_holder(name, None, None)?).await?;
-        let me = host.server.clone();
+        let (me, is_drawn) = (host.server.clone(), host.drawings.is_some());
         let map = CellMap::start(host, name, directory).await?;
         tracing::info!(
             name,
@@ -149,6 +149,7 @@ impl CellService {
             map,
             memory,
             cold,
+            is_drawn,
             members,
             holders,
             session,
@@ -197,6 +198,8 @@ struct Running {
     memory: Arc<CellMemory>,
     /// With a bound on the memory.
     cold: Option<Arc<ColdFolder>>,
+    /// Whether the live map draws the cells.
+    is_drawn: bool,
     members: Tokens,
     holders: Tokens,
     session: zenoh::Session,
@@ -287,6 +290,7 @@ impl Running {
             release: Arc::clone(release),
             cell,
             folder: self.cold.clone(),
+            is_drawn: self.is_drawn,
         }
     }
 

@@ -8,8 +8,10 @@ use protocol::{ErrorCode, ErrorReply};
 use recognition::LoadedMap;
 use releases::{Cell, CellId, Release, ReleaseSource, fetch_cell};
 use tokio::sync::watch;
+use viewer::ViewedPart;
 
 use super::cold_file::{ColdFile, ColdFolder};
+use super::drawings::part_of;
 use super::memory::CellMemory;
 use crate::error::ServeError;
 
@@ -22,16 +24,29 @@ pub(crate) struct CellOrigin {
     pub(crate) cell: CellId,
     /// Where it is kept while it is not in memory; `None`: it always is.
     pub(crate) folder: Option<Arc<ColdFolder>>,
+    /// Whether the live map draws it.
+    pub(crate) is_drawn: bool,
+}
+
+/// A cell as its segments give it.
+struct Made {
+    map: Arc<LoadedMap>,
+    drawing: Option<Arc<ViewedPart>>,
 }
 
 impl CellOrigin {
     /// Makes the cell of its segments: of the cache, or of the store.
-    async fn load(&self) -> Result<Arc<LoadedMap>, ServeError> {
+    async fn load(&self) -> Result<Made, ServeError> {
         let fetched =
             fetch_cell(&self.source.store, &self.release, self.cell, Some(&self.source.cache)).await?;
-        let Cell { contents, far_cross_covariances, .. } = fetched;
-        let indexing = tokio::task::spawn_blocking(|| LoadedMap::from_part(contents, far_cross_covariances));
-        Ok(Arc::new(indexing.await.map_err(|error| ServeError::task(&error))??))
+        let Cell { own, contents, far_cross_covariances } = fetched;
+        let drawn = self.is_drawn.then(|| Arc::clone(&self.release));
+        let indexing = tokio::task::spawn_blocking(move || {
+            let drawing = drawn.map(|release| Arc::new(part_of(&release, &contents, &own)));
+            LoadedMap::from_part(contents, far_cross_covariances)
+                .map(|map| Made { map: Arc::new(map), drawing })
+        });
+        Ok(indexing.await.map_err(|error| ServeError::task(&error))??)
     }
 
     /// Keeps the cell on disk; `None` where that is not wanted, or not possible and said.
@@ -68,6 +83,7 @@ pub(crate) struct StoredCell {
     origin: CellOrigin,
     /// In memory.
     bytes: usize,
+    drawing: Option<Arc<ViewedPart>>,
     file: Mutex<Option<Arc<ColdFile>>>,
     state: Mutex<State>,
     /// When it was asked for last, by the memory's clock.
@@ -81,11 +97,12 @@ impl StoredCell {
         origin: CellOrigin,
         memory: &Arc<CellMemory>,
     ) -> Result<Arc<StoredCell>, ServeError> {
-        let map = origin.load().await?;
+        let Made { map, drawing } = origin.load().await?;
         let file = origin.freeze(&map).await;
         let cell = Arc::new(StoredCell {
             origin,
             bytes: map.bytes_in_memory(),
+            drawing,
             file: Mutex::new(file),
             state: Mutex::new(State::Cold),
             asked: AtomicU64::new(0),
@@ -197,7 +214,7 @@ impl StoredCell {
             "a cell cannot be read from the disk and is made of its segments anew"
         );
         let _one_at_a_time = memory.rebuilds.acquire().await.map_err(closed)?;
-        let map = self.origin.load().await?;
+        let Made { map, .. } = self.origin.load().await?;
         *self.file() = self.origin.freeze(&map).await;
         self.put(Arc::clone(&map));
         Ok(map)
@@ -206,6 +223,11 @@ impl StoredCell {
     /// Bytes that the cell takes in memory.
     pub(crate) fn bytes(&self) -> usize {
         self.bytes
+    }
+
+    /// What the live map draws of it.
+    pub(crate) fn drawing(&self) -> Option<Arc<ViewedPart>> {
+        self.drawing.clone()
     }
 
     pub(crate) fn memory(&self) -> &CellMemory {

@@ -35,14 +35,17 @@ pub struct CellSearch {
     pub first: Vec<CellId>,
     /// All cells near the prior.
     near: Vec<CellId>,
-    /// All cells by the image's features, where these were needed.
+    /// All cells by the image's features, where all were compared with them.
     ranked: Option<Vec<RankedPart>>,
 }
 
 /// The cells near a prior.
+#[derive(Default)]
 struct Near {
     /// Those with the most keyframes around first.
     cells: Vec<CellId>,
+    /// Their keyframes around, by their numbers in the cell.
+    keyframes: BTreeMap<CellId, Vec<u32>>,
     /// So many of them have not much fewer keyframes around than the first.
     main: usize,
     /// Whether the camera can't be farther from the prior than it sees.
@@ -97,6 +100,11 @@ impl CellDirectory {
         Ok(CellDirectory { info, identity: release.map.identity, cells, coarse: builder.build()? })
     }
 
+    /// What applies to the map as a whole.
+    pub fn info(&self) -> &MapMetadata {
+        &self.info
+    }
+
     /// Version of the map.
     pub fn version(&self) -> u64 {
         self.info.version
@@ -134,11 +142,25 @@ impl CellDirectory {
     /// # Errors
     /// [`QueryError`] where the features cannot be compared with the map.
     pub fn search(&self, features: &FeatureSet, prior: Option<&PosePrior>) -> Result<CellSearch, QueryError> {
-        let Near { cells: near, main, is_tight } = self.near(prior);
+        let Near { cells: near, keyframes, main, is_tight } = self.near(prior);
         if near.len() == 1 || (is_tight && main == 1) {
             return Ok(CellSearch { first: near[..1].to_vec(), near, ranked: None });
         }
+        if is_tight {
+            let ranked = self.coarse.rank_near(features, &keyframes)?;
+            let first = self.first_cells(&ranked, &near);
+            return Ok(CellSearch { first, near, ranked: None });
+        }
         let ranked = self.coarse.rank(features)?;
+        let first = self.first_cells(&ranked, &near);
+        Ok(CellSearch { first, near, ranked: Some(ranked) })
+    }
+
+    /// The most likely cell of each place that an image could show.
+    ///
+    /// # Arguments
+    /// * `near`: only these, if there are any.
+    fn first_cells(&self, ranked: &[RankedPart], near: &[CellId]) -> Vec<CellId> {
         let eligible = || ranked.iter().filter(|ranked| near.is_empty() || near.contains(&ranked.part));
         let least = eligible().next().map_or(0.0, |first| LIKELY * first.weight);
         let mut places: Vec<&RankedPart> = Vec::new();
@@ -150,9 +172,9 @@ impl CellDirectory {
         let mut first: Vec<CellId> = places.iter().map(|place| place.part).collect();
         if first.is_empty() {
             // An image that shares nothing with the map still gets the answer of a search.
-            first.extend(self.cells().next());
+            first.extend(near.first().copied().or_else(|| self.cells().next()));
         }
-        Ok(CellSearch { first, near, ranked: Some(ranked) })
+        first
     }
 
     /// The cells that are asked when none of the first ones shows the place: the others near the prior, then the most likely.
@@ -199,10 +221,11 @@ impl CellDirectory {
     /// The cells with keyframes that could share a landmark with a camera near a prior pose, those with most of them first.
     fn near(&self, prior: Option<&PosePrior>) -> Near {
         let Some(prior) = prior.map(|prior| &prior.global_from_camera) else {
-            return Near { cells: Vec::new(), main: 0, is_tight: false };
+            return Near::default();
         };
         let (position, radius) = (prior.pose.translation, prior_radius(prior));
         let mut near: Vec<(usize, CellId)> = Vec::new();
+        let mut keyframes = BTreeMap::new();
         let mut is_tight = true;
         for (cell, directed) in &self.cells {
             let reach = radius + directed.viewing_distance;
@@ -210,17 +233,22 @@ impl CellDirectory {
             if (position.sup(low).inf(high) - position).norm() > reach {
                 continue;
             }
-            let is_near = |other: &&[f32; 3]| (Vector3::from(**other).cast() - position).norm() <= reach;
-            let count = directed.positions.iter().filter(is_near).count();
-            if count > 0 {
+            let is_near = |other: &[f32; 3]| (Vector3::from(*other).cast() - position).norm() <= reach;
+            let around = (0..).zip(&directed.positions).filter(|(_, other)| is_near(other));
+            let around: Vec<u32> = around.map(|(at, _)| at).collect();
+            if !around.is_empty() {
                 is_tight &= radius <= directed.viewing_distance;
-                near.push((count, *cell));
+                near.push((around.len(), *cell));
+                keyframes.insert(*cell, around);
             }
         }
         near.sort_by_key(|(count, cell)| (std::cmp::Reverse(*count), *cell));
         let most = near.first().map_or(0, |(count, _)| *count);
         let main = near.iter().filter(|(count, _)| *count as f64 >= LIKELY * most as f64).count();
-        Near { cells: near.into_iter().map(|(_, cell)| cell).collect(), main, is_tight }
+        let cells: Vec<CellId> = near.into_iter().map(|(_, cell)| cell).collect();
+        // Far from all keyframes a prior says nothing about the cell.
+        is_tight &= !cells.is_empty();
+        Near { cells, keyframes, main, is_tight }
     }
 
     /// Describes the map under the name by which it is served.

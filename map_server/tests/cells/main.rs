@@ -6,6 +6,7 @@ mod choice;
 mod cold;
 mod kills;
 mod names;
+mod page;
 mod servers;
 mod store_faults;
 mod town;

@@ -58,6 +58,7 @@ impl CellServer {
         let mut options = ServerOptions::default();
         options.name = Some(name.to_owned());
         options.cell_memory = memory;
+        options.draws_cells = true;
         let server = MapServer::start(session.clone(), Vec::new(), options).await.unwrap();
         let mut options = CellServiceOptions::new(folder.join(name));
         options.choice = choice;

@@ -87,6 +87,11 @@ pub fn save_map(path: &Path, contents: &MapContents, replace: bool) -> Result<Sa
     folder::write(path, contents, replace, STORE)
 }
 
+/// Whether a folder holds a map, finished or not, whole or damaged.
+pub fn is_map(path: &Path) -> bool {
+    folder::is_map(path)
+}
+
 /// Ensures that [`save_map`] would not write over something that must stay: to be asked before a map is built.
 ///
 /// # Errors

@@ -22,7 +22,7 @@ mod sled_store;
 mod stored_landmarks;
 mod stored_map;
 
-pub use database::{ensure_free, load_map, open_map, save_map};
+pub use database::{ensure_free, is_map, load_map, open_map, save_map};
 pub use error::{Damage, DatabaseError, StoreError, WriteProblem};
 pub use map_store::{MapStore, OpenDatabase, ReadMap};
 pub use record::RecordError;

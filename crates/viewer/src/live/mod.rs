@@ -54,6 +54,8 @@ struct LiveState {
     /// Robots by the ids of their sessions.
     sessions: BTreeMap<String, String>,
     maps: BTreeMap<String, u64>,
+    /// How often each map was drawn.
+    revisions: BTreeMap<String, u64>,
     changed: BTreeSet<String>,
     maps_changed: bool,
     /// Name of the recorded run.
@@ -73,6 +75,8 @@ struct Update<'a> {
     robots: Vec<&'a ViewedRobot>,
     /// Versions of the maps, where one changed.
     maps: Option<&'a BTreeMap<String, u64>>,
+    /// How often each map was drawn, with the same versions too: a page that shows another one loads it again.
+    revisions: Option<&'a BTreeMap<String, u64>>,
     /// Name of a recorded run that can be shown.
     run: Option<&'a str>,
 }
@@ -93,8 +97,9 @@ impl Live {
         self.clock.now_ms()
     }
 
-    pub(crate) fn note_map(&self, name: &str, version: u64) {
+    pub(crate) fn note_map(&self, name: &str, version: u64, revision: u64) {
         let mut state = self.lock();
+        state.revisions.insert(name.to_owned(), revision);
         if state.maps.insert(name.to_owned(), version).is_none() {
             state.map_names.push(name.to_owned());
         }
@@ -178,7 +183,7 @@ impl Live {
         let mut state = self.lock();
         state.robots.values_mut().for_each(ViewedRobot::set_ages);
         let robots = state.robots.values().collect();
-        written(&self.update(&state, true, robots, Some(&state.maps)))
+        written(&self.update(&state, true, robots, true))
     }
 
     /// What changed since it was last called; `None` for nothing.
@@ -196,7 +201,7 @@ impl Live {
             }
         }
         let robots = changed.iter().filter_map(|name| state.robots.get(name)).collect();
-        Some(written(&self.update(&state, false, robots, maps_changed.then_some(&state.maps))))
+        Some(written(&self.update(&state, false, robots, maps_changed)))
     }
 
     fn update<'a>(
@@ -204,10 +209,11 @@ impl Live {
         state: &'a LiveState,
         is_snapshot: bool,
         robots: Vec<&'a ViewedRobot>,
-        maps: Option<&'a BTreeMap<String, u64>>,
+        has_maps: bool,
     ) -> Update<'a> {
         let (time_ms, history_since_ms) = (self.now_ms(), state.history.since_ms());
-        Update { is_snapshot, time_ms, history_since_ms, robots, maps, run: state.run.as_deref() }
+        let (maps, revisions) = (has_maps.then_some(&state.maps), has_maps.then_some(&state.revisions));
+        Update { is_snapshot, time_ms, history_since_ms, robots, maps, revisions, run: state.run.as_deref() }
     }
 
     fn lock(&self) -> MutexGuard<'_, LiveState> {

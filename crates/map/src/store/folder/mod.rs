@@ -69,6 +69,11 @@ fn kind_of(map: &Path) -> Result<Kind, StoreError> {
     if names.iter().all(begun) { Ok(Kind::Unfinished) } else { Ok(Kind::Other("it holds no database")) }
 }
 
+/// Whether a folder holds a map, or something that was to be one.
+pub(super) fn is_map(map: &Path) -> bool {
+    !matches!(kind_of(map), Ok(Kind::Missing | Kind::Empty | Kind::Other(_)))
+}
+
 /// The names in a folder.
 fn entries(folder: &Path) -> std::io::Result<Vec<String>> {
     let name =
