@@ -293,7 +293,7 @@ impl<'p> Adjuster<'p> {
     fn constraints(&self, relative_poses: Vec<RelativePose>, ties: Vec<LandmarkTie>) -> Constraints {
         let priors = self.stored.iter().flat_map(StoredPoses::held).collect();
         let stored = self.stored.iter().map(StoredPoses::prior).collect();
-        Constraints { priors, relative_poses, ties, stored, ..Constraints::default() }
+        Constraints { priors, relative_poses, stored, ties, ..Constraints::default() }
     }
 
     fn adjust(&mut self, constraints: &Constraints, bundle: Bundle) -> Bundle {
