@@ -35,7 +35,7 @@ fn extended_nees(seed: u64, count: usize, period_s: f64) -> (f64, f64, [f64; 2])
     let first_session = map.keyframes.len();
     let (of_first, freedom, before_m) = nees(&whole, &map, first_session);
     println!("seed {seed}: {first_session} keyframes, {before_m:.4} m, NEES {:.2}", of_first / freedom);
-    if seed % 2 == 0 {
+    if seed.is_multiple_of(2) {
         map = with_common_errors(&map);
     }
     let mut result = (0.0, 0.0, [0.0; 2]);

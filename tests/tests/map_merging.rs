@@ -22,7 +22,7 @@ fn errors_are_as_stated(seeds: std::ops::RangeInclusive<u64>) -> [f64; 2] {
         let [mut first, mut second] = [0, 1].map(|at| build(&mut parts[at]));
         let stored = first.keyframes.len();
         let (of_first, freedom, before_m) = nees(&whole, &first, stored);
-        if seed % 2 == 0 {
+        if seed.is_multiple_of(2) {
             [first, second] = [first, second].map(|map| with_common_errors(&map));
         }
         let (merged, report) = merge(&first, &second).unwrap();
