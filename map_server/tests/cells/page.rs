@@ -15,14 +15,22 @@ use zenoh::Session;
 use super::servers::{CellServer, hub, session};
 use super::town::{Town, small_cells};
 
-async fn get(address: SocketAddr, path: &str) -> Vec<u8> {
+/// The body of an answer.
+async fn ask(address: SocketAddr, method: &str, path: &str, body: &[u8]) -> Vec<u8> {
     let mut stream = TcpStream::connect(address).await.unwrap();
-    let request = format!("GET {path} HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n");
-    stream.write_all(request.as_bytes()).await.unwrap();
+    let head = format!(
+        "{method} {path} HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\nContent-Length: {}\r\n\r\n",
+        body.len()
+    );
+    stream.write_all(&[head.as_bytes(), body].concat()).await.unwrap();
     let mut response = Vec::new();
     stream.read_to_end(&mut response).await.unwrap();
     let end = response.windows(4).position(|bytes| bytes == b"\r\n\r\n").unwrap();
     response.split_off(end + 4)
+}
+
+async fn get(address: SocketAddr, path: &str) -> Vec<u8> {
+    ask(address, "GET", path, b"").await
 }
 
 /// What the page says of the map once it satisfies a condition.
@@ -98,6 +106,10 @@ async fn the_page_shows_the_cells_that_a_server_has_as_they_come_and_go() {
     assert!(is_drawn(&own.keys().copied().collect::<Vec<_>>()).await);
     let counts = [town.place.map.keyframes.len(), town.place.map.landmarks.len()];
     assert_eq!([&whole["keyframes"], &whole["landmarks"]], counts.map(Value::from).each_ref());
+
+    // No cell is all of the map: an image is not searched in them.
+    let refused = ask(address, "POST", "/api/maps/city/localize?camera=0", b"\x89PNG\r\n\x1a\n").await;
+    assert!(String::from_utf8(refused).unwrap().contains("city is served by cells"));
 
     // Two more servers take some of the cells.
     let (south, west) = (start("south").await, start("west").await);
