@@ -38,7 +38,7 @@ impl<'a> Observers<'a> {
 /// whole recording. The others are not used: the map stays less certain than it could be, and says so.
 ///
 /// # Arguments
-/// * `places`: the first one is kept in any case.
+/// * `places`: the first one is kept in any case, as are those that tie no further keyframe.
 /// * `views_of`: the views of the stored keyframes that a place ties.
 ///
 /// # Returns
@@ -54,7 +54,7 @@ pub(super) fn choose_places(
     for at in order {
         let of_place = views_of(&places[at]);
         let new = of_place.difference(&tied).count();
-        if at == 0 || tied.len() + new <= most {
+        if at == 0 || new == 0 || tied.len() + new <= most {
             tied.extend(of_place);
             kept.insert(at);
         }
