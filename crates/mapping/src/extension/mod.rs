@@ -97,20 +97,28 @@ pub fn extend_map(
     move_recording(&mut both, builder.views.len(), &alignment);
     let (places, tied) = tied_keyframes(stored, builder.views.len(), alignment.agreeing);
     report.tied_keyframes = tied.len();
-    let poses = [StoredPoses::of_map(stored, builder.views.len(), tied).ok_or(ExtendError::Indefinite)?];
-    let (mut both, places) = tie(&mut builder, &poses[0], both, places)?;
+    let stored_poses =
+        StoredPoses::of_map(stored, builder.views.len(), tied).ok_or(ExtendError::Indefinite)?;
+    let (mut both, places) = tie(&mut builder, &stored_poses, both, places)?;
     report.agreeing_places = view_count(&places);
     if report.agreeing_places < MIN_AGREEING {
         return Err(not_connected(report.agreeing_places));
     }
     both.landmarks = fusion::fuse(stored, &builder.views, &places, both.landmarks);
-    let constraints = constraints(&builder, &both, &poses[0], Vec::new());
+    let constraints = constraints(&builder, &both, &stored_poses, Vec::new());
     let mut both = builder.adjust(&constraints, both, ROUNDS);
-    poses[0].follow(&mut both.poses);
+    stored_poses.follow(&mut both.poses);
     let mut views = keyframes(&builder.views);
     views.extend(builder.views.len()..both.poses.len());
-    let joint =
-        covariance_of(&builder.cameras, &constraints, &both, &views, &poses, sigma_px, builder.progress)?;
+    let joint = covariance_of(
+        &builder.cameras,
+        &constraints,
+        &both,
+        &views,
+        std::slice::from_ref(&stored_poses),
+        sigma_px,
+        builder.progress,
+    )?;
     let contents = assemble::extended(stored, &builder, &both, &joint, sigma_px)?;
     assemble::fill_report(&mut report, stored, &contents, &both);
     report.seconds = start.elapsed().as_secs_f64();

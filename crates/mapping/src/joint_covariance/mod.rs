@@ -28,8 +28,6 @@ use map::model::{CommonError, KeyframeCrossCovariance};
 use nalgebra::{Matrix6, Matrix6xX, Vector3};
 use protocol::KeyframeId;
 
-#[cfg(test)]
-use super::layout::POSE;
 use super::parallel;
 use super::stored_poses::Posterior;
 use anchors::low_rank_part;

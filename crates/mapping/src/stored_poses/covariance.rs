@@ -2,7 +2,7 @@
 //! in `R`, so that products with it cost a multiple of the number of keyframes.
 
 use map::contents::MapContents;
-use nalgebra::{DMatrix, Matrix6, MatrixXx6};
+use nalgebra::{DMatrix, Matrix6};
 
 use crate::layout::POSE;
 
@@ -51,8 +51,8 @@ impl MapCovariance {
     }
 
     /// The columns of one keyframe, with the rows of all.
-    pub(super) fn column(&self, keyframe: usize) -> MatrixXx6<f64> {
-        let factor = self.common.fixed_rows::<POSE>(POSE * keyframe);
+    pub(super) fn column(&self, keyframe: usize) -> DMatrix<f64> {
+        let factor = self.common.rows(POSE * keyframe, POSE);
         let mut column = &self.common * factor.transpose();
         for (row, block) in &self.rest[keyframe] {
             let mut rows = column.fixed_rows_mut::<POSE>(POSE * row);

@@ -24,6 +24,8 @@ mod prior;
 #[cfg(test)]
 mod tests;
 
+use std::sync::Arc;
+
 use geometry::pose::Pose;
 use map::contents::MapContents;
 use nalgebra::{DMatrix, Matrix6, Vector3};
@@ -52,7 +54,7 @@ pub(crate) struct StoredPoses {
     /// Of each keyframe, whether it is one of R.
     follows: Vec<bool>,
     /// Λ.
-    information: DMatrix<f64>,
+    information: Arc<DMatrix<f64>>,
     /// Where the map says nothing of its frame.
     frame: Option<FreeFrame>,
 }
@@ -67,6 +69,8 @@ struct FreeFrame {
     covariance: DMatrix<f64>,
     /// W.
     weights: DMatrix<f64>,
+    /// `Λ - Λ M_T W`.
+    information: Arc<DMatrix<f64>>,
 }
 
 /// How a keyframe of R depends on those of T, and what remains of it.
@@ -89,7 +93,7 @@ impl StoredPoses {
     /// `None` where the covariance of these is none.
     pub(crate) fn of_map(contents: &MapContents, first: usize, tied: Vec<usize>) -> Option<StoredPoses> {
         let covariance = MapCovariance::of_map(contents)?;
-        let information = inverse_of(&covariance.of_keyframes(&tied))?;
+        let information = Arc::new(inverse_of(&covariance.of_keyframes(&tied))?);
         let mut follows = vec![true; covariance.len()];
         for &keyframe in &tied {
             follows[keyframe] = false;
@@ -108,10 +112,11 @@ impl StoredPoses {
             modes.fixed_view_mut::<3, 3>(POSE * at + 3, 1).fill_with_identity();
         }
         let modes_of_tied = rows_of(&modes, &self.tied);
-        let weighted = &self.information * &modes_of_tied;
+        let weighted = &*self.information * &modes_of_tied;
         let covariance = modes_of_tied.tr_mul(&weighted).cholesky()?.inverse();
         let weights = &covariance * weighted.transpose();
-        self.frame = Some(FreeFrame { modes, modes_of_tied, covariance, weights });
+        let information = Arc::new(&*self.information - weighted * &weights);
+        self.frame = Some(FreeFrame { modes, modes_of_tied, covariance, weights, information });
         Some(self)
     }
 
@@ -122,12 +127,9 @@ impl StoredPoses {
 
     /// What the map says of the poses of T.
     pub(crate) fn prior(&self) -> JointPrior {
-        let mut information = self.information.clone();
-        if let Some(frame) = &self.frame {
-            information -= &self.information * &frame.modes_of_tied * &frame.weights;
-        }
+        let information = self.frame.as_ref().map_or(&self.information, |frame| &frame.information);
         let means = self.tied.iter().map(|&keyframe| self.means[keyframe]).collect();
-        JointPrior::new(self.tied_views().collect(), means, information)
+        JointPrior::new(self.tied_views().collect(), means, Arc::clone(information))
     }
 
     /// Priors that leave the poses of R where they are while those of T are adjusted.
@@ -157,8 +159,7 @@ impl StoredPoses {
     /// How a keyframe of R depends on those of T.
     fn dependence(&self, keyframe: usize) -> Dependence {
         let column = self.covariance.column(keyframe);
-        let column = DMatrix::from_column_slice(column.nrows(), POSE, column.as_slice());
-        let gain = &self.information * rows_of(&column, &self.tied);
+        let gain = &*self.information * rows_of(&column, &self.tied);
         let by_frame = self.frame.as_ref().map(|frame| {
             let own = frame.modes.rows(POSE * keyframe, POSE).transpose();
             own - frame.modes_of_tied.tr_mul(&gain)
@@ -190,7 +191,7 @@ impl StoredPoses {
             of_tied -= &frame.modes_of_tied * &of_frame;
             by_frame = Some(&frame.modes * of_frame);
         }
-        let mut weights = &self.information * of_tied;
+        let mut weights = &*self.information * of_tied;
         if let Some(own) = own {
             weights -= &own.gain;
         }

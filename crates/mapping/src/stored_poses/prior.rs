@@ -23,8 +23,8 @@ pub(crate) struct JointPrior {
 impl JointPrior {
     /// # Arguments
     /// * `information`: 6 rows and columns a view.
-    pub(super) fn new(views: Vec<usize>, means: Vec<Pose>, information: DMatrix<f64>) -> JointPrior {
-        JointPrior { views, means, information: Arc::new(information) }
+    pub(super) fn new(views: Vec<usize>, means: Vec<Pose>, information: Arc<DMatrix<f64>>) -> JointPrior {
+        JointPrior { views, means, information }
     }
 
     /// Half the squared error, in standard deviations.

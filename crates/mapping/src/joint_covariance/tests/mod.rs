@@ -7,6 +7,7 @@ use nalgebra::{Cholesky, DMatrix, Matrix6};
 use rand::{SeedableRng, rngs::StdRng};
 
 use super::*;
+use crate::layout::POSE;
 use trajectories::{Place, exact, positions};
 
 const PLACES: [Place; 3] = [Place::Street, Place::Rounds, Place::Town];
