@@ -69,6 +69,7 @@ mod selected_keyframes;
 mod sparse_system;
 mod stereo_matching;
 mod stereo_registration;
+mod stored_landmarks;
 mod stored_poses;
 #[cfg(test)]
 mod tests;

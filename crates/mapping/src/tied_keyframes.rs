@@ -1,9 +1,6 @@
 //! Which keyframes of a stored map are tied to a recording or another map: those that it shows again.
 
-use std::collections::{BTreeMap, BTreeSet};
-
-use map::contents::MapContents;
-use protocol::{KeyframeId, LandmarkId};
+use std::collections::BTreeSet;
 
 use super::places::StoredPlace;
 
@@ -11,28 +8,6 @@ use super::places::StoredPlace;
 pub(super) const MOST_TIED: usize = 600;
 /// The golden ratio's fractional part: multiples of it are spread evenly, however many there are.
 const SPREAD: f64 = 0.618_033_988_749_895;
-
-/// The keyframes of a map by their landmarks.
-pub(super) struct Observers<'a> {
-    keyframes: BTreeMap<KeyframeId, usize>,
-    of_landmark: BTreeMap<LandmarkId, &'a map::model::Landmark>,
-}
-
-impl<'a> Observers<'a> {
-    /// Of a map.
-    pub(super) fn of_map(contents: &'a MapContents) -> Observers<'a> {
-        let keyframes = contents.keyframes.iter().map(|keyframe| keyframe.id).zip(0..).collect();
-        let of_landmark = contents.landmarks.iter().map(|landmark| (landmark.id, landmark)).collect();
-        Observers { keyframes, of_landmark }
-    }
-
-    /// Positions in the map of the keyframes that observe some landmarks.
-    pub(super) fn of_landmarks(&self, landmarks: impl Iterator<Item = LandmarkId>) -> BTreeSet<usize> {
-        let observations = landmarks.filter_map(|id| self.of_landmark.get(&id));
-        let keyframes = observations.flat_map(|landmark| &landmark.observations).map(|seen| seen.keyframe);
-        keyframes.filter_map(|id| self.keyframes.get(&id).copied()).collect()
-    }
-}
 
 /// Chooses the places that are used: all, as long as the keyframes that they tie are not too many, else some of them along the
 /// whole recording. The others are not used: the map stays less certain than it could be, and says so.

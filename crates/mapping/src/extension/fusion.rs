@@ -3,13 +3,12 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use map::contents::MapContents;
-use map::model::Landmark;
-use protocol::{KeyframeId, LandmarkId};
+use protocol::LandmarkId;
 
 use crate::keyframe_view::{FeatureId, KeyframeView};
 use crate::landmark::{InverseDepthLandmark, LandmarkObservation};
-use crate::landmark_prior::LandmarkPrior;
 use crate::places::StoredPlace;
+use crate::stored_landmarks::StoredLandmarks;
 
 /// Joins the landmarks of a recording with those of the map that they are.
 ///
@@ -46,14 +45,12 @@ pub(super) fn fuse(
         let second = second.map(|pixel| LandmarkObservation { camera: 1, pixel, ..first });
         seen.entry(id).or_default().extend(std::iter::once(first).chain(second));
     }
-    let known: BTreeMap<LandmarkId, &Landmark> =
-        stored.landmarks.iter().map(|landmark| (landmark.id, landmark)).collect();
-    let view_of: BTreeMap<KeyframeId, usize> =
-        stored.keyframes.iter().map(|keyframe| keyframe.id).zip(0..).collect();
-    fused.extend(seen.into_iter().filter_map(|(id, observations)| {
-        let landmark = LandmarkPrior::of_map(stored, &view_of, views.len(), known.get(&id)?)?;
-        Some(observed(landmark, observations))
-    }));
+    let known = StoredLandmarks::of_map(stored);
+    fused.extend(
+        seen.into_iter().filter_map(|(id, observations)| {
+            Some(observed(known.with_prior(id, views.len())?, observations))
+        }),
+    );
     fused
 }
 

@@ -34,8 +34,9 @@ use crate::pose_priors::PriorFactors;
 use crate::progress::Progress;
 use crate::refinement::{Constraints, ROUNDS, covariance_of};
 use crate::relative_pose::RelativePose;
+use crate::stored_landmarks::StoredLandmarks;
 use crate::stored_poses::StoredPoses;
-use crate::tied_keyframes::{MOST_TIED, Observers, choose_places};
+use crate::tied_keyframes::{MOST_TIED, choose_places};
 use crate::without_references::Builder;
 pub use error::ExtendError;
 pub use report::ExtensionReport;
@@ -176,9 +177,9 @@ fn tied_keyframes(
     first: usize,
     places: Vec<StoredPlace>,
 ) -> (Vec<StoredPlace>, Vec<usize>) {
-    let observers = Observers::of_map(stored);
+    let landmarks = StoredLandmarks::of_map(stored);
     let of_place = |place: &StoredPlace| {
-        let mut keyframes = observers.of_landmarks(place.matches.iter().map(|(_, id)| *id));
+        let mut keyframes = landmarks.observers(place.matches.iter().map(|(_, id)| *id));
         keyframes.insert(place.relative.views[0] - first);
         keyframes
     };

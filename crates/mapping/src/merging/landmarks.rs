@@ -5,13 +5,11 @@ use std::collections::{BTreeMap, BTreeSet};
 use geometry::camera::Camera;
 use geometry::pose::Pose;
 use map::contents::MapContents;
-use map::model::Landmark;
 use protocol::{DescriptorFormat, FeatureSet, KeyframeId, LandmarkId};
 
-use crate::landmark::InverseDepthLandmark;
-use crate::landmark_prior::LandmarkPrior;
 use crate::landmark_tie::LandmarkTie;
 use crate::places::{PlaceQuery, StoredPlace};
+use crate::stored_landmarks::StoredLandmarks;
 
 /// What a keyframe of a map sees: its observations of landmarks.
 pub(super) struct KeyframeFeatures<'a> {
@@ -83,36 +81,16 @@ pub(super) fn ties(
     let mut pairs: Vec<((LandmarkId, LandmarkId), usize)> = votes.into_iter().collect();
     pairs.sort_by_key(|&(ids, count)| (std::cmp::Reverse(count), ids));
     let (mut of_first, mut of_second) = (BTreeSet::new(), BTreeSet::new());
-    let [one, other] = [(first, features.len()), (second, 0)].map(|(map, begin)| Landmarks::new(map, begin));
+    let [one, other] = [first, second].map(StoredLandmarks::of_map);
+    let tied = |a, b| LandmarkTie::new(one.with_prior(a, features.len())?, other.with_prior(b, 0)?, poses);
     pairs
         .into_iter()
         .filter_map(|((a, b), _)| {
             let is_new = !of_first.contains(&a) && !of_second.contains(&b);
-            let tie = is_new.then(|| LandmarkTie::new(one.prior(a)?, other.prior(b)?, poses)).flatten()?;
+            let tie = is_new.then(|| tied(a, b)).flatten()?;
             of_first.insert(a);
             of_second.insert(b);
             Some(tie)
         })
         .collect()
-}
-
-/// The landmarks of a map by their ids.
-struct Landmarks<'a> {
-    map: &'a MapContents,
-    by_id: BTreeMap<LandmarkId, &'a Landmark>,
-    view_of: BTreeMap<KeyframeId, usize>,
-    /// View of the first keyframe.
-    begin: usize,
-}
-
-impl<'a> Landmarks<'a> {
-    fn new(map: &'a MapContents, begin: usize) -> Landmarks<'a> {
-        let by_id = map.landmarks.iter().map(|landmark| (landmark.id, landmark)).collect();
-        let view_of = map.keyframes.iter().map(|keyframe| keyframe.id).zip(0..).collect();
-        Landmarks { map, by_id, view_of, begin }
-    }
-
-    fn prior(&self, id: LandmarkId) -> Option<InverseDepthLandmark> {
-        LandmarkPrior::of_map(self.map, &self.view_of, self.begin, self.by_id.get(&id)?)
-    }
 }

@@ -32,8 +32,9 @@ use crate::progress::Progress;
 use crate::refinement::{Constraints, covariance_of, refine_all};
 use crate::relative_pose::RelativePose;
 use crate::report::BuildReport;
+use crate::stored_landmarks::StoredLandmarks;
 use crate::stored_poses::StoredPoses;
-use crate::tied_keyframes::{MOST_TIED, Observers, choose_places};
+use crate::tied_keyframes::{MOST_TIED, choose_places};
 pub use error::MergeError;
 use landmarks::KeyframeFeatures;
 
@@ -195,11 +196,11 @@ fn tied_keyframes(
     places: Vec<StoredPlace>,
 ) -> (Vec<StoredPlace>, [Vec<usize>; 2]) {
     let count = second.keyframes.len();
-    let [of_first, of_second] = [first, second].map(Observers::of_map);
+    let [of_first, of_second] = [first, second].map(StoredLandmarks::of_map);
     let views_of = |place: &StoredPlace| {
         let shown = features[place.relative.views[1]].landmarks();
-        let in_first = of_first.of_landmarks(place.matches.iter().map(|(_, id)| *id));
-        let in_second = of_second.of_landmarks(place.matches.iter().map(|(feature, _)| shown[*feature]));
+        let in_first = of_first.observers(place.matches.iter().map(|(_, id)| *id));
+        let in_second = of_second.observers(place.matches.iter().map(|(feature, _)| shown[*feature]));
         let mut views: BTreeSet<usize> = in_first.into_iter().map(|keyframe| count + keyframe).collect();
         views.extend(in_second);
         views.extend(place.relative.views);
