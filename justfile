@@ -14,15 +14,16 @@ default:
     @just --list --unsorted
 
 # Everything that must hold before a change lands
-ci: fmt clippy doc neural demo recorded test python
+ci: fmt clippy doc test recorded python demo neural
 
 # Formatting
 fmt:
     cargo fmt --all --check
 
-# Lints, all targets
+# Lints, all targets: with all features, and without what programs can leave out
 clippy:
-    cargo clippy --workspace --all-targets --locked -- -D warnings
+    cargo clippy --workspace --all-targets --features driftless-tests/neural --locked -- -D warnings
+    cargo clippy -p driftless-tools --no-default-features --locked -- -D warnings
 
 # API documentation
 doc:
@@ -30,13 +31,12 @@ doc:
 
 # Learned features, which no default build has
 neural:
-    cargo clippy -p driftless-vision --features neural --all-targets --locked -- -D warnings
-    cargo test -p driftless-vision --features neural --test neural --locked
+    cargo test -p driftless-vision --features neural --locked neural::
 
 # The demo, with bounds on what it reaches; leaves its map, run and pictures in target/ci-demo
 demo:
     DEMO_OUT="{{ justfile_directory() }}/target/ci-demo" \
-        cargo test --profile {{ profile }} --locked --workspace --test demo -- --include-ignored --nocapture
+        cargo test --profile {{ profile }} --locked --workspace --test main -- --include-ignored --nocapture demo::
 
 # Tests on recorded runs; says so where the recordings are not unpacked
 recorded:
@@ -46,7 +46,7 @@ recorded:
         echo "SKIPPED: the recorded runs are not unpacked in {{ data }}; their tests were not run"
         exit 0
     fi
-    cargo test --profile {{ profile }} --locked --workspace --test recorded --test images -- --ignored
+    cargo test --profile {{ profile }} --locked --workspace --test main -- --ignored recorded:: images::
 
 # The Python client against a map server and a robot; says so where its packages cannot be installed
 python:
@@ -64,6 +64,10 @@ python:
 # All tests; those on recorded runs are listed as ignored
 test:
     cargo test --workspace --locked
+
+# Every test there is, those that take minutes too, except measurements and those that need something that is not here
+nightly: ci
+    cargo test --release --workspace --locked -- --ignored --skip load:: --skip latency --skip python --skip published --skip images::learned --skip object_store
 
 # Every crate that is published could be
 package:

@@ -1,13 +1,9 @@
 //! Images that are given to the live map of a server: over HTTP, and dropped on the page in a browser. Without Chromium the
 //! latter is skipped, with a line that says so; pictures are written to `target/viewer`.
-#![allow(clippy::unwrap_used, missing_docs)]
 
-#[path = "../../crates/viewer/tests/common/browser.rs"]
-mod browser;
-
+use crate::browser::{Browser, installed};
 use axum::Router;
 use base64::Engine as _;
-use browser::{Browser, installed};
 use client::{SessionOptions, close_session, open_session};
 use geometry::uncertain_pose::isotropic_covariance;
 use geometry::{Camera, Distortion, Pose, PoseWithCovariance};

@@ -1,6 +1,4 @@
 //! The program `map_server`, started as people start it.
-#![cfg(unix)]
-#![allow(clippy::unwrap_used, missing_docs)]
 
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};

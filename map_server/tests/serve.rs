@@ -1,5 +1,4 @@
 //! Laws of the served maps, over real Zenoh sessions on the loopback.
-#![allow(clippy::unwrap_used, missing_docs)]
 
 use std::sync::Arc;
 use std::time::Duration;

@@ -5,7 +5,7 @@
 
 use estimator::{CloneId, Estimator};
 use geometry::covariance_check::{CovarianceError, check_covariance};
-use geometry::{MAX_COORDINATE_M, Pose, PoseWithCovariance, Rotation, is_coordinate};
+use geometry::{MAX_COORDINATE_M, Pose, PoseWithCovariance, is_coordinate};
 use nalgebra::Vector3;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -14,6 +14,7 @@ use std::time::{Duration, Instant};
 const SIGMA_HEIGHT_M: f64 = 1.0;
 const SIGMA_TILT_RAD: f64 = 0.2;
 /// Quaternions shorter than this have no direction.
+#[cfg(feature = "ros")]
 const MIN_QUATERNION_NORM: f64 = 1e-6;
 /// 99.9 % of the squared difference of two poses that agree, by their covariances (chi-square, 6 degrees of freedom).
 const AGREEMENT: f64 = 22.46;
@@ -124,7 +125,8 @@ impl InitialPoses {
 ///
 /// # Errors
 /// [`InitialPoseError::NotFinite`], [`InitialPoseError::NoRotation`].
-pub(crate) fn rotation_of(coordinates: [f64; 4]) -> Result<Rotation, InitialPoseError> {
+#[cfg(feature = "ros")]
+pub(crate) fn rotation_of(coordinates: [f64; 4]) -> Result<geometry::Rotation, InitialPoseError> {
     let [x, y, z, w] = coordinates;
     let quaternion = nalgebra::Quaternion::new(w, x, y, z);
     let norm = quaternion.norm();

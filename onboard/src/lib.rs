@@ -10,12 +10,11 @@
 //! | [`run`](mod@run), `map_queries` | [`RobotRun`]: the loop over frames; sending queries, applying answers and map changes |
 //! | `input` | reads a [`SensorSource`](sensors::SensorSource) ahead; the window of IMU readings |
 //! | [`start`] | initial state and excerpt of a recording |
-//! | [`estimator_supervisor`] | initializes the estimator, and again after a divergence |
 //! | [`alarms`], `run_status` | what contradicts the sensors or the map: logged when it begins and ends, kept for the summary |
-//! | [`native`], [`ros_sensors`], [`ros_camera_info`] | live sensors over Zenoh, as ROS 2 topics; projections of their cameras |
+//! | [`native`], `ros_sensors`, `ros_camera_info` (feature `ros`) | live sensors over Zenoh, as ROS 2 topics; projections of their cameras |
 //! | [`initial_pose`] | poses that an operator sets, as priors of map queries |
 //! | `prediction` | odometry at the rate of the IMU |
-//! | [`front_end`], [`extraction`] | tracks and features from images |
+//! | [`extraction`] | features from images; tracks are made by the crate `odometry` |
 //! | [`outputs`] | files, summary, messages, ROS 2 topics |
 //! | [`stop`], [`progress`], [`stdout`] | signals and terminal |
 //!
@@ -37,9 +36,7 @@
 
 pub mod alarms;
 pub mod arguments;
-pub mod estimator_supervisor;
 pub mod extraction;
-pub mod front_end;
 pub mod initial_pose;
 mod input;
 mod link;
@@ -50,7 +47,9 @@ pub mod outputs;
 mod prediction;
 pub mod program;
 pub mod progress;
+#[cfg(feature = "ros")]
 pub mod ros_camera_info;
+#[cfg(feature = "ros")]
 pub mod ros_sensors;
 pub mod run;
 mod run_status;
@@ -59,8 +58,6 @@ pub mod stdout;
 pub mod stop;
 
 pub use arguments::RobotArguments;
-pub use estimator_supervisor::EstimatorSupervisor;
-pub use front_end::{FrontEnd, FrontEndError};
 pub use link::{LinkError, MapLink, OpeningLink, RobotLink};
 pub use outputs::{EndedLost, Event, Recorder, RobotMetrics, Summary};
 pub use program::{Outcome, run_robot, run_robot_until, run_source_until};

@@ -1,9 +1,7 @@
 //! The robot as a program: builds a run from the switches, plays a source, scores it, and writes the output folder.
 
 use super::arguments::{Init, RobotArguments};
-use super::estimator_supervisor::EstimatorSupervisor;
 use super::extraction::ExtractionThread;
-use super::front_end::FrontEnd;
 use super::initial_pose::InitialPoseSearch;
 use super::link::{MapLink, RobotLink};
 use super::outputs::{EVENTS, Event, MessageRecording, Recorder, RecordingSettings, STATES, Summary};
@@ -16,6 +14,7 @@ use estimator::{CalibratedCamera, Estimator, EstimatorConfig, InitialState, MapM
 use evaluation::trajectory::StateRow;
 use evaluation::trajectory::states::StateReader;
 use evaluation::{RunScore, ScoreError, ScoreOptions, score_rows};
+use odometry::{EstimatorSupervisor, FrontEnd};
 use sensors::{
     CameraSensor, Contents, Recording, Rows, SensorCalibration, SensorSource, SequenceError, check_stereo,
 };

@@ -1,9 +1,7 @@
 //! Plays a sensor source through the estimator.
 
 use super::alarms::Alarms;
-use super::estimator_supervisor::EstimatorSupervisor;
 use super::extraction::ExtractionThread;
-use super::front_end::FrontEnd;
 use super::initial_pose::InitialPoseSearch;
 use super::input::{ImuWindow, NextFrame, SensorQueue};
 use super::link::OpeningLink;
@@ -16,6 +14,7 @@ use super::stop::StopSignal;
 use client::{MapChangeSubscriber, QueryTasks};
 use estimator::{CloneId, EstimatorError, InitMethod, TrackObservation};
 use geometry::Camera;
+use odometry::{EstimatorSupervisor, FrontEnd};
 use protocol::Format;
 use sensors::live::LiveFault;
 use sensors::{Frame, ImuCheck, ImuUnitError, SensorError, SensorSource};

@@ -1,5 +1,4 @@
 //! Robots of one name find each other.
-#![allow(clippy::unwrap_used)]
 
 use client::{SessionOptions, close_session, open_session};
 use onboard::outputs::Publisher;

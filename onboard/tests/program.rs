@@ -1,6 +1,4 @@
 //! The robot program from outside: what it leaves when it is stopped, killed, or its output is closed.
-#![cfg(unix)]
-#![allow(clippy::unwrap_used)]
 
 use evaluation::trajectory::{states, tum};
 use sensors::writer;

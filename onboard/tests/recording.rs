@@ -1,6 +1,4 @@
 //! The recording of a run, read back.
-#![cfg(feature = "bags")]
-#![allow(clippy::unwrap_used)]
 
 use bags::Bag;
 use nalgebra::Vector3;

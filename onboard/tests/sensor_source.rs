@@ -1,5 +1,4 @@
 //! A robot plays any sensor source, not only recordings.
-#![allow(clippy::unwrap_used)]
 
 use nalgebra::{UnitQuaternion, Vector3};
 use onboard::arguments::{Init, Mode};

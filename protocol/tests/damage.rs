@@ -1,9 +1,6 @@
 //! Damaged and hostile bytes are refused, whatever they claim, and cost nothing.
-#![allow(clippy::unwrap_used, missing_docs)]
 
-mod common;
-
-use common::*;
+use crate::common::*;
 use proptest::prelude::*;
 use protocol::*;
 

@@ -1,9 +1,6 @@
 //! The names of held keyframes in a query: a set, small on the wire, refused where it is none.
-#![allow(clippy::unwrap_used, missing_docs)]
 
-mod common;
-
-use common::*;
+use crate::common::*;
 use proptest::collection::vec;
 use proptest::prelude::*;
 use protocol::*;

@@ -1,5 +1,4 @@
 //! The JSON examples in `examples/json` are valid messages, and there is one for every message type.
-#![allow(clippy::unwrap_used, missing_docs)]
 
 use protocol::*;
 use serde_json::Value;

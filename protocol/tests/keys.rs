@@ -1,5 +1,4 @@
 //! Names that would change the meaning of a key never get into one.
-#![allow(clippy::unwrap_used, missing_docs)]
 
 use proptest::prelude::*;
 use protocol::keys::{self, NameError};

@@ -1,9 +1,6 @@
 //! What is encoded is what is decoded, in both formats, to the last bit.
-#![allow(clippy::unwrap_used, missing_docs)]
 
-mod common;
-
-use common::*;
+use crate::common::*;
 use nalgebra::Matrix6;
 use proptest::prelude::*;
 use protocol::*;

@@ -1,9 +1,6 @@
 //! Messages that make no sense are refused on both sides, and the error names the field.
-#![allow(clippy::unwrap_used, missing_docs)]
 
-mod common;
-
-use common::*;
+use crate::common::*;
 use geometry::uncertain_pose::PoseWithCovariance;
 use nalgebra::{Matrix6, Quaternion, UnitQuaternion};
 use protocol::*;

@@ -9,9 +9,14 @@ pub mod data;
 pub mod fleet;
 pub mod images;
 pub mod link;
+#[path = "../../crates/mapping/tests/common/map_errors.rs"]
 pub mod map_errors;
 pub mod network;
+#[path = "../../crates/mapping/tests/common/requests.rs"]
+pub mod requests;
 pub mod robot;
+#[path = "../../crates/mapping/tests/common/scenario.rs"]
 pub mod scenario;
 pub mod server;
+#[path = "../../crates/mapping/tests/common/sessions.rs"]
 pub mod sessions;

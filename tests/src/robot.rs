@@ -2,9 +2,10 @@
 
 use clap::Parser;
 use onboard::{MapLink, Outcome, RobotArguments, run_robot};
-use protocol::MatchRequest;
 use sensors::Sequence;
 use std::path::Path;
+
+pub use crate::requests::{images, request};
 
 #[derive(Parser)]
 struct CommandLine {
@@ -32,25 +33,4 @@ pub fn assert_every_frame_has_a_state(outcome: &Outcome, sequence: &Sequence) {
     let skipped = frames.len() - states.len();
     assert!(frames[skipped] - frames[0] < 1_000_000_000, "{skipped} frames were skipped");
     assert_eq!(states, frames[skipped..]);
-}
-
-/// The match request of one image of a recording, without a prior; the image must have features.
-pub fn request(sequence: &Sequence, frame: usize) -> MatchRequest {
-    let frame = &sequence.frames[frame];
-    MatchRequest {
-        robot: "asker".to_owned(),
-        stamp_ns: frame.stamp_ns,
-        camera: sequence.cameras[0].camera.clone(),
-        features: frame.features.clone().unwrap(),
-        prior: None,
-        gravity_in_camera: None,
-        held: Vec::new(),
-        map_version_held: None,
-        max_keyframes: 4,
-    }
-}
-
-/// All images of a recording that have features.
-pub fn images(sequence: &Sequence) -> Vec<usize> {
-    (0..sequence.frames.len()).filter(|&frame| sequence.frames[frame].features.is_some()).collect()
 }

@@ -1,13 +1,13 @@
 //! Bad input is an error that names the thing, and never more than that.
-#![allow(clippy::unwrap_used)]
 
 use estimator::{CalibratedCamera, Estimator, MapAnswer, Rejection};
 use evaluation::{ScoreOptions, score_run};
 use nalgebra::Vector3;
+use odometry::EstimatorSupervisor;
 use onboard::arguments::Init;
 use onboard::map_conversion::map_answer;
 use onboard::start::initial_state;
-use onboard::{EstimatorSupervisor, Recorder, RobotRun, run as play};
+use onboard::{Recorder, RobotRun, run as play};
 use protocol::{
     DescriptorKind, Descriptors, ErrorCode, FeatureSet, Format, LocalizeReply, LocalizeRequest, MapInfoReply,
     MatchOutcome, MatchReply, MatchedKeyframe,

@@ -1,5 +1,4 @@
 //! A robot that is carried elsewhere while its cameras are covered.
-#![allow(clippy::unwrap_used)]
 
 use estimator::Localization;
 use onboard::Outcome;

@@ -1,10 +1,9 @@
 //! Servers, routers and links that fail at random while robots drive.
 //!
 //! ```sh
-//! cargo test --release -p driftless-tests --test chaos -- --ignored --nocapture
+//! cargo test --release -p driftless-tests chaos -- --ignored --nocapture
 //! ```
 //! is the long run, on the recording `yq`; `ROUNDS`, `ROBOTS` and `SEED` in the environment change it.
-#![allow(clippy::unwrap_used)]
 
 use client::session::{SessionOptions, close_session, open_session};
 use map_server::{MapServer, ServedMap, ServerOptions};

@@ -1,5 +1,4 @@
 //! Consistency (NEES) of all outputs over several scenarios; the filter that takes the map for exact is inconsistent.
-#![allow(clippy::unwrap_used)]
 
 use evaluation::{RunScore, nees_bounds};
 use std::sync::Mutex;

@@ -3,10 +3,10 @@
 //! The recordings are not part of the repository. Where they are unpacked to `target/data`, run these tests as those of
 //! `recorded.rs`, with `--ignored`; without a recording its test fails and names it. The test of XFeat also needs
 //! `--features neural` and the weights (`driftless weights xfeat`).
-#![allow(clippy::unwrap_used)]
 
 use evaluation::{Alignment, align};
 use map::colmap::{ColmapImage, read_model};
+use mapping::odometry_config;
 use mapping::{ColmapFrame, Extraction, import_colmap};
 use nalgebra::Vector3;
 use recognition::LoadedMap;
@@ -16,7 +16,6 @@ use tests::data::recording;
 use tests::images::{Found, Split, within, wrong_by};
 use tests::robot::run;
 use tools::in_process::LocalServer;
-use tools::odometry::odometry_config;
 use vision::features::open;
 use vision::{FeatureExtractor, GrayImage};
 
@@ -238,7 +237,7 @@ mod learned {
         (sum as f32 / 65536.0 - 2.0) * 3.0_f32.sqrt() * 8.0
     }
 
-    fn mapped(image: GrayImage, value: impl Fn(usize, f32) -> f32) -> GrayImage {
+    fn mapped(image: &GrayImage, value: impl Fn(usize, f32) -> f32) -> GrayImage {
         let (width, height) = (image.width(), image.height());
         GrayImage::from_fn(width, height, |x, y| {
             value(y * width + x, f32::from(image.get(x, y))).round().clamp(0.0, 255.0) as u8
@@ -272,8 +271,8 @@ mod learned {
         tell("even in odd, XFeat", &found);
         assert_eq!(wrong_by(&found, 0.5), 0);
         assert!(within(&found, 0.05, 1.0) >= 48);
-        let dark = |image| mapped(image, |_, value| 255.0 * (value / 255.0).powf(2.5));
-        let noisy = |image| mapped(image, |index, value| 0.4 * value + noise(index));
+        let dark = |image: &GrayImage| mapped(image, |_, value| 255.0 * (value / 255.0).powf(2.5));
+        let noisy = |image: &GrayImage| mapped(image, |index, value| 0.4 * value + noise(index));
         let blurred = |image: GrayImage| blurred(&image);
         let changes: [(&str, &dyn Fn(GrayImage) -> GrayImage); 3] =
             [("darkened", &dark), ("noisy", &noisy), ("blurred", &blurred)];

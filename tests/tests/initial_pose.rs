@@ -1,5 +1,4 @@
 //! Poses that an operator sets: where the map is searched, and never what the filter measures.
-#![allow(clippy::unwrap_used)]
 
 use evaluation::trajectory::StateRow;
 use geometry::rotation;

@@ -1,5 +1,4 @@
 //! The inspection of a query agrees with the reply, and the plot shows it.
-#![allow(clippy::unwrap_used)]
 
 use clap::Parser;
 use protocol::{LocalizeRequest, MatchOutcome};

@@ -1,5 +1,4 @@
 //! A robot with live sensors over Zenoh, beside the same robot with the recording.
-#![allow(clippy::unwrap_used)]
 
 use geometry::pose::Pose;
 use onboard::native::NativeSensors;

@@ -2,7 +2,6 @@
 //! the pose stays right, and the robot goes on.
 //!
 //! Both tests run in real time, side by side.
-#![allow(clippy::unwrap_used)]
 
 use geometry::{Pose, rotation};
 use nalgebra::Vector3;

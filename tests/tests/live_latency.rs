@@ -2,13 +2,12 @@
 //!
 //! ```sh
 //! cargo build --release --workspace --bins
-//! cargo test --release --workspace --test live_latency -- --ignored --nocapture
+//! cargo test --release --workspace live_latency -- --ignored --nocapture
 //! ```
 //! The robot is a process of its own, on processor 1 where `taskset` is installed; what plays the recording is on the others.
 //! Where the ground truth is known, the odometry of each loop is scored from its initialization on.
 //! `SEQUENCE` (a folder in `target/data`), `SWITCHES` (`--mode odometry --cameras mono`), `LOOPS` (1), and `BUSY` (0: programs
 //! that keep the robot's processor busy: with 3 it has a quarter) in the environment change what is measured.
-#![allow(clippy::unwrap_used)]
 
 use anyhow::Result;
 use evaluation::trajectory::{self, StateRow};

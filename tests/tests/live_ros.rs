@@ -1,5 +1,4 @@
 //! A recording that is played as topics of ROS 2 is what a robot with live sensors gets.
-#![allow(clippy::unwrap_used)]
 
 use onboard::StopSignal;
 use onboard::ros_camera_info::wait_for_cameras;

@@ -1,5 +1,4 @@
 //! Build a map, store it, serve it, localize in it: the main job.
-#![allow(clippy::unwrap_used)]
 
 use estimator::Localization;
 use evaluation::trajectory::{StateKind, states, tum};

@@ -1,5 +1,4 @@
 //! Changes of the served map while robots use it: the consistency of their pose, over Monte-Carlo runs and over a network.
-#![allow(clippy::unwrap_used)]
 
 use estimator::EstimatorConfig;
 use estimator::Localization;

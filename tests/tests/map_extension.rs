@@ -1,5 +1,4 @@
 //! Maps extended by further recordings: as accurate and as uncertain as they state, with ids and version kept in order.
-#![allow(clippy::unwrap_used)]
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -7,6 +6,7 @@ use std::time::Duration;
 use estimator::Localization;
 use map::contents::MapContents;
 use map::store::{load_map, save_map};
+use mapping::run_odometry;
 use mapping::{BuildOptions, ExtendError, ExtensionReport, extend_map};
 use onboard::run_robot;
 use protocol::keys;
@@ -17,7 +17,6 @@ use tests::map_errors::{global_from_truth, true_pose, true_poses, with_common_er
 use tests::robot::arguments;
 use tests::server::{Client, Server};
 use tests::sessions::{build, nees, sessions};
-use tools::odometry::run_odometry;
 
 fn extend(map: &MapContents, sequence: &mut Sequence) -> Result<(MapContents, ExtensionReport), ExtendError> {
     let odometry = run_odometry(sequence, 2, |_, _| {}).unwrap();

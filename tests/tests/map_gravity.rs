@@ -1,5 +1,4 @@
 //! A map whose direction of gravity is wrong or missing.
-#![allow(clippy::unwrap_used)]
 
 use estimator::Localization;
 use nalgebra::Vector3;

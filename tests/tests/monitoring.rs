@@ -1,5 +1,4 @@
 //! Metrics of server and robot against what both report otherwise.
-#![allow(clippy::unwrap_used)]
 
 use onboard::run_robot;
 use prometheus_client::encoding::text::encode;

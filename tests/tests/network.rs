@@ -1,5 +1,4 @@
 //! Servers that start and stop, several robots, and third-party subscribers.
-#![allow(clippy::unwrap_used)]
 
 use client::SessionOptions;
 use estimator::Localization;

@@ -1,5 +1,4 @@
 //! Another map is served under the name of the one that a robot uses, with a version of the same number.
-#![allow(clippy::unwrap_used)]
 
 use estimator::Localization;
 use onboard::run_robot;

@@ -1,7 +1,6 @@
 //! The driver in Python that the documentation points to feeds a robot.
 //!
-//! Needs Python with eclipse-zenoh: `PYTHON=venv/bin/python cargo test -p driftless-tests --test python_driver -- --ignored`.
-#![allow(clippy::unwrap_used)]
+//! Needs Python with eclipse-zenoh: `PYTHON=venv/bin/python cargo test -p driftless-tests python_driver -- --ignored`.
 
 use geometry::camera::{Camera, Distortion};
 use geometry::pose::Pose;

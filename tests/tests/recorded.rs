@@ -3,11 +3,10 @@
 //! The recordings are not part of the repository. Where they are unpacked to `target/data`, run these tests with
 //!
 //! ```sh
-//! cargo test --release -p driftless-tests --test recorded --test images -- --ignored
+//! cargo test --release -p driftless-tests -- --ignored recorded:: images::
 //! ```
 //!
 //! Without a recording its test fails and names it.
-#![allow(clippy::unwrap_used)]
 
 use evaluation::trajectory::StampedPose;
 use evaluation::{Alignment, Pair, Score, absolute_errors, align, interpolate_reference};
@@ -18,6 +17,7 @@ use mapping::{
     BuildOptions, BuildReport, Extraction, PosePriors, StoredPoses, build_map, build_map_from_odometry,
     register_stereo_images,
 };
+use mapping::{is_sparse, odometry_config, run_odometry};
 use nalgebra::{Matrix3, Vector3};
 use onboard::{Outcome, RobotArguments};
 use recognition::LoadedMap;
@@ -27,7 +27,6 @@ use std::sync::Arc;
 use tests::data::{data_folder, recording};
 use tests::robot::{arguments, run};
 use tools::in_process::LocalServer;
-use tools::odometry::{is_sparse, odometry_config, run_odometry};
 use vision::FeatureExtractor;
 use vision::features::open;
 

@@ -1,5 +1,4 @@
 //! Robots drive while the map that they are in is released, rolled back, and its store fails.
-#![allow(clippy::unwrap_used)]
 
 use std::path::{Path, PathBuf};
 use std::sync::Barrier;

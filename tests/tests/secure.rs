@@ -1,6 +1,5 @@
 //! A fleet that `driftless fleet` secured: its members work together, and others, or members that overstep their role,
 //! are neither served nor believed.
-#![allow(clippy::unwrap_used)]
 
 use client::session::{CONFIG_FILE, Role, SessionMode, SessionOptions, close_session, open_session};
 use map_server::{CellService, CellServiceOptions, MapServer, ServerOptions};

@@ -1,5 +1,4 @@
 //! Initializing in motion, and starting again after the filter diverged.
-#![allow(clippy::unwrap_used)]
 
 use estimator::Localization;
 use evaluation::trajectory::StateRow;

@@ -1,5 +1,4 @@
 //! Routers between robots and servers, late ones, and ones that come back, with what the programs' own switches say.
-#![allow(clippy::unwrap_used)]
 
 use client::session::{SessionOptions, close_session, open_session};
 use std::time::{Duration, Instant};

@@ -7,9 +7,9 @@
 pub mod calibration_check;
 pub mod command;
 pub mod demo;
+#[cfg(feature = "secure")]
 pub mod fleet;
 pub mod in_process;
-pub mod odometry;
 mod open_page;
 pub mod playback;
 pub mod plotting;

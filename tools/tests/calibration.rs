@@ -1,12 +1,11 @@
 //! Wrong calibrations are named, right ones agree.
-#![allow(clippy::unwrap_used)]
 
 use geometry::rotation;
+use mapping::odometry_config;
 use nalgebra::Vector3;
 use sensors::Sequence;
 use simulation::{Scenario, SimulationOptions, simulate};
 use tools::calibration_check::{Agreement, CalibrationCheck, check_calibration};
-use tools::odometry::odometry_config;
 
 /// Hand-held in a room.
 fn recording(seconds: f64) -> Sequence {

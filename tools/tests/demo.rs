@@ -1,5 +1,4 @@
 //! `driftless demo`, run as a program: from pixels to poses.
-#![allow(clippy::unwrap_used)]
 
 use std::path::PathBuf;
 use std::process::Command;

@@ -1,5 +1,4 @@
 //! `driftless fleet`, as people type it.
-#![allow(clippy::unwrap_used)]
 
 use client::session::{Member, Role};
 use std::path::Path;

@@ -1,12 +1,7 @@
 //! `driftless run --open`: the page while the robot runs, and afterwards. The part in a browser is skipped, with a line that says
 //! so, where no Chromium is installed.
-#![cfg(unix)]
-#![allow(clippy::unwrap_used)]
 
-#[path = "../../crates/viewer/tests/common/browser.rs"]
-mod browser;
-
-use browser::{Browser, installed};
+use crate::browser::{Browser, installed};
 use futures_util::StreamExt as _;
 use serde_json::Value;
 use std::io::Write as _;

@@ -1,5 +1,4 @@
 //! `driftless simulate --images`, run as a program, and what the front end makes of its images.
-#![allow(clippy::unwrap_used)]
 
 use std::path::Path;
 use std::process::Command;

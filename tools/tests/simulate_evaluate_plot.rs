@@ -1,5 +1,4 @@
 //! The commands, run as programs.
-#![allow(clippy::unwrap_used)]
 
 use std::path::Path;
 use std::process::{Command, Output};

@@ -1,5 +1,4 @@
 //! `driftless track`, run as a program on the same images in a folder and in a bag.
-#![allow(clippy::unwrap_used)]
 
 use std::path::{Path, PathBuf};
 use std::process::Command;

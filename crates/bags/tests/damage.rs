@@ -1,5 +1,4 @@
 //! Files that are cut off or damaged: what is there is read, what is missing is told.
-#![allow(clippy::unwrap_used, missing_docs)]
 
 use bags::Bag;
 use rand::rngs::StdRng;

@@ -1,5 +1,4 @@
 //! The same recording in every format, written by Python's rosbags and mcap (`data/make.py`).
-#![allow(clippy::unwrap_used, missing_docs)]
 
 use bags::{Bag, BagError, Encoding, Topic};
 use std::path::{Path, PathBuf};

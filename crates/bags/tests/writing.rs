@@ -1,5 +1,4 @@
 //! What is written is read again.
-#![allow(clippy::unwrap_used, missing_docs)]
 
 use bags::{Bag, BagError, BagWriter, Encoding, Format, MessageType};
 use std::path::Path;

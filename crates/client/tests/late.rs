@@ -1,5 +1,4 @@
 //! A client whose server is not there yet.
-#![allow(clippy::unwrap_used)]
 
 use client::{SessionMode, SessionOptions, close_session, open_session};
 use std::time::Duration;

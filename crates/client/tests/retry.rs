@@ -1,5 +1,4 @@
 //! When a query is repeated, and what is never reported as "no match". The server is a queryable in the same session.
-#![allow(clippy::unwrap_used, missing_docs)]
 
 use client::{ClientError, MapClient, QueryTasks, SessionOptions, close_session, open_session};
 use geometry::{Camera, Distortion, Pose, PoseWithCovariance};

@@ -3,12 +3,9 @@
 //! Memory from the heap costs time that varies, and a robot has other programs on its machine. The counter replaces
 //! the allocator of this test binary and counts by thread. To find out where an allocation comes from, replace it by
 //! `dhat`.
-#![allow(clippy::unwrap_used)]
 
-mod common;
-
+use crate::common::{FRAME_NS, World};
 use allocation_counter::measure;
-use common::{FRAME_NS, World};
 use estimator::{Estimator, EstimatorConfig, TrackObservation};
 
 /// Frames until every buffer has grown to its size: several times around the window.

@@ -1,9 +1,6 @@
 //! Measurements that no sane sender sends must not poison the filter.
-#![allow(clippy::unwrap_used)]
 
-mod common;
-
-use common::{FRAME_NS, World, accepted, assert_finite};
+use crate::common::{FRAME_NS, World, accepted, assert_finite};
 use estimator::{CloneId, Estimator, EstimatorConfig, MapAnswer};
 use geometry::PoseWithCovariance;
 use nalgebra::{Matrix6, Matrix6xX, Vector3};

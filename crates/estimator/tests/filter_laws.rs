@@ -1,9 +1,6 @@
 //! What the filter as a whole promises to whoever runs it.
-#![allow(clippy::unwrap_used)]
 
-mod common;
-
-use common::{FRAME_NS, World, accepted, imu_at, says};
+use crate::common::{FRAME_NS, World, accepted, imu_at, says};
 use estimator::{
     AdaptiveNoise, Estimator, EstimatorConfig, EstimatorError, Localization, MapMode, Rejection,
 };

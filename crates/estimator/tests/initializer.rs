@@ -1,5 +1,4 @@
 //! What a body is started from: rest that the images confirm, or motion that tells its scale.
-#![allow(clippy::unwrap_used)]
 
 use estimator::{
     CalibratedCamera, EstimatorConfig, ImuSample, InitMethod, InitStatus, Initialization, Initializer,

@@ -1,9 +1,6 @@
 //! A served map changes while a robot uses it: what its news and its answers do to the filter.
-#![allow(clippy::unwrap_used)]
 
-mod common;
-
-use common::{FRAME_NS, World, accepted, assert_finite, says};
+use crate::common::{FRAME_NS, World, accepted, assert_finite, says};
 use estimator::state::local_error;
 use estimator::{
     ChangeSize, CloneId, Estimator, EstimatorConfig, Localization, MapAnswer, MapRevision, Rejection,

@@ -1,5 +1,4 @@
 //! Rows of the map's observation: their Jacobians, their gauge, and what moving the linearization point does.
-#![allow(clippy::unwrap_used)]
 
 use estimator::calibration::{Calibration, OnlineCalibration};
 use estimator::covariance::JointCovariance;

@@ -1,9 +1,6 @@
 //! What landmarks in the state promise: they enter as the dense filter would let them, correct the state, and leave.
-#![allow(clippy::unwrap_used)]
 
-mod common;
-
-use common::{FRAME_NS, World, assert_finite};
+use crate::common::{FRAME_NS, World, assert_finite};
 use estimator::covariance::JointCovariance;
 use estimator::linear_algebra::dense::Dense;
 use estimator::{EstimatorConfig, TrackReport};

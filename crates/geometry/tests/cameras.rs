@@ -1,16 +1,13 @@
 //! Laws of cameras: projecting and unprojecting undo one another, Jacobians are derivatives, bad input is an error.
-#![allow(clippy::unwrap_used, missing_docs)]
 
-mod common;
-
-use common::{Random, cameras, euroc, fisheye, fov};
+use crate::common::{Random, cameras, euroc, fisheye, fov};
 use geometry::numeric::{numeric_jacobian, numeric_jacobian_with_step};
 use geometry::{Camera, CameraError, Distortion, MAX_INTRINSICS, ProjectionError};
 use nalgebra::{DVector, SVector, Vector2, Vector3};
 
 #[test]
 fn project_undoes_unproject_over_the_whole_image() {
-    for camera in [common::pinhole(), euroc(), fov()] {
+    for camera in [crate::common::pinhole(), euroc(), fov()] {
         for u in (0..=camera.width).step_by(8) {
             for v in (0..=camera.height).step_by(8) {
                 let pixel = Vector2::new(f64::from(u) - 0.5, f64::from(v) - 0.5);

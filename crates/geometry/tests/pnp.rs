@@ -1,9 +1,6 @@
 //! Laws of absolute pose: solvers are exact on exact data, the search stands outliers, covariances are consistent.
-#![allow(clippy::unwrap_used, missing_docs)]
 
-mod common;
-
-use common::{Random, cameras, euroc, fov};
+use crate::common::{Random, cameras, euroc, fov};
 use geometry::numeric::numeric_jacobian;
 use geometry::pnp::{gravity_two_point, p3p, refine, solve_ransac};
 use geometry::{Camera, Correspondence, Gravity, PnpError, Pose, RansacOptions, rotation};

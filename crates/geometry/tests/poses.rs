@@ -1,9 +1,6 @@
 //! Laws of rotations and poses, and of how their covariances travel.
-#![allow(clippy::unwrap_used, missing_docs)]
 
-mod common;
-
-use common::Random;
+use crate::common::Random;
 use geometry::numeric::numeric_jacobian;
 use geometry::{Pose, PoseWithCovariance, Rotation, compose_jacobians, inverse_jacobian, rotation};
 use nalgebra::{DVector, Matrix3, Matrix6, Vector3, Vector6};

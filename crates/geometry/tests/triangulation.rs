@@ -1,9 +1,6 @@
 //! Laws of triangulation: exact on exact pixels, consistent on noisy ones, an error where the landmark is not there.
-#![allow(clippy::unwrap_used, missing_docs)]
 
-mod common;
-
-use common::{Random, cameras, euroc};
+use crate::common::{Random, cameras, euroc};
 use geometry::{
     Camera, Pose, ProjectionError, TriangulationError, TriangulationOptions, View, reprojection_error,
     rotation, triangulate,
@@ -131,7 +128,7 @@ fn what_cannot_be_triangulated_is_an_error() {
         assert_eq!(triangulate(&cameras, &spoilt, &options), Err(TriangulationError::InvalidInput));
     }
     let mut outside = views.clone();
-    let wide = common::fov();
+    let wide = crate::common::fov();
     outside[0].pixel = Vector2::new(1e4, 0.0);
     let no_ray = TriangulationError::NoRay(ProjectionError::OutsideModel);
     assert_eq!(triangulate(&[&wide, &wide, &wide], &outside, &options), Err(no_ray));
@@ -143,7 +140,7 @@ fn still_pose(view: &View) -> Pose {
 
 #[test]
 fn rays_that_diverge_meet_behind_the_cameras() {
-    let camera = common::pinhole();
+    let camera = crate::common::pinhole();
     let at = |x: f64, u: f64| View {
         parent_from_camera: Pose::new(rotation::exp(&Vector3::zeros()), Vector3::new(x, 0.0, 0.0)),
         pixel: Vector2::new(u, 240.0),

@@ -1,5 +1,4 @@
 //! Models that COLMAP wrote (by `tests/data/colmap_model/make.py`), ours, and damaged ones.
-#![allow(clippy::unwrap_used)]
 
 use map::colmap::{ColmapModel, ReadColmapError, read_model};
 use std::fs;

@@ -1,5 +1,4 @@
 //! Maps that state what keyframes err together.
-#![allow(clippy::unwrap_used, missing_docs)]
 
 use std::collections::BTreeSet;
 use std::path::Path;

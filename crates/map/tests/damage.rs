@@ -1,5 +1,4 @@
 //! A damaged map is read whole or refused in words, soon, and without growing memory.
-#![allow(clippy::unwrap_used, missing_docs)]
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};

@@ -1,5 +1,4 @@
 //! Edits keep a map valid and every landmark that stays in its place.
-#![allow(clippy::unwrap_used)]
 
 use std::collections::{BTreeMap, BTreeSet};
 

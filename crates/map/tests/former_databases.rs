@@ -1,5 +1,4 @@
 //! Maps that programs of store schema 1 and 2 wrote, without checksums around their database.
-#![allow(clippy::unwrap_used, missing_docs)]
 
 use std::path::Path;
 

@@ -1,6 +1,4 @@
 //! Writing a map is interrupted: by a kill, by a full disk, by another writer. The map that was there remains.
-#![cfg(unix)]
-#![allow(clippy::unwrap_used, missing_docs)]
 
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -24,7 +22,8 @@ fn read(path: &Path) -> MapContents {
 fn child(before: &str, path: &Path, seed: u64) -> Command {
     let mut command = Command::new("sh");
     let program = std::env::current_exe().unwrap();
-    let run = format!("{before} exec '{}' child_that_writes --exact --nocapture", program.display());
+    let run =
+        format!("{before} exec '{}' interrupted::child_that_writes --exact --nocapture", program.display());
     command.args(["-c", &run]).env(CHILD_PATH, path).env(CHILD_SEED, seed.to_string()).stdin(Stdio::null());
     command
 }

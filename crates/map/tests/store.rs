@@ -1,5 +1,4 @@
 //! Laws of the map store, named after the fault or the change.
-#![allow(clippy::unwrap_used, missing_docs)]
 
 use std::path::Path;
 

@@ -61,6 +61,7 @@ mod places;
 mod pose_prior;
 mod pose_priors;
 mod progress;
+mod recorded_odometry;
 mod reference_poses;
 mod refinement;
 mod relative_pose;
@@ -88,6 +89,9 @@ pub use options::{BuildOptions, StoredPoses};
 pub use pipeline::build_map;
 pub use pose_priors::PosePriors;
 pub use progress::{Progress, Stage};
+pub use recorded_odometry::{
+    OdometryError, OdometryRun, is_sparse, odometry_config, run_configured, run_odometry, run_watched,
+};
 pub use report::{BuildReport, Spread, UntrackedImages};
 pub use selected_keyframes::{SelectedKeyframes, select_during};
 pub use stereo_registration::register_stereo_images;

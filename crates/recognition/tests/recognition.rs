@@ -1,5 +1,4 @@
 //! Laws of place recognition and of the answers, on seeded synthetic places.
-#![allow(clippy::unwrap_used, missing_docs)]
 
 use std::collections::{HashMap, HashSet};
 

@@ -1,5 +1,4 @@
 //! The report of a search agrees with its answer and with the inspection of the same query.
-#![allow(clippy::unwrap_used, missing_docs)]
 
 use protocol::{LocalizeRequest, MatchOutcome, MatchReply, MatchRequest, PosePrior};
 use rand::SeedableRng;

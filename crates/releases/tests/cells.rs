@@ -1,5 +1,4 @@
 //! Cells that are served by themselves: each has all that the map has about its keyframes, and releases say what changed.
-#![allow(clippy::unwrap_used)]
 
 use map::{CommonError, Keyframe, KeyframeCrossCovariance, MapContents};
 use nalgebra::Matrix6;

@@ -1,6 +1,4 @@
 //! Publishing is interrupted, by a full disk or by a kill: nothing is half-published, and the next one succeeds.
-#![cfg(unix)]
-#![allow(clippy::unwrap_used)]
 
 use map::MapContents;
 use releases::{Outcome, PublishOptions, ReleaseStore, fetch, publish};
@@ -35,7 +33,10 @@ async fn publish_version(store: &ReleaseStore, number: u64) -> Result<u64, relea
 fn child(before: &str, store: &Path) -> Command {
     let mut command = Command::new("sh");
     let program = std::env::current_exe().unwrap();
-    let run = format!("{before} exec '{}' child_that_publishes --exact --nocapture", program.display());
+    let run = format!(
+        "{before} exec '{}' interrupted::child_that_publishes --exact --nocapture",
+        program.display()
+    );
     command.args(["-c", &run]).env(CHILD_STORE, store).stdin(Stdio::null());
     command.stdout(Stdio::piped()).stderr(Stdio::piped());
     command

@@ -1,5 +1,4 @@
 //! Releases in a local folder: nothing is lost, nothing is sent twice, one publisher wins, damage is named.
-#![allow(clippy::unwrap_used)]
 
 use map::MapContents;
 use map::edit::{keyframes_where, remove_keyframes};

@@ -1,5 +1,4 @@
 //! Two nodes over real Zenoh sessions.
-#![allow(clippy::unwrap_used)]
 
 use ros_messages::geometry_msgs::TransformStamped;
 use ros_messages::nav_msgs::Odometry;

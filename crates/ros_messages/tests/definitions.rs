@@ -1,5 +1,4 @@
 //! The definitions are those of ROS: their hash (REP-2016) is the type hash that ROS states.
-#![allow(clippy::unwrap_used)]
 
 use ros_messages::diagnostic_msgs::DiagnosticArray;
 use ros_messages::geometry_msgs::PoseWithCovarianceStamped;

@@ -1,5 +1,4 @@
 //! The bytes, the values and the type hashes of real ROS 2: `goldens/make_goldens.py` says how they were made.
-#![allow(clippy::unwrap_used)]
 
 use ros_messages::diagnostic_msgs::DiagnosticArray;
 use ros_messages::geometry_msgs::PoseWithCovarianceStamped;

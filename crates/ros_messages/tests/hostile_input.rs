@@ -1,5 +1,4 @@
 //! Bytes from a network or a file may be anything: no panic, and no memory beyond a small multiple of them.
-#![allow(clippy::unwrap_used)]
 
 use proptest::prelude::*;
 use ros_messages::diagnostic_msgs::{DiagnosticArray, DiagnosticStatus, KeyValue};

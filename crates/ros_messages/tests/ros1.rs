@@ -1,5 +1,4 @@
 //! ROS 1 messages against the same messages in CDR, both serialized by Python's rosbags (`crates/bags/tests/data/make.py`).
-#![allow(clippy::unwrap_used, missing_docs)]
 
 use bags::Bag;
 use ros_messages::sensor_msgs::{CameraInfo, CompressedImage, Image, Imu};

@@ -10,7 +10,7 @@
 //! | [`live`] | measurements that arrive now |
 //! | `euroc` | the EuRoC ASL folder layout: reader and [`writer`] |
 //! | `bag` (feature `bags`) | MCAP, rosbag2 and rosbag1: [`BagSensors`] |
-//! | [`ros`]; `ros_bag` (feature `bags`) | readings, images and projections as messages of ROS; bags of such messages, written |
+//! | `ros` (feature `ros`); `ros_bag` (feature `bags`) | readings, images and projections as messages of ROS; bags of such messages, written |
 //! | `kalibr`, `rig_calibration` | calibrations of Kalibr: [`CalibrationFiles`]; of a robot: [`read_rig_calibration`] |
 //! | `imu_check`, `image_check`, `stereo_check` | units, sizes and wiring that contradict the calibration, recognized from the data |
 //! | `truth`, `gravity` | ground truth, its interpolation, and the direction of gravity in its frame (evaluation only) |
@@ -44,6 +44,7 @@
 mod bag;
 mod calibration;
 mod calibration_yaml;
+#[cfg(feature = "ros")]
 mod camera_info;
 #[cfg(feature = "bags")]
 pub mod convert;
@@ -60,6 +61,7 @@ mod memory;
 mod merged;
 mod recording;
 mod rig_calibration;
+#[cfg(feature = "ros")]
 pub mod ros;
 #[cfg(feature = "bags")]
 pub mod ros_bag;

@@ -1,8 +1,6 @@
 //! The same recording as a folder in the EuRoC layout and as a bag of every format gives the same events.
 //!
 //! The files were written by Python's rosbags and mcap: `crates/bags/tests/data/make.py`.
-#![cfg(feature = "bags")]
-#![allow(clippy::unwrap_used, missing_docs)]
 
 use bags::{BagWriter, Format, MessageType};
 use nalgebra::Vector3;

@@ -1,6 +1,4 @@
 //! A recording is the same in every format that it is converted to.
-#![cfg(feature = "bags")]
-#![allow(clippy::unwrap_used, missing_docs)]
 
 use sensors::convert::{ConvertError, Target, convert};
 use sensors::{CalibrationFiles, ImageData, Recording, SensorEvent, SensorSource};

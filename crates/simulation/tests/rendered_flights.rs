@@ -1,5 +1,4 @@
 //! Laws of recordings with images.
-#![allow(clippy::unwrap_used)]
 
 use sensors::{Sequence, TruthTrack, writer};
 use simulation::images::{ImageOptions, render_all, simulate_images, write_images};

@@ -1,9 +1,6 @@
 //! The page and its API over a real connection.
-#![allow(clippy::unwrap_used)]
 
-mod common;
-
-use common::{Shown, get, response};
+use crate::common::{Shown, get, response};
 use nalgebra::Vector3;
 use serde_json::Value;
 use sha2::{Digest as _, Sha256};

@@ -1,9 +1,6 @@
 //! Images over HTTP: what is let through to a search, one at a time, and what is refused in words.
-#![allow(clippy::unwrap_used)]
 
-mod common;
-
-use common::{Shown, answered, candidate, get, response};
+use crate::common::{Shown, answered, candidate, get, response};
 use serde_json::{Value, json};
 use std::net::SocketAddr;
 use std::sync::mpsc::{Receiver, Sender, channel};

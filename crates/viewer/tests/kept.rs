@@ -1,9 +1,6 @@
 //! What the viewer keeps: queries, the last hour, statistics. It is bounded, whatever robots publish.
-#![allow(clippy::unwrap_used)]
 
-mod common;
-
-use common::{Shown, answered, candidate, get};
+use crate::common::{Shown, answered, candidate, get};
 use protocol::{ErrorCode, RobotState, RobotStatus, keys};
 use serde_json::{Value, json};
 use std::time::Duration;

@@ -1,9 +1,6 @@
 //! Robots over Zenoh to a WebSocket.
-#![allow(clippy::unwrap_used)]
 
-mod common;
-
-use common::{Shown, answered};
+use crate::common::{Shown, answered};
 use futures_util::{SinkExt as _, StreamExt as _};
 use protocol::RobotState;
 use serde_json::Value;

@@ -1,13 +1,8 @@
 //! The page in a browser. Skipped, with a line that says so, where no Chromium is installed. Pictures are written to
 //! `target/viewer`.
-#![allow(clippy::unwrap_used)]
 
-#[path = "common/browser.rs"]
-mod browser;
-mod common;
-
-use browser::{Browser, installed};
-use common::{Shown, answered, candidate};
+use crate::browser::{Browser, installed};
+use crate::common::{Shown, answered, candidate};
 use geometry::uncertain_pose::isotropic_covariance;
 use geometry::{Pose, PoseWithCovariance};
 use nalgebra::{UnitQuaternion, Vector3};

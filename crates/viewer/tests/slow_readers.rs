@@ -1,10 +1,6 @@
 //! Readers that let large answers wait hold no memory of the server for each of them.
-#![cfg(target_os = "linux")]
-#![allow(clippy::unwrap_used)]
 
-mod common;
-
-use common::Shown;
+use crate::common::Shown;
 use map::MapMetadata;
 use nalgebra::Vector3;
 use protocol::DescriptorKind;

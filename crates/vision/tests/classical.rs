@@ -1,5 +1,4 @@
 //! Laws of the classical extractor, on rendered scenes.
-#![allow(clippy::unwrap_used, missing_docs)]
 
 use rand::{RngExt, SeedableRng, rngs::StdRng};
 use vision::features::classical::{SiftExtractor, SiftOptions};

@@ -1,9 +1,6 @@
 //! Laws of corner detection.
-#![allow(clippy::unwrap_used)]
 
-mod common;
-
-use common::{Motion, SIZE, Texture};
+use crate::common::{Motion, SIZE, Texture};
 use nalgebra::Vector2;
 use vision::{Corner, CornerOptions, GrayImage, detect_corners};
 

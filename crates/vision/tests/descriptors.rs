@@ -1,5 +1,4 @@
 //! Laws of distances.
-#![allow(clippy::unwrap_used, missing_docs)]
 
 use proptest::prelude::*;
 use vision::{DescriptorError, DescriptorView, MatchOptions, Metric, distance, hamming, match_descriptors};

@@ -1,5 +1,4 @@
 //! The fast loops over many descriptors against the definition of the distance.
-#![allow(clippy::unwrap_used, missing_docs)]
 
 use rand::{RngExt, SeedableRng, rngs::StdRng};
 use vision::{DescriptorView, InvertedFile, MatchOptions, Matcher, Metric, distance, match_descriptors};

@@ -1,5 +1,4 @@
 //! Laws of pyramids and equalization.
-#![allow(clippy::unwrap_used)]
 
 use vision::{GrayImage, LocalEqualization, Pyramid, equalize, equalize_locally};
 

@@ -1,5 +1,4 @@
 //! Laws of the inverted file and of prototype_descriptors.
-#![allow(clippy::unwrap_used, missing_docs)]
 
 use rand::{RngExt, SeedableRng, rngs::StdRng};
 use vision::{DescriptorError, DescriptorView, InvertedFile, Metric, distance, prototype_descriptors};

@@ -1,9 +1,6 @@
 //! Laws of the alignment of patches, on images whose motion is known exactly.
-#![allow(clippy::unwrap_used)]
 
-mod common;
-
-use common::{Motion, SIZE, Texture};
+use crate::common::{Motion, SIZE, Texture};
 use nalgebra::Vector2;
 use vision::tracking::{AlignmentError, AlignmentOptions, Warp, align, align_with_backward_check};
 use vision::{CornerOptions, GrayImage, Pyramid, detect_corners};

@@ -1,5 +1,4 @@
 //! Laws of matching.
-#![allow(clippy::unwrap_used, missing_docs)]
 
 use proptest::prelude::*;
 use rand::{RngExt, SeedableRng, rngs::StdRng};

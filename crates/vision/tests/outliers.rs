@@ -1,5 +1,4 @@
 //! Laws of the outlier rejection, on synthetic bearings.
-#![allow(clippy::unwrap_used)]
 
 use geometry::Rotation;
 use geometry::rotation::{exp, log};

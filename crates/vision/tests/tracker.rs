@@ -1,9 +1,6 @@
 //! Laws of the tracker: a textured wall before a moving camera pair.
-#![allow(clippy::unwrap_used)]
 
-mod common;
-
-use common::{SIZE, Texture};
+use crate::common::{SIZE, Texture};
 use geometry::rotation::exp;
 use geometry::{Camera, Distortion, Pose, Rotation};
 use nalgebra::{Vector2, Vector3};

@@ -5,7 +5,7 @@
 
 use std::time::{Duration, Instant};
 
-use crate::town::{MAP, Server, quantile_ms, requests, setting, town};
+use crate::load::town::{MAP, Server, quantile_ms, requests, setting, town};
 use client::{ClientError, MapClient, SessionOptions, close_session, open_session};
 use protocol::MatchRequest;
 

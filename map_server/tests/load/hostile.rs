@@ -7,7 +7,7 @@ use std::path::Path;
 use std::process::{Child, Command};
 use std::time::{Duration, Instant};
 
-use crate::town::{MAP, Server, quantile_ms, requests, setting, town};
+use crate::load::town::{MAP, Server, quantile_ms, requests, setting, town};
 use client::{MapChangeSubscriber, MapClient, SessionOptions, close_session, open_session};
 use protocol::{Format, MatchRequest};
 use rand::rngs::StdRng;
@@ -54,7 +54,7 @@ async fn ask_for_a_while(client: &MapClient, requests: &[MatchRequest], seconds:
 
 fn attack(name: &str, endpoint: &str) -> Child {
     let mut command = Command::new(std::env::current_exe().unwrap());
-    command.args(["--exact", "hostile::attacker", "--ignored", "--nocapture"]);
+    command.args(["--exact", "load::hostile::attacker", "--ignored", "--nocapture"]);
     command.env("ATTACK", name).env("ENDPOINT", endpoint).spawn().unwrap()
 }
 

@@ -26,7 +26,7 @@ use tokio::net::TcpStream;
 use tokio_tungstenite::connect_async;
 use zenoh::Session;
 
-use crate::town::{MAP, Server, quantile_ms, requests, setting, town};
+use crate::load::town::{MAP, Server, quantile_ms, requests, setting, town};
 
 /// What the page asks for before it draws.
 const FIRST_PICTURE: [&str; 4] =

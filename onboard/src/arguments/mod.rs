@@ -3,6 +3,7 @@
 mod calibration;
 mod choices;
 mod live;
+#[cfg(feature = "ros")]
 mod ros;
 mod settings;
 mod settings_file;
@@ -10,6 +11,7 @@ mod settings_file;
 pub use calibration::CalibrationArguments;
 pub use choices::{Calibrate, Cameras, FrameKind, Init, Mode, Source, TopicFormat};
 pub use live::LiveArguments;
+#[cfg(feature = "ros")]
 pub use ros::{ImuInBaseLink, RosArguments};
 pub use settings::{SettingsError, read_settings};
 pub use settings_file::{SettingsFileError, settings_text, with_settings};

@@ -25,9 +25,9 @@ pub use publisher_error::PublisherError;
 pub use recorder::Recorder;
 pub(crate) use recording::MessageRecording;
 pub(crate) use recording_settings::RecordingSettings;
-pub use ros::{
-    Estimate, InitialPoseTopic, RosBody, RosFrames, RosOutput, RosOutputTask, RosSettings, SensorFrames,
-};
+#[cfg(feature = "ros")]
+pub use ros::RosOutputTask;
+pub use ros::{Estimate, InitialPoseTopic, RosBody, RosFrames, RosOutput, RosSettings, SensorFrames};
 pub use status_line::StatusLine;
 pub use summary::{
     DivergenceSummary, EndedLost, ImuGapSummary, MapChangeSummary, MillisecondsPerFrame, QuerySummary,

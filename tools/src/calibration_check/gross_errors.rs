@@ -1,9 +1,9 @@
 //! Mistakes in a calibration with which odometry does not even begin.
 
 use super::Fit;
-use crate::odometry::run_configured;
 use anyhow::Result;
 use estimator::EstimatorConfig;
+use mapping::run_configured;
 use sensors::{CameraSensor, Sequence};
 
 /// Odometry fits where at least this part of the images has a pose.

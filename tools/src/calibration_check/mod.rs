@@ -2,9 +2,9 @@
 
 mod gross_errors;
 
-use crate::odometry::{OdometryRun, run_configured};
 use anyhow::{Result, bail};
 use estimator::{Estimator, EstimatorConfig, LearnedNoise};
+use mapping::{OdometryRun, run_configured};
 use nalgebra::{DMatrix, DVector};
 use sensors::Sequence;
 use serde::Serialize;

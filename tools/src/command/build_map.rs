@@ -15,7 +15,6 @@ use vision::{FeatureExtractor, GrayImage};
 use super::build_report::{print_extension, print_report};
 use super::import_map::parse_direction;
 use super::pose_files::{PriorArguments, poses_of_file};
-use crate::odometry::{is_sparse, odometry_config, run_odometry, run_watched};
 use crate::plotting::draw_coverage;
 use crate::stage_bar::StageBar;
 use map::MapContents;
@@ -24,6 +23,7 @@ use mapping::{
     BuildOptions, BuildReport, ExtensionReport, Extraction, Odometry, Progress, Stage, StoredPoses,
     build_map, build_map_from_odometry, extend_map, register_stereo_images, select_during,
 };
+use mapping::{is_sparse, odometry_config, run_odometry, run_watched};
 
 /// Largest plausible `--sigma-theta`, rad: 29 degrees. With more the pose says nothing, and linearization fails.
 const MAX_SIGMA_THETA: f64 = 0.5;
@@ -222,7 +222,7 @@ fn odometry(
 ) -> anyhow::Result<Odometry> {
     let cameras = if args.mono { 1 } else { sequence.cameras.len().min(2) };
     let Some(extraction) = extraction else {
-        return run_odometry(sequence, cameras, |done, all| show(Stage::Odometry, done, all));
+        return Ok(run_odometry(sequence, cameras, |done, all| show(Stage::Odometry, done, all))?);
     };
     if cameras > 1 && is_sparse(sequence) {
         let config = odometry_config(sequence)?;

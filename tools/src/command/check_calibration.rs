@@ -1,9 +1,9 @@
 //! `driftless check-calibration`: whether a calibration agrees with a recording.
 
 use crate::calibration_check::{Agreement, CalibrationCheck, Fit, check_calibration};
-use crate::odometry::odometry_config;
 use anyhow::{Context as _, Result, bail};
 use indicatif::ProgressBar;
+use mapping::odometry_config;
 use onboard::arguments::CalibrationArguments;
 use sensors::Sequence;
 use std::path::PathBuf;

@@ -13,8 +13,8 @@ use serde_json::json;
 use vision::GrayImage;
 
 use super::import_map::parse_direction;
-use crate::odometry::odometry_config;
 use crate::stage_bar::StageBar;
+use mapping::odometry_config;
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]

@@ -13,21 +13,30 @@ pub mod evaluate;
 pub mod export_colmap;
 pub mod export_map;
 pub mod extract_features;
+#[cfg(feature = "secure")]
 pub mod fleet;
 pub mod import_colmap;
 pub mod import_map;
 #[cfg(feature = "bags")]
 pub mod info;
 pub mod inspect;
+#[cfg(not(all(feature = "bags", feature = "releases", feature = "ros", feature = "secure")))]
+mod left_out;
 pub mod localize;
 pub mod map_info;
 pub mod merge_maps;
 pub mod montecarlo;
+#[cfg(feature = "ros")]
 pub mod play;
 pub mod plot;
 mod pose_files;
+#[cfg(feature = "releases")]
 pub mod publish_map;
 pub mod query;
+#[cfg(feature = "releases")]
+pub mod releases;
+#[cfg(not(feature = "releases"))]
+#[path = "no_releases.rs"]
 pub mod releases;
 pub mod run;
 pub mod simulate;
@@ -38,6 +47,26 @@ pub mod weights;
 #[cfg(not(feature = "neural"))]
 #[path = "no_weights.rs"]
 pub mod weights;
+
+/// Commands that a build without a feature leaves out.
+macro_rules! left_out {
+    ($($module:ident: $feature:tt),+) => {$(
+        #[cfg(not(feature = $feature))]
+        pub mod $module {
+            //! Left out of this build.
+            pub use super::left_out::Args;
+
+            /// Refuses the command.
+            ///
+            /// # Errors
+            /// Always, naming the feature.
+            pub fn run(_: impl std::borrow::Borrow<Args>) -> anyhow::Result<()> {
+                super::left_out::refuse($feature)
+            }
+        }
+    )+};
+}
+left_out!(convert: "bags", fleet: "secure", info: "bags", play: "ros", publish_map: "releases");
 
 /// The subcommands of `driftless`.
 #[derive(Debug, Subcommand)]
@@ -83,10 +112,8 @@ pub enum Command {
     /// Plot the matches of an image with a map, and print why it was recognized or not
     Inspect(inspect::Args),
     /// List the topics of a bag, and which of them are the sensors of a robot
-    #[cfg(feature = "bags")]
     Info(info::Args),
     /// Write a recording in another format: EuRoC folder, MCAP, rosbag2
-    #[cfg(feature = "bags")]
     Convert(convert::Args),
     /// Say whether a calibration agrees with a recording
     CheckCalibration(check_calibration::Args),
@@ -136,9 +163,7 @@ impl Command {
             Self::Query(args) => query::run(args),
             Self::ExtractFeatures(args) => extract_features::run(&args),
             Self::Localize(args) => localize::run(&args),
-            #[cfg(feature = "bags")]
             Self::Info(args) => info::run(&args),
-            #[cfg(feature = "bags")]
             Self::Convert(args) => convert::run(&args),
             Self::Inspect(args) => inspect::run(&args),
             Self::CheckCalibration(args) => check_calibration::run(&args),

@@ -2,9 +2,10 @@
 
 use anyhow::{Context, Result, bail};
 use clap::ValueEnum;
+use odometry::FrontEnd;
 use onboard::arguments::CalibrationArguments;
+use onboard::progress;
 use onboard::start::first_rest;
-use onboard::{FrontEnd, progress};
 use sensors::{
     CalibrationFiles, FolderCalibration, Frame, ImuSample, Recording, Rows, Sequence, check_stereo, writer,
 };

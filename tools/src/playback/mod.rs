@@ -1,9 +1,11 @@
 //! Publishes a recording as live sensors would.
 
 mod native;
+#[cfg(feature = "ros")]
 mod ros;
 
 pub use native::NativeTopics;
+#[cfg(feature = "ros")]
 pub use ros::RosTopics;
 
 use anyhow::Result;

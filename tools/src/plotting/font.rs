@@ -2,12 +2,12 @@
 //!
 //! An SVG names no font but a generic one, which the viewer chooses; its letters may be wider than ours.
 
-use skrifa::instance::{LocationRef, Size};
-use skrifa::{FontRef, MetadataProvider as _};
+use ttf_parser::Face;
 
 /// Go Regular, by Bigelow & Holmes (BSD-3-Clause, `fonts/LICENSE`).
 pub(crate) const FONT_FILE: &[u8] = include_bytes!("../../fonts/Go-Regular.ttf");
 /// Its family.
+#[cfg(feature = "png")]
 pub(crate) const FONT_FAMILY: &str = "Go";
 
 /// Fonts that viewers take for sans-serif are up to so much wider.
@@ -19,22 +19,24 @@ const SIZE_A_PIXEL: f32 = 1.24;
 /// Measures and breaks text of one size.
 pub(crate) struct Letters {
     size: i32,
-    font: Option<FontRef<'static>>,
+    font: Option<Face<'static>>,
 }
 
 impl Letters {
     /// For letters of a size, px.
     pub(crate) fn of_size(size: i32) -> Self {
-        Self { size, font: FontRef::new(FONT_FILE).ok() }
+        Self { size, font: Face::parse(FONT_FILE, 0).ok() }
     }
 
     /// Width that a text has at most, px.
     pub(crate) fn width(&self, text: &str) -> i32 {
         let pixels = self.size as f32 / SIZE_A_PIXEL;
         let advances = self.font.as_ref().map(|font| {
-            let (glyphs, metrics) =
-                (font.charmap(), font.glyph_metrics(Size::new(pixels), LocationRef::default()));
-            let advance = |letter: char| glyphs.map(letter).and_then(|glyph| metrics.advance_width(glyph));
+            let pixels_per_unit = pixels / f32::from(font.units_per_em());
+            let advance = |letter: char| {
+                let glyph = font.glyph_index(letter)?;
+                font.glyph_hor_advance(glyph).map(|advance| f32::from(advance) * pixels_per_unit)
+            };
             text.chars().map(|letter| f64::from(advance(letter).unwrap_or(pixels))).sum::<f64>()
         });
         let width = advances.unwrap_or_else(|| text.chars().count() as f64 * f64::from(self.size));

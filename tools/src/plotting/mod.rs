@@ -27,6 +27,10 @@ mod match_statistics;
 mod matches;
 mod over_time;
 mod panel;
+#[cfg(feature = "png")]
+mod png;
+#[cfg(not(feature = "png"))]
+#[path = "no_png.rs"]
 mod png;
 mod reprojection;
 mod run_files;

@@ -1,7 +1,7 @@
 //! Checks of endpoints, before Zenoh sees them.
 
-/// Protocols of this build, with what an endpoint of each looks like.
-const PROTOCOLS: [&str; 2] = ["tcp", "tls"];
+/// Protocols of this build.
+const PROTOCOLS: &[&str] = if cfg!(feature = "tls") { &["tcp", "tls"] } else { &["tcp"] };
 
 /// Why an endpoint cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -18,7 +18,7 @@ pub enum EndpointError {
         suggestion: String,
     },
     /// Its protocol is not part of this build.
-    #[error("{what} {value:?}: this build has no {protocol:?}, only tcp and tls")]
+    #[error("{what} {value:?}: this build has no {protocol:?}, only {}", PROTOCOLS.join(" and "))]
     Protocol {
         /// What it is for.
         what: &'static str,

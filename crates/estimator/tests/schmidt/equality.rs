@@ -1,7 +1,7 @@
 //! Exactness: deactivated, moved from level to level and activated again, keyframes are correlated with the state as if every step
 //! had touched all of them.
 
-use crate::dense_filter::{Correlation, DenseFilter, FIXED, Map, POSE, some_keyframes, spd};
+use crate::schmidt::dense_filter::{Correlation, DenseFilter, FIXED, Map, POSE, some_keyframes, spd};
 use estimator::covariance::JointCovariance;
 use estimator::measurement::{Information, LinearizedMeasurement, StateBlocks};
 use nalgebra::{DMatrix, DVector};

@@ -1,7 +1,7 @@
 //! Eviction is conservative: the stated covariance is never below the true one.
 
 use crate::common::{FRAME_NS, World};
-use crate::dense_filter::{Correlation, DenseFilter, FIXED, Map, POSE, some_keyframes, spd};
+use crate::schmidt::dense_filter::{Correlation, DenseFilter, FIXED, Map, POSE, some_keyframes, spd};
 use estimator::covariance::JointCovariance;
 use estimator::measurement::{Information, StateBlocks};
 use estimator::{Estimator, EstimatorConfig};

@@ -1,7 +1,7 @@
 //! Invalidation is conservative, however the errors of the new map version depend on the old ones.
 
-use crate::dense_filter::{BLOCK, Correlation, DenseFilter, FIXED, Map, POSE, some_keyframes, spd};
-use crate::eviction::{ROUNDING, margin, update};
+use crate::schmidt::dense_filter::{BLOCK, Correlation, DenseFilter, FIXED, Map, POSE, some_keyframes, spd};
+use crate::schmidt::eviction::{ROUNDING, margin, update};
 use estimator::covariance::JointCovariance;
 use nalgebra::DMatrix;
 use rand::{SeedableRng, rngs::StdRng};

@@ -1,8 +1,9 @@
 //! Estimates as ROS messages.
 
+use super::estimate::Estimate;
 use super::odom_frame::OdomFrame;
 use super::settings::RosBody;
-use estimator::{Estimator, Localization, Motion, Status};
+use estimator::Motion;
 use geometry::{Pose, PoseWithCovariance};
 use nalgebra::{Matrix3, Matrix6, Vector3};
 use ros_messages::builtin_interfaces::Time;
@@ -12,39 +13,6 @@ use ros_messages::geometry_msgs::{
 use ros_messages::nav_msgs::Odometry;
 use ros_messages::std_msgs::Header;
 use ros_messages::tf2_msgs::TFMessage;
-
-/// What is published of one image.
-#[derive(Clone, Debug)]
-pub struct Estimate {
-    /// Motion in L.
-    pub motion: Motion,
-    /// Pose in G and that of L, where localized.
-    pub global: Option<GlobalEstimate>,
-}
-
-/// An [`Estimate`] in the map.
-#[derive(Clone, Debug)]
-pub struct GlobalEstimate {
-    /// Pose in G.
-    pub global_from_imu: PoseWithCovariance,
-    /// Pose of L in G.
-    pub global_from_local: Pose,
-}
-
-impl Estimate {
-    /// The estimate of now. A robot that is lost has no pose in the map.
-    pub fn of(estimator: &Estimator, status: &Status) -> Self {
-        let poses = estimator.global_from_imu().zip(estimator.global_from_local());
-        let trusted = poses.filter(|_| status.localization != Localization::Lost);
-        Self {
-            motion: estimator.motion(),
-            global: trusted.map(|(global_from_imu, global_from_local)| GlobalEstimate {
-                global_from_imu,
-                global_from_local: global_from_local.pose,
-            }),
-        }
-    }
-}
 
 /// The messages of one estimate.
 #[derive(Debug, PartialEq)]

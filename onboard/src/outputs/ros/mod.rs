@@ -10,26 +10,36 @@
 //! | `/tf_static` | `tf2_msgs/TFMessage` | base_link from IMU, IMU from cameras; latched |
 //! | `/diagnostics` | `diagnostic_msgs/DiagnosticArray` | the status, every second and when it changes |
 
+#[cfg(feature = "ros")]
 mod diagnostics;
+mod estimate;
+#[cfg(feature = "ros")]
 mod initial_pose;
+#[cfg(feature = "ros")]
 mod messages;
+#[cfg(feature = "ros")]
 mod odom_frame;
+#[cfg_attr(not(feature = "ros"), path = "no_output.rs")]
 mod output;
+#[cfg(feature = "ros")]
 mod serving;
 mod settings;
+#[cfg(feature = "ros")]
 mod static_transforms;
 
-#[cfg(test)]
+#[cfg(all(test, feature = "ros"))]
 mod tests;
 
 #[cfg(feature = "bags")]
 pub(crate) use diagnostics::Diagnostics;
-pub use messages::Estimate;
+pub use estimate::Estimate;
 #[cfg(feature = "bags")]
 pub(crate) use messages::messages;
 #[cfg(feature = "bags")]
 pub(crate) use odom_frame::OdomFrame;
-pub use output::{RosOutput, RosOutputTask};
+pub use output::RosOutput;
+#[cfg(feature = "ros")]
+pub use output::RosOutputTask;
 pub use settings::{InitialPoseTopic, RosBody, RosFrames, RosSettings, SensorFrames};
 #[cfg(feature = "bags")]
 pub(crate) use static_transforms::static_transforms;

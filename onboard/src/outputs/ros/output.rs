@@ -1,7 +1,8 @@
 //! Hands estimates over to the task that publishes them.
 
 use super::diagnostics::Diagnostics;
-use super::messages::{Estimate, Messages, messages, odometry};
+use super::estimate::Estimate;
+use super::messages::{Messages, messages, odometry};
 use super::odom_frame::OdomFrame;
 use super::serving::serve;
 use super::settings::RosSettings;

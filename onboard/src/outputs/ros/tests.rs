@@ -1,6 +1,7 @@
 //! Messages against the definitions of REP-103 and REP-105, and through a Zenoh session.
 
-use super::messages::{Estimate, GlobalEstimate, Messages, messages};
+use super::estimate::{Estimate, GlobalEstimate};
+use super::messages::{Messages, messages};
 use super::odom_frame::OdomFrame;
 use super::{InitialPoseTopic, RosBody, RosOutput, RosSettings};
 use crate::initial_pose::InitialPoses;

@@ -1,11 +1,11 @@
 //! The map of the first flight.
 
 use crate::demo::GRAVITY_IN_GLOBAL;
-use crate::odometry::run_odometry;
 use anyhow::{Context as _, Result};
 use geometry::{Pose, rotation};
 use map::MapContents;
 use map::store::save_map;
+use mapping::run_odometry;
 use mapping::{BuildOptions, Extraction, PosePriors, Stage, build_map_from_odometry};
 use nalgebra::Vector3;
 use sensors::{Sequence, TruthTrack};

@@ -1,12 +1,11 @@
 //! Maps from recordings without reference poses: as accurate and as uncertain as they state.
-#![allow(clippy::unwrap_used)]
 
+use crate::common::map_errors::{errors, true_pose, true_poses};
 use map::contents::MapContents;
+use mapping::run_odometry;
 use mapping::{BuildError, BuildOptions, BuildReport, PosePriors, build_map_from_odometry};
 use sensors::Sequence;
 use simulation::{Scenario, SimulationOptions, simulate};
-use tests::map_errors::{errors, true_pose, true_poses};
-use tools::odometry::run_odometry;
 
 /// More than one round of a loop of 126 m, with features of every second image and a third of all descriptors repeated.
 fn recording(seed: u64) -> Sequence {

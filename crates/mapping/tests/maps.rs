@@ -1,14 +1,12 @@
 //! A map is unchanged after its server was killed, and after export and import.
-#![allow(clippy::unwrap_used)]
 
+use crate::common::requests::{images, request};
+use crate::common::scenario::MappedScenario;
 use map::text::{read_map, write_map};
 use map::{StoreError, store};
 use protocol::MatchReply;
 use recognition::{LoadedMap, RecognitionOptions};
 use std::path::Path;
-use tests::robot::{images, request};
-use tests::scenario::MappedScenario;
-use tools::in_process::load_map;
 
 /// The answers to all images of the live run, but for how long they took.
 fn answers(map: &LoadedMap, scenario: &MappedScenario) -> Vec<MatchReply> {
@@ -49,7 +47,7 @@ fn a_map_that_was_acknowledged_is_whole_after_a_kill_and_answers_alike() {
     assert_eq!((contents.info.version, contents.info.identity), (saved.version, Some(saved.identity)));
     assert_eq!(contents.keyframes, scenario.map.keyframes);
     assert_eq!(contents.landmarks, scenario.map.landmarks);
-    let found = answers(&load_map(&path).unwrap(), scenario);
+    let found = answers(&LoadedMap::read(&path).unwrap(), scenario);
     assert!(found.iter().filter(|reply| matches!(reply, MatchReply::Keyframe(_))).count() > 100);
     assert_eq!(found, answers(&LoadedMap::from_contents(contents).unwrap(), scenario));
 }
@@ -63,7 +61,7 @@ fn a_map_that_was_exported_and_imported_answers_alike_and_is_the_same_map() {
     write_map(&text, &store::load_map(&path).unwrap().whole().unwrap()).unwrap();
     let second = folder.path().join("second.db");
     store::save_map(&second, &read_map(&text).unwrap(), false).unwrap();
-    let (original, imported) = (load_map(&path).unwrap(), load_map(&second).unwrap());
+    let (original, imported) = (LoadedMap::read(&path).unwrap(), LoadedMap::read(&second).unwrap());
     assert_eq!(original.identity(), imported.identity());
     assert_eq!(answers(&original, scenario), answers(&imported, scenario));
 }
@@ -82,7 +80,7 @@ fn a_damaged_record_of_a_former_database_is_named_and_the_rest_still_localizes()
             bytes[middle] ^= 0x40;
         }
     });
-    let map = load_map(&path).unwrap();
+    let map = LoadedMap::read(&path).unwrap();
     let error = store::load_map(&path).unwrap().whole().unwrap_err();
     assert!(
         matches!(&error, StoreError::Corrupt { record, .. } if *record == format!("landmark {damaged}")),
@@ -101,9 +99,9 @@ fn what_is_no_map_is_refused_by_name() {
     let photos = folder.path().join("photos");
     std::fs::create_dir(&photos).unwrap();
     std::fs::write(photos.join("a.png"), b"not a map").unwrap();
-    let error = load_map(&photos).err().unwrap().to_string();
+    let error = LoadedMap::read(&photos).err().unwrap().to_string();
     assert!(error.contains("photos") && error.contains("not a Driftless map"), "{error}");
-    let error = load_map(&folder.path().join("nowhere")).err().unwrap().to_string();
+    let error = LoadedMap::read(folder.path().join("nowhere")).err().unwrap().to_string();
     assert!(error.contains("nowhere") && error.contains("build-map"), "{error}");
     assert!(!folder.path().join("nowhere").exists());
 }

@@ -1,10 +1,9 @@
 //! Two maps of one place made one: as accurate and as uncertain as it states.
-#![allow(clippy::unwrap_used)]
 
+use crate::common::map_errors::with_common_errors;
+use crate::common::sessions::{build, nees, sessions};
 use map::contents::MapContents;
 use mapping::{MergeError, MergeReport, merge_maps};
-use tests::map_errors::with_common_errors;
-use tests::sessions::{build, nees, sessions};
 
 fn merge(first: &MapContents, second: &MapContents) -> Result<(MapContents, MergeReport), MergeError> {
     merge_maps(first, second, &mut |_, _, _| {})

@@ -1,9 +1,10 @@
 //! Maps in the frame of known positions and poses: as accurate and as uncertain as they state.
-#![allow(clippy::unwrap_used)]
 
+use crate::common::map_errors::{all_errors, true_pose, true_poses_in};
 use geometry::uncertain_pose::isotropic_covariance;
 use geometry::{Pose, rotation};
 use map::contents::MapContents;
+use mapping::run_odometry;
 use mapping::{BuildError, BuildOptions, BuildReport, PosePriors, build_map_from_odometry};
 use nalgebra::{Matrix3, Vector3, Vector6};
 use rand::rngs::StdRng;
@@ -11,8 +12,6 @@ use rand::{RngExt, SeedableRng};
 use rand_distr::{Distribution, StandardNormal};
 use sensors::{ReferencePose, ReferencePosition, Sequence};
 use simulation::{Scenario, SimulationOptions, simulate};
-use tests::map_errors::{all_errors, true_pose, true_poses_in};
-use tools::odometry::run_odometry;
 
 /// Standard deviations of known positions (m), and of known poses (rad, m).
 const SIGMA_POSITION: f64 = 0.05;

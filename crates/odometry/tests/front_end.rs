@@ -4,7 +4,7 @@
 use geometry::rotation::exp;
 use geometry::{Camera, Distortion, Pose};
 use nalgebra::{Vector2, Vector3};
-use onboard::{FrontEnd, FrontEndError};
+use odometry::{FrontEnd, FrontEndError};
 use sensors::{CameraSensor, Frame, ImuSample};
 use std::collections::BTreeSet;
 use std::path::Path;

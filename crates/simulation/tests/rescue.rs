@@ -1,5 +1,4 @@
 //! A state that is wrong without knowing it, and a map that goes on answering: the filter must give way.
-#![allow(clippy::unwrap_used)]
 
 use estimator::EstimatorConfig;
 use simulation::monte_carlo::{

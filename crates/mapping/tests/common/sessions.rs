@@ -1,12 +1,12 @@
 //! Sessions over one place, and maps of them.
 
 use map::contents::MapContents;
+use mapping::run_odometry;
 use mapping::{BuildOptions, PosePriors, build_map_from_odometry};
 use sensors::Sequence;
 use simulation::{Scenario, SimulationOptions, simulate};
-use tools::odometry::run_odometry;
 
-use crate::map_errors::{errors, true_poses};
+use super::map_errors::{errors, true_poses};
 
 /// Length of a session, of which a loop takes 42 s, ...
 const SESSION_S: f64 = 46.0;

@@ -1,5 +1,4 @@
 //! Preintegrated IMU factors beside those of GTSAM 4.3, which `make.py` wrote.
-#![allow(clippy::unwrap_used)]
 
 use estimator::config::ImuNoise;
 use estimator::preintegration::PreintegratedImu;

@@ -1,5 +1,4 @@
 //! Consistency of the pose in G under noisy, wrong and missing replies of the map, over Monte-Carlo runs.
-#![allow(clippy::unwrap_used)]
 
 use estimator::EstimatorConfig;
 use evaluation::Verdict;

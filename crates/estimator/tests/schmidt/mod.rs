@@ -1,9 +1,6 @@
 //! The joint covariance against the dense Schmidt-Kalman filter that it must equal, and what it states after eviction and
 //! invalidation against the true covariance of its errors.
-#![allow(clippy::unwrap_used)]
 
-#[path = "../common/mod.rs"]
-mod common;
 mod dense_filter;
 mod equality;
 mod eviction;

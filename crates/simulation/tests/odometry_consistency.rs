@@ -1,5 +1,4 @@
 //! Consistency of the odometry: NEES over Monte-Carlo runs, each of which starts from a sampled state.
-#![allow(clippy::unwrap_used)]
 
 use estimator::{EstimatorConfig, MapMode};
 use evaluation::Verdict;

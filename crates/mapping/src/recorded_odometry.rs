@@ -1,16 +1,47 @@
 //! Odometry over a recording in memory, for building a map from it.
 
-use anyhow::{Context as _, Result, bail};
+use ::odometry::{EstimatorSupervisor, FrontEnd};
 use estimator::propagation::ImuState;
-use estimator::{CalibratedCamera, EstimatorConfig, EstimatorError, MapMode, TrackObservation};
-use mapping::Odometry;
-use onboard::{EstimatorSupervisor, FrontEnd, RobotArguments};
+use estimator::{CalibratedCamera, ConfigError, EstimatorConfig, EstimatorError, MapMode, TrackObservation};
 use sensors::{Frame, ImuSample, Sequence};
-use std::path::Path;
-use vision::tracking::TrackerOptions;
+use std::path::PathBuf;
+use vision::tracking::{TrackerError, TrackerOptions};
+
+use super::odometry::Odometry;
 
 /// Points are lost between images further apart than this (median, ns): a robot turns by 20 degrees meanwhile.
 const MAX_TRACKED_GAP_NS: i64 = 300_000_000;
+
+/// Why there is no odometry of a recording.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum OdometryError {
+    /// The recording has no IMU.
+    #[error(
+        "{sequence} has no readings of an IMU, and no poses were given: a map needs one of them; give poses with --poses FILE"
+    )]
+    NoImu {
+        /// The recording.
+        sequence: PathBuf,
+    },
+    /// The estimator was never initialized.
+    #[error("{sequence}: odometry was never initialized: {reason}")]
+    NeverInitialized {
+        /// The recording.
+        sequence: PathBuf,
+        /// What it waited for.
+        reason: String,
+    },
+    /// The tracker refuses its settings or the cameras.
+    #[error("the tracker cannot start: {0}")]
+    Tracker(#[from] TrackerError),
+    /// Settings that cannot be used.
+    #[error("settings of the estimator: {0}")]
+    Config(#[from] ConfigError),
+    /// A fault of the filter.
+    #[error(transparent)]
+    Estimator(#[from] EstimatorError),
+}
 
 /// What odometry found.
 pub struct OdometryRun {
@@ -36,7 +67,7 @@ pub fn run_odometry(
     sequence: &mut Sequence,
     cameras: usize,
     progress: impl FnMut(usize, usize),
-) -> Result<Odometry> {
+) -> Result<Odometry, OdometryError> {
     run_watched(sequence, cameras, progress, |_, _| ())
 }
 
@@ -52,12 +83,12 @@ pub fn run_watched(
     cameras: usize,
     progress: impl FnMut(usize, usize),
     located: impl FnMut(&Frame, &ImuState),
-) -> Result<Odometry> {
+) -> Result<Odometry, OdometryError> {
     let config = odometry_config(sequence)?;
     let run = run_configured(sequence, cameras, &config, progress, located)?;
     if run.states.is_empty() {
         let reason = run.supervisor.status().reason;
-        bail!("{}: odometry was never initialized: {reason}", sequence.root.display());
+        return Err(OdometryError::NeverInitialized { sequence: sequence.root.clone(), reason });
     }
     let imu_noise_scale = run.supervisor.learned_noise().map_or(1.0, |learned| learned.imu_noise_scale);
     Ok(Odometry { states: run.states, cameras, imu_noise_scale, config, keyframes: None })
@@ -73,7 +104,7 @@ pub fn run_configured(
     config: &EstimatorConfig,
     mut progress: impl FnMut(usize, usize),
     mut located: impl FnMut(&Frame, &ImuState),
-) -> Result<OdometryRun> {
+) -> Result<OdometryRun, OdometryError> {
     let of_sensor = |sensor: &sensors::CameraSensor| CalibratedCamera {
         camera: sensor.camera.clone(),
         imu_from_camera: sensor.imu_from_camera,
@@ -85,7 +116,7 @@ pub fn run_configured(
         None
     } else {
         let options = TrackerOptions::default();
-        Some(FrontEnd::new(&sequence.cameras[..cameras], options).context("the tracker cannot start")?)
+        Some(FrontEnd::new(&sequence.cameras[..cameras], options)?)
     };
     let mut states: Vec<(i64, ImuState)> = Vec::new();
     let mut divergences = 0;
@@ -156,16 +187,15 @@ pub fn is_sparse(sequence: &Sequence) -> bool {
 ///
 /// # Errors
 /// A recording without an IMU.
-pub fn odometry_config(sequence: &Sequence) -> Result<EstimatorConfig> {
-    if sequence.imu_samples.is_empty() {
-        bail!(
-            "{} has no readings of an IMU, and no poses were given: a map needs one of them; give poses with --poses FILE",
-            sequence.root.display()
-        );
-    }
-    let mut config =
-        RobotArguments::with_defaults(Path::new("."))?.estimator_config(&sequence.calibration())?;
+pub fn odometry_config(sequence: &Sequence) -> Result<EstimatorConfig, OdometryError> {
+    let calibration = sequence.calibration();
+    let imu = calibration.imu.filter(|_| !sequence.imu_samples.is_empty());
+    let Some(imu) = imu else { return Err(OdometryError::NoImu { sequence: sequence.root.clone() }) };
+    let mut config = EstimatorConfig::default();
+    config.imu_noise = imu.noise;
+    config.gravity = imu.gravity_magnitude.unwrap_or(config.gravity);
     config.mode = MapMode::Odometry;
+    config.validate()?;
     Ok(config)
 }
 

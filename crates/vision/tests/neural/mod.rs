@@ -1,6 +1,4 @@
 //! Laws of the features from networks. Nothing here needs downloaded weights but the tests of `published.rs`.
-#![cfg(feature = "neural")]
-#![allow(clippy::unwrap_used, clippy::float_cmp, missing_docs)]
 
 mod extractors;
 mod files;

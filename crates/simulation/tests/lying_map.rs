@@ -1,6 +1,5 @@
 //! A map whose server begins to lie in the middle of a run: the watch over the map must raise an alarm, and the robot must
 //! not go on claiming centimetres.
-#![allow(clippy::unwrap_used)]
 
 use estimator::EstimatorConfig;
 use simulation::monte_carlo::{AnswerOptions, Lie, MapOptions, MonteCarloOptions, Trial, Variant, run};

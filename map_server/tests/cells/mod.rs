@@ -1,5 +1,4 @@
 //! A map that several servers serve by cells answers as one that one server has, and survives what happens to them.
-#![allow(clippy::unwrap_used, missing_docs)]
 
 mod answers;
 mod choice;

@@ -1,0 +1,11 @@
+//! All integration tests of the crate, in one program.
+#![allow(clippy::unwrap_used, missing_docs)]
+
+mod colmap;
+mod common_errors;
+mod damage;
+mod edit;
+mod former_databases;
+#[cfg(unix)]
+mod interrupted;
+mod store;

@@ -1,0 +1,7 @@
+//! All integration tests of the crate, in one program.
+#![allow(clippy::unwrap_used, missing_docs)]
+
+mod cells;
+#[cfg(unix)]
+mod interrupted;
+mod releases;

@@ -1,0 +1,13 @@
+//! All integration tests of the crate, in one program.
+#![allow(clippy::unwrap_used, missing_docs)]
+
+mod api;
+#[path = "common/browser.rs"]
+mod browser;
+mod common;
+mod image_upload;
+mod kept;
+mod live;
+mod page;
+#[cfg(target_os = "linux")]
+mod slow_readers;

@@ -1,0 +1,12 @@
+//! All integration tests of the crate, in one program.
+#![allow(clippy::unwrap_used, missing_docs)]
+
+#[path = "../../crates/viewer/tests/common/browser.rs"]
+mod browser;
+mod cells;
+#[cfg(target_os = "linux")]
+mod load;
+mod page_image;
+#[cfg(unix)]
+mod program;
+mod serve;

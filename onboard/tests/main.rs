@@ -1,0 +1,9 @@
+//! All integration tests of the crate, in one program.
+#![allow(clippy::unwrap_used, missing_docs)]
+
+mod names;
+#[cfg(unix)]
+mod program;
+#[cfg(feature = "bags")]
+mod recording;
+mod sensor_source;

@@ -1,0 +1,14 @@
+//! All integration tests of the crate, in one program.
+#![allow(clippy::unwrap_used, missing_docs)]
+
+#[path = "../../crates/viewer/tests/common/browser.rs"]
+mod browser;
+mod calibration;
+mod demo;
+mod fleet;
+#[cfg(unix)]
+mod live_page;
+mod maps;
+mod rendered_images;
+mod simulate_evaluate_plot;
+mod track;
