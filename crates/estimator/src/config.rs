@@ -178,8 +178,8 @@ pub struct EstimatorConfig {
     pub mode: MapMode,
     /// What to do when the map disagrees by more than [`Self::relinearize_above_px`].
     pub relinearization: Relinearization,
-    /// Evaluate the Jacobians of propagation, SLAM features and map measurements at first estimates (keeps yaw and
-    /// position unobservable). MSCKF tracks are always linearized at the newest estimates.
+    /// Evaluate the Jacobians of propagation, tracks, SLAM features and map measurements at first estimates (keeps yaw and
+    /// position unobservable, and the tilt of a robot that drives straight).
     pub first_estimates: bool,
     /// Zero-velocity updates while the tracks show that the body is stationary.
     pub zero_velocity: bool,

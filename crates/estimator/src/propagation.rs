@@ -381,6 +381,33 @@ mod tests {
     }
 
     #[test]
+    fn a_tilt_stays_unobservable_beside_the_bias_that_explains_it_as_long_as_the_body_does_not_rotate() {
+        let (state, noise) = (start(), ImuNoise::default());
+        let mut readings = readings(0.3);
+        readings.iter_mut().for_each(|reading| reading.gyroscope = state.gyroscope_bias);
+        let first = MotionEstimate {
+            position: state.local_from_imu.translation + Vector3::new(0.02, -0.01, 0.03),
+            velocity: state.velocity + Vector3::new(-0.02, 0.03, 0.01),
+        };
+        let moved = propagate(&state, &first, &readings, &noise, GRAVITY);
+        let gravity = Vector3::new(0.0, 0.0, -GRAVITY);
+        let direction = |tilt: &Vector3<f64>, motion: &MotionEstimate| {
+            let mut direction = SVector::<f64, 15>::zeros();
+            direction.fixed_rows_mut::<3>(0).copy_from(tilt);
+            direction.fixed_rows_mut::<3>(3).copy_from(&tilt.cross(&motion.position));
+            direction.fixed_rows_mut::<3>(VELOCITY).copy_from(&tilt.cross(&motion.velocity));
+            let bias = state.local_from_imu.rotation.inverse() * gravity.cross(tilt);
+            direction.fixed_rows_mut::<3>(ACCELEROMETER_BIAS).copy_from(&bias);
+            direction
+        };
+        for tilt in [Vector3::x(), Vector3::y()] {
+            let end = direction(&tilt, &MotionEstimate::of(&moved.state));
+            let difference = moved.transition * direction(&tilt, &first) - end;
+            assert!(difference.amax() < 1e-9, "{difference}");
+        }
+    }
+
+    #[test]
     fn a_gap_in_the_samples_increases_the_process_noise() {
         let (state, noise, whole) = (start(), ImuNoise::default(), readings(1.0));
         let holed: Vec<ImuSample> = whole

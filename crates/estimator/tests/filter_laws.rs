@@ -175,14 +175,24 @@ fn the_map_never_tells_where_local_is() {
     for (name, (with_map, alone)) in ["yaw", "x", "y", "z"].iter().zip(with_map.iter().zip(&alone)) {
         assert!(*with_map > 0.95 * alone, "{name} is known to {with_map} with the map, {alone} without");
     }
-    // Tracks stand at the newest estimates (see `track_update`), which are not where propagation and map rows tell the
-    // turn: a part of its deviation that the deviation covers.
+    // Map rows and tracks differ in what is eliminated with them: a part of the turn that its deviation covers.
     let turned = (yaw_error - yaw_alone).abs();
     assert!(
         turned < 0.3 * with_map[0],
         "the map turned L by {turned} rad, known to {}: {yaw_error}, {yaw_alone} without",
         with_map[0]
     );
+}
+
+#[test]
+fn odometry_never_tells_where_local_is() {
+    // What was known of it at the start, by the direction of the velocity, too: see `knowledge_of_local`.
+    let speed_squared: f64 = 0.4 * 0.4 + 0.9 * 0.9;
+    let yaw = (0.05_f64.powi(-2) + speed_squared / (0.3 * 0.3)).sqrt().recip();
+    let (known, _) = knowledge_of_local(MapMode::Odometry, true);
+    for (name, (known, before)) in ["yaw", "x", "y", "z"].iter().zip(known.iter().zip([yaw, 0.3, 0.3, 0.3])) {
+        assert!(*known > 0.999 * before, "{name} is known to {known}, {before} at the start");
+    }
 }
 
 #[test]

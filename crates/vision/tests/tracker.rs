@@ -100,6 +100,64 @@ fn tracks_stay_on_their_points_and_ids_are_never_used_again() {
 }
 
 #[test]
+fn the_error_of_a_track_does_not_grow_with_its_age() {
+    let texture = Texture::new(9);
+    let mut tracker = tracker(false, TrackerOptions::default());
+    let mut first_seen = BTreeMap::new();
+    let (mut young, mut old) = (Vec::new(), Vec::new());
+    for k in 0..32 {
+        for track in tracker.track(frame(&texture, k, false, true)).unwrap() {
+            let point = on_wall(&pose(k), &track.pixel);
+            let (begin, first) = *first_seen.entry(track.feature_id).or_insert((k, point));
+            let error = (point - first).norm() * SCALE;
+            match k - begin {
+                2..=4 => young.push(error),
+                20.. => old.push(error),
+                _ => (),
+            }
+        }
+    }
+    let median = |errors: &mut Vec<f64>| {
+        errors.sort_by(f64::total_cmp);
+        errors[errors.len() / 2]
+    };
+    assert!(old.len() > 100, "{} old tracks", old.len());
+    let [young, old] = [&mut young, &mut old].map(median);
+    // Errors that add up from image to image are three times as large after ten times as many.
+    assert!(old < 1.5 * young, "median {old} px after 20 images and more, {young} px after 2 to 4");
+}
+
+#[test]
+fn a_track_ends_where_its_surroundings_become_others_however_slowly() {
+    let texture = Texture::new(10);
+    let other = Texture::new(11);
+    let mut tracker = tracker(false, TrackerOptions::default());
+    let changes = |x: usize| x > SIZE[0] / 2;
+    let mut left = BTreeMap::new();
+    for k in 0..=16 {
+        // One picture fades into another one; nothing moves.
+        let share = k as f64 / 16.0;
+        let image = GrayImage::from_fn(SIZE[0], SIZE[1], |x, y| {
+            let [before, after] = [&texture, &other].map(|texture| texture.at(x as f64, y as f64));
+            let value = if changes(x) { before + share * (after - before) } else { before };
+            value.clamp(0.0, 255.0) as u8
+        });
+        let input = TrackerFrame { image, ..frame(&texture, k, false, false) };
+        let mut counts = [0, 0];
+        // Patches that show both halves are left out.
+        let is_in_one = |track: &&TrackedPixel| (track.pixel.x - SIZE[0] as f64 / 2.0).abs() > 16.0;
+        let tracks = tracker.track(input).unwrap();
+        for track in tracks.iter().filter(|track| track.feature_id < 200).filter(is_in_one) {
+            counts[usize::from(changes(track.pixel.x as usize))] += 1;
+        }
+        left.insert(k, counts);
+    }
+    let ([still, faded], [still_left, faded_left]) = (left[&0], left[&16]);
+    assert!(still > 50 && still_left * 10 > still * 8, "{still_left} of {still} of what stays");
+    assert!(faded > 50 && faded_left * 10 < faded, "{faded_left} of {faded} of what became another picture");
+}
+
+#[test]
 fn the_second_camera_sees_the_same_points() {
     let texture = Texture::new(2);
     let mut tracker = tracker(true, TrackerOptions::default());

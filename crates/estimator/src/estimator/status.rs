@@ -3,6 +3,7 @@
 use super::Estimator;
 use crate::map_update::map_gravity::GravityFault;
 use crate::map_update::map_watch::MapDrift;
+use crate::noise_adaptation::NoiseBound;
 use serde::{Deserialize, Serialize};
 
 /// Whether the pose in G can be used.
@@ -71,6 +72,9 @@ impl Estimator {
         for alarm in self.alarms() {
             reason = format!("{reason}; {alarm}");
         }
+        for bound in self.noise_at_bounds() {
+            reason = format!("{reason}; {bound}");
+        }
         Status {
             localization,
             reason,
@@ -98,6 +102,12 @@ impl Estimator {
     pub fn alarms(&self) -> Vec<Alarm> {
         let gravity = self.map_gravity.fault().map(Alarm::from);
         gravity.into_iter().chain(self.map_watch.alarm().map(Alarm::from)).collect()
+    }
+
+    /// Noise levels that the innovations would move beyond what is allowed: the covariance may be too large (at a lower bound)
+    /// or too small.
+    pub fn noise_at_bounds(&self) -> Vec<NoiseBound> {
+        self.noise.at_bounds().collect()
     }
 
     /// Counts a verified answer that the gates rejected. After too many in a row the state is wrong, and

@@ -3,7 +3,7 @@
 use super::Estimator;
 use crate::error::EstimatorError;
 use crate::health::Divergence;
-use crate::imu::{BadImuSample, ImuSample};
+use crate::imu::ImuSample;
 use crate::map_update::map_fix::ImuMotion;
 use crate::motion::AngularRate;
 use crate::propagation::{IMU_DIM, MotionEstimate, Propagation};
@@ -26,7 +26,9 @@ impl Estimator {
     /// [`EstimatorError::BadImu`] for a sample that is not finite or not newer than the one before. It was dropped; the
     /// filter goes on.
     pub fn imu(&mut self, sample: ImuSample) -> Result<(), EstimatorError> {
-        self.imu.push(sample).map_err(|error: BadImuSample| error.into())
+        self.imu.push(sample)?;
+        self.noise.note_reading(&sample);
+        Ok(())
     }
 
     /// Propagates the state to the time of an image and clones its pose.

@@ -11,6 +11,8 @@
 //! | IMU | [`correction`] of rotation and velocity by an image or an answer | `P⁻ - P⁺` |
 //! | matches | residuals ([`match_residuals`]) of an answer that no pose explains | the pixel noise |
 //!
+//! The factor on the noise of the IMU is also not below what differences of its readings show ([`reading_noise`]).
+//!
 //! Each ratio updates a factor on the stated variance. A track has up to 80 rows and its poses but a few degrees
 //! of freedom, so its NIS shows pixel noise mainly; corrections of the state are due to the noise of the IMU mainly. Both
 //! factors converge together.
@@ -23,12 +25,15 @@
 
 pub mod correction;
 pub mod match_residuals;
+pub mod reading_noise;
 mod variance_factor;
 
 use crate::config::{AdaptiveNoise, EstimatorConfig, ImuNoise};
+use crate::imu::ImuSample;
 use nalgebra::{DMatrix, DVector};
+use reading_noise::ReadingNoise;
 use serde::{Deserialize, Serialize};
-use variance_factor::{Adaptation, VarianceFactor};
+use variance_factor::{Adaptation, Bound, VarianceFactor};
 
 /// Number of tracks of one image whose NIS is used: the exact NIS costs time, and these are enough.
 pub const TRACKS_PER_IMAGE: usize = 3;
@@ -74,12 +79,48 @@ impl LearnedNoise {
     }
 }
 
+/// A noise level that the innovations would move beyond what is allowed.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum NoiseBound {
+    /// Corrections are smaller than expected.
+    #[error("the noise of the IMU is at its lower bound of {scale:.1} times the stated one")]
+    ImuLeast {
+        /// Factor on the stated densities.
+        scale: f64,
+    },
+    /// Corrections are larger than expected.
+    #[error(
+        "the noise of the IMU is at its upper bound of {scale:.0} times the stated one: are its units and its calibration right?"
+    )]
+    ImuMost {
+        /// Factor on the stated densities.
+        scale: f64,
+    },
+    /// Tracks are more accurate than the filter takes them for.
+    #[error("the noise of tracks is at its lower bound of {sigma_px:.2} px")]
+    TracksLeast {
+        /// px.
+        sigma_px: f64,
+    },
+    /// Tracks are too inaccurate for odometry.
+    #[error(
+        "the noise of tracks is at its upper bound of {sigma_px:.0} px: is the cameras' calibration right?"
+    )]
+    TracksMost {
+        /// px.
+        sigma_px: f64,
+    },
+}
+
 /// The noise levels of one filter.
 #[derive(Clone, Debug)]
 pub struct NoiseAdaptation {
     stated_track_px: f64,
+    stated_imu: ImuNoise,
     adaptive: AdaptiveNoise,
     imu: VarianceFactor,
+    readings: ReadingNoise,
     tracks: VarianceFactor,
     matches: VarianceFactor,
 }
@@ -96,7 +137,9 @@ impl NoiseAdaptation {
         let stated_track_px = config.sigma_track_px;
         Self {
             stated_track_px,
+            stated_imu: config.imu_noise,
             adaptive,
+            readings: ReadingNoise::default(),
             imu: factor(adaptive.imu, IMU, learned.map(|learned| learned.imu_noise_scale)),
             tracks: factor(
                 adaptive.tracks,
@@ -119,6 +162,27 @@ impl NoiseAdaptation {
     /// Noise of the IMU now, from the stated one.
     pub fn imu_noise(&self, stated: &ImuNoise) -> ImuNoise {
         stated.inflated(self.imu.sigma_factor())
+    }
+
+    /// Notes a reading of the IMU: the factor on its noise is not below what the readings show of both sensors.
+    pub fn note_reading(&mut self, reading: &ImuSample) {
+        self.readings.add(reading);
+        let (shown, stated) = (self.readings.shown(), &self.stated_imu);
+        let least = (shown.gyroscope / stated.gyroscope).min(shown.accelerometer / stated.accelerometer);
+        self.imu.hold_above(least * least);
+    }
+
+    /// The noise levels that would be learned beyond what is allowed.
+    pub fn at_bounds(&self) -> impl Iterator<Item = NoiseBound> {
+        let tracks = self.tracks.bound().map(|bound| match bound {
+            Bound::Least => NoiseBound::TracksLeast { sigma_px: self.sigma_track_px() },
+            Bound::Most => NoiseBound::TracksMost { sigma_px: self.sigma_track_px() },
+        });
+        let imu = self.imu.bound().map(|bound| match bound {
+            Bound::Least => NoiseBound::ImuLeast { scale: self.imu.sigma_factor() },
+            Bound::Most => NoiseBound::ImuMost { scale: self.imu.sigma_factor() },
+        });
+        imu.into_iter().chain(tracks)
     }
 
     /// Noise of a tracked pixel now, px.

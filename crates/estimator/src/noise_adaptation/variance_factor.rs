@@ -7,6 +7,18 @@ const HALF_LIFE: f64 = 100.0;
 /// Largest factor: sensors that are a hundred times worse than stated are not understood.
 const MAX_FACTOR: f64 = 1e4;
 
+/// Distance from a bound (logarithm of the variance) that counts as at it.
+const NEAR_BOUND: f64 = 0.05;
+/// Mean ratio below or above which a factor at its bound is held back by it.
+const HELD_RATIOS: [f64; 2] = [0.8, 1.25];
+
+/// A bound of a factor.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Bound {
+    Least,
+    Most,
+}
+
 /// How a factor is adapted.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Adaptation {
@@ -25,24 +37,28 @@ pub(super) struct Adaptation {
 pub(super) struct VarianceFactor {
     adaptation: Option<Adaptation>,
     log: f64,
+    /// Logarithm of a further lower bound.
+    held_above: f64,
     samples: f64,
+    /// Mean of the newest ratios.
+    mean_ratio: f64,
 }
 
 impl VarianceFactor {
     /// At the start of its adaptation.
     pub(super) fn new(adaptation: Adaptation) -> Self {
-        Self { adaptation: Some(adaptation), log: adaptation.start.ln(), samples: 0.0 }
+        Self { adaptation: Some(adaptation), log: adaptation.start.ln(), ..Self::fixed() }
     }
 
     /// From a factor that was learned before.
     pub(super) fn resumed(adaptation: Adaptation, factor: f64) -> Self {
         let log = factor.clamp(adaptation.floor, MAX_FACTOR).ln();
-        Self { adaptation: Some(adaptation), log, samples: HALF_LIFE }
+        Self { adaptation: Some(adaptation), log, samples: HALF_LIFE, ..Self::fixed() }
     }
 
     /// One, never adapted.
     pub(super) fn fixed() -> Self {
-        Self { adaptation: None, log: 0.0, samples: 0.0 }
+        Self { adaptation: None, log: 0.0, held_above: f64::NEG_INFINITY, samples: 0.0, mean_ratio: 1.0 }
     }
 
     /// Factor on the standard deviation.
@@ -55,7 +71,28 @@ impl VarianceFactor {
         let Some(adaptation) = self.adaptation.filter(|_| ratio.is_finite()) else { return };
         self.samples += 1.0;
         let gain = (adaptation.first_gain * HALF_LIFE / (HALF_LIFE + self.samples)).max(adaptation.last_gain);
-        self.set(self.log + gain * (ratio.clamp(0.0, MAX_RATIO) - 1.0));
+        let ratio = ratio.clamp(0.0, MAX_RATIO);
+        self.mean_ratio += gain * (ratio - self.mean_ratio);
+        self.set(self.log + gain * (ratio - 1.0));
+    }
+
+    /// Keeps the factor at least at a value that is known otherwise, from now on until another one is.
+    pub(super) fn hold_above(&mut self, factor: f64) {
+        if self.adaptation.is_some() && !factor.is_nan() {
+            self.held_above = factor.ln();
+            self.set(self.log);
+        }
+    }
+
+    /// The bound that the innovations would move the factor beyond.
+    pub(super) fn bound(&self) -> Option<Bound> {
+        let [least, most] = self.bounds();
+        self.adaptation?;
+        if self.log < least + NEAR_BOUND && self.mean_ratio < HELD_RATIOS[0] {
+            Some(Bound::Least)
+        } else {
+            (self.log > most - NEAR_BOUND && self.mean_ratio > HELD_RATIOS[1]).then_some(Bound::Most)
+        }
     }
 
     /// Takes a measurement of the factor itself, which is averaged with those before.
@@ -67,8 +104,15 @@ impl VarianceFactor {
     }
 
     fn set(&mut self, log: f64) {
+        let [least, most] = self.bounds();
+        self.log = log.clamp(least, most);
+    }
+
+    /// Logarithms of the smallest and the largest factor.
+    fn bounds(&self) -> [f64; 2] {
         let floor = self.adaptation.map_or(1.0, |adaptation| adaptation.floor);
-        self.log = log.clamp(floor.ln(), MAX_FACTOR.ln());
+        let most = MAX_FACTOR.ln();
+        [floor.ln().max(self.held_above).min(most), most]
     }
 }
 
@@ -120,8 +164,32 @@ mod tests {
         fixed.update(4.0);
         fixed.average(9.0);
         assert!((fixed.sigma_factor() - 1.0).abs() < 1e-15);
+        fixed.hold_above(4.0);
+        assert_eq!((fixed.sigma_factor(), fixed.bound()), (1.0, None));
         let mut averaged = VarianceFactor::new(Adaptation { first_gain: 1.0, ..ADAPTATION });
         averaged.average(4.0);
         assert!((averaged.sigma_factor() - 2.0).abs() < 1e-12, "the first measurement replaces the start");
+    }
+    #[test]
+    fn a_factor_is_held_above_what_is_known_and_says_so_where_the_innovations_are_smaller() {
+        let mut factor = VarianceFactor::new(ADAPTATION);
+        let learn = |factor: &mut VarianceFactor, truth: f64| {
+            (0..2000).for_each(|_| factor.update(truth / factor.sigma_factor().powi(2)));
+        };
+        factor.hold_above(9.0);
+        learn(&mut factor, 4.0);
+        assert!((factor.sigma_factor() - 3.0).abs() < 1e-12 && factor.bound() == Some(Bound::Least));
+        learn(&mut factor, 16.0);
+        assert!((factor.sigma_factor() - 4.0).abs() < 0.01 && factor.bound().is_none());
+        learn(&mut factor, 9.0);
+        assert!(
+            (factor.sigma_factor() - 3.0).abs() < 0.01 && factor.bound().is_none(),
+            "as large as it is known to be"
+        );
+        factor.hold_above(1.0);
+        learn(&mut factor, 4.0);
+        assert!((factor.sigma_factor() - 2.0).abs() < 0.01 && factor.bound().is_none());
+        learn(&mut factor, 1e9);
+        assert_eq!(factor.bound(), Some(Bound::Most));
     }
 }

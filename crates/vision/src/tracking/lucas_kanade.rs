@@ -7,6 +7,7 @@
 //! Intel 2000; the inverse compositional step in `template`, the iterations in `search`.
 
 use super::block::Block;
+use super::first_patch::{FirstPatch, Followed};
 use super::search::Search;
 use super::template::Template;
 use crate::image::{GrayImage, Pyramid};
@@ -127,6 +128,11 @@ pub fn align_with_backward_check(
     Aligner::new().align_with_backward_check([first, second], at, guess, options)
 }
 
+/// Weight of the prior on each element of the linear part.
+fn prior(options: &AlignmentOptions) -> f32 {
+    (SIGMA_SAMPLE / options.linear_sigma).powi(2)
+}
+
 /// Aligns patches; its memory is reused from patch to patch.
 pub(super) struct Aligner {
     block: Block,
@@ -148,9 +154,8 @@ impl Aligner {
         options: &AlignmentOptions,
     ) -> Result<Alignment, AlignmentError> {
         let (centre, has_template) = self.align_translation(images, at, guess, options, options.levels)?;
-        let prior = (SIGMA_SAMPLE / options.linear_sigma).powi(2);
         has_template
-            .then(|| self.template.add_linear_part(prior))
+            .then(|| self.template.add_linear_part(prior(options)))
             .flatten()
             .ok_or(AlignmentError::NoStructure)?;
         let start = Warp { centre, ..*guess };
@@ -166,14 +171,76 @@ impl Aligner {
         options: &AlignmentOptions,
     ) -> Result<Alignment, AlignmentError> {
         let found = self.align(images, at, guess, options)?;
-        let linear = found.warp.linear.try_inverse().ok_or(AlignmentError::Diverged)?;
+        self.check_backward(images, at, &found.warp, options)?;
+        Ok(found)
+    }
+
+    /// The patch around a pixel, which later images are aligned with.
+    ///
+    /// `None` if it is outside the image or has no structure in two directions.
+    pub(super) fn first_patch(
+        &mut self,
+        image: &Pyramid,
+        at: Vector2<f32>,
+        options: &AlignmentOptions,
+    ) -> Option<FirstPatch> {
+        self.block.clear();
+        self.template.set(image.base(), at, &mut self.block)?;
+        self.template.add_linear_part(prior(options))?;
+        Some(FirstPatch::new(&self.template))
+    }
+
+    /// Follows a track from one image to another: the translation by the patch in the first of them, then the whole warp by
+    /// the patch of the track's first image, and back.
+    ///
+    /// # Arguments
+    /// * `at`: pixel in the first of both images.
+    /// * `guess`: initial warp from there to the second image.
+    ///
+    /// # Errors
+    /// [`AlignmentError`].
+    pub(super) fn follow(
+        &mut self,
+        images: [&Pyramid; 2],
+        at: Vector2<f32>,
+        guess: &Warp,
+        patch: &FirstPatch,
+        options: &AlignmentOptions,
+    ) -> Result<Followed, AlignmentError> {
+        let (centre, has_template) = self.align_translation(images, at, guess, options, options.levels)?;
+        if !has_template {
+            return Err(AlignmentError::NoStructure);
+        }
+        let start = Warp { centre, linear: guess.linear * patch.linear };
+        let search = Search {
+            template: patch.template(),
+            image: images[1].base(),
+            block: &mut self.block,
+            start,
+            iterations: options.iterations,
+        };
+        let found = search.warp(start.linear, options)?.warp;
+        let followed = patch.followed(&found).ok_or(AlignmentError::Diverged)?;
+        self.check_backward(images, at, &followed.warp, options)?;
+        Ok(followed)
+    }
+
+    /// Aligns from the end of `warp` back to the first image, which must end at `at`.
+    fn check_backward(
+        &mut self,
+        images: [&Pyramid; 2],
+        at: Vector2<f32>,
+        warp: &Warp,
+        options: &AlignmentOptions,
+    ) -> Result<(), AlignmentError> {
+        let linear = warp.linear.try_inverse().ok_or(AlignmentError::Diverged)?;
         let start = Warp { centre: at, linear };
         let back = [images[1], images[0]];
-        let (end, _) = self.align_translation(back, found.warp.centre, &start, options, BACKWARD_LEVELS)?;
+        let (end, _) = self.align_translation(back, warp.centre, &start, options, BACKWARD_LEVELS)?;
         if (end - at).norm() > options.max_backward_error {
             return Err(AlignmentError::BackwardCheck);
         }
-        Ok(found)
+        Ok(())
     }
 
     /// Estimates the translation from the coarsest level to the finest.

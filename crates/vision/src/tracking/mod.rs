@@ -11,6 +11,7 @@
 //! | [`tracker`] | the tracker: images in, tracks out |
 
 mod block;
+mod first_patch;
 pub mod frames;
 mod inverse;
 pub mod lucas_kanade;

@@ -34,6 +34,7 @@ const COLUMNS: usize = SIDE + 8;
 pub(super) const PARAMETERS: usize = 6;
 
 /// A patch of an image with the columns of its Jacobian; memory is reused for the next patch.
+#[derive(Clone)]
 pub(super) struct Template {
     /// The patch with one sample more on each side.
     samples: [[f32; COLUMNS]; ROWS],

@@ -1,11 +1,13 @@
 //! The tracker: images in, tracks out.
 //!
-//! For each image: the points of the previous image are predicted by the rotation, aligned with a forward-backward check,
+//! For each image: the points of the previous image are predicted by the rotation, aligned with the previous image and then
+//! with the patch of their first image, with a forward-backward check,
 //! and checked against one relative pose; grid cells below their quota are filled with new corners; all points are
 //! matched in the second camera.
 
+use super::first_patch::{FirstPatch, Followed};
 use super::frames::{TrackedPixel, TrackerError, TrackerFrame, TrackerReport};
-use super::lucas_kanade::{Aligner, Alignment, AlignmentOptions, Warp};
+use super::lucas_kanade::{Aligner, AlignmentOptions, Warp};
 use super::options::TrackerOptions;
 use super::outliers::{OutlierOptions, find_outliers};
 use super::prediction::{Ray, predict_rotated};
@@ -70,10 +72,12 @@ struct PreviousImage {
     tracks: Vec<Track>,
 }
 
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 struct Track {
     id: u64,
     ray: Ray,
+    /// `None` where the first image has no structure there: such a track ends with it.
+    patch: Option<FirstPatch>,
     /// From stereo matching, 1/m.
     inverse_depth: Option<f64>,
     /// Images since the last one without a stereo match in spite of all guesses.
@@ -142,7 +146,7 @@ impl Tracker {
         let previous = self.previous.take();
         let connected =
             previous.filter(|previous| frame.stamp_ns - previous.stamp_ns <= self.options.max_gap_ns);
-        let mut tracks = match &connected {
+        let mut tracks = match connected {
             Some(previous) => {
                 self.track_points(previous, &pyramid, frame.rotation.as_ref(), frame.sigma_rotation_rad)
             }
@@ -184,18 +188,19 @@ impl Tracker {
     /// Tracks the points of the previous image into this one.
     fn track_points(
         &mut self,
-        previous: &PreviousImage,
+        previous: PreviousImage,
         pyramid: &Pyramid,
         rotation: Option<&Rotation>,
         sigma_rotation_rad: f64,
     ) -> Vec<Track> {
-        let found = self.align_all(previous, pyramid, rotation);
+        let found = self.align_all(&previous, pyramid, rotation);
+        let before = previous.tracks.len();
         let mut spacing =
             Spacing::new(pyramid.base(), self.options.corners.min_distance * MERGE_DISTANCE_RATIO);
-        let mut tracks = Vec::with_capacity(previous.tracks.len());
-        let mut pairs = Vec::with_capacity(previous.tracks.len());
+        let mut tracks = Vec::with_capacity(before);
+        let mut pairs = Vec::with_capacity(before);
         // Older tracks have priority.
-        for (track, found) in previous.tracks.iter().zip(found) {
+        for (mut track, found) in previous.tracks.into_iter().zip(found) {
             let Some(found) = found else { continue };
             let centre = found.warp.centre;
             if !is_unmasked(self.options.masks[0].as_ref(), centre) || !spacing.is_free(centre) {
@@ -204,9 +209,12 @@ impl Tracker {
             let Some(ray) = Ray::new(&self.camera, centre.cast()) else { continue };
             spacing.insert(centre);
             pairs.push(BearingPair { previous: track.ray.bearing(), current: ray.bearing() });
-            tracks.push(Track { ray, ..*track });
+            if let Some(patch) = &mut track.patch {
+                patch.linear = found.from_first;
+            }
+            tracks.push(Track { ray, ..track });
         }
-        self.report.lost = previous.tracks.len() - tracks.len();
+        self.report.lost = before - tracks.len();
         let options =
             OutlierOptions { seed: self.options.outliers.seed ^ self.next_id, ..self.options.outliers };
         let known = rotation.map(|rotation| (rotation, sigma_rotation_rad));
@@ -226,14 +234,14 @@ impl Tracker {
         previous: &PreviousImage,
         pyramid: &Pyramid,
         rotation: Option<&Rotation>,
-    ) -> Vec<Option<Alignment>> {
+    ) -> Vec<Option<Followed>> {
         let mut aligner = Aligner::new();
         let images = [&previous.pyramid, pyramid];
         let mut find = |track: &Track, guess: &Warp| {
             let options = &self.options.alignment;
-            aligner.align_with_backward_check(images, track.pixel(), guess, options).ok()
+            aligner.follow(images, track.pixel(), guess, track.patch.as_ref()?, options).ok()
         };
-        let mut found: Vec<Option<Alignment>> = previous
+        let mut found: Vec<Option<Followed>> = previous
             .tracks
             .iter()
             .map(|track| {
@@ -270,9 +278,11 @@ impl Tracker {
         let mask = self.options.masks[0].as_ref();
         let corners =
             detect_corners(pyramid.base(), &existing, mask, self.options.points, &self.options.corners);
+        let mut aligner = Aligner::new();
         for corner in corners {
             let Some(ray) = Ray::new(&self.camera, corner.pixel.cast()) else { continue };
-            tracks.push(Track { id: self.next_id, ray, inverse_depth: None, unmatched: 0 });
+            let patch = aligner.first_patch(pyramid, corner.pixel, &self.options.alignment);
+            tracks.push(Track { id: self.next_id, ray, patch, inverse_depth: None, unmatched: 0 });
             self.next_id += 1;
             self.report.started += 1;
         }
@@ -317,7 +327,7 @@ fn match_stereo(
 }
 
 /// Predicts a lost point by the warp of its nearest tracked neighbour.
-fn extrapolate_from_neighbour(tracks: &[Track], found: &[Option<Alignment>], index: usize) -> Option<Warp> {
+fn extrapolate_from_neighbour(tracks: &[Track], found: &[Option<Followed>], index: usize) -> Option<Warp> {
     let own = tracks[index].pixel();
     let tracked = tracks.iter().zip(found).filter_map(|(track, found)| {
         let offset = own - track.pixel();
