@@ -136,7 +136,7 @@ pub(crate) fn rotation_of(coordinates: [f64; 4]) -> Result<geometry::Rotation, I
     if norm < MIN_QUATERNION_NORM {
         return Err(InitialPoseError::NoRotation { norm });
     }
-    Ok(Rotation::from_quaternion(quaternion))
+    Ok(geometry::Rotation::from_quaternion(quaternion))
 }
 
 /// The pose with what it leaves out.

@@ -271,8 +271,8 @@ mod learned {
         tell("even in odd, XFeat", &found);
         assert_eq!(wrong_by(&found, 0.5), 0);
         assert!(within(&found, 0.05, 1.0) >= 48);
-        let dark = |image: &GrayImage| mapped(image, |_, value| 255.0 * (value / 255.0).powf(2.5));
-        let noisy = |image: &GrayImage| mapped(image, |index, value| 0.4 * value + noise(index));
+        let dark = |image: GrayImage| mapped(&image, |_, value| 255.0 * (value / 255.0).powf(2.5));
+        let noisy = |image: GrayImage| mapped(&image, |index, value| 0.4 * value + noise(index));
         let blurred = |image: GrayImage| blurred(&image);
         let changes: [(&str, &dyn Fn(GrayImage) -> GrayImage); 3] =
             [("darkened", &dark), ("noisy", &noisy), ("blurred", &blurred)];

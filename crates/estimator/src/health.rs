@@ -24,6 +24,13 @@ const MIN_TRACKS: usize = 40;
 const MIN_AGREEMENT: f64 = 0.10;
 /// The same over the newest second, below which the pose is suspicious.
 const SUSPICIOUS_AGREEMENT: f64 = 0.5;
+/// Time over which tracks that contradict the state show that odometry failed, nanoseconds: a jump contradicts the tracks that
+/// it interrupts, and those that begin after it agree again.
+const FAILURE_NS: i64 = 300_000_000;
+/// Minimum number of finished tracks in that time.
+const MIN_FAILED_TRACKS: usize = 10;
+/// Time without a track that agrees, after which odometry is the IMU's alone, nanoseconds.
+const UNSUPPORTED_NS: i64 = 1_000_000_000;
 /// Maximum plausible speed, m/s.
 const MAX_SPEED: f64 = 100.0;
 /// Maximum deviation of a bias from its initial estimate, in standard deviations (random walk included).
@@ -100,6 +107,8 @@ struct Counts {
     agreed: usize,
     finished: usize,
     dropped: usize,
+    /// Something in the image supports the motion.
+    is_supported: bool,
 }
 
 /// An initial bias with the variances of its components.
@@ -165,11 +174,26 @@ impl Health {
                 + report.slam_features
                 + report.slam_features_gated,
             dropped: report.gated + report.slam_features_gated + report.dropped_observations,
+            is_supported: report.stationary || report.used + report.slam_features > 0,
         });
         // One image older than the time span is kept, so that the images cover all of it.
         while self.images.get(1).is_some_and(|second| stamp_ns - second.stamp_ns >= CONTRADICTED_NS) {
             self.images.pop_front();
         }
+    }
+
+    /// Whether there is a sign that odometry failed a moment ago: most tracks contradict the state, or none supports it.
+    pub fn has_odometry_failed(&self, stamp_ns: i64) -> bool {
+        let supported = self.images.iter().rev().find(|image| image.is_supported);
+        let supported_ns = supported.map_or(self.start_ns, |image| image.stamp_ns);
+        if stamp_ns - supported_ns > UNSUPPORTED_NS {
+            return true;
+        }
+        let newest_ns = self.images.back().map_or(0, |image| image.stamp_ns);
+        let newest = self.images.iter().filter(|image| newest_ns - image.stamp_ns < FAILURE_NS);
+        agreement(newest).is_some_and(|(fraction, finished)| {
+            finished >= MIN_FAILED_TRACKS && fraction < SUSPICIOUS_AGREEMENT
+        })
     }
 
     /// Whether most tracks of the newest second contradict the state.

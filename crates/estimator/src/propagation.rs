@@ -384,7 +384,9 @@ mod tests {
     fn a_tilt_stays_unobservable_beside_the_bias_that_explains_it_as_long_as_the_body_does_not_rotate() {
         let (state, noise) = (start(), ImuNoise::default());
         let mut readings = readings(0.3);
-        readings.iter_mut().for_each(|reading| reading.gyroscope = state.gyroscope_bias);
+        for reading in &mut readings {
+            reading.gyroscope = state.gyroscope_bias;
+        }
         let first = MotionEstimate {
             position: state.local_from_imu.translation + Vector3::new(0.02, -0.01, 0.03),
             velocity: state.velocity + Vector3::new(-0.02, 0.03, 0.01),

@@ -24,30 +24,18 @@ pub(crate) enum Consensus {
     Place(Vec<VerifiedKeyframe>),
 }
 
-/// Finds the one place that the verified keyframes agree on.
-pub(crate) fn find_consensus(mut verified: Vec<VerifiedKeyframe>, options: &RecognitionOptions) -> Consensus {
-    verified.sort_by_key(|verified| (std::cmp::Reverse(verified.inliers.len()), verified.keyframe));
-    let members_of = |seed: usize, among: &[usize]| -> Vec<usize> {
-        let consistent = |&other: &usize| {
-            let (a, b) = (&verified[seed].global_from_camera, &verified[other].global_from_camera);
-            seed == other || is_consistent(a, b, options)
-        };
-        among.iter().copied().filter(consistent).collect()
-    };
-    let best_place = |among: &[usize]| -> (usize, Vec<usize>) {
-        let places = among.iter().map(|&seed| members_of(seed, among));
-        let supported = places.map(|members| (support(&verified, &members), members));
-        // Of equal support the first, whose seed has most inliers.
-        supported.reduce(|best, next| if next.0 > best.0 { next } else { best }).unwrap_or_default()
-    };
-
-    let all: Vec<usize> = (0..verified.len()).collect();
-    let (winner_support, winner) = best_place(&all);
-    if winner.is_empty() {
-        return Consensus::Nothing;
-    }
-    let rest: Vec<usize> = all.into_iter().filter(|at| !winner.contains(at)).collect();
-    let (rival_support, _) = best_place(&rest);
+/// Decides which of the places that verified keyframes are of is the image's.
+///
+/// # Arguments
+/// * `places`: from [`group_places`] of the same keyframes.
+pub(crate) fn find_consensus(
+    mut verified: Vec<VerifiedKeyframe>,
+    places: &[Vec<usize>],
+    options: &RecognitionOptions,
+) -> Consensus {
+    let Some(winner) = places.first() else { return Consensus::Nothing };
+    let winner_support = support(&verified, winner);
+    let rival_support = places.get(1).map_or(0, |rival| support(&verified, rival));
     if rival_support as f64 >= options.ambiguity_ratio * winner_support as f64 {
         let global_from_camera = verified[winner[0]].global_from_camera;
         let place = RecognizedPlace { global_from_camera, features: winner_support };
@@ -61,8 +49,37 @@ pub(crate) fn find_consensus(mut verified: Vec<VerifiedKeyframe>, options: &Reco
     Consensus::Place(verified)
 }
 
+/// Sorts verified keyframes, most inliers first, and groups those that agree on a place: the place that explains most query
+/// features first.
+pub(crate) fn group_places(
+    verified: &mut [VerifiedKeyframe],
+    options: &RecognitionOptions,
+) -> Vec<Vec<usize>> {
+    verified.sort_by_key(|verified| (std::cmp::Reverse(verified.inliers.len()), verified.keyframe));
+    let verified = &*verified;
+    let members_of = |seed: usize, among: &[usize]| -> Vec<usize> {
+        let consistent = |&other: &usize| {
+            let (a, b) = (&verified[seed].global_from_camera, &verified[other].global_from_camera);
+            seed == other || is_consistent(a, b, options)
+        };
+        among.iter().copied().filter(consistent).collect()
+    };
+    let mut rest: Vec<usize> = (0..verified.len()).collect();
+    let mut places = Vec::new();
+    while !rest.is_empty() {
+        let candidates = rest.iter().map(|&seed| members_of(seed, &rest));
+        let supported = candidates.map(|members| (support(verified, &members), members));
+        // Of equal support the first, whose seed has most inliers.
+        let best = supported.reduce(|best, next| if next.0 > best.0 { next } else { best });
+        let place = best.map(|(_, members)| members).unwrap_or_default();
+        rest.retain(|at| !place.contains(at));
+        places.push(place);
+    }
+    places
+}
+
 /// How many query features a place explains.
-fn support(verified: &[VerifiedKeyframe], members: &[usize]) -> usize {
+pub(crate) fn support(verified: &[VerifiedKeyframe], members: &[usize]) -> usize {
     distinct_features(members.iter().map(|&member| &verified[member]))
 }
 

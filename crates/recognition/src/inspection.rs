@@ -10,7 +10,7 @@ use nalgebra::{Vector2, Vector3};
 use protocol::{KeyframeId, LandmarkId, LocalizeReply, LocalizeRequest};
 use vision::{Match, MatchOptions, Matcher};
 
-use super::consensus::{Consensus, find_consensus};
+use super::consensus::{Consensus, find_consensus, group_places};
 use super::index::{Votes, best_voted};
 use super::loaded_map::LoadedMap;
 use super::options::RecognitionOptions;
@@ -205,7 +205,8 @@ impl Inspector<'_> {
                 verified.push(*keyframe);
             }
         }
-        if let Consensus::Place(place) = find_consensus(verified, self.options) {
+        let places = group_places(&mut verified, self.options);
+        if let Consensus::Place(place) = find_consensus(verified, &places, self.options) {
             let id = |verified: &VerifiedKeyframe| self.map.keyframes[verified.keyframe].id;
             let place: HashSet<KeyframeId> = place.iter().map(id).collect();
             for keyframe in &mut inspected {

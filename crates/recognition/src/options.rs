@@ -27,6 +27,11 @@ pub struct RecognitionOptions {
     /// darkened images of V1_01: the one pose wrong by more than 0.5 m had 9; with 12 it is rejected, and no correct one
     /// is.
     pub min_fix_inliers: usize,
+    /// Least logarithm of the odds that an image without a prior is of the place that explains it best, and not of a picture
+    /// that repeats, see [`Hypothesis::log_odds`](crate::Hypothesis::log_odds). Below, the query is ambiguous.
+    pub min_log_odds: f64,
+    /// The same of a pose that is returned to a client without an estimator.
+    pub min_fix_log_odds: f64,
     /// Standard deviation of a query pixel (px).
     pub sigma_query_px: f64,
     /// RANSAC samples at most.
@@ -59,6 +64,8 @@ impl Default for RecognitionOptions {
             inlier_angle: 0.0175,
             min_inliers: 8,
             min_fix_inliers: 12,
+            min_log_odds: -1.0,
+            min_fix_log_odds: 0.5,
             sigma_query_px: 1.0,
             max_iterations: 500,
             confidence: 0.999,

@@ -160,7 +160,13 @@ impl LoadedMap {
         };
         let fix = fix.filter(|fix| fix.inliers as usize >= options.min_fix_inliers);
         let unverified = search.outcome == MatchOutcome::Matched && fix.is_none();
-        let outcome = if unverified { MatchOutcome::NotVerified } else { search.outcome };
+        let is_ambiguous = fix.is_some() && prior.is_none() && search.log_odds() < options.min_fix_log_odds;
+        let fix = fix.filter(|_| !is_ambiguous);
+        let outcome = match search.outcome {
+            _ if is_ambiguous => MatchOutcome::Ambiguous,
+            _ if unverified => MatchOutcome::NotVerified,
+            outcome => outcome,
+        };
         let (map_version, map_identity) = (self.info.version, self.identity);
         let reply = LocalizeReply { map_version, map_identity, outcome, fix };
         Ok((reply, search.into_report()))

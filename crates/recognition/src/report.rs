@@ -5,6 +5,7 @@
 use nalgebra::Vector3;
 use protocol::KeyframeId;
 
+use super::evidence::Coverage;
 use super::index::Votes;
 use super::inspection::KeyframeVerdict;
 use super::loaded_map::LoadedMap;
@@ -20,6 +21,35 @@ pub struct SearchReport {
     pub candidates: Vec<Candidate>,
     /// The place that was recognized, or the strongest of those that were ambiguous.
     pub place: Option<RecognizedPlace>,
+    /// The places that explain the image, the one that explains most features first, of the last list of candidates that was
+    /// compared. At most [`MAX_HYPOTHESES`].
+    pub hypotheses: Vec<Hypothesis>,
+}
+
+/// Hypotheses of one image that are reported, at most.
+pub const MAX_HYPOTHESES: usize = 4;
+
+/// A place that an image may be of.
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct Hypothesis {
+    /// The place.
+    pub place: RecognizedPlace,
+    /// What it explains of all that it should.
+    pub coverage: Coverage,
+}
+
+impl Hypothesis {
+    /// A place with its coverage.
+    pub(super) fn new(place: RecognizedPlace, coverage: Coverage) -> Self {
+        Self { place, coverage }
+    }
+
+    /// Natural logarithm of the odds that the image is of this place and not of a picture that repeats, both being equally
+    /// likely before.
+    pub fn log_odds(&self) -> f64 {
+        self.coverage.log_likelihood_ratio()
+    }
 }
 
 impl SearchReport {

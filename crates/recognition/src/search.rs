@@ -5,14 +5,15 @@ use nalgebra::Vector3;
 use protocol::{FeatureSet, MatchOutcome, PosePrior};
 use vision::{DescriptorError, DescriptorView, Matcher};
 
-use super::consensus::{Consensus, find_consensus, is_consistent};
+use super::consensus::{Consensus, find_consensus, group_places, is_consistent, support};
 use super::elements::Viewpoint;
+use super::evidence::coverage;
 use super::index::{LandmarkSet, Votes, best_voted};
 use super::loaded_map::LoadedMap;
 use super::options::RecognitionOptions;
 use super::place::RecognizedPlace;
 use super::query::QueryError;
-use super::report::{Candidate, SearchReport};
+use super::report::{Candidate, Hypothesis, MAX_HYPOTHESES, SearchReport};
 use super::verification::{Comparison, Image, VerifiedKeyframe, compare, distinct_features};
 
 /// How many standard deviations of the prior's position a keyframe may be away, beyond the viewing distance.
@@ -38,11 +39,17 @@ pub(super) struct Search {
     pub(super) strongest: Option<RecognizedPlace>,
     pub(super) searched_keyframes: usize,
     pub(super) candidates: Vec<Candidate>,
+    pub(super) hypotheses: Vec<Hypothesis>,
 }
 
 impl Search {
+    /// Of the place that explains the image best, see [`Hypothesis::log_odds`]; zero without one.
+    pub(super) fn log_odds(&self) -> f64 {
+        self.hypotheses.first().map_or(0.0, Hypothesis::log_odds)
+    }
+
     pub(super) fn into_report(self) -> SearchReport {
-        SearchReport { candidates: self.candidates, place: self.strongest }
+        SearchReport { candidates: self.candidates, place: self.strongest, hypotheses: self.hypotheses }
     }
 }
 
@@ -87,8 +94,8 @@ impl LoadedMap {
         options: &RecognitionOptions,
     ) -> Result<Search, QueryError> {
         let nothing = |outcome| {
-            let (place, candidates) = (Vec::new(), Vec::new());
-            Ok(Search { outcome, place, strongest: None, searched_keyframes: 0, candidates })
+            let (place, candidates, hypotheses) = (Vec::new(), Vec::new(), Vec::new());
+            Ok(Search { outcome, place, strongest: None, searched_keyframes: 0, candidates, hypotheses })
         };
         if self.keyframes.is_empty() {
             return nothing(MatchOutcome::EmptyMap);
@@ -205,11 +212,22 @@ impl LoadedMap {
             }
         }
         let mut strongest = None;
-        let place = match find_consensus(verified, options) {
+        let places = group_places(&mut verified, options);
+        let hypotheses = self.hypotheses(image, &verified, &places);
+        let place = match find_consensus(verified, &places, options) {
             Consensus::Nothing => Vec::new(),
             Consensus::Ambiguous(place) => {
                 strongest = Some(*place);
                 tracing::debug!("several places that look alike explain the image: no answer");
+                outcome = MatchOutcome::Ambiguous;
+                Vec::new()
+            }
+            Consensus::Place(_)
+                if sufficient.prior.is_none()
+                    && hypotheses.first().is_some_and(|place| place.log_odds() < options.min_log_odds) =>
+            {
+                strongest = hypotheses.first().map(|hypothesis| hypothesis.place.clone());
+                tracing::debug!(?hypotheses, "a picture that repeats explains the image better: no answer");
                 outcome = MatchOutcome::Ambiguous;
                 Vec::new()
             }
@@ -227,6 +245,23 @@ impl LoadedMap {
                 place
             }
         };
-        Ok(Search { outcome, place, strongest, searched_keyframes: 0, candidates: Vec::new() })
+        Ok(Search { outcome, place, strongest, searched_keyframes: 0, candidates: Vec::new(), hypotheses })
+    }
+
+    /// What each place explains of all that it should.
+    fn hypotheses(
+        &self,
+        image: &Image<'_>,
+        verified: &[VerifiedKeyframe],
+        places: &[Vec<usize>],
+    ) -> Vec<Hypothesis> {
+        let hypothesis = |members: &Vec<usize>| {
+            let of_place: Vec<&VerifiedKeyframe> = members.iter().map(|&at| &verified[at]).collect();
+            let global_from_camera = of_place.first()?.global_from_camera;
+            let coverage = coverage(self, image.camera, image.features, &global_from_camera.pose, &of_place);
+            let features = support(verified, members);
+            Some(Hypothesis::new(RecognizedPlace { global_from_camera, features }, coverage))
+        };
+        places.iter().take(MAX_HYPOTHESES).filter_map(hypothesis).collect()
     }
 }

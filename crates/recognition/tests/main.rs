@@ -1,5 +1,6 @@
 //! All integration tests of the crate, in one program.
 #![allow(clippy::unwrap_used, missing_docs)]
 
+mod evidence;
 mod recognition;
 mod report;

@@ -116,7 +116,7 @@ impl Estimator {
                 if self.is_doubted_by(&answer, &report) {
                     self.give_way(clone, &answer, &mut report)?;
                 } else {
-                    self.map_fixes.clear();
+                    self.note_support(&report);
                 }
             }
             Some(
@@ -233,7 +233,7 @@ impl Estimator {
             self.insert_solved_transform(solved_transform, median_depth(answer, &verified));
         }
         let measured = best.global_from_keyframe.change_of_child(&verified.best_from_camera.pose);
-        self.note_fix(clone, &verified, &self.with_pnp_noise(answer, &verified, &measured));
+        self.note_fix(clone, answer, &verified, &self.with_pnp_noise(answer, &verified, &measured));
         let point = Linearization { estimate, at, first_position };
         let mut outcome = self.iterate(clone, answer, &verified, point, &measured, report)?;
         if let (Err(Rejection::Far { .. }), Some(missing)) = (&outcome, self.missing_noise()) {

@@ -24,6 +24,7 @@ use crate::map_update::map_fix::{MapFix, MapFixes};
 use crate::map_update::map_gravity::MapGravity;
 use crate::map_update::map_revision::MapVersion;
 use crate::map_update::map_watch::MapWatch;
+use crate::map_update::place_evidence::PlaceEvidence;
 use crate::motion::AngularRate;
 use crate::noise_adaptation::NoiseAdaptation;
 use crate::odometry::msckf_update::MsckfSettings;
@@ -119,6 +120,10 @@ pub struct Estimator {
     map_fixes: MapFixes,
     /// That of the last answer, as long as it is not known whether it updates the state.
     newest_fix: Option<MapFix>,
+    /// Evidence for `global_from_local`, since odometry last failed.
+    support: PlaceEvidence,
+    /// Evidence of the answers against it since the last one that agreed.
+    against: PlaceEvidence,
     map_gravity: MapGravity,
     map_watch: MapWatch,
     last_map_update_ns: Option<i64>,
@@ -193,6 +198,8 @@ impl Estimator {
             contradiction: None,
             map_fixes: MapFixes::default(),
             newest_fix: None,
+            support: PlaceEvidence::default(),
+            against: PlaceEvidence::default(),
             map_gravity: MapGravity::default(),
             map_watch: MapWatch::default(),
             last_map_update_ns: None,

@@ -1,8 +1,9 @@
 //! Rescue of a wrong state by the map.
 //!
 //! A filter that is wrong rejects right answers. Successive answers that agree with each other, by odometry or by the IMU,
-//! and not with the state show that it is the state; see [`map_fix`](crate::map_update::map_fix). Two of them make the pose
-//! in G untrusted, three replace it: `global_from_local` alone where odometry agrees with them, else the whole state, from
+//! and not with the state may show that it is the state; see [`map_fix`](crate::map_update::map_fix). They are weighed against
+//! the evidence that the state has, since odometry last failed, from other places. Where they outweigh it, two of them make the
+//! pose in G untrusted, and three replace it: `global_from_local` alone where odometry agrees with them, else the whole state, from
 //! the poses of the map, the motion of the IMU between them and the direction of gravity in the map.
 
 use super::Estimator;
@@ -12,6 +13,7 @@ use crate::map_update::map_answer::MapAnswer;
 use crate::map_update::map_fix::{FixedMotion, MapFix};
 use crate::map_update::map_report::{MapReport, Rejection};
 use crate::map_update::map_revision::ChangeSize;
+use crate::map_update::place_evidence::SeenPlace;
 use crate::map_update::verification::VerifiedAnswer;
 use crate::propagation::{IMU_DIM, ImuError, ImuState};
 use crate::state::CloneId;
@@ -22,6 +24,8 @@ use nalgebra::{Matrix6, Vector3, Vector6};
 const MIN_INLIERS: usize = 20;
 /// Successive fixes that make the pose in G untrusted.
 const UNTRUSTED_AFTER: usize = 2;
+/// The evidence against the state times this makes the pose in G untrusted where it outweighs that for it.
+const UNTRUSTED_RATIO: f64 = 2.0;
 /// Successive fixes that replace it.
 const REPLACED_AFTER: usize = 3;
 /// Angle between gravity in the map and in the state beyond which the state is tilted, rad: odometry agrees with the map then
@@ -37,6 +41,7 @@ impl Estimator {
     pub(super) fn note_fix(
         &mut self,
         clone: CloneId,
+        answer: &MapAnswer,
         verified: &VerifiedAnswer,
         measured: &PoseWithCovariance,
     ) {
@@ -61,7 +66,34 @@ impl Estimator {
             squared: together.nees(&measured.pose).unwrap_or(f64::INFINITY),
             sigma_rotation: variance(0).sqrt(),
             sigma_position: variance(3).sqrt(),
+            seen: self.seen_place(answer, verified),
         });
+    }
+
+    /// What the inliers of an answer show.
+    fn seen_place(&self, answer: &MapAnswer, verified: &VerifiedAnswer) -> SeenPlace {
+        let in_global = |&k: &usize| {
+            let landmark = &answer.landmarks[k];
+            Some(self.pose_of(landmark.anchor, answer)?.transform(&landmark.position_in_anchor))
+        };
+        SeenPlace::of(&verified.inliers.iter().filter_map(in_global).collect::<Vec<_>>())
+    }
+
+    /// An answer agrees with the state, and is evidence for it.
+    pub(super) fn note_support(&mut self, report: &MapReport) {
+        self.map_fixes.clear();
+        self.against.clear();
+        if report.initialized {
+            self.support.clear();
+        }
+        if let Some(fix) = self.newest_fix {
+            self.support.add(fix.seen);
+        }
+    }
+
+    /// Whether evidence against the state is more than the state has.
+    pub(super) fn is_outweighed_by(&self, log_odds: f64) -> bool {
+        log_odds >= self.support.log_odds()
     }
 
     /// By how much the pose of an answer of the same place is beyond the covariances: what noise the state lacks.
@@ -98,7 +130,10 @@ impl Estimator {
 
     /// Whether the map contradicts the pose in G.
     pub(super) fn is_contradicted(&self) -> Option<usize> {
-        Some(self.map_fixes.len()).filter(|count| *count >= UNTRUSTED_AFTER)
+        let is_untrusted = |count: &usize| {
+            *count >= UNTRUSTED_AFTER && self.is_outweighed_by(UNTRUSTED_RATIO * self.map_fixes.log_odds())
+        };
+        Some(self.map_fixes.len()).filter(is_untrusted)
     }
 
     /// Takes in a rejected answer as evidence against the state, and gives way to enough of it.
@@ -115,12 +150,17 @@ impl Estimator {
         if !self.map_fixes.is_evidence(&fix) || self.map_fixes.add(fix) < REPLACED_AFTER {
             return Ok(());
         }
+        if !self.is_outweighed_by(self.map_fixes.log_odds()) {
+            return Ok(());
+        }
         let gravity = answer.gravity_in_global.map(|down| down * self.config.gravity);
         let is_tilted =
             gravity.is_some_and(|gravity| self.map_fixes.tilt(&gravity, REPLACED_AFTER) > MAX_TILT_RAD);
         if self.map_fixes.agree_by_odometry(REPLACED_AFTER) && !is_tilted {
             self.remove_transform();
             self.contradiction = None;
+            self.support = self.map_fixes.evidence();
+            self.against.clear();
             self.map_fixes.clear();
             report.rejection = self.update_in_version(clone, answer, report)?.err();
             if report.rejection.is_none() {
@@ -171,6 +211,7 @@ impl Estimator {
         fresh.noise = self.noise.clone();
         fresh.map_watch = std::mem::take(&mut self.map_watch);
         fresh.next_clone = self.next_clone;
+        fresh.support = self.map_fixes.evidence();
         fresh.last_map_update_ns = Some(initial.stamp_ns);
         fresh.insert_fixed_transform(motion);
         *self = fresh;

@@ -110,14 +110,19 @@ impl Estimator {
         self.noise.at_bounds().collect()
     }
 
-    /// Counts a verified answer that the gates rejected. After too many in a row the state is wrong, and
-    /// `global_from_local` is removed.
+    /// Counts a verified answer that the gates rejected. After too many in a row that show more different places than support
+    /// the state, it is wrong, and `global_from_local` is removed.
     pub(super) fn note_contradiction(&mut self) {
         if self.state.transform.is_none() {
             return;
         }
         self.rejections_in_a_row += 1;
-        if self.rejections_in_a_row >= self.config.lost_after_rejections {
+        if let Some(fix) = self.newest_fix {
+            self.against.add(fix.seen);
+        }
+        if self.rejections_in_a_row >= self.config.lost_after_rejections
+            && self.is_outweighed_by(self.against.log_odds())
+        {
             self.lost_after = Some(self.rejections_in_a_row);
             self.rejections_in_a_row = 0;
             self.last_map_update_ns = None;

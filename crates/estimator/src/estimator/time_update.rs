@@ -19,6 +19,9 @@ const IMU_SLACK_NS: i64 = 20_000_000;
 /// this, updates are too far from linear: the state may run away.
 const MAX_GAP_NS: i64 = 1_200_000_000;
 
+/// Gap between IMU samples after which odometry is no evidence, nanoseconds: what the state knew of the map before may not hold.
+const FAILURE_GAP_NS: i64 = 100_000_000;
+
 impl Estimator {
     /// Stores an IMU sample for the next [`Self::time_update`]. Samples come in the order of time.
     ///
@@ -59,6 +62,9 @@ impl Estimator {
             let motion = ImuMotion::between(&before, &self.state.imu, [since_ns, stamp_ns], &gravity);
             self.map_fixes.add_motion(motion);
         }
+        if self.health.has_odometry_failed(self.state.stamp_ns) {
+            self.support.clear();
+        }
         self.check_health()?;
         // `track_update` may be left out for an image without tracks.
         self.marginalize_old_clones();
@@ -70,6 +76,9 @@ impl Estimator {
         let gap_ns = self.imu.longest_gap_ns(self.state.stamp_ns, stamp_ns);
         if gap_ns > MAX_GAP_NS {
             return Err(Divergence::MotionUnknown { seconds: gap_ns as f64 * 1e-9 }.into());
+        }
+        if gap_ns > FAILURE_GAP_NS {
+            self.support.clear();
         }
         let mut propagation = self.propagation();
         readings.windows(2).for_each(|pair| propagation.step(&pair[0], &pair[1]));

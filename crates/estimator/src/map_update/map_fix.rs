@@ -1,9 +1,11 @@
 //! Poses that the map gave while it contradicted the state, and whether they agree with each other.
 //!
-//! A wrong place contradicts the state as well. But the poses of successive answers of the right place agree with the motion
-//! between them, as odometry or the IMU alone measured it, and those of wrong places do not.
+//! A wrong place contradicts the state as well. The poses of successive answers of the right place agree with the motion
+//! between them, as odometry or the IMU alone measured it; but so do those of one picture that repeats elsewhere. What tells
+//! them apart is at how many different places they were taken, see [`place_evidence`](super::place_evidence).
 
 use crate::KeyframeId;
+use crate::map_update::place_evidence::{PlaceEvidence, SeenPlace};
 use crate::propagation::ImuState;
 use geometry::{Pose, Rotation};
 use nalgebra::Vector3;
@@ -13,6 +15,8 @@ use std::collections::VecDeque;
 const HISTORY_NS: i64 = 20_000_000_000;
 /// Maximum number of images of which the motion is kept: 20 s at 50 Hz.
 const MAX_MOTIONS: usize = 1000;
+/// Fixes that are kept, the newest.
+const MAX_FIXES: usize = 100;
 /// Tolerance of the rotation between two fixes, rad: errors of their keyframes.
 const ROTATION_TOLERANCE_RAD: f64 = 0.06;
 /// The same for each second between them, rad/s: an unknown gyroscope bias.
@@ -50,6 +54,8 @@ pub struct MapFix {
     pub sigma_rotation: f64,
     /// Standard deviation of the position, metres.
     pub sigma_position: f64,
+    /// What its answer shows.
+    pub seen: SeenPlace,
 }
 
 impl MapFix {
@@ -173,6 +179,9 @@ impl MapFixes {
         if !agrees {
             self.fixes.clear();
         }
+        if self.fixes.len() == MAX_FIXES {
+            self.fixes.remove(0);
+        }
         self.fixes.push(fix);
         self.fixes.len()
     }
@@ -190,6 +199,16 @@ impl MapFixes {
     /// Whether there is none.
     pub fn is_empty(&self) -> bool {
         self.fixes.is_empty()
+    }
+
+    /// Logarithm of the odds of the fixes: of the different places that they show.
+    pub fn log_odds(&self) -> f64 {
+        self.evidence().log_odds()
+    }
+
+    /// The different places that the fixes show.
+    pub fn evidence(&self) -> PlaceEvidence {
+        self.fixes.iter().map(|fix| fix.seen).collect()
     }
 
     /// Whether the newest fixes agree with odometry: only `global_from_local` is wrong.
@@ -296,6 +315,7 @@ mod tests {
             squared,
             sigma_rotation: 0.01,
             sigma_position: 0.1,
+            seen: SeenPlace::of(&[Vector3::zeros()]),
         }
     }
 

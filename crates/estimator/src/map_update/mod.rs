@@ -7,5 +7,6 @@ pub mod map_measurement;
 pub mod map_report;
 pub mod map_revision;
 pub mod map_watch;
+pub mod place_evidence;
 pub mod solved_pose;
 pub mod verification;

@@ -198,7 +198,7 @@ mod tests {
         for ratio in shown(&broken) {
             assert!((0.85..1.6).contains(&ratio), "{ratio}");
         }
-        assert_eq!(shown(&readings(1.0, 0.0, 0.0)), [0.0; 2]);
+        assert!(shown(&readings(1.0, 0.0, 0.0)).iter().all(|&noise| noise.abs() < 1e-300));
     }
 
     #[test]

@@ -1,0 +1,84 @@
+//! How likely a coverage is at the right place, and where a picture repeats.
+
+/// Shapes of the beta distribution of the share of the expected parts that are confirmed at the right place: rather all of them
+/// than few, where most of the place has changed since.
+const SHARE_AT_THE_PLACE: [f64; 2] = [2.0, 1.0];
+/// Number of parts of an image that a repeated picture fills, negative binomial: its mean, a twelfth of the image, and its
+/// dispersion. It confirms as many however many are expected.
+const PICTURE_PARTS: f64 = 4.0;
+const PICTURE_DISPERSION: f64 = 2.0;
+
+/// Natural logarithm of the likelihood of the right place over that of a picture that repeats.
+///
+/// At the right place the *share* of the expected parts that is confirmed is a matter of what has changed; it is integrated out
+/// (beta-binomial), because neighbouring parts show the same object. Where a picture repeats, the *number* is that of the
+/// parts that the picture fills. Where little is expected the two say the same, and the ratio is about one.
+///
+/// # Arguments
+/// * `confirmed`: parts of the image in which matches confirm what the map expects.
+/// * `expected`: parts in which it expects something, those included.
+pub(crate) fn log_likelihood_ratio(confirmed: usize, expected: usize) -> f64 {
+    log_at_the_place(confirmed, expected) - log_of_a_picture(confirmed, expected)
+}
+
+/// Beta-binomial.
+fn log_at_the_place(confirmed: usize, expected: usize) -> f64 {
+    let [a, b] = SHARE_AT_THE_PLACE;
+    let missing = expected.saturating_sub(confirmed);
+    log_rising(a, confirmed) + log_rising(b, missing) - log_rising(a + b, confirmed + missing)
+        + log_rising(1.0 + missing as f64, confirmed)
+        - log_rising(1.0, confirmed)
+}
+
+/// Negative binomial, among what the expected parts allow.
+fn log_of_a_picture(confirmed: usize, expected: usize) -> f64 {
+    let log_share = (PICTURE_PARTS / (PICTURE_PARTS + PICTURE_DISPERSION)).ln();
+    let log_of = |count: usize| {
+        log_rising(PICTURE_DISPERSION, count) - log_rising(1.0, count) + log_share * count as f64
+    };
+    log_of(confirmed) - (0..=expected.max(confirmed)).map(|count| log_of(count).exp()).sum::<f64>().ln()
+}
+
+/// Logarithm of `from (from + 1) ... (from + count - 1)`.
+fn log_rising(from: f64, count: usize) -> f64 {
+    (0..count).map(|k| (from + k as f64).ln()).sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nothing_expected_says_nothing() {
+        assert!(log_likelihood_ratio(0, 0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn likelihoods_of_all_outcomes_sum_to_one() {
+        for model in [log_at_the_place, log_of_a_picture] {
+            for expected in [1, 7, 48] {
+                let sum: f64 = (0..=expected).map(|confirmed| model(confirmed, expected).exp()).sum();
+                assert!((sum - 1.0).abs() < 1e-9, "{expected}: {sum}");
+            }
+        }
+    }
+
+    #[test]
+    fn beyond_the_size_of_a_picture_each_confirmed_part_speaks_for_the_place() {
+        for expected in 20..=48 {
+            for confirmed in PICTURE_PARTS as usize..expected {
+                let ratio = log_likelihood_ratio(confirmed, expected);
+                assert!(log_likelihood_ratio(confirmed + 1, expected) > ratio, "{confirmed} of {expected}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_picture_in_a_full_image_is_no_place_and_where_little_is_expected_nothing_is_known() {
+        assert!(log_likelihood_ratio(4, 40) < -2.5);
+        assert!(log_likelihood_ratio(20, 40) > 3.0);
+        for expected in 0..=6 {
+            assert!((0.0..1.5).contains(&log_likelihood_ratio(expected, expected)), "all of {expected}");
+        }
+    }
+}

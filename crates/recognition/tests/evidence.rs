@@ -1,0 +1,83 @@
+//! A place is believed for what it explains of an image: one picture that repeats elsewhere is no place.
+
+use geometry::Pose;
+use protocol::{LocalizeRequest, MatchOutcome};
+use rand::rngs::StdRng;
+use rand::{RngExt, SeedableRng};
+use recognition::{LoadedMap, RecognitionOptions};
+use testing::{Place, PlaceOptions};
+
+fn dense_place() -> Place {
+    Place::new(&PlaceOptions { keyframes: 12, landmarks: 6000, ..PlaceOptions::default() })
+}
+
+/// The query of an image in which only some features show what the map has seen there.
+fn request(
+    place: &Place,
+    truth: &Pose,
+    rng: &mut StdRng,
+    is_as_before: impl Fn([f32; 2]) -> bool,
+) -> LocalizeRequest {
+    let request = place.request(truth, 1, rng);
+    let mut features = request.features;
+    let width = features.descriptors.bytes.len() / features.pixels.len();
+    for (descriptor, pixel) in features.descriptors.bytes.chunks_exact_mut(width).zip(&features.pixels) {
+        if !is_as_before(*pixel) {
+            for byte in &mut descriptor {
+                *byte = rng.random();
+            }
+        }
+    }
+    let (camera, gravity_in_camera) = (request.camera, request.gravity_in_camera);
+    LocalizeRequest { camera, features, prior: None, gravity_in_camera }
+}
+
+fn pose(place: &Place, rng: &mut StdRng) -> Pose {
+    let along = rng.random_range(2.0..2.0 * place.path.len() as f64 - 4.0);
+    place.camera_at(along, rng.random_range(-0.3..0.3), rng.random_range(-0.1..0.1))
+}
+
+#[test]
+fn one_picture_of_a_place_is_ambiguous_however_many_matches_it_has_and_its_odds_are_listed() {
+    let place = dense_place();
+    let map = LoadedMap::from_contents(place.map.clone()).unwrap();
+    let mut rng = StdRng::seed_from_u64(31);
+    let mut seen = 0;
+    for _ in 0..20 {
+        let truth = pose(&place, &mut rng);
+        let size = [place.camera.width, place.camera.height].map(|length| length as f32);
+        let in_picture = |pixel: [f32; 2]| {
+            (0.4..0.6).contains(&(pixel[0] / size[0])) && (0.3..0.7).contains(&(pixel[1] / size[1]))
+        };
+        let request = request(&place, &truth, &mut rng, in_picture);
+        let (reply, report) = map.localize_with_report(&request, &RecognitionOptions::default()).unwrap();
+        assert_eq!(reply.fix, None);
+        if let Some(hypothesis) = report.hypotheses.first() {
+            seen += 1;
+            assert!(hypothesis.place.features >= 8 && hypothesis.log_odds() < 0.0, "{hypothesis:?}");
+            let strongest = report.place.as_ref().unwrap();
+            assert_eq!((reply.outcome, strongest), (MatchOutcome::Ambiguous, &hypothesis.place));
+        }
+    }
+    assert!(seen >= 10, "{seen}");
+}
+
+#[test]
+fn a_place_of_which_half_has_changed_is_still_found() {
+    let place = dense_place();
+    let map = LoadedMap::from_contents(place.map.clone()).unwrap();
+    let mut rng = StdRng::seed_from_u64(32);
+    let mut found = 0;
+    for _ in 0..20 {
+        let truth = pose(&place, &mut rng);
+        // Chequered, in squares of 80 px.
+        let remains = |pixel: [f32; 2]| ((pixel[0] / 80.0) as i32 + (pixel[1] / 80.0) as i32) % 2 == 0;
+        let request = request(&place, &truth, &mut rng, remains);
+        let (reply, report) = map.localize_with_report(&request, &RecognitionOptions::default()).unwrap();
+        let Some(fix) = reply.fix else { continue };
+        found += 1;
+        assert!(truth.local(&fix.global_from_camera.pose).fixed_rows::<3>(3).norm() < 0.3);
+        assert!(report.hypotheses[0].log_odds() > 0.0);
+    }
+    assert!(found >= 18, "{found}");
+}
