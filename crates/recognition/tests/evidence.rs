@@ -23,7 +23,7 @@ fn request(
     let width = features.descriptors.bytes.len() / features.pixels.len();
     for (descriptor, pixel) in features.descriptors.bytes.chunks_exact_mut(width).zip(&features.pixels) {
         if !is_as_before(*pixel) {
-            for byte in &mut descriptor {
+            for byte in descriptor {
                 *byte = rng.random();
             }
         }
