@@ -72,6 +72,7 @@ impl Estimator {
     }
 
     fn propagate_to(&mut self, stamp_ns: i64) -> Result<(), EstimatorError> {
+        self.state.renew_wrong_first_estimates();
         let readings = self.imu.interval(self.state.stamp_ns, stamp_ns, IMU_SLACK_NS)?;
         let gap_ns = self.imu.longest_gap_ns(self.state.stamp_ns, stamp_ns);
         if gap_ns > MAX_GAP_NS {

@@ -84,10 +84,12 @@ impl FromIterator<SeenPlace> for PlaceEvidence {
 mod tests {
     use super::*;
 
-    /// Landmarks on a wall of a width and a height, metres.
+    /// Landmarks in rows of ten on a square of a wall, metres.
     fn wall(x: f64, width: f64, count: usize) -> SeenPlace {
-        let at =
-            |k: usize| Vector3::new(x + width * (k % 10) as f64 / 9.0, 0.0, width * (k / 10) as f64 / 9.0);
+        let rows = (count / 10) as f64;
+        let at = |k: usize| {
+            Vector3::new(x + width * (k % 10) as f64 / 9.0, 0.0, width * ((k / 10) as f64 + 0.5) / rows)
+        };
         SeenPlace::of(&(0..count).map(at).collect::<Vec<_>>())
     }
 
