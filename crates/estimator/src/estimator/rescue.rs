@@ -26,6 +26,8 @@ const MIN_INLIERS: usize = 20;
 const UNTRUSTED_AFTER: usize = 2;
 /// The evidence against the state times this makes the pose in G untrusted where it outweighs that for it.
 const UNTRUSTED_RATIO: f64 = 2.0;
+/// Mean time until odometry fails or becomes overconfident without any sign of it, seconds.
+const MEAN_TIME_TO_FAILURE_S: f64 = 600.0;
 /// Successive fixes that replace it.
 const REPLACED_AFTER: usize = 3;
 /// Angle between gravity in the map and in the state beyond which the state is tilted, rad: odometry agrees with the map then
@@ -91,9 +93,14 @@ impl Estimator {
         }
     }
 
-    /// Whether evidence against the state is more than the state has.
+    /// Whether evidence against the state is more than the state has: that of the answers which support it, and at most the odds
+    /// that odometry has not failed unnoticed since the last of them.
     pub(super) fn is_outweighed_by(&self, log_odds: f64) -> bool {
-        log_odds >= self.support.log_odds()
+        let elapsed_s = self
+            .last_map_update_ns
+            .map_or(f64::INFINITY, |last_ns| (self.state.stamp_ns - last_ns) as f64 * 1e-9);
+        let odometry_log_odds = (MEAN_TIME_TO_FAILURE_S / elapsed_s.max(1.0)).ln().max(0.0);
+        log_odds >= self.support.log_odds().min(odometry_log_odds)
     }
 
     /// By how much the pose of an answer of the same place is beyond the covariances: what noise the state lacks.

@@ -51,10 +51,17 @@ impl Default for ReadingNoise {
     }
 }
 
+/// No inertial sensor of a robot measures more, rad/s and m/s^2: what is beyond is a fault, and no noise.
+const RANGE: [f64; 2] = [100.0, 2000.0];
+
 impl ReadingNoise {
     /// Takes the next reading.
     pub fn add(&mut self, reading: &ImuSample) {
         let Some(newest_ns) = self.newest_ns.replace(reading.stamp_ns) else { return };
+        if reading.gyroscope.amax() > RANGE[0] || reading.accelerometer.amax() > RANGE[1] {
+            self.scales.iter_mut().for_each(Scale::restart);
+            return;
+        }
         let dt = (reading.stamp_ns - newest_ns) as f64 * 1e-9;
         if self.interval_s == 0.0 {
             self.interval_s = dt;
@@ -195,6 +202,9 @@ mod tests {
         let mut broken = readings(20.0, 0.0, 0.0);
         broken[3950].gyroscope.x = 35.0;
         broken.drain(1000..1200);
+        for reading in &mut broken[20..30] {
+            (reading.gyroscope.y, reading.accelerometer.z) = (1e300, -1e300);
+        }
         for ratio in shown(&broken) {
             assert!((0.85..1.6).contains(&ratio), "{ratio}");
         }
