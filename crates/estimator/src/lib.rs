@@ -44,6 +44,7 @@ pub mod config;
 pub mod covariance;
 mod error;
 mod estimator;
+mod first_estimates;
 pub mod gate;
 pub mod health;
 pub mod imu;

@@ -7,10 +7,6 @@ use geometry::Pose;
 use nalgebra::{DVector, Matrix6, Vector3, Vector6};
 use std::ops::Range;
 
-/// First estimates are renewed where the motion over the window differs from theirs by more than so much, metres and rad: Jacobians
-/// that far away are worse than the information that a change of the point of linearization invents.
-const MAX_FIRST_ESTIMATE_ERROR: [f64; 2] = [0.1, 0.035];
-
 /// Dimension of a pose error.
 pub const POSE_DIM: usize = 6;
 
@@ -148,29 +144,6 @@ impl ActiveState {
         let begin = self.clones_begin();
         for (index, clone) in self.clones.iter_mut().enumerate() {
             clone.local_from_imu = clone.local_from_imu.retract(&pose_error(begin + POSE_DIM * index));
-        }
-    }
-
-    /// Takes the newest estimates for first ones where these have become too wrong to linearize at: behind seconds without
-    /// images, or a large correction by the map. A displacement of the whole window alone changes no Jacobian and does not count.
-    pub fn renew_wrong_first_estimates(&mut self) {
-        let [position, rotation] = MAX_FIRST_ESTIMATE_ERROR;
-        let Some(oldest) = self.clones.first() else { return };
-        let is_wrong = self.clones.iter().skip(1).any(|clone| {
-            let now = oldest.local_from_imu.inverse() * clone.local_from_imu;
-            let first = oldest.first_estimate.inverse() * clone.first_estimate;
-            let turned = (now.rotation * first.rotation.inverse()).angle();
-            (now.translation - first.translation).norm() > position || turned > rotation
-        });
-        if !is_wrong {
-            return;
-        }
-        self.first_motion = MotionEstimate::of(&self.imu);
-        for clone in &mut self.clones {
-            clone.first_estimate = clone.local_from_imu;
-        }
-        for feature in &mut self.slam_features {
-            feature.first_estimate = feature.position;
         }
     }
 

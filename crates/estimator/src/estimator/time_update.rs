@@ -2,6 +2,7 @@
 
 use super::Estimator;
 use crate::error::EstimatorError;
+use crate::first_estimates;
 use crate::health::Divergence;
 use crate::imu::ImuSample;
 use crate::map_update::map_fix::ImuMotion;
@@ -72,7 +73,9 @@ impl Estimator {
     }
 
     fn propagate_to(&mut self, stamp_ns: i64) -> Result<(), EstimatorError> {
-        self.state.renew_wrong_first_estimates();
+        if self.config.first_estimates && first_estimates::are_wrong(&self.state) {
+            first_estimates::renew(&mut self.state, &mut self.covariance);
+        }
         let readings = self.imu.interval(self.state.stamp_ns, stamp_ns, IMU_SLACK_NS)?;
         let gap_ns = self.imu.longest_gap_ns(self.state.stamp_ns, stamp_ns);
         if gap_ns > MAX_GAP_NS {

@@ -1,0 +1,152 @@
+//! Renewal of first estimates: a new point of linearization that invents no information.
+//!
+//! Jacobians at the first estimates see nothing along the gauge of L: a turn about gravity, and a translation. At the first
+//! estimate `p` of a position or velocity, a turn by `a` shows as the error `a x p`, so that another first estimate has another
+//! gauge, and information that was gathered at the old one is information about the new one: a yaw that nothing measured would
+//! be known. With a first estimate that moves from `p` to `p + d`, the error moves, too:
+//! ```text
+//! e_p ← e_p + e_R x d
+//! ```
+//! with the rotation error `e_R` of the same block. It carries the old gauge to the new one, and is to first order the
+//! statement of the invariant Kalman filter (Barrau and Bonnabel 2017): `e_p - e_R x p` keeps its distribution while the point
+//! of linearization moves.
+
+use crate::covariance::JointCovariance;
+use crate::propagation::{MotionEstimate, VELOCITY};
+use crate::state::{ActiveState, Block};
+use geometry::rotation;
+use nalgebra::Vector3;
+
+/// First estimates are wrong where the motion over the window differs from theirs by more than so much, metres and rad. For a
+/// landmark at 2 m, the Jacobian is then off by 5 percent, which the noise of the tracks covers; at ten times as much (20 s
+/// without images) it is not a Jacobian of this scene.
+const MAX_ERROR: [f64; 2] = [0.1, 0.035];
+
+/// Whether first estimates have become too wrong to linearize at: behind seconds without images, or a large correction by the
+/// map. A displacement of the whole window alone changes no Jacobian and does not count.
+pub fn are_wrong(state: &ActiveState) -> bool {
+    let [position, rotation] = MAX_ERROR;
+    let Some(oldest) = state.clones.first() else { return false };
+    state.clones.iter().skip(1).any(|clone| {
+        let now = oldest.local_from_imu.inverse() * clone.local_from_imu;
+        let first = oldest.first_estimate.inverse() * clone.first_estimate;
+        let turned = (now.rotation * first.rotation.inverse()).angle();
+        (now.translation - first.translation).norm() > position || turned > rotation
+    })
+}
+
+/// Takes the newest estimates for first ones.
+pub fn renew(state: &mut ActiveState, covariance: &mut JointCovariance) {
+    let newest = MotionEstimate::of(&state.imu);
+    let moved = newest.position - state.first_motion.position;
+    let gained = newest.velocity - state.first_motion.velocity;
+    transport(covariance, 0, 3, &moved);
+    transport(covariance, 0, VELOCITY, &gained);
+    state.first_motion = newest;
+
+    for index in 0..state.slam_features.len() {
+        let Some(block) = state.range(Block::SlamFeature(index)) else { continue };
+        let feature = &mut state.slam_features[index];
+        // A point has no attitude: it turns with the body.
+        transport(covariance, 0, block.start, &(feature.position - feature.first_estimate));
+        feature.first_estimate = feature.position;
+    }
+    for index in 0..state.clones.len() {
+        let Some(block) = state.range(Block::Clone(index)) else { continue };
+        let clone = &mut state.clones[index];
+        let moved = clone.local_from_imu.translation - clone.first_estimate.translation;
+        transport(covariance, block.start, block.start + 3, &moved);
+        clone.first_estimate = clone.local_from_imu;
+    }
+}
+
+/// `e_p ← e_p + e_R x moved` for the errors that begin at `rotation` and `position`.
+fn transport(covariance: &mut JointCovariance, rotation: usize, position: usize, moved: &Vector3<f64>) {
+    let jacobian = -rotation::skew(moved);
+    for (axis, column) in jacobian.column_iter().enumerate() {
+        covariance.add_dependence(position, column.into_owned().as_slice(), rotation + axis);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::state::{FEATURE_DIM, POSE_DIM, SlamFeature};
+    use crate::test_scene::scene;
+    use nalgebra::DMatrix;
+
+    /// Errors that a turn about each axis, and a translation, of L would be at the first estimates.
+    fn gauge(state: &ActiveState) -> DMatrix<f64> {
+        let mut gauge = DMatrix::zeros(state.dim(), 6);
+        let identity = nalgebra::Matrix3::identity();
+        let mut position = |begin: usize, first: &Vector3<f64>| {
+            gauge.fixed_view_mut::<3, 3>(begin, 0).copy_from(&-rotation::skew(first));
+            gauge.fixed_view_mut::<3, 3>(begin, 3).copy_from(&identity);
+        };
+        position(3, &state.first_motion.position);
+        for (index, feature) in state.slam_features.iter().enumerate() {
+            position(state.range(Block::SlamFeature(index)).unwrap().start, &feature.first_estimate);
+        }
+        for (index, clone) in state.clones.iter().enumerate() {
+            position(state.range(Block::Clone(index)).unwrap().start + 3, &clone.first_estimate.translation);
+        }
+        gauge.fixed_view_mut::<3, 3>(0, 0).copy_from(&identity);
+        gauge.fixed_view_mut::<3, 3>(VELOCITY, 0).copy_from(&-rotation::skew(&state.first_motion.velocity));
+        for index in 0..state.clones.len() {
+            let begin = state.range(Block::Clone(index)).unwrap().start;
+            gauge.fixed_view_mut::<3, 3>(begin, 0).copy_from(&identity);
+        }
+        gauge
+    }
+
+    /// A state whose first estimates are off, and a covariance with correlations everywhere.
+    fn state_and_covariance() -> (ActiveState, JointCovariance) {
+        let scene = scene(false);
+        let mut state = scene.state;
+        state.first_motion.position += Vector3::new(0.3, -0.1, 0.05);
+        state.first_motion.velocity += Vector3::new(-0.2, 0.4, 0.1);
+        let first_estimate = scene.landmark + Vector3::new(0.2, 0.1, -0.7);
+        let position = scene.landmark;
+        state.slam_features.push(SlamFeature { feature_id: 3, position, first_estimate, gated_in_a_row: 0 });
+        let dim = state.dim();
+        assert_eq!(dim, 15 + FEATURE_DIM + 8 * POSE_DIM);
+        let root = DMatrix::from_fn(dim, dim, |row, column| {
+            let own = if row == column { 1.0 } else { 0.0 };
+            own + 0.4 * ((7 * row + 3 * column) as f64).sin()
+        });
+        (state, JointCovariance::new(&root * root.transpose() * 1e-2, 4))
+    }
+
+    #[test]
+    fn a_renewal_neither_adds_nor_removes_information_about_the_gauge() {
+        let (mut state, mut covariance) = state_and_covariance();
+        let information = |state: &ActiveState, covariance: &JointCovariance| {
+            let gauge = gauge(state);
+            let inverse = covariance.active().view().into_owned().try_inverse().unwrap();
+            gauge.transpose() * inverse * gauge
+        };
+        let before = information(&state, &covariance);
+        renew(&mut state, &mut covariance);
+        let after = information(&state, &covariance);
+        assert!((&after - &before).amax() < 1e-7 * before.amax(), "{before}{after}");
+        // And it did something: every first estimate is the newest estimate.
+        assert!(!are_wrong(&state));
+        assert_eq!(state.first_motion.position, state.imu.local_from_imu.translation);
+        assert_eq!(state.slam_features[0].first_estimate, state.slam_features[0].position);
+        assert!(state.clones.iter().all(|clone| clone.first_estimate == clone.local_from_imu));
+    }
+
+    #[test]
+    fn a_displacement_of_the_window_is_no_wrong_estimate_and_a_wrong_motion_over_it_is() {
+        let (mut state, _) = state_and_covariance();
+        for clone in &mut state.clones {
+            clone.first_estimate = clone.local_from_imu;
+            clone.first_estimate.translation += Vector3::new(3.0, -4.0, 0.5);
+        }
+        assert!(!are_wrong(&state));
+        state.clones[7].first_estimate.translation.x += 0.09;
+        assert!(!are_wrong(&state));
+        state.clones[7].first_estimate.translation.x += 0.02;
+        assert!(are_wrong(&state));
+    }
+}
