@@ -3,7 +3,7 @@
 use super::alarms::Alarms;
 use super::extraction::ExtractionThread;
 use super::initial_pose::InitialPoseSearch;
-use super::input::{ImuWindow, NextFrame, SensorQueue};
+use super::input::{BadReadings, ImuWindow, NextFrame, SensorQueue};
 use super::link::OpeningLink;
 use super::outputs::{
     Estimate, MessageRecording, Publisher, Recorder, RobotMetrics, RosOutput, StatusLine, Timings,
@@ -120,6 +120,7 @@ pub struct RobotRun<'a> {
     imu_check: ImuCheck,
     /// What is wrong with the readings.
     pub(super) imu_fault: Option<ImuUnitError>,
+    pub(super) bad_readings: BadReadings,
     /// What is wrong with a live source.
     pub(super) live_faults: Vec<LiveFault>,
     pub(super) events: SensorQueue<'a>,
@@ -162,6 +163,7 @@ impl<'a> RobotRun<'a> {
             alarms: Alarms::default(),
             imu_check: ImuCheck::new(calibration.imu.as_ref().and_then(|imu| imu.gravity_magnitude)),
             imu_fault: None,
+            bad_readings: BadReadings::default(),
             live_faults: Vec::new(),
             events: SensorQueue::new(source),
             imu,
@@ -285,7 +287,8 @@ impl RobotRun<'_> {
             if let Some(recording) = &mut self.recording {
                 recording.reading(&reading);
             }
-            self.imu.push(reading);
+            let checked = self.imu.push(reading);
+            self.bad_readings.note(reading.stamp_ns, checked);
         }
         Ok(())
     }
@@ -368,7 +371,7 @@ impl RobotRun<'_> {
         timings.front_end = begin.elapsed();
 
         let begin = Instant::now();
-        self.feed_imu(frame.stamp_ns, recorder);
+        self.feed_imu(frame.stamp_ns);
         let tracks = self.initialize(frame.stamp_ns, tracks, recorder)?;
         let (Some(tracks), Some(estimator)) = (tracks, self.supervisor.estimator_mut()) else {
             // Answers to queries of the last filter are of no use, but must not pile up.
@@ -442,18 +445,18 @@ impl RobotRun<'_> {
     }
 
     /// Hands the IMU readings up to the first one after the frame to the estimator.
-    fn feed_imu(&mut self, frame_ns: i64, recorder: &mut Recorder) {
+    fn feed_imu(&mut self, frame_ns: i64) {
         let until_ns = self.imu_stamp_ns(frame_ns);
         while let Some(reading) = self.imu.hand_out(until_ns) {
             if let Err(error) = self.supervisor.imu(reading) {
                 tracing::warn!(%error, "IMU reading refused");
-                recorder.dropped_imu += 1;
             }
         }
     }
 
     fn close(&mut self, recorder: &mut Recorder) {
         recorder.imu_gaps = self.imu.gaps();
+        recorder.dropped_imu = self.bad_readings.count();
         recorder.alarms = self.alarms.kept().to_vec();
         recorder.learned_noise = self.supervisor.learned_noise();
         recorder.final_status = Some(self.note_status(recorder));

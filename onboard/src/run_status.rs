@@ -12,6 +12,7 @@ use std::mem::{Discriminant, discriminant};
 pub(crate) enum AlarmKind {
     Map(Discriminant<Alarm>),
     ImuUnits,
+    BadReadings,
     Sensor(Stream, FaultKind),
 }
 
@@ -24,11 +25,12 @@ impl RobotRun<'_> {
         let of_map = self.supervisor.estimator().map(Estimator::alarms).unwrap_or_default();
         let of_map = of_map.iter().map(|alarm| (AlarmKind::Map(discriminant(alarm)), alarm.to_string()));
         let of_imu = self.imu_fault.map(|fault| (AlarmKind::ImuUnits, fault.to_string()));
+        let of_readings = self.bad_readings.fault().map(|fault| (AlarmKind::BadReadings, fault));
         let of_sensors = self
             .live_faults
             .iter()
             .map(|fault| (AlarmKind::Sensor(fault.stream, fault.kind), fault.to_string()));
-        self.alarms.update(seconds, of_map.chain(of_imu).chain(of_sensors).collect());
+        self.alarms.update(seconds, of_map.chain(of_imu).chain(of_readings).chain(of_sensors).collect());
     }
 
     /// The status, with why the map does not answer and what is wrong with the readings.
@@ -37,8 +39,11 @@ impl RobotRun<'_> {
         let failure = self.last_failure.as_ref().map(|failure| format!("the map does not answer: {failure}"));
         let of_sensors = self.live_faults.iter().map(ToString::to_string);
         let of_units = self.imu_fault.map(|fault| fault.to_string());
+        let of_readings = self.bad_readings.fault();
         let of_operator = self.initial_pose.describe();
-        for fault in of_operator.into_iter().chain(failure).chain(of_units).chain(of_sensors) {
+        for fault in
+            of_operator.into_iter().chain(failure).chain(of_units).chain(of_readings).chain(of_sensors)
+        {
             status.reason = format!("{}; {fault}", status.reason);
         }
         // A longer text would not be published.

@@ -2,6 +2,7 @@
 
 use crate::config::ImuNoise;
 use crate::imu::ImuSample;
+use crate::imu::plausibility::ReadingCheck;
 use crate::propagation::{GYROSCOPE_BIAS, ImuMatrix, ImuState, Propagation, VELOCITY};
 use geometry::{PoseWithCovariance, rotation};
 use nalgebra::{Matrix6, SMatrix, Vector3};
@@ -109,16 +110,20 @@ pub struct MotionPredictor {
     propagation: Propagation,
     noise: ImuNoise,
     newest: Option<ImuSample>,
+    check: ReadingCheck,
 }
 
 impl MotionPredictor {
+    /// # Arguments
+    /// * `check`: of the readings that come after the last one at or before the state's time.
     pub(crate) fn new(
         stamp_ns: i64,
         covariance: &ImuMatrix,
         propagation: Propagation,
         noise: ImuNoise,
+        check: ReadingCheck,
     ) -> Self {
-        Self { stamp_ns, covariance: *covariance, propagation, noise, newest: None }
+        Self { stamp_ns, covariance: *covariance, propagation, noise, newest: check.newest(), check }
     }
 
     /// Time of the state from which is predicted, nanoseconds.
@@ -130,11 +135,9 @@ impl MotionPredictor {
     /// motion at the state's time is interpolated.
     ///
     /// # Returns
-    /// The motion at the reading; `None` for one that is not after the state, not after the last one, or not finite.
+    /// The motion at the reading; `None` for one that is not after the state, or that the filter would refuse.
     pub fn add(&mut self, reading: ImuSample) -> Option<Motion> {
-        if !reading.is_finite() || self.newest.is_some_and(|newest| newest.stamp_ns >= reading.stamp_ns) {
-            return None;
-        }
+        self.check.check(&reading).ok()?;
         let before = self.newest.replace(reading);
         if reading.stamp_ns <= self.stamp_ns {
             return None;

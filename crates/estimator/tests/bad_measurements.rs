@@ -1,7 +1,7 @@
 //! Measurements that no sane sender sends must not poison the filter.
 
-use crate::common::{FRAME_NS, World, accepted, assert_finite};
-use estimator::{CloneId, Estimator, EstimatorConfig, MapAnswer};
+use crate::common::{FRAME_NS, IMU_NS, World, accepted, assert_finite, imu_at};
+use estimator::{BadImuSample, CloneId, Estimator, EstimatorConfig, EstimatorError, ImuSample, MapAnswer};
 use geometry::PoseWithCovariance;
 use nalgebra::{Matrix6, Matrix6xX, Vector3};
 
@@ -132,4 +132,40 @@ fn a_pixel_noise_that_is_none() {
 fn a_gravity_that_is_no_direction() {
     survives(|answer| answer.gravity_in_global = Some(Vector3::repeat(f64::NAN)));
     survives(|answer| answer.gravity_in_global = Some(Vector3::zeros()));
+}
+
+#[test]
+fn readings_that_no_motion_explains_are_left_out_and_the_pose_stays_right() {
+    let spoilt: [(i64, fn(&mut ImuSample)); 6] = [
+        (1, |reading| reading.gyroscope.z = 35.0),
+        (1, |reading| reading.accelerometer.x = 157.0),
+        (10, |reading| reading.gyroscope.z = -35.0),
+        (10, |reading| reading.accelerometer.x = -157.0),
+        (160, |reading| reading.gyroscope.y = 1e5),
+        (160, |reading| reading.accelerometer = Vector3::repeat(1e300)),
+    ];
+    for (case, (count, spoil)) in spoilt.into_iter().enumerate() {
+        let (world, mut estimator, _, frame) = localized();
+        let from_ns = frame * FRAME_NS + 20_000_000;
+        let mut refused = 0;
+        for next in frame + 1..frame + 60 {
+            for k in 1..=FRAME_NS / IMU_NS {
+                let mut reading = imu_at((next - 1) * FRAME_NS + k * IMU_NS);
+                if (from_ns..from_ns + count * IMU_NS).contains(&reading.stamp_ns) {
+                    spoil(&mut reading);
+                }
+                match estimator.imu(reading) {
+                    Err(EstimatorError::BadImu(BadImuSample::Implausible { .. })) => refused += 1,
+                    other => other.unwrap(),
+                }
+            }
+            if estimator.time_update(next * FRAME_NS).is_ok() {
+                estimator.track_update(&world.tracks(next)).unwrap();
+            }
+        }
+        assert_eq!(refused, count, "case {case}");
+        let (pose, truth) = (estimator.local_from_imu(), World::truth(frame + 59));
+        let (error, nees) = (pose.pose.local(&truth), pose.nees(&truth).unwrap());
+        assert!(error.amax() < 0.05 && nees < 25.0, "case {case}: {error}, NEES {nees} over 6");
+    }
 }

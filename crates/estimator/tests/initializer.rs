@@ -4,8 +4,8 @@ use estimator::{
     CalibratedCamera, EstimatorConfig, ImuSample, InitMethod, InitStatus, Initialization, Initializer,
     LastTrustedPose, TrackObservation,
 };
-use geometry::{Camera, Distortion, Pose, rotation};
-use nalgebra::Vector3;
+use geometry::{Camera, Distortion, Pose, PoseWithCovariance, rotation};
+use nalgebra::{Matrix6, Vector3};
 use rand::{RngExt as _, SeedableRng, rngs::StdRng};
 
 const IMU_NS: i64 = 5_000_000;
@@ -90,13 +90,21 @@ fn the_next_start_takes_position_and_yaw_of_the_last_believed_pose() {
     let turn = rotation::exp(&Vector3::new(0.0, 0.0, 1.2)) * rotation::exp(&TILT);
     let last = LastTrustedPose {
         stamp_ns: 0,
-        local_from_imu: Pose::new(turn, Vector3::new(5.0, -3.0, 1.0)),
+        local_from_imu: PoseWithCovariance::new(
+            Pose::new(turn, Vector3::new(5.0, -3.0, 1.0)),
+            Matrix6::identity() * 1e-4,
+        ),
+        velocity: Vector3::new(0.0, 2.0, 0.0),
         gyroscope_bias: Vector3::zeros(),
     };
     let initializer = Initializer::again(EstimatorConfig::default(), cameras(), Some(last), 1_000_000_000);
     let (seconds, start) = watch(initializer, Vector3::zeros(), 3.0).unwrap();
     assert!(seconds >= 1.0, "not before the pause is over");
     let placed = start.initial.imu.local_from_imu;
-    assert_eq!(placed.translation, last.local_from_imu.translation);
+    assert_eq!(placed.translation, last.local_from_imu.pose.translation);
+    // It may have gone on as fast as it was, all the time.
+    let elapsed_s = start.initial.stamp_ns as f64 * 1e-9;
+    let sigma = start.initial.covariance[(3, 3)].sqrt();
+    assert!(sigma > 2.0 * elapsed_s && sigma < 2.0 * elapsed_s + 0.1, "{sigma} m after {elapsed_s} s");
     assert!(rotation::log(&(placed.rotation * turn.inverse())).norm() < 0.01);
 }

@@ -2,7 +2,9 @@
 
 use ::odometry::{EstimatorSupervisor, FrontEnd};
 use estimator::propagation::ImuState;
-use estimator::{CalibratedCamera, ConfigError, EstimatorConfig, EstimatorError, MapMode, TrackObservation};
+use estimator::{
+    CalibratedCamera, ConfigError, EstimatorConfig, EstimatorError, MapMode, ReadingCheck, TrackObservation,
+};
 use sensors::{Frame, ImuSample, Sequence};
 use std::path::PathBuf;
 use vision::tracking::{TrackerError, TrackerOptions};
@@ -118,6 +120,7 @@ pub fn run_configured(
         let options = TrackerOptions::default();
         Some(FrontEnd::new(&sequence.cameras[..cameras], options)?)
     };
+    let readings = usable_readings(&sequence.imu_samples);
     let mut states: Vec<(i64, ImuState)> = Vec::new();
     let mut divergences = 0;
     let mut next_reading = 0;
@@ -127,8 +130,7 @@ pub fn run_configured(
         // Up to the first one that is not before the frame, by the clock of the IMU.
         let until_ns =
             supervisor.estimator().map_or(frame.stamp_ns, |running| running.imu_stamp_ns(frame.stamp_ns));
-        while next_reading < sequence.imu_samples.len() {
-            let reading = sequence.imu_samples[next_reading];
+        while let Some(&reading) = readings.get(next_reading) {
             next_reading += 1;
             match supervisor.imu(reading) {
                 Ok(()) | Err(EstimatorError::BadImu(_)) => {}
@@ -143,7 +145,7 @@ pub fn run_configured(
                 continue;
             }
             let since_ns = front_end.last_stamp_ns().unwrap_or(frame.stamp_ns);
-            let read = &sequence.imu_samples[..next_reading];
+            let read = &readings[..next_reading];
             let begin = read.partition_point(|reading| reading.stamp_ns <= since_ns).saturating_sub(1);
             match front_end.track_frame(frame, &read[begin..]) {
                 Ok(tracks) => frame.tracks = tracks,
@@ -163,14 +165,29 @@ pub fn run_configured(
             Ok(None) | Err(EstimatorError::NoImu { .. } | EstimatorError::OldFrame { .. }) => {}
             Err(error @ EstimatorError::Diverged(_)) => {
                 tracing::warn!(%error, "odometry starts again");
-                let read: &[ImuSample] = &sequence.imu_samples[..next_reading];
-                supervisor.reinitialize(frame.stamp_ns, &error, read);
+                supervisor.reinitialize(frame.stamp_ns, &error, &readings[..next_reading]);
                 divergences += 1;
             }
             Err(error) => return Err(error.into()),
         }
     }
     Ok(OdometryRun { states, divergences, supervisor })
+}
+
+/// The readings without those that cannot be used, which are counted and logged.
+fn usable_readings(readings: &[ImuSample]) -> Vec<ImuSample> {
+    let mut check = ReadingCheck::default();
+    let mut first_bad = None;
+    let is_usable = |reading: &&ImuSample| {
+        let checked = check.check(reading);
+        first_bad = first_bad.or(checked.err());
+        checked.is_ok()
+    };
+    let usable: Vec<ImuSample> = readings.iter().filter(is_usable).copied().collect();
+    if let Some(first) = first_bad {
+        tracing::warn!(count = readings.len() - usable.len(), %first, "bad readings of the IMU were left out");
+    }
+    usable
 }
 
 /// Whether images of two cameras follow each other so slowly that points cannot be tracked.

@@ -170,7 +170,8 @@ impl EstimatorSupervisor {
             self.learned_noise = Some(estimator.learned_noise());
             self.last_trusted = Some(LastTrustedPose {
                 stamp_ns: estimator.stamp_ns(),
-                local_from_imu: estimator.local_from_imu().pose,
+                local_from_imu: estimator.local_from_imu(),
+                velocity: estimator.velocity(),
                 gyroscope_bias: estimator.biases().0,
             });
         }

@@ -1,7 +1,7 @@
 //! The newest IMU readings: those that are still needed, and no more.
 
 use crate::outputs::ImuGapSummary;
-use estimator::ImuSample;
+use estimator::{BadImuSample, ImuSample, ReadingCheck};
 
 /// Readings are kept so long at most, nanoseconds. Only a filter that diverges after it was not trusted for this long
 /// would need older ones; the rotation before is then missing from the yaw of its successor.
@@ -13,6 +13,7 @@ const MOST_WARNINGS: usize = 20;
 
 /// A window of IMU readings, of which the first part was handed out to the estimator.
 pub(crate) struct ImuWindow {
+    check: ReadingCheck,
     readings: Vec<ImuSample>,
     /// How many of them were handed out.
     handed_out: usize,
@@ -28,7 +29,13 @@ impl ImuWindow {
     /// * `rate_hz`: readings a second, by the calibration of the sensor.
     pub(crate) fn new(rate_hz: f64) -> Self {
         let gap_ns = (GAP_PERIODS * 1e9 / rate_hz) as i64;
-        Self { readings: Vec::new(), handed_out: 0, gap_ns, gaps: ImuGapSummary::default() }
+        Self {
+            check: ReadingCheck::default(),
+            readings: Vec::new(),
+            handed_out: 0,
+            gap_ns,
+            gaps: ImuGapSummary::default(),
+        }
     }
 
     /// Whether the newest reading is before `stamp_ns`: the motion up to there is not known yet.
@@ -37,8 +44,13 @@ impl ImuWindow {
     }
 
     /// Appends a reading.
-    pub(crate) fn push(&mut self, reading: ImuSample) {
+    ///
+    /// # Errors
+    /// [`BadImuSample`]: it cannot be used, and was left out.
+    pub(crate) fn push(&mut self, reading: ImuSample) -> Result<(), BadImuSample> {
+        self.check.check(&reading)?;
         self.readings.push(reading);
+        Ok(())
     }
 
     /// All readings that are kept.

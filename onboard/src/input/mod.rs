@@ -1,7 +1,9 @@
 //! What a run reads: events of a sensor source, read ahead as far as the estimator needs them.
 
+mod bad_readings;
 mod imu_window;
 mod sensor_queue;
 
+pub(crate) use bad_readings::BadReadings;
 pub(crate) use imu_window::ImuWindow;
 pub(crate) use sensor_queue::{NextFrame, SensorQueue};

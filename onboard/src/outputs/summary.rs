@@ -194,7 +194,7 @@ pub struct Summary {
     pub skipped_frames: usize,
     /// Frames that a live source dropped: the processor did not keep up, or there were no readings for them.
     pub dropped_frames: u64,
-    /// IMU readings that the estimator refused.
+    /// IMU readings that were left out: not finite, not in the order of time, or no motion.
     pub dropped_imu: usize,
     /// Gaps between IMU readings.
     pub imu_gaps: ImuGapSummary,

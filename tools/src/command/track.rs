@@ -2,6 +2,7 @@
 
 use anyhow::{Context, Result, bail};
 use clap::ValueEnum;
+use estimator::ReadingCheck;
 use odometry::FrontEnd;
 use onboard::arguments::CalibrationArguments;
 use onboard::progress;
@@ -205,12 +206,13 @@ fn track(
 /// The readings around one image interval, read as they are needed.
 struct ReadingWindow<'a> {
     rows: Rows<'a, ImuSample>,
+    check: ReadingCheck,
     readings: Vec<ImuSample>,
 }
 
 impl<'a> ReadingWindow<'a> {
     fn new(recording: &'a Recording<'_>) -> Result<Self> {
-        Ok(Self { rows: recording.imu_samples()?, readings: Vec::new() })
+        Ok(Self { rows: recording.imu_samples()?, check: ReadingCheck::default(), readings: Vec::new() })
     }
 
     /// The readings from the last one before `from_ns` to the first one not before `to_ns`.
@@ -218,6 +220,10 @@ impl<'a> ReadingWindow<'a> {
         let from_ns = from_ns.unwrap_or(to_ns);
         while self.readings.last().is_none_or(|last| last.stamp_ns < to_ns) {
             let Some(reading) = self.rows.next().transpose()? else { break };
+            if let Err(bad) = self.check.check(&reading) {
+                tracing::warn!(%bad, "bad IMU reading");
+                continue;
+            }
             // Before the first image, and where images are missing, old readings are of no use.
             if reading.stamp_ns <= from_ns {
                 self.readings.clear();

@@ -75,6 +75,7 @@ impl Estimator {
             &self.imu_covariance(),
             self.propagation(),
             self.propagation_noise(),
+            self.imu.check_from_oldest(),
         )
     }
 

@@ -7,10 +7,11 @@
 use crate::calibration::CalibratedCamera;
 use crate::config::EstimatorConfig;
 use crate::imu::{BadImuSample, ImuBuffer, ImuSample};
+use crate::initialization::continuation::{Continuation, LastTrustedPose};
 use crate::initialization::dynamic::{
     BiasPrior, DynamicInitError, InitQuality, Window, WindowImage, initialize_dynamic,
 };
-use crate::initialization::static_init::{InitialState, REST_SECONDS, StaticInitError, yaw_between};
+use crate::initialization::static_init::{InitialState, REST_SECONDS, StaticInitError};
 use crate::odometry::tracks::TrackObservation;
 use geometry::{Pose, rotation};
 use nalgebra::Vector3;
@@ -94,17 +95,6 @@ pub enum InitStatus {
     },
 }
 
-/// The last pose in L before the filter diverged, from which L is continued.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct LastTrustedPose {
-    /// Time, nanoseconds.
-    pub stamp_ns: i64,
-    /// IMU pose in L.
-    pub local_from_imu: Pose,
-    /// Gyroscope bias, rad/s, for the propagation of the rotation until the next initialization.
-    pub gyroscope_bias: Vector3<f64>,
-}
-
 /// Finds the initial state of a filter, at rest or in motion.
 ///
 /// Feed it like the filter, with [`Self::imu`] and [`Self::image`], until the latter returns an [`Initialization`]; then
@@ -155,7 +145,7 @@ pub struct Initializer {
     attempts: i64,
     not_before_ns: i64,
     dynamic_error: Option<DynamicInitError>,
-    last: Option<LastTrustedPose>,
+    continuation: Option<Continuation>,
 }
 
 impl Initializer {
@@ -173,7 +163,7 @@ impl Initializer {
             attempts: 0,
             not_before_ns: i64::MIN,
             dynamic_error: None,
-            last: None,
+            continuation: None,
         }
     }
 
@@ -189,7 +179,7 @@ impl Initializer {
         last: Option<LastTrustedPose>,
         not_before_ns: i64,
     ) -> Self {
-        Self { not_before_ns, last, ..Self::new(config, cameras) }
+        Self { not_before_ns, continuation: last.map(Continuation::of), ..Self::new(config, cameras) }
     }
 
     /// Adds an IMU sample, in the order of time.
@@ -199,7 +189,9 @@ impl Initializer {
     pub fn imu(&mut self, sample: ImuSample) -> Result<(), BadImuSample> {
         let previous = self.imu.newest();
         self.imu.push(sample)?;
-        self.propagate_last_rotation(previous, &sample);
+        if let (Some(continuation), Some(previous)) = (&mut self.continuation, previous) {
+            continuation.propagate(&previous, &sample);
+        }
         let step_ns = (STATIC_PERIOD_S * 1e9) as i64;
         let next_ns = *self.next_static_ns.get_or_insert(sample.stamp_ns + (REST_SECONDS * 1e9) as i64);
         if sample.stamp_ns >= next_ns {
@@ -208,17 +200,6 @@ impl Initializer {
         }
         self.remove_old();
         Ok(())
-    }
-
-    /// Propagates the rotation of the last trusted pose.
-    fn propagate_last_rotation(&mut self, previous: Option<ImuSample>, sample: &ImuSample) {
-        let (Some(last), Some(previous)) = (&mut self.last, previous) else { return };
-        let seconds = (sample.stamp_ns - previous.stamp_ns.max(last.stamp_ns)) as f64 * 1e-9;
-        if seconds > 0.0 {
-            let rate = 0.5 * (previous.gyroscope + sample.gyroscope) - last.gyroscope_bias;
-            last.local_from_imu.rotation *= rotation::exp(&(rate * seconds));
-            last.stamp_ns = sample.stamp_ns;
-        }
     }
 
     fn initialize_static(&mut self, now_ns: i64) {
@@ -321,9 +302,7 @@ impl Initializer {
 
     /// The initial state with position and yaw of the last trusted pose.
     fn continue_local(&self, initial: &InitialState) -> InitialState {
-        let Some(last) = &self.last else { return initial.clone() };
-        let rotation = yaw_between(&initial.imu.local_from_imu.rotation, &last.local_from_imu.rotation);
-        initial.transformed(&Pose::new(rotation, last.local_from_imu.translation))
+        self.continuation.as_ref().map_or_else(|| initial.clone(), |continuation| continuation.place(initial))
     }
 
     /// Discards the static initialization found so far: after a divergence only later samples are used.

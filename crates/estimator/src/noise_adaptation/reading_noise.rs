@@ -51,17 +51,10 @@ impl Default for ReadingNoise {
     }
 }
 
-/// No inertial sensor of a robot measures more, rad/s and m/s^2: what is beyond is a fault, and no noise.
-const RANGE: [f64; 2] = [100.0, 2000.0];
-
 impl ReadingNoise {
     /// Takes the next reading.
     pub fn add(&mut self, reading: &ImuSample) {
         let Some(newest_ns) = self.newest_ns.replace(reading.stamp_ns) else { return };
-        if reading.gyroscope.amax() > RANGE[0] || reading.accelerometer.amax() > RANGE[1] {
-            self.scales.iter_mut().for_each(Scale::restart);
-            return;
-        }
         let dt = (reading.stamp_ns - newest_ns) as f64 * 1e-9;
         if self.interval_s == 0.0 {
             self.interval_s = dt;
@@ -151,6 +144,7 @@ impl Scale {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::imu::plausibility::ReadingCheck;
     use nalgebra::Vector3;
     use rand::{RngExt as _, SeedableRng as _, rngs::StdRng};
     use rand_distr::StandardNormal;
@@ -181,7 +175,10 @@ mod tests {
 
     fn shown<'a>(readings: impl IntoIterator<Item = &'a ImuSample>) -> [f64; 2] {
         let mut noise = ReadingNoise::default();
-        readings.into_iter().for_each(|reading| noise.add(reading));
+        // As the filter does: what no motion explains does not come here.
+        let mut check = ReadingCheck::default();
+        let usable = readings.into_iter().filter(|reading| check.check(reading).is_ok());
+        usable.for_each(|reading| noise.add(reading));
         let ShownNoise { gyroscope, accelerometer } = noise.shown();
         [gyroscope / DENSITIES[0], accelerometer / DENSITIES[1]]
     }

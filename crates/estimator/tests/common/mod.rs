@@ -12,7 +12,7 @@ use rand::{RngExt as _, SeedableRng, rngs::StdRng};
 
 /// Nanoseconds between two images, and between two IMU readings.
 pub const FRAME_NS: i64 = 100_000_000;
-const IMU_NS: i64 = 5_000_000;
+pub const IMU_NS: i64 = 5_000_000;
 const PIXEL_SIGMA: f64 = 0.7;
 const KEYFRAME_SIGMA: f64 = 0.01;
 

@@ -1,6 +1,9 @@
 //! IMU samples and the buffer that returns those of an interval.
 
+pub mod plausibility;
+
 use nalgebra::Vector3;
+use plausibility::ReadingCheck;
 use smallvec::SmallVec;
 use std::collections::VecDeque;
 
@@ -33,7 +36,7 @@ impl ImuSample {
 }
 
 /// Why an IMU sample was dropped.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum BadImuSample {
     /// A value is NaN or infinite.
@@ -49,6 +52,19 @@ pub enum BadImuSample {
         stamp_ns: i64,
         /// Time of the sample before, nanoseconds.
         previous_ns: i64,
+    },
+    /// No motion explains it, see [`plausibility`].
+    #[error(
+        "IMU sample at {stamp_ns} ns dropped: up to {gyroscope:.3} rad/s and {accelerometer:.3} m/s^2 after what came before is no \
+         motion; check the IMU's cable, driver and range"
+    )]
+    Implausible {
+        /// Time of the sample, nanoseconds.
+        stamp_ns: i64,
+        /// Largest magnitude of an axis, rad/s.
+        gyroscope: f64,
+        /// Largest magnitude of an axis, m/s^2.
+        accelerometer: f64,
     },
 }
 
@@ -69,23 +85,23 @@ pub type Readings = SmallVec<[ImuSample; 62]>;
 #[derive(Clone, Debug, Default)]
 pub struct ImuBuffer {
     samples: VecDeque<ImuSample>,
+    check: ReadingCheck,
 }
 
 impl ImuBuffer {
     /// Appends a sample.
     ///
     /// # Errors
-    /// [`BadImuSample`] for a sample that is not finite or not newer than the last one; it is dropped.
+    /// [`BadImuSample`] for a sample that is not finite, not newer than the last one, or that no motion explains; it is dropped.
     pub fn push(&mut self, sample: ImuSample) -> Result<(), BadImuSample> {
-        let stamp_ns = sample.stamp_ns;
-        if !sample.is_finite() {
-            return Err(BadImuSample::NotFinite { stamp_ns });
-        }
-        if let Some(previous) = self.samples.back().filter(|previous| previous.stamp_ns >= stamp_ns) {
-            return Err(BadImuSample::NotNewer { stamp_ns, previous_ns: previous.stamp_ns });
-        }
+        self.check.check(&sample)?;
         self.samples.push_back(sample);
         Ok(())
+    }
+
+    /// A check of the samples after the oldest one.
+    pub(crate) fn check_from_oldest(&self) -> ReadingCheck {
+        self.check.starting_after(self.samples.front())
     }
 
     /// The newest sample.
