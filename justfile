@@ -20,9 +20,12 @@ ci: fmt clippy doc test recorded python demo neural
 fmt:
     cargo fmt --all --check
 
-# Lints, all targets: with all features, and without what programs can leave out
+# Lints, all targets and features
 clippy:
     cargo clippy --workspace --all-targets --features driftless-tests/neural --locked -- -D warnings
+
+# Lints of the program that leaves out what can be left out
+clippy-slim:
     cargo clippy -p driftless-tools --no-default-features --locked -- -D warnings
 
 # API documentation
@@ -66,7 +69,7 @@ test:
     cargo test --workspace --locked
 
 # Every test there is, those that take minutes too, except measurements and those that need something that is not here
-nightly: ci
+nightly: ci clippy-slim
     cargo test --release --workspace --locked -- --ignored --skip load:: --skip latency --skip python --skip published --skip images::learned --skip object_store
 
 # Every crate that is published could be

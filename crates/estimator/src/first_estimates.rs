@@ -17,25 +17,7 @@ use crate::state::{ActiveState, Block};
 use geometry::rotation;
 use nalgebra::Vector3;
 
-/// First estimates are wrong where the motion over the window differs from theirs by more than so much, metres and rad. For a
-/// landmark at 2 m, the Jacobian is then off by 5 percent, which the noise of the tracks covers; at ten times as much (20 s
-/// without images) it is not a Jacobian of this scene.
-const MAX_ERROR: [f64; 2] = [0.1, 0.035];
-
-/// Whether first estimates have become too wrong to linearize at: behind seconds without images, or a large correction by the
-/// map. A displacement of the whole window alone changes no Jacobian and does not count.
-pub fn are_wrong(state: &ActiveState) -> bool {
-    let [position, rotation] = MAX_ERROR;
-    let Some(oldest) = state.clones.first() else { return false };
-    state.clones.iter().skip(1).any(|clone| {
-        let now = oldest.local_from_imu.inverse() * clone.local_from_imu;
-        let first = oldest.first_estimate.inverse() * clone.first_estimate;
-        let turned = (now.rotation * first.rotation.inverse()).angle();
-        (now.translation - first.translation).norm() > position || turned > rotation
-    })
-}
-
-/// Takes the newest estimates for first ones.
+/// Takes the newest estimates for first ones: before each time update, so that within an image all updates share one gauge.
 pub fn renew(state: &mut ActiveState, covariance: &mut JointCovariance) {
     let newest = MotionEstimate::of(&state.imu);
     let moved = newest.position - state.first_motion.position;
@@ -130,23 +112,8 @@ mod tests {
         let after = information(&state, &covariance);
         assert!((&after - &before).amax() < 1e-7 * before.amax(), "{before}{after}");
         // And it did something: every first estimate is the newest estimate.
-        assert!(!are_wrong(&state));
         assert_eq!(state.first_motion.position, state.imu.local_from_imu.translation);
         assert_eq!(state.slam_features[0].first_estimate, state.slam_features[0].position);
         assert!(state.clones.iter().all(|clone| clone.first_estimate == clone.local_from_imu));
-    }
-
-    #[test]
-    fn a_displacement_of_the_window_is_no_wrong_estimate_and_a_wrong_motion_over_it_is() {
-        let (mut state, _) = state_and_covariance();
-        for clone in &mut state.clones {
-            clone.first_estimate = clone.local_from_imu;
-            clone.first_estimate.translation += Vector3::new(3.0, -4.0, 0.5);
-        }
-        assert!(!are_wrong(&state));
-        state.clones[7].first_estimate.translation.x += 0.09;
-        assert!(!are_wrong(&state));
-        state.clones[7].first_estimate.translation.x += 0.02;
-        assert!(are_wrong(&state));
     }
 }

@@ -134,9 +134,12 @@ fn a_gravity_that_is_no_direction() {
     survives(|answer| answer.gravity_in_global = Some(Vector3::zeros()));
 }
 
+/// How many readings are spoilt, and how.
+type Fault = (i64, fn(&mut ImuSample));
+
 #[test]
 fn readings_that_no_motion_explains_are_left_out_and_the_pose_stays_right() {
-    let spoilt: [(i64, fn(&mut ImuSample)); 6] = [
+    let spoilt: [Fault; 6] = [
         (1, |reading| reading.gyroscope.z = 35.0),
         (1, |reading| reading.accelerometer.x = 157.0),
         (10, |reading| reading.gyroscope.z = -35.0),

@@ -82,7 +82,10 @@ fn a_wrong_calibration_is_a_tenth_as_wrong_after_a_minute() {
         }
         let pose = score(&all, &ScoreOptions::default()).local.unwrap().pose;
         println!("{name}: {:.2}, {:.2?}", pose.mean, pose.interval);
-        assert_eq!(pose.verdict, Verdict::Inside, "{name}: {pose:?}");
+        // While the calibration is wrong, the errors are taken for noise of the IMU as well (with the stated one: 1.12 and 0.87):
+        // conservative for a while, and by no more than so much.
+        assert_ne!(pose.verdict, Verdict::Overconfident, "{name}: {pose:?}");
+        assert!(pose.mean > 0.6, "{name}: {pose:?}");
     }
 }
 

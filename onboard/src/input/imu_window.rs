@@ -131,7 +131,7 @@ mod tests {
     /// A window that holds readings of all of these times.
     fn window(stamps: impl Iterator<Item = i64>) -> ImuWindow {
         let mut window = ImuWindow::new(200.0);
-        stamps.for_each(|stamp_ns| window.push(reading(stamp_ns)));
+        stamps.for_each(|stamp_ns| window.push(reading(stamp_ns)).unwrap());
         window
     }
 
@@ -143,7 +143,7 @@ mod tests {
         for frame in 1..10_000 {
             let stamp_ns = frame * 100_000_000 - 1;
             while window.ends_before(stamp_ns) {
-                window.push(reading(stamps.next().unwrap()));
+                window.push(reading(stamps.next().unwrap())).unwrap();
             }
             handed_out
                 .extend(std::iter::from_fn(|| window.hand_out(stamp_ns)).map(|reading| reading.stamp_ns));

@@ -73,7 +73,7 @@ impl Estimator {
     }
 
     fn propagate_to(&mut self, stamp_ns: i64) -> Result<(), EstimatorError> {
-        if self.config.first_estimates && first_estimates::are_wrong(&self.state) {
+        if self.config.first_estimates {
             first_estimates::renew(&mut self.state, &mut self.covariance);
         }
         let readings = self.imu.interval(self.state.stamp_ns, stamp_ns, IMU_SLACK_NS)?;

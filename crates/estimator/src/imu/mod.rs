@@ -168,7 +168,11 @@ mod tests {
     use super::*;
 
     fn sample(stamp_ns: i64) -> ImuSample {
-        ImuSample { stamp_ns, gyroscope: Vector3::repeat(stamp_ns as f64), accelerometer: Vector3::zeros() }
+        ImuSample {
+            stamp_ns,
+            gyroscope: Vector3::repeat(stamp_ns as f64 * 1e-2),
+            accelerometer: Vector3::zeros(),
+        }
     }
 
     #[test]
@@ -192,7 +196,11 @@ mod tests {
         let readings = buffer.interval(15, 42, 0).unwrap();
         let stamps: Vec<i64> = readings.iter().map(|reading| reading.stamp_ns).collect();
         assert_eq!(stamps, [15, 20, 30, 40, 42]);
-        assert!(readings.iter().all(|reading| (reading.gyroscope.x - reading.stamp_ns as f64).abs() < 1e-12));
+        assert!(
+            readings
+                .iter()
+                .all(|reading| (reading.gyroscope.x - reading.stamp_ns as f64 * 1e-2).abs() < 1e-12)
+        );
         buffer.remove_before(42);
         assert_eq!(buffer.interval(42, 55, 0).unwrap().len(), 3);
         assert!(buffer.interval(15, 42, 0).is_err(), "removed samples are missing, not extrapolated");

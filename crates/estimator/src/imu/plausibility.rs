@@ -19,7 +19,7 @@ const MAX_JUMP: [f64; 2] = [2.0, 60.0];
 /// 3 g within 10 ms.
 const MAX_CHANGE: [f64; 2] = [500.0, 3000.0];
 /// Change in units of the root mean square of those before: vibration.
-const VIBRATION: f64 = 10.0;
+const VIBRATION: f64 = 6.0;
 /// Readings over which that is averaged.
 const AVERAGED: f64 = 400.0;
 /// A level that lasts for so long is taken for the motion, nanoseconds.

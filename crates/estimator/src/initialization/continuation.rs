@@ -32,9 +32,9 @@ pub(super) struct Continuation {
 }
 
 impl Continuation {
-    pub(super) fn of(last: LastTrustedPose) -> Self {
+    pub(super) fn of(last: &LastTrustedPose) -> Self {
         let rotation = last.local_from_imu.pose.rotation;
-        Self { last, rotation, propagated_ns: last.stamp_ns }
+        Self { last: *last, rotation, propagated_ns: last.stamp_ns }
     }
 
     /// Turns it by what the gyroscope measured between two readings.

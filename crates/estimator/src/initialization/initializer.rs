@@ -13,8 +13,6 @@ use crate::initialization::dynamic::{
 };
 use crate::initialization::static_init::{InitialState, REST_SECONDS, StaticInitError};
 use crate::odometry::tracks::TrackObservation;
-use geometry::{Pose, rotation};
-use nalgebra::Vector3;
 use std::collections::{BTreeMap, VecDeque};
 
 /// Minimum and maximum duration of the window of a dynamic initialization, seconds. Shorter ones seldom determine the scale;
@@ -179,7 +177,11 @@ impl Initializer {
         last: Option<LastTrustedPose>,
         not_before_ns: i64,
     ) -> Self {
-        Self { not_before_ns, continuation: last.map(Continuation::of), ..Self::new(config, cameras) }
+        Self {
+            not_before_ns,
+            continuation: last.as_ref().map(Continuation::of),
+            ..Self::new(config, cameras)
+        }
     }
 
     /// Adds an IMU sample, in the order of time.
