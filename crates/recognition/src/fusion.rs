@@ -139,7 +139,7 @@ fn root_covariance(map: &LoadedMap, place: &[VerifiedKeyframe]) -> DMatrix<f64> 
         covariance.fixed_view_mut::<6, 6>(6 * row, 6 * row).copy_from(own);
         for (column, b) in place.iter().enumerate().take(row) {
             let b = &map.keyframes[b.keyframe];
-            if let Some(block) = map.cross_covariance(a.id, b.id) {
+            if let Some(block) = map.joint_covariance(a.id, b.id) {
                 covariance.fixed_view_mut::<6, 6>(6 * row, 6 * column).copy_from(&block);
                 covariance.fixed_view_mut::<6, 6>(6 * column, 6 * row).copy_from(&block.transpose());
             }

@@ -223,6 +223,17 @@ impl LoadedMap {
         Some(&self.common_errors[at])
     }
 
+    /// Covariance of two keyframes' pose errors, common errors included, rows of `a`; `None` where they are independent.
+    pub(crate) fn joint_covariance(&self, a: KeyframeId, b: KeyframeId) -> Option<Matrix6<f64>> {
+        let listed = self.cross_covariance(a, b);
+        let common =
+            self.common_error(a).zip(self.common_error(b)).map(|(one, other)| one.covariance_with(other));
+        match (listed, common) {
+            (Some(listed), Some(common)) => Some(listed + common),
+            (one, other) => one.or(other),
+        }
+    }
+
     /// How the map's descriptors are compared.
     pub(crate) fn metric(&self) -> Metric {
         sensors::metric_of(self.info.descriptor_kind)

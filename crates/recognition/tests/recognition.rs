@@ -3,8 +3,8 @@
 use std::collections::{HashMap, HashSet};
 
 use geometry::{Pose, PoseWithCovariance};
-use map::{KeyframeCrossCovariance, MapContents};
-use nalgebra::{Matrix6, Vector3, Vector6};
+use map::{CommonError, KeyframeCrossCovariance, MapContents};
+use nalgebra::{Matrix6, Matrix6xX, Vector3, Vector6};
 use protocol::{
     DescriptorFormat, DescriptorKind, Descriptors, FeatureSet, LocalizeRequest, MatchOutcome, MatchReply,
     MatchRequest, MatchStatus, MatchedKeyframe, PosePrior, Validate,
@@ -525,8 +525,17 @@ fn the_uncertainty_of_the_keyframes_is_in_the_fix_and_common_errors_do_not_avera
             block: covariance,
         }));
     }
-    let common = variance_in(contents);
-    assert!((0.24..0.3).contains(&common), "{common}");
+    let listed = variance_in(contents.clone());
+    assert!((0.24..0.3).contains(&listed), "{listed}");
+
+    // As a map of many keyframes states it: half of it common to all, the rest pair by pair.
+    let factor =
+        Matrix6xX::from_columns(&(covariance * 0.5).map(f64::sqrt).column_iter().collect::<Vec<_>>());
+    contents.cross_covariances.iter_mut().for_each(|cross| cross.block *= 0.5);
+    contents.common_errors =
+        ids.iter().map(|&keyframe| CommonError { keyframe, factor: factor.clone() }).collect();
+    let stated = variance_in(contents);
+    assert!((stated - listed).abs() < 1e-6 * listed, "{stated} and {listed}");
 }
 
 #[test]

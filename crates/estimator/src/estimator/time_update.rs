@@ -73,9 +73,6 @@ impl Estimator {
     }
 
     fn propagate_to(&mut self, stamp_ns: i64) -> Result<(), EstimatorError> {
-        if self.config.first_estimates {
-            first_estimates::renew(&mut self.state, &mut self.covariance);
-        }
         let readings = self.imu.interval(self.state.stamp_ns, stamp_ns, IMU_SLACK_NS)?;
         let gap_ns = self.imu.longest_gap_ns(self.state.stamp_ns, stamp_ns);
         if gap_ns > MAX_GAP_NS {
@@ -83,6 +80,9 @@ impl Estimator {
         }
         if gap_ns > FAILURE_GAP_NS {
             self.support.clear();
+        }
+        if self.config.first_estimates {
+            first_estimates::renew(&mut self.state, &mut self.covariance);
         }
         let mut propagation = self.propagation();
         readings.windows(2).for_each(|pair| propagation.step(&pair[0], &pair[1]));

@@ -27,7 +27,7 @@ const LASTING_NS: i64 = 100_000_000;
 /// The largest time between two readings in which the change is bounded, nanoseconds; after a longer one nothing is known.
 const LONGEST_NS: i64 = 100_000_000;
 /// The change is bounded as that of this time where more has passed since the last accepted reading, seconds.
-const LONGEST_CHANGE_S: f64 = 0.02;
+const LONGEST_CHANGE_S: f64 = 0.01;
 
 /// Checks the readings of one IMU in the order of time.
 #[derive(Clone, Debug, Default)]
@@ -130,7 +130,7 @@ mod tests {
     /// A walk with steps that shake the accelerometer.
     fn reading(k: i64) -> ImuSample {
         let t = k as f64 * 5e-3;
-        let shaken = 20.0 * (7.0 * t).sin().powi(31) * (300.0 * t).cos();
+        let shaken = 12.0 * (7.0 * t).sin().powi(31) * (300.0 * t).cos();
         ImuSample {
             stamp_ns: k * PERIOD_NS,
             gyroscope: Vector3::new((9.0 * t).sin(), 2.0 * (5.0 * t).cos(), 1.0),
