@@ -251,8 +251,8 @@ fn a_room_of_sparse_stereo_images_mapped_without_reference_poses() {
 #[ignore = "needs the recordings in target/data"]
 fn a_walk_without_reference_poses_ends_where_it_began() {
     let (_, contents, report) = built_from_odometry(&recording("walk"));
-    // Doors that look alike are metres apart.
-    assert!(report.loops > report.refused_loops + 10 && report.refused_loops > 5, "{report:?}");
+    // Doors that look alike are metres apart: the better odometry is, the more of them are refused.
+    assert!(report.loops > 40 && report.refused_loops > 5, "{report:?}");
     let first_ns = contents.keyframes[0].stamp_ns;
     let seconds = |stamp_ns: i64| (stamp_ns - first_ns) as f64 * 1e-9;
     // Landmarks of the first ten seconds are seen again in the end.
