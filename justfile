@@ -14,7 +14,7 @@ default:
     @just --list --unsorted
 
 # Everything that must hold before a change lands
-ci: fmt clippy doc test recorded python demo neural
+ci: fmt clippy doc test recorded python demo
 
 # Formatting
 fmt:
@@ -22,7 +22,7 @@ fmt:
 
 # Lints, all targets and features
 clippy:
-    cargo clippy --workspace --all-targets --features driftless-tests/neural --locked -- -D warnings
+    cargo clippy --workspace --all-targets --locked -- -D warnings
 
 # Lints of the program that leaves out what can be left out
 clippy-slim:
@@ -31,10 +31,6 @@ clippy-slim:
 # API documentation
 doc:
     RUSTDOCFLAGS="-D warnings" cargo doc --workspace --no-deps --locked
-
-# Learned features, which no default build has
-neural:
-    cargo test -p driftless-vision --features neural --locked neural::
 
 # The demo, with bounds on what it reaches; leaves its map, run and pictures in target/ci-demo
 demo:
@@ -49,7 +45,7 @@ recorded:
         echo "SKIPPED: the recorded runs are not unpacked in {{ data }}; their tests were not run"
         exit 0
     fi
-    cargo test --profile {{ profile }} --locked --workspace --test main -- --ignored recorded:: images::
+    cargo test --profile {{ profile }} --locked --workspace --test main -- --ignored recorded:: images:: --skip images::learned
 
 # The Python client against a map server and a robot; says so where its packages cannot be installed
 python:
