@@ -190,6 +190,7 @@ impl RobotRun<'_> {
                     recording.correct(&before, &estimator.local_from_imu());
                 }
                 event.note_report(&report);
+                recorder.note_first_fix(&report);
                 if report.rejection.is_none() {
                     self.initial_pose.answered(estimator, result.token, request.stamp_ns);
                 }

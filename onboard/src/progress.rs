@@ -53,6 +53,13 @@ pub fn report(summary: &Summary) -> String {
             summary.keyframes_held,
             summary.wire_bytes.received / 1024
         );
+        if queries.kept_waiting > 0 {
+            let _ = writeln!(
+                text,
+                "first pose in the map: {} answers were kept until the evidence was enough, {} hypotheses were dropped",
+                queries.kept_waiting, queries.hypotheses_dropped
+            );
+        }
     }
     if let Some(score) = &summary.score {
         let _ = writeln!(

@@ -82,7 +82,7 @@ impl Validate for MatchRequest {
 
 /// One part of the answer to a [`MatchRequest`].
 ///
-/// In JSON `{"schema": 5, "type": "match_reply", "keyframe": {..}}` or `{.., "done": {..}}`.
+/// In JSON `{"schema": 6, "type": "match_reply", "keyframe": {..}}` or `{.., "done": {..}}`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 #[allow(clippy::large_enum_variant)] // one value at a time, moved once
@@ -283,11 +283,15 @@ pub struct MatchStatus {
     pub gravity_in_global: Option<[f64; 3]>,
     /// Standard deviation of the map's pixels, px.
     pub sigma_map_px: f64,
+    /// Natural logarithm of the odds that the image is of the place that the answer shows, and not of a picture that repeats,
+    /// both being equally likely before. Zero without an answer.
+    pub log_odds: f64,
 }
 
 impl Validate for MatchStatus {
     fn validate(&self) -> Result<(), InvalidField> {
         require_unit(self.gravity_in_global.as_ref(), "gravity_in_global")?;
-        require_positive(self.sigma_map_px, "sigma_map_px")
+        require_positive(self.sigma_map_px, "sigma_map_px")?;
+        require_finite(&[self.log_odds], "log_odds")
     }
 }

@@ -198,6 +198,7 @@ impl Holder {
             landmarks: landmarks.collect(),
             gravity_in_global: Some(-Vector3::z()),
             sigma_map_px: 1.0,
+            log_odds: 10.0,
         };
         let report = self.estimator.map_update(self.newest, &answer).unwrap();
         assert_eq!(report.rejection, None);

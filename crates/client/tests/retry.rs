@@ -67,6 +67,7 @@ fn status(outcome: MatchOutcome, keyframes_sent: u16) -> MatchReply {
         elapsed_us: 1,
         gravity_in_global: None,
         sigma_map_px: 1.0,
+        log_odds: 4.0,
     })
 }
 

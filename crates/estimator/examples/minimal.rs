@@ -108,6 +108,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             landmarks: pixels.iter().filter_map(matched).collect(),
             gravity_in_global: Some(-Vector3::z()),
             sigma_map_px: 1.0,
+            log_odds: 10.0,
         };
         estimator.map_update(clone, &answer)?;
 

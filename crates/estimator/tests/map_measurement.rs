@@ -88,6 +88,7 @@ fn scene(count: usize, pixel_noise: f64) -> Scene {
             landmarks,
             gravity_in_global: None,
             sigma_map_px: 1.0,
+            log_odds: 10.0,
         },
     }
 }

@@ -97,6 +97,7 @@ impl LoadedMap {
             elapsed_us: start.elapsed().as_micros() as u64,
             gravity_in_global: self.info.gravity_in_global.map(Into::into),
             sigma_map_px: self.info.sigma_px,
+            log_odds: search.log_odds(),
         };
         let mut replies: Vec<MatchReply> = keyframes.into_iter().map(MatchReply::Keyframe).collect();
         replies.push(MatchReply::Done(status));

@@ -215,6 +215,7 @@ impl CellDirectory {
             elapsed_us: 0,
             gravity_in_global: self.info.gravity_in_global.map(Into::into),
             sigma_map_px: self.info.sigma_px,
+            log_odds: 0.0,
         }
     }
 

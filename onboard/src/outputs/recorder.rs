@@ -8,7 +8,9 @@ use super::summary::{
     TrackSummary, Traffic,
 };
 use crate::alarms::Alarm;
-use estimator::{Estimator, EstimatorError, InitMethod, LearnedNoise, Status, TrackReport};
+use estimator::{
+    Estimator, EstimatorError, InitMethod, LearnedNoise, MapReport, Rejection, Status, TrackReport,
+};
 use evaluation::trajectory::StateRow;
 use std::path::Path;
 
@@ -173,6 +175,13 @@ impl Recorder {
         self.queries.failed += count(event.outcome == "failed");
         let written = self.files.append_event(event);
         self.keep_first_error(written);
+    }
+
+    /// Counts what an answer did to the hypotheses about the first pose in the map.
+    pub fn note_first_fix(&mut self, report: &MapReport) {
+        let waits = matches!(report.rejection, Some(Rejection::NotDistinctive(_)));
+        self.queries.kept_waiting += u64::from(waits);
+        self.queries.hypotheses_dropped += report.hypotheses_dropped as u64;
     }
 
     /// Time from the first to the last state, seconds.

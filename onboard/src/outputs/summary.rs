@@ -96,6 +96,10 @@ pub struct QuerySummary {
     pub accepted: u64,
     /// Of these, after re-linearization at the PnP solution.
     pub relinearized: u64,
+    /// Kept as evidence for a first pose in the map, which was not enough yet.
+    pub kept_waiting: u64,
+    /// Hypotheses about the first pose in the map that were dropped: another one had more evidence.
+    pub hypotheses_dropped: u64,
     /// Without an answer: no server, deadline passed, refused.
     pub failed: u64,
 }

@@ -216,13 +216,14 @@ pub fn cell_localize_replies() -> impl Strategy<Value = CellLocalizeReply> {
 
 fn match_statuses() -> impl Strategy<Value = MatchStatus> {
     let numbers = (any::<u64>(), any::<u16>(), any::<u32>(), any::<u64>());
-    (numbers, identities(), outcomes(), option::of(directions()), 0.1..5.0f64).prop_map(
+    (numbers, identities(), outcomes(), option::of(directions()), 0.1..5.0f64, -30.0..30.0f64).prop_map(
         |(
             (map_version, keyframes_sent, searched_keyframes, elapsed_us),
             map_identity,
             outcome,
             gravity_in_global,
             sigma_map_px,
+            log_odds,
         )| {
             MatchStatus {
                 map_version,
@@ -233,6 +234,7 @@ fn match_statuses() -> impl Strategy<Value = MatchStatus> {
                 elapsed_us,
                 gravity_in_global,
                 sigma_map_px,
+                log_odds,
             }
         },
     )

@@ -3,8 +3,10 @@
 use super::Estimator;
 use crate::KeyframeId;
 use crate::linear_algebra::dense::Dense;
+use crate::map_update::first_fix::{Decision, Fix};
 use crate::map_update::map_answer::MapAnswer;
 use crate::map_update::map_measurement::Linearization;
+use crate::map_update::map_report::{MapReport, Rejection};
 use crate::map_update::solved_pose::{linearize_solved_pose, median_depth, solved_covariance};
 use crate::map_update::verification::VerifiedAnswer;
 use crate::measurement::{Information, StateBlocks};
@@ -41,6 +43,42 @@ impl Estimator {
         if let Some(range) = self.state.range(Block::Transform) {
             self.covariance.gather(&[0..range.start, range.end..self.state.dim()]);
             self.state.transform = None;
+        }
+    }
+
+    /// Whether an answer may initialize `global_from_local`: its hypothesis has enough evidence.
+    ///
+    /// # Arguments
+    /// * `measured`: the first camera in G according to the answer.
+    ///
+    /// # Errors
+    /// [`Rejection::NotDistinctive`]: it waits for more.
+    pub(super) fn admit_first_fix(
+        &mut self,
+        local_from_imu: &Pose,
+        answer: &MapAnswer,
+        verified: &VerifiedAnswer,
+        measured: &PoseWithCovariance,
+        report: &mut MapReport,
+    ) -> Result<(), Rejection> {
+        let measured = self.with_pnp_noise(answer, verified, measured);
+        let sigma =
+            |begin: usize| (begin..begin + 3).map(|k| measured.covariance[(k, k)]).fold(0.0, f64::max).sqrt();
+        let fix = Fix {
+            global_from_imu: measured.pose * self.first_camera().imu_from_camera.inverse(),
+            local_from_imu: *local_from_imu,
+            sigma_rotation: sigma(0),
+            sigma_position: sigma(3),
+            seen: self.seen_place(answer, verified),
+        };
+        let decision = self.first_fix.add(answer.map_version, fix);
+        report.hypotheses_dropped += self.first_fix.take_dropped();
+        match decision {
+            Decision::Initialize(evidence) => {
+                self.support = evidence;
+                Ok(())
+            }
+            Decision::Wait(waiting) => Err(Rejection::NotDistinctive(waiting)),
         }
     }
 

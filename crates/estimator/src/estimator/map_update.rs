@@ -73,6 +73,7 @@ impl Estimator {
     ///     landmarks: landmarks.collect(),
     ///     gravity_in_global: Some(-Vector3::z()),
     ///     sigma_map_px: 1.0,
+    ///     log_odds: 10.0,
     /// };
     /// let report = estimator.map_update(clone, &answer)?;
     /// estimator.unpin(clone);
@@ -104,6 +105,7 @@ impl Estimator {
             relinearized: false,
             inflated: false,
             initialized: false,
+            hypotheses_dropped: 0,
             nis: None,
             rejection: None,
         };
@@ -113,10 +115,13 @@ impl Estimator {
         match report.rejection {
             None => {
                 self.note_success();
+                if report.initialized {
+                    self.first_fix.clear();
+                }
                 if self.is_doubted_by(&answer, &report) {
                     self.give_way(clone, &answer, &mut report)?;
                 } else {
-                    self.note_support(&report);
+                    self.note_support();
                 }
             }
             Some(
@@ -212,6 +217,13 @@ impl Estimator {
             report.initialized = false;
             return Ok(Err(fault.into()));
         }
+        let measured = best.global_from_keyframe.change_of_child(&verified.best_from_camera.pose);
+        if report.initialized
+            && let Err(waiting) = self.admit_first_fix(&local_from_imu, answer, &verified, &measured, report)
+        {
+            report.initialized = false;
+            return Ok(Err(waiting));
+        }
         let transform = self.state.transform.unwrap_or(solved_transform);
         let estimate = LinearizationPoint { local_from_imu, global_from_local: transform };
 
@@ -232,7 +244,6 @@ impl Estimator {
         if report.initialized {
             self.insert_solved_transform(solved_transform, median_depth(answer, &verified));
         }
-        let measured = best.global_from_keyframe.change_of_child(&verified.best_from_camera.pose);
         self.note_fix(clone, answer, &verified, &self.with_pnp_noise(answer, &verified, &measured));
         let point = Linearization { estimate, at, first_position };
         let mut outcome = self.iterate(clone, answer, &verified, point, &measured, report)?;

@@ -20,6 +20,7 @@ use crate::health::Health;
 use crate::imu::ImuBuffer;
 use crate::initialization::static_init::InitialState;
 use crate::linear_algebra::dense::Dense;
+use crate::map_update::first_fix::FirstFix;
 use crate::map_update::map_fix::{MapFix, MapFixes};
 use crate::map_update::map_gravity::MapGravity;
 use crate::map_update::map_revision::MapVersion;
@@ -124,6 +125,8 @@ pub struct Estimator {
     support: PlaceEvidence,
     /// Evidence of the answers against it since the last one that agreed.
     against: PlaceEvidence,
+    /// What would initialize `global_from_local`.
+    first_fix: FirstFix,
     map_gravity: MapGravity,
     map_watch: MapWatch,
     last_map_update_ns: Option<i64>,
@@ -200,6 +203,7 @@ impl Estimator {
             newest_fix: None,
             support: PlaceEvidence::default(),
             against: PlaceEvidence::default(),
+            first_fix: FirstFix::default(),
             map_gravity: MapGravity::default(),
             map_watch: MapWatch::default(),
             last_map_update_ns: None,

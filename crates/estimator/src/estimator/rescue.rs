@@ -9,6 +9,7 @@
 use super::Estimator;
 use crate::error::EstimatorError;
 use crate::initialization::static_init::{InitialState, gravity_aligned, yaw_between};
+use crate::map_update::first_fix::REQUIRED_ODDS;
 use crate::map_update::map_answer::MapAnswer;
 use crate::map_update::map_fix::{FixedMotion, MapFix};
 use crate::map_update::map_report::{MapReport, Rejection};
@@ -73,21 +74,18 @@ impl Estimator {
     }
 
     /// What the inliers of an answer show.
-    fn seen_place(&self, answer: &MapAnswer, verified: &VerifiedAnswer) -> SeenPlace {
+    pub(super) fn seen_place(&self, answer: &MapAnswer, verified: &VerifiedAnswer) -> SeenPlace {
         let in_global = |&k: &usize| {
             let landmark = &answer.landmarks[k];
             Some(self.pose_of(landmark.anchor, answer)?.transform(&landmark.position_in_anchor))
         };
-        SeenPlace::of(&verified.inliers.iter().filter_map(in_global).collect::<Vec<_>>())
+        SeenPlace::of(&verified.inliers.iter().filter_map(in_global).collect::<Vec<_>>(), answer.log_odds)
     }
 
     /// An answer agrees with the state, and is evidence for it.
-    pub(super) fn note_support(&mut self, report: &MapReport) {
+    pub(super) fn note_support(&mut self) {
         self.map_fixes.clear();
         self.against.clear();
-        if report.initialized {
-            self.support.clear();
-        }
         if let Some(fix) = self.newest_fix {
             self.support.add(fix.seen);
         }
@@ -157,7 +155,8 @@ impl Estimator {
         if !self.map_fixes.is_evidence(&fix) || self.map_fixes.add(fix) < REPLACED_AFTER {
             return Ok(());
         }
-        if !self.is_outweighed_by(self.map_fixes.log_odds()) {
+        let log_odds = self.map_fixes.log_odds();
+        if log_odds < REQUIRED_ODDS.ln() || !self.is_outweighed_by(log_odds) {
             return Ok(());
         }
         let gravity = answer.gravity_in_global.map(|down| down * self.config.gravity);
@@ -166,6 +165,7 @@ impl Estimator {
         if self.map_fixes.agree_by_odometry(REPLACED_AFTER) && !is_tilted {
             self.remove_transform();
             self.contradiction = None;
+            self.first_fix.won_by(self.map_fixes.evidence());
             self.support = self.map_fixes.evidence();
             self.against.clear();
             self.map_fixes.clear();
@@ -173,6 +173,7 @@ impl Estimator {
             if report.rejection.is_none() {
                 self.note_success();
             }
+            self.first_fix.clear();
             return Ok(());
         }
         let Some(gravity) = gravity else { return Ok(()) };

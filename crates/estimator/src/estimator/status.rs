@@ -1,6 +1,7 @@
 //! Localization status.
 
 use super::Estimator;
+use crate::map_update::first_fix::Waiting;
 use crate::map_update::map_gravity::GravityFault;
 use crate::map_update::map_watch::MapDrift;
 use crate::noise_adaptation::NoiseBound;
@@ -37,6 +38,9 @@ pub enum StatusReason {
     /// The map has not corrected the pose yet.
     #[error("no match with the map yet")]
     NoMatchYet,
+    /// Answers of the map may be of a picture that repeats.
+    #[error("{0}")]
+    NotDistinctive(Waiting),
 }
 
 /// What contradicts the map although the pose in it may be corrected by it.
@@ -94,7 +98,11 @@ impl Estimator {
                 (Localization::Localized, StatusReason::MapUpdate { seconds_ago })
             }
             (_, Some(rejections), _) => (Localization::Lost, StatusReason::Contradicted { rejections }),
-            _ => (Localization::OdometryOnly, StatusReason::NoMatchYet),
+            _ => {
+                let reason =
+                    self.first_fix.waiting().map_or(StatusReason::NoMatchYet, StatusReason::NotDistinctive);
+                (Localization::OdometryOnly, reason)
+            }
         }
     }
 

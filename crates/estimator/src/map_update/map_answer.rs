@@ -61,6 +61,9 @@ pub struct MapAnswer {
     pub gravity_in_global: Option<Vector3<f64>>,
     /// Noise of the map's pixels, px.
     pub sigma_map_px: f64,
+    /// Natural logarithm of the odds that the image is of this place, and not of a picture that repeats, both being equally
+    /// likely before.
+    pub log_odds: f64,
 }
 
 impl MapAnswer {
@@ -141,6 +144,9 @@ impl MapAnswer {
         }
         let direction = |gravity: &Vector3<f64>| (gravity.norm() - 1.0).abs() < 1e-3;
         self.gravity_in_global = self.gravity_in_global.filter(direction);
+        if !self.log_odds.is_finite() {
+            self.log_odds = 0.0;
+        }
         self
     }
 }

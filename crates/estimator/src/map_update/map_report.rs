@@ -1,5 +1,6 @@
 //! Result of a map update.
 
+use crate::map_update::first_fix::Waiting;
 use crate::map_update::map_gravity::GravityFault;
 use crate::map_update::verification::NotVerified;
 
@@ -49,6 +50,9 @@ pub enum Rejection {
     /// The map's direction of gravity is not that of the images and the IMU; the next answer must show the same.
     #[error(transparent)]
     Gravity(#[from] GravityFault),
+    /// The evidence for a first pose in the map is not enough yet.
+    #[error("{0}")]
+    NotDistinctive(Waiting),
     /// Too few landmarks passed the gate.
     #[error("{used} of {inliers} verified landmarks passed the gate, {need} are needed")]
     FewLandmarks {
@@ -120,6 +124,8 @@ pub struct MapReport {
     pub relinearized: bool,
     /// `global_from_local` was initialized by this answer.
     pub initialized: bool,
+    /// Hypotheses about `global_from_local` that were dropped: others have more evidence.
+    pub hypotheses_dropped: usize,
     /// Normalized innovation squared and its degrees of freedom.
     pub nis: Option<(f64, usize)>,
     /// Why it did not update the state; `None` where it did.

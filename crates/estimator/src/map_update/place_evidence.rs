@@ -9,8 +9,6 @@ use nalgebra::Vector3;
 /// Places that are remembered, the newest: after so many different ones a state that the map contradicts without a sign of
 /// failure of odometry is given up.
 const MAX_PLACES: usize = 24;
-/// Inliers that a pose of wrong matches has by chance. The odds of an answer grow with its inliers over these.
-const INLIERS_BY_CHANCE: f64 = 8.0;
 
 /// What an answer shows.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -19,8 +17,10 @@ pub struct SeenPlace {
     centre: Vector3<f64>,
     /// Root mean square of their distances from it, metres.
     spread: f64,
-    /// Logarithm of its odds.
+    /// Logarithm of its odds, as the server states them: the mean over all answers that show it.
     log_odds: f64,
+    /// How many answers show it.
+    answers: f64,
 }
 
 impl SeenPlace {
@@ -28,12 +28,12 @@ impl SeenPlace {
     ///
     /// # Arguments
     /// * `landmarks`: their positions in G, metres; not empty.
-    pub fn of(landmarks: &[Vector3<f64>]) -> Self {
+    /// * `log_odds`: of the answer, negative ones are evidence against it.
+    pub fn of(landmarks: &[Vector3<f64>], log_odds: f64) -> Self {
         let count = landmarks.len().max(1) as f64;
         let centre = landmarks.iter().sum::<Vector3<f64>>() / count;
         let variance = landmarks.iter().map(|at| (at - centre).norm_squared()).sum::<f64>() / count;
-        let log_odds = (1.0 + landmarks.len() as f64 / INLIERS_BY_CHANCE).ln();
-        Self { centre, spread: variance.sqrt(), log_odds }
+        Self { centre, spread: variance.sqrt(), log_odds, answers: 1.0 }
     }
 
     /// Whether it shows the same as another one: their landmarks overlap.
@@ -49,10 +49,12 @@ pub struct PlaceEvidence {
 }
 
 impl PlaceEvidence {
-    /// Adds what an answer shows; of a place that was seen before only what it shows better.
+    /// Adds what an answer shows. Answers of one place err together: their log-odds are averaged, the best of many would
+    /// exceed any bound by chance.
     pub fn add(&mut self, seen: SeenPlace) {
         if let Some(before) = self.places.iter_mut().find(|before| before.is_same(&seen)) {
-            before.log_odds = before.log_odds.max(seen.log_odds);
+            before.answers += seen.answers;
+            before.log_odds += (seen.log_odds - before.log_odds) * seen.answers / before.answers;
             return;
         }
         if self.places.len() == MAX_PLACES {
@@ -90,7 +92,7 @@ mod tests {
         let at = |k: usize| {
             Vector3::new(x + width * (k % 10) as f64 / 9.0, 0.0, width * ((k / 10) as f64 + 0.5) / rows)
         };
-        SeenPlace::of(&(0..count).map(at).collect::<Vec<_>>())
+        SeenPlace::of(&(0..count).map(at).collect::<Vec<_>>(), 0.02 * count as f64)
     }
 
     #[test]
@@ -111,12 +113,11 @@ mod tests {
     }
 
     #[test]
-    fn more_inliers_are_more_evidence() {
-        assert!(wall(0.0, 1.0, 400).log_odds > 1.5 * wall(0.0, 1.0, 30).log_odds);
-        let mut evidence = PlaceEvidence::default();
-        evidence.add(wall(0.0, 1.0, 30));
-        evidence.add(wall(0.0, 1.0, 400));
-        evidence.add(wall(0.0, 1.0, 30));
-        assert!((evidence.log_odds() - wall(0.0, 1.0, 400).log_odds).abs() < 1e-12);
+    fn answers_of_one_place_are_averaged_and_negative_ones_count_against() {
+        let of = |log_odds: f64| SeenPlace::of(&[-Vector3::x(), Vector3::x()], log_odds);
+        let evidence: PlaceEvidence = [4.0, -1.0, 3.0].map(of).into_iter().collect();
+        assert!((evidence.log_odds() - 2.0).abs() < 1e-12);
+        let against: PlaceEvidence = [of(-3.0)].into_iter().collect();
+        assert!(against.log_odds() < 0.0);
     }
 }

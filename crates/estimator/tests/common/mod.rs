@@ -171,6 +171,7 @@ impl World {
             landmarks,
             gravity_in_global: None,
             sigma_map_px: PIXEL_SIGMA,
+            log_odds: 10.0,
         }
     }
 }

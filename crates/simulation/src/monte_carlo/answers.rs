@@ -24,6 +24,8 @@ use std::f64::consts::TAU;
 const MIN_MATCHES: usize = 8;
 /// Distance of a wrong place, metres.
 const WRONG_PLACE_M: std::ops::Range<f64> = 10.0..60.0;
+/// Of a place that does not repeat, all of whose landmarks in view are matched: half of the image confirmed.
+const DISTINCTIVE_LOG_ODDS: f64 = 5.0;
 /// Added to the ids of keyframes of a wrong place.
 const WRONG_PLACE_ID: u64 = 1 << 32;
 
@@ -132,6 +134,7 @@ fn matched(
         landmarks,
         gravity_in_global: Some(global_from_world().rotation * -Vector3::z()),
         sigma_map_px: options.stated_sigma_px,
+        log_odds: DISTINCTIVE_LOG_ODDS,
     })
 }
 

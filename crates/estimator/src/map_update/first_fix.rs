@@ -1,0 +1,264 @@
+//! Which hypothesis about `global_from_local` initializes it.
+//!
+//! A picture that repeats shows a wrong place, and its answers agree with each other and with odometry. So agreement alone does
+//! not initialize: each hypothesis collects the log-odds of the different places that support it, see
+//! [`place_evidence`](super::place_evidence), and wins when these exceed a likelihood ratio and those of every alternative by
+//! the same ratio. A distinctive view wins with its first answer.
+
+use crate::map_update::place_evidence::{PlaceEvidence, SeenPlace};
+use geometry::Pose;
+
+/// Likelihood ratio that initializes. In places that repeat themselves about every third answer to a single image is wrong,
+/// prior odds of 2, so at most one first fix in 40 would be wrong if the stated odds were exact. They are cautious: of 189
+/// single images above odds of 1.6, 187 were right, where their odds alone say 1 in 4 wrong.
+pub const REQUIRED_ODDS: f64 = 20.0;
+/// Hypotheses that are kept, those of the largest odds.
+const MAX_HYPOTHESES: usize = 8;
+/// Tolerance of two fixes in their standard deviations.
+const SIGMAS: f64 = 3.0;
+/// Error of odometry by the distance moved: ten times that of a working one, as it is not calibrated at its start.
+const DRIFT_FRACTION: f64 = 0.02;
+/// The same of its rotation, rad/m.
+const DRIFT_RAD_M: f64 = 0.002;
+
+/// A pose by the map, and what its answer shows.
+#[derive(Clone, Copy, Debug)]
+pub struct Fix {
+    /// Pose of the IMU in G by the map.
+    pub global_from_imu: Pose,
+    /// Pose of the IMU in L by odometry.
+    pub local_from_imu: Pose,
+    /// Standard deviation of the rotation, rad.
+    pub sigma_rotation: f64,
+    /// Standard deviation of the position, metres.
+    pub sigma_position: f64,
+    /// What its answer shows.
+    pub seen: SeenPlace,
+}
+
+impl Fix {
+    /// Whether the motion between two fixes is that of odometry.
+    fn agrees(&self, before: &Self) -> bool {
+        let moved = before.local_from_imu.inverse() * self.local_from_imu;
+        let apart = (before.global_from_imu * moved).local(&self.global_from_imu);
+        let (turned, shifted) = (apart.fixed_rows::<3>(0).norm(), apart.fixed_rows::<3>(3).norm());
+        let distance = moved.translation.norm();
+        let sigma_rotation = self.sigma_rotation.hypot(before.sigma_rotation);
+        // An error of the rotation of the earlier fix displaces the later one.
+        let lever = before.sigma_rotation * distance;
+        let sigma_position = self.sigma_position.hypot(before.sigma_position).hypot(lever);
+        turned <= SIGMAS * sigma_rotation + DRIFT_RAD_M * distance
+            && shifted <= SIGMAS * sigma_position + DRIFT_FRACTION * distance
+    }
+}
+
+/// A hypothesis: the newest answer that agrees with it, and the places of all of them.
+#[derive(Clone, Debug)]
+struct Hypothesis {
+    newest: Fix,
+    evidence: PlaceEvidence,
+}
+
+/// How far the evidence for a first fix is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Waiting {
+    /// Logarithm of the odds of the best hypothesis.
+    pub log_odds: f64,
+    /// That of the best alternative; zero without one.
+    pub alternative: f64,
+}
+
+impl Waiting {
+    /// Whether the best hypothesis wins.
+    fn is_over(&self) -> bool {
+        // A negative one is worse than no alternative at all.
+        self.log_odds - self.alternative.max(0.0) >= REQUIRED_ODDS.ln()
+    }
+}
+
+impl std::fmt::Display for Waiting {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let odds = self.log_odds.exp();
+        write!(f, "waits for a more distinctive view: odds {odds:.2} of {REQUIRED_ODDS:.0}")?;
+        if self.alternative > 0.0 {
+            write!(f, ", those of another place are {:.2}", self.alternative.exp())?;
+        }
+        Ok(())
+    }
+}
+
+/// What an answer leads to.
+#[derive(Clone, Debug)]
+pub enum Decision {
+    /// Its hypothesis initializes, with this evidence.
+    Initialize(PlaceEvidence),
+    /// More evidence is needed.
+    Wait(Waiting),
+}
+
+/// The hypotheses since odometry started, of one version of the map.
+#[derive(Clone, Debug, Default)]
+pub struct FirstFix {
+    map_version: Option<u64>,
+    hypotheses: Vec<Hypothesis>,
+    /// Evidence that has won against a state already.
+    won: Option<PlaceEvidence>,
+    dropped: usize,
+}
+
+impl FirstFix {
+    /// Adds an answer to the hypothesis that it agrees with, or as a new one.
+    pub fn add(&mut self, map_version: u64, fix: Fix) -> Decision {
+        if let Some(won) = &self.won {
+            return Decision::Initialize(won.clone());
+        }
+        if self.map_version != Some(map_version) {
+            self.hypotheses.clear();
+            self.map_version = Some(map_version);
+        }
+        let own = match self.hypotheses.iter().position(|hypothesis| fix.agrees(&hypothesis.newest)) {
+            Some(known) => known,
+            None => self.insert(fix),
+        };
+        self.hypotheses[own].newest = fix;
+        self.hypotheses[own].evidence.add(fix.seen);
+        let waiting = self.against(own);
+        if waiting.is_over() {
+            self.dropped += self.hypotheses.len() - 1;
+            return Decision::Initialize(self.hypotheses[own].evidence.clone());
+        }
+        Decision::Wait(self.waiting().unwrap_or(waiting))
+    }
+
+    /// A new hypothesis; the weakest gives way to it.
+    fn insert(&mut self, fix: Fix) -> usize {
+        if self.hypotheses.len() == MAX_HYPOTHESES {
+            let odds = |at: &usize| self.hypotheses[*at].evidence.log_odds();
+            let weakest = (0..self.hypotheses.len()).min_by(|a, b| odds(a).total_cmp(&odds(b)));
+            weakest.into_iter().for_each(|at| drop(self.hypotheses.swap_remove(at)));
+            self.dropped += 1;
+        }
+        self.hypotheses.push(Hypothesis { newest: fix, evidence: PlaceEvidence::default() });
+        self.hypotheses.len() - 1
+    }
+
+    /// A hypothesis and its best alternative.
+    fn against(&self, own: usize) -> Waiting {
+        let others = self.hypotheses.iter().enumerate().filter(|(at, _)| *at != own);
+        let alternative = others.map(|(_, other)| other.evidence.log_odds()).reduce(f64::max);
+        let log_odds = self.hypotheses[own].evidence.log_odds();
+        Waiting { log_odds, alternative: alternative.unwrap_or(0.0) }
+    }
+
+    /// What the best hypothesis lacks; `None` without any.
+    pub fn waiting(&self) -> Option<Waiting> {
+        let odds = |at: &usize| self.hypotheses[*at].evidence.log_odds();
+        let best = (0..self.hypotheses.len()).max_by(|a, b| odds(a).total_cmp(&odds(b)))?;
+        Some(self.against(best))
+    }
+
+    /// Hypotheses that were dropped since the last call: weaker than others.
+    pub fn take_dropped(&mut self) -> usize {
+        std::mem::take(&mut self.dropped)
+    }
+
+    /// Evidence that won against a state initializes with the next answer.
+    pub fn won_by(&mut self, evidence: PlaceEvidence) {
+        self.won = Some(evidence);
+    }
+
+    /// Forgets all hypotheses: `global_from_local` is known, or odometry failed.
+    pub fn clear(&mut self) {
+        self.hypotheses.clear();
+        self.won = None;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use geometry::Rotation;
+    use nalgebra::Vector3;
+    use rand::rngs::StdRng;
+    use rand::{RngExt, SeedableRng};
+
+    /// A fix of a robot that drives along x, `displaced` in G, at a wall where it is.
+    fn fix(x: f64, displaced: f64, log_odds: f64) -> Fix {
+        let local_from_imu = Pose::new(Rotation::identity(), Vector3::new(x, 0.0, 0.0));
+        let at = Vector3::new(x, displaced, 0.0);
+        let landmarks = [at - Vector3::z(), at + Vector3::z()];
+        Fix {
+            global_from_imu: Pose::new(Rotation::identity(), at),
+            local_from_imu,
+            sigma_rotation: 0.005,
+            sigma_position: 0.02,
+            seen: SeenPlace::of(&landmarks, log_odds),
+        }
+    }
+
+    fn initializes(first: &mut FirstFix, fix: Fix) -> bool {
+        matches!(first.add(1, fix), Decision::Initialize(_))
+    }
+
+    #[test]
+    fn a_distinctive_view_initializes_with_its_first_answer() {
+        assert!(initializes(&mut FirstFix::default(), fix(0.0, 0.0, 4.0)));
+    }
+
+    #[test]
+    fn one_place_of_moderate_evidence_never_initializes_and_three_places_do() {
+        let mut first = FirstFix::default();
+        assert!((0..100).all(|_| !initializes(&mut first, fix(0.0, 0.0, 1.2))));
+        assert!(!initializes(&mut first, fix(3.0, 0.0, 1.2)));
+        assert!(initializes(&mut first, fix(6.0, 0.0, 1.2)));
+    }
+
+    #[test]
+    fn an_alternative_must_be_worse_by_the_same_ratio() {
+        let mut first = FirstFix::default();
+        assert!(!initializes(&mut first, fix(0.0, 5.0, 2.5)));
+        assert!(!initializes(&mut first, fix(0.0, 0.0, 4.0)));
+        assert!(initializes(&mut first, fix(3.0, 0.0, 2.0)));
+        assert_eq!(first.take_dropped(), 1);
+    }
+
+    #[test]
+    fn negative_evidence_counts_against() {
+        let mut first = FirstFix::default();
+        assert!(!initializes(&mut first, fix(0.0, 0.0, -2.0)));
+        assert!(!initializes(&mut first, fix(3.0, 0.0, 4.0)));
+        let waiting = first.waiting().unwrap();
+        assert!((waiting.log_odds - 2.0).abs() < 1e-12);
+        assert_eq!(waiting.to_string(), "waits for a more distinctive view: odds 7.39 of 20");
+    }
+
+    #[test]
+    fn another_version_of_the_map_starts_anew() {
+        let mut first = FirstFix::default();
+        assert!(!initializes(&mut first, fix(0.0, 0.0, 2.0)));
+        assert!(matches!(first.add(2, fix(3.0, 0.0, 2.0)), Decision::Wait(_)));
+    }
+
+    /// Of answers of a picture that repeats, the likelihood ratio exceeds `r` for at most one in `r`, whatever it is made of:
+    /// its mean is one. Sums of independent ones exceed it at any time with at most the same probability.
+    #[test]
+    fn pictures_that_repeat_initialize_at_most_at_the_stated_rate() {
+        let (runs, places) = (2000, 30);
+        let mut rng = StdRng::seed_from_u64(1);
+        let mut counts = [0; 2];
+        for (count, sign) in counts.iter_mut().zip([-1.0, 1.0]) {
+            for _ in 0..runs {
+                let mut first = FirstFix::default();
+                // Two normal distributions of the score, one standard deviation apart.
+                let mut is_fixed = (0..places).map(|k| {
+                    let normal = (0..12).map(|_| rng.random_range(0.0..1.0)).sum::<f64>() - 6.0;
+                    initializes(&mut first, fix(3.0 * f64::from(k), 0.0, normal + 0.5 * sign))
+                });
+                *count += usize::from(is_fixed.any(|fixed| fixed));
+            }
+        }
+        let [wrong, right] = counts;
+        assert!((wrong as f64) < runs as f64 / REQUIRED_ODDS * 1.1, "{wrong} of {runs}");
+        assert!(right as f64 > 0.99 * runs as f64, "{right} of {runs}");
+    }
+}
