@@ -209,6 +209,14 @@ impl Estimator {
             * self.first_camera().imu_from_camera.inverse();
         let solved_transform = global_from_imu * local_from_imu.inverse();
         report.initialized = self.state.transform.is_none();
+        let measured = best.global_from_keyframe.change_of_child(&verified.best_from_camera.pose);
+        if report.initialized
+            && let Err(waiting) = self.admit_first_fix(&local_from_imu, answer, &verified, &measured, report)
+        {
+            report.initialized = false;
+            return Ok(Err(waiting));
+        }
+        // A picture that repeats shows a wrong direction, too: only a place that is believed is evidence against the map's.
         if report.initialized
             && self.map_gravity.fault().is_none_or(|known| known.stated.is_none())
             && let Err(fault) =
@@ -216,13 +224,6 @@ impl Estimator {
         {
             report.initialized = false;
             return Ok(Err(fault.into()));
-        }
-        let measured = best.global_from_keyframe.change_of_child(&verified.best_from_camera.pose);
-        if report.initialized
-            && let Err(waiting) = self.admit_first_fix(&local_from_imu, answer, &verified, &measured, report)
-        {
-            report.initialized = false;
-            return Ok(Err(waiting));
         }
         let transform = self.state.transform.unwrap_or(solved_transform);
         let estimate = LinearizationPoint { local_from_imu, global_from_local: transform };
