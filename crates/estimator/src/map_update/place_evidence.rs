@@ -17,10 +17,8 @@ pub struct SeenPlace {
     centre: Vector3<f64>,
     /// Root mean square of their distances from it, metres.
     spread: f64,
-    /// Logarithm of its odds, as the server states them: the mean over all answers that show it.
+    /// Logarithm of its odds, as the server states them.
     log_odds: f64,
-    /// How many answers show it.
-    answers: f64,
 }
 
 impl SeenPlace {
@@ -33,7 +31,7 @@ impl SeenPlace {
         let count = landmarks.len().max(1) as f64;
         let centre = landmarks.iter().sum::<Vector3<f64>>() / count;
         let variance = landmarks.iter().map(|at| (at - centre).norm_squared()).sum::<f64>() / count;
-        Self { centre, spread: variance.sqrt(), log_odds, answers: 1.0 }
+        Self { centre, spread: variance.sqrt(), log_odds }
     }
 
     /// Whether it shows the same as another one: their landmarks overlap.
@@ -49,12 +47,11 @@ pub struct PlaceEvidence {
 }
 
 impl PlaceEvidence {
-    /// Adds what an answer shows. Answers of one place err together: their log-odds are averaged, the best of many would
-    /// exceed any bound by chance.
+    /// Adds what an answer shows. Answers of one place err together: of them the one that shows most counts, as the robot comes
+    /// nearer.
     pub fn add(&mut self, seen: SeenPlace) {
         if let Some(before) = self.places.iter_mut().find(|before| before.is_same(&seen)) {
-            before.answers += seen.answers;
-            before.log_odds += (seen.log_odds - before.log_odds) * seen.answers / before.answers;
+            before.log_odds = before.log_odds.max(seen.log_odds);
             return;
         }
         if self.places.len() == MAX_PLACES {
@@ -113,11 +110,15 @@ mod tests {
     }
 
     #[test]
-    fn answers_of_one_place_are_averaged_and_negative_ones_count_against() {
-        let of = |log_odds: f64| SeenPlace::of(&[-Vector3::x(), Vector3::x()], log_odds);
-        let evidence: PlaceEvidence = [4.0, -1.0, 3.0].map(of).into_iter().collect();
-        assert!((evidence.log_odds() - 2.0).abs() < 1e-12);
-        let against: PlaceEvidence = [of(-3.0)].into_iter().collect();
-        assert!(against.log_odds() < 0.0);
+    fn the_best_answer_of_a_place_counts_and_negative_ones_count_against() {
+        let of = |x: f64, log_odds: f64| {
+            let at = Vector3::new(x, 0.0, 0.0);
+            SeenPlace::of(&[at - Vector3::x(), at + Vector3::x()], log_odds)
+        };
+        let one_place: PlaceEvidence =
+            [4.0, -1.0, 3.0].map(|log_odds| of(0.0, log_odds)).into_iter().collect();
+        assert!((one_place.log_odds() - 4.0).abs() < 1e-12);
+        let two_places: PlaceEvidence = [of(0.0, 4.0), of(5.0, -3.0)].into_iter().collect();
+        assert!((two_places.log_odds() - 1.0).abs() < 1e-12);
     }
 }
