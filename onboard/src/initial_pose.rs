@@ -211,7 +211,7 @@ impl InitialPoseSearch {
     /// # Arguments
     /// * `estimator`: `None` while it is being initialized.
     /// * `has_map`: whether there is something to search.
-    pub(crate) fn update(&mut self, estimator: Option<&Estimator>, has_map: bool) {
+    pub(crate) fn update(&mut self, estimator: Option<&mut Estimator>, has_map: bool) {
         match self.poses.take() {
             Some(Ok(_)) if !has_map => self.refuse(InitialPoseError::NoMap),
             Some(Ok(pose)) => self.stage = Stage::Waiting(Instant::now(), Box::new(pose)),
@@ -307,7 +307,8 @@ impl InitialPoseSearch {
 }
 
 /// Begins to search at a pose, unless the estimate has it.
-fn begun(global_from_imu: &PoseWithCovariance, estimator: &Estimator) -> Stage {
+fn begun(global_from_imu: &PoseWithCovariance, estimator: &mut Estimator) -> Stage {
+    estimator.expect_pose(global_from_imu);
     let mut prior = Prior {
         global_from_imu: *global_from_imu,
         local_from_imu: estimator.local_from_imu(),

@@ -42,7 +42,7 @@ impl RobotRun<'_> {
     pub(super) fn update_initial_pose(&mut self) {
         let may_ask = self.queries.is_some() || self.opening.is_some();
         let has_map = may_ask && self.supervisor.config().mode != MapMode::Odometry;
-        self.initial_pose.update(self.supervisor.estimator(), has_map);
+        self.initial_pose.update(self.supervisor.estimator_mut(), has_map);
     }
 
     fn send_query(&mut self, clone: CloneId, stamp_ns: i64, features: FeatureSet, recorder: &mut Recorder) {

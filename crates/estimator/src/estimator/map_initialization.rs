@@ -3,7 +3,7 @@
 use super::Estimator;
 use crate::KeyframeId;
 use crate::linear_algebra::dense::Dense;
-use crate::map_update::first_fix::{Decision, Fix};
+use crate::map_update::first_fix::{Decision, Fix, FixedPose};
 use crate::map_update::map_answer::MapAnswer;
 use crate::map_update::map_measurement::Linearization;
 use crate::map_update::map_report::{MapReport, Rejection};
@@ -46,6 +46,16 @@ impl Estimator {
         }
     }
 
+    /// Tells where the robot is, as an operator says: no measurement, but evidence for the first answer of the map that agrees
+    /// with it.
+    ///
+    /// # Arguments
+    /// * `global_from_imu`: where the IMU is now; its covariance says how sure the operator is.
+    pub fn expect_pose(&mut self, global_from_imu: &PoseWithCovariance) {
+        let local_from_imu = self.state.imu.local_from_imu;
+        self.first_fix.expect(FixedPose::new(global_from_imu, &local_from_imu));
+    }
+
     /// Whether an answer may initialize `global_from_local`: its hypothesis has enough evidence.
     ///
     /// # Arguments
@@ -62,13 +72,9 @@ impl Estimator {
         report: &mut MapReport,
     ) -> Result<(), Rejection> {
         let measured = self.with_pnp_noise(answer, verified, measured);
-        let sigma =
-            |begin: usize| (begin..begin + 3).map(|k| measured.covariance[(k, k)]).fold(0.0, f64::max).sqrt();
+        let global_from_imu = measured.change_of_child(&self.first_camera().imu_from_camera.inverse());
         let fix = Fix {
-            global_from_imu: measured.pose * self.first_camera().imu_from_camera.inverse(),
-            local_from_imu: *local_from_imu,
-            sigma_rotation: sigma(0),
-            sigma_position: sigma(3),
+            pose: FixedPose::new(&global_from_imu, local_from_imu),
             seen: self.seen_place(answer, verified),
         };
         let decision = self.first_fix.add(answer.map_version, fix);

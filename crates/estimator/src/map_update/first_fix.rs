@@ -6,7 +6,7 @@
 //! the same ratio. A distinctive view wins with its first answer.
 
 use crate::map_update::place_evidence::{PlaceEvidence, SeenPlace};
-use geometry::Pose;
+use geometry::{Pose, PoseWithCovariance};
 
 /// Likelihood ratio that initializes. Of pictures that repeat at most one in so many exceeds it, if the stated odds are exact;
 /// they are cautious: of 618 answers to single images in halls that repeat themselves, all 112 above odds of 2.7 were
@@ -21,10 +21,10 @@ const DRIFT_FRACTION: f64 = 0.02;
 /// The same of its rotation, rad/m.
 const DRIFT_RAD_M: f64 = 0.002;
 
-/// A pose by the map, and what its answer shows.
+/// A pose in G, and how uncertain it is.
 #[derive(Clone, Copy, Debug)]
-pub struct Fix {
-    /// Pose of the IMU in G by the map.
+pub struct FixedPose {
+    /// Pose of the IMU in G.
     pub global_from_imu: Pose,
     /// Pose of the IMU in L by odometry.
     pub local_from_imu: Pose,
@@ -32,11 +32,31 @@ pub struct Fix {
     pub sigma_rotation: f64,
     /// Standard deviation of the position, metres.
     pub sigma_position: f64,
+}
+
+/// A pose by the map, and what its answer shows.
+#[derive(Clone, Copy, Debug)]
+pub struct Fix {
+    /// The pose.
+    pub pose: FixedPose,
     /// What its answer shows.
     pub seen: SeenPlace,
 }
 
-impl Fix {
+impl FixedPose {
+    /// A pose in G with a covariance, at a pose in L; standard deviations are those of its worst axis.
+    pub fn new(global_from_imu: &PoseWithCovariance, local_from_imu: &Pose) -> Self {
+        let sigma = |begin: usize| {
+            (begin..begin + 3).map(|k| global_from_imu.covariance[(k, k)]).fold(0.0, f64::max).sqrt()
+        };
+        Self {
+            global_from_imu: global_from_imu.pose,
+            local_from_imu: *local_from_imu,
+            sigma_rotation: sigma(0),
+            sigma_position: sigma(3),
+        }
+    }
+
     /// Whether the motion between two fixes is that of odometry.
     fn agrees(&self, before: &Self) -> bool {
         let moved = before.local_from_imu.inverse() * self.local_from_imu;
@@ -101,6 +121,8 @@ pub enum Decision {
 pub struct FirstFix {
     map_version: Option<u64>,
     hypotheses: Vec<Hypothesis>,
+    /// Where the robot is according to its operator.
+    expected: Option<FixedPose>,
     /// Evidence that has won against a state already.
     won: Option<PlaceEvidence>,
     dropped: usize,
@@ -116,7 +138,8 @@ impl FirstFix {
             self.hypotheses.clear();
             self.map_version = Some(map_version);
         }
-        let own = match self.hypotheses.iter().position(|hypothesis| fix.agrees(&hypothesis.newest)) {
+        let own = match self.hypotheses.iter().position(|hypothesis| fix.pose.agrees(&hypothesis.newest.pose))
+        {
             Some(known) => known,
             None => self.insert(fix),
         };
@@ -133,7 +156,7 @@ impl FirstFix {
     /// A new hypothesis; the weakest gives way to it.
     fn insert(&mut self, fix: Fix) -> usize {
         if self.hypotheses.len() == MAX_HYPOTHESES {
-            let odds = |at: &usize| self.hypotheses[*at].evidence.log_odds();
+            let odds = |at: &usize| self.log_odds(&self.hypotheses[*at]);
             let weakest = (0..self.hypotheses.len()).min_by(|a, b| odds(a).total_cmp(&odds(b)));
             weakest.into_iter().for_each(|at| drop(self.hypotheses.swap_remove(at)));
             self.dropped += 1;
@@ -142,17 +165,28 @@ impl FirstFix {
         self.hypotheses.len() - 1
     }
 
+    /// What an operator says is evidence for the hypothesis that agrees with it.
+    fn log_odds(&self, hypothesis: &Hypothesis) -> f64 {
+        let is_expected = self.expected.is_some_and(|expected| hypothesis.newest.pose.agrees(&expected));
+        hypothesis.evidence.log_odds() + if is_expected { REQUIRED_ODDS.ln() } else { 0.0 }
+    }
+
+    /// Takes in where the robot is according to its operator.
+    pub fn expect(&mut self, expected: FixedPose) {
+        self.expected = Some(expected);
+    }
+
     /// A hypothesis and its best alternative.
     fn against(&self, own: usize) -> Waiting {
         let others = self.hypotheses.iter().enumerate().filter(|(at, _)| *at != own);
-        let alternative = others.map(|(_, other)| other.evidence.log_odds()).reduce(f64::max);
-        let log_odds = self.hypotheses[own].evidence.log_odds();
+        let alternative = others.map(|(_, other)| self.log_odds(other)).reduce(f64::max);
+        let log_odds = self.log_odds(&self.hypotheses[own]);
         Waiting { log_odds, alternative: alternative.unwrap_or(0.0) }
     }
 
     /// What the best hypothesis lacks; `None` without any.
     pub fn waiting(&self) -> Option<Waiting> {
-        let odds = |at: &usize| self.hypotheses[*at].evidence.log_odds();
+        let odds = |at: &usize| self.log_odds(&self.hypotheses[*at]);
         let best = (0..self.hypotheses.len()).max_by(|a, b| odds(a).total_cmp(&odds(b)))?;
         Some(self.against(best))
     }
@@ -170,7 +204,7 @@ impl FirstFix {
     /// Forgets all hypotheses: `global_from_local` is known, or odometry failed.
     pub fn clear(&mut self) {
         self.hypotheses.clear();
-        self.won = None;
+        (self.won, self.expected) = (None, None);
     }
 }
 
@@ -188,10 +222,12 @@ mod tests {
         let at = Vector3::new(x, displaced, 0.0);
         let landmarks = [at - Vector3::z(), at + Vector3::z()];
         Fix {
-            global_from_imu: Pose::new(Rotation::identity(), at),
-            local_from_imu,
-            sigma_rotation: 0.005,
-            sigma_position: 0.02,
+            pose: FixedPose {
+                global_from_imu: Pose::new(Rotation::identity(), at),
+                local_from_imu,
+                sigma_rotation: 0.005,
+                sigma_position: 0.02,
+            },
             seen: SeenPlace::of(&landmarks, log_odds),
         }
     }
@@ -230,6 +266,18 @@ mod tests {
         let waiting = first.waiting().unwrap();
         assert!((waiting.log_odds - 1.0).abs() < 1e-12);
         assert_eq!(waiting.to_string(), "waits for a more distinctive view: odds 2.72 of 7");
+    }
+
+    #[test]
+    fn what_the_operator_says_decides_between_places_that_look_alike() {
+        let mut first = FirstFix::default();
+        let mut expected = fix(0.0, 0.0, 0.0).pose;
+        expected.global_from_imu.translation.y += 1.0;
+        (expected.sigma_position, expected.sigma_rotation) = (0.5, 0.2);
+        first.expect(expected);
+        assert!(!initializes(&mut first, fix(1.0, 8.0, 0.1)));
+        assert!(!initializes(&mut first, fix(1.0, 0.0, 0.05)));
+        assert!(initializes(&mut first, fix(4.0, 0.0, 0.1)));
     }
 
     #[test]
