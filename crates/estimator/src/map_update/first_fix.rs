@@ -158,7 +158,9 @@ impl FirstFix {
         if self.hypotheses.len() == MAX_HYPOTHESES {
             let odds = |at: &usize| self.log_odds(&self.hypotheses[*at]);
             let weakest = (0..self.hypotheses.len()).min_by(|a, b| odds(a).total_cmp(&odds(b)));
-            weakest.into_iter().for_each(|at| drop(self.hypotheses.swap_remove(at)));
+            if let Some(at) = weakest {
+                self.hypotheses.swap_remove(at);
+            }
             self.dropped += 1;
         }
         self.hypotheses.push(Hypothesis { newest: fix, evidence: PlaceEvidence::default() });
