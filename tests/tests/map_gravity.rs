@@ -32,7 +32,9 @@ fn assert_named(gravity: Option<Vector3<f64>>, expected: &str) {
     // Once, and not for every answer; and as nothing else is wrong with the map, it is used.
     assert_eq!((summary.alarms.len(), summary.alarms[0].ended_s), (1, None));
     assert_eq!(status.localization, Localization::Localized);
-    assert!(summary.queries.accepted + 2 > summary.queries.matched && summary.queries.matched > 20);
+    let waited = summary.queries.kept_waiting;
+    assert!(waited < 3, "{waited}");
+    assert!(summary.queries.accepted + waited + 2 > summary.queries.matched && summary.queries.matched > 20);
     assert!(summary.score.unwrap().pose.unwrap().rmse_m < 0.1);
 }
 
