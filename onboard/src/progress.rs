@@ -16,6 +16,32 @@ pub fn frame_bar(frames: impl Into<Option<usize>>) -> ProgressBar {
     bar
 }
 
+/// What became of the queries to the map.
+fn query_report(summary: &Summary) -> String {
+    let mut text = String::new();
+    let queries = &summary.queries;
+    let _ = writeln!(
+        text,
+        "{} queries: {} matched, {} accepted ({} re-linearized), {} failed; {} keyframes pulled ({} held), {} KB received",
+        queries.sent,
+        queries.matched,
+        queries.accepted,
+        queries.relinearized,
+        queries.failed,
+        summary.keyframes_pulled,
+        summary.keyframes_held,
+        summary.wire_bytes.received / 1024
+    );
+    if queries.kept_waiting > 0 {
+        let _ = writeln!(
+            text,
+            "first pose in the map: {} answers were kept until the evidence was enough, {} hypotheses were dropped",
+            queries.kept_waiting, queries.hypotheses_dropped
+        );
+    }
+    text
+}
+
 /// The summary of a run in a few lines.
 pub fn report(summary: &Summary) -> String {
     let mut text = String::new();
@@ -40,26 +66,7 @@ pub fn report(summary: &Summary) -> String {
         );
     }
     if summary.map.is_some() {
-        let queries = &summary.queries;
-        let _ = writeln!(
-            text,
-            "{} queries: {} matched, {} accepted ({} re-linearized), {} failed; {} keyframes pulled ({} held), {} KB received",
-            queries.sent,
-            queries.matched,
-            queries.accepted,
-            queries.relinearized,
-            queries.failed,
-            summary.keyframes_pulled,
-            summary.keyframes_held,
-            summary.wire_bytes.received / 1024
-        );
-        if queries.kept_waiting > 0 {
-            let _ = writeln!(
-                text,
-                "first pose in the map: {} answers were kept until the evidence was enough, {} hypotheses were dropped",
-                queries.kept_waiting, queries.hypotheses_dropped
-            );
-        }
+        text += &query_report(summary);
     }
     if let Some(score) = &summary.score {
         let _ = writeln!(

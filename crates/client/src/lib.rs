@@ -32,7 +32,6 @@
 //!     landmarks: 9841, observations: 35120,
 //!     cross_covariances: 0, gravity_in_global: None, extent: None, descriptors: None, extractor: "orb-1".into(),
 //!     sigma_map_px: 1.0,
-//!     log_odds: 0.0,
 //! };
 //! let payload = protocol::encode(Format::Bincode, &info)?;
 //! let reply = move |query: zenoh::query::Query| {

@@ -308,7 +308,7 @@ mod tests {
             }
         }
         let [wrong, right] = counts;
-        assert!((wrong as f64) < runs as f64 / REQUIRED_ODDS * 1.1, "{wrong} of {runs}");
-        assert!(right as f64 > 0.99 * runs as f64, "{right} of {runs}");
+        assert!((wrong as f64) < f64::from(runs) / REQUIRED_ODDS * 1.1, "{wrong} of {runs}");
+        assert!(right as f64 > 0.99 * f64::from(runs), "{right} of {runs}");
     }
 }
