@@ -59,7 +59,7 @@ impl Estimator {
     /// Whether an answer may initialize `global_from_local`: its hypothesis has enough evidence.
     ///
     /// # Arguments
-    /// * `measured`: the first camera in G according to the answer.
+    /// * `measured`: the first camera in G according to the answer, noise of its matches included.
     ///
     /// # Errors
     /// [`Rejection::NotDistinctive`]: it waits for more.
@@ -71,7 +71,6 @@ impl Estimator {
         measured: &PoseWithCovariance,
         report: &mut MapReport,
     ) -> Result<(), Rejection> {
-        let measured = self.with_pnp_noise(answer, verified, measured);
         let global_from_imu = measured.change_of_child(&self.first_camera().imu_from_camera.inverse());
         let fix = Fix {
             pose: FixedPose::new(&global_from_imu, local_from_imu),

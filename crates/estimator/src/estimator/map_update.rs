@@ -210,8 +210,10 @@ impl Estimator {
         let solved_transform = global_from_imu * local_from_imu.inverse();
         report.initialized = self.state.transform.is_none();
         let measured = best.global_from_keyframe.change_of_child(&verified.best_from_camera.pose);
+        let with_noise = self.with_pnp_noise(answer, &verified, &measured);
         if report.initialized
-            && let Err(waiting) = self.admit_first_fix(&local_from_imu, answer, &verified, &measured, report)
+            && let Err(waiting) =
+                self.admit_first_fix(&local_from_imu, answer, &verified, &with_noise, report)
         {
             report.initialized = false;
             return Ok(Err(waiting));
@@ -245,7 +247,7 @@ impl Estimator {
         if report.initialized {
             self.insert_solved_transform(solved_transform, median_depth(answer, &verified));
         }
-        self.note_fix(clone, answer, &verified, &self.with_pnp_noise(answer, &verified, &measured));
+        self.note_fix(clone, answer, &verified, &with_noise);
         let point = Linearization { estimate, at, first_position };
         let mut outcome = self.iterate(clone, answer, &verified, point, &measured, report)?;
         if let (Err(Rejection::Far { .. }), Some(missing)) = (&outcome, self.missing_noise()) {

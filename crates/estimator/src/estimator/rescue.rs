@@ -11,7 +11,7 @@ use crate::error::EstimatorError;
 use crate::initialization::static_init::{InitialState, gravity_aligned, yaw_between};
 use crate::map_update::first_fix::REQUIRED_ODDS;
 use crate::map_update::map_answer::MapAnswer;
-use crate::map_update::map_fix::{FixedMotion, MapFix};
+use crate::map_update::map_fix::{FixedMotion, MapFix, worst_sigmas};
 use crate::map_update::map_report::{MapReport, Rejection};
 use crate::map_update::map_revision::ChangeSize;
 use crate::map_update::place_evidence::SeenPlace;
@@ -58,8 +58,7 @@ impl Estimator {
         let Some(predicted) = self.global_from_camera(clone) else { return };
         let together = PoseWithCovariance::new(predicted.pose, predicted.covariance + measured.covariance);
         let clone = &self.state.clones[index];
-        let variance =
-            |begin: usize| (begin..begin + 3).map(|k| measured.covariance[(k, k)]).fold(0.0, f64::max);
+        let (sigma_rotation, sigma_position) = worst_sigmas(&measured.covariance);
         self.newest_fix = Some(MapFix {
             stamp_ns: clone.stamp_ns,
             global_from_imu: measured.pose * self.first_camera().imu_from_camera.inverse(),
@@ -67,8 +66,8 @@ impl Estimator {
             local_from_imu: clone.local_from_imu,
             keyframe: verified.best,
             squared: together.nees(&measured.pose).unwrap_or(f64::INFINITY),
-            sigma_rotation: variance(0).sqrt(),
-            sigma_position: variance(3).sqrt(),
+            sigma_rotation,
+            sigma_position,
             seen: self.seen_place(answer, verified),
         });
     }
@@ -165,8 +164,9 @@ impl Estimator {
         if self.map_fixes.agree_by_odometry(REPLACED_AFTER) && !is_tilted {
             self.remove_transform();
             self.contradiction = None;
-            self.first_fix.won_by(self.map_fixes.evidence());
-            self.support = self.map_fixes.evidence();
+            let evidence = self.map_fixes.evidence();
+            self.first_fix.won_by(evidence.clone());
+            self.support = evidence;
             self.against.clear();
             self.map_fixes.clear();
             report.rejection = self.update_in_version(clone, answer, report)?.err();

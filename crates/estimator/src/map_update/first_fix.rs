@@ -5,6 +5,7 @@
 //! [`place_evidence`](super::place_evidence), and wins when these exceed a likelihood ratio and those of every alternative by
 //! the same ratio. A distinctive view wins with its first answer.
 
+use crate::map_update::map_fix::{odometry_error, worst_sigmas};
 use crate::map_update::place_evidence::{PlaceEvidence, SeenPlace};
 use geometry::{Pose, PoseWithCovariance};
 
@@ -46,22 +47,19 @@ pub struct Fix {
 impl FixedPose {
     /// A pose in G with a covariance, at a pose in L; standard deviations are those of its worst axis.
     pub fn new(global_from_imu: &PoseWithCovariance, local_from_imu: &Pose) -> Self {
-        let sigma = |begin: usize| {
-            (begin..begin + 3).map(|k| global_from_imu.covariance[(k, k)]).fold(0.0, f64::max).sqrt()
-        };
+        let (sigma_rotation, sigma_position) = worst_sigmas(&global_from_imu.covariance);
         Self {
             global_from_imu: global_from_imu.pose,
             local_from_imu: *local_from_imu,
-            sigma_rotation: sigma(0),
-            sigma_position: sigma(3),
+            sigma_rotation,
+            sigma_position,
         }
     }
 
     /// Whether the motion between two fixes is that of odometry.
     fn agrees(&self, before: &Self) -> bool {
         let moved = before.local_from_imu.inverse() * self.local_from_imu;
-        let apart = (before.global_from_imu * moved).local(&self.global_from_imu);
-        let (turned, shifted) = (apart.fixed_rows::<3>(0).norm(), apart.fixed_rows::<3>(3).norm());
+        let (turned, shifted) = odometry_error(&before.global_from_imu, &moved, &self.global_from_imu);
         let distance = moved.translation.norm();
         let sigma_rotation = self.sigma_rotation.hypot(before.sigma_rotation);
         // An error of the rotation of the earlier fix displaces the later one.
@@ -72,10 +70,10 @@ impl FixedPose {
     }
 }
 
-/// A hypothesis: the newest answer that agrees with it, and the places of all of them.
+/// A hypothesis: the pose of the newest answer that agrees with it, and the places of all of them.
 #[derive(Clone, Debug)]
 struct Hypothesis {
-    newest: Fix,
+    newest: FixedPose,
     evidence: PlaceEvidence,
 }
 
@@ -116,7 +114,7 @@ pub enum Decision {
     Wait(Waiting),
 }
 
-/// The hypotheses since odometry started, of one version of the map.
+/// The hypotheses while `global_from_local` is not known, of one version of the map.
 #[derive(Clone, Debug, Default)]
 pub struct FirstFix {
     map_version: Option<u64>,
@@ -138,12 +136,11 @@ impl FirstFix {
             self.hypotheses.clear();
             self.map_version = Some(map_version);
         }
-        let own = match self.hypotheses.iter().position(|hypothesis| fix.pose.agrees(&hypothesis.newest.pose))
-        {
+        let own = match self.hypotheses.iter().position(|hypothesis| fix.pose.agrees(&hypothesis.newest)) {
             Some(known) => known,
-            None => self.insert(fix),
+            None => self.insert(fix.pose),
         };
-        self.hypotheses[own].newest = fix;
+        self.hypotheses[own].newest = fix.pose;
         self.hypotheses[own].evidence.add(fix.seen);
         let waiting = self.against(own);
         if waiting.is_over() {
@@ -154,7 +151,7 @@ impl FirstFix {
     }
 
     /// A new hypothesis; the weakest gives way to it.
-    fn insert(&mut self, fix: Fix) -> usize {
+    fn insert(&mut self, newest: FixedPose) -> usize {
         if self.hypotheses.len() == MAX_HYPOTHESES {
             let odds = |at: &usize| self.log_odds(&self.hypotheses[*at]);
             let weakest = (0..self.hypotheses.len()).min_by(|a, b| odds(a).total_cmp(&odds(b)));
@@ -163,13 +160,13 @@ impl FirstFix {
             }
             self.dropped += 1;
         }
-        self.hypotheses.push(Hypothesis { newest: fix, evidence: PlaceEvidence::default() });
+        self.hypotheses.push(Hypothesis { newest, evidence: PlaceEvidence::default() });
         self.hypotheses.len() - 1
     }
 
     /// What an operator says is evidence for the hypothesis that agrees with it.
     fn log_odds(&self, hypothesis: &Hypothesis) -> f64 {
-        let is_expected = self.expected.is_some_and(|expected| hypothesis.newest.pose.agrees(&expected));
+        let is_expected = self.expected.is_some_and(|expected| hypothesis.newest.agrees(&expected));
         hypothesis.evidence.log_odds() + if is_expected { REQUIRED_ODDS.ln() } else { 0.0 }
     }
 
@@ -203,7 +200,7 @@ impl FirstFix {
         self.won = Some(evidence);
     }
 
-    /// Forgets all hypotheses: `global_from_local` is known, or odometry failed.
+    /// Forgets all hypotheses: `global_from_local` is known.
     pub fn clear(&mut self) {
         self.hypotheses.clear();
         (self.won, self.expected) = (None, None);

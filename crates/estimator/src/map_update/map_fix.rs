@@ -8,7 +8,7 @@ use crate::KeyframeId;
 use crate::map_update::place_evidence::{PlaceEvidence, SeenPlace};
 use crate::propagation::ImuState;
 use geometry::{Pose, Rotation};
-use nalgebra::Vector3;
+use nalgebra::{Matrix6, Vector3};
 use std::collections::VecDeque;
 
 /// Time over which the motion is kept, nanoseconds: fixes further apart are not compared.
@@ -67,13 +67,28 @@ impl MapFix {
     /// Whether two fixes are apart as odometry says, much better than either agrees with the state.
     pub fn agrees_by_odometry(&self, before: &Self) -> bool {
         let moved = before.local_from_imu.inverse() * self.local_from_imu;
-        let apart = (before.global_from_imu * moved).local(&self.global_from_imu);
+        let (turned, shifted) = odometry_error(&before.global_from_imu, &moved, &self.global_from_imu);
         let from_state = self.predicted.local(&self.global_from_imu);
         let tolerance = 3.0 * self.sigma_position.hypot(before.sigma_position);
-        let (turned, shifted) = (apart.fixed_rows::<3>(0).norm(), apart.fixed_rows::<3>(3).norm());
         turned <= ROTATION_TOLERANCE_RAD + 3.0 * self.sigma_rotation.hypot(before.sigma_rotation)
             && shifted <= tolerance.max(ODOMETRY_FRACTION * from_state.fixed_rows::<3>(3).norm()).min(2.0)
     }
+}
+
+/// How far a fix is from where odometry takes the one before, rad and metres.
+///
+/// # Arguments
+/// * `before`, `after`: poses of the IMU in G.
+/// * `moved`: the motion between them by odometry.
+pub fn odometry_error(before: &Pose, moved: &Pose, after: &Pose) -> (f64, f64) {
+    let apart = (*before * *moved).local(after);
+    (apart.fixed_rows::<3>(0).norm(), apart.fixed_rows::<3>(3).norm())
+}
+
+/// Standard deviations of a pose's rotation (rad) and position (m), each along its worst axis.
+pub fn worst_sigmas(covariance: &Matrix6<f64>) -> (f64, f64) {
+    let sigma = |begin: usize| (begin..begin + 3).map(|k| covariance[(k, k)]).fold(0.0, f64::max).sqrt();
+    (sigma(0), sigma(3))
 }
 
 /// Motion by the IMU alone, without gravity: what an ideal accelerometer and gyroscope add up to.
