@@ -12,7 +12,7 @@ use map::store;
 use map_server::{MapServer, ServeError, ServedMap};
 use protocol::MapIdentity;
 use protocol::keys::{NameError, validate_name};
-use recognition::LoadedMap;
+use recognition::{AliasingRate, LoadedMap};
 use releases::{ReleaseKey, ReleaseStore};
 
 use crate::released::ReleasedMap;
@@ -103,13 +103,18 @@ impl MapSource {
     /// Whatever keeps it from being read.
     pub async fn load(&self) -> anyhow::Result<ServedMap> {
         let MapSource { name, origin } = self.clone();
-        let loading = tokio::task::spawn_blocking(move || match origin {
-            Origin::Database(database) => LoadedMap::read(database).map_err(Into::into),
-            Origin::Releases(releases) => releases.load(),
+        let loading = tokio::task::spawn_blocking(move || {
+            let map: anyhow::Result<LoadedMap> = match origin {
+                Origin::Database(database) => LoadedMap::read(database).map_err(Into::into),
+                Origin::Releases(releases) => releases.load(),
+            };
+            map.inspect(|map| _ = map.aliasing_rate())
         });
         let map = loading.await?.with_context(|| format!("map {name} cannot be served"))?;
+        let AliasingRate { views, aliased, .. } = map.aliasing_rate();
         tracing::info!(
             name,
+            aliasing = %format_args!("{aliased:.1} of {views:.1} views look like another place"),
             version = map.info().version,
             identity = %map.identity(),
             keyframes = map.keyframe_count(),
@@ -142,6 +147,7 @@ impl MapSource {
             }
         };
         let Some(map) = map else { return Ok(None) };
+        map.aliasing_rate();
         match (map.damaged_records(), map.keyframe_count()) {
             (0, 1..) => Ok(Some(map)),
             (0, 0) => bail!("the new version has no keyframes"),

@@ -81,7 +81,7 @@ pub use limits::{
     KeyframeId, LandmarkId, MAX_ANSWER_KEYFRAMES, MAX_CHANGE_M, MAX_CHANGE_RAD, MAX_EXTRACTOR_BYTES,
     MAX_FEATURES, MAX_MESSAGE_BYTES, MAX_QUERY_FEATURES, MAX_TEXT_BYTES, SCHEMA_VERSION,
 };
-pub use localize::{LocalizeReply, LocalizeRequest, LocalizedPose};
+pub use localize::{LocalizeReply, LocalizeRequest, LocalizedPose, PossiblePlace};
 pub use map::{Extent, KeyframeLandmark, KeyframeReply, MapChangeNotice, MapInfoReply, StatedChange};
 pub use matching::{
     CrossCovarianceBlock, KeyframePixel, KeyframeRecord, LandmarkMatch, MatchOutcome, MatchReply,

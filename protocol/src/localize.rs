@@ -4,7 +4,10 @@ use crate::features::{FeatureSet, require_query};
 use crate::identity::MapIdentity;
 use crate::limits::KeyframeId;
 use crate::matching::{MatchOutcome, PosePrior};
-use crate::validate::{InvalidField, Validate, require, require_not_negative, require_unit, require_valid};
+use crate::validate::{
+    InvalidField, Validate, require, require_each, require_finite, require_not_negative, require_unit,
+    require_valid,
+};
 use crate::wire;
 use geometry::camera::Camera;
 use geometry::uncertain_pose::PoseWithCovariance;
@@ -47,13 +50,37 @@ pub struct LocalizeReply {
     /// The pose found.
     #[serde(default)]
     pub fix: Option<LocalizedPose>,
+    /// The places that explain the image, the one that explains most of it first: with more than one, or with small odds, the
+    /// image is not distinctive. Of a map in cells those of the cell that answers.
+    #[serde(default)]
+    pub places: Vec<PossiblePlace>,
 }
 
 impl Validate for LocalizeReply {
     fn validate(&self) -> Result<(), InvalidField> {
         let consistent = self.fix.is_some() == (self.outcome == MatchOutcome::Matched);
         require(consistent, "fix", "must be present exactly when the outcome is `matched`")?;
-        require_valid(self.fix.as_ref(), "fix")
+        require_valid(self.fix.as_ref(), "fix")?;
+        require_each(&self.places, "places", Validate::validate)
+    }
+}
+
+/// A place that an image could be of.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PossiblePlace {
+    /// The camera in the map's frame, if the image is of this place.
+    #[serde(with = "wire::PoseForm")]
+    pub global_from_camera: PoseWithCovariance,
+    /// Features of the image that landmarks of the place explain.
+    pub features: u32,
+    /// Natural logarithm of the odds that the image is of this place and not of another one that looks alike in part.
+    pub log_odds: f64,
+}
+
+impl Validate for PossiblePlace {
+    fn validate(&self) -> Result<(), InvalidField> {
+        require_valid(&self.global_from_camera, "global_from_camera")?;
+        require_finite(&[self.log_odds], "log_odds")
     }
 }
 

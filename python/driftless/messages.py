@@ -101,6 +101,21 @@ class Keyframe:
 
 
 @dataclass(frozen=True, eq=False)
+class PossiblePlace:
+    """A place that an image could be of."""
+
+    global_from_camera: Pose
+    features: int
+    """Features of the image that landmarks of the place explain."""
+    log_odds: float
+    """Natural logarithm of the odds of this place against another one that looks alike in part."""
+
+    @classmethod
+    def from_message(cls, message: Mapping[str, Any]) -> PossiblePlace:
+        return cls(Pose.from_message(message["global_from_camera"]), message["features"], message["log_odds"])
+
+
+@dataclass(frozen=True, eq=False)
 class Localization:
     """What a map says of one image."""
 
@@ -115,17 +130,21 @@ class Localization:
     matched_features: int = 0
     inliers: int = 0
     mean_error_px: float | None = None
+    places: tuple[PossiblePlace, ...] = ()
+    """The places that explain the image, the one that explains most of it first."""
 
     @classmethod
     def from_message(cls, message: Mapping[str, Any]) -> Localization:
         head = (message["outcome"], message["map_version"], message["map_identity"])
         fix = message.get("fix")
+        places = tuple(PossiblePlace.from_message(place) for place in message.get("places", ()))
         if fix is None:
-            return cls(*head, global_from_camera=None)
+            return cls(*head, global_from_camera=None, places=places)
         return cls(
             *head,
             Pose.from_message(fix["global_from_camera"]),
             *(fix[field] for field in ("keyframe", "matched_features", "inliers", "mean_error_px")),
+            places=places,
         )
 
 

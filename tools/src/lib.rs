@@ -10,6 +10,7 @@ pub mod demo;
 #[cfg(feature = "secure")]
 pub mod fleet;
 pub mod in_process;
+mod map_aliases;
 mod open_page;
 pub mod playback;
 pub mod plotting;

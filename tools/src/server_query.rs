@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context as _, bail};
 use client::{ClientError, MapClient, SessionArguments, close_session, open_session};
 use nalgebra::Vector3;
-use protocol::{LocalizedPose, MatchOutcome};
+use protocol::{LocalizedPose, MatchOutcome, PossiblePlace};
 
 /// Where a map server is, and how long to wait for it.
 #[derive(Clone, Debug, clap::Args)]
@@ -87,6 +87,21 @@ pub fn print_fix(fix: &LocalizedPose) {
     );
 }
 
+/// Prints the places that an image could be of, with their odds.
+pub fn print_places(places: &[PossiblePlace]) {
+    for place in places {
+        let at = &place.global_from_camera.pose.translation;
+        println!(
+            "  could be at ({:.3}, {:.3}, {:.3}) m: {} features, odds {:.2} against a place that looks alike",
+            at.x,
+            at.y,
+            at.z,
+            place.features,
+            place.log_odds.exp()
+        );
+    }
+}
+
 /// Describes an outcome without a pose.
 pub fn describe(outcome: MatchOutcome) -> &'static str {
     match outcome {
@@ -96,7 +111,9 @@ pub fn describe(outcome: MatchOutcome) -> &'static str {
             "some keyframes look alike, but no pose explains the matches: is --camera the one that took the image?"
         }
         MatchOutcome::TooFewFeatures => "the image has too few features",
-        MatchOutcome::Ambiguous => "two places of the map look alike: give a prior pose",
+        MatchOutcome::Ambiguous => {
+            "the image is not distinctive: other places look alike, at least in part; give a prior pose"
+        }
         MatchOutcome::EmptyMap => "the map has no keyframes",
     }
 }

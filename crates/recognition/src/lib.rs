@@ -45,7 +45,7 @@ mod search;
 mod verification;
 
 pub use coarse::{CoarseIndex, CoarseIndexBuilder, RankedPart};
-pub use evidence::Coverage;
+pub use evidence::{AliasingRate, Coverage};
 pub use frozen::FrozenError;
 pub use inspection::{InspectedKeyframe, InspectedMatch, Inspection, KeyframeVerdict};
 pub use loaded_map::{LoadError, LoadedMap};

@@ -1,6 +1,7 @@
 //! A map in memory, indexed for queries.
 
 use std::path::Path;
+use std::sync::OnceLock;
 
 use nalgebra::{Matrix6, Vector3};
 use protocol::{KeyframeId, MapIdentity};
@@ -8,6 +9,7 @@ use serde::{Deserialize, Serialize};
 use vision::{DescriptorError, DescriptorView, Metric};
 
 use super::elements::{Landmarks, Observations, Viewpoint, point_in_keyframe};
+use super::evidence::AliasingRate;
 use super::index::LandmarkIndex;
 use super::loading::MapLoader;
 use map::contents::{ContentsError, MapContents, ObservationCounts};
@@ -49,6 +51,9 @@ pub struct LoadedMap {
     /// Median distance between keyframes and the landmarks that they observe (m).
     pub(crate) viewing_distance: f64,
     pub(crate) damaged: usize,
+    /// Measured when it is asked for.
+    #[serde(with = "super::evidence::aliasing")]
+    pub(crate) aliasing: OnceLock<AliasingRate>,
 }
 
 /// Why a map cannot be loaded.

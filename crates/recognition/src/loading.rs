@@ -2,6 +2,8 @@
 //!
 //! So of the landmarks, by far most of a map, no second copy is made, and none of the arrays is ever copied to grow.
 
+use std::sync::OnceLock;
+
 use map::contents::{MapContents, validate_landmark};
 use map::model::{Keyframe, Landmark, MapMetadata};
 use nalgebra::Vector3;
@@ -62,6 +64,7 @@ impl MapLoader {
             common_errors,
             viewing_distance: 0.0,
             damaged: 0,
+            aliasing: OnceLock::new(),
             observations,
         };
         Ok(MapLoader {

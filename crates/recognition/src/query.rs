@@ -152,6 +152,7 @@ impl LoadedMap {
                         map_identity: self.identity,
                         outcome: MatchOutcome::NotVerified,
                         fix: None,
+                        places: search.places(),
                     };
                     return Ok((reply, search.into_report()));
                 }
@@ -169,7 +170,7 @@ impl LoadedMap {
             outcome => outcome,
         };
         let (map_version, map_identity) = (self.info.version, self.identity);
-        let reply = LocalizeReply { map_version, map_identity, outcome, fix };
+        let reply = LocalizeReply { map_version, map_identity, outcome, fix, places: search.places() };
         Ok((reply, search.into_report()))
     }
 

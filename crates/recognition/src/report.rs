@@ -37,18 +37,15 @@ pub struct Hypothesis {
     pub place: RecognizedPlace,
     /// What it explains of all that it should.
     pub coverage: Coverage,
+    /// Natural logarithm of the odds of the right place over one that looks alike, before the image is seen, see
+    /// [`AliasingRate`](super::AliasingRate).
+    pub log_prior_odds: f64,
 }
 
 impl Hypothesis {
-    /// A place with its coverage.
-    pub(super) fn new(place: RecognizedPlace, coverage: Coverage) -> Self {
-        Self { place, coverage }
-    }
-
-    /// Natural logarithm of the odds that the image is of this place and not of a picture that repeats, both being equally
-    /// likely before.
+    /// Natural logarithm of the odds that the image is of this place and not of a picture that repeats.
     pub fn log_odds(&self) -> f64 {
-        self.coverage.log_likelihood_ratio()
+        self.log_prior_odds + self.coverage.log_likelihood_ratio()
     }
 }
 

@@ -2,7 +2,7 @@
 
 use geometry::{Camera, PoseWithCovariance};
 use nalgebra::Vector3;
-use protocol::{FeatureSet, MatchOutcome, PosePrior};
+use protocol::{FeatureSet, MatchOutcome, PosePrior, PossiblePlace};
 use vision::{DescriptorError, DescriptorView, Matcher};
 
 use super::consensus::{Consensus, find_consensus, group_places, is_consistent, support};
@@ -46,6 +46,16 @@ impl Search {
     /// Of the place that explains the image best, see [`Hypothesis::log_odds`]; zero without one.
     pub(super) fn log_odds(&self) -> f64 {
         self.hypotheses.first().map_or(0.0, Hypothesis::log_odds)
+    }
+
+    /// The places that explain the image, as they are sent.
+    pub(super) fn places(&self) -> Vec<PossiblePlace> {
+        let place = |hypothesis: &Hypothesis| PossiblePlace {
+            global_from_camera: hypothesis.place.global_from_camera,
+            features: hypothesis.place.features as u32,
+            log_odds: hypothesis.log_odds(),
+        };
+        self.hypotheses.iter().map(place).collect()
     }
 
     pub(super) fn into_report(self) -> SearchReport {
@@ -213,7 +223,8 @@ impl LoadedMap {
         }
         let mut strongest = None;
         let places = group_places(&mut verified, options);
-        let hypotheses = self.hypotheses(image, &verified, &places);
+        let log_prior_odds = self.aliasing_rate().log_odds();
+        let hypotheses = self.hypotheses(image, &verified, &places, log_prior_odds);
         let place = match find_consensus(verified, &places, options) {
             Consensus::Nothing => Vec::new(),
             Consensus::Ambiguous(place) => {
@@ -249,18 +260,23 @@ impl LoadedMap {
     }
 
     /// What each place explains of all that it should.
-    fn hypotheses(
+    ///
+    /// # Arguments
+    /// * `log_prior_odds`: of the right place over one that looks alike, before the image is seen.
+    pub(super) fn hypotheses(
         &self,
         image: &Image<'_>,
         verified: &[VerifiedKeyframe],
         places: &[Vec<usize>],
+        log_prior_odds: f64,
     ) -> Vec<Hypothesis> {
         let hypothesis = |members: &Vec<usize>| {
             let of_place: Vec<&VerifiedKeyframe> = members.iter().map(|&at| &verified[at]).collect();
             let global_from_camera = of_place.first()?.global_from_camera;
             let coverage = coverage(self, image.camera, image.features, &global_from_camera.pose, &of_place);
             let features = support(verified, members);
-            Some(Hypothesis::new(RecognizedPlace { global_from_camera, features }, coverage))
+            let place = RecognizedPlace { global_from_camera, features };
+            Some(Hypothesis { place, coverage, log_prior_odds })
         };
         places.iter().take(MAX_HYPOTHESES).filter_map(hypothesis).collect()
     }

@@ -1,6 +1,8 @@
 //! A place is believed for what it explains of an image: one picture that repeats elsewhere is no place.
 
 use geometry::Pose;
+use map::MapContents;
+use nalgebra::Vector3;
 use protocol::{LocalizeRequest, MatchOutcome};
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
@@ -80,4 +82,64 @@ fn a_place_of_which_half_has_changed_is_still_found() {
         assert!(report.hypotheses[0].log_odds() > 0.0);
     }
     assert!(found >= 18, "{found}");
+}
+
+/// The same hall once more beside itself, with landmarks and keyframes of its own.
+fn twice(once: &MapContents, beside: Vector3<f64>) -> MapContents {
+    let (keyframes, landmarks) = (1000, 1_000_000);
+    let mut both = once.clone();
+    both.keyframes.extend(once.keyframes.iter().cloned().map(|mut keyframe| {
+        keyframe.id += keyframes;
+        keyframe.global_from_keyframe.pose.translation += beside;
+        keyframe
+    }));
+    both.landmarks.extend(once.landmarks.iter().cloned().map(|mut landmark| {
+        landmark.id += landmarks;
+        landmark.anchor += keyframes;
+        landmark.observations.iter_mut().for_each(|observation| observation.keyframe += keyframes);
+        landmark
+    }));
+    both.sort();
+    both
+}
+
+#[test]
+fn a_map_knows_that_its_halls_look_alike_and_which_keyframe_is_like_which() {
+    let place = dense_place();
+    let options = RecognitionOptions::default();
+    let once = LoadedMap::from_contents(place.map.clone()).unwrap();
+    let rate = once.aliasing_rate();
+    assert!(rate.aliased == 0.0 && rate.views > 1.0, "{rate:?}");
+
+    let beside = Vector3::new(0.0, 50.0, 0.0);
+    let both = LoadedMap::from_contents(twice(&place.map, beside)).unwrap();
+    let rate = both.aliasing_rate();
+    assert!(rate.aliased > 0.9 * rate.views && rate.log_odds() < 0.2, "{rate:?}");
+    for keyframe in once.keyframes() {
+        let own = &keyframe.global_from_keyframe.pose;
+        let alias = &both.aliases(keyframe.id, &options).unwrap()[0];
+        let found = alias.place.global_from_camera.pose;
+        assert!((found.translation - own.translation - beside).norm() < 0.3, "{alias:?}");
+        assert!(alias.log_odds() > 0.0, "{alias:?}");
+    }
+}
+
+#[test]
+fn the_odds_of_an_answer_are_smaller_in_a_map_that_looks_like_itself() {
+    let place = dense_place();
+    let [once, both] = [place.map.clone(), twice(&place.map, Vector3::new(0.0, 50.0, 0.0))]
+        .map(|contents| LoadedMap::from_contents(contents).unwrap());
+    let mut rng = StdRng::seed_from_u64(33);
+    let truth = pose(&place, &mut rng);
+    let request = request(&place, &truth, &mut rng, |_| true);
+    let options = RecognitionOptions::default();
+    let (reply, report) = once.localize_with_report(&request, &options).unwrap();
+    assert!(reply.fix.is_some());
+    let (ambiguous, other) = both.localize_with_report(&request, &options).unwrap();
+    assert_eq!((ambiguous.outcome, ambiguous.fix), (MatchOutcome::Ambiguous, None));
+    assert_eq!(ambiguous.places.len(), 2);
+    let apart = ambiguous.places[0].global_from_camera.pose.translation
+        - ambiguous.places[1].global_from_camera.pose.translation;
+    assert!((apart.norm() - 50.0).abs() < 0.5, "{apart}");
+    assert!(other.hypotheses[0].log_odds() < report.hypotheses[0].log_odds() - 1.0);
 }

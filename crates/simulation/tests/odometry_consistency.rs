@@ -8,8 +8,9 @@ use simulation::monte_carlo::{
 };
 use simulation::{Scenario, SimulationOptions};
 
-/// Number of runs: enough for a useful chi-square interval.
-const RUNS: usize = 20;
+/// Number of runs: enough for a useful chi-square interval. The nightly ones have [`ALL_RUNS`].
+const RUNS: usize = 10;
+const ALL_RUNS: usize = 20;
 
 /// Hand-held in a room, from rest: rotation about and acceleration along every axis.
 fn runs(runs: usize, calibration: CalibrationErrors, variants: &[Variant]) -> Vec<VariantRuns> {
@@ -43,10 +44,20 @@ fn odometry(name: &str, cameras: usize) -> Variant {
 
 #[test]
 fn nees_of_the_odometry_is_within_its_95_percent_interval() {
+    odometry_is_as_stated(RUNS);
+}
+
+#[test]
+#[ignore = "all seeds, minutes"]
+fn nees_of_the_odometry_is_within_its_95_percent_interval_with_all_seeds() {
+    odometry_is_as_stated(ALL_RUNS);
+}
+
+fn odometry_is_as_stated(count: usize) {
     let variants = [odometry("mono", 1), odometry("stereo", 2)];
-    for all in runs(RUNS, CalibrationErrors::default(), &variants) {
+    for all in runs(count, CalibrationErrors::default(), &variants) {
         let score = score(&all, &ScoreOptions::default());
-        assert_eq!((score.runs, score.diverged), (RUNS, 0), "{}", score.name);
+        assert_eq!((score.runs, score.diverged), (count, 0), "{}", score.name);
         let local = score.local.unwrap();
         for (part, nees) in
             [("rotation", &local.rotation), ("position", &local.position), ("pose", &local.pose)]
@@ -92,9 +103,19 @@ fn a_wrong_calibration_is_a_tenth_as_wrong_after_a_minute() {
 /// Half a second at rest, then a gentle start with biases that are not known: nothing of it is taken for rest.
 #[test]
 fn nees_is_within_its_interval_after_the_filter_initialized_itself() {
+    own_starts_are_as_stated(RUNS);
+}
+
+#[test]
+#[ignore = "all seeds, minutes"]
+fn nees_is_within_its_interval_after_the_filter_initialized_itself_with_all_seeds() {
+    own_starts_are_as_stated(ALL_RUNS);
+}
+
+fn own_starts_are_as_stated(runs: usize) {
     for scenario in [Scenario::Block, Scenario::Flight] {
         let options = MonteCarloOptions {
-            runs: RUNS,
+            runs,
             simulation: SimulationOptions {
                 scenario,
                 speed: scenario.usual_speed(),
@@ -108,7 +129,7 @@ fn nees_is_within_its_interval_after_the_filter_initialized_itself() {
         };
         for all in run(&options, &[odometry("mono", 1), odometry("stereo", 2)], |_| {}).unwrap() {
             let score = score(&all, &ScoreOptions::default());
-            assert_eq!((score.runs, score.diverged), (RUNS, 0), "{scenario:?} {}", score.name);
+            assert_eq!((score.runs, score.diverged), (runs, 0), "{scenario:?} {}", score.name);
             let local = score.local.unwrap();
             for (part, nees) in [("rotation", &local.rotation), ("position", &local.position)] {
                 println!("{scenario:?} {} {part}: {:.2}, {:.2?}", score.name, nees.mean, nees.interval);

@@ -44,6 +44,7 @@ impl CellOrigin {
         let indexing = tokio::task::spawn_blocking(move || {
             let drawing = drawn.map(|release| Arc::new(part_of(&release, &contents, &own)));
             LoadedMap::from_part(contents, far_cross_covariances)
+                .inspect(|map| _ = map.aliasing_rate())
                 .map(|map| Made { map: Arc::new(map), drawing })
         });
         Ok(indexing.await.map_err(|error| ServeError::task(&error))??)

@@ -132,7 +132,13 @@ impl RoutedMap {
             Wanted::Localize(search) => {
                 let found = self.search::<CellLocalizeReply>(&directory, &forwarded, search).await?;
                 let (map_version, map_identity) = (directory.version(), directory.identity());
-                let nowhere = LocalizeReply { map_version, map_identity, outcome: found.outcome, fix: None };
+                let nowhere = LocalizeReply {
+                    map_version,
+                    map_identity,
+                    outcome: found.outcome,
+                    fix: None,
+                    places: Vec::new(),
+                };
                 let reply = found.winner.map_or(nowhere, |winner| winner.reply);
                 let key = keys::map_localize(&self.name).map_err(|error| handlers::internal(&error))?;
                 send_all(query, key, vec![reply]).await

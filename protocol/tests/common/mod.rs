@@ -261,12 +261,19 @@ pub fn localize_replies() -> impl Strategy<Value = LocalizeReply> {
             mean_error_px,
         },
     );
-    (any::<u64>(), identities(), option::of(fix)).prop_map(|(map_version, map_identity, fix)| LocalizeReply {
-        map_version,
-        map_identity,
-        outcome: if fix.is_some() { MatchOutcome::Matched } else { MatchOutcome::NoMatch },
-        fix,
-    })
+    let place =
+        (poses(), any::<u32>(), -30.0..30.0f64).prop_map(|(global_from_camera, features, log_odds)| {
+            PossiblePlace { global_from_camera, features, log_odds }
+        });
+    (any::<u64>(), identities(), option::of(fix), vec(place, 0..4)).prop_map(
+        |(map_version, map_identity, fix, places)| LocalizeReply {
+            map_version,
+            map_identity,
+            outcome: if fix.is_some() { MatchOutcome::Matched } else { MatchOutcome::NoMatch },
+            fix,
+            places,
+        },
+    )
 }
 
 pub fn map_infos() -> impl Strategy<Value = MapInfoReply> {

@@ -6,7 +6,7 @@ use onboard::extraction::FeatureArguments;
 use protocol::Format;
 
 use crate::query_image::QueryImage;
-use crate::server_query::{ServerArguments, describe, print_fix};
+use crate::server_query::{ServerArguments, describe, print_fix, print_places};
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
@@ -62,6 +62,9 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         match &reply.fix {
             Some(fix) => print_fix(fix),
             None => println!("not localized: {}", describe(reply.outcome)),
+        }
+        if reply.fix.is_none() {
+            print_places(&reply.places);
         }
     }
     if reply.fix.is_none() {

@@ -4,12 +4,14 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use geometry::PoseWithCovariance;
+use indicatif::ProgressBar;
 use map::contents::MapContents;
 use map::store::{self, StoredMap};
 use nalgebra::Vector3;
 use protocol::MapIdentity;
 use serde::Serialize;
 
+use crate::map_aliases::MapAliases;
 use mapping::Spread;
 
 /// Arguments.
@@ -21,6 +23,9 @@ pub struct Args {
     /// Database of the map
     #[arg(long, value_name = "DB")]
     pub map: PathBuf,
+    /// Compare each keyframe with the rest of the map, and list those that could be taken for another place
+    #[arg(long)]
+    pub aliases: bool,
     /// Print the result as JSON
     #[arg(long)]
     pub json: bool,
@@ -57,6 +62,8 @@ struct Summary {
     observations_per_landmark: Spread,
     landmarks_per_keyframe: Spread,
     landmark_depth_m: Spread,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    aliasing: Option<MapAliases>,
 }
 
 /// Runs the command.
@@ -65,7 +72,11 @@ struct Summary {
 /// A database that is missing, unfinished or damaged. Damaged records of a map of an older schema are listed.
 pub fn run(args: Args) -> anyhow::Result<()> {
     let stored = store::load_map(&args.map)?;
-    let summary = summary(args.map, &stored);
+    let mut summary = summary(args.map, &stored);
+    if args.aliases {
+        let bar = if args.json { ProgressBar::hidden() } else { ProgressBar::new(0) };
+        summary.aliasing = Some(MapAliases::of(stored.contents, &bar)?);
+    }
     if args.json {
         println!("{}", serde_json::to_string_pretty(&summary)?);
     } else {
@@ -117,6 +128,7 @@ fn summary(map: PathBuf, stored: &StoredMap) -> Summary {
         ),
         landmarks_per_keyframe: Spread::of(seen.values().map(|&count| count as f64)),
         landmark_depth_m: Spread::of(contents.landmarks.iter().map(|landmark| landmark.position_in_anchor.z)),
+        aliasing: None,
     }
 }
 
@@ -153,6 +165,9 @@ fn print_summary(summary: &Summary) {
     println!("descriptors              {}, {} bytes", summary.descriptor_kind, summary.descriptor_bytes);
     println!("pixel sigma, px          {}", summary.sigma_px);
     println!("gravity points to        {}", vector(summary.gravity_in_global, "unknown"));
+    if let Some(aliasing) = &summary.aliasing {
+        aliasing.print();
+    }
     if !summary.damaged_records.is_empty() {
         println!("damaged records          {}", summary.damaged_records.len());
         for record in &summary.damaged_records {

@@ -90,6 +90,12 @@ impl Estimator {
         }
     }
 
+    /// Odometry failed: what it ties together is no longer evidence.
+    pub(super) fn note_odometry_failure(&mut self) {
+        self.support.clear();
+        self.first_fix.note_odometry_failure();
+    }
+
     /// Whether evidence against the state is more than the state has: that of the answers which support it, and at most the odds
     /// that odometry has not failed unnoticed since the last of them.
     pub(super) fn is_outweighed_by(&self, log_odds: f64) -> bool {

@@ -64,7 +64,7 @@ impl Estimator {
             self.map_fixes.add_motion(motion);
         }
         if self.health.has_odometry_failed(self.state.stamp_ns) {
-            self.support.clear();
+            self.note_odometry_failure();
         }
         self.check_health()?;
         // `track_update` may be left out for an image without tracks.
@@ -79,7 +79,7 @@ impl Estimator {
             return Err(Divergence::MotionUnknown { seconds: gap_ns as f64 * 1e-9 }.into());
         }
         if gap_ns > FAILURE_GAP_NS {
-            self.support.clear();
+            self.note_odometry_failure();
         }
         if self.config.first_estimates {
             first_estimates::renew(&mut self.state, &mut self.covariance);

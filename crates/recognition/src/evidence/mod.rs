@@ -4,9 +4,11 @@
 //! at the wrong place only the picture is: whatever else the map saw there is missing in the image. The module compares the
 //! parts of an image in which the map expects landmarks with those in which matches confirm them.
 
+pub(crate) mod aliasing;
 mod coverage;
 mod expected;
 mod likelihood;
 
+pub use aliasing::AliasingRate;
 pub use coverage::Coverage;
 pub(crate) use coverage::coverage;

@@ -1,0 +1,184 @@
+//! How much of a map looks like other parts of it: its perceptual aliasing.
+//!
+//! A picture that repeats is in the map more than once, or it is in the map once and in a part of the building that the map
+//! does not know. What repeats within the map tells how often the second happens: a keyframe is localized in the map with all
+//! keyframes left out that share landmarks with it, and what is found is another place that looks alike.
+
+use std::sync::OnceLock;
+
+use geometry::PoseWithCovariance;
+use protocol::{Descriptors, FeatureSet, KeyframeId};
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+use vision::Matcher;
+
+use crate::consensus::{group_places, is_consistent};
+use crate::index::best_voted;
+use crate::loaded_map::LoadedMap;
+use crate::options::RecognitionOptions;
+use crate::query::QueryError;
+use crate::report::Hypothesis;
+use crate::verification::{Comparison, Image, VerifiedKeyframe, compare};
+
+/// Keyframes that are compared with the rest of the map, at most, evenly among all.
+const SAMPLED_KEYFRAMES: usize = 24;
+/// Keyframes that each of them is compared with for the rate: one that looks like it is among those of the most votes.
+const COMPARED_KEYFRAMES: usize = 4;
+/// A pose this far from that of the keyframe is another place, as a part of the map's viewing distance, or as an angle (rad).
+/// Nearer ones are the keyframe itself, by landmarks that the map has twice.
+const OTHER_PLACE: f64 = 0.1;
+/// Shape of the prior of the rate, a beta distribution with two equal ones (Jeffreys).
+const PRIOR_SHAPE: f64 = 0.5;
+/// Chance that what an image shows of a place has been carried elsewhere since the map was built, or is a copy of it that stands
+/// where the map has not been: a map cannot tell.
+const MOVED: f64 = 0.15;
+
+/// How many of the views of a map could be taken for another place of it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
+pub struct AliasingRate {
+    /// Views that were compared with the rest of the map. Neighbouring keyframes see the same: those count as one.
+    pub views: f64,
+    /// Those that another place explains as well.
+    pub aliased: f64,
+}
+
+impl AliasingRate {
+    /// Chance that a view can be taken for another place: that something of it was moved, or that it repeats, in the mean of what
+    /// the counts leave possible.
+    pub fn chance(&self) -> f64 {
+        let repeats = (self.aliased + PRIOR_SHAPE) / (self.views + 2.0 * PRIOR_SHAPE);
+        MOVED + (1.0 - MOVED) * repeats
+    }
+
+    /// Natural logarithm of the odds of the right place over one that looks alike, before an image is seen.
+    pub fn log_odds(&self) -> f64 {
+        -self.chance().ln()
+    }
+}
+
+impl LoadedMap {
+    /// How many of the map's views could be taken for another place of it. Measured with the first call, which takes some
+    /// tenths of a second.
+    pub fn aliasing_rate(&self) -> AliasingRate {
+        *self.aliasing.get_or_init(|| self.measure_aliasing())
+    }
+
+    fn measure_aliasing(&self) -> AliasingRate {
+        let observations = self.observation_count();
+        if observations == 0 {
+            return AliasingRate::default();
+        }
+        let options = RecognitionOptions { candidates: COMPARED_KEYFRAMES, ..RecognitionOptions::default() };
+        let count = self.keyframes.len().min(SAMPLED_KEYFRAMES);
+        let is_aliased = |sample: usize| {
+            let keyframe = sample * self.keyframes.len() / count;
+            let found = self.places_like(keyframe, &options).unwrap_or_default();
+            found.iter().any(|place| place.log_odds() >= options.min_log_odds)
+        };
+        let aliased = (0..count).filter(|&sample| is_aliased(sample)).count() as f64;
+        // How often what one keyframe sees fits into the map.
+        let disjoint_views = (self.landmark_count() * self.keyframes.len()) as f64 / observations as f64;
+        let views = disjoint_views.min(count as f64);
+        AliasingRate { views, aliased: aliased / count as f64 * views }
+    }
+
+    /// The places that the image of a keyframe could be taken for, besides its own, the one that explains most first; their odds
+    /// are by the image alone. Empty where the map has no such keyframe.
+    ///
+    /// # Errors
+    /// [`QueryError`] where the map's descriptors cannot be compared.
+    pub fn aliases(
+        &self,
+        keyframe: KeyframeId,
+        options: &RecognitionOptions,
+    ) -> Result<Vec<Hypothesis>, QueryError> {
+        self.index_of(keyframe).map_or(Ok(Vec::new()), |at| self.places_like(at, options))
+    }
+
+    fn places_like(&self, own: usize, options: &RecognitionOptions) -> Result<Vec<Hypothesis>, QueryError> {
+        let observed = self.observations.of(own);
+        let features = FeatureSet {
+            pixels: observed.pixels.to_vec(),
+            descriptors: Descriptors {
+                kind: self.info.descriptor_kind,
+                width: self.info.descriptor_width,
+                bytes: observed.descriptors.to_vec(),
+            },
+            extractor: self.info.extractor.clone(),
+        };
+        let global_from_camera = &self.keyframes[own].global_from_keyframe;
+        let gravity = self.info.gravity_in_global;
+        let image = Image {
+            camera: &self.keyframes[own].camera,
+            features: &features,
+            descriptors: self.view(&features)?,
+            gravity_in_camera: gravity
+                .map(|gravity| global_from_camera.pose.rotation.inverse_transform_vector(&gravity)),
+        };
+        let mut sees_the_same = vec![false; self.keyframes.len()];
+        sees_the_same[own] = true;
+        for &landmark in observed.landmarks {
+            for &observer in self.landmarks.observers.of(landmark as usize) {
+                sees_the_same[observer as usize] = true;
+            }
+        }
+        let votes = self.index.vote(image.descriptors, &self.landmarks.observers, self.keyframes.len())?;
+        let candidates = best_voted(&votes, options.candidates, options.min_votes, |at| !sees_the_same[at]);
+        let mut matcher = Matcher::new(image.descriptors);
+        let mut verified: Vec<VerifiedKeyframe> = Vec::new();
+        for candidate in candidates {
+            let comparison = compare(self, candidate, &image, &mut matcher, None, options)?;
+            if let Comparison::Verified(found) = comparison
+                && self.is_another_place(global_from_camera, &found.global_from_camera, options)
+            {
+                verified.push(*found);
+            }
+        }
+        let places = group_places(&mut verified, options);
+        Ok(self.hypotheses(&image, &verified, &places, 0.0))
+    }
+
+    /// Whether a pose is not that of a keyframe.
+    fn is_another_place(
+        &self,
+        own: &PoseWithCovariance,
+        found: &PoseWithCovariance,
+        options: &RecognitionOptions,
+    ) -> bool {
+        let difference = own.pose.inverse().compose(&found.pose);
+        let is_far = difference.translation.norm() > OTHER_PLACE * self.viewing_distance()
+            || difference.rotation.angle() > OTHER_PLACE;
+        is_far && !is_consistent(own, found, options)
+    }
+}
+
+/// Writes a rate, if it was measured already.
+pub(crate) fn serialize<S: Serializer>(
+    rate: &OnceLock<AliasingRate>,
+    serializer: S,
+) -> Result<S::Ok, S::Error> {
+    rate.get().serialize(serializer)
+}
+
+/// Reads what [`serialize`] wrote.
+pub(crate) fn deserialize<'de, D: Deserializer<'de>>(
+    deserializer: D,
+) -> Result<OnceLock<AliasingRate>, D::Error> {
+    let rate: Option<AliasingRate> = Option::deserialize(deserializer)?;
+    Ok(rate.map_or_else(OnceLock::new, OnceLock::from))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_more_distinctive_views_the_better_the_odds() {
+        let of = |views: f64, aliased: f64| AliasingRate { views, aliased }.log_odds();
+        assert!((0.0..2_f64.ln()).contains(&of(0.0, 0.0)));
+        assert!((1..32).all(|views| of(f64::from(views), 0.0) > of(f64::from(views - 1), 0.0)));
+        assert!((0..32).all(|aliased| of(32.0, f64::from(aliased)) > of(32.0, f64::from(aliased + 1))));
+        assert!((0.0..0.05).contains(&of(32.0, 32.0)));
+        assert!(of(1e9, 0.0) < -MOVED.ln());
+    }
+}
