@@ -1,6 +1,7 @@
 //! What a format of recordings provides.
 
 use crate::BagError;
+use crate::packed_file::TemporaryFile;
 use std::fmt;
 
 /// Larger messages are refused before memory is allocated, bytes.
@@ -106,11 +107,22 @@ pub(crate) struct OpenFile {
     pub(crate) channels: Vec<Channel>,
     pub(crate) storage: Box<dyn Storage>,
     pub(crate) damage: Damage,
+    /// What had to be done to read it.
+    pub(crate) notes: Vec<String>,
+    /// A copy that is read in place of the file.
+    pub(crate) temporary: Option<TemporaryFile>,
+}
+
+impl OpenFile {
+    /// A file that is read where it is.
+    pub(crate) fn new(channels: Vec<Channel>, storage: Box<dyn Storage>, damage: Damage) -> Self {
+        Self { channels, storage, damage, notes: Vec::new(), temporary: None }
+    }
 }
 
 /// Reads the messages of one file.
 pub(crate) trait Storage: fmt::Debug + Send + Sync {
-    /// The first bytes of a message, at most `most`.
+    /// The first bytes of a message, at most `most`; unpacked where it is compressed for itself.
     fn read(&self, chunk: u32, offset: u64, most: usize) -> Result<Vec<u8>, BagError>;
 }
 
