@@ -5,19 +5,51 @@ use super::topics::BagSensors;
 use crate::camera_info::camera_of_info;
 use crate::euroc::sensor_yaml;
 use crate::kalibr::{self, CameraChain};
-use crate::{CalibrationFiles, CameraSensor, SensorCalibration, SequenceError};
-use bags::{Bag, Topic};
+use crate::{CalibrationFiles, CameraSensor, ImuSensor, SensorCalibration, SequenceError};
+use bags::Bag;
 use geometry::camera::Camera;
+use geometry::pose::Pose;
 use ros_messages::sensor_msgs::CameraInfo;
 use std::path::{Path, PathBuf};
 
-/// Messages from which the rate of a topic is measured, where its calibration does not state it.
-const RATE_MESSAGES: usize = 100;
-
-/// Calibration, and what is added to the time stamps of the images.
+/// The calibration of the sensors of a bag; of Kalibr's files, without the rates that they do not state.
 pub(super) struct BagCalibration {
-    pub(super) sensors: SensorCalibration,
+    cameras: Cameras,
+    imu: Option<Imu>,
+    /// Added to the stamps of the images, nanoseconds.
     pub(super) time_offset_ns: i64,
+}
+
+enum Cameras {
+    Kalibr(Vec<(Camera, Pose)>),
+    Euroc(Vec<CameraSensor>),
+}
+
+enum Imu {
+    Kalibr(PathBuf),
+    Euroc(ImuSensor),
+}
+
+impl BagCalibration {
+    /// The calibration with rates as they were measured, where the files do not state them.
+    pub(super) fn with_rates(
+        self,
+        imu_hz: Option<f64>,
+        cameras_hz: &[f64],
+    ) -> Result<SensorCalibration, SequenceError> {
+        let imu = match self.imu {
+            Some(Imu::Kalibr(file)) => Some(kalibr::read_imu(&file, imu_hz)?),
+            Some(Imu::Euroc(imu)) => Some(imu),
+            None => None,
+        };
+        let sensor =
+            |((camera, imu_from_camera), &rate_hz)| CameraSensor { camera, imu_from_camera, rate_hz };
+        let cameras = match self.cameras {
+            Cameras::Kalibr(cameras) => cameras.into_iter().zip(cameras_hz).map(sensor).collect(),
+            Cameras::Euroc(cameras) => cameras,
+        };
+        Ok(SensorCalibration { imu, cameras })
+    }
 }
 
 /// Reads the calibration of the sensors of a bag.
@@ -48,24 +80,20 @@ pub(super) fn read(
         files.imu = Some(file.clone());
     }
     let files = files.completed(&root)?;
-    let rates: Vec<f64> =
-        sensors.cameras.iter().map(|camera| rate_of(&bag.topics()[camera.images])).collect();
     let (cameras, time_offset_ns) = match &files.cameras {
         Some(file) => {
             let infos = camera_infos(bag, sensors)?;
             let CameraChain { cameras, time_offset_ns } = kalibr::read_camera_chain(file, &infos)?;
-            let sensor =
-                |((camera, imu_from_camera), rate_hz)| CameraSensor { camera, imu_from_camera, rate_hz };
-            (cameras.into_iter().zip(rates).map(sensor).collect(), time_offset_ns)
+            (Cameras::Kalibr(cameras), time_offset_ns)
         }
-        None => (euroc_cameras(path, &root, sensors.cameras.len())?, 0),
+        None => (Cameras::Euroc(euroc_cameras(path, &root, sensors.cameras.len())?), 0),
     };
-    let imu = match (sensors.imu, &files.imu) {
+    let imu = match (sensors.imu, files.imu) {
         (None, _) => None,
-        (Some(topic), Some(file)) => Some(kalibr::read_imu(file, Some(rate_of(&bag.topics()[topic])))?),
-        (Some(_), None) => Some(sensor_yaml::read_imu(&euroc_file(path, &root, "imu0")?)?),
+        (Some(_), Some(file)) => Some(Imu::Kalibr(file)),
+        (Some(_), None) => Some(Imu::Euroc(sensor_yaml::read_imu(&euroc_file(path, &root, "imu0")?)?)),
     };
-    Ok(BagCalibration { sensors: SensorCalibration { imu, cameras }, time_offset_ns })
+    Ok(BagCalibration { cameras, imu, time_offset_ns })
 }
 
 /// The projection of each camera by its `CameraInfo`.
@@ -112,14 +140,4 @@ fn euroc_file(bag: &Path, root: &Path, sensor: &str) -> Result<PathBuf, Sequence
             root.display()
         ),
     ))
-}
-
-/// Messages a second by the median interval of the first ones; 1 for a single message.
-fn rate_of(topic: &Topic) -> f64 {
-    let first = &topic.messages[..topic.messages.len().min(RATE_MESSAGES)];
-    let mut intervals: Vec<i64> =
-        first.windows(2).map(|pair| pair[1].log_ns.saturating_sub(pair[0].log_ns)).collect();
-    intervals.sort_unstable();
-    let median = intervals.get(intervals.len() / 2).copied();
-    median.filter(|&interval| interval > 0).map_or(1.0, |interval| 1e9 / interval as f64)
 }

@@ -4,6 +4,7 @@
 
 mod calibration;
 mod image;
+mod index;
 mod messages;
 mod recording;
 mod rows;
