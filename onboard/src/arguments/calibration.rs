@@ -17,10 +17,16 @@ pub struct CalibrationArguments {
     /// Kalibr's imu.yaml [default: the recording's imu0/sensor.yaml, else an imu.yaml in its folder]
     #[arg(long, value_name = "YAML", help_heading = INPUT)]
     pub imu_calibration: Option<PathBuf>,
-    /// Topic of the IMU: in a bag [default: the only sensor_msgs/Imu], or with --source ros2
+    /// Topic of the IMU, or of its gyroscope: in a bag [default: the only sensor_msgs/Imu], or with --source ros2
     #[arg(long, value_name = "TOPIC", help_heading = INPUT)]
     pub imu_topic: Option<String>,
-    /// Topic of a camera, once for each: in a bag [default: those with images, in order of their names], or with --source ros2
+    /// Topic of the accelerometer in a bag, where it is not that of the gyroscope [default: the only one without angular velocities]
+    ///
+    /// Its values are interpolated to the times of the gyroscope.
+    #[arg(long, value_name = "TOPIC", help_heading = INPUT)]
+    pub accelerometer_topic: Option<String>,
+    /// Topic of a camera, once for each: in a bag [default: those that the calibration names as rostopic, else those with images,
+    /// in order of their names], or with --source ros2
     #[arg(long, value_name = "TOPIC", help_heading = INPUT)]
     pub camera_topic: Vec<String>,
     /// Largest difference between the stamps of the two images of a stereo pair, milliseconds: recorded or live [default: 5]
@@ -45,6 +51,7 @@ impl CalibrationArguments {
         files.cameras.clone_from(&self.calibration);
         files.imu.clone_from(&self.imu_calibration);
         files.imu_topic.clone_from(&self.imu_topic);
+        files.accelerometer_topic.clone_from(&self.accelerometer_topic);
         files.camera_topics.clone_from(&self.camera_topic);
         files.pair_tolerance_ns = self.pair_tolerance_ns();
         files

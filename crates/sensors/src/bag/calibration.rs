@@ -1,5 +1,6 @@
 //! The calibration of a bag's sensors: files in the ways of EuRoC and Kalibr, and the recorded `CameraInfo`.
 
+use super::camera_topics::is_same_camera;
 use super::messages;
 use super::topics::BagSensors;
 use crate::camera_info::camera_of_info;
@@ -62,6 +63,26 @@ pub(super) fn read(
     files: &CalibrationFiles,
 ) -> Result<BagCalibration, SequenceError> {
     let path = bag.path();
+    let (root, files) = files_of(path, files)?;
+    let (cameras, time_offset_ns) = match &files.cameras {
+        Some(file) => {
+            let infos = camera_infos(bag, sensors)?;
+            let chosen = chosen_cameras(bag, sensors, file)?;
+            let CameraChain { cameras, time_offset_ns } = kalibr::read_camera_chain(file, &infos, &chosen)?;
+            (Cameras::Kalibr(cameras), time_offset_ns)
+        }
+        None => (Cameras::Euroc(euroc_cameras(path, &root, sensors.cameras.len())?), 0),
+    };
+    let imu = match (sensors.imu, files.imu) {
+        (None, _) => None,
+        (Some(_), Some(file)) => Some(Imu::Kalibr(file)),
+        (Some(_), None) => Some(Imu::Euroc(sensor_yaml::read_imu(&euroc_file(path, &root, "imu0")?)?)),
+    };
+    Ok(BagCalibration { cameras, imu, time_offset_ns })
+}
+
+/// The folder of the calibration of a bag, and its files.
+fn files_of(path: &Path, files: &CalibrationFiles) -> Result<(PathBuf, CalibrationFiles), SequenceError> {
     let beside = || if path.is_dir() { path } else { path.parent().unwrap_or(path) };
     let (root, mut files) = match &files.cameras {
         Some(folder) if folder.is_dir() => {
@@ -80,20 +101,46 @@ pub(super) fn read(
         files.imu = Some(file.clone());
     }
     let files = files.completed(&root)?;
-    let (cameras, time_offset_ns) = match &files.cameras {
-        Some(file) => {
-            let infos = camera_infos(bag, sensors)?;
-            let CameraChain { cameras, time_offset_ns } = kalibr::read_camera_chain(file, &infos)?;
-            (Cameras::Kalibr(cameras), time_offset_ns)
+    Ok((root, files))
+}
+
+/// The topic of each camera of the calibration, where there is one that states it.
+pub(super) fn camera_topics(bag: &Bag, files: &CalibrationFiles) -> Vec<Option<String>> {
+    let found = files_of(bag.path(), files).ok().and_then(|(_, files)| files.cameras);
+    // What is wrong with the files is said when they are read.
+    found.and_then(|file| kalibr::camera_topics(&file).ok()).unwrap_or_default()
+}
+
+/// Which camera of a chain each camera of the bag is: the one with its topic, else the one in its place.
+fn chosen_cameras(bag: &Bag, sensors: &BagSensors, chain: &Path) -> Result<Vec<usize>, SequenceError> {
+    let calibrated = kalibr::camera_topics(chain)?;
+    let topic = |camera: &super::BagCamera| bag.topics()[camera.images].name.as_str();
+    let is_of = |index: usize, name: &str| {
+        calibrated.get(index).and_then(Option::as_ref).is_some_and(|of| is_same_camera(of, name))
+    };
+    let choose = |(place, camera): (usize, &super::BagCamera)| {
+        let name = topic(camera);
+        if let Some(index) = (0..calibrated.len()).find(|&index| is_of(index, name)) {
+            return Ok(index);
         }
-        None => (Cameras::Euroc(euroc_cameras(path, &root, sensors.cameras.len())?), 0),
+        if let Some(of) = calibrated.get(place).and_then(Option::as_ref) {
+            let is_recorded = bag.topics().iter().any(|topic| is_same_camera(&topic.name, of));
+            if is_recorded {
+                let problem = format!(
+                    "cam{place} is calibrated for {of} (rostopic), which is recorded, but {name} is to be used with it: \
+                     calibrate that camera, name the right topics with --camera-topic, or correct rostopic"
+                );
+                return Err(SequenceError::calibration(chain, problem));
+            }
+            tracing::warn!(
+                "{}: cam{place} is calibrated for {of} (rostopic), which is not recorded, and is used for {name}: is it the same \
+                 camera?",
+                chain.display()
+            );
+        }
+        Ok(place)
     };
-    let imu = match (sensors.imu, files.imu) {
-        (None, _) => None,
-        (Some(_), Some(file)) => Some(Imu::Kalibr(file)),
-        (Some(_), None) => Some(Imu::Euroc(sensor_yaml::read_imu(&euroc_file(path, &root, "imu0")?)?)),
-    };
-    Ok(BagCalibration { cameras, imu, time_offset_ns })
+    sensors.cameras.iter().enumerate().map(choose).collect()
 }
 
 /// The projection of each camera by its `CameraInfo`.

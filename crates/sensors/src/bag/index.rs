@@ -65,6 +65,15 @@ impl StampedTopic {
     }
 }
 
+/// The stamps of a topic in order, without those that are wrong.
+pub(super) fn stamps(bag: &Bag, topic: usize) -> Vec<i64> {
+    let recorded = bag.topics()[topic].messages.iter();
+    let stamped = recorded
+        .filter_map(|message| Some((messages::read_stamp(bag, topic, message.place)?, message.log_ns)));
+    let (stamps, logs): (Vec<i64>, Vec<i64>) = stamped.unzip();
+    order(&stamps, &logs, &[]).sorted.into_iter().map(|(stamp_ns, _)| stamp_ns).collect()
+}
+
 /// Says what is odd about the stamps of a topic.
 fn tell(bag: &Bag, topic: usize, stamps: &[i64], order: &StampOrder) {
     let topic = &bag.topics()[topic];

@@ -1,5 +1,6 @@
 //! A bag as a recording.
 
+use super::accelerometer::interpolated;
 use super::calibration;
 use super::index::StampedTopic;
 use super::rows::{Cameras, FrameRows, readings};
@@ -15,6 +16,8 @@ use std::sync::Arc;
 pub(crate) struct BagRecording {
     bag: Arc<Bag>,
     imu: Option<Arc<StampedTopic>>,
+    /// Where it has a topic of its own.
+    accelerometer: Option<Arc<StampedTopic>>,
     cameras: Arc<Cameras>,
     time_offset_ns: i64,
 }
@@ -30,10 +33,14 @@ impl BagRecording {
             tracing::warn!("{line}");
         }
         let sensors = BagSensors::find(&bag, files)?;
+        for note in &sensors.notes {
+            tracing::warn!("{}: {note}", path.display());
+        }
         // Files that are missing are found before all stamps are read.
         let calibration = calibration::read(&bag, &sensors, files)?;
         let imu = sensors.imu.map(|topic| StampedTopic::read(&bag, topic, &[]));
         let steps = imu.as_ref().map_or(&[][..], |imu| &imu.steps);
+        let accelerometer = sensors.accelerometer.map(|topic| StampedTopic::read(&bag, topic, steps));
         let camera = |camera: &super::BagCamera| StampedTopic::read(&bag, camera.images, steps);
         let cameras: Vec<Arc<StampedTopic>> = sensors.cameras.iter().map(camera).map(Arc::new).collect();
         let time_offset_ns = calibration.time_offset_ns;
@@ -42,6 +49,7 @@ impl BagRecording {
         let recording = Self {
             bag: Arc::new(bag),
             imu: imu.filter(|_| calibration.imu.is_some()).map(Arc::new),
+            accelerometer: accelerometer.map(Arc::new),
             cameras: Arc::new(Cameras::new(cameras, files.pair_tolerance_ns())),
             time_offset_ns,
         };
@@ -55,9 +63,12 @@ impl Stored for BagRecording {
     }
 
     fn imu_samples(&self) -> Result<Rows<'static, ImuSample>, SequenceError> {
-        Ok(match &self.imu {
-            Some(topic) => Box::new(readings(&self.bag, topic)),
-            None => Box::new(std::iter::empty()),
+        Ok(match (&self.imu, &self.accelerometer) {
+            (Some(topic), None) => Box::new(readings(&self.bag, topic)),
+            (Some(gyroscope), Some(accelerometer)) => {
+                Box::new(interpolated(&self.bag, gyroscope, accelerometer))
+            }
+            (None, _) => Box::new(std::iter::empty()),
         })
     }
 

@@ -75,7 +75,7 @@ impl FolderCalibration {
             let cameras = folders.map(read).collect::<Result<_, _>>()?;
             return Ok(Self { sensors: SensorCalibration { imu, cameras }, time_offset_ns: 0, files });
         };
-        let chain = kalibr::read_camera_chain(path, &vec![None; count])?;
+        let chain = kalibr::read_camera_chain(path, &vec![None; count], &[0, 1][..count])?;
         let sensor = |((camera, imu_from_camera), folder): ((Camera, Pose), PathBuf)| {
             rate_of(&folder.join("data.csv")).map(|rate_hz| CameraSensor { camera, imu_from_camera, rate_hz })
         };

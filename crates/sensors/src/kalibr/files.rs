@@ -28,8 +28,11 @@ pub struct CalibrationFiles {
     pub cameras: Option<PathBuf>,
     /// `imu.yaml`.
     pub imu: Option<PathBuf>,
-    /// The topic of the IMU in a bag; without it the only one of its type.
+    /// The topic of the IMU in a bag, or of its gyroscope; without it the only one of its type.
     pub imu_topic: Option<String>,
+    /// The topic of the accelerometer in a bag, where it is not that of the gyroscope; without it the only one without
+    /// angular velocities.
+    pub accelerometer_topic: Option<String>,
     /// The topics of camera 0 and camera 1 in a bag; without them those of their type, in order of their names.
     pub camera_topics: Vec<String>,
     /// Largest difference between the stamps of the images of a stereo pair, nanoseconds; without it

@@ -3,3 +3,4 @@
 mod making;
 mod stamps;
 mod stereo;
+mod topics;
