@@ -59,7 +59,7 @@ pub mod stop;
 
 pub use arguments::RobotArguments;
 pub use link::{LinkError, MapLink, OpeningLink, RobotLink};
-pub use outputs::{EndedLost, Event, Recorder, RobotMetrics, Summary};
+pub use outputs::{EndedLost, Event, PairSummary, Recorder, RobotMetrics, Summary};
 pub use program::{Outcome, run_robot, run_robot_until, run_source_until};
 pub use run::{RobotRun, RunError, run};
 pub use stop::StopSignal;

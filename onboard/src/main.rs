@@ -149,7 +149,10 @@ fn calibration_path(arguments: &Arguments) -> Result<&Path> {
 fn live_settings(arguments: &Arguments, known: &[Camera]) -> Result<(SensorCalibration, LiveSettings)> {
     let imu = arguments.calibration.imu_calibration.as_deref();
     let calibration = read_rig_calibration(calibration_path(arguments)?, imu, known)?;
-    let settings = arguments.live.settings(&calibration, &arguments.robot)?;
+    let mut settings = arguments.live.settings(&calibration, &arguments.robot)?;
+    if let Some(tolerance_ns) = arguments.calibration.pair_tolerance_ns() {
+        settings.pair_tolerance_ns = tolerance_ns;
+    }
     Ok((calibration.sensors, settings))
 }
 

@@ -290,6 +290,7 @@ impl FinishedRun {
             cameras,
             frames: recorder.frames,
             skipped_frames: recorder.skipped_frames,
+            stereo_pairs: recorder.stereo_pairs,
             dropped_frames: recorder.dropped_frames,
             dropped_imu: recorder.dropped_imu,
             imu_gaps: recorder.imu_gaps,

@@ -54,6 +54,13 @@ pub fn report(summary: &Summary) -> String {
         summary.realtime_factor,
         summary.milliseconds_per_frame.total
     );
+    if let Some(pairs) = summary.stereo_pairs.filter(|_| summary.cameras > 1) {
+        let _ = writeln!(
+            text,
+            "{} stereo pairs; without a partner: {} images of cam0, used alone, and {} of cam1, left out",
+            pairs.pairs, pairs.lone_first, pairs.lone_second
+        );
+    }
     if summary.dropped_frames > 0 {
         let _ =
             writeln!(text, "dropped     {} frames: see the alarms in summary.json", summary.dropped_frames);

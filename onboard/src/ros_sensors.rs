@@ -35,6 +35,12 @@ impl RosTopics {
         let (Some(imu), cameras) = (arguments.imu_topic.clone(), arguments.camera_topic.clone()) else {
             bail!("--imu-topic is missing: name the topic of sensor_msgs/Imu, for example /imu")
         };
+        if arguments.accelerometer_topic.is_some() {
+            bail!(
+                "--accelerometer-topic is for bags only: let the driver unite both (RealSense: unite_imu_method:=2), and name \
+                 that topic with --imu-topic"
+            )
+        }
         if cameras.is_empty() {
             bail!("--camera-topic is missing: name a topic of images, for example /cam0/image_raw")
         }

@@ -6,7 +6,8 @@ use super::initial_pose::InitialPoseSearch;
 use super::input::{BadReadings, ImuWindow, NextFrame, SensorQueue};
 use super::link::OpeningLink;
 use super::outputs::{
-    Estimate, MessageRecording, Publisher, Recorder, RobotMetrics, RosOutput, StatusLine, Timings,
+    Estimate, MessageRecording, PairSummary, Publisher, Recorder, RobotMetrics, RosOutput, StatusLine,
+    Timings,
 };
 use super::prediction::{Basis, Prediction, Publish};
 use super::run_status::AlarmKind;
@@ -457,6 +458,7 @@ impl RobotRun<'_> {
     fn close(&mut self, recorder: &mut Recorder) {
         recorder.imu_gaps = self.imu.gaps();
         recorder.dropped_imu = self.bad_readings.count();
+        recorder.stereo_pairs = self.events.stereo_pairs().map(PairSummary::from);
         recorder.alarms = self.alarms.kept().to_vec();
         recorder.learned_noise = self.supervisor.learned_noise();
         recorder.final_status = Some(self.note_status(recorder));

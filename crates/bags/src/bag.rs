@@ -1,11 +1,15 @@
 //! An open recording of any format.
 
+use crate::packed_file::TemporaryFile;
 use crate::storage::{Channel, Encoding, OpenFile, Place, Schema, Storage};
-use crate::{BagError, mcap_file, rosbag1_file, rosbag2_folder, sqlite_file};
+use crate::{BagError, mcap_file, packed_file, rosbag1_file, rosbag2_folder, sqlite_file};
 use std::fmt;
 use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
+
+/// Bytes at the begin of a file that tell its format.
+const FORMAT_BYTES: u64 = 16;
 
 /// A recording: its topics, and where their messages are.
 ///
@@ -15,6 +19,9 @@ pub struct Bag {
     topics: Vec<Topic>,
     files: Vec<Box<dyn Storage>>,
     damage: Vec<String>,
+    notes: Vec<String>,
+    /// Copies that exist as long as their recording is open; after the files, which are closed before.
+    temporary: Vec<TemporaryFile>,
 }
 
 /// A topic and its messages.
@@ -49,40 +56,61 @@ impl fmt::Debug for Bag {
 }
 
 impl Bag {
-    /// Whether a path looks like a recording of one of the formats: by the first bytes of a file, and by
-    /// `metadata.yaml` in a folder.
+    /// Whether a path looks like a recording of one of the formats: by the first bytes of a file, and of a folder by its
+    /// `metadata.yaml` or its files.
     pub fn is_bag(path: &Path) -> bool {
-        if path.is_dir() { rosbag2_folder::is_rosbag2(path) } else { Format::of(path).is_ok() }
+        if path.is_dir() { rosbag2_folder::is_rosbag2(path) } else { is_recording_file(path) }
     }
 
-    /// Opens a file, or the folder of a rosbag2.
+    /// Opens a file, or the folder of a rosbag2. A file that is compressed as a whole is unpacked into a temporary folder.
     ///
     /// # Errors
     /// [`BagError`] with the file: it cannot be read, or is of no known format. What is damaged within it is left out,
     /// and told by [`Bag::damage`].
     pub fn open(path: &Path) -> Result<Self, BagError> {
-        let mut bag =
-            Self { path: path.to_path_buf(), topics: Vec::new(), files: Vec::new(), damage: Vec::new() };
+        let mut bag = Self {
+            path: path.to_path_buf(),
+            topics: Vec::new(),
+            files: Vec::new(),
+            damage: Vec::new(),
+            notes: Vec::new(),
+            temporary: Vec::new(),
+        };
         if path.is_dir() {
             if !rosbag2_folder::is_rosbag2(path) {
                 return Err(BagError::UnknownFormat { path: path.to_path_buf() });
             }
             let files = rosbag2_folder::read(path)?;
+            bag.notes = files.notes;
             for file in &files.paths {
-                match open_file(file, files.packed_messages) {
-                    Ok(opened) => bag.add(file, opened),
+                match bag.add_file(file) {
                     Err(error) if files.paths.len() > 1 => bag.damage.push(error.to_string()),
-                    Err(error) => return Err(error),
+                    added => added?,
                 }
             }
         } else {
-            bag.add(path, open_file(path, false)?);
+            bag.add_file(path)?;
         }
         for topic in &mut bag.topics {
             topic.messages.sort_by_key(|message| message.log_ns);
         }
         bag.topics.sort_by(|a, b| a.name.cmp(&b.name));
         Ok(bag)
+    }
+
+    /// Adds a file; one that is compressed as a whole is unpacked before.
+    fn add_file(&mut self, path: &Path) -> Result<(), BagError> {
+        if !packed_file::is_packed(path) {
+            let opened = open_file(path)?;
+            self.add(path, opened);
+            return Ok(());
+        }
+        let (unpacked, notes) = packed_file::unpack(path)?;
+        let opened = open_file(&unpacked.path)?;
+        self.notes.extend(notes);
+        self.add(path, opened);
+        self.temporary.push(unpacked);
+        Ok(())
     }
 
     fn add(&mut self, path: &Path, opened: OpenFile) {
@@ -102,6 +130,8 @@ impl Bag {
             let Channel { topic: name, type_name, encoding, schema, .. } = channel;
             self.topics.push(Topic { name, type_name, encoding, schema, messages });
         }
+        self.notes.extend(opened.notes);
+        self.temporary.extend(opened.temporary);
         let lines = opened.damage.into_lines();
         self.damage.extend(lines.into_iter().map(|line| format!("{}: {line}", path.display())));
     }
@@ -121,7 +151,12 @@ impl Bag {
         &self.damage
     }
 
-    /// The bytes of a message.
+    /// What had to be done to read the recording, a line each: a folder without `metadata.yaml`, files that were unpacked.
+    pub fn notes(&self) -> &[String] {
+        &self.notes
+    }
+
+    /// The bytes of a message, unpacked where it is compressed for itself.
     ///
     /// # Errors
     /// [`BagError`]: the file cannot be read there, or is damaged. Other messages may be sound.
@@ -157,22 +192,33 @@ impl Format {
     fn of(path: &Path) -> Result<Self, BagError> {
         let mut start = Vec::new();
         File::open(path)
-            .and_then(|file| file.take(16).read_to_end(&mut start))
+            .and_then(|file| file.take(FORMAT_BYTES).read_to_end(&mut start))
             .map_err(|source| BagError::io(path, source))?;
+        Self::by(&start).ok_or_else(|| BagError::UnknownFormat { path: path.to_path_buf() })
+    }
+
+    fn by(start: &[u8]) -> Option<Self> {
         let formats = [
             (mcap_file::MAGIC, Self::Mcap),
             (rosbag1_file::MAGIC, Self::Rosbag1),
             (sqlite_file::MAGIC, Self::Sqlite),
         ];
         let found = formats.into_iter().find(|(magic, _)| start.starts_with(magic));
-        found.map(|(_, format)| format).ok_or_else(|| BagError::UnknownFormat { path: path.to_path_buf() })
+        found.map(|(_, format)| format)
     }
 }
 
-fn open_file(path: &Path, packed_messages: bool) -> Result<OpenFile, BagError> {
+/// Whether a file is a recording, also one that is compressed as a whole.
+pub(crate) fn is_recording_file(path: &Path) -> bool {
+    let is_unpacked =
+        || packed_file::start_of(path, FORMAT_BYTES).is_ok_and(|start| Format::by(&start).is_some());
+    Format::of(path).is_ok() || (packed_file::is_packed(path) && is_unpacked())
+}
+
+fn open_file(path: &Path) -> Result<OpenFile, BagError> {
     match Format::of(path)? {
         Format::Mcap => mcap_file::open(path),
         Format::Rosbag1 => rosbag1_file::open(path),
-        Format::Sqlite => sqlite_file::open(path, packed_messages),
+        Format::Sqlite => sqlite_file::open(path),
     }
 }

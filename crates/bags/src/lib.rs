@@ -5,7 +5,8 @@
 //! | `bag` | [`Bag`], an open recording of any format: its [`Topic`]s and their messages |
 //! | `storage` | what a format has to provide |
 //! | `mcap_file`, `sqlite_file`, `rosbag1_file` | the formats |
-//! | `rosbag2_folder` | the files of a rosbag2, by its `metadata.yaml` |
+//! | `rosbag2_folder` | the files of a rosbag2, by its `metadata.yaml` or without it |
+//! | `packed_file`, `packed_message` | files and messages that are compressed for themselves |
 //! | `writer`, `mcap_writer`, `sqlite_writer` | [`BagWriter`]: MCAP and rosbag2 of ROS 2 messages |
 //! | `chunk_index` | where the messages are, for the formats with chunks |
 //! | `chunks` | reading and unpacking chunks, with a small cache |
@@ -33,6 +34,8 @@ mod error;
 mod fields;
 mod mcap_file;
 mod mcap_writer;
+mod packed_file;
+mod packed_message;
 mod rosbag1_file;
 mod rosbag2_folder;
 mod sqlite_file;

@@ -8,6 +8,7 @@ use crate::BagError;
 use crate::chunk_index::ChunkIndex;
 use crate::chunks::{Chunk, ChunkedFile, Packing};
 use crate::fields::Fields;
+use crate::packed_message;
 use crate::storage::{
     Channel, Damage, Encoding, MAX_MESSAGE, NO_CHUNK, OpenFile, Schema, Storage, short_type,
 };
@@ -189,7 +190,7 @@ impl Index {
         for (id, messages) in &self.chunked.messages {
             self.damage.add(format!("{} messages of channel {id}, which is not described", messages.len()));
         }
-        OpenFile { channels, storage: Box::new(McapFile { file: self.chunked.file }), damage: self.damage }
+        OpenFile::new(channels, Box::new(McapFile { file: self.chunked.file }), self.damage)
     }
 }
 
@@ -210,9 +211,12 @@ impl Storage for McapFile {
         let Some(length) = length.checked_sub(MESSAGE_HEAD).filter(|length| *length <= MAX_MESSAGE) else {
             return Err(damaged("its length is wrong"));
         };
-        let wanted = length.min(most as u64);
-        let bytes = self.file.bytes(chunk, offset + RECORD_HEAD + MESSAGE_HEAD, wanted)?;
-        if bytes.len() as u64 == wanted { Ok(bytes) } else { Err(damaged("it is cut off")) }
+        let read = |wanted: u64| {
+            let bytes = self.file.bytes(chunk, offset + RECORD_HEAD + MESSAGE_HEAD, wanted)?;
+            if bytes.len() as u64 == wanted { Ok(bytes) } else { Err(damaged("it is cut off")) }
+        };
+        let bytes = read(length.min(most.max(packed_message::ZSTD_MAGIC.len()) as u64))?;
+        packed_message::finish(bytes, most, || read(length), |problem| damaged(&problem))
     }
 }
 

@@ -199,7 +199,7 @@ impl Index {
             self.damage
                 .add(format!("{} messages of connection {id}, which is not described", messages.len()));
         }
-        OpenFile { channels, storage: Box::new(Rosbag1File { file: self.chunked.file }), damage: self.damage }
+        OpenFile::new(channels, Box::new(Rosbag1File { file: self.chunked.file }), self.damage)
     }
 }
 

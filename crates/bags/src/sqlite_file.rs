@@ -1,26 +1,99 @@
 //! Files of rosbag2 in SQLite (`.db3`): the tables `topics` and `messages`.
 
 use crate::BagError;
+use crate::packed_file::TemporaryFile;
+use crate::packed_message;
 use crate::storage::{Channel, Damage, Encoding, MAX_MESSAGE, OpenFile, Schema, Storage, short_type};
 use rusqlite::{Connection, OpenFlags, OptionalExtension, Row};
 use std::collections::BTreeMap;
+use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
 pub(crate) const MAGIC: &[u8] = b"SQLite format 3\0";
 
-/// Reads the index of a file. `packed`: each message is compressed with zstd, as `metadata.yaml` says.
-pub(crate) fn open(path: &Path, packed: bool) -> Result<OpenFile, BagError> {
-    let sqlite = |source| BagError::sqlite(path, source);
-    let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;
-    let connection = Connection::open_with_flags(path, flags).map_err(sqlite)?;
+/// How the name of a write-ahead log ends.
+const LOG: &str = "-wal";
+
+/// Reads the index of a file, with the write-ahead log that a recorder which was killed leaves beside it.
+pub(crate) fn open(path: &Path) -> Result<OpenFile, BagError> {
+    let Opened { connection, notes, copy } = connect(path)?;
     let mut damage = Damage::default();
-    let mut channels = read_topics(&connection).map_err(sqlite)?;
+    let mut channels = read_topics(&connection).map_err(|source| BagError::sqlite(path, source))?;
     if let Err(error) = read_messages(&connection, &mut channels, &mut damage) {
         damage.add(format!("the table of messages is damaged: {error}; what follows is left out"));
     }
-    let storage = SqliteFile { path: path.to_path_buf(), connection: Mutex::new(connection), packed };
-    Ok(OpenFile { channels: channels.into_values().collect(), storage: Box::new(storage), damage })
+    let storage = SqliteFile { path: path.to_path_buf(), connection: Mutex::new(connection) };
+    let opened = OpenFile::new(channels.into_values().collect(), Box::new(storage), damage);
+    Ok(OpenFile { notes, temporary: copy, ..opened })
+}
+
+struct Opened {
+    connection: Connection,
+    notes: Vec<String>,
+    copy: Option<TemporaryFile>,
+}
+
+/// Opens a file. SQLite reads a write-ahead log only where it can write a file beside it; on a read-only disk, copies are
+/// read.
+fn connect(path: &Path) -> Result<Opened, BagError> {
+    let log = with_ending(path, LOG);
+    let has_log = log.metadata().is_ok_and(|metadata| metadata.len() > 0);
+    let mut notes = Vec::new();
+    if has_log {
+        notes.push(format!(
+            "{}: there is a write-ahead log, as a recorder that was killed leaves it; its messages are read, too",
+            path.display()
+        ));
+    }
+    let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;
+    let error = match try_connect(path, flags) {
+        Ok(connection) => return Ok(Opened { connection, notes, copy: None }),
+        Err(error) => BagError::sqlite(path, error),
+    };
+    if !has_log {
+        // Without a log, nothing beside the file is needed.
+        let uri = immutable_uri(path);
+        let opened = try_connect(&uri, flags | OpenFlags::SQLITE_OPEN_URI);
+        return opened.map(|connection| Opened { connection, notes, copy: None }).map_err(|_| error);
+    }
+    let copy = TemporaryFile::named_as(path)?;
+    for (from, to) in [(path, &copy.path), (&log, &with_ending(&copy.path, LOG))] {
+        copy_contents(from, to).map_err(|source| BagError::io(from, source))?;
+    }
+    let flags = OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_NO_MUTEX;
+    let Ok(connection) = try_connect(&copy.path, flags) else { return Err(error) };
+    notes.push(format!(
+        "{}: the log cannot be read there (a read-only disk?); copies were made in {} for now",
+        path.display(),
+        copy.path.parent().unwrap_or(path).display()
+    ));
+    Ok(Opened { connection, notes, copy: Some(copy) })
+}
+
+/// Opens a file, and reads from it: only then SQLite looks at it.
+fn try_connect(path: &Path, flags: OpenFlags) -> rusqlite::Result<Connection> {
+    let connection = Connection::open_with_flags(path, flags)?;
+    connection.query_row("SELECT count(*) FROM sqlite_master", (), |_| Ok(()))?;
+    Ok(connection)
+}
+
+/// The copy of a read-only file is not read-only.
+fn copy_contents(from: &Path, to: &Path) -> std::io::Result<()> {
+    std::io::copy(&mut File::open(from)?, &mut File::create(to)?).map(drop)
+}
+
+fn with_ending(path: &Path, ending: &str) -> PathBuf {
+    let mut name = path.as_os_str().to_owned();
+    name.push(ending);
+    name.into()
+}
+
+/// A file that nobody changes, as SQLite names it.
+fn immutable_uri(path: &Path) -> PathBuf {
+    let path = std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf());
+    let escaped = path.to_string_lossy().replace('%', "%25").replace('?', "%3f").replace('#', "%23");
+    format!("file:{escaped}?immutable=1").into()
 }
 
 fn read_topics(connection: &Connection) -> rusqlite::Result<BTreeMap<i64, Channel>> {
@@ -73,30 +146,28 @@ fn read_messages(
 struct SqliteFile {
     path: PathBuf,
     connection: Mutex<Connection>,
-    packed: bool,
 }
 
-impl Storage for SqliteFile {
-    fn read(&self, _: u32, row: u64, most: usize) -> Result<Vec<u8>, BagError> {
+impl SqliteFile {
+    /// The first bytes of a message as they are stored.
+    fn stored(&self, row: u64, most: u64) -> Result<Vec<u8>, BagError> {
         let connection = self.connection.lock().unwrap_or_else(PoisonError::into_inner);
-        let wanted = if self.packed { MAX_MESSAGE } else { (most as u64).min(MAX_MESSAGE) };
+        let wanted = most.min(MAX_MESSAGE) as i64;
         let query = "SELECT substr(data, 1, ?2) FROM messages WHERE id = ?1";
         let found = connection
             .prepare_cached(query)
             .and_then(|mut statement| {
-                statement.query_row((row as i64, wanted as i64), |row| row.get::<_, Vec<u8>>(0)).optional()
+                statement.query_row((row as i64, wanted), |row| row.get::<_, Vec<u8>>(0)).optional()
             })
             .map_err(|source| BagError::sqlite(&self.path, source))?;
-        let bytes = found.ok_or_else(|| BagError::message(&self.path, row, "it is missing"))?;
-        if !self.packed {
-            return Ok(bytes);
-        }
-        let reader = zstd::stream::Decoder::with_buffer(bytes.as_slice());
-        let mut unpacked = Vec::new();
-        let read = reader.and_then(|reader| {
-            std::io::Read::read_to_end(&mut std::io::Read::take(reader, most as u64), &mut unpacked)
-        });
-        read.map_err(|error| BagError::message(&self.path, row, error.to_string()))?;
-        Ok(unpacked)
+        found.ok_or_else(|| BagError::message(&self.path, row, "it is missing"))
+    }
+}
+
+impl Storage for SqliteFile {
+    fn read(&self, _: u32, row: u64, most: usize) -> Result<Vec<u8>, BagError> {
+        let start = self.stored(row, most.max(packed_message::ZSTD_MAGIC.len()) as u64)?;
+        let damaged = |problem| BagError::message(&self.path, row, problem);
+        packed_message::finish(start, most, || self.stored(row, MAX_MESSAGE), damaged)
     }
 }

@@ -1,6 +1,7 @@
 //! What a format of recordings provides.
 
 use crate::BagError;
+use crate::packed_file::TemporaryFile;
 use std::fmt;
 
 /// Larger messages are refused before memory is allocated, bytes.
@@ -106,15 +107,49 @@ pub(crate) struct OpenFile {
     pub(crate) channels: Vec<Channel>,
     pub(crate) storage: Box<dyn Storage>,
     pub(crate) damage: Damage,
+    /// What had to be done to read it.
+    pub(crate) notes: Vec<String>,
+    /// A copy that is read in place of the file.
+    pub(crate) temporary: Option<TemporaryFile>,
+}
+
+impl OpenFile {
+    /// A file that is read where it is.
+    pub(crate) fn new(channels: Vec<Channel>, storage: Box<dyn Storage>, damage: Damage) -> Self {
+        Self { channels, storage, damage, notes: Vec::new(), temporary: None }
+    }
 }
 
 /// Reads the messages of one file.
 pub(crate) trait Storage: fmt::Debug + Send + Sync {
-    /// The first bytes of a message, at most `most`.
+    /// The first bytes of a message, at most `most`; unpacked where it is compressed for itself.
     fn read(&self, chunk: u32, offset: u64, most: usize) -> Result<Vec<u8>, BagError>;
 }
 
-/// A type's name without the folder that ROS 2 puts in its middle: `sensor_msgs/Imu` for `sensor_msgs/msg/Imu`.
+/// A type's name without the folder that ROS 2 puts in its middle: `sensor_msgs/Imu` for `sensor_msgs/msg/Imu`, and for
+/// the names of IDL and DDS, `sensor_msgs::msg::Imu` and `sensor_msgs::msg::dds_::Imu_`.
 pub(crate) fn short_type(name: &str) -> String {
+    let name = name.replace("::", "/");
+    let name = match name.split_once("/dds_/") {
+        Some((folder, of_dds)) => format!("{folder}/{}", of_dds.trim_end_matches('_')),
+        None => name,
+    };
     name.replacen("/msg/", "/", 1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::short_type;
+
+    #[test]
+    fn every_form_of_a_type_name_is_the_same_type() {
+        for name in [
+            "sensor_msgs/Imu",
+            "sensor_msgs/msg/Imu",
+            "sensor_msgs::msg::Imu",
+            "sensor_msgs::msg::dds_::Imu_",
+        ] {
+            assert_eq!(short_type(name), "sensor_msgs/Imu", "{name}");
+        }
+    }
 }

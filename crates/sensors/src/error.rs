@@ -58,6 +58,14 @@ pub enum SequenceError {
         /// The camera, 0 or 1.
         camera: usize,
     },
+    /// The first images of a camera cannot be used, one like the other.
+    #[error("the images of cam{camera} cannot be used: {source}")]
+    UnusableImages {
+        /// The camera, 0 or 1.
+        camera: usize,
+        /// Why, with the topic and the encoding.
+        source: vision::ImageError,
+    },
     /// The readings of the IMU are in other units, or lack gravity.
     #[error("{}: {source}", path.display())]
     ImuUnits {

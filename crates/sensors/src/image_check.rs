@@ -1,28 +1,54 @@
 //! Whether the images of a recording have the size that the calibration states.
 
 use super::{CameraSensor, Frame, ImageData, SequenceError};
+use vision::ImageError;
+
+/// So many first images of a camera in a bag that are all of no use are no accident.
+const UNUSABLE: usize = 5;
 
 /// Checks the first image of each camera, of files from their headers.
 #[derive(Debug, Default)]
 pub(crate) struct ImageCheck {
     is_checked: [bool; 2],
+    unusable: [usize; 2],
 }
 
 impl ImageCheck {
     /// # Errors
-    /// [`SequenceError::ImageSize`]. An image that cannot be read is left to its reader.
+    /// [`SequenceError::ImageSize`]; [`SequenceError::UnusableImages`] where the first ones of a bag are of an unknown encoding.
+    /// A single image that cannot be read is left to its reader.
     pub(crate) fn add(&mut self, frame: &Frame, cameras: &[CameraSensor]) -> Result<(), SequenceError> {
         for (index, sensor) in cameras.iter().enumerate().take(2) {
             let Some(image) = frame.images[index].as_ref() else { continue };
             if self.is_checked[index] {
                 continue;
             }
-            if let Ok(size) = image.size() {
-                self.is_checked[index] = true;
-                check_size(image, size, (sensor.camera.width, sensor.camera.height), index)?;
+            match image.size() {
+                Ok(size) => {
+                    self.is_checked[index] = true;
+                    check_size(image, size, (sensor.camera.width, sensor.camera.height), index)?;
+                }
+                Err(source) if matches!(image, ImageData::Stored(_)) && is_of_unknown_format(&source) => {
+                    self.unusable[index] += 1;
+                    if self.unusable[index] == UNUSABLE {
+                        return Err(SequenceError::UnusableImages { camera: index, source });
+                    }
+                }
+                Err(_) => {}
             }
         }
         Ok(())
+    }
+}
+
+/// Whether the pixels are the cause, and not a file that is damaged there.
+fn is_of_unknown_format(error: &ImageError) -> bool {
+    match error {
+        ImageError::Format { .. } | ImageError::Raw { .. } | ImageError::Unreadable { .. } => true,
+        ImageError::Source { source, .. } => {
+            source.downcast_ref::<ImageError>().is_some_and(is_of_unknown_format)
+        }
+        _ => false,
     }
 }
 

@@ -6,6 +6,7 @@
 //! | `calibration`, `frame` | [`SensorCalibration`]; [`Frame`] and [`ImageData`] |
 //! | `recording`, `merged` | [`Recording`], on disk or in memory; [`RecordingSource`], which plays it |
 //! | `stored` | what a format on disk provides; opening any of them |
+//! | `stamps`, `pairing` | wrong stamps of a recorded stream, and its order; [`PairCounts`], which images make a stereo pair |
 //! | `memory` | [`Sequence`], a recording in memory |
 //! | [`live`] | measurements that arrive now |
 //! | `euroc` | the EuRoC ASL folder layout: reader and [`writer`] |
@@ -59,6 +60,7 @@ mod kalibr;
 pub mod live;
 mod memory;
 mod merged;
+mod pairing;
 mod recording;
 mod rig_calibration;
 #[cfg(feature = "ros")]
@@ -67,6 +69,7 @@ pub mod ros;
 pub mod ros_bag;
 mod rows;
 mod source;
+mod stamps;
 mod stereo_check;
 mod stored;
 mod table;
@@ -91,6 +94,7 @@ pub use imu_check::{ImuCheck, ImuUnitError};
 pub use kalibr::CalibrationFiles;
 pub use memory::Sequence;
 pub use merged::RecordingSource;
+pub use pairing::{PAIR_TOLERANCE_NS, PairCounts};
 pub use recording::Recording;
 pub use rig_calibration::{read_rig_calibration, states_intrinsics};
 pub use rows::Rows;

@@ -1,7 +1,8 @@
 //! A recording in memory.
 
 use super::{
-    CameraSensor, Contents, Frame, ImuSample, ImuSensor, ReferencePose, SensorCalibration, TruthRow,
+    CameraSensor, Contents, Frame, ImuSample, ImuSensor, PairCounts, ReferencePose, SensorCalibration,
+    TruthRow,
 };
 use nalgebra::Vector3;
 use std::path::PathBuf;
@@ -43,6 +44,14 @@ impl Sequence {
         let mut contents = Contents { frames: Some(0), ..Contents::default() };
         self.frames.iter().for_each(|frame| contents.add(frame));
         contents
+    }
+
+    /// Frames with images of both cameras, and with one of camera 0 only; `None` for one camera.
+    pub(crate) fn stereo_pairs(&self) -> Option<PairCounts> {
+        let images = || self.frames.iter().map(|frame| frame.images.each_ref().map(Option::is_some));
+        let count = |wanted| images().filter(|found| *found == wanted).count();
+        let (pairs, lone_first) = (count([true, true]), count([true, false]));
+        (self.cameras.len() > 1).then(|| PairCounts { pairs, lone_first, ..PairCounts::default() })
     }
 
     /// Calibration of the sensors.

@@ -1,7 +1,7 @@
 //! Rows of the IMU and frames, merged into one stream in order of time.
 
 use super::{
-    Contents, Frame, ImuSample, Rows, SensorCalibration, SensorError, SensorEvent, SensorSource,
+    Contents, Frame, ImuSample, PairCounts, Rows, SensorCalibration, SensorError, SensorEvent, SensorSource,
     SequenceError,
 };
 use std::iter::Peekable;
@@ -11,6 +11,7 @@ pub struct RecordingSource<'a> {
     name: String,
     calibration: &'a SensorCalibration,
     contents: Contents,
+    stereo_pairs: Option<PairCounts>,
     readings: Peekable<Rows<'a, ImuSample>>,
     frames: Peekable<Rows<'a, Frame>>,
     failed: bool,
@@ -21,12 +22,12 @@ impl<'a> RecordingSource<'a> {
     pub(crate) fn new(
         name: String,
         calibration: &'a SensorCalibration,
-        contents: Contents,
+        (contents, stereo_pairs): (Contents, Option<PairCounts>),
         readings: Rows<'a, ImuSample>,
         frames: Rows<'a, Frame>,
     ) -> Self {
         let (readings, frames) = (readings.peekable(), frames.peekable());
-        Self { name, calibration, contents, readings, frames, failed: false }
+        Self { name, calibration, contents, stereo_pairs, readings, frames, failed: false }
     }
 
     /// Whether the next event is a reading: one at the time of a frame comes before it, and an error of either comes
@@ -59,6 +60,10 @@ impl SensorSource for RecordingSource<'_> {
 
     fn contents(&self) -> Contents {
         self.contents
+    }
+
+    fn stereo_pairs(&self) -> Option<PairCounts> {
+        self.stereo_pairs
     }
 
     fn next(&mut self) -> Result<Option<SensorEvent>, SensorError> {

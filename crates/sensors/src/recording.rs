@@ -4,7 +4,7 @@ use super::image_check::ImageCheck;
 use super::rows::{Rows, Stamped};
 use super::stored::{self, Stored};
 use super::{
-    CalibrationFiles, Contents, Frame, ImuSample, RecordingSource, SensorCalibration, Sequence,
+    CalibrationFiles, Contents, Frame, ImuSample, PairCounts, RecordingSource, SensorCalibration, Sequence,
     SequenceError, TruthRow, gravity,
 };
 use nalgebra::Vector3;
@@ -130,19 +130,23 @@ impl Recording<'_> {
         self.contents
     }
 
+    /// Stereo pairs and images without a partner, of the whole recording; `None` for one camera.
+    pub fn stereo_pairs(&self) -> Option<PairCounts> {
+        match &self.storage {
+            Storage::Disk(stored) => stored.stereo_pairs(),
+            Storage::Memory(sequence) => sequence.stereo_pairs(),
+        }
+    }
+
     /// Plays the recording from its beginning: IMU readings and frames in one stream.
     ///
     /// # Errors
     /// [`SequenceError`] with the file that cannot be opened.
     pub fn source(&self) -> Result<RecordingSource<'_>, SequenceError> {
         let (readings, frames) = (self.imu_samples()?, self.frames()?);
-        Ok(RecordingSource::new(
-            self.root.display().to_string(),
-            &self.calibration,
-            self.contents,
-            readings,
-            frames,
-        ))
+        let name = self.root.display().to_string();
+        let about = (self.contents, self.stereo_pairs());
+        Ok(RecordingSource::new(name, &self.calibration, about, readings, frames))
     }
 
     /// The frames, strictly increasing in time.

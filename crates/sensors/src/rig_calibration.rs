@@ -34,7 +34,7 @@ pub fn read_rig_calibration(
     } else {
         known.iter().cloned().map(Some).collect()
     };
-    let chain = kalibr::read_camera_chain(chain_path, &known)?;
+    let chain = kalibr::read_camera_chain(chain_path, &known, &[0, 1][..known.len().min(2)])?;
     let advice = "the noise of the IMU is needed: give Kalibr's imu.yaml with --imu-calibration";
     let imu_path: &PathBuf =
         files.imu.as_ref().ok_or_else(|| SequenceError::missing(&folder.join("imu.yaml"), advice))?;

@@ -12,10 +12,13 @@ use vision::{GrayImage, ImageError};
 
 /// The driver says that it does not measure something.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("the driver says that it has no {0} (covariance[0] is -1)")]
+#[error("the driver gives no {0} (covariance[0] is -1, and the values are zero)")]
 pub struct NotMeasured(pub &'static str);
 
 /// The reading that a message holds; its values may be not finite.
+///
+/// By the definition of the message, -1 in the covariance says that there is no value; many drivers write it for a covariance
+/// that they do not know. Values that are not zero are taken for what they are.
 ///
 /// # Errors
 /// [`NotMeasured`]: angular velocity or acceleration is not given.
@@ -28,21 +31,20 @@ pub struct NotMeasured(pub &'static str);
 /// # Ok::<(), sensors::ros::NotMeasured>(())
 /// ```
 pub fn imu_sample(message: &Imu) -> Result<ImuSample, NotMeasured> {
+    let vector = |vector| Vector3::from(<[f64; 3]>::from(vector));
+    let gyroscope = vector(message.angular_velocity);
+    let accelerometer = vector(message.linear_acceleration);
     // Exactly -1 by the definition of the message.
     #[allow(clippy::float_cmp)]
-    let is_missing = |covariance: &[f64; 9]| covariance[0] == -1.0;
-    if is_missing(&message.angular_velocity_covariance) {
+    let is_missing =
+        |value: &Vector3<f64>, covariance: &[f64; 9]| covariance[0] == -1.0 && *value == Vector3::zeros();
+    if is_missing(&gyroscope, &message.angular_velocity_covariance) {
         return Err(NotMeasured("angular velocity"));
     }
-    if is_missing(&message.linear_acceleration_covariance) {
+    if is_missing(&accelerometer, &message.linear_acceleration_covariance) {
         return Err(NotMeasured("acceleration"));
     }
-    let vector = |vector| Vector3::from(<[f64; 3]>::from(vector));
-    Ok(ImuSample {
-        stamp_ns: message.header.stamp.to_nanoseconds(),
-        gyroscope: vector(message.angular_velocity),
-        accelerometer: vector(message.linear_acceleration),
-    })
+    Ok(ImuSample { stamp_ns: message.header.stamp.to_nanoseconds(), gyroscope, accelerometer })
 }
 
 /// A reading as a message, without orientation; `None` for a time that ROS cannot write (before 1901, after 2038).

@@ -1,7 +1,7 @@
 //! Where a robot's measurements come from: [`SensorSource`].
 
 use super::live::LiveReport;
-use super::{Frame, ImuSample, SensorCalibration, SensorError};
+use super::{Frame, ImuSample, PairCounts, SensorCalibration, SensorError};
 use std::sync::mpsc::Receiver;
 
 /// A stream of IMU readings and camera frames in order of time, with the calibration of the sensors.
@@ -86,6 +86,11 @@ pub trait SensorSource {
         None
     }
 
+    /// Stereo pairs and images without a partner, of a live source those so far; `None` for one camera.
+    fn stereo_pairs(&self) -> Option<PairCounts> {
+        None
+    }
+
     /// Readings of the IMU in order of time as soon as they are there, before [`Self::next`] returns them, for whoever predicts
     /// poses from them; `None` for a recording.
     ///
@@ -161,6 +166,10 @@ impl<S: SensorSource + ?Sized> SensorSource for Box<S> {
 
     fn live(&self) -> Option<LiveReport> {
         (**self).live()
+    }
+
+    fn stereo_pairs(&self) -> Option<PairCounts> {
+        (**self).stereo_pairs()
     }
 
     fn tap_imu(&self) -> Option<Receiver<ImuSample>> {

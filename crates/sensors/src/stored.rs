@@ -5,8 +5,8 @@ use super::image_check::ImageCheck;
 use super::imu_check::ImuCheck;
 use super::rows::Rows;
 use super::{
-    CalibrationFiles, Frame, ImuSample, ImuSensor, ReferencePose, SensorCalibration, Sequence, SequenceError,
-    TruthRow,
+    CalibrationFiles, Frame, ImuSample, ImuSensor, PairCounts, ReferencePose, SensorCalibration, Sequence,
+    SequenceError, TruthRow,
 };
 use std::fmt::Debug;
 use std::path::{Path, PathBuf};
@@ -22,6 +22,9 @@ pub(crate) trait Stored: Debug + Send + Sync {
 
     /// What was added to the recorded stamps of the frames (ns).
     fn time_offset_ns(&self) -> i64;
+
+    /// Stereo pairs and images without a partner; `None` for one camera.
+    fn stereo_pairs(&self) -> Option<PairCounts>;
 
     /// What the readings are read from, for errors.
     fn readings_path(&self) -> PathBuf;
@@ -53,6 +56,17 @@ pub fn is_recording(path: &Path) -> bool {
 
 /// Opens a recording with its calibration: a folder in the EuRoC layout, or a bag.
 pub(crate) fn open(
+    root: &Path,
+    files: &CalibrationFiles,
+) -> Result<(Arc<dyn Stored>, SensorCalibration), SequenceError> {
+    let (stored, calibration) = open_any(root, files)?;
+    if let Some(pairs) = stored.stereo_pairs() {
+        pairs.tell(&root.display().to_string(), files.pair_tolerance_ns());
+    }
+    Ok((stored, calibration))
+}
+
+fn open_any(
     root: &Path,
     files: &CalibrationFiles,
 ) -> Result<(Arc<dyn Stored>, SensorCalibration), SequenceError> {

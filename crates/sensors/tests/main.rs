@@ -4,4 +4,6 @@
 #[cfg(feature = "bags")]
 mod bags;
 #[cfg(feature = "bags")]
+mod cases;
+#[cfg(feature = "bags")]
 mod convert;

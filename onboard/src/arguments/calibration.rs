@@ -5,7 +5,7 @@ use clap::Args;
 use sensors::CalibrationFiles;
 use std::path::PathBuf;
 
-/// Calibration files, in place of the recording's own, and the topics of a bag.
+/// Calibration files, in place of the recording's own, the topics of a bag, and which images make a pair.
 #[derive(Args, Clone, Debug, Default)]
 pub struct CalibrationArguments {
     /// Kalibr's camchain-imucam.yaml [default: the recording's sensor.yaml files, else a camera chain in its folder]
@@ -17,12 +17,31 @@ pub struct CalibrationArguments {
     /// Kalibr's imu.yaml [default: the recording's imu0/sensor.yaml, else an imu.yaml in its folder]
     #[arg(long, value_name = "YAML", help_heading = INPUT)]
     pub imu_calibration: Option<PathBuf>,
-    /// Topic of the IMU: in a bag [default: the only sensor_msgs/Imu], or with --source ros2
+    /// Topic of the IMU, or of its gyroscope: in a bag [default: the only sensor_msgs/Imu], or with --source ros2
     #[arg(long, value_name = "TOPIC", help_heading = INPUT)]
     pub imu_topic: Option<String>,
-    /// Topic of a camera, once for each: in a bag [default: those with images, in order of their names], or with --source ros2
+    /// Topic of the accelerometer in a bag, where it is not that of the gyroscope [default: the only one without angular velocities]
+    ///
+    /// Its values are interpolated to the times of the gyroscope.
+    #[arg(long, value_name = "TOPIC", help_heading = INPUT)]
+    pub accelerometer_topic: Option<String>,
+    /// Topic of a camera, once for each: in a bag [default: those that the calibration names as rostopic, else those with images,
+    /// in order of their names], or with --source ros2
     #[arg(long, value_name = "TOPIC", help_heading = INPUT)]
     pub camera_topic: Vec<String>,
+    /// Largest difference between the stamps of the two images of a stereo pair, milliseconds: recorded or live [default: 5]
+    ///
+    /// Each image is paired with the nearest one of the other camera. A lone image of camera 0 is used as that of one
+    /// camera, one of camera 1 is left out; how many there are is in the log and in summary.json.
+    #[arg(long, value_name = "MS", value_parser = tolerance_ms, help_heading = INPUT)]
+    pub pair_tolerance_ms: Option<f64>,
+}
+
+/// Parses a difference between two stamps.
+fn tolerance_ms(text: &str) -> anyhow::Result<f64> {
+    let tolerance: f64 = text.parse()?;
+    anyhow::ensure!((0.0..=1000.0).contains(&tolerance), "it must be from 0 to 1000 ms");
+    Ok(tolerance)
 }
 
 impl CalibrationArguments {
@@ -32,7 +51,14 @@ impl CalibrationArguments {
         files.cameras.clone_from(&self.calibration);
         files.imu.clone_from(&self.imu_calibration);
         files.imu_topic.clone_from(&self.imu_topic);
+        files.accelerometer_topic.clone_from(&self.accelerometer_topic);
         files.camera_topics.clone_from(&self.camera_topic);
+        files.pair_tolerance_ns = self.pair_tolerance_ns();
         files
+    }
+
+    /// The largest difference between the stamps of a stereo pair, where it is given, nanoseconds.
+    pub fn pair_tolerance_ns(&self) -> Option<i64> {
+        self.pair_tolerance_ms.map(|tolerance| (tolerance * 1e6).round() as i64)
     }
 }

@@ -27,9 +27,6 @@ pub struct LiveArguments {
     /// Live frames that may wait for the estimator; beyond, the oldest is dropped
     #[arg(long, value_name = "N", default_value_t = 5, help_heading = INPUT)]
     pub max_waiting_frames: usize,
-    /// Largest difference between the stamps of the two images of a live stereo pair, milliseconds
-    #[arg(long, value_name = "MS", default_value_t = 5.0, help_heading = INPUT)]
-    pub pair_tolerance_ms: f64,
 }
 
 impl LiveArguments {
@@ -38,15 +35,11 @@ impl LiveArguments {
     /// # Errors
     /// A switch is out of range, or contradicts the calibration.
     pub fn settings(&self, calibration: &FolderCalibration, robot: &RobotArguments) -> Result<LiveSettings> {
-        if !(0.0..=1000.0).contains(&self.pair_tolerance_ms) {
-            bail!("--pair-tolerance-ms is {}; it must be from 0 to 1000", self.pair_tolerance_ms);
-        }
         if self.max_waiting_frames == 0 {
             bail!("--max-waiting-frames is 0; it must be at least 1");
         }
         let mut settings = LiveSettings::of_files(calibration);
         settings.cameras = robot.camera_count(&calibration.sensors)?;
-        settings.pair_tolerance_ns = (self.pair_tolerance_ms * 1e6) as i64;
         settings.max_waiting_frames = self.max_waiting_frames;
         settings.frames = match self.live_frames {
             FrameKind::Images => LiveFrames::Images,

@@ -2,7 +2,7 @@
 
 use estimator::ImuSample;
 use sensors::live::LiveReport;
-use sensors::{Frame, SensorError, SensorEvent, SensorSource};
+use sensors::{Frame, PairCounts, SensorError, SensorEvent, SensorSource};
 use std::collections::VecDeque;
 
 /// A frame waits for the reading after it for so long at most, nanoseconds of sensor time. An IMU that is silent for
@@ -49,6 +49,11 @@ impl<'a> SensorQueue<'a> {
     /// What the source says of itself, if it is live.
     pub(crate) fn live(&self) -> Option<LiveReport> {
         self.source.live()
+    }
+
+    /// Stereo pairs and images without a partner; `None` for one camera.
+    pub(crate) fn stereo_pairs(&self) -> Option<PairCounts> {
+        self.source.stereo_pairs()
     }
 
     /// The next frame, or that there is none now.

@@ -30,6 +30,6 @@ pub use ros::RosOutputTask;
 pub use ros::{Estimate, InitialPoseTopic, RosBody, RosFrames, RosOutput, RosSettings, SensorFrames};
 pub use status_line::StatusLine;
 pub use summary::{
-    DivergenceSummary, EndedLost, ImuGapSummary, MapChangeSummary, MillisecondsPerFrame, QuerySummary,
-    StartSummary, Summary, Timings, TrackSummary, Traffic,
+    DivergenceSummary, EndedLost, ImuGapSummary, MapChangeSummary, MillisecondsPerFrame, PairSummary,
+    QuerySummary, StartSummary, Summary, Timings, TrackSummary, Traffic,
 };

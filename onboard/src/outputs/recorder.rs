@@ -4,8 +4,8 @@ use super::event::Event;
 use super::files::{OutputError, OutputFiles};
 use super::publisher::QueryCounts;
 use super::summary::{
-    DivergenceSummary, ImuGapSummary, MapChangeSummary, QuerySummary, StartSummary, Summary, Timings,
-    TrackSummary, Traffic,
+    DivergenceSummary, ImuGapSummary, MapChangeSummary, PairSummary, QuerySummary, StartSummary, Summary,
+    Timings, TrackSummary, Traffic,
 };
 use crate::alarms::Alarm;
 use estimator::{
@@ -40,6 +40,8 @@ pub struct Recorder {
     pub map_changes: MapChangeSummary,
     /// Frames skipped: no IMU readings, an unusable image.
     pub skipped_frames: usize,
+    /// Stereo pairs and images without a partner; `None` for one camera.
+    pub stereo_pairs: Option<PairSummary>,
     /// Frames that a live source dropped because nobody read them in time, or because they had no readings.
     pub dropped_frames: u64,
     /// IMU readings that the estimator refused.
@@ -85,6 +87,7 @@ impl Recorder {
             queries: QuerySummary::default(),
             map_changes: MapChangeSummary::default(),
             skipped_frames: 0,
+            stereo_pairs: None,
             dropped_frames: 0,
             dropped_imu: 0,
             imu_gaps: ImuGapSummary::default(),

@@ -3,6 +3,7 @@
 use crate::alarms::Alarm;
 use estimator::{EstimatorConfig, LearnedNoise, Localization, Status};
 use evaluation::RunScore;
+use sensors::PairCounts;
 use serde::Serialize;
 use std::time::Duration;
 
@@ -113,6 +114,27 @@ pub struct MapChangeSummary {
     pub found_anew: u64,
 }
 
+/// Stereo pairs and images without a partner: of a recording all, of live sensors those until the end.
+#[derive(Clone, Copy, Debug, Default, Serialize)]
+pub struct PairSummary {
+    /// Frames with an image of both cameras.
+    pub pairs: usize,
+    /// Images of camera 0 without a partner: used as those of one camera.
+    pub lone_first: usize,
+    /// Images of camera 1 without a partner: left out.
+    pub lone_second: usize,
+    /// Largest difference between the stamps of a pair, milliseconds.
+    pub largest_difference_ms: f64,
+}
+
+impl From<PairCounts> for PairSummary {
+    fn from(counts: PairCounts) -> Self {
+        let PairCounts { pairs, lone_first, lone_second, .. } = counts;
+        let largest_difference_ms = counts.largest_difference_ns as f64 * 1e-6;
+        Self { pairs, lone_first, lone_second, largest_difference_ms }
+    }
+}
+
 /// Counts of tracks.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
 pub struct TrackSummary {
@@ -196,6 +218,8 @@ pub struct Summary {
     pub frames: usize,
     /// Frames that were skipped: no IMU readings, an unusable image.
     pub skipped_frames: usize,
+    /// Stereo pairs of the source, and images without a partner; none for one camera.
+    pub stereo_pairs: Option<PairSummary>,
     /// Frames that a live source dropped: the processor did not keep up, or there were no readings for them.
     pub dropped_frames: u64,
     /// IMU readings that were left out: not finite, not in the order of time, or no motion.

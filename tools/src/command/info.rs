@@ -1,7 +1,8 @@
 //! `driftless info`: what a bag holds, and what of it a robot would use.
 
 use anyhow::Result;
-use bags::{Bag, Topic};
+use bags::Bag;
+use onboard::PairSummary;
 use onboard::arguments::CalibrationArguments;
 use sensors::{BagSensors, CalibrationFiles, Recording};
 use serde::Serialize;
@@ -14,9 +15,10 @@ const GAP_FACTOR: i64 = 5;
 #[derive(clap::Args, Debug)]
 #[command(after_help = "Examples:\n  driftless info drive.mcap\n  \
     driftless info drive.bag --calibration camchain-imucam.yaml --imu-calibration imu.yaml\n\n\
-    Rates and gaps are those of the times at which messages were recorded; a gap is five median intervals long or more.")]
+    Rates and gaps of readings and images are those of the stamps in their headers, of other messages those of the times at which they \
+    were recorded; a gap is five median intervals long or more.")]
 pub struct Args {
-    /// The recording: MCAP, rosbag1 (.bag) or rosbag2 (.db3, or the folder with metadata.yaml)
+    /// The recording: MCAP, rosbag1 (.bag) or rosbag2 (its folder, or a .db3)
     #[arg(value_name = "FILE")]
     bag: PathBuf,
     /// Calibration
@@ -32,12 +34,18 @@ pub struct Args {
 struct Report {
     topics: Vec<TopicReport>,
     damage: Vec<String>,
-    /// Topic of the IMU.
+    /// What was done to read the recording, and which topics are no cameras.
+    notes: Vec<String>,
+    /// Topic of the IMU, or of its gyroscope.
     imu: Option<String>,
+    /// Topic of the accelerometer, where it has its own.
+    accelerometer: Option<String>,
     /// Topics of the cameras.
     cameras: Vec<String>,
     /// Why no sensors were found.
     no_sensors: Option<String>,
+    /// Stereo pairs and images without a partner; none for one camera, and where the calibration is not known.
+    stereo_pairs: Option<PairSummary>,
     /// Whether the sensors can be used as they are, else why not.
     calibration: Calibration,
 }
@@ -72,8 +80,11 @@ struct TopicReport {
 }
 
 impl TopicReport {
-    fn of(topic: &Topic) -> Self {
-        let stamps = || topic.messages.iter().map(|message| message.log_ns);
+    fn of(bag: &Bag, index: usize) -> Self {
+        let topic = &bag.topics()[index];
+        let times: Vec<i64> = BagSensors::stamps(bag, index)
+            .unwrap_or_else(|| topic.messages.iter().map(|message| message.log_ns).collect());
+        let stamps = || times.iter().copied();
         let mut intervals: Vec<i64> =
             stamps().zip(stamps().skip(1)).map(|(a, b)| b.saturating_sub(a)).collect();
         intervals.sort_unstable();
@@ -114,14 +125,16 @@ fn report(args: &Args) -> Result<Report> {
     let bag = Bag::open(&args.bag)?;
     let files: CalibrationFiles = args.calibration.files();
     let name = |index: usize| bag.topics()[index].name.clone();
-    let (imu, cameras, no_sensors) = match BagSensors::find(&bag, &files) {
-        Ok(found) => {
-            (found.imu.map(name), found.cameras.iter().map(|camera| name(camera.images)).collect(), None)
-        }
-        Err(error) => (None, Vec::new(), Some(error.to_string())),
-    };
+    let found = BagSensors::find(&bag, &files);
+    let no_sensors = found.as_ref().err().map(ToString::to_string);
+    let found = found.ok();
+    let mut notes = bag.notes().to_vec();
+    notes.extend(found.iter().flat_map(|found| found.notes.clone()));
+    let cameras = found.iter().flat_map(|found| &found.cameras).map(|camera| name(camera.images)).collect();
+    let mut stereo_pairs = None;
     let calibration = match Recording::open_with(&args.bag, &files) {
         Ok(recording) => {
+            stereo_pairs = recording.stereo_pairs().map(PairSummary::from);
             let found = recording.calibration();
             let camera = |sensor: &sensors::CameraSensor| CameraReport {
                 resolution: [sensor.camera.width, sensor.camera.height],
@@ -135,8 +148,11 @@ fn report(args: &Args) -> Result<Report> {
         }
         Err(error) => Calibration::Missing { problem: error.to_string() },
     };
-    let topics = bag.topics().iter().map(TopicReport::of).collect();
-    Ok(Report { topics, damage: bag.damage().to_vec(), imu, cameras, no_sensors, calibration })
+    let topics = (0..bag.topics().len()).map(|index| TopicReport::of(&bag, index)).collect();
+    let imu = found.as_ref().and_then(|found| found.imu).map(name);
+    let accelerometer = found.as_ref().and_then(|found| found.accelerometer).map(name);
+    let damage = bag.damage().to_vec();
+    Ok(Report { topics, damage, notes, imu, accelerometer, cameras, no_sensors, stereo_pairs, calibration })
 }
 
 fn print(report: &Report) {
@@ -160,12 +176,24 @@ fn print(report: &Report) {
     for line in &report.damage {
         println!("damage: {line}");
     }
+    for line in &report.notes {
+        println!("note: {line}");
+    }
     if let Some(problem) = &report.no_sensors {
         println!("sensors: {problem}");
         return;
     }
     println!("IMU: {}", report.imu.as_deref().unwrap_or("none"));
+    if let Some(accelerometer) = &report.accelerometer {
+        println!("accelerometer: {accelerometer}");
+    }
     println!("cameras: {}", report.cameras.join(", "));
+    if let Some(pairs) = &report.stereo_pairs {
+        println!(
+            "stereo pairs: {}, at most {:.3} ms apart; without a partner: {} of the first camera, {} of the second",
+            pairs.pairs, pairs.largest_difference_ms, pairs.lone_first, pairs.lone_second
+        );
+    }
     match &report.calibration {
         Calibration::Missing { problem } => println!("calibration: {problem}"),
         Calibration::Found { cameras, .. } => {

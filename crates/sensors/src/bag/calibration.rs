@@ -1,23 +1,56 @@
 //! The calibration of a bag's sensors: files in the ways of EuRoC and Kalibr, and the recorded `CameraInfo`.
 
+use super::camera_topics::is_same_camera;
 use super::messages;
 use super::topics::BagSensors;
 use crate::camera_info::camera_of_info;
 use crate::euroc::sensor_yaml;
 use crate::kalibr::{self, CameraChain};
-use crate::{CalibrationFiles, CameraSensor, SensorCalibration, SequenceError};
-use bags::{Bag, Topic};
+use crate::{CalibrationFiles, CameraSensor, ImuSensor, SensorCalibration, SequenceError};
+use bags::Bag;
 use geometry::camera::Camera;
+use geometry::pose::Pose;
 use ros_messages::sensor_msgs::CameraInfo;
 use std::path::{Path, PathBuf};
 
-/// Messages from which the rate of a topic is measured, where its calibration does not state it.
-const RATE_MESSAGES: usize = 100;
-
-/// Calibration, and what is added to the time stamps of the images.
+/// The calibration of the sensors of a bag; of Kalibr's files, without the rates that they do not state.
 pub(super) struct BagCalibration {
-    pub(super) sensors: SensorCalibration,
+    cameras: Cameras,
+    imu: Option<Imu>,
+    /// Added to the stamps of the images, nanoseconds.
     pub(super) time_offset_ns: i64,
+}
+
+enum Cameras {
+    Kalibr(Vec<(Camera, Pose)>),
+    Euroc(Vec<CameraSensor>),
+}
+
+enum Imu {
+    Kalibr(PathBuf),
+    Euroc(ImuSensor),
+}
+
+impl BagCalibration {
+    /// The calibration with rates as they were measured, where the files do not state them.
+    pub(super) fn with_rates(
+        self,
+        imu_hz: Option<f64>,
+        cameras_hz: &[f64],
+    ) -> Result<SensorCalibration, SequenceError> {
+        let imu = match self.imu {
+            Some(Imu::Kalibr(file)) => Some(kalibr::read_imu(&file, imu_hz)?),
+            Some(Imu::Euroc(imu)) => Some(imu),
+            None => None,
+        };
+        let sensor =
+            |((camera, imu_from_camera), &rate_hz)| CameraSensor { camera, imu_from_camera, rate_hz };
+        let cameras = match self.cameras {
+            Cameras::Kalibr(cameras) => cameras.into_iter().zip(cameras_hz).map(sensor).collect(),
+            Cameras::Euroc(cameras) => cameras,
+        };
+        Ok(SensorCalibration { imu, cameras })
+    }
 }
 
 /// Reads the calibration of the sensors of a bag.
@@ -30,6 +63,26 @@ pub(super) fn read(
     files: &CalibrationFiles,
 ) -> Result<BagCalibration, SequenceError> {
     let path = bag.path();
+    let (root, files) = files_of(path, files)?;
+    let (cameras, time_offset_ns) = match &files.cameras {
+        Some(file) => {
+            let infos = camera_infos(bag, sensors)?;
+            let chosen = chosen_cameras(bag, sensors, file)?;
+            let CameraChain { cameras, time_offset_ns } = kalibr::read_camera_chain(file, &infos, &chosen)?;
+            (Cameras::Kalibr(cameras), time_offset_ns)
+        }
+        None => (Cameras::Euroc(euroc_cameras(path, &root, sensors.cameras.len())?), 0),
+    };
+    let imu = match (sensors.imu, files.imu) {
+        (None, _) => None,
+        (Some(_), Some(file)) => Some(Imu::Kalibr(file)),
+        (Some(_), None) => Some(Imu::Euroc(sensor_yaml::read_imu(&euroc_file(path, &root, "imu0")?)?)),
+    };
+    Ok(BagCalibration { cameras, imu, time_offset_ns })
+}
+
+/// The folder of the calibration of a bag, and its files.
+fn files_of(path: &Path, files: &CalibrationFiles) -> Result<(PathBuf, CalibrationFiles), SequenceError> {
     let beside = || if path.is_dir() { path } else { path.parent().unwrap_or(path) };
     let (root, mut files) = match &files.cameras {
         Some(folder) if folder.is_dir() => {
@@ -48,24 +101,46 @@ pub(super) fn read(
         files.imu = Some(file.clone());
     }
     let files = files.completed(&root)?;
-    let rates: Vec<f64> =
-        sensors.cameras.iter().map(|camera| rate_of(&bag.topics()[camera.images])).collect();
-    let (cameras, time_offset_ns) = match &files.cameras {
-        Some(file) => {
-            let infos = camera_infos(bag, sensors)?;
-            let CameraChain { cameras, time_offset_ns } = kalibr::read_camera_chain(file, &infos)?;
-            let sensor =
-                |((camera, imu_from_camera), rate_hz)| CameraSensor { camera, imu_from_camera, rate_hz };
-            (cameras.into_iter().zip(rates).map(sensor).collect(), time_offset_ns)
+    Ok((root, files))
+}
+
+/// The topic of each camera of the calibration, where there is one that states it.
+pub(super) fn camera_topics(bag: &Bag, files: &CalibrationFiles) -> Vec<Option<String>> {
+    let found = files_of(bag.path(), files).ok().and_then(|(_, files)| files.cameras);
+    // What is wrong with the files is said when they are read.
+    found.and_then(|file| kalibr::camera_topics(&file).ok()).unwrap_or_default()
+}
+
+/// Which camera of a chain each camera of the bag is: the one with its topic, else the one in its place.
+fn chosen_cameras(bag: &Bag, sensors: &BagSensors, chain: &Path) -> Result<Vec<usize>, SequenceError> {
+    let calibrated = kalibr::camera_topics(chain)?;
+    let topic = |camera: &super::BagCamera| bag.topics()[camera.images].name.as_str();
+    let is_of = |index: usize, name: &str| {
+        calibrated.get(index).and_then(Option::as_ref).is_some_and(|of| is_same_camera(of, name))
+    };
+    let choose = |(place, camera): (usize, &super::BagCamera)| {
+        let name = topic(camera);
+        if let Some(index) = (0..calibrated.len()).find(|&index| is_of(index, name)) {
+            return Ok(index);
         }
-        None => (euroc_cameras(path, &root, sensors.cameras.len())?, 0),
+        if let Some(of) = calibrated.get(place).and_then(Option::as_ref) {
+            let is_recorded = bag.topics().iter().any(|topic| is_same_camera(&topic.name, of));
+            if is_recorded {
+                let problem = format!(
+                    "cam{place} is calibrated for {of} (rostopic), which is recorded, but {name} is to be used with it: \
+                     calibrate that camera, name the right topics with --camera-topic, or correct rostopic"
+                );
+                return Err(SequenceError::calibration(chain, problem));
+            }
+            tracing::warn!(
+                "{}: cam{place} is calibrated for {of} (rostopic), which is not recorded, and is used for {name}: is it the same \
+                 camera?",
+                chain.display()
+            );
+        }
+        Ok(place)
     };
-    let imu = match (sensors.imu, &files.imu) {
-        (None, _) => None,
-        (Some(topic), Some(file)) => Some(kalibr::read_imu(file, Some(rate_of(&bag.topics()[topic])))?),
-        (Some(_), None) => Some(sensor_yaml::read_imu(&euroc_file(path, &root, "imu0")?)?),
-    };
-    Ok(BagCalibration { sensors: SensorCalibration { imu, cameras }, time_offset_ns })
+    sensors.cameras.iter().enumerate().map(choose).collect()
 }
 
 /// The projection of each camera by its `CameraInfo`.
@@ -112,14 +187,4 @@ fn euroc_file(bag: &Path, root: &Path, sensor: &str) -> Result<PathBuf, Sequence
             root.display()
         ),
     ))
-}
-
-/// Messages a second by the median interval of the first ones; 1 for a single message.
-fn rate_of(topic: &Topic) -> f64 {
-    let first = &topic.messages[..topic.messages.len().min(RATE_MESSAGES)];
-    let mut intervals: Vec<i64> =
-        first.windows(2).map(|pair| pair[1].log_ns.saturating_sub(pair[0].log_ns)).collect();
-    intervals.sort_unstable();
-    let median = intervals.get(intervals.len() / 2).copied();
-    median.filter(|&interval| interval > 0).map_or(1.0, |interval| 1e9 / interval as f64)
 }

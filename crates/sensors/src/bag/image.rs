@@ -5,6 +5,7 @@ use super::topics::COMPRESSED_IMAGE;
 use crate::StoredImage;
 use bags::{Bag, Place};
 use ros_messages::RosMessage;
+use ros_messages::sensor_msgs::CompressedImage;
 use std::sync::Arc;
 use vision::{GrayImage, ImageError};
 
@@ -30,7 +31,9 @@ impl StoredImage for BagImage {
 
     fn read(&self) -> Result<GrayImage, ImageError> {
         if self.bag.topics()[self.topic].type_name == COMPRESSED_IMAGE {
-            return messages::gray_of_compressed(&self.message()?, &self.name());
+            let message: CompressedImage = self.message()?;
+            let name = format!("{} (format \"{}\")", self.name(), message.format.trim());
+            return messages::gray_of_compressed(&message, &name);
         }
         messages::gray(&self.message()?)
             .map_err(|source| ImageError::Source { name: self.name(), source: source.into() })

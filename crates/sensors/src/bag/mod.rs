@@ -2,8 +2,12 @@
 //!
 //! The stamps of readings and images are those in their headers, not the times at which they were recorded.
 
+mod accelerometer;
 mod calibration;
+mod camera_topics;
 mod image;
+mod imu_topics;
+mod index;
 mod messages;
 mod recording;
 mod rows;

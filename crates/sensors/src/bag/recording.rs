@@ -1,11 +1,13 @@
 //! A bag as a recording.
 
+use super::accelerometer::interpolated;
 use super::calibration;
-use super::rows::{FrameRows, LeftOut, readings};
+use super::index::StampedTopic;
+use super::rows::{Cameras, FrameRows, readings};
 use super::topics::BagSensors;
 use crate::rows::Rows;
 use crate::stored::Stored;
-use crate::{CalibrationFiles, Frame, ImuSample, SensorCalibration, SequenceError};
+use crate::{CalibrationFiles, Frame, ImuSample, PairCounts, SensorCalibration, SequenceError};
 use bags::Bag;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -13,8 +15,10 @@ use std::sync::Arc;
 #[derive(Debug)]
 pub(crate) struct BagRecording {
     bag: Arc<Bag>,
-    imu: Option<(usize, Arc<LeftOut>)>,
-    cameras: Vec<(usize, Arc<LeftOut>)>,
+    imu: Option<Arc<StampedTopic>>,
+    /// Where it has a topic of its own.
+    accelerometer: Option<Arc<StampedTopic>>,
+    cameras: Arc<Cameras>,
     time_offset_ns: i64,
 }
 
@@ -25,19 +29,31 @@ impl BagRecording {
         files: &CalibrationFiles,
     ) -> Result<(Self, SensorCalibration), SequenceError> {
         let bag = Bag::open(path)?;
-        for line in bag.damage() {
+        for line in bag.notes().iter().chain(bag.damage()) {
             tracing::warn!("{line}");
         }
         let sensors = BagSensors::find(&bag, files)?;
+        for note in &sensors.notes {
+            tracing::warn!("{}: {note}", path.display());
+        }
+        // Files that are missing are found before all stamps are read.
         let calibration = calibration::read(&bag, &sensors, files)?;
-        let topic = |index: usize| (index, Arc::default());
+        let imu = sensors.imu.map(|topic| StampedTopic::read(&bag, topic, &[]));
+        let steps = imu.as_ref().map_or(&[][..], |imu| &imu.steps);
+        let accelerometer = sensors.accelerometer.map(|topic| StampedTopic::read(&bag, topic, steps));
+        let camera = |camera: &super::BagCamera| StampedTopic::read(&bag, camera.images, steps);
+        let cameras: Vec<Arc<StampedTopic>> = sensors.cameras.iter().map(camera).map(Arc::new).collect();
+        let time_offset_ns = calibration.time_offset_ns;
+        let cameras_hz: Vec<f64> = cameras.iter().map(|camera| camera.rate_hz()).collect();
+        let calibration = calibration.with_rates(imu.as_ref().map(StampedTopic::rate_hz), &cameras_hz)?;
         let recording = Self {
             bag: Arc::new(bag),
-            imu: sensors.imu.filter(|_| calibration.sensors.imu.is_some()).map(topic),
-            cameras: sensors.cameras.iter().map(|camera| topic(camera.images)).collect(),
-            time_offset_ns: calibration.time_offset_ns,
+            imu: imu.filter(|_| calibration.imu.is_some()).map(Arc::new),
+            accelerometer: accelerometer.map(Arc::new),
+            cameras: Arc::new(Cameras::new(cameras, files.pair_tolerance_ns())),
+            time_offset_ns,
         };
-        Ok((recording, calibration.sensors))
+        Ok((recording, calibration))
     }
 }
 
@@ -47,9 +63,12 @@ impl Stored for BagRecording {
     }
 
     fn imu_samples(&self) -> Result<Rows<'static, ImuSample>, SequenceError> {
-        Ok(match &self.imu {
-            Some((topic, left_out)) => Box::new(readings(&self.bag, *topic, left_out)),
-            None => Box::new(std::iter::empty()),
+        Ok(match (&self.imu, &self.accelerometer) {
+            (Some(topic), None) => Box::new(readings(&self.bag, topic)),
+            (Some(gyroscope), Some(accelerometer)) => {
+                Box::new(interpolated(&self.bag, gyroscope, accelerometer))
+            }
+            (None, _) => Box::new(std::iter::empty()),
         })
     }
 
@@ -57,8 +76,12 @@ impl Stored for BagRecording {
         self.time_offset_ns
     }
 
+    fn stereo_pairs(&self) -> Option<PairCounts> {
+        self.cameras.pairs
+    }
+
     fn readings_path(&self) -> PathBuf {
-        let topic = self.imu.as_ref().map_or("", |(topic, _)| &self.bag.topics()[*topic].name);
+        let topic = self.imu.as_ref().map_or("", |imu| &self.bag.topics()[imu.topic].name);
         format!("{}, {topic}", self.bag.path().display()).into()
     }
 }

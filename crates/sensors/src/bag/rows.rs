@@ -1,140 +1,107 @@
 //! Readings and frames of a bag in order of time.
 
 use super::image::BagImage;
-use super::messages::{self, MessageError};
+use super::index::{Stamped, StampedTopic};
+use super::messages;
+use crate::pairing::{PairCounts, pair};
 use crate::ros::imu_sample;
 use crate::{Frame, ImageData, ImuSample, SequenceError};
 use bags::Bag;
 use nalgebra::Vector3;
 use ros_messages::sensor_msgs::Imu;
-use std::iter::Peekable;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Images of two cameras are of one instant if their stamps differ by no more, nanoseconds.
-const SAME_INSTANT_NS: i64 = 1_000_000;
-
-/// Messages of a topic that were left out; told once for a recording, however often it is read.
-#[derive(Debug, Default)]
-pub(super) struct LeftOut {
-    is_told: AtomicBool,
-}
-
-/// Stamped values of a topic, strictly increasing in time. What is damaged or out of order is left out and counted.
-struct Ordered<F> {
+/// The values of a topic's messages in order of time; what cannot be used is left out and counted.
+pub(super) struct Values<F> {
     bag: Arc<Bag>,
-    topic: usize,
+    topic: Arc<StampedTopic>,
     /// Number of the next message.
     next: usize,
-    before_ns: Option<i64>,
-    /// The value of a message and its stamp.
+    /// The value of a message.
     read: F,
-    damaged: usize,
-    out_of_order: usize,
-    left_out: Arc<LeftOut>,
+    unusable: usize,
 }
 
-impl<T, F: FnMut(&Arc<Bag>, usize, bags::Place) -> Option<(i64, T)>> Iterator for Ordered<F> {
+impl<F> Values<F> {
+    pub(super) fn new(bag: &Arc<Bag>, topic: &Arc<StampedTopic>, read: F) -> Self {
+        Self { bag: Arc::clone(bag), topic: Arc::clone(topic), next: 0, read, unusable: 0 }
+    }
+}
+
+impl<T, F: FnMut(&Bag, usize, Stamped) -> Option<T>> Iterator for Values<F> {
     type Item = (i64, T);
 
     fn next(&mut self) -> Option<Self::Item> {
         loop {
-            let Some(message) = self.bag.topics()[self.topic].messages.get(self.next) else {
-                self.tell();
+            let Some(&message) = self.topic.messages.get(self.next) else {
+                let why = "are damaged, of another encoding, not finite, or without what is measured";
+                self.topic.tell_once(&self.bag, self.unusable, why);
                 return None;
             };
             self.next += 1;
-            match (self.read)(&self.bag, self.topic, message.place) {
-                None => self.damaged += 1,
-                Some((stamp_ns, _)) if self.before_ns.is_some_and(|before_ns| stamp_ns <= before_ns) => {
-                    self.out_of_order += 1;
-                }
-                Some(value) => {
-                    self.before_ns = Some(value.0);
-                    return Some(value);
-                }
+            match (self.read)(&self.bag, self.topic.topic, message) {
+                Some(value) => return Some((message.stamp_ns, value)),
+                None => self.unusable += 1,
             }
         }
     }
 }
 
-impl<F> Ordered<F> {
-    fn tell(&self) {
-        if self.damaged + self.out_of_order == 0 || self.left_out.is_told.swap(true, Ordering::Relaxed) {
-            return;
-        }
-        tracing::warn!(
-            "{}: of {} messages of {}, {} are damaged, of another encoding or not finite, and {} are not newer than those before; \
-             they are left out",
-            self.bag.path().display(),
-            self.bag.topics()[self.topic].messages.len(),
-            self.bag.topics()[self.topic].name,
-            self.damaged,
-            self.out_of_order
-        );
-    }
-}
-
-/// The readings of the IMU.
+/// The readings of an IMU.
 pub(super) fn readings(
     bag: &Arc<Bag>,
-    topic: usize,
-    left_out: &Arc<LeftOut>,
+    topic: &Arc<StampedTopic>,
 ) -> impl Iterator<Item = Result<ImuSample, SequenceError>> + 'static {
-    let read = |bag: &Arc<Bag>, topic, place| {
-        let reading = reading(messages::read(bag, topic, place))?;
-        Some((reading.stamp_ns, reading))
-    };
-    ordered(bag, topic, left_out, read).map(|(_, reading)| Ok(reading))
+    let values = Values::new(bag, topic, |bag: &Bag, topic, message: Stamped| {
+        let sample = imu_sample(&messages::read::<Imu>(bag, topic, message.place).ok()?).ok()?;
+        (is_finite(&sample.gyroscope) && is_finite(&sample.accelerometer)).then_some(sample)
+    });
+    values.map(|(stamp_ns, sample)| Ok(ImuSample { stamp_ns, ..sample }))
 }
 
-fn reading(message: Result<Imu, MessageError>) -> Option<ImuSample> {
-    let sample = imu_sample(&message.ok()?).ok()?;
-    let is_finite = |vector: &Vector3<f64>| vector.iter().all(|value| value.is_finite());
-    (is_finite(&sample.gyroscope) && is_finite(&sample.accelerometer)).then_some(sample)
+pub(super) fn is_finite(vector: &Vector3<f64>) -> bool {
+    vector.iter().all(|value| value.is_finite())
 }
 
-fn ordered<T, F: FnMut(&Arc<Bag>, usize, bags::Place) -> Option<(i64, T)>>(
-    bag: &Arc<Bag>,
-    topic: usize,
-    left_out: &Arc<LeftOut>,
-    read: F,
-) -> Ordered<F> {
-    Ordered {
-        bag: Arc::clone(bag),
-        topic,
-        next: 0,
-        before_ns: None,
-        read,
-        damaged: 0,
-        out_of_order: 0,
-        left_out: Arc::clone(left_out),
+/// One camera, or the two of a stereo pair: which images make a frame.
+#[derive(Debug)]
+pub(super) struct Cameras {
+    topics: Vec<Arc<StampedTopic>>,
+    /// Number of the image of camera 1 for each image of camera 0.
+    partners: Vec<Option<usize>>,
+    /// Of two cameras.
+    pub(super) pairs: Option<PairCounts>,
+}
+
+impl Cameras {
+    pub(super) fn new(topics: Vec<Arc<StampedTopic>>, tolerance_ns: i64) -> Self {
+        let stamps = |topic: &Arc<StampedTopic>| -> Vec<i64> {
+            topic.messages.iter().map(|message| message.stamp_ns).collect()
+        };
+        let (partners, pairs) = match topics.as_slice() {
+            [first, second, ..] => {
+                let (partners, counts) = pair(&stamps(first), &stamps(second), tolerance_ns);
+                (partners, Some(counts))
+            }
+            _ => (Vec::new(), None),
+        };
+        Self { topics, partners, pairs }
     }
 }
 
-type Images = Peekable<Box<dyn Iterator<Item = (i64, ImageData)>>>;
-
-/// The frames of one or two cameras: one for every instant at which any of them has an image.
+/// The frames of one or two cameras: one for each image of camera 0, with its partner.
 pub(super) struct FrameRows {
-    cameras: Vec<Images>,
+    bag: Arc<Bag>,
+    cameras: Arc<Cameras>,
     time_offset_ns: i64,
+    next: usize,
 }
 
 impl FrameRows {
     /// # Arguments
-    /// * `topics`: of each camera, with what was left out of it.
     /// * `time_offset_ns`: added to the stamps.
-    pub(super) fn new(bag: &Arc<Bag>, topics: &[(usize, Arc<LeftOut>)], time_offset_ns: i64) -> Self {
-        let images = |(topic, left_out): &(usize, Arc<LeftOut>)| -> Images {
-            let read = |bag: &Arc<Bag>, topic, place| {
-                let stamp_ns = messages::read_stamp(bag, topic, place)?;
-                let image = BagImage { bag: Arc::clone(bag), topic, stamp_ns, place };
-                Some((stamp_ns, ImageData::Stored(Arc::new(image))))
-            };
-            let rows: Box<dyn Iterator<Item = _>> = Box::new(ordered(bag, *topic, left_out, read));
-            rows.peekable()
-        };
-        Self { cameras: topics.iter().map(images).collect(), time_offset_ns }
+    pub(super) fn new(bag: &Arc<Bag>, cameras: &Arc<Cameras>, time_offset_ns: i64) -> Self {
+        Self { bag: Arc::clone(bag), cameras: Arc::clone(cameras), time_offset_ns, next: 0 }
     }
 }
 
@@ -142,17 +109,20 @@ impl Iterator for FrameRows {
     type Item = Result<Frame, SequenceError>;
 
     fn next(&mut self) -> Option<Self::Item> {
-        let stamps = self.cameras.iter_mut().map(|images| images.peek().map(|(stamp_ns, _)| *stamp_ns));
-        let stamps: Vec<Option<i64>> = stamps.collect();
-        let first_ns = stamps.iter().flatten().min().copied()?;
-        let is_due = |stamp_ns: &i64| stamp_ns - first_ns <= SAME_INSTANT_NS;
-        let mut frame = Frame::default();
+        let Cameras { topics, partners, .. } = &*self.cameras;
+        let first = topics.first()?;
+        let stamp_ns = first.messages.get(self.next)?.stamp_ns;
+        let partner = partners.get(self.next).copied().flatten();
+        let image = |topic: &StampedTopic, number: usize| {
+            let Stamped { stamp_ns, place } = topic.messages[number];
+            let image = BagImage { bag: Arc::clone(&self.bag), topic: topic.topic, stamp_ns, place };
+            ImageData::Stored(Arc::new(image))
+        };
+        let second = topics.get(1).zip(partner).map(|(topic, number)| image(topic, number));
+        let images = [Some(image(first, self.next)), second];
+        self.next += 1;
         // The stamp of a pair is that of camera 0.
-        let stamp_ns = stamps.iter().flatten().copied().find(is_due).unwrap_or(first_ns);
-        frame.stamp_ns = stamp_ns + self.time_offset_ns;
-        for (index, images) in self.cameras.iter_mut().enumerate() {
-            frame.images[index] = images.next_if(|(stamp_ns, _)| is_due(stamp_ns)).map(|(_, image)| image);
-        }
-        Some(Ok(frame))
+        let stamp_ns = stamp_ns.saturating_add(self.time_offset_ns);
+        Some(Ok(Frame { stamp_ns, images, ..Frame::default() }))
     }
 }

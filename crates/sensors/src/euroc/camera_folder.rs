@@ -1,35 +1,50 @@
 //! The camera folders: images, tracks and features, merged into frames.
 
+use super::stamps::{FrameStamps, SkippedLines};
 use crate::table::{Row, Table, check_order};
 use crate::{Frame, ImageData, SequenceError, TrackObservation};
 use nalgebra::Vector2;
 use protocol::{DescriptorFormat, DescriptorKind, FeatureSet};
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
-/// Iterates over the frames of all cameras, one for every time stamp that any of them has. Ends with the first error.
+/// Iterates over the frames of all cameras: one for each image of camera 0, with its partner. Ends with the first error.
 pub(crate) struct FrameRows {
     cameras: Vec<CameraRows>,
+    stamps: Arc<FrameStamps>,
+    /// Number of the next frame.
+    next: usize,
     ended: bool,
 }
 
 impl FrameRows {
-    /// Opens the tables of the first `cameras` cameras.
-    pub(crate) fn open(mav: &Path, cameras: usize) -> Result<Self, SequenceError> {
-        let open = |camera| CameraRows::open(&mav.join(format!("cam{camera}")), camera as u8);
-        Ok(Self { cameras: (0..cameras).map(open).collect::<Result<_, _>>()?, ended: false })
+    /// Opens the tables of the cameras whose stamps were read.
+    pub(super) fn open(mav: &Path, stamps: &Arc<FrameStamps>) -> Result<Self, SequenceError> {
+        let open = |(camera, skipped): (usize, &SkippedLines)| {
+            CameraRows::open(&mav.join(format!("cam{camera}")), camera as u8, Arc::clone(skipped))
+        };
+        let cameras = stamps.skipped.iter().enumerate().map(open).collect::<Result<_, _>>()?;
+        Ok(Self { cameras, stamps: Arc::clone(stamps), next: 0, ended: false })
     }
 
     fn read_next(&mut self) -> Result<Option<Frame>, SequenceError> {
-        let Some(stamp_ns) = self.cameras.iter().filter_map(|camera| camera.image_ns).min() else {
-            self.cameras.iter().try_for_each(CameraRows::expect_end)?;
+        let Some(&(stamp_ns, partner_ns)) = self.stamps.frames.get(self.next) else {
+            for camera in &mut self.cameras {
+                camera.skip_to(i64::MAX)?;
+                camera.expect_end()?;
+            }
             return Ok(None);
         };
+        self.next += 1;
         let mut frame = Frame { stamp_ns, ..Frame::default() };
-        for camera in &mut self.cameras {
-            if camera.image_ns == Some(stamp_ns) {
-                camera.read_into(&mut frame)?;
+        for (camera, image_ns) in self.cameras.iter_mut().zip([Some(stamp_ns), partner_ns]) {
+            let Some(image_ns) = image_ns else { continue };
+            camera.skip_to(image_ns)?;
+            if camera.image_ns != Some(image_ns) {
+                return Err(camera.images.row().wrong("the file was changed while it was read: start again"));
             }
+            camera.read_into(&mut frame)?;
         }
         Ok(Some(frame))
     }
@@ -61,10 +76,12 @@ struct CameraRows {
     features: Option<ImageRows>,
     /// Bytes of a descriptor, from the first row on.
     width: Option<usize>,
+    /// Lines of the list of images that are left out.
+    skipped: SkippedLines,
 }
 
 impl CameraRows {
-    fn open(folder: &Path, camera: u8) -> Result<Self, SequenceError> {
+    fn open(folder: &Path, camera: u8, skipped: SkippedLines) -> Result<Self, SequenceError> {
         let path = folder.join("data.csv");
         let image_folder = folder.join("data");
         let with_features = camera == 0;
@@ -81,6 +98,7 @@ impl CameraRows {
                 None
             },
             width: None,
+            skipped,
         };
         rows.advance()?;
         if rows.image_ns.is_none() {
@@ -91,25 +109,50 @@ impl CameraRows {
 
     /// Reads the row of the next image.
     fn advance(&mut self) -> Result<(), SequenceError> {
-        let Some(row) = self.images.next_row()? else {
-            self.image_ns = None;
+        loop {
+            let Some(row) = self.images.next_row()? else {
+                self.image_ns = None;
+                return Ok(());
+            };
+            let stamp_ns = row.stamp()?;
+            if self.skipped.contains(&row.line()) {
+                self.drop_rows(stamp_ns)?;
+                continue;
+            }
+            check_order(&row, self.image_ns, stamp_ns)?;
+            self.image_ns = Some(stamp_ns);
             return Ok(());
-        };
-        let stamp_ns = row.stamp()?;
-        check_order(&row, self.image_ns, stamp_ns)?;
-        self.image_ns = Some(stamp_ns);
+        }
+    }
+
+    /// Leaves out images without a partner, and what belongs to them, up to an image.
+    fn skip_to(&mut self, image_ns: i64) -> Result<(), SequenceError> {
+        while let Some(lone_ns) = self.image_ns.filter(|lone_ns| *lone_ns < image_ns) {
+            self.drop_rows(lone_ns)?;
+            self.advance()?;
+        }
         Ok(())
+    }
+
+    /// Leaves out what belongs to an image.
+    fn drop_rows(&mut self, image_ns: i64) -> Result<(), SequenceError> {
+        [&mut self.tracks, &mut self.features]
+            .into_iter()
+            .flatten()
+            .try_for_each(|rows| rows.drop_of(image_ns))
     }
 
     /// Reads all that belongs to the next image into its frame, and advances.
     fn read_into(&mut self, frame: &mut Frame) -> Result<(), SequenceError> {
+        // Of a pair, the images have stamps of their own.
+        let Some(image_ns) = self.image_ns else { return Ok(()) };
         if let Some(folder) = &self.image_folder {
             frame.images[usize::from(self.camera)] =
                 Some(ImageData::File(image_file(&self.images.row(), folder)?));
         }
         if let Some(tracks) = &mut self.tracks {
             self.seen_ids.clear();
-            tracks.take(frame.stamp_ns, |row| {
+            tracks.take(image_ns, |row| {
                 let track = track_of(row, self.camera)?;
                 if !self.seen_ids.insert(track.feature_id) {
                     return Err(row.wrong(format!(
@@ -122,7 +165,7 @@ impl CameraRows {
             })?;
         }
         if let Some(features) = &mut self.features {
-            features.take(frame.stamp_ns, |row| add_feature(row, &mut frame.features, &mut self.width))?;
+            features.take(image_ns, |row| add_feature(row, &mut frame.features, &mut self.width))?;
         }
         self.advance()
     }
@@ -162,6 +205,14 @@ impl ImageRows {
             }
             None => None,
         };
+        Ok(())
+    }
+
+    /// Leaves out the rows of an image, if they come next.
+    fn drop_of(&mut self, image_ns: i64) -> Result<(), SequenceError> {
+        while self.pending_ns == Some(image_ns) {
+            self.advance()?;
+        }
         Ok(())
     }
 

@@ -2,16 +2,19 @@
 
 use super::camera_folder::FrameRows;
 use super::sensor_yaml;
+use super::stamps::{FrameStamps, TableStamps};
 use super::tables::{TimedRow, TimedRows, read_reference_poses};
 use crate::kalibr::{self, CalibrationFiles};
 use crate::rows::Rows;
 use crate::stored::Stored;
 use crate::{
-    CameraSensor, Frame, ImuSample, ReferencePose, SensorCalibration, SequenceError, Table, TruthRow,
+    CameraSensor, Frame, ImuSample, PairCounts, ReferencePose, SensorCalibration, SequenceError, Table,
+    TruthRow,
 };
 use geometry::camera::Camera;
 use geometry::pose::Pose;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// Images from which the rate of a camera is measured, where its calibration does not state it.
 const RATE_IMAGES: usize = 100;
@@ -20,8 +23,8 @@ const RATE_IMAGES: usize = 100;
 #[derive(Clone, Debug)]
 pub(crate) struct Folder {
     root: PathBuf,
-    cameras: usize,
-    has_imu: bool,
+    frames: Arc<FrameStamps>,
+    readings: Option<TableStamps>,
     time_offset_ns: i64,
 }
 
@@ -72,7 +75,7 @@ impl FolderCalibration {
             let cameras = folders.map(read).collect::<Result<_, _>>()?;
             return Ok(Self { sensors: SensorCalibration { imu, cameras }, time_offset_ns: 0, files });
         };
-        let chain = kalibr::read_camera_chain(path, &vec![None; count])?;
+        let chain = kalibr::read_camera_chain(path, &vec![None; count], &[0, 1][..count])?;
         let sensor = |((camera, imu_from_camera), folder): ((Camera, Pose), PathBuf)| {
             rate_of(&folder.join("data.csv")).map(|rate_hz| CameraSensor { camera, imu_from_camera, rate_hz })
         };
@@ -97,16 +100,17 @@ fn rate_of(path: &Path) -> Result<f64, SequenceError> {
 }
 
 impl Folder {
-    /// Reads the calibration of a recording, and nothing else.
+    /// Reads the calibration of a recording, and the stamps of its sensors.
     pub(crate) fn open(
         root: &Path,
         files: &CalibrationFiles,
     ) -> Result<(Self, SensorCalibration), SequenceError> {
         let FolderCalibration { sensors, time_offset_ns, .. } = FolderCalibration::read(root, files)?;
+        let mav = root.join("mav0");
         let folder = Self {
             root: root.to_path_buf(),
-            cameras: sensors.cameras.len(),
-            has_imu: sensors.imu.is_some(),
+            frames: Arc::new(FrameStamps::read(&mav, sensors.cameras.len(), files.pair_tolerance_ns())),
+            readings: sensors.imu.as_ref().map(|_| TableStamps::read(&mav.join("imu0/data.csv"))),
             time_offset_ns,
         };
         Ok((folder, sensors))
@@ -120,13 +124,20 @@ impl Folder {
 impl Stored for Folder {
     fn frames(&self) -> Result<Rows<'static, Frame>, SequenceError> {
         let offset_ns = self.time_offset_ns;
-        let rows = FrameRows::open(&self.root.join("mav0"), self.cameras)?;
+        let rows = FrameRows::open(&self.root.join("mav0"), &self.frames)?;
         let shifted = move |frame: Frame| Frame { stamp_ns: frame.stamp_ns + offset_ns, ..frame };
         Ok(Box::new(rows.map(move |frame| frame.map(shifted))))
     }
 
     fn imu_samples(&self) -> Result<Rows<'static, ImuSample>, SequenceError> {
-        if self.has_imu { table(&self.readings_path()) } else { Ok(Box::new(std::iter::empty())) }
+        let Some(TableStamps { skipped, .. }) = &self.readings else {
+            return Ok(Box::new(std::iter::empty()));
+        };
+        Ok(Box::new(TimedRows::open_without(&self.readings_path(), Arc::clone(skipped))?))
+    }
+
+    fn stereo_pairs(&self) -> Option<PairCounts> {
+        self.frames.pairs
     }
 
     fn time_offset_ns(&self) -> i64 {

@@ -3,6 +3,7 @@
 mod camera_folder;
 mod folder;
 pub(crate) mod sensor_yaml;
+mod stamps;
 mod tables;
 pub mod writer;
 

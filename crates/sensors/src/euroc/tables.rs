@@ -1,5 +1,6 @@
 //! The tables with one row an instant: IMU, ground truth, reference poses.
 
+use super::stamps::SkippedLines;
 use crate::rows::Stamped;
 use crate::table::{Row, Table, check_order};
 use crate::{ImuSample, ReferencePose, ReferencePosition, SequenceError, TruthRow};
@@ -28,22 +29,36 @@ pub(crate) struct TimedRows<T> {
     /// `None` after the last row or an error.
     table: Option<Table>,
     before: Option<i64>,
+    /// Lines that are left out.
+    skipped: SkippedLines,
     row: PhantomData<T>,
 }
 
 impl<T: TimedRow> TimedRows<T> {
     /// Opens the table.
     pub(crate) fn open(path: &Path) -> Result<Self, SequenceError> {
+        Self::open_without(path, SkippedLines::default())
+    }
+
+    /// Opens the table, some of whose lines are left out.
+    pub(super) fn open_without(path: &Path, skipped: SkippedLines) -> Result<Self, SequenceError> {
         let table = Some(Table::open(path, T::PURPOSE)?);
-        Ok(Self { path: path.to_path_buf(), table, before: None, row: PhantomData })
+        Ok(Self { path: path.to_path_buf(), table, before: None, skipped, row: PhantomData })
     }
 
     fn read_next(&mut self) -> Result<Option<T>, SequenceError> {
         let Some(table) = &mut self.table else { return Ok(None) };
-        let Some(row) = table.next_row()? else {
+        let is_there = loop {
+            match table.next_row()? {
+                Some(row) if self.skipped.contains(&row.line()) => {}
+                row => break row.is_some(),
+            }
+        };
+        if !is_there {
             let empty = self.before.is_none();
             return if empty { Err(SequenceError::empty(&self.path, T::IF_EMPTY)) } else { Ok(None) };
-        };
+        }
+        let row = table.row();
         let value = T::read(&row)?;
         check_order(&row, self.before.replace(value.stamp_ns()), value.stamp_ns())?;
         Ok(Some(value))

@@ -2,6 +2,7 @@
 
 use super::{is_camera_chain, is_imu};
 use crate::SequenceError;
+use crate::pairing::PAIR_TOLERANCE_NS;
 use std::path::{Path, PathBuf};
 
 /// Larger YAML files are no calibrations, bytes.
@@ -9,7 +10,8 @@ const MAX_BYTES: u64 = 1 << 20;
 /// Folders of a recording that are searched, in this order; the first one with a calibration counts. TUM-VI has `dso`.
 const FOLDERS: [&str; 3] = ["", "mav0", "dso"];
 
-/// What a recording does not say of itself: calibration files that replace its own, and which topics of a bag are meant.
+/// What a recording does not say of itself: calibration files that replace its own, which topics of a bag are meant, and
+/// which images make a stereo pair.
 ///
 /// For a folder in the EuRoC layout the files are Kalibr's. For a bag, `cameras` may also be such a folder, of which only the
 /// calibration is read, and Kalibr's camera chain may leave `intrinsics` out where the bag has the cameras' `CameraInfo`.
@@ -26,13 +28,24 @@ pub struct CalibrationFiles {
     pub cameras: Option<PathBuf>,
     /// `imu.yaml`.
     pub imu: Option<PathBuf>,
-    /// The topic of the IMU in a bag; without it the only one of its type.
+    /// The topic of the IMU in a bag, or of its gyroscope; without it the only one of its type.
     pub imu_topic: Option<String>,
+    /// The topic of the accelerometer in a bag, where it is not that of the gyroscope; without it the only one without
+    /// angular velocities.
+    pub accelerometer_topic: Option<String>,
     /// The topics of camera 0 and camera 1 in a bag; without them those of their type, in order of their names.
     pub camera_topics: Vec<String>,
+    /// Largest difference between the stamps of the images of a stereo pair, nanoseconds; without it
+    /// [`PAIR_TOLERANCE_NS`].
+    pub pair_tolerance_ns: Option<i64>,
 }
 
 impl CalibrationFiles {
+    /// The largest difference between the stamps of the images of a pair, nanoseconds.
+    pub(crate) fn pair_tolerance_ns(&self) -> i64 {
+        self.pair_tolerance_ns.unwrap_or(PAIR_TOLERANCE_NS)
+    }
+
     /// The files that hold for a recording: these, and for those that are not given and have no `sensor.yaml`, the ones
     /// in its folder, recognized by their content.
     ///

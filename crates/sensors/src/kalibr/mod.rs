@@ -31,6 +31,15 @@ const IMU: &str = "imu.yaml of Kalibr";
 struct ChainYaml {
     cam0: CameraYaml,
     cam1: Option<CameraYaml>,
+    cam2: Option<CameraYaml>,
+    cam3: Option<CameraYaml>,
+}
+
+impl ChainYaml {
+    fn cameras(&self) -> impl Iterator<Item = &CameraYaml> {
+        std::iter::once(&self.cam0)
+            .chain([&self.cam1, &self.cam2, &self.cam3].into_iter().map_while(Option::as_ref))
+    }
 }
 
 #[derive(Deserialize)]
@@ -50,6 +59,8 @@ struct CameraYaml {
     camera_from_previous: Option<Vec<Vec<f64>>>,
     #[serde(default)]
     timeshift_cam_imu: f64,
+    /// The topic of the images that the camera was calibrated with.
+    rostopic: Option<String>,
 }
 
 #[derive(Deserialize)]
@@ -89,46 +100,75 @@ pub(crate) fn is_imu(text: &str) -> bool {
     has("imu0:") || (has("accelerometer_noise_density:") && has("update_rate:"))
 }
 
+/// The topic of each camera of a chain, where the file states it.
+pub(crate) fn camera_topics(path: &Path) -> Result<Vec<Option<String>>, SequenceError> {
+    let chain: ChainYaml = parse(path, CHAIN, &read_text(path)?)?;
+    let topic = |camera: &CameraYaml| camera.rostopic.clone().filter(|topic| !topic.is_empty());
+    Ok(chain.cameras().map(topic).collect())
+}
+
 /// Reads a camera chain with the poses of the cameras on the IMU.
 ///
 /// # Arguments
 /// * `known`: for each of the one or two cameras of the recording, its projection as the recording itself states it; used
 ///   where the file leaves `intrinsics` out.
-pub(crate) fn read_camera_chain(path: &Path, known: &[Option<Camera>]) -> Result<CameraChain, SequenceError> {
+/// * `chosen`: which camera of the chain each of them is.
+pub(crate) fn read_camera_chain(
+    path: &Path,
+    known: &[Option<Camera>],
+    chosen: &[usize],
+) -> Result<CameraChain, SequenceError> {
     let chain: ChainYaml = parse(path, CHAIN, &read_text(path)?)?;
-    let first_from_imu = camera_from_imu(path, 0, &chain.cam0)?.ok_or_else(|| {
-        SequenceError::calibration(
-            path,
-            "cam0 has no T_cam_imu: this is the result of kalibr_calibrate_cameras; give camchain-imucam.yaml, the \
-             result of kalibr_calibrate_imu_camera",
-        )
-    })?;
-    let mut cameras = vec![(lens(path, &chain.cam0, known.first())?, first_from_imu.inverse())];
-    let shift = time_shift(path, "cam0", &chain.cam0)?;
-    if known.len() > 1 {
-        let Some(second) = &chain.cam1 else {
-            return Err(SequenceError::calibration(
-                path,
-                "it has no cam1, but the recording has two cameras: calibrate both, or use one (move mav0/cam1 away; of a \
-                 bag, name it with --camera-topic)",
-            ));
-        };
-        let second_from_imu = match (camera_from_imu(path, 1, second)?, &second.camera_from_previous) {
-            (Some(pose), _) => pose,
-            (None, Some(rows)) => pose_from_matrix(path, "cam1: T_cn_cnm1", &rows.concat())? * first_from_imu,
-            (None, None) => {
-                return Err(SequenceError::calibration(path, "cam1 has neither T_cam_imu nor T_cn_cnm1"));
+    let mut from_imu: Vec<Pose> = Vec::new();
+    let needed = chosen.iter().max().map_or(0, |last| last + 1);
+    for (index, camera) in chain.cameras().take(needed).enumerate() {
+        let pose = match (
+            camera_from_imu(path, index, camera)?,
+            &camera.camera_from_previous,
+            from_imu.last(),
+        ) {
+            (Some(pose), _, _) => pose,
+            (None, Some(rows), Some(previous)) => {
+                pose_from_matrix(path, &format!("cam{index}: T_cn_cnm1"), &rows.concat())? * *previous
+            }
+            (None, _, None) => {
+                return Err(SequenceError::calibration(
+                    path,
+                    "cam0 has no T_cam_imu: this is the result of kalibr_calibrate_cameras; give camchain-imucam.yaml, the \
+                     result of kalibr_calibrate_imu_camera",
+                ));
+            }
+            (None, None, Some(_)) => {
+                let problem = format!("cam{index} has neither T_cam_imu nor T_cn_cnm1");
+                return Err(SequenceError::calibration(path, problem));
             }
         };
-        cameras.push((lens(path, second, known.get(1))?, second_from_imu.inverse()));
-        let difference = time_shift(path, "cam1", second)? - shift;
-        if difference.abs() > MAX_SHIFT_DIFFERENCE_S {
-            tracing::warn!(
-                "{}: the timeshift_cam_imu of cam0 and cam1 differ by {:.1} ms; that of cam0 is used for both",
-                path.display(),
-                difference * 1e3
-            );
-        }
+        from_imu.push(pose);
+    }
+    let yaml: Vec<&CameraYaml> = chain.cameras().collect();
+    let (mut cameras, mut shifts) = (Vec::new(), Vec::new());
+    for (place, &index) in chosen.iter().enumerate() {
+        let (Some(camera), Some(pose)) = (yaml.get(index), from_imu.get(index)) else {
+            return Err(SequenceError::calibration(
+                path,
+                format!(
+                    "it has no cam{index}, but the recording has two cameras: calibrate both, or use one (move mav0/cam1 away; \
+                     of a bag, name it with --camera-topic)"
+                ),
+            ));
+        };
+        cameras.push((lens(path, camera, known.get(place))?, pose.inverse()));
+        shifts.push(time_shift(path, index, camera)?);
+    }
+    let shift = shifts.first().copied().unwrap_or(0.0);
+    if let Some(difference) = shifts.get(1).map(|second| second - shift)
+        && difference.abs() > MAX_SHIFT_DIFFERENCE_S
+    {
+        tracing::warn!(
+            "{}: the timeshift_cam_imu of the two cameras differ by {:.1} ms; that of camera 0 is used for both",
+            path.display(),
+            difference * 1e3
+        );
     }
     Ok(CameraChain { cameras, time_offset_ns: (shift * 1e9).round() as i64 })
 }
@@ -136,7 +176,7 @@ pub(crate) fn read_camera_chain(path: &Path, known: &[Option<Camera>]) -> Result
 /// Whether a chain states the intrinsics of all of its cameras.
 pub(crate) fn states_intrinsics(path: &Path) -> Result<bool, SequenceError> {
     let chain: ChainYaml = parse(path, CHAIN, &read_text(path)?)?;
-    let mut cameras = std::iter::once(&chain.cam0).chain(&chain.cam1);
+    let mut cameras = chain.cameras().take(2);
     Ok(cameras.all(|camera| !camera.intrinsics.is_empty()))
 }
 
@@ -207,12 +247,12 @@ fn camera_from_imu(path: &Path, index: usize, yaml: &CameraYaml) -> Result<Optio
     yaml.camera_from_imu.as_ref().map(|rows| pose_from_matrix(path, &key, &rows.concat())).transpose()
 }
 
-fn time_shift(path: &Path, camera: &str, yaml: &CameraYaml) -> Result<f64, SequenceError> {
+fn time_shift(path: &Path, index: usize, yaml: &CameraYaml) -> Result<f64, SequenceError> {
     let shift = yaml.timeshift_cam_imu;
     if shift.is_finite() && shift.abs() < MAX_SHIFT_S {
         return Ok(shift);
     }
     let problem =
-        format!("timeshift_cam_imu of {camera} is {shift}, but is in seconds, and below {MAX_SHIFT_S}");
+        format!("timeshift_cam_imu of cam{index} is {shift}, but is in seconds, and below {MAX_SHIFT_S}");
     Err(SequenceError::calibration(path, problem))
 }

@@ -4,7 +4,7 @@ use super::fault::{FaultKind, FaultLog};
 use super::image::LiveImage;
 use super::reorder::Reorder;
 use super::stream::Stream;
-use crate::TrackObservation;
+use crate::{PairCounts, TrackObservation};
 use protocol::FeatureSet;
 use std::time::Duration;
 
@@ -22,11 +22,12 @@ pub(super) struct Assembly {
     frames: Reorder<PendingFrame>,
     cameras: usize,
     tolerance_ns: i64,
+    pairs: PairCounts,
 }
 
 impl Assembly {
     pub(super) fn new(cameras: usize, tolerance_ns: i64) -> Self {
-        Self { frames: Reorder::new(), cameras, tolerance_ns }
+        Self { frames: Reorder::new(), cameras, tolerance_ns, pairs: PairCounts::default() }
     }
 
     /// Adds an image; the frame has the stamp of camera 0.
@@ -37,9 +38,12 @@ impl Assembly {
         now: Duration,
         faults: &mut FaultLog,
     ) {
-        let partner =
-            self.frames.near(stamp_ns, self.tolerance_ns).map(|(at_ns, frame)| (at_ns, &frame.images));
-        let partner = partner.filter(|(_, images)| images[camera].is_none()).map(|(at_ns, _)| at_ns);
+        let lacks_it = |frame: &PendingFrame| frame.images[camera].is_none();
+        let partner = self.frames.nearest(stamp_ns, self.tolerance_ns, lacks_it);
+        if let Some(at_ns) = partner {
+            let largest_ns = &mut self.pairs.largest_difference_ns;
+            *largest_ns = (*largest_ns).max(at_ns.saturating_sub(stamp_ns).saturating_abs());
+        }
         let (arrival, mut frame) = partner
             .and_then(|at_ns| self.frames.remove(at_ns))
             .unwrap_or_else(|| (now, PendingFrame::default()));
@@ -51,6 +55,11 @@ impl Assembly {
     /// Adds tracks and features.
     pub(super) fn tracks(&mut self, frame: (i64, PendingFrame), now: Duration, faults: &mut FaultLog) {
         self.push(Stream::Tracks, frame, (now, now), faults);
+    }
+
+    /// Pairs and lone images so far; `None` for one camera.
+    pub(super) fn pairs(&self) -> Option<PairCounts> {
+        (self.cameras > 1).then_some(self.pairs)
     }
 
     fn push(
@@ -93,8 +102,12 @@ impl Assembly {
                 );
                 faults.note(Stream::Camera(lone), FaultKind::Unpaired, now, problem);
                 if lone == 1 {
+                    self.pairs.lone_second += 1;
                     continue;
                 }
+                self.pairs.lone_first += 1;
+            } else {
+                self.pairs.pairs += 1;
             }
             return Some((stamp_ns, frame));
         }

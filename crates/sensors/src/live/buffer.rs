@@ -8,7 +8,7 @@ use super::reorder::Reorder;
 use super::repetition::{Compared, Repetition};
 use super::settings::{LiveFrames, LiveSettings};
 use super::stream::Stream;
-use crate::{ImuSample, SensorCalibration, TrackObservation};
+use crate::{ImuSample, PairCounts, SensorCalibration, TrackObservation};
 use protocol::FeatureSet;
 use std::collections::VecDeque;
 use std::sync::mpsc::SyncSender;
@@ -240,6 +240,11 @@ impl LiveBuffer {
             .chain(self.cameras.iter().map(|lane| lane.state(now)))
             .chain(self.tracks.iter().map(|lane| lane.state(now)));
         states.flatten().chain(self.faults.active(now)).collect()
+    }
+
+    /// Stereo pairs and lone images so far; `None` for one camera.
+    pub(super) fn pairs(&self) -> Option<PairCounts> {
+        self.assembly.pairs()
     }
 
     /// How often a kind of fault happened.

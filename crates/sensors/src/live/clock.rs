@@ -5,14 +5,11 @@
 //! jumped where several messages in a row are ahead of that difference, or behind stamps that came before. From then on the jump is
 //! subtracted: the stamps that leave here are continuous.
 
+use crate::stamps::{BACKWARD_NS, CONFIRMING};
 use std::time::Duration;
 
 /// Smallest jump forward that is told from jitter, nanoseconds.
 const FORWARD_NS: i64 = 400_000_000;
-/// A message that is older than the newest one by more than this is not merely out of order, nanoseconds.
-const BACKWARD_NS: i64 = 300_000_000;
-/// A jump is believed after so many messages.
-const CONFIRMING: usize = 3;
 /// So many suspects are held at most; then the jump is believed.
 const MAX_SUSPECTS: usize = 512;
 /// The least delay is that of the last one or two of these, nanoseconds of arrival.

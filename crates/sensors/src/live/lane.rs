@@ -4,13 +4,14 @@ use super::clock::{Admitted, StreamClock};
 use super::fault::{FaultKind, FaultLog, LiveFault};
 use super::stream::Stream;
 use super::watch::StreamWatch;
+use crate::stamps::CONFIRMING_NS;
 use std::collections::VecDeque;
 use std::time::Duration;
 
 /// Stamps that are compared with those of new messages.
 const RECENT: usize = 512;
 /// A jump of the IMU's clock is believed after it has lasted for so long; that of other streams later, so that they find it.
-const CONFIRM_IMU: Duration = Duration::from_millis(100);
+const CONFIRM_IMU: Duration = Duration::from_nanos(CONFIRMING_NS as u64);
 const CONFIRM: Duration = Duration::from_millis(150);
 /// Two streams jumped together if their jumps differ by less than this, nanoseconds.
 const SAME_JUMP_NS: i64 = 100_000_000;

@@ -3,6 +3,7 @@
 //! A message that follows the last one at the usual distance is handed on at once. Behind a gap it waits for what may
 //! be missing. Where messages are lost and not late, waiting is of no use: the wait becomes shorter with each gap that stays.
 
+use crate::pairing;
 use std::collections::BTreeMap;
 use std::time::Duration;
 
@@ -41,10 +42,11 @@ impl<T> Reorder<T> {
         true
     }
 
-    /// The first waiting message with a stamp within `tolerance_ns`.
-    pub(super) fn near(&mut self, stamp_ns: i64, tolerance_ns: i64) -> Option<(i64, &mut T)> {
+    /// The stamp of the waiting message that is nearest within `tolerance_ns`, of those that fit.
+    pub(super) fn nearest(&self, stamp_ns: i64, tolerance_ns: i64, fits: impl Fn(&T) -> bool) -> Option<i64> {
         let range = stamp_ns.saturating_sub(tolerance_ns)..=stamp_ns.saturating_add(tolerance_ns);
-        self.waiting.range_mut(range).next().map(|(at_ns, (_, item))| (*at_ns, item))
+        let waiting = self.waiting.range(range).filter(|(_, (_, item))| fits(item));
+        pairing::nearest(stamp_ns, waiting.map(|(at_ns, _)| *at_ns), tolerance_ns)
     }
 
     /// Takes a waiting message out, with its arrival.

@@ -1,5 +1,6 @@
 //! Settings of a live source.
 
+use crate::pairing::PAIR_TOLERANCE_NS;
 use crate::{Contents, FolderCalibration, SensorCalibration};
 
 /// What the frames of a live source are made of.
@@ -40,7 +41,7 @@ impl LiveSettings {
             frames: LiveFrames::Images,
             cameras: calibration.cameras.len().min(2),
             camera_rate_is_stated: true,
-            pair_tolerance_ns: 5_000_000,
+            pair_tolerance_ns: PAIR_TOLERANCE_NS,
             camera_offset_ns: 0,
             max_waiting_frames: 5,
         }

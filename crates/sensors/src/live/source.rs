@@ -7,8 +7,8 @@ use super::image::LiveImage;
 use super::settings::LiveSettings;
 use super::stream::Stream;
 use crate::{
-    Contents, Frame, ImageData, ImuSample, SensorCalibration, SensorError, SensorEvent, SensorSource,
-    TrackObservation,
+    Contents, Frame, ImageData, ImuSample, PairCounts, SensorCalibration, SensorError, SensorEvent,
+    SensorSource, TrackObservation,
 };
 use protocol::FeatureSet;
 use std::fmt::Display;
@@ -227,6 +227,10 @@ impl SensorSource for LiveSource {
             dropped_frames: buffer.count(FaultKind::Overload) + buffer.count(FaultKind::WithoutImu),
             clock_shift_ns: buffer.clock_shift_ns(),
         })
+    }
+
+    fn stereo_pairs(&self) -> Option<PairCounts> {
+        self.shared.lock().0.pairs()
     }
 
     fn tap_imu(&self) -> Option<Receiver<ImuSample>> {

@@ -6,6 +6,7 @@ mod kalibr;
 mod plausibility;
 mod round_trip;
 mod source;
+mod stamps;
 
 use super::*;
 use geometry::camera::{Camera, Distortion};

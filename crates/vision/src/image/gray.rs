@@ -69,8 +69,8 @@ pub enum ImageError {
     Encoding(#[source] image::ImageError),
     /// The pixels of an uncompressed image are in a format that is not known.
     #[error(
-        "encoding \"{encoding}\" is not supported: use mono8, mono16, rgb8, bgr8, rgba8, bgra8, a bayer pattern of 8 bits, \
-         yuv422 or yuv422_yuy2"
+        "encoding \"{encoding}\" is not supported: use mono8, mono16, rgb8, bgr8, rgba8, bgra8, those with 16 bits, a \
+         bayer pattern, yuv422, yuv422_yuy2, nv12 or nv21"
     )]
     Format {
         /// The format's name.

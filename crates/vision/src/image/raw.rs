@@ -12,8 +12,12 @@ use super::{GrayImage, ImageError};
 /// | `mono8`, `8UC1` | as it is |
 /// | `mono16`, `16UC1` | the upper byte, so that 65,535 is white: 10 or 12 bits must lie in the upper ones |
 /// | `rgb8`, `bgr8`, `rgba8`, `bgra8`, `8UC3`, `8UC4` | luma, as of PNG and JPEG files |
+/// | `rgb16`, `bgr16`, `rgba16`, `bgra16`, `16UC3`, `16UC4` | luma of the upper bytes |
 /// | `bayer_rggb8`, `bayer_bggr8`, `bayer_gbrg8`, `bayer_grbg8` | (R + 2 G + B) / 4 of the 3 x 3 pixels around |
-/// | `yuv422` (`uyvy`), `yuv422_yuy2` (`yuyv`) | luma |
+/// | `bayer_rggb16` and its kin | the same of the upper bytes |
+/// | `yuv422` (`uyvy`), `yuv422_yuy2` (`yuyv`), `nv12`, `nv21`, `nv24` | luma |
+///
+/// Upper and lower case are the same.
 ///
 /// # Example
 /// ```
@@ -30,7 +34,7 @@ pub struct RawImage<'a> {
     pub width: u32,
     /// Rows.
     pub height: u32,
-    /// Bytes from one row to the next.
+    /// Bytes from one row to the next; 0, which some drivers write, for rows without gaps.
     pub step: u32,
     /// Whether the upper byte of 16 bits comes first.
     pub big_endian: bool,
@@ -44,22 +48,33 @@ enum Pixels {
     Byte { offset: usize, stride: usize },
     /// Bytes of red, green and blue in every `stride`.
     Colour { rgb: [usize; 3], stride: usize },
-    /// One colour a pixel.
-    Bayer,
+    /// One colour a pixel, in the byte `offset` of every `stride`.
+    Bayer { offset: usize, stride: usize },
 }
 
 impl Pixels {
     fn of(encoding: &str, big_endian: bool) -> Option<Self> {
-        Some(match encoding {
-            "mono8" | "8UC1" => Self::Byte { offset: 0, stride: 1 },
-            "mono16" | "16UC1" => Self::Byte { offset: usize::from(!big_endian), stride: 2 },
+        let upper = usize::from(!big_endian);
+        Some(match encoding.to_ascii_lowercase().as_str() {
+            // Luma is in a plane of its own, before the colours.
+            "mono8" | "8uc1" | "nv12" | "nv21" | "nv24" => Self::Byte { offset: 0, stride: 1 },
+            "mono16" | "16uc1" => Self::Byte { offset: upper, stride: 2 },
             "yuv422" | "uyvy" => Self::Byte { offset: 1, stride: 2 },
             "yuv422_yuy2" | "yuyv" => Self::Byte { offset: 0, stride: 2 },
             "rgb8" => Self::Colour { rgb: [0, 1, 2], stride: 3 },
-            "bgr8" | "8UC3" => Self::Colour { rgb: [2, 1, 0], stride: 3 },
+            "bgr8" | "8uc3" => Self::Colour { rgb: [2, 1, 0], stride: 3 },
             "rgba8" => Self::Colour { rgb: [0, 1, 2], stride: 4 },
-            "bgra8" | "8UC4" => Self::Colour { rgb: [2, 1, 0], stride: 4 },
-            "bayer_rggb8" | "bayer_bggr8" | "bayer_gbrg8" | "bayer_grbg8" => Self::Bayer,
+            "bgra8" | "8uc4" => Self::Colour { rgb: [2, 1, 0], stride: 4 },
+            "rgb16" => Self::Colour { rgb: [0, 2, 4].map(|at| at + upper), stride: 6 },
+            "bgr16" | "16uc3" => Self::Colour { rgb: [4, 2, 0].map(|at| at + upper), stride: 6 },
+            "rgba16" => Self::Colour { rgb: [0, 2, 4].map(|at| at + upper), stride: 8 },
+            "bgra16" | "16uc4" => Self::Colour { rgb: [4, 2, 0].map(|at| at + upper), stride: 8 },
+            "bayer_rggb8" | "bayer_bggr8" | "bayer_gbrg8" | "bayer_grbg8" => {
+                Self::Bayer { offset: 0, stride: 1 }
+            }
+            "bayer_rggb16" | "bayer_bggr16" | "bayer_gbrg16" | "bayer_grbg16" => {
+                Self::Bayer { offset: upper, stride: 2 }
+            }
             _ => return None,
         })
     }
@@ -67,8 +82,7 @@ impl Pixels {
     /// Bytes of a pixel.
     fn stride(&self) -> usize {
         match self {
-            Self::Byte { stride, .. } | Self::Colour { stride, .. } => *stride,
-            Self::Bayer => 1,
+            Self::Byte { stride, .. } | Self::Colour { stride, .. } | Self::Bayer { stride, .. } => *stride,
         }
     }
 }
@@ -87,9 +101,10 @@ impl RawImage<'_> {
     pub fn to_gray(&self) -> Result<GrayImage, ImageError> {
         let pixels = Pixels::of(self.encoding, self.big_endian)
             .ok_or_else(|| ImageError::Format { encoding: self.encoding.to_owned() })?;
-        let (width, height, step) = (self.width as usize, self.height as usize, self.step as usize);
+        let (width, height) = (self.width as usize, self.height as usize);
         let is_allowed = |side: u32| (1..=MAX_SIDE).contains(&side);
         let row_bytes = width * pixels.stride();
+        let step = if self.step == 0 { row_bytes } else { self.step as usize };
         let is_there = is_allowed(self.width)
             && is_allowed(self.height)
             && row_bytes <= step
@@ -116,7 +131,10 @@ impl RawImage<'_> {
                     rows.flat_map(|row| row.chunks_exact(stride).flat_map(colour)).collect(),
                 )
             }
-            Pixels::Bayer => smooth_bayer(&rows.flatten().copied().collect::<Vec<u8>>(), width, height),
+            Pixels::Bayer { offset, stride } => {
+                let bytes = rows.flat_map(|row| row.iter().skip(offset).step_by(stride));
+                smooth_bayer(&bytes.copied().collect::<Vec<u8>>(), width, height)
+            }
         };
         GrayImage::new(width, height, grey)
     }
@@ -209,10 +227,35 @@ mod tests {
     }
 
     #[test]
+    fn sixteen_bits_a_colour_are_as_eight_and_names_in_upper_case_as_in_lower_case() {
+        let wide = |pixel: &[u8]| pixel.iter().flat_map(|&byte| [99, byte]).collect::<Vec<u8>>();
+        let [red, green, blue] = COLOUR;
+        for (narrow, encoding, pixel) in [
+            ("rgb8", "rgb16", &[red, green, blue][..]),
+            ("bgr8", "bgr16", &[blue, green, red]),
+            ("bgra8", "BGRA16", &[blue, green, red, 7]),
+            ("bayer_rggb8", "bayer_rggb16", &[red]),
+            ("mono8", "MONO8", &[red]),
+        ] {
+            let data = repeated(pixel);
+            let expected = image(narrow, pixel.len() as u32, &data).to_gray().unwrap();
+            let is_wide = encoding.ends_with("16");
+            let data = if is_wide { repeated(&wide(pixel)) } else { data };
+            let bytes_per_pixel = data.len() as u32 / 24;
+            assert_eq!(image(encoding, bytes_per_pixel, &data).to_gray().unwrap(), expected, "{encoding}");
+            // A step of zero is that of rows without gaps.
+            let raw = RawImage { step: 0, ..image(encoding, bytes_per_pixel, &data) };
+            assert_eq!(raw.to_gray().unwrap(), expected, "{encoding}");
+        }
+    }
+
+    #[test]
     fn yuv_gives_its_luma() {
         let (uyvy, yuyv) = (repeated(&[1, 90]), repeated(&[90, 1]));
         assert_eq!(image("yuv422", 2, &uyvy).to_gray().unwrap().get(5, 3), 90);
         assert_eq!(image("yuv422_yuy2", 2, &yuyv).to_gray().unwrap().get(5, 3), 90);
+        let planes = [vec![90; 24], vec![1; 12]].concat();
+        assert_eq!(image("nv21", 1, &planes).to_gray().unwrap().pixels(), [90; 24]);
     }
 
     #[test]

@@ -40,7 +40,7 @@ fn every_encoding_of_grey_is_the_same_grey_image() {
 fn another_size_and_missing_bytes_are_named() {
     let wrong = LiveImage::Raw(raw("mono8", 0)).into_gray((752, 480)).unwrap_err();
     assert!(wrong.to_string().contains("8 x 6") && wrong.to_string().contains("752 x 480"), "{wrong}");
-    for (step, bytes) in [(8, 47), (7, 48), (0, 48), (u32::MAX, 48), (8, 0)] {
+    for (step, bytes) in [(8, 47), (7, 48), (0, 47), (u32::MAX, 48), (8, 0)] {
         let raw = RawPixels { step, bytes: vec![0; bytes], ..raw("mono8", 0) };
         let error = LiveImage::Raw(raw).into_gray(CALIBRATED).unwrap_err();
         assert!(matches!(error, LiveImageError::Undecodable(ImageError::Raw { .. })), "{error}");
