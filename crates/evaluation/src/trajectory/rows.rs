@@ -71,7 +71,7 @@ pub(super) fn read(path: &Path, text: &str, layout: &Layout) -> Result<ReadRows,
     let mut poses: Vec<StampedPose> = Vec::new();
     let mut repeated = 0;
     for (index, line) in rows(text) {
-        let wrong = |problem| row_error(path, index, problem);
+        let wrong = |problem: RowProblem| row_error(path, index, &problem);
         let row = parse(line, layout).map_err(wrong)?;
         match poses.last() {
             Some(before) if before.stamp_ns > row.stamp_ns => {
@@ -99,7 +99,7 @@ pub(super) fn read(path: &Path, text: &str, layout: &Layout) -> Result<ReadRows,
 pub(super) fn read_kitti(path: &Path, text: &str) -> Result<Vec<StampedPose>, SequenceError> {
     let mut poses = Vec::new();
     for (index, line) in rows(text) {
-        let pose = kitti_pose(line).map_err(|problem| row_error(path, index, problem))?;
+        let pose = kitti_pose(line).map_err(|problem| row_error(path, index, &problem))?;
         poses.push(StampedPose { stamp_ns: poses.len() as i64, pose });
     }
     Ok(poses)
@@ -116,7 +116,7 @@ pub(super) fn is_kitti(first: &str) -> bool {
 fn rows(text: &str) -> impl Iterator<Item = (usize, &str)> {
     let mut is_first = true;
     text.lines().enumerate().map(|(index, line)| (index, line.trim())).filter(move |(_, line)| {
-        let is_row = !is_comment(line) && !(is_first && is_header(line));
+        let is_row = !(is_comment(line) || is_first && is_header(line));
         is_first &= !is_row;
         is_row
     })
@@ -135,7 +135,7 @@ fn is_header(line: &str) -> bool {
         && !line.split([',', ' ', '\t']).any(is_number)
 }
 
-fn row_error(path: &Path, index: usize, problem: RowProblem) -> SequenceError {
+fn row_error(path: &Path, index: usize, problem: &RowProblem) -> SequenceError {
     SequenceError::Row { path: path.to_path_buf(), line: index as u64 + 1, problem: problem.to_string() }
 }
 

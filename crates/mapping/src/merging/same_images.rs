@@ -23,7 +23,9 @@ pub(super) fn check_images(first: &MapContents, second: &MapContents) -> Result<
     }
     let mut of_first: HashMap<[u32; 2], Vec<KeyframeId>> = HashMap::new();
     for (keyframe, pixels) in pixels_without_time(first) {
-        pixels.into_iter().for_each(|pixel| of_first.entry(pixel).or_default().push(keyframe));
+        for pixel in pixels {
+            of_first.entry(pixel).or_default().push(keyframe);
+        }
     }
     for (keyframe, pixels) in pixels_without_time(second) {
         let mut shared: BTreeMap<KeyframeId, usize> = BTreeMap::new();
