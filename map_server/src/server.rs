@@ -134,7 +134,11 @@ impl MapServer {
             queryables.push(session.declare_queryable(kind.key_of_any_map()).callback(callback).await?);
         }
         let token = session.liveliness().declare_token(token_key).await?;
-        tracing::info!(server, maps = ?maps.keys().collect::<Vec<_>>(), "serving");
+        tracing::info!(
+            server,
+            maps = maps.keys().map(String::as_str).collect::<Vec<_>>().join(", "),
+            "serving"
+        );
         let recognition = options.recognition;
         let cell_memory = CellMemory::new(options.cell_memory, Arc::clone(&metrics));
         Ok(MapServer {

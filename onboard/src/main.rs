@@ -229,7 +229,7 @@ fn open_until(
             if let Ok(session) = tokio::time::timeout(SESSION_WARNING, &mut opening).await {
                 return Ok(Some(session.context("the Zenoh session cannot be opened")?));
             }
-            tracing::warn!(connect = ?options.connect, "no router and no peer answers yet");
+            tracing::warn!(connect = options.connect.join(", "), "no router and no peer answers yet");
         }
         Ok(None)
     })

@@ -18,7 +18,7 @@ use odometry::{EstimatorSupervisor, FrontEnd};
 use sensors::{
     CameraSensor, Contents, Recording, Rows, SensorCalibration, SensorSource, SequenceError, check_stereo,
 };
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Duration;
 use vision::GrayImage;
 use vision::tracking::TrackerOptions;
@@ -93,7 +93,7 @@ pub fn run_robot_until<'a>(
     let initial = initial_state(&recording, arguments.init, &config)?;
     let mut source = recording.source()?;
     let run = play(stop, &mut source, (config, initial), arguments, link, progress)?;
-    run.finish(score(&recording, &arguments.out))
+    run.finish(score(&recording, arguments))
 }
 
 /// Plays any sensor source through a robot until `stop` is raised or the source ends, and writes the output folder.
@@ -287,6 +287,7 @@ impl FinishedRun {
         let summary = Summary {
             sequence: name,
             map,
+            map_identity: recorder.map_identity.map(|identity| identity.to_string()),
             cameras,
             frames: recorder.frames,
             skipped_frames: recorder.skipped_frames,
@@ -335,12 +336,14 @@ enum NoScore {
 }
 
 /// Compares the states that were written with the recording's ground truth.
-fn score(recording: &Recording<'_>, out: &Path) -> Result<RunScore, NoScore> {
+fn score(recording: &Recording<'_>, arguments: &RobotArguments) -> Result<RunScore, NoScore> {
     if !recording.has_truth() {
         return Err(NoScore::NoTruth);
     }
     let gravity = recording.truth_gravity()?.ok_or(NoScore::NoGravity)?;
-    let path = out.join(STATES);
+    let path = arguments.out.join(STATES);
     let states = || -> Result<Rows<'_, StateRow>, _> { Ok(Box::new(StateReader::open(&path)?)) };
-    Ok(score_rows(states, || recording.truth(), gravity, &ScoreOptions::default())?)
+    let options =
+        ScoreOptions { gravity_in_own_frame: arguments.gravity_in_own_frame, ..ScoreOptions::default() };
+    Ok(score_rows(states, || recording.truth(), gravity, &options)?)
 }

@@ -1,9 +1,20 @@
 //! Progress bar and report of a run on the terminal.
 
-use super::outputs::Summary;
+use super::outputs::{Summary, status_word};
 use evaluation::{Score, ScoreOptions};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::fmt::Write as _;
+
+/// A NEES of the pose in the map that no filter has in the frame of its truth.
+const OTHER_FRAME_NEES: f64 = 1000.0;
+/// Widest number in the table of errors.
+const WIDTH: usize = 8;
+
+/// A number with so many decimals, or in powers of ten where it would not fit into its column.
+fn short(value: f64, decimals: usize) -> String {
+    let text = format!("{value:.decimals$}");
+    if text.len() <= WIDTH { text } else { format!("{value:.1e}") }
+}
 
 /// A progress bar over frames; without a total where their number is not known beforehand.
 pub fn frame_bar(frames: impl Into<Option<usize>>) -> ProgressBar {
@@ -78,15 +89,18 @@ pub fn report(summary: &Summary) -> String {
     if let Some(score) = &summary.score {
         let _ = writeln!(
             text,
-            "{:24}{:>8}{:>10}{:>9}{:>9}{:>9}",
+            "{:24} {:>8} {:>9} {:>8} {:>8} {:>8}",
             "errors against truth", "deg", "m", "max m", "NEES", "n"
         );
         let mut line = |name: &str, score: &Score| {
-            let nees = score.nees_pose.map_or_else(|| "-".to_owned(), |nees| format!("{nees:.2}"));
+            let nees = score.nees_pose.map_or_else(|| "-".to_owned(), |nees| short(nees, 2));
             let _ = writeln!(
                 text,
-                "{name:24}{:8.3}{:10.4}{:9.3}{nees:>9}{:9}",
-                score.rmse_deg, score.rmse_m, score.max_m, score.samples
+                "{name:24} {:>8} {:>9} {:>8} {nees:>8} {:>8}",
+                short(score.rmse_deg, 3),
+                short(score.rmse_m, 4),
+                short(score.max_m, 3),
+                score.samples
             );
         };
         line("local_from_imu", &score.local);
@@ -96,12 +110,21 @@ pub fn report(summary: &Summary) -> String {
         if let Some(pose) = &score.pose {
             line("global_from_imu", pose);
         }
+        let aligned = if score.map_from_truth.is_some() { "aligned" } else { "not aligned" };
         let _ = writeln!(
             text,
             "  truth interpolated; local_from_imu and odometry: all frames; the others: from {} s after the map \
-             initialization on, not aligned",
+             initialization on, {aligned}",
             ScoreOptions::default().skip_after_initialization_s
         );
+        if let Some(aligned) = &score.map_from_truth {
+            let _ = writeln!(text, "  {aligned}");
+        } else if score.pose.is_some_and(|pose| pose.nees_pose.is_some_and(|nees| nees > OTHER_FRAME_NEES)) {
+            let _ = writeln!(
+                text,
+                "  far more than claimed: if the map's frame is not the truth's, compare with `driftless evaluate --align yaw`"
+            );
+        }
         let _ = writeln!(
             text,
             "odometry alone, aligned in yaw and position: {:.4} m over {:.0} m",
@@ -130,10 +153,27 @@ pub fn report(summary: &Summary) -> String {
         let _ = writeln!(text, "ALARM from {:.1} s{until}: {}", alarm.seconds, alarm.reason);
     }
     if let Some(status) = &summary.final_status {
-        let _ = writeln!(text, "at the end: {:?}, {}", status.localization, status.reason);
+        let _ = writeln!(text, "at the end: {}, {}", status_word(status), status.reason);
     }
     if let Some(reason) = &summary.ended_early {
         let _ = writeln!(text, "ENDED EARLY: {reason}");
     }
     text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn columns_do_not_run_together() {
+        for (value, decimals, expected) in [
+            (0.1234, 3, "0.123"),
+            (640_982.0, 2, "6.4e5"),
+            (99_999.99, 2, "99999.99"),
+            (123_456.789, 3, "1.2e5"),
+        ] {
+            assert_eq!(short(value, decimals), expected);
+        }
+    }
 }

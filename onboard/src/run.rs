@@ -15,7 +15,7 @@ use super::stop::StopSignal;
 use client::{MapChangeSubscriber, QueryTasks};
 use estimator::{CloneId, EstimatorError, InitMethod, TrackObservation};
 use geometry::Camera;
-use odometry::{EstimatorSupervisor, FrontEnd};
+use odometry::{EstimatorSupervisor, FrontEnd, RepeatedWarning};
 use protocol::Format;
 use sensors::live::LiveFault;
 use sensors::{Frame, ImuCheck, ImuUnitError, SensorError, SensorSource};
@@ -124,6 +124,8 @@ pub struct RobotRun<'a> {
     pub(super) bad_readings: BadReadings,
     /// What is wrong with a live source.
     pub(super) live_faults: Vec<LiveFault>,
+    skipped: RepeatedWarning,
+    refused: RepeatedWarning,
     pub(super) events: SensorQueue<'a>,
     imu: ImuWindow,
 }
@@ -166,6 +168,8 @@ impl<'a> RobotRun<'a> {
             imu_fault: None,
             bad_readings: BadReadings::default(),
             live_faults: Vec::new(),
+            skipped: RepeatedWarning::default(),
+            refused: RepeatedWarning::default(),
             events: SensorQueue::new(source),
             imu,
         }
@@ -216,7 +220,11 @@ impl RobotRun<'_> {
                 NextFrame::Tick => {
                     self.connect_when_open();
                     let now_ns = last_ns + last_frame.elapsed().as_nanos() as i64;
-                    self.publish_status(now_ns, recorder);
+                    if first_ns.is_some() {
+                        self.publish_status(now_ns, recorder);
+                    } else {
+                        self.publish_first_status(recorder);
+                    }
                     self.update_alarms((now_ns - first_ns.unwrap_or(0)) as f64 * 1e-9);
                     continue;
                 }
@@ -269,8 +277,11 @@ impl RobotRun<'_> {
     ///
     /// # Returns
     /// Its time, nanoseconds.
-    fn begin(&self, frame: &Frame, recorder: &mut Recorder) -> i64 {
+    fn begin(&mut self, frame: &Frame, recorder: &mut Recorder) -> i64 {
         recorder.first_ns = frame.stamp_ns;
+        if let Some(recording) = &mut self.recording {
+            recording.begin(frame.stamp_ns);
+        }
         if self.supervisor.estimator().is_some() {
             recorder.note_start(frame.stamp_ns, None);
         }
@@ -381,7 +392,9 @@ impl RobotRun<'_> {
         let clone = match estimator.time_update(frame.stamp_ns) {
             Ok(clone) => clone,
             Err(error @ (EstimatorError::NoImu { .. } | EstimatorError::OldFrame { .. })) => {
-                tracing::warn!(%error, "frame skipped");
+                if let Some(unlogged) = self.skipped.note() {
+                    tracing::warn!(%error, unlogged, "frame skipped");
+                }
                 recorder.skipped_frames += 1;
                 return Ok(());
             }
@@ -439,7 +452,9 @@ impl RobotRun<'_> {
         front_end
             .track_frame(frame, self.imu.readings())
             .inspect_err(|error| {
-                tracing::warn!(%error, "frame skipped");
+                if let Some(unlogged) = self.skipped.note() {
+                    tracing::warn!(%error, unlogged, "frame skipped");
+                }
                 recorder.skipped_frames += 1;
             })
             .ok()
@@ -449,8 +464,10 @@ impl RobotRun<'_> {
     fn feed_imu(&mut self, frame_ns: i64) {
         let until_ns = self.imu_stamp_ns(frame_ns);
         while let Some(reading) = self.imu.hand_out(until_ns) {
-            if let Err(error) = self.supervisor.imu(reading) {
-                tracing::warn!(%error, "IMU reading refused");
+            if let Err(error) = self.supervisor.imu(reading)
+                && let Some(unlogged) = self.refused.note()
+            {
+                tracing::warn!(%error, unlogged, "IMU reading refused");
             }
         }
     }

@@ -2,10 +2,14 @@
 
 use super::outputs::Recorder;
 use super::run::RobotRun;
-use estimator::{Alarm, Estimator, Status};
+use estimator::{Alarm, Estimator, Status, StatusReason};
 use protocol::limits::MAX_TEXT_BYTES;
 use sensors::live::{FaultKind, Stream};
 use std::mem::{Discriminant, discriminant};
+use std::time::{SystemTime, UNIX_EPOCH};
+
+/// Reason of a status without a map.
+const NO_MAP: &str = "no map was asked for";
 
 /// Kinds of alarms.
 #[derive(Debug, PartialEq)]
@@ -36,6 +40,11 @@ impl RobotRun<'_> {
     /// The status, with why the map does not answer and what is wrong with the readings.
     pub(super) fn status(&self) -> Status {
         let mut status = self.supervisor.status();
+        let has_map = self.queries.is_some() || self.opening.is_some();
+        let unmatched = StatusReason::NoMatchYet.to_string();
+        if !has_map && let Some(rest) = status.reason.strip_prefix(&unmatched) {
+            status.reason = format!("{NO_MAP}{rest}");
+        }
         let failure = self.last_failure.as_ref().map(|failure| format!("the map does not answer: {failure}"));
         let of_sensors = self.live_faults.iter().map(ToString::to_string);
         let of_units = self.imu_fault.map(|fault| fault.to_string());
@@ -72,6 +81,23 @@ impl RobotRun<'_> {
         let status = self.note_status(recorder);
         if let Some(recording) = &mut self.recording {
             recording.status(stamp_ns, &status, recorder.query_counts());
+        }
+        if let Some(ros) = &self.ros {
+            ros.publish_status(stamp_ns, &status, recorder.query_counts());
+        }
+        if let Some(publisher) = &self.publisher {
+            publisher.publish_status(stamp_ns, status, recorder.query_counts());
+        }
+    }
+
+    /// Publishes the status before the first frame, which tells the time of the sensors: at the time of this machine. The
+    /// recording takes it at the time of the sensors.
+    pub(super) fn publish_first_status(&mut self, recorder: &Recorder) {
+        let status = self.note_status(recorder);
+        let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+        let stamp_ns = i64::try_from(since_1970.as_nanos()).unwrap_or(i64::MAX);
+        if let Some(recording) = &mut self.recording {
+            recording.first_status(&status, recorder.query_counts());
         }
         if let Some(ros) = &self.ros {
             ros.publish_status(stamp_ns, &status, recorder.query_counts());

@@ -15,12 +15,14 @@ struct Generator<'a> {
     frames: usize,
     /// Number of events after which the device is lost.
     lost_after: usize,
+    /// Ticks before the first measurement, as of a live source.
+    ticks: usize,
 }
 
 impl<'a> Generator<'a> {
     fn new(sequence: &'a Sequence) -> Self {
         let calibration = sequence.calibration();
-        Self { sequence, calibration, readings: 0, frames: 0, lost_after: usize::MAX }
+        Self { sequence, calibration, readings: 0, frames: 0, lost_after: usize::MAX, ticks: 0 }
     }
 
     fn next_reading(&mut self, until_ns: i64) -> Option<ImuSample> {
@@ -46,6 +48,10 @@ impl SensorSource for Generator<'_> {
     }
 
     fn next(&mut self) -> Result<Option<SensorEvent>, SensorError> {
+        if self.ticks > 0 {
+            self.ticks -= 1;
+            return Ok(Some(SensorEvent::Tick));
+        }
         if self.readings + self.frames >= self.lost_after {
             let source = "the device was unplugged".into();
             return Err(SensorError::Source { name: "generator".to_owned(), source });
@@ -147,4 +153,28 @@ fn swinging(seconds_of_rest: i64) -> Sequence {
     let frame = Frame { tracks: Vec::new(), stamp_ns: 0, ..sequence.frames[0].clone() };
     sequence.frames = (1..400).map(|k| Frame { stamp_ns: k * 100_000_000, ..frame.clone() }).collect();
     sequence
+}
+
+#[test]
+fn diagnostics_before_the_first_frame_have_the_time_of_the_sensors() {
+    let sequence = recorded();
+    let folder = tempfile::tempdir().unwrap();
+    let mut generator = Generator::new(&sequence);
+    generator.ticks = 3;
+    let mut arguments = arguments(&folder.path().join("out"));
+    arguments.record = Some(folder.path().join("run.mcap"));
+    run_source_until(&StopSignal::default(), &mut generator, &arguments, None, |_| {}).unwrap();
+    let bag = bags::Bag::open(&folder.path().join("run.mcap")).unwrap();
+    let topic = bag.topics().iter().find(|topic| topic.name == "/diagnostics").unwrap();
+    let first_ns = sequence.frames[0].stamp_ns;
+    let stamps = || {
+        topic.messages.iter().map(|message| {
+            let message = bag.read(message.place).unwrap();
+            let array: ros_messages::diagnostic_msgs::DiagnosticArray =
+                ros_messages::decode(&message).unwrap();
+            array.header.stamp.to_nanoseconds()
+        })
+    };
+    assert_eq!(stamps().filter(|stamp_ns| *stamp_ns < first_ns).count(), 3);
+    assert!(stamps().all(|stamp_ns| stamp_ns > first_ns - 60_000_000_000));
 }

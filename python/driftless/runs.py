@@ -52,6 +52,9 @@ class Run:
     def truth(self) -> Track | None:
         """Ground truth of the recording that summary.json names, in the map's frame; `None` where there is none.
 
+        The frame of a map that was built without poses is its own: the truth is then aligned with it in yaw and position, as
+        the run was scored (`summary["score"]["map_from_truth"]`).
+
         A relative path is one from here, or from the folder that holds the run.
         """
         sequence = self.summary.get("sequence")
@@ -60,5 +63,11 @@ class Run:
         for start in (Path(), self.folder.parent):
             path = start / sequence / "mav0" / "state_groundtruth_estimate0" / "data.csv"
             if path.is_file():
-                return read_euroc(path)
+                return self._in_map(read_euroc(path))
         return None
+
+    def _in_map(self, truth: Track) -> Track:
+        aligned = (self.summary.get("score") or {}).get("map_from_truth")
+        if aligned is None:
+            return truth
+        return truth.moved(aligned["rotation_wxyz"], aligned["position_m"])

@@ -70,6 +70,16 @@ class Track:
         rotations = _slerp(self.rotations_wxyz[before], self.rotations_wxyz[after], fraction)
         return inside, Track(stamps_ns[inside], translations, rotations)
 
+    def moved(self, rotation_wxyz: Array, translation: Array) -> Track:
+        """The same poses in another parent frame, which holds this one at the given pose."""
+        rotation = rotation_matrices(np.asarray(rotation_wxyz, float))
+        covariances = self.covariances
+        if covariances is not None:
+            both = np.kron(np.eye(2), rotation)
+            covariances = both @ covariances @ both.T
+        translations = self.translations @ rotation.T + np.asarray(translation, float)
+        return Track(self.stamps_ns, translations, _product(rotation_wxyz, self.rotations_wxyz), covariances)
+
     def errors(self, truth: Track | None) -> Errors:
         """Errors against a ground truth in the same frame; poses without truth are left out."""
         if truth is None:
@@ -183,6 +193,14 @@ def _rows(path: str | PathLike[str]) -> Iterator[list[str]]:
         for row in csv.reader(file):
             if row and not row[0].startswith("#"):
                 yield row
+
+
+def _product(first: Array, second: Array) -> Array:
+    """Products of a quaternion, shape (4,), with others, shape (n, 4), w first."""
+    w, x, y, z = np.asarray(first, float)
+    left = np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
+    product: Array = np.asarray(second, float) @ left.T
+    return product
 
 
 def _slerp(first: Array, second: Array, fraction: Array) -> Array:

@@ -1,5 +1,7 @@
 """Recorded runs, against what the program itself says of them."""
 
+import json
+
 import matplotlib
 import numpy as np
 import pytest
@@ -30,6 +32,26 @@ def test_errors_are_those_of_the_program(place):
     rmse = np.sqrt((errors.positions[late] ** 2).sum(axis=1).mean())
     assert rmse == pytest.approx(score["rmse_m"], rel=0.02)
     assert errors.nees[late].mean() == pytest.approx(score["nees_pose"], rel=0.05)
+
+
+def test_the_truth_is_aligned_with_a_map_whose_frame_is_its_own(place, tmp_path):
+    run = Run(place / "out")
+    turn = [np.cos(0.4), 0.0, 0.0, np.sin(0.4)]
+    for name in ("states.csv", "summary.json"):
+        (tmp_path / name).write_text((place / "out" / name).read_text())
+    summary = run.summary | {"sequence": str(place / run.summary["sequence"])}
+    if not (place / run.summary["sequence"]).exists():
+        summary["sequence"] = run.summary["sequence"]
+    summary["score"]["map_from_truth"] = {"rotation_wxyz": turn, "position_m": [1, 2, 3], "gravity_in_map": [0, 0, -1]}
+    (tmp_path / "summary.json").write_text(json.dumps(summary))
+    aligned = Run(tmp_path).truth
+    moved = run.truth.moved(turn, [1, 2, 3])
+    assert np.allclose(aligned.translations, moved.translations)
+    assert np.allclose(moved.translations[:, 2], run.truth.translations[:, 2] + 3)
+    states = run.states["global_from_imu"]
+    same = states.moved(turn, [1, 2, 3]).errors(aligned)
+    assert same.rmse_position == pytest.approx(states.errors(run.truth).rmse_position, rel=1e-6)
+    assert same.nees.mean() == pytest.approx(states.errors(run.truth).nees.mean(), rel=1e-6)
 
 
 def test_a_killed_run_is_read_as_far_as_it_goes(place, tmp_path):

@@ -27,6 +27,12 @@ pub fn load_map(database: &Path) -> Result<Arc<LoadedMap>> {
     Ok(Arc::new(map))
 }
 
+/// Direction of gravity in a map that was built without reference poses: one of its keyframes defines its frame.
+pub fn gravity_in_own_frame(map: &LoadedMap) -> Option<Vector3<f64>> {
+    let gravity = map.info().gravity_in_global?;
+    map.keyframes().any(|keyframe| keyframe.defines_frame(&gravity)).then_some(gravity)
+}
+
 /// A running server with its own runtime and session.
 pub struct LocalServer {
     runtime: Runtime,

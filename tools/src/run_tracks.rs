@@ -78,6 +78,8 @@ mod tests {
             events: None,
             truth: Some(crate::plotting::Truth { rows: truth_rows.collect(), gravity: -Vector3::y() }),
             keyframes: Vec::new(),
+            map_identity: None,
+            truth_is_aligned: false,
             missing: Vec::new(),
         };
         let tracks = run_tracks(&run, Vector3::z());

@@ -68,6 +68,37 @@ pub fn align(pairs: &[(Vector3<f64>, Vector3<f64>)], alignment: &Alignment) -> R
     sums.align(alignment)
 }
 
+/// The factor on the estimate's positions with which it fits the reference best, for an estimate of one camera whose scale is
+/// unknown. Scaled by it, the estimate is to be aligned with [`Alignment::Se3`].
+///
+/// # Errors
+/// As [`align`]; also [`AlignmentError::Degenerate`] where the estimate does not move.
+///
+/// Source: Umeyama, PAMI 1991.
+///
+/// ```
+/// use nalgebra::Vector3;
+///
+/// let corners = [Vector3::zeros(), Vector3::x(), Vector3::y()];
+/// let pairs: Vec<_> = corners.map(|corner| (2.5 * corner + Vector3::z(), corner)).to_vec();
+/// assert!((evaluation::alignment_scale(&pairs)? - 2.5).abs() < 1e-9);
+/// # Ok::<(), evaluation::AlignmentError>(())
+/// ```
+pub fn alignment_scale(pairs: &[(Vector3<f64>, Vector3<f64>)]) -> Result<f64, AlignmentError> {
+    let rotation = align(pairs, &Alignment::Se3)?.rotation;
+    let count = pairs.len() as f64;
+    let mean_reference = pairs.iter().map(|(reference, _)| reference).sum::<Vector3<f64>>() / count;
+    let mean_estimate = pairs.iter().map(|(_, estimate)| estimate).sum::<Vector3<f64>>() / count;
+    let (mut product, mut square) = (0.0, 0.0);
+    for (reference, estimate) in pairs {
+        let centred = rotation * (estimate - mean_estimate);
+        product += (reference - mean_reference).dot(&centred);
+        square += centred.norm_squared();
+    }
+    let scale = product / square;
+    if scale.is_finite() && scale > 0.0 { Ok(scale) } else { Err(AlignmentError::Degenerate) }
+}
+
 /// The sums over pairs of positions that determine an alignment: constant memory for any number of pairs.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct PositionSums {

@@ -55,6 +55,7 @@ pub mod alignment;
 pub mod association;
 pub mod consistency;
 pub mod ensemble;
+mod frame_alignment;
 pub mod relative;
 pub mod run;
 mod statistics;
@@ -64,10 +65,11 @@ pub mod trajectory;
 mod tests;
 
 pub use absolute::{PoseErrors, absolute_errors};
-pub use alignment::{Alignment, AlignmentError, align};
+pub use alignment::{Alignment, AlignmentError, align, alignment_scale};
 pub use association::{Pair, associate, interpolate_reference};
 pub use consistency::{Nees, NeesSum, nees, nees_bounds};
 pub use ensemble::{EnsembleNees, NeesSeries, TimePoint, Verdict};
+pub use frame_alignment::MapFromTruth;
 pub use relative::{Delta, relative_errors};
 pub use run::{
     ErrorSample, MAX_TRUTH_GAP_NS, RunErrors, RunScore, Score, ScoreError, ScoreOptions, run_errors,

@@ -8,6 +8,7 @@
 
 use super::alignment::PositionSums;
 use super::alignment::rotation_between;
+use super::frame_alignment::MapFromTruth;
 use super::statistics::RunningStatistics;
 use super::{Alignment, Nees, NeesSum, Statistics, nees};
 use crate::trajectory::{StateKind, StateRow};
@@ -26,11 +27,14 @@ pub const MAX_TRUTH_GAP_NS: i64 = 250_000_000;
 pub struct ScoreOptions {
     /// Time after the map initialization from which on the transform and the pose in G are scored, seconds.
     pub skip_after_initialization_s: f64,
+    /// Direction of gravity in a map whose frame is its own, since it was built without reference poses: the truth is aligned
+    /// with the poses in the map, in yaw and position, before they are compared. `None`: both are in one frame.
+    pub gravity_in_own_frame: Option<Vector3<f64>>,
 }
 
 impl Default for ScoreOptions {
     fn default() -> Self {
-        Self { skip_after_initialization_s: 5.0 }
+        Self { skip_after_initialization_s: 5.0, gravity_in_own_frame: None }
     }
 }
 
@@ -73,8 +77,10 @@ pub struct RunScore {
     pub local: Score,
     /// `global_from_local`, from some time after the map initialization on.
     pub transform: Option<Score>,
-    /// `global_from_imu`, from some time after the map initialization on; not aligned.
+    /// `global_from_imu`, from some time after the map initialization on; not aligned, unless `map_from_truth` says so.
     pub pose: Option<Score>,
+    /// The alignment of the truth with the map, where the map's frame is its own.
+    pub map_from_truth: Option<MapFromTruth>,
     /// Position error of `local_from_imu` over the whole run after alignment in yaw and position, metres.
     pub odometry_yaw_aligned_m: Statistics,
     /// Rotation error of the same, degrees.
@@ -213,9 +219,16 @@ pub fn score_rows<'a>(
     gravity_in_truth: Vector3<f64>,
     options: &ScoreOptions,
 ) -> Result<RunScore, ScoreError> {
-    let overview = Overview::of(states()?, truth()?)?;
+    let overview = Overview::of(states()?, truth()?, options)?;
     let (first, first_true) = overview.first_known.as_ref().ok_or(ScoreError::NoOverlap)?;
-    let global_from_local = true_global_from_local(&first.local_from_imu.pose, first_true, &gravity_in_truth);
+    let map_from_truth = options.gravity_in_own_frame.and_then(|gravity_in_map| {
+        MapFromTruth::of(&overview.positions_in_map, gravity_in_map, gravity_in_truth)
+    });
+    let in_map = |truth: &Pose| map_from_truth.map_or(*truth, |aligned| aligned.pose().compose(truth));
+    let gravity_in_global = map_from_truth.map_or(gravity_in_truth, |aligned| aligned.gravity());
+    let first_in_map = in_map(first_true);
+    let global_from_local =
+        true_global_from_local(&first.local_from_imu.pose, &first_in_map, &gravity_in_global);
     let local_from_global = global_from_local.inverse();
     let alignment =
         Alignment::Yaw { gravity_in_reference: gravity_in_truth, gravity_in_estimate: -Vector3::z() };
@@ -227,11 +240,12 @@ pub fn score_rows<'a>(
     let (mut local, mut transform, mut pose) = <(ScoreSum, ScoreSum, ScoreSum)>::default();
     let (mut metres, mut degrees) = <(RunningStatistics, RunningStatistics)>::default();
     for known in KnownStates::new(states()?, truth()?) {
-        let (state, global_from_imu) = known?;
+        let (state, truth) = known?;
+        let global_from_imu = in_map(&truth);
         local.push(&state.local_from_imu, &local_from_global.compose(&global_from_imu));
         let odometry = aligned.compose(&state.local_from_imu.pose);
-        metres.push((global_from_imu.translation - odometry.translation).norm());
-        degrees.push(global_from_imu.rotation.angle_to(&odometry.rotation).to_degrees());
+        metres.push((truth.translation - odometry.translation).norm());
+        degrees.push(truth.rotation.angle_to(&odometry.rotation).to_degrees());
         if state.stamp_ns < from {
             continue;
         }
@@ -246,6 +260,7 @@ pub fn score_rows<'a>(
         local: local.score().ok_or(ScoreError::NoOverlap)?,
         transform: transform.score(),
         pose: pose.score(),
+        map_from_truth,
         odometry_yaw_aligned_m: metres.statistics().ok_or(ScoreError::NoOverlap)?,
         odometry_yaw_aligned_deg: degrees.statistics().ok_or(ScoreError::NoOverlap)?,
         distance_m: overview.distance_m,
@@ -265,11 +280,17 @@ struct Overview {
     first_known: Option<(StateRow, Pose)>,
     last_known_ns: i64,
     positions: PositionSums,
+    /// Pairs of position in the map and in the truth.
+    positions_in_map: PositionSums,
     distance_m: f64,
 }
 
 impl Overview {
-    fn of(states: Rows<'_, StateRow>, truth: Rows<'_, TruthRow>) -> Result<Self, ScoreError> {
+    fn of(
+        states: Rows<'_, StateRow>,
+        truth: Rows<'_, TruthRow>,
+        options: &ScoreOptions,
+    ) -> Result<Self, ScoreError> {
         let (mut first_ns, mut initialized_ns) = (None, None);
         let observed = states.inspect(|state| {
             let Ok(state) = state else { return };
@@ -280,11 +301,19 @@ impl Overview {
         });
         let mut overview = Self::default();
         let mut before: Option<Vector3<f64>> = None;
+        let skipped_ns = (options.skip_after_initialization_s * 1e9) as i64;
+        let mut first_scored_ns: Option<i64> = None;
         for known in KnownStates::new(Box::new(observed), truth) {
             let (state, truth) = known?;
             let here = truth.translation;
             overview.distance_m += before.replace(here).map_or(0.0, |before| (here - before).norm());
             overview.positions.push(&here, &state.local_from_imu.pose.translation);
+            if let Some(estimate) = &state.global_from_imu {
+                let scored_ns = *first_scored_ns.get_or_insert(state.stamp_ns + skipped_ns);
+                if state.stamp_ns >= scored_ns {
+                    overview.positions_in_map.push(&estimate.pose.translation, &here);
+                }
+            }
             overview.last_known_ns = state.stamp_ns;
             overview.first_known.get_or_insert((state, truth));
         }

@@ -152,6 +152,22 @@ pub enum BuildError {
         /// Those in the time of the recording.
         used: usize,
     },
+    /// Reference poses that the gyroscope contradicts.
+    #[error(
+        "in {contradicted} of {used} turns the poses turn otherwise than the gyroscope (turns of {turn_deg:.0} deg, off by \
+         {difference_deg:.0} deg): check that they are poses of the IMU (not of a camera, and not their inverse), the order of their \
+         quaternion (by the file's header, or --quaternion), their times, and the unit of the gyroscope (rad/s)"
+    )]
+    ReferencesTurnOtherwise {
+        /// Turns that differ.
+        contradicted: usize,
+        /// Turns that were compared.
+        used: usize,
+        /// Median of the turns by the gyroscope (deg).
+        turn_deg: f64,
+        /// Median of the differences (deg).
+        difference_deg: f64,
+    },
     /// Hardly any images show one place.
     #[error(
         "only {located} of {images} stereo pairs show a place that an earlier one shows, or the IMU does not cover them: images \

@@ -38,6 +38,7 @@ mod dense_inverse;
 mod error;
 mod extension;
 mod feature_source;
+mod gyroscope_check;
 mod imu_alignment;
 mod inertial;
 mod joint_covariance;

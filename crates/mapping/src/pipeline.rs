@@ -11,6 +11,7 @@ use super::bundle_adjustment::Bundle;
 use super::camera::{CameraPose, MappingCamera};
 use super::error::BuildError;
 use super::feature_source::{Extraction, FeatureSource};
+use super::gyroscope_check::check_turns;
 use super::keyframe_selection::select_keyframes;
 use super::keyframe_view::{FeatureId, KeyframeView, keyframes};
 use super::landmark::InverseDepthLandmark;
@@ -47,6 +48,7 @@ pub fn build_map(
     progress: Progress<'_>,
 ) -> Result<(MapContents, BuildReport), BuildError> {
     check(options)?;
+    check_turns(&sequence.imu_samples, references, options.sigma_theta_rad)?;
     let start = Instant::now();
     let cameras = MappingCamera::of_sensors(&sequence.cameras);
     let mut source = FeatureSource::new(extraction, &cameras);

@@ -9,6 +9,7 @@ use estimator::EstimatorConfig;
 use estimator::imu::ImuBuffer;
 use geometry::uncertain_pose::{PoseWithCovariance, isotropic_covariance};
 use map::contents::MapContents;
+use map::model::{GAUGE_SIGMA_P, GAUGE_SIGMA_YAW};
 use nalgebra::{Matrix6, Vector3};
 use sensors::Sequence;
 
@@ -36,7 +37,7 @@ use super::report::{BuildReport, UntrackedImages};
 
 /// What defines G: standard deviations of yaw (rad), of the tilt that only gravity gives (rad), and of the position (m) of
 /// the first view.
-const GAUGE_SIGMAS: [f64; 3] = [1e-4, 0.5, 1e-3];
+const GAUGE_SIGMAS: [f64; 3] = [GAUGE_SIGMA_YAW, 0.5, GAUGE_SIGMA_P];
 /// The same where known poses or positions define G: next to nothing.
 const WIDE_SIGMAS: [f64; 3] = [10.0, 0.5, 1e4];
 /// The build fails where more than this part of the known poses and positions contradict the recording.

@@ -4,5 +4,6 @@
 mod common;
 mod map_merging;
 mod map_pose_priors;
+mod map_reference_poses;
 mod map_without_poses;
 mod maps;

@@ -67,6 +67,18 @@ fn maps_that_cannot_be_merged_are_refused_in_words() {
     let first = build(&mut parts[0]);
     let said = merge(&first, &first).unwrap_err().to_string();
     assert!(said.contains("one recording"), "{said}");
+    let timeless = |map: &MapContents| {
+        let mut map = map.clone();
+        map.keyframes.iter_mut().for_each(|keyframe| keyframe.stamp_ns = 0);
+        map
+    };
+    let said = merge(&timeless(&first), &timeless(&first)).unwrap_err().to_string();
+    assert!(said.contains("both are made of one image"), "{said}");
+    let second = build(&mut parts[1]);
+    assert!(
+        merge(&timeless(&first), &timeless(&second)).is_ok(),
+        "times that are not known are not the same"
+    );
     let (mut others, _) = sessions(7, 1, 1.2);
     let mut elsewhere = build(&mut others[0]);
     elsewhere.keyframes.iter_mut().for_each(|keyframe| keyframe.stamp_ns += 3_600_000_000_000);

@@ -10,6 +10,8 @@ use estimator::{
 };
 
 /// A filter that diverges earlier than this was initialized badly, nanoseconds.
+/// Begin of the reason of a status while a robot starts: nothing is lost.
+pub const STARTING: &str = "starting: ";
 const MIN_LIFE_NS: i64 = 10_000_000_000;
 /// Longest pause before the next initialization, seconds. Pauses begin at one second and double with each bad
 /// initialization, so that a robot with broken sensors does not spend its time on initializing.
@@ -213,7 +215,8 @@ impl EstimatorSupervisor {
         self.init_status = InitStatus::NoData;
     }
 
-    /// Status of the localization.
+    /// Status of the localization. While the first initialization goes on it is [`Localization::Lost`], as nothing is known yet,
+    /// and the reason begins with [`STARTING`].
     pub fn status(&self) -> Status {
         match &self.phase {
             Phase::Running(estimator) => estimator.status(),
@@ -221,7 +224,7 @@ impl EstimatorSupervisor {
                 localization: Localization::Lost,
                 reason: match &self.divergence {
                     Some(why) => format!("{why}; {}", self.init_status),
-                    None => self.init_status.to_string(),
+                    None => format!("{STARTING}{}", self.init_status),
                 },
                 last_map_update_ns: None,
                 held_keyframes: 0,

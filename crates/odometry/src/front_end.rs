@@ -3,6 +3,7 @@
 //! The gyroscope predicts the rotation of the camera since the last image. Its bias is estimated from the difference
 //! to the rotation that the tracks show.
 
+use crate::repeated_warning::RepeatedWarning;
 use estimator::TrackObservation;
 use estimator::imu::{ImuBuffer, ImuSample};
 use geometry::Rotation;
@@ -57,6 +58,7 @@ pub struct FrontEnd {
     gyroscope_bias: Vector3<f64>,
     /// Number of images that the bias was estimated from.
     bias_images: usize,
+    second_skipped: RepeatedWarning,
 }
 
 impl FrontEnd {
@@ -83,6 +85,7 @@ impl FrontEnd {
             imu_from_camera: first.imu_from_camera.rotation,
             gyroscope_bias: Vector3::zeros(),
             bias_images: 0,
+            second_skipped: RepeatedWarning::default(),
         })
     }
 
@@ -131,7 +134,9 @@ impl FrontEnd {
         let second_image = second.and_then(|second| match second.read() {
             Ok(image) => Some(image.into_owned()),
             Err(error) => {
-                tracing::warn!(%error, "the image of camera 1 is skipped");
+                if let Some(unlogged) = self.second_skipped.note() {
+                    tracing::warn!(%error, unlogged, "the image of camera 1 is skipped");
+                }
                 None
             }
         });

@@ -4,10 +4,13 @@
 //! |---|---|
 //! | [`front_end`] | [`FrontEnd`]: from images and gyroscope readings to feature tracks |
 //! | [`estimator_supervisor`] | [`EstimatorSupervisor`]: initializes the estimator, and starts it again when it diverges |
+//! | `repeated_warning` | [`RepeatedWarning`]: what would be logged at every image |
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 pub mod estimator_supervisor;
 pub mod front_end;
+mod repeated_warning;
 
-pub use estimator_supervisor::EstimatorSupervisor;
+pub use estimator_supervisor::{EstimatorSupervisor, STARTING};
 pub use front_end::{FrontEnd, FrontEndError};
+pub use repeated_warning::RepeatedWarning;

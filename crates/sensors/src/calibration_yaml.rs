@@ -10,6 +10,38 @@ use std::path::Path;
 /// Largest entry of `R' R - I` for the rotation R of a matrix; EuRoC rounds to 12 decimals, hand-written files to 4.
 const ROTATION_TOLERANCE: f64 = 1e-3;
 
+/// A matrix as a list of its rows, or of all its numbers row by row.
+#[derive(Deserialize)]
+#[serde(from = "WrittenMatrix")]
+pub(crate) struct MatrixYaml(Vec<f64>);
+
+#[derive(Deserialize)]
+#[serde(untagged)]
+enum WrittenMatrix {
+    Rows(Vec<Vec<f64>>),
+    Flat(Vec<f64>),
+    /// OpenCV's, with the numbers of its rows and columns.
+    OpenCv {
+        data: Vec<f64>,
+    },
+}
+
+impl From<WrittenMatrix> for MatrixYaml {
+    fn from(written: WrittenMatrix) -> Self {
+        Self(match written {
+            WrittenMatrix::Rows(rows) => rows.concat(),
+            WrittenMatrix::Flat(data) | WrittenMatrix::OpenCv { data } => data,
+        })
+    }
+}
+
+impl MatrixYaml {
+    /// All numbers, row by row.
+    pub(crate) fn numbers(&self) -> &[f64] {
+        &self.0
+    }
+}
+
 /// Noise densities of an IMU, with the same names in EuRoC's and Kalibr's files.
 #[derive(Deserialize)]
 pub(crate) struct NoiseYaml {

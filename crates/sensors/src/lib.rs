@@ -16,6 +16,7 @@
 //! | `imu_check`, `image_check`, `stereo_check` | units, sizes and wiring that contradict the calibration, recognized from the data |
 //! | `truth`, `gravity` | ground truth, its interpolation, and the direction of gravity in its frame (evaluation only) |
 //! | `table` | [`Table`], a CSV reader whose errors name file and line |
+//! | `pose_columns` | [`PoseColumns`], where a table's header says that the numbers of a pose stand |
 //! | `written_lines` | [`read_written_lines`], the complete lines of a file whose writer was killed |
 //! | `features` | [`feature_set`], features of an image as they are stored and sent |
 //! | `error` | [`SensorError`] of a source, [`SequenceError`] of a file |
@@ -61,6 +62,7 @@ pub mod live;
 mod memory;
 mod merged;
 mod pairing;
+mod pose_columns;
 mod recording;
 mod rig_calibration;
 #[cfg(feature = "ros")]
@@ -85,8 +87,8 @@ pub use calibration::{CameraSensor, ImuSensor, SensorCalibration};
 pub use error::{SensorError, SequenceError};
 pub use estimator::{ImuNoise, ImuSample, TrackObservation};
 pub use euroc::{
-    FolderCalibration, lens_of_text, pose_cells, read_groundtruth, read_lens, read_reference_poses,
-    read_reference_positions, writer,
+    FolderCalibration, QuaternionLength, lens_of_text, pose_cells, pose_of, read_groundtruth, read_lens,
+    read_reference_poses, read_reference_positions, writer,
 };
 pub use features::{feature_set, kind_of, metric_of};
 pub use frame::{Frame, ImageData, StoredImage};
@@ -95,6 +97,7 @@ pub use kalibr::CalibrationFiles;
 pub use memory::Sequence;
 pub use merged::RecordingSource;
 pub use pairing::{PAIR_TOLERANCE_NS, PairCounts};
+pub use pose_columns::{PoseColumns, QuaternionOrder};
 pub use recording::Recording;
 pub use rig_calibration::{read_rig_calibration, states_intrinsics};
 pub use rows::Rows;

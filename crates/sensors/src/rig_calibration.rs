@@ -1,6 +1,5 @@
 //! The calibration of a robot that plays no recording.
 
-use crate::calibration_yaml::read_text;
 use crate::kalibr::{self, CalibrationFiles};
 use crate::{CameraSensor, FolderCalibration, SensorCalibration, SequenceError};
 use geometry::camera::Camera;
@@ -29,8 +28,7 @@ pub fn read_rig_calibration(
         return FolderCalibration::read(path, &files);
     };
     let known: Vec<Option<Camera>> = if known.is_empty() {
-        let has_second = read_text(chain_path)?.lines().any(|line| line.starts_with("cam1:"));
-        vec![None; if has_second { 2 } else { 1 }]
+        vec![None; kalibr::camera_count(chain_path)?]
     } else {
         known.iter().cloned().map(Some).collect()
     };
@@ -51,7 +49,8 @@ pub fn read_rig_calibration(
 /// # Errors
 /// [`SequenceError`] with the file.
 pub fn states_intrinsics(path: &Path) -> Result<bool, SequenceError> {
-    match files_of(path, None)?.1.cameras {
+    // The IMU plays no part, so that of several files none has to be chosen.
+    match files_of(path, Some(path))?.1.cameras {
         Some(chain) => kalibr::states_intrinsics(&chain),
         None => Ok(true),
     }

@@ -3,6 +3,7 @@
 //! Lines that begin with `#` are comments (EuRoC's headers); so is a first line whose first cell is a column's name.
 
 use super::error::SequenceError;
+use super::pose_columns::PoseColumns;
 use csv::{ByteRecord, Reader, ReaderBuilder};
 use std::fmt::Display;
 use std::fs::File;
@@ -30,6 +31,8 @@ pub struct Table {
     reader: Reader<File>,
     record: ByteRecord,
     rows: u64,
+    /// The columns of a pose, where a header before the first row names them.
+    pose_columns: Option<PoseColumns>,
     /// Length of the file, bytes.
     length: u64,
     ends_with_line_feed: bool,
@@ -61,6 +64,7 @@ impl Table {
             reader,
             record: ByteRecord::new(),
             rows: 0,
+            pose_columns: None,
             length,
             ends_with_line_feed,
         })
@@ -85,13 +89,23 @@ impl Table {
             }
             // The csv reader could skip comments itself, but then takes the comment's line for the row's.
             if self.record.get(0).is_some_and(|cell| cell.trim_ascii_start().starts_with(b"#")) {
+                self.read_header();
                 continue;
             }
             self.rows += 1;
             if self.rows == 1 && is_header(&self.record) {
+                self.read_header();
                 continue;
             }
             return Ok(Some(self.row()));
+        }
+    }
+
+    /// Takes the columns from a header; what stands below the first row is a comment.
+    fn read_header(&mut self) {
+        if self.rows <= 1 {
+            let cells: Vec<_> = self.record.iter().map(String::from_utf8_lossy).collect();
+            self.pose_columns = PoseColumns::of_header(&cells.join(",")).or(self.pose_columns);
         }
     }
 
@@ -104,7 +118,7 @@ impl Table {
 
     /// The row that was read last; without any cells before the first [`Table::next_row`].
     pub fn row(&self) -> Row<'_> {
-        Row { path: &self.path, record: &self.record }
+        Row { path: &self.path, record: &self.record, pose_columns: self.pose_columns }
     }
 }
 
@@ -131,12 +145,18 @@ fn is_header(record: &ByteRecord) -> bool {
 pub struct Row<'a> {
     path: &'a Path,
     record: &'a ByteRecord,
+    pose_columns: Option<PoseColumns>,
 }
 
 impl<'a> Row<'a> {
     /// An error about this row, with file and line.
     pub fn wrong(&self, problem: impl Into<String>) -> SequenceError {
         SequenceError::Row { path: self.path.to_path_buf(), line: self.line(), problem: problem.into() }
+    }
+
+    /// The columns of a pose, where the table's header names them.
+    pub fn pose_columns(&self) -> Option<PoseColumns> {
+        self.pose_columns
     }
 
     /// The line of the file, counted from 1.

@@ -23,6 +23,7 @@ export const STATES = {
   localized: "● localized",
   odometry_only: "◐ odometry only",
   lost: "✕ lost",
+  starting: "◌ starting",
   gone: "○ gone",
 };
 

@@ -304,7 +304,10 @@ function describe(robot, now) {
   const isPast = past && !past.isLive;
   if (!isPast && !robot.published) return;
   const gone = { robot: robot.name, is_online: false };
-  const published = isPast ? robot.past ?? gone : robot.published;
+  // Without the server nobody knows of a robot's silence.
+  const isLost = !isPast && !window.driftless.isConnected && now - robot.received > 1000 * STALE_S;
+  const present = isLost ? { ...robot.published, is_online: false } : robot.published;
+  const published = isPast ? robot.past ?? gone : present;
   const elapsed_s = isPast ? 0 : (now - robot.received) / 1000;
   panel.update(published, elapsed_s);
   const sign = (STATES[stateOf(published)] ?? "").slice(0, 1);

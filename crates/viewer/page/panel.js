@@ -5,7 +5,10 @@ import { robotColor, STATES } from "./colors.js";
 export const STALE_S = 3;
 
 export function stateOf(robot) {
-  return robot.is_online ? robot.status?.state : "gone";
+  if (!robot.is_online) return "gone";
+  const { state, reason } = robot.status ?? {};
+  // Nothing is known yet, and nothing was lost.
+  return state === "lost" && reason?.startsWith("starting: ") ? "starting" : state;
 }
 
 function line(parent, className) {

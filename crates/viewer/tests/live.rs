@@ -158,3 +158,27 @@ async fn a_viewer_that_says_much_is_disconnected_and_one_that_does_not_read_stop
     .await;
     assert!((seen[0] - last.x).abs() < 1e-9);
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_robot_is_gone_with_its_token_and_when_it_is_silent() {
+    let shown = Shown::start().await;
+    let mut socket = connect(&shown).await;
+    let is_online = |update: &Value| update["robots"][0]["is_online"].clone();
+    let token = shown.session.liveliness().declare_token("robot/r7").await.unwrap();
+    shown.publish_robot("r7", 12.0, RobotState::Localized).await;
+    first(&mut socket, |update| update["robots"][0]["status"].is_object() && is_online(update) == true).await;
+    token.undeclare().await.unwrap();
+    first(&mut socket, |update| is_online(update) == false).await;
+    // A message that was on its way.
+    shown.publish_robot("r7", 13.0, RobotState::Lost).await;
+    let late = first(&mut socket, |update| update["robots"][0]["status"]["state"] == "lost").await;
+    assert_eq!(is_online(&late), false, "{late}");
+
+    shown.publish_robot("r8", 12.0, RobotState::Localized).await;
+    let of_r8 = |update: &Value| {
+        let robots = update["robots"].as_array().unwrap();
+        robots.iter().find(|robot| robot["robot"] == "r8").map(|robot| robot["is_online"] == true)
+    };
+    first(&mut socket, |update| of_r8(update) == Some(true)).await;
+    first(&mut socket, |update| of_r8(update) == Some(false)).await;
+}

@@ -22,6 +22,7 @@ use super::outputs::{RobotMetrics, RosBody, RosOutput};
 use anyhow::{Result, bail};
 use clap::{Args, Parser};
 use estimator::{EstimatorConfig, MapMode, Relinearization};
+use nalgebra::Vector3;
 use sensors::SensorCalibration;
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
@@ -66,6 +67,9 @@ pub struct RobotArguments {
     /// Topics for ROS 2, where there are any
     #[arg(skip)]
     pub ros: Option<RosOutput>,
+    /// Direction of gravity in the map, where it was built without reference poses: its frame is not that of a ground truth
+    #[arg(skip)]
+    pub gravity_in_own_frame: Option<Vector3<f64>>,
 
     /// Cameras to use [default: stereo where the recording has cam1]
     #[arg(long, value_enum, help_heading = INPUT)]

@@ -15,6 +15,7 @@ mod recording;
 mod recording_settings;
 mod ros;
 mod status_line;
+mod status_word;
 mod summary;
 
 pub use event::Event;
@@ -29,6 +30,7 @@ pub(crate) use recording_settings::RecordingSettings;
 pub use ros::RosOutputTask;
 pub use ros::{Estimate, InitialPoseTopic, RosBody, RosFrames, RosOutput, RosSettings, SensorFrames};
 pub use status_line::StatusLine;
+pub(crate) use status_word::status_word;
 pub use summary::{
     DivergenceSummary, EndedLost, ImuGapSummary, MapChangeSummary, MillisecondsPerFrame, PairSummary,
     QuerySummary, StartSummary, Summary, Timings, TrackSummary, Traffic,

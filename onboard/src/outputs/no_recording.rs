@@ -44,6 +44,14 @@ impl MessageRecording {
         match self.0 {}
     }
 
+    pub(crate) fn first_status(&mut self, _: &Status, _: QueryCounts) {
+        match self.0 {}
+    }
+
+    pub(crate) fn begin(&mut self, _: i64) {
+        match self.0 {}
+    }
+
     pub(crate) fn event(&mut self, _: &Event) {
         match self.0 {}
     }

@@ -8,10 +8,12 @@ use super::summary::{
     Timings, TrackSummary, Traffic,
 };
 use crate::alarms::Alarm;
+use crate::map_conversion::map_identity;
 use estimator::{
     Estimator, EstimatorError, InitMethod, LearnedNoise, MapReport, Rejection, Status, TrackReport,
 };
 use evaluation::trajectory::StateRow;
+use protocol::MapIdentity;
 use std::path::Path;
 
 /// The files of a run and its sums.
@@ -54,6 +56,8 @@ pub struct Recorder {
     pub keyframes_pulled: usize,
     /// Keyframes held in the estimator at the newest state.
     pub keyframes_held: usize,
+    /// Identity of the map that the robot was localized in last.
+    pub map_identity: Option<MapIdentity>,
     /// Time of the first frame of the recording, nanoseconds.
     pub first_ns: i64,
     /// Initializations of the filter.
@@ -94,6 +98,7 @@ impl Recorder {
             wall_seconds: 0.0,
             keyframes_pulled: 0,
             keyframes_held: 0,
+            map_identity: None,
             first_ns: 0,
             starts: Vec::new(),
             divergences: Vec::new(),
@@ -123,6 +128,7 @@ impl Recorder {
     pub fn note_state_again(&mut self, estimator: &Estimator) {
         self.last_state_ns = Some(estimator.stamp_ns());
         self.keyframes_held = estimator.held_keyframes().len();
+        self.map_identity = estimator.map_identity().map(map_identity).or(self.map_identity);
         self.newest = Some(StateRow {
             stamp_ns: estimator.stamp_ns(),
             local_from_imu: estimator.local_from_imu(),

@@ -26,6 +26,9 @@ const QUEUE: usize = 256;
 /// What was written is readable after so long, also when the robot is switched off.
 const FLUSH: Duration = Duration::from_secs(1);
 
+/// Statuses before the first frame that are kept; of more the last.
+const MOST_FIRST_STATUSES: usize = 600;
+
 /// A recording that is being written.
 #[derive(Debug)]
 pub(crate) struct MessageRecording {
@@ -38,6 +41,8 @@ pub(crate) struct MessageRecording {
     queue: Option<SyncSender<Item>>,
     thread: Option<JoinHandle<()>>,
     dropped: u64,
+    /// Statuses before the first frame, which tells the time of the sensors, and when they were made.
+    first_statuses: Vec<(Instant, Status, QueryCounts)>,
 }
 
 /// A message on its way to the disk.
@@ -75,7 +80,17 @@ impl MessageRecording {
             .map_err(|source| BagError::Io { path: path.clone(), source })?;
         let (queue, thread) = (Some(queue), Some(thread));
         let odom = OdomFrame::default();
-        Ok(Self { settings, odom, clock_shift_ns: 0, has_mounting: false, path, queue, thread, dropped: 0 })
+        Ok(Self {
+            settings,
+            odom,
+            clock_shift_ns: 0,
+            has_mounting: false,
+            path,
+            queue,
+            thread,
+            dropped: 0,
+            first_statuses: Vec::new(),
+        })
     }
 
     /// Sets what is added to all stamps, nanoseconds.
@@ -117,6 +132,23 @@ impl MessageRecording {
         let RecordingSettings { robot, map_expected, .. } = &self.settings;
         let diagnostics = Diagnostics::of(robot, *map_expected, stamp_ns, status, counts).message;
         self.message("/diagnostics", stamp_ns, &diagnostics);
+    }
+
+    /// Keeps a status until the time of the sensors is known. Without any frame it is not recorded.
+    pub(crate) fn first_status(&mut self, status: &Status, counts: QueryCounts) {
+        if self.first_statuses.len() == MOST_FIRST_STATUSES {
+            self.first_statuses.remove(0);
+        }
+        self.first_statuses.push((Instant::now(), status.clone(), counts));
+    }
+
+    /// The first frame has come: records the statuses that were kept, as long before it as they were made.
+    pub(crate) fn begin(&mut self, stamp_ns: i64) {
+        let now = Instant::now();
+        for (made, status, counts) in std::mem::take(&mut self.first_statuses) {
+            let before_ns = i64::try_from(now.duration_since(made).as_nanos()).unwrap_or(i64::MAX);
+            self.status(stamp_ns.saturating_sub(before_ns), &status, counts);
+        }
     }
 
     /// Records the result of a query, at the time of its image.

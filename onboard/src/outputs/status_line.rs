@@ -1,7 +1,8 @@
 //! Changes of the state in the log of a robot, and one line a minute.
 
+use super::status_word::status_word;
 use super::summary::QuerySummary;
-use estimator::{Localization, Status};
+use estimator::Status;
 use std::time::{Duration, Instant};
 
 /// Time between two lines.
@@ -11,26 +12,26 @@ const PERIOD: Duration = Duration::from_mins(1);
 #[derive(Debug)]
 pub struct StatusLine {
     last: Instant,
-    localization: Option<Localization>,
+    state: Option<&'static str>,
 }
 
 impl Default for StatusLine {
     /// The first line comes with the first status.
     fn default() -> Self {
-        Self { last: Instant::now(), localization: None }
+        Self { last: Instant::now(), state: None }
     }
 }
 
 impl StatusLine {
     /// Writes the line if it is due.
     pub fn log(&mut self, status: &Status, frames: usize, queries: &QuerySummary) {
-        let is_new = self.localization != Some(status.localization);
+        let is_new = self.state != Some(status_word(status));
         if !is_new && self.last.elapsed() < PERIOD {
             return;
         }
-        (self.last, self.localization) = (Instant::now(), Some(status.localization));
+        (self.last, self.state) = (Instant::now(), Some(status_word(status)));
         tracing::info!(
-            state = ?status.localization,
+            state = status_word(status),
             reason = status.reason,
             frames,
             queries = queries.sent,

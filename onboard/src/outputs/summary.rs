@@ -212,6 +212,8 @@ pub struct Summary {
     pub sequence: String,
     /// Name of the map; none with odometry only.
     pub map: Option<String>,
+    /// Identity of the map that the robot was localized in; none where it never was.
+    pub map_identity: Option<String>,
     /// Cameras used.
     pub cameras: usize,
     /// Frames that were processed.

@@ -14,7 +14,7 @@ use vision::{FeatureExtractor, GrayImage};
 
 use super::build_report::{print_extension, print_report};
 use super::import_map::parse_direction;
-use super::pose_files::{PriorArguments, poses_of_file};
+use super::pose_files::PriorArguments;
 use crate::plotting::draw_coverage;
 use crate::stage_bar::StageBar;
 use map::MapContents;
@@ -49,8 +49,9 @@ const MIN_DISTANCE_OF_SPARSE_IMAGES: f64 = 0.01;
     Where poses are known, SEQ/reference_poses.csv or --poses gives them, or the ground truth with --sigma-theta and\n\
     --sigma-p, and the map is built in their frame. What is stated too small makes the robots overconfident: state the\n\
     sigmas of your poses, not those you wish for.\n\n\
-    --poses takes reference_poses.csv, a TUM file (t x y z qx qy qz qw, in seconds), EuRoC ground truth (ns, position,\n\
-    quaternion with w first; 8 or 17 columns) or states.csv of a run, recognized by content. The first and the last\n\
+    --poses takes reference_poses.csv, states.csv of a run, a TUM file (t x y z qx qy qz qw), EuRoC ground truth, or a\n\
+    table of another program (OKVIS2, OpenVINS, Basalt, Kimera, VINS, ORB-SLAM3): by its header where it names the\n\
+    columns, else by its form; where neither tells the order of the quaternion, --quaternion does. The first two\n\
     state their uncertainty; the others need --sigma-theta and --sigma-p. All sigmas of poses, given and printed, are\n\
     standard deviations per axis.\n\n\
     --position-priors and --pose-priors are poses at some times only, of a total station, GNSS, surveyed marks or tags. The\n\
@@ -135,16 +136,13 @@ pub struct Args {
 pub fn run(args: Args) -> anyhow::Result<()> {
     let stored = if args.extend { Some(load_map(&args.map)?.whole()?) } else { None };
     ensure_free(&args.map, args.force || args.extend)?;
-    let mut sequence = Sequence::open_without_readings(&args.sequence, &args.calibration.files())?;
+    let mut sequence = Sequence::open_with(&args.sequence, &args.calibration.files())?;
     if !args.mono {
         check_stereo(&sequence.cameras, sequence.frames.iter().cloned().map(Ok))?;
     }
     let mut options = options(&args)?;
     let references = if args.extend { None } else { references(&args, &sequence)? };
     let priors = args.priors.read(args.sigma_theta, args.sigma_p)?;
-    if references.is_none() {
-        sequence = Sequence::open_with(&args.sequence, &args.calibration.files())?;
-    }
     let start = Instant::now();
     let mut bar = StageBar::new(args.json);
     let mut show = |stage: Stage, done: usize, all: usize| bar.show(stage, done, all);
@@ -272,7 +270,7 @@ fn references(args: &Args, sequence: &Sequence) -> anyhow::Result<Option<Vec<Ref
         return Ok(None);
     }
     if let Some(path) = &args.poses {
-        return poses_of_file(path, args.sigma_theta, args.sigma_p).map(Some);
+        return args.priors.poses_of_file(path, args.sigma_theta, args.sigma_p).map(Some);
     }
     if let Some(poses) = &sequence.reference_poses {
         return Ok(Some(poses.clone()));

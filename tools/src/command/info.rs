@@ -2,6 +2,7 @@
 
 use anyhow::Result;
 use bags::Bag;
+use geometry::camera::Distortion;
 use onboard::PairSummary;
 use onboard::arguments::CalibrationArguments;
 use sensors::{BagSensors, CalibrationFiles, Recording};
@@ -139,7 +140,7 @@ fn report(args: &Args) -> Result<Report> {
             let camera = |sensor: &sensors::CameraSensor| CameraReport {
                 resolution: [sensor.camera.width, sensor.camera.height],
                 focal_px: sensor.camera.focal,
-                distortion: format!("{:?}", sensor.camera.distortion),
+                distortion: distortion(&sensor.camera.distortion),
             };
             Calibration::Found {
                 imu: found.imu.is_some(),
@@ -153,6 +154,18 @@ fn report(args: &Args) -> Result<Report> {
     let accelerometer = found.as_ref().and_then(|found| found.accelerometer).map(name);
     let damage = bag.damage().to_vec();
     Ok(Report { topics, damage, notes, imu, accelerometer, cameras, no_sensors, stereo_pairs, calibration })
+}
+
+/// A distortion as in a `sensor.yaml`.
+fn distortion(distortion: &Distortion) -> String {
+    let (model, coefficients): (&str, &[f64]) = match distortion {
+        Distortion::None => return "none".to_owned(),
+        Distortion::RadialTangential(coefficients) => ("radial-tangential", coefficients),
+        Distortion::Equidistant(coefficients) => ("equidistant", coefficients),
+        Distortion::Fov(omega) => ("fov", std::slice::from_ref(omega)),
+    };
+    let numbers: Vec<String> = coefficients.iter().map(ToString::to_string).collect();
+    format!("{model} {}", numbers.join(", "))
 }
 
 fn print(report: &Report) {

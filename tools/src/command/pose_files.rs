@@ -1,12 +1,30 @@
 //! Files of poses and positions that a map is built from.
 
 use anyhow::{Context as _, Result, bail};
-use evaluation::trajectory::{StampedPose, StateKind, read_any};
+use evaluation::trajectory::{PoseFormat, StampedPose, StateKind, read_any_with};
 use geometry::covariance_check::check_covariance;
 use mapping::PosePriors;
 use nalgebra::{Matrix6, Vector3};
-use sensors::{ReferencePose, read_reference_positions};
+use sensors::{QuaternionOrder, ReferencePose, read_reference_positions};
 use std::path::{Path, PathBuf};
+
+/// The order of a quaternion's columns, where a file does not tell it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum QuaternionArgument {
+    /// The scalar part first, as EuRoC
+    Wxyz,
+    /// The scalar part last, as TUM and ROS
+    Xyzw,
+}
+
+impl From<QuaternionArgument> for QuaternionOrder {
+    fn from(argument: QuaternionArgument) -> Self {
+        match argument {
+            QuaternionArgument::Wxyz => Self::WFirst,
+            QuaternionArgument::Xyzw => Self::WLast,
+        }
+    }
+}
 
 /// Poses and positions that are known at some times.
 #[derive(Clone, Debug, clap::Args)]
@@ -24,6 +42,9 @@ pub struct PriorArguments {
     /// Poses of the IMU that are known at some times, in the map's frame (z up), in any of the formats of --poses
     #[arg(long, value_name = "FILE", conflicts_with = "poses")]
     pub pose_priors: Option<PathBuf>,
+    /// Order of the quaternions in a file of poses whose header does not name its columns
+    #[arg(long, value_name = "ORDER", value_enum)]
+    pub quaternion: Option<QuaternionArgument>,
 }
 
 impl PriorArguments {
@@ -55,9 +76,22 @@ impl PriorArguments {
             priors.correlate_positions(seconds);
         }
         if let Some(path) = &self.pose_priors {
-            priors.poses = poses_of_file(path, sigma_theta, sigma_p)?;
+            priors.poses = self.poses_of_file(path, sigma_theta, sigma_p)?;
         }
         Ok(priors)
+    }
+
+    /// Poses of any format; the sigmas are those of the file where it has some, else of the switches.
+    ///
+    /// # Errors
+    /// A file that cannot be read, or without standard deviations or times.
+    pub(super) fn poses_of_file(
+        &self,
+        path: &Path,
+        sigma_theta: Option<f64>,
+        sigma_p: Option<f64>,
+    ) -> Result<Vec<ReferencePose>> {
+        poses_of_file(path, self.quaternion.map(QuaternionOrder::from), sigma_theta, sigma_p)
     }
 }
 
@@ -69,17 +103,26 @@ fn parse_vector(text: &str) -> Result<Vector3<f64>, String> {
     }
 }
 
-/// Poses of any format; the sigmas are those of the file where it has some, else of the switches.
-///
-/// # Errors
-/// A file that cannot be read, or without standard deviations.
-pub(super) fn poses_of_file(
+fn poses_of_file(
     path: &Path,
+    quaternion: Option<QuaternionOrder>,
     sigma_theta: Option<f64>,
     sigma_p: Option<f64>,
 ) -> Result<Vec<ReferencePose>> {
-    let file = read_any(path, &[StateKind::GlobalFromImu, StateKind::LocalFromImu])?;
-    eprintln!("{}: {} poses, read as {}", path.display(), file.poses.len(), file.format);
+    let states = [StateKind::GlobalFromImu, StateKind::LocalFromImu];
+    let file = read_any_with(path, &states, quaternion)?;
+    let repeated = match file.repeated_rows {
+        0 => String::new(),
+        rows => format!(", without {rows} rows that repeat the one before"),
+    };
+    eprintln!("{}: {} poses, read as {}{repeated}", path.display(), file.poses.len(), file.format);
+    if file.format == PoseFormat::Kitti {
+        bail!(
+            "{}: KITTI's poses have no times, and those of its left camera are none of the IMU: give a TUM file of the IMU's \
+             poses (t x y z qx qy qz qw)",
+            path.display()
+        );
+    }
     let Some(covariances) = file.covariances else {
         let (Some(sigma_theta), Some(sigma_p)) = (sigma_theta, sigma_p) else {
             bail!(
@@ -113,9 +156,9 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let tum = folder.path().join("odometry.tum");
         std::fs::write(&tum, "10.5 1 2 3 0 0 0 1\n10.6 1 2 3 0 0 0 1\n").unwrap();
-        let error = poses_of_file(&tum, None, None).unwrap_err().to_string();
+        let error = poses_of_file(&tum, None, None, None).unwrap_err().to_string();
         assert!(error.contains("--sigma-theta") && error.contains("TUM"), "{error}");
-        let poses = poses_of_file(&tum, Some(0.02), Some(0.1)).unwrap();
+        let poses = poses_of_file(&tum, None, Some(0.02), Some(0.1)).unwrap();
         assert_eq!((poses.len(), poses[0].stamp_ns), (2, 10_500_000_000));
         assert_eq!(poses[1].covariance, isotropic_covariance(0.02, 0.1));
 
@@ -129,13 +172,13 @@ mod tests {
             global_from_imu: None,
         };
         states::write(&path, std::slice::from_ref(&row)).unwrap();
-        let poses = poses_of_file(&path, None, None).unwrap();
+        let poses = poses_of_file(&path, None, None, None).unwrap();
         assert!((poses[0].covariance - covariance).amax() < 1e-12);
 
         let mut indefinite = row;
         indefinite.local_from_imu.covariance[(3, 3)] = -1.0;
         states::write(&path, &[indefinite]).unwrap();
-        let error = format!("{:#}", poses_of_file(&path, None, None).unwrap_err());
+        let error = format!("{:#}", poses_of_file(&path, None, None, None).unwrap_err());
         assert!(error.contains("states.csv") && error.contains("7 ns"), "{error}");
     }
 }

@@ -1,6 +1,6 @@
 //! `driftless run`: server and robot in one process.
 
-use crate::in_process::{LocalServer, load_map};
+use crate::in_process::{LocalServer, gravity_in_own_frame, load_map};
 use crate::open_page::{announce, stay};
 use anyhow::{Result, bail};
 use estimator::MapMode;
@@ -54,6 +54,8 @@ pub fn run(args: &Args) -> Result<()> {
         }
         (Some(database), _) => vec![(MAP.to_owned(), load_map(database)?)],
     };
+    let mut robot = args.robot.clone();
+    robot.gravity_in_own_frame = maps.first().and_then(|(_, map)| gravity_in_own_frame(map));
     let has_map = !maps.is_empty();
     let mut server = (has_map || args.open).then(|| LocalServer::start(maps)).transpose()?;
     if let Some(server) = server.as_mut().filter(|_| args.open) {
@@ -67,7 +69,7 @@ pub fn run(args: &Args) -> Result<()> {
     });
     let bar = progress::frame_bar(recording.contents().frames);
     let show = |frame| bar.set_position(frame as u64);
-    let outcome = run_robot_until(&stop, recording, &args.robot, robot_link, show)?;
+    let outcome = run_robot_until(&stop, recording, &robot, robot_link, show)?;
     bar.finish_and_clear();
     if let Some((server, link)) = server.as_ref().zip(link.as_ref()) {
         server.unlink(link);

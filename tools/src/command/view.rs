@@ -51,6 +51,9 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     let viewer = if is_run {
         let run = RunFiles::read(&args.path, args.groundtruth.as_deref(), None)
             .context("the run cannot be shown")?;
+        if let Some(contents) = &contents {
+            check_map(&run, &args.path, database, contents)?;
+        }
         for sentence in &run.missing {
             eprintln!("{sentence}");
         }
@@ -81,6 +84,24 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         server.stop().await;
         Ok(())
     })
+}
+
+/// Refuses to draw a run in another map than it was localized in.
+fn check_map(
+    run: &RunFiles,
+    folder: &Path,
+    database: Option<&PathBuf>,
+    contents: &MapContents,
+) -> anyhow::Result<()> {
+    let (Some(of_run), Some(of_map)) = (&run.map_identity, contents.info.identity) else { return Ok(()) };
+    ensure!(
+        *of_run == of_map.to_string(),
+        "{} was localized in the map {of_run}, but {} is the map {of_map}: give the run's own map with --map (`driftless map-info \
+         DB` prints the identity of a map)",
+        folder.display(),
+        database.map_or_else(String::new, |path| path.display().to_string())
+    );
+    Ok(())
 }
 
 /// Lets people localize images in a map.

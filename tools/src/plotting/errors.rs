@@ -78,6 +78,9 @@ fn title(run: &RunFiles, kind: StateKind) -> String {
     let (what, score) = match kind {
         StateKind::LocalFromImu => ("local pose (IMU in L)", run.score().map(|score| score.local)),
         StateKind::GlobalFromLocal => ("transform (L in G)", run.score().and_then(|score| score.transform)),
+        StateKind::GlobalFromImu if run.truth_is_aligned => {
+            ("pose in G, aligned in yaw and position", run.score().and_then(|score| score.pose))
+        }
         StateKind::GlobalFromImu => ("pose in G, not aligned", run.score().and_then(|score| score.pose)),
     };
     let figures = score.map_or_else(String::new, |score| {

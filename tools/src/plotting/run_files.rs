@@ -1,11 +1,11 @@
 //! The output folder of a run, and its ground truth.
 
 use anyhow::Context as _;
-use evaluation::trajectory::{StateKind, StateRow, read_any, states};
-use evaluation::{RunErrors, RunScore, ScoreError, ScoreOptions, run_errors, score_run};
+use evaluation::trajectory::{StateKind, StateRow, read_any_with, states};
+use evaluation::{MapFromTruth, RunErrors, RunScore, ScoreError, ScoreOptions, run_errors, score_run};
 use nalgebra::Vector3;
 use onboard::Event;
-use sensors::{Recording, TruthRow, read_written_lines};
+use sensors::{QuaternionOrder, Recording, TruthRow, read_written_lines};
 use std::path::{Path, PathBuf};
 
 /// The ground truth of a run.
@@ -30,6 +30,10 @@ pub struct RunFiles {
     pub truth: Option<Truth>,
     /// Positions of the map's keyframes in G, metres; empty where they are not known.
     pub keyframes: Vec<Vector3<f64>>,
+    /// Identity of the map that the run was localized in.
+    pub map_identity: Option<String>,
+    /// Whether the truth is aligned with the map, whose frame is its own.
+    pub truth_is_aligned: bool,
     /// What is missing; whole sentences.
     pub missing: Vec<String>,
 }
@@ -60,9 +64,36 @@ impl RunFiles {
             Some(path) => Some(truth_from_file(path, gravity, &mut missing)?),
             None => truth_from_summary(&folder.join("summary.json"), gravity, &mut missing)?,
         };
+        let summary = read_summary(&folder.join("summary.json"))?;
+        // The truth may be another file than the one that the run was compared with.
+        let aligned = truth.as_ref().zip(gravity_in_own_frame(&summary)).and_then(|(truth, gravity)| {
+            let options = ScoreOptions { gravity_in_own_frame: Some(gravity), ..ScoreOptions::default() };
+            score_run(&states, &truth.rows, truth.gravity, &options).ok()?.map_from_truth
+        });
+        let truth = truth.map(|truth| match &aligned {
+            Some(aligned) => {
+                missing.push(format!("Note: {aligned}."));
+                Truth {
+                    rows: truth.rows.iter().map(|row| aligned.apply(row)).collect(),
+                    gravity: aligned.gravity(),
+                }
+            }
+            None => truth,
+        });
+        let map_identity = summary.get("map_identity").and_then(serde_json::Value::as_str).map(str::to_owned);
+        let truth_is_aligned = aligned.is_some();
         let name =
             folder.file_name().map_or_else(|| "run".to_owned(), |name| name.to_string_lossy().into_owned());
-        Ok(Self { name, states, events, truth, keyframes: Vec::new(), missing })
+        Ok(Self {
+            name,
+            states,
+            events,
+            truth,
+            keyframes: Vec::new(),
+            map_identity,
+            truth_is_aligned,
+            missing,
+        })
     }
 
     /// Time of the first state, nanoseconds: the zero of all time axes.
@@ -133,10 +164,12 @@ fn truth_from_file(
     gravity: Option<Vector3<f64>>,
     missing: &mut Vec<String>,
 ) -> anyhow::Result<Truth> {
-    let file = read_any(path, &[StateKind::GlobalFromImu])?;
-    let rows = file.poses.iter().map(|row| TruthRow::of_pose(row.stamp_ns, row.pose)).collect();
     // SEQ/mav0/state_groundtruth_estimate0/data.csv
     let recording = path.ancestors().nth(3).filter(|root| root.join("mav0/imu0").is_dir());
+    // EuRoC's folder has w first, with a header or without.
+    let order = recording.map(|_| QuaternionOrder::WFirst);
+    let file = read_any_with(path, &[StateKind::GlobalFromImu], order)?;
+    let rows = file.poses.iter().map(|row| TruthRow::of_pose(row.stamp_ns, row.pose)).collect();
     let measured = || recording.and_then(|root| Recording::open(root).ok()?.truth_gravity().ok().flatten());
     let gravity = gravity.or_else(measured).unwrap_or_else(|| {
         missing.push(
@@ -146,6 +179,20 @@ fn truth_from_file(
         -Vector3::z()
     });
     Ok(Truth { rows, gravity })
+}
+
+/// The summary of a run; null where the run was killed before it was written.
+fn read_summary(path: &Path) -> anyhow::Result<serde_json::Value> {
+    match std::fs::read_to_string(path) {
+        Ok(text) => serde_json::from_str(&text).with_context(|| path.display().to_string()),
+        Err(_) => Ok(serde_json::Value::Null),
+    }
+}
+
+/// Direction of gravity in the map of a run whose truth was aligned with it.
+fn gravity_in_own_frame(summary: &serde_json::Value) -> Option<Vector3<f64>> {
+    let aligned = summary.get("score")?.get("map_from_truth")?;
+    Some(serde_json::from_value::<MapFromTruth>(aligned.clone()).ok()?.gravity())
 }
 
 /// The truth of the recording that a summary names.

@@ -94,13 +94,28 @@ pub enum SessionError {
     #[error("a session of mode client needs an endpoint to connect to: give --connect")]
     ClientOfNobody,
     /// Zenoh did not open the session.
-    #[error(
-        "the Zenoh session did not open (listening on {listen:?}): {problem}; is the port taken already?"
-    )]
+    #[error("the Zenoh session did not open{}: {problem}{}", listening(listen), port_taken(listen))]
     Open {
         /// Endpoints to listen on.
         listen: Vec<String>,
         /// Error of Zenoh.
         problem: String,
     },
+}
+
+/// The endpoints that a session was to listen on.
+fn listening(listen: &[String]) -> String {
+    if listen.is_empty() { String::new() } else { format!(" (listening on {})", listen.join(", ")) }
+}
+
+/// What may hold a port, and what to do.
+fn port_taken(listen: &[String]) -> &'static str {
+    if listen.iter().any(|endpoint| endpoint.ends_with(":7447")) {
+        "; is port 7447 taken? rmw_zenohd and zenohd listen on it, too: stop it, give another port with --listen \
+         tcp/0.0.0.0:7448, or use that router with --connect tcp/localhost:7447 in place of --listen"
+    } else if listen.is_empty() {
+        ""
+    } else {
+        "; is the port taken already? Give another one"
+    }
 }

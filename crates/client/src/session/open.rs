@@ -47,12 +47,15 @@ async fn open_client(config: &zenoh::Config, connect: &[String]) -> Result<zenoh
         let tell = told.is_none_or(|at| at.elapsed() >= REPEAT);
         match attempt(config.clone(), tell).await {
             Ok(session) => {
-                tracing::info!(?connect, "connected");
+                tracing::info!(connect = connect.join(", "), "connected");
                 return Ok(session);
             }
             Err(problem) if !problem.starts_with(UNREACHABLE) => return Err(problem),
             Err(_) if tell => {
-                tracing::warn!(?connect, "not connected yet, trying until somebody answers");
+                tracing::warn!(
+                    connect = connect.join(", "),
+                    "not connected yet, trying until somebody answers"
+                );
                 told = Some(Instant::now());
             }
             Err(_) => {}

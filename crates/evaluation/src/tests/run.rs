@@ -127,3 +127,31 @@ fn a_run_that_never_localizes_has_a_local_score_only() {
     let score = score_run(&states, &late, gravity(), &ScoreOptions::default());
     assert!(matches!(score, Err(ScoreError::NoOverlap)));
 }
+
+#[test]
+fn a_map_with_a_frame_of_its_own_is_compared_after_an_alignment_that_is_stated() {
+    // The map's z points up; the truth's x does.
+    let level = alignment::rotation_between(&-Vector3::z(), &gravity());
+    let map_from_truth = Pose::new(rotation(0.0, 0.0, 1.4) * level, Vector3::new(3.0, -1.0, 0.2));
+    let mut states = states(|_| Pose::identity());
+    for state in &mut states {
+        for pose in [&mut state.global_from_local, &mut state.global_from_imu].into_iter().flatten() {
+            pose.pose = map_from_truth.compose(&pose.pose);
+        }
+    }
+    let unaligned = score_run(&states, &truth(), gravity(), &ScoreOptions::default()).unwrap();
+    assert!(unaligned.map_from_truth.is_none() && unaligned.pose.unwrap().rmse_m > 1.0);
+    let options = ScoreOptions { gravity_in_own_frame: Some(-Vector3::z()), ..ScoreOptions::default() };
+    let score = score_run(&states, &truth(), gravity(), &options).unwrap();
+    let aligned = score.map_from_truth.unwrap();
+    assert!(aligned.pose().local(&map_from_truth).amax() < 1e-6, "{aligned}");
+    assert!(aligned.to_string().contains("aligned with it in yaw and position"));
+    for part in [Some(score.local), score.transform, score.pose] {
+        assert!(part.unwrap().max_m < 1e-6, "{part:?}");
+    }
+    assert!((score.odometry_yaw_aligned_m.rmse - unaligned.odometry_yaw_aligned_m.rmse).abs() < 1e-9);
+    // The aligned truth gives the same errors, as plots draw them.
+    let rows: Vec<_> = truth().iter().map(|row| aligned.apply(row)).collect();
+    let errors = run_errors(&states, &rows, aligned.gravity()).unwrap();
+    assert!(errors.pose.iter().all(|sample| sample.error.amax() < 1e-6));
+}

@@ -1,11 +1,13 @@
 //! Reads poses from a file of any of the formats, recognized by its content. All commands read poses here.
 
+use super::layout::{Layout, TimeUnit, cells};
+use super::rows::{Head, is_kitti, read_kitti};
 use super::{StampedPose, StateKind, states, tum};
 use nalgebra::Matrix6;
-use sensors::{SequenceError, read_groundtruth, read_reference_poses};
+use sensors::{PoseColumns, QuaternionOrder, SequenceError, read_reference_poses};
 use std::fmt;
 use std::fs::File;
-use std::io::{BufRead, BufReader, Read as _};
+use std::io::Read as _;
 use std::path::Path;
 
 /// The first lines are searched for the first row within this many bytes: headers are shorter.
@@ -27,6 +29,15 @@ pub enum PoseFormat {
     ReferencePoses,
     /// One pose of a run's `states.csv`, with covariances.
     States(StateKind),
+    /// Another table with times and poses.
+    Table {
+        /// Order of the quaternion's numbers.
+        quaternion: QuaternionOrder,
+        /// Whether the header names the columns; else the form of the rows shows them.
+        by_header: bool,
+    },
+    /// KITTI's poses: 12 numbers a row and no times. The stamps are numbers of rows, not times.
+    Kitti,
 }
 
 impl fmt::Display for PoseFormat {
@@ -44,6 +55,13 @@ impl fmt::Display for PoseFormat {
             Self::States(kind) => {
                 write!(formatter, "states.csv of a run, {} with its covariances", kind.name())
             }
+            Self::Table { quaternion, by_header: true } => {
+                write!(formatter, "a table of poses, {quaternion} by its header")
+            }
+            Self::Table { quaternion, by_header: false } => {
+                write!(formatter, "a table of poses without a header, {quaternion}")
+            }
+            Self::Kitti => write!(formatter, "KITTI poses (12 columns, no times)"),
         }
     }
 }
@@ -57,9 +75,12 @@ pub struct TrajectoryFile {
     pub poses: Vec<StampedPose>,
     /// The covariance of each pose (`[dtheta, dp]`, parent frame), from `states.csv` or `reference_poses.csv`.
     pub covariances: Option<Vec<Matrix6<f64>>>,
+    /// Rows that repeat the one before them, left out.
+    pub repeated_rows: usize,
 }
 
-/// Reads a TUM file, EuRoC ground truth (8 or 17 columns), `reference_poses.csv`, or one pose of a `states.csv`.
+/// Reads a TUM file, EuRoC ground truth (8 or 17 columns), `reference_poses.csv`, one pose of a `states.csv`, KITTI's poses,
+/// or any table whose header names the columns.
 ///
 /// # Arguments
 /// * `states`: which pose of a `states.csv`; the first one that the run has is taken. Other formats ignore it.
@@ -78,48 +99,76 @@ pub struct TrajectoryFile {
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 pub fn read_any(path: &Path, states: &[StateKind]) -> Result<TrajectoryFile, SequenceError> {
-    let Some(row) = first_row(path)? else {
+    read_any_with(path, states, None)
+}
+
+/// Reads a file as [`read_any`].
+///
+/// # Arguments
+/// * `quaternion`: the order of a quaternion of which neither header nor form of the file tells it.
+///
+/// # Errors
+/// As [`read_any`].
+pub fn read_any_with(
+    path: &Path,
+    states: &[StateKind],
+    quaternion: Option<QuaternionOrder>,
+) -> Result<TrajectoryFile, SequenceError> {
+    let beginning = beginning(path)?;
+    let Some(head) = Head::of(&beginning) else {
         return Err(SequenceError::empty(path, "a file of poses was expected"));
     };
-    let without = |format, poses| TrajectoryFile { format, poses, covariances: None };
-    if !row.text.contains(',') {
-        let format = if row.is_of_run { PoseFormat::TumOfRun } else { PoseFormat::Tum };
-        return Ok(without(format, tum::read(path)?));
+    let without = |format, poses| TrajectoryFile { format, poses, covariances: None, repeated_rows: 0 };
+    let row = head.first_row.as_str();
+    if is_kitti(row) {
+        return Ok(without(PoseFormat::Kitti, read_kitti(path, &tum::text_of(path)?)?));
     }
-    let cells: Vec<&str> = row.text.split(',').map(str::trim).collect();
-    if cells.get(1).is_some_and(|cell| cell.contains("_from_")) {
+    let cells = cells(row, row.contains(','));
+    if row.contains(',') && cells.get(1).is_some_and(|cell| cell.contains("_from_")) {
         return one_state(path, states);
     }
-    match cells.len() {
-        10 => {
-            let rows = read_reference_poses(path)?;
-            let covariances = rows.iter().map(|row| row.covariance).collect();
-            let stamped =
-                |row: &sensors::ReferencePose| StampedPose { stamp_ns: row.stamp_ns, pose: row.pose };
-            Ok(TrajectoryFile {
-                format: PoseFormat::ReferencePoses,
-                poses: rows.iter().map(stamped).collect(),
-                covariances: Some(covariances),
-            })
+    if row.contains(',') && cells.len() == 10 && has_sigmas(&beginning, &head) {
+        return references(path);
+    }
+    let (rows, layout) = tum::read_text(path, &tum::text_of(path)?, quaternion)?;
+    let is_of_run = beginning.starts_with(tum::HEADER);
+    let format = format_of(&layout, cells.len(), is_of_run);
+    Ok(TrajectoryFile { repeated_rows: rows.repeated, ..without(format, rows.poses) })
+}
+
+/// What a table is called.
+fn format_of(layout: &Layout, columns: usize, is_of_run: bool) -> PoseFormat {
+    let in_order = |order| layout.columns == PoseColumns::in_order(order);
+    let in_nanoseconds = layout.unit == TimeUnit::Nanoseconds;
+    match columns {
+        _ if is_of_run => PoseFormat::TumOfRun,
+        8 if layout.with_commas && in_nanoseconds && in_order(QuaternionOrder::WFirst) => {
+            PoseFormat::EurocPoses
         }
-        columns @ (8 | 17) => {
-            let format = if columns == 8 { PoseFormat::EurocPoses } else { PoseFormat::EurocStates };
-            let rows = read_groundtruth(path)?;
-            let stamped = |row: &sensors::TruthRow| StampedPose { stamp_ns: row.stamp_ns, pose: row.pose };
-            Ok(without(format, rows.iter().map(stamped).collect()))
+        17 if layout.with_commas && in_nanoseconds && in_order(QuaternionOrder::WFirst) => {
+            PoseFormat::EurocStates
         }
-        columns => {
-            Err(SequenceError::Row { path: path.to_path_buf(), line: row.line, problem: unknown(columns) })
-        }
+        _ if !layout.with_commas && in_order(QuaternionOrder::WLast) => PoseFormat::Tum,
+        _ => PoseFormat::Table { quaternion: layout.columns.quaternion_order(), by_header: layout.by_header },
     }
 }
 
-fn unknown(columns: usize) -> String {
-    format!(
-        "{columns} columns separated by commas are no known file of poses: known are TUM (t x y z qx qy qz qw in seconds, \
-         separated by blanks), EuRoC ground truth with 8 or 17 columns (ns, position, quaternion with w first, ...), \
-         reference_poses.csv with 10, and states.csv of a run"
-    )
+/// Whether the two columns behind a pose are its standard deviations: by the header, where there is one.
+fn has_sigmas(beginning: &str, head: &Head) -> bool {
+    let mut headers = beginning.lines().take(head.line as usize - 1);
+    head.columns.is_none() || headers.any(|line| line.contains("sigma"))
+}
+
+fn references(path: &Path) -> Result<TrajectoryFile, SequenceError> {
+    let rows = read_reference_poses(path)?;
+    let covariances = rows.iter().map(|row| row.covariance).collect();
+    let stamped = |row: &sensors::ReferencePose| StampedPose { stamp_ns: row.stamp_ns, pose: row.pose };
+    Ok(TrajectoryFile {
+        format: PoseFormat::ReferencePoses,
+        poses: rows.iter().map(stamped).collect(),
+        covariances: Some(covariances),
+        repeated_rows: 0,
+    })
 }
 
 fn one_state(path: &Path, wanted: &[StateKind]) -> Result<TrajectoryFile, SequenceError> {
@@ -131,7 +180,7 @@ fn one_state(path: &Path, wanted: &[StateKind]) -> Result<TrajectoryFile, Sequen
             .unzip();
         if !poses.is_empty() {
             let format = PoseFormat::States(kind);
-            return Ok(TrajectoryFile { format, poses, covariances: Some(covariances) });
+            return Ok(TrajectoryFile { format, poses, covariances: Some(covariances), repeated_rows: 0 });
         }
     }
     let names: Vec<&str> = wanted.iter().map(|kind| kind.name()).collect();
@@ -139,42 +188,15 @@ fn one_state(path: &Path, wanted: &[StateKind]) -> Result<TrajectoryFile, Sequen
     Err(SequenceError::empty(path, advice))
 }
 
-struct FirstRow {
-    text: String,
-    /// Counted from 1.
-    line: u64,
-    /// Whether the file begins with the header of a run's TUM files.
-    is_of_run: bool,
-}
-
-/// The first line that is neither empty nor a comment nor a header, which begins with the name of a column.
-fn first_row(path: &Path) -> Result<Option<FirstRow>, SequenceError> {
+/// The beginning of a file, with its first row.
+fn beginning(path: &Path) -> Result<String, SequenceError> {
     let file = File::open(path).map_err(|source| match source.kind() {
         std::io::ErrorKind::NotFound => SequenceError::missing(path, "a file of poses was expected there"),
         _ => SequenceError::io(path, source),
     })?;
-    let io = |source| SequenceError::io(path, source);
-    let mut lines = BufReader::new(file).take(HEAD_BYTES);
-    let (mut bytes, mut line, mut is_of_run) = (Vec::new(), 0, false);
-    loop {
-        bytes.clear();
-        if lines.read_until(b'\n', &mut bytes).map_err(io)? == 0 {
-            return Ok(None);
-        }
-        line += 1;
-        is_of_run |= line == 1 && bytes.starts_with(tum::HEADER.as_bytes());
-        let text = String::from_utf8_lossy(&bytes).trim().trim_start_matches('\u{feff}').to_owned();
-        let is_header = text.starts_with(|first: char| first.is_ascii_alphabetic()) && !is_nan(&text);
-        if !text.is_empty() && !text.starts_with('#') && !is_header {
-            return Ok(Some(FirstRow { text, line, is_of_run }));
-        }
-    }
-}
-
-/// Whether a row begins with a time that is not a number, which its reader is to name.
-fn is_nan(text: &str) -> bool {
-    let first = text.split([',', ' ', '\t']).next().unwrap_or_default();
-    first.eq_ignore_ascii_case("nan") || first.eq_ignore_ascii_case("inf")
+    let mut bytes = Vec::new();
+    file.take(HEAD_BYTES).read_to_end(&mut bytes).map_err(|source| SequenceError::io(path, source))?;
+    Ok(String::from_utf8_lossy(&bytes).trim_start_matches('\u{feff}').to_owned())
 }
 
 #[cfg(test)]
@@ -185,6 +207,7 @@ mod tests {
     use nalgebra::{UnitQuaternion, Vector3};
 
     const STAMP: i64 = 1_403_636_580_838_555_574;
+    const EUROC: &str = "#timestamp [ns], p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], q_RS_z []";
 
     fn pose() -> Pose {
         Pose::new(
@@ -218,11 +241,8 @@ mod tests {
                 format!("timestamp tx ty tz qx qy qz qw\r\n{}\r\n{}\r\n", stamped(STAMP), stamped(STAMP + 1)),
             ),
             (PoseFormat::TumOfRun, format!("{}\n{}\n{}\n", tum::HEADER, stamped(STAMP), stamped(STAMP + 1))),
-            (
-                PoseFormat::EurocPoses,
-                "#timestamp [ns], p_RS_R_x [m], p, p, q, q, q, q\n".to_owned() + &rows(""),
-            ),
-            (PoseFormat::EurocStates, "timestamp,p_x\n".to_owned() + &rows(truth)),
+            (PoseFormat::EurocPoses, EUROC.to_owned() + "\n" + &rows("")),
+            (PoseFormat::EurocStates, EUROC.to_owned() + ", v_x, v_y\n" + &rows(truth)),
             (PoseFormat::ReferencePoses, rows(",0.02,0.1")),
         ]
     }
@@ -238,6 +258,56 @@ mod tests {
                 (format == PoseFormat::ReferencePoses).then(|| vec![isotropic_covariance(0.02, 0.1); 2]);
             assert_eq!(file.covariances, expected);
         }
+    }
+
+    /// One pose as other programs write it; all but the ambiguous ones without a switch.
+    #[test]
+    fn tables_of_other_programs_are_read_by_header_or_form() {
+        let (p, q) = (pose().translation, pose().rotation.into_inner());
+        let (ns, s) = (STAMP, tum::seconds(STAMP));
+        let last =
+            |comma: &str| [p.x, p.y, p.z, q.i, q.j, q.k, q.w].map(|value| value.to_string()).join(comma);
+        let first = [p.x, p.y, p.z, q.w, q.i, q.j, q.k].map(|value| value.to_string()).join(",");
+        let by_header = |quaternion| PoseFormat::Table { quaternion, by_header: true };
+        let by_form = |quaternion| PoseFormat::Table { quaternion, by_header: false };
+        let (w_first, w_last) = (QuaternionOrder::WFirst, QuaternionOrder::WLast);
+        let okvis =
+            "timestamp, p_WS_W_x, p_WS_W_y, p_WS_W_z, q_WS_x, q_WS_y, q_WS_z, q_WS_w, v_WS_W_x, v_WS_W_y";
+        for (name, format, text) in [
+            ("OKVIS2", by_header(w_last), format!("{okvis}\n{ns}, {}, 0, 0\n", last(", "))),
+            ("Kimera", by_header(w_first), format!("#timestamp,x,y,z,qw,qx,qy,qz,vx,vy\n{ns},{first},0,0\n")),
+            ("Basalt", PoseFormat::EurocPoses, format!("{EUROC}\n{ns},{first}\n")),
+            (
+                "OpenVINS",
+                PoseFormat::Tum,
+                format!("# timestamp(s) tx ty tz qx qy qz qw Pr11\n{s} {} 1e-4\n", last(" ")),
+            ),
+            ("ORB-SLAM3", PoseFormat::Tum, format!("{ns}.000000 {}\n", last(" "))),
+            ("VINS", by_form(w_first), format!("{ns},{first},0.1,0,-0.1,\n")),
+            ("VINS, loops", PoseFormat::EurocPoses, format!("{ns},{first},\n")),
+            ("TUM, commas", by_form(w_last), format!("{s},{}\n", last(","))),
+            ("TUM, tabs", PoseFormat::Tum, format!("{s}\t{} \r\n", last("\t"))),
+            ("TUM, twice", PoseFormat::Tum, format!("{s} {0}\n{s} {0}\n", last(" "))),
+            ("BOM", PoseFormat::Tum, format!("\u{feff}{s} {}\n", last(" "))),
+        ] {
+            let file = read(&text).unwrap();
+            assert_eq!(file.format, format, "{name}");
+            assert_eq!(file.repeated_rows, usize::from(name == "TUM, twice"));
+            assert_eq!(file.poses.iter().map(|row| row.stamp_ns).collect::<Vec<_>>(), [ns], "{name}");
+            assert!(file.poses[0].pose.local(&pose()).amax() < 1e-8, "{name}");
+        }
+
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("poses");
+        std::fs::write(&path, format!("{ns},{}\n", last(","))).unwrap();
+        assert!(read_any(&path, &[]).is_err());
+        let file = read_any_with(&path, &[], Some(w_last)).unwrap();
+        assert!(file.poses[0].pose.local(&pose()).amax() < 1e-8);
+
+        let file = read("1 0 0 0 0 1 0 0 0 0 1 0\n0 -1 0 4 1 0 0 5 0 0 1 6\n").unwrap();
+        assert_eq!((file.format, file.poses[1].stamp_ns), (PoseFormat::Kitti, 1));
+        assert_eq!(file.poses[1].pose.translation, Vector3::new(4.0, 5.0, 6.0));
+        assert!((file.poses[1].pose.rotation.angle() - std::f64::consts::FRAC_PI_2).abs() < 1e-9);
     }
 
     #[test]
@@ -267,15 +337,18 @@ mod tests {
     fn bad_rows_are_named_with_their_line() {
         for (text, line, word) in [
             ("1,2,3\n", "line 1", "known are TUM"),
-            ("#t\n5,0,0,0,1,0,0,0\n6,0,nan,0,1,0,0,0\n", "line 3", "column 3 is NaN"),
-            ("#t\n5,0,0,0,1,0,0,0\n6,0,0,0,1,0,0\n", "line 3", "cut off: 7 of 8"),
-            ("nan,0,0,0,1,0,0,0\n", "line 1", "column 1"),
+            ("5,0,0,0,1,0,0,0\n", "line 1", "--quaternion wxyz"),
+            ("5,0,0,0,1,0,0,0,0,0,0,0,0,0,0,0,0\n", "line 1", "--quaternion wxyz"),
+            ("#t,x,y,z,qw,qx,qy,qz\n5,0,0,0,1,0,0,0\n6,0,nan,0,1,0,0,0\n", "line 3", "column 3 is NaN"),
+            ("#t,x,y,z,qw,qx,qy,qz\n5,0,0,0,1,0,0,0\n6,0,0,0,1,0,0\n", "line 3", "cut off: 7 of 8"),
+            ("#t,x,y,z,qw,qx,qy,qz\nnan,0,0,0,1,0,0,0\n", "line 2", "column 1"),
             ("5,0,0,0,1,0,0,0,0.1,0.1\n6,0,0,0,1,0,0,0,0.1,nan\n", "line 2", "column 10 is NaN"),
             ("5,0,0,0,1,0,0,0,0.1,0.1\n6,0,0,0,1,0,0,0,0.1\n", "line 2", "cut off: 9 of 10"),
             ("1.0 0 0 0 0 0 0 1\n2.0 0 nan 0 0 0 0 1\n", "line 2", "column 3"),
             ("1.0 0 0 0 0 0 0 1\n2.0 0 0 0 0 0 1\n3.0 0 0 0 0 0 0 1\n", "line 2", "cut off"),
-            ("1403636580.5,0,0,0,1,0,0,0\n", "line 1", "nanoseconds"),
-            ("1403636580838555574 0 0 0 0 0 0 1\n", "line 1", "seconds"),
+            ("1.0 0 0 0 0 0 0 1\n1.0 0 0 5 0 0 0 1\n", "line 2", "another pose"),
+            ("1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 0 0 1 0 0 0 0 2 0\n", "line 2", "KITTI"),
+            ("1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 0 0 1 0\n", "line 2", "cut off: 7 of 12"),
         ] {
             let error = read(text).unwrap_err().to_string();
             assert!(error.contains(line) && error.contains(word), "{error}");

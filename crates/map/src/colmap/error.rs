@@ -16,6 +16,12 @@ pub enum ColmapError {
         /// The folder.
         path: PathBuf,
     },
+    /// Two keyframes have one name.
+    #[error("two keyframes have the image {name}: the model would name it twice")]
+    SameName {
+        /// The name.
+        name: String,
+    },
     /// A file or folder could not be written.
     #[error("cannot write {}: {reason}; check the folder's rights and free space", path.display())]
     Write {
@@ -75,6 +81,15 @@ pub enum ReadColmapError {
         camera: u32,
         /// What is wrong.
         problem: geometry::CameraError,
+    },
+    /// Two images have one name.
+    #[error(
+        "two images of the model are called {name}: give each its own name, with its folder where there are several cameras \
+         (cam0/NAME, cam1/NAME), or remove one with `colmap image_deleter`"
+    )]
+    SameName {
+        /// The name.
+        name: String,
     },
     /// An image names a camera or point that the model does not have.
     #[error("image {image} names {what}, which the model does not have: is it one model's files?")]

@@ -11,6 +11,7 @@ mod binary;
 mod camera_model;
 mod error;
 mod model;
+mod names;
 mod plain_text;
 #[cfg(test)]
 mod tests;
@@ -18,7 +19,8 @@ mod write;
 
 pub use error::{ColmapError, ReadColmapError};
 pub use model::{ColmapImage, ColmapModel, ColmapPixel, read_model};
-pub use write::write_model;
+pub use names::image_names;
+pub use write::{WrittenModel, write_model};
 
 /// From our pixels to COLMAP's.
 const PIXEL_OFFSET: f64 = 0.5;

@@ -5,7 +5,7 @@ use super::{BINARY_FILES, TEXT_FILES, binary, plain_text};
 use geometry::Pose;
 use geometry::camera::Camera;
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 /// Cameras, images and points of a model, in its own frame and unit of length.
@@ -68,7 +68,11 @@ pub fn read_model(folder: &Path) -> Result<ColmapModel, ReadColmapError> {
 
 impl ColmapModel {
     fn check(&self) -> Result<(), ReadColmapError> {
+        let mut names = BTreeSet::new();
         for image in self.images.values() {
+            if !names.insert(&image.name) {
+                return Err(ReadColmapError::SameName { name: image.name.clone() });
+            }
             let dangling = |what| ReadColmapError::Dangling { image: image.name.clone(), what };
             if !self.cameras.contains_key(&image.camera) {
                 return Err(dangling(format!("camera {}", image.camera)));

@@ -1,6 +1,6 @@
 //! A written model against COLMAP's own definitions.
 
-use super::{ColmapError, read_model, write_model};
+use super::{ColmapError, ReadColmapError, WrittenModel, image_names, read_model, write_model};
 use crate::MapContents;
 use crate::model::{Keyframe, Landmark, MapMetadata, Observation};
 use geometry::camera::{Camera, Distortion};
@@ -81,7 +81,7 @@ fn points_project_to_their_pixels_by_colmaps_definitions() {
             assert_eq!(seen[2] as u64, point[0] as u64);
         }
     }
-    let again = write_model(folder.path(), &map(), |_| String::new());
+    let again = write_model(folder.path(), &map(), |keyframe| keyframe.id.to_string());
     assert!(matches!(again, Err(ColmapError::Occupied { .. })), "{again:?}");
 }
 
@@ -107,4 +107,66 @@ fn a_written_model_is_read_back() {
             assert!((read.pixel[0] - f64::from(seen.pixel[0])).abs() < 1e-9);
         }
     }
+}
+
+/// The same, seen by a stereo pair at each of two times; the right camera's keyframes come first.
+fn stereo_map(right_has_other_lens: bool) -> MapContents {
+    let mut contents = map();
+    let baseline = Pose::new(UnitQuaternion::identity(), Vector3::new(0.1, 0.0, 0.0));
+    let mut rights = contents.keyframes.clone();
+    for (keyframe, right) in contents.keyframes.iter_mut().zip(&mut rights) {
+        keyframe.id += 10;
+        right.global_from_keyframe.pose = right.global_from_keyframe.pose.compose(&baseline);
+        if right_has_other_lens {
+            right.camera.focal[0] += 3.0;
+        }
+    }
+    for landmark in &mut contents.landmarks {
+        landmark.anchor += 10;
+        landmark.observations.iter_mut().for_each(|seen| seen.keyframe += 10);
+    }
+    contents.landmarks[2].observations.truncate(1);
+    contents.keyframes.splice(0..0, rights);
+    contents
+}
+
+#[test]
+fn the_images_of_two_cameras_have_names_of_their_own_with_the_recordings_folders() {
+    for right_has_other_lens in [true, false] {
+        let map = stereo_map(right_has_other_lens);
+        let names = image_names(&map.keyframes, ".png");
+        let expected = [
+            (1, "cam1/1000000000.png"),
+            (2, "cam1/2000000000.png"),
+            (11, "cam0/1000000000.png"),
+            (12, "cam0/2000000000.png"),
+        ];
+        assert_eq!(names, expected.map(|(id, name)| (id, name.to_owned())).into());
+
+        let folder = tempfile::tempdir().unwrap();
+        let written = write_model(folder.path(), &map, |keyframe| names[&keyframe.id].clone()).unwrap();
+        assert_eq!(written, WrittenModel { images: 4, points: 2, seen_once: 1 });
+        let model = read_model(folder.path()).unwrap();
+        assert_eq!((model.images.len(), model.points.len()), (4, 2));
+        assert_eq!(model.images[&1].name, "cam1/1000000000.png");
+        let pixels = &model.images[&11].pixels;
+        assert!(pixels.len() == 2 && pixels.iter().all(|seen| seen.point < 3), "{pixels:?}");
+    }
+    let mut timeless = map();
+    timeless.keyframes.iter_mut().for_each(|keyframe| keyframe.stamp_ns = 0);
+    let names = image_names(&timeless.keyframes, ".jpg");
+    assert_eq!((names[&1].as_str(), names[&2].as_str()), ("keyframe_000001.jpg", "keyframe_000002.jpg"));
+}
+
+#[test]
+fn a_name_that_two_images_have_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let error = write_model(folder.path(), &map(), |_| "a.png".to_owned()).unwrap_err();
+    assert!(matches!(&error, ColmapError::SameName { name } if name == "a.png"), "{error}");
+    write_model(folder.path(), &map(), |keyframe| format!("{}.png", keyframe.id)).unwrap();
+    let images = folder.path().join("images.txt");
+    let text = std::fs::read_to_string(&images).unwrap();
+    std::fs::write(&images, text.replace("2.png", "1.png")).unwrap();
+    let error = read_model(folder.path()).unwrap_err();
+    assert!(matches!(&error, ReadColmapError::SameName { name } if name == "1.png"), "{error}");
 }

@@ -1,6 +1,6 @@
 //! Writing a COLMAP model in text.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
 use std::path::Path;
 
@@ -15,17 +15,23 @@ use crate::model::{Keyframe, Landmark};
 
 /// Writes a map as a COLMAP model into a folder, which is made if needed.
 ///
+/// Landmarks that one image sees are left out: COLMAP's bundle adjustment ends with an error at a point of one image.
+///
 /// # Arguments
-/// * `image_name`: of the image of a keyframe, as COLMAP is to find it.
+/// * `image_name`: of the image of a keyframe, as COLMAP is to find it; see [`super::image_names`].
 ///
 /// # Errors
-/// [`ColmapError`].
+/// [`ColmapError`], also where two keyframes have one name.
 pub fn write_model(
     folder: &Path,
     contents: &MapContents,
     image_name: impl Fn(&Keyframe) -> String,
-) -> Result<(), ColmapError> {
+) -> Result<WrittenModel, ColmapError> {
     contents.validate()?;
+    let mut names = BTreeSet::new();
+    if let Some(name) = contents.keyframes.iter().map(&image_name).find(|name| !names.insert(name.clone())) {
+        return Err(ColmapError::SameName { name });
+    }
     if TEXT_FILES.iter().chain(&BINARY_FILES).any(|name| folder.join(name).exists()) {
         return Err(ColmapError::Occupied { path: folder.to_owned() });
     }
@@ -37,11 +43,29 @@ pub fn write_model(
         let path = folder.join(name);
         std::fs::write(&path, text).map_err(|reason| ColmapError::Write { path, reason })?;
     }
-    Ok(())
+    let points = model.landmarks.len();
+    Ok(WrittenModel {
+        images: contents.keyframes.len(),
+        points,
+        seen_once: contents.landmarks.len() - points,
+    })
+}
+
+/// What a model holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct WrittenModel {
+    /// Number of images.
+    pub images: usize,
+    /// Number of points.
+    pub points: usize,
+    /// Landmarks that one image sees, which were left out.
+    pub seen_once: usize,
 }
 
 struct Model<'a> {
     contents: &'a MapContents,
+    /// Those that two images see.
+    landmarks: Vec<&'a Landmark>,
     cameras: Vec<&'a Camera>,
     keyframes: BTreeMap<KeyframeId, &'a Keyframe>,
     /// Of each keyframe: the landmark and pixel of its points.
@@ -57,13 +81,15 @@ impl<'a> Model<'a> {
             }
         }
         let mut points: BTreeMap<KeyframeId, Vec<(LandmarkId, [f32; 2])>> = BTreeMap::new();
-        for landmark in &contents.landmarks {
+        let landmarks: Vec<&Landmark> =
+            contents.landmarks.iter().filter(|landmark| landmark.observations.len() > 1).collect();
+        for landmark in &landmarks {
             for observation in &landmark.observations {
                 points.entry(observation.keyframe).or_default().push((landmark.id, observation.pixel));
             }
         }
         let keyframes = contents.keyframes.iter().map(|keyframe| (keyframe.id, keyframe)).collect();
-        Model { contents, cameras, keyframes, points }
+        Model { contents, landmarks, cameras, keyframes, points }
     }
 
     fn cameras_text(&self) -> String {
@@ -116,7 +142,7 @@ impl<'a> Model<'a> {
             String::from("# POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[] as (IMAGE_ID, POINT2D_IDX)\n");
         // The position of each point in the list of its keyframe, counted as the lists were filled.
         let mut counted: BTreeMap<KeyframeId, usize> = BTreeMap::new();
-        for landmark in &self.contents.landmarks {
+        for landmark in &self.landmarks {
             let Some(anchor) = self.keyframes.get(&landmark.anchor) else { continue };
             let p = anchor.global_from_keyframe.pose.transform(&landmark.position_in_anchor);
             let error = self.mean_error(landmark, &p);

@@ -14,6 +14,9 @@ use std::path::Path;
 const SIGMA_SCALE: f64 = 0.01;
 /// A scale that is known no better than this tells a robot little.
 const MAX_SIGMA_SCALE: f64 = 0.05;
+/// Smallest number that names an image by its time: a second, and in 1973 since 1970 (ns).
+const LEAST_STAMP_NS: i64 = 1_000_000_000;
+const LEAST_TIME_OF_DAY_NS: i64 = 100_000_000_000_000_000;
 /// From the median absolute deviation to a standard deviation, for normal errors.
 const MAD_TO_SIGMA: f64 = 1.4826;
 
@@ -101,16 +104,27 @@ impl ColmapFrame {
     }
 }
 
-/// When an image was taken (ns), where its name says so.
-pub(super) fn stamp_ns(name: &str) -> Option<i64> {
+/// The number that is an image's name.
+fn number(name: &str) -> Option<i64> {
     Path::new(name).file_stem()?.to_str()?.parse().ok()
+}
+
+/// When an image was taken (ns), where its name says so: a number that is a time of day, or in a recording's folder of a camera
+/// one of at least a second. Images that people count have smaller numbers, which are no times.
+pub(super) fn stamp_ns(name: &str) -> Option<i64> {
+    let of_recording = Path::new(name)
+        .parent()
+        .and_then(Path::file_name)
+        .is_some_and(|folder| folder == "cam0" || folder == "cam1");
+    let least = if of_recording { LEAST_STAMP_NS } else { LEAST_TIME_OF_DAY_NS };
+    number(name).filter(|stamp_ns| *stamp_ns >= least)
 }
 
 /// The images whose names are time stamps, by time stamp and camera.
 fn stamped<'m>(model: &'m ColmapModel) -> BTreeMap<(i64, usize), &'m ColmapImage> {
     let stamped = |image: &'m ColmapImage| {
         let second = Path::new(&image.name).components().any(|part| part.as_os_str() == "cam1");
-        Some(((stamp_ns(&image.name)?, usize::from(second)), image))
+        Some(((number(&image.name)?, usize::from(second)), image))
     };
     model.images.values().filter_map(stamped).collect()
 }

@@ -48,6 +48,17 @@ pub enum MergeError {
         /// Its time (ns).
         stamp_ns: i64,
     },
+    /// Both maps are made of one image, whose time is not known.
+    #[error(
+        "keyframe {keyframe} of the second map sees the same pixels as keyframe {other} of the first: both are made of one image. Used \
+         twice, it would make the map look more accurate than it is"
+    )]
+    SameImage {
+        /// A keyframe of the second map.
+        keyframe: KeyframeId,
+        /// The keyframe of the first map.
+        other: KeyframeId,
+    },
     /// Too few keyframes show a place of the other map.
     #[error(
         "the maps are not connected: {found} of the second one's {keyframes} keyframes show a place of the first, and {agreeing} of \

@@ -12,6 +12,7 @@
 mod assemble;
 mod error;
 mod landmarks;
+mod same_images;
 
 use std::collections::BTreeSet;
 use std::time::Instant;
@@ -37,6 +38,7 @@ use crate::stored_poses::StoredPoses;
 use crate::tied_keyframes::{MOST_TIED, choose_places};
 pub use error::MergeError;
 use landmarks::KeyframeFeatures;
+use same_images::check_images;
 
 /// Largest angle between a map's direction of gravity and -z (rad).
 const MAX_TILT: f64 = 1e-3;
@@ -163,15 +165,11 @@ fn check(first: &MapContents, second: &MapContents) -> Result<(), MergeError> {
     let formats = [one, other].map(|info| (info.descriptor_kind, info.descriptor_width, &info.extractor));
     if formats[0] != formats[1] {
         let name = |info: &map::model::MapMetadata| {
-            format!("{} ({:?}, {} bytes)", info.extractor, info.descriptor_kind, info.descriptor_width)
+            format!("{} ({}, {} bytes)", info.extractor, info.descriptor_kind.label(), info.descriptor_width)
         };
         return Err(MergeError::Extractors { first: name(one), second: name(other) });
     }
-    let stamps: BTreeSet<i64> = first.keyframes.iter().map(|keyframe| keyframe.stamp_ns).collect();
-    match second.keyframes.iter().find(|keyframe| stamps.contains(&keyframe.stamp_ns)) {
-        Some(known) => Err(MergeError::InBoth { keyframe: known.id, stamp_ns: known.stamp_ns }),
-        None => Ok(()),
-    }
+    check_images(first, second)
 }
 
 fn not_connected(report: &MergeReport) -> MergeError {

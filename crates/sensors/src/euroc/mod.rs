@@ -10,4 +10,6 @@ pub mod writer;
 pub(crate) use folder::Folder;
 pub use folder::FolderCalibration;
 pub use sensor_yaml::{lens_of_text, read_lens};
-pub use tables::{pose_cells, read_groundtruth, read_reference_poses, read_reference_positions};
+pub use tables::{
+    QuaternionLength, pose_cells, pose_of, read_groundtruth, read_reference_poses, read_reference_positions,
+};

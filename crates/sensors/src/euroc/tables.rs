@@ -1,6 +1,7 @@
 //! The tables with one row an instant: IMU, ground truth, reference poses.
 
 use super::stamps::SkippedLines;
+use crate::pose_columns::{PoseColumns, QuaternionOrder};
 use crate::rows::Stamped;
 use crate::table::{Row, Table, check_order};
 use crate::{ImuSample, ReferencePose, ReferencePosition, SequenceError, TruthRow};
@@ -102,7 +103,7 @@ impl TimedRow for TruthRow {
         }
         Ok(Self {
             stamp_ns: row.stamp()?,
-            pose: pose_cells(row, 1)?,
+            pose: pose_after_stamp(row)?,
             velocity: known(row, 8)?,
             gyroscope_bias: known(row, 11)?,
             accelerometer_bias: known(row, 14)?,
@@ -121,7 +122,7 @@ impl TimedRow for ReferencePose {
         if sigma_theta_rad <= 0.0 || sigma_p_m <= 0.0 {
             return Err(row.wrong("a standard deviation is not positive: say how uncertain the pose is"));
         }
-        Ok(Self::isotropic(stamp_ns, pose_cells(row, 1)?, sigma_theta_rad, sigma_p_m))
+        Ok(Self::isotropic(stamp_ns, pose_after_stamp(row)?, sigma_theta_rad, sigma_p_m))
     }
 }
 
@@ -202,6 +203,17 @@ pub fn read_reference_poses(path: &Path) -> Result<Vec<ReferencePose>, SequenceE
     TimedRows::open(path)?.collect()
 }
 
+/// The pose in columns 2 to 8, its quaternion w first unless the table's header says w last.
+fn pose_after_stamp(row: &Row<'_>) -> Result<Pose, SequenceError> {
+    match row.pose_columns() {
+        Some(columns) if columns == PoseColumns::in_order(QuaternionOrder::WLast) => {
+            let [x, y, z, q_x, q_y, q_z, q_w] = row.finite_array(1)?;
+            pose_of([x, y, z], [q_w, q_x, q_y, q_z]).map_err(|problem| row.wrong(problem.to_string()))
+        }
+        _ => pose_cells(row, 1),
+    }
+}
+
 /// Reads a pose from seven cells: position (metres), then Hamilton quaternion, w first.
 ///
 /// # Arguments
@@ -211,14 +223,32 @@ pub fn read_reference_poses(path: &Path) -> Result<Vec<ReferencePose>, SequenceE
 /// [`SequenceError::Row`]: a cell is missing or not finite, or the quaternion's length is not 1.
 pub fn pose_cells(row: &Row<'_>, column: usize) -> Result<Pose, SequenceError> {
     let [p_x, p_y, p_z, q_w, q_x, q_y, q_z] = row.finite_array(column)?;
+    pose_of([p_x, p_y, p_z], [q_w, q_x, q_y, q_z]).map_err(|problem| row.wrong(problem.to_string()))
+}
+
+/// A pose of written numbers.
+///
+/// # Arguments
+/// * `position`: metres.
+/// * `quaternion`: Hamilton, w first.
+///
+/// # Errors
+/// The quaternion's length is not 1, in words.
+pub fn pose_of(position: [f64; 3], [q_w, q_x, q_y, q_z]: [f64; 4]) -> Result<Pose, QuaternionLength> {
     let quaternion = Quaternion::new(q_w, q_x, q_y, q_z);
-    if (quaternion.norm() - 1.0).abs() > QUATERNION_TOLERANCE {
-        return Err(row.wrong(format!(
-            "the quaternion has length {:.3} instead of 1: check the order of the columns",
-            quaternion.norm()
-        )));
+    let norm = quaternion.norm();
+    if (norm - 1.0).abs() > QUATERNION_TOLERANCE {
+        return Err(QuaternionLength { norm });
     }
-    Ok(Pose::new(UnitQuaternion::new_normalize(quaternion), Vector3::new(p_x, p_y, p_z)))
+    Ok(Pose::new(UnitQuaternion::new_normalize(quaternion), Vector3::from(position)))
+}
+
+/// Four numbers that are no rotation.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[error("the quaternion has length {norm:.3} instead of 1: check the order of the columns")]
+pub struct QuaternionLength {
+    /// Its length.
+    pub norm: f64,
 }
 
 /// Three numbers from `column` on; `None` where one is `nan` or the columns are absent.

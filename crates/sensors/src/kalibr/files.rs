@@ -1,5 +1,6 @@
 //! Which calibration files of Kalibr belong to a recording.
 
+use super::other_programs::is_kimera_left;
 use super::{is_camera_chain, is_imu};
 use crate::SequenceError;
 use crate::pairing::PAIR_TOLERANCE_NS;
@@ -54,15 +55,30 @@ impl CalibrationFiles {
     pub(crate) fn completed(&self, root: &Path) -> Result<Self, SequenceError> {
         let mut files = self.clone();
         let (camera, imu) = (root.join("mav0/cam0/sensor.yaml"), root.join("mav0/imu0/sensor.yaml"));
+        let given = files.cameras.clone().filter(|path| path.is_file());
         if files.cameras.is_none() {
-            files.cameras =
-                unless_there(&camera, find(root, is_camera_chain, "--calibration")?, "--calibration");
+            files.cameras = unless_there(&camera, find(root, is_cameras, "--calibration")?, "--calibration");
+        }
+        if files.imu.is_none() {
+            // The IMU may be in the file of the cameras.
+            files.imu =
+                given.clone().filter(|path| is_imu(&std::fs::read_to_string(path).unwrap_or_default()));
         }
         if files.imu.is_none() {
             files.imu = unless_there(&imu, find(root, is_imu, "--imu-calibration")?, "--imu-calibration");
         }
+        if let (None, Some(beside)) = (&files.imu, given.as_deref().and_then(Path::parent))
+            && !imu.exists()
+        {
+            files.imu = find(beside, is_imu, "--imu-calibration")?;
+        }
         Ok(files)
     }
+}
+
+/// Whether a text has the cameras of a recording.
+fn is_cameras(text: &str) -> bool {
+    is_camera_chain(text) || is_kimera_left(text)
 }
 
 /// The found file, unless the recording has a `sensor.yaml`, which comes first.
@@ -85,8 +101,9 @@ fn find(root: &Path, is_kind: fn(&str) -> bool, switch: &str) -> Result<Option<P
     for folder in FOLDERS {
         let mut found = yaml_files(&root.join(folder));
         found.retain(|(_, text)| is_kind(text));
-        if found.iter().any(|(_, text)| text.contains("T_cam_imu")) {
-            found.retain(|(_, text)| text.contains("T_cam_imu"));
+        let on_imu = |text: &str| ["T_cam_imu", "T_imu_cam"].iter().any(|entry| text.contains(entry));
+        if found.iter().any(|(_, text)| on_imu(text)) {
+            found.retain(|(_, text)| on_imu(text));
         }
         match found.as_slice() {
             [] => {}
@@ -101,9 +118,14 @@ fn find(root: &Path, is_kind: fn(&str) -> bool, switch: &str) -> Result<Option<P
     Ok(None)
 }
 
+/// The folder of a file that is named without one is the current one.
+fn named(folder: &Path) -> &Path {
+    if folder.as_os_str().is_empty() { Path::new(".") } else { folder }
+}
+
 /// The YAML files of a folder in order of their names, with their text; what cannot be read is left out.
 fn yaml_files(folder: &Path) -> Vec<(PathBuf, String)> {
-    let Ok(entries) = std::fs::read_dir(folder) else { return Vec::new() };
+    let Ok(entries) = std::fs::read_dir(named(folder)) else { return Vec::new() };
     let is_yaml = |path: &PathBuf| {
         let extension = path.extension().unwrap_or_default();
         extension == "yaml" || extension == "yml"
@@ -114,4 +136,15 @@ fn yaml_files(folder: &Path) -> Vec<(PathBuf, String)> {
     paths.sort();
     let read = |path: PathBuf| std::fs::read_to_string(&path).ok().map(|text| (path, text));
     paths.into_iter().filter_map(read).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_folder_of_a_file_without_one_is_the_current_one() {
+        assert_eq!(Path::new("camchain-imucam.yaml").parent().map(named), Some(Path::new(".")));
+        assert_eq!(named(Path::new("robot")), Path::new("robot"));
+    }
 }

@@ -4,13 +4,20 @@
 //! |---|---|---|
 //! | `T_cam_imu` | takes coordinates in the IMU's frame to the camera's | `imu_from_camera` is its inverse |
 //! | `T_cn_cnm1` | takes coordinates in the frame of the camera before to this one's | used where `T_cam_imu` is not there |
+//! | `T_imu_cam` | the inverse, as OpenVINS writes it | `imu_from_camera` |
 //! | `timeshift_cam_imu` | `t_imu = t_cam + timeshift_cam_imu`, seconds | added to the stamps of frames |
+//!
+//! Matrices are lists of rows, or as msckf_vio has them of 16 numbers. OpenVINS's `imu0` is read where its matrices of scale and
+//! misalignment are those of an ideal IMU. What other programs write is in `other_programs`.
 
 mod files;
+mod other_programs;
 
 pub use files::CalibrationFiles;
 
-use crate::calibration_yaml::{Lens, NoiseYaml, check_positive, parse, pose_from_matrix, read_text};
+use crate::calibration_yaml::{
+    Lens, MatrixYaml, NoiseYaml, check_positive, parse, pose_from_matrix, read_text,
+};
 use crate::{ImuSensor, SequenceError};
 use geometry::camera::Camera;
 use geometry::pose::Pose;
@@ -23,6 +30,9 @@ const MAX_SHIFT_DIFFERENCE_S: f64 = 1e-3;
 const MAX_SHIFT_S: f64 = 10.0;
 /// Largest distance of the IMU from the body frame (metres, radians): they are meant to be the same.
 const BODY_TOLERANCE: f64 = 1e-6;
+
+/// Models of an IMU whose readings are taken as they are; OpenVINS's have matrices, which must be the identity.
+const IMU_MODELS: [&str; 3] = ["calibrated", "kalibr", "rpng"];
 
 const CHAIN: &str = "camera chain of Kalibr";
 const IMU: &str = "imu.yaml of Kalibr";
@@ -54,9 +64,12 @@ struct CameraYaml {
     distortion_coeffs: Vec<f64>,
     resolution: Option<[u32; 2]>,
     #[serde(rename = "T_cam_imu")]
-    camera_from_imu: Option<Vec<Vec<f64>>>,
+    camera_from_imu: Option<MatrixYaml>,
+    /// OpenVINS's.
+    #[serde(rename = "T_imu_cam")]
+    imu_from_camera: Option<MatrixYaml>,
     #[serde(rename = "T_cn_cnm1")]
-    camera_from_previous: Option<Vec<Vec<f64>>>,
+    camera_from_previous: Option<MatrixYaml>,
     #[serde(default)]
     timeshift_cam_imu: f64,
     /// The topic of the images that the camera was calibrated with.
@@ -67,11 +80,48 @@ struct CameraYaml {
 struct ImuYaml {
     update_rate: Option<f64>,
     #[serde(rename = "T_i_b")]
-    imu_from_body: Option<Vec<Vec<f64>>>,
+    imu_from_body: Option<MatrixYaml>,
     #[serde(default)]
     model: Option<String>,
+    /// OpenVINS's: matrices of gyroscope and accelerometer, rotations from the IMU to each, effect of gravity on the gyroscope.
+    #[serde(rename = "Tw")]
+    gyroscope: Option<MatrixYaml>,
+    #[serde(rename = "Ta")]
+    accelerometer: Option<MatrixYaml>,
+    #[serde(rename = "R_IMUtoGYRO")]
+    gyroscope_from_imu: Option<MatrixYaml>,
+    #[serde(rename = "R_IMUtoACC")]
+    accelerometer_from_imu: Option<MatrixYaml>,
+    #[serde(rename = "Tg")]
+    gravity_on_gyroscope: Option<MatrixYaml>,
     #[serde(flatten)]
     noise: NoiseYaml,
+}
+
+impl ImuYaml {
+    /// Refuses scale and misalignment: readings are taken as those of an ideal IMU.
+    fn check_ideal(&self, path: &Path) -> Result<(), SequenceError> {
+        let identity = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
+        for (name, matrix, ideal) in [
+            ("Tw", &self.gyroscope, identity),
+            ("Ta", &self.accelerometer, identity),
+            ("R_IMUtoGYRO", &self.gyroscope_from_imu, identity),
+            ("R_IMUtoACC", &self.accelerometer_from_imu, identity),
+            ("Tg", &self.gravity_on_gyroscope, [0.0; 9]),
+        ] {
+            if matrix.as_ref().is_some_and(|matrix| matrix.numbers() != ideal) {
+                let should = if name == "Tg" { "zero" } else { "the identity" };
+                return Err(SequenceError::calibration(
+                    path,
+                    format!(
+                        "{name} is not {should}: scale, misalignment and the effect of gravity are not applied to readings; \
+                         calibrate with --imu-models calibrated, or correct the readings and state {should}"
+                    ),
+                ));
+            }
+        }
+        Ok(())
+    }
 }
 
 /// `imu.yaml` as Kalibr's calibration of cameras and IMU writes it.
@@ -94,15 +144,32 @@ pub(crate) fn is_camera_chain(text: &str) -> bool {
     text.lines().any(|line| line.starts_with("cam0:"))
 }
 
+/// Number of cameras that a file states, 1 or 2; of Kimera's, with the file of the right camera beside it.
+pub(crate) fn camera_count(path: &Path) -> Result<usize, SequenceError> {
+    let text = read_text(path)?;
+    let is_stereo = if is_camera_chain(&text) {
+        text.lines().any(|line| line.starts_with("cam1:"))
+    } else {
+        other_programs::is_kimera_left(&text) && other_programs::read_kimera_cameras(path, 2).is_ok()
+    };
+    Ok(if is_stereo { 2 } else { 1 })
+}
+
 /// Whether a text is the calibration of an IMU; EuRoC's `sensor.yaml` has the same entries, and `T_BS` or a `sensor_type`.
 pub(crate) fn is_imu(text: &str) -> bool {
     let has = |entry: &str| text.lines().any(|line| line.starts_with(entry));
-    has("imu0:") || (has("accelerometer_noise_density:") && has("update_rate:"))
+    has("imu0:")
+        || other_programs::is_kimera_imu(text)
+        || (has("accelerometer_noise_density:") && has("update_rate:"))
 }
 
 /// The topic of each camera of a chain, where the file states it.
 pub(crate) fn camera_topics(path: &Path) -> Result<Vec<Option<String>>, SequenceError> {
-    let chain: ChainYaml = parse(path, CHAIN, &read_text(path)?)?;
+    let text = read_text(path)?;
+    if !is_camera_chain(&text) {
+        return Ok(Vec::new());
+    }
+    let chain: ChainYaml = parse(path, CHAIN, &text)?;
     let topic = |camera: &CameraYaml| camera.rostopic.clone().filter(|topic| !topic.is_empty());
     Ok(chain.cameras().map(topic).collect())
 }
@@ -118,7 +185,14 @@ pub(crate) fn read_camera_chain(
     known: &[Option<Camera>],
     chosen: &[usize],
 ) -> Result<CameraChain, SequenceError> {
-    let chain: ChainYaml = parse(path, CHAIN, &read_text(path)?)?;
+    let text = read_text(path)?;
+    if !is_camera_chain(&text) {
+        if other_programs::is_kimera_camera(&text) {
+            return other_programs::read_kimera_cameras(path, known.len());
+        }
+        other_programs::check(path, &text)?;
+    }
+    let chain: ChainYaml = parse(path, CHAIN, &text)?;
     let mut from_imu: Vec<Pose> = Vec::new();
     let needed = chosen.iter().max().map_or(0, |last| last + 1);
     for (index, camera) in chain.cameras().take(needed).enumerate() {
@@ -129,17 +203,17 @@ pub(crate) fn read_camera_chain(
         ) {
             (Some(pose), _, _) => pose,
             (None, Some(rows), Some(previous)) => {
-                pose_from_matrix(path, &format!("cam{index}: T_cn_cnm1"), &rows.concat())? * *previous
+                pose_from_matrix(path, &format!("cam{index}: T_cn_cnm1"), &rows.numbers())? * *previous
             }
             (None, _, None) => {
                 return Err(SequenceError::calibration(
                     path,
-                    "cam0 has no T_cam_imu: this is the result of kalibr_calibrate_cameras; give camchain-imucam.yaml, the \
+                    "cam0 has neither T_cam_imu nor T_imu_cam: this is the result of kalibr_calibrate_cameras; give camchain-imucam.yaml, the \
                      result of kalibr_calibrate_imu_camera",
                 ));
             }
             (None, None, Some(_)) => {
-                let problem = format!("cam{index} has neither T_cam_imu nor T_cn_cnm1");
+                let problem = format!("cam{index} has none of T_cam_imu, T_imu_cam and T_cn_cnm1");
                 return Err(SequenceError::calibration(path, problem));
             }
         };
@@ -175,7 +249,12 @@ pub(crate) fn read_camera_chain(
 
 /// Whether a chain states the intrinsics of all of its cameras.
 pub(crate) fn states_intrinsics(path: &Path) -> Result<bool, SequenceError> {
-    let chain: ChainYaml = parse(path, CHAIN, &read_text(path)?)?;
+    let text = read_text(path)?;
+    if !is_camera_chain(&text) {
+        other_programs::check(path, &text)?;
+        return Ok(true);
+    }
+    let chain: ChainYaml = parse(path, CHAIN, &text)?;
     let mut cameras = chain.cameras().take(2);
     Ok(cameras.all(|camera| !camera.intrinsics.is_empty()))
 }
@@ -192,21 +271,27 @@ pub(crate) fn first_lens(path: &Path, text: &str) -> Result<Camera, SequenceErro
 /// * `measured_hz`: readings a second, where the file does not state them.
 pub(crate) fn read_imu(path: &Path, measured_hz: Option<f64>) -> Result<ImuSensor, SequenceError> {
     let text = read_text(path)?;
+    if other_programs::is_kimera_imu(&text) {
+        return crate::euroc::sensor_yaml::read_imu(path);
+    }
+    other_programs::check(path, &text)?;
     let yaml = if text.lines().any(|line| line.starts_with("imu0:")) {
         parse::<ResultYaml>(path, IMU, &text)?.imu0
     } else {
         parse::<ImuYaml>(path, IMU, &text)?
     };
-    if let Some(model) = yaml.model.as_deref().filter(|model| *model != "calibrated") {
+    if let Some(model) = yaml.model.as_deref().filter(|model| !IMU_MODELS.contains(model)) {
         return Err(SequenceError::calibration(
             path,
             format!(
-                "model \"{model}\" is unknown: calibrated is the only one; calibrate with --imu-models calibrated"
+                "model \"{model}\" is unknown: known is calibrated (with identity matrices also OpenVINS's kalibr and rpng); \
+                 calibrate with --imu-models calibrated"
             ),
         ));
     }
+    yaml.check_ideal(path)?;
     if let Some(rows) = &yaml.imu_from_body {
-        let pose = pose_from_matrix(path, "T_i_b", &rows.concat())?;
+        let pose = pose_from_matrix(path, "T_i_b", rows.numbers())?;
         if pose.rotation.angle() > BODY_TOLERANCE || pose.translation.norm() > BODY_TOLERANCE {
             return Err(SequenceError::calibration(
                 path,
@@ -243,8 +328,14 @@ fn lens(path: &Path, yaml: &CameraYaml, known: Option<&Option<Camera>>) -> Resul
 }
 
 fn camera_from_imu(path: &Path, index: usize, yaml: &CameraYaml) -> Result<Option<Pose>, SequenceError> {
-    let key = format!("cam{index}: T_cam_imu");
-    yaml.camera_from_imu.as_ref().map(|rows| pose_from_matrix(path, &key, &rows.concat())).transpose()
+    let pose = |name: &str, matrix: &MatrixYaml| {
+        pose_from_matrix(path, &format!("cam{index}: {name}"), matrix.numbers())
+    };
+    match (&yaml.camera_from_imu, &yaml.imu_from_camera) {
+        (Some(matrix), _) => pose("T_cam_imu", matrix).map(Some),
+        (None, Some(matrix)) => pose("T_imu_cam", matrix).map(|pose| Some(pose.inverse())),
+        (None, None) => Ok(None),
+    }
 }
 
 fn time_shift(path: &Path, index: usize, yaml: &CameraYaml) -> Result<f64, SequenceError> {

@@ -3,6 +3,7 @@
 mod bad_input;
 mod gravity;
 mod kalibr;
+mod other_programs;
 mod plausibility;
 mod round_trip;
 mod source;

@@ -3,6 +3,7 @@
 //! Of each robot the latest of everything is kept. Twenty times a second what changed is written once, and given to all
 //! viewers; one that is too slow for that skips, and gets the latest of everything when it has caught up.
 
+mod presence;
 mod robot;
 mod socket;
 mod subscribe;
@@ -146,6 +147,14 @@ impl Live {
         state.history.between(from_ms, to_ms, &state.robot_names, number, limit)
     }
 
+    /// Robots that publish nothing any more are gone, also where no token said so.
+    fn end_silence(&self) {
+        let mut state = self.lock();
+        let LiveState { robots, changed, .. } = &mut *state;
+        let silent = robots.iter_mut().filter_map(|(name, robot)| robot.end_silence().then_some(name));
+        changed.extend(silent.cloned());
+    }
+
     /// Adds what happened in the last second to the history.
     fn sample(&self) {
         let now_ms = self.now_ms();
@@ -166,7 +175,7 @@ impl Live {
     }
 
     fn note_online(&self, robot: &str, is_online: bool) {
-        self.lock().with_robot(robot, |robot| robot.is_online = is_online);
+        self.lock().with_robot(robot, |robot| robot.note_token(is_online));
     }
 
     fn note_session(&self, session: &str, robot: &str, is_there: bool) {
@@ -245,6 +254,7 @@ impl Viewer {
             ticks.tick().await;
             if sampled.elapsed() >= SAMPLING {
                 sampled += SAMPLING;
+                self.live.end_silence();
                 self.live.sample();
             }
             if self.live.updates.receiver_count() > 0

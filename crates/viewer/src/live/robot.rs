@@ -1,5 +1,6 @@
 //! The latest of what a robot published.
 
+use super::presence::Presence;
 use crate::history::{History, Observed, SampledPose, ShownState};
 use crate::queries::{ViewedQuery, ViewedResult};
 use crate::viewed_map::{position_covariance, rotation_wxyz};
@@ -109,7 +110,7 @@ impl<T> Dated<T> {
 #[derive(Serialize)]
 pub(super) struct ViewedRobot {
     robot: String,
-    pub(super) is_online: bool,
+    is_online: bool,
     pose: Option<Dated<ViewedGlobal>>,
     odometry: Option<Dated<ViewedOdometry>>,
     status: Option<Dated<ViewedStatus>>,
@@ -118,6 +119,8 @@ pub(super) struct ViewedRobot {
     answers: u64,
     #[serde(skip)]
     unsampled: Unsampled,
+    #[serde(skip)]
+    presence: Presence,
 }
 
 /// What is not yet in the history.
@@ -141,11 +144,30 @@ impl ViewedRobot {
             answer: None,
             answers: 0,
             unsampled: Unsampled::default(),
+            presence: Presence::new(Instant::now()),
         }
     }
 
+    /// Its liveliness token came or went.
+    pub(super) fn note_token(&mut self, is_there: bool) {
+        self.presence.note_token(is_there, Instant::now());
+        self.is_online = is_there;
+    }
+
+    /// Ends the presence of a robot that is silent.
+    ///
+    /// # Returns
+    /// Whether it was there until now.
+    pub(super) fn end_silence(&mut self) -> bool {
+        let was_online = self.is_online;
+        self.is_online = self.presence.is_online(Instant::now());
+        was_online && !self.is_online
+    }
+
     pub(super) fn note(&mut self, published: Published) {
-        self.is_online = true;
+        let now = Instant::now();
+        self.presence.note_message(now);
+        self.is_online = self.presence.is_online(now);
         match published {
             Published::Pose(pose) => {
                 let pose = *pose;

@@ -1,6 +1,7 @@
 //! The status as ROS diagnostics.
 
 use super::super::publisher::QueryCounts;
+use super::super::status_word::{is_starting, status_word};
 use estimator::{Localization, Status};
 use ros_messages::builtin_interfaces::Time;
 use ros_messages::diagnostic_msgs::{DiagnosticArray, DiagnosticStatus, KeyValue};
@@ -26,21 +27,17 @@ impl Diagnostics {
             Localization::Localized => DiagnosticStatus::OK,
             Localization::OdometryOnly if !map_expected => DiagnosticStatus::OK,
             Localization::OdometryOnly => DiagnosticStatus::WARN,
+            Localization::Lost if is_starting(status) => DiagnosticStatus::WARN,
             Localization::Lost => DiagnosticStatus::ERROR,
         };
         let value = |key: &str, value: String| KeyValue { key: key.to_owned(), value };
-        let state = match status.localization {
-            Localization::Localized => "localized",
-            Localization::OdometryOnly => "odometry only",
-            Localization::Lost => "lost",
-        };
         let component = DiagnosticStatus {
             level,
             name: "driftless: localization".to_owned(),
             message: status.reason.clone(),
             hardware_id: robot.to_owned(),
             values: vec![
-                value("state", state.to_owned()),
+                value("state", status_word(status).to_owned()),
                 value("keyframes held", status.held_keyframes.to_string()),
                 value("queries sent", counts.sent.to_string()),
                 value("queries answered", counts.answered.to_string()),
@@ -93,6 +90,8 @@ mod tests {
         assert_eq!(level(Localization::OdometryOnly, false), DiagnosticStatus::OK);
         assert_eq!(level(Localization::OdometryOnly, true), DiagnosticStatus::WARN);
         assert_eq!(level(Localization::Lost, true), DiagnosticStatus::ERROR);
+        let starting = diagnostics(true, Localization::Lost, "starting: at rest");
+        assert_eq!(starting.message.status[0].level, DiagnosticStatus::WARN);
     }
 
     #[test]

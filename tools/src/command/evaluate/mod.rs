@@ -1,16 +1,22 @@
 //! `driftless evaluate`: accuracy (ATE, RPE) and consistency (NEES) of an estimated trajectory.
 
+mod report;
+#[cfg(test)]
+mod tests;
+
 use anyhow::{Context, ensure};
-use evaluation::trajectory::{PoseFormat, StateKind, TrajectoryFile, read_any};
+use evaluation::trajectory::{PoseFormat, StateKind, TrajectoryFile, read_any_with};
 use evaluation::{
-    Alignment, Delta, MAX_TRUTH_GAP_NS, Nees, NeesSum, Pair, ScoreOptions, Statistics, absolute_errors,
-    align, associate, interpolate_reference, nees, nees_bounds, relative_errors,
+    Alignment, Delta, MAX_TRUTH_GAP_NS, NeesSum, Pair, ScoreOptions, absolute_errors, align, alignment_scale,
+    associate, interpolate_reference, nees, nees_bounds, relative_errors,
 };
 use geometry::pose::Pose;
 use geometry::uncertain_pose::PoseWithCovariance;
 use nalgebra::Vector3;
-use serde::Serialize;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+
+use super::pose_files::QuaternionArgument;
+use report::{NeesReport, Report, print};
 
 /// Confidence of the bounds printed beside the NEES.
 const CONFIDENCE: f64 = 0.95;
@@ -24,6 +30,8 @@ pub enum AlignArgument {
     Yaw,
     /// Rotation and translation (Umeyama, without scale)
     Se3,
+    /// Rotation, translation and scale, for an estimate of one camera without an IMU
+    Sim3,
 }
 
 /// Which pose of a `states.csv`.
@@ -64,7 +72,8 @@ pub enum UnitArgument {
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
 #[command(
-    after_help = "Files: TUM trajectories, EuRoC ground truth (data.csv), or states.csv of a run, recognized by content.\n\n\
+    after_help = "Files: TUM trajectories, EuRoC ground truth (data.csv), states.csv of a run, tables of other programs (OKVIS2, OpenVINS,\n\
+    Basalt, Kimera, VINS, ORB-SLAM3), recognized by header and form, or two files of KITTI (12 columns, paired by row).\n\n\
     For a run the figures are those of its own summary: the truth is interpolated (gaps up to 0.25 s), the pose in the\n\
     map is not aligned and counts from 5 s after the map initialization on, odometry counts from its first pose on.\n\
     `--skip 0 --max-difference 0.01` compares as evo does.\n\n\
@@ -82,7 +91,10 @@ pub struct Args {
     estimate: PathBuf,
     /// How the estimate is aligned with the ground truth
     #[arg(long, value_enum, default_value = "none")]
-    align: AlignArgument,
+    pub(super) align: AlignArgument,
+    /// Order of the quaternions in a file whose header does not name its columns
+    #[arg(long, value_name = "ORDER", value_enum)]
+    quaternion: Option<QuaternionArgument>,
     /// Which pose, where the estimate is a states.csv
     #[arg(long, value_enum, default_value = "global_from_imu")]
     state: StateArgument,
@@ -114,36 +126,13 @@ pub struct Args {
     skip: Option<f64>,
     /// Segment length of the relative error (RPE)
     #[arg(long, default_value_t = 1.0)]
-    delta: f64,
+    pub(super) delta: f64,
     /// Unit of --delta
     #[arg(long, value_enum, default_value = "frames")]
-    delta_unit: UnitArgument,
+    pub(super) delta_unit: UnitArgument,
     /// Print the figures as JSON
     #[arg(long)]
     json: bool,
-}
-
-/// The figures.
-#[derive(Debug, Serialize)]
-struct Report {
-    pairs: usize,
-    /// What was compared, in words.
-    scored: String,
-    ate_m: Option<Statistics>,
-    ate_deg: Option<Statistics>,
-    rpe_m: Option<Statistics>,
-    rpe_deg: Option<Statistics>,
-    nees: Option<NeesReport>,
-}
-
-/// Consistency, with the bounds of as many *independent* samples.
-#[derive(Debug, Serialize)]
-struct NeesReport {
-    #[serde(flatten)]
-    mean: Nees,
-    samples: usize,
-    bounds_3: Option<(f64, f64)>,
-    bounds_6: Option<(f64, f64)>,
 }
 
 /// Runs the command.
@@ -161,19 +150,19 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
 }
 
 fn evaluate(args: &Args) -> anyhow::Result<Report> {
-    let truth = read_any(&args.groundtruth, &[StateKind::GlobalFromImu])
-        .context("the ground truth cannot be read")?;
-    let estimate = read_any(&args.estimate, &[args.state.into()]).context("the estimate cannot be read")?;
-    let (truth, estimate, pairs, scored) = paired(args, truth, estimate)?;
-    let positions: Vec<_> = pairs
-        .iter()
-        .map(|pair| {
-            (truth.poses[pair.reference].pose.translation, estimate.poses[pair.estimate].pose.translation)
-        })
-        .collect();
+    let read = |path: &Path, state| read_any_with(path, &[state], args.quaternion.map(Into::into));
+    let truth =
+        read(&args.groundtruth, StateKind::GlobalFromImu).context("the ground truth cannot be read")?;
+    let estimate = read(&args.estimate, args.state.into()).context("the estimate cannot be read")?;
+    let (truth, mut estimate, pairs, scored) = paired(args, truth, estimate)?;
+    let scale = match args.align {
+        AlignArgument::Sim3 => Some(rescale(&truth, &mut estimate, &pairs)?),
+        _ => None,
+    };
+    let positions = positions(&truth, &estimate, &pairs);
     let alignment = match args.align {
         AlignArgument::None => Alignment::None,
-        AlignArgument::Se3 => Alignment::Se3,
+        AlignArgument::Se3 | AlignArgument::Sim3 => Alignment::Se3,
         AlignArgument::Yaw => Alignment::Yaw {
             gravity_in_reference: direction(&args.gravity, "--gravity")?,
             gravity_in_estimate: direction(&args.estimate_gravity, "--estimate-gravity")?,
@@ -185,12 +174,34 @@ fn evaluate(args: &Args) -> anyhow::Result<Report> {
     Ok(Report {
         pairs: pairs.len(),
         scored,
+        scale,
         ate_m: absolute.translation(),
         ate_deg: absolute.rotation(),
         rpe_m: relative.translation(),
         rpe_deg: relative.rotation(),
         nees: consistency(&truth, &estimate, &pairs, &aligned),
     })
+}
+
+/// Positions of the pairs in both trajectories.
+fn positions(
+    truth: &TrajectoryFile,
+    estimate: &TrajectoryFile,
+    pairs: &[Pair],
+) -> Vec<(Vector3<f64>, Vector3<f64>)> {
+    let of = |pair: &Pair| {
+        (truth.poses[pair.reference].pose.translation, estimate.poses[pair.estimate].pose.translation)
+    };
+    pairs.iter().map(of).collect()
+}
+
+/// Scales the estimate's positions so that they fit the truth best. Its covariances are not of the scaled poses.
+fn rescale(truth: &TrajectoryFile, estimate: &mut TrajectoryFile, pairs: &[Pair]) -> anyhow::Result<f64> {
+    let scale = alignment_scale(&positions(truth, estimate, pairs))
+        .context("the trajectories cannot be aligned in scale")?;
+    estimate.poses.iter_mut().for_each(|row| row.pose.translation *= scale);
+    estimate.covariances = None;
+    Ok(scale)
 }
 
 /// Poses of both trajectories at the same times, and which they are, in words.
@@ -207,6 +218,10 @@ fn paired(
     } else {
         "all poses".to_owned()
     };
+    if [truth.format, estimate.format].contains(&PoseFormat::Kitti) {
+        let pairs = paired_by_row(&truth, &estimate)?;
+        return Ok((truth, estimate, pairs, "all poses, truth of the same row".to_owned()));
+    }
     let (pairs, truth_at) = match args.max_difference {
         None => {
             let (interpolated, pairs) =
@@ -221,6 +236,23 @@ fn paired(
         }
     };
     Ok((truth, estimate, pairs, format!("{from}, truth {truth_at}")))
+}
+
+/// Pairs of two files without times.
+fn paired_by_row(truth: &TrajectoryFile, estimate: &TrajectoryFile) -> anyhow::Result<Vec<Pair>> {
+    ensure!(
+        truth.format == estimate.format,
+        "KITTI's poses have no times, and the other file is {}: give both in KITTI's layout (12 columns), row by row, or both \
+         with times (`evo_traj kitti` writes TUM files)",
+        if truth.format == PoseFormat::Kitti { estimate.format } else { truth.format }
+    );
+    ensure!(
+        truth.poses.len() == estimate.poses.len(),
+        "KITTI's poses are paired by row, but the ground truth has {} rows and the estimate {}",
+        truth.poses.len(),
+        estimate.poses.len()
+    );
+    Ok((0..truth.poses.len()).map(|row| Pair { reference: row, estimate: row }).collect())
 }
 
 /// The poses of a run in the map are scored from some time after the map initialization on, which is their first pose.
@@ -294,135 +326,4 @@ fn consistency(
         bounds_3: nees_bounds(3, samples, CONFIDENCE),
         bounds_6: nees_bounds(6, samples, CONFIDENCE),
     })
-}
-
-fn print(report: &Report, args: &Args) {
-    let align = match args.align {
-        AlignArgument::None => "not aligned",
-        AlignArgument::Yaw => "aligned in yaw and position",
-        AlignArgument::Se3 => "aligned in rotation and position",
-    };
-    println!("{} pairs of poses ({}), {align}", report.pairs, report.scored);
-    println!("{:<16}{:>12}{:>12}{:>12}{:>12}{:>12}", "", "rmse", "mean", "median", "std", "max");
-    let unit = match args.delta_unit {
-        UnitArgument::Frames => "frames",
-        UnitArgument::Metres => "m",
-        UnitArgument::Seconds => "s",
-    };
-    for (name, statistics) in [
-        ("ATE [m]", &report.ate_m),
-        ("ATE [deg]", &report.ate_deg),
-        ("RPE [m]", &report.rpe_m),
-        ("RPE [deg]", &report.rpe_deg),
-    ] {
-        match statistics {
-            Some(s) => println!(
-                "{name:<16}{:>12.6}{:>12.6}{:>12.6}{:>12.6}{:>12.6}",
-                s.rmse, s.mean, s.median, s.std, s.max
-            ),
-            None => println!("{name:<16}   no segment of {} {unit} is complete", args.delta),
-        }
-    }
-    if let Some(nees) = &report.nees {
-        let bounds = |bounds: Option<(f64, f64)>| {
-            bounds.map_or_else(String::new, |(low, high)| format!(" ({low:.3} to {high:.3})"))
-        };
-        println!(
-            "NEES per degree of freedom, 1 is consistent (95 % bounds of {} independent samples): \
-             rotation {:.3}{}, position {:.3}{}, pose {:.3}{}",
-            nees.samples,
-            nees.mean.rotation,
-            bounds(nees.bounds_3),
-            nees.mean.position,
-            bounds(nees.bounds_3),
-            nees.mean.pose,
-            bounds(nees.bounds_6)
-        );
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use clap::Parser;
-    use evaluation::score_run;
-    use evaluation::trajectory::states::{self, StateRow};
-    use evaluation::trajectory::{StampedPose, tum};
-    use geometry::uncertain_pose::isotropic_covariance;
-    use nalgebra::UnitQuaternion;
-    use sensors::TruthRow;
-
-    #[derive(Parser)]
-    struct CommandLine {
-        #[command(flatten)]
-        args: Args,
-    }
-
-    fn report(truth: &std::path::Path, estimate: &std::path::Path, switches: &str) -> Report {
-        let paths =
-            ["evaluate", "--groundtruth", truth.to_str().unwrap(), "--estimate", estimate.to_str().unwrap()];
-        let line = paths.into_iter().chain(switches.split_whitespace());
-        evaluate(&CommandLine::try_parse_from(line).unwrap().args).unwrap()
-    }
-
-    /// A curve; `t` in seconds.
-    fn pose(t: f64) -> Pose {
-        Pose::new(
-            UnitQuaternion::from_scaled_axis(Vector3::new(0.1 * t.sin(), 0.0, 0.3 * t)),
-            Vector3::new((0.9 * t).sin(), (0.7 * t).cos(), 0.1 * t),
-        )
-    }
-
-    /// A run of 20 s that is localized after 3 s, with errors that shrink, and truth at other times.
-    fn files(folder: &std::path::Path) -> (Vec<StateRow>, Vec<TruthRow>) {
-        let rows = (0..400).map(|index| {
-            let t = f64::from(index) * 0.05;
-            let error = Vector3::new(0.3, -0.2, 0.1) * (-0.2 * t).exp();
-            let wrong = Pose::new(pose(t).rotation, pose(t).translation + error);
-            let with = |pose| PoseWithCovariance::new(pose, isotropic_covariance(0.01, 0.1));
-            StateRow {
-                stamp_ns: i64::from(index) * 50_000_000,
-                local_from_imu: with(wrong),
-                global_from_local: (index >= 60).then(|| with(Pose::identity())),
-                global_from_imu: (index >= 60).then(|| with(wrong)),
-            }
-        });
-        let rows: Vec<StateRow> = rows.collect();
-        let truth: Vec<TruthRow> = (0..2000)
-            .map(|index| {
-                TruthRow::of_pose(index * 11_000_000 - 7_000_000, pose(index as f64 * 0.011 - 0.007))
-            })
-            .collect();
-        states::write(&folder.join("states.csv"), &rows).unwrap();
-        let stamped = |stamp_ns, pose| StampedPose { stamp_ns, pose };
-        let global = rows.iter().filter_map(|row| Some(stamped(row.stamp_ns, row.global_from_imu?.pose)));
-        tum::write(&folder.join("pose.tum"), &global.collect::<Vec<_>>()).unwrap();
-        let local: Vec<_> = rows.iter().map(|row| stamped(row.stamp_ns, row.local_from_imu.pose)).collect();
-        tum::write(&folder.join("odometry.tum"), &local).unwrap();
-        let reference: Vec<_> = truth.iter().map(|row| stamped(row.stamp_ns, row.pose)).collect();
-        tum::write(&folder.join("truth.tum"), &reference).unwrap();
-        (rows, truth)
-    }
-
-    #[test]
-    fn the_figures_of_a_run_are_those_of_its_summary() {
-        let folder = tempfile::tempdir().unwrap();
-        let (rows, truth) = files(folder.path());
-        let summary = score_run(&rows, &truth, -Vector3::z(), &ScoreOptions::default()).unwrap();
-        let pose = summary.pose.unwrap();
-        let truth = folder.path().join("truth.tum");
-        for file in ["states.csv", "pose.tum"] {
-            let report = report(&truth, &folder.path().join(file), "");
-            assert_eq!(report.pairs, pose.samples);
-            assert!((report.ate_m.unwrap().rmse - pose.rmse_m).abs() < 1e-7, "{file}");
-            assert!((report.ate_deg.unwrap().rmse - pose.rmse_deg).abs() < 1e-4, "{file}");
-            assert!(report.scored.contains("from 5 s") && report.scored.contains("interpolated"));
-        }
-        let odometry = report(&truth, &folder.path().join("odometry.tum"), "--align yaw");
-        assert!((odometry.ate_m.unwrap().rmse - summary.odometry_yaw_aligned_m.rmse).abs() < 1e-7);
-        assert!(odometry.scored.starts_with("all poses"));
-        // As evo compares: other frames, other partners, other figures.
-        let evo = report(&truth, &folder.path().join("pose.tum"), "--skip 0 --max-difference 0.01");
-        assert!(evo.pairs == 340 && evo.ate_m.unwrap().rmse > 1.5 * pose.rmse_m);
-    }
 }

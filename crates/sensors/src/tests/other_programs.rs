@@ -1,0 +1,158 @@
+//! Calibrations of other programs: read where their meaning is clear, else named.
+
+use super::*;
+use crate::read_rig_calibration;
+use nalgebra::{UnitQuaternion, Vector3};
+
+/// A camera that looks along the IMU's y axis.
+fn imu_from_camera() -> Pose {
+    let rotation = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), -std::f64::consts::FRAC_PI_2);
+    Pose::new(rotation, Vector3::new(0.25, -0.5, 0.125))
+}
+
+/// The numbers of a pose's matrix in rows.
+fn rows(pose: &Pose) -> Vec<Vec<f64>> {
+    let (rotation, p) = (pose.rotation.to_rotation_matrix(), pose.translation);
+    let row = |index: usize| vec![rotation[(index, 0)], rotation[(index, 1)], rotation[(index, 2)], p[index]];
+    vec![row(0), row(1), row(2), vec![0.0, 0.0, 0.0, 1.0]]
+}
+
+const LENS: &str = "  camera_model: pinhole\n  distortion_coeffs: [0.1, 0.2, 0.003, 0.004]\n  distortion_model: radtan\n  \
+                    intrinsics: [400, 401.5, 320, 240]\n  resolution: [640, 480]\n  rostopic: /cam0/image_raw\n";
+const NOISE: &str = "accelerometer_noise_density: 2.0e-3  # white\n  accelerometer_random_walk: 3.0e-3\n  \
+                     gyroscope_noise_density: 1.6968e-04\n  gyroscope_random_walk: 1.9393e-05\n";
+
+fn identity(name: &str) -> String {
+    format!("  {name}:\n    - [ 1.0, 0.0, 0.0 ]\n    - [ 0.0, 1.0, 0.0 ]\n    - [ 0.0, 0.0, 1.0 ]\n")
+}
+
+/// As OpenVINS ships it.
+fn openvins_imu() -> String {
+    format!(
+        "%YAML:1.0\n\nimu0:\n  T_i_b:\n    - [1.0, 0.0, 0.0, 0.0]\n    - [0.0, 1.0, 0.0, 0.0]\n    - [0.0, 0.0, 1.0, 0.0]\n    - \
+         [0.0, 0.0, 0.0, 1.0]\n  {NOISE}  time_offset: 0.0\n  update_rate: 200.0\n  model: \"kalibr\"\n{}{}{}{}  Tg:\n    - [ 0.0, \
+         0.0, 0.0 ]\n    - [ 0.0, 0.0, 0.0 ]\n    - [ 0.0, 0.0, 0.0 ]\n",
+        identity("Tw"),
+        identity("R_IMUtoGYRO"),
+        identity("Ta"),
+        identity("R_IMUtoACC")
+    )
+}
+
+/// Kimera's file of a camera.
+fn kimera_camera(id: &str, pose: &Pose) -> String {
+    format!(
+        "%YAML:1.0\n# General sensor definitions.\ncamera_id: {id}\n\nT_BS:\n  cols: 4\n  rows: 4\n  data: {:?}\nrate_hz: \
+         20\nresolution: [640, 480]\ncamera_model: pinhole\nintrinsics: [400, 401.5, 320, 240] #fu, fv, cu, cv\ndistortion_model: \
+         radial-tangential\ndistortion_coefficients: [0.1, 0.2, 0.003, 0.004]\n",
+        rows(pose).concat()
+    )
+}
+
+fn kimera_imu() -> String {
+    let noise = NOISE.replace("\n  ", "\n");
+    format!(
+        "%YAML:1.0\nimu_preintegration_type: 1\nT_BS:\n  cols: 4\n  rows: 4\n  data: {:?}\nrate_hz: 200\n{noise}imu_time_shift: \
+         0.0125\nn_gravity: [0.0, 0.0, -9.81]\n",
+        rows(&Pose::identity()).concat()
+    )
+}
+
+/// Writes files into a folder and reads the calibration from one of them, or from the folder for an empty name.
+fn read(files: &[(&str, String)], name: &str) -> Result<FolderCalibration, SequenceError> {
+    let folder = tempfile::tempdir().unwrap();
+    for (name, text) in files {
+        std::fs::write(folder.path().join(name), text).unwrap();
+    }
+    read_rig_calibration(&folder.path().join(name), None, &[])
+}
+
+#[test]
+fn every_way_to_write_a_calibration_means_the_same() {
+    let (pose, right) =
+        (imu_from_camera(), imu_from_camera().compose(&Pose::new(UnitQuaternion::identity(), Vector3::x())));
+    let chain = |entry: &str, pose: &Pose, flat: bool| {
+        let matrix = if flat { format!("{:?}", rows(pose).concat()) } else { format!("{:?}", rows(pose)) };
+        format!("cam0:\n  {entry}: {matrix}\n{LENS}")
+    };
+    let openvins = ("kalibr_imu_chain.yaml", openvins_imu());
+    let chains = "kalibr_imucam_chain.yaml";
+    let kimera = |id, name, pose| (name, kimera_camera(id, pose));
+    let kimera_files = [
+        kimera("left_cam", "LeftCameraParams.yaml", &pose),
+        kimera("right_cam", "RightCameraParams.yaml", &right),
+        ("ImuParams.yaml", kimera_imu()),
+    ];
+    let both = chain("T_cam_imu", &pose.inverse(), false)
+        + "  timeshift_cam_imu: 0.0125\n"
+        + &openvins_imu().replace("%YAML:1.0", "");
+    for (name, files, cameras, offset_ns, path) in [
+        ("OpenVINS", vec![(chains, chain("T_imu_cam", &pose, false)), openvins.clone()], 1, 0, chains),
+        ("msckf_vio", vec![(chains, chain("T_cam_imu", &pose.inverse(), true)), openvins], 1, 0, chains),
+        ("one file", vec![("all.yaml", both)], 1, 12_500_000, "all.yaml"),
+        ("Kimera", kimera_files.to_vec(), 2, 12_500_000, "LeftCameraParams.yaml"),
+        ("Kimera, folder", kimera_files.to_vec(), 2, 12_500_000, ""),
+        ("Kimera, one camera", vec![kimera_files[0].clone(), kimera_files[2].clone()], 1, 12_500_000, ""),
+    ] {
+        let read = read(&files, path).unwrap_or_else(|error| panic!("{name}: {error}"));
+        let imu = read.sensors.imu.unwrap();
+        assert_eq!((imu.noise, imu.rate_hz), (ImuNoise::default(), 200.0), "{name}");
+        assert_eq!((read.sensors.cameras.len(), read.time_offset_ns), (cameras, offset_ns), "{name}");
+        for (camera, pose) in read.sensors.cameras.iter().zip([&pose, &right]) {
+            assert!(camera.imu_from_camera.local(pose).amax() < 1e-9, "{name}");
+            assert!((camera.camera.focal[1] - 401.5).abs() < 1e-9);
+            assert_eq!(camera.camera.distortion, Distortion::RadialTangential([0.1, 0.2, 0.003, 0.004]));
+        }
+    }
+}
+
+#[test]
+fn what_is_not_read_is_named() {
+    let chain = format!("cam0:\n  T_imu_cam: {:?}\n{LENS}", rows(&imu_from_camera()));
+    let scaled = openvins_imu().replacen("[ 1.0, 0.0, 0.0 ]", "[ 1.01, 0.0, 0.0 ]", 1);
+    let omni = kimera_camera("left_cam", &imu_from_camera()).replace("pinhole", "omni");
+    for (files, path, words) in [
+        (
+            vec![("chain.yaml", chain), ("imu.yaml", scaled)],
+            "chain.yaml",
+            ["imu.yaml", "Tw is not the identity"],
+        ),
+        (vec![("Left.yaml", omni), ("ImuParams.yaml", kimera_imu())], "Left.yaml", ["Left.yaml", "\"omni\""]),
+        (
+            vec![("euroc.json", "{\"value0\": {\"T_imu_cam\": [{\"px\": 0.1}]}}".to_owned())],
+            "euroc.json",
+            ["calibration of Basalt", "camchain-imucam.yaml"],
+        ),
+        (
+            vec![("EuRoC.yaml", "%YAML:1.0\nCamera.type: \"PinHole\"\nCamera1.fx: 458.654\n".to_owned())],
+            "EuRoC.yaml",
+            ["settings of ORB-SLAM3", "camchain-imucam.yaml"],
+        ),
+        (
+            vec![("vins.yaml", "%YAML:1.0\nimu: 1\nnum_of_cam: 2\nimu_topic: \"/imu0\"\n".to_owned())],
+            "vins.yaml",
+            ["VINS-Mono or VINS-Fusion", "T_cam_imu"],
+        ),
+    ] {
+        let error = read(&files, path).unwrap_err().to_string();
+        assert!(words.iter().all(|word| error.contains(word)), "{error}");
+    }
+}
+
+#[test]
+fn of_several_files_of_an_imu_a_given_one_is_taken() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = |name: &str, text: &str| {
+        let path = folder.path().join(name);
+        std::fs::write(&path, text).unwrap();
+        path
+    };
+    let chain = file("chain.yaml", &format!("cam0:\n  T_imu_cam: {:?}\n{LENS}", rows(&imu_from_camera())));
+    file("a.yaml", &openvins_imu());
+    let other = file("b.yaml", &openvins_imu().replace("200.0", "400.0"));
+    let error = read_rig_calibration(&chain, None, &[]).unwrap_err().to_string();
+    assert!(error.contains("--imu-calibration FILE"), "{error}");
+    assert!(crate::states_intrinsics(&chain).unwrap());
+    let read = read_rig_calibration(&chain, Some(&other), &[]).unwrap();
+    assert!((read.sensors.imu.unwrap().rate_hz - 400.0).abs() < 1e-9);
+}
