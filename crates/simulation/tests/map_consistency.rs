@@ -63,22 +63,12 @@ fn nees_of_all_three_poses_is_as_stated_with_all_seeds() {
     all_three_poses(ALL_SEEDS);
 }
 
-fn map_initializations(runs: usize) {
+#[test]
+fn a_map_initialization_from_a_dozen_matches_with_one_keyframe_is_as_uncertain_as_stated() {
     let simulation = SimulationOptions { duration_s: Some(60.0), ..SimulationOptions::default() };
     let answers =
         AnswerOptions { every_s: 1.0, max_matches: 12, max_keyframes: 1, ..AnswerOptions::default() };
-    is_as_stated(ensemble(runs, 2, simulation, answers));
-}
-
-#[test]
-fn a_map_initialization_from_a_dozen_matches_with_one_keyframe_is_as_uncertain_as_stated() {
-    map_initializations(SEEDS);
-}
-
-#[test]
-#[ignore = "all seeds, minutes"]
-fn a_map_initialization_from_a_dozen_matches_is_as_uncertain_as_stated_with_all_seeds() {
-    map_initializations(ALL_SEEDS);
+    is_as_stated(ensemble(ALL_SEEDS, 2, simulation, answers));
 }
 
 fn is_as_stated(score: EnsembleScore) {
