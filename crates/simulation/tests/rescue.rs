@@ -79,6 +79,7 @@ fn all_are_rescued(runs: usize) {
         }
     }
     assert!(never.is_empty(), "{} of {all} not within six answers: {never:?}", never.len());
-    assert!(late.len() * 100 <= all, "{} of {all} not within five answers: {late:?}", late.len());
+    // One in a hundred.
+    assert!(late.len() <= (all / 100).max(1), "{} of {all} not within five answers: {late:?}", late.len());
     assert!(trusted.len() * 100 <= all, "wrong for 3 s while localized: {trusted:?}");
 }
