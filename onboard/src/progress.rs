@@ -1,7 +1,7 @@
 //! Progress bar and report of a run on the terminal.
 
 use super::outputs::{Summary, status_word};
-use evaluation::{Score, ScoreOptions};
+use evaluation::{RunScore, Score, ScoreOptions};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::fmt::Write as _;
 
@@ -53,6 +53,55 @@ fn query_report(summary: &Summary) -> String {
     text
 }
 
+/// The errors of a run against ground truth.
+fn score_report(score: &RunScore) -> String {
+    let mut text = String::new();
+    let _ = writeln!(
+        text,
+        "{:24} {:>8} {:>9} {:>8} {:>8} {:>8}",
+        "errors against truth", "deg", "m", "max m", "NEES", "n"
+    );
+    let mut line = |name: &str, score: &Score| {
+        let nees = score.nees_pose.map_or_else(|| "-".to_owned(), |nees| short(nees, 2));
+        let _ = writeln!(
+            text,
+            "{name:24} {:>8} {:>9} {:>8} {nees:>8} {:>8}",
+            short(score.rmse_deg, 3),
+            short(score.rmse_m, 4),
+            short(score.max_m, 3),
+            score.samples
+        );
+    };
+    line("local_from_imu", &score.local);
+    if let Some(transform) = &score.transform {
+        line("global_from_local", transform);
+    }
+    if let Some(pose) = &score.pose {
+        line("global_from_imu", pose);
+    }
+    let aligned = if score.map_from_truth.is_some() { "aligned" } else { "not aligned" };
+    let _ = writeln!(
+        text,
+        "  truth interpolated; local_from_imu and odometry: all frames; the others: from {} s after the map \
+         initialization on, {aligned}",
+        ScoreOptions::default().skip_after_initialization_s
+    );
+    if let Some(aligned) = &score.map_from_truth {
+        let _ = writeln!(text, "  {aligned}");
+    } else if score.pose.is_some_and(|pose| pose.nees_pose.is_some_and(|nees| nees > OTHER_FRAME_NEES)) {
+        let _ = writeln!(
+            text,
+            "  far more than claimed: if the map's frame is not the truth's, compare with `driftless evaluate --align yaw`"
+        );
+    }
+    let _ = writeln!(
+        text,
+        "odometry alone, aligned in yaw and position: {:.4} m over {:.0} m",
+        score.odometry_yaw_aligned_m.rmse, score.distance_m
+    );
+    text
+}
+
 /// The summary of a run in a few lines.
 pub fn report(summary: &Summary) -> String {
     let mut text = String::new();
@@ -87,49 +136,7 @@ pub fn report(summary: &Summary) -> String {
         text += &query_report(summary);
     }
     if let Some(score) = &summary.score {
-        let _ = writeln!(
-            text,
-            "{:24} {:>8} {:>9} {:>8} {:>8} {:>8}",
-            "errors against truth", "deg", "m", "max m", "NEES", "n"
-        );
-        let mut line = |name: &str, score: &Score| {
-            let nees = score.nees_pose.map_or_else(|| "-".to_owned(), |nees| short(nees, 2));
-            let _ = writeln!(
-                text,
-                "{name:24} {:>8} {:>9} {:>8} {nees:>8} {:>8}",
-                short(score.rmse_deg, 3),
-                short(score.rmse_m, 4),
-                short(score.max_m, 3),
-                score.samples
-            );
-        };
-        line("local_from_imu", &score.local);
-        if let Some(transform) = &score.transform {
-            line("global_from_local", transform);
-        }
-        if let Some(pose) = &score.pose {
-            line("global_from_imu", pose);
-        }
-        let aligned = if score.map_from_truth.is_some() { "aligned" } else { "not aligned" };
-        let _ = writeln!(
-            text,
-            "  truth interpolated; local_from_imu and odometry: all frames; the others: from {} s after the map \
-             initialization on, {aligned}",
-            ScoreOptions::default().skip_after_initialization_s
-        );
-        if let Some(aligned) = &score.map_from_truth {
-            let _ = writeln!(text, "  {aligned}");
-        } else if score.pose.is_some_and(|pose| pose.nees_pose.is_some_and(|nees| nees > OTHER_FRAME_NEES)) {
-            let _ = writeln!(
-                text,
-                "  far more than claimed: if the map's frame is not the truth's, compare with `driftless evaluate --align yaw`"
-            );
-        }
-        let _ = writeln!(
-            text,
-            "odometry alone, aligned in yaw and position: {:.4} m over {:.0} m",
-            score.odometry_yaw_aligned_m.rmse, score.distance_m
-        );
+        text += &score_report(score);
     }
     if let Some(reason) = &summary.no_score {
         let _ = writeln!(text, "not compared with ground truth: {reason}");

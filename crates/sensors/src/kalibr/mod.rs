@@ -203,7 +203,7 @@ pub(crate) fn read_camera_chain(
         ) {
             (Some(pose), _, _) => pose,
             (None, Some(rows), Some(previous)) => {
-                pose_from_matrix(path, &format!("cam{index}: T_cn_cnm1"), &rows.numbers())? * *previous
+                pose_from_matrix(path, &format!("cam{index}: T_cn_cnm1"), rows.numbers())? * *previous
             }
             (None, _, None) => {
                 return Err(SequenceError::calibration(
