@@ -63,6 +63,7 @@ pub fn map_answer(
         gravity_in_global: status.gravity_in_global.map(Vector3::from),
         sigma_map_px: status.sigma_map_px,
         log_odds: status.log_odds,
+        log_prior_odds: status.log_prior_odds,
     }
 }
 

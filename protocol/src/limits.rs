@@ -13,7 +13,7 @@
 ///   are at most 1e7 m.
 /// * 5: keyframes of an answer have a `common_error`, and where the request names the version of the map in
 ///   `map_version_held`, correlations among the held keyframes are not sent again.
-/// * 6: the status of a match has `log_odds`, the reply to a localization query has `places`.
+/// * 6: the status of a match has `log_odds` and `log_prior_odds`, the reply to a localization query has `places`.
 pub const SCHEMA_VERSION: u16 = 6;
 
 /// Longest payload that is encoded or decoded, envelope included.

@@ -286,12 +286,16 @@ pub struct MatchStatus {
     /// Natural logarithm of the odds that the image is of the place that the answer shows, and not of a picture that repeats,
     /// both being equally likely before. Zero without an answer.
     pub log_odds: f64,
+    /// What of it holds for the map before any image is seen: how little of it looks like other parts. It counts once for a
+    /// pose, however many places speak for that.
+    pub log_prior_odds: f64,
 }
 
 impl Validate for MatchStatus {
     fn validate(&self) -> Result<(), InvalidField> {
         require_unit(self.gravity_in_global.as_ref(), "gravity_in_global")?;
         require_positive(self.sigma_map_px, "sigma_map_px")?;
-        require_finite(&[self.log_odds], "log_odds")
+        require_finite(&[self.log_odds], "log_odds")?;
+        require_finite(&[self.log_prior_odds], "log_prior_odds")
     }
 }

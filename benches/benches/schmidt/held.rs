@@ -199,6 +199,7 @@ impl Holder {
             gravity_in_global: Some(-Vector3::z()),
             sigma_map_px: 1.0,
             log_odds: 10.0,
+            log_prior_odds: 0.0,
         };
         let report = self.estimator.map_update(self.newest, &answer).unwrap();
         assert_eq!(report.rejection, None);

@@ -68,6 +68,7 @@ fn status(outcome: MatchOutcome, keyframes_sent: u16) -> MatchReply {
         gravity_in_global: None,
         sigma_map_px: 1.0,
         log_odds: 4.0,
+        log_prior_odds: 0.0,
     })
 }
 

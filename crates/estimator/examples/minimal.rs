@@ -109,6 +109,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             gravity_in_global: Some(-Vector3::z()),
             sigma_map_px: 1.0,
             log_odds: 10.0,
+            log_prior_odds: 0.0,
         };
         estimator.map_update(clone, &answer)?;
 

@@ -89,6 +89,7 @@ fn scene(count: usize, pixel_noise: f64) -> Scene {
             gravity_in_global: None,
             sigma_map_px: 1.0,
             log_odds: 10.0,
+            log_prior_odds: 0.0,
         },
     }
 }

@@ -98,6 +98,7 @@ impl LoadedMap {
             gravity_in_global: self.info.gravity_in_global.map(Into::into),
             sigma_map_px: self.info.sigma_px,
             log_odds: search.log_odds(),
+            log_prior_odds: search.log_prior_odds(),
         };
         let mut replies: Vec<MatchReply> = keyframes.into_iter().map(MatchReply::Keyframe).collect();
         replies.push(MatchReply::Done(status));

@@ -48,6 +48,11 @@ impl Search {
         self.hypotheses.first().map_or(0.0, Hypothesis::log_odds)
     }
 
+    /// What of them holds for the map before the image is seen.
+    pub(super) fn log_prior_odds(&self) -> f64 {
+        self.hypotheses.first().map_or(0.0, |place| place.log_prior_odds)
+    }
+
     /// The places that explain the image, as they are sent.
     pub(super) fn places(&self) -> Vec<PossiblePlace> {
         let place = |hypothesis: &Hypothesis| PossiblePlace {

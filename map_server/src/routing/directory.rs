@@ -216,6 +216,7 @@ impl CellDirectory {
             gravity_in_global: self.info.gravity_in_global.map(Into::into),
             sigma_map_px: self.info.sigma_px,
             log_odds: 0.0,
+            log_prior_odds: 0.0,
         }
     }
 

@@ -235,6 +235,7 @@ fn match_statuses() -> impl Strategy<Value = MatchStatus> {
                 gravity_in_global,
                 sigma_map_px,
                 log_odds,
+                log_prior_odds: 0.1 * log_odds,
             }
         },
     )

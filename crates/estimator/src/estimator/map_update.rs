@@ -74,6 +74,7 @@ impl Estimator {
     ///     gravity_in_global: Some(-Vector3::z()),
     ///     sigma_map_px: 1.0,
     ///     log_odds: 10.0,
+    ///     log_prior_odds: 0.0,
     /// };
     /// let report = estimator.map_update(clone, &answer)?;
     /// estimator.unpin(clone);

@@ -78,7 +78,8 @@ impl Estimator {
             let landmark = &answer.landmarks[k];
             Some(self.pose_of(landmark.anchor, answer)?.transform(&landmark.position_in_anchor))
         };
-        SeenPlace::of(&verified.inliers.iter().filter_map(in_global).collect::<Vec<_>>(), answer.log_odds)
+        let landmarks: Vec<_> = verified.inliers.iter().filter_map(in_global).collect();
+        SeenPlace::of(&landmarks, answer.log_odds - answer.log_prior_odds, answer.log_prior_odds)
     }
 
     /// An answer agrees with the state, and is evidence for it.

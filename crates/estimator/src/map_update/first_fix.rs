@@ -234,7 +234,7 @@ mod tests {
                 sigma_rotation: 0.005,
                 sigma_position: 0.02,
             },
-            seen: SeenPlace::of(&landmarks, log_odds),
+            seen: SeenPlace::of(&landmarks, log_odds, 0.0),
         }
     }
 

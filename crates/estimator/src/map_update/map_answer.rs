@@ -64,6 +64,8 @@ pub struct MapAnswer {
     /// Natural logarithm of the odds that the image is of this place, and not of a picture that repeats, both being equally
     /// likely before.
     pub log_odds: f64,
+    /// What of it holds for the map before any image is seen; it counts once for all places that say the same.
+    pub log_prior_odds: f64,
 }
 
 impl MapAnswer {
@@ -144,8 +146,8 @@ impl MapAnswer {
         }
         let direction = |gravity: &Vector3<f64>| (gravity.norm() - 1.0).abs() < 1e-3;
         self.gravity_in_global = self.gravity_in_global.filter(direction);
-        if !self.log_odds.is_finite() {
-            self.log_odds = 0.0;
+        if !(self.log_odds.is_finite() && self.log_prior_odds.is_finite()) {
+            (self.log_odds, self.log_prior_odds) = (0.0, 0.0);
         }
         self
     }

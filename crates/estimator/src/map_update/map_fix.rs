@@ -330,7 +330,7 @@ mod tests {
             squared,
             sigma_rotation: 0.01,
             sigma_position: 0.1,
-            seen: SeenPlace::of(&[Vector3::zeros()], 1.0),
+            seen: SeenPlace::of(&[Vector3::zeros()], 1.0, 0.0),
         }
     }
 

@@ -17,8 +17,10 @@ pub struct SeenPlace {
     centre: Vector3<f64>,
     /// Root mean square of their distances from it, metres.
     spread: f64,
-    /// Logarithm of its odds, as the server states them.
-    log_odds: f64,
+    /// Logarithm of the likelihood ratio of what is seen there.
+    log_ratio: f64,
+    /// Logarithm of the odds before it is seen.
+    log_prior_odds: f64,
 }
 
 impl SeenPlace {
@@ -26,12 +28,13 @@ impl SeenPlace {
     ///
     /// # Arguments
     /// * `landmarks`: their positions in G, metres; not empty.
-    /// * `log_odds`: of the answer, negative ones are evidence against it.
-    pub fn of(landmarks: &[Vector3<f64>], log_odds: f64) -> Self {
+    /// * `log_ratio`: of the answer, negative ones are evidence against it.
+    /// * `log_prior_odds`: those of the map.
+    pub fn of(landmarks: &[Vector3<f64>], log_ratio: f64, log_prior_odds: f64) -> Self {
         let count = landmarks.len().max(1) as f64;
         let centre = landmarks.iter().sum::<Vector3<f64>>() / count;
         let variance = landmarks.iter().map(|at| (at - centre).norm_squared()).sum::<f64>() / count;
-        Self { centre, spread: variance.sqrt(), log_odds }
+        Self { centre, spread: variance.sqrt(), log_ratio, log_prior_odds }
     }
 
     /// Whether it shows the same as another one: their landmarks overlap.
@@ -51,7 +54,7 @@ impl PlaceEvidence {
     /// nearer.
     pub fn add(&mut self, seen: SeenPlace) {
         if let Some(before) = self.places.iter_mut().find(|before| before.is_same(&seen)) {
-            before.log_odds = before.log_odds.max(seen.log_odds);
+            before.log_ratio = before.log_ratio.max(seen.log_ratio);
             return;
         }
         if self.places.len() == MAX_PLACES {
@@ -65,9 +68,11 @@ impl PlaceEvidence {
         self.places.clear();
     }
 
-    /// Logarithm of the odds of all of it.
+    /// Logarithm of the odds of all of it. Those before anything is seen count once: what repeats in a building often does so side by
+    /// side, at one displacement.
     pub fn log_odds(&self) -> f64 {
-        self.places.iter().map(|place| place.log_odds).sum()
+        let prior = self.places.last().map_or(0.0, |place| place.log_prior_odds);
+        prior + self.places.iter().map(|place| place.log_ratio).sum::<f64>()
     }
 }
 
@@ -89,7 +94,7 @@ mod tests {
         let at = |k: usize| {
             Vector3::new(x + width * (k % 10) as f64 / 9.0, 0.0, width * ((k / 10) as f64 + 0.5) / rows)
         };
-        SeenPlace::of(&(0..count).map(at).collect::<Vec<_>>(), 0.02 * count as f64)
+        SeenPlace::of(&(0..count).map(at).collect::<Vec<_>>(), 0.02 * count as f64, 0.0)
     }
 
     #[test]
@@ -98,7 +103,7 @@ mod tests {
         for k in 0..50 {
             evidence.add(wall(0.005 * f64::from(k), 1.0, 100));
         }
-        assert!((evidence.log_odds() - wall(0.0, 1.0, 100).log_odds).abs() < 1e-12);
+        assert!((evidence.log_odds() - wall(0.0, 1.0, 100).log_ratio).abs() < 1e-12);
     }
 
     #[test]
@@ -113,12 +118,20 @@ mod tests {
     fn the_best_answer_of_a_place_counts_and_negative_ones_count_against() {
         let of = |x: f64, log_odds: f64| {
             let at = Vector3::new(x, 0.0, 0.0);
-            SeenPlace::of(&[at - Vector3::x(), at + Vector3::x()], log_odds)
+            SeenPlace::of(&[at - Vector3::x(), at + Vector3::x()], log_odds, 0.0)
         };
         let one_place: PlaceEvidence =
             [4.0, -1.0, 3.0].map(|log_odds| of(0.0, log_odds)).into_iter().collect();
         assert!((one_place.log_odds() - 4.0).abs() < 1e-12);
         let two_places: PlaceEvidence = [of(0.0, 4.0), of(5.0, -3.0)].into_iter().collect();
         assert!((two_places.log_odds() - 1.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn the_odds_of_the_map_count_once() {
+        let of = |x: f64| SeenPlace::of(&[Vector3::new(x, 0.0, 0.0), Vector3::new(x, 1.0, 0.0)], 0.5, 1.5);
+        let three: PlaceEvidence = [0.0, 5.0, 10.0].map(of).into_iter().collect();
+        assert!((three.log_odds() - 3.0).abs() < 1e-12);
+        assert!(PlaceEvidence::default().log_odds().abs() < 1e-12);
     }
 }

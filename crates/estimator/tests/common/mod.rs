@@ -172,6 +172,7 @@ impl World {
             gravity_in_global: None,
             sigma_map_px: PIXEL_SIGMA,
             log_odds: 10.0,
+            log_prior_odds: 0.0,
         }
     }
 }

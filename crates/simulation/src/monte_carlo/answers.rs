@@ -135,6 +135,7 @@ fn matched(
         gravity_in_global: Some(global_from_world().rotation * -Vector3::z()),
         sigma_map_px: options.stated_sigma_px,
         log_odds: DISTINCTIVE_LOG_ODDS,
+        log_prior_odds: 0.0,
     })
 }
 
