@@ -24,6 +24,8 @@ pub fn load_map(database: &Path) -> Result<Arc<LoadedMap>> {
         LoadError::Store(error) => error.into(),
         error => anyhow::Error::from(error).context(format!("map {}", database.display())),
     })?;
+    // Now, and not with the first query, which has a deadline.
+    map.aliasing_rate();
     Ok(Arc::new(map))
 }
 

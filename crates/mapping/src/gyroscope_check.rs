@@ -1,7 +1,7 @@
 //! Reference poses against the gyroscope: poses of another sensor, in another order of columns or of another time turn otherwise
 //! than the IMU did.
 
-use geometry::rotation::{exp, log};
+use geometry::rotation::exp;
 use nalgebra::UnitQuaternion;
 use sensors::{ImuSample, ReferencePose};
 
@@ -81,5 +81,5 @@ fn turn(readings: &[ImuSample], from_ns: i64, to_ns: i64) -> Option<UnitQuaterni
         let seconds = (stop - start) as f64 * 1e-9;
         turned *= exp(&((pair[0].gyroscope + pair[1].gyroscope) * (0.5 * seconds)));
     }
-    log(&turned).iter().all(|value| value.is_finite()).then_some(turned)
+    turned.coords.iter().all(|value| value.is_finite()).then_some(turned)
 }

@@ -9,7 +9,7 @@ use super::index::best_voted;
 use super::loaded_map::LoadedMap;
 use super::options::RecognitionOptions;
 use super::query::QueryError;
-use super::verification::{Comparison, Image, compare};
+use super::verification::{Comparison, Image, VerifiedKeyframe, compare};
 
 /// A keyframe that shows the place of an image.
 #[derive(Clone, Debug)]
@@ -44,28 +44,41 @@ impl LoadedMap {
             return Ok(Vec::new());
         }
         let image = Image { camera, features, descriptors: self.view(features)?, gravity_in_camera };
-        let votes = self.index.vote(image.descriptors, &self.landmarks.observers, self.keyframes.len())?;
         let is_eligible = |at: usize| eligible(self.keyframes[at].id);
-        let mut matcher = Matcher::new(image.descriptors);
-        let mut places = Vec::new();
-        for candidate in best_voted(&votes, options.candidates, options.min_votes, is_eligible) {
-            if let Comparison::Verified(found) =
-                compare(self, candidate, &image, &mut matcher, None, options)?
-            {
-                let observed = self.observations.of(candidate);
-                let landmark = |at: usize| self.landmarks.ids[observed.landmark(at)];
-                places.push(VerifiedPlace {
-                    keyframe: self.keyframes[candidate].id,
-                    global_from_camera: found.global_from_camera,
-                    inliers: found
-                        .inliers
-                        .iter()
-                        .map(|inlier| (inlier.query, landmark(inlier.train)))
-                        .collect(),
-                });
+        let place = |found: VerifiedKeyframe| {
+            let observed = self.observations.of(found.keyframe);
+            let landmark = |at: usize| self.landmarks.ids[observed.landmark(at)];
+            VerifiedPlace {
+                keyframe: self.keyframes[found.keyframe].id,
+                global_from_camera: found.global_from_camera,
+                inliers: found.inliers.iter().map(|inlier| (inlier.query, landmark(inlier.train))).collect(),
             }
-        }
+        };
+        let verified = self.verified_keyframes(&image, is_eligible, options)?;
+        let mut places: Vec<VerifiedPlace> = verified.into_iter().map(place).collect();
         places.sort_by_key(|place| std::cmp::Reverse(place.inliers.len()));
         Ok(places)
+    }
+
+    /// Those of the keyframes with the most votes that show what an image shows, each verified for itself, most votes first.
+    ///
+    /// # Arguments
+    /// * `eligible`: which keyframes are searched.
+    pub(crate) fn verified_keyframes(
+        &self,
+        image: &Image<'_>,
+        eligible: impl Fn(usize) -> bool,
+        options: &RecognitionOptions,
+    ) -> Result<Vec<VerifiedKeyframe>, QueryError> {
+        let votes = self.index.vote(image.descriptors, &self.landmarks.observers, self.keyframes.len())?;
+        let mut matcher = Matcher::new(image.descriptors);
+        let mut verified = Vec::new();
+        for candidate in best_voted(&votes, options.candidates, options.min_votes, eligible) {
+            if let Comparison::Verified(found) = compare(self, candidate, image, &mut matcher, None, options)?
+            {
+                verified.push(*found);
+            }
+        }
+        Ok(verified)
     }
 }

@@ -9,15 +9,13 @@ use std::sync::OnceLock;
 use geometry::PoseWithCovariance;
 use protocol::{Descriptors, FeatureSet, KeyframeId};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
-use vision::Matcher;
 
 use crate::consensus::{group_places, is_consistent};
-use crate::index::best_voted;
 use crate::loaded_map::LoadedMap;
 use crate::options::RecognitionOptions;
 use crate::query::QueryError;
 use crate::report::Hypothesis;
-use crate::verification::{Comparison, Image, VerifiedKeyframe, compare};
+use crate::verification::Image;
 
 /// Keyframes that are compared with the rest of the map, at most, evenly among all.
 const SAMPLED_KEYFRAMES: usize = 24;
@@ -122,18 +120,9 @@ impl LoadedMap {
                 sees_the_same[observer as usize] = true;
             }
         }
-        let votes = self.index.vote(image.descriptors, &self.landmarks.observers, self.keyframes.len())?;
-        let candidates = best_voted(&votes, options.candidates, options.min_votes, |at| !sees_the_same[at]);
-        let mut matcher = Matcher::new(image.descriptors);
-        let mut verified: Vec<VerifiedKeyframe> = Vec::new();
-        for candidate in candidates {
-            let comparison = compare(self, candidate, &image, &mut matcher, None, options)?;
-            if let Comparison::Verified(found) = comparison
-                && self.is_another_place(global_from_camera, &found.global_from_camera, options)
-            {
-                verified.push(*found);
-            }
-        }
+        let mut verified = self.verified_keyframes(&image, |at| !sees_the_same[at], options)?;
+        verified
+            .retain(|found| self.is_another_place(global_from_camera, &found.global_from_camera, options));
         let places = group_places(&mut verified, options);
         Ok(self.hypotheses(&image, &verified, &places, 0.0))
     }
