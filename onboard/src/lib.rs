@@ -11,7 +11,7 @@
 //! | `input` | reads a [`SensorSource`](sensors::SensorSource) ahead; the window of IMU readings |
 //! | [`start`] | initial state and excerpt of a recording |
 //! | [`alarms`], `run_status` | what contradicts the sensors or the map: logged when it begins and ends, kept for the summary |
-//! | [`native`], `ros_sensors`, `ros_camera_info` (feature `ros`) | live sensors over Zenoh, as ROS 2 topics; projections of their cameras |
+//! | [`native`], `ros_sensors`, `ros_camera_info`, `topic_watch` (feature `ros`) | live sensors over Zenoh, as ROS 2 topics; projections of their cameras; why a topic is silent |
 //! | [`initial_pose`] | poses that an operator sets, as priors of map queries |
 //! | `prediction` | odometry at the rate of the IMU |
 //! | [`extraction`] | features from images; tracks are made by the crate `odometry` |
@@ -56,6 +56,8 @@ mod run_status;
 pub mod start;
 pub mod stdout;
 pub mod stop;
+#[cfg(feature = "ros")]
+mod topic_watch;
 
 pub use arguments::RobotArguments;
 pub use link::{LinkError, MapLink, OpeningLink, RobotLink};

@@ -146,10 +146,16 @@ fn calibration_path(arguments: &Arguments) -> Result<&Path> {
 ///
 /// # Arguments
 /// * `known`: projections of the cameras, where the calibration may leave them out.
-fn live_settings(arguments: &Arguments, known: &[Camera]) -> Result<(SensorCalibration, LiveSettings)> {
+/// * `topics`: of the cameras, where they are topics of ROS.
+fn live_settings(
+    arguments: &Arguments,
+    known: &[Camera],
+    topics: &[String],
+) -> Result<(SensorCalibration, LiveSettings)> {
     let imu = arguments.calibration.imu_calibration.as_deref();
-    let calibration = read_rig_calibration(calibration_path(arguments)?, imu, known)?;
+    let calibration = read_rig_calibration(calibration_path(arguments)?, imu, known, topics)?;
     let mut settings = arguments.live.settings(&calibration, &arguments.robot)?;
+    settings.imu_units = arguments.calibration.imu_units();
     if let Some(tolerance_ns) = arguments.calibration.pair_tolerance_ns() {
         settings.pair_tolerance_ns = tolerance_ns;
     }
@@ -157,7 +163,7 @@ fn live_settings(arguments: &Arguments, known: &[Camera]) -> Result<(SensorCalib
 }
 
 fn play_native(stop: &StopSignal, arguments: &Arguments, runtime: &Runtime) -> Result<Outcome> {
-    let (calibration, settings) = live_settings(arguments, &[])?;
+    let (calibration, settings) = live_settings(arguments, &[], &[])?;
     let map = map_of(arguments)?;
     let robot = &arguments.robot.robot;
     let (inputs, mut source) = LiveSource::new(format!("live sensors of {robot}"), calibration, &settings);
@@ -188,7 +194,7 @@ fn play_ros2(stop: &StopSignal, arguments: &Arguments, runtime: &Runtime) -> Res
     let topics = RosTopics::of(&arguments.calibration)?;
     let has_intrinsics = states_intrinsics(calibration_path(arguments)?)?;
     // What is wrong with the files is said before the network is there.
-    let from_files = has_intrinsics.then(|| live_settings(arguments, &[])).transpose()?;
+    let from_files = has_intrinsics.then(|| live_settings(arguments, &[], &topics.cameras)).transpose()?;
     let Some(session) = open_until(stop, &arguments.ros.session(), runtime)? else {
         bail!("interrupted before {} answered", arguments.ros.ros2_connect)
     };
@@ -196,7 +202,7 @@ fn play_ros2(stop: &StopSignal, arguments: &Arguments, runtime: &Runtime) -> Res
         settings
     } else {
         let cameras = wait_for_cameras(session.clone(), arguments.ros.sensor_node(), &topics.cameras, stop);
-        live_settings(arguments, &runtime.block_on(cameras)?)?
+        live_settings(arguments, &runtime.block_on(cameras)?, &topics.cameras)?
     };
     topics.adapt(&mut settings)?;
     let (inputs, mut source) = LiveSource::new("ROS 2 topics", calibration, &settings);

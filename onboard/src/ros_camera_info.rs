@@ -4,7 +4,8 @@ use crate::stop::StopSignal;
 use anyhow::{Context as _, Result, bail};
 use geometry::Camera;
 use ros_messages::sensor_msgs::CameraInfo;
-use ros2::{Node, NodeOptions, Qos, Subscriber};
+use ros2::liveliness::Endpoint;
+use ros2::{Node, NodeOptions, Qos, Subscriber, explain_silence};
 use sensors::ros::{camera_info_topic, camera_of_info};
 use std::path::Path;
 use std::time::Duration;
@@ -34,7 +35,7 @@ pub async fn wait_for_cameras(
     for images in images {
         let topic = camera_info_topic(images);
         let messages = node.subscriber::<CameraInfo>(&topic, Qos::sensor_data(), QUEUE).await?;
-        let message = next(&messages, &topic, stop).await?;
+        let message = next(&node, &messages, &topic, stop).await?;
         let found = camera_of_info(&message, images, Path::new(&topic))?;
         let camera = found.with_context(|| {
             format!("{topic} says that the camera is not calibrated (K is zero): calibrate it, or state intrinsics in --calibration")
@@ -50,7 +51,13 @@ pub async fn wait_for_cameras(
     Ok(cameras)
 }
 
-async fn next(messages: &Subscriber<CameraInfo>, topic: &str, stop: &StopSignal) -> Result<CameraInfo> {
+async fn next(
+    node: &Node,
+    messages: &Subscriber<CameraInfo>,
+    topic: &str,
+    stop: &StopSignal,
+) -> Result<CameraInfo> {
+    let wanted = node.counterpart::<CameraInfo>(Endpoint::Publisher, topic)?;
     let mut looks = 0;
     loop {
         if stop.is_stopped() {
@@ -58,7 +65,8 @@ async fn next(messages: &Subscriber<CameraInfo>, topic: &str, stop: &StopSignal)
         }
         looks += 1;
         if looks % LOOKS_A_WARNING == 0 {
-            tracing::warn!("no CameraInfo has come on {topic} yet: the calibration states no intrinsics");
+            let why = explain_silence(&node.discover().await?, &wanted);
+            tracing::warn!("no CameraInfo has come yet, and the calibration states no intrinsics: {why}");
         }
         let Ok(received) = tokio::time::timeout(LOOK, messages.receive()).await else { continue };
         match received?.message {

@@ -1,12 +1,16 @@
 //! Sensors that are ROS 2 topics.
 
 use crate::arguments::CalibrationArguments;
+use crate::topic_watch::TopicWatch;
 use anyhow::bail;
 use ros_messages::RosMessage;
 use ros_messages::sensor_msgs::{CompressedImage, Image, Imu};
 use ros2::{Node, NodeOptions, Qos, Received, RosError, Subscriber};
+use sensors::SplitImu;
 use sensors::live::{LiveFrames, LiveImage, LiveInputs, LiveSettings, RawPixels, Stream};
 use sensors::ros::{NotMeasured, imu_sample};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use tokio::task::JoinHandle;
 use vision::RawImage;
 
@@ -14,14 +18,18 @@ use vision::RawImage;
 const IMU_QUEUE: usize = 10_000;
 /// Images that may wait to be handed in. Handing in takes microseconds; the source has a queue of its own.
 const IMAGE_QUEUE: usize = 10;
+/// Angular velocities that wait longer for the accelerometer are said to, nanoseconds.
+const LONGEST_WAIT_NS: i64 = 1_000_000_000;
 /// How image_transport ends the topic of compressed images.
 const COMPRESSED: &str = "/compressed";
 
 /// The topics of a robot's sensors.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RosTopics {
-    /// `sensor_msgs/Imu`.
+    /// `sensor_msgs/Imu`, of both sensors or of the gyroscope.
     pub imu: String,
+    /// `sensor_msgs/Imu` of the accelerometer, where it has a topic of its own.
+    pub accelerometer: Option<String>,
     /// One or two cameras: `sensor_msgs/Image`, or `sensor_msgs/CompressedImage` where the name ends in `/compressed`.
     pub cameras: Vec<String>,
 }
@@ -35,16 +43,12 @@ impl RosTopics {
         let (Some(imu), cameras) = (arguments.imu_topic.clone(), arguments.camera_topic.clone()) else {
             bail!("--imu-topic is missing: name the topic of sensor_msgs/Imu, for example /imu")
         };
-        if arguments.accelerometer_topic.is_some() {
-            bail!(
-                "--accelerometer-topic is for bags only: let the driver unite both (RealSense: unite_imu_method:=2), and name \
-                 that topic with --imu-topic"
-            )
-        }
         if cameras.is_empty() {
             bail!("--camera-topic is missing: name a topic of images, for example /cam0/image_raw")
         }
-        Ok(Self { imu, cameras })
+        let accelerometer =
+            arguments.accelerometer_topic.clone().filter(|accelerometer| *accelerometer != imu);
+        Ok(Self { imu, accelerometer, cameras })
     }
 
     /// Adapts the settings of the source to these topics: fewer topics are fewer cameras.
@@ -68,7 +72,7 @@ impl RosTopics {
 #[derive(Debug)]
 pub struct RosSensors {
     tasks: Vec<JoinHandle<()>>,
-    _node: Node,
+    _node: Arc<Node>,
 }
 
 impl RosSensors {
@@ -82,25 +86,24 @@ impl RosSensors {
         topics: &RosTopics,
         inputs: &LiveInputs,
     ) -> Result<Self, RosError> {
-        let node = Node::new(session, node).await?;
-        let imu = node.subscriber::<Imu>(&topics.imu, Qos::sensor_data(), IMU_QUEUE).await?;
-        let mut tasks = vec![hand_in(imu, inputs, Stream::Imu, |inputs, message| {
-            inputs.imu(imu_sample(&message)?);
-            Ok(())
-        })];
+        let node = Arc::new(Node::new(session, node).await?);
+        let mut watch = TopicWatch::default();
+        let mut tasks = hand_in_imu(&node, topics, inputs, &mut watch).await?;
         for (camera, topic) in topics.cameras.iter().enumerate() {
             let stream = Stream::Camera(camera);
             let task = if topic.ends_with(COMPRESSED) {
                 let images =
                     node.subscriber::<CompressedImage>(topic, Qos::sensor_data(), IMAGE_QUEUE).await?;
-                hand_in(images, inputs, stream, move |inputs, message| {
+                let heard = watch.expect::<CompressedImage>(&node, topic)?;
+                hand_in(images, heard, inputs, stream, move |inputs, message| {
                     let stamp_ns = message.header.stamp.to_nanoseconds();
                     inputs.image(camera, stamp_ns, LiveImage::Encoded(message.data));
                     Ok(())
                 })
             } else {
                 let images = node.subscriber::<Image>(topic, Qos::sensor_data(), IMAGE_QUEUE).await?;
-                hand_in(images, inputs, stream, move |inputs, message| {
+                let heard = watch.expect::<Image>(&node, topic)?;
+                hand_in(images, heard, inputs, stream, move |inputs, message| {
                     let stamp_ns = message.header.stamp.to_nanoseconds();
                     inputs.image(camera, stamp_ns, raw_image(message)?);
                     Ok(())
@@ -108,6 +111,7 @@ impl RosSensors {
             };
             tasks.push(task);
         }
+        tasks.push(watch.start(Arc::clone(&node)));
         Ok(Self { tasks, _node: node })
     }
 }
@@ -118,9 +122,51 @@ impl Drop for RosSensors {
     }
 }
 
+/// Hands in the readings of the IMU, or those of gyroscope and accelerometer united.
+async fn hand_in_imu(
+    node: &Node,
+    topics: &RosTopics,
+    inputs: &LiveInputs,
+    watch: &mut TopicWatch,
+) -> Result<Vec<JoinHandle<()>>, RosError> {
+    let heard = watch.expect::<Imu>(node, &topics.imu)?;
+    let imu = node.subscriber::<Imu>(&topics.imu, Qos::sensor_data(), IMU_QUEUE).await?;
+    let Some(accelerometer) = &topics.accelerometer else {
+        return Ok(vec![hand_in(imu, heard, inputs, Stream::Imu, |inputs, message| {
+            inputs.imu(imu_sample(&message)?);
+            Ok(())
+        })]);
+    };
+    let of_accelerometer = watch.expect::<Imu>(node, accelerometer)?;
+    let accelerometer = node.subscriber::<Imu>(accelerometer, Qos::sensor_data(), IMU_QUEUE).await?;
+    let united = Arc::new(Mutex::new(SplitImu::default()));
+    let of_gyroscope = Arc::clone(&united);
+    let gyroscope = hand_in(imu, heard, inputs, Stream::Imu, move |inputs, message: Imu| {
+        let mut united = of_gyroscope.lock().unwrap_or_else(PoisonError::into_inner);
+        let value: [f64; 3] = message.angular_velocity.into();
+        united.add_gyroscope(message.header.stamp.to_nanoseconds(), value.into());
+        hand_in_united(&mut united, inputs)
+    });
+    let accelerometer =
+        hand_in(accelerometer, of_accelerometer, inputs, Stream::Imu, move |inputs, message: Imu| {
+            let mut united = united.lock().unwrap_or_else(PoisonError::into_inner);
+            let value: [f64; 3] = message.linear_acceleration.into();
+            united.add_accelerometer(message.header.stamp.to_nanoseconds(), value.into());
+            hand_in_united(&mut united, inputs)
+        });
+    Ok(vec![gyroscope, accelerometer])
+}
+
+/// Hands in the readings that are complete.
+fn hand_in_united(united: &mut SplitImu, inputs: &LiveInputs) -> Result<(), Unusable> {
+    std::iter::from_fn(|| united.pop()).for_each(|reading| inputs.imu(reading));
+    if united.waiting_ns() > LONGEST_WAIT_NS { Err(Unusable::NoAccelerometer) } else { Ok(()) }
+}
+
 /// Hands in what a subscriber receives, and says what cannot be.
 fn hand_in<M: RosMessage + Send + 'static>(
     subscriber: Subscriber<M>,
+    heard: Arc<AtomicBool>,
     inputs: &LiveInputs,
     stream: Stream,
     take: impl Fn(&LiveInputs, M) -> Result<(), Unusable> + Send + 'static,
@@ -128,6 +174,7 @@ fn hand_in<M: RosMessage + Send + 'static>(
     let inputs = inputs.clone();
     tokio::spawn(async move {
         while let Ok(Received { message, .. }) = subscriber.receive().await {
+            heard.store(true, Ordering::Relaxed);
             match message {
                 Ok(message) => {
                     if let Err(problem) = take(&inputs, message) {
@@ -145,6 +192,8 @@ fn hand_in<M: RosMessage + Send + 'static>(
 enum Unusable {
     #[error(transparent)]
     NotMeasured(#[from] NotMeasured),
+    #[error("nothing comes from the accelerometer, or its clock is another: see --accelerometer-topic")]
+    NoAccelerometer,
     #[error("images are {0:?}: set the driver to mono8, rgb8 or bgr8, or use its compressed topic")]
     Encoding(String),
 }
@@ -185,6 +234,58 @@ mod tests {
         Image { header: header(milliseconds), width, height, encoding, step: width, data, ..Image::default() }
     }
 
+    /// The topics in a session of their own, and a node that publishes there.
+    async fn subscribed(topics: &RosTopics, inputs: &LiveInputs) -> (Node, RosSensors) {
+        let mut config = zenoh::Config::default();
+        config.insert_json5("scouting/multicast/enabled", "false").unwrap();
+        config.insert_json5("listen/endpoints", "[]").unwrap();
+        let session = zenoh::open(config).await.unwrap();
+        let options = NodeOptions { name: "sensors".to_owned(), ..NodeOptions::default() };
+        let sensors = RosSensors::start(session.clone(), options, topics, inputs).await.unwrap();
+        (Node::new(session, NodeOptions::default()).await.unwrap(), sensors)
+    }
+
+    #[test]
+    fn gyroscope_and_accelerometer_of_two_topics_are_united() {
+        let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().unwrap();
+        let options = SimulationOptions { duration_s: Some(1.0), ..SimulationOptions::default() };
+        let calibration = simulate(&options).unwrap().live.calibration().clone();
+        let (inputs, mut source) =
+            LiveSource::new("test", calibration.clone(), &LiveSettings::images(&calibration));
+        let topics = RosTopics {
+            imu: "/gyro".into(),
+            accelerometer: Some("/accel".into()),
+            cameras: vec!["/cam0/image_raw".into()],
+        };
+        let (node, sensors) = runtime.block_on(async {
+            let (node, sensors) = subscribed(&topics, &inputs).await;
+            let gyroscope = node.publisher::<Imu>("/gyro", Qos::sensor_data()).await.unwrap();
+            let accelerometer = node.publisher::<Imu>("/accel", Qos::sensor_data()).await.unwrap();
+            for milliseconds in (0..200).step_by(5) {
+                let angular_velocity = [milliseconds as f64, 0.0, 0.0].into();
+                let header = header(milliseconds);
+                gyroscope.publish(&Imu { header, angular_velocity, ..Imu::default() }).await.unwrap();
+                if milliseconds % 10 == 0 {
+                    accelerometer.publish(&imu(milliseconds)).await.unwrap();
+                }
+            }
+            (node, sensors)
+        });
+        let begin = Instant::now();
+        let mut readings = Vec::new();
+        // The last one is behind the last specific force.
+        while readings.len() < 39 {
+            assert!(begin.elapsed() < TIMEOUT, "{} readings, {:?}", readings.len(), source.live());
+            if let SensorEvent::Imu(reading) = source.next().unwrap().expect("no end") {
+                readings.push(reading);
+            }
+        }
+        for (number, reading) in readings.iter().enumerate() {
+            assert_eq!((reading.gyroscope.x, reading.accelerometer.z), (5.0 * number as f64, 9.81));
+        }
+        drop((sensors, node));
+    }
+
     #[test]
     fn topics_become_the_events_of_a_live_source_and_what_is_wrong_is_named() {
         let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().unwrap();
@@ -194,15 +295,10 @@ mod tests {
         let size = (calibration.cameras[0].camera.width, calibration.cameras[0].camera.height);
         let (inputs, mut source) =
             LiveSource::new("test", calibration.clone(), &LiveSettings::images(&calibration));
-        let topics = RosTopics { imu: "/imu".into(), cameras: vec!["/cam0/image_raw".into()] };
+        let topics =
+            RosTopics { imu: "/imu".into(), accelerometer: None, cameras: vec!["/cam0/image_raw".into()] };
         let (node, sensors) = runtime.block_on(async {
-            let mut config = zenoh::Config::default();
-            config.insert_json5("scouting/multicast/enabled", "false").unwrap();
-            config.insert_json5("listen/endpoints", "[]").unwrap();
-            let session = zenoh::open(config).await.unwrap();
-            let options = NodeOptions { name: "sensors".to_owned(), ..NodeOptions::default() };
-            let sensors = RosSensors::start(session.clone(), options, &topics, &inputs).await.unwrap();
-            let node = Node::new(session, NodeOptions::default()).await.unwrap();
+            let (node, sensors) = subscribed(&topics, &inputs).await;
             let readings = node.publisher::<Imu>("/imu", Qos::sensor_data()).await.unwrap();
             let images = node.publisher::<Image>("/cam0/image_raw", Qos::sensor_data()).await.unwrap();
             images.publish(&image(1, size, "h264")).await.unwrap();

@@ -2,7 +2,7 @@
 
 use super::outputs::Recorder;
 use super::run::RobotRun;
-use estimator::{Alarm, Estimator, Status, StatusReason};
+use estimator::{Alarm, Estimator, NoiseFault, Status, StatusReason};
 use protocol::limits::MAX_TEXT_BYTES;
 use sensors::live::{FaultKind, Stream};
 use std::mem::{Discriminant, discriminant};
@@ -14,10 +14,17 @@ const NO_MAP: &str = "no map was asked for";
 /// Kinds of alarms.
 #[derive(Debug, PartialEq)]
 pub(crate) enum AlarmKind {
-    Map(Discriminant<Alarm>),
+    Filter(Discriminant<Alarm>, Option<Discriminant<NoiseFault>>),
     ImuUnits,
     BadReadings,
     Sensor(Stream, FaultKind),
+}
+
+impl AlarmKind {
+    fn of_filter(alarm: &Alarm) -> Self {
+        let noise = if let Alarm::Noise(fault) = alarm { Some(discriminant(fault)) } else { None };
+        Self::Filter(discriminant(alarm), noise)
+    }
 }
 
 impl RobotRun<'_> {
@@ -26,15 +33,15 @@ impl RobotRun<'_> {
     /// # Arguments
     /// * `seconds`: since the first frame.
     pub(super) fn update_alarms(&mut self, seconds: f64) {
-        let of_map = self.supervisor.estimator().map(Estimator::alarms).unwrap_or_default();
-        let of_map = of_map.iter().map(|alarm| (AlarmKind::Map(discriminant(alarm)), alarm.to_string()));
+        let of_filter = self.supervisor.estimator().map(Estimator::alarms).unwrap_or_default();
+        let of_filter = of_filter.iter().map(|alarm| (AlarmKind::of_filter(alarm), alarm.to_string()));
         let of_imu = self.imu_fault.map(|fault| (AlarmKind::ImuUnits, fault.to_string()));
         let of_readings = self.bad_readings.fault().map(|fault| (AlarmKind::BadReadings, fault));
         let of_sensors = self
             .live_faults
             .iter()
             .map(|fault| (AlarmKind::Sensor(fault.stream, fault.kind), fault.to_string()));
-        self.alarms.update(seconds, of_map.chain(of_imu).chain(of_readings).chain(of_sensors).collect());
+        self.alarms.update(seconds, of_filter.chain(of_imu).chain(of_readings).chain(of_sensors).collect());
     }
 
     /// The status, with why the map does not answer and what is wrong with the readings.

@@ -143,8 +143,8 @@ impl SensorTopics for Later<'_> {
         self.topics.are_heard()
     }
 
-    fn of_frames(&self) -> String {
-        self.topics.of_frames()
+    fn why_unheard(&self) -> Result<String> {
+        self.topics.why_unheard()
     }
 
     fn reading(&self, reading: &ImuSample) -> Result<()> {

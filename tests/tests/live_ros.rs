@@ -48,7 +48,7 @@ fn played(recording: &Recording<'_>, suffix: &str) -> (Vec<i64>, Vec<(i64, Vec<G
     settings.max_waiting_frames = 1000;
     let (inputs, mut source) = LiveSource::new("test", calibration, &settings);
     let cameras = (0..2).map(|camera| format!("/cam{camera}/image_raw{suffix}")).collect();
-    let topics = RosTopics { imu: "/imu0".to_owned(), cameras };
+    let topics = RosTopics { imu: "/imu0".to_owned(), accelerometer: None, cameras };
     let node = |name: &str| NodeOptions { name: name.to_owned(), ..NodeOptions::default() };
     let session = robot.session.clone();
     let sensors =
@@ -99,7 +99,7 @@ fn projections_are_those_of_camera_info_where_the_calibration_has_none() {
     let path = folder.path().join("mounting.yaml");
     std::fs::write(&path, MOUNTING).unwrap();
     assert!(!states_intrinsics(&path).unwrap() && states_intrinsics(&data()).unwrap());
-    let error = read_rig_calibration(&path, None, &[]).unwrap_err().to_string();
+    let error = read_rig_calibration(&path, None, &[], &[]).unwrap_err().to_string();
     assert!(error.contains("CameraInfo"), "{error}");
 
     let endpoint = free_endpoint().unwrap();
@@ -126,7 +126,7 @@ fn projections_are_those_of_camera_info_where_the_calibration_has_none() {
         stop.stop();
         waiting.join().unwrap().unwrap()
     });
-    let found = read_rig_calibration(&path, None, &cameras).unwrap().sensors;
+    let found = read_rig_calibration(&path, None, &cameras, &[]).unwrap().sensors;
     for (found, expected) in found.cameras.iter().zip(cameras_of(&recording)) {
         assert_eq!(found.camera, expected.camera);
     }

@@ -81,7 +81,7 @@ pub use map_update::map_report::{MapReport, Rejection};
 pub use map_update::map_revision::{ChangeSize, MapRevision, RevisionEffect};
 pub use map_update::map_watch::MapDrift;
 pub use motion::{Motion, MotionPredictor};
-pub use noise_adaptation::{LearnedNoise, NoiseBound};
+pub use noise_adaptation::{LearnedNoise, NoiseBound, NoiseFault};
 pub use odometry::msckf_update::TrackReport;
 pub use odometry::tracks::TrackObservation;
 pub use state::CloneId;

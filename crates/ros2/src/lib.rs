@@ -6,6 +6,7 @@
 //! | [`publisher`], [`subscriber`] | [`Publisher`], [`Subscriber`]: typed topics |
 //! | [`names`] | ROS names, and the keys of topics |
 //! | [`liveliness`] | the tokens by which nodes and topics are discovered, and the id (GID) of a publisher |
+//! | `discovery` | [`DiscoveredTopic`]s of other nodes, and why a topic is silent: [`explain_silence`] |
 //! | [`attachment`] | [`Attachment`]: number, time and sender of a message |
 //! | `history` | transient local topics: what was published before, for subscribers that come later |
 //! | [`qos`] | [`Qos`] and its text in tokens |
@@ -15,6 +16,7 @@
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 pub mod attachment;
+mod discovery;
 pub mod error;
 mod history;
 pub mod liveliness;
@@ -25,6 +27,7 @@ pub mod qos;
 pub mod subscriber;
 
 pub use attachment::Attachment;
+pub use discovery::{DiscoveredTopic, explain_silence};
 pub use error::RosError;
 pub use names::NameError;
 pub use node::{Node, NodeOptions};

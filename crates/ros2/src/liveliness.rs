@@ -29,7 +29,7 @@ pub struct NodeIdentity {
 }
 
 /// What a node does with a topic.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Endpoint {
     /// Publishes.
     Publisher,

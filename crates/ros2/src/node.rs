@@ -1,5 +1,6 @@
 //! A node.
 
+use super::discovery::DiscoveredTopic;
 use super::error::RosError;
 use super::history::PublishedHistory;
 use super::liveliness::{Endpoint, NodeIdentity, TopicIdentity, gid};
@@ -104,6 +105,28 @@ impl Node {
         let key = data_key(self.identity.domain, &topic, M::TYPE_NAME, "*");
         let subscriber = Subscriber::declare(&self.session, key, capacity, qos.durability).await?;
         Ok(subscriber.announced(declare(&self.session, token).await?))
+    }
+
+    /// The other end of a topic of this node, as it would have to be.
+    ///
+    /// # Errors
+    /// [`RosError`]: a name that ROS does not allow.
+    pub fn counterpart<M: RosMessage>(
+        &self,
+        endpoint: Endpoint,
+        topic: &str,
+    ) -> Result<DiscoveredTopic, RosError> {
+        Ok(DiscoveredTopic {
+            domain: self.identity.domain,
+            endpoint,
+            topic: absolute_topic(&self.identity.namespace, topic)?,
+            type_name: M::TYPE_NAME.to_owned(),
+            type_hash: M::TYPE_HASH.to_owned(),
+        })
+    }
+
+    pub(crate) fn session(&self) -> &Session {
+        &self.session
     }
 
     fn next_entity(&self) -> u64 {

@@ -5,7 +5,8 @@ use ros_messages::nav_msgs::Odometry;
 use ros_messages::sensor_msgs::{Image, Imu};
 use ros_messages::tf2_msgs::TFMessage;
 use ros_messages::{CdrError, RosMessage, decode, encode};
-use ros2::{Attachment, History, Node, NodeOptions, Qos, Subscriber};
+use ros2::liveliness::Endpoint;
+use ros2::{Attachment, History, Node, NodeOptions, Qos, Subscriber, explain_silence};
 use std::net::TcpListener;
 use std::time::Duration;
 use zenoh::Session;
@@ -183,4 +184,16 @@ async fn a_history_holds_as_many_messages_as_its_depth() {
     }
     let key = format!("3/map_image/sensor_msgs::msg::dds_::Image_/{}", Image::TYPE_HASH);
     assert_eq!(history(&session, &format!("{key}/@adv/**?_anyke;_max=2")).await.len(), 2);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_topic_of_another_domain_is_found_and_named() {
+    let (first, second) = sessions().await;
+    let (sender, options) = (node(&first, "sender").await, NodeOptions::default());
+    let _publisher = sender.publisher::<Imu>("/imu", Qos::sensor_data()).await.unwrap();
+    wait_for_token(&second, "@ros2_lv/3/*/*/*/MP/**", true).await;
+    let receiver = Node::new(second, options).await.unwrap();
+    let wanted = receiver.counterpart::<Imu>(Endpoint::Publisher, "/imu").unwrap();
+    let found = receiver.discover().await.unwrap();
+    assert_eq!(explain_silence(&found, &wanted), "/imu exists in domain 3, not in 0");
 }

@@ -44,7 +44,10 @@ impl ImageCheck {
 /// Whether the pixels are the cause, and not a file that is damaged there.
 fn is_of_unknown_format(error: &ImageError) -> bool {
     match error {
-        ImageError::Format { .. } | ImageError::Raw { .. } | ImageError::Unreadable { .. } => true,
+        ImageError::Format { .. }
+        | ImageError::ByteOrder { .. }
+        | ImageError::Raw { .. }
+        | ImageError::Unreadable { .. } => true,
         ImageError::Source { source, .. } => {
             source.downcast_ref::<ImageError>().is_some_and(is_of_unknown_format)
         }

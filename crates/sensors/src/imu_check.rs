@@ -14,7 +14,7 @@ use nalgebra::Vector3;
 use std::collections::VecDeque;
 
 /// Standard gravity, m/s^2.
-const STANDARD_GRAVITY: f64 = 9.806_65;
+pub(crate) const STANDARD_GRAVITY: f64 = 9.806_65;
 /// Readings are averaged over this time, nanoseconds.
 const PERIOD_NS: i64 = 500_000_000;
 /// Periods that are looked at: the newest ten seconds.
@@ -38,7 +38,7 @@ const MIN_CLAIMED: f64 = 10.0;
 pub enum ImuUnitError {
     /// The accelerometer's unit is g.
     #[error(
-        "the accelerometer reads {mean:.2} where gravity is {gravity:.2} m/s^2: it is in g; multiply columns 5 to 7 by 9.80665"
+        "the accelerometer reads {mean:.2} where gravity is {gravity:.2} m/s^2: it is in g; say so with --accelerometer-unit g"
     )]
     AccelerationInG {
         /// Mean specific force, as read.
@@ -60,7 +60,7 @@ pub enum ImuUnitError {
     /// The gyroscope's unit is deg/s.
     #[error(
         "the gyroscope reads {rate:.1} half of the time, but the direction of gravity follows only {followed:.0} % of that \
-         rotation: the rates are in deg/s; divide columns 2 to 4 by 57.29578"
+         rotation: the rates are in deg/s; say so with --gyroscope-unit deg/s"
     )]
     RatesInDegrees {
         /// Median rate, as read.

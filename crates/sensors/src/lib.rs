@@ -7,12 +7,14 @@
 //! | `recording`, `merged` | [`Recording`], on disk or in memory; [`RecordingSource`], which plays it |
 //! | `stored` | what a format on disk provides; opening any of them |
 //! | `stamps`, `pairing` | wrong stamps of a recorded stream, and its order; [`PairCounts`], which images make a stereo pair |
+//! | `split_imu` | [`SplitImu`], gyroscope and accelerometer that come for themselves |
 //! | `memory` | [`Sequence`], a recording in memory |
 //! | [`live`] | measurements that arrive now |
 //! | `euroc` | the EuRoC ASL folder layout: reader and [`writer`] |
 //! | `bag` (feature `bags`) | MCAP, rosbag2 and rosbag1: [`BagSensors`] |
 //! | `ros` (feature `ros`); `ros_bag` (feature `bags`) | readings, images and projections as messages of ROS; bags of such messages, written |
 //! | `kalibr`, `rig_calibration` | calibrations of Kalibr: [`CalibrationFiles`]; of a robot: [`read_rig_calibration`] |
+//! | `imu_units` | [`ImuUnits`] of readings that are not in rad/s and m/s^2 |
 //! | `imu_check`, `image_check`, `stereo_check` | units, sizes and wiring that contradict the calibration, recognized from the data |
 //! | `truth`, `gravity` | ground truth, its interpolation, and the direction of gravity in its frame (evaluation only) |
 //! | `table` | [`Table`], a CSV reader whose errors name file and line |
@@ -57,6 +59,7 @@ mod frame;
 mod gravity;
 mod image_check;
 mod imu_check;
+mod imu_units;
 mod kalibr;
 pub mod live;
 mod memory;
@@ -71,6 +74,7 @@ pub mod ros;
 pub mod ros_bag;
 mod rows;
 mod source;
+mod split_imu;
 mod stamps;
 mod stereo_check;
 mod stored;
@@ -93,6 +97,7 @@ pub use euroc::{
 pub use features::{feature_set, kind_of, metric_of};
 pub use frame::{Frame, ImageData, StoredImage};
 pub use imu_check::{ImuCheck, ImuUnitError};
+pub use imu_units::ImuUnits;
 pub use kalibr::CalibrationFiles;
 pub use memory::Sequence;
 pub use merged::RecordingSource;
@@ -102,6 +107,7 @@ pub use recording::Recording;
 pub use rig_calibration::{read_rig_calibration, states_intrinsics};
 pub use rows::Rows;
 pub use source::{Contents, SensorEvent, SensorSource};
+pub use split_imu::SplitImu;
 pub use stereo_check::check_stereo;
 pub use stored::is_recording;
 pub use table::{Row, Table, check_order};

@@ -15,6 +15,7 @@ const UNSTATED_RATE_HZ: f64 = 20.0;
 ///   files in it; or Kalibr's camera chain.
 /// * `imu`: Kalibr's `imu.yaml`, where it is not beside the camera chain.
 /// * `known`: projections of the robot's cameras, used where a camera chain leaves them out; empty where none is known.
+/// * `topics`: of the robot's cameras, in order, where they are topics of ROS; a camera chain may name them (`rostopic`).
 ///
 /// # Errors
 /// [`SequenceError`] with the file.
@@ -22,17 +23,26 @@ pub fn read_rig_calibration(
     path: &Path,
     imu: Option<&Path>,
     known: &[Camera],
+    topics: &[String],
 ) -> Result<FolderCalibration, SequenceError> {
     let (folder, files) = files_of(path, imu)?;
     let Some(chain_path) = &files.cameras else {
         return FolderCalibration::read(path, &files);
     };
-    let known: Vec<Option<Camera>> = if known.is_empty() {
-        vec![None; kalibr::camera_count(chain_path)?]
-    } else {
-        known.iter().cloned().map(Some).collect()
+    let known: Vec<Option<Camera>> = match (known, topics) {
+        ([], []) => vec![None; kalibr::camera_count(chain_path)?],
+        ([], topics) => vec![None; topics.len().min(kalibr::camera_count(chain_path)?)],
+        (known, _) => known.iter().cloned().map(Some).collect(),
     };
-    let chain = kalibr::read_camera_chain(chain_path, &known, &[0, 1][..known.len().min(2)])?;
+    let names: Vec<&str> = topics.iter().map(String::as_str).take(known.len()).collect();
+    let chosen = match names.as_slice() {
+        [] => (0..known.len()).collect(),
+        names => {
+            let has_topic = |of: &str| topics.iter().any(|topic| kalibr::is_same_camera(topic, of));
+            kalibr::chosen_cameras(chain_path, names, has_topic)?
+        }
+    };
+    let chain = kalibr::read_camera_chain(chain_path, &known, &chosen)?;
     let advice = "the noise of the IMU is needed: give Kalibr's imu.yaml with --imu-calibration";
     let imu_path: &PathBuf =
         files.imu.as_ref().ok_or_else(|| SequenceError::missing(&folder.join("imu.yaml"), advice))?;

@@ -2,8 +2,30 @@
 
 use super::INPUT;
 use clap::Args;
-use sensors::CalibrationFiles;
+use sensors::{CalibrationFiles, ImuUnits};
 use std::path::PathBuf;
+
+/// Units of accelerometers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum AccelerometerUnit {
+    /// m/s^2.
+    #[value(name = "m/s2")]
+    MetresPerSecondSquared,
+    /// Standard gravity, 9.80665 m/s^2.
+    #[value(name = "g")]
+    G,
+}
+
+/// Units of gyroscopes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum GyroscopeUnit {
+    /// rad/s.
+    #[value(name = "rad/s")]
+    RadiansPerSecond,
+    /// deg/s.
+    #[value(name = "deg/s")]
+    DegreesPerSecond,
+}
 
 /// Calibration files, in place of the recording's own, the topics of a bag, and which images make a pair.
 #[derive(Args, Clone, Debug, Default)]
@@ -20,11 +42,18 @@ pub struct CalibrationArguments {
     /// Topic of the IMU, or of its gyroscope: in a bag [default: the only sensor_msgs/Imu], or with --source ros2
     #[arg(long, value_name = "TOPIC", help_heading = INPUT)]
     pub imu_topic: Option<String>,
-    /// Topic of the accelerometer in a bag, where it is not that of the gyroscope [default: the only one without angular velocities]
+    /// Topic of the accelerometer, where it is not that of the gyroscope: in a bag [default: the only one without angular
+    /// velocities], or with --source ros2
     ///
     /// Its values are interpolated to the times of the gyroscope.
     #[arg(long, value_name = "TOPIC", help_heading = INPUT)]
     pub accelerometer_topic: Option<String>,
+    /// Unit of the accelerometer as it is recorded, or comes [default: m/s2]
+    #[arg(long, value_enum, value_name = "UNIT", help_heading = INPUT)]
+    pub accelerometer_unit: Option<AccelerometerUnit>,
+    /// Unit of the gyroscope as it is recorded, or comes [default: rad/s]
+    #[arg(long, value_enum, value_name = "UNIT", help_heading = INPUT)]
+    pub gyroscope_unit: Option<GyroscopeUnit>,
     /// Topic of a camera, once for each: in a bag [default: those that the calibration names as rostopic, else those with images,
     /// in order of their names], or with --source ros2
     #[arg(long, value_name = "TOPIC", help_heading = INPUT)]
@@ -54,7 +83,16 @@ impl CalibrationArguments {
         files.accelerometer_topic.clone_from(&self.accelerometer_topic);
         files.camera_topics.clone_from(&self.camera_topic);
         files.pair_tolerance_ns = self.pair_tolerance_ns();
+        files.imu_units = self.imu_units();
         files
+    }
+
+    /// The units of the IMU's readings.
+    pub fn imu_units(&self) -> ImuUnits {
+        ImuUnits {
+            accelerations_in_g: self.accelerometer_unit == Some(AccelerometerUnit::G),
+            rates_in_degrees: self.gyroscope_unit == Some(GyroscopeUnit::DegreesPerSecond),
+        }
     }
 
     /// The largest difference between the stamps of a stereo pair, where it is given, nanoseconds.

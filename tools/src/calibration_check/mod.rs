@@ -6,6 +6,7 @@ use anyhow::{Result, bail};
 use estimator::{Estimator, EstimatorConfig, LearnedNoise};
 use mapping::{OdometryRun, run_configured};
 use nalgebra::{DMatrix, DVector};
+use odometry::STARTING;
 use sensors::Sequence;
 use serde::Serialize;
 
@@ -60,7 +61,7 @@ pub struct Parameter {
 }
 
 /// How odometry fits a recording.
-#[derive(Clone, Copy, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize)]
 pub struct Fit {
     /// Images with a pose.
     pub states: usize,
@@ -68,17 +69,26 @@ pub struct Fit {
     pub divergences: usize,
     /// Noise levels that fit, where the filter was initialized.
     pub noise: Option<LearnedNoise>,
+    /// Why it was never initialized, where it was not.
+    pub uninitialized: Option<String>,
 }
 
 impl Fit {
     fn of(run: &OdometryRun) -> Fit {
-        Fit { states: run.states.len(), divergences: run.divergences, noise: run.supervisor.learned_noise() }
+        let noise = run.supervisor.learned_noise();
+        Fit {
+            states: run.states.len(),
+            divergences: run.divergences,
+            noise,
+            uninitialized: noise.is_none().then(|| run.supervisor.status().reason),
+        }
     }
 
     /// Why it fits no trajectory, in words.
     pub fn complaint(&self) -> Option<String> {
         let Some(noise) = self.noise else {
-            return Some("odometry was never initialized: images and IMU contradict each other".to_owned());
+            let why = self.uninitialized.as_deref().unwrap_or_default();
+            return Some(format!("odometry was never initialized: {}", why.trim_start_matches(STARTING)));
         };
         if self.divergences > 0 {
             return Some(format!("odometry diverged {} times", self.divergences));
@@ -113,6 +123,8 @@ pub struct CalibrationCheck {
     pub parameters: Vec<Parameter>,
     /// Whether nothing differs, and odometry fits.
     pub agrees: bool,
+    /// Whether anything can be said: odometry was initialized, or a mistake was found without which it is.
+    pub checked: bool,
 }
 
 /// Checks the calibration of a recording.
@@ -149,7 +161,9 @@ pub fn check_calibration(
     let fits = gross_errors::fits(&stated, sequence);
     let mistake = if fits { None } else { gross_errors::find(sequence, cameras, config)? };
     let differs = parameters.iter().any(|parameter| parameter.agreement == Agreement::Differs);
-    Ok(CalibrationCheck { seconds, stated, estimated, mistake, parameters, agrees: fits && !differs })
+    let checked = stated.noise.is_some() || estimated.noise.is_some() || mistake.is_some();
+    let agrees = fits && !differs;
+    Ok(CalibrationCheck { seconds, stated, estimated, mistake, parameters, agrees, checked })
 }
 
 /// Compares the estimated calibration with the stated one.

@@ -15,7 +15,8 @@ use std::path::PathBuf;
     driftless check-calibration drive.mcap --calibration camchain-imucam.yaml --from 20\n\n\
     Odometry runs over the recording twice: with the calibration as it is, and estimating time offset, extrinsics and\n\
     intrinsics. A parameter differs where the recording contradicts the stated value, and is not shown where the motion\n\
-    tells nothing of it: turn the robot about all axes and accelerate it. The exit code is 1 where something differs.\n\
+    tells nothing of it: turn the robot about all axes and accelerate it. The exit code is 1 where something differs, or\n\
+    where nothing can be said.\n\
     What is found in half a minute shows what is wrong; it does not replace a calibration with a target.")]
 pub struct Args {
     /// The recording: a folder in the EuRoC layout, or a bag (MCAP, rosbag2, rosbag1)
@@ -58,6 +59,13 @@ pub fn run(args: &Args) -> Result<()> {
         println!("{:#}", serde_json::to_value(&check)?);
     } else {
         print(&check);
+    }
+    if !check.checked {
+        bail!(
+            "the calibration could not be checked with {}: {}; choose a part that moves and has texture with --from and --duration",
+            args.sequence.display(),
+            check.stated.complaint().unwrap_or_default()
+        );
     }
     if !check.agrees {
         bail!("the calibration does not agree with {}", args.sequence.display());

@@ -42,8 +42,11 @@ pub trait SensorTopics {
         Ok(())
     }
 
-    /// The topic of frames, for messages.
-    fn of_frames(&self) -> String;
+    /// Why nobody listens.
+    ///
+    /// # Errors
+    /// The session is closed.
+    fn why_unheard(&self) -> Result<String>;
 
     /// Publishes a reading.
     ///
@@ -68,7 +71,7 @@ pub fn wait_for_robot(topics: &dyn SensorTopics, stop: &StopSignal) -> Result<()
         topics.prepare()?;
         looks += 1;
         if looks % LOOKS_A_WARNING == 0 {
-            tracing::warn!("no robot listens to {} yet", topics.of_frames());
+            tracing::warn!("no robot listens yet: {}", topics.why_unheard()?);
         }
         std::thread::sleep(LOOK);
     }

@@ -59,9 +59,9 @@ impl SensorTopics for NativeTopics<'_> {
         Ok(listens(&self.imu)? && listens(frames)?)
     }
 
-    fn of_frames(&self) -> String {
+    fn why_unheard(&self) -> Result<String> {
         let frames = if self.contents.tracks { &self.tracks } else { &self.cameras[0] };
-        frames.key_expr().to_string()
+        Ok(format!("nobody subscribes to {} and {}", self.imu.key_expr(), frames.key_expr()))
     }
 
     fn reading(&self, reading: &ImuSample) -> Result<()> {

@@ -5,7 +5,8 @@ use anyhow::{Context as _, Result};
 use geometry::camera::Camera as Projection;
 use ros_messages::sensor_msgs::{CameraInfo, CompressedImage, Image, Imu};
 use ros_messages::std_msgs::Header;
-use ros2::{Node, NodeOptions, Publisher, Qos};
+use ros2::liveliness::Endpoint;
+use ros2::{Node, NodeOptions, Publisher, Qos, explain_silence};
 use sensors::ros::{ImageMessage, camera_info_message, image_message, imu_message, pixels_message};
 use sensors::{CameraSensor, Frame, ImageData, ImuSample};
 use tokio::runtime::Handle;
@@ -20,7 +21,7 @@ pub struct RosTopics {
     runtime: Handle,
     imu: Publisher<Imu>,
     cameras: Vec<Camera>,
-    _node: Node,
+    node: Node,
 }
 
 /// The images of a camera in both forms, each published where somebody listens.
@@ -60,7 +61,7 @@ impl RosTopics {
                 }
                 topics.push(Camera { raw, compressed, info, projection: sensor.camera.clone() });
             }
-            Ok(Self { runtime: runtime.clone(), imu, cameras: topics, _node: node })
+            Ok(Self { runtime: runtime.clone(), imu, cameras: topics, node })
         })
     }
 }
@@ -114,8 +115,18 @@ impl SensorTopics for RosTopics {
         Ok(())
     }
 
-    fn of_frames(&self) -> String {
-        "/cam0/image_raw".to_owned()
+    fn why_unheard(&self) -> Result<String> {
+        let Some(first) = self.cameras.first() else { return Ok("the recording has no camera".to_owned()) };
+        self.runtime.block_on(async {
+            let wanted = if !self.imu.is_matched().await? {
+                self.node.counterpart::<Imu>(Endpoint::Subscriber, IMU)?
+            } else if first.is_heard().await? {
+                return Ok("robots listen".to_owned());
+            } else {
+                self.node.counterpart::<Image>(Endpoint::Subscriber, "/cam0/image_raw")?
+            };
+            Ok(explain_silence(&self.node.discover().await?, &wanted))
+        })
     }
 
     fn reading(&self, reading: &ImuSample) -> Result<()> {

@@ -4,7 +4,7 @@ use super::Estimator;
 use crate::map_update::first_fix::Waiting;
 use crate::map_update::map_gravity::GravityFault;
 use crate::map_update::map_watch::MapDrift;
-use crate::noise_adaptation::NoiseBound;
+use crate::noise_adaptation::{NoiseBound, NoiseFault};
 use serde::{Deserialize, Serialize};
 
 /// Whether the pose in G can be used.
@@ -43,7 +43,7 @@ pub enum StatusReason {
     NotDistinctive(Waiting),
 }
 
-/// What contradicts the map although the pose in it may be corrected by it.
+/// What must be wrong although the filter goes on: with the map, or with the sensors.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum Alarm {
@@ -53,6 +53,9 @@ pub enum Alarm {
     /// Its answers move against odometry.
     #[error(transparent)]
     Drift(#[from] MapDrift),
+    /// What sensors show contradicts their calibration.
+    #[error(transparent)]
+    Noise(#[from] NoiseFault),
 }
 
 /// [`Localization`] and its reason.
@@ -106,14 +109,14 @@ impl Estimator {
         }
     }
 
-    /// What contradicts the map, and what to do about it.
+    /// What contradicts the map or the sensors, and what to do about it.
     pub fn alarms(&self) -> Vec<Alarm> {
         let gravity = self.map_gravity.fault().map(Alarm::from);
-        gravity.into_iter().chain(self.map_watch.alarm().map(Alarm::from)).collect()
+        let drift = self.map_watch.alarm().map(Alarm::from);
+        gravity.into_iter().chain(drift).chain(self.noise.faults().map(Alarm::from)).collect()
     }
 
-    /// Noise levels that the innovations would move beyond what is allowed: the covariance may be too large (at a lower bound)
-    /// or too small.
+    /// Noise levels that the innovations would move below what is allowed: the covariance may be too large.
     pub fn noise_at_bounds(&self) -> Vec<NoiseBound> {
         self.noise.at_bounds().collect()
     }

@@ -23,17 +23,21 @@
 //! Recursive quantiles of the same ratios were tried instead of clipped means: the errors of simulated odometry were 2 to 5 %
 //! larger, those on real recordings equal.
 
+mod bound;
 pub mod correction;
 pub mod match_residuals;
 pub mod reading_noise;
 mod variance_factor;
 
+pub use bound::{NoiseBound, NoiseFault};
+
 use crate::config::{AdaptiveNoise, EstimatorConfig, ImuNoise};
 use crate::imu::ImuSample;
+use bound::{IMPLAUSIBLE_IMU_SCALE, IMPLAUSIBLE_TRACK_PX, Limit};
 use nalgebra::{DMatrix, DVector};
 use reading_noise::ReadingNoise;
 use serde::{Deserialize, Serialize};
-use variance_factor::{Adaptation, Bound, VarianceFactor};
+use variance_factor::{Adaptation, VarianceFactor};
 
 /// Number of tracks of one image whose NIS is used: the exact NIS costs time, and these are enough.
 pub const TRACKS_PER_IMAGE: usize = 3;
@@ -79,40 +83,6 @@ impl LearnedNoise {
     }
 }
 
-/// A noise level that the innovations would move beyond what is allowed.
-#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
-#[non_exhaustive]
-pub enum NoiseBound {
-    /// Corrections are smaller than expected.
-    #[error("the noise of the IMU is at its lower bound of {scale:.1} times the stated one")]
-    ImuLeast {
-        /// Factor on the stated densities.
-        scale: f64,
-    },
-    /// Corrections are larger than expected.
-    #[error(
-        "the noise of the IMU is at its upper bound of {scale:.0} times the stated one: are its units and its calibration right?"
-    )]
-    ImuMost {
-        /// Factor on the stated densities.
-        scale: f64,
-    },
-    /// Tracks are more accurate than the filter takes them for.
-    #[error("the noise of tracks is at its lower bound of {sigma_px:.2} px")]
-    TracksLeast {
-        /// px.
-        sigma_px: f64,
-    },
-    /// Tracks are too inaccurate for odometry.
-    #[error(
-        "the noise of tracks is at its upper bound of {sigma_px:.0} px: is the cameras' calibration right?"
-    )]
-    TracksMost {
-        /// px.
-        sigma_px: f64,
-    },
-}
-
 /// The noise levels of one filter.
 #[derive(Clone, Debug)]
 pub struct NoiseAdaptation {
@@ -123,6 +93,8 @@ pub struct NoiseAdaptation {
     readings: ReadingNoise,
     tracks: VarianceFactor,
     matches: VarianceFactor,
+    imu_limit: Limit,
+    track_limit: Limit,
 }
 
 impl NoiseAdaptation {
@@ -147,6 +119,8 @@ impl NoiseAdaptation {
                 learned.map(|learned| learned.sigma_track_px / stated_track_px),
             ),
             matches: factor(adaptive.matches, MATCHES, learned.map(|learned| learned.match_noise_scale)),
+            imu_limit: Limit::new(IMPLAUSIBLE_IMU_SCALE),
+            track_limit: Limit::new(IMPLAUSIBLE_TRACK_PX),
         }
     }
 
@@ -172,16 +146,18 @@ impl NoiseAdaptation {
         self.imu.hold_above(least * least);
     }
 
-    /// The noise levels that would be learned beyond what is allowed.
+    /// The noise levels that would be learned below what is allowed.
     pub fn at_bounds(&self) -> impl Iterator<Item = NoiseBound> {
-        let tracks = self.tracks.bound().map(|bound| match bound {
-            Bound::Least => NoiseBound::TracksLeast { sigma_px: self.sigma_track_px() },
-            Bound::Most => NoiseBound::TracksMost { sigma_px: self.sigma_track_px() },
-        });
-        let imu = self.imu.bound().map(|bound| match bound {
-            Bound::Least => NoiseBound::ImuLeast { scale: self.imu.sigma_factor() },
-            Bound::Most => NoiseBound::ImuMost { scale: self.imu.sigma_factor() },
-        });
+        let imu = self.imu.is_held_up().then(|| NoiseBound::Imu { scale: self.imu.sigma_factor() });
+        let tracks = self.tracks.is_held_up().then(|| NoiseBound::Tracks { sigma_px: self.sigma_track_px() });
+        imu.into_iter().chain(tracks)
+    }
+
+    /// The noise levels that sensors cannot have.
+    pub fn faults(&self) -> impl Iterator<Item = NoiseFault> {
+        let (scale, sigma_px) = (self.imu.sigma_factor(), self.sigma_track_px());
+        let imu = self.imu_limit.is_exceeded().then_some(NoiseFault::Imu { scale });
+        let tracks = self.track_limit.is_exceeded().then_some(NoiseFault::Tracks { sigma_px });
         imu.into_iter().chain(tracks)
     }
 
@@ -193,11 +169,13 @@ impl NoiseAdaptation {
     /// Notes the NIS of a track for each degree of freedom, at the noise of now.
     pub fn note_track(&mut self, nis_per_row: f64) {
         self.tracks.update(nis_per_row);
+        self.track_limit.note(self.sigma_track_px());
     }
 
     /// Notes a correction of the IMU's state, squared and in units of its expectation.
     pub fn note_correction(&mut self, ratio: f64) {
         self.imu.update(ratio);
+        self.imu_limit.note(self.imu.sigma_factor());
     }
 
     /// The noise of the matches of one answer, before any gate.
@@ -243,4 +221,31 @@ pub struct MatchNoise {
     /// Factor on the stated standard deviations.
     pub sigma_factor: f64,
     learned: VarianceFactor,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn noise_that_no_sensor_has_is_a_fault_until_it_is_clearly_less() {
+        let mut noise = NoiseAdaptation::new(&EstimatorConfig::default(), None);
+        assert_eq!(noise.faults().count(), 0, "at the start");
+        let truth_is = |noise: &mut NoiseAdaptation, scale: f64| {
+            for _ in 0..3000 {
+                noise.note_correction((scale / noise.learned().imu_noise_scale).powi(2));
+            }
+        };
+        truth_is(&mut noise, 10.0);
+        assert_eq!(noise.faults().count(), 0, "a vehicle that vibrates");
+        truth_is(&mut noise, 60.0);
+        let fault = noise.faults().next().unwrap();
+        assert!(matches!(fault, NoiseFault::Imu { scale } if (59.0..61.0).contains(&scale)), "{fault}");
+        truth_is(&mut noise, 16.0);
+        assert_eq!(noise.faults().count(), 1, "not clearly less");
+        truth_is(&mut noise, 12.0);
+        assert_eq!(noise.faults().count(), 0);
+        (0..3000).for_each(|_| noise.note_track(1e3));
+        assert!(matches!(noise.faults().next(), Some(NoiseFault::Tracks { .. })));
+    }
 }

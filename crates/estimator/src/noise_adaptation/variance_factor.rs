@@ -9,15 +9,8 @@ const MAX_FACTOR: f64 = 1e4;
 
 /// Distance from a bound (logarithm of the variance) that counts as at it.
 const NEAR_BOUND: f64 = 0.05;
-/// Mean ratio below or above which a factor at its bound is held back by it.
-const HELD_RATIOS: [f64; 2] = [0.8, 1.25];
-
-/// A bound of a factor.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Bound {
-    Least,
-    Most,
-}
+/// Mean ratio below which a factor at its lower bound is held up by it.
+const HELD_RATIO: f64 = 0.8;
 
 /// How a factor is adapted.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -84,15 +77,10 @@ impl VarianceFactor {
         }
     }
 
-    /// The bound that the innovations would move the factor beyond.
-    pub(super) fn bound(&self) -> Option<Bound> {
-        let [least, most] = self.bounds();
-        self.adaptation?;
-        if self.log < least + NEAR_BOUND && self.mean_ratio < HELD_RATIOS[0] {
-            Some(Bound::Least)
-        } else {
-            (self.log > most - NEAR_BOUND && self.mean_ratio > HELD_RATIOS[1]).then_some(Bound::Most)
-        }
+    /// Whether the innovations would move the factor below its lower bound.
+    pub(super) fn is_held_up(&self) -> bool {
+        let [least, _] = self.bounds();
+        self.adaptation.is_some() && self.log < least + NEAR_BOUND && self.mean_ratio < HELD_RATIO
     }
 
     /// Takes a measurement of the factor itself, which is averaged with those before.
@@ -165,7 +153,7 @@ mod tests {
         fixed.average(9.0);
         assert!((fixed.sigma_factor() - 1.0).abs() < 1e-15);
         fixed.hold_above(4.0);
-        assert_eq!((fixed.sigma_factor(), fixed.bound()), (1.0, None));
+        assert_eq!((fixed.sigma_factor(), fixed.is_held_up()), (1.0, false));
         let mut averaged = VarianceFactor::new(Adaptation { first_gain: 1.0, ..ADAPTATION });
         averaged.average(4.0);
         assert!((averaged.sigma_factor() - 2.0).abs() < 1e-12, "the first measurement replaces the start");
@@ -178,18 +166,16 @@ mod tests {
         };
         factor.hold_above(9.0);
         learn(&mut factor, 4.0);
-        assert!((factor.sigma_factor() - 3.0).abs() < 1e-12 && factor.bound() == Some(Bound::Least));
+        assert!((factor.sigma_factor() - 3.0).abs() < 1e-12 && factor.is_held_up());
         learn(&mut factor, 16.0);
-        assert!((factor.sigma_factor() - 4.0).abs() < 0.01 && factor.bound().is_none());
+        assert!((factor.sigma_factor() - 4.0).abs() < 0.01 && !factor.is_held_up());
         learn(&mut factor, 9.0);
         assert!(
-            (factor.sigma_factor() - 3.0).abs() < 0.01 && factor.bound().is_none(),
+            (factor.sigma_factor() - 3.0).abs() < 0.01 && !factor.is_held_up(),
             "as large as it is known to be"
         );
         factor.hold_above(1.0);
         learn(&mut factor, 4.0);
-        assert!((factor.sigma_factor() - 2.0).abs() < 0.01 && factor.bound().is_none());
-        learn(&mut factor, 1e9);
-        assert_eq!(factor.bound(), Some(Bound::Most));
+        assert!((factor.sigma_factor() - 2.0).abs() < 0.01 && !factor.is_held_up());
     }
 }

@@ -1,30 +1,23 @@
-//! Gyroscope and accelerometer in two topics: the specific force is interpolated to the times of the gyroscope.
+//! Gyroscope and accelerometer in two topics.
 
 use super::index::{Stamped, StampedTopic};
 use super::messages;
 use super::rows::{Values, is_finite};
-use crate::{ImuSample, SequenceError};
+use crate::{ImuSample, SequenceError, SplitImu};
 use bags::Bag;
 use nalgebra::Vector3;
 use ros_messages::sensor_msgs::Imu;
-use std::iter::Peekable;
 use std::sync::Arc;
-
-/// Over longer gaps of the accelerometer the specific force is not known, nanoseconds.
-const MAX_GAP_NS: i64 = 100_000_000;
 
 type Vectors = Box<dyn Iterator<Item = (i64, Vector3<f64>)>>;
 
-/// The readings at the times of the gyroscope. Those before the first and after the last specific force, and those within
-/// its gaps, are left out.
+/// The readings at the times of the gyroscope.
 struct Interpolated {
     bag: Arc<Bag>,
     gyroscope_topic: Arc<StampedTopic>,
     gyroscope: Vectors,
-    accelerometer: Peekable<Vectors>,
-    /// The newest specific force up to the reading.
-    before: Option<(i64, Vector3<f64>)>,
-    in_gaps: usize,
+    accelerometer: Vectors,
+    imu: SplitImu,
 }
 
 /// The readings of a gyroscope and an accelerometer.
@@ -44,29 +37,8 @@ pub(super) fn interpolated(
         bag: Arc::clone(bag),
         gyroscope_topic: Arc::clone(gyroscope),
         gyroscope: vectors(gyroscope, |message| message.angular_velocity.into()),
-        accelerometer: vectors(accelerometer, |message| message.linear_acceleration.into()).peekable(),
-        before: None,
-        in_gaps: 0,
-    }
-}
-
-impl Interpolated {
-    /// The specific force at a time; `None` where it is not known.
-    fn specific_force(&mut self, stamp_ns: i64) -> Option<Vector3<f64>> {
-        while let Some(passed) = self.accelerometer.next_if(|(at_ns, _)| *at_ns <= stamp_ns) {
-            self.before = Some(passed);
-        }
-        let (from_ns, from) = self.before?;
-        if from_ns == stamp_ns {
-            return Some(from);
-        }
-        let &(to_ns, to) = self.accelerometer.peek()?;
-        if to_ns.saturating_sub(from_ns) > MAX_GAP_NS {
-            self.in_gaps += 1;
-            return None;
-        }
-        let part = (stamp_ns - from_ns) as f64 / (to_ns - from_ns) as f64;
-        Some(from.lerp(&to, part))
+        accelerometer: vectors(accelerometer, |message| message.linear_acceleration.into()),
+        imu: SplitImu::default(),
     }
 }
 
@@ -74,13 +46,20 @@ impl Iterator for Interpolated {
     type Item = Result<ImuSample, SequenceError>;
 
     fn next(&mut self) -> Option<Self::Item> {
-        while let Some((stamp_ns, gyroscope)) = self.gyroscope.next() {
-            if let Some(accelerometer) = self.specific_force(stamp_ns) {
-                return Some(Ok(ImuSample { stamp_ns, gyroscope, accelerometer }));
+        loop {
+            if let Some(reading) = self.imu.pop() {
+                return Some(Ok(reading));
+            }
+            let is_waiting = self.imu.is_waiting();
+            let next = if is_waiting { self.accelerometer.next() } else { self.gyroscope.next() };
+            match next {
+                Some((stamp_ns, force)) if is_waiting => self.imu.add_accelerometer(stamp_ns, force),
+                Some((stamp_ns, angular_velocity)) => self.imu.add_gyroscope(stamp_ns, angular_velocity),
+                None => break,
             }
         }
         let why = "are within gaps of the accelerometer";
-        self.gyroscope_topic.tell_once(&self.bag, self.in_gaps, why);
+        self.gyroscope_topic.tell_once(&self.bag, self.imu.in_gaps(), why);
         None
     }
 }

@@ -1,6 +1,5 @@
 //! The calibration of a bag's sensors: files in the ways of EuRoC and Kalibr, and the recorded `CameraInfo`.
 
-use super::camera_topics::is_same_camera;
 use super::messages;
 use super::topics::BagSensors;
 use crate::camera_info::camera_of_info;
@@ -67,7 +66,11 @@ pub(super) fn read(
     let (cameras, time_offset_ns) = match &files.cameras {
         Some(file) => {
             let infos = camera_infos(bag, sensors)?;
-            let chosen = chosen_cameras(bag, sensors, file)?;
+            let topics = bag.topics();
+            let names: Vec<&str> =
+                sensors.cameras.iter().map(|camera| topics[camera.images].name.as_str()).collect();
+            let has_topic = |of: &str| topics.iter().any(|topic| kalibr::is_same_camera(&topic.name, of));
+            let chosen = kalibr::chosen_cameras(file, &names, has_topic)?;
             let CameraChain { cameras, time_offset_ns } = kalibr::read_camera_chain(file, &infos, &chosen)?;
             (Cameras::Kalibr(cameras), time_offset_ns)
         }
@@ -109,38 +112,6 @@ pub(super) fn camera_topics(bag: &Bag, files: &CalibrationFiles) -> Vec<Option<S
     let found = files_of(bag.path(), files).ok().and_then(|(_, files)| files.cameras);
     // What is wrong with the files is said when they are read.
     found.and_then(|file| kalibr::camera_topics(&file).ok()).unwrap_or_default()
-}
-
-/// Which camera of a chain each camera of the bag is: the one with its topic, else the one in its place.
-fn chosen_cameras(bag: &Bag, sensors: &BagSensors, chain: &Path) -> Result<Vec<usize>, SequenceError> {
-    let calibrated = kalibr::camera_topics(chain)?;
-    let topic = |camera: &super::BagCamera| bag.topics()[camera.images].name.as_str();
-    let is_of = |index: usize, name: &str| {
-        calibrated.get(index).and_then(Option::as_ref).is_some_and(|of| is_same_camera(of, name))
-    };
-    let choose = |(place, camera): (usize, &super::BagCamera)| {
-        let name = topic(camera);
-        if let Some(index) = (0..calibrated.len()).find(|&index| is_of(index, name)) {
-            return Ok(index);
-        }
-        if let Some(of) = calibrated.get(place).and_then(Option::as_ref) {
-            let is_recorded = bag.topics().iter().any(|topic| is_same_camera(&topic.name, of));
-            if is_recorded {
-                let problem = format!(
-                    "cam{place} is calibrated for {of} (rostopic), which is recorded, but {name} is to be used with it: \
-                     calibrate that camera, name the right topics with --camera-topic, or correct rostopic"
-                );
-                return Err(SequenceError::calibration(chain, problem));
-            }
-            tracing::warn!(
-                "{}: cam{place} is calibrated for {of} (rostopic), which is not recorded, and is used for {name}: is it the same \
-                 camera?",
-                chain.display()
-            );
-        }
-        Ok(place)
-    };
-    sensors.cameras.iter().enumerate().map(choose).collect()
 }
 
 /// The projection of each camera by its `CameraInfo`.

@@ -1,13 +1,11 @@
 //! Which topics of a bag are the cameras, and which camera of a calibration each of them is.
 
-use super::messages;
-use super::topics::{COMPRESSED_IMAGE, IMAGE, listed, named, of_types, wrong};
+use super::messages::{self, RecordedImage};
+use super::topics::{IMAGES, listed, named, of_types, wrong};
+use crate::kalibr::{COMPRESSED, is_same_camera};
 use crate::{CalibrationFiles, SequenceError};
 use bags::Bag;
-use ros_messages::sensor_msgs::{CompressedImage, Image};
 
-/// The last part of a topic's name that image_transport adds to the name of the uncompressed images.
-const COMPRESSED: &str = "/compressed";
 /// Depths, which have the type of compressed images.
 const COMPRESSED_DEPTH: &str = "/compressedDepth";
 /// Pixels that are depths where the topic's name says nothing else.
@@ -43,14 +41,8 @@ pub(super) fn find(
     }
 }
 
-/// Whether two names are of the same camera: with or without `/compressed`.
-pub(super) fn is_same_camera(a: &str, b: &str) -> bool {
-    let plain = |name: &str| name.trim_start_matches('/').trim_end_matches(COMPRESSED).to_owned();
-    plain(a) == plain(b)
-}
-
 fn find_named(bag: &Bag, name: &str) -> Result<usize, SequenceError> {
-    let topic = named(bag, name, "--camera-topic", &[IMAGE, COMPRESSED_IMAGE])?;
+    let topic = named(bag, name, "--camera-topic", &IMAGES)?;
     // 16 bits may also be those of an infrared camera.
     let is_depth = match encoding(bag, topic).as_deref().and_then(depth_encoding) {
         Some("32FC1") => true,
@@ -107,7 +99,7 @@ fn choose(bag: &Bag, calibrated: &[Option<String>]) -> Result<FoundCameras, Sequ
 /// The topics that may be cameras. Of one that is recorded as it is and compressed, the first counts; depths are none.
 fn candidates(bag: &Bag, notes: &mut Vec<String>) -> Vec<usize> {
     let topics = bag.topics();
-    let mut found: Vec<usize> = of_types(bag, &[IMAGE, COMPRESSED_IMAGE]).collect();
+    let mut found: Vec<usize> = of_types(bag, &IMAGES).collect();
     let images = found.clone();
     found.retain(|&topic| {
         let name = &topics[topic].name;
@@ -136,8 +128,8 @@ fn depth_encoding(encoding: &str) -> Option<&'static str> {
 /// The encoding of the first image of a topic.
 fn encoding(bag: &Bag, topic: usize) -> Option<String> {
     let place = bag.topics()[topic].messages.first()?.place;
-    if bag.topics()[topic].type_name == COMPRESSED_IMAGE {
-        return messages::read::<CompressedImage>(bag, topic, place).ok().map(|image| image.format);
-    }
-    messages::read::<Image>(bag, topic, place).ok().map(|image| image.encoding)
+    Some(match messages::read_image(bag, topic, place).ok()? {
+        RecordedImage::Raw(image) => image.encoding,
+        RecordedImage::Compressed(image) => image.format,
+    })
 }

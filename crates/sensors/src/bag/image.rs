@@ -1,11 +1,8 @@
 //! An image in a bag, read and decoded when it is needed.
 
-use super::messages;
-use super::topics::COMPRESSED_IMAGE;
+use super::messages::{self, RecordedImage};
 use crate::StoredImage;
 use bags::{Bag, Place};
-use ros_messages::RosMessage;
-use ros_messages::sensor_msgs::CompressedImage;
 use std::sync::Arc;
 use vision::{GrayImage, ImageError};
 
@@ -17,25 +14,21 @@ pub(super) struct BagImage {
     pub(super) place: Place,
 }
 
-impl BagImage {
-    fn message<M: RosMessage>(&self) -> Result<M, ImageError> {
-        messages::read(&self.bag, self.topic, self.place)
-            .map_err(|source| ImageError::Source { name: self.name(), source: source.into() })
-    }
-}
-
 impl StoredImage for BagImage {
     fn name(&self) -> String {
         format!("{}, {}, {} ns", self.bag.path().display(), self.bag.topics()[self.topic].name, self.stamp_ns)
     }
 
     fn read(&self) -> Result<GrayImage, ImageError> {
-        if self.bag.topics()[self.topic].type_name == COMPRESSED_IMAGE {
-            let message: CompressedImage = self.message()?;
-            let name = format!("{} (format \"{}\")", self.name(), message.format.trim());
-            return messages::gray_of_compressed(&message, &name);
+        let of_source = |source| ImageError::Source { name: self.name(), source };
+        match messages::read_image(&self.bag, self.topic, self.place)
+            .map_err(|error| of_source(error.into()))?
+        {
+            RecordedImage::Raw(image) => messages::gray(&image).map_err(|error| of_source(error.into())),
+            RecordedImage::Compressed(image) => {
+                let name = format!("{} (format \"{}\")", self.name(), image.format.trim());
+                messages::gray_of_compressed(&image, &name)
+            }
         }
-        messages::gray(&self.message()?)
-            .map_err(|source| ImageError::Source { name: self.name(), source: source.into() })
     }
 }

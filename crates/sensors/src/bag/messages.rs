@@ -1,5 +1,7 @@
-//! Messages of a bag, of ROS 1 or ROS 2.
+//! Messages of a bag: of ROS 1, ROS 2, and Foxglove's images.
 
+use super::foxglove::{self, FoxgloveError};
+use super::topics::COMPRESSED_IMAGE;
 use bags::{Bag, BagError, Encoding, Place};
 use ros_messages::sensor_msgs::{CompressedImage, Image};
 use ros_messages::{CdrError, RosMessage, decode, ros1};
@@ -18,6 +20,8 @@ pub(super) enum MessageError {
     Cdr(#[from] CdrError),
     #[error(transparent)]
     Ros1(#[from] ros1::Ros1Error),
+    #[error(transparent)]
+    Foxglove(#[from] FoxgloveError),
     #[error("encoding \"{0}\" is unknown: ROS 1 and CDR are read; convert the recording with its own tools")]
     Encoding(String),
 }
@@ -32,13 +36,37 @@ pub(super) fn read<M: RosMessage>(bag: &Bag, topic: usize, place: Place) -> Resu
     })
 }
 
-/// Time stamp of the header with which a message begins, nanoseconds; the rest of the message is not read.
+/// An image as it is recorded.
+pub(super) enum RecordedImage {
+    Raw(Image),
+    Compressed(CompressedImage),
+}
+
+/// Reads an image of any type.
+pub(super) fn read_image(bag: &Bag, topic: usize, place: Place) -> Result<RecordedImage, MessageError> {
+    let of = &bag.topics()[topic];
+    Ok(match of.type_name.as_str() {
+        foxglove::RAW_IMAGE => RecordedImage::Raw(foxglove::raw_image(&bag.read(place)?, &of.encoding)?),
+        foxglove::COMPRESSED_IMAGE => {
+            RecordedImage::Compressed(foxglove::compressed_image(&bag.read(place)?, &of.encoding)?)
+        }
+        COMPRESSED_IMAGE => RecordedImage::Compressed(read(bag, topic, place)?),
+        _ => RecordedImage::Raw(read(bag, topic, place)?),
+    })
+}
+
+/// Time stamp of a reading or an image, nanoseconds: of messages of ROS that of the header with which they begin, without
+/// reading the rest.
 pub(super) fn read_stamp(bag: &Bag, topic: usize, place: Place) -> Option<i64> {
+    let of = &bag.topics()[topic];
+    if foxglove::is_image(&of.type_name) {
+        return foxglove::stamp_ns(&bag.read(place).ok()?, &of.encoding).ok();
+    }
     let start: [u8; STAMP_BYTES] = bag.read_start(place, STAMP_BYTES).ok()?.try_into().ok()?;
     // ROS 1: sequence number, seconds, nanoseconds. CDR: its own header, the second byte of which is the byte order.
     let [_, order, .., s0, s1, s2, s3, n0, n1, n2, n3] = start;
     let (seconds, nanoseconds) = ([s0, s1, s2, s3], [n0, n1, n2, n3]);
-    let is_big_endian = match &bag.topics()[topic].encoding {
+    let is_big_endian = match &of.encoding {
         Encoding::Ros1 => false,
         Encoding::Cdr => order == 0,
         _ => return None,

@@ -5,6 +5,7 @@
 mod accelerometer;
 mod calibration;
 mod camera_topics;
+mod foxglove;
 mod image;
 mod imu_topics;
 mod index;

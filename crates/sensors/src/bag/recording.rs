@@ -7,7 +7,7 @@ use super::rows::{Cameras, FrameRows, readings};
 use super::topics::BagSensors;
 use crate::rows::Rows;
 use crate::stored::Stored;
-use crate::{CalibrationFiles, Frame, ImuSample, PairCounts, SensorCalibration, SequenceError};
+use crate::{CalibrationFiles, Frame, ImuSample, ImuUnits, PairCounts, SensorCalibration, SequenceError};
 use bags::Bag;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -19,6 +19,7 @@ pub(crate) struct BagRecording {
     /// Where it has a topic of its own.
     accelerometer: Option<Arc<StampedTopic>>,
     cameras: Arc<Cameras>,
+    imu_units: ImuUnits,
     time_offset_ns: i64,
 }
 
@@ -51,6 +52,7 @@ impl BagRecording {
             imu: imu.filter(|_| calibration.imu.is_some()).map(Arc::new),
             accelerometer: accelerometer.map(Arc::new),
             cameras: Arc::new(Cameras::new(cameras, files.pair_tolerance_ns())),
+            imu_units: files.imu_units,
             time_offset_ns,
         };
         Ok((recording, calibration))
@@ -63,13 +65,15 @@ impl Stored for BagRecording {
     }
 
     fn imu_samples(&self) -> Result<Rows<'static, ImuSample>, SequenceError> {
-        Ok(match (&self.imu, &self.accelerometer) {
+        let readings: Rows<'static, ImuSample> = match (&self.imu, &self.accelerometer) {
             (Some(topic), None) => Box::new(readings(&self.bag, topic)),
             (Some(gyroscope), Some(accelerometer)) => {
                 Box::new(interpolated(&self.bag, gyroscope, accelerometer))
             }
             (None, _) => Box::new(std::iter::empty()),
-        })
+        };
+        let units = self.imu_units;
+        Ok(Box::new(readings.map(move |reading| reading.map(|reading| units.in_si(reading)))))
     }
 
     fn time_offset_ns(&self) -> i64 {

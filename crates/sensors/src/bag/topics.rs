@@ -1,7 +1,7 @@
 //! Which topics of a bag are the IMU and the cameras.
 
 use super::camera_topics::{self, FoundCameras};
-use super::{calibration, imu_topics, index};
+use super::{calibration, foxglove, imu_topics, index};
 use crate::{CalibrationFiles, SequenceError};
 use bags::{Bag, Topic};
 use std::fmt::Write;
@@ -9,6 +9,9 @@ use std::fmt::Write;
 pub(super) const IMU: &str = "sensor_msgs/Imu";
 pub(super) const IMAGE: &str = "sensor_msgs/Image";
 pub(super) const COMPRESSED_IMAGE: &str = "sensor_msgs/CompressedImage";
+/// Types of images.
+pub(super) const IMAGES: [&str; 4] =
+    [IMAGE, COMPRESSED_IMAGE, foxglove::RAW_IMAGE, foxglove::COMPRESSED_IMAGE];
 pub(super) const CAMERA_INFO: &str = "sensor_msgs/CameraInfo";
 
 /// The sensors of a bag, as indices of [`Bag::topics`].
@@ -64,8 +67,8 @@ impl BagSensors {
     /// # Arguments
     /// * `topic`: index in [`Bag::topics`].
     pub fn stamps(bag: &Bag, topic: usize) -> Option<Vec<i64>> {
-        let of_sensors = [IMU, IMAGE, COMPRESSED_IMAGE];
-        let is_sensor = of_sensors.contains(&bag.topics().get(topic)?.type_name.as_str());
+        let type_name = bag.topics().get(topic)?.type_name.as_str();
+        let is_sensor = type_name == IMU || IMAGES.contains(&type_name);
         let stamps = is_sensor.then(|| index::stamps(bag, topic))?;
         (!stamps.is_empty()).then_some(stamps)
     }

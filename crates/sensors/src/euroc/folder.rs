@@ -8,8 +8,8 @@ use crate::kalibr::{self, CalibrationFiles};
 use crate::rows::Rows;
 use crate::stored::Stored;
 use crate::{
-    CameraSensor, Frame, ImuSample, PairCounts, ReferencePose, SensorCalibration, SequenceError, Table,
-    TruthRow,
+    CameraSensor, Frame, ImuSample, ImuUnits, PairCounts, ReferencePose, SensorCalibration, SequenceError,
+    Table, TruthRow,
 };
 use geometry::camera::Camera;
 use geometry::pose::Pose;
@@ -25,6 +25,7 @@ pub(crate) struct Folder {
     root: PathBuf,
     frames: Arc<FrameStamps>,
     readings: Option<TableStamps>,
+    imu_units: ImuUnits,
     time_offset_ns: i64,
 }
 
@@ -111,6 +112,7 @@ impl Folder {
             root: root.to_path_buf(),
             frames: Arc::new(FrameStamps::read(&mav, sensors.cameras.len(), files.pair_tolerance_ns())),
             readings: sensors.imu.as_ref().map(|_| TableStamps::read(&mav.join("imu0/data.csv"))),
+            imu_units: files.imu_units,
             time_offset_ns,
         };
         Ok((folder, sensors))
@@ -133,7 +135,9 @@ impl Stored for Folder {
         let Some(TableStamps { skipped, .. }) = &self.readings else {
             return Ok(Box::new(std::iter::empty()));
         };
-        Ok(Box::new(TimedRows::open_without(&self.readings_path(), Arc::clone(skipped))?))
+        let units = self.imu_units;
+        let rows = TimedRows::open_without(&self.readings_path(), Arc::clone(skipped))?;
+        Ok(Box::new(rows.map(move |reading| reading.map(|reading| units.in_si(reading)))))
     }
 
     fn stereo_pairs(&self) -> Option<PairCounts> {

@@ -2,8 +2,8 @@
 
 use super::other_programs::is_kimera_left;
 use super::{is_camera_chain, is_imu};
-use crate::SequenceError;
 use crate::pairing::PAIR_TOLERANCE_NS;
+use crate::{ImuUnits, SequenceError};
 use std::path::{Path, PathBuf};
 
 /// Larger YAML files are no calibrations, bytes.
@@ -39,6 +39,8 @@ pub struct CalibrationFiles {
     /// Largest difference between the stamps of the images of a stereo pair, nanoseconds; without it
     /// [`PAIR_TOLERANCE_NS`].
     pub pair_tolerance_ns: Option<i64>,
+    /// Units of the IMU's readings.
+    pub imu_units: ImuUnits,
 }
 
 impl CalibrationFiles {

@@ -12,8 +12,12 @@
 
 mod files;
 mod other_programs;
+mod topics;
 
 pub use files::CalibrationFiles;
+#[cfg(feature = "bags")]
+pub(crate) use topics::{COMPRESSED, camera_topics};
+pub(crate) use topics::{chosen_cameras, is_same_camera};
 
 use crate::calibration_yaml::{
     Lens, MatrixYaml, NoiseYaml, check_positive, parse, pose_from_matrix, read_text,
@@ -161,17 +165,6 @@ pub(crate) fn is_imu(text: &str) -> bool {
     has("imu0:")
         || other_programs::is_kimera_imu(text)
         || (has("accelerometer_noise_density:") && has("update_rate:"))
-}
-
-/// The topic of each camera of a chain, where the file states it.
-pub(crate) fn camera_topics(path: &Path) -> Result<Vec<Option<String>>, SequenceError> {
-    let text = read_text(path)?;
-    if !is_camera_chain(&text) {
-        return Ok(Vec::new());
-    }
-    let chain: ChainYaml = parse(path, CHAIN, &text)?;
-    let topic = |camera: &CameraYaml| camera.rostopic.clone().filter(|topic| !topic.is_empty());
-    Ok(chain.cameras().map(topic).collect())
 }
 
 /// Reads a camera chain with the poses of the cameras on the IMU.

@@ -8,7 +8,7 @@ use super::reorder::Reorder;
 use super::repetition::{Compared, Repetition};
 use super::settings::{LiveFrames, LiveSettings};
 use super::stream::Stream;
-use crate::{ImuSample, PairCounts, SensorCalibration, TrackObservation};
+use crate::{ImuSample, ImuUnits, PairCounts, SensorCalibration, TrackObservation};
 use protocol::FeatureSet;
 use std::collections::VecDeque;
 use std::sync::mpsc::SyncSender;
@@ -33,6 +33,7 @@ pub(super) enum Ready {
 pub(super) struct LiveBuffer {
     max_waiting_frames: usize,
     camera_offset_ns: i64,
+    imu_units: ImuUnits,
     imu: Lane<ImuSample>,
     cameras: Vec<Lane<LiveImage>>,
     tracks: Option<Lane<PendingFrame>>,
@@ -67,6 +68,7 @@ impl LiveBuffer {
         Self {
             max_waiting_frames: settings.max_waiting_frames.max(1),
             camera_offset_ns: settings.camera_offset_ns,
+            imu_units: settings.imu_units,
             imu: Lane::new(Stream::Imu, calibration.imu.as_ref().map(|imu| imu.rate_hz)),
             cameras,
             tracks,
@@ -89,6 +91,7 @@ impl LiveBuffer {
 
     pub(super) fn imu(&mut self, reading: ImuSample, now: Duration) {
         self.imu.arrived(now);
+        let reading = self.imu_units.in_si(reading);
         if !reading.gyroscope.iter().chain(&reading.accelerometer).all(|value| value.is_finite()) {
             let problem = "readings are not finite, and are not used; check the sensor".to_owned();
             return self.faults.note(Stream::Imu, FaultKind::NotFinite, now, problem);

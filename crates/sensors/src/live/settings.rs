@@ -1,7 +1,7 @@
 //! Settings of a live source.
 
 use crate::pairing::PAIR_TOLERANCE_NS;
-use crate::{Contents, FolderCalibration, SensorCalibration};
+use crate::{Contents, FolderCalibration, ImuUnits, SensorCalibration};
 
 /// What the frames of a live source are made of.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -30,6 +30,8 @@ pub struct LiveSettings {
     pub pair_tolerance_ns: i64,
     /// Added to the stamps of images, nanoseconds: Kalibr's `timeshift_cam_imu`.
     pub camera_offset_ns: i64,
+    /// Units of the IMU's readings.
+    pub imu_units: ImuUnits,
     /// Frames that may wait for the estimator; beyond, the oldest is dropped. Five are a quarter of a second at 20 Hz.
     pub max_waiting_frames: usize,
 }
@@ -43,6 +45,7 @@ impl LiveSettings {
             camera_rate_is_stated: true,
             pair_tolerance_ns: PAIR_TOLERANCE_NS,
             camera_offset_ns: 0,
+            imu_units: ImuUnits::default(),
             max_waiting_frames: 5,
         }
     }

@@ -64,7 +64,7 @@ fn read(files: &[(&str, String)], name: &str) -> Result<FolderCalibration, Seque
     for (name, text) in files {
         std::fs::write(folder.path().join(name), text).unwrap();
     }
-    read_rig_calibration(&folder.path().join(name), None, &[])
+    read_rig_calibration(&folder.path().join(name), None, &[], &[])
 }
 
 #[test]
@@ -150,9 +150,9 @@ fn of_several_files_of_an_imu_a_given_one_is_taken() {
     let chain = file("chain.yaml", &format!("cam0:\n  T_imu_cam: {:?}\n{LENS}", rows(&imu_from_camera())));
     file("a.yaml", &openvins_imu());
     let other = file("b.yaml", &openvins_imu().replace("200.0", "400.0"));
-    let error = read_rig_calibration(&chain, None, &[]).unwrap_err().to_string();
+    let error = read_rig_calibration(&chain, None, &[], &[]).unwrap_err().to_string();
     assert!(error.contains("--imu-calibration FILE"), "{error}");
     assert!(crate::states_intrinsics(&chain).unwrap());
-    let read = read_rig_calibration(&chain, Some(&other), &[]).unwrap();
+    let read = read_rig_calibration(&chain, Some(&other), &[], &[]).unwrap();
     assert!((read.sensors.imu.unwrap().rate_hz - 400.0).abs() < 1e-9);
 }

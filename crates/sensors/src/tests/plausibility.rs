@@ -34,7 +34,7 @@ fn images_of_another_size_than_calibrated_are_refused() {
 }
 
 #[test]
-fn an_accelerometer_in_g_is_refused_with_the_file() {
+fn an_accelerometer_in_g_is_refused_with_the_file_or_read_as_what_it_is_said_to_be() {
     let mut written = sequence(1);
     let at_rest = |index: i64| ImuSample {
         stamp_ns: START_NS + index * 5_000_000,
@@ -48,8 +48,12 @@ fn an_accelerometer_in_g_is_refused_with_the_file() {
         Recording::open(folder.path()).map(drop).unwrap_err().to_string(),
         Sequence::open(folder.path()).map(drop).unwrap_err().to_string(),
     ] {
-        assert!(error.contains("imu0/data.csv") && error.contains("9.80665"), "{error}");
+        assert!(error.contains("imu0/data.csv") && error.contains("--accelerometer-unit g"), "{error}");
     }
+    let mut files = CalibrationFiles::default();
+    files.imu_units.accelerations_in_g = true;
+    let read = Sequence::open_with(folder.path(), &files).unwrap();
+    assert!((read.imu_samples[3].accelerometer.z - 0.95 * 9.80665).abs() < 1e-9);
 }
 
 #[test]

@@ -1,6 +1,7 @@
 //! 8-bit grey images; PNG and JPEG files.
 
 use super::completeness::is_cut_off;
+use super::raw::is_12_bits;
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
@@ -74,6 +75,15 @@ pub enum ImageError {
     )]
     Format {
         /// The format's name.
+        encoding: String,
+    },
+    /// The two bytes of a pixel of YUV are in the other order.
+    #[error(
+        "what \"{encoding}\" calls luma hardly varies, but its colours do: the bytes are in the other order (yuyv, uyvy), and the driver \
+         names the wrong encoding"
+    )]
+    ByteOrder {
+        /// As it is named.
         encoding: String,
     },
     /// The data of an uncompressed image do not fit its size.
@@ -175,7 +185,13 @@ impl GrayImage {
         limits.max_image_width = Some(MAX_SIDE);
         limits.max_image_height = Some(MAX_SIDE);
         reader.limits(limits);
-        let grey = reader.decode().map_err(ImageError::Undecodable)?.into_luma8();
+        let mut decoded = reader.decode().map_err(ImageError::Undecodable)?;
+        if let image::DynamicImage::ImageLuma16(wide) = &mut decoded
+            && wide.iter().all(|pixel| is_12_bits(*pixel))
+        {
+            wide.iter_mut().for_each(|pixel| *pixel <<= 4);
+        }
+        let grey = decoded.into_luma8();
         let (width, height) = (grey.width() as usize, grey.height() as usize);
         Self::new(width, height, grey.into_raw())
     }

@@ -3,6 +3,11 @@
 use super::gray::MAX_SIDE;
 use super::{GrayImage, ImageError};
 
+/// Colours that vary more than luma by this factor are not colours,
+const MAX_COLOUR_VARIATION: u64 = 4;
+/// where they vary by so much from pixel to pixel in the mean.
+const MIN_VARIATION: u64 = 2;
+
 /// An uncompressed image: rows of pixels, `step` bytes apart.
 ///
 /// `encoding` is one of the names that ROS uses:
@@ -10,12 +15,10 @@ use super::{GrayImage, ImageError};
 /// | encoding | grey value |
 /// |---|---|
 /// | `mono8`, `8UC1` | as it is |
-/// | `mono16`, `16UC1` | the upper byte, so that 65,535 is white: 10 or 12 bits must lie in the upper ones |
 /// | `rgb8`, `bgr8`, `rgba8`, `bgra8`, `8UC3`, `8UC4` | luma, as of PNG and JPEG files |
-/// | `rgb16`, `bgr16`, `rgba16`, `bgra16`, `16UC3`, `16UC4` | luma of the upper bytes |
 /// | `bayer_rggb8`, `bayer_bggr8`, `bayer_gbrg8`, `bayer_grbg8` | (R + 2 G + B) / 4 of the 3 x 3 pixels around |
-/// | `bayer_rggb16` and its kin | the same of the upper bytes |
 /// | `yuv422` (`uyvy`), `yuv422_yuy2` (`yuyv`), `nv12`, `nv21`, `nv24` | luma |
+/// | `mono16`, `rgb16`, `bayer_rggb16`, `16UC1` and their kin | the same of the upper bytes; where no channel of an image reaches 4,096, it has 12 bits: of a sixteenth |
 ///
 /// Upper and lower case are the same.
 ///
@@ -42,68 +45,79 @@ pub struct RawImage<'a> {
     pub data: &'a [u8],
 }
 
-/// How the bytes of a row become grey values.
+/// How the channels of a row become grey values.
 enum Pixels {
-    /// The byte `offset` of every `stride`.
-    Byte { offset: usize, stride: usize },
-    /// Bytes of red, green and blue in every `stride`.
+    /// The channel `offset` of every `stride`.
+    Channel { offset: usize, stride: usize },
+    /// Channels of red, green and blue in every `stride`.
     Colour { rgb: [usize; 3], stride: usize },
-    /// One colour a pixel, in the byte `offset` of every `stride`.
-    Bayer { offset: usize, stride: usize },
+    /// One colour a pixel.
+    Bayer,
 }
 
-impl Pixels {
-    fn of(encoding: &str, big_endian: bool) -> Option<Self> {
-        let upper = usize::from(!big_endian);
-        Some(match encoding.to_ascii_lowercase().as_str() {
+/// The pixels of an encoding.
+struct Layout {
+    pixels: Pixels,
+    /// Bytes of a channel.
+    width: usize,
+}
+
+impl Layout {
+    fn of(encoding: &str) -> Option<Self> {
+        let encoding = encoding.to_ascii_lowercase();
+        let narrow = encoding
+            .strip_prefix("16uc")
+            .map(|channels| format!("8uc{channels}"))
+            .or_else(|| Some(format!("{}8", encoding.strip_suffix("16")?)));
+        let width = if narrow.is_some() { 2 } else { 1 };
+        let pixels = match narrow.unwrap_or(encoding).as_str() {
             // Luma is in a plane of its own, before the colours.
-            "mono8" | "8uc1" | "nv12" | "nv21" | "nv24" => Self::Byte { offset: 0, stride: 1 },
-            "mono16" | "16uc1" => Self::Byte { offset: upper, stride: 2 },
-            "yuv422" | "uyvy" => Self::Byte { offset: 1, stride: 2 },
-            "yuv422_yuy2" | "yuyv" => Self::Byte { offset: 0, stride: 2 },
-            "rgb8" => Self::Colour { rgb: [0, 1, 2], stride: 3 },
-            "bgr8" | "8uc3" => Self::Colour { rgb: [2, 1, 0], stride: 3 },
-            "rgba8" => Self::Colour { rgb: [0, 1, 2], stride: 4 },
-            "bgra8" | "8uc4" => Self::Colour { rgb: [2, 1, 0], stride: 4 },
-            "rgb16" => Self::Colour { rgb: [0, 2, 4].map(|at| at + upper), stride: 6 },
-            "bgr16" | "16uc3" => Self::Colour { rgb: [4, 2, 0].map(|at| at + upper), stride: 6 },
-            "rgba16" => Self::Colour { rgb: [0, 2, 4].map(|at| at + upper), stride: 8 },
-            "bgra16" | "16uc4" => Self::Colour { rgb: [4, 2, 0].map(|at| at + upper), stride: 8 },
-            "bayer_rggb8" | "bayer_bggr8" | "bayer_gbrg8" | "bayer_grbg8" => {
-                Self::Bayer { offset: 0, stride: 1 }
-            }
-            "bayer_rggb16" | "bayer_bggr16" | "bayer_gbrg16" | "bayer_grbg16" => {
-                Self::Bayer { offset: upper, stride: 2 }
-            }
+            "nv12" | "nv21" | "nv24" if width == 1 => Pixels::Channel { offset: 0, stride: 1 },
+            "mono8" | "8uc1" => Pixels::Channel { offset: 0, stride: 1 },
+            "yuv422" | "uyvy" if width == 1 => Pixels::Channel { offset: 1, stride: 2 },
+            "yuv422_yuy2" | "yuyv" if width == 1 => Pixels::Channel { offset: 0, stride: 2 },
+            "rgb8" => Pixels::Colour { rgb: [0, 1, 2], stride: 3 },
+            "bgr8" | "8uc3" => Pixels::Colour { rgb: [2, 1, 0], stride: 3 },
+            "rgba8" => Pixels::Colour { rgb: [0, 1, 2], stride: 4 },
+            "bgra8" | "8uc4" => Pixels::Colour { rgb: [2, 1, 0], stride: 4 },
+            "bayer_rggb8" | "bayer_bggr8" | "bayer_gbrg8" | "bayer_grbg8" => Pixels::Bayer,
             _ => return None,
-        })
+        };
+        Some(Self { pixels, width })
+    }
+
+    /// Channels of a pixel.
+    fn stride(&self) -> usize {
+        match self.pixels {
+            Pixels::Channel { stride, .. } | Pixels::Colour { stride, .. } => stride,
+            Pixels::Bayer => 1,
+        }
     }
 
     /// Bytes of a pixel.
-    fn stride(&self) -> usize {
-        match self {
-            Self::Byte { stride, .. } | Self::Colour { stride, .. } | Self::Bayer { stride, .. } => *stride,
-        }
+    fn bytes(&self) -> usize {
+        self.stride() * self.width
     }
 }
 
 impl RawImage<'_> {
     /// Bytes of a pixel in an encoding; `None` where it is not in the table.
     pub fn bytes_per_pixel(encoding: &str) -> Option<usize> {
-        Some(Pixels::of(encoding, false)?.stride())
+        Some(Layout::of(encoding)?.bytes())
     }
 
     /// Converts to grey.
     ///
     /// # Errors
-    /// [`ImageError::Format`] for an encoding that is not in the table; [`ImageError::Raw`] where the data are too short
+    /// [`ImageError::Format`] for an encoding that is not in the table; [`ImageError::ByteOrder`] where the bytes of a YUV image are
+    /// those of the other order; [`ImageError::Raw`] where the data are too short
     /// for the stated size, or the size is zero or above 16,384 columns or rows.
     pub fn to_gray(&self) -> Result<GrayImage, ImageError> {
-        let pixels = Pixels::of(self.encoding, self.big_endian)
+        let layout = Layout::of(self.encoding)
             .ok_or_else(|| ImageError::Format { encoding: self.encoding.to_owned() })?;
         let (width, height) = (self.width as usize, self.height as usize);
         let is_allowed = |side: u32| (1..=MAX_SIDE).contains(&side);
-        let row_bytes = width * pixels.stride();
+        let row_bytes = width * layout.bytes();
         let step = if self.step == 0 { row_bytes } else { self.step as usize };
         let is_there = is_allowed(self.width)
             && is_allowed(self.height)
@@ -117,27 +131,55 @@ impl RawImage<'_> {
                 bytes: self.data.len(),
             });
         }
-        let rows = self.data.chunks(step).take(height).map(|row| &row[..row_bytes]);
-        let grey = match pixels {
-            Pixels::Byte { offset: 0, stride: 1 } => rows.flatten().copied().collect(),
-            Pixels::Byte { offset, stride } => {
-                rows.flat_map(|row| row.iter().skip(offset).step_by(stride)).copied().collect()
+        let rows = self.data.chunks(step).take(height).flat_map(|row| &row[..row_bytes]).copied();
+        let channels: Vec<u8> = if layout.width == 1 {
+            rows.collect()
+        } else {
+            upper_bits(&rows.collect::<Vec<u8>>(), self.big_endian)
+        };
+        let grey = match layout.pixels {
+            Pixels::Channel { stride: 1, .. } => channels,
+            Pixels::Channel { offset, stride } => {
+                if is_luma_elsewhere(&channels, offset) {
+                    return Err(ImageError::ByteOrder { encoding: self.encoding.to_owned() });
+                }
+                channels.into_iter().skip(offset).step_by(stride).collect()
             }
             Pixels::Colour { rgb, stride } => {
                 let colour = |pixel: &[u8]| rgb.map(|at| pixel[at]);
-                luma(
-                    self.width,
-                    self.height,
-                    rows.flat_map(|row| row.chunks_exact(stride).flat_map(colour)).collect(),
-                )
+                luma(self.width, self.height, channels.chunks_exact(stride).flat_map(colour).collect())
             }
-            Pixels::Bayer { offset, stride } => {
-                let bytes = rows.flat_map(|row| row.iter().skip(offset).step_by(stride));
-                smooth_bayer(&bytes.copied().collect::<Vec<u8>>(), width, height)
-            }
+            Pixels::Bayer => smooth_bayer(&channels, width, height),
         };
         GrayImage::new(width, height, grey)
     }
+}
+
+/// Whether every other byte, `offset` the first, varies so much less than those between that luma is in those: colours vary
+/// less than luma in every scene.
+fn is_luma_elsewhere(bytes: &[u8], offset: usize) -> bool {
+    // The two colours alternate, so that each byte is compared with the next one of its kind.
+    let variation = |offset: usize| -> u64 {
+        let next = bytes.iter().skip(offset + 4).step_by(2);
+        bytes.iter().skip(offset).step_by(2).zip(next).map(|(a, b)| u64::from(a.abs_diff(*b))).sum()
+    };
+    let (luma, colours) = (variation(offset), variation(1 - offset));
+    colours > MIN_VARIATION * bytes.len() as u64 / 2 && colours > MAX_COLOUR_VARIATION * luma
+}
+
+/// The upper eight bits of channels of two bytes: of 16, or of 12 where none has more.
+fn upper_bits(bytes: &[u8], big_endian: bool) -> Vec<u8> {
+    let channel = |pair: &[u8]| {
+        let pair = [pair[0], pair[1]];
+        if big_endian { u16::from_be_bytes(pair) } else { u16::from_le_bytes(pair) }
+    };
+    let shift = if bytes.chunks_exact(2).all(|pair| is_12_bits(channel(pair))) { 4 } else { 8 };
+    bytes.chunks_exact(2).map(|pair| (channel(pair) >> shift) as u8).collect()
+}
+
+/// Whether a channel may be one of 12 bits.
+pub(super) fn is_12_bits(channel: u16) -> bool {
+    channel < 1 << 12
 }
 
 /// Luma of red, green and blue bytes, with the weights that are used for files; empty where their number is wrong.
@@ -221,6 +263,8 @@ mod tests {
     fn sixteen_bits_are_scaled_to_eight_in_both_byte_orders() {
         let little = repeated(&0xab_cd_u16.to_le_bytes());
         assert_eq!(image("mono16", 2, &little).to_gray().unwrap().get(5, 3), 0xab);
+        let dark = repeated(&0x0a_bc_u16.to_le_bytes());
+        assert_eq!(image("mono16", 2, &dark).to_gray().unwrap().get(5, 3), 0xab, "12 bits");
         let big = repeated(&0xab_cd_u16.to_be_bytes());
         let raw = RawImage { big_endian: true, ..image("mono16", 2, &big) };
         assert_eq!(raw.to_gray().unwrap().get(5, 3), 0xab);
@@ -256,6 +300,14 @@ mod tests {
         assert_eq!(image("yuv422_yuy2", 2, &yuyv).to_gray().unwrap().get(5, 3), 90);
         let planes = [vec![90; 24], vec![1; 12]].concat();
         assert_eq!(image("nv21", 1, &planes).to_gray().unwrap().pixels(), [90; 24]);
+    }
+
+    #[test]
+    fn yuv_in_the_other_order_is_refused() {
+        let bytes: Vec<u8> = (0..24).flat_map(|at| [(at * 37 % 251) as u8, 128]).collect();
+        assert!(image("yuyv", 2, &bytes).to_gray().is_ok());
+        let error = image("yuv422", 2, &bytes).to_gray().unwrap_err().to_string();
+        assert!(error.contains("yuv422") && error.contains("order"), "{error}");
     }
 
     #[test]
