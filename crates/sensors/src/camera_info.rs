@@ -33,25 +33,21 @@ pub fn camera_info_topic(images: &str) -> String {
 /// * `name`: of the topic, for errors.
 ///
 /// # Errors
-/// [`SequenceError`]: a distortion that is not supported, binning or a region of interest, numbers that are no projection.
+/// [`SequenceError`]: a distortion that is not supported, numbers that are no projection.
 pub fn camera_of_info(
     message: &CameraInfo,
     images: &str,
     name: &Path,
 ) -> Result<Option<Camera>, SequenceError> {
-    let CameraInfo { k, p, d, roi, width, height, .. } = message;
+    let CameraInfo { k, p, d, .. } = message;
     if k[0] == 0.0 {
         return Ok(None);
     }
     let wrong = |problem: String| SequenceError::calibration(name, problem);
-    let is_part = (roi.width, roi.height) != (0, 0) && (roi.width, roi.height) != (*width, *height);
-    if message.binning_x.max(message.binning_y) > 1 || is_part {
-        let problem = "binning and regions of interest are not supported: give the calibration of these images in a file";
-        return Err(wrong(problem.to_owned()));
-    }
     let is_rectified =
         images.trim_end_matches(COMPRESSED).rsplit('/').next().is_some_and(|last| RECTIFIED.contains(&last));
-    let intrinsics = if is_rectified { [p[0], p[5], p[2], p[6]] } else { [k[0], k[4], k[2], k[5]] };
+    let of_sensor = if is_rectified { [p[0], p[5], p[2], p[6]] } else { [k[0], k[4], k[2], k[5]] };
+    let (resolution, intrinsics) = of_images(message, of_sensor);
     let is_undistorted = is_rectified || d.iter().all(|value| *value == 0.0);
     // Higher orders of the distortion are zero in most calibrations, and not supported in the others.
     let (model, wanted) = match message.distortion_model.as_str() {
@@ -71,7 +67,7 @@ pub fn camera_of_info(
         )));
     }
     let lens = Lens {
-        resolution: [*width, *height],
+        resolution,
         camera_model: None,
         intrinsics: &intrinsics,
         distortion_model: Some(model),
@@ -79,6 +75,19 @@ pub fn camera_of_info(
         distortion_key: "coefficients (D)",
     };
     lens.camera(name).map(Some)
+}
+
+/// Resolution and intrinsics (focal lengths, principal point) of the images: the message states those of the whole sensor at full
+/// resolution, a region of it in its pixels, and then the binning.
+fn of_images(message: &CameraInfo, [fu, fv, cu, cv]: [f64; 4]) -> ([u32; 2], [f64; 4]) {
+    let CameraInfo { roi, width, height, .. } = message;
+    let [width, height] =
+        if (roi.width, roi.height) == (0, 0) { [*width, *height] } else { [roi.width, roi.height] };
+    // Zero means one.
+    let [horizontal, vertical] = [message.binning_x, message.binning_y].map(|pixels| pixels.max(1));
+    let [by_u, by_v] = [horizontal, vertical].map(f64::from);
+    let [u, v] = [roi.x_offset, roi.y_offset].map(f64::from);
+    ([width / horizontal, height / vertical], [fu / by_u, fv / by_v, (cu - u) / by_u, (cv - v) / by_v])
 }
 
 /// A projection as a message; `None` for one that ROS has no name for (FOV).
@@ -133,6 +142,21 @@ mod tests {
     }
 
     #[test]
+    fn binning_and_a_region_of_interest_are_those_of_the_images() {
+        let mut message = camera_info_message(&camera(Distortion::None), Header::default()).unwrap();
+        (message.binning_x, message.binning_y) = (2, 4);
+        let binned = read(&message, "/cam0/image_raw").unwrap().unwrap();
+        assert_eq!((binned.width, binned.height), (376, 120));
+        assert_eq!((binned.focal, binned.centre), ([229.3, 114.325], [183.6, 62.1]));
+        (message.roi.x_offset, message.roi.y_offset) = (100, 40);
+        (message.roi.width, message.roi.height) = (400, 200);
+        let part = read(&message, "/cam0/image_raw").unwrap().unwrap();
+        assert_eq!((part.width, part.height), (200, 50));
+        assert!((part.centre[0] - 133.6).abs() < 1e-9 && (part.centre[1] - 52.1).abs() < 1e-9);
+        assert_eq!(part.focal, binned.focal);
+    }
+
+    #[test]
     fn what_is_no_projection_of_the_images_is_refused() {
         assert_eq!(read(&CameraInfo::default(), "/image_raw").unwrap(), None);
         let good = camera_info_message(&camera(Distortion::None), Header::default()).unwrap();
@@ -141,8 +165,6 @@ mod tests {
             change(&mut message);
             read(&message, "/cam0/image_raw").unwrap_err().to_string()
         };
-        assert!(refused(&|message| message.binning_x = 2).contains("binning"));
-        assert!(refused(&|message| message.roi.width = 10).contains("regions of interest"));
         assert!(refused(&|message| message.d[4] = 0.1).contains("coefficient 5"));
         assert!(refused(&|message| message.k[4] = f64::NAN).contains("/cam0/camera_info"));
         let other = |message: &mut CameraInfo| {
