@@ -4,9 +4,10 @@ use crate::arguments::CalibrationArguments;
 use anyhow::bail;
 use ros_messages::RosMessage;
 use ros_messages::sensor_msgs::{CompressedImage, Image, Imu};
-use ros2::{Node, NodeOptions, Qos, Received, RosError, Subscriber};
+use ros2::{Node, NodeOptions, Qos, Received, Reliability, RosError, Subscriber};
 use sensors::live::{LiveFrames, LiveImage, LiveInputs, LiveSettings, RawPixels, Stream};
 use sensors::ros::{NotMeasured, imu_sample};
+use std::sync::Arc;
 use tokio::task::JoinHandle;
 use vision::RawImage;
 
@@ -68,7 +69,7 @@ impl RosTopics {
 #[derive(Debug)]
 pub struct RosSensors {
     tasks: Vec<JoinHandle<()>>,
-    _node: Node,
+    _node: Arc<Node>,
 }
 
 impl RosSensors {
@@ -82,25 +83,31 @@ impl RosSensors {
         topics: &RosTopics,
         inputs: &LiveInputs,
     ) -> Result<Self, RosError> {
-        let node = Node::new(session, node).await?;
+        let node = Arc::new(Node::new(session, node).await?);
+        let source = |topic: &str, stream| Source {
+            node: Arc::clone(&node),
+            topic: topic.to_owned(),
+            stream,
+            inputs: inputs.clone(),
+        };
         let imu = node.subscriber::<Imu>(&topics.imu, Qos::sensor_data(), IMU_QUEUE).await?;
-        let mut tasks = vec![hand_in(imu, inputs, Stream::Imu, |inputs, message| {
+        let mut tasks = vec![hand_in(imu, source(&topics.imu, Stream::Imu), |inputs, message| {
             inputs.imu(imu_sample(&message)?);
             Ok(())
         })];
         for (camera, topic) in topics.cameras.iter().enumerate() {
-            let stream = Stream::Camera(camera);
+            let source = source(topic, Stream::Camera(camera));
             let task = if topic.ends_with(COMPRESSED) {
                 let images =
                     node.subscriber::<CompressedImage>(topic, Qos::sensor_data(), IMAGE_QUEUE).await?;
-                hand_in(images, inputs, stream, move |inputs, message| {
+                hand_in(images, source, move |inputs, message| {
                     let stamp_ns = message.header.stamp.to_nanoseconds();
                     inputs.image(camera, stamp_ns, LiveImage::Encoded(message.data));
                     Ok(())
                 })
             } else {
                 let images = node.subscriber::<Image>(topic, Qos::sensor_data(), IMAGE_QUEUE).await?;
-                hand_in(images, inputs, stream, move |inputs, message| {
+                hand_in(images, source, move |inputs, message| {
                     let stamp_ns = message.header.stamp.to_nanoseconds();
                     inputs.image(camera, stamp_ns, raw_image(message)?);
                     Ok(())
@@ -118,23 +125,45 @@ impl Drop for RosSensors {
     }
 }
 
+/// A topic, and which stream of a live source it is.
+struct Source {
+    node: Arc<Node>,
+    topic: String,
+    stream: Stream,
+    inputs: LiveInputs,
+}
+
+impl Source {
+    /// Looks what the publishers offer, once there are any.
+    async fn note_offers(&self) {
+        let offers = self.node.offers(&self.topic).await.unwrap_or_default();
+        if offers.contains(&Reliability::BestEffort) {
+            self.inputs.best_effort(self.stream);
+        }
+    }
+}
+
 /// Hands in what a subscriber receives, and says what cannot be.
 fn hand_in<M: RosMessage + Send + 'static>(
     subscriber: Subscriber<M>,
-    inputs: &LiveInputs,
-    stream: Stream,
+    source: Source,
     take: impl Fn(&LiveInputs, M) -> Result<(), Unusable> + Send + 'static,
 ) -> JoinHandle<()> {
-    let inputs = inputs.clone();
     tokio::spawn(async move {
+        let Source { inputs, stream, .. } = &source;
+        let mut is_first = true;
         while let Ok(Received { message, .. }) = subscriber.receive().await {
             match message {
                 Ok(message) => {
-                    if let Err(problem) = take(&inputs, message) {
-                        inputs.refuse(stream, problem);
+                    // Before the message, so that a recording knows it in time.
+                    if std::mem::take(&mut is_first) {
+                        source.note_offers().await;
+                    }
+                    if let Err(problem) = take(inputs, message) {
+                        inputs.refuse(*stream, problem);
                     }
                 }
-                Err(error) => inputs.refuse(stream, error),
+                Err(error) => inputs.refuse(*stream, error),
             }
         }
     })
@@ -203,7 +232,7 @@ mod tests {
             let options = NodeOptions { name: "sensors".to_owned(), ..NodeOptions::default() };
             let sensors = RosSensors::start(session.clone(), options, &topics, &inputs).await.unwrap();
             let node = Node::new(session, NodeOptions::default()).await.unwrap();
-            let readings = node.publisher::<Imu>("/imu", Qos::sensor_data()).await.unwrap();
+            let readings = node.publisher::<Imu>("/imu", Qos::reliable()).await.unwrap();
             let images = node.publisher::<Image>("/cam0/image_raw", Qos::sensor_data()).await.unwrap();
             images.publish(&image(1, size, "h264")).await.unwrap();
             for milliseconds in (0..200).step_by(5) {
@@ -224,7 +253,9 @@ mod tests {
         }
         assert!(stamps.is_sorted() && stamps[0] == header(0).stamp.to_nanoseconds());
         assert_eq!(frame.unwrap().stamp_ns, header(50).stamp.to_nanoseconds());
-        let faults = source.live().unwrap().faults;
+        let report = source.live().unwrap();
+        assert_eq!(report.best_effort, [Stream::Camera(0)], "the readings are reliable");
+        let faults = report.faults;
         let unreadable =
             faults.iter().find(|fault| fault.kind == FaultKind::Unreadable).expect("the encoding is named");
         assert!(unreadable.to_string().contains("h264"), "{unreadable}");

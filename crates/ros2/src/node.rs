@@ -106,6 +106,14 @@ impl Node {
         Ok(subscriber.announced(declare(&self.session, token).await?))
     }
 
+    pub(crate) fn session(&self) -> &Session {
+        &self.session
+    }
+
+    pub(crate) fn identity(&self) -> &NodeIdentity {
+        &self.identity
+    }
+
     fn next_entity(&self) -> u64 {
         self.next_entity.fetch_add(1, Ordering::Relaxed)
     }

@@ -2,10 +2,10 @@
 
 use super::messages;
 use super::topics::COMPRESSED_IMAGE;
-use crate::StoredImage;
+use crate::{OriginalImage, RawPixels, StoredImage};
 use bags::{Bag, Place};
 use ros_messages::RosMessage;
-use ros_messages::sensor_msgs::CompressedImage;
+use ros_messages::sensor_msgs::{CompressedImage, Image};
 use std::sync::Arc;
 use vision::{GrayImage, ImageError};
 
@@ -18,6 +18,10 @@ pub(super) struct BagImage {
 }
 
 impl BagImage {
+    fn is_compressed(&self) -> bool {
+        self.bag.topics()[self.topic].type_name == COMPRESSED_IMAGE
+    }
+
     fn message<M: RosMessage>(&self) -> Result<M, ImageError> {
         messages::read(&self.bag, self.topic, self.place)
             .map_err(|source| ImageError::Source { name: self.name(), source: source.into() })
@@ -30,12 +34,23 @@ impl StoredImage for BagImage {
     }
 
     fn read(&self) -> Result<GrayImage, ImageError> {
-        if self.bag.topics()[self.topic].type_name == COMPRESSED_IMAGE {
+        if self.is_compressed() {
             let message: CompressedImage = self.message()?;
             let name = format!("{} (format \"{}\")", self.name(), message.format.trim());
             return messages::gray_of_compressed(&message, &name);
         }
         messages::gray(&self.message()?)
             .map_err(|source| ImageError::Source { name: self.name(), source: source.into() })
+    }
+
+    fn original(&self) -> Result<Option<OriginalImage>, ImageError> {
+        if self.is_compressed() {
+            let CompressedImage { data, .. } = self.message()?;
+            return Ok(Some(OriginalImage::Encoded(data)));
+        }
+        let Image { width, height, step, encoding, is_bigendian, data: bytes, .. } = self.message()?;
+        let big_endian = is_bigendian != 0;
+        let raw = RawPixels { width, height, step, encoding, big_endian, bytes };
+        Ok(Some(OriginalImage::Raw(raw)))
     }
 }

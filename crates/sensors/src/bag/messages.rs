@@ -32,6 +32,12 @@ pub(super) fn read<M: RosMessage>(bag: &Bag, topic: usize, place: Place) -> Resu
     })
 }
 
+/// The first sound message of a topic.
+pub(super) fn first<M: RosMessage>(bag: &Bag, topic: usize) -> Option<M> {
+    let mut messages = bag.topics()[topic].messages.iter();
+    messages.find_map(|message| read(bag, topic, message.place).ok())
+}
+
 /// Time stamp of the header with which a message begins, nanoseconds; the rest of the message is not read.
 pub(super) fn read_stamp(bag: &Bag, topic: usize, place: Place) -> Option<i64> {
     let start: [u8; STAMP_BYTES] = bag.read_start(place, STAMP_BYTES).ok()?.try_into().ok()?;
