@@ -15,9 +15,7 @@ use evaluation::trajectory::StateRow;
 use evaluation::trajectory::states::StateReader;
 use evaluation::{RunScore, ScoreError, ScoreOptions, score_rows};
 use odometry::{EstimatorSupervisor, FrontEnd};
-use sensors::{
-    CameraSensor, Contents, Recording, Rows, SensorCalibration, SensorSource, SequenceError, check_stereo,
-};
+use sensors::{Contents, Recording, Rows, SensorCalibration, SensorSource, SequenceError, check_stereo};
 use std::path::PathBuf;
 use std::time::Duration;
 use vision::GrayImage;
@@ -163,7 +161,7 @@ fn play(
     let mask = if contents.images { arguments.features.read_mask()? } else { None };
     let front_end = front_end(source.calibration(), contents, arguments, cameras, mask.as_ref())?;
     let supervisor = supervisor(source.calibration(), cameras, &config, initial.as_ref())?;
-    let mounted = source.calibration().cameras.clone();
+    let calibration = source.calibration().clone();
     let readings = source.tap_imu();
     let mut robot = RobotRun::new(source, supervisor);
     robot.prediction = readings
@@ -177,12 +175,12 @@ fn play(
     robot.query_interval_ns = (arguments.query_interval * 1e9) as i64;
     robot.max_keyframes = arguments.max_keyframes;
     robot.realtime |= arguments.realtime;
-    robot.recording = recording(arguments, &mounted, robot.realtime, map.is_some())?;
+    if let Some(ros) = &arguments.ros {
+        ros.publish_mounting(&calibration.cameras);
+    }
+    robot.recording = recording(arguments, calibration, robot.realtime, map.is_some())?;
     robot.metrics = arguments.metrics.clone();
     robot.ros.clone_from(&arguments.ros);
-    if let Some(ros) = &robot.ros {
-        ros.publish_mounting(&mounted);
-    }
     robot.initial_pose = InitialPoseSearch::new(arguments.initial_poses.clone());
     if let Some(link) = link {
         robot.query_deadline = Duration::from_secs_f64(arguments.deadline);
@@ -204,14 +202,14 @@ fn play(
 /// The recording that `--record` asks for.
 fn recording(
     arguments: &RobotArguments,
-    cameras: &[CameraSensor],
+    calibration: SensorCalibration,
     realtime: bool,
     map_expected: bool,
 ) -> Result<Option<MessageRecording>> {
     let Some(path) = &arguments.record else { return Ok(None) };
     let settings = RecordingSettings {
         body: arguments.body.clone(),
-        cameras: cameras.to_vec(),
+        calibration,
         robot: arguments.robot.clone(),
         map_expected,
         sensors: arguments.record_sensors,

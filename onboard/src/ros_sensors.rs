@@ -5,7 +5,7 @@ use crate::topic_watch::TopicWatch;
 use anyhow::bail;
 use ros_messages::RosMessage;
 use ros_messages::sensor_msgs::{CompressedImage, Image, Imu};
-use ros2::{Node, NodeOptions, Qos, Received, RosError, Subscriber};
+use ros2::{Node, NodeOptions, Qos, Received, Reliability, RosError, Subscriber};
 use sensors::SplitImu;
 use sensors::live::{LiveFrames, LiveImage, LiveInputs, LiveSettings, RawPixels, Stream};
 use sensors::ros::{NotMeasured, imu_sample};
@@ -87,23 +87,23 @@ impl RosSensors {
         inputs: &LiveInputs,
     ) -> Result<Self, RosError> {
         let node = Arc::new(Node::new(session, node).await?);
-        let mut watch = TopicWatch::default();
-        let mut tasks = hand_in_imu(&node, topics, inputs, &mut watch).await?;
+        let mut sources = Sources { node: Arc::clone(&node), inputs, watch: TopicWatch::default() };
+        let mut tasks = sources.hand_in_imu(topics).await?;
         for (camera, topic) in topics.cameras.iter().enumerate() {
             let stream = Stream::Camera(camera);
             let task = if topic.ends_with(COMPRESSED) {
                 let images =
                     node.subscriber::<CompressedImage>(topic, Qos::sensor_data(), IMAGE_QUEUE).await?;
-                let heard = watch.expect::<CompressedImage>(&node, topic)?;
-                hand_in(images, heard, inputs, stream, move |inputs, message| {
+                let source = sources.source::<CompressedImage>(topic, stream)?;
+                hand_in(images, source, move |inputs, message| {
                     let stamp_ns = message.header.stamp.to_nanoseconds();
                     inputs.image(camera, stamp_ns, LiveImage::Encoded(message.data));
                     Ok(())
                 })
             } else {
                 let images = node.subscriber::<Image>(topic, Qos::sensor_data(), IMAGE_QUEUE).await?;
-                let heard = watch.expect::<Image>(&node, topic)?;
-                hand_in(images, heard, inputs, stream, move |inputs, message| {
+                let source = sources.source::<Image>(topic, stream)?;
+                hand_in(images, source, move |inputs, message| {
                     let stamp_ns = message.header.stamp.to_nanoseconds();
                     inputs.image(camera, stamp_ns, raw_image(message)?);
                     Ok(())
@@ -111,7 +111,7 @@ impl RosSensors {
             };
             tasks.push(task);
         }
-        tasks.push(watch.start(Arc::clone(&node)));
+        tasks.push(sources.watch.start(Arc::clone(&node)));
         Ok(Self { tasks, _node: node })
     }
 }
@@ -122,39 +122,52 @@ impl Drop for RosSensors {
     }
 }
 
-/// Hands in the readings of the IMU, or those of gyroscope and accelerometer united.
-async fn hand_in_imu(
-    node: &Node,
-    topics: &RosTopics,
-    inputs: &LiveInputs,
-    watch: &mut TopicWatch,
-) -> Result<Vec<JoinHandle<()>>, RosError> {
-    let heard = watch.expect::<Imu>(node, &topics.imu)?;
-    let imu = node.subscriber::<Imu>(&topics.imu, Qos::sensor_data(), IMU_QUEUE).await?;
-    let Some(accelerometer) = &topics.accelerometer else {
-        return Ok(vec![hand_in(imu, heard, inputs, Stream::Imu, |inputs, message| {
-            inputs.imu(imu_sample(&message)?);
-            Ok(())
-        })]);
-    };
-    let of_accelerometer = watch.expect::<Imu>(node, accelerometer)?;
-    let accelerometer = node.subscriber::<Imu>(accelerometer, Qos::sensor_data(), IMU_QUEUE).await?;
-    let united = Arc::new(Mutex::new(SplitImu::default()));
-    let of_gyroscope = Arc::clone(&united);
-    let gyroscope = hand_in(imu, heard, inputs, Stream::Imu, move |inputs, message: Imu| {
-        let mut united = of_gyroscope.lock().unwrap_or_else(PoisonError::into_inner);
-        let value: [f64; 3] = message.angular_velocity.into();
-        united.add_gyroscope(message.header.stamp.to_nanoseconds(), value.into());
-        hand_in_united(&mut united, inputs)
-    });
-    let accelerometer =
-        hand_in(accelerometer, of_accelerometer, inputs, Stream::Imu, move |inputs, message: Imu| {
+/// Makes the sources of one live source.
+struct Sources<'a> {
+    node: Arc<Node>,
+    inputs: &'a LiveInputs,
+    watch: TopicWatch,
+}
+
+impl Sources<'_> {
+    fn source<M: RosMessage>(&mut self, topic: &str, stream: Stream) -> Result<Source, RosError> {
+        Ok(Source {
+            node: Arc::clone(&self.node),
+            topic: topic.to_owned(),
+            stream,
+            inputs: self.inputs.clone(),
+            heard: self.watch.expect::<M>(&self.node, topic)?,
+        })
+    }
+
+    /// Hands in the readings of the IMU, or those of gyroscope and accelerometer united.
+    async fn hand_in_imu(&mut self, topics: &RosTopics) -> Result<Vec<JoinHandle<()>>, RosError> {
+        let imu = self.node.subscriber::<Imu>(&topics.imu, Qos::sensor_data(), IMU_QUEUE).await?;
+        let source = self.source::<Imu>(&topics.imu, Stream::Imu)?;
+        let Some(accelerometer) = &topics.accelerometer else {
+            return Ok(vec![hand_in(imu, source, |inputs, message| {
+                inputs.imu(imu_sample(&message)?);
+                Ok(())
+            })]);
+        };
+        let of_accelerometer = self.source::<Imu>(accelerometer, Stream::Imu)?;
+        let accelerometer = self.node.subscriber::<Imu>(accelerometer, Qos::sensor_data(), IMU_QUEUE).await?;
+        let united = Arc::new(Mutex::new(SplitImu::default()));
+        let of_gyroscope = Arc::clone(&united);
+        let gyroscope = hand_in(imu, source, move |inputs, message: Imu| {
+            let mut united = of_gyroscope.lock().unwrap_or_else(PoisonError::into_inner);
+            let value: [f64; 3] = message.angular_velocity.into();
+            united.add_gyroscope(message.header.stamp.to_nanoseconds(), value.into());
+            hand_in_united(&mut united, inputs)
+        });
+        let accelerometer = hand_in(accelerometer, of_accelerometer, move |inputs, message: Imu| {
             let mut united = united.lock().unwrap_or_else(PoisonError::into_inner);
             let value: [f64; 3] = message.linear_acceleration.into();
             united.add_accelerometer(message.header.stamp.to_nanoseconds(), value.into());
             hand_in_united(&mut united, inputs)
         });
-    Ok(vec![gyroscope, accelerometer])
+        Ok(vec![gyroscope, accelerometer])
+    }
 }
 
 /// Hands in the readings that are complete.
@@ -163,25 +176,48 @@ fn hand_in_united(united: &mut SplitImu, inputs: &LiveInputs) -> Result<(), Unus
     if united.waiting_ns() > LONGEST_WAIT_NS { Err(Unusable::NoAccelerometer) } else { Ok(()) }
 }
 
+/// A topic, and which stream of a live source it is.
+struct Source {
+    node: Arc<Node>,
+    topic: String,
+    stream: Stream,
+    inputs: LiveInputs,
+    /// Set with its first message.
+    heard: Arc<AtomicBool>,
+}
+
+impl Source {
+    /// Looks what the publishers offer, once there are any.
+    async fn note_offers(&self) {
+        let offers = self.node.offers(&self.topic).await.unwrap_or_default();
+        if offers.contains(&Reliability::BestEffort) {
+            self.inputs.best_effort(self.stream);
+        }
+    }
+}
+
 /// Hands in what a subscriber receives, and says what cannot be.
 fn hand_in<M: RosMessage + Send + 'static>(
     subscriber: Subscriber<M>,
-    heard: Arc<AtomicBool>,
-    inputs: &LiveInputs,
-    stream: Stream,
+    source: Source,
     take: impl Fn(&LiveInputs, M) -> Result<(), Unusable> + Send + 'static,
 ) -> JoinHandle<()> {
-    let inputs = inputs.clone();
     tokio::spawn(async move {
+        let Source { inputs, stream, heard, .. } = &source;
+        let mut is_first = true;
         while let Ok(Received { message, .. }) = subscriber.receive().await {
             heard.store(true, Ordering::Relaxed);
             match message {
                 Ok(message) => {
-                    if let Err(problem) = take(&inputs, message) {
-                        inputs.refuse(stream, problem);
+                    // Before the message, so that a recording knows it in time.
+                    if std::mem::take(&mut is_first) {
+                        source.note_offers().await;
+                    }
+                    if let Err(problem) = take(inputs, message) {
+                        inputs.refuse(*stream, problem);
                     }
                 }
-                Err(error) => inputs.refuse(stream, error),
+                Err(error) => inputs.refuse(*stream, error),
             }
         }
     })
@@ -299,7 +335,7 @@ mod tests {
             RosTopics { imu: "/imu".into(), accelerometer: None, cameras: vec!["/cam0/image_raw".into()] };
         let (node, sensors) = runtime.block_on(async {
             let (node, sensors) = subscribed(&topics, &inputs).await;
-            let readings = node.publisher::<Imu>("/imu", Qos::sensor_data()).await.unwrap();
+            let readings = node.publisher::<Imu>("/imu", Qos::reliable()).await.unwrap();
             let images = node.publisher::<Image>("/cam0/image_raw", Qos::sensor_data()).await.unwrap();
             images.publish(&image(1, size, "h264")).await.unwrap();
             for milliseconds in (0..200).step_by(5) {
@@ -320,7 +356,9 @@ mod tests {
         }
         assert!(stamps.is_sorted() && stamps[0] == header(0).stamp.to_nanoseconds());
         assert_eq!(frame.unwrap().stamp_ns, header(50).stamp.to_nanoseconds());
-        let faults = source.live().unwrap().faults;
+        let report = source.live().unwrap();
+        assert_eq!(report.best_effort, [Stream::Camera(0)], "the readings are reliable");
+        let faults = report.faults;
         let unreadable =
             faults.iter().find(|fault| fault.kind == FaultKind::Unreadable).expect("the encoding is named");
         assert!(unreadable.to_string().contains("h264"), "{unreadable}");

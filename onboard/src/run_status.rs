@@ -77,6 +77,7 @@ impl RobotRun<'_> {
         }
         if let Some(recording) = &mut self.recording {
             recording.set_clock_shift(report.clock_shift_ns);
+            recording.set_best_effort(&report.best_effort);
         }
         if let Some(ros) = &mut self.ros {
             ros.set_clock_shift(report.clock_shift_ns);

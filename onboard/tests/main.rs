@@ -6,4 +6,6 @@ mod names;
 mod program;
 #[cfg(feature = "bags")]
 mod recording;
+#[cfg(feature = "bags")]
+mod sensor_recording;
 mod sensor_source;

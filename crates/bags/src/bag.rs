@@ -1,7 +1,7 @@
 //! An open recording of any format.
 
 use crate::packed_file::TemporaryFile;
-use crate::storage::{Channel, Encoding, OpenFile, Place, Schema, Storage};
+use crate::storage::{Channel, Encoding, Metadata, OpenFile, Place, Schema, Storage};
 use crate::{BagError, mcap_file, packed_file, rosbag1_file, rosbag2_folder, sqlite_file};
 use std::fmt;
 use std::fs::File;
@@ -18,6 +18,7 @@ pub struct Bag {
     path: PathBuf,
     topics: Vec<Topic>,
     files: Vec<Box<dyn Storage>>,
+    metadata: Vec<Metadata>,
     damage: Vec<String>,
     notes: Vec<String>,
     /// Copies that exist as long as their recording is open; after the files, which are closed before.
@@ -72,6 +73,7 @@ impl Bag {
             path: path.to_path_buf(),
             topics: Vec::new(),
             files: Vec::new(),
+            metadata: Vec::new(),
             damage: Vec::new(),
             notes: Vec::new(),
             temporary: Vec::new(),
@@ -130,6 +132,7 @@ impl Bag {
             let Channel { topic: name, type_name, encoding, schema, .. } = channel;
             self.topics.push(Topic { name, type_name, encoding, schema, messages });
         }
+        self.metadata.extend(opened.metadata);
         self.notes.extend(opened.notes);
         self.temporary.extend(opened.temporary);
         let lines = opened.damage.into_lines();
@@ -144,6 +147,11 @@ impl Bag {
     /// The topics in order of their names.
     pub fn topics(&self) -> &[Topic] {
         &self.topics
+    }
+
+    /// Texts about the recording that are no messages, in the order of the file; other formats than MCAP have none.
+    pub fn metadata(&self) -> &[Metadata] {
+        &self.metadata
     }
 
     /// What could not be read, a line each; empty for a sound recording.

@@ -8,6 +8,7 @@
 //! | `rosbag2_folder` | the files of a rosbag2, by its `metadata.yaml` or without it |
 //! | `packed_file`, `packed_message` | files and messages that are compressed for themselves |
 //! | `writer`, `mcap_writer`, `sqlite_writer` | [`BagWriter`]: MCAP and rosbag2 of ROS 2 messages |
+//! | `qos` | [`OfferedQos`], what the publisher of a written topic offered |
 //! | `chunk_index` | where the messages are, for the formats with chunks |
 //! | `chunks` | reading and unpacking chunks, with a small cache |
 //! | `fields` | numbers and strings of a byte slice |
@@ -36,6 +37,7 @@ mod mcap_file;
 mod mcap_writer;
 mod packed_file;
 mod packed_message;
+mod qos;
 mod rosbag1_file;
 mod rosbag2_folder;
 mod sqlite_file;
@@ -45,5 +47,6 @@ mod writer;
 
 pub use bag::{Bag, StoredMessage, Topic};
 pub use error::BagError;
-pub use storage::{Encoding, Place, Schema};
+pub use qos::OfferedQos;
+pub use storage::{Encoding, Metadata, Place, Schema};
 pub use writer::{BagWriter, Format, MessageType, WrittenTopic};

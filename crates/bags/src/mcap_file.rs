@@ -10,7 +10,7 @@ use crate::chunks::{Chunk, ChunkedFile, Packing};
 use crate::fields::Fields;
 use crate::packed_message;
 use crate::storage::{
-    Channel, Damage, Encoding, MAX_MESSAGE, NO_CHUNK, OpenFile, Schema, Storage, short_type,
+    Channel, Damage, Encoding, MAX_MESSAGE, Metadata, NO_CHUNK, OpenFile, Schema, Storage, short_type,
 };
 use mcap::parse_record;
 use mcap::records::{Record, op};
@@ -36,6 +36,7 @@ struct Index {
     chunked: ChunkIndex<u16>,
     schemas: HashMap<u16, (String, Schema)>,
     channels: BTreeMap<u16, mcap::records::Channel>,
+    metadata: Vec<Metadata>,
     damage: Damage,
 }
 
@@ -45,6 +46,7 @@ impl Index {
             chunked: ChunkIndex::new(ChunkedFile::open(path)?),
             schemas: HashMap::new(),
             channels: BTreeMap::new(),
+            metadata: Vec::new(),
             damage: Damage::default(),
         })
     }
@@ -72,7 +74,9 @@ impl Index {
             match code {
                 op::CHUNK => self.add_chunk(body, end)?,
                 op::MESSAGE if !is_cut => self.add_message(at)?,
-                op::MESSAGE_INDEX | op::SCHEMA | op::CHANNEL if !is_cut && length <= MAX_MESSAGE => {
+                op::MESSAGE_INDEX | op::SCHEMA | op::CHANNEL | op::METADATA
+                    if !is_cut && length <= MAX_MESSAGE =>
+                {
                     let bytes = self.chunked.file.range(body, length)?;
                     match parse_record(code, &bytes) {
                         Ok(Record::MessageIndex(index)) => {
@@ -153,6 +157,9 @@ impl Index {
             Record::Channel(channel) => {
                 self.channels.insert(channel.id, channel);
             }
+            Record::Metadata(mcap::records::Metadata { name, metadata: entries }) => {
+                self.metadata.push(Metadata { name, entries });
+            }
             _ => {}
         }
     }
@@ -190,7 +197,8 @@ impl Index {
         for (id, messages) in &self.chunked.messages {
             self.damage.add(format!("{} messages of channel {id}, which is not described", messages.len()));
         }
-        OpenFile::new(channels, Box::new(McapFile { file: self.chunked.file }), self.damage)
+        let storage = Box::new(McapFile { file: self.chunked.file });
+        OpenFile { metadata: self.metadata, ..OpenFile::new(channels, storage, self.damage) }
     }
 }
 

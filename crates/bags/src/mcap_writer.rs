@@ -1,6 +1,8 @@
 //! Writes MCAP.
 
 use crate::BagError;
+use crate::qos::{self, OfferedQos};
+use crate::storage::Metadata;
 use crate::writer::{MessageType, WrittenTopic};
 use mcap::{Compression, WriteOptions, Writer};
 use std::collections::BTreeMap;
@@ -10,6 +12,9 @@ use std::path::{Path, PathBuf};
 
 /// A message of a chunk is readable when the chunk is complete: at 1 MB, or when it is flushed.
 const CHUNK: u64 = 1 << 20;
+
+/// Where rosbag2 writes the hash of a channel's type.
+const TYPE_HASH: &str = "topic_type_hash";
 
 pub(crate) struct McapWriter {
     path: PathBuf,
@@ -33,11 +38,23 @@ impl McapWriter {
         Ok(Self { path: path.to_path_buf(), writer, sequence: BTreeMap::new() })
     }
 
-    pub(crate) fn topic(&mut self, name: &str, of: &MessageType) -> Result<WrittenTopic, BagError> {
+    pub(crate) fn topic(
+        &mut self,
+        name: &str,
+        of: &MessageType,
+        qos: OfferedQos,
+    ) -> Result<WrittenTopic, BagError> {
         let schema = self.writer.add_schema(of.name, "ros2msg", of.definition.as_bytes());
-        let channel =
-            schema.and_then(|schema| self.writer.add_channel(schema, name, "cdr", &BTreeMap::new()));
+        let metadata =
+            BTreeMap::from([(qos::KEY.to_owned(), qos.yaml("")), (TYPE_HASH.to_owned(), of.hash.to_owned())]);
+        let channel = schema.and_then(|schema| self.writer.add_channel(schema, name, "cdr", &metadata));
         channel.map(WrittenTopic).map_err(|error| failed(&self.path, error))
+    }
+
+    pub(crate) fn metadata(&mut self, metadata: &Metadata) -> Result<(), BagError> {
+        let Metadata { name, entries } = metadata.clone();
+        let record = mcap::records::Metadata { name, metadata: entries };
+        self.writer.write_metadata(&record).map_err(|error| failed(&self.path, error))
     }
 
     pub(crate) fn write(&mut self, topic: WrittenTopic, log_ns: i64, bytes: &[u8]) -> Result<(), BagError> {

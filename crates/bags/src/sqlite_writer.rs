@@ -1,6 +1,7 @@
 //! Writes rosbag2: a file of SQLite, and `metadata.yaml` beside it.
 
 use crate::BagError;
+use crate::qos::{self, OfferedQos};
 use crate::writer::{MessageType, WrittenTopic};
 use rusqlite::{Connection, params};
 use std::fmt::Write as _;
@@ -35,6 +36,7 @@ struct TopicCount {
     name: String,
     type_name: &'static str,
     hash: &'static str,
+    qos: OfferedQos,
     messages: u64,
 }
 
@@ -64,11 +66,16 @@ impl SqliteWriter {
         done.map(|_| ()).map_err(|source| BagError::sqlite(&self.file, source))
     }
 
-    pub(crate) fn topic(&mut self, name: &str, of: &MessageType) -> Result<WrittenTopic, BagError> {
+    pub(crate) fn topic(
+        &mut self,
+        name: &str,
+        of: &MessageType,
+        qos: OfferedQos,
+    ) -> Result<WrittenTopic, BagError> {
         let id = self.topics.len() as u16 + 1;
         self.execute(
-            "INSERT INTO topics VALUES (?1, ?2, ?3, 'cdr', '', ?4)",
-            params![id, name, of.name, of.hash],
+            "INSERT INTO topics VALUES (?1, ?2, ?3, 'cdr', ?4, ?5)",
+            params![id, name, of.name, qos.yaml(""), of.hash],
         )?;
         if !self.topics.iter().any(|topic| topic.type_name == of.name) {
             self.execute(
@@ -81,6 +88,7 @@ impl SqliteWriter {
             name: name.to_owned(),
             type_name: of.name,
             hash: of.hash,
+            qos,
             messages: 0,
         });
         Ok(WrittenTopic(id))
@@ -119,11 +127,12 @@ impl SqliteWriter {
         let duration_ns = self.last_ns.saturating_sub(begin_ns).max(0);
         let file = self.file.file_name().unwrap_or_default().to_string_lossy();
         let mut topics = String::new();
-        for TopicCount { name, type_name, hash, messages } in &self.topics {
+        for TopicCount { name, type_name, hash, qos, messages } in &self.topics {
+            let (key, profiles) = (qos::KEY, qos.yaml("          "));
             let _ = write!(
                 topics,
                 "    - topic_metadata:\n        name: {name}\n        type: {type_name}\n        serialization_format: cdr\n        \
-                 offered_qos_profiles: []\n        type_description_hash: {hash}\n      message_count: {messages}\n"
+                 {key}:\n{profiles}        type_description_hash: {hash}\n      message_count: {messages}\n"
             );
         }
         let topics = if topics.is_empty() { " []\n".to_owned() } else { format!("\n{topics}") };

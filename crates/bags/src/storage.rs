@@ -2,6 +2,7 @@
 
 use crate::BagError;
 use crate::packed_file::TemporaryFile;
+use std::collections::BTreeMap;
 use std::fmt;
 
 /// Larger messages are refused before memory is allocated, bytes.
@@ -49,6 +50,15 @@ pub struct Schema {
     pub encoding: String,
     /// The definition.
     pub text: Vec<u8>,
+}
+
+/// A text about a recording that is no message, as MCAP has it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Metadata {
+    /// What it is: each program has names of its own.
+    pub name: String,
+    /// Its entries by their names.
+    pub entries: BTreeMap<String, String>,
 }
 
 /// Where a message is.
@@ -107,6 +117,7 @@ pub(crate) struct OpenFile {
     pub(crate) channels: Vec<Channel>,
     pub(crate) storage: Box<dyn Storage>,
     pub(crate) damage: Damage,
+    pub(crate) metadata: Vec<Metadata>,
     /// What had to be done to read it.
     pub(crate) notes: Vec<String>,
     /// A copy that is read in place of the file.
@@ -116,7 +127,7 @@ pub(crate) struct OpenFile {
 impl OpenFile {
     /// A file that is read where it is.
     pub(crate) fn new(channels: Vec<Channel>, storage: Box<dyn Storage>, damage: Damage) -> Self {
-        Self { channels, storage, damage, notes: Vec::new(), temporary: None }
+        Self { channels, storage, damage, metadata: Vec::new(), notes: Vec::new(), temporary: None }
     }
 }
 

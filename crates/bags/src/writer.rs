@@ -2,7 +2,9 @@
 
 use crate::BagError;
 use crate::mcap_writer::McapWriter;
+use crate::qos::OfferedQos;
 use crate::sqlite_writer::SqliteWriter;
+use crate::storage::Metadata;
 use std::path::Path;
 
 /// Formats that are written.
@@ -54,12 +56,26 @@ impl BagWriter {
 
     /// Adds a topic.
     ///
+    /// # Arguments
+    /// * `qos`: what its publisher offers.
+    ///
     /// # Errors
     /// [`BagError`]: the file cannot be written.
-    pub fn topic(&mut self, name: &str, of: &MessageType) -> Result<WrittenTopic, BagError> {
+    pub fn topic(&mut self, name: &str, of: &MessageType, qos: OfferedQos) -> Result<WrittenTopic, BagError> {
         match &mut self.0 {
-            Inner::Mcap(writer) => writer.topic(name, of),
-            Inner::Sqlite(writer) => writer.topic(name, of),
+            Inner::Mcap(writer) => writer.topic(name, of, qos),
+            Inner::Sqlite(writer) => writer.topic(name, of, qos),
+        }
+    }
+
+    /// Adds a text about the recording, which is no message. Only MCAP has a place for it: in a rosbag2 it is left out.
+    ///
+    /// # Errors
+    /// [`BagError`]: the file cannot be written.
+    pub fn metadata(&mut self, metadata: &Metadata) -> Result<(), BagError> {
+        match &mut self.0 {
+            Inner::Mcap(writer) => writer.metadata(metadata),
+            Inner::Sqlite(_) => Ok(()),
         }
     }
 

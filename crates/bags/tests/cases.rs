@@ -1,6 +1,6 @@
 //! Recordings as robots leave them: compressed, without `metadata.yaml`, of a recorder that was killed.
 
-use bags::{Bag, BagError, BagWriter, Format, MessageType};
+use bags::{Bag, BagError, BagWriter, Format, MessageType, OfferedQos};
 use std::path::{Path, PathBuf};
 
 const START_NS: i64 = 1_403_636_579_763_555_584;
@@ -23,7 +23,7 @@ fn write(
     let mut writer = BagWriter::create(path, format).unwrap();
     let definition = "string data\n".to_owned();
     let of = MessageType { name: "std_msgs/msg/String", hash: "RIHS01_0", definition };
-    let topic = writer.topic("/chatter", &of).unwrap();
+    let topic = writer.topic("/chatter", &of, OfferedQos::default()).unwrap();
     for number in numbers {
         let (log_ns, bytes) = message(number);
         writer.write(topic, log_ns, &change(&bytes)).unwrap();

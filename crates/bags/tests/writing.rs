@@ -1,6 +1,6 @@
 //! What is written is read again.
 
-use bags::{Bag, BagError, BagWriter, Encoding, Format, MessageType};
+use bags::{Bag, BagError, BagWriter, Encoding, Format, MessageType, Metadata, OfferedQos};
 use std::path::Path;
 
 const FORMATS: [Format; 2] = [Format::Mcap, Format::Rosbag2];
@@ -19,7 +19,8 @@ fn message(number: u8) -> (i64, Vec<u8>) {
 /// Writes messages to two topics, every third to the second.
 fn write(writer: &mut BagWriter, numbers: std::ops::Range<u8>) {
     let [text, imu] = types();
-    let topics = [writer.topic("/chatter", &text).unwrap(), writer.topic("/imu", &imu).unwrap()];
+    let qos = OfferedQos::default();
+    let topics = [writer.topic("/chatter", &text, qos).unwrap(), writer.topic("/imu", &imu, qos).unwrap()];
     for number in numbers {
         let (log_ns, bytes) = message(number);
         writer.write(topics[usize::from(number % 3 == 0)], log_ns, &bytes).unwrap();
@@ -86,4 +87,55 @@ fn what_is_there_is_not_overwritten() {
         assert!(matches!(&error, BagError::Io { .. }) && error.to_string().contains("exists"), "{error}");
         assert_eq!(std::fs::read_to_string(&path).unwrap(), "mine");
     }
+}
+
+#[test]
+fn players_are_told_what_to_offer() {
+    let folder = tempfile::tempdir().unwrap();
+    let offered = [
+        ("/tf_static", OfferedQos::Latched { depth: 1 }, ["depth: 1", "reliable", "transient_local"]),
+        ("/imu", OfferedQos::BestEffort { depth: 5 }, ["depth: 5", "best_effort", "volatile"]),
+        ("/odometry", OfferedQos::default(), ["depth: 10", "reliable", "volatile"]),
+    ];
+    let write = |path: &Path, format| {
+        let mut writer = BagWriter::create(path, format).unwrap();
+        for (name, qos, _) in offered {
+            let topic = writer.topic(name, &types()[0], qos).unwrap();
+            writer.write(topic, START_NS, &[0, 1, 0, 0]).unwrap();
+        }
+        writer.finish().unwrap();
+    };
+    let mcap = folder.path().join("drive.mcap");
+    write(&mcap, Format::Mcap);
+    let summary = mcap::Summary::read(&std::fs::read(&mcap).unwrap()).unwrap().unwrap();
+    let rosbag2 = folder.path().join("drive");
+    write(&rosbag2, Format::Rosbag2);
+    let metadata = std::fs::read_to_string(rosbag2.join("metadata.yaml")).unwrap();
+    for (name, _, [depth, reliability, durability]) in offered {
+        let channel = summary.channels.values().find(|channel| channel.topic == name).unwrap();
+        let expected = format!("{depth}\n  reliability: {reliability}\n  durability: {durability}\n");
+        let profiles = &channel.metadata["offered_qos_profiles"];
+        assert!(profiles.starts_with("- history: keep_last\n") && profiles.contains(&expected), "{profiles}");
+        assert_eq!(channel.metadata["topic_type_hash"], "RIHS01_0");
+        let topic = metadata.split("- topic_metadata:").find(|topic| topic.contains(name)).unwrap();
+        assert!(topic.contains(&expected.replace("\n  ", "\n            ")), "{topic}");
+    }
+}
+
+#[test]
+fn texts_about_a_recording_come_back_also_of_a_file_that_is_cut_off() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("drive.mcap");
+    let entries = [("imu0", "rate_hz: 200\n"), ("maker", "somebody")];
+    let entries = entries.map(|(name, text)| (name.to_owned(), text.to_owned())).into();
+    let metadata = Metadata { name: "calibration".to_owned(), entries };
+    let mut writer = BagWriter::create(&path, Format::Mcap).unwrap();
+    writer.metadata(&metadata).unwrap();
+    write(&mut writer, 0..60);
+    writer.finish().unwrap();
+    assert_eq!(Bag::open(&path).unwrap().metadata(), std::slice::from_ref(&metadata));
+    check(&path, Format::Mcap, 0..60);
+    let whole = std::fs::read(&path).unwrap();
+    std::fs::write(&path, &whole[..whole.len() / 2]).unwrap();
+    assert_eq!(Bag::open(&path).unwrap().metadata(), [metadata]);
 }

@@ -22,6 +22,7 @@ mod history;
 pub mod liveliness;
 pub mod names;
 pub mod node;
+mod offers;
 pub mod publisher;
 pub mod qos;
 pub mod subscriber;

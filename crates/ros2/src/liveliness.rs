@@ -82,6 +82,15 @@ impl NodeIdentity {
     }
 }
 
+/// The tokens of all publishers of a topic, a key expression.
+///
+/// # Arguments
+/// * `topic`: its absolute name.
+pub(crate) fn publishers_of(domain: u32, topic: &str) -> String {
+    // Session, node and entity; enclave, namespace and name; type, hash and quality of service.
+    format!("@ros2_lv/{domain}/*/*/*/MP/*/*/*/{}/*/*/*", mangled(topic))
+}
+
 fn mangled(name: &str) -> String {
     if name.is_empty() { "%".to_owned() } else { name.replace('/', "%") }
 }

@@ -129,6 +129,10 @@ impl Node {
         &self.session
     }
 
+    pub(crate) fn identity(&self) -> &NodeIdentity {
+        &self.identity
+    }
+
     fn next_entity(&self) -> u64 {
         self.next_entity.fetch_add(1, Ordering::Relaxed)
     }

@@ -90,16 +90,22 @@ fn of_images(message: &CameraInfo, [fu, fv, cu, cv]: [f64; 4]) -> ([u32; 2], [f6
     ([width / horizontal, height / vertical], [fu / by_u, fv / by_v, (cu - u) / by_u, (cv - v) / by_v])
 }
 
-/// A projection as a message; `None` for one that ROS has no name for (FOV).
-pub fn camera_info_message(camera: &Camera, header: Header) -> Option<CameraInfo> {
+/// The name of the FOV model in messages. ROS has none, so that nodes of others refuse it.
+const FOV: &str = "fov";
+
+/// A projection as a message. [`camera_of_info`] reads it back with all digits.
+///
+/// The model of the distortion is `plumb_bob` or `equidistant`; ROS has no name for the FOV model, which is written as `fov`: nodes of others
+/// refuse it.
+pub fn camera_info_message(camera: &Camera, header: Header) -> CameraInfo {
     let (distortion_model, d) = match camera.distortion {
         Distortion::None => ("plumb_bob", vec![0.0; 5]),
         Distortion::RadialTangential([k1, k2, p1, p2]) => ("plumb_bob", vec![k1, k2, p1, p2, 0.0]),
         Distortion::Equidistant(k) => ("equidistant", k.to_vec()),
-        Distortion::Fov(_) => return None,
+        Distortion::Fov(omega) => (FOV, vec![omega]),
     };
     let ([fu, fv], [cu, cv]) = (camera.focal, camera.centre);
-    Some(CameraInfo {
+    CameraInfo {
         header,
         height: camera.height,
         width: camera.width,
@@ -109,7 +115,7 @@ pub fn camera_info_message(camera: &Camera, header: Header) -> Option<CameraInfo
         r: [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
         p: [fu, 0.0, cu, 0.0, 0.0, fv, cv, 0.0, 0.0, 0.0, 1.0, 0.0],
         ..CameraInfo::default()
-    })
+    }
 }
 
 #[cfg(test)]
@@ -131,19 +137,19 @@ mod tests {
             Distortion::None,
             Distortion::RadialTangential(coefficients),
             Distortion::Equidistant(coefficients),
+            Distortion::Fov(0.9),
         ] {
-            let message = camera_info_message(&camera(distortion), Header::default()).unwrap();
+            let message = camera_info_message(&camera(distortion), Header::default());
             assert_eq!(read(&message, "/cam0/image_raw").unwrap(), Some(camera(distortion)));
             // Rectified images have none.
             let rectified = read(&message, "/cam0/image_rect/compressed").unwrap().unwrap();
             assert_eq!(rectified, camera(Distortion::None));
         }
-        assert_eq!(camera_info_message(&camera(Distortion::Fov(0.9)), Header::default()), None);
     }
 
     #[test]
     fn binning_and_a_region_of_interest_are_those_of_the_images() {
-        let mut message = camera_info_message(&camera(Distortion::None), Header::default()).unwrap();
+        let mut message = camera_info_message(&camera(Distortion::None), Header::default());
         (message.binning_x, message.binning_y) = (2, 4);
         let binned = read(&message, "/cam0/image_raw").unwrap().unwrap();
         assert_eq!((binned.width, binned.height), (376, 120));
@@ -159,7 +165,7 @@ mod tests {
     #[test]
     fn what_is_no_projection_of_the_images_is_refused() {
         assert_eq!(read(&CameraInfo::default(), "/image_raw").unwrap(), None);
-        let good = camera_info_message(&camera(Distortion::None), Header::default()).unwrap();
+        let good = camera_info_message(&camera(Distortion::None), Header::default());
         let refused = |change: &dyn Fn(&mut CameraInfo)| {
             let mut message = good.clone();
             change(&mut message);

@@ -152,7 +152,7 @@ fn to_bag(
         match event {
             SensorEvent::Imu(reading) => {
                 let stamp_ns = reading.stamp_ns;
-                let message = imu_message(&reading).ok_or(ConvertError::Time { stamp_ns })?;
+                let message = imu_message(&reading, "imu").ok_or(ConvertError::Time { stamp_ns })?;
                 bag.write("/imu0", message_type::<Imu>, stamp_ns, &encode(&message)?)?;
             }
             SensorEvent::Frame(frame) => {

@@ -1,6 +1,7 @@
 //! What the cameras of a robot give at one instant.
 
 use super::TrackObservation;
+use super::original::{DecodedImage, OriginalImage};
 use protocol::FeatureSet;
 use std::borrow::Cow;
 use std::fmt;
@@ -31,6 +32,8 @@ pub enum ImageData {
     File(PathBuf),
     /// Decoded pixels.
     Pixels(Arc<GrayImage>),
+    /// Decoded pixels, and the image as the sensor gave it.
+    Decoded(Arc<DecodedImage>),
     /// An image in a bag, read and decoded when it is needed.
     Stored(Arc<dyn StoredImage>),
 }
@@ -45,6 +48,14 @@ pub trait StoredImage: fmt::Debug + Send + Sync {
     /// # Errors
     /// [`ImageError`]: it cannot be read or decoded.
     fn read(&self) -> Result<GrayImage, ImageError>;
+
+    /// The image as the sensor gave it; `None` where there are only grey pixels.
+    ///
+    /// # Errors
+    /// [`ImageError`]: it cannot be read.
+    fn original(&self) -> Result<Option<OriginalImage>, ImageError> {
+        Ok(None)
+    }
 }
 
 impl PartialEq for dyn StoredImage {
@@ -68,7 +79,26 @@ impl ImageData {
         match self {
             Self::File(path) => GrayImage::read(path).map(Cow::Owned),
             Self::Pixels(image) => Ok(Cow::Borrowed(image)),
+            Self::Decoded(image) => Ok(Cow::Borrowed(&image.gray)),
             Self::Stored(image) => image.read().map(Cow::Owned),
+        }
+    }
+
+    /// The image as the sensor gave it, not decoded; `None` where there are only grey pixels.
+    ///
+    /// # Errors
+    /// [`ImageError`]: it cannot be read.
+    pub fn original(&self) -> Result<Option<Cow<'_, OriginalImage>>, ImageError> {
+        match self {
+            Self::File(path) => {
+                let name = || path.display().to_string();
+                let bytes = std::fs::read(path)
+                    .map_err(|source| ImageError::Source { name: name(), source: source.into() })?;
+                Ok(Some(Cow::Owned(OriginalImage::Encoded(bytes))))
+            }
+            Self::Pixels(_) => Ok(None),
+            Self::Decoded(image) => Ok(Some(Cow::Borrowed(&image.original))),
+            Self::Stored(image) => Ok(image.original()?.map(Cow::Owned)),
         }
     }
 
@@ -87,7 +117,7 @@ impl ImageData {
     pub fn path(&self) -> Option<&Path> {
         match self {
             Self::File(path) => Some(path),
-            Self::Pixels(_) | Self::Stored(_) => None,
+            Self::Pixels(_) | Self::Decoded(_) | Self::Stored(_) => None,
         }
     }
 }
@@ -96,12 +126,15 @@ impl fmt::Display for ImageData {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::File(path) => path.display().fmt(formatter),
-            Self::Pixels(image) => {
-                write!(formatter, "an image of {} x {} pixels", image.width(), image.height())
-            }
+            Self::Pixels(image) => write_size(formatter, image),
+            Self::Decoded(image) => write_size(formatter, &image.gray),
             Self::Stored(image) => formatter.write_str(&image.name()),
         }
     }
+}
+
+fn write_size(formatter: &mut fmt::Formatter<'_>, image: &GrayImage) -> fmt::Result {
+    write!(formatter, "an image of {} x {} pixels", image.width(), image.height())
 }
 
 impl From<PathBuf> for ImageData {

@@ -4,6 +4,7 @@
 //! |---|---|
 //! | `source` | [`SensorSource`], the interface that a robot plays: [`SensorEvent`]s in order of time |
 //! | `calibration`, `frame` | [`SensorCalibration`]; [`Frame`] and [`ImageData`] |
+//! | `original` | [`OriginalImage`], an image as its sensor gave it |
 //! | `recording`, `merged` | [`Recording`], on disk or in memory; [`RecordingSource`], which plays it |
 //! | `stored` | what a format on disk provides; opening any of them |
 //! | `stamps`, `pairing` | wrong stamps of a recorded stream, and its order; [`PairCounts`], which images make a stereo pair |
@@ -64,6 +65,7 @@ mod kalibr;
 pub mod live;
 mod memory;
 mod merged;
+mod original;
 mod pairing;
 mod pose_columns;
 mod recording;
@@ -101,6 +103,7 @@ pub use imu_units::ImuUnits;
 pub use kalibr::CalibrationFiles;
 pub use memory::Sequence;
 pub use merged::RecordingSource;
+pub use original::{DecodedImage, OriginalImage, RawPixels};
 pub use pairing::{PAIR_TOLERANCE_NS, PairCounts};
 pub use pose_columns::{PoseColumns, QuaternionOrder};
 pub use recording::Recording;

@@ -2,12 +2,12 @@
 
 pub use crate::camera_info::{camera_info_message, camera_info_topic, camera_of_info};
 
-use crate::{ImageData, ImuSample};
+use crate::{ImageData, ImuSample, OriginalImage, RawPixels};
 use nalgebra::Vector3;
 use ros_messages::sensor_msgs::{CompressedImage, Image, Imu};
 use ros_messages::std_msgs::Header;
 use ros_messages::{CdrError, encode};
-use std::path::Path;
+use std::borrow::Cow;
 use vision::{GrayImage, ImageError};
 
 /// The driver says that it does not measure something.
@@ -48,9 +48,12 @@ pub fn imu_sample(message: &Imu) -> Result<ImuSample, NotMeasured> {
 }
 
 /// A reading as a message, without orientation; `None` for a time that ROS cannot write (before 1901, after 2038).
-pub fn imu_message(reading: &ImuSample) -> Option<Imu> {
+///
+/// # Arguments
+/// * `frame`: name of the IMU's frame.
+pub fn imu_message(reading: &ImuSample, frame: &str) -> Option<Imu> {
     let mut message = Imu {
-        header: Header::new(reading.stamp_ns, "imu")?,
+        header: Header::new(reading.stamp_ns, frame)?,
         angular_velocity: <[f64; 3]>::from(reading.gyroscope).into(),
         linear_acceleration: <[f64; 3]>::from(reading.accelerometer).into(),
         ..Imu::default()
@@ -62,7 +65,7 @@ pub fn imu_message(reading: &ImuSample) -> Option<Imu> {
 /// An image as a message.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum ImageMessage {
-    /// Grey pixels.
+    /// Pixels.
     Raw(Image),
     /// The bytes of a PNG or JPEG file.
     Compressed(CompressedImage),
@@ -89,7 +92,8 @@ impl ImageMessage {
     }
 }
 
-/// An image as a message: a file as it is, anything else as grey pixels; `None` for a time that ROS cannot write.
+/// An image as a message, as the sensor gave it: a JPEG or PNG byte by byte, pixels in their own encoding, and grey pixels
+/// where there is nothing else; `None` for a time that ROS cannot write.
 ///
 /// # Errors
 /// [`ImageError`]: it cannot be read or decoded.
@@ -99,17 +103,23 @@ pub fn image_message(
     frame: &str,
 ) -> Result<Option<ImageMessage>, ImageError> {
     let Some(header) = Header::new(stamp_ns, frame) else { return Ok(None) };
-    if let Some(path) = image.path() {
-        let data = read(path)?;
-        let format =
-            if data.starts_with(b"\x89PNG") { "mono8; png compressed " } else { "mono8; jpeg compressed " };
-        return Ok(Some(ImageMessage::Compressed(CompressedImage {
-            header,
-            format: format.to_owned(),
-            data,
-        })));
-    }
-    Ok(Some(ImageMessage::Raw(pixels_message(image.read()?.as_ref(), header))))
+    Ok(Some(match image.original()?.map(Cow::into_owned) {
+        Some(OriginalImage::Encoded(data)) => {
+            let format = file_format(&data).to_owned();
+            ImageMessage::Compressed(CompressedImage { header, format, data })
+        }
+        Some(OriginalImage::Raw(RawPixels { width, height, step, encoding, big_endian, bytes: data })) => {
+            let is_bigendian = u8::from(big_endian);
+            ImageMessage::Raw(Image { header, height, width, encoding, is_bigendian, step, data })
+        }
+        None => ImageMessage::Raw(pixels_message(image.read()?.as_ref(), header)),
+    }))
+}
+
+/// What a file of an image is, in the words of `sensor_msgs/CompressedImage`. Without a word about the pixels
+/// image_transport takes their channels from the file.
+fn file_format(bytes: &[u8]) -> &'static str {
+    if bytes.starts_with(b"\x89PNG") { "png" } else { "jpeg" }
 }
 
 /// Grey pixels as a message.
@@ -117,9 +127,4 @@ pub fn pixels_message(image: &GrayImage, header: Header) -> Image {
     let (width, height) = (image.width() as u32, image.height() as u32);
     let (encoding, data) = ("mono8".to_owned(), image.pixels().to_vec());
     Image { header, height, width, encoding, is_bigendian: 0, step: width, data }
-}
-
-fn read(path: &Path) -> Result<Vec<u8>, ImageError> {
-    std::fs::read(path)
-        .map_err(|source| ImageError::Source { name: path.display().to_string(), source: source.into() })
 }

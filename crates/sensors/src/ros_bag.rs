@@ -1,11 +1,20 @@
 //! Bags of ROS 2 messages, written.
 
+use crate::ImuSensor;
+use crate::euroc::writer::imu_yaml;
 use crate::ros::ImageMessage;
-use bags::{BagError, BagWriter, Format, MessageType, WrittenTopic};
+use bags::{BagError, BagWriter, Format, MessageType, Metadata, OfferedQos, WrittenTopic};
 use ros_messages::RosMessage;
 use ros_messages::sensor_msgs::{CompressedImage, Image};
 use std::collections::BTreeMap;
 use std::path::Path;
+
+/// The text of a recording whose sensors Driftless recorded. Its images are stamped on the clock of the IMU.
+pub(crate) const METADATA: &str = "driftless";
+/// Its entry with the IMU, for whose noise ROS has no message.
+pub(crate) const IMU_ENTRY: &str = "imu0/sensor.yaml";
+/// Depth of `/tf`: what `tf2_ros` publishes with.
+const TF_DEPTH: u32 = 100;
 
 impl ImageMessage {
     /// Its type.
@@ -27,6 +36,8 @@ pub fn message_type<M: RosMessage>() -> MessageType {
 pub struct RosBagWriter {
     writer: BagWriter,
     topics: BTreeMap<String, WrittenTopic>,
+    /// Of topics that are not offered as ROS's default.
+    offered: BTreeMap<String, OfferedQos>,
 }
 
 impl RosBagWriter {
@@ -35,7 +46,32 @@ impl RosBagWriter {
     /// # Errors
     /// As [`BagWriter::create`].
     pub fn create(path: &Path, format: Format) -> Result<Self, BagError> {
-        Ok(Self { writer: BagWriter::create(path, format)?, topics: BTreeMap::new() })
+        let offered = [
+            ("/tf_static", OfferedQos::Latched { depth: 1 }),
+            ("/tf", OfferedQos::Reliable { depth: TF_DEPTH }),
+        ];
+        let offered = offered.map(|(topic, qos)| (topic.to_owned(), qos)).into();
+        Ok(Self { writer: BagWriter::create(path, format)?, topics: BTreeMap::new(), offered })
+    }
+
+    /// States what the publisher of a topic offers, before its first message. Without it that is reliable, 10, of `/tf_static`
+    /// transient local.
+    pub fn offer(&mut self, topic: &str, qos: OfferedQos) {
+        self.offered.insert(topic.to_owned(), qos);
+    }
+
+    /// Writes the IMU, whose noise no message states: a recording of its readings and of images with `CameraInfo` and
+    /// `/tf_static` needs no other calibration then. Only MCAP has a place for it.
+    ///
+    /// # Errors
+    /// [`BagError`]: the file cannot be written.
+    pub fn write_imu(&mut self, imu: &ImuSensor) -> Result<(), BagError> {
+        let mut text = Vec::new();
+        // Memory can be written to.
+        let _ = imu_yaml(&mut text, imu);
+        let text = String::from_utf8_lossy(&text).into_owned();
+        let entries = BTreeMap::from([(IMU_ENTRY.to_owned(), text)]);
+        self.writer.metadata(&Metadata { name: METADATA.to_owned(), entries })
     }
 
     /// Appends a message as CDR.
@@ -56,7 +92,8 @@ impl RosBagWriter {
         let topic = if let Some(topic) = self.topics.get(name) {
             *topic
         } else {
-            let topic = self.writer.topic(name, &of())?;
+            let qos = self.offered.get(name).copied().unwrap_or_default();
+            let topic = self.writer.topic(name, &of(), qos)?;
             self.topics.insert(name.to_owned(), topic);
             topic
         };

@@ -2,7 +2,7 @@
 //!
 //! The files were written by Python's rosbags and mcap: `crates/bags/tests/data/make.py`.
 
-use bags::{BagWriter, Format, MessageType};
+use bags::{BagWriter, Format, MessageType, OfferedQos};
 use nalgebra::Vector3;
 use ros_messages::sensor_msgs::{CompressedImage, Imu};
 use ros_messages::{RosMessage, definition, encode};
@@ -164,7 +164,7 @@ fn readings_that_are_not_finite_are_left_out_and_unknown_types_do_not_matter() {
     let image = of(CompressedImage::TYPE_NAME, CompressedImage::TYPE_HASH, definition::<CompressedImage>());
     let strange = of("acme_msgs/msg/Secret", "", "acme_msgs/Riddle riddle\n".to_owned());
     let [imu, image, strange] = [("/imu0", imu), ("/cam0/image_raw/compressed", image), ("/secret", strange)]
-        .map(|(name, of)| writer.topic(name, &of).unwrap());
+        .map(|(name, of)| writer.topic(name, &of, OfferedQos::default()).unwrap());
     for (index, reading) in readings.iter().enumerate() {
         let mut reading = *reading;
         match index {
@@ -172,7 +172,7 @@ fn readings_that_are_not_finite_are_left_out_and_unknown_types_do_not_matter() {
             9 => reading.accelerometer.z = f64::INFINITY,
             _ => {}
         }
-        let message = encode(&imu_message(&reading).unwrap()).unwrap();
+        let message = encode(&imu_message(&reading, "imu").unwrap()).unwrap();
         writer.write(imu, reading.stamp_ns, &message).unwrap();
         writer.write(strange, reading.stamp_ns, b"not even CDR").unwrap();
     }

@@ -30,13 +30,14 @@ pub enum GyroscopeUnit {
 /// Calibration files, in place of the recording's own, the topics of a bag, and which images make a pair.
 #[derive(Args, Clone, Debug, Default)]
 pub struct CalibrationArguments {
-    /// Kalibr's camchain-imucam.yaml [default: the recording's sensor.yaml files, else a camera chain in its folder]
+    /// Kalibr's camchain-imucam.yaml [default: the recording's sensor.yaml files, else a camera chain in its folder, else of a bag its
+    /// CameraInfo and /tf_static]
     ///
     /// Also a folder with it, or one in the EuRoC layout. Where a bag has the CameraInfo of its
     /// cameras, the file may leave their intrinsics out.
     #[arg(long, value_name = "YAML|DIR", help_heading = INPUT)]
     pub calibration: Option<PathBuf>,
-    /// Kalibr's imu.yaml [default: the recording's imu0/sensor.yaml, else an imu.yaml in its folder]
+    /// Kalibr's imu.yaml [default: the recording's imu0/sensor.yaml, else an imu.yaml in its folder, else what --record-sensors wrote]
     #[arg(long, value_name = "YAML", help_heading = INPUT)]
     pub imu_calibration: Option<PathBuf>,
     /// Topic of the IMU, or of its gyroscope: in a bag [default: the only sensor_msgs/Imu], or with --source ros2

@@ -51,7 +51,9 @@ pub struct RobotArguments {
     /// An older file of this name stays; the new one is then FILE_2.
     #[arg(long, value_name = "FILE", help_heading = OUTPUT)]
     pub record: Option<PathBuf>,
-    /// Record readings and images, too
+    /// Record readings and images, too: as they came, with CameraInfo, the cameras' poses on /tf_static, and the noise of the IMU
+    ///
+    /// Such a file can be played again with --sequence, without any other calibration.
     #[arg(long, requires = "record", help_heading = OUTPUT)]
     pub record_sensors: bool,
     /// The robot's frames, for --record

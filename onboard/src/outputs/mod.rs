@@ -12,8 +12,12 @@ mod recording;
 #[cfg(not(feature = "bags"))]
 #[path = "no_recording.rs"]
 mod recording;
+#[cfg(feature = "bags")]
+mod recording_queue;
 mod recording_settings;
 mod ros;
+#[cfg(feature = "bags")]
+mod sensor_topics;
 mod status_line;
 mod status_word;
 mod summary;

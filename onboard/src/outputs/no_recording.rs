@@ -7,6 +7,7 @@ use super::ros::Estimate;
 use estimator::{ImuSample, Status};
 use geometry::PoseWithCovariance;
 use sensors::Frame;
+use sensors::live::Stream;
 use std::convert::Infallible;
 use std::path::Path;
 
@@ -53,6 +54,10 @@ impl MessageRecording {
     }
 
     pub(crate) fn event(&mut self, _: &Event) {
+        match self.0 {}
+    }
+
+    pub(crate) fn set_best_effort(&mut self, _: &[Stream]) {
         match self.0 {}
     }
 

@@ -1,7 +1,7 @@
 //! Settings of the recording of a run.
 
 use super::ros::RosBody;
-use sensors::CameraSensor;
+use sensors::SensorCalibration;
 
 /// What is recorded, and how it is called.
 #[derive(Clone, Debug)]
@@ -9,8 +9,8 @@ use sensors::CameraSensor;
 pub(crate) struct RecordingSettings {
     /// Frames and the robot's place in them.
     pub(crate) body: RosBody,
-    /// Where the cameras are mounted.
-    pub(crate) cameras: Vec<CameraSensor>,
+    /// The sensors: projections and mounting of the cameras, noise of the IMU.
+    pub(crate) calibration: SensorCalibration,
     /// Name of the robot.
     pub(crate) robot: String,
     /// Whether odometry without a pose in the map is worth a warning.

@@ -2,7 +2,7 @@
 
 use super::SensorTopics;
 use anyhow::{Context as _, Result};
-use geometry::camera::Camera as Projection;
+use geometry::camera::{Camera as Projection, Distortion};
 use ros_messages::sensor_msgs::{CameraInfo, CompressedImage, Image, Imu};
 use ros_messages::std_msgs::Header;
 use ros2::liveliness::Endpoint;
@@ -56,8 +56,8 @@ impl RosTopics {
                 let raw = node.publisher(&format!("/cam{camera}/image_raw"), qos).await?;
                 let compressed = node.publisher(&format!("/cam{camera}/image_raw/compressed"), qos).await?;
                 let info = node.publisher(&format!("/cam{camera}/camera_info"), qos).await?;
-                if camera_info_message(&sensor.camera, Header::default()).is_none() {
-                    tracing::warn!("ROS has no name for the distortion of cam{camera}: no CameraInfo of it");
+                if matches!(sensor.camera.distortion, Distortion::Fov(_)) {
+                    tracing::warn!("cam{camera}: ROS has no name for its distortion (fov): other nodes cannot use its CameraInfo");
                 }
                 topics.push(Camera { raw, compressed, info, projection: sensor.camera.clone() });
             }
@@ -73,10 +73,7 @@ impl Camera {
 
     /// Publishes the projection, for those who wait for it before they listen to images too.
     async fn publish_info(&self, header: Header) -> Result<()> {
-        if let Some(message) = camera_info_message(&self.projection, header) {
-            self.info.publish(&message).await?;
-        }
-        Ok(())
+        Ok(self.info.publish(&camera_info_message(&self.projection, header)).await?)
     }
 
     /// Publishes an image in the forms that somebody listens to; a file as it is, to those who want it compressed.
@@ -91,7 +88,7 @@ impl Camera {
             let message = if let Some(ImageMessage::Compressed(message)) = stored {
                 message
             } else {
-                let format = "mono8; png compressed ".to_owned();
+                let format = "png".to_owned();
                 CompressedImage { header, format, data: image.read()?.to_png()? }
             };
             self.compressed.publish(&message).await?;
@@ -130,7 +127,7 @@ impl SensorTopics for RosTopics {
     }
 
     fn reading(&self, reading: &ImuSample) -> Result<()> {
-        let message = imu_message(reading).with_context(|| not_a_time(reading.stamp_ns))?;
+        let message = imu_message(reading, "imu").with_context(|| not_a_time(reading.stamp_ns))?;
         Ok(self.runtime.block_on(self.imu.publish(&message))?)
     }
 

@@ -1,18 +1,17 @@
-//! The calibration of a bag's sensors: files in the ways of EuRoC and Kalibr, and the recorded `CameraInfo`.
+//! The calibration of a bag's sensors: files in the ways of EuRoC and Kalibr, else what the bag itself carries.
 
-use super::messages;
+use super::BagCamera;
+use super::recorded_calibration::{self as recorded, NotRecorded};
 use super::topics::BagSensors;
-use crate::camera_info::camera_of_info;
 use crate::euroc::sensor_yaml;
 use crate::kalibr::{self, CameraChain};
 use crate::{CalibrationFiles, CameraSensor, ImuSensor, SensorCalibration, SequenceError};
 use bags::Bag;
 use geometry::camera::Camera;
 use geometry::pose::Pose;
-use ros_messages::sensor_msgs::CameraInfo;
 use std::path::{Path, PathBuf};
 
-/// The calibration of the sensors of a bag; of Kalibr's files, without the rates that they do not state.
+/// The calibration of the sensors of a bag, without the rates that it does not state.
 pub(super) struct BagCalibration {
     cameras: Cameras,
     imu: Option<Imu>,
@@ -21,13 +20,13 @@ pub(super) struct BagCalibration {
 }
 
 enum Cameras {
-    Kalibr(Vec<(Camera, Pose)>),
-    Euroc(Vec<CameraSensor>),
+    WithoutRates(Vec<(Camera, Pose)>),
+    Complete(Vec<CameraSensor>),
 }
 
 enum Imu {
     Kalibr(PathBuf),
-    Euroc(ImuSensor),
+    Complete(ImuSensor),
 }
 
 impl BagCalibration {
@@ -39,14 +38,14 @@ impl BagCalibration {
     ) -> Result<SensorCalibration, SequenceError> {
         let imu = match self.imu {
             Some(Imu::Kalibr(file)) => Some(kalibr::read_imu(&file, imu_hz)?),
-            Some(Imu::Euroc(imu)) => Some(imu),
+            Some(Imu::Complete(imu)) => Some(imu),
             None => None,
         };
         let sensor =
             |((camera, imu_from_camera), &rate_hz)| CameraSensor { camera, imu_from_camera, rate_hz };
         let cameras = match self.cameras {
-            Cameras::Kalibr(cameras) => cameras.into_iter().zip(cameras_hz).map(sensor).collect(),
-            Cameras::Euroc(cameras) => cameras,
+            Cameras::WithoutRates(cameras) => cameras.into_iter().zip(cameras_hz).map(sensor).collect(),
+            Cameras::Complete(cameras) => cameras,
         };
         Ok(SensorCalibration { imu, cameras })
     }
@@ -55,13 +54,14 @@ impl BagCalibration {
 /// Reads the calibration of the sensors of a bag.
 ///
 /// It is looked for in the folder that `files` names, else in the bag's own; a file that is named comes first, then one
-/// with the bag's name.
+/// with the bag's name. Without files it is that which the bag carries.
 pub(super) fn read(
     bag: &Bag,
     sensors: &BagSensors,
     files: &CalibrationFiles,
 ) -> Result<BagCalibration, SequenceError> {
     let path = bag.path();
+    let is_named = files.cameras.is_some();
     let (root, files) = files_of(path, files)?;
     let (cameras, time_offset_ns) = match &files.cameras {
         Some(file) => {
@@ -72,16 +72,54 @@ pub(super) fn read(
             let has_topic = |of: &str| topics.iter().any(|topic| kalibr::is_same_camera(&topic.name, of));
             let chosen = kalibr::chosen_cameras(file, &names, has_topic)?;
             let CameraChain { cameras, time_offset_ns } = kalibr::read_camera_chain(file, &infos, &chosen)?;
-            (Cameras::Kalibr(cameras), time_offset_ns)
+            (Cameras::WithoutRates(cameras), time_offset_of(bag, file, time_offset_ns))
         }
-        None => (Cameras::Euroc(euroc_cameras(path, &root, sensors.cameras.len())?), 0),
+        None if is_named || euroc_path(&root, "cam0").is_file() => {
+            (Cameras::Complete(euroc_cameras(path, &root, sensors.cameras.len())?), 0)
+        }
+        None => (recorded_cameras(bag, &root, sensors)?, 0),
     };
     let imu = match (sensors.imu, files.imu) {
         (None, _) => None,
         (Some(_), Some(file)) => Some(Imu::Kalibr(file)),
-        (Some(_), None) => Some(Imu::Euroc(sensor_yaml::read_imu(&euroc_file(path, &root, "imu0")?)?)),
+        (Some(_), None) => Some(Imu::Complete(imu_without_kalibr(bag, &root)?)),
     };
     Ok(BagCalibration { cameras, imu, time_offset_ns })
+}
+
+/// The offset of a camera chain, which images that Driftless recorded have in their stamps already.
+fn time_offset_of(bag: &Bag, chain: &Path, stated_ns: i64) -> i64 {
+    if stated_ns == 0 || !recorded::is_own(bag) {
+        return stated_ns;
+    }
+    tracing::warn!(
+        "{}: timeshift_cam_imu is not added to the images of {}: Driftless recorded them on the clock of the IMU",
+        chain.display(),
+        bag.path().display()
+    );
+    0
+}
+
+/// The cameras by `CameraInfo` and `/tf_static`.
+fn recorded_cameras(bag: &Bag, root: &Path, sensors: &BagSensors) -> Result<Cameras, SequenceError> {
+    match recorded::cameras(bag, sensors) {
+        Ok(cameras) => {
+            let path = bag.path().display();
+            tracing::info!("{path}: the cameras are calibrated by the recorded CameraInfo and /tf_static");
+            Ok(Cameras::WithoutRates(cameras))
+        }
+        Err(NotRecorded::Sequence(error)) => Err(error),
+        Err(missing) => Err(unknown(bag.path(), root, "cam0", &format!("; {missing}"))),
+    }
+}
+
+/// The IMU by its `sensor.yaml`, else by the recording itself.
+fn imu_without_kalibr(bag: &Bag, root: &Path) -> Result<ImuSensor, SequenceError> {
+    let file = euroc_path(root, "imu0");
+    if file.is_file() {
+        return sensor_yaml::read_imu(&file);
+    }
+    recorded::imu(bag)?.ok_or_else(|| unknown(bag.path(), root, "imu0", ""))
 }
 
 /// The folder of the calibration of a bag, and its files.
@@ -116,46 +154,43 @@ pub(super) fn camera_topics(bag: &Bag, files: &CalibrationFiles) -> Vec<Option<S
 
 /// The projection of each camera by its `CameraInfo`.
 fn camera_infos(bag: &Bag, sensors: &BagSensors) -> Result<Vec<Option<Camera>>, SequenceError> {
-    let read = |camera: &super::BagCamera| match camera.info {
-        Some(info) => camera_info(bag, camera.images, info),
+    let read = |camera: &BagCamera| match camera.info {
+        Some(info) => recorded::projection(bag, camera.images, info),
         None => Ok(None),
     };
     sensors.cameras.iter().map(read).collect()
 }
 
-/// The projection by the first sound message of a topic.
-fn camera_info(bag: &Bag, images: usize, info: usize) -> Result<Option<Camera>, SequenceError> {
-    let topic = &bag.topics()[info];
-    let mut messages = topic.messages.iter();
-    let found = messages.find_map(|message| messages::read::<CameraInfo>(bag, info, message.place).ok());
-    let Some(found) = found else { return Ok(None) };
-    let name: PathBuf = format!("{}, {}", bag.path().display(), topic.name).into();
-    camera_of_info(&found, &bag.topics()[images].name, &name)
-}
-
 fn euroc_cameras(bag: &Path, root: &Path, count: usize) -> Result<Vec<CameraSensor>, SequenceError> {
-    (0..count)
-        .map(|index| sensor_yaml::read_camera(&euroc_file(bag, root, &format!("cam{index}"))?))
-        .collect()
+    let read = |index| {
+        let sensor = format!("cam{index}");
+        let file = euroc_path(root, &sensor);
+        if file.is_file() { sensor_yaml::read_camera(&file) } else { Err(unknown(bag, root, &sensor, "")) }
+    };
+    (0..count).map(read).collect()
 }
 
 /// The `sensor.yaml` of a sensor in a folder of the EuRoC layout.
-fn euroc_file(bag: &Path, root: &Path, sensor: &str) -> Result<PathBuf, SequenceError> {
-    let file = root.join(format!("mav0/{sensor}/sensor.yaml"));
-    if file.is_file() {
-        return Ok(file);
-    }
+fn euroc_path(root: &Path, sensor: &str) -> PathBuf {
+    root.join(format!("mav0/{sensor}/sensor.yaml"))
+}
+
+/// A sensor without calibration.
+///
+/// # Arguments
+/// * `missing`: what the bag itself lacks, after a semicolon; empty where it could not have it.
+fn unknown(bag: &Path, root: &Path, sensor: &str, missing: &str) -> SequenceError {
     let (what, switch) = if sensor == "imu0" {
         ("noise of the IMU", "--imu-calibration YAML (Kalibr's imu.yaml)")
     } else {
         ("pose of the camera on the IMU", "--calibration YAML (Kalibr's camchain-imucam.yaml)")
     };
-    Err(SequenceError::calibration(
+    SequenceError::calibration(
         bag,
         format!(
-            "the {what} ({sensor}) is not known, and {} has no calibration: give {switch}, or --calibration DIR with a \
+            "the {what} ({sensor}) is not known, and {} has no calibration{missing}: give {switch}, or --calibration DIR with a \
                  folder in the EuRoC layout",
             root.display()
         ),
-    ))
+    )
 }

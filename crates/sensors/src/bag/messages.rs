@@ -55,6 +55,12 @@ pub(super) fn read_image(bag: &Bag, topic: usize, place: Place) -> Result<Record
     })
 }
 
+/// The first sound message of a topic.
+pub(super) fn first<M: RosMessage>(bag: &Bag, topic: usize) -> Option<M> {
+    let mut messages = bag.topics()[topic].messages.iter();
+    messages.find_map(|message| read(bag, topic, message.place).ok())
+}
+
 /// Time stamp of a reading or an image, nanoseconds: of messages of ROS that of the header with which they begin, without
 /// reading the rest.
 pub(super) fn read_stamp(bag: &Bag, topic: usize, place: Place) -> Option<i64> {

@@ -10,8 +10,10 @@ mod image;
 mod imu_topics;
 mod index;
 mod messages;
+mod recorded_calibration;
 mod recording;
 mod rows;
+mod static_transforms;
 mod topics;
 
 pub use bags::BagError;

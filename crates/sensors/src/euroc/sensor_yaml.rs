@@ -49,9 +49,13 @@ struct IntrinsicsYaml {
 
 /// Reads the IMU's `sensor.yaml`.
 pub(crate) fn read_imu(path: &Path) -> Result<ImuSensor, SequenceError> {
-    let text = read_text(path)?;
-    let yaml: ImuYaml = parse(path, KIND, &text)?;
-    let noise: NoiseYaml = parse(path, KIND, &text)?;
+    imu_of_text(path, &read_text(path)?)
+}
+
+/// Reads the IMU from the text of such a file. `path`: what it is called in errors.
+pub(crate) fn imu_of_text(path: &Path, text: &str) -> Result<ImuSensor, SequenceError> {
+    let yaml: ImuYaml = parse(path, KIND, text)?;
+    let noise: NoiseYaml = parse(path, KIND, text)?;
     if let Some(matrix) = &yaml.body_from_sensor {
         let pose = pose_from_matrix(path, "T_BS", &matrix.data)?;
         if pose.rotation.angle() > BODY_TOLERANCE || pose.translation.norm() > BODY_TOLERANCE {

@@ -128,7 +128,7 @@ fn pose_cells(pose: &Pose) -> String {
     format!("{},{},{},{},{}", vector_cells(&pose.translation), q.w, q.i, q.j, q.k)
 }
 
-fn matrix_yaml(out: &mut Out, pose: &Pose) -> std::io::Result<()> {
+fn matrix_yaml(out: &mut impl Write, pose: &Pose) -> std::io::Result<()> {
     let rotation = pose.rotation.to_rotation_matrix();
     writeln!(out, "T_BS:\n  cols: 4\n  rows: 4")?;
     for row in 0..3 {
@@ -139,7 +139,8 @@ fn matrix_yaml(out: &mut Out, pose: &Pose) -> std::io::Result<()> {
     writeln!(out, "         0.0, 0.0, 0.0, 1.0]")
 }
 
-fn imu_yaml(out: &mut Out, imu: &ImuSensor) -> std::io::Result<()> {
+/// The `sensor.yaml` of an IMU.
+pub(crate) fn imu_yaml(out: &mut impl Write, imu: &ImuSensor) -> std::io::Result<()> {
     writeln!(out, "sensor_type: imu")?;
     matrix_yaml(out, &Pose::identity())?;
     writeln!(out, "rate_hz: {}", imu.rate_hz)?;

@@ -49,6 +49,8 @@ pub(super) struct LiveBuffer {
     faults: FaultLog,
     /// Gets every reading in order as soon as it is there.
     tap: Option<SyncSender<ImuSample>>,
+    /// Streams whose publishers offer best effort.
+    best_effort: Vec<Stream>,
 }
 
 impl LiveBuffer {
@@ -81,12 +83,23 @@ impl LiveBuffer {
             imu_until_ns: i64::MIN,
             faults: FaultLog::default(),
             tap: None,
+            best_effort: Vec::new(),
         }
     }
 
     /// Every reading goes to `tap` as soon as those before it are there; one that does not fit is left out there.
     pub(super) fn set_tap(&mut self, tap: SyncSender<ImuSample>) {
         self.tap = Some(tap);
+    }
+
+    pub(super) fn set_best_effort(&mut self, stream: Stream) {
+        if !self.best_effort.contains(&stream) {
+            self.best_effort.push(stream);
+        }
+    }
+
+    pub(super) fn best_effort(&self) -> &[Stream] {
+        &self.best_effort
     }
 
     pub(super) fn imu(&mut self, reading: ImuSample, now: Duration) {

@@ -1,6 +1,8 @@
 //! Images as drivers send them, and their conversion to grey.
 
-use vision::{GrayImage, ImageError, RawImage};
+use crate::{DecodedImage, ImageData, OriginalImage, RawPixels};
+use std::sync::Arc;
+use vision::{GrayImage, ImageError};
 
 /// An image as it arrives. It is decoded by the thread that reads the source, not by the one that brings it.
 #[derive(Clone, Debug, PartialEq)]
@@ -12,23 +14,6 @@ pub enum LiveImage {
     Raw(RawPixels),
     /// Grey pixels.
     Gray(GrayImage),
-}
-
-/// Pixels as a driver gives them: [`vision::RawImage`] with its bytes.
-#[derive(Clone, Debug, PartialEq)]
-pub struct RawPixels {
-    /// Columns.
-    pub width: u32,
-    /// Rows.
-    pub height: u32,
-    /// Bytes from the begin of a row to that of the next.
-    pub step: u32,
-    /// What the bytes are, by the names of ROS.
-    pub encoding: String,
-    /// Whether the upper byte of 16 bits comes first.
-    pub big_endian: bool,
-    /// `height` times `step` of them; the last row may end with its last pixel.
-    pub bytes: Vec<u8>,
 }
 
 /// Why an image cannot be used.
@@ -60,25 +45,34 @@ impl LiveImage {
     /// # Errors
     /// [`LiveImageError`].
     pub fn into_gray(self, calibrated: (u32, u32)) -> Result<GrayImage, LiveImageError> {
-        let size = match &self {
-            Self::Encoded(bytes) => GrayImage::size_of_encoded(bytes)?,
-            Self::Raw(raw) => (raw.width, raw.height),
-            Self::Gray(image) => (image.width() as u32, image.height() as u32),
-        };
-        if size != calibrated {
-            return Err(LiveImageError::Size { size, calibrated });
-        }
+        self.check_size(calibrated)?;
         match self {
             Self::Encoded(bytes) => Ok(GrayImage::decode(&bytes)?),
             Self::Raw(raw) => Ok(raw.to_gray()?),
             Self::Gray(image) => Ok(image),
         }
     }
-}
 
-impl RawPixels {
-    fn to_gray(&self) -> Result<GrayImage, ImageError> {
-        let Self { width, height, step, ref encoding, big_endian, ref bytes } = *self;
-        RawImage { encoding, width, height, step, big_endian, data: bytes }.to_gray()
+    /// The grey image beside what came, for a [`Frame`](crate::Frame).
+    ///
+    /// # Errors
+    /// As [`LiveImage::into_gray`].
+    pub fn into_image(self, calibrated: (u32, u32)) -> Result<ImageData, LiveImageError> {
+        self.check_size(calibrated)?;
+        let (gray, original) = match self {
+            Self::Encoded(bytes) => (GrayImage::decode(&bytes)?, OriginalImage::Encoded(bytes)),
+            Self::Raw(raw) => (raw.to_gray()?, OriginalImage::Raw(raw)),
+            Self::Gray(image) => return Ok(image.into()),
+        };
+        Ok(ImageData::Decoded(Arc::new(DecodedImage { gray, original })))
+    }
+
+    fn check_size(&self, calibrated: (u32, u32)) -> Result<(), LiveImageError> {
+        let size = match self {
+            Self::Encoded(bytes) => GrayImage::size_of_encoded(bytes)?,
+            Self::Raw(raw) => (raw.width, raw.height),
+            Self::Gray(image) => (image.width() as u32, image.height() as u32),
+        };
+        if size == calibrated { Ok(()) } else { Err(LiveImageError::Size { size, calibrated }) }
     }
 }

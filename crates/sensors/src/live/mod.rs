@@ -28,8 +28,9 @@ mod watch;
 #[cfg(test)]
 mod tests;
 
+pub use crate::original::RawPixels;
 pub use fault::{FaultKind, LiveFault};
-pub use image::{LiveImage, LiveImageError, RawPixels};
+pub use image::{LiveImage, LiveImageError};
 pub use settings::{LiveFrames, LiveSettings};
 pub use source::{LiveInputs, LiveReport, LiveSource};
 pub use stream::Stream;

@@ -7,8 +7,8 @@ use super::image::LiveImage;
 use super::settings::LiveSettings;
 use super::stream::Stream;
 use crate::{
-    Contents, Frame, ImageData, ImuSample, PairCounts, SensorCalibration, SensorError, SensorEvent,
-    SensorSource, TrackObservation,
+    Contents, Frame, ImuSample, PairCounts, SensorCalibration, SensorError, SensorEvent, SensorSource,
+    TrackObservation,
 };
 use protocol::FeatureSet;
 use std::fmt::Display;
@@ -73,6 +73,11 @@ impl LiveInputs {
         self.shared.with(|buffer, now| buffer.tracks(stamp_ns, tracks, features, now));
     }
 
+    /// States that the publisher of a stream offers best effort: recordings of the stream offer the same.
+    pub fn best_effort(&self, stream: Stream) {
+        self.shared.with(|buffer, _| buffer.set_best_effort(stream));
+    }
+
     /// Reports a message that could not be read: wrong encoding, wrong length.
     pub fn refuse(&self, stream: Stream, problem: impl Display) {
         self.shared.with(|buffer, now| buffer.refuse(stream, problem.to_string(), now));
@@ -94,6 +99,8 @@ pub struct LiveReport {
     pub dropped_frames: u64,
     /// Add this to the stamps of events to obtain those of the sensors now, nanoseconds: jumps of their clocks.
     pub clock_shift_ns: i64,
+    /// Streams whose publishers offer best effort, as far as the driver knows.
+    pub best_effort: Vec<Stream>,
 }
 
 /// Measurements that arrive now, as a [`SensorSource`].
@@ -153,8 +160,8 @@ impl LiveSource {
         let mut frame = Frame { stamp_ns, images: [None, None], tracks, features };
         for (camera, (image, sensor)) in images.into_iter().zip(&self.calibration.cameras).enumerate() {
             let Some(image) = image else { continue };
-            match image.into_gray((sensor.camera.width, sensor.camera.height)) {
-                Ok(gray) => frame.images[camera] = Some(ImageData::from(gray)),
+            match image.into_image((sensor.camera.width, sensor.camera.height)) {
+                Ok(image) => frame.images[camera] = Some(image),
                 Err(error) => {
                     let problem = error.to_string();
                     self.shared.with(|buffer, now| buffer.refuse(Stream::Camera(camera), problem, now));
@@ -226,6 +233,7 @@ impl SensorSource for LiveSource {
             faults: buffer.active_faults(now),
             dropped_frames: buffer.count(FaultKind::Overload) + buffer.count(FaultKind::WithoutImu),
             clock_shift_ns: buffer.clock_shift_ns(),
+            best_effort: buffer.best_effort().to_vec(),
         })
     }
 

@@ -53,7 +53,7 @@ pub fn reading(index: i64) -> ImuSample {
 
 pub fn imu(topic: &str, index: i64) -> Message {
     let sample = reading(index);
-    let body = Body::Imu(Box::new(imu_message(&sample).unwrap()));
+    let body = Body::Imu(Box::new(imu_message(&sample, "imu").unwrap()));
     Message { topic: topic.to_owned(), log_ns: sample.stamp_ns + MS, body }
 }
 

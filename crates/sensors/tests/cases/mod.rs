@@ -1,5 +1,6 @@
 //! What the recordings of users are like: each kind as a small recording that is made here.
 
+mod carried;
 mod images;
 mod making;
 mod stamps;

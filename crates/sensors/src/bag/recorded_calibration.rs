@@ -1,0 +1,84 @@
+//! The calibration that a bag carries within itself: `CameraInfo`, `/tf_static`, and the noise of the IMU, for which ROS has no
+//! message, in the text of a recording of Driftless.
+
+use super::messages;
+use super::static_transforms::StaticTransforms;
+use super::topics::BagSensors;
+use crate::camera_info::camera_of_info;
+use crate::euroc::sensor_yaml;
+use crate::ros_bag::{IMU_ENTRY, METADATA};
+use crate::{ImuSensor, SequenceError};
+use bags::{Bag, Metadata};
+use geometry::camera::Camera;
+use geometry::pose::Pose;
+use ros_messages::sensor_msgs::{CameraInfo, Imu};
+use std::path::PathBuf;
+
+/// What a bag lacks of a calibration.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum NotRecorded {
+    /// A camera without projection.
+    #[error("no CameraInfo of {images} is recorded")]
+    Projection {
+        /// Topic of its images.
+        images: String,
+    },
+    /// A camera of which it is not known where it is.
+    #[error("/tf_static does not say where {camera:?} is on {imu:?}")]
+    Mounting {
+        /// Frame of the IMU; empty where it has none.
+        imu: String,
+        /// Frame of the camera.
+        camera: String,
+    },
+    /// A projection that cannot be used.
+    #[error(transparent)]
+    Sequence(#[from] SequenceError),
+}
+
+/// Projection and `imu_from_camera` of each camera.
+pub(super) fn cameras(bag: &Bag, sensors: &BagSensors) -> Result<Vec<(Camera, Pose)>, NotRecorded> {
+    let imu = sensors.imu.map_or_else(String::new, |imu| imu_frame(bag, imu));
+    let transforms = StaticTransforms::read(bag);
+    let mut cameras = Vec::new();
+    for camera in &sensors.cameras {
+        let projection = camera.info.map(|info| projection(bag, camera.images, info)).transpose()?.flatten();
+        let frame = camera.info.and_then(|info| messages::first::<CameraInfo>(bag, info));
+        let (Some(projection), Some(CameraInfo { header, .. })) = (projection, frame) else {
+            let images = bag.topics()[camera.images].name.clone();
+            return Err(NotRecorded::Projection { images });
+        };
+        let Some(imu_from_camera) = transforms.between(&imu, &header.frame_id) else {
+            return Err(NotRecorded::Mounting { imu, camera: header.frame_id });
+        };
+        cameras.push((projection, imu_from_camera));
+    }
+    Ok(cameras)
+}
+
+/// The projection that the first sound message of the topic `info` states for the images of another.
+pub(super) fn projection(bag: &Bag, images: usize, info: usize) -> Result<Option<Camera>, SequenceError> {
+    let Some(found) = messages::first::<CameraInfo>(bag, info) else { return Ok(None) };
+    let name: PathBuf = format!("{}, {}", bag.path().display(), bag.topics()[info].name).into();
+    camera_of_info(&found, &bag.topics()[images].name, &name)
+}
+
+/// Whether Driftless recorded the sensors: the images are stamped on the clock of the IMU then.
+pub(super) fn is_own(bag: &Bag) -> bool {
+    own(bag).is_some()
+}
+
+/// The IMU of a recording of Driftless.
+pub(super) fn imu(bag: &Bag) -> Result<Option<ImuSensor>, SequenceError> {
+    let Some(text) = own(bag).and_then(|metadata| metadata.entries.get(IMU_ENTRY)) else { return Ok(None) };
+    let name: PathBuf = format!("{}, {IMU_ENTRY}", bag.path().display()).into();
+    sensor_yaml::imu_of_text(&name, text).map(Some)
+}
+
+fn own(bag: &Bag) -> Option<&Metadata> {
+    bag.metadata().iter().find(|metadata| metadata.name == METADATA)
+}
+
+fn imu_frame(bag: &Bag, imu: usize) -> String {
+    messages::first::<Imu>(bag, imu).map(|message| message.header.frame_id).unwrap_or_default()
+}

@@ -1,0 +1,153 @@
+//! Messages of a recording on their way to the disk: a queue, and the thread that writes.
+
+use bags::{BagError, MessageType, OfferedQos};
+use ros_messages::{RosMessage, encode};
+use sensors::ImageData;
+use sensors::ros::image_message;
+use sensors::ros_bag::{RosBagWriter, message_type};
+use std::path::PathBuf;
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+/// Messages that may wait for the disk; in real time further ones are dropped.
+const QUEUE: usize = 256;
+/// What was written is readable after so long, also when the robot is switched off.
+const FLUSH: Duration = Duration::from_secs(1);
+
+/// The queue; when it is dropped, what waits is written, and the file completed.
+#[derive(Debug)]
+pub(super) struct RecordingQueue {
+    path: PathBuf,
+    sender: Option<SyncSender<Item>>,
+    thread: Option<JoinHandle<()>>,
+    /// Whether messages are dropped where the disk is too slow.
+    realtime: bool,
+    dropped: u64,
+}
+
+/// A message on its way to the disk.
+struct Item {
+    stamp_ns: i64,
+    /// What the topic is offered with; `None` for what a topic of its name usually has.
+    qos: Option<OfferedQos>,
+    content: Content,
+}
+
+enum Content {
+    Message {
+        topic: String,
+        /// Makes the type, with its definition: by the thread, once a topic.
+        of: fn() -> MessageType,
+        bytes: Vec<u8>,
+    },
+    /// Read and encoded by the thread.
+    Image { camera: usize, frame: String, image: ImageData },
+}
+
+impl RecordingQueue {
+    /// Starts the thread. A failing disk ends the recording, not the run.
+    pub(super) fn start(path: PathBuf, writer: RosBagWriter, realtime: bool) -> Result<Self, BagError> {
+        let (sender, items) = sync_channel(QUEUE);
+        let file = path.clone();
+        let thread = std::thread::Builder::new()
+            .name("recording".into())
+            .spawn(move || {
+                if let Err(error) = write_all(writer, &items) {
+                    tracing::warn!(%error, "the recording {} ends here; the run continues", file.display());
+                }
+            })
+            .map_err(|source| BagError::Io { path: path.clone(), source })?;
+        Ok(Self { path, sender: Some(sender), thread: Some(thread), realtime, dropped: 0 })
+    }
+
+    /// Appends a message to a topic.
+    pub(super) fn message<M: RosMessage>(
+        &mut self,
+        topic: &str,
+        stamp_ns: i64,
+        message: &M,
+        qos: Option<OfferedQos>,
+    ) {
+        let Ok(bytes) = encode(message) else { return };
+        let content = Content::Message { topic: topic.to_owned(), of: message_type::<M>, bytes };
+        self.send(Item { stamp_ns, qos, content });
+    }
+
+    /// Appends an image of a camera.
+    pub(super) fn image(
+        &mut self,
+        (camera, frame): (usize, &str),
+        stamp_ns: i64,
+        image: ImageData,
+        qos: Option<OfferedQos>,
+    ) {
+        let content = Content::Image { camera, frame: frame.to_owned(), image };
+        self.send(Item { stamp_ns, qos, content });
+    }
+
+    /// Sends to the thread, which is gone where writing failed: that was said.
+    fn send(&mut self, item: Item) {
+        let Some(sender) = &self.sender else { return };
+        if !self.realtime {
+            let _ = sender.send(item);
+        } else if matches!(sender.try_send(item), Err(TrySendError::Full(_))) {
+            self.dropped += 1;
+        }
+    }
+}
+
+impl Drop for RecordingQueue {
+    fn drop(&mut self) {
+        self.sender = None;
+        if let Some(thread) = self.thread.take()
+            && thread.join().is_err()
+        {
+            tracing::error!("the thread of the recording panicked");
+        }
+        if self.dropped > 0 {
+            let path = self.path.display();
+            tracing::warn!("{} messages are missing in {path}: the disk is too slow", self.dropped);
+        }
+    }
+}
+
+fn write_all(mut writer: RosBagWriter, items: &Receiver<Item>) -> Result<(), BagError> {
+    let mut flushed = Instant::now();
+    loop {
+        match items.recv_timeout(FLUSH) {
+            Ok(item) => write(&mut writer, item)?,
+            Err(RecvTimeoutError::Timeout) => {}
+            Err(RecvTimeoutError::Disconnected) => return writer.finish(),
+        }
+        if flushed.elapsed() >= FLUSH {
+            writer.flush()?;
+            flushed = Instant::now();
+        }
+    }
+}
+
+fn write(writer: &mut RosBagWriter, item: Item) -> Result<(), BagError> {
+    let Item { stamp_ns, qos, content } = item;
+    let offered = |writer: &mut RosBagWriter, topic: &str| {
+        if let Some(qos) = qos {
+            writer.offer(topic, qos);
+        }
+    };
+    match content {
+        Content::Message { topic, of, bytes } => {
+            offered(writer, &topic);
+            writer.write(&topic, of, stamp_ns, &bytes)
+        }
+        Content::Image { camera, frame, image } => {
+            // One that cannot be read is left out.
+            let message = image_message(&image, stamp_ns, &frame)
+                .inspect_err(|error| tracing::warn!(%error, "an image is not recorded"));
+            let Ok(Some(message)) = message else { return Ok(()) };
+            let Ok(bytes) = message.encode() else { return Ok(()) };
+            let topic = message.topic(camera);
+            offered(writer, &topic);
+            writer.write(&topic, || message.message_type(), stamp_ns, &bytes)
+        }
+    }
+}
