@@ -1,15 +1,18 @@
 //! Messages of a bag: of ROS 1, ROS 2, and Foxglove's images.
 
 use super::foxglove::{self, FoxgloveError};
-use super::topics::COMPRESSED_IMAGE;
+use super::topics::{COMPRESSED_IMAGE, IMAGES};
 use bags::{Bag, BagError, Encoding, Place};
-use ros_messages::sensor_msgs::{CompressedImage, Image};
+use ros_messages::sensor_msgs::{CompressedImage, Image, Imu};
 use ros_messages::{CdrError, RosMessage, decode, ros1};
 use std::path::Path;
 use vision::{GrayImage, ImageError, RawImage};
 
 /// Bytes that hold the stamp of a header, in either encoding.
 const STAMP_BYTES: usize = 12;
+
+/// A topic whose first messages are all of no use is of none.
+const TRIED: usize = 5;
 
 /// Why a message is of no use.
 #[derive(Debug, thiserror::Error)]
@@ -53,6 +56,23 @@ pub(super) fn read_image(bag: &Bag, topic: usize, place: Place) -> Result<Record
         COMPRESSED_IMAGE => RecordedImage::Compressed(read(bag, topic, place)?),
         _ => RecordedImage::Raw(read(bag, topic, place)?),
     })
+}
+
+/// Why a topic cannot be read: what is wrong with each of its first messages.
+pub(super) fn unreadable(bag: &Bag, topic: usize) -> Option<MessageError> {
+    let mut why = None;
+    for message in bag.topics()[topic].messages.iter().take(TRIED) {
+        let read = if IMAGES.contains(&bag.topics()[topic].type_name.as_str()) {
+            read_image(bag, topic, message.place).map(drop)
+        } else {
+            read::<Imu>(bag, topic, message.place).map(drop)
+        };
+        match read {
+            Ok(()) => return None,
+            Err(error) => why = why.or(Some(error)),
+        }
+    }
+    why
 }
 
 /// The first sound message of a topic.

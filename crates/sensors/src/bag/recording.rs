@@ -3,8 +3,9 @@
 use super::accelerometer::interpolated;
 use super::calibration;
 use super::index::StampedTopic;
+use super::messages;
 use super::rows::{Cameras, FrameRows, readings};
-use super::topics::BagSensors;
+use super::topics::{BagSensors, wrong};
 use crate::rows::Rows;
 use crate::stored::Stored;
 use crate::{CalibrationFiles, Frame, ImuSample, ImuUnits, PairCounts, SensorCalibration, SequenceError};
@@ -36,6 +37,12 @@ impl BagRecording {
         let sensors = BagSensors::find(&bag, files)?;
         for note in &sensors.notes {
             tracing::warn!("{}: {note}", path.display());
+        }
+        let cameras = sensors.cameras.iter().map(|camera| camera.images);
+        for topic in sensors.imu.into_iter().chain(sensors.accelerometer).chain(cameras) {
+            if let Some(why) = messages::unreadable(&bag, topic) {
+                return Err(wrong(&bag, format!("{} cannot be read: {why}", bag.topics()[topic].name)));
+            }
         }
         // Files that are missing are found before all stamps are read.
         let calibration = calibration::read(&bag, &sensors, files)?;

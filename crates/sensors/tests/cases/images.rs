@@ -28,9 +28,29 @@ fn odd_but_clear_images_are_read() {
                 image.data.extend([128; 24]);
             }),
         ),
+        (
+            "12 bits in two bytes",
+            with_images(|image| {
+                image.encoding = "mono16".to_owned();
+                image.step *= 2;
+                image.data =
+                    image.data.iter().flat_map(|grey| (u16::from(*grey) << 4).to_le_bytes()).collect();
+            }),
+        ),
     ] {
         assert_eq!(frames(&Made::new(&all, &CAMERA).open().unwrap()), expected, "{name}");
     }
+}
+
+#[test]
+fn luma_in_the_place_of_colours_is_named() {
+    let all = with_images(|image| {
+        image.encoding = "yuv422".to_owned();
+        image.step *= 2;
+        image.data = (0..48).flat_map(|pixel| [(pixel * 37 % 251) as u8, 128]).collect();
+    });
+    let error = Made::new(&all, &CAMERA).open().unwrap_err().to_string();
+    assert!(error.contains(CAMERA[0]) && error.contains("\"yuv422\"") && error.contains("yuyv"), "{error}");
 }
 
 #[test]

@@ -1,6 +1,7 @@
 //! What the recordings of users are like: each kind as a small recording that is made here.
 
 mod carried;
+mod foxglove;
 mod images;
 mod making;
 mod stamps;
