@@ -9,6 +9,7 @@ mod fleet;
 #[cfg(unix)]
 mod live_page;
 mod maps;
+mod old_spellings;
 mod rendered_images;
 mod simulate_evaluate_plot;
 mod track;
