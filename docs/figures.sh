@@ -191,7 +191,7 @@ run() {
 run_in() {
   local name=$1 from=$2
   shift 2
-  logged "$folder/$name.log" "$bin/driftless" run --sequence "$from" --out "$folder/$name" --json "$@" > /dev/null
+  logged "$folder/$name.log" "$bin/driftless" run "$from" --out "$folder/$name" --json "$@" > /dev/null
   rows "run:$name" "$folder/$name/summary.json"
 }
 

@@ -4,59 +4,17 @@
 //! version cannot be loaded, the previous one continues to be served.
 
 use std::path::{Path, PathBuf};
-use std::str::FromStr;
 use std::sync::Arc;
 
 use anyhow::{Context, bail};
 use map::store;
+use map_server::map_argument::MapArgument;
 use map_server::{MapServer, ServeError, ServedMap};
 use protocol::MapIdentity;
-use protocol::keys::{NameError, validate_name};
 use recognition::{AliasingRate, LoadedMap};
-use releases::{ReleaseKey, ReleaseStore};
+use releases::ReleaseKey;
 
 use crate::released::ReleasedMap;
-
-/// `NAME=DB`, `NAME=FOLDER` or `NAME=URL`
-#[derive(Clone, Debug)]
-pub struct MapArgument {
-    /// Name of the map in its keys.
-    pub name: String,
-    /// Path of its database, or folder or URL of its releases.
-    pub place: String,
-}
-
-/// Why an argument is not `NAME=DB`.
-#[derive(Debug, thiserror::Error)]
-pub enum MapArgumentError {
-    #[error("write the map's name and its database as NAME=DB, for example hall=maps/hall.db")]
-    NoDatabase,
-    #[error(transparent)]
-    Name(#[from] NameError),
-    #[error("the database of map {name} is missing: write {name}=PATH")]
-    EmptyPath { name: String },
-}
-
-impl FromStr for MapArgument {
-    type Err = MapArgumentError;
-
-    fn from_str(text: &str) -> Result<MapArgument, MapArgumentError> {
-        let (name, place) = text.split_once('=').ok_or(MapArgumentError::NoDatabase)?;
-        validate_name(name)?;
-        if place.is_empty() {
-            return Err(MapArgumentError::EmptyPath { name: name.to_owned() });
-        }
-        Ok(MapArgument { name: name.to_owned(), place: place.to_owned() })
-    }
-}
-
-impl MapArgument {
-    /// Whether its place is one of releases: a URL, or a folder that was published to. One that holds a map besides is a database.
-    pub fn is_released(&self) -> bool {
-        let folder = Path::new(&self.place);
-        self.place.contains("://") || (ReleaseStore::is_published(folder) && !store::is_map(folder))
-    }
-}
 
 /// Where a served map comes from.
 #[derive(Clone, Debug)]

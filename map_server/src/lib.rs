@@ -16,6 +16,7 @@
 //! |---|---|
 //! | [`server`] | [`MapServer`]: start, replace a map, stop |
 //! | [`options`] | [`ServerOptions`] |
+//! | [`arguments`], [`map_argument`], [`byte_size`] | the command line of the program |
 //! | [`cells`] | maps that several servers serve together, by cells |
 //! | [`routing`] | a query about such a map, from its receipt to the answer of one cell |
 //! | [`served_map`] | [`ServedMap`]: a map and its name |
@@ -44,6 +45,8 @@
 
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
+pub mod arguments;
+pub mod byte_size;
 pub mod cells;
 mod change;
 mod durations;
@@ -53,6 +56,7 @@ mod handlers;
 mod host;
 pub mod images;
 mod kind;
+pub mod map_argument;
 mod metrics;
 mod names;
 pub mod options;

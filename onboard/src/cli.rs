@@ -1,14 +1,14 @@
-//! The command line, and the settings file that it names.
+//! The command line of `onboard`, and the settings file that it names.
 
+use crate::RobotArguments;
+use crate::arguments::{
+    CalibrationArguments, INPUT, LiveArguments, MAP, OUTPUT, RosArguments, Source, settings_text,
+    with_settings,
+};
 use anyhow::{Context as _, Result, bail};
 use clap::{CommandFactory as _, Parser};
 use client::SessionArguments;
 use monitoring::LogFormat;
-use onboard::RobotArguments;
-use onboard::arguments::{
-    CalibrationArguments, INPUT, LiveArguments, MAP, OUTPUT, RosArguments, Source, settings_text,
-    with_settings,
-};
 use std::ffi::OsString;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
@@ -43,8 +43,9 @@ pub struct Arguments {
     #[arg(long, value_enum, default_value = "recording", help_heading = INPUT)]
     pub source: Source,
     /// The recording: a folder in the EuRoC layout, or a bag (MCAP, rosbag2, rosbag1)
-    #[arg(long, value_name = "DIR|FILE", required_if_eq("source", "recording"), help_heading = INPUT)]
+    #[arg(long, value_name = "REC", required_if_eq("source", "recording"), help_heading = INPUT)]
     pub sequence: Option<PathBuf>,
+    /// Live sensors
     #[command(flatten)]
     pub live: LiveArguments,
     /// Calibration
@@ -67,8 +68,10 @@ pub struct Arguments {
     /// Print the summary as JSON
     #[arg(long, help_heading = OUTPUT)]
     pub json: bool,
+    /// Topics of ROS 2
     #[command(flatten)]
     pub ros: RosArguments,
+    /// Switches of the robot
     #[command(flatten)]
     pub robot: RobotArguments,
 }
@@ -200,5 +203,14 @@ mod tests {
             let message = message(text);
             assert!(message.contains(expected), "{text}: {message}");
         }
+    }
+
+    #[test]
+    fn a_recording_in_place_of_the_settings_is_told_its_switch() {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::create_dir_all(folder.path().join("mav0/cam0")).unwrap();
+        let line = vec!["onboard".into(), folder.path().into()];
+        let said = with_settings(&Arguments::command(), line).unwrap_err().to_string();
+        assert!(said.contains(&format!("--sequence {}", folder.path().display())), "{said}");
     }
 }

@@ -6,6 +6,7 @@
 //! | module | what |
 //! |---|---|
 //! | [`arguments`] | switches of the robot and settings of the estimator |
+//! | `cli` (feature `ros`) | the command line of `onboard`, and its settings file |
 //! | [`program`] | [`run_robot`] and its kin: builds a run from the switches, scores it, writes the output folder |
 //! | [`run`](mod@run), `map_queries` | [`RobotRun`]: the loop over frames; sending queries, applying answers and map changes |
 //! | `input` | reads a [`SensorSource`](sensors::SensorSource) ahead; the window of IMU readings |
@@ -36,6 +37,8 @@
 
 pub mod alarms;
 pub mod arguments;
+#[cfg(feature = "ros")]
+pub mod cli;
 pub mod extraction;
 pub mod initial_pose;
 mod input;

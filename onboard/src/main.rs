@@ -1,16 +1,14 @@
 //! The robot program: plays live sensors or a recording through the estimator, and localizes it in the map of a map server.
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
-mod cli;
-
 use anyhow::{Context as _, Result, bail};
-use cli::Arguments;
 use client::session::{Member, Role, close_session, open_session};
 use client::{SessionOptions, without_secrets};
 use estimator::MapMode;
 use geometry::Camera;
 use monitoring::{MonitoringServer, start_log};
 use onboard::arguments::{DEFAULT_ROBOT, LiveArguments, Source};
+use onboard::cli::Arguments;
 use onboard::native::NativeSensors;
 use onboard::outputs::RosOutput;
 use onboard::ros_camera_info::wait_for_cameras;
@@ -84,7 +82,7 @@ fn localize() -> Result<()> {
     arguments.robot.body = arguments.ros.body()?;
     let outcome = match (arguments.source, &arguments.sequence) {
         (Source::Recording, Some(sequence)) => play_recording(&stop, sequence, &arguments, &runtime)?,
-        (Source::Recording, None) => bail!("--sequence DIR is missing"),
+        (Source::Recording, None) => bail!("--sequence REC is missing"),
         (Source::Native, _) => play_native(&stop, &arguments, &runtime)?,
         (Source::Ros2, _) => play_ros2(&stop, &arguments, &runtime)?,
     };

@@ -3,7 +3,7 @@
 /// Exit status of a program that wrote to a closed pipe, as shells report it.
 const CLOSED_PIPE: i32 = 141;
 
-/// Ends the program without a message when its standard output is closed, as in `driftless map-info hall.db | head`.
+/// Ends the program without a message when its standard output is closed, as in `driftless map-info --map hall.db | head`.
 ///
 /// `println!` panics in that case. All files are written by then: programs print when they are done. Other panics are
 /// reported as usual.

@@ -37,7 +37,7 @@ def place(program, tmp_path_factory):
     for arguments in (
         ["simulate", "--out", "place", "--seed", "3", "--speed", "3"],
         ["build-map", "place/map", "--map", "place.db", "--gravity", "0,0,-1"],
-        ["run", "--sequence", "place/live", "--map", "place.db", "--init", "truth", "--out", "out"],
+        ["run", "place/live", "--map", "place.db", "--init", "truth", "--out", "out"],
     ):
         done = subprocess.run([program("driftless"), *arguments], cwd=folder, capture_output=True, text=True)
         assert done.returncode == 0, f"{arguments}: {done.stderr}"

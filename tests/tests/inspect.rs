@@ -158,7 +158,7 @@ fn images_are_inside_the_picture() {
     for row in list.lines().skip(1) {
         grey.write(&data.join(row.split(',').nth(1).unwrap())).unwrap();
     }
-    let report = inspect_in(folder.path(), "12.2", &["--sequence", sequence.to_str().unwrap()]).unwrap();
+    let report = inspect_in(folder.path(), "12.2", &["--recording", sequence.to_str().unwrap()]).unwrap();
     let text = std::fs::read_to_string(&report.picture).unwrap();
     let drawing = roxmltree::Document::parse(&text).unwrap();
     let images: Vec<_> = drawing.descendants().filter(|node| node.has_tag_name("image")).collect();
@@ -175,8 +175,8 @@ fn errors_name_what_cannot_be_inspected() {
     let said = error("12", &["--keyframe", "987654"]);
     assert!(said.contains("987654") && said.contains("ring.db"), "{said}");
     let live = folder.path().join("live <&>");
-    let said = error("12", &["--sequence", folder.path().to_str().unwrap()]);
-    assert!(said.contains("--sequence") && said.contains("mav0 is missing"), "{said}");
+    let said = error("12", &["--recording", folder.path().to_str().unwrap()]);
+    assert!(said.contains("--recording") && said.contains("mav0 is missing"), "{said}");
     let camera = live.join("mav0/cam0/sensor.yaml");
     let said = error("12", &["--camera", camera.to_str().unwrap()]);
     assert!(said.contains("--camera"), "{said}");

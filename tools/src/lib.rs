@@ -5,12 +5,14 @@
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
 pub mod calibration_check;
+pub mod cli;
 pub mod command;
 pub mod demo;
 #[cfg(feature = "secure")]
 pub mod fleet;
 pub mod in_process;
 mod map_aliases;
+mod old_spellings;
 mod open_page;
 pub mod playback;
 pub mod plotting;

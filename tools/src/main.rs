@@ -1,19 +1,10 @@
 //! The `driftless` command.
 
-use clap::Parser;
 use client::without_secrets;
 use std::io::IsTerminal as _;
 use std::process::ExitCode;
-use tools::command::Command;
+use tools::cli::Cli;
 use tracing_subscriber::EnvFilter;
-
-/// Driftless: localize robots in one shared, drift-free map
-#[derive(Debug, Parser)]
-#[command(name = "driftless", version, arg_required_else_help = true)]
-struct Cli {
-    #[command(subcommand)]
-    command: Command,
-}
 
 /// Log filter: warnings, without Zenoh's about a network that is still being discovered, but with why it does not connect.
 const QUIET: &str = "warn,zenoh=error,zenoh::net::runtime::orchestrator=warn";
@@ -26,9 +17,13 @@ fn main() -> ExitCode {
         .with_writer(std::io::stderr)
         .with_ansi(std::io::stderr().is_terminal())
         .init();
-    match Cli::parse().command.run() {
+    let cli = Cli::read(std::env::args_os()).unwrap_or_else(|error| error.exit());
+    match cli.command.run() {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
+            if let Some(usage) = error.downcast_ref::<clap::Error>() {
+                usage.exit();
+            }
             eprintln!("error: {error:#}");
             if error.is::<onboard::EndedLost>() {
                 ExitCode::from(onboard::EndedLost::EXIT_CODE)

@@ -16,6 +16,8 @@ fn the_demo_localizes_rendered_images_in_a_map_of_rendered_images() {
         .unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     println!("{}", String::from_utf8_lossy(&output.stdout));
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(!said.contains("ALARM"), "{said}");
     let demo: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
     let in_map = &demo["rows"][1];
     let rmse_m = in_map["pose"]["rmse_m"].as_f64().unwrap();

@@ -75,7 +75,7 @@ impl Running {
         let place = tokio::task::spawn_blocking(Place::shared).await.unwrap();
         let (recording, folder) = (place.path("town/live"), place.path(name));
         let mut process = Command::new(env!("CARGO_BIN_EXE_driftless"))
-            .args(["run", "--sequence", text(&recording), "--init", "truth", "--out", text(&folder)])
+            .args(["run", text(&recording), "--init", "truth", "--out", text(&folder)])
             .args(["--open", "--realtime"])
             .args(arguments)
             .env_remove("DISPLAY")

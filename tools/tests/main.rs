@@ -5,10 +5,15 @@
 mod browser;
 mod calibration;
 mod demo;
+#[cfg(all(feature = "bags", feature = "releases", feature = "secure"))]
+mod documentation;
 mod fleet;
 #[cfg(unix)]
 mod live_page;
 mod maps;
+mod old_spellings;
+#[cfg(all(feature = "bags", feature = "releases", feature = "secure"))]
+mod printed;
 mod rendered_images;
 mod simulate_evaluate_plot;
 mod track;

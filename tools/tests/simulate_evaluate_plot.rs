@@ -1,5 +1,6 @@
 //! The commands, run as programs.
 
+use clap::CommandFactory as _;
 use std::path::Path;
 use std::process::{Command, Output};
 
@@ -95,30 +96,8 @@ fn errors_name_the_file_and_the_remedy() {
 
 #[test]
 fn every_help_shows_an_example() {
-    for command in [
-        "demo",
-        "simulate",
-        "build-map",
-        "import-map",
-        "export-map",
-        "extract-features",
-        "map-info",
-        "publish-map",
-        "list-releases",
-        "diff-releases",
-        "rollback",
-        "clean-releases",
-        "release-key",
-        "query",
-        "localize",
-        "inspect",
-        "run",
-        "track",
-        "evaluate",
-        "montecarlo",
-        "plot",
-        "weights",
-    ] {
-        assert!(stdout_of(&[command, "--help"]).contains(&format!("driftless {command} ")), "{command}");
+    for command in tools::cli::Cli::command().get_subcommands() {
+        let name = command.get_name();
+        assert!(stdout_of(&[name, "--help"]).contains(&format!("driftless {name} ")), "{name}");
     }
 }

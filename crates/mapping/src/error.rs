@@ -82,7 +82,7 @@ pub enum BuildError {
     NoKeyframes,
     /// Odometry gave no poses.
     #[error(
-        "the odometry gave no pose of an image with features ({states} poses): look at what `driftless run --mode odometry` \
+        "the odometry gave no pose of an image with features ({states} poses): look at what `driftless run REC --mode odometry` \
          says of this recording, or give poses with --poses"
     )]
     NoOdometry {

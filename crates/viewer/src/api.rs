@@ -187,6 +187,6 @@ async fn statistics(State(viewer): State<Arc<Viewer>>) -> impl IntoResponse {
 async fn run(State(viewer): State<Arc<Viewer>>) -> Response {
     match viewer.run() {
         Some(run) => json_bytes(run),
-        None => not_found("no recorded run is shown; driftless view OUT shows one"),
+        None => not_found("no recorded run is shown; driftless view DIR shows one"),
     }
 }

@@ -4,6 +4,7 @@
 
 use clap::parser::ValueSource;
 use clap::{Arg, ArgAction, ArgMatches, Command};
+use sensors::is_recording;
 use serde_json::{Map, Value};
 use std::any::TypeId;
 use std::ffi::{OsStr, OsString};
@@ -38,6 +39,12 @@ pub enum SettingsFileError {
         path: PathBuf,
         /// The error of the parser.
         source: Box<serde_saphyr::Error>,
+    },
+    /// It is a folder or a bag, as a recording is.
+    #[error("{} is no file with settings; if it is the recording, give it as --sequence {}", path.display(), path.display())]
+    Recording {
+        /// The folder or bag.
+        path: PathBuf,
     },
     /// A name is none of the switches'.
     #[error("settings {}: there is no setting {key:?}{}", path.display(), suggestion(nearest.as_deref()))]
@@ -81,6 +88,9 @@ fn suggestion(nearest: Option<&str>) -> String {
 pub fn with_settings(command: &Command, line: Vec<OsString>) -> Result<Vec<OsString>, SettingsFileError> {
     let given = given(command, &line);
     let Some(path) = given.try_get_one::<PathBuf>(SETTINGS).ok().flatten() else { return Ok(line) };
+    if is_recording(path) {
+        return Err(SettingsFileError::Recording { path: path.clone() });
+    }
     let text = std::fs::read_to_string(path).map_err(|source| SettingsFileError::Io {
         verb: "read",
         path: path.clone(),

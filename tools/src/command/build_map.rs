@@ -36,7 +36,7 @@ const MIN_DISTANCE_OF_SPARSE_IMAGES: f64 = 0.01;
 #[derive(Clone, Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     driftless build-map my_run --map my.db --svg my.svg\n  \
-    driftless build-map town/map --map town.db\n  \
+    driftless build-map town/map --map town.db --gravity 0,0,-1\n  \
     driftless build-map town/map --map start.db --until 10\n  \
     driftless build-map my_run --map my.db --sigma-theta 0.005 --sigma-p 0.02 --gravity 0,0,-1\n  \
     driftless build-map my_run --map my.db --poses odometry.tum --sigma-theta 0.02 --sigma-p 0.1\n  \
@@ -44,9 +44,9 @@ const MIN_DISTANCE_OF_SPARSE_IMAGES: f64 = 0.01;
     driftless build-map my_run --map my.db --position-priors gnss_enu.csv --lever-arm 0.1,0,0.4\n  \
     driftless build-map another_run --map my.db --extend\n  \
     driftless build-map V1_01_easy --map vicon_room.db --sigma-theta 0.0175 --sigma-p 0.01\n\n\
-    SEQ holds mav0/cam0 (and cam1, for stereo) with sensor.yaml, data.csv and images in data/, and mav0/imu0. A\n\
+    REC holds mav0/cam0 (and cam1, for stereo) with sensor.yaml, data.csv and images in data/, and mav0/imu0. A\n\
     cam0/features.csv replaces the images. Odometry, places seen again and one visual-inertial adjustment give the poses.\n\n\
-    Where poses are known, SEQ/reference_poses.csv or --poses gives them, or the ground truth with --sigma-theta and\n\
+    Where poses are known, REC/reference_poses.csv or --poses gives them, or the ground truth with --sigma-theta and\n\
     --sigma-p, and the map is built in their frame. What is stated too small makes the robots overconfident: state the\n\
     sigmas of your poses, not those you wish for.\n\n\
     --poses takes reference_poses.csv, states.csv of a run, a TUM file (t x y z qx qy qz qw), EuRoC ground truth, or a\n\
@@ -59,8 +59,8 @@ const MIN_DISTANCE_OF_SPARSE_IMAGES: f64 = 0.01;
     leica0/data.csv, or `ns,x,y,z,sigma_x,sigma_y,sigma_z` in metres; wrong ones are refused.")]
 pub struct Args {
     /// The recording: a folder in the EuRoC layout, or a bag (MCAP, rosbag2, rosbag1)
-    #[arg(value_name = "SEQ")]
-    pub sequence: PathBuf,
+    #[arg(value_name = "REC")]
+    pub recording: PathBuf,
     /// Calibration
     #[command(flatten)]
     pub calibration: CalibrationArguments,
@@ -68,7 +68,7 @@ pub struct Args {
     #[arg(long, value_name = "DB")]
     pub map: PathBuf,
     /// Poses of the IMU in the map's frame, in any of the formats below; `none` builds from odometry and loops
-    /// [default: SEQ/reference_poses.csv, if there is one, else none]
+    /// [default: REC/reference_poses.csv, if there is one, else none]
     #[arg(long, value_name = "FILE|none")]
     pub poses: Option<PathBuf>,
     /// Known poses and positions
@@ -136,7 +136,7 @@ pub struct Args {
 pub fn run(args: Args) -> anyhow::Result<()> {
     let stored = if args.extend { Some(load_map(&args.map)?.whole()?) } else { None };
     ensure_free(&args.map, args.force || args.extend)?;
-    let mut sequence = Sequence::open_with(&args.sequence, &args.calibration.files())?;
+    let mut sequence = Sequence::open_with(&args.recording, &args.calibration.files())?;
     if !args.mono {
         check_stereo(&sequence.cameras, sequence.frames.iter().cloned().map(Ok))?;
     }
@@ -286,12 +286,12 @@ fn references(args: &Args, sequence: &Sequence) -> anyhow::Result<Option<Vec<Ref
         (Some(_), ..) => bail!(
             "{} has no reference_poses.csv; to build from its ground truth, state both its standard deviations, with \
              --sigma-theta RAD and --sigma-p M; without either the map is built from odometry",
-            args.sequence.display()
+            args.recording.display()
         ),
         (None, ..) => bail!(
             "--sigma-theta and --sigma-p are the uncertainty of poses, and {} has none: give them with --poses FILE, or leave \
              the switches out to build from odometry",
-            args.sequence.display()
+            args.recording.display()
         ),
     }
 }
@@ -305,7 +305,7 @@ fn options(args: &Args) -> anyhow::Result<BuildOptions> {
     let name = args.map.file_stem().unwrap_or(args.map.as_os_str()).to_string_lossy().into_owned();
     let mut options = BuildOptions::default();
     options.name = name;
-    options.created_by = format!("driftless build-map {}", args.sequence.display());
+    options.created_by = format!("driftless build-map {}", args.recording.display());
     options.gravity_in_global = args.gravity;
     options.from_s = from_s;
     options.until_s = until_s;
@@ -343,7 +343,7 @@ mod tests {
     }
 
     fn args(switches: &str) -> Args {
-        let line = ["build-map", "SEQ", "--map", "m.db"].into_iter().chain(switches.split_whitespace());
+        let line = ["build-map", "REC", "--map", "m.db"].into_iter().chain(switches.split_whitespace());
         CommandLine::try_parse_from(line).unwrap().args
     }
 

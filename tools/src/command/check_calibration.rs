@@ -20,8 +20,8 @@ use std::path::PathBuf;
     What is found in half a minute shows what is wrong; it does not replace a calibration with a target.")]
 pub struct Args {
     /// The recording: a folder in the EuRoC layout, or a bag (MCAP, rosbag2, rosbag1)
-    #[arg(value_name = "SEQ")]
-    pub sequence: PathBuf,
+    #[arg(value_name = "REC")]
+    pub recording: PathBuf,
     /// Calibration
     #[command(flatten)]
     pub calibration: CalibrationArguments,
@@ -44,7 +44,7 @@ pub struct Args {
 /// # Errors
 /// A recording that cannot be read, odometry that is never initialized, a calibration that disagrees.
 pub fn run(args: &Args) -> Result<()> {
-    let mut sequence = Sequence::open_with(&args.sequence, &args.calibration.files())?;
+    let mut sequence = Sequence::open_with(&args.recording, &args.calibration.files())?;
     cut(&mut sequence, args.from, args.duration)?;
     let cameras = if args.mono { 1 } else { sequence.cameras.len().min(2) };
     let config = odometry_config(&sequence)?;
@@ -68,7 +68,7 @@ pub fn run(args: &Args) -> Result<()> {
         );
     }
     if !check.agrees {
-        bail!("the calibration does not agree with {}", args.sequence.display());
+        bail!("the calibration does not agree with {}", args.recording.display());
     }
     Ok(())
 }

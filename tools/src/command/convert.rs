@@ -35,8 +35,8 @@ impl From<To> for Target {
     driftless convert drive.mcap drive_folder --calibration drive_calibration")]
 pub struct Args {
     /// The recording: a folder in the EuRoC layout, or a bag (MCAP, rosbag2, rosbag1)
-    #[arg(value_name = "IN")]
-    pub input: PathBuf,
+    #[arg(value_name = "REC")]
+    pub recording: PathBuf,
     /// The file or folder to write; nothing that exists is overwritten
     #[arg(value_name = "OUT")]
     pub out: PathBuf,
@@ -58,7 +58,7 @@ pub fn run(args: &Args) -> Result<()> {
         None => format_of(&args.out)?,
     };
     let bar = progress::frame_bar(None);
-    let converted = convert(&args.input, &args.calibration.files(), &args.out, to.into(), |frames| {
+    let converted = convert(&args.recording, &args.calibration.files(), &args.out, to.into(), |frames| {
         bar.set_message(format!("{frames} frames"));
         bar.inc(1);
     })?;

@@ -99,7 +99,10 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         bail!("no keyframe would be left: remove the database instead");
     }
     if contents == before {
-        bail!("nothing is chosen: the map stays as it is (`driftless map-info` prints its extent and times)");
+        bail!(
+            "nothing is chosen: the map stays as it is (`driftless map-info --map {}` prints its extent and times)",
+            args.map.display()
+        );
     }
     let mut report =
         Report { before: counts(&before), after: counts(&contents), thinned: redundant.len(), version: None };

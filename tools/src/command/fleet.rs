@@ -13,7 +13,7 @@ use crate::fleet::{Fleet, FleetOptions, Validity};
     after_help = "Example:\n  \
         driftless fleet init fleet --address 10.0.0.1 --servers s1 --robots r1,r2 --operators ann\n  \
         map_server --map hall=hall.db --secure fleet/s1                 on the server, which has 10.0.0.1\n  \
-        onboard --sequence SEQ --map hall --secure fleet/r1 --out out   on the robot\n\n\
+        onboard --sequence REC --map hall --secure fleet/r1 --out out   on the robot\n\n\
         Copy each member's folder, and nothing else, to its machine. Keep fleet/authority to yourself: whoever has it can \
         make members."
 )]

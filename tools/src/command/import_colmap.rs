@@ -37,7 +37,7 @@ pub struct Args {
     #[arg(long, value_name = "DB")]
     pub map: PathBuf,
     /// The recording that gives scale and gravity [default: DIR, where it is a recording]
-    #[arg(long, value_name = "SEQ")]
+    #[arg(long, value_name = "REC")]
     pub recording: Option<PathBuf>,
     /// Metres in the model's unit of length [default: by the recording]
     #[arg(long, value_name = "M")]
@@ -152,7 +152,7 @@ fn frame(args: &Args, model: &ColmapModel) -> anyhow::Result<ColmapFrame> {
         (_, Some((scale, sigma)), gravity) => Ok(ColmapFrame::given(scale, sigma, gravity)),
         (_, None, _) => bail!(
             "a COLMAP model has no unit of length: give the metres in it with --scale, or the recording of its images with \
-             --recording SEQ"
+             --recording REC"
         ),
     }
 }

@@ -20,8 +20,8 @@ const GAP_FACTOR: i64 = 5;
     were recorded; a gap is five median intervals long or more.")]
 pub struct Args {
     /// The recording: MCAP, rosbag1 (.bag) or rosbag2 (its folder, or a .db3)
-    #[arg(value_name = "FILE")]
-    bag: PathBuf,
+    #[arg(value_name = "REC")]
+    recording: PathBuf,
     /// Calibration
     #[command(flatten)]
     calibration: CalibrationArguments,
@@ -123,7 +123,7 @@ pub fn run(args: &Args) -> Result<()> {
 }
 
 fn report(args: &Args) -> Result<Report> {
-    let bag = Bag::open(&args.bag)?;
+    let bag = Bag::open(&args.recording)?;
     let files: CalibrationFiles = args.calibration.files();
     let name = |index: usize| bag.topics()[index].name.clone();
     let found = BagSensors::find(&bag, &files);
@@ -133,7 +133,7 @@ fn report(args: &Args) -> Result<Report> {
     notes.extend(found.iter().flat_map(|found| found.notes.clone()));
     let cameras = found.iter().flat_map(|found| &found.cameras).map(|camera| name(camera.images)).collect();
     let mut stereo_pairs = None;
-    let calibration = match Recording::open_with(&args.bag, &files) {
+    let calibration = match Recording::open_with(&args.recording, &files) {
         Ok(recording) => {
             stereo_pairs = recording.stereo_pairs().map(PairSummary::from);
             let found = recording.calibration();

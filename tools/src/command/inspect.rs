@@ -20,12 +20,12 @@ use crate::server_query::{describe, print_fix};
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
-    driftless inspect query.png --camera V1_01_easy/mav0/cam0/sensor.yaml --map room.db --sequence V1_01_easy\n  \
+    driftless inspect query.png --camera V1_01_easy/mav0/cam0/sensor.yaml --map room.db --recording V1_01_easy\n  \
     driftless inspect town/live --at 12.5 --map town.db --out match.svg\n  \
     driftless inspect query.png --camera sensor.yaml --map room.db --keyframe 17 --json\n\n\
     The plot shows the query beside the keyframe that matched best, with a line for each match: green for inliers, red\n\
     for outliers, orange where no camera pose fits. In a browser, the pointer over a match shows its descriptor distance\n\
-    and its reprojection error. A map holds no images; --sequence names the recording that it was built from. Without\n\
+    and its reprojection error. A map holds no images; --recording names the recording that it was built from. Without\n\
     it the keyframe's landmarks are drawn on grey.\n\n\
     How to read it:\n  \
     few matches            another place, light or viewpoint than in the map; other settings of the extractor\n  \
@@ -35,7 +35,7 @@ use crate::server_query::{describe, print_fix};
     Exit code 0: recognized. 2: the map was searched and the image was not recognized. 1: anything else.")]
 pub struct Args {
     /// An image, PNG or JPEG, or a recording: a folder in the EuRoC layout or a bag
-    #[arg(value_name = "IMAGE|SEQ")]
+    #[arg(value_name = "IMAGE|REC")]
     pub query: PathBuf,
     /// Database of the map
     #[arg(long, value_name = "DB")]
@@ -43,15 +43,15 @@ pub struct Args {
     /// The camera that took IMAGE: its sensor.yaml, or a camera chain of Kalibr (cam0)
     #[arg(long, value_name = "YAML")]
     pub camera: Option<PathBuf>,
-    /// Calibration of SEQ
+    /// Calibration of REC
     #[command(flatten)]
     pub calibration: CalibrationArguments,
-    /// Time in SEQ, seconds from the first frame; its features.csv is used where it has one, else its image
+    /// Time in REC, seconds from the first frame; its features.csv is used where it has one, else its image
     #[arg(long, value_name = "SECONDS")]
     pub at: Option<f64>,
     /// The recording that the map was built from, for the keyframe's image
-    #[arg(long, value_name = "SEQ")]
-    pub sequence: Option<PathBuf>,
+    #[arg(long, value_name = "MAP_REC")]
+    pub recording: Option<PathBuf>,
     /// Draw this keyframe instead of the best one
     #[arg(long, value_name = "ID")]
     pub keyframe: Option<KeyframeId>,
@@ -121,7 +121,7 @@ pub fn inspect(args: &Args) -> Result<Report> {
         },
         None => candidates.first().cloned(),
     };
-    let keyframe_image = match (&args.sequence, &shown) {
+    let keyframe_image = match (&args.recording, &shown) {
         (Some(sequence), Some(keyframe)) => keyframe_image(sequence, &args.calibration.files(), keyframe)?,
         _ => None,
     };
@@ -166,11 +166,11 @@ fn keyframe_image(
     files: &CalibrationFiles,
     keyframe: &InspectedKeyframe,
 ) -> Result<Option<GrayImage>> {
-    let sequence = Sequence::open_without_readings(recording, files).context("--sequence")?;
+    let sequence = Sequence::open_without_readings(recording, files).context("--recording")?;
     let found = sequence.frames.binary_search_by_key(&keyframe.stamp_ns, |frame| frame.stamp_ns);
     let Ok(at) = found else {
         bail!(
-            "--sequence: {} has no image of {} ns, when keyframe {} was taken: give the recording that the map was \
+            "--recording: {} has no image of {} ns, when keyframe {} was taken: give the recording that the map was \
              built from",
             recording.display(),
             keyframe.stamp_ns,

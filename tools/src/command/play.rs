@@ -30,8 +30,8 @@ pub enum Form {
     Playing begins when the robot listens.")]
 pub struct Args {
     /// The recording: a folder in the EuRoC layout, or a bag
-    #[arg(value_name = "SEQUENCE")]
-    pub sequence: PathBuf,
+    #[arg(value_name = "REC")]
+    pub recording: PathBuf,
     /// Form of the topics
     #[arg(long = "as", value_enum, value_name = "FORM", default_value = "native")]
     pub form: Form,
@@ -65,7 +65,7 @@ pub fn run(args: &Args) -> Result<()> {
     }
     let stop = StopSignal::on_interrupt().context("signals cannot be handled")?;
     let files = args.calibration.files();
-    let recording = Recording::open_with(&args.sequence, &files)?;
+    let recording = Recording::open_with(&args.recording, &files)?;
     let mut contents = recording.contents();
     contents.tracks &= !args.images;
     let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build()?;
@@ -77,7 +77,7 @@ pub fn run(args: &Args) -> Result<()> {
         Form::Ros2 if !contents.images => {
             bail!(
                 "{} has no images, and ROS 2 has no messages for tracks: play it --as native",
-                args.sequence.display()
+                args.recording.display()
             )
         }
         Form::Ros2 => {

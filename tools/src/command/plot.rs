@@ -9,7 +9,7 @@ use std::path::PathBuf;
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
 #[command(after_help = "Examples:\n  driftless plot out\n  driftless plot out --png\n  \
-    driftless plot out --groundtruth SEQ/mav0/state_groundtruth_estimate0/data.csv --keyframes map/keyframes.csv\n\n\
+    driftless plot out --groundtruth REC/mav0/state_groundtruth_estimate0/data.csv --keyframes map/keyframes.csv\n\n\
     Draws trajectory.svg, over_time.svg, error_local.svg, error_transform.svg, error_pose.svg and reprojection.svg.\n\
     Plots for which the run has no data are left out, and named with the reason.")]
 pub struct Args {

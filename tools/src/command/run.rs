@@ -4,7 +4,7 @@ use crate::in_process::{LocalServer, gravity_in_own_frame, load_map};
 use crate::open_page::{announce, stay};
 use anyhow::{Result, bail};
 use estimator::MapMode;
-use onboard::arguments::{CalibrationArguments, INPUT};
+use onboard::arguments::CalibrationArguments;
 use onboard::{MapLink, RobotArguments, RobotLink, StopSignal, progress, run_robot_until};
 use sensors::Recording;
 use std::path::PathBuf;
@@ -14,16 +14,14 @@ const MAP: &str = "map";
 
 /// Arguments of `driftless run`.
 #[derive(clap::Args, Debug)]
-#[command(
-    after_help = "Examples:\n  driftless run --sequence place/live --map place.db --init truth --out run\n  \
-    driftless run --sequence place/live --mode odometry --out run\n  \
-    driftless run --sequence place/live --map place.db --out run --open --realtime\n\nThen: driftless plot run\n\n\
-    Exit code: 0, or 3 for a run that ended lost, 1 for an error, 2 for wrong switches"
-)]
+#[command(after_help = "Examples:\n  driftless run place/live --map place.db --init truth --out run\n  \
+    driftless run place/live --mode odometry --out run\n  \
+    driftless run place/live --map place.db --out run --open --realtime\n\nThen: driftless plot run\n\n\
+    Exit code: 0, or 3 for a run that ended lost, 1 for an error, 2 for wrong switches")]
 pub struct Args {
     /// The recording: a folder in the EuRoC layout, or a bag (MCAP, rosbag2, rosbag1)
-    #[arg(long, value_name = "DIR|FILE", help_heading = INPUT)]
-    sequence: PathBuf,
+    #[arg(value_name = "REC")]
+    recording: PathBuf,
     /// Calibration
     #[command(flatten)]
     calibration: CalibrationArguments,
@@ -46,11 +44,13 @@ pub struct Args {
 /// What the recording, the map or the output folder lacks; a run that ended early.
 pub fn run(args: &Args) -> Result<()> {
     let stop = StopSignal::on_interrupt()?;
-    let recording = Recording::open_with(&args.sequence, &args.calibration.files())?;
+    let recording = Recording::open_with(&args.recording, &args.calibration.files())?;
     let maps = match (&args.map, args.robot.map_mode()?) {
         (_, MapMode::Odometry) => Vec::new(),
         (None, _) => {
-            bail!("--map DB is missing: build one with `driftless build-map`, or use --mode odometry")
+            bail!(
+                "--map DB is missing: build one with `driftless build-map REC --map DB`, or use --mode odometry"
+            )
         }
         (Some(database), _) => vec![(MAP.to_owned(), load_map(database)?)],
     };

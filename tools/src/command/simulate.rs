@@ -17,7 +17,7 @@ use std::path::{Path, PathBuf};
     driftless simulate --out room --images --duration 20\n\n\
     Writes two recordings in the EuRoC layout: OUT/map, with reference poses, and OUT/live. Then:\n  \
     driftless build-map OUT/map --map town.db --sigma-pixel 1 --gravity 0,0,-1\n  \
-    driftless run --sequence OUT/live --map town.db --init truth --out run\n  \
+    driftless run OUT/live --map town.db --init truth --out run\n  \
     driftless plot run\n\n\
     With --images two flights through one room are rendered, stereo at 20 Hz, instead of tracks and features along a street.\n\
     Leave --sigma-pixel out then: what the features of images are worth is measured.")]

@@ -25,15 +25,15 @@ const REST_SEARCH_NS: i64 = 11_000_000_000;
     driftless track MH_01 --cameras 1 --points 150 --equalize local\n  \
     driftless track flight.mcap --calibration MH_01 --out MH_01_tracks\n\n\
     Writes mav0/camN/tracks.csv. With --out the new folder also gets calibration, IMU and ground truth, but no images:\n\
-    `driftless run --sequence DIR --mode odometry --out run` runs on it.")]
+    `driftless run DIR --mode odometry --out run` runs on it.")]
 pub struct Args {
     /// The recording, with images: a folder in the EuRoC layout, or a bag (MCAP, rosbag2, rosbag1), which needs --out
-    #[arg(value_name = "SEQ")]
-    sequence: PathBuf,
+    #[arg(value_name = "REC")]
+    recording: PathBuf,
     /// Calibration
     #[command(flatten)]
     calibration: CalibrationArguments,
-    /// Write a new recording to this folder [default: the tracks are written into SEQ]
+    /// Write a new recording to this folder [default: the tracks are written into REC]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Cameras to use, 1 or 2 [default: as many as the recording has]
@@ -110,16 +110,16 @@ struct Summary {
 /// written.
 pub fn run(args: &Args) -> Result<()> {
     let files = args.calibration.files();
-    let mut sequence = Sequence::open_without_readings(&args.sequence, &files)?;
-    let recording = Recording::open_with(&args.sequence, &files)?;
+    let mut sequence = Sequence::open_without_readings(&args.recording, &files)?;
+    let recording = Recording::open_with(&args.recording, &files)?;
     let cameras = camera_count(args, &sequence)?;
-    if args.out.is_none() && !is_folder(&args.sequence) {
+    if args.out.is_none() && !is_folder(&args.recording) {
         bail!(
             "{} is a bag, which tracks cannot be added to: name a folder for them with --out DIR",
-            args.sequence.display()
+            args.recording.display()
         );
     }
-    let root = args.out.as_deref().unwrap_or(&args.sequence);
+    let root = args.out.as_deref().unwrap_or(&args.recording);
     let written: Vec<PathBuf> =
         (0..cameras).map(|camera| root.join(format!("mav0/cam{camera}/tracks.csv"))).collect();
     refuse_to_overwrite(args, root)?;
@@ -130,9 +130,9 @@ pub fn run(args: &Args) -> Result<()> {
     let mut summary = track(args, &mut sequence, &recording, &mut front_end)?;
     summary.written = written;
     if summary.observations == 0 {
-        bail!("nothing was tracked in {}", args.sequence.display());
+        bail!("nothing was tracked in {}", args.recording.display());
     }
-    if is_folder(&args.sequence) {
+    if is_folder(&args.recording) {
         write(args, &mut sequence, cameras)?;
     } else {
         sequence.imu_samples = recording.imu_samples()?.collect::<Result<_, _>>()?;
@@ -256,14 +256,14 @@ fn camera_count(args: &Args, sequence: &Sequence) -> Result<usize> {
     let there = sequence.cameras.len();
     let wanted = args.cameras.map_or(there.min(2), usize::from);
     if wanted > there {
-        bail!("{} has {there} camera; use --cameras {there}", args.sequence.display());
+        bail!("{} has {there} camera; use --cameras {there}", args.recording.display());
     }
     let has_image = |frame: &Frame, camera: usize| frame.images[camera].is_some();
     for camera in 0..wanted {
         if !sequence.frames.iter().any(|frame| has_image(frame, camera)) {
             bail!(
                 "{} has no images of camera {camera}: they belong into mav0/cam{camera}/data",
-                args.sequence.display()
+                args.recording.display()
             );
         }
     }
@@ -295,14 +295,14 @@ fn tracker_options(args: &Args) -> Result<TrackerOptions> {
 
 /// Writes the tracks of a folder, and beside them what a recording needs when they go into a folder of their own.
 fn write(args: &Args, sequence: &mut Sequence, cameras: usize) -> Result<()> {
-    let root = args.out.as_deref().unwrap_or(&args.sequence);
-    let calibration = FolderCalibration::read(&args.sequence, &args.calibration.files())?;
+    let root = args.out.as_deref().unwrap_or(&args.recording);
+    let calibration = FolderCalibration::read(&args.recording, &args.calibration.files())?;
     // tracks.csv has the stamps of data.csv.
     for frame in &mut sequence.frames {
         frame.stamp_ns -= calibration.time_offset_ns;
     }
     if args.out.is_some() {
-        copy_without_images(&args.sequence, root, cameras, &calibration.files)?;
+        copy_without_images(&args.recording, root, cameras, &calibration.files)?;
     }
     for camera in cameras..2 {
         // Tracks of an earlier run, with other names for the points.

@@ -1,5 +1,6 @@
 //! `driftless view`: a map or a run in the browser.
 
+use crate::old_spellings;
 use crate::open_page::announce;
 use crate::plotting::RunFiles;
 use crate::run_tracks::run_tracks;
@@ -16,19 +17,19 @@ use viewer::{ViewedMap, Viewer, ViewerServer};
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
 #[command(
-    after_help = "Examples:\n  driftless view place.db --open\n  driftless view out --map place.db\n\n\
+    after_help = "Examples:\n  driftless view --map place.db --open\n  driftless view out --map place.db\n\n\
     Shows it on http://127.0.0.1:8080 until Ctrl-C; nothing is written. A running server shows its robots too:\n  \
     map_server --map place=place.db --http 127.0.0.1:8080"
 )]
 pub struct Args {
-    /// Database of a map, or output folder of a run, with its states.csv
-    #[arg(value_name = "MAP.db|DIR")]
-    path: PathBuf,
-    /// Database of the map that the run was localized in, to show it below the run
+    /// Output folder of a run, with its states.csv
+    #[arg(value_name = "DIR", required_unless_present = "map")]
+    run: Option<PathBuf>,
+    /// Database of a map; with DIR the one that the run was localized in, which is shown below the run
     #[arg(long, value_name = "DB")]
     map: Option<PathBuf>,
     /// Ground truth of the run [default: that of the recording which summary.json names]
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", requires = "run")]
     groundtruth: Option<PathBuf>,
     /// Port on this machine; 0 takes any free one
     #[arg(long, default_value_t = 8080)]
@@ -43,16 +44,17 @@ pub struct Args {
 /// # Errors
 /// A map or a run that cannot be read, a port that is taken.
 pub fn run(args: &Args) -> anyhow::Result<()> {
-    let is_run = args.path.join("states.csv").exists();
-    ensure!(is_run || args.map.is_none(), "--map is for a run; {} has no states.csv", args.path.display());
-    let database = if is_run { args.map.as_ref() } else { Some(&args.path) };
+    if let Some(folder) = args.run.as_ref().filter(|folder| is_database(folder)) {
+        old_spellings::refuse("view", folder)?;
+    }
+    let database = args.map.as_ref();
     let contents = database.map(store::load_map).transpose()?.map(|stored| stored.contents);
     let gravity = contents.as_ref().and_then(|contents| contents.info.gravity_in_global);
-    let viewer = if is_run {
-        let run = RunFiles::read(&args.path, args.groundtruth.as_deref(), None)
-            .context("the run cannot be shown")?;
+    let viewer = if let Some(folder) = &args.run {
+        let run =
+            RunFiles::read(folder, args.groundtruth.as_deref(), None).context("the run cannot be shown")?;
         if let Some(contents) = &contents {
-            check_map(&run, &args.path, database, contents)?;
+            check_map(&run, folder, database, contents)?;
         }
         for sentence in &run.missing {
             eprintln!("{sentence}");
@@ -65,7 +67,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     if let Some((path, contents)) = database.zip(contents) {
         let name = name_of(path);
         viewer.set_map(ViewedMap::of_contents(&name, &contents));
-        if !is_run {
+        if args.run.is_none() {
             let viewer = Arc::clone(&viewer);
             // The index of a large map takes a while; the page does not wait for it.
             runtime.spawn_blocking(move || take_images(&viewer, name, contents));
@@ -86,6 +88,12 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     })
 }
 
+/// Whether a path is that of a map, and not of a run.
+fn is_database(path: &Path) -> bool {
+    let is_run = path.join("states.csv").exists();
+    !is_run && (store::is_map(path) || path.extension().is_some_and(|extension| extension == "db"))
+}
+
 /// Refuses to draw a run in another map than it was localized in.
 fn check_map(
     run: &RunFiles,
@@ -97,7 +105,7 @@ fn check_map(
     ensure!(
         *of_run == of_map.to_string(),
         "{} was localized in the map {of_run}, but {} is the map {of_map}: give the run's own map with --map (`driftless map-info \
-         DB` prints the identity of a map)",
+         --map DB` prints the identity of a map)",
         folder.display(),
         database.map_or_else(String::new, |path| path.display().to_string())
     );

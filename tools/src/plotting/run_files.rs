@@ -164,7 +164,7 @@ fn truth_from_file(
     gravity: Option<Vector3<f64>>,
     missing: &mut Vec<String>,
 ) -> anyhow::Result<Truth> {
-    // SEQ/mav0/state_groundtruth_estimate0/data.csv
+    // REC/mav0/state_groundtruth_estimate0/data.csv
     let recording = path.ancestors().nth(3).filter(|root| root.join("mav0/imu0").is_dir());
     // EuRoC's folder has w first, with a header or without.
     let order = recording.map(|_| QuaternionOrder::WFirst);

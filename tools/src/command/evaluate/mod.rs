@@ -78,7 +78,7 @@ pub enum UnitArgument {
     map is not aligned and counts from 5 s after the map initialization on, odometry counts from its first pose on.\n\
     `--skip 0 --max-difference 0.01` compares as evo does.\n\n\
     Examples:\n  \
-    driftless evaluate --groundtruth SEQ/mav0/state_groundtruth_estimate0/data.csv --estimate out/pose.tum\n  \
+    driftless evaluate --groundtruth REC/mav0/state_groundtruth_estimate0/data.csv --estimate out/pose.tum\n  \
     driftless evaluate --groundtruth truth.tum --estimate out/odometry.tum --align yaw\n  \
     driftless evaluate --groundtruth truth.tum --estimate out/states.csv --state global_from_imu --json"
 )]
