@@ -20,7 +20,7 @@ pub struct BuildOptions {
     pub name: String,
     /// The program and input that the map is built with, for display.
     pub created_by: String,
-    /// Direction in which gravity points in G (unit vector), where known.
+    /// Direction in which gravity points in G (unit vector), where known; else, with reference poses, the recording's IMU tells it.
     pub gravity_in_global: Option<Vector3<f64>>,
     /// Only frames from this time on, seconds from the first frame.
     pub from_s: f64,

@@ -19,6 +19,7 @@ use super::matching::{self, FeatureMatch};
 use super::options::{BuildOptions, FIRST_SIGMA_PX, StoredPoses};
 use super::parallel;
 use super::progress::{Progress, Stage};
+use super::reference_gravity::gravity_of;
 use super::refinement::{Constraints, ROUNDS, covariance_of, refine_all};
 use super::report::BuildReport;
 use super::tracks;
@@ -49,6 +50,10 @@ pub fn build_map(
 ) -> Result<(MapContents, BuildReport), BuildError> {
     check(options)?;
     check_turns(&sequence.imu_samples, references, options.sigma_theta_rad)?;
+    let mut options = options.clone();
+    options.gravity_in_global =
+        options.gravity_in_global.or_else(|| gravity_of(&sequence.imu_samples, references));
+    let options = &options;
     let start = Instant::now();
     let cameras = MappingCamera::of_sensors(&sequence.cameras);
     let mut source = FeatureSource::new(extraction, &cameras);

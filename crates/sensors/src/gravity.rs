@@ -30,15 +30,25 @@ pub(crate) fn direction(
     truth: Rows<'_, TruthRow>,
     imu: Rows<'_, ImuSample>,
 ) -> Result<Option<Vector3<f64>>, SequenceError> {
-    let Some(gravity) = estimate(truth, imu)? else { return Ok(None) };
-    if !PLAUSIBLE.contains(&gravity.norm()) {
-        tracing::warn!(
-            "ground truth and IMU contradict each other: they give a gravity of {:.2} m/s^2",
-            gravity.norm()
-        );
-        return Ok(None);
+    Ok(estimate(truth, imu)?.and_then(|gravity| direction_of_gravity(&gravity)))
+}
+
+/// The unit direction of an estimate of gravity (m/s^2), along a coordinate axis where it is within 3 degrees of one; `None`, with
+/// a warning, where its strength is not that of the Earth.
+///
+/// ```
+/// use nalgebra::Vector3;
+/// let found = sensors::direction_of_gravity(&Vector3::new(0.1, 0.0, -9.8));
+/// assert_eq!(found, Some(-Vector3::z()));
+/// assert_eq!(sensors::direction_of_gravity(&Vector3::new(0.0, 0.0, -1.0)), None);
+/// ```
+pub fn direction_of_gravity(gravity: &Vector3<f64>) -> Option<Vector3<f64>> {
+    let strength = gravity.norm();
+    if !PLAUSIBLE.contains(&strength) {
+        tracing::warn!("poses and IMU contradict each other: they give a gravity of {strength:.2} m/s^2");
+        return None;
     }
-    Ok(Some(snap(gravity.normalize())))
+    Some(snap(gravity / strength))
 }
 
 /// The nearest axis if there is one within [`SNAP_DEGREES`].

@@ -98,6 +98,7 @@ pub use euroc::{
 };
 pub use features::{feature_set, kind_of, metric_of};
 pub use frame::{Frame, ImageData, StoredImage};
+pub use gravity::direction_of_gravity;
 pub use imu_check::{ImuCheck, ImuUnitError};
 pub use imu_units::ImuUnits;
 pub use kalibr::CalibrationFiles;

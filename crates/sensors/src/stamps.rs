@@ -103,6 +103,7 @@ pub(crate) fn order(stamps: &[i64], logs: &[i64], known_steps: &[Step]) -> Stamp
 }
 
 /// Median interval of sorted stamps, nanoseconds; `None` where there is none.
+#[cfg(feature = "bags")]
 pub(crate) fn median_interval_ns(stamps: impl Iterator<Item = i64> + Clone) -> Option<i64> {
     let mut intervals: Vec<i64> =
         stamps.clone().zip(stamps.skip(1)).map(|(a, b)| b.saturating_sub(a)).collect();

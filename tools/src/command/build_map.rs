@@ -80,7 +80,7 @@ pub struct Args {
     /// Standard deviation of every pose's position along each axis, m [default: as in the file of poses]
     #[arg(long, value_name = "M")]
     pub sigma_p: Option<f64>,
-    /// Direction in which gravity points in the map's frame, for example 0,0,-1 [default: unknown]
+    /// Direction in which gravity points in the map's frame, for example 0,0,-1 [default: by the recording's IMU]
     #[arg(long, value_name = "X,Y,Z", value_parser = parse_direction, allow_hyphen_values = true)]
     pub gravity: Option<Vector3<f64>>,
     /// Standard deviation of a feature's pixel, px [default: measured]
