@@ -96,9 +96,14 @@ fn reading(index: i64) -> ImuSample {
     }
 }
 
-/// Eight frames of a JPEG and of colours, as drivers hand them in, after half a second without any.
+/// Readings before the first image.
+const READINGS_BEFORE: i64 = 2000;
+
+/// Eight frames of a JPEG and of colours, as drivers hand them in, after half a second without any, and ten seconds of
+/// readings.
 fn drive(inputs: &LiveInputs) {
     std::thread::sleep(Duration::from_millis(500));
+    (-READINGS_BEFORE..0).for_each(|index| inputs.imu(reading(index)));
     for index in 0..80 {
         inputs.imu(reading(index));
         if index % 10 == 0 {
@@ -139,6 +144,10 @@ fn live_images_are_recorded_as_they_came_and_everything_at_the_time_of_the_senso
         assert_eq!((raw.width, raw.height, raw.step), (width, height, step));
         assert_eq!((&raw.encoding, &raw.data, raw.is_bigendian), (&encoding, &bytes, 0));
     }
+    let stamp_ns = |imu: &Imu| imu.header.stamp.to_nanoseconds();
+    let readings: Vec<_> = messages::<Imu>(&bag, "/imu").iter().map(stamp_ns).collect();
+    assert!(readings.len() as i64 > READINGS_BEFORE, "{} readings", readings.len());
+    assert!(readings.windows(2).all(|pair| pair[1] - pair[0] == 5 * MS), "readings are missing");
     let names: Vec<_> = bag.topics().iter().map(|topic| topic.name.as_str()).collect();
     assert!(names.contains(&"/diagnostics"), "{names:?}");
     for topic in bag.topics() {

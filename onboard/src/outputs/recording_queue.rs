@@ -6,12 +6,19 @@ use sensors::ImageData;
 use sensors::ros::image_message;
 use sensors::ros_bag::{RosBagWriter, message_type};
 use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-/// Messages that may wait for the disk; in real time further ones are dropped.
+/// Messages that may wait for the disk where the run waits for it.
 const QUEUE: usize = 256;
+/// Messages that may wait for the disk in real time, where further ones are dropped: the readings of half a minute at 1 kHz, which
+/// come at once with the first image.
+const REALTIME_QUEUE: usize = 1 << 15;
+/// Images that may wait for the disk in real time, which take the memory: three seconds of a stereo pair at 20 Hz.
+const REALTIME_IMAGES: usize = 120;
 /// What was written is readable after so long, also when the robot is switched off.
 const FLUSH: Duration = Duration::from_secs(1);
 
@@ -23,6 +30,8 @@ pub(super) struct RecordingQueue {
     thread: Option<JoinHandle<()>>,
     /// Whether messages are dropped where the disk is too slow.
     realtime: bool,
+    /// Images that wait.
+    images: Arc<AtomicUsize>,
     dropped: u64,
 }
 
@@ -48,17 +57,18 @@ enum Content {
 impl RecordingQueue {
     /// Starts the thread. A failing disk ends the recording, not the run.
     pub(super) fn start(path: PathBuf, writer: RosBagWriter, realtime: bool) -> Result<Self, BagError> {
-        let (sender, items) = sync_channel(QUEUE);
-        let file = path.clone();
+        let (sender, items) = sync_channel(if realtime { REALTIME_QUEUE } else { QUEUE });
+        let images = Arc::new(AtomicUsize::new(0));
+        let (file, waiting) = (path.clone(), Arc::clone(&images));
         let thread = std::thread::Builder::new()
             .name("recording".into())
             .spawn(move || {
-                if let Err(error) = write_all(writer, &items) {
+                if let Err(error) = write_all(writer, &items, &waiting) {
                     tracing::warn!(%error, "the recording {} ends here; the run continues", file.display());
                 }
             })
             .map_err(|source| BagError::Io { path: path.clone(), source })?;
-        Ok(Self { path, sender: Some(sender), thread: Some(thread), realtime, dropped: 0 })
+        Ok(Self { path, sender: Some(sender), thread: Some(thread), realtime, images, dropped: 0 })
     }
 
     /// Appends a message to a topic.
@@ -82,6 +92,11 @@ impl RecordingQueue {
         image: ImageData,
         qos: Option<OfferedQos>,
     ) {
+        if self.realtime && self.images.load(Ordering::Relaxed) >= REALTIME_IMAGES {
+            self.dropped += 1;
+            return;
+        }
+        self.images.fetch_add(1, Ordering::Relaxed);
         let content = Content::Image { camera, frame: frame.to_owned(), image };
         self.send(Item { stamp_ns, qos, content });
     }
@@ -112,11 +127,16 @@ impl Drop for RecordingQueue {
     }
 }
 
-fn write_all(mut writer: RosBagWriter, items: &Receiver<Item>) -> Result<(), BagError> {
+fn write_all(mut writer: RosBagWriter, items: &Receiver<Item>, images: &AtomicUsize) -> Result<(), BagError> {
     let mut flushed = Instant::now();
     loop {
         match items.recv_timeout(FLUSH) {
-            Ok(item) => write(&mut writer, item)?,
+            Ok(item) => {
+                if matches!(item.content, Content::Image { .. }) {
+                    images.fetch_sub(1, Ordering::Relaxed);
+                }
+                write(&mut writer, item)?;
+            }
             Err(RecvTimeoutError::Timeout) => {}
             Err(RecvTimeoutError::Disconnected) => return writer.finish(),
         }
