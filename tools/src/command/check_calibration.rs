@@ -63,7 +63,7 @@ pub fn run(args: &Args) -> Result<()> {
     if !check.checked {
         bail!(
             "the calibration could not be checked with {}: {}; choose a part that moves and has texture with --from and --duration",
-            args.sequence.display(),
+            args.recording.display(),
             check.stated.complaint().unwrap_or_default()
         );
     }
