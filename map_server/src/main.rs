@@ -42,7 +42,7 @@ fn main() -> ExitCode {
     match served {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("error: {error:#}");
+            eprintln!("error: {}", client::error_line(error.as_ref()));
             ExitCode::FAILURE
         }
     }

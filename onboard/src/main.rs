@@ -41,7 +41,7 @@ fn main() -> ExitCode {
     match localize() {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("error: {error:#}");
+            eprintln!("error: {}", client::error_line(error.as_ref()));
             if error.is::<EndedLost>() { ExitCode::from(EndedLost::EXIT_CODE) } else { ExitCode::FAILURE }
         }
     }

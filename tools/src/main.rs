@@ -24,7 +24,7 @@ fn main() -> ExitCode {
             if let Some(usage) = error.downcast_ref::<clap::Error>() {
                 usage.exit();
             }
-            eprintln!("error: {error:#}");
+            eprintln!("error: {}", client::error_line(error.as_ref()));
             if error.is::<onboard::EndedLost>() {
                 ExitCode::from(onboard::EndedLost::EXIT_CODE)
             } else {

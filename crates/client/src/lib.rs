@@ -8,7 +8,7 @@
 //! | [`cell_client`] | [`CellClient`]: queries of a server to the cells of a map |
 //! | [`query_tasks`] | [`QueryTasks`]: match queries in the background, for a thread that must not block |
 //! | [`map_change_subscriber`] | [`MapChangeSubscriber`]: notices of changes of a map |
-//! | [`error`] | [`ClientError`] |
+//! | [`error`], `error_line` | [`ClientError`]; errors as programs print them: [`error_line()`] |
 //!
 //! # Retries
 //! A query is repeated until its deadline when no server answered, when nothing was heard for 3 s (then 6 s, 12 s, ...),
@@ -53,6 +53,7 @@
 pub mod arguments;
 pub mod cell_client;
 pub mod error;
+mod error_line;
 #[cfg(feature = "arguments")]
 mod log;
 pub mod map_change_subscriber;
@@ -65,6 +66,7 @@ pub mod session;
 pub use arguments::SessionArguments;
 pub use cell_client::{CellClient, CellPlacement, CellReply, ForwardedQuery};
 pub use error::ClientError;
+pub use error_line::error_line;
 #[cfg(feature = "arguments")]
 pub use log::without_secrets;
 pub use map_change_subscriber::MapChangeSubscriber;

@@ -49,6 +49,20 @@ pub fn camera_of_info(
     let of_sensor = if is_rectified { [p[0], p[5], p[2], p[6]] } else { [k[0], k[4], k[2], k[5]] };
     let (resolution, intrinsics) = of_images(message, of_sensor);
     let is_undistorted = is_rectified || d.iter().all(|value| *value == 0.0);
+    if message.distortion_model.is_empty() && !is_undistorted {
+        return Err(wrong(
+            "distortion_model is empty, but there are coefficients (D): have the driver name plumb_bob or equidistant, or state \
+             distortion_model and distortion_coeffs in --calibration"
+                .to_owned(),
+        ));
+    }
+    if d.is_empty() && !is_rectified && !message.distortion_model.is_empty() {
+        tracing::warn!(
+            "{}: there are no coefficients (D) of distortion_model {}: the images are taken for undistorted",
+            name.display(),
+            message.distortion_model
+        );
+    }
     // Higher orders of the distortion are zero in most calibrations, and not supported in the others.
     let (model, wanted) = match message.distortion_model.as_str() {
         _ if is_undistorted => ("none", 0),
@@ -171,6 +185,11 @@ mod tests {
             read(&message, "/cam0/image_raw").unwrap_err().to_string()
         };
         assert!(refused(&|message| message.d[4] = 0.1).contains("coefficient 5"));
+        let unnamed = |message: &mut CameraInfo| {
+            message.distortion_model.clear();
+            message.d[0] = 0.1;
+        };
+        assert!(refused(&unnamed).contains("distortion_model is empty"));
         assert!(refused(&|message| message.k[4] = f64::NAN).contains("/cam0/camera_info"));
         let other = |message: &mut CameraInfo| {
             message.distortion_model = "mei".to_owned();

@@ -190,7 +190,10 @@ impl RobotArguments {
     /// There is no IMU, the settings file cannot be used, or a setting is out of range.
     pub fn estimator_config(&self, calibration: &SensorCalibration) -> Result<EstimatorConfig> {
         let Some(imu) = &calibration.imu else {
-            bail!("there is no IMU, which the estimator needs: add mav0/imu0 to the recording")
+            bail!(
+                "there is no IMU, which the estimator needs: mav0/imu0 in a folder, a topic of sensor_msgs/Imu in a bag (`driftless \
+                 info REC` lists its topics)"
+            )
         };
         let defaults = EstimatorConfig::default();
         let gravity = imu.gravity_magnitude.unwrap_or(defaults.gravity);

@@ -141,8 +141,18 @@ fn files_of(path: &Path, files: &CalibrationFiles) -> Result<(PathBuf, Calibrati
     {
         files.imu = Some(file.clone());
     }
-    let files = files.completed(&root)?;
-    Ok((root, files))
+    let completed = files.completed(&root)?;
+    // A rosbag2 is a folder itself: its calibration may lie in it, or beside it as that of a file.
+    if let (true, None, None, Some(parent)) =
+        (path.is_dir() && root == path, &files.cameras, &completed.cameras, path.parent())
+        && !euroc_path(&root, "cam0").is_file()
+    {
+        let beside = files.completed(parent)?;
+        if beside.cameras.is_some() {
+            return Ok((parent.to_path_buf(), beside));
+        }
+    }
+    Ok((root, completed))
 }
 
 /// The topic of each camera of the calibration, where there is one that states it.
