@@ -33,7 +33,7 @@ pub struct CalibrationArguments {
     /// Kalibr's camchain-imucam.yaml [default: the recording's sensor.yaml files, else a camera chain in its folder, else of a bag its
     /// CameraInfo and /tf_static]
     ///
-    /// Also a folder with it, or one in the EuRoC layout. Where a bag has the CameraInfo of its
+    /// Also a folder with it, or one in the EuRoC layout, and files of OpenVINS, Kimera, ORB-SLAM3 and Basalt. Where a bag has the CameraInfo of its
     /// cameras, the file may leave their intrinsics out.
     #[arg(long, value_name = "YAML|DIR", help_heading = INPUT)]
     pub calibration: Option<PathBuf>,

@@ -99,7 +99,11 @@ pub fn read_lens(path: &Path) -> Result<Camera, SequenceError> {
 /// # Errors
 /// [`SequenceError::Calibration`]: an entry is missing or wrong, or the model is unknown.
 pub fn lens_of_text(name: &Path, text: &str) -> Result<Camera, SequenceError> {
-    if kalibr::is_camera_chain(text) { kalibr::first_lens(name, text) } else { lens(name, text) }
+    if kalibr::is_camera_chain(text) || kalibr::is_rig(text) {
+        kalibr::first_lens(name, text)
+    } else {
+        lens(name, text)
+    }
 }
 
 fn lens(path: &Path, text: &str) -> Result<Camera, SequenceError> {

@@ -1,6 +1,7 @@
 //! Which calibration files of Kalibr belong to a recording.
 
 use super::other_programs::is_kimera_left;
+use super::rigs::is_rig;
 use super::{is_camera_chain, is_imu};
 use crate::pairing::PAIR_TOLERANCE_NS;
 use crate::{ImuUnits, SequenceError};
@@ -80,7 +81,7 @@ impl CalibrationFiles {
 
 /// Whether a text has the cameras of a recording.
 fn is_cameras(text: &str) -> bool {
-    is_camera_chain(text) || is_kimera_left(text)
+    is_camera_chain(text) || is_kimera_left(text) || is_rig(text)
 }
 
 /// The found file, unless the recording has a `sensor.yaml`, which comes first.
@@ -130,7 +131,7 @@ fn yaml_files(folder: &Path) -> Vec<(PathBuf, String)> {
     let Ok(entries) = std::fs::read_dir(named(folder)) else { return Vec::new() };
     let is_yaml = |path: &PathBuf| {
         let extension = path.extension().unwrap_or_default();
-        extension == "yaml" || extension == "yml"
+        extension == "yaml" || extension == "yml" || extension == "json"
     };
     let mut paths: Vec<PathBuf> =
         entries.filter_map(Result::ok).map(|entry| entry.path()).filter(is_yaml).collect();

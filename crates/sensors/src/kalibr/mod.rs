@@ -8,13 +8,15 @@
 //! | `timeshift_cam_imu` | `t_imu = t_cam + timeshift_cam_imu`, seconds | added to the stamps of frames |
 //!
 //! Matrices are lists of rows, or as msckf_vio has them of 16 numbers. OpenVINS's `imu0` is read where its matrices of scale and
-//! misalignment are those of an ideal IMU. What other programs write is in `other_programs`.
+//! misalignment are those of an ideal IMU. What other programs write is in `rigs` and `other_programs`.
 
 mod files;
 mod other_programs;
+mod rigs;
 mod topics;
 
 pub use files::CalibrationFiles;
+pub(crate) use rigs::is_rig;
 #[cfg(feature = "bags")]
 pub(crate) use topics::{COMPRESSED, camera_topics};
 pub(crate) use topics::{chosen_cameras, is_same_camera};
@@ -153,6 +155,8 @@ pub(crate) fn camera_count(path: &Path) -> Result<usize, SequenceError> {
     let text = read_text(path)?;
     let is_stereo = if is_camera_chain(&text) {
         text.lines().any(|line| line.starts_with("cam1:"))
+    } else if is_rig(&text) {
+        rigs::read(path, &text)?.cameras.len() > 1
     } else {
         other_programs::is_kimera_left(&text) && other_programs::read_kimera_cameras(path, 2).is_ok()
     };
@@ -163,6 +167,7 @@ pub(crate) fn camera_count(path: &Path) -> Result<usize, SequenceError> {
 pub(crate) fn is_imu(text: &str) -> bool {
     let has = |entry: &str| text.lines().any(|line| line.starts_with(entry));
     has("imu0:")
+        || is_rig(text)
         || other_programs::is_kimera_imu(text)
         || (has("accelerometer_noise_density:") && has("update_rate:"))
 }
@@ -180,6 +185,9 @@ pub(crate) fn read_camera_chain(
 ) -> Result<CameraChain, SequenceError> {
     let text = read_text(path)?;
     if !is_camera_chain(&text) {
+        if is_rig(&text) {
+            return cameras_of_rig(path, &rigs::read(path, &text)?, chosen);
+        }
         if other_programs::is_kimera_camera(&text) {
             return other_programs::read_kimera_cameras(path, known.len());
         }
@@ -240,11 +248,24 @@ pub(crate) fn read_camera_chain(
     Ok(CameraChain { cameras, time_offset_ns: (shift * 1e9).round() as i64 })
 }
 
+/// The cameras of a rig that a recording has.
+fn cameras_of_rig(path: &Path, rig: &rigs::Rig, chosen: &[usize]) -> Result<CameraChain, SequenceError> {
+    let camera = |index: &usize| {
+        let problem = "it is the calibration of one camera, but the recording has two: calibrate both, or use one (of a bag, name it with \
+                       --camera-topic)";
+        rig.cameras.get(*index).cloned().ok_or_else(|| SequenceError::calibration(path, problem))
+    };
+    let cameras = chosen.iter().map(camera).collect::<Result<_, _>>()?;
+    Ok(CameraChain { cameras, time_offset_ns: rig.time_offset_ns })
+}
+
 /// Whether a chain states the intrinsics of all of its cameras.
 pub(crate) fn states_intrinsics(path: &Path) -> Result<bool, SequenceError> {
     let text = read_text(path)?;
     if !is_camera_chain(&text) {
-        other_programs::check(path, &text)?;
+        if !is_rig(&text) {
+            other_programs::check(path, &text)?;
+        }
         return Ok(true);
     }
     let chain: ChainYaml = parse(path, CHAIN, &text)?;
@@ -252,8 +273,14 @@ pub(crate) fn states_intrinsics(path: &Path) -> Result<bool, SequenceError> {
     Ok(cameras.all(|camera| !camera.intrinsics.is_empty()))
 }
 
-/// The projection of `cam0` of a chain.
+/// The projection of the first camera of a chain or a rig.
 pub(crate) fn first_lens(path: &Path, text: &str) -> Result<Camera, SequenceError> {
+    if is_rig(text) {
+        let first = rigs::read(path, text)?.cameras.into_iter().next();
+        return first
+            .map(|(camera, _)| camera)
+            .ok_or_else(|| SequenceError::calibration(path, "it has no camera"));
+    }
     let chain: ChainYaml = parse(path, CHAIN, text)?;
     lens(path, &chain.cam0, None)
 }
@@ -264,6 +291,9 @@ pub(crate) fn first_lens(path: &Path, text: &str) -> Result<Camera, SequenceErro
 /// * `measured_hz`: readings a second, where the file does not state them.
 pub(crate) fn read_imu(path: &Path, measured_hz: Option<f64>) -> Result<ImuSensor, SequenceError> {
     let text = read_text(path)?;
+    if is_rig(&text) {
+        return Ok(rigs::read(path, &text)?.imu);
+    }
     if other_programs::is_kimera_imu(&text) {
         return crate::euroc::sensor_yaml::read_imu(path);
     }

@@ -1,4 +1,4 @@
-//! Calibration files of other programs: Kimera's are read, the others are told apart to say what they are.
+//! Calibration files of other programs beside those in `rigs`: Kimera's are read, the others are told apart to say what they are.
 //!
 //! Kimera has one file a sensor with the entries of EuRoC's `sensor.yaml`: `LeftCameraParams.yaml`, `RightCameraParams.yaml`,
 //! `ImuParams.yaml`.
@@ -17,7 +17,10 @@ const SIDES: [(&str, &str); 3] = [("Left", "Right"), ("left", "right"), ("cam0",
 
 /// Entries that only one program writes, at the beginning of a line, and what the file is.
 const PROGRAMS: [(&[&str], &str); 5] = [
-    (&["Camera.type:", "Camera1.fx:", "Camera.fx:"], "settings of ORB-SLAM3"),
+    (
+        &["Camera.type:", "Camera1.fx:", "Camera.fx:"],
+        "settings of ORB-SLAM3 of an older version, or without an IMU",
+    ),
     (
         &["body_T_cam0:", "imu_topic:", "estimate_extrinsic:", "acc_n:"],
         "a configuration of VINS-Mono or VINS-Fusion",
@@ -63,14 +66,10 @@ pub(super) fn is_kimera_imu(text: &str) -> bool {
 /// # Errors
 /// [`SequenceError::Calibration`] for a known program's file.
 pub(super) fn check(path: &Path, text: &str) -> Result<(), SequenceError> {
-    let is_basalt = text.contains("\"value0\"") && text.contains("T_imu_cam");
     let of = |(entries, what): &(&[&str], &'static str)| {
         entries.iter().any(|entry| has(text, entry)).then_some(*what)
     };
-    let Some(what) = is_basalt.then_some("a calibration of Basalt").or_else(|| PROGRAMS.iter().find_map(of))
-    else {
-        return Ok(());
-    };
+    let Some(what) = PROGRAMS.iter().find_map(of) else { return Ok(()) };
     Err(SequenceError::calibration(
         path,
         format!(

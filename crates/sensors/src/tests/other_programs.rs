@@ -58,6 +58,52 @@ fn kimera_imu() -> String {
     )
 }
 
+/// Settings of ORB-SLAM3.
+fn orb_slam3(left: &Pose, right: &Pose) -> String {
+    let matrix = |name: &str, pose: &Pose| {
+        format!("{name}: !!opencv-matrix\n  rows: 4\n  cols: 4\n  dt: f\n  data: {:?}\n", rows(pose).concat())
+    };
+    let camera = |name: &str| {
+        let entries = [("fx", 400.0), ("fy", 401.5), ("cx", 320.0), ("cy", 240.0), ("k1", 0.1), ("k2", 0.2)];
+        let text: String =
+            entries.iter().map(|(entry, value)| format!("{name}.{entry}: {value:?}\n")).collect();
+        format!("{text}{name}.p1: 0.003\n{name}.p2: 0.004\n")
+    };
+    format!(
+        "%YAML:1.0\nFile.version: \"1.0\"\nCamera.type: \"PinHole\"\n{}{}Camera.width: 640\nCamera.height: 480\nCamera.RGB: \
+         1\n{}{}IMU.NoiseGyro: 1.6968e-04 # white\nIMU.NoiseAcc: 2.0e-03\nIMU.GyroWalk: 1.9393e-05\nIMU.AccWalk: \
+         3.0e-03\nIMU.Frequency: 200.0\nORBextractor.nFeatures: 1200\n",
+        camera("Camera1"),
+        camera("Camera2"),
+        matrix("Stereo.T_c1_c2", &(left.inverse() * *right)),
+        matrix("IMU.T_b_c1", left)
+    )
+}
+
+/// A calibration of Basalt.
+fn basalt(imu_from_cameras: &[Pose]) -> String {
+    let pose = |pose: &Pose| {
+        let (p, q) = (pose.translation, pose.rotation.coords);
+        format!(
+            r#"{{"px": {}, "py": {}, "pz": {}, "qx": {}, "qy": {}, "qz": {}, "qw": {}}}"#,
+            p.x, p.y, p.z, q.x, q.y, q.z, q.w
+        )
+    };
+    let each =
+        |text: &dyn Fn(&Pose) -> String| imu_from_cameras.iter().map(text).collect::<Vec<_>>().join(", ");
+    let lens = r#"{"camera_type": "pinhole-radtan8", "intrinsics": {"fx": 400.0, "fy": 401.5, "cx": 320.0, "cy": 240.0, "k1": 0.1,
+        "k2": 0.2, "p1": 0.003, "p2": 0.004, "k3": 0.0, "k4": 0.0, "k5": 0.0, "k6": 0.0, "rpmax": 2.7}}"#;
+    format!(
+        r#"{{"value0": {{"T_imu_cam": [{}], "intrinsics": [{}], "resolution": [{}], "calib_accel_bias": [0.1, 0.2, 0.3, 0, 0, 0, 0, 0, 0],
+        "imu_update_rate": 200.0, "accel_noise_std": [0.002, 0.002, 0.002], "gyro_noise_std": [0.00016968, 0.00016968, 0.00016968],
+        "accel_bias_std": [0.003, 0.003, 0.003], "gyro_bias_std": [1.9393e-5, 1.9393e-5, 1.9393e-5], "cam_time_offset_ns": 12500000,
+        "vignette": []}}}}"#,
+        each(&pose),
+        each(&|_| lens.to_owned()),
+        each(&|_| "[640, 480]".to_owned())
+    )
+}
+
 /// Writes files into a folder and reads the calibration from one of them, or from the folder for an empty name.
 fn read(files: &[(&str, String)], name: &str) -> Result<FolderCalibration, SequenceError> {
     let folder = tempfile::tempdir().unwrap();
@@ -90,6 +136,9 @@ fn every_way_to_write_a_calibration_means_the_same() {
         ("OpenVINS", vec![(chains, chain("T_imu_cam", &pose, false)), openvins.clone()], 1, 0, chains),
         ("msckf_vio", vec![(chains, chain("T_cam_imu", &pose.inverse(), true)), openvins], 1, 0, chains),
         ("one file", vec![("all.yaml", both)], 1, 12_500_000, "all.yaml"),
+        ("ORB-SLAM3", vec![("EuRoC.yaml", orb_slam3(&pose, &right))], 2, 0, "EuRoC.yaml"),
+        ("ORB-SLAM3, folder", vec![("EuRoC.yaml", orb_slam3(&pose, &right))], 2, 0, ""),
+        ("Basalt", vec![("euroc.json", basalt(&[pose, right]))], 2, 12_500_000, "euroc.json"),
         ("Kimera", kimera_files.to_vec(), 2, 12_500_000, "LeftCameraParams.yaml"),
         ("Kimera, folder", kimera_files.to_vec(), 2, 12_500_000, ""),
         ("Kimera, one camera", vec![kimera_files[0].clone(), kimera_files[2].clone()], 1, 12_500_000, ""),
@@ -121,10 +170,10 @@ fn what_is_not_read_is_named() {
         (
             vec![("euroc.json", "{\"value0\": {\"T_imu_cam\": [{\"px\": 0.1}]}}".to_owned())],
             "euroc.json",
-            ["calibration of Basalt", "camchain-imucam.yaml"],
+            ["not a valid calibration of Basalt", "missing field"],
         ),
         (
-            vec![("EuRoC.yaml", "%YAML:1.0\nCamera.type: \"PinHole\"\nCamera1.fx: 458.654\n".to_owned())],
+            vec![("EuRoC.yaml", "%YAML:1.0\nCamera.type: \"PinHole\"\nCamera.fx: 435.2\n".to_owned())],
             "EuRoC.yaml",
             ["settings of ORB-SLAM3", "camchain-imucam.yaml"],
         ),

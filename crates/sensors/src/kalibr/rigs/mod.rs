@@ -1,0 +1,46 @@
+//! Files of other programs that hold a whole rig: its cameras, their poses on the IMU, and the IMU's noise.
+
+mod basalt;
+mod orb_slam3;
+
+use crate::{ImuNoise, ImuSensor, SequenceError};
+use geometry::camera::Camera;
+use geometry::pose::Pose;
+use std::path::Path;
+
+/// A rig as a file states it.
+pub(super) struct Rig {
+    /// Projection and `imu_from_camera` of each camera.
+    pub(super) cameras: Vec<(Camera, Pose)>,
+    /// Added to the stamps of the cameras to obtain the IMU's, nanoseconds.
+    pub(super) time_offset_ns: i64,
+    pub(super) imu: ImuSensor,
+}
+
+/// Whether a text is such a file.
+pub(crate) fn is_rig(text: &str) -> bool {
+    basalt::is_calibration(text) || orb_slam3::is_settings(text)
+}
+
+/// The rig of such a file.
+///
+/// # Errors
+/// [`SequenceError`] with the file and the entry.
+pub(super) fn read(path: &Path, text: &str) -> Result<Rig, SequenceError> {
+    if basalt::is_calibration(text) { basalt::read(path, text) } else { orb_slam3::read(path, text) }
+}
+
+/// The IMU of a rig.
+///
+/// # Arguments
+/// * `densities`: name and value of the gyroscope's noise and walk, and of the accelerometer's.
+fn imu(path: &Path, rate_hz: f64, densities: [(&str, f64); 4]) -> Result<ImuSensor, SequenceError> {
+    for (name, value) in densities {
+        crate::calibration_yaml::check_positive(path, name, value)?;
+    }
+    let [gyroscope, gyroscope_walk, accelerometer, accelerometer_walk] = densities.map(|(_, value)| value);
+    let mut noise = ImuNoise::default();
+    (noise.gyroscope, noise.gyroscope_walk) = (gyroscope, gyroscope_walk);
+    (noise.accelerometer, noise.accelerometer_walk) = (accelerometer, accelerometer_walk);
+    Ok(ImuSensor { noise, rate_hz, gravity_magnitude: None })
+}
