@@ -64,10 +64,17 @@ fn orb_slam3(left: &Pose, right: &Pose) -> String {
         format!("{name}: !!opencv-matrix\n  rows: 4\n  cols: 4\n  dt: f\n  data: {:?}\n", rows(pose).concat())
     };
     let camera = |name: &str| {
-        let entries = [("fx", 400.0), ("fy", 401.5), ("cx", 320.0), ("cy", 240.0), ("k1", 0.1), ("k2", 0.2)];
-        let text: String =
-            entries.iter().map(|(entry, value)| format!("{name}.{entry}: {value:?}\n")).collect();
-        format!("{text}{name}.p1: 0.003\n{name}.p2: 0.004\n")
+        let entries = [
+            "fx: 400.0",
+            "fy: 401.5",
+            "cx: 320.0",
+            "cy: 240.0",
+            "k1: 0.1",
+            "k2: 0.2",
+            "p1: 0.003",
+            "p2: 0.004",
+        ];
+        entries.map(|entry| format!("{name}.{entry}\n")).concat()
     };
     format!(
         "%YAML:1.0\nFile.version: \"1.0\"\nCamera.type: \"PinHole\"\n{}{}Camera.width: 640\nCamera.height: 480\nCamera.RGB: \
