@@ -20,6 +20,8 @@ const IMU_QUEUE: usize = 10_000;
 const IMAGE_QUEUE: usize = 10;
 /// Angular velocities that wait longer for the accelerometer are said to, nanoseconds.
 const LONGEST_WAIT_NS: i64 = 1_000_000_000;
+/// So many of the first messages of a topic are looked at for what its publishers offer.
+const OFFER_LOOKS: usize = 5;
 /// How image_transport ends the topic of compressed images.
 const COMPRESSED: &str = "/compressed";
 
@@ -187,12 +189,13 @@ struct Source {
 }
 
 impl Source {
-    /// Looks what the publishers offer, once there are any.
-    async fn note_offers(&self) {
+    /// Looks what the publishers offer; whether any was seen: a token may come later than the first message.
+    async fn note_offers(&self) -> bool {
         let offers = self.node.offers(&self.topic).await.unwrap_or_default();
         if offers.contains(&Reliability::BestEffort) {
             self.inputs.best_effort(self.stream);
         }
+        !offers.is_empty()
     }
 }
 
@@ -204,14 +207,14 @@ fn hand_in<M: RosMessage + Send + 'static>(
 ) -> JoinHandle<()> {
     tokio::spawn(async move {
         let Source { inputs, stream, heard, .. } = &source;
-        let mut is_first = true;
+        let mut looks = OFFER_LOOKS;
         while let Ok(Received { message, .. }) = subscriber.receive().await {
             heard.store(true, Ordering::Relaxed);
             match message {
                 Ok(message) => {
                     // Before the message, so that a recording knows it in time.
-                    if std::mem::take(&mut is_first) {
-                        source.note_offers().await;
+                    if looks > 0 {
+                        looks = if source.note_offers().await { 0 } else { looks - 1 };
                     }
                     if let Err(problem) = take(inputs, message) {
                         inputs.refuse(*stream, problem);
@@ -333,7 +336,7 @@ mod tests {
             LiveSource::new("test", calibration.clone(), &LiveSettings::images(&calibration));
         let topics =
             RosTopics { imu: "/imu".into(), accelerometer: None, cameras: vec!["/cam0/image_raw".into()] };
-        let (node, sensors) = runtime.block_on(async {
+        let (node, sensors, images) = runtime.block_on(async {
             let (node, sensors) = subscribed(&topics, &inputs).await;
             let readings = node.publisher::<Imu>("/imu", Qos::reliable()).await.unwrap();
             let images = node.publisher::<Image>("/cam0/image_raw", Qos::sensor_data()).await.unwrap();
@@ -342,7 +345,7 @@ mod tests {
                 readings.publish(&imu(milliseconds)).await.unwrap();
             }
             images.publish(&image(50, size, "mono8")).await.unwrap();
-            (node, sensors)
+            (node, sensors, images)
         });
         let begin = Instant::now();
         let (mut stamps, mut frame) = (Vec::new(), None);
@@ -356,6 +359,11 @@ mod tests {
         }
         assert!(stamps.is_sorted() && stamps[0] == header(0).stamp.to_nanoseconds());
         assert_eq!(frame.unwrap().stamp_ns, header(50).stamp.to_nanoseconds());
+        // The token of a publisher may be seen later than its messages.
+        while source.live().unwrap().best_effort.is_empty() && begin.elapsed() < TIMEOUT {
+            runtime.block_on(images.publish(&image(100, size, "h264"))).unwrap();
+            std::thread::sleep(Duration::from_millis(20));
+        }
         let report = source.live().unwrap();
         assert_eq!(report.best_effort, [Stream::Camera(0)], "the readings are reliable");
         let faults = report.faults;
