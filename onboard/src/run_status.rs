@@ -14,7 +14,8 @@ const NO_MAP: &str = "no map was asked for";
 /// Kinds of alarms.
 #[derive(Debug, PartialEq)]
 pub(crate) enum AlarmKind {
-    Filter(Discriminant<Alarm>, Option<Discriminant<NoiseFault>>),
+    Filter(Discriminant<Alarm>),
+    Noise(Discriminant<NoiseFault>),
     ImuUnits,
     BadReadings,
     Sensor(Stream, FaultKind),
@@ -22,8 +23,10 @@ pub(crate) enum AlarmKind {
 
 impl AlarmKind {
     fn of_filter(alarm: &Alarm) -> Self {
-        let noise = if let Alarm::Noise(fault) = alarm { Some(discriminant(fault)) } else { None };
-        Self::Filter(discriminant(alarm), noise)
+        match alarm {
+            Alarm::Noise(fault) => Self::Noise(discriminant(fault)),
+            other => Self::Filter(discriminant(other)),
+        }
     }
 }
 

@@ -1,11 +1,11 @@
 //! Reference poses against the gyroscope: poses of another sensor, in another order of columns or of another time turn otherwise
 //! than the IMU did.
 
-use geometry::rotation::exp;
 use nalgebra::UnitQuaternion;
 use sensors::{ImuSample, ReferencePose};
 
 use super::error::BuildError;
+use super::reading_steps::steps;
 
 /// Time over which a turn is compared (ns): at least, and at most.
 const SPAN_NS: [i64; 2] = [500_000_000, 1_000_000_000];
@@ -72,14 +72,7 @@ pub(super) fn check_turns(
 
 /// How the gyroscope turned between two times; `None` where its readings do not cover them.
 fn turn(readings: &[ImuSample], from_ns: i64, to_ns: i64) -> Option<UnitQuaternion<f64>> {
-    let begin = readings.partition_point(|reading| reading.stamp_ns <= from_ns).checked_sub(1)?;
-    let end = readings.partition_point(|reading| reading.stamp_ns < to_ns);
-    readings.get(end)?;
-    let mut turned = UnitQuaternion::identity();
-    for pair in readings[begin..=end].windows(2) {
-        let (start, stop) = (pair[0].stamp_ns.max(from_ns), pair[1].stamp_ns.min(to_ns));
-        let seconds = (stop - start) as f64 * 1e-9;
-        turned *= exp(&((pair[0].gyroscope + pair[1].gyroscope) * (0.5 * seconds)));
-    }
+    let turned = steps(readings, from_ns, to_ns)?
+        .fold(UnitQuaternion::identity(), |turned, step| turned * step.turn());
     turned.coords.iter().all(|value| value.is_finite()).then_some(turned)
 }

@@ -5,7 +5,7 @@
 //! | images become keyframes as the camera moves | `keyframe_selection`, `reference_poses` |
 //! | features are read, or extracted and matched in stereo | `feature_source`, `stereo_matching` |
 //! | both on another thread while odometry gives the poses | `selected_keyframes` |
-//! | with reference poses: gravity by the recording's IMU; poses that turn otherwise are refused | `reference_gravity`, `gyroscope_check` |
+//! | with reference poses: gravity by the recording's IMU; poses that turn otherwise are refused | `reference_gravity`, `gyroscope_check`, `reading_steps` |
 //! | neighbouring keyframes are matched, with the epipolar constraint | `matching` |
 //! | matches are joined into tracks | `tracks` |
 //! | each track is triangulated with the reference poses and their covariances | `triangulation` |
@@ -63,6 +63,7 @@ mod places;
 mod pose_prior;
 mod pose_priors;
 mod progress;
+mod reading_steps;
 mod recorded_odometry;
 mod reference_gravity;
 mod reference_poses;

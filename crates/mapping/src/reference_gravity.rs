@@ -3,9 +3,10 @@
 //! Over a time `T`, `v1 - v0 = integral of (R f) dt + g T`: the specific force `f` turned by the poses, whose rotation the gyroscope
 //! continues between them. The velocities at both ends come from the positions; their errors are divided by `T`.
 
-use geometry::rotation::exp;
 use nalgebra::Vector3;
 use sensors::{ImuSample, ReferencePose, direction_of_gravity};
+
+use super::reading_steps::steps;
 
 /// Longest time between two poses that the gyroscope bridges (ns).
 const MAX_GAP_NS: i64 = 1_000_000_000;
@@ -42,15 +43,11 @@ fn velocity(from: &ReferencePose, to: &ReferencePose) -> Vector3<f64> {
 
 /// Integral of the specific force between two poses in their frame, m/s; `None` where readings are missing.
 fn force(readings: &[ImuSample], from: &ReferencePose, to: &ReferencePose) -> Option<Vector3<f64>> {
-    let begin = readings.partition_point(|reading| reading.stamp_ns <= from.stamp_ns).checked_sub(1)?;
-    let end = readings.partition_point(|reading| reading.stamp_ns < to.stamp_ns);
-    readings.get(end)?;
     let (mut rotation, mut sum) = (from.pose.rotation, Vector3::zeros());
-    for pair in readings[begin..=end].windows(2) {
-        let (start, stop) = (pair[0].stamp_ns.max(from.stamp_ns), pair[1].stamp_ns.min(to.stamp_ns));
-        let seconds = (stop - start) as f64 * 1e-9;
-        let next = rotation * exp(&((pair[0].gyroscope + pair[1].gyroscope) * (0.5 * seconds)));
-        sum += (rotation * pair[0].accelerometer + next * pair[1].accelerometer) * (0.5 * seconds);
+    for step in steps(readings, from.stamp_ns, to.stamp_ns)? {
+        let next = rotation * step.turn();
+        sum +=
+            (rotation * step.first.accelerometer + next * step.second.accelerometer) * (0.5 * step.seconds);
         rotation = next;
     }
     sum.iter().all(|value| value.is_finite()).then_some(sum)
@@ -60,6 +57,7 @@ fn force(readings: &[ImuSample], from: &ReferencePose, to: &ReferencePose) -> Op
 mod tests {
     use super::*;
     use geometry::pose::Pose;
+    use geometry::rotation::exp;
     use nalgebra::UnitQuaternion;
 
     /// A ride along a bend in a frame whose gravity has a direction.

@@ -62,14 +62,9 @@ impl Node {
     /// # Errors
     /// [`RosError`]: the session is closed.
     pub async fn discover(&self) -> Result<Vec<DiscoveredTopic>, RosError> {
-        let tokens = self.session().liveliness().get(ALL_TOKENS).await;
-        let tokens = tokens.map_err(RosError::zenoh("nodes cannot be looked for"))?;
-        let mut found = BTreeSet::new();
-        while let Ok(reply) = tokens.recv_async().await {
-            if let Ok(token) = reply.result() {
-                found.extend(DiscoveredTopic::of_token(token.key_expr().as_str()));
-            }
-        }
+        let tokens = self.tokens(ALL_TOKENS).await?;
+        // A topic that several nodes publish counts once.
+        let found: BTreeSet<_> = tokens.iter().filter_map(|token| DiscoveredTopic::of_token(token)).collect();
         Ok(found.into_iter().collect())
     }
 }

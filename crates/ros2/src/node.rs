@@ -10,9 +10,13 @@ use super::qos::{Durability, Qos};
 use super::subscriber::Subscriber;
 use ros_messages::RosMessage;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
 use zenoh::Session;
 use zenoh::liveliness::LivelinessToken;
 use zenoh::qos::CongestionControl;
+
+/// Tokens that have not come by then are not waited for.
+const TOKEN_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// What a node is called.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -125,8 +129,17 @@ impl Node {
         })
     }
 
-    pub(crate) fn session(&self) -> &Session {
-        &self.session
+    /// The tokens of a pattern that are seen now.
+    pub(crate) async fn tokens(&self, pattern: &str) -> Result<Vec<String>, RosError> {
+        let found = self.session.liveliness().get(pattern).timeout(TOKEN_TIMEOUT).await;
+        let found = found.map_err(RosError::zenoh("other nodes cannot be looked for"))?;
+        let mut tokens = Vec::new();
+        while let Ok(reply) = found.recv_async().await {
+            if let Ok(token) = reply.result() {
+                tokens.push(token.key_expr().to_string());
+            }
+        }
+        Ok(tokens)
     }
 
     pub(crate) fn identity(&self) -> &NodeIdentity {

@@ -5,10 +5,6 @@ use super::liveliness::publishers_of;
 use super::names::absolute_topic;
 use super::node::Node;
 use super::qos::Reliability;
-use std::time::Duration;
-
-/// Tokens that have not come by then are not waited for.
-const TIMEOUT: Duration = Duration::from_secs(1);
 
 impl Node {
     /// The reliability that each publisher of a topic offers now; empty where none is seen.
@@ -20,16 +16,8 @@ impl Node {
     /// [`RosError`]: a name that ROS does not allow, or a session that is closed.
     pub async fn offers(&self, topic: &str) -> Result<Vec<Reliability>, RosError> {
         let topic = absolute_topic(&self.identity().namespace, topic)?;
-        let tokens = publishers_of(self.identity().domain, &topic);
-        let found = self.session().liveliness().get(tokens).timeout(TIMEOUT).await;
-        let found = found.map_err(RosError::zenoh("the publishers of a topic cannot be looked for"))?;
-        let mut offers = Vec::new();
-        while let Ok(reply) = found.recv_async().await {
-            if let Ok(token) = reply.result() {
-                offers.push(reliability_of(token.key_expr().as_str()));
-            }
-        }
-        Ok(offers)
+        let tokens = self.tokens(&publishers_of(self.identity().domain, &topic)).await?;
+        Ok(tokens.iter().map(|token| reliability_of(token)).collect())
     }
 }
 

@@ -54,21 +54,28 @@ pub(crate) struct NoiseYaml {
 impl NoiseYaml {
     /// The noise, checked.
     pub(crate) fn noise(&self, path: &Path) -> Result<ImuNoise, SequenceError> {
-        let mut noise = ImuNoise::default();
-        noise.gyroscope = self.gyroscope_noise_density;
-        noise.gyroscope_walk = self.gyroscope_random_walk;
-        noise.accelerometer = self.accelerometer_noise_density;
-        noise.accelerometer_walk = self.accelerometer_random_walk;
-        for (name, value) in [
-            ("gyroscope_noise_density", noise.gyroscope),
-            ("gyroscope_random_walk", noise.gyroscope_walk),
-            ("accelerometer_noise_density", noise.accelerometer),
-            ("accelerometer_random_walk", noise.accelerometer_walk),
-        ] {
-            check_positive(path, name, value)?;
-        }
-        Ok(noise)
+        let densities = [
+            ("gyroscope_noise_density", self.gyroscope_noise_density),
+            ("gyroscope_random_walk", self.gyroscope_random_walk),
+            ("accelerometer_noise_density", self.accelerometer_noise_density),
+            ("accelerometer_random_walk", self.accelerometer_random_walk),
+        ];
+        imu_noise(path, densities)
     }
+}
+
+/// The noise of an IMU, checked.
+///
+/// # Arguments
+/// * `densities`: name and value of the gyroscope's noise and walk, and of the accelerometer's.
+pub(crate) fn imu_noise(path: &Path, densities: [(&str, f64); 4]) -> Result<ImuNoise, SequenceError> {
+    for (name, value) in densities {
+        check_positive(path, name, value)?;
+    }
+    let mut noise = ImuNoise::default();
+    [noise.gyroscope, noise.gyroscope_walk, noise.accelerometer, noise.accelerometer_walk] =
+        densities.map(|(_, value)| value);
+    Ok(noise)
 }
 
 /// The projection of a camera as a file states it.

@@ -2,13 +2,12 @@
 
 use crate::SequenceError;
 use crate::calibration_yaml::Lens;
+use crate::kalibr::COMPRESSED;
 use geometry::camera::{Camera, Distortion};
 use ros_messages::sensor_msgs::CameraInfo;
 use ros_messages::std_msgs::Header;
 use std::path::Path;
 
-/// How image_transport ends the topic of compressed images.
-const COMPRESSED: &str = "/compressed";
 /// ROS calls rectified images so, at the end of the topic's name.
 const RECTIFIED: [&str; 3] = ["image_rect", "image_rect_color", "image_rect_raw"];
 

@@ -54,10 +54,12 @@ impl RosBagWriter {
         Ok(Self { writer: BagWriter::create(path, format)?, topics: BTreeMap::new(), offered })
     }
 
-    /// States what the publisher of a topic offers, before its first message. Without it that is reliable, 10, of `/tf_static`
+    /// States what the publisher of a topic offers, before its first message; later it changes nothing. Without it that is reliable, 10, of `/tf_static`
     /// transient local.
     pub fn offer(&mut self, topic: &str, qos: OfferedQos) {
-        self.offered.insert(topic.to_owned(), qos);
+        if !self.topics.contains_key(topic) {
+            self.offered.insert(topic.to_owned(), qos);
+        }
     }
 
     /// Writes the IMU, whose noise no message states: a recording of its readings and of images with `CameraInfo` and

@@ -43,6 +43,12 @@ struct Item {
     content: Content,
 }
 
+impl Item {
+    fn is_image(&self) -> bool {
+        matches!(self.content, Content::Image { .. })
+    }
+}
+
 enum Content {
     Message {
         topic: String,
@@ -106,8 +112,11 @@ impl RecordingQueue {
         let Some(sender) = &self.sender else { return };
         if !self.realtime {
             let _ = sender.send(item);
-        } else if matches!(sender.try_send(item), Err(TrySendError::Full(_))) {
+        } else if let Err(TrySendError::Full(item)) = sender.try_send(item) {
             self.dropped += 1;
+            if item.is_image() {
+                self.images.fetch_sub(1, Ordering::Relaxed);
+            }
         }
     }
 }
@@ -132,7 +141,7 @@ fn write_all(mut writer: RosBagWriter, items: &Receiver<Item>, images: &AtomicUs
     loop {
         match items.recv_timeout(FLUSH) {
             Ok(item) => {
-                if matches!(item.content, Content::Image { .. }) {
+                if item.is_image() {
                     images.fetch_sub(1, Ordering::Relaxed);
                 }
                 write(&mut writer, item)?;

@@ -1,6 +1,5 @@
 //! The calibration of a bag's sensors: files in the ways of EuRoC and Kalibr, else what the bag itself carries.
 
-use super::BagCamera;
 use super::recorded_calibration::{self as recorded, NotRecorded};
 use super::topics::BagSensors;
 use crate::euroc::sensor_yaml;
@@ -164,10 +163,7 @@ pub(super) fn camera_topics(bag: &Bag, files: &CalibrationFiles) -> Vec<Option<S
 
 /// The projection of each camera by its `CameraInfo`.
 fn camera_infos(bag: &Bag, sensors: &BagSensors) -> Result<Vec<Option<Camera>>, SequenceError> {
-    let read = |camera: &BagCamera| match camera.info {
-        Some(info) => recorded::projection(bag, camera.images, info),
-        None => Ok(None),
-    };
+    let read = |camera| Ok(recorded::projection(bag, camera)?.map(|(projection, _)| projection));
     sensors.cameras.iter().map(read).collect()
 }
 

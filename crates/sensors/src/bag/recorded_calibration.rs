@@ -1,6 +1,7 @@
 //! The calibration that a bag carries within itself: `CameraInfo`, `/tf_static`, and the noise of the IMU, for which ROS has no
 //! message, in the text of a recording of Driftless.
 
+use super::BagCamera;
 use super::messages;
 use super::static_transforms::StaticTransforms;
 use super::topics::BagSensors;
@@ -42,25 +43,26 @@ pub(super) fn cameras(bag: &Bag, sensors: &BagSensors) -> Result<Vec<(Camera, Po
     let transforms = StaticTransforms::read(bag);
     let mut cameras = Vec::new();
     for camera in &sensors.cameras {
-        let projection = camera.info.map(|info| projection(bag, camera.images, info)).transpose()?.flatten();
-        let frame = camera.info.and_then(|info| messages::first::<CameraInfo>(bag, info));
-        let (Some(projection), Some(CameraInfo { header, .. })) = (projection, frame) else {
+        let Some((projection, frame)) = projection(bag, camera)? else {
             let images = bag.topics()[camera.images].name.clone();
             return Err(NotRecorded::Projection { images });
         };
-        let Some(imu_from_camera) = transforms.between(&imu, &header.frame_id) else {
-            return Err(NotRecorded::Mounting { imu, camera: header.frame_id });
+        let Some(imu_from_camera) = transforms.between(&imu, &frame) else {
+            return Err(NotRecorded::Mounting { imu, camera: frame });
         };
         cameras.push((projection, imu_from_camera));
     }
     Ok(cameras)
 }
 
-/// The projection that the first sound message of the topic `info` states for the images of another.
-pub(super) fn projection(bag: &Bag, images: usize, info: usize) -> Result<Option<Camera>, SequenceError> {
+/// The projection of a camera as the first sound `CameraInfo` states it, and the name of its frame; `None` where none is recorded, or
+/// none is stated.
+pub(super) fn projection(bag: &Bag, camera: &BagCamera) -> Result<Option<(Camera, String)>, SequenceError> {
+    let Some(info) = camera.info else { return Ok(None) };
     let Some(found) = messages::first::<CameraInfo>(bag, info) else { return Ok(None) };
     let name: PathBuf = format!("{}, {}", bag.path().display(), bag.topics()[info].name).into();
-    camera_of_info(&found, &bag.topics()[images].name, &name)
+    let projection = camera_of_info(&found, &bag.topics()[camera.images].name, &name)?;
+    Ok(projection.map(|projection| (projection, found.header.frame_id)))
 }
 
 /// Whether Driftless recorded the sensors: the images are stamped on the clock of the IMU then.

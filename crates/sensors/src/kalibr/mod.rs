@@ -17,8 +17,10 @@ mod topics;
 
 pub use files::CalibrationFiles;
 pub(crate) use rigs::is_rig;
+#[cfg(feature = "ros")]
+pub(crate) use topics::COMPRESSED;
 #[cfg(feature = "bags")]
-pub(crate) use topics::{COMPRESSED, camera_topics};
+pub(crate) use topics::camera_topics;
 pub(crate) use topics::{chosen_cameras, is_same_camera};
 
 use crate::calibration_yaml::{

@@ -3,7 +3,8 @@
 mod basalt;
 mod orb_slam3;
 
-use crate::{ImuNoise, ImuSensor, SequenceError};
+use crate::calibration_yaml::imu_noise;
+use crate::{ImuSensor, SequenceError};
 use geometry::camera::Camera;
 use geometry::pose::Pose;
 use std::path::Path;
@@ -35,12 +36,6 @@ pub(super) fn read(path: &Path, text: &str) -> Result<Rig, SequenceError> {
 /// # Arguments
 /// * `densities`: name and value of the gyroscope's noise and walk, and of the accelerometer's.
 fn imu(path: &Path, rate_hz: f64, densities: [(&str, f64); 4]) -> Result<ImuSensor, SequenceError> {
-    for (name, value) in densities {
-        crate::calibration_yaml::check_positive(path, name, value)?;
-    }
-    let [gyroscope, gyroscope_walk, accelerometer, accelerometer_walk] = densities.map(|(_, value)| value);
-    let mut noise = ImuNoise::default();
-    (noise.gyroscope, noise.gyroscope_walk) = (gyroscope, gyroscope_walk);
-    (noise.accelerometer, noise.accelerometer_walk) = (accelerometer, accelerometer_walk);
+    let noise = imu_noise(path, densities)?;
     Ok(ImuSensor { noise, rate_hz, gravity_magnitude: None })
 }
