@@ -148,6 +148,7 @@ mod tests {
             landmarks: Vec::new(),
             cross_covariances: (0..keyframes - 1).map(cross).collect(),
             common_errors: Vec::new(),
+            aliases: Vec::new(),
         }
     }
 

@@ -93,7 +93,10 @@ impl Show {
 /// A large map takes a second: not on a thread that answers queries.
 async fn set_map(viewer: &Viewer, name: &str, map: &Arc<LoadedMap>) {
     let (shown_name, map) = (name.to_owned(), Arc::clone(map));
-    let drawing = move || ViewedMap::new(&shown_name, map.info(), map.keyframes(), map.landmark_positions());
+    let drawing = move || {
+        let keyframes = map.keyframes().map(|keyframe| (keyframe, map.stated_aliases(keyframe.id)));
+        ViewedMap::new(&shown_name, map.info(), keyframes, map.landmark_positions())
+    };
     match tokio::task::spawn_blocking(drawing).await {
         Ok(view) => viewer.set_map(view),
         Err(error) => tracing::error!(name, "this version of the map is not shown: {error}"),

@@ -1,7 +1,10 @@
 //! Which keyframes of a map could be taken for another place of it.
 
+use std::collections::BTreeMap;
+
 use indicatif::ProgressBar;
 use map::contents::MapContents;
+use nalgebra::Vector3;
 use protocol::KeyframeId;
 use recognition::{LoadedMap, RecognitionOptions};
 use serde::Serialize;
@@ -9,7 +12,9 @@ use serde::Serialize;
 /// How much of a map looks like other parts of it.
 #[derive(Serialize)]
 pub struct MapAliases {
-    /// Views of the map that do not overlap, as far as they were sampled for the rate.
+    /// Keyframes whose images were compared with the rest of the map.
+    pub compared: usize,
+    /// How many views that do not overlap the map has.
     pub views: f64,
     /// Those of them that another place explains as well.
     pub aliased_views: f64,
@@ -26,40 +31,46 @@ pub struct AliasedKeyframe {
     pub keyframe: KeyframeId,
     /// Where it is in G, m.
     pub position_m: [f64; 3],
-    /// Where its image could be taken to be from, m.
+    /// The keyframe next to the place that it could be taken for.
+    pub other: KeyframeId,
+    /// Where that is in G, m.
     pub other_position_m: [f64; 3],
-    /// Features of it that landmarks of the other place explain.
-    pub features: usize,
-    /// Natural logarithm of the odds of the other place by its image alone.
+    /// Natural logarithm of the odds of the other place by the image alone.
     pub log_odds: f64,
 }
 
 impl MapAliases {
-    /// Compares each keyframe of a map with all others.
+    /// Takes what the map states. Keyframes of which it states nothing are compared with all others.
     ///
     /// # Errors
     /// Contents that are not a map.
-    pub fn of(contents: MapContents, bar: &ProgressBar) -> anyhow::Result<Self> {
-        let map = LoadedMap::from_contents(contents)?;
-        let options = RecognitionOptions::default();
-        let rate = map.aliasing_rate();
-        let mut keyframes = Vec::new();
-        bar.set_length(map.keyframe_count() as u64);
-        for keyframe in map.keyframes() {
-            let places = map.aliases(keyframe.id, &options)?;
-            if let Some(other) = places.first().filter(|place| place.log_odds() >= options.min_log_odds) {
-                keyframes.push(AliasedKeyframe {
-                    keyframe: keyframe.id,
-                    position_m: keyframe.global_from_keyframe.pose.translation.into(),
-                    other_position_m: other.place.global_from_camera.pose.translation.into(),
-                    features: other.place.features,
-                    log_odds: other.log_odds(),
-                });
-            }
-            bar.inc(1);
-        }
+    pub fn of(mut contents: MapContents, bar: &ProgressBar) -> anyhow::Result<Self> {
+        mapping::find_aliases(&mut contents, &mut |_, done, all| {
+            bar.set_length(all as u64);
+            bar.set_position(done as u64);
+        })?;
         bar.finish_and_clear();
+        let positions: BTreeMap<KeyframeId, Vector3<f64>> = contents
+            .keyframes
+            .iter()
+            .map(|keyframe| (keyframe.id, keyframe.global_from_keyframe.pose.translation))
+            .collect();
+        let least = RecognitionOptions::default().min_log_odds;
+        let mut keyframes = Vec::new();
+        for aliases in &contents.aliases {
+            let Some(other) = aliases.places.first().filter(|place| place.log_odds >= least) else { continue };
+            keyframes.push(AliasedKeyframe {
+                keyframe: aliases.keyframe,
+                position_m: positions[&aliases.keyframe].into(),
+                other: other.keyframe,
+                other_position_m: positions[&other.keyframe].into(),
+                log_odds: other.log_odds,
+            });
+        }
+        let compared = contents.aliases.len();
+        let rate = LoadedMap::from_contents(contents)?.aliasing_rate();
         Ok(Self {
+            compared,
             views: rate.views,
             aliased_views: rate.aliased,
             log_prior_odds: rate.log_odds(),
@@ -76,13 +87,13 @@ impl MapAliases {
             self.views,
             self.log_prior_odds.exp()
         );
-        println!("  aliased keyframes      {}", self.keyframes.len());
+        println!("  aliased keyframes      {} of {}", self.keyframes.len(), self.compared);
         for aliased in &self.keyframes {
             let [x, y, z] = aliased.position_m;
             let [other_x, other_y, other_z] = aliased.other_position_m;
             println!(
-                "  {:<22} at ({x:.2}, {y:.2}, {z:.2}) m could be at ({other_x:.2}, {other_y:.2}, {other_z:.2}) m: {} features",
-                aliased.keyframe, aliased.features
+                "  {:<22} at ({x:.2}, {y:.2}, {z:.2}) m looks like {} at ({other_x:.2}, {other_y:.2}, {other_z:.2}) m: log-odds {:.1}",
+                aliased.keyframe, aliased.other, aliased.log_odds
             );
         }
     }

@@ -24,5 +24,7 @@ pub mod store;
 pub mod text;
 
 pub use contents::{ContentsError, MapContents};
-pub use model::{CommonError, Keyframe, KeyframeCrossCovariance, Landmark, MapMetadata, Observation};
+pub use model::{
+    Alias, CommonError, Keyframe, KeyframeAliases, KeyframeCrossCovariance, Landmark, MapMetadata, Observation,
+};
 pub use store::{MapStore, RecordError, STORE_SCHEMA, SavedMap, StoreError, StoredMap};

@@ -178,6 +178,31 @@ impl CommonError {
     }
 }
 
+/// The other places of a map that the image of a keyframe could be taken for: what looks alike, its perceptual aliasing.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct KeyframeAliases {
+    /// The keyframe whose image was compared with the rest of the map.
+    pub keyframe: KeyframeId,
+    /// The places that explain the image as well, the one that explains most first. Empty where none does.
+    pub places: Vec<Alias>,
+}
+
+impl KeyframeAliases {
+    /// The log-odds of the place that explains most.
+    pub fn log_odds(&self) -> Option<f64> {
+        self.places.iter().map(|place| place.log_odds).reduce(f64::max)
+    }
+}
+
+/// A place that the image of a keyframe could be taken for.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Alias {
+    /// The keyframe next to it.
+    pub keyframe: KeyframeId,
+    /// Natural logarithm of its odds over an unknown place, by the image alone.
+    pub log_odds: f64,
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -30,7 +30,7 @@ proptest! {
         let saved = store::save_map(&path, &contents, false).unwrap();
         (contents.info.version, contents.info.identity) = (saved.version, Some(saved.identity));
         let read = store::load_map(&path).unwrap();
-        prop_assert_eq!(read.schema, 4);
+        prop_assert_eq!(read.schema, map::STORE_SCHEMA);
         prop_assert_eq!(read.contents.digest(), contents.digest());
         prop_assert_eq!(&read.contents, &contents);
         let (opened, landmarks) = store::open_map(&path).unwrap();

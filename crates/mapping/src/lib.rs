@@ -14,6 +14,7 @@
 //! | all landmarks and poses are refined, with the reference poses as priors or with the IMU | `refinement`, `bundle_adjustment`, `inertial` |
 //! | the joint covariance of the refined poses | `joint_covariance` |
 //! | the map is assembled | `assemble` |
+//! | places that look alike | `aliasing` |
 //! | without reference poses: refused where parts are not tied together | `pieces` |
 //! | poses and positions that are known besides the recording | `pose_priors` |
 //! | a map that exists is extended by another recording | `extension`, `stored_poses`, `landmark_prior` |
@@ -31,6 +32,7 @@
 //! `cargo run --release -p driftless-mapping --example build_map`.
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
+mod aliasing;
 mod assemble;
 mod bundle_adjustment;
 mod camera;
@@ -83,6 +85,7 @@ mod tracks;
 mod triangulation;
 mod without_references;
 
+pub use aliasing::find_aliases;
 pub use colmap::{ColmapFrame, ColmapImport, Gravity, import_colmap};
 pub use error::BuildError;
 pub use extension::{ExtendError, ExtensionReport, extend_map};

@@ -6,6 +6,7 @@ use std::time::Instant;
 use map::contents::MapContents;
 use sensors::{ReferencePose, Sequence};
 
+use super::aliasing::find_aliases;
 use super::assemble;
 use super::bundle_adjustment::Bundle;
 use super::camera::{CameraPose, MappingCamera};
@@ -74,7 +75,7 @@ pub fn build_map(
             covariance_of(&cameras, &constraints, &bundle, &keyframes(&views), &[], report.sigma_px, progress)
         })
         .transpose()?;
-    let contents = assemble::map_contents(
+    let mut contents = assemble::map_contents(
         &cameras[0].camera,
         &views,
         &bundle,
@@ -82,6 +83,7 @@ pub fn build_map(
         report.sigma_px,
         options,
     )?;
+    find_aliases(&mut contents, progress)?;
     assemble::fill_report(&mut report, &cameras, &views, &bundle, &contents);
     report.seconds = start.elapsed().as_secs_f64();
     Ok((contents, report))

@@ -18,6 +18,8 @@ pub enum Stage {
     BundleAdjustment,
     /// Computing the joint covariance of the poses.
     Covariance,
+    /// Finding places that look alike.
+    Aliasing,
 }
 
 impl Stage {
@@ -31,6 +33,7 @@ impl Stage {
             Self::Triangulation => "triangulation",
             Self::BundleAdjustment => "bundle adjustment",
             Self::Covariance => "covariance",
+            Self::Aliasing => "aliasing",
         }
     }
 }

@@ -13,6 +13,7 @@ use map::model::{GAUGE_SIGMA_P, GAUGE_SIGMA_YAW};
 use nalgebra::{Matrix6, Vector3};
 use sensors::Sequence;
 
+use super::aliasing::find_aliases;
 use super::assemble;
 use super::bundle_adjustment::Bundle;
 use super::camera::MappingCamera;
@@ -85,8 +86,9 @@ pub fn build_map_from_odometry(
     let joint =
         covariance_of(&cameras, &constraints, &bundle, &keyframes(&views), &[], report.sigma_px, progress)?;
     let camera = &cameras[0].camera;
-    let contents = assemble::map_contents(camera, &views, &bundle, Some(&joint), report.sigma_px, &options)?;
+    let mut contents = assemble::map_contents(camera, &views, &bundle, Some(&joint), report.sigma_px, &options)?;
     check_one_piece(&contents, sequence.frames.first().map_or(0, |frame| frame.stamp_ns))?;
+    find_aliases(&mut contents, progress)?;
     assemble::fill_report(&mut report, &cameras, &views, &bundle, &contents);
     report.seconds = start.elapsed().as_secs_f64();
     Ok((contents, report))

@@ -13,7 +13,7 @@ use super::evidence::AliasingRate;
 use super::index::LandmarkIndex;
 use super::loading::MapLoader;
 use map::contents::{ContentsError, MapContents, ObservationCounts};
-use map::model::{CommonError, Keyframe, KeyframeCrossCovariance, MapMetadata};
+use map::model::{CommonError, Keyframe, KeyframeAliases, KeyframeCrossCovariance, MapMetadata};
 use map::store::{self, StoreError, StoredLandmarks, StoredMap};
 
 /// A map in memory, indexed for queries. It is immutable: a new version of the map is a new `LoadedMap`.
@@ -51,7 +51,9 @@ pub struct LoadedMap {
     /// Median distance between keyframes and the landmarks that they observe (m).
     pub(crate) viewing_distance: f64,
     pub(crate) damaged: usize,
-    /// Measured when it is asked for.
+    /// What the map states, of keyframes that could be taken for another place; by keyframe.
+    pub(crate) aliases: Vec<KeyframeAliases>,
+    /// Measured when it is asked for, if the map does not state it.
     #[serde(with = "super::evidence::aliasing")]
     pub(crate) aliasing: OnceLock<AliasingRate>,
 }
@@ -116,21 +118,24 @@ impl LoadedMap {
     /// # Errors
     /// [`LoadError::Invalid`], [`LoadError::Descriptors`].
     pub fn from_contents(contents: MapContents) -> Result<LoadedMap, LoadError> {
-        LoadedMap::from_part(contents, Vec::new())
+        LoadedMap::from_part(contents, Vec::new(), &[])
     }
 
     /// Indexes a part of a map, which also answers about correlations with the keyframes of other parts.
     ///
     /// # Arguments
     /// * `far_cross_covariances`: of its keyframes with those of other parts, each pair once.
+    /// * `aliases`: what its keyframes could be taken for in this and in other parts, besides those of the contents.
     ///
     /// # Errors
     /// [`LoadError::Invalid`], [`LoadError::Descriptors`].
     pub fn from_part(
         mut contents: MapContents,
         far_cross_covariances: Vec<KeyframeCrossCovariance>,
+        aliases: &[KeyframeAliases],
     ) -> Result<LoadedMap, LoadError> {
         contents.validate()?;
+        contents.aliases.extend_from_slice(aliases);
         contents.cross_covariances.extend(far_cross_covariances);
         contents.sort();
         let identity = contents.info.identity.unwrap_or_else(|| contents.digest());

@@ -5,7 +5,7 @@
 use std::sync::OnceLock;
 
 use map::contents::{MapContents, validate_landmark};
-use map::model::{Keyframe, Landmark, MapMetadata};
+use map::model::{Keyframe, KeyframeAliases, Landmark, MapMetadata};
 use nalgebra::Vector3;
 use protocol::MapIdentity;
 use vision::DescriptorError;
@@ -23,6 +23,7 @@ pub(crate) struct MapLoader {
     /// Distances between keyframes and the landmarks that they observe (m).
     distances: Vec<f32>,
     index: LandmarkIndexBuilder,
+    aliases: Vec<KeyframeAliases>,
 }
 
 impl MapLoader {
@@ -43,7 +44,8 @@ impl MapLoader {
         observation_counts: &[u32],
     ) -> Result<MapLoader, LoadError> {
         u32::try_from(landmark_count).map_err(|_| DescriptorError::Full)?;
-        let MapContents { info, mut keyframes, mut cross_covariances, mut common_errors, .. } = contents;
+        let MapContents { info, mut keyframes, mut cross_covariances, mut common_errors, aliases, .. } =
+            contents;
         for keyframe in &mut keyframes {
             keyframe.features = None;
         }
@@ -64,6 +66,7 @@ impl MapLoader {
             common_errors,
             viewing_distance: 0.0,
             damaged: 0,
+            aliases: Vec::new(),
             aliasing: OnceLock::new(),
             observations,
         };
@@ -72,6 +75,7 @@ impl MapLoader {
             distances: Vec::with_capacity(map.observations.len()),
             index: LandmarkIndexBuilder::new(kind, width, landmark_count),
             map,
+            aliases,
         })
     }
 
@@ -116,6 +120,7 @@ impl MapLoader {
     pub(crate) fn finish(mut self) -> Result<LoadedMap, LoadError> {
         self.map.viewing_distance = median(self.distances);
         self.map.index = self.index.build()?;
+        self.map.set_aliases(self.aliases);
         Ok(self.map)
     }
 }

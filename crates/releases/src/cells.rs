@@ -1,6 +1,6 @@
 //! A map cut into cells, and put together again.
 //!
-//! Everything is in exactly one cell: a keyframe in that of its position with its common error, a landmark in that of its
+//! Everything is in exactly one cell: a keyframe in that of its position with its common error and its aliases, a landmark in that of its
 //! anchor, a cross-covariance in that of its first keyframe. So nothing is sent twice, and nothing is lost.
 //!
 //! Beside it a cell has a *border*, what an answer of this cell needs of others: the landmarks that its keyframes observe, the
@@ -8,7 +8,7 @@
 //! others, and their common errors. So a cell answers for its keyframes with everything that the whole map has: no correlation is cut.
 
 use crate::partition::{CellId, Partition};
-use map::{CommonError, Keyframe, KeyframeCrossCovariance, Landmark, MapContents, MapMetadata};
+use map::{CommonError, Keyframe, KeyframeAliases, KeyframeCrossCovariance, Landmark, MapContents, MapMetadata};
 use protocol::KeyframeId;
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
@@ -20,6 +20,7 @@ pub(crate) struct CellContents {
     pub(crate) landmarks: Vec<Landmark>,
     pub(crate) cross_covariances: Vec<KeyframeCrossCovariance>,
     pub(crate) common_errors: Vec<CommonError>,
+    pub(crate) aliases: Vec<KeyframeAliases>,
 }
 
 /// The same, by reference.
@@ -30,6 +31,7 @@ pub(crate) struct CellView<'a> {
     pub(crate) landmarks: Vec<&'a Landmark>,
     pub(crate) cross_covariances: Vec<&'a KeyframeCrossCovariance>,
     pub(crate) common_errors: Vec<&'a CommonError>,
+    pub(crate) aliases: Vec<&'a KeyframeAliases>,
 }
 
 /// A cell and its border.
@@ -64,6 +66,11 @@ pub(crate) fn split<'a>(
         }
         for cell in borders.get(&common.keyframe).into_iter().flatten() {
             cells.entry(*cell).or_default().border.common_errors.push(common);
+        }
+    }
+    for aliases in &contents.aliases {
+        if let Some(cell) = cell_of.get(&aliases.keyframe).and_then(|cell| cells.get_mut(cell)) {
+            cell.own.aliases.push(aliases);
         }
     }
     for cross in &contents.cross_covariances {
@@ -128,6 +135,7 @@ pub(crate) fn join(info: MapMetadata, cells: impl IntoIterator<Item = CellConten
         contents.landmarks.extend(cell.landmarks);
         contents.cross_covariances.extend(cell.cross_covariances);
         contents.common_errors.extend(cell.common_errors);
+        contents.aliases.extend(cell.aliases);
     }
     contents.sort();
     contents

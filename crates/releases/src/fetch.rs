@@ -9,7 +9,7 @@ use crate::release::{Release, SegmentName};
 use crate::segment::decode;
 use crate::store::ReleaseStore;
 use bytes::Bytes;
-use map::{KeyframeCrossCovariance, MapContents};
+use map::{KeyframeAliases, KeyframeCrossCovariance, MapContents};
 use protocol::KeyframeId;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -48,6 +48,8 @@ pub struct Cell {
     pub contents: MapContents,
     /// Cross-covariances of these keyframes with those of other cells.
     pub far_cross_covariances: Vec<KeyframeCrossCovariance>,
+    /// What the cell's keyframes could be taken for, in this and in other cells.
+    pub aliases: Vec<KeyframeAliases>,
 }
 
 /// Fetches one cell of a release with its border.
@@ -77,8 +79,9 @@ pub async fn fetch_cell(
     let is_near = |cross: &KeyframeCrossCovariance| known.contains(&cross.a) && known.contains(&cross.b);
     let (near, far_cross_covariances) = contents.cross_covariances.into_iter().partition(is_near);
     contents.cross_covariances = near;
+    let aliases = std::mem::take(&mut contents.aliases);
     contents.validate()?;
-    Ok(Cell { own, contents, far_cross_covariances })
+    Ok(Cell { own, contents, far_cross_covariances, aliases })
 }
 
 /// Fetches what tells from afar of which cells an image could be: of all cells of a release.

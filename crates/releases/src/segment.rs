@@ -1,8 +1,8 @@
 //! The bytes of a cell.
 //!
 //! ```text
-//! "driftless segment 1\n", or with common errors "driftless segment 2\n"
-//! for keyframes, landmarks, cross-covariances, and in the second case common errors:
+//! "driftless segment 1\n", with common errors "driftless segment 2\n", with aliases "driftless segment 3\n"
+//! for keyframes, landmarks, cross-covariances, from 2 on common errors, from 3 on aliases:
 //!     number of records u64 LE
 //!     for each: key (8 bytes, of a pair 16, big-endian) | length u32 LE | record as in a database
 //! ```
@@ -11,22 +11,31 @@
 use crate::cells::{CellContents, CellView};
 use crate::error::SegmentError;
 use map::store::record::{
-    CommonErrorRecord, CrossCovarianceRecord, KeyframeRecord, LandmarkRecord, seal, unseal,
+    AliasesRecord, CommonErrorRecord, CrossCovarianceRecord, KeyframeRecord, LandmarkRecord, seal, unseal,
 };
 use map::{KeyframeCrossCovariance, RecordError};
 
 const MAGIC: &[u8] = b"driftless segment 1\n";
-/// Of a segment with common errors: as long as the other one.
+/// Of a segment with common errors: all of them are equally long.
 const MAGIC_COMMON: &[u8] = b"driftless segment 2\n";
+/// Of a segment with aliases.
+const MAGIC_ALIASES: &[u8] = b"driftless segment 3\n";
 const KEYFRAMES: &str = "keyframes";
 const LANDMARKS: &str = "landmarks";
 const CROSS_COVARIANCES: &str = "cross_covariances";
 const COMMON_ERRORS: &str = "common_errors";
+const ALIASES: &str = "aliases";
 
 /// Encodes a cell.
 pub(crate) fn encode(cell: &CellView<'_>) -> Result<Vec<u8>, RecordError> {
-    let has_common = !cell.common_errors.is_empty();
-    let mut bytes = if has_common { MAGIC_COMMON } else { MAGIC }.to_vec();
+    let has_aliases = !cell.aliases.is_empty();
+    let has_common = has_aliases || !cell.common_errors.is_empty();
+    let mut bytes = match (has_common, has_aliases) {
+        (_, true) => MAGIC_ALIASES,
+        (true, false) => MAGIC_COMMON,
+        (false, false) => MAGIC,
+    }
+    .to_vec();
     begin(&mut bytes, cell.keyframes.len());
     for keyframe in &cell.keyframes {
         let key = keyframe.id.to_be_bytes();
@@ -49,16 +58,25 @@ pub(crate) fn encode(cell: &CellView<'_>) -> Result<Vec<u8>, RecordError> {
             append(&mut bytes, &key, &seal(COMMON_ERRORS, &key, &CommonErrorRecord::new(common))?)?;
         }
     }
+    if has_aliases {
+        begin(&mut bytes, cell.aliases.len());
+        for aliases in &cell.aliases {
+            let key = aliases.keyframe.to_be_bytes();
+            append(&mut bytes, &key, &seal(ALIASES, &key, &AliasesRecord::new(aliases))?)?;
+        }
+    }
     Ok(bytes)
 }
 
 /// Decodes a cell. Counts and lengths are believed only as far as there are bytes.
 pub(crate) fn decode(bytes: &[u8]) -> Result<CellContents, SegmentError> {
     let mut reader = Reader { bytes, at: 0 };
-    let magic = reader.take(MAGIC.len()).ok();
-    if magic != Some(MAGIC) && magic != Some(MAGIC_COMMON) {
-        return Err(SegmentError::NotASegment);
-    }
+    let (has_common, has_aliases) = match reader.take(MAGIC.len()).ok() {
+        Some(magic) if magic == MAGIC => (false, false),
+        Some(magic) if magic == MAGIC_COMMON => (true, false),
+        Some(magic) if magic == MAGIC_ALIASES => (true, true),
+        _ => return Err(SegmentError::NotASegment),
+    };
     let mut cell = CellContents::default();
     for _ in 0..reader.count()? {
         cell.keyframes.push(reader.record(|[id]: [u64; 1], key, sealed| {
@@ -75,10 +93,17 @@ pub(crate) fn decode(bytes: &[u8]) -> Result<CellContents, SegmentError> {
             Ok(unseal::<CrossCovarianceRecord>(CROSS_COVARIANCES, key, sealed)?.into_cross_covariance(a, b))
         })?);
     }
-    if magic == Some(MAGIC_COMMON) {
+    if has_common {
         for _ in 0..reader.count()? {
             cell.common_errors.push(reader.record(|[id]: [u64; 1], key, sealed| {
                 Ok(unseal::<CommonErrorRecord>(COMMON_ERRORS, key, sealed)?.into_common_error(id))
+            })?);
+        }
+    }
+    if has_aliases {
+        for _ in 0..reader.count()? {
+            cell.aliases.push(reader.record(|[id]: [u64; 1], key, sealed| {
+                Ok(unseal::<AliasesRecord>(ALIASES, key, sealed)?.into_aliases(id))
             })?);
         }
     }
@@ -153,13 +178,16 @@ mod tests {
     use crate::cells::{join, split};
     use crate::partition::Partition;
     use proptest::prelude::*;
-    use testing::{Place, PlaceOptions, add_common_errors};
+    use testing::{Place, PlaceOptions, add_aliases, add_common_errors};
 
-    fn bytes(common: bool) -> Vec<u8> {
+    fn bytes(common: bool, aliases: bool) -> Vec<u8> {
         let options = PlaceOptions { keyframes: 6, landmarks: 80, ..PlaceOptions::default() };
         let mut map = Place::new(&options).map;
         if common {
             add_common_errors(&mut map, 2);
+        }
+        if aliases {
+            add_aliases(&mut map);
         }
         let cells = split(&map, &Partition::whole(map.info.gravity_in_global));
         let bytes = encode(&cells[&0].own).unwrap();
@@ -172,15 +200,15 @@ mod tests {
     proptest! {
         #[test]
         fn no_bytes_make_it_panic_and_none_are_believed(
-            common: bool,
+            common: bool, aliases: bool,
             cut in 0..1_000_000_usize, at in 0..1_000_000_usize, bit in 0..8_u8, noise: Vec<u8>,
         ) {
-            let bytes = bytes(common);
+            let bytes = bytes(common, aliases);
             prop_assert!(decode(&bytes[..cut % bytes.len()]).is_err());
             let mut flipped = bytes.clone();
             flipped[at % bytes.len()] ^= 1 << bit;
             prop_assert!(decode(&flipped).is_err());
-            for magic in [MAGIC, MAGIC_COMMON] {
+            for magic in [MAGIC, MAGIC_COMMON, MAGIC_ALIASES] {
                 prop_assert!(decode(&[magic, noise.as_slice()].concat()).is_err());
             }
             prop_assert!(decode(&[bytes.as_slice(), &[0]].concat()).is_err());

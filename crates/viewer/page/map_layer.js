@@ -1,10 +1,13 @@
-// Landmarks as points, keyframes as frusta with covariance ellipsoids.
+// Landmarks as points, keyframes as frusta with covariance ellipsoids, lines between places that look alike.
 import * as THREE from "three";
 import { rampColor, styleColor, theme } from "./colors.js";
 
 // Corners of a frustum of size 1 in the camera's frame: x right, y down, z forward.
 const CORNERS = [[-0.5, -0.35, 0.6], [0.5, -0.35, 0.6], [0.5, 0.35, 0.6], [-0.5, 0.35, 0.6]];
 const EDGES = [[4, 0], [4, 1], [4, 2], [4, 3], [0, 1], [1, 2], [2, 3], [3, 0]];
+
+// An image of a keyframe is not taken for another place whose log-odds are below this.
+const CERTAINLY_OTHER = -1;
 
 export function pose(rotation, position) {
   const [w, x, y, z] = rotation;
@@ -52,6 +55,7 @@ export class MapLayer {
     this.layers.landmarks = this.points(landmarks, new THREE.Vector3(...up));
     this.layers.keyframes = this.frusta(keyframes);
     this.layers.ellipsoids = this.ellipsoids(keyframes);
+    this.layers.aliases = this.aliases(keyframes);
     this.group.add(...Object.values(this.layers));
     for (const [name, visible] of Object.entries(this.visible)) this.show(name, visible);
     this.applyTheme();
@@ -67,6 +71,7 @@ export class MapLayer {
     this.layers.landmarks?.material.color.setScalar(theme() === "light" ? 0.55 : 1);
     this.layers.keyframes?.material.color.set(styleColor("--keyframe"));
     this.layers.ellipsoids?.material.color.set(styleColor("--accent"));
+    this.layers.aliases?.material.color.set(styleColor("--ambiguous"));
   }
 
   points(positions, up) {
@@ -94,6 +99,19 @@ export class MapLayer {
     const geometry = new THREE.BufferGeometry();
     geometry.setAttribute("position", new THREE.BufferAttribute(frustumEnds(keyframes, this.size), 3));
     return new THREE.LineSegments(geometry, new THREE.LineBasicMaterial());
+  }
+
+  // Keyframes that could be taken for another place, each with a line to it.
+  aliases(keyframes) {
+    const aliased = keyframes.filter((keyframe) => keyframe.alias?.log_odds > CERTAINLY_OTHER);
+    const lines = aliased.flatMap((keyframe) => {
+      const other = this.keyframes.get(keyframe.alias.keyframe);
+      return other ? [...keyframe.position, ...other.position] : [];
+    });
+    const ends = new Float32Array([...frustumEnds(aliased, 1.15 * this.size), ...lines]);
+    const geometry = new THREE.BufferGeometry();
+    geometry.setAttribute("position", new THREE.BufferAttribute(ends, 3));
+    return new THREE.LineSegments(geometry, new THREE.LineBasicMaterial({ transparent: true, opacity: 0.6 }));
   }
 
   ellipsoids(keyframes) {

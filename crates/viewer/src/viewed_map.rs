@@ -4,7 +4,7 @@ use crate::cameras::{ViewedCamera, cameras_of, joined_cameras};
 use crate::viewed_part::ViewedPart;
 use axum::body::Bytes;
 use geometry::PoseWithCovariance;
-use map::{Keyframe, MapContents, MapMetadata};
+use map::{Alias, Keyframe, KeyframeAliases, MapContents, MapMetadata};
 use nalgebra::{Matrix3, Vector3};
 use protocol::{Extent, KeyframeId};
 use rand::SeedableRng as _;
@@ -57,18 +57,39 @@ pub struct ViewedKeyframe {
     pub rotation_wxyz: [f64; 4],
     /// Covariance of the position, m^2, by rows.
     pub position_covariance: [[f64; 3]; 3],
+    /// The place that it could be taken for most easily.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub alias: Option<ViewedAlias>,
+}
+
+/// A place that a keyframe could be taken for.
+#[derive(Clone, Copy, Debug, Serialize)]
+#[non_exhaustive]
+pub struct ViewedAlias {
+    /// The keyframe next to it.
+    pub keyframe: KeyframeId,
+    /// Natural logarithm of its odds, by the keyframe's image alone.
+    pub log_odds: f64,
 }
 
 impl ViewedKeyframe {
-    pub(crate) fn of(keyframe: &Keyframe) -> Self {
+    /// # Arguments
+    /// * `aliases`: the places that it could be taken for, the most likely one first.
+    pub(crate) fn of(keyframe: &Keyframe, aliases: &[Alias]) -> Self {
         let pose = &keyframe.global_from_keyframe;
         Self {
             id: keyframe.id,
             position: pose.pose.translation.into(),
             rotation_wxyz: rotation_wxyz(pose),
             position_covariance: position_covariance(pose),
+            alias: aliases.first().map(|&Alias { keyframe, log_odds }| ViewedAlias { keyframe, log_odds }),
         }
     }
+}
+
+/// The places that keyframes could be taken for, by keyframe.
+pub(crate) fn aliases_of(aliases: &[KeyframeAliases]) -> BTreeMap<KeyframeId, &[Alias]> {
+    aliases.iter().map(|aliases| (aliases.keyframe, aliases.places.as_slice())).collect()
 }
 
 /// Quaternion of a pose, the real part first.
@@ -109,16 +130,18 @@ impl ViewedMap {
     ///
     /// # Arguments
     /// * `name`: under which it is shown.
+    /// * `keyframes`: with the places that each could be taken for, the most likely one first.
     /// * `landmarks`: positions in G, metres.
     pub fn new<'a>(
         name: &str,
         info: &MapMetadata,
-        keyframes: impl Iterator<Item = &'a Keyframe>,
+        keyframes: impl Iterator<Item = (&'a Keyframe, &'a [Alias])>,
         landmarks: impl Iterator<Item = Vector3<f64>>,
     ) -> Self {
-        let stored: Vec<&Keyframe> = keyframes.collect();
-        let cameras = cameras_of(stored.iter().map(|keyframe| &keyframe.camera));
-        let keyframes: Vec<_> = stored.iter().map(|keyframe| ViewedKeyframe::of(keyframe)).collect();
+        let stored: Vec<_> = keyframes.collect();
+        let cameras = cameras_of(stored.iter().map(|(keyframe, _)| &keyframe.camera));
+        let keyframes: Vec<_> =
+            stored.iter().map(|(keyframe, aliases)| ViewedKeyframe::of(keyframe, aliases)).collect();
         let points: Vec<[f32; 3]> =
             landmarks.map(|position| [position.x as f32, position.y as f32, position.z as f32]).collect();
         let counts = (keyframes.len(), points.len());
@@ -191,7 +214,10 @@ impl ViewedMap {
         let landmarks = contents.landmarks.iter().filter_map(|landmark| {
             Some(poses.get(&landmark.anchor)?.transform(&landmark.position_in_anchor))
         });
-        Self::new(name, &contents.info, contents.keyframes.iter(), landmarks)
+        let aliases = aliases_of(&contents.aliases);
+        let places = |keyframe: &Keyframe| aliases.get(&keyframe.id).copied().unwrap_or_default();
+        let keyframes = contents.keyframes.iter().map(|keyframe| (keyframe, places(keyframe)));
+        Self::new(name, &contents.info, keyframes, landmarks)
     }
 
     /// The name under which it is shown.

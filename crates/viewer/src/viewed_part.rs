@@ -1,8 +1,8 @@
 //! What the page draws of one cell of a map that is served by cells.
 
 use crate::cameras::{ViewedCamera, cameras_of};
-use crate::viewed_map::{MAX_LANDMARKS, ViewedKeyframe};
-use map::MapContents;
+use crate::viewed_map::{MAX_LANDMARKS, ViewedKeyframe, aliases_of};
+use map::{Keyframe, KeyframeAliases, MapContents};
 use nalgebra::Vector3;
 use protocol::KeyframeId;
 use std::collections::BTreeMap;
@@ -43,7 +43,15 @@ impl ViewedPart {
     ///
     /// # Arguments
     /// * `own`: the keyframes of the cell, ascending; its landmarks are those that are anchored in one of them.
-    pub fn new(contents: &MapContents, own: &[KeyframeId], share: DrawnShare) -> Self {
+    /// * `aliases`: what they could be taken for, in this cell and in others.
+    pub fn new(
+        contents: &MapContents,
+        own: &[KeyframeId],
+        aliases: &[KeyframeAliases],
+        share: DrawnShare,
+    ) -> Self {
+        let aliases = aliases_of(aliases);
+        let places = |keyframe: &Keyframe| aliases.get(&keyframe.id).copied().unwrap_or_default();
         let is_own = |id: KeyframeId| own.binary_search(&id).is_ok();
         let keyframes: Vec<_> = contents.keyframes.iter().filter(|keyframe| is_own(keyframe.id)).collect();
         let poses: BTreeMap<KeyframeId, _> =
@@ -64,7 +72,7 @@ impl ViewedPart {
             cameras: cameras_of(keyframes.iter().map(|keyframe| &keyframe.camera)),
             landmarks: even_sample(landmarks.len(), share.landmarks).map(position).collect(),
             keyframes: even_sample(keyframes.len(), share.keyframes)
-                .map(|at| ViewedKeyframe::of(keyframes[at]))
+                .map(|at| ViewedKeyframe::of(keyframes[at], places(keyframes[at])))
                 .collect(),
         }
     }
@@ -85,14 +93,15 @@ mod tests {
     fn a_cell_has_what_is_its_own_and_a_share_of_it_is_even() {
         let map = Place::new(&PlaceOptions::default()).map;
         let own: Vec<KeyframeId> = map.keyframes.iter().take(20).map(|keyframe| keyframe.id).collect();
-        let whole = ViewedPart::new(&map, &own, DrawnShare::of(30, 1500));
+        let whole = ViewedPart::new(&map, &own, &[], DrawnShare::of(30, 1500));
         assert_eq!(whole.keyframes.iter().map(|keyframe| keyframe.id).collect::<Vec<_>>(), own);
         let of_own = map.landmarks.iter().filter(|landmark| own.contains(&landmark.anchor)).count();
         assert!(of_own < map.landmarks.len());
         assert_eq!((whole.landmarks.len(), whole.landmark_count), (of_own, of_own));
         assert_eq!((whole.cameras.len(), whole.cameras[0].keyframes), (1, 20));
 
-        let large = ViewedPart::new(&map, &own, DrawnShare::of(4 * MAX_KEYFRAMES, 10 * MAX_LANDMARKS));
+        let share = DrawnShare::of(4 * MAX_KEYFRAMES, 10 * MAX_LANDMARKS);
+        let large = ViewedPart::new(&map, &own, &[], share);
         assert_eq!((large.keyframe_count, large.landmark_count), (20, of_own));
         assert_eq!(
             large.keyframes.iter().map(|keyframe| keyframe.id).collect::<Vec<_>>(),

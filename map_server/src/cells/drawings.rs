@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use map::{MapContents, MapMetadata};
+use map::{KeyframeAliases, MapContents, MapMetadata};
 use protocol::KeyframeId;
 use releases::{CellId, Release};
 use tokio::sync::watch;
@@ -73,6 +73,12 @@ impl DrawnMap {
 /// # Arguments
 /// * `contents`: of the cell with its border.
 /// * `own`: the cell's keyframes.
-pub(crate) fn part_of(release: &Release, contents: &MapContents, own: &[KeyframeId]) -> ViewedPart {
-    ViewedPart::new(contents, own, DrawnShare::of(release.keyframes(), release.landmarks()))
+/// * `aliases`: what they could be taken for.
+pub(crate) fn part_of(
+    release: &Release,
+    contents: &MapContents,
+    own: &[KeyframeId],
+    aliases: &[KeyframeAliases],
+) -> ViewedPart {
+    ViewedPart::new(contents, own, aliases, DrawnShare::of(release.keyframes(), release.landmarks()))
 }

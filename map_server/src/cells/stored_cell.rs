@@ -39,11 +39,11 @@ impl CellOrigin {
     async fn load(&self) -> Result<Made, ServeError> {
         let fetched =
             fetch_cell(&self.source.store, &self.release, self.cell, Some(&self.source.cache)).await?;
-        let Cell { own, contents, far_cross_covariances } = fetched;
+        let Cell { own, contents, far_cross_covariances, aliases } = fetched;
         let drawn = self.is_drawn.then(|| Arc::clone(&self.release));
         let indexing = tokio::task::spawn_blocking(move || {
-            let drawing = drawn.map(|release| Arc::new(part_of(&release, &contents, &own)));
-            LoadedMap::from_part(contents, far_cross_covariances)
+            let drawing = drawn.map(|release| Arc::new(part_of(&release, &contents, &own, &aliases)));
+            LoadedMap::from_part(contents, far_cross_covariances, &aliases)
                 .inspect(|map| _ = map.aliasing_rate())
                 .map(|map| Made { map: Arc::new(map), drawing })
         });

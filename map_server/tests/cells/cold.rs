@@ -18,7 +18,7 @@ async fn cells(town: &Town) -> (usize, Vec<(CellId, Vec<KeyframeId>)>) {
     for released in &town.release.cells {
         let cell = fetch_cell(&town.store, &town.release, released.cell, None).await.unwrap();
         own.push((released.cell, cell.own));
-        let loaded = LoadedMap::from_part(cell.contents, cell.far_cross_covariances).unwrap();
+        let loaded = LoadedMap::from_part(cell.contents, cell.far_cross_covariances, &cell.aliases).unwrap();
         largest = largest.max(loaded.bytes_in_memory());
     }
     (largest, own)

@@ -5,10 +5,12 @@ use std::path::PathBuf;
 
 use geometry::PoseWithCovariance;
 use indicatif::ProgressBar;
+use map::KeyframeAliases;
 use map::contents::MapContents;
 use map::store::{self, StoredMap};
 use nalgebra::Vector3;
 use protocol::MapIdentity;
+use recognition::RecognitionOptions;
 use serde::Serialize;
 
 use crate::map_aliases::MapAliases;
@@ -23,7 +25,8 @@ pub struct Args {
     /// Database of the map
     #[arg(long, value_name = "DB")]
     pub map: PathBuf,
-    /// Compare each keyframe with the rest of the map, and list those that could be taken for another place
+    /// List the keyframes whose image could be taken for another place. Those of which the map does not state it are
+    /// compared with the rest of the map first
     #[arg(long)]
     pub aliases: bool,
     /// Print the result as JSON
@@ -46,6 +49,9 @@ struct Summary {
     observations: usize,
     cross_covariances: usize,
     common_errors: usize,
+    /// Keyframes of which the map states what they could be taken for, and those of them that could be taken for another place.
+    compared_for_aliases: usize,
+    aliased: usize,
     damaged_records: Vec<String>,
     descriptor_kind: &'static str,
     descriptor_bytes: u16,
@@ -113,6 +119,8 @@ fn summary(map: PathBuf, stored: &StoredMap) -> Summary {
         observations: contents.observation_count(),
         cross_covariances: contents.cross_covariances.len(),
         common_errors: contents.common_errors.len(),
+        compared_for_aliases: contents.aliases.len(),
+        aliased: contents.aliases.iter().filter(|aliases| is_aliased(aliases)).count(),
         damaged_records: stored.damaged.iter().map(ToString::to_string).collect(),
         descriptor_kind: contents.info.descriptor_kind.label(),
         descriptor_bytes: contents.info.descriptor_width,
@@ -130,6 +138,11 @@ fn summary(map: PathBuf, stored: &StoredMap) -> Summary {
         landmark_depth_m: Spread::of(contents.landmarks.iter().map(|landmark| landmark.position_in_anchor.z)),
         aliasing: None,
     }
+}
+
+/// Whether an image of the keyframe may be answered with another place.
+fn is_aliased(aliases: &KeyframeAliases) -> bool {
+    aliases.log_odds().is_some_and(|odds| odds >= RecognitionOptions::default().min_log_odds)
 }
 
 fn print_summary(summary: &Summary) {
@@ -157,6 +170,10 @@ fn print_summary(summary: &Summary) {
     println!("  sigma per axis, m      {}", spread(&summary.sigma_p_m, 3));
     println!("  cross-covariances      {}", summary.cross_covariances);
     println!("  common errors          {}", summary.common_errors);
+    match summary.compared_for_aliases {
+        0 => println!("  places that look alike not searched: --aliases"),
+        compared => println!("  places that look alike {} of {compared} keyframes could be another place", summary.aliased),
+    }
     println!("landmarks                {}", summary.landmarks);
     println!("  depth in anchor, m     {}", spread(&summary.landmark_depth_m, 1));
     println!("  a keyframe             {}", spread(&summary.landmarks_per_keyframe, 0));

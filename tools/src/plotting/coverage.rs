@@ -1,10 +1,13 @@
-//! Plan view of a map: keyframes, their viewing directions, landmarks, and keyframes with too few of them.
+//! Plan view of a map: keyframes, their viewing directions, landmarks, keyframes with too few of them, and places that look alike.
 
-use super::canvas::{self, BAD, ESTIMATE, Mark, TRUTH, entry};
+use super::canvas::{self, BAD, ESTIMATE, Mark, ODOMETRY, TRUTH, entry};
 use super::panel::Series;
 use super::trajectory::{PlanView, plan};
+use map::KeyframeAliases;
 use map::contents::MapContents;
 use nalgebra::Vector3;
+use protocol::KeyframeId;
+use recognition::RecognitionOptions;
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
@@ -47,17 +50,37 @@ pub fn draw_coverage(map: &MapContents, path: &Path) -> anyhow::Result<PathBuf> 
         series.push(Series::line(vec![at, ahead], colour, 1));
         if is_poor { &mut poor } else { &mut good }.push(at);
     }
+    let aliased = aliased_keyframes(map);
+    for (keyframe, other) in &aliased {
+        let ends = [keyframe, other].map(|id| view.project(&poses[id].translation));
+        series.push(Series::line(ends.to_vec(), ODOMETRY, 1));
+    }
+    let alike = match (map.aliases.len(), aliased.len()) {
+        (0, _) => "places that look alike were not searched: driftless map-info --aliases".to_owned(),
+        (_, count) => format!("could be taken for another place: {count} keyframes"),
+    };
     let few = format!("fewer than {} landmarks: {} keyframes", BuildReport::FEW_LANDMARKS, poor.len());
     let legend = [
         entry(Mark::Dot, TRUTH, &format!("{} landmarks", map.landmarks.len())),
         entry(Mark::Dot, ESTIMATE, &format!("{} keyframes with viewing direction", good.len())),
         entry(Mark::Dot, BAD, &few),
+        entry(Mark::Line, ODOMETRY, &alike),
     ];
     series.push(Series::dots(landmarks, TRUTH, 1));
     series.push(Series::dots(good, ESTIMATE, 3));
     series.push(Series::dots(poor, BAD, 4));
     let title = format!("{} \u{2013} coverage, plan view", map.info.name);
     canvas::draw(path, (1000, 900), &title, &legend, |body| plan(body, series))
+}
+
+/// The keyframes that could be taken for another place, with the keyframe next to it.
+fn aliased_keyframes(map: &MapContents) -> Vec<(KeyframeId, KeyframeId)> {
+    let least = RecognitionOptions::default().min_log_odds;
+    let alias = |aliases: &KeyframeAliases| {
+        let place = aliases.places.first().filter(|place| place.log_odds >= least)?;
+        Some((aliases.keyframe, place.keyframe))
+    };
+    map.aliases.iter().filter_map(alias).collect()
 }
 
 /// Middle of some points, and how far the farthest is from it (at least 1 m).

@@ -5,9 +5,9 @@ use serde::Serialize;
 use sha2::{Digest as _, Sha256};
 
 use super::MapContents;
-use crate::model::{CommonError, Keyframe, KeyframeCrossCovariance, Landmark, MapMetadata};
+use crate::model::{CommonError, Keyframe, KeyframeAliases, KeyframeCrossCovariance, Landmark, MapMetadata};
 use crate::store::record::{
-    CommonErrorRecord, CrossCovarianceRecord, InfoRecord, KeyframeRecord, LandmarkRecord, payload,
+    AliasesRecord, CommonErrorRecord, CrossCovarianceRecord, InfoRecord, KeyframeRecord, LandmarkRecord, payload,
 };
 
 impl MapContents {
@@ -39,12 +39,17 @@ impl MapContents {
         for common in common_errors {
             digest.add_common_error(common);
         }
+        let mut aliases: Vec<_> = self.aliases.iter().collect();
+        aliases.sort_by_key(|aliases| aliases.keyframe);
+        for aliases in aliases {
+            digest.add_aliases(aliases);
+        }
         digest.finish()
     }
 }
 
-/// A digest of what is added: all keyframes, all landmarks, all cross-covariances, all common errors, each in the order of
-/// their ids.
+/// A digest of what is added: all keyframes, all landmarks, all cross-covariances, all common errors, all aliases, each in
+/// the order of their ids.
 pub(crate) struct RunningDigest(Sha256);
 
 impl RunningDigest {
@@ -74,6 +79,10 @@ impl RunningDigest {
 
     pub(crate) fn add_common_error(&mut self, common: &CommonError) {
         self.add("common_errors", &[common.keyframe], &CommonErrorRecord::new(common));
+    }
+
+    pub(crate) fn add_aliases(&mut self, aliases: &KeyframeAliases) {
+        self.add("aliases", &[aliases.keyframe], &AliasesRecord::new(aliases));
     }
 
     /// Every part is preceded by its length, so that no two sequences of records have the same bytes.

@@ -48,6 +48,14 @@ pub enum ContentsError {
         /// What is wrong with it.
         problem: CommonErrorProblem,
     },
+    /// The aliases of a keyframe are impossible.
+    #[error("aliases of keyframe {keyframe}: {problem}")]
+    Aliases {
+        /// Whose aliases they are.
+        keyframe: KeyframeId,
+        /// What is wrong with them.
+        problem: AliasProblem,
+    },
 }
 
 /// What can be wrong with [`crate::MapMetadata`].
@@ -214,4 +222,30 @@ pub enum CommonErrorProblem {
     /// What is left of the keyframe's covariance, or the covariance itself, is none.
     #[error("the keyframe's covariance without it {0}")]
     Remaining(CovarianceError),
+}
+
+/// What can be wrong with [`crate::KeyframeAliases`].
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum AliasProblem {
+    /// The keyframe has more than one list of them.
+    #[error("the keyframe occurs twice")]
+    Duplicate,
+    /// A keyframe is missing.
+    #[error("keyframe {keyframe} is not in the map")]
+    UnknownKeyframe {
+        /// The one that is missing.
+        keyframe: KeyframeId,
+    },
+    /// The keyframe is its own alias.
+    #[error("the keyframe could be taken for itself")]
+    Itself,
+    /// The log-odds are no number.
+    #[error("the log-odds of keyframe {keyframe} are {log_odds}")]
+    LogOdds {
+        /// The keyframe next to the other place.
+        keyframe: KeyframeId,
+        /// Its log-odds.
+        log_odds: f64,
+    },
 }

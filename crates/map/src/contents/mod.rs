@@ -11,13 +11,13 @@ use protocol::KeyframeId;
 
 pub(crate) use digest::RunningDigest;
 pub use error::{
-    CommonErrorProblem, ContentsError, CrossCovarianceProblem, KeyframeProblem, LandmarkProblem,
+    AliasProblem, CommonErrorProblem, ContentsError, CrossCovarianceProblem, KeyframeProblem, LandmarkProblem,
     MetadataProblem,
 };
 pub use observation_counts::ObservationCounts;
 pub use validation::validate_landmark;
 
-use crate::model::{CommonError, Keyframe, KeyframeCrossCovariance, Landmark, MapMetadata};
+use crate::model::{CommonError, Keyframe, KeyframeAliases, KeyframeCrossCovariance, Landmark, MapMetadata};
 
 /// A map in memory: what import, export and map building work on.
 ///
@@ -45,6 +45,8 @@ pub struct MapContents {
     pub cross_covariances: Vec<KeyframeCrossCovariance>,
     /// What keyframes err together, by keyframe; of those without one, zero.
     pub common_errors: Vec<CommonError>,
+    /// Which other places keyframes could be taken for, by keyframe; of those without an entry, it is not known.
+    pub aliases: Vec<KeyframeAliases>,
 }
 
 impl MapContents {
@@ -56,6 +58,7 @@ impl MapContents {
             landmarks: Vec::new(),
             cross_covariances: Vec::new(),
             common_errors: Vec::new(),
+            aliases: Vec::new(),
         }
     }
 
@@ -71,10 +74,11 @@ impl MapContents {
         }
         self.cross_covariances.sort_by_key(|cross| (cross.a, cross.b));
         self.common_errors.sort_by_key(|common| common.keyframe);
+        self.aliases.sort_by_key(|aliases| aliases.keyframe);
     }
 
-    /// Removes landmarks whose anchor is missing, observations in missing keyframes, and cross-covariances and common errors
-    /// of missing keyframes.
+    /// Removes landmarks whose anchor is missing, observations in missing keyframes, and cross-covariances, common errors and
+    /// aliases of missing keyframes.
     pub(crate) fn drop_dangling(&mut self) {
         let keyframes: BTreeSet<KeyframeId> = self.keyframes.iter().map(|keyframe| keyframe.id).collect();
         self.landmarks.retain(|landmark| keyframes.contains(&landmark.anchor));
@@ -83,6 +87,10 @@ impl MapContents {
         }
         self.cross_covariances.retain(|cross| keyframes.contains(&cross.a) && keyframes.contains(&cross.b));
         self.common_errors.retain(|common| keyframes.contains(&common.keyframe));
+        self.aliases.retain(|aliases| keyframes.contains(&aliases.keyframe));
+        for aliases in &mut self.aliases {
+            aliases.places.retain(|place| keyframes.contains(&place.keyframe));
+        }
     }
 
     /// Number of observations over all landmarks.

@@ -8,11 +8,13 @@ use nalgebra::{Matrix6, SMatrix};
 use protocol::{DescriptorKind, KeyframeId, MAX_EXTRACTOR_BYTES};
 
 use super::error::{
-    CommonErrorProblem, ContentsError, CrossCovarianceProblem, KeyframeProblem, LandmarkProblem,
+    AliasProblem, CommonErrorProblem, ContentsError, CrossCovarianceProblem, KeyframeProblem, LandmarkProblem,
     MetadataProblem,
 };
 use crate::contents::MapContents;
-use crate::model::{CommonError, Keyframe, KeyframeCrossCovariance, Landmark, MapMetadata, Observation};
+use crate::model::{
+    Alias, CommonError, Keyframe, KeyframeAliases, KeyframeCrossCovariance, Landmark, MapMetadata, Observation,
+};
 
 /// How far the norm of a quaternion or of the gravity direction may be from 1: a map is computed in `f64`, and text
 /// maps are normalized on reading.
@@ -25,10 +27,10 @@ impl MapContents {
     /// Checks every invariant of a map: ids are unique, references exist, numbers are finite, positions are within [`geometry::MAX_COORDINATE_M`], quaternions and gravity
     /// are of unit length, pixels lie in their images, descriptors have the map's width, covariances (of one
     /// keyframe, what its common error leaves of it, and of each pair with a cross-covariance) are symmetric and positive
-    /// semi-definite, and each landmark is observed by its anchor.
+    /// semi-definite, each landmark is observed by its anchor, and aliases are of other keyframes and have finite log-odds.
     ///
     /// # Errors
-    /// The first [`ContentsError`] in the order metadata, keyframes, landmarks, common errors, cross-covariances.
+    /// The first [`ContentsError`] in the order metadata, keyframes, landmarks, common errors, cross-covariances, aliases.
     pub fn validate(&self) -> Result<(), ContentsError> {
         check_metadata(&self.info)?;
         let mut keyframes = Keyframes::new();
@@ -52,6 +54,17 @@ impl MapContents {
             check_cross_covariance(cross, &keyframes, &common)
                 .and_then(|()| ensure(first, CrossCovarianceProblem::Duplicate))
                 .map_err(|problem| ContentsError::CrossCovariance { a: cross.a, b: cross.b, problem })?;
+        }
+        self.check_aliases(&keyframes)
+    }
+
+    fn check_aliases(&self, keyframes: &Keyframes<'_>) -> Result<(), ContentsError> {
+        let mut checked = BTreeSet::new();
+        for aliases in &self.aliases {
+            let first = checked.insert(aliases.keyframe);
+            check_aliases(aliases, keyframes)
+                .and_then(|()| ensure(first, AliasProblem::Duplicate))
+                .map_err(|problem| ContentsError::Aliases { keyframe: aliases.keyframe, problem })?;
         }
         Ok(())
     }
@@ -182,6 +195,20 @@ fn check_common_error(
     ensure(found == expected, CommonErrorProblem::Columns { found, expected })?;
     check_difference(&keyframe.global_from_keyframe.covariance, &common.covariance_with(common))
         .map_err(CommonErrorProblem::Remaining)
+}
+
+/// Checks the aliases of one keyframe against the keyframes that they name.
+fn check_aliases(aliases: &KeyframeAliases, keyframes: &Keyframes<'_>) -> Result<(), AliasProblem> {
+    let is_known = |keyframe: KeyframeId| {
+        ensure(keyframes.contains_key(&keyframe), AliasProblem::UnknownKeyframe { keyframe })
+    };
+    is_known(aliases.keyframe)?;
+    for &Alias { keyframe, log_odds } in &aliases.places {
+        is_known(keyframe)?;
+        ensure(keyframe != aliases.keyframe, AliasProblem::Itself)?;
+        ensure(log_odds.is_finite(), AliasProblem::LogOdds { keyframe, log_odds })?;
+    }
+    Ok(())
 }
 
 /// Checks one cross-covariance against the two keyframes that it names.

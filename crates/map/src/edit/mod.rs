@@ -34,7 +34,7 @@ pub fn keyframes_where(contents: &MapContents, holds: impl Fn(&Keyframe) -> bool
     contents.keyframes.iter().filter(|keyframe| holds(keyframe)).map(|keyframe| keyframe.id).collect()
 }
 
-/// Takes keyframes out of a map, with their observations, cross-covariances and common errors.
+/// Takes keyframes out of a map, with their observations, cross-covariances, common errors and aliases.
 ///
 /// A landmark whose anchor is taken out is expressed in the frame of the next keyframe that observes it; one that no keyframe
 /// observes any more is taken out, too. Poses and covariances of the others stay: they say what was learned from all.
@@ -64,9 +64,7 @@ pub fn remove_keyframes(contents: &mut MapContents, removed: &BTreeSet<KeyframeI
         }
     }
     contents.landmarks.retain(|landmark| !landmark.observations.is_empty());
-    let stays = |id: &KeyframeId| !removed.contains(id);
-    contents.cross_covariances.retain(|cross| stays(&cross.a) && stays(&cross.b));
-    contents.common_errors.retain(|common| stays(&common.keyframe));
+    contents.drop_dangling();
 }
 
 /// Takes out the landmarks for whose position in G (m) a condition does not hold.

@@ -32,8 +32,9 @@ pub use stored_map::{SavedMap, StoredMap};
 /// Layout of a map on disk. A map with a larger number is refused.
 ///
 /// 1: as in the first release. 2: the info of the map names the extractor. 3: a folder with a manifest and checksums around
-/// the database; the info has the identity. 4: a table of common errors. Every change writes the newest.
-pub const STORE_SCHEMA: u16 = 4;
+/// the database; the info has the identity. 4: a table of common errors. 5: a table of aliases. Every change
+/// writes the newest.
+pub const STORE_SCHEMA: u16 = 5;
 
 /// The oldest layout that is read.
 pub const OLDEST_STORE_SCHEMA: u16 = 1;

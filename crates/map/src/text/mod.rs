@@ -15,6 +15,7 @@
 //! | `covariances.csv` | keyframe, 6x6 covariance of `[δθ, δp]` in G by rows: replaces the two sigmas |
 //! | `cross_covariances.csv` | two keyframes, 6x6 block `E[e_a e_bᵀ]` by rows, without what `common_errors.csv` says |
 //! | `common_errors.csv` | keyframe, 6xN factor `U` by columns: adds `U_a U_bᵀ` to the covariance of any two keyframes |
+//! | `aliases.csv` | keyframe, and another one that its image could be taken for with its log-odds; a keyframe alone has none |
 //! | `features.csv` | keyframe, pixel, descriptor: all features of an image, also those without a landmark |
 //! | `camera_1.yaml` ... | further cameras; `keyframes.csv` then has a column with the camera's number |
 //!
@@ -59,9 +60,10 @@ mod names {
     pub(super) const COVARIANCES: &str = "covariances.csv";
     pub(super) const CROSS_COVARIANCES: &str = "cross_covariances.csv";
     pub(super) const COMMON_ERRORS: &str = "common_errors.csv";
+    pub(super) const ALIASES: &str = "aliases.csv";
     pub(super) const FEATURES: &str = "features.csv";
     /// All of them.
-    pub(super) const ALL: [&str; 9] = [
+    pub(super) const ALL: [&str; 10] = [
         KEYFRAMES,
         LANDMARKS,
         OBSERVATIONS,
@@ -70,6 +72,7 @@ mod names {
         COVARIANCES,
         CROSS_COVARIANCES,
         COMMON_ERRORS,
+        ALIASES,
         FEATURES,
     ];
 
@@ -88,5 +91,6 @@ mod columns {
     pub(super) const COVARIANCES: &str = "keyframe,36 entries of the 6x6 covariance by rows";
     pub(super) const CROSS_COVARIANCES: &str = "keyframe_a,keyframe_b,36 entries of the 6x6 block by rows";
     pub(super) const COMMON_ERRORS: &str = "keyframe,6 entries of each column of its factor";
+    pub(super) const ALIASES: &str = "keyframe,other keyframe,log-odds";
     pub(super) const FEATURES: &str = "keyframe,u [px],v [px],descriptor [hex]";
 }

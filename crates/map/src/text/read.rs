@@ -4,7 +4,9 @@ use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 
 use crate::contents::MapContents;
-use crate::model::{CommonError, Keyframe, KeyframeCrossCovariance, Landmark, Observation};
+use crate::model::{
+    Alias, CommonError, Keyframe, KeyframeAliases, KeyframeCrossCovariance, Landmark, Observation,
+};
 use geometry::camera::Camera;
 use geometry::pose::Pose;
 use geometry::uncertain_pose::{PoseWithCovariance, isotropic_covariance};
@@ -49,6 +51,7 @@ pub fn read_map(folder: &Path) -> Result<MapContents, MapFileError> {
         info,
         cross_covariances: read_cross_covariances(folder, &keyframes)?,
         common_errors: read_common_errors(folder, &keyframes)?,
+        aliases: read_aliases(folder, &keyframes)?,
         keyframes: keyframes.into_values().collect(),
         landmarks: landmarks.into_values().collect(),
     };
@@ -185,6 +188,27 @@ fn read_common_errors(
             Ok(CommonError { keyframe, factor: Matrix6xX::from_column_slice(&entries) })
         })
         .collect()
+}
+
+fn read_aliases(
+    folder: &Path,
+    keyframes: &BTreeMap<KeyframeId, Keyframe>,
+) -> Result<Vec<KeyframeAliases>, MapFileError> {
+    let mut places: BTreeMap<KeyframeId, Vec<Alias>> = BTreeMap::new();
+    let Some(table) = Table::read_optional(&folder.join(names::ALIASES))? else {
+        return Ok(Vec::new());
+    };
+    for row in table.rows() {
+        if row.len() != 1 {
+            row.expect_fields(3, 3, columns::ALIASES)?;
+        }
+        let of_keyframe = places.entry(keyframe_of(&row, 0, keyframes)?.id).or_default();
+        if row.len() == 3 {
+            let keyframe = keyframe_of(&row, 1, keyframes)?.id;
+            of_keyframe.push(Alias { keyframe, log_odds: row.number(2, "log-odds")? });
+        }
+    }
+    Ok(places.into_iter().map(|(keyframe, places)| KeyframeAliases { keyframe, places }).collect())
 }
 
 fn read_landmarks(

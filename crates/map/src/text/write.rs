@@ -63,6 +63,7 @@ fn texts(contents: &MapContents) -> Vec<(String, String)> {
         (names::COVARIANCES, covariances_text(contents)),
         (names::CROSS_COVARIANCES, cross_covariances_text(contents)),
         (names::COMMON_ERRORS, common_errors_text(contents)),
+        (names::ALIASES, aliases_text(contents)),
         (names::FEATURES, features_text(contents)),
     ];
     files.extend(optional.into_iter().filter_map(|(name, text)| Some((name.to_owned(), text?))));
@@ -172,6 +173,19 @@ fn common_errors_text(contents: &MapContents) -> Option<String> {
         text.push('\n');
     }
     (!contents.common_errors.is_empty()).then_some(text)
+}
+
+fn aliases_text(contents: &MapContents) -> Option<String> {
+    let mut text = format!("#{}\n", columns::ALIASES);
+    for aliases in &contents.aliases {
+        if aliases.places.is_empty() {
+            let _ = writeln!(text, "{}", aliases.keyframe);
+        }
+        for place in &aliases.places {
+            let _ = writeln!(text, "{},{},{}", aliases.keyframe, place.keyframe, place.log_odds);
+        }
+    }
+    (!contents.aliases.is_empty()).then_some(text)
 }
 
 fn features_text(contents: &MapContents) -> Option<String> {

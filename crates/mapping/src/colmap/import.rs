@@ -3,6 +3,7 @@
 use super::covariance::{Point, View, covariance};
 use super::descriptors::describe;
 use super::frame::{ColmapFrame, stamp_ns};
+use crate::aliasing::find_aliases;
 use crate::error::BuildError;
 use crate::feature_source::Extraction;
 use crate::joint_covariance::JointCovariance;
@@ -108,6 +109,7 @@ pub fn import_colmap(
     scene.add_keyframes(&mut contents, &joint);
     contents.sort();
     contents.validate()?;
+    find_aliases(&mut contents, progress)?;
     report.keyframes = contents.keyframes.len();
     report.landmarks = contents.landmarks.len();
     report.dropped_points = model.points.len() - report.landmarks;

@@ -22,6 +22,7 @@ use map::contents::MapContents;
 use nalgebra::Vector3;
 use sensors::Sequence;
 
+use crate::aliasing::find_aliases;
 use crate::bundle_adjustment::Bundle;
 use crate::error::BuildError;
 use crate::feature_source::Extraction;
@@ -120,7 +121,8 @@ pub fn extend_map(
         sigma_px,
         builder.progress,
     )?;
-    let contents = assemble::extended(stored, &builder, &both, &joint, sigma_px)?;
+    let mut contents = assemble::extended(stored, &builder, &both, &joint, sigma_px)?;
+    find_aliases(&mut contents, builder.progress)?;
     assemble::fill_report(&mut report, stored, &contents, &both);
     report.seconds = start.elapsed().as_secs_f64();
     Ok((contents, report))

@@ -23,6 +23,7 @@ use map::contents::MapContents;
 use nalgebra::{Matrix6, Vector3};
 use serde::Serialize;
 
+use crate::aliasing::find_aliases;
 use crate::bundle_adjustment::Bundle;
 use crate::error::BuildError;
 use crate::landmark_tie::LandmarkTie;
@@ -144,7 +145,8 @@ pub fn merge_maps(
     let sigma_px = adjuster.sigma_px();
     let joint =
         covariance_of(&[], &constraints, &bundle, &all, &adjuster.stored, sigma_px, adjuster.progress)?;
-    let contents = assemble::merged(first, &aligned, &bundle.poses, &constraints.ties, &joint)?;
+    let mut contents = assemble::merged(first, &aligned, &bundle.poses, &constraints.ties, &joint)?;
+    find_aliases(&mut contents, adjuster.progress)?;
     assemble::fill_report(&mut report, first, &contents, &to_first);
     report.seconds = start.elapsed().as_secs_f64();
     Ok((contents, report))

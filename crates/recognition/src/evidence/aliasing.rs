@@ -7,6 +7,7 @@
 use std::sync::OnceLock;
 
 use geometry::PoseWithCovariance;
+use map::{Alias, KeyframeAliases};
 use protocol::{Descriptors, FeatureSet, KeyframeId};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
@@ -19,7 +20,7 @@ use crate::verification::Image;
 
 /// Keyframes that are compared with the rest of the map, at most, evenly among all.
 const SAMPLED_KEYFRAMES: usize = 24;
-/// Keyframes that each of them is compared with for the rate: one that looks like it is among those of the most votes.
+/// Keyframes that each of them is compared with: one that looks like it is among those of the most votes.
 const COMPARED_KEYFRAMES: usize = 4;
 /// A pose this far from that of the keyframe is another place, as a part of the map's viewing distance, or as an angle (rad).
 /// Nearer ones are the keyframe itself, by landmarks that the map has twice.
@@ -55,45 +56,75 @@ impl AliasingRate {
 }
 
 impl LoadedMap {
-    /// How many of the map's views could be taken for another place of it. Measured with the first call, which takes some
-    /// tenths of a second.
+    /// How many of the map's views could be taken for another place of it. Of a map that does not state its aliases it is
+    /// measured with the first call, which takes some tenths of a second.
     pub fn aliasing_rate(&self) -> AliasingRate {
         *self.aliasing.get_or_init(|| self.measure_aliasing())
     }
 
-    fn measure_aliasing(&self) -> AliasingRate {
+    /// Takes the aliases that a map states, and the rate from them where it does so for most of its keyframes.
+    ///
+    /// # Arguments
+    /// * `stated`: by keyframe.
+    pub(crate) fn set_aliases(&mut self, mut stated: Vec<KeyframeAliases>) {
+        stated.retain(|aliases| self.index_of(aliases.keyframe).is_some());
+        let compared = stated.len();
+        stated.retain(|aliases| !aliases.places.is_empty());
+        if compared > 0 && 2 * compared >= self.keyframes.len() {
+            let least = RecognitionOptions::default().min_log_odds;
+            let is_aliased =
+                |aliases: &&KeyframeAliases| aliases.log_odds().is_some_and(|odds| odds >= least);
+            let aliased = stated.iter().filter(is_aliased).count() as f64 / compared as f64;
+            let views = self.disjoint_views();
+            self.aliasing = OnceLock::from(AliasingRate { views, aliased: aliased * views });
+        }
+        self.aliases = stated;
+    }
+
+    /// The places that the map states a keyframe could be taken for.
+    pub fn stated_aliases(&self, keyframe: KeyframeId) -> &[Alias] {
+        let found = self.aliases.binary_search_by_key(&keyframe, |aliases| aliases.keyframe);
+        found.map_or(&[], |at| &self.aliases[at].places)
+    }
+
+    /// How often what one keyframe sees fits into the map.
+    fn disjoint_views(&self) -> f64 {
         let observations = self.observation_count();
         if observations == 0 {
+            return 0.0;
+        }
+        (self.landmark_count() * self.keyframes.len()) as f64 / observations as f64
+    }
+
+    fn measure_aliasing(&self) -> AliasingRate {
+        if self.observation_count() == 0 {
             return AliasingRate::default();
         }
-        let options = RecognitionOptions { candidates: COMPARED_KEYFRAMES, ..RecognitionOptions::default() };
+        let options = alias_options();
         let count = self.keyframes.len().min(SAMPLED_KEYFRAMES);
         let is_aliased = |sample: usize| {
             let keyframe = sample * self.keyframes.len() / count;
             let found = self.places_like(keyframe, &options).unwrap_or_default();
-            found.iter().any(|place| place.log_odds() >= options.min_log_odds)
+            found.iter().any(|place| place.log_odds >= options.min_log_odds)
         };
         let aliased = (0..count).filter(|&sample| is_aliased(sample)).count() as f64;
-        // How often what one keyframe sees fits into the map.
-        let disjoint_views = (self.landmark_count() * self.keyframes.len()) as f64 / observations as f64;
-        let views = disjoint_views.min(count as f64);
+        let views = self.disjoint_views().min(count as f64);
         AliasingRate { views, aliased: aliased / count as f64 * views }
     }
 
-    /// The places that the image of a keyframe could be taken for, besides its own, the one that explains most first; their odds
-    /// are by the image alone. Empty where the map has no such keyframe.
+    /// The places that the image of a keyframe could be taken for, besides its own; their odds are by the image alone. None
+    /// where the map has no such keyframe.
     ///
     /// # Errors
     /// [`QueryError`] where the map's descriptors cannot be compared.
-    pub fn aliases(
-        &self,
-        keyframe: KeyframeId,
-        options: &RecognitionOptions,
-    ) -> Result<Vec<Hypothesis>, QueryError> {
-        self.index_of(keyframe).map_or(Ok(Vec::new()), |at| self.places_like(at, options))
+    pub fn keyframe_aliases(&self, keyframe: KeyframeId) -> Result<KeyframeAliases, QueryError> {
+        let own = self.index_of(keyframe);
+        let mut places = own.map_or(Ok(Vec::new()), |at| self.places_like(at, &alias_options()))?;
+        places.sort_by(|a, b| b.log_odds.total_cmp(&a.log_odds));
+        Ok(KeyframeAliases { keyframe, places })
     }
 
-    fn places_like(&self, own: usize, options: &RecognitionOptions) -> Result<Vec<Hypothesis>, QueryError> {
+    fn places_like(&self, own: usize, options: &RecognitionOptions) -> Result<Vec<Alias>, QueryError> {
         let observed = self.observations.of(own);
         let features = FeatureSet {
             pixels: observed.pixels.to_vec(),
@@ -124,7 +155,12 @@ impl LoadedMap {
         verified
             .retain(|found| self.is_another_place(global_from_camera, &found.global_from_camera, options));
         let places = group_places(&mut verified, options);
-        Ok(self.hypotheses(&image, &verified, &places, 0.0))
+        let hypotheses = self.hypotheses(&image, &verified, &places, 0.0);
+        let alias = |(members, place): (&Vec<usize>, &Hypothesis)| Alias {
+            keyframe: self.keyframes[verified[members[0]].keyframe].id,
+            log_odds: place.log_odds(),
+        };
+        Ok(places.iter().zip(&hypotheses).map(alias).collect())
     }
 
     /// Whether a pose is not that of a keyframe.
@@ -139,6 +175,11 @@ impl LoadedMap {
             || difference.rotation.angle() > OTHER_PLACE;
         is_far && !is_consistent(own, found, options)
     }
+}
+
+/// How keyframes are compared with the rest of the map.
+fn alias_options() -> RecognitionOptions {
+    RecognitionOptions { candidates: COMPARED_KEYFRAMES, ..RecognitionOptions::default() }
 }
 
 /// Writes a rate, if it was measured already.

@@ -140,6 +140,9 @@ impl Census {
         for common in &contents.common_errors {
             digest.add_common_error(common);
         }
+        for aliases in &contents.aliases {
+            digest.add_aliases(aliases);
+        }
         frame.damaged.extend(damaged);
         Ok(Census { count, observation_counts: counts.finish(), digest: digest.finish() })
     }

@@ -10,7 +10,9 @@ use protocol::{DescriptorKind, Descriptors, FeatureSet, KeyframeId, LandmarkId, 
 use serde::{Deserialize, Serialize};
 
 use super::error::RecordError;
-use crate::model::{CommonError, Keyframe, KeyframeCrossCovariance, Landmark, MapMetadata, Observation};
+use crate::model::{
+    Alias, CommonError, Keyframe, KeyframeAliases, KeyframeCrossCovariance, Landmark, MapMetadata, Observation,
+};
 
 /// How far a stored quaternion may be from unit length: as in a valid map.
 const UNIT_TOLERANCE: f64 = 1e-6;
@@ -324,6 +326,23 @@ impl CommonErrorRecord {
     /// The common error that the record holds; the keyframe is the key.
     pub fn into_common_error(self, keyframe: KeyframeId) -> CommonError {
         CommonError { keyframe, factor: Matrix6xX::from_column_slice(self.0.as_flattened()) }
+    }
+}
+
+/// [`KeyframeAliases`] on disk: keyframes and log-odds; the keyframe is the key.
+#[derive(Serialize, Deserialize)]
+pub struct AliasesRecord(Vec<(u64, f64)>);
+
+impl AliasesRecord {
+    /// The record of a keyframe's aliases.
+    pub fn new(aliases: &KeyframeAliases) -> AliasesRecord {
+        AliasesRecord(aliases.places.iter().map(|place| (place.keyframe, place.log_odds)).collect())
+    }
+
+    /// The aliases that the record holds; the keyframe is the key.
+    pub fn into_aliases(self, keyframe: KeyframeId) -> KeyframeAliases {
+        let places = self.0.into_iter().map(|(keyframe, log_odds)| Alias { keyframe, log_odds }).collect();
+        KeyframeAliases { keyframe, places }
     }
 }
 

@@ -7,4 +7,5 @@ mod layout;
 pub(crate) use envelope::payload;
 pub use envelope::{seal, unseal, unseal_info};
 pub use error::RecordError;
-pub use layout::{CommonErrorRecord, CrossCovarianceRecord, InfoRecord, KeyframeRecord, LandmarkRecord};
+pub use layout::{
+    AliasesRecord, CommonErrorRecord, CrossCovarianceRecord, InfoRecord, KeyframeRecord, LandmarkRecord};

@@ -10,7 +10,7 @@ use serde::Serialize;
 use super::error::DatabaseError;
 use super::map_store::{MapStore, OpenDatabase, ReadMap};
 use super::record::{
-    self, CommonErrorRecord, CrossCovarianceRecord, InfoRecord, KeyframeRecord, LandmarkRecord, RecordError,
+    self, AliasesRecord, CommonErrorRecord, CrossCovarianceRecord, InfoRecord, KeyframeRecord, LandmarkRecord, RecordError,
 };
 use super::{OLDEST_STORE_SCHEMA, STORE_SCHEMA};
 use crate::contents::MapContents;
@@ -84,6 +84,9 @@ fn write_tables(database: &sled::Db, contents: &MapContents) -> Result<(), Datab
     Tree::open(database, Table::CommonErrors)?.write_all(
         common_errors.map(|common| (common.keyframe.to_be_bytes(), || CommonErrorRecord::new(common))),
     )?;
+    let aliases = contents.aliases.iter();
+    Tree::open(database, Table::Aliases)?
+        .write_all(aliases.map(|aliases| (aliases.keyframe.to_be_bytes(), || AliasesRecord::new(aliases))))?;
     let info = Tree::open(database, Table::Info)?;
     info.write(INFO_KEY, &InfoRecord::new(&contents.info))?;
     let schema = [SCHEMA_MAGIC, &STORE_SCHEMA.to_le_bytes()].concat();
@@ -117,6 +120,10 @@ fn read_frame(database: &sled::Db) -> Result<ReadMap, DatabaseError> {
             let record: CommonErrorRecord = record::unseal(Table::CommonErrors.name(), key, value)?;
             Ok(record.into_common_error(id_of(key)?))
         })?;
+    contents.aliases = Tree::open(database, Table::Aliases)?.read(&mut damaged, |key, value| {
+        let record: AliasesRecord = record::unseal(Table::Aliases.name(), key, value)?;
+        Ok(record.into_aliases(id_of(key)?))
+    })?;
     contents.sort();
     Ok(ReadMap { contents, damaged, schema })
 }

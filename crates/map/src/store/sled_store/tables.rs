@@ -8,6 +8,7 @@
 //! | `landmarks` | id | a landmark with its observations |
 //! | `cross_covariances` | a, b (`a < b`) | a 6x6 block |
 //! | `common_errors` | keyframe | what it errs together with others |
+//! | `aliases` | keyframe | the places that it could be taken for |
 //!
 //! Databases of schema 1 have a table `references` too, which is not read. All values but `schema` are records with a checksum, see [`crate::store::record`].
 
@@ -25,6 +26,7 @@ pub(super) enum Table {
     Landmarks,
     CrossCovariances,
     CommonErrors,
+    Aliases,
 }
 
 impl Table {
@@ -36,6 +38,7 @@ impl Table {
             Table::Landmarks => "landmarks",
             Table::CrossCovariances => "cross_covariances",
             Table::CommonErrors => "common_errors",
+            Table::Aliases => "aliases",
         }
     }
 
@@ -50,6 +53,7 @@ impl Table {
             Table::Keyframes => format!("keyframe {}", id(key)),
             Table::Landmarks => format!("landmark {}", id(key)),
             Table::CommonErrors => format!("the common error of keyframe {}", id(key)),
+            Table::Aliases => format!("the aliases of keyframe {}", id(key)),
             Table::CrossCovariances => {
                 let (a, b) = key.split_at(key.len() / 2);
                 format!("the cross-covariance of keyframes {} and {}", id(a), id(b))

@@ -1,0 +1,80 @@
+//! Maps that state which places look alike.
+
+use std::collections::BTreeSet;
+
+use map::contents::AliasProblem;
+use map::{Alias, ContentsError, MapContents, edit, store, text};
+use testing::{Place, PlaceOptions, add_aliases};
+
+fn place(is_searched: bool) -> MapContents {
+    let options = PlaceOptions { keyframes: 8, landmarks: 80, ..PlaceOptions::default() };
+    let mut contents = Place::new(&options).map;
+    contents.sort();
+    if is_searched {
+        add_aliases(&mut contents);
+    }
+    contents
+}
+
+#[test]
+fn what_is_stored_and_written_as_text_is_read_back() {
+    for is_searched in [false, true] {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("map");
+        let contents = place(is_searched);
+        store::save_map(&path, &contents, false).unwrap();
+        let read = store::load_map(&path).unwrap().whole().unwrap();
+        assert_eq!((&read.aliases, read.digest()), (&contents.aliases, contents.digest()));
+        let (opened, landmarks) = store::open_map(&path).unwrap();
+        landmarks.close().unwrap();
+        assert_eq!(opened.contents.aliases, contents.aliases);
+
+        let folder = folder.path().join("text");
+        text::write_map(&folder, &contents).unwrap();
+        assert_eq!(folder.join("aliases.csv").exists(), is_searched);
+        assert_eq!(text::read_map(&folder).unwrap().aliases, contents.aliases);
+    }
+}
+
+#[test]
+fn the_digest_is_that_of_the_aliases_too() {
+    let (without, with) = (place(false), place(true));
+    assert_ne!(without.digest(), with.digest());
+    let mut other = with.clone();
+    other.aliases[3].places[0].log_odds += 0.1;
+    assert_ne!(other.digest(), with.digest());
+    other = with.clone();
+    other.aliases.reverse();
+    assert_eq!(other.digest(), with.digest());
+}
+
+#[test]
+fn impossible_aliases_are_refused() {
+    let problem = |change: &dyn Fn(&mut MapContents)| {
+        let mut contents = place(true);
+        change(&mut contents);
+        match contents.validate().unwrap_err() {
+            ContentsError::Aliases { problem, .. } => problem,
+            error => panic!("{error}"),
+        }
+    };
+    place(true).validate().unwrap();
+    assert_eq!(problem(&|map| map.aliases[1].keyframe = map.aliases[0].keyframe), AliasProblem::Duplicate);
+    let unknown = AliasProblem::UnknownKeyframe { keyframe: 999 };
+    assert_eq!(problem(&|map| map.aliases[1].keyframe = 999), unknown);
+    assert_eq!(problem(&|map| map.aliases[0].places[0].keyframe = 999), unknown);
+    assert_eq!(problem(&|map| map.aliases[0].places[0].keyframe = map.aliases[0].keyframe), AliasProblem::Itself);
+    let odds = problem(&|map| map.aliases[3].places[0].log_odds = f64::INFINITY);
+    assert!(matches!(odds, AliasProblem::LogOdds { .. }), "{odds}");
+}
+
+#[test]
+fn those_of_keyframes_that_are_taken_out_go_with_them() {
+    let mut contents = place(true);
+    let ids: Vec<u64> = contents.keyframes.iter().map(|keyframe| keyframe.id).collect();
+    let Alias { keyframe: other, .. } = contents.aliases[0].places[0];
+    edit::remove_keyframes(&mut contents, &BTreeSet::from([other, ids[3]]));
+    contents.validate().unwrap();
+    assert_eq!(contents.aliases.len(), ids.len() - 2);
+    assert!(contents.aliases[0].places.is_empty());
+}

@@ -1,0 +1,86 @@
+//! Which places of a map look alike.
+
+use map::contents::MapContents;
+use map::{Alias, KeyframeAliases};
+use protocol::KeyframeId;
+use recognition::LoadedMap;
+use std::collections::BTreeMap;
+
+use super::error::BuildError;
+use super::parallel;
+use super::progress::{Progress, Stage};
+
+/// Compares the keyframes of which it is not known yet with the rest of the map, and states in it which places they could be
+/// taken for. A former keyframe that a new one looks like gets the new one as an alias; it is not compared again.
+///
+/// # Errors
+/// [`BuildError`] for a map that cannot be searched.
+pub fn find_aliases(contents: &mut MapContents, progress: Progress<'_>) -> Result<(), BuildError> {
+    let mut known: BTreeMap<KeyframeId, Vec<Alias>> =
+        contents.aliases.drain(..).map(|aliases| (aliases.keyframe, aliases.places)).collect();
+    let ids = contents.keyframes.iter().map(|keyframe| keyframe.id);
+    let new: Vec<KeyframeId> = ids.filter(|id| !known.contains_key(id)).collect();
+    let map = LoadedMap::from_contents(contents.clone())?;
+    let search = |at: usize| map.keyframe_aliases(new[at]);
+    let found = parallel::map(new.len(), search, |done| progress(Stage::Aliasing, done, new.len()));
+    for aliases in found {
+        let aliases = aliases?;
+        for place in &aliases.places {
+            let seen_from = Alias { keyframe: aliases.keyframe, log_odds: place.log_odds };
+            if let Some(former) = known.get_mut(&place.keyframe) {
+                former.push(seen_from);
+            }
+        }
+        contents.aliases.push(aliases);
+    }
+    for (keyframe, mut places) in known {
+        places.sort_by(|a, b| b.log_odds.total_cmp(&a.log_odds));
+        contents.aliases.push(KeyframeAliases { keyframe, places });
+    }
+    contents.sort();
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use testing::{Place, PlaceOptions};
+
+    #[test]
+    fn only_new_keyframes_are_compared_and_former_ones_get_them_as_aliases() {
+        let place = Place::new(&PlaceOptions { keyframes: 12, landmarks: 6000, ..PlaceOptions::default() });
+        let mut once = place.map.clone();
+        let mut searched = Vec::new();
+        find_aliases(&mut once, &mut |stage, done, of| searched.push((stage, done, of))).unwrap();
+        assert_eq!(searched.last(), Some(&(Stage::Aliasing, 12, 12)));
+        assert!(once.aliases.len() == 12 && once.aliases.iter().all(|aliases| aliases.places.is_empty()));
+
+        // The same place once more, 50 m beside it.
+        let mut both = once.clone();
+        for keyframe in &place.map.keyframes {
+            let mut copy = keyframe.clone();
+            copy.id += 100;
+            copy.global_from_keyframe.pose.translation.y += 50.0;
+            both.keyframes.push(copy);
+        }
+        for landmark in &place.map.landmarks {
+            let mut copy = landmark.clone();
+            copy.id += 1_000_000;
+            copy.anchor += 100;
+            copy.observations.iter_mut().for_each(|observation| observation.keyframe += 100);
+            both.landmarks.push(copy);
+        }
+        searched.clear();
+        find_aliases(&mut both, &mut |stage, done, of| searched.push((stage, done, of))).unwrap();
+        assert_eq!(searched.last(), Some(&(Stage::Aliasing, 12, 12)));
+        both.validate().unwrap();
+        let of = |keyframe: KeyframeId| both.aliases.iter().find(|aliases| aliases.keyframe == keyframe).unwrap();
+        for keyframe in &place.map.keyframes {
+            assert!(of(keyframe.id + 100).places.iter().all(|place| place.keyframe < 100));
+            assert!(of(keyframe.id).places.iter().all(|place| place.keyframe >= 100));
+        }
+        let aliased = both.aliases.iter().filter(|aliases| aliases.log_odds() > Some(0.0)).count();
+        assert!(aliased > 18, "{aliased} of 24");
+        assert_eq!(both.aliases.iter().map(|aliases| aliases.keyframe).collect::<Vec<_>>().len(), 24);
+    }
+}
