@@ -58,7 +58,9 @@ impl MapAliases {
         let least = RecognitionOptions::default().min_log_odds;
         let mut keyframes = Vec::new();
         for aliases in &contents.aliases {
-            let Some(other) = aliases.places.first().filter(|place| place.log_odds >= least) else { continue };
+            let Some(other) = aliases.places.first().filter(|place| place.log_odds >= least) else {
+                continue;
+            };
             keyframes.push(AliasedKeyframe {
                 keyframe: aliases.keyframe,
                 position_m: positions[&aliases.keyframe].into(),

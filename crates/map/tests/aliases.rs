@@ -63,7 +63,10 @@ fn impossible_aliases_are_refused() {
     let unknown = AliasProblem::UnknownKeyframe { keyframe: 999 };
     assert_eq!(problem(&|map| map.aliases[1].keyframe = 999), unknown);
     assert_eq!(problem(&|map| map.aliases[0].places[0].keyframe = 999), unknown);
-    assert_eq!(problem(&|map| map.aliases[0].places[0].keyframe = map.aliases[0].keyframe), AliasProblem::Itself);
+    assert_eq!(
+        problem(&|map| map.aliases[0].places[0].keyframe = map.aliases[0].keyframe),
+        AliasProblem::Itself
+    );
     let odds = problem(&|map| map.aliases[3].places[0].log_odds = f64::INFINITY);
     assert!(matches!(odds, AliasProblem::LogOdds { .. }), "{odds}");
 }

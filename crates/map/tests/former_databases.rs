@@ -61,7 +61,7 @@ fn a_former_map_is_read_without_a_change_and_becomes_new_with_its_replacement() 
         let saved = store::save_map(&path, &contents, true).unwrap();
         assert_eq!((saved.version, saved.identity), (5, identity));
         let stored = store::load_map(&path).unwrap();
-        assert_eq!(stored.schema, 4);
+        assert_eq!(stored.schema, map::STORE_SCHEMA);
         assert_eq!(without_version(stored.whole().unwrap()), without_version(contents));
         assert!(!path.join("db").exists() && !path.join("blobs").exists());
     }

@@ -74,7 +74,8 @@ mod tests {
         find_aliases(&mut both, &mut |stage, done, of| searched.push((stage, done, of))).unwrap();
         assert_eq!(searched.last(), Some(&(Stage::Aliasing, 12, 12)));
         both.validate().unwrap();
-        let of = |keyframe: KeyframeId| both.aliases.iter().find(|aliases| aliases.keyframe == keyframe).unwrap();
+        let of =
+            |keyframe: KeyframeId| both.aliases.iter().find(|aliases| aliases.keyframe == keyframe).unwrap();
         for keyframe in &place.map.keyframes {
             assert!(of(keyframe.id + 100).places.iter().all(|place| place.keyframe < 100));
             assert!(of(keyframe.id).places.iter().all(|place| place.keyframe >= 100));

@@ -86,7 +86,8 @@ pub fn build_map_from_odometry(
     let joint =
         covariance_of(&cameras, &constraints, &bundle, &keyframes(&views), &[], report.sigma_px, progress)?;
     let camera = &cameras[0].camera;
-    let mut contents = assemble::map_contents(camera, &views, &bundle, Some(&joint), report.sigma_px, &options)?;
+    let mut contents =
+        assemble::map_contents(camera, &views, &bundle, Some(&joint), report.sigma_px, &options)?;
     check_one_piece(&contents, sequence.frames.first().map_or(0, |frame| frame.stamp_ns))?;
     find_aliases(&mut contents, progress)?;
     assemble::fill_report(&mut report, &cameras, &views, &bundle, &contents);

@@ -8,7 +8,9 @@
 //! others, and their common errors. So a cell answers for its keyframes with everything that the whole map has: no correlation is cut.
 
 use crate::partition::{CellId, Partition};
-use map::{CommonError, Keyframe, KeyframeAliases, KeyframeCrossCovariance, Landmark, MapContents, MapMetadata};
+use map::{
+    CommonError, Keyframe, KeyframeAliases, KeyframeCrossCovariance, Landmark, MapContents, MapMetadata,
+};
 use protocol::KeyframeId;
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};

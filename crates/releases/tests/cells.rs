@@ -1,6 +1,6 @@
 //! Cells that are served by themselves: each has all that the map has about its keyframes, and releases say what changed.
 
-use map::{CommonError, Keyframe, KeyframeCrossCovariance, MapContents};
+use map::{CommonError, Keyframe, KeyframeAliases, KeyframeCrossCovariance, MapContents};
 use nalgebra::Matrix6;
 use protocol::KeyframeId;
 use releases::{
@@ -9,7 +9,7 @@ use releases::{
 };
 use std::collections::{BTreeMap, BTreeSet};
 use tempfile::TempDir;
-use testing::{Place, PlaceOptions, add_common_errors};
+use testing::{Place, PlaceOptions, add_aliases, add_common_errors};
 
 /// A map in which every keyframe is correlated with many others, as after a bundle adjustment.
 fn place(seed: u64) -> MapContents {
@@ -59,12 +59,15 @@ async fn a_cell_has_all_that_the_map_has_about_its_keyframes_and_those_of_its_bo
         if seed % 2 == 0 {
             add_common_errors(&mut contents, 3);
         }
+        if seed > 2 {
+            add_aliases(&mut contents);
+        }
         let release = published(&store, &contents, keyframes_a_cell).await;
-        assert_eq!(fetch(&store, &release, None).await.unwrap().common_errors, contents.common_errors);
+        assert_eq!(fetch(&store, &release, None).await.unwrap(), contents);
         let all = blocks(&contents.cross_covariances);
         let mut owned = BTreeSet::new();
         for released in &release.cells {
-            let Cell { own, contents: part, far_cross_covariances } =
+            let Cell { own, contents: part, far_cross_covariances, aliases } =
                 fetch_cell(&store, &release, released.cell, None).await.unwrap();
             assert_eq!(own.len(), released.keyframes);
             assert!(own.iter().all(|id| owned.insert(*id)), "keyframes of two cells");
@@ -90,6 +93,10 @@ async fn a_cell_has_all_that_the_map_has_about_its_keyframes_and_those_of_its_bo
             let is_part = |common: &&CommonError| part.keyframes.iter().any(|own| own.id == common.keyframe);
             let common: Vec<CommonError> = contents.common_errors.iter().filter(is_part).cloned().collect();
             assert_eq!(part.common_errors, common);
+            // What its own keyframes could be taken for, in whatever cell that is.
+            let of_own: Vec<KeyframeAliases> =
+                contents.aliases.iter().filter(|aliases| is_own(aliases.keyframe)).cloned().collect();
+            assert_eq!(aliases, of_own);
             assert_eq!(near.len() + far.len(), expected.len());
             assert_eq!(near.into_iter().chain(far).collect::<Blocks>(), expected);
             for keyframe in &part.keyframes {

@@ -84,8 +84,18 @@ fn a_new_version_five_metres_away_is_doubted() {
 
 #[test]
 fn an_honest_map_raises_no_alarm() {
+    honest_maps(8);
+}
+
+#[test]
+#[ignore = "all seeds, minutes"]
+fn an_honest_map_raises_no_alarm_with_all_seeds() {
+    honest_maps(20);
+}
+
+fn honest_maps(runs: usize) {
     for map in [surveyed(), MapOptions::default()] {
-        for trial in trials(20, None, map, 2) {
+        for trial in trials(runs, None, map, 2) {
             assert_eq!((trial.diverged, trial.alarm_s), (None, None), "seed {}", trial.seed);
         }
     }

@@ -101,9 +101,19 @@ fn a_place_that_looks_the_same_does_not_move_the_pose_beyond_what_is_stated() {
     assert!(map.used * 100 >= 90 * map.answers, "{map:?}");
 }
 
+fn after_a_kilometre(runs: usize) {
+    let gap = AnswerOptions { every_s: 1.0, gaps_s: vec![20.0..201.0], ..AnswerOptions::default() };
+    let score = ensemble(runs, 2, loops(5.6, 203.3), gap);
+    assert!(score.ended_within_3_sigma + 1 >= runs, "{} of {runs}", score.ended_within_3_sigma);
+}
+
 #[test]
 fn after_a_kilometre_without_the_map_three_answers_are_enough() {
-    let gap = AnswerOptions { every_s: 1.0, gaps_s: vec![20.0..201.0], ..AnswerOptions::default() };
-    let score = ensemble(12, 2, loops(5.6, 203.3), gap);
-    assert!(score.ended_within_3_sigma >= 11, "{} of 12", score.ended_within_3_sigma);
+    after_a_kilometre(6);
+}
+
+#[test]
+#[ignore = "all seeds, minutes"]
+fn after_a_kilometre_without_the_map_three_answers_are_enough_with_all_seeds() {
+    after_a_kilometre(12);
 }

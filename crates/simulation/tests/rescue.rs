@@ -1,14 +1,12 @@
 //! A state that is wrong without knowing it, and a map that goes on answering: the filter must give way.
 
 use estimator::EstimatorConfig;
-use simulation::monte_carlo::{
-    AnswerOptions, Disturbance, DisturbedState, MonteCarloOptions, Rescue, Variant, run,
-};
+use simulation::monte_carlo::{AnswerOptions, Disturbance, DisturbedState, MonteCarloOptions, Variant, run};
 use simulation::{Scenario, SimulationOptions};
 
 const SEEDS: usize = 10;
 
-/// The failures, each with as many seeds and one or two cameras.
+/// The failures, each of as many seeds with one and with two cameras.
 const FAILURES: [DisturbedState; 8] = [
     DisturbedState::Position(1.0),
     DisturbedState::Position(10.0),
@@ -20,7 +18,8 @@ const FAILURES: [DisturbedState; 8] = [
     DisturbedState::Biases(10.0),
 ];
 
-fn rescues(state: DisturbedState, cameras: usize) -> Vec<Rescue> {
+#[test]
+fn a_wrong_state_is_rescued_by_five_answers_and_never_trusted_for_long() {
     let options = MonteCarloOptions {
         runs: SEEDS,
         simulation: SimulationOptions {
@@ -31,29 +30,25 @@ fn rescues(state: DisturbedState, cameras: usize) -> Vec<Rescue> {
             ..SimulationOptions::default()
         },
         answers: AnswerOptions { every_s: 1.0, ..AnswerOptions::default() },
-        disturbance: Some(Disturbance { at_s: 15.35, state }),
+        disturbance: Some(Disturbance { at_s: 15.35, states: FAILURES.to_vec() }),
         ..MonteCarloOptions::default()
     };
-    let variant = Variant { name: "default".to_owned(), config: EstimatorConfig::default(), cameras };
-    let trials = run(&options, &[variant], |_| {}).unwrap().remove(0).trials;
-    let rescue = |trial: simulation::monte_carlo::Trial| {
-        assert_eq!(trial.diverged, None, "seed {}", trial.seed);
-        trial.rescue.unwrap()
-    };
-    trials.into_iter().map(rescue).collect()
-}
-
-#[test]
-fn a_wrong_state_is_rescued_by_five_answers_and_never_trusted_for_long() {
+    let variants = [1, 2].map(|cameras| Variant {
+        name: format!("cameras {cameras}"),
+        config: EstimatorConfig::default(),
+        cameras,
+    });
     let (mut all, mut late, mut never, mut trusted) = (0, Vec::new(), Vec::new(), Vec::new());
-    for state in FAILURES {
-        for cameras in [1, 2] {
-            for (seed, rescue) in rescues(state, cameras).into_iter().enumerate() {
+    for runs in run(&options, &variants, |_| {}).unwrap() {
+        for trial in runs.trials {
+            assert_eq!(trial.diverged, None, "{} seed {}", runs.variant.name, trial.seed);
+            assert_eq!(trial.rescues.len(), FAILURES.len());
+            for (state, rescue) in FAILURES.iter().zip(&trial.rescues) {
                 all += 1;
-                println!("{state:?} cameras {cameras} seed {}: {rescue:?}", seed + 1);
+                let what = format!("{state:?} {} seed {}", runs.variant.name, trial.seed);
+                println!("{what}: {rescue:?}");
                 // A failure of the biases shows later than one answer.
                 let within = |answers: usize| rescue.right.iter().take(answers).skip(1).any(|right| *right);
-                let what = format!("{state:?} cameras {cameras} seed {}", seed + 1);
                 if !within(5) {
                     late.push(what.clone());
                 }

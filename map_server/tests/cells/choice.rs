@@ -24,7 +24,10 @@ async fn one_cell_is_asked_for_one_place_and_finds_what_the_whole_map_finds() {
     let mut cells = BTreeMap::new();
     for id in directory.cells() {
         let cell = fetch_cell(&town.store, &town.release, id, None).await.unwrap();
-        cells.insert(id, LoadedMap::from_part(cell.contents, cell.far_cross_covariances, &cell.aliases).unwrap());
+        cells.insert(
+            id,
+            LoadedMap::from_part(cell.contents, cell.far_cross_covariances, &cell.aliases).unwrap(),
+        );
     }
     let (mut asked, mut missed, mut matched) = (0, 0, 0);
     let requests = requests(&town.place);

@@ -139,7 +139,10 @@ async fn a_query_in_cells_beside_one_in_a_map_of_two_cells() {
     let mut cells = BTreeMap::new();
     for cell in directory.cells() {
         let fetched = fetch_cell(&store, &release, cell, None).await.unwrap();
-        cells.insert(cell, LoadedMap::from_part(fetched.contents, fetched.far_cross_covariances, &fetched.aliases).unwrap());
+        cells.insert(
+            cell,
+            LoadedMap::from_part(fetched.contents, fetched.far_cross_covariances, &fetched.aliases).unwrap(),
+        );
     }
     println!(
         "{all_keyframes} keyframes, {all_landmarks} landmarks in {} cells; {coarse_landmarks} coarse landmarks",

@@ -172,7 +172,10 @@ fn print_summary(summary: &Summary) {
     println!("  common errors          {}", summary.common_errors);
     match summary.compared_for_aliases {
         0 => println!("  places that look alike not searched: --aliases"),
-        compared => println!("  places that look alike {} of {compared} keyframes could be another place", summary.aliased),
+        compared => println!(
+            "  places that look alike {} of {compared} keyframes could be another place",
+            summary.aliased
+        ),
     }
     println!("landmarks                {}", summary.landmarks);
     println!("  depth in anchor, m     {}", spread(&summary.landmark_depth_m, 1));

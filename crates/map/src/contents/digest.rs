@@ -7,7 +7,8 @@ use sha2::{Digest as _, Sha256};
 use super::MapContents;
 use crate::model::{CommonError, Keyframe, KeyframeAliases, KeyframeCrossCovariance, Landmark, MapMetadata};
 use crate::store::record::{
-    AliasesRecord, CommonErrorRecord, CrossCovarianceRecord, InfoRecord, KeyframeRecord, LandmarkRecord, payload,
+    AliasesRecord, CommonErrorRecord, CrossCovarianceRecord, InfoRecord, KeyframeRecord, LandmarkRecord,
+    payload,
 };
 
 impl MapContents {

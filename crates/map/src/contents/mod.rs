@@ -11,8 +11,8 @@ use protocol::KeyframeId;
 
 pub(crate) use digest::RunningDigest;
 pub use error::{
-    AliasProblem, CommonErrorProblem, ContentsError, CrossCovarianceProblem, KeyframeProblem, LandmarkProblem,
-    MetadataProblem,
+    AliasProblem, CommonErrorProblem, ContentsError, CrossCovarianceProblem, KeyframeProblem,
+    LandmarkProblem, MetadataProblem,
 };
 pub use observation_counts::ObservationCounts;
 pub use validation::validate_landmark;

@@ -8,12 +8,13 @@ use nalgebra::{Matrix6, SMatrix};
 use protocol::{DescriptorKind, KeyframeId, MAX_EXTRACTOR_BYTES};
 
 use super::error::{
-    AliasProblem, CommonErrorProblem, ContentsError, CrossCovarianceProblem, KeyframeProblem, LandmarkProblem,
-    MetadataProblem,
+    AliasProblem, CommonErrorProblem, ContentsError, CrossCovarianceProblem, KeyframeProblem,
+    LandmarkProblem, MetadataProblem,
 };
 use crate::contents::MapContents;
 use crate::model::{
-    Alias, CommonError, Keyframe, KeyframeAliases, KeyframeCrossCovariance, Landmark, MapMetadata, Observation,
+    Alias, CommonError, Keyframe, KeyframeAliases, KeyframeCrossCovariance, Landmark, MapMetadata,
+    Observation,
 };
 
 /// How far the norm of a quaternion or of the gravity direction may be from 1: a map is computed in `f64`, and text

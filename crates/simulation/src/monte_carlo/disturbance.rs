@@ -29,13 +29,13 @@ pub enum DisturbedState {
     Biases(f64),
 }
 
-/// A failure.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// Failures of the same run, each for itself: until then the run is one.
+#[derive(Clone, Debug, PartialEq)]
 pub struct Disturbance {
     /// Time, seconds from the first image.
     pub at_s: f64,
-    /// What is moved.
-    pub state: DisturbedState,
+    /// What is moved, in one failure each.
+    pub states: Vec<DisturbedState>,
 }
 
 /// The rescue after a failure.
@@ -48,9 +48,9 @@ pub struct Rescue {
     wrong_since_ns: Option<i64>,
 }
 
-impl Disturbance {
+impl DisturbedState {
     /// Moves the state of a filter.
-    pub(super) fn apply(&self, seed: u64, estimator: &mut Estimator) {
+    pub(super) fn apply(self, seed: u64, estimator: &mut Estimator) {
         // Directions by the golden angle: all are covered, whatever the number of seeds.
         let angle = seed as f64 * 2.399_963;
         let horizontal = Vector3::new(angle.cos(), angle.sin(), 0.0);
@@ -58,7 +58,7 @@ impl Disturbance {
         let mut put = |begin: usize, value: Vector3<f64>| {
             error[begin..begin + 3].copy_from_slice(value.as_slice());
         };
-        match self.state {
+        match self {
             DisturbedState::Position(metres) => put(3, horizontal * metres),
             DisturbedState::Velocity(speed) => put(6, horizontal * speed),
             DisturbedState::Yaw(rad) => put(0, Vector3::z() * rad),

@@ -85,7 +85,7 @@ pub struct MonteCarloOptions {
     pub calibration: CalibrationErrors,
     /// What the filter starts from.
     pub start: FilterStart,
-    /// An undetected failure of the filter in the middle of the run.
+    /// Undetected failures of the filter in the middle of the run.
     pub disturbance: Option<Disturbance>,
 }
 

@@ -2,7 +2,7 @@
 
 use super::answers::Answer;
 use super::calibration::Stated;
-use super::disturbance::THREE_SIGMA;
+use super::disturbance::{DisturbedState, THREE_SIGMA};
 use super::map_change::{MapChange, answers_and_change};
 use super::{CalibrationError, FilterStart, MonteCarloOptions, Rescue, Variant, global_from_world, start};
 use crate::run::Kind;
@@ -49,8 +49,8 @@ pub struct Trial {
     pub alarm_s: Option<f64>,
     /// Whether the filter was localized in the map at the end.
     pub localized: bool,
-    /// The rescue after a disturbance.
-    pub rescue: Option<Rescue>,
+    /// The rescues after the failures of the disturbance, in their order. What else is stated of such a run is that until them.
+    pub rescues: Vec<Rescue>,
     /// Why it ended early.
     pub diverged: Option<String>,
     /// Errors of the calibration that the filter was given, by camera.
@@ -90,8 +90,11 @@ pub(crate) fn run_seed(
 }
 
 /// A run in progress.
+#[derive(Clone)]
 struct Player<'a> {
     estimator: Estimator,
+    next_frame: usize,
+    next_reading: usize,
     /// The reply to the previous image, with that image's clone.
     pending: Option<(CloneId, &'a Answer)>,
     states: Vec<StateRow>,
@@ -134,7 +137,7 @@ impl Seed<'_> {
             map: MapCounts::default(),
             alarm_s: None,
             localized: false,
-            rescue: None,
+            rescues: Vec::new(),
             diverged: None,
             stated_calibration,
             estimated_calibration: Vec::new(),
@@ -149,6 +152,8 @@ impl Seed<'_> {
         let initializes = self.options.start == FilterStart::Initialization;
         let mut player = Player {
             estimator,
+            next_frame: 0,
+            next_reading: 0,
             pending: None,
             states: Vec::new(),
             map: MapCounts::default(),
@@ -157,12 +162,16 @@ impl Seed<'_> {
             rescue: None,
             is_answered: false,
         };
-        trial.diverged = self.play(&mut player, variant, &stated).err().map(|error| error.to_string());
+        let played = self.play(&mut player, variant, &stated);
+        let rescues = played.and_then(|()| self.disturb(&player, variant, &stated));
+        match rescues {
+            Ok(rescues) => trial.rescues = rescues,
+            Err(error) => trial.diverged = Some(error.to_string()),
+        }
         let initialized = player.states.iter().find(|state| state.global_from_imu.is_some());
         trial.map_initialization_s = initialized.map(|state| (state.stamp_ns - begin_ns) as f64 * 1e-9);
         trial.map = player.map;
         trial.alarm_s = player.alarm_ns.map(|alarm_ns| (alarm_ns - begin_ns) as f64 * 1e-9);
-        trial.rescue = player.rescue;
         trial.localized = player.estimator.status().localization == Localization::Localized;
         let found = player.estimator.calibration();
         let delays = (-found.time_offset, true_delay_s);
@@ -195,63 +204,79 @@ impl Seed<'_> {
         start::draw(self.number, begin_ns, &motion, biases, &sigmas)
     }
 
+    /// Plays a run to its end, or to where it is disturbed.
     fn play<'a>(
         &'a self,
         player: &mut Player<'a>,
         variant: &Variant,
         stated: &Stated,
     ) -> Result<(), EstimatorError> {
-        let mut readings = self.live.imu_samples.iter().peekable();
-        for (frame, answer) in self.live.frames.iter().zip(&self.answers) {
+        let readings = &self.live.imu_samples;
+        while let Some(frame) = self.live.frames.get(player.next_frame) {
+            let answer = self.answers[player.next_frame].as_ref();
             let stamp_ns = frame.stamp_ns + stated.image_delay_ns;
             if stamp_ns > self.world.live_trajectory.end_ns() {
                 break;
             }
+            player.next_frame += 1;
             let until_ns = player.estimator.imu_stamp_ns(stamp_ns);
-            while let Some(reading) = readings.next_if(|reading| reading.stamp_ns <= until_ns) {
+            let due = readings[player.next_reading..].partition_point(|reading| reading.stamp_ns <= until_ns);
+            // With the reading after the image: between two of them it is interpolated.
+            let end = (player.next_reading + due + 1).min(readings.len());
+            for reading in &readings[player.next_reading..end] {
                 player.imu(*reading)?;
             }
-            // The reading after the image: between two of them it is interpolated.
-            if let Some(reading) = readings.next() {
-                player.imu(*reading)?;
-            }
+            player.next_reading = end;
             let change = self.change.as_ref().filter(|change| change.stamp_ns == frame.stamp_ns);
-            let done = player.frame(frame, stamp_ns, variant, answer.as_ref(), change);
-            self.disturb(player, frame.stamp_ns, variant, &stated.rig, done)?;
+            match player.frame(frame, stamp_ns, variant, answer, change) {
+                // It gave up for the disturbance, and continues.
+                Err(EstimatorError::Diverged(_)) if player.rescue.is_some() => {
+                    player.pending = None;
+                    player.initializer = Some(Initializer::new(variant.config.clone(), stated.rig.clone()));
+                }
+                done => done?,
+            }
             if self.change.as_ref().is_some_and(|change| frame.stamp_ns < change.stamp_ns) {
                 player.states.clear();
             }
+            if player.rescue.is_none() && self.is_disturbed(frame.stamp_ns) {
+                return Ok(());
+            }
+            self.note_rescue(player);
         }
         Ok(())
     }
 
-    /// Disturbs the filter when it is time, and continues after it gave up for that.
-    fn disturb(
-        &self,
-        player: &mut Player<'_>,
-        stamp_ns: i64,
-        variant: &Variant,
-        rig: &[CalibratedCamera],
-        done: Result<(), EstimatorError>,
-    ) -> Result<(), EstimatorError> {
-        let Some(disturbance) = &self.options.disturbance else { return done };
-        match done {
-            Err(EstimatorError::Diverged(_)) if player.rescue.is_some() => {
-                player.pending = None;
-                player.initializer = Some(Initializer::new(variant.config.clone(), rig.to_vec()));
-            }
-            done => done?,
-        }
+    /// Whether the filter is disturbed by then.
+    fn is_disturbed(&self, stamp_ns: i64) -> bool {
         let begin_ns = self.live.frames.first().map_or(0, |frame| frame.stamp_ns);
         let seconds = (stamp_ns - begin_ns) as f64 * 1e-9;
-        if player.rescue.is_none() && seconds >= disturbance.at_s {
-            disturbance.apply(self.number, &mut player.estimator);
-            player.rescue = Some(Rescue::default());
-        } else if let Some(rescue) = player.rescue.as_mut().filter(|_| player.initializer.is_none()) {
+        self.options.disturbance.as_ref().is_some_and(|disturbance| seconds >= disturbance.at_s)
+    }
+
+    /// Continues a run after each of the failures.
+    fn disturb<'a>(
+        &'a self,
+        player: &Player<'a>,
+        variant: &Variant,
+        stated: &Stated,
+    ) -> Result<Vec<Rescue>, EstimatorError> {
+        let states = self.options.disturbance.iter().flat_map(|disturbance| &disturbance.states);
+        let rescue = |state: &DisturbedState| {
+            let mut disturbed = player.clone();
+            state.apply(self.number, &mut disturbed.estimator);
+            disturbed.rescue = Some(Rescue::default());
+            self.play(&mut disturbed, variant, stated)?;
+            Ok(disturbed.rescue.unwrap_or_default())
+        };
+        states.map(rescue).collect()
+    }
+
+    fn note_rescue(&self, player: &mut Player<'_>) {
+        if let Some(rescue) = player.rescue.as_mut().filter(|_| player.initializer.is_none()) {
             let truth = self.world.live_trajectory.at(player.estimator.stamp_ns()).pose;
             rescue.note(&player.estimator, &(global_from_world() * truth), player.is_answered);
         }
-        Ok(())
     }
 
     /// The truth at the stamps that the filter was given.

@@ -11,7 +11,8 @@ use serde::{Deserialize, Serialize};
 
 use super::error::RecordError;
 use crate::model::{
-    Alias, CommonError, Keyframe, KeyframeAliases, KeyframeCrossCovariance, Landmark, MapMetadata, Observation,
+    Alias, CommonError, Keyframe, KeyframeAliases, KeyframeCrossCovariance, Landmark, MapMetadata,
+    Observation,
 };
 
 /// How far a stored quaternion may be from unit length: as in a valid map.

@@ -8,4 +8,5 @@ pub(crate) use envelope::payload;
 pub use envelope::{seal, unseal, unseal_info};
 pub use error::RecordError;
 pub use layout::{
-    AliasesRecord, CommonErrorRecord, CrossCovarianceRecord, InfoRecord, KeyframeRecord, LandmarkRecord};
+    AliasesRecord, CommonErrorRecord, CrossCovarianceRecord, InfoRecord, KeyframeRecord, LandmarkRecord,
+};

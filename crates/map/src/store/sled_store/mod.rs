@@ -10,7 +10,8 @@ use serde::Serialize;
 use super::error::DatabaseError;
 use super::map_store::{MapStore, OpenDatabase, ReadMap};
 use super::record::{
-    self, AliasesRecord, CommonErrorRecord, CrossCovarianceRecord, InfoRecord, KeyframeRecord, LandmarkRecord, RecordError,
+    self, AliasesRecord, CommonErrorRecord, CrossCovarianceRecord, InfoRecord, KeyframeRecord,
+    LandmarkRecord, RecordError,
 };
 use super::{OLDEST_STORE_SCHEMA, STORE_SCHEMA};
 use crate::contents::MapContents;
