@@ -118,6 +118,7 @@ mod tests {
     use crate::cells::split;
     use crate::partition::Partition;
     use proptest::prelude::*;
+    use std::sync::LazyLock;
     use testing::{Place, PlaceOptions};
 
     fn coarse() -> (CoarseCell, usize, usize) {
@@ -140,11 +141,16 @@ mod tests {
         assert!(CoarseCell::decode(&bytes, width + 1).is_err());
     }
 
+    static ENCODED: LazyLock<(Vec<u8>, usize)> = LazyLock::new(|| {
+        let (coarse, _, width) = coarse();
+        (coarse.encode().unwrap(), width)
+    });
+
     proptest! {
         #[test]
         fn damage_is_an_error(cut in 0..1_000_000_usize, at in 0..1_000_000_usize, bit in 0..8_u8) {
-            let (coarse, _, width) = coarse();
-            let bytes = coarse.encode().unwrap();
+            let (bytes, width) = &*ENCODED;
+            let width = *width;
             prop_assert!(CoarseCell::decode(&bytes[..cut % bytes.len()], width).is_err());
             let mut flipped = bytes.clone();
             flipped[at % bytes.len()] ^= 1 << bit;
