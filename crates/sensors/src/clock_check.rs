@@ -5,7 +5,7 @@ use std::path::Path;
 
 /// No IMU reads more often, nanoseconds: 50 kHz.
 const MIN_INTERVAL_NS: i64 = 20_000;
-/// Fewer readings do not tell how often it reads.
+/// Fewer readings tell nothing.
 const MIN_READINGS: i64 = 10;
 /// Images so long before the first or after the last reading may be of the same clock, nanoseconds.
 const AROUND_NS: i64 = 10_000_000_000;
@@ -53,11 +53,13 @@ impl ClockCheck {
     /// # Errors
     /// [`SequenceError::Clocks`]: stamps in another unit, or of two clocks.
     pub(crate) fn finish(&self, root: &Path) -> Result<(), SequenceError> {
-        let Some(readings) = self.readings else { return Ok(()) };
+        let Some(readings) = self.readings.filter(|readings| readings.count >= MIN_READINGS) else {
+            return Ok(());
+        };
         let wrong = |problem: String| SequenceError::Clocks { path: root.to_path_buf(), problem };
         let interval_ns =
             readings.last_ns.saturating_sub(readings.first_ns) / readings.count.saturating_sub(1).max(1);
-        if readings.count >= MIN_READINGS && interval_ns < MIN_INTERVAL_NS {
+        if interval_ns < MIN_INTERVAL_NS {
             return Err(wrong(format!(
                 "the readings of the IMU are {interval_ns} ns apart by their stamps, which no IMU is: the stamps are in another unit \
                  (microseconds?); write them in nanoseconds"
