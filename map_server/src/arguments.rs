@@ -1,11 +1,12 @@
 //! The command line of `map_server`.
 
+use std::ffi::OsString;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 
 use anyhow::bail;
-use clap::Parser;
-use client::SessionArguments;
+use clap::{CommandFactory as _, Parser};
+use client::{SessionArguments, explain_renamed};
 use monitoring::LogFormat;
 use releases::ReleaseKey;
 
@@ -119,6 +120,13 @@ pub struct Arguments {
 }
 
 impl Arguments {
+    /// The switches of the command line. Ends the program where they are wrong or help is wanted.
+    pub fn read() -> Self {
+        let line: Vec<OsString> = std::env::args_os().collect();
+        Self::try_parse_from(&line)
+            .unwrap_or_else(|error| explain_renamed(&Self::command(), &line, error).exit())
+    }
+
     /// The maps of which this server has some cells, and those that it has as a whole.
     ///
     /// # Errors

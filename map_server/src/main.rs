@@ -10,7 +10,6 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use anyhow::Context;
-use clap::Parser;
 use client::session::{Member, Role};
 use client::{close_session, open_session, without_secrets};
 use databases::MapSource;
@@ -49,7 +48,7 @@ fn main() -> ExitCode {
 }
 
 async fn serve() -> anyhow::Result<()> {
-    let arguments = Arguments::parse();
+    let arguments = Arguments::read();
     let filter = EnvFilter::try_new(&arguments.log)
         .with_context(|| format!("--log {:?} is not a log filter; try --log info", arguments.log))?;
     start_log(without_secrets(filter), arguments.log_format);

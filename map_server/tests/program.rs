@@ -62,6 +62,12 @@ fn wrong_arguments_say_what_to_do() {
     assert!(!output.status.success() && error.contains("like 8G or 512M"), "{error}");
     let (output, error) = run(&["--map", "hall=file:///srv/hall", "--memory", "8G"]);
     assert!(!output.status.success() && error.contains("--cells"), "{error}");
+    let (output, error) = run(&["--map", "hall=hall.db", "--config", "zenoh.json5"]);
+    assert_eq!(output.status.code(), Some(2), "{error}");
+    assert!(
+        error.contains("--config: the switch is --zenoh-config") && error.lines().count() == 1,
+        "{error}"
+    );
     let (output, error) = run(&["--map", "hall=/does/not/exist"]);
     assert!(!output.status.success() && error.contains("/does/not/exist"), "{error}");
     assert!(error.contains("driftless build-map"), "{error}");

@@ -7,7 +7,7 @@ use crate::arguments::{
 };
 use anyhow::{Context as _, Result, bail};
 use clap::{CommandFactory as _, Parser};
-use client::SessionArguments;
+use client::{SessionArguments, explain_renamed};
 use monitoring::LogFormat;
 use std::ffi::OsString;
 use std::net::SocketAddr;
@@ -94,7 +94,8 @@ impl Arguments {
             write(&path, &settings_text(&command, &line))?;
             return Ok(None);
         }
-        Ok(Some(Self::parse_from(line)))
+        let read = Self::try_parse_from(&line);
+        Ok(Some(read.unwrap_or_else(|error| explain_renamed(&command, &line, error).exit())))
     }
 
     /// Looked for without the other switches, of which some may be missing still.

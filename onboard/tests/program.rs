@@ -50,6 +50,25 @@ fn summary(out: &Path) -> serde_json::Value {
 }
 
 #[test]
+fn an_old_name_of_a_switch_ends_with_the_present_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let settings = folder.path().join("robot.yaml");
+    std::fs::write(&settings, "sequence: drive\nstate-landmarks: 20\n").unwrap();
+    let settings = settings.to_string_lossy().into_owned();
+    for (line, said) in [
+        (&["--sequence", "drive", "--settings", "filter.yaml"][..], "the switch is --estimator-config"),
+        (&["--sequence", "drive", "--track-sigma=1.5", "--out", "out"], "the switch is --sigma-track"),
+        (&["--source", "native", "--config", "zenoh.json5"], "the switch is --zenoh-config"),
+        (&[settings.as_str()], "slam-features"),
+    ] {
+        let output = Command::new(env!("CARGO_BIN_EXE_onboard")).args(line).output().unwrap();
+        let error = String::from_utf8_lossy(&output.stderr);
+        assert!(!output.status.success() && error.contains(said), "{line:?}: {error}");
+        assert_eq!(error.lines().count(), 1, "{line:?}: {error}");
+    }
+}
+
+#[test]
 fn a_run_that_is_interrupted_leaves_complete_files() {
     for name in ["-INT", "-TERM"] {
         let folder = tempfile::tempdir().unwrap();

@@ -42,7 +42,7 @@
 //! ```
 //! use protocol::{Format, LocalizeRequest, decode};
 //! let request: LocalizeRequest = decode(Format::Json, br#"{
-//!     "schema": 6,
+//!     "schema": 7,
 //!     "camera": {"width": 640, "height": 480, "focal": [500, 500], "centre": [319.5, 239.5], "distortion": "none"},
 //!     "features": {"pixels": [[10, 20]], "descriptors": {"kind": "binary", "width": 2, "hex": ["a0ff"]}}
 //! }"#)?;

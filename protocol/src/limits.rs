@@ -14,7 +14,8 @@
 /// * 5: keyframes of an answer have a `common_error`, and where the request names the version of the map in
 ///   `map_version_held`, correlations among the held keyframes are not sent again.
 /// * 6: the status of a match has `log_odds` and `log_prior_odds`, the reply to a localization query has `places`.
-pub const SCHEMA_VERSION: u16 = 6;
+/// * 7: the state of a robot that only starts is `starting` (was `lost`).
+pub const SCHEMA_VERSION: u16 = 7;
 
 /// Longest payload that is encoded or decoded, envelope included.
 ///

@@ -65,6 +65,8 @@ pub enum RobotState {
     Localized,
     /// The pose in the map, or the odometry, can no longer be trusted.
     Lost,
+    /// No pose yet, and none was lost: odometry is not initialized.
+    Starting,
 }
 
 /// Health of a robot.

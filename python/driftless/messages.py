@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from .errors import Unreadable
 from .poses import Array, Pose, numbers
 
-SCHEMA = 6
+SCHEMA = 7
 """Version of the messages that this package reads and writes."""
 
 T = TypeVar("T")
@@ -197,7 +197,7 @@ class RobotStatus:
 
     stamp_ns: int
     state: str
-    """`initializing`, `odometry_only`, `localized`, `lost`, ..."""
+    """`starting`, `odometry_only`, `localized` or `lost`"""
     reason: str
     map: str | None
     last_map_update_ns: int | None

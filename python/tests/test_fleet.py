@@ -46,7 +46,7 @@ def test_features_of_a_recording_are_localized(fleet, place):
     seen = [row for row in rows if row[0] == stamp]
     info, camera = fleet.info("place"), fleet.keyframes("place")[0].camera
     request = {
-        "schema": 6,
+        "schema": 7,
         "camera": camera,
         "features": {
             "pixels": [[float(row[1]), float(row[2])] for row in seen],
@@ -74,7 +74,7 @@ def test_an_image_of_elsewhere_is_not_localized(fleet, place):
 
 def test_refusals_are_in_words(fleet):
     with pytest.raises(Refused, match="bad_request") as caught:
-        fleet.localize("place", {"schema": 6, "camera": {}})
+        fleet.localize("place", {"schema": 7, "camera": {}})
     assert caught.value.code == "bad_request"
     with pytest.raises(DriftlessError, match="no name of a map"):
         fleet.info("place/*")
@@ -100,7 +100,7 @@ def test_a_robot_is_heard(fleet, robot):
         assert pose is not None and pose.robot == "r7" and pose.map == "place"
         assert pose.global_from_imu.sigma_position.max() < 5
         assert odometry.next(timeout_s=5).robot == "r7"
-        assert status.latest(timeout_s=5).state in {"initializing", "odometry_only", "localized"}
+        assert status.latest(timeout_s=5).state in {"starting", "odometry_only", "localized"}
         assert fleet.robots() == ["r7"]
         later = poses.latest(timeout_s=5)
         assert later.stamp_ns > pose.stamp_ns and poses.unreadable == 0
@@ -131,7 +131,7 @@ def test_a_subscription_keeps_the_newest_and_ends():
         (b"\xff", "no message"),
         (b"[]", "no message"),
         (b'{"schema": 3}', "schema 3, this package reads 6"),
-        (b'{"schema": 6, "stamp_ns": 1}', "'state' is missing"),
+        (b'{"schema": 7, "stamp_ns": 1}', "'state' is missing"),
     ],
 )
 def test_hostile_messages_are_named(payload, says):

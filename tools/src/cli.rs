@@ -2,7 +2,7 @@
 
 use crate::command::Command;
 use crate::old_spellings;
-use clap::Parser;
+use clap::{CommandFactory as _, Parser};
 use std::ffi::OsString;
 
 /// Driftless: localize robots in one shared, drift-free map
@@ -35,6 +35,8 @@ impl Cli {
     /// What is wrong with it; of an old spelling, the present one. Also where help or the version is wanted.
     pub fn read(line: impl IntoIterator<Item = OsString>) -> Result<Self, clap::Error> {
         let line: Vec<OsString> = line.into_iter().collect();
-        Self::try_parse_from(&line).map_err(|error| old_spellings::explain(&line, error))
+        Self::try_parse_from(&line).map_err(|error| {
+            client::explain_renamed(&Self::command(), &line, old_spellings::explain(&line, error))
+        })
     }
 }

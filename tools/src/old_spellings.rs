@@ -1,4 +1,5 @@
-//! Spellings of the command line that are gone: whoever uses one is told the present one.
+//! Spellings of the command line that are gone: whoever uses one is told the present one. Switches that only have another name
+//! now, of any program, are in `client::explain_renamed`.
 
 use clap::error::{ContextKind, ContextValue, ErrorKind};
 use std::ffi::OsString;

@@ -59,6 +59,8 @@ mod log;
 pub mod map_change_subscriber;
 pub mod map_client;
 pub mod query_tasks;
+#[cfg(feature = "arguments")]
+mod renamed_switches;
 mod request;
 pub mod session;
 
@@ -72,6 +74,8 @@ pub use log::without_secrets;
 pub use map_change_subscriber::MapChangeSubscriber;
 pub use map_client::{MapClient, MatchAnswer};
 pub use query_tasks::{QueryResult, QueryTasks};
+#[cfg(feature = "arguments")]
+pub use renamed_switches::{explain_renamed, renamed_switch};
 pub use session::{DEFAULT_ENDPOINT, SessionError, SessionMode, SessionOptions, close_session, open_session};
 
 /// The examples of the README run as tests.

@@ -10,8 +10,6 @@ use estimator::{
 };
 
 /// A filter that diverges earlier than this was initialized badly, nanoseconds.
-/// Begin of the reason of a status while a robot starts: nothing is lost.
-pub const STARTING: &str = "starting: ";
 const MIN_LIFE_NS: i64 = 10_000_000_000;
 /// Longest pause before the next initialization, seconds. Pauses begin at one second and double with each bad
 /// initialization, so that a robot with broken sensors does not spend its time on initializing.
@@ -215,20 +213,17 @@ impl EstimatorSupervisor {
         self.init_status = InitStatus::NoData;
     }
 
-    /// Status of the localization. While the first initialization goes on it is [`Localization::Lost`], as nothing is known yet,
-    /// and the reason begins with [`STARTING`].
+    /// Status of the localization: [`Localization::Starting`] while the first initialization goes on.
     pub fn status(&self) -> Status {
         match &self.phase {
             Phase::Running(estimator) => estimator.status(),
-            Phase::Initializing(_) => Status {
-                localization: Localization::Lost,
-                reason: match &self.divergence {
-                    Some(why) => format!("{why}; {}", self.init_status),
-                    None => format!("{STARTING}{}", self.init_status),
-                },
-                last_map_update_ns: None,
-                held_keyframes: 0,
-            },
+            Phase::Initializing(_) => {
+                let (localization, reason) = match &self.divergence {
+                    Some(why) => (Localization::Lost, format!("{why}; {}", self.init_status)),
+                    None => (Localization::Starting, self.init_status.to_string()),
+                };
+                Status { localization, reason, last_map_update_ns: None, held_keyframes: 0 }
+            }
         }
     }
 }

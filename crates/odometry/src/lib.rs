@@ -11,6 +11,6 @@ pub mod estimator_supervisor;
 pub mod front_end;
 mod repeated_warning;
 
-pub use estimator_supervisor::{EstimatorSupervisor, STARTING};
+pub use estimator_supervisor::EstimatorSupervisor;
 pub use front_end::{FrontEnd, FrontEndError};
 pub use repeated_warning::RepeatedWarning;

@@ -1,13 +1,15 @@
 //! A recording in another format.
 
-use crate::ros::{image_message, imu_message};
+use crate::ros::{RosSensors, image_message, imu_message};
 use crate::ros_bag::{RosBagWriter, message_type};
 use crate::{
     CalibrationFiles, Frame, Recording, SensorError, SensorEvent, SensorSource, Sequence, SequenceError,
     writer,
 };
 use bags::{BagError, Format};
-use ros_messages::sensor_msgs::Imu;
+use ros_messages::builtin_interfaces::Time;
+use ros_messages::sensor_msgs::{CameraInfo, Imu};
+use ros_messages::tf2_msgs::TFMessage;
 use ros_messages::{CdrError, encode};
 use std::path::{Path, PathBuf};
 use vision::ImageError;
@@ -70,14 +72,12 @@ pub enum ConvertError {
 pub struct Converted {
     /// Frames.
     pub frames: usize,
-    /// The folder with the calibration, in the EuRoC layout; for `--calibration` where it is not that of the recording.
-    pub calibration: PathBuf,
     /// What the format has no place for.
     pub left_out: Vec<&'static str>,
 }
 
-/// Writes a recording in another format, with its calibration. Readings, stamps and pixels are the same; a calibrated
-/// offset of the cameras' clock is part of the stamps then.
+/// Writes a recording in another format, with its calibration, so that nothing else is needed to read it. Readings, stamps and pixels
+/// are the same; a calibrated offset of the cameras' clock is part of the stamps then.
 ///
 /// # Arguments
 /// * `files`: as for [`Recording::open_with`].
@@ -124,7 +124,7 @@ fn to_folder(
         }
         progress(index + 1);
     }
-    Ok(Converted { frames: sequence.frames.len(), calibration: out.to_path_buf(), left_out: Vec::new() })
+    Ok(Converted { frames: sequence.frames.len(), left_out: Vec::new() })
 }
 
 fn to_bag(
@@ -135,28 +135,29 @@ fn to_bag(
     mut progress: impl FnMut(usize),
 ) -> Result<Converted, ConvertError> {
     let recording = Recording::open_with(input, files)?;
-    // That of a folder is found within it.
-    let (format, calibration) = if target == Target::Rosbag2 {
-        (Format::Rosbag2, out.to_path_buf())
-    } else {
-        let stem = out.file_stem().unwrap_or_default().to_string_lossy();
-        (Format::Mcap, out.with_file_name(format!("{stem}_calibration")))
-    };
-    if target == Target::Mcap && calibration.exists() {
-        return Err(ConvertError::Exists { path: calibration });
-    }
+    let calibration = recording.calibration();
+    let sensors = RosSensors::new(&[], &calibration.cameras);
+    sensors.warn_of_unnamed_models();
+    let format = if target == Target::Rosbag2 { Format::Rosbag2 } else { Format::Mcap };
     let mut bag = RosBagWriter::create(out, format)?;
+    bag.write_sensors(&sensors, calibration.imu.as_ref())?;
     let mut source = recording.source()?;
     let mut frames = 0;
+    let mut is_mounted = false;
     while let Some(event) = source.next()? {
+        if let Some(stamp_ns) = event.stamp_ns().filter(|_| !is_mounted) {
+            is_mounted = true;
+            write_mounting(&mut bag, &sensors, stamp_ns)?;
+        }
         match event {
             SensorEvent::Imu(reading) => {
                 let stamp_ns = reading.stamp_ns;
-                let message = imu_message(&reading, "imu").ok_or(ConvertError::Time { stamp_ns })?;
+                let message =
+                    imu_message(&reading, sensors.imu_frame()).ok_or(ConvertError::Time { stamp_ns })?;
                 bag.write("/imu0", message_type::<Imu>, stamp_ns, &encode(&message)?)?;
             }
             SensorEvent::Frame(frame) => {
-                write_images(&mut bag, &frame)?;
+                write_images(&mut bag, &sensors, &frame)?;
                 frames += 1;
                 progress(frames);
             }
@@ -164,7 +165,10 @@ fn to_bag(
         }
     }
     bag.finish()?;
-    writer::write_calibration(recording.calibration(), &calibration)?;
+    if target == Target::Rosbag2 {
+        // SQLite has no place for the noise of the IMU; what lies in the folder is found.
+        writer::write_calibration(calibration, out)?;
+    }
     let contents = recording.contents();
     let parts = [
         (contents.tracks, "tracks"),
@@ -172,15 +176,24 @@ fn to_bag(
         (recording.has_truth(), "the ground truth"),
     ];
     let left_out = parts.into_iter().filter(|(is_there, _)| *is_there).map(|(_, name)| name).collect();
-    Ok(Converted { frames, calibration, left_out })
+    Ok(Converted { frames, left_out })
 }
 
-fn write_images(bag: &mut RosBagWriter, frame: &Frame) -> Result<(), ConvertError> {
+fn write_mounting(bag: &mut RosBagWriter, sensors: &RosSensors, stamp_ns: i64) -> Result<(), ConvertError> {
+    let stamp = Time::from_nanoseconds(stamp_ns).ok_or(ConvertError::Time { stamp_ns })?;
+    let mounting = TFMessage { transforms: sensors.mounting(stamp) };
+    Ok(bag.write("/tf_static", message_type::<TFMessage>, stamp_ns, &encode(&mounting)?)?)
+}
+
+/// Writes the images of a frame, each after the projection of its camera.
+fn write_images(bag: &mut RosBagWriter, sensors: &RosSensors, frame: &Frame) -> Result<(), ConvertError> {
     let stamp_ns = frame.stamp_ns;
     for (camera, image) in frame.images.iter().enumerate() {
-        let Some(image) = image else { continue };
-        let message = image_message(image, stamp_ns, &format!("cam{camera}"))?
-            .ok_or(ConvertError::Time { stamp_ns })?;
+        let (Some(image), Some(name)) = (image, sensors.camera_frame(camera)) else { continue };
+        let message = image_message(image, stamp_ns, name)?.ok_or(ConvertError::Time { stamp_ns })?;
+        if let Some((topic, info)) = sensors.info(camera, stamp_ns) {
+            bag.write(&topic, message_type::<CameraInfo>, stamp_ns, &encode(&info)?)?;
+        }
         bag.write(&message.topic(camera), || message.message_type(), stamp_ns, &message.encode()?)?;
     }
     Ok(())

@@ -74,6 +74,14 @@ pub enum SequenceError {
         /// What is wrong, and what to do.
         source: ImuUnitError,
     },
+    /// Images and readings are stamped by two clocks, or in another unit than nanoseconds.
+    #[error("{}: {problem}", path.display())]
+    Clocks {
+        /// The recording.
+        path: PathBuf,
+        /// What is wrong, and what to do.
+        problem: String,
+    },
     /// The images of the two cameras are swapped, or their poses on the IMU.
     #[error(
         "the cameras are swapped: {as_swapped} matches of the first images lie in front of the cameras with cam0 and cam1 \

@@ -25,6 +25,9 @@ const MIN_PERIODS: usize = 4;
 const G_UNITS: std::ops::Range<f64> = 0.085..0.12;
 /// A mean specific force below this part of gravity has no gravity in it.
 const NO_GRAVITY: f64 = 0.06;
+/// A gyroscope that reads this part of gravity, turning one way, beside an accelerometer that reads less than that one, is one.
+const LIKE_GRAVITY: std::ops::Range<f64> = 0.85..1.15;
+const NOT_GRAVITY: f64 = 0.5;
 /// Median rate from which on gravity must be seen to turn, rad/s: 170 deg/s, half of the time.
 const FAST_RATE: f64 = 3.0;
 /// Part of the claimed rotation that the direction of gravity follows at least; deg/s leave 1/57.
@@ -56,6 +59,17 @@ pub enum ImuUnitError {
         mean: f64,
         /// Gravity that was expected, m/s^2.
         gravity: f64,
+    },
+    /// The gyroscope reads gravity.
+    #[error(
+        "the gyroscope reads {rate:.2} on average, which is gravity, and the accelerometer {mean:.2}: they are exchanged; write \
+         the angular velocity first, then the specific force"
+    )]
+    Exchanged {
+        /// Mean length of what should be angular velocities.
+        rate: f64,
+        /// Mean length of what should be specific forces.
+        mean: f64,
     },
     /// The gyroscope's unit is deg/s.
     #[error(
@@ -163,6 +177,10 @@ impl ImuCheck {
         }
         let gravity = self.gravity;
         let mean = median(self.periods.iter().map(|period| period.specific_force.norm()));
+        let turn = median(self.periods.iter().map(|period| period.rate.norm()));
+        if LIKE_GRAVITY.contains(&(turn / gravity)) && mean < NOT_GRAVITY * gravity {
+            return Err(ImuUnitError::Exchanged { rate: turn, mean });
+        }
         if G_UNITS.contains(&(mean / gravity)) && self.is_steady() {
             return Err(ImuUnitError::AccelerationInG { mean, gravity });
         }
@@ -275,6 +293,22 @@ mod tests {
         for amplitude in [0.3, 1.0] {
             let degrees = check(&scaled(&swinging(amplitude), 1_f64.to_degrees(), 1.0));
             assert!(matches!(degrees, Err(ImuUnitError::RatesInDegrees { .. })), "{degrees:?}");
+        }
+    }
+
+    #[test]
+    fn a_gyroscope_that_reads_gravity_is_an_accelerometer() {
+        for amplitude in [0.0, 0.3, 1.0] {
+            let exchanged: Vec<ImuSample> = swinging(amplitude)
+                .into_iter()
+                .map(|sample| ImuSample {
+                    gyroscope: sample.accelerometer,
+                    accelerometer: sample.gyroscope,
+                    ..sample
+                })
+                .collect();
+            let found = check(&exchanged);
+            assert!(matches!(found, Err(ImuUnitError::Exchanged { .. })), "{amplitude}: {found:?}");
         }
     }
 

@@ -51,6 +51,7 @@ mod calibration;
 mod calibration_yaml;
 #[cfg(feature = "ros")]
 mod camera_info;
+mod clock_check;
 #[cfg(feature = "bags")]
 pub mod convert;
 mod error;
@@ -74,6 +75,9 @@ mod rig_calibration;
 pub mod ros;
 #[cfg(feature = "bags")]
 pub mod ros_bag;
+#[cfg(feature = "ros")]
+mod ros_sensors;
+mod row_order;
 mod rows;
 mod source;
 mod split_imu;

@@ -1,5 +1,6 @@
 //! A recording that is read while it is played, so that memory does not grow with its length.
 
+use super::clock_check::ClockCheck;
 use super::image_check::ImageCheck;
 use super::rows::{Rows, Stamped};
 use super::stored::{self, Stored};
@@ -74,12 +75,16 @@ impl Recording<'static> {
         let (stored, calibration) = stored::open(root, files)?;
         let mut contents = Contents::default();
         let mut images = ImageCheck::default();
+        let mut clocks = ClockCheck::default();
         for frame in stored.frames()? {
             let frame = frame?;
             images.add(&frame, &calibration.cameras)?;
             contents.add(&frame);
+            clocks.add_image(frame.stamp_ns);
         }
-        stored::check_readings(&*stored, calibration.imu.as_ref(), |_| {})?;
+        let imu = calibration.imu.as_ref();
+        stored::check_readings(&*stored, imu, |reading| clocks.add_reading(reading.stamp_ns))?;
+        clocks.finish(root)?;
         stored.truth()?.try_for_each(|row| row.map(drop))?;
         Ok(Self {
             root: root.to_path_buf(),

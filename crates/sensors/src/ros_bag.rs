@@ -2,7 +2,7 @@
 
 use crate::ImuSensor;
 use crate::euroc::writer::imu_yaml;
-use crate::ros::ImageMessage;
+use crate::ros::{ImageMessage, RosSensors};
 use bags::{BagError, BagWriter, Format, MessageType, Metadata, OfferedQos, WrittenTopic};
 use ros_messages::RosMessage;
 use ros_messages::sensor_msgs::{CompressedImage, Image};
@@ -13,6 +13,13 @@ use std::path::Path;
 pub(crate) const METADATA: &str = "driftless";
 /// Its entry with the IMU, for whose noise ROS has no message.
 pub(crate) const IMU_ENTRY: &str = "imu0/sensor.yaml";
+/// Its entry with the name of the IMU's frame, which a recording without readings has in no message.
+pub(crate) const IMU_FRAME_ENTRY: &str = "imu0/frame_id";
+/// Its entry with the rate of a camera, by the topic of its projection.
+pub(crate) fn rate_entry(info_topic: &str) -> String {
+    format!("{info_topic} rate_hz")
+}
+
 /// Depth of `/tf`: what `tf2_ros` publishes with.
 const TF_DEPTH: u32 = 100;
 
@@ -62,17 +69,21 @@ impl RosBagWriter {
         }
     }
 
-    /// Writes the IMU, whose noise no message states: a recording of its readings and of images with `CameraInfo` and
-    /// `/tf_static` needs no other calibration then. Only MCAP has a place for it.
+    /// Writes what no message states of the sensors: the noise of the IMU, where there is one, the rates of the cameras, and that the
+    /// images are stamped on the IMU's clock. A recording of readings and of images with `CameraInfo` and `/tf_static` needs no other
+    /// calibration then. Only MCAP has a place for it.
     ///
     /// # Errors
     /// [`BagError`]: the file cannot be written.
-    pub fn write_imu(&mut self, imu: &ImuSensor) -> Result<(), BagError> {
-        let mut text = Vec::new();
-        // Memory can be written to.
-        let _ = imu_yaml(&mut text, imu);
-        let text = String::from_utf8_lossy(&text).into_owned();
-        let entries = BTreeMap::from([(IMU_ENTRY.to_owned(), text)]);
+    pub fn write_sensors(&mut self, sensors: &RosSensors, imu: Option<&ImuSensor>) -> Result<(), BagError> {
+        let mut entries = BTreeMap::from([(IMU_FRAME_ENTRY.to_owned(), sensors.imu_frame().to_owned())]);
+        entries.extend(sensors.rates_hz().map(|(topic, rate_hz)| (rate_entry(&topic), rate_hz.to_string())));
+        if let Some(imu) = imu {
+            let mut text = Vec::new();
+            // Memory can be written to.
+            let _ = imu_yaml(&mut text, imu);
+            entries.insert(IMU_ENTRY.to_owned(), String::from_utf8_lossy(&text).into_owned());
+        }
         self.writer.metadata(&Metadata { name: METADATA.to_owned(), entries })
     }
 

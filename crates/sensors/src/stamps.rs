@@ -11,6 +11,8 @@ pub(crate) const CONFIRMING: usize = 3;
 /// and after it has lasted for so long, nanoseconds.
 pub(crate) const CONFIRMING_NS: i64 = 100_000_000;
 
+/// So many messages with wrong stamps are named, the others counted.
+const MAX_NAMED: usize = 3;
 /// So many of the next messages tell which of two few are wrong.
 const NEXT: usize = 5;
 /// The first and the last messages of a stream have no others on one side. They are wrong if they are further away than
@@ -62,6 +64,59 @@ pub(crate) struct StampOrder {
     pub(crate) out_of_order: usize,
     /// Messages with a stamp that another one has; the first of them is used.
     pub(crate) doubled: usize,
+}
+
+/// How a stream is named when it is said what is odd about its stamps.
+pub(crate) struct Told<'a> {
+    /// The stream.
+    pub(crate) name: &'a str,
+    /// One of its messages, by its number in the order of recording.
+    pub(crate) which: &'a dyn Fn(usize) -> String,
+    /// Several of them.
+    pub(crate) all: &'a str,
+}
+
+impl StampOrder {
+    /// Warns of what is left out, and of steps of the clock.
+    ///
+    /// # Arguments
+    /// * `stamps`: in the order of recording.
+    pub(crate) fn tell(&self, stamps: &[i64], Told { name, which, all }: &Told<'_>) {
+        for outlier in self.outliers.iter().take(MAX_NAMED) {
+            let (message, stamp_ns) = (which(outlier.index), stamps[outlier.index]);
+            tracing::warn!(
+                "{name}: the stamp of {message}, {stamp_ns} ns, is {}; it is left out",
+                outlier.describe()
+            );
+        }
+        if let Some(more) = self.outliers.len().checked_sub(MAX_NAMED).filter(|more| *more > 0) {
+            tracing::warn!("{name}: {more} more {all} with stamps like these are left out");
+        }
+        for step in &self.steps {
+            tracing::warn!(
+                "{name}: the clock went back by {:.3} s; from there on stamps go on without the step",
+                -step.by_ns as f64 * 1e-9
+            );
+        }
+        if self.doubled > 0 {
+            tracing::warn!(
+                "{name}: {} {all} have the stamp of another one, the first of which is used",
+                self.doubled
+            );
+        }
+    }
+
+    /// What was out of order, in words.
+    ///
+    /// # Arguments
+    /// * `count`: of all messages.
+    /// * `all`: their name.
+    pub(crate) fn describe_order(&self, count: usize, all: &str) -> String {
+        format!(
+            "{} of {count} {all} came after later ones, and are sorted by their stamps",
+            self.out_of_order
+        )
+    }
 }
 
 /// Puts the messages of a stream in order.

@@ -1,5 +1,6 @@
 //! Recordings on disk, whatever their format.
 
+use super::clock_check::ClockCheck;
 use super::euroc::Folder;
 use super::image_check::ImageCheck;
 use super::imu_check::ImuCheck;
@@ -131,17 +132,23 @@ impl Sequence {
     fn read(
         root: &Path,
         files: &CalibrationFiles,
-        keep: impl FnMut(&ImuSample),
+        mut keep: impl FnMut(&ImuSample),
     ) -> Result<Self, SequenceError> {
         let (stored, SensorCalibration { imu, cameras }) = open(root, files)?;
-        check_readings(&*stored, imu.as_ref(), keep)?;
+        let mut clocks = ClockCheck::default();
+        check_readings(&*stored, imu.as_ref(), |reading| {
+            clocks.add_reading(reading.stamp_ns);
+            keep(reading);
+        })?;
         let mut images = ImageCheck::default();
         let mut frames = Vec::new();
         for frame in stored.frames()? {
             let frame = frame?;
             images.add(&frame, &cameras)?;
+            clocks.add_image(frame.stamp_ns);
             frames.push(frame);
         }
+        clocks.finish(root)?;
         let groundtruth: Vec<TruthRow> = stored.truth()?.collect::<Result<_, _>>()?;
         Ok(Self {
             root: root.to_path_buf(),

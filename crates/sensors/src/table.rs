@@ -4,7 +4,9 @@
 
 use super::error::SequenceError;
 use super::pose_columns::PoseColumns;
+use super::row_order::RowOrder;
 use csv::{ByteRecord, Reader, ReaderBuilder};
+use std::collections::{BTreeMap, HashSet};
 use std::fmt::Display;
 use std::fs::File;
 use std::io::{Read as _, Seek as _, SeekFrom};
@@ -36,6 +38,10 @@ pub struct Table {
     /// Length of the file, bytes.
     length: u64,
     ends_with_line_feed: bool,
+    /// Lines that are left out.
+    skipped: HashSet<u64>,
+    /// The rows, where they are read in another order than that of the file.
+    sorted: Option<std::vec::IntoIter<ByteRecord>>,
 }
 
 impl Table {
@@ -67,7 +73,29 @@ impl Table {
             pose_columns: None,
             length,
             ends_with_line_feed,
+            skipped: HashSet::new(),
+            sorted: None,
         })
+    }
+
+    /// Opens a file whose rows are read in a given order. Rows that are not in the order of the file are held in memory.
+    ///
+    /// # Errors
+    /// As [`Table::open`]; where rows are held in memory also as [`Table::next_row`].
+    pub(crate) fn open_in_order(path: &Path, advice: &str, order: &RowOrder) -> Result<Self, SequenceError> {
+        let mut table = Self::open(path, advice)?;
+        table.skipped.clone_from(&order.skipped);
+        let Some(wanted) = &order.sorted else { return Ok(table) };
+        let mut records = BTreeMap::new();
+        while let Some(row) = table.next_row()? {
+            let line = row.line();
+            records.insert(line, table.record.clone());
+        }
+        let rest = records.split_off(&(wanted.last + 1));
+        let sorted: Vec<ByteRecord> =
+            wanted.lines.iter().filter_map(|line| records.remove(line)).chain(rest.into_values()).collect();
+        table.sorted = Some(sorted.into_iter());
+        Ok(table)
     }
 
     /// Reads the next row; `None` at the end of the file.
@@ -75,6 +103,11 @@ impl Table {
     /// # Errors
     /// [`SequenceError::Row`] with file and line: the file cannot be read any further.
     pub fn next_row(&mut self) -> Result<Option<Row<'_>>, SequenceError> {
+        if let Some(sorted) = &mut self.sorted {
+            let Some(record) = sorted.next() else { return Ok(None) };
+            self.record = record;
+            return Ok(Some(self.row()));
+        }
         loop {
             let more = self.reader.read_byte_record(&mut self.record).map_err(|error| {
                 let line = error.position().map_or(0, csv::Position::line);
@@ -95,6 +128,9 @@ impl Table {
             self.rows += 1;
             if self.rows == 1 && is_header(&self.record) {
                 self.read_header();
+                continue;
+            }
+            if self.skipped.contains(&self.row().line()) {
                 continue;
             }
             return Ok(Some(self.row()));
@@ -182,6 +218,13 @@ impl<'a> Row<'a> {
         if self.len() >= wanted {
             return Ok(());
         }
+        let words = self.cell(0)?.split(u8::is_ascii_whitespace).filter(|word| !word.is_empty());
+        if self.len() == 1 && words.count() > 1 {
+            return Err(self.wrong("the columns are separated by blanks: separate them by commas"));
+        }
+        if self.len() == 1 && self.cell(0)?.contains(&b';') {
+            return Err(self.wrong("the columns are separated by semicolons: separate them by commas"));
+        }
         Err(self.wrong(format!(
             "the row is cut off: {} of {wanted} columns are there; delete it or copy the file again",
             self.len()
@@ -252,6 +295,9 @@ impl<'a> Row<'a> {
 /// [`SequenceError::Row`] for `row`: its time repeats or goes back.
 pub fn check_order(row: &Row<'_>, before: Option<i64>, stamp_ns: i64) -> Result<(), SequenceError> {
     match before {
+        Some(0) if stamp_ns == 0 => {
+            Err(row.wrong("the time stamps are zero: they were not filled in when the file was recorded"))
+        }
         Some(before) if stamp_ns <= before => Err(row.wrong(format!(
             "time stamp {stamp_ns} does not come after {before}: sort the file by time and delete repeated rows"
         ))),

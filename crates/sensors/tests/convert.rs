@@ -50,13 +50,11 @@ fn readings_images_and_calibration_survive_every_way() {
     let expected = Recording::open(&data("euroc")).unwrap();
     let mut frames = 0;
     // From the folder to both kinds of bags,
-    let mcap = convert(&data("euroc"), &none, &at("a.mcap"), Target::Mcap, |done| frames = done).unwrap();
+    convert(&data("euroc"), &none, &at("a.mcap"), Target::Mcap, |done| frames = done).unwrap();
     assert_eq!(Some(frames), expected.contents().frames);
-    assert_same(
-        &Recording::open_with(&at("a.mcap"), &calibrated(&mcap.calibration)).unwrap(),
-        &expected,
-        "mcap",
-    );
+    assert_same(&Recording::open(&at("a.mcap")).unwrap(), &expected, "mcap");
+    // The file is all that was written.
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
     convert(&data("euroc"), &none, &at("a_rosbag2"), Target::Rosbag2, |_| {}).unwrap();
     assert_same(&Recording::open(&at("a_rosbag2")).unwrap(), &expected, "rosbag2");
     // from a bag of ROS 1 to one of ROS 2,
@@ -64,11 +62,40 @@ fn readings_images_and_calibration_survive_every_way() {
     convert(&data("excerpt.bag"), &files, &at("b_rosbag2"), Target::Rosbag2, |_| {}).unwrap();
     assert_same(&Recording::open(&at("b_rosbag2")).unwrap(), &expected, "rosbag1");
     // and back to a folder.
-    for (bag, calibration) in [("a.mcap", &mcap.calibration), ("b_rosbag2", &at("b_rosbag2"))] {
+    for bag in ["a.mcap", "b_rosbag2"] {
         let out = at(&format!("{bag}_folder"));
-        convert(&at(bag), &calibrated(calibration), &out, Target::Euroc, |_| {}).unwrap();
+        convert(&at(bag), &none, &out, Target::Euroc, |_| {}).unwrap();
         assert_same(&Recording::open(&out).unwrap(), &expected, bag);
     }
+}
+
+#[test]
+fn bags_of_both_kinds_state_projections_and_mounting_for_other_programs() {
+    let folder = tempfile::tempdir().unwrap();
+    for (name, target) in [("a.mcap", Target::Mcap), ("a_rosbag2", Target::Rosbag2)] {
+        let path = folder.path().join(name);
+        convert(&data("euroc"), &CalibrationFiles::default(), &path, target, |_| {}).unwrap();
+        let bag = bags::Bag::open(&path).unwrap();
+        let topics: Vec<(&str, usize)> =
+            bag.topics().iter().map(|topic| (topic.name.as_str(), topic.messages.len())).collect();
+        let count = |of: &str| topics.iter().find(|(name, _)| *name == of).map(|(_, count)| *count);
+        assert_eq!(count("/tf_static"), Some(1), "{name}: {topics:?}");
+        for camera in 0..2 {
+            let images = format!("/cam{camera}/image_raw/compressed");
+            assert_eq!(count(&format!("/cam{camera}/camera_info")), count(&images), "{name}: {topics:?}");
+        }
+    }
+}
+
+#[test]
+fn a_recording_without_an_imu_carries_its_cameras_too() {
+    let folder = tempfile::tempdir().unwrap();
+    let (without, bag) = (folder.path().join("without"), folder.path().join("without.mcap"));
+    let none = CalibrationFiles::default();
+    convert(&data("euroc"), &none, &without, Target::Euroc, |_| {}).unwrap();
+    std::fs::remove_dir_all(without.join("mav0/imu0")).unwrap();
+    convert(&without, &none, &bag, Target::Mcap, |_| {}).unwrap();
+    assert_same(&Recording::open(&bag).unwrap(), &Recording::open(&without).unwrap(), "without an IMU");
 }
 
 #[test]

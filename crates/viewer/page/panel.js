@@ -5,10 +5,7 @@ import { robotColor, STATES } from "./colors.js";
 export const STALE_S = 3;
 
 export function stateOf(robot) {
-  if (!robot.is_online) return "gone";
-  const { state, reason } = robot.status ?? {};
-  // Nothing is known yet, and nothing was lost.
-  return state === "lost" && reason?.startsWith("starting: ") ? "starting" : state;
+  return robot.is_online ? robot.status?.state : "gone";
 }
 
 function line(parent, className) {

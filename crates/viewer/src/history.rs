@@ -27,6 +27,7 @@ pub(crate) enum ShownState {
     Localized,
     OdometryOnly,
     Lost,
+    Starting,
     /// Its session ended.
     Gone,
     /// It published no status.
@@ -40,6 +41,7 @@ impl ShownState {
             Some(RobotState::Localized) => Self::Localized,
             Some(RobotState::OdometryOnly) => Self::OdometryOnly,
             Some(RobotState::Lost) => Self::Lost,
+            Some(RobotState::Starting) => Self::Starting,
             None => Self::Unknown,
         }
     }

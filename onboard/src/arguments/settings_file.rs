@@ -140,6 +140,9 @@ fn switches(command: &Command) -> impl Iterator<Item = &Arg> {
 
 fn nearest(command: &Command, key: &str) -> Option<String> {
     let key = key.replace('_', "-");
+    if let Some(present) = client::renamed_switch(command, &key) {
+        return Some(present.to_owned());
+    }
     let alike = |name: &str| (strsim::jaro_winkler(name, &key), name.to_owned());
     let names = switches(command).filter_map(Arg::get_long).map(alike);
     let best = names.max_by(|(a, _), (b, _)| a.total_cmp(b))?;

@@ -19,10 +19,11 @@ struct StateLabel {
 }
 
 /// The states and their labels, as in published status messages.
-const STATES: [(Localization, &str); 3] = [
+const STATES: [(Localization, &str); 4] = [
     (Localization::OdometryOnly, "odometry_only"),
     (Localization::Localized, "localized"),
     (Localization::Lost, "lost"),
+    (Localization::Starting, "starting"),
 ];
 
 /// What a run counts while it goes on. Clones share the counters.
@@ -111,7 +112,7 @@ impl RobotMetrics {
         raise(&self.queries_sent, queries.sent);
         raise(&self.queries_answered, queries.answered);
         raise(&self.answers_accepted, queries.accepted);
-        let is_well = status.localization != Localization::Lost;
+        let is_well = status.localization.is_usable();
         *self.health.lock().unwrap_or_else(PoisonError::into_inner) =
             Health { is_well, reason: status.reason.clone() };
     }

@@ -107,7 +107,7 @@ impl Publisher {
     pub fn publish(&self, estimator: &Estimator, status: Status, counts: QueryCounts) {
         let stamp_ns = estimator.stamp_ns();
         self.send(&self.odometry_key, &odometry(&estimator.motion(), self.clock_shift_ns));
-        let trusted = status.localization != Localization::Lost;
+        let trusted = status.localization.is_usable();
         let poses = estimator.global_from_imu().zip(estimator.global_from_local()).filter(|_| trusted);
         let map = estimator.map_version().zip(estimator.map_identity());
         let named = self.map.as_ref().zip(poses.zip(map));
@@ -198,5 +198,6 @@ fn robot_state(localization: Localization) -> RobotState {
         Localization::OdometryOnly => RobotState::OdometryOnly,
         Localization::Localized => RobotState::Localized,
         Localization::Lost => RobotState::Lost,
+        Localization::Starting => RobotState::Starting,
     }
 }

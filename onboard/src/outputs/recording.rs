@@ -47,11 +47,11 @@ impl MessageRecording {
     pub(crate) fn start(path: &Path, settings: RecordingSettings) -> Result<Self, BagError> {
         let path = unused(path);
         let mut writer = RosBagWriter::create(&path, Format::Mcap)?;
-        if let (true, Some(imu)) = (settings.sensors, &settings.calibration.imu) {
-            writer.write_imu(imu)?;
-        }
         let cameras = if settings.sensors { &*settings.calibration.cameras } else { &[] };
         let topics = SensorTopics::new(&settings.body.sensor_frames, cameras);
+        if settings.sensors {
+            writer.write_sensors(&topics, settings.calibration.imu.as_ref())?;
+        }
         let queue = RecordingQueue::start(path, writer, settings.realtime)?;
         let odom = OdomFrame::default();
         let (clock_shift_ns, has_mounting, first_statuses) = (0, false, Vec::new());

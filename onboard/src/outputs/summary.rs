@@ -1,7 +1,8 @@
 //! The summary of a run: `summary.json`.
 
+use super::status_word::status_word;
 use crate::alarms::Alarm;
-use estimator::{EstimatorConfig, LearnedNoise, Localization, Status};
+use estimator::{EstimatorConfig, LearnedNoise, Status};
 use evaluation::RunScore;
 use sensors::PairCounts;
 use serde::Serialize;
@@ -179,8 +180,10 @@ pub struct DivergenceSummary {
 
 /// A run that ended without a pose that can be trusted.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("the run ended lost: {reason}")]
+#[error("the run ended {state}: {reason}")]
 pub struct EndedLost {
+    /// The last state in a word.
+    pub state: &'static str,
     /// Reason of the last status.
     pub reason: String,
 }
@@ -201,8 +204,8 @@ impl Summary {
 }
 
 fn check_status(last: Option<&Status>) -> Result<(), EndedLost> {
-    let lost = last.filter(|status| status.localization == Localization::Lost);
-    lost.map_or(Ok(()), |status| Err(EndedLost { reason: status.reason.clone() }))
+    let lost = last.filter(|status| !status.localization.is_usable());
+    lost.map_or(Ok(()), |status| Err(EndedLost { state: status_word(status), reason: status.reason.clone() }))
 }
 
 /// The summary of a run.
@@ -275,6 +278,7 @@ pub struct Summary {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use estimator::Localization;
 
     fn ended(localization: Localization) -> Result<(), EndedLost> {
         let status =
@@ -287,7 +291,11 @@ mod tests {
         assert_eq!(ended(Localization::Localized), Ok(()));
         assert_eq!(ended(Localization::OdometryOnly), Ok(()));
         assert_eq!(check_status(None), Ok(()));
-        let lost = ended(Localization::Lost).unwrap_err();
-        assert_eq!(lost.to_string(), "the run ended lost: why");
+        for (localization, said) in [
+            (Localization::Lost, "the run ended lost: why"),
+            (Localization::Starting, "the run ended starting: why"),
+        ] {
+            assert_eq!(ended(localization).unwrap_err().to_string(), said);
+        }
     }
 }

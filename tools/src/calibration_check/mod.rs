@@ -6,7 +6,6 @@ use anyhow::{Result, bail};
 use estimator::{Estimator, EstimatorConfig, LearnedNoise};
 use mapping::{OdometryRun, run_configured};
 use nalgebra::{DMatrix, DVector};
-use odometry::STARTING;
 use sensors::Sequence;
 use serde::Serialize;
 
@@ -88,7 +87,7 @@ impl Fit {
     pub fn complaint(&self) -> Option<String> {
         let Some(noise) = self.noise else {
             let why = self.uninitialized.as_deref().unwrap_or_default();
-            return Some(format!("odometry was never initialized: {}", why.trim_start_matches(STARTING)));
+            return Some(format!("odometry was never initialized: {}", why));
         };
         if self.divergences > 0 {
             return Some(format!("odometry diverged {} times", self.divergences));

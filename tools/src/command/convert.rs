@@ -32,7 +32,7 @@ impl From<To> for Target {
 #[command(after_help = "Examples:\n  \
     driftless convert MH_03 MH_03.mcap\n  \
     driftless convert drive.bag drive --to rosbag2 --calibration camchain-imucam.yaml\n  \
-    driftless convert drive.mcap drive_folder --calibration drive_calibration")]
+    driftless convert drive.mcap drive_folder --calibration camchain-imucam.yaml")]
 pub struct Args {
     /// The recording: a folder in the EuRoC layout, or a bag (MCAP, rosbag2, rosbag1)
     #[arg(value_name = "REC")]
@@ -63,11 +63,8 @@ pub fn run(args: &Args) -> Result<()> {
         bar.inc(1);
     })?;
     bar.finish_and_clear();
-    let Converted { frames, calibration, left_out } = converted;
+    let Converted { frames, left_out } = converted;
     println!("{frames} frames written to {}", args.out.display());
-    if calibration != args.out {
-        println!("play it with --calibration {}", calibration.display());
-    }
     if !left_out.is_empty() {
         println!("not in the bag, which has no place for it: {}", left_out.join(", "));
     }

@@ -45,8 +45,8 @@ pub struct Args {
     /// Standard deviation of --scale, relative
     #[arg(long, value_name = "PART", default_value_t = 0.01)]
     pub sigma_scale: f64,
-    /// Direction in which gravity points in the model's frame, which becomes that of the map, for example 0,1,0
-    /// [default: by the IMU of the recording, with z up]
+    /// Direction in which gravity points in the model's frame, for example 0,1,0; the map has z up [default: by the IMU of the
+    /// recording]
     #[arg(long, value_name = "X,Y,Z", value_parser = parse_direction, allow_hyphen_values = true)]
     pub gravity: Option<Vector3<f64>>,
     /// How features are extracted from images

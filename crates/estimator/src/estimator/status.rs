@@ -17,6 +17,15 @@ pub enum Localization {
     Localized,
     /// There was a pose in the map, or odometry, that cannot be trusted any more.
     Lost,
+    /// There is no pose yet, and none was lost: the first initialization goes on.
+    Starting,
+}
+
+impl Localization {
+    /// Whether there is a pose, in G or of odometry, that can be used.
+    pub fn is_usable(self) -> bool {
+        matches!(self, Self::OdometryOnly | Self::Localized)
+    }
 }
 
 /// Reason of a [`Localization`].

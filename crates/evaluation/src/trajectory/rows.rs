@@ -53,6 +53,8 @@ pub(super) enum RowProblem {
     Time { column: usize, cell: String },
     #[error("the row is cut off: {found} of {wanted} columns are there; delete it or copy the file again")]
     CutOff { found: usize, wanted: usize },
+    #[error("the columns are separated by semicolons: separate them by commas or blanks")]
+    Semicolons,
     #[error("column {column}: \"{cell}\": {source}")]
     Number { column: usize, cell: String, source: std::num::ParseFloatError },
     #[error("column {column} is {value}: delete the row")]
@@ -143,6 +145,11 @@ fn row_error(path: &Path, index: usize, problem: &RowProblem) -> SequenceError {
 pub(super) fn parse(line: &str, layout: &Layout) -> Result<StampedPose, RowProblem> {
     let cells = cells(line.trim_start_matches('\u{feff}'), layout.with_commas);
     let columns = &layout.columns;
+    if let [cell] = cells[..]
+        && cell.contains(';')
+    {
+        return Err(RowProblem::Semicolons);
+    }
     if cells.len() < columns.width() {
         return Err(RowProblem::CutOff { found: cells.len(), wanted: columns.width() });
     }

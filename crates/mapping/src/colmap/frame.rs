@@ -45,15 +45,17 @@ pub struct Gravity {
 }
 
 impl ColmapFrame {
-    /// A model that is metric already, or whose unit of length is known; G is its frame.
+    /// A model that is metric already, or whose unit of length is known. G is its frame, turned so that z is up where gravity is
+    /// known.
     ///
     /// # Arguments
     /// * `scale`: metres in the model's unit of length.
     /// * `sigma_scale`: relative standard deviation of the scale.
     /// * `gravity`: direction in which gravity points in the model's frame, where known; it is taken as exact.
     pub fn given(scale: f64, sigma_scale: f64, gravity: Option<Vector3<f64>>) -> ColmapFrame {
-        let gravity = gravity.map(|in_global| Gravity { in_global, sigma_rad: 0.0 });
-        ColmapFrame { scale, sigma_scale, global_from_model: UnitQuaternion::identity(), gravity }
+        let global_from_model = gravity.as_ref().map_or_else(UnitQuaternion::identity, upright_from);
+        let gravity = gravity.map(|_| Gravity { in_global: -Vector3::z(), sigma_rad: 0.0 });
+        ColmapFrame { scale, sigma_scale, global_from_model, gravity }
     }
 
     /// The frame of a model of a recording's images: the baseline of its stereo pairs, or without any the IMU, gives the

@@ -161,6 +161,19 @@ fn a_recording_gives_scale_and_gravity() {
 }
 
 #[test]
+fn a_stated_direction_of_gravity_points_down_in_the_map() {
+    let pose = Pose::new(UnitQuaternion::from_euler_angles(0.1, 0.2, 0.3), Vector3::new(1.0, -2.0, 3.0));
+    for gravity in [Vector3::y(), -Vector3::z(), Vector3::z(), Vector3::new(0.6, 0.0, -0.8)] {
+        let frame = ColmapFrame::given(SCALE, 0.01, Some(gravity));
+        assert_eq!(frame.gravity.as_ref().unwrap().in_global, -Vector3::z());
+        // What a camera sees of it is the same.
+        let in_camera = frame.pose(&pose).rotation.inverse() * -Vector3::z();
+        assert!((in_camera - pose.rotation.inverse() * gravity).norm() < 1e-12, "{gravity}");
+    }
+    assert!(ColmapFrame::given(SCALE, 0.01, None).gravity.is_none());
+}
+
+#[test]
 fn points_that_do_not_fit_are_left_out_and_images_of_another_size_are_named() {
     let (views, points) = scene();
     let mut model = ColmapModel::default();

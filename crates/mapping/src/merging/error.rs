@@ -18,7 +18,7 @@ pub enum MergeError {
     /// The vertical of a map is unknown or another axis than z.
     #[error(
         "the frame of the {which} map must have z up, but its direction of gravity is {}: build it without poses, or with --gravity \
-         0,0,-1 and poses in a frame with z up",
+         0,0,-1 and poses in a frame with z up, or import its COLMAP model with --gravity",
         gravity.map_or("unknown".to_owned(), |[x, y, z]| format!("{x:.4}, {y:.4}, {z:.4}"))
     )]
     Vertical {

@@ -105,7 +105,12 @@ fn recorded_cameras(bag: &Bag, root: &Path, sensors: &BagSensors) -> Result<Came
         Ok(cameras) => {
             let path = bag.path().display();
             tracing::info!("{path}: the cameras are calibrated by the recorded CameraInfo and /tf_static");
-            Ok(Cameras::WithoutRates(cameras))
+            let sensor =
+                |((camera, imu_from_camera), rate_hz)| CameraSensor { camera, imu_from_camera, rate_hz };
+            Ok(match recorded::rates_hz(bag, sensors) {
+                Some(rates_hz) => Cameras::Complete(cameras.into_iter().zip(rates_hz).map(sensor).collect()),
+                None => Cameras::WithoutRates(cameras),
+            })
         }
         Err(NotRecorded::Sequence(error)) => Err(error),
         Err(missing) => Err(unknown(bag.path(), root, "cam0", &format!("; {missing}"))),

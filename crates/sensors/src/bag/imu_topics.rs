@@ -47,8 +47,20 @@ pub(super) fn find(
     if let Some(accelerometer) = accelerometer {
         return Ok((Some(imu), Some(accelerometer).filter(|accelerometer| *accelerometer != imu)));
     }
-    if measured(bag, imu) != Measured::Gyroscope {
-        return Ok((Some(imu), None));
+    match measured(bag, imu) {
+        Measured::Both => return Ok((Some(imu), None)),
+        Measured::Accelerometer => {
+            let name = &bag.topics()[imu].name;
+            let list = listed(bag, found.iter().copied().filter(|topic| *topic != imu));
+            return Err(wrong(
+                bag,
+                format!(
+                    "{name} has accelerations only, all its angular velocities are zero: name the topic of the gyroscope with \
+                     --imu-topic, or record it; others of this type:{list}"
+                ),
+            ));
+        }
+        Measured::Gyroscope => {}
     }
     let accelerometer = only(Measured::Accelerometer).ok_or_else(|| {
         let name = &bag.topics()[imu].name;

@@ -1,12 +1,12 @@
 //! The messages of a sensor's topic in order of the stamps in their headers.
 
 use super::messages;
-use crate::stamps::{StampOrder, Step, median_interval_ns, order};
+use crate::stamps::{StampOrder, Step, Told, median_interval_ns, order};
 use bags::{Bag, Place};
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// So many messages with wrong stamps are named, the others counted.
-const MAX_NAMED: usize = 3;
+/// So many messages of a sensor were not measured at one time.
+const MANY: usize = 10;
 
 /// A message and its stamp.
 #[derive(Clone, Copy, Debug)]
@@ -43,10 +43,18 @@ impl StampedTopic {
         let (logs, stamped): (Vec<i64>, Vec<Stamped>) = stamped.unzip();
         let stamps: Vec<i64> = stamped.iter().map(|message| message.stamp_ns).collect();
         let order = order(&stamps, &logs, known_steps);
-        tell(bag, topic, &stamps, &order);
+        // Of messages that all have one stamp that alone is said.
+        if order.sorted.len() > 1 || order.doubled < MANY {
+            tell(bag, topic, &stamps, &order);
+        }
         let place = |&(stamp_ns, index): &(i64, usize)| Stamped { stamp_ns, place: stamped[index].place };
         let messages = order.sorted.iter().map(place).collect();
         Self { topic, messages, steps: order.steps, is_told: AtomicBool::new(false) }
+    }
+
+    /// Whether many messages have one and the same stamp.
+    pub(super) fn is_stopped(&self, bag: &Bag) -> bool {
+        self.messages.len() == 1 && bag.topics()[self.topic].messages.len() >= MANY
     }
 
     /// Messages a second by the median interval of their stamps; 1 for a single message.
@@ -84,33 +92,9 @@ fn tell(bag: &Bag, topic: usize, stamps: &[i64], order: &StampOrder) {
             "{path}: {damaged} of {all} messages of {name} are damaged or of another encoding; they are left out"
         );
     }
-    for outlier in order.outliers.iter().take(MAX_NAMED) {
-        tracing::warn!(
-            "{path}, {name}: the stamp of message {} of {all}, {} ns, is {}; it is left out",
-            outlier.index + 1,
-            stamps[outlier.index],
-            outlier.describe()
-        );
-    }
-    if let Some(more) = order.outliers.len().checked_sub(MAX_NAMED).filter(|more| *more > 0) {
-        tracing::warn!("{path}, {name}: {more} more messages with stamps like these are left out");
-    }
-    for step in &order.steps {
-        tracing::warn!(
-            "{path}, {name}: the clock went back by {:.3} s; from there on stamps go on without the step",
-            -step.by_ns as f64 * 1e-9
-        );
-    }
-    if order.doubled > 0 {
-        tracing::warn!(
-            "{path}, {name}: {} messages have the stamp of another one, the first of which is used",
-            order.doubled
-        );
-    }
+    let (name, which) = (format!("{path}, {name}"), |index| format!("message {} of {all}", index + 1));
+    order.tell(stamps, &Told { name: &name, which: &which, all: "messages" });
     if order.out_of_order > 0 {
-        tracing::info!(
-            "{path}, {name}: {} of {all} messages were recorded after later ones, and are sorted by their stamps",
-            order.out_of_order
-        );
+        tracing::info!("{name}: {}", order.describe_order(all, "messages"));
     }
 }

@@ -7,7 +7,7 @@ use super::static_transforms::StaticTransforms;
 use super::topics::BagSensors;
 use crate::camera_info::camera_of_info;
 use crate::euroc::sensor_yaml;
-use crate::ros_bag::{IMU_ENTRY, METADATA};
+use crate::ros_bag::{IMU_ENTRY, IMU_FRAME_ENTRY, METADATA, rate_entry};
 use crate::{ImuSensor, SequenceError};
 use bags::{Bag, Metadata};
 use geometry::camera::Camera;
@@ -39,7 +39,11 @@ pub(super) enum NotRecorded {
 
 /// Projection and `imu_from_camera` of each camera.
 pub(super) fn cameras(bag: &Bag, sensors: &BagSensors) -> Result<Vec<(Camera, Pose)>, NotRecorded> {
-    let imu = sensors.imu.map_or_else(String::new, |imu| imu_frame(bag, imu));
+    let written = || own(bag).and_then(|metadata| metadata.entries.get(IMU_FRAME_ENTRY)).cloned();
+    let imu = match sensors.imu {
+        Some(imu) => imu_frame(bag, imu),
+        None => written().unwrap_or_default(),
+    };
     let transforms = StaticTransforms::read(bag);
     let mut cameras = Vec::new();
     for camera in &sensors.cameras {
@@ -75,6 +79,16 @@ pub(super) fn imu(bag: &Bag) -> Result<Option<ImuSensor>, SequenceError> {
     let Some(text) = own(bag).and_then(|metadata| metadata.entries.get(IMU_ENTRY)) else { return Ok(None) };
     let name: PathBuf = format!("{}, {IMU_ENTRY}", bag.path().display()).into();
     sensor_yaml::imu_of_text(&name, text).map(Some)
+}
+
+/// The stated rates of all cameras, of a recording of Driftless.
+pub(super) fn rates_hz(bag: &Bag, sensors: &BagSensors) -> Option<Vec<f64>> {
+    let entries = &own(bag)?.entries;
+    let rate = |camera: &BagCamera| {
+        let text = entries.get(&rate_entry(&bag.topics()[camera.info?].name))?;
+        text.parse().ok().filter(|rate_hz: &f64| rate_hz.is_finite() && *rate_hz > 0.0)
+    };
+    sensors.cameras.iter().map(rate).collect()
 }
 
 fn own(bag: &Bag) -> Option<&Metadata> {

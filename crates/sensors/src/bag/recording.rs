@@ -49,8 +49,18 @@ impl BagRecording {
         let imu = sensors.imu.map(|topic| StampedTopic::read(&bag, topic, &[]));
         let steps = imu.as_ref().map_or(&[][..], |imu| &imu.steps);
         let accelerometer = sensors.accelerometer.map(|topic| StampedTopic::read(&bag, topic, steps));
+        let of_imu = imu.iter().chain(&accelerometer);
         let camera = |camera: &super::BagCamera| StampedTopic::read(&bag, camera.images, steps);
         let cameras: Vec<Arc<StampedTopic>> = sensors.cameras.iter().map(camera).map(Arc::new).collect();
+        if let Some(topic) =
+            of_imu.chain(cameras.iter().map(Arc::as_ref)).find(|topic| topic.is_stopped(&bag))
+        {
+            let name = &bag.topics()[topic.topic].name;
+            let problem = format!(
+                "all messages of {name} have one time stamp in their headers: have the driver fill it in"
+            );
+            return Err(wrong(&bag, problem));
+        }
         let time_offset_ns = calibration.time_offset_ns;
         let cameras_hz: Vec<f64> = cameras.iter().map(|camera| camera.rate_hz()).collect();
         let calibration = calibration.with_rates(imu.as_ref().map(StampedTopic::rate_hz), &cameras_hz)?;

@@ -1,6 +1,7 @@
 //! The camera folders: images, tracks and features, merged into frames.
 
-use super::stamps::{FrameStamps, SkippedLines};
+use super::stamps::{FrameStamps, TableStamps};
+use crate::row_order::RowOrder;
 use crate::table::{Row, Table, check_order};
 use crate::{Frame, ImageData, SequenceError, TrackObservation};
 use nalgebra::Vector2;
@@ -21,10 +22,10 @@ pub(crate) struct FrameRows {
 impl FrameRows {
     /// Opens the tables of the cameras whose stamps were read.
     pub(super) fn open(mav: &Path, stamps: &Arc<FrameStamps>) -> Result<Self, SequenceError> {
-        let open = |(camera, skipped): (usize, &SkippedLines)| {
-            CameraRows::open(&mav.join(format!("cam{camera}")), camera as u8, Arc::clone(skipped))
+        let open = |(camera, images): (usize, &TableStamps)| {
+            CameraRows::open(&mav.join(format!("cam{camera}")), camera as u8, images)
         };
-        let cameras = stamps.skipped.iter().enumerate().map(open).collect::<Result<_, _>>()?;
+        let cameras = stamps.images.iter().enumerate().map(open).collect::<Result<_, _>>()?;
         Ok(Self { cameras, stamps: Arc::clone(stamps), next: 0, ended: false })
     }
 
@@ -76,29 +77,30 @@ struct CameraRows {
     features: Option<ImageRows>,
     /// Bytes of a descriptor, from the first row on.
     width: Option<usize>,
-    /// Lines of the list of images that are left out.
-    skipped: SkippedLines,
 }
 
 impl CameraRows {
-    fn open(folder: &Path, camera: u8, skipped: SkippedLines) -> Result<Self, SequenceError> {
+    fn open(folder: &Path, camera: u8, stamps: &TableStamps) -> Result<Self, SequenceError> {
         let path = folder.join("data.csv");
         let image_folder = folder.join("data");
         let with_features = camera == 0;
         let mut rows = Self {
             camera,
-            images: Table::open(&path, "it lists the time stamps of this camera's images")?,
+            images: Table::open_in_order(
+                &path,
+                "it lists the time stamps of this camera's images",
+                &stamps.order,
+            )?,
             image_folder: image_folder.is_dir().then_some(image_folder),
             image_ns: None,
-            tracks: ImageRows::open_if_there(&folder.join("tracks.csv"))?,
+            tracks: ImageRows::open_if_there(&folder.join("tracks.csv"), stamps)?,
             seen_ids: HashSet::new(),
             features: if with_features {
-                ImageRows::open_if_there(&folder.join("features.csv"))?
+                ImageRows::open_if_there(&folder.join("features.csv"), stamps)?
             } else {
                 None
             },
             width: None,
-            skipped,
         };
         rows.advance()?;
         if rows.image_ns.is_none() {
@@ -109,20 +111,14 @@ impl CameraRows {
 
     /// Reads the row of the next image.
     fn advance(&mut self) -> Result<(), SequenceError> {
-        loop {
-            let Some(row) = self.images.next_row()? else {
-                self.image_ns = None;
-                return Ok(());
-            };
-            let stamp_ns = row.stamp()?;
-            if self.skipped.contains(&row.line()) {
-                self.drop_rows(stamp_ns)?;
-                continue;
-            }
-            check_order(&row, self.image_ns, stamp_ns)?;
-            self.image_ns = Some(stamp_ns);
+        let Some(row) = self.images.next_row()? else {
+            self.image_ns = None;
             return Ok(());
-        }
+        };
+        let stamp_ns = row.stamp()?;
+        check_order(&row, self.image_ns, stamp_ns)?;
+        self.image_ns = Some(stamp_ns);
+        Ok(())
     }
 
     /// Leaves out images without a partner, and what belongs to them, up to an image.
@@ -183,29 +179,39 @@ struct ImageRows {
     pending_ns: Option<i64>,
     /// Time stamp of the row before it.
     before_ns: Option<i64>,
+    /// Stamps of images that are left out.
+    left_out: Arc<HashSet<i64>>,
 }
 
 impl ImageRows {
-    fn open_if_there(path: &Path) -> Result<Option<Self>, SequenceError> {
+    /// Opens the table, sorted where the list of the images was.
+    fn open_if_there(path: &Path, images: &TableStamps) -> Result<Option<Self>, SequenceError> {
         if !path.exists() {
             return Ok(None);
         }
-        let table = Table::open(path, "it holds what was seen in images")?;
-        let mut rows = Self { table, pending_ns: None, before_ns: None };
+        let order =
+            if images.order.sorted.is_some() { RowOrder::by_stamp(path)? } else { RowOrder::default() };
+        let table = Table::open_in_order(path, "it holds what was seen in images", &order)?;
+        let left_out = Arc::clone(&images.left_out);
+        let mut rows = Self { table, pending_ns: None, before_ns: None, left_out };
         rows.advance()?;
         Ok(Some(rows))
     }
 
     fn advance(&mut self) -> Result<(), SequenceError> {
         self.before_ns = self.pending_ns;
-        self.pending_ns = match self.table.next_row()? {
-            Some(row) => {
-                row.require(4)?;
-                Some(row.stamp()?)
+        loop {
+            self.pending_ns = match self.table.next_row()? {
+                Some(row) => {
+                    row.require(4)?;
+                    Some(row.stamp()?)
+                }
+                None => None,
+            };
+            if !self.pending_ns.is_some_and(|stamp_ns| self.left_out.contains(&stamp_ns)) {
+                return Ok(());
             }
-            None => None,
-        };
-        Ok(())
+        }
     }
 
     /// Leaves out the rows of an image, if they come next.

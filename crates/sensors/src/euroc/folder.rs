@@ -3,7 +3,7 @@
 use super::camera_folder::FrameRows;
 use super::sensor_yaml;
 use super::stamps::{FrameStamps, TableStamps};
-use super::tables::{TimedRow, TimedRows, read_reference_poses};
+use super::tables::TimedRows;
 use crate::kalibr::{self, CalibrationFiles};
 use crate::rows::Rows;
 use crate::stored::Stored;
@@ -25,6 +25,8 @@ pub(crate) struct Folder {
     root: PathBuf,
     frames: Arc<FrameStamps>,
     readings: Option<TableStamps>,
+    truth: Option<TableStamps>,
+    reference_poses: Option<TableStamps>,
     imu_units: ImuUnits,
     time_offset_ns: i64,
 }
@@ -94,6 +96,7 @@ fn rate_of(path: &Path) -> Result<f64, SequenceError> {
         let Some(row) = table.next_row()? else { break };
         stamps.push(row.stamp()?);
     }
+    stamps.sort_unstable();
     let mut intervals: Vec<i64> = stamps.windows(2).map(|pair| pair[1] - pair[0]).collect();
     intervals.sort_unstable();
     let median = intervals.get(intervals.len() / 2).copied();
@@ -108,19 +111,26 @@ impl Folder {
     ) -> Result<(Self, SensorCalibration), SequenceError> {
         let FolderCalibration { sensors, time_offset_ns, .. } = FolderCalibration::read(root, files)?;
         let mav = root.join("mav0");
+        let if_there = |path: PathBuf| path.exists().then(|| TableStamps::read(&path));
         let folder = Self {
             root: root.to_path_buf(),
             frames: Arc::new(FrameStamps::read(&mav, sensors.cameras.len(), files.pair_tolerance_ns())),
             readings: sensors.imu.as_ref().map(|_| TableStamps::read(&mav.join("imu0/data.csv"))),
+            truth: if_there(truth_path(root)),
+            reference_poses: if_there(reference_path(root)),
             imu_units: files.imu_units,
             time_offset_ns,
         };
         Ok((folder, sensors))
     }
+}
 
-    fn truth_path(&self) -> PathBuf {
-        self.root.join("mav0/state_groundtruth_estimate0/data.csv")
-    }
+fn truth_path(root: &Path) -> PathBuf {
+    root.join("mav0/state_groundtruth_estimate0/data.csv")
+}
+
+fn reference_path(root: &Path) -> PathBuf {
+    root.join("reference_poses.csv")
 }
 
 impl Stored for Folder {
@@ -132,11 +142,11 @@ impl Stored for Folder {
     }
 
     fn imu_samples(&self) -> Result<Rows<'static, ImuSample>, SequenceError> {
-        let Some(TableStamps { skipped, .. }) = &self.readings else {
+        let Some(TableStamps { order, .. }) = &self.readings else {
             return Ok(Box::new(std::iter::empty()));
         };
         let units = self.imu_units;
-        let rows = TimedRows::open_without(&self.readings_path(), Arc::clone(skipped))?;
+        let rows = TimedRows::open_in_order(&self.readings_path(), order)?;
         Ok(Box::new(rows.map(move |reading| reading.map(|reading| units.in_si(reading)))))
     }
 
@@ -153,19 +163,16 @@ impl Stored for Folder {
     }
 
     fn has_truth(&self) -> bool {
-        self.truth_path().exists()
+        self.truth.is_some()
     }
 
     fn truth(&self) -> Result<Rows<'static, TruthRow>, SequenceError> {
-        if self.has_truth() { table(&self.truth_path()) } else { Ok(Box::new(std::iter::empty())) }
+        let Some(TableStamps { order, .. }) = &self.truth else { return Ok(Box::new(std::iter::empty())) };
+        Ok(Box::new(TimedRows::open_in_order(&truth_path(&self.root), order)?))
     }
 
     fn reference_poses(&self) -> Result<Option<Vec<ReferencePose>>, SequenceError> {
-        let path = self.root.join("reference_poses.csv");
-        path.exists().then(|| read_reference_poses(&path)).transpose()
+        let Some(TableStamps { order, .. }) = &self.reference_poses else { return Ok(None) };
+        TimedRows::open_in_order(&reference_path(&self.root), order)?.collect::<Result<_, _>>().map(Some)
     }
-}
-
-fn table<T: TimedRow + 'static>(path: &Path) -> Result<Rows<'static, T>, SequenceError> {
-    Ok(Box::new(TimedRows::open(path)?))
 }

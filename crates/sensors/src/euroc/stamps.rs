@@ -1,29 +1,31 @@
-//! The stamps of a folder's tables, read before the rest: which rows have wrong ones, and which images make a pair.
+//! The stamps of a folder's tables, read before the rest: which rows have wrong ones, in which order they are read, and which
+//! images make a pair.
 
 use crate::pairing::{PairCounts, pair};
-use crate::stamps::order;
+use crate::row_order::{RowOrder, SortedLines};
+use crate::stamps::{Told, order};
 use crate::table::Table;
 use std::collections::HashSet;
 use std::path::Path;
 use std::sync::Arc;
 
-/// So many rows with wrong stamps are named, the others counted.
-const MAX_NAMED: usize = 3;
-
-/// Lines of a table that are left out.
-pub(super) type SkippedLines = Arc<HashSet<u64>>;
-
 /// The stamps of a table.
 #[derive(Clone, Debug, Default)]
 pub(super) struct TableStamps {
-    /// Those that are used, in the order of the file.
+    /// Those that are used, in order of time.
     pub(super) used: Vec<i64>,
-    /// The lines of the others.
-    pub(super) skipped: SkippedLines,
+    /// The order in which the rows are read.
+    pub(super) order: Arc<RowOrder>,
+    /// Stamps that are wrong.
+    pub(super) left_out: Arc<HashSet<i64>>,
 }
 
 impl TableStamps {
-    /// Reads the first column, up to a row that its reader refuses, and names the stamps that are wrong.
+    /// Reads the first column, up to a row that its reader refuses, and says what is odd about the stamps.
+    ///
+    /// A table has no times of recording: where many rows in a row go back, its clock was set back or parts of the file changed
+    /// places, and nobody knows which. Such rows stay where they are, and are refused when they are read; so are those of a table
+    /// whose stamps hardly differ.
     pub(super) fn read(path: &Path) -> Self {
         let Ok(mut table) = Table::open(path, "") else { return Self::default() };
         let (mut stamps, mut lines) = (Vec::new(), Vec::new());
@@ -32,22 +34,33 @@ impl TableStamps {
             stamps.push(stamp_ns);
             lines.push(row.line());
         }
-        let outliers = order(&stamps, &[], &[]).outliers;
-        for outlier in outliers.iter().take(MAX_NAMED) {
-            tracing::warn!(
-                "{}, line {}: the stamp {} is {}; the row is left out",
-                path.display(),
-                lines[outlier.index],
-                stamps[outlier.index],
-                outlier.describe()
-            );
+        let mut found = order(&stamps, &[], &[]);
+        let left_out: HashSet<i64> = found.outliers.iter().map(|outlier| stamps[outlier.index]).collect();
+        if !found.steps.is_empty() || found.doubled > found.sorted.len() {
+            let is_wrong: HashSet<usize> = found.outliers.iter().map(|outlier| outlier.index).collect();
+            let as_written =
+                stamps.iter().copied().enumerate().filter(|(index, _)| !is_wrong.contains(index));
+            found.sorted = as_written.map(|(index, stamp_ns)| (stamp_ns, index)).collect();
+            (found.steps, found.doubled, found.out_of_order) = Default::default();
         }
-        if let Some(more) = outliers.len().checked_sub(MAX_NAMED).filter(|more| *more > 0) {
-            tracing::warn!("{}: {more} more rows with stamps like these are left out", path.display());
+        let which = |index: usize| format!("line {}", lines[index]);
+        found.tell(&stamps, &Told { name: &path.display().to_string(), which: &which, all: "rows" });
+        if found.out_of_order > 0 {
+            tracing::warn!("{}: {}", path.display(), found.describe_order(stamps.len(), "rows"));
         }
-        let skipped: HashSet<u64> = outliers.iter().map(|outlier| lines[outlier.index]).collect();
-        let used = stamps.iter().zip(&lines).filter(|(_, line)| !skipped.contains(line));
-        Self { used: used.map(|(stamp_ns, _)| *stamp_ns).collect(), skipped: Arc::new(skipped) }
+        let used: HashSet<usize> = found.sorted.iter().map(|(_, index)| *index).collect();
+        let skipped =
+            (0..lines.len()).filter(|index| !used.contains(index)).map(|index| lines[index]).collect();
+        let is_in_order = found.sorted.is_sorted_by_key(|(_, index)| *index);
+        let sorted = (!is_in_order).then(|| SortedLines {
+            lines: found.sorted.iter().map(|(_, index)| lines[*index]).collect(),
+            last: lines.last().copied().unwrap_or(0),
+        });
+        Self {
+            used: found.sorted.iter().map(|(stamp_ns, _)| *stamp_ns).collect(),
+            order: Arc::new(RowOrder { skipped, sorted }),
+            left_out: Arc::new(left_out),
+        }
     }
 }
 
@@ -57,7 +70,7 @@ pub(super) struct FrameStamps {
     /// Stamps of the images of camera 0 and camera 1 in each frame.
     pub(super) frames: Vec<(i64, Option<i64>)>,
     /// Of each camera.
-    pub(super) skipped: Vec<SkippedLines>,
+    pub(super) images: Vec<TableStamps>,
     /// Of two cameras.
     pub(super) pairs: Option<PairCounts>,
 }
@@ -67,7 +80,6 @@ impl FrameStamps {
     pub(super) fn read(mav: &Path, cameras: usize, tolerance_ns: i64) -> Self {
         let read = |camera| TableStamps::read(&mav.join(format!("cam{camera}/data.csv")));
         let tables: Vec<TableStamps> = (0..cameras).map(read).collect();
-        let skipped = tables.iter().map(|table| Arc::clone(&table.skipped)).collect();
         let (frames, pairs) = match tables.as_slice() {
             [first, second, ..] => {
                 let (partners, counts) = pair(&first.used, &second.used, tolerance_ns);
@@ -77,6 +89,6 @@ impl FrameStamps {
             [first] => (first.used.iter().map(|stamp_ns| (*stamp_ns, None)).collect(), None),
             [] => Default::default(),
         };
-        Self { frames, skipped, pairs }
+        Self { frames, images: tables, pairs }
     }
 }

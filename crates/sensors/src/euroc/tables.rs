@@ -1,7 +1,8 @@
 //! The tables with one row an instant: IMU, ground truth, reference poses.
 
-use super::stamps::SkippedLines;
+use super::stamps::TableStamps;
 use crate::pose_columns::{PoseColumns, QuaternionOrder};
+use crate::row_order::RowOrder;
 use crate::rows::Stamped;
 use crate::table::{Row, Table, check_order};
 use crate::{ImuSample, ReferencePose, ReferencePosition, SequenceError, TruthRow};
@@ -24,38 +25,30 @@ pub(crate) trait TimedRow: Stamped + Sized {
     fn read(row: &Row<'_>) -> Result<Self, SequenceError>;
 }
 
-/// Iterates over the rows of a table, which must be in order of time. Ends with the first error.
+/// Iterates over the rows of a table in order of time. Ends with the first error.
 pub(crate) struct TimedRows<T> {
     path: PathBuf,
     /// `None` after the last row or an error.
     table: Option<Table>,
     before: Option<i64>,
-    /// Lines that are left out.
-    skipped: SkippedLines,
     row: PhantomData<T>,
 }
 
 impl<T: TimedRow> TimedRows<T> {
-    /// Opens the table.
+    /// Opens the table, and says what is odd about its stamps.
     pub(crate) fn open(path: &Path) -> Result<Self, SequenceError> {
-        Self::open_without(path, SkippedLines::default())
+        Self::open_in_order(path, &TableStamps::read(path).order)
     }
 
-    /// Opens the table, some of whose lines are left out.
-    pub(super) fn open_without(path: &Path, skipped: SkippedLines) -> Result<Self, SequenceError> {
-        let table = Some(Table::open(path, T::PURPOSE)?);
-        Ok(Self { path: path.to_path_buf(), table, before: None, skipped, row: PhantomData })
+    /// Opens the table whose stamps were read.
+    pub(super) fn open_in_order(path: &Path, order: &RowOrder) -> Result<Self, SequenceError> {
+        let table = Some(Table::open_in_order(path, T::PURPOSE, order)?);
+        Ok(Self { path: path.to_path_buf(), table, before: None, row: PhantomData })
     }
 
     fn read_next(&mut self) -> Result<Option<T>, SequenceError> {
         let Some(table) = &mut self.table else { return Ok(None) };
-        let is_there = loop {
-            match table.next_row()? {
-                Some(row) if self.skipped.contains(&row.line()) => {}
-                row => break row.is_some(),
-            }
-        };
-        if !is_there {
+        if table.next_row()?.is_none() {
             let empty = self.before.is_none();
             return if empty { Err(SequenceError::empty(&self.path, T::IF_EMPTY)) } else { Ok(None) };
         }

@@ -53,8 +53,8 @@ fn a_descriptor_that_is_cut_off() {
 }
 
 #[test]
-fn time_that_goes_back() {
-    for file in TABLES.into_iter().chain([TRUTH]) {
+fn time_that_goes_back_in_what_was_seen_in_images() {
+    for file in &TABLES[1..4] {
         let error = error_of(file, |text| {
             let stamp = text.lines().nth(1).unwrap().split(',').next().unwrap().to_owned();
             cell(&text, text.lines().count() - 1, 0, &stamp)

@@ -1,6 +1,7 @@
 //! Laws of recordings and of the sources that play them.
 
 mod bad_input;
+mod disorder;
 mod gravity;
 mod kalibr;
 mod other_programs;

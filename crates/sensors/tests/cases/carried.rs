@@ -10,7 +10,7 @@ use ros_messages::sensor_msgs::{CameraInfo, Image};
 use ros_messages::std_msgs::Header;
 use ros_messages::tf2_msgs::TFMessage;
 use ros_messages::{RosMessage, encode};
-use sensors::ros::{camera_info_message, imu_message, pixels_message};
+use sensors::ros::{RosSensors, camera_info_message, imu_message, pixels_message};
 use sensors::ros_bag::{RosBagWriter, message_type};
 use sensors::{CalibrationFiles, ImuNoise, ImuSensor, Recording};
 use std::path::{Path, PathBuf};
@@ -81,7 +81,7 @@ impl Carried {
         let path = folder.path().join("drive.mcap");
         let mut bag = RosBagWriter::create(&path, bags::Format::Mcap).unwrap();
         if let Some(imu) = &self.imu {
-            bag.write_imu(imu).unwrap();
+            bag.write_sensors(&RosSensors::new(&[self.imu_frame.to_owned()], &[]), Some(imu)).unwrap();
         }
         if !self.transforms.is_empty() {
             put(&mut bag, "/tf_static", START_NS, &TFMessage { transforms: self.transforms.clone() });

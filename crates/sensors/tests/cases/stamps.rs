@@ -1,6 +1,7 @@
 //! Stamps that are wrong or out of order.
 
-use super::making::{MS, Made, Message, START_NS, frames, messages, readings};
+use super::making::{Body, MS, Made, Message, START_NS, frames, messages, readings};
+use ros_messages::geometry_msgs::Vector3;
 use sensors::{Sequence, writer};
 
 const CAMERA: [&str; 1] = ["/cam0/image_raw"];
@@ -119,4 +120,56 @@ fn rates_come_from_the_stamps() {
     let recording = made.open().unwrap();
     assert!((recording.calibration().imu.as_ref().unwrap().rate_hz - 200.0).abs() < 1e-6);
     assert!((recording.calibration().cameras[0].rate_hz - 20.0).abs() < 1e-6);
+}
+
+#[test]
+fn stamps_that_tell_nothing_are_refused_by_what_is_wrong_with_them() {
+    type Change = fn(usize, &mut Message);
+    let cases: [(&str, &str, Change, &str); 5] = [
+        (
+            "readings are not stamped",
+            "/imu0",
+            |index, message| message.shift(-stamp(5, index)),
+            "/imu0 have one time stamp",
+        ),
+        (
+            "images are not stamped",
+            CAMERA[0],
+            |index, message| message.shift(-stamp(50, index)),
+            "/cam0/image_raw have one time",
+        ),
+        (
+            "images of another epoch",
+            CAMERA[0],
+            |_, message| message.shift(-START_NS + 5000 * MS),
+            "different epochs",
+        ),
+        (
+            "readings of another epoch",
+            "/imu0",
+            |_, message| message.shift(-START_NS + 5000 * MS),
+            "different epochs",
+        ),
+        ("an accelerometer only", "/imu0", |_, message| without_gyroscope(message), "accelerations only"),
+    ];
+    for (name, topic, change, said) in cases {
+        let mut all = messages(1);
+        let of_topic = all.iter_mut().filter(|message| message.topic == topic);
+        of_topic.enumerate().for_each(|(index, message)| change(index, message));
+        let error = Made::new(&all, &CAMERA).open().unwrap_err().to_string();
+        assert!(error.contains(said), "{name}: {error}");
+        assert_eq!(error.lines().next().map(|line| line.contains(said)), Some(true), "{name}: {error}");
+    }
+}
+
+/// The stamp of a message of a topic.
+fn stamp(interval_ms: i64, index: usize) -> i64 {
+    START_NS + index as i64 * interval_ms * MS
+}
+
+fn without_gyroscope(message: &mut Message) {
+    if let Body::Imu(imu) = &mut message.body {
+        imu.angular_velocity = Vector3::default();
+        imu.angular_velocity_covariance[0] = -1.0;
+    }
 }

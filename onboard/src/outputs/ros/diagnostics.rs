@@ -1,7 +1,7 @@
 //! The status as ROS diagnostics.
 
 use super::super::publisher::QueryCounts;
-use super::super::status_word::{is_starting, status_word};
+use super::super::status_word::status_word;
 use estimator::{Localization, Status};
 use ros_messages::builtin_interfaces::Time;
 use ros_messages::diagnostic_msgs::{DiagnosticArray, DiagnosticStatus, KeyValue};
@@ -26,8 +26,7 @@ impl Diagnostics {
         let level = match status.localization {
             Localization::Localized => DiagnosticStatus::OK,
             Localization::OdometryOnly if !map_expected => DiagnosticStatus::OK,
-            Localization::OdometryOnly => DiagnosticStatus::WARN,
-            Localization::Lost if is_starting(status) => DiagnosticStatus::WARN,
+            Localization::OdometryOnly | Localization::Starting => DiagnosticStatus::WARN,
             Localization::Lost => DiagnosticStatus::ERROR,
         };
         let value = |key: &str, value: String| KeyValue { key: key.to_owned(), value };
@@ -90,8 +89,7 @@ mod tests {
         assert_eq!(level(Localization::OdometryOnly, false), DiagnosticStatus::OK);
         assert_eq!(level(Localization::OdometryOnly, true), DiagnosticStatus::WARN);
         assert_eq!(level(Localization::Lost, true), DiagnosticStatus::ERROR);
-        let starting = diagnostics(true, Localization::Lost, "starting: at rest");
-        assert_eq!(starting.message.status[0].level, DiagnosticStatus::WARN);
+        assert_eq!(level(Localization::Starting, true), DiagnosticStatus::WARN);
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! What is published of one image.
 
-use estimator::{Estimator, Localization, Motion, Status};
+use estimator::{Estimator, Motion, Status};
 use geometry::{Pose, PoseWithCovariance};
 
 /// What is published of one image.
@@ -25,7 +25,7 @@ impl Estimate {
     /// The estimate of now. A robot that is lost has no pose in the map.
     pub fn of(estimator: &Estimator, status: &Status) -> Self {
         let poses = estimator.global_from_imu().zip(estimator.global_from_local());
-        let trusted = poses.filter(|_| status.localization != Localization::Lost);
+        let trusted = poses.filter(|_| status.localization.is_usable());
         Self {
             motion: estimator.motion(),
             global: trusted.map(|(global_from_imu, global_from_local)| GlobalEstimate {

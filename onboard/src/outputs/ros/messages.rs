@@ -7,12 +7,11 @@ use estimator::Motion;
 use geometry::{Pose, PoseWithCovariance};
 use nalgebra::{Matrix3, Matrix6, Vector3};
 use ros_messages::builtin_interfaces::Time;
-use ros_messages::geometry_msgs::{
-    self, PoseWithCovarianceStamped, Transform, TransformStamped, Twist, TwistWithCovariance,
-};
+use ros_messages::geometry_msgs::{self, PoseWithCovarianceStamped, Twist, TwistWithCovariance};
 use ros_messages::nav_msgs::Odometry;
 use ros_messages::std_msgs::Header;
 use ros_messages::tf2_msgs::TFMessage;
+use sensors::ros::transform_message;
 
 /// The messages of one estimate.
 #[derive(Debug, PartialEq)]
@@ -32,11 +31,15 @@ pub fn messages(body: &RosBody, odom: &mut OdomFrame, estimate: &Estimate) -> Op
     let odometry = odometry(body, &odom_from_local, &estimate.motion)?;
     let stamp = odometry.header.stamp;
     let frames = &body.frames;
-    let mut transforms =
-        vec![transform(stamp, &frames.odom, &frames.base_link, &(odom_from_local.pose * local_from_base))];
+    let mut transforms = vec![transform_message(
+        stamp,
+        &frames.odom,
+        &frames.base_link,
+        &(odom_from_local.pose * local_from_base),
+    )];
     if let Some(global) = &estimate.global {
         let map_from_odom = global.global_from_local * odom_from_local.pose.inverse();
-        transforms.push(transform(stamp, &frames.map, &frames.odom, &map_from_odom));
+        transforms.push(transform_message(stamp, &frames.map, &frames.odom, &map_from_odom));
     }
     Some(Messages {
         odometry,
@@ -78,15 +81,6 @@ fn twist(imu_from_base: &Pose, motion: &Motion) -> TwistWithCovariance {
             angular: vector(&(base_from_imu * angular_in_imu)),
         },
         covariance: std::array::from_fn(|at| covariance[(at / 6, at % 6)]),
-    }
-}
-
-/// A frame in another one.
-pub(super) fn transform(stamp: Time, parent: &str, child: &str, pose: &Pose) -> TransformStamped {
-    TransformStamped {
-        header: Header { stamp, frame_id: parent.to_owned() },
-        child_frame_id: child.to_owned(),
-        transform: Transform { translation: vector(&pose.translation), rotation: quaternion(pose) },
     }
 }
 

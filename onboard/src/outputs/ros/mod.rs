@@ -42,4 +42,4 @@ pub use output::RosOutput;
 pub use output::RosOutputTask;
 pub use settings::{InitialPoseTopic, RosBody, RosFrames, RosSettings, SensorFrames};
 #[cfg(feature = "bags")]
-pub(crate) use static_transforms::static_transforms;
+pub(crate) use static_transforms::{complete_transforms, static_transforms};

@@ -1,22 +1,29 @@
 //! Where the sensors are mounted, as transforms that do not change.
 
-use super::messages::transform;
 use super::settings::RosBody;
 use ros_messages::builtin_interfaces::Time;
 use ros_messages::tf2_msgs::TFMessage;
 use sensors::CameraSensor;
+use sensors::ros::{RosSensors, transform_message};
 
 /// `base_link` → IMU, and IMU → cameras (optical frames: z along the view, x right), as far as the sensors' frames are named.
 ///
 /// # Arguments
 /// * `cameras`: their calibration; what a run estimates of it is not published.
 pub fn static_transforms(body: &RosBody, cameras: &[CameraSensor], stamp: Time) -> TFMessage {
-    let mut names = body.sensor_frames.names.iter();
-    let Some(imu) = names.next() else { return TFMessage::default() };
-    let base_from_imu = transform(stamp, &body.frames.base_link, imu, &body.imu_from_base.inverse());
-    let of_cameras =
-        names.zip(cameras).map(|(name, sensor)| transform(stamp, imu, name, &sensor.imu_from_camera));
-    TFMessage { transforms: std::iter::once(base_from_imu).chain(of_cameras).collect() }
+    let named = body.sensor_frames.names.len().saturating_sub(1).min(cameras.len());
+    complete_transforms(body, &cameras[..named], stamp)
+}
+
+/// As [`static_transforms`], with all cameras on the IMU: those that are not named under the usual names. Where the IMU is on the robot
+/// is left to the robot's description if that names the IMU.
+pub fn complete_transforms(body: &RosBody, cameras: &[CameraSensor], stamp: Time) -> TFMessage {
+    let names = &body.sensor_frames.names;
+    let base_from_imu = body.imu_from_base.inverse();
+    let on_robot =
+        names.first().map(|imu| transform_message(stamp, &body.frames.base_link, imu, &base_from_imu));
+    let of_cameras = RosSensors::new(names, cameras).mounting(stamp);
+    TFMessage { transforms: on_robot.into_iter().chain(of_cameras).collect() }
 }
 
 #[cfg(test)]

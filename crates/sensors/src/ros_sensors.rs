@@ -1,0 +1,135 @@
+//! The sensors of a robot as others know them: the names of their frames, the projections of the cameras, where they are mounted.
+
+use super::camera_info::{camera_info_message, camera_info_topic};
+use crate::CameraSensor;
+use geometry::camera::Distortion;
+use geometry::pose::Pose;
+use ros_messages::builtin_interfaces::Time;
+use ros_messages::geometry_msgs::{Quaternion, Transform, TransformStamped};
+use ros_messages::sensor_msgs::CameraInfo;
+use ros_messages::std_msgs::Header;
+
+/// Frames of the IMU and of the cameras that are not named otherwise.
+pub const SENSOR_FRAMES: [&str; 3] = ["imu", "cam0", "cam1"];
+
+/// Calibrated sensors in messages of ROS: a recording of readings, images, and these messages needs no other calibration but
+/// the noise of the IMU.
+#[derive(Clone, Debug)]
+pub struct RosSensors {
+    imu_frame: String,
+    cameras: Vec<RosCamera>,
+}
+
+#[derive(Clone, Debug)]
+struct RosCamera {
+    frame: String,
+    info: CameraInfo,
+    imu_from_camera: Pose,
+    rate_hz: f64,
+    has_ros_name: bool,
+}
+
+impl RosSensors {
+    /// # Arguments
+    /// * `frames`: names of the frames of the IMU and of the cameras; [`SENSOR_FRAMES`] for those that are not named.
+    pub fn new(frames: &[String], cameras: &[CameraSensor]) -> Self {
+        let usual = SENSOR_FRAMES.iter().skip(frames.len()).map(|name| (*name).to_owned());
+        let mut names = frames.iter().cloned().chain(usual);
+        let imu_frame = names.next().unwrap_or_default();
+        let camera = |(frame, sensor): (String, &CameraSensor)| RosCamera {
+            frame,
+            info: camera_info_message(&sensor.camera, Header::default()),
+            imu_from_camera: sensor.imu_from_camera,
+            rate_hz: sensor.rate_hz,
+            has_ros_name: !matches!(sensor.camera.distortion, Distortion::Fov(_)),
+        };
+        Self { imu_frame, cameras: names.zip(cameras).map(camera).collect() }
+    }
+
+    /// Logs which projections programs other than Driftless cannot use.
+    pub fn warn_of_unnamed_models(&self) {
+        for (index, _) in self.cameras.iter().enumerate().filter(|(_, camera)| !camera.has_ros_name) {
+            tracing::warn!(
+                "cam{index}: ROS has no name for its distortion (fov): its CameraInfo is recorded, but of use to Driftless only"
+            );
+        }
+    }
+
+    /// Name of the frame of the IMU.
+    pub fn imu_frame(&self) -> &str {
+        &self.imu_frame
+    }
+
+    /// Name of the frame of a camera; `None` for one without calibration.
+    pub fn camera_frame(&self, camera: usize) -> Option<&str> {
+        self.cameras.get(camera).map(|camera| camera.frame.as_str())
+    }
+
+    /// The topic and the message of a camera's projection at the time of an image; `None` for a camera without calibration, and
+    /// for a time that ROS cannot write.
+    pub fn info(&self, camera: usize, stamp_ns: i64) -> Option<(String, CameraInfo)> {
+        let RosCamera { frame, info, .. } = self.cameras.get(camera)?;
+        let header = Header::new(stamp_ns, frame)?;
+        Some((info_topic(camera), CameraInfo { header, ..info.clone() }))
+    }
+
+    /// The topics of the projections, and the rates of the cameras, images a second.
+    pub(crate) fn rates_hz(&self) -> impl Iterator<Item = (String, f64)> + '_ {
+        self.cameras.iter().enumerate().map(|(index, camera)| (info_topic(index), camera.rate_hz))
+    }
+
+    /// The cameras in the frame of the IMU (optical frames: z along the view, x right).
+    pub fn mounting(&self, stamp: Time) -> Vec<TransformStamped> {
+        let transform = |camera: &RosCamera| {
+            transform_message(stamp, &self.imu_frame, &camera.frame, &camera.imu_from_camera)
+        };
+        self.cameras.iter().map(transform).collect()
+    }
+}
+
+fn info_topic(camera: usize) -> String {
+    camera_info_topic(&format!("/cam{camera}/image_raw"))
+}
+
+/// A frame in another one: `parent_from_child`.
+pub fn transform_message(
+    stamp: Time,
+    parent: &str,
+    child: &str,
+    parent_from_child: &Pose,
+) -> TransformStamped {
+    let [x, y, z, w] = parent_from_child.rotation.coords.into();
+    let translation = <[f64; 3]>::from(parent_from_child.translation).into();
+    TransformStamped {
+        header: Header { stamp, frame_id: parent.to_owned() },
+        child_frame_id: child.to_owned(),
+        transform: Transform { translation, rotation: Quaternion { x, y, z, w } },
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use geometry::camera::Camera;
+
+    #[test]
+    fn a_projection_has_the_frame_of_its_images() {
+        let (focal, centre, distortion) = ([400.0; 2], [320.0, 240.0], Distortion::Fov(0.9));
+        let camera = Camera { width: 640, height: 480, focal, centre, distortion };
+        let sensor = CameraSensor { camera, imu_from_camera: Pose::identity(), rate_hz: 20.0 };
+        let sensors = RosSensors::new(&["imu_link".to_owned(), "left".to_owned()], &[sensor.clone(), sensor]);
+        assert_eq!((sensors.imu_frame(), sensors.camera_frame(0)), ("imu_link", Some("left")));
+        let (topic, info) = sensors.info(1, 5_000_000_007).unwrap();
+        assert_eq!((topic.as_str(), info.header.frame_id.as_str()), ("/cam1/camera_info", "cam1"));
+        assert_eq!(info.header.stamp.to_nanoseconds(), 5_000_000_007);
+        // The model without a name in ROS is not left out.
+        assert_eq!((info.distortion_model.as_str(), info.d), ("fov", vec![0.9]));
+        assert!(sensors.info(2, 0).is_none() && sensors.camera_frame(2).is_none());
+        let names = |transform: &TransformStamped| {
+            (transform.header.frame_id.clone(), transform.child_frame_id.clone())
+        };
+        let mounted: Vec<_> = sensors.mounting(Time::default()).iter().map(names).collect();
+        let expected = [("imu_link", "left"), ("imu_link", "cam1")];
+        assert_eq!(mounted, expected.map(|(parent, child)| (parent.to_owned(), child.to_owned())));
+    }
+}
