@@ -3,6 +3,7 @@
 
 mod colmap;
 mod common_errors;
+mod crossing;
 mod damage;
 mod edit;
 mod former_databases;
