@@ -6,7 +6,6 @@ use super::{StampedPose, StateKind, states, tum};
 use nalgebra::Matrix6;
 use sensors::{PoseColumns, QuaternionOrder, SequenceError, read_reference_poses};
 use std::fmt;
-use std::fs::File;
 use std::io::Read as _;
 use std::path::Path;
 
