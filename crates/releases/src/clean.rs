@@ -37,6 +37,9 @@ pub struct Cleaned {
 
 /// Removes all releases but the newest ones, and the segments that the remaining ones do not name.
 ///
+/// A release that comes meanwhile keeps its segments: they were put just now, and its name is looked up again before any is
+/// removed.
+///
 /// # Errors
 /// [`ReleaseError::Store`]; [`ReleaseError::Damaged`] for a release that cannot be read: nothing is removed then.
 pub async fn clean(store: &ReleaseStore, options: &CleanOptions) -> Result<Cleaned, ReleaseError> {
@@ -53,10 +56,19 @@ pub async fn clean(store: &ReleaseStore, options: &CleanOptions) -> Result<Clean
     for number in former.iter().filter(|_| !options.dry_run) {
         store.remove_release(*number).await?;
     }
+    for number in
+        store.numbers().await?.into_iter().filter(|number| kept.last().is_none_or(|last| number > last))
+    {
+        needed.extend(store.release(number).await?.segments().map(|segment| segment.sha256.clone()));
+    }
     let oldest = now_unix_s().saturating_sub(options.grace.as_secs());
     for (name, object) in segments {
-        let put_s = u64::try_from(object.last_modified.timestamp()).unwrap_or(0);
-        if needed.contains(&name) || put_s > oldest {
+        let is_young = |time: i64| u64::try_from(time).unwrap_or(0) > oldest;
+        if needed.contains(&name) || is_young(object.last_modified.timestamp()) {
+            continue;
+        }
+        // It may have been put again since it was listed.
+        if store.segment_put_at(&name).await?.is_none_or(is_young) {
             continue;
         }
         if !options.dry_run {

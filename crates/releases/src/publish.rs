@@ -144,8 +144,11 @@ pub async fn publish(
 
 /// Publishes the map of a former release again, as the newest one.
 ///
+/// Its segments are put again: [`clean`](crate::clean) removes what only former releases name, and spares what was put just now.
+///
 /// # Errors
-/// [`ReleaseError::NoRelease`], [`ReleaseError::Conflict`], [`ReleaseError::Store`].
+/// [`ReleaseError::NoRelease`], [`ReleaseError::Conflict`], [`ReleaseError::Store`]; [`ReleaseError::Damaged`] where a segment was removed
+/// meanwhile.
 pub async fn roll_back(store: &ReleaseStore, number: u64) -> Result<Outcome, ReleaseError> {
     let former = store.release(number).await?;
     let newest = store.newest().await?.unwrap_or_else(|| former.clone());
@@ -161,8 +164,29 @@ pub async fn roll_back(store: &ReleaseStore, number: u64) -> Result<Outcome, Rel
         map: ReleasedMap { version: newest.map.version + 1, ..former.map.clone() },
         ..former
     };
+    renew(store, &newest, &release).await?;
     store.put_release(&release).await?;
     Ok(Outcome::Published(Box::new(Published { release, sent: 0, bytes_sent: 0 })))
+}
+
+/// Puts the segments of a release again that the newest one does not name, and ensures that all of them are there.
+async fn renew(store: &ReleaseStore, newest: &Release, release: &Release) -> Result<(), ReleaseError> {
+    let kept: BTreeSet<&SegmentName> = newest.segments().collect();
+    let renewed: BTreeSet<&SegmentName> =
+        release.segments().filter(|segment| !kept.contains(segment)).collect();
+    for segment in &renewed {
+        let bytes = store.segment(segment).await?;
+        store.put_segment(segment, bytes.into()).await?;
+    }
+    // One that was being removed while it was put is gone now.
+    let present: BTreeSet<String> = store.segments().await?.into_iter().map(|(name, _)| name).collect();
+    match renewed.iter().find(|segment| !present.contains(&segment.sha256)) {
+        Some(gone) => {
+            let reason = "it was removed meanwhile (by clean-releases?): nothing was published".to_owned();
+            Err(store.damaged(gone.sha256.clone(), reason))
+        }
+        None => Ok(()),
+    }
 }
 
 /// Segments on their way into a store.

@@ -242,6 +242,16 @@ impl ReleaseStore {
         Ok(objects.into_iter().filter_map(named).collect())
     }
 
+    /// When a segment was last put, s since 1970; `None` where it is gone.
+    pub(crate) async fn segment_put_at(&self, sha256: &str) -> Result<Option<i64>, ReleaseError> {
+        let object = format!("{SEGMENTS}/{sha256}");
+        match self.store.head(&self.at(&object)).await {
+            Ok(found) => Ok(Some(found.last_modified.timestamp())),
+            Err(object_store::Error::NotFound { .. }) => Ok(None),
+            Err(source) => Err(self.failed(object, "read", source)),
+        }
+    }
+
     pub(crate) async fn remove_release(&self, number: u64) -> Result<(), ReleaseError> {
         let object = release_name(number);
         if let Ok(text) = self.read(&object, MAX_RELEASE_BYTES).await {

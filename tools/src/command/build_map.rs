@@ -17,7 +17,6 @@ use super::import_map::parse_direction;
 use super::pose_files::PriorArguments;
 use crate::plotting::draw_coverage;
 use crate::stage_bar::StageBar;
-use map::MapContents;
 use map::store::{MapTarget, load_map};
 use mapping::{
     BuildOptions, BuildReport, ExtensionReport, Extraction, Odometry, Progress, Stage, StoredPoses,
