@@ -101,7 +101,6 @@ fn a_killed_edit_import_or_merge_leaves_the_old_map_or_the_new_one() {
     kill(&scratch, &format!("edit-map --map hall.db --remove {first}"), 1, restore, || {
         is_old_or_new(&without_first)
     });
-    write_map(&scratch.path("text"), &place(2)).unwrap();
     scratch.run("import-map text --map second.db");
     let second = ids(&scratch.path("second.db"));
     kill(&scratch, "import-map text --map hall.db --force", 2, restore, || is_old_or_new(&second));

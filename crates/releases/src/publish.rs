@@ -2,6 +2,7 @@
 
 use crate::cells::{BorderedCell, CellContents, CellView, split};
 use crate::change::{ChangedCells, ReleasedChange};
+use crate::cleaning::ensure_kept;
 use crate::coarse::CoarseCell;
 use crate::error::{ReleaseError, with_causes};
 use crate::fetch::cell_contents;
@@ -68,7 +69,7 @@ pub struct Published {
 ///
 /// # Errors
 /// [`ReleaseError::Contents`] for a map that violates an invariant, [`ReleaseError::OtherMap`] where the store has another map,
-/// [`ReleaseError::Conflict`] where another program was faster, [`ReleaseError::Store`].
+/// [`ReleaseError::Conflict`] where another program was faster, [`ReleaseError::Cleaning`] where one removes segments, [`ReleaseError::Store`].
 pub async fn publish(
     store: &ReleaseStore,
     mut contents: MapContents,
@@ -138,6 +139,7 @@ pub async fn publish(
         partition,
         cells,
     };
+    ensure_kept(store, &release).await?;
     store.put_release(&release).await?;
     Ok(Outcome::Published(Box::new(Published { release, sent, bytes_sent })))
 }
@@ -147,8 +149,7 @@ pub async fn publish(
 /// Its segments are put again: [`clean`](crate::clean) removes what only former releases name, and spares what was put just now.
 ///
 /// # Errors
-/// [`ReleaseError::NoRelease`], [`ReleaseError::Conflict`], [`ReleaseError::Store`]; [`ReleaseError::Damaged`] where a segment was removed
-/// meanwhile.
+/// [`ReleaseError::NoRelease`], [`ReleaseError::Conflict`], [`ReleaseError::Store`], [`ReleaseError::Cleaning`].
 pub async fn roll_back(store: &ReleaseStore, number: u64) -> Result<Outcome, ReleaseError> {
     let former = store.release(number).await?;
     let newest = store.newest().await?.unwrap_or_else(|| former.clone());
@@ -165,28 +166,21 @@ pub async fn roll_back(store: &ReleaseStore, number: u64) -> Result<Outcome, Rel
         ..former
     };
     renew(store, &newest, &release).await?;
+    ensure_kept(store, &release).await?;
     store.put_release(&release).await?;
     Ok(Outcome::Published(Box::new(Published { release, sent: 0, bytes_sent: 0 })))
 }
 
-/// Puts the segments of a release again that the newest one does not name, and ensures that all of them are there.
+/// Puts the segments of a release again that the newest one does not name.
 async fn renew(store: &ReleaseStore, newest: &Release, release: &Release) -> Result<(), ReleaseError> {
     let kept: BTreeSet<&SegmentName> = newest.segments().collect();
     let renewed: BTreeSet<&SegmentName> =
         release.segments().filter(|segment| !kept.contains(segment)).collect();
-    for segment in &renewed {
+    for segment in renewed {
         let bytes = store.segment(segment).await?;
         store.put_segment(segment, bytes.into()).await?;
     }
-    // One that was being removed while it was put is gone now.
-    let present: BTreeSet<String> = store.segments().await?.into_iter().map(|(name, _)| name).collect();
-    match renewed.iter().find(|segment| !present.contains(&segment.sha256)) {
-        Some(gone) => {
-            let reason = "it was removed meanwhile (by clean-releases?): nothing was published".to_owned();
-            Err(store.damaged(gone.sha256.clone(), reason))
-        }
-        None => Ok(()),
-    }
+    Ok(())
 }
 
 /// Segments on their way into a store.

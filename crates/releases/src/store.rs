@@ -21,6 +21,7 @@ const DIGITS: usize = 20;
 const RELEASES: &str = "releases";
 const SEGMENTS: &str = "segments";
 const SIGNATURES: &str = "signatures";
+const MARKS: &str = "cleaning";
 /// A signature is a few lines.
 const MAX_SIGNATURE_BYTES: u64 = 4096;
 const EXTENSION: &str = ".json";
@@ -242,14 +243,21 @@ impl ReleaseStore {
         Ok(objects.into_iter().filter_map(named).collect())
     }
 
-    /// When a segment was last put, s since 1970; `None` where it is gone.
-    pub(crate) async fn segment_put_at(&self, sha256: &str) -> Result<Option<i64>, ReleaseError> {
-        let object = format!("{SEGMENTS}/{sha256}");
-        match self.store.head(&self.at(&object)).await {
-            Ok(found) => Ok(Some(found.last_modified.timestamp())),
-            Err(object_store::Error::NotFound { .. }) => Ok(None),
-            Err(source) => Err(self.failed(object, "read", source)),
-        }
+    pub(crate) async fn put_mark(&self, name: &str) -> Result<(), ReleaseError> {
+        let object = format!("{MARKS}/{name}");
+        let put = self.put(&object, Vec::new(), PutMode::Overwrite).await;
+        put.map_err(|source| self.failed(object, "written", source))
+    }
+
+    /// Marks of programs that remove segments, and when they were put, s since 1970.
+    pub(crate) async fn marks(&self) -> Result<Vec<(String, u64)>, ReleaseError> {
+        let put_s = |object: &ObjectMeta| u64::try_from(object.last_modified.timestamp()).unwrap_or(0);
+        let named = |object: ObjectMeta| Some((object.location.filename()?.to_owned(), put_s(&object)));
+        Ok(self.list(MARKS).await?.into_iter().filter_map(named).collect())
+    }
+
+    pub(crate) async fn remove_mark(&self, name: &str) -> Result<(), ReleaseError> {
+        self.remove(format!("{MARKS}/{name}")).await
     }
 
     pub(crate) async fn remove_release(&self, number: u64) -> Result<(), ReleaseError> {

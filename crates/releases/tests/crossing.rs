@@ -48,7 +48,7 @@ async fn roll_back_beside_clean(seed: u64) -> bool {
     let mut options = CleanOptions::default();
     (options.releases, options.grace) = (1, Duration::from_secs(1));
     tokio::time::sleep(Duration::from_millis(2100)).await;
-    let pause = Duration::from_micros(seed * 100);
+    let pause = Duration::from_millis(seed);
     let late = async {
         tokio::time::sleep(pause).await;
         clean(&store, &options).await

@@ -195,7 +195,7 @@ async fn ask_for_most(endpoint: &str, held: u64) {
     for client in 0..8 {
         let mut rng = StdRng::seed_from_u64(client);
         let mut request = place.request(&place.path[0], protocol::MAX_ANSWER_KEYFRAMES, &mut rng);
-        request.features = place.features(&place.path[0], protocol::MAX_QUERY_FEATURES, &mut rng);
+        request.features = place.features(&place.path[0], protocol::MAX_QUERY_FEATURES - 400, &mut rng);
         request.held = (0..held).collect();
         let session = open(endpoint).await;
         tokio::spawn(ask_for_ever(session, client, unchecked(&request)));
