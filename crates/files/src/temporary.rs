@@ -90,9 +90,9 @@ mod tests {
         std::fs::write(killed.path().join("copy"), "a map").unwrap();
         let left = killed.path().to_owned();
         // A killed program: its locks are free, its folder is there.
-        let TemporaryFolder { folder, _lock } = killed;
+        let TemporaryFolder { folder, _lock: lock } = killed;
         assert_eq!(folder.keep(), left);
-        drop(_lock);
+        drop(lock);
         let foreign = parent.path().join("driftless-of-somebody-else");
         std::fs::create_dir(&foreign).unwrap();
         let in_use = TemporaryFolder::new_in(parent.path()).unwrap();

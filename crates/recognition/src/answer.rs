@@ -146,10 +146,7 @@ fn cross_covariances(
     is_known: bool,
 ) -> Vec<CrossCovarianceBlock> {
     let smaller: Vec<KeyframeId> = smaller_ranks.iter().map(|&at| map.keyframes[at].id).collect();
-    let wanted = |other: KeyframeId| match held.contains(&other) {
-        true => !is_known,
-        false => smaller.contains(&other),
-    };
+    let wanted = |other: KeyframeId| if held.contains(&other) { !is_known } else { smaller.contains(&other) };
     // What the map lists for this keyframe is looked through, not what is held: that may be as long as the sender likes.
     let listed = map.cross_covariances.of(id).filter(|&(other, _)| wanted(other));
     listed.map(|(other, block)| CrossCovarianceBlock { other, block }).collect()

@@ -152,7 +152,7 @@ mod tests {
     fn a_profile_is_not_unpacked() {
         let plain = png(64, 48);
         // Not a stream that can be unpacked: whoever looks at it fails.
-        let profile = chunk(*b"iCCP", &[b"p\0\0".as_slice(), &[7; 100_000]].concat());
+        let profile = chunk(*b"iCCP", &[b"p\0\0".as_slice(), &vec![7; 100_000]].concat());
         let with_profile = with_chunks(&plain, &[profile, chunk(*b"tEXt", b"a\0b")].concat());
         assert_eq!(&*without_metadata(&with_profile), plain);
         assert_eq!(GrayImage::decode(&with_profile).unwrap(), GrayImage::decode(&plain).unwrap());
