@@ -4,6 +4,7 @@
 //! drives them on a stable toolchain with the seeds in `corpus/` and seeded mutations of them.
 
 mod files;
+mod images;
 mod messages;
 mod records;
 mod sensor_messages;
@@ -11,6 +12,7 @@ mod sensor_messages;
 mod weights;
 
 pub use files::{csv_tables, sensor_yaml};
+pub use images::images;
 pub use messages::{bincode_payloads, protocol_bincode, protocol_json};
 pub use records::store_records;
 pub use sensor_messages::{ros_messages, sensor_messages};
@@ -26,6 +28,7 @@ pub const TARGETS: &[(&str, Target)] = &[
     ("protocol_json", protocol_json),
     ("sensor_yaml", sensor_yaml),
     ("csv_tables", csv_tables),
+    ("images", images),
     ("store_records", store_records),
     ("sensor_messages", sensor_messages),
     ("ros_messages", ros_messages),

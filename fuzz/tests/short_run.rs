@@ -36,8 +36,26 @@ fn seeds(name: &str) -> Vec<Vec<u8>> {
         "ros_messages" => of_kind(&root.join("../crates/ros_messages/tests/goldens"), |path| {
             path.extension().is_some_and(|end| end == "cdr")
         }),
+        "images" => images(),
         other => files(&root.join("corpus").join(other)),
     }
+}
+
+/// A PNG image, one with a profile, and a JPEG image with three scans where there is one.
+fn images() -> Vec<Vec<u8>> {
+    let folder = tempfile::tempdir().unwrap();
+    let image = vision::GrayImage::from_fn(24, 16, |x, y| (x * y + 7 * x) as u8);
+    let png = image.to_png().unwrap();
+    let path = folder.path().join("image.jpg");
+    image.write(&path).unwrap();
+    let jpeg = std::fs::read(&path).unwrap();
+    // Behind the header; its checksum is wrong, as most are of mutated files.
+    let profile = [&9_u32.to_be_bytes()[..], b"iCCP", b"p\0\0zzzzzz", &[0; 4]].concat();
+    let with_profile = [&png[..33], &profile, &png[33..]].concat();
+    let at = jpeg.windows(2).position(|pair| pair == [0xff, 0xda]).unwrap();
+    let scan = &jpeg[at..jpeg.len() - 2];
+    let with_scans = [&jpeg[..at], &scan.repeat(3), &jpeg[jpeg.len() - 2..]].concat();
+    vec![png, with_profile, jpeg, with_scans]
 }
 
 fn files(folder: &Path) -> Vec<Vec<u8>> {

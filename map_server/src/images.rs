@@ -87,7 +87,8 @@ impl LocalizeImage for ImageLocalizer {
         }
         // Opened for each image: what it needs for a large one is not kept.
         let mut extractor = open(extractor, None).map_err(|error| unusable(&error))?;
-        let (image, camera) = halved(decode(&given.file)?, camera_of(&given.camera)?)?;
+        let camera = camera_of(&given.camera)?;
+        let (image, camera) = halved(decode(&given.file, &camera)?, camera);
         let features = extractor.extract(&image, None, MAX_FEATURES).map_err(|error| unusable(&error))?;
         drop(image);
         let features = feature_set(extractor.name(), features);
@@ -101,12 +102,21 @@ fn unusable(problem: &dyn std::fmt::Display) -> ImageError {
     ImageError::Unusable(problem.to_string())
 }
 
-fn decode(file: &[u8]) -> Result<GrayImage, ImageError> {
+/// Decodes an image, unless its header says that it is too large or not of this camera.
+fn decode(file: &[u8], camera: &Camera) -> Result<GrayImage, ImageError> {
     let (width, height) = GrayImage::size_of_encoded(file).map_err(|error| unusable(&error))?;
     if width.max(height) > MAX_SIDE {
         let message = format!(
             "the image has {width} x {height} pixels, more than {MAX_SIDE} x {MAX_SIDE}: give a smaller one, with the \
              calibration of that size"
+        );
+        return Err(unusable(&message));
+    }
+    if (width, height) != (camera.width, camera.height) {
+        let message = format!(
+            "the image has {width} x {height} pixels, its camera {} x {}: choose or paste the calibration of the camera \
+             that took it, at this size",
+            camera.width, camera.height
         );
         return Err(unusable(&message));
     }
@@ -123,19 +133,7 @@ fn camera_of(camera: &ImageCamera) -> Result<Camera, ImageError> {
 }
 
 /// An image with its camera, at half the resolution as often as it is too large.
-///
-/// # Errors
-/// An image of another size than the camera's.
-fn halved(mut image: GrayImage, mut camera: Camera) -> Result<(GrayImage, Camera), ImageError> {
-    let (width, height) = (image.width(), image.height());
-    if (width, height) != (camera.width as usize, camera.height as usize) {
-        let message = format!(
-            "the image has {width} x {height} pixels, its camera {} x {}: choose or paste the calibration of the camera \
-             that took it, at this size",
-            camera.width, camera.height
-        );
-        return Err(unusable(&message));
-    }
+fn halved(mut image: GrayImage, mut camera: Camera) -> (GrayImage, Camera) {
     while image.width() * image.height() > MAX_PIXELS {
         image = Pyramid::new(image, 2).level(1).clone();
         // Level 1 has every second pixel, from the first one on.
@@ -143,7 +141,7 @@ fn halved(mut image: GrayImage, mut camera: Camera) -> Result<(GrayImage, Camera
         camera.centre = camera.centre.map(|centre| centre / 2.0);
         (camera.width, camera.height) = (image.width() as u32, image.height() as u32);
     }
-    Ok((image, camera))
+    (image, camera)
 }
 
 #[cfg(test)]
@@ -164,7 +162,7 @@ mod tests {
         };
         let image =
             GrayImage::from_fn(width as usize, height as usize, |x, y| ((x / 64 + y / 64) % 2) as u8 * 200);
-        let (small, of_small) = halved(image.clone(), camera.clone()).unwrap();
+        let (small, of_small) = halved(image.clone(), camera.clone());
         assert_eq!((small.width(), small.height()), (1501, 1000));
         assert_eq!((of_small.width, of_small.height), (1501, 1000));
         let point = Vector3::new(0.4, -0.3, 2.0);
@@ -179,7 +177,7 @@ mod tests {
             );
         }
         let other = Camera { width: 3000, ..camera };
-        let refused = halved(image, other).unwrap_err().to_string();
+        let refused = decode(&image.to_png().unwrap(), &other).unwrap_err().to_string();
         assert!(refused.contains("3001 x 2000") && refused.contains("3000 x 2000"), "{refused}");
     }
 }

@@ -21,6 +21,7 @@
 //! | [`routing`] | a query about such a map, from its receipt to the answer of one cell |
 //! | [`served_map`] | [`ServedMap`]: a map and its name |
 //! | `queue`, `fair_queue` | queries between the network and the workers: bounded, counted, fair to clients |
+//! | `senders` | which sessions are connected, and whose certificates they have |
 //! | `handlers` | decodes a query, answers it, encodes the reply |
 //! | `names` | no two servers of one name |
 //! | `reports` | tells what became of each query |
@@ -63,6 +64,7 @@ pub mod options;
 mod queue;
 mod reports;
 pub mod routing;
+mod senders;
 pub mod served_map;
 pub mod server;
 pub mod show;

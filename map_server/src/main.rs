@@ -28,8 +28,11 @@ use tracing_subscriber::EnvFilter;
 #[global_allocator]
 static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 
-/// How long the end of the program waits for a release that is being fetched.
-const SHUTDOWN_TIMEOUT: Duration = Duration::from_secs(2);
+/// How long the end of the program waits for threads that are still busy: a release that is fetched, a query that was abandoned.
+const SHUTDOWN_TIMEOUT: Duration = Duration::from_millis(500);
+/// From a signal to the end of the program, whatever still waits then: nothing of a server is on its way to a disk that would
+/// not be made again.
+const STOP_TIME: Duration = Duration::from_millis(2800);
 
 fn main() -> ExitCode {
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build();
@@ -68,14 +71,20 @@ async fn serve() -> anyhow::Result<()> {
     let sources = whole.iter().map(open).collect::<anyhow::Result<Vec<_>>>()?;
     let mut maps = Vec::with_capacity(sources.len());
     for source in &sources {
-        maps.push(source.load().await?);
+        tokio::select! {
+            map = source.load() => maps.push(map?),
+            signal = &mut stopped => {
+                tracing::info!("{signal}: stopping before the maps were loaded");
+                return end_in_time();
+            }
+        }
     }
     let session_options = arguments.session.serving();
     let session = tokio::select! {
         session = open_session(&session_options) => session?,
         signal = &mut stopped => {
             tracing::info!("{signal}: stopping before the session was open");
-            return Ok(());
+            return end_in_time();
         }
     };
     let mut options = ServerOptions::default();
@@ -135,6 +144,7 @@ async fn serve() -> anyhow::Result<()> {
         }
     };
     tracing::info!("{signal}: stopping");
+    end_in_time()?;
     if let Some(show) = show {
         show.stop().await;
     }
@@ -146,6 +156,17 @@ async fn serve() -> anyhow::Result<()> {
     }
     server.stop().await?;
     close_session(&session).await;
+    Ok(())
+}
+
+/// Ends the program after [`STOP_TIME`] where it has not ended by itself.
+fn end_in_time() -> anyhow::Result<()> {
+    let end = || {
+        std::thread::sleep(STOP_TIME);
+        tracing::warn!("not everything ended within {STOP_TIME:?}; ending now");
+        std::process::exit(0);
+    };
+    std::thread::Builder::new().name("end".into()).spawn(end).context("no thread could be started")?;
     Ok(())
 }
 

@@ -5,10 +5,8 @@
 //! server's memory, and whoever causes it pays for it. Matching runs on tokio's blocking threads; a panic there ends one
 //! query with an error reply.
 //!
-//! A client is who it says: the `client` parameter of the query's selector, which this project's clients set to the id of
-//! their session. Queries without one share the place of one client. A client that lies about its name gains as many places
-//! as it invents names, and one that uses the name of another delays that one; the bounds hold all the same. Only access
-//! control keeps such a client out.
+//! A client is the session that it states, where that is connected, or the subject of its certificate (`senders`); whoever states
+//! another name shares one place with all that do. What a query costs beyond its bytes is charged to its client when it is known.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -20,12 +18,13 @@ use tokio::task::JoinHandle;
 use zenoh::query::Query;
 
 use crate::cells::{CellSlot, StoredCell};
-use crate::fair_queue::{self, FairQueue};
+use crate::fair_queue::{self, Client, FairQueue};
 use crate::handlers::{self, Asked, Progress};
 use crate::kind::{CellKind, Kind, Subject};
 use crate::metrics::ServerMetrics;
 use crate::reports::ReportSender;
 use crate::routing::RoutedMap;
+use crate::senders::Senders;
 use crate::served_map::MapSlot;
 use recognition::{LoadedMap, RecognitionOptions};
 
@@ -36,6 +35,7 @@ const LONGEST_WAIT: Duration = Duration::from_secs(1);
 pub(crate) struct Job {
     pub(crate) query: Query,
     pub(crate) target: Target,
+    client: Client,
     pub(crate) received: Instant,
     /// The version that the query is answered with, and how many of its keyframes a query for all of them got in its former
     /// turns. `None` for one that is still to be had.
@@ -45,7 +45,13 @@ pub(crate) struct Job {
 impl Job {
     /// A query that was just received.
     pub(crate) fn new(query: Query, target: Target) -> Self {
-        Self { query, target, received: Instant::now(), begun: None }
+        let client = Client::Stated(String::new());
+        Self { query, target, client, received: Instant::now(), begun: None }
+    }
+
+    /// Bytes of its payload.
+    fn bytes(&self) -> usize {
+        self.query.payload().map_or(0, zenoh::bytes::ZBytes::len)
     }
 }
 
@@ -94,6 +100,7 @@ pub(crate) struct Queue {
     changed: Notify,
     metrics: Arc<ServerMetrics>,
     reports: ReportSender,
+    senders: Arc<Senders>,
     /// Places for queries that wait for a cell, in bytes: as much as the queue has.
     set_aside: Arc<Semaphore>,
 }
@@ -105,6 +112,7 @@ impl Queue {
         bytes: usize,
         metrics: Arc<ServerMetrics>,
         reports: ReportSender,
+        senders: Arc<Senders>,
     ) -> Arc<Queue> {
         let places = fair_queue::capacity_of(length, bytes);
         Arc::new(Queue {
@@ -113,20 +121,23 @@ impl Queue {
             changed: Notify::new(),
             metrics,
             reports,
+            senders,
             set_aside: Arc::new(Semaphore::new(places.min(Semaphore::MAX_PERMITS))),
         })
     }
 
     /// Enqueues a query; answers those that do not fit with `Busy`. Never blocks.
-    pub(crate) fn put(&self, job: Job) {
+    pub(crate) fn put(&self, mut job: Job) {
         self.metrics.note_received();
-        let bytes = job.query.payload().map_or(0, zenoh::bytes::ZBytes::len);
+        let stated = job.query.parameters().get(keys::CLIENT_PARAMETER).unwrap_or_default();
+        job.client = self.senders.client(stated);
+        let bytes = job.bytes();
         self.enqueue(job, bytes);
     }
 
     /// Enqueues a job whose next turn counts as so many bytes.
     fn enqueue(&self, job: Job, bytes: usize) {
-        let client = job.query.parameters().get(keys::CLIENT_PARAMETER).unwrap_or_default().to_owned();
+        let client = job.client.clone();
         let refused = if self.closed.load(Ordering::Acquire) {
             vec![job]
         } else {
@@ -168,6 +179,14 @@ impl Queue {
 
     fn lock(&self) -> MutexGuard<'_, FairQueue<Job>> {
         self.waiting.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Charges the client of a query with the time of a worker.
+    fn charge(&self, client: &Client, bytes: usize, elapsed: Duration) {
+        let extra = fair_queue::extra_cost(bytes, elapsed);
+        if extra > 0 {
+            self.lock().charge(client, extra);
+        }
     }
 
     /// Ends the workers once the queue is empty.
@@ -219,14 +238,16 @@ async fn answer(
     (loaded, sent): (Arc<LoadedMap>, usize),
     options: &Arc<RecognitionOptions>,
 ) {
-    let Job { query, target, received, .. } = job;
+    let (bytes, begin) = (job.bytes(), Instant::now());
+    let Job { query, target, client, received, .. } = job;
     let name = target.name().to_owned();
     let asked = Asked { query: query.clone(), subject, name, received, sent };
     let (version, options, reports) = (Arc::clone(&loaded), Arc::clone(options), queue.reports.clone());
     let answered = catch_panic(move || handlers::answer(&asked, &version, &options, &reports)).await;
+    queue.charge(&client, bytes, begin.elapsed());
     match answered {
         Ok(Ok(Progress::Keyframes { sent, bytes })) => {
-            queue.enqueue(Job { query, target, received, begun: Some((loaded, sent)) }, bytes);
+            queue.enqueue(Job { query, target, client, received, begun: Some((loaded, sent)) }, bytes);
         }
         Ok(Ok(Progress::Done)) => queue.note_end(&query, &target, received, Ok(())),
         Ok(Err(failure)) => queue.note_end(&query, &target, received, Err(failure)),
@@ -236,9 +257,11 @@ async fn answer(
 
 /// Plans with a worker, and asks cells without one.
 async fn route(queue: &Arc<Queue>, job: Job, kind: Kind, routed: Arc<RoutedMap>) {
-    let Job { query, target, received, .. } = job;
+    let (bytes, begin) = (job.bytes(), Instant::now());
+    let Job { query, target, client, received, .. } = job;
     let (planning, asked) = (Arc::clone(&routed), query.clone());
     let planned = catch_panic(move || planning.plan(&asked, kind, received)).await;
+    queue.charge(&client, bytes, begin.elapsed());
     let plan = match planned {
         Ok(Ok(plan)) => plan,
         Ok(Err(failure)) => return queue.note_end(&query, &target, received, Err(failure)),
@@ -257,7 +280,7 @@ async fn route(queue: &Arc<Queue>, job: Job, kind: Kind, routed: Arc<RoutedMap>)
 impl Queue {
     /// Sets a query aside until its cell is in memory, and enqueues it again. No worker waits.
     fn await_cell(self: &Arc<Self>, job: Job, cell: Arc<StoredCell>) {
-        let bytes = job.query.payload().map_or(0, zenoh::bytes::ZBytes::len);
+        let bytes = job.bytes();
         let cost = u32::try_from(fair_queue::cost_of(bytes)).unwrap_or(u32::MAX);
         let Ok(place) = Arc::clone(&self.set_aside).try_acquire_many_owned(cost) else {
             return self.refuse(&job);

@@ -25,10 +25,11 @@ use crate::names;
 use crate::options::ServerOptions;
 use crate::queue::{self, Job, Queue, Target};
 use crate::reports::{QueryReport, ReportSender};
+use crate::senders::Senders;
 use crate::served_map::{MapSlot, ServedMap};
 
 /// How long [`MapServer::stop`] waits for queries that are being answered.
-const STOP_TIMEOUT: Duration = Duration::from_secs(5);
+const STOP_TIMEOUT: Duration = Duration::from_millis(1500);
 
 /// A running map server.
 ///
@@ -111,8 +112,9 @@ impl MapServer {
             metrics.note_map(&map.name, loaded.keyframe_count(), loaded.info().version);
         }
         let reports = ReportSender::new();
+        let senders = Senders::follow(&session).await;
         let (length, bytes) = (options.queue_length, options.queue_bytes);
-        let queue = Queue::new(length, bytes, Arc::clone(&metrics), reports.clone());
+        let queue = Queue::new(length, bytes, Arc::clone(&metrics), reports.clone(), senders);
         let workers = queue::start_workers(&queue, options.workers, &options.recognition);
         let names = Arc::new(RwLock::new(maps.keys().cloned().collect()));
         let mut queryables = Vec::new();
@@ -260,7 +262,7 @@ impl MapServer {
         change::publish(&self.session, change).await
     }
 
-    /// Stops serving: undeclares everything, then answers the queries already received, for at most 5 s.
+    /// Stops serving: undeclares everything, then answers the queries already received, for at most 1.5 s.
     ///
     /// # Errors
     /// [`ServeError::Zenoh`] if something could not be undeclared, for example in a closed session.

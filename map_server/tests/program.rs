@@ -2,11 +2,13 @@
 
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use client::{SessionOptions, open_session};
 use map::store;
 use protocol::{ErrorCode, ErrorReply, Format, MapChangeNotice, MapInfoReply};
+use rand::SeedableRng as _;
+use rand::rngs::StdRng;
 use releases::{PublishOptions, ReleaseStore, publish};
 use testing::{Place, PlaceOptions};
 use zenoh::Session;
@@ -161,6 +163,36 @@ async fn it_serves_below_its_namespace_and_stops_on_sigterm() {
 
     signal(&server, "-TERM");
     assert!(server.0.wait().unwrap().success());
+    client.close().await.unwrap();
+}
+
+/// 200 queries wait, each of more than 4,000 features: they are abandoned, and their clients ask elsewhere.
+#[tokio::test(flavor = "multi_thread")]
+async fn sigterm_ends_it_within_three_seconds_also_under_load() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("hall.db");
+    let place = Place::new(&PlaceOptions { keyframes: 40, landmarks: 4000, ..PlaceOptions::default() });
+    store::save_map(&path, &place.map, false).unwrap();
+    let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+    let endpoint = format!("tcp/127.0.0.1:{port}");
+    let map = format!("hall={}", path.display());
+    let arguments = ["--map", &map, "--listen", &endpoint, "--workers", "1"];
+    let mut server = Running(program().args(arguments).stderr(Stdio::null()).spawn().unwrap());
+    let options = SessionOptions { connect: vec![endpoint], ..SessionOptions::default() };
+    let client = open_session(&options).await.unwrap();
+    ask(&client, "map/hall/info").await.unwrap();
+    let mut rng = StdRng::seed_from_u64(1);
+    let mut request = place.request(&place.path[0], 4, &mut rng);
+    request.features = place.features(&place.path[0], 4000, &mut rng);
+    let payload = protocol::encode(Format::Bincode, &request).unwrap();
+    for _ in 0..200 {
+        client.get("map/hall/match").payload(payload.clone()).callback(|_| ()).await.unwrap();
+    }
+    tokio::time::sleep(Duration::from_millis(200)).await;
+    let asked = Instant::now();
+    signal(&server, "-TERM");
+    assert!(server.0.wait().unwrap().success());
+    assert!(asked.elapsed() < Duration::from_secs(3), "{:?}", asked.elapsed());
     client.close().await.unwrap();
 }
 

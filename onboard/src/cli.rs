@@ -117,7 +117,7 @@ fn write(path: &Path, text: &str) -> Result<()> {
     if path.exists() {
         bail!("--write-config: {} exists already; name another file", path.display());
     }
-    std::fs::write(path, text).with_context(|| format!("cannot write {}", path.display()))?;
+    files::write_whole(path, text.as_bytes()).with_context(|| format!("cannot write {}", path.display()))?;
     println!("written to {}; start with: onboard {}", path.display(), path.display());
     Ok(())
 }

@@ -1,5 +1,6 @@
 //! The features of one image: pixels and descriptors.
 
+use crate::bounded;
 use crate::limits::{MAX_EXTRACTOR_BYTES, MAX_FEATURES, MAX_QUERY_FEATURES};
 use crate::validate::{InvalidField, Validate, require, require_valid};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
@@ -140,6 +141,7 @@ impl Validate for Descriptors {
 struct JsonForm {
     kind: DescriptorKind,
     width: u16,
+    #[serde(deserialize_with = "bounded::list::<_, _, MAX_FEATURES>")]
     hex: Vec<String>,
 }
 
@@ -212,6 +214,7 @@ pub(crate) fn validate_extractor(name: &str) -> Result<(), InvalidField> {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct FeatureSet {
     /// `[u, v]`, distorted, as measured; (0, 0) is the centre of the top-left pixel.
+    #[serde(deserialize_with = "bounded::list::<_, _, MAX_FEATURES>")]
     pub pixels: Vec<[f32; 2]>,
     /// Their descriptors, in the same order.
     pub descriptors: Descriptors,

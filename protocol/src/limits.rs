@@ -29,6 +29,11 @@ pub const MAX_FEATURES: usize = 20_000;
 /// Most features in one query: matching one costs milliseconds a thousand, and no extractor gives more of a camera's image.
 pub const MAX_QUERY_FEATURES: usize = 5_000;
 
+/// Most keyframes that a query may say are held: four times what an estimator holds by default (5,000).
+///
+/// Each costs the server a look-up (0.1 µs); a list that is only limited by its bytes has 16 million.
+pub const MAX_HELD_KEYFRAMES: usize = 20_000;
+
 /// Most keyframes that may be asked for in one answer.
 pub const MAX_ANSWER_KEYFRAMES: u16 = 64;
 

@@ -12,7 +12,7 @@
 use crate::codec::{Message, malformed_json};
 use crate::features::{FeatureSet, require_query};
 use crate::identity::MapIdentity;
-use crate::limits::{KeyframeId, LandmarkId, MAX_ANSWER_KEYFRAMES, MAX_COMMON_ERRORS};
+use crate::limits::{KeyframeId, LandmarkId, MAX_ANSWER_KEYFRAMES, MAX_COMMON_ERRORS, MAX_HELD_KEYFRAMES};
 use crate::validate::{
     InvalidField, Validate, require, require_each, require_finite, require_name, require_not_negative,
     require_position, require_positive, require_unit, require_valid,
@@ -56,7 +56,7 @@ pub struct MatchRequest {
     #[serde(default)]
     pub gravity_in_camera: Option<[f64; 3]>,
     /// Keyframes of this map in the robot's state, in any order: the answer says how others are correlated with them. Decoded
-    /// from bincode they are sorted and unique.
+    /// from bincode they are sorted and unique. At most [`MAX_HELD_KEYFRAMES`].
     #[serde(default, with = "wire::keyframe_set")]
     pub held: Vec<KeyframeId>,
     /// Version of the map when the held keyframes were fetched. Where it is the version of the answer, what correlates the
@@ -74,6 +74,8 @@ impl Validate for MatchRequest {
         require_query(&self.features)?;
         require_valid(self.prior.as_ref(), "prior")?;
         require_unit(self.gravity_in_camera.as_ref(), "gravity_in_camera")?;
+        let held = self.held.len() <= MAX_HELD_KEYFRAMES;
+        require(held, "held", &format!("names more than {MAX_HELD_KEYFRAMES} keyframes"))?;
         require(self.max_keyframes > 0, "max_keyframes", "is zero")?;
         let few = self.max_keyframes <= MAX_ANSWER_KEYFRAMES;
         require(few, "max_keyframes", &format!("is more than {MAX_ANSWER_KEYFRAMES}"))

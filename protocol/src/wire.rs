@@ -117,10 +117,12 @@ enum DistortionForm {
 /// JSON has a plain list. Bincode has the sorted ids as gaps, the number of ids between each and the one before:
 /// `[7, 8, 12]` is written `[7, 0, 3]`. Ids of one map are close to each other, and bincode writes a number below 251 in
 /// one byte. The encoding of a set is unique; duplicates are written once and cannot be decoded.
+/// A set of more than [`MAX_HELD_KEYFRAMES`](crate::MAX_HELD_KEYFRAMES) is refused.
 pub(crate) mod keyframe_set {
-    use crate::limits::KeyframeId;
+    use crate::bounded;
+    use crate::limits::{KeyframeId, MAX_HELD_KEYFRAMES};
     use serde::de::Error;
-    use serde::{Deserialize, Deserializer, Serialize, Serializer};
+    use serde::{Deserializer, Serialize, Serializer};
 
     pub(crate) fn serialize<S: Serializer>(ids: &[KeyframeId], serializer: S) -> Result<S::Ok, S::Error> {
         if serializer.is_human_readable() {
@@ -140,7 +142,7 @@ pub(crate) mod keyframe_set {
         deserializer: D,
     ) -> Result<Vec<KeyframeId>, D::Error> {
         let sorted_gaps = !deserializer.is_human_readable();
-        let mut numbers = Vec::<KeyframeId>::deserialize(deserializer)?;
+        let mut numbers: Vec<KeyframeId> = bounded::list::<_, _, MAX_HELD_KEYFRAMES>(deserializer)?;
         if sorted_gaps {
             for k in 1..numbers.len() {
                 let next = numbers[k - 1].checked_add(1).and_then(|least| least.checked_add(numbers[k]));

@@ -101,3 +101,31 @@ fn the_names_of_5_000_held_keyframes_have_10_kb_at_most() {
         assert!((5_000..=10_000).contains(&bytes), "{bytes} bytes");
     }
 }
+
+/// Gaps of one byte each: a payload of 16 MB would name 16 million keyframes.
+#[test]
+fn a_list_beyond_its_limit_is_refused_before_it_is_read() {
+    let (most, all) = (MAX_HELD_KEYFRAMES, 15_900_000_usize);
+    let list = |length: usize| [&[252][..], &(length as u32).to_le_bytes(), &vec![0; length]].concat();
+    let held = decode::<MatchRequest>(Format::Bincode, &payload_with(&list(most))).unwrap().held;
+    assert_eq!(held.len(), most);
+    for length in [most + 1, all] {
+        let bytes = payload_with(&list(length));
+        let begin = std::time::Instant::now();
+        let error = decode::<MatchRequest>(Format::Bincode, &bytes).unwrap_err().to_string();
+        assert!(error.contains("more than 20000"), "{error}");
+        assert!(begin.elapsed() < std::time::Duration::from_secs(1), "{:?}", begin.elapsed());
+    }
+    let error = encode(Format::Bincode, &request_with((0..=most as u64).collect())).unwrap_err().to_string();
+    assert!(error.contains("held") && error.contains("more than 20000"), "{error}");
+    let request = serde_json::to_value(request_with(Vec::new())).unwrap();
+    let with = |held: Vec<u64>, pixels: usize| {
+        let mut request = request.clone();
+        request["schema"] = SCHEMA_VERSION.into();
+        request["held"] = held.into();
+        request["features"]["pixels"] = vec![[1.0, 2.0]; pixels].into_iter().map(Vec::from).collect();
+        decode::<MatchRequest>(Format::Json, request.to_string().as_bytes()).unwrap_err().to_string()
+    };
+    assert!(with(vec![7; most + 1], 0).contains("more than 20000"));
+    assert!(with(Vec::new(), MAX_FEATURES + 1).contains("more than 20000"));
+}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import time
-import uuid
 from collections.abc import Callable, Mapping
 from os import PathLike
 from typing import Any, TypeVar
@@ -47,8 +46,9 @@ class Fleet:
         if not timeout_s > 0:
             raise DriftlessError(f"timeout_s is {timeout_s}: give a positive number of seconds")
         self.timeout_s = timeout_s
-        self._client = uuid.uuid4().hex
         self._session = open_session(connect, secure, zenoh_config, namespace)
+        # The server gives each session that is connected to it a share of its own.
+        self._client = str(self._session.info.zid())
 
     def close(self) -> None:
         """Closes the session."""

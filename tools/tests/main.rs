@@ -9,6 +9,8 @@ mod demo;
 mod documentation;
 mod fleet;
 #[cfg(unix)]
+mod kills;
+#[cfg(unix)]
 mod live_page;
 mod maps;
 mod old_spellings;

@@ -4,7 +4,6 @@ use crate::packed_file::TemporaryFile;
 use crate::storage::{Channel, Encoding, Metadata, OpenFile, Place, Schema, Storage};
 use crate::{BagError, mcap_file, packed_file, rosbag1_file, rosbag2_folder, sqlite_file};
 use std::fmt;
-use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
@@ -199,7 +198,7 @@ impl Format {
     /// The format by the first bytes.
     fn of(path: &Path) -> Result<Self, BagError> {
         let mut start = Vec::new();
-        File::open(path)
+        files::open(path)
             .and_then(|file| file.take(FORMAT_BYTES).read_to_end(&mut start))
             .map_err(|source| BagError::io(path, source))?;
         Self::by(&start).ok_or_else(|| BagError::UnknownFormat { path: path.to_path_buf() })

@@ -75,7 +75,7 @@ impl fmt::Debug for ChunkedFile {
 
 impl ChunkedFile {
     pub(crate) fn open(path: &Path) -> Result<Self, BagError> {
-        let file = File::open(path).map_err(|source| BagError::io(path, source))?;
+        let file = files::open(path).map_err(|source| BagError::io(path, source))?;
         let length = file.metadata().map_err(|source| BagError::io(path, source))?.len();
         Ok(Self {
             path: path.to_path_buf(),

@@ -3,11 +3,11 @@
 
 use crate::BagError;
 use crate::packed_message::ZSTD_MAGIC;
+use files::TemporaryFolder;
 use std::ffi::OsString;
 use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
-use tempfile::TempDir;
 
 /// How the names of packed files end; the first is that of rosbag2.
 const EXTENSIONS: [&str; 2] = ["zstd", "zst"];
@@ -16,14 +16,14 @@ const EXTENSIONS: [&str; 2] = ["zstd", "zst"];
 #[derive(Debug)]
 pub(crate) struct TemporaryFile {
     pub(crate) path: PathBuf,
-    _folder: TempDir,
+    _folder: TemporaryFolder,
 }
 
 impl TemporaryFile {
     /// Makes a folder for the copy of a file, under its name.
     pub(crate) fn named_as(original: &Path) -> Result<Self, BagError> {
         let io = |source| BagError::io(&std::env::temp_dir(), source);
-        let folder = tempfile::Builder::new().prefix("driftless-").tempdir().map_err(io)?;
+        let folder = TemporaryFolder::new().map_err(io)?;
         let path = folder.path().join(original.file_name().unwrap_or_default());
         Ok(Self { path, _folder: folder })
     }
@@ -32,13 +32,13 @@ impl TemporaryFile {
 /// Whether a file begins as a packed one.
 pub(crate) fn is_packed(path: &Path) -> bool {
     let mut start = [0; ZSTD_MAGIC.len()];
-    File::open(path).and_then(|mut file| file.read_exact(&mut start)).is_ok() && start == ZSTD_MAGIC
+    files::open(path).and_then(|mut file| file.read_exact(&mut start)).is_ok() && start == ZSTD_MAGIC
 }
 
 /// The first bytes of a packed file's contents.
 pub(crate) fn start_of(path: &Path, count: u64) -> std::io::Result<Vec<u8>> {
     let mut start = Vec::new();
-    let read = zstd::stream::Decoder::new(File::open(path)?)?.take(count).read_to_end(&mut start);
+    let read = zstd::stream::Decoder::new(files::open(path)?)?.take(count).read_to_end(&mut start);
     read.map(|_| start)
 }
 
@@ -53,7 +53,7 @@ pub(crate) fn unpack(path: &Path) -> Result<(TemporaryFile, Vec<String>), BagErr
         path.display(),
         unpacked.path.display()
     )];
-    let packed = File::open(path).map_err(|source| BagError::io(path, source))?;
+    let packed = files::open(path).map_err(|source| BagError::io(path, source))?;
     let mut file = File::create(&unpacked.path).map_err(|source| BagError::io(&unpacked.path, source))?;
     let mut reader = zstd::stream::Decoder::new(packed).map_err(|source| BagError::io(path, source))?;
     let mut buffer = vec![0; 1 << 20];

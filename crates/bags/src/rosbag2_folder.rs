@@ -44,7 +44,7 @@ pub(crate) fn read(folder: &Path) -> Result<Files, BagError> {
     if !path.is_file() {
         return without_metadata(folder);
     }
-    let text = std::fs::read_to_string(&path).map_err(|source| BagError::io(&path, source))?;
+    let text = files::read_to_string(&path).map_err(|source| BagError::io(&path, source))?;
     let yaml: MetadataYaml = serde_saphyr::from_str(&text)
         .map_err(|error| BagError::invalid(&path, format!("it is not the metadata of a rosbag2: {error}")))?;
     let Information { relative_file_paths, compression_format, compression_mode } =

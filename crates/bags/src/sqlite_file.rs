@@ -18,6 +18,10 @@ const LOG: &str = "-wal";
 /// Reads the index of a file, with the write-ahead log that a recorder which was killed leaves beside it.
 pub(crate) fn open(path: &Path) -> Result<OpenFile, BagError> {
     let Opened { connection, notes, copy } = connect(path)?;
+    if let Some(name) = not_a_table(&connection).map_err(|source| BagError::sqlite(path, source))? {
+        let problem = format!("{name} is not a table of rows, as rosbag2 writes it: a view may have no end");
+        return Err(BagError::invalid(path, problem));
+    }
     let mut damage = Damage::default();
     let mut channels = read_topics(&connection).map_err(|source| BagError::sqlite(path, source))?;
     if let Err(error) = read_messages(&connection, &mut channels, &mut damage) {
@@ -80,7 +84,7 @@ fn try_connect(path: &Path, flags: OpenFlags) -> rusqlite::Result<Connection> {
 
 /// The copy of a read-only file is not read-only.
 fn copy_contents(from: &Path, to: &Path) -> std::io::Result<()> {
-    std::io::copy(&mut File::open(from)?, &mut File::create(to)?).map(drop)
+    std::io::copy(&mut files::open(from)?, &mut File::create(to)?).map(drop)
 }
 
 fn with_ending(path: &Path, ending: &str) -> PathBuf {
@@ -94,6 +98,13 @@ fn immutable_uri(path: &Path) -> PathBuf {
     let path = std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf());
     let escaped = path.to_string_lossy().replace('%', "%25").replace('?', "%3f").replace('#', "%23");
     format!("file:{escaped}?immutable=1").into()
+}
+
+/// The name of something that takes the place of a table.
+fn not_a_table(connection: &Connection) -> rusqlite::Result<Option<String>> {
+    let query = "SELECT name FROM sqlite_master WHERE lower(name) IN ('topics', 'messages', 'message_definitions') \
+                 AND (type IN ('view', 'trigger') OR type = 'table' AND sql LIKE 'CREATE VIRTUAL%')";
+    connection.query_row(query, (), |row| row.get(0)).optional()
 }
 
 fn read_topics(connection: &Connection) -> rusqlite::Result<BTreeMap<i64, Channel>> {
@@ -153,13 +164,24 @@ impl SqliteFile {
     fn stored(&self, row: u64, most: u64) -> Result<Vec<u8>, BagError> {
         let connection = self.connection.lock().unwrap_or_else(PoisonError::into_inner);
         let wanted = most.min(MAX_MESSAGE) as i64;
-        let query = "SELECT substr(data, 1, ?2) FROM messages WHERE id = ?1";
+        let failed = |source| BagError::sqlite(&self.path, source);
+        // The length is known without the bytes; whatever is taken of them, SQLite reads all.
+        let length = connection
+            .prepare_cached("SELECT length(data) FROM messages WHERE id = ?1")
+            .and_then(|mut statement| {
+                statement.query_row([row as i64], |row| row.get::<_, i64>(0)).optional()
+            })
+            .map_err(failed)?;
+        if let Some(bytes) = length.filter(|bytes| *bytes > MAX_MESSAGE as i64) {
+            let problem = format!("it has {bytes} bytes, more than {MAX_MESSAGE}");
+            return Err(BagError::message(&self.path, row, problem));
+        }
         let found = connection
-            .prepare_cached(query)
+            .prepare_cached("SELECT substr(data, 1, ?2) FROM messages WHERE id = ?1")
             .and_then(|mut statement| {
                 statement.query_row((row as i64, wanted), |row| row.get::<_, Vec<u8>>(0)).optional()
             })
-            .map_err(|source| BagError::sqlite(&self.path, source))?;
+            .map_err(failed)?;
         found.ok_or_else(|| BagError::message(&self.path, row, "it is missing"))
     }
 }

@@ -4,12 +4,13 @@ use crate::error::ClientError;
 use crate::map_client::{MapClient, MatchAnswer};
 use crate::request::{Retry, Traffic};
 use protocol::MatchRequest;
+use std::collections::BTreeMap;
 use std::sync::Arc;
-use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::{Duration, Instant};
 use tokio::runtime::Handle;
 
-/// How much longer than the deadline [`QueryTasks::wait`] waits for a task to report.
+/// How much longer than the deadline a task may take to report; then its query has ended without an answer.
 const REPORT_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// The end of one query.
@@ -29,10 +30,29 @@ pub struct QueryResult<T> {
     pub bytes_received: usize,
 }
 
+/// What a task reports.
+#[derive(Debug)]
+struct Report {
+    /// Of the query.
+    number: u64,
+    answer: Result<MatchAnswer, ClientError>,
+    elapsed: Duration,
+    traffic: Traffic,
+}
+
+/// A query whose task has not reported.
+#[derive(Debug)]
+struct Pending<T> {
+    token: T,
+    request: Arc<MatchRequest>,
+    begin: Instant,
+}
+
 /// Sends match queries as tasks of a tokio runtime and returns their results through a channel.
 ///
 /// `T` is a token by which the caller recognizes a query, for example the id of the camera pose it is about. Every
-/// submitted query has exactly one result, even if its task panics.
+/// submitted query has exactly one result, even if its task panics or never ends: a second after the deadline it is
+/// [`ClientError::Deadline`].
 ///
 /// # Example
 /// ```
@@ -62,9 +82,12 @@ pub struct QueryTasks<T> {
     client: MapClient,
     runtime: Handle,
     deadline: Duration,
-    sender: Sender<QueryResult<T>>,
-    receiver: Receiver<QueryResult<T>>,
-    pending: usize,
+    sender: Sender<Report>,
+    receiver: Receiver<Report>,
+    /// By number, the oldest first.
+    pending: BTreeMap<u64, Pending<T>>,
+    /// Number of the next query.
+    next: u64,
     /// Whether the last query found no server: then the next one is sent once only, so that queries of a robot without
     /// a server do not accumulate.
     no_server: bool,
@@ -86,7 +109,8 @@ impl<T: Send + 'static> QueryTasks<T> {
             deadline,
             sender,
             receiver,
-            pending: 0,
+            pending: BTreeMap::new(),
+            next: 0,
             no_server: false,
             unknown_map_logged: false,
         }
@@ -94,60 +118,79 @@ impl<T: Send + 'static> QueryTasks<T> {
 
     /// Sends a query and returns at once.
     pub fn submit(&mut self, token: T, request: MatchRequest) {
-        self.pending += 1;
         let (client, runtime, sender) = (self.client.clone(), self.runtime.clone(), self.sender.clone());
-        let deadline = self.deadline;
+        let (deadline, number, begin) = (self.deadline, self.next, Instant::now());
+        self.next += 1;
         let retry = if self.no_server { Retry::Never } else { Retry::Transient };
         let request = Arc::new(request);
+        self.pending.insert(number, Pending { token, request: Arc::clone(&request), begin });
         self.runtime.spawn(async move {
-            let begin = Instant::now();
-            let asked = Arc::clone(&request);
             // A task of its own: if it panics, the query still has a result.
             let task = runtime.spawn(async move {
                 let mut traffic = Traffic::default();
-                let answer = client.match_image_counted(&asked, begin + deadline, retry, &mut traffic).await;
+                let answer =
+                    client.match_image_counted(&request, begin + deadline, retry, &mut traffic).await;
                 (answer, traffic)
             });
             let (answer, traffic) = task.await.unwrap_or_else(|error| {
                 (Err(ClientError::TaskFailed { problem: error.to_string() }), Traffic::default())
             });
-            let result = QueryResult {
-                token,
-                request,
-                answer,
-                elapsed: begin.elapsed(),
-                bytes_sent: traffic.sent,
-                bytes_received: traffic.received,
-            };
             // Without a receiver the run is over.
-            let _ = sender.send(result);
+            let _ = sender.send(Report { number, answer, elapsed: begin.elapsed(), traffic });
         });
     }
 
     /// Number of queries without a result yet.
     pub fn pending(&self) -> usize {
-        self.pending
+        self.pending.len()
     }
 
     /// The next result that is available now.
     pub fn poll(&mut self) -> Option<QueryResult<T>> {
-        let result = self.receiver.try_recv().ok()?;
-        Some(self.note(result))
+        while let Ok(report) = self.receiver.try_recv() {
+            if let Some(result) = self.take(report) {
+                return Some(result);
+            }
+        }
+        self.expired()
     }
 
     /// Blocks until the next result; `None` if no query is pending. For playback that pauses the recording meanwhile.
     pub fn wait(&mut self) -> Option<QueryResult<T>> {
-        if self.pending == 0 {
-            return None;
-        }
-        match self.receiver.recv_timeout(self.deadline + REPORT_TIMEOUT) {
-            Ok(result) => Some(self.note(result)),
-            Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => None,
+        loop {
+            let (_, oldest) = self.pending.first_key_value()?;
+            let limit = (self.deadline + REPORT_TIMEOUT).saturating_sub(oldest.begin.elapsed());
+            let taken = match self.receiver.recv_timeout(limit) {
+                Ok(report) => self.take(report),
+                Err(_) => self.expired(),
+            };
+            if taken.is_some() {
+                return taken;
+            }
         }
     }
 
+    /// The result that a task reports; `None` for a query that had ended before.
+    fn take(&mut self, report: Report) -> Option<QueryResult<T>> {
+        let Report { number, answer, elapsed, traffic } = report;
+        let Pending { token, request, .. } = self.pending.remove(&number)?;
+        let (bytes_sent, bytes_received) = (traffic.sent, traffic.received);
+        Some(self.note(QueryResult { token, request, answer, elapsed, bytes_sent, bytes_received }))
+    }
+
+    /// The oldest query, where its task should have reported by now.
+    fn expired(&mut self) -> Option<QueryResult<T>> {
+        let (&number, oldest) = self.pending.first_key_value()?;
+        let elapsed = oldest.begin.elapsed();
+        if elapsed < self.deadline + REPORT_TIMEOUT {
+            return None;
+        }
+        let answer = Err(ClientError::Deadline);
+        self.take(Report { number, answer, elapsed, traffic: Traffic::default() })
+    }
+
+    /// Learns from a result how the next query is to be sent.
     fn note(&mut self, result: QueryResult<T>) -> QueryResult<T> {
-        self.pending = self.pending.saturating_sub(1);
         self.no_server = result.answer.is_err() && result.bytes_received == 0;
         if let Err(error) = &result.answer
             && error.is_unknown_map()

@@ -244,3 +244,32 @@ fn a_task_without_a_server_is_repeated_and_the_next_one_is_not() {
     assert!(queries.poll().is_none() && queries.wait().is_none());
     runtime.block_on(close_session(&session));
 }
+
+/// Their tasks never run, as where a runtime hangs: a robot must be able to ask again.
+#[test]
+fn queries_whose_tasks_never_report_end_after_their_deadline() {
+    let network = tokio::runtime::Runtime::new().unwrap();
+    let session = network.block_on(open_session(&SessionOptions::default())).unwrap();
+    // Of a runtime of one thread nothing runs while nobody drives it.
+    let idle = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+    let hall = MapClient::new(session.clone(), "hall").unwrap();
+    let mut queries = QueryTasks::new(hall, idle.handle().clone(), Duration::from_millis(100));
+    for token in 0..4 {
+        queries.submit(token, request());
+    }
+    assert!(queries.poll().is_none(), "not yet");
+    for token in 0..4 {
+        let result = queries.wait().unwrap();
+        assert_eq!(result.token, token);
+        assert!(matches!(result.answer, Err(ClientError::Deadline)), "{:?}", result.answer);
+        assert!(result.elapsed < Duration::from_secs(2), "{:?}", result.elapsed);
+    }
+    assert_eq!(queries.pending(), 0);
+    assert!(queries.wait().is_none());
+    // What comes too late belongs to nobody.
+    idle.block_on(async {
+        tokio::time::timeout(Duration::from_millis(1), std::future::pending::<()>()).await.ok()
+    });
+    assert!(queries.poll().is_none());
+    network.block_on(close_session(&session));
+}

@@ -29,7 +29,9 @@ pub mod rotation;
 pub mod triangulation;
 pub mod uncertain_pose;
 
-pub use camera::{Camera, CameraError, Distortion, IntrinsicsJacobian, MAX_INTRINSICS, ProjectionError};
+pub use camera::{
+    Camera, CameraError, Distortion, IntrinsicsJacobian, MAX_INTRINSICS, ProjectionError, check_mount,
+};
 pub use coordinate::{MAX_COORDINATE_M, is_coordinate};
 pub use pnp::{Correspondence, Gravity, PnpError, PnpSolution, RansacOptions};
 pub use pose::Pose;

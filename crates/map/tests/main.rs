@@ -4,6 +4,7 @@
 mod aliases;
 mod colmap;
 mod common_errors;
+mod crossing;
 mod damage;
 mod edit;
 mod former_databases;

@@ -5,7 +5,8 @@
 //! | `/metrics` | all metrics of the registry in the OpenMetrics text format |
 //! | `/health` | [`Health`] as JSON, with status 200, or 503 where it is not well |
 //!
-//! The server knows no users and reads nothing from requests but their path. Bind it to a loopback or management address.
+//! The server knows no users and reads nothing from requests but their path. At most [`MAX_CONNECTIONS`] are open, and a request's
+//! header must come within [`HEADER_TIME`]; [`serve`] serves other routers so. Bind it to a loopback or management address.
 //!
 //! # Example
 //! ```
@@ -28,10 +29,14 @@
 //! # }
 //! ```
 
+mod activity;
+mod connection;
 mod health;
 mod log;
 mod server;
+mod serving;
 
 pub use health::Health;
 pub use log::{LogFormat, LogFormatError, start_log};
 pub use server::{MonitoringError, MonitoringServer, monitoring_routes};
+pub use serving::{HEADER_TIME, MAX_CONNECTIONS, serve};

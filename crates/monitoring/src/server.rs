@@ -1,6 +1,7 @@
 //! The HTTP server.
 
 use crate::health::Health;
+use crate::serving;
 use axum::extract::State;
 use axum::http::{StatusCode, header};
 use axum::response::IntoResponse;
@@ -61,11 +62,7 @@ impl MonitoringServer {
         let listener = TcpListener::bind(address).await.map_err(cannot_bind)?;
         let address = listener.local_addr().map_err(cannot_bind)?;
         let router = monitoring_routes(registry, health);
-        let task = tokio::spawn(async move {
-            if let Err(error) = axum::serve(listener, router).await {
-                tracing::error!(%error, "metrics and health are not served any more");
-            }
-        });
+        let task = tokio::spawn(serving::serve(listener, router));
         tracing::info!(%address, "metrics and health on http");
         Ok(Self { address, task })
     }

@@ -145,19 +145,11 @@ fn cross_covariances(
     held: &HashSet<KeyframeId>,
     is_known: bool,
 ) -> Vec<CrossCovarianceBlock> {
-    let mut others: Vec<KeyframeId> = smaller_ranks.iter().map(|&at| map.keyframes[at].id).collect();
-    if is_known {
-        others.retain(|other| !held.contains(other));
-    } else {
-        others.extend(held);
-    }
-    others.sort_unstable();
-    others.dedup();
-    let blocks = others.into_iter().filter(|&other| other != id).filter_map(|other| {
-        let block = map.cross_covariance(id, other)?;
-        Some(CrossCovarianceBlock { other, block })
-    });
-    blocks.collect()
+    let smaller: Vec<KeyframeId> = smaller_ranks.iter().map(|&at| map.keyframes[at].id).collect();
+    let wanted = |other: KeyframeId| if held.contains(&other) { !is_known } else { smaller.contains(&other) };
+    // What the map lists for this keyframe is looked through, not what is held: that may be as long as the sender likes.
+    let listed = map.cross_covariances.of(id).filter(|&(other, _)| wanted(other));
+    listed.map(|(other, block)| CrossCovarianceBlock { other, block }).collect()
 }
 
 /// A keyframe as it is sent.

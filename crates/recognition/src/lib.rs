@@ -27,6 +27,7 @@
 mod answer;
 mod coarse;
 mod consensus;
+mod cross_covariances;
 mod elements;
 mod evidence;
 mod frozen;

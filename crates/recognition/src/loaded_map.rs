@@ -8,6 +8,7 @@ use protocol::{KeyframeId, MapIdentity};
 use serde::{Deserialize, Serialize};
 use vision::{DescriptorError, DescriptorView, Metric};
 
+use super::cross_covariances::CrossCovariances;
 use super::elements::{Landmarks, Observations, Viewpoint, point_in_keyframe};
 use super::evidence::AliasingRate;
 use super::index::LandmarkIndex;
@@ -41,9 +42,8 @@ pub struct LoadedMap {
     pub(crate) viewpoints: Vec<Viewpoint>,
     pub(crate) landmarks: Landmarks,
     pub(crate) observations: Observations,
-    /// By (a, b), `a < b`. Of a part of a map also those with keyframes of other parts.
-    #[serde(deserialize_with = "vision::exact")]
-    pub(crate) cross_covariances: Vec<KeyframeCrossCovariance>,
+    /// Of a part of a map also those with keyframes of other parts.
+    pub(crate) cross_covariances: CrossCovariances,
     /// By keyframe.
     #[serde(deserialize_with = "vision::exact")]
     pub(crate) common_errors: Vec<CommonError>,
@@ -205,13 +205,13 @@ impl LoadedMap {
     }
 
     pub(crate) fn cross_covariance_count(&self) -> usize {
-        self.cross_covariances.len()
+        self.cross_covariances.blocks().len()
     }
 
     /// The pairs of keyframes whose cross-covariance the map lists, (a, b) with `a < b`; all pairs of keyframes with a common
     /// error are correlated besides.
     pub fn listed_pairs(&self) -> impl Iterator<Item = (KeyframeId, KeyframeId)> {
-        self.cross_covariances.iter().map(|cross| (cross.a, cross.b))
+        self.cross_covariances.blocks().iter().map(|cross| (cross.a, cross.b))
     }
 
     /// Index of a keyframe in [`LoadedMap::keyframes`].
@@ -221,10 +221,7 @@ impl LoadedMap {
 
     /// Covariance of two keyframes' pose errors beyond their common errors, rows of `a`; `None` where the map lists none.
     pub fn cross_covariance(&self, a: KeyframeId, b: KeyframeId) -> Option<Matrix6<f64>> {
-        let pair = (a.min(b), a.max(b));
-        let at = self.cross_covariances.binary_search_by_key(&pair, |cross| (cross.a, cross.b)).ok()?;
-        let block = &self.cross_covariances[at].block;
-        Some(if a < b { *block } else { block.transpose() })
+        self.cross_covariances.between(a, b)
     }
 
     /// What a keyframe errs together with all others, where the map states it.

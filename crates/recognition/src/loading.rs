@@ -10,6 +10,7 @@ use nalgebra::Vector3;
 use protocol::MapIdentity;
 use vision::DescriptorError;
 
+use super::cross_covariances::CrossCovariances;
 use super::elements::{Landmarks, Observations, Viewpoint, point_in_keyframe};
 use super::index::{LandmarkIndex, LandmarkIndexBuilder};
 use super::loaded_map::{LoadError, LoadedMap};
@@ -44,13 +45,11 @@ impl MapLoader {
         observation_counts: &[u32],
     ) -> Result<MapLoader, LoadError> {
         u32::try_from(landmark_count).map_err(|_| DescriptorError::Full)?;
-        let MapContents { info, mut keyframes, mut cross_covariances, mut common_errors, aliases, .. } =
-            contents;
+        let MapContents { info, mut keyframes, cross_covariances, mut common_errors, aliases, .. } = contents;
         for keyframe in &mut keyframes {
             keyframe.features = None;
         }
         keyframes.shrink_to_fit();
-        cross_covariances.shrink_to_fit();
         common_errors.shrink_to_fit();
         let (kind, width) = (info.descriptor_kind, usize::from(info.descriptor_width));
         let observations = Observations::with_counts(observation_counts.iter().copied(), width)?;
@@ -62,7 +61,7 @@ impl MapLoader {
             landmarks: Landmarks::with_capacity(landmark_count, observations.len()),
             viewpoints: keyframes.iter().map(viewpoint).collect(),
             keyframes,
-            cross_covariances,
+            cross_covariances: CrossCovariances::new(cross_covariances),
             common_errors,
             viewing_distance: 0.0,
             damaged: 0,

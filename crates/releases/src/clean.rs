@@ -1,5 +1,6 @@
 //! Removing what no release needs.
 
+use crate::cleaning::CleaningMark;
 use crate::error::ReleaseError;
 use crate::publish::now_unix_s;
 use crate::store::ReleaseStore;
@@ -37,9 +38,27 @@ pub struct Cleaned {
 
 /// Removes all releases but the newest ones, and the segments that the remaining ones do not name.
 ///
+/// What is published meanwhile keeps its segments, or is refused ([`ReleaseError::Cleaning`]).
+///
 /// # Errors
 /// [`ReleaseError::Store`]; [`ReleaseError::Damaged`] for a release that cannot be read: nothing is removed then.
 pub async fn clean(store: &ReleaseStore, options: &CleanOptions) -> Result<Cleaned, ReleaseError> {
+    if options.dry_run {
+        return clean_marked(store, options, None).await;
+    }
+    let mut mark = CleaningMark::put(store).await?;
+    let cleaned = clean_marked(store, options, Some(&mut mark)).await;
+    mark.remove().await?;
+    cleaned
+}
+
+/// # Arguments
+/// * `mark`: that of this program; `None` where nothing is to be removed.
+async fn clean_marked(
+    store: &ReleaseStore,
+    options: &CleanOptions,
+    mut mark: Option<&mut CleaningMark<'_>>,
+) -> Result<Cleaned, ReleaseError> {
     // Listed first: what is put later is younger than the grace time.
     let segments = store.segments().await?;
     let numbers = store.numbers().await?;
@@ -50,7 +69,7 @@ pub async fn clean(store: &ReleaseStore, options: &CleanOptions) -> Result<Clean
     }
     let mut cleaned = Cleaned { releases: former.to_vec(), ..Cleaned::default() };
     // A release goes before its segments, so that no release lacks any.
-    for number in former.iter().filter(|_| !options.dry_run) {
+    for number in former.iter().filter(|_| mark.is_some()) {
         store.remove_release(*number).await?;
     }
     let oldest = now_unix_s().saturating_sub(options.grace.as_secs());
@@ -59,7 +78,8 @@ pub async fn clean(store: &ReleaseStore, options: &CleanOptions) -> Result<Clean
         if needed.contains(&name) || put_s > oldest {
             continue;
         }
-        if !options.dry_run {
+        if let Some(mark) = &mut mark {
+            mark.renew().await?;
             store.remove_segment(&name).await?;
         }
         cleaned.bytes = cleaned.bytes.saturating_add(object.size);

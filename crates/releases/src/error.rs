@@ -35,6 +35,14 @@ pub enum ReleaseError {
         /// The number that was free before.
         number: u64,
     },
+    /// Segments are removed, or were removed just now.
+    #[error(
+        "{place} is being cleaned by another program, and segments of this release may go: nothing was published; try again when it has ended"
+    )]
+    Cleaning {
+        /// The store.
+        place: String,
+    },
     /// The map is not a version of the one that is published there.
     #[error(
         "the map has the identity {given}, and {place} holds releases of another map ({published}): publish it elsewhere"

@@ -51,6 +51,7 @@ pub mod cache;
 mod cells;
 pub mod change;
 pub mod clean;
+mod cleaning;
 pub mod coarse;
 mod digest;
 mod error;

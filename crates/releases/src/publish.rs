@@ -2,6 +2,7 @@
 
 use crate::cells::{BorderedCell, CellContents, CellView, split};
 use crate::change::{ChangedCells, ReleasedChange};
+use crate::cleaning::ensure_kept;
 use crate::coarse::CoarseCell;
 use crate::error::{ReleaseError, with_causes};
 use crate::fetch::cell_contents;
@@ -68,7 +69,7 @@ pub struct Published {
 ///
 /// # Errors
 /// [`ReleaseError::Contents`] for a map that violates an invariant, [`ReleaseError::OtherMap`] where the store has another map,
-/// [`ReleaseError::Conflict`] where another program was faster, [`ReleaseError::Store`].
+/// [`ReleaseError::Conflict`] where another program was faster, [`ReleaseError::Cleaning`] where one removes segments, [`ReleaseError::Store`].
 pub async fn publish(
     store: &ReleaseStore,
     mut contents: MapContents,
@@ -138,14 +139,17 @@ pub async fn publish(
         partition,
         cells,
     };
+    ensure_kept(store, &release).await?;
     store.put_release(&release).await?;
     Ok(Outcome::Published(Box::new(Published { release, sent, bytes_sent })))
 }
 
 /// Publishes the map of a former release again, as the newest one.
 ///
+/// Its segments are put again: [`clean`](crate::clean) removes what only former releases name, and spares what was put just now.
+///
 /// # Errors
-/// [`ReleaseError::NoRelease`], [`ReleaseError::Conflict`], [`ReleaseError::Store`].
+/// [`ReleaseError::NoRelease`], [`ReleaseError::Conflict`], [`ReleaseError::Store`], [`ReleaseError::Cleaning`].
 pub async fn roll_back(store: &ReleaseStore, number: u64) -> Result<Outcome, ReleaseError> {
     let former = store.release(number).await?;
     let newest = store.newest().await?.unwrap_or_else(|| former.clone());
@@ -161,8 +165,22 @@ pub async fn roll_back(store: &ReleaseStore, number: u64) -> Result<Outcome, Rel
         map: ReleasedMap { version: newest.map.version + 1, ..former.map.clone() },
         ..former
     };
+    renew(store, &newest, &release).await?;
+    ensure_kept(store, &release).await?;
     store.put_release(&release).await?;
     Ok(Outcome::Published(Box::new(Published { release, sent: 0, bytes_sent: 0 })))
+}
+
+/// Puts the segments of a release again that the newest one does not name.
+async fn renew(store: &ReleaseStore, newest: &Release, release: &Release) -> Result<(), ReleaseError> {
+    let kept: BTreeSet<&SegmentName> = newest.segments().collect();
+    let renewed: BTreeSet<&SegmentName> =
+        release.segments().filter(|segment| !kept.contains(segment)).collect();
+    for segment in renewed {
+        let bytes = store.segment(segment).await?;
+        store.put_segment(segment, bytes.into()).await?;
+    }
+    Ok(())
 }
 
 /// Segments on their way into a store.

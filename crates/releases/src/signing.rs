@@ -57,7 +57,7 @@ impl SigningKey {
     /// [`ReleaseError::Key`].
     pub fn read(file: &Path, password: Option<String>) -> Result<Self, ReleaseError> {
         let failed = |reason: String| ReleaseError::Key { file: file.to_owned(), reason };
-        let text = std::fs::read_to_string(file).map_err(|error| failed(error.to_string()))?;
+        let text = files::read_to_string(file).map_err(|error| failed(error.to_string()))?;
         let sealed = || minisign::SecretKeyBox::from_string(&text).map_err(|error| failed(error.to_string()));
         let key = match password {
             Some(password) => sealed()?.into_secret_key(Some(password)),

@@ -21,6 +21,7 @@ const DIGITS: usize = 20;
 const RELEASES: &str = "releases";
 const SEGMENTS: &str = "segments";
 const SIGNATURES: &str = "signatures";
+const MARKS: &str = "cleaning";
 /// A signature is a few lines.
 const MAX_SIGNATURE_BYTES: u64 = 4096;
 const EXTENSION: &str = ".json";
@@ -240,6 +241,23 @@ impl ReleaseStore {
         let objects = self.list(SEGMENTS).await?;
         let named = |object: ObjectMeta| Some((object.location.filename()?.to_owned(), object));
         Ok(objects.into_iter().filter_map(named).collect())
+    }
+
+    pub(crate) async fn put_mark(&self, name: &str) -> Result<(), ReleaseError> {
+        let object = format!("{MARKS}/{name}");
+        let put = self.put(&object, Vec::new(), PutMode::Overwrite).await;
+        put.map_err(|source| self.failed(object, "written", source))
+    }
+
+    /// Marks of programs that remove segments, and when they were put, s since 1970.
+    pub(crate) async fn marks(&self) -> Result<Vec<(String, u64)>, ReleaseError> {
+        let put_s = |object: &ObjectMeta| u64::try_from(object.last_modified.timestamp()).unwrap_or(0);
+        let named = |object: ObjectMeta| Some((object.location.filename()?.to_owned(), put_s(&object)));
+        Ok(self.list(MARKS).await?.into_iter().filter_map(named).collect())
+    }
+
+    pub(crate) async fn remove_mark(&self, name: &str) -> Result<(), ReleaseError> {
+        self.remove(format!("{MARKS}/{name}")).await
     }
 
     pub(crate) async fn remove_release(&self, number: u64) -> Result<(), ReleaseError> {

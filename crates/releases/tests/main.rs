@@ -2,6 +2,7 @@
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod cells;
+mod crossing;
 #[cfg(unix)]
 mod interrupted;
 mod releases;

@@ -1,7 +1,7 @@
 //! What the YAML files of calibrations have in common: OpenCV's dialect, matrices, pinhole cameras, noise densities.
 
 use crate::{ImuNoise, SequenceError};
-use geometry::camera::{Camera, Distortion};
+use geometry::camera::{Camera, Distortion, check_mount};
 use geometry::pose::Pose;
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use serde::Deserialize;
@@ -175,12 +175,14 @@ pub(crate) fn pose_from_matrix(path: &Path, key: &str, data: &[f64]) -> Result<P
     }
     let rounded = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(matrix));
     let rotation = UnitQuaternion::new_normalize(rounded.into_inner());
-    Ok(Pose::new(rotation, Vector3::new(data[3], data[7], data[11])))
+    let pose = Pose::new(rotation, Vector3::new(data[3], data[7], data[11]));
+    check_mount(&pose).map_err(|error| wrong(&error.to_string()))?;
+    Ok(pose)
 }
 
 /// The text of a calibration file.
 pub(crate) fn read_text(path: &Path) -> Result<String, SequenceError> {
-    std::fs::read_to_string(path).map_err(|source| match source.kind() {
+    files::read_to_string(path).map_err(|source| match source.kind() {
         std::io::ErrorKind::NotFound => SequenceError::missing(
             path,
             "it holds the sensor's calibration; write it in the EuRoC layout, or lay Kalibr's camchain-imucam.yaml and \

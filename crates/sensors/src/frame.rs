@@ -7,7 +7,7 @@ use std::borrow::Cow;
 use std::fmt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use vision::{GrayImage, ImageError};
+use vision::{GrayImage, ImageError, MAX_IMAGE_FILE_BYTES};
 
 /// All that the cameras give at one instant. Every part is optional: a recording may hold images, or what a front
 /// end made of them, or both.
@@ -92,7 +92,7 @@ impl ImageData {
         match self {
             Self::File(path) => {
                 let name = || path.display().to_string();
-                let bytes = std::fs::read(path)
+                let bytes = files::read(path, MAX_IMAGE_FILE_BYTES)
                     .map_err(|source| ImageError::Source { name: name(), source: source.into() })?;
                 Ok(Some(Cow::Owned(OriginalImage::Encoded(bytes))))
             }

@@ -53,7 +53,7 @@ impl Table {
     /// # Errors
     /// [`SequenceError::Missing`] or [`SequenceError::Io`], with the file.
     pub fn open(path: &Path, advice: &str) -> Result<Self, SequenceError> {
-        let mut file = File::open(path).map_err(|source| match source.kind() {
+        let mut file = files::open(path).map_err(|source| match source.kind() {
             std::io::ErrorKind::NotFound => SequenceError::missing(path, advice),
             _ => SequenceError::io(path, source),
         })?;

@@ -17,7 +17,7 @@ pub struct WrittenLines {
 /// # Errors
 /// [`SequenceError::Missing`] or [`SequenceError::Io`], with the file.
 pub fn read_written_lines(path: &Path, advice: &str) -> Result<WrittenLines, SequenceError> {
-    let mut bytes = std::fs::read(path).map_err(|source| match source.kind() {
+    let mut bytes = files::read(path, files::MAX_TEXT_BYTES).map_err(|source| match source.kind() {
         std::io::ErrorKind::NotFound => SequenceError::missing(path, advice),
         _ => SequenceError::io(path, source),
     })?;

@@ -10,7 +10,7 @@ use axum::http::header::{self, HeaderMap, HeaderName, HeaderValue};
 use axum::http::{Method, StatusCode};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
-use std::net::IpAddr;
+use std::net::{Ipv4Addr, Ipv6Addr};
 
 /// `script-src` allows the import map in the page, by its digest.
 const CONTENT_SECURITY_POLICY: &str = concat!(
@@ -48,8 +48,10 @@ fn refusal(method: &Method, path: &str, headers: &HeaderMap) -> Option<(StatusCo
         let message = "only GET is answered here, and POST of an image to /api/maps/{map}/localize\n";
         return Some((StatusCode::METHOD_NOT_ALLOWED, message));
     }
-    let Some(host) = text(headers, &header::HOST) else {
-        return Some((StatusCode::BAD_REQUEST, "the request names no host\n"));
+    // With two, a proxy before this server may look at the other one.
+    let mut hosts = headers.get_all(header::HOST).iter();
+    let (Some(host), None) = (hosts.next().and_then(|host| host.to_str().ok()), hosts.next()) else {
+        return Some((StatusCode::BAD_REQUEST, "the request names no host, or two\n"));
     };
     if !is_own_host(host) {
         return Some((
@@ -73,14 +75,28 @@ fn text<'a>(headers: &'a HeaderMap, name: &HeaderName) -> Option<&'a str> {
     headers.get(name)?.to_str().ok()
 }
 
-/// Whether nobody outside can make a host's name point here: an address, or a name that no registry gives away.
+/// Whether nobody outside can make a host's name point here: an address, or a name that no registry gives away. A port may
+/// follow, and nothing else.
 fn is_own_host(host: &str) -> bool {
-    let name = match host.strip_prefix('[') {
-        Some(rest) => rest.split(']').next().unwrap_or_default(),
-        None => host.split(':').next().unwrap_or_default(),
+    let (name, port) = match host.strip_prefix('[') {
+        Some(rest) => match rest.split_once(']') {
+            Some((address, port)) if address.parse::<Ipv6Addr>().is_ok() => (None, port),
+            _ => return false,
+        },
+        None => {
+            let at = host.find(':').unwrap_or(host.len());
+            (Some(&host[..at]), &host[at..])
+        }
     };
+    let is_port =
+        |port: &str| port.bytes().all(|digit| digit.is_ascii_digit()) && port.parse::<u16>().is_ok();
+    (port.is_empty() || port.strip_prefix(':').is_some_and(is_port)) && name.is_none_or(is_own_name)
+}
+
+fn is_own_name(name: &str) -> bool {
+    let is_name = name.bytes().all(|byte| byte.is_ascii_alphanumeric() || b"-_.".contains(&byte));
     let is_local = || !name.contains('.') || name.to_ascii_lowercase().ends_with(".local");
-    !name.is_empty() && (name.parse::<IpAddr>().is_ok() || is_local())
+    !name.is_empty() && is_name && (name.parse::<Ipv4Addr>().is_ok() || is_local())
 }
 
 /// Whether a page of an origin comes from a host; a proxy before it may speak https.
@@ -99,6 +115,27 @@ mod tests {
             assert!(is_own_host(own), "{own}");
         }
         for foreign in ["", ":80", "evil.example", "127.0.0.1.evil.example:8080", "local.evil.com"] {
+            assert!(!is_own_host(foreign), "{foreign}");
+        }
+        for odd in [
+            "localhost:8080:evil.example",
+            "localhost:",
+            "localhost:80a",
+            "localhost:+80",
+            "localhost:99999",
+            "[::1]evil.example",
+            "[::1",
+            "[evil.example]:80",
+            "[10.0.0.7]",
+            "evil.example/localhost",
+            "a b",
+            "localhost@evil.example",
+            "evil.example#",
+            "::1",
+        ] {
+            assert!(!is_own_host(odd), "{odd}");
+        }
+        for foreign in ["evil.example."] {
             assert!(!is_own_host(foreign), "{foreign}");
         }
     }

@@ -50,7 +50,6 @@ mod error;
 mod fair_log;
 mod history;
 mod images;
-mod listener;
 mod live;
 mod outbox;
 mod parameters;
@@ -65,8 +64,8 @@ mod viewed_part;
 pub use error::ViewerError;
 pub use history::MAX_SAMPLES;
 pub use images::{GivenImage, ImageCamera, ImageError, LocalizeImage, MAX_IMAGE_BYTES};
-pub use listener::MAX_CONNECTIONS;
 pub use live::{MAX_VIEWERS, RobotFollower, follow_robots};
+pub use monitoring::MAX_CONNECTIONS;
 pub use outbox::MAX_UNSENT_BYTES;
 pub use queries::{
     CandidateVerdict, MAX_QUERIES, ViewedAnswer, ViewedCandidate, ViewedFix, ViewedQuery, ViewedResult,

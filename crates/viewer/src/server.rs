@@ -3,7 +3,6 @@
 use crate::api;
 use crate::error::ViewerError;
 use crate::images::LocalizeImage;
-use crate::listener::LimitedListener;
 use crate::live::Live;
 use crate::outbox::Outbox;
 use crate::queries::ViewedQuery;
@@ -163,11 +162,7 @@ impl ViewerServer {
         }
         let ticking = tokio::spawn(Arc::clone(&viewer).tick_live());
         let router = api::router(viewer, beside);
-        let serving = tokio::spawn(async move {
-            if let Err(error) = axum::serve(LimitedListener::new(listener), router).await {
-                tracing::error!(%error, "the map is not shown any more");
-            }
-        });
+        let serving = tokio::spawn(monitoring::serve(listener, router));
         tracing::info!("the map is shown on http://{address}");
         Ok(Self { address, serving, ticking })
     }

@@ -101,6 +101,10 @@ async fn other_methods_and_other_hosts_are_refused() {
     }
     let rebound = "GET /api/maps HTTP/1.1\r\nHost: evil.example\r\nConnection: close\r\n\r\n";
     assert!(response(address, rebound).await.starts_with(b"HTTP/1.1 421"));
+    let two = format!(
+        "GET /api/maps HTTP/1.1\r\nHost: {address}\r\nHost: evil.example\r\nConnection: close\r\n\r\n"
+    );
+    assert!(response(address, &two).await.starts_with(b"HTTP/1.1 400"));
     let foreign = format!(
         "GET /api/maps HTTP/1.1\r\nHost: {address}\r\nOrigin: http://evil.example\r\nConnection: close\r\n\r\n"
     );
@@ -115,6 +119,8 @@ async fn of_a_thousand_connections_a_limited_number_stays_and_the_server_goes_on
     for _ in 0..1000 {
         open.push(TcpStream::connect(address).await.unwrap());
     }
+    // Until all are accepted: the newest stay.
+    tokio::time::sleep(std::time::Duration::from_millis(500)).await;
     let request = format!("GET /api/maps HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n");
     let mut answered = 0;
     for stream in &mut open {

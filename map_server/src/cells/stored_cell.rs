@@ -168,11 +168,11 @@ impl StoredCell {
 
     async fn load(self: Arc<Self>, tell: watch::Sender<Option<Brought>>) {
         let begin = Instant::now();
+        let until_loaded = UntilLoaded(&self);
         let brought = self.read_or_rebuild().await;
+        drop(until_loaded);
         self.memory.metrics.note_cold_load(begin.elapsed(), brought.is_ok());
         let brought = brought.map_err(|error| {
-            // Whoever asks next tries again.
-            *self.state() = State::Cold;
             let CellOrigin { name, cell, .. } = &self.origin;
             let reason = format!("{:#}", anyhow::Error::from(error));
             tracing::error!(
@@ -272,6 +272,26 @@ impl StoredCell {
 
     fn file(&self) -> MutexGuard<'_, Option<Arc<ColdFile>>> {
         self.file.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// Lets whoever asks next try again where loading a cell ends without the cell, be it by a panic.
+struct UntilLoaded<'a>(&'a StoredCell);
+
+impl Drop for UntilLoaded<'_> {
+    fn drop(&mut self) {
+        let mut state = self.0.state();
+        if matches!(*state, State::Coming(_)) {
+            *state = State::Cold;
+        }
+        if std::thread::panicking() {
+            let CellOrigin { name, cell, .. } = &self.0.origin;
+            tracing::error!(
+                name,
+                cell,
+                "loading a cell panicked; whoever asks for it next has it loaded again"
+            );
+        }
     }
 }
 

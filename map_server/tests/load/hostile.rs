@@ -22,7 +22,17 @@ const PERIOD: Duration = Duration::from_millis(50);
 /// Time that an attack runs before the good robot is measured.
 const RAMP: Duration = Duration::from_secs(3);
 
-const ATTACKS: [&str; 6] = ["payloads", "features", "many features", "sessions", "declarations", "garbage"];
+const ATTACKS: [&str; 9] = [
+    "payloads",
+    "features",
+    "many features",
+    "costliest",
+    "held",
+    "names",
+    "sessions",
+    "declarations",
+    "garbage",
+];
 
 fn options(endpoint: &str) -> SessionOptions {
     SessionOptions { connect: vec![endpoint.to_owned()], ..SessionOptions::default() }
@@ -118,6 +128,9 @@ fn attacker() {
             "payloads" => send_payloads(&open(&endpoint).await).await,
             "features" => ask_with_features(&endpoint, 20_000).await,
             "many features" => ask_with_features(&endpoint, protocol::MAX_QUERY_FEATURES - 100).await,
+            "costliest" => ask_for_most(&endpoint, protocol::MAX_HELD_KEYFRAMES as u64).await,
+            "held" => ask_for_most(&endpoint, 4_000_000).await,
+            "names" => ask_under_names(&endpoint).await,
             "sessions" => open_sessions(&endpoint).await,
             "declarations" => declare(&open(&endpoint).await).await,
             "garbage" => send_garbage(&open(&endpoint).await).await,
@@ -151,8 +164,7 @@ async fn ask_with_features(endpoint: &str, count: usize) {
         let mut rng = StdRng::seed_from_u64(client);
         let mut request = place.request(&place.path[0], 4, &mut rng);
         request.features = place.features(&place.path[0], count, &mut rng);
-        // The codec refuses to encode what it would refuse to decode.
-        let payload = serde_json::to_vec(&request).unwrap();
+        let payload = unchecked(&request);
         let session = open(endpoint).await;
         for _ in 0..4 {
             tokio::spawn(ask_for_ever(session.clone(), client, payload.clone()));
@@ -161,12 +173,49 @@ async fn ask_with_features(endpoint: &str, count: usize) {
     std::future::pending::<()>().await;
 }
 
+/// A request as JSON: the codec refuses to encode what it would refuse to decode.
+fn unchecked(request: &MatchRequest) -> Vec<u8> {
+    let mut message = serde_json::to_value(request).unwrap();
+    message["schema"] = protocol::SCHEMA_VERSION.into();
+    serde_json::to_vec(&message).unwrap()
+}
+
 async fn ask_for_ever(session: Session, client: u64, payload: Vec<u8>) {
     let selector = format!("{}?client={client}", protocol::keys::map_match(MAP).unwrap());
     loop {
         let query = session.get(&selector).payload(payload.clone());
         let replies = query.encoding(Format::Json.encoding()).await.unwrap();
         while replies.recv_async().await.is_ok() {}
+    }
+}
+
+/// Eight clients with one query at a time: as many features, held keyframes and keyframes of the answer as may be.
+async fn ask_for_most(endpoint: &str, held: u64) {
+    let place: Place = town(5);
+    for client in 0..8 {
+        let mut rng = StdRng::seed_from_u64(client);
+        let mut request = place.request(&place.path[0], protocol::MAX_ANSWER_KEYFRAMES, &mut rng);
+        request.features = place.features(&place.path[0], protocol::MAX_QUERY_FEATURES - 400, &mut rng);
+        request.held = (0..held).collect();
+        let session = open(endpoint).await;
+        tokio::spawn(ask_for_ever(session, client, unchecked(&request)));
+    }
+    std::future::pending::<()>().await;
+}
+
+/// One session that sends 1,000 small queries a second, each under another of 500 names.
+async fn ask_under_names(endpoint: &str) {
+    let place: Place = town(5);
+    let mut rng = StdRng::seed_from_u64(1);
+    let request = place.request(&place.path[0], 1, &mut rng);
+    let payload = protocol::encode(Format::Bincode, &request).unwrap();
+    let session = open(endpoint).await;
+    let key = protocol::keys::map_match(MAP).unwrap();
+    let mut due = tokio::time::interval(Duration::from_millis(1));
+    for k in (0..500).cycle() {
+        due.tick().await;
+        let query = session.get(format!("{key}?client=name{k}")).payload(payload.clone());
+        query.encoding(Format::Bincode.encoding()).callback(|_| ()).await.unwrap();
     }
 }
 

@@ -228,6 +228,11 @@ impl RobotArguments {
         config.calibration.intrinsics |= self.calibrate.contains(&Calibrate::Intrinsics);
         config.calibration.time_offset |= self.calibrate.contains(&Calibrate::TimeOffset);
         config.validate().map_err(|reason| anyhow::anyhow!("settings of the estimator: {reason}"))?;
+        let held = config.max_held_keyframes;
+        if held > protocol::MAX_HELD_KEYFRAMES {
+            let most = protocol::MAX_HELD_KEYFRAMES;
+            bail!("settings of the estimator: max_held_keyframes is {held}; a query may name {most}");
+        }
         Ok(config)
     }
 

@@ -39,7 +39,7 @@ pub enum SettingsError {
 /// [`SettingsError`]: the file cannot be read, or does not hold settings.
 pub fn read_settings(path: &Path, defaults: &EstimatorConfig) -> Result<EstimatorConfig, SettingsError> {
     let wrong = |source| SettingsError::Setting { path: path.to_path_buf(), source };
-    let text = std::fs::read_to_string(path)
+    let text = files::read_to_string(path)
         .map_err(|source| SettingsError::Io { path: path.to_path_buf(), source })?;
     let given: serde_json::Value = serde_saphyr::from_str(&text)
         .map_err(|source| SettingsError::Yaml { path: path.to_path_buf(), source: Box::new(source) })?;

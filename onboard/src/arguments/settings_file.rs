@@ -91,7 +91,7 @@ pub fn with_settings(command: &Command, line: Vec<OsString>) -> Result<Vec<OsStr
     if is_recording(path) {
         return Err(SettingsFileError::Recording { path: path.clone() });
     }
-    let text = std::fs::read_to_string(path).map_err(|source| SettingsFileError::Io {
+    let text = files::read_to_string(path).map_err(|source| SettingsFileError::Io {
         verb: "read",
         path: path.clone(),
         source,

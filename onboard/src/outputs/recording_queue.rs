@@ -1,11 +1,11 @@
 //! Messages of a recording on their way to the disk: a queue, and the thread that writes.
 
-use bags::{BagError, MessageType, OfferedQos};
+use bags::{Bag, BagError, MessageType, OfferedQos};
 use ros_messages::{RosMessage, encode};
 use sensors::ImageData;
 use sensors::ros::image_message;
 use sensors::ros_bag::{RosBagWriter, message_type};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel};
@@ -71,6 +71,7 @@ impl RecordingQueue {
             .spawn(move || {
                 if let Err(error) = write_all(writer, &items, &waiting) {
                     tracing::warn!(%error, "the recording {} ends here; the run continues", file.display());
+                    remove_unless_readable(&file);
                 }
             })
             .map_err(|source| BagError::Io { path: path.clone(), source })?;
@@ -153,6 +154,18 @@ fn write_all(mut writer: RosBagWriter, items: &Receiver<Item>, images: &AtomicUs
             writer.flush()?;
             flushed = Instant::now();
         }
+    }
+}
+
+/// Removes a recording that failed before any message was on the disk, as on a full one.
+fn remove_unless_readable(path: &Path) {
+    let has_messages = |bag: &Bag| bag.topics().iter().any(|topic| !topic.messages.is_empty());
+    if !path.is_file() || Bag::open(path).as_ref().is_ok_and(has_messages) {
+        return;
+    }
+    match std::fs::remove_file(path) {
+        Ok(()) => tracing::warn!("{} was removed: nothing in it could be read", path.display()),
+        Err(error) => tracing::warn!(%error, "nothing in {} can be read", path.display()),
     }
 }
 

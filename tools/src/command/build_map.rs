@@ -17,8 +17,7 @@ use super::import_map::parse_direction;
 use super::pose_files::PriorArguments;
 use crate::plotting::draw_coverage;
 use crate::stage_bar::StageBar;
-use map::MapContents;
-use map::store::{ensure_free, load_map, save_map};
+use map::store::{MapTarget, load_map};
 use mapping::{
     BuildOptions, BuildReport, ExtensionReport, Extraction, Odometry, Progress, Stage, StoredPoses,
     build_map, build_map_from_odometry, extend_map, register_stereo_images, select_during,
@@ -134,8 +133,8 @@ pub struct Args {
 /// A sequence without features or poses, a file that cannot be read (with its line), a database that exists already.
 #[expect(clippy::needless_pass_by_value, reason = "every command owns its arguments")]
 pub fn run(args: Args) -> anyhow::Result<()> {
+    let target = MapTarget::new(&args.map, args.force || args.extend)?;
     let stored = if args.extend { Some(load_map(&args.map)?.whole()?) } else { None };
-    ensure_free(&args.map, args.force || args.extend)?;
     let mut sequence = Sequence::open_with(&args.recording, &args.calibration.files())?;
     if !args.mono {
         check_stereo(&sequence.cameras, sequence.frames.iter().cloned().map(Ok))?;
@@ -169,10 +168,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     };
     let times = bar.finish();
     report.set_seconds(start.elapsed().as_secs_f64());
-    if let Some(stored) = &stored {
-        check_unchanged(&args.map, stored)?;
-    }
-    let saved = save_map(&args.map, &contents, args.force || args.extend)?;
+    let saved = target.save(&contents)?;
     if let Some(picture) = &args.svg {
         draw_coverage(&contents, picture)?;
     }
@@ -235,21 +231,6 @@ fn odometry(
         });
     let odometry = odometry?;
     Ok(Odometry { keyframes: Some(Arc::new(keyframes?)), ..odometry })
-}
-
-/// Refuses to replace a version of the map that was written since the map was read.
-fn check_unchanged(path: &Path, stored: &MapContents) -> anyhow::Result<()> {
-    let now = load_map(path)?.contents.info;
-    let read = &stored.info;
-    if (now.version, now.identity) != (read.version, read.identity) {
-        bail!(
-            "{}: version {} was written while version {} was extended: extend that one",
-            path.display(),
-            now.version,
-            read.version
-        );
-    }
-    Ok(())
 }
 
 /// What the switches say of extraction; `None` for a recording that has features.

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use anyhow::bail;
 use map::contents::MapContents;
 use map::edit::{Region, keyframes_where, redundant_keyframes, remove_keyframes, retain_landmarks};
-use map::store::{ensure_free, load_map, save_map};
+use map::store::{MapTarget, load_map};
 use mapping::BuildReport;
 use nalgebra::Vector3;
 use serde::Serialize;
@@ -83,9 +83,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     if let Some(share) = args.thin.filter(|share| !(0.0..=1.0).contains(share)) {
         bail!("--thin {share}: give a part from 0 to 1, for example 0.9");
     }
-    if let Some(to) = &args.to {
-        ensure_free(to, false)?;
-    }
+    let target = MapTarget::new(args.to.as_ref().unwrap_or(&args.map), args.to.is_none())?;
     let before = load_map(&args.map)?.whole()?;
     let mut contents = before.clone();
     let chosen = chosen(args, &contents)?;
@@ -106,9 +104,8 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     }
     let mut report =
         Report { before: counts(&before), after: counts(&contents), thinned: redundant.len(), version: None };
-    let path = args.to.as_ref().unwrap_or(&args.map);
     if !args.dry_run {
-        report.version = Some(save_map(path, &contents, args.to.is_none())?.version);
+        report.version = Some(target.save(&contents)?.version);
     }
     if args.json {
         println!("{}", serde_json::to_string_pretty(&report)?);
@@ -122,7 +119,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     line("observations", |counts| counts.observations);
     line("keyframes with too few landmarks to localize by", |counts| counts.poor_keyframes);
     match report.version {
-        Some(version) => println!("{}: version {version}", path.display()),
+        Some(version) => println!("{}: version {version}", target.path().display()),
         None => println!("nothing was written"),
     }
     Ok(())

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::bail;
 use map::colmap::{ColmapModel, read_model};
-use map::store::{ensure_free, save_map};
+use map::store::MapTarget;
 use mapping::{ColmapFrame, Extraction, import_colmap};
 use nalgebra::Vector3;
 use onboard::extraction::FeatureArguments;
@@ -66,7 +66,7 @@ pub struct Args {
 /// A model that cannot be read, a scale that is not known, readings that contradict it, a database that exists already.
 #[expect(clippy::needless_pass_by_value, reason = "every command owns its arguments")]
 pub fn run(args: Args) -> anyhow::Result<()> {
-    ensure_free(&args.map, args.force)?;
+    let target = MapTarget::new(&args.map, args.force)?;
     let model = read_model(&args.model)?;
     let frame = frame(&args, &model)?;
     let mut extractor = args.features.open()?;
@@ -93,7 +93,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
     );
     bar.finish();
     let (contents, report) = imported?;
-    let saved = save_map(&args.map, &contents, args.force)?;
+    let saved = target.save(&contents)?;
     if args.json {
         println!(
             "{:#}",

@@ -6,7 +6,7 @@ use anyhow::bail;
 use nalgebra::Vector3;
 use serde_json::json;
 
-use map::store::{ensure_free, save_map};
+use map::store::MapTarget;
 use map::text::read_map;
 
 /// Arguments.
@@ -40,7 +40,7 @@ pub struct Args {
 /// A text file that cannot be read (with its line), a database that exists already or cannot be written.
 #[expect(clippy::needless_pass_by_value, reason = "every command owns its arguments")]
 pub fn run(args: Args) -> anyhow::Result<()> {
-    ensure_free(&args.map, args.force)?;
+    let target = MapTarget::new(&args.map, args.force)?;
     let mut contents = read_map(&args.folder)?;
     if args.gravity.is_some() {
         contents.info.gravity_in_global = args.gravity;
@@ -51,7 +51,7 @@ pub fn run(args: Args) -> anyhow::Result<()> {
         }
         contents.info.sigma_px = sigma;
     }
-    let saved = save_map(&args.map, &contents, args.force)?;
+    let saved = target.save(&contents)?;
     let observations = contents.observation_count();
     if args.json {
         let result = json!({

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use anyhow::bail;
-use map::store::{ensure_free, load_map, save_map};
+use map::store::{MapTarget, load_map};
 use mapping::{MergeReport, merge_maps};
 use serde_json::json;
 
@@ -40,7 +40,7 @@ pub struct Args {
 /// # Errors
 /// A map that cannot be read or written, maps that cannot be merged.
 pub fn run(args: &Args) -> anyhow::Result<()> {
-    ensure_free(&args.map, args.force)?;
+    let target = MapTarget::new(&args.map, args.force)?;
     let first = load_map(&args.first)?.whole()?;
     let second = load_map(&args.second)?.whole()?;
     if first.info.identity.is_some() && first.info.identity == second.info.identity {
@@ -60,7 +60,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
     }
     contents.info.created_by =
         format!("driftless merge-maps {} {}", args.first.display(), args.second.display());
-    let saved = save_map(&args.map, &contents, args.force)?;
+    let saved = target.save(&contents)?;
     if args.json {
         println!(
             "{:#}",

@@ -1,8 +1,6 @@
-//! Files of a fleet: private ones are readable by their owner only, and nothing is overwritten but by renewal.
+//! Files of a fleet: private ones are readable by their owner only, and whatever is written is there as a whole or not at all.
 
 use super::error::FleetError;
-use std::fs::{File, OpenOptions};
-use std::io::Write as _;
 use std::path::Path;
 
 fn failed(path: &Path) -> impl FnOnce(std::io::Error) -> FleetError {
@@ -13,52 +11,44 @@ fn failed(path: &Path) -> impl FnOnce(std::io::Error) -> FleetError {
     }
 }
 
-/// A new file with the permissions of a secret, or the usual ones.
-fn create(path: &Path, secret: bool) -> std::io::Result<File> {
-    let mut options = OpenOptions::new();
-    options.write(true).create_new(true);
-    #[cfg(unix)]
-    if secret {
-        std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
-    }
-    options.open(path)
-}
-
-fn write(path: &Path, text: &str, secret: bool) -> Result<(), FleetError> {
-    let mut file = create(path, secret).map_err(failed(path))?;
-    file.write_all(text.as_bytes()).and_then(|()| file.sync_all()).map_err(failed(path))
-}
-
-/// Writes beside the present file, then takes its place.
-fn write_over(path: &Path, text: &str, secret: bool) -> Result<(), FleetError> {
-    let beside = path.with_extension("new");
-    // What an interrupted attempt left.
-    let _ = std::fs::remove_file(&beside);
-    write(&beside, text, secret)?;
-    std::fs::rename(&beside, path).map_err(failed(path))
-}
-
-pub(super) fn create_folder(path: &Path) -> Result<(), FleetError> {
-    std::fs::create_dir_all(path).map_err(failed(path))
-}
-
-pub(super) fn write_new(path: &Path, text: &str) -> Result<(), FleetError> {
-    write(path, text, false)
+pub(super) fn write(path: &Path, text: &str) -> Result<(), FleetError> {
+    files::write_whole(path, text.as_bytes()).map_err(failed(path))
 }
 
 /// Mode 0600 where there are modes.
 pub(super) fn write_secret(path: &Path, text: &str) -> Result<(), FleetError> {
-    write(path, text, true)
+    files::write_whole_secret(path, text.as_bytes()).map_err(failed(path))
 }
 
-pub(super) fn replace(path: &Path, text: &str) -> Result<(), FleetError> {
-    write_over(path, text, false)
+/// Makes a folder with all that `fill` writes, or none.
+pub(super) fn create_folder(
+    path: &Path,
+    fill: impl FnOnce(&Path) -> Result<(), FleetError>,
+) -> Result<(), FleetError> {
+    files::create_whole_folder(path, |inside| fill(inside).map_err(Filling::Fleet)).map_err(|error| {
+        match error {
+            Filling::Fleet(error) => error,
+            Filling::Folder(error) => failed(path)(error),
+        }
+    })
 }
 
-pub(super) fn replace_secret(path: &Path, text: &str) -> Result<(), FleetError> {
-    write_over(path, text, true)
+/// Why a folder was not made.
+enum Filling {
+    Fleet(FleetError),
+    Folder(std::io::Error),
+}
+
+impl From<std::io::Error> for Filling {
+    fn from(error: std::io::Error) -> Self {
+        Self::Folder(error)
+    }
+}
+
+pub(super) fn remove_folder(path: &Path) -> Result<(), FleetError> {
+    std::fs::remove_dir_all(path).map_err(failed(path))
 }
 
 pub(super) fn read(path: &Path) -> Result<String, FleetError> {
-    std::fs::read_to_string(path).map_err(failed(path))
+    files::read_to_string(path).map_err(failed(path))
 }

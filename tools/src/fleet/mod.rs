@@ -66,15 +66,19 @@ impl Fleet {
             return Err(FleetError::Exists { path: folder.to_owned() });
         }
         let (authority, ca_key) = Authority::new()?;
-        let place = folder.join(AUTHORITY);
-        files::create_folder(&place)?;
-        files::write_secret(&place.join(CA_KEY), &ca_key)?;
-        files::write_new(&place.join(CA), authority.certificate())?;
-        let fleet = Self { folder: folder.to_owned(), state, authority };
-        fleet.write_state()?;
-        for member in fleet.state.members() {
-            fleet.write_member(member, validity)?;
-        }
+        let mut fleet = Self { folder: folder.to_owned(), state, authority };
+        let write = |inside: &Path| {
+            let place = inside.join(AUTHORITY);
+            files::create_folder(&place, |place| {
+                files::write_secret(&place.join(CA_KEY), &ca_key)?;
+                files::write(&place.join(CA), fleet.authority.certificate())
+            })?;
+            inside.clone_into(&mut fleet.folder);
+            fleet.write_state()?;
+            fleet.state.members().iter().try_for_each(|member| fleet.write_member(member, validity))
+        };
+        files::create_folder(folder, write)?;
+        folder.clone_into(&mut fleet.folder);
         Ok(fleet)
     }
 
@@ -114,10 +118,11 @@ impl Fleet {
     pub fn add(&mut self, role: Role, name: &str, validity: Validity) -> Result<PathBuf, FleetError> {
         let member = Member { name: name.to_owned(), role };
         self.state.add(member.clone())?;
+        self.remove_left_behind(&member)?;
         self.write_member(&member, validity)?;
         self.write_state()?;
         let hub = self.hub();
-        files::replace(&self.folder_of(&hub.name).join(CONFIG_FILE), &self.state.config_of(hub))?;
+        files::write(&self.folder_of(&hub.name).join(CONFIG_FILE), &self.state.config_of(hub))?;
         Ok(self.folder_of(name))
     }
 
@@ -134,8 +139,8 @@ impl Fleet {
         for member in known {
             let folder = self.folder_of(&member.name);
             let (certificate, key) = self.issue(member, validity)?;
-            files::replace_secret(&folder.join(KEY), &key)?;
-            files::replace(&folder.join(CERTIFICATE), &certificate)?;
+            files::write_secret(&folder.join(KEY), &key)?;
+            files::write(&folder.join(CERTIFICATE), &certificate)?;
             renewed.push(folder);
         }
         match name.filter(|_| renewed.is_empty()) {
@@ -156,14 +161,22 @@ impl Fleet {
             return Err(FleetError::Exists { path: folder });
         }
         let (certificate, key) = self.issue(member, validity)?;
-        files::create_folder(&folder)?;
-        files::write_secret(&folder.join(KEY), &key)?;
-        files::write_new(&folder.join(CERTIFICATE), &certificate)?;
-        files::write_new(&folder.join(CA), self.authority.certificate())?;
-        files::write_new(&folder.join(CONFIG_FILE), &self.state.config_of(member))
+        files::create_folder(&folder, |folder| {
+            files::write_secret(&folder.join(KEY), &key)?;
+            files::write(&folder.join(CERTIFICATE), &certificate)?;
+            files::write(&folder.join(CA), self.authority.certificate())?;
+            files::write(&folder.join(CONFIG_FILE), &self.state.config_of(member))
+        })
+    }
+
+    /// Removes the folder of a member that is not one: of an addition that was stopped.
+    fn remove_left_behind(&self, member: &Member) -> Result<(), FleetError> {
+        let folder = self.folder_of(&member.name);
+        let is_member = [KEY, CERTIFICATE, CA, CONFIG_FILE].iter().all(|file| folder.join(file).is_file());
+        if is_member { files::remove_folder(&folder) } else { Ok(()) }
     }
 
     fn write_state(&self) -> Result<(), FleetError> {
-        files::replace(&self.folder.join(AUTHORITY).join(state::FILE), &self.state.to_json())
+        files::write(&self.folder.join(AUTHORITY).join(state::FILE), &self.state.to_json())
     }
 }

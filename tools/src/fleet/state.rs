@@ -101,7 +101,7 @@ impl FleetState {
     pub(super) fn read(folder: &Path) -> Result<Self, FleetError> {
         let path = folder.join(FILE);
         let failed = |problem: String| FleetError::NoFleet { path: path.clone(), problem };
-        let text = std::fs::read_to_string(&path).map_err(|error| failed(error.to_string()))?;
+        let text = ::files::read_to_string(&path).map_err(|error| failed(error.to_string()))?;
         let state: Self = serde_json::from_str(&text).map_err(|error| failed(error.to_string()))?;
         if state.members.is_empty() {
             return Err(failed("it has no members".to_owned()));

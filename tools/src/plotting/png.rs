@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 /// The SVG file cannot be read, or the PNG file cannot be written.
 pub fn draw_png(svg: &Path, scale: f32) -> anyhow::Result<PathBuf> {
     let path = svg.with_extension("png");
-    let text = std::fs::read_to_string(svg).with_context(|| svg.display().to_string())?;
+    let text = ::files::read_to_string(svg).with_context(|| svg.display().to_string())?;
     let mut options = Options::default();
     options.fontdb_mut().load_font_data(FONT_FILE.to_vec());
     options.fontdb_mut().set_sans_serif_family(FONT_FAMILY);

@@ -138,7 +138,7 @@ impl RunFiles {
 /// # Errors
 /// The file cannot be read, or has a row without a position.
 pub fn read_keyframes(path: &Path) -> anyhow::Result<Vec<Vector3<f64>>> {
-    let text = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
+    let text = ::files::read_to_string(path).with_context(|| path.display().to_string())?;
     let rows = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty() && !line.starts_with('#'));
     rows.map(|(index, line)| {
         let cells: Vec<f64> =
@@ -183,7 +183,7 @@ fn truth_from_file(
 
 /// The summary of a run; null where the run was killed before it was written.
 fn read_summary(path: &Path) -> anyhow::Result<serde_json::Value> {
-    match std::fs::read_to_string(path) {
+    match ::files::read_to_string(path) {
         Ok(text) => serde_json::from_str(&text).with_context(|| path.display().to_string()),
         Err(_) => Ok(serde_json::Value::Null),
     }
@@ -201,7 +201,7 @@ fn truth_from_summary(
     gravity: Option<Vector3<f64>>,
     missing: &mut Vec<String>,
 ) -> anyhow::Result<Option<Truth>> {
-    let Ok(text) = std::fs::read_to_string(path) else {
+    let Ok(text) = ::files::read_to_string(path) else {
         missing.push(
             "There is no summary.json to name the recording, so no truth and no errors are drawn.".to_owned(),
         );

@@ -55,7 +55,7 @@ impl Member {
         let failed = |problem: String| SessionError::NoMember { folder: folder.to_owned(), problem };
         let path = folder.join(CONFIG_FILE);
         let text =
-            std::fs::read_to_string(&path).map_err(|error| failed(format!("{}: {error}", path.display())))?;
+            files::read_to_string(&path).map_err(|error| failed(format!("{}: {error}", path.display())))?;
         let config: Value =
             json5::from_str(&text).map_err(|_| failed(format!("{} is not JSON5", path.display())))?;
         let stated = config.pointer("/metadata/driftless").cloned().unwrap_or_default();

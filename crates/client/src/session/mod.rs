@@ -198,7 +198,7 @@ fn defaults() -> Value {
 /// Reads a configuration file, and refuses what this build would ignore.
 fn read(path: &Path) -> Result<Value, SessionError> {
     let failed = |problem: String| SessionError::ConfigFile { path: path.to_owned(), problem };
-    let text = std::fs::read_to_string(path).map_err(|error| failed(error.to_string()))?;
+    let text = files::read_to_string(path).map_err(|error| failed(error.to_string()))?;
     // The parser's own message quotes the line, which may hold a password.
     let value: Value = json5::from_str(&text).map_err(|json5::Error::Message { location, .. }| {
         let place =

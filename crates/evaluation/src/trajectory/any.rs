@@ -6,7 +6,6 @@ use super::{StampedPose, StateKind, states, tum};
 use nalgebra::Matrix6;
 use sensors::{PoseColumns, QuaternionOrder, SequenceError, read_reference_poses};
 use std::fmt;
-use std::fs::File;
 use std::io::Read as _;
 use std::path::Path;
 
@@ -190,7 +189,7 @@ fn one_state(path: &Path, wanted: &[StateKind]) -> Result<TrajectoryFile, Sequen
 
 /// The beginning of a file, with its first row.
 fn beginning(path: &Path) -> Result<String, SequenceError> {
-    let file = File::open(path).map_err(|source| match source.kind() {
+    let file = files::open(path).map_err(|source| match source.kind() {
         std::io::ErrorKind::NotFound => SequenceError::missing(path, "a file of poses was expected there"),
         _ => SequenceError::io(path, source),
     })?;

@@ -52,7 +52,7 @@ pub(super) fn read_text(
 
 /// The text of a file; of one that a killed program wrote, the complete lines.
 pub(super) fn text_of(path: &Path) -> Result<String, SequenceError> {
-    let text = std::fs::read_to_string(path).map_err(|source| match source.kind() {
+    let text = files::read_to_string(path).map_err(|source| match source.kind() {
         std::io::ErrorKind::NotFound => SequenceError::missing(path, "a trajectory was expected there"),
         _ => SequenceError::io(path, source),
     })?;

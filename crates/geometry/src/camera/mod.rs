@@ -3,11 +3,15 @@
 mod distortion;
 mod error;
 mod intrinsics;
+mod plausibility;
 mod undistortion;
 
 pub use distortion::Distortion;
 pub use error::{CameraError, ProjectionError};
 pub use intrinsics::{IntrinsicsJacobian, MAX_INTRINSICS};
+pub use plausibility::{
+    MAX_CAMERA_SIDE, MAX_CENTRE_OFFSET, MAX_DISTORTION, MAX_FOCAL, MAX_MOUNT_M, MIN_FOCAL, check_mount,
+};
 
 use nalgebra::{Matrix2, Matrix2x3, Unit, Vector2, Vector3};
 use serde::{Deserialize, Serialize};
@@ -140,8 +144,8 @@ impl Camera {
     /// Validates the parameters, for decoded data.
     ///
     /// # Errors
-    /// [`CameraError`] if the image is empty, a focal length is not positive, or a coefficient is not finite or out of
-    /// range.
+    /// [`CameraError`] if the image is empty, a focal length is not positive, a coefficient is not finite or out of
+    /// range, or no camera has such parameters.
     pub fn validate(&self) -> Result<(), CameraError> {
         if self.width == 0 || self.height == 0 {
             return Err(CameraError::EmptyImage { width: self.width, height: self.height });
@@ -152,7 +156,8 @@ impl Camera {
         if !self.centre.iter().all(|c| c.is_finite()) {
             return Err(CameraError::Centre(self.centre[0], self.centre[1]));
         }
-        self.distortion.validate()
+        self.distortion.validate()?;
+        plausibility::check(self)
     }
 
     #[inline]

@@ -54,7 +54,7 @@ struct Reader {
 
 impl Reader {
     fn open(path: PathBuf) -> Result<Reader, ReadColmapError> {
-        match std::fs::read(&path) {
+        match files::read(&path, files::MAX_TEXT_BYTES) {
             Ok(bytes) => Ok(Reader { path, bytes, position: 0 }),
             Err(reason) => Err(ReadColmapError::File { path, reason }),
         }

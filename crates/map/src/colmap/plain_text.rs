@@ -52,7 +52,7 @@ struct TextFile {
 
 impl TextFile {
     fn open(path: PathBuf) -> Result<TextFile, ReadColmapError> {
-        match std::fs::read_to_string(&path) {
+        match files::read_to_string(&path) {
             Ok(text) => Ok(TextFile { path, text }),
             Err(reason) => Err(ReadColmapError::File { path, reason }),
         }

@@ -84,7 +84,7 @@ pub fn save_map(path: &Path, contents: &MapContents, replace: bool) -> Result<Sa
     contents.validate()?;
     let mut contents = contents.clone();
     contents.sort();
-    folder::write(path, contents, replace, STORE)
+    folder::write(path, contents, replace, None, STORE)
 }
 
 /// Whether a folder holds a map, finished or not, whole or damaged.

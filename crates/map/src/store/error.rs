@@ -59,6 +59,19 @@ pub enum StoreError {
         /// The path.
         path: PathBuf,
     },
+    /// Another program wrote the map since the work on it began.
+    #[error(
+        "the map {path} was changed meanwhile by another program (version {seen} was there at the begin, version {found} is now): nothing \
+         was written; do it again with the map as it is now"
+    )]
+    Changed {
+        /// The path.
+        path: PathBuf,
+        /// The version at the begin, 0 for none.
+        seen: u64,
+        /// The version now, 0 for none.
+        found: u64,
+    },
     /// The files of the map are not those that were written.
     #[error(
         "the map {path} is damaged: {damage}; restore it from a backup, or build or import it again with --force"

@@ -10,6 +10,7 @@
 //! | `record` | the bytes of a record: versions, checksums, layout; independent of the database |
 //! | `sled_store` | the trait on the embedded database sled |
 //! | `stored_map` | [`StoredMap`], [`SavedMap`] |
+//! | `target` | [`MapTarget`]: what is replaced is what was there at the begin |
 //! | `stored_landmarks` | [`StoredLandmarks`], read one at a time |
 
 mod database;
@@ -21,6 +22,7 @@ pub mod record;
 mod sled_store;
 mod stored_landmarks;
 mod stored_map;
+mod target;
 
 pub use database::{ensure_free, is_map, load_map, open_map, save_map};
 pub use error::{Damage, DatabaseError, StoreError, WriteProblem};
@@ -28,6 +30,7 @@ pub use map_store::{MapStore, OpenDatabase, ReadMap};
 pub use record::RecordError;
 pub use stored_landmarks::StoredLandmarks;
 pub use stored_map::{SavedMap, StoredMap};
+pub use target::MapTarget;
 
 /// Layout of a map on disk. A map with a larger number is refused.
 ///

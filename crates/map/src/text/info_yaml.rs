@@ -34,7 +34,7 @@ pub(super) struct InfoYaml {
 impl InfoYaml {
     /// Reads `map.yaml`; a missing file states nothing.
     pub(super) fn read(path: &Path) -> Result<InfoYaml, MapFileError> {
-        let text = match std::fs::read_to_string(path) {
+        let text = match files::read_to_string(path) {
             Ok(text) => text,
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(InfoYaml::default()),
             Err(reason) => {

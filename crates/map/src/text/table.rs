@@ -27,7 +27,7 @@ impl Table {
     /// # Errors
     /// [`MapFileError::Read`] with `remedy` where the file is missing, unreadable or not UTF-8.
     pub(super) fn read(path: &Path, remedy: &str) -> Result<Table, MapFileError> {
-        let text = std::fs::read_to_string(path).map_err(|reason| MapFileError::Read {
+        let text = files::read_to_string(path).map_err(|reason| MapFileError::Read {
             path: path.to_owned(),
             reason,
             remedy: remedy.to_owned(),

@@ -54,6 +54,9 @@ pub(super) fn cameras(bag: &Bag, sensors: &BagSensors) -> Result<Vec<(Camera, Po
         let Some(imu_from_camera) = transforms.between(&imu, &frame) else {
             return Err(NotRecorded::Mounting { imu, camera: frame });
         };
+        geometry::check_mount(&imu_from_camera).map_err(|error| {
+            SequenceError::calibration(bag.path(), format!("{frame} on /tf_static: {error}"))
+        })?;
         cameras.push((projection, imu_from_camera));
     }
     Ok(cameras)

@@ -7,7 +7,7 @@ use crate::{Frame, ImageData, SequenceError, TrackObservation};
 use nalgebra::Vector2;
 use protocol::{DescriptorFormat, DescriptorKind, FeatureSet};
 use std::collections::HashSet;
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 use std::sync::Arc;
 
 /// Iterates over the frames of all cameras: one for each image of camera 0, with its partner. Ends with the first error.
@@ -255,6 +255,11 @@ impl ImageRows {
 /// The image file of a row of `data.csv`, which must exist.
 fn image_file(row: &Row<'_>, folder: &Path) -> Result<PathBuf, SequenceError> {
     let name = String::from_utf8_lossy(row.cell(1)?).into_owned();
+    let is_inside =
+        Path::new(&name).components().all(|part| matches!(part, Component::Normal(_) | Component::CurDir));
+    if !is_inside {
+        return Err(row.wrong(format!("the image {name} is outside of {}: lay it there", folder.display())));
+    }
     let file = folder.join(&name);
     if name.is_empty() || !file.is_file() {
         return Err(row.wrong(format!(

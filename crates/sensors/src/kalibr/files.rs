@@ -65,7 +65,7 @@ impl CalibrationFiles {
         if files.imu.is_none() {
             // The IMU may be in the file of the cameras.
             files.imu =
-                given.clone().filter(|path| is_imu(&std::fs::read_to_string(path).unwrap_or_default()));
+                given.clone().filter(|path| is_imu(&::files::read_to_string(path).unwrap_or_default()));
         }
         if files.imu.is_none() {
             files.imu = unless_there(&imu, find(root, is_imu, "--imu-calibration")?, "--imu-calibration");
@@ -137,7 +137,7 @@ fn yaml_files(folder: &Path) -> Vec<(PathBuf, String)> {
         entries.filter_map(Result::ok).map(|entry| entry.path()).filter(is_yaml).collect();
     paths.retain(|path| path.metadata().is_ok_and(|metadata| metadata.len() <= MAX_BYTES));
     paths.sort();
-    let read = |path: PathBuf| std::fs::read_to_string(&path).ok().map(|text| (path, text));
+    let read = |path: PathBuf| ::files::read_to_string(&path).ok().map(|text| (path, text));
     paths.into_iter().filter_map(read).collect()
 }
 

@@ -1,12 +1,26 @@
 //! 8-bit grey images; PNG and JPEG files.
 
-use super::completeness::is_cut_off;
 use super::raw::is_12_bits;
+use super::structure::{Structure, structure, without_metadata};
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
 /// Maximum width and height of a file, pixels: larger ones are refused before memory is allocated.
 pub(super) const MAX_SIDE: u32 = 16_384;
+
+/// Most pixels of an encoded image: three times what the largest cameras of robots have. Decoding takes up to 9 bytes a pixel.
+pub const MAX_PIXELS: u64 = 36_000_000;
+
+/// Largest file of an image, bytes: four for each of [`MAX_PIXELS`], and metadata.
+pub const MAX_IMAGE_FILE_BYTES: u64 = 4 * MAX_PIXELS + (16 << 20);
+
+/// Most scans of a progressive JPEG image. Encoders write about ten; each costs a walk over the whole image.
+pub const MAX_SCANS: usize = 64;
+
+/// Memory that a decoder may take for each pixel, bytes: four channels of 16 bits, and as much again while they are converted.
+const DECODER_BYTES_A_PIXEL: u64 = 16;
+/// Memory that a decoder may take beside, bytes.
+const DECODER_BYTES: u64 = 4 << 20;
 
 /// An 8-bit grey image, row after row without gaps.
 ///
@@ -56,6 +70,16 @@ pub enum ImageError {
     Incomplete {
         /// Their number.
         bytes: usize,
+    },
+    /// An encoded image has more pixels or more scans than are decoded.
+    #[error(
+        "the image has {} x {} pixels in {scans} scans; at most {MAX_PIXELS} pixels in {MAX_SCANS} scans are decoded", size.0, size.1
+    )]
+    TooCostly {
+        /// Columns and rows.
+        size: (u32, u32),
+        /// Passes over the image.
+        scans: usize,
     },
     /// The file cannot be written.
     #[error("{}: {source}", path.display())]
@@ -127,9 +151,30 @@ impl ImageError {
         match self {
             Self::Incomplete { bytes } => Self::CutOff { path: path.to_path_buf(), bytes },
             Self::Undecodable(source) => Self::Unreadable { path: path.to_path_buf(), source },
+            other @ Self::TooCostly { .. } => {
+                Self::Source { name: path.display().to_string(), source: Box::new(other) }
+            }
             other => other,
         }
     }
+}
+
+fn read_file(path: &Path) -> Result<Vec<u8>, ImageError> {
+    files::read(path, MAX_IMAGE_FILE_BYTES).map_err(|error| ImageError::Undecodable(error.into()).of(path))
+}
+
+/// Bounds for the decoder of an image that was walked over.
+fn decoder_limits(structure: Option<Structure>) -> Result<image::Limits, ImageError> {
+    let (mut limits, found) = (image::Limits::default(), structure.unwrap_or_default());
+    let (width, height) = found.size.unwrap_or((MAX_SIDE, MAX_SIDE));
+    let pixels = found.size.map_or(MAX_PIXELS, |(width, height)| u64::from(width) * u64::from(height));
+    if pixels > MAX_PIXELS || found.scans > MAX_SCANS {
+        return Err(ImageError::TooCostly { size: (width, height), scans: found.scans });
+    }
+    (limits.max_image_width, limits.max_image_height) =
+        (Some(width.min(MAX_SIDE)), Some(height.min(MAX_SIDE)));
+    limits.max_alloc = Some(pixels * DECODER_BYTES_A_PIXEL + DECODER_BYTES);
+    Ok(limits)
 }
 
 impl GrayImage {
@@ -162,28 +207,29 @@ impl GrayImage {
     /// Reads a PNG or JPEG file; colours are converted to luma.
     ///
     /// # Errors
-    /// [`ImageError::CutOff`]; [`ImageError::Unreadable`]: the file is missing, damaged, not an image, or has more than
-    /// 16,384 columns or rows.
+    /// As of [`GrayImage::decode`], with the name of the file; [`ImageError::Unreadable`] also where it is missing.
     pub fn read(path: &Path) -> Result<Self, ImageError> {
-        let bytes = std::fs::read(path).map_err(|error| ImageError::Undecodable(error.into()).of(path))?;
+        let bytes = read_file(path)?;
         Self::decode(&bytes).map_err(|error| error.of(path))
     }
 
-    /// Decodes a PNG or JPEG file in memory; colours are converted to luma.
+    /// Decodes a PNG or JPEG file in memory; colours are converted to luma, colour profiles ignored.
+    ///
+    /// What decoding may cost is checked before: the size and the scans by a walk over the file, the memory by the decoder.
     ///
     /// # Errors
-    /// [`ImageError::Incomplete`]; [`ImageError::Undecodable`]: damaged, not an image, or more than 16,384 columns or
-    /// rows.
+    /// [`ImageError::Incomplete`]; [`ImageError::TooCostly`]: more than [`MAX_PIXELS`] or [`MAX_SCANS`];
+    /// [`ImageError::Undecodable`]: damaged, not an image, or more than 16,384 columns or rows.
     pub fn decode(bytes: &[u8]) -> Result<Self, ImageError> {
-        if is_cut_off(bytes) {
+        let structure = structure(bytes);
+        if structure.is_some_and(|found| !found.is_complete) {
             return Err(ImageError::Incomplete { bytes: bytes.len() });
         }
-        let mut reader = image::ImageReader::new(Cursor::new(bytes))
+        let limits = decoder_limits(structure)?;
+        let pixels = without_metadata(bytes);
+        let mut reader = image::ImageReader::new(Cursor::new(&*pixels))
             .with_guessed_format()
             .map_err(|error| ImageError::Undecodable(error.into()))?;
-        let mut limits = image::Limits::default();
-        limits.max_image_width = Some(MAX_SIDE);
-        limits.max_image_height = Some(MAX_SIDE);
         reader.limits(limits);
         let mut decoded = reader.decode().map_err(ImageError::Undecodable)?;
         if let image::DynamicImage::ImageLuma16(wide) = &mut decoded
@@ -201,6 +247,9 @@ impl GrayImage {
     /// # Errors
     /// [`ImageError::Undecodable`].
     pub fn size_of_encoded(bytes: &[u8]) -> Result<(u32, u32), ImageError> {
+        if let Some(size) = structure(bytes).and_then(|found| found.size) {
+            return Ok(size);
+        }
         image::ImageReader::new(Cursor::new(bytes))
             .with_guessed_format()
             .map_err(image::ImageError::from)
@@ -213,11 +262,8 @@ impl GrayImage {
     /// # Errors
     /// [`ImageError::Unreadable`].
     pub fn size_of_file(path: &Path) -> Result<(u32, u32), ImageError> {
-        image::ImageReader::open(path)
-            .and_then(image::ImageReader::with_guessed_format)
-            .map_err(image::ImageError::from)
-            .and_then(image::ImageReader::into_dimensions)
-            .map_err(|source| ImageError::Unreadable { path: path.to_path_buf(), source })
+        let bytes = read_file(path)?;
+        Self::size_of_encoded(&bytes).map_err(|error| error.of(path))
     }
 
     /// Writes a PNG or JPEG file, chosen by the file name extension.

@@ -74,7 +74,7 @@ pub(in crate::store) fn copy(from: &Path, folder: &Path, path: &str) -> Result<(
 }
 
 fn copy_and_sum(from: &Path, to: &mut dyn Write) -> Result<(u64, String), CopyError> {
-    let mut source = File::open(from).map_err(CopyError::Read)?;
+    let mut source = ::files::open(from).map_err(CopyError::Read)?;
     let mut hasher = Sha256::new();
     let mut chunk = vec![0; CHUNK_BYTES];
     let mut bytes = 0;

@@ -54,11 +54,10 @@ impl Manifest {
             damage: Damage::Manifest { file: MANIFEST, reason },
         };
         let failed = |source| StoreError::Read { path: path.clone(), source };
-        let bytes = std::fs::metadata(&path).map_err(failed)?.len();
-        if bytes > MAX_MANIFEST_BYTES {
-            return Err(damaged(format!("it has {bytes} bytes")));
-        }
-        let text = std::fs::read(&path).map_err(failed)?;
+        let text = files::read(&path, MAX_MANIFEST_BYTES).map_err(|error| match error.kind() {
+            std::io::ErrorKind::FileTooLarge => damaged(error.to_string()),
+            _ => failed(error),
+        })?;
         let value: serde_json::Value =
             serde_json::from_slice(&text).map_err(|error| damaged(error.to_string()))?;
         // A newer layout may have other fields.

@@ -18,6 +18,8 @@ mod writing;
 
 use std::path::Path;
 
+use protocol::MapIdentity;
+
 use super::error::StoreError;
 use manifest::{MANIFEST, Manifest, NEW_MANIFEST};
 pub(super) use reading::{TemporaryCopy, open, read};
@@ -40,6 +42,39 @@ enum Kind {
     Former,
     /// No map.
     Other(&'static str),
+}
+
+/// Which version of a map a folder has.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) enum Seen {
+    /// None that a manifest names.
+    Nothing,
+    Version {
+        version: u64,
+        identity: MapIdentity,
+        digest: MapIdentity,
+    },
+}
+
+impl Seen {
+    /// What is there now; a damaged map counts as none.
+    pub(super) fn at(map: &Path) -> Result<Seen, StoreError> {
+        match kind_of(map) {
+            Ok(Kind::Complete(Manifest { version, identity, digest, .. })) => {
+                Ok(Seen::Version { version, identity, digest })
+            }
+            Ok(_) | Err(StoreError::Damaged { .. }) => Ok(Seen::Nothing),
+            Err(error) => Err(error),
+        }
+    }
+
+    /// 0 for none.
+    fn version(&self) -> u64 {
+        match self {
+            Seen::Nothing => 0,
+            Seen::Version { version, .. } => *version,
+        }
+    }
 }
 
 /// What a folder holds.

@@ -3,11 +3,11 @@
 //! A database writes while it is opened and has only one user at a time. With a copy, a map on a read-only disk or of another
 //! user is readable, any number of programs read it at once, and its database never sees bytes that were not written.
 
-use std::fs::{File, TryLockError};
+use std::fs::TryLockError;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use tempfile::TempDir;
+use ::files::TemporaryFolder;
 
 use super::files::{self, CopyError};
 use super::manifest::Manifest;
@@ -198,7 +198,7 @@ fn read_former(map: &Path, store: &'static dyn MapStore) -> Result<StoredMap, St
     }
     let copy = {
         // An older program that writes it holds this lock; locking changes nothing in the file.
-        let database = File::open(map.join("db")).map_err(failed)?;
+        let database = ::files::open(map.join("db")).map_err(failed)?;
         if matches!(database.try_lock_shared(), Err(TryLockError::WouldBlock)) {
             return Err(StoreError::InUse { path: map.to_owned() });
         }
@@ -236,7 +236,7 @@ fn stored(map: &Path, read: ReadMap, bytes_on_disk: u64) -> StoredMap {
 /// A copy of a map's files that is removed when it is dropped.
 pub(in crate::store) struct TemporaryCopy {
     map: PathBuf,
-    folder: TempDir,
+    folder: TemporaryFolder,
     /// Of all files together.
     bytes: u64,
 }
@@ -244,7 +244,7 @@ pub(in crate::store) struct TemporaryCopy {
 impl TemporaryCopy {
     fn new(map: &Path, bytes: u64) -> Result<TemporaryCopy, StoreError> {
         let parent = std::env::temp_dir();
-        let folder = tempfile::Builder::new().prefix("driftless-map-").tempdir_in(&parent);
+        let folder = TemporaryFolder::new_in(&parent);
         let failed =
             |source| StoreError::Copy { path: map.to_owned(), folder: parent.clone(), bytes, source };
         let copy = TemporaryCopy { map: map.to_owned(), folder: folder.map_err(failed)?, bytes };

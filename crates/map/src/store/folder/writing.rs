@@ -6,7 +6,7 @@ use std::path::Path;
 use super::files;
 use super::manifest::Manifest;
 use super::reading::{self, open_version};
-use super::{Kind, LOCK, VERSION_FOLDER, entries, is_of_former, kind_of};
+use super::{Kind, LOCK, Seen, VERSION_FOLDER, entries, is_of_former, kind_of};
 use crate::contents::MapContents;
 use crate::store::error::{StoreError, WriteProblem};
 use crate::store::map_store::MapStore;
@@ -18,10 +18,12 @@ use protocol::MapIdentity;
 ///
 /// # Arguments
 /// * `contents`: valid and sorted.
+/// * `seen`: what must still be there.
 pub(in crate::store) fn write(
     map: &Path,
     mut contents: MapContents,
     replace: bool,
+    seen: Option<&Seen>,
     store: &'static dyn MapStore,
 ) -> Result<SavedMap, StoreError> {
     let write_failed = |file: &Path, source| StoreError::Write {
@@ -33,6 +35,11 @@ pub(in crate::store) fn write(
     let _lock = Lock::take(map)?;
     // Another program may have completed a map until the lock was free.
     ensure_free(map, replace, store)?;
+    let found = Seen::at(map)?;
+    if let Some(seen) = seen.filter(|seen| **seen != found) {
+        let (seen, found) = (seen.version(), found.version());
+        return Err(StoreError::Changed { path: map.to_owned(), seen, found });
+    }
 
     let digest = contents.digest();
     let present = Present::of(map, store)?;

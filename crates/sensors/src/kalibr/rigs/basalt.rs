@@ -75,6 +75,8 @@ pub(super) fn read(path: &Path, text: &str) -> Result<Rig, SequenceError> {
         let pose = transform.pose().ok_or_else(|| {
             wrong(format!("T_imu_cam of camera {index} is no pose: its quaternion is not of length 1"))
         })?;
+        geometry::check_mount(&pose)
+            .map_err(|error| wrong(format!("T_imu_cam of camera {index}: {error}")))?;
         cameras.push((calibration.intrinsics[index].camera(path, calibration.resolution[index])?, pose));
     }
     check_positive(path, "imu_update_rate", calibration.imu_update_rate)?;

@@ -1,20 +1,17 @@
-//! Connections, limited in number, in time without progress, and in slowness.
+//! A connection that ends where nothing moves, or where its reader is too slow.
 
 use std::io::{self, IoSlice};
-use std::net::SocketAddr;
 use std::pin::Pin;
 use std::sync::Arc;
 use std::task::{Context, Poll};
 use std::time::Duration;
 
-use axum::serve::Listener;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
-use tokio::net::{TcpListener, TcpStream};
-use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+use tokio::net::TcpStream;
+use tokio::sync::OwnedSemaphorePermit;
 use tokio::time::{Instant, Sleep, sleep};
 
-/// Connections at the same time; more are closed at once.
-pub const MAX_CONNECTIONS: usize = 128;
+use crate::activity::Activity;
 
 /// A connection on which nothing was received or sent for this long is closed. Viewers answer pings more often.
 const IDLE: Duration = Duration::from_mins(1);
@@ -24,45 +21,12 @@ const PACE_BYTES: usize = 480 << 10;
 /// ... in this time, or is disconnected: 16 KiB a second.
 const PACE_PERIOD: Duration = Duration::from_secs(30);
 
-/// Accepts at most [`MAX_CONNECTIONS`] connections.
-pub(crate) struct LimitedListener {
-    listener: TcpListener,
-    free: Arc<Semaphore>,
-}
-
-impl LimitedListener {
-    pub(crate) fn new(listener: TcpListener) -> Self {
-        Self { listener, free: Arc::new(Semaphore::new(MAX_CONNECTIONS)) }
-    }
-}
-
-impl Listener for LimitedListener {
-    type Io = LimitedConnection;
-    type Addr = SocketAddr;
-
-    async fn accept(&mut self) -> (LimitedConnection, SocketAddr) {
-        loop {
-            let (stream, address) = Listener::accept(&mut self.listener).await;
-            if let Ok(permit) = Arc::clone(&self.free).try_acquire_owned() {
-                let idle = Box::pin(sleep(IDLE));
-                let connection =
-                    LimitedConnection { stream, idle, pace: Pace::new(PACE_PERIOD), _permit: permit };
-                return (connection, address);
-            }
-            tracing::debug!(%address, "closed: {MAX_CONNECTIONS} connections are open");
-        }
-    }
-
-    fn local_addr(&self) -> io::Result<SocketAddr> {
-        self.listener.local_addr()
-    }
-}
-
-/// A connection that counts, and that ends where nothing moves.
+/// A connection that counts.
 pub(crate) struct LimitedConnection {
     stream: TcpStream,
     idle: Pin<Box<Sleep>>,
     pace: Pace,
+    activity: Arc<Activity>,
     _permit: OwnedSemaphorePermit,
 }
 
@@ -114,10 +78,17 @@ impl Pace {
 }
 
 impl LimitedConnection {
+    pub(crate) fn new(stream: TcpStream, activity: Arc<Activity>, permit: OwnedSemaphorePermit) -> Self {
+        let idle = Box::pin(sleep(IDLE));
+        Self { stream, idle, pace: Pace::new(PACE_PERIOD), activity, _permit: permit }
+    }
+
     /// Restarts the time without progress, or ends the connection after it.
     fn watch<T>(&mut self, polled: Poll<io::Result<T>>, context: &mut Context<'_>) -> Poll<io::Result<T>> {
         if polled.is_ready() {
-            self.idle.as_mut().reset(Instant::now() + IDLE);
+            let now = Instant::now();
+            self.idle.as_mut().reset(now + IDLE);
+            self.activity.note(now);
             return polled;
         }
         match self.idle.as_mut().poll(context) {
@@ -146,6 +117,9 @@ impl AsyncWrite for LimitedConnection {
     ) -> Poll<io::Result<usize>> {
         let polled = Pin::new(&mut self.stream).poll_write(context, bytes);
         let polled = self.pace.watch(polled, context);
+        if polled.is_ready() {
+            self.activity.note_answer();
+        }
         self.watch(polled, context)
     }
 
@@ -157,6 +131,9 @@ impl AsyncWrite for LimitedConnection {
     ) -> Poll<io::Result<usize>> {
         let polled = Pin::new(&mut self.stream).poll_write_vectored(context, parts);
         let polled = self.pace.watch(polled, context);
+        if polled.is_ready() {
+            self.activity.note_answer();
+        }
         self.watch(polled, context)
     }
 

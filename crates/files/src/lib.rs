@@ -1,0 +1,16 @@
+//! Files that other people made, and folders that this program makes for a while.
+//!
+//! | module | what |
+//! |---|---|
+//! | `regular` | [`open`], [`read`], [`read_to_string`]: regular files only, up to a limit |
+//! | `temporary` | [`TemporaryFolder`]: removed when it is dropped, and if the program is killed, by the next one |
+//! | `whole` | [`write_whole`], [`create_whole_folder`]: there as a whole, or not at all |
+#![cfg_attr(test, allow(clippy::unwrap_used))]
+
+mod regular;
+mod temporary;
+mod whole;
+
+pub use regular::{MAX_TEXT_BYTES, open, read, read_to_string};
+pub use temporary::TemporaryFolder;
+pub use whole::{create_whole_folder, write_whole, write_whole_secret};

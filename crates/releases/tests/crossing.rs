@@ -1,0 +1,76 @@
+//! Programs that change one store at once.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use map::MapContents;
+use map::edit::remove_keyframes;
+use object_store::memory::InMemory;
+use object_store::throttle::{ThrottleConfig, ThrottledStore};
+use rand::rngs::StdRng;
+use rand::{RngExt as _, SeedableRng as _};
+use releases::{CleanOptions, PublishOptions, ReleaseStore, clean, fetch, publish, roll_back};
+use testing::{Place, PlaceOptions};
+
+const STORES: u64 = 100;
+
+fn place(seed: u64) -> MapContents {
+    let options = PlaceOptions { seed, keyframes: 4, landmarks: 60, ..PlaceOptions::default() };
+    let mut contents = Place::new(&options).map;
+    contents.sort();
+    contents.info.identity = Some(contents.digest());
+    contents
+}
+
+/// Every call takes a while of its own.
+fn slow(seed: u64) -> ReleaseStore {
+    let mut rng = StdRng::seed_from_u64(seed);
+    let mut wait = || Duration::from_micros(rng.random_range(0..3000));
+    let config = ThrottleConfig {
+        wait_get_per_call: wait(),
+        wait_put_per_call: wait(),
+        wait_delete_per_call: wait(),
+        wait_list_per_call: wait(),
+        ..ThrottleConfig::default()
+    };
+    ReleaseStore::over(Arc::new(ThrottledStore::new(InMemory::new(), config)), "memory")
+}
+
+/// The segments of the former release are old when they are needed again.
+async fn roll_back_beside_clean(seed: u64) -> bool {
+    let store = slow(seed);
+    let first = place(seed);
+    let mut second = first.clone();
+    remove_keyframes(&mut second, &std::iter::once(first.keyframes[0].id).collect());
+    for contents in [&first, &second] {
+        publish(&store, contents.clone(), &PublishOptions::default(), |_| {}).await.unwrap();
+    }
+    let mut options = CleanOptions::default();
+    (options.releases, options.grace) = (1, Duration::from_secs(1));
+    tokio::time::sleep(Duration::from_millis(2100)).await;
+    let pause = Duration::from_millis(seed);
+    let late = async {
+        tokio::time::sleep(pause).await;
+        clean(&store, &options).await
+    };
+    let (rolled_back, cleaned) = tokio::join!(roll_back(&store, 1), late);
+    let newest = store.newest().await.unwrap().unwrap();
+    let fetched = fetch(&store, &newest, None).await;
+    assert!(fetched.is_ok(), "{seed}: the newest release lacks something: {:?}", fetched.err());
+    assert!(rolled_back.is_ok() == (newest.number == 3), "{seed}: {rolled_back:?}");
+    if let Err(error) = &cleaned {
+        assert!(!error.to_string().is_empty());
+    }
+    rolled_back.is_ok()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_rollback_beside_a_clean_is_refused_or_complete() {
+    let tasks: Vec<_> = (0..STORES).map(|seed| tokio::spawn(roll_back_beside_clean(seed))).collect();
+    let mut rolled_back = 0;
+    for task in tasks {
+        rolled_back += usize::from(task.await.unwrap());
+    }
+    println!("{rolled_back} of {STORES} were rolled back, the others refused");
+    assert!(rolled_back > 0);
+}
