@@ -339,7 +339,8 @@ mod tests {
         for k in 0..10_000 {
             queue.put(&Client::Stated(format!("name {k}")), 10, k);
             queue.put(&Client::Known(format!("session {k}")), 10, k);
-            (queue.take(), queue.take());
+            queue.take();
+            queue.take();
         }
         let names: usize = queue.shares.values().map(|share| share.names.len()).sum();
         assert!(names <= 2 * IDLE_SHARES + 2, "{names}");

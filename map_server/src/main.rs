@@ -110,39 +110,7 @@ async fn serve() -> anyhow::Result<()> {
     };
     tracing::info!("ready; Ctrl-C stops");
 
-    let has_releases = sources.iter().any(MapSource::has_releases);
-    let mut watch = tokio::time::interval(Duration::from_secs(arguments.watch_releases));
-    watch.set_missed_tick_behavior(MissedTickBehavior::Delay);
-    watch.reset();
-    let mut status_line = StatusLine::new();
-    let signal = loop {
-        tokio::select! {
-            signal = &mut stopped => break signal,
-            () = status_line.is_due() => {
-                status_line.log(&server);
-                continue;
-            }
-            () = reload.recv() => {
-                tracing::info!("SIGHUP: reloading the maps");
-                tokio::select! {
-                    signal = &mut stopped => break signal,
-                    () = databases::reload(&server, sources.iter()) => {}
-                }
-            }
-            _ = watch.tick(), if has_releases => {
-                let released = sources.iter().filter(|source| source.has_releases());
-                tokio::select! {
-                    signal = &mut stopped => break signal,
-                    () = databases::reload(&server, released) => {}
-                }
-            }
-        }
-        if let Some(show) = &show {
-            for map in &arguments.maps {
-                show.update(&map.name, &server).await;
-            }
-        }
-    };
+    let signal = serve_until(&mut stopped, &mut reload, &arguments, &sources, &server, show.as_ref()).await;
     tracing::info!("{signal}: stopping");
     end_in_time()?;
     if let Some(show) = show {
@@ -157,6 +125,51 @@ async fn serve() -> anyhow::Result<()> {
     server.stop().await?;
     close_session(&session).await;
     Ok(())
+}
+
+/// Serves until a signal comes, which it returns: with each SIGHUP the maps are loaded again, and from time to time those that
+/// have releases.
+async fn serve_until<S>(
+    mut stopped: impl Future<Output = S> + Unpin,
+    reload: &mut ReloadSignal,
+    arguments: &Arguments,
+    sources: &[MapSource],
+    server: &MapServer,
+    show: Option<&Show>,
+) -> S {
+    let has_releases = sources.iter().any(MapSource::has_releases);
+    let mut watch = tokio::time::interval(Duration::from_secs(arguments.watch_releases));
+    watch.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    watch.reset();
+    let mut status_line = StatusLine::new();
+    loop {
+        tokio::select! {
+            signal = &mut stopped => break signal,
+            () = status_line.is_due() => {
+                status_line.log(server);
+                continue;
+            }
+            () = reload.recv() => {
+                tracing::info!("SIGHUP: reloading the maps");
+                tokio::select! {
+                    signal = &mut stopped => break signal,
+                    () = databases::reload(server, sources.iter()) => {}
+                }
+            }
+            _ = watch.tick(), if has_releases => {
+                let released = sources.iter().filter(|source| source.has_releases());
+                tokio::select! {
+                    signal = &mut stopped => break signal,
+                    () = databases::reload(server, released) => {}
+                }
+            }
+        }
+        if let Some(show) = show {
+            for map in &arguments.maps {
+                show.update(&map.name, server).await;
+            }
+        }
+    }
 }
 
 /// Ends the program after [`STOP_TIME`] where it has not ended by itself.

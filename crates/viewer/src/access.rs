@@ -78,15 +78,14 @@ fn text<'a>(headers: &'a HeaderMap, name: &HeaderName) -> Option<&'a str> {
 /// Whether nobody outside can make a host's name point here: an address, or a name that no registry gives away. A port may
 /// follow, and nothing else.
 fn is_own_host(host: &str) -> bool {
-    let (name, port) = match host.strip_prefix('[') {
-        Some(rest) => match rest.split_once(']') {
+    let (name, port) = if let Some(rest) = host.strip_prefix('[') {
+        match rest.split_once(']') {
             Some((address, port)) if address.parse::<Ipv6Addr>().is_ok() => (None, port),
             _ => return false,
-        },
-        None => {
-            let at = host.find(':').unwrap_or(host.len());
-            (Some(&host[..at]), &host[at..])
         }
+    } else {
+        let at = host.find(':').unwrap_or(host.len());
+        (Some(&host[..at]), &host[at..])
     };
     let is_port =
         |port: &str| port.bytes().all(|digit| digit.is_ascii_digit()) && port.parse::<u16>().is_ok();
@@ -135,9 +134,7 @@ mod tests {
         ] {
             assert!(!is_own_host(odd), "{odd}");
         }
-        for foreign in ["evil.example."] {
-            assert!(!is_own_host(foreign), "{foreign}");
-        }
+        assert!(!is_own_host("evil.example."));
     }
 
     #[test]
