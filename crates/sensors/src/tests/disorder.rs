@@ -79,7 +79,7 @@ fn what_sorting_cannot_mend_is_refused_with_the_line() {
             |rows| rows.iter_mut().for_each(|row| *row = stampless(row)),
             "stamps are zero",
         ),
-        ("a row behind swapped ones is damaged", IMU, damaged, "line 21"),
+        ("a row behind swapped ones is damaged", IMU, |rows| damaged(rows), "line 21"),
     ];
     for (name, table, reorder, said) in cases {
         let error = read(&[table], reorder).unwrap_err().to_string();
@@ -91,7 +91,7 @@ fn stampless(row: &str) -> String {
     format!("0,{}", row.split_once(',').unwrap().1)
 }
 
-fn damaged(rows: &mut Vec<String>) {
+fn damaged(rows: &mut [String]) {
     rows.swap(4, 5);
     rows[19] = "soon,1,2,3,4,5,6".to_owned();
 }
