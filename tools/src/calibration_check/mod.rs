@@ -87,7 +87,7 @@ impl Fit {
     pub fn complaint(&self) -> Option<String> {
         let Some(noise) = self.noise else {
             let why = self.uninitialized.as_deref().unwrap_or_default();
-            return Some(format!("odometry was never initialized: {}", why));
+            return Some(format!("odometry was never initialized: {why}"));
         };
         if self.divergences > 0 {
             return Some(format!("odometry diverged {} times", self.divergences));
