@@ -146,7 +146,7 @@ pub async fn publish(
 
 /// Publishes the map of a former release again, as the newest one.
 ///
-/// Its segments are put again: [`clean`](crate::clean) removes what only former releases name, and spares what was put just now.
+/// Its segments are put again: [`clean`](crate::clean()) removes what only former releases name, and spares what was put just now.
 ///
 /// # Errors
 /// [`ReleaseError::NoRelease`], [`ReleaseError::Conflict`], [`ReleaseError::Store`], [`ReleaseError::Cleaning`].
