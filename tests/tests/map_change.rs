@@ -92,6 +92,10 @@ fn renamed(mut map: MapContents) -> MapContents {
     for cross in &mut map.cross_covariances {
         (cross.a, cross.b) = (cross.a + BY, cross.b + BY);
     }
+    for aliases in &mut map.aliases {
+        aliases.keyframe += BY;
+        aliases.places.iter_mut().for_each(|place| place.keyframe += BY);
+    }
     map
 }
 
