@@ -6,7 +6,7 @@ use indicatif::ProgressBar;
 use map::contents::MapContents;
 use nalgebra::Vector3;
 use protocol::KeyframeId;
-use recognition::{LoadedMap, RecognitionOptions};
+use recognition::{LoadedMap, likely_alias};
 use serde::Serialize;
 
 /// How much of a map looks like other parts of it.
@@ -55,12 +55,9 @@ impl MapAliases {
             .iter()
             .map(|keyframe| (keyframe.id, keyframe.global_from_keyframe.pose.translation))
             .collect();
-        let least = RecognitionOptions::default().min_log_odds;
         let mut keyframes = Vec::new();
         for aliases in &contents.aliases {
-            let Some(other) = aliases.places.first().filter(|place| place.log_odds >= least) else {
-                continue;
-            };
+            let Some(other) = likely_alias(aliases) else { continue };
             keyframes.push(AliasedKeyframe {
                 keyframe: aliases.keyframe,
                 position_m: positions[&aliases.keyframe].into(),

@@ -5,12 +5,11 @@ use std::path::PathBuf;
 
 use geometry::PoseWithCovariance;
 use indicatif::ProgressBar;
-use map::KeyframeAliases;
 use map::contents::MapContents;
 use map::store::{self, StoredMap};
 use nalgebra::Vector3;
 use protocol::MapIdentity;
-use recognition::RecognitionOptions;
+use recognition::likely_alias;
 use serde::Serialize;
 
 use crate::map_aliases::MapAliases;
@@ -120,7 +119,7 @@ fn summary(map: PathBuf, stored: &StoredMap) -> Summary {
         cross_covariances: contents.cross_covariances.len(),
         common_errors: contents.common_errors.len(),
         compared_for_aliases: contents.aliases.len(),
-        aliased: contents.aliases.iter().filter(|aliases| is_aliased(aliases)).count(),
+        aliased: contents.aliases.iter().filter_map(likely_alias).count(),
         damaged_records: stored.damaged.iter().map(ToString::to_string).collect(),
         descriptor_kind: contents.info.descriptor_kind.label(),
         descriptor_bytes: contents.info.descriptor_width,
@@ -138,11 +137,6 @@ fn summary(map: PathBuf, stored: &StoredMap) -> Summary {
         landmark_depth_m: Spread::of(contents.landmarks.iter().map(|landmark| landmark.position_in_anchor.z)),
         aliasing: None,
     }
-}
-
-/// Whether an image of the keyframe may be answered with another place.
-fn is_aliased(aliases: &KeyframeAliases) -> bool {
-    aliases.log_odds().is_some_and(|odds| odds >= RecognitionOptions::default().min_log_odds)
 }
 
 fn print_summary(summary: &Summary) {

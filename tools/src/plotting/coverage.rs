@@ -3,11 +3,10 @@
 use super::canvas::{self, BAD, ESTIMATE, Mark, ODOMETRY, TRUTH, entry};
 use super::panel::Series;
 use super::trajectory::{PlanView, plan};
-use map::KeyframeAliases;
 use map::contents::MapContents;
 use nalgebra::Vector3;
 use protocol::KeyframeId;
-use recognition::RecognitionOptions;
+use recognition::likely_alias;
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
@@ -75,12 +74,10 @@ pub fn draw_coverage(map: &MapContents, path: &Path) -> anyhow::Result<PathBuf> 
 
 /// The keyframes that could be taken for another place, with the keyframe next to it.
 fn aliased_keyframes(map: &MapContents) -> Vec<(KeyframeId, KeyframeId)> {
-    let least = RecognitionOptions::default().min_log_odds;
-    let alias = |aliases: &KeyframeAliases| {
-        let place = aliases.places.first().filter(|place| place.log_odds >= least)?;
-        Some((aliases.keyframe, place.keyframe))
-    };
-    map.aliases.iter().filter_map(alias).collect()
+    map.aliases
+        .iter()
+        .filter_map(|aliases| Some((aliases.keyframe, likely_alias(aliases)?.keyframe)))
+        .collect()
 }
 
 /// Middle of some points, and how far the farthest is from it (at least 1 m).

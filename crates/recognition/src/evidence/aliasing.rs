@@ -71,9 +71,7 @@ impl LoadedMap {
         let compared = stated.len();
         stated.retain(|aliases| !aliases.places.is_empty());
         if compared > 0 && 2 * compared >= self.keyframes.len() {
-            let least = RecognitionOptions::default().min_log_odds;
-            let is_aliased =
-                |aliases: &&KeyframeAliases| aliases.log_odds().is_some_and(|odds| odds >= least);
+            let is_aliased = |aliases: &&KeyframeAliases| likely_alias(aliases).is_some();
             let aliased = stated.iter().filter(is_aliased).count() as f64 / compared as f64;
             let views = self.disjoint_views();
             self.aliasing = OnceLock::from(AliasingRate { views, aliased: aliased * views });
@@ -175,6 +173,12 @@ impl LoadedMap {
             || difference.rotation.angle() > OTHER_PLACE;
         is_far && !is_consistent(own, found, options)
     }
+}
+
+/// The place that the image of a keyframe is taken for most easily, where its odds are enough for an answer.
+pub fn likely_alias(aliases: &KeyframeAliases) -> Option<&Alias> {
+    let strongest = aliases.places.iter().max_by(|a, b| a.log_odds.total_cmp(&b.log_odds));
+    strongest.filter(|place| place.log_odds >= RecognitionOptions::default().min_log_odds)
 }
 
 /// How keyframes are compared with the rest of the map.

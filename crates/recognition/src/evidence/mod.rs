@@ -9,6 +9,6 @@ mod coverage;
 mod expected;
 mod likelihood;
 
-pub use aliasing::AliasingRate;
+pub use aliasing::{AliasingRate, likely_alias};
 pub use coverage::Coverage;
 pub(crate) use coverage::coverage;
