@@ -5,14 +5,17 @@ use estimator::EstimatorConfig;
 use simulation::monte_carlo::{AnswerOptions, Lie, MapOptions, MonteCarloOptions, Trial, Variant, run};
 use simulation::{Scenario, SimulationOptions};
 
+use crate::Tracks;
+
 const FROM_S: f64 = 15.0;
 
-fn trials(runs: usize, lie: Option<Lie>, map: MapOptions, cameras: usize) -> Vec<Trial> {
+fn trials(runs: usize, tracks: Tracks, lie: Option<Lie>, map: MapOptions, cameras: usize) -> Vec<Trial> {
     let options = MonteCarloOptions {
         runs,
         simulation: SimulationOptions {
             scenario: Scenario::Loops,
             speed: 3.0,
+            max_tracks: tracks.max(),
             duration_s: Some(40.0),
             live_feature_period_s: 1e9,
             ..SimulationOptions::default()
@@ -39,7 +42,7 @@ const MAX_NEES: f64 = 9.0;
 fn assert_doubted(lie: Lie, within_m: [f64; 2]) {
     for cameras in [1, 2] {
         let within_m = within_m[cameras - 1];
-        for trial in trials(3, Some(lie), surveyed(), cameras) {
+        for trial in trials(3, Tracks::All, Some(lie), surveyed(), cameras) {
             assert_eq!(trial.diverged, None);
             let alarm_s = trial.alarm_s.unwrap_or(f64::INFINITY);
             let (mut moved_m, mut nees) = (0.0_f64, 0.0_f64);
@@ -84,18 +87,18 @@ fn a_new_version_five_metres_away_is_doubted() {
 
 #[test]
 fn an_honest_map_raises_no_alarm() {
-    honest_maps(8);
+    honest_maps(8, Tracks::Few);
 }
 
 #[test]
 #[ignore = "all seeds, minutes"]
 fn an_honest_map_raises_no_alarm_with_all_seeds() {
-    honest_maps(20);
+    honest_maps(20, Tracks::All);
 }
 
-fn honest_maps(runs: usize) {
+fn honest_maps(runs: usize, tracks: Tracks) {
     for map in [surveyed(), MapOptions::default()] {
-        for trial in trials(runs, None, map, 2) {
+        for trial in trials(runs, tracks, None, map, 2) {
             assert_eq!((trial.diverged, trial.alarm_s), (None, None), "seed {}", trial.seed);
         }
     }

@@ -1,6 +1,24 @@
 //! All integration tests of the crate, in one program.
 #![allow(clippy::unwrap_used, missing_docs)]
 
+/// Tracks in an image. What is tested holds for any number of them; the filter's work grows with it.
+#[derive(Clone, Copy)]
+enum Tracks {
+    /// In every test run.
+    Few,
+    /// In the nightly one: as many as by default.
+    All,
+}
+
+impl Tracks {
+    fn max(self) -> usize {
+        match self {
+            Self::Few => 50,
+            Self::All => simulation::SimulationOptions::default().max_tracks,
+        }
+    }
+}
+
 mod lying_map;
 mod map_consistency;
 mod odometry_consistency;

@@ -8,6 +8,8 @@ use simulation::monte_carlo::{
 };
 use simulation::{Scenario, SimulationOptions};
 
+use crate::Tracks;
+
 /// Scores the default filter.
 fn ensemble(
     runs: usize,
@@ -34,10 +36,11 @@ fn ensemble(
     score
 }
 
-fn loops(speed: f64, duration_s: f64) -> SimulationOptions {
+fn loops(speed: f64, duration_s: f64, tracks: Tracks) -> SimulationOptions {
     SimulationOptions {
         scenario: Scenario::Loops,
         speed,
+        max_tracks: tracks.max(),
         duration_s: Some(duration_s),
         ..SimulationOptions::default()
     }
@@ -47,25 +50,39 @@ fn loops(speed: f64, duration_s: f64) -> SimulationOptions {
 const SEEDS: usize = 16;
 const ALL_SEEDS: usize = 40;
 
-fn all_three_poses(runs: usize) {
+fn all_three_poses(runs: usize, tracks: Tracks) {
     let every = AnswerOptions { every_s: 2.0, ..AnswerOptions::default() };
-    is_as_stated(ensemble(runs, 2, loops(3.0, 60.0), every));
+    is_as_stated(ensemble(runs, 2, loops(3.0, 60.0, tracks), every));
 }
 
 #[test]
 fn nees_of_all_three_poses_is_as_stated() {
-    all_three_poses(SEEDS);
+    all_three_poses(SEEDS, Tracks::Few);
 }
 
 #[test]
 #[ignore = "all seeds, minutes"]
 fn nees_of_all_three_poses_is_as_stated_with_all_seeds() {
-    all_three_poses(ALL_SEEDS);
+    all_three_poses(ALL_SEEDS, Tracks::All);
 }
 
 #[test]
 fn a_map_initialization_from_a_dozen_matches_with_one_keyframe_is_as_uncertain_as_stated() {
-    let simulation = SimulationOptions { duration_s: Some(60.0), ..SimulationOptions::default() };
+    map_initialization_is_as_stated(Tracks::Few);
+}
+
+#[test]
+#[ignore = "all tracks, minutes"]
+fn a_map_initialization_is_as_uncertain_as_stated_with_all_tracks() {
+    map_initialization_is_as_stated(Tracks::All);
+}
+
+fn map_initialization_is_as_stated(tracks: Tracks) {
+    let simulation = SimulationOptions {
+        max_tracks: tracks.max(),
+        duration_s: Some(60.0),
+        ..SimulationOptions::default()
+    };
     let answers =
         AnswerOptions { every_s: 1.0, max_matches: 12, max_keyframes: 1, ..AnswerOptions::default() };
     is_as_stated(ensemble(ALL_SEEDS, 2, simulation, answers));
@@ -101,19 +118,19 @@ fn a_place_that_looks_the_same_does_not_move_the_pose_beyond_what_is_stated() {
     assert!(map.used * 100 >= 90 * map.answers, "{map:?}");
 }
 
-fn after_a_kilometre(runs: usize) {
+fn after_a_kilometre(runs: usize, tracks: Tracks) {
     let gap = AnswerOptions { every_s: 1.0, gaps_s: vec![20.0..201.0], ..AnswerOptions::default() };
-    let score = ensemble(runs, 2, loops(5.6, 203.3), gap);
+    let score = ensemble(runs, 2, loops(5.6, 203.3, tracks), gap);
     assert!(score.ended_within_3_sigma + 1 >= runs, "{} of {runs}", score.ended_within_3_sigma);
 }
 
 #[test]
 fn after_a_kilometre_without_the_map_three_answers_are_enough() {
-    after_a_kilometre(6);
+    after_a_kilometre(6, Tracks::Few);
 }
 
 #[test]
 #[ignore = "all seeds, minutes"]
 fn after_a_kilometre_without_the_map_three_answers_are_enough_with_all_seeds() {
-    after_a_kilometre(12);
+    after_a_kilometre(12, Tracks::All);
 }

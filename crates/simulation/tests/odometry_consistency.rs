@@ -8,12 +8,19 @@ use simulation::monte_carlo::{
 };
 use simulation::{Scenario, SimulationOptions};
 
+use crate::Tracks;
+
 /// Number of runs: enough for a useful chi-square interval. The nightly ones have [`ALL_RUNS`].
 const RUNS: usize = 10;
 const ALL_RUNS: usize = 20;
 
 /// Hand-held in a room, from rest: rotation about and acceleration along every axis.
-fn runs(runs: usize, calibration: CalibrationErrors, variants: &[Variant]) -> Vec<VariantRuns> {
+fn runs(
+    runs: usize,
+    tracks: Tracks,
+    calibration: CalibrationErrors,
+    variants: &[Variant],
+) -> Vec<VariantRuns> {
     let scenario = Scenario::Room;
     let options = MonteCarloOptions {
         runs,
@@ -23,6 +30,7 @@ fn runs(runs: usize, calibration: CalibrationErrors, variants: &[Variant]) -> Ve
             scenario,
             speed: scenario.usual_speed(),
             depth_m: scenario.depth_m(),
+            max_tracks: tracks.max(),
             duration_s: Some(60.0),
             live_feature_period_s: 1e9,
             ..SimulationOptions::default()
@@ -44,18 +52,18 @@ fn odometry(name: &str, cameras: usize) -> Variant {
 
 #[test]
 fn nees_of_the_odometry_is_within_its_95_percent_interval() {
-    odometry_is_as_stated(RUNS);
+    odometry_is_as_stated(RUNS, Tracks::Few);
 }
 
 #[test]
 #[ignore = "all seeds, minutes"]
 fn nees_of_the_odometry_is_within_its_95_percent_interval_with_all_seeds() {
-    odometry_is_as_stated(ALL_RUNS);
+    odometry_is_as_stated(ALL_RUNS, Tracks::All);
 }
 
-fn odometry_is_as_stated(count: usize) {
+fn odometry_is_as_stated(count: usize, tracks: Tracks) {
     let variants = [odometry("mono", 1), odometry("stereo", 2)];
-    for all in runs(count, CalibrationErrors::default(), &variants) {
+    for all in runs(count, tracks, CalibrationErrors::default(), &variants) {
         let score = score(&all, &ScoreOptions::default());
         assert_eq!((score.runs, score.diverged), (count, 0), "{}", score.name);
         let local = score.local.unwrap();
@@ -81,7 +89,7 @@ fn a_wrong_calibration_is_a_tenth_as_wrong_after_a_minute() {
         let online = &mut variant.config.calibration;
         (online.extrinsics, online.intrinsics, online.time_offset) = (true, true, true);
     }
-    for all in runs(8, told, &variants) {
+    for all in runs(8, Tracks::All, told, &variants) {
         let name = &all.variant.name;
         for trial in &all.trials {
             assert_eq!(trial.diverged, None, "{name}, seed {}", trial.seed);
@@ -103,16 +111,16 @@ fn a_wrong_calibration_is_a_tenth_as_wrong_after_a_minute() {
 /// Half a second at rest, then a gentle start with biases that are not known: nothing of it is taken for rest.
 #[test]
 fn nees_is_within_its_interval_after_the_filter_initialized_itself() {
-    own_starts_are_as_stated(RUNS);
+    own_starts_are_as_stated(RUNS, Tracks::Few);
 }
 
 #[test]
 #[ignore = "all seeds, minutes"]
 fn nees_is_within_its_interval_after_the_filter_initialized_itself_with_all_seeds() {
-    own_starts_are_as_stated(ALL_RUNS);
+    own_starts_are_as_stated(ALL_RUNS, Tracks::All);
 }
 
-fn own_starts_are_as_stated(runs: usize) {
+fn own_starts_are_as_stated(runs: usize, tracks: Tracks) {
     for scenario in [Scenario::Block, Scenario::Flight] {
         let options = MonteCarloOptions {
             runs,
@@ -120,6 +128,7 @@ fn own_starts_are_as_stated(runs: usize) {
                 scenario,
                 speed: scenario.usual_speed(),
                 depth_m: scenario.depth_m(),
+                max_tracks: tracks.max(),
                 duration_s: Some(20.0),
                 live_feature_period_s: 1e9,
                 ..SimulationOptions::default()
