@@ -7,8 +7,9 @@ use std::sync::{Arc, PoisonError, RwLock};
 use geometry::Camera;
 use protocol::{LocalizeRequest, Validate as _};
 use recognition::{LoadedMap, RecognitionOptions};
-use sensors::{feature_set, lens_of_text};
+use sensors::lens_of_text;
 use viewer::{GivenImage, ImageCamera, ImageError, LocalizeImage, ViewedAnswer};
+use vision::feature_set;
 use vision::features::open;
 use vision::{GrayImage, Pyramid};
 

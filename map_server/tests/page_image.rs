@@ -13,7 +13,6 @@ use nalgebra::{UnitQuaternion, Vector2, Vector3};
 use rand::rngs::StdRng;
 use rand::{RngExt as _, SeedableRng as _};
 use recognition::LoadedMap;
-use sensors::kind_of;
 use serde_json::{Value, json};
 use std::io::Write as _;
 use std::net::SocketAddr;
@@ -23,6 +22,7 @@ use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio::net::TcpStream;
 use vision::GrayImage;
 use vision::features::{DEFAULT_EXTRACTOR, open};
+use vision::kind_of;
 use zenoh::Session;
 
 const CALIBRATION: &str = "resolution: [640, 480]\ncamera_model: pinhole\nintrinsics: [500, 500, 320, 240]\n";

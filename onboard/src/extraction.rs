@@ -6,9 +6,10 @@
 use anyhow::{Context as _, Result, bail};
 use estimator::CloneId;
 use protocol::FeatureSet;
-use sensors::{ImageData, feature_set};
+use sensors::ImageData;
 use std::path::PathBuf;
 use std::sync::mpsc::{Receiver, Sender, channel};
+use vision::feature_set;
 use vision::features::{DEFAULT_EXTRACTOR, ExtractError, open};
 use vision::{FeatureExtractor, GrayImage, ImageError};
 

@@ -1,121 +1,15 @@
-//! The features of one image: pixels and descriptors.
+//! The features of one image, pixels and descriptors: what a message may hold of them.
 
-use crate::bounded;
 use crate::limits::{MAX_EXTRACTOR_BYTES, MAX_FEATURES, MAX_QUERY_FEATURES};
 use crate::validate::{InvalidField, Validate, require, require_valid};
-use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-/// Data type of descriptors, which decides how they are compared.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum DescriptorKind {
-    /// Bits, compared by Hamming distance.
-    Binary,
-    /// `f32` numbers in little-endian bytes, compared by L2 or cosine distance.
-    Float,
-    /// Signed bytes, compared by cosine distance.
-    Int8,
-}
-
-impl DescriptorKind {
-    /// Its name in files and JSON.
-    pub fn label(self) -> &'static str {
-        match self {
-            Self::Binary => "binary",
-            Self::Float => "float",
-            Self::Int8 => "int8",
-        }
-    }
-
-    /// The kind with that name.
-    ///
-    /// ```
-    /// use protocol::DescriptorKind;
-    /// assert_eq!(DescriptorKind::from_label("int8"), Some(DescriptorKind::Int8));
-    /// assert_eq!(DescriptorKind::from_label("hex"), None);
-    /// ```
-    pub fn from_label(label: &str) -> Option<Self> {
-        [Self::Binary, Self::Float, Self::Int8].into_iter().find(|kind| kind.label() == label)
-    }
-}
-
-/// Kind and size of the descriptors of an image or of a whole map; only descriptors of equal format can be matched.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
-pub struct DescriptorFormat {
-    /// How they are compared.
-    pub kind: DescriptorKind,
-    /// Bytes per descriptor.
-    pub width: u16,
-}
+pub use types::{DescriptorFormat, DescriptorKind, Descriptors, FeatureSet};
 
 impl Validate for DescriptorFormat {
     fn validate(&self) -> Result<(), InvalidField> {
         require(self.width > 0, "width", "is zero")?;
         let whole_floats = self.kind != DescriptorKind::Float || self.width.is_multiple_of(4);
         require(whole_floats, "width", "is not a multiple of 4, which a float descriptor's bytes must be")
-    }
-}
-
-/// A list of descriptors of one kind and width, stored contiguously.
-///
-/// In JSON: `{"kind": "binary", "width": 32, "hex": ["76f9e9..", ..]}`, one string per descriptor, as in
-/// `features.csv`. In bincode: kind, width and all bytes as one string.
-///
-/// ```
-/// use protocol::{DescriptorKind, Descriptors};
-/// let descriptors = Descriptors { kind: DescriptorKind::Binary, width: 2, bytes: vec![1, 2, 3, 4] };
-/// assert_eq!(descriptors.len(), 2);
-/// assert_eq!(descriptors.get(1), Some(&[3, 4][..]));
-/// ```
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Descriptors {
-    /// How they are compared.
-    pub kind: DescriptorKind,
-    /// Bytes per descriptor.
-    pub width: u16,
-    /// All descriptors one after the other: `len() * width` bytes.
-    pub bytes: Vec<u8>,
-}
-
-impl Descriptors {
-    /// No descriptors, of the given format.
-    pub fn empty(format: DescriptorFormat) -> Self {
-        Self { kind: format.kind, width: format.width, bytes: Vec::new() }
-    }
-
-    /// Kind and width.
-    pub fn format(&self) -> DescriptorFormat {
-        DescriptorFormat { kind: self.kind, width: self.width }
-    }
-
-    /// Number of descriptors (complete ones, if the bytes were not validated).
-    pub fn len(&self) -> usize {
-        self.bytes.len().checked_div(usize::from(self.width)).unwrap_or(0)
-    }
-
-    /// Whether the list is empty.
-    pub fn is_empty(&self) -> bool {
-        self.len() == 0
-    }
-
-    /// The bytes of descriptor `index`, `None` beyond the last.
-    pub fn get(&self, index: usize) -> Option<&[u8]> {
-        let width = usize::from(self.width);
-        let start = index.checked_mul(width)?;
-        if width == 0 { None } else { self.bytes.get(start..start.checked_add(width)?) }
-    }
-
-    /// Every descriptor in order.
-    pub fn iter(&self) -> std::slice::ChunksExact<'_, u8> {
-        self.bytes.chunks_exact(usize::from(self.width).max(1))
-    }
-}
-
-impl<'a> IntoIterator for &'a Descriptors {
-    type Item = &'a [u8];
-    type IntoIter = std::slice::ChunksExact<'a, u8>;
-    fn into_iter(self) -> Self::IntoIter {
-        self.iter()
     }
 }
 
@@ -137,108 +31,11 @@ impl Validate for Descriptors {
     }
 }
 
-#[derive(Serialize, Deserialize)]
-struct JsonForm {
-    kind: DescriptorKind,
-    width: u16,
-    #[serde(deserialize_with = "bounded::list::<_, _, MAX_FEATURES>")]
-    hex: Vec<String>,
-}
-
-#[derive(Serialize, Deserialize)]
-struct BinaryForm<'a> {
-    kind: DescriptorKind,
-    width: u16,
-    #[serde(borrow)]
-    bytes: std::borrow::Cow<'a, serde_bytes::Bytes>,
-}
-
-impl Serialize for Descriptors {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        if serializer.is_human_readable() {
-            let hex = self.iter().map(to_hex).collect();
-            JsonForm { kind: self.kind, width: self.width, hex }.serialize(serializer)
-        } else {
-            let bytes = std::borrow::Cow::Borrowed(serde_bytes::Bytes::new(&self.bytes));
-            BinaryForm { kind: self.kind, width: self.width, bytes }.serialize(serializer)
-        }
-    }
-}
-
-impl<'de> Deserialize<'de> for Descriptors {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        if !deserializer.is_human_readable() {
-            let form = BinaryForm::deserialize(deserializer)?;
-            return Ok(Self {
-                kind: form.kind,
-                width: form.width,
-                bytes: form.bytes.into_owned().into_vec(),
-            });
-        }
-        let form = JsonForm::deserialize(deserializer)?;
-        let mut bytes = Vec::new();
-        for (index, text) in form.hex.iter().enumerate() {
-            append_hex(text, usize::from(form.width), &mut bytes)
-                .map_err(|reason| serde::de::Error::custom(format!("hex[{index}] {reason}")))?;
-        }
-        Ok(Self { kind: form.kind, width: form.width, bytes })
-    }
-}
-
-fn to_hex(bytes: &[u8]) -> String {
-    const DIGITS: &[u8; 16] = b"0123456789abcdef";
-    let digit = |nibble: u8| char::from(DIGITS[usize::from(nibble)]);
-    bytes.iter().flat_map(|byte| [digit(byte >> 4), digit(byte & 15)]).collect()
-}
-
-/// Appends the `width` bytes written as `2 * width` hexadecimal digits.
-fn append_hex(text: &str, width: usize, bytes: &mut Vec<u8>) -> Result<(), String> {
-    if text.len() != 2 * width {
-        return Err(format!("has {} characters, not the {} digits of {width} bytes", text.len(), 2 * width));
-    }
-    let digit = |character: u8| char::from(character).to_digit(16).ok_or("is not hexadecimal");
-    for [high, low] in text.as_bytes().as_chunks::<2>().0 {
-        bytes.push((digit(*high)? << 4 | digit(*low)?) as u8);
-    }
-    Ok(())
-}
-
 /// Checks the name of an extractor: at most [`MAX_EXTRACTOR_BYTES`], no control characters.
 pub(crate) fn validate_extractor(name: &str) -> Result<(), InvalidField> {
     let reason = format!("is longer than {MAX_EXTRACTOR_BYTES} bytes");
     require(name.len() <= MAX_EXTRACTOR_BYTES, "extractor", &reason)?;
     require(!name.chars().any(char::is_control), "extractor", "holds a control character")
-}
-
-/// The features of one image: pixel `i` belongs to descriptor `i`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct FeatureSet {
-    /// `[u, v]`, distorted, as measured; (0, 0) is the centre of the top-left pixel.
-    #[serde(deserialize_with = "bounded::list::<_, _, MAX_FEATURES>")]
-    pub pixels: Vec<[f32; 2]>,
-    /// Their descriptors, in the same order.
-    pub descriptors: Descriptors,
-    /// Name and version of the extractor that computed the descriptors, for example `sift-1`; empty if unknown. Empty in a
-    /// stored map, whose info names it once.
-    #[serde(default)]
-    pub extractor: String,
-}
-
-impl FeatureSet {
-    /// No features, of descriptors of the given format and of an unknown extractor.
-    pub fn empty(format: DescriptorFormat) -> Self {
-        Self { pixels: Vec::new(), descriptors: Descriptors::empty(format), extractor: String::new() }
-    }
-
-    /// Number of features.
-    pub fn len(&self) -> usize {
-        self.pixels.len()
-    }
-
-    /// Whether the list is empty.
-    pub fn is_empty(&self) -> bool {
-        self.pixels.is_empty()
-    }
 }
 
 impl Validate for FeatureSet {

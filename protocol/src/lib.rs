@@ -56,7 +56,6 @@
 #[doc = include_str!("../README.md")]
 struct Readme;
 
-mod bounded;
 pub mod cells;
 pub mod codec;
 pub mod error_reply;

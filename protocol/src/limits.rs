@@ -23,8 +23,7 @@ pub const SCHEMA_VERSION: u16 = 7;
 /// is harmless to hold in memory.
 pub const MAX_MESSAGE_BYTES: usize = 16 << 20;
 
-/// Most features in one image. Extractors give 300 to 2,000; the cost of matching grows with the square.
-pub const MAX_FEATURES: usize = 20_000;
+pub use types::features::MAX_FEATURES;
 
 /// Most features in one query: matching one costs milliseconds a thousand, and no extractor gives more of a camera's image.
 pub const MAX_QUERY_FEATURES: usize = 5_000;
@@ -52,8 +51,4 @@ pub const MAX_EXTRACTOR_BYTES: usize = 64;
 /// Longest human-readable text in a message, bytes.
 pub const MAX_TEXT_BYTES: usize = 4096;
 
-/// Number of a keyframe, unique in its map and never reused.
-pub type KeyframeId = u64;
-
-/// Number of a landmark, unique in its map and never reused.
-pub type LandmarkId = u64;
+pub use types::{KeyframeId, LandmarkId};

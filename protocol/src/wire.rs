@@ -119,7 +119,6 @@ enum DistortionForm {
 /// one byte. The encoding of a set is unique; duplicates are written once and cannot be decoded.
 /// A set of more than [`MAX_HELD_KEYFRAMES`](crate::MAX_HELD_KEYFRAMES) is refused.
 pub(crate) mod keyframe_set {
-    use crate::bounded;
     use crate::limits::{KeyframeId, MAX_HELD_KEYFRAMES};
     use serde::de::Error;
     use serde::{Deserializer, Serialize, Serializer};
@@ -142,7 +141,7 @@ pub(crate) mod keyframe_set {
         deserializer: D,
     ) -> Result<Vec<KeyframeId>, D::Error> {
         let sorted_gaps = !deserializer.is_human_readable();
-        let mut numbers: Vec<KeyframeId> = bounded::list::<_, _, MAX_HELD_KEYFRAMES>(deserializer)?;
+        let mut numbers: Vec<KeyframeId> = types::bounded::list::<_, _, MAX_HELD_KEYFRAMES>(deserializer)?;
         if sorted_gaps {
             for k in 1..numbers.len() {
                 let next = numbers[k - 1].checked_add(1).and_then(|least| least.checked_add(numbers[k]));

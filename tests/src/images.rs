@@ -5,9 +5,9 @@ use mapping::{BuildOptions, BuildReport, Extraction, build_map};
 use protocol::LocalizeRequest;
 use recognition::LoadedMap;
 use recognition::RecognitionOptions;
-use sensors::feature_set;
 use sensors::{Frame, ReferencePose, Sequence, TruthTrack};
 use std::sync::Arc;
+use vision::feature_set;
 use vision::{FeatureExtractor, GrayImage};
 
 /// Longest gap in the truth to interpolate over, nanoseconds.

@@ -6,9 +6,9 @@ use anyhow::{Context as _, Result, bail};
 use geometry::Camera;
 use onboard::extraction::FeatureArguments;
 use protocol::{FeatureSet, LocalizeRequest};
-use sensors::feature_set;
 use sensors::{CalibrationFiles, Frame, ImageData, Sequence};
 use vision::GrayImage;
+use vision::feature_set;
 
 use map::text::read_camera;
 

@@ -3,6 +3,7 @@
 use crate::calibration::OnlineCalibration;
 use geometry::CameraError;
 use serde::{Deserialize, Serialize};
+use types::ImuNoise;
 
 /// What the estimator does with the map.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -31,46 +32,6 @@ pub enum Relinearization {
     Transform,
     /// Move that of the clone of the matched image.
     Clone,
-}
-
-/// IMU noise as continuous-time densities, as in a Kalibr or EuRoC `sensor.yaml`.
-///
-/// ```
-/// let mut noise = estimator::ImuNoise::default();
-/// noise.gyroscope = 1e-3; // rad/s/sqrt(Hz)
-/// ```
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[non_exhaustive]
-pub struct ImuNoise {
-    /// Gyroscope white noise, rad/s/sqrt(Hz).
-    pub gyroscope: f64,
-    /// Gyroscope bias random walk, rad/s^2/sqrt(Hz).
-    pub gyroscope_walk: f64,
-    /// Accelerometer white noise, m/s^2/sqrt(Hz).
-    pub accelerometer: f64,
-    /// Accelerometer bias random walk, m/s^3/sqrt(Hz).
-    pub accelerometer_walk: f64,
-}
-
-impl ImuNoise {
-    /// The same sensor with its white noise multiplied by `factor`.
-    ///
-    /// Data sheets state the noise at rest; vibration and scale-factor errors of a moving vehicle add to it.
-    pub fn inflated(self, factor: f64) -> Self {
-        Self { gyroscope: self.gyroscope * factor, accelerometer: self.accelerometer * factor, ..self }
-    }
-}
-
-impl Default for ImuNoise {
-    /// The ADIS16448 of EuRoC, from its `sensor.yaml`.
-    fn default() -> Self {
-        Self {
-            gyroscope: 1.6968e-4,
-            gyroscope_walk: 1.9393e-5,
-            accelerometer: 2.0e-3,
-            accelerometer_walk: 3.0e-3,
-        }
-    }
 }
 
 /// Which noise levels are adapted to the innovations; see [`noise_adaptation`](crate::noise_adaptation).

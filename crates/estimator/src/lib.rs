@@ -63,15 +63,13 @@ pub mod state;
 mod test_scene;
 
 pub use calibration::{CalibratedCamera, Calibration, OnlineCalibration};
-pub use config::{
-    AdaptiveNoise, ConfigError, EstimatorConfig, ImuNoise, InitialSigmas, MapMode, Relinearization,
-};
+pub use config::{AdaptiveNoise, ConfigError, EstimatorConfig, InitialSigmas, MapMode, Relinearization};
 pub use error::EstimatorError;
 pub use estimator::Estimator;
 pub use estimator::status::{Alarm, Localization, Status, StatusReason};
 pub use health::Divergence;
 pub use imu::plausibility::ReadingCheck;
-pub use imu::{BadImuSample, ImuGap, ImuSample};
+pub use imu::{BadImuSample, ImuGap};
 pub use initialization::continuation::LastTrustedPose;
 pub use initialization::initializer::{InitMethod, InitStatus, Initialization, Initializer};
 pub use initialization::static_init::InitialState;
@@ -83,8 +81,5 @@ pub use map_update::map_watch::MapDrift;
 pub use motion::{Motion, MotionPredictor};
 pub use noise_adaptation::{LearnedNoise, NoiseBound, NoiseFault};
 pub use odometry::msckf_update::TrackReport;
-pub use odometry::tracks::TrackObservation;
 pub use state::CloneId;
-
-/// Identity of a keyframe within its map.
-pub type KeyframeId = u64;
+pub use types::{ImuNoise, ImuSample, KeyframeId, TrackObservation};

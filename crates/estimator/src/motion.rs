@@ -1,11 +1,11 @@
 //! Motion of the IMU at one time, and its prediction by readings that the filter has not used yet.
 
-use crate::config::ImuNoise;
-use crate::imu::ImuSample;
 use crate::imu::plausibility::ReadingCheck;
 use crate::propagation::{GYROSCOPE_BIAS, ImuMatrix, ImuState, Propagation, VELOCITY};
 use geometry::{PoseWithCovariance, rotation};
 use nalgebra::{Matrix6, SMatrix, Vector3};
+use types::ImuNoise;
+use types::ImuSample;
 
 /// Pose, velocity and angular velocity of the IMU, with the covariance of their errors.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -190,7 +190,8 @@ mod tests {
                 (twist(&state.retract(&error), &zero) - twist(&state.retract(&-error), &zero)) / (2.0 * step);
             expected += by * by.transpose();
         }
-        let noise = ImuNoise { gyroscope: 0.01, ..ImuNoise::default() };
+        let mut noise = ImuNoise::default();
+        noise.gyroscope = 0.01;
         for axis in 0..3 {
             let error = Vector3::ith(axis, step);
             let by =

@@ -13,13 +13,13 @@
 //! Source: Forster, Carlone, Dellaert & Scaramuzza, T-RO 2017.
 
 use crate::config::EstimatorConfig;
-use crate::imu::ImuSample;
 use crate::propagation::{
     ACCELEROMETER_BIAS, GYROSCOPE_BIAS, ImuError, ImuMatrix, ImuState, MotionEstimate, Propagated, VELOCITY,
     propagate,
 };
 use geometry::rotation::{exp, left_jacobian_inverse, log, right_jacobian, right_jacobian_inverse, skew};
 use nalgebra::{Matrix3, Vector3};
+use types::ImuSample;
 
 /// The preintegrated samples of one interval.
 #[derive(Clone, Debug)]

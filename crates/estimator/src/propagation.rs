@@ -7,10 +7,10 @@
 //! ```
 //! Source of the transition's closed form in terms of the states at both ends: Li & Mourikis, IJRR 2013.
 
-use crate::config::ImuNoise;
-use crate::imu::ImuSample;
 use geometry::{Pose, rotation};
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
+use types::ImuNoise;
+use types::ImuSample;
 
 /// Dimension of the IMU error state.
 pub const IMU_DIM: usize = 15;
@@ -271,11 +271,10 @@ fn noise_across_gap(noise: &ImuNoise, dt: f64) -> ImuNoise {
         return *noise;
     }
     let increased = |density: f64, deviation: f64| density.hypot(deviation * dt.sqrt());
-    ImuNoise {
-        gyroscope: increased(noise.gyroscope, GAP_RATE),
-        accelerometer: increased(noise.accelerometer, GAP_FORCE),
-        ..*noise
-    }
+    let mut with_gap = *noise;
+    with_gap.gyroscope = increased(noise.gyroscope, GAP_RATE);
+    with_gap.accelerometer = increased(noise.accelerometer, GAP_FORCE);
+    with_gap
 }
 
 /// Process noise covariance of one step: white noise and bias random walk.
@@ -429,8 +428,9 @@ mod tests {
     #[test]
     fn the_process_noise_is_the_sample_covariance_of_noisy_runs() {
         use rand::{RngExt as _, SeedableRng, rngs::StdRng};
-        let noise =
-            ImuNoise { gyroscope: 2e-3, accelerometer: 2e-2, gyroscope_walk: 0.0, accelerometer_walk: 0.0 };
+        let mut noise = ImuNoise::default();
+        (noise.gyroscope, noise.accelerometer) = (2e-3, 2e-2);
+        (noise.gyroscope_walk, noise.accelerometer_walk) = (0.0, 0.0);
         let (state, clean) = (start(), readings(0.5));
         let reference = propagate(&state, &MotionEstimate::of(&state), &clean, &noise, GRAVITY);
         let mut rng = StdRng::seed_from_u64(7);

@@ -12,7 +12,7 @@ use vision::{FeatureExtractor, GrayImage, ImageFeatures};
 use super::camera::MappingCamera;
 use super::error::BuildError;
 use super::stereo_matching::match_stereo;
-use sensors::feature_set;
+use vision::feature_set;
 
 /// How features are extracted from images.
 pub struct Extraction<'a> {

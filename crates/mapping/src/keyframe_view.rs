@@ -5,7 +5,7 @@ use std::borrow::Cow;
 use geometry::uncertain_pose::PoseWithCovariance;
 use nalgebra::{Vector2, Vector3};
 use protocol::FeatureSet;
-use sensors::metric_of;
+use vision::metric_of;
 use vision::{DescriptorError, DescriptorView};
 
 /// A feature: index of its keyframe, index within the keyframe.

@@ -4,8 +4,9 @@
 //! to the rotation that the tracks show.
 
 use crate::repeated_warning::RepeatedWarning;
+use estimator::ImuSample;
 use estimator::TrackObservation;
-use estimator::imu::{ImuBuffer, ImuSample};
+use estimator::imu::ImuBuffer;
 use geometry::Rotation;
 use geometry::rotation::{exp, log};
 use nalgebra::Vector3;

@@ -6,8 +6,8 @@
 //! carry no information about the place, and a wall of equal windows cannot outvote a door.
 
 use protocol::DescriptorKind;
-use sensors::metric_of;
 use serde::{Deserialize, Serialize};
+use vision::metric_of;
 use vision::{
     DescriptorError, DescriptorView, Hit, InvertedFile, MatchOptions, Metric, prototype_descriptors,
 };

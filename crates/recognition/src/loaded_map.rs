@@ -243,7 +243,7 @@ impl LoadedMap {
 
     /// How the map's descriptors are compared.
     pub(crate) fn metric(&self) -> Metric {
-        sensors::metric_of(self.info.descriptor_kind)
+        vision::metric_of(self.info.descriptor_kind)
     }
 
     /// The descriptors of the landmarks that a keyframe observes, in the order of [`Observations::of`].

@@ -277,7 +277,7 @@ pub(super) fn view_of<'a>(
     if !stated.is_empty() && !wanted.is_empty() && stated != wanted {
         return Err(QueryError::ExtractorMismatch { query: stated.clone(), map: wanted.clone() });
     }
-    let metric = sensors::metric_of(info.descriptor_kind);
+    let metric = vision::metric_of(info.descriptor_kind);
     Ok(DescriptorView::new(metric, usize::from(query.width), &features.descriptors.bytes)?)
 }
 

@@ -21,7 +21,6 @@
 //! | `table` | [`Table`], a CSV reader whose errors name file and line |
 //! | `pose_columns` | [`PoseColumns`], where a table's header says that the numbers of a pose stand |
 //! | `written_lines` | [`read_written_lines`], the complete lines of a file whose writer was killed |
-//! | `features` | [`feature_set`], features of an image as they are stored and sent |
 //! | `error` | [`SensorError`] of a source, [`SequenceError`] of a file |
 //!
 //! A recording on disk is a folder in the EuRoC ASL layout; `tracks.csv`, `features.csv` and `reference_poses.csv` are
@@ -56,7 +55,6 @@ mod clock_check;
 pub mod convert;
 mod error;
 mod euroc;
-mod features;
 mod frame;
 mod gravity;
 mod image_check;
@@ -95,12 +93,10 @@ mod tests;
 pub use bag::{BagCamera, BagError, BagSensors};
 pub use calibration::{CameraSensor, ImuSensor, SensorCalibration};
 pub use error::{SensorError, SequenceError};
-pub use estimator::{ImuNoise, ImuSample, TrackObservation};
 pub use euroc::{
     FolderCalibration, QuaternionLength, lens_of_text, pose_cells, pose_of, read_groundtruth, read_lens,
     read_reference_poses, read_reference_positions, writer,
 };
-pub use features::{feature_set, kind_of, metric_of};
 pub use frame::{Frame, ImageData, StoredImage};
 pub use gravity::direction_of_gravity;
 pub use imu_check::{ImuCheck, ImuUnitError};
@@ -120,4 +116,5 @@ pub use stereo_check::check_stereo;
 pub use stored::is_recording;
 pub use table::{Row, Table, check_order};
 pub use truth::{ReferencePose, ReferencePosition, TruthRow, TruthTrack};
+pub use types::{ImuNoise, ImuSample, TrackObservation};
 pub use written_lines::{WrittenLines, read_written_lines, warn_cut_off};

@@ -22,7 +22,7 @@ use std::sync::mpsc::Receiver;
 /// # Example
 /// A source that computes its measurements:
 /// ```
-/// use estimator::ImuSample;
+/// use sensors::ImuSample;
 /// use nalgebra::Vector3;
 /// use sensors::{Contents, SensorCalibration, SensorError, SensorEvent, SensorSource};
 ///

@@ -25,7 +25,9 @@ pub mod matching;
 pub mod tracking;
 
 pub use detection::{Corner, CornerOptions, detect_corners};
-pub use features::{ExtractError, FeatureExtractor, ImageFeatures, Keypoint};
+pub use features::{
+    ExtractError, FeatureExtractor, ImageFeatures, Keypoint, feature_set, kind_of, metric_of,
+};
 pub use image::{
     Equalization, GrayImage, ImageError, LocalEqualization, MAX_IMAGE_FILE_BYTES, MAX_PIXELS, MAX_SCANS,
     Pyramid, RawImage, equalize, equalize_locally,

@@ -3,13 +3,14 @@
 use super::Estimator;
 use crate::KeyframeId;
 use crate::calibration::{CalibratedCamera, Calibration};
-use crate::config::{EstimatorConfig, ImuNoise};
+use crate::config::EstimatorConfig;
 use crate::motion::{Motion, MotionPredictor};
 use crate::noise_adaptation::{LearnedNoise, NoiseAdaptation};
 use crate::propagation::{ACCELEROMETER_BIAS, GYROSCOPE_BIAS, IMU_DIM, ImuMatrix};
 use crate::state::{Block, CloneId, rotation_adjoint};
 use geometry::{Pose, PoseWithCovariance};
 use nalgebra::{DMatrix, Matrix6, Vector3};
+use types::ImuNoise;
 
 impl Estimator {
     /// The settings.

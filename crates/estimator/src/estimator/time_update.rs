@@ -4,7 +4,6 @@ use super::Estimator;
 use crate::error::EstimatorError;
 use crate::first_estimates;
 use crate::health::Divergence;
-use crate::imu::ImuSample;
 use crate::map_update::map_fix::ImuMotion;
 use crate::motion::AngularRate;
 use crate::propagation::{IMU_DIM, MotionEstimate, Propagation};
@@ -12,6 +11,7 @@ use crate::state::{ActiveState, Block, CloneId, ClonedPose, POSE_DIM};
 use nalgebra::Vector3;
 use smallvec::SmallVec;
 use std::ops::Range;
+use types::ImuSample;
 
 /// Maximum time by which the IMU samples may end before an image, nanoseconds.
 const IMU_SLACK_NS: i64 = 20_000_000;

@@ -8,10 +8,11 @@ use crate::noise_adaptation::correction::BeforeUpdate;
 use crate::odometry::msckf_update::{MsckfUpdate, TrackReport};
 use crate::odometry::pixel_measurement::Layout;
 use crate::odometry::slam_update::{SlamUpdate, SlamUpdateSettings};
-use crate::odometry::tracks::{Track, TrackObservation};
+use crate::odometry::tracks::Track;
 use crate::odometry::zero_velocity;
 use crate::state::{CloneId, SlamFeature};
 use nalgebra::DMatrix;
+use types::TrackObservation;
 
 /// Memory of the odometry update, reused from image to image.
 #[derive(Clone, Debug, Default)]

@@ -2,38 +2,10 @@
 
 pub mod plausibility;
 
-use nalgebra::Vector3;
 use plausibility::ReadingCheck;
 use smallvec::SmallVec;
 use std::collections::VecDeque;
-
-/// One IMU sample, in the IMU frame.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ImuSample {
-    /// Time, nanoseconds.
-    pub stamp_ns: i64,
-    /// Angular velocity, rad/s.
-    pub gyroscope: Vector3<f64>,
-    /// Specific force, m/s^2 (at rest it points up).
-    pub accelerometer: Vector3<f64>,
-}
-
-impl ImuSample {
-    pub(crate) fn is_finite(&self) -> bool {
-        self.gyroscope.iter().chain(self.accelerometer.iter()).all(|value| value.is_finite())
-    }
-
-    /// Linear interpolation between two samples.
-    pub(crate) fn between(a: &Self, b: &Self, stamp_ns: i64) -> Self {
-        let span = (b.stamp_ns - a.stamp_ns) as f64;
-        let weight = if span > 0.0 { (stamp_ns - a.stamp_ns) as f64 / span } else { 0.0 };
-        Self {
-            stamp_ns,
-            gyroscope: a.gyroscope.lerp(&b.gyroscope, weight),
-            accelerometer: a.accelerometer.lerp(&b.accelerometer, weight),
-        }
-    }
-}
+use types::ImuSample;
 
 /// Why an IMU sample was dropped.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
@@ -166,6 +138,7 @@ impl ImuBuffer {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use nalgebra::Vector3;
 
     fn sample(stamp_ns: i64) -> ImuSample {
         ImuSample {

@@ -9,7 +9,8 @@
 //! Where readings keep to a new level for a while they are the motion after all, or nothing that this check could tell, and
 //! are taken again.
 
-use super::{BadImuSample, ImuSample};
+use super::BadImuSample;
+use types::ImuSample;
 
 /// No inertial sensor of a robot measures more, rad/s and m/s^2.
 pub const RANGE: [f64; 2] = [100.0, 2000.0];

@@ -1,9 +1,9 @@
 //! L goes on after a divergence: from the last pose that was trusted, as uncertain as what may have happened since.
 
 use super::static_init::{InitialState, yaw_between};
-use crate::imu::ImuSample;
 use geometry::{Pose, PoseWithCovariance, rotation};
 use nalgebra::Vector3;
+use types::ImuSample;
 
 /// Speed of a body that something else moves, m/s: of who carries it, or a lift.
 const CARRIED_SPEED_M_S: f64 = 1.5;

@@ -6,14 +6,15 @@
 
 use crate::calibration::CalibratedCamera;
 use crate::config::EstimatorConfig;
-use crate::imu::{BadImuSample, ImuBuffer, ImuSample};
+use crate::imu::{BadImuSample, ImuBuffer};
 use crate::initialization::continuation::{Continuation, LastTrustedPose};
 use crate::initialization::dynamic::{
     BiasPrior, DynamicInitError, InitQuality, Window, WindowImage, initialize_dynamic,
 };
 use crate::initialization::static_init::{InitialState, REST_SECONDS, StaticInitError};
-use crate::odometry::tracks::TrackObservation;
 use std::collections::{BTreeMap, VecDeque};
+use types::ImuSample;
+use types::TrackObservation;
 
 /// Minimum and maximum duration of the window of a dynamic initialization, seconds. Shorter ones seldom determine the scale;
 /// longer ones cost more than they gain.

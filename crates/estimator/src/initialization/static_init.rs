@@ -1,10 +1,10 @@
 //! The initial state, from ground truth or from an IMU at rest (static initialization).
 
 use crate::config::{EstimatorConfig, InitialSigmas};
-use crate::imu::ImuSample;
 use crate::propagation::{ACCELEROMETER_BIAS, GYROSCOPE_BIAS, ImuMatrix, ImuState, VELOCITY};
 use geometry::{Pose, Rotation, rotation};
 use nalgebra::{Matrix3, SMatrix, UnitVector3, Vector3};
+use types::ImuSample;
 
 /// Initial IMU state with its covariance.
 #[derive(Clone, Debug, PartialEq)]

@@ -31,12 +31,13 @@ mod variance_factor;
 
 pub use bound::{NoiseBound, NoiseFault};
 
-use crate::config::{AdaptiveNoise, EstimatorConfig, ImuNoise};
-use crate::imu::ImuSample;
+use crate::config::{AdaptiveNoise, EstimatorConfig};
 use bound::{IMPLAUSIBLE_IMU_SCALE, IMPLAUSIBLE_TRACK_PX, Limit};
 use nalgebra::{DMatrix, DVector};
 use reading_noise::ReadingNoise;
 use serde::{Deserialize, Serialize};
+use types::ImuNoise;
+use types::ImuSample;
 use variance_factor::{Adaptation, VarianceFactor};
 
 /// Number of tracks of one image whose NIS is used: the exact NIS costs time, and these are enough.

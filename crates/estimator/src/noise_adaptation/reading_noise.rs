@@ -6,8 +6,8 @@
 //! density in all of them; vibration of some frequency, and motion that is faster than the means, raise a part of them. The
 //! least of the three densities is therefore what the noise is at least.
 
-use crate::imu::ImuSample;
 use nalgebra::SVector;
+use types::ImuSample;
 
 /// Numbers of readings that are averaged.
 const MEANS: [usize; 3] = [1, 2, 4];

@@ -12,11 +12,11 @@ use crate::measurement::LinearizedMeasurement;
 use crate::odometry::pixel_measurement::{
     JacobianBlock, JacobianBlocks, Layout, PixelMeasurement, covariance_between, linearize_pixel,
 };
-use crate::odometry::tracks::TrackObservation;
 use crate::state::{ActiveState, Block, CloneId, FEATURE_DIM, POSE_DIM, SlamFeature};
 use nalgebra::{DVector, SMatrix, SVector};
 use smallvec::SmallVec;
 use std::ops::Range;
+use types::TrackObservation;
 
 /// Number of consecutive images rejected by the gate after which a feature is marginalized.
 const MAX_GATED_IN_A_ROW: usize = 3;

@@ -162,12 +162,12 @@ pub fn zero_displacement(state: &ActiveState, rows: &mut LinearizedMeasurement) 
 mod tests {
     use super::*;
     use crate::calibration::{Calibration, OnlineCalibration};
-    use crate::odometry::tracks::TrackObservation;
     use crate::propagation::{ImuState, MotionEstimate};
     use crate::state::{CloneId, ClonedPose};
     use geometry::{Camera, Distortion, rotation};
     use nalgebra::DVector;
     use rand::{RngExt as _, SeedableRng, rngs::StdRng};
+    use types::TrackObservation;
 
     /// Whether a second of images is stationary, from poses `at(seconds)` of points 2 to 10 m away, with 1 px of noise.
     fn stationary(count: usize, at: impl Fn(f64) -> Pose) -> bool {

@@ -1,6 +1,6 @@
 //! Preintegrated IMU factors beside those of GTSAM 4.3, which `make.py` wrote.
 
-use estimator::config::ImuNoise;
+use estimator::ImuNoise;
 use estimator::preintegration::PreintegratedImu;
 use estimator::propagation::ImuState;
 use estimator::{EstimatorConfig, ImuSample};

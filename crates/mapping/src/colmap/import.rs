@@ -15,10 +15,10 @@ use map::contents::MapContents;
 use map::model::{Keyframe, Landmark, MapMetadata, Observation};
 use nalgebra::Vector2;
 use protocol::KeyframeId;
-use sensors::kind_of;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use vision::GrayImage;
+use vision::kind_of;
 
 /// What became of a model.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]

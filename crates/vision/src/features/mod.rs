@@ -12,10 +12,12 @@
 
 pub mod classical;
 pub mod extractor;
+mod feature_set;
 #[cfg(feature = "neural")]
 pub mod neural;
 pub mod open;
 pub mod weights;
 
 pub use extractor::{ExtractError, FeatureExtractor, ImageFeatures, Keypoint};
+pub use feature_set::{feature_set, kind_of, metric_of};
 pub use open::{DEFAULT_EXTRACTOR, KNOWN, OpenError, open};

@@ -15,10 +15,10 @@ use super::error::DynamicInitError;
 use super::window::{Window, WindowObservation, WindowTrack};
 use crate::calibration::CalibratedCamera;
 use crate::config::EstimatorConfig;
-use crate::imu::ImuSample;
 use crate::propagation::{ImuState, MotionEstimate, propagate};
 use geometry::Pose;
 use nalgebra::{Matrix3, Matrix3x6, Matrix6, SymmetricEigen, Vector3, Vector6};
+use types::ImuSample;
 
 /// Number of solutions; each weights the bearings by the depths of the one before.
 const ROUNDS: usize = 3;

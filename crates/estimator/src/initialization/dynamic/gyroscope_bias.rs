@@ -9,11 +9,12 @@
 
 use super::window::{Window, WindowTrack};
 use crate::calibration::CalibratedCamera;
-use crate::imu::{ImuSample, Readings};
+use crate::imu::Readings;
 use geometry::Rotation;
 use geometry::robust::huber;
 use geometry::rotation::{exp, right_jacobian, skew};
 use nalgebra::{Matrix2, Matrix2x3, Matrix3, SymmetricEigen, Vector2, Vector3};
+use types::ImuSample;
 
 /// Time between the images of a pair, nanoseconds: enough for parallax, little enough to share tracks.
 const PAIR_NS: i64 = 350_000_000;

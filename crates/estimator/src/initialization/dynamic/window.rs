@@ -3,9 +3,9 @@
 use super::error::DynamicInitError;
 use crate::calibration::CalibratedCamera;
 use crate::imu::{ImuBuffer, Readings};
-use crate::odometry::tracks::TrackObservation;
 use nalgebra::{Vector2, Vector3};
 use std::collections::BTreeMap;
+use types::TrackObservation;
 
 /// Maximum number of tracks. More cost time and gain little: the IMU limits the accuracy, not the pixels.
 const MAX_TRACKS: usize = 100;

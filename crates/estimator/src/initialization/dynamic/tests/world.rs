@@ -2,14 +2,15 @@
 
 use crate::calibration::CalibratedCamera;
 use crate::config::EstimatorConfig;
-use crate::imu::{ImuBuffer, ImuSample};
+use crate::imu::ImuBuffer;
 use crate::initialization::dynamic::{Window, WindowImage};
-use crate::odometry::tracks::TrackObservation;
 use crate::propagation::ImuState;
 use geometry::rotation::{exp, log};
 use geometry::{Camera, Distortion, Pose};
 use nalgebra::{Vector2, Vector3};
 use rand::{RngExt as _, SeedableRng, rngs::StdRng};
+use types::ImuSample;
+use types::TrackObservation;
 
 const IMU_NS: i64 = 5_000_000;
 const IMAGE_NS: i64 = 100_000_000;

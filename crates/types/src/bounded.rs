@@ -8,8 +8,11 @@ use std::marker::PhantomData;
 /// Longest list for which memory is reserved as announced.
 const MOST_RESERVED: usize = 1024;
 
+/// Reads a list of at most `MOST` elements:
 /// `#[serde(deserialize_with = "bounded::list::<_, _, MOST>")]`
-pub(crate) fn list<'de, D: Deserializer<'de>, T: Deserialize<'de>, const MOST: usize>(
+/// # Errors
+/// Those of the deserializer, and a list of more than `MOST` elements.
+pub fn list<'de, D: Deserializer<'de>, T: Deserialize<'de>, const MOST: usize>(
     deserializer: D,
 ) -> Result<Vec<T>, D::Error> {
     deserializer.deserialize_seq(ListVisitor::<T, MOST>(PhantomData))

@@ -1,7 +1,8 @@
-//! Conversion of features to the form in which they are stored and sent.
+//! Features as they are stored in maps and sent in queries.
 
-use protocol::{DescriptorKind, Descriptors, FeatureSet};
-use vision::{ImageFeatures, Metric};
+use super::ImageFeatures;
+use crate::matching::Metric;
+use types::{DescriptorKind, Descriptors, FeatureSet};
 
 /// The metric by which descriptors of a kind are compared. Floats are compared by their cosine.
 pub fn metric_of(kind: DescriptorKind) -> Metric {

@@ -1,0 +1,25 @@
+//! What a filter, a front end, a map and a message have in common.
+//!
+//! | module | what |
+//! |---|---|
+//! | `ids` | [`KeyframeId`], [`LandmarkId`] |
+//! | `imu` | [`ImuSample`], [`ImuNoise`] |
+//! | `track` | [`TrackObservation`], a feature that a front end follows |
+//! | [`descriptors`] | [`DescriptorKind`], [`DescriptorFormat`], [`Descriptors`] |
+//! | [`features`] | [`FeatureSet`], pixels and descriptors of one image |
+//! | [`bounded`] | lists that are refused at the first element too many |
+//!
+//! Times are nanoseconds. Pixels are distorted, as measured; (0, 0) is the centre of the top-left pixel.
+
+pub mod bounded;
+pub mod descriptors;
+pub mod features;
+mod ids;
+mod imu;
+mod track;
+
+pub use descriptors::{DescriptorFormat, DescriptorKind, Descriptors};
+pub use features::FeatureSet;
+pub use ids::{KeyframeId, LandmarkId};
+pub use imu::{ImuNoise, ImuSample};
+pub use track::TrackObservation;
