@@ -9,7 +9,7 @@ use std::path::Path;
 /// A camera that was read is not valid.
 pub fn sensor_yaml(data: &[u8]) {
     in_file("sensor.yaml", data, |path| {
-        if let Ok(camera) = sensors::read_lens(path) {
+        if let Ok(camera) = calibration::read_lens(path) {
             camera.validate().expect("a camera that was read is valid");
         }
     });

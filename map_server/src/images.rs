@@ -4,10 +4,10 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::sync::{Arc, PoisonError, RwLock};
 
+use calibration::lens_of_text;
 use geometry::Camera;
 use protocol::{LocalizeRequest, Validate as _};
 use recognition::{LoadedMap, RecognitionOptions};
-use sensors::lens_of_text;
 use viewer::{GivenImage, ImageCamera, ImageError, LocalizeImage, ViewedAnswer};
 use vision::feature_set;
 use vision::features::open;

@@ -1,8 +1,8 @@
 //! Projections of cameras as `sensor_msgs/CameraInfo`, and back.
 
 use crate::SequenceError;
-use crate::calibration_yaml::Lens;
-use crate::kalibr::COMPRESSED;
+use calibration::Lens;
+use calibration::kalibr::COMPRESSED;
 use geometry::camera::{Camera, Distortion};
 use ros_messages::sensor_msgs::CameraInfo;
 use ros_messages::std_msgs::Header;
@@ -87,7 +87,7 @@ pub fn camera_of_info(
         distortion: &d[..wanted.min(d.len())],
         distortion_key: "coefficients (D)",
     };
-    lens.camera(name).map(Some)
+    Ok(Some(lens.camera(name)?))
 }
 
 /// Resolution and intrinsics (focal lengths, principal point) of the images: the message states those of the whole sensor at full

@@ -24,14 +24,9 @@ pub enum SequenceError {
         /// The error.
         source: std::io::Error,
     },
-    /// A calibration file is invalid.
-    #[error("{}: {problem}", path.display())]
-    Calibration {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong, and what to do.
-        problem: String,
-    },
+    /// A calibration file is missing or invalid.
+    #[error(transparent)]
+    Calibration(#[from] calibration::CalibrationError),
     /// A line of a table is invalid.
     #[error("{}, line {line}: {problem}", path.display())]
     Row {
@@ -122,9 +117,9 @@ impl SequenceError {
         Self::Io { path: path.to_path_buf(), source }
     }
 
-    /// [`SequenceError::Calibration`] for a file.
+    /// [`SequenceError::Calibration`] for an entry of a file.
     pub fn calibration(path: &Path, problem: impl Into<String>) -> Self {
-        Self::Calibration { path: path.to_path_buf(), problem: problem.into() }
+        calibration::CalibrationError::entry(path, problem).into()
     }
 
     /// [`SequenceError::Missing`] for a file or folder.

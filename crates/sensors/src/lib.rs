@@ -46,8 +46,7 @@
 
 #[cfg(feature = "bags")]
 mod bag;
-mod calibration;
-mod calibration_yaml;
+mod calibration_files;
 #[cfg(feature = "ros")]
 mod camera_info;
 mod clock_check;
@@ -60,7 +59,6 @@ mod gravity;
 mod image_check;
 mod imu_check;
 mod imu_units;
-mod kalibr;
 pub mod live;
 mod memory;
 mod merged;
@@ -92,16 +90,16 @@ mod tests;
 #[cfg(feature = "bags")]
 pub use bag::{BagCamera, BagError, BagSensors};
 pub use calibration::{CameraSensor, ImuSensor, SensorCalibration};
+pub use calibration_files::CalibrationFiles;
 pub use error::{SensorError, SequenceError};
 pub use euroc::{
-    FolderCalibration, QuaternionLength, lens_of_text, pose_cells, pose_of, read_groundtruth, read_lens,
-    read_reference_poses, read_reference_positions, writer,
+    FolderCalibration, QuaternionLength, pose_cells, pose_of, read_groundtruth, read_reference_poses,
+    read_reference_positions, writer,
 };
 pub use frame::{Frame, ImageData, StoredImage};
 pub use gravity::direction_of_gravity;
 pub use imu_check::{ImuCheck, ImuUnitError};
 pub use imu_units::ImuUnits;
-pub use kalibr::CalibrationFiles;
 pub use memory::Sequence;
 pub use merged::RecordingSource;
 pub use original::{DecodedImage, OriginalImage, RawPixels};

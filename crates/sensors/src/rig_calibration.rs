@@ -1,7 +1,8 @@
 //! The calibration of a robot that plays no recording.
 
-use crate::kalibr::{self, CalibrationFiles};
+use crate::CalibrationFiles;
 use crate::{CameraSensor, FolderCalibration, SensorCalibration, SequenceError};
+use calibration::kalibr;
 use geometry::camera::Camera;
 use std::path::{Path, PathBuf};
 
@@ -61,7 +62,7 @@ pub fn read_rig_calibration(
 pub fn states_intrinsics(path: &Path) -> Result<bool, SequenceError> {
     // The IMU plays no part, so that of several files none has to be chosen.
     match files_of(path, Some(path))?.1.cameras {
-        Some(chain) => kalibr::states_intrinsics(&chain),
+        Some(chain) => Ok(kalibr::states_intrinsics(&chain)?),
         None => Ok(true),
     }
 }

@@ -3,8 +3,8 @@
 use std::fmt::Write as _;
 use std::path::Path;
 
+use calibration::read_lens;
 use geometry::camera::{Camera, Distortion};
-use sensors::read_lens;
 
 use super::error::MapFileError;
 use super::table::shortest;

@@ -26,7 +26,7 @@ pub enum MapFileError {
     },
     /// The camera's calibration is missing or unusable.
     #[error(transparent)]
-    Camera(#[from] sensors::SequenceError),
+    Camera(#[from] calibration::CalibrationError),
     /// One line is unusable.
     #[error("{}, line {line}: {problem}; {remedy}", path.display())]
     Line {

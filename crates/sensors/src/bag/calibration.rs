@@ -2,10 +2,10 @@
 
 use super::recorded_calibration::{self as recorded, NotRecorded};
 use super::topics::BagSensors;
-use crate::euroc::sensor_yaml;
-use crate::kalibr::{self, CameraChain};
 use crate::{CalibrationFiles, CameraSensor, ImuSensor, SensorCalibration, SequenceError};
 use bags::Bag;
+use calibration::kalibr::{self, CameraChain};
+use calibration::sensor_yaml;
 use geometry::camera::Camera;
 use geometry::pose::Pose;
 use std::path::{Path, PathBuf};
@@ -121,7 +121,7 @@ fn recorded_cameras(bag: &Bag, root: &Path, sensors: &BagSensors) -> Result<Came
 fn imu_without_kalibr(bag: &Bag, root: &Path) -> Result<ImuSensor, SequenceError> {
     let file = euroc_path(root, "imu0");
     if file.is_file() {
-        return sensor_yaml::read_imu(&file);
+        return Ok(sensor_yaml::read_imu(&file)?);
     }
     recorded::imu(bag)?.ok_or_else(|| unknown(bag.path(), root, "imu0", ""))
 }
@@ -176,7 +176,11 @@ fn euroc_cameras(bag: &Path, root: &Path, count: usize) -> Result<Vec<CameraSens
     let read = |index| {
         let sensor = format!("cam{index}");
         let file = euroc_path(root, &sensor);
-        if file.is_file() { sensor_yaml::read_camera(&file) } else { Err(unknown(bag, root, &sensor, "")) }
+        if file.is_file() {
+            Ok(sensor_yaml::read_camera(&file)?)
+        } else {
+            Err(unknown(bag, root, &sensor, ""))
+        }
     };
     (0..count).map(read).collect()
 }

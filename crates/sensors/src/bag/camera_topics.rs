@@ -2,9 +2,9 @@
 
 use super::messages::{self, RecordedImage};
 use super::topics::{IMAGES, listed, named, of_types, wrong};
-use crate::kalibr::{COMPRESSED, is_same_camera};
 use crate::{CalibrationFiles, SequenceError};
 use bags::Bag;
+use calibration::kalibr::{COMPRESSED, is_same_camera};
 
 /// Depths, which have the type of compressed images.
 const COMPRESSED_DEPTH: &str = "/compressedDepth";

@@ -6,10 +6,10 @@ use super::messages;
 use super::static_transforms::StaticTransforms;
 use super::topics::BagSensors;
 use crate::camera_info::camera_of_info;
-use crate::euroc::sensor_yaml;
 use crate::ros_bag::{IMU_ENTRY, IMU_FRAME_ENTRY, METADATA, rate_entry};
 use crate::{ImuSensor, SequenceError};
 use bags::{Bag, Metadata};
+use calibration::sensor_yaml;
 use geometry::camera::Camera;
 use geometry::pose::Pose;
 use ros_messages::sensor_msgs::{CameraInfo, Imu};
@@ -81,7 +81,7 @@ pub(super) fn is_own(bag: &Bag) -> bool {
 pub(super) fn imu(bag: &Bag) -> Result<Option<ImuSensor>, SequenceError> {
     let Some(text) = own(bag).and_then(|metadata| metadata.entries.get(IMU_ENTRY)) else { return Ok(None) };
     let name: PathBuf = format!("{}, {IMU_ENTRY}", bag.path().display()).into();
-    sensor_yaml::imu_of_text(&name, text).map(Some)
+    Ok(Some(sensor_yaml::imu_of_text(&name, text)?))
 }
 
 /// The stated rates of all cameras, of a recording of Driftless.

@@ -1,16 +1,17 @@
 //! The folder of a recording: where its files are, and how they are opened.
 
 use super::camera_folder::FrameRows;
-use super::sensor_yaml;
 use super::stamps::{FrameStamps, TableStamps};
 use super::tables::TimedRows;
-use crate::kalibr::{self, CalibrationFiles};
+use crate::CalibrationFiles;
 use crate::rows::Rows;
 use crate::stored::Stored;
 use crate::{
     CameraSensor, Frame, ImuSample, ImuUnits, PairCounts, ReferencePose, SensorCalibration, SequenceError,
     Table, TruthRow,
 };
+use calibration::kalibr;
+use calibration::sensor_yaml;
 use geometry::camera::Camera;
 use geometry::pose::Pose;
 use std::path::{Path, PathBuf};

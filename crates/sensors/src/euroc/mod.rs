@@ -2,14 +2,12 @@
 
 mod camera_folder;
 mod folder;
-pub(crate) mod sensor_yaml;
 mod stamps;
 mod tables;
 pub mod writer;
 
 pub(crate) use folder::Folder;
 pub use folder::FolderCalibration;
-pub use sensor_yaml::{lens_of_text, read_lens};
 pub use tables::{
     QuaternionLength, pose_cells, pose_of, read_groundtruth, read_reference_poses, read_reference_positions,
 };

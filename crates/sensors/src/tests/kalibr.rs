@@ -124,7 +124,7 @@ fn named_files_come_before_sensor_yaml_and_found_files_after_it() {
     assert_read(&Sequence::open_with(folder.path(), &files).unwrap(), &written);
     std::fs::copy(files.cameras.as_ref().unwrap(), folder.path().join("camchain.yaml")).unwrap();
     assert_eq!(Sequence::open(folder.path()).unwrap().frames[0].stamp_ns, written.frames[0].stamp_ns);
-    assert_eq!(read_lens(files.cameras.as_ref().unwrap()).unwrap(), written.cameras[0].camera);
+    assert_eq!(calibration::read_lens(files.cameras.as_ref().unwrap()).unwrap(), written.cameras[0].camera);
 }
 
 #[test]

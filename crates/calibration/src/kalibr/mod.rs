@@ -10,23 +10,16 @@
 //! Matrices are lists of rows, or as msckf_vio has them of 16 numbers. OpenVINS's `imu0` is read where its matrices of scale and
 //! misalignment are those of an ideal IMU. What other programs write is in `rigs` and `other_programs`.
 
-mod files;
 mod other_programs;
 mod rigs;
 mod topics;
 
-pub use files::CalibrationFiles;
-pub(crate) use rigs::is_rig;
-#[cfg(feature = "ros")]
-pub(crate) use topics::COMPRESSED;
-#[cfg(feature = "bags")]
-pub(crate) use topics::camera_topics;
-pub(crate) use topics::{chosen_cameras, is_same_camera};
+pub use other_programs::is_kimera_left;
+pub use rigs::is_rig;
+pub use topics::{COMPRESSED, camera_topics, chosen_cameras, is_same_camera};
 
-use crate::calibration_yaml::{
-    Lens, MatrixYaml, NoiseYaml, check_positive, parse, pose_from_matrix, read_text,
-};
-use crate::{ImuSensor, SequenceError};
+use crate::yaml::{Lens, MatrixYaml, NoiseYaml, check_positive, parse, pose_from_matrix, read_text};
+use crate::{CalibrationError, ImuSensor};
 use geometry::camera::Camera;
 use geometry::pose::Pose;
 use serde::Deserialize;
@@ -108,7 +101,7 @@ struct ImuYaml {
 
 impl ImuYaml {
     /// Refuses scale and misalignment: readings are taken as those of an ideal IMU.
-    fn check_ideal(&self, path: &Path) -> Result<(), SequenceError> {
+    fn check_ideal(&self, path: &Path) -> Result<(), CalibrationError> {
         let identity = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
         for (name, matrix, ideal) in [
             ("Tw", &self.gyroscope, identity),
@@ -119,7 +112,7 @@ impl ImuYaml {
         ] {
             if matrix.as_ref().is_some_and(|matrix| matrix.numbers() != ideal) {
                 let should = if name == "Tg" { "zero" } else { "the identity" };
-                return Err(SequenceError::calibration(
+                return Err(CalibrationError::entry(
                     path,
                     format!(
                         "{name} is not {should}: scale, misalignment and the effect of gravity are not applied to readings; \
@@ -140,20 +133,20 @@ struct ResultYaml {
 
 /// The cameras of a chain.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct CameraChain {
+pub struct CameraChain {
     /// Projection and `imu_from_camera` of one or two cameras.
-    pub(crate) cameras: Vec<(Camera, Pose)>,
+    pub cameras: Vec<(Camera, Pose)>,
     /// Added to the time stamps of the cameras to obtain the IMU's, nanoseconds.
-    pub(crate) time_offset_ns: i64,
+    pub time_offset_ns: i64,
 }
 
 /// Whether a text is a camera chain.
-pub(crate) fn is_camera_chain(text: &str) -> bool {
+pub fn is_camera_chain(text: &str) -> bool {
     text.lines().any(|line| line.starts_with("cam0:"))
 }
 
 /// Number of cameras that a file states, 1 or 2; of Kimera's, with the file of the right camera beside it.
-pub(crate) fn camera_count(path: &Path) -> Result<usize, SequenceError> {
+pub fn camera_count(path: &Path) -> Result<usize, CalibrationError> {
     let text = read_text(path)?;
     let is_stereo = if is_camera_chain(&text) {
         text.lines().any(|line| line.starts_with("cam1:"))
@@ -166,7 +159,7 @@ pub(crate) fn camera_count(path: &Path) -> Result<usize, SequenceError> {
 }
 
 /// Whether a text is the calibration of an IMU; EuRoC's `sensor.yaml` has the same entries, and `T_BS` or a `sensor_type`.
-pub(crate) fn is_imu(text: &str) -> bool {
+pub fn is_imu(text: &str) -> bool {
     let has = |entry: &str| text.lines().any(|line| line.starts_with(entry));
     has("imu0:")
         || is_rig(text)
@@ -180,11 +173,11 @@ pub(crate) fn is_imu(text: &str) -> bool {
 /// * `known`: for each of the one or two cameras of the recording, its projection as the recording itself states it; used
 ///   where the file leaves `intrinsics` out.
 /// * `chosen`: which camera of the chain each of them is.
-pub(crate) fn read_camera_chain(
+pub fn read_camera_chain(
     path: &Path,
     known: &[Option<Camera>],
     chosen: &[usize],
-) -> Result<CameraChain, SequenceError> {
+) -> Result<CameraChain, CalibrationError> {
     let text = read_text(path)?;
     if !is_camera_chain(&text) {
         if is_rig(&text) {
@@ -209,7 +202,7 @@ pub(crate) fn read_camera_chain(
                 pose_from_matrix(path, &format!("cam{index}: T_cn_cnm1"), rows.numbers())? * *previous
             }
             (None, _, None) => {
-                return Err(SequenceError::calibration(
+                return Err(CalibrationError::entry(
                     path,
                     "cam0 has neither T_cam_imu nor T_imu_cam: this is the result of kalibr_calibrate_cameras; give camchain-imucam.yaml, the \
                      result of kalibr_calibrate_imu_camera",
@@ -217,7 +210,7 @@ pub(crate) fn read_camera_chain(
             }
             (None, None, Some(_)) => {
                 let problem = format!("cam{index} has none of T_cam_imu, T_imu_cam and T_cn_cnm1");
-                return Err(SequenceError::calibration(path, problem));
+                return Err(CalibrationError::entry(path, problem));
             }
         };
         from_imu.push(pose);
@@ -226,7 +219,7 @@ pub(crate) fn read_camera_chain(
     let (mut cameras, mut shifts) = (Vec::new(), Vec::new());
     for (place, &index) in chosen.iter().enumerate() {
         let (Some(camera), Some(pose)) = (yaml.get(index), from_imu.get(index)) else {
-            return Err(SequenceError::calibration(
+            return Err(CalibrationError::entry(
                 path,
                 format!(
                     "it has no cam{index}, but the recording has two cameras: calibrate both, or use one (move mav0/cam1 away; \
@@ -251,18 +244,18 @@ pub(crate) fn read_camera_chain(
 }
 
 /// The cameras of a rig that a recording has.
-fn cameras_of_rig(path: &Path, rig: &rigs::Rig, chosen: &[usize]) -> Result<CameraChain, SequenceError> {
+fn cameras_of_rig(path: &Path, rig: &rigs::Rig, chosen: &[usize]) -> Result<CameraChain, CalibrationError> {
     let camera = |index: &usize| {
         let problem = "it is the calibration of one camera, but the recording has two: calibrate both, or use one (of a bag, name it with \
                        --camera-topic)";
-        rig.cameras.get(*index).cloned().ok_or_else(|| SequenceError::calibration(path, problem))
+        rig.cameras.get(*index).cloned().ok_or_else(|| CalibrationError::entry(path, problem))
     };
     let cameras = chosen.iter().map(camera).collect::<Result<_, _>>()?;
     Ok(CameraChain { cameras, time_offset_ns: rig.time_offset_ns })
 }
 
 /// Whether a chain states the intrinsics of all of its cameras.
-pub(crate) fn states_intrinsics(path: &Path) -> Result<bool, SequenceError> {
+pub fn states_intrinsics(path: &Path) -> Result<bool, CalibrationError> {
     let text = read_text(path)?;
     if !is_camera_chain(&text) {
         if !is_rig(&text) {
@@ -276,12 +269,12 @@ pub(crate) fn states_intrinsics(path: &Path) -> Result<bool, SequenceError> {
 }
 
 /// The projection of the first camera of a chain or a rig.
-pub(crate) fn first_lens(path: &Path, text: &str) -> Result<Camera, SequenceError> {
+pub fn first_lens(path: &Path, text: &str) -> Result<Camera, CalibrationError> {
     if is_rig(text) {
         let first = rigs::read(path, text)?.cameras.into_iter().next();
         return first
             .map(|(camera, _)| camera)
-            .ok_or_else(|| SequenceError::calibration(path, "it has no camera"));
+            .ok_or_else(|| CalibrationError::entry(path, "it has no camera"));
     }
     let chain: ChainYaml = parse(path, CHAIN, text)?;
     lens(path, &chain.cam0, None)
@@ -291,13 +284,13 @@ pub(crate) fn first_lens(path: &Path, text: &str) -> Result<Camera, SequenceErro
 ///
 /// # Arguments
 /// * `measured_hz`: readings a second, where the file does not state them.
-pub(crate) fn read_imu(path: &Path, measured_hz: Option<f64>) -> Result<ImuSensor, SequenceError> {
+pub fn read_imu(path: &Path, measured_hz: Option<f64>) -> Result<ImuSensor, CalibrationError> {
     let text = read_text(path)?;
     if is_rig(&text) {
         return Ok(rigs::read(path, &text)?.imu);
     }
     if other_programs::is_kimera_imu(&text) {
-        return crate::euroc::sensor_yaml::read_imu(path);
+        return crate::sensor_yaml::read_imu(path);
     }
     other_programs::check(path, &text)?;
     let yaml = if text.lines().any(|line| line.starts_with("imu0:")) {
@@ -306,7 +299,7 @@ pub(crate) fn read_imu(path: &Path, measured_hz: Option<f64>) -> Result<ImuSenso
         parse::<ImuYaml>(path, IMU, &text)?
     };
     if let Some(model) = yaml.model.as_deref().filter(|model| !IMU_MODELS.contains(model)) {
-        return Err(SequenceError::calibration(
+        return Err(CalibrationError::entry(
             path,
             format!(
                 "model \"{model}\" is unknown: known is calibrated (with identity matrices also OpenVINS's kalibr and rpng); \
@@ -318,20 +311,17 @@ pub(crate) fn read_imu(path: &Path, measured_hz: Option<f64>) -> Result<ImuSenso
     if let Some(rows) = &yaml.imu_from_body {
         let pose = pose_from_matrix(path, "T_i_b", rows.numbers())?;
         if pose.rotation.angle() > BODY_TOLERANCE || pose.translation.norm() > BODY_TOLERANCE {
-            return Err(SequenceError::calibration(
-                path,
-                "T_i_b is not the identity: give the reference IMU",
-            ));
+            return Err(CalibrationError::entry(path, "T_i_b is not the identity: give the reference IMU"));
         }
     }
     let Some(rate_hz) = yaml.update_rate.or(measured_hz) else {
-        return Err(SequenceError::calibration(path, "update_rate is missing: the readings a second"));
+        return Err(CalibrationError::entry(path, "update_rate is missing: the readings a second"));
     };
     check_positive(path, "update_rate", rate_hz)?;
     Ok(ImuSensor { noise: yaml.noise.noise(path)?, rate_hz, gravity_magnitude: None })
 }
 
-fn lens(path: &Path, yaml: &CameraYaml, known: Option<&Option<Camera>>) -> Result<Camera, SequenceError> {
+fn lens(path: &Path, yaml: &CameraYaml, known: Option<&Option<Camera>>) -> Result<Camera, CalibrationError> {
     if yaml.intrinsics.is_empty()
         && let Some(Some(camera)) = known
     {
@@ -339,7 +329,7 @@ fn lens(path: &Path, yaml: &CameraYaml, known: Option<&Option<Camera>>) -> Resul
     }
     let (Some(model), Some(resolution)) = (&yaml.camera_model, yaml.resolution) else {
         let problem = "a camera needs camera_model, intrinsics and resolution, unless a bag or a ROS 2 topic has its CameraInfo";
-        return Err(SequenceError::calibration(path, problem));
+        return Err(CalibrationError::entry(path, problem));
     };
     let lens = Lens {
         resolution,
@@ -352,7 +342,7 @@ fn lens(path: &Path, yaml: &CameraYaml, known: Option<&Option<Camera>>) -> Resul
     lens.camera(path)
 }
 
-fn camera_from_imu(path: &Path, index: usize, yaml: &CameraYaml) -> Result<Option<Pose>, SequenceError> {
+fn camera_from_imu(path: &Path, index: usize, yaml: &CameraYaml) -> Result<Option<Pose>, CalibrationError> {
     let pose = |name: &str, matrix: &MatrixYaml| {
         pose_from_matrix(path, &format!("cam{index}: {name}"), matrix.numbers())
     };
@@ -363,12 +353,12 @@ fn camera_from_imu(path: &Path, index: usize, yaml: &CameraYaml) -> Result<Optio
     }
 }
 
-fn time_shift(path: &Path, index: usize, yaml: &CameraYaml) -> Result<f64, SequenceError> {
+fn time_shift(path: &Path, index: usize, yaml: &CameraYaml) -> Result<f64, CalibrationError> {
     let shift = yaml.timeshift_cam_imu;
     if shift.is_finite() && shift.abs() < MAX_SHIFT_S {
         return Ok(shift);
     }
     let problem =
         format!("timeshift_cam_imu of cam{index} is {shift}, but is in seconds, and below {MAX_SHIFT_S}");
-    Err(SequenceError::calibration(path, problem))
+    Err(CalibrationError::entry(path, problem))
 }

@@ -1,11 +1,12 @@
 //! What the YAML files of calibrations have in common: OpenCV's dialect, matrices, pinhole cameras, noise densities.
 
-use crate::{ImuNoise, SequenceError};
+use crate::CalibrationError;
 use geometry::camera::{Camera, Distortion, check_mount};
 use geometry::pose::Pose;
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use serde::Deserialize;
 use std::path::Path;
+use types::ImuNoise;
 
 /// Largest entry of `R' R - I` for the rotation R of a matrix; EuRoC rounds to 12 decimals, hand-written files to 4.
 const ROTATION_TOLERANCE: f64 = 1e-3;
@@ -13,7 +14,7 @@ const ROTATION_TOLERANCE: f64 = 1e-3;
 /// A matrix as a list of its rows, or of all its numbers row by row.
 #[derive(Deserialize)]
 #[serde(from = "WrittenMatrix")]
-pub(crate) struct MatrixYaml(Vec<f64>);
+pub struct MatrixYaml(Vec<f64>);
 
 #[derive(Deserialize)]
 #[serde(untagged)]
@@ -37,14 +38,14 @@ impl From<WrittenMatrix> for MatrixYaml {
 
 impl MatrixYaml {
     /// All numbers, row by row.
-    pub(crate) fn numbers(&self) -> &[f64] {
+    pub fn numbers(&self) -> &[f64] {
         &self.0
     }
 }
 
 /// Noise densities of an IMU, with the same names in EuRoC's and Kalibr's files.
 #[derive(Deserialize)]
-pub(crate) struct NoiseYaml {
+pub struct NoiseYaml {
     gyroscope_noise_density: f64,
     gyroscope_random_walk: f64,
     accelerometer_noise_density: f64,
@@ -53,7 +54,7 @@ pub(crate) struct NoiseYaml {
 
 impl NoiseYaml {
     /// The noise, checked.
-    pub(crate) fn noise(&self, path: &Path) -> Result<ImuNoise, SequenceError> {
+    pub fn noise(&self, path: &Path) -> Result<ImuNoise, CalibrationError> {
         let densities = [
             ("gyroscope_noise_density", self.gyroscope_noise_density),
             ("gyroscope_random_walk", self.gyroscope_random_walk),
@@ -68,7 +69,7 @@ impl NoiseYaml {
 ///
 /// # Arguments
 /// * `densities`: name and value of the gyroscope's noise and walk, and of the accelerometer's.
-pub(crate) fn imu_noise(path: &Path, densities: [(&str, f64); 4]) -> Result<ImuNoise, SequenceError> {
+pub fn imu_noise(path: &Path, densities: [(&str, f64); 4]) -> Result<ImuNoise, CalibrationError> {
     for (name, value) in densities {
         check_positive(path, name, value)?;
     }
@@ -79,20 +80,25 @@ pub(crate) fn imu_noise(path: &Path, densities: [(&str, f64); 4]) -> Result<ImuN
 }
 
 /// The projection of a camera as a file states it.
-pub(crate) struct Lens<'a> {
-    pub(crate) resolution: [u32; 2],
-    pub(crate) camera_model: Option<&'a str>,
-    pub(crate) intrinsics: &'a [f64],
-    pub(crate) distortion_model: Option<&'a str>,
-    pub(crate) distortion: &'a [f64],
+pub struct Lens<'a> {
+    /// Columns and rows, pixels.
+    pub resolution: [u32; 2],
+    /// Model of the projection; a pinhole without it.
+    pub camera_model: Option<&'a str>,
+    /// `[fx, fy, cx, cy]`, pixels.
+    pub intrinsics: &'a [f64],
+    /// Model of the distortion; none without it.
+    pub distortion_model: Option<&'a str>,
+    /// Its coefficients.
+    pub distortion: &'a [f64],
     /// What the file calls the coefficients of the distortion.
-    pub(crate) distortion_key: &'static str,
+    pub distortion_key: &'static str,
 }
 
 impl Lens<'_> {
     /// The camera, checked.
-    pub(crate) fn camera(&self, path: &Path) -> Result<Camera, SequenceError> {
-        let wrong = |problem: String| SequenceError::calibration(path, problem);
+    pub fn camera(&self, path: &Path) -> Result<Camera, CalibrationError> {
+        let wrong = |problem: String| CalibrationError::entry(path, problem);
         if let Some(model) = self.camera_model.filter(|model| *model != "pinhole") {
             return Err(wrong(format!(
                 "camera_model \"{model}\" is unknown: pinhole is the only one, with distortion_model none, \
@@ -122,11 +128,11 @@ fn distortion(
     model: Option<&str>,
     key: &str,
     given: &[f64],
-) -> Result<Distortion, SequenceError> {
+) -> Result<Distortion, CalibrationError> {
     let model = model.unwrap_or("none").trim();
     let wrong_count = |wanted: usize| {
         let counts = format!("{model} takes {wanted} {key}, {} are given", given.len());
-        SequenceError::calibration(path, counts)
+        CalibrationError::entry(path, counts)
     };
     match model {
         "" | "none" => {
@@ -141,7 +147,7 @@ fn distortion(
             [omega] => Ok(Distortion::Fov(*omega)),
             _ => Err(wrong_count(1)),
         },
-        _ => Err(SequenceError::calibration(
+        _ => Err(CalibrationError::entry(
             path,
             format!(
                 "distortion_model \"{model}\" is unknown: use none, radial-tangential (radtan), equidistant or fov"
@@ -151,16 +157,16 @@ fn distortion(
 }
 
 /// Checks an entry of a calibration.
-pub(crate) fn check_positive(path: &Path, name: &str, value: f64) -> Result<(), SequenceError> {
+pub fn check_positive(path: &Path, name: &str, value: f64) -> Result<(), CalibrationError> {
     if value.is_finite() && value > 0.0 {
         return Ok(());
     }
-    Err(SequenceError::calibration(path, format!("{name} is {value}, but must be a positive number")))
+    Err(CalibrationError::entry(path, format!("{name} is {value}, but must be a positive number")))
 }
 
 /// A row-major 4x4 matrix as a pose. `key`: its name in the file.
-pub(crate) fn pose_from_matrix(path: &Path, key: &str, data: &[f64]) -> Result<Pose, SequenceError> {
-    let wrong = |problem: &str| SequenceError::calibration(path, format!("{key}: {problem}"));
+pub fn pose_from_matrix(path: &Path, key: &str, data: &[f64]) -> Result<Pose, CalibrationError> {
+    let wrong = |problem: &str| CalibrationError::entry(path, format!("{key}: {problem}"));
     if data.len() != 16 || data.iter().any(|value| !value.is_finite()) {
         return Err(wrong("it must hold 16 finite numbers, row by row"));
     }
@@ -181,25 +187,26 @@ pub(crate) fn pose_from_matrix(path: &Path, key: &str, data: &[f64]) -> Result<P
 }
 
 /// The text of a calibration file.
-pub(crate) fn read_text(path: &Path) -> Result<String, SequenceError> {
+pub fn read_text(path: &Path) -> Result<String, CalibrationError> {
     files::read_to_string(path).map_err(|source| match source.kind() {
-        std::io::ErrorKind::NotFound => SequenceError::missing(
-            path,
-            "it holds the sensor's calibration; write it in the EuRoC layout, or lay Kalibr's camchain-imucam.yaml and \
-             imu.yaml into the recording's folder",
-        ),
-        _ => SequenceError::io(path, source),
+        std::io::ErrorKind::NotFound => CalibrationError::Missing {
+            path: path.to_path_buf(),
+            advice: "it holds the sensor's calibration; write it in the EuRoC layout, or lay Kalibr's camchain-imucam.yaml and \
+             imu.yaml into the recording's folder"
+                .to_owned(),
+        },
+        _ => CalibrationError::Io { path: path.to_path_buf(), source },
     })
 }
 
 /// Parses a calibration file. `kind`: what it should be, for the error.
-pub(crate) fn parse<T: for<'de> Deserialize<'de>>(
+pub fn parse<T: for<'de> Deserialize<'de>>(
     path: &Path,
     kind: &str,
     text: &str,
-) -> Result<T, SequenceError> {
+) -> Result<T, CalibrationError> {
     serde_saphyr::from_str(&plain_yaml(text))
-        .map_err(|error| SequenceError::calibration(path, format!("it is not a valid {kind}: {error}")))
+        .map_err(|error| CalibrationError::entry(path, format!("it is not a valid {kind}: {error}")))
 }
 
 /// OpenCV's dialect as YAML, line for line, so that the line numbers in errors are right.

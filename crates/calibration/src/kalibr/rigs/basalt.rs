@@ -1,8 +1,8 @@
 //! Calibrations of Basalt: JSON with `T_imu_cam`, `kb4` and `pinhole` cameras, and continuous-time noise.
 
 use super::Rig;
-use crate::SequenceError;
-use crate::calibration_yaml::{Lens, check_positive, parse};
+use crate::CalibrationError;
+use crate::yaml::{Lens, check_positive, parse};
 use geometry::camera::Camera;
 use geometry::pose::Pose;
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
@@ -63,9 +63,9 @@ pub(super) fn is_calibration(text: &str) -> bool {
     text.contains("\"value0\"") && text.contains("\"T_imu_cam\"")
 }
 
-pub(super) fn read(path: &Path, text: &str) -> Result<Rig, SequenceError> {
+pub(super) fn read(path: &Path, text: &str) -> Result<Rig, CalibrationError> {
     let calibration = parse::<File>(path, KIND, text)?.value0;
-    let wrong = |problem: String| SequenceError::calibration(path, problem);
+    let wrong = |problem: String| CalibrationError::entry(path, problem);
     let count = calibration.imu_from_cameras.len();
     if count == 0 || calibration.intrinsics.len() != count || calibration.resolution.len() != count {
         return Err(wrong("T_imu_cam, intrinsics and resolution are not of equally many cameras".to_owned()));
@@ -109,7 +109,7 @@ impl Transform {
 }
 
 impl Intrinsics {
-    fn camera(&self, path: &Path, resolution: [u32; 2]) -> Result<Camera, SequenceError> {
+    fn camera(&self, path: &Path, resolution: [u32; 2]) -> Result<Camera, CalibrationError> {
         let value = |name: &str| self.intrinsics.get(name).copied().unwrap_or(f64::NAN);
         let rational = ["k3", "k4", "k5", "k6"];
         let (model, names) = match self.camera_type.as_str() {
@@ -125,7 +125,7 @@ impl Intrinsics {
                     "camera_type \"{other}\" is not read: pinhole, kb4, and pinhole-radtan8 without k3 to k6 are; calibrate with one of \
                      these"
                 );
-                return Err(SequenceError::calibration(path, problem));
+                return Err(CalibrationError::entry(path, problem));
             }
         };
         let distortion: Vec<f64> = names.into_iter().map(value).collect();

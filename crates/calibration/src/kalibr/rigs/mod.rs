@@ -3,8 +3,8 @@
 mod basalt;
 mod orb_slam3;
 
-use crate::calibration_yaml::imu_noise;
-use crate::{ImuSensor, SequenceError};
+use crate::yaml::imu_noise;
+use crate::{CalibrationError, ImuSensor};
 use geometry::camera::Camera;
 use geometry::pose::Pose;
 use std::path::Path;
@@ -19,15 +19,15 @@ pub(super) struct Rig {
 }
 
 /// Whether a text is such a file.
-pub(crate) fn is_rig(text: &str) -> bool {
+pub fn is_rig(text: &str) -> bool {
     basalt::is_calibration(text) || orb_slam3::is_settings(text)
 }
 
 /// The rig of such a file.
 ///
 /// # Errors
-/// [`SequenceError`] with the file and the entry.
-pub(super) fn read(path: &Path, text: &str) -> Result<Rig, SequenceError> {
+/// [`CalibrationError`] with the file and the entry.
+pub(super) fn read(path: &Path, text: &str) -> Result<Rig, CalibrationError> {
     if basalt::is_calibration(text) { basalt::read(path, text) } else { orb_slam3::read(path, text) }
 }
 
@@ -35,7 +35,7 @@ pub(super) fn read(path: &Path, text: &str) -> Result<Rig, SequenceError> {
 ///
 /// # Arguments
 /// * `densities`: name and value of the gyroscope's noise and walk, and of the accelerometer's.
-fn imu(path: &Path, rate_hz: f64, densities: [(&str, f64); 4]) -> Result<ImuSensor, SequenceError> {
+fn imu(path: &Path, rate_hz: f64, densities: [(&str, f64); 4]) -> Result<ImuSensor, CalibrationError> {
     let noise = imu_noise(path, densities)?;
     Ok(ImuSensor { noise, rate_hz, gravity_magnitude: None })
 }

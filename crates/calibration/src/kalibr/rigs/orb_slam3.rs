@@ -1,8 +1,8 @@
 //! Settings of ORB-SLAM3 with `File.version` 1.0: two cameras as they are, not the rectified ones of older files.
 
 use super::Rig;
-use crate::SequenceError;
-use crate::calibration_yaml::{Lens, MatrixYaml, check_positive, parse, pose_from_matrix};
+use crate::CalibrationError;
+use crate::yaml::{Lens, MatrixYaml, check_positive, parse, pose_from_matrix};
 use geometry::camera::Camera;
 use serde::Deserialize;
 use serde::de::IgnoredAny;
@@ -34,7 +34,7 @@ pub(super) fn is_settings(text: &str) -> bool {
     has("Camera1.fx:") && has("Camera.type:") && has(IMU_FROM_FIRST)
 }
 
-pub(super) fn read(path: &Path, text: &str) -> Result<Rig, SequenceError> {
+pub(super) fn read(path: &Path, text: &str) -> Result<Rig, CalibrationError> {
     let settings = Settings { path, entries: parse(path, KIND, text)? };
     let imu_from_first = settings.pose(IMU_FROM_FIRST)?;
     let mut cameras = vec![(settings.camera("Camera1")?, imu_from_first)];
@@ -52,8 +52,8 @@ pub(super) fn read(path: &Path, text: &str) -> Result<Rig, SequenceError> {
 }
 
 impl Settings<'_> {
-    fn wrong(&self, problem: String) -> SequenceError {
-        SequenceError::calibration(self.path, problem)
+    fn wrong(&self, problem: String) -> CalibrationError {
+        CalibrationError::entry(self.path, problem)
     }
 
     fn optional(&self, name: &str) -> Option<f64> {
@@ -63,18 +63,18 @@ impl Settings<'_> {
         }
     }
 
-    fn number(&self, name: &str) -> Result<f64, SequenceError> {
+    fn number(&self, name: &str) -> Result<f64, CalibrationError> {
         self.optional(name).ok_or_else(|| self.wrong(format!("{name} is missing, or no number")))
     }
 
-    fn pose(&self, name: &str) -> Result<geometry::pose::Pose, SequenceError> {
+    fn pose(&self, name: &str) -> Result<geometry::pose::Pose, CalibrationError> {
         match self.entries.get(name) {
             Some(Entry::Matrix(matrix)) => pose_from_matrix(self.path, name, matrix.numbers()),
             _ => Err(self.wrong(format!("{name} is missing, or no matrix"))),
         }
     }
 
-    fn side(&self, name: &str) -> Result<u32, SequenceError> {
+    fn side(&self, name: &str) -> Result<u32, CalibrationError> {
         let pixels = self.number(name)?;
         let is_whole = pixels.fract() == 0.0 && (1.0..=f64::from(u16::MAX)).contains(&pixels);
         is_whole
@@ -84,7 +84,7 @@ impl Settings<'_> {
 
     /// # Arguments
     /// * `name`: `Camera1` or `Camera2`.
-    fn camera(&self, name: &str) -> Result<Camera, SequenceError> {
+    fn camera(&self, name: &str) -> Result<Camera, CalibrationError> {
         let of = |entry: &str| format!("{name}.{entry}");
         let (model, coefficients) = match self.entries.get("Camera.type") {
             Some(Entry::Text(kind)) if kind == "PinHole" => ("radtan", ["k1", "k2", "p1", "p2"]),

@@ -1,8 +1,8 @@
 //! The sensors of a robot: what they are, where they are mounted, and their noise.
 
-use super::ImuNoise;
 use geometry::camera::Camera;
 use geometry::pose::Pose;
+use types::ImuNoise;
 
 /// The inertial sensor. Its frame is the body frame.
 #[derive(Clone, Debug, PartialEq)]
@@ -26,7 +26,7 @@ pub struct CameraSensor {
     pub rate_hz: f64,
 }
 
-/// Calibration of all sensors of a [`SensorSource`](crate::SensorSource).
+/// Calibration of all sensors of a robot or of a recording.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SensorCalibration {
     /// The IMU. A recording that only serves to build maps may have none; a robot cannot be localized without it.

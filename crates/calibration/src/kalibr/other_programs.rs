@@ -4,9 +4,9 @@
 //! `ImuParams.yaml`.
 
 use super::{CameraChain, MAX_SHIFT_S, read_text};
-use crate::SequenceError;
-use crate::calibration_yaml::parse;
-use crate::euroc::sensor_yaml::read_camera;
+use crate::CalibrationError;
+use crate::sensor_yaml::read_camera;
+use crate::yaml::parse;
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
@@ -52,7 +52,7 @@ pub(super) fn is_kimera_camera(text: &str) -> bool {
 }
 
 /// Whether it is Kimera's file of the left camera.
-pub(super) fn is_kimera_left(text: &str) -> bool {
+pub fn is_kimera_left(text: &str) -> bool {
     is_kimera_camera(text) && text.lines().any(|line| line.starts_with("camera_id:") && line.contains("left"))
 }
 
@@ -64,13 +64,13 @@ pub(super) fn is_kimera_imu(text: &str) -> bool {
 /// Says what a file of another program is.
 ///
 /// # Errors
-/// [`SequenceError::Calibration`] for a known program's file.
-pub(super) fn check(path: &Path, text: &str) -> Result<(), SequenceError> {
+/// [`CalibrationError::Entry`] for a known program's file.
+pub(super) fn check(path: &Path, text: &str) -> Result<(), CalibrationError> {
     let of = |(entries, what): &(&[&str], &'static str)| {
         entries.iter().any(|entry| has(text, entry)).then_some(*what)
     };
     let Some(what) = PROGRAMS.iter().find_map(of) else { return Ok(()) };
-    Err(SequenceError::calibration(
+    Err(CalibrationError::entry(
         path,
         format!(
             "this is {what}: write its numbers into Kalibr's camchain-imucam.yaml (of each camera: camera_model, intrinsics, \
@@ -85,8 +85,8 @@ pub(super) fn check(path: &Path, text: &str) -> Result<(), SequenceError> {
 /// * `path`: of the left camera; that of the right one and the IMU's are beside it.
 ///
 /// # Errors
-/// [`SequenceError`] with the file.
-pub(super) fn read_kimera_cameras(path: &Path, count: usize) -> Result<CameraChain, SequenceError> {
+/// [`CalibrationError`] with the file.
+pub(super) fn read_kimera_cameras(path: &Path, count: usize) -> Result<CameraChain, CalibrationError> {
     let mut paths = vec![path.to_path_buf()];
     if count > 1 {
         paths.push(right_of(path)?);
@@ -97,13 +97,13 @@ pub(super) fn read_kimera_cameras(path: &Path, count: usize) -> Result<CameraCha
 }
 
 /// The file of the right camera.
-fn right_of(path: &Path) -> Result<PathBuf, SequenceError> {
+fn right_of(path: &Path) -> Result<PathBuf, CalibrationError> {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let other =
         SIDES.iter().find(|(left, _)| name.contains(left)).map(|(left, right)| name.replacen(left, right, 1));
     let right = other.map(|other| path.with_file_name(other)).filter(|right| right.is_file());
     right.ok_or_else(|| {
-        SequenceError::calibration(
+        CalibrationError::entry(
             path,
             "it is the calibration of one camera, but the recording has two: lay the right camera's beside it \
              (LeftCameraParams.yaml and RightCameraParams.yaml), or use one camera (of a bag, name it with --camera-topic)",
@@ -112,7 +112,7 @@ fn right_of(path: &Path) -> Result<PathBuf, SequenceError> {
 }
 
 /// Kimera's `t_imu = t_cam + imu_time_shift`, where its file of the IMU is there.
-fn time_offset_ns(path: &Path) -> Result<i64, SequenceError> {
+fn time_offset_ns(path: &Path) -> Result<i64, CalibrationError> {
     if !path.is_file() {
         return Ok(0);
     }
@@ -121,5 +121,5 @@ fn time_offset_ns(path: &Path) -> Result<i64, SequenceError> {
         return Ok((shift * 1e9).round() as i64);
     }
     let problem = format!("imu_time_shift is {shift}, but is in seconds, and below {MAX_SHIFT_S}");
-    Err(SequenceError::calibration(path, problem))
+    Err(CalibrationError::entry(path, problem))
 }

@@ -3,8 +3,8 @@
 //! EuRoC's files are OpenCV YAML: a `%YAML:1.0` line, tabs and tags that standard YAML does not allow are removed
 //! first. The body frame is the IMU's, as in EuRoC.
 
-use crate::calibration_yaml::{Lens, NoiseYaml, check_positive, parse, pose_from_matrix, read_text};
-use crate::{CameraSensor, ImuSensor, SequenceError, kalibr};
+use crate::yaml::{Lens, NoiseYaml, check_positive, parse, pose_from_matrix, read_text};
+use crate::{CalibrationError, CameraSensor, ImuSensor, kalibr};
 use geometry::camera::Camera;
 use serde::Deserialize;
 use std::path::Path;
@@ -48,18 +48,18 @@ struct IntrinsicsYaml {
 }
 
 /// Reads the IMU's `sensor.yaml`.
-pub(crate) fn read_imu(path: &Path) -> Result<ImuSensor, SequenceError> {
+pub fn read_imu(path: &Path) -> Result<ImuSensor, CalibrationError> {
     imu_of_text(path, &read_text(path)?)
 }
 
 /// Reads the IMU from the text of such a file. `path`: what it is called in errors.
-pub(crate) fn imu_of_text(path: &Path, text: &str) -> Result<ImuSensor, SequenceError> {
+pub fn imu_of_text(path: &Path, text: &str) -> Result<ImuSensor, CalibrationError> {
     let yaml: ImuYaml = parse(path, KIND, text)?;
     let noise: NoiseYaml = parse(path, KIND, text)?;
     if let Some(matrix) = &yaml.body_from_sensor {
         let pose = pose_from_matrix(path, "T_BS", &matrix.data)?;
         if pose.rotation.angle() > BODY_TOLERANCE || pose.translation.norm() > BODY_TOLERANCE {
-            return Err(SequenceError::calibration(
+            return Err(CalibrationError::entry(
                 path,
                 "T_BS is not the identity, but the body frame is the IMU's here: \
                  give the cameras' T_BS and the ground truth with respect to the IMU",
@@ -73,7 +73,7 @@ pub(crate) fn imu_of_text(path: &Path, text: &str) -> Result<ImuSensor, Sequence
 }
 
 /// Reads a camera's `sensor.yaml`.
-pub(crate) fn read_camera(path: &Path) -> Result<CameraSensor, SequenceError> {
+pub fn read_camera(path: &Path) -> Result<CameraSensor, CalibrationError> {
     let camera = lens(path, &read_text(path)?)?;
     let mount: MountYaml = parse(path, KIND, &read_text(path)?)?;
     check_positive(path, "rate_hz", mount.rate_hz)?;
@@ -86,8 +86,8 @@ pub(crate) fn read_camera(path: &Path) -> Result<CameraSensor, SequenceError> {
 /// The file is a camera's `sensor.yaml`, or a camera chain of Kalibr, of which `cam0` is taken.
 ///
 /// # Errors
-/// [`SequenceError`] with the file: it is missing, an entry is missing or wrong, or the model is unknown.
-pub fn read_lens(path: &Path) -> Result<Camera, SequenceError> {
+/// [`CalibrationError`] with the file: it is missing, an entry is missing or wrong, or the model is unknown.
+pub fn read_lens(path: &Path) -> Result<Camera, CalibrationError> {
     lens_of_text(path, &read_text(path)?)
 }
 
@@ -97,8 +97,8 @@ pub fn read_lens(path: &Path) -> Result<Camera, SequenceError> {
 /// * `name`: of the text, for errors.
 ///
 /// # Errors
-/// [`SequenceError::Calibration`]: an entry is missing or wrong, or the model is unknown.
-pub fn lens_of_text(name: &Path, text: &str) -> Result<Camera, SequenceError> {
+/// [`CalibrationError::Entry`]: an entry is missing or wrong, or the model is unknown.
+pub fn lens_of_text(name: &Path, text: &str) -> Result<Camera, CalibrationError> {
     if kalibr::is_camera_chain(text) || kalibr::is_rig(text) {
         kalibr::first_lens(name, text)
     } else {
@@ -106,7 +106,7 @@ pub fn lens_of_text(name: &Path, text: &str) -> Result<Camera, SequenceError> {
     }
 }
 
-fn lens(path: &Path, text: &str) -> Result<Camera, SequenceError> {
+fn lens(path: &Path, text: &str) -> Result<Camera, CalibrationError> {
     let yaml: IntrinsicsYaml = parse(path, KIND, text)?;
     let lens = Lens {
         resolution: yaml.resolution,

@@ -1,10 +1,8 @@
 //! Which calibration files of Kalibr belong to a recording.
 
-use super::other_programs::is_kimera_left;
-use super::rigs::is_rig;
-use super::{is_camera_chain, is_imu};
 use crate::pairing::PAIR_TOLERANCE_NS;
 use crate::{ImuUnits, SequenceError};
+use calibration::kalibr::{is_camera_chain, is_imu, is_kimera_left, is_rig};
 use std::path::{Path, PathBuf};
 
 /// Larger YAML files are no calibrations, bytes.

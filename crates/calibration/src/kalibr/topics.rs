@@ -1,15 +1,15 @@
 //! The topics that the cameras of a chain were calibrated with.
 
 use super::{CHAIN, CameraYaml, ChainYaml, is_camera_chain};
-use crate::SequenceError;
-use crate::calibration_yaml::{parse, read_text};
+use crate::CalibrationError;
+use crate::yaml::{parse, read_text};
 use std::path::Path;
 
 /// The last part of a topic's name that image_transport adds to the name of the uncompressed images.
-pub(crate) const COMPRESSED: &str = "/compressed";
+pub const COMPRESSED: &str = "/compressed";
 
 /// The topic of each camera of a chain, where the file states it.
-pub(crate) fn camera_topics(path: &Path) -> Result<Vec<Option<String>>, SequenceError> {
+pub fn camera_topics(path: &Path) -> Result<Vec<Option<String>>, CalibrationError> {
     let text = read_text(path)?;
     if !is_camera_chain(&text) {
         return Ok(Vec::new());
@@ -26,12 +26,12 @@ pub(crate) fn camera_topics(path: &Path) -> Result<Vec<Option<String>>, Sequence
 /// * `has_topic`: whether the recording has a topic of the camera with a name.
 ///
 /// # Errors
-/// [`SequenceError`]: a camera is calibrated for a topic that is there, but another one is to be used with it.
-pub(crate) fn chosen_cameras(
+/// [`CalibrationError`]: a camera is calibrated for a topic that is there, but another one is to be used with it.
+pub fn chosen_cameras(
     chain: &Path,
     names: &[&str],
     has_topic: impl Fn(&str) -> bool,
-) -> Result<Vec<usize>, SequenceError> {
+) -> Result<Vec<usize>, CalibrationError> {
     let calibrated = camera_topics(chain)?;
     let is_of = |of: &Option<String>, name: &str| of.as_ref().is_some_and(|of| is_same_camera(of, name));
     let choose = |(place, name): (usize, &&str)| {
@@ -44,7 +44,7 @@ pub(crate) fn chosen_cameras(
                 "cam{place} is calibrated for {of} (rostopic), which is there, but {name} is to be used with it: calibrate that \
                  camera, name the right topics with --camera-topic, or correct rostopic"
             );
-            return Err(SequenceError::calibration(chain, problem));
+            return Err(CalibrationError::entry(chain, problem));
         }
         tracing::warn!(
             "{}: cam{place} is calibrated for {of} (rostopic), which is not there, and is used for {name}: is it the same camera?",
@@ -56,7 +56,7 @@ pub(crate) fn chosen_cameras(
 }
 
 /// Whether two topics are of the same camera: with or without `/compressed`.
-pub(crate) fn is_same_camera(a: &str, b: &str) -> bool {
+pub fn is_same_camera(a: &str, b: &str) -> bool {
     let plain = |name: &str| name.trim_start_matches('/').trim_end_matches(COMPRESSED).to_owned();
     plain(a) == plain(b)
 }

@@ -1,0 +1,21 @@
+//! Calibrations of the sensors of a robot, and the files in which they are written.
+//!
+//! | module | what |
+//! |---|---|
+//! | `sensors` | [`SensorCalibration`]: [`ImuSensor`] and [`CameraSensor`] |
+//! | [`sensor_yaml`] | `sensor.yaml` of the EuRoC layout |
+//! | [`kalibr`] | Kalibr's camera chain and `imu.yaml`, and what OpenVINS, ORB-SLAM3, Basalt and Kimera write |
+//!
+//! `imu_from_camera` takes points in the frame of a camera (x right, y down, z forward) to that of the IMU. Noise densities are
+//! those of continuous time, as in Kalibr's files. What no camera has (a focal length of 1e308, a mount 1,000 km away) is refused.
+
+mod error;
+pub mod kalibr;
+pub mod sensor_yaml;
+mod sensors;
+mod yaml;
+
+pub use error::CalibrationError;
+pub use sensor_yaml::{lens_of_text, read_lens};
+pub use sensors::{CameraSensor, ImuSensor, SensorCalibration};
+pub use yaml::{Lens, check_positive, parse, read_text};
