@@ -9,6 +9,8 @@ use nalgebra::Vector3;
 /// Places that are remembered, the newest: after so many different ones a state that the map contradicts without a sign of
 /// failure of odometry is given up.
 const MAX_PLACES: usize = 24;
+/// Size of a thing that a building has more than once, metres: what is nearer to each other may be one.
+const PICTURE_M: f64 = 2.0;
 
 /// What an answer shows.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -19,6 +21,8 @@ pub struct SeenPlace {
     spread: f64,
     /// Logarithm of the likelihood ratio of what is seen there.
     log_ratio: f64,
+    /// Answers whose mean that is.
+    answers: f64,
     /// Logarithm of the odds before it is seen.
     log_prior_odds: f64,
 }
@@ -34,12 +38,12 @@ impl SeenPlace {
         let count = landmarks.len().max(1) as f64;
         let centre = landmarks.iter().sum::<Vector3<f64>>() / count;
         let variance = landmarks.iter().map(|at| (at - centre).norm_squared()).sum::<f64>() / count;
-        Self { centre, spread: variance.sqrt(), log_ratio, log_prior_odds }
+        Self { centre, spread: variance.sqrt(), log_ratio, answers: 1.0, log_prior_odds }
     }
 
-    /// Whether it shows the same as another one: their landmarks overlap.
+    /// Whether it shows the same as another one: their landmarks overlap, or may be those of one picture.
     fn is_same(&self, other: &Self) -> bool {
-        (self.centre - other.centre).norm() <= self.spread.max(other.spread)
+        (self.centre - other.centre).norm() <= self.spread.max(other.spread).max(PICTURE_M)
     }
 }
 
@@ -50,11 +54,12 @@ pub struct PlaceEvidence {
 }
 
 impl PlaceEvidence {
-    /// Adds what an answer shows. Answers of one place err together: of them the one that shows most counts, as the robot comes
-    /// nearer.
+    /// Adds what an answer shows. Answers of one place err together: of them the mean counts. The best of many would be
+    /// large by chance, however likely a picture that repeats is.
     pub fn add(&mut self, seen: SeenPlace) {
         if let Some(before) = self.places.iter_mut().find(|before| before.is_same(&seen)) {
-            before.log_ratio = before.log_ratio.max(seen.log_ratio);
+            before.answers += 1.0;
+            before.log_ratio += (seen.log_ratio - before.log_ratio) / before.answers;
             return;
         }
         if self.places.len() == MAX_PLACES {
@@ -115,14 +120,14 @@ mod tests {
     }
 
     #[test]
-    fn the_best_answer_of_a_place_counts_and_negative_ones_count_against() {
+    fn the_mean_of_the_answers_of_a_place_counts_and_negative_ones_count_against() {
         let of = |x: f64, log_odds: f64| {
             let at = Vector3::new(x, 0.0, 0.0);
             SeenPlace::of(&[at - Vector3::x(), at + Vector3::x()], log_odds, 0.0)
         };
         let one_place: PlaceEvidence =
             [4.0, -1.0, 3.0].map(|log_odds| of(0.0, log_odds)).into_iter().collect();
-        assert!((one_place.log_odds() - 4.0).abs() < 1e-12);
+        assert!((one_place.log_odds() - 2.0).abs() < 1e-12);
         let two_places: PlaceEvidence = [of(0.0, 4.0), of(5.0, -3.0)].into_iter().collect();
         assert!((two_places.log_odds() - 1.0).abs() < 1e-12);
     }

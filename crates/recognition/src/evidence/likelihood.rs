@@ -3,9 +3,9 @@
 /// Shapes of the beta distribution of the share of the expected parts that are confirmed at the right place: rather all of them
 /// than few, where most of the place has changed since.
 const SHARE_AT_THE_PLACE: [f64; 2] = [2.0, 1.0];
-/// Number of parts of an image that a repeated picture fills, negative binomial: its mean, a twelfth of the image, and its
+/// Number of parts of an image that a repeated picture fills, negative binomial: the least mean, a twelfth of the image, and its
 /// dispersion. It confirms as many however many are expected.
-const PICTURE_PARTS: f64 = 4.0;
+pub(super) const PICTURE_PARTS: f64 = 4.0;
 const PICTURE_DISPERSION: f64 = 2.0;
 
 /// Natural logarithm of the likelihood of the right place over that of a picture that repeats.
@@ -17,8 +17,9 @@ const PICTURE_DISPERSION: f64 = 2.0;
 /// # Arguments
 /// * `confirmed`: parts of the image in which matches confirm what the map expects.
 /// * `expected`: parts in which it expects something, those included.
-pub(crate) fn log_likelihood_ratio(confirmed: usize, expected: usize) -> f64 {
-    log_at_the_place(confirmed, expected) - log_of_a_picture(confirmed, expected)
+/// * `picture`: parts that a picture fills in the mean, at least a twelfth of the image.
+pub(crate) fn log_likelihood_ratio(confirmed: usize, expected: usize, picture: f64) -> f64 {
+    log_at_the_place(confirmed, expected) - log_of_a_picture(confirmed, expected, picture)
 }
 
 /// Beta-binomial.
@@ -31,8 +32,9 @@ fn log_at_the_place(confirmed: usize, expected: usize) -> f64 {
 }
 
 /// Negative binomial, among what the expected parts allow.
-fn log_of_a_picture(confirmed: usize, expected: usize) -> f64 {
-    let log_share = (PICTURE_PARTS / (PICTURE_PARTS + PICTURE_DISPERSION)).ln();
+fn log_of_a_picture(confirmed: usize, expected: usize, picture: f64) -> f64 {
+    let mean = picture.max(PICTURE_PARTS);
+    let log_share = (mean / (mean + PICTURE_DISPERSION)).ln();
     let log_of = |count: usize| {
         log_rising(PICTURE_DISPERSION, count) - log_rising(1.0, count) + log_share * count as f64
     };
@@ -50,16 +52,16 @@ mod tests {
 
     #[test]
     fn nothing_expected_says_nothing() {
-        assert!(log_likelihood_ratio(0, 0).abs() < 1e-12);
+        assert!(log_likelihood_ratio(0, 0, PICTURE_PARTS).abs() < 1e-12);
     }
 
     #[test]
     fn likelihoods_of_all_outcomes_sum_to_one() {
-        for model in [log_at_the_place, log_of_a_picture] {
-            for expected in [1, 7, 48] {
-                let sum: f64 = (0..=expected).map(|confirmed| model(confirmed, expected).exp()).sum();
-                assert!((sum - 1.0).abs() < 1e-9, "{expected}: {sum}");
-            }
+        for expected in [1, 7, 48] {
+            let sum_of = |log: &dyn Fn(usize) -> f64| -> f64 { (0..=expected).map(|k| log(k).exp()).sum() };
+            let mut sums = vec![sum_of(&|confirmed| log_at_the_place(confirmed, expected))];
+            sums.extend([4.0, 15.0, 48.0].map(|picture| sum_of(&|k| log_of_a_picture(k, expected, picture))));
+            assert!(sums.iter().all(|sum| (sum - 1.0).abs() < 1e-9), "{expected}: {sums:?}");
         }
     }
 
@@ -67,18 +69,33 @@ mod tests {
     fn beyond_the_size_of_a_picture_each_confirmed_part_speaks_for_the_place() {
         for expected in 20..=48 {
             for confirmed in PICTURE_PARTS as usize..expected {
-                let ratio = log_likelihood_ratio(confirmed, expected);
-                assert!(log_likelihood_ratio(confirmed + 1, expected) > ratio, "{confirmed} of {expected}");
+                let ratio = log_likelihood_ratio(confirmed, expected, PICTURE_PARTS);
+                assert!(
+                    log_likelihood_ratio(confirmed + 1, expected, PICTURE_PARTS) > ratio,
+                    "{confirmed} of {expected}"
+                );
             }
         }
     }
 
     #[test]
     fn a_picture_in_a_full_image_is_no_place_and_where_little_is_expected_nothing_is_known() {
-        assert!(log_likelihood_ratio(4, 40) < -2.5);
-        assert!(log_likelihood_ratio(20, 40) > 3.0);
+        assert!(log_likelihood_ratio(4, 40, PICTURE_PARTS) < -2.5);
+        assert!(log_likelihood_ratio(20, 40, PICTURE_PARTS) > 3.0);
         for expected in 0..=6 {
-            assert!((0.0..1.5).contains(&log_likelihood_ratio(expected, expected)), "all of {expected}");
+            assert!(
+                (0.0..1.5).contains(&log_likelihood_ratio(expected, expected, PICTURE_PARTS)),
+                "all of {expected}"
+            );
         }
+    }
+
+    #[test]
+    fn the_nearer_a_picture_the_less_what_it_fills_says() {
+        for picture in 4..40 {
+            let of = |picture: i32| log_likelihood_ratio(24, 30, f64::from(picture));
+            assert!(of(picture + 1) < of(picture), "{picture}");
+        }
+        assert!(log_likelihood_ratio(48, 48, 48.0) < 2.0);
     }
 }
