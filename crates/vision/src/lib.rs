@@ -27,8 +27,8 @@ pub mod tracking;
 pub use detection::{Corner, CornerOptions, detect_corners};
 pub use features::{ExtractError, FeatureExtractor, ImageFeatures, Keypoint};
 pub use image::{
-    Equalization, GrayImage, ImageError, LocalEqualization, MAX_IMAGE_FILE_BYTES, MAX_PIXELS, MAX_SCANS,
-    Pyramid, RawImage, equalize, equalize_locally,
+    Equalization, GrayImage, ImageError, LocalEqualization, MAX_IMAGE_FILE_BYTES, MAX_IMAGE_SIDE, MAX_PIXELS,
+    MAX_SCANS, Pyramid, RawImage, equalize, equalize_locally,
 };
 pub use matching::{
     DescriptorError, DescriptorView, Hit, InvertedFile, Match, MatchOptions, Matcher, Metric, distance,
