@@ -38,7 +38,9 @@ fn run(name: &str) {
     let seeds = seeds(name);
     assert!(!seeds.is_empty(), "{name} has no seeds in corpus/{name}");
     let mut rng = StdRng::seed_from_u64(1);
-    seeds.iter().for_each(|seed| try_input(name, *target, seed));
+    for seed in &seeds {
+        try_input(name, *target, seed);
+    }
     let (begin, mut inputs) = (Instant::now(), 0);
     while begin.elapsed() < time_of_a_target() {
         for seed in &seeds {

@@ -20,7 +20,7 @@ use crate::show::viewed_answer;
 pub const MAX_IMAGE_SIDE: u32 = 4096;
 /// Features are extracted from at most so many pixels: larger images are halved, and their cameras. An extractor needs about 60
 /// bytes a pixel.
-const MAX_PIXELS: usize = 2048 * 2048;
+const MAX_PIXELS: usize = 2048 * 1536;
 /// Most features of an image, as of `driftless localize`.
 const MAX_FEATURES: usize = 1000;
 

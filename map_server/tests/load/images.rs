@@ -58,7 +58,10 @@ pub fn costly_jpeg() -> Vec<u8> {
 /// # Errors
 /// Where the page does not answer.
 pub fn post(address: &str, map: &str, file: &[u8]) -> std::io::Result<u16> {
-    let escaped: String = calibration().bytes().map(|byte| format!("%{byte:02x}")).collect();
+    let escaped = calibration().bytes().fold(String::new(), |mut text, byte| {
+        let _ = std::fmt::Write::write_fmt(&mut text, format_args!("%{byte:02x}"));
+        text
+    });
     let mut stream = TcpStream::connect(address)?;
     stream.set_read_timeout(Some(Duration::from_mins(1)))?;
     let length = file.len();
