@@ -85,13 +85,15 @@ book:
 bench:
     cargo bench -p driftless-benches
 
-# Kills each command so many times, at any time and in its last 50 ms: the old state or the new one stays, and nothing else
+# Kills each command so many times, at any time and in its last 50 ms, and has writers meet as often: the old state or the new one
+# stays, and nothing else
 kills count="200":
-    KILLS={{ count }} cargo test --release --locked -p driftless-tools --test main -- --nocapture kills::
+    KILLS={{ count }} cargo test --release --locked -p driftless-tools --test main -- --nocapture kills:: crossing::
 
-# Loads a map server for so many seconds: a fleet, then each attack of hostile clients
+# Loads a map server for so many seconds: a fleet with losses, a client of the costliest requests and a map that changes each minute; then
+# each attack of hostile clients
 soak seconds="1800":
-    ROBOTS=100 SECONDS={{ seconds }} cargo test --release --locked -p driftless-map-server --test main -- --ignored --nocapture load::fleet
+    ROBOTS=100 LOSS=5 COSTLIEST=1 CHANGES=60 SECONDS={{ seconds }} cargo test --release --locked -p driftless-map-server --test main -- --ignored --nocapture load::fleet
     SECONDS=60 cargo test --release --locked -p driftless-map-server --test main -- --ignored --nocapture load::hostile::hostile_load
 
 # Repeats the figures of the README and of the book

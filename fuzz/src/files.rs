@@ -32,7 +32,7 @@ pub fn csv_tables(data: &[u8]) {
 }
 
 /// Hands the bytes over as a file.
-fn in_file(name: &str, data: &[u8], read: impl FnOnce(&Path)) {
+pub(crate) fn in_file(name: &str, data: &[u8], read: impl FnOnce(&Path)) {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let path = folder.path().join(name);
     std::fs::write(&path, data).expect("a temporary file");

@@ -1,9 +1,11 @@
 //! Everything that comes from outside is either a value that keeps its invariants or an error, never a panic.
 //!
 //! Each target takes arbitrary bytes. `cargo fuzz` drives them with libFuzzer (`just fuzz TARGET`); the test `short_run`
-//! drives them on a stable toolchain with the seeds in `corpus/` and seeded mutations of them.
+//! drives them on a stable toolchain with the seeds in `corpus/` and seeded mutations of them, each for about ten seconds.
 
+mod bags;
 mod files;
+mod http;
 mod images;
 mod messages;
 mod records;
@@ -11,7 +13,9 @@ mod sensor_messages;
 #[cfg(feature = "neural")]
 mod weights;
 
+pub use bags::sqlite_bags;
 pub use files::{csv_tables, sensor_yaml};
+pub use http::http_heads;
 pub use images::images;
 pub use messages::{bincode_payloads, protocol_bincode, protocol_json};
 pub use records::store_records;
@@ -29,6 +33,8 @@ pub const TARGETS: &[(&str, Target)] = &[
     ("sensor_yaml", sensor_yaml),
     ("csv_tables", csv_tables),
     ("images", images),
+    ("sqlite_bags", sqlite_bags),
+    ("http_heads", http_heads),
     ("store_records", store_records),
     ("sensor_messages", sensor_messages),
     ("ros_messages", ros_messages),

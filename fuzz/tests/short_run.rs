@@ -1,29 +1,86 @@
-//! Runs every target on its seeds and on seeded mutations of them, on a stable toolchain.
+//! Runs every target on its seeds and on seeded mutations of them, on a stable toolchain: the same inputs in the same order,
+//! for `FUZZ_SECONDS` each.
 #![allow(clippy::unwrap_used)]
 
+use bags::{BagWriter, Format, MessageType, OfferedQos};
 use driftless_fuzz::{TARGETS, bincode_payloads};
 use map::store::record::{InfoRecord, KeyframeRecord, LandmarkRecord, seal};
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
+use std::time::{Duration, Instant};
 use testing::{Place, PlaceOptions};
 
-/// Mutations of each seed.
-const MUTATIONS: usize = 300;
+/// How long one input may take.
+const LONGEST: Duration = Duration::from_secs(10);
 
-#[test]
-fn no_target_panics_on_mutated_seeds() {
-    for &(name, target) in TARGETS {
-        let seeds = seeds(name);
-        assert!(!seeds.is_empty(), "{name} has no seeds in corpus/{name}");
-        let mut rng = StdRng::seed_from_u64(1);
+/// How long each target runs; its seeds are always tried.
+fn time_of_a_target() -> Duration {
+    let given = std::env::var("FUZZ_SECONDS").map_or(8.0, |text| text.parse().unwrap());
+    Duration::from_secs_f64(given)
+}
+
+/// Hands an input over; where the target does not stand it, the input is kept.
+fn try_input(name: &str, target: fn(&[u8]), input: &[u8]) {
+    let begin = Instant::now();
+    let ended = catch_unwind(AssertUnwindSafe(|| target(input)));
+    if ended.is_err() || begin.elapsed() > LONGEST {
+        let kept = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("{name}-input"));
+        std::fs::write(&kept, input).unwrap();
+        panic!("{name} does not stand {}, after {:?}", kept.display(), begin.elapsed());
+    }
+}
+
+/// Runs a target on the mutations of its seeds.
+fn run(name: &str) {
+    let (_, target) = TARGETS.iter().find(|(other, _)| *other == name).unwrap();
+    let seeds = seeds(name);
+    assert!(!seeds.is_empty(), "{name} has no seeds in corpus/{name}");
+    let mut rng = StdRng::seed_from_u64(1);
+    for seed in &seeds {
+        try_input(name, *target, seed);
+    }
+    let (begin, mut inputs) = (Instant::now(), 0);
+    while begin.elapsed() < time_of_a_target() {
         for seed in &seeds {
-            target(seed);
-            for _ in 0..MUTATIONS {
-                target(&mutated(seed, &seeds, &mut rng));
-            }
+            try_input(name, *target, &mutated(seed, &seeds, &mut rng));
+            inputs += 1;
         }
     }
+    println!("{name}: {inputs} inputs");
+    assert!(inputs > 0);
+}
+
+/// One test a target.
+macro_rules! targets {
+    ($($name:ident),* $(,)?) => {
+        const TESTED: &[&str] = &[$(stringify!($name)),*];
+        $(
+            #[test]
+            fn $name() {
+                run(stringify!($name));
+            }
+        )*
+    };
+}
+
+targets! {
+    protocol_bincode, protocol_json, sensor_yaml, csv_tables, images, sqlite_bags, http_heads, store_records, sensor_messages,
+    ros_messages,
+}
+
+#[cfg(feature = "neural")]
+#[test]
+fn weights() {
+    run("weights");
+}
+
+#[test]
+fn every_target_is_run() {
+    let names = TARGETS.iter().map(|(name, _)| *name);
+    let missing: Vec<_> = names.filter(|name| *name != "weights" && !TESTED.contains(name)).collect();
+    assert!(missing.is_empty(), "{missing:?}");
 }
 
 fn seeds(name: &str) -> Vec<Vec<u8>> {
@@ -36,13 +93,14 @@ fn seeds(name: &str) -> Vec<Vec<u8>> {
         "ros_messages" => of_kind(&root.join("../crates/ros_messages/tests/goldens"), |path| {
             path.extension().is_some_and(|end| end == "cdr")
         }),
-        "images" => images(),
+        "images" => pictures(),
+        "sqlite_bags" => recordings(),
         other => files(&root.join("corpus").join(other)),
     }
 }
 
 /// A PNG image, one with a profile, and a JPEG image with three scans where there is one.
-fn images() -> Vec<Vec<u8>> {
+fn pictures() -> Vec<Vec<u8>> {
     let folder = tempfile::tempdir().unwrap();
     let image = vision::GrayImage::from_fn(24, 16, |x, y| (x * y + 7 * x) as u8);
     let png = image.to_png().unwrap();
@@ -56,6 +114,20 @@ fn images() -> Vec<Vec<u8>> {
     let scan = &jpeg[at..jpeg.len() - 2];
     let with_scans = [&jpeg[..at], &scan.repeat(3), &jpeg[jpeg.len() - 2..]].concat();
     vec![png, with_profile, jpeg, with_scans]
+}
+
+/// A file of rosbag2 as this project writes it.
+fn recordings() -> Vec<Vec<u8>> {
+    let folder = tempfile::tempdir().unwrap();
+    let recorded = folder.path().join("recorded");
+    let of = MessageType { name: "std_msgs/msg/String", hash: "", definition: "string data".to_owned() };
+    let mut writer = BagWriter::create(&recorded, Format::Rosbag2).unwrap();
+    let topic = writer.topic("/words", &of, OfferedQos::default()).unwrap();
+    for at in 0..5 {
+        writer.write(topic, 1000 * at, &[0, 1, 0, 0, 2, 0, 0, 0, b'a', 0]).unwrap();
+    }
+    writer.finish().unwrap();
+    of_kind(&recorded, |path| path.extension().is_some_and(|end| end == "db3"))
 }
 
 fn files(folder: &Path) -> Vec<Vec<u8>> {

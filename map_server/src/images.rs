@@ -18,10 +18,10 @@ use crate::served_map::{MapSlot, ServedMap};
 use crate::show::viewed_answer;
 
 /// Largest width and height of an image, pixels.
-const MAX_SIDE: u32 = 4096;
+pub const MAX_IMAGE_SIDE: u32 = 4096;
 /// Features are extracted from at most so many pixels: larger images are halved, and their cameras. An extractor needs about 60
 /// bytes a pixel.
-const MAX_PIXELS: usize = 2048 * 2048;
+const MAX_PIXELS: usize = 2048 * 1536;
 /// Most features of an image, as of `driftless localize`.
 const MAX_FEATURES: usize = 1000;
 
@@ -106,9 +106,9 @@ fn unusable(problem: &dyn std::fmt::Display) -> ImageError {
 /// Decodes an image, unless its header says that it is too large or not of this camera.
 fn decode(file: &[u8], camera: &Camera) -> Result<GrayImage, ImageError> {
     let (width, height) = GrayImage::size_of_encoded(file).map_err(|error| unusable(&error))?;
-    if width.max(height) > MAX_SIDE {
+    if width.max(height) > MAX_IMAGE_SIDE {
         let message = format!(
-            "the image has {width} x {height} pixels, more than {MAX_SIDE} x {MAX_SIDE}: give a smaller one, with the \
+            "the image has {width} x {height} pixels, more than {MAX_IMAGE_SIDE} x {MAX_IMAGE_SIDE}: give a smaller one, with the \
              calibration of that size"
         );
         return Err(unusable(&message));

@@ -189,16 +189,17 @@ impl ServerMetrics {
         self.cell_bytes.set(i64::try_from(bytes).unwrap_or(i64::MAX));
     }
 
-    /// A cell that was not in memory was loaded, or could not be.
-    pub(crate) fn note_cold_load(&self, duration: Duration, is_loaded: bool) {
-        if is_loaded {
-            self.cold_load_duration.observe(duration.as_secs_f64());
-            self.cold_loads.fetch_add(1, Ordering::Relaxed);
-            let micros = u64::try_from(duration.as_micros()).unwrap_or(u64::MAX);
-            self.cold_load_us.fetch_add(micros, Ordering::Relaxed);
-        } else {
-            self.cold_loads_failed.inc();
-        }
+    /// A cell that was not in memory was loaded.
+    pub(crate) fn note_cold_load(&self, duration: Duration) {
+        self.cold_load_duration.observe(duration.as_secs_f64());
+        self.cold_loads.fetch_add(1, Ordering::Relaxed);
+        let micros = u64::try_from(duration.as_micros()).unwrap_or(u64::MAX);
+        self.cold_load_us.fetch_add(micros, Ordering::Relaxed);
+    }
+
+    /// A cell could not be loaded.
+    pub(crate) fn note_failed_cold_load(&self) {
+        self.cold_loads_failed.inc();
     }
 
     pub(crate) fn statistics(&self) -> ServerStatistics {

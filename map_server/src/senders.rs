@@ -7,9 +7,10 @@
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, PoisonError, RwLock, Weak};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use serde::Deserialize;
+use tokio::sync::mpsc::unbounded_channel;
 use zenoh::Session;
 use zenoh::query::ConsolidationMode;
 use zenoh::sample::Locality;
@@ -18,6 +19,10 @@ use crate::fair_queue::Client;
 
 /// Time between two looks at who is connected: so long a new session may share with those that are not known.
 const PERIOD: Duration = Duration::from_millis(500);
+/// A look at a thousand sessions takes half a second where the processor is busy.
+const ANSWERED: Duration = Duration::from_secs(10);
+/// Looks pause so many times as long as the last one took.
+const PAUSE: u32 = 19;
 /// Longest name that is kept of a client, bytes: the id of a session has 32.
 const MAX_NAME_BYTES: usize = 64;
 
@@ -54,19 +59,21 @@ impl Senders {
 
     async fn look(&self, session: &Session) {
         let own = session.zid().to_string();
-        let key = format!("@/{own}/session/transport/unicast/**");
+        let key = format!("@/{own}/session/transport/unicast/*/link/*");
+        // The replies come on the thread that asks, and their end on the one that lets sessions in: neither may wait for room.
+        let (tell, mut replies) = unbounded_channel();
         let asked = session
             .get(key)
             .allowed_destination(Locality::SessionLocal)
             .consolidation(ConsolidationMode::None)
-            .timeout(PERIOD)
+            .timeout(ANSWERED)
+            .callback(move |reply| _ = tell.send(reply))
             .await;
-        let replies = match asked {
-            Ok(replies) => replies,
-            Err(error) => return tracing::debug!("cannot see who is connected: {error}"),
-        };
+        if let Err(error) = asked {
+            return tracing::debug!("cannot see who is connected: {error}");
+        }
         let mut known = BTreeMap::from([(own.clone(), own)]);
-        while let Ok(reply) = replies.recv_async().await {
+        while let Some(reply) = replies.recv().await {
             let Ok(sample) = reply.result() else { continue };
             let mut chunks =
                 sample.key_expr().as_str().split('/').skip_while(|chunk| *chunk != "unicast").skip(1);
@@ -75,8 +82,7 @@ impl Senders {
                 let link: Link = serde_json::from_slice(&sample.payload().to_bytes()).ok()?;
                 link.auth_identifier
             };
-            let subject = if chunks.next() == Some("link") { subject() } else { None };
-            match subject {
+            match subject() {
                 Some(subject) => drop(known.insert(id, subject)),
                 None => drop(known.entry(id.clone()).or_insert(id)),
             }
@@ -86,10 +92,13 @@ impl Senders {
 }
 
 async fn look_again(session: Session, senders: Weak<Senders>) {
+    let mut took = Duration::ZERO;
     while !session.is_closed() {
-        tokio::time::sleep(PERIOD).await;
+        tokio::time::sleep(PERIOD.max(PAUSE * took)).await;
         let Some(senders) = senders.upgrade() else { return };
+        let begin = Instant::now();
         senders.look(&session).await;
+        took = begin.elapsed();
     }
 }
 
@@ -111,7 +120,7 @@ mod tests {
             connecting.namespace = namespace.map(str::to_owned);
             let robot = open_session(&connecting).await.unwrap();
             let id = robot.zid().to_string();
-            let begin = std::time::Instant::now();
+            let begin = Instant::now();
             while senders.client(&id) != Client::Known(id.clone()) {
                 assert!(begin.elapsed() < Duration::from_secs(5), "{mode:?} is not seen");
                 tokio::time::sleep(Duration::from_millis(20)).await;
@@ -126,6 +135,36 @@ mod tests {
         assert_eq!(senders.client("made up"), Client::Stated("made up".to_owned()));
         let long = "\u{e9}".repeat(100);
         assert_eq!(senders.client(&long), Client::Stated("\u{e9}".repeat(32)));
+        close_session(&server).await;
+    }
+
+    /// More of them than a channel of Zenoh has room for, with the links of each.
+    #[tokio::test(flavor = "multi_thread")]
+    async fn many_sessions_are_all_known_and_another_one_is_let_in() {
+        const MANY: usize = 150;
+        let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+        let endpoint = vec![format!("tcp/127.0.0.1:{port}")];
+        let listening = SessionOptions { listen: endpoint.clone(), ..SessionOptions::default() };
+        let server = open_session(&listening).await.unwrap();
+        let senders = Senders::follow(&server).await;
+        let connecting = SessionOptions { connect: endpoint, ..SessionOptions::default() };
+        let mut sessions = Vec::new();
+        for _ in 0..MANY {
+            let opened = tokio::time::timeout(Duration::from_secs(30), open_session(&connecting)).await;
+            sessions.push(opened.expect("it is let in").unwrap());
+        }
+        let begin = Instant::now();
+        let is_known = |session: &Session| {
+            let id = session.zid().to_string();
+            senders.client(&id) == Client::Known(id)
+        };
+        while !sessions.iter().all(is_known) {
+            assert!(begin.elapsed() < Duration::from_secs(30), "not all are seen");
+            tokio::time::sleep(Duration::from_millis(50)).await;
+        }
+        for session in sessions {
+            close_session(&session).await;
+        }
         close_session(&server).await;
     }
 

@@ -13,6 +13,7 @@ use onboard::native::NativeSensors;
 use onboard::outputs::RosOutput;
 use onboard::ros_camera_info::wait_for_cameras;
 use onboard::ros_sensors::{RosSensors, RosTopics};
+use onboard::stop::NetworkRuntime;
 use onboard::{
     EndedLost, MapLink, OpeningLink, Outcome, RobotLink, RobotMetrics, StopSignal, progress, run_robot_until,
     run_source_until, stdout,
@@ -24,7 +25,6 @@ use std::net::SocketAddr;
 use std::path::Path;
 use std::process::ExitCode;
 use std::time::Duration;
-use tokio::runtime::Runtime;
 use tracing_subscriber::EnvFilter;
 
 /// Log filter: warnings, without Zenoh's about a network that is still being discovered, but with why it does not connect.
@@ -62,7 +62,7 @@ fn localize() -> Result<()> {
         arguments.robot.robot = Member::expect(folder, Role::Robot, ("--robot", given))?;
     }
     let stop = StopSignal::on_interrupt().context("signals cannot be handled")?;
-    let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build()?;
+    let runtime = NetworkRuntime::new()?;
     let monitoring = match arguments.monitoring {
         Some(address) => Some(runtime.block_on(start_monitoring(address, &arguments.robot.metrics))?),
         None => None,
@@ -121,7 +121,7 @@ fn play_recording(
     stop: &StopSignal,
     sequence: &Path,
     arguments: &Arguments,
-    runtime: &Runtime,
+    runtime: &NetworkRuntime,
 ) -> Result<Outcome> {
     let recording = Recording::open_with(sequence, &arguments.calibration.files())?;
     let link = opening_link(arguments, runtime)?;
@@ -160,7 +160,7 @@ fn live_settings(
     Ok((calibration.sensors, settings))
 }
 
-fn play_native(stop: &StopSignal, arguments: &Arguments, runtime: &Runtime) -> Result<Outcome> {
+fn play_native(stop: &StopSignal, arguments: &Arguments, runtime: &NetworkRuntime) -> Result<Outcome> {
     let (calibration, settings) = live_settings(arguments, &[], &[])?;
     let map = map_of(arguments)?;
     let robot = &arguments.robot.robot;
@@ -188,7 +188,7 @@ fn play_native(stop: &StopSignal, arguments: &Arguments, runtime: &Runtime) -> R
     outcome
 }
 
-fn play_ros2(stop: &StopSignal, arguments: &Arguments, runtime: &Runtime) -> Result<Outcome> {
+fn play_ros2(stop: &StopSignal, arguments: &Arguments, runtime: &NetworkRuntime) -> Result<Outcome> {
     let topics = RosTopics::of(&arguments.calibration)?;
     let has_intrinsics = states_intrinsics(calibration_path(arguments)?)?;
     // What is wrong with the files is said before the network is there.
@@ -214,7 +214,7 @@ fn play_ros2(stop: &StopSignal, arguments: &Arguments, runtime: &Runtime) -> Res
 }
 
 /// The robot's link to its map, which opens while the robot runs; `None` with `--mode odometry`.
-fn opening_link(arguments: &Arguments, runtime: &Runtime) -> Result<Option<RobotLink>> {
+fn opening_link(arguments: &Arguments, runtime: &NetworkRuntime) -> Result<Option<RobotLink>> {
     let open = |map| OpeningLink::open(arguments.session.connecting(), runtime.handle().clone(), map);
     let link = map_of(arguments)?.map(open).transpose().context("the Zenoh session cannot be opened")?;
     Ok(link.map(RobotLink::Opening))
@@ -224,19 +224,19 @@ fn opening_link(arguments: &Arguments, runtime: &Runtime) -> Result<Option<Robot
 fn open_until(
     stop: &StopSignal,
     options: &SessionOptions,
-    runtime: &Runtime,
+    runtime: &NetworkRuntime,
 ) -> Result<Option<zenoh::Session>> {
-    runtime.block_on(async {
+    let opened = async {
         let opening = open_session(options);
         tokio::pin!(opening);
-        while !stop.is_stopped() {
+        loop {
             if let Ok(session) = tokio::time::timeout(SESSION_WARNING, &mut opening).await {
-                return Ok(Some(session.context("the Zenoh session cannot be opened")?));
+                return session.context("the Zenoh session cannot be opened");
             }
             tracing::warn!(connect = options.connect.join(", "), "no router and no peer answers yet");
         }
-        Ok(None)
-    })
+    };
+    runtime.block_on(stop.until(opened)).transpose()
 }
 
 /// Serves the metrics of a run.

@@ -7,6 +7,7 @@ use super::extraction::{Extracted, ExtractionThread};
 use super::map_conversion::{identity_number, map_answer, map_revision};
 use super::outputs::{Event, Recorder, Traffic};
 use super::run::RobotRun;
+use super::stop::NOTICE;
 use client::{MapChangeSubscriber, MatchAnswer, QueryResult, QueryTasks};
 use estimator::{CloneId, EstimatorError, MapMode, Rejection, RevisionEffect};
 use protocol::{FeatureSet, MatchOutcome, MatchRequest, PosePrior};
@@ -93,9 +94,11 @@ impl RobotRun<'_> {
             self.query_extracted(extracted, recorder);
         }
         self.apply_map_changes(recorder);
-        while let Some(queries) = &mut self.queries {
+        loop {
             let begin = Instant::now();
-            let result = if self.realtime { queries.poll() } else { queries.wait() };
+            let poll = |queries: &mut QueryTasks<_>| queries.poll();
+            let result =
+                if self.realtime { self.queries.as_mut().and_then(poll) } else { self.next_answer() };
             waited += begin.elapsed();
             let Some(result) = result else { break };
             // Changes that came in the meantime concern this answer.
@@ -249,10 +252,22 @@ impl RobotRun<'_> {
         if let Some(extracted) = self.extraction.as_mut().and_then(ExtractionThread::wait) {
             self.query_extracted(extracted, recorder);
         }
-        while let Some(result) = self.queries.as_mut().and_then(QueryTasks::wait) {
+        while let Some(result) = self.next_answer() {
             self.apply_map_changes(recorder);
             self.apply_result(&result, recorder)?;
         }
         Ok(())
+    }
+
+    /// Waits for the next answer; once the run is stopped, takes only those that are there.
+    fn next_answer(&mut self) -> Option<QueryResult<CloneId>> {
+        let queries = self.queries.as_mut()?;
+        while !self.stop.is_stopped() && queries.pending() > 0 {
+            let result = queries.wait_at_most(NOTICE);
+            if result.is_some() {
+                return result;
+            }
+        }
+        queries.poll()
     }
 }

@@ -3,10 +3,12 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
-use tokio::runtime::Builder;
+use tokio::runtime::{Builder, Handle, Runtime};
 
-/// How long a sleeping run may take to notice the signal.
-const NOTICE: Duration = Duration::from_millis(20);
+/// How long a run that sleeps or waits may take to notice the signal.
+pub(super) const NOTICE: Duration = Duration::from_millis(20);
+/// How long the end of a program waits for threads that are still busy.
+const END: Duration = Duration::from_millis(500);
 /// Exit status of a program that an interrupt killed, as shells report it.
 const KILLED_BY_INTERRUPT: i32 = 130;
 
@@ -52,6 +54,19 @@ impl StopSignal {
         self.stopped.load(Ordering::Relaxed)
     }
 
+    /// The result of a future; `None` where the signal is raised before.
+    pub async fn until<T>(&self, future: impl Future<Output = T>) -> Option<T> {
+        let stopped = async {
+            while !self.is_stopped() {
+                tokio::time::sleep(NOTICE).await;
+            }
+        };
+        tokio::select! {
+            result = future => Some(result),
+            () = stopped => None,
+        }
+    }
+
     /// Sleeps until the signal is raised.
     pub fn wait(&self) {
         while !self.is_stopped() {
@@ -67,6 +82,43 @@ impl StopSignal {
                 break;
             }
             std::thread::sleep(left.min(NOTICE));
+        }
+    }
+}
+
+/// A runtime whose end does not wait for what still blocks its threads, as an attempt to connect does for seconds.
+#[derive(Debug)]
+pub struct NetworkRuntime {
+    handle: Handle,
+    /// Until it is dropped.
+    runtime: Option<Runtime>,
+}
+
+impl NetworkRuntime {
+    /// With two threads.
+    ///
+    /// # Errors
+    /// The operating system refuses a thread.
+    pub fn new() -> std::io::Result<Self> {
+        let runtime = Builder::new_multi_thread().worker_threads(2).enable_all().build()?;
+        Ok(Self { handle: runtime.handle().clone(), runtime: Some(runtime) })
+    }
+
+    /// Runs a future to its end.
+    pub fn block_on<F: Future>(&self, future: F) -> F::Output {
+        self.handle.block_on(future)
+    }
+
+    /// For those who start tasks.
+    pub fn handle(&self) -> &Handle {
+        &self.handle
+    }
+}
+
+impl Drop for NetworkRuntime {
+    fn drop(&mut self) {
+        if let Some(runtime) = self.runtime.take() {
+            runtime.shutdown_timeout(END);
         }
     }
 }

@@ -31,3 +31,32 @@ fn two_robots_of_one_name_are_noticed_by_both_and_others_are_not() {
         runtime.block_on(close_session(&session));
     }
 }
+
+#[test]
+fn of_tokens_that_somebody_makes_up_only_some_are_kept_and_told() {
+    let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build().unwrap();
+    let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+    let endpoint = format!("tcp/127.0.0.1:{port}");
+    let listening = SessionOptions { listen: vec![endpoint.clone()], ..SessionOptions::default() };
+    let connecting = SessionOptions { connect: vec![endpoint], ..SessionOptions::default() };
+    let robot = runtime.block_on(open_session(&listening)).unwrap();
+    let other = runtime.block_on(open_session(&connecting)).unwrap();
+    let declare =
+        |key: String| runtime.block_on(async { other.liveliness().declare_token(key).await }).unwrap();
+    let made_up: Vec<_> = (0..300).map(|k| declare(format!("robot/robot7/session/{k}"))).collect();
+    let json = protocol::Format::Json;
+    let publisher = Publisher::new(robot.clone(), runtime.handle(), "robot7", Some("hall"), json).unwrap();
+    let begin = Instant::now();
+    while publisher.namesakes() < 16 {
+        assert!(begin.elapsed() < Duration::from_secs(20), "the robot noticed nothing");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    let last = declare("robot/robot7/session/last".to_owned());
+    std::thread::sleep(Duration::from_millis(300));
+    assert_eq!(publisher.namesakes(), 16);
+    publisher.close();
+    drop((made_up, last));
+    for session in [robot, other] {
+        runtime.block_on(close_session(&session));
+    }
+}

@@ -1,11 +1,17 @@
 //! The robot program from outside: what it leaves when it is stopped, killed, or its output is closed.
 
+use client::{SessionOptions, close_session, open_session};
 use evaluation::trajectory::{states, tum};
 use sensors::writer;
 use simulation::{SimulationOptions, simulate};
 use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};
-use std::time::Duration;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+/// Within this time of a signal a robot has ended.
+const END: Duration = Duration::from_secs(3);
 
 /// Readings that are missing in the middle of the recording, at 200 a second.
 const LOST: std::ops::Range<usize> = 1000..1020;
@@ -34,15 +40,109 @@ fn start(recording: &Path, out: &Path, switches: &[&str]) -> Child {
 
 /// Waits until a run has written states, then sends a signal, and waits for its end.
 fn signal(mut child: Child, out: &Path, name: &str) -> ExitStatus {
+    wait_for_states(&mut child, out);
+    let sent = Command::new("kill").args([name, &child.id().to_string()]).status().unwrap();
+    assert!(sent.success());
+    child.wait().unwrap()
+}
+
+/// Processors that have nothing else to do, so that the robot has none of its own.
+struct Load {
+    is_over: Arc<AtomicBool>,
+    busy: Vec<std::thread::JoinHandle<()>>,
+}
+
+impl Load {
+    fn start() -> Load {
+        let is_over = Arc::new(AtomicBool::new(false));
+        let count = 3 * std::thread::available_parallelism().unwrap().get();
+        let spin = |is_over: Arc<AtomicBool>| {
+            while !is_over.load(Ordering::Relaxed) {
+                std::hint::spin_loop();
+            }
+        };
+        let busy = (0..count)
+            .map(|_| {
+                let is_over = Arc::clone(&is_over);
+                std::thread::spawn(move || spin(is_over))
+            })
+            .collect();
+        Load { is_over, busy }
+    }
+}
+
+impl Drop for Load {
+    fn drop(&mut self) {
+        self.is_over.store(true, Ordering::Relaxed);
+        for thread in self.busy.drain(..) {
+            thread.join().unwrap();
+        }
+    }
+}
+
+/// Waits until a run has written states.
+fn wait_for_states(child: &mut Child, out: &Path) {
     let written =
         || std::fs::read_to_string(out.join("states.csv")).is_ok_and(|text| text.lines().count() > 10);
     while !written() {
         assert!(child.try_wait().unwrap().is_none(), "the run ended before it wrote anything");
         std::thread::sleep(Duration::from_millis(20));
     }
-    let sent = Command::new("kill").args([name, &child.id().to_string()]).status().unwrap();
-    assert!(sent.success());
-    child.wait().unwrap()
+}
+
+/// Sends SIGTERM to a run, which must end soon, and as a whole.
+fn ends_soon(mut child: Child, out: &Path) {
+    assert!(Command::new("kill").args(["-TERM", &child.id().to_string()]).status().unwrap().success());
+    let begin = Instant::now();
+    while child.try_wait().unwrap().is_none() {
+        assert!(begin.elapsed() < END, "it did not end");
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    assert_eq!(summary(out)["interrupted"], true);
+}
+
+#[test]
+fn a_robot_under_load_ends_soon_after_a_signal() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("out");
+    record(folder.path());
+    let mut child = start(folder.path(), &out, &["--realtime"]);
+    let _load = Load::start();
+    wait_for_states(&mut child, &out);
+    ends_soon(child, &out);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_robot_whose_server_is_silent_ends_soon_after_a_signal() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("out");
+    record(folder.path());
+    let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+    let endpoint = format!("tcp/127.0.0.1:{port}");
+    let options = SessionOptions { listen: vec![endpoint.clone()], ..SessionOptions::default() };
+    let session = open_session(&options).await.unwrap();
+    let (hold, held) = std::sync::mpsc::channel();
+    let silent = session.declare_queryable("map/hall/match").callback(move |query| hold.send(query).unwrap());
+    let _silent = silent.await.unwrap();
+    for switches in [&[][..], &["--realtime"]] {
+        let child = Command::new(env!("CARGO_BIN_EXE_onboard"))
+            .args(["--init", "truth", "--map", "hall", "--deadline", "60", "--connect", &endpoint])
+            .arg("--sequence")
+            .arg(folder.path())
+            .arg("--out")
+            .arg(&out)
+            .args(switches)
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .spawn()
+            .unwrap();
+        let query = held.recv_timeout(Duration::from_mins(1)).unwrap();
+        tokio::task::block_in_place(|| ends_soon(child, &out));
+        drop(query);
+        held.try_iter().for_each(drop);
+        std::fs::remove_dir_all(&out).unwrap();
+    }
+    close_session(&session).await;
 }
 
 fn summary(out: &Path) -> serde_json::Value {

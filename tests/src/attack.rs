@@ -79,9 +79,7 @@ impl<'a> Forger<'a> {
         let valid = Validity::default();
         let issued = match entry {
             Entry::OtherAuthority => Some(self.other.issue(&common_name(name), Vec::new(), valid)),
-            Entry::Expired => {
-                Some(self.authority.issue(&common_name(name), Vec::new(), Validity { days: -1 }))
-            }
+            Entry::Expired => Some(self.authority.issue(&common_name(name), Vec::new(), Validity::days(-1))),
             Entry::Stranger => {
                 let made = self.made.load(Ordering::Relaxed);
                 Some(self.authority.issue(&format!("robot/stranger{made}"), Vec::new(), valid))

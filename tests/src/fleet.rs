@@ -1,13 +1,17 @@
 //! A small fleet in one process: routers, a map server, a robot and an operator, each with a session of its own.
 
+use crate::attack::VICTIM;
 use client::session::{SessionMode, SessionOptions, close_session, open_session};
 use client::{MapChangeSubscriber, MapClient};
 use map_server::{MapServer, ServedMap, ServerOptions};
 use protocol::{Format, RobotState, RobotStatus};
 use recognition::LoadedMap;
+use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use testing::{Place, PlaceOptions};
+use tools::fleet::{Fleet, FleetOptions, Validity};
+use tools::in_process::free_endpoint;
 use zenoh::handlers::FifoChannelHandler;
 use zenoh::liveliness::LivelinessToken;
 use zenoh::pubsub::Subscriber;
@@ -27,6 +31,23 @@ pub fn router(listen: &str, connect: &[&str]) -> SessionOptions {
 pub fn session(listen: &[&str], connect: &[&str]) -> SessionOptions {
     let owned = |endpoints: &[&str]| endpoints.iter().map(|&endpoint| endpoint.to_owned()).collect();
     SessionOptions { listen: owned(listen), connect: owned(connect), ..SessionOptions::default() }
+}
+
+/// A member of a secured fleet.
+pub fn member(folder: &Path, name: &str) -> SessionOptions {
+    SessionOptions { secure: Some(folder.join(name)), ..SessionOptions::default() }
+}
+
+/// A secured fleet with a server `south`, the robots `ada` and `bo`, and the operator `ann`.
+pub fn secured(folder: &Path, router: bool) -> Fleet {
+    let endpoint = free_endpoint().unwrap();
+    let mut options = FleetOptions::new("127.0.0.1");
+    options.port = endpoint.rsplit(':').next().unwrap().parse().unwrap();
+    options.servers = vec!["south".into()];
+    options.robots = vec![VICTIM.into(), "bo".into()];
+    options.operators = vec!["ann".into()];
+    options.router = router;
+    Fleet::init(folder, options, Validity::default()).unwrap()
 }
 
 /// A small map in its versions.

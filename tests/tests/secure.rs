@@ -14,30 +14,16 @@ use tests::attack::{
     Booty, Entry, FORGED, FORGED_STAMP, FORGED_VERSION, FORGERIES, Forger, Forgery, MEMBERS, OUTSIDERS,
     VICTIM, all_answers, status,
 };
-use tests::fleet::{FleetOperator, FleetRobot, FleetServer, MAP, PATIENCE, assert_works, session};
-use tools::fleet::{Fleet, FleetOptions, Validity};
+use tests::fleet::{
+    FleetOperator, FleetRobot, FleetServer, MAP, PATIENCE, assert_works, member, secured, session,
+};
+use tools::fleet::{Fleet, Validity};
 use tools::in_process::free_endpoint;
 
 /// Variations in CI; [`thousand`] is run by hand.
 const VARIATIONS: usize = 100;
 /// Time that a forgery is given to spread before the witnesses are asked.
 const ARRIVAL: Duration = Duration::from_millis(100);
-
-fn member(folder: &Path, name: &str) -> SessionOptions {
-    SessionOptions { secure: Some(folder.join(name)), ..SessionOptions::default() }
-}
-
-/// A fleet with a server `south`, the robots `ada` and `bo`, and the operator `ann`.
-fn fleet(folder: &Path, router: bool) -> Fleet {
-    let endpoint = free_endpoint().unwrap();
-    let mut options = FleetOptions::new("127.0.0.1");
-    options.port = endpoint.rsplit(':').next().unwrap().parse().unwrap();
-    options.servers = vec!["south".into()];
-    options.robots = vec![VICTIM.into(), "bo".into()];
-    options.operators = vec!["ann".into()];
-    options.router = router;
-    Fleet::init(folder, options, Validity::default()).unwrap()
-}
 
 /// The router of a fleet that has one.
 async fn router_of(fleet: &Fleet, folder: &Path) -> Option<zenoh::Session> {
@@ -52,7 +38,7 @@ async fn members_work_together_and_new_and_renewed_ones_too() {
     for router in [false, true] {
         let folder = tempfile::tempdir().unwrap();
         let place = folder.path().join("fleet");
-        let mut fleet = fleet(&place, router);
+        let mut fleet = secured(&place, router);
         fleet.add(Role::Robot, "cy", Validity::default()).unwrap();
         fleet.renew(Some(VICTIM), Validity::default()).unwrap();
         let between = router_of(&fleet, &place).await;
@@ -75,7 +61,7 @@ async fn members_work_together_and_new_and_renewed_ones_too() {
 async fn servers_share_the_cells_of_a_map() {
     let folder = tempfile::tempdir().unwrap();
     let secure = folder.path().join("fleet");
-    let mut fleet = fleet(&secure, true);
+    let mut fleet = secured(&secure, true);
     fleet.add(Role::MapServer, "north", Validity::default()).unwrap();
     let between = router_of(&fleet, &secure).await;
 
@@ -257,7 +243,7 @@ async fn attack_both_layouts(variations: usize) {
     for router in [false, true] {
         let folder = tempfile::tempdir().unwrap();
         let place = folder.path().join("fleet");
-        let fleet = fleet(&place, router);
+        let fleet = secured(&place, router);
         let between = router_of(&fleet, &place).await;
         let server = FleetServer::start(&member(&place, "south")).await;
         let mut witnesses = Witnesses::start(&member(&place, VICTIM), &member(&place, "ann")).await;
@@ -282,7 +268,7 @@ async fn thousand() {
 async fn whoever_answers_before_the_server_is_not_believed() {
     let folder = tempfile::tempdir().unwrap();
     let place = folder.path().join("fleet");
-    let fleet = fleet(&place, true);
+    let fleet = secured(&place, true);
     let between = router_of(&fleet, &place).await;
     let forger = Forger::new(&fleet, &place, folder.path());
     let attacker = zenoh::open(forger.config(Entry::Member(Role::Robot), "bo")).await.unwrap();
@@ -321,7 +307,7 @@ async fn drivers_reach_their_own_robot_and_no_other() {
     for router in [false, true] {
         let folder = tempfile::tempdir().unwrap();
         let place = folder.path().join("fleet");
-        let fleet = fleet(&place, router);
+        let fleet = secured(&place, router);
         let between = router_of(&fleet, &place).await;
         let server = FleetServer::start(&member(&place, "south")).await;
         let robot = open_session(&member(&place, VICTIM)).await.unwrap();
@@ -385,8 +371,8 @@ async fn without_security_every_forgery_is_believed() {
 async fn a_robot_does_not_connect_to_somebody_else_at_the_address() {
     let folder = tempfile::tempdir().unwrap();
     let (place, elsewhere) = (folder.path().join("fleet"), folder.path().join("other"));
-    let honest = fleet(&place, false);
-    let other = fleet(&elsewhere, false);
+    let honest = secured(&place, false);
+    let other = secured(&elsewhere, false);
     let (port, other_port) = (port(&honest), port(&other));
     // The server of another fleet, and a member with its own certificate, which is for connecting only.
     let mut foreign = member(&elsewhere, "south");
@@ -455,7 +441,7 @@ async fn users_need_their_password() {
 async fn tls_serves_whoever_trusts_the_authority() {
     let folder = tempfile::tempdir().unwrap();
     let place = folder.path().join("fleet");
-    fleet(&place, false);
+    secured(&place, false);
     let at = free_endpoint().unwrap().replace("tcp/", "tls/");
     let (ca, own) = (place.join("south/ca.pem"), place.join("south"));
     let serving = format!(
@@ -477,7 +463,7 @@ async fn tls_serves_whoever_trusts_the_authority() {
 fn a_member_folder_is_for_its_role_and_for_tls_only() {
     let folder = tempfile::tempdir().unwrap();
     let place = folder.path().join("fleet");
-    fleet(&place, false);
+    secured(&place, false);
     let expect = |name: &str, role, given| {
         client::session::Member::expect(&place.join(name), role, ("--robot", given))
             .map_err(|error| error.to_string())

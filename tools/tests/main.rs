@@ -4,10 +4,16 @@
 #[path = "../../crates/viewer/tests/common/browser.rs"]
 mod browser;
 mod calibration;
+#[cfg(unix)]
+mod crossing;
 mod demo;
 #[cfg(all(feature = "bags", feature = "releases", feature = "secure"))]
 mod documentation;
+#[cfg(unix)]
+mod ending;
 mod fleet;
+#[cfg(target_os = "linux")]
+mod full_disk;
 #[cfg(unix)]
 mod kills;
 #[cfg(unix)]
@@ -17,5 +23,7 @@ mod old_spellings;
 #[cfg(all(feature = "bags", feature = "releases", feature = "secure"))]
 mod printed;
 mod rendered_images;
+#[cfg(unix)]
+mod scratch;
 mod simulate_evaluate_plot;
 mod track;

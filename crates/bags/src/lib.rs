@@ -48,5 +48,5 @@ mod writer;
 pub use bag::{Bag, StoredMessage, Topic};
 pub use error::BagError;
 pub use qos::OfferedQos;
-pub use storage::{Encoding, Metadata, Place, Schema};
+pub use storage::{Encoding, MAX_MESSAGE, Metadata, Place, Schema};
 pub use writer::{BagWriter, Format, MessageType, WrittenTopic};

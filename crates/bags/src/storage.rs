@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use std::fmt;
 
 /// Larger messages are refused before memory is allocated, bytes.
-pub(crate) const MAX_MESSAGE: u64 = 1 << 28;
+pub const MAX_MESSAGE: u64 = 1 << 28;
 
 /// So many damages of a file are told, the others counted.
 const MAX_DAMAGE: usize = 10;

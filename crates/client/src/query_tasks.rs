@@ -157,16 +157,22 @@ impl<T: Send + 'static> QueryTasks<T> {
 
     /// Blocks until the next result; `None` if no query is pending. For playback that pauses the recording meanwhile.
     pub fn wait(&mut self) -> Option<QueryResult<T>> {
-        loop {
-            let (_, oldest) = self.pending.first_key_value()?;
-            let limit = (self.deadline + REPORT_TIMEOUT).saturating_sub(oldest.begin.elapsed());
-            let taken = match self.receiver.recv_timeout(limit) {
-                Ok(report) => self.take(report),
-                Err(_) => self.expired(),
-            };
+        while self.pending() > 0 {
+            let taken = self.wait_at_most(self.deadline + REPORT_TIMEOUT);
             if taken.is_some() {
                 return taken;
             }
+        }
+        None
+    }
+
+    /// The same, but blocks no longer than `most`; `None` also where no result came in that time.
+    pub fn wait_at_most(&mut self, most: Duration) -> Option<QueryResult<T>> {
+        let (_, oldest) = self.pending.first_key_value()?;
+        let limit = (self.deadline + REPORT_TIMEOUT).saturating_sub(oldest.begin.elapsed());
+        match self.receiver.recv_timeout(limit.min(most)) {
+            Ok(report) => self.take(report),
+            Err(_) => self.expired(),
         }
     }
 

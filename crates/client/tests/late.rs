@@ -43,3 +43,34 @@ async fn a_client_is_connected_to_the_endpoint_that_answers() {
     close_session(&client).await;
     close_session(&server).await;
 }
+
+/// With room for two in place of a thousand.
+#[tokio::test(flavor = "multi_thread")]
+async fn where_all_places_are_taken_a_client_waits_for_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("zenoh.json5");
+    std::fs::write(&file, "{ transport: { unicast: { max_sessions: 2 } } }").unwrap();
+    let endpoint = vec![free_endpoint()];
+    let listening =
+        SessionOptions { config_file: Some(file), listen: endpoint.clone(), ..SessionOptions::default() };
+    let server = open_session(&listening).await.unwrap();
+    let connecting = SessionOptions { connect: endpoint, ..SessionOptions::default() };
+    let first = open_session(&connecting).await.unwrap();
+    let second = open_session(&connecting).await.unwrap();
+    let third = open_session(&connecting);
+    tokio::pin!(third);
+    let too_early = tokio::time::timeout(Duration::from_secs(1), &mut third).await;
+    assert!(too_early.is_err(), "there was a third place");
+    close_session(&first).await;
+    let third = tokio::time::timeout(Duration::from_secs(30), third).await.expect("it is let in").unwrap();
+    for session in [second, third, server] {
+        close_session(&session).await;
+    }
+}
+
+#[test]
+fn a_thousand_sessions_find_room_by_default() {
+    let config = SessionOptions::default().to_config().unwrap();
+    let places = config.get_json("transport/unicast/max_sessions").unwrap();
+    assert_eq!(places, client::session::MAX_SESSIONS.to_string());
+}

@@ -35,7 +35,7 @@ impl ReleaseCache {
 
     /// The release that was served last; `None` where there is none that can be read.
     pub fn release(&self) -> Option<Release> {
-        let text = std::fs::read(self.folder.join(RELEASE)).ok()?;
+        let text = files::read(self.folder.join(RELEASE), files::MAX_TEXT_BYTES).ok()?;
         let number = serde_json::from_slice::<serde_json::Value>(&text).ok()?.get("number")?.as_u64()?;
         Release::decode(&text, number).ok()
     }
@@ -65,7 +65,7 @@ impl ReleaseCache {
     /// A segment; `None` where it is missing or damaged.
     pub(crate) fn segment(&self, name: &SegmentName) -> Option<Bytes> {
         let path = self.path(name);
-        let bytes = std::fs::read(&path).ok()?;
+        let bytes = files::read(&path, name.bytes).ok()?;
         if SegmentName::of(&bytes) == *name {
             return Some(bytes.into());
         }

@@ -64,6 +64,49 @@ async fn roll_back_beside_clean(seed: u64) -> bool {
     rolled_back.is_ok()
 }
 
+/// The segments of the new release are old, of a publication that was stopped before it had named them.
+async fn publish_beside_clean(seed: u64) -> bool {
+    let store = slow(seed);
+    let first = place(seed);
+    let mut second = first.clone();
+    remove_keyframes(&mut second, &std::iter::once(first.keyframes[0].id).collect());
+    for contents in [&second, &first] {
+        publish(&store, contents.clone(), &PublishOptions::default(), |_| {}).await.unwrap();
+    }
+    let mut options = CleanOptions::default();
+    (options.releases, options.grace) = (1, Duration::from_secs(1));
+    tokio::time::sleep(Duration::from_millis(2100)).await;
+    let pause = Duration::from_millis(seed);
+    let late = async {
+        tokio::time::sleep(pause).await;
+        clean(&store, &options).await
+    };
+    let settings = PublishOptions::default();
+    let (published, cleaned) = tokio::join!(publish(&store, second, &settings, |_| {}), late);
+    let listed = store.numbers().await.unwrap();
+    for &number in &listed {
+        let release = store.release(number).await.unwrap();
+        let fetched = fetch(&store, &release, None).await;
+        assert!(fetched.is_ok(), "{seed}: release {number} lacks something: {:?}", fetched.err());
+    }
+    assert!(published.is_ok() == listed.contains(&3), "{seed}: {published:?}, {listed:?}");
+    for error in [published.as_ref().err(), cleaned.as_ref().err()].into_iter().flatten() {
+        assert!(!error.to_string().is_empty());
+    }
+    published.is_ok()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_publication_beside_a_clean_is_refused_or_complete() {
+    let tasks: Vec<_> = (0..STORES).map(|seed| tokio::spawn(publish_beside_clean(seed))).collect();
+    let mut published = 0;
+    for task in tasks {
+        published += usize::from(task.await.unwrap());
+    }
+    println!("{published} of {STORES} were published, the others refused");
+    assert!(published > 0);
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn a_rollback_beside_a_clean_is_refused_or_complete() {
     let tasks: Vec<_> = (0..STORES).map(|seed| tokio::spawn(roll_back_beside_clean(seed))).collect();

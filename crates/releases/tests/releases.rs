@@ -369,3 +369,14 @@ fn places_are_understood_or_named() {
     }
     assert!(ReleaseStore::open("ftp://host/city").is_err());
 }
+
+#[cfg(unix)]
+#[test]
+fn a_pipe_in_the_cache_is_no_release() {
+    let folder = tempfile::tempdir().unwrap();
+    let cache = ReleaseCache::open(folder.path()).unwrap();
+    let pipe = folder.path().join("release.json");
+    assert!(std::process::Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+    // Opened, it would block until somebody writes.
+    assert!(cache.release().is_none());
+}

@@ -11,6 +11,7 @@ use super::subscriber::Subscriber;
 use ros_messages::RosMessage;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
+use tokio::sync::mpsc::unbounded_channel;
 use zenoh::Session;
 use zenoh::liveliness::LivelinessToken;
 use zenoh::qos::CongestionControl;
@@ -131,10 +132,13 @@ impl Node {
 
     /// The tokens of a pattern that are seen now.
     pub(crate) async fn tokens(&self, pattern: &str) -> Result<Vec<String>, RosError> {
-        let found = self.session.liveliness().get(pattern).timeout(TOKEN_TIMEOUT).await;
-        let found = found.map_err(RosError::zenoh("other nodes cannot be looked for"))?;
+        // Those that this session knows come while it asks: a channel that is full would block it for ever.
+        let (tell, mut found) = unbounded_channel();
+        let asked = self.session.liveliness().get(pattern).timeout(TOKEN_TIMEOUT);
+        let asked = asked.callback(move |reply| _ = tell.send(reply)).await;
+        asked.map_err(RosError::zenoh("other nodes cannot be looked for"))?;
         let mut tokens = Vec::new();
-        while let Ok(reply) = found.recv_async().await {
+        while let Some(reply) = found.recv().await {
             if let Ok(token) = reply.result() {
                 tokens.push(token.key_expr().to_string());
             }

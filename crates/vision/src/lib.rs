@@ -29,8 +29,8 @@ pub use features::{
     ExtractError, FeatureExtractor, ImageFeatures, Keypoint, feature_set, kind_of, metric_of,
 };
 pub use image::{
-    Equalization, GrayImage, ImageError, LocalEqualization, MAX_IMAGE_FILE_BYTES, MAX_PIXELS, MAX_SCANS,
-    Pyramid, RawImage, equalize, equalize_locally,
+    Equalization, GrayImage, ImageError, LocalEqualization, MAX_IMAGE_FILE_BYTES, MAX_IMAGE_SIDE, MAX_PIXELS,
+    MAX_SCANS, Pyramid, RawImage, equalize, equalize_locally,
 };
 pub use matching::{
     DescriptorError, DescriptorView, Hit, InvertedFile, Match, MatchOptions, Matcher, Metric, distance,

@@ -168,10 +168,13 @@ impl StoredCell {
 
     async fn load(self: Arc<Self>, tell: watch::Sender<Option<Brought>>) {
         let begin = Instant::now();
-        let until_loaded = UntilLoaded(&self);
+        let mut until_loaded = UntilLoaded { cell: &self, is_loaded: false };
         let brought = self.read_or_rebuild().await;
+        until_loaded.is_loaded = brought.is_ok();
         drop(until_loaded);
-        self.memory.metrics.note_cold_load(begin.elapsed(), brought.is_ok());
+        if brought.is_ok() {
+            self.memory.metrics.note_cold_load(begin.elapsed());
+        }
         let brought = brought.map_err(|error| {
             let CellOrigin { name, cell, .. } = &self.origin;
             let reason = format!("{:#}", anyhow::Error::from(error));
@@ -197,14 +200,16 @@ impl StoredCell {
             drop(dropped);
             file.map(|file| file.read())
         });
-        let reason = match reading.await.map_err(|error| ServeError::task(&error))? {
-            Some(Ok(map)) => {
+        let reason = match reading.await {
+            Ok(Some(Ok(map))) => {
                 let map = Arc::new(map);
                 self.put(Arc::clone(&map));
                 return Ok(map);
             }
-            Some(Err(error)) => error.to_string(),
-            None => "it is not kept there".to_owned(),
+            Ok(Some(Err(error))) => error.to_string(),
+            Ok(None) => "it is not kept there".to_owned(),
+            // A panic: what it was about must not be read again and again.
+            Err(error) => ServeError::task(&error).to_string(),
         };
         drop(place);
         let CellOrigin { name, cell, .. } = &self.origin;
@@ -276,16 +281,20 @@ impl StoredCell {
 }
 
 /// Lets whoever asks next try again where loading a cell ends without the cell, be it by a panic.
-struct UntilLoaded<'a>(&'a StoredCell);
+struct UntilLoaded<'a> {
+    cell: &'a StoredCell,
+    is_loaded: bool,
+}
 
 impl Drop for UntilLoaded<'_> {
     fn drop(&mut self) {
-        let mut state = self.0.state();
-        if matches!(*state, State::Coming(_)) {
-            *state = State::Cold;
+        if self.is_loaded {
+            return;
         }
+        *self.cell.state() = State::Cold;
+        self.cell.memory.metrics.note_failed_cold_load();
         if std::thread::panicking() {
-            let CellOrigin { name, cell, .. } = &self.0.origin;
+            let CellOrigin { name, cell, .. } = &self.cell.origin;
             tracing::error!(
                 name,
                 cell,

@@ -9,8 +9,8 @@ use map::MapContents;
 use map_server::CellChoice;
 use object_store::memory::InMemory;
 use object_store::throttle::{ThrottleConfig, ThrottledStore};
-use protocol::{MatchOutcome, MatchRequest};
-use releases::{Outcome, Published, ReleaseStore, publish, roll_back};
+use protocol::{KeyframeId, MatchOutcome, MatchRequest};
+use releases::{Outcome, Published, ReleaseStore, fetch_cell, publish, roll_back};
 use tokio::sync::oneshot;
 use tokio::task::JoinHandle;
 
@@ -221,4 +221,53 @@ async fn what_is_torn_or_has_a_wrong_hash_is_not_served() {
     for server in servers {
         server.stop().await;
     }
+}
+
+/// Asks for a keyframe of each cell; those that were not sent.
+async fn missing(city: &MapClient, keyframes: &[KeyframeId]) -> Vec<KeyframeId> {
+    let mut missing = Vec::new();
+    for &keyframe in keyframes {
+        match city.keyframe(keyframe, Instant::now() + Duration::from_secs(4)).await {
+            Ok(reply) => assert_eq!(reply.keyframe.id, keyframe),
+            Err(error) => {
+                assert!(error.is_transient(), "{error}");
+                missing.push(keyframe);
+            }
+        }
+    }
+    missing
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn while_loading_a_cell_panics_the_others_are_served_and_then_it_is_too() {
+    let town = Town::new().await;
+    let faulty = Arc::new(ThrottledStore::new(InMemory::new(), ThrottleConfig::default()));
+    let store = ReleaseStore::over(Arc::clone(&faulty) as Arc<_>, "faulty");
+    let release = published(&store, town.place.map.clone()).await.release;
+    let (_hub, endpoint) = hub().await;
+    let all = "0-100".parse().unwrap();
+    let folder = town.folder.path().join("only");
+    // No cell stays in memory.
+    let server = CellServer::with_memory(&endpoint, "only", &store, town.folder.path(), all, Some(1)).await;
+    let robot = session(&endpoint).await;
+    wait_for_cells(&robot, release.cells.len()).await;
+    let city = MapClient::new(robot.clone(), "city").unwrap();
+    let mut keyframes = Vec::new();
+    for cell in &release.cells {
+        keyframes.push(fetch_cell(&store, &release, cell.cell, None).await.unwrap().own[0]);
+    }
+    assert!(missing(&city, &keyframes).await.is_empty());
+
+    // What the server has of one cell is gone, and its store panics where it should give a segment.
+    std::fs::remove_file(folder.join("cold/0/0")).unwrap();
+    std::fs::remove_dir_all(folder.join("segments")).unwrap();
+    faulty.config_mut(|config| config.wait_get_per_byte = Duration::MAX);
+    let lost = missing(&city, &keyframes).await;
+    assert_eq!(lost.len(), 1, "{lost:?}");
+    assert_eq!(missing(&city, &keyframes).await, lost);
+    assert!(server.server.statistics().cold_loads_failed >= 2, "it is tried again for each who asks");
+
+    faulty.config_mut(|config| config.wait_get_per_byte = Duration::ZERO);
+    assert!(missing(&city, &keyframes).await.is_empty());
+    server.stop().await;
 }

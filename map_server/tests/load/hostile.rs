@@ -7,12 +7,14 @@ use std::path::Path;
 use std::process::{Child, Command};
 use std::time::{Duration, Instant};
 
+use crate::load::images::{costly_jpeg, costly_png, post};
 use crate::load::town::{MAP, Server, quantile_ms, requests, setting, town};
 use client::{MapChangeSubscriber, MapClient, SessionOptions, close_session, open_session};
 use protocol::{Format, MatchRequest};
 use rand::rngs::StdRng;
 use rand::{RngExt as _, SeedableRng as _};
 use testing::{Place, resident_mb};
+use vision::features::DEFAULT_EXTRACTOR;
 use zenoh::Session;
 
 /// Time that the good robot waits for an answer.
@@ -22,13 +24,17 @@ const PERIOD: Duration = Duration::from_millis(50);
 /// Time that an attack runs before the good robot is measured.
 const RAMP: Duration = Duration::from_secs(3);
 
-const ATTACKS: [&str; 9] = [
+/// Clients of an attack.
+const CLIENTS: usize = 8;
+
+const ATTACKS: [&str; 10] = [
     "payloads",
     "features",
     "many features",
     "costliest",
     "held",
     "names",
+    "images",
     "sessions",
     "declarations",
     "garbage",
@@ -62,21 +68,32 @@ async fn ask_for_a_while(client: &MapClient, requests: &[MatchRequest], seconds:
     seen
 }
 
-fn attack(name: &str, endpoint: &str) -> Child {
+/// Starts an attack of so many clients, where its kind has clients.
+pub fn attack(name: &str, endpoint: &str, page: &str, clients: usize) -> Child {
     let mut command = Command::new(std::env::current_exe().unwrap());
     command.args(["--exact", "load::hostile::attacker", "--ignored", "--nocapture"]);
-    command.env("ATTACK", name).env("ENDPOINT", endpoint).spawn().unwrap()
+    command
+        .env("ATTACK", name)
+        .env("ENDPOINT", endpoint)
+        .env("PAGE", page)
+        .env("CLIENTS", clients.to_string())
+        .spawn()
+        .unwrap()
 }
 
 #[test]
 #[ignore = "a measurement of minutes"]
 fn hostile_load() {
     let (seconds, keyframes) = (setting("SECONDS", 15), setting("KEYFRAMES", 1000));
-    let place = town(keyframes);
+    let mut place = town(keyframes);
+    // So that the page takes images.
+    DEFAULT_EXTRACTOR.clone_into(&mut place.map.info.extractor);
     let folder = tempfile::tempdir().unwrap();
-    let endpoint = format!("tcp/127.0.0.1:{}", setting("PORT", 17_449));
+    let port = setting("PORT", 17_449);
+    let (endpoint, page) = (format!("tcp/127.0.0.1:{port}"), format!("127.0.0.1:{}", port + 1));
     let log = folder.path().join("log");
-    let server = Server::start(&place, folder.path(), &endpoint, Some(File::create(&log).unwrap()));
+    let to_log = Some(File::create(&log).unwrap());
+    let server = Server::start_with(&place, folder.path(), &endpoint, to_log, &["--http", &page]);
     let runtime = tokio::runtime::Runtime::new().unwrap();
     runtime.block_on(async {
         let session = open_session(&options(&endpoint)).await.unwrap();
@@ -86,10 +103,21 @@ fn hostile_load() {
         client.match_image(&requests[0], Instant::now() + Duration::from_mins(1)).await.unwrap();
         let lines = |path: &Path| std::fs::read_to_string(path).unwrap().lines().count();
         let mut before = lines(&log);
-        for name in std::iter::once("quiet").chain(ATTACKS) {
-            let mut attacker = (name != "quiet").then(|| attack(name, &endpoint));
+        let only = std::env::var("ATTACKS").ok();
+        let is_chosen = |name: &&str| only.as_ref().is_none_or(|only| only.split(',').any(|one| one == *name));
+        for name in std::iter::once("quiet").chain(ATTACKS.into_iter().filter(is_chosen)) {
+            let mut attacker = (name != "quiet").then(|| attack(name, &endpoint, &page, CLIENTS));
             ask_for_a_while(&client, &requests, RAMP.as_secs() as usize).await;
             let seen = ask_for_a_while(&client, &requests, seconds).await;
+            let begun = Instant::now();
+            let newcomer = tokio::time::timeout(DEADLINE, open_session(&options(&endpoint))).await;
+            match newcomer {
+                Ok(session) => {
+                    println!("{name:14} a new client was connected in {:.2} s", begun.elapsed().as_secs_f64());
+                    close_session(&session.unwrap()).await;
+                }
+                Err(_) => println!("{name:14} a new client was not connected within {DEADLINE:?}"),
+            }
             let mut told = 0;
             while changes.poll().is_some() {
                 told += 1;
@@ -111,6 +139,11 @@ fn hostile_load() {
             );
             before = now;
             assert!(!seen.latencies.is_empty(), "{name}: no answer at all");
+            // Whoever comes after the attack is let in.
+            let ended = Instant::now();
+            let newcomer = tokio::time::timeout(Duration::from_mins(1), open_session(&options(&endpoint))).await;
+            close_session(&newcomer.expect("a client connects after the attack").unwrap()).await;
+            println!("{name:14} a new client was connected {:.2} s after it", ended.elapsed().as_secs_f64());
             // What the attack left is gone before the next.
             tokio::time::sleep(Duration::from_secs(5)).await;
         }
@@ -131,6 +164,7 @@ fn attacker() {
             "costliest" => ask_for_most(&endpoint, protocol::MAX_HELD_KEYFRAMES as u64).await,
             "held" => ask_for_most(&endpoint, 4_000_000).await,
             "names" => ask_under_names(&endpoint).await,
+            "images" => give_images(&std::env::var("PAGE").unwrap()),
             "sessions" => open_sessions(&endpoint).await,
             "declarations" => declare(&open(&endpoint).await).await,
             "garbage" => send_garbage(&open(&endpoint).await).await,
@@ -143,6 +177,7 @@ fn attacker() {
 async fn open(endpoint: &str) -> Session {
     let mut config = options(endpoint).to_config().unwrap();
     config.insert_json5("transport/link/rx/max_message_size", "4000000000").unwrap();
+    config.insert_json5("connect/timeout_ms", "30000").unwrap();
     zenoh::open(config).await.unwrap()
 }
 
@@ -157,10 +192,10 @@ async fn send_payloads(session: &Session) {
     }
 }
 
-/// Eight clients, each with four queries at a time, without priors.
+/// Clients, each with four queries at a time, without priors.
 async fn ask_with_features(endpoint: &str, count: usize) {
     let place: Place = town(5);
-    for client in 0..8 {
+    for client in 0..setting("CLIENTS", CLIENTS) as u64 {
         let mut rng = StdRng::seed_from_u64(client);
         let mut request = place.request(&place.path[0], 4, &mut rng);
         request.features = place.features(&place.path[0], count, &mut rng);
@@ -189,10 +224,10 @@ async fn ask_for_ever(session: Session, client: u64, payload: Vec<u8>) {
     }
 }
 
-/// Eight clients with one query at a time: as many features, held keyframes and keyframes of the answer as may be.
+/// Clients with one query at a time: as many features, held keyframes and keyframes of the answer as may be.
 async fn ask_for_most(endpoint: &str, held: u64) {
     let place: Place = town(5);
-    for client in 0..8 {
+    for client in 0..setting("CLIENTS", CLIENTS) as u64 {
         let mut rng = StdRng::seed_from_u64(client);
         let mut request = place.request(&place.path[0], protocol::MAX_ANSWER_KEYFRAMES, &mut rng);
         request.features = place.features(&place.path[0], protocol::MAX_QUERY_FEATURES - 400, &mut rng);
@@ -217,6 +252,22 @@ async fn ask_under_names(endpoint: &str) {
         let query = session.get(format!("{key}?client=name{k}")).payload(payload.clone());
         query.encoding(Format::Bincode.encoding()).callback(|_| ()).await.unwrap();
     }
+}
+
+/// Eight people who give the page one image after the other.
+fn give_images(page: &str) {
+    let images = [costly_png(), costly_jpeg()];
+    std::thread::scope(|scope| {
+        for person in 0..8 {
+            let image = &images[person % images.len()];
+            scope.spawn(move || {
+                loop {
+                    let status = post(page, MAP, image);
+                    assert!(matches!(status, Ok(200 | 422 | 429)), "{status:?}");
+                }
+            });
+        }
+    });
 }
 
 async fn open_sessions(endpoint: &str) {

@@ -14,5 +14,7 @@ mod cells;
 mod cold;
 mod fleet;
 mod hostile;
+mod images;
+mod lossy;
 mod town;
 mod viewers;

@@ -8,16 +8,19 @@ use super::publisher_error::PublisherError;
 use protocol::keys;
 use std::collections::BTreeSet;
 use std::sync::{Arc, Mutex, PoisonError};
-use tokio::task::JoinHandle;
 use zenoh::Session;
 use zenoh::liveliness::LivelinessToken;
-use zenoh::sample::SampleKind;
+use zenoh::pubsub::Subscriber;
+use zenoh::sample::{Sample, SampleKind};
+
+/// Robots of the same name that are kept and told: whoever makes up more makes up all.
+const MAX_NAMESAKES: usize = 16;
 
 /// Watches for robots of the same name.
 #[derive(Debug)]
 pub(super) struct NameWatch {
     token: LivelinessToken,
-    watching: JoinHandle<()>,
+    _watching: Subscriber<()>,
     namesakes: Arc<Mutex<BTreeSet<String>>>,
 }
 
@@ -26,27 +29,28 @@ impl NameWatch {
     pub(super) async fn start(session: &Session, robot: &str) -> Result<Self, PublisherError> {
         let prefix = format!("{}/session", keys::robot(robot)?);
         let own = format!("{prefix}/{}", session.zid());
-        let liveliness = session.liveliness();
-        let tokens = liveliness.declare_subscriber(format!("{prefix}/*")).history(true).await;
-        let tokens = tokens.map_err(PublisherError::Liveliness)?;
-        let token = liveliness.declare_token(own.clone()).await.map_err(PublisherError::Liveliness)?;
         let namesakes = Arc::new(Mutex::new(BTreeSet::new()));
-        let (seen, robot) = (Arc::clone(&namesakes), robot.to_owned());
-        let watching = tokio::spawn(async move {
-            while let Ok(sample) = tokens.recv_async().await {
-                let key = sample.key_expr().as_str();
-                if sample.kind() != SampleKind::Put || key == own {
-                    continue;
-                }
-                if seen.lock().unwrap_or_else(PoisonError::into_inner).insert(key.to_owned()) {
-                    tracing::error!(
-                        "another robot of the name \"{robot}\" is on this network: subscribers take the poses of both \
-                         for one robot's; give each robot a name of its own with --robot NAME"
-                    );
-                }
+        let (seen, robot, own_key) = (Arc::clone(&namesakes), robot.to_owned(), own.clone());
+        let note = move |sample: Sample| {
+            let key = sample.key_expr().as_str();
+            if sample.kind() != SampleKind::Put || key == own_key {
+                return;
             }
-        });
-        Ok(Self { token, watching, namesakes })
+            let mut seen = seen.lock().unwrap_or_else(PoisonError::into_inner);
+            if seen.len() < MAX_NAMESAKES && seen.insert(key.to_owned()) {
+                tracing::error!(
+                    "another robot of the name \"{robot}\" is on this network: subscribers take the poses of both for one \
+                     robot's; give each robot a name of its own with --robot NAME"
+                );
+            }
+        };
+        let liveliness = session.liveliness();
+        // Tokens that are there come while this waits: a channel that is full would block it for ever.
+        let watching =
+            liveliness.declare_subscriber(format!("{prefix}/*")).history(true).callback(note).await;
+        let watching = watching.map_err(PublisherError::Liveliness)?;
+        let token = liveliness.declare_token(own).await.map_err(PublisherError::Liveliness)?;
+        Ok(Self { token, _watching: watching, namesakes })
     }
 
     /// Number of other robots that were seen so far.
@@ -56,7 +60,6 @@ impl NameWatch {
 
     /// Ends the watch and undeclares the token.
     pub(super) async fn stop(self) {
-        self.watching.abort();
         if let Err(error) = self.token.undeclare().await {
             tracing::debug!(%error, "the token of the session was gone with it");
         }

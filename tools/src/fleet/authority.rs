@@ -15,20 +15,25 @@ const CLOCK_DIFFERENCE: Duration = Duration::days(1);
 /// How long a certificate is valid.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Validity {
-    /// Days from now; one that is negative has expired.
-    pub days: i64,
+    /// Seconds from now; one that is negative has expired.
+    pub seconds: i64,
 }
 
 impl Default for Validity {
     fn default() -> Self {
-        Self { days: 365 }
+        Self::days(365)
     }
 }
 
 impl Validity {
+    /// So many days from now.
+    pub const fn days(days: i64) -> Self {
+        Self { seconds: Duration::days(days).whole_seconds() }
+    }
+
     fn apply(self, params: &mut CertificateParams) {
         let now = OffsetDateTime::now_utc();
-        params.not_after = now + Duration::days(self.days);
+        params.not_after = now + Duration::seconds(self.seconds);
         params.not_before = now.min(params.not_after) - CLOCK_DIFFERENCE;
     }
 }
@@ -54,7 +59,7 @@ impl Authority {
         params.distinguished_name.push(DnType::CommonName, "authority of a fleet");
         params.is_ca = IsCa::Ca(BasicConstraints::Constrained(0));
         params.key_usages = vec![KeyUsagePurpose::KeyCertSign, KeyUsagePurpose::CrlSign];
-        Validity { days: AUTHORITY_DAYS }.apply(&mut params);
+        Validity::days(AUTHORITY_DAYS).apply(&mut params);
         let certificate = params.self_signed(&key)?.pem();
         let secret = key.serialize_pem();
         Ok((Self { certificate, issuer: Issuer::new(params, key) }, secret))

@@ -99,7 +99,8 @@ fn message_of(stamp_ns: i64, image: &ImageData) -> Result<(ImageHeader, Vec<u8>)
         step: None,
     };
     if let Some(path) = image.path() {
-        let bytes = std::fs::read(path).with_context(|| path.display().to_string())?;
+        let bytes =
+            files::read(path, vision::MAX_IMAGE_FILE_BYTES).with_context(|| path.display().to_string())?;
         let is_png = bytes.starts_with(b"\x89PNG");
         return Ok((header(if is_png { "png" } else { "jpeg" }, 0, 0), bytes));
     }

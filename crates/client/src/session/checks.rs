@@ -72,7 +72,7 @@ pub(super) fn check_files(config: &Value) -> Result<(), SessionError> {
     for (key, pointer) in FILES {
         if let Some(file) = config.pointer(pointer).and_then(Value::as_str) {
             let file = PathBuf::from(file);
-            std::fs::File::open(&file).map_err(|problem| SessionError::MissingFile { key, file, problem })?;
+            files::open(&file).map_err(|problem| SessionError::MissingFile { key, file, problem })?;
         }
     }
     Ok(())

@@ -46,6 +46,10 @@ const KEEP_ALIVES: u64 = 4;
 /// How long one attempt to connect may take, milliseconds: packets to a machine that is off are not answered.
 const OPEN_TIMEOUT_MS: u64 = 4000;
 
+/// Most sessions that are connected to one at a time, as a configuration file may change it: each takes a socket and about 60 kB, and
+/// further ones are refused until one of them ends.
+pub const MAX_SESSIONS: usize = 1000;
+
 /// Longest message that a session receives, bytes: a payload, and what Zenoh puts around it.
 const MAX_MESSAGE: usize = protocol::MAX_MESSAGE_BYTES + (64 << 10);
 
@@ -189,7 +193,7 @@ fn defaults() -> Value {
         "listen": { "endpoints": [] },
         "connect": { "endpoints": [], "exit_on_failure": false, "retry": retry },
         "transport": {
-            "unicast": { "open_timeout": OPEN_TIMEOUT_MS },
+            "unicast": { "open_timeout": OPEN_TIMEOUT_MS, "max_sessions": MAX_SESSIONS },
             "link": { "tx": { "lease": LEASE_MS, "keep_alive": KEEP_ALIVES } }
         }
     })

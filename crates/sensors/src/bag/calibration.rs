@@ -141,7 +141,7 @@ fn files_of(path: &Path, files: &CalibrationFiles) -> Result<(PathBuf, Calibrati
         files.cameras = Some(own);
     }
     if let (Some(file), None) = (&files.cameras, &files.imu)
-        && kalibr::is_imu(&std::fs::read_to_string(file).unwrap_or_default())
+        && kalibr::is_imu(&files::read_to_string(file).unwrap_or_default())
     {
         files.imu = Some(file.clone());
     }

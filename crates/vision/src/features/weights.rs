@@ -6,6 +6,10 @@ use std::path::{Path, PathBuf};
 /// The environment variable that names the folder of weights.
 pub const FOLDER_VARIABLE: &str = "DRIFTLESS_WEIGHTS";
 
+/// Most bytes of a file of weights, or of the library that runs them: those of XFeat have 6 MB, the library 29 MB, and large networks a
+/// hundred.
+pub const MAX_WEIGHTS_BYTES: u64 = 256 << 20;
+
 /// The weights of an extractor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct WeightsFile {
@@ -30,7 +34,7 @@ impl WeightsFile {
     /// The SHA-256 that the file at `path` must have: the published one, else that of its checksum file, if there is one.
     pub fn needed_sha256(&self, path: &Path) -> Option<String> {
         let beside = || {
-            let text = std::fs::read_to_string(Self::checksum_path(path)).ok()?;
+            let text = files::read_to_string(Self::checksum_path(path)).ok()?;
             text.split_whitespace().next().map(str::to_owned)
         };
         self.sha256.map(str::to_owned).or_else(beside)

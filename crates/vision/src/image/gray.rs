@@ -6,7 +6,7 @@ use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
 /// Maximum width and height of a file, pixels: larger ones are refused before memory is allocated.
-pub(super) const MAX_SIDE: u32 = 16_384;
+pub const MAX_IMAGE_SIDE: u32 = 16_384;
 
 /// Most pixels of an encoded image: three times what the largest cameras of robots have. Decoding takes up to 9 bytes a pixel.
 pub const MAX_PIXELS: u64 = 36_000_000;
@@ -166,13 +166,13 @@ fn read_file(path: &Path) -> Result<Vec<u8>, ImageError> {
 /// Bounds for the decoder of an image that was walked over.
 fn decoder_limits(structure: Option<Structure>) -> Result<image::Limits, ImageError> {
     let (mut limits, found) = (image::Limits::default(), structure.unwrap_or_default());
-    let (width, height) = found.size.unwrap_or((MAX_SIDE, MAX_SIDE));
+    let (width, height) = found.size.unwrap_or((MAX_IMAGE_SIDE, MAX_IMAGE_SIDE));
     let pixels = found.size.map_or(MAX_PIXELS, |(width, height)| u64::from(width) * u64::from(height));
     if pixels > MAX_PIXELS || found.scans > MAX_SCANS {
         return Err(ImageError::TooCostly { size: (width, height), scans: found.scans });
     }
     (limits.max_image_width, limits.max_image_height) =
-        (Some(width.min(MAX_SIDE)), Some(height.min(MAX_SIDE)));
+        (Some(width.min(MAX_IMAGE_SIDE)), Some(height.min(MAX_IMAGE_SIDE)));
     limits.max_alloc = Some(pixels * DECODER_BYTES_A_PIXEL + DECODER_BYTES);
     Ok(limits)
 }

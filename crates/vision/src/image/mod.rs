@@ -8,7 +8,7 @@ mod raw;
 mod structure;
 
 pub use equalization::{Equalization, LocalEqualization, equalize, equalize_locally};
-pub use gray::{GrayImage, ImageError, MAX_IMAGE_FILE_BYTES, MAX_PIXELS, MAX_SCANS};
+pub use gray::{GrayImage, ImageError, MAX_IMAGE_FILE_BYTES, MAX_IMAGE_SIDE, MAX_PIXELS, MAX_SCANS};
 pub(crate) use marks::marked;
 pub use pyramid::Pyramid;
 pub use raw::RawImage;

@@ -1,6 +1,6 @@
 //! Uncompressed images as cameras and their drivers give them.
 
-use super::gray::MAX_SIDE;
+use super::gray::MAX_IMAGE_SIDE;
 use super::{GrayImage, ImageError};
 
 /// Colours that vary more than luma by this factor are not colours,
@@ -116,7 +116,7 @@ impl RawImage<'_> {
         let layout = Layout::of(self.encoding)
             .ok_or_else(|| ImageError::Format { encoding: self.encoding.to_owned() })?;
         let (width, height) = (self.width as usize, self.height as usize);
-        let is_allowed = |side: u32| (1..=MAX_SIDE).contains(&side);
+        let is_allowed = |side: u32| (1..=MAX_IMAGE_SIDE).contains(&side);
         let row_bytes = width * layout.bytes();
         let step = if self.step == 0 { row_bytes } else { self.step as usize };
         let is_there = is_allowed(self.width)

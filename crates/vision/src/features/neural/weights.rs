@@ -1,7 +1,7 @@
 //! Reading files of weights with their checksums.
 
 use super::network::NetworkError;
-use crate::features::weights::WeightsFile;
+use crate::features::weights::{MAX_WEIGHTS_BYTES, WeightsFile};
 use sha2::{Digest as _, Sha256};
 use std::path::{Path, PathBuf};
 
@@ -66,7 +66,7 @@ impl WeightsError {
 
 /// Reads a file of weights and checks its SHA-256 against the known one, or against its checksum file if there is one.
 pub(super) fn read_checked(path: &Path, file: &WeightsFile) -> Result<Vec<u8>, WeightsError> {
-    let bytes = std::fs::read(path).map_err(|source| {
+    let bytes = files::read(path, MAX_WEIGHTS_BYTES).map_err(|source| {
         let (path, old, command) = (path.to_path_buf(), path.with_extension("pt"), file.command);
         if source.kind() == std::io::ErrorKind::NotFound && old.exists() {
             return WeightsError::Unconverted { path, old, command };
