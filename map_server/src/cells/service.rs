@@ -302,7 +302,11 @@ impl Running {
 
     /// Looks for a newer release, and changes over to it together with the other servers.
     async fn follow_release(&mut self) {
-        let newest = match self.source.store.newest().await {
+        // A task of its own: if it panics, the cells are served as before.
+        let store = self.source.store.clone();
+        let looking = tokio::spawn(async move { store.newest().await });
+        let looked = looking.await.map_err(|error| ServeError::task(&error));
+        let newest = match looked.and_then(|newest| Ok(newest?)) {
             Ok(Some(newest)) if newest.number > self.release.number => newest,
             Ok(_) => return,
             Err(error) => {
