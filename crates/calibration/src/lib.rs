@@ -9,6 +9,8 @@
 //! `imu_from_camera` takes points in the frame of a camera (x right, y down, z forward) to that of the IMU. Noise densities are
 //! those of continuous time, as in Kalibr's files. What no camera has (a focal length of 1e308, a mount 1,000 km away) is refused.
 
+#![cfg_attr(test, allow(clippy::unwrap_used))]
+
 mod error;
 pub mod kalibr;
 pub mod sensor_yaml;

@@ -48,11 +48,17 @@ struct IntrinsicsYaml {
 }
 
 /// Reads the IMU's `sensor.yaml`.
+///
+/// # Errors
+/// [`CalibrationError`] with the file: it is missing, or an entry is missing or wrong.
 pub fn read_imu(path: &Path) -> Result<ImuSensor, CalibrationError> {
     imu_of_text(path, &read_text(path)?)
 }
 
 /// Reads the IMU from the text of such a file. `path`: what it is called in errors.
+///
+/// # Errors
+/// [`CalibrationError`] with the file: it is missing, or an entry is missing or wrong.
 pub fn imu_of_text(path: &Path, text: &str) -> Result<ImuSensor, CalibrationError> {
     let yaml: ImuYaml = parse(path, KIND, text)?;
     let noise: NoiseYaml = parse(path, KIND, text)?;
@@ -73,6 +79,9 @@ pub fn imu_of_text(path: &Path, text: &str) -> Result<ImuSensor, CalibrationErro
 }
 
 /// Reads a camera's `sensor.yaml`.
+///
+/// # Errors
+/// [`CalibrationError`] with the file: it is missing, or an entry is missing or wrong.
 pub fn read_camera(path: &Path) -> Result<CameraSensor, CalibrationError> {
     let camera = lens(path, &read_text(path)?)?;
     let mount: MountYaml = parse(path, KIND, &read_text(path)?)?;

@@ -54,6 +54,9 @@ pub struct NoiseYaml {
 
 impl NoiseYaml {
     /// The noise, checked.
+    ///
+    /// # Errors
+    /// [`CalibrationError`] with the file: it is missing, or an entry is missing or wrong.
     pub fn noise(&self, path: &Path) -> Result<ImuNoise, CalibrationError> {
         let densities = [
             ("gyroscope_noise_density", self.gyroscope_noise_density),
@@ -69,6 +72,9 @@ impl NoiseYaml {
 ///
 /// # Arguments
 /// * `densities`: name and value of the gyroscope's noise and walk, and of the accelerometer's.
+///
+/// # Errors
+/// [`CalibrationError`] with the file: it is missing, or an entry is missing or wrong.
 pub fn imu_noise(path: &Path, densities: [(&str, f64); 4]) -> Result<ImuNoise, CalibrationError> {
     for (name, value) in densities {
         check_positive(path, name, value)?;
@@ -97,6 +103,9 @@ pub struct Lens<'a> {
 
 impl Lens<'_> {
     /// The camera, checked.
+    ///
+    /// # Errors
+    /// [`CalibrationError`] with the file: it is missing, or an entry is missing or wrong.
     pub fn camera(&self, path: &Path) -> Result<Camera, CalibrationError> {
         let wrong = |problem: String| CalibrationError::entry(path, problem);
         if let Some(model) = self.camera_model.filter(|model| *model != "pinhole") {
@@ -157,6 +166,9 @@ fn distortion(
 }
 
 /// Checks an entry of a calibration.
+///
+/// # Errors
+/// [`CalibrationError`] with the file: it is missing, or an entry is missing or wrong.
 pub fn check_positive(path: &Path, name: &str, value: f64) -> Result<(), CalibrationError> {
     if value.is_finite() && value > 0.0 {
         return Ok(());
@@ -165,6 +177,9 @@ pub fn check_positive(path: &Path, name: &str, value: f64) -> Result<(), Calibra
 }
 
 /// A row-major 4x4 matrix as a pose. `key`: its name in the file.
+///
+/// # Errors
+/// [`CalibrationError`] with the file: it is missing, or an entry is missing or wrong.
 pub fn pose_from_matrix(path: &Path, key: &str, data: &[f64]) -> Result<Pose, CalibrationError> {
     let wrong = |problem: &str| CalibrationError::entry(path, format!("{key}: {problem}"));
     if data.len() != 16 || data.iter().any(|value| !value.is_finite()) {
@@ -187,6 +202,9 @@ pub fn pose_from_matrix(path: &Path, key: &str, data: &[f64]) -> Result<Pose, Ca
 }
 
 /// The text of a calibration file.
+///
+/// # Errors
+/// [`CalibrationError`] with the file: it is missing, or an entry is missing or wrong.
 pub fn read_text(path: &Path) -> Result<String, CalibrationError> {
     files::read_to_string(path).map_err(|source| match source.kind() {
         std::io::ErrorKind::NotFound => CalibrationError::Missing {
@@ -200,6 +218,9 @@ pub fn read_text(path: &Path) -> Result<String, CalibrationError> {
 }
 
 /// Parses a calibration file. `kind`: what it should be, for the error.
+///
+/// # Errors
+/// [`CalibrationError`] with the file: it is missing, or an entry is missing or wrong.
 pub fn parse<T: for<'de> Deserialize<'de>>(
     path: &Path,
     kind: &str,

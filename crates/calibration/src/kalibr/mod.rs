@@ -146,6 +146,9 @@ pub fn is_camera_chain(text: &str) -> bool {
 }
 
 /// Number of cameras that a file states, 1 or 2; of Kimera's, with the file of the right camera beside it.
+///
+/// # Errors
+/// [`CalibrationError`] with the file: it is missing, or an entry is missing or wrong.
 pub fn camera_count(path: &Path) -> Result<usize, CalibrationError> {
     let text = read_text(path)?;
     let is_stereo = if is_camera_chain(&text) {
@@ -173,6 +176,9 @@ pub fn is_imu(text: &str) -> bool {
 /// * `known`: for each of the one or two cameras of the recording, its projection as the recording itself states it; used
 ///   where the file leaves `intrinsics` out.
 /// * `chosen`: which camera of the chain each of them is.
+///
+/// # Errors
+/// [`CalibrationError`] with the file: it is missing, or an entry is missing or wrong.
 pub fn read_camera_chain(
     path: &Path,
     known: &[Option<Camera>],
@@ -255,6 +261,9 @@ fn cameras_of_rig(path: &Path, rig: &rigs::Rig, chosen: &[usize]) -> Result<Came
 }
 
 /// Whether a chain states the intrinsics of all of its cameras.
+///
+/// # Errors
+/// [`CalibrationError`] with the file: it is missing, or an entry is missing or wrong.
 pub fn states_intrinsics(path: &Path) -> Result<bool, CalibrationError> {
     let text = read_text(path)?;
     if !is_camera_chain(&text) {
@@ -269,6 +278,9 @@ pub fn states_intrinsics(path: &Path) -> Result<bool, CalibrationError> {
 }
 
 /// The projection of the first camera of a chain or a rig.
+///
+/// # Errors
+/// [`CalibrationError`] with the file: it is missing, or an entry is missing or wrong.
 pub fn first_lens(path: &Path, text: &str) -> Result<Camera, CalibrationError> {
     if is_rig(text) {
         let first = rigs::read(path, text)?.cameras.into_iter().next();
@@ -284,6 +296,9 @@ pub fn first_lens(path: &Path, text: &str) -> Result<Camera, CalibrationError> {
 ///
 /// # Arguments
 /// * `measured_hz`: readings a second, where the file does not state them.
+///
+/// # Errors
+/// [`CalibrationError`] with the file: it is missing, or an entry is missing or wrong.
 pub fn read_imu(path: &Path, measured_hz: Option<f64>) -> Result<ImuSensor, CalibrationError> {
     let text = read_text(path)?;
     if is_rig(&text) {

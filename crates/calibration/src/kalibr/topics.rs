@@ -9,6 +9,9 @@ use std::path::Path;
 pub const COMPRESSED: &str = "/compressed";
 
 /// The topic of each camera of a chain, where the file states it.
+///
+/// # Errors
+/// [`CalibrationError`] with the file: it is missing, or an entry is missing or wrong.
 pub fn camera_topics(path: &Path) -> Result<Vec<Option<String>>, CalibrationError> {
     let text = read_text(path)?;
     if !is_camera_chain(&text) {
