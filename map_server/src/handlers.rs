@@ -28,7 +28,7 @@ pub(crate) enum Progress {
 }
 
 /// A query in the hands of a worker.
-pub(crate) struct Asked {
+pub(crate) struct ReceivedQuery {
     pub(crate) query: Query,
     pub(crate) subject: Subject,
     /// Of the map.
@@ -40,12 +40,12 @@ pub(crate) struct Asked {
 
 /// Answers a query, or goes on after the keyframes that were sent. An error is returned, not yet sent.
 pub(crate) fn answer(
-    asked: &Asked,
+    asked: &ReceivedQuery,
     map: &LoadedMap,
     options: &RecognitionOptions,
     reports: &ReportSender,
 ) -> Result<Progress, ErrorReply> {
-    let Asked { query, subject, name, received, sent } = asked;
+    let ReceivedQuery { query, subject, name, received, sent } = asked;
     let (kind, cell) = (subject.kind(), subject.cell());
     let format = reply_format(query).map_err(|error| ErrorReply::from(&error))?;
     let key = || subject.key(name).map_err(|error| internal(&error));
@@ -134,12 +134,12 @@ fn place_of(search: &SearchReport) -> Option<CellPlace> {
 
 /// Sends one keyframe, or those of one turn for a wildcard in the key.
 fn send_keyframes(
-    asked: &Asked,
+    asked: &ReceivedQuery,
     map: &LoadedMap,
     sent: usize,
     format: Format,
 ) -> Result<Progress, ErrorReply> {
-    let Asked { query, name, subject, .. } = asked;
+    let ReceivedQuery { query, name, subject, .. } = asked;
     let key_of = |id: KeyframeId| {
         let key = subject
             .cell()

@@ -19,7 +19,7 @@ use zenoh::query::Query;
 
 use crate::cells::{CellSlot, StoredCell};
 use crate::fair_queue::{self, Client, FairQueue};
-use crate::handlers::{self, Asked, Progress};
+use crate::handlers::{self, Progress, ReceivedQuery};
 use crate::kind::{CellKind, Kind, Subject};
 use crate::metrics::ServerMetrics;
 use crate::reports::ReportSender;
@@ -241,7 +241,7 @@ async fn answer(
     let (bytes, begin) = (job.bytes(), Instant::now());
     let Job { query, target, client, received, .. } = job;
     let name = target.name().to_owned();
-    let asked = Asked { query: query.clone(), subject, name, received, sent };
+    let asked = ReceivedQuery { query: query.clone(), subject, name, received, sent };
     let (version, options, reports) = (Arc::clone(&loaded), Arc::clone(options), queue.reports.clone());
     let answered = catch_panic(move || handlers::answer(&asked, &version, &options, &reports)).await;
     queue.charge(&client, bytes, begin.elapsed());

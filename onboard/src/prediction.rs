@@ -28,7 +28,7 @@ pub(crate) struct Basis {
 }
 
 /// What the estimator says.
-enum News {
+enum PredictorMessage {
     /// There is a newer state.
     State(Box<Basis>),
     /// There is no state any more.
@@ -38,7 +38,7 @@ enum News {
 
 /// The thread that predicts. It ends when this is dropped.
 pub(crate) struct Prediction {
-    news: Arc<Mutex<Option<News>>>,
+    news: Arc<Mutex<Option<PredictorMessage>>>,
     thread: Option<JoinHandle<()>>,
 }
 
@@ -57,22 +57,22 @@ impl Prediction {
 
     /// Predicts from a newer state.
     pub(crate) fn update(&self, basis: Basis) {
-        self.tell(News::State(Box::new(basis)));
+        self.tell(PredictorMessage::State(Box::new(basis)));
     }
 
     /// Nothing is published until the next state.
     pub(crate) fn lost(&self) {
-        self.tell(News::Lost);
+        self.tell(PredictorMessage::Lost);
     }
 
-    fn tell(&self, news: News) {
+    fn tell(&self, news: PredictorMessage) {
         *self.news.lock().unwrap_or_else(PoisonError::into_inner) = Some(news);
     }
 }
 
 impl Drop for Prediction {
     fn drop(&mut self) {
-        self.tell(News::End);
+        self.tell(PredictorMessage::End);
         if let Some(thread) = self.thread.take()
             && thread.join().is_err()
         {
@@ -90,7 +90,7 @@ struct Predicting {
 }
 
 impl Predicting {
-    fn run(mut self, readings: &Receiver<ImuSample>, news: &Mutex<Option<News>>) {
+    fn run(mut self, readings: &Receiver<ImuSample>, news: &Mutex<Option<PredictorMessage>>) {
         loop {
             let reading = match readings.recv_timeout(NOTICE) {
                 Ok(reading) => Some(reading),
@@ -100,9 +100,9 @@ impl Predicting {
             // Taken in a statement of its own, so that the lock is not held any longer.
             let heard = news.lock().unwrap_or_else(PoisonError::into_inner).take();
             match heard {
-                Some(News::State(basis)) => self.replace(basis),
-                Some(News::Lost) => self.basis = None,
-                Some(News::End) => return,
+                Some(PredictorMessage::State(basis)) => self.replace(basis),
+                Some(PredictorMessage::Lost) => self.basis = None,
+                Some(PredictorMessage::End) => return,
                 None => {}
             }
             if let Some(reading) = reading {

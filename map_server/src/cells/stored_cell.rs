@@ -29,14 +29,14 @@ pub(crate) struct CellOrigin {
 }
 
 /// A cell as its segments give it.
-struct Made {
+struct LoadedCell {
     map: Arc<LoadedMap>,
     drawing: Option<Arc<ViewedPart>>,
 }
 
 impl CellOrigin {
     /// Makes the cell of its segments: of the cache, or of the store.
-    async fn load(&self) -> Result<Made, ServeError> {
+    async fn load(&self) -> Result<LoadedCell, ServeError> {
         let fetched =
             fetch_cell(&self.source.store, &self.release, self.cell, Some(&self.source.cache)).await?;
         let Cell { own, contents, far_cross_covariances, aliases } = fetched;
@@ -45,7 +45,7 @@ impl CellOrigin {
             let drawing = drawn.map(|release| Arc::new(part_of(&release, &contents, &own, &aliases)));
             LoadedMap::from_part(contents, far_cross_covariances, &aliases)
                 .inspect(|map| _ = map.aliasing_rate())
-                .map(|map| Made { map: Arc::new(map), drawing })
+                .map(|map| LoadedCell { map: Arc::new(map), drawing })
         });
         Ok(indexing.await.map_err(|error| ServeError::task(&error))??)
     }
@@ -98,7 +98,7 @@ impl StoredCell {
         origin: CellOrigin,
         memory: &Arc<CellMemory>,
     ) -> Result<Arc<StoredCell>, ServeError> {
-        let Made { map, drawing } = origin.load().await?;
+        let LoadedCell { map, drawing } = origin.load().await?;
         let file = origin.freeze(&map).await;
         let cell = Arc::new(StoredCell {
             origin,
@@ -220,7 +220,7 @@ impl StoredCell {
             "a cell cannot be read from the disk and is made of its segments anew"
         );
         let _one_at_a_time = memory.rebuilds.acquire().await.map_err(closed)?;
-        let Made { map, .. } = self.origin.load().await?;
+        let LoadedCell { map, .. } = self.origin.load().await?;
         *self.file() = self.origin.freeze(&map).await;
         self.put(Arc::clone(&map));
         Ok(map)

@@ -43,10 +43,10 @@ pub(crate) struct Plan {
     received: Instant,
     forwarded: ForwardedQuery,
     directory: Arc<CellDirectory>,
-    wanted: Wanted,
+    wanted: RoutedRequest,
 }
 
-enum Wanted {
+enum RoutedRequest {
     Match(PlannedSearch),
     Localize(PlannedSearch),
     Info,
@@ -100,16 +100,16 @@ impl RoutedMap {
         let wanted = match kind {
             Kind::Match => {
                 let request: MatchRequest = handlers::decode(query)?;
-                Wanted::Match(search(request.features, request.prior)?)
+                RoutedRequest::Match(search(request.features, request.prior)?)
             }
             Kind::Localize => {
                 let request: LocalizeRequest = handlers::decode(query)?;
-                Wanted::Localize(search(request.features, request.prior)?)
+                RoutedRequest::Localize(search(request.features, request.prior)?)
             }
-            Kind::Info => Wanted::Info,
+            Kind::Info => RoutedRequest::Info,
             Kind::Keyframes => match handlers::asked_keyframe(query)? {
-                Some(id) => Wanted::Keyframe(id),
-                None => Wanted::AllKeyframes,
+                Some(id) => RoutedRequest::Keyframe(id),
+                None => RoutedRequest::AllKeyframes,
             },
         };
         let client = query.parameters().get(keys::CLIENT_PARAMETER).unwrap_or_default().to_owned();
@@ -123,13 +123,13 @@ impl RoutedMap {
     pub(crate) async fn answer(self: Arc<Self>, plan: Plan) -> Result<(), ErrorReply> {
         let Plan { query, received, forwarded, directory, wanted } = plan;
         match wanted {
-            Wanted::Match(search) => {
+            RoutedRequest::Match(search) => {
                 let found = self.search::<CellMatchReply>(&directory, &forwarded, search).await?;
                 let status = directory.status(found.outcome);
                 let key = keys::map_match(&self.name).map_err(|error| handlers::internal(&error))?;
                 send_all(query, key, match_replies(found, status, received)).await
             }
-            Wanted::Localize(search) => {
+            RoutedRequest::Localize(search) => {
                 let found = self.search::<CellLocalizeReply>(&directory, &forwarded, search).await?;
                 let (map_version, map_identity) = (directory.version(), directory.identity());
                 let nowhere = LocalizeReply {
@@ -143,17 +143,17 @@ impl RoutedMap {
                 let key = keys::map_localize(&self.name).map_err(|error| handlers::internal(&error))?;
                 send_all(query, key, vec![reply]).await
             }
-            Wanted::Info => {
+            RoutedRequest::Info => {
                 let key = keys::map_info(&self.name).map_err(|error| handlers::internal(&error))?;
                 send_all(query, key, vec![directory.info_reply(&self.name)]).await
             }
-            Wanted::Keyframe(id) => {
+            RoutedRequest::Keyframe(id) => {
                 let Some(cell) = directory.cell_of(id) else {
                     return Err(handlers::unknown_keyframe(&self.name, id));
                 };
                 self.send_keyframe(query, cell, id, forwarded.client).await
             }
-            Wanted::AllKeyframes => {
+            RoutedRequest::AllKeyframes => {
                 let mut sending = JoinSet::new();
                 for (cell, id) in directory.keyframes() {
                     if sending.len() >= KEYFRAMES_AT_ONCE
@@ -200,16 +200,16 @@ impl RoutedMap {
         directory: &Arc<CellDirectory>,
         forwarded: &ForwardedQuery,
         search: PlannedSearch,
-    ) -> Result<Found<R>, ErrorReply> {
+    ) -> Result<CellReplies<R>, ErrorReply> {
         let PlannedSearch { features, has_prior, cells } = search;
-        let asked = Asked { directory, forwarded, has_prior };
+        let asked = CellQuery { directory, forwarded, has_prior };
         let mut replies: Vec<R> = self.ask(&asked, &cells.first).await?;
         let outcome = match self.choose(&replies) {
-            Ok(at) => return Ok(Found::at(replies, at)),
+            Ok(at) => return Ok(CellReplies::at(replies, at)),
             Err(outcome) => outcome,
         };
         if matches!(outcome, MatchOutcome::Ambiguous | MatchOutcome::TooFewFeatures) {
-            return Ok(Found { outcome, winner: None, others: replies });
+            return Ok(CellReplies { outcome, winner: None, others: replies });
         }
         let directory = Arc::clone(directory);
         let ranking = tokio::task::spawn_blocking(move || directory.then(&features, cells));
@@ -217,8 +217,8 @@ impl RoutedMap {
         let then = then.map_err(|error| handlers::query_error(&self.name, &error))?;
         replies.extend(self.ask(&asked, &then).await?);
         Ok(match self.choose(&replies) {
-            Ok(at) => Found::at(replies, at),
-            Err(outcome) => Found { outcome, winner: None, others: replies },
+            Ok(at) => CellReplies::at(replies, at),
+            Err(outcome) => CellReplies { outcome, winner: None, others: replies },
         })
     }
 
@@ -239,7 +239,11 @@ impl RoutedMap {
 
     /// The replies of cells. Where a cell does not answer there is no answer, since it could be of that cell; only near a prior
     /// those of the others will do, if one of them shows the place.
-    async fn ask<R: PlaceReply>(&self, asked: &Asked<'_>, cells: &[CellId]) -> Result<Vec<R>, ErrorReply> {
+    async fn ask<R: PlaceReply>(
+        &self,
+        asked: &CellQuery<'_>,
+        cells: &[CellId],
+    ) -> Result<Vec<R>, ErrorReply> {
         let deadline = Instant::now() + CELL_DEADLINE;
         let version = (asked.directory.identity(), asked.directory.version());
         let mut asking = JoinSet::new();
@@ -274,20 +278,20 @@ impl RoutedMap {
 }
 
 /// A query on its way to cells.
-struct Asked<'a> {
+struct CellQuery<'a> {
     directory: &'a CellDirectory,
     forwarded: &'a ForwardedQuery,
     has_prior: bool,
 }
 
 /// What the cells found.
-struct Found<R> {
+struct CellReplies<R> {
     outcome: MatchOutcome,
     winner: Option<R>,
     others: Vec<R>,
 }
 
-impl<R> Found<R> {
+impl<R> CellReplies<R> {
     fn at(mut replies: Vec<R>, at: usize) -> Self {
         let winner = Some(replies.swap_remove(at));
         Self { outcome: MatchOutcome::Matched, winner, others: replies }
@@ -340,11 +344,11 @@ fn status_of(replies: &[MatchReply]) -> Option<&MatchStatus> {
 
 /// The keyframes of the winner, if there is one, and an end for all cells together.
 fn match_replies(
-    found: Found<CellMatchReply>,
+    found: CellReplies<CellMatchReply>,
     mut status: MatchStatus,
     received: Instant,
 ) -> Vec<MatchReply> {
-    let Found { winner, others, .. } = found;
+    let CellReplies { winner, others, .. } = found;
     let searched = winner.iter().chain(&others).filter_map(|reply| status_of(&reply.replies));
     status.searched_keyframes = searched.fold(0, |sum, status| sum.saturating_add(status.searched_keyframes));
     let mut replies = winner.map_or_else(Vec::new, |winner| winner.replies);

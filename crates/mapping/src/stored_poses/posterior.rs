@@ -14,7 +14,7 @@ pub(crate) struct Posterior<'a> {
     factor: &'a SparseFactor,
     layout: StateLayout,
     /// The views that are wanted.
-    wanted: Vec<Wanted>,
+    wanted: Vec<RequestedPose>,
     /// Those of them that were adjusted.
     adjusted: Vec<usize>,
     maps: Vec<AdjustedMap<'a>>,
@@ -22,7 +22,7 @@ pub(crate) struct Posterior<'a> {
 
 /// Where the covariance of a view comes from.
 #[derive(Clone, Copy)]
-enum Wanted {
+enum RequestedPose {
     /// The adjustment, where it is the view at this position among those that are adjusted.
     Adjusted(usize),
     /// The keyframes of its map that were adjusted.
@@ -57,9 +57,9 @@ impl<'a> Posterior<'a> {
         for &view in views {
             let following = stored.iter().enumerate().find_map(|(map, of_map)| {
                 let keyframe = view.checked_sub(of_map.first)?;
-                of_map.follows.get(keyframe)?.then_some(Wanted::Following { map, keyframe })
+                of_map.follows.get(keyframe)?.then_some(RequestedPose::Following { map, keyframe })
             });
-            wanted.push(following.unwrap_or(Wanted::Adjusted(adjusted.len())));
+            wanted.push(following.unwrap_or(RequestedPose::Adjusted(adjusted.len())));
             if following.is_none() {
                 adjusted.push(view);
             }
@@ -109,8 +109,8 @@ impl<'a> Posterior<'a> {
     /// The column of the wanted view at this position: a block for each wanted view.
     pub(crate) fn column(&self, at: usize) -> Vec<Matrix6<f64>> {
         let (adjusted, own) = match self.wanted[at] {
-            Wanted::Adjusted(position) => (self.known_or_computed_column(position), None),
-            Wanted::Following { map, keyframe } => {
+            RequestedPose::Adjusted(position) => (self.known_or_computed_column(position), None),
+            RequestedPose::Following { map, keyframe } => {
                 let of_map = &self.maps[map];
                 let dependence = of_map.stored.dependence(keyframe);
                 let mut gain = of_map.stored.total_gain(&dependence);
@@ -130,10 +130,12 @@ impl<'a> Posterior<'a> {
         let following: Vec<DMatrix<f64>> = following.collect();
         let by_column =
             own.as_ref().map(|(map, keyframe, _)| self.maps[*map].inverse_jacobian(*keyframe).transpose());
-        let block = |wanted: &Wanted| -> Matrix6<f64> {
+        let block = |wanted: &RequestedPose| -> Matrix6<f64> {
             let block: Matrix6<f64> = match *wanted {
-                Wanted::Adjusted(position) => adjusted.fixed_view::<POSE, POSE>(POSE * position, 0).into(),
-                Wanted::Following { map, keyframe } => {
+                RequestedPose::Adjusted(position) => {
+                    adjusted.fixed_view::<POSE, POSE>(POSE * position, 0).into()
+                }
+                RequestedPose::Following { map, keyframe } => {
                     let rows = following[map].fixed_view::<POSE, POSE>(POSE * keyframe, 0);
                     self.maps[map].inverse_jacobian(keyframe) * rows
                 }

@@ -94,15 +94,15 @@ pub(super) fn open_version(
     let opened = guarded::call(|| {
         let database = store.open(copy.folder.path())?;
         let mut frame = database.read_frame()?;
-        let census = Census::take(database.as_ref(), &mut frame)?;
-        Ok((database, frame, census))
+        let summary = ReadSummary::take(database.as_ref(), &mut frame)?;
+        Ok((database, frame, summary))
     });
-    let (database, frame, census) =
+    let (database, frame, summary) =
         opened.and_then(|result| result).map_err(|error| StoreError::unreadable(map, error))?;
     let source = LandmarkSource::Database { map: map.to_owned(), database, copy };
     let landmarks =
-        StoredLandmarks { source, count: census.count, observation_counts: census.observation_counts };
-    if is_as_written(manifest, &frame) && census.digest == manifest.digest {
+        StoredLandmarks { source, count: summary.count, observation_counts: summary.observation_counts };
+    if is_as_written(manifest, &frame) && summary.digest == manifest.digest {
         Ok((stored(map, frame, manifest.bytes()), landmarks))
     } else {
         landmarks.close()?;
@@ -111,7 +111,7 @@ pub(super) fn open_version(
 }
 
 /// What the landmarks of a database amount to.
-struct Census {
+struct ReadSummary {
     count: usize,
     /// By keyframe.
     observation_counts: Vec<u32>,
@@ -119,9 +119,9 @@ struct Census {
     digest: MapIdentity,
 }
 
-impl Census {
+impl ReadSummary {
     /// Reads all landmarks once. Those that are damaged are added to the others of the map.
-    fn take(database: &dyn OpenDatabase, frame: &mut ReadMap) -> Result<Census, DatabaseError> {
+    fn take(database: &dyn OpenDatabase, frame: &mut ReadMap) -> Result<ReadSummary, DatabaseError> {
         let contents = &frame.contents;
         let mut counts = ObservationCounts::of(&contents.keyframes);
         let mut digest = RunningDigest::new(&contents.info);
@@ -144,7 +144,7 @@ impl Census {
             digest.add_aliases(aliases);
         }
         frame.damaged.extend(damaged);
-        Ok(Census { count, observation_counts: counts.finish(), digest: digest.finish() })
+        Ok(ReadSummary { count, observation_counts: counts.finish(), digest: digest.finish() })
     }
 }
 
