@@ -37,6 +37,8 @@ pub(crate) struct Job {
     pub(crate) target: Target,
     client: Client,
     pub(crate) received: Instant,
+    /// From when on nobody waits for a first reply, where the client states it.
+    expires: Option<Instant>,
     /// The version that the query is answered with, and how many of its keyframes a query for all of them got in its former
     /// turns. `None` for one that is still to be had.
     pub(crate) begun: Option<(Arc<LoadedMap>, usize)>,
@@ -46,7 +48,16 @@ impl Job {
     /// A query that was just received.
     pub(crate) fn new(query: Query, target: Target) -> Self {
         let client = Client::Stated(String::new());
-        Self { query, target, client, received: Instant::now(), begun: None }
+        let received = Instant::now();
+        let patience = query.parameters().get(keys::PATIENCE_PARAMETER);
+        let patience = patience.and_then(|stated| stated.parse().ok()).map(Duration::from_millis);
+        let expires = patience.and_then(|patience| received.checked_add(patience));
+        Self { query, target, client, received, expires, begun: None }
+    }
+
+    /// Whether nobody waits for its first reply any more.
+    fn is_expired(&self) -> bool {
+        self.begun.is_none() && self.expires.is_some_and(|expires| expires <= Instant::now())
     }
 
     /// Bytes of its payload.
@@ -209,6 +220,10 @@ pub(crate) fn start_workers(
 
 async fn work(queue: Arc<Queue>, options: Arc<RecognitionOptions>) {
     while let Some(mut job) = queue.take().await {
+        if job.is_expired() {
+            queue.refuse(&job);
+            continue;
+        }
         let begun = job.begun.take();
         match job.target.clone() {
             Target::Map(kind, slot) => {
@@ -247,7 +262,10 @@ async fn answer(
     queue.charge(&client, bytes, begin.elapsed());
     match answered {
         Ok(Ok(Progress::Keyframes { sent, bytes })) => {
-            queue.enqueue(Job { query, target, client, received, begun: Some((loaded, sent)) }, bytes);
+            queue.enqueue(
+                Job { query, target, client, received, expires: None, begun: Some((loaded, sent)) },
+                bytes,
+            );
         }
         Ok(Ok(Progress::Done)) => queue.note_end(&query, &target, received, Ok(())),
         Ok(Err(failure)) => queue.note_end(&query, &target, received, Err(failure)),

@@ -452,3 +452,19 @@ async fn a_server_with_impossible_names_does_not_start() {
     }
     session.close().await.unwrap();
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_query_is_not_answered_after_its_client_has_given_up() {
+    let scene = Scene::new().await;
+    let request = protocol::encode(Format::Bincode, &scene.request(1, 4)).unwrap();
+    let ask_for = async |parameters: &str| {
+        let selector = format!("map/hall/match?format=bincode;{parameters}");
+        ask(&scene.client, &selector, Some(request.clone()), Some(Format::Bincode.encoding())).await
+    };
+    for patience in ["patience_ms=60000", "patience_ms=soon", "patience_ms=18446744073709551615"] {
+        assert!(ask_for(patience).await[0].is_ok(), "{patience}");
+    }
+    let answers = ask_for("patience_ms=0").await;
+    assert_eq!(only_error(&answers, Format::Bincode).code, ErrorCode::Busy);
+    scene.end().await;
+}

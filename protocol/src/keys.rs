@@ -21,6 +21,10 @@ use thiserror::Error;
 /// Parameter of a query's selector that names the client: the server is fair to clients. Anybody can state any name.
 pub const CLIENT_PARAMETER: &str = "client";
 
+/// Parameter of a query's selector: so many milliseconds its client waits for a first reply. A query that has waited longer in
+/// the queue of a server is not answered any more: nobody would read the answer, and the next query would wait for it.
+pub const PATIENCE_PARAMETER: &str = "patience_ms";
+
 /// Longest name, bytes.
 pub const MAX_NAME_BYTES: usize = 64;
 

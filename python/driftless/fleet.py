@@ -165,7 +165,7 @@ class Fleet:
         while (left := deadline - time.monotonic()) > 0:
             answers: list[T] = []
             replies = self._session.get(
-                f"{key}?format=json;client={self._client}",
+                f"{key}?format=json;client={self._client};patience_ms={int(left * 1000)}",
                 payload=payload,
                 encoding=None if payload is None else zenoh.Encoding.APPLICATION_JSON,
                 consolidation=zenoh.ConsolidationMode.NONE,

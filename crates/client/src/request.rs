@@ -151,15 +151,22 @@ impl Request {
         traffic: &mut Traffic,
     ) -> Result<C::Answer, ClientError> {
         let timeout = self.deadline.saturating_duration_since(Instant::now());
-        let (session, key, payload) = (self.session.clone(), self.key.clone(), self.payload.clone());
+        let (session, key, payload) = (self.session.clone(), &self.key, self.payload.clone());
         // Zenoh delivers replies from the thread that reads the network, which must not wait: whatever does not fit is more
         // than an answer has.
         let (sender, mut replies) = mpsc::channel(MAX_REPLIES + 1);
         let deliver = move |reply| drop(sender.try_send(reply));
-        let (client, destination) = (self.client.clone(), self.destination);
+        let destination = self.destination;
+        let selector = format!(
+            "{key}?{}={};{}={};format=bincode",
+            keys::CLIENT_PARAMETER,
+            self.client,
+            keys::PATIENCE_PARAMETER,
+            timeout.min(patience).as_millis()
+        );
         let send = move || {
             let query = session
-                .get(format!("{key}?{}={client};format=bincode", keys::CLIENT_PARAMETER))
+                .get(selector)
                 .allowed_destination(destination)
                 .target(QueryTarget::BestMatching)
                 // Replies are sent with the congestion control of the query: blocking, so that none is dropped.
