@@ -40,14 +40,15 @@ pub fn cameras() -> impl Strategy<Value = Camera> {
         1..4000u32,
         1..4000u32,
         prop::array::uniform2(100.0..1000.0f64),
-        prop::array::uniform2(0.0..1000.0f64),
+        prop::array::uniform2(-1.0..2.0f64),
         distortion,
     )
-        .prop_map(|(width, height, focal, centre, distortion)| Camera {
+        .prop_map(|(width, height, focal, [u, v], distortion)| Camera {
             width,
             height,
             focal,
-            centre,
+            // In images, as the plausible ones are.
+            centre: [u * f64::from(width), v * f64::from(height)],
             distortion,
         })
 }
