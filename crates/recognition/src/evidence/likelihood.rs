@@ -19,7 +19,11 @@ const PICTURE_DISPERSION: f64 = 2.0;
 /// * `expected`: parts in which it expects something, those included.
 /// * `picture`: parts that a picture fills in the mean, at least a twelfth of the image.
 pub(crate) fn log_likelihood_ratio(confirmed: usize, expected: usize, picture: f64) -> f64 {
-    log_at_the_place(confirmed, expected) - log_of_a_picture(confirmed, expected, picture)
+    let against =
+        |picture: f64| log_at_the_place(confirmed, expected) - log_of_a_picture(confirmed, expected, picture);
+    // A large picture explains many parts as well as the place does. That is no evidence for it: few parts fit into both.
+    let against_least = against(PICTURE_PARTS);
+    if against_least <= 0.0 { against_least } else { against(picture).clamp(0.0, against_least) }
 }
 
 /// Beta-binomial.
@@ -94,8 +98,8 @@ mod tests {
     fn the_nearer_a_picture_the_less_what_it_fills_says() {
         for picture in 4..40 {
             let of = |picture: i32| log_likelihood_ratio(24, 30, f64::from(picture));
-            assert!(of(picture + 1) < of(picture), "{picture}");
+            assert!(of(picture + 1) <= of(picture) && of(picture) >= 0.0, "{picture}");
         }
-        assert!(log_likelihood_ratio(48, 48, 48.0) < 2.0);
+        assert!(log_likelihood_ratio(24, 30, 40.0) < 0.2 * log_likelihood_ratio(24, 30, PICTURE_PARTS));
     }
 }
