@@ -96,9 +96,11 @@ impl RobotRun<'_> {
         self.apply_map_changes(recorder);
         loop {
             let begin = Instant::now();
-            let poll = |queries: &mut QueryTasks<_>| queries.poll();
-            let result =
-                if self.realtime { self.queries.as_mut().and_then(poll) } else { self.next_answer() };
+            let result = if self.realtime {
+                self.queries.as_mut().and_then(QueryTasks::poll)
+            } else {
+                self.next_answer()
+            };
             waited += begin.elapsed();
             let Some(result) = result else { break };
             // Changes that came in the meantime concern this answer.

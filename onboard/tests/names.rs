@@ -4,17 +4,23 @@ use client::{SessionOptions, close_session, open_session};
 use onboard::outputs::Publisher;
 use std::net::TcpListener;
 use std::time::{Duration, Instant};
+use tokio::runtime::Runtime;
 
-#[test]
-fn two_robots_of_one_name_are_noticed_by_both_and_others_are_not() {
+/// Sessions of which the first listens and the others connect to it.
+fn connected<const COUNT: usize>() -> (Runtime, [zenoh::Session; COUNT]) {
     let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build().unwrap();
     let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
     let endpoint = format!("tcp/127.0.0.1:{port}");
     let listening = SessionOptions { listen: vec![endpoint.clone()], ..SessionOptions::default() };
     let connecting = SessionOptions { connect: vec![endpoint], ..SessionOptions::default() };
-    let first = runtime.block_on(open_session(&listening)).unwrap();
-    let second = runtime.block_on(open_session(&connecting)).unwrap();
-    let third = runtime.block_on(open_session(&connecting)).unwrap();
+    let options = |at: usize| if at == 0 { &listening } else { &connecting };
+    let sessions = std::array::from_fn(|at| runtime.block_on(open_session(options(at))).unwrap());
+    (runtime, sessions)
+}
+
+#[test]
+fn two_robots_of_one_name_are_noticed_by_both_and_others_are_not() {
+    let (runtime, [first, second, third]) = connected();
 
     let publisher = |session: &zenoh::Session, name| {
         Publisher::new(session.clone(), runtime.handle(), name, Some("hall"), protocol::Format::Json).unwrap()
@@ -34,13 +40,7 @@ fn two_robots_of_one_name_are_noticed_by_both_and_others_are_not() {
 
 #[test]
 fn of_tokens_that_somebody_makes_up_only_some_are_kept_and_told() {
-    let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build().unwrap();
-    let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
-    let endpoint = format!("tcp/127.0.0.1:{port}");
-    let listening = SessionOptions { listen: vec![endpoint.clone()], ..SessionOptions::default() };
-    let connecting = SessionOptions { connect: vec![endpoint], ..SessionOptions::default() };
-    let robot = runtime.block_on(open_session(&listening)).unwrap();
-    let other = runtime.block_on(open_session(&connecting)).unwrap();
+    let (runtime, [robot, other]) = connected();
     let declare =
         |key: String| runtime.block_on(async { other.liveliness().declare_token(key).await }).unwrap();
     let made_up: Vec<_> = (0..300).map(|k| declare(format!("robot/robot7/session/{k}"))).collect();

@@ -7,8 +7,7 @@ use geometry::Camera;
 use onboard::extraction::FeatureArguments;
 use protocol::{FeatureSet, LocalizeRequest};
 use sensors::{CalibrationFiles, Frame, ImageData, Sequence};
-use vision::GrayImage;
-use vision::feature_set;
+use vision::{GrayImage, feature_set};
 
 use map::text::read_camera;
 

@@ -7,7 +7,7 @@ use std::sync::OnceLock;
 use std::time::{Duration, Instant};
 
 use map::store::load_map;
-use testing::{Place, PlaceOptions};
+use testing::{Place, PlaceOptions, copy_folder};
 
 /// How often a test kills its command, or has its writers meet: `KILLS`, where `just kills` takes 200.
 pub fn rounds(without: usize) -> usize {
@@ -58,20 +58,7 @@ impl Scratch {
     pub fn copy_map(&self, from: &Path, name: &str) {
         let to = self.path(name);
         let _ = std::fs::remove_dir_all(&to);
-        copy(from, &to);
-    }
-}
-
-fn copy(from: &Path, to: &Path) {
-    std::fs::create_dir(to).unwrap();
-    for entry in std::fs::read_dir(from).unwrap() {
-        let entry = entry.unwrap();
-        let to = to.join(entry.file_name());
-        if entry.file_type().unwrap().is_dir() {
-            copy(&entry.path(), &to);
-        } else {
-            std::fs::copy(entry.path(), to).unwrap();
-        }
+        copy_folder(from, &to);
     }
 }
 

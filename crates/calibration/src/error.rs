@@ -4,7 +4,6 @@ use std::path::{Path, PathBuf};
 
 /// Why a calibration could not be read: always the file, and what to do.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
 pub enum CalibrationError {
     /// A required file does not exist.
     #[error("{} is missing: {advice}", path.display())]

@@ -14,7 +14,7 @@ const ROTATION_TOLERANCE: f64 = 1e-3;
 /// A matrix as a list of its rows, or of all its numbers row by row.
 #[derive(Deserialize)]
 #[serde(from = "WrittenMatrix")]
-pub struct MatrixYaml(Vec<f64>);
+pub(crate) struct MatrixYaml(Vec<f64>);
 
 #[derive(Deserialize)]
 #[serde(untagged)]
@@ -38,14 +38,14 @@ impl From<WrittenMatrix> for MatrixYaml {
 
 impl MatrixYaml {
     /// All numbers, row by row.
-    pub fn numbers(&self) -> &[f64] {
+    pub(crate) fn numbers(&self) -> &[f64] {
         &self.0
     }
 }
 
 /// Noise densities of an IMU, with the same names in EuRoC's and Kalibr's files.
 #[derive(Deserialize)]
-pub struct NoiseYaml {
+pub(crate) struct NoiseYaml {
     gyroscope_noise_density: f64,
     gyroscope_random_walk: f64,
     accelerometer_noise_density: f64,
@@ -54,10 +54,7 @@ pub struct NoiseYaml {
 
 impl NoiseYaml {
     /// The noise, checked.
-    ///
-    /// # Errors
-    /// [`CalibrationError`] with the file: it is missing, or an entry is missing or wrong.
-    pub fn noise(&self, path: &Path) -> Result<ImuNoise, CalibrationError> {
+    pub(crate) fn noise(&self, path: &Path) -> Result<ImuNoise, CalibrationError> {
         let densities = [
             ("gyroscope_noise_density", self.gyroscope_noise_density),
             ("gyroscope_random_walk", self.gyroscope_random_walk),
@@ -72,10 +69,7 @@ impl NoiseYaml {
 ///
 /// # Arguments
 /// * `densities`: name and value of the gyroscope's noise and walk, and of the accelerometer's.
-///
-/// # Errors
-/// [`CalibrationError`] with the file: it is missing, or an entry is missing or wrong.
-pub fn imu_noise(path: &Path, densities: [(&str, f64); 4]) -> Result<ImuNoise, CalibrationError> {
+pub(crate) fn imu_noise(path: &Path, densities: [(&str, f64); 4]) -> Result<ImuNoise, CalibrationError> {
     for (name, value) in densities {
         check_positive(path, name, value)?;
     }
@@ -166,10 +160,7 @@ fn distortion(
 }
 
 /// Checks an entry of a calibration.
-///
-/// # Errors
-/// [`CalibrationError`] with the file: it is missing, or an entry is missing or wrong.
-pub fn check_positive(path: &Path, name: &str, value: f64) -> Result<(), CalibrationError> {
+pub(crate) fn check_positive(path: &Path, name: &str, value: f64) -> Result<(), CalibrationError> {
     if value.is_finite() && value > 0.0 {
         return Ok(());
     }
@@ -177,10 +168,7 @@ pub fn check_positive(path: &Path, name: &str, value: f64) -> Result<(), Calibra
 }
 
 /// A row-major 4x4 matrix as a pose. `key`: its name in the file.
-///
-/// # Errors
-/// [`CalibrationError`] with the file: it is missing, or an entry is missing or wrong.
-pub fn pose_from_matrix(path: &Path, key: &str, data: &[f64]) -> Result<Pose, CalibrationError> {
+pub(crate) fn pose_from_matrix(path: &Path, key: &str, data: &[f64]) -> Result<Pose, CalibrationError> {
     let wrong = |problem: &str| CalibrationError::entry(path, format!("{key}: {problem}"));
     if data.len() != 16 || data.iter().any(|value| !value.is_finite()) {
         return Err(wrong("it must hold 16 finite numbers, row by row"));
@@ -202,10 +190,7 @@ pub fn pose_from_matrix(path: &Path, key: &str, data: &[f64]) -> Result<Pose, Ca
 }
 
 /// The text of a calibration file.
-///
-/// # Errors
-/// [`CalibrationError`] with the file: it is missing, or an entry is missing or wrong.
-pub fn read_text(path: &Path) -> Result<String, CalibrationError> {
+pub(crate) fn read_text(path: &Path) -> Result<String, CalibrationError> {
     files::read_to_string(path).map_err(|source| match source.kind() {
         std::io::ErrorKind::NotFound => CalibrationError::Missing {
             path: path.to_path_buf(),
@@ -218,10 +203,7 @@ pub fn read_text(path: &Path) -> Result<String, CalibrationError> {
 }
 
 /// Parses a calibration file. `kind`: what it should be, for the error.
-///
-/// # Errors
-/// [`CalibrationError`] with the file: it is missing, or an entry is missing or wrong.
-pub fn parse<T: for<'de> Deserialize<'de>>(
+pub(crate) fn parse<T: for<'de> Deserialize<'de>>(
     path: &Path,
     kind: &str,
     text: &str,

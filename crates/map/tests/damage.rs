@@ -6,24 +6,11 @@ use std::time::{Duration, Instant};
 use map::{MapContents, StoreError, store};
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
-use testing::{Place, PlaceOptions};
+use testing::{Place, PlaceOptions, copy_folder};
 
 const DAMAGES: usize = 500;
 /// A small map is read in milliseconds.
 const SOON: Duration = Duration::from_secs(5);
-
-fn copy(from: &Path, to: &Path) {
-    std::fs::create_dir_all(to).unwrap();
-    for entry in std::fs::read_dir(from).unwrap() {
-        let entry = entry.unwrap();
-        let target = to.join(entry.file_name());
-        if entry.file_type().unwrap().is_dir() {
-            copy(&entry.path(), &target);
-        } else {
-            std::fs::copy(entry.path(), target).unwrap();
-        }
-    }
-}
 
 fn files(folder: &Path) -> Vec<PathBuf> {
     let mut found = Vec::new();
@@ -115,7 +102,7 @@ fn every_damage_is_noticed_or_harmless() {
     let (mut refused, mut started_with) = (0, 0);
     for round in 0..DAMAGES {
         let _ = std::fs::remove_dir_all(&damaged);
-        copy(&whole, &damaged);
+        copy_folder(&whole, &damaged);
         let how = damage(&damaged, &mut rng);
         let started = Instant::now();
         let read = if round % 2 == 0 { read_whole } else { read_by_landmark };

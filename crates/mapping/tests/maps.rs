@@ -6,7 +6,7 @@ use map::text::{read_map, write_map};
 use map::{StoreError, store};
 use protocol::MatchReply;
 use recognition::{LoadedMap, RecognitionOptions};
-use std::path::Path;
+use testing::copy_folder;
 
 /// The answers to all images of the live run, but for how long they took.
 fn answers(map: &LoadedMap, scenario: &MappedScenario) -> Vec<MatchReply> {
@@ -22,19 +22,6 @@ fn answers(map: &LoadedMap, scenario: &MappedScenario) -> Vec<MatchReply> {
     all
 }
 
-fn copy(from: &Path, to: &Path) {
-    std::fs::create_dir_all(to).unwrap();
-    for entry in std::fs::read_dir(from).unwrap() {
-        let entry = entry.unwrap();
-        let target = to.join(entry.file_name());
-        if entry.file_type().unwrap().is_dir() {
-            copy(&entry.path(), &target);
-        } else {
-            std::fs::copy(entry.path(), target).unwrap();
-        }
-    }
-}
-
 #[test]
 fn a_map_that_was_acknowledged_is_whole_after_a_kill_and_answers_alike() {
     let scenario = MappedScenario::shared();
@@ -42,7 +29,7 @@ fn a_map_that_was_acknowledged_is_whole_after_a_kill_and_answers_alike() {
     let (path, killed) = (folder.path().join("ring.db"), folder.path().join("killed.db"));
     let saved = store::save_map(&path, &scenario.map, false).unwrap();
     // What the disk holds when writing is acknowledged is what a kill leaves behind.
-    copy(&path, &killed);
+    copy_folder(&path, &killed);
     let contents = store::load_map(&killed).unwrap().whole().unwrap();
     assert_eq!((contents.info.version, contents.info.identity), (saved.version, Some(saved.identity)));
     assert_eq!(contents.keyframes, scenario.map.keyframes);

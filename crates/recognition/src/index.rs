@@ -7,9 +7,9 @@
 
 use protocol::DescriptorKind;
 use serde::{Deserialize, Serialize};
-use vision::metric_of;
 use vision::{
-    DescriptorError, DescriptorView, Hit, InvertedFile, MatchOptions, Metric, prototype_descriptors,
+    DescriptorError, DescriptorView, Hit, InvertedFile, MatchOptions, Metric, metric_of,
+    prototype_descriptors,
 };
 
 use map::model::Observation;

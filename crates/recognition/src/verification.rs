@@ -48,6 +48,18 @@ pub(crate) struct VerifiedKeyframe {
     pub(crate) mean_error_px: f64,
 }
 
+impl VerifiedKeyframe {
+    /// The landmarks of the inliers in the keyframe's camera frame (m).
+    pub(crate) fn inlier_points(&self) -> impl Iterator<Item = &Vector3<f64>> {
+        // Inliers are some of the matches, in the same order.
+        let mut inliers = self.inliers.iter().peekable();
+        let is_inlier = move |(found, _): &(&Match, &Vector3<f64>)| {
+            inliers.next_if(|inlier| inlier.query == found.query).is_some()
+        };
+        self.matches.iter().zip(&self.points).filter(is_inlier).map(|(_, point)| point)
+    }
+}
+
 /// The result of comparing an image with a keyframe.
 pub(crate) enum Comparison {
     /// Fewer matches than a verification needs.

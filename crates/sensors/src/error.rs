@@ -1,6 +1,7 @@
 //! Errors of recordings and other sensor sources.
 
 use super::ImuUnitError;
+use calibration::CalibrationError;
 use std::path::{Path, PathBuf};
 use thiserror::Error;
 
@@ -24,9 +25,14 @@ pub enum SequenceError {
         /// The error.
         source: std::io::Error,
     },
-    /// A calibration file is missing or invalid.
-    #[error(transparent)]
-    Calibration(#[from] calibration::CalibrationError),
+    /// A calibration file is invalid.
+    #[error("{}: {problem}", path.display())]
+    Calibration {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong, and what to do.
+        problem: String,
+    },
     /// A line of a table is invalid.
     #[error("{}, line {line}: {problem}", path.display())]
     Row {
@@ -117,9 +123,9 @@ impl SequenceError {
         Self::Io { path: path.to_path_buf(), source }
     }
 
-    /// [`SequenceError::Calibration`] for an entry of a file.
+    /// [`SequenceError::Calibration`] for a file.
     pub fn calibration(path: &Path, problem: impl Into<String>) -> Self {
-        calibration::CalibrationError::entry(path, problem).into()
+        Self::Calibration { path: path.to_path_buf(), problem: problem.into() }
     }
 
     /// [`SequenceError::Missing`] for a file or folder.
@@ -130,6 +136,16 @@ impl SequenceError {
     /// [`SequenceError::Empty`] for a table.
     pub fn empty(path: &Path, advice: impl Into<String>) -> Self {
         Self::Empty { path: path.to_path_buf(), advice: advice.into() }
+    }
+}
+
+impl From<CalibrationError> for SequenceError {
+    fn from(error: CalibrationError) -> Self {
+        match error {
+            CalibrationError::Missing { path, advice } => Self::Missing { path, advice },
+            CalibrationError::Io { path, source } => Self::Io { path, source },
+            CalibrationError::Entry { path, problem } => Self::Calibration { path, problem },
+        }
     }
 }
 

@@ -1,9 +1,11 @@
 //! A seeded synthetic place for tests: keyframes along a path, landmarks around it, and images taken along it.
 #![allow(clippy::unwrap_used, clippy::missing_panics_doc, missing_docs)]
 
+mod folders;
 mod former_database;
 mod memory;
 
+pub use folders::copy_folder;
 pub use former_database::{former_bytes, write_former_database};
 pub use memory::resident_mb;
 

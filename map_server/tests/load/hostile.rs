@@ -254,11 +254,11 @@ async fn ask_under_names(endpoint: &str) {
     }
 }
 
-/// Eight people who give the page one image after the other.
+/// People who give the page one image after the other.
 fn give_images(page: &str) {
     let images = [costly_png(), costly_jpeg()];
     std::thread::scope(|scope| {
-        for person in 0..8 {
+        for person in 0..CLIENTS {
             let image = &images[person % images.len()];
             scope.spawn(move || {
                 loop {

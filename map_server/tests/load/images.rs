@@ -7,7 +7,7 @@ use std::time::Duration;
 use image::{ImageFormat, Rgba, RgbaImage};
 
 /// Columns and rows of the largest image that the live map takes.
-const SIDE: u16 = 4096;
+const SIDE: u16 = map_server::images::MAX_IMAGE_SIDE as u16;
 /// Blocks of 8 x 8 pixels in it.
 const BLOCKS: usize = (SIDE as usize / 8).pow(2);
 

@@ -278,10 +278,7 @@ pub fn states_intrinsics(path: &Path) -> Result<bool, CalibrationError> {
 }
 
 /// The projection of the first camera of a chain or a rig.
-///
-/// # Errors
-/// [`CalibrationError`] with the file: it is missing, or an entry is missing or wrong.
-pub fn first_lens(path: &Path, text: &str) -> Result<Camera, CalibrationError> {
+pub(crate) fn first_lens(path: &Path, text: &str) -> Result<Camera, CalibrationError> {
     if is_rig(text) {
         let first = rigs::read(path, text)?.cameras.into_iter().next();
         return first

@@ -13,8 +13,7 @@ use crate::initialization::dynamic::{
 };
 use crate::initialization::static_init::{InitialState, REST_SECONDS, StaticInitError};
 use std::collections::{BTreeMap, VecDeque};
-use types::ImuSample;
-use types::TrackObservation;
+use types::{ImuSample, TrackObservation};
 
 /// Minimum and maximum duration of the window of a dynamic initialization, seconds. Shorter ones seldom determine the scale;
 /// longer ones cost more than they gain.

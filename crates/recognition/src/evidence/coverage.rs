@@ -78,12 +78,7 @@ fn parts_of_a_picture(
     for verified in place {
         let global_from_keyframe = &map.keyframes[verified.keyframe].global_from_keyframe.pose;
         let camera_from_keyframe = global_from_camera.inverse().compose(global_from_keyframe);
-        let mut inliers = verified.inliers.iter().peekable();
-        for (found, point) in verified.matches.iter().zip(&verified.points) {
-            if inliers.next_if(|inlier| inlier.query == found.query).is_some() {
-                depths.push(camera_from_keyframe.transform(point).z);
-            }
-        }
+        depths.extend(verified.inlier_points().map(|point| camera_from_keyframe.transform(point).z));
     }
     depths.sort_unstable_by(f64::total_cmp);
     let depth = depths.get(depths.len() / 2).copied().unwrap_or(f64::INFINITY);

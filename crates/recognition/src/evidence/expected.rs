@@ -35,16 +35,12 @@ const SIMILAR: Similarity = Similarity { least_cosine: 0.966, distance_ratio: 0.
 impl Similarity {
     /// The inliers of a keyframe were found again from where they are seen: what is seen alike should be found as well.
     fn of_inliers(keyframe: &VerifiedKeyframe, camera_from_keyframe: &Pose) -> Option<Self> {
-        // Points of inliers are those of their matches, which are in the same order.
         let mut cosines = Vec::with_capacity(keyframe.inliers.len());
         let mut ratios = Vec::with_capacity(keyframe.inliers.len());
-        let mut inliers = keyframe.inliers.iter().peekable();
-        for (found, point) in keyframe.matches.iter().zip(&keyframe.points) {
-            if inliers.next_if(|inlier| inlier.query == found.query).is_some() {
-                let (cosine, ratio) = compare(point, camera_from_keyframe);
-                cosines.push(cosine);
-                ratios.push(ratio);
-            }
+        for point in keyframe.inlier_points() {
+            let (cosine, ratio) = compare(point, camera_from_keyframe);
+            cosines.push(cosine);
+            ratios.push(ratio);
         }
         cosines.sort_unstable_by(f64::total_cmp);
         ratios.sort_unstable_by(f64::total_cmp);

@@ -19,8 +19,8 @@ const PICTURE_DISPERSION: f64 = 2.0;
 /// * `expected`: parts in which it expects something, those included.
 /// * `picture`: parts that a picture fills in the mean, at least a twelfth of the image.
 pub(crate) fn log_likelihood_ratio(confirmed: usize, expected: usize, picture: f64) -> f64 {
-    let against =
-        |picture: f64| log_at_the_place(confirmed, expected) - log_of_a_picture(confirmed, expected, picture);
+    let at_the_place = log_at_the_place(confirmed, expected);
+    let against = |picture: f64| at_the_place - log_of_a_picture(confirmed, expected, picture);
     // A large picture explains many parts as well as the place does. That is no evidence for it: few parts fit into both.
     let against_least = against(PICTURE_PARTS);
     if against_least <= 0.0 { against_least } else { against(picture).clamp(0.0, against_least) }
@@ -37,8 +37,7 @@ fn log_at_the_place(confirmed: usize, expected: usize) -> f64 {
 
 /// Negative binomial, among what the expected parts allow.
 fn log_of_a_picture(confirmed: usize, expected: usize, picture: f64) -> f64 {
-    let mean = picture.max(PICTURE_PARTS);
-    let log_share = (mean / (mean + PICTURE_DISPERSION)).ln();
+    let log_share = (picture / (picture + PICTURE_DISPERSION)).ln();
     let log_of = |count: usize| {
         log_rising(PICTURE_DISPERSION, count) - log_rising(1.0, count) + log_share * count as f64
     };

@@ -1,7 +1,6 @@
 //! Every fault is an error that names the file and the line.
 
 use super::*;
-use calibration::CalibrationError;
 
 /// Writes a valid recording, damages one file, and returns the error of opening it.
 fn error_of(file: &str, damage: impl Fn(String) -> String) -> String {
@@ -151,12 +150,7 @@ fn a_file_that_is_missing() {
         writer::write(&sequence(2), folder.path()).unwrap();
         std::fs::remove_file(folder.path().join(file)).unwrap();
         let error = Sequence::open(folder.path()).unwrap_err();
-        let is_missing = match &error {
-            SequenceError::Missing { path, .. }
-            | SequenceError::Calibration(CalibrationError::Missing { path, .. }) => path.ends_with(file),
-            _ => false,
-        };
-        assert!(is_missing, "{error}");
+        assert!(matches!(error, SequenceError::Missing { .. }), "{error}");
         assert!(error.to_string().contains(file), "{error}");
     }
     assert!(matches!(Sequence::open(Path::new("/nowhere")), Err(SequenceError::Missing { .. })));

@@ -9,8 +9,7 @@ use geometry::rotation::{exp, log};
 use geometry::{Camera, Distortion, Pose};
 use nalgebra::{Vector2, Vector3};
 use rand::{RngExt as _, SeedableRng, rngs::StdRng};
-use types::ImuSample;
-use types::TrackObservation;
+use types::{ImuSample, TrackObservation};
 
 const IMU_NS: i64 = 5_000_000;
 const IMAGE_NS: i64 = 100_000_000;
