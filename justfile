@@ -93,7 +93,7 @@ kills count="200":
 # Loads a map server for so many seconds: a fleet with losses, a client of the costliest requests and a map that changes each minute; then
 # each attack of hostile clients
 soak seconds="1800":
-    ROBOTS=100 LOSS=5 COSTLIEST=1 CHANGES=60 SECONDS={{ seconds }} cargo test --release --locked -p driftless-map-server --test main -- --ignored --nocapture load::fleet
+    PROCESSORS=2 ROBOTS=100 LOSS=5 COSTLIEST=1 CHANGES=60 SECONDS={{ seconds }} cargo test --release --locked -p driftless-map-server --test main -- --ignored --nocapture load::fleet
     SECONDS=60 cargo test --release --locked -p driftless-map-server --test main -- --ignored --nocapture load::hostile::hostile_load
 
 # Repeats the figures of the README and of the book

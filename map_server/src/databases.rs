@@ -14,6 +14,7 @@ use protocol::MapIdentity;
 use recognition::{AliasingRate, LoadedMap};
 use releases::ReleaseKey;
 
+use crate::background::in_background;
 use crate::released::ReleasedMap;
 
 /// Where a served map comes from.
@@ -125,7 +126,7 @@ pub async fn reload(server: &MapServer, sources: impl Iterator<Item = &MapSource
         drop(present);
         let reading = {
             let source = source.clone();
-            tokio::task::spawn_blocking(move || source.newer(served, identity))
+            in_background(move || source.newer(served, identity))
         };
         let read = reading.await.unwrap_or_else(|error| Err(error.into()));
         let replaced = match read {

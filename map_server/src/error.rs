@@ -31,6 +31,11 @@ pub enum ServeError {
         /// The name.
         name: String,
     },
+    /// The system has no threads for the workers.
+    #[error(
+        "no thread could be started for a worker ({0}): allow the program more threads, or give it fewer --workers"
+    )]
+    Threads(#[source] std::io::Error),
     /// The server has no map of that name.
     #[error("no map named {name:?} is served here")]
     UnknownMap {

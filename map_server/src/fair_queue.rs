@@ -234,11 +234,6 @@ impl<T> FairQueue<T> {
         self.shares.retain(|_, share| !share.is_idle() || share.start > clock);
     }
 
-    /// Whether no job waits.
-    pub(crate) fn is_empty(&self) -> bool {
-        self.length == 0
-    }
-
     fn remove(
         &mut self,
         share: &ShareOf,
@@ -366,7 +361,7 @@ mod tests {
                 }
             }
             taken.extend(std::iter::from_fn(|| queue.take()));
-            prop_assert!(queue.is_empty() && queue.shares.values().all(Share::is_idle) && queue.cost == 0);
+            prop_assert!(queue.length == 0 && queue.shares.values().all(Share::is_idle) && queue.cost == 0);
             for client in 0..4 {
                 let own: Vec<_> = taken.iter().filter(|(of, _)| *of == client).map(|(_, index)| *index).collect();
                 prop_assert!(own.is_sorted());

@@ -21,6 +21,7 @@
 //! | [`routing`] | a query about such a map, from its receipt to the answer of one cell |
 //! | [`served_map`] | [`ServedMap`]: a map and its name |
 //! | `queue`, `fair_queue` | queries between the network and the workers: bounded, counted, fair to clients |
+//! | `workers` | the threads that answer queries |
 //! | `senders` | which sessions are connected, and whose certificates they have |
 //! | `handlers` | decodes a query, answers it, encodes the reply |
 //! | `names` | no two servers of one name |
@@ -70,6 +71,7 @@ pub mod server;
 pub mod show;
 mod show_cells;
 mod show_statistics;
+mod workers;
 
 pub use cells::{CellChoice, CellService, CellServiceOptions};
 pub use durations::DurationCounts;

@@ -1,5 +1,6 @@
 //! `map_server`: serves maps over Zenoh.
 
+mod background;
 mod databases;
 mod released;
 mod status_line;

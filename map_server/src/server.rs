@@ -8,7 +8,6 @@ use prometheus_client::registry::Registry;
 use protocol::{StatedChange, Validate as _, keys};
 use recognition::{LoadedMap, RecognitionOptions};
 use tokio::sync::broadcast::Receiver;
-use tokio::task::JoinHandle;
 use zenoh::Session;
 use zenoh::liveliness::LivelinessToken;
 use zenoh::query::{Query, Queryable};
@@ -23,10 +22,11 @@ use crate::kind::Kind;
 use crate::metrics::{ServerMetrics, ServerStatistics};
 use crate::names;
 use crate::options::ServerOptions;
-use crate::queue::{self, Job, Queue, Target};
+use crate::queue::{Job, Queue, Target};
 use crate::reports::{QueryReport, ReportSender};
 use crate::senders::Senders;
 use crate::served_map::{MapSlot, ServedMap};
+use crate::workers::Workers;
 
 /// How long [`MapServer::stop`] waits for queries that are being answered.
 const STOP_TIMEOUT: Duration = Duration::from_millis(1500);
@@ -77,7 +77,7 @@ pub struct MapServer {
     recognition: RecognitionOptions,
     cell_memory: Arc<CellMemory>,
     drawings: Option<Arc<CellDrawings>>,
-    workers: Vec<JoinHandle<()>>,
+    workers: Workers,
 }
 
 impl MapServer {
@@ -86,7 +86,7 @@ impl MapServer {
     /// Needs a multi-threaded tokio runtime.
     ///
     /// # Errors
-    /// [`ServeError::Name`], [`ServeError::NameTaken`], [`ServeError::DuplicateMap`], [`ServeError::Zenoh`]; nothing remains
+    /// [`ServeError::Name`], [`ServeError::NameTaken`], [`ServeError::DuplicateMap`], [`ServeError::Threads`], [`ServeError::Zenoh`]; nothing remains
     /// declared.
     pub async fn start(
         session: Session,
@@ -115,7 +115,8 @@ impl MapServer {
         let senders = Senders::follow(&session).await;
         let (length, bytes) = (options.queue_length, options.queue_bytes);
         let queue = Queue::new(length, bytes, Arc::clone(&metrics), reports.clone(), senders);
-        let workers = queue::start_workers(&queue, options.workers, &options.recognition);
+        let workers =
+            Workers::start(&queue, options.workers, &options.recognition).map_err(ServeError::Threads)?;
         let names = Arc::new(RwLock::new(maps.keys().cloned().collect()));
         let mut queryables = Vec::new();
         for map in maps.values() {
@@ -267,21 +268,13 @@ impl MapServer {
     /// # Errors
     /// [`ServeError::Zenoh`] if something could not be undeclared, for example in a closed session.
     pub async fn stop(self) -> Result<(), ServeError> {
-        let MapServer { token, queryables, queue, metrics, workers, .. } = self;
+        let MapServer { token, queryables, metrics, workers, .. } = self;
         let mut result = token.undeclare().await;
         for queryable in queryables {
             let undeclared = queryable.undeclare().await;
             result = result.and(undeclared);
         }
-        queue.close();
-        let all_done = async {
-            for worker in workers {
-                if let Err(error) = worker.await {
-                    tracing::warn!("a worker of the map server failed: {error}");
-                }
-            }
-        };
-        if tokio::time::timeout(STOP_TIMEOUT, all_done).await.is_err() {
+        if tokio::time::timeout(STOP_TIMEOUT, workers.end()).await.is_err() {
             tracing::warn!("abandoned queries that were still being answered after {STOP_TIMEOUT:?}");
         }
         let ServerStatistics { answered, failed, refused, panicked, .. } = metrics.statistics();

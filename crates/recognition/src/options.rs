@@ -65,7 +65,8 @@ impl Default for RecognitionOptions {
             min_inliers: 8,
             min_fix_inliers: 12,
             min_log_odds: -1.0,
-            min_fix_log_odds: 0.5,
+            // Odds of 7, as those of a robot's first pose.
+            min_fix_log_odds: 1.946,
             sigma_query_px: 1.0,
             max_iterations: 500,
             confidence: 0.999,

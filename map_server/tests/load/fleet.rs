@@ -1,7 +1,7 @@
 //! A fleet's load on one server.
 //!
 //! `ROBOTS=100 SECONDS=600 KEYFRAMES=1000` in the environment change what is measured. Where `taskset` is installed, the
-//! server runs on processor 0 and the robots on the others. `LOSS=5` lets so many bursts of a hundred come late, as where packets
+//! server runs on processor 0, or on the first of them with `PROCESSORS=2`. `LOSS=5` lets so many bursts of a hundred come late, as where packets
 //! get lost, `COSTLIEST=1` adds so many clients that send the costliest requests, and `CHANGES=60` changes the map after each so many seconds.
 
 use std::path::{Path, PathBuf};

@@ -25,7 +25,8 @@ pub fn setting(name: &str, default: usize) -> usize {
 pub struct Server(Child);
 
 impl Server {
-    /// Stores the map of a place in `folder` and serves it, on processor 0 where `taskset` is installed.
+    /// Stores the map of a place in `folder` and serves it, on processor 0 where `taskset` is installed, or on as many as `PROCESSORS`
+    /// in the environment says, with a worker for each.
     ///
     /// `log`: where its log goes; `None`: to that of the test.
     pub fn start(place: &Place, folder: &Path, endpoint: &str, log: Option<File>) -> Self {
@@ -43,10 +44,11 @@ impl Server {
         let database = folder.join("town.db");
         store::save_map(&database, &place.map, false).unwrap();
         let program = env!("CARGO_BIN_EXE_map_server");
+        let processors = setting("PROCESSORS", 1);
         let has_taskset = Command::new("taskset").arg("-V").stdout(Stdio::null()).status().is_ok();
         let mut command = if has_taskset {
             let mut command = Command::new("taskset");
-            command.args(["-c", "0", program]);
+            command.args(["-c", &format!("0-{}", processors - 1), program]);
             command
         } else {
             Command::new(program)
@@ -55,7 +57,9 @@ impl Server {
             command.stderr(log.try_clone().unwrap()).stdout(log);
         }
         let map = format!("{MAP}={}", database.display());
-        command.args(["--map", &map, "--listen", endpoint, "--workers", "1"]).args(switches);
+        command
+            .args(["--map", &map, "--listen", endpoint, "--workers", &processors.to_string()])
+            .args(switches);
         Self(command.spawn().unwrap())
     }
 

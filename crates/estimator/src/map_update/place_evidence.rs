@@ -21,6 +21,8 @@ pub struct SeenPlace {
     spread: f64,
     /// Logarithm of the likelihood ratio of what is seen there.
     log_ratio: f64,
+    /// Answers whose mean that is.
+    answers: f64,
     /// Logarithm of the odds before it is seen.
     log_prior_odds: f64,
 }
@@ -36,7 +38,7 @@ impl SeenPlace {
         let count = landmarks.len().max(1) as f64;
         let centre = landmarks.iter().sum::<Vector3<f64>>() / count;
         let variance = landmarks.iter().map(|at| (at - centre).norm_squared()).sum::<f64>() / count;
-        Self { centre, spread: variance.sqrt(), log_ratio, log_prior_odds }
+        Self { centre, spread: variance.sqrt(), log_ratio, answers: 1.0, log_prior_odds }
     }
 
     /// Whether it shows the same as another one: their landmarks overlap, or may be those of one picture.
@@ -52,11 +54,12 @@ pub struct PlaceEvidence {
 }
 
 impl PlaceEvidence {
-    /// Adds what an answer shows. Answers of one place err together: of them the one that shows most counts, as the robot comes
-    /// nearer.
+    /// Adds what an answer shows. Answers of one place err together: of them the mean counts. The best of many would be
+    /// large by chance, however likely a picture that repeats is.
     pub fn add(&mut self, seen: SeenPlace) {
         if let Some(before) = self.places.iter_mut().find(|before| before.is_same(&seen)) {
-            before.log_ratio = before.log_ratio.max(seen.log_ratio);
+            before.answers += 1.0;
+            before.log_ratio += (seen.log_ratio - before.log_ratio) / before.answers;
             return;
         }
         if self.places.len() == MAX_PLACES {
@@ -117,14 +120,14 @@ mod tests {
     }
 
     #[test]
-    fn the_best_answer_of_a_place_counts_and_negative_ones_count_against() {
+    fn the_mean_of_the_answers_of_a_place_counts_and_negative_ones_count_against() {
         let of = |x: f64, log_odds: f64| {
             let at = Vector3::new(x, 0.0, 0.0);
             SeenPlace::of(&[at - Vector3::x(), at + Vector3::x()], log_odds, 0.0)
         };
         let one_place: PlaceEvidence =
             [4.0, -1.0, 3.0].map(|log_odds| of(0.0, log_odds)).into_iter().collect();
-        assert!((one_place.log_odds() - 4.0).abs() < 1e-12);
+        assert!((one_place.log_odds() - 2.0).abs() < 1e-12);
         let two_places: PlaceEvidence = [of(0.0, 4.0), of(5.0, -3.0)].into_iter().collect();
         assert!((two_places.log_odds() - 1.0).abs() < 1e-12);
     }

@@ -4,36 +4,37 @@ use geometry::{Camera, Pose};
 use protocol::FeatureSet;
 
 use super::expected::expected_pixels;
-use super::likelihood::{PICTURE_PARTS, log_likelihood_ratio};
+use super::grid::Grid;
+use super::likelihood::{least_picture, log_likelihood_ratio};
 use crate::loaded_map::LoadedMap;
 use crate::verification::VerifiedKeyframe;
 
-/// Parts of an image: columns and rows.
-const PARTS: [usize; 2] = [8, 6];
 /// Landmarks that a part must hold for something to be expected in it: a descriptor is found again with a chance of a tenth to
-/// a half.
-const LEAST_EXPECTED: usize = 5;
+/// a half. As many features must be left for it, if they are spread as the landmarks are.
+const LEAST_EXPECTED: f64 = 5.0;
 /// Area of a thing that a building has more than once, square metres: a door, a poster, the face of a shelf.
 const PICTURE_AREA_M2: f64 = 2.0;
 /// Matches that confirm a part.
 const LEAST_CONFIRMING: usize = 2;
 
 /// What a claimed pose explains of the parts of an image in which the map expects something.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[non_exhaustive]
 pub struct Coverage {
     /// Parts in which the map expects landmarks.
     pub expected: usize,
     /// Those of them in which matches agree with the pose.
     pub confirmed: usize,
-    /// Parts that a picture that repeats would fill in the mean: the nearer it is, the more.
-    pub picture: usize,
+    /// Parts of the image: the fewer features it has, the fewer.
+    pub parts: usize,
+    /// Parts that a picture of two square metres would fill where the inliers are: the nearer it is, the more.
+    pub picture: f64,
 }
 
 impl Coverage {
     /// Natural logarithm of the likelihood of the right place over that of a picture that repeats.
     pub fn log_likelihood_ratio(&self) -> f64 {
-        log_likelihood_ratio(self.confirmed, self.expected, self.picture as f64)
+        log_likelihood_ratio(self.confirmed, self.expected, least_picture(self.parts), self.picture)
     }
 }
 
@@ -54,26 +55,23 @@ pub(crate) fn coverage(
         place.iter().flat_map(|keyframe| &keyframe.inliers).map(|inlier| inlier.query).collect();
     confirming.sort_unstable();
     confirming.dedup();
-    let size = [camera.width, camera.height].map(f64::from);
-    let expected = count(size, expected.iter().map(|pixel| [pixel.x, pixel.y]));
-    let confirming = count(size, confirming.iter().map(|&query| features.pixels[query].map(f64::from)));
-    let picture = parts_of_a_picture(map, camera, global_from_camera, place);
-    let mut coverage = Coverage { picture, ..Coverage::default() };
-    for (expected, confirming) in expected.iter().zip(&confirming) {
-        let is_confirmed = *confirming >= LEAST_CONFIRMING;
-        coverage.expected += usize::from(is_confirmed || *expected >= LEAST_EXPECTED);
+    let grid = Grid::of(camera, features.len());
+    let features_of_a_landmark = (features.len() as f64 / expected.len().max(1) as f64).min(1.0);
+    let expected = grid.count(expected.iter().map(|pixel| [pixel.x, pixel.y]));
+    let confirming = grid.count(confirming.iter().map(|&query| features.pixels[query].map(f64::from)));
+    let picture = grid.filled_by(PICTURE_AREA_M2, median_depth(map, global_from_camera, place));
+    let mut coverage = Coverage { picture, parts: grid.len(), ..Coverage::default() };
+    for (&expected, &confirming) in expected.iter().zip(&confirming) {
+        let is_confirmed = confirming >= LEAST_CONFIRMING;
+        let is_expected = expected as f64 * features_of_a_landmark >= LEAST_EXPECTED;
+        coverage.expected += usize::from(is_confirmed || is_expected);
         coverage.confirmed += usize::from(is_confirmed);
     }
     coverage
 }
 
-/// How many parts of the image a picture fills that is as far away as the inliers are in the mean (median).
-fn parts_of_a_picture(
-    map: &LoadedMap,
-    camera: &Camera,
-    global_from_camera: &Pose,
-    place: &[&VerifiedKeyframe],
-) -> usize {
+/// Median depth of the inliers, metres; infinite without any.
+fn median_depth(map: &LoadedMap, global_from_camera: &Pose, place: &[&VerifiedKeyframe]) -> f64 {
     let mut depths: Vec<f64> = Vec::new();
     for verified in place {
         let global_from_keyframe = &map.keyframes[verified.keyframe].global_from_keyframe.pose;
@@ -81,20 +79,5 @@ fn parts_of_a_picture(
         depths.extend(verified.inlier_points().map(|point| camera_from_keyframe.transform(point).z));
     }
     depths.sort_unstable_by(f64::total_cmp);
-    let depth = depths.get(depths.len() / 2).copied().unwrap_or(f64::INFINITY);
-    let side = |pixels: u32, parts: usize, focal: f64| f64::from(pixels) / parts as f64 / focal * depth;
-    let part = side(camera.width, PARTS[0], camera.focal[0]) * side(camera.height, PARTS[1], camera.focal[1]);
-    (PICTURE_AREA_M2 / part).clamp(PICTURE_PARTS, (PARTS[0] * PARTS[1]) as f64).round() as usize
-}
-
-/// How many pixels each part of an image holds.
-fn count(size: [f64; 2], pixels: impl Iterator<Item = [f64; 2]>) -> Vec<usize> {
-    let mut counts = vec![0; PARTS[0] * PARTS[1]];
-    for pixel in pixels {
-        let at = |axis: usize| {
-            ((pixel[axis] / size[axis] * PARTS[axis] as f64).max(0.0) as usize).min(PARTS[axis] - 1)
-        };
-        counts[at(1) * PARTS[0] + at(0)] += 1;
-    }
-    counts
+    depths.get(depths.len() / 2).copied().unwrap_or(f64::INFINITY)
 }

@@ -3,9 +3,9 @@
 /// Shapes of the beta distribution of the share of the expected parts that are confirmed at the right place: rather all of them
 /// than few, where most of the place has changed since.
 const SHARE_AT_THE_PLACE: [f64; 2] = [2.0, 1.0];
-/// Number of parts of an image that a repeated picture fills, negative binomial: the least mean, a twelfth of the image, and its
+/// Number of parts of an image that a repeated picture fills, negative binomial: the least mean as a share of all parts, and its
 /// dispersion. It confirms as many however many are expected.
-pub(super) const PICTURE_PARTS: f64 = 4.0;
+const PICTURE_SHARE: f64 = 1.0 / 12.0;
 const PICTURE_DISPERSION: f64 = 2.0;
 
 /// Natural logarithm of the likelihood of the right place over that of a picture that repeats.
@@ -17,13 +17,28 @@ const PICTURE_DISPERSION: f64 = 2.0;
 /// # Arguments
 /// * `confirmed`: parts of the image in which matches confirm what the map expects.
 /// * `expected`: parts in which it expects something, those included.
-/// * `picture`: parts that a picture fills in the mean, at least a twelfth of the image.
-pub(crate) fn log_likelihood_ratio(confirmed: usize, expected: usize, picture: f64) -> f64 {
+/// * `least_picture`: parts that a picture fills in the mean that is far away.
+/// * `picture`: parts that it fills where the inliers are.
+pub(super) fn log_likelihood_ratio(
+    confirmed: usize,
+    expected: usize,
+    least_picture: f64,
+    picture: f64,
+) -> f64 {
     let at_the_place = log_at_the_place(confirmed, expected);
     let against = |picture: f64| at_the_place - log_of_a_picture(confirmed, expected, picture);
     // A large picture explains many parts as well as the place does. That is no evidence for it: few parts fit into both.
-    let against_least = against(PICTURE_PARTS);
-    if against_least <= 0.0 { against_least } else { against(picture).clamp(0.0, against_least) }
+    let against_least = against(least_picture);
+    if against_least <= 0.0 {
+        against_least
+    } else {
+        against(picture.max(least_picture)).clamp(0.0, against_least)
+    }
+}
+
+/// The least mean number of parts, of so many, that a picture fills.
+pub(super) fn least_picture(parts: usize) -> f64 {
+    (PICTURE_SHARE * parts as f64).max(1.0)
 }
 
 /// Beta-binomial.
@@ -53,9 +68,12 @@ fn log_rising(from: f64, count: usize) -> f64 {
 mod tests {
     use super::*;
 
+    /// That of the finest grid.
+    const LEAST_PICTURE: f64 = 4.0;
+
     #[test]
     fn nothing_expected_says_nothing() {
-        assert!(log_likelihood_ratio(0, 0, PICTURE_PARTS).abs() < 1e-12);
+        assert!(log_likelihood_ratio(0, 0, LEAST_PICTURE, LEAST_PICTURE).abs() < 1e-12);
     }
 
     #[test]
@@ -71,10 +89,10 @@ mod tests {
     #[test]
     fn beyond_the_size_of_a_picture_each_confirmed_part_speaks_for_the_place() {
         for expected in 20..=48 {
-            for confirmed in PICTURE_PARTS as usize..expected {
-                let ratio = log_likelihood_ratio(confirmed, expected, PICTURE_PARTS);
+            for confirmed in LEAST_PICTURE as usize..expected {
+                let ratio = log_likelihood_ratio(confirmed, expected, LEAST_PICTURE, LEAST_PICTURE);
                 assert!(
-                    log_likelihood_ratio(confirmed + 1, expected, PICTURE_PARTS) > ratio,
+                    log_likelihood_ratio(confirmed + 1, expected, LEAST_PICTURE, LEAST_PICTURE) > ratio,
                     "{confirmed} of {expected}"
                 );
             }
@@ -83,11 +101,11 @@ mod tests {
 
     #[test]
     fn a_picture_in_a_full_image_is_no_place_and_where_little_is_expected_nothing_is_known() {
-        assert!(log_likelihood_ratio(4, 40, PICTURE_PARTS) < -2.5);
-        assert!(log_likelihood_ratio(20, 40, PICTURE_PARTS) > 3.0);
+        assert!(log_likelihood_ratio(4, 40, LEAST_PICTURE, LEAST_PICTURE) < -2.5);
+        assert!(log_likelihood_ratio(20, 40, LEAST_PICTURE, LEAST_PICTURE) > 3.0);
         for expected in 0..=6 {
             assert!(
-                (0.0..1.5).contains(&log_likelihood_ratio(expected, expected, PICTURE_PARTS)),
+                (0.0..1.5).contains(&log_likelihood_ratio(expected, expected, LEAST_PICTURE, LEAST_PICTURE)),
                 "all of {expected}"
             );
         }
@@ -96,9 +114,12 @@ mod tests {
     #[test]
     fn the_nearer_a_picture_the_less_what_it_fills_says() {
         for picture in 4..40 {
-            let of = |picture: i32| log_likelihood_ratio(24, 30, f64::from(picture));
+            let of = |picture: i32| log_likelihood_ratio(24, 30, LEAST_PICTURE, f64::from(picture));
             assert!(of(picture + 1) <= of(picture) && of(picture) >= 0.0, "{picture}");
         }
-        assert!(log_likelihood_ratio(24, 30, 40.0) < 0.2 * log_likelihood_ratio(24, 30, PICTURE_PARTS));
+        assert!(
+            log_likelihood_ratio(24, 30, LEAST_PICTURE, 40.0)
+                < 0.2 * log_likelihood_ratio(24, 30, LEAST_PICTURE, LEAST_PICTURE)
+        );
     }
 }

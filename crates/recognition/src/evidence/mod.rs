@@ -7,6 +7,7 @@
 pub(crate) mod aliasing;
 mod coverage;
 mod expected;
+mod grid;
 mod likelihood;
 
 pub use aliasing::{AliasingRate, likely_alias};
