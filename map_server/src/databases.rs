@@ -39,7 +39,7 @@ impl MapSource {
     /// * `key`: releases must be signed with it.
     ///
     /// # Errors
-    /// A URL that is none, a cache that cannot be written.
+    /// An invalid URL, a cache that cannot be written.
     pub fn open(argument: &MapArgument, cache: &Path, key: Option<&ReleaseKey>) -> anyhow::Result<MapSource> {
         let MapArgument { name, place } = argument;
         let origin = if argument.is_released() {

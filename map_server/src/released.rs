@@ -11,7 +11,7 @@ use tokio::runtime::Handle;
 /// Opens a store whose releases must be signed with a key, if there is one.
 ///
 /// # Errors
-/// A URL that is none.
+/// An invalid URL.
 pub fn open_store(url: &str, key: Option<&ReleaseKey>) -> Result<ReleaseStore, ReleaseError> {
     let store = ReleaseStore::open(url)?;
     Ok(match key {
@@ -30,7 +30,7 @@ impl ReleasedMap {
     /// Opens a store and its cache.
     ///
     /// # Errors
-    /// A URL that is none, a folder that cannot be made.
+    /// An invalid URL, a folder that cannot be made.
     pub fn open(url: &str, cache: &Path, key: Option<&ReleaseKey>) -> anyhow::Result<ReleasedMap> {
         Ok(ReleasedMap { source: ReleaseSource::open(open_store(url, key)?, cache)? })
     }

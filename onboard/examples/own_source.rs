@@ -1,4 +1,4 @@
-//! A robot on a sensor source of one's own: here a device at rest that delivers an IMU reading every 5 ms and tracks of no
+//! A robot on a custom sensor source: here a device at rest that delivers an IMU reading every 5 ms and tracks of no
 //! points every 100 ms, for five seconds.
 //!
 //! ```text

@@ -191,7 +191,7 @@ fn play_native(stop: &StopSignal, arguments: &Arguments, runtime: &NetworkRuntim
 fn play_ros2(stop: &StopSignal, arguments: &Arguments, runtime: &NetworkRuntime) -> Result<Outcome> {
     let topics = RosTopics::of(&arguments.calibration)?;
     let has_intrinsics = states_intrinsics(calibration_path(arguments)?)?;
-    // What is wrong with the files is said before the network is there.
+    // Faults of the files are reported before the session is opened.
     let from_files = has_intrinsics.then(|| live_settings(arguments, &[], &topics.cameras)).transpose()?;
     let Some(session) = open_until(stop, &arguments.ros.session(), runtime)? else {
         bail!("interrupted before {} answered", arguments.ros.ros2_connect)

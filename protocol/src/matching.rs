@@ -177,7 +177,7 @@ pub struct MatchedKeyframe {
     pub rank: u16,
     /// The keyframe.
     pub keyframe: KeyframeRecord,
-    /// What it errs together with all other keyframes: the columns of `U` in its error `U x + rest`, `[dtheta, dp]` in the
+    /// Its part of the error common to all keyframes: the columns of `U` in its error `U x + rest`, `[dtheta, dp]` in the
     /// map's frame, where `x` holds independent standard normal numbers, the same for the whole map. Empty where the map
     /// states nothing of that, and where it is held in this version.
     #[serde(default)]

@@ -204,7 +204,7 @@ fn positions_of_answers_are_bounded() {
     refused("fix.global_from_camera.translation", &mut reply, "/fix/global_from_camera/translation/0");
 }
 
-/// The receiver does not rely on the sender's checks: JSON with a covariance that is none.
+/// The receiver does not rely on the sender's checks: JSON with an invalid covariance.
 #[test]
 fn decoding_validates_too() {
     let text = String::from_utf8(encode(Format::Json, &example(robot_odometries())).unwrap()).unwrap();

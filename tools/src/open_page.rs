@@ -10,7 +10,7 @@ pub fn announce(url: &str) {
     open_page(url);
 }
 
-/// Shows a run that has ended, and leaves the page until the signal is raised. A run that cannot be shown is said to be so.
+/// Shows a run that has ended, and leaves the page until the signal is raised. A run that cannot be shown is reported.
 pub fn stay(server: &LocalServer, run: &Path, stop: &StopSignal) {
     if let Err(error) = server.show_run(run) {
         eprintln!("{error:#}");

@@ -45,7 +45,7 @@ pub(crate) fn start_of(path: &Path, count: u64) -> std::io::Result<Vec<u8>> {
 /// Unpacks a file, as far as it goes.
 ///
 /// # Returns
-/// The unpacked file, and what is to be said of it: where it is, and whether it was cut off.
+/// The unpacked file, and notes for the user: where it is, and whether it is truncated.
 pub(crate) fn unpack(path: &Path) -> Result<(TemporaryFile, Vec<String>), BagError> {
     let unpacked = TemporaryFile::named_as(&unpacked_name(path))?;
     let mut notes = vec![format!(

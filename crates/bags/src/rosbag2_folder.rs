@@ -29,7 +29,7 @@ struct Information {
 #[derive(Debug)]
 pub(crate) struct Files {
     pub(crate) paths: Vec<PathBuf>,
-    /// What is to be said of the folder.
+    /// Notes about the folder for the user.
     pub(crate) notes: Vec<String>,
 }
 

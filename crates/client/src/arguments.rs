@@ -35,7 +35,7 @@ pub struct SessionArguments {
 }
 
 impl SessionArguments {
-    /// The options of a program that others connect to: listens on [`DEFAULT_ENDPOINT`] where nothing is said.
+    /// The options of a program that others connect to: listens on [`DEFAULT_ENDPOINT`] by default.
     pub fn serving(&self) -> SessionOptions {
         let mut options = self.options();
         if self.says_nothing() {
@@ -44,7 +44,7 @@ impl SessionArguments {
         options
     }
 
-    /// The options of a program that connects to others: connects to [`DEFAULT_ENDPOINT`] where nothing is said.
+    /// The options of a program that connects to others: connects to [`DEFAULT_ENDPOINT`] by default.
     pub fn connecting(&self) -> SessionOptions {
         let mut options = self.options();
         if self.says_nothing() && !self.scout {

@@ -2,7 +2,7 @@
 
 use std::error::Error;
 
-/// An error and its causes in one line. Many errors state their cause themselves: what was said is not said again.
+/// An error and its causes in one line. Many errors state their cause themselves: nothing is repeated.
 ///
 /// ```
 /// let cause = std::io::Error::other("the disk is full");

@@ -33,7 +33,7 @@ pub fn is_recorrelated(before: &Matrix6<f64>, now: &Matrix6<f64>, keyframes: [&K
     differ(before, now, [&rows, &columns])
 }
 
-/// Whether what a keyframe errs together with others changed by more than rounding.
+/// Whether a keyframe's part of the common error changed by more than rounding.
 ///
 /// # Arguments
 /// * `before`, `now`: `None` where the map states none.
@@ -59,7 +59,7 @@ pub fn has_other_common_error(
 ///
 /// # Arguments
 /// * `keyframes`: those of both versions.
-/// * `common`: what a keyframe errs together with others, before and now.
+/// * `common`: a keyframe's part of the common error, before and now.
 pub fn with_other_common_errors<'a, 'b>(
     keyframes: impl Iterator<Item = &'a Keyframe>,
     common: impl Fn(KeyframeId) -> [Option<&'b CommonError>; 2],

@@ -152,7 +152,7 @@ impl KeyframeCrossCovariance {
     }
 }
 
-/// What a keyframe errs together with all others: `e = U x + rest`, where `x` holds independent standard normal numbers, the
+/// A keyframe's part of the error common to all: `e = U x + rest`, where `x` holds independent standard normal numbers, the
 /// same for the whole map, and `rest` is correlated as the map's [`KeyframeCrossCovariance`]s say.
 ///
 /// So the covariance of two keyframes is `U_a U_bᵀ`, plus the block of the pair where the map lists one. That of a keyframe

@@ -1,4 +1,4 @@
-//! Maps that state what keyframes err together.
+//! Maps that state errors common to their keyframes.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -76,7 +76,7 @@ fn impossible_common_errors_are_refused() {
         let remaining = problem(&|map| map.common_errors[3].factor *= factor);
         assert!(matches!(remaining, CommonErrorProblem::Remaining(_)), "{remaining}");
     }
-    // The blocks of pairs add to what they err together.
+    // The blocks of pairs add to the covariance of the common error.
     let mut contents = place(2, 3);
     contents.cross_covariances[0].block *= 2.4;
     let alone = MapContents { common_errors: Vec::new(), ..contents.clone() };

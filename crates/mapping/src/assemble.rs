@@ -163,7 +163,7 @@ fn sigma_scale(contents: &MapContents) -> Option<f64> {
     };
     let own = |keyframe: &Keyframe| term(keyframe.id, keyframe.id, &keyframe.global_from_keyframe.covariance);
     let cross = |cross: &KeyframeCrossCovariance| 2.0 * term(cross.a, cross.b, &cross.block);
-    // What keyframes err together, each with the others but not with itself.
+    // The errors common to keyframes, of each with the others but not with itself.
     let weighted = |common: &CommonError| common.factor.fixed_rows::<3>(3).tr_mul(&weights[&common.keyframe]);
     let columns = contents.common_errors.first().map_or(0, |common| common.factor.ncols());
     let together =

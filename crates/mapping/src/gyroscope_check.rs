@@ -15,7 +15,7 @@ const LEAST_TURN: f64 = 0.1;
 const TOLERANCE: f64 = 0.5;
 /// What a bias of the gyroscope may add (rad).
 const BIAS: f64 = 0.02;
-/// With fewer turns nothing is said.
+/// With fewer turns there is no verdict.
 const LEAST_TURNS: usize = 5;
 /// Poses are refused where more than this part of the turns differ.
 const MAX_CONTRADICTED: f64 = 0.5;

@@ -224,7 +224,7 @@ impl LoadedMap {
         self.cross_covariances.between(a, b)
     }
 
-    /// What a keyframe errs together with all others, where the map states it.
+    /// A keyframe's part of the common error, where the map states it.
     pub fn common_error(&self, id: KeyframeId) -> Option<&CommonError> {
         let at = self.common_errors.binary_search_by_key(&id, |common| common.keyframe).ok()?;
         Some(&self.common_errors[at])

@@ -17,7 +17,7 @@ use std::collections::{BTreeMap, BTreeSet};
 ///
 /// # Arguments
 /// * `cache`: segments that it has are not fetched, and those that it has not are added to it. A cache that cannot be written
-///   is logged and gone without.
+///   is logged and not used.
 ///
 /// # Errors
 /// [`ReleaseError::Store`], [`ReleaseError::Damaged`], [`ReleaseError::Segment`].

@@ -44,7 +44,7 @@ impl ReleaseSource {
         Ok(release)
     }
 
-    /// Notes which release is served now. A cache that cannot be written is logged and gone without.
+    /// Notes which release is served now. A cache that cannot be written is logged and not used.
     pub fn keep(&self, release: &Release) {
         if let Err(error) = self.cache.keep_release(release) {
             let reason = with_causes(&error);

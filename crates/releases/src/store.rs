@@ -84,7 +84,7 @@ impl ReleaseStore {
         files.flatten().any(|file| file.file_name().to_str().and_then(number_of).is_some())
     }
 
-    /// A store of one's own, with the releases at its root.
+    /// A store that the caller has opened, with the releases at its root.
     ///
     /// # Arguments
     /// * `place`: its name in messages.

@@ -39,7 +39,7 @@ pub struct Qos {
 }
 
 impl Qos {
-    /// Reliable, the last 10: what `rclcpp` uses where nothing else is said, RViz and Nav2 included.
+    /// Reliable, the last 10: the default of `rclcpp`, RViz and Nav2 included.
     pub fn reliable() -> Self {
         Self::volatile(Reliability::Reliable, History::KeepLast(10))
     }

@@ -3,7 +3,7 @@
 use crate::ImuSample;
 use crate::imu_check::STANDARD_GRAVITY;
 
-/// Units of an IMU's readings; rad/s and m/s^2 where nothing is said.
+/// Units of an IMU's readings; rad/s and m/s^2 by default.
 ///
 /// ```
 /// use nalgebra::Vector3;

@@ -66,7 +66,7 @@ pub(crate) struct StampOrder {
     pub(crate) doubled: usize,
 }
 
-/// How a stream is named when it is said what is odd about its stamps.
+/// Name of a stream in messages about its stamps.
 pub(crate) struct Told<'a> {
     /// The stream.
     pub(crate) name: &'a str,

@@ -67,7 +67,7 @@ fn bad_request(what: &str) -> Response {
     error(StatusCode::BAD_REQUEST, what)
 }
 
-/// What is said where there is no map of the name that was asked for.
+/// Reply where there is no map of the name in the request.
 pub(crate) const UNKNOWN_MAP: &str = "there is no map of this name; /api/maps lists them";
 
 fn unknown_map() -> Response {

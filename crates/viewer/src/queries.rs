@@ -196,7 +196,7 @@ impl QueryLog {
     /// The newest queries, newest first.
     ///
     /// # Arguments
-    /// * `of`: a robot, or the session of a client that is none; `None` for everybody.
+    /// * `of`: a robot, or the session of another client; `None` for all.
     /// * `after`: only those with larger numbers.
     pub(crate) fn newest(&self, of: Option<&str>, after: u64, limit: usize) -> Vec<Arc<KeptQuery>> {
         let is_newer = |(number, query): &(u64, Arc<KeptQuery>)| (*number > after).then(|| Arc::clone(query));

@@ -40,7 +40,7 @@ struct Inner {
 #[must_use = "dropping a cell takes milliseconds: not while a lock is held"]
 pub(super) struct Dropped(#[expect(dead_code, reason = "held until it is dropped")] Vec<Arc<LoadedMap>>);
 
-/// Memory for a cell that is being loaded. Dropped once the cell is in it: counted twice for a moment, and never not at all.
+/// Memory for a cell that is being loaded. Dropped once the cell is in memory: for a moment the cell counts twice, so that it always counts.
 pub(super) struct Reserved<'a> {
     memory: &'a CellMemory,
     bytes: usize,

@@ -13,7 +13,7 @@ use onboard::StopSignal;
 use sensors::{Frame, ImuSample, SensorEvent, SensorSource};
 use std::time::{Duration, Instant};
 
-/// How often it is looked whether a robot listens, and how often it is said that none does.
+/// How often the player checks whether a robot listens, and how often it reports that none does.
 const LOOK: Duration = Duration::from_millis(50);
 const LOOKS_A_WARNING: u32 = 40;
 

@@ -14,7 +14,7 @@ pub struct MapKeyframe {
     pub global_from_keyframe: PoseWithCovariance,
     /// Intrinsics of its camera.
     pub camera: Camera,
-    /// What it errs together with all other keyframes: `U` of its error `U x + rest`, where `x` holds independent standard
+    /// Its part of the error common to all keyframes: `U` of its error `U x + rest`, where `x` holds independent standard
     /// normal numbers, the same for the whole map. Without columns where the map states nothing of that, and of keyframes
     /// that the filter held at the time of the query.
     pub common_error: Matrix6xX<f64>,

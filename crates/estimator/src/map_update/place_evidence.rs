@@ -54,7 +54,7 @@ pub struct PlaceEvidence {
 }
 
 impl PlaceEvidence {
-    /// Adds what an answer shows. Answers of one place err together: of them the mean counts. The best of many would be
+    /// Adds what an answer shows. The errors of answers of one place are correlated: of them the mean counts. The best of many would be
     /// large by chance, however likely a picture that repeats is.
     pub fn add(&mut self, seen: SeenPlace) {
         if let Some(before) = self.places.iter_mut().find(|before| before.is_same(&seen)) {

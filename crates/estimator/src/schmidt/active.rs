@@ -3,7 +3,7 @@
 //! One matrix `[R | X | M]`, rows are those of the active error state, takes part in all of them. `M` (6 columns for a
 //! keyframe) are the sensitivities; `R` is the product of all steps since keyframes were last deactivated, the transition
 //! from the newest level of inactive keyframes to now. It has no columns while no keyframe is inactive. `X` is the
-//! sensitivity to what the map's keyframes err together; it has columns only while keyframes are used.
+//! sensitivity to the errors common to the map's keyframes; it has columns only while keyframes are used.
 
 use super::keyframe::{HeldKeyframe, KEYFRAME_DIM};
 use crate::linear_algebra::dense::Dense;

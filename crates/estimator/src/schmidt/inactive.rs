@@ -10,7 +10,7 @@
 //! transition. An empty level leaves the product of the transitions beside it. So the number of levels is logarithmic in
 //! the number of keyframes, each keyframe is moved logarithmically often, and no single step moves many.
 //!
-//! The sensitivity `X` to what keyframes err together is a member of the newest level, unless it is active.
+//! The sensitivity `X` to the errors common to keyframes is a member of the newest level, unless it is active.
 
 use super::active::ActiveKeyframes;
 use super::keyframe::{HeldKeyframe, KEYFRAME_DIM};

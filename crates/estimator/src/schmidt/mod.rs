@@ -11,7 +11,7 @@
 //! ```
 //! so a keyframe that is not used is only multiplied from the left, with or without cross-covariances.
 //!
-//! What all keyframes of a large map err together, `e_k = U_k x + rest`, is one more consider state `x`, of which the
+//! The errors common to all keyframes of a large map, `e_k = U_k x + rest`, are one more consider state `x`, of which the
 //! sensitivity `X` is kept: `M` and `P_NN` above are those of the rests then, and `P_Aj = X U_jᵀ + sum of M_k P_kj`.
 //!
 //! | module | |
@@ -125,7 +125,7 @@ impl HeldKeyframes {
         !self.correlations.is_empty() || self.common_dim().is_some()
     }
 
-    /// How many numbers `x` has; `None` where the map states nothing of what its keyframes err together.
+    /// How many numbers `x` has; `None` where the map states no errors common to its keyframes.
     pub fn common_dim(&self) -> Option<usize> {
         Some(self.active.common_dim().max(self.inactive.common_dim())).filter(|dim| *dim > 0)
     }

@@ -28,14 +28,14 @@ pub enum Correlation {
     None,
     /// Blocks of four keyframes share one covariance.
     Blocks,
-    /// And all keyframes but those of every third block err together, in so many directions.
+    /// Dimension of the error common to all keyframes but those of every third block.
     BlocksAndCommon(usize),
 }
 
 /// The map.
 pub struct Map {
     blocks: Vec<DMatrix<f64>>,
-    /// What keyframes err together.
+    /// The errors common to keyframes.
     common: Vec<Matrix6xX<f64>>,
     correlation: Correlation,
     pub keyframes: u64,

@@ -13,7 +13,7 @@ const STEPS: usize = 400;
 const ROWS: usize = 10;
 const MAX_ACTIVE: usize = 6;
 const MAX_HELD: usize = 20;
-/// Directions in which all keyframes err together.
+/// Dimension of the error common to all keyframes.
 const COMMON: usize = 12;
 
 #[derive(Clone, Copy, PartialEq)]

@@ -43,7 +43,7 @@ pub struct MapContents {
     pub landmarks: Vec<Landmark>,
     /// All known cross-covariances, `a < b`, by (a, b).
     pub cross_covariances: Vec<KeyframeCrossCovariance>,
-    /// What keyframes err together, by keyframe; of those without one, zero.
+    /// Parts of the common error, by keyframe; zero for those without one.
     pub common_errors: Vec<CommonError>,
     /// Which other places keyframes could be taken for, by keyframe; of those without an entry, it is not known.
     pub aliases: Vec<KeyframeAliases>,

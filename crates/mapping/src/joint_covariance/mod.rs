@@ -9,7 +9,7 @@
 //! ```text
 //! P~ = U U^T + T o (P - U U^T)        o: element by element
 //! ```
-//! with `U` of few columns (`anchors`), which says how far keyframes err together, and what remains near each other only, tapered by
+//! with `U` of few columns (`anchors`), for the errors common to keyframes, and a remainder between near ones only, tapered by
 //! a correlation function `T` of the distance (`taper`). Both terms are covariances, the second one as the product of two
 //! (Schur). The diagonal is that of `P`.
 //!
@@ -55,7 +55,7 @@ const FORM: Form = Form { all_up_to: ALL_UP_TO, anchors: 64, neighbours: 192 };
 pub(super) struct JointCovariance {
     /// Covariance of each pose.
     pub(super) own: BTreeMap<usize, Matrix6<f64>>,
-    /// What poses err together: `U`, of each pose as many columns; none in small maps.
+    /// The errors common to poses: `U`, as many columns for each; empty in small maps.
     pub(super) common: BTreeMap<usize, Matrix6xX<f64>>,
     /// `E[e_i e_j^T]` beyond `U_i U_j^T`, with `i < j`; all others are zero.
     pub(super) cross: Vec<(usize, usize, Matrix6<f64>)>,

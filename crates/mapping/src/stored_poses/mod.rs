@@ -90,7 +90,7 @@ impl StoredPoses {
     /// * `tied`: positions in the map, in order.
     ///
     /// # Returns
-    /// `None` where the covariance of these is none.
+    /// `None` where their covariance is not positive definite.
     pub(crate) fn of_map(contents: &MapContents, first: usize, tied: Vec<usize>) -> Option<StoredPoses> {
         let covariance = MapCovariance::of_map(contents)?;
         let information = Arc::new(inverse_of(&covariance.of_keyframes(&tied))?);

@@ -162,7 +162,7 @@ fn files_of(path: &Path, files: &CalibrationFiles) -> Result<(PathBuf, Calibrati
 /// The topic of each camera of the calibration, where there is one that states it.
 pub(super) fn camera_topics(bag: &Bag, files: &CalibrationFiles) -> Vec<Option<String>> {
     let found = files_of(bag.path(), files).ok().and_then(|(_, files)| files.cameras);
-    // What is wrong with the files is said when they are read.
+    // Faults of the files are reported when they are read.
     found.and_then(|file| kalibr::camera_topics(&file).ok()).unwrap_or_default()
 }
 

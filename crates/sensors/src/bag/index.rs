@@ -25,7 +25,7 @@ pub(super) struct StampedTopic {
     pub(super) messages: Vec<Stamped>,
     /// Steps back of the clock.
     pub(super) steps: Vec<Step>,
-    /// Whether it was said that messages cannot be used, however often the topic is read.
+    /// Whether unusable messages have been reported: once, however often the topic is read.
     is_told: AtomicBool,
 }
 
@@ -43,7 +43,7 @@ impl StampedTopic {
         let (logs, stamped): (Vec<i64>, Vec<Stamped>) = stamped.unzip();
         let stamps: Vec<i64> = stamped.iter().map(|message| message.stamp_ns).collect();
         let order = order(&stamps, &logs, known_steps);
-        // Of messages that all have one stamp that alone is said.
+        // If all messages have one stamp, that alone is reported.
         if order.sorted.len() > 1 || order.doubled < MANY {
             tell(bag, topic, &stamps, &order);
         }

@@ -125,7 +125,7 @@ impl LiveBuffer {
     pub(super) fn image(&mut self, camera: usize, stamp_ns: i64, image: LiveImage, now: Duration) {
         let stream = Stream::Camera(camera);
         let stamp_ns = stamp_ns.saturating_add(self.camera_offset_ns);
-        // Images of a camera that is not used are none of ours.
+        // Images of a camera that is not used are dropped.
         let Some(lane) = self.cameras.get_mut(camera) else { return };
         lane.arrived(now);
         if !self.is_stamp(stream, stamp_ns, now) {

@@ -57,7 +57,7 @@ impl fmt::Display for LiveFault {
     }
 }
 
-/// How often something happened, and what was said the last time.
+/// How often something happened, and the last message about it.
 #[derive(Debug)]
 struct Entry {
     count: u64,

@@ -70,7 +70,7 @@ fn depths_are_no_camera() {
         let all = with_images(&[(depth, encoding), (colour, "rgb8")]);
         let made = Made::new(&all, &[colour]);
         assert_eq!(cameras(&made.open().unwrap()), [(20, 8.0)], "{name}");
-        // Alone it is none either, and it is said why.
+        // Alone it is not used either, and the error says why.
         let made = Made::new(&with_images(&[(depth, encoding)]), &[depth]);
         let error = topics(made.open());
         assert!(error.contains("depths") && error.contains(depth), "{name}: {error}");

@@ -147,7 +147,7 @@ impl Live {
         state.history.between(from_ms, to_ms, &state.robot_names, number, limit)
     }
 
-    /// Robots that publish nothing any more are gone, also where no token said so.
+    /// Robots that have stopped publishing are removed, also where no token was undeclared.
     fn end_silence(&self) {
         let mut state = self.lock();
         let LiveState { robots, changed, .. } = &mut *state;

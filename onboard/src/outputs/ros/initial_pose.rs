@@ -34,7 +34,7 @@ pub(super) async fn next_initial_pose(topic: Option<&InitialPoseSubscription>) -
         Err(error) => Err(InitialPoseError::Unreadable(error.to_string())),
     };
     match pose {
-        // What is wrong with it is said by the run.
+        // The run reports what is wrong with it.
         Ok(pose) => drop(topic.poses.set(pose, &topic.body.imu_from_base.inverse())),
         Err(error) => topic.poses.refuse(error),
     }

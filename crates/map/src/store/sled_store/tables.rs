@@ -7,7 +7,7 @@
 //! | `keyframes` | id | a keyframe |
 //! | `landmarks` | id | a landmark with its observations |
 //! | `cross_covariances` | a, b (`a < b`) | a 6x6 block |
-//! | `common_errors` | keyframe | what it errs together with others |
+//! | `common_errors` | keyframe | its part of the common error |
 //! | `aliases` | keyframe | the places that it could be taken for |
 //!
 //! Databases of schema 1 have a table `references` too, which is not read. All values but `schema` are records with a checksum, see [`crate::store::record`].
