@@ -5,6 +5,7 @@
 #![allow(clippy::unwrap_used, clippy::missing_panics_doc)]
 
 pub mod attack;
+pub mod crates_picture;
 pub mod data;
 pub mod fleet;
 pub mod images;

@@ -5,6 +5,7 @@ mod bad_input;
 mod carried;
 mod chaos;
 mod consistency;
+mod crates_picture;
 mod images;
 mod initial_pose;
 mod inspect;

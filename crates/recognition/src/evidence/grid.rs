@@ -22,7 +22,7 @@ impl Grid {
     pub fn of(camera: &Camera, features: usize) -> Self {
         let is_fit = |parts: &&[usize; 2]| parts[0] * parts[1] * FEATURES_OF_A_PART <= features;
         let parts = *GRIDS.iter().find(is_fit).unwrap_or(&GRIDS[GRIDS.len() - 1]);
-        Self { parts, size: [camera.width, camera.height].map(f64::from), focal: camera.focal.into() }
+        Self { parts, size: [camera.width, camera.height].map(f64::from), focal: camera.focal }
     }
 
     /// Number of parts.
