@@ -153,6 +153,7 @@ fn draw_box(svg: &mut String, name: &str, what: &Crate, at: [f64; 2]) {
         at[1] + 18.0
     );
     for (k, line) in lines(&what.description).iter().enumerate() {
+        let line = line.replace('&', "&amp;").replace('<', "&lt;");
         let _ = writeln!(
             svg,
             "<text x=\"{middle:.0}\" y=\"{:.0}\" text-anchor=\"middle\" fill=\"#3f4650\">{line}</text>",
@@ -172,7 +173,10 @@ fn lines(text: &str) -> Vec<String> {
                 break;
             }
         }
-        line = format!("{line} {word}").trim_start().to_owned();
+        if !line.is_empty() {
+            line.push(' ');
+        }
+        line.push_str(word);
     }
     if lines.len() < LINE[1] {
         lines.push(line);
