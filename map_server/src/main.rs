@@ -1,5 +1,7 @@
 //! `map_server`: serves maps over Zenoh.
 
+#![cfg_attr(test, allow(clippy::unwrap_used))]
+
 mod background;
 mod databases;
 mod released;
