@@ -21,8 +21,8 @@ const ATTEMPTS: usize = 100;
 #[derive(Debug)]
 pub struct TemporaryFolder {
     path: PathBuf,
-    /// Locked.
-    _lock: File,
+    /// Locked as long as the folder is in use.
+    lock: File,
 }
 
 impl TemporaryFolder {
@@ -43,7 +43,7 @@ impl TemporaryFolder {
         for _ in 0..ATTEMPTS {
             let path = tempfile::Builder::new().prefix(PREFIX).rand_bytes(RANDOM).tempdir_in(parent)?.keep();
             if let Some(lock) = lock(&path)? {
-                return Ok(TemporaryFolder { path, _lock: lock });
+                return Ok(TemporaryFolder { path, lock });
             }
         }
         Err(std::io::Error::other("other programs remove each temporary folder as soon as it is made"))
@@ -60,6 +60,7 @@ impl Drop for TemporaryFolder {
         if let Err(error) = remove(&self.path) {
             tracing::debug!(path = %self.path.display(), "not removed: {error}");
         }
+        let _ = self.lock.unlock();
     }
 }
 
@@ -130,7 +131,7 @@ mod tests {
     fn kill(folder: TemporaryFolder) -> PathBuf {
         let left = folder.path().to_owned();
         let held = std::mem::ManuallyDrop::new(folder);
-        File::unlock(&held._lock).unwrap();
+        File::unlock(&held.lock).unwrap();
         left
     }
 
