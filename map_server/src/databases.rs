@@ -152,7 +152,7 @@ pub async fn reload(server: &MapServer, sources: impl Iterator<Item = &MapSource
         };
         match replaced {
             Ok(()) => {}
-            Err(error @ ServeError::OtherMap { .. }) => {
+            Err(error @ (ServeError::OtherMap { .. } | ServeError::OldVersion { .. })) => {
                 tracing::warn!(
                     name,
                     version = served,

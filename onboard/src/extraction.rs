@@ -37,13 +37,25 @@ pub struct FeatureArguments {
 }
 
 impl FeatureArguments {
-    /// Opens the extractor.
+    /// Opens the extractor for the images of a map.
     ///
     /// # Errors
     /// An unknown name, missing or damaged weights, --max-features out of range.
     pub fn open(&self) -> Result<Box<dyn FeatureExtractor>> {
-        if self.max_features == 0 || self.max_features > protocol::MAX_FEATURES {
-            bail!("--max-features {}: give a number from 1 to {}", self.max_features, protocol::MAX_FEATURES);
+        self.open_for(protocol::MAX_FEATURES)
+    }
+
+    /// Opens the extractor for images that a map server is queried with.
+    ///
+    /// # Errors
+    /// As of [`FeatureArguments::open`].
+    pub fn open_for_queries(&self) -> Result<Box<dyn FeatureExtractor>> {
+        self.open_for(protocol::MAX_QUERY_FEATURES)
+    }
+
+    fn open_for(&self, most: usize) -> Result<Box<dyn FeatureExtractor>> {
+        if self.max_features == 0 || self.max_features > most {
+            bail!("--max-features {}: give a number from 1 to {most}", self.max_features);
         }
         open(&self.extractor, self.weights.as_deref()).context("--extractor")
     }

@@ -268,7 +268,7 @@ fn extraction(
         return Ok(None);
     }
     let settings = &arguments.features;
-    let thread = ExtractionThread::start(settings.open()?, settings.max_features, mask)
+    let thread = ExtractionThread::start(settings.open_for_queries()?, settings.max_features, mask)
         .context("the thread of the feature extractor cannot be started")?;
     Ok(Some(thread))
 }

@@ -112,7 +112,7 @@ pub fn describe(outcome: MatchOutcome) -> &'static str {
         }
         MatchOutcome::TooFewFeatures => "the image has too few features",
         MatchOutcome::Ambiguous => {
-            "the image is not distinctive: other places look alike, at least in part; give a prior pose"
+            "the image is not distinctive: other places look alike, at least in part; take one that shows more of its surroundings"
         }
         MatchOutcome::EmptyMap => "the map has no keyframes",
     }

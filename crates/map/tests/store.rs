@@ -271,3 +271,24 @@ fn a_map_can_be_replaced_while_the_landmarks_of_the_former_are_read() {
     store::open_map(&path).unwrap().1.close().unwrap();
     assert_ne!(read(&path).landmarks, former.landmarks);
 }
+
+#[test]
+fn a_damaged_number_of_the_version_never_takes_the_map_away() {
+    let place = |seed| Place::new(&PlaceOptions { seed, keyframes: 3, ..PlaceOptions::default() }).map;
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("hall.db");
+    for seed in 1..=3 {
+        store::save_map(&path, &place(seed), path.exists()).unwrap();
+    }
+    let manifest = path.join("manifest.json");
+    let text = std::fs::read_to_string(&manifest).unwrap();
+    for damaged in ["2", "4", "18446744073709551615"] {
+        std::fs::write(&manifest, text.replace("\"version\": 3", &format!("\"version\": {damaged}")))
+            .unwrap();
+        let error = store::load_map(&path).unwrap_err().to_string();
+        assert!(error.contains("damaged"), "{damaged}: {error}");
+        assert!(path.join("version-3").is_dir());
+    }
+    // The number of a version does not come again.
+    assert_eq!(store::save_map(&path, &place(4), true).unwrap().version, 4);
+}

@@ -78,7 +78,10 @@ impl Event {
             MatchOutcome::TooFewFeatures => {
                 ("too_few_features", "the image has too few features for place recognition")
             }
-            MatchOutcome::Ambiguous => ("ambiguous", "two places of the map match equally well"),
+            MatchOutcome::Ambiguous => (
+                "ambiguous",
+                "the image fits several places of the map, or no better than a picture that repeats",
+            ),
             MatchOutcome::EmptyMap => ("empty_map", "the map has no keyframes"),
         };
         self.outcome = name.into();

@@ -16,6 +16,8 @@ use crate::store::error::{Damage, StoreError, WriteProblem};
 pub(in crate::store) const MANIFEST: &str = "manifest.json";
 /// Its name while it is written.
 pub(in crate::store) const NEW_MANIFEST: &str = "manifest.json.new";
+/// What the names of the folders of versions begin with.
+pub(in crate::store) const VERSION_FOLDER: &str = "version-";
 /// A manifest lists a few files per megabyte of map.
 const MAX_MANIFEST_BYTES: u64 = 64 << 20;
 
@@ -72,6 +74,11 @@ impl Manifest {
         if let Some(name) = names.into_iter().find(|name| !is_inside(name)) {
             return Err(damaged(format!("it names the file {name:?}")));
         }
+        // The next version is written beside this one, and must not be taken for it.
+        let (folder, version) = (&manifest.folder, manifest.version);
+        if *folder != folder_of(version) || version == u64::MAX {
+            return Err(damaged(format!("it names the folder {folder:?} for version {version}")));
+        }
         Ok(manifest)
     }
 
@@ -84,6 +91,9 @@ impl Manifest {
         let mut file = File::create(&new).map_err(failed)?;
         file.write_all(&text).and_then(|()| file.sync_all()).map_err(failed)?;
         drop(file);
+        for folder in [&map.join(&self.folder), map] {
+            sync_folder(folder).map_err(failed)?;
+        }
         std::fs::rename(&new, &path).map_err(failed)?;
         // From here on the new version is the map, whatever happens.
         if let Err(error) = sync_folder(map) {
@@ -101,6 +111,11 @@ impl Manifest {
 /// Whether a relative path stays in its folder.
 fn is_inside(path: &str) -> bool {
     !path.is_empty() && Path::new(path).components().all(|part| matches!(part, Component::Normal(_)))
+}
+
+/// Name of the folder of a version.
+pub(in crate::store) fn folder_of(version: u64) -> String {
+    format!("{VERSION_FOLDER}{version}")
 }
 
 /// Waits until the names in a folder are on the disk.

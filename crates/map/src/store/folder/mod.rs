@@ -21,12 +21,10 @@ use std::path::Path;
 use protocol::MapIdentity;
 
 use super::error::StoreError;
-use manifest::{MANIFEST, Manifest, NEW_MANIFEST};
+use manifest::{MANIFEST, Manifest, NEW_MANIFEST, VERSION_FOLDER};
 pub(super) use reading::{TemporaryCopy, open, read};
 pub(super) use writing::{ensure_free, write};
 
-/// What the names of the folders of versions begin with.
-const VERSION_FOLDER: &str = "version-";
 /// Held by the program that writes.
 const LOCK: &str = "lock";
 

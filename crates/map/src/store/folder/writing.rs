@@ -4,9 +4,9 @@ use std::fs::{File, TryLockError};
 use std::path::Path;
 
 use super::files;
-use super::manifest::Manifest;
+use super::manifest::{Manifest, VERSION_FOLDER, folder_of, sync_folder};
 use super::reading::{self, open_version};
-use super::{Kind, LOCK, Seen, VERSION_FOLDER, entries, is_of_former, kind_of};
+use super::{Kind, LOCK, Seen, entries, is_of_former, kind_of};
 use crate::contents::MapContents;
 use crate::store::error::{StoreError, WriteProblem};
 use crate::store::map_store::MapStore;
@@ -31,7 +31,11 @@ pub(in crate::store) fn write(
         problem: WriteProblem::File { file: file.to_owned(), source },
     };
     ensure_free(map, replace, store)?;
+    let is_new = !map.exists();
     std::fs::create_dir_all(map).map_err(|source| write_failed(map, source))?;
+    if let Some(parent) = map.parent().filter(|parent| is_new && !parent.as_os_str().is_empty()) {
+        sync_folder(parent).map_err(|source| write_failed(parent, source))?;
+    }
     let _lock = Lock::take(map)?;
     // Another program may have completed a map until the lock was free.
     ensure_free(map, replace, store)?;
@@ -48,10 +52,10 @@ pub(in crate::store) fn write(
     contents.info.identity = Some(identity);
     let version = contents.info.version;
     // A folder of that name was left by a program that was stopped.
-    let folder = map.join(format!("{VERSION_FOLDER}{version}"));
+    let folder = map.join(folder_of(version));
     let manifest = Manifest {
         schema: STORE_SCHEMA,
-        folder: name_of(&folder),
+        folder: folder_of(version),
         version,
         identity,
         digest,
@@ -62,7 +66,7 @@ pub(in crate::store) fn write(
         let _ = std::fs::remove_dir_all(&folder);
         return Err(error);
     }
-    remove_all_but(map, &name_of(&folder));
+    remove_all_but(map, &folder_of(version));
     Ok(SavedMap { version, identity })
 }
 
@@ -156,10 +160,6 @@ fn remove_all_but(map: &Path, folder: &str) {
             tracing::warn!(path = %path.display(), "a former version of the map was not removed: {error}");
         }
     }
-}
-
-fn name_of(folder: &Path) -> String {
-    folder.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
 /// Lets one program at a time write a map; released when it is dropped, and when the program ends.
