@@ -3,20 +3,24 @@
 use std::io;
 use std::thread;
 
+use tokio::runtime::Handle;
 use tokio::sync::oneshot;
 
-/// Niceness of a thread that leaves the processors to others as far as they need them.
+/// Niceness of a thread that yields to others: where all processors are busy, it gets a third of the share of another one (Linux, the
+/// weights of its scheduler), so that it ends, too.
 #[cfg(target_os = "linux")]
-const NICENESS: i32 = 15;
+const NICENESS: i32 = 5;
 
-/// Runs a job on a thread of its own that gets what the threads that answer queries leave of the processors (on Linux; elsewhere it
-/// gets its share).
+/// Runs a job on a thread of its own, in the tokio runtime of the caller, that yields to the threads that answer queries (on Linux;
+/// elsewhere it has the same share).
 ///
 /// # Errors
 /// That of the system if it has no thread to give; the job panicked.
 pub async fn in_background<T: Send + 'static>(job: impl FnOnce() -> T + Send + 'static) -> io::Result<T> {
     let (ended, result) = oneshot::channel();
+    let runtime = Handle::current();
     thread::Builder::new().name("background".into()).spawn(move || {
+        let _entered = runtime.enter();
         yield_to_others();
         // Nobody waits any more where the program ends.
         let _ = ended.send(job());
@@ -52,5 +56,11 @@ mod tests {
     async fn a_panic_is_an_error() {
         assert!(in_background(|| panic!("on purpose")).await.is_err());
         assert_eq!(in_background(|| 7).await.unwrap(), 7);
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn a_job_may_wait_for_tasks_of_the_runtime() {
+        let waited = in_background(|| Handle::current().block_on(async { tokio::spawn(async { 7 }).await }));
+        assert_eq!(waited.await.unwrap().unwrap(), 7);
     }
 }
