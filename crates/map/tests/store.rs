@@ -20,7 +20,7 @@ fn replaced(path: &Path, contents: &MapContents) -> SavedMap {
 }
 
 fn read(path: &Path) -> MapContents {
-    store::load_map(path).unwrap().whole().unwrap()
+    store::load_map(path).unwrap().contents
 }
 
 /// Everything but the version and the identity, which a store sets.

@@ -253,7 +253,7 @@ async fn what_no_release_needs_is_removed_after_the_grace_time() {
     let cleaned = clean(&scratch.store, &options).await.unwrap();
     let named = |release: &Release| -> BTreeSet<SegmentName> {
         let of_cell = |cell: &ReleasedCell| {
-            let serving = cell.serving.clone().unwrap();
+            let serving = cell.serving.clone();
             [cell.segment.clone(), serving.border, serving.coarse]
         };
         release.cells.iter().flat_map(of_cell).collect()

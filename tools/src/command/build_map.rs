@@ -134,7 +134,7 @@ pub struct Args {
 #[expect(clippy::needless_pass_by_value, reason = "every command owns its arguments")]
 pub fn run(args: Args) -> anyhow::Result<()> {
     let target = MapTarget::new(&args.map, args.force || args.extend)?;
-    let stored = if args.extend { Some(load_map(&args.map)?.whole()?) } else { None };
+    let stored = if args.extend { Some(load_map(&args.map)?.contents) } else { None };
     let mut sequence = Sequence::open_with(&args.recording, &args.calibration.files())?;
     if !args.mono {
         check_stereo(&sequence.cameras, sequence.frames.iter().cloned().map(Ok))?;

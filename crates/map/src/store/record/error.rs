@@ -20,14 +20,12 @@ pub enum RecordError {
     #[error("its checksum does not match")]
     Checksum,
     /// The record was written by another version of this program.
-    #[error("it has record version {found}, this program reads {oldest} to {newest}")]
+    #[error("it has record version {found}, this program reads {expected}")]
     Version {
         /// The version of the record.
         found: u8,
-        /// The oldest that is read.
-        oldest: u8,
-        /// The newest that is read.
-        newest: u8,
+        /// The version that is read.
+        expected: u8,
     },
     /// The payload does not have the layout of its version.
     #[error("it cannot be decoded: {reason}")]

@@ -32,63 +32,6 @@ pub struct InfoRecord {
     identity: Option<[u8; 16]>,
 }
 
-/// [`InfoRecord`] of record version 2, when maps had no identity.
-#[derive(Serialize, Deserialize)]
-pub(super) struct InfoRecordV2 {
-    name: String,
-    created_by: String,
-    version: u64,
-    gravity_in_global: Option<[f64; 3]>,
-    descriptor_kind: u8,
-    descriptor_width: u16,
-    sigma_px: f64,
-    extractor: String,
-}
-
-impl From<InfoRecordV2> for InfoRecord {
-    fn from(old: InfoRecordV2) -> InfoRecord {
-        InfoRecord {
-            name: old.name,
-            created_by: old.created_by,
-            version: old.version,
-            gravity_in_global: old.gravity_in_global,
-            descriptor_kind: old.descriptor_kind,
-            descriptor_width: old.descriptor_width,
-            sigma_px: old.sigma_px,
-            extractor: old.extractor,
-            identity: None,
-        }
-    }
-}
-
-/// [`InfoRecord`] of record version 1, when maps did not name their extractor.
-#[derive(Serialize, Deserialize)]
-pub(super) struct InfoRecordV1 {
-    name: String,
-    created_by: String,
-    version: u64,
-    gravity_in_global: Option<[f64; 3]>,
-    descriptor_kind: u8,
-    descriptor_width: u16,
-    sigma_px: f64,
-}
-
-impl From<InfoRecordV1> for InfoRecord {
-    fn from(old: InfoRecordV1) -> InfoRecord {
-        InfoRecord {
-            name: old.name,
-            created_by: old.created_by,
-            version: old.version,
-            gravity_in_global: old.gravity_in_global,
-            descriptor_kind: old.descriptor_kind,
-            descriptor_width: old.descriptor_width,
-            sigma_px: old.sigma_px,
-            extractor: String::new(),
-            identity: None,
-        }
-    }
-}
-
 impl InfoRecord {
     /// The record of a map's metadata.
     pub fn new(info: &MapMetadata) -> InfoRecord {
