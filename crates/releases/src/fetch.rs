@@ -1,9 +1,9 @@
 //! The map of a release, or some of its cells.
 
-use crate::damage::Damage;
 use crate::cache::ReleaseCache;
 use crate::cells::{CellContents, join};
 use crate::coarse::CoarseCell;
+use crate::damage::Damage;
 use crate::error::{ReleaseError, SegmentError};
 use crate::partition::CellId;
 use crate::release::{Release, SegmentName};

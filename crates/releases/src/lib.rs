@@ -75,8 +75,8 @@ pub use fetch::{Cell, fetch, fetch_cell, fetch_coarse};
 pub use partition::{CellId, Partition, PartitionError};
 pub use publish::{Outcome, Progress, PublishOptions, Published, publish, roll_back};
 pub use release::{Release, ReleaseDifference, ReleasedCell, ReleasedMap, SegmentName, ServedCell};
-pub use signing::{ReleaseKey, ReleaseKeyError, SignatureError};
 #[cfg(feature = "signing")]
 pub use signing::SigningKey;
+pub use signing::{ReleaseKey, ReleaseKeyError, SignatureError};
 pub use source::ReleaseSource;
 pub use store::ReleaseStore;

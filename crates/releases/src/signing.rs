@@ -34,7 +34,9 @@ impl ReleaseKey {
 
 /// A text that is no public key.
 #[derive(Debug, thiserror::Error)]
-#[error("{text} is no public key ({source}): give the file of one, like city.pub, or its line that begins with RW")]
+#[error(
+    "{text} is no public key ({source}): give the file of one, like city.pub, or its line that begins with RW"
+)]
 pub struct ReleaseKeyError {
     text: String,
     source: minisign_verify::Error,

@@ -1,13 +1,13 @@
 //! The object store of releases.
 
-use crate::damage::Damage;
 use crate::change::ReleasedChange;
+use crate::damage::Damage;
 use crate::digest::sha256;
 use crate::error::ReleaseError;
 use crate::release::{Release, SegmentName};
-use crate::signing::{ReleaseKey, SignatureError};
 #[cfg(feature = "signing")]
 use crate::signing::SigningKey;
+use crate::signing::{ReleaseKey, SignatureError};
 use bytes::Bytes;
 use futures_util::TryStreamExt as _;
 use object_store::path::Path;
@@ -216,8 +216,8 @@ impl ReleaseStore {
     /// Puts a release under its number, if that is free.
     pub(crate) async fn put_release(&self, release: &Release) -> Result<(), ReleaseError> {
         let object = release_name(release.number);
-        let mut text = serde_json::to_vec_pretty(release)
-            .map_err(|error| self.damaged(object.clone(), error.into()))?;
+        let mut text =
+            serde_json::to_vec_pretty(release).map_err(|error| self.damaged(object.clone(), error.into()))?;
         text.push(b'\n');
         #[cfg(feature = "signing")]
         if let Some(key) = &self.signing {
