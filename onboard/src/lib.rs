@@ -7,8 +7,10 @@
 //! |---|---|
 //! | [`arguments`] | switches of the robot and settings of the estimator |
 //! | `cli` (feature `ros`) | the command line of `onboard`, and its settings file |
-//! | [`program`] | [`run_robot`] and its kin: builds a run from the switches, scores it, writes the output folder |
-//! | [`run`](mod@run), `map_queries` | [`RobotRun`]: the loop over frames; sending queries, applying answers and map changes |
+//! | [`program`] | [`run_robot`] and its kin: builds a robot from the switches, scores the run, writes the output folder |
+//! | [`run`](mod@run), `map_queries` | [`Robot`]: the loop over frames; sending queries, applying answers and map changes |
+//! | [`output`], [`estimate`], [`event`], [`report`], [`counts`] | [`Output`]: who takes what the robot gives out; what that is |
+//! | [`settings`], [`error`] | [`RobotSettings`]; why a robot cannot be made or a run ends early |
 //! | `input` | reads a [`SensorSource`](sensors::SensorSource) ahead; the window of IMU readings |
 //! | [`start`] | initial state and excerpt of a recording |
 //! | [`alarms`], `run_status` | what contradicts the sensors or the map: logged when it begins and ends, kept for the summary |
@@ -39,23 +41,30 @@ pub mod alarms;
 pub mod arguments;
 #[cfg(feature = "ros")]
 pub mod cli;
+pub mod counts;
+pub mod error;
+pub mod estimate;
+pub mod event;
 pub mod extraction;
 pub mod initial_pose;
 mod input;
-mod link;
+pub mod link;
 pub mod map_conversion;
 mod map_queries;
 pub mod native;
+pub mod output;
 pub mod outputs;
 mod prediction;
 pub mod program;
 pub mod progress;
+pub mod report;
 #[cfg(feature = "ros")]
 pub mod ros_camera_info;
 #[cfg(feature = "ros")]
 pub mod ros_sensors;
 pub mod run;
 mod run_status;
+pub mod settings;
 pub mod start;
 pub mod stdout;
 pub mod stop;
@@ -63,8 +72,15 @@ pub mod stop;
 mod topic_watch;
 
 pub use arguments::RobotArguments;
+pub use counts::PairSummary;
+pub use error::{RobotError, RunError};
+pub use estimate::{Estimate, GlobalEstimate, StatusReport};
+pub use event::Event;
 pub use link::{LinkError, MapLink, OpeningLink, RobotLink};
-pub use outputs::{EndedLost, Event, PairSummary, Recorder, RobotMetrics, Summary};
+pub use output::Output;
+pub use outputs::{EndedLost, Recorder, RobotMetrics, Summary};
 pub use program::{Outcome, run_robot, run_robot_until, run_source_until};
-pub use run::{RobotRun, RunError, run};
+pub use report::RunReport;
+pub use run::Robot;
+pub use settings::{RobotSettings, estimator_config};
 pub use stop::StopSignal;

@@ -1,217 +1,217 @@
 //! Plays a sensor source through the estimator.
 
 use super::alarms::Alarms;
+use super::counts::{PairSummary, Timings};
+use super::error::{RobotError, RunError};
+use super::estimate::Estimate;
 use super::extraction::ExtractionThread;
 use super::initial_pose::InitialPoseSearch;
 use super::input::{BadReadings, ImuWindow, NextFrame, SensorQueue};
-use super::link::OpeningLink;
-use super::outputs::{
-    Estimate, MessageRecording, PairSummary, Publisher, Recorder, RobotMetrics, RosOutput, StatusLine,
-    Timings,
-};
-use super::prediction::{Basis, Prediction, Publish};
+use super::link::MapConnection;
+use super::output::{Output, Outputs};
+use super::prediction::{Basis, Prediction};
+use super::report::RunReport;
 use super::run_status::AlarmKind;
-use super::stop::StopSignal;
-use client::{MapChangeSubscriber, QueryTasks};
-use estimator::{CloneId, EstimatorError, InitMethod, TrackObservation};
+use super::settings::RobotSettings;
+use estimator::{CalibratedCamera, Estimator, EstimatorError, InitMethod, TrackObservation};
 use geometry::Camera;
 use odometry::{EstimatorSupervisor, FrontEnd, RepeatedWarning};
-use protocol::Format;
-use sensors::live::LiveFault;
-use sensors::{Frame, ImuCheck, ImuUnitError, SensorError, SensorSource};
+use sensors::live::LiveReport;
+use sensors::{Contents, Frame, ImuCheck, ImuUnitError, SensorError, SensorSource};
 use std::time::{Duration, Instant};
+use vision::{FeatureExtractor, GrayImage};
 
 /// As fast as possible, an answer is taken to need this time, nanoseconds: it is applied before the next image where
 /// that is later, else with it.
 const ANSWER_NS: i64 = 200_000_000;
-/// Default of [`RobotRun::query_interval_ns`], nanoseconds.
-const QUERY_INTERVAL_NS: i64 = 500_000_000;
-/// Default of [`RobotRun::query_deadline`].
-const QUERY_DEADLINE: Duration = Duration::from_secs(2);
-/// Default of [`RobotRun::max_keyframes`].
-const MAX_KEYFRAMES: u16 = 4;
 
-/// Why a run ended early. What was recorded up to there is kept.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum RunError {
-    /// The source cannot be read any further.
-    #[error(transparent)]
-    Source(#[from] SensorError),
-    /// The run was stopped from outside.
-    #[error("interrupted {seconds:.1} s into the recording")]
-    Interrupted {
-        /// Time since the first frame.
-        seconds: f64,
-    },
-    /// The estimator cannot be built or continued.
-    #[error("at {seconds:.1} s of the recording: {source}")]
-    Estimator {
-        /// Time since the first frame.
-        seconds: f64,
-        /// The error of the estimator.
-        source: EstimatorError,
-    },
-    /// The estimator was never initialized.
-    #[error("the estimator was not initialized in {seconds:.1} s of recording: {status}")]
-    NotInitialized {
-        /// Time from the first frame to the last.
-        seconds: f64,
-        /// What the initialization lacked at the end.
-        status: String,
-    },
-}
-
-/// A robot: a sensor source, an estimator, and what serves them.
+/// A robot: a sensor source, an estimator, its map, and who is told.
 ///
-/// [`RobotRun::new`] makes one that does odometry on the tracks of the source; the fields add a front end, the map and
-/// the network.
-pub struct RobotRun<'a> {
-    /// Stops the run before the source ends.
-    pub stop: StopSignal,
-    /// Name of the robot, for queries.
-    pub robot: String,
-    /// Format of what the robot publishes.
-    pub topics: Format,
-    /// Number of cameras whose tracks are used.
-    pub cameras: usize,
-    /// Play at the speed of the recording instead of as fast as possible. A live source is played as it comes.
-    pub realtime: bool,
+/// [`Robot::new`] makes one that does odometry. Outputs are added, then it is connected to the map, then it runs.
+///
+/// # Example
+/// Odometry of a recording, which is printed:
+/// ```no_run
+/// use onboard::{Estimate, Output, Robot, RobotSettings, estimator_config};
+/// use sensors::SensorSource as _;
+///
+/// struct Print;
+///
+/// impl Output for Print {
+///     fn estimate(&mut self, estimate: &Estimate) {
+///         println!("{} {}", estimate.motion.stamp_ns, estimate.motion.local_from_imu().pose.translation);
+///     }
+/// }
+///
+/// let recording = sensors::Recording::open("MH_03".as_ref())?;
+/// let mut source = recording.source()?;
+/// let estimator = estimator_config(source.calibration()).ok_or("there is no IMU")?;
+/// let mut robot = Robot::new(&mut source, RobotSettings::new(estimator))?;
+/// robot.add_output(Print);
+/// let report = robot.run(|_frame| {});
+/// println!("{} frames, {:?}", report.frames, report.final_status);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+pub struct Robot<'a> {
+    pub(crate) settings: RobotSettings,
     /// Measurements arrive now.
     is_live: bool,
+    contents: Contents,
     /// Makes tracks of images; `None` for a source that has tracks.
-    pub front_end: Option<FrontEnd>,
+    front_end: Option<FrontEnd>,
     /// Makes features of images for queries; `None` for a source that has features.
-    pub extraction: Option<ExtractionThread>,
-    /// Least time between two images that features are extracted from, nanoseconds.
-    pub query_interval_ns: i64,
-    /// How long a query may take.
-    pub query_deadline: Duration,
-    /// Maximum number of keyframes in one answer.
-    pub max_keyframes: u16,
-    /// Sends queries to the map server; `None` for odometry only.
-    pub queries: Option<QueryTasks<CloneId>>,
-    /// Receives changes of the map; `None` for odometry only.
-    pub map_changes: Option<MapChangeSubscriber>,
-    /// Publishes pose, odometry and status; `None` without a network.
-    pub publisher: Option<Publisher>,
-    /// Publishes for ROS 2.
-    pub ros: Option<RosOutput>,
-    /// Records what is published, and the sensors.
-    pub(super) recording: Option<MessageRecording>,
-    /// Publishes odometry at the rate of the IMU; `None` for a recording.
-    pub(super) prediction: Option<Prediction>,
-    /// What the run counts.
-    pub metrics: RobotMetrics,
-    /// Poses that an operator sets.
-    pub(super) initial_pose: InitialPoseSearch,
-    pub(super) supervisor: EstimatorSupervisor,
-    /// Camera 0, which the queries are about.
-    pub(super) query_camera: Option<Camera>,
+    pub(crate) extraction: Option<ExtractionThread>,
     /// Time of the last image that features were extracted from.
-    pub(super) last_extraction_ns: Option<i64>,
-    /// Why the last query was not answered; `None` once one is.
-    pub(super) last_failure: Option<String>,
-    /// A session that is not open yet.
-    pub(super) opening: Option<OpeningLink>,
-    /// The session that was opened for this run, and the runtime that it lives on.
-    pub(super) own_session: Option<(zenoh::Session, tokio::runtime::Handle)>,
-    pub(super) status_line: StatusLine,
-    pub(super) alarms: Alarms<AlarmKind>,
+    pub(crate) last_extraction_ns: Option<i64>,
+    /// Camera 0, which the queries are about.
+    pub(crate) query_camera: Option<Camera>,
+    pub(crate) map: MapConnection,
+    /// Poses that an operator sets.
+    pub(crate) initial_pose: InitialPoseSearch,
+    pub(crate) supervisor: EstimatorSupervisor,
+    pub(crate) outputs: Outputs<'a>,
+    /// Odometry at the rate of the IMU; `None` for a recording.
+    prediction: Option<Prediction>,
+    pub(crate) report: RunReport,
+    pub(crate) alarms: Alarms<AlarmKind>,
     imu_check: ImuCheck,
     /// What is wrong with the readings.
-    pub(super) imu_fault: Option<ImuUnitError>,
-    pub(super) bad_readings: BadReadings,
-    /// What is wrong with a live source.
-    pub(super) live_faults: Vec<LiveFault>,
+    pub(crate) imu_fault: Option<ImuUnitError>,
+    pub(crate) bad_readings: BadReadings,
+    /// What a live source said last.
+    pub(crate) live: LiveReport,
     skipped: RepeatedWarning,
     refused: RepeatedWarning,
-    pub(super) events: SensorQueue<'a>,
+    pub(crate) events: SensorQueue<'a>,
     imu: ImuWindow,
 }
 
-impl<'a> RobotRun<'a> {
-    /// A robot that does odometry on the tracks of a source, as fast as possible.
-    pub fn new(source: &'a mut dyn SensorSource, supervisor: EstimatorSupervisor) -> Self {
+impl<'a> Robot<'a> {
+    /// A robot without a map and without outputs. A source that has images and no tracks gets a front end.
+    ///
+    /// # Errors
+    /// [`RobotError`]: there is no camera, or a setting is refused.
+    pub fn new(source: &'a mut dyn SensorSource, settings: RobotSettings) -> Result<Self, RobotError> {
+        let (cameras, contents) = (&source.calibration().cameras, source.contents());
+        let cameras = &cameras[..settings.cameras.min(cameras.len())];
+        if cameras.is_empty() {
+            return Err(RobotError::NoCamera);
+        }
+        let has_front_end = contents.images && !contents.tracks;
+        let front_end =
+            has_front_end.then(|| FrontEnd::new(cameras, settings.tracker.clone())).transpose()?;
+        let rig: Vec<CalibratedCamera> = cameras
+            .iter()
+            .map(|sensor| CalibratedCamera {
+                camera: sensor.camera.clone(),
+                imu_from_camera: sensor.imu_from_camera,
+            })
+            .collect();
+        let config = settings.estimator.clone();
+        let supervisor = match &settings.initial {
+            Some(initial) => EstimatorSupervisor::running(Estimator::new(config, rig.clone(), initial)?, rig),
+            None => EstimatorSupervisor::initializing(config, rig),
+        };
+        Ok(Self { front_end, ..Self::with_estimator(source, supervisor, settings)? })
+    }
+
+    /// A robot whose estimator runs already, or is to be initialized in another way; it uses the tracks of the source.
+    ///
+    /// Of the settings, those that [`Robot::new`] makes an estimator and a front end with are not looked at.
+    ///
+    /// # Errors
+    /// [`RobotError::Prediction`].
+    pub fn with_estimator(
+        source: &'a mut dyn SensorSource,
+        supervisor: EstimatorSupervisor,
+        mut settings: RobotSettings,
+    ) -> Result<Self, RobotError> {
+        let prediction =
+            source.tap_imu().map(Prediction::start).transpose().map_err(RobotError::Prediction)?;
         let calibration = source.calibration();
         let imu = ImuWindow::new(calibration.imu.as_ref().map_or(1.0, |imu| imu.rate_hz));
         let is_live = source.live().is_some();
-        Self {
-            stop: StopSignal::default(),
-            robot: "robot".to_owned(),
-            topics: Format::Json,
-            cameras: supervisor.camera_count(),
-            realtime: is_live,
+        settings.realtime |= is_live;
+        Ok(Self {
             is_live,
+            contents: source.contents(),
             front_end: None,
             extraction: None,
-            query_interval_ns: QUERY_INTERVAL_NS,
-            query_deadline: QUERY_DEADLINE,
-            max_keyframes: MAX_KEYFRAMES,
-            queries: None,
-            map_changes: None,
-            publisher: None,
-            ros: None,
-            recording: None,
-            prediction: None,
-            metrics: RobotMetrics::default(),
-            initial_pose: InitialPoseSearch::default(),
-            supervisor,
-            query_camera: calibration.cameras.first().map(|first| first.camera.clone()),
             last_extraction_ns: None,
-            last_failure: None,
-            opening: None,
-            own_session: None,
-            status_line: StatusLine::default(),
+            query_camera: calibration.cameras.first().map(|first| first.camera.clone()),
+            map: MapConnection::default(),
+            initial_pose: InitialPoseSearch::new(settings.initial_poses.clone()),
+            supervisor,
+            outputs: Outputs::default(),
+            prediction,
+            report: RunReport::default(),
             alarms: Alarms::default(),
             imu_check: ImuCheck::new(calibration.imu.as_ref().and_then(|imu| imu.gravity_magnitude)),
             imu_fault: None,
             bad_readings: BadReadings::default(),
-            live_faults: Vec::new(),
+            live: LiveReport::default(),
             skipped: RepeatedWarning::default(),
             refused: RepeatedWarning::default(),
             events: SensorQueue::new(source),
             imu,
-        }
+            settings,
+        })
     }
-}
 
-/// Runs to the end of the source.
-///
-/// As fast as possible (not `realtime`) the source stands still while an answer is outstanding, and the answer to one
-/// image is applied with the next image, or before it where that is more than 0.2 s later: results then do not depend
-/// on the speed of the machine. In real time answers are applied when they come.
-///
-/// # Arguments
-/// * `progress`: called with the index of every frame before it is processed.
-///
-/// # Errors
-/// [`RunError`]; `recorder` holds what was done up to there.
-pub fn run(
-    mut robot: RobotRun<'_>,
-    recorder: &mut Recorder,
-    progress: impl FnMut(usize),
-) -> Result<(), RunError> {
-    let begin = Instant::now();
-    let done = robot.play(begin, recorder, progress);
-    robot.close(recorder);
-    recorder.wall_seconds = begin.elapsed().as_secs_f64();
-    done
-}
+    /// Adds an output, before [`Robot::connect`]. A `&mut` is one, too.
+    pub fn add_output(&mut self, output: impl Output + 'a) {
+        self.outputs.add(output);
+    }
 
-impl RobotRun<'_> {
-    fn play(
+    /// Makes features of images for queries to the map, on a thread of its own. Does nothing for a source that has features, or
+    /// no images.
+    ///
+    /// # Arguments
+    /// * `extractor`: that of the map.
+    /// * `max_features`: of an image; a map server takes at most [`protocol::MAX_QUERY_FEATURES`].
+    /// * `mask`: black (zero) where camera 0 sees the robot itself.
+    ///
+    /// # Errors
+    /// The operating system refuses a thread.
+    pub fn extract_features(
         &mut self,
-        begin: Instant,
-        recorder: &mut Recorder,
-        mut progress: impl FnMut(usize),
-    ) -> Result<(), RunError> {
+        extractor: Box<dyn FeatureExtractor>,
+        max_features: usize,
+        mask: Option<GrayImage>,
+    ) -> std::io::Result<()> {
+        if self.contents.images && !self.contents.features {
+            self.extraction = Some(ExtractionThread::start(extractor, max_features, mask)?);
+        }
+        Ok(())
+    }
+
+    /// Runs to the end of the source.
+    ///
+    /// As fast as possible (not `realtime`) the source stands still while an answer is outstanding, and the answer to one
+    /// image is applied with the next image, or before it where that is more than 0.2 s later: results then do not depend
+    /// on the speed of the machine. In real time answers are applied when they come.
+    ///
+    /// # Arguments
+    /// * `progress`: called with the index of every frame before it is processed.
+    ///
+    /// # Returns
+    /// What was done, and in [`RunReport::ended_early`] why the run ended before its source did.
+    #[must_use = "the report says why the run ended"]
+    pub fn run(mut self, progress: impl FnMut(usize)) -> RunReport {
+        let begin = Instant::now();
+        self.report.ended_early = self.play(begin, progress).err();
+        self.close();
+        self.report.wall_seconds = begin.elapsed().as_secs_f64();
+        self.report
+    }
+
+    fn play(&mut self, begin: Instant, mut progress: impl FnMut(usize)) -> Result<(), RunError> {
         let mut first_ns = None;
         let (mut index, mut last_ns, mut last_frame) = (0, 0, begin);
         loop {
             let next = self.events.next_frame()?;
-            self.update_live(recorder);
-            if self.is_live && self.stop.is_stopped() {
+            self.update_live();
+            if self.is_live && self.settings.stop.is_stopped() {
                 break;
             }
             let frame = match next {
@@ -220,16 +220,12 @@ impl RobotRun<'_> {
                 NextFrame::Tick => {
                     self.connect_when_open();
                     let now_ns = last_ns + last_frame.elapsed().as_nanos() as i64;
-                    if first_ns.is_some() {
-                        self.publish_status(now_ns, recorder);
-                    } else {
-                        self.publish_first_status(recorder);
-                    }
+                    self.give_status(first_ns.map(|_| now_ns));
                     self.update_alarms((now_ns - first_ns.unwrap_or(0)) as f64 * 1e-9);
                     continue;
                 }
             };
-            let first_ns = *first_ns.get_or_insert_with(|| self.begin(&frame, recorder));
+            let first_ns = *first_ns.get_or_insert_with(|| self.begin(&frame));
             let seconds = |stamp_ns: i64| (stamp_ns - first_ns) as f64 * 1e-9;
             last_frame = Instant::now();
             if index == 0 {
@@ -240,33 +236,33 @@ impl RobotRun<'_> {
             if self.supervisor.starts_after(frame.stamp_ns) {
                 continue;
             }
-            if self.realtime && !self.is_live {
+            if self.settings.realtime && !self.is_live {
                 let due = Duration::from_nanos((frame.stamp_ns - first_ns).max(0) as u64);
-                self.stop.sleep_until(begin + due);
+                self.settings.stop.sleep_until(begin + due);
             }
-            if self.stop.is_stopped() && !self.is_live {
-                self.publish_status(last_ns, recorder);
+            if self.settings.stop.is_stopped() && !self.is_live {
+                self.give_status(Some(last_ns));
                 return Err(RunError::Interrupted { seconds: seconds(last_ns) });
             }
             self.connect_when_open();
             last_ns = frame.stamp_ns;
             self.read_imu(last_ns)?;
-            let done = self.process_frame(&frame, recorder);
-            self.handle_divergence(done, last_ns, recorder)?;
-            if !self.realtime
+            let done = self.process_frame(&frame);
+            self.handle_divergence(done, last_ns)?;
+            if !self.settings.realtime
                 && self.events.next_frame_ns().is_some_and(|next_ns| next_ns - last_ns > ANSWER_NS)
             {
-                let done = self.apply_answers_before_next_frame(recorder);
-                self.handle_divergence(done, last_ns, recorder)?;
+                let done = self.apply_answers_before_next_frame();
+                self.handle_divergence(done, last_ns)?;
             }
             self.update_alarms(seconds(last_ns));
             self.drop_old_readings(last_ns);
         }
         let seconds = (last_ns - first_ns.unwrap_or(last_ns)) as f64 * 1e-9;
-        let done = self.finish_queries(recorder);
-        self.handle_divergence(done, last_ns, recorder)?;
+        let done = self.finish_queries();
+        self.handle_divergence(done, last_ns)?;
         self.update_alarms(seconds);
-        if recorder.starts.is_empty() {
+        if self.report.starts.is_empty() {
             let status = self.status().reason;
             return Err(RunError::NotInitialized { seconds, status });
         }
@@ -277,13 +273,11 @@ impl RobotRun<'_> {
     ///
     /// # Returns
     /// Its time, nanoseconds.
-    fn begin(&mut self, frame: &Frame, recorder: &mut Recorder) -> i64 {
-        recorder.first_ns = frame.stamp_ns;
-        if let Some(recording) = &mut self.recording {
-            recording.begin(frame.stamp_ns);
-        }
+    fn begin(&mut self, frame: &Frame) -> i64 {
+        self.report.first_ns = frame.stamp_ns;
+        self.outputs.each(|output| output.begin(frame.stamp_ns));
         if self.supervisor.estimator().is_some() {
-            recorder.note_start(frame.stamp_ns, None);
+            self.report.note_start(frame.stamp_ns, None);
         }
         frame.stamp_ns
     }
@@ -296,9 +290,7 @@ impl RobotRun<'_> {
             if self.imu_fault.is_none() {
                 self.imu_fault = self.imu_check.add(&reading).err();
             }
-            if let Some(recording) = &mut self.recording {
-                recording.reading(&reading);
-            }
+            self.outputs.each(|output| output.reading(&reading));
             let checked = self.imu.push(reading);
             self.bad_readings.note(reading.stamp_ns, checked);
         }
@@ -322,30 +314,22 @@ impl RobotRun<'_> {
         &mut self,
         done: Result<(), EstimatorError>,
         stamp_ns: i64,
-        recorder: &mut Recorder,
     ) -> Result<(), RunError> {
         match done {
             Ok(()) => Ok(()),
             Err(error @ EstimatorError::Diverged(_)) => {
                 tracing::error!(%error, "the estimator diverged; no pose until it is initialized again");
-                recorder.note_divergence(stamp_ns, &error);
+                self.report.note_divergence(stamp_ns, &error);
                 self.supervisor.reinitialize(stamp_ns, &error, self.imu.handed_out());
                 self.initial_pose.diverged();
-                if let Some(ros) = &mut self.ros {
-                    ros.restart();
-                }
-                if let Some(recording) = &mut self.recording {
-                    recording.restart();
-                }
+                self.outputs.each(|output| output.restart());
                 if let Some(prediction) = &self.prediction {
                     prediction.lost();
                 }
-                self.publish_status(stamp_ns, recorder);
+                self.give_status(Some(stamp_ns));
                 Ok(())
             }
-            Err(source) => {
-                Err(RunError::Estimator { seconds: (stamp_ns - recorder.first_ns) as f64 * 1e-9, source })
-            }
+            Err(source) => Err(RunError::Estimator { seconds: self.report.seconds_at(stamp_ns), source }),
         }
     }
 
@@ -357,37 +341,34 @@ impl RobotRun<'_> {
         &mut self,
         stamp_ns: i64,
         tracks: Vec<TrackObservation>,
-        recorder: &mut Recorder,
     ) -> Result<Option<Vec<TrackObservation>>, EstimatorError> {
         if self.supervisor.estimator().is_some() {
             return Ok(Some(tracks));
         }
         let Some(method) = self.supervisor.try_initialize(stamp_ns, &tracks)? else {
             self.update_initial_pose();
-            self.publish_status(stamp_ns, recorder);
+            self.give_status(Some(stamp_ns));
             return Ok(None);
         };
         tracing::info!(?method, "the estimator is initialized");
-        recorder.note_start(stamp_ns, Some(&method));
+        self.report.note_start(stamp_ns, Some(&method));
         // An initialization in motion has used the tracks of its last image already.
         Ok(Some(if method == InitMethod::Static { tracks } else { Vec::new() }))
     }
 
-    fn process_frame(&mut self, frame: &Frame, recorder: &mut Recorder) -> Result<(), EstimatorError> {
-        if let Some(recording) = &mut self.recording {
-            recording.frame(frame);
-        }
+    fn process_frame(&mut self, frame: &Frame) -> Result<(), EstimatorError> {
+        self.outputs.each(|output| output.frame(frame));
         let mut timings = Timings::default();
         let begin = Instant::now();
-        let Some(tracks) = self.tracks_of(frame, recorder) else { return Ok(()) };
+        let Some(tracks) = self.tracks_of(frame) else { return Ok(()) };
         timings.front_end = begin.elapsed();
 
         let begin = Instant::now();
         self.feed_imu(frame.stamp_ns);
-        let tracks = self.initialize(frame.stamp_ns, tracks, recorder)?;
+        let tracks = self.initialize(frame.stamp_ns, tracks)?;
         let (Some(tracks), Some(estimator)) = (tracks, self.supervisor.estimator_mut()) else {
             // Answers to queries of the last filter are of no use, but must not pile up.
-            return self.apply_answers(recorder).map(|_| ());
+            return self.apply_answers().map(|_| ());
         };
         let clone = match estimator.time_update(frame.stamp_ns) {
             Ok(clone) => clone,
@@ -395,7 +376,7 @@ impl RobotRun<'_> {
                 if let Some(unlogged) = self.skipped.note() {
                     tracing::warn!(%error, unlogged, "frame skipped");
                 }
-                recorder.skipped_frames += 1;
+                self.report.skipped_frames += 1;
                 return Ok(());
             }
             Err(error) => return Err(error),
@@ -405,45 +386,41 @@ impl RobotRun<'_> {
         let begin = Instant::now();
         let report = estimator.track_update(&tracks)?;
         timings.tracks = begin.elapsed();
-        recorder.note_tracks(&report);
+        self.report.note_tracks(&report);
 
         // Answers to earlier images are applied before this one is queried.
         let begin = Instant::now();
-        let waited = self.apply_answers(recorder)?;
+        let waited = self.apply_answers()?;
         timings.map = begin.elapsed().saturating_sub(waited);
 
         self.supervisor.update_last_trusted();
         self.update_initial_pose();
-        let status = self.note_status(recorder);
-        let Some(estimator) = self.supervisor.estimator() else { return Ok(()) };
-        recorder.note_state(estimator);
-        recorder.timings.add(&timings);
-        self.metrics.note_frame(timings.total());
-        if let Some(recording) = &mut self.recording {
-            recording.estimate(&Estimate::of(estimator, &status));
-            recording.status(estimator.stamp_ns(), &status, recorder.query_counts());
-        }
-        if let Some(ros) = &mut self.ros {
-            ros.publish(&Estimate::of(estimator, &status));
-            ros.publish_status(estimator.stamp_ns(), &status, recorder.query_counts());
-        }
-        if let Some(publisher) = &self.publisher {
-            publisher.publish(estimator, status, recorder.query_counts());
-        }
-        if let Some(prediction) = &self.prediction {
-            let native = self.publisher.as_ref().map(|publisher| Box::new(publisher.predicted()) as Publish);
-            let ros = self.ros.as_ref().and_then(RosOutput::predicted);
-            let publish = native.into_iter().chain(ros.map(|ros| Box::new(ros) as Publish)).collect();
-            prediction.update(Basis { predictor: estimator.predictor(), publish });
-        }
-        self.query_frame(clone, frame, recorder);
+        self.give_estimate(&timings);
+        self.query_frame(clone, frame);
         Ok(())
     }
 
+    /// Gives out where the robot is and how it is, and predicts from there.
+    fn give_estimate(&mut self, timings: &Timings) {
+        let mut status = self.status_report(None);
+        let Some(estimator) = self.supervisor.estimator() else { return };
+        status.stamp_ns = Some(estimator.stamp_ns());
+        self.report.note_state(estimator, timings);
+        let estimate = Estimate::of(estimator, &status.status, timings.total());
+        self.outputs.each(|output| {
+            output.estimate(&estimate);
+            output.status(&status);
+        });
+        if let Some(prediction) = &self.prediction {
+            prediction
+                .update(Basis { predictor: estimator.predictor(), publish: self.outputs.predicted() });
+        }
+    }
+
     /// The tracks of a frame, from the source or from its images; `None` where its image cannot be used.
-    fn tracks_of(&mut self, frame: &Frame, recorder: &mut Recorder) -> Option<Vec<TrackObservation>> {
+    fn tracks_of(&mut self, frame: &Frame) -> Option<Vec<TrackObservation>> {
         let Some(front_end) = &mut self.front_end else {
-            let used = |track: &&TrackObservation| usize::from(track.camera) < self.cameras;
+            let used = |track: &&TrackObservation| usize::from(track.camera) < self.supervisor.camera_count();
             return Some(frame.tracks.iter().filter(used).copied().collect());
         };
         if frame.images[0].is_none() {
@@ -455,7 +432,7 @@ impl RobotRun<'_> {
                 if let Some(unlogged) = self.skipped.note() {
                     tracing::warn!(%error, unlogged, "frame skipped");
                 }
-                recorder.skipped_frames += 1;
+                self.report.skipped_frames += 1;
             })
             .ok()
     }
@@ -472,17 +449,16 @@ impl RobotRun<'_> {
         }
     }
 
-    fn close(&mut self, recorder: &mut Recorder) {
-        recorder.imu_gaps = self.imu.gaps();
-        recorder.dropped_imu = self.bad_readings.count();
-        recorder.stereo_pairs = self.events.stereo_pairs().map(PairSummary::from);
-        recorder.alarms = self.alarms.kept().to_vec();
-        recorder.learned_noise = self.supervisor.learned_noise();
-        recorder.final_status = Some(self.note_status(recorder));
-        (self.prediction, self.recording) = (None, None);
-        if let Some(publisher) = self.publisher.take() {
-            publisher.close();
-        }
-        self.disconnect();
+    fn close(&mut self) {
+        self.report.imu_gaps = self.imu.gaps();
+        self.report.dropped_imu = self.bad_readings.count();
+        self.report.stereo_pairs = self.events.stereo_pairs().map(PairSummary::from);
+        self.report.alarms = self.alarms.kept().to_vec();
+        self.report.learned_noise = self.supervisor.learned_noise();
+        self.report.final_status = Some(self.status());
+        // It publishes through the outputs.
+        self.prediction = None;
+        self.outputs.end(&self.report);
+        self.map.close();
     }
 }

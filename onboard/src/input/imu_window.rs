@@ -1,6 +1,6 @@
 //! The newest IMU readings: those that are still needed, and no more.
 
-use crate::outputs::ImuGapSummary;
+use crate::counts::ImuGapSummary;
 use estimator::{BadImuSample, ImuSample, ReadingCheck};
 
 /// Readings are kept so long at most, nanoseconds. Only a filter that diverges after it was not trusted for this long
