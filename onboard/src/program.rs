@@ -1,23 +1,18 @@
 //! The robot as a program: builds a run from the switches, plays a source, scores it, and writes the output folder.
 
 use super::arguments::{Init, RobotArguments};
-use super::error::RunError;
-use super::event::Event;
-use super::link::{LinkError, MapLink, RobotLink};
 use super::outputs::{
     EVENTS, MessageRecording, Recorder, RecordingSettings, STATES, StatusLine, Summary, ZenohOutput,
 };
-use super::report::RunReport;
-use super::run::Robot;
-use super::settings::RobotSettings;
 use super::start::{excerpt, initial_state};
-use super::stop::StopSignal;
 use anyhow::{Context as _, Result, bail};
 use estimator::{EstimatorConfig, InitialState, MapMode};
 use evaluation::trajectory::StateRow;
 use evaluation::trajectory::states::StateReader;
 use evaluation::{RunScore, ScoreError, ScoreOptions, score_rows};
 use sensors::{Contents, Recording, Rows, SensorCalibration, SensorSource, SequenceError, check_stereo};
+use robot::stop::StopSignal;
+use robot::{Event, LinkError, MapLink, Robot, RobotLink, RobotSettings, RunError, RunReport};
 use std::path::PathBuf;
 use std::time::Duration;
 use vision::GrayImage;

@@ -1,6 +1,6 @@
 //! Projections of cameras from their `sensor_msgs/CameraInfo`.
 
-use crate::stop::StopSignal;
+use robot::stop::StopSignal;
 use anyhow::{Context as _, Result, bail};
 use geometry::Camera;
 use ros_messages::sensor_msgs::CameraInfo;

@@ -5,14 +5,14 @@ use evaluation::{ScoreOptions, score_run};
 use nalgebra::Vector3;
 use odometry::EstimatorSupervisor;
 use onboard::arguments::Init;
-use onboard::map_conversion::map_answer;
 use onboard::start::initial_state;
-use onboard::{Robot, RobotSettings};
 use protocol::{
     DescriptorKind, Descriptors, ErrorCode, FeatureSet, Format, LocalizeReply, LocalizeRequest, MapInfoReply,
     MatchOutcome, MatchReply, MatchedKeyframe,
 };
 use recognition::{LoadedMap, RecognitionOptions};
+use robot::map_conversion::map_answer;
+use robot::{Robot, RobotSettings};
 use sensors::{Recording, Sequence, writer};
 use tests::network::{messages, only_error};
 use tests::robot::{arguments, assert_every_frame_has_a_state, images, request, run};

@@ -6,7 +6,7 @@ use geometry::uncertain_pose::isotropic_covariance;
 use geometry::{Pose, PoseWithCovariance};
 use map::contents::MapContents;
 use nalgebra::{Matrix6, Vector3};
-use onboard::initial_pose::{InitialPoseError, InitialPoses};
+use robot::initial_pose::{InitialPoseError, InitialPoses};
 use onboard::{Outcome, run_robot};
 use recognition::LoadedMap;
 use sensors::{Recording, Sequence, TruthTrack};

@@ -18,9 +18,9 @@ pub use ros::{ImuInBaseLink, RosArguments};
 pub use settings::{SettingsError, read_settings};
 pub use settings_file::{SettingsFileError, settings_text, with_settings};
 
-use super::initial_pose::InitialPoses;
 use super::outputs::{RobotMetrics, RosBody, RosOutput};
-use super::settings::estimator_config;
+use robot::estimator_config;
+use robot::initial_pose::InitialPoses;
 use anyhow::{Result, bail};
 use clap::{Args, Parser};
 use estimator::{EstimatorConfig, MapMode, Relinearization};

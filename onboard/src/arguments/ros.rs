@@ -1,6 +1,6 @@
 //! Switches of the ROS 2 topics.
 
-use crate::initial_pose::InitialPoses;
+use robot::initial_pose::InitialPoses;
 use crate::outputs::{InitialPoseTopic, RosBody, RosFrames, RosSettings, SensorFrames};
 use client::SessionOptions;
 use client::session::{DEFAULT_ENDPOINT, SessionMode};

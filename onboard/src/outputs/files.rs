@@ -11,7 +11,7 @@
 //! only if the run ended in good order.
 
 use super::summary::Summary;
-use crate::event::Event;
+use robot::Event;
 use evaluation::trajectory::states::StateWriter;
 use evaluation::trajectory::tum::TumWriter;
 use evaluation::trajectory::{StampedPose, StateKind, StateRow};

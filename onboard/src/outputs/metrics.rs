@@ -1,9 +1,7 @@
 //! Metrics and health of a robot, for Prometheus and for whatever restarts programs.
 
-use crate::counts::QuerySummary;
-use crate::estimate::{Estimate, StatusReport};
-use crate::output::Output;
-use crate::report::RunReport;
+use robot::counts::QuerySummary;
+use robot::{Estimate, Output, RunReport, StatusReport};
 use estimator::{Localization, Status};
 use monitoring::Health;
 use prometheus_client::encoding::EncodeLabelSet;

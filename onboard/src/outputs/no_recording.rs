@@ -1,7 +1,7 @@
 //! In place of recordings, in a build without bags.
 
 use super::recording_settings::RecordingSettings;
-use crate::output::Output;
+use robot::Output;
 use std::convert::Infallible;
 use std::path::Path;
 

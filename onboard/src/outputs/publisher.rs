@@ -2,7 +2,7 @@
 
 use super::name_watch::NameWatch;
 use super::publisher_error::PublisherError;
-use crate::estimate::{Estimate, StatusReport};
+use robot::{Estimate, StatusReport};
 use estimator::{Localization, Motion};
 use protocol::{Format, Message, RobotOdometry, RobotPose, RobotState, RobotStatus, keys};
 use std::sync::Arc;

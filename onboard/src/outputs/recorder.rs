@@ -2,9 +2,7 @@
 
 use super::files::{OutputError, OutputFiles};
 use super::summary::Summary;
-use crate::estimate::Estimate;
-use crate::event::Event;
-use crate::output::Output;
+use robot::{Estimate, Event, Output};
 use evaluation::trajectory::StateRow;
 use std::path::Path;
 

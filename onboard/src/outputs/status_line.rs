@@ -1,10 +1,8 @@
 //! Changes of the state in the log of a robot, and one line a minute.
 
 use super::status_word::status_word;
-use crate::counts::QuerySummary;
-use crate::estimate::StatusReport;
-use crate::output::Output;
-use crate::report::RunReport;
+use robot::counts::QuerySummary;
+use robot::{Output, RunReport, StatusReport};
 use estimator::Status;
 use std::time::{Duration, Instant};
 

@@ -1,8 +1,8 @@
 //! The summary of a run: `summary.json`.
 
 use super::status_word::status_word;
-use crate::alarms::Alarm;
-use crate::counts::{
+use robot::Alarm;
+use robot::counts::{
     DivergenceSummary, ImuGapSummary, MapChangeSummary, MillisecondsPerFrame, PairSummary, QuerySummary,
     StartSummary, TrackSummary, Traffic,
 };

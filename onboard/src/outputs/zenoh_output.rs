@@ -1,9 +1,7 @@
 //! What a robot publishes over Zenoh, from the moment on that it is connected.
 
 use super::publisher::Publisher;
-use crate::estimate::{Estimate, StatusReport};
-use crate::output::{Connection, Output, PublishMotion};
-use crate::report::RunReport;
+use robot::{Connection, Estimate, Output, PublishMotion, RunReport, StatusReport};
 use protocol::Format;
 use std::error::Error;
 

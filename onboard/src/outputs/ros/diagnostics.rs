@@ -1,7 +1,7 @@
 //! The status as ROS diagnostics.
 
 use super::super::status_word::status_word;
-use crate::estimate::StatusReport;
+use robot::StatusReport;
 use estimator::Localization;
 use ros_messages::builtin_interfaces::Time;
 use ros_messages::diagnostic_msgs::{DiagnosticArray, DiagnosticStatus, KeyValue};

@@ -2,7 +2,7 @@
 
 use super::odom_frame::OdomFrame;
 use super::settings::RosBody;
-use crate::estimate::Estimate;
+use robot::Estimate;
 use estimator::Motion;
 use geometry::{Pose, PoseWithCovariance};
 use nalgebra::{Matrix3, Matrix6, Vector3};

@@ -1,6 +1,6 @@
 //! In place of the ROS 2 topics, in a build without ROS.
 
-use crate::output::Output;
+use robot::Output;
 use sensors::CameraSensor;
 use std::convert::Infallible;
 

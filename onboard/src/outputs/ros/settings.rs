@@ -1,6 +1,6 @@
 //! Settings of the ROS 2 topics.
 
-use crate::initial_pose::InitialPoses;
+use robot::initial_pose::InitialPoses;
 use client::SessionOptions;
 use geometry::Pose;
 use std::str::FromStr;

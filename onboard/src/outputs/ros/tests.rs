@@ -3,9 +3,8 @@
 use super::messages::{Messages, messages};
 use super::odom_frame::OdomFrame;
 use super::{InitialPoseTopic, RosBody, RosOutput, RosSettings};
-use crate::estimate::{Estimate, GlobalEstimate, StatusReport};
-use crate::initial_pose::InitialPoses;
-use crate::output::Output as _;
+use robot::initial_pose::InitialPoses;
+use robot::{Estimate, GlobalEstimate, Output as _, StatusReport};
 use client::SessionOptions;
 use client::session::{SessionMode, close_session, open_session};
 use estimator::propagation::{ImuMatrix, ImuState};

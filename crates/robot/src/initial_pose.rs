@@ -73,7 +73,7 @@ pub enum InitialPoseError {
 /// ```
 /// use geometry::uncertain_pose::isotropic_covariance;
 /// use geometry::{Pose, PoseWithCovariance};
-/// use onboard::initial_pose::{InitialPoseError, InitialPoses};
+/// use robot::initial_pose::{InitialPoseError, InitialPoses};
 ///
 /// let (poses, body_from_imu) = (InitialPoses::default(), Pose::identity());
 /// let global_from_body = PoseWithCovariance::new(Pose::identity(), isotropic_covariance(0.3, 0.5));

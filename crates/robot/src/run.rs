@@ -32,7 +32,7 @@ const ANSWER_NS: i64 = 200_000_000;
 /// # Example
 /// Odometry of a recording, which is printed:
 /// ```no_run
-/// use onboard::{Estimate, Output, Robot, RobotSettings, estimator_config};
+/// use robot::{Estimate, Output, Robot, RobotSettings, estimator_config};
 /// use sensors::SensorSource as _;
 ///
 /// struct Print;

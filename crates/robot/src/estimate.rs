@@ -9,7 +9,7 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 /// Where the robot is at the time of an image.
 ///
-/// Times are those of the estimator: see [`Output::set_clock_shift`](crate::output::Output::set_clock_shift).
+/// Times are those of the estimator: see [`Output::set_clock_shift`](crate::Output::set_clock_shift).
 #[derive(Clone, Debug)]
 #[non_exhaustive]
 pub struct Estimate {

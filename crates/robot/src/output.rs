@@ -54,7 +54,7 @@ impl<'a> Connection<'a> {
 ///
 /// # Example
 /// ```
-/// use onboard::{Estimate, Output, StatusReport};
+/// use robot::{Estimate, Output, StatusReport};
 ///
 /// /// Drives only while the robot knows where it is.
 /// #[derive(Default)]
