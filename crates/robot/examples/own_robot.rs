@@ -1,4 +1,4 @@
-//! A robot in a program of its own: images and readings of the IMU, the map of a server, the filter, and what comes out.
+//! A robot in a program: images and readings of the IMU, the map of a server, the filter, and what comes out.
 //!
 //! ```text
 //! map_server --map hall=hall.db --listen tcp/127.0.0.1:7447

@@ -92,8 +92,8 @@ impl<'a> Robot<'a> {
     /// # Errors
     /// [`RobotError`]: there is no camera, or a setting is refused.
     pub fn new(source: &'a mut dyn SensorSource, settings: RobotSettings) -> Result<Self, RobotError> {
-        let (cameras, contents) = (&source.calibration().cameras, source.contents());
-        let cameras = &cameras[..settings.cameras.min(cameras.len())];
+        let (available, contents) = (&source.calibration().cameras, source.contents());
+        let cameras = &available[..settings.cameras.min(available.len())];
         if cameras.is_empty() {
             return Err(RobotError::NoCamera);
         }
