@@ -15,7 +15,7 @@
 //! | `map_queries`, [`map_conversion`] | sending queries, applying answers and map changes; messages as the estimator's types |
 //! | `extraction` | features from images; tracks are made by the crate `odometry` |
 //! | [`initial_pose`] | poses that an operator sets, as priors of map queries |
-//! | `input` | reads a [`SensorSource`](sensors::SensorSource) ahead; the window of IMU readings |
+//! | `input` | reads a [`SensorSource`](sensors::SensorSource) ahead; the one buffer of IMU readings; what is wrong with the sensors |
 //! | `prediction` | odometry at the rate of the IMU |
 //! | `alarms` | what contradicts the sensors or the map: logged when it begins and ends, kept for the report |
 //! | `error` | [`RobotError`], [`RunError`] |

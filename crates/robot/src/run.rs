@@ -6,7 +6,7 @@ use super::error::{RobotError, RunError};
 use super::estimate::Estimate;
 use super::extraction::ExtractionThread;
 use super::initial_pose::InitialPoseSearch;
-use super::input::{BadReadings, ImuWindow, NextFrame, SensorQueue};
+use super::input::{NextFrame, SensorFaults, SensorQueue};
 use super::link::MapConnection;
 use super::output::{Output, Outputs};
 use super::prediction::{Basis, Prediction};
@@ -16,8 +16,7 @@ use super::settings::RobotSettings;
 use estimator::{CalibratedCamera, Estimator, EstimatorError, InitMethod, TrackObservation};
 use geometry::Camera;
 use odometry::{EstimatorSupervisor, FrontEnd, RepeatedWarning};
-use sensors::live::LiveReport;
-use sensors::{Contents, Frame, ImuCheck, ImuUnitError, SensorError, SensorSource};
+use sensors::{Contents, Frame, SensorError, SensorSource};
 use std::time::{Duration, Instant};
 use vision::{FeatureExtractor, GrayImage};
 
@@ -74,16 +73,10 @@ pub struct Robot<'a> {
     prediction: Option<Prediction>,
     pub(crate) report: RunReport,
     pub(crate) alarms: Alarms<AlarmKind>,
-    imu_check: ImuCheck,
-    /// What is wrong with the readings.
-    pub(crate) imu_fault: Option<ImuUnitError>,
-    pub(crate) bad_readings: BadReadings,
-    /// What a live source said last.
-    pub(crate) live: LiveReport,
+    pub(crate) faults: SensorFaults,
     skipped: RepeatedWarning,
     refused: RepeatedWarning,
     pub(crate) events: SensorQueue<'a>,
-    imu: ImuWindow,
 }
 
 impl<'a> Robot<'a> {
@@ -129,7 +122,6 @@ impl<'a> Robot<'a> {
         let prediction =
             source.tap_imu().map(Prediction::start).transpose().map_err(RobotError::Prediction)?;
         let calibration = source.calibration();
-        let imu = ImuWindow::new(calibration.imu.as_ref().map_or(1.0, |imu| imu.rate_hz));
         let is_live = source.live().is_some();
         settings.realtime |= is_live;
         Ok(Self {
@@ -146,14 +138,10 @@ impl<'a> Robot<'a> {
             prediction,
             report: RunReport::default(),
             alarms: Alarms::default(),
-            imu_check: ImuCheck::new(calibration.imu.as_ref().and_then(|imu| imu.gravity_magnitude)),
-            imu_fault: None,
-            bad_readings: BadReadings::default(),
-            live: LiveReport::default(),
+            faults: SensorFaults::new(calibration.imu.as_ref().and_then(|imu| imu.gravity_magnitude)),
             skipped: RepeatedWarning::default(),
             refused: RepeatedWarning::default(),
             events: SensorQueue::new(source),
-            imu,
             settings,
         })
     }
@@ -285,14 +273,10 @@ impl<'a> Robot<'a> {
     /// Reads the IMU up to the first reading that is not before a frame, on the clocks of both sensors.
     fn read_imu(&mut self, frame_ns: i64) -> Result<(), SensorError> {
         let until_ns = frame_ns.max(self.imu_stamp_ns(frame_ns));
-        while self.imu.ends_before(until_ns) {
-            let Some(reading) = self.events.next_reading(frame_ns)? else { break };
-            if self.imu_fault.is_none() {
-                self.imu_fault = self.imu_check.add(&reading).err();
-            }
+        while self.events.imu.ends_before(until_ns) {
+            let Some((reading, checked)) = self.events.next_reading(frame_ns)? else { break };
             self.outputs.each(|output| output.reading(&reading));
-            let checked = self.imu.push(reading);
-            self.bad_readings.note(reading.stamp_ns, checked);
+            self.faults.note(&reading, checked);
         }
         Ok(())
     }
@@ -306,7 +290,7 @@ impl<'a> Robot<'a> {
     fn drop_old_readings(&mut self, frame_ns: i64) {
         let tracked_ns = self.front_end.as_ref().and_then(FrontEnd::last_stamp_ns);
         let needed = [tracked_ns, self.supervisor.last_trusted_ns()].into_iter().flatten().min();
-        self.imu.drop_before(needed.map_or(frame_ns, |needed_ns| needed_ns.min(frame_ns)));
+        self.events.imu.drop_before(needed.map_or(frame_ns, |needed_ns| needed_ns.min(frame_ns)));
     }
 
     /// Continues after a step: a diverged estimator is dropped, and initialized again.
@@ -320,7 +304,7 @@ impl<'a> Robot<'a> {
             Err(error @ EstimatorError::Diverged(_)) => {
                 tracing::error!(%error, "the estimator diverged; no pose until it is initialized again");
                 self.report.note_divergence(stamp_ns, &error);
-                self.supervisor.reinitialize(stamp_ns, &error, self.imu.handed_out());
+                self.supervisor.reinitialize(stamp_ns, &error, self.events.imu.handed_out());
                 self.initial_pose.diverged();
                 self.outputs.each(|output| output.restart());
                 if let Some(prediction) = &self.prediction {
@@ -427,7 +411,7 @@ impl<'a> Robot<'a> {
             return Some(Vec::new());
         }
         front_end
-            .track_frame(frame, self.imu.readings())
+            .track_frame(frame, self.events.imu.accepted())
             .inspect_err(|error| {
                 if let Some(unlogged) = self.skipped.note() {
                     tracing::warn!(%error, unlogged, "frame skipped");
@@ -440,7 +424,7 @@ impl<'a> Robot<'a> {
     /// Hands the IMU readings up to the first one after the frame to the estimator.
     fn feed_imu(&mut self, frame_ns: i64) {
         let until_ns = self.imu_stamp_ns(frame_ns);
-        while let Some(reading) = self.imu.hand_out(until_ns) {
+        while let Some(reading) = self.events.imu.hand_out(until_ns) {
             if let Err(error) = self.supervisor.imu(reading)
                 && let Some(unlogged) = self.refused.note()
             {
@@ -450,8 +434,8 @@ impl<'a> Robot<'a> {
     }
 
     fn close(&mut self) {
-        self.report.imu_gaps = self.imu.gaps();
-        self.report.dropped_imu = self.bad_readings.count();
+        self.report.imu_gaps = self.events.imu.gaps();
+        self.report.dropped_imu = self.faults.bad_readings();
         self.report.stereo_pairs = self.events.stereo_pairs().map(PairSummary::from);
         self.report.alarms = self.alarms.kept().to_vec();
         self.report.learned_noise = self.supervisor.learned_noise();

@@ -1,10 +1,10 @@
 //! What a run says of itself: its status, and its alarms.
 
 use super::estimate::StatusReport;
+use super::input::SensorFault;
 use super::run::Robot;
 use estimator::{Alarm, Estimator, NoiseFault, Status, StatusReason};
 use protocol::limits::MAX_TEXT_BYTES;
-use sensors::live::{FaultKind, Stream};
 use std::mem::{Discriminant, discriminant};
 
 /// Reason of a status without a map.
@@ -15,9 +15,7 @@ const NO_MAP: &str = "no map was asked for";
 pub(crate) enum AlarmKind {
     Filter(Discriminant<Alarm>),
     Noise(Discriminant<NoiseFault>),
-    ImuUnits,
-    BadReadings,
-    Sensor(Stream, FaultKind),
+    Sensor(SensorFault),
 }
 
 impl AlarmKind {
@@ -37,14 +35,8 @@ impl Robot<'_> {
     pub(crate) fn update_alarms(&mut self, seconds: f64) {
         let of_filter = self.supervisor.estimator().map(Estimator::alarms).unwrap_or_default();
         let of_filter = of_filter.iter().map(|alarm| (AlarmKind::of_filter(alarm), alarm.to_string()));
-        let of_imu = self.imu_fault.map(|fault| (AlarmKind::ImuUnits, fault.to_string()));
-        let of_readings = self.bad_readings.fault().map(|fault| (AlarmKind::BadReadings, fault));
-        let of_sensors = self
-            .live
-            .faults
-            .iter()
-            .map(|fault| (AlarmKind::Sensor(fault.stream, fault.kind), fault.to_string()));
-        self.alarms.update(seconds, of_filter.chain(of_imu).chain(of_readings).chain(of_sensors).collect());
+        let of_sensors = self.faults.now().map(|(fault, text)| (AlarmKind::Sensor(fault), text));
+        self.alarms.update(seconds, of_filter.chain(of_sensors).collect());
     }
 
     /// The status, with why the map does not answer and what is wrong with the readings.
@@ -58,13 +50,9 @@ impl Robot<'_> {
         }
         let failure = self.map.last_failure.as_ref();
         let failure = failure.map(|failure| format!("the map does not answer: {failure}"));
-        let of_sensors = self.live.faults.iter().map(ToString::to_string);
-        let of_units = self.imu_fault.map(|fault| fault.to_string());
-        let of_readings = self.bad_readings.fault();
+        let of_sensors = self.faults.now().map(|(_, text)| text);
         let of_operator = self.initial_pose.describe();
-        for fault in
-            of_operator.into_iter().chain(failure).chain(of_units).chain(of_readings).chain(of_sensors)
-        {
+        for fault in of_operator.into_iter().chain(failure).chain(of_sensors) {
             status.reason = format!("{}; {fault}", status.reason);
         }
         // A longer text would not be published.
@@ -76,13 +64,13 @@ impl Robot<'_> {
     pub(crate) fn update_live(&mut self) {
         let Some(report) = self.events.live() else { return };
         self.report.dropped_frames = report.dropped_frames;
-        if report.clock_shift_ns != self.live.clock_shift_ns {
+        if report.clock_shift_ns != self.faults.live.clock_shift_ns {
             self.outputs.each(|output| output.set_clock_shift(report.clock_shift_ns));
         }
-        if report.best_effort != self.live.best_effort {
+        if report.best_effort != self.faults.live.best_effort {
             self.outputs.each(|output| output.set_best_effort(&report.best_effort));
         }
-        self.live = report;
+        self.faults.live = report;
     }
 
     /// The status of now with the counts of now.
