@@ -116,7 +116,7 @@ pub trait Output {
         None
     }
 
-    /// The map corrected the pose of the IMU in L, at one time: L is where it was, and the robot has moved in it.
+    /// The map corrected the pose of the IMU in L, at one time: the robot has not moved, only its pose in L jumps.
     ///
     /// # Arguments
     /// * `before`, `after`: `local_from_imu`, with covariances `[δθ, δp]` in L (rad, metres).
