@@ -79,7 +79,9 @@ fn an_embedded_robot_links_no_command_line_no_ros_no_metrics_and_no_files_of_run
     let tree = String::from_utf8(tree).unwrap();
     let linked = |name: &str| tree.lines().any(|line| line.split(' ').next() == Some(name));
     assert!(linked("driftless-estimator") && linked("zenoh"), "{tree}");
-    for name in ["clap", "driftless-ros2", "prometheus-client", "driftless-monitoring", "driftless-evaluation"] {
+    for name in
+        ["clap", "driftless-ros2", "prometheus-client", "driftless-monitoring", "driftless-evaluation"]
+    {
         assert!(!linked(name), "{name} is linked:\n{tree}");
     }
 }

@@ -31,8 +31,9 @@ impl Robot<'_> {
             return;
         }
         let (Some(extraction), Some(image)) = (&mut self.extraction, &frame.images[0]) else { return };
-        let due =
-            self.last_extraction_ns.is_none_or(|last_ns| frame.stamp_ns - last_ns >= self.settings.query_interval_ns);
+        let due = self
+            .last_extraction_ns
+            .is_none_or(|last_ns| frame.stamp_ns - last_ns >= self.settings.query_interval_ns);
         let Some(estimator) = self.supervisor.estimator_mut() else { return };
         if due && extraction.is_idle() {
             estimator.pin(clone);
@@ -86,10 +87,9 @@ impl Robot<'_> {
     /// The time spent waiting.
     pub(crate) fn apply_answers(&mut self) -> Result<Duration, EstimatorError> {
         let begin = Instant::now();
-        let extracted = self
-            .extraction
-            .as_mut()
-            .and_then(|extraction| if self.settings.realtime { extraction.poll() } else { extraction.wait() });
+        let extracted = self.extraction.as_mut().and_then(|extraction| {
+            if self.settings.realtime { extraction.poll() } else { extraction.wait() }
+        });
         let mut waited = begin.elapsed();
         if let Some(extracted) = extracted {
             self.query_extracted(extracted);
@@ -160,10 +160,7 @@ impl Robot<'_> {
         }
     }
 
-    fn apply_result(
-        &mut self,
-        result: &QueryResult<CloneId>,
-    ) -> Result<(), EstimatorError> {
+    fn apply_result(&mut self, result: &QueryResult<CloneId>) -> Result<(), EstimatorError> {
         let failure = result.answer.as_ref().err().map(ToString::to_string);
         self.report.traffic.add(&Traffic { sent: result.bytes_sent, received: result.bytes_received });
         let request = &result.request;

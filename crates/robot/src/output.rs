@@ -228,7 +228,10 @@ impl<'a> Outputs<'a> {
     ///
     /// # Errors
     /// That of the first which cannot use the connection; those after it are not connected.
-    pub(crate) fn connect(&mut self, connection: &Connection<'_>) -> Result<(), Box<dyn Error + Send + Sync>> {
+    pub(crate) fn connect(
+        &mut self,
+        connection: &Connection<'_>,
+    ) -> Result<(), Box<dyn Error + Send + Sync>> {
         self.0.iter_mut().try_for_each(|output| output.connect(connection))
     }
 

@@ -294,11 +294,7 @@ impl<'a> Robot<'a> {
     }
 
     /// Continues after a step: a diverged estimator is dropped, and initialized again.
-    fn handle_divergence(
-        &mut self,
-        done: Result<(), EstimatorError>,
-        stamp_ns: i64,
-    ) -> Result<(), RunError> {
+    fn handle_divergence(&mut self, done: Result<(), EstimatorError>, stamp_ns: i64) -> Result<(), RunError> {
         match done {
             Ok(()) => Ok(()),
             Err(error @ EstimatorError::Diverged(_)) => {
@@ -396,8 +392,7 @@ impl<'a> Robot<'a> {
             output.status(&status);
         });
         if let Some(prediction) = &self.prediction {
-            prediction
-                .update(Basis { predictor: estimator.predictor(), publish: self.outputs.predicted() });
+            prediction.update(Basis { predictor: estimator.predictor(), publish: self.outputs.predicted() });
         }
     }
 

@@ -1,7 +1,7 @@
 //! What a run gives out, and in which order.
 
 use robot::{Estimate, Output, Robot, RobotError, RobotSettings, RunError, RunReport, StatusReport};
-use sensors::{Frame, ImuSample, Recording, Sequence, SensorSource as _};
+use sensors::{Frame, ImuSample, Recording, SensorSource as _, Sequence};
 use simulation::{SimulationOptions, simulate};
 use std::cell::RefCell;
 use std::rc::Rc;
@@ -126,7 +126,11 @@ fn outputs_are_ended_where_a_run_is_stopped() {
     let mut robot = Robot::new(&mut source, settings).unwrap();
     let mut witness = Witness::default();
     robot.add_output(&mut witness);
-    let report = robot.run(|frame| if frame == 20 { stop.stop() });
+    let report = robot.run(|frame| {
+        if frame == 20 {
+            stop.stop();
+        }
+    });
     assert!(matches!(report.ended_early, Some(RunError::Interrupted { .. })), "{report:?}");
     assert_eq!(witness.calls.iter().filter(|call| matches!(call, Call::Frame(_))).count(), 20);
     assert_eq!(witness.calls.last(), Some(&Call::End(report.frames)));

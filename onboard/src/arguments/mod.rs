@@ -19,12 +19,12 @@ pub use settings::{SettingsError, read_settings};
 pub use settings_file::{SettingsFileError, settings_text, with_settings};
 
 use super::outputs::{RobotMetrics, RosBody, RosOutput};
-use robot::estimator_config;
-use robot::initial_pose::InitialPoses;
 use anyhow::{Result, bail};
 use clap::{Args, Parser};
 use estimator::{EstimatorConfig, MapMode, Relinearization};
 use nalgebra::Vector3;
+use robot::estimator_config;
+use robot::initial_pose::InitialPoses;
 use sensors::SensorCalibration;
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};

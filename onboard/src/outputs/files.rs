@@ -11,10 +11,10 @@
 //! only if the run ended in good order.
 
 use super::summary::Summary;
-use robot::Event;
 use evaluation::trajectory::states::StateWriter;
 use evaluation::trajectory::tum::TumWriter;
 use evaluation::trajectory::{StampedPose, StateKind, StateRow};
+use robot::Event;
 use sensors::SequenceError;
 use std::fs::File;
 use std::path::{Path, PathBuf};

@@ -1,7 +1,5 @@
 //! Metrics and health of a robot, for Prometheus and for whatever restarts programs.
 
-use robot::counts::QuerySummary;
-use robot::{Estimate, Output, RunReport, StatusReport};
 use estimator::{Localization, Status};
 use monitoring::Health;
 use prometheus_client::encoding::EncodeLabelSet;
@@ -10,6 +8,8 @@ use prometheus_client::metrics::family::Family;
 use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::metrics::histogram::{Histogram, exponential_buckets};
 use prometheus_client::registry::{Registry, Unit};
+use robot::counts::QuerySummary;
+use robot::{Estimate, Output, RunReport, StatusReport};
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// Label of a localization state.

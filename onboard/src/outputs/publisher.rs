@@ -2,9 +2,9 @@
 
 use super::name_watch::NameWatch;
 use super::publisher_error::PublisherError;
-use robot::{Estimate, StatusReport};
 use estimator::{Localization, Motion};
 use protocol::{Format, Message, RobotOdometry, RobotPose, RobotState, RobotStatus, keys};
+use robot::{Estimate, StatusReport};
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::runtime::Handle;

@@ -2,8 +2,8 @@
 
 use super::files::{OutputError, OutputFiles};
 use super::summary::Summary;
-use robot::{Estimate, Event, Output};
 use evaluation::trajectory::StateRow;
+use robot::{Estimate, Event, Output};
 use std::path::Path;
 
 /// The files of a run. Lent to a run as an [`Output`], they are finished afterwards.

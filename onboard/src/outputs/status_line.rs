@@ -1,9 +1,9 @@
 //! Changes of the state in the log of a robot, and one line a minute.
 
 use super::status_word::status_word;
+use estimator::Status;
 use robot::counts::QuerySummary;
 use robot::{Output, RunReport, StatusReport};
-use estimator::Status;
 use std::time::{Duration, Instant};
 
 /// Time between two lines.

@@ -1,13 +1,13 @@
 //! The summary of a run: `summary.json`.
 
 use super::status_word::status_word;
+use estimator::{EstimatorConfig, LearnedNoise, Status};
+use evaluation::RunScore;
 use robot::Alarm;
 use robot::counts::{
     DivergenceSummary, ImuGapSummary, MapChangeSummary, MillisecondsPerFrame, PairSummary, QuerySummary,
     StartSummary, TrackSummary, Traffic,
 };
-use estimator::{EstimatorConfig, LearnedNoise, Status};
-use evaluation::RunScore;
 use serde::Serialize;
 
 /// A run that ended without a pose that can be trusted.

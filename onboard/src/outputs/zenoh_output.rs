@@ -1,8 +1,8 @@
 //! What a robot publishes over Zenoh, from the moment on that it is connected.
 
 use super::publisher::Publisher;
-use robot::{Connection, Estimate, Output, PublishMotion, RunReport, StatusReport};
 use protocol::Format;
+use robot::{Connection, Estimate, Output, PublishMotion, RunReport, StatusReport};
 use std::error::Error;
 
 /// A [`Publisher`] that begins when the robot's session is open.

@@ -54,8 +54,7 @@ impl SensorFaults {
         let of_units = self.units.map(|fault| (SensorFault::ImuUnits, fault.to_string()));
         let of_readings = self.bad_readings.fault().map(|fault| (SensorFault::BadReadings, fault));
         let of_live = self.live.faults.iter();
-        let of_live =
-            of_live.map(|fault| (SensorFault::Live(fault.stream, fault.kind), fault.to_string()));
+        let of_live = of_live.map(|fault| (SensorFault::Live(fault.stream, fault.kind), fault.to_string()));
         of_units.into_iter().chain(of_readings).chain(of_live)
     }
 }

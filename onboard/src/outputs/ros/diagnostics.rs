@@ -1,8 +1,8 @@
 //! The status as ROS diagnostics.
 
 use super::super::status_word::status_word;
-use robot::StatusReport;
 use estimator::Localization;
+use robot::StatusReport;
 use ros_messages::builtin_interfaces::Time;
 use ros_messages::diagnostic_msgs::{DiagnosticArray, DiagnosticStatus, KeyValue};
 use ros_messages::std_msgs::Header;

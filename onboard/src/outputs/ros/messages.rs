@@ -2,10 +2,10 @@
 
 use super::odom_frame::OdomFrame;
 use super::settings::RosBody;
-use robot::Estimate;
 use estimator::Motion;
 use geometry::{Pose, PoseWithCovariance};
 use nalgebra::{Matrix3, Matrix6, Vector3};
+use robot::Estimate;
 use ros_messages::builtin_interfaces::Time;
 use ros_messages::geometry_msgs::{self, PoseWithCovarianceStamped, Twist, TwistWithCovariance};
 use ros_messages::nav_msgs::Odometry;

@@ -6,9 +6,9 @@ use super::odom_frame::OdomFrame;
 use super::serving::serve;
 use super::settings::RosSettings;
 use super::static_transforms::static_transforms;
-use robot::{Estimate, Output, PublishMotion, StatusReport};
 use estimator::Motion;
 use geometry::PoseWithCovariance;
+use robot::{Estimate, Output, PublishMotion, StatusReport};
 use ros_messages::builtin_interfaces::Time;
 use ros_messages::nav_msgs::Odometry;
 use ros_messages::tf2_msgs::TFMessage;
@@ -80,7 +80,6 @@ impl RosOutput {
         let stamp = Time::from_nanoseconds(since_epoch.as_nanos() as i64).unwrap_or_default();
         self.static_transforms.send_replace(static_transforms(&self.settings.body, cameras, stamp));
     }
-
 }
 
 impl Output for RosOutput {

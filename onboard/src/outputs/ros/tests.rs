@@ -3,14 +3,14 @@
 use super::messages::{Messages, messages};
 use super::odom_frame::OdomFrame;
 use super::{InitialPoseTopic, RosBody, RosOutput, RosSettings};
-use robot::initial_pose::InitialPoses;
-use robot::{Estimate, GlobalEstimate, Output as _, StatusReport};
 use client::SessionOptions;
 use client::session::{SessionMode, close_session, open_session};
 use estimator::propagation::{ImuMatrix, ImuState};
 use estimator::{Localization, Motion, Status};
 use geometry::{Pose, PoseWithCovariance, rotation};
 use nalgebra::{Matrix6, Quaternion, UnitQuaternion, Vector3, Vector6};
+use robot::initial_pose::InitialPoses;
+use robot::{Estimate, GlobalEstimate, Output as _, StatusReport};
 use ros_messages::RosMessage;
 use ros_messages::diagnostic_msgs::{DiagnosticArray, DiagnosticStatus};
 use ros_messages::geometry_msgs::{self, PoseWithCovarianceStamped, TransformStamped};
