@@ -160,6 +160,8 @@ fn play(
     let realtime = arguments.realtime || source.live().is_some();
     let mut settings = settings(arguments, config.clone(), mask.as_ref());
     (settings.cameras, settings.initial, settings.stop) = (cameras, initial, stop.clone());
+    // Lent to the robot, which it therefore outlives.
+    let mut recorder;
     let mut robot = Robot::new(source, settings)?;
     robot.add_output(arguments.metrics.clone());
     robot.add_output(StatusLine::default());
@@ -180,7 +182,7 @@ fn play(
         }
     }
     // Created before the run: a run whose results cannot be kept is not begun.
-    let mut recorder = Recorder::create(&arguments.out).context("--out")?;
+    recorder = Recorder::create(&arguments.out).context("--out")?;
     robot.add_output(&mut recorder);
     let report = robot.run(progress);
     if let Some(reason) = &report.ended_early {

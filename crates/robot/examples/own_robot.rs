@@ -64,7 +64,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let mut source = recording.source()?;
     let estimator = estimator_config(source.calibration()).ok_or("the calibration has no IMU")?;
     let mut settings = RobotSettings::new(estimator);
-    settings.name = "cart7".to_owned();
+    settings.name = String::from("cart7");
     settings.realtime = true;
     settings.stop = StopSignal::on_interrupt()?;
 

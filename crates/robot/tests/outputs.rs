@@ -123,8 +123,8 @@ fn outputs_are_ended_where_a_run_is_stopped() {
     settings.name = "cart7".to_owned();
     let recording = Recording::from(&sequence);
     let mut source = recording.source().unwrap();
-    let mut robot = Robot::new(&mut source, settings).unwrap();
     let mut witness = Witness::default();
+    let mut robot = Robot::new(&mut source, settings).unwrap();
     robot.add_output(&mut witness);
     let report = robot.run(|frame| {
         if frame == 20 {

@@ -14,6 +14,9 @@ const GAP_PERIODS: f64 = 5.0;
 /// Gaps that are logged one by one; a sensor that is slower than its calibration states would fill the log.
 const MOST_WARNINGS: usize = 20;
 
+/// A reading, and why it cannot be used where it was left out.
+pub(crate) type Checked = (ImuSample, Result<(), BadImuSample>);
+
 /// The one buffer of IMU readings between the source and the estimator. From its front to its back: readings that were
 /// handed out, readings that were accepted, readings that were read ahead.
 pub(crate) struct ImuWindow {
@@ -64,8 +67,8 @@ impl ImuWindow {
     /// Accepts the oldest reading that was read ahead, or leaves it out.
     ///
     /// # Returns
-    /// The reading, and why it cannot be used where it was left out; `None` where none was read ahead.
-    pub(crate) fn accept(&mut self) -> Option<(ImuSample, Result<(), BadImuSample>)> {
+    /// `None` where none was read ahead.
+    pub(crate) fn accept(&mut self) -> Option<Checked> {
         let reading = *self.readings.get(self.ahead)?;
         let checked = self.check.check(&reading);
         if checked.is_ok() {

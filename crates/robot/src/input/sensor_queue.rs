@@ -1,7 +1,6 @@
 //! Reads a sensor source ahead, and hands out its readings and frames, each for itself.
 
-use super::imu_window::ImuWindow;
-use estimator::{BadImuSample, ImuSample};
+use super::imu_window::{Checked, ImuWindow};
 use sensors::live::LiveReport;
 use sensors::{Frame, PairCounts, SensorError, SensorEvent, SensorSource};
 use std::collections::VecDeque;
@@ -85,10 +84,7 @@ impl<'a> SensorQueue<'a> {
     ///
     /// # Errors
     /// That of the source, after the readings before it.
-    pub(crate) fn next_reading(
-        &mut self,
-        frame_ns: i64,
-    ) -> Result<Option<(ImuSample, Result<(), BadImuSample>)>, SensorError> {
+    pub(crate) fn next_reading(&mut self, frame_ns: i64) -> Result<Option<Checked>, SensorError> {
         let horizon_ns = frame_ns.saturating_add(MAX_IMU_WAIT_NS);
         while self.imu.ahead().is_empty()
             && self.frames.back().is_none_or(|newest| newest.stamp_ns <= horizon_ns)
@@ -125,6 +121,7 @@ impl<'a> SensorQueue<'a> {
 mod tests {
     use super::super::imu_window::MAX_AHEAD;
     use super::*;
+    use estimator::ImuSample;
     use nalgebra::Vector3;
     use sensors::{Contents, SensorCalibration};
 
