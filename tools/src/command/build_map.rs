@@ -6,8 +6,7 @@ use std::time::Instant;
 
 use anyhow::bail;
 use nalgebra::Vector3;
-use onboard::arguments::CalibrationArguments;
-use onboard::extraction::FeatureArguments;
+use onboard::arguments::{CalibrationArguments, FeatureArguments};
 use sensors::{ReferencePose, Sequence, check_stereo};
 use serde_json::json;
 use vision::{FeatureExtractor, GrayImage};
