@@ -2,7 +2,9 @@
 
 use super::distortion::{Distortion, equidistant, fov_scale, radial_limit_squared};
 use super::error::ProjectionError;
-use nalgebra::Vector2;
+use super::sphere::{DoubleSphere, Eucm, Omni};
+use super::{rational, thin_prism};
+use nalgebra::{Matrix2, Vector2};
 use std::f64::consts::FRAC_PI_2;
 
 /// Newton converges in 3 to 6 steps inside of a real image; far outside, damping may need more.
@@ -17,13 +19,19 @@ const MAX_HALVINGS: usize = 20;
 impl Distortion {
     /// Undistorted normalized coordinates: the inverse of [`Distortion::distort`].
     ///
+    /// Closed form for the FOV, double sphere and extended unified models, and for the sphere of the omnidirectional one;
+    /// otherwise Newton inside of the region where the radial part increases.
+    ///
     /// # Errors
-    /// [`ProjectionError::OutsideModel`] if no ray in front of the camera maps to `distorted`.
+    /// [`ProjectionError::OutsideModel`] if no ray in front of the camera, in the region where the model is one-to-one, maps to
+    /// `distorted`.
     pub fn undistort(&self, distorted: &Vector2<f64>) -> Result<Vector2<f64>, ProjectionError> {
         match self {
             Self::None => Ok(*distorted),
             Self::RadialTangential([k1, k2, ..]) => {
-                undistort_newton(self, radial_limit_squared(*k1, *k2), distorted)
+                let limit_squared = radial_limit_squared(*k1, *k2);
+                let start = start_within(limit_squared, distorted);
+                newton(|at| self.distort_with_jacobian(at), limit_squared, start, distorted)
             }
             Self::Equidistant(k) => {
                 let radius = distorted.norm();
@@ -43,22 +51,53 @@ impl Distortion {
                 }
                 Ok(distorted * (angle.tan() / (fov_scale(*omega) * radius)))
             }
+            Self::Rational(k) => self.verified(rational::undistort(k, distorted)?, distorted),
+            Self::ThinPrismFisheye(k) => self.verified(thin_prism::undistort(k, distorted)?, distorted),
+            Self::DoubleSphere { xi, alpha } => {
+                self.verified(DoubleSphere { xi: *xi, alpha: *alpha }.undistort(distorted)?, distorted)
+            }
+            Self::Eucm { alpha, beta } => {
+                self.verified(Eucm { alpha: *alpha, beta: *beta }.undistort(distorted)?, distorted)
+            }
+            Self::Omni { xi, distortion } => {
+                self.verified(Omni { xi: *xi, distortion: *distortion }.undistort(distorted)?, distorted)
+            }
         }
+    }
+
+    /// The undistorted coordinates, if they are in the region of the model and map to the distorted ones.
+    fn verified(
+        &self,
+        undistorted: Vector2<f64>,
+        distorted: &Vector2<f64>,
+    ) -> Result<Vector2<f64>, ProjectionError> {
+        let off = (self.distort(&undistorted) - distorted).norm();
+        let is_found = off <= ACCEPTABLE * (1.0 + distorted.norm()) && self.covers(&undistorted);
+        if is_found { Ok(undistorted) } else { Err(ProjectionError::OutsideModel) }
     }
 }
 
+/// Where the iteration begins: at the distorted coordinates, or inside of the limit.
+pub(super) fn start_within(limit_squared: f64, distorted: &Vector2<f64>) -> Vector2<f64> {
+    let squared = distorted.norm_squared();
+    if squared >= limit_squared { distorted * (0.9 * (limit_squared / squared).sqrt()) } else { *distorted }
+}
+
 /// Two-dimensional Newton with step halving inside the circle where the model is one-to-one.
-fn undistort_newton(
-    model: &Distortion,
+///
+/// # Arguments
+/// * `map`: the distorted coordinates of undistorted ones, and the Jacobian.
+/// * `limit_squared`: the squared radius of the circle.
+/// * `start`: in the circle.
+pub(super) fn newton(
+    map: impl Fn(&Vector2<f64>) -> (Vector2<f64>, Matrix2<f64>),
     limit_squared: f64,
+    start: Vector2<f64>,
     distorted: &Vector2<f64>,
 ) -> Result<Vector2<f64>, ProjectionError> {
     let tolerance = 1.0 + distorted.norm();
-    let mut estimate = *distorted;
-    if estimate.norm_squared() >= limit_squared {
-        estimate *= 0.9 * (limit_squared / estimate.norm_squared()).sqrt();
-    }
-    let (mut value, mut jacobian) = model.distort_with_jacobian(&estimate);
+    let mut estimate = start;
+    let (mut value, mut jacobian) = map(&estimate);
     let mut residual = distorted - value;
     for _ in 0..MAX_ITERATIONS {
         if residual.norm() <= CONVERGED * tolerance {
@@ -70,7 +109,7 @@ fn undistort_newton(
         for _ in 0..MAX_HALVINGS {
             let candidate = estimate + step;
             if candidate.norm_squared() < limit_squared {
-                let (candidate_value, candidate_jacobian) = model.distort_with_jacobian(&candidate);
+                let (candidate_value, candidate_jacobian) = map(&candidate);
                 let candidate_residual = distorted - candidate_value;
                 if candidate_residual.norm_squared() < residual.norm_squared() {
                     (estimate, value, jacobian) = (candidate, candidate_value, candidate_jacobian);
