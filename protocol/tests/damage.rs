@@ -152,10 +152,10 @@ fn a_message_beyond_the_limit_is_not_sent() {
 /// Widths and counts written in JSON reserve nothing; deep nesting does not overflow the stack.
 #[test]
 fn hostile_json_is_refused_and_costs_nothing() {
-    let nested = format!("{{\"schema\":7,\"held\":{}", "[".repeat(1_000_000));
-    let unknown = format!("{{\"schema\":7,\"unknown\":{}", "[".repeat(1_000_000));
+    let nested = format!("{{\"schema\":8,\"held\":{}", "[".repeat(1_000_000));
+    let unknown = format!("{{\"schema\":8,\"unknown\":{}", "[".repeat(1_000_000));
     let features = r#"{"pixels": [], "descriptors": {"kind": "binary", "width": 65535, "hex": ["00"]}}"#;
-    let wide = format!("{{\"schema\":7,\"features\":{features}}}");
+    let wide = format!("{{\"schema\":8,\"features\":{features}}}");
     let huge = r#"{"schema":8,"max_keyframes":1e999}"#.to_owned();
     assert_costs_no_memory(|| {
         for text in

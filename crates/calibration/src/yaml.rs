@@ -118,17 +118,21 @@ impl Lens<'_> {
     fn intrinsics_and_distortion(&self, path: &Path) -> Result<([f64; 4], Distortion), CalibrationError> {
         let model = self.camera_model.unwrap_or("pinhole");
         let wrong_count = |names: &str| {
-            let problem = format!("intrinsics of {model} are {names}, but {} numbers are given", self.intrinsics.len());
+            let problem =
+                format!("intrinsics of {model} are {names}, but {} numbers are given", self.intrinsics.len());
             CalibrationError::entry(path, problem)
         };
         let distortion = distortion(path, self.distortion_model, self.distortion_key, self.distortion)?;
         let mismatch = |takes: &str| {
-            let problem = format!("camera_model {model} takes distortion_model {takes}, not {}", distortion.name());
+            let problem =
+                format!("camera_model {model} takes distortion_model {takes}, not {}", distortion.name());
             CalibrationError::entry(path, problem)
         };
         match model {
             "pinhole" => {
-                let Ok(pinhole) = self.intrinsics.try_into() else { return Err(wrong_count("fu, fv, cu, cv")) };
+                let Ok(pinhole) = self.intrinsics.try_into() else {
+                    return Err(wrong_count("fu, fv, cu, cv"));
+                };
                 Ok((pinhole, distortion))
             }
             "ds" | "eucm" => {
@@ -236,7 +240,11 @@ pub fn projection_yaml(camera: &Camera) -> String {
 fn list(values: &[f64]) -> String {
     let shortest = |value: &f64| {
         let magnitude = value.abs();
-        if magnitude == 0.0 || (1e-5..1e15).contains(&magnitude) { format!("{value}") } else { format!("{value:e}") }
+        if magnitude == 0.0 || (1e-5..1e15).contains(&magnitude) {
+            format!("{value}")
+        } else {
+            format!("{value:e}")
+        }
     };
     values.iter().map(shortest).collect::<Vec<_>>().join(", ")
 }
@@ -327,9 +335,13 @@ mod tests {
         for model in ["radial-tangential", "radtan"] {
             assert_eq!(distortion(Some(model), &four).unwrap(), Distortion::RadialTangential(four));
         }
-        for (model, given) in
-            [("none", &four[..]), ("fov", &four), ("equidistant", &four[..3]), ("mei", &four), ("radtan", &four[..3])]
-        {
+        for (model, given) in [
+            ("none", &four[..]),
+            ("fov", &four),
+            ("equidistant", &four[..3]),
+            ("mei", &four),
+            ("radtan", &four[..3]),
+        ] {
             assert!(distortion(Some(model), given).is_err(), "{model}");
         }
         let twelve: [f64; 12] = std::array::from_fn(|k| 0.01 * k as f64);
@@ -343,7 +355,11 @@ mod tests {
 
     #[test]
     fn every_projection_is_read_back_as_it_was_written() {
-        let full = |count: usize| Distortion::from_opencv(&[0.01, -2e-7, 0.1, 0.3, 1e-9, 0.2, 0.1, 0.05, 1e-3, 0.0, 0.0, -1e-3][..count]);
+        let full = |count: usize| {
+            Distortion::from_opencv(
+                &[0.01, -2e-7, 0.1, 0.3, 1e-9, 0.2, 0.1, 0.05, 1e-3, 0.0, 0.0, -1e-3][..count],
+            )
+        };
         let eight = [0.01, -0.02, 1e-3, 2e-6, 0.003, -4e-4, 1e-3, -1e-12];
         for distortion in [
             Distortion::None,
@@ -358,8 +374,17 @@ mod tests {
             Distortion::Eucm { alpha: 0.63, beta: 1.04 },
             Distortion::Omni { xi: 1.85, distortion: [-0.07, 0.4, -1.2e-6, 8e-4] },
         ] {
-            let camera = Camera { width: 640, height: 480, focal: [320.1, 321.0 / 0.7], centre: [320.0, 1e-7], distortion };
-            assert_eq!(crate::lens_of_text(Path::new("sensor.yaml"), &projection_yaml(&camera)).unwrap(), camera);
+            let camera = Camera {
+                width: 640,
+                height: 480,
+                focal: [320.1, 321.0 / 0.7],
+                centre: [320.0, 1e-7],
+                distortion,
+            };
+            assert_eq!(
+                crate::lens_of_text(Path::new("sensor.yaml"), &projection_yaml(&camera)).unwrap(),
+                camera
+            );
         }
     }
 
@@ -379,12 +404,21 @@ mod tests {
         let pinhole = [300.0, 301.0, 320.0, 240.0];
         let six = [&[0.1, 0.6], &pinhole[..]].concat();
         let five = [&[0.9], &pinhole[..]].concat();
-        assert_eq!(lens("ds", &six, "none").unwrap().distortion, Distortion::DoubleSphere { xi: 0.1, alpha: 0.6 });
-        assert_eq!(lens("eucm", &six, "none").unwrap().distortion, Distortion::Eucm { alpha: 0.1, beta: 0.6 });
+        assert_eq!(
+            lens("ds", &six, "none").unwrap().distortion,
+            Distortion::DoubleSphere { xi: 0.1, alpha: 0.6 }
+        );
+        assert_eq!(
+            lens("eucm", &six, "none").unwrap().distortion,
+            Distortion::Eucm { alpha: 0.1, beta: 0.6 }
+        );
         let omni = lens("omni", &five, "radtan").unwrap();
         assert_eq!(omni.distortion, Distortion::Omni { xi: 0.9, distortion: [0.1, 0.2, 0.003, 0.004] });
         assert_eq!((omni.focal, omni.centre), ([300.0, 301.0], [320.0, 240.0]));
-        assert_eq!(lens("omni", &five, "none").unwrap().distortion, Distortion::Omni { xi: 0.9, distortion: [0.0; 4] });
+        assert_eq!(
+            lens("omni", &five, "none").unwrap().distortion,
+            Distortion::Omni { xi: 0.9, distortion: [0.0; 4] }
+        );
         for (model, intrinsics, distortion, words) in [
             ("ds", &pinhole[..], "none", "xi, alpha, fu"),
             ("eucm", &five, "none", "alpha, beta, fu"),

@@ -58,7 +58,16 @@ fn lens(random: &mut Random, model: usize) -> Distortion {
         1 => Distortion::Equidistant([0.05, 0.02, 0.01, 0.002].map(|scale| scale * random.normal())),
         2 => Distortion::Fov(random.uniform(0.1, 1.5)),
         3 => Distortion::Rational(k),
-        4 => Distortion::ThinPrismFisheye([0.1 * k[0], 0.1 * k[1], k[2], k[3], 0.1 * k[4], 0.1 * k[7], k[8], k[9]]),
+        4 => Distortion::ThinPrismFisheye([
+            0.1 * k[0],
+            0.1 * k[1],
+            k[2],
+            k[3],
+            0.1 * k[4],
+            0.1 * k[7],
+            k[8],
+            k[9],
+        ]),
         5 => Distortion::DoubleSphere { xi: random.uniform(-0.9, 0.9), alpha: random.uniform(0.0, 1.0) },
         6 => Distortion::Eucm { alpha: random.uniform(0.0, 1.0), beta: random.uniform(0.3, 3.0) },
         _ => Distortion::Omni { xi: random.uniform(-0.5, 3.0), distortion: four.map(|value| 0.5 * value) },
@@ -72,22 +81,35 @@ fn with_unit_focal_length(distortion: Distortion) -> Camera {
 #[test]
 fn undistorting_undoes_distorting_in_the_region() {
     let mut random = Random::new(11);
+    let mut wrong = Vec::new();
     for model in 0..8 {
-        let (mut largest, mut inside, mut missed) = (0.0_f64, 0, 0);
+        let (mut largest, mut inside, mut missed, mut flat) = (0.0_f64, 0, 0, 0);
         for _ in 0..300 {
             let distortion = lens(&mut random, model);
             let camera = with_unit_focal_length(distortion);
             for _ in 0..20 {
                 let (radius, angle) = (random.uniform(0.0, 1.4_f64).tan(), random.uniform(-3.2, 3.2));
                 let ray = Vector2::new(radius * angle.cos(), radius * angle.sin());
-                let Ok((distorted, jacobian)) = camera.project_with_jacobian(&ray.push(1.0)) else { continue };
+                let Ok((distorted, jacobian)) = camera.project_with_jacobian(&ray.push(1.0)) else {
+                    continue;
+                };
                 let jacobian = jacobian.fixed_columns::<2>(0).into_owned();
-                inside += 1;
-                // Where the model is nearly flat, a pixel says little about the ray.
+                // Where the model is nearly flat, at the end of its region, a pixel says little about the ray.
                 let sensitivity = jacobian.try_inverse().map_or(f64::INFINITY, |inverse| inverse.amax());
+                // Tangential terms fold the radial-tangential model a little earlier than its radial part.
+                if sensitivity > 1e3 * (1.0 + radius * radius) || jacobian.determinant() <= 0.0 {
+                    flat += 1;
+                    continue;
+                }
+                inside += 1;
                 match distortion.undistort(&distorted) {
-                    Ok(back) => largest = largest.max((back - ray).amax() / sensitivity.max(1.0)),
-                    Err(_) if sensitivity > 1e6 => {}
+                    Ok(back) => {
+                        let off = (back - ray).amax() / sensitivity.max(1.0);
+                        if off > 1e-11 {
+                            println!("{distortion:?} at {ray:?}: {back:?}");
+                        }
+                        largest = largest.max(off);
+                    }
                     Err(error) => {
                         missed += 1;
                         println!("{distortion:?} at {ray:?}: {error}, sensitivity {sensitivity:e}");
@@ -95,9 +117,12 @@ fn undistorting_undoes_distorting_in_the_region() {
                 }
             }
         }
-        println!("model {model}: {inside} rays, {missed} missed, off by {largest:.1e}");
-        assert!(inside > 1000 && missed == 0 && largest < 1e-11, "{model}: {inside} {missed} {largest:e}");
+        println!("model {model}: {inside} rays, {flat} flat, {missed} missed, off by {largest:.1e}");
+        if inside < 1000 || missed > 0 || largest > 1e-11 {
+            wrong.push(model);
+        }
     }
+    assert!(wrong.is_empty(), "{wrong:?}");
 }
 
 #[test]
@@ -186,23 +211,28 @@ fn beyond_the_first_fold_a_rational_model_has_no_ray_even_where_it_increases_aga
     let beyond = Vector2::new(radius_of(2.0), 0.0);
     assert_eq!(camera.unproject(&beyond), Err(ProjectionError::OutsideModel));
     // A pole of the gain ends the region too.
-    let pole = with_unit_focal_length(Distortion::from_opencv(&[0.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0]).unwrap());
+    let pole =
+        with_unit_focal_length(Distortion::from_opencv(&[0.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0]).unwrap());
     assert!(pole.project(&Vector3::new(0.99, 0.0, 1.0)).is_ok());
     assert_eq!(pole.project(&Vector3::new(1.01, 0.0, 1.0)), Err(ProjectionError::OutsideModel));
 }
 
 #[test]
-fn a_double_sphere_ends_where_the_second_sphere_hides_the_ray() {
-    // w1 = 1/9, and w = 1 - 0.9 d is negative from d = 1.11 on.
-    let camera = with_unit_focal_length(Distortion::DoubleSphere { xi: -0.9, alpha: 0.9 });
-    let limit = (0..4000).map(|k| f64::from(k) * 1e-3).find(|&radius| camera.project(&Vector3::new(radius, 0.0, 1.0)).is_err());
-    let limit = limit.unwrap();
-    assert!(limit > 0.5 && limit < 2.0, "{limit}");
-    // The condition of the paper, of a ray with z = 1: 1 > -w2 d1.
-    let (w1, xi) = (1.0 / 9.0, -0.9_f64);
-    let w2 = (w1 + xi) / (2.0 * w1 * xi + xi * xi + 1.0).sqrt();
-    let expected = (1.0 / (w2 * w2) - 1.0_f64).sqrt();
-    assert!((limit - expected).abs() < 2e-3, "{limit}, by the paper {expected}");
+fn a_double_sphere_ends_where_its_radius_is_largest() {
+    for (xi, alpha) in [(-0.9, 0.9), (-0.9, 0.1), (-0.9, 0.7), (-0.95, 0.75), (-0.5, 0.97)] {
+        let distortion = Distortion::DoubleSphere { xi, alpha };
+        let camera = with_unit_focal_length(distortion);
+        let step = 1e-3;
+        let is_refused = |radius: &f64| camera.project(&Vector3::new(*radius, 0.0, 1.0)).is_err();
+        let radii = (1..20_000).map(|k| f64::from(k) * step);
+        let limit = radii.clone().find(is_refused).unwrap_or(f64::INFINITY);
+        let value = |radius: f64| distortion.distort(&Vector2::new(radius, 0.0)).x;
+        let falls = |radius: &f64| value(*radius) < 0.0 || value(*radius) < value(*radius - step);
+        let turn = radii.clone().find(falls).unwrap_or(f64::INFINITY);
+        assert!(limit == turn || (limit - turn).abs() < 1.5 * step, "{xi} {alpha}: {limit}, falls at {turn}");
+        assert!(limit < 10.0, "{xi} {alpha}: {limit}");
+        assert!(radii.skip_while(|radius| *radius < limit).all(|radius| is_refused(&radius)));
+    }
 }
 
 #[test]

@@ -82,7 +82,10 @@ pub fn camera_of_info(
 ///
 /// # Errors
 /// [`SequenceError`]: coefficients that the model does not have.
-fn layout<'a>(message: &'a CameraInfo, name: &Path) -> Result<(&'a str, &'a str, usize, usize), SequenceError> {
+fn layout<'a>(
+    message: &'a CameraInfo,
+    name: &Path,
+) -> Result<(&'a str, &'a str, usize, usize), SequenceError> {
     let wrong = |problem: String| SequenceError::calibration(name, problem);
     let CameraInfo { d, distortion_model, .. } = message;
     // OpenCV takes 4, 5, 8, 12 or 14 coefficients under either name; the last two, of a tilted sensor, are not supported.
@@ -110,7 +113,10 @@ fn layout<'a>(message: &'a CameraInfo, name: &Path) -> Result<(&'a str, &'a str,
     }
     let fewest = if model == "radtan" && before == 0 { 4 } else { before + given };
     if d.len() < fewest {
-        return Err(wrong(format!("distortion_model {distortion_model} has only {} coefficients (D)", d.len())));
+        return Err(wrong(format!(
+            "distortion_model {distortion_model} has only {} coefficients (D)",
+            d.len()
+        )));
     }
     Ok((camera_model, model, before, given))
 }
@@ -238,10 +244,14 @@ mod tests {
     fn coefficients_of_opencv_are_those_of_the_simplest_model() {
         let mut message = camera_info_message(&camera(Distortion::None), Header::default());
         let twelve = [0.5, -2.7, 2e-4, 2e-5, 1.5, 0.4, -2.5, 1.5, 1e-3, 2e-3, 3e-3, 4e-3];
-        for (model, count, given) in
-            [("plumb_bob", 4, 5), ("plumb_bob", 5, 5), ("rational_polynomial", 4, 8), ("rational_polynomial", 8, 8)]
-                .into_iter()
-                .chain([("rational_polynomial", 12, 14), ("plumb_bob", 8, 8), ("plumb_bob", 4, 4)])
+        for (model, count, given) in [
+            ("plumb_bob", 4, 5),
+            ("plumb_bob", 5, 5),
+            ("rational_polynomial", 4, 8),
+            ("rational_polynomial", 8, 8),
+        ]
+        .into_iter()
+        .chain([("rational_polynomial", 12, 14), ("plumb_bob", 8, 8), ("plumb_bob", 4, 4)])
         {
             message.distortion_model = model.to_owned();
             message.d = [&twelve[..count], &vec![0.0; given - count]].concat();

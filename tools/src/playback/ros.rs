@@ -7,7 +7,9 @@ use ros_messages::sensor_msgs::{CameraInfo, CompressedImage, Image, Imu};
 use ros_messages::std_msgs::Header;
 use ros2::liveliness::Endpoint;
 use ros2::{Node, NodeOptions, Publisher, Qos, explain_silence};
-use sensors::ros::{ImageMessage, camera_info_message, has_ros_name, image_message, imu_message, pixels_message};
+use sensors::ros::{
+    ImageMessage, camera_info_message, has_ros_name, image_message, imu_message, pixels_message,
+};
 use sensors::{CameraSensor, Frame, ImageData, ImuSample};
 use tokio::runtime::Handle;
 

@@ -176,9 +176,11 @@ impl Distortion {
             Self::DoubleSphere { xi, alpha } => DoubleSphere { xi, alpha }.covers(normalized),
             Self::Omni { xi, distortion } => Omni { xi, distortion }.covers(normalized),
             // The radius of the extended unified model increases for all rays to the front.
-            Self::None | Self::RadialTangential(_) | Self::Equidistant(_) | Self::Fov(_) | Self::Eucm { .. } => {
-                true
-            }
+            Self::None
+            | Self::RadialTangential(_)
+            | Self::Equidistant(_)
+            | Self::Fov(_)
+            | Self::Eucm { .. } => true,
         }
     }
 

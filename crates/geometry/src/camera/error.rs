@@ -1,8 +1,6 @@
 //! Errors of cameras.
 
-use super::plausibility::{
-    MAX_CAMERA_SIDE, MAX_CENTRE_OFFSET, MAX_FOCAL, MAX_MOUNT_M, MIN_FOCAL,
-};
+use super::plausibility::{MAX_CAMERA_SIDE, MAX_CENTRE_OFFSET, MAX_FOCAL, MAX_MOUNT_M, MIN_FOCAL};
 
 /// Why a point cannot be projected, or a pixel not be unprojected.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]

@@ -12,8 +12,8 @@
 
 use super::distortion::{Distortion, equidistant_powers, fov_scale};
 use super::sphere::{DoubleSphere, Eucm, Omni};
-use super::{rational, thin_prism};
 use super::{Camera, ProjectionError, normalize};
+use super::{rational, thin_prism};
 use nalgebra::{SMatrix, SVector, Vector2, Vector3};
 
 /// Maximum number of intrinsic parameters.

@@ -64,7 +64,9 @@ fn largest_terms(camera: &Camera) -> [(f64, f64); 2] {
     let largest = |terms: &[f64]| terms.iter().copied().fold(0.0, f64::max);
     let mut rational = 0.0;
     let plain = match camera.distortion {
-        Distortion::None | Distortion::Fov(_) | Distortion::DoubleSphere { .. } | Distortion::Eucm { .. } => 0.0,
+        Distortion::None | Distortion::Fov(_) | Distortion::DoubleSphere { .. } | Distortion::Eucm { .. } => {
+            0.0
+        }
         Distortion::RadialTangential([k1, k2, p1, p2])
         | Distortion::Omni { distortion: [k1, k2, p1, p2], .. } => {
             largest(&[power(k1, 2), power(k2, 4), power(p1, 1), power(p2, 1)])
@@ -75,7 +77,10 @@ fn largest_terms(camera: &Camera) -> [(f64, f64); 2] {
         Distortion::Rational([k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4]) => {
             let radial = [(k1, 2), (k2, 4), (k3, 6), (k4, 2), (k5, 4), (k6, 6)];
             rational = largest(&radial.map(|(value, exponent)| power(value, exponent)));
-            largest(&[(p1, 1), (p2, 1), (s1, 1), (s2, 3), (s3, 1), (s4, 3)].map(|(value, exponent)| power(value, exponent)))
+            largest(
+                &[(p1, 1), (p2, 1), (s1, 1), (s2, 3), (s3, 1), (s4, 3)]
+                    .map(|(value, exponent)| power(value, exponent)),
+            )
         }
         Distortion::ThinPrismFisheye([k1, k2, p1, p2, k3, k4, sx1, sy1]) => largest(
             &[(k1, 2), (k2, 4), (k3, 6), (k4, 8), (p1, 1), (p2, 1), (sx1, 1), (sy1, 1)]
@@ -132,7 +137,11 @@ mod tests {
             camera([512, 512], 158.0, Distortion::DoubleSphere { xi: -0.19, alpha: 0.59 }),
             camera([512, 512], 190.0, Distortion::Eucm { alpha: 0.63, beta: 1.05 }),
             camera([1280, 1024], 1400.0, Distortion::Omni { xi: 1.9, distortion: [-0.2, 0.4, 0.001, 0.001] }),
-            camera([6048, 4032], 2800.0, Distortion::ThinPrismFisheye([0.1, -0.02, 1e-4, 1e-4, 0.03, -0.01, 1e-3, 1e-3])),
+            camera(
+                [6048, 4032],
+                2800.0,
+                Distortion::ThinPrismFisheye([0.1, -0.02, 1e-4, 1e-4, 0.03, -0.01, 1e-3, 1e-3]),
+            ),
         ]
     }
 

@@ -48,12 +48,7 @@ fn split<const N: usize>(coefficients: &[f64; N], at: f64) -> ([f64; N], [f64; N
 }
 
 /// The first root in `low..high`, or the low end of the interval that could not be decided.
-fn first_root<const N: usize>(
-    coefficients: &[f64; N],
-    low: f64,
-    high: f64,
-    depth: usize,
-) -> Option<f64> {
+fn first_root<const N: usize>(coefficients: &[f64; N], low: f64, high: f64, depth: usize) -> Option<f64> {
     let is_positive_at_low = coefficients[0] > 0.0;
     if is_positive_at_low && coefficients.iter().all(|value| *value >= 0.0) {
         return None;

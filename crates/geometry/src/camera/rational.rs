@@ -12,7 +12,7 @@
 
 use super::error::ProjectionError;
 use super::polynomial::{first_positive_root, is_positive_until};
-use super::undistortion::{newton, start_within};
+use super::undistortion::{newton, radial_start};
 use nalgebra::{Matrix2, Vector2};
 
 /// Numerator and denominator of the gain, by powers of `r^2`.
@@ -82,7 +82,15 @@ fn limit_squared(k: &[f64; 12]) -> f64 {
 /// The inverse, by Newton inside of the limit; the caller checks the result.
 pub(super) fn undistort(k: &[f64; 12], distorted: &Vector2<f64>) -> Result<Vector2<f64>, ProjectionError> {
     let limit_squared = limit_squared(k);
-    newton(|at| distort_with_jacobian(k, at), limit_squared, start_within(limit_squared, distorted), distorted)
+    let (above, below) = gain_polynomials(k);
+    let radial = |radius: f64| {
+        let r2 = radius * radius;
+        let ((a, a_slope), (b, b_slope)) = (cubic(&above, r2), cubic(&below, r2));
+        let gain = a / b;
+        (radius * gain, gain + 2.0 * r2 * (a_slope - gain * b_slope) / b)
+    };
+    let start = radial_start(radial, limit_squared, distorted);
+    newton(|at| distort_with_jacobian(k, at), limit_squared, start, distorted)
 }
 
 /// Derivatives of the distorted coordinates with respect to `k1`, `k2`, `p1` and `p2`.

@@ -11,6 +11,7 @@
 
 use super::distortion::{Distortion, radial_limit_squared};
 use super::error::ProjectionError;
+use super::undistortion::{newton, radial_start};
 use nalgebra::{Matrix2, Vector2};
 
 /// Parameters of the double sphere model.
@@ -64,7 +65,9 @@ impl DoubleSphere {
         divided(normalized, divisor, slope)
     }
 
-    /// Whether `c` and the derivative of `r / c` are positive, which are so from the centre out to one radius.
+    /// Whether `c` and the derivative of `r / c`, `(1 + xi / d) ((1 - alpha) + alpha w / sqrt(r^2 + w^2)) / c^2`, are positive: they are so
+    /// from the centre out to one radius. For `xi < 0` it is nearer than the bound of the paper, `z > -w2 d1`, between which and it two
+    /// rays have one pixel.
     pub(super) fn covers(&self, normalized: &Vector2<f64>) -> bool {
         let [_, shifted, second] = self.distances(normalized);
         let alpha = self.alpha;
@@ -124,10 +127,7 @@ impl Eucm {
         let distance = self.distance(normalized);
         let divisor = alpha * distance + 1.0 - alpha;
         let by_divisor = -normalized / (divisor * divisor);
-        [
-            by_divisor * (distance - 1.0),
-            by_divisor * (0.5 * alpha * normalized.norm_squared() / distance),
-        ]
+        [by_divisor * (distance - 1.0), by_divisor * (0.5 * alpha * normalized.norm_squared() / distance)]
     }
 }
 
@@ -158,7 +158,14 @@ impl Omni {
     }
 
     pub(super) fn undistort(&self, distorted: &Vector2<f64>) -> Result<Vector2<f64>, ProjectionError> {
-        let projected = self.lens().undistort(distorted)?;
+        let (lens, [k1, k2, ..]) = (self.lens(), self.distortion);
+        let limit_squared = radial_limit_squared(k1, k2);
+        let radial = |radius: f64| {
+            let r2 = radius * radius;
+            (radius * (1.0 + r2 * (k1 + r2 * k2)), 1.0 + r2 * (3.0 * k1 + r2 * 5.0 * k2))
+        };
+        let start = radial_start(radial, limit_squared, distorted);
+        let projected = newton(|at| lens.distort_with_jacobian(at), limit_squared, start, distorted)?;
         let xi = self.xi;
         let r2 = projected.norm_squared();
         let inside = 1.0 + (1.0 - xi * xi) * r2;

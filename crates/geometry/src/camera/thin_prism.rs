@@ -54,10 +54,7 @@ fn distort_angles(k: &[f64; 8], angles: &Vector2<f64>) -> (Vector2<f64>, Matrix2
 }
 
 /// Distorted normalized coordinates, and their Jacobian with respect to the undistorted ones.
-pub(super) fn distort_with_jacobian(
-    k: &[f64; 8],
-    normalized: &Vector2<f64>,
-) -> (Vector2<f64>, Matrix2<f64>) {
+pub(super) fn distort_with_jacobian(k: &[f64; 8], normalized: &Vector2<f64>) -> (Vector2<f64>, Matrix2<f64>) {
     let (angles, by_normalized) = equidistant(normalized);
     let (distorted, by_angles) = distort_angles(k, &angles);
     (distorted, by_angles * by_normalized)

@@ -13,6 +13,10 @@ const MAX_ITERATIONS: usize = 50;
 const CONVERGED: f64 = 1e-14;
 /// Maximum residual (normalized coordinates) where rounding stops the iteration earlier.
 const ACCEPTABLE: f64 = 1e-12;
+/// Relative error of the radius that Newton starts from.
+const START_TOLERANCE: f64 = 1e-3;
+/// Doublings of a radius: rays up to 1e-9 rad from the focal plane.
+const MAX_DOUBLINGS: usize = 30;
 /// Halvings of one Newton step.
 const MAX_HALVINGS: usize = 20;
 
@@ -72,8 +76,13 @@ impl Distortion {
         distorted: &Vector2<f64>,
     ) -> Result<Vector2<f64>, ProjectionError> {
         let off = (self.distort(&undistorted) - distorted).norm();
-        let is_found = off <= ACCEPTABLE * (1.0 + distorted.norm()) && self.covers(&undistorted);
-        if is_found { Ok(undistorted) } else { Err(ProjectionError::OutsideModel) }
+        let found = if off <= ACCEPTABLE * (1.0 + distorted.norm()) {
+            undistorted
+        } else {
+            // Closed forms lose digits where a small change of the ray moves the pixel far.
+            newton(|at| self.distort_with_jacobian(at), f64::INFINITY, undistorted, distorted)?
+        };
+        if self.covers(&found) { Ok(found) } else { Err(ProjectionError::OutsideModel) }
     }
 }
 
@@ -81,6 +90,47 @@ impl Distortion {
 pub(super) fn start_within(limit_squared: f64, distorted: &Vector2<f64>) -> Vector2<f64> {
     let squared = distorted.norm_squared();
     if squared >= limit_squared { distorted * (0.9 * (limit_squared / squared).sqrt()) } else { *distorted }
+}
+
+/// Where the iteration begins if the radial part is far from the identity: on the ray whose radial part is the distorted radius.
+///
+/// # Arguments
+/// * `radial`: the radial part of a radius, and its derivative, which is positive up to the limit.
+pub(super) fn radial_start(
+    radial: impl Fn(f64) -> (f64, f64),
+    limit_squared: f64,
+    distorted: &Vector2<f64>,
+) -> Vector2<f64> {
+    let target = distorted.norm();
+    if target == 0.0 {
+        return *distorted;
+    }
+    let (mut low, mut high) = (0.0, limit_squared.sqrt());
+    if high.is_infinite() {
+        high = target;
+        for _ in 0..MAX_DOUBLINGS {
+            if radial(high).0 >= target {
+                break;
+            }
+            high *= 2.0;
+        }
+    }
+    let mut radius = target.min(0.9 * high);
+    for _ in 0..MAX_ITERATIONS {
+        let (value, slope) = radial(radius);
+        let residual = target - value;
+        if residual.abs() <= START_TOLERANCE * target {
+            break;
+        }
+        if residual < 0.0 {
+            high = radius;
+        } else {
+            low = radius;
+        }
+        let next = radius + residual / slope;
+        radius = if next > low && next < high { next } else { 0.5 * (low + high) };
+    }
+    distorted * (radius / target)
 }
 
 /// Two-dimensional Newton with step halving inside the circle where the model is one-to-one.
@@ -101,7 +151,7 @@ pub(super) fn newton(
     let mut residual = distorted - value;
     for _ in 0..MAX_ITERATIONS {
         if residual.norm() <= CONVERGED * tolerance {
-            return Ok(estimate);
+            break;
         }
         let Some(inverse) = jacobian.try_inverse() else { break };
         let mut step = inverse * residual;
@@ -124,7 +174,9 @@ pub(super) fn newton(
             break;
         }
     }
-    if residual.norm() <= ACCEPTABLE * tolerance { Ok(estimate) } else { Err(ProjectionError::OutsideModel) }
+    // A determinant that is not positive: beyond a fold that the tangential terms make inside of the circle.
+    let is_found = residual.norm() <= ACCEPTABLE * tolerance && jacobian.determinant() > 0.0;
+    if is_found { Ok(estimate) } else { Err(ProjectionError::OutsideModel) }
 }
 
 /// The angle (rad, below 90 degrees) whose equidistant polynomial is `radius`: bracketed Newton.

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pycolmap
 
-POINTS = 60
+POINTS = 25
 MAX_RADIUS = 3.0
 random = np.random.default_rng(7)
 

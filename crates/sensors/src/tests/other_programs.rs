@@ -184,7 +184,10 @@ fn the_camera_models_of_basalt_and_orb_slam3_are_read() {
         ("ucm", r#""alpha": 0.6"#, Distortion::Eucm { alpha: 0.6, beta: 1.0 }),
     ] {
         let camera = of(kind, more).unwrap();
-        assert_eq!((camera.distortion, camera.focal, camera.centre), (distortion, [400.0, 401.5], [320.0, 240.0]));
+        assert_eq!(
+            (camera.distortion, camera.focal, camera.centre),
+            (distortion, [400.0, 401.5], [320.0, 240.0])
+        );
     }
     assert!(of("ds", r#""xi": -0.2"#).is_err(), "alpha is missing");
     assert!(of("fisheye", r#""k1": 0.1"#).unwrap_err().to_string().contains("\"fisheye\" is not read"));
@@ -204,7 +207,11 @@ fn what_is_not_read_is_named() {
             "chain.yaml",
             ["imu.yaml", "Tw is not the identity"],
         ),
-        (vec![("Left.yaml", unknown), ("ImuParams.yaml", kimera_imu())], "Left.yaml", ["Left.yaml", "\"mei\""]),
+        (
+            vec![("Left.yaml", unknown), ("ImuParams.yaml", kimera_imu())],
+            "Left.yaml",
+            ["Left.yaml", "\"mei\""],
+        ),
         (
             vec![("euroc.json", "{\"value0\": {\"T_imu_cam\": [{\"px\": 0.1}]}}".to_owned())],
             "euroc.json",
