@@ -187,7 +187,7 @@ fn a_read_only_map_is_read_and_nothing_under_it_changes() {
         }
     };
     permit(0o444, 0o555);
-    let contents = store::load_map(&path).and_then(store::StoredMap::whole);
+    let contents = store::load_map(&path).map(|stored| stored.contents);
     permit(0o644, 0o755);
     assert_eq!(contents.unwrap().landmarks, place(1).landmarks);
     assert_eq!(state(), before);
