@@ -238,7 +238,7 @@ fn a_newer_schema_is_refused_with_both_numbers() {
     let text = std::fs::read_to_string(&manifest).unwrap();
     std::fs::write(&manifest, text.replace("\"schema\": 5", "\"schema\": 7, \"unknown\": 1")).unwrap();
     let error = store::load_map(&path).unwrap_err();
-    assert!(matches!(error, StoreError::Schema { found: 7, expected: 5, .. }), "{error}");
+    assert!(matches!(error, StoreError::Schema { found: 7, expected: 6, .. }), "{error}");
     assert!(matches!(store::save_map(&path, &small_place(9), true), Err(StoreError::Schema { .. })));
 }
 
