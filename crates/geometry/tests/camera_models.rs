@@ -229,7 +229,7 @@ fn a_double_sphere_ends_where_its_radius_is_largest() {
         let value = |radius: f64| distortion.distort(&Vector2::new(radius, 0.0)).x;
         let falls = |radius: &f64| value(*radius) < 0.0 || value(*radius) < value(*radius - step);
         let turn = radii.clone().find(falls).unwrap_or(f64::INFINITY);
-        assert!(limit == turn || (limit - turn).abs() < 1.5 * step, "{xi} {alpha}: {limit}, falls at {turn}");
+        assert!((limit - turn).abs() < 1.5 * step, "{xi} {alpha}: {limit}, falls at {turn}");
         assert!(limit < 10.0, "{xi} {alpha}: {limit}");
         assert!(radii.skip_while(|radius| *radius < limit).all(|radius| is_refused(&radius)));
     }
