@@ -141,8 +141,8 @@ fn what_cannot_be_used_is_named_with_what_can() {
     let good = chain(&written, false);
     let only_first = good[..good.find("cam1:").unwrap()].to_owned();
     for (text, word) in [
-        (good.replacen("pinhole", "ds", 1), "\"ds\" is unknown: pinhole"),
-        (good.replacen("distortion_model: ", "distortion_model: mei", 1), "equidistant or fov"),
+        (good.replacen("pinhole", "mei", 1), "\"mei\" is unknown: use pinhole"),
+        (good.replacen("distortion_model: ", "distortion_model: mei", 1), "fov or thin-prism-fisheye"),
         (good.replacen("T_cam_imu", "T_other", 1), "kalibr_calibrate_imu_camera"),
         (good.replacen("intrinsics: [", "intrinsics: [1.0, ", 1), "fu, fv, cu, cv"),
         (good.replacen("timeshift_cam_imu: ", "timeshift_cam_imu: 1e4 # ", 1), "in seconds"),
