@@ -20,4 +20,4 @@ mod yaml;
 pub use error::CalibrationError;
 pub use sensor_yaml::{lens_of_text, read_lens};
 pub use sensors::{CameraSensor, ImuSensor, SensorCalibration};
-pub use yaml::Lens;
+pub use yaml::{Lens, projection_yaml};

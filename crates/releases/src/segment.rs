@@ -1,7 +1,7 @@
 //! The bytes of a cell.
 //!
 //! ```text
-//! "driftless segment 3\n"
+//! "driftless segment 4\n"
 //! for keyframes, landmarks, cross-covariances, common errors, aliases:
 //!     number of records u64 LE
 //!     for each: key (8 bytes, of a pair 16, big-endian) | length u32 LE | record as in a database
@@ -15,7 +15,7 @@ use map::store::record::{
 };
 use map::{KeyframeCrossCovariance, RecordError};
 
-const MAGIC: &[u8] = b"driftless segment 3\n";
+const MAGIC: &[u8] = b"driftless segment 4\n";
 const KEYFRAMES: &str = "keyframes";
 const LANDMARKS: &str = "landmarks";
 const CROSS_COVARIANCES: &str = "cross_covariances";

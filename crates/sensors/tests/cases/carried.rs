@@ -36,7 +36,7 @@ fn stamped(parent: &str, child: &str, pose: &Pose) -> TransformStamped {
 fn camera(index: usize) -> Camera {
     let distortion = [
         Distortion::Equidistant([0.01, -0.02, 0.003, 0.0004]),
-        Distortion::RadialTangential([-0.3, 0.1, 1e-4, 2e-4]),
+        Distortion::Rational([-0.3, 0.1, 1e-4, 2e-4, 0.01, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]),
     ];
     let (focal, centre) = ([8.0 + index as f64, 9.0], [4.0, 3.0]);
     Camera { width: 8, height: 6, focal, centre, distortion: distortion[index] }

@@ -13,7 +13,7 @@ use serde::de::DeserializeOwned;
 use super::error::RecordError;
 
 /// Version of the structures in [`super::layout`].
-const RECORD_VERSION: u8 = 3;
+const RECORD_VERSION: u8 = 4;
 /// Bytes before the payload.
 const HEADER_BYTES: usize = 5;
 

@@ -51,6 +51,14 @@ pub enum RecordError {
         /// The stored number.
         model: u8,
     },
+    /// The camera of a keyframe has another number of coefficients than its distortion model.
+    #[error("its camera has {count} coefficients, which its distortion model {model} does not")]
+    DistortionCoefficients {
+        /// The stored number of the model.
+        model: u8,
+        /// How many there are.
+        count: usize,
+    },
     /// Descriptors of a kind that this program does not know.
     #[error("unknown descriptor kind {kind}")]
     DescriptorKind {
