@@ -46,7 +46,7 @@ pub(in crate::store) fn write(
     }
 
     let digest = contents.digest();
-    let present = Present::of(map)?;
+    let present = Present::of(map);
     let identity = present.identity.unwrap_or(digest);
     contents.info.version = present.version + 1;
     contents.info.identity = Some(identity);
@@ -92,19 +92,18 @@ struct Present {
 }
 
 impl Present {
-    fn of(map: &Path) -> Result<Present, StoreError> {
-        let unknown = Present { version: 0, identity: None };
+    fn of(map: &Path) -> Present {
         match kind_of(map) {
             Ok(Kind::Complete(manifest)) => {
-                Ok(Present { version: manifest.version, identity: Some(manifest.identity) })
+                Present { version: manifest.version, identity: Some(manifest.identity) }
             }
             // The number of a version must not come again: robots would take the new map for the old one.
             Err(StoreError::Damaged { .. }) => {
                 let names = entries(map).unwrap_or_default();
                 let numbers = names.iter().filter_map(|name| name.strip_prefix(VERSION_FOLDER)?.parse().ok());
-                Ok(Present { version: numbers.max().unwrap_or(0), identity: None })
+                Present { version: numbers.max().unwrap_or(0), identity: None }
             }
-            _ => Ok(unknown),
+            _ => Present { version: 0, identity: None },
         }
     }
 }
