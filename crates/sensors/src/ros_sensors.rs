@@ -110,6 +110,7 @@ pub fn transform_message(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use geometry::Distortion;
     use geometry::camera::Camera;
 
     #[test]
