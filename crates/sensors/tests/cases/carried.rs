@@ -148,8 +148,11 @@ fn what_is_missing_is_named() {
     assert!(unknown.contains("no CameraInfo of /cam1/image_raw"), "{unknown}");
     let nameless = refused(&|carried| carried.imu_frame = "");
     assert!(nameless.contains("\"\""), "{nameless}");
-    let unsupported = refused(&|carried| carried.infos[1].d[4] = 0.1);
-    assert!(unsupported.contains("coefficient 5"), "{unsupported}");
+    let tilted = refused(&|carried| {
+        carried.infos[1].d.resize(14, 0.0);
+        carried.infos[1].d[12] = 0.1;
+    });
+    assert!(tilted.contains("coefficient 13"), "{tilted}");
 }
 
 fn noise() -> ImuNoise {
