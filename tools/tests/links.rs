@@ -30,9 +30,9 @@ fn links(text: &str) -> Vec<String> {
 
 /// The source files that are named in code spans; `a/{b,c}.rs` are two.
 fn sources(text: &str) -> Vec<String> {
-    let is_path = |span: &&str| {
-        span.ends_with(".rs") && !span.contains(|c: char| c.is_whitespace() || matches!(c, '*' | '<' | '('))
-    };
+    let is_source = |span: &&str| Path::new(span).extension().is_some_and(|extension| extension == "rs");
+    let is_path =
+        |span: &&str| is_source(span) && !span.contains(|c: char| c.is_whitespace() || "*<(".contains(c));
     let alternatives = |span: &str| match (span.split_once('{'), span.split_once('}')) {
         (Some((before, _)), Some((choices, after))) => {
             let choices = choices.rsplit('{').next().unwrap_or_default();
