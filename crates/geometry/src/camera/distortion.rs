@@ -248,6 +248,18 @@ pub(super) fn equidistant(k: &[f64; 4], t: f64) -> (f64, f64) {
     (value, slope)
 }
 
+/// Derivatives of the radial-tangential model with respect to `k1`, `k2`, `p1` and `p2`.
+pub(super) fn radial_tangential_derivatives(normalized: &Vector2<f64>) -> [Vector2<f64>; 4] {
+    let (x, y) = (normalized.x, normalized.y);
+    let r2 = normalized.norm_squared();
+    [
+        normalized * r2,
+        normalized * (r2 * r2),
+        Vector2::new(2.0 * x * y, r2 + 2.0 * y * y),
+        Vector2::new(r2 + 2.0 * x * x, 2.0 * x * y),
+    ]
+}
+
 /// `[t^3, t^5, t^7, t^9]`, what the coefficients of the equidistant polynomial multiply.
 pub(super) fn equidistant_powers(t: f64) -> [f64; 4] {
     let t2 = t * t;

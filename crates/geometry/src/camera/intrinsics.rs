@@ -10,7 +10,7 @@
 //! | double sphere; extended unified | xi, alpha; alpha, beta | |
 //! | omnidirectional | xi, k1, k2, p1 | p2 |
 
-use super::distortion::{Distortion, equidistant_powers, fov_scale};
+use super::distortion::{Distortion, equidistant_powers, fov_scale, radial_tangential_derivatives};
 use super::sphere::{DoubleSphere, Eucm, Omni};
 use super::{Camera, ProjectionError, normalize};
 use super::{rational, thin_prism};
@@ -92,16 +92,10 @@ impl Camera {
 
 /// Derivatives of the distorted normalized coordinates with respect to the coefficients; zero beyond the model.
 fn distortion_derivatives(distortion: &Distortion, normalized: &Vector2<f64>) -> [Vector2<f64>; 4] {
-    let (x, y) = (normalized.x, normalized.y);
     let r2 = normalized.norm_squared();
     match distortion {
         Distortion::None => [Vector2::zeros(); 4],
-        Distortion::RadialTangential(_) => [
-            normalized * r2,
-            normalized * (r2 * r2),
-            Vector2::new(2.0 * x * y, r2 + 2.0 * y * y),
-            Vector2::new(r2 + 2.0 * x * x, 2.0 * x * y),
-        ],
+        Distortion::RadialTangential(_) => radial_tangential_derivatives(normalized),
         Distortion::Equidistant(_) => {
             let r = r2.sqrt();
             if r == 0.0 {

@@ -10,6 +10,7 @@
 //! Sources: the documentation of OpenCV's calib3d; Claus & Fitzgibbon, "A rational function lens distortion model for general
 //! cameras", CVPR 2005; Weng, Cohen & Herniou, PAMI 1992.
 
+use super::distortion::radial_tangential_derivatives;
 use super::error::ProjectionError;
 use super::polynomial::{first_positive_root, is_positive_until};
 use super::undistortion::{newton, radial_start};
@@ -95,13 +96,7 @@ pub(super) fn undistort(k: &[f64; 12], distorted: &Vector2<f64>) -> Result<Vecto
 
 /// Derivatives of the distorted coordinates with respect to `k1`, `k2`, `p1` and `p2`.
 pub(super) fn derivatives(k: &[f64; 12], normalized: &Vector2<f64>) -> [Vector2<f64>; 4] {
-    let (x, y) = (normalized.x, normalized.y);
-    let r2 = x * x + y * y;
-    let (below, _) = cubic(&gain_polynomials(k).1, r2);
-    [
-        normalized * (r2 / below),
-        normalized * (r2 * r2 / below),
-        Vector2::new(2.0 * x * y, r2 + 2.0 * y * y),
-        Vector2::new(r2 + 2.0 * x * x, 2.0 * x * y),
-    ]
+    let (below, _) = cubic(&gain_polynomials(k).1, normalized.norm_squared());
+    let [by_k1, by_k2, by_p1, by_p2] = radial_tangential_derivatives(normalized);
+    [by_k1 / below, by_k2 / below, by_p1, by_p2]
 }

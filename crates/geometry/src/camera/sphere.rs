@@ -9,7 +9,7 @@
 //! Sources: Usenko, Demmel & Cremers, "The double sphere camera model", 3DV 2018; Khomutenko, Garcia & Martinet, "An enhanced
 //! unified camera model", RA-L 2016; Mei & Rives, "Single view point omnidirectional camera calibration from planar grids", ICRA 2007.
 
-use super::distortion::{Distortion, radial_limit_squared};
+use super::distortion::{Distortion, radial_limit_squared, radial_tangential_derivatives};
 use super::error::ProjectionError;
 use super::undistortion::{newton, radial_start};
 use nalgebra::{Matrix2, Vector2};
@@ -182,13 +182,7 @@ impl Omni {
         let (_, by_projected) = self.lens().distort_with_jacobian(&projected);
         let distance = (1.0 + normalized.norm_squared()).sqrt();
         let divisor = 1.0 + self.xi * distance;
-        let (x, y) = (projected.x, projected.y);
-        let r2 = projected.norm_squared();
-        [
-            by_projected * normalized * (-distance / (divisor * divisor)),
-            projected * r2,
-            projected * (r2 * r2),
-            Vector2::new(2.0 * x * y, r2 + 2.0 * y * y),
-        ]
+        let [by_k1, by_k2, by_p1, _] = radial_tangential_derivatives(&projected);
+        [by_projected * normalized * (-distance / (divisor * divisor)), by_k1, by_k2, by_p1]
     }
 }

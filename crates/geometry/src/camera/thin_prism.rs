@@ -10,27 +10,15 @@
 //!
 //! Sources: the documentation of COLMAP's cameras; Kannala & Brandt, PAMI 2006; Weng, Cohen & Herniou, PAMI 1992.
 
+use super::distortion::{Distortion, radial_tangential_derivatives};
 use super::error::ProjectionError;
 use super::polynomial::{first_positive_root, is_positive_until};
 use super::undistortion::{newton, start_within};
 use nalgebra::{Matrix2, Vector2};
 use std::f64::consts::FRAC_PI_2;
 
-/// Squared radius below which `atan(r) / r` is taken from its Taylor series.
-const SMALL_RADIUS_SQUARED: f64 = 1e-10;
-
-/// The image of an ideal equidistant lens (rad), and its Jacobian with respect to the normalized coordinates.
-fn equidistant(normalized: &Vector2<f64>) -> (Vector2<f64>, Matrix2<f64>) {
-    let r2 = normalized.norm_squared();
-    let (gain, bend) = if r2 < SMALL_RADIUS_SQUARED {
-        (1.0 - r2 / 3.0, -2.0 / 3.0)
-    } else {
-        let r = r2.sqrt();
-        let gain = r.atan() / r;
-        (gain, (1.0 / (1.0 + r2) - gain) / r2)
-    };
-    (normalized * gain, Matrix2::identity() * gain + normalized * normalized.transpose() * bend)
-}
+/// Its image is in rad.
+const EQUIDISTANT: Distortion = Distortion::Equidistant([0.0; 4]);
 
 /// The distortion of the equidistant image (rad), and its Jacobian.
 fn distort_angles(k: &[f64; 8], angles: &Vector2<f64>) -> (Vector2<f64>, Matrix2<f64>) {
@@ -55,7 +43,7 @@ fn distort_angles(k: &[f64; 8], angles: &Vector2<f64>) -> (Vector2<f64>, Matrix2
 
 /// Distorted normalized coordinates, and their Jacobian with respect to the undistorted ones.
 pub(super) fn distort_with_jacobian(k: &[f64; 8], normalized: &Vector2<f64>) -> (Vector2<f64>, Matrix2<f64>) {
-    let (angles, by_normalized) = equidistant(normalized);
+    let (angles, by_normalized) = EQUIDISTANT.distort_with_jacobian(normalized);
     let (distorted, by_angles) = distort_angles(k, &angles);
     (distorted, by_angles * by_normalized)
 }
@@ -68,7 +56,7 @@ fn radial_slope(k: &[f64; 8]) -> [f64; 5] {
 
 /// Whether the radial part increases from the centre out to this ray, and the map does not fold at it.
 pub(super) fn covers(k: &[f64; 8], normalized: &Vector2<f64>) -> bool {
-    let (angles, _) = equidistant(normalized);
+    let angles = EQUIDISTANT.distort(normalized);
     is_positive_until(&radial_slope(k), angles.norm_squared())
         && distort_angles(k, &angles).1.determinant() > 0.0
 }
@@ -84,13 +72,5 @@ pub(super) fn undistort(k: &[f64; 8], distorted: &Vector2<f64>) -> Result<Vector
 
 /// Derivatives of the distorted coordinates with respect to `k1`, `k2`, `p1` and `p2`.
 pub(super) fn derivatives(normalized: &Vector2<f64>) -> [Vector2<f64>; 4] {
-    let (angles, _) = equidistant(normalized);
-    let (u, v) = (angles.x, angles.y);
-    let t2 = angles.norm_squared();
-    [
-        angles * t2,
-        angles * (t2 * t2),
-        Vector2::new(2.0 * u * v, t2 + 2.0 * v * v),
-        Vector2::new(t2 + 2.0 * u * u, 2.0 * u * v),
-    ]
+    radial_tangential_derivatives(&EQUIDISTANT.distort(normalized))
 }
