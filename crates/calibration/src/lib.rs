@@ -4,6 +4,7 @@
 //! |---|---|
 //! | `sensors` | [`SensorCalibration`]: [`ImuSensor`] and [`CameraSensor`] |
 //! | [`sensor_yaml`] | `sensor.yaml` of the EuRoC layout |
+//! | [`numbers`] | numbers as text that reads back exactly |
 //! | [`kalibr`] | Kalibr's camera chain and `imu.yaml`, and what OpenVINS, ORB-SLAM3, Basalt and Kimera write |
 //!
 //! `imu_from_camera` takes points in the frame of a camera (x right, y down, z forward) to that of the IMU. Noise densities are
@@ -13,6 +14,7 @@
 
 mod error;
 pub mod kalibr;
+pub mod numbers;
 pub mod sensor_yaml;
 mod sensors;
 mod yaml;

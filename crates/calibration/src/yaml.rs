@@ -1,6 +1,7 @@
 //! What the YAML files of calibrations have in common: OpenCV's dialect, matrices, pinhole cameras, noise densities.
 
 use crate::CalibrationError;
+use crate::numbers::list;
 use geometry::camera::{Camera, Distortion, check_mount};
 use geometry::pose::Pose;
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
@@ -234,19 +235,6 @@ pub fn projection_yaml(camera: &Camera) -> String {
         list(&[before, &pinhole].concat()),
         list(after)
     )
-}
-
-/// Numbers separated by commas, each in the shortest text that reads back as exactly this number.
-fn list(values: &[f64]) -> String {
-    let shortest = |value: &f64| {
-        let magnitude = value.abs();
-        if magnitude == 0.0 || (1e-5..1e15).contains(&magnitude) {
-            format!("{value}")
-        } else {
-            format!("{value:e}")
-        }
-    };
-    values.iter().map(shortest).collect::<Vec<_>>().join(", ")
 }
 
 /// Checks an entry of a calibration.

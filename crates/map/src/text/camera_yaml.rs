@@ -6,7 +6,6 @@ use calibration::{projection_yaml, read_lens};
 use geometry::camera::Camera;
 
 use super::error::MapFileError;
-use super::table::shortest;
 
 /// Reads the camera of a map; extrinsics and rate do not matter to keyframes, which are camera poses.
 ///
@@ -19,9 +18,4 @@ pub fn read_camera(path: &Path) -> Result<Camera, MapFileError> {
 /// The text of a `camera.yaml` that [`read_camera`] reads back exactly.
 pub(super) fn camera_text(camera: &Camera) -> String {
     format!("sensor_type: camera\n{}", projection_yaml(camera))
-}
-
-/// Numbers separated by commas, each in its shortest exact form.
-pub(super) fn list(values: &[f64]) -> String {
-    values.iter().map(|&value| shortest(value)).collect::<Vec<_>>().join(", ")
 }
