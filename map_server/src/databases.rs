@@ -10,7 +10,6 @@ use anyhow::{Context, ensure};
 use map::store;
 use map_server::map_argument::MapArgument;
 use map_server::{MapServer, ServeError, ServedMap};
-use protocol::MapIdentity;
 use recognition::{AliasingRate, LoadedMap};
 use releases::ReleaseKey;
 
@@ -87,7 +86,8 @@ impl MapSource {
     }
 
     /// The map, if its version or its identity differs from the served one.
-    fn newer(&self, served: u64, identity: MapIdentity) -> anyhow::Result<Option<LoadedMap>> {
+    fn newer(&self, present: &LoadedMap) -> anyhow::Result<Option<LoadedMap>> {
+        let (served, identity) = (present.info().version, present.identity());
         let map = match &self.origin {
             Origin::Releases(releases) => releases.newer(served, identity)?,
             Origin::Database(database) => {
@@ -102,6 +102,7 @@ impl MapSource {
             }
         };
         let Some(map) = map else { return Ok(None) };
+        map.keep_aliasing_rate(present);
         map.aliasing_rate();
         ensure!(map.keyframe_count() > 0, "the new version has no keyframes");
         Ok(Some(map))
@@ -113,11 +114,10 @@ pub async fn reload(server: &MapServer, sources: impl Iterator<Item = &MapSource
     for source in sources {
         let name = &source.name;
         let Some(present) = server.served(name) else { continue };
-        let (served, identity) = (present.info().version, present.identity());
-        drop(present);
+        let served = present.info().version;
         let reading = {
             let source = source.clone();
-            in_background(move || source.newer(served, identity))
+            in_background(move || source.newer(&present))
         };
         let read = reading.await.unwrap_or_else(|error| Err(error.into()));
         let replaced = match read {

@@ -1,9 +1,9 @@
 //! A place is believed for what it explains of an image: one picture that repeats elsewhere is no place.
 
 use geometry::Pose;
-use map::{Alias, KeyframeAliases, MapContents};
+use map::{Alias, KeyframeAliases, MapContents, MapMetadata};
 use nalgebra::Vector3;
-use protocol::{LocalizeRequest, MatchOutcome};
+use protocol::{LocalizeRequest, MapIdentity, MatchOutcome};
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 use recognition::{LoadedMap, RecognitionOptions};
@@ -133,6 +133,34 @@ fn a_map_knows_that_its_halls_look_alike_and_which_keyframe_is_like_which() {
     }
     let rate = LoadedMap::from_contents(stated).unwrap().aliasing_rate();
     assert!((rate.aliased - 0.25 * rate.views).abs() < 1e-9, "{rate:?}");
+}
+
+#[test]
+fn a_new_version_keeps_the_rate_of_the_former_unless_it_states_its_own_or_has_other_keyframes() {
+    let contents = dense_place().map;
+    let stating = |keyframes: Vec<u64>| {
+        let mut contents = contents.clone();
+        let of = |keyframe| KeyframeAliases {
+            keyframe,
+            places: vec![Alias { keyframe: contents.keyframes[0].id, log_odds: 3.0 }],
+        };
+        contents.aliases = keyframes.into_iter().map(of).collect();
+        contents.info.identity = Some(MapIdentity::from_bytes([7; 16]));
+        contents
+    };
+    let all: Vec<u64> = contents.keyframes.iter().map(|keyframe| keyframe.id).collect();
+    let former = LoadedMap::from_contents(stating(all[1..].to_vec())).unwrap();
+    let rate_after = |contents: MapContents| {
+        let version = LoadedMap::from_contents(contents).unwrap();
+        version.keep_aliasing_rate(&former);
+        version.aliasing_rate()
+    };
+    assert_eq!(former.aliasing_rate().aliased, former.aliasing_rate().views);
+    assert_eq!(rate_after(stating(Vec::new())), former.aliasing_rate());
+    let own = rate_after(twice(&stating(Vec::new()), Vector3::new(0.0, 50.0, 0.0)));
+    assert_ne!(own, former.aliasing_rate());
+    let other = MapContents { info: MapMetadata { identity: None, ..contents.info.clone() }, ..contents };
+    assert_eq!(rate_after(other).aliased, 0.0);
 }
 
 #[test]

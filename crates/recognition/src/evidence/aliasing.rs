@@ -27,6 +27,8 @@ const COMPARED_KEYFRAMES: usize = 4;
 const OTHER_PLACE: f64 = 0.1;
 /// Shape of the prior of the rate, a beta distribution with two equal ones (Jeffreys).
 const PRIOR_SHAPE: f64 = 0.5;
+/// Part of a map's keyframes that may be others than those of the version whose rate is kept.
+const RENEWED_KEYFRAMES: f64 = 0.1;
 /// Chance that what an image shows of a place has been carried elsewhere since the map was built, or is a copy of it that stands
 /// where the map has not been: a map cannot tell.
 const MOVED: f64 = 0.15;
@@ -60,6 +62,17 @@ impl LoadedMap {
     /// measured with the first call, which takes some tenths of a second.
     pub fn aliasing_rate(&self) -> AliasingRate {
         *self.aliasing.get_or_init(|| self.measure_aliasing())
+    }
+
+    /// Takes the rate of a former version of the map where this one does not state its own and has the same keyframes but for a
+    /// few. Without effect once the rate is known.
+    pub fn keep_aliasing_rate(&self, former: &LoadedMap) {
+        let kept = self.keyframes.iter().filter(|keyframe| former.index_of(keyframe.id).is_some()).count();
+        let is_nearly_the_same =
+            |of: &LoadedMap| (of.keyframes.len() - kept) as f64 <= RENEWED_KEYFRAMES * of.keyframes.len() as f64;
+        if self.identity == former.identity && is_nearly_the_same(self) && is_nearly_the_same(former) {
+            let _ = former.aliasing.get().map(|rate| self.aliasing.set(*rate));
+        }
     }
 
     /// Takes the aliases that a map states, and the rate from them where it does so for most of its keyframes.
