@@ -2,6 +2,8 @@
 
 use std::collections::BTreeSet;
 
+use adjustment::RelativePose;
+
 use super::places::StoredPlace;
 
 /// Keyframes of a map that are tied, at most: the covariance of their poses is a dense matrix that is inverted.
@@ -44,7 +46,6 @@ mod tests {
     use nalgebra::Matrix6;
 
     use super::*;
-    use crate::relative_pose::RelativePose;
 
     /// Places of consecutive views, each of which ties two keyframes that no other ties.
     fn places(count: usize) -> Vec<StoredPlace> {
