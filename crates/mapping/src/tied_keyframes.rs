@@ -2,8 +2,6 @@
 
 use std::collections::BTreeSet;
 
-use adjustment::RelativePose;
-
 use super::places::StoredPlace;
 
 /// Keyframes of a map that are tied, at most: the covariance of their poses is a dense matrix that is inverted.
@@ -42,6 +40,7 @@ pub(super) fn choose_places(
 
 #[cfg(test)]
 mod tests {
+    use adjustment::RelativePose;
     use geometry::pose::Pose;
     use nalgebra::Matrix6;
 
