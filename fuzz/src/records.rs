@@ -1,8 +1,7 @@
 //! Records of a map's database.
 
 use map::store::record::{
-    CommonErrorRecord, CrossCovarianceRecord, InfoRecord, KeyframeRecord, LandmarkRecord, RecordError,
-    unseal, unseal_info,
+    CommonErrorRecord, CrossCovarianceRecord, InfoRecord, KeyframeRecord, LandmarkRecord, RecordError, unseal,
 };
 
 /// Key of the record; any, since the checksum is made for it.
@@ -17,7 +16,7 @@ pub fn store_records(data: &[u8]) {
 }
 
 fn read_all(bytes: impl Fn(&str) -> Vec<u8>) {
-    let _ = unseal_info("info", KEY, &bytes("info")).and_then(InfoRecord::into_info);
+    let _ = unseal::<InfoRecord>("info", KEY, &bytes("info")).and_then(InfoRecord::into_info);
     let keyframe = unseal::<KeyframeRecord>("keyframes", KEY, &bytes("keyframes"));
     let _ = keyframe.and_then(|record| record.into_keyframe(1));
     let _ =

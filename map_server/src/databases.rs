@@ -6,7 +6,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use anyhow::{Context, bail};
+use anyhow::{Context, ensure};
 use map::store;
 use map_server::map_argument::MapArgument;
 use map_server::{MapServer, ServeError, ServedMap};
@@ -80,10 +80,6 @@ impl MapSource {
             landmarks = map.landmark_count(),
             "loaded a map"
         );
-        if map.damaged_records() > 0 {
-            let damaged = map.damaged_records();
-            tracing::warn!(name, "skipped {damaged} damaged records; build or import the map again");
-        }
         if map.keyframe_count() == 0 {
             tracing::warn!(name, "the map has no keyframes: no query will match");
         }
@@ -107,13 +103,8 @@ impl MapSource {
         };
         let Some(map) = map else { return Ok(None) };
         map.aliasing_rate();
-        match (map.damaged_records(), map.keyframe_count()) {
-            (0, 1..) => Ok(Some(map)),
-            (0, 0) => bail!("the new version has no keyframes"),
-            (damaged, _) => {
-                bail!("{damaged} records of the new version are damaged; build or import the map again")
-            }
-        }
+        ensure!(map.keyframe_count() > 0, "the new version has no keyframes");
+        Ok(Some(map))
     }
 }
 

@@ -7,7 +7,6 @@
 //! A client is the session that it states, where that is connected, or the subject of its certificate (`senders`); whoever states
 //! another name shares one place with all that do. What a query costs beyond its bytes is charged to its client when it is known.
 
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -103,9 +102,7 @@ impl Target {
 
 /// Waiting queries.
 pub(crate) struct Queue {
-    waiting: Mutex<FairQueue<Job>>,
-    /// Written under the lock of `waiting`.
-    closed: AtomicBool,
+    waiting: Mutex<Waiting>,
     /// A job was added, or the queue was closed.
     changed: Condvar,
     metrics: Arc<ServerMetrics>,
@@ -113,6 +110,12 @@ pub(crate) struct Queue {
     senders: Arc<Senders>,
     /// Places for queries that wait for a cell, in bytes: as much as the queue has.
     set_aside: Arc<Semaphore>,
+}
+
+struct Waiting {
+    jobs: FairQueue<Job>,
+    /// No more are taken in.
+    is_closed: bool,
 }
 
 impl Queue {
@@ -126,8 +129,7 @@ impl Queue {
     ) -> Arc<Queue> {
         let places = fair_queue::capacity_of(length, bytes);
         Arc::new(Queue {
-            waiting: Mutex::new(FairQueue::new(length, bytes)),
-            closed: AtomicBool::new(false),
+            waiting: Mutex::new(Waiting { jobs: FairQueue::new(length, bytes), is_closed: false }),
             changed: Condvar::new(),
             metrics,
             reports,
@@ -150,7 +152,7 @@ impl Queue {
         let client = job.client.clone();
         let refused = {
             let mut waiting = self.lock();
-            if self.closed.load(Ordering::Relaxed) { vec![job] } else { waiting.put(&client, bytes, job) }
+            if waiting.is_closed { vec![job] } else { waiting.jobs.put(&client, bytes, job) }
         };
         self.changed.notify_one();
         for job in &refused {
@@ -171,15 +173,15 @@ impl Queue {
     pub(crate) fn take(&self) -> Option<Job> {
         let mut waiting = self.lock();
         loop {
-            let next = waiting.take();
-            if next.is_some() || self.closed.load(Ordering::Relaxed) {
+            let next = waiting.jobs.take();
+            if next.is_some() || waiting.is_closed {
                 return next;
             }
             waiting = self.changed.wait(waiting).unwrap_or_else(PoisonError::into_inner);
         }
     }
 
-    fn lock(&self) -> MutexGuard<'_, FairQueue<Job>> {
+    fn lock(&self) -> MutexGuard<'_, Waiting> {
         self.waiting.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -187,15 +189,13 @@ impl Queue {
     pub(crate) fn charge(&self, client: &Client, bytes: usize, elapsed: Duration) {
         let extra = fair_queue::extra_cost(bytes, elapsed);
         if extra > 0 {
-            self.lock().charge(client, extra);
+            self.lock().jobs.charge(client, extra);
         }
     }
 
     /// Ends the workers once the queue is empty.
     pub(crate) fn close(&self) {
-        let waiting = self.lock();
-        self.closed.store(true, Ordering::Relaxed);
-        drop(waiting);
+        self.lock().is_closed = true;
         self.changed.notify_all();
     }
 }

@@ -229,7 +229,7 @@ fn the_page_shows_the_version_that_is_served_with_metrics_beside_it() {
     assert!(get(address, "/metrics").contains("driftless_map_server"));
     assert!(get(address, "/health").starts_with("HTTP/1.1 200"));
 
-    let contents = store::load_map(&path).unwrap().whole().unwrap();
+    let contents = store::load_map(&path).unwrap().contents;
     store::save_map(&path, &contents, true).unwrap();
     signal(&server, "-HUP");
     while !get(address, "/api/maps").contains(r#""version":2"#) {
@@ -305,7 +305,7 @@ async fn sighup_serves_the_new_version_and_says_what_changed() {
     std::fs::write(&database, &whole).unwrap();
 
     // Two keyframes moved by 0.3 m together, out of five.
-    let mut contents = store::load_map(&path).unwrap().whole().unwrap();
+    let mut contents = store::load_map(&path).unwrap().contents;
     let moved: Vec<u64> = contents.keyframes[..2].iter().map(|keyframe| keyframe.id).collect();
     for keyframe in &mut contents.keyframes[..2] {
         keyframe.global_from_keyframe.pose.translation.y += 0.3;

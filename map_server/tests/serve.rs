@@ -270,7 +270,7 @@ async fn bad_queries_are_answered_with_errors_and_the_server_goes_on() {
     let cases: Vec<(Option<Vec<u8>>, ErrorCode)> = vec![
         (None, ErrorCode::BadRequest),
         (Some(b"hello".to_vec()), ErrorCode::BadRequest),
-        (Some(b"{\"schema\": 7}".to_vec()), ErrorCode::BadRequest),
+        (Some(format!("{{\"schema\": {}}}", protocol::SCHEMA_VERSION).into_bytes()), ErrorCode::BadRequest),
         (Some(vec![0xff; 100_000]), ErrorCode::BadRequest),
         (Some(changed(&|payload| payload.truncate(payload.len() / 2))), ErrorCode::BadRequest),
         (Some(changed(&|payload| *payload.last_mut().unwrap() ^= 1)), ErrorCode::BadRequest),

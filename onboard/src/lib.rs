@@ -1,23 +1,15 @@
-//! The robot program as a library: plays a sensor source through the estimator, queries the map, publishes, records.
-//!
-//! The estimator runs on the caller's thread. Queries and publications run on the async runtime and are handed over
-//! through channels: the estimator never waits for the network.
+//! The robot program as a library: the crate `robot` with a command line, settings in files, and its outputs: files, messages
+//! over Zenoh, topics of ROS 2, recordings, metrics.
 //!
 //! | module | what |
 //! |---|---|
 //! | [`arguments`] | switches of the robot and settings of the estimator |
 //! | `cli` (feature `ros`) | the command line of `onboard`, and its settings file |
-//! | [`program`] | [`run_robot`] and its kin: builds a run from the switches, scores it, writes the output folder |
-//! | [`run`](mod@run), `map_queries` | [`RobotRun`]: the loop over frames; sending queries, applying answers and map changes |
-//! | `input` | reads a [`SensorSource`](sensors::SensorSource) ahead; the window of IMU readings |
+//! | [`program`] | [`run_robot`] and its kin: builds a [`robot::Robot`] from the switches, scores the run, writes the output folder |
 //! | [`start`] | initial state and excerpt of a recording |
-//! | [`alarms`], `run_status` | what contradicts the sensors or the map: logged when it begins and ends, kept for the summary |
 //! | [`native`], `ros_sensors`, `ros_camera_info`, `topic_watch` (feature `ros`) | live sensors over Zenoh, as ROS 2 topics; projections of their cameras; why a topic is silent |
-//! | [`initial_pose`] | poses that an operator sets, as priors of map queries |
-//! | `prediction` | odometry at the rate of the IMU |
-//! | [`extraction`] | features from images; tracks are made by the crate `odometry` |
-//! | [`outputs`] | files, summary, messages, ROS 2 topics |
-//! | [`stop`], [`progress`], [`stdout`] | signals and terminal |
+//! | [`outputs`] | each a [`robot::Output`]: files, messages, ROS 2 topics, recordings, metrics, the status in the log; the summary |
+//! | [`progress`], [`stdout`], [`stop`] | terminal and signals |
 //!
 //! A robot without map and network, on a simulated recording:
 //! ```
@@ -35,36 +27,25 @@
 //! ```
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
-pub mod alarms;
 pub mod arguments;
 #[cfg(feature = "ros")]
 pub mod cli;
-pub mod extraction;
-pub mod initial_pose;
-mod input;
-mod link;
-pub mod map_conversion;
-mod map_queries;
 pub mod native;
 pub mod outputs;
-mod prediction;
 pub mod program;
 pub mod progress;
 #[cfg(feature = "ros")]
 pub mod ros_camera_info;
 #[cfg(feature = "ros")]
 pub mod ros_sensors;
-pub mod run;
-mod run_status;
 pub mod start;
 pub mod stdout;
-pub mod stop;
 #[cfg(feature = "ros")]
 mod topic_watch;
 
 pub use arguments::RobotArguments;
-pub use link::{LinkError, MapLink, OpeningLink, RobotLink};
-pub use outputs::{EndedLost, Event, PairSummary, Recorder, RobotMetrics, Summary};
+pub use outputs::{EndedLost, Recorder, RobotMetrics, Summary};
 pub use program::{Outcome, run_robot, run_robot_until, run_source_until};
-pub use run::{RobotRun, RunError, run};
-pub use stop::StopSignal;
+pub use robot::counts::PairSummary;
+pub use robot::stop::{self, StopSignal};
+pub use robot::{Event, MapLink, OpeningLink, RobotLink};

@@ -31,7 +31,7 @@ use tracing_subscriber::EnvFilter;
 const QUIET: &str = "warn,client::session=info,zenoh=error,zenoh::net::runtime::orchestrator=warn";
 /// Log filter in real time: changes of the state and a line a minute as well.
 const REALTIME: &str =
-    "warn,onboard=info,client::session=info,zenoh=error,zenoh::net::runtime::orchestrator=warn";
+    "warn,onboard=info,robot=info,client::session=info,zenoh=error,zenoh::net::runtime::orchestrator=warn";
 
 /// A session that takes longer to open is reported, each time.
 const SESSION_WARNING: Duration = Duration::from_secs(2);

@@ -1,20 +1,17 @@
 //! The robot as a program: builds a run from the switches, plays a source, scores it, and writes the output folder.
 
 use super::arguments::{Init, RobotArguments};
-use super::extraction::ExtractionThread;
-use super::initial_pose::InitialPoseSearch;
-use super::link::{MapLink, RobotLink};
-use super::outputs::{EVENTS, Event, MessageRecording, Recorder, RecordingSettings, STATES, Summary};
-use super::prediction::Prediction;
-use super::run::{RobotRun, RunError, run};
+use super::outputs::{
+    EVENTS, MessageRecording, Recorder, RecordingSettings, STATES, StatusLine, Summary, ZenohOutput,
+};
 use super::start::{excerpt, initial_state};
-use super::stop::StopSignal;
 use anyhow::{Context as _, Result, bail};
-use estimator::{CalibratedCamera, Estimator, EstimatorConfig, InitialState, MapMode};
+use estimator::{EstimatorConfig, InitialState, MapMode};
 use evaluation::trajectory::StateRow;
 use evaluation::trajectory::states::StateReader;
 use evaluation::{RunScore, ScoreError, ScoreOptions, score_rows};
-use odometry::{EstimatorSupervisor, FrontEnd};
+use robot::stop::StopSignal;
+use robot::{Event, LinkError, MapLink, Robot, RobotLink, RobotSettings, RunError, RunReport};
 use sensors::{Contents, Recording, Rows, SensorCalibration, SensorSource, SequenceError, check_stereo};
 use std::path::PathBuf;
 use std::time::Duration;
@@ -141,7 +138,7 @@ struct FinishedRun {
     cameras: usize,
     config: EstimatorConfig,
     recorder: Recorder,
-    ended_early: Option<RunError>,
+    report: RunReport,
     out: PathBuf,
 }
 
@@ -159,44 +156,56 @@ fn play(
     let link = link.filter(|link| link.map().is_none() || config.mode != MapMode::Odometry);
     let map = link.as_ref().and_then(RobotLink::map).map(str::to_owned);
     let mask = if contents.images { arguments.features.read_mask()? } else { None };
-    let front_end = front_end(source.calibration(), contents, arguments, cameras, mask.as_ref())?;
-    let supervisor = supervisor(source.calibration(), cameras, &config, initial.as_ref())?;
     let calibration = source.calibration().clone();
-    let readings = source.tap_imu();
-    let mut robot = RobotRun::new(source, supervisor);
-    robot.prediction = readings
-        .map(Prediction::start)
-        .transpose()
-        .context("the thread of the prediction cannot be started")?;
-    robot.stop = stop.clone();
-    robot.robot.clone_from(&arguments.robot);
-    robot.topics = arguments.topics.into();
-    robot.front_end = front_end;
-    robot.query_interval_ns = (arguments.query_interval * 1e9) as i64;
-    robot.max_keyframes = arguments.max_keyframes;
-    robot.realtime |= arguments.realtime;
+    let realtime = arguments.realtime || source.live().is_some();
+    let mut settings = settings(arguments, config.clone(), mask.as_ref());
+    (settings.cameras, settings.initial, settings.stop) = (cameras, initial, stop.clone());
+    // Lent to the robot, which it therefore outlives.
+    let mut recorder;
+    let mut robot = Robot::new(source, settings)?;
+    robot.add_output(arguments.metrics.clone());
+    robot.add_output(StatusLine::default());
     if let Some(ros) = &arguments.ros {
         ros.publish_mounting(&calibration.cameras);
     }
-    robot.recording = recording(arguments, calibration, robot.realtime, map.is_some())?;
-    robot.metrics = arguments.metrics.clone();
-    robot.ros.clone_from(&arguments.ros);
-    robot.initial_pose = InitialPoseSearch::new(arguments.initial_poses.clone());
+    if let Some(recording) = recording(arguments, calibration, realtime, map.is_some())? {
+        robot.add_output(recording);
+    }
+    if let Some(ros) = &arguments.ros {
+        robot.add_output(ros.clone());
+    }
+    robot.add_output(ZenohOutput::new(arguments.topics.into()));
     if let Some(link) = link {
-        robot.query_deadline = Duration::from_secs_f64(arguments.deadline);
-        robot.set_link(link)?;
+        connect(&mut robot, link)?;
         if map.is_some() {
-            robot.extraction = extraction(contents, arguments, mask)?;
+            extract_features(&mut robot, contents, arguments, mask)?;
         }
     }
     // Created before the run: a run whose results cannot be kept is not begun.
-    let mut recorder = Recorder::create(&arguments.out).context("--out")?;
-    let ended_early = run(robot, &mut recorder, progress).err();
-    if let Some(reason) = &ended_early {
+    recorder = Recorder::create(&arguments.out).context("--out")?;
+    robot.add_output(&mut recorder);
+    let report = robot.run(progress);
+    if let Some(reason) = &report.ended_early {
         tracing::error!(%reason, "the run ended early");
     }
     recorder.finish_states()?;
-    Ok(FinishedRun { name, map, cameras, config, recorder, ended_early, out: arguments.out.clone() })
+    Ok(FinishedRun { name, map, cameras, config, recorder, report, out: arguments.out.clone() })
+}
+
+/// The settings that the switches state.
+fn settings(arguments: &RobotArguments, config: EstimatorConfig, mask: Option<&GrayImage>) -> RobotSettings {
+    let mut settings = RobotSettings::new(config);
+    settings.name.clone_from(&arguments.robot);
+    settings.tracker = TrackerOptions::default().points(arguments.points);
+    if let Some(mask) = mask {
+        settings.tracker = settings.tracker.mask(0, mask.clone());
+    }
+    settings.realtime = arguments.realtime;
+    settings.query_interval_ns = (arguments.query_interval * 1e9) as i64;
+    settings.query_deadline = Duration::try_from_secs_f64(arguments.deadline).unwrap_or(Duration::MAX);
+    settings.max_keyframes = arguments.max_keyframes;
+    settings.initial_poses = arguments.initial_poses.clone();
+    settings
 }
 
 /// The recording that `--record` asks for.
@@ -218,66 +227,35 @@ fn recording(
     MessageRecording::start(path, settings).map(Some).context("--record")
 }
 
-/// The estimator in its initial state, or about to initialize itself.
-fn supervisor(
-    calibration: &SensorCalibration,
-    cameras: usize,
-    config: &EstimatorConfig,
-    initial: Option<&InitialState>,
-) -> Result<EstimatorSupervisor> {
-    let rig: Vec<CalibratedCamera> = calibration.cameras[..cameras]
-        .iter()
-        .map(|sensor| CalibratedCamera {
-            camera: sensor.camera.clone(),
-            imu_from_camera: sensor.imu_from_camera,
-        })
-        .collect();
-    Ok(match initial {
-        Some(initial) => {
-            EstimatorSupervisor::running(Estimator::new(config.clone(), rig.clone(), initial)?, rig)
-        }
-        None => EstimatorSupervisor::initializing(config.clone(), rig),
+/// Connects the robot; what is wrong with the name of the map names its switch.
+fn connect(robot: &mut Robot<'_>, link: RobotLink) -> Result<()> {
+    robot.connect(link).map_err(|error| match error {
+        LinkError::MapName(_) => anyhow::Error::new(error).context("--map"),
+        other => other.into(),
     })
 }
 
-/// Makes tracks of the images of a source that has images and no tracks.
-fn front_end(
-    calibration: &SensorCalibration,
-    contents: Contents,
-    arguments: &RobotArguments,
-    cameras: usize,
-    mask: Option<&GrayImage>,
-) -> Result<Option<FrontEnd>> {
-    if !contents.images || contents.tracks {
-        return Ok(None);
-    }
-    let mut options = TrackerOptions::default().points(arguments.points);
-    if let Some(mask) = mask {
-        options = options.mask(0, mask.clone());
-    }
-    Ok(Some(FrontEnd::new(&calibration.cameras[..cameras], options)?))
-}
-
 /// Makes features of the images of a source that has images and no features.
-fn extraction(
+fn extract_features(
+    robot: &mut Robot<'_>,
     contents: Contents,
     arguments: &RobotArguments,
     mask: Option<GrayImage>,
-) -> Result<Option<ExtractionThread>> {
+) -> Result<()> {
     if !contents.images || contents.features {
-        return Ok(None);
+        return Ok(());
     }
     let settings = &arguments.features;
-    let thread = ExtractionThread::start(settings.open_for_queries()?, settings.max_features, mask)
-        .context("the thread of the feature extractor cannot be started")?;
-    Ok(Some(thread))
+    let extractor = settings.open_for_queries()?;
+    let started = robot.extract_features(extractor, settings.max_features, mask);
+    started.context("the thread of the feature extractor cannot be started")
 }
 
 impl FinishedRun {
     /// Writes the summary.
     fn finish(self, score: Result<RunScore, NoScore>) -> Result<Outcome> {
-        let Self { name, map, cameras, config, recorder, ended_early, out } = self;
-        let seconds = recorder.seconds();
+        let Self { name, map, cameras, config, recorder, report, out } = self;
+        let (seconds, reinitializations) = (report.seconds(), report.reinitializations());
         let (score, no_score) = match score {
             Ok(score) => (Some(score), None),
             Err(reason) => (None, Some(reason.to_string())),
@@ -285,34 +263,34 @@ impl FinishedRun {
         let summary = Summary {
             sequence: name,
             map,
-            map_identity: recorder.map_identity.map(|identity| identity.to_string()),
+            map_identity: report.map_identity.map(|identity| identity.to_string()),
             cameras,
-            frames: recorder.frames,
-            skipped_frames: recorder.skipped_frames,
-            stereo_pairs: recorder.stereo_pairs,
-            dropped_frames: recorder.dropped_frames,
-            dropped_imu: recorder.dropped_imu,
-            imu_gaps: recorder.imu_gaps,
+            frames: report.frames,
+            skipped_frames: report.skipped_frames,
+            stereo_pairs: report.stereo_pairs,
+            dropped_frames: report.dropped_frames,
+            dropped_imu: report.dropped_imu,
+            imu_gaps: report.imu_gaps,
             seconds,
-            wall_seconds: recorder.wall_seconds,
-            realtime_factor: seconds / recorder.wall_seconds.max(1e-9),
-            milliseconds_per_frame: recorder.timings.mean(),
+            wall_seconds: report.wall_seconds,
+            realtime_factor: seconds / report.wall_seconds.max(1e-9),
+            milliseconds_per_frame: report.timings.mean(),
             score,
             no_score,
-            queries: recorder.queries,
-            map_changes: recorder.map_changes,
-            keyframes_pulled: recorder.keyframes_pulled,
-            keyframes_held: recorder.keyframes_held,
-            wire_bytes: recorder.traffic,
-            tracks: recorder.tracks,
-            reinitializations: recorder.reinitializations(),
-            starts: recorder.starts.clone(),
-            divergences: recorder.divergences.clone(),
-            learned_noise: recorder.learned_noise,
-            alarms: recorder.alarms.clone(),
-            final_status: recorder.final_status.clone(),
-            interrupted: matches!(ended_early, Some(RunError::Interrupted { .. })),
-            ended_early: ended_early.map(|reason| reason.to_string()),
+            queries: report.queries,
+            map_changes: report.map_changes,
+            keyframes_pulled: report.keyframes_pulled,
+            keyframes_held: report.keyframes_held,
+            wire_bytes: report.traffic,
+            tracks: report.tracks,
+            reinitializations,
+            starts: report.starts,
+            divergences: report.divergences,
+            learned_noise: report.learned_noise,
+            alarms: report.alarms,
+            final_status: report.final_status,
+            interrupted: matches!(report.ended_early, Some(RunError::Interrupted { .. })),
+            ended_early: report.ended_early.map(|reason| reason.to_string()),
             settings: config,
         };
         recorder.write_summary(&summary)?;

@@ -1,8 +1,8 @@
 //! Projections of cameras from their `sensor_msgs/CameraInfo`.
 
-use crate::stop::StopSignal;
 use anyhow::{Context as _, Result, bail};
 use geometry::Camera;
+use robot::stop::StopSignal;
 use ros_messages::sensor_msgs::CameraInfo;
 use ros2::liveliness::Endpoint;
 use ros2::{Node, NodeOptions, Qos, Subscriber, explain_silence};

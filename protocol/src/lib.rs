@@ -35,14 +35,14 @@
 //! |---|---|
 //! | pose | `{"rotation_wxyz": [w, x, y, z], "translation": [x, y, z], "covariance": [6 rows of 6]}` |
 //! | camera | `{"width": 752, "height": 480, "focal": [fx, fy], "centre": [cx, cy], "distortion": ..}` |
-//! | distortion | `"none"`, `{"radial_tangential": [k1, k2, p1, p2]}`, `{"equidistant": [k1, k2, k3, k4]}`, `{"fov": omega}` |
+//! | distortion | `"none"`, `{"radial_tangential": [k1, k2, p1, p2]}`, `{"equidistant": [k1, k2, k3, k4]}`, `{"fov": omega}`, `{"rational": [12 numbers]}`, `{"thin_prism_fisheye": [8 numbers]}`, `{"double_sphere": {"xi": .., "alpha": ..}}`, `{"eucm": {"alpha": .., "beta": ..}}`, `{"omni": {"xi": .., "distortion": [k1, k2, p1, p2]}}` |
 //! | descriptors | `{"kind": "binary", "width": 32, "hex": ["76f9e9..", ..]}`; `float` ones are the bytes of little-endian `f32`s |
 //! | standard deviation | `sigma_<what>_<unit>` |
 //!
 //! ```
 //! use protocol::{Format, LocalizeRequest, decode};
 //! let request: LocalizeRequest = decode(Format::Json, br#"{
-//!     "schema": 7,
+//!     "schema": 8,
 //!     "camera": {"width": 640, "height": 480, "focal": [500, 500], "centre": [319.5, 239.5], "distortion": "none"},
 //!     "features": {"pixels": [[10, 20]], "descriptors": {"kind": "binary", "width": 2, "hex": ["a0ff"]}}
 //! }"#)?;

@@ -15,7 +15,8 @@
 ///   `map_version_held`, correlations among the held keyframes are not sent again.
 /// * 6: the status of a match has `log_odds` and `log_prior_odds`, the reply to a localization query has `places`.
 /// * 7: the state of a robot that only starts is `starting` (was `lost`).
-pub const SCHEMA_VERSION: u16 = 7;
+/// * 8: cameras have the distortions `rational`, `thin_prism_fisheye`, `double_sphere`, `eucm` and `omni`.
+pub const SCHEMA_VERSION: u16 = 8;
 
 /// Longest payload that is encoded or decoded, envelope included.
 ///

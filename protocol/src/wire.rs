@@ -110,6 +110,11 @@ enum DistortionForm {
     RadialTangential([f64; 4]),
     Equidistant([f64; 4]),
     Fov(f64),
+    Rational([f64; 12]),
+    ThinPrismFisheye([f64; 8]),
+    DoubleSphere { xi: f64, alpha: f64 },
+    Eucm { alpha: f64, beta: f64 },
+    Omni { xi: f64, distortion: [f64; 4] },
 }
 
 /// `#[serde(with = "wire::keyframe_set")]`: a set of keyframe ids.

@@ -152,11 +152,11 @@ fn a_message_beyond_the_limit_is_not_sent() {
 /// Widths and counts written in JSON reserve nothing; deep nesting does not overflow the stack.
 #[test]
 fn hostile_json_is_refused_and_costs_nothing() {
-    let nested = format!("{{\"schema\":7,\"held\":{}", "[".repeat(1_000_000));
-    let unknown = format!("{{\"schema\":7,\"unknown\":{}", "[".repeat(1_000_000));
+    let nested = format!("{{\"schema\":8,\"held\":{}", "[".repeat(1_000_000));
+    let unknown = format!("{{\"schema\":8,\"unknown\":{}", "[".repeat(1_000_000));
     let features = r#"{"pixels": [], "descriptors": {"kind": "binary", "width": 65535, "hex": ["00"]}}"#;
-    let wide = format!("{{\"schema\":7,\"features\":{features}}}");
-    let huge = r#"{"schema":7,"max_keyframes":1e999}"#.to_owned();
+    let wide = format!("{{\"schema\":8,\"features\":{features}}}");
+    let huge = r#"{"schema":8,"max_keyframes":1e999}"#.to_owned();
     assert_costs_no_memory(|| {
         for text in
             [nested, unknown, wide, huge, "[1]".into(), "null".into(), String::new(), "\"\u{0}".into()]
@@ -181,17 +181,17 @@ fn hexadecimal_that_is_none_is_refused() {
 #[test]
 fn another_schema_says_both_versions_and_what_to_do() {
     let mut bytes = encode(Format::Bincode, &small_request()).unwrap();
-    bytes[4..6].copy_from_slice(&8_u16.to_le_bytes());
+    bytes[4..6].copy_from_slice(&9_u16.to_le_bytes());
     let text = String::from_utf8(encode(Format::Json, &small_request()).unwrap()).unwrap();
-    let json = text.replacen("\"schema\":7", "\"schema\":8", 1);
+    let json = text.replacen("\"schema\":8", "\"schema\":9", 1);
     for (format, bytes) in [(Format::Bincode, &bytes[..]), (Format::Json, json.as_bytes())] {
         let error = refusal::<MatchRequest>(format, bytes);
-        assert!(matches!(error, CodecError::SchemaMismatch { found: 8, expected: SCHEMA_VERSION }));
+        assert!(matches!(error, CodecError::SchemaMismatch { found: 9, expected: SCHEMA_VERSION }));
         let said = error.to_string();
-        assert!(said.contains("schema 8") && said.contains("schema 7") && said.contains("update"), "{said}");
+        assert!(said.contains("schema 9") && said.contains("schema 8") && said.contains("update"), "{said}");
         assert_eq!(ErrorReply::from(&error).code, ErrorCode::SchemaMismatch);
     }
-    let missing = text.replacen("\"schema\":7,", "", 1);
+    let missing = text.replacen("\"schema\":8,", "", 1);
     let error = refusal::<MatchRequest>(Format::Json, missing.as_bytes());
     assert!(matches!(error, CodecError::MissingSchema));
 }

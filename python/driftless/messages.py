@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from .errors import Unreadable
 from .poses import Array, Pose, numbers
 
-SCHEMA = 7
+SCHEMA = 8
 """Version of the messages that this package reads and writes."""
 
 T = TypeVar("T")

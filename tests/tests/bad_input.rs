@@ -5,14 +5,14 @@ use evaluation::{ScoreOptions, score_run};
 use nalgebra::Vector3;
 use odometry::EstimatorSupervisor;
 use onboard::arguments::Init;
-use onboard::map_conversion::map_answer;
 use onboard::start::initial_state;
-use onboard::{Recorder, RobotRun, run as play};
 use protocol::{
     DescriptorKind, Descriptors, ErrorCode, FeatureSet, Format, LocalizeReply, LocalizeRequest, MapInfoReply,
     MatchOutcome, MatchReply, MatchedKeyframe,
 };
 use recognition::{LoadedMap, RecognitionOptions};
+use robot::map_conversion::map_answer;
+use robot::{Robot, RobotSettings};
 use sensors::{Recording, Sequence, writer};
 use tests::network::{messages, only_error};
 use tests::robot::{arguments, assert_every_frame_has_a_state, images, request, run};
@@ -271,15 +271,15 @@ fn an_answer_that_comes_too_late_is_reported_and_does_no_harm() {
     assert!(late.global_from_imu().is_none() && late.held_keyframes().is_empty());
 
     // It goes on as if nothing had come.
-    let folder = tempfile::tempdir().unwrap();
-    let mut recorder = Recorder::create(folder.path()).unwrap();
     let mut rest = live.clone();
     rest.frames.drain(..frames);
     let last_ns = live.frames[frames - 1].stamp_ns;
     rest.imu_samples.retain(|sample| sample.stamp_ns > last_ns + 5_000_000);
     let recording = Recording::from(&rest);
     let mut source = recording.source().unwrap();
-    let robot = RobotRun::new(&mut source, EstimatorSupervisor::running(late, rig(live)));
-    play(robot, &mut recorder, |_| {}).unwrap();
-    assert_eq!(recorder.frames, rest.frames.len());
+    let settings = RobotSettings::new(late.config().clone());
+    let supervisor = EstimatorSupervisor::running(late, rig(live));
+    let report = Robot::with_estimator(&mut source, supervisor, settings).unwrap().run(|_| {});
+    assert!(report.ended_early.is_none(), "{report:?}");
+    assert_eq!(report.frames, rest.frames.len());
 }

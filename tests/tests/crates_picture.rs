@@ -15,13 +15,24 @@ fn short(package: &str) -> String {
     package.trim_start_matches("driftless-").replace('-', "_")
 }
 
+/// What cargo prints.
+fn cargo(root: &Path, arguments: &[&str]) -> Vec<u8> {
+    let cargo = std::env::var("CARGO").unwrap_or_else(|_| "cargo".to_owned());
+    let always = ["--offline", "--locked"];
+    let output = Command::new(cargo).args(arguments).args(always).current_dir(root).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    output.stdout
+}
+
+/// The folder of the workspace.
+fn root() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap()
+}
+
 /// The crates of this workspace, by cargo.
 fn crates(root: &Path) -> BTreeMap<String, Crate> {
-    let cargo = std::env::var("CARGO").unwrap_or_else(|_| "cargo".to_owned());
-    let arguments = ["metadata", "--no-deps", "--offline", "--locked", "--format-version", "1"];
-    let output = Command::new(cargo).args(arguments).current_dir(root).output().unwrap();
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    let metadata: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let metadata = cargo(root, &["metadata", "--no-deps", "--format-version", "1"]);
+    let metadata: Value = serde_json::from_slice(&metadata).unwrap();
     let packages = metadata["packages"].as_array().unwrap();
     let text = |value: &Value| value.as_str().unwrap().to_owned();
     let is_drawn = |package: &&Value| !LEFT_OUT.contains(&short(&text(&package["name"])).as_str());
@@ -42,7 +53,7 @@ fn crates(root: &Path) -> BTreeMap<String, Crate> {
 /// `UPDATE=1` writes the picture.
 #[test]
 fn dependencies_run_downward_and_the_picture_shows_them() {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
+    let root = root();
     let crates = crates(root);
     let picture = draw(&crates).unwrap_or_else(|circle| panic!("these depend on each other: {circle:?}"));
     let path = root.join("docs/src/images/crates.svg");
@@ -59,6 +70,19 @@ fn dependencies_run_downward_and_the_picture_shows_them() {
         let is_listed =
             [format!("| `{name}` |"), format!("| `crates/{name}` |")].iter().any(|row| table.contains(row));
         assert!(is_listed, "ARCHITECTURE.md does not list {name}");
+    }
+}
+
+#[test]
+fn an_embedded_robot_links_no_command_line_no_ros_no_metrics_and_no_files_of_runs() {
+    let tree = cargo(root(), &["tree", "-p", "driftless-robot", "-e", "normal", "--prefix", "none"]);
+    let tree = String::from_utf8(tree).unwrap();
+    let linked = |name: &str| tree.lines().any(|line| line.split(' ').next() == Some(name));
+    assert!(linked("driftless-estimator") && linked("zenoh"), "{tree}");
+    for name in
+        ["clap", "driftless-ros2", "prometheus-client", "driftless-monitoring", "driftless-evaluation"]
+    {
+        assert!(!linked(name), "{name} is linked:\n{tree}");
     }
 }
 

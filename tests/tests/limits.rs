@@ -44,6 +44,10 @@ fn limits() -> BTreeMap<&'static str, String> {
         ("geometry::camera::MAX_FOCAL", format!("to {} times", grouped(camera::MAX_FOCAL as u64))),
         ("geometry::camera::MAX_CENTRE_OFFSET", format!("{} longer sides", camera::MAX_CENTRE_OFFSET)),
         ("geometry::camera::MAX_DISTORTION", format!("{} times", camera::MAX_DISTORTION)),
+        (
+            "geometry::camera::MAX_RATIONAL_TERM",
+            format!("{} times", grouped(camera::MAX_RATIONAL_TERM as u64)),
+        ),
         ("geometry::camera::MAX_CAMERA_SIDE", count(camera::MAX_CAMERA_SIDE as usize, "columns")),
         ("geometry::camera::MAX_MOUNT_M", format!("{} m", grouped(camera::MAX_MOUNT_M as u64))),
         ("geometry::MAX_COORDINATE_M", format!("{} km", grouped(geometry::MAX_COORDINATE_M as u64 / 1000))),

@@ -109,7 +109,7 @@ fn what_stays_keeps_its_id_and_what_does_not_belong_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("loop.db");
     let saved = save_map(&path, &first, false).unwrap();
-    let stored = load_map(&path).unwrap().whole().unwrap();
+    let stored = load_map(&path).unwrap().contents;
     let (extended, report) = extend(&stored, &mut parts[1]).unwrap();
     let again = save_map(&path, &extended, true).unwrap();
     assert_eq!((saved.version, again.version), (1, 2));

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use anyhow::{Context as _, Result, bail};
 use geometry::Camera;
-use onboard::extraction::FeatureArguments;
+use onboard::arguments::FeatureArguments;
 use protocol::{FeatureSet, LocalizeRequest};
 use sensors::{CalibrationFiles, Frame, ImageData, Sequence};
 use vision::{GrayImage, feature_set};

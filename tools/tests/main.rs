@@ -16,6 +16,8 @@ mod fleet;
 mod full_disk;
 #[cfg(unix)]
 mod kills;
+#[cfg(all(feature = "bags", feature = "releases", feature = "secure"))]
+mod links;
 #[cfg(unix)]
 mod live_page;
 mod maps;

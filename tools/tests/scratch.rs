@@ -70,7 +70,7 @@ pub fn place(seed: u64) -> map::MapContents {
 
 /// The keyframes of a map.
 pub fn ids(path: &Path) -> BTreeSet<u64> {
-    load_map(path).unwrap().whole().unwrap().keyframes.iter().map(|keyframe| keyframe.id).collect()
+    load_map(path).unwrap().contents.keyframes.iter().map(|keyframe| keyframe.id).collect()
 }
 
 /// A town that was driven through twice: `town/live`, and a map of each drive, `hall.db` and `second.db`. Made once.

@@ -4,6 +4,7 @@
 //! |---|---|
 //! | `sensors` | [`SensorCalibration`]: [`ImuSensor`] and [`CameraSensor`] |
 //! | [`sensor_yaml`] | `sensor.yaml` of the EuRoC layout |
+//! | [`numbers`] | numbers as text that reads back exactly |
 //! | [`kalibr`] | Kalibr's camera chain and `imu.yaml`, and what OpenVINS, ORB-SLAM3, Basalt and Kimera write |
 //!
 //! `imu_from_camera` takes points in the frame of a camera (x right, y down, z forward) to that of the IMU. Noise densities are
@@ -13,6 +14,7 @@
 
 mod error;
 pub mod kalibr;
+pub mod numbers;
 pub mod sensor_yaml;
 mod sensors;
 mod yaml;
@@ -20,4 +22,4 @@ mod yaml;
 pub use error::CalibrationError;
 pub use sensor_yaml::{lens_of_text, read_lens};
 pub use sensors::{CameraSensor, ImuSensor, SensorCalibration};
-pub use yaml::Lens;
+pub use yaml::{Lens, projection_yaml};

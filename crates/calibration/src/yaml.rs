@@ -1,6 +1,7 @@
 //! What the YAML files of calibrations have in common: OpenCV's dialect, matrices, pinhole cameras, noise densities.
 
 use crate::CalibrationError;
+use crate::numbers::list;
 use geometry::camera::{Camera, Distortion, check_mount};
 use geometry::pose::Pose;
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
@@ -102,27 +103,73 @@ impl Lens<'_> {
     /// [`CalibrationError`] with the file: it is missing, or an entry is missing or wrong.
     pub fn camera(&self, path: &Path) -> Result<Camera, CalibrationError> {
         let wrong = |problem: String| CalibrationError::entry(path, problem);
-        if let Some(model) = self.camera_model.filter(|model| *model != "pinhole") {
-            return Err(wrong(format!(
-                "camera_model \"{model}\" is unknown: pinhole is the only one, with distortion_model none, \
-                 radial-tangential (radtan), equidistant or fov; calibrate again with one of these"
-            )));
-        }
-        let &[fu, fv, cu, cv] = self.intrinsics else {
-            return Err(wrong(format!(
-                "intrinsics are the 4 numbers fu, fv, cu, cv, but {} are given",
-                self.intrinsics.len()
-            )));
-        };
+        let ([fu, fv, cu, cv], distortion) = self.intrinsics_and_distortion(path)?;
         let camera = Camera {
             width: self.resolution[0],
             height: self.resolution[1],
             focal: [fu, fv],
             centre: [cu, cv],
-            distortion: distortion(path, self.distortion_model, self.distortion_key, self.distortion)?,
+            distortion,
         };
         camera.validate().map_err(|error| wrong(error.to_string()))?;
         Ok(camera)
+    }
+
+    /// `[fu, fv, cu, cv]`, and the distortion with the parameters that stand before them in the intrinsics of other models than the pinhole.
+    fn intrinsics_and_distortion(&self, path: &Path) -> Result<([f64; 4], Distortion), CalibrationError> {
+        let model = self.camera_model.unwrap_or("pinhole");
+        let wrong_count = |names: &str| {
+            let problem =
+                format!("intrinsics of {model} are {names}, but {} numbers are given", self.intrinsics.len());
+            CalibrationError::entry(path, problem)
+        };
+        let distortion = distortion(path, self.distortion_model, self.distortion_key, self.distortion)?;
+        let mismatch = |takes: &str| {
+            let problem =
+                format!("camera_model {model} takes distortion_model {takes}, not {}", distortion.name());
+            CalibrationError::entry(path, problem)
+        };
+        match model {
+            "pinhole" => {
+                let Ok(pinhole) = self.intrinsics.try_into() else {
+                    return Err(wrong_count("fu, fv, cu, cv"));
+                };
+                Ok((pinhole, distortion))
+            }
+            "ds" | "eucm" => {
+                let first = if model == "ds" { "xi, alpha" } else { "alpha, beta" };
+                let &[a, b, fu, fv, cu, cv] = self.intrinsics else {
+                    return Err(wrong_count(&format!("{first}, fu, fv, cu, cv")));
+                };
+                if distortion != Distortion::None {
+                    return Err(mismatch("none"));
+                }
+                let distortion = if model == "ds" {
+                    Distortion::DoubleSphere { xi: a, alpha: b }
+                } else {
+                    Distortion::Eucm { alpha: a, beta: b }
+                };
+                Ok(([fu, fv, cu, cv], distortion))
+            }
+            "omni" => {
+                let &[xi, fu, fv, cu, cv] = self.intrinsics else {
+                    return Err(wrong_count("xi, fu, fv, cu, cv"));
+                };
+                let distortion = match distortion {
+                    Distortion::None => [0.0; 4],
+                    Distortion::RadialTangential(k) => k,
+                    _ => return Err(mismatch("none or radial-tangential (radtan) with 4 coefficients")),
+                };
+                Ok(([fu, fv, cu, cv], Distortion::Omni { xi, distortion }))
+            }
+            _ => Err(CalibrationError::entry(
+                path,
+                format!(
+                    "camera_model \"{model}\" is unknown: use pinhole with distortion_model none, radial-tangential (radtan), equidistant, \
+                     fov or thin-prism-fisheye, or ds, eucm or omni"
+                ),
+            )),
+        }
     }
 }
 
@@ -133,30 +180,61 @@ fn distortion(
     given: &[f64],
 ) -> Result<Distortion, CalibrationError> {
     let model = model.unwrap_or("none").trim();
-    let wrong_count = |wanted: usize| {
+    let wrong_count = |wanted: &str| {
         let counts = format!("{model} takes {wanted} {key}, {} are given", given.len());
         CalibrationError::entry(path, counts)
     };
     match model {
         "" | "none" => {
             let none = given.iter().all(|value| *value == 0.0);
-            none.then_some(Distortion::None).ok_or_else(|| wrong_count(0))
+            none.then_some(Distortion::None).ok_or_else(|| wrong_count("0"))
         }
-        "radial-tangential" | "radtan" | "plumb_bob" => {
-            given.try_into().map(Distortion::RadialTangential).map_err(|_| wrong_count(4))
+        "radial-tangential" | "radtan" | "plumb_bob" | "rational_polynomial" => {
+            Distortion::from_opencv(given).ok_or_else(|| wrong_count("4, 5, 8 or 12"))
         }
-        "equidistant" | "equi" => given.try_into().map(Distortion::Equidistant).map_err(|_| wrong_count(4)),
+        "equidistant" | "equi" => given.try_into().map(Distortion::Equidistant).map_err(|_| wrong_count("4")),
         "fov" => match given {
             [omega] => Ok(Distortion::Fov(*omega)),
-            _ => Err(wrong_count(1)),
+            _ => Err(wrong_count("1")),
         },
+        "thin-prism-fisheye" | "thin_prism_fisheye" => {
+            given.try_into().map(Distortion::ThinPrismFisheye).map_err(|_| wrong_count("8"))
+        }
         _ => Err(CalibrationError::entry(
             path,
             format!(
-                "distortion_model \"{model}\" is unknown: use none, radial-tangential (radtan), equidistant or fov"
+                "distortion_model \"{model}\" is unknown: use none, radial-tangential (radtan, plumb_bob, rational_polynomial), equidistant, \
+                 fov or thin-prism-fisheye"
             ),
         )),
     }
+}
+
+/// The entries of a projection in a `sensor.yaml`, which [`lens_of_text`](crate::lens_of_text) reads back exactly: `resolution`,
+/// `camera_model`, `intrinsics`, `distortion_model`, `distortion_coefficients`.
+///
+/// The models `ds`, `eucm` and `omni` have their parameters before the focal lengths, as Kalibr writes them.
+pub fn projection_yaml(camera: &Camera) -> String {
+    let ([fu, fv], [cu, cv]) = (camera.focal, camera.centre);
+    let pinhole = [fu, fv, cu, cv];
+    let coefficients = camera.distortion.coefficients();
+    let (model, before, distortion_model, after): (_, &[f64], _, &[f64]) = match &camera.distortion {
+        Distortion::DoubleSphere { .. } | Distortion::Eucm { .. } => {
+            (camera.distortion.name(), &coefficients, "none", &[])
+        }
+        Distortion::Omni { xi, distortion } => {
+            ("omni", std::slice::from_ref(xi), "radial-tangential", distortion)
+        }
+        other => ("pinhole", &[], other.name(), &coefficients),
+    };
+    format!(
+        "resolution: [{}, {}]\ncamera_model: {model}\nintrinsics: [{}]\ndistortion_model: {distortion_model}\n\
+         distortion_coefficients: [{}]\n",
+        camera.width,
+        camera.height,
+        list(&[before, &pinhole].concat()),
+        list(after)
+    )
 }
 
 /// Checks an entry of a calibration.
@@ -245,11 +323,104 @@ mod tests {
         for model in ["radial-tangential", "radtan"] {
             assert_eq!(distortion(Some(model), &four).unwrap(), Distortion::RadialTangential(four));
         }
-        for (model, given) in
-            [("none", &four[..]), ("fov", &four), ("equidistant", &four[..3]), ("mei", &four)]
-        {
+        for (model, given) in [
+            ("none", &four[..]),
+            ("fov", &four),
+            ("equidistant", &four[..3]),
+            ("mei", &four),
+            ("radtan", &four[..3]),
+        ] {
             assert!(distortion(Some(model), given).is_err(), "{model}");
         }
+        let twelve: [f64; 12] = std::array::from_fn(|k| 0.01 * k as f64);
+        for count in [5, 8, 12] {
+            for model in ["radial-tangential", "plumb_bob", "rational_polynomial"] {
+                let read = distortion(Some(model), &twelve[..count]).unwrap();
+                assert_eq!(read.coefficients(), twelve[..count]);
+            }
+        }
+    }
+
+    #[test]
+    fn every_projection_is_read_back_as_it_was_written() {
+        let full = |count: usize| {
+            Distortion::from_opencv(
+                &[0.01, -2e-7, 0.1, 0.3, 1e-9, 0.2, 0.1, 0.05, 1e-3, 0.0, 0.0, -1e-3][..count],
+            )
+        };
+        let eight = [0.01, -0.02, 1e-3, 2e-6, 0.003, -4e-4, 1e-3, -1e-12];
+        for distortion in [
+            Distortion::None,
+            Distortion::RadialTangential([-0.28, 0.07, 1.9e-4, 1.76e-5]),
+            Distortion::Equidistant([0.01, -0.02, 0.003, -4e-4]),
+            Distortion::Fov(0.93),
+            full(5).unwrap(),
+            full(8).unwrap(),
+            full(12).unwrap(),
+            Distortion::ThinPrismFisheye(eight),
+            Distortion::DoubleSphere { xi: -0.2, alpha: 0.57 },
+            Distortion::Eucm { alpha: 0.63, beta: 1.04 },
+            Distortion::Omni { xi: 1.85, distortion: [-0.07, 0.4, -1.2e-6, 8e-4] },
+        ] {
+            let camera = Camera {
+                width: 640,
+                height: 480,
+                focal: [320.1, 321.0 / 0.7],
+                centre: [320.0, 1e-7],
+                distortion,
+            };
+            assert_eq!(
+                crate::lens_of_text(Path::new("sensor.yaml"), &projection_yaml(&camera)).unwrap(),
+                camera
+            );
+        }
+    }
+
+    #[test]
+    fn a_camera_model_wants_its_intrinsics() {
+        let lens = |model, intrinsics: &[f64], distortion_model| {
+            let lens = Lens {
+                resolution: [640, 480],
+                camera_model: Some(model),
+                intrinsics,
+                distortion_model: Some(distortion_model),
+                distortion: if distortion_model == "none" { &[] } else { &[0.1, 0.2, 0.003, 0.004] },
+                distortion_key: "distortion_coeffs",
+            };
+            lens.camera(Path::new("camchain.yaml")).map_err(|error| error.to_string())
+        };
+        let pinhole = [300.0, 301.0, 320.0, 240.0];
+        let six = [&[0.1, 0.6], &pinhole[..]].concat();
+        let five = [&[0.9], &pinhole[..]].concat();
+        assert_eq!(
+            lens("ds", &six, "none").unwrap().distortion,
+            Distortion::DoubleSphere { xi: 0.1, alpha: 0.6 }
+        );
+        assert_eq!(
+            lens("eucm", &six, "none").unwrap().distortion,
+            Distortion::Eucm { alpha: 0.1, beta: 0.6 }
+        );
+        let omni = lens("omni", &five, "radtan").unwrap();
+        assert_eq!(omni.distortion, Distortion::Omni { xi: 0.9, distortion: [0.1, 0.2, 0.003, 0.004] });
+        assert_eq!((omni.focal, omni.centre), ([300.0, 301.0], [320.0, 240.0]));
+        assert_eq!(
+            lens("omni", &five, "none").unwrap().distortion,
+            Distortion::Omni { xi: 0.9, distortion: [0.0; 4] }
+        );
+        for (model, intrinsics, distortion, words) in [
+            ("ds", &pinhole[..], "none", "xi, alpha, fu"),
+            ("eucm", &five, "none", "alpha, beta, fu"),
+            ("omni", &six, "radtan", "xi, fu"),
+            ("pinhole", &five, "radtan", "fu, fv, cu, cv"),
+            ("ds", &six, "radtan", "takes distortion_model none"),
+            ("omni", &five, "equidistant", "not equidistant"),
+            ("cata", &five, "none", "\"cata\" is unknown"),
+        ] {
+            let error = lens(model, intrinsics, distortion).unwrap_err();
+            assert!(error.contains(words), "{error}");
+        }
+        let folded = [&[0.1, 1.6], &pinhole[..]].concat();
+        assert!(lens("ds", &folded, "none").unwrap_err().contains("alpha"));
     }
 
     #[test]

@@ -273,6 +273,11 @@ mod tests {
             Distortion::RadialTangential([-0.28, 0.07, 2e-4, 2e-5]),
             Distortion::Equidistant([-0.01, 0.02, -0.01, 0.002]),
             Distortion::Fov(0.92),
+            Distortion::Rational([-0.21, 0.05, 1e-3, -7e-4, -0.004, 0.02, 0.01, 0.003, 1e-3, 0.0, 0.0, 0.0]),
+            Distortion::ThinPrismFisheye([-0.04, 0.01, 2e-4, -4e-4, -0.004, 8e-4, 6e-4, -9e-4]),
+            Distortion::DoubleSphere { xi: -0.2, alpha: 0.57 },
+            Distortion::Eucm { alpha: 0.63, beta: 1.04 },
+            Distortion::Omni { xi: 1.2, distortion: [-0.07, 0.04, -1e-3, 8e-4] },
         ];
         for distortion in distortions {
             let camera =

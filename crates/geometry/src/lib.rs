@@ -4,7 +4,7 @@
 //! |---|---|
 //! | [`rotation`] | exponential map of SO(3) and its Jacobians |
 //! | [`pose`], [`uncertain_pose`] | rigid poses, their covariance and its propagation |
-//! | [`camera`] | pinhole cameras with radial-tangential, equidistant or FOV distortion, and their Jacobians |
+//! | [`camera`] | cameras with the models of OpenCV, COLMAP and Kalibr for rays to the front, and their Jacobians |
 //! | [`triangulation`] | landmarks from several views, with covariance |
 //! | [`pnp`] | camera poses from known landmarks: P3P, gravity two-point, RANSAC, refinement |
 //! | [`robust`] | Huber's loss |

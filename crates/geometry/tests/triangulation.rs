@@ -70,7 +70,7 @@ fn cameras_of_different_kinds_triangulate_together() {
     let cameras = cameras();
     let mut random = Random::new(9);
     for _ in 0..100 {
-        let (landmark, mut views) = scene(&mut random, &cameras[0], 4, 0.0);
+        let (landmark, mut views) = scene(&mut random, &cameras[0], cameras.len(), 0.0);
         for (view, camera) in views.iter_mut().zip(&cameras) {
             view.pixel = camera.project(&view.parent_from_camera.inverse_transform(&landmark)).unwrap();
         }

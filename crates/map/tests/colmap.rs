@@ -1,17 +1,22 @@
-//! Models that COLMAP wrote (by `tests/data/colmap_model/make.py`), ours, and damaged ones.
+//! Models that COLMAP wrote (by `make.py` in `tests/data/colmap_model` and `tests/data/colmap_lenses`), ours, and damaged ones.
 
+use geometry::Distortion;
 use map::colmap::{ColmapModel, ReadColmapError, read_model};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-fn fixture() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/colmap_model")
+fn data(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data").join(name)
 }
 
 /// A copy of the model with the files that end so.
 fn copy(extension: &str) -> tempfile::TempDir {
+    copy_of("colmap_model", extension)
+}
+
+fn copy_of(model: &str, extension: &str) -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
-    for file in fs::read_dir(fixture()).unwrap() {
+    for file in fs::read_dir(data(model)).unwrap() {
         let path = file.unwrap().path();
         if path.extension().is_some_and(|found| found == extension) {
             fs::copy(&path, folder.path().join(path.file_name().unwrap())).unwrap();
@@ -40,6 +45,20 @@ fn binary_and_text_are_the_same_model_and_its_points_project_to_their_pixels() {
     // One of its five pixels is of no point.
     assert_eq!(binary.images[&3].pixels.len(), 4);
     assert_points_project_to_their_pixels(&binary);
+}
+
+#[test]
+fn the_full_model_of_opencv_and_the_fisheye_with_a_thin_prism_are_colmaps() {
+    let binary = read_model(copy_of("colmap_lenses", "bin").path()).unwrap();
+    assert_eq!(binary, read_model(copy_of("colmap_lenses", "txt").path()).unwrap());
+    assert_points_project_to_their_pixels(&binary);
+    assert_eq!(binary.images.values().map(|image| image.pixels.len()).sum::<usize>(), 16);
+    let distortion = |camera: u32| binary.cameras[&camera].distortion;
+    assert_eq!(distortion(1).coefficients(), [0.51, -2.69, 3e-4, -1e-4, 1.53, 0.39, -2.51, 1.46]);
+    let prism = [-0.04, 0.0116, 2.1e-4, -3.9e-4, -0.0043, 8e-4, 6.1e-4, -9.3e-4];
+    assert_eq!(distortion(2), Distortion::ThinPrismFisheye(prism));
+    assert_eq!(distortion(3).coefficients(), [0.11, -0.23, 7e-4, -3e-4, 0.11]);
+    assert_eq!(distortion(4), Distortion::RadialTangential([0.11, -0.23, 7e-4, -3e-4]));
 }
 
 #[test]
@@ -99,9 +118,10 @@ fn folders_and_cameras_that_are_none_are_named() {
     assert!(matches!(read_model(empty.path()), Err(ReadColmapError::NoModel { .. })));
     let folder = copy("txt");
     let cameras = folder.path().join("cameras.txt");
-    fs::write(&cameras, "1 FULL_OPENCV 752 480 1 2 3 4 5 6 7 8 9 10 11 12\n").unwrap();
+    let unsupported = "1 RAD_TAN_THIN_PRISM_FISHEYE 752 480 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15 16\n";
+    fs::write(&cameras, unsupported).unwrap();
     let error = read_model(folder.path()).unwrap_err();
-    assert!(error.to_string().contains("FULL_OPENCV"), "{error}");
+    assert!(error.to_string().contains("RAD_TAN_THIN_PRISM_FISHEYE"), "{error}");
     fs::write(&cameras, "1 PINHOLE 752 480 458 457 367.5 248.5\n").unwrap();
     let error = read_model(folder.path()).unwrap_err();
     assert!(matches!(&error, ReadColmapError::Dangling { image, .. } if image == "a photo.jpg"), "{error}");

@@ -1,13 +1,11 @@
 //! Maps that state errors common to their keyframes.
 
 use std::collections::BTreeSet;
-use std::path::Path;
 
 use map::contents::CommonErrorProblem;
 use map::difference::has_other_common_error;
 use map::{ContentsError, MapContents, edit, store};
 use proptest::prelude::*;
-use sha2::{Digest as _, Sha256};
 use testing::{Place, PlaceOptions, add_common_errors};
 
 fn place(seed: u64, columns: usize) -> MapContents {
@@ -30,7 +28,6 @@ proptest! {
         let saved = store::save_map(&path, &contents, false).unwrap();
         (contents.info.version, contents.info.identity) = (saved.version, Some(saved.identity));
         let read = store::load_map(&path).unwrap();
-        prop_assert_eq!(read.schema, map::STORE_SCHEMA);
         prop_assert_eq!(read.contents.digest(), contents.digest());
         prop_assert_eq!(&read.contents, &contents);
         let (opened, landmarks) = store::open_map(&path).unwrap();
@@ -108,61 +105,4 @@ fn a_change_beyond_rounding_is_one() {
     assert!(has_other_common_error(Some(common), Some(&now), keyframe));
     now.factor = now.factor.remove_column(2);
     assert!(has_other_common_error(Some(common), Some(&now), keyframe));
-}
-
-/// A map of schema 3 has no table of common errors, and is otherwise the same.
-#[test]
-fn a_map_of_schema_3_is_read() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("map");
-    let contents = place(5, 0);
-    store::save_map(&path, &contents, false).unwrap();
-    let expected = store::load_map(&path).unwrap().contents;
-    let version = path.join("version-1");
-    let database = loop {
-        // sled's threads let go of it a moment later.
-        if let Ok(database) = sled::open(&version) {
-            break database;
-        }
-    };
-    database.drop_tree("common_errors").unwrap();
-    database.drop_tree("aliases").unwrap();
-    let schema = [b"DRFTMAP", &3_u16.to_le_bytes()[..]].concat();
-    database.open_tree("info").unwrap().insert("schema", schema).unwrap();
-    database.flush().unwrap();
-    drop(database);
-    let file = std::fs::File::open(version.join("db")).unwrap();
-    while file.try_lock().is_err() {
-        std::thread::sleep(std::time::Duration::from_millis(2));
-    }
-    state_files(&path, &version);
-    let stored = store::load_map(&path).unwrap();
-    assert_eq!((stored.schema, &stored.contents), (3, &expected));
-    store::save_map(&path, &contents, true).unwrap();
-    assert_eq!(store::load_map(&path).unwrap().schema, map::STORE_SCHEMA);
-}
-
-/// Writes a manifest of schema 3 with the files that are there.
-fn state_files(map: &Path, version: &Path) {
-    let path = map.join("manifest.json");
-    let mut manifest: serde_json::Value = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
-    manifest["schema"] = 3.into();
-    let mut files = Vec::new();
-    let mut folders = vec![version.to_owned()];
-    while let Some(folder) = folders.pop() {
-        for entry in std::fs::read_dir(folder).unwrap() {
-            let entry = entry.unwrap().path();
-            if entry.is_dir() {
-                folders.push(entry);
-                continue;
-            }
-            let bytes = std::fs::read(&entry).unwrap();
-            let sha256 =
-                Sha256::digest(&bytes).iter().fold(String::new(), |text, byte| text + &format!("{byte:02x}"));
-            let name = entry.strip_prefix(version).unwrap().to_str().unwrap();
-            files.push(serde_json::json!({ "path": name, "bytes": bytes.len(), "sha256": sha256 }));
-        }
-    }
-    manifest["files"] = files.into();
-    std::fs::write(path, manifest.to_string()).unwrap();
 }

@@ -82,13 +82,13 @@ fn memory() -> u64 {
 }
 
 fn read_whole(path: &Path) -> Result<MapContents, StoreError> {
-    store::load_map(path)?.whole()
+    Ok(store::load_map(path)?.contents)
 }
 
 fn read_by_landmark(path: &Path) -> Result<MapContents, StoreError> {
     let (mut stored, landmarks) = store::open_map(path)?;
     landmarks.read(|landmark| stored.contents.landmarks.push(landmark))?;
-    stored.whole()
+    Ok(stored.contents)
 }
 
 #[test]
@@ -97,7 +97,7 @@ fn every_damage_is_noticed_or_harmless() {
     let (whole, damaged) = (directory.path().join("whole"), directory.path().join("damaged"));
     let place = Place::new(&PlaceOptions { keyframes: 6, landmarks: 80, ..PlaceOptions::default() });
     store::save_map(&whole, &place.map, false).unwrap();
-    let original: MapContents = store::load_map(&whole).unwrap().whole().unwrap();
+    let original: MapContents = store::load_map(&whole).unwrap().contents;
     let mut rng = StdRng::seed_from_u64(11);
     let (mut refused, mut started_with) = (0, 0);
     for round in 0..DAMAGES {
@@ -131,7 +131,7 @@ fn every_damage_is_noticed_or_harmless() {
     // The map can be made anew over any damage.
     let saved = store::save_map(&damaged, &place.map, true).unwrap();
     assert!(saved.version >= 1);
-    assert_eq!(store::load_map(&damaged).unwrap().whole().unwrap().keyframes, original.keyframes);
+    assert_eq!(store::load_map(&damaged).unwrap().contents.keyframes, original.keyframes);
 }
 
 #[test]

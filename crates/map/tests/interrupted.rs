@@ -15,7 +15,7 @@ fn place(seed: u64) -> MapContents {
 }
 
 fn read(path: &Path) -> MapContents {
-    store::load_map(path).unwrap().whole().unwrap()
+    store::load_map(path).unwrap().contents
 }
 
 /// A child process that writes a map over and over; `before` is a shell command that is run first.
@@ -62,7 +62,7 @@ fn a_killed_first_import_is_no_map_and_a_killed_replacement_changes_nothing() {
             let acknowledged = lines.any(|line| line.unwrap_or_default().contains("acknowledged"));
             match store::load_map(&path) {
                 Ok(stored) => {
-                    let contents = stored.whole().unwrap();
+                    let contents = stored.contents;
                     let seed = if contents.info.version == 1 + u64::from(replace) { 2 } else { 1 };
                     assert!(seed == 2 || !acknowledged);
                     assert_eq!(contents.landmarks, place(seed).landmarks);
@@ -187,7 +187,7 @@ fn a_read_only_map_is_read_and_nothing_under_it_changes() {
         }
     };
     permit(0o444, 0o555);
-    let contents = store::load_map(&path).and_then(store::StoredMap::whole);
+    let contents = store::load_map(&path).map(|stored| stored.contents);
     permit(0o644, 0o755);
     assert_eq!(contents.unwrap().landmarks, place(1).landmarks);
     assert_eq!(state(), before);

@@ -7,7 +7,7 @@ mod common_errors;
 mod crossing;
 mod damage;
 mod edit;
-mod former_databases;
+mod formats;
 #[cfg(unix)]
 mod interrupted;
 mod store;

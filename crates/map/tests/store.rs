@@ -20,7 +20,7 @@ fn replaced(path: &Path, contents: &MapContents) -> SavedMap {
 }
 
 fn read(path: &Path) -> MapContents {
-    store::load_map(path).unwrap().whole().unwrap()
+    store::load_map(path).unwrap().contents
 }
 
 /// Everything but the version and the identity, which a store sets.
@@ -45,6 +45,11 @@ proptest! {
             Just(Distortion::Equidistant([0.1, -0.02, 0.003, 0.0])),
             Just(Distortion::Fov(0.92)),
             Just(Distortion::RadialTangential([-0.28, 0.07, 0.0002, 0.00002])),
+            Just(Distortion::Rational([0.51, -2.7, 3e-4, 0.0, 1.5, 0.4, -2.5, 1.4, 1e-3, -4e-4, 8e-4, 0.0])),
+            Just(Distortion::ThinPrismFisheye([-0.04, 0.01, 2e-4, 0.0, -0.004, 8e-4, 6e-4, 0.0])),
+            Just(Distortion::DoubleSphere { xi: -0.2, alpha: 0.57 }),
+            Just(Distortion::Eucm { alpha: 0.63, beta: 1.04 }),
+            Just(Distortion::Omni { xi: 1.85, distortion: [-0.07, 0.4, -1e-3, 0.0] }),
         ],
     ) {
         let options = PlaceOptions { seed, keyframes, landmarks, gravity_known, ..PlaceOptions::default() };
@@ -231,9 +236,9 @@ fn a_newer_schema_is_refused_with_both_numbers() {
     replaced(&path, &small_place(9));
     let manifest = path.join("manifest.json");
     let text = std::fs::read_to_string(&manifest).unwrap();
-    std::fs::write(&manifest, text.replace("\"schema\": 5", "\"schema\": 7, \"unknown\": 1")).unwrap();
+    std::fs::write(&manifest, text.replace("\"schema\": 6", "\"schema\": 7, \"unknown\": 1")).unwrap();
     let error = store::load_map(&path).unwrap_err();
-    assert!(matches!(error, StoreError::Schema { found: 7, expected: 5, .. }), "{error}");
+    assert!(matches!(error, StoreError::Schema { found: 7, expected: 6, .. }), "{error}");
     assert!(matches!(store::save_map(&path, &small_place(9), true), Err(StoreError::Schema { .. })));
 }
 

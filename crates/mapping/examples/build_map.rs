@@ -34,7 +34,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let folder = tempfile::tempdir()?;
     let path = folder.path().join("street.db");
     let version = map::store::save_map(&path, &contents, false)?.version;
-    let stored = map::store::load_map(&path)?.whole()?;
+    let stored = map::store::load_map(&path)?.contents;
     println!("{}: version {version}, {} keyframes", path.display(), stored.keyframes.len());
     Ok(())
 }

@@ -2,8 +2,8 @@
 
 use crate::common::requests::{images, request};
 use crate::common::scenario::MappedScenario;
+use map::store;
 use map::text::{read_map, write_map};
-use map::{StoreError, store};
 use protocol::MatchReply;
 use recognition::{LoadedMap, RecognitionOptions};
 use testing::copy_folder;
@@ -30,7 +30,7 @@ fn a_map_that_was_acknowledged_is_whole_after_a_kill_and_answers_alike() {
     let saved = store::save_map(&path, &scenario.map, false).unwrap();
     // What the disk holds when writing is acknowledged is what a kill leaves behind.
     copy_folder(&path, &killed);
-    let contents = store::load_map(&killed).unwrap().whole().unwrap();
+    let contents = store::load_map(&killed).unwrap().contents;
     assert_eq!((contents.info.version, contents.info.identity), (saved.version, Some(saved.identity)));
     assert_eq!(contents.keyframes, scenario.map.keyframes);
     assert_eq!(contents.landmarks, scenario.map.landmarks);
@@ -45,39 +45,12 @@ fn a_map_that_was_exported_and_imported_answers_alike_and_is_the_same_map() {
     let folder = tempfile::tempdir().unwrap();
     let path = scenario.database(folder.path());
     let text = folder.path().join("text");
-    write_map(&text, &store::load_map(&path).unwrap().whole().unwrap()).unwrap();
+    write_map(&text, &store::load_map(&path).unwrap().contents).unwrap();
     let second = folder.path().join("second.db");
     store::save_map(&second, &read_map(&text).unwrap(), false).unwrap();
     let (original, imported) = (LoadedMap::read(&path).unwrap(), LoadedMap::read(&second).unwrap());
     assert_eq!(original.identity(), imported.identity());
     assert_eq!(answers(&original, scenario), answers(&imported, scenario));
-}
-
-#[test]
-fn a_damaged_record_of_a_former_database_is_named_and_the_rest_still_localizes() {
-    let scenario = MappedScenario::shared();
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("ring.db");
-    let damaged = scenario.map.landmarks[5].id;
-    let mut contents = scenario.map.clone();
-    contents.info.version = 1;
-    testing::write_former_database(&path, &contents, 2, &|table, key, bytes| {
-        if table == "landmarks" && key == damaged.to_be_bytes() {
-            let middle = bytes.len() / 2;
-            bytes[middle] ^= 0x40;
-        }
-    });
-    let map = LoadedMap::read(&path).unwrap();
-    let error = store::load_map(&path).unwrap().whole().unwrap_err();
-    assert!(
-        matches!(&error, StoreError::Corrupt { record, .. } if *record == format!("landmark {damaged}")),
-        "{error}"
-    );
-    assert!(error.to_string().contains("ring.db"), "{error}");
-    assert_eq!(map.damaged_records(), 1);
-    assert_eq!(map.landmark_count(), scenario.map.landmarks.len() - 1);
-    let found = answers(&map, scenario);
-    assert!(found.iter().filter(|reply| matches!(reply, MatchReply::Keyframe(_))).count() > 100);
 }
 
 #[test]

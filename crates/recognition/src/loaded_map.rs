@@ -50,7 +50,6 @@ pub struct LoadedMap {
     pub(crate) index: LandmarkIndex,
     /// Median distance between keyframes and the landmarks that they observe (m).
     pub(crate) viewing_distance: f64,
-    pub(crate) damaged: usize,
     /// What the map states, of keyframes that could be taken for another place; by keyframe.
     pub(crate) aliases: Vec<KeyframeAliases>,
     /// Measured when it is asked for, if the map does not state it.
@@ -74,8 +73,7 @@ pub enum LoadError {
 }
 
 impl LoadedMap {
-    /// Reads the map in a folder and indexes it. Damaged records of maps of older schemas are logged and left out: a robot can
-    /// still localize with the rest.
+    /// Reads the map in a folder and indexes it.
     ///
     /// The landmarks are read one at a time, so that the map is never in memory twice.
     ///
@@ -92,9 +90,6 @@ impl LoadedMap {
     /// # Errors
     /// As [`LoadedMap::read`].
     pub fn load(stored: StoredMap, landmarks: StoredLandmarks) -> Result<LoadedMap, LoadError> {
-        for error in &stored.damaged {
-            tracing::error!("{error}; it is left out");
-        }
         let contents = stored.contents;
         contents.validate()?;
         // A stored map has one.
@@ -108,9 +103,7 @@ impl LoadedMap {
             }
         })?;
         added?;
-        let mut map = loader.finish()?;
-        map.damaged = stored.damaged.len();
-        Ok(map)
+        loader.finish()
     }
 
     /// Indexes a map that is in memory already.
@@ -188,11 +181,6 @@ impl LoadedMap {
         landmarks.map(|(&anchor, position)| {
             self.keyframes[anchor as usize].global_from_keyframe.pose.transform(position)
         })
-    }
-
-    /// Number of records that were damaged and left out on loading.
-    pub fn damaged_records(&self) -> usize {
-        self.damaged
     }
 
     /// Median distance between keyframes and the landmarks that they observe (m).

@@ -64,7 +64,6 @@ impl MapLoader {
             cross_covariances: CrossCovariances::new(cross_covariances),
             common_errors,
             viewing_distance: 0.0,
-            damaged: 0,
             aliases: Vec::new(),
             aliasing: OnceLock::new(),
             observations,

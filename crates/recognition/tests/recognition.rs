@@ -479,27 +479,6 @@ fn in_a_precise_map_a_tenth_of_moved_landmarks_does_not_move_the_pose() {
 }
 
 #[test]
-fn a_map_that_is_damaged_in_places_is_still_served() {
-    let directory = tempfile::tempdir().unwrap();
-    let path = directory.path().join("map");
-    let place = Place::new(&PlaceOptions::default());
-    let mut contents = place.map.clone();
-    contents.info.version = 1;
-    // Of a former program: a database with checksums is refused as a whole.
-    let damaged = place.map.keyframes[5].id.to_be_bytes();
-    testing::write_former_database(&path, &contents, 2, &|table, key, bytes| {
-        if table == "keyframes" && key == damaged {
-            *bytes = b"damaged".to_vec();
-        }
-    });
-
-    let map = LoadedMap::read(&path).unwrap();
-    assert_eq!((map.damaged_records(), map.keyframe_count()), (1, place.map.keyframes.len() - 1));
-    let request = place.request(&place.camera_at(10.0, 0.0, 0.0), 2, &mut StdRng::seed_from_u64(21));
-    assert_eq!(ask(&map, &request).1.outcome, MatchOutcome::Matched);
-}
-
-#[test]
 fn the_uncertainty_of_the_keyframes_is_in_the_fix_and_common_errors_do_not_average_out() {
     let place = Place::new(&PlaceOptions::default());
     let mut contents = place.map.clone();

@@ -59,7 +59,8 @@ async fn clean_marked(
     options: &CleanOptions,
     mut mark: Option<&mut CleaningMark<'_>>,
 ) -> Result<Cleaned, ReleaseError> {
-    // Listed first: what is put later is younger than the grace time.
+    // The time is read and segments are listed first: what is put later is younger than the grace time, however long the rest takes.
+    let oldest = now_unix_s().saturating_sub(options.grace.as_secs());
     let segments = store.segments().await?;
     let numbers = store.numbers().await?;
     let (former, kept) = numbers.split_at(numbers.len().saturating_sub(options.releases.max(1)));
@@ -72,7 +73,6 @@ async fn clean_marked(
     for number in former.iter().filter(|_| mark.is_some()) {
         store.remove_release(*number).await?;
     }
-    let oldest = now_unix_s().saturating_sub(options.grace.as_secs());
     for (name, object) in segments {
         let put_s = u64::try_from(object.last_modified.timestamp()).unwrap_or(0);
         if needed.contains(&name) || put_s > oldest {

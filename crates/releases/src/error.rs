@@ -1,6 +1,8 @@
 //! What can go wrong with releases.
 
+use crate::damage::Damage;
 use crate::partition::CellId;
+use crate::signing::SignatureError;
 use map::{ContentsError, RecordError};
 use protocol::MapIdentity;
 use std::path::PathBuf;
@@ -62,7 +64,7 @@ pub enum ReleaseError {
         place: String,
     },
     /// There is no release of that number.
-    #[error("{place} has no release {number}")]
+    #[error("{place} has no release {number}; driftless list-releases {place} lists them")]
     NoRelease {
         /// The store.
         place: String,
@@ -70,14 +72,24 @@ pub enum ReleaseError {
         number: u64,
     },
     /// The release is not signed with the key that it must be signed with.
-    #[error("release {number} of {place} is not signed with the key that was given: {reason}")]
+    #[error(
+        "release {number} of {place} is not signed with the key that was given: {reason}; do not use it unless you know who published it"
+    )]
     NotSigned {
         /// The store.
         place: String,
         /// The release.
         number: u64,
         /// What is wrong with its signature.
-        reason: String,
+        reason: SignatureError,
+    },
+    /// A release cannot be signed; it is not published.
+    #[error("release {number} cannot be signed: {reason}")]
+    Sign {
+        /// The release.
+        number: u64,
+        /// The error of minisign.
+        reason: Box<dyn std::error::Error + Send + Sync>,
     },
     /// A secret key cannot be used.
     #[error("the key {file} cannot be used: {reason}")]
@@ -97,17 +109,6 @@ pub enum ReleaseError {
         /// The cell.
         cell: CellId,
     },
-    /// The cells of the release cannot be served without each other.
-    #[error(
-        "release {number} of {place} was published by an older program, and its cells cannot be served one by one: publish \
-         the map again"
-    )]
-    NotServable {
-        /// The store.
-        place: String,
-        /// The release.
-        number: u64,
-    },
     /// What was read is not what was published.
     #[error("{place}: {object} is damaged: {reason}")]
     Damaged {
@@ -116,7 +117,7 @@ pub enum ReleaseError {
         /// The object.
         object: String,
         /// What is wrong with it.
-        reason: String,
+        reason: Damage,
     },
     /// A segment that has the right checksum and cannot be understood.
     #[error("{place}: segment {segment} cannot be read")]

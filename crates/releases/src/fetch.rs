@@ -3,6 +3,7 @@
 use crate::cache::ReleaseCache;
 use crate::cells::{CellContents, join};
 use crate::coarse::CoarseCell;
+use crate::damage::Damage;
 use crate::error::{ReleaseError, SegmentError};
 use crate::partition::CellId;
 use crate::release::{Release, SegmentName};
@@ -33,8 +34,8 @@ pub async fn fetch(
     let contents = join(release.map.metadata(), cells);
     let digest = contents.digest();
     if digest != release.map.digest {
-        let reason = format!("its cells give the digest {digest}, it states {}", release.map.digest);
-        return Err(store.damaged(format!("release {}", release.number), reason));
+        let damage = Damage::Digest { found: digest, stated: release.map.digest };
+        return Err(store.damaged(format!("release {}", release.number), damage));
     }
     Ok(contents)
 }
@@ -58,7 +59,7 @@ pub struct Cell {
 /// * `cache`: as in [`fetch`](fn@fetch).
 ///
 /// # Errors
-/// [`ReleaseError::NoCell`], [`ReleaseError::NotServable`], and as [`fetch`](fn@fetch).
+/// [`ReleaseError::NoCell`], and as [`fetch`](fn@fetch).
 pub async fn fetch_cell(
     store: &ReleaseStore,
     release: &Release,
@@ -70,7 +71,7 @@ pub async fn fetch_cell(
         number: release.number,
         cell,
     })?;
-    let serving = released.serving.as_ref().ok_or_else(|| not_servable(store, release))?;
+    let serving = &released.serving;
     let inside = cell_contents(store, &released.segment, cache).await?;
     let border = cell_contents(store, &serving.border, cache).await?;
     let own = inside.keyframes.iter().map(|keyframe| keyframe.id).collect();
@@ -95,18 +96,13 @@ pub async fn fetch_coarse(
 ) -> Result<BTreeMap<CellId, CoarseCell>, ReleaseError> {
     let mut cells = BTreeMap::new();
     for released in &release.cells {
-        let serving = released.serving.as_ref().ok_or_else(|| not_servable(store, release))?;
-        let bytes = segment(store, &serving.coarse, cache).await?;
+        let named = &released.serving.coarse;
+        let bytes = segment(store, named, cache).await?;
         let width = usize::from(release.map.descriptor_width);
-        let coarse =
-            CoarseCell::decode(&bytes, width).map_err(|source| unreadable(store, &serving.coarse, source))?;
+        let coarse = CoarseCell::decode(&bytes, width).map_err(|source| unreadable(store, named, source))?;
         cells.insert(released.cell, coarse);
     }
     Ok(cells)
-}
-
-fn not_servable(store: &ReleaseStore, release: &Release) -> ReleaseError {
-    ReleaseError::NotServable { place: store.place().to_owned(), number: release.number }
 }
 
 fn unreadable(store: &ReleaseStore, segment: &SegmentName, source: SegmentError) -> ReleaseError {

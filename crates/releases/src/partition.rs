@@ -80,11 +80,14 @@ impl Partition {
     }
 
     /// Whether this can be a partition.
-    pub(crate) fn check(&self) -> Result<(), String> {
+    ///
+    /// # Errors
+    /// [`PartitionError`].
+    pub(crate) fn check(&self) -> Result<(), PartitionError> {
         let [first, second] = self.axes.map(Vector3::from);
         let deviations = [first.norm() - 1.0, second.norm() - 1.0, first.dot(&second)];
         if !deviations.iter().all(|deviation| deviation.abs() <= AXIS_TOLERANCE) {
-            return Err("the axes of its partition do not span a plane".to_owned());
+            return Err(PartitionError::Axes);
         }
         check_node(&self.root, 0)?;
         let mut cells = self.cells();
@@ -92,7 +95,7 @@ impl Partition {
         cells.sort_unstable();
         cells.dedup();
         if cells.len() != count || cells.last().is_some_and(|last| *last >= self.next) {
-            return Err("a cell of its partition is named twice".to_owned());
+            return Err(PartitionError::Twice);
         }
         Ok(())
     }
@@ -100,6 +103,28 @@ impl Partition {
     fn along(&self, axis: usize, position: &Vector3<f64>) -> f64 {
         Vector3::from(self.axes[axis.min(1)]).dot(position)
     }
+}
+
+/// Why something is no partition.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum PartitionError {
+    /// Its axes are not two orthogonal unit vectors.
+    #[error("the axes of its partition do not span a plane")]
+    Axes,
+    /// A cut that no partition has.
+    #[error("its partition has a cut along axis {axis} at {at}, {depth} levels deep")]
+    Cut {
+        /// 0 or 1.
+        axis: usize,
+        /// Where, metres.
+        at: f64,
+        /// Cuts above it.
+        depth: usize,
+    },
+    /// Two leaves are the same cell.
+    #[error("a cell of its partition is named twice")]
+    Twice,
 }
 
 fn collect(node: &Node, cells: &mut Vec<CellId>) {
@@ -112,10 +137,10 @@ fn collect(node: &Node, cells: &mut Vec<CellId>) {
     }
 }
 
-fn check_node(node: &Node, depth: usize) -> Result<(), String> {
+fn check_node(node: &Node, depth: usize) -> Result<(), PartitionError> {
     let Node::Split { axis, at, low, high } = node else { return Ok(()) };
     if *axis > 1 || !at.is_finite() || depth >= MAX_DEPTH {
-        return Err(format!("its partition has a cut along axis {axis} at {at}, {depth} levels deep"));
+        return Err(PartitionError::Cut { axis: *axis, at: *at, depth });
     }
     check_node(low, depth + 1)?;
     check_node(high, depth + 1)
@@ -245,14 +270,20 @@ mod tests {
         cut.cut(&[Vector3::zeros(), Vector3::x()], 1);
         assert_eq!(serde_json::from_str::<Partition>(&text(&cut)).unwrap(), cut);
         let doubled = Partition { next: 0, ..cut.clone() };
-        assert!(doubled.check().unwrap_err().contains("twice"));
+        assert_eq!(doubled.check().unwrap_err(), PartitionError::Twice);
         let flat = Partition { axes: [[1.0, 0.0, 0.0]; 2], ..cut.clone() };
-        assert!(flat.check().unwrap_err().contains("span"));
+        assert_eq!(flat.check().unwrap_err(), PartitionError::Axes);
         let mut deep = Node::Cell(0);
         for level in 1..100 {
             let high = Box::new(Node::Cell(level));
             deep = Node::Split { axis: 0, at: 0.0, low: Box::new(deep), high };
         }
-        assert!(Partition { root: deep, next: 200, ..cut }.check().unwrap_err().contains("levels deep"));
+        assert!(
+            Partition { root: deep, next: 200, ..cut }
+                .check()
+                .unwrap_err()
+                .to_string()
+                .contains("levels deep")
+        );
     }
 }

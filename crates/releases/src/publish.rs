@@ -89,7 +89,7 @@ pub async fn publish(
                 published: former.map.identity,
             });
         }
-        if former.map.digest == digest && former.is_servable_by_cells() {
+        if former.map.digest == digest {
             return Ok(Outcome::Unchanged { number: former.number });
         }
     }
@@ -291,7 +291,7 @@ fn released_cell(
         landmarks: view.landmarks.len(),
         extent: [bound(f64::INFINITY, f64::min), bound(f64::NEG_INFINITY, f64::max)],
         segment,
-        serving: Some(serving),
+        serving,
     }
 }
 

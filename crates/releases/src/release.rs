@@ -1,6 +1,7 @@
 //! What a release is.
 
 use crate::change::ReleasedChange;
+use crate::damage::Damage;
 use crate::partition::{CellId, Partition};
 use map::MapMetadata;
 use nalgebra::Vector3;
@@ -8,13 +9,8 @@ use protocol::{DescriptorKind, MapIdentity};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// Layout of releases. One with a larger number is refused.
-///
-/// 1: as in the first version. 2: each cell has a border and coarse landmarks, so that it can be served by itself, and the release
-/// says what changed. 3: common errors. New releases have the newest.
-pub const RELEASE_SCHEMA: u16 = 3;
-/// The oldest layout that is read.
-const OLDEST_RELEASE_SCHEMA: u16 = 1;
+/// Layout of releases and their segments. One with another number is refused.
+pub const RELEASE_SCHEMA: u16 = 4;
 
 /// One state of a map, as it is in the store. Never changes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -29,7 +25,6 @@ pub struct Release {
     /// The release whose map this one has again; `None` for a map of its own.
     pub rolled_back_to: Option<u64>,
     /// What changed since the release before; `None` for the first one.
-    #[serde(default)]
     pub change: Option<ReleasedChange>,
     /// What applies to the map as a whole.
     pub map: ReleasedMap,
@@ -79,9 +74,8 @@ pub struct ReleasedCell {
     pub extent: [[f64; 3]; 2],
     /// Where its contents are.
     pub segment: SegmentName,
-    /// What it needs to be served by itself; `None` in releases of schema 1.
-    #[serde(default)]
-    pub serving: Option<ServedCell>,
+    /// What it needs to be served by itself.
+    pub serving: ServedCell,
 }
 
 /// What a cell needs to be served without the others.
@@ -121,7 +115,7 @@ pub struct ReleaseDifference {
     pub changed: Vec<CellId>,
     /// Cells of both with the same contents.
     pub unchanged: usize,
-    /// What who has the first must fetch for the second.
+    /// Bytes of the cells' own segments that a copy of the first lacks for the second.
     pub bytes: u64,
 }
 
@@ -162,8 +156,7 @@ impl ReleasedMap {
 impl ReleasedCell {
     /// Its own segment, and those for serving it by itself.
     pub(crate) fn segments(&self) -> impl Iterator<Item = &SegmentName> {
-        let serving = self.serving.iter().flat_map(|serving| [&serving.border, &serving.coarse]);
-        std::iter::once(&self.segment).chain(serving)
+        [&self.segment, &self.serving.border, &self.serving.coarse].into_iter()
     }
 }
 
@@ -178,11 +171,6 @@ impl Release {
         self.cells.binary_search_by_key(&cell, |released| released.cell).ok().map(|at| &self.cells[at])
     }
 
-    /// Whether its cells can be served without each other: releases of schema 1 have no borders.
-    pub fn is_servable_by_cells(&self) -> bool {
-        self.cells.iter().all(|cell| cell.serving.is_some())
-    }
-
     /// Keyframes of all cells.
     pub fn keyframes(&self) -> usize {
         self.cells.iter().map(|cell| cell.keyframes).sum()
@@ -193,7 +181,8 @@ impl Release {
         self.cells.iter().map(|cell| cell.landmarks).sum()
     }
 
-    /// Bytes of all segments.
+    /// Bytes of the cells' own segments, which is what a copy of the whole map is fetched from. Borders and coarse landmarks, which
+    /// serve a cell by itself, come on top.
     pub fn bytes(&self) -> u64 {
         self.cells.iter().map(|cell| cell.segment.bytes).fold(0, u64::saturating_add)
     }
@@ -220,36 +209,32 @@ impl Release {
     }
 
     /// Reads the file of a release.
-    pub(crate) fn decode(text: &[u8], number: u64) -> Result<Self, String> {
-        let value: serde_json::Value = serde_json::from_slice(text).map_err(|error| error.to_string())?;
-        // A newer layout may have other fields.
-        let schema = value.get("schema").and_then(serde_json::Value::as_u64).unwrap_or(0);
-        let known = u64::from(OLDEST_RELEASE_SCHEMA)..=u64::from(RELEASE_SCHEMA);
-        if !known.contains(&schema) {
-            return Err(format!(
-                "it has schema {schema}, this program reads {OLDEST_RELEASE_SCHEMA} to {RELEASE_SCHEMA}"
-            ));
+    pub(crate) fn decode(text: &[u8], number: u64) -> Result<Self, Damage> {
+        let value: serde_json::Value = serde_json::from_slice(text)?;
+        // Another layout may have other fields.
+        let found = value.get("schema").and_then(serde_json::Value::as_u64).unwrap_or(0);
+        if found != u64::from(RELEASE_SCHEMA) {
+            return Err(Damage::Schema { found });
         }
-        let release: Self = serde_json::from_value(value).map_err(|error| error.to_string())?;
+        let release: Self = serde_json::from_value(value)?;
         if release.number != number {
-            return Err(format!("it says that it is release {}", release.number));
+            return Err(Damage::Number(release.number));
         }
         release.partition.check()?;
         let mut known = release.partition.cells();
         known.sort_unstable();
         for pair in release.cells.windows(2) {
             if pair[0].cell >= pair[1].cell {
-                return Err(format!("cell {} is not in order", pair[1].cell));
+                return Err(Damage::Order(pair[1].cell));
             }
         }
-        for cell in &release.cells {
-            if known.binary_search(&cell.cell).is_err() {
-                return Err(format!("its partition has no cell {}", cell.cell));
+        for released in &release.cells {
+            let cell = released.cell;
+            if known.binary_search(&cell).is_err() {
+                return Err(Damage::NoCell(cell));
             }
-            for segment in cell.segments() {
-                if !segment.is_name() {
-                    return Err(format!("cell {} has the segment {:?}", cell.cell, segment.sha256));
-                }
+            if let Some(segment) = released.segments().find(|segment| !segment.is_name()) {
+                return Err(Damage::SegmentName { cell, name: segment.sha256.clone() });
             }
         }
         Ok(release)

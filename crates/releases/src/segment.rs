@@ -1,8 +1,8 @@
 //! The bytes of a cell.
 //!
 //! ```text
-//! "driftless segment 1\n", with common errors "driftless segment 2\n", with aliases "driftless segment 3\n"
-//! for keyframes, landmarks, cross-covariances, from 2 on common errors, from 3 on aliases:
+//! "driftless segment 4\n"
+//! for keyframes, landmarks, cross-covariances, common errors, aliases:
 //!     number of records u64 LE
 //!     for each: key (8 bytes, of a pair 16, big-endian) | length u32 LE | record as in a database
 //! ```
@@ -15,11 +15,7 @@ use map::store::record::{
 };
 use map::{KeyframeCrossCovariance, RecordError};
 
-const MAGIC: &[u8] = b"driftless segment 1\n";
-/// Of a segment with common errors: all of them are equally long.
-const MAGIC_COMMON: &[u8] = b"driftless segment 2\n";
-/// Of a segment with aliases.
-const MAGIC_ALIASES: &[u8] = b"driftless segment 3\n";
+const MAGIC: &[u8] = b"driftless segment 4\n";
 const KEYFRAMES: &str = "keyframes";
 const LANDMARKS: &str = "landmarks";
 const CROSS_COVARIANCES: &str = "cross_covariances";
@@ -28,14 +24,7 @@ const ALIASES: &str = "aliases";
 
 /// Encodes a cell.
 pub(crate) fn encode(cell: &CellView<'_>) -> Result<Vec<u8>, RecordError> {
-    let has_aliases = !cell.aliases.is_empty();
-    let has_common = has_aliases || !cell.common_errors.is_empty();
-    let mut bytes = match (has_common, has_aliases) {
-        (_, true) => MAGIC_ALIASES,
-        (true, false) => MAGIC_COMMON,
-        (false, false) => MAGIC,
-    }
-    .to_vec();
+    let mut bytes = MAGIC.to_vec();
     begin(&mut bytes, cell.keyframes.len());
     for keyframe in &cell.keyframes {
         let key = keyframe.id.to_be_bytes();
@@ -51,19 +40,15 @@ pub(crate) fn encode(cell: &CellView<'_>) -> Result<Vec<u8>, RecordError> {
         let key = pair_key(&cross);
         append(&mut bytes, &key, &seal(CROSS_COVARIANCES, &key, &CrossCovarianceRecord::new(&cross))?)?;
     }
-    if has_common {
-        begin(&mut bytes, cell.common_errors.len());
-        for common in &cell.common_errors {
-            let key = common.keyframe.to_be_bytes();
-            append(&mut bytes, &key, &seal(COMMON_ERRORS, &key, &CommonErrorRecord::new(common))?)?;
-        }
+    begin(&mut bytes, cell.common_errors.len());
+    for common in &cell.common_errors {
+        let key = common.keyframe.to_be_bytes();
+        append(&mut bytes, &key, &seal(COMMON_ERRORS, &key, &CommonErrorRecord::new(common))?)?;
     }
-    if has_aliases {
-        begin(&mut bytes, cell.aliases.len());
-        for aliases in &cell.aliases {
-            let key = aliases.keyframe.to_be_bytes();
-            append(&mut bytes, &key, &seal(ALIASES, &key, &AliasesRecord::new(aliases))?)?;
-        }
+    begin(&mut bytes, cell.aliases.len());
+    for aliases in &cell.aliases {
+        let key = aliases.keyframe.to_be_bytes();
+        append(&mut bytes, &key, &seal(ALIASES, &key, &AliasesRecord::new(aliases))?)?;
     }
     Ok(bytes)
 }
@@ -71,12 +56,9 @@ pub(crate) fn encode(cell: &CellView<'_>) -> Result<Vec<u8>, RecordError> {
 /// Decodes a cell. Counts and lengths are believed only as far as there are bytes.
 pub(crate) fn decode(bytes: &[u8]) -> Result<CellContents, SegmentError> {
     let mut reader = Reader { bytes, at: 0 };
-    let (has_common, has_aliases) = match reader.take(MAGIC.len()).ok() {
-        Some(magic) if magic == MAGIC => (false, false),
-        Some(magic) if magic == MAGIC_COMMON => (true, false),
-        Some(magic) if magic == MAGIC_ALIASES => (true, true),
-        _ => return Err(SegmentError::NotASegment),
-    };
+    if reader.take(MAGIC.len()).ok() != Some(MAGIC) {
+        return Err(SegmentError::NotASegment);
+    }
     let mut cell = CellContents::default();
     for _ in 0..reader.count()? {
         cell.keyframes.push(reader.record(|[id]: [u64; 1], key, sealed| {
@@ -93,19 +75,15 @@ pub(crate) fn decode(bytes: &[u8]) -> Result<CellContents, SegmentError> {
             Ok(unseal::<CrossCovarianceRecord>(CROSS_COVARIANCES, key, sealed)?.into_cross_covariance(a, b))
         })?);
     }
-    if has_common {
-        for _ in 0..reader.count()? {
-            cell.common_errors.push(reader.record(|[id]: [u64; 1], key, sealed| {
-                Ok(unseal::<CommonErrorRecord>(COMMON_ERRORS, key, sealed)?.into_common_error(id))
-            })?);
-        }
+    for _ in 0..reader.count()? {
+        cell.common_errors.push(reader.record(|[id]: [u64; 1], key, sealed| {
+            Ok(unseal::<CommonErrorRecord>(COMMON_ERRORS, key, sealed)?.into_common_error(id))
+        })?);
     }
-    if has_aliases {
-        for _ in 0..reader.count()? {
-            cell.aliases.push(reader.record(|[id]: [u64; 1], key, sealed| {
-                Ok(unseal::<AliasesRecord>(ALIASES, key, sealed)?.into_aliases(id))
-            })?);
-        }
+    for _ in 0..reader.count()? {
+        cell.aliases.push(reader.record(|[id]: [u64; 1], key, sealed| {
+            Ok(unseal::<AliasesRecord>(ALIASES, key, sealed)?.into_aliases(id))
+        })?);
     }
     match bytes.len() - reader.at {
         0 => Ok(cell),
@@ -213,9 +191,7 @@ mod tests {
             let mut flipped = bytes.to_vec();
             flipped[at % bytes.len()] ^= 1 << bit;
             prop_assert!(decode(&flipped).is_err());
-            for magic in [MAGIC, MAGIC_COMMON, MAGIC_ALIASES] {
-                prop_assert!(decode(&[magic, noise.as_slice()].concat()).is_err());
-            }
+            prop_assert!(decode(&[MAGIC, noise.as_slice()].concat()).is_err());
             prop_assert!(decode(&[bytes, &[0]].concat()).is_err());
         }
     }

@@ -14,25 +14,47 @@ use std::str::FromStr;
 pub struct ReleaseKey(PublicKey);
 
 impl FromStr for ReleaseKey {
-    type Err = String;
+    type Err = ReleaseKeyError;
 
     /// Reads a key: its base64 text, or the file of it.
-    fn from_str(text: &str) -> Result<Self, String> {
+    fn from_str(text: &str) -> Result<Self, ReleaseKeyError> {
         let path = Path::new(text);
         let key = if path.is_file() { PublicKey::from_file(path) } else { PublicKey::from_base64(text) };
-        key.map(Self).map_err(|error| {
-            format!("{text} is no public key ({error}): give the file of one, like city.pub, or its line that begins with RW")
-        })
+        key.map(Self).map_err(|source| ReleaseKeyError { text: text.to_owned(), source })
     }
 }
 
 impl ReleaseKey {
     /// Verifies the signature of some bytes.
-    pub(crate) fn verify(&self, bytes: &[u8], signature: &[u8]) -> Result<(), String> {
-        let text = std::str::from_utf8(signature).map_err(|error| error.to_string())?;
-        let signature = Signature::decode(text).map_err(|error| error.to_string())?;
-        self.0.verify(bytes, &signature, false).map_err(|error| error.to_string())
+    pub(crate) fn verify(&self, bytes: &[u8], signature: &[u8]) -> Result<(), SignatureError> {
+        let signature = Signature::decode(std::str::from_utf8(signature)?)?;
+        Ok(self.0.verify(bytes, &signature, false)?)
     }
+}
+
+/// A text that is no public key.
+#[derive(Debug, thiserror::Error)]
+#[error(
+    "{text} is no public key ({source}): give the file of one, like city.pub, or its line that begins with RW"
+)]
+pub struct ReleaseKeyError {
+    text: String,
+    source: minisign_verify::Error,
+}
+
+/// What is wrong with the signature of a release.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum SignatureError {
+    /// There is none.
+    #[error("it has no signature")]
+    Missing,
+    /// Its file is no text.
+    #[error("{0}")]
+    Text(#[from] std::str::Utf8Error),
+    /// It is none of minisign, or of another key or other bytes.
+    #[error("{0}")]
+    Invalid(#[from] minisign_verify::Error),
 }
 
 /// The secret key of releases.
@@ -95,10 +117,10 @@ impl SigningKey {
         Ok(public_file)
     }
 
-    /// The signature of some bytes.
-    pub(crate) fn sign(&self, bytes: &[u8]) -> Result<Vec<u8>, String> {
-        let signature =
-            minisign::sign(None, &self.0, bytes, None, None).map_err(|error| error.to_string())?;
-        Ok(signature.to_bytes())
+    /// The signature of the file of a release.
+    pub(crate) fn sign(&self, bytes: &[u8], number: u64) -> Result<Vec<u8>, ReleaseError> {
+        let signature = minisign::sign(None, &self.0, bytes, None, None);
+        let failed = |error| ReleaseError::Sign { number, reason: Box::new(error) };
+        signature.map(|signature| signature.to_bytes()).map_err(failed)
     }
 }

@@ -1,12 +1,13 @@
 //! The object store of releases.
 
 use crate::change::ReleasedChange;
+use crate::damage::Damage;
 use crate::digest::sha256;
 use crate::error::ReleaseError;
 use crate::release::{Release, SegmentName};
-use crate::signing::ReleaseKey;
 #[cfg(feature = "signing")]
 use crate::signing::SigningKey;
+use crate::signing::{ReleaseKey, SignatureError};
 use bytes::Bytes;
 use futures_util::TryStreamExt as _;
 use object_store::path::Path;
@@ -142,14 +143,13 @@ impl ReleaseStore {
             error => error,
         })?;
         if let Some(key) = &self.key {
-            let not_signed =
-                |reason: String| ReleaseError::NotSigned { place: self.place.clone(), number, reason };
+            let not_signed = |reason| ReleaseError::NotSigned { place: self.place.clone(), number, reason };
             let signature = match self.read(&signature_name(&text), MAX_SIGNATURE_BYTES).await {
                 Ok(signature) => signature,
                 Err(ReleaseError::Store { reason, .. })
                     if matches!(*reason, object_store::Error::NotFound { .. }) =>
                 {
-                    return Err(not_signed("it has no signature".to_owned()));
+                    return Err(not_signed(SignatureError::Missing));
                 }
                 Err(error) => return Err(error),
             };
@@ -202,7 +202,7 @@ impl ReleaseStore {
             return Ok(bytes);
         }
         let SegmentName { sha256, bytes } = found;
-        Err(self.damaged(object, format!("its {bytes} bytes have the SHA-256 {sha256}")))
+        Err(self.damaged(object, Damage::Checksum { bytes, sha256 }))
     }
 
     /// Puts a segment; one that is there already has the same bytes, and becomes young again.
@@ -216,13 +216,13 @@ impl ReleaseStore {
     /// Puts a release under its number, if that is free.
     pub(crate) async fn put_release(&self, release: &Release) -> Result<(), ReleaseError> {
         let object = release_name(release.number);
-        let mut text = serde_json::to_vec_pretty(release)
-            .map_err(|error| self.damaged(object.clone(), error.to_string()))?;
+        let mut text =
+            serde_json::to_vec_pretty(release).map_err(|error| self.damaged(object.clone(), error.into()))?;
         text.push(b'\n');
         #[cfg(feature = "signing")]
         if let Some(key) = &self.signing {
             // Before its release, so that none is ever without.
-            let signature = key.sign(&text).map_err(|reason| self.damaged(object.clone(), reason))?;
+            let signature = key.sign(&text, release.number)?;
             let name = signature_name(&text);
             let put = self.put(&name, signature, PutMode::Overwrite).await;
             put.map_err(|source| self.failed(name, "written", source))?;
@@ -288,8 +288,7 @@ impl ReleaseStore {
         let failed = |source| self.failed(object.to_owned(), "read", source);
         let found = self.store.get(&self.at(object)).await.map_err(failed)?;
         if found.meta.size > at_most {
-            let reason = format!("it has {} bytes, not {at_most} or less", found.meta.size);
-            return Err(self.damaged(object.to_owned(), reason));
+            return Err(self.damaged(object.to_owned(), Damage::Length { found: found.meta.size, at_most }));
         }
         found.bytes().await.map_err(failed)
     }
@@ -310,7 +309,7 @@ impl ReleaseStore {
         ReleaseError::Store { place: self.place.clone(), object, done, reason: Box::new(reason) }
     }
 
-    pub(crate) fn damaged(&self, object: String, reason: String) -> ReleaseError {
+    pub(crate) fn damaged(&self, object: String, reason: Damage) -> ReleaseError {
         ReleaseError::Damaged { place: self.place.clone(), object, reason }
     }
 }

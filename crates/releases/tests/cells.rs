@@ -171,26 +171,17 @@ async fn a_release_says_what_changed_and_so_do_several() {
 }
 
 #[tokio::test]
-async fn releases_of_the_first_schema_are_read_and_cannot_be_served_by_cells() {
+async fn a_release_of_another_schema_is_refused_with_both_numbers() {
     let (folder, store) = store();
     let contents = place(6);
     let release = published(&store, &contents, 6).await;
-    let path = folder.path().join("city/releases/00000000000000000001.json");
-    let mut value: serde_json::Value = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
-    value["schema"] = 1.into();
-    value.as_object_mut().unwrap().remove("change");
-    for cell in value["cells"].as_array_mut().unwrap() {
-        cell.as_object_mut().unwrap().remove("serving");
-    }
-    std::fs::write(&path, value.to_string()).unwrap();
-    let former = store.newest().await.unwrap().unwrap();
-    assert_eq!(releases::fetch(&store, &former, None).await.unwrap(), contents);
-    let error = fetch_cell(&store, &former, release.cells[0].cell, None).await.unwrap_err();
-    assert!(matches!(error, ReleaseError::NotServable { number: 1, .. }), "{error}");
     let error = fetch_cell(&store, &release, 999, None).await.unwrap_err();
     assert!(matches!(error, ReleaseError::NoCell { cell: 999, .. }), "{error}");
-    // Published again, the same map becomes servable.
-    let again = published(&store, &contents, 6).await;
-    assert!(again.number == 2 && again.is_servable_by_cells());
-    assert_eq!(again.change.unwrap().moved, Vec::<KeyframeId>::new());
+    let path = folder.path().join("city/releases/00000000000000000001.json");
+    let mut value: serde_json::Value = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
+    value["schema"] = 3.into();
+    value["unknown"] = 1.into();
+    std::fs::write(&path, value.to_string()).unwrap();
+    let error = store.newest().await.unwrap_err().to_string();
+    assert!(error.contains("schema 3") && error.contains("reads 4"), "{error}");
 }

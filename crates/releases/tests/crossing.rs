@@ -13,6 +13,8 @@ use releases::{CleanOptions, PublishOptions, ReleaseStore, clean, fetch, publish
 use testing::{Place, PlaceOptions};
 
 const STORES: u64 = 100;
+/// Longer than any publication here takes on a busy machine.
+const GRACE: Duration = Duration::from_secs(5);
 
 fn place(seed: u64) -> MapContents {
     let options = PlaceOptions { seed, keyframes: 4, landmarks: 60, ..PlaceOptions::default() };
@@ -49,14 +51,14 @@ async fn released(seed: u64, newest: usize) -> (ReleaseStore, [MapContents; 2]) 
     for version in [1 - newest, newest] {
         publish(&store, versions[version].clone(), &PublishOptions::default(), |_| {}).await.unwrap();
     }
-    tokio::time::sleep(Duration::from_millis(2100)).await;
+    tokio::time::sleep(GRACE + Duration::from_millis(1100)).await;
     (store, versions)
 }
 
 /// Cleans after some milliseconds; an error has words.
 async fn clean_late(store: &ReleaseStore, pause_ms: u64) {
     let mut options = CleanOptions::default();
-    (options.releases, options.grace) = (1, Duration::from_secs(1));
+    (options.releases, options.grace) = (1, GRACE);
     tokio::time::sleep(Duration::from_millis(pause_ms)).await;
     if let Err(error) = clean(store, &options).await {
         assert!(!error.to_string().is_empty());

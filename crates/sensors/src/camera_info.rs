@@ -62,32 +62,63 @@ pub fn camera_of_info(
             message.distortion_model
         );
     }
-    // Higher orders of the distortion are zero in most calibrations, and not supported in the others.
-    let (model, wanted) = match message.distortion_model.as_str() {
-        _ if is_undistorted => ("none", 0),
-        "plumb_bob" | "rational_polynomial" | "radtan" => ("plumb_bob", 4),
-        "equidistant" | "fisheye" => ("equidistant", 4),
-        other => (other, d.len()),
-    };
-    if let Some(order) = d.iter().skip(wanted).position(|value| *value != 0.0)
-        && !is_undistorted
-    {
-        return Err(wrong(format!(
-            "coefficient {} of distortion_model {} is not zero, and only the first {wanted} are supported: calibrate with \
-             plumb_bob and k3 = 0, or equidistant",
-            wanted + order + 1,
-            message.distortion_model
-        )));
-    }
+    let (camera_model, distortion_model, before, given) =
+        if is_undistorted { ("pinhole", "none", 0, 0) } else { layout(message, name)? };
+    let mut coefficients = d.clone();
+    coefficients.resize(d.len().max(before + given), 0.0);
+    let intrinsics = [&coefficients[..before], &intrinsics[..]].concat();
     let lens = Lens {
         resolution,
-        camera_model: None,
+        camera_model: Some(camera_model),
         intrinsics: &intrinsics,
-        distortion_model: Some(model),
-        distortion: &d[..wanted.min(d.len())],
+        distortion_model: Some(distortion_model),
+        distortion: &coefficients[before..before + given],
         distortion_key: "coefficients (D)",
     };
     Ok(Some(lens.camera(name)?))
+}
+
+/// Models of the camera and of its distortion, how many coefficients belong to the first, and how many to the second.
+///
+/// # Errors
+/// [`SequenceError`]: coefficients that the model does not have.
+fn layout<'a>(
+    message: &'a CameraInfo,
+    name: &Path,
+) -> Result<(&'a str, &'a str, usize, usize), SequenceError> {
+    let wrong = |problem: String| SequenceError::calibration(name, problem);
+    let CameraInfo { d, distortion_model, .. } = message;
+    // OpenCV takes 4, 5, 8, 12 or 14 coefficients under either name; the last two, of a tilted sensor, are not supported.
+    let last = d.iter().rposition(|value| *value != 0.0).map_or(0, |last| last + 1);
+    let (camera_model, model, before, given) = match distortion_model.as_str() {
+        "plumb_bob" | "rational_polynomial" | "radtan" => {
+            let shortest = [4, 5, 8].into_iter().find(|&count| last <= count).unwrap_or(12);
+            ("pinhole", "radtan", 0, shortest)
+        }
+        "equidistant" | "fisheye" => ("pinhole", "equidistant", 0, 4),
+        FOV => ("pinhole", FOV, 0, 1),
+        THIN_PRISM_FISHEYE => ("pinhole", THIN_PRISM_FISHEYE, 0, 8),
+        "ds" => ("ds", "none", 2, 0),
+        "eucm" => ("eucm", "none", 2, 0),
+        "omni" => ("omni", "radtan", 1, 4),
+        // Named in the error of the reader of calibrations.
+        other => ("pinhole", other, 0, d.len()),
+    };
+    if last > before + given {
+        return Err(wrong(format!(
+            "coefficient {last} of distortion_model {distortion_model} is not zero, and only the first {} are supported: calibrate with \
+             plumb_bob, rational_polynomial without a tilted sensor, or equidistant",
+            before + given
+        )));
+    }
+    let fewest = if model == "radtan" && before == 0 { 4 } else { before + given };
+    if d.len() < fewest {
+        return Err(wrong(format!(
+            "distortion_model {distortion_model} has only {} coefficients (D)",
+            d.len()
+        )));
+    }
+    Ok((camera_model, model, before, given))
 }
 
 /// Resolution and intrinsics (focal lengths, principal point) of the images: the message states those of the whole sensor at full
@@ -103,19 +134,47 @@ fn of_images(message: &CameraInfo, [fu, fv, cu, cv]: [f64; 4]) -> ([u32; 2], [f6
     ([width / horizontal, height / vertical], [fu / by_u, fv / by_v, (cu - u) / by_u, (cv - v) / by_v])
 }
 
-/// The name of the FOV model in messages. ROS has none, so that nodes of others refuse it.
+/// Names of models that ROS has none for, so that nodes of others refuse them.
 const FOV: &str = "fov";
+const THIN_PRISM_FISHEYE: &str = "thin_prism_fisheye";
+
+/// Whether ROS has a name for the distortion model of a camera, such that other nodes can use its message.
+///
+/// ```
+/// use geometry::Distortion;
+/// use sensors::ros::has_ros_name;
+/// assert!(has_ros_name(&Distortion::None) && !has_ros_name(&Distortion::Fov(0.9)));
+/// ```
+pub fn has_ros_name(distortion: &Distortion) -> bool {
+    match distortion {
+        Distortion::None
+        | Distortion::RadialTangential(_)
+        | Distortion::Equidistant(_)
+        | Distortion::Rational(_) => true,
+        Distortion::Fov(_)
+        | Distortion::ThinPrismFisheye(_)
+        | Distortion::DoubleSphere { .. }
+        | Distortion::Eucm { .. }
+        | Distortion::Omni { .. } => false,
+    }
+}
 
 /// A projection as a message. [`camera_of_info`] reads it back with all digits.
 ///
-/// The model of the distortion is `plumb_bob` or `equidistant`; ROS has no name for the FOV model, which is written as `fov`: nodes of others
-/// refuse it.
+/// The model of the distortion is `plumb_bob` (5 coefficients), `rational_polynomial` (8, with a thin prism 12, as OpenCV takes them) or
+/// `equidistant`. ROS has no name for the others, which are written as `fov`, `thin_prism_fisheye`, `ds`, `eucm` and `omni` with the
+/// coefficients of [`Distortion::coefficients`]: nodes of others refuse them, see [`has_ros_name`].
 pub fn camera_info_message(camera: &Camera, header: Header) -> CameraInfo {
-    let (distortion_model, d) = match camera.distortion {
-        Distortion::None => ("plumb_bob", vec![0.0; 5]),
-        Distortion::RadialTangential([k1, k2, p1, p2]) => ("plumb_bob", vec![k1, k2, p1, p2, 0.0]),
-        Distortion::Equidistant(k) => ("equidistant", k.to_vec()),
-        Distortion::Fov(omega) => (FOV, vec![omega]),
+    let mut d = camera.distortion.coefficients();
+    let distortion_model = match camera.distortion {
+        Distortion::None | Distortion::RadialTangential(_) => {
+            d.resize(5, 0.0);
+            "plumb_bob"
+        }
+        Distortion::Rational(_) if d.len() == 5 => "plumb_bob",
+        Distortion::Rational(_) => "rational_polynomial",
+        Distortion::ThinPrismFisheye(_) => THIN_PRISM_FISHEYE,
+        other => other.name(),
     };
     let ([fu, fv], [cu, cv]) = (camera.focal, camera.centre);
     CameraInfo {
@@ -151,6 +210,13 @@ mod tests {
             Distortion::RadialTangential(coefficients),
             Distortion::Equidistant(coefficients),
             Distortion::Fov(0.9),
+            Distortion::from_opencv(&[-0.28, 0.07, 0.0002, 0.00002, 0.01]).unwrap(),
+            Distortion::from_opencv(&[0.5, -2.7, 0.0002, 0.00002, 1.5, 0.4, -2.5, 1.5]).unwrap(),
+            Distortion::Rational([0.5, -2.7, 2e-4, 2e-5, 1.5, 0.4, -2.5, 1.5, 1e-3, 2e-3, 3e-3, 4e-3]),
+            Distortion::ThinPrismFisheye([0.01, -0.02, 1e-3, 2e-3, 0.003, -4e-4, 1e-3, -1e-3]),
+            Distortion::DoubleSphere { xi: -0.2, alpha: 0.57 },
+            Distortion::Eucm { alpha: 0.63, beta: 1.04 },
+            Distortion::Omni { xi: 1.85, distortion: coefficients },
         ] {
             let message = camera_info_message(&camera(distortion), Header::default());
             assert_eq!(read(&message, "/cam0/image_raw").unwrap(), Some(camera(distortion)));
@@ -175,6 +241,26 @@ mod tests {
     }
 
     #[test]
+    fn coefficients_of_opencv_are_those_of_the_simplest_model() {
+        let mut message = camera_info_message(&camera(Distortion::None), Header::default());
+        let twelve = [0.5, -2.7, 2e-4, 2e-5, 1.5, 0.4, -2.5, 1.5, 1e-3, 2e-3, 3e-3, 4e-3];
+        for (model, count, given) in [
+            ("plumb_bob", 4, 5),
+            ("plumb_bob", 5, 5),
+            ("rational_polynomial", 4, 8),
+            ("rational_polynomial", 8, 8),
+        ]
+        .into_iter()
+        .chain([("rational_polynomial", 12, 14), ("plumb_bob", 8, 8), ("plumb_bob", 4, 4)])
+        {
+            message.distortion_model = model.to_owned();
+            message.d = [&twelve[..count], &vec![0.0; given - count]].concat();
+            let read = read(&message, "/cam0/image_raw").unwrap().unwrap();
+            assert_eq!(Some(read.distortion), Distortion::from_opencv(&twelve[..count]), "{model} {count}");
+        }
+    }
+
+    #[test]
     fn what_is_no_projection_of_the_images_is_refused() {
         assert_eq!(read(&CameraInfo::default(), "/image_raw").unwrap(), None);
         let good = camera_info_message(&camera(Distortion::None), Header::default());
@@ -183,7 +269,18 @@ mod tests {
             change(&mut message);
             read(&message, "/cam0/image_raw").unwrap_err().to_string()
         };
-        assert!(refused(&|message| message.d[4] = 0.1).contains("coefficient 5"));
+        let tilted = |message: &mut CameraInfo| {
+            message.d.resize(14, 0.0);
+            message.d[12] = 0.1;
+        };
+        assert!(refused(&tilted).contains("coefficient 13"));
+        let of_fisheye = |message: &mut CameraInfo| {
+            message.distortion_model = "equidistant".to_owned();
+            message.d[4] = 0.1;
+        };
+        assert!(refused(&of_fisheye).contains("coefficient 5"));
+        let short = |message: &mut CameraInfo| message.d = vec![0.1, 0.2];
+        assert!(refused(&short).contains("only 2 coefficients"));
         let unnamed = |message: &mut CameraInfo| {
             message.distortion_model.clear();
             message.d[0] = 0.1;

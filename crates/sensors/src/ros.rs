@@ -1,6 +1,6 @@
 //! Readings, images and projections as messages of ROS, and back.
 
-pub use crate::camera_info::{camera_info_message, camera_info_topic, camera_of_info};
+pub use crate::camera_info::{camera_info_message, camera_info_topic, camera_of_info, has_ros_name};
 pub use crate::ros_sensors::{RosSensors, SENSOR_FRAMES, transform_message};
 
 use crate::{ImageData, ImuSample, OriginalImage, RawPixels};

@@ -1,8 +1,7 @@
 //! The sensors of a robot as others know them: the names of their frames, the projections of the cameras, where they are mounted.
 
-use super::camera_info::{camera_info_message, camera_info_topic};
+use super::camera_info::{camera_info_message, camera_info_topic, has_ros_name};
 use crate::CameraSensor;
-use geometry::camera::Distortion;
 use geometry::pose::Pose;
 use ros_messages::builtin_interfaces::Time;
 use ros_messages::geometry_msgs::{Quaternion, Transform, TransformStamped};
@@ -41,16 +40,17 @@ impl RosSensors {
             info: camera_info_message(&sensor.camera, Header::default()),
             imu_from_camera: sensor.imu_from_camera,
             rate_hz: sensor.rate_hz,
-            has_ros_name: !matches!(sensor.camera.distortion, Distortion::Fov(_)),
+            has_ros_name: has_ros_name(&sensor.camera.distortion),
         };
         Self { imu_frame, cameras: names.zip(cameras).map(camera).collect() }
     }
 
     /// Logs which projections programs other than Driftless cannot use.
     pub fn warn_of_unnamed_models(&self) {
-        for (index, _) in self.cameras.iter().enumerate().filter(|(_, camera)| !camera.has_ros_name) {
+        for (index, camera) in self.cameras.iter().enumerate().filter(|(_, camera)| !camera.has_ros_name) {
             tracing::warn!(
-                "cam{index}: ROS has no name for its distortion (fov): its CameraInfo is recorded, but of use to Driftless only"
+                "cam{index}: ROS has no name for its distortion ({}): its CameraInfo is recorded, but of use to Driftless only",
+                camera.info.distortion_model
             );
         }
     }
@@ -110,6 +110,7 @@ pub fn transform_message(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use geometry::Distortion;
     use geometry::camera::Camera;
 
     #[test]

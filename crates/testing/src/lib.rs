@@ -2,11 +2,9 @@
 #![allow(clippy::unwrap_used, clippy::missing_panics_doc, missing_docs)]
 
 mod folders;
-mod former_database;
 mod memory;
 
 pub use folders::copy_folder;
-pub use former_database::{former_bytes, write_former_database};
 pub use memory::resident_mb;
 
 use geometry::uncertain_pose::isotropic_covariance;

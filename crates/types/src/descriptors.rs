@@ -152,7 +152,7 @@ impl<'de> Deserialize<'de> for Descriptors {
         let mut bytes = Vec::new();
         for (index, text) in form.hex.iter().enumerate() {
             append_hex(text, usize::from(form.width), &mut bytes)
-                .map_err(|reason| serde::de::Error::custom(format!("hex[{index}] {reason}")))?;
+                .map_err(|error| serde::de::Error::custom(format!("hex[{index}] {error}")))?;
         }
         Ok(Self { kind: form.kind, width: form.width, bytes })
     }
@@ -164,12 +164,21 @@ fn to_hex(bytes: &[u8]) -> String {
     bytes.iter().flat_map(|byte| [digit(byte >> 4), digit(byte & 15)]).collect()
 }
 
+/// Why a text is no descriptor.
+#[derive(Debug, thiserror::Error)]
+enum HexError {
+    #[error("has {characters} characters, not the {} digits of {width} bytes", 2 * width)]
+    Length { characters: usize, width: usize },
+    #[error("is not hexadecimal")]
+    Digit,
+}
+
 /// Appends the `width` bytes written as `2 * width` hexadecimal digits.
-fn append_hex(text: &str, width: usize, bytes: &mut Vec<u8>) -> Result<(), String> {
+fn append_hex(text: &str, width: usize, bytes: &mut Vec<u8>) -> Result<(), HexError> {
     if text.len() != 2 * width {
-        return Err(format!("has {} characters, not the {} digits of {width} bytes", text.len(), 2 * width));
+        return Err(HexError::Length { characters: text.len(), width });
     }
-    let digit = |character: u8| char::from(character).to_digit(16).ok_or("is not hexadecimal");
+    let digit = |character: u8| char::from(character).to_digit(16).ok_or(HexError::Digit);
     for [high, low] in text.as_bytes().as_chunks::<2>().0 {
         bytes.push((digit(*high)? << 4 | digit(*low)?) as u8);
     }

@@ -1,6 +1,6 @@
 //! The cameras that a map was built with, one of which may have taken an image that is to be localized.
 
-use geometry::{Camera, Distortion};
+use geometry::Camera;
 use serde::Serialize;
 
 /// Cameras of a map that are offered; of a model in which each image has its own, the first.
@@ -32,12 +32,7 @@ pub(crate) struct CameraAnswer {
 impl CameraAnswer {
     pub(crate) fn of((number, viewed): (usize, &ViewedCamera)) -> Self {
         let Camera { width, height, focal, centre, distortion } = &viewed.camera;
-        let (distortion_model, distortion_coefficients) = match distortion {
-            Distortion::None => ("none", Vec::new()),
-            Distortion::RadialTangential(values) => ("radial-tangential", values.to_vec()),
-            Distortion::Equidistant(values) => ("equidistant", values.to_vec()),
-            Distortion::Fov(omega) => ("fov", vec![*omega]),
-        };
+        let (distortion_model, distortion_coefficients) = (distortion.name(), distortion.coefficients());
         let (width, height, focal, centre) = (*width, *height, *focal, *centre);
         let keyframes = viewed.keyframes;
         Self { number, keyframes, width, height, focal, centre, distortion_model, distortion_coefficients }
@@ -71,6 +66,7 @@ fn counted<'a>(cameras: impl Iterator<Item = (&'a Camera, usize)>) -> Vec<Viewed
 #[cfg(test)]
 mod tests {
     use super::*;
+    use geometry::Distortion;
 
     fn camera(width: u32) -> Camera {
         let (focal, centre) = ([400.0, 400.0], [f64::from(width) / 2.0, 200.0]);

@@ -77,11 +77,8 @@ impl CellDirectory {
         let mut builder = CoarseIndexBuilder::new(info.clone());
         let mut cells = BTreeMap::new();
         for (cell, CoarseCell { keyframes, positions, landmarks }) in coarse {
-            let Some((released, serving)) =
-                release.cell(cell).and_then(|released| Some((released, released.serving.as_ref()?)))
-            else {
-                continue;
-            };
+            let Some(released) = release.cell(cell) else { continue };
+            let serving = &released.serving;
             let looks = landmarks
                 .iter()
                 .map(|landmark| (landmark.descriptor.as_slice(), landmark.observers.as_slice()));

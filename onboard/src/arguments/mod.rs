@@ -2,6 +2,7 @@
 
 mod calibration;
 mod choices;
+mod features;
 mod live;
 #[cfg(feature = "ros")]
 mod ros;
@@ -10,19 +11,20 @@ mod settings_file;
 
 pub use calibration::CalibrationArguments;
 pub use choices::{Calibrate, Cameras, FrameKind, Init, Mode, Source, TopicFormat};
+pub use features::FeatureArguments;
 pub use live::LiveArguments;
 #[cfg(feature = "ros")]
 pub use ros::{ImuInBaseLink, RosArguments};
 pub use settings::{SettingsError, read_settings};
 pub use settings_file::{SettingsFileError, settings_text, with_settings};
 
-use super::extraction::FeatureArguments;
-use super::initial_pose::InitialPoses;
 use super::outputs::{RobotMetrics, RosBody, RosOutput};
 use anyhow::{Result, bail};
 use clap::{Args, Parser};
 use estimator::{EstimatorConfig, MapMode, Relinearization};
 use nalgebra::Vector3;
+use robot::estimator_config;
+use robot::initial_pose::InitialPoses;
 use sensors::SensorCalibration;
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
@@ -189,16 +191,12 @@ impl RobotArguments {
     /// # Errors
     /// There is no IMU, the settings file cannot be used, or a setting is out of range.
     pub fn estimator_config(&self, calibration: &SensorCalibration) -> Result<EstimatorConfig> {
-        let Some(imu) = &calibration.imu else {
+        let Some(of_sensor) = estimator_config(calibration) else {
             bail!(
                 "there is no IMU, which the estimator needs: mav0/imu0 in a folder, a topic of sensor_msgs/Imu in a bag (`driftless \
                  info REC` lists its topics)"
             )
         };
-        let defaults = EstimatorConfig::default();
-        let gravity = imu.gravity_magnitude.unwrap_or(defaults.gravity);
-        let mut of_sensor = defaults;
-        (of_sensor.imu_noise, of_sensor.gravity) = (imu.noise, gravity);
         let mut config = match &self.estimator_config {
             Some(path) => read_settings(path, &of_sensor)?,
             None => of_sensor,

@@ -1,11 +1,11 @@
 //! Switches of the ROS 2 topics.
 
-use crate::initial_pose::InitialPoses;
 use crate::outputs::{InitialPoseTopic, RosBody, RosFrames, RosSettings, SensorFrames};
 use client::SessionOptions;
 use client::session::{DEFAULT_ENDPOINT, SessionMode};
 use geometry::Pose;
 use nalgebra::{UnitQuaternion, Vector3};
+use robot::initial_pose::InitialPoses;
 use ros2::NodeOptions;
 use std::str::FromStr;
 

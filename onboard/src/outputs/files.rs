@@ -10,11 +10,11 @@
 //! Buffers are flushed once a second of sensor time: a run that is killed leaves what it had. `summary.json` exists
 //! only if the run ended in good order.
 
-use super::event::Event;
 use super::summary::Summary;
 use evaluation::trajectory::states::StateWriter;
 use evaluation::trajectory::tum::TumWriter;
 use evaluation::trajectory::{StampedPose, StateKind, StateRow};
+use robot::Event;
 use sensors::SequenceError;
 use std::fs::File;
 use std::path::{Path, PathBuf};

@@ -1,6 +1,5 @@
 //! Metrics and health of a robot, for Prometheus and for whatever restarts programs.
 
-use super::summary::QuerySummary;
 use estimator::{Localization, Status};
 use monitoring::Health;
 use prometheus_client::encoding::EncodeLabelSet;
@@ -9,8 +8,9 @@ use prometheus_client::metrics::family::Family;
 use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::metrics::histogram::{Histogram, exponential_buckets};
 use prometheus_client::registry::{Registry, Unit};
+use robot::counts::QuerySummary;
+use robot::{Estimate, Output, RunReport, StatusReport};
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Duration;
 
 /// Label of a localization state.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, EncodeLabelSet)]
@@ -96,14 +96,8 @@ impl RobotMetrics {
         self.health.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// Counts a frame that was processed.
-    pub(crate) fn note_frame(&self, duration: Duration) {
-        self.frames.inc();
-        self.frame_duration.observe(duration.as_secs_f64());
-    }
-
     /// Takes the status and the number of queries of now.
-    pub(crate) fn note_status(&self, status: &Status, queries: &QuerySummary) {
+    fn note_status(&self, status: &Status, queries: &QuerySummary) {
         for (state, name) in STATES {
             let label = StateLabel { state: name };
             self.localization.get_or_create(&label).set(i64::from(status.localization == state));
@@ -115,6 +109,23 @@ impl RobotMetrics {
         let is_well = status.localization.is_usable();
         *self.health.lock().unwrap_or_else(PoisonError::into_inner) =
             Health { is_well, reason: status.reason.clone() };
+    }
+}
+
+impl Output for RobotMetrics {
+    fn estimate(&mut self, estimate: &Estimate) {
+        self.frames.inc();
+        self.frame_duration.observe(estimate.computing_time.as_secs_f64());
+    }
+
+    fn status(&mut self, report: &StatusReport) {
+        self.note_status(&report.status, &report.queries);
+    }
+
+    fn end(&mut self, report: &RunReport) {
+        if let Some(status) = &report.final_status {
+            self.note_status(status, &report.queries);
+        }
     }
 }
 

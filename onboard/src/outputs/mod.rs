@@ -1,6 +1,5 @@
 //! What a run puts out: files, the summary, messages.
 
-mod event;
 mod files;
 mod metrics;
 mod name_watch;
@@ -21,21 +20,19 @@ mod sensor_topics;
 mod status_line;
 mod status_word;
 mod summary;
+mod zenoh_output;
 
-pub use event::Event;
 pub use files::{EVENTS, OutputError, STATES};
 pub use metrics::RobotMetrics;
-pub use publisher::{Publisher, QueryCounts};
+pub use publisher::Publisher;
 pub use publisher_error::PublisherError;
 pub use recorder::Recorder;
 pub(crate) use recording::MessageRecording;
 pub(crate) use recording_settings::RecordingSettings;
 #[cfg(feature = "ros")]
 pub use ros::RosOutputTask;
-pub use ros::{Estimate, InitialPoseTopic, RosBody, RosFrames, RosOutput, RosSettings, SensorFrames};
+pub use ros::{InitialPoseTopic, RosBody, RosFrames, RosOutput, RosSettings, SensorFrames};
 pub use status_line::StatusLine;
 pub(crate) use status_word::status_word;
-pub use summary::{
-    DivergenceSummary, EndedLost, ImuGapSummary, MapChangeSummary, MillisecondsPerFrame, PairSummary,
-    QuerySummary, StartSummary, Summary, Timings, TrackSummary, Traffic,
-};
+pub use summary::{EndedLost, Summary};
+pub use zenoh_output::ZenohOutput;

@@ -2,9 +2,9 @@
 
 use super::name_watch::NameWatch;
 use super::publisher_error::PublisherError;
-use crate::map_conversion::map_identity;
-use estimator::{Estimator, Localization, Motion, Status};
+use estimator::{Localization, Motion};
 use protocol::{Format, Message, RobotOdometry, RobotPose, RobotState, RobotStatus, keys};
+use robot::{Estimate, StatusReport};
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::runtime::Handle;
@@ -17,15 +17,6 @@ const QUEUE: usize = 64;
 
 /// Key, encoding and payload.
 type Outgoing = (Arc<str>, &'static str, Vec<u8>);
-
-/// Counts of queries for status messages.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct QueryCounts {
-    /// Queries sent so far.
-    pub sent: u64,
-    /// Queries that the map answered, with or without a match.
-    pub answered: u64,
-}
 
 /// Publishes under `robot/{robot}/...`, declares the robot's liveliness token, and watches for others of its name.
 #[derive(Debug)]
@@ -103,41 +94,38 @@ impl Publisher {
         self.clock_shift_ns = shift_ns;
     }
 
-    /// Publishes the state of a frame. Messages that do not fit into the queue are dropped: newer ones follow.
-    pub fn publish(&self, estimator: &Estimator, status: Status, counts: QueryCounts) {
-        let stamp_ns = estimator.stamp_ns();
-        self.send(&self.odometry_key, &odometry(&estimator.motion(), self.clock_shift_ns));
-        let trusted = status.localization.is_usable();
-        let poses = estimator.global_from_imu().zip(estimator.global_from_local()).filter(|_| trusted);
-        let map = estimator.map_version().zip(estimator.map_identity());
-        let named = self.map.as_ref().zip(poses.zip(map));
-        if let Some((map, ((global_from_imu, global_from_local), (map_version, identity)))) = named {
+    /// Publishes where the robot is. Messages that do not fit into the queue are dropped: newer ones follow.
+    pub fn publish(&self, estimate: &Estimate) {
+        self.send(&self.odometry_key, &odometry(&estimate.motion, self.clock_shift_ns));
+        let map = estimate.map_version.zip(estimate.map_identity);
+        let named = self.map.as_ref().zip(estimate.trusted().zip(map));
+        if let Some((map, (global, (map_version, map_identity)))) = named {
             let pose = RobotPose {
-                stamp_ns: self.sensor_stamp_ns(stamp_ns),
+                stamp_ns: self.sensor_stamp_ns(estimate.motion.stamp_ns),
                 map: map.clone(),
                 map_version,
-                map_identity: map_identity(identity),
-                global_from_imu,
-                global_from_local,
+                map_identity,
+                global_from_imu: global.global_from_imu,
+                global_from_local: global.global_from_local,
             };
             self.send(&self.pose_key, &pose);
         }
-        self.publish_status(stamp_ns, status, counts);
     }
 
     /// Publishes the status, also while there is no pose.
-    pub fn publish_status(&self, stamp_ns: i64, status: Status, counts: QueryCounts) {
+    pub fn publish_status(&self, report: &StatusReport) {
+        let StatusReport { status, queries, .. } = report;
         self.send(
             &self.status_key,
             &RobotStatus {
-                stamp_ns: self.sensor_stamp_ns(stamp_ns),
+                stamp_ns: self.sensor_stamp_ns(report.stamp_or_now_ns()),
                 state: robot_state(status.localization),
-                reason: status.reason,
+                reason: status.reason.clone(),
                 map: self.map.clone(),
                 last_map_update_ns: status.last_map_update_ns.map(|stamp_ns| self.sensor_stamp_ns(stamp_ns)),
                 keyframes_held: status.held_keyframes as u32,
-                queries_sent: counts.sent,
-                queries_answered: counts.answered,
+                queries_sent: queries.sent,
+                queries_answered: queries.answered,
             },
         );
     }

@@ -2,15 +2,14 @@
 //!
 //! Files are written on a thread of their own. A failing disk ends the recording, not the run.
 
-use super::event::Event;
-use super::publisher::QueryCounts;
 use super::recording_queue::RecordingQueue;
 use super::recording_settings::RecordingSettings;
-use super::ros::{Diagnostics, Estimate, OdomFrame, messages};
+use super::ros::{Diagnostics, OdomFrame, messages};
 use super::sensor_topics::{SensorTopics, mounting};
 use bags::{BagError, Format};
-use estimator::{ImuSample, Status};
+use estimator::ImuSample;
 use geometry::PoseWithCovariance;
+use robot::{Estimate, Event, Output, StatusReport};
 use ros_messages::RosMessage;
 use ros_messages::builtin_interfaces::Time;
 use ros_messages::diagnostic_msgs::{DiagnosticArray, DiagnosticStatus, KeyValue};
@@ -36,7 +35,7 @@ pub(crate) struct MessageRecording {
     /// Whether it is recorded where the sensors are mounted.
     has_mounting: bool,
     /// Statuses before the first frame, which tells the time of the sensors, and when they were made.
-    first_statuses: Vec<(Instant, Status, QueryCounts)>,
+    first_statuses: Vec<(Instant, StatusReport)>,
 }
 
 impl MessageRecording {
@@ -58,23 +57,55 @@ impl MessageRecording {
         Ok(Self { settings, topics, queue, odom, clock_shift_ns, has_mounting, first_statuses })
     }
 
-    /// Sets what is added to all stamps, nanoseconds.
-    pub(crate) fn set_clock_shift(&mut self, shift_ns: i64) {
+    fn record_status(&mut self, stamp_ns: i64, report: &StatusReport) {
+        let stamp_ns = stamp_ns.saturating_add(self.clock_shift_ns);
+        let RecordingSettings { robot, map_expected, .. } = &self.settings;
+        let diagnostics = Diagnostics::of(robot, *map_expected, stamp_ns, report).message;
+        self.message("/diagnostics", stamp_ns, &diagnostics);
+    }
+
+    /// Keeps a status until the time of the sensors is known. Without any frame it is not recorded.
+    fn keep_status(&mut self, report: &StatusReport) {
+        if self.first_statuses.len() == MOST_FIRST_STATUSES {
+            self.first_statuses.remove(0);
+        }
+        self.first_statuses.push((Instant::now(), report.clone()));
+    }
+
+    /// Says where the sensors are mounted, before anything else and once.
+    fn mount(&mut self, stamp_ns: i64) {
+        let Some(stamp) = Time::from_nanoseconds(stamp_ns) else { return };
+        if std::mem::replace(&mut self.has_mounting, true) {
+            return;
+        }
+        let RecordingSettings { body, calibration, sensors, .. } = &self.settings;
+        let mounting = mounting(body, &calibration.cameras, *sensors, stamp);
+        if !mounting.transforms.is_empty() {
+            self.queue.message("/tf_static", stamp_ns, &mounting, None);
+        }
+    }
+
+    fn message<M: RosMessage>(&mut self, topic: &str, stamp_ns: i64, message: &M) {
+        self.mount(stamp_ns);
+        self.queue.message(topic, stamp_ns, message, None);
+    }
+}
+
+impl Output for MessageRecording {
+    fn set_clock_shift(&mut self, shift_ns: i64) {
         self.clock_shift_ns = shift_ns;
     }
 
-    /// The estimator starts again, with another odometry frame.
-    pub(crate) fn restart(&mut self) {
+    fn restart(&mut self) {
         self.odom.restart();
     }
 
-    /// The map corrected the pose of the IMU in L, at one time.
-    pub(crate) fn correct(&mut self, before: &PoseWithCovariance, after: &PoseWithCovariance) {
+    fn correct(&mut self, before: &PoseWithCovariance, after: &PoseWithCovariance) {
         self.odom.correct(before, after);
     }
 
     /// Records odometry, transforms, and the pose in the map.
-    pub(crate) fn estimate(&mut self, estimate: &Estimate) {
+    fn estimate(&mut self, estimate: &Estimate) {
         let mut estimate = estimate.clone();
         estimate.motion.stamp_ns = estimate.motion.stamp_ns.saturating_add(self.clock_shift_ns);
         let stamp_ns = estimate.motion.stamp_ns;
@@ -86,34 +117,26 @@ impl MessageRecording {
         }
     }
 
-    /// Records the status.
-    pub(crate) fn status(&mut self, stamp_ns: i64, status: &Status, counts: QueryCounts) {
-        let stamp_ns = stamp_ns.saturating_add(self.clock_shift_ns);
-        let RecordingSettings { robot, map_expected, .. } = &self.settings;
-        let diagnostics = Diagnostics::of(robot, *map_expected, stamp_ns, status, counts).message;
-        self.message("/diagnostics", stamp_ns, &diagnostics);
-    }
-
-    /// Keeps a status until the time of the sensors is known. Without any frame it is not recorded.
-    pub(crate) fn first_status(&mut self, status: &Status, counts: QueryCounts) {
-        if self.first_statuses.len() == MOST_FIRST_STATUSES {
-            self.first_statuses.remove(0);
+    /// Records the status; one before the first frame is kept until the time of the sensors is known.
+    fn status(&mut self, report: &StatusReport) {
+        match report.stamp_ns {
+            Some(stamp_ns) => self.record_status(stamp_ns, report),
+            None => self.keep_status(report),
         }
-        self.first_statuses.push((Instant::now(), status.clone(), counts));
     }
 
     /// The first frame has come: records the statuses that were kept, as long before it as they were made.
-    pub(crate) fn begin(&mut self, stamp_ns: i64) {
+    fn begin(&mut self, stamp_ns: i64) {
         let now = Instant::now();
-        for (made, status, counts) in std::mem::take(&mut self.first_statuses) {
+        for (made, report) in std::mem::take(&mut self.first_statuses) {
             let before_ns = i64::try_from(now.duration_since(made).as_nanos()).unwrap_or(i64::MAX);
             // Clocks that begin with the robot are young.
-            self.status(stamp_ns.saturating_sub(before_ns).max(0), &status, counts);
+            self.record_status(stamp_ns.saturating_sub(before_ns).max(0), &report);
         }
     }
 
     /// Records the result of a query, at the time of its image.
-    pub(crate) fn event(&mut self, event: &Event) {
+    fn query(&mut self, event: &Event) {
         let stamp_ns = event.stamp_ns.saturating_add(self.clock_shift_ns);
         let value = |key: &str, value: String| KeyValue { key: key.to_owned(), value };
         let status = DiagnosticStatus {
@@ -133,13 +156,12 @@ impl MessageRecording {
         self.message("/map_queries", stamp_ns, &DiagnosticArray { header, status: vec![status] });
     }
 
-    /// Sets which live sensors come with best effort.
-    pub(crate) fn set_best_effort(&mut self, streams: &[Stream]) {
+    fn set_best_effort(&mut self, streams: &[Stream]) {
         self.topics.set_best_effort(streams);
     }
 
     /// Records a reading of the IMU, where sensors are to be recorded.
-    pub(crate) fn reading(&mut self, reading: &ImuSample) {
+    fn reading(&mut self, reading: &ImuSample) {
         if !self.settings.sensors {
             return;
         }
@@ -151,7 +173,7 @@ impl MessageRecording {
     }
 
     /// Records the images of a frame with the projections of their cameras, where sensors are to be recorded.
-    pub(crate) fn frame(&mut self, frame: &Frame) {
+    fn frame(&mut self, frame: &Frame) {
         if !self.settings.sensors {
             return;
         }
@@ -167,24 +189,6 @@ impl MessageRecording {
             }
             self.queue.image((camera, name), stamp_ns, image, qos);
         }
-    }
-
-    /// Says where the sensors are mounted, before anything else and once.
-    fn mount(&mut self, stamp_ns: i64) {
-        let Some(stamp) = Time::from_nanoseconds(stamp_ns) else { return };
-        if std::mem::replace(&mut self.has_mounting, true) {
-            return;
-        }
-        let RecordingSettings { body, calibration, sensors, .. } = &self.settings;
-        let mounting = mounting(body, &calibration.cameras, *sensors, stamp);
-        if !mounting.transforms.is_empty() {
-            self.queue.message("/tf_static", stamp_ns, &mounting, None);
-        }
-    }
-
-    fn message<M: RosMessage>(&mut self, topic: &str, stamp_ns: i64, message: &M) {
-        self.mount(stamp_ns);
-        self.queue.message(topic, stamp_ns, message, None);
     }
 }
 

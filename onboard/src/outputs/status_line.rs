@@ -1,8 +1,9 @@
 //! Changes of the state in the log of a robot, and one line a minute.
 
 use super::status_word::status_word;
-use super::summary::QuerySummary;
 use estimator::Status;
+use robot::counts::QuerySummary;
+use robot::{Output, RunReport, StatusReport};
 use std::time::{Duration, Instant};
 
 /// Time between two lines.
@@ -24,7 +25,7 @@ impl Default for StatusLine {
 
 impl StatusLine {
     /// Writes the line if it is due.
-    pub fn log(&mut self, status: &Status, frames: usize, queries: &QuerySummary) {
+    fn log(&mut self, status: &Status, frames: usize, queries: &QuerySummary) {
         let is_new = self.state != Some(status_word(status));
         if !is_new && self.last.elapsed() < PERIOD {
             return;
@@ -40,5 +41,17 @@ impl StatusLine {
             held_keyframes = status.held_keyframes,
             "status"
         );
+    }
+}
+
+impl Output for StatusLine {
+    fn status(&mut self, report: &StatusReport) {
+        self.log(&report.status, report.frames, &report.queries);
+    }
+
+    fn end(&mut self, report: &RunReport) {
+        if let Some(status) = &report.final_status {
+            self.log(status, report.frames, &report.queries);
+        }
     }
 }

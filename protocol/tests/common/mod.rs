@@ -35,6 +35,11 @@ pub fn cameras() -> impl Strategy<Value = Camera> {
         Just(Distortion::RadialTangential([-0.283, 0.0739, 0.00019, 1.7e-5])),
         Just(Distortion::Equidistant([-0.01, 0.02, -0.03, 0.004])),
         (0.1..1.5f64).prop_map(Distortion::Fov),
+        Just(Distortion::Rational([0.51, -2.7, 3e-4, -1e-4, 1.5, 0.4, -2.5, 1.4, 1e-3, -4e-4, 8e-4, 3e-4])),
+        Just(Distortion::ThinPrismFisheye([-0.04, 0.01, 2e-4, -4e-4, -0.004, 8e-4, 6e-4, -9e-4])),
+        (-0.9..0.9f64, 0.0..1.0f64).prop_map(|(xi, alpha)| Distortion::DoubleSphere { xi, alpha }),
+        (0.0..1.0f64, 0.5..2.0f64).prop_map(|(alpha, beta)| Distortion::Eucm { alpha, beta }),
+        (0.0..3.0f64).prop_map(|xi| Distortion::Omni { xi, distortion: [-0.07, 0.4, -1e-3, 8e-4] }),
     ];
     (
         1..4000u32,

@@ -6,8 +6,7 @@ use std::time::Instant;
 
 use anyhow::bail;
 use nalgebra::Vector3;
-use onboard::arguments::CalibrationArguments;
-use onboard::extraction::FeatureArguments;
+use onboard::arguments::{CalibrationArguments, FeatureArguments};
 use sensors::{ReferencePose, Sequence, check_stereo};
 use serde_json::json;
 use vision::{FeatureExtractor, GrayImage};
@@ -134,7 +133,7 @@ pub struct Args {
 #[expect(clippy::needless_pass_by_value, reason = "every command owns its arguments")]
 pub fn run(args: Args) -> anyhow::Result<()> {
     let target = MapTarget::new(&args.map, args.force || args.extend)?;
-    let stored = if args.extend { Some(load_map(&args.map)?.whole()?) } else { None };
+    let stored = if args.extend { Some(load_map(&args.map)?.contents) } else { None };
     let mut sequence = Sequence::open_with(&args.recording, &args.calibration.files())?;
     if !args.mono {
         check_stereo(&sequence.cameras, sequence.frames.iter().cloned().map(Ok))?;

@@ -84,7 +84,7 @@ pub fn run(args: &Args) -> anyhow::Result<()> {
         bail!("--thin {share}: give a part from 0 to 1, for example 0.9");
     }
     let target = MapTarget::new(args.to.as_ref().unwrap_or(&args.map), args.to.is_none())?;
-    let before = load_map(&args.map)?.whole()?;
+    let before = load_map(&args.map)?.contents;
     let mut contents = before.clone();
     let chosen = chosen(args, &contents)?;
     remove_keyframes(&mut contents, &chosen);

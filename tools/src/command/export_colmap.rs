@@ -37,7 +37,7 @@ pub struct Args {
 /// A database that is missing, damaged or in use, a folder that holds a model already or cannot be written.
 #[expect(clippy::needless_pass_by_value, reason = "every command owns its arguments")]
 pub fn run(args: Args) -> anyhow::Result<()> {
-    let contents = store::load_map(&args.map)?.whole()?;
+    let contents = store::load_map(&args.map)?.contents;
     let names = image_names(&contents.keyframes, &args.images);
     let name = |keyframe: &Keyframe| names.get(&keyframe.id).cloned().unwrap_or_default();
     let WrittenModel { images, points, seen_once } = write_model(&args.to, &contents, name)?;

@@ -29,7 +29,7 @@ pub struct Args {
 /// A database that is missing, damaged or in use, a folder that holds a map already or cannot be written.
 #[expect(clippy::needless_pass_by_value, reason = "every command owns its arguments")]
 pub fn run(args: Args) -> anyhow::Result<()> {
-    let contents = store::load_map(&args.map)?.whole()?;
+    let contents = store::load_map(&args.map)?.contents;
     write_map(&args.to, &contents)?;
     let observations = contents.observation_count();
     if args.json {

@@ -1,7 +1,7 @@
 //! `driftless extract-features`: the features of an image, as a query that any client can send.
 
 use crate::query_image::QueryImage;
-use onboard::extraction::FeatureArguments;
+use onboard::arguments::FeatureArguments;
 use protocol::Format;
 use std::io::Write as _;
 use std::path::PathBuf;

@@ -7,7 +7,7 @@ use map::colmap::{ColmapModel, read_model};
 use map::store::MapTarget;
 use mapping::{ColmapFrame, Extraction, import_colmap};
 use nalgebra::Vector3;
-use onboard::extraction::FeatureArguments;
+use onboard::arguments::FeatureArguments;
 use sensors::{CalibrationFiles, Sequence};
 use serde_json::json;
 use vision::GrayImage;

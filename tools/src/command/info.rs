@@ -156,16 +156,10 @@ fn report(args: &Args) -> Result<Report> {
     Ok(Report { topics, damage, notes, imu, accelerometer, cameras, no_sensors, stereo_pairs, calibration })
 }
 
-/// A distortion as in a `sensor.yaml`.
+/// A distortion: the name of its model, and its coefficients in the order of the model.
 fn distortion(distortion: &Distortion) -> String {
-    let (model, coefficients): (&str, &[f64]) = match distortion {
-        Distortion::None => return "none".to_owned(),
-        Distortion::RadialTangential(coefficients) => ("radial-tangential", coefficients),
-        Distortion::Equidistant(coefficients) => ("equidistant", coefficients),
-        Distortion::Fov(omega) => ("fov", std::slice::from_ref(omega)),
-    };
-    let numbers: Vec<String> = coefficients.iter().map(ToString::to_string).collect();
-    format!("{model} {}", numbers.join(", "))
+    let numbers: Vec<String> = distortion.coefficients().iter().map(ToString::to_string).collect();
+    format!("{} {}", distortion.name(), numbers.join(", ")).trim_end().to_owned()
 }
 
 fn print(report: &Report) {

@@ -3,8 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result, bail};
-use onboard::arguments::CalibrationArguments;
-use onboard::extraction::FeatureArguments;
+use onboard::arguments::{CalibrationArguments, FeatureArguments};
 use protocol::{Format, KeyframeId};
 use recognition::{InspectedKeyframe, InspectedMatch, Inspection, RecognitionOptions};
 use sensors::{CalibrationFiles, Sequence, is_recording};

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use onboard::extraction::FeatureArguments;
+use onboard::arguments::FeatureArguments;
 use protocol::Format;
 
 use crate::query_image::QueryImage;

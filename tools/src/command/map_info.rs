@@ -51,7 +51,6 @@ struct Summary {
     /// Keyframes of which the map states what they could be taken for, and those of them that could be taken for another place.
     compared_for_aliases: usize,
     aliased: usize,
-    damaged_records: Vec<String>,
     descriptor_kind: &'static str,
     descriptor_bytes: u16,
     sigma_px: f64,
@@ -74,7 +73,7 @@ struct Summary {
 /// Runs the command.
 ///
 /// # Errors
-/// A database that is missing, unfinished or damaged. Damaged records of a map of an older schema are listed.
+/// A database that is missing, unfinished or damaged.
 pub fn run(args: Args) -> anyhow::Result<()> {
     let stored = store::load_map(&args.map)?;
     let mut summary = summary(args.map, &stored);
@@ -111,7 +110,7 @@ fn summary(map: PathBuf, stored: &StoredMap) -> Summary {
         created_by: contents.info.created_by.clone(),
         version: contents.info.version,
         identity: contents.info.identity,
-        schema: stored.schema,
+        schema: store::STORE_SCHEMA,
         bytes_on_disk: stored.bytes_on_disk,
         keyframes: contents.keyframes.len(),
         landmarks: contents.landmarks.len(),
@@ -120,7 +119,6 @@ fn summary(map: PathBuf, stored: &StoredMap) -> Summary {
         common_errors: contents.common_errors.len(),
         compared_for_aliases: contents.aliases.len(),
         aliased: contents.aliases.iter().filter_map(likely_alias).count(),
-        damaged_records: stored.damaged.iter().map(ToString::to_string).collect(),
         descriptor_kind: contents.info.descriptor_kind.label(),
         descriptor_bytes: contents.info.descriptor_width,
         sigma_px: contents.info.sigma_px,
@@ -181,11 +179,5 @@ fn print_summary(summary: &Summary) {
     println!("gravity points to        {}", vector(summary.gravity_in_global, "unknown"));
     if let Some(aliasing) = &summary.aliasing {
         aliasing.print();
-    }
-    if !summary.damaged_records.is_empty() {
-        println!("damaged records          {}", summary.damaged_records.len());
-        for record in &summary.damaged_records {
-            println!("  {record}");
-        }
     }
 }

@@ -41,8 +41,8 @@ pub struct Args {
 /// A map that cannot be read or written, maps that cannot be merged.
 pub fn run(args: &Args) -> anyhow::Result<()> {
     let target = MapTarget::new(&args.map, args.force)?;
-    let first = load_map(&args.first)?.whole()?;
-    let second = load_map(&args.second)?.whole()?;
+    let first = load_map(&args.first)?.contents;
+    let second = load_map(&args.second)?.contents;
     if first.info.identity.is_some() && first.info.identity == second.info.identity {
         bail!(
             "{} and {} are versions of one map: merged, everything would be counted twice",

@@ -58,7 +58,7 @@ impl SigningArgs {
 /// # Errors
 /// A map that cannot be read, a store that cannot be written or has another map, another publisher that was faster.
 pub fn run(args: &Args) -> anyhow::Result<()> {
-    let contents = load_map(&args.map)?.whole()?;
+    let contents = load_map(&args.map)?.contents;
     let mut options = PublishOptions::default();
     options.keyframes_a_cell = usize::try_from(args.keyframes_per_cell)?;
     let bar = if args.json { ProgressBar::hidden() } else { ProgressBar::new(0) };

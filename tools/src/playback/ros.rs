@@ -2,12 +2,14 @@
 
 use super::SensorTopics;
 use anyhow::{Context as _, Result};
-use geometry::camera::{Camera as Projection, Distortion};
+use geometry::camera::Camera as Projection;
 use ros_messages::sensor_msgs::{CameraInfo, CompressedImage, Image, Imu};
 use ros_messages::std_msgs::Header;
 use ros2::liveliness::Endpoint;
 use ros2::{Node, NodeOptions, Publisher, Qos, explain_silence};
-use sensors::ros::{ImageMessage, camera_info_message, image_message, imu_message, pixels_message};
+use sensors::ros::{
+    ImageMessage, camera_info_message, has_ros_name, image_message, imu_message, pixels_message,
+};
 use sensors::{CameraSensor, Frame, ImageData, ImuSample};
 use tokio::runtime::Handle;
 
@@ -56,8 +58,10 @@ impl RosTopics {
                 let raw = node.publisher(&format!("/cam{camera}/image_raw"), qos).await?;
                 let compressed = node.publisher(&format!("/cam{camera}/image_raw/compressed"), qos).await?;
                 let info = node.publisher(&format!("/cam{camera}/camera_info"), qos).await?;
-                if matches!(sensor.camera.distortion, Distortion::Fov(_)) {
-                    tracing::warn!("cam{camera}: ROS has no name for its distortion (fov): other nodes cannot use its CameraInfo");
+                let distortion = &sensor.camera.distortion;
+                if !has_ros_name(distortion) {
+                    let name = distortion.name();
+                    tracing::warn!("cam{camera}: ROS has no name for its distortion ({name}): other nodes cannot use its CameraInfo");
                 }
                 topics.push(Camera { raw, compressed, info, projection: sensor.camera.clone() });
             }

@@ -7,6 +7,9 @@
 //! | `T_imu_cam` | the inverse, as OpenVINS writes it | `imu_from_camera` |
 //! | `timeshift_cam_imu` | `t_imu = t_cam + timeshift_cam_imu`, seconds | added to the stamps of frames |
 //!
+//! Camera models are `pinhole` (`none`, `radtan`, `equidistant`, `fov`), `ds`, `eucm` and `omni` (`radtan`, `none`), with Kalibr's order of
+//! intrinsics.
+//!
 //! Matrices are lists of rows, or as msckf_vio has them of 16 numbers. OpenVINS's `imu0` is read where its matrices of scale and
 //! misalignment are those of an ideal IMU. What other programs write is in `rigs` and `other_programs`.
 

@@ -36,11 +36,11 @@ pub async fn open_session(options: &SessionOptions) -> Result<zenoh::Session, Se
     } else {
         attempt(config, true).await
     };
-    opened.map_err(|problem| SessionError::Open { listen, problem })
+    opened.map_err(|problem| SessionError::Open { listen, problem: problem.to_string() })
 }
 
 /// Tries until somebody answers.
-async fn open_client(config: &zenoh::Config, connect: &[String]) -> Result<zenoh::Session, String> {
+async fn open_client(config: &zenoh::Config, connect: &[String]) -> zenoh::Result<zenoh::Session> {
     let (mut pause_ms, longest_ms) = RETRY_MS;
     let mut told: Option<Instant> = None;
     loop {
@@ -50,7 +50,7 @@ async fn open_client(config: &zenoh::Config, connect: &[String]) -> Result<zenoh
                 tracing::info!(connect = connect.join(", "), "connected");
                 return Ok(session);
             }
-            Err(problem) if !problem.starts_with(UNREACHABLE) => return Err(problem),
+            Err(problem) if !problem.to_string().starts_with(UNREACHABLE) => return Err(problem),
             Err(_) if tell => {
                 tracing::warn!(
                     connect = connect.join(", "),
@@ -69,13 +69,10 @@ async fn open_client(config: &zenoh::Config, connect: &[String]) -> Result<zenoh
 ///
 /// # Arguments
 /// * `tell`: whether Zenoh logs why it does not connect, which its error does not say.
-async fn attempt(config: zenoh::Config, tell: bool) -> Result<zenoh::Session, String> {
+async fn attempt(config: zenoh::Config, tell: bool) -> zenoh::Result<zenoh::Session> {
     let open = move || zenoh::open(config).wait();
     let quietly = move || if tell { open() } else { with_default(NoSubscriber::new(), open) };
-    match tokio::task::spawn_blocking(quietly).await {
-        Ok(opened) => opened.map_err(|problem| problem.to_string()),
-        Err(panic) => Err(panic.to_string()),
-    }
+    tokio::task::spawn_blocking(quietly).await?
 }
 
 /// Closes a session; returns after 5 s at the latest, if the other side does not respond.

@@ -1,9 +1,12 @@
 //! The distortion models, from undistorted to distorted normalized coordinates.
 //!
 //! Sources: radial-tangential, Brown 1966 as in OpenCV; equidistant, Kannala & Brandt, PAMI 2006; FOV, Devernay &
-//! Faugeras, "Straight lines have to be straight", 2001.
+//! Faugeras, "Straight lines have to be straight", 2001. The others are in `rational`, `thin_prism` and `sphere`.
 
 use super::error::CameraError;
+use super::plausibility::MAX_DISTORTION;
+use super::sphere::{DoubleSphere, Eucm, Omni};
+use super::{rational, thin_prism};
 use nalgebra::{Matrix2, Vector2};
 use serde::{Deserialize, Serialize};
 
@@ -13,6 +16,9 @@ const SMALL_RADIUS_SQUARED: f64 = 1e-10;
 const MIN_OMEGA: f64 = 1e-4;
 
 /// Lens distortion: maps undistorted to distorted normalized coordinates `(x, y)`.
+///
+/// Normalized coordinates are `(x / z, y / z)` with z > 0: rays at 90 degrees from the optical axis and beyond are not covered,
+/// though some of the models have them. `r^2 = x^2 + y^2`.
 ///
 /// # Example
 /// ```
@@ -40,6 +46,49 @@ pub enum Distortion {
     Equidistant([f64; 4]),
     /// `omega` (radians): `r' = atan(2 r tan(omega / 2)) / omega`.
     Fov(f64),
+    /// OpenCV's full model, `[k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4]`; zeros for what a calibration does not have.
+    /// ```text
+    /// x' = x g + 2 p1 x y + p2 (r^2 + 2 x^2) + s1 r^2 + s2 r^4
+    /// y' = y g + p1 (r^2 + 2 y^2) + 2 p2 x y + s3 r^2 + s4 r^4
+    /// g = (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6)
+    /// ```
+    Rational([f64; 12]),
+    /// COLMAP's `[k1, k2, p1, p2, k3, k4, sx1, sy1]`: with `t = atan(r)` and `[u, v] = [x, y] t / r`
+    /// ```text
+    /// x' = u g + 2 p1 u v + p2 (t^2 + 2 u^2) + sx1 t^2
+    /// y' = v g + p1 (t^2 + 2 v^2) + 2 p2 u v + sy1 t^2
+    /// g = 1 + k1 t^2 + k2 t^4 + k3 t^6 + k4 t^8
+    /// ```
+    ThinPrismFisheye([f64; 8]),
+    /// Double sphere (Usenko et al. 2018), Kalibr's `ds`. The focal length is the model's: the image of the centre is magnified
+    /// by `1 / (1 + xi)`.
+    /// ```text
+    /// [x', y'] = [x, y] / (alpha sqrt(r^2 + w^2) + (1 - alpha) w), w = 1 + xi sqrt(1 + r^2)
+    /// ```
+    DoubleSphere {
+        /// Distance of the centres of the spheres, -1 to 1.
+        xi: f64,
+        /// 0 to 1.
+        alpha: f64,
+    },
+    /// Extended unified model (Khomutenko et al. 2016), Kalibr's `eucm`. With `beta = 1` it is the unified model.
+    /// ```text
+    /// [x', y'] = [x, y] / (alpha sqrt(1 + beta r^2) + 1 - alpha)
+    /// ```
+    Eucm {
+        /// 0 to 1.
+        alpha: f64,
+        /// Positive.
+        beta: f64,
+    },
+    /// Omnidirectional model (Mei & Rives 2007), Kalibr's `omni` with `radtan`: `[x, y] / (1 + xi sqrt(1 + r^2))`, distorted as by
+    /// [`Self::RadialTangential`]. The focal length is the model's, `1 + xi` times that of a pinhole.
+    Omni {
+        /// Distance of the centres of sphere and projection, above -1; 1 for a parabolic mirror.
+        xi: f64,
+        /// `[k1, k2, p1, p2]`
+        distortion: [f64; 4],
+    },
 }
 
 impl Distortion {
@@ -58,6 +107,7 @@ impl Distortion {
                 )
             }
             Self::Equidistant(_) | Self::Fov(_) => normalized * self.radial_gain(normalized.norm_squared()).0,
+            _ => self.distort_general(normalized).0,
         }
     }
 
@@ -86,6 +136,22 @@ impl Distortion {
                 let (gain, bend) = self.radial_gain(normalized.norm_squared());
                 (normalized * gain, Matrix2::identity() * gain + normalized * normalized.transpose() * bend)
             }
+            _ => self.distort_general(normalized),
+        }
+    }
+
+    /// [`Self::distort_with_jacobian`] of the models with more terms, apart so that the others stay small where they are inlined.
+    #[inline(never)]
+    fn distort_general(&self, normalized: &Vector2<f64>) -> (Vector2<f64>, Matrix2<f64>) {
+        match *self {
+            Self::Rational(ref k) => rational::distort_with_jacobian(k, normalized),
+            Self::ThinPrismFisheye(ref k) => thin_prism::distort_with_jacobian(k, normalized),
+            Self::DoubleSphere { xi, alpha } => DoubleSphere { xi, alpha }.distort_with_jacobian(normalized),
+            Self::Eucm { alpha, beta } => Eucm { alpha, beta }.distort_with_jacobian(normalized),
+            Self::Omni { xi, distortion } => Omni { xi, distortion }.distort_with_jacobian(normalized),
+            Self::None | Self::RadialTangential(_) | Self::Equidistant(_) | Self::Fov(_) => {
+                (*normalized, Matrix2::identity())
+            }
         }
     }
 
@@ -98,18 +164,49 @@ impl Distortion {
                 normalized.norm_squared() < radial_limit_squared(*k1, *k2)
             }
             Self::Equidistant(k) => equidistant(k, normalized.norm().atan()).1 > 0.0,
+            _ => self.covers_general(normalized),
+        }
+    }
+
+    #[inline(never)]
+    fn covers_general(&self, normalized: &Vector2<f64>) -> bool {
+        match *self {
+            Self::Rational(ref k) => rational::covers(k, normalized),
+            Self::ThinPrismFisheye(ref k) => thin_prism::covers(k, normalized),
+            Self::DoubleSphere { xi, alpha } => DoubleSphere { xi, alpha }.covers(normalized),
+            Self::Omni { xi, distortion } => Omni { xi, distortion }.covers(normalized),
+            // The radius of the extended unified model increases for all rays to the front.
+            Self::None
+            | Self::RadialTangential(_)
+            | Self::Equidistant(_)
+            | Self::Fov(_)
+            | Self::Eucm { .. } => true,
         }
     }
 
     /// Checks that the coefficients are finite and in range.
     pub(super) fn validate(&self) -> Result<(), CameraError> {
+        if let Self::Fov(omega) = *self {
+            let is_valid = (MIN_OMEGA..std::f64::consts::PI).contains(&omega);
+            return if is_valid { Ok(()) } else { Err(CameraError::FovParameter { omega, min: MIN_OMEGA }) };
+        }
+        if let Some(wrong) = self.coefficients().into_iter().find(|value| !value.is_finite()) {
+            return Err(CameraError::DistortionCoefficients(wrong));
+        }
+        let within = |parameter: &'static str, value: f64, min: f64, max: f64, is_open: bool| {
+            let is_valid = if is_open { min < value && value < max } else { (min..=max).contains(&value) };
+            if is_valid { Ok(()) } else { Err(CameraError::ModelParameter { parameter, value, min, max }) }
+        };
         match *self {
-            Self::RadialTangential(k) | Self::Equidistant(k) if !k.iter().all(|value| value.is_finite()) => {
-                Err(CameraError::DistortionCoefficients(k))
+            Self::DoubleSphere { xi, alpha } => {
+                within("xi", xi, -1.0, 1.0, true)?;
+                within("alpha", alpha, 0.0, 1.0, false)
             }
-            Self::Fov(omega) if !(MIN_OMEGA..std::f64::consts::PI).contains(&omega) => {
-                Err(CameraError::FovParameter { omega, min: MIN_OMEGA })
+            Self::Eucm { alpha, beta } => {
+                within("alpha", alpha, 0.0, 1.0, false)?;
+                within("beta", beta, 0.0, MAX_DISTORTION, true)
             }
+            Self::Omni { xi, .. } => within("xi", xi, -1.0, MAX_DISTORTION, true),
             _ => Ok(()),
         }
     }
@@ -138,7 +235,7 @@ impl Distortion {
                 let gain = (a * r).atan() / (omega * r);
                 (gain, (a / (omega * (1.0 + a * a * r2)) - gain) / r2)
             }
-            Self::None | Self::RadialTangential(_) => (1.0, 0.0),
+            _ => (1.0, 0.0),
         }
     }
 }
@@ -149,6 +246,18 @@ pub(super) fn equidistant(k: &[f64; 4], t: f64) -> (f64, f64) {
     let value = t * (1.0 + t2 * (k[0] + t2 * (k[1] + t2 * (k[2] + t2 * k[3]))));
     let slope = 1.0 + t2 * (3.0 * k[0] + t2 * (5.0 * k[1] + t2 * (7.0 * k[2] + t2 * 9.0 * k[3])));
     (value, slope)
+}
+
+/// Derivatives of the radial-tangential model with respect to `k1`, `k2`, `p1` and `p2`.
+pub(super) fn radial_tangential_derivatives(normalized: &Vector2<f64>) -> [Vector2<f64>; 4] {
+    let (x, y) = (normalized.x, normalized.y);
+    let r2 = normalized.norm_squared();
+    [
+        normalized * r2,
+        normalized * (r2 * r2),
+        Vector2::new(2.0 * x * y, r2 + 2.0 * y * y),
+        Vector2::new(r2 + 2.0 * x * x, 2.0 * x * y),
+    ]
 }
 
 /// `[t^3, t^5, t^7, t^9]`, what the coefficients of the equidistant polynomial multiply.

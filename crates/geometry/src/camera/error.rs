@@ -1,8 +1,6 @@
 //! Errors of cameras.
 
-use super::plausibility::{
-    MAX_CAMERA_SIDE, MAX_CENTRE_OFFSET, MAX_DISTORTION, MAX_FOCAL, MAX_MOUNT_M, MIN_FOCAL,
-};
+use super::plausibility::{MAX_CAMERA_SIDE, MAX_CENTRE_OFFSET, MAX_FOCAL, MAX_MOUNT_M, MIN_FOCAL};
 
 /// Why a point cannot be projected, or a pixel not be unprojected.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -63,11 +61,13 @@ pub enum CameraError {
     ImplausibleCentre(f64, f64),
     /// Distortion coefficients that no lens has.
     #[error(
-        "a term of the distortion is {effect:e} times what it distorts at the corner of the image, and no lens reaches {MAX_DISTORTION}"
+        "a term of the distortion is {effect:e} times what it distorts at the corner of the image, and no lens reaches {limit}"
     )]
     ImplausibleDistortion {
         /// The largest term, relative.
         effect: f64,
+        /// [`MAX_DISTORTION`](super::MAX_DISTORTION), or that of terms that cancel each other.
+        limit: f64,
     },
     /// A camera far from its IMU.
     #[error("the camera is {distance:e} m from the IMU, and at most {MAX_MOUNT_M} m are believed")]
@@ -76,8 +76,20 @@ pub enum CameraError {
         distance: f64,
     },
     /// A distortion coefficient that is not finite.
-    #[error("the distortion coefficients are {0:?}; all must be finite")]
-    DistortionCoefficients([f64; 4]),
+    #[error("a distortion coefficient is {0}; all must be finite")]
+    DistortionCoefficients(f64),
+    /// A parameter of the double sphere, extended unified or omnidirectional model is out of range.
+    #[error("{parameter} of the camera model is {value}; it must lie between {min} and {max}")]
+    ModelParameter {
+        /// Its name.
+        parameter: &'static str,
+        /// Its value.
+        value: f64,
+        /// The least.
+        min: f64,
+        /// The largest.
+        max: f64,
+    },
     /// The parameter of the FOV model is out of range.
     #[error("the FOV parameter is {omega} rad; it must lie between {min} and pi")]
     FovParameter {

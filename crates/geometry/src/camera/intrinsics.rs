@@ -1,7 +1,19 @@
 //! Intrinsics as a parameter vector for online calibration: `[fx, fy, cx, cy, distortion...]`.
+//!
+//! Of a distortion with more than four coefficients the first four are parameters, and the others stay as they were calibrated: they act at
+//! the border of the image, where an online calibration sees too little to tell them apart.
+//!
+//! | model | parameters | fixed |
+//! |---|---|---|
+//! | rational | k1, k2, p1, p2 | k3 to k6, s1 to s4 |
+//! | thin prism fisheye | k1, k2, p1, p2 | k3, k4, sx1, sy1 |
+//! | double sphere; extended unified | xi, alpha; alpha, beta | |
+//! | omnidirectional | xi, k1, k2, p1 | p2 |
 
-use super::distortion::{Distortion, equidistant_powers, fov_scale};
+use super::distortion::{Distortion, equidistant_powers, fov_scale, radial_tangential_derivatives};
+use super::sphere::{DoubleSphere, Eucm, Omni};
 use super::{Camera, ProjectionError, normalize};
+use super::{rational, thin_prism};
 use nalgebra::{SMatrix, SVector, Vector2, Vector3};
 
 /// Maximum number of intrinsic parameters.
@@ -11,12 +23,17 @@ pub const MAX_INTRINSICS: usize = 8;
 pub type IntrinsicsJacobian = SMatrix<f64, 2, MAX_INTRINSICS>;
 
 impl Camera {
-    /// Number of intrinsic parameters: four and those of the distortion.
+    /// Number of intrinsic parameters: four and those of the distortion, of which at most the first four count.
     pub fn intrinsics_len(&self) -> usize {
         4 + match self.distortion {
             Distortion::None => 0,
-            Distortion::RadialTangential(_) | Distortion::Equidistant(_) => 4,
+            Distortion::RadialTangential(_)
+            | Distortion::Equidistant(_)
+            | Distortion::Rational(_)
+            | Distortion::ThinPrismFisheye(_)
+            | Distortion::Omni { .. } => 4,
             Distortion::Fov(_) => 1,
+            Distortion::DoubleSphere { .. } | Distortion::Eucm { .. } => 2,
         }
     }
 
@@ -27,12 +44,24 @@ impl Camera {
             self.focal[k] += change[k];
             self.centre[k] += change[2 + k];
         }
+        let add = |values: &mut [f64]| {
+            values.iter_mut().zip(change.iter().skip(4)).for_each(|(value, step)| *value += step);
+        };
         match &mut self.distortion {
             Distortion::None => {}
-            Distortion::RadialTangential(values) | Distortion::Equidistant(values) => {
-                values.iter_mut().zip(change.iter().skip(4)).for_each(|(value, step)| *value += step);
-            }
+            Distortion::RadialTangential(values) | Distortion::Equidistant(values) => add(values),
             Distortion::Fov(omega) => *omega += change[4],
+            Distortion::Rational(values) => add(&mut values[..4]),
+            Distortion::ThinPrismFisheye(values) => add(&mut values[..4]),
+            Distortion::DoubleSphere { xi: first, alpha: second }
+            | Distortion::Eucm { alpha: first, beta: second } => {
+                *first += change[4];
+                *second += change[5];
+            }
+            Distortion::Omni { xi, distortion } => {
+                *xi += change[4];
+                distortion.iter_mut().zip(change.iter().skip(5)).for_each(|(value, step)| *value += step);
+            }
         }
     }
 
@@ -63,16 +92,10 @@ impl Camera {
 
 /// Derivatives of the distorted normalized coordinates with respect to the coefficients; zero beyond the model.
 fn distortion_derivatives(distortion: &Distortion, normalized: &Vector2<f64>) -> [Vector2<f64>; 4] {
-    let (x, y) = (normalized.x, normalized.y);
     let r2 = normalized.norm_squared();
     match distortion {
         Distortion::None => [Vector2::zeros(); 4],
-        Distortion::RadialTangential(_) => [
-            normalized * r2,
-            normalized * (r2 * r2),
-            Vector2::new(2.0 * x * y, r2 + 2.0 * y * y),
-            Vector2::new(r2 + 2.0 * x * x, 2.0 * x * y),
-        ],
+        Distortion::RadialTangential(_) => radial_tangential_derivatives(normalized),
         Distortion::Equidistant(_) => {
             let r = r2.sqrt();
             if r == 0.0 {
@@ -91,6 +114,19 @@ fn distortion_derivatives(distortion: &Distortion, normalized: &Vector2<f64>) ->
             let angle = (scale * r).atan();
             let by_omega = steeper * r / (1.0 + scale * scale * r2) / omega - angle / (omega * omega);
             [normalized * (by_omega / r), Vector2::zeros(), Vector2::zeros(), Vector2::zeros()]
+        }
+        Distortion::Rational(k) => rational::derivatives(k, normalized),
+        Distortion::ThinPrismFisheye(_) => thin_prism::derivatives(normalized),
+        Distortion::DoubleSphere { xi, alpha } => {
+            let [by_xi, by_alpha] = DoubleSphere { xi: *xi, alpha: *alpha }.derivatives(normalized);
+            [by_xi, by_alpha, Vector2::zeros(), Vector2::zeros()]
+        }
+        Distortion::Eucm { alpha, beta } => {
+            let [by_alpha, by_beta] = Eucm { alpha: *alpha, beta: *beta }.derivatives(normalized);
+            [by_alpha, by_beta, Vector2::zeros(), Vector2::zeros()]
+        }
+        Distortion::Omni { xi, distortion } => {
+            Omni { xi: *xi, distortion: *distortion }.derivatives(normalized)
         }
     }
 }

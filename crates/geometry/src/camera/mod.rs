@@ -3,14 +3,20 @@
 mod distortion;
 mod error;
 mod intrinsics;
+mod parameters;
 mod plausibility;
+mod polynomial;
+mod rational;
+mod sphere;
+mod thin_prism;
 mod undistortion;
 
 pub use distortion::Distortion;
 pub use error::{CameraError, ProjectionError};
 pub use intrinsics::{IntrinsicsJacobian, MAX_INTRINSICS};
 pub use plausibility::{
-    MAX_CAMERA_SIDE, MAX_CENTRE_OFFSET, MAX_DISTORTION, MAX_FOCAL, MAX_MOUNT_M, MIN_FOCAL, check_mount,
+    MAX_CAMERA_SIDE, MAX_CENTRE_OFFSET, MAX_DISTORTION, MAX_FOCAL, MAX_MOUNT_M, MAX_RATIONAL_TERM, MIN_FOCAL,
+    check_mount,
 };
 
 use nalgebra::{Matrix2, Matrix2x3, Unit, Vector2, Vector3};
@@ -28,6 +34,8 @@ const MIN_DEPTH: f64 = 1e-9;
 /// ```text
 /// pixel = focal .* distort(x / z, y / z) + centre
 /// ```
+/// Rays at 90 degrees from the optical axis and beyond have no normalized coordinates: pixels of such rays, in the corners of a fisheye
+/// lens, are errors.
 ///
 /// # Example
 /// ```

@@ -19,6 +19,9 @@ pub const MAX_CENTRE_OFFSET: f64 = 10.0;
 
 /// How many times its distance from the principal point a term of the distortion may move a point of the image. Lenses reach one.
 pub const MAX_DISTORTION: f64 = 100.0;
+/// The same of a term of numerator or denominator of the rational model. Calibrations with too few images have terms of hundreds there,
+/// which cancel each other.
+pub const MAX_RATIONAL_TERM: f64 = 1e5;
 
 /// Farther from the principal point (normalized coordinates, or rad) no lens has an image: a fisheye lens of 220 degrees reaches 1.9.
 const MAX_RADIUS: f64 = 2.0;
@@ -43,27 +46,48 @@ pub(super) fn check(camera: &Camera) -> Result<(), CameraError> {
     if !centre.into_iter().zip([width, height]).all(is_near) {
         return Err(CameraError::ImplausibleCentre(centre[0], centre[1]));
     }
-    let effect = largest_term(camera);
-    if effect > MAX_DISTORTION { Err(CameraError::ImplausibleDistortion { effect }) } else { Ok(()) }
+    for (effect, limit) in largest_terms(camera) {
+        if effect > limit {
+            return Err(CameraError::ImplausibleDistortion { effect, limit });
+        }
+    }
+    Ok(())
 }
 
-/// The largest term of the distortion at the corner that is farthest from the principal point, relative to the distance.
-fn largest_term(camera: &Camera) -> f64 {
+/// The largest terms of the distortion at the corner that is farthest from the principal point, relative to the distance, with their limits.
+fn largest_terms(camera: &Camera) -> [(f64, f64); 2] {
     let Camera { width, height, focal, centre, .. } = *camera;
     let reach =
         |side: u32, axis: usize| centre[axis].abs().max((f64::from(side) - centre[axis]).abs()) / focal[axis];
     let radius = reach(width, 0).hypot(reach(height, 1)).min(MAX_RADIUS);
-    let squared = radius * radius;
-    let terms = match camera.distortion {
-        Distortion::None | Distortion::Fov(_) => [0.0; 4],
-        Distortion::RadialTangential([k1, k2, p1, p2]) => {
-            [k1 * squared, k2 * squared.powi(2), p1 * radius, p2 * radius]
+    let power = |value: f64, exponent: i32| (value * radius.powi(exponent)).abs();
+    let largest = |terms: &[f64]| terms.iter().copied().fold(0.0, f64::max);
+    let mut rational = 0.0;
+    let plain = match camera.distortion {
+        Distortion::None | Distortion::Fov(_) | Distortion::DoubleSphere { .. } | Distortion::Eucm { .. } => {
+            0.0
+        }
+        Distortion::RadialTangential([k1, k2, p1, p2])
+        | Distortion::Omni { distortion: [k1, k2, p1, p2], .. } => {
+            largest(&[power(k1, 2), power(k2, 4), power(p1, 1), power(p2, 1)])
         }
         Distortion::Equidistant([k1, k2, k3, k4]) => {
-            [k1 * squared, k2 * squared.powi(2), k3 * squared.powi(3), k4 * squared.powi(4)]
+            largest(&[power(k1, 2), power(k2, 4), power(k3, 6), power(k4, 8)])
         }
+        Distortion::Rational([k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4]) => {
+            let radial = [(k1, 2), (k2, 4), (k3, 6), (k4, 2), (k5, 4), (k6, 6)];
+            rational = largest(&radial.map(|(value, exponent)| power(value, exponent)));
+            largest(
+                &[(p1, 1), (p2, 1), (s1, 1), (s2, 3), (s3, 1), (s4, 3)]
+                    .map(|(value, exponent)| power(value, exponent)),
+            )
+        }
+        Distortion::ThinPrismFisheye([k1, k2, p1, p2, k3, k4, sx1, sy1]) => largest(
+            &[(k1, 2), (k2, 4), (k3, 6), (k4, 8), (p1, 1), (p2, 1), (sx1, 1), (sy1, 1)]
+                .map(|(value, exponent)| power(value, exponent)),
+        ),
     };
-    terms.into_iter().map(f64::abs).fold(0.0, f64::max)
+    [(plain, MAX_DISTORTION), (rational, MAX_RATIONAL_TERM)]
 }
 
 /// Checks where a camera is mounted, in the frame of the IMU.
@@ -88,6 +112,10 @@ pub fn check_mount(imu_from_camera: &Pose) -> Result<(), CameraError> {
 mod tests {
     use super::*;
 
+    fn rational(coefficients: [f64; 8]) -> Distortion {
+        Distortion::from_opencv(&coefficients).unwrap()
+    }
+
     /// Of a wide-angle lens, of a fisheye lens, and of a long lens, as calibrations state them.
     fn real() -> Vec<Camera> {
         let camera = |side: [u32; 2], focal: f64, distortion| Camera {
@@ -103,6 +131,17 @@ mod tests {
             camera([1920, 1080], 300.0, Distortion::Equidistant([-0.03, 0.08, -0.09, 0.03])),
             camera([1280, 1024], 300_000.0, Distortion::RadialTangential([-20.0, 4000.0, 0.01, 0.01])),
             camera([640, 480], 250.0, Distortion::Fov(0.93)),
+            // A time-of-flight camera, and a calibration with terms that cancel each other.
+            camera([640, 576], 504.0, rational([0.51, -2.69, 3e-4, -5e-5, 1.5, 0.39, -2.5, 1.43])),
+            camera([1280, 720], 640.0, rational([-13.6, 162.0, 1e-4, 1e-4, -700.0, -13.4, 161.0, -690.0])),
+            camera([512, 512], 158.0, Distortion::DoubleSphere { xi: -0.19, alpha: 0.59 }),
+            camera([512, 512], 190.0, Distortion::Eucm { alpha: 0.63, beta: 1.05 }),
+            camera([1280, 1024], 1400.0, Distortion::Omni { xi: 1.9, distortion: [-0.2, 0.4, 0.001, 0.001] }),
+            camera(
+                [6048, 4032],
+                2800.0,
+                Distortion::ThinPrismFisheye([0.1, -0.02, 1e-4, 1e-4, 0.03, -0.01, 1e-3, 1e-3]),
+            ),
         ]
     }
 
@@ -131,6 +170,21 @@ mod tests {
         }
         let million = Camera { distortion: Distortion::Equidistant([1e6; 4]), ..real()[1].clone() };
         assert!(million.validate().is_err());
+        for distortion in [
+            Distortion::Rational([1e12; 12]),
+            Distortion::Rational([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1e6, 0.0, 0.0, 0.0]),
+            Distortion::ThinPrismFisheye([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1e6]),
+            Distortion::DoubleSphere { xi: 1.0, alpha: 0.5 },
+            Distortion::DoubleSphere { xi: 0.1, alpha: 1.1 },
+            Distortion::Eucm { alpha: -0.1, beta: 1.0 },
+            Distortion::Eucm { alpha: 0.5, beta: 0.0 },
+            Distortion::Eucm { alpha: 0.5, beta: 1e9 },
+            Distortion::Omni { xi: -1.0, distortion: [0.0; 4] },
+            Distortion::Omni { xi: 1.0, distortion: [0.0, 0.0, f64::NAN, 0.0] },
+        ] {
+            let camera = Camera { distortion, ..real()[1].clone() };
+            assert!(camera.validate().is_err(), "{distortion:?}");
+        }
         assert!(Camera { width: u32::MAX, ..real()[0].clone() }.validate().is_err());
     }
 }

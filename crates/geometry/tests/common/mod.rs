@@ -101,7 +101,64 @@ pub fn pinhole() -> Camera {
     }
 }
 
+fn square(focal: f64, distortion: Distortion) -> Camera {
+    Camera { width: 512, height: 512, focal: [focal, focal + 0.4], centre: [254.96, 256.89], distortion }
+}
+
+/// A webcam with k3.
+pub fn webcam() -> Camera {
+    let distortion = Distortion::from_opencv(&[0.1147, -0.2327, 0.0007, -0.0003, 0.1094]).unwrap();
+    Camera { width: 1280, height: 720, focal: [910.2, 909.8], centre: [641.7, 359.1], distortion }
+}
+
+/// A time-of-flight camera, with the rational model.
+pub fn time_of_flight() -> Camera {
+    let coefficients = [4.4437, 2.6371, 2.1e-5, 4.1e-5, 0.1350, 4.7707, 3.9256, 0.6871];
+    let distortion = Distortion::from_opencv(&coefficients).unwrap();
+    Camera { width: 640, height: 576, focal: [504.1, 504.2], centre: [321.4, 331.2], distortion }
+}
+
+/// All twelve coefficients of OpenCV.
+pub fn thin_prism() -> Camera {
+    let k = [-0.21, 0.05, 1e-3, -7e-4, -0.004, 0.02, 0.01, 0.003, 1.2e-3, -4e-4, 8e-4, 3e-4];
+    Camera { distortion: Distortion::Rational(k), ..euroc() }
+}
+
+/// COLMAP's fisheye with a thin prism.
+pub fn thin_prism_fisheye() -> Camera {
+    let k = [-0.0402, 0.0116, 2.1e-4, -3.9e-4, -0.0043, 0.0008, 6.1e-4, -9.3e-4];
+    square(190.9, Distortion::ThinPrismFisheye(k))
+}
+
+/// A fisheye of the TUM-VI kind with the double sphere model.
+pub fn double_sphere() -> Camera {
+    square(158.28, Distortion::DoubleSphere { xi: -0.172, alpha: 0.593 })
+}
+
+/// The same with the extended unified model.
+pub fn eucm() -> Camera {
+    square(190.9, Distortion::Eucm { alpha: 0.629, beta: 1.045 })
+}
+
+/// A wide-angle camera as Kalibr calibrates it with the omnidirectional model.
+pub fn omni() -> Camera {
+    let distortion = Distortion::Omni { xi: 1.8476, distortion: [-0.0655, 0.4195, -0.0012, 0.0008] };
+    Camera { width: 752, height: 480, focal: [1333.3, 1332.1], centre: [343.9, 221.3], distortion }
+}
+
 /// One camera of each model.
-pub fn cameras() -> [Camera; 4] {
-    [pinhole(), euroc(), fisheye(), fov()]
+pub fn cameras() -> [Camera; 11] {
+    [
+        pinhole(),
+        euroc(),
+        fisheye(),
+        fov(),
+        webcam(),
+        time_of_flight(),
+        thin_prism(),
+        thin_prism_fisheye(),
+        double_sphere(),
+        eucm(),
+        omni(),
+    ]
 }

@@ -22,6 +22,15 @@ pub enum ColmapError {
         /// The name.
         name: String,
     },
+    /// A camera of a model that COLMAP does not have.
+    #[error(
+        "COLMAP has no camera model for the distortion {model} with its coefficients: it has pinhole, radial-tangential without a thin prism, \
+         equidistant, fov and thin-prism-fisheye"
+    )]
+    CameraModel {
+        /// Name of the distortion.
+        model: &'static str,
+    },
     /// A file or folder could not be written.
     #[error("cannot write {}: {reason}; check the folder's rights and free space", path.display())]
     Write {
@@ -66,7 +75,8 @@ pub enum ReadColmapError {
     /// A camera of a model that has no counterpart here.
     #[error(
         "camera {camera} has the model {model}, which is not supported: convert it with `colmap model_converter` or \
-         undistort the images (supported are PINHOLE, RADIAL, OPENCV, FOV, OPENCV_FISHEYE and their simple forms)"
+         undistort the images (supported are PINHOLE, RADIAL, OPENCV, FULL_OPENCV, FOV, OPENCV_FISHEYE, THIN_PRISM_FISHEYE and their \
+         simple forms)"
     )]
     CameraModel {
         /// Id of the camera.

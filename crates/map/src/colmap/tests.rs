@@ -170,3 +170,37 @@ fn a_name_that_two_images_have_is_refused() {
     let error = read_model(folder.path()).unwrap_err();
     assert!(matches!(&error, ReadColmapError::SameName { name } if name == "1.png"), "{error}");
 }
+
+#[test]
+fn every_camera_that_colmap_has_is_read_back_and_the_others_are_named() {
+    let with = |distortion: Distortion| {
+        let folder = tempfile::tempdir().unwrap();
+        let mut map = map();
+        for keyframe in &mut map.keyframes {
+            keyframe.camera.distortion = distortion;
+        }
+        write_model(folder.path(), &map, |keyframe| format!("{}.png", keyframe.stamp_ns))?;
+        Ok(read_model(folder.path()).unwrap().cameras[&1].distortion)
+    };
+    for distortion in [
+        Distortion::None,
+        Distortion::Equidistant([0.01, -0.02, 0.003, -4e-4]),
+        Distortion::Fov(0.93),
+        Distortion::from_opencv(&[-0.2, 0.05, 1e-3, -7e-4, 0.01]).unwrap(),
+        Distortion::from_opencv(&[-0.2, 0.05, 1e-3, -7e-4, -0.004, 0.02, 0.01, 3e-7]).unwrap(),
+        Distortion::ThinPrismFisheye([-0.04, 0.01, 2e-4, -4e-4, -0.004, 8e-4, 6e-4, -9e-4]),
+    ] {
+        assert_eq!(with(distortion).unwrap(), distortion);
+    }
+    let mut prism = [0.0; 12];
+    prism[8] = 1e-3;
+    for (distortion, name) in [
+        (Distortion::Rational(prism), "radial-tangential"),
+        (Distortion::DoubleSphere { xi: -0.2, alpha: 0.57 }, "ds"),
+        (Distortion::Eucm { alpha: 0.63, beta: 1.04 }, "eucm"),
+        (Distortion::Omni { xi: 0.9, distortion: [0.0; 4] }, "omni"),
+    ] {
+        let refused: Result<Distortion, ColmapError> = with(distortion);
+        assert!(matches!(&refused, Err(ColmapError::CameraModel { model }) if *model == name), "{refused:?}");
+    }
+}

@@ -4,12 +4,12 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
 use std::path::Path;
 
-use geometry::camera::{Camera, Distortion};
+use geometry::camera::Camera;
 use nalgebra::Vector2;
 use protocol::{KeyframeId, LandmarkId};
 
 use super::error::ColmapError;
-use super::{BINARY_FILES, PIXEL_OFFSET, TEXT_FILES};
+use super::{BINARY_FILES, PIXEL_OFFSET, TEXT_FILES, camera_model};
 use crate::contents::MapContents;
 use crate::model::{Keyframe, Landmark};
 
@@ -35,10 +35,11 @@ pub fn write_model(
     if TEXT_FILES.iter().chain(&BINARY_FILES).any(|name| folder.join(name).exists()) {
         return Err(ColmapError::Occupied { path: folder.to_owned() });
     }
+    let model = Model::new(contents);
+    let cameras = model.cameras_text()?;
     std::fs::create_dir_all(folder)
         .map_err(|reason| ColmapError::Write { path: folder.to_owned(), reason })?;
-    let model = Model::new(contents);
-    let texts = [model.cameras_text(), model.images_text(&image_name), model.points_text()];
+    let texts = [cameras, model.images_text(&image_name), model.points_text()];
     for (name, text) in TEXT_FILES.iter().zip(texts) {
         let path = folder.join(name);
         std::fs::write(&path, text).map_err(|reason| ColmapError::Write { path, reason })?;
@@ -92,24 +93,19 @@ impl<'a> Model<'a> {
         Model { contents, landmarks, cameras, keyframes, points }
     }
 
-    fn cameras_text(&self) -> String {
+    fn cameras_text(&self) -> Result<String, ColmapError> {
         let mut text = String::from("# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n");
         for (id, camera) in (1..).zip(&self.cameras) {
-            let [fx, fy] = camera.focal;
-            let [cx, cy] = camera.centre.map(|centre| centre + PIXEL_OFFSET);
-            let (model, distortion): (&str, &[f64]) = match &camera.distortion {
-                Distortion::None => ("PINHOLE", &[]),
-                Distortion::RadialTangential(parameters) => ("OPENCV", parameters),
-                Distortion::Equidistant(parameters) => ("OPENCV_FISHEYE", parameters),
-                Distortion::Fov(omega) => ("FOV", std::slice::from_ref(omega)),
+            let Some((model, parameters)) = camera_model::parameters(camera) else {
+                return Err(ColmapError::CameraModel { model: camera.distortion.name() });
             };
-            let _ = write!(text, "{id} {model} {} {} {fx} {fy} {cx} {cy}", camera.width, camera.height);
-            for parameter in distortion {
+            let _ = write!(text, "{id} {model} {} {}", camera.width, camera.height);
+            for parameter in parameters {
                 let _ = write!(text, " {parameter}");
             }
             text.push('\n');
         }
-        text
+        Ok(text)
     }
 
     fn images_text(&self, image_name: &impl Fn(&Keyframe) -> String) -> String {

@@ -20,8 +20,7 @@ static STORE: &dyn MapStore = &SledStore;
 ///
 /// # Errors
 /// [`StoreError::Missing`], [`StoreError::NotAMap`], [`StoreError::Unfinished`], [`StoreError::Damaged`],
-/// [`StoreError::Schema`], [`StoreError::Read`], [`StoreError::Copy`]; [`StoreError::InUse`] for a map of an older schema
-/// that an older program writes to.
+/// [`StoreError::Schema`], [`StoreError::Read`], [`StoreError::Copy`]; [`StoreError::InUse`] where it is replaced again and again.
 pub fn load_map(path: impl AsRef<Path>) -> Result<StoredMap, StoreError> {
     folder::read(path.as_ref(), STORE)
 }
@@ -77,7 +76,7 @@ pub fn open_map(path: impl AsRef<Path>) -> Result<(StoredMap, StoredLandmarks), 
 /// let second = store::save_map(&path, &contents, true)?;
 /// assert_eq!((first.version, second.version), (1, 2));
 /// assert_eq!(first.identity, second.identity);
-/// assert_eq!(store::load_map(&path)?.whole()?.info.name, "hall");
+/// assert_eq!(store::load_map(&path)?.contents.info.name, "hall");
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 pub fn save_map(path: &Path, contents: &MapContents, replace: bool) -> Result<SavedMap, StoreError> {
@@ -97,5 +96,5 @@ pub fn is_map(path: &Path) -> bool {
 /// # Errors
 /// [`StoreError::Exists`] without `replace`, and with it [`StoreError::NotAMap`]; [`StoreError::Read`].
 pub fn ensure_free(path: &Path, replace: bool) -> Result<(), StoreError> {
-    folder::ensure_free(path, replace, STORE)
+    folder::ensure_free(path, replace)
 }

@@ -82,16 +82,6 @@ pub enum StoreError {
         /// What is wrong with it.
         damage: Damage,
     },
-    /// One record of a map of an older schema cannot be read; all others still can.
-    #[error("{record} in the map {path} is damaged: {problem}")]
-    Corrupt {
-        /// The path.
-        path: PathBuf,
-        /// Which record, for example `landmark 17`.
-        record: String,
-        /// What is wrong with it.
-        problem: RecordError,
-    },
     /// The new contents violate an invariant of maps; nothing was written.
     #[error("the map would become invalid: {0}")]
     Invalid(#[from] ContentsError),
@@ -169,12 +159,6 @@ pub enum Damage {
     /// The records are not those that were written.
     #[error("the map in its database is not the one that was written")]
     Contents,
-    /// The database does not come to an end.
-    #[error("its database was not read within {seconds} s")]
-    Endless {
-        /// The limit (s).
-        seconds: u64,
-    },
 }
 
 /// Why a map cannot be written.
@@ -204,9 +188,6 @@ pub enum DatabaseError {
     /// The database holds something else than a map.
     #[error("it holds no map schema")]
     NoMap,
-    /// The map was never written to its end.
-    #[error("the map in it is unfinished")]
-    Unfinished,
     /// The map is of another schema.
     #[error("it has schema {found}")]
     Schema {
@@ -247,7 +228,6 @@ impl StoreError {
         let path = path.to_owned();
         match error {
             DatabaseError::NoMap => StoreError::NotAMap { path, problem: "its database holds no map schema" },
-            DatabaseError::Unfinished => StoreError::Unfinished { path },
             DatabaseError::Schema { found } => {
                 StoreError::Schema { path, found, expected: super::STORE_SCHEMA }
             }

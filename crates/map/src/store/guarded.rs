@@ -1,11 +1,9 @@
-//! Calls into a database that may panic, or never return, on damaged files.
+//! Calls into a database that may panic on damaged files.
 
 use std::any::Any;
 use std::cell::Cell;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Once;
-use std::sync::mpsc::{RecvTimeoutError, sync_channel};
-use std::time::Duration;
 
 use super::error::DatabaseError;
 
@@ -14,12 +12,6 @@ const DATABASE_THREADS: &str = "sled-io-";
 
 thread_local! {
     static SILENT: Cell<bool> = const { Cell::new(false) };
-}
-
-/// Why a call did not return.
-pub(super) enum Unreturned {
-    Panicked(DatabaseError),
-    TimedOut,
 }
 
 /// Calls `work`; a panic in it is an error, and prints nothing.
@@ -32,23 +24,6 @@ pub(super) fn call<T>(work: impl FnOnce() -> T) -> Result<T, DatabaseError> {
     let result = catch_unwind(AssertUnwindSafe(work));
     SILENT.set(false);
     result.map_err(|panic| DatabaseError::Panicked { message: text_of(panic.as_ref()) })
-}
-
-/// The same with a time limit. A call that exceeds it is left behind in its thread.
-pub(super) fn call_within<T: Send + 'static>(
-    limit: Duration,
-    work: impl FnOnce() -> T + Send + 'static,
-) -> Result<T, Unreturned> {
-    let (sender, receiver) = sync_channel(1);
-    let run = move || drop(sender.send(call(work)));
-    let spawned = std::thread::Builder::new().name("map-database".to_owned()).spawn(run);
-    if let Err(source) = spawned {
-        return Err(Unreturned::Panicked(DatabaseError::Failed { source: source.into() }));
-    }
-    match receiver.recv_timeout(limit) {
-        Ok(result) => result.map_err(Unreturned::Panicked),
-        Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => Err(Unreturned::TimedOut),
-    }
 }
 
 /// Puts a panic hook before the present one that drops the messages of calls by [`call`] and of the database's own
@@ -77,11 +52,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_panic_is_an_error_with_its_text_and_an_endless_call_ends() {
+    fn a_panic_is_an_error_with_its_text() {
         let error = call(|| panic!("page {} is gone", 7)).unwrap_err();
         assert!(error.to_string().contains("page 7 is gone"), "{error}");
-        let waits = call_within(Duration::from_millis(20), || std::thread::sleep(Duration::from_secs(5)));
-        assert!(matches!(waits, Err(Unreturned::TimedOut)));
-        assert!(matches!(call_within(Duration::from_secs(5), || 3), Ok(3)));
     }
 }

@@ -3,7 +3,6 @@
 use std::path::Path;
 
 use super::error::DatabaseError;
-use super::record::RecordError;
 use crate::contents::MapContents;
 use crate::model::Landmark;
 
@@ -28,54 +27,36 @@ pub trait MapStore: Sync {
     /// [`DatabaseError`].
     fn open(&self, folder: &Path) -> Result<Box<dyn OpenDatabase>, DatabaseError>;
 
-    /// Reads a map. The first error of the database itself ends it.
+    /// Reads a map.
     ///
     /// # Errors
     /// [`DatabaseError`].
-    fn read(&self, folder: &Path) -> Result<ReadMap, DatabaseError> {
+    fn read(&self, folder: &Path) -> Result<MapContents, DatabaseError> {
         let database = self.open(folder)?;
-        let mut read = database.read_frame()?;
-        let damaged = database.read_landmarks(&mut |landmark| read.contents.landmarks.push(landmark))?;
-        read.damaged.extend(damaged);
+        let mut contents = database.read_frame()?;
+        database.read_landmarks(&mut |landmark| contents.landmarks.push(landmark))?;
         database.close()?;
-        Ok(read)
+        Ok(contents)
     }
 }
 
 /// An open database of a map.
 pub trait OpenDatabase: Send {
-    /// Reads all but the landmarks.
+    /// Reads all but the landmarks, sorted by id.
     ///
     /// # Errors
     /// [`DatabaseError`].
-    fn read_frame(&self) -> Result<ReadMap, DatabaseError>;
+    fn read_frame(&self) -> Result<MapContents, DatabaseError>;
 
     /// Reads the landmarks one at a time, by id, the observations of each by keyframe.
     ///
-    /// # Returns
-    /// The records that cannot be decoded, as [`ReadMap::damaged`].
-    ///
     /// # Errors
-    /// The first error of the database itself.
-    fn read_landmarks(
-        &self,
-        visit: &mut dyn FnMut(Landmark),
-    ) -> Result<Vec<(String, RecordError)>, DatabaseError>;
+    /// The first one of the database, or [`DatabaseError::Record`].
+    fn read_landmarks(&self, visit: &mut dyn FnMut(Landmark)) -> Result<(), DatabaseError>;
 
     /// Closes the database; its folder can be removed when this returns.
     ///
     /// # Errors
     /// [`DatabaseError::Failed`].
     fn close(self: Box<Self>) -> Result<(), DatabaseError>;
-}
-
-/// What a database holds.
-#[derive(Debug)]
-pub struct ReadMap {
-    /// The map, sorted by id.
-    pub contents: MapContents,
-    /// The records that cannot be decoded: their names, and what is wrong with them.
-    pub damaged: Vec<(String, RecordError)>,
-    /// The schema that it was written with.
-    pub schema: u16,
 }

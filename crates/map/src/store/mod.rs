@@ -26,18 +26,11 @@ mod target;
 
 pub use database::{ensure_free, is_map, load_map, open_map, save_map};
 pub use error::{Damage, DatabaseError, StoreError, WriteProblem};
-pub use map_store::{MapStore, OpenDatabase, ReadMap};
+pub use map_store::{MapStore, OpenDatabase};
 pub use record::RecordError;
 pub use stored_landmarks::StoredLandmarks;
 pub use stored_map::{SavedMap, StoredMap};
 pub use target::MapTarget;
 
-/// Layout of a map on disk. A map with a larger number is refused.
-///
-/// 1: as in the first release. 2: the info of the map names the extractor. 3: a folder with a manifest and checksums around
-/// the database; the info has the identity. 4: a table of common errors. 5: a table of aliases. Every change
-/// writes the newest.
-pub const STORE_SCHEMA: u16 = 5;
-
-/// The oldest layout that is read.
-pub const OLDEST_STORE_SCHEMA: u16 = 1;
+/// Layout of a map on disk. Maps with another number are refused; the first release reads 5.
+pub const STORE_SCHEMA: u16 = 6;

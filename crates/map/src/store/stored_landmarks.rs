@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use super::error::{Damage, StoreError};
+use super::error::StoreError;
 use super::folder::TemporaryCopy;
 use super::guarded;
 use super::map_store::OpenDatabase;
@@ -13,17 +13,14 @@ use crate::model::Landmark;
 /// They were read once already, to verify and to count them. Whoever keeps them in a form of its own can so make room for all
 /// of them first, and never has them in memory twice.
 pub struct StoredLandmarks {
-    pub(super) source: LandmarkSource,
+    /// Folder of the map.
+    pub(super) map: PathBuf,
+    /// An open copy of its database ...
+    pub(super) database: Box<dyn OpenDatabase>,
+    /// ... in this folder.
+    pub(super) copy: TemporaryCopy,
     pub(super) count: usize,
     pub(super) observation_counts: Vec<u32>,
-}
-
-/// Where the landmarks are.
-pub(super) enum LandmarkSource {
-    /// Those of a map of an older schema.
-    Memory(Vec<Landmark>),
-    /// A map and an open copy of its database.
-    Database { map: PathBuf, database: Box<dyn OpenDatabase>, copy: TemporaryCopy },
 }
 
 impl StoredLandmarks {
@@ -42,23 +39,13 @@ impl StoredLandmarks {
     /// # Errors
     /// [`StoreError::Damaged`] where the database fails now.
     pub fn read(self, mut visit: impl FnMut(Landmark)) -> Result<(), StoreError> {
-        match self.source {
-            LandmarkSource::Memory(landmarks) => landmarks.into_iter().for_each(visit),
-            LandmarkSource::Database { map, database, copy } => {
-                let read = guarded::call(|| {
-                    let damaged = database.read_landmarks(&mut visit)?;
-                    database.close()?;
-                    Ok(damaged)
-                });
-                let damaged =
-                    read.and_then(|result| result).map_err(|error| StoreError::unreadable(&map, error))?;
-                if !damaged.is_empty() {
-                    return Err(StoreError::Damaged { path: map, damage: Damage::Contents });
-                }
-                drop(copy);
-            }
-        }
-        Ok(())
+        let Self { map, database, copy, .. } = self;
+        let read = guarded::call(|| {
+            database.read_landmarks(&mut visit)?;
+            database.close()
+        });
+        drop(copy);
+        read.and_then(|result| result).map_err(|error| StoreError::unreadable(&map, error))
     }
 
     /// Lets go of the landmarks without reading them.
@@ -66,7 +53,7 @@ impl StoredLandmarks {
     /// # Errors
     /// [`StoreError::Damaged`] where the database cannot be closed.
     pub fn close(self) -> Result<(), StoreError> {
-        let LandmarkSource::Database { map, database, copy } = self.source else { return Ok(()) };
+        let Self { map, database, copy, .. } = self;
         let closed = guarded::call(|| database.close()).and_then(|result| result);
         drop(copy);
         closed.map_err(|error| StoreError::unreadable(&map, error))

@@ -43,7 +43,7 @@ impl MapTarget {
     /// As of [`ensure_free`](super::ensure_free).
     pub fn new(path: &Path, replace: bool) -> Result<MapTarget, StoreError> {
         let seen = Seen::at(path)?;
-        folder::ensure_free(path, replace, &SledStore)?;
+        folder::ensure_free(path, replace)?;
         Ok(MapTarget { path: path.to_owned(), replace, seen })
     }
 

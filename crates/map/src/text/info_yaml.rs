@@ -4,13 +4,12 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use crate::model::{DEFAULT_SIGMA_PX, MapMetadata};
+use calibration::numbers::{list, shortest};
 use nalgebra::Vector3;
 use protocol::DescriptorKind;
 use serde::Deserialize;
 
-use super::camera_yaml::list;
 use super::error::MapFileError;
-use super::table::shortest;
 
 /// Name of a map whose files state none.
 const DEFAULT_NAME: &str = "map";

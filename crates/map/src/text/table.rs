@@ -160,17 +160,7 @@ impl<'a> Row<'a> {
     }
 }
 
-/// The shortest decimal text that reads back as exactly this number.
-pub(super) fn shortest(value: f64) -> String {
-    let magnitude = value.abs();
-    if magnitude == 0.0 || (1e-5..1e15).contains(&magnitude) {
-        format!("{value}")
-    } else {
-        format!("{value:e}")
-    }
-}
-
-/// As [`shortest`], in single precision.
+/// As [`calibration::numbers::shortest`], in single precision.
 pub(super) fn shortest_single(value: f32) -> String {
     let magnitude = value.abs();
     if magnitude == 0.0 || (1e-5..1e9).contains(&magnitude) {

@@ -5,6 +5,7 @@ use std::path::Path;
 
 use crate::contents::MapContents;
 use crate::model::Keyframe;
+use calibration::numbers::shortest;
 use geometry::camera::Camera;
 use geometry::uncertain_pose::isotropic_covariance;
 use nalgebra::Matrix6;
@@ -12,7 +13,7 @@ use nalgebra::Matrix6;
 use super::camera_yaml::camera_text;
 use super::error::MapFileError;
 use super::info_yaml::info_text;
-use super::table::{hexadecimal, shortest, shortest_single};
+use super::table::{hexadecimal, shortest_single};
 use super::{columns, names};
 
 /// Writes a map as text files into a folder, which is made if needed.

@@ -4,7 +4,6 @@
 //! and come back to 15 digits.
 
 use crate::{CameraSensor, Frame, ImageData, ImuSensor, SensorCalibration, Sequence, SequenceError};
-use geometry::camera::Distortion;
 use geometry::pose::Pose;
 use nalgebra::Vector3;
 use std::ffi::OsStr;
@@ -162,23 +161,10 @@ fn imu_rows(out: &mut Out, sequence: &Sequence) -> std::io::Result<()> {
 }
 
 fn camera_yaml(out: &mut Out, sensor: &CameraSensor) -> std::io::Result<()> {
-    let camera = &sensor.camera;
-    let (model, coefficients): (&str, &[f64]) = match &camera.distortion {
-        Distortion::None => ("none", &[]),
-        Distortion::RadialTangential(k) => ("radial-tangential", k),
-        Distortion::Equidistant(k) => ("equidistant", k),
-        Distortion::Fov(omega) => ("fov", std::slice::from_ref(omega)),
-    };
     writeln!(out, "sensor_type: camera")?;
     matrix_yaml(out, &sensor.imu_from_camera)?;
     writeln!(out, "rate_hz: {}", sensor.rate_hz)?;
-    writeln!(out, "resolution: [{}, {}]", camera.width, camera.height)?;
-    writeln!(out, "camera_model: pinhole")?;
-    let ([fu, fv], [cu, cv]) = (camera.focal, camera.centre);
-    writeln!(out, "intrinsics: [{fu}, {fv}, {cu}, {cv}]")?;
-    writeln!(out, "distortion_model: {model}")?;
-    let list = coefficients.iter().map(f64::to_string).collect::<Vec<_>>().join(", ");
-    writeln!(out, "distortion_coefficients: [{list}]")
+    write!(out, "{}", calibration::projection_yaml(&sensor.camera))
 }
 
 /// Of a recording without images all frames are listed.

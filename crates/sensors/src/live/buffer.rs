@@ -222,13 +222,17 @@ impl LiveBuffer {
         let due = self.frames.partition_point(|(stamp_ns, _)| *stamp_ns <= self.imu_until_ns);
         for _ in self.max_waiting_frames..due {
             self.frames.pop_front();
-            let problem = format!("{noun} are dropped, the oldest first: the processor does not keep up");
+            let problem = format!(
+                "{noun} are dropped, the oldest first: the processor does not keep up; send fewer or smaller images"
+            );
             self.faults.note(stream, FaultKind::Overload, now, problem);
         }
         let due = due.min(self.max_waiting_frames);
         while self.frames.len() - due > MAX_WAITING_FOR_IMU {
             self.frames.remove(due);
-            let problem = format!("{noun} are dropped because there are no readings of the IMU for them");
+            let problem = format!(
+                "{noun} are dropped because there are no readings of the IMU for them; check its driver and the clocks of both"
+            );
             self.faults.note(stream, FaultKind::WithoutImu, now, problem);
         }
     }

@@ -136,7 +136,10 @@ impl<T> Lane<T> {
             }
         } else {
             let (measured, stated) = self.watch.wrong_rate()?;
-            let problem = format!("{measured:.1} {noun} a second where the calibration states {stated:.1}");
+            let problem = format!(
+                "{measured:.1} {noun} a second where the calibration states {stated:.1}; set the driver to that rate, or correct the \
+                 calibration"
+            );
             (FaultKind::WrongRate, problem)
         };
         Some(LiveFault { stream: self.stream, kind, problem })

@@ -21,12 +21,18 @@ fn rows(pose: &Pose) -> String {
 fn chain(sequence: &Sequence, chained: bool) -> String {
     let mut text = Vec::new();
     for (index, sensor) in sequence.cameras.iter().enumerate() {
-        let (model, coefficients) = match &sensor.camera.distortion {
-            Distortion::None => ("none", Vec::new()),
-            Distortion::RadialTangential(k) => ("radtan", k.to_vec()),
-            Distortion::Equidistant(k) => ("equidistant", k.to_vec()),
-            Distortion::Fov(omega) => ("fov", vec![*omega]),
+        let camera = &sensor.camera;
+        let pinhole = [camera.focal, camera.centre].concat();
+        let (camera_model, before, model, coefficients) = match camera.distortion {
+            Distortion::RadialTangential(_) | Distortion::Rational(_) => {
+                ("pinhole", vec![], "radtan", camera.distortion.coefficients())
+            }
+            Distortion::DoubleSphere { xi, alpha } => ("ds", vec![xi, alpha], "none", vec![]),
+            Distortion::Eucm { alpha, beta } => ("eucm", vec![alpha, beta], "none", vec![]),
+            Distortion::Omni { xi, distortion } => ("omni", vec![xi], "radtan", distortion.to_vec()),
+            other => ("pinhole", vec![], other.name(), other.coefficients()),
         };
+        let intrinsics = [before, pinhole].concat();
         let camera_from_imu = sensor.imu_from_camera.inverse();
         text.push(format!("cam{index}:\n  cam_overlaps: [{}]\n", 1 - index));
         if index == 0 || !chained {
@@ -36,15 +42,10 @@ fn chain(sequence: &Sequence, chained: bool) -> String {
             let first_from_imu = sequence.cameras[0].imu_from_camera.inverse();
             text.push(format!("  T_cn_cnm1:\n{}", rows(&(camera_from_imu * first_from_imu.inverse()))));
         }
-        let camera = &sensor.camera;
         text.push(format!(
-            "  camera_model: pinhole\n  distortion_coeffs: {coefficients:?}\n  distortion_model: {model}\n  \
-             intrinsics: [{}, {}, {}, {}]\n  resolution: [{}, {}]\n  rostopic: /cam{index}/image_raw\n  \
+            "  camera_model: {camera_model}\n  distortion_coeffs: {coefficients:?}\n  distortion_model: {model}\n  \
+             intrinsics: {intrinsics:?}\n  resolution: [{}, {}]\n  rostopic: /cam{index}/image_raw\n  \
              timeshift_cam_imu: {}\n",
-            camera.focal[0],
-            camera.focal[1],
-            camera.centre[0],
-            camera.centre[1],
             camera.width,
             camera.height,
             SHIFT_NS as f64 * 1e-9
@@ -140,8 +141,8 @@ fn what_cannot_be_used_is_named_with_what_can() {
     let good = chain(&written, false);
     let only_first = good[..good.find("cam1:").unwrap()].to_owned();
     for (text, word) in [
-        (good.replacen("pinhole", "ds", 1), "\"ds\" is unknown: pinhole"),
-        (good.replacen("distortion_model: ", "distortion_model: mei", 1), "equidistant or fov"),
+        (good.replacen("pinhole", "mei", 1), "\"mei\" is unknown: use pinhole"),
+        (good.replacen("distortion_model: ", "distortion_model: mei", 1), "fov or thin-prism-fisheye"),
         (good.replacen("T_cam_imu", "T_other", 1), "kalibr_calibrate_imu_camera"),
         (good.replacen("intrinsics: [", "intrinsics: [1.0, ", 1), "fu, fv, cu, cv"),
         (good.replacen("timeshift_cam_imu: ", "timeshift_cam_imu: 1e4 # ", 1), "in seconds"),

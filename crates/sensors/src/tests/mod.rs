@@ -43,10 +43,18 @@ fn sequence(seed: u64) -> Sequence {
         Distortion::RadialTangential([-0.28, 0.07, 1.9e-4, 1.8e-5]),
         Distortion::Equidistant([0.01, -0.02, 0.003, -4e-4]),
         Distortion::Fov(0.93),
+        Distortion::Rational([
+            -0.21, 0.05, 1e-3, -7e-4, -0.004, 0.02, 0.01, 0.003, 1.2e-3, -4e-4, 8e-4, 3e-6,
+        ]),
+        Distortion::ThinPrismFisheye([-0.04, 0.01, 2e-4, -4e-4, -0.004, 8e-4, 6e-4, -9e-6]),
+        Distortion::DoubleSphere { xi: -0.2, alpha: 0.57 },
+        Distortion::Eucm { alpha: 0.63, beta: 1.04 },
+        Distortion::Omni { xi: 1.85, distortion: [-0.07, 0.4, -1.2e-3, 8e-4] },
     ];
     let stereo = seed.is_multiple_of(2);
-    let cameras =
-        (0..if stereo { 2 } else { 1 }).map(|_| distortions[rng.random_range(0..4)]).collect::<Vec<_>>();
+    let cameras = (0..if stereo { 2 } else { 1 })
+        .map(|_| distortions[rng.random_range(0..distortions.len())])
+        .collect::<Vec<_>>();
     let cameras = cameras.into_iter().map(|distortion| camera(&mut rng, distortion)).collect::<Vec<_>>();
     let frames = (0..8).map(|index| frame(&mut rng, index, cameras.len() as u8)).collect();
     let groundtruth = (0..10).map(|index| truth_row(&mut rng, index)).collect();

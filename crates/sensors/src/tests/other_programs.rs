@@ -163,17 +163,55 @@ fn every_way_to_write_a_calibration_means_the_same() {
 }
 
 #[test]
+fn the_camera_models_of_basalt_and_orb_slam3_are_read() {
+    let pose = imu_from_camera();
+    let pinhole = basalt(&[pose]);
+    let from = pinhole.find(r#"{"camera_type""#).unwrap();
+    let until = from + pinhole[from..].find("}}").unwrap() + 2;
+    let of = |kind: &str, more: &str| {
+        let lens = format!(
+            r#"{{"camera_type": "{kind}", "intrinsics": {{"fx": 400.0, "fy": 401.5, "cx": 320.0, "cy": 240.0, {more}}}}}"#
+        );
+        let text = [&pinhole[..from], &lens, &pinhole[until..]].concat();
+        read(&[("rig.json", text)], "rig.json").map(|read| read.sensors.cameras[0].camera.clone())
+    };
+    let rational = r#""k1": 0.1, "k2": 0.2, "p1": 0.003, "p2": 0.004, "k3": 0.5, "k4": 0.06, "k5": 0.07, "k6": 0.08, "rpmax": 2.7"#;
+    let coefficients = [0.1, 0.2, 0.003, 0.004, 0.5, 0.06, 0.07, 0.08];
+    for (kind, more, distortion) in [
+        ("pinhole-radtan8", rational, Distortion::from_opencv(&coefficients).unwrap()),
+        ("ds", r#""xi": -0.2, "alpha": 0.6"#, Distortion::DoubleSphere { xi: -0.2, alpha: 0.6 }),
+        ("eucm", r#""alpha": 0.6, "beta": 1.1"#, Distortion::Eucm { alpha: 0.6, beta: 1.1 }),
+        ("ucm", r#""alpha": 0.6"#, Distortion::Eucm { alpha: 0.6, beta: 1.0 }),
+    ] {
+        let camera = of(kind, more).unwrap();
+        assert_eq!(
+            (camera.distortion, camera.focal, camera.centre),
+            (distortion, [400.0, 401.5], [320.0, 240.0])
+        );
+    }
+    assert!(of("ds", r#""xi": -0.2"#).is_err(), "alpha is missing");
+    assert!(of("fisheye", r#""k1": 0.1"#).unwrap_err().to_string().contains("\"fisheye\" is not read"));
+    let with_k3 = orb_slam3(&pose, &pose).replace("Camera1.p2:", "Camera1.k3: 0.05\nCamera1.p2:");
+    let camera = read(&[("EuRoC.yaml", with_k3)], "EuRoC.yaml").unwrap().sensors.cameras[0].camera.clone();
+    assert_eq!(camera.distortion.coefficients(), [0.1, 0.2, 0.003, 0.004, 0.05]);
+}
+
+#[test]
 fn what_is_not_read_is_named() {
     let chain = format!("cam0:\n  T_imu_cam: {:?}\n{LENS}", rows(&imu_from_camera()));
     let scaled = openvins_imu().replacen("[ 1.0, 0.0, 0.0 ]", "[ 1.01, 0.0, 0.0 ]", 1);
-    let omni = kimera_camera("left_cam", &imu_from_camera()).replace("pinhole", "omni");
+    let unknown = kimera_camera("left_cam", &imu_from_camera()).replace("pinhole", "mei");
     for (files, path, words) in [
         (
             vec![("chain.yaml", chain), ("imu.yaml", scaled)],
             "chain.yaml",
             ["imu.yaml", "Tw is not the identity"],
         ),
-        (vec![("Left.yaml", omni), ("ImuParams.yaml", kimera_imu())], "Left.yaml", ["Left.yaml", "\"omni\""]),
+        (
+            vec![("Left.yaml", unknown), ("ImuParams.yaml", kimera_imu())],
+            "Left.yaml",
+            ["Left.yaml", "\"mei\""],
+        ),
         (
             vec![("euroc.json", "{\"value0\": {\"T_imu_cam\": [{\"px\": 0.1}]}}".to_owned())],
             "euroc.json",

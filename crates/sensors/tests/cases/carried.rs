@@ -36,7 +36,7 @@ fn stamped(parent: &str, child: &str, pose: &Pose) -> TransformStamped {
 fn camera(index: usize) -> Camera {
     let distortion = [
         Distortion::Equidistant([0.01, -0.02, 0.003, 0.0004]),
-        Distortion::RadialTangential([-0.3, 0.1, 1e-4, 2e-4]),
+        Distortion::Rational([-0.3, 0.1, 1e-4, 2e-4, 0.01, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]),
     ];
     let (focal, centre) = ([8.0 + index as f64, 9.0], [4.0, 3.0]);
     Camera { width: 8, height: 6, focal, centre, distortion: distortion[index] }
@@ -148,8 +148,11 @@ fn what_is_missing_is_named() {
     assert!(unknown.contains("no CameraInfo of /cam1/image_raw"), "{unknown}");
     let nameless = refused(&|carried| carried.imu_frame = "");
     assert!(nameless.contains("\"\""), "{nameless}");
-    let unsupported = refused(&|carried| carried.infos[1].d[4] = 0.1);
-    assert!(unsupported.contains("coefficient 5"), "{unsupported}");
+    let tilted = refused(&|carried| {
+        carried.infos[1].d.resize(14, 0.0);
+        carried.infos[1].d[12] = 0.1;
+    });
+    assert!(tilted.contains("coefficient 13"), "{tilted}");
 }
 
 fn noise() -> ImuNoise {

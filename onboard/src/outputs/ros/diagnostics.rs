@@ -1,8 +1,8 @@
 //! The status as ROS diagnostics.
 
-use super::super::publisher::QueryCounts;
 use super::super::status_word::status_word;
-use estimator::{Localization, Status};
+use estimator::Localization;
+use robot::StatusReport;
 use ros_messages::builtin_interfaces::Time;
 use ros_messages::diagnostic_msgs::{DiagnosticArray, DiagnosticStatus, KeyValue};
 use ros_messages::std_msgs::Header;
@@ -21,8 +21,12 @@ pub struct Diagnostics {
 }
 
 impl Diagnostics {
-    /// The diagnostics of a status at a time of the sensors, nanoseconds.
-    pub fn of(robot: &str, map_expected: bool, stamp_ns: i64, status: &Status, counts: QueryCounts) -> Self {
+    /// The diagnostics of a status.
+    ///
+    /// # Arguments
+    /// * `stamp_ns`: on the clock of the sensors, nanoseconds.
+    pub fn of(robot: &str, map_expected: bool, stamp_ns: i64, report: &StatusReport) -> Self {
+        let StatusReport { status, queries, .. } = report;
         let level = match status.localization {
             Localization::Localized => DiagnosticStatus::OK,
             Localization::OdometryOnly if !map_expected => DiagnosticStatus::OK,
@@ -38,8 +42,8 @@ impl Diagnostics {
             values: vec![
                 value("state", status_word(status).to_owned()),
                 value("keyframes held", status.held_keyframes.to_string()),
-                value("queries sent", counts.sent.to_string()),
-                value("queries answered", counts.answered.to_string()),
+                value("queries sent", queries.sent.to_string()),
+                value("queries answered", queries.answered.to_string()),
             ],
         };
         let stamp = Time::from_nanoseconds(stamp_ns).unwrap_or_default();
@@ -72,11 +76,14 @@ impl Diagnostics {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use estimator::Status;
 
     fn diagnostics(map_expected: bool, localization: Localization, reason: &str) -> Diagnostics {
         let status =
             Status { localization, reason: reason.to_owned(), last_map_update_ns: None, held_keyframes: 3 };
-        Diagnostics::of("cart7", map_expected, 5_000_000_007, &status, QueryCounts { sent: 2, answered: 1 })
+        let mut report = StatusReport::new(Some(5), status);
+        (report.queries.sent, report.queries.answered) = (2, 1);
+        Diagnostics::of("cart7", map_expected, 5_000_000_007, &report)
     }
 
     fn level(localization: Localization, map_expected: bool) -> u8 {

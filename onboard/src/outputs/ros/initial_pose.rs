@@ -1,9 +1,9 @@
 //! The topic on which an operator sets the robot's pose in the map.
 
 use super::settings::{RosBody, RosSettings};
-use crate::initial_pose::{InitialPoseError, InitialPoses, rotation_of};
 use geometry::{Pose, PoseWithCovariance};
 use nalgebra::{Matrix6, Vector3};
+use robot::initial_pose::{InitialPoseError, InitialPoses, rotation_of};
 use ros_messages::geometry_msgs::PoseWithCovarianceStamped;
 use ros2::{Node, Qos, RosError, Subscriber};
 

@@ -1,11 +1,11 @@
 //! Estimates as ROS messages.
 
-use super::estimate::Estimate;
 use super::odom_frame::OdomFrame;
 use super::settings::RosBody;
 use estimator::Motion;
 use geometry::{Pose, PoseWithCovariance};
 use nalgebra::{Matrix3, Matrix6, Vector3};
+use robot::Estimate;
 use ros_messages::builtin_interfaces::Time;
 use ros_messages::geometry_msgs::{self, PoseWithCovarianceStamped, Twist, TwistWithCovariance};
 use ros_messages::nav_msgs::Odometry;
@@ -37,13 +37,13 @@ pub fn messages(body: &RosBody, odom: &mut OdomFrame, estimate: &Estimate) -> Op
         &frames.base_link,
         &(odom_from_local.pose * local_from_base),
     )];
-    if let Some(global) = &estimate.global {
-        let map_from_odom = global.global_from_local * odom_from_local.pose.inverse();
+    if let Some(global) = estimate.trusted() {
+        let map_from_odom = global.global_from_local.pose * odom_from_local.pose.inverse();
         transforms.push(transform_message(stamp, &frames.map, &frames.odom, &map_from_odom));
     }
     Some(Messages {
         odometry,
-        pose: estimate.global.as_ref().map(|global| PoseWithCovarianceStamped {
+        pose: estimate.trusted().map(|global| PoseWithCovarianceStamped {
             header: Header { stamp, frame_id: frames.map.clone() },
             pose: pose(&global.global_from_imu.change_of_child(&body.imu_from_base)),
         }),

@@ -12,7 +12,6 @@
 
 #[cfg(feature = "ros")]
 mod diagnostics;
-mod estimate;
 #[cfg(feature = "ros")]
 mod initial_pose;
 #[cfg(feature = "ros")]
@@ -32,7 +31,6 @@ mod tests;
 
 #[cfg(feature = "bags")]
 pub(crate) use diagnostics::Diagnostics;
-pub use estimate::Estimate;
 #[cfg(feature = "bags")]
 pub(crate) use messages::messages;
 #[cfg(feature = "bags")]

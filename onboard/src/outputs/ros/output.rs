@@ -1,15 +1,14 @@
 //! Hands estimates over to the task that publishes them.
 
 use super::diagnostics::Diagnostics;
-use super::estimate::Estimate;
 use super::messages::{Messages, messages, odometry};
 use super::odom_frame::OdomFrame;
 use super::serving::serve;
 use super::settings::RosSettings;
 use super::static_transforms::static_transforms;
-use crate::outputs::QueryCounts;
-use estimator::{Motion, Status};
+use estimator::Motion;
 use geometry::PoseWithCovariance;
+use robot::{Estimate, Output, PublishMotion, StatusReport};
 use ros_messages::builtin_interfaces::Time;
 use ros_messages::nav_msgs::Odometry;
 use ros_messages::tf2_msgs::TFMessage;
@@ -81,9 +80,11 @@ impl RosOutput {
         let stamp = Time::from_nanoseconds(since_epoch.as_nanos() as i64).unwrap_or_default();
         self.static_transforms.send_replace(static_transforms(&self.settings.body, cameras, stamp));
     }
+}
 
+impl Output for RosOutput {
     /// Publishes an estimate; dropped where the network is slow, newer ones follow.
-    pub fn publish(&mut self, estimate: &Estimate) {
+    fn estimate(&mut self, estimate: &Estimate) {
         let mut estimate = estimate.clone();
         estimate.motion.stamp_ns = estimate.motion.stamp_ns.saturating_add(self.clock_shift_ns);
         let Some(messages) = messages(&self.settings.body, &mut self.odom, &estimate) else {
@@ -95,32 +96,32 @@ impl RosOutput {
     }
 
     /// Publishes odometry that is predicted from the last estimate, where there is one; dropped where the network is slow.
-    pub(crate) fn predicted(&self) -> Option<impl Fn(&Motion) + Send + 'static> {
+    fn predicted(&self) -> Option<PublishMotion> {
         let (settings, queue) = (Arc::clone(&self.settings), self.queue.clone());
         let (odom_from_local, clock_shift_ns) = (self.odom.newest()?, self.clock_shift_ns);
-        Some(move |motion: &Motion| {
+        Some(Box::new(move |motion: &Motion| {
             let mut motion = *motion;
             motion.stamp_ns = motion.stamp_ns.saturating_add(clock_shift_ns);
             if let Some(odometry) = odometry(&settings.body, &odom_from_local, &motion) {
                 let _ = queue.try_send(Outgoing::Predicted(Box::new(odometry)));
             }
-        })
+        }))
     }
 
-    /// The map corrected the pose of the IMU in L, at one time: the robot does not move in `odom`.
-    pub fn correct(&mut self, before: &PoseWithCovariance, after: &PoseWithCovariance) {
+    /// The robot does not move in `odom`.
+    fn correct(&mut self, before: &PoseWithCovariance, after: &PoseWithCovariance) {
         self.odom.correct(before, after);
     }
 
-    /// Sets what is added to all stamps, nanoseconds: jumps of the sensors' clock, which the estimator does not see.
-    pub fn set_clock_shift(&mut self, shift_ns: i64) {
+    fn set_clock_shift(&mut self, shift_ns: i64) {
         self.clock_shift_ns = shift_ns;
     }
 
     /// Publishes the status now if it changed, and every second.
-    pub fn publish_status(&self, stamp_ns: i64, status: &Status, counts: QueryCounts) {
-        let stamp_ns = stamp_ns.saturating_add(self.clock_shift_ns);
-        let new = Diagnostics::of(&self.settings.robot, self.settings.map_expected, stamp_ns, status, counts);
+    fn status(&mut self, report: &StatusReport) {
+        let stamp_ns = report.stamp_or_now_ns().saturating_add(self.clock_shift_ns);
+        let RosSettings { robot, map_expected, .. } = &*self.settings;
+        let new = Diagnostics::of(robot, *map_expected, stamp_ns, report);
         self.diagnostics.send_if_modified(|last| {
             let changed = last.as_ref().is_none_or(|last| new.differs_from(last));
             *last = Some(new);
@@ -128,8 +129,7 @@ impl RosOutput {
         });
     }
 
-    /// The estimator starts again, with another odometry frame.
-    pub fn restart(&mut self) {
+    fn restart(&mut self) {
         self.odom.restart();
     }
 }

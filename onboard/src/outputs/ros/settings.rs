@@ -1,8 +1,8 @@
 //! Settings of the ROS 2 topics.
 
-use crate::initial_pose::InitialPoses;
 use client::SessionOptions;
 use geometry::Pose;
+use robot::initial_pose::InitialPoses;
 use std::str::FromStr;
 
 /// In place of the names of the sensors' frames: none is published.

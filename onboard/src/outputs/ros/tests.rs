@@ -1,17 +1,16 @@
 //! Messages against the definitions of REP-103 and REP-105, and through a Zenoh session.
 
-use super::estimate::{Estimate, GlobalEstimate};
 use super::messages::{Messages, messages};
 use super::odom_frame::OdomFrame;
 use super::{InitialPoseTopic, RosBody, RosOutput, RosSettings};
-use crate::initial_pose::InitialPoses;
-use crate::outputs::QueryCounts;
 use client::SessionOptions;
 use client::session::{SessionMode, close_session, open_session};
 use estimator::propagation::{ImuMatrix, ImuState};
 use estimator::{Localization, Motion, Status};
 use geometry::{Pose, PoseWithCovariance, rotation};
 use nalgebra::{Matrix6, Quaternion, UnitQuaternion, Vector3, Vector6};
+use robot::initial_pose::InitialPoses;
+use robot::{Estimate, GlobalEstimate, Output as _, StatusReport};
 use ros_messages::RosMessage;
 use ros_messages::diagnostic_msgs::{DiagnosticArray, DiagnosticStatus};
 use ros_messages::geometry_msgs::{self, PoseWithCovarianceStamped, TransformStamped};
@@ -46,24 +45,23 @@ fn estimate() -> Estimate {
         );
     let mut of_state = ImuMatrix::identity() * 0.01;
     of_state.fixed_view_mut::<6, 6>(0, 0).copy_from(&covariance);
-    Estimate {
-        motion: Motion {
-            stamp_ns: 1_403_636_579_763_555_584,
-            state: ImuState {
-                local_from_imu,
-                velocity: Vector3::new(1.0, -2.0, 0.5),
-                gyroscope_bias: Vector3::zeros(),
-                accelerometer_bias: Vector3::zeros(),
-            },
-            covariance: of_state,
-            angular_velocity: Vector3::new(0.3, -0.4, 0.9),
-            angular_velocity_variance: 0.001,
+    let motion = Motion {
+        stamp_ns: 1_403_636_579_763_555_584,
+        state: ImuState {
+            local_from_imu,
+            velocity: Vector3::new(1.0, -2.0, 0.5),
+            gyroscope_bias: Vector3::zeros(),
+            accelerometer_bias: Vector3::zeros(),
         },
-        global: Some(GlobalEstimate {
-            global_from_imu: PoseWithCovariance::new(global_from_local * local_from_imu, covariance),
-            global_from_local,
-        }),
-    }
+        covariance: of_state,
+        angular_velocity: Vector3::new(0.3, -0.4, 0.9),
+        angular_velocity_variance: 0.001,
+    };
+    let global = GlobalEstimate {
+        global_from_imu: PoseWithCovariance::new(global_from_local * local_from_imu, covariance),
+        global_from_local: PoseWithCovariance::exact(global_from_local),
+    };
+    Estimate::new(motion, Some(global), true)
 }
 
 fn made(odom: &mut OdomFrame, estimate: &Estimate) -> Messages {
@@ -110,8 +108,8 @@ fn a_correction_by_the_map_moves_odom_in_the_map_and_not_the_robot_in_odom() {
     let before = made(&mut odom, &estimate());
     let mut corrected = estimate();
     let global = corrected.global.as_mut().unwrap();
-    global.global_from_local = pose([0.0, 0.0, 1.0], [-3.0, 2.0, 1.0]);
-    global.global_from_imu.pose = global.global_from_local * corrected.motion.state.local_from_imu;
+    global.global_from_local.pose = pose([0.0, 0.0, 1.0], [-3.0, 2.0, 1.0]);
+    global.global_from_imu.pose = global.global_from_local.pose * corrected.motion.state.local_from_imu;
     let after = made(&mut odom, &corrected);
     assert_eq!(after.odometry, before.odometry);
     assert_eq!(after.transforms.transforms[0], before.transforms.transforms[0]);
@@ -131,7 +129,7 @@ fn a_new_odometry_frame_of_the_estimator_does_not_move_the_robot() {
     restarted.motion.covariance.fixed_view_mut::<6, 6>(0, 0).copy_from(&local.covariance);
     restarted.motion.state.velocity = new_from_old.rotation * restarted.motion.state.velocity;
     let global = restarted.global.as_mut().unwrap();
-    global.global_from_local = global.global_from_local * new_from_old.inverse();
+    global.global_from_local.pose = global.global_from_local.pose * new_from_old.inverse();
     let after = made(&mut odom, &restarted);
     for (new, old) in after.transforms.transforms.iter().zip(&before.transforms.transforms) {
         assert_near(&read_transform(new), &read_transform(old));
@@ -188,11 +186,15 @@ fn the_covariance_is_that_of_the_robots_error_about_fixed_axes() {
 }
 
 #[test]
-fn before_the_map_is_known_there_is_odometry_only() {
-    let messages = made(&mut OdomFrame::default(), &Estimate { global: None, ..estimate() });
-    assert_eq!(messages.pose, None);
-    assert_eq!(messages.transforms.transforms.len(), 1);
-    assert_eq!(messages.odometry.child_frame_id, "base_link");
+fn before_the_map_is_known_and_where_the_robot_is_lost_there_is_odometry_only() {
+    let before = Estimate::new(estimate().motion, None, true);
+    let lost = Estimate::new(estimate().motion, estimate().global, false);
+    for estimate in [before, lost] {
+        let messages = made(&mut OdomFrame::default(), &estimate);
+        assert_eq!(messages.pose, None);
+        assert_eq!(messages.transforms.transforms.len(), 1);
+        assert_eq!(messages.odometry.child_frame_id, "base_link");
+    }
 }
 
 fn endpoint() -> String {
@@ -200,13 +202,10 @@ fn endpoint() -> String {
     format!("tcp/{}", listener.local_addr().unwrap())
 }
 
-fn status() -> Status {
-    Status {
-        localization: Localization::Localized,
-        reason: "fine".into(),
-        last_map_update_ns: None,
-        held_keyframes: 3,
-    }
+fn status_report() -> StatusReport {
+    let (localization, reason) = (Localization::Localized, "fine".to_owned());
+    let status = Status { localization, reason, last_map_update_ns: None, held_keyframes: 3 };
+    StatusReport::new(Some(estimate().motion.stamp_ns), status)
 }
 
 fn runtime() -> tokio::runtime::Runtime {
@@ -239,13 +238,13 @@ fn other_nodes_receive_all_topics() {
     settings.session.connect = vec![endpoint];
     (settings.domain, settings.namespace) = (9, "cart7".into());
     let (mut output, task) = RosOutput::start(settings, runtime.handle()).unwrap();
-    output.publish_status(estimate().motion.stamp_ns, &status(), QueryCounts { sent: 2, answered: 1 });
+    output.status(&status_report());
     let diagnosed = runtime.block_on(next(&diagnostics));
     assert_eq!(
         (diagnosed.status[0].level, diagnosed.status[0].hardware_id.as_str()),
         (DiagnosticStatus::OK, "cart7")
     );
-    output.publish(&estimate());
+    output.estimate(&estimate());
     let expected = made(&mut OdomFrame::default(), &estimate());
     assert_eq!(runtime.block_on(next(&odometry)), expected.odometry);
     assert_eq!(Some(runtime.block_on(next(&pose))), expected.pose);
@@ -259,7 +258,7 @@ fn other_nodes_receive_all_topics() {
     assert_eq!(runtime.block_on(next(&predicted)), made(&mut OdomFrame::default(), &later).odometry);
     // What is queued at the end is sent, with the stamps of the sensors.
     output.set_clock_shift(3_600_000_000_000);
-    output.publish(&estimate());
+    output.estimate(&estimate());
     drop(output);
     runtime.block_on(task.finish());
     let mut shifted = estimate();
@@ -278,9 +277,9 @@ fn where_sensors_are_mounted_arrives_at_nodes_that_come_later_and_poses_of_opera
     let poses = InitialPoses::default();
     settings.initial_pose = Some(InitialPoseTopic { topic: "/initialpose".to_owned(), poses: poses.clone() });
     let body_from_imu = settings.body.imu_from_base.inverse();
-    let (output, task) = RosOutput::start(settings, runtime.handle()).unwrap();
+    let (mut output, task) = RosOutput::start(settings, runtime.handle()).unwrap();
     output.publish_mounting(&[]);
-    output.publish_status(estimate().motion.stamp_ns, &status(), QueryCounts::default());
+    output.status(&status_report());
     let node = runtime.block_on(Node::new(router.clone(), NodeOptions::default())).unwrap();
     let diagnostics =
         runtime.block_on(node.subscriber::<DiagnosticArray>("/diagnostics", Qos::reliable(), 10)).unwrap();
@@ -327,8 +326,8 @@ fn without_a_router_estimates_are_dropped_and_the_run_ends() {
     settings.session.mode = Some(SessionMode::Client);
     let (mut output, task) = RosOutput::start(settings, runtime.handle()).unwrap();
     for _ in 0..1000 {
-        output.publish(&estimate());
-        output.publish_status(estimate().motion.stamp_ns, &status(), QueryCounts::default());
+        output.estimate(&estimate());
+        output.status(&status_report());
     }
     drop(output);
     runtime.block_on(task.finish());

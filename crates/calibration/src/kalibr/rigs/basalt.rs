@@ -1,4 +1,10 @@
-//! Calibrations of Basalt: JSON with `T_imu_cam`, `kb4` and `pinhole` cameras, and continuous-time noise.
+//! Calibrations of Basalt: JSON with `T_imu_cam`, cameras, and continuous-time noise.
+//!
+//! | `camera_type` | here |
+//! |---|---|
+//! | `pinhole`, `kb4` | without distortion, equidistant |
+//! | `pinhole-radtan8` | rational with 8 coefficients; `rpmax`, the largest radius, is not used: the model's own region is |
+//! | `ds`, `eucm`; `ucm` | double sphere, extended unified; the latter with `beta = 1` |
 
 use super::Rig;
 use crate::CalibrationError;
@@ -110,29 +116,38 @@ impl Transform {
 
 impl Intrinsics {
     fn camera(&self, path: &Path, resolution: [u32; 2]) -> Result<Camera, CalibrationError> {
-        let value = |name: &str| self.intrinsics.get(name).copied().unwrap_or(f64::NAN);
-        let rational = ["k3", "k4", "k5", "k6"];
-        let (model, names) = match self.camera_type.as_str() {
-            "pinhole" => ("none", vec![]),
-            "kb4" => ("equidistant", vec!["k1", "k2", "k3", "k4"]),
-            "pinhole-radtan8"
-                if rational.iter().all(|name| self.intrinsics.get(*name).is_none_or(|k| *k == 0.0)) =>
-            {
-                ("radtan", vec!["k1", "k2", "p1", "p2"])
+        let (camera_model, model, before, names): (_, _, &[&str], &[&str]) = match self.camera_type.as_str() {
+            "pinhole" => ("pinhole", "none", &[], &[]),
+            "kb4" => ("pinhole", "equidistant", &[], &["k1", "k2", "k3", "k4"]),
+            "pinhole-radtan8" => {
+                ("pinhole", "radtan", &[], &["k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"])
             }
+            "ds" => ("ds", "none", &["xi", "alpha"], &[]),
+            "eucm" => ("eucm", "none", &["alpha", "beta"], &[]),
+            "ucm" => ("eucm", "none", &["alpha"], &[]),
             other => {
                 let problem = format!(
-                    "camera_type \"{other}\" is not read: pinhole, kb4, and pinhole-radtan8 without k3 to k6 are; calibrate with one of \
-                     these"
+                    "camera_type \"{other}\" is not read: pinhole, pinhole-radtan8, kb4, ds, eucm and ucm are; calibrate with one of these"
                 );
                 return Err(CalibrationError::entry(path, problem));
             }
         };
-        let distortion: Vec<f64> = names.into_iter().map(value).collect();
+        let value = |name: &&str| match (*name, self.intrinsics.get(*name)) {
+            (_, Some(value)) => *value,
+            // Calibrations with four coefficients have no others.
+            ("k3" | "k4" | "k5" | "k6", None) if self.camera_type == "pinhole-radtan8" => 0.0,
+            (_, None) => f64::NAN,
+        };
+        let mut intrinsics: Vec<f64> = before.iter().map(value).collect();
+        if self.camera_type == "ucm" {
+            intrinsics.push(1.0);
+        }
+        intrinsics.extend(["fx", "fy", "cx", "cy"].iter().map(value));
+        let distortion: Vec<f64> = names.iter().map(value).collect();
         let lens = Lens {
             resolution,
-            camera_model: None,
-            intrinsics: &["fx", "fy", "cx", "cy"].map(value),
+            camera_model: Some(camera_model),
+            intrinsics: &intrinsics,
             distortion_model: Some(model),
             distortion: &distortion,
             distortion_key: "coefficients",

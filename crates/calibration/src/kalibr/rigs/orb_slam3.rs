@@ -86,9 +86,9 @@ impl Settings<'_> {
     /// * `name`: `Camera1` or `Camera2`.
     fn camera(&self, name: &str) -> Result<Camera, CalibrationError> {
         let of = |entry: &str| format!("{name}.{entry}");
-        let (model, coefficients) = match self.entries.get("Camera.type") {
-            Some(Entry::Text(kind)) if kind == "PinHole" => ("radtan", ["k1", "k2", "p1", "p2"]),
-            Some(Entry::Text(kind)) if kind == "KannalaBrandt8" => ("equidistant", ["k1", "k2", "k3", "k4"]),
+        let (model, coefficients): (_, &[&str]) = match self.entries.get("Camera.type") {
+            Some(Entry::Text(kind)) if kind == "PinHole" => ("radtan", &["k1", "k2", "p1", "p2", "k3"]),
+            Some(Entry::Text(kind)) if kind == "KannalaBrandt8" => ("equidistant", &["k1", "k2", "k3", "k4"]),
             _ => {
                 return Err(self.wrong(
                     "Camera.type is neither PinHole nor KannalaBrandt8: give the calibration of the images as they were recorded, before \
@@ -97,15 +97,13 @@ impl Settings<'_> {
                 ));
             }
         };
-        if model == "radtan" && self.optional(&of("k3")).is_some_and(|k3| k3 != 0.0) {
-            return Err(self.wrong(format!("{name}.k3 is not zero, and not supported: calibrate without it")));
-        }
         let mut intrinsics = [0.0; 4];
         for (value, entry) in intrinsics.iter_mut().zip(["fx", "fy", "cx", "cy"]) {
             *value = self.number(&of(entry))?;
         }
         // Coefficients that are left out are zero.
-        let distortion = coefficients.map(|entry| self.optional(&of(entry)).unwrap_or(0.0));
+        let distortion: Vec<f64> =
+            coefficients.iter().map(|entry| self.optional(&of(entry)).unwrap_or(0.0)).collect();
         let lens = Lens {
             resolution: [self.side("Camera.width")?, self.side("Camera.height")?],
             camera_model: None,

@@ -62,10 +62,10 @@ impl Manifest {
         })?;
         let value: serde_json::Value =
             serde_json::from_slice(&text).map_err(|error| damaged(error.to_string()))?;
-        // A newer layout may have other fields.
+        // Another layout may have other fields.
         let schema = value.get("schema").and_then(serde_json::Value::as_u64);
         if let Some(found) =
-            schema.and_then(|schema| u16::try_from(schema).ok()).filter(|&found| found > STORE_SCHEMA)
+            schema.and_then(|schema| u16::try_from(schema).ok()).filter(|&found| found != STORE_SCHEMA)
         {
             return Err(StoreError::Schema { path: map.to_owned(), found, expected: STORE_SCHEMA });
         }

@@ -8,8 +8,6 @@
 //! A new version is written beside the present one, read back, and made the map by renaming the manifest over the old one;
 //! then the old version is removed. A folder without a manifest is unfinished: nobody reads it, and the next map that is
 //! written to it replaces it. Reading writes nothing into the folder.
-//!
-//! Maps of schema 1 and 2 are a database of sled without anything around it.
 
 mod files;
 mod manifest;
@@ -36,8 +34,6 @@ enum Kind {
     /// Something that was begun and not completed.
     Unfinished,
     Complete(Manifest),
-    /// A map of schema 1 or 2.
-    Former,
     /// No map.
     Other(&'static str),
 }
@@ -94,9 +90,8 @@ fn kind_of(map: &Path) -> Result<Kind, StoreError> {
     if names.is_empty() {
         return Ok(Kind::Empty);
     }
-    // Opening any other folder would make it a database.
     if map.join("conf").is_file() && map.join("db").is_file() {
-        return Ok(Kind::Former);
+        return Ok(Kind::Other("it is a database without a manifest; give the folder around it"));
     }
     let begun = |name: &String| *name == LOCK || *name == NEW_MANIFEST || name.starts_with(VERSION_FOLDER);
     if names.iter().all(begun) { Ok(Kind::Unfinished) } else { Ok(Kind::Other("it holds no database")) }
@@ -112,9 +107,4 @@ fn entries(folder: &Path) -> std::io::Result<Vec<String>> {
     let name =
         |entry: std::io::Result<std::fs::DirEntry>| Ok(entry?.file_name().to_string_lossy().into_owned());
     std::fs::read_dir(folder)?.map(name).collect()
-}
-
-/// Whether a file or folder belongs to a database of schema 1 or 2.
-fn is_of_former(name: &str) -> bool {
-    ["conf", "db", "blobs"].contains(&name) || name.starts_with("snap.")
 }

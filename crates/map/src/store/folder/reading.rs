@@ -3,33 +3,27 @@
 //! A database writes while it is opened and has only one user at a time. With a copy, a map on a read-only disk or of another
 //! user is readable, any number of programs read it at once, and its database never sees bytes that were not written.
 
-use std::fs::TryLockError;
 use std::path::{Path, PathBuf};
-use std::time::Duration;
 
 use ::files::TemporaryFolder;
 
 use super::files::{self, CopyError};
 use super::manifest::Manifest;
-use super::{Kind, is_of_former, kind_of};
-use crate::contents::{ObservationCounts, RunningDigest};
+use super::{Kind, kind_of};
+use crate::contents::{MapContents, ObservationCounts, RunningDigest};
 use crate::store::error::{Damage, DatabaseError, StoreError};
-use crate::store::guarded::{self, Unreturned};
-use crate::store::map_store::{MapStore, OpenDatabase, ReadMap};
-use crate::store::stored_landmarks::{LandmarkSource, StoredLandmarks};
+use crate::store::guarded;
+use crate::store::map_store::{MapStore, OpenDatabase};
+use crate::store::stored_landmarks::StoredLandmarks;
 use crate::store::stored_map::StoredMap;
 use protocol::MapIdentity;
 
 /// How often reading starts again because the map was replaced meanwhile.
 const ATTEMPTS: usize = 5;
-/// Time for reading a map that has no checksums: at least so long, ...
-const MIN_READING_TIME: Duration = Duration::from_secs(10);
-/// ... and so many bytes a second.
-const MIN_BYTES_PER_SECOND: u64 = 2_000_000;
 
 /// Reads the map in a folder.
 pub(in crate::store) fn read(map: &Path, store: &'static dyn MapStore) -> Result<StoredMap, StoreError> {
-    read_present(map, store, |manifest| read_version(map, manifest, store), Ok)
+    read_present(map, |manifest| read_version(map, manifest, store))
 }
 
 /// Opens the map in a folder: all but its landmarks, and these to be read one at a time.
@@ -37,15 +31,13 @@ pub(in crate::store) fn open(
     map: &Path,
     store: &'static dyn MapStore,
 ) -> Result<(StoredMap, StoredLandmarks), StoreError> {
-    read_present(map, store, |manifest| open_version(map, manifest, store), |former| Ok(in_memory(former)))
+    read_present(map, |manifest| open_version(map, manifest, store))
 }
 
-/// Reads the map in a folder, in one way where it has checksums, and in another way where it has none.
+/// Reads the version that the manifest in a folder names, again where it was replaced meanwhile.
 fn read_present<T>(
     map: &Path,
-    store: &'static dyn MapStore,
     of_version: impl Fn(&Manifest) -> Result<T, StoreError>,
-    of_former: impl Fn(StoredMap) -> Result<T, StoreError>,
 ) -> Result<T, StoreError> {
     let path = || map.to_owned();
     for _ in 0..ATTEMPTS {
@@ -57,7 +49,6 @@ fn read_present<T>(
             }),
             Kind::Unfinished => Err(StoreError::Unfinished { path: path() }),
             Kind::Other(problem) => Err(StoreError::NotAMap { path: path(), problem }),
-            Kind::Former => read_former(map, store).and_then(of_former),
             Kind::Complete(manifest) => match of_version(&manifest) {
                 Err(_) if was_replaced(map, &manifest) => continue,
                 result => result,
@@ -79,9 +70,12 @@ pub(super) fn read_version(
 ) -> Result<StoredMap, StoreError> {
     let copy = verified_copy(map, manifest)?;
     let read = guarded::call(|| store.read(copy.folder.path())).and_then(|result| result);
-    let read = read.map_err(|error| StoreError::unreadable(map, error))?;
-    let as_written = is_as_written(manifest, &read) && read.contents.digest() == manifest.digest;
-    if as_written { Ok(stored(map, read, manifest.bytes())) } else { Err(contents_damaged(map)) }
+    let contents = read.map_err(|error| StoreError::unreadable(map, error))?;
+    if is_as_written(manifest, &contents) && contents.digest() == manifest.digest {
+        Ok(StoredMap { contents, bytes_on_disk: manifest.bytes() })
+    } else {
+        Err(contents_damaged(map))
+    }
 }
 
 /// Opens the version that a manifest names, and reads all of it once to verify it.
@@ -93,17 +87,16 @@ pub(super) fn open_version(
     let copy = verified_copy(map, manifest)?;
     let opened = guarded::call(|| {
         let database = store.open(copy.folder.path())?;
-        let mut frame = database.read_frame()?;
-        let summary = ReadSummary::take(database.as_ref(), &mut frame)?;
-        Ok((database, frame, summary))
+        let contents = database.read_frame()?;
+        let summary = ReadSummary::take(database.as_ref(), &contents)?;
+        Ok((database, contents, summary))
     });
-    let (database, frame, summary) =
+    let (database, contents, summary) =
         opened.and_then(|result| result).map_err(|error| StoreError::unreadable(map, error))?;
-    let source = LandmarkSource::Database { map: map.to_owned(), database, copy };
-    let landmarks =
-        StoredLandmarks { source, count: summary.count, observation_counts: summary.observation_counts };
-    if is_as_written(manifest, &frame) && summary.digest == manifest.digest {
-        Ok((stored(map, frame, manifest.bytes()), landmarks))
+    let ReadSummary { count, observation_counts, digest } = summary;
+    let landmarks = StoredLandmarks { map: map.to_owned(), database, copy, count, observation_counts };
+    if is_as_written(manifest, &contents) && digest == manifest.digest {
+        Ok((StoredMap { contents, bytes_on_disk: manifest.bytes() }, landmarks))
     } else {
         landmarks.close()?;
         Err(contents_damaged(map))
@@ -120,16 +113,18 @@ struct ReadSummary {
 }
 
 impl ReadSummary {
-    /// Reads all landmarks once. Those that are damaged are added to the others of the map.
-    fn take(database: &dyn OpenDatabase, frame: &mut ReadMap) -> Result<ReadSummary, DatabaseError> {
-        let contents = &frame.contents;
+    /// Reads all landmarks once.
+    ///
+    /// # Arguments
+    /// * `contents`: the map without its landmarks.
+    fn take(database: &dyn OpenDatabase, contents: &MapContents) -> Result<ReadSummary, DatabaseError> {
         let mut counts = ObservationCounts::of(&contents.keyframes);
         let mut digest = RunningDigest::new(&contents.info);
         for keyframe in &contents.keyframes {
             digest.add_keyframe(keyframe);
         }
         let mut count = 0;
-        let damaged = database.read_landmarks(&mut |landmark| {
+        database.read_landmarks(&mut |landmark| {
             count += 1;
             digest.add_landmark(&landmark);
             counts.add(&landmark);
@@ -143,26 +138,13 @@ impl ReadSummary {
         for aliases in &contents.aliases {
             digest.add_aliases(aliases);
         }
-        frame.damaged.extend(damaged);
         Ok(ReadSummary { count, observation_counts: counts.finish(), digest: digest.finish() })
     }
 }
 
-/// The landmarks of a map of an older schema, which was read as a whole.
-fn in_memory(mut former: StoredMap) -> (StoredMap, StoredLandmarks) {
-    let landmarks = std::mem::take(&mut former.contents.landmarks);
-    let mut counts = ObservationCounts::of(&former.contents.keyframes);
-    for landmark in &landmarks {
-        counts.add(landmark);
-    }
-    let count = landmarks.len();
-    let source = LandmarkSource::Memory(landmarks);
-    (former, StoredLandmarks { source, count, observation_counts: counts.finish() })
-}
-
-fn is_as_written(manifest: &Manifest, read: &ReadMap) -> bool {
-    let info = &read.contents.info;
-    info.version == manifest.version && info.identity == Some(manifest.identity) && read.damaged.is_empty()
+fn is_as_written(manifest: &Manifest, contents: &MapContents) -> bool {
+    let info = &contents.info;
+    info.version == manifest.version && info.identity == Some(manifest.identity)
 }
 
 fn contents_damaged(map: &Path) -> StoreError {
@@ -185,52 +167,6 @@ fn verified_copy(map: &Path, manifest: &Manifest) -> Result<TemporaryCopy, Store
         }
     }
     Ok(copy)
-}
-
-/// Reads a map of schema 1 or 2: nothing says whether its files are those that were written.
-fn read_former(map: &Path, store: &'static dyn MapStore) -> Result<StoredMap, StoreError> {
-    let failed = |source| StoreError::Read { path: map.to_owned(), source };
-    let mut names = files::list(map).map_err(failed)?;
-    names.retain(|name| is_of_former(name.split('/').next().unwrap_or_default()));
-    let mut bytes = 0;
-    for name in &names {
-        bytes += std::fs::metadata(map.join(name)).map_err(failed)?.len();
-    }
-    let copy = {
-        // An older program that writes it holds this lock; locking changes nothing in the file.
-        let database = ::files::open(map.join("db")).map_err(failed)?;
-        if matches!(database.try_lock_shared(), Err(TryLockError::WouldBlock)) {
-            return Err(StoreError::InUse { path: map.to_owned() });
-        }
-        let copy = TemporaryCopy::new(map, bytes)?;
-        for name in &names {
-            copy.add(map, name, name)?;
-        }
-        copy
-    };
-    let limit = MIN_READING_TIME + Duration::from_secs(bytes / MIN_BYTES_PER_SECOND);
-    let folder = copy.folder.path().to_owned();
-    let read = match guarded::call_within(limit, move || store.read(&folder)) {
-        Ok(result) => result.map_err(|error| StoreError::unreadable(map, error))?,
-        Err(Unreturned::Panicked(error)) => return Err(StoreError::unreadable(map, error)),
-        Err(Unreturned::TimedOut) => {
-            let damage = Damage::Endless { seconds: limit.as_secs() };
-            return Err(StoreError::Damaged { path: map.to_owned(), damage });
-        }
-    };
-    let mut stored = stored(map, read, bytes);
-    // Always the same for the same records.
-    stored.contents.info.identity = Some(stored.contents.digest());
-    Ok(stored)
-}
-
-fn stored(map: &Path, read: ReadMap, bytes_on_disk: u64) -> StoredMap {
-    let ReadMap { mut contents, damaged, schema } = read;
-    if !damaged.is_empty() {
-        contents.drop_dangling();
-    }
-    let corrupt = |(record, problem)| StoreError::Corrupt { path: map.to_owned(), record, problem };
-    StoredMap { contents, damaged: damaged.into_iter().map(corrupt).collect(), schema, bytes_on_disk }
 }
 
 /// A copy of a map's files that is removed when it is dropped.

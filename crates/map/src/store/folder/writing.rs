@@ -5,8 +5,8 @@ use std::path::Path;
 
 use super::files;
 use super::manifest::{Manifest, VERSION_FOLDER, folder_of, sync_folder};
-use super::reading::{self, open_version};
-use super::{Kind, LOCK, Seen, entries, is_of_former, kind_of};
+use super::reading::open_version;
+use super::{Kind, LOCK, Seen, entries, kind_of};
 use crate::contents::MapContents;
 use crate::store::error::{StoreError, WriteProblem};
 use crate::store::map_store::MapStore;
@@ -30,7 +30,7 @@ pub(in crate::store) fn write(
         path: map.to_owned(),
         problem: WriteProblem::File { file: file.to_owned(), source },
     };
-    ensure_free(map, replace, store)?;
+    ensure_free(map, replace)?;
     let is_new = !map.exists();
     std::fs::create_dir_all(map).map_err(|source| write_failed(map, source))?;
     if let Some(parent) = map.parent().filter(|parent| is_new && !parent.as_os_str().is_empty()) {
@@ -38,7 +38,7 @@ pub(in crate::store) fn write(
     }
     let _lock = Lock::take(map)?;
     // Another program may have completed a map until the lock was free.
-    ensure_free(map, replace, store)?;
+    ensure_free(map, replace)?;
     let found = Seen::at(map)?;
     if let Some(seen) = seen.filter(|seen| **seen != found) {
         let (seen, found) = (seen.version(), found.version());
@@ -46,7 +46,7 @@ pub(in crate::store) fn write(
     }
 
     let digest = contents.digest();
-    let present = Present::of(map, store)?;
+    let present = Present::of(map);
     let identity = present.identity.unwrap_or(digest);
     contents.info.version = present.version + 1;
     contents.info.identity = Some(identity);
@@ -71,18 +71,13 @@ pub(in crate::store) fn write(
 }
 
 /// Refuses to write over something that must stay.
-pub(in crate::store) fn ensure_free(
-    map: &Path,
-    replace: bool,
-    store: &'static dyn MapStore,
-) -> Result<(), StoreError> {
+pub(in crate::store) fn ensure_free(map: &Path, replace: bool) -> Result<(), StoreError> {
     let path = || map.to_owned();
     match kind_of(map) {
         Ok(Kind::Missing | Kind::Empty | Kind::Unfinished) => Ok(()),
         Ok(Kind::Other(problem)) if replace => Err(StoreError::NotAMap { path: path(), problem }),
         // A map whose manifest is damaged is a map that can be replaced.
-        Ok(Kind::Complete(_) | Kind::Former) | Err(StoreError::Damaged { .. }) if replace => Ok(()),
-        Ok(Kind::Former) if matches!(reading::read(map, store), Err(StoreError::Unfinished { .. })) => Ok(()),
+        Ok(Kind::Complete(_)) | Err(StoreError::Damaged { .. }) if replace => Ok(()),
         Ok(_) | Err(StoreError::Damaged { .. }) => Err(StoreError::Exists { path: path() }),
         Err(error) => Err(error),
     }
@@ -97,27 +92,18 @@ struct Present {
 }
 
 impl Present {
-    fn of(map: &Path, store: &'static dyn MapStore) -> Result<Present, StoreError> {
-        let unknown = Present { version: 0, identity: None };
+    fn of(map: &Path) -> Present {
         match kind_of(map) {
             Ok(Kind::Complete(manifest)) => {
-                Ok(Present { version: manifest.version, identity: Some(manifest.identity) })
+                Present { version: manifest.version, identity: Some(manifest.identity) }
             }
-            Ok(Kind::Former) => match reading::read(map, store) {
-                Ok(former) => {
-                    let info = former.contents.info;
-                    Ok(Present { version: info.version, identity: info.identity })
-                }
-                Err(StoreError::InUse { path }) => Err(StoreError::InUse { path }),
-                Err(_) => Ok(unknown),
-            },
             // The number of a version must not come again: robots would take the new map for the old one.
             Err(StoreError::Damaged { .. }) => {
                 let names = entries(map).unwrap_or_default();
                 let numbers = names.iter().filter_map(|name| name.strip_prefix(VERSION_FOLDER)?.parse().ok());
-                Ok(Present { version: numbers.max().unwrap_or(0), identity: None })
+                Present { version: numbers.max().unwrap_or(0), identity: None }
             }
-            _ => Ok(unknown),
+            _ => Present { version: 0, identity: None },
         }
     }
 }
@@ -146,17 +132,14 @@ fn write_version(
     manifest.publish(map).map_err(failed)
 }
 
-/// Removes older versions and databases of older schemas. What cannot be removed takes space until the next version.
+/// Removes older versions. What cannot be removed takes space until the next version.
 fn remove_all_but(map: &Path, folder: &str) {
     for name in entries(map).unwrap_or_default() {
         let path = map.join(&name);
-        let is_old = name.starts_with(VERSION_FOLDER) || is_of_former(&name);
-        if !is_old || name == folder {
+        if !name.starts_with(VERSION_FOLDER) || name == folder {
             continue;
         }
-        let removed =
-            if path.is_dir() { std::fs::remove_dir_all(&path) } else { std::fs::remove_file(&path) };
-        if let Err(error) = removed {
+        if let Err(error) = std::fs::remove_dir_all(&path) {
             tracing::warn!(path = %path.display(), "a former version of the map was not removed: {error}");
         }
     }

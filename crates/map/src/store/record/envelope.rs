@@ -11,13 +11,9 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 use super::error::RecordError;
-use super::layout::{InfoRecord, InfoRecordV1, InfoRecordV2};
 
-/// Version of the structures in [`super::layout`]. Versions 1 and 2 differ in the info of the map only, see
-/// [`InfoRecordV1`] and [`InfoRecordV2`].
-const RECORD_VERSION: u8 = 3;
-/// The oldest version that is read.
-const OLDEST_RECORD_VERSION: u8 = 1;
+/// Version of the structures in [`super::layout`].
+const RECORD_VERSION: u8 = 4;
 /// Bytes before the payload.
 const HEADER_BYTES: usize = 5;
 
@@ -41,20 +37,12 @@ pub fn seal<T: Serialize>(table: &str, key: &[u8], record: &T) -> Result<Vec<u8>
 /// # Errors
 /// A damaged envelope, another version, or a payload that is no such record.
 pub fn unseal<T: DeserializeOwned>(table: &str, key: &[u8], bytes: &[u8]) -> Result<T, RecordError> {
-    let (_, payload) = open(table, key, bytes)?;
-    decode(payload)
-}
-
-/// Takes the info of a map of any readable version out of its envelope.
-///
-/// # Errors
-/// As [`unseal`].
-pub fn unseal_info(table: &str, key: &[u8], bytes: &[u8]) -> Result<InfoRecord, RecordError> {
-    match open(table, key, bytes)? {
-        (1, payload) => decode::<InfoRecordV1>(payload).map(InfoRecord::from),
-        (2, payload) => decode::<InfoRecordV2>(payload).map(InfoRecord::from),
-        (_, payload) => decode(payload),
-    }
+    let payload = open(table, key, bytes)?;
+    // No payload can claim more than its own length: a vector costs at least a byte an element.
+    options()
+        .with_limit(payload.len() as u64)
+        .deserialize(payload)
+        .map_err(|error| RecordError::Undecodable { reason: error.to_string() })
 }
 
 /// The bytes of a record without an envelope, for a digest over records.
@@ -63,27 +51,18 @@ pub(crate) fn payload<T: Serialize>(record: &T) -> Vec<u8> {
     options().serialize(record).unwrap_or_default()
 }
 
-/// The version and the payload of an intact record.
-fn open<'a>(table: &str, key: &[u8], bytes: &'a [u8]) -> Result<(u8, &'a [u8]), RecordError> {
+/// The payload of an intact record.
+fn open<'a>(table: &str, key: &[u8], bytes: &'a [u8]) -> Result<&'a [u8], RecordError> {
     let Some((&[version, c0, c1, c2, c3], payload)) = bytes.split_first_chunk::<HEADER_BYTES>() else {
         return Err(RecordError::TooShort { bytes: bytes.len() });
     };
     if checksum(table, key, version, payload) != u32::from_le_bytes([c0, c1, c2, c3]) {
         return Err(RecordError::Checksum);
     }
-    if !(OLDEST_RECORD_VERSION..=RECORD_VERSION).contains(&version) {
-        let (oldest, newest) = (OLDEST_RECORD_VERSION, RECORD_VERSION);
-        return Err(RecordError::Version { found: version, oldest, newest });
+    if version != RECORD_VERSION {
+        return Err(RecordError::Version { found: version, expected: RECORD_VERSION });
     }
-    Ok((version, payload))
-}
-
-fn decode<T: DeserializeOwned>(payload: &[u8]) -> Result<T, RecordError> {
-    // No payload can claim more than its own length: a vector costs at least a byte an element.
-    options()
-        .with_limit(payload.len() as u64)
-        .deserialize(payload)
-        .map_err(|error| RecordError::Undecodable { reason: error.to_string() })
+    Ok(payload)
 }
 
 fn options() -> impl Options {

@@ -20,14 +20,12 @@ pub enum RecordError {
     #[error("its checksum does not match")]
     Checksum,
     /// The record was written by another version of this program.
-    #[error("it has record version {found}, this program reads {oldest} to {newest}")]
+    #[error("it has record version {found}, this program reads {expected}")]
     Version {
         /// The version of the record.
         found: u8,
-        /// The oldest that is read.
-        oldest: u8,
-        /// The newest that is read.
-        newest: u8,
+        /// The version that is read.
+        expected: u8,
     },
     /// The payload does not have the layout of its version.
     #[error("it cannot be decoded: {reason}")]
@@ -52,6 +50,14 @@ pub enum RecordError {
     DistortionModel {
         /// The stored number.
         model: u8,
+    },
+    /// The camera of a keyframe has another number of coefficients than its distortion model.
+    #[error("its camera has {count} coefficients, which its distortion model {model} does not")]
+    DistortionCoefficients {
+        /// The stored number of the model.
+        model: u8,
+        /// How many there are.
+        count: usize,
     },
     /// Descriptors of a kind that this program does not know.
     #[error("unknown descriptor kind {kind}")]

@@ -32,63 +32,6 @@ pub struct InfoRecord {
     identity: Option<[u8; 16]>,
 }
 
-/// [`InfoRecord`] of record version 2, when maps had no identity.
-#[derive(Serialize, Deserialize)]
-pub(super) struct InfoRecordV2 {
-    name: String,
-    created_by: String,
-    version: u64,
-    gravity_in_global: Option<[f64; 3]>,
-    descriptor_kind: u8,
-    descriptor_width: u16,
-    sigma_px: f64,
-    extractor: String,
-}
-
-impl From<InfoRecordV2> for InfoRecord {
-    fn from(old: InfoRecordV2) -> InfoRecord {
-        InfoRecord {
-            name: old.name,
-            created_by: old.created_by,
-            version: old.version,
-            gravity_in_global: old.gravity_in_global,
-            descriptor_kind: old.descriptor_kind,
-            descriptor_width: old.descriptor_width,
-            sigma_px: old.sigma_px,
-            extractor: old.extractor,
-            identity: None,
-        }
-    }
-}
-
-/// [`InfoRecord`] of record version 1, when maps did not name their extractor.
-#[derive(Serialize, Deserialize)]
-pub(super) struct InfoRecordV1 {
-    name: String,
-    created_by: String,
-    version: u64,
-    gravity_in_global: Option<[f64; 3]>,
-    descriptor_kind: u8,
-    descriptor_width: u16,
-    sigma_px: f64,
-}
-
-impl From<InfoRecordV1> for InfoRecord {
-    fn from(old: InfoRecordV1) -> InfoRecord {
-        InfoRecord {
-            name: old.name,
-            created_by: old.created_by,
-            version: old.version,
-            gravity_in_global: old.gravity_in_global,
-            descriptor_kind: old.descriptor_kind,
-            descriptor_width: old.descriptor_width,
-            sigma_px: old.sigma_px,
-            extractor: String::new(),
-            identity: None,
-        }
-    }
-}
-
 impl InfoRecord {
     /// The record of a map's metadata.
     pub fn new(info: &MapMetadata) -> InfoRecord {
@@ -184,18 +127,26 @@ struct CameraRecord {
     height: u32,
     focal: [f64; 2],
     centre: [f64; 2],
-    /// 0 none, 1 radial-tangential, 2 equidistant, 3 FOV (its omega is the first coefficient).
+    /// 0 none, 1 radial-tangential, 2 equidistant, 3 FOV, 4 rational, 5 thin prism fisheye, 6 double sphere, 7 extended unified,
+    /// 8 omnidirectional.
     distortion: u8,
-    coefficients: [f64; 4],
+    /// As many as the model has, in its order.
+    coefficients: Vec<f64>,
 }
 
 impl CameraRecord {
     fn new(camera: &Camera) -> CameraRecord {
+        let coefficients = camera.distortion.coefficients();
         let (distortion, coefficients) = match camera.distortion {
-            Distortion::None => (0, [0.0; 4]),
-            Distortion::RadialTangential(coefficients) => (1, coefficients),
-            Distortion::Equidistant(coefficients) => (2, coefficients),
-            Distortion::Fov(omega) => (3, [omega, 0.0, 0.0, 0.0]),
+            Distortion::None => (0, coefficients),
+            Distortion::RadialTangential(_) => (1, coefficients),
+            Distortion::Equidistant(_) => (2, coefficients),
+            Distortion::Fov(_) => (3, coefficients),
+            Distortion::Rational(all) => (4, all.to_vec()),
+            Distortion::ThinPrismFisheye(_) => (5, coefficients),
+            Distortion::DoubleSphere { .. } => (6, coefficients),
+            Distortion::Eucm { .. } => (7, coefficients),
+            Distortion::Omni { .. } => (8, coefficients),
         };
         CameraRecord {
             width: camera.width,
@@ -208,12 +159,20 @@ impl CameraRecord {
     }
 
     fn into_camera(self) -> Result<Camera, RecordError> {
-        let distortion = match self.distortion {
-            0 => Distortion::None,
-            1 => Distortion::RadialTangential(self.coefficients),
-            2 => Distortion::Equidistant(self.coefficients),
-            3 => Distortion::Fov(self.coefficients[0]),
-            model => return Err(RecordError::DistortionModel { model }),
+        let distortion = match (self.distortion, self.coefficients.as_slice()) {
+            (0, []) => Distortion::None,
+            (1, &[k1, k2, p1, p2]) => Distortion::RadialTangential([k1, k2, p1, p2]),
+            (2, &[k1, k2, k3, k4]) => Distortion::Equidistant([k1, k2, k3, k4]),
+            (3, &[omega]) => Distortion::Fov(omega),
+            (4, all) if all.len() == 12 => Distortion::Rational(std::array::from_fn(|k| all[k])),
+            (5, all) if all.len() == 8 => Distortion::ThinPrismFisheye(std::array::from_fn(|k| all[k])),
+            (6, &[xi, alpha]) => Distortion::DoubleSphere { xi, alpha },
+            (7, &[alpha, beta]) => Distortion::Eucm { alpha, beta },
+            (8, &[xi, k1, k2, p1, p2]) => Distortion::Omni { xi, distortion: [k1, k2, p1, p2] },
+            (model @ 0..=8, others) => {
+                return Err(RecordError::DistortionCoefficients { model, count: others.len() });
+            }
+            (model, _) => return Err(RecordError::DistortionModel { model }),
         };
         Ok(Camera {
             width: self.width,

@@ -5,7 +5,7 @@ mod error;
 mod layout;
 
 pub(crate) use envelope::payload;
-pub use envelope::{seal, unseal, unseal_info};
+pub use envelope::{seal, unseal};
 pub use error::RecordError;
 pub use layout::{
     AliasesRecord, CommonErrorRecord, CrossCovarianceRecord, InfoRecord, KeyframeRecord, LandmarkRecord,

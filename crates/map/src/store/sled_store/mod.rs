@@ -7,13 +7,13 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
+use super::STORE_SCHEMA;
 use super::error::DatabaseError;
-use super::map_store::{MapStore, OpenDatabase, ReadMap};
+use super::map_store::{MapStore, OpenDatabase};
 use super::record::{
     self, AliasesRecord, CommonErrorRecord, CrossCovarianceRecord, InfoRecord, KeyframeRecord,
     LandmarkRecord, RecordError,
 };
-use super::{OLDEST_STORE_SCHEMA, STORE_SCHEMA};
 use crate::contents::MapContents;
 use crate::model::{KeyframeCrossCovariance, Landmark, MapMetadata};
 use opening::{READING_CACHE_BYTES, WRITING_CACHE_BYTES, close_database, failed, open_database};
@@ -42,25 +42,20 @@ struct SledDatabase {
 }
 
 impl OpenDatabase for SledDatabase {
-    fn read_frame(&self) -> Result<ReadMap, DatabaseError> {
+    fn read_frame(&self) -> Result<MapContents, DatabaseError> {
         read_frame(&self.database)
     }
 
-    fn read_landmarks(
-        &self,
-        visit: &mut dyn FnMut(Landmark),
-    ) -> Result<Vec<(String, RecordError)>, DatabaseError> {
-        let mut damaged = Vec::new();
+    fn read_landmarks(&self, visit: &mut dyn FnMut(Landmark)) -> Result<(), DatabaseError> {
         let decode = |key: &[u8], value: &[u8]| {
             let id = id_of(key)?;
             let record: LandmarkRecord = record::unseal(Table::Landmarks.name(), key, value)?;
             Ok(record.into_landmark(id))
         };
-        Tree::open(&self.database, Table::Landmarks)?.visit(&mut damaged, decode, |mut landmark| {
+        Tree::open(&self.database, Table::Landmarks)?.visit(decode, |mut landmark| {
             landmark.observations.sort_by_key(|observation| observation.keyframe);
             visit(landmark);
-        })?;
-        Ok(damaged)
+        })
     }
 
     fn close(self: Box<Self>) -> Result<(), DatabaseError> {
@@ -96,41 +91,34 @@ fn write_tables(database: &sled::Db, contents: &MapContents) -> Result<(), Datab
 }
 
 /// Reads all but the landmarks.
-fn read_frame(database: &sled::Db) -> Result<ReadMap, DatabaseError> {
-    let schema = read_schema(database)?;
-    let info = read_info(database)?;
-    // Older programs gave the version 0 to a map before they wrote it.
-    if info.version == 0 {
-        return Err(DatabaseError::Unfinished);
-    }
-    let mut damaged = Vec::new();
-    let mut contents = MapContents::empty(info);
-    contents.keyframes = Tree::open(database, Table::Keyframes)?.read(&mut damaged, |key, value| {
+fn read_frame(database: &sled::Db) -> Result<MapContents, DatabaseError> {
+    check_schema(database)?;
+    let mut contents = MapContents::empty(read_info(database)?);
+    contents.keyframes = Tree::open(database, Table::Keyframes)?.read(|key, value| {
         let id = id_of(key)?;
         record::unseal::<KeyframeRecord>(Table::Keyframes.name(), key, value)?.into_keyframe(id)
     })?;
     let cross_covariances = Tree::open(database, Table::CrossCovariances)?;
-    contents.cross_covariances = cross_covariances.read(&mut damaged, |key, value| {
+    contents.cross_covariances = cross_covariances.read(|key, value| {
         let (a, b) = key.split_at(key.len() / 2);
         let (a, b) = (id_of(a)?, id_of(b)?);
         let record: CrossCovarianceRecord = record::unseal(Table::CrossCovariances.name(), key, value)?;
         Ok(record.into_cross_covariance(a, b))
     })?;
-    contents.common_errors =
-        Tree::open(database, Table::CommonErrors)?.read(&mut damaged, |key, value| {
-            let record: CommonErrorRecord = record::unseal(Table::CommonErrors.name(), key, value)?;
-            Ok(record.into_common_error(id_of(key)?))
-        })?;
-    contents.aliases = Tree::open(database, Table::Aliases)?.read(&mut damaged, |key, value| {
+    contents.common_errors = Tree::open(database, Table::CommonErrors)?.read(|key, value| {
+        let record: CommonErrorRecord = record::unseal(Table::CommonErrors.name(), key, value)?;
+        Ok(record.into_common_error(id_of(key)?))
+    })?;
+    contents.aliases = Tree::open(database, Table::Aliases)?.read(|key, value| {
         let record: AliasesRecord = record::unseal(Table::Aliases.name(), key, value)?;
         Ok(record.into_aliases(id_of(key)?))
     })?;
     contents.sort();
-    Ok(ReadMap { contents, damaged, schema })
+    Ok(contents)
 }
 
-/// The schema of a database, if this program reads it.
-fn read_schema(database: &sled::Db) -> Result<u16, DatabaseError> {
+/// Whether the database has the schema that this program reads.
+fn check_schema(database: &sled::Db) -> Result<(), DatabaseError> {
     if !database.tree_names().iter().any(|name| name == Table::Info.name().as_bytes()) {
         return Err(DatabaseError::NoMap);
     }
@@ -138,7 +126,7 @@ fn read_schema(database: &sled::Db) -> Result<u16, DatabaseError> {
     let bytes = info.tree.get(SCHEMA_KEY).map_err(failed)?.ok_or(DatabaseError::NoMap)?;
     let number = bytes.strip_prefix(SCHEMA_MAGIC).and_then(|number| number.try_into().ok());
     match number.map(u16::from_le_bytes).ok_or(DatabaseError::NoMap)? {
-        found @ OLDEST_STORE_SCHEMA..=STORE_SCHEMA => Ok(found),
+        STORE_SCHEMA => Ok(()),
         found => Err(DatabaseError::Schema { found }),
     }
 }
@@ -147,7 +135,7 @@ fn read_info(database: &sled::Db) -> Result<MapMetadata, DatabaseError> {
     let bytes = Tree::open(database, Table::Info)?.tree.get(INFO_KEY).map_err(failed)?;
     bytes
         .ok_or(RecordError::Missing)
-        .and_then(|bytes| record::unseal_info(Table::Info.name(), INFO_KEY, &bytes)?.into_info())
+        .and_then(|bytes| record::unseal::<InfoRecord>(Table::Info.name(), INFO_KEY, &bytes)?.into_info())
         .map_err(|problem| DatabaseError::Record { record: Table::Info.describe(INFO_KEY), problem })
 }
 
@@ -187,14 +175,13 @@ impl Tree {
         Ok(())
     }
 
-    /// All records, each decoded by itself. The first error of the database ends it: the iterator would repeat it for ever.
+    /// All records. The first error ends it: of the database, the iterator would repeat it for ever.
     fn read<T>(
         &self,
-        damaged: &mut Vec<(String, RecordError)>,
         decode: impl Fn(&[u8], &[u8]) -> Result<T, RecordError>,
     ) -> Result<Vec<T>, DatabaseError> {
         let mut records = Vec::new();
-        self.visit(damaged, decode, |record| records.push(record))?;
+        self.visit(decode, |record| records.push(record))?;
         records.shrink_to_fit();
         Ok(records)
     }
@@ -202,7 +189,6 @@ impl Tree {
     /// Visits all records as [`Tree::read`] returns them.
     fn visit<T>(
         &self,
-        damaged: &mut Vec<(String, RecordError)>,
         decode: impl Fn(&[u8], &[u8]) -> Result<T, RecordError>,
         mut visit: impl FnMut(T),
     ) -> Result<(), DatabaseError> {
@@ -212,10 +198,9 @@ impl Tree {
             if previous.is_some_and(|previous| previous >= key) {
                 return Err(DatabaseError::Order { table: self.table.name() });
             }
-            match decode(&key, &value) {
-                Ok(record) => visit(record),
-                Err(problem) => damaged.push((self.table.describe(&key), problem)),
-            }
+            let record = decode(&key, &value)
+                .map_err(|problem| DatabaseError::Record { record: self.table.describe(&key), problem })?;
+            visit(record);
             previous = Some(key);
         }
         Ok(())

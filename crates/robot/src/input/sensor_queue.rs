@@ -1,6 +1,6 @@
-//! Reads a sensor source ahead, and hands out its readings and frames each for itself.
+//! Reads a sensor source ahead, and hands out its readings and frames, each for itself.
 
-use estimator::ImuSample;
+use super::imu_window::{Checked, ImuWindow};
 use sensors::live::LiveReport;
 use sensors::{Frame, PairCounts, SensorError, SensorEvent, SensorSource};
 use std::collections::VecDeque;
@@ -8,10 +8,6 @@ use std::collections::VecDeque;
 /// A frame waits for the reading after it for so long at most, nanoseconds of sensor time. An IMU that is silent for
 /// longer is taken to have stopped; without a bound, all frames up to its next reading would be held in memory.
 const MAX_IMU_WAIT_NS: i64 = 60_000_000_000;
-
-/// At most so many readings are held while the next frame is searched: 20 minutes at 200 Hz, 15 MB. Where no frame comes
-/// for longer (the images ended, and the IMU did not), the oldest ones are dropped.
-const MAX_READINGS: usize = 1 << 18;
 
 /// What comes next.
 #[derive(Debug, PartialEq)]
@@ -33,7 +29,8 @@ enum Read {
 /// Events of a source that were read and not handed out yet.
 pub(crate) struct SensorQueue<'a> {
     source: &'a mut dyn SensorSource,
-    readings: VecDeque<ImuSample>,
+    /// Readings up to the newest that was read.
+    pub(crate) imu: ImuWindow,
     frames: VecDeque<Frame>,
     /// The source has ended or failed.
     ended: bool,
@@ -43,7 +40,9 @@ pub(crate) struct SensorQueue<'a> {
 impl<'a> SensorQueue<'a> {
     /// Nothing is read yet.
     pub(crate) fn new(source: &'a mut dyn SensorSource) -> Self {
-        Self { source, readings: VecDeque::new(), frames: VecDeque::new(), ended: false, error: None }
+        let rate_hz = source.calibration().imu.as_ref().map_or(1.0, |imu| imu.rate_hz);
+        let imu = ImuWindow::new(rate_hz);
+        Self { source, imu, frames: VecDeque::new(), ended: false, error: None }
     }
 
     /// What the source says of itself, if it is live.
@@ -80,18 +79,19 @@ impl<'a> SensorQueue<'a> {
         self.frames.front().map(|frame| frame.stamp_ns)
     }
 
-    /// The next reading; `None` after the last, where a live source has none at the moment, or where it comes more than [`MAX_IMU_WAIT_NS`] after `frame_ns`.
+    /// Takes the next reading into the window, or leaves it out, for which it states why; `None` after the last, where a live source
+    /// has none at the moment, or where it comes more than [`MAX_IMU_WAIT_NS`] after `frame_ns`.
     ///
     /// # Errors
     /// That of the source, after the readings before it.
-    pub(crate) fn next_reading(&mut self, frame_ns: i64) -> Result<Option<ImuSample>, SensorError> {
+    pub(crate) fn next_reading(&mut self, frame_ns: i64) -> Result<Option<Checked>, SensorError> {
         let horizon_ns = frame_ns.saturating_add(MAX_IMU_WAIT_NS);
-        while self.readings.is_empty()
+        while self.imu.ahead().is_empty()
             && self.frames.back().is_none_or(|newest| newest.stamp_ns <= horizon_ns)
             && self.read() == Read::Event
         {}
-        match self.readings.pop_front() {
-            Some(reading) => Ok(Some(reading)),
+        match self.imu.accept() {
+            Some(accepted) => Ok(Some(accepted)),
             None => self.error.take().map_or(Ok(None), Err),
         }
     }
@@ -102,12 +102,7 @@ impl<'a> SensorQueue<'a> {
             return Read::End;
         }
         match self.source.next() {
-            Ok(Some(SensorEvent::Imu(reading))) => {
-                if self.readings.len() == MAX_READINGS {
-                    self.readings.pop_front();
-                }
-                self.readings.push_back(reading);
-            }
+            Ok(Some(SensorEvent::Imu(reading))) => self.imu.read_ahead(reading),
             Ok(Some(SensorEvent::Frame(frame))) => self.frames.push_back(frame),
             Ok(Some(SensorEvent::Tick)) => return Read::Tick,
             // Other sensors are of no use to the estimator.
@@ -124,7 +119,9 @@ impl<'a> SensorQueue<'a> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::imu_window::MAX_AHEAD;
     use super::*;
+    use estimator::ImuSample;
     use nalgebra::Vector3;
     use sensors::{Contents, SensorCalibration};
 
@@ -179,13 +176,13 @@ mod tests {
 
     #[test]
     fn memory_is_bounded_where_the_imu_outlasts_the_images() {
-        let last = MAX_READINGS as i64 + 1000;
+        let last = MAX_AHEAD as i64 + 1000;
         let mut source = script([frame(0)].into_iter().chain((1..=last).map(reading)));
         let mut queue = SensorQueue::new(&mut source);
         assert!(next(&mut queue).is_some());
         assert_eq!(queue.next_frame_ns(), None);
-        assert_eq!(queue.readings.len(), MAX_READINGS);
-        assert_eq!(queue.readings.back().unwrap().stamp_ns, last * SECOND_NS);
+        assert_eq!(queue.imu.ahead().len(), MAX_AHEAD);
+        assert_eq!(queue.imu.ahead().last().unwrap().stamp_ns, last * SECOND_NS);
     }
 
     #[test]
@@ -195,7 +192,7 @@ mod tests {
         assert_eq!(next(&mut queue).unwrap().stamp_ns, SECOND_NS);
         assert_eq!(queue.next_frame_ns(), Some(2 * SECOND_NS));
         for seconds in [1, 3] {
-            assert_eq!(queue.next_reading(SECOND_NS).unwrap().unwrap().stamp_ns, seconds * SECOND_NS);
+            assert_eq!(queue.next_reading(SECOND_NS).unwrap().unwrap().0.stamp_ns, seconds * SECOND_NS);
         }
         assert_eq!(next(&mut queue).unwrap().stamp_ns, 2 * SECOND_NS);
         assert!(queue.next_frame().unwrap_err().to_string().contains("torn page"));

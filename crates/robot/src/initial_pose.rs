@@ -14,7 +14,6 @@ use std::time::{Duration, Instant};
 const SIGMA_HEIGHT_M: f64 = 1.0;
 const SIGMA_TILT_RAD: f64 = 0.2;
 /// Quaternions shorter than this have no direction.
-#[cfg(feature = "ros")]
 const MIN_QUATERNION_NORM: f64 = 1e-6;
 /// 99.9 % of the squared difference of two poses that agree, by their covariances (chi-square, 6 degrees of freedom).
 const AGREEMENT: f64 = 22.46;
@@ -74,7 +73,7 @@ pub enum InitialPoseError {
 /// ```
 /// use geometry::uncertain_pose::isotropic_covariance;
 /// use geometry::{Pose, PoseWithCovariance};
-/// use onboard::initial_pose::{InitialPoseError, InitialPoses};
+/// use robot::initial_pose::{InitialPoseError, InitialPoses};
 ///
 /// let (poses, body_from_imu) = (InitialPoses::default(), Pose::identity());
 /// let global_from_body = PoseWithCovariance::new(Pose::identity(), isotropic_covariance(0.3, 0.5));
@@ -116,17 +115,20 @@ impl InitialPoses {
         *self.newest.lock().unwrap_or_else(PoisonError::into_inner) = Some(pose);
     }
 
-    pub(crate) fn take(&self) -> Option<Result<PoseWithCovariance, InitialPoseError>> {
+    /// Takes out the newest pose, or why it cannot be used; `None` where there is none since the last time.
+    pub fn take(&self) -> Option<Result<PoseWithCovariance, InitialPoseError>> {
         self.newest.lock().unwrap_or_else(PoisonError::into_inner).take()
     }
 }
 
 /// A quaternion of any length as a rotation.
 ///
+/// # Arguments
+/// * `coordinates`: x, y, z, w.
+///
 /// # Errors
 /// [`InitialPoseError::NotFinite`], [`InitialPoseError::NoRotation`].
-#[cfg(feature = "ros")]
-pub(crate) fn rotation_of(coordinates: [f64; 4]) -> Result<geometry::Rotation, InitialPoseError> {
+pub fn rotation_of(coordinates: [f64; 4]) -> Result<geometry::Rotation, InitialPoseError> {
     let [x, y, z, w] = coordinates;
     let quaternion = nalgebra::Quaternion::new(w, x, y, z);
     let norm = quaternion.norm();

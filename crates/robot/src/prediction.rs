@@ -3,7 +3,8 @@
 //! The estimator's thread leaves its newest state behind and goes on; the reader of the sensors hands each reading to the
 //! tap and goes on. Neither waits for this thread, nor for the network.
 
-use estimator::{ImuSample, Motion, MotionPredictor};
+use super::output::PublishMotion;
+use estimator::{ImuSample, MotionPredictor};
 use std::collections::VecDeque;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -18,13 +19,10 @@ const KEPT_NS: i64 = 2 * HORIZON_NS;
 /// How soon the thread notices the end where no readings come.
 const NOTICE: Duration = Duration::from_millis(50);
 
-/// Publishes a motion without waiting.
-pub(crate) type Publish = Box<dyn Fn(&Motion) + Send>;
-
 /// What is predicted from, and where that is published.
 pub(crate) struct Basis {
     pub(crate) predictor: MotionPredictor,
-    pub(crate) publish: Vec<Publish>,
+    pub(crate) publish: Vec<PublishMotion>,
 }
 
 /// What the estimator says.
@@ -140,7 +138,7 @@ impl Predicting {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use estimator::{Estimator, EstimatorConfig, InitialSigmas, InitialState};
+    use estimator::{Estimator, EstimatorConfig, InitialSigmas, InitialState, Motion};
     use geometry::{Camera, Distortion, Pose};
     use nalgebra::Vector3;
     use std::sync::mpsc::{Sender, channel};
@@ -163,7 +161,7 @@ mod tests {
         let start = InitialState::from_truth(0, &Pose::identity(), &Vector3::zeros(), &-Vector3::z(), sigmas);
         let estimator = Estimator::new(EstimatorConfig::default(), cameras, &start).unwrap();
         let sent = sent.clone();
-        let publish: Publish = Box::new(move |motion| sent.send(*motion).unwrap());
+        let publish: PublishMotion = Box::new(move |motion| sent.send(*motion).unwrap());
         Basis { predictor: estimator.predictor(), publish: vec![publish] }
     }
 

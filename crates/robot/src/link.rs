@@ -1,10 +1,12 @@
 //! A robot's connection to its map, which may come up after the robot.
 
-use super::outputs::{Publisher, PublisherError};
-use super::run::RobotRun;
+use super::output::Connection;
+use super::run::Robot;
 use client::session::{SessionError, SessionOptions, close_session, open_session};
 use client::{ClientError, MapChangeSubscriber, MapClient, QueryTasks};
+use estimator::CloneId;
 use protocol::keys::{self, NameError};
+use std::error::Error;
 use std::time::Duration;
 use tokio::runtime::Handle;
 use tokio::task::JoinHandle;
@@ -52,19 +54,25 @@ pub enum RobotLink {
 #[non_exhaustive]
 pub enum LinkError {
     /// The name of the map cannot be part of a key.
-    #[error("--map: {0}")]
+    #[error(transparent)]
     MapName(#[from] NameError),
     /// The subscription to changes of the map failed.
     #[error(transparent)]
     Subscription(#[from] ClientError),
-    /// The robot cannot publish.
+    /// An output cannot use the connection.
     #[error(transparent)]
-    Publisher(#[from] PublisherError),
+    Output(Box<dyn Error + Send + Sync>),
 }
 
 impl From<MapLink> for RobotLink {
     fn from(link: MapLink) -> Self {
         Self::Open(link)
+    }
+}
+
+impl From<OpeningLink> for RobotLink {
+    fn from(link: OpeningLink) -> Self {
+        Self::Opening(link)
     }
 }
 
@@ -102,19 +110,55 @@ impl OpeningLink {
     }
 }
 
-impl RobotRun<'_> {
-    /// Connects the robot, now or when the session is open.
-    pub(super) fn set_link(&mut self, link: RobotLink) -> Result<(), LinkError> {
+/// What a run has of its connection.
+#[derive(Default)]
+pub(crate) struct MapConnection {
+    /// Sends queries to the map server; `None` for odometry only, and before the session is open.
+    pub(crate) queries: Option<QueryTasks<CloneId>>,
+    /// Receives changes of the map; `None` as of the queries.
+    pub(crate) changes: Option<MapChangeSubscriber>,
+    /// A session that is not open yet.
+    opening: Option<OpeningLink>,
+    /// The session that was opened for this run, and the runtime that it lives on.
+    own_session: Option<(zenoh::Session, Handle)>,
+    /// Why the last query was not answered; `None` once one is.
+    pub(crate) last_failure: Option<String>,
+}
+
+impl MapConnection {
+    /// Whether there is a map to ask, now or as soon as the session is open.
+    pub(crate) fn has_map(&self) -> bool {
+        self.queries.is_some() || self.opening.is_some()
+    }
+
+    /// Closes the session that was opened for this run, or ends opening it.
+    pub(crate) fn close(&mut self) {
+        if let Some(link) = self.opening.take() {
+            link.opening.abort();
+        }
+        if let Some((session, runtime)) = self.own_session.take() {
+            (self.queries, self.changes) = (None, None);
+            runtime.block_on(close_session(&session));
+        }
+    }
+}
+
+impl Robot<'_> {
+    /// Connects the robot and the outputs that were added before, now or when the session is open.
+    ///
+    /// # Errors
+    /// [`LinkError`]: a name that no key can hold, a session that is closed, an output that cannot use it. With
+    /// [`RobotLink::Opening`] what comes later is logged, and named in the status.
+    pub fn connect(&mut self, link: impl Into<RobotLink>) -> Result<(), LinkError> {
+        let link = link.into();
         link.map().map_or(Ok(()), keys::validate_name)?;
         match link {
-            RobotLink::Network { session, runtime } => {
-                self.publisher = Some(Publisher::new(session, &runtime, &self.robot, None, self.topics)?);
-                Ok(())
-            }
-            RobotLink::Open(link) => self.connect(link),
+            RobotLink::Network { session, runtime } => self.connect_outputs(&session, &runtime, None),
+            RobotLink::Open(link) => self.connect_to_map(link),
             RobotLink::Opening(link) => {
-                self.last_failure = Some("not connected: no router and no map server answers yet".to_owned());
-                self.opening = Some(link);
+                self.map.last_failure =
+                    Some("not connected: no router and no map server answers yet".to_owned());
+                self.map.opening = Some(link);
                 self.connect_when_open();
                 Ok(())
             }
@@ -122,15 +166,15 @@ impl RobotRun<'_> {
     }
 
     /// Connects the robot if its session was opened in the meantime.
-    pub(super) fn connect_when_open(&mut self) {
-        let Some(link) = self.opening.take_if(|link| link.opening.is_finished()) else { return };
+    pub(crate) fn connect_when_open(&mut self) {
+        let Some(link) = self.map.opening.take_if(|link| link.opening.is_finished()) else { return };
         let OpeningLink { opening, runtime, map } = link;
         let problem = match runtime.block_on(opening) {
             Ok(Ok(session)) => {
-                self.own_session = Some((session.clone(), runtime.clone()));
-                match self.connect(MapLink { session, runtime, map }) {
+                self.map.own_session = Some((session.clone(), runtime.clone()));
+                match self.connect_to_map(MapLink { session, runtime, map }) {
                     Ok(()) => {
-                        self.last_failure = None;
+                        self.map.last_failure = None;
                         return;
                     }
                     Err(error) => error.to_string(),
@@ -140,26 +184,25 @@ impl RobotRun<'_> {
             Err(error) => error.to_string(),
         };
         tracing::error!(problem, "there will be no map in this run; odometry continues");
-        self.last_failure = Some(problem);
+        self.map.last_failure = Some(problem);
     }
 
-    fn connect(&mut self, link: MapLink) -> Result<(), LinkError> {
+    fn connect_to_map(&mut self, link: MapLink) -> Result<(), LinkError> {
         let MapLink { session, runtime, map } = link;
         let client = MapClient::new(session.clone(), &map)?;
-        self.map_changes = Some(runtime.block_on(MapChangeSubscriber::subscribe(&session, &map))?);
-        self.publisher = Some(Publisher::new(session, &runtime, &self.robot, Some(&map), self.topics)?);
-        self.queries = Some(QueryTasks::new(client, runtime, self.query_deadline));
+        self.map.changes = Some(runtime.block_on(MapChangeSubscriber::subscribe(&session, &map))?);
+        self.connect_outputs(&session, &runtime, Some(&map))?;
+        self.map.queries = Some(QueryTasks::new(client, runtime, self.settings.query_deadline));
         Ok(())
     }
 
-    /// Closes the session that was opened for this run, or ends opening it.
-    pub(super) fn disconnect(&mut self) {
-        if let Some(link) = self.opening.take() {
-            link.opening.abort();
-        }
-        if let Some((session, runtime)) = self.own_session.take() {
-            (self.queries, self.map_changes) = (None, None);
-            runtime.block_on(close_session(&session));
-        }
+    fn connect_outputs(
+        &mut self,
+        session: &zenoh::Session,
+        runtime: &Handle,
+        map: Option<&str>,
+    ) -> Result<(), LinkError> {
+        let connection = Connection::new(session, runtime, &self.settings.name, map);
+        self.outputs.connect(&connection).map_err(LinkError::Output)
     }
 }

@@ -3,10 +3,12 @@
 //! An answer belongs to the filter that sent the query: answers to images from before the newest initialization are
 //! not applied.
 
+use super::counts::Traffic;
+use super::estimate::Estimate;
+use super::event::Event;
 use super::extraction::{Extracted, ExtractionThread};
 use super::map_conversion::{identity_number, map_answer, map_revision};
-use super::outputs::{Event, Recorder, Traffic};
-use super::run::RobotRun;
+use super::run::Robot;
 use super::stop::NOTICE;
 use client::{MapChangeSubscriber, MatchAnswer, QueryResult, QueryTasks};
 use estimator::{CloneId, EstimatorError, MapMode, Rejection, RevisionEffect};
@@ -18,19 +20,20 @@ use std::time::{Duration, Instant};
 /// not fill with them.
 const MAX_PENDING: usize = 4;
 
-impl RobotRun<'_> {
+impl Robot<'_> {
     /// Queries the map with the features of a frame, or begins to extract them.
-    pub(super) fn query_frame(&mut self, clone: CloneId, frame: &Frame, recorder: &mut Recorder) {
-        if self.queries.is_none() || self.supervisor.config().mode == MapMode::Odometry {
+    pub(crate) fn query_frame(&mut self, clone: CloneId, frame: &Frame) {
+        if self.map.queries.is_none() || self.supervisor.config().mode == MapMode::Odometry {
             return;
         }
         if let Some(features) = frame.features.as_ref().filter(|features| !features.is_empty()) {
-            self.send_query(clone, frame.stamp_ns, features.clone(), recorder);
+            self.send_query(clone, frame.stamp_ns, features.clone());
             return;
         }
         let (Some(extraction), Some(image)) = (&mut self.extraction, &frame.images[0]) else { return };
-        let due =
-            self.last_extraction_ns.is_none_or(|last_ns| frame.stamp_ns - last_ns >= self.query_interval_ns);
+        let due = self
+            .last_extraction_ns
+            .is_none_or(|last_ns| frame.stamp_ns - last_ns >= self.settings.query_interval_ns);
         let Some(estimator) = self.supervisor.estimator_mut() else { return };
         if due && extraction.is_idle() {
             estimator.pin(clone);
@@ -40,27 +43,26 @@ impl RobotRun<'_> {
     }
 
     /// Takes in the pose that an operator set.
-    pub(super) fn update_initial_pose(&mut self) {
-        let may_ask = self.queries.is_some() || self.opening.is_some();
-        let has_map = may_ask && self.supervisor.config().mode != MapMode::Odometry;
+    pub(crate) fn update_initial_pose(&mut self) {
+        let has_map = self.map.has_map() && self.supervisor.config().mode != MapMode::Odometry;
         self.initial_pose.update(self.supervisor.estimator_mut(), has_map);
     }
 
-    fn send_query(&mut self, clone: CloneId, stamp_ns: i64, features: FeatureSet, recorder: &mut Recorder) {
+    fn send_query(&mut self, clone: CloneId, stamp_ns: i64, features: FeatureSet) {
         let mode = self.supervisor.config().mode;
         let (Some(queries), Some(estimator), Some(camera)) =
-            (&mut self.queries, self.supervisor.estimator_since(stamp_ns), &self.query_camera)
+            (&mut self.map.queries, self.supervisor.estimator_since(stamp_ns), &self.query_camera)
         else {
             return;
         };
         if queries.pending() >= MAX_PENDING {
-            recorder.queries.skipped += 1;
+            self.report.queries.skipped += 1;
             estimator.unpin(clone);
             return;
         }
-        let max_keyframes = if mode == MapMode::Single { 1 } else { self.max_keyframes.max(1) };
+        let max_keyframes = if mode == MapMode::Single { 1 } else { self.settings.max_keyframes.max(1) };
         let request = MatchRequest {
-            robot: self.robot.clone(),
+            robot: self.settings.name.clone(),
             stamp_ns,
             camera: camera.clone(),
             features,
@@ -75,7 +77,7 @@ impl RobotRun<'_> {
             max_keyframes,
         };
         estimator.pin(clone);
-        recorder.queries.sent += 1;
+        self.report.queries.sent += 1;
         queries.submit(clone, request);
     }
 
@@ -83,36 +85,35 @@ impl RobotRun<'_> {
     ///
     /// # Returns
     /// The time spent waiting.
-    pub(super) fn apply_answers(&mut self, recorder: &mut Recorder) -> Result<Duration, EstimatorError> {
+    pub(crate) fn apply_answers(&mut self) -> Result<Duration, EstimatorError> {
         let begin = Instant::now();
-        let extracted = self
-            .extraction
-            .as_mut()
-            .and_then(|extraction| if self.realtime { extraction.poll() } else { extraction.wait() });
+        let extracted = self.extraction.as_mut().and_then(|extraction| {
+            if self.settings.realtime { extraction.poll() } else { extraction.wait() }
+        });
         let mut waited = begin.elapsed();
         if let Some(extracted) = extracted {
-            self.query_extracted(extracted, recorder);
+            self.query_extracted(extracted);
         }
-        self.apply_map_changes(recorder);
+        self.apply_map_changes();
         loop {
             let begin = Instant::now();
-            let result = if self.realtime {
-                self.queries.as_mut().and_then(QueryTasks::poll)
+            let result = if self.settings.realtime {
+                self.map.queries.as_mut().and_then(QueryTasks::poll)
             } else {
                 self.next_answer()
             };
             waited += begin.elapsed();
             let Some(result) = result else { break };
             // Changes that came in the meantime concern this answer.
-            self.apply_map_changes(recorder);
-            self.apply_result(&result, recorder)?;
+            self.apply_map_changes();
+            self.apply_result(&result)?;
         }
         Ok(waited)
     }
 
     /// Applies the changes of the map that were received.
-    fn apply_map_changes(&mut self, recorder: &mut Recorder) {
-        while let Some(notice) = self.map_changes.as_mut().and_then(MapChangeSubscriber::poll) {
+    fn apply_map_changes(&mut self) {
+        while let Some(notice) = self.map.changes.as_mut().and_then(MapChangeSubscriber::poll) {
             let Some(estimator) = self.supervisor.estimator_mut() else { continue };
             if estimator.map_identity().is_some_and(|held| held != identity_number(notice.identity)) {
                 tracing::warn!(identity = %notice.identity, "ignored a change of another map of the same name");
@@ -122,7 +123,7 @@ impl RobotRun<'_> {
             let (from, version) = (revision.from_version, revision.version);
             match estimator.map_changed(&revision) {
                 RevisionEffect::CarriedOver => {
-                    recorder.map_changes.carried_over += 1;
+                    self.report.map_changes.carried_over += 1;
                     let size = revision.size;
                     tracing::info!(
                         from,
@@ -132,7 +133,7 @@ impl RobotRun<'_> {
                     );
                 }
                 RevisionEffect::Reinitialized => {
-                    recorder.map_changes.found_anew += 1;
+                    self.report.map_changes.found_anew += 1;
                     tracing::warn!(
                         from,
                         version,
@@ -145,11 +146,11 @@ impl RobotRun<'_> {
     }
 
     /// Queries the map with the features of an image, now that they are extracted.
-    fn query_extracted(&mut self, extracted: Extracted, recorder: &mut Recorder) {
+    fn query_extracted(&mut self, extracted: Extracted) {
         let Some(estimator) = self.supervisor.estimator_since(extracted.stamp_ns) else { return };
         match extracted.features {
             Ok(features) if !features.is_empty() => {
-                self.send_query(extracted.clone, extracted.stamp_ns, features, recorder);
+                self.send_query(extracted.clone, extracted.stamp_ns, features);
             }
             Ok(_) => estimator.unpin(extracted.clone),
             Err(reason) => {
@@ -159,13 +160,9 @@ impl RobotRun<'_> {
         }
     }
 
-    fn apply_result(
-        &mut self,
-        result: &QueryResult<CloneId>,
-        recorder: &mut Recorder,
-    ) -> Result<(), EstimatorError> {
+    fn apply_result(&mut self, result: &QueryResult<CloneId>) -> Result<(), EstimatorError> {
         let failure = result.answer.as_ref().err().map(ToString::to_string);
-        recorder.traffic.add(&Traffic { sent: result.bytes_sent, received: result.bytes_received });
+        self.report.traffic.add(&Traffic { sent: result.bytes_sent, received: result.bytes_received });
         let request = &result.request;
         let matched = result.answer.as_ref().ok();
         let matched = matched.filter(|answer| answer.status.outcome == MatchOutcome::Matched);
@@ -173,13 +170,13 @@ impl RobotRun<'_> {
             map_answer(&request.features, &request.held, status, keyframes.clone())
         });
         if let Some(answer) = &matched {
-            recorder.keyframes_pulled += answer.keyframes.len();
+            self.report.keyframes_pulled += answer.keyframes.len();
         }
         let Some(estimator) = self.supervisor.estimator_since(request.stamp_ns) else {
             self.note_failure(failure);
             let mut event = Event::new(result, request.stamp_ns);
             event.note_failure("the estimator was initialized again after this query was sent");
-            self.note_event(&event, recorder);
+            self.note_event(&event);
             return Ok(());
         };
         let mut event = Event::new(result, estimator.stamp_ns());
@@ -188,14 +185,10 @@ impl RobotRun<'_> {
             (Some(answer), _) => {
                 let before = estimator.local_from_imu();
                 let report = estimator.map_update(result.token, answer)?;
-                if let Some(ros) = &mut self.ros {
-                    ros.correct(&before, &estimator.local_from_imu());
-                }
-                if let Some(recording) = &mut self.recording {
-                    recording.correct(&before, &estimator.local_from_imu());
-                }
+                let after = estimator.local_from_imu();
+                self.outputs.each(|output| output.correct(&before, &after));
                 event.note_report(&report);
-                recorder.note_first_fix(&report);
+                self.report.note_first_fix(&report);
                 if report.rejection.is_none() {
                     self.initial_pose.answered(estimator, result.token, request.stamp_ns);
                 }
@@ -205,66 +198,64 @@ impl RobotRun<'_> {
             (None, Err(error)) => event.note_failure(&error.to_string()),
         }
         estimator.unpin(result.token);
-        self.note_event(&event, recorder);
+        self.note_event(&event);
         self.note_failure(
             failure.or_else(|| refusal.map(|reason| format!("its answer is refused: {reason}"))),
         );
         Ok(())
     }
 
-    fn note_event(&mut self, event: &Event, recorder: &mut Recorder) {
-        recorder.note_event(event);
-        if let Some(recording) = &mut self.recording {
-            recording.event(event);
-        }
+    fn note_event(&mut self, event: &Event) {
+        self.report.note_event(event);
+        self.outputs.each(|output| output.query(event));
     }
 
     /// Keeps why the last query had no answer that can be used, and logs when that changes.
     fn note_failure(&mut self, failure: Option<String>) {
-        match (&self.last_failure, &failure) {
+        match (&self.map.last_failure, &failure) {
             (None, Some(reason)) => {
                 tracing::warn!(reason, "a map query had no usable answer; odometry continues");
             }
             (Some(_), None) => tracing::info!("map queries are answered again"),
             _ => {}
         }
-        self.last_failure = failure;
+        self.map.last_failure = failure;
     }
 
     /// Applies the pending answers before a frame that is much later, and replaces the recorded state.
-    pub(super) fn apply_answers_before_next_frame(
-        &mut self,
-        recorder: &mut Recorder,
-    ) -> Result<(), EstimatorError> {
-        let (extraction, queries) = (self.extraction.as_ref(), self.queries.as_ref());
+    pub(crate) fn apply_answers_before_next_frame(&mut self) -> Result<(), EstimatorError> {
+        let (extraction, queries) = (self.extraction.as_ref(), self.map.queries.as_ref());
         let none_pending = extraction.is_none_or(ExtractionThread::is_idle)
             && queries.is_none_or(|queries| queries.pending() == 0);
         if none_pending {
             return Ok(());
         }
-        self.apply_answers(recorder)?;
+        self.apply_answers()?;
+        let status = self.status();
         if let Some(estimator) = self.supervisor.estimator() {
-            recorder.note_state_again(estimator);
+            self.report.note_state_again(estimator);
+            let estimate = Estimate::of(estimator, &status, Duration::ZERO);
+            self.outputs.each(|output| output.revise(&estimate));
         }
         Ok(())
     }
 
     /// Waits for the pending answers at the end of the source, and applies them.
-    pub(super) fn finish_queries(&mut self, recorder: &mut Recorder) -> Result<(), EstimatorError> {
+    pub(crate) fn finish_queries(&mut self) -> Result<(), EstimatorError> {
         if let Some(extracted) = self.extraction.as_mut().and_then(ExtractionThread::wait) {
-            self.query_extracted(extracted, recorder);
+            self.query_extracted(extracted);
         }
         while let Some(result) = self.next_answer() {
-            self.apply_map_changes(recorder);
-            self.apply_result(&result, recorder)?;
+            self.apply_map_changes();
+            self.apply_result(&result)?;
         }
         Ok(())
     }
 
     /// Waits for the next answer; once the run is stopped, takes only those that are there.
     fn next_answer(&mut self) -> Option<QueryResult<CloneId>> {
-        let queries = self.queries.as_mut()?;
-        while !self.stop.is_stopped() && queries.pending() > 0 {
+        let queries = self.map.queries.as_mut()?;
+        while !self.settings.stop.is_stopped() && queries.pending() > 0 {
             let result = queries.wait_at_most(NOTICE);
             if result.is_some() {
                 return result;

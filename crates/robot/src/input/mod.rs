@@ -2,8 +2,8 @@
 
 mod bad_readings;
 mod imu_window;
+mod sensor_faults;
 mod sensor_queue;
 
-pub(crate) use bad_readings::BadReadings;
-pub(crate) use imu_window::ImuWindow;
+pub(crate) use sensor_faults::{SensorFault, SensorFaults};
 pub(crate) use sensor_queue::{NextFrame, SensorQueue};

@@ -1,0 +1,64 @@
+//! What can be wrong with an object of a store.
+
+use crate::partition::{CellId, PartitionError};
+use crate::release::RELEASE_SCHEMA;
+use protocol::MapIdentity;
+
+/// Why an object of a store is not what was published.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Damage {
+    /// The file of a release is no JSON of one.
+    #[error("{0}")]
+    Json(#[from] serde_json::Error),
+    /// A release of another layout.
+    #[error("it has schema {found}, this program reads {RELEASE_SCHEMA}: publish the map to another place")]
+    Schema {
+        /// Its schema, 0 for none.
+        found: u64,
+    },
+    /// The file of a release has the name of another one.
+    #[error("it says that it is release {0}")]
+    Number(u64),
+    /// Its partition cannot be one.
+    #[error(transparent)]
+    Partition(#[from] PartitionError),
+    /// Cells do not ascend.
+    #[error("cell {0} is not in order")]
+    Order(CellId),
+    /// A cell that the partition does not have.
+    #[error("its partition has no cell {0}")]
+    NoCell(CellId),
+    /// A name that no segment has; it could lead out of their folder.
+    #[error("cell {cell} has the segment {name:?}")]
+    SegmentName {
+        /// The cell.
+        cell: CellId,
+        /// What stands in the place of a SHA-256.
+        name: String,
+    },
+    /// The contents of the cells are not those of the release.
+    #[error("its cells give the digest {found}, it states {stated}")]
+    Digest {
+        /// That of the cells.
+        found: MapIdentity,
+        /// That of the release.
+        stated: MapIdentity,
+    },
+    /// A segment has other bytes than its name says.
+    #[error("its {bytes} bytes have the SHA-256 {sha256}")]
+    Checksum {
+        /// How many.
+        bytes: u64,
+        /// Hexadecimal.
+        sha256: String,
+    },
+    /// An object is longer than it can be.
+    #[error("it has {found} bytes, not {at_most} or less")]
+    Length {
+        /// Its bytes.
+        found: u64,
+        /// The limit.
+        at_most: u64,
+    },
+}

@@ -1,0 +1,73 @@
+//! Settings of a robot.
+
+use super::initial_pose::InitialPoses;
+use super::stop::StopSignal;
+use estimator::{EstimatorConfig, InitialState};
+use sensors::SensorCalibration;
+use std::time::Duration;
+use vision::tracking::TrackerOptions;
+
+/// Default of [`RobotSettings::query_interval_ns`].
+const QUERY_INTERVAL_NS: i64 = 500_000_000;
+/// Default of [`RobotSettings::query_deadline`].
+const QUERY_DEADLINE: Duration = Duration::from_secs(2);
+/// Default of [`RobotSettings::max_keyframes`].
+const MAX_KEYFRAMES: u16 = 4;
+/// Default of [`RobotSettings::cameras`]: a stereo pair where there is one.
+const CAMERAS: usize = 2;
+
+/// How a robot plays its source. [`RobotSettings::new`] has the defaults.
+#[derive(Clone, Debug)]
+#[non_exhaustive]
+pub struct RobotSettings {
+    /// Name of the robot, for queries and outputs: `robot`.
+    pub name: String,
+    /// Settings of the estimator.
+    pub estimator: EstimatorConfig,
+    /// The state that the estimator begins with; `None` where it initializes itself, at rest or in motion.
+    pub initial: Option<InitialState>,
+    /// Number of cameras to use at most, the first ones of the calibration: two. There is no more than a stereo pair.
+    pub cameras: usize,
+    /// The front end, for a source that has images and no tracks.
+    pub tracker: TrackerOptions,
+    /// Play at the speed of the recording instead of as fast as possible. A live source is played as it comes.
+    pub realtime: bool,
+    /// Least time between two images that features are extracted from, nanoseconds: half a second.
+    pub query_interval_ns: i64,
+    /// How long a query may take: two seconds.
+    pub query_deadline: Duration,
+    /// Maximum number of keyframes in one answer: four.
+    pub max_keyframes: u16,
+    /// Where an operator sets poses.
+    pub initial_poses: InitialPoses,
+    /// Stops the run before the source ends.
+    pub stop: StopSignal,
+}
+
+impl RobotSettings {
+    /// The defaults, with settings of the estimator: see [`estimator_config`].
+    pub fn new(estimator: EstimatorConfig) -> Self {
+        Self {
+            name: "robot".to_owned(),
+            estimator,
+            initial: None,
+            cameras: CAMERAS,
+            tracker: TrackerOptions::default(),
+            realtime: false,
+            query_interval_ns: QUERY_INTERVAL_NS,
+            query_deadline: QUERY_DEADLINE,
+            max_keyframes: MAX_KEYFRAMES,
+            initial_poses: InitialPoses::default(),
+            stop: StopSignal::default(),
+        }
+    }
+}
+
+/// The default settings of the estimator with noise and gravity as the calibration of the IMU states them; `None` without an IMU.
+pub fn estimator_config(calibration: &SensorCalibration) -> Option<EstimatorConfig> {
+    let imu = calibration.imu.as_ref()?;
+    let mut config = EstimatorConfig::default();
+    config.gravity = imu.gravity_magnitude.unwrap_or(config.gravity);
+    config.imu_noise = imu.noise;
+    Some(config)
+}

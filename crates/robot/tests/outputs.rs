@@ -1,0 +1,174 @@
+//! What a run gives out, and in which order.
+
+use robot::{Estimate, Output, Robot, RobotError, RobotSettings, RunError, RunReport, StatusReport};
+use sensors::{Frame, ImuSample, Recording, SensorSource as _, Sequence};
+use simulation::{SimulationOptions, simulate};
+use std::cell::RefCell;
+use std::rc::Rc;
+
+/// A call of an output, with the time that it is about.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Call {
+    Begin(i64),
+    Frame(i64),
+    Estimate(i64),
+    Status(Option<i64>),
+    End(usize),
+}
+
+/// Keeps what it is told.
+#[derive(Clone, Debug, Default)]
+struct Witness {
+    calls: Vec<Call>,
+    readings: Vec<i64>,
+    positions: Vec<[f64; 3]>,
+}
+
+impl Output for Witness {
+    fn begin(&mut self, stamp_ns: i64) {
+        self.calls.push(Call::Begin(stamp_ns));
+    }
+
+    fn reading(&mut self, reading: &ImuSample) {
+        self.readings.push(reading.stamp_ns);
+    }
+
+    fn frame(&mut self, frame: &Frame) {
+        self.calls.push(Call::Frame(frame.stamp_ns));
+    }
+
+    fn estimate(&mut self, estimate: &Estimate) {
+        self.calls.push(Call::Estimate(estimate.motion.stamp_ns));
+        self.positions.push(estimate.motion.state.local_from_imu.translation.into());
+    }
+
+    fn status(&mut self, report: &StatusReport) {
+        self.calls.push(Call::Status(report.stamp_ns));
+    }
+
+    fn end(&mut self, report: &RunReport) {
+        self.calls.push(Call::End(report.frames));
+    }
+}
+
+/// Five seconds with tracks.
+fn sequence() -> Sequence {
+    simulate(&SimulationOptions { duration_s: Some(5.0), ..SimulationOptions::default() }).unwrap().live
+}
+
+fn settings(sequence: &Sequence) -> RobotSettings {
+    RobotSettings::new(robot::estimator_config(&sequence.calibration()).unwrap())
+}
+
+/// What a witness was told, and what the run reported.
+fn run(sequence: &Sequence, settings: RobotSettings, others: usize) -> (Witness, RunReport) {
+    let recording = Recording::from(sequence);
+    let mut source = recording.source().unwrap();
+    let mut witness = Witness::default();
+    let mut robot = Robot::new(&mut source, settings).unwrap();
+    for _ in 0..others {
+        robot.add_output(Witness::default());
+    }
+    robot.add_output(&mut witness);
+    let report = robot.run(|_| {});
+    (witness, report)
+}
+
+#[test]
+fn an_output_is_told_of_every_image_in_order_and_of_the_end() {
+    let sequence = sequence();
+    let (Witness { calls, readings, positions }, report) = run(&sequence, settings(&sequence), 0);
+    assert!(report.ended_early.is_none(), "{report:?}");
+    assert_eq!(calls.first(), Some(&Call::Begin(sequence.frames[0].stamp_ns)));
+    assert_eq!(calls.last(), Some(&Call::End(report.frames)));
+    let (mut frames, mut estimates) = (0, 0);
+    let mut rest = &calls[1..calls.len() - 1];
+    while let Some((Call::Frame(stamp_ns), behind)) = rest.split_first() {
+        rest = match behind {
+            [Call::Estimate(of), Call::Status(Some(state)), rest @ ..] => {
+                estimates += 1;
+                assert_eq!((of, state), (stamp_ns, stamp_ns));
+                rest
+            }
+            // Before the initialization there is a status only.
+            [Call::Status(Some(of)), rest @ ..] => {
+                assert_eq!((of, estimates), (stamp_ns, 0));
+                rest
+            }
+            other => panic!("{other:?}"),
+        };
+        frames += 1;
+    }
+    assert_eq!(rest, []);
+    assert_eq!((frames, estimates, positions.len()), (sequence.frames.len(), report.frames, report.frames));
+    assert!(report.frames > frames / 2);
+    let first: Vec<i64> =
+        sequence.imu_samples.iter().take(readings.len()).map(|reading| reading.stamp_ns).collect();
+    assert_eq!(readings, first, "every reading comes once and in order");
+}
+
+#[test]
+fn who_listens_does_not_change_what_is_said() {
+    let sequence = sequence();
+    let [(alone, _), (third, _)] = [0, 2].map(|others| run(&sequence, settings(&sequence), others));
+    assert_eq!(alone.positions, third.positions);
+    assert_eq!(alone.calls, third.calls);
+}
+
+#[test]
+fn outputs_are_ended_where_a_run_is_stopped() {
+    let sequence = sequence();
+    let mut settings = settings(&sequence);
+    let stop = settings.stop.clone();
+    settings.name = "cart7".to_owned();
+    let recording = Recording::from(&sequence);
+    let mut source = recording.source().unwrap();
+    let mut witness = Witness::default();
+    let mut robot = Robot::new(&mut source, settings).unwrap();
+    robot.add_output(&mut witness);
+    let report = robot.run(|frame| {
+        if frame == 20 {
+            stop.stop();
+        }
+    });
+    assert!(matches!(report.ended_early, Some(RunError::Interrupted { .. })), "{report:?}");
+    assert_eq!(witness.calls.iter().filter(|call| matches!(call, Call::Frame(_))).count(), 20);
+    assert_eq!(witness.calls.last(), Some(&Call::End(report.frames)));
+}
+
+/// Says when it is dropped.
+struct Dropped(&'static str, Rc<RefCell<Vec<&'static str>>>);
+
+impl Output for Dropped {}
+
+impl Drop for Dropped {
+    fn drop(&mut self) {
+        self.1.borrow_mut().push(self.0);
+    }
+}
+
+#[test]
+fn outputs_are_dropped_in_the_order_in_which_they_were_added() {
+    let sequence = sequence();
+    let recording = Recording::from(&sequence);
+    let mut source = recording.source().unwrap();
+    let mut robot = Robot::new(&mut source, settings(&sequence)).unwrap();
+    let dropped = Rc::new(RefCell::new(Vec::new()));
+    for name in ["recording", "publisher"] {
+        robot.add_output(Dropped(name, Rc::clone(&dropped)));
+    }
+    assert!(robot.run(|_| {}).ended_early.is_none());
+    assert_eq!(*dropped.borrow(), ["recording", "publisher"]);
+}
+
+#[test]
+fn a_robot_without_a_camera_is_refused() {
+    let mut sequence = sequence();
+    let settings = settings(&sequence);
+    sequence.cameras.clear();
+    sequence.frames.clear();
+    let recording = Recording::from(&sequence);
+    let mut source = recording.source().unwrap();
+    assert!(source.calibration().cameras.is_empty());
+    assert!(matches!(Robot::new(&mut source, settings), Err(RobotError::NoCamera)));
+}
