@@ -27,6 +27,7 @@
 //! | [`calibration`] | cameras, their extrinsics, time offset, and which of it is estimated online |
 //! | [`config`] | all settings |
 //! | [`propagation`] | IMU state, its integration and error transition |
+//! | [`preintegration`], [`inertial_chain`] | IMU samples between two images, as a residual of their states; all of an adjustment |
 //! | [`motion`] | pose and velocities with covariance, now and predicted by the IMU |
 //! | [`state`] | layout of the active state |
 //! | [`schmidt`], [`covariance`] | joint covariance of the active state and the held keyframes |
@@ -48,6 +49,7 @@ mod first_estimates;
 pub mod gate;
 pub mod health;
 pub mod imu;
+pub mod inertial_chain;
 pub mod initialization;
 pub mod linear_algebra;
 pub mod map_update;

@@ -7,6 +7,7 @@
 //! ```
 //! Source of the transition's closed form in terms of the states at both ends: Li & Mourikis, IJRR 2013.
 
+use adjustment::ViewMotion;
 use geometry::{Pose, rotation};
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 use types::ImuNoise;
@@ -55,6 +56,18 @@ impl ImuState {
             gyroscope_bias,
             accelerometer_bias,
         }
+    }
+
+    /// Of a pose and a motion of an adjustment.
+    pub fn of(local_from_imu: Pose, motion: &ViewMotion) -> Self {
+        let ViewMotion { velocity, gyroscope_bias, accelerometer_bias } = *motion;
+        Self { local_from_imu, velocity, gyroscope_bias, accelerometer_bias }
+    }
+
+    /// Velocity and biases.
+    pub fn motion(&self) -> ViewMotion {
+        let Self { velocity, gyroscope_bias, accelerometer_bias, .. } = *self;
+        ViewMotion { velocity, gyroscope_bias, accelerometer_bias }
     }
 
     /// Adds an error `[δθ, δp, δv, δb_g, δb_a]`.

@@ -1,5 +1,6 @@
 //! Which places of a map look alike.
 
+use adjustment::parallel;
 use map::contents::MapContents;
 use map::{Alias, KeyframeAliases};
 use protocol::KeyframeId;
@@ -7,7 +8,6 @@ use recognition::LoadedMap;
 use std::collections::BTreeMap;
 
 use super::error::BuildError;
-use super::parallel;
 use super::progress::{Progress, Stage};
 
 /// Compares the keyframes of which it is not known yet with the rest of the map, and states in it which places they could be

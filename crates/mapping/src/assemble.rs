@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use adjustment::{Bundle, InverseDepthLandmark, MountedCamera, ViewPose};
 use geometry::camera::Camera;
 use geometry::uncertain_pose::PoseWithCovariance;
 use map::contents::MapContents;
@@ -9,12 +10,9 @@ use map::model::{CommonError, Keyframe, KeyframeCrossCovariance, Landmark, MapMe
 use nalgebra::{DVector, Matrix6, Vector3};
 use protocol::KeyframeId;
 
-use super::bundle_adjustment::Bundle;
-use super::camera::{CameraPose, MappingCamera};
 use super::error::BuildError;
 use super::joint_covariance::JointCovariance;
 use super::keyframe_view::KeyframeView;
-use super::landmark::InverseDepthLandmark;
 use super::options::BuildOptions;
 use super::report::{BuildReport, Spread};
 
@@ -106,7 +104,7 @@ fn map_landmark(id: u64, landmark: &InverseDepthLandmark, views: &[KeyframeView<
 /// Fills in the statistics of the finished map.
 pub(super) fn fill_report(
     report: &mut BuildReport,
-    cameras: &[MappingCamera],
+    cameras: &[MountedCamera],
     views: &[KeyframeView<'_>],
     bundle: &Bundle,
     contents: &MapContents,
@@ -132,8 +130,8 @@ pub(super) fn fill_report(
     report.landmarks_per_keyframe = Spread::of(seen.values().map(|&count| count as f64));
     report.poor_keyframes =
         seen.iter().filter(|(_, count)| **count < BuildReport::FEW_LANDMARKS).map(|(&id, _)| id).collect();
-    let priors: Vec<CameraPose> = views.iter().map(|view| CameraPose::from(&view.prior.pose)).collect();
-    report.reprojection_px = reprojection(cameras, &bundle.landmarks, &bundle.camera_poses());
+    let priors: Vec<ViewPose> = views.iter().map(|view| ViewPose::from(&view.prior.pose)).collect();
+    report.reprojection_px = reprojection(cameras, &bundle.landmarks, &bundle.view_poses());
     report.reprojection_through_given_px = reprojection(cameras, &bundle.landmarks, &priors);
     let corrections = || views.iter().zip(&bundle.poses).map(|(view, pose)| view.prior.pose.local(pose));
     let norm = |vector: Vector3<f64>| vector.norm();
@@ -176,11 +174,7 @@ fn sigma_scale(contents: &MapContents) -> Option<f64> {
     Some(variance.max(0.0).sqrt()).filter(|sigma| sigma.is_finite())
 }
 
-fn reprojection(
-    cameras: &[MappingCamera],
-    landmarks: &[InverseDepthLandmark],
-    poses: &[CameraPose],
-) -> Spread {
+fn reprojection(cameras: &[MountedCamera], landmarks: &[InverseDepthLandmark], poses: &[ViewPose]) -> Spread {
     let errors = landmarks.iter().flat_map(|landmark| landmark.errors(cameras, poses));
     Spread::of(errors.filter(|error| error.is_finite()))
 }

@@ -3,13 +3,13 @@
 use std::borrow::Cow;
 use std::collections::HashMap;
 
+use adjustment::MountedCamera;
 use geometry::camera::Camera;
 use nalgebra::Vector2;
 use protocol::FeatureSet;
 use sensors::{Frame, ImageData, Sequence};
 use vision::{FeatureExtractor, GrayImage, ImageFeatures};
 
-use super::camera::MappingCamera;
 use super::error::BuildError;
 use super::stereo_matching::match_stereo;
 use vision::feature_set;
@@ -31,7 +31,7 @@ pub struct Extraction<'a> {
 /// Where the features of frames come from.
 pub(super) struct FeatureSource<'e, 'r> {
     extraction: Option<Extraction<'e>>,
-    cameras: &'r [MappingCamera],
+    cameras: &'r [MountedCamera],
     /// What was extracted ahead, by time (ns) and camera.
     ready: HashMap<(i64, usize), Extracted>,
     /// Images that could not be read, with the reason.
@@ -57,7 +57,7 @@ impl<'e, 'r> FeatureSource<'e, 'r> {
     /// Features from the recording, or with `extraction` from its images.
     pub(super) fn new(
         extraction: Option<Extraction<'e>>,
-        cameras: &'r [MappingCamera],
+        cameras: &'r [MountedCamera],
     ) -> FeatureSource<'e, 'r> {
         FeatureSource { extraction, cameras, ready: HashMap::new(), unreadable: Vec::new() }
     }

@@ -11,6 +11,7 @@
 //! ```
 //! The magnitude of gravity is known; it enters linearized about the direction that the step before gave.
 
+use adjustment::{SparseFactor, SparseSystem};
 use estimator::EstimatorConfig;
 use estimator::imu::ImuBuffer;
 use estimator::propagation::{
@@ -22,8 +23,7 @@ use nalgebra::{DVector, Matrix3, UnitQuaternion, Vector3};
 use sensors::Sequence;
 
 use super::error::BuildError;
-use super::inertial::{IMU_SLACK_NS, buffered};
-use super::sparse_system::{SparseFactor, SparseSystem};
+use super::readings::{IMU_SLACK_NS, buffered};
 
 /// Longest interval from which gravity and velocities are found (s): integration errors grow with its square.
 const MAX_INTERVAL_S: f64 = 4.0;

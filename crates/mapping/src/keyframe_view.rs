@@ -2,14 +2,12 @@
 
 use std::borrow::Cow;
 
+pub(super) use adjustment::FeatureId;
 use geometry::uncertain_pose::PoseWithCovariance;
 use nalgebra::{Vector2, Vector3};
 use protocol::FeatureSet;
 use vision::metric_of;
 use vision::{DescriptorError, DescriptorView};
-
-/// A feature: index of its keyframe, index within the keyframe.
-pub(super) type FeatureId = (usize, usize);
 
 /// An image that becomes a keyframe, or, without features of its own, ties keyframes together by the tracks of the odometry.
 ///

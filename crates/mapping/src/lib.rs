@@ -11,14 +11,14 @@
 //! | each track is triangulated with the reference poses and their covariances | `triangulation` |
 //! | without reference poses, images too far apart to track points: their poses | `stereo_registration`, `imu_alignment` |
 //! | without reference poses: places seen again | `loop_closure` |
-//! | all landmarks and poses are refined, with the reference poses as priors or with the IMU | `refinement`, `bundle_adjustment`, `inertial` |
+//! | all landmarks and poses are refined, with the reference poses as priors or with the IMU | `refinement`, `readings`, crate `adjustment` |
 //! | the joint covariance of the refined poses | `joint_covariance` |
 //! | the map is assembled | `assemble` |
 //! | places that look alike | `aliasing` |
 //! | without reference poses: refused where parts are not tied together | `pieces` |
 //! | poses and positions that are known besides the recording | `pose_priors` |
-//! | a map that exists is extended by another recording | `extension`, `stored_poses`, `landmark_prior` |
-//! | two maps of one place are merged | `merging`, `stored_poses`, `landmark_tie` |
+//! | a map that exists is extended by another recording | `extension`, `stored_poses`, `stored_landmarks` |
+//! | two maps of one place are merged | `merging`, `stored_poses`, `stored_landmarks` |
 //!
 //! [`build_map`] runs them all (`pipeline`); [`build_map_from_odometry`] without reference poses (`without_references`);
 //! [`extend_map`] adds a recording to a map; [`import_colmap`] takes poses and points from a COLMAP model instead
@@ -34,46 +34,34 @@
 
 mod aliasing;
 mod assemble;
-mod bundle_adjustment;
 mod camera;
 mod colmap;
-mod dense_inverse;
 mod error;
 mod extension;
 mod feature_source;
 mod gyroscope_check;
 mod imu_alignment;
-mod inertial;
 mod joint_covariance;
 mod keyframe_selection;
 mod keyframe_view;
-mod landmark;
-mod landmark_equations;
-mod landmark_prior;
-mod landmark_tie;
-mod layout;
 mod loop_closure;
 mod matching;
 mod merging;
-mod normal_equations;
 mod odometry;
 mod options;
-mod parallel;
 mod pieces;
 mod pipeline;
 mod places;
-mod pose_prior;
 mod pose_priors;
 mod progress;
 mod reading_steps;
+mod readings;
 mod recorded_odometry;
 mod reference_gravity;
 mod reference_poses;
 mod refinement;
-mod relative_pose;
 mod report;
 mod selected_keyframes;
-mod sparse_system;
 mod stereo_matching;
 mod stereo_registration;
 mod stored_landmarks;

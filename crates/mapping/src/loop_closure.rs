@@ -2,20 +2,16 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use adjustment::{MountedCamera, POSE, RelativePose, StateCovariance, parallel};
 use geometry::pose::Pose;
 use map::contents::MapContents;
 use nalgebra::{Matrix3, Matrix6, SMatrix, Vector3};
 use recognition::{LoadedMap, RecognitionOptions, VerifiedPlace};
 
 use super::assemble::keyframe_id;
-use super::camera::MappingCamera;
 use super::error::BuildError;
 use super::keyframe_view::KeyframeView;
-use super::layout::{POSE, StateLayout};
-use super::parallel;
 use super::progress::{Progress, Stage};
-use super::relative_pose::RelativePose;
-use super::sparse_system::SparseFactor;
 
 /// Loops of one view that are kept: those with the most matches.
 const LOOPS_A_VIEW: usize = 2;
@@ -38,7 +34,7 @@ const GATE: f64 = 22.5;
 /// [`BuildError::Index`], [`BuildError::Recognition`].
 pub(super) fn find_loops(
     contents: MapContents,
-    cameras: &[MappingCamera],
+    cameras: &[MountedCamera],
     views: &[KeyframeView<'_>],
     poses: &[Pose],
     least_gap: usize,
@@ -99,15 +95,14 @@ pub(super) fn information(earlier: &Pose, covariance: &Matrix6<f64>) -> Matrix6<
 /// The loops that a trajectory, with its uncertainty, does not contradict.
 ///
 /// # Arguments
-/// * `factor`: of the information matrix of all states of the trajectory.
+/// * `covariance`: of all states of the trajectory.
 pub(super) fn plausible(
     loops: Vec<RelativePose>,
     poses: &[Pose],
-    factor: &SparseFactor,
-    layout: StateLayout,
+    covariance: &StateCovariance,
 ) -> Vec<RelativePose> {
-    let blocks = covariance_blocks(&loops, factor, layout);
-    let covariance = |views: [usize; 2]| {
+    let blocks = covariance_blocks(&loops, covariance);
+    let joint_covariance = |views: [usize; 2]| {
         let mut joint = SMatrix::<f64, 12, 12>::zeros();
         for (column, view) in views.iter().enumerate() {
             for (row, other) in views.iter().enumerate() {
@@ -118,17 +113,15 @@ pub(super) fn plausible(
         (joint + joint.transpose()) * (0.5 * TRAJECTORY_FACTOR * TRAJECTORY_FACTOR)
     };
     let is_plausible = |found: &RelativePose| {
-        found.distance_with(poses, &covariance(found.views)).is_some_and(|distance| distance <= GATE)
+        found.distance_with(poses, &joint_covariance(found.views)).is_some_and(|distance| distance <= GATE)
     };
     loops.into_iter().filter(is_plausible).collect()
 }
 
-/// Blocks of the covariance of a trajectory, by row and column, between the views of each loop. A column of it is as long as the whole
-/// trajectory, so that few are in memory at once.
+/// Blocks of the covariance of a trajectory, by row and column, between the views of each loop.
 fn covariance_blocks(
     loops: &[RelativePose],
-    factor: &SparseFactor,
-    layout: StateLayout,
+    covariance: &StateCovariance,
 ) -> BTreeMap<(usize, usize), Matrix6<f64>> {
     let mut partners: BTreeMap<usize, BTreeSet<usize>> = BTreeMap::new();
     for RelativePose { views, .. } in loops {
@@ -139,10 +132,8 @@ fn covariance_blocks(
     let partners: Vec<(usize, BTreeSet<usize>)> = partners.into_iter().collect();
     let of_column = |index: usize| -> Vec<((usize, usize), Matrix6<f64>)> {
         let (view, rows) = &partners[index];
-        let wanted: Vec<usize> = layout.pose(*view).collect();
-        let columns = factor.inverse_columns(&wanted);
-        let block = |row: usize| columns.fixed_view::<POSE, POSE>(layout.pose(row).start, 0).into_owned();
-        rows.iter().map(|row| ((*row, *view), block(*row))).collect()
+        let blocks = covariance.blocks(rows.iter().copied(), *view);
+        rows.iter().map(|row| (*row, *view)).zip(blocks).collect()
     };
     parallel::map(partners.len(), of_column, |_| ()).into_iter().flatten().collect()
 }

@@ -3,22 +3,20 @@
 use std::collections::HashSet;
 use std::time::Instant;
 
+use adjustment::{Bundle, InverseDepthLandmark, MountedCamera, ViewPose, parallel};
 use map::contents::MapContents;
 use sensors::{ReferencePose, Sequence};
 
 use super::aliasing::find_aliases;
 use super::assemble;
-use super::bundle_adjustment::Bundle;
-use super::camera::{CameraPose, MappingCamera};
+use super::camera::mounted_cameras;
 use super::error::BuildError;
 use super::feature_source::{Extraction, FeatureSource};
 use super::gyroscope_check::check_turns;
 use super::keyframe_selection::select_keyframes;
 use super::keyframe_view::{FeatureId, KeyframeView, keyframes};
-use super::landmark::InverseDepthLandmark;
 use super::matching::{self, FeatureMatch};
 use super::options::{BuildOptions, FIRST_SIGMA_PX, StoredPoses};
-use super::parallel;
 use super::progress::{Progress, Stage};
 use super::reference_gravity::gravity_of;
 use super::refinement::{Constraints, ROUNDS, covariance_of, refine_all};
@@ -56,7 +54,7 @@ pub fn build_map(
         options.gravity_in_global.or_else(|| gravity_of(&sequence.imu_samples, references));
     let options = &options;
     let start = Instant::now();
-    let cameras = MappingCamera::of_sensors(&sequence.cameras);
+    let cameras = mounted_cameras(&sequence.cameras);
     let mut source = FeatureSource::new(extraction, &cameras);
     let views = select_keyframes(sequence, references, &mut source, options, progress)?;
     let mut report = BuildReport::of_views(&views, source.unreadable);
@@ -106,7 +104,7 @@ pub(super) fn check(options: &BuildOptions) -> Result<(), BuildError> {
 
 /// Matches pairs of views.
 pub(super) fn match_all(
-    cameras: &[MappingCamera],
+    cameras: &[MountedCamera],
     views: &[KeyframeView<'_>],
     pairs: &[(usize, usize)],
     options: &BuildOptions,
@@ -132,7 +130,7 @@ pub(super) fn match_all(
 /// # Arguments
 /// * `tracked`: further tracks, of points without descriptors.
 pub(super) fn triangulate_all(
-    cameras: &[MappingCamera],
+    cameras: &[MountedCamera],
     views: &[KeyframeView<'_>],
     matches: Vec<FeatureMatch>,
     tracked: Vec<Vec<FeatureId>>,
@@ -141,7 +139,7 @@ pub(super) fn triangulate_all(
     progress: Progress<'_>,
 ) -> Vec<InverseDepthLandmark> {
     let counts: Vec<usize> = views.iter().map(|view| view.rays.len()).collect();
-    let poses: Vec<CameraPose> = views.iter().map(|view| CameraPose::from(&view.prior.pose)).collect();
+    let poses: Vec<ViewPose> = views.iter().map(|view| ViewPose::from(&view.prior.pose)).collect();
     let scene = Scene { cameras, views, poses: &poses, sigma_px: options.sigma_px.unwrap_or(FIRST_SIGMA_PX) };
     let mut tracks = tracks::chain(&counts, matches.clone());
     tracks.extend(tracks::stereo_singles(views, &tracks));

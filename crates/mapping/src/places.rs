@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use adjustment::RelativePose;
 use geometry::camera::Camera;
 use geometry::pose::Pose;
 use geometry::rotation;
@@ -14,7 +15,6 @@ use recognition::{LoadedMap, RecognitionOptions};
 use super::error::BuildError;
 use super::loop_closure::information;
 use super::progress::{Progress, Stage};
-use super::relative_pose::RelativePose;
 
 /// Standard deviations of the map's keyframes while places are searched (rad, m): only relative poses are wanted.
 const SEARCH_SIGMAS: [f64; 2] = [1e-5, 1e-4];

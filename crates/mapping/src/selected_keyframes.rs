@@ -3,11 +3,12 @@
 use std::collections::VecDeque;
 use std::sync::mpsc::{Receiver, channel};
 
+use adjustment::MountedCamera;
 use estimator::propagation::ImuState;
 use geometry::uncertain_pose::PoseWithCovariance;
 use sensors::{CameraSensor, Frame};
 
-use super::camera::MappingCamera;
+use super::camera::mounted_cameras;
 use super::error::BuildError;
 use super::feature_source::{Extraction, FeatureSource};
 use super::keyframe_selection::{KeyframeSelector, is_in_time};
@@ -48,7 +49,7 @@ pub fn select_during<T>(
     progress: Progress<'_>,
     odometry: impl FnOnce(&mut dyn FnMut(&Frame, &ImuState), Progress<'_>) -> T,
 ) -> (T, Result<SelectedKeyframes, BuildError>) {
-    let cameras = &MappingCamera::of_sensors(sensors);
+    let cameras = &mounted_cameras(sensors);
     let (outbox, inbox) = channel::<Located>();
     let (counted, counts) = channel();
     std::thread::scope(|scope| {
@@ -82,7 +83,7 @@ pub fn select_during<T>(
 /// # Arguments
 /// * `progress`: called with the number of images done and that of those that are known.
 fn select(
-    cameras: &[MappingCamera],
+    cameras: &[MountedCamera],
     extraction: Extraction<'_>,
     options: &BuildOptions,
     inbox: &Receiver<Located>,

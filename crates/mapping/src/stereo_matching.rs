@@ -1,11 +1,10 @@
 //! Stereo matching: which feature of the first camera's image is which of the second's, at the same instant.
 
+use adjustment::{MIN_DEPTH, MountedCamera};
 use nalgebra::{Matrix3, Vector2, Vector3};
 use vision::{DescriptorView, ImageFeatures, MatchOptions, distance};
 
 use geometry::rotation::skew;
-
-use super::camera::{MIN_DEPTH, MappingCamera};
 
 /// Largest distance of a feature from the epipolar line (px): localization of corners and errors of calibration.
 const EPIPOLAR_GATE: f64 = 2.0;
@@ -15,7 +14,7 @@ const EPIPOLAR_GATE: f64 = 2.0;
 ///
 /// The ratio test compares features near the epipolar line only, so it is not affected by textures that repeat elsewhere.
 pub(super) fn match_stereo(
-    cameras: &[MappingCamera],
+    cameras: &[MountedCamera],
     first: &ImageFeatures,
     second: &ImageFeatures,
 ) -> Vec<Option<Vector2<f64>>> {
@@ -67,7 +66,7 @@ struct StereoImage<'a> {
 }
 
 impl<'a> StereoImage<'a> {
-    fn new(camera: &MappingCamera, features: &'a ImageFeatures) -> Option<StereoImage<'a>> {
+    fn new(camera: &MountedCamera, features: &'a ImageFeatures) -> Option<StereoImage<'a>> {
         let ray = |keypoint: &vision::Keypoint| {
             let pixel = Vector2::from(keypoint.pixel.map(f64::from));
             camera.camera.unproject(&pixel).ok().map(|ray| ray.push(1.0))
@@ -102,7 +101,7 @@ struct EpipolarLine {
 }
 
 impl StereoGeometry {
-    fn new(second: &MappingCamera) -> StereoGeometry {
+    fn new(second: &MountedCamera) -> StereoGeometry {
         let (rotation, offset) = (second.rotation, second.offset);
         StereoGeometry { rotation, offset, essential: skew(&offset) * rotation }
     }

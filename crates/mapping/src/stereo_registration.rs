@@ -1,6 +1,7 @@
 //! Odometry of stereo images that are too far apart to track points: each pair of images is located by the landmarks of
 //! earlier ones, and the IMU gives gravity, velocities and biases to the trajectory.
 
+use adjustment::{MountedCamera, ViewPose};
 use estimator::EstimatorConfig;
 use geometry::pnp::{Correspondence, PnpSolution, RansacOptions, solve_ransac};
 use geometry::pose::Pose;
@@ -9,7 +10,7 @@ use nalgebra::{Vector2, Vector3};
 use sensors::Sequence;
 use vision::{MatchOptions, match_descriptors};
 
-use super::camera::{CameraPose, MappingCamera};
+use super::camera::mounted_cameras;
 use super::error::BuildError;
 use super::feature_source::{Extraction, FeatureSource, FrameFeatures};
 use super::imu_alignment::ImuAlignment;
@@ -51,7 +52,7 @@ pub fn register_stereo_images(
     config: &EstimatorConfig,
     progress: Progress<'_>,
 ) -> Result<Odometry, BuildError> {
-    let cameras = MappingCamera::of_sensors(&sequence.cameras);
+    let cameras = mounted_cameras(&sequence.cameras);
     let mut source = FeatureSource::new(Some(extraction), &cameras);
     let mut located: Vec<Located<'_>> = Vec::new();
     for (done, frame) in sequence.frames.iter().enumerate() {
@@ -73,14 +74,14 @@ pub fn register_stereo_images(
 
 /// The landmarks that one pair of images shows.
 fn landmarks<'a>(
-    cameras: &[MappingCamera],
+    cameras: &[MountedCamera],
     stamp_ns: i64,
     FrameFeatures { features, stereo }: FrameFeatures<'a>,
 ) -> (KeyframeView<'a>, Vec<Option<Vector3<f64>>>) {
     let rays = rays(&cameras[0].camera, &features);
     let prior = PoseWithCovariance::exact(Pose::identity());
     let view = [KeyframeView { stamp_ns, features, tracked: Vec::new(), stereo, rays, prior }];
-    let poses = [CameraPose::from(&Pose::identity())];
+    let poses = [ViewPose::from(&Pose::identity())];
     let scene = Scene { cameras, views: &view, poses: &poses, sigma_px: FIRST_SIGMA_PX };
     let point = |feature: usize| {
         view[0].stereo_pixel(feature)?;
@@ -94,7 +95,7 @@ fn landmarks<'a>(
 
 /// The pose of a pair of images by the landmarks of another one; `None` where no other shows the same place.
 fn locate(
-    cameras: &[MappingCamera],
+    cameras: &[MountedCamera],
     located: &[Located<'_>],
     view: &KeyframeView<'_>,
 ) -> Result<Option<Pose>, BuildError> {
@@ -114,7 +115,7 @@ fn locate(
 }
 
 fn solve(
-    cameras: &[MappingCamera],
+    cameras: &[MountedCamera],
     other: &Located<'_>,
     view: &KeyframeView<'_>,
 ) -> Result<Option<PnpSolution>, BuildError> {

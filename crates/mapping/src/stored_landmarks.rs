@@ -2,12 +2,11 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use adjustment::{InverseDepthLandmark, LandmarkPrior, StoredObserver};
 use map::contents::MapContents;
 use map::model::Landmark;
+use nalgebra::Vector2;
 use protocol::{KeyframeId, LandmarkId};
-
-use super::landmark::InverseDepthLandmark;
-use super::landmark_prior::LandmarkPrior;
 
 /// The landmarks of a map.
 pub(super) struct StoredLandmarks<'a> {
@@ -32,11 +31,25 @@ impl<'a> StoredLandmarks<'a> {
         keyframes.filter_map(|id| self.keyframes.get(&id).copied()).collect()
     }
 
-    /// A landmark with its prior, see [`LandmarkPrior::of_map`].
+    /// A landmark with its prior. Its anchor stays.
     ///
     /// # Arguments
     /// * `first`: view of the first keyframe.
     pub(super) fn with_prior(&self, id: LandmarkId, first: usize) -> Option<InverseDepthLandmark> {
-        LandmarkPrior::of_map(self.map, &self.keyframes, first, self.by_id.get(&id)?)
+        let landmark = self.by_id.get(&id)?;
+        let mut observers: Vec<StoredObserver<'_>> = Vec::with_capacity(landmark.observations.len());
+        for observation in &landmark.observations {
+            let at = *self.keyframes.get(&observation.keyframe)?;
+            let keyframe = &self.map.keyframes[at];
+            observers.push(StoredObserver {
+                view: first + at,
+                pose: keyframe.global_from_keyframe.pose,
+                camera: &keyframe.camera,
+                pixel: Vector2::from(observation.pixel.map(f64::from)),
+            });
+        }
+        let anchor = landmark.observations.iter().position(|seen| seen.keyframe == landmark.anchor)?;
+        observers.swap(0, anchor);
+        LandmarkPrior::landmark(id, &landmark.position_in_anchor, &observers, self.map.info.sigma_px)
     }
 }

@@ -40,11 +40,11 @@ pub(super) fn choose_places(
 
 #[cfg(test)]
 mod tests {
+    use adjustment::RelativePose;
     use geometry::pose::Pose;
     use nalgebra::Matrix6;
 
     use super::*;
-    use crate::relative_pose::RelativePose;
 
     /// Places of consecutive views, each of which ties two keyframes that no other ties.
     fn places(count: usize) -> Vec<StoredPlace> {

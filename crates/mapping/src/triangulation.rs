@@ -1,10 +1,12 @@
 //! Triangulation of one landmark from uncertain poses: the initial value for bundle adjustment.
 
+use adjustment::{
+    InverseDepthLandmark, LandmarkObservation, MAPPED_INVERSE_DEPTHS, MAX_DEPTH, MountedCamera, Prediction,
+    ViewPose,
+};
 use nalgebra::{Matrix2, Matrix3, Matrix6, Vector3};
 
-use super::camera::{CameraPose, MAX_DEPTH, MappingCamera};
 use super::keyframe_view::{FeatureId, KeyframeView};
-use super::landmark::{InverseDepthLandmark, LandmarkObservation, Prediction};
 
 /// Smallest depth of the grid (m): indoor cameras see surfaces this near.
 const GRID_MIN_DEPTH: f64 = 0.3;
@@ -19,11 +21,11 @@ const STEPS: usize = 6;
 /// Input of triangulation besides the track.
 pub(super) struct Scene<'a> {
     /// The cameras.
-    pub(super) cameras: &'a [MappingCamera],
+    pub(super) cameras: &'a [MountedCamera],
     /// The keyframes.
     pub(super) views: &'a [KeyframeView<'a>],
     /// Their reference poses.
-    pub(super) poses: &'a [CameraPose],
+    pub(super) poses: &'a [ViewPose],
     /// Standard deviation of a pixel (px).
     pub(super) sigma_px: f64,
 }
@@ -76,11 +78,7 @@ pub(super) fn triangulate(
 /// Squared distance of each observation from its prediction, in sigmas; infinite where it is not visible.
 fn distances(scene: &Scene<'_>, landmark: &InverseDepthLandmark) -> Vec<f64> {
     let distance = |(index, observation): (usize, &LandmarkObservation)| {
-        if index == landmark.anchor {
-            let residual = observation.pixel - landmark.predict_in_anchor(scene.cameras).0;
-            return residual.norm_squared() / (scene.sigma_px * scene.sigma_px);
-        }
-        scene.weight(landmark, observation).map_or(f64::INFINITY, |(prediction, weight)| {
+        scene.weight(landmark, index).map_or(f64::INFINITY, |(prediction, weight)| {
             let residual = observation.pixel - prediction.pixel;
             residual.dot(&(weight * residual))
         })
@@ -109,13 +107,9 @@ impl Scene<'_> {
 
     /// Prediction of a landmark in a view, and the inverse of its covariance from the pixel and both poses (2x2):
     /// `sigma^2 I + J_a P_a J_a^T + J_v P_v J_v^T`.
-    fn weight(
-        &self,
-        landmark: &InverseDepthLandmark,
-        observation: &LandmarkObservation,
-    ) -> Option<(Prediction, Matrix2<f64>)> {
-        let (anchor, view) = (landmark.anchor_view(), observation.view());
-        let prediction = landmark.predict(self.cameras, self.poses, observation)?;
+    fn weight(&self, landmark: &InverseDepthLandmark, index: usize) -> Option<(Prediction, Matrix2<f64>)> {
+        let (anchor, view) = (landmark.anchor_view(), landmark.observations[index].view());
+        let prediction = landmark.predict(self.cameras, self.poses, index)?;
         let covariance = |view: usize| -> &Matrix6<f64> { &self.views[view].prior.covariance };
         let total = Matrix2::identity() * (self.sigma_px * self.sigma_px)
             + prediction.by_anchor * covariance(anchor) * prediction.by_anchor.transpose()
@@ -130,20 +124,10 @@ fn refine(scene: &Scene<'_>, mut landmark: InverseDepthLandmark) -> InverseDepth
     for _ in 0..STEPS {
         let mut information = Matrix3::zeros();
         let mut gradient = Vector3::zeros();
-        let anchor_weight = (scene.sigma_px * scene.sigma_px).recip();
-        let (pixel, by_ray) = landmark.predict_in_anchor(scene.cameras);
-        let residual = landmark.observations[landmark.anchor].pixel - pixel;
-        let ray_information = by_ray.transpose() * by_ray * anchor_weight;
-        let ray_gradient = by_ray.transpose() * residual * anchor_weight;
-        information.fixed_view_mut::<2, 2>(0, 0).copy_from(&ray_information);
-        gradient.fixed_rows_mut::<2>(0).copy_from(&ray_gradient);
         for (index, observation) in landmark.observations.iter().enumerate() {
-            if index == landmark.anchor {
-                continue;
-            }
-            let Some((prediction, weight)) = scene.weight(&landmark, observation) else { continue };
+            let Some((prediction, weight)) = scene.weight(&landmark, index) else { continue };
             let residual = observation.pixel - prediction.pixel;
-            if residual.dot(&(weight * residual)) <= GATE {
+            if index == landmark.anchor || residual.dot(&(weight * residual)) <= GATE {
                 information += prediction.by_landmark.transpose() * weight * prediction.by_landmark;
                 gradient += prediction.by_landmark.transpose() * (weight * residual);
             }
@@ -151,7 +135,7 @@ fn refine(scene: &Scene<'_>, mut landmark: InverseDepthLandmark) -> InverseDepth
         // A weak prior on the inverse depth (sigma 1/m), for landmarks without parallax.
         information[(2, 2)] += 1.0;
         let Some(factor) = information.cholesky() else { break };
-        landmark = landmark.corrected(&factor.solve(&gradient));
+        landmark = landmark.corrected(&factor.solve(&gradient), MAPPED_INVERSE_DEPTHS);
     }
     landmark
 }

@@ -5,8 +5,14 @@
 
 use std::time::Instant;
 
+use adjustment::{
+    Bundle, InverseDepthLandmark, MeasuredPose, MeasuredPoses, MountedCamera, PosePrior, RelativePose,
+    ViewMotion, gauge_information, remove_wrong,
+};
 use estimator::EstimatorConfig;
 use estimator::imu::ImuBuffer;
+use estimator::inertial_chain::InertialChain;
+use estimator::propagation::ImuState;
 use geometry::uncertain_pose::{PoseWithCovariance, isotropic_covariance};
 use map::contents::MapContents;
 use map::model::{GAUGE_SIGMA_P, GAUGE_SIGMA_YAW};
@@ -15,25 +21,21 @@ use sensors::Sequence;
 
 use super::aliasing::find_aliases;
 use super::assemble;
-use super::bundle_adjustment::Bundle;
-use super::camera::MappingCamera;
+use super::camera::mounted_cameras;
 use super::error::BuildError;
 use super::feature_source::{Extraction, FeatureSource};
-use super::inertial::{InertialChain, Motion, buffered, gauge_information};
 use super::joint_covariance::JointCovariance;
 use super::keyframe_view::{FeatureId, KeyframeView, keyframes};
-use super::landmark::InverseDepthLandmark;
 use super::loop_closure::{consistent, find_loops};
 use super::matching::{self, FeatureMatch};
 use super::odometry::{LOCAL_SIGMAS, Odometry, add_tracks};
 use super::options::{BuildOptions, FIRST_SIGMA_PX};
 use super::pieces::check_one_piece;
 use super::pipeline::{check, match_all, triangulate_all};
-use super::pose_prior::PosePrior;
-use super::pose_priors::{AlignedPriors, PosePriors, PriorFactor, PriorFactors, remove_wrong};
+use super::pose_priors::{AlignedPriors, PosePriors};
 use super::progress::Progress;
+use super::readings::{buffered, inertial_chain};
 use super::refinement::{Constraints, ROUNDS, covariance_of, refine_all};
-use super::relative_pose::RelativePose;
 use super::report::{BuildReport, UntrackedImages};
 
 /// What defines G: standard deviations of yaw (rad), of the tilt that only gravity gives (rad), and of the position (m) of
@@ -116,13 +118,13 @@ pub(super) struct Builder<'a, 'p> {
     /// Settings of the odometry, with the noise of the IMU as it turns out.
     config: EstimatorConfig,
     /// The cameras.
-    pub(super) cameras: Vec<MappingCamera>,
+    pub(super) cameras: Vec<MountedCamera>,
     /// Settings, with the gravity of G.
     pub(super) options: BuildOptions,
     /// The keyframes, and what ties them together.
     pub(super) views: Vec<KeyframeView<'a>>,
     /// Poses and positions that are known besides the recording.
-    known: Vec<PriorFactor>,
+    known: Vec<MeasuredPose>,
     /// Tracks of points without descriptors.
     tracks: Vec<Vec<FeatureId>>,
     /// Statistics so far.
@@ -146,7 +148,7 @@ impl<'a, 'p> Builder<'a, 'p> {
         check(options)?;
         let mut options = options.clone();
         options.gravity_in_global = Some(-Vector3::z());
-        let cameras = MappingCamera::of_sensors(&sequence.cameras);
+        let cameras = mounted_cameras(&sequence.cameras);
         let mut source = FeatureSource::new(extraction, &cameras);
         let mut views = odometry.select_views(sequence, &mut source, &options, progress)?;
         let mut report = BuildReport::of_views(&views, source.unreadable);
@@ -183,8 +185,12 @@ impl<'a, 'p> Builder<'a, 'p> {
     /// # Errors
     /// [`BuildError`].
     pub(super) fn build(&mut self) -> Result<(Bundle, Constraints), BuildError> {
-        let motions: Vec<Motion> =
-            self.views.iter().filter_map(|view| self.odometry.at(view.stamp_ns)).map(Motion::of).collect();
+        let motions: Vec<ViewMotion> = self
+            .views
+            .iter()
+            .filter_map(|view| self.odometry.at(view.stamp_ns))
+            .map(ImuState::motion)
+            .collect();
         let in_time: Vec<(usize, usize)> = matching::pairs_in_time(&self.views, &self.options);
         let matches = self.matches(&in_time)?;
         let landmarks = self.landmarks(&matches);
@@ -253,7 +259,7 @@ impl<'a, 'p> Builder<'a, 'p> {
 
     /// Increases the stated noise of the IMU where its readings do not fit the images as it says.
     fn learn_imu_noise(&mut self, bundle: &Bundle) {
-        let scale = self.inertial(&bundle.motions).noise_scale(&bundle.poses, &bundle.motions).max(1.0);
+        let scale = self.inertial(&bundle.motions).noise_scale(bundle).max(1.0);
         self.report.imu_noise_scale *= scale;
         self.config.imu_noise = self.config.imu_noise.inflated(scale);
     }
@@ -285,17 +291,17 @@ impl<'a, 'p> Builder<'a, 'p> {
                 pose: self.views[0].prior.pose,
                 information: gauge_information(sigma_yaw, sigma_tilt, sigma_p),
             }],
-            measured: PriorFactors::new(&self.known, &bundle.poses),
+            measured: MeasuredPoses::new(&self.known, &bundle.poses),
             inertial: Some(self.inertial(&bundle.motions)),
             ..Constraints::default()
         }
     }
 
     /// The readings of the IMU between the views.
-    pub(super) fn inertial(&self, motions: &[Motion]) -> InertialChain {
+    pub(super) fn inertial(&self, motions: &[ViewMotion]) -> InertialChain {
         let stamps_ns: Vec<i64> = self.views.iter().map(|view| view.stamp_ns).collect();
         let imu_from_camera = self.sequence.cameras[0].imu_from_camera;
-        InertialChain::new(&self.readings, &stamps_ns, motions, imu_from_camera, &self.config)
+        inertial_chain(&self.readings, &stamps_ns, motions, imu_from_camera, &self.config)
     }
 
     /// Refines a bundle, see [`refine_all`].

@@ -5,17 +5,15 @@
 //! an observation of the distance between the two keyframes that are farthest apart, so that its error is common to all.
 
 use super::frame::ColmapFrame;
-use crate::inertial::gauge_information;
 use crate::joint_covariance::{JointCovariance, joint_covariance};
-use crate::landmark_equations::{LandmarkBlocks, LandmarkEquations};
-use crate::layout::{POSE, StateLayout};
-use crate::normal_equations::NormalEquations;
-use crate::parallel;
 use crate::stored_poses::Posterior;
+use adjustment::{
+    LandmarkBlocks, LandmarkEquations, NormalEquations, StateLayout, gauge_information, parallel,
+};
 use geometry::Pose;
 use geometry::camera::Camera;
 use geometry::rotation::skew;
-use nalgebra::{DMatrix, DVector, Matrix2x3, Matrix2x6, Matrix6x3, Vector2, Vector3};
+use nalgebra::{Matrix2x3, Matrix2x6, Matrix6, Matrix6x3, RowVector6, Vector1, Vector2, Vector3, Vector6};
 
 /// Standard deviations that fix the frame: of yaw (rad), of the tilt where gravity says none (rad), and of the position
 /// (m) of the first image.
@@ -84,10 +82,10 @@ pub(super) fn covariance(
     add_frame(&mut equations, layout, views, frame);
     let of_run = |run: &[Point]| of_points(views, run, sigma_px);
     parallel::for_each_run(points, RUN, of_run, |run| equations.add_landmarks(run));
-    let factor = equations.system().factor()?;
+    let covariance = equations.covariance()?;
     let positions: Vec<_> = views.iter().map(|view| view.pose.translation).collect();
     let all: Vec<usize> = (0..views.len()).collect();
-    let posterior = Posterior::new(&factor, layout, &[], &all, &[]);
+    let posterior = Posterior::new(&covariance, &[], &all, &[]);
     Some(joint_covariance(&posterior, &all, &positions, progress))
 }
 
@@ -106,7 +104,7 @@ fn add_point(equations: &mut LandmarkEquations, views: &[View], point: &Point, s
     for &(view, ..) in &point.seen {
         let Some((by_pose, by_point)) = views[view].jacobians(&point.position) else { continue };
         let weighted = by_pose.transpose() * weight;
-        equations.add_pose(view, &(weighted * by_pose), &nalgebra::Vector6::zeros());
+        equations.add_pose(view, &(weighted * by_pose), &Vector6::zeros());
         let coupling: Matrix6x3<f64> = weighted * by_point;
         blocks.couplings.push((view, coupling));
         blocks.information += by_point.transpose() * by_point * weight;
@@ -127,25 +125,20 @@ fn add_frame(equations: &mut NormalEquations, layout: StateLayout, views: &[View
     let mut information = gauge_information(sigma_yaw, sigma_tilt, sigma_p);
     let turned = turn.matrix() * information.fixed_view::<3, 3>(0, 0) * turn.matrix().transpose();
     information.fixed_view_mut::<3, 3>(0, 0).copy_from(&turned);
-    equations.add_residual(
-        layout.pose(0).collect(),
-        &DMatrix::identity(POSE, POSE),
-        &DMatrix::from_column_slice(POSE, POSE, information.as_slice()),
-        &DVector::zeros(POSE),
-    );
+    equations.add_residual(layout.pose(0), &Matrix6::identity(), &information, &Vector6::zeros());
     let Some((a, b)) = farthest(views) else { return };
     let apart = views[b].pose.translation - views[a].pose.translation;
     let direction = apart.normalize();
-    let mut jacobian = DMatrix::zeros(1, 6);
+    let mut jacobian = RowVector6::zeros();
     jacobian.fixed_view_mut::<1, 3>(0, 0).copy_from(&-direction.transpose());
     jacobian.fixed_view_mut::<1, 3>(0, 3).copy_from(&direction.transpose());
     let sigma = (frame.sigma_scale * apart.norm()).max(1e-6);
     let position = |view: usize| layout.pose(view).skip(3);
     equations.add_residual(
-        position(a).chain(position(b)).collect(),
+        position(a).chain(position(b)),
         &jacobian,
-        &DMatrix::from_element(1, 1, sigma.powi(-2)),
-        &DVector::zeros(1),
+        &Vector1::new(sigma.powi(-2)),
+        &Vector1::zeros(),
     );
 }
 

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use adjustment::{Bundle, InverseDepthLandmark};
 use geometry::uncertain_pose::PoseWithCovariance;
 use map::contents::MapContents;
 use map::model::{Landmark, Observation};
@@ -10,9 +11,7 @@ use protocol::{KeyframeId, LandmarkId};
 use super::error::ExtendError;
 use super::report::ExtensionReport;
 use crate::assemble::{keyframe_id, map_contents};
-use crate::bundle_adjustment::Bundle;
 use crate::joint_covariance::JointCovariance;
-use crate::landmark::InverseDepthLandmark;
 use crate::without_references::Builder;
 
 /// The map of both: what was stored with its ids, moved, and what is new with ids beyond them.

@@ -2,11 +2,11 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use adjustment::{InverseDepthLandmark, LandmarkObservation};
 use map::contents::MapContents;
 use protocol::LandmarkId;
 
 use crate::keyframe_view::{FeatureId, KeyframeView};
-use crate::landmark::{InverseDepthLandmark, LandmarkObservation};
 use crate::places::StoredPlace;
 use crate::stored_landmarks::StoredLandmarks;
 

@@ -17,13 +17,13 @@ mod report;
 use std::collections::BTreeSet;
 use std::time::Instant;
 
+use adjustment::{Bundle, MeasuredPoses, RelativePose};
 use geometry::pose::Pose;
 use map::contents::MapContents;
 use nalgebra::Vector3;
 use sensors::Sequence;
 
 use crate::aliasing::find_aliases;
-use crate::bundle_adjustment::Bundle;
 use crate::error::BuildError;
 use crate::feature_source::Extraction;
 use crate::keyframe_view::keyframes;
@@ -31,10 +31,8 @@ use crate::loop_closure::consistent;
 use crate::odometry::Odometry;
 use crate::options::BuildOptions;
 use crate::places::{Alignment, MIN_AGREEING, PlaceQuery, StoredPlace, align, find_places, view_count};
-use crate::pose_priors::PriorFactors;
 use crate::progress::Progress;
 use crate::refinement::{Constraints, ROUNDS, covariance_of};
-use crate::relative_pose::RelativePose;
 use crate::stored_landmarks::StoredLandmarks;
 use crate::stored_poses::StoredPoses;
 use crate::tied_keyframes::{MOST_TIED, choose_places};
@@ -197,7 +195,7 @@ fn constraints(
 ) -> Constraints {
     Constraints {
         priors: stored.held().collect(),
-        measured: PriorFactors::default(),
+        measured: MeasuredPoses::default(),
         inertial: Some(builder.inertial(&both.motions)),
         relative_poses,
         stored: vec![stored.prior()],

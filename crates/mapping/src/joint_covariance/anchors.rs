@@ -4,9 +4,8 @@
 //! those before say least: Cholesky's decomposition of `P` by blocks, with pivots, stopped early. `P - U U^T`, the
 //! covariance of all poses given those of the anchors, is positive semi-definite.
 
+use adjustment::POSE;
 use nalgebra::{Matrix6, Matrix6xX, Vector6};
-
-use crate::layout::POSE;
 
 /// An anchor whose remaining variance is below this part of the mean variance would add rounding only.
 const NEGLIGIBLE: f64 = 1e-9;

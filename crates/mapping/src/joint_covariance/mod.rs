@@ -24,11 +24,11 @@ mod tests;
 
 use std::collections::BTreeMap;
 
+use adjustment::parallel;
 use map::model::{CommonError, KeyframeCrossCovariance};
 use nalgebra::{Matrix6, Matrix6xX, Vector3};
 use protocol::KeyframeId;
 
-use super::parallel;
 use super::stored_poses::Posterior;
 use anchors::low_rank_part;
 use taper::Taper;

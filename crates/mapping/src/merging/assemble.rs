@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use adjustment::LandmarkTie;
 use geometry::pose::Pose;
 use geometry::uncertain_pose::PoseWithCovariance;
 use map::contents::MapContents;
@@ -11,7 +12,6 @@ use protocol::{KeyframeId, LandmarkId};
 
 use super::{MergeError, MergeReport};
 use crate::joint_covariance::JointCovariance;
-use crate::landmark_tie::LandmarkTie;
 
 /// The map of both: the first one with its ids, moved, and the second one with ids beyond them.
 ///

@@ -2,12 +2,12 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use adjustment::LandmarkTie;
 use geometry::camera::Camera;
 use geometry::pose::Pose;
 use map::contents::MapContents;
 use protocol::{DescriptorFormat, FeatureSet, KeyframeId, LandmarkId};
 
-use crate::landmark_tie::LandmarkTie;
 use crate::places::{PlaceQuery, StoredPlace};
 use crate::stored_landmarks::StoredLandmarks;
 

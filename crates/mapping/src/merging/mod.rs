@@ -17,6 +17,7 @@ mod same_images;
 use std::collections::BTreeSet;
 use std::time::Instant;
 
+use adjustment::{Bundle, LandmarkTie, RelativePose};
 use geometry::pose::Pose;
 use geometry::rotation::exp;
 use map::contents::MapContents;
@@ -24,15 +25,12 @@ use nalgebra::{Matrix6, Vector3};
 use serde::Serialize;
 
 use crate::aliasing::find_aliases;
-use crate::bundle_adjustment::Bundle;
 use crate::error::BuildError;
-use crate::landmark_tie::LandmarkTie;
 use crate::loop_closure::consistent;
 use crate::options::BuildOptions;
 use crate::places::{MIN_AGREEING, PlaceQuery, StoredPlace, align, find_places, view_count};
 use crate::progress::Progress;
 use crate::refinement::{Constraints, covariance_of, refine_all};
-use crate::relative_pose::RelativePose;
 use crate::report::BuildReport;
 use crate::stored_landmarks::StoredLandmarks;
 use crate::stored_poses::StoredPoses;

@@ -4,8 +4,8 @@
 //! IMU bridge the time from the image before it.
 
 mod alignment;
-mod factor;
 
+use adjustment::MeasuredPose;
 use estimator::imu::ImuBuffer;
 use estimator::propagation::{MotionEstimate, propagate};
 use geometry::pose::Pose;
@@ -13,11 +13,10 @@ use nalgebra::{Matrix3, Matrix6, Vector3};
 use sensors::{ImuSample, ReferencePose, ReferencePosition};
 
 use super::error::BuildError;
-use super::inertial::{IMU_SLACK_NS, buffered};
 use super::keyframe_view::KeyframeView;
 use super::odometry::Odometry;
+use super::readings::{IMU_SLACK_NS, buffered};
 use alignment::{LocatedPrior, align};
-pub(super) use factor::{PriorFactor, PriorFactors, remove_wrong};
 
 /// A measurement further than this behind an image is left out (ns): readings alone do not bridge more.
 const MAX_BRIDGED_NS: i64 = 1_000_000_000;
@@ -149,7 +148,7 @@ impl AlignedPriors {
     ///
     /// # Arguments
     /// * `views`: in order of time.
-    pub(super) fn factors(&self, views: &[KeyframeView<'_>], imu_from_camera: &Pose) -> Vec<PriorFactor> {
+    pub(super) fn factors(&self, views: &[KeyframeView<'_>], imu_from_camera: &Pose) -> Vec<MeasuredPose> {
         let factor = |known: &LocatedPrior| known.factor(views, &self.odometry, imu_from_camera);
         self.located.iter().filter_map(factor).collect()
     }
@@ -166,7 +165,7 @@ impl LocatedPrior {
         views: &[KeyframeView<'_>],
         odometry: &Odometry,
         imu_from_camera: &Pose,
-    ) -> Option<PriorFactor> {
+    ) -> Option<MeasuredPose> {
         let next = views.partition_point(|view| view.stamp_ns < self.stamp_ns);
         let distance_ns = |view: &usize| views[*view].stamp_ns.abs_diff(self.stamp_ns);
         let view = (next.saturating_sub(1)..(next + 1).min(views.len())).min_by_key(distance_ns)?;
@@ -180,9 +179,9 @@ impl LocatedPrior {
             covariance[(index, index)] += (SIGMAS_A_SECOND[0] * seconds).powi(2);
             covariance[(index + 3, index + 3)] += sigma_p.powi(2);
         }
-        Some(PriorFactor {
+        Some(MeasuredPose {
             view,
-            point_in_camera: camera_from_imu.transform(&self.point_in_imu),
+            point_in_body: camera_from_imu.transform(&self.point_in_imu),
             position: self.position,
             rotation: self.rotation.map(|rotation| rotation * camera_from_imu.rotation.inverse()),
             information: information(&covariance, self.rotation.is_some())?,

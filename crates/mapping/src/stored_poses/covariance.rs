@@ -1,10 +1,9 @@
 //! The joint covariance of a map's keyframe poses, as the map states it: `P = U U^T + R` with few columns in `U` and few blocks
 //! in `R`, so that products with it cost a multiple of the number of keyframes.
 
+use adjustment::POSE;
 use map::contents::MapContents;
 use nalgebra::{DMatrix, Matrix6};
-
-use crate::layout::POSE;
 
 /// Lower bounds of the standard deviations (rad, m), so that exact keyframes have a covariance that can be inverted.
 const MIN_SIGMAS: [f64; 2] = [1e-6, 1e-5];

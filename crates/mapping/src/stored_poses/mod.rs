@@ -20,23 +20,18 @@
 
 mod covariance;
 mod posterior;
-mod prior;
 #[cfg(test)]
 mod tests;
 
 use std::sync::Arc;
 
+use adjustment::{JointPrior, POSE, PosePrior, inverse_of, pose_errors};
 use geometry::pose::Pose;
 use map::contents::MapContents;
 use nalgebra::{DMatrix, Matrix6, Vector3};
 
-use crate::dense_inverse::inverse_of;
-use crate::layout::POSE;
-use crate::pose_prior::PosePrior;
 use covariance::{MapCovariance, rows_of};
 pub(crate) use posterior::Posterior;
-pub(crate) use prior::JointPrior;
-use prior::errors;
 
 /// Yaw and position of a map.
 const MODES: usize = 4;
@@ -148,7 +143,7 @@ impl StoredPoses {
     /// * `poses`: of all views.
     pub(crate) fn follow(&self, poses: &mut [Pose]) {
         let of_tied: Vec<Pose> = self.tied.iter().map(|&keyframe| self.means[keyframe]).collect();
-        let error = errors(&of_tied, self.tied_views().map(|view| &poses[view]));
+        let error = pose_errors(&of_tied, self.tied_views().map(|view| &poses[view]));
         let followed = self.propagated(&DMatrix::from_column_slice(error.len(), 1, error.as_slice()), None);
         for (keyframe, mean) in self.means.iter().enumerate().filter(|(at, _)| self.follows[*at]) {
             let error = followed.fixed_view::<POSE, 1>(POSE * keyframe, 0).into_owned();

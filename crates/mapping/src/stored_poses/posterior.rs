@@ -1,18 +1,14 @@
 //! The joint covariance of all poses after an adjustment in which the tied keyframes of stored maps took part.
 
+use adjustment::{POSE, StateCovariance, parallel, pose_error};
 use geometry::pose::Pose;
 use nalgebra::{DMatrix, Matrix6};
 
 use super::StoredPoses;
-use crate::layout::{POSE, StateLayout};
-use crate::parallel;
-use crate::pose_prior::pose_error;
-use crate::sparse_system::SparseFactor;
 
 /// The covariance of the errors `[δθ, δp]` in G of some views, column by column.
 pub(crate) struct Posterior<'a> {
-    factor: &'a SparseFactor,
-    layout: StateLayout,
+    covariance: &'a StateCovariance,
     /// The views that are wanted.
     wanted: Vec<RequestedPose>,
     /// Those of them that were adjusted.
@@ -42,12 +38,11 @@ struct AdjustedMap<'a> {
 
 impl<'a> Posterior<'a> {
     /// # Arguments
-    /// * `factor`: of the information matrix of all states at the minimum.
+    /// * `covariance`: of all states at the minimum.
     /// * `poses`: of all views, at the minimum.
     /// * `views`: those whose covariance is wanted, with all tied keyframes, in order.
     pub(crate) fn new(
-        factor: &'a SparseFactor,
-        layout: StateLayout,
+        covariance: &'a StateCovariance,
         poses: &[Pose],
         views: &[usize],
         stored: &'a [StoredPoses],
@@ -64,7 +59,7 @@ impl<'a> Posterior<'a> {
                 adjusted.push(view);
             }
         }
-        let mut posterior = Posterior { factor, layout, wanted, adjusted, maps: Vec::new() };
+        let mut posterior = Posterior { covariance, wanted, adjusted, maps: Vec::new() };
         posterior.maps = stored.iter().map(|of_map| posterior.adjusted_map(of_map, poses)).collect();
         posterior
     }
@@ -87,12 +82,10 @@ impl<'a> Posterior<'a> {
 
     /// The column of an adjusted view, with the rows of those that are adjusted and wanted.
     fn adjusted_column(&self, view: usize) -> DMatrix<f64> {
-        let columns: Vec<usize> = self.layout.pose(view).collect();
-        let inverse = self.factor.inverse_columns(&columns);
+        let blocks = self.covariance.blocks(self.adjusted.iter().copied(), view);
         let mut column = DMatrix::zeros(POSE * self.adjusted.len(), POSE);
-        for (at, &view) in self.adjusted.iter().enumerate() {
-            let rows = inverse.fixed_rows::<POSE>(self.layout.pose(view).start);
-            column.fixed_rows_mut::<POSE>(POSE * at).copy_from(&rows);
+        for (at, block) in blocks.iter().enumerate() {
+            column.fixed_rows_mut::<POSE>(POSE * at).copy_from(block);
         }
         column
     }

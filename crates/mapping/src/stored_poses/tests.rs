@@ -1,17 +1,15 @@
 //! The law of tied keyframes: adjusting them, with the others following, is adjusting all of them.
 
+use adjustment::{Bundle, Factor, NormalEquations, StateCovariance, StateLayout};
 use geometry::pose::Pose;
 use geometry::uncertain_pose::PoseWithCovariance;
 use map::contents::MapContents;
 use map::model::{CommonError, Keyframe, KeyframeCrossCovariance, MapMetadata};
-use nalgebra::{DMatrix, Matrix6, Matrix6xX, Vector3};
+use nalgebra::{DMatrix, Matrix6, Matrix6xX, SMatrix, Vector3, Vector6};
 use protocol::DescriptorKind;
 use rand::{RngExt, SeedableRng, rngs::StdRng};
 
 use super::*;
-use crate::layout::StateLayout;
-use crate::normal_equations::NormalEquations;
-use crate::sparse_system::SparseFactor;
 use crate::tests::camera;
 
 const KEYFRAMES: usize = 9;
@@ -55,6 +53,10 @@ fn random_map(rng: &mut StdRng, extent_m: f64) -> MapContents {
     contents
 }
 
+fn of_poses(poses: &[Pose]) -> Bundle {
+    Bundle { poses: poses.to_vec(), ..Bundle::default() }
+}
+
 /// Some maps, measured in some of their keyframes.
 struct Adjustment {
     stored: Vec<StoredPoses>,
@@ -80,47 +82,47 @@ impl Adjustment {
     }
 
     /// Measures the tied poses of all maps, each relative to the next, and adjusts them.
-    fn adjust(&mut self, rng: &mut StdRng) -> SparseFactor {
+    fn adjust(&mut self, rng: &mut StdRng) -> StateCovariance {
         let of_maps = (0..self.stored.len()).flat_map(|map| TIED.map(|keyframe| KEYFRAMES * map + keyframe));
         let measured: Vec<usize> = of_maps.collect();
-        let offsets: Vec<nalgebra::DVector<f64>> = measured
+        let offsets: Vec<Vector6<f64>> = measured
             .windows(2)
-            .map(|_| nalgebra::DVector::from_fn(POSE, |_, _| 3e-3 * rng.random_range(-1.0..1.0)))
+            .map(|_| Vector6::from_fn(|_, _| 3e-3 * rng.random_range(-1.0..1.0)))
             .collect();
         let start = self.poses.clone();
-        let mut jacobian = DMatrix::zeros(POSE, 2 * POSE);
+        let mut jacobian = SMatrix::<f64, POSE, { 2 * POSE }>::zeros();
         jacobian.fixed_view_mut::<POSE, POSE>(0, 0).fill_with_identity();
         jacobian.fixed_view_mut::<POSE, POSE>(0, POSE).copy_from(&-Matrix6::identity());
-        let information = DMatrix::identity(POSE, POSE) / 1e-3_f64.powi(2);
-        let mut factor = None;
+        let information = Matrix6::identity() / 1e-3_f64.powi(2);
+        let mut covariance = None;
         for _ in 0..10 {
+            let bundle = of_poses(&self.poses);
             let mut equations = NormalEquations::new(self.layout);
             for stored in &self.stored {
-                stored.prior().add_to(&mut equations, self.layout, &self.poses);
-                stored.held().for_each(|held| held.add_to(&mut equations, self.layout, &self.poses));
+                stored.prior().add_to(&mut equations, &bundle, f64::INFINITY);
+                stored.held().for_each(|held| held.add_to(&mut equations, &bundle, f64::INFINITY));
             }
             for (pair, offset) in measured.windows(2).zip(&offsets) {
                 let error = |view: usize| start[view].local(&self.poses[view]);
                 let residual = error(pair[0]) - error(pair[1]) - offset;
-                let residual = nalgebra::DVector::from_column_slice(residual.as_slice());
-                let indices = pair.iter().flat_map(|view| self.layout.pose(*view)).collect();
+                let indices = pair.iter().flat_map(|view| self.layout.pose(*view));
                 equations.add_residual(indices, &jacobian, &information, &residual);
             }
             let step = equations.solve(0.0).unwrap().states;
             for (view, pose) in self.poses.iter_mut().enumerate() {
                 *pose = pose.retract(&step.fixed_rows::<POSE>(POSE * view).into_owned());
             }
-            factor = equations.system().factor();
+            covariance = equations.covariance();
         }
         for stored in &self.stored {
             stored.follow(&mut self.poses);
         }
-        factor.unwrap()
+        covariance.unwrap()
     }
 
-    fn covariance(&self, factor: &SparseFactor) -> DMatrix<f64> {
+    fn covariance(&self, covariance: &StateCovariance) -> DMatrix<f64> {
         let views: Vec<usize> = (0..self.layout.views).collect();
-        let posterior = Posterior::new(factor, self.layout, &self.poses, &views, &self.stored);
+        let posterior = Posterior::new(covariance, &self.poses, &views, &self.stored);
         let mut covariance = DMatrix::zeros(self.layout.dim(), self.layout.dim());
         for column in &views {
             for (row, block) in posterior.column(*column).iter().enumerate() {
@@ -135,8 +137,8 @@ fn assert_the_same(maps: &[MapContents], free: impl Fn(usize) -> bool + Copy) {
     let all: Vec<usize> = (0..KEYFRAMES).collect();
     let [some, whole] = [&TIED[..], &all].map(|tied| {
         let mut adjustment = Adjustment::new(maps, tied, free);
-        let factor = adjustment.adjust(&mut StdRng::seed_from_u64(5));
-        let covariance = adjustment.covariance(&factor);
+        let covariance = adjustment.adjust(&mut StdRng::seed_from_u64(5));
+        let covariance = adjustment.covariance(&covariance);
         (adjustment.poses, covariance)
     });
     let start = Adjustment::new(maps, &all, free).poses;
@@ -202,9 +204,9 @@ fn a_map_without_its_frame_says_nothing_of_yaw_and_position() {
     let poses: Vec<Pose> = map.keyframes.iter().map(|keyframe| keyframe.global_from_keyframe.pose).collect();
     let small =
         Pose::new(geometry::rotation::exp(&Vector3::new(0.0, 0.0, 1e-4)), Vector3::new(3e-4, -2e-4, 1e-4));
-    let turned: Vec<Pose> = poses.iter().map(|pose| small.compose(pose)).collect();
-    assert!(without.cost(&turned) < 1e-4 * with.cost(&turned));
+    let turned = of_poses(&poses.iter().map(|pose| small.compose(pose)).collect::<Vec<_>>());
+    assert!(without.cost(&turned, 1.0) < 1e-4 * with.cost(&turned, 1.0));
     let mut bent = poses;
     bent[1] = small.compose(&bent[1]);
-    assert!(without.cost(&bent) > 0.1 * with.cost(&bent));
+    assert!(without.cost(&of_poses(&bent), 1.0) > 0.1 * with.cost(&of_poses(&bent), 1.0));
 }

@@ -2,24 +2,23 @@
 
 use std::ops::Range;
 
+use adjustment::{
+    Bundle, Factor, InverseDepthLandmark, LandmarkObservation, LandmarkPrior, LandmarkTie,
+    MAPPED_INVERSE_DEPTHS, MountedCamera, PosePrior, Problem, StoredObserver, ViewPose,
+};
 use geometry::pose::Pose;
 use geometry::rotation;
 use geometry::uncertain_pose::{PoseWithCovariance, isotropic_covariance};
 use map::contents::MapContents;
-use map::model::{Keyframe, KeyframeCrossCovariance, Landmark, MapMetadata};
+use map::model::{Keyframe, KeyframeCrossCovariance, MapMetadata};
 use nalgebra::{DMatrix, Vector2, Vector3};
 use protocol::DescriptorKind;
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 
 use super::{camera, normal};
-use crate::bundle_adjustment::{Bundle, Problem};
-use crate::camera::{CameraPose, MappingCamera};
-use crate::landmark::{InverseDepthLandmark, LandmarkObservation};
-use crate::landmark_prior::{LandmarkPrior, StoredObserver};
-use crate::landmark_tie::LandmarkTie;
-use crate::pose_prior::PosePrior;
-use crate::pose_priors::PriorFactors;
+use crate::camera::mounted_cameras;
+use crate::refinement::pixel_model;
 use crate::stored_poses::StoredPoses;
 
 /// Of pixels (px), and of reference poses (rad, m): so small that everything is linear.
@@ -37,12 +36,12 @@ fn solved(problem: &Problem<'_>, mut bundle: Bundle) -> (Bundle, DMatrix<f64>) {
     for _ in 0..8 {
         let step = problem.equations(&bundle, f64::INFINITY, 0.0).solve(0.0).unwrap();
         let landmarks = bundle.landmarks.iter().zip(&step.landmarks);
-        let landmarks = landmarks.map(|(landmark, error)| landmark.corrected(error)).collect();
+        let landmarks =
+            landmarks.map(|(landmark, error)| landmark.corrected(error, MAPPED_INVERSE_DEPTHS)).collect();
         bundle = Bundle { landmarks, ..bundle.moved(&step.states) };
     }
     let size = 6 * bundle.poses.len();
-    let columns: Vec<usize> = (0..size).collect();
-    let covariance = problem.information(&bundle).unwrap().inverse_columns(&columns);
+    let covariance = problem.covariance(&bundle).unwrap().columns(0..size);
     (bundle, covariance)
 }
 
@@ -74,9 +73,8 @@ fn observations(rng: &mut StdRng, poses: &[Pose]) -> Vec<InverseDepthLandmark> {
 struct Place {
     truth: Vec<Pose>,
     landmarks: Vec<InverseDepthLandmark>,
-    cameras: Vec<MappingCamera>,
+    cameras: Vec<MountedCamera>,
     priors: Vec<PosePrior>,
-    measured: PriorFactors,
 }
 
 impl Place {
@@ -95,26 +93,17 @@ impl Place {
             PosePrior::of_reference(view, &PoseWithCovariance::new(truth[view].retract(&error), covariance))
         };
         let priors = (0..ADDED + STORED).map(|view| reference(view, &mut rng)).collect();
-        let cameras = MappingCamera::of_sensors(&[sensor]);
-        Place { truth, landmarks, cameras, priors, measured: PriorFactors::default() }
+        let cameras = mounted_cameras(&[sensor]);
+        Place { truth, landmarks, cameras, priors }
     }
 
-    fn problem<'a>(&'a self, priors: &'a [PosePrior]) -> Problem<'a> {
-        Problem {
-            cameras: &self.cameras,
-            priors,
-            measured: &self.measured,
-            inertial: None,
-            relative_poses: &[],
-            stored: &[],
-            ties: &[],
-            sigma_px: SIGMA_PX,
-        }
+    fn problem<'a>(&'a self, factors: Vec<&'a dyn Factor>) -> Problem<'a> {
+        Problem { cameras: &self.cameras, factors, pixels: pixel_model(SIGMA_PX) }
     }
 
     /// Everything at once.
     fn batch(&self) -> (Bundle, DMatrix<f64>) {
-        solved(&self.problem(&self.priors), bundle(&self.truth, self.landmarks.clone()))
+        solved(&self.problem(vec![&self.priors]), bundle(&self.truth, self.landmarks.clone()))
     }
 
     /// The map of some views, which count from 0 in it.
@@ -132,7 +121,7 @@ impl Place {
             landmark
         };
         let landmarks = self.landmarks.iter().map(in_map).collect();
-        solved(&self.problem(&priors), bundle(&self.truth[views.clone()], landmarks))
+        solved(&self.problem(vec![&priors]), bundle(&self.truth[views.clone()], landmarks))
     }
 }
 
@@ -152,14 +141,9 @@ fn with_prior(map: &Bundle, first: usize, in_map: &InverseDepthLandmark) -> Inve
         camera: &camera,
         pixel: observation.pixel,
     };
-    let stored = Landmark {
-        id: 1,
-        anchor: 1,
-        position_in_anchor: in_map.ray.push(1.0) / in_map.inverse_depth,
-        observations: Vec::new(),
-    };
+    let position_in_anchor = in_map.ray.push(1.0) / in_map.inverse_depth;
     let observers: Vec<_> = in_map.observations.iter().map(observer).collect();
-    LandmarkPrior::landmark(&stored, &observers, SIGMA_PX).unwrap()
+    LandmarkPrior::landmark(1, &position_in_anchor, &observers, SIGMA_PX).unwrap()
 }
 
 /// Poses and covariance of a batch and of what was made of maps are the same.
@@ -188,7 +172,8 @@ fn an_extended_map_is_the_map_of_all_observations() {
     let again = place.landmarks.iter().zip(&map.landmarks).map(seen_again).collect();
     let mut poses = place.truth[..ADDED].to_vec();
     poses.extend(&map.poses);
-    let extension = Problem { stored: std::slice::from_ref(&joint), ..place.problem(&place.priors[..ADDED]) };
+    let priors = place.priors[..ADDED].to_vec();
+    let extension = place.problem(vec![&priors, &joint]);
     let (extended, stated) = solved(&extension, bundle(&poses, again));
     assert_equal(&extended.poses, &stated, &batch.poses, &expected);
 
@@ -196,10 +181,10 @@ fn an_extended_map_is_the_map_of_all_observations() {
     let after = stated.view((6 * ADDED, 6 * ADDED), (6 * STORED, 6 * STORED)).trace();
     assert!(after < before, "{after} {before}");
     // The positions of landmarks are those of the batch, too.
-    let camera_poses: [Vec<CameraPose>; 2] = [extended.camera_poses(), batch.camera_poses()];
+    let view_poses: [Vec<ViewPose>; 2] = [extended.view_poses(), batch.view_poses()];
     for (a, b) in extended.landmarks.iter().zip(&batch.landmarks) {
-        let [a, b] = [(a, &camera_poses[0]), (b, &camera_poses[1])]
-            .map(|(l, poses)| l.position(&poses[l.anchor_view()]));
+        let [a, b] =
+            [(a, &view_poses[0]), (b, &view_poses[1])].map(|(l, poses)| l.position(&place.cameras, poses));
         assert!((a - b).norm() < LANDMARK_TOLERANCE * a.z, "{a} {b}");
     }
 }
@@ -210,14 +195,16 @@ fn two_merged_maps_are_the_map_of_all_observations() {
     let (batch, expected) = place.batch();
     let (first, covariance) = place.map(ADDED..ADDED + STORED);
     let (second, of_second) = place.map(0..ADDED);
-    let joint =
-        [prior(&stored(&second, &of_second), 0).prior(), prior(&stored(&first, &covariance), ADDED).prior()];
+    let joint = vec![
+        prior(&stored(&second, &of_second), 0).prior(),
+        prior(&stored(&first, &covariance), ADDED).prior(),
+    ];
     let poses = [&second.poses[..], &first.poses[..]].concat();
     let tie = |(one, other): (&InverseDepthLandmark, &InverseDepthLandmark)| {
         LandmarkTie::new(with_prior(&first, ADDED, one), with_prior(&second, 0, other), &poses).unwrap()
     };
     let ties: Vec<LandmarkTie> = first.landmarks.iter().zip(&second.landmarks).map(tie).collect();
-    let merging = Problem { stored: &joint, ties: &ties, ..place.problem(&[]) };
+    let merging = place.problem(vec![&joint, &ties]);
     let (merged, stated) = solved(&merging, bundle(&poses, Vec::new()));
     assert_equal(&merged.poses, &stated, &batch.poses, &expected);
 

@@ -9,7 +9,7 @@ use nalgebra::{UnitQuaternion, Vector3};
 use sensors::{CameraSensor, Frame, ImageData, ReferencePose, Sequence};
 use vision::{FeatureExtractor, GrayImage, features};
 
-use crate::camera::MappingCamera;
+use crate::camera::mounted_cameras;
 use crate::feature_source::FeatureSource;
 use crate::keyframe_selection::select_keyframes;
 use crate::keyframe_view::KeyframeView;
@@ -98,7 +98,7 @@ fn assert_equal(found: &[KeyframeView<'_>], expected: &[KeyframeView<'_>]) {
 fn keyframes_depend_neither_on_the_number_of_extractors_nor_on_when_they_are_selected() {
     let sequence = sequence();
     let options = BuildOptions::default();
-    let cameras = MappingCamera::of_sensors(&sequence.cameras);
+    let cameras = mounted_cameras(&sequence.cameras);
     let references: Vec<ReferencePose> =
         (0..FRAMES).map(|index| local_reference(stamp_ns(index), &state(index))).collect();
     let mut one = extractors(1);

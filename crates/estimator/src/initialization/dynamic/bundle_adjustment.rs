@@ -1,26 +1,28 @@
-//! Visual-inertial bundle adjustment over all poses, velocities, biases and landmarks of a window (Gauss-Newton).
+//! Visual-inertial bundle adjustment over all poses, velocities, biases and landmarks of a window.
 //!
 //! Minimized with Huber's loss first; then outliers are dropped, and least squares on the rest gives a consistent covariance.
 
+use super::BiasPrior;
 use super::error::DynamicInitError;
-use super::landmark_block::{LandmarkBlock, landmark_cost};
-use super::normal_equations::{NormalEquations, cost};
-use super::problem::{Estimate, Loss, Problem, WindowLandmark};
-use super::reprojection;
-use super::window::{MIN_TRACKS, images_of};
-use crate::propagation::{IMU_DIM, ImuMatrix};
+use super::window::{MIN_TRACKS, Window};
+use crate::calibration::CalibratedCamera;
+use crate::config::EstimatorConfig;
+use crate::inertial_chain::InertialChain;
+use crate::preintegration::PreintegratedImu;
+use crate::propagation::{IMU_DIM, ImuMatrix, ImuState};
+use adjustment::{
+    Bundle, InverseDepthLandmark, Loss, MountedCamera, PixelModel, PosePrior, Problem, ViewMotion,
+    gauge_information,
+};
+use geometry::Pose;
 use nalgebra::DVector;
 
-/// Maximum number of steps with each loss.
-const MAX_STEPS: usize = 20;
-/// Decrease of the cost (half squared sigmas) below which a step is the last one.
-const CONVERGED: f64 = 1e-2;
-/// Fractions of a step that are tried, longest first.
-const STEP_LENGTHS: [f64; 5] = [1.0, 0.5, 0.25, 0.1, 0.03];
+/// Residual from which on Huber's loss is linear, sigmas.
+const HUBER_SIGMAS: f64 = 2.0;
+/// Prior information of an inverse depth, m^2: a landmark without parallax stays solvable.
+const DEPTH_INFORMATION: f64 = 1e-2;
 /// Maximum number of steps of a landmark after a step of the poses.
 const LANDMARK_STEPS: usize = 3;
-/// Decrease of the cost of a landmark below which its step is the last one.
-const LANDMARK_CONVERGED: f64 = 1e-3;
 /// Residual beyond which an observation is an outlier, sigmas: 1 in 3000 inliers.
 const OUTLIER_SIGMAS: f64 = 4.0;
 /// Minimum number of inliers of a landmark, and of its images.
@@ -29,9 +31,11 @@ const MIN_OBSERVATIONS: usize = 4;
 /// The adjusted window.
 #[derive(Clone, Debug)]
 pub struct Adjusted {
-    /// Estimate at the minimum.
-    pub estimate: Estimate,
-    /// Covariance of the newest state.
+    /// Body poses, motions and landmarks at the minimum.
+    pub bundle: Bundle,
+    /// State at the newest image.
+    pub newest: ImuState,
+    /// Its covariance.
     pub covariance: ImuMatrix,
     /// Reduced chi-square, 1 is expected.
     pub reduced_chi_square: f64,
@@ -43,112 +47,109 @@ pub struct Adjusted {
 
 /// Minimizes the cost from an initial guess.
 ///
+/// # Arguments
+/// * `guess`: a state at each image of the window, and landmarks.
+///
 /// # Errors
-/// [`DynamicInitError::NoParallax`] where there is none, [`DynamicInitError::TooFewTracks`].
-pub fn adjust(problem: &Problem<'_>, guess: Estimate) -> Result<Adjusted, DynamicInitError> {
-    let inliers = |estimate: &Estimate| -> usize {
-        estimate.landmarks.iter().map(|landmark| problem.inliers(landmark).count()).sum()
+/// [`DynamicInitError::NoParallax`] where there is none, [`DynamicInitError::TooFewTracks`], [`DynamicInitError::NoImu`].
+pub fn adjust(
+    window: &Window,
+    cameras: &[CalibratedCamera],
+    config: &EstimatorConfig,
+    prior: &BiasPrior,
+    guess: Bundle,
+) -> Result<Adjusted, DynamicInitError> {
+    let (newest, first) = (guess.poses.len() - 1, guess.motions[0]);
+    let mean = ViewMotion {
+        gyroscope_bias: prior.gyroscope,
+        accelerometer_bias: prior.accelerometer,
+        velocity: first.velocity,
     };
-    let all = inliers(&guess);
-    let mut estimate = minimize(problem, guess, Loss::Huber);
-    drop_outliers(problem, &mut estimate);
-    let kept = inliers(&estimate);
-    if estimate.landmarks.len() < MIN_TRACKS {
-        return Err(DynamicInitError::TooFewTracks { have: estimate.landmarks.len(), need: MIN_TRACKS });
-    }
-    let estimate = minimize(problem, estimate, Loss::Square);
-    let equations = NormalEquations::new(problem, &estimate, Loss::Square);
-    let (information, _) = equations.reduced();
-    let factor = information.cholesky().ok_or(DynamicInitError::NoParallax)?;
-    // The newest state is last, so its marginal information is the last block of the factor.
-    let newest = factor.l_dirty().nrows() - IMU_DIM;
-    let last: ImuMatrix = factor.l_dirty().fixed_view::<IMU_DIM, IMU_DIM>(newest, newest).into();
-    let inverse = last.lower_triangle().try_inverse().ok_or(DynamicInitError::NoParallax)?;
-    let covariance = inverse.transpose() * inverse;
+    let intervals = preintegrated(window, &first, config).ok_or(DynamicInitError::NoImu)?;
+    let chain = InertialChain::new(intervals, mean, Pose::identity(), config);
+    // Position and yaw of the newest image define L.
+    let initial = &config.initial;
+    let information = gauge_information(initial.sigma_yaw_rad, f64::INFINITY, initial.sigma_position_m);
+    let gauge = PosePrior { view: newest, pose: guess.poses[newest], information };
+    let mounted = |calibrated: &CalibratedCamera| {
+        MountedCamera::new(calibrated.camera.clone(), &calibrated.imu_from_camera.inverse())
+    };
+    let cameras: Vec<MountedCamera> = cameras.iter().map(mounted).collect();
+    let pixels = PixelModel {
+        sigma_px: config.sigma_track_px,
+        loss: Loss::Huber,
+        depth_information: DEPTH_INFORMATION,
+        inverse_depths: [f64::NEG_INFINITY, f64::INFINITY],
+        landmark_steps: LANDMARK_STEPS,
+    };
+    let problem = Problem { cameras: &cameras, factors: vec![&chain, &gauge], pixels };
 
-    let scale = scale_direction(&estimate);
-    let sigma_scale = scale.dot(&factor.solve(&scale)).sqrt() / scale.norm_squared();
-    let cost = cost(problem, &estimate, Loss::Square);
+    let all = observation_count(&guess);
+    let mut bundle = problem.minimize(guess, [HUBER_SIGMAS; 2], |_, _| ());
+    drop_outliers(&problem, &mut bundle);
+    let kept = observation_count(&bundle);
+    if bundle.landmarks.len() < MIN_TRACKS {
+        return Err(DynamicInitError::TooFewTracks { have: bundle.landmarks.len(), need: MIN_TRACKS });
+    }
+    let bundle = problem.minimize(bundle, [f64::INFINITY; 2], |_, _| ());
+    let covariance = problem.covariance(&bundle).ok_or(DynamicInitError::NoParallax)?;
+    let scale = scale_direction(&bundle);
+    let sigma_scale = scale.dot(&covariance.times(&scale)).sqrt() / scale.norm_squared();
     // Residuals: 2 per observation, 15 per interval, 6 of the biases. Unknowns: 15 per state minus 4 of the gauge, 3 per
     // landmark.
-    let freedom = (2 * kept) as f64 - (3 * estimate.landmarks.len()) as f64 - 5.0;
+    let freedom = (2 * kept) as f64 - (3 * bundle.landmarks.len()) as f64 - 5.0;
+    let of_newest: ImuMatrix = covariance.of_state(newest).fixed_view::<IMU_DIM, IMU_DIM>(0, 0).into_owned();
     Ok(Adjusted {
-        estimate,
-        covariance,
-        reduced_chi_square: 2.0 * cost / freedom.max(1.0),
+        newest: ImuState::of(bundle.poses[newest], &bundle.motions[newest]),
+        covariance: (of_newest + of_newest.transpose()) * 0.5,
+        reduced_chi_square: 2.0 * problem.cost(&bundle, f64::INFINITY) / freedom.max(1.0),
         sigma_scale,
         outliers: 1.0 - kept as f64 / all.max(1) as f64,
+        bundle,
     })
 }
 
+/// The readings between the images, integrated with the biases of a motion.
+fn preintegrated(
+    window: &Window,
+    motion: &ViewMotion,
+    config: &EstimatorConfig,
+) -> Option<Vec<(usize, PreintegratedImu)>> {
+    let ViewMotion { gyroscope_bias, accelerometer_bias, .. } = motion;
+    let intervals = window.readings.iter().enumerate();
+    intervals
+        .map(|(image, readings)| {
+            Some((image, PreintegratedImu::new(readings, gyroscope_bias, accelerometer_bias, config)?))
+        })
+        .collect()
+}
+
+fn observation_count(bundle: &Bundle) -> usize {
+    bundle.landmarks.iter().map(|landmark| landmark.observations.len()).sum()
+}
+
 /// All positions as one error vector of the states: the direction in which the scale of the trajectory increases.
-fn scale_direction(estimate: &Estimate) -> DVector<f64> {
-    let mut direction = DVector::zeros(IMU_DIM * estimate.states.len());
-    for (k, state) in estimate.states.iter().enumerate() {
-        direction.fixed_rows_mut::<3>(IMU_DIM * k + 3).copy_from(&state.local_from_imu.translation);
+fn scale_direction(bundle: &Bundle) -> DVector<f64> {
+    let layout = bundle.layout();
+    let mut direction = DVector::zeros(layout.dim());
+    for (view, pose) in bundle.poses.iter().enumerate() {
+        direction.fixed_rows_mut::<3>(layout.pose(view).start + 3).copy_from(&pose.translation);
     }
     direction
 }
 
-/// Gauss-Newton steps on all unknowns, each shortened until the cost decreases.
-///
-/// After each step the landmarks are optimized for the new poses (embedded point iterations, Jeong et al., PAMI 2012): when
-/// the scale increases, all depths must increase with it, which a linear step does not achieve.
-fn minimize(problem: &Problem<'_>, mut estimate: Estimate, loss: Loss) -> Estimate {
-    let mut now = cost(problem, &estimate, loss);
-    for _ in 0..MAX_STEPS {
-        let Some(step) = NormalEquations::new(problem, &estimate, loss).solve() else { break };
-        let before = now;
-        for length in STEP_LENGTHS {
-            let mut tried = estimate.retract(&step, length);
-            optimize_landmarks(problem, &mut tried, loss);
-            let lower = cost(problem, &tried, loss);
-            if lower < now {
-                (now, estimate) = (lower, tried);
-                break;
-            }
-        }
-        if before - now <= CONVERGED {
-            break;
-        }
-    }
-    estimate
-}
-
-/// Optimizes each landmark for fixed poses.
-fn optimize_landmarks(problem: &Problem<'_>, estimate: &mut Estimate, loss: Loss) {
-    let Estimate { states, landmarks } = estimate;
-    for landmark in landmarks.iter_mut() {
-        let mut now = landmark_cost(problem, states, landmark, loss);
-        for _ in 0..LANDMARK_STEPS {
-            let block = LandmarkBlock::new(problem, states, landmark, loss);
-            let Some(error) = block.solve() else { break };
-            let position = landmark.position.retract(&error);
-            let tried = WindowLandmark { position, ..landmark.clone() };
-            let lower = landmark_cost(problem, states, &tried, loss);
-            if lower.is_nan() || now - lower <= LANDMARK_CONVERGED {
-                break;
-            }
-            now = lower;
-            landmark.position = tried.position;
-        }
-    }
-}
-
 /// Drops outlying observations, and landmarks with too few inliers.
-fn drop_outliers(problem: &Problem<'_>, estimate: &mut Estimate) {
-    let limit = OUTLIER_SIGMAS * problem.config.sigma_track_px;
-    let Estimate { states, landmarks } = estimate;
-    for landmark in landmarks.iter_mut() {
-        let track = &problem.window.tracks[landmark.track];
-        for (observation, inlier) in track.iter().zip(&mut landmark.inlier) {
-            let residual =
-                reprojection::residual(&landmark.position, &track[0], observation, states, problem.cameras);
-            *inlier &= residual.is_some_and(|residual| residual.norm() <= limit);
-        }
-    }
-    landmarks.retain(|landmark| {
-        let kept: Vec<_> = problem.inliers(landmark).copied().collect();
-        kept.len() >= MIN_OBSERVATIONS && images_of(&kept) >= MIN_OBSERVATIONS
-    });
+fn drop_outliers(problem: &Problem<'_>, bundle: &mut Bundle) {
+    let limit = OUTLIER_SIGMAS * problem.pixels.sigma_px;
+    let poses = bundle.view_poses();
+    let inliers = |landmark: &InverseDepthLandmark| {
+        let errors = landmark.errors(problem.cameras, &poses);
+        let keep: Vec<bool> = errors.iter().map(|&error| error <= limit).collect();
+        let anchor =
+            if keep[landmark.anchor] { landmark.anchor } else { keep.iter().position(|&keep| keep)? };
+        let landmark = landmark.anchored_at(anchor, problem.cameras, &poses)?.without(&keep);
+        let images = landmark.observations.last()?.view() - landmark.observations[0].view() + 1;
+        (landmark.observations.len() >= MIN_OBSERVATIONS && images >= MIN_OBSERVATIONS).then_some(landmark)
+    };
+    bundle.landmarks = bundle.landmarks.iter().filter_map(inliers).collect();
 }

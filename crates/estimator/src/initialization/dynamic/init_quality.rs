@@ -38,13 +38,13 @@ impl InitQuality {
             sigma_scale: adjusted.sigma_scale,
             chi_square: adjusted.reduced_chi_square,
             outliers: adjusted.outliers,
-            landmarks: adjusted.estimate.landmarks.len(),
+            landmarks: adjusted.bundle.landmarks.len(),
         };
         let behind = adjusted
-            .estimate
+            .bundle
             .landmarks
             .iter()
-            .filter(|landmark| landmark.position.inverse_depth < BEHIND_INVERSE_DEPTH)
+            .filter(|landmark| landmark.inverse_depth < BEHIND_INVERSE_DEPTH)
             .count();
         let fits = quality.chi_square <= MAX_CHI_SQUARE
             && quality.outliers <= MAX_OUTLIERS

@@ -16,10 +16,6 @@ pub mod closed_form;
 pub mod error;
 pub mod gyroscope_bias;
 pub mod init_quality;
-pub mod landmark_block;
-pub mod normal_equations;
-pub mod problem;
-pub mod reprojection;
 #[cfg(test)]
 mod tests;
 pub mod window;
@@ -31,16 +27,14 @@ pub use window::{Window, WindowImage};
 use crate::calibration::CalibratedCamera;
 use crate::config::EstimatorConfig;
 use crate::initialization::static_init::{InitialState, gravity_aligned};
-use crate::preintegration::PreintegratedImu;
 use crate::propagation::{ImuMatrix, ImuState};
+use adjustment::{Bundle, InverseDepthLandmark, LandmarkObservation};
 use bundle_adjustment::adjust;
 use closed_form::{FirstMotion, Integrated};
 use geometry::Pose;
 use geometry::triangulation::{TriangulationOptions, View, triangulate};
 use nalgebra::Vector3;
-use problem::{Estimate, Problem, WindowLandmark};
-use reprojection::InverseDepthLandmark;
-use window::{MIN_TRACKS, WindowTrack};
+use window::{MIN_TRACKS, WindowObservation, WindowTrack};
 
 /// Initial inverse depth of a landmark that cannot be triangulated, 1/m.
 const UNKNOWN_INVERSE_DEPTH: f64 = 0.1;
@@ -79,23 +73,15 @@ pub fn initialize_dynamic(
     let motion = closed_form::solve(window, cameras, &integrated, config.gravity)?;
     let states = initial_states(window, &integrated, &motion, &gyroscope_bias, &prior.accelerometer);
     let landmarks = initial_landmarks(window, cameras, &states, config.sigma_track_px);
-    let intervals: Option<Vec<PreintegratedImu>> = window
-        .readings
-        .iter()
-        .map(|readings| PreintegratedImu::new(readings, &gyroscope_bias, &prior.accelerometer, config))
-        .collect();
-    let problem = Problem {
-        window,
-        intervals: &intervals.ok_or(DynamicInitError::NoImu)?,
-        cameras,
-        config,
-        gyroscope_bias: prior.gyroscope,
-        accelerometer_bias: prior.accelerometer,
+    let guess = Bundle {
+        poses: states.iter().map(|state| state.local_from_imu).collect(),
+        motions: states.iter().map(ImuState::motion).collect(),
+        landmarks,
     };
-    let adjusted = adjust(&problem, Estimate { states, landmarks })?;
+    let adjusted = adjust(window, cameras, config, prior, guess)?;
     let quality = InitQuality::new(&adjusted)?;
     let stamp_ns = window.stamps_ns[window.stamps_ns.len() - 1];
-    Ok((without_yaw(stamp_ns, adjusted.estimate.newest(), &adjusted.covariance), quality))
+    Ok((without_yaw(stamp_ns, &adjusted.newest, &adjusted.covariance), quality))
 }
 
 /// Initial guess of the states at all images, with z up and the origin at the newest.
@@ -134,10 +120,10 @@ fn initial_landmarks(
     cameras: &[CalibratedCamera],
     states: &[ImuState],
     sigma_px: f64,
-) -> Vec<WindowLandmark> {
+) -> Vec<InverseDepthLandmark> {
     let options =
         TriangulationOptions { huber_sigmas: TRIANGULATION_HUBER_SIGMAS, ..TriangulationOptions::default() };
-    let initial_landmark = |(index, track): (usize, &WindowTrack)| {
+    let initial_landmark = |track: &WindowTrack| {
         let track_cameras: Vec<_> =
             track.iter().map(|observation| &cameras[observation.camera].camera).collect();
         let views: Vec<View> = track
@@ -152,13 +138,18 @@ fn initial_landmarks(
         let found = triangulate(&track_cameras, &views, &options)
             .ok()
             .map(|found| views[0].parent_from_camera.inverse_transform(&found.position));
-        let position = found.map_or(
-            InverseDepthLandmark { normalized: track[0].ray.xy(), inverse_depth: UNKNOWN_INVERSE_DEPTH },
-            |point| InverseDepthLandmark { normalized: point.xy() / point.z, inverse_depth: 1.0 / point.z },
-        );
-        WindowLandmark { track: index, position, inlier: vec![true; track.len()] }
+        let (ray, inverse_depth) = found.map_or((track[0].ray.xy(), UNKNOWN_INVERSE_DEPTH), |point| {
+            (point.xy() / point.z, 1.0 / point.z)
+        });
+        let observation = |seen: &WindowObservation| LandmarkObservation {
+            feature: (seen.image, seen.camera),
+            camera: seen.camera,
+            pixel: seen.pixel,
+        };
+        let observations = track.iter().map(observation).collect();
+        InverseDepthLandmark { anchor: 0, ray, inverse_depth, observations, prior: None }
     };
-    window.tracks.iter().enumerate().map(initial_landmark).collect()
+    window.tracks.iter().map(initial_landmark).collect()
 }
 
 /// Rotates L about gravity so that the body has no yaw, as L is defined, and moves its origin to the body.

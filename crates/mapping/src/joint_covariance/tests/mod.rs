@@ -2,12 +2,12 @@
 
 mod trajectories;
 
+use adjustment::POSE;
 use geometry::rotation::skew;
 use nalgebra::{Cholesky, DMatrix, Matrix6};
 use rand::{SeedableRng, rngs::StdRng};
 
 use super::*;
-use crate::layout::POSE;
 use trajectories::{Place, exact, positions};
 
 const PLACES: [Place; 3] = [Place::Street, Place::Rounds, Place::Town];

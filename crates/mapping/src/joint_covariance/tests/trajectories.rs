@@ -1,10 +1,9 @@
 //! Random trajectories with the exact joint covariance of their poses.
 
+use adjustment::POSE;
 use geometry::rotation::skew;
 use nalgebra::{Cholesky, DMatrix, DVector, Matrix3, Vector3};
 use rand::{RngExt, rngs::StdRng};
-
-use crate::layout::POSE;
 
 /// Unknowns of a pose of the simulated trajectories: its own, and a slowly changing rate of yaw, which is not stated.
 const STATE: usize = POSE + 1;

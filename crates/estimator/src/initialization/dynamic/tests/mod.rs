@@ -2,14 +2,16 @@
 
 mod world;
 
-use super::reprojection::{linearize, residual};
 use super::*;
+use crate::inertial_chain::InertialChain;
+use crate::preintegration::PreintegratedImu;
 use crate::propagation::{ImuError, MotionEstimate, propagate};
+use adjustment::{Factor, NormalEquations};
 use geometry::numeric::numeric_jacobian;
 use geometry::rotation::{exp, log};
-use nalgebra::{DMatrix, DVector, Vector2};
+use nalgebra::{DMatrix, DVector};
 use rand::{SeedableRng as _, rngs::StdRng};
-use world::{Run, USUAL, World, calibrated_cameras, normal, vector, world};
+use world::{Run, USUAL, World, normal, vector, world};
 
 fn start(world: &World) -> Result<(InitialState, InitQuality), DynamicInitError> {
     initialize_dynamic(&world.window, &world.cameras, &world.config, &BiasPrior::default())
@@ -82,40 +84,9 @@ fn the_gyroscope_bias_is_found_from_bearings_alone() {
 }
 
 #[test]
-fn jacobians_of_reprojection_and_preintegration_are_the_numeric_derivatives() {
+fn jacobians_of_preintegration_are_the_numeric_derivatives() {
     let world = world(USUAL);
-    let (cameras, config) = (calibrated_cameras(true), &world.config);
-    let states = [world.first, world.truth];
-    let landmark = InverseDepthLandmark { normalized: Vector2::new(0.2, -0.1), inverse_depth: 0.15 };
-    let observation = |image, camera| window::WindowObservation {
-        image,
-        camera,
-        pixel: Vector2::new(300.0, 200.0),
-        ray: Vector3::z(),
-    };
-    for (image, camera) in [(1, 0), (1, 1), (0, 1)] {
-        let (anchor, seen) = (observation(0, 0), observation(image, camera));
-        let row = linearize(&landmark, &anchor, &seen, &states, &cameras).unwrap();
-        let numeric = numeric_jacobian(15, |error| {
-            let mut states = states;
-            states[0].local_from_imu = states[0].local_from_imu.retract(&error.fixed_rows::<6>(0).into());
-            let body = &mut states[image].local_from_imu;
-            *body = body.retract(&error.fixed_rows::<6>(6).into());
-            let landmark = landmark.retract(&error.fixed_rows::<3>(12).into());
-            let residual = residual(&landmark, &anchor, &seen, &states, &cameras).unwrap();
-            DVector::from_column_slice((-residual).as_slice())
-        });
-        // Where both observations are of one body, each error moves both.
-        let shared = row.wrt_anchor + row.wrt_body;
-        let (wrt_anchor, wrt_body) =
-            if image == 0 { (shared, shared) } else { (row.wrt_anchor, row.wrt_body) };
-        let mut stated = DMatrix::zeros(2, 15);
-        stated.view_mut((0, 0), (2, 6)).copy_from(&wrt_anchor);
-        stated.view_mut((0, 6), (2, 6)).copy_from(&wrt_body);
-        stated.view_mut((0, 12), (2, 3)).copy_from(&row.wrt_landmark);
-        assert!((stated - numeric).amax() < 1e-5, "image {image}, camera {camera}");
-    }
-
+    let config = &world.config;
     let interval = PreintegratedImu::new(
         &world.window.readings[3],
         &Vector3::repeat(0.01),
@@ -133,6 +104,31 @@ fn jacobians_of_reprojection_and_preintegration_are_the_numeric_derivatives() {
     let off =
         (numeric.columns(0, 15) - row.wrt_begin).amax().max((numeric.columns(15, 15) - row.wrt_end).amax());
     assert!(off < 1e-6, "{off}");
+}
+
+#[test]
+fn the_equations_of_the_readings_are_the_gradient_of_their_cost() {
+    let world = world(USUAL);
+    let (readings, config) = (&world.window.readings[3], &world.config);
+    let interval =
+        PreintegratedImu::new(readings, &Vector3::repeat(0.01), &Vector3::repeat(0.02), config).unwrap();
+    let imu_from_body = Pose::new(exp(&Vector3::new(0.1, -0.2, 1.5)), Vector3::new(0.1, 0.3, -0.2));
+    let end = world.first.retract(&ImuError::from_fn(|k, _| 0.02 * (k as f64).sin()));
+    let chain = InertialChain::new(vec![(0, interval)], end.motion(), imu_from_body, config);
+    let states = [world.first, end, world.truth];
+    let bundle = Bundle {
+        poses: states.iter().map(|state| state.local_from_imu.compose(&imu_from_body)).collect(),
+        motions: states.iter().map(ImuState::motion).collect(),
+        landmarks: Vec::new(),
+    };
+    let chain = chain.with_weak_priors();
+    let numeric = numeric_jacobian(bundle.layout().dim(), |error| {
+        DVector::from_element(1, chain.cost(&bundle.moved(error), f64::INFINITY))
+    });
+    let mut equations = NormalEquations::new(bundle.layout());
+    chain.add_to(&mut equations, &bundle, f64::INFINITY);
+    let off = (numeric.transpose() + equations.gradient()).amax();
+    assert!(off < 1e-6 * equations.gradient().amax(), "{off}");
 }
 
 #[test]

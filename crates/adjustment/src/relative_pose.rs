@@ -2,20 +2,22 @@
 
 use geometry::pose::Pose;
 use geometry::rotation::{left_jacobian_inverse, skew};
-use nalgebra::{DMatrix, DVector, Matrix3, Matrix6, SMatrix, Vector6};
+use nalgebra::{Matrix3, Matrix6, SMatrix, Vector6};
 
-use super::layout::{POSE, StateLayout};
-use super::normal_equations::NormalEquations;
+use crate::bundle::Bundle;
+use crate::factor::Factor;
+use crate::layout::POSE;
+use crate::normal_equations::NormalEquations;
 
 /// A measured relative pose.
 #[derive(Clone, Debug)]
-pub(super) struct RelativePose {
+pub struct RelativePose {
     /// The two views.
-    pub(super) views: [usize; 2],
+    pub views: [usize; 2],
     /// The camera of the second view in that of the first.
-    pub(super) first_from_second: Pose,
+    pub first_from_second: Pose,
     /// Inverse covariance of the error `[δθ, δp]`, in the camera frame of the first view.
-    pub(super) information: Matrix6<f64>,
+    pub information: Matrix6<f64>,
 }
 
 impl RelativePose {
@@ -29,7 +31,7 @@ impl RelativePose {
     }
 
     /// Squared length of the residual, in standard deviations.
-    pub(super) fn distance(&self, poses: &[Pose]) -> f64 {
+    pub fn distance(&self, poses: &[Pose]) -> f64 {
         let residual = self.residual(poses);
         residual.dot(&(self.information * residual))
     }
@@ -59,24 +61,25 @@ impl RelativePose {
     ///
     /// # Returns
     /// `None` where the covariance is singular.
-    pub(super) fn distance_with(&self, poses: &[Pose], covariance: &SMatrix<f64, 12, 12>) -> Option<f64> {
+    pub fn distance_with(&self, poses: &[Pose], covariance: &SMatrix<f64, 12, 12>) -> Option<f64> {
         let residual = self.residual(poses);
         let jacobian = self.jacobian(poses, &residual);
         let measured = self.information.try_inverse()?;
         let total = jacobian * covariance * jacobian.transpose() + measured;
         Some(residual.dot(&total.cholesky()?.solve(&residual)))
     }
+}
 
-    /// Adds the linearized residual.
-    pub(super) fn add_to(&self, equations: &mut NormalEquations, layout: StateLayout, poses: &[Pose]) {
-        let residual = self.residual(poses);
-        let jacobian = self.jacobian(poses, &residual);
-        equations.add_residual(
-            layout.pose(self.views[0]).chain(layout.pose(self.views[1])).collect(),
-            &DMatrix::from_column_slice(POSE, 12, jacobian.as_slice()),
-            &DMatrix::from_column_slice(POSE, POSE, self.information.as_slice()),
-            &DVector::from_column_slice(residual.as_slice()),
-        );
+impl Factor for RelativePose {
+    fn cost(&self, bundle: &Bundle, _scale: f64) -> f64 {
+        0.5 * self.distance(&bundle.poses)
+    }
+
+    fn add_to(&self, equations: &mut NormalEquations, bundle: &Bundle, _scale: f64) {
+        let [first, second] = self.views.map(|view| bundle.layout().pose(view));
+        let residual = self.residual(&bundle.poses);
+        let jacobian = self.jacobian(&bundle.poses, &residual);
+        equations.add_residual(first.chain(second), &jacobian, &self.information, &residual);
     }
 }
 

@@ -11,15 +11,17 @@
 
 use std::collections::BTreeMap;
 
-use nalgebra::{DMatrix, DVector, Matrix6, Vector3};
+use nalgebra::allocator::Allocator;
+use nalgebra::{DMatrix, DVector, DefaultAllocator, Dim, Matrix6, OMatrix, OVector, Vector3};
 
-use super::landmark_equations::{EliminatedLandmarks, LandmarkEquations};
-use super::layout::StateLayout;
-use super::parallel;
-use super::sparse_system::SparseSystem;
+use crate::covariance::StateCovariance;
+use crate::landmark_equations::{EliminatedLandmarks, LandmarkEquations};
+use crate::layout::StateLayout;
+use crate::parallel;
+use crate::sparse_system::SparseSystem;
 
 /// Normal equations of the states and landmarks of a bundle.
-pub(super) struct NormalEquations {
+pub struct NormalEquations {
     layout: StateLayout,
     /// Diagonal blocks of H from landmarks.
     diagonal: Vec<Matrix6<f64>>,
@@ -42,16 +44,16 @@ struct Term {
 }
 
 /// The solution.
-pub(super) struct Step {
+pub struct Step {
     /// Error of all states, as the layout says.
-    pub(super) states: DVector<f64>,
+    pub states: DVector<f64>,
     /// `[ray, inverse depth]` of each landmark.
-    pub(super) landmarks: Vec<Vector3<f64>>,
+    pub landmarks: Vec<Vector3<f64>>,
 }
 
 impl NormalEquations {
     /// Equations without terms.
-    pub(super) fn new(layout: StateLayout) -> NormalEquations {
+    pub fn new(layout: StateLayout) -> NormalEquations {
         NormalEquations {
             layout,
             diagonal: vec![Matrix6::zeros(); layout.views],
@@ -63,9 +65,13 @@ impl NormalEquations {
         }
     }
 
+    /// Where the unknowns are.
+    pub fn layout(&self) -> StateLayout {
+        self.layout
+    }
+
     /// The negative gradient of the cost by the states.
-    #[cfg(test)]
-    pub(super) fn gradient(&self) -> &DVector<f64> {
+    pub fn gradient(&self) -> &DVector<f64> {
         &self.gradient
     }
 
@@ -73,39 +79,44 @@ impl NormalEquations {
     ///
     /// # Arguments
     /// * `jacobian`: of the residual, a column for each of `indices`.
-    pub(super) fn add_residual(
+    /// * `information`: inverse covariance of the residual.
+    pub fn add_residual<R: Dim, C: Dim>(
         &mut self,
-        indices: Vec<usize>,
-        jacobian: &DMatrix<f64>,
-        information: &DMatrix<f64>,
-        residual: &DVector<f64>,
-    ) {
+        indices: impl IntoIterator<Item = usize>,
+        jacobian: &OMatrix<f64, R, C>,
+        information: &OMatrix<f64, R, R>,
+        residual: &OVector<f64, R>,
+    ) where
+        DefaultAllocator: Allocator<R, C> + Allocator<C, R> + Allocator<R, R> + Allocator<C, C>,
+        DefaultAllocator: Allocator<R> + Allocator<C>,
+    {
         let weighted = jacobian.tr_mul(information);
-        let gradient = &weighted * residual;
-        for (&index, value) in indices.iter().zip(gradient.iter()) {
-            self.gradient[index] -= value;
-        }
-        self.terms.push(Term { indices, information: weighted * jacobian });
+        let of_indices = &weighted * jacobian;
+        let size = of_indices.nrows();
+        let of_indices = DMatrix::from_column_slice(size, size, of_indices.as_slice());
+        let gradient = -(weighted * residual);
+        self.add_information(indices, of_indices, gradient.as_slice());
     }
 
     /// Adds information on unknowns at any indices.
     ///
     /// # Arguments
-    /// * `gradient`: negative gradient of the cost.
-    pub(super) fn add_information(
+    /// * `gradient`: negative gradient of the cost, a number for each of `indices`.
+    pub fn add_information(
         &mut self,
-        indices: Vec<usize>,
+        indices: impl IntoIterator<Item = usize>,
         information: DMatrix<f64>,
-        gradient: &DVector<f64>,
+        gradient: &[f64],
     ) {
-        for (&index, value) in indices.iter().zip(gradient.iter()) {
+        let indices: Vec<usize> = indices.into_iter().collect();
+        for (&index, value) in indices.iter().zip(gradient) {
             self.gradient[index] += value;
         }
         self.terms.push(Term { indices, information });
     }
 
     /// Adds a run of landmarks, with what their pixels say of the poses.
-    pub(super) fn add_landmarks(&mut self, run: LandmarkEquations) {
+    pub fn add_landmarks(&mut self, run: LandmarkEquations) {
         for (view, diagonal, gradient, eliminated) in run.of_views() {
             self.diagonal[view] += diagonal;
             let begin = self.layout.pose(view).start;
@@ -124,7 +135,7 @@ impl NormalEquations {
     ///
     /// # Returns
     /// `None` where S is not positive definite.
-    pub(super) fn solve(&self, damping: f64) -> Option<Step> {
+    pub fn solve(&self, damping: f64) -> Option<Step> {
         let mut system = self.system();
         self.damp(&mut system, damping);
         let states = system.factor()?.solve(&(&self.gradient - &self.eliminated_gradient));
@@ -146,8 +157,13 @@ impl NormalEquations {
         }
     }
 
+    /// The covariance of the states; `None` where S is not positive definite.
+    pub fn covariance(&self) -> Option<StateCovariance> {
+        Some(StateCovariance::new(self.system().factor()?, self.layout))
+    }
+
     /// S: the information matrix of the states.
-    pub(super) fn system(&self) -> SparseSystem {
+    fn system(&self) -> SparseSystem {
         let mut system = SparseSystem::new(self.layout.dim());
         let indices = |view: usize| -> Vec<usize> { self.layout.pose(view).collect() };
         for (view, block) in self.diagonal.iter().enumerate() {

@@ -5,7 +5,7 @@ use faer::{MatRef, Side};
 use nalgebra::DMatrix;
 
 /// The inverse of a symmetric matrix; `None` where it is not positive definite.
-pub(super) fn inverse_of(matrix: &DMatrix<f64>) -> Option<DMatrix<f64>> {
+pub fn inverse_of(matrix: &DMatrix<f64>) -> Option<DMatrix<f64>> {
     let size = matrix.nrows();
     let inverse =
         MatRef::from_column_major_slice(matrix.as_slice(), size, size).llt(Side::Lower).ok()?.inverse();

@@ -2,25 +2,25 @@
 
 use nalgebra::{DVector, Matrix3, Matrix6, Matrix6x3, Vector3, Vector6};
 
-use super::layout::StateLayout;
+use crate::layout::StateLayout;
 
 /// No block yet, in the table of blocks.
 const NONE: u32 = u32::MAX;
 
 /// The blocks of one landmark.
 #[derive(Default)]
-pub(super) struct LandmarkBlocks {
+pub struct LandmarkBlocks {
     /// Blocks of W: view, `J_view^T J_point`.
-    pub(super) couplings: Vec<(usize, Matrix6x3<f64>)>,
+    pub couplings: Vec<(usize, Matrix6x3<f64>)>,
     /// V.
-    pub(super) information: Matrix3<f64>,
+    pub information: Matrix3<f64>,
     /// l.
-    pub(super) gradient: Vector3<f64>,
+    pub gradient: Vector3<f64>,
 }
 
 impl LandmarkBlocks {
     /// Makes all of them zero, and keeps the memory.
-    pub(super) fn clear(&mut self) {
+    pub fn clear(&mut self) {
         self.couplings.clear();
         self.information = Matrix3::zeros();
         self.gradient = Vector3::zeros();
@@ -38,7 +38,7 @@ struct Eliminated {
 }
 
 /// Landmarks that were eliminated: what gives their errors once those of the poses are known.
-pub(super) struct EliminatedLandmarks {
+pub(crate) struct EliminatedLandmarks {
     /// The views that observe them, in order.
     views: Vec<usize>,
     landmarks: Vec<Eliminated>,
@@ -47,7 +47,7 @@ pub(super) struct EliminatedLandmarks {
 }
 
 /// The equations of a run of landmarks and the poses that observe them.
-pub(super) struct LandmarkEquations {
+pub struct LandmarkEquations {
     /// The landmarks so far, and all views.
     eliminated: EliminatedLandmarks,
     /// Diagonal blocks of H, in the order of the views.
@@ -67,7 +67,7 @@ impl LandmarkEquations {
     ///
     /// # Arguments
     /// * `views`: all that the landmarks to come are seen from, in any order.
-    pub(super) fn new(views: impl Iterator<Item = usize>) -> LandmarkEquations {
+    pub fn new(views: impl Iterator<Item = usize>) -> LandmarkEquations {
         let mut views: Vec<usize> = views.collect();
         views.sort_unstable();
         views.dedup();
@@ -83,14 +83,14 @@ impl LandmarkEquations {
     }
 
     /// Adds information on one pose.
-    pub(super) fn add_pose(&mut self, view: usize, information: &Matrix6<f64>, gradient: &Vector6<f64>) {
+    pub fn add_pose(&mut self, view: usize, information: &Matrix6<f64>, gradient: &Vector6<f64>) {
         let at = self.position(view);
         self.diagonal[at] += information;
         self.gradient[at] += gradient;
     }
 
     /// Adds the block `J_a^T J_b` of two views.
-    pub(super) fn add_pair(&mut self, a: usize, b: usize, block: &Matrix6<f64>) {
+    pub fn add_pair(&mut self, a: usize, b: usize, block: &Matrix6<f64>) {
         let (a, b) = (self.position(a), self.position(b));
         if a <= b {
             *self.block(a, b) += block;
@@ -100,7 +100,7 @@ impl LandmarkEquations {
     }
 
     /// Adds a landmark, after its poses and pairs, and eliminates it. One whose V is singular is held constant.
-    pub(super) fn add_landmark(&mut self, landmark: &LandmarkBlocks) {
+    pub fn add_landmark(&mut self, landmark: &LandmarkBlocks) {
         let begin = self.eliminated.couplings.len();
         for (view, coupling) in &landmark.couplings {
             let at = self.position(*view);
@@ -126,13 +126,13 @@ impl LandmarkEquations {
     }
 
     /// The blocks (a, b) of S, `a <= b`, without the diagonal of H.
-    pub(super) fn blocks(&self) -> impl Iterator<Item = ((usize, usize), &Matrix6<f64>)> {
+    pub(crate) fn blocks(&self) -> impl Iterator<Item = ((usize, usize), &Matrix6<f64>)> {
         let views = &self.eliminated.views;
         self.blocks.iter().map(|(a, b, block)| ((views[*a], views[*b]), block))
     }
 
     /// The view, its block of the diagonal of H, and its blocks of g and `W V^-1 l`.
-    pub(super) fn of_views(
+    pub(crate) fn of_views(
         &self,
     ) -> impl Iterator<Item = (usize, &Matrix6<f64>, &Vector6<f64>, &Vector6<f64>)> {
         let gradients = self.gradient.iter().zip(&self.eliminated_gradient);
@@ -141,7 +141,7 @@ impl LandmarkEquations {
     }
 
     /// The landmarks, without the equations of the poses.
-    pub(super) fn into_landmarks(self) -> EliminatedLandmarks {
+    pub(crate) fn into_landmarks(self) -> EliminatedLandmarks {
         self.eliminated
     }
 
@@ -163,7 +163,7 @@ impl LandmarkEquations {
 
 impl EliminatedLandmarks {
     /// The errors `[ray, inverse depth]` of the landmarks, given those of the states.
-    pub(super) fn errors(&self, layout: StateLayout, states: &DVector<f64>) -> Vec<Vector3<f64>> {
+    pub(crate) fn errors(&self, layout: StateLayout, states: &DVector<f64>) -> Vec<Vector3<f64>> {
         let of_view = |view: &usize| states.fixed_rows::<6>(layout.pose(*view).start).into_owned();
         let errors: Vec<Vector6<f64>> = self.views.iter().map(of_view).collect();
         let mut begin = 0;

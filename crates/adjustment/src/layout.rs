@@ -3,39 +3,39 @@
 use std::ops::Range;
 
 /// Errors of a pose, `[δθ, δp]` in G.
-pub(super) const POSE: usize = 6;
+pub const POSE: usize = 6;
 /// Errors of a motion: velocity, bias of the gyroscope, bias of the accelerometer.
-pub(super) const MOTION: usize = 9;
+pub const MOTION: usize = 9;
 
 /// The layout `[pose, motion]` of each view; views without readings of an IMU come last and have no motion.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct StateLayout {
+pub struct StateLayout {
     /// Number of views.
-    pub(super) views: usize,
+    pub views: usize,
     /// Number of views with a motion: the first ones.
-    pub(super) motions: usize,
+    pub motions: usize,
 }
 
 impl StateLayout {
     /// Number of unknowns.
-    pub(super) fn dim(self) -> usize {
+    pub fn dim(self) -> usize {
         POSE * self.views + MOTION * self.motions
     }
 
     /// The pose of a view.
-    pub(super) fn pose(self, view: usize) -> Range<usize> {
+    pub fn pose(self, view: usize) -> Range<usize> {
         let begin = POSE * view + MOTION * view.min(self.motions);
         begin..begin + POSE
     }
 
     /// The motion of a view.
-    pub(super) fn motion(self, view: usize) -> Range<usize> {
+    pub fn motion(self, view: usize) -> Range<usize> {
         let begin = self.pose(view).end;
         begin..begin + MOTION
     }
 
     /// Pose and motion of a view, 15 in the order of an IMU state.
-    pub(super) fn state(self, view: usize) -> Range<usize> {
+    pub fn state(self, view: usize) -> Range<usize> {
         self.pose(view).start..self.motion(view).end
     }
 }

@@ -10,19 +10,15 @@
 //! of landmarks, each with its noise, would make a map grow. Poses and this
 //! together are the same as the observations themselves, so that each is used once, however often a map is extended.
 
-use std::collections::BTreeMap;
-
 use geometry::camera::Camera;
 use geometry::pose::Pose;
-use map::contents::MapContents;
-use map::model::Landmark;
 use nalgebra::{Matrix3, Matrix3x6, Matrix6x3, Vector2, Vector3};
-use protocol::{KeyframeId, LandmarkId};
+use types::LandmarkId;
 
-use super::camera::{CameraPose, MIN_DEPTH, MappingCamera};
-use super::landmark::{InverseDepthLandmark, LandmarkObservation};
-use super::landmark_equations::{LandmarkBlocks, LandmarkEquations};
-use super::pose_prior::pose_error;
+use crate::camera::{MIN_DEPTH, MountedCamera, ViewPose};
+use crate::landmark::{InverseDepthLandmark, LandmarkObservation, MAPPED_INVERSE_DEPTHS};
+use crate::landmark_equations::{LandmarkBlocks, LandmarkEquations};
+use crate::pose_prior::pose_error;
 
 /// Gauss-Newton iterations from the position that the map states.
 const STEPS: usize = 8;
@@ -33,11 +29,11 @@ const MIN_DEPTH_INFORMATION: f64 = 1.0;
 
 /// The distribution of a stored landmark given the poses of its keyframes.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct LandmarkPrior {
+pub struct LandmarkPrior {
     /// Its id in the map.
-    pub(super) id: LandmarkId,
+    pub id: LandmarkId,
     /// Whether the inverse depth is given by its logarithm.
-    pub(super) is_logarithmic: bool,
+    pub is_logarithmic: bool,
     /// Ray and inverse depth in its anchor, at the stored poses.
     mean: Vector3<f64>,
     /// V.
@@ -47,69 +43,41 @@ pub(super) struct LandmarkPrior {
 }
 
 /// A keyframe that observes a stored landmark.
-pub(super) struct StoredObserver<'a> {
+pub struct StoredObserver<'a> {
     /// Its view.
-    pub(super) view: usize,
+    pub view: usize,
     /// Its stored pose.
-    pub(super) pose: Pose,
+    pub pose: Pose,
     /// Its camera.
-    pub(super) camera: &'a Camera,
+    pub camera: &'a Camera,
     /// Where it sees the landmark (px).
-    pub(super) pixel: Vector2<f64>,
+    pub pixel: Vector2<f64>,
 }
 
 impl LandmarkPrior {
-    /// A landmark of a map with its prior. Its anchor stays.
-    ///
-    /// # Arguments
-    /// * `view_of`: position of each keyframe in the map; its view is `first` behind.
-    pub(super) fn of_map(
-        stored: &MapContents,
-        view_of: &BTreeMap<KeyframeId, usize>,
-        first: usize,
-        landmark: &Landmark,
-    ) -> Option<InverseDepthLandmark> {
-        let mut observers: Vec<StoredObserver<'_>> = Vec::with_capacity(landmark.observations.len());
-        for observation in &landmark.observations {
-            let at = *view_of.get(&observation.keyframe)?;
-            let keyframe = &stored.keyframes[at];
-            observers.push(StoredObserver {
-                view: first + at,
-                pose: keyframe.global_from_keyframe.pose,
-                camera: &keyframe.camera,
-                pixel: Vector2::from(observation.pixel.map(f64::from)),
-            });
-        }
-        let anchor = landmark.observations.iter().position(|seen| seen.keyframe == landmark.anchor)?;
-        observers.swap(0, anchor);
-        Self::landmark(landmark, &observers, stored.info.sigma_px)
-    }
-
     /// A stored landmark with its prior, its anchor as the only observation.
     ///
     /// # Arguments
+    /// * `position_in_anchor`: in the camera of its anchor (m).
     /// * `observers`: its anchor first.
     /// * `sigma_px`: px.
     ///
     /// # Returns
     /// `None` where the anchor or the landmark is impossible.
-    pub(super) fn landmark(
-        stored: &Landmark,
+    pub fn landmark(
+        id: LandmarkId,
+        position_in_anchor: &Vector3<f64>,
         observers: &[StoredObserver<'_>],
         sigma_px: f64,
     ) -> Option<InverseDepthLandmark> {
-        let p = stored.position_in_anchor;
+        let p = position_in_anchor;
         if p.z < MIN_DEPTH {
             return None;
         }
-        let unmoved = |observer: &StoredObserver<'_>| MappingCamera {
-            camera: observer.camera.clone(),
-            rotation: Matrix3::identity(),
-            offset: Vector3::zeros(),
-        };
-        let cameras: Vec<MappingCamera> = observers.iter().map(unmoved).collect();
-        let poses: Vec<CameraPose> =
-            observers.iter().map(|observer| CameraPose::from(&observer.pose)).collect();
+        let unmoved =
+            |observer: &StoredObserver<'_>| MountedCamera::new(observer.camera.clone(), &Pose::identity());
+        let cameras: Vec<MountedCamera> = observers.iter().map(unmoved).collect();
+        let poses: Vec<ViewPose> = observers.iter().map(|observer| ViewPose::from(&observer.pose)).collect();
         let observation = |(at, observer): (usize, &StoredObserver<'_>)| LandmarkObservation {
             feature: (at, 0),
             camera: at,
@@ -126,7 +94,8 @@ impl LandmarkPrior {
         for _ in 0..STEPS {
             let gradient;
             (information, couplings, gradient) = linearize(&landmark, &cameras, &poses, sigma_px);
-            landmark = landmark.corrected(&information.cholesky()?.solve(&gradient));
+            let error = information.cholesky()?.solve(&gradient);
+            landmark = landmark.corrected(&error, MAPPED_INVERSE_DEPTHS);
         }
         let inverse = information.try_inverse()?;
         let poses = observers.iter().zip(&couplings);
@@ -139,7 +108,7 @@ impl LandmarkPrior {
         );
         let gain = |coupling: &Matrix6x3<f64>| to_unit * inverse * coupling.transpose();
         let prior = LandmarkPrior {
-            id: stored.id,
+            id,
             is_logarithmic,
             mean: landmark.ray.push(if is_logarithmic { rho.ln() } else { rho }),
             information: of_unit * information * of_unit,
@@ -154,7 +123,7 @@ impl LandmarkPrior {
     }
 
     /// The views whose poses it depends on.
-    pub(super) fn views(&self) -> impl Iterator<Item = usize> {
+    pub fn views(&self) -> impl Iterator<Item = usize> {
         self.poses.iter().map(|(view, ..)| *view)
     }
 
@@ -180,28 +149,28 @@ impl LandmarkPrior {
     }
 
     /// Ray and inverse depth (or its logarithm) in the anchor, given poses.
-    pub(super) fn expected(&self, poses: &[Pose]) -> Vector3<f64> {
+    pub fn expected(&self, poses: &[Pose]) -> Vector3<f64> {
         self.poses.iter().fold(self.mean, |sum, (view, mean, gain)| sum - gain * mean.local(&poses[*view]))
     }
 
     /// How they change with the error of each pose: minus these.
-    pub(super) fn gains(&self, poses: &[Pose]) -> impl Iterator<Item = (usize, Matrix3x6<f64>)> {
+    pub fn gains(&self, poses: &[Pose]) -> impl Iterator<Item = (usize, Matrix3x6<f64>)> {
         self.poses.iter().map(|(view, mean, gain)| (*view, gain * pose_error(mean, &poses[*view]).1))
     }
 
     /// Their covariance, given the poses.
-    pub(super) fn covariance(&self) -> Option<Matrix3<f64>> {
+    pub fn covariance(&self) -> Option<Matrix3<f64>> {
         self.information.try_inverse()
     }
 
     /// Half the squared residual, in standard deviations.
-    pub(super) fn cost(&self, landmark: &InverseDepthLandmark, poses: &[Pose]) -> f64 {
+    pub fn cost(&self, landmark: &InverseDepthLandmark, poses: &[Pose]) -> f64 {
         let residual = self.residual(landmark, poses);
         0.5 * residual.dot(&(self.information * residual))
     }
 
     /// Adds the linearized residual.
-    pub(super) fn add_to(
+    pub fn add_to(
         &self,
         equations: &mut LandmarkEquations,
         blocks: &mut LandmarkBlocks,
@@ -227,8 +196,8 @@ impl LandmarkPrior {
 /// V, the blocks of W and the negative gradient by the landmark.
 fn linearize(
     landmark: &InverseDepthLandmark,
-    cameras: &[MappingCamera],
-    poses: &[CameraPose],
+    cameras: &[MountedCamera],
+    poses: &[ViewPose],
     sigma_px: f64,
 ) -> (Matrix3<f64>, Vec<Matrix6x3<f64>>, Vector3<f64>) {
     let weight = (sigma_px * sigma_px).recip();
@@ -237,15 +206,7 @@ fn linearize(
     let mut gradient = Vector3::zeros();
     let mut couplings = vec![Matrix6x3::zeros(); poses.len()];
     for (at, observation) in landmark.observations.iter().enumerate() {
-        if at == landmark.anchor {
-            let (pixel, by_ray) = landmark.predict_in_anchor(cameras);
-            let mut block = information.fixed_view_mut::<2, 2>(0, 0);
-            block += by_ray.transpose() * by_ray * weight;
-            let mut rows = gradient.fixed_rows_mut::<2>(0);
-            rows += by_ray.transpose() * (observation.pixel - pixel) * weight;
-            continue;
-        }
-        let Some(predicted) = landmark.predict(cameras, poses, observation) else { continue };
+        let Some(predicted) = landmark.predict(cameras, poses, at) else { continue };
         let weighted = predicted.by_landmark.transpose() * weight;
         information += weighted * predicted.by_landmark;
         gradient += weighted * (observation.pixel - predicted.pixel);

@@ -8,14 +8,16 @@ use std::collections::BTreeMap;
 
 use geometry::pose::Pose;
 use geometry::rotation::skew;
-use nalgebra::{DMatrix, DVector, Matrix3, Matrix3x6, Vector3};
-use protocol::LandmarkId;
+use nalgebra::{Matrix3, Matrix3x6, Matrix3xX, Vector3};
+use types::LandmarkId;
 
-use super::camera::MIN_DEPTH;
-use super::landmark::InverseDepthLandmark;
-use super::landmark_prior::LandmarkPrior;
-use super::layout::{POSE, StateLayout};
-use super::normal_equations::NormalEquations;
+use crate::bundle::Bundle;
+use crate::camera::MIN_DEPTH;
+use crate::factor::Factor;
+use crate::landmark::InverseDepthLandmark;
+use crate::landmark_prior::LandmarkPrior;
+use crate::layout::POSE;
+use crate::normal_equations::NormalEquations;
 
 /// Squared residuals beyond this are of two landmarks: chi-square with 3 degrees of freedom, 99.99 %.
 const GATE: f64 = 21.1;
@@ -24,7 +26,7 @@ const ROWS: f64 = 3.0;
 
 /// A landmark of one map and the same of another.
 #[derive(Clone, Debug)]
-pub(super) struct LandmarkTie {
+pub struct LandmarkTie {
     /// The view in whose camera the two are compared, and the landmark by its map.
     first: (usize, LandmarkPrior),
     /// The anchor of the other one, and the landmark by its map.
@@ -42,7 +44,7 @@ impl LandmarkTie {
     ///
     /// # Returns
     /// `None` where they cannot be compared, for example because one is too far away to have a depth.
-    pub(super) fn new(
+    pub fn new(
         first: InverseDepthLandmark,
         second: InverseDepthLandmark,
         poses: &[Pose],
@@ -61,7 +63,7 @@ impl LandmarkTie {
     }
 
     /// Ids of the landmark in both maps.
-    pub(super) fn ids(&self) -> [LandmarkId; 2] {
+    pub fn ids(&self) -> [LandmarkId; 2] {
         [self.first.1.id, self.second.1.id]
     }
 
@@ -72,47 +74,12 @@ impl LandmarkTie {
     }
 
     /// Whether the two are one landmark.
-    pub(super) fn is_consistent(&self, poses: &[Pose]) -> bool {
+    pub fn is_consistent(&self, poses: &[Pose]) -> bool {
         self.distance(poses) <= GATE
     }
 
-    /// Cauchy's robust cost.
-    pub(super) fn cost(&self, poses: &[Pose], scale: f64) -> f64 {
-        let squared_scale = ROWS * scale * scale;
-        0.5 * squared_scale * (self.distance(poses).min(1e12) / squared_scale).ln_1p()
-    }
-
-    /// Adds the linearized residual.
-    ///
-    /// # Arguments
-    /// * `scale`: of the robust loss; infinite for none.
-    pub(super) fn add_to(
-        &self,
-        equations: &mut NormalEquations,
-        layout: StateLayout,
-        poses: &[Pose],
-        scale: f64,
-    ) {
-        let Some(compared) = self.compared(poses) else { return };
-        let residual = compared.residual;
-        let distance = residual.dot(&(self.information * residual));
-        let information = self.information / (1.0 + distance / (ROWS * scale * scale));
-        let mut jacobian = DMatrix::zeros(3, POSE * compared.by_pose.len());
-        let mut indices = Vec::with_capacity(jacobian.ncols());
-        for (at, (view, block)) in compared.by_pose.iter().enumerate() {
-            jacobian.fixed_view_mut::<3, POSE>(0, POSE * at).copy_from(block);
-            indices.extend(layout.pose(*view));
-        }
-        equations.add_residual(
-            indices,
-            &jacobian,
-            &DMatrix::from_column_slice(3, 3, information.as_slice()),
-            &DVector::from_column_slice(residual.as_slice()),
-        );
-    }
-
     /// Where both maps together see the landmark, in the camera of the first one's anchor (m).
-    pub(super) fn position_in_anchor(&self, poses: &[Pose]) -> Option<Vector3<f64>> {
+    pub fn position_in_anchor(&self, poses: &[Pose]) -> Option<Vector3<f64>> {
         let residual = self.compared(poses)?.residual;
         let gain = self.first.1.covariance()? * self.information;
         Some(inverted(&exponential(&(self.first.1.expected(poses) - gain * residual))))
@@ -156,6 +123,27 @@ impl LandmarkTie {
         of_pose(*other_anchor, &turned, -1.0);
         let residual = first.expected(poses) - expected.xy().push(expected.z.ln());
         Some(Compared { residual, by_pose, by_parameters })
+    }
+}
+
+impl Factor for LandmarkTie {
+    /// Cauchy's robust cost.
+    fn cost(&self, bundle: &Bundle, scale: f64) -> f64 {
+        let squared_scale = ROWS * scale * scale;
+        0.5 * squared_scale * (self.distance(&bundle.poses).min(1e12) / squared_scale).ln_1p()
+    }
+
+    fn add_to(&self, equations: &mut NormalEquations, bundle: &Bundle, scale: f64) {
+        let Some(compared) = self.compared(&bundle.poses) else { return };
+        let residual = compared.residual;
+        let distance = residual.dot(&(self.information * residual));
+        let information = self.information / (1.0 + distance / (ROWS * scale * scale));
+        let mut jacobian = Matrix3xX::zeros(POSE * compared.by_pose.len());
+        for (at, block) in compared.by_pose.values().enumerate() {
+            jacobian.fixed_columns_mut::<POSE>(POSE * at).copy_from(block);
+        }
+        let indices = compared.by_pose.keys().flat_map(|&view| bundle.layout().pose(view));
+        equations.add_residual(indices, &jacobian, &information, &residual);
     }
 }
 

@@ -2,42 +2,43 @@
 
 use geometry::pose::Pose;
 use geometry::rotation::{left_jacobian_inverse, log, skew};
-use nalgebra::{DMatrix, DVector, Matrix6, UnitQuaternion, Vector3, Vector6};
+use nalgebra::{Matrix6, UnitQuaternion, Vector3, Vector6};
 
-use crate::layout::{POSE, StateLayout};
+use crate::bundle::Bundle;
+use crate::factor::Factor;
 use crate::normal_equations::NormalEquations;
 
 /// Squared residuals beyond these are wrong measurements: chi-square with 3 and 6 degrees of freedom, 99.99 %.
 const GATES: [f64; 2] = [21.1, 27.9];
 
-/// A measured position of a point that is fixed to a view's camera, with a measured rotation where there is one.
+/// A measured position of a point that is fixed to a view, with a measured rotation where there is one.
 #[derive(Clone, Debug)]
-pub(crate) struct PriorFactor {
+pub struct MeasuredPose {
     /// The view.
-    pub(crate) view: usize,
-    /// The point in the frame of the camera (m).
-    pub(crate) point_in_camera: Vector3<f64>,
+    pub view: usize,
+    /// The point in the frame of the body (m).
+    pub point_in_body: Vector3<f64>,
     /// Its measured position in G (m).
-    pub(crate) position: Vector3<f64>,
-    /// Measured rotation of `global_from_camera`.
-    pub(crate) rotation: Option<UnitQuaternion<f64>>,
+    pub position: Vector3<f64>,
+    /// Measured rotation of `global_from_body`.
+    pub rotation: Option<UnitQuaternion<f64>>,
     /// Inverse covariance of the residual; zero for a rotation that was not measured.
-    pub(crate) information: Matrix6<f64>,
+    pub information: Matrix6<f64>,
 }
 
-impl PriorFactor {
+impl MeasuredPose {
     /// Estimated minus measured, `[δθ, δp]` in G.
     fn residual(&self, poses: &[Pose]) -> Vector6<f64> {
         let pose = &poses[self.view];
         let turned = |measured: UnitQuaternion<f64>| log(&(pose.rotation * measured.inverse()));
         let rotation = self.rotation.map_or(Vector3::zeros(), turned);
-        let position = pose.transform(&self.point_in_camera) - self.position;
+        let position = pose.transform(&self.point_in_body) - self.position;
         Vector6::new(rotation.x, rotation.y, rotation.z, position.x, position.y, position.z)
     }
 
     /// The Jacobian of the residual by the error `[δθ, δp]` of the pose in G.
     fn jacobian(&self, poses: &[Pose], residual: &Vector6<f64>) -> Matrix6<f64> {
-        let lever = poses[self.view].rotation * self.point_in_camera;
+        let lever = poses[self.view].rotation * self.point_in_body;
         let mut jacobian = Matrix6::identity();
         let by_rotation = left_jacobian_inverse(&residual.fixed_rows::<3>(0).into_owned());
         jacobian.fixed_view_mut::<3, 3>(0, 0).copy_from(&by_rotation);
@@ -62,60 +63,48 @@ impl PriorFactor {
 
 /// All of them.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct PriorFactors {
-    factors: Vec<PriorFactor>,
+pub struct MeasuredPoses {
+    factors: Vec<MeasuredPose>,
     /// Factor on the scale of the robust loss.
     spread: f64,
 }
 
-impl PriorFactors {
+impl MeasuredPoses {
     /// Factors for an adjustment that begins at some poses. Where the trajectory has drifted away from most of them, the
     /// loss is as wide as it has drifted, for otherwise all would be taken for wrong.
-    pub(crate) fn new(factors: &[PriorFactor], poses: &[Pose]) -> PriorFactors {
-        let relative = |factor: &PriorFactor| (factor.distance(poses) / factor.freedom()).sqrt();
+    pub fn new(factors: &[MeasuredPose], poses: &[Pose]) -> MeasuredPoses {
+        let relative = |factor: &MeasuredPose| (factor.distance(poses) / factor.freedom()).sqrt();
         let mut distances: Vec<f64> = factors.iter().map(relative).collect();
         distances.sort_by(f64::total_cmp);
         let median = distances.get(distances.len() / 2).copied().unwrap_or(0.0);
-        PriorFactors { factors: factors.to_vec(), spread: median.max(1.0) }
+        MeasuredPoses { factors: factors.to_vec(), spread: median.max(1.0) }
     }
 
+    /// The same share of correct residuals is attenuated whatever their dimension.
+    fn squared_scale(&self, factor: &MeasuredPose, scale: f64) -> f64 {
+        factor.freedom() * (scale * self.spread).powi(2)
+    }
+}
+
+impl Factor for MeasuredPoses {
     /// Cauchy's robust cost.
-    pub(crate) fn cost(&self, poses: &[Pose], scale: f64) -> f64 {
-        let robust = |factor: &PriorFactor| {
+    fn cost(&self, bundle: &Bundle, scale: f64) -> f64 {
+        let robust = |factor: &MeasuredPose| {
             let scale = self.squared_scale(factor, scale);
-            0.5 * scale * (factor.distance(poses) / scale).ln_1p()
+            0.5 * scale * (factor.distance(&bundle.poses) / scale).ln_1p()
         };
         self.factors.iter().map(robust).sum()
     }
 
-    /// Adds the linearized residuals.
-    ///
-    /// # Arguments
-    /// * `scale`: of the robust loss; infinite for none.
-    pub(crate) fn add_to(
-        &self,
-        equations: &mut NormalEquations,
-        layout: StateLayout,
-        poses: &[Pose],
-        scale: f64,
-    ) {
+    fn add_to(&self, equations: &mut NormalEquations, bundle: &Bundle, scale: f64) {
         for factor in &self.factors {
-            let residual = factor.residual(poses);
-            let jacobian = factor.jacobian(poses, &residual);
+            let residual = factor.residual(&bundle.poses);
+            let jacobian = factor.jacobian(&bundle.poses, &residual);
             let scale = self.squared_scale(factor, scale);
             let weight = (1.0 + residual.dot(&(factor.information * residual)) / scale).recip();
-            equations.add_residual(
-                layout.pose(factor.view).collect(),
-                &DMatrix::from_column_slice(POSE, POSE, jacobian.as_slice()),
-                &DMatrix::from_column_slice(POSE, POSE, (factor.information * weight).as_slice()),
-                &DVector::from_column_slice(residual.as_slice()),
-            );
+            let information = factor.information * weight;
+            equations.add_residual(bundle.layout().pose(factor.view), &jacobian, &information, &residual);
         }
-    }
-
-    /// The same share of correct residuals is attenuated whatever their dimension.
-    fn squared_scale(&self, factor: &PriorFactor, scale: f64) -> f64 {
-        factor.freedom() * (scale * self.spread).powi(2)
     }
 }
 
@@ -123,7 +112,7 @@ impl PriorFactors {
 ///
 /// # Returns
 /// Their number.
-pub(crate) fn remove_wrong(factors: &mut Vec<PriorFactor>, poses: &[Pose]) -> usize {
+pub fn remove_wrong(factors: &mut Vec<MeasuredPose>, poses: &[Pose]) -> usize {
     let before = factors.len();
     factors.retain(|factor| factor.is_consistent(poses));
     before - factors.len()
@@ -139,9 +128,9 @@ mod tests {
         let pose = Pose::new(exp(&Vector3::new(0.3, -0.5, 1.2)), Vector3::new(4.0, 2.0, -1.0));
         let measured = exp(&Vector3::new(0.1, 0.2, -0.3)) * pose.rotation;
         for rotation in [None, Some(measured)] {
-            let factor = PriorFactor {
+            let factor = MeasuredPose {
                 view: 0,
-                point_in_camera: Vector3::new(0.5, -2.0, 1.0),
+                point_in_body: Vector3::new(0.5, -2.0, 1.0),
                 position: Vector3::new(1.0, 2.0, 3.0),
                 rotation,
                 information: Matrix6::identity(),

@@ -9,7 +9,7 @@ use std::sync::mpsc::sync_channel;
 ///
 /// # Arguments
 /// * `progress`: called on this thread with the number of items done, from 0 to `count`.
-pub(super) fn map<T: Send>(
+pub fn map<T: Send>(
     count: usize,
     work: impl Fn(usize) -> T + Sync,
     mut progress: impl FnMut(usize),
@@ -25,7 +25,7 @@ pub(super) fn map<T: Send>(
 
 /// Does `work` for runs of `size` items, and gives the results to `take` on this thread, in their order: a sum over the runs is
 /// the same on any number of processors. Few results are in memory at once.
-pub(super) fn for_each_run<I: Sync, T: Send>(
+pub fn for_each_run<I: Sync, T: Send>(
     items: &[I],
     size: usize,
     work: impl Fn(&[I]) -> T + Sync,
@@ -36,7 +36,7 @@ pub(super) fn for_each_run<I: Sync, T: Send>(
 }
 
 /// Does `work` for `0..count`, and gives the results to `take` on this thread, in this order. Few of them are in memory at once.
-pub(super) fn for_each<T: Send>(count: usize, work: impl Fn(usize) -> T + Sync, take: impl FnMut(T)) {
+pub fn for_each<T: Send>(count: usize, work: impl Fn(usize) -> T + Sync, take: impl FnMut(T)) {
     for_each_in_order(processors(), count, work, take);
 }
 

@@ -7,25 +7,25 @@ use faer::{MatMut, Side};
 use nalgebra::{DMatrix, DVector, Dim, Matrix, RawStorage};
 
 /// The lower half of a symmetric matrix, as a sum of entries.
-pub(super) struct SparseSystem {
+pub struct SparseSystem {
     dim: usize,
     entries: Vec<Triplet<usize, usize, f64>>,
 }
 
 impl SparseSystem {
     /// Zero, with so many rows.
-    pub(super) fn new(dim: usize) -> SparseSystem {
+    pub fn new(dim: usize) -> SparseSystem {
         SparseSystem { dim, entries: Vec::new() }
     }
 
     /// Adds one number to the diagonal.
-    pub(super) fn add_diagonal(&mut self, index: usize, value: f64) {
+    pub fn add_diagonal(&mut self, index: usize, value: f64) {
         self.entries.push(Triplet::new(index, index, value));
     }
 
     /// Adds a block whose rows and columns are at the given indices. Of what lies above the diagonal nothing is added: a
     /// symmetric block is given whole, of any other pair of rows and columns one of the two.
-    pub(super) fn add<R: Dim, C: Dim, S: RawStorage<f64, R, C>>(
+    pub fn add<R: Dim, C: Dim, S: RawStorage<f64, R, C>>(
         &mut self,
         rows: &[usize],
         columns: &[usize],
@@ -41,28 +41,28 @@ impl SparseSystem {
     }
 
     /// The Cholesky factor; `None` where the matrix is not positive definite.
-    pub(super) fn factor(&self) -> Option<SparseFactor> {
+    pub fn factor(&self) -> Option<SparseFactor> {
         let matrix = SparseColMat::try_new_from_triplets(self.dim, self.dim, &self.entries).ok()?;
         Some(SparseFactor { dim: self.dim, factor: matrix.sp_cholesky(Side::Lower).ok()? })
     }
 }
 
 /// The Cholesky factor of a [`SparseSystem`].
-pub(super) struct SparseFactor {
+pub struct SparseFactor {
     dim: usize,
     factor: Llt<usize, f64>,
 }
 
 impl SparseFactor {
     /// Solves for one right side.
-    pub(super) fn solve(&self, right: &DVector<f64>) -> DVector<f64> {
+    pub fn solve(&self, right: &DVector<f64>) -> DVector<f64> {
         let mut solution = right.clone();
         self.factor.solve_in_place(MatMut::from_column_major_slice_mut(solution.as_mut_slice(), self.dim, 1));
         solution
     }
 
     /// Columns of the inverse.
-    pub(super) fn inverse_columns(&self, columns: &[usize]) -> DMatrix<f64> {
+    pub fn inverse_columns(&self, columns: &[usize]) -> DMatrix<f64> {
         let mut inverse = DMatrix::zeros(self.dim, columns.len());
         for (index, &column) in columns.iter().enumerate() {
             inverse[(column, index)] = 1.0;

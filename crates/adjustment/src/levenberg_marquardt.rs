@@ -1,0 +1,80 @@
+//! Levenberg-Marquardt with a robust loss whose scale decreases, then undamped steps.
+//!
+//! Source: Triggs, McLauchlan, Hartley & Fitzgibbon, "Bundle adjustment: a modern synthesis", 2000; for the scale Yang,
+//! Antonante, Tzoumas & Carlone, "Graduated non-convexity for robust spatial perception", RA-L 2020.
+
+use crate::bundle::Bundle;
+use crate::problem::Problem;
+
+/// Factor between the scales of two iterations (graduated non-convexity): wide first, so that inliers correct bad poses.
+const SCALE_FACTOR: f64 = 0.6;
+/// Maximum number of iterations: the scale reaches its end after 4, the others are for convergence.
+const MAX_STEPS: usize = 25;
+/// Damped steps end when one lowers the cost by less than this part.
+const CONVERGED: f64 = 1e-4;
+/// Undamped steps end when one lowers the cost by less than this: the cost is half a squared Mahalanobis distance, so that what is
+/// left then is a small part of a standard deviation in every direction.
+const FINAL_CONVERGED: f64 = 0.01;
+/// Maximum number of undamped steps at the end.
+const FINAL_STEPS: usize = 20;
+/// Damping of the first step, and its limits.
+const DAMPING: [f64; 3] = [1e-4, 1e-8, 1e4];
+
+impl Problem<'_> {
+    /// Minimizes the cost from an initial bundle: Levenberg-Marquardt, then undamped steps.
+    ///
+    /// # Arguments
+    /// * `scales`: of the robust loss (standard deviations) in the first iteration and in the end.
+    /// * `progress`: called with the iterations done and their maximum.
+    pub fn minimize(
+        &self,
+        start: Bundle,
+        [first_scale, last_scale]: [f64; 2],
+        mut progress: impl FnMut(usize, usize),
+    ) -> Bundle {
+        let mut bundle = start;
+        let mut scale = first_scale;
+        let [mut damping, least, most] = DAMPING;
+        let mut accepted_scale = f64::INFINITY;
+        for step in 0..MAX_STEPS {
+            progress(step, MAX_STEPS);
+            let before = self.cost(&bundle, scale);
+            let candidate = self.step(&bundle, scale, damping);
+            let after = candidate.as_ref().map_or(f64::INFINITY, |candidate| self.cost(candidate, scale));
+            if let Some(candidate) = candidate.filter(|_| after < before) {
+                bundle = candidate;
+                damping = (damping / 3.0).max(least);
+                accepted_scale = scale;
+            } else {
+                damping *= 10.0;
+            }
+            let converged = accepted_scale <= last_scale && before - after < CONVERGED * before;
+            if (converged && after < before) || damping > most {
+                break;
+            }
+            scale = (scale * SCALE_FACTOR).max(last_scale);
+        }
+        progress(MAX_STEPS, MAX_STEPS);
+        self.finish(bundle, last_scale)
+    }
+
+    /// Undamped steps. Neighbouring poses are known to millimetres and the shape of a long trajectory to decimetres: damped steps, which
+    /// are relative to the diagonal, hardly move the whole, and end some standard deviations from the minimum.
+    fn finish(&self, start: Bundle, scale: f64) -> Bundle {
+        let mut bundle = start;
+        let mut cost = self.cost(&bundle, scale);
+        for _ in 0..FINAL_STEPS {
+            let Some(candidate) = self.step(&bundle, scale, 0.0) else { break };
+            let after = self.cost(&candidate, scale);
+            if after >= cost {
+                break;
+            }
+            let lowered = cost - after;
+            (bundle, cost) = (candidate, after);
+            if lowered < FINAL_CONVERGED {
+                break;
+            }
+        }
+        bundle
+    }
+}
