@@ -6,10 +6,10 @@ use std::thread;
 use tokio::runtime::Handle;
 use tokio::sync::oneshot;
 
-/// Niceness of a thread that yields to others: where all processors are busy, it gets a tenth of the share of another one (Linux, the
+/// Niceness of a thread that yields to others: where all processors are busy, it gets a third of the share of another one (Linux, the
 /// weights of its scheduler), so that it ends, too.
 #[cfg(target_os = "linux")]
-const NICENESS: i32 = 10;
+const NICENESS: i32 = 5;
 
 /// Runs a job on a thread of its own, in the tokio runtime of the caller, that yields to the threads that answer queries (on Linux;
 /// elsewhere it has the same share).

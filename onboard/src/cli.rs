@@ -30,6 +30,7 @@ const TERMINAL: &str = "-";
         onboard --source native --calibration camchain-imucam.yaml --map hall --robot cart7 --out run\n  \
         onboard --source ros2 --robot cart7 --write-config robot.yaml; onboard robot.yaml\n\n\
         Log: RUST_LOG=info; with --realtime, changes of the state and a line a minute are logged anyway. Ctrl-C ends the run in good order; the output folder is complete up to there.\n\
+        Exit code: 0, or 3 for a run that ended lost, 1 for an error, 2 for wrong switches.\n\
         Then: driftless plot run"
 )]
 pub struct Arguments {

@@ -5,7 +5,7 @@
 //! `--features neural` and the weights (`driftless weights xfeat`).
 
 use evaluation::{Alignment, align};
-use map::colmap::{ColmapImage, read_model};
+use map_io::colmap::{ColmapImage, read_model};
 use mapping::odometry_config;
 use mapping::{ColmapFrame, Extraction, import_colmap};
 use nalgebra::Vector3;

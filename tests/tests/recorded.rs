@@ -12,7 +12,7 @@ use evaluation::trajectory::StampedPose;
 use evaluation::{Alignment, Pair, Score, absolute_errors, align, interpolate_reference};
 use geometry::Pose;
 use map::MapContents;
-use map::text::{read_map, write_map};
+use map_io::text::{read_map, write_map};
 use mapping::{
     BuildOptions, BuildReport, Extraction, PosePriors, StoredPoses, build_map, build_map_from_odometry,
     register_stereo_images,

@@ -9,7 +9,7 @@ use protocol::{FeatureSet, LocalizeRequest};
 use sensors::{CalibrationFiles, Frame, ImageData, Sequence};
 use vision::{GrayImage, feature_set};
 
-use map::text::read_camera;
+use map_io::text::read_camera;
 
 /// An image to localize.
 #[derive(Clone, Debug)]

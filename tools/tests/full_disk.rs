@@ -5,7 +5,7 @@
 use std::process::Output;
 
 use map::store::save_map;
-use map::text::write_map;
+use map_io::text::write_map;
 
 use crate::scratch::{Scratch, in_town, place, town};
 

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use map::store::save_map;
-use map::text::write_map;
+use map_io::text::write_map;
 use rand::rngs::StdRng;
 use rand::{RngExt as _, SeedableRng as _};
 

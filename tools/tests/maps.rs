@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::process::{Command, Output};
 
-use map::text::write_map;
+use map_io::text::write_map;
 use serde_json::Value;
 use testing::{Place, PlaceOptions};
 

@@ -2,7 +2,7 @@
 //!
 //! A map holds camera poses with covariances and cross-covariances, and landmarks that are anchored in them. Programs
 //! build it with the crate `mapping`, store it with [`store::save_map`], read it with [`store::load_map`], and search it with
-//! the crate `recognition`.
+//! the crate `recognition`; `map_io` writes and reads it in the files of other programs.
 //!
 //! | module | what |
 //! |---|---|
@@ -11,17 +11,13 @@
 //! | [`store`] | maps in databases: the [`MapStore`] trait, and its implementation on sled |
 //! | [`edit`] | taking keyframes and landmarks out |
 //! | [`difference`] | what counts as a change between two versions |
-//! | [`colmap`] | COLMAP models, written and read |
-//! | [`text`] | import from and export to plain text |
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
-pub mod colmap;
 pub mod contents;
 pub mod difference;
 pub mod edit;
 pub mod model;
 pub mod store;
-pub mod text;
 
 pub use contents::{ContentsError, MapContents};
 pub use model::{

@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use map::contents::AliasProblem;
-use map::{Alias, ContentsError, MapContents, edit, store, text};
+use map::{Alias, ContentsError, MapContents, edit, store};
 use testing::{Place, PlaceOptions, add_aliases};
 
 fn place(is_searched: bool) -> MapContents {
@@ -17,7 +17,7 @@ fn place(is_searched: bool) -> MapContents {
 }
 
 #[test]
-fn what_is_stored_and_written_as_text_is_read_back() {
+fn what_is_stored_is_read_back() {
     for is_searched in [false, true] {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("map");
@@ -28,11 +28,6 @@ fn what_is_stored_and_written_as_text_is_read_back() {
         let (opened, landmarks) = store::open_map(&path).unwrap();
         landmarks.close().unwrap();
         assert_eq!(opened.contents.aliases, contents.aliases);
-
-        let folder = folder.path().join("text");
-        text::write_map(&folder, &contents).unwrap();
-        assert_eq!(folder.join("aliases.csv").exists(), is_searched);
-        assert_eq!(text::read_map(&folder).unwrap().aliases, contents.aliases);
     }
 }
 

@@ -2,7 +2,6 @@
 #![allow(clippy::unwrap_used, missing_docs)]
 
 mod aliases;
-mod colmap;
 mod common_errors;
 mod crossing;
 mod damage;

@@ -3,7 +3,7 @@
 use crate::common::requests::{images, request};
 use crate::common::scenario::MappedScenario;
 use map::store;
-use map::text::{read_map, write_map};
+use map_io::text::{read_map, write_map};
 use protocol::MatchReply;
 use recognition::{LoadedMap, RecognitionOptions};
 use testing::copy_folder;

@@ -10,6 +10,7 @@ use crate::signing::SigningKey;
 use crate::signing::{ReleaseKey, SignatureError};
 use bytes::Bytes;
 use futures_util::TryStreamExt as _;
+use object_store::local::LocalFileSystem;
 use object_store::path::Path;
 use object_store::{ObjectMeta, ObjectStore, ObjectStoreExt as _, PutMode, PutOptions, PutPayload};
 use std::sync::Arc;
@@ -69,8 +70,14 @@ impl ReleaseStore {
         });
         let (store, root) =
             object_store::parse_url_opts(&url, variables).map_err(|error| refused(error.to_string()))?;
+        let store: Arc<dyn ObjectStore> = if url.scheme() == "file" {
+            // What was acknowledged survives a failure of the power.
+            Arc::new(LocalFileSystem::new().with_fsync(true))
+        } else {
+            Arc::from(store)
+        };
         Ok(Self {
-            store: Arc::from(store),
+            store,
             root,
             place: place.to_owned(),
             key: None,

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use map::Keyframe;
-use map::colmap::{WrittenModel, image_names, write_model};
+use map_io::colmap::{WrittenModel, image_names, write_model};
 use map::store;
 use serde_json::json;
 

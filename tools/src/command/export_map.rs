@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use map::store;
 use serde_json::json;
 
-use map::text::write_map;
+use map_io::text::write_map;
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::bail;
-use map::colmap::{ColmapModel, read_model};
+use map_io::colmap::{ColmapModel, read_model};
 use map::store::MapTarget;
 use mapping::{ColmapFrame, Extraction, import_colmap};
 use nalgebra::Vector3;

@@ -7,7 +7,7 @@ use nalgebra::Vector3;
 use serde_json::json;
 
 use map::store::MapTarget;
-use map::text::read_map;
+use map_io::text::read_map;
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]

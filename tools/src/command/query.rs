@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 
 use crate::server_query::{ServerArguments, describe, print_fix};
 use client::{ClientError, MapClient};
-use map::text::{read_camera, read_image_features};
+use map_io::text::{read_camera, read_image_features};
 
 /// Arguments.
 #[derive(Clone, Debug, clap::Args)]

@@ -32,5 +32,5 @@ pub use stored_landmarks::StoredLandmarks;
 pub use stored_map::{SavedMap, StoredMap};
 pub use target::MapTarget;
 
-/// Layout of a map on disk. Maps with another number are refused; the first release reads 5.
+/// Layout of a map on disk. Maps with another number are refused.
 pub const STORE_SCHEMA: u16 = 6;

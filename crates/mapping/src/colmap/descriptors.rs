@@ -1,7 +1,7 @@
 //! Descriptors of the points that a COLMAP model's images see: a model states none.
 
 use crate::error::BuildError;
-use map::colmap::ColmapImage;
+use map_io::colmap::ColmapImage;
 use vision::{FeatureExtractor, GrayImage};
 
 /// A feature is a model's point where both are this near each other (px): detectors of one kind agree better.

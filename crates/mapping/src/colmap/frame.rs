@@ -4,7 +4,7 @@ use crate::error::BuildError;
 use crate::imu_alignment::{ImuAlignment, upright_from};
 use estimator::EstimatorConfig;
 use geometry::Pose;
-use map::colmap::{ColmapImage, ColmapModel};
+use map_io::colmap::{ColmapImage, ColmapModel};
 use nalgebra::{UnitQuaternion, Vector3};
 use sensors::Sequence;
 use std::collections::BTreeMap;

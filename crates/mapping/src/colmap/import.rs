@@ -10,7 +10,7 @@ use crate::joint_covariance::JointCovariance;
 use crate::progress::{Progress, Stage};
 use crate::refinement::{REPROJECTION_GATE, median_sigma_px};
 use geometry::uncertain_pose::PoseWithCovariance;
-use map::colmap::{ColmapImage, ColmapModel};
+use map_io::colmap::{ColmapImage, ColmapModel};
 use map::contents::MapContents;
 use map::model::{Keyframe, Landmark, MapMetadata, Observation};
 use nalgebra::Vector2;

@@ -6,7 +6,7 @@ use crate::error::BuildError;
 use estimator::EstimatorConfig;
 use geometry::camera::{Camera, Distortion};
 use geometry::{Pose, rotation};
-use map::colmap::{ColmapImage, ColmapModel};
+use map_io::colmap::{ColmapImage, ColmapModel};
 use nalgebra::{DMatrix, UnitQuaternion, Vector2, Vector3, Vector6};
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
@@ -179,7 +179,7 @@ fn points_that_do_not_fit_are_left_out_and_images_of_another_size_are_named() {
     let mut model = ColmapModel::default();
     model.cameras.insert(1, camera());
     for (index, view) in views.iter().enumerate() {
-        let pixel = |point: &Point| map::colmap::ColmapPixel {
+        let pixel = |point: &Point| map_io::colmap::ColmapPixel {
             pixel: (point.seen[index].2 + Vector2::new(if point.id == 3 { 30.0 } else { 0.0 }, 0.0)).into(),
             point: point.id,
         };

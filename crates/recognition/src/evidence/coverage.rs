@@ -5,7 +5,7 @@ use protocol::FeatureSet;
 
 use super::expected::expected_pixels;
 use super::grid::Grid;
-use super::likelihood::{least_picture, log_likelihood_ratio};
+use super::likelihood::log_likelihood_ratio;
 use crate::loaded_map::LoadedMap;
 use crate::verification::VerifiedKeyframe;
 
@@ -34,7 +34,7 @@ pub struct Coverage {
 impl Coverage {
     /// Natural logarithm of the likelihood of the right place over that of a picture that repeats.
     pub fn log_likelihood_ratio(&self) -> f64 {
-        log_likelihood_ratio(self.confirmed, self.expected, least_picture(self.parts), self.picture)
+        log_likelihood_ratio(self.confirmed, self.expected, self.parts, self.picture)
     }
 }
 

@@ -10,7 +10,7 @@
 //! | `common_errors` | keyframe | its part of the common error |
 //! | `aliases` | keyframe | the places that it could be taken for |
 //!
-//! Databases of schema 1 have a table `references` too, which is not read. All values but `schema` are records with a checksum, see [`crate::store::record`].
+//! All values but `schema` are records with a checksum, see [`crate::store::record`].
 
 use protocol::KeyframeId;
 

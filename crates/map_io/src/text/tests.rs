@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
-use crate::contents::MapContents;
-use crate::model::{CommonError, Keyframe, KeyframeCrossCovariance, Landmark, MapMetadata, Observation};
+use map::contents::MapContents;
+use map::model::{CommonError, Keyframe, KeyframeCrossCovariance, Landmark, MapMetadata, Observation};
 use geometry::camera::{Camera, Distortion};
 use geometry::pose::Pose;
 use geometry::uncertain_pose::{PoseWithCovariance, isotropic_covariance};

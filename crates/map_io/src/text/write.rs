@@ -3,8 +3,8 @@
 use std::fmt::Write as _;
 use std::path::Path;
 
-use crate::contents::MapContents;
-use crate::model::Keyframe;
+use map::contents::MapContents;
+use map::model::Keyframe;
 use calibration::numbers::shortest;
 use geometry::camera::Camera;
 use geometry::uncertain_pose::isotropic_covariance;

@@ -3,8 +3,8 @@
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 
-use crate::contents::MapContents;
-use crate::model::{
+use map::contents::MapContents;
+use map::model::{
     Alias, CommonError, Keyframe, KeyframeAliases, KeyframeCrossCovariance, Landmark, Observation,
 };
 use geometry::camera::Camera;

@@ -46,9 +46,9 @@ pub struct ColmapPixel {
 ///
 /// # Example
 /// ```no_run
-/// let model = map::colmap::read_model(std::path::Path::new("sparse/0"))?;
+/// let model = map_io::colmap::read_model(std::path::Path::new("sparse/0"))?;
 /// println!("{} images, {} points", model.images.len(), model.points.len());
-/// # Ok::<(), map::colmap::ReadColmapError>(())
+/// # Ok::<(), map_io::colmap::ReadColmapError>(())
 /// ```
 ///
 /// # Errors

@@ -1,7 +1,7 @@
 //! Models that COLMAP wrote (by `make.py` in `tests/data/colmap_model` and `tests/data/colmap_lenses`), ours, and damaged ones.
 
 use geometry::Distortion;
-use map::colmap::{ColmapModel, ReadColmapError, read_model};
+use map_io::colmap::{ColmapModel, ReadColmapError, read_model};
 use std::fs;
 use std::path::{Path, PathBuf};
 

@@ -1,6 +1,6 @@
 //! Why a COLMAP model cannot be written or read.
 
-use crate::contents::ContentsError;
+use map::contents::ContentsError;
 use std::path::PathBuf;
 
 /// Why a model cannot be written.

@@ -1,8 +1,8 @@
 //! A written model against COLMAP's own definitions.
 
 use super::{ColmapError, ReadColmapError, WrittenModel, image_names, read_model, write_model};
-use crate::MapContents;
-use crate::model::{Keyframe, Landmark, MapMetadata, Observation};
+use map::MapContents;
+use map::model::{Keyframe, Landmark, MapMetadata, Observation};
 use geometry::camera::{Camera, Distortion};
 use geometry::uncertain_pose::{PoseWithCovariance, isotropic_covariance};
 use geometry::{Pose, rotation};

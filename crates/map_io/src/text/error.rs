@@ -63,7 +63,7 @@ pub enum MapFileError {
         /// The folder.
         path: PathBuf,
         /// The invariant that is violated.
-        reason: crate::contents::ContentsError,
+        reason: map::contents::ContentsError,
     },
 }
 

@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 use std::path::Path;
 
-use crate::model::{DEFAULT_SIGMA_PX, MapMetadata};
+use map::model::{DEFAULT_SIGMA_PX, MapMetadata};
 use calibration::numbers::{list, shortest};
 use nalgebra::Vector3;
 use protocol::DescriptorKind;

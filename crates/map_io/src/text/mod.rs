@@ -23,7 +23,7 @@
 //!
 //! # Example
 //! ```
-//! use map::text::{read_map, write_map};
+//! use map_io::text::{read_map, write_map};
 //! use map::{MapContents, MapMetadata};
 //! use protocol::DescriptorKind;
 //!

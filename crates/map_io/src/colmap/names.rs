@@ -1,6 +1,6 @@
 //! Names of the images of keyframes, as a recording in the EuRoC layout has them.
 
-use crate::model::Keyframe;
+use map::model::Keyframe;
 use geometry::camera::Camera;
 use protocol::KeyframeId;
 use std::collections::BTreeMap;
@@ -12,7 +12,7 @@ use std::collections::BTreeMap;
 ///
 /// # Example
 /// ```
-/// assert!(map::colmap::image_names(&[], ".png").is_empty());
+/// assert!(map_io::colmap::image_names(&[], ".png").is_empty());
 /// ```
 pub fn image_names(keyframes: &[Keyframe], suffix: &str) -> BTreeMap<KeyframeId, String> {
     let calibrations = calibrations(keyframes);

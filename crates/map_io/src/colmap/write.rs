@@ -10,8 +10,8 @@ use protocol::{KeyframeId, LandmarkId};
 
 use super::error::ColmapError;
 use super::{BINARY_FILES, PIXEL_OFFSET, TEXT_FILES, camera_model};
-use crate::contents::MapContents;
-use crate::model::{Keyframe, Landmark};
+use map::contents::MapContents;
+use map::model::{Keyframe, Landmark};
 
 /// Writes a map as a COLMAP model into a folder, which is made if needed.
 ///
