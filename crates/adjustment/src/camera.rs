@@ -33,12 +33,20 @@ pub struct MountedCamera {
     pub rotation: Matrix3<f64>,
     /// Offset (m).
     pub offset: Vector3<f64>,
+    /// Landmarks nearer than this are not visible (m).
+    pub least_depth: f64,
 }
 
 impl MountedCamera {
-    /// A camera at a pose on the body.
+    /// A camera at a pose on the body, which sees from [`MIN_DEPTH`] on.
     pub fn new(camera: Camera, camera_from_body: &Pose) -> MountedCamera {
         let ViewPose { rotation, position } = ViewPose::from(camera_from_body);
-        MountedCamera { camera, rotation, offset: position }
+        MountedCamera { camera, rotation, offset: position, least_depth: MIN_DEPTH }
+    }
+
+    /// The same camera where the scale is not known yet, and with it no least depth.
+    #[must_use]
+    pub fn at_any_scale(self) -> MountedCamera {
+        MountedCamera { least_depth: 0.0, ..self }
     }
 }

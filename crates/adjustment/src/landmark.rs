@@ -89,7 +89,7 @@ impl InverseDepthLandmark {
     }
 
     /// The landmark in the frame of the observing camera, times its inverse depth in the anchor. `None` for a landmark
-    /// nearer than [`MIN_DEPTH`]: at the camera's centre its pixel is undefined.
+    /// nearer than the camera sees: at its centre the pixel is undefined.
     fn in_camera(
         &self,
         cameras: &[MountedCamera],
@@ -106,7 +106,7 @@ impl InverseDepthLandmark {
             view.rotation.transpose() * (anchor.rotation * in_anchor + baseline * self.inverse_depth)
         };
         let in_camera = camera.rotation * in_body + camera.offset * self.inverse_depth;
-        (in_camera.z >= MIN_DEPTH * self.inverse_depth).then_some(in_camera)
+        (in_camera.z >= camera.least_depth * self.inverse_depth).then_some(in_camera)
     }
 
     /// The predicted pixel of an observation; `None` where the landmark is not visible.
@@ -194,7 +194,7 @@ impl InverseDepthLandmark {
             (&cameras[self.observations[index].camera], &poses[self.observations[index].view()]);
         let in_body = view.rotation.transpose() * (self.position(cameras, poses) - view.position);
         let p = camera.rotation * in_body + camera.offset;
-        (p.z >= MIN_DEPTH).then(|| InverseDepthLandmark {
+        (p.z > 0.0 && p.z >= camera.least_depth).then(|| InverseDepthLandmark {
             anchor: index,
             ray: p.xy() / p.z,
             inverse_depth: 1.0 / p.z.min(MAX_DEPTH),

@@ -10,7 +10,7 @@
 //! | the cost with the pixels and their robust loss, and its equations | `problem`, `loss`, `camera` |
 //! | landmarks are eliminated (Schur complement) | `landmark_equations`, `normal_equations` |
 //! | the equations of the states are solved | `sparse_system`, `dense_inverse` |
-//! | steps to the minimum | `levenberg_marquardt` |
+//! | steps to the minimum | `levenberg_marquardt`, and without damping `gauss_newton` |
 //! | covariance at the minimum | `covariance` |
 //! | work on all processors, with results that do not depend on their number | [`parallel`] |
 //!
@@ -25,6 +25,7 @@ mod camera;
 mod covariance;
 mod dense_inverse;
 mod factor;
+mod gauss_newton;
 mod joint_prior;
 mod landmark;
 mod landmark_equations;

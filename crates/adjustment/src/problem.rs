@@ -13,7 +13,7 @@ use crate::factor::Factor;
 use crate::landmark::{InverseDepthLandmark, Prediction};
 use crate::landmark_equations::{LandmarkBlocks, LandmarkEquations};
 use crate::loss::Loss;
-use crate::normal_equations::NormalEquations;
+use crate::normal_equations::{NormalEquations, Step};
 use crate::parallel;
 
 /// Landmarks whose equations are summed up by one thread: so few that their blocks stay in its cache.
@@ -82,13 +82,18 @@ impl Problem<'_> {
     /// One damped Gauss-Newton step; `None` where the equations are singular.
     pub(crate) fn step(&self, bundle: &Bundle, scale: f64, damping: f64) -> Option<Bundle> {
         let step = self.equations(bundle, scale, damping).solve(damping)?;
-        let mut next = bundle.moved(&step.states);
+        Some(self.stepped(bundle, &step, 1.0, scale))
+    }
+
+    /// The bundle moved by a part of a step, with the landmarks adjusted by themselves after it.
+    pub(crate) fn stepped(&self, bundle: &Bundle, step: &Step, part: f64, scale: f64) -> Bundle {
+        let mut next = bundle.moved(&(&step.states * part));
         let poses = next.view_poses();
         for (landmark, error) in next.landmarks.iter_mut().zip(&step.landmarks) {
-            *landmark = landmark.corrected(error, self.pixels.inverse_depths);
+            *landmark = landmark.corrected(&(error * part), self.pixels.inverse_depths);
             self.adjust_landmark(landmark, &poses, scale);
         }
-        Some(next)
+        next
     }
 
     /// Steps of one landmark for fixed poses.

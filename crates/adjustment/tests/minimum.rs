@@ -1,4 +1,4 @@
-//! Levenberg-Marquardt ends at the minimum, and the covariance is that of the dense equations.
+//! Steps with and without damping end at the minimum, and the covariance is that of the dense equations.
 
 use adjustment::{Bundle, Loss, POSE, PixelModel, PosePrior, Problem};
 use nalgebra::{DMatrix, DVector, Matrix6};
@@ -37,7 +37,9 @@ fn exact_pixels_give_the_exact_poses_with_each_loss_and_with_steps_of_landmarks(
         let pixels = PixelModel { landmark_steps, ..pixel_model(loss) };
         let problem = Problem { cameras: &scene.cameras, factors: vec![&priors], pixels };
         let found = problem.minimize(displaced(&scene), scales, |_, _| ());
-        for (found, truth) in found.poses.iter().zip(&scene.poses) {
+        let undamped = problem.minimize_undamped(displaced(&scene), scales[1]);
+        let poses = found.poses.iter().zip(&scene.poses).chain(undamped.poses.iter().zip(&scene.poses));
+        for (found, truth) in poses {
             assert!(truth.local(found).norm() < 1e-3, "{loss:?}: {}", truth.local(found).norm());
         }
     }

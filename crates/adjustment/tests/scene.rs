@@ -59,7 +59,7 @@ impl Scene {
             );
             let seen = |number: usize| {
                 let (view, camera) = (number / cameras.len(), number % cameras.len());
-                let MountedCamera { camera: lens, rotation, offset } = &cameras[camera];
+                let MountedCamera { camera: lens, rotation, offset, .. } = &cameras[camera];
                 let in_camera = rotation * poses[view].inverse_transform(&point) + offset;
                 let pixel = lens.project(&in_camera).unwrap();
                 (LandmarkObservation { feature: (view, index), camera, pixel }, in_camera)

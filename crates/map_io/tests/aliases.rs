@@ -7,7 +7,8 @@ use testing::{Place, PlaceOptions, add_aliases};
 fn the_aliases_of_a_map_are_read_back() {
     for is_searched in [false, true] {
         let folder = tempfile::tempdir().unwrap();
-        let mut contents = Place::new(&PlaceOptions { keyframes: 8, landmarks: 80, ..PlaceOptions::default() }).map;
+        let mut contents =
+            Place::new(&PlaceOptions { keyframes: 8, landmarks: 80, ..PlaceOptions::default() }).map;
         contents.sort();
         if is_searched {
             add_aliases(&mut contents);

@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 
 use map::Keyframe;
-use map_io::colmap::{WrittenModel, image_names, write_model};
 use map::store;
+use map_io::colmap::{WrittenModel, image_names, write_model};
 use serde_json::json;
 
 /// Arguments.

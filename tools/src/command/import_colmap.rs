@@ -3,8 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::bail;
-use map_io::colmap::{ColmapModel, read_model};
 use map::store::MapTarget;
+use map_io::colmap::{ColmapModel, read_model};
 use mapping::{ColmapFrame, Extraction, import_colmap};
 use nalgebra::Vector3;
 use onboard::arguments::FeatureArguments;

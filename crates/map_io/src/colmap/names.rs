@@ -1,7 +1,7 @@
 //! Names of the images of keyframes, as a recording in the EuRoC layout has them.
 
-use map::model::Keyframe;
 use geometry::camera::Camera;
+use map::model::Keyframe;
 use protocol::KeyframeId;
 use std::collections::BTreeMap;
 

@@ -1,11 +1,11 @@
 //! A written model against COLMAP's own definitions.
 
 use super::{ColmapError, ReadColmapError, WrittenModel, image_names, read_model, write_model};
-use map::MapContents;
-use map::model::{Keyframe, Landmark, MapMetadata, Observation};
 use geometry::camera::{Camera, Distortion};
 use geometry::uncertain_pose::{PoseWithCovariance, isotropic_covariance};
 use geometry::{Pose, rotation};
+use map::MapContents;
+use map::model::{Keyframe, Landmark, MapMetadata, Observation};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use protocol::DescriptorKind;
 

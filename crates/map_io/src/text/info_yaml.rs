@@ -3,8 +3,8 @@
 use std::fmt::Write as _;
 use std::path::Path;
 
-use map::model::{DEFAULT_SIGMA_PX, MapMetadata};
 use calibration::numbers::{list, shortest};
+use map::model::{DEFAULT_SIGMA_PX, MapMetadata};
 use nalgebra::Vector3;
 use protocol::DescriptorKind;
 use serde::Deserialize;

@@ -3,13 +3,13 @@
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 
+use geometry::camera::Camera;
+use geometry::pose::Pose;
+use geometry::uncertain_pose::{PoseWithCovariance, isotropic_covariance};
 use map::contents::MapContents;
 use map::model::{
     Alias, CommonError, Keyframe, KeyframeAliases, KeyframeCrossCovariance, Landmark, Observation,
 };
-use geometry::camera::Camera;
-use geometry::pose::Pose;
-use geometry::uncertain_pose::{PoseWithCovariance, isotropic_covariance};
 use nalgebra::{Matrix6, Matrix6xX, Quaternion, Unit, Vector3};
 use protocol::{DescriptorFormat, DescriptorKind, FeatureSet, KeyframeId, LandmarkId};
 

@@ -2,11 +2,11 @@
 
 use std::path::Path;
 
-use map::contents::MapContents;
-use map::model::{CommonError, Keyframe, KeyframeCrossCovariance, Landmark, MapMetadata, Observation};
 use geometry::camera::{Camera, Distortion};
 use geometry::pose::Pose;
 use geometry::uncertain_pose::{PoseWithCovariance, isotropic_covariance};
+use map::contents::MapContents;
+use map::model::{CommonError, Keyframe, KeyframeCrossCovariance, Landmark, MapMetadata, Observation};
 use nalgebra::{Matrix6, Matrix6xX, Vector3};
 use protocol::{DescriptorKind, Descriptors, FeatureSet};
 use rand::rngs::StdRng;

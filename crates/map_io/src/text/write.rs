@@ -3,11 +3,11 @@
 use std::fmt::Write as _;
 use std::path::Path;
 
-use map::contents::MapContents;
-use map::model::Keyframe;
 use calibration::numbers::shortest;
 use geometry::camera::Camera;
 use geometry::uncertain_pose::isotropic_covariance;
+use map::contents::MapContents;
+use map::model::Keyframe;
 use nalgebra::Matrix6;
 
 use super::camera_yaml::camera_text;

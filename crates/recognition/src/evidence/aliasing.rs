@@ -68,8 +68,9 @@ impl LoadedMap {
     /// few. Without effect once the rate is known.
     pub fn keep_aliasing_rate(&self, former: &LoadedMap) {
         let kept = self.keyframes.iter().filter(|keyframe| former.index_of(keyframe.id).is_some()).count();
-        let is_nearly_the_same =
-            |of: &LoadedMap| (of.keyframes.len() - kept) as f64 <= RENEWED_KEYFRAMES * of.keyframes.len() as f64;
+        let is_nearly_the_same = |of: &LoadedMap| {
+            (of.keyframes.len() - kept) as f64 <= RENEWED_KEYFRAMES * of.keyframes.len() as f64
+        };
         if self.identity == former.identity && is_nearly_the_same(self) && is_nearly_the_same(former) {
             let _ = former.aliasing.get().map(|rate| self.aliasing.set(*rate));
         }

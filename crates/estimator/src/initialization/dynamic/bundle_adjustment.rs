@@ -72,7 +72,7 @@ pub fn adjust(
     let information = gauge_information(initial.sigma_yaw_rad, f64::INFINITY, initial.sigma_position_m);
     let gauge = PosePrior { view: newest, pose: guess.poses[newest], information };
     let mounted = |calibrated: &CalibratedCamera| {
-        MountedCamera::new(calibrated.camera.clone(), &calibrated.imu_from_camera.inverse())
+        MountedCamera::new(calibrated.camera.clone(), &calibrated.imu_from_camera.inverse()).at_any_scale()
     };
     let cameras: Vec<MountedCamera> = cameras.iter().map(mounted).collect();
     let pixels = PixelModel {
@@ -85,13 +85,13 @@ pub fn adjust(
     let problem = Problem { cameras: &cameras, factors: vec![&chain, &gauge], pixels };
 
     let all = observation_count(&guess);
-    let mut bundle = problem.minimize(guess, [HUBER_SIGMAS; 2], |_, _| ());
+    let mut bundle = problem.minimize_undamped(guess, HUBER_SIGMAS);
     drop_outliers(&problem, &mut bundle);
     let kept = observation_count(&bundle);
     if bundle.landmarks.len() < MIN_TRACKS {
         return Err(DynamicInitError::TooFewTracks { have: bundle.landmarks.len(), need: MIN_TRACKS });
     }
-    let bundle = problem.minimize(bundle, [f64::INFINITY; 2], |_, _| ());
+    let bundle = problem.minimize_undamped(bundle, f64::INFINITY);
     let covariance = problem.covariance(&bundle).ok_or(DynamicInitError::NoParallax)?;
     let scale = scale_direction(&bundle);
     let sigma_scale = scale.dot(&covariance.times(&scale)).sqrt() / scale.norm_squared();

@@ -1,0 +1,41 @@
+//! Gauss-Newton steps, each shortened until it lowers the cost.
+//!
+//! Damping holds what the measurements hardly determine where it is, for example the scale of a short trajectory, so that landmarks
+//! seem to be outliers that are not. Without it such a direction moves as far as the measurements say.
+
+use crate::bundle::Bundle;
+use crate::problem::Problem;
+
+/// Maximum number of steps.
+const MAX_STEPS: usize = 20;
+/// Decrease of the cost (half squared sigmas) below which a step is the last one.
+const CONVERGED: f64 = 1e-2;
+/// Parts of a step that are tried, longest first.
+const PARTS: [f64; 5] = [1.0, 0.5, 0.25, 0.1, 0.03];
+
+impl Problem<'_> {
+    /// Minimizes the cost from an initial bundle without damping.
+    ///
+    /// # Arguments
+    /// * `scale`: of the robust loss (standard deviations); infinite for least squares.
+    pub fn minimize_undamped(&self, start: Bundle, scale: f64) -> Bundle {
+        let mut bundle = start;
+        let mut cost = self.cost(&bundle, scale);
+        for _ in 0..MAX_STEPS {
+            let Some(step) = self.equations(&bundle, scale, 0.0).solve(0.0) else { break };
+            let before = cost;
+            for part in PARTS {
+                let candidate = self.stepped(&bundle, &step, part, scale);
+                let after = self.cost(&candidate, scale);
+                if after < before {
+                    (bundle, cost) = (candidate, after);
+                    break;
+                }
+            }
+            if before - cost <= CONVERGED {
+                break;
+            }
+        }
+        bundle
+    }
+}
