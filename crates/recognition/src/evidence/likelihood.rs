@@ -7,7 +7,8 @@ const SHARE_AT_THE_PLACE: [f64; 2] = [2.0, 1.0];
 /// distribution. It confirms as many however many are expected.
 const PICTURE_SHARE: f64 = 1.0 / 8.0;
 const PICTURE_DISPERSION: f64 = 10.0;
-/// Share of the pictures that confirm all that they fill, and the dispersion of that number.
+/// Share of the pictures that confirm all that they fill, and the dispersion of that number: at least so many, and the more the more
+/// of the image they fill, since little of their surroundings is left that could differ.
 const LARGE_PICTURES: f64 = 0.1;
 const LARGE_PICTURE_DISPERSION: f64 = 2.0;
 
@@ -27,8 +28,14 @@ pub(super) fn log_likelihood_ratio(confirmed: usize, expected: usize, parts: usi
     let mean = (PICTURE_SHARE * parts as f64).max(1.0);
     let usual = log_of_a_picture(confirmed, expected, mean, PICTURE_DISPERSION);
     let large = log_of_a_picture(confirmed, expected, picture.max(mean), LARGE_PICTURE_DISPERSION);
-    let of_a_picture = (1.0 - LARGE_PICTURES) * usual.exp() + LARGE_PICTURES * large.exp();
+    let share = share_of_large_pictures(picture / parts.max(1) as f64);
+    let of_a_picture = (1.0 - share) * usual.exp() + share * large.exp();
     log_at_the_place(confirmed, expected) - of_a_picture.ln()
+}
+
+/// Of pictures that fill so much of the image, the share that confirm all of it.
+fn share_of_large_pictures(filled: f64) -> f64 {
+    filled.clamp(0.0, 1.0).powi(3).max(LARGE_PICTURES)
 }
 
 /// Beta-binomial.
@@ -108,16 +115,24 @@ mod tests {
     }
 
     #[test]
-    fn one_picture_in_ten_confirms_all_that_it_fills_and_bounds_what_that_says() {
+    fn what_a_picture_confirms_by_itself_bounds_what_that_says() {
         for expected in [30, PARTS] {
-            for picture in 6..PARTS {
-                let bound =
-                    -(LARGE_PICTURES * log_of_a_picture(expected, expected, picture as f64, 2.0).exp()).ln();
+            let at_the_place = log_at_the_place(expected, expected);
+            for picture in 6..=PARTS {
+                let share = share_of_large_pictures(picture as f64 / PARTS as f64);
+                let large = log_of_a_picture(expected, expected, picture as f64, LARGE_PICTURE_DISPERSION);
                 let found = log_likelihood_ratio(expected, expected, PARTS, picture as f64);
-                assert!(found <= log_at_the_place(expected, expected) + bound + 1e-12, "{picture}");
+                assert!(found <= at_the_place - large - share.ln() + 1e-12, "{picture}");
             }
-            let near = log_likelihood_ratio(expected, expected, PARTS, PARTS as f64);
-            assert!(near < 0.7 * ratio(expected, expected), "{near}");
+        }
+    }
+
+    #[test]
+    fn a_picture_that_fills_the_image_is_as_good_as_the_place() {
+        for confirmed in 20..=PARTS {
+            let near = log_likelihood_ratio(confirmed, PARTS, PARTS, PARTS as f64);
+            assert!(near < 1.0, "{confirmed}: {near}");
+            assert!(near < 0.3 * ratio(confirmed, PARTS), "{confirmed}: {near}");
         }
     }
 }
