@@ -8,7 +8,8 @@ use crate::problem::Problem;
 
 /// Maximum number of steps.
 const MAX_STEPS: usize = 20;
-/// Decrease of the cost (half squared sigmas) below which a step is the last one.
+/// Steps end when one lowers the cost by no more than this: the cost is half a squared Mahalanobis distance, so that what is left then
+/// is a small part of a standard deviation in every direction.
 const CONVERGED: f64 = 1e-2;
 /// Parts of a step that are tried, longest first.
 const PARTS: [f64; 5] = [1.0, 0.5, 0.25, 0.1, 0.03];
@@ -19,12 +20,20 @@ impl Problem<'_> {
     /// # Arguments
     /// * `scale`: of the robust loss (standard deviations); infinite for least squares.
     pub fn minimize_undamped(&self, start: Bundle, scale: f64) -> Bundle {
+        self.undamped_steps(start, scale, &PARTS)
+    }
+
+    /// Undamped steps until one hardly lowers the cost.
+    ///
+    /// # Arguments
+    /// * `parts`: of each step that are tried, longest first.
+    pub(crate) fn undamped_steps(&self, start: Bundle, scale: f64, parts: &[f64]) -> Bundle {
         let mut bundle = start;
         let mut cost = self.cost(&bundle, scale);
         for _ in 0..MAX_STEPS {
             let Some(step) = self.equations(&bundle, scale, 0.0).solve(0.0) else { break };
             let before = cost;
-            for part in PARTS {
+            for &part in parts {
                 let candidate = self.stepped(&bundle, &step, part, scale);
                 let after = self.cost(&candidate, scale);
                 if after < before {

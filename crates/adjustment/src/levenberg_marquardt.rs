@@ -12,11 +12,6 @@ const SCALE_FACTOR: f64 = 0.6;
 const MAX_STEPS: usize = 25;
 /// Damped steps end when one lowers the cost by less than this part.
 const CONVERGED: f64 = 1e-4;
-/// Undamped steps end when one lowers the cost by less than this: the cost is half a squared Mahalanobis distance, so that what is
-/// left then is a small part of a standard deviation in every direction.
-const FINAL_CONVERGED: f64 = 0.01;
-/// Maximum number of undamped steps at the end.
-const FINAL_STEPS: usize = 20;
 /// Damping of the first step, and its limits.
 const DAMPING: [f64; 3] = [1e-4, 1e-8, 1e4];
 
@@ -55,26 +50,8 @@ impl Problem<'_> {
             scale = (scale * SCALE_FACTOR).max(last_scale);
         }
         progress(MAX_STEPS, MAX_STEPS);
-        self.finish(bundle, last_scale)
-    }
-
-    /// Undamped steps. Neighbouring poses are known to millimetres and the shape of a long trajectory to decimetres: damped steps, which
-    /// are relative to the diagonal, hardly move the whole, and end some standard deviations from the minimum.
-    fn finish(&self, start: Bundle, scale: f64) -> Bundle {
-        let mut bundle = start;
-        let mut cost = self.cost(&bundle, scale);
-        for _ in 0..FINAL_STEPS {
-            let Some(candidate) = self.step(&bundle, scale, 0.0) else { break };
-            let after = self.cost(&candidate, scale);
-            if after >= cost {
-                break;
-            }
-            let lowered = cost - after;
-            (bundle, cost) = (candidate, after);
-            if lowered < FINAL_CONVERGED {
-                break;
-            }
-        }
-        bundle
+        // Neighbouring poses are known to millimetres and the shape of a long trajectory to decimetres: damped steps, which are relative
+        // to the diagonal, hardly move the whole, and end some standard deviations from the minimum.
+        self.undamped_steps(bundle, last_scale, &[1.0])
     }
 }
