@@ -1,6 +1,10 @@
 //! All integration tests of the crate, in one program.
 #![allow(clippy::unwrap_used, missing_docs)]
 
+mod answers;
+mod common;
+mod descriptors;
 mod evidence;
-mod recognition;
+mod places;
+mod poses;
 mod report;
