@@ -1,6 +1,6 @@
 //! The digest of a map: what a robot sees of it, in 16 bytes.
 
-use protocol::MapIdentity;
+use protocol::{LandmarkId, MapIdentity};
 use serde::Serialize;
 use sha2::{Digest as _, Sha256};
 
@@ -70,7 +70,12 @@ impl RunningDigest {
 
     /// Adds a landmark whose observations are in the order of their keyframes.
     pub(crate) fn add_landmark(&mut self, landmark: &Landmark) {
-        self.add("landmarks", &[landmark.id], &LandmarkRecord::new(landmark));
+        self.add_landmark_record(landmark.id, &payload(&LandmarkRecord::new(landmark)));
+    }
+
+    /// Adds the record of a landmark as [`RunningDigest::add_landmark`] adds the landmark.
+    pub(crate) fn add_landmark_record(&mut self, id: LandmarkId, payload: &[u8]) {
+        self.add_payload("landmarks", &[id], payload);
     }
 
     /// Adds a cross-covariance with `a < b`.
@@ -86,10 +91,14 @@ impl RunningDigest {
         self.add("aliases", &[aliases.keyframe], &AliasesRecord::new(aliases));
     }
 
-    /// Every part is preceded by its length, so that no two sequences of records have the same bytes.
     fn add<T: Serialize>(&mut self, table: &str, key: &[u64], record: &T) {
+        self.add_payload(table, key, &payload(record));
+    }
+
+    /// Every part is preceded by its length, so that no two sequences of records have the same bytes.
+    fn add_payload(&mut self, table: &str, key: &[u64], payload: &[u8]) {
         let key: Vec<u8> = key.iter().flat_map(|id| id.to_le_bytes()).collect();
-        for part in [table.as_bytes(), &key, &payload(record)] {
+        for part in [table.as_bytes(), &key, payload] {
             self.0.update((part.len() as u64).to_le_bytes());
             self.0.update(part);
         }

@@ -21,8 +21,13 @@ impl ObservationCounts {
 
     /// Adds those of a landmark. Observations by other keyframes are left out: such a map is not valid.
     pub fn add(&mut self, landmark: &Landmark) {
-        for observation in &landmark.observations {
-            if let Ok(at) = self.keyframes.binary_search(&observation.keyframe) {
+        self.add_observers(landmark.observations.iter().map(|observation| observation.keyframe));
+    }
+
+    /// Adds those of a landmark that these keyframes observe.
+    pub(crate) fn add_observers(&mut self, keyframes: impl Iterator<Item = KeyframeId>) {
+        for keyframe in keyframes {
+            if let Ok(at) = self.keyframes.binary_search(&keyframe) {
                 self.counts[at] = self.counts[at].saturating_add(1);
             }
         }

@@ -3,8 +3,10 @@
 use std::path::Path;
 
 use super::error::DatabaseError;
+use super::record::{self, LandmarkRecord, RecordError};
 use crate::contents::MapContents;
 use crate::model::Landmark;
+use protocol::LandmarkId;
 
 /// A kind of database that holds one map in a folder of its own.
 ///
@@ -48,11 +50,27 @@ pub trait OpenDatabase: Send {
     /// [`DatabaseError`].
     fn read_frame(&self) -> Result<MapContents, DatabaseError>;
 
+    /// Visits the payloads of the landmarks' records one at a time, by id; the first one that cannot be used ends it.
+    ///
+    /// # Errors
+    /// The first one of the database, or [`DatabaseError::Record`].
+    fn visit_landmarks(
+        &self,
+        visit: &mut dyn FnMut(LandmarkId, &[u8]) -> Result<(), RecordError>,
+    ) -> Result<(), DatabaseError>;
+
     /// Reads the landmarks one at a time, by id, the observations of each by keyframe.
     ///
     /// # Errors
     /// The first one of the database, or [`DatabaseError::Record`].
-    fn read_landmarks(&self, visit: &mut dyn FnMut(Landmark)) -> Result<(), DatabaseError>;
+    fn read_landmarks(&self, visit: &mut dyn FnMut(Landmark)) -> Result<(), DatabaseError> {
+        self.visit_landmarks(&mut |id, payload| {
+            let mut landmark = record::decode::<LandmarkRecord>(payload)?.into_landmark(id);
+            landmark.observations.sort_by_key(|observation| observation.keyframe);
+            visit(landmark);
+            Ok(())
+        })
+    }
 
     /// Closes the database; its folder can be removed when this returns.
     ///

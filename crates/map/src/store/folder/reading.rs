@@ -14,6 +14,7 @@ use crate::contents::{MapContents, ObservationCounts, RunningDigest};
 use crate::store::error::{Damage, DatabaseError, StoreError};
 use crate::store::guarded;
 use crate::store::map_store::{MapStore, OpenDatabase};
+use crate::store::record::{self, LandmarkObservers};
 use crate::store::stored_landmarks::StoredLandmarks;
 use crate::store::stored_map::StoredMap;
 use protocol::MapIdentity;
@@ -124,10 +125,11 @@ impl ReadSummary {
             digest.add_keyframe(keyframe);
         }
         let mut count = 0;
-        database.read_landmarks(&mut |landmark| {
+        database.visit_landmarks(&mut |id, payload| {
             count += 1;
-            digest.add_landmark(&landmark);
-            counts.add(&landmark);
+            digest.add_landmark_record(id, payload);
+            counts.add_observers(record::decode::<LandmarkObservers>(payload)?.keyframes());
+            Ok(())
         })?;
         for cross in &contents.cross_covariances {
             digest.add_cross_covariance(cross);

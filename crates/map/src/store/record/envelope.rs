@@ -7,8 +7,8 @@
 //! as damaged as one with flipped bits.
 
 use bincode::Options;
-use serde::Serialize;
 use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
 
 use super::error::RecordError;
 
@@ -37,7 +37,14 @@ pub fn seal<T: Serialize>(table: &str, key: &[u8], record: &T) -> Result<Vec<u8>
 /// # Errors
 /// A damaged envelope, another version, or a payload that is no such record.
 pub fn unseal<T: DeserializeOwned>(table: &str, key: &[u8], bytes: &[u8]) -> Result<T, RecordError> {
-    let payload = open(table, key, bytes)?;
+    decode(open(table, key, bytes)?)
+}
+
+/// What a payload holds, which may borrow from it.
+///
+/// # Errors
+/// [`RecordError::Undecodable`]: a payload that is no such record.
+pub fn decode<'a, T: Deserialize<'a>>(payload: &'a [u8]) -> Result<T, RecordError> {
     // No payload can claim more than its own length: a vector costs at least a byte an element.
     options()
         .with_limit(payload.len() as u64)
@@ -52,7 +59,10 @@ pub(crate) fn payload<T: Serialize>(record: &T) -> Vec<u8> {
 }
 
 /// The payload of an intact record.
-fn open<'a>(table: &str, key: &[u8], bytes: &'a [u8]) -> Result<&'a [u8], RecordError> {
+///
+/// # Errors
+/// A damaged envelope, another version.
+pub fn open<'a>(table: &str, key: &[u8], bytes: &'a [u8]) -> Result<&'a [u8], RecordError> {
     let Some((&[version, c0, c1, c2, c3], payload)) = bytes.split_first_chunk::<HEADER_BYTES>() else {
         return Err(RecordError::TooShort { bytes: bytes.len() });
     };

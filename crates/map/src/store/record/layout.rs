@@ -257,6 +257,29 @@ impl LandmarkRecord {
     }
 }
 
+/// What [`LandmarkRecord`] holds, without a copy of its descriptors.
+#[derive(Deserialize)]
+pub struct LandmarkObservers<'a> {
+    _anchor: u64,
+    _position_in_anchor: [f64; 3],
+    #[serde(borrow)]
+    observations: Vec<ObserverRecord<'a>>,
+}
+
+#[derive(Deserialize)]
+struct ObserverRecord<'a> {
+    keyframe: u64,
+    _pixel: [f32; 2],
+    _descriptor: &'a [u8],
+}
+
+impl LandmarkObservers<'_> {
+    /// The keyframes that observe the landmark, in the order of its observations.
+    pub fn keyframes(&self) -> impl Iterator<Item = KeyframeId> {
+        self.observations.iter().map(|observation| observation.keyframe)
+    }
+}
+
 /// [`KeyframeCrossCovariance`] on disk, by columns; the pair is the key.
 #[derive(Serialize, Deserialize)]
 pub struct CrossCovarianceRecord([[f64; 6]; 6]);

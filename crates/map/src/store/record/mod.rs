@@ -5,8 +5,9 @@ mod error;
 mod layout;
 
 pub(crate) use envelope::payload;
-pub use envelope::{seal, unseal};
+pub use envelope::{decode, open, seal, unseal};
 pub use error::RecordError;
 pub use layout::{
-    AliasesRecord, CommonErrorRecord, CrossCovarianceRecord, InfoRecord, KeyframeRecord, LandmarkRecord,
+    AliasesRecord, CommonErrorRecord, CrossCovarianceRecord, InfoRecord, KeyframeRecord, LandmarkObservers,
+    LandmarkRecord,
 };

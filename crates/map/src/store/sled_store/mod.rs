@@ -5,6 +5,7 @@ mod tables;
 
 use std::path::{Path, PathBuf};
 
+use protocol::LandmarkId;
 use serde::Serialize;
 
 use super::STORE_SCHEMA;
@@ -15,7 +16,7 @@ use super::record::{
     LandmarkRecord, RecordError,
 };
 use crate::contents::MapContents;
-use crate::model::{KeyframeCrossCovariance, Landmark, MapMetadata};
+use crate::model::{KeyframeCrossCovariance, MapMetadata};
 use opening::{READING_CACHE_BYTES, WRITING_CACHE_BYTES, close_database, failed, open_database};
 use tables::{INFO_KEY, SCHEMA_KEY, SCHEMA_MAGIC, Table, pair_key};
 
@@ -46,16 +47,12 @@ impl OpenDatabase for SledDatabase {
         read_frame(&self.database)
     }
 
-    fn read_landmarks(&self, visit: &mut dyn FnMut(Landmark)) -> Result<(), DatabaseError> {
-        let decode = |key: &[u8], value: &[u8]| {
-            let id = id_of(key)?;
-            let record: LandmarkRecord = record::unseal(Table::Landmarks.name(), key, value)?;
-            Ok(record.into_landmark(id))
-        };
-        Tree::open(&self.database, Table::Landmarks)?.visit(decode, |mut landmark| {
-            landmark.observations.sort_by_key(|observation| observation.keyframe);
-            visit(landmark);
-        })
+    fn visit_landmarks(
+        &self,
+        visit: &mut dyn FnMut(LandmarkId, &[u8]) -> Result<(), RecordError>,
+    ) -> Result<(), DatabaseError> {
+        Tree::open(&self.database, Table::Landmarks)?
+            .visit(|key, value| visit(id_of(key)?, record::open(Table::Landmarks.name(), key, value)?))
     }
 
     fn close(self: Box<Self>) -> Result<(), DatabaseError> {
@@ -181,16 +178,18 @@ impl Tree {
         decode: impl Fn(&[u8], &[u8]) -> Result<T, RecordError>,
     ) -> Result<Vec<T>, DatabaseError> {
         let mut records = Vec::new();
-        self.visit(decode, |record| records.push(record))?;
+        self.visit(|key, value| {
+            records.push(decode(key, value)?);
+            Ok(())
+        })?;
         records.shrink_to_fit();
         Ok(records)
     }
 
-    /// Visits all records as [`Tree::read`] returns them.
-    fn visit<T>(
+    /// Visits the keys and values of all records in the order of [`Tree::read`].
+    fn visit(
         &self,
-        decode: impl Fn(&[u8], &[u8]) -> Result<T, RecordError>,
-        mut visit: impl FnMut(T),
+        mut visit: impl FnMut(&[u8], &[u8]) -> Result<(), RecordError>,
     ) -> Result<(), DatabaseError> {
         let mut previous: Option<sled::IVec> = None;
         for entry in &self.tree {
@@ -198,9 +197,8 @@ impl Tree {
             if previous.is_some_and(|previous| previous >= key) {
                 return Err(DatabaseError::Order { table: self.table.name() });
             }
-            let record = decode(&key, &value)
+            visit(&key, &value)
                 .map_err(|problem| DatabaseError::Record { record: self.table.describe(&key), problem })?;
-            visit(record);
             previous = Some(key);
         }
         Ok(())
