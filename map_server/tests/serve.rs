@@ -275,7 +275,7 @@ async fn bad_queries_are_answered_with_errors_and_the_server_goes_on() {
         (Some(changed(&|payload| payload.truncate(payload.len() / 2))), ErrorCode::BadRequest),
         (Some(changed(&|payload| *payload.last_mut().unwrap() ^= 1)), ErrorCode::BadRequest),
         (Some(hostile_length), ErrorCode::BadRequest),
-        (Some(changed(&|payload| payload[4] = 9)), ErrorCode::SchemaMismatch),
+        (Some(changed(&|payload| payload[4] = 99)), ErrorCode::SchemaMismatch),
     ];
     for (payload, code) in cases {
         let answers = ask(&scene.client, "map/hall/match?format=json", payload.clone(), None).await;
@@ -293,6 +293,20 @@ async fn bad_queries_are_answered_with_errors_and_the_server_goes_on() {
 
     let still: Vec<MatchReply> = ask_bincode(&scene.client, "map/hall/match", &scene.request(5, 1)).await;
     assert_eq!(still.len(), 2);
+    scene.end().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_robot_of_the_next_schema_is_answered() {
+    let scene = Scene::new().await;
+    let payload = protocol::encode(Format::Json, &scene.request(5, 1)).unwrap();
+    let own = format!("\"schema\":{},", protocol::SCHEMA_VERSION);
+    let next = format!("\"schema\":{},\"floor\":3,", protocol::SCHEMA_VERSION + 1);
+    let payload = String::from_utf8(payload).unwrap().replacen(&own, &next, 1).into_bytes();
+    let json = Some(Format::Json.encoding());
+    let answers = ask(&scene.client, "map/hall/match?format=json", Some(payload), json).await;
+    let replies: Vec<MatchReply> = answers.into_iter().map(|answer| decoded(answer, Format::Json)).collect();
+    assert!(matches!(replies.as_slice(), [MatchReply::Keyframe(_), MatchReply::Done(_)]), "{replies:?}");
     scene.end().await;
 }
 

@@ -16,8 +16,16 @@
 //! The order of checks is: total length, magic, schema version, length, checksum, type, decoding within the limit of
 //! the bytes present, no bytes left over, and the values ([`Validate`]). Memory is never reserved for an announced
 //! length.
+//!
+//! Messages of the schema before and of the one after are read, too, so that a fleet is upgraded one program at a time. This works
+//! because a new schema only appends fields to the end of a message. A newer message has bytes left over, which are not read. An older
+//! one ends too early and is read as if zeros followed: `None`, an empty list, `false`, 0. What an appended field means when it is
+//! zero is that it is not stated; in JSON it has `#[serde(default)]`.
 
-use crate::limits::{MAX_MESSAGE_BYTES, SCHEMA_VERSION};
+use std::cmp::Ordering;
+use std::io::{Read as _, repeat};
+
+use crate::limits::{MAX_MESSAGE_BYTES, OLDEST_SCHEMA, SCHEMA_VERSION};
 use crate::validate::{InvalidField, Validate};
 use bincode::Options;
 use serde::de::DeserializeOwned;
@@ -26,6 +34,8 @@ use thiserror::Error;
 
 const MAGIC: [u8; 4] = *b"DRFT";
 const HEADER_BYTES: usize = 16;
+/// Most bytes that fields which a schema appends have when they are zero.
+const APPENDED_BYTES: u64 = 64;
 
 /// A type that is a payload of its own.
 pub trait Message: Serialize + DeserializeOwned + Validate {
@@ -120,7 +130,7 @@ pub enum CodecError {
         "this is not a Driftless bincode payload (it does not start with \"DRFT\"); for JSON set the encoding to application/json"
     )]
     WrongMagic,
-    /// The payload has another schema version.
+    /// The payload has a schema version that is not next to this one, or holds what this one does not know.
     #[error(
         "the payload has schema {found}, this program uses schema {expected}: update the older of the two programs"
     )]
@@ -216,12 +226,15 @@ fn check_length(length: usize) -> Result<(), CodecError> {
     if length > MAX_MESSAGE_BYTES { Err(CodecError::TooLong { length }) } else { Ok(()) }
 }
 
-fn check_schema(found: u64) -> Result<(), CodecError> {
-    if found == u64::from(SCHEMA_VERSION) {
-        Ok(())
-    } else {
-        Err(CodecError::SchemaMismatch { found, expected: SCHEMA_VERSION })
-    }
+/// How a payload's schema is related to that of this program: one that is read is the same, the one before or the one after.
+fn check_schema(found: u64) -> Result<Ordering, CodecError> {
+    let own = u64::from(SCHEMA_VERSION);
+    let read = (own - 1).max(OLDEST_SCHEMA.into())..=own + 1;
+    if read.contains(&found) { Ok(found.cmp(&own)) } else { Err(mismatch(found)) }
+}
+
+fn mismatch(found: u64) -> CodecError {
+    CodecError::SchemaMismatch { found, expected: SCHEMA_VERSION }
 }
 
 fn validated<M: Message>(message: &M) -> Result<(), CodecError> {
@@ -234,6 +247,22 @@ fn malformed<M: Message>(error: &dyn std::fmt::Display) -> CodecError {
 
 fn bincode_options(limit: usize) -> impl Options {
     bincode::DefaultOptions::new().with_limit(limit as u64).reject_trailing_bytes()
+}
+
+/// Reads the fields of a message.
+///
+/// # Arguments
+/// * `age`: how the schema of the payload is related to that of `M`.
+fn deserialize<M: DeserializeOwned>(payload: &[u8], age: Ordering) -> Result<M, bincode::Error> {
+    let options = bincode_options(payload.len());
+    match age {
+        Ordering::Equal => options.deserialize(payload),
+        Ordering::Greater => options.allow_trailing_bytes().deserialize(payload),
+        Ordering::Less => {
+            let with_zeros = payload.chain(repeat(0).take(APPENDED_BYTES));
+            options.with_limit(payload.len() as u64 + APPENDED_BYTES).deserialize_from(with_zeros)
+        }
+    }
 }
 
 /// CRC-32 of the header's fields (all but the magic and itself) and the payload.
@@ -268,7 +297,8 @@ fn decode_bincode<M: Message>(bytes: &[u8]) -> Result<M, CodecError> {
     if [m0, m1, m2, m3] != MAGIC {
         return Err(CodecError::WrongMagic);
     }
-    check_schema(u64::from(u16::from_le_bytes([s0, s1])))?;
+    let schema = u64::from(u16::from_le_bytes([s0, s1]));
+    let age = check_schema(schema)?;
     let announced = u64::from(u32::from_le_bytes([l0, l1, l2, l3]));
     if announced != payload.len() as u64 {
         return Err(CodecError::WrongLength { announced, present: payload.len() });
@@ -283,7 +313,12 @@ fn decode_bincode<M: Message>(bytes: &[u8]) -> Result<M, CodecError> {
             found: format!("the message with tag {tag}"),
         });
     }
-    bincode_options(payload.len()).deserialize(payload).map_err(|error| malformed::<M>(&error))
+    deserialize(payload, age).map_err(|error| unreadable::<M>(&error, schema))
+}
+
+/// Of a message of this schema: it is malformed. Of another one: it holds what this program does not know.
+fn unreadable<M: Message>(error: &dyn std::fmt::Display, schema: u64) -> CodecError {
+    if schema == u64::from(SCHEMA_VERSION) { malformed::<M>(error) } else { mismatch(schema) }
 }
 
 fn encode_json<M: Message>(message: &M) -> Result<Vec<u8>, CodecError> {
@@ -302,17 +337,62 @@ fn decode_json<M: Message>(bytes: &[u8]) -> Result<M, CodecError> {
         name: Option<String>,
     }
     let header: Header = serde_json::from_slice(bytes).map_err(|error| malformed::<M>(&error))?;
-    check_schema(header.schema.ok_or(CodecError::MissingSchema)?)?;
+    let schema = header.schema.ok_or(CodecError::MissingSchema)?;
+    check_schema(schema)?;
     match header.name {
         Some(name) if name != M::NAME => {
             let shown: String = name.chars().take(64).collect();
             Err(CodecError::WrongType { expected: M::NAME, found: format!("{shown:?}") })
         }
-        _ => M::from_json(bytes).map_err(|error| malformed::<M>(&error)),
+        _ => M::from_json(bytes).map_err(|error| unreadable::<M>(&error, schema)),
     }
 }
 
 /// An error of serde_json with a reason of our own.
 pub(crate) fn malformed_json(reason: &str) -> serde_json::Error {
     <serde_json::Error as serde::de::Error>::custom(reason)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[derive(Serialize, Deserialize, Debug, PartialEq)]
+    struct Before {
+        id: u64,
+        name: String,
+    }
+
+    #[derive(Serialize, Deserialize, Debug, PartialEq)]
+    struct After {
+        id: u64,
+        name: String,
+        sigma_m: Option<f64>,
+        places: Vec<u32>,
+        is_moving: bool,
+        speed: f32,
+    }
+
+    #[test]
+    fn appended_fields_are_left_out_by_the_former_schema_and_zero_for_the_next_one() {
+        let options = || bincode_options(MAX_MESSAGE_BYTES);
+        let before = Before { id: 7, name: "hall".to_owned() };
+        let after = |sigma_m, places, speed| {
+            let name = "hall".to_owned();
+            After { id: 7, name, sigma_m, places, is_moving: speed > 0.0, speed }
+        };
+        let stated = options().serialize(&after(Some(0.1), vec![1, 2, 3], 0.5)).unwrap();
+        assert_eq!(deserialize::<Before>(&stated, Ordering::Greater).unwrap(), before);
+        let old = options().serialize(&before).unwrap();
+        assert_eq!(deserialize::<After>(&old, Ordering::Less).unwrap(), after(None, Vec::new(), 0.0));
+        // Of one schema every byte counts.
+        assert!(deserialize::<Before>(&stated, Ordering::Equal).is_err());
+        assert!(deserialize::<After>(&old, Ordering::Equal).is_err());
+    }
+
+    #[test]
+    fn what_was_cut_is_not_filled_with_zeros() {
+        let cut = &bincode_options(MAX_MESSAGE_BYTES).serialize(&(7_u64, "a".repeat(200))).unwrap()[..100];
+        assert!(deserialize::<After>(cut, Ordering::Less).is_err());
+    }
 }

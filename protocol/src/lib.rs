@@ -79,7 +79,8 @@ pub use features::{DescriptorFormat, DescriptorKind, Descriptors, FeatureSet};
 pub use identity::MapIdentity;
 pub use limits::{
     KeyframeId, LandmarkId, MAX_ANSWER_KEYFRAMES, MAX_CHANGE_M, MAX_CHANGE_RAD, MAX_EXTRACTOR_BYTES,
-    MAX_FEATURES, MAX_HELD_KEYFRAMES, MAX_MESSAGE_BYTES, MAX_QUERY_FEATURES, MAX_TEXT_BYTES, SCHEMA_VERSION,
+    MAX_FEATURES, MAX_HELD_KEYFRAMES, MAX_MESSAGE_BYTES, MAX_QUERY_FEATURES, MAX_TEXT_BYTES, OLDEST_SCHEMA,
+    SCHEMA_VERSION,
 };
 pub use localize::{LocalizeReply, LocalizeRequest, LocalizedPose, PossiblePlace};
 pub use map::{Extent, KeyframeLandmark, KeyframeReply, MapChangeNotice, MapInfoReply, StatedChange};

@@ -180,20 +180,46 @@ fn hexadecimal_that_is_none_is_refused() {
 
 #[test]
 fn another_schema_says_both_versions_and_what_to_do() {
-    let mut bytes = encode(Format::Bincode, &small_request()).unwrap();
-    bytes[4..6].copy_from_slice(&9_u16.to_le_bytes());
     let text = String::from_utf8(encode(Format::Json, &small_request()).unwrap()).unwrap();
-    let json = text.replacen("\"schema\":8", "\"schema\":9", 1);
-    for (format, bytes) in [(Format::Bincode, &bytes[..]), (Format::Json, json.as_bytes())] {
-        let error = refusal::<MatchRequest>(format, bytes);
-        assert!(matches!(error, CodecError::SchemaMismatch { found: 9, expected: SCHEMA_VERSION }));
-        let said = error.to_string();
-        assert!(said.contains("schema 9") && said.contains("schema 8") && said.contains("update"), "{said}");
-        assert_eq!(ErrorReply::from(&error).code, ErrorCode::SchemaMismatch);
+    for other in [SCHEMA_VERSION - 1, SCHEMA_VERSION + 2] {
+        let payload = encode(Format::Bincode, &small_request()).unwrap();
+        let bytes = sealed_as(other, &payload[HEADER..], MatchRequest::TAG);
+        let json = text.replacen("\"schema\":8", &format!("\"schema\":{other}"), 1);
+        for (format, bytes) in [(Format::Bincode, &bytes[..]), (Format::Json, json.as_bytes())] {
+            let error = refusal::<MatchRequest>(format, bytes);
+            let CodecError::SchemaMismatch { found, expected: SCHEMA_VERSION } = error else {
+                panic!("{error}");
+            };
+            assert_eq!(found, u64::from(other));
+            let said = error.to_string();
+            let schemas = [format!("schema {other}"), "schema 8".to_owned(), "update".to_owned()];
+            assert!(schemas.iter().all(|part| said.contains(part)), "{said}");
+            assert_eq!(ErrorReply::from(&error).code, ErrorCode::SchemaMismatch);
+        }
     }
     let missing = text.replacen("\"schema\":8,", "", 1);
     let error = refusal::<MatchRequest>(Format::Json, missing.as_bytes());
     assert!(matches!(error, CodecError::MissingSchema));
+}
+
+#[test]
+fn the_next_schema_is_read_but_for_what_it_appends() {
+    let request = small_request();
+    let sealed = |payload: &[u8]| sealed_as(SCHEMA_VERSION + 1, payload, MatchRequest::TAG);
+    let payload = &encode(Format::Bincode, &request).unwrap()[HEADER..];
+    for appended in [&[][..], &[1, 2, 3]] {
+        let bytes = sealed(&[payload, appended].concat());
+        assert_eq!(decode::<MatchRequest>(Format::Bincode, &bytes).unwrap(), request);
+    }
+    let text = String::from_utf8(encode(Format::Json, &request).unwrap()).unwrap();
+    let next = text.replacen("\"schema\":8,", "\"schema\":9,\"floor\":3,", 1);
+    assert_eq!(decode::<MatchRequest>(Format::Json, next.as_bytes()).unwrap(), request);
+    // What cannot be read at all is another schema, and no damage.
+    let cut = sealed(&payload[..payload.len() / 2]);
+    assert!(matches!(
+        refusal::<MatchRequest>(Format::Bincode, &cut),
+        CodecError::SchemaMismatch { found: 9, .. }
+    ));
 }
 
 #[test]

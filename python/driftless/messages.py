@@ -14,7 +14,9 @@ from .errors import Unreadable
 from .poses import Array, Pose, numbers
 
 SCHEMA = 8
-"""Version of the messages that this package reads and writes."""
+"""Version of the messages that this package writes. It reads those of the version before and after as well."""
+OLDEST_SCHEMA = 8
+"""The first version that is read: those before were never released."""
 
 T = TypeVar("T")
 
@@ -24,8 +26,8 @@ def decode(payload: bytes | str, what: str, build: Callable[[Mapping[str, Any]],
     try:
         message = json.loads(payload)
         schema = message["schema"]
-        if schema != SCHEMA:
-            raise Unreadable(f"schema {schema}, this package reads {SCHEMA}: update it together with the server")
+        if not max(OLDEST_SCHEMA, SCHEMA - 1) <= schema <= SCHEMA + 1:
+            raise Unreadable(f"schema {schema}, this package uses {SCHEMA}: update the older of package and server")
         return build(message)
     except Unreadable as error:
         raise Unreadable(f"{what}: {error}") from error

@@ -439,8 +439,13 @@ pub fn example<T: std::fmt::Debug>(strategy: impl Strategy<Value = T>) -> T {
 
 /// Makes length and checksum right again: what a hostile sender, rather than a bad line, would send.
 pub fn resealed(payload: &[u8], tag: u16) -> Vec<u8> {
+    sealed_as(SCHEMA_VERSION, payload, tag)
+}
+
+/// The envelope of any schema around a payload.
+pub fn sealed_as(schema: u16, payload: &[u8], tag: u16) -> Vec<u8> {
     let mut bytes = b"DRFT".to_vec();
-    bytes.extend(SCHEMA_VERSION.to_le_bytes());
+    bytes.extend(schema.to_le_bytes());
     bytes.extend(tag.to_le_bytes());
     bytes.extend((payload.len() as u32).to_le_bytes());
     let mut hasher = crc32fast::Hasher::new();
