@@ -11,8 +11,9 @@
 //! statement of the invariant Kalman filter (Barrau and Bonnabel 2017): `e_p - e_R x p` keeps its distribution while the point
 //! of linearization moves.
 //!
-//! SLAM features keep their first estimates. Those of many clones tie each of them to rotations that differ, and a feature that
-//! moved by a metre in depth would make the rotations between the clones known: NEES of 84 where it is 3.
+//! SLAM features move with the rotation of the newest pose, the next one that sees them. If they stayed where they were first
+//! estimated, poses and features would be linearized at trajectories of two scales, between which the scale of one camera that
+//! drives ahead seems to be measured: position NEES of 3.9 with exact tracks, 0.8 where all of them are renewed.
 
 use crate::covariance::JointCovariance;
 use crate::propagation::{MotionEstimate, VELOCITY};
@@ -20,7 +21,7 @@ use crate::state::{ActiveState, Block};
 use geometry::rotation;
 use nalgebra::Vector3;
 
-/// Takes the newest estimates of motion and clones for first ones: before each time update, so that within an image all updates
+/// Takes the newest estimates of motion, clones and SLAM features for first ones: before each time update, so that within an image all updates
 /// share one gauge.
 pub fn renew(state: &mut ActiveState, covariance: &mut JointCovariance) {
     let newest = MotionEstimate::of(&state.imu);
@@ -30,6 +31,13 @@ pub fn renew(state: &mut ActiveState, covariance: &mut JointCovariance) {
     transport(covariance, 0, VELOCITY, &gained);
     state.first_motion = newest;
 
+    for index in 0..state.slam_features.len() {
+        let Some(block) = state.range(Block::SlamFeature(index)) else { continue };
+        let feature = &mut state.slam_features[index];
+        let moved = feature.position - feature.first_estimate;
+        transport(covariance, 0, block.start, &moved);
+        feature.first_estimate = feature.position;
+    }
     for index in 0..state.clones.len() {
         let Some(block) = state.range(Block::Clone(index)) else { continue };
         let clone = &mut state.clones[index];
@@ -111,5 +119,6 @@ mod tests {
         // And it did something: these are the newest estimates now.
         assert_eq!(state.first_motion.position, state.imu.local_from_imu.translation);
         assert!(state.clones.iter().all(|clone| clone.first_estimate == clone.local_from_imu));
+        assert!(state.slam_features.iter().all(|feature| feature.first_estimate == feature.position));
     }
 }

@@ -7,7 +7,7 @@ use crate::measurement::LinearizedMeasurement;
 use crate::noise_adaptation::correction::BeforeUpdate;
 use crate::odometry::msckf_update::{MsckfUpdate, TrackReport};
 use crate::odometry::pixel_measurement::Layout;
-use crate::odometry::slam_update::{SlamUpdate, SlamUpdateSettings};
+use crate::odometry::slam_update::{self, SlamUpdate, SlamUpdateSettings};
 use crate::odometry::tracks::Track;
 use crate::odometry::zero_velocity;
 use crate::state::{CloneId, SlamFeature};
@@ -123,7 +123,7 @@ impl Estimator {
         }
         let mut report = self.msckf_update(update, in_state)?;
         let settings = SlamUpdateSettings {
-            sigma_px: self.msckf_settings.sigma_px,
+            sigma_px: self.msckf_settings.sigma_px.hypot(slam_update::COMMON_ERROR_PX),
             first_estimates: self.config.first_estimates,
             gate: &self.msckf_settings.gate,
         };

@@ -20,9 +20,13 @@ use types::TrackObservation;
 
 /// Number of consecutive images rejected by the gate after which a feature is marginalized.
 const MAX_GATED_IN_A_ROW: usize = 3;
-/// Maximum distance of a feature from its first estimate, as a fraction of its depth: beyond it the linearization point is
-/// too far from the estimate.
+/// Maximum distance of a feature from its point of linearization, as a fraction of its depth: one that an image moves further is
+/// not described by its covariance.
 const MAX_SHIFT: f64 = 0.2;
+/// Standard deviation of what all pixels of a track err alike, px: each image is aligned with the patch of the first one, whose own
+/// noise is in all of them, and which fits less and less as the view changes. The pixels of a track in the window are few enough
+/// to be taken for independent; a feature that is seen in a hundred images would be known ten times as well as it is.
+pub const COMMON_ERROR_PX: f64 = 0.5;
 /// Maximum number of cameras whose pixels of one feature are gated together.
 const MAX_CAMERAS: usize = 2;
 
