@@ -68,16 +68,16 @@ fn nees_of_all_three_poses_is_as_stated_with_all_seeds() {
 
 #[test]
 fn a_map_initialization_from_a_dozen_matches_with_one_keyframe_is_as_uncertain_as_stated() {
-    map_initialization_is_as_stated(Tracks::Few);
+    map_initialization_is_as_stated(SEEDS, Tracks::Few);
 }
 
 #[test]
-#[ignore = "all tracks, minutes"]
-fn a_map_initialization_is_as_uncertain_as_stated_with_all_tracks() {
-    map_initialization_is_as_stated(Tracks::All);
+#[ignore = "all seeds, minutes"]
+fn a_map_initialization_is_as_uncertain_as_stated_with_all_seeds() {
+    map_initialization_is_as_stated(ALL_SEEDS, Tracks::All);
 }
 
-fn map_initialization_is_as_stated(tracks: Tracks) {
+fn map_initialization_is_as_stated(runs: usize, tracks: Tracks) {
     let simulation = SimulationOptions {
         max_tracks: tracks.max(),
         duration_s: Some(60.0),
@@ -85,7 +85,7 @@ fn map_initialization_is_as_stated(tracks: Tracks) {
     };
     let answers =
         AnswerOptions { every_s: 1.0, max_matches: 12, max_keyframes: 1, ..AnswerOptions::default() };
-    is_as_stated(ensemble(ALL_SEEDS, 2, simulation, answers));
+    is_as_stated(ensemble(runs, 2, simulation, answers));
 }
 
 fn is_as_stated(score: EnsembleScore) {
@@ -104,14 +104,24 @@ fn is_as_stated(score: EnsembleScore) {
 
 #[test]
 fn a_place_that_looks_the_same_does_not_move_the_pose_beyond_what_is_stated() {
-    // A third of the matches of every answer are wrong, and half of the answers are of another place: a thousand of them.
+    wrong_places_move_nothing(9);
+}
+
+#[test]
+#[ignore = "all seeds, minutes"]
+fn a_place_that_looks_the_same_does_not_move_the_pose_with_all_seeds() {
+    wrong_places_move_nothing(18);
+}
+
+fn wrong_places_move_nothing(runs: usize) {
+    // A third of the matches of every answer are wrong, and half of the answers are of another place: a thousand of them in 18 runs.
     let simulation =
         SimulationOptions { max_tracks: 40, duration_s: Some(60.0), ..SimulationOptions::default() };
     let answers =
         AnswerOptions { every_s: 0.5, wrong_matches: 0.3, wrong_place: 0.5, ..AnswerOptions::default() };
-    let score = ensemble(18, 2, simulation, answers);
+    let score = ensemble(runs, 2, simulation, answers);
     let map = score.map;
-    assert!(map.wrong_places >= 1000, "only {} were tried", map.wrong_places);
+    assert!(map.wrong_places >= 55 * runs, "only {} were tried", map.wrong_places);
     assert_eq!(map.jumps, 0, "{map:?}");
     assert!(map.wrong_places_used * 100 <= map.wrong_places, "{map:?}");
     // Nor are the right ones lost with them.
@@ -126,7 +136,7 @@ fn after_a_kilometre(runs: usize, tracks: Tracks) {
 
 #[test]
 fn after_a_kilometre_without_the_map_three_answers_are_enough() {
-    after_a_kilometre(6, Tracks::Few);
+    after_a_kilometre(4, Tracks::Few);
 }
 
 #[test]
