@@ -42,6 +42,9 @@ pub trait MapStore: Sync {
     }
 }
 
+/// Takes the id and the payload of a record.
+pub type VisitRecord<'a> = dyn FnMut(LandmarkId, &[u8]) -> Result<(), RecordError> + 'a;
+
 /// An open database of a map.
 pub trait OpenDatabase: Send {
     /// Reads all but the landmarks, sorted by id.
@@ -54,10 +57,7 @@ pub trait OpenDatabase: Send {
     ///
     /// # Errors
     /// The first one of the database, or [`DatabaseError::Record`].
-    fn visit_landmarks(
-        &self,
-        visit: &mut dyn FnMut(LandmarkId, &[u8]) -> Result<(), RecordError>,
-    ) -> Result<(), DatabaseError>;
+    fn visit_landmarks(&self, visit: &mut VisitRecord<'_>) -> Result<(), DatabaseError>;
 
     /// Reads the landmarks one at a time, by id, the observations of each by keyframe.
     ///

@@ -5,12 +5,11 @@ mod tables;
 
 use std::path::{Path, PathBuf};
 
-use protocol::LandmarkId;
 use serde::Serialize;
 
 use super::STORE_SCHEMA;
 use super::error::DatabaseError;
-use super::map_store::{MapStore, OpenDatabase};
+use super::map_store::{MapStore, OpenDatabase, VisitRecord};
 use super::record::{
     self, AliasesRecord, CommonErrorRecord, CrossCovarianceRecord, InfoRecord, KeyframeRecord,
     LandmarkRecord, RecordError,
@@ -47,10 +46,7 @@ impl OpenDatabase for SledDatabase {
         read_frame(&self.database)
     }
 
-    fn visit_landmarks(
-        &self,
-        visit: &mut dyn FnMut(LandmarkId, &[u8]) -> Result<(), RecordError>,
-    ) -> Result<(), DatabaseError> {
+    fn visit_landmarks(&self, visit: &mut VisitRecord<'_>) -> Result<(), DatabaseError> {
         Tree::open(&self.database, Table::Landmarks)?
             .visit(|key, value| visit(id_of(key)?, record::open(Table::Landmarks.name(), key, value)?))
     }
