@@ -105,24 +105,24 @@ fn is_as_stated(score: EnsembleScore) {
 
 #[test]
 fn a_place_that_looks_the_same_does_not_move_the_pose_beyond_what_is_stated() {
-    wrong_places_move_nothing(9);
+    wrong_places_move_nothing(9, 500);
 }
 
 #[test]
 #[ignore = "all seeds, minutes"]
 fn a_place_that_looks_the_same_does_not_move_the_pose_with_all_seeds() {
-    wrong_places_move_nothing(18);
+    wrong_places_move_nothing(18, 1000);
 }
 
-fn wrong_places_move_nothing(runs: usize) {
-    // A third of the matches of every answer are wrong, and half of the answers are of another place: a thousand of them in 18 runs.
+fn wrong_places_move_nothing(runs: usize, at_least: usize) {
+    // A third of the matches of every answer are wrong, and half of the answers are of another place.
     let simulation =
         SimulationOptions { max_tracks: 40, duration_s: Some(60.0), ..SimulationOptions::default() };
     let answers =
         AnswerOptions { every_s: 0.5, wrong_matches: 0.3, wrong_place: 0.5, ..AnswerOptions::default() };
     let score = ensemble(runs, 2, simulation, answers);
     let map = score.map;
-    assert!(map.wrong_places >= 55 * runs, "only {} were tried", map.wrong_places);
+    assert!(map.wrong_places >= at_least, "only {} were tried", map.wrong_places);
     assert_eq!(map.jumps, 0, "{map:?}");
     assert!(map.wrong_places_used * 100 <= map.wrong_places, "{map:?}");
     // Nor are the right ones lost with them.

@@ -133,8 +133,8 @@ impl SlamUpdate {
         }
     }
 
-    /// Marginalizes the features that the newest image does not observe, that the gate rejected too often, or that moved too
-    /// far from their first estimate.
+    /// Marginalizes the features that the newest image does not observe, that the gate rejected too often, or that an
+    /// image moved too far.
     pub fn marginalize_lost(
         &mut self,
         state: &mut ActiveState,
