@@ -8,8 +8,14 @@
 //! which is block diagonal in the clones minus a matrix of rank three: the projection is never computed. The other three
 //! directions initialize the landmark: `f = A⁻¹ H_fᵀ (r - H_x e - n)`, with noise independent of the above.
 //!
+//! The matrix of rank three is computed as `(QᵀH_x)ᵀ (QᵀH_x)` with an orthonormal basis `Q` of the columns of `H_f`. A robot
+//! that brakes moves by millimetres in the window, straight at some landmarks whose pixels then hardly depend on their depth:
+//! with `A⁻¹` the rounding errors of the difference are 10⁶ times those of its terms, and the Cholesky decomposition of the sum
+//! takes them for information about the absolute position (92 mm became 42 mm within an image).
+//!
 //! Source: Mourikis & Roumeliotis, ICRA 2007, section III-D; the Schur complement of the normal equations; Li & Mourikis,
-//! "Optimization-based estimator design for vision-aided inertial navigation", RSS 2012 (SLAM features).
+//! "Optimization-based estimator design for vision-aided inertial navigation", RSS 2012 (SLAM features); Yamamoto, Nakatsukasa,
+//! Yanagisawa & Fukaya, "Roundoff error analysis of the CholeskyQR2 algorithm", ETNA 2015 (the basis).
 
 use crate::linear_algebra::NotPositiveDefinite;
 use crate::linear_algebra::dense::{Dense, Factorization};
@@ -18,8 +24,12 @@ use crate::odometry::pixel_measurement::{
     JacobianBlocks, Layout, PixelMeasurement, add_pixel, columns_of, covariance_between,
 };
 use crate::state::ActiveState;
-use nalgebra::{Cholesky, Matrix3, Vector3};
+use nalgebra::{Cholesky, Matrix2x3, Matrix3, Vector3};
 use std::ops::Range;
+
+/// How far the columns may be from orthonormal after the first of two steps: further, rounding errors are all there is of one
+/// of them, since the pixels do not determine the landmark.
+const MAX_FIRST_ERROR: f64 = 0.5;
 
 /// The linearized pixels of one landmark, with reused memory.
 #[derive(Clone, Debug, Default)]
@@ -29,9 +39,11 @@ pub struct FeatureMeasurement {
     /// What is known of the landmark besides its pixels: information about its error, 1/m^2. It is zero at the linearization
     /// point.
     pub prior: Option<Matrix3<f64>>,
-    /// `Cᵀ` by the columns of the [`Layout`].
+    /// `Q` by pixel.
+    basis: Vec<Matrix2x3<f64>>,
+    /// `H_fᵀ H_x` or `Qᵀ H_x`, by the columns of the [`Layout`].
     cross: Vec<[f64; 3]>,
-    /// `C A^-½`, transposed.
+    /// `Qᵀ H_x`, transposed.
     reduced: [Vec<f64>; 3],
     gate: GateMemory,
 }
@@ -168,23 +180,23 @@ impl FeatureMeasurement {
         state: &ActiveState,
         layout: &Layout,
     ) -> Result<(), NotPositiveDefinite> {
-        let landmark = self.landmark_block();
-        let factor = Cholesky::new(landmark.information).ok_or(NotPositiveDefinite)?.unpack();
-        self.sum_cross(state, layout);
-        for pixel in &self.pixels {
+        self.find_basis()?;
+        let mut vector = Vector3::zeros();
+        let mut residual = 0.0;
+        for (pixel, basis) in self.pixels.iter().zip(&self.basis) {
             add_pixel(pixel, state, layout, information);
+            vector += basis.tr_mul(&pixel.residual);
+            residual += pixel.residual.norm_squared();
         }
-        let forward = |v: &Vector3<f64>| factor.solve_lower_triangular_unchecked(v);
-        let vector = forward(&landmark.vector);
+        sum_cross(&mut self.cross, self.pixels.iter().zip(&self.basis), state, layout);
         for part in &mut self.reduced {
             part.clear();
         }
-        for (sum, cross) in information.vector.iter_mut().zip(&self.cross) {
-            let reduced = forward(&Vector3::from(*cross));
-            for (part, value) in self.reduced.iter_mut().zip(reduced.iter()) {
+        for (sum, reduced) in information.vector.iter_mut().zip(&self.cross) {
+            for (part, value) in self.reduced.iter_mut().zip(reduced) {
                 part.push(*value);
             }
-            *sum -= reduced.dot(&vector);
+            *sum -= Vector3::from(*reduced).dot(&vector);
         }
         let [x, y, z] = &self.reduced;
         for span in self.spans(layout) {
@@ -200,7 +212,7 @@ impl FeatureMeasurement {
                 }
             }
         }
-        information.residual += landmark.residual - vector.norm_squared();
+        information.residual += residual - vector.norm_squared();
         information.rows += self.free_rows();
         Ok(())
     }
@@ -213,16 +225,25 @@ impl FeatureMeasurement {
         [0..layout.calibration.len(), layout.clone_column(first.min(last))..layout.clone_column(last + 1)]
     }
 
-    /// Computes `C`.
-    fn sum_cross(&mut self, state: &ActiveState, layout: &Layout) {
-        self.cross.clear();
-        self.cross.resize(layout.len(), [0.0; 3]);
-        for pixel in &self.pixels {
-            for (column, own) in columns_of(pixel, state, layout) {
-                let cross = pixel.wrt_landmark.tr_mul(&own);
-                self.cross[column].iter_mut().zip(cross.iter()).for_each(|(sum, value)| *sum += value);
+    /// Computes `Q`: twice `H_f ← H_f L⁻ᵀ`, with `L` the Cholesky factor of `H_fᵀ H_f`. The second time removes the rounding
+    /// errors of the first one.
+    fn find_basis(&mut self) -> Result<(), NotPositiveDefinite> {
+        self.basis.clear();
+        self.basis.extend(self.pixels.iter().map(|pixel| pixel.wrt_landmark));
+        let mut prior = self.prior.unwrap_or_default();
+        for turn in 0..2 {
+            let gram = self.basis.iter().fold(prior, |sum, rows| sum + rows.tr_mul(rows));
+            if turn > 0 && (gram - Matrix3::identity()).amax() > MAX_FIRST_ERROR {
+                return Err(NotPositiveDefinite);
             }
+            let factor = Cholesky::new(gram).ok_or(NotPositiveDefinite)?.unpack();
+            let inverse = factor.solve_lower_triangular(&Matrix3::identity()).ok_or(NotPositiveDefinite)?;
+            for rows in &mut self.basis {
+                *rows *= inverse.transpose();
+            }
+            prior = inverse * prior * inverse.transpose();
         }
+        Ok(())
     }
 
     /// Adds the initialization of the landmark in the state; see [`DelayedInitialization`].
@@ -237,12 +258,30 @@ impl FeatureMeasurement {
     ) -> Result<(), NotPositiveDefinite> {
         let landmark = self.landmark_block();
         let noise = Cholesky::new(landmark.information).ok_or(NotPositiveDefinite)?.inverse();
-        self.sum_cross(state, layout);
+        let rows = self.pixels.iter().map(|pixel| (pixel, &pixel.wrt_landmark));
+        sum_cross(&mut self.cross, rows, state, layout);
         initialization.shifts.push(noise * landmark.vector);
         initialization.noises.push(noise);
         let jacobian = self.cross.iter().map(|cross| <[f64; 3]>::from(-(noise * Vector3::from(*cross))));
         initialization.jacobians.extend(jacobian);
         Ok(())
+    }
+}
+
+/// Sums up the products of three columns, those of `H_f` or `Q`, with those of `H_x`.
+fn sum_cross<'a>(
+    cross: &mut Vec<[f64; 3]>,
+    pixels: impl Iterator<Item = (&'a PixelMeasurement, &'a Matrix2x3<f64>)>,
+    state: &ActiveState,
+    layout: &Layout,
+) {
+    cross.clear();
+    cross.resize(layout.len(), [0.0; 3]);
+    for (pixel, rows) in pixels {
+        for (column, own) in columns_of(pixel, state, layout) {
+            let product = rows.tr_mul(&own);
+            cross[column].iter_mut().zip(product.iter()).for_each(|(sum, value)| *sum += value);
+        }
     }
 }
 
@@ -253,6 +292,7 @@ mod tests {
     use crate::odometry::pixel_measurement::linearize_pixel;
     use crate::state::POSE_DIM;
     use crate::test_scene::{Scene, scene};
+    use geometry::Pose;
     use geometry::numeric::numeric_jacobian;
     use nalgebra::{DMatrix, DVector};
 
@@ -364,6 +404,50 @@ mod tests {
             assert!((initialization.shifts[0] - &solve * &residual).amax() < 1e-7);
             assert!((initialization.noises[0] - inverse).amax() < 1e-9);
         }
+    }
+
+    /// Straight at the landmark, by millimetres: its pixels do not depend on its depth but by rounding.
+    fn braking() -> Scene {
+        let mut scene = scene(false);
+        let calibrated = &scene.state.calibration.cameras[0];
+        let local_from_camera = scene.state.clones[0].local_from_imu * calibrated.imu_from_camera;
+        let camera_from_imu = calibrated.imu_from_camera.inverse();
+        let ahead = local_from_camera.rotation * Vector3::z();
+        scene.landmark = local_from_camera.translation + 0.7 * ahead;
+        for (index, clone) in scene.state.clones.iter_mut().enumerate() {
+            let off = Vector3::new(1e-6, -2e-6, 0.0) * index as f64;
+            let moved = 4e-4 * index as f64 * ahead + off;
+            clone.local_from_imu =
+                Pose::new(local_from_camera.rotation, local_from_camera.translation + moved) * camera_from_imu;
+            clone.first_estimate = clone.local_from_imu;
+        }
+        scene
+    }
+
+    #[test]
+    fn the_information_of_a_landmark_without_visible_depth_is_that_of_the_projected_rows() {
+        let scene = braking();
+        let mut rows = linearized(&scene, true);
+        let information = information(&scene, &mut rows);
+        let given = information.matrix.view().into_owned();
+        let layout = Layout::of(&scene.state);
+        let count = rows.pixels.len();
+        let (mut wrt_landmark, mut wrt_state) =
+            (DMatrix::zeros(2 * count, 3), DMatrix::zeros(2 * count, layout.len()));
+        for (k, pixel) in rows.pixels.iter().enumerate() {
+            wrt_landmark.fixed_rows_mut::<2>(2 * k).copy_from(&pixel.wrt_landmark);
+            for (column, own) in columns_of(pixel, &scene.state, &layout) {
+                wrt_state.fixed_view_mut::<2, 1>(2 * k, column).copy_from(&own);
+            }
+        }
+        let (expected, _) = crate::linear_algebra::null_space::project_out(
+            wrt_landmark,
+            wrt_state,
+            DVector::zeros(2 * count),
+        );
+        let difference = apart(&given, &expected.tr_mul(&expected));
+        assert!(difference < 1e-8, "{difference}");
+        assert!(given.symmetric_eigenvalues().min() > -1e-13 * given.amax());
     }
 
     #[test]
