@@ -186,6 +186,12 @@ impl Calibration {
         }
     }
 
+    /// Becomes a copy of `other` in its own memory.
+    pub fn copy_from(&mut self, other: &Self) {
+        (self.time_offset, self.online) = (other.time_offset, other.online);
+        self.cameras.clone_from(&other.cameras);
+    }
+
     /// Whether all values are finite and all intrinsics valid.
     pub fn is_valid(&self) -> bool {
         self.time_offset.is_finite()

@@ -47,6 +47,17 @@ pub fn renew(state: &mut ActiveState, covariance: &mut JointCovariance) {
     }
 }
 
+/// Takes the first estimates of another point of linearization, to which [`renew`] has carried the covariance.
+pub fn adopt(state: &mut ActiveState, other: &ActiveState) {
+    state.first_motion = other.first_motion;
+    for (own, other) in state.slam_features.iter_mut().zip(&other.slam_features) {
+        own.first_estimate = other.first_estimate;
+    }
+    for (own, other) in state.clones.iter_mut().zip(&other.clones) {
+        own.first_estimate = other.first_estimate;
+    }
+}
+
 /// `e_p ← e_p + e_R x moved` for the errors that begin at `rotation` and `position`.
 fn transport(covariance: &mut JointCovariance, rotation: usize, position: usize, moved: &Vector3<f64>) {
     let jacobian = -rotation::skew(moved);

@@ -252,7 +252,36 @@ impl JointCovariance {
         information: &Information,
         correction: &mut DVector<f64>,
     ) -> Result<(), NotPositiveDefinite> {
-        self.compressed(information, |joint, rows, _| joint.measurement_update(rows, correction))
+        self.information_update_if(information, correction, |_, _| true).map(|_| ())
+    }
+
+    /// The same, if its correction is accepted.
+    ///
+    /// # Arguments
+    /// * `accept`: of the correction of the active state, and the standard deviation of each of its components.
+    ///
+    /// # Returns
+    /// Whether the update was made.
+    ///
+    /// # Errors
+    /// [`NotPositiveDefinite`]: nothing was changed.
+    pub fn information_update_if(
+        &mut self,
+        information: &Information,
+        correction: &mut DVector<f64>,
+        accept: impl FnOnce(&DVector<f64>, &dyn Fn(usize) -> f64) -> bool,
+    ) -> Result<bool, NotPositiveDefinite> {
+        self.compressed(information, |joint, rows, _| {
+            joint.correction(rows, correction)?;
+            // The covariance of the correction is what the update subtracts.
+            let sigma =
+                |k: usize| joint.workspace.whitened.column(k).iter().map(|w| w * w).sum::<f64>().sqrt();
+            let accepted = accept(correction, &sigma);
+            if accepted {
+                joint.subtract(rows);
+            }
+            Ok(accepted)
+        })
     }
 
     /// The measurement update; see the module's documentation.
@@ -268,13 +297,18 @@ impl JointCovariance {
         correction: &mut DVector<f64>,
     ) -> Result<(), NotPositiveDefinite> {
         self.correction(measurement, correction)?;
+        self.subtract(measurement);
+        Ok(())
+    }
+
+    /// The covariances after the measurement that was whitened last.
+    fn subtract(&mut self, measurement: &LinearizedMeasurement) {
         let Workspace { whitened, innovation, .. } = &self.workspace;
         self.active.subtract_gram(whitened);
         self.active.mirror_lower();
         if !self.held.is_empty() {
             self.held.measurement_update(measurement, whitened, innovation);
         }
-        Ok(())
     }
 
     /// The correction of [`Self::information_update`], without the update.

@@ -1,6 +1,7 @@
 //! The filter: its members, and its verbs in the files of this module.
 
 mod accessors;
+mod iterated_update;
 mod map_initialization;
 mod map_linearization;
 mod map_revision;

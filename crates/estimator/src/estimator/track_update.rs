@@ -6,19 +6,21 @@ use crate::error::EstimatorError;
 use crate::measurement::LinearizedMeasurement;
 use crate::noise_adaptation::correction::BeforeUpdate;
 use crate::odometry::msckf_update::{MsckfUpdate, TrackReport};
-use crate::odometry::pixel_measurement::Layout;
 use crate::odometry::slam_update::{self, SlamUpdate, SlamUpdateSettings};
 use crate::odometry::tracks::Track;
 use crate::odometry::zero_velocity;
-use crate::state::{CloneId, SlamFeature};
-use nalgebra::DMatrix;
+use crate::state::{ActiveState, CloneId, FEATURE_DIM, SlamFeature};
+use nalgebra::{DMatrix, Vector3};
 use types::TrackObservation;
 
 /// Memory of the odometry update, reused from image to image.
 #[derive(Clone, Debug, Default)]
 pub(super) struct OdometryUpdate {
-    finished: Vec<Track>,
-    msckf: MsckfUpdate,
+    pub(super) finished: Vec<Track>,
+    pub(super) msckf: MsckfUpdate,
+    /// The point of an update's next linearization, and the correction at the one before.
+    pub(super) there: Option<ActiveState>,
+    pub(super) before: Vec<f64>,
     slam: SlamUpdate,
     zero_velocity: LinearizedMeasurement,
 }
@@ -133,35 +135,9 @@ impl Estimator {
         Ok(report)
     }
 
-    /// Updates the state with the finished tracks, and initializes SLAM features from those that are still tracked.
-    fn msckf_update(
-        &mut self,
-        update: &mut OdometryUpdate,
-        in_state: usize,
-    ) -> Result<TrackReport, EstimatorError> {
-        let OdometryUpdate { finished, msckf, .. } = update;
-        let mut vacant = self.config.slam_features.saturating_sub(in_state);
-        let accept_slam_feature = |_: &Track| {
-            let accepted = vacant > 0;
-            vacant -= usize::from(accepted);
-            accepted
-        };
-        let report =
-            msckf.collect(&self.state, &self.covariance, finished, &self.msckf_settings, accept_slam_feature);
-        for nis_per_row in msckf.nis_per_row.drain(..) {
-            self.noise.note_track(nis_per_row);
-        }
-        self.tracks.recycle(finished);
-        self.insert_slam_features(msckf);
-        if msckf.information.rows > 0 {
-            self.covariance.information_update(&msckf.information, &mut self.correction)?;
-            self.state.retract(&self.correction);
-        }
-        Ok(report)
-    }
-
-    /// Delayed initialization: adds the new features of an update to the state, and shifts the update's columns accordingly.
-    fn insert_slam_features(&mut self, update: &mut MsckfUpdate) {
+    /// Delayed initialization: adds the new features of the last update to the state. Their noise is independent of that of the
+    /// update, so it makes no difference which comes first.
+    pub(super) fn insert_slam_features(&mut self, update: &mut MsckfUpdate) {
         if update.new_features.is_empty() {
             return;
         }
@@ -173,16 +149,23 @@ impl Estimator {
             .map(|noise| DMatrix::from_column_slice(3, 3, noise.as_slice()));
         let columns = &update.information.blocks;
         self.covariance.insert(self.state.clones_begin(), columns, &self.feature_jacobian, noise);
-        for (feature, shift) in update.new_features.iter().zip(&update.initialization.shifts) {
+        let shifts = update.initialization.shifts.iter().enumerate();
+        for (feature, (index, shift)) in update.new_features.iter().zip(shifts) {
+            // The update has moved the poses that the feature is seen from.
+            let rows = FEATURE_DIM * index..FEATURE_DIM * (index + 1);
+            let columns = columns.ranges().flat_map(|(range, here)| range.zip(here));
+            let moved = columns.map(|(of_state, column)| {
+                Vector3::from_column_slice(&self.feature_jacobian.column(column)[rows.clone()])
+                    * self.correction[of_state]
+            });
+            let moved: Vector3<f64> = moved.sum();
             self.state.slam_features.push(SlamFeature {
                 feature_id: feature.feature_id,
-                position: feature.position + shift,
+                position: feature.position + shift + moved,
                 first_estimate: feature.position,
                 gated_in_a_row: 0,
             });
         }
-        update.information.blocks.active.clear();
-        update.information.blocks.active.extend(Layout::of(&self.state).runs());
     }
 
     /// Whether the tracks show a stationary body and the gate accepts it; a zero-velocity update then, if the last one is as

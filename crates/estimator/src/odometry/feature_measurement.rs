@@ -24,7 +24,7 @@ use crate::odometry::pixel_measurement::{
     JacobianBlocks, Layout, PixelMeasurement, add_pixel, columns_of, covariance_between,
 };
 use crate::state::ActiveState;
-use nalgebra::{Cholesky, Matrix2x3, Matrix3, Vector3};
+use nalgebra::{Cholesky, DVector, Matrix2x3, Matrix3, Vector3};
 use std::ops::Range;
 
 /// How far the columns may be from orthonormal after the first of two steps: further, rounding errors are all there is of one
@@ -102,6 +102,16 @@ impl FeatureMeasurement {
     pub fn free_rows(&self) -> usize {
         // A prior of the distance is one more row.
         (2 * self.pixels.len() + usize::from(self.prior.is_some())).saturating_sub(3)
+    }
+
+    /// Residuals at another estimate than that of the Jacobians.
+    ///
+    /// # Arguments
+    /// * `ahead`: error of the active state at the point of linearization, as seen from the other estimate.
+    pub fn seen_from(&mut self, state: &ActiveState, layout: &Layout, ahead: &DVector<f64>) {
+        for pixel in &mut self.pixels {
+            pixel.residual += pixel.change(state, layout, ahead);
+        }
     }
 
     fn landmark_block(&self) -> LandmarkBlock {
@@ -294,7 +304,7 @@ mod tests {
     use crate::test_scene::{Scene, scene};
     use geometry::Pose;
     use geometry::numeric::numeric_jacobian;
-    use nalgebra::{DMatrix, DVector};
+    use nalgebra::DMatrix;
 
     fn linearized(scene: &Scene, first_estimates: bool) -> FeatureMeasurement {
         let pixels = scene.observations.iter().map(|observation| {
@@ -406,6 +416,22 @@ mod tests {
         }
     }
 
+    #[test]
+    fn residuals_seen_from_another_estimate_are_those_there() {
+        for calibrating in [false, true] {
+            let mut scene = scene(calibrating);
+            let layout = Layout::of(&scene.state);
+            let here = residual(&linearized(&scene, false));
+            let ahead = DVector::from_fn(scene.state.dim(), |k, _| 1e-4 * (1.3 * k as f64).sin());
+            scene.state.retract(&ahead);
+            let mut rows = linearized(&scene, false);
+            let there = residual(&rows);
+            rows.seen_from(&scene.state, &layout, &ahead);
+            let (apart, moved) = ((residual(&rows) - &here).norm(), (there - &here).norm());
+            assert!(apart < 1e-3 * moved && moved > 0.05, "{apart} {moved}");
+        }
+    }
+
     /// Straight at the landmark, by millimetres: its pixels do not depend on its depth but by rounding.
     fn braking() -> Scene {
         let mut scene = scene(false);
@@ -418,7 +444,8 @@ mod tests {
             let off = Vector3::new(1e-6, -2e-6, 0.0) * index as f64;
             let moved = 4e-4 * index as f64 * ahead + off;
             clone.local_from_imu =
-                Pose::new(local_from_camera.rotation, local_from_camera.translation + moved) * camera_from_imu;
+                Pose::new(local_from_camera.rotation, local_from_camera.translation + moved)
+                    * camera_from_imu;
             clone.first_estimate = clone.local_from_imu;
         }
         scene

@@ -18,7 +18,7 @@ use crate::odometry::tracks::{CloneObservation, Track};
 use crate::state::{ActiveState, Block};
 use geometry::triangulation::{TriangulationOptions, View, triangulate};
 use geometry::{Camera, Triangulated};
-use nalgebra::{Matrix2x3, Matrix2x6, Matrix3, Vector2, Vector3};
+use nalgebra::{DVector, Matrix2x3, Matrix2x6, Matrix3, Vector2, Vector3};
 use smallvec::SmallVec;
 
 /// Result of the odometry update of one image.
@@ -104,6 +104,8 @@ pub struct MsckfUpdate {
     /// Normalized innovation squared of some tracks before their gate, for each degree of freedom.
     pub nis_per_row: Vec<f64>,
     feature: FeatureMeasurement,
+    /// Observations of a track without outliers.
+    observations: Vec<CloneObservation>,
 }
 
 type Views = SmallVec<[View; 48]>;
@@ -113,11 +115,14 @@ impl MsckfUpdate {
     /// Linearizes and sums up `tracks`.
     ///
     /// # Arguments
+    /// * `state`: the point of linearization.
+    /// * `ahead`: its error, as seen from the estimate to which `covariance` belongs; `None` where it is that estimate.
     /// * `tracks`: sorted by this function in the order of their use.
     /// * `accept_slam_feature`: whether a track of the newest clone becomes a SLAM feature; called once for each candidate.
     pub fn collect(
         &mut self,
         state: &ActiveState,
+        ahead: Option<&DVector<f64>>,
         covariance: &JointCovariance,
         tracks: &mut [Track],
         settings: &MsckfSettings,
@@ -131,25 +136,31 @@ impl MsckfUpdate {
         let sigma_px = settings.sigma_px.hypot(NONLINEAR_FRACTION * calibration_error);
         // Long tracks have most information; the feature makes the order unique.
         tracks.sort_unstable_by_key(|track| (std::cmp::Reverse(track.observations.len()), track.feature_id));
-        for track in tracks.iter_mut().filter(|track| track.clones() >= MIN_CLONES) {
+        let mut observations = std::mem::take(&mut self.observations);
+        for track in tracks.iter().filter(|track| track.clones() >= MIN_CLONES) {
             if report.used >= settings.max_tracks {
                 report.left_out += 1;
                 continue;
             }
             let triangulated =
-                triangulate_robustly(state, &mut track.observations, sigma_px, largest_error, &mut report);
+                triangulate_robustly(state, track, &mut observations, sigma_px, largest_error, &mut report);
             let mut landmark = triangulated.as_ref().map(|found| found.position);
             self.feature.prior = None;
             if landmark.is_none()
                 && settings.stationary
-                && let Some(distant) = distant_point(state, &track.observations)
+                && let Some(distant) = distant_point(state, &observations)
             {
                 landmark = Some(distant.position);
                 self.feature.prior = Some(distant.information);
             }
-            if landmark.is_none_or(|landmark| !self.linearize(state, track, &landmark, settings, sigma_px)) {
+            if landmark
+                .is_none_or(|landmark| !self.linearize(state, &observations, &landmark, settings, sigma_px))
+            {
                 report.not_triangulated += 1;
                 continue;
+            }
+            if let Some(ahead) = ahead {
+                self.feature.seen_from(state, &layout, ahead);
             }
             let bound = settings.gate.bound(self.feature.free_rows());
             // The exact NIS, where the noise is adapted to it.
@@ -165,13 +176,14 @@ impl MsckfUpdate {
                 continue;
             }
             report.used += 1;
-            if let Some(found) = triangulated.filter(|found| has_accurate_depth(found, state, track))
+            if let Some(found) = triangulated.filter(|found| has_accurate_depth(found, state, &observations))
                 && accept_slam_feature(track)
                 && self.feature.initialize(&mut self.initialization, state, &layout).is_ok()
             {
                 self.new_features.push(NewFeature { feature_id: track.feature_id, position: found.position });
             }
         }
+        self.observations = observations;
         report
     }
 
@@ -188,14 +200,14 @@ impl MsckfUpdate {
     fn linearize(
         &mut self,
         state: &ActiveState,
-        track: &Track,
+        observations: &[CloneObservation],
         landmark: &Vector3<f64>,
         settings: &MsckfSettings,
         sigma_px: f64,
     ) -> bool {
         let first = settings.first_estimates.then_some(landmark);
         self.feature.pixels.clear();
-        for observation in &track.observations {
+        for observation in observations {
             let observed = (observation.clone, usize::from(observation.camera), observation.pixel);
             match linearize_pixel(state, observed, landmark, first, sigma_px) {
                 Some(pixel) => self.feature.pixels.push(pixel),
@@ -237,18 +249,23 @@ fn calibration_error_px(state: &ActiveState, covariance: &JointCovariance) -> f6
 }
 
 /// Triangulates in L; drops the worst observation as long as it is an outlier and enough are left.
+///
+/// # Arguments
+/// * `observations`: become those that are left.
 fn triangulate_robustly(
     state: &ActiveState,
+    track: &Track,
     observations: &mut Vec<CloneObservation>,
     sigma_px: f64,
     largest_error: f64,
     report: &mut TrackReport,
 ) -> Option<Triangulated> {
     let cameras = &state.calibration.cameras;
-    let max_dropped = observations.len() / 4;
-    observations.retain(|observation| {
+    let max_dropped = track.observations.len() / 4;
+    observations.clear();
+    observations.extend(track.observations.iter().copied().filter(|observation| {
         state.clone_index(observation.clone).is_some() && usize::from(observation.camera) < cameras.len()
-    });
+    }));
     for dropped in 0..=max_dropped {
         if observations.len() < MIN_CLONES {
             return None;
@@ -286,13 +303,14 @@ fn triangulate_robustly(
 }
 
 /// Whether the depth of a landmark observed by the newest clone is accurate enough for a SLAM feature.
-fn has_accurate_depth(found: &Triangulated, state: &ActiveState, track: &Track) -> bool {
+fn has_accurate_depth(found: &Triangulated, state: &ActiveState, observations: &[CloneObservation]) -> bool {
     let newest = state.clones.last();
     newest.is_some_and(|newest| {
         let away = found.position - newest.local_from_imu.translation;
         let along = away.normalize();
         let sigma = (along.dot(&(found.covariance * along))).sqrt();
-        track.newest() == Some(newest.id) && sigma < MAX_INITIAL_DEPTH_SIGMA * away.norm()
+        observations.last().is_some_and(|last| last.clone == newest.id)
+            && sigma < MAX_INITIAL_DEPTH_SIGMA * away.norm()
     })
 }
 
@@ -347,9 +365,11 @@ mod tests {
         let mut report = TrackReport::default();
         let mut outlying = scene.observations.clone();
         outlying[3].pixel.x += 60.0;
-        let found = triangulate_robustly(&scene.state, &mut outlying, 1.2, 6.0, &mut report).unwrap();
-        assert_eq!((report.dropped_observations, outlying.len()), (1, 7));
-        assert!(outlying.iter().all(|observation| observation.clone != CloneId(3)));
+        let outlying = Track { feature_id: 0, observations: outlying };
+        let mut left = Vec::new();
+        let found = triangulate_robustly(&scene.state, &outlying, &mut left, 1.2, 6.0, &mut report).unwrap();
+        assert_eq!((report.dropped_observations, left.len()), (1, 7));
+        assert!(left.iter().all(|observation| observation.clone != CloneId(3)));
         assert!((found.position - scene.landmark).norm() < 0.1);
 
         let mut broken = scene.observations.clone();
@@ -361,14 +381,14 @@ mod tests {
             Track { feature_id: 2, observations: scene.observations.clone() },
         ];
         let mut update = MsckfUpdate::default();
-        let report = update.collect(&scene.state, &covariance, &mut tracks, &settings(), |_| true);
+        let report = update.collect(&scene.state, None, &covariance, &mut tracks, &settings(), |_| true);
         assert_eq!((report.used, report.not_triangulated, update.new_features.len()), (1, 1, 1));
         assert_eq!(update.information.rows, 2 * 8 - 3);
 
         let few = MsckfSettings { max_tracks: 1, ..settings() };
         let mut tracks =
             [3, 2].map(|feature_id| Track { feature_id, observations: scene.observations.clone() });
-        let report = update.collect(&scene.state, &covariance, &mut tracks, &few, |_| false);
+        let report = update.collect(&scene.state, None, &covariance, &mut tracks, &few, |_| false);
         assert_eq!((report.used, report.left_out, update.new_features.len()), (1, 1, 0));
     }
 
@@ -380,7 +400,7 @@ mod tests {
             let covariance = JointCovariance::new(DMatrix::identity(dim, dim) * 1e-4, 4);
             let mut tracks = [Track { feature_id: 1, observations: scene.observations.clone() }];
             let mut update = MsckfUpdate::default();
-            let report = update.collect(&scene.state, &covariance, &mut tracks, &settings(), |_| true);
+            let report = update.collect(&scene.state, None, &covariance, &mut tracks, &settings(), |_| true);
             assert_eq!((report.used, update.new_features.len()), (1, 1));
 
             // Rotations and translations of L.
@@ -440,7 +460,7 @@ mod tests {
         let covariance = JointCovariance::new(DMatrix::identity(dim, dim) * 1e-4, 4);
         let mut update = MsckfUpdate::default();
         let at_rest = MsckfSettings { stationary: true, ..settings() };
-        let report = update.collect(&scene.state, &covariance, &mut tracks, &at_rest, |_| true);
+        let report = update.collect(&scene.state, None, &covariance, &mut tracks, &at_rest, |_| true);
         assert_eq!((report.used, report.not_triangulated), (pixels.len(), 0));
 
         let information = &mut update.information.matrix;

@@ -5,7 +5,7 @@ use crate::calibration::{CAMERA_DIM, CameraJacobian};
 use crate::linear_algebra::dense::Dense;
 use crate::measurement::Information;
 use crate::state::{ActiveState, Block, CloneId, POSE_DIM};
-use nalgebra::{Matrix2, Matrix2x3, Matrix2x6, Vector2, Vector3};
+use nalgebra::{DVector, Matrix2, Matrix2x3, Matrix2x6, Vector2, Vector3};
 use smallvec::SmallVec;
 use std::ops::Range;
 
@@ -124,6 +124,18 @@ impl JacobianBlock {
 pub type JacobianBlocks = SmallVec<[JacobianBlock; 3]>;
 
 impl PixelMeasurement {
+    /// The linearized change of the pixel by an error of the active state, with the landmark where it is.
+    pub fn change(&self, state: &ActiveState, layout: &Layout, error: &DVector<f64>) -> Vector2<f64> {
+        let begin = layout.clones.start + POSE_DIM * self.clone_index;
+        let mut change = self.wrt_clone * error.fixed_rows::<POSE_DIM>(begin);
+        if !layout.calibration.is_empty() {
+            let range = state.calibration.camera_range(self.camera);
+            let own = error.rows(layout.calibration.start + range.start, range.len());
+            change += self.wrt_camera.columns(0, range.len()) * own;
+        }
+        change
+    }
+
     /// Its non-zero blocks in the active error, without the landmark.
     pub fn blocks(&self, state: &ActiveState, layout: &Layout) -> JacobianBlocks {
         let mut blocks = JacobianBlocks::new();
