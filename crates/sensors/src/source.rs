@@ -129,6 +129,7 @@ impl SensorEvent {
 
 /// What a source has beside the IMU.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[expect(clippy::struct_excessive_bools, reason = "each is there or not, whatever the others")]
 pub struct Contents {
     /// Number of frames, where it is known beforehand; for a progress display.
     pub frames: Option<usize>,

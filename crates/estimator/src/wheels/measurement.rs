@@ -281,7 +281,7 @@ mod tests {
             assert!((found / nis - 1.0).abs() < 1e-9);
         }
         let [left, right] = measurement.residual_of_wheels(0.5);
-        let back = Vector3::new((right - left) / 0.5, (right + left) / 2.0, 0.0);
+        let back = Vector3::new((right - left) / 0.5, f64::midpoint(right, left), 0.0);
         assert!((back.xy() - measurement.residual.xy()).amax() < 1e-12);
     }
 }

@@ -110,16 +110,12 @@ impl WheelOdometry {
             };
             let before = std::mem::replace(&mut self.before, self.clones.pop_front());
             self.buffer.remove_before(second.stamp_ns - offset_ns - KEPT_NS);
-            match found {
-                Some(readings) => {
-                    let after = self.clones.get(1).copied();
-                    return Some(DueInterval { clones: [first, second], before, after, readings });
-                }
-                None => {
-                    self.counts.missing += 1;
-                    self.watch.note_missing(span_ns[0], newest.stamp_ns);
-                }
+            if let Some(readings) = found {
+                let after = self.clones.get(1).copied();
+                return Some(DueInterval { clones: [first, second], before, after, readings });
             }
+            self.counts.missing += 1;
+            self.watch.note_missing(span_ns[0], newest.stamp_ns);
         }
         None
     }

@@ -47,7 +47,7 @@ impl Speed {
     fn of(reading: &WheelReading, calibration: &WheelCalibration) -> Self {
         let left = calibration.radius_left_m * reading.left;
         let right = calibration.radius_right_m * reading.right;
-        Self { forward: (left + right) / 2.0, turn: (right - left) / calibration.track_m }
+        Self { forward: f64::midpoint(left, right), turn: (right - left) / calibration.track_m }
     }
 }
 
@@ -101,9 +101,12 @@ pub fn preintegrate(
     };
     for pair in readings.windows(2) {
         let dt = (pair[1].stamp_ns - pair[0].stamp_ns) as f64 * 1e-9;
-        let turned = [pair[0].left + pair[1].left, pair[0].right + pair[1].right].map(|sum| sum / 2.0 * dt);
+        let turned = [
+            f64::midpoint(pair[0].left, pair[1].left) * dt,
+            f64::midpoint(pair[0].right, pair[1].right) * dt,
+        ];
         let rolled = [radius_left_m * turned[0], radius_right_m * turned[1]];
-        let (length, angle) = ((rolled[0] + rolled[1]) / 2.0, (rolled[1] - rolled[0]) / track_m);
+        let (length, angle) = (f64::midpoint(rolled[0], rolled[1]), (rolled[1] - rolled[0]) / track_m);
         let arc = Arc::new(length, angle);
         let (sin, cos) = result.motion.x.sin_cos();
         let heading = Matrix2::new(cos, -sin, sin, cos);
@@ -186,7 +189,7 @@ mod tests {
         for (left, right) in [(10.0, 12.0), (10.0, 100.0 / 11.0), (-5.0, 5.0), (0.0, 0.0)] {
             let steady = interval(0, 1_000_000_000, |stamp_ns| WheelReading { stamp_ns, left, right });
             let motion = preintegrate(&steady, &calibration, &WheelNoise::default()).unwrap();
-            let speed = (0.10 * left + 0.11 * right) / 2.0;
+            let speed = f64::midpoint(0.10 * left, 0.11 * right);
             let angle: f64 = (0.11 * right - 0.10 * left) / 0.50;
             let expected = if angle.abs() < 1e-12 {
                 Vector3::new(0.0, speed, 0.0)
