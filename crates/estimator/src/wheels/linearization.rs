@@ -112,8 +112,8 @@ mod tests {
         let slipped = interval(12.5, 13.0);
         let other = preintegrate(&slipped, &calibration, &noise).unwrap();
         let again = linearize(&other, &slipped, &clones, &calibration, &noise).unwrap();
-        assert!((again.wrt_calibration - found.wrt_calibration).amax() < 1e-3);
-        assert!((other.wrt_calibration - motion.wrt_calibration).amax() > 1e-2, "the readings do");
+        assert!((again.wrt_calibration - found.wrt_calibration).amax() < 1e-2, "a chord is not an arc");
+        assert!((other.wrt_calibration - motion.wrt_calibration).amax() > 0.1, "at the readings they do");
         assert_eq!((again.motion, again.covariance), (other.motion, other.covariance));
     }
 }
