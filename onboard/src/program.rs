@@ -80,7 +80,7 @@ pub fn run_robot_until<'a>(
     if arguments.start_at != 0.0 || arguments.duration.is_some() {
         recording = excerpt(recording, arguments.start_at, arguments.duration)?;
     }
-    let config = arguments.estimator_config(recording.calibration())?;
+    let config = arguments.estimator_config(recording.calibration(), recording.contents())?;
     check(arguments)?;
     if arguments.camera_count(recording.calibration())? > 1 && recording.contents().images {
         check_stereo(&recording.calibration().cameras, recording.frames()?)?;
@@ -111,7 +111,7 @@ pub fn run_source_until(
             source.name()
         );
     }
-    let config = arguments.estimator_config(source.calibration())?;
+    let config = arguments.estimator_config(source.calibration(), source.contents())?;
     check(arguments)?;
     let run = play(stop, source, (config, None), arguments, link, progress)?;
     run.finish(Err(NoScore::NoTruth))
@@ -287,6 +287,7 @@ impl FinishedRun {
             starts: report.starts,
             divergences: report.divergences,
             learned_noise: report.learned_noise,
+            wheels: report.wheels,
             alarms: report.alarms,
             final_status: report.final_status,
             interrupted: matches!(report.ended_early, Some(RunError::Interrupted { .. })),

@@ -209,7 +209,9 @@ fn answer_of(map: &LoadedMap, sequence: &Sequence, frame: usize) -> MapAnswer {
 }
 
 fn estimator(sequence: &Sequence) -> Estimator {
-    let config = arguments("unused".as_ref(), "").estimator_config(&sequence.calibration()).unwrap();
+    let config = arguments("unused".as_ref(), "")
+        .estimator_config(&sequence.calibration(), sequence.contents())
+        .unwrap();
     let initial = initial_state(&sequence.into(), Init::Static, &config).unwrap().unwrap();
     Estimator::new(config, rig(sequence), &initial).unwrap()
 }

@@ -26,6 +26,7 @@ fn calibration() -> SensorCalibration {
     SensorCalibration {
         imu: Some(imu),
         cameras: vec![CameraSensor { camera, imu_from_camera: Pose::identity(), rate_hz: 20.0 }],
+        wheels: None,
     }
 }
 

@@ -2,7 +2,7 @@
 //!
 //! | module | what |
 //! |---|---|
-//! | `sensors` | [`SensorCalibration`]: [`ImuSensor`] and [`CameraSensor`] |
+//! | `sensors` | [`SensorCalibration`]: [`ImuSensor`], [`CameraSensor`] and [`WheelSensor`] |
 //! | [`sensor_yaml`] | `sensor.yaml` of the EuRoC layout |
 //! | [`numbers`] | numbers as text that reads back exactly |
 //! | [`kalibr`] | Kalibr's camera chain and `imu.yaml`, and what OpenVINS, ORB-SLAM3, Basalt and Kimera write |
@@ -21,5 +21,5 @@ mod yaml;
 
 pub use error::CalibrationError;
 pub use sensor_yaml::{lens_of_text, read_lens};
-pub use sensors::{CameraSensor, ImuSensor, SensorCalibration};
+pub use sensors::{CameraSensor, ImuSensor, SensorCalibration, WheelSensor};
 pub use yaml::{Lens, projection_yaml};

@@ -4,7 +4,7 @@
 //! first. The body frame is the IMU's, as in EuRoC.
 
 use crate::yaml::{Lens, NoiseYaml, check_positive, parse, pose_from_matrix, read_text};
-use crate::{CalibrationError, CameraSensor, ImuSensor, kalibr};
+use crate::{CalibrationError, CameraSensor, ImuSensor, WheelSensor, kalibr};
 use geometry::camera::Camera;
 use serde::Deserialize;
 use std::path::Path;
@@ -32,6 +32,17 @@ struct MountYaml {
     #[serde(rename = "T_BS")]
     body_from_sensor: Matrix4Yaml,
     rate_hz: f64,
+}
+
+/// Geometry and noise of the wheels.
+#[derive(Deserialize)]
+struct WheelsYaml {
+    #[serde(rename = "T_BS")]
+    body_from_sensor: Matrix4Yaml,
+    radius_left: f64,
+    radius_right: f64,
+    track: f64,
+    noise: Option<f64>,
 }
 
 /// Intrinsics and distortion of a camera.
@@ -88,6 +99,31 @@ pub fn read_camera(path: &Path) -> Result<CameraSensor, CalibrationError> {
     check_positive(path, "rate_hz", mount.rate_hz)?;
     let imu_from_camera = pose_from_matrix(path, "T_BS", &mount.body_from_sensor.data)?;
     Ok(CameraSensor { camera, imu_from_camera, rate_hz: mount.rate_hz })
+}
+
+/// Reads the `sensor.yaml` of the wheels: `radius_left`, `radius_right` and `track` (m), `T_BS`, the pose of the base in the
+/// body frame, and where it is known `noise`, that of a reading (rad/s).
+///
+/// # Errors
+/// [`CalibrationError`] with the file: it is missing, or an entry is missing or wrong.
+pub fn read_wheels(path: &Path) -> Result<WheelSensor, CalibrationError> {
+    let yaml: WheelsYaml = parse(path, KIND, &read_text(path)?)?;
+    let positive = [
+        ("radius_left", yaml.radius_left),
+        ("radius_right", yaml.radius_right),
+        ("track", yaml.track),
+        ("noise", yaml.noise.unwrap_or(1.0)),
+    ];
+    for (name, value) in positive {
+        check_positive(path, name, value)?;
+    }
+    Ok(WheelSensor {
+        radius_left_m: yaml.radius_left,
+        radius_right_m: yaml.radius_right,
+        track_m: yaml.track,
+        imu_from_base: pose_from_matrix(path, "T_BS", &yaml.body_from_sensor.data)?,
+        sigma_speed_rad_s: yaml.noise,
+    })
 }
 
 /// Reads the projection of a camera: resolution, intrinsics and distortion, without the extrinsics.

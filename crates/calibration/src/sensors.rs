@@ -26,6 +26,23 @@ pub struct CameraSensor {
     pub rate_hz: f64,
 }
 
+/// The wheels of a differential drive: two driven wheels on one axis.
+///
+/// The base frame has its origin between the wheels on the floor, x forward, y left, z up.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct WheelSensor {
+    /// Radius of the left wheel, metres.
+    pub radius_left_m: f64,
+    /// Radius of the right wheel, metres.
+    pub radius_right_m: f64,
+    /// Distance between the wheels, metres.
+    pub track_m: f64,
+    /// Pose of the base in the IMU frame.
+    pub imu_from_base: Pose,
+    /// White noise of a reading, rad/s, where the calibration states it.
+    pub sigma_speed_rad_s: Option<f64>,
+}
+
 /// Calibration of all sensors of a robot or of a recording.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SensorCalibration {
@@ -33,4 +50,6 @@ pub struct SensorCalibration {
     pub imu: Option<ImuSensor>,
     /// One camera, or the two of a stereo pair; frames refer to them by index.
     pub cameras: Vec<CameraSensor>,
+    /// The wheels, where there are any and their geometry is known.
+    pub wheels: Option<WheelSensor>,
 }

@@ -1,6 +1,7 @@
 //! All settings of the filter, with units and the reason for each default.
 
 use crate::calibration::OnlineCalibration;
+use crate::wheels::config::WheelConfig;
 use geometry::CameraError;
 use serde::{Deserialize, Serialize};
 use types::ImuNoise;
@@ -163,6 +164,8 @@ pub struct EstimatorConfig {
     pub calibration: OnlineCalibration,
     /// Added to a camera's time stamp to obtain the IMU's, seconds.
     pub camera_time_offset_s: f64,
+    /// The wheels of a differential drive; without it their readings are ignored.
+    pub wheels: Option<WheelConfig>,
     /// Noise of a tracked pixel, px.
     pub sigma_track_px: f64,
     /// Noise of a matched pixel in the current image, px.
@@ -224,6 +227,7 @@ impl Default for EstimatorConfig {
             max_tracks: 100,
             calibration: OnlineCalibration::default(),
             camera_time_offset_s: 0.0,
+            wheels: None,
             sigma_track_px: 1.0,
             sigma_match_px: 1.0,
             sigma_map_px: None,
@@ -315,15 +319,18 @@ impl EstimatorConfig {
             ("track_gate", self.track_gate),
             ("landmark_gate", self.landmark_gate),
             ("frame_gate", self.frame_gate),
+            ("wheels.noise.gate", self.wheels.map_or(self.frame_gate, |wheels| wheels.noise.gate)),
         ] {
             if !(value > 0.0 && value < 1.0) {
                 return Err(ConfigError::NotAConfidence { setting, value });
             }
         }
-        let value = self.camera_time_offset_s;
-        if !(value.is_finite() && value.abs() < MAX_TIME_OFFSET_S) {
-            let setting = "camera_time_offset_s";
-            return Err(ConfigError::TooLarge { setting, value, limit: MAX_TIME_OFFSET_S });
+        let of_camera = ("camera_time_offset_s", self.camera_time_offset_s, MAX_TIME_OFFSET_S);
+        let of_wheels = self.wheels.iter().flat_map(WheelConfig::limited);
+        for (setting, value, limit) in std::iter::once(of_camera).chain(of_wheels) {
+            if !(value.is_finite() && value.abs() < limit) {
+                return Err(ConfigError::TooLarge { setting, value, limit });
+            }
         }
         Ok(())
     }
@@ -357,7 +364,8 @@ impl EstimatorConfig {
             ("sigma_transform_depth_fraction", self.sigma_transform_depth_fraction),
             ("sigma_transform_position_m", self.sigma_transform_position_m),
         ];
-        match positive.into_iter().find(|(_, value)| !(value.is_finite() && *value > 0.0)) {
+        let of_wheels = self.wheels.iter().flat_map(WheelConfig::positive);
+        match positive.into_iter().chain(of_wheels).find(|(_, value)| !(value.is_finite() && *value > 0.0)) {
             Some((setting, value)) => Err(ConfigError::NotPositive { setting, value }),
             None => Ok(()),
         }

@@ -2,7 +2,7 @@
 //! map, by Schmidt-Kalman updates with matched landmarks.
 //!
 //! A sliding-window MSCKF with SLAM features whose state is
-//! `[IMU | calibration | global_from_local | SLAM features | clones]`. Keyframes of the map are nuisance (consider)
+//! `[IMU | calibration | wheels | global_from_local | SLAM features | clones]`. Keyframes of the map are nuisance (consider)
 //! states: their errors and correlations are accounted for and never corrected. The crate does no I/O: it takes
 //! measurements and returns states, and uses no network, clock or file.
 //!
@@ -33,6 +33,7 @@
 //! | [`schmidt`], [`covariance`] | joint covariance of the active state and the held keyframes |
 //! | [`gate`] | chi-square tests |
 //! | [`noise_adaptation`] | noise of IMU, tracks and matches from the innovations |
+//! | [`wheels`] | wheel odometry: preintegration, measurement, slip |
 //! | [`odometry`] | feature tracks: MSCKF update, SLAM features, zero-velocity update |
 //! | [`map_update`] | answers of the map: verification, linearization, versions |
 //! | [`initialization`] | initial state at rest (static) and in motion (dynamic) |
@@ -63,6 +64,7 @@ pub mod schmidt;
 pub mod state;
 #[cfg(test)]
 mod test_scene;
+pub mod wheels;
 
 pub use calibration::{CalibratedCamera, Calibration, OnlineCalibration};
 pub use config::{AdaptiveNoise, ConfigError, EstimatorConfig, InitialSigmas, MapMode, Relinearization};
@@ -84,4 +86,7 @@ pub use motion::{Motion, MotionPredictor};
 pub use noise_adaptation::{LearnedNoise, NoiseBound, NoiseFault};
 pub use odometry::msckf_update::TrackReport;
 pub use state::CloneId;
-pub use types::{ImuNoise, ImuSample, KeyframeId, TrackObservation};
+pub use types::{ImuNoise, ImuSample, KeyframeId, TrackObservation, WheelReading};
+pub use wheels::config::{InitialWheelSigmas, WheelConfig, WheelNoise};
+pub use wheels::report::{Estimated, LearnedWheels, WheelCounts, WheelReport};
+pub use wheels::watch::{Wheel, WheelFault};

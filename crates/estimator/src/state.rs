@@ -1,8 +1,9 @@
-//! The active state `[IMU (15) | calibration | global_from_local (6) | SLAM features (3 each) | clones (6 each)]` and the
-//! layout of its error. The calibration block is empty unless some of it is estimated online.
+//! The active state `[IMU (15) | calibration | wheels (10) | global_from_local (6) | SLAM features (3 each) | clones (6 each)]` and the
+//! layout of its error. The calibration block is empty unless some of it is estimated online, that of the wheels without wheels.
 
 use crate::calibration::Calibration;
 use crate::propagation::{IMU_DIM, ImuState, MotionEstimate};
+use crate::wheels::calibration::{WHEELS_DIM, WheelCalibration};
 use geometry::Pose;
 use nalgebra::{DVector, Matrix6, Vector3, Vector6};
 use std::ops::Range;
@@ -54,6 +55,8 @@ pub enum Block {
     ImuPose,
     /// The calibration estimated online.
     Calibration,
+    /// The calibration of the wheels.
+    Wheels,
     /// `global_from_local`.
     Transform,
     /// The SLAM feature with this index.
@@ -73,6 +76,8 @@ pub struct ActiveState {
     pub first_motion: MotionEstimate,
     /// The cameras.
     pub calibration: Calibration,
+    /// The wheels, where there are any.
+    pub wheels: Option<WheelCalibration>,
     /// `global_from_local`, after the map initialization.
     pub transform: Option<Pose>,
     /// SLAM features.
@@ -92,7 +97,8 @@ impl ActiveState {
         match block {
             Block::Imu => Some(0..IMU_DIM),
             Block::ImuPose => Some(0..POSE_DIM),
-            Block::Calibration => Some(IMU_DIM..self.transform_begin()),
+            Block::Calibration => Some(IMU_DIM..self.wheels_begin()),
+            Block::Wheels => self.wheels.map(|_| self.wheels_begin()..self.transform_begin()),
             Block::Transform => self.transform.map(|_| self.transform_begin()..self.slam_features_begin()),
             Block::SlamFeature(index) => (index < self.slam_features.len()).then(|| {
                 let begin = self.slam_features_begin() + FEATURE_DIM * index;
@@ -112,6 +118,10 @@ impl ActiveState {
 
     /// First index of `global_from_local` in the active error, also where it is not yet in the state.
     pub fn transform_begin(&self) -> usize {
+        self.wheels_begin() + if self.wheels.is_some() { WHEELS_DIM } else { 0 }
+    }
+
+    fn wheels_begin(&self) -> usize {
         IMU_DIM + self.calibration.dim()
     }
 
@@ -134,7 +144,10 @@ impl ActiveState {
         let pose_error = |begin: usize| -> Vector6<f64> { error.fixed_rows::<6>(begin).into() };
         self.imu = self.imu.retract(&error.fixed_rows::<IMU_DIM>(0).into());
         let (transform_begin, slam_features_begin) = (self.transform_begin(), self.slam_features_begin());
-        self.calibration.retract(&error.rows(IMU_DIM, transform_begin - IMU_DIM));
+        self.calibration.retract(&error.rows(IMU_DIM, self.calibration.dim()));
+        if let Some(wheels) = &mut self.wheels {
+            wheels.retract(&error.rows(transform_begin - WHEELS_DIM, WHEELS_DIM));
+        }
         if let Some(transform) = &mut self.transform {
             *transform = retract_locally(transform, &pose_error(transform_begin));
         }
@@ -160,6 +173,7 @@ impl ActiveState {
     pub fn is_finite(&self) -> bool {
         self.imu.is_finite()
             && self.calibration.is_valid()
+            && self.wheels.is_none_or(|wheels| wheels.is_valid())
             && self.transform.is_none_or(|pose| pose.is_finite())
     }
 }

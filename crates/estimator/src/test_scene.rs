@@ -81,6 +81,7 @@ pub fn scene(calibrating: bool) -> Scene {
         imu,
         first_motion,
         calibration,
+        wheels: None,
         transform: None,
         slam_features: Vec::new(),
         clones,

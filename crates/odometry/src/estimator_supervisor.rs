@@ -5,9 +5,10 @@
 
 use estimator::{
     CalibratedCamera, Divergence, Estimator, EstimatorConfig, EstimatorError, ImuSample, InitMethod,
-    InitStatus, Initialization, Initializer, LastTrustedPose, LearnedNoise, Localization, Status,
-    TrackObservation,
+    InitStatus, Initialization, Initializer, LastTrustedPose, LearnedNoise, LearnedWheels, Localization,
+    Status, TrackObservation, WheelReading,
 };
+use std::collections::VecDeque;
 
 /// A filter that diverges earlier than this was initialized badly, nanoseconds.
 const MIN_LIFE_NS: i64 = 10_000_000_000;
@@ -18,6 +19,9 @@ const MAX_PAUSE_S: f64 = 30.0;
 /// Time without a pose before the first warning, and between warnings, nanoseconds.
 const FIRST_WARNING_NS: i64 = 2_000_000_000;
 const WARN_EVERY_NS: i64 = 10_000_000_000;
+
+/// Newest readings of the wheels that are kept for an estimator that is still to be initialized: two seconds at 100 Hz.
+const MAX_WHEEL_READINGS: usize = 200;
 
 /// What the supervisor does now.
 #[derive(Debug)]
@@ -37,6 +41,10 @@ pub struct EstimatorSupervisor {
     last_trusted: Option<LastTrustedPose>,
     /// Noise levels that the last filter learned.
     learned_noise: Option<LearnedNoise>,
+    /// Calibration of the wheels that the last filter learned.
+    learned_wheels: Option<LearnedWheels>,
+    /// Readings of the wheels for the next filter.
+    wheel_readings: VecDeque<WheelReading>,
     bad_initializations: i32,
     /// Why the last filter diverged.
     divergence: Option<String>,
@@ -64,6 +72,8 @@ impl EstimatorSupervisor {
             started_ns: i64::MAX,
             last_trusted: None,
             learned_noise: None,
+            learned_wheels: None,
+            wheel_readings: VecDeque::new(),
             bad_initializations: 0,
             divergence: None,
             init_status: InitStatus::NoData,
@@ -120,6 +130,21 @@ impl EstimatorSupervisor {
         }
     }
 
+    /// Adds a reading of the wheels. What the estimator refuses, it counts.
+    pub fn wheels(&mut self, reading: WheelReading) {
+        match &mut self.phase {
+            Phase::Initializing(_) => {
+                if self.wheel_readings.len() == MAX_WHEEL_READINGS {
+                    self.wheel_readings.pop_front();
+                }
+                self.wheel_readings.push_back(reading);
+            }
+            Phase::Running(estimator) => {
+                let _ = estimator.wheels(reading);
+            }
+        }
+    }
+
     /// Tries to initialize the estimator at an image; does nothing where it runs.
     ///
     /// # Returns
@@ -145,8 +170,14 @@ impl EstimatorSupervisor {
         if let Some(learned) = &self.learned_noise {
             estimator.resume_noise(learned);
         }
+        if let Some(learned) = &self.learned_wheels {
+            estimator.resume_wheels(learned);
+        }
         for reading in initializer.readings_for(&initial) {
             estimator.imu(*reading)?;
+        }
+        for reading in self.wheel_readings.drain(..) {
+            let _ = estimator.wheels(reading);
         }
         self.started_ns = initial.stamp_ns;
         self.phase = Phase::Running(Box::new(estimator));
@@ -168,6 +199,7 @@ impl EstimatorSupervisor {
         let Phase::Running(estimator) = &self.phase else { return };
         if !estimator.is_suspicious() {
             self.learned_noise = Some(estimator.learned_noise());
+            self.learned_wheels = estimator.learned_wheels();
             self.last_trusted = Some(LastTrustedPose {
                 stamp_ns: estimator.stamp_ns(),
                 local_from_imu: estimator.local_from_imu(),

@@ -10,6 +10,7 @@ use super::event::Event;
 use super::map_conversion::map_identity;
 use estimator::{
     Estimator, EstimatorError, InitMethod, LearnedNoise, MapReport, Rejection, Status, TrackReport,
+    WheelReport,
 };
 use protocol::MapIdentity;
 
@@ -63,6 +64,8 @@ pub struct RunReport {
     pub final_status: Option<Status>,
     /// Noise levels learned at the end.
     pub learned_noise: Option<LearnedNoise>,
+    /// What the wheels did, and their calibration at the end; `None` without them.
+    pub wheels: Option<WheelReport>,
     /// Why the run ended before its source did.
     pub ended_early: Option<RunError>,
 }

@@ -345,6 +345,9 @@ impl<'a> Robot<'a> {
 
         let begin = Instant::now();
         self.feed_imu(frame.stamp_ns);
+        for reading in self.events.take_wheels() {
+            self.supervisor.wheels(reading);
+        }
         let tracks = self.initialize(frame.stamp_ns, tracks)?;
         let (Some(tracks), Some(estimator)) = (tracks, self.supervisor.estimator_mut()) else {
             // Answers to queries of the last filter are of no use, but must not pile up.
@@ -434,6 +437,7 @@ impl<'a> Robot<'a> {
         self.report.stereo_pairs = self.events.stereo_pairs().map(PairSummary::from);
         self.report.alarms = self.alarms.kept().to_vec();
         self.report.learned_noise = self.supervisor.learned_noise();
+        self.report.wheels = self.supervisor.estimator().and_then(Estimator::wheel_report);
         self.report.final_status = Some(self.status());
         // It publishes through the outputs.
         self.prediction = None;

@@ -3,7 +3,7 @@
 use super::estimate::StatusReport;
 use super::input::SensorFault;
 use super::run::Robot;
-use estimator::{Alarm, Estimator, NoiseFault, Status, StatusReason};
+use estimator::{Alarm, Estimator, NoiseFault, Status, StatusReason, WheelFault};
 use protocol::limits::MAX_TEXT_BYTES;
 use std::mem::{Discriminant, discriminant};
 
@@ -15,6 +15,7 @@ const NO_MAP: &str = "no map was asked for";
 pub(crate) enum AlarmKind {
     Filter(Discriminant<Alarm>),
     Noise(Discriminant<NoiseFault>),
+    Wheels(Discriminant<WheelFault>),
     Sensor(SensorFault),
 }
 
@@ -22,6 +23,7 @@ impl AlarmKind {
     fn of_filter(alarm: &Alarm) -> Self {
         match alarm {
             Alarm::Noise(fault) => Self::Noise(discriminant(fault)),
+            Alarm::Wheels(fault) => Self::Wheels(discriminant(fault)),
             other => Self::Filter(discriminant(other)),
         }
     }

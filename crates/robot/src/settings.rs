@@ -2,8 +2,9 @@
 
 use super::initial_pose::InitialPoses;
 use super::stop::StopSignal;
-use estimator::{EstimatorConfig, InitialState};
-use sensors::SensorCalibration;
+use estimator::{EstimatorConfig, InitialState, WheelConfig};
+use geometry::rotation;
+use sensors::{SensorCalibration, WheelSensor};
 use std::time::Duration;
 use vision::tracking::TrackerOptions;
 
@@ -63,11 +64,23 @@ impl RobotSettings {
     }
 }
 
-/// The default settings of the estimator with noise and gravity as the calibration of the IMU states them; `None` without an IMU.
+/// The default settings of the estimator with noise and gravity as the calibration of the IMU states them, and the wheels that
+/// it states; `None` without an IMU.
 pub fn estimator_config(calibration: &SensorCalibration) -> Option<EstimatorConfig> {
     let imu = calibration.imu.as_ref()?;
     let mut config = EstimatorConfig::default();
     config.gravity = imu.gravity_magnitude.unwrap_or(config.gravity);
     config.imu_noise = imu.noise;
+    config.wheels = calibration.wheels.as_ref().map(wheel_config);
     Some(config)
+}
+
+/// The default settings of wheels with their geometry and noise.
+fn wheel_config(wheels: &WheelSensor) -> WheelConfig {
+    let mut config = WheelConfig::new(wheels.radius_left_m, wheels.track_m);
+    config.radius_right_m = wheels.radius_right_m;
+    config.base_position_m = wheels.imu_from_base.translation.into();
+    config.base_rotation_rad = rotation::log(&wheels.imu_from_base.rotation).into();
+    config.noise.sigma_speed_rad_s = wheels.sigma_speed_rad_s.unwrap_or(config.noise.sigma_speed_rad_s);
+    config
 }

@@ -161,7 +161,7 @@ fn to_bag(
                 frames += 1;
                 progress(frames);
             }
-            SensorEvent::Tick => {}
+            SensorEvent::Wheels(_) | SensorEvent::Tick => {}
         }
     }
     bag.finish()?;
@@ -173,6 +173,7 @@ fn to_bag(
     let parts = [
         (contents.tracks, "tracks"),
         (contents.features, "features"),
+        (contents.wheels, "the wheels"),
         (recording.has_truth(), "the ground truth"),
     ];
     let left_out = parts.into_iter().filter(|(is_there, _)| *is_there).map(|(_, name)| name).collect();

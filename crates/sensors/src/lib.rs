@@ -31,6 +31,7 @@
 //! DIR/mav0/cam0/data/*                                   the images, PNG or JPEG, if there are any
 //! DIR/mav0/cam0/tracks.csv                               tracked points: time, feature id, pixel; cam1 alike
 //! DIR/mav0/cam0/features.csv                             features for place recognition: time, pixel, descriptor
+//! DIR/mav0/wheels0/{data.csv,sensor.yaml}                the wheels of a differential drive, if there are any; the geometry may be missing
 //! DIR/mav0/state_groundtruth_estimate0/data.csv          ground truth, if known
 //! DIR/reference_poses.csv                                poses to build a map from, if there are any
 //! ```
@@ -89,7 +90,7 @@ mod tests;
 
 #[cfg(feature = "bags")]
 pub use bag::{BagCamera, BagError, BagSensors};
-pub use calibration::{CameraSensor, ImuSensor, SensorCalibration};
+pub use calibration::{CameraSensor, ImuSensor, SensorCalibration, WheelSensor};
 pub use calibration_files::CalibrationFiles;
 pub use error::{SensorError, SequenceError};
 pub use euroc::{
@@ -114,5 +115,5 @@ pub use stereo_check::check_stereo;
 pub use stored::is_recording;
 pub use table::{Row, Table, check_order};
 pub use truth::{ReferencePose, ReferencePosition, TruthRow, TruthTrack};
-pub use types::{ImuNoise, ImuSample, TrackObservation};
+pub use types::{ImuNoise, ImuSample, TrackObservation, WheelReading};
 pub use written_lines::{WrittenLines, read_written_lines, warn_cut_off};

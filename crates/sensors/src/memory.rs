@@ -2,7 +2,7 @@
 
 use super::{
     CameraSensor, Contents, Frame, ImuSample, ImuSensor, PairCounts, ReferencePose, SensorCalibration,
-    TruthRow,
+    TruthRow, WheelReading, WheelSensor,
 };
 use nalgebra::Vector3;
 use std::path::PathBuf;
@@ -18,6 +18,10 @@ pub struct Sequence {
     pub imu: Option<ImuSensor>,
     /// Its readings, strictly increasing in time and finite; empty without an IMU.
     pub imu_samples: Vec<ImuSample>,
+    /// Geometry of the wheels, where there are any and it is known.
+    pub wheels: Option<WheelSensor>,
+    /// Their readings, strictly increasing in time; empty without wheels.
+    pub wheel_readings: Vec<WheelReading>,
     /// One camera, or the two of a stereo pair.
     pub cameras: Vec<CameraSensor>,
     /// The frames of the cameras, strictly increasing in time.
@@ -43,6 +47,7 @@ impl Sequence {
     pub fn contents(&self) -> Contents {
         let mut contents = Contents { frames: Some(0), ..Contents::default() };
         self.frames.iter().for_each(|frame| contents.add(frame));
+        contents.wheels = !self.wheel_readings.is_empty();
         contents
     }
 
@@ -56,7 +61,7 @@ impl Sequence {
 
     /// Calibration of the sensors.
     pub fn calibration(&self) -> SensorCalibration {
-        SensorCalibration { imu: self.imu.clone(), cameras: self.cameras.clone() }
+        SensorCalibration { imu: self.imu.clone(), cameras: self.cameras.clone(), wheels: self.wheels }
     }
 
     /// Unit direction of gravity in the frame of the ground truth; see

@@ -1,8 +1,8 @@
-//! Rows of the IMU and frames, merged into one stream in order of time.
+//! Rows of IMU and wheels and frames, merged into one stream in order of time.
 
 use super::{
     Contents, Frame, ImuSample, PairCounts, Rows, SensorCalibration, SensorError, SensorEvent, SensorSource,
-    SequenceError,
+    SequenceError, WheelReading,
 };
 use std::iter::Peekable;
 
@@ -13,6 +13,7 @@ pub struct RecordingSource<'a> {
     contents: Contents,
     stereo_pairs: Option<PairCounts>,
     readings: Peekable<Rows<'a, ImuSample>>,
+    wheels: Peekable<Rows<'a, WheelReading>>,
     frames: Peekable<Rows<'a, Frame>>,
     failed: bool,
 }
@@ -23,11 +24,11 @@ impl<'a> RecordingSource<'a> {
         name: String,
         calibration: &'a SensorCalibration,
         (contents, stereo_pairs): (Contents, Option<PairCounts>),
-        readings: Rows<'a, ImuSample>,
+        readings: (Rows<'a, ImuSample>, Rows<'a, WheelReading>),
         frames: Rows<'a, Frame>,
     ) -> Self {
-        let (readings, frames) = (readings.peekable(), frames.peekable());
-        Self { name, calibration, contents, stereo_pairs, readings, frames, failed: false }
+        let (readings, wheels, frames) = (readings.0.peekable(), readings.1.peekable(), frames.peekable());
+        Self { name, calibration, contents, stereo_pairs, readings, wheels, frames, failed: false }
     }
 
     /// Whether the next event is a reading: one at the time of a frame comes before it, and an error of either comes
@@ -40,8 +41,24 @@ impl<'a> RecordingSource<'a> {
         }
     }
 
+    /// Whether the next event is a reading of the wheels: one at the time of another event comes before it. Wheels go on for no
+    /// longer than the rest.
+    fn wheels_are_next(&mut self) -> bool {
+        let stamp_ns = match self.wheels.peek() {
+            Some(Ok(reading)) => reading.stamp_ns,
+            other => return other.is_some(),
+        };
+        let (reading, frame) = (self.readings.peek(), self.frames.peek());
+        let has_rest = reading.is_some() || frame.is_some();
+        has_rest
+            && reading.is_none_or(|row| row.as_ref().is_ok_and(|row| stamp_ns <= row.stamp_ns))
+            && frame.is_none_or(|row| row.as_ref().is_ok_and(|row| stamp_ns <= row.stamp_ns))
+    }
+
     fn read_next(&mut self) -> Result<Option<SensorEvent>, SequenceError> {
-        Ok(if self.reading_is_next() {
+        Ok(if self.wheels_are_next() {
+            self.wheels.next().transpose()?.map(SensorEvent::Wheels)
+        } else if self.reading_is_next() {
             self.readings.next().transpose()?.map(SensorEvent::Imu)
         } else {
             self.frames.next().transpose()?.map(SensorEvent::Frame)

@@ -6,14 +6,14 @@ use super::rows::{Rows, Stamped};
 use super::stored::{self, Stored};
 use super::{
     CalibrationFiles, Contents, Frame, ImuSample, PairCounts, RecordingSource, SensorCalibration, Sequence,
-    SequenceError, TruthRow, gravity,
+    SequenceError, TruthRow, WheelReading, gravity,
 };
 use nalgebra::Vector3;
 use std::cell::OnceCell;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// The IMU's readings are part of an excerpt from so long before it to so long after it, nanoseconds.
+/// Readings of IMU and wheels are part of an excerpt from so long before it to so long after it, nanoseconds.
 const IMU_LEAD_NS: i64 = 100_000_000;
 /// The same for the ground truth, which is interpolated at the ends.
 const TRUTH_LEAD_NS: i64 = 300_000_000;
@@ -85,6 +85,10 @@ impl Recording<'static> {
         let imu = calibration.imu.as_ref();
         stored::check_readings(&*stored, imu, |reading| clocks.add_reading(reading.stamp_ns))?;
         clocks.finish(root)?;
+        for reading in stored.wheel_readings()? {
+            reading?;
+            contents.wheels = true;
+        }
         stored.truth()?.try_for_each(|row| row.map(drop))?;
         Ok(Self {
             root: root.to_path_buf(),
@@ -148,7 +152,7 @@ impl Recording<'_> {
     /// # Errors
     /// [`SequenceError`] with the file that cannot be opened.
     pub fn source(&self) -> Result<RecordingSource<'_>, SequenceError> {
-        let (readings, frames) = (self.imu_samples()?, self.frames()?);
+        let (readings, frames) = ((self.imu_samples()?, self.wheel_readings()?), self.frames()?);
         let name = self.root.display().to_string();
         let about = (self.contents, self.stereo_pairs());
         Ok(RecordingSource::new(name, &self.calibration, about, readings, frames))
@@ -174,6 +178,18 @@ impl Recording<'_> {
         let rows: Rows<'_, ImuSample> = match &self.storage {
             Storage::Disk(stored) => stored.imu_samples()?,
             Storage::Memory(sequence) => Box::new(sequence.imu_samples.iter().copied().map(Ok)),
+        };
+        Ok(self.within(rows, IMU_LEAD_NS))
+    }
+
+    /// The readings of the wheels, strictly increasing in time and finite; none without wheels.
+    ///
+    /// # Errors
+    /// [`SequenceError`] with the file.
+    pub fn wheel_readings(&self) -> Result<Rows<'_, WheelReading>, SequenceError> {
+        let rows: Rows<'_, WheelReading> = match &self.storage {
+            Storage::Disk(stored) => stored.wheel_readings()?,
+            Storage::Memory(sequence) => Box::new(sequence.wheel_readings.iter().copied().map(Ok)),
         };
         Ok(self.within(rows, IMU_LEAD_NS))
     }

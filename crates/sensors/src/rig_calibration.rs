@@ -51,7 +51,7 @@ pub fn read_rig_calibration(
     let sensor =
         |(camera, imu_from_camera)| CameraSensor { camera, imu_from_camera, rate_hz: UNSTATED_RATE_HZ };
     let cameras = chain.cameras.into_iter().map(sensor).collect();
-    let sensors = SensorCalibration { imu, cameras };
+    let sensors = SensorCalibration { imu, cameras, wheels: None };
     Ok(FolderCalibration { sensors, time_offset_ns: chain.time_offset_ns, files })
 }
 

@@ -1,7 +1,7 @@
 //! Where a robot's measurements come from: [`SensorSource`].
 
 use super::live::LiveReport;
-use super::{Frame, ImuSample, PairCounts, SensorCalibration, SensorError};
+use super::{Frame, ImuSample, PairCounts, SensorCalibration, SensorError, WheelReading};
 use std::sync::mpsc::Receiver;
 
 /// A stream of IMU readings and camera frames in order of time, with the calibration of the sensors.
@@ -11,7 +11,7 @@ use std::sync::mpsc::Receiver;
 ///
 /// # Order
 /// Events come in order of their `stamp_ns`. A reading and a frame of the same time come in this order: once a frame
-/// was returned, every reading up to and including its time was returned before. Readings are strictly increasing in
+/// was returned, every reading up to and including its time was returned before, of the IMU and of wheels. Readings are strictly increasing in
 /// time, and so are frames. The clocks of IMU and cameras are compared as they are: an offset between them is the
 /// consumer's to handle, who reads ahead as far as it needs (for a frame at time t: to the first reading at or after t
 /// plus the offset, so that the motion is known up to t).
@@ -106,6 +106,8 @@ pub trait SensorSource {
 pub enum SensorEvent {
     /// A reading of the IMU.
     Imu(ImuSample),
+    /// A reading of the wheels.
+    Wheels(WheelReading),
     /// What the cameras gave at one instant.
     Frame(Frame),
     /// Nothing: a live source without frames returns it a few times a second, so that its reader can look at
@@ -118,14 +120,16 @@ impl SensorEvent {
     pub fn stamp_ns(&self) -> Option<i64> {
         match self {
             Self::Imu(sample) => Some(sample.stamp_ns),
+            Self::Wheels(reading) => Some(reading.stamp_ns),
             Self::Frame(frame) => Some(frame.stamp_ns),
             Self::Tick => None,
         }
     }
 }
 
-/// What the frames of a source carry.
+/// What a source has beside the IMU.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[expect(clippy::struct_excessive_bools, reason = "each is there or not, whatever the others")]
 pub struct Contents {
     /// Number of frames, where it is known beforehand; for a progress display.
     pub frames: Option<usize>,
@@ -135,6 +139,8 @@ pub struct Contents {
     pub tracks: bool,
     /// Whether there are features for place recognition. Without them they are extracted from the images.
     pub features: bool,
+    /// Whether there are readings of wheels. They are used where the calibration states the geometry of the wheels.
+    pub wheels: bool,
 }
 
 impl Contents {

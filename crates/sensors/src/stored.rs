@@ -7,7 +7,7 @@ use super::imu_check::ImuCheck;
 use super::rows::Rows;
 use super::{
     CalibrationFiles, Frame, ImuSample, ImuSensor, PairCounts, ReferencePose, SensorCalibration, Sequence,
-    SequenceError, TruthRow,
+    SequenceError, TruthRow, WheelReading,
 };
 use std::fmt::Debug;
 use std::path::{Path, PathBuf};
@@ -20,6 +20,11 @@ pub(crate) trait Stored: Debug + Send + Sync {
 
     /// The IMU's readings, strictly increasing in time and finite; none without an IMU.
     fn imu_samples(&self) -> Result<Rows<'static, ImuSample>, SequenceError>;
+
+    /// The readings of the wheels, strictly increasing in time and finite; none without wheels.
+    fn wheel_readings(&self) -> Result<Rows<'static, WheelReading>, SequenceError> {
+        Ok(Box::new(std::iter::empty()))
+    }
 
     /// What was added to the recorded stamps of the frames (ns).
     fn time_offset_ns(&self) -> i64;
@@ -134,7 +139,7 @@ impl Sequence {
         files: &CalibrationFiles,
         mut keep: impl FnMut(&ImuSample),
     ) -> Result<Self, SequenceError> {
-        let (stored, SensorCalibration { imu, cameras }) = open(root, files)?;
+        let (stored, SensorCalibration { imu, cameras, wheels }) = open(root, files)?;
         let mut clocks = ClockCheck::default();
         check_readings(&*stored, imu.as_ref(), |reading| {
             clocks.add_reading(reading.stamp_ns);
@@ -154,6 +159,8 @@ impl Sequence {
             root: root.to_path_buf(),
             imu,
             imu_samples: Vec::new(),
+            wheels,
+            wheel_readings: stored.wheel_readings()?.collect::<Result<_, _>>()?,
             cameras,
             frames,
             groundtruth: (!groundtruth.is_empty()).then_some(groundtruth),

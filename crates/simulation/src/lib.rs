@@ -9,6 +9,7 @@
 //! | [`Scenario`], [`SimulationOptions`] | what is simulated |
 //! | [`simulate`] | both recordings with tracks and features, as [`sensors::Sequence`] |
 //! | [`images`] | both recordings with rendered images instead |
+//! | [`drive`] | a trajectory of a robot on wheels |
 //! | [`spline`] | continuous trajectories with velocity, acceleration and angular velocity |
 //! | [`monte_carlo`] | many seeded runs of the estimator against the simulated truth, and their NEES |
 //!
@@ -23,6 +24,7 @@
 //! ```
 #![cfg_attr(test, allow(clippy::unwrap_used))]
 
+pub mod drive;
 mod features;
 pub mod images;
 mod imu;

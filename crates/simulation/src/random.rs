@@ -24,6 +24,7 @@ pub(crate) enum Purpose {
     MapShift = 12,
     MapChange = 13,
     Images = 14,
+    Wheels = 15,
 }
 
 /// The stream for one purpose of one run.

@@ -123,6 +123,8 @@ pub(crate) fn with_readings(
             gravity_magnitude: Some(GRAVITY),
         }),
         imu_samples: imu.samples,
+        wheels: None,
+        wheel_readings: Vec::new(),
         cameras: cameras.to_vec(),
         frames,
     }

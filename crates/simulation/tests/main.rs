@@ -24,3 +24,4 @@ mod map_consistency;
 mod odometry_consistency;
 mod rendered_flights;
 mod rescue;
+mod wheel_consistency;

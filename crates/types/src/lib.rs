@@ -4,6 +4,7 @@
 //! |---|---|
 //! | `ids` | [`KeyframeId`], [`LandmarkId`] |
 //! | `imu` | [`ImuSample`], [`ImuNoise`] |
+//! | `wheels` | [`WheelReading`] |
 //! | `track` | [`TrackObservation`], a feature that a front end follows |
 //! | [`descriptors`] | [`DescriptorKind`], [`DescriptorFormat`], [`Descriptors`] |
 //! | [`features`] | [`FeatureSet`], pixels and descriptors of one image |
@@ -17,9 +18,11 @@ pub mod features;
 mod ids;
 mod imu;
 mod track;
+mod wheels;
 
 pub use descriptors::{DescriptorFormat, DescriptorKind, Descriptors};
 pub use features::FeatureSet;
 pub use ids::{KeyframeId, LandmarkId};
 pub use imu::{ImuNoise, ImuSample};
 pub use track::TrackObservation;
+pub use wheels::WheelReading;

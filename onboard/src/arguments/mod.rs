@@ -8,6 +8,7 @@ mod live;
 mod ros;
 mod settings;
 mod settings_file;
+mod wheels;
 
 pub use calibration::CalibrationArguments;
 pub use choices::{Calibrate, Cameras, FrameKind, Init, Mode, Source, TopicFormat};
@@ -17,6 +18,7 @@ pub use live::LiveArguments;
 pub use ros::{ImuInBaseLink, RosArguments};
 pub use settings::{SettingsError, read_settings};
 pub use settings_file::{SettingsFileError, settings_text, with_settings};
+pub use wheels::WheelArguments;
 
 use super::outputs::{RobotMetrics, RosBody, RosOutput};
 use anyhow::{Result, bail};
@@ -25,7 +27,7 @@ use estimator::{EstimatorConfig, MapMode, Relinearization};
 use nalgebra::Vector3;
 use robot::estimator_config;
 use robot::initial_pose::InitialPoses;
-use sensors::SensorCalibration;
+use sensors::{Contents, SensorCalibration};
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 
@@ -113,6 +115,9 @@ pub struct RobotArguments {
     /// Image features
     #[command(flatten)]
     pub features: FeatureArguments,
+    /// Wheels
+    #[command(flatten)]
+    pub wheels: WheelArguments,
 
     /// How the estimator is initialized
     ///
@@ -188,9 +193,16 @@ impl RobotArguments {
     /// The estimator's settings: defaults, overridden by the IMU's calibration, then by the settings file, then by the
     /// switches.
     ///
+    /// # Arguments
+    /// * `contents`: wheels are used where the source has readings of them.
+    ///
     /// # Errors
     /// There is no IMU, the settings file cannot be used, or a setting is out of range.
-    pub fn estimator_config(&self, calibration: &SensorCalibration) -> Result<EstimatorConfig> {
+    pub fn estimator_config(
+        &self,
+        calibration: &SensorCalibration,
+        contents: Contents,
+    ) -> Result<EstimatorConfig> {
         let Some(of_sensor) = estimator_config(calibration) else {
             bail!(
                 "there is no IMU, which the estimator needs: mav0/imu0 in a folder, a topic of sensor_msgs/Imu in a bag (`driftless \
@@ -225,6 +237,7 @@ impl RobotArguments {
         config.calibration.extrinsics |= self.calibrate.contains(&Calibrate::Extrinsics);
         config.calibration.intrinsics |= self.calibrate.contains(&Calibrate::Intrinsics);
         config.calibration.time_offset |= self.calibrate.contains(&Calibrate::TimeOffset);
+        config.wheels = self.wheels.wheels(config.wheels, contents)?;
         config.validate().map_err(|reason| anyhow::anyhow!("settings of the estimator: {reason}"))?;
         let held = config.max_held_keyframes;
         if held > protocol::MAX_HELD_KEYFRAMES {
@@ -263,7 +276,7 @@ mod tests {
     /// Sensors whose calibration states the local gravity.
     fn calibration() -> SensorCalibration {
         let imu = ImuSensor { noise: ImuNoise::default(), rate_hz: 200.0, gravity_magnitude: Some(9.79) };
-        SensorCalibration { imu: Some(imu), cameras: Vec::new() }
+        SensorCalibration { imu: Some(imu), cameras: Vec::new(), wheels: None }
     }
 
     #[test]
@@ -278,7 +291,7 @@ mod tests {
                 std::fs::write(&path, text).unwrap();
                 arguments.estimator_config = Some(path.clone());
             }
-            let config = arguments.estimator_config(&calibration).unwrap();
+            let config = arguments.estimator_config(&calibration, Contents::default()).unwrap();
             assert_eq!(config.mode, arguments.map_mode().unwrap());
             (config.gravity, config.mode)
         };

@@ -224,6 +224,7 @@ fn options(args: &Args) -> anyhow::Result<MonteCarloOptions> {
             ..SimulationOptions::default()
         },
         map_change: None,
+        wheels: None,
         map: MapOptions {
             sigma_theta_rad: args.map_noise.0.to_radians(),
             sigma_p_m: args.map_noise.1,

@@ -18,7 +18,7 @@ use crate::measurement::{Information, LinearizedMeasurement, StateBlocks};
 use crate::propagation::{IMU_DIM, ImuMatrix};
 use crate::schmidt::HeldKeyframes;
 use faer::linalg::matmul::triangular::BlockStructure;
-use nalgebra::{Cholesky, DMatrix, DVector, Matrix6};
+use nalgebra::{Cholesky, DMatrix, DVector, Matrix6, SMatrix};
 use std::ops::Range;
 
 /// Memory reused from one update to the next.
@@ -189,6 +189,11 @@ impl JointCovariance {
         let mut block = self.active.view_mut();
         let mut block = block.fixed_view_mut::<6, 6>(begin, begin);
         block += noise;
+    }
+
+    /// Replaces the covariance of errors from `begin` on that are not correlated with any other.
+    pub fn replace<const N: usize>(&mut self, begin: usize, covariance: &SMatrix<f64, N, N>) {
+        self.active.view_mut().fixed_view_mut::<N, N>(begin, begin).copy_from(covariance);
     }
 
     /// `P_CC`, for the gates on single landmarks.

@@ -11,6 +11,7 @@ mod rescue;
 pub mod status;
 mod time_update;
 mod track_update;
+mod wheel_update;
 
 use crate::calibration::{CalibratedCamera, Calibration};
 use crate::config::{ConfigError, EstimatorConfig};
@@ -33,6 +34,9 @@ use crate::odometry::msckf_update::MsckfSettings;
 use crate::odometry::tracks::TrackStore;
 use crate::propagation::{IMU_DIM, ImuMatrix, MotionEstimate};
 use crate::state::ActiveState;
+use crate::wheels::WheelOdometry;
+use crate::wheels::calibration::{WHEELS_DIM, WheelCalibration};
+use crate::wheels::config::WheelConfig;
 use geometry::Pose;
 use nalgebra::{DMatrix, DVector};
 use track_update::OdometryUpdate;
@@ -136,6 +140,7 @@ pub struct Estimator {
     lost_after: Option<usize>,
     health: Health,
     noise: NoiseAdaptation,
+    wheels: Option<Box<WheelOdometry>>,
 }
 
 impl Estimator {
@@ -161,7 +166,7 @@ impl Estimator {
             calibrated.camera.validate().map_err(|source| ConfigError::Camera { camera, source })?;
         }
         let calibration = Calibration::new(cameras, config.camera_time_offset_s, config.calibration);
-        let covariance = initial_covariance(&initial.covariance, &calibration);
+        let covariance = initial_covariance(&initial.covariance, &calibration, config.wheels.as_ref());
         let covariance = JointCovariance::new(covariance, config.max_active_keyframes);
         let health = Health::new(initial, &config);
         let state = ActiveState {
@@ -169,6 +174,7 @@ impl Estimator {
             imu: initial.imu,
             first_motion: MotionEstimate::of(&initial.imu),
             calibration,
+            wheels: config.wheels.as_ref().map(WheelCalibration::new),
             transform: None,
             slam_features: Vec::new(),
             clones: Vec::new(),
@@ -187,6 +193,7 @@ impl Estimator {
             contradiction_gate: Gate::new(CONTRADICTION_CONFIDENCE),
             frame_gate: Gate::new(config.frame_gate),
             noise: NoiseAdaptation::new(&config, None),
+            wheels: config.wheels.map(WheelOdometry::new).map(Box::new),
             config,
             imu: ImuBuffer::default(),
             state,
@@ -215,12 +222,21 @@ impl Estimator {
     }
 }
 
-/// Covariance of the IMU error and the calibration error, which are independent at first.
-fn initial_covariance(imu: &ImuMatrix, calibration: &Calibration) -> DMatrix<f64> {
-    let dim = IMU_DIM + calibration.dim();
+/// Covariance of the errors of IMU, calibration and wheels, which are independent at first.
+fn initial_covariance(
+    imu: &ImuMatrix,
+    calibration: &Calibration,
+    wheels: Option<&WheelConfig>,
+) -> DMatrix<f64> {
+    let wheels_begin = IMU_DIM + calibration.dim();
+    let dim = wheels_begin + wheels.map_or(0, |_| WHEELS_DIM);
     let mut covariance = DMatrix::zeros(dim, dim);
     covariance.fixed_view_mut::<IMU_DIM, IMU_DIM>(0, 0).copy_from(imu);
     let of_calibration = calibration.initial_covariance();
     covariance.view_mut((IMU_DIM, IMU_DIM), of_calibration.shape()).copy_from(&of_calibration);
+    if let Some(wheels) = wheels {
+        let of_wheels = WheelCalibration::initial_covariance(wheels);
+        covariance.fixed_view_mut::<WHEELS_DIM, WHEELS_DIM>(wheels_begin, wheels_begin).copy_from(&of_wheels);
+    }
     covariance
 }

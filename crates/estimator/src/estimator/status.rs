@@ -5,6 +5,7 @@ use crate::map_update::first_fix::Waiting;
 use crate::map_update::map_gravity::GravityFault;
 use crate::map_update::map_watch::MapDrift;
 use crate::noise_adaptation::{NoiseBound, NoiseFault};
+use crate::wheels::watch::WheelFault;
 use serde::{Deserialize, Serialize};
 
 /// Whether the pose in G can be used.
@@ -65,6 +66,9 @@ pub enum Alarm {
     /// What sensors show contradicts their calibration.
     #[error(transparent)]
     Noise(#[from] NoiseFault),
+    /// The wheels contradict cameras and IMU, or are silent.
+    #[error(transparent)]
+    Wheels(#[from] WheelFault),
 }
 
 /// [`Localization`] and its reason.
@@ -122,7 +126,8 @@ impl Estimator {
     pub fn alarms(&self) -> Vec<Alarm> {
         let gravity = self.map_gravity.fault().map(Alarm::from);
         let drift = self.map_watch.alarm().map(Alarm::from);
-        gravity.into_iter().chain(drift).chain(self.noise.faults().map(Alarm::from)).collect()
+        let wheels = self.wheels.as_ref().and_then(|wheels| wheels.watch.fault()).map(Alarm::from);
+        gravity.into_iter().chain(drift).chain(self.noise.faults().map(Alarm::from)).chain(wheels).collect()
     }
 
     /// Noise levels that the innovations would move below what is allowed: the covariance may be too large.

@@ -69,7 +69,9 @@ impl Estimator {
         self.check_health()?;
         // `track_update` may be left out for an image without tracks.
         self.marginalize_old_clones();
-        Ok(self.clone_pose(stamp_ns))
+        let clone = self.clone_pose(stamp_ns);
+        self.wheel_updates()?;
+        Ok(clone)
     }
 
     fn propagate_to(&mut self, stamp_ns: i64) -> Result<(), EstimatorError> {

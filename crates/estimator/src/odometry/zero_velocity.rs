@@ -231,6 +231,7 @@ mod tests {
             imu,
             first_motion,
             calibration,
+            wheels: None,
             transform: None,
             slam_features: Vec::new(),
             clones,

@@ -71,6 +71,8 @@ fn world(seed: u64, pose_noise: f64, pixel_noise: f64) -> World {
             root: PathBuf::from("simulated"),
             imu: None,
             imu_samples: Vec::new(),
+            wheels: None,
+            wheel_readings: Vec::new(),
             cameras: vec![CameraSensor { camera: camera.clone(), imu_from_camera, rate_hz: 1.0 }],
             frames: Vec::new(),
             groundtruth: None,

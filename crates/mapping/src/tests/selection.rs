@@ -51,6 +51,8 @@ fn sequence() -> Sequence {
         root: "wall".into(),
         imu: None,
         imu_samples: Vec::new(),
+        wheels: None,
+        wheel_readings: Vec::new(),
         cameras: vec![sensor(0.0), sensor(0.1)],
         frames: (0..FRAMES).map(frame).collect(),
         groundtruth: None,

@@ -2,12 +2,15 @@
 
 use super::imu_window::{Checked, ImuWindow};
 use sensors::live::LiveReport;
-use sensors::{Frame, PairCounts, SensorError, SensorEvent, SensorSource};
+use sensors::{Frame, PairCounts, SensorError, SensorEvent, SensorSource, WheelReading};
 use std::collections::VecDeque;
 
 /// A frame waits for the reading after it for so long at most, nanoseconds of sensor time. An IMU that is silent for
 /// longer is taken to have stopped; without a bound, all frames up to its next reading would be held in memory.
 const MAX_IMU_WAIT_NS: i64 = 60_000_000_000;
+
+/// Readings of the wheels that are read ahead at most; where no frame comes for longer, the oldest ones are dropped.
+const MAX_WHEEL_READINGS: usize = 1 << 16;
 
 /// What comes next.
 #[derive(Debug, PartialEq)]
@@ -32,6 +35,7 @@ pub(crate) struct SensorQueue<'a> {
     /// Readings up to the newest that was read.
     pub(crate) imu: ImuWindow,
     frames: VecDeque<Frame>,
+    wheels: VecDeque<WheelReading>,
     /// The source has ended or failed.
     ended: bool,
     error: Option<SensorError>,
@@ -42,7 +46,7 @@ impl<'a> SensorQueue<'a> {
     pub(crate) fn new(source: &'a mut dyn SensorSource) -> Self {
         let rate_hz = source.calibration().imu.as_ref().map_or(1.0, |imu| imu.rate_hz);
         let imu = ImuWindow::new(rate_hz);
-        Self { source, imu, frames: VecDeque::new(), ended: false, error: None }
+        Self { source, imu, frames: VecDeque::new(), wheels: VecDeque::new(), ended: false, error: None }
     }
 
     /// What the source says of itself, if it is live.
@@ -96,6 +100,11 @@ impl<'a> SensorQueue<'a> {
         }
     }
 
+    /// The readings of the wheels that were read since the last call, in order of time.
+    pub(crate) fn take_wheels(&mut self) -> impl Iterator<Item = WheelReading> + '_ {
+        self.wheels.drain(..)
+    }
+
     /// Reads one event.
     fn read(&mut self) -> Read {
         if self.ended {
@@ -104,6 +113,12 @@ impl<'a> SensorQueue<'a> {
         match self.source.next() {
             Ok(Some(SensorEvent::Imu(reading))) => self.imu.read_ahead(reading),
             Ok(Some(SensorEvent::Frame(frame))) => self.frames.push_back(frame),
+            Ok(Some(SensorEvent::Wheels(reading))) => {
+                if self.wheels.len() == MAX_WHEEL_READINGS {
+                    self.wheels.pop_front();
+                }
+                self.wheels.push_back(reading);
+            }
             Ok(Some(SensorEvent::Tick)) => return Read::Tick,
             // Other sensors are of no use to the estimator.
             Ok(Some(_)) => {}

@@ -46,7 +46,7 @@ impl BagCalibration {
             Cameras::WithoutRates(cameras) => cameras.into_iter().zip(cameras_hz).map(sensor).collect(),
             Cameras::Complete(cameras) => cameras,
         };
-        Ok(SensorCalibration { imu, cameras })
+        Ok(SensorCalibration { imu, cameras, wheels: None })
     }
 }
 

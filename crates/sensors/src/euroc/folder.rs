@@ -8,7 +8,7 @@ use crate::rows::Rows;
 use crate::stored::Stored;
 use crate::{
     CameraSensor, Frame, ImuSample, ImuUnits, PairCounts, ReferencePose, SensorCalibration, SequenceError,
-    Table, TruthRow,
+    Table, TruthRow, WheelReading,
 };
 use calibration::kalibr;
 use calibration::sensor_yaml;
@@ -26,6 +26,7 @@ pub(crate) struct Folder {
     root: PathBuf,
     frames: Arc<FrameStamps>,
     readings: Option<TableStamps>,
+    wheels: Option<TableStamps>,
     truth: Option<TableStamps>,
     reference_poses: Option<TableStamps>,
     imu_units: ImuUnits,
@@ -72,19 +73,25 @@ impl FolderCalibration {
             (Some(path), _) => Some(kalibr::read_imu(path, None)?),
             (None, folder) => Some(sensor_yaml::read_imu(&folder.join("sensor.yaml"))?),
         };
+        let wheels_path = mav.join("wheels0/sensor.yaml");
+        let wheels = wheels_path.exists().then(|| sensor_yaml::read_wheels(&wheels_path)).transpose()?;
         let count = if mav.join("cam1").is_dir() { 2 } else { 1 };
         let folders = (0..count).map(|index| mav.join(format!("cam{index}")));
         let Some(path) = &files.cameras else {
             let read = |folder: PathBuf| sensor_yaml::read_camera(&folder.join("sensor.yaml"));
             let cameras = folders.map(read).collect::<Result<_, _>>()?;
-            return Ok(Self { sensors: SensorCalibration { imu, cameras }, time_offset_ns: 0, files });
+            return Ok(Self {
+                sensors: SensorCalibration { imu, cameras, wheels },
+                time_offset_ns: 0,
+                files,
+            });
         };
         let chain = kalibr::read_camera_chain(path, &vec![None; count], &[0, 1][..count])?;
         let sensor = |((camera, imu_from_camera), folder): ((Camera, Pose), PathBuf)| {
             rate_of(&folder.join("data.csv")).map(|rate_hz| CameraSensor { camera, imu_from_camera, rate_hz })
         };
         let cameras = chain.cameras.into_iter().zip(folders).map(sensor).collect::<Result<_, _>>()?;
-        let sensors = SensorCalibration { imu, cameras };
+        let sensors = SensorCalibration { imu, cameras, wheels };
         Ok(Self { sensors, time_offset_ns: chain.time_offset_ns, files })
     }
 }
@@ -117,6 +124,7 @@ impl Folder {
             root: root.to_path_buf(),
             frames: Arc::new(FrameStamps::read(&mav, sensors.cameras.len(), files.pair_tolerance_ns())),
             readings: sensors.imu.as_ref().map(|_| TableStamps::read(&mav.join("imu0/data.csv"))),
+            wheels: if_there(wheels_path(root)),
             truth: if_there(truth_path(root)),
             reference_poses: if_there(reference_path(root)),
             imu_units: files.imu_units,
@@ -124,6 +132,10 @@ impl Folder {
         };
         Ok((folder, sensors))
     }
+}
+
+fn wheels_path(root: &Path) -> PathBuf {
+    root.join("mav0/wheels0/data.csv")
 }
 
 fn truth_path(root: &Path) -> PathBuf {
@@ -149,6 +161,11 @@ impl Stored for Folder {
         let units = self.imu_units;
         let rows = TimedRows::open_in_order(&self.readings_path(), order)?;
         Ok(Box::new(rows.map(move |reading| reading.map(|reading| units.in_si(reading)))))
+    }
+
+    fn wheel_readings(&self) -> Result<Rows<'static, WheelReading>, SequenceError> {
+        let Some(TableStamps { order, .. }) = &self.wheels else { return Ok(Box::new(std::iter::empty())) };
+        Ok(Box::new(TimedRows::open_in_order(&wheels_path(&self.root), order)?))
     }
 
     fn stereo_pairs(&self) -> Option<PairCounts> {

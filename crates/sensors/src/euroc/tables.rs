@@ -5,7 +5,7 @@ use crate::pose_columns::{PoseColumns, QuaternionOrder};
 use crate::row_order::RowOrder;
 use crate::rows::Stamped;
 use crate::table::{Row, Table, check_order};
-use crate::{ImuSample, ReferencePose, ReferencePosition, SequenceError, TruthRow};
+use crate::{ImuSample, ReferencePose, ReferencePosition, SequenceError, TruthRow, WheelReading};
 use geometry::pose::Pose;
 use nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector3};
 use std::marker::PhantomData;
@@ -82,6 +82,18 @@ impl TimedRow for ImuSample {
         let [w_x, w_y, w_z, a_x, a_y, a_z] = row.finite_array(1)?;
         let (gyroscope, accelerometer) = (Vector3::new(w_x, w_y, w_z), Vector3::new(a_x, a_y, a_z));
         Ok(Self { stamp_ns, gyroscope, accelerometer })
+    }
+}
+
+impl TimedRow for WheelReading {
+    const PURPOSE: &'static str =
+        "it holds the speeds of the wheels; delete wheels0 altogether if there were none";
+    const IF_EMPTY: &'static str = Self::PURPOSE;
+
+    fn read(row: &Row<'_>) -> Result<Self, SequenceError> {
+        row.require(3)?;
+        let [left, right] = row.finite_array(1)?;
+        Ok(Self { stamp_ns: row.stamp()?, left, right })
     }
 }
 

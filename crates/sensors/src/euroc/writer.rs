@@ -3,7 +3,9 @@
 //! Numbers are written with all digits: reading gives the same bits back, except for rotations, which are normalized
 //! and come back to 15 digits.
 
-use crate::{CameraSensor, Frame, ImageData, ImuSensor, SensorCalibration, Sequence, SequenceError};
+use crate::{
+    CameraSensor, Frame, ImageData, ImuSensor, SensorCalibration, Sequence, SequenceError, WheelSensor,
+};
 use geometry::pose::Pose;
 use nalgebra::Vector3;
 use std::ffi::OsStr;
@@ -23,6 +25,13 @@ pub fn write(sequence: &Sequence, root: &Path) -> Result<(), SequenceError> {
     write_calibration(&sequence.calibration(), root)?;
     if sequence.imu.is_some() {
         write_file(&mav.join("imu0/data.csv"), |out| imu_rows(out, sequence))?;
+    }
+    if !sequence.wheel_readings.is_empty() {
+        write_file(&mav.join("wheels0/data.csv"), |out| {
+            writeln!(out, "#timestamp [ns],left [rad s^-1],right [rad s^-1]")?;
+            let mut rows = sequence.wheel_readings.iter();
+            rows.try_for_each(|row| writeln!(out, "{},{},{}", row.stamp_ns, row.left, row.right))
+        })?;
     }
     for index in 0..sequence.cameras.len() {
         let folder = mav.join(format!("cam{index}"));
@@ -78,6 +87,9 @@ pub fn write(sequence: &Sequence, root: &Path) -> Result<(), SequenceError> {
 pub fn write_calibration(calibration: &SensorCalibration, root: &Path) -> Result<(), SequenceError> {
     if let Some(imu) = &calibration.imu {
         write_file(&root.join("mav0/imu0/sensor.yaml"), |out| imu_yaml(out, imu))?;
+    }
+    if let Some(wheels) = &calibration.wheels {
+        write_file(&root.join("mav0/wheels0/sensor.yaml"), |out| wheels_yaml(out, wheels))?;
     }
     for (index, camera) in calibration.cameras.iter().enumerate() {
         let path = root.join(format!("mav0/cam{index}/sensor.yaml"));
@@ -150,6 +162,15 @@ pub(crate) fn imu_yaml(out: &mut impl Write, imu: &ImuSensor) -> std::io::Result
     writeln!(out, "gyroscope_random_walk: {}", imu.noise.gyroscope_walk)?;
     writeln!(out, "accelerometer_noise_density: {}", imu.noise.accelerometer)?;
     writeln!(out, "accelerometer_random_walk: {}", imu.noise.accelerometer_walk)
+}
+
+fn wheels_yaml(out: &mut Out, wheels: &WheelSensor) -> std::io::Result<()> {
+    writeln!(out, "sensor_type: wheels")?;
+    matrix_yaml(out, &wheels.imu_from_base)?;
+    writeln!(out, "radius_left: {}", wheels.radius_left_m)?;
+    writeln!(out, "radius_right: {}", wheels.radius_right_m)?;
+    writeln!(out, "track: {}", wheels.track_m)?;
+    wheels.sigma_speed_rad_s.map_or(Ok(()), |sigma| writeln!(out, "noise: {sigma}"))
 }
 
 fn imu_rows(out: &mut Out, sequence: &Sequence) -> std::io::Result<()> {

@@ -75,6 +75,20 @@ fn sequence(seed: u64) -> Sequence {
                 accelerometer: vector(&mut rng, 12.0),
             })
             .collect(),
+        wheels: stereo.then(|| WheelSensor {
+            radius_left_m: 0.1,
+            radius_right_m: 0.101,
+            track_m: 0.5,
+            imu_from_base: pose(&mut rng),
+            sigma_speed_rad_s: Some(0.03),
+        }),
+        wheel_readings: (0..20)
+            .map(|index| WheelReading {
+                stamp_ns: START_NS + index * 19_999_777,
+                left: rng.random_range(-20.0..20.0),
+                right: rng.random_range(-20.0..20.0),
+            })
+            .collect(),
         cameras,
         frames,
         groundtruth: Some(groundtruth),

@@ -21,6 +21,12 @@ fn reading_undoes_writing() {
         assert_eq!(read.imu, written.imu);
         assert_eq!(read.imu_samples, written.imu_samples);
         assert_eq!(read.frames, written.frames);
+        assert_eq!(read.wheel_readings, written.wheel_readings);
+        assert_eq!(read.wheels.is_some(), written.wheels.is_some());
+        for (a, b) in read.wheels.iter().zip(&written.wheels) {
+            assert_pose_close(&a.imu_from_base, &b.imu_from_base);
+            assert_eq!(WheelSensor { imu_from_base: b.imu_from_base, ..*a }, *b);
+        }
         assert_eq!(read.cameras.len(), written.cameras.len());
         for (a, b) in read.cameras.iter().zip(&written.cameras) {
             assert_eq!((&a.camera, a.rate_hz), (&b.camera, b.rate_hz));

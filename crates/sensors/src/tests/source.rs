@@ -15,7 +15,7 @@ fn a_source_returns_everything_in_order_of_time_and_readings_before_frames() {
         let sequence = sequence(seed);
         let events = events(Recording::from(&sequence).source().unwrap());
         assert!(events.is_sorted_by_key(SensorEvent::stamp_ns));
-        let (mut readings, mut frames) = (Vec::new(), Vec::new());
+        let (mut readings, mut wheels, mut frames) = (Vec::new(), Vec::new(), Vec::new());
         for event in events {
             match event {
                 SensorEvent::Imu(reading) => {
@@ -23,6 +23,7 @@ fn a_source_returns_everything_in_order_of_time_and_readings_before_frames() {
                     assert!(!frames.is_empty() || reading.stamp_ns == START_NS);
                     readings.push(reading);
                 }
+                SensorEvent::Wheels(reading) => wheels.push(reading),
                 SensorEvent::Frame(frame) => {
                     assert!(readings.last().unwrap().stamp_ns <= frame.stamp_ns);
                     frames.push(frame);
@@ -31,6 +32,7 @@ fn a_source_returns_everything_in_order_of_time_and_readings_before_frames() {
             }
         }
         assert_eq!((readings, frames), (sequence.imu_samples, sequence.frames));
+        assert_eq!(wheels, sequence.wheel_readings);
     }
 }
 
@@ -49,6 +51,25 @@ fn a_recording_in_memory_and_one_on_disk_are_the_same_source() {
     assert_eq!(excerpt, events(memory.source().unwrap()));
     let frames = excerpt.iter().filter(|event| matches!(event, SensorEvent::Frame(_)));
     assert_eq!(frames.count(), written.frames.len() - 1);
+}
+
+#[test]
+fn wheels_without_geometry_are_read_and_wrong_ones_are_an_error() {
+    let folder = tempfile::tempdir().unwrap();
+    writer::write(&sequence(2), folder.path()).unwrap();
+    let recording = Recording::open(folder.path()).unwrap();
+    assert!(recording.contents().wheels && recording.calibration().wheels.is_some());
+    let wheels = folder.path().join("mav0/wheels0");
+    let yaml = std::fs::read_to_string(wheels.join("sensor.yaml")).unwrap();
+    std::fs::write(wheels.join("sensor.yaml"), yaml.replace("track: 0.5", "track: -0.5")).unwrap();
+    assert!(Recording::open(folder.path()).unwrap_err().to_string().contains("track"));
+    std::fs::remove_file(wheels.join("sensor.yaml")).unwrap();
+    let recording = Recording::open(folder.path()).unwrap();
+    assert!(recording.contents().wheels && recording.calibration().wheels.is_none());
+    let table = std::fs::read_to_string(wheels.join("data.csv")).unwrap();
+    let cut = table.trim_end().rfind(',').unwrap();
+    std::fs::write(wheels.join("data.csv"), table[..cut].to_owned() + ",nan\n").unwrap();
+    assert!(Recording::open(folder.path()).unwrap_err().to_string().contains("wheels0"));
 }
 
 #[test]

@@ -15,6 +15,7 @@
 //! | `disturbance` | an undetected failure of the filter, and its rescue |
 //! | `map_change` | how the map moves in the middle of a run |
 //! | [`calibration`] | the errors of the calibration that the filter is given |
+//! | [`wheels`] | the true calibration of the wheels, and noise and slip of their readings |
 //! | `trial` | one run |
 //! | [`mod@score`], [`report`] | statistics over all runs, and their table |
 //!
@@ -43,6 +44,7 @@ pub mod report;
 pub mod score;
 mod start;
 mod trial;
+pub mod wheels;
 
 #[cfg(test)]
 mod tests;
@@ -53,6 +55,7 @@ pub use lie::Lie;
 pub use map_change::MapChangeOptions;
 pub use score::{EnsembleScore, OutputScore, ScoreOptions, score};
 pub use trial::{MapCounts, Trial};
+pub use wheels::{Slip, WheelOptions};
 
 use crate::{SimulationError, SimulationOptions};
 use estimator::EstimatorConfig;
@@ -83,6 +86,8 @@ pub struct MonteCarloOptions {
     pub map_change: Option<MapChangeOptions>,
     /// Errors of the calibration that the filter is given.
     pub calibration: CalibrationErrors,
+    /// The wheels, for variants whose settings have some.
+    pub wheels: Option<WheelOptions>,
     /// What the filter starts from.
     pub start: FilterStart,
     /// Undetected failures of the filter in the middle of the run.
@@ -112,6 +117,7 @@ impl Default for MonteCarloOptions {
             answers: AnswerOptions::default(),
             map_change: None,
             calibration: CalibrationErrors::default(),
+            wheels: None,
             start: FilterStart::KnownBiases,
             disturbance: None,
         }

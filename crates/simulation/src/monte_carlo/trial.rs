@@ -9,7 +9,7 @@ use crate::run::Kind;
 use crate::{SimulatedWorld, SimulationError, simulate_world};
 use estimator::{
     Alarm, CalibratedCamera, CloneId, Estimator, EstimatorError, ImuSample, Initializer, Localization,
-    MapMode, TrackObservation,
+    MapMode, TrackObservation, WheelReading, WheelReport,
 };
 use evaluation::trajectory::StateRow;
 use evaluation::{RunErrors, nees, run_errors, run_errors_in};
@@ -57,6 +57,10 @@ pub struct Trial {
     pub stated_calibration: Vec<CalibrationError>,
     /// Errors of the filter's own calibration at the end, by camera.
     pub estimated_calibration: Vec<CalibrationError>,
+    /// What the wheels did, and their calibration at the end; `None` without them.
+    pub wheels: Option<WheelReport>,
+    /// When the wheels were first left out, seconds since the begin.
+    pub wheels_left_out_s: Option<f64>,
 }
 
 /// What all variants of a seed share.
@@ -67,6 +71,8 @@ struct Seed<'a> {
     /// Replies to the frames of `live`.
     answers: Vec<Option<Answer>>,
     change: Option<MapChange>,
+    /// Empty without wheels.
+    wheels: Vec<WheelReading>,
     options: &'a MonteCarloOptions,
 }
 
@@ -85,7 +91,9 @@ pub(crate) fn run_seed(
     } else {
         (live.frames.iter().map(|_| None).collect(), None)
     };
-    let one = Seed { number: seed, world, live, answers, change, options };
+    let wheels = options.wheels.as_ref();
+    let wheels = wheels.map(|wheels| wheels.record(seed, &world.live_trajectory)).unwrap_or_default();
+    let one = Seed { number: seed, world, live, answers, change, wheels, options };
     Ok(variants.iter().map(|variant| one.run(variant)).collect())
 }
 
@@ -95,11 +103,13 @@ struct Player<'a> {
     estimator: Estimator,
     next_frame: usize,
     next_reading: usize,
+    next_wheels: usize,
     /// The reply to the previous image, with that image's clone.
     pending: Option<(CloneId, &'a Answer)>,
     states: Vec<StateRow>,
     map: MapCounts,
     alarm_ns: Option<i64>,
+    wheels_left_out_ns: Option<i64>,
     /// The next initialization: the first one, or where the estimator gave up after a disturbance.
     initializer: Option<Initializer>,
     rescue: Option<Rescue>,
@@ -141,6 +151,8 @@ impl Seed<'_> {
             diverged: None,
             stated_calibration,
             estimated_calibration: Vec::new(),
+            wheels: None,
+            wheels_left_out_s: None,
         };
         let estimator = match Estimator::new(variant.config.clone(), stated.rig.clone(), &start.initial) {
             Ok(estimator) => estimator,
@@ -154,10 +166,12 @@ impl Seed<'_> {
             estimator,
             next_frame: 0,
             next_reading: 0,
+            next_wheels: 0,
             pending: None,
             states: Vec::new(),
             map: MapCounts::default(),
             alarm_ns: None,
+            wheels_left_out_ns: None,
             initializer: initializes.then(|| Initializer::new(variant.config.clone(), stated.rig.clone())),
             rescue: None,
             is_answered: false,
@@ -178,6 +192,9 @@ impl Seed<'_> {
         let cameras = found.cameras.iter().zip(&truth);
         trial.estimated_calibration =
             cameras.map(|(found, truth)| CalibrationError::of(found, truth, delays)).collect();
+        trial.wheels = player.estimator.wheel_report();
+        let seconds = |stamp_ns: i64| (stamp_ns - begin_ns) as f64 * 1e-9;
+        trial.wheels_left_out_s = player.wheels_left_out_ns.map(seconds);
         let truth = self.truth(&player.states);
         trial.errors = if initializes {
             let gravity_in_global = global_from_world().rotation * -Vector3::z();
@@ -227,6 +244,13 @@ impl Seed<'_> {
                 player.imu(*reading)?;
             }
             player.next_reading = end;
+            while let Some(reading) =
+                self.wheels.get(player.next_wheels).filter(|next| next.stamp_ns <= until_ns)
+            {
+                player.next_wheels += 1;
+                // What is refused is counted.
+                let _ = player.estimator.wheels(*reading);
+            }
             let change = self.change.as_ref().filter(|change| change.stamp_ns == frame.stamp_ns);
             match player.frame(frame, stamp_ns, variant, answer, change) {
                 // It gave up for the disturbance, and continues.
@@ -330,6 +354,10 @@ impl<'a> Player<'a> {
             return Ok(());
         }
         let clone = self.estimator.time_update(stamp_ns)?;
+        let are_wheels_out = self.estimator.alarms().iter().any(|alarm| matches!(alarm, Alarm::Wheels(_)));
+        if are_wheels_out {
+            self.wheels_left_out_ns.get_or_insert(stamp_ns);
+        }
         self.estimator.track_update(&tracks)?;
         if let Some(change) = change {
             self.estimator.map_changed(&change.revision);

@@ -35,7 +35,7 @@ fn calibration(cameras: usize) -> SensorCalibration {
     };
     let sensor = CameraSensor { camera, imu_from_camera: Pose::identity(), rate_hz: 20.0 };
     let imu = ImuSensor { noise: ImuNoise::default(), rate_hz: 200.0, gravity_magnitude: None };
-    SensorCalibration { imu: Some(imu), cameras: vec![sensor; cameras] }
+    SensorCalibration { imu: Some(imu), cameras: vec![sensor; cameras], wheels: None }
 }
 
 fn reading(stamp_ns: i64) -> ImuSample {

@@ -34,6 +34,7 @@ fn what_drivers_hand_in_on_their_threads_comes_out_decoded() {
                 assert_eq!(frame.images[0].as_ref().unwrap().read().unwrap().width(), SIZE.0);
                 frames += 1;
             }
+            SensorEvent::Wheels(_) => unreachable!("there are none"),
             SensorEvent::Tick => {}
         }
     }

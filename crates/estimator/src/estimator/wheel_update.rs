@@ -1,0 +1,147 @@
+//! Updates by the wheels.
+
+use super::Estimator;
+use crate::error::EstimatorError;
+use crate::state::Block;
+use crate::wheels::buffer::BadWheelReading;
+use crate::wheels::calibration::{WHEELS_DIM, WheelCalibration};
+use crate::wheels::linearization::{ClonesAround, TimedPose, linearize};
+use crate::wheels::measurement::{Part, WheelMeasurement};
+use crate::wheels::preintegration::{PlanarMotion, preintegrate};
+use crate::wheels::report::{LearnedWheels, WheelReport};
+use crate::wheels::{DueInterval, TimedClone, WheelOdometry};
+use types::WheelReading;
+
+impl Estimator {
+    /// Stores a reading of the wheels for the next [`Self::time_update`]. Readings come in the order of time, and an interval
+    /// between two images is used at the first image behind its last reading. Without
+    /// [`EstimatorConfig::wheels`](crate::EstimatorConfig::wheels) it does nothing.
+    ///
+    /// # Errors
+    /// [`BadWheelReading`]: the reading was dropped; the filter goes on.
+    pub fn wheels(&mut self, reading: WheelReading) -> Result<(), BadWheelReading> {
+        let Some(wheels) = &mut self.wheels else { return Ok(()) };
+        wheels.buffer.push(reading).inspect_err(|_| wheels.counts.refused_readings += 1)
+    }
+
+    /// What the wheels did, and their calibration as estimated now; `None` without them.
+    pub fn wheel_report(&self) -> Option<WheelReport> {
+        let counts = self.wheels.as_ref()?.counts;
+        Some(WheelReport::new(counts, &self.learned_wheels()?))
+    }
+
+    /// The calibration of the wheels as learned up to now; `None` without them.
+    pub fn learned_wheels(&self) -> Option<LearnedWheels> {
+        let range = self.state.range(Block::Wheels)?;
+        let covariance = self.covariance.active().view();
+        let covariance =
+            covariance.fixed_view::<WHEELS_DIM, WHEELS_DIM>(range.start, range.start).into_owned();
+        Some(LearnedWheels { calibration: self.state.wheels?, covariance })
+    }
+
+    /// Continues from a calibration that another filter of the same robot has learned; before the first image.
+    pub fn resume_wheels(&mut self, learned: &LearnedWheels) {
+        let Some(range) = self.state.range(Block::Wheels) else { return };
+        let LearnedWheels { calibration, covariance } = learned;
+        self.state.wheels = Some(*calibration);
+        self.covariance.replace(range.start, covariance);
+    }
+
+    /// Takes in the newest clone, and makes the updates that are due.
+    pub(super) fn wheel_updates(&mut self) -> Result<(), EstimatorError> {
+        let Some(mut wheels) = self.wheels.take() else { return Ok(()) };
+        if let Some(newest) = self.state.clones.last() {
+            wheels.add_clone(newest.id, self.state.stamp_ns);
+        }
+        let mut done = Ok(());
+        while let (Ok(()), Some(calibration)) = (&done, self.state.wheels)
+            && let Some(due) = wheels.next_due(calibration.time_offset_s)
+        {
+            done = self.wheel_update(&mut wheels, &due, &calibration);
+        }
+        self.wheels = Some(wheels);
+        done
+    }
+
+    /// Tests one interval and uses it.
+    fn wheel_update(
+        &mut self,
+        wheels: &mut WheelOdometry,
+        due: &DueInterval,
+        calibration: &WheelCalibration,
+    ) -> Result<(), EstimatorError> {
+        let Some(motion) = self.preintegrated(wheels, due, calibration) else { return Ok(()) };
+        let Some(measurement) = self.wheel_measurement(wheels, due, &motion) else { return Ok(()) };
+        let residual_m = measurement.residual_of_wheels(calibration.track_m);
+        let is_trusted = wheels.watch.is_trusted();
+        let is_accepted = self.update_part(wheels, &measurement, Part::Rolling, is_trusted)?;
+        wheels.watch.note(due.clones.map(|clone| clone.stamp_ns), is_accepted, residual_m);
+        let counts = &mut wheels.counts;
+        counts.left_out += usize::from(!is_trusted);
+        counts.used += usize::from(is_trusted && is_accepted);
+        counts.slipped += usize::from(is_trusted && !is_accepted);
+        if is_trusted && let Some(again) = self.wheel_measurement(wheels, due, &motion) {
+            let is_accepted = self.update_part(wheels, &again, Part::OffTrack, true)?;
+            wheels.counts.off_track += usize::from(!is_accepted);
+        }
+        Ok(())
+    }
+
+    /// The motion of an interval, linearized at the clones' motion.
+    fn preintegrated(
+        &self,
+        wheels: &WheelOdometry,
+        due: &DueInterval,
+        calibration: &WheelCalibration,
+    ) -> Option<PlanarMotion> {
+        let pose = |clone: &TimedClone| {
+            let local_from_imu = self.state.clones[self.state.clone_index(clone.id)?].local_from_imu;
+            Some(TimedPose { local_from_imu, stamp_ns: clone.stamp_ns })
+        };
+        let clones = ClonesAround {
+            before: due.before.as_ref().and_then(pose),
+            first: pose(&due.clones[0])?,
+            second: pose(&due.clones[1])?,
+            after: due.after.as_ref().and_then(pose),
+        };
+        let noise = &wheels.config.noise;
+        let motion = preintegrate(&due.readings, calibration, noise)?;
+        linearize(&motion, &due.readings, &clones, calibration, noise)
+    }
+
+    fn wheel_measurement(
+        &self,
+        wheels: &WheelOdometry,
+        due: &DueInterval,
+        motion: &PlanarMotion,
+    ) -> Option<WheelMeasurement> {
+        let clones = [self.state.clone_index(due.clones[0].id)?, self.state.clone_index(due.clones[1].id)?];
+        WheelMeasurement::new(&self.state, clones, motion, &wheels.config.noise, self.config.first_estimates)
+    }
+
+    /// Tests a part of a measurement, and updates the state with it.
+    ///
+    /// # Arguments
+    /// * `is_used`: else it is only tested.
+    ///
+    /// # Returns
+    /// Whether it passed the test.
+    fn update_part(
+        &mut self,
+        wheels: &mut WheelOdometry,
+        measurement: &WheelMeasurement,
+        part: Part,
+        is_used: bool,
+    ) -> Result<bool, EstimatorError> {
+        let rows = &mut wheels.rows;
+        if !measurement.whiten(part, rows) {
+            return Ok(false);
+        }
+        let is_accepted = wheels.gate.accepts(self.covariance.nis(rows)?, rows.residual.len());
+        if is_accepted && is_used {
+            self.covariance.measurement_update(rows, &mut self.correction)?;
+            self.state.retract(&self.correction);
+        }
+        Ok(is_accepted)
+    }
+}

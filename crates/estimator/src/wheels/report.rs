@@ -1,0 +1,80 @@
+//! What wheel odometry did, and what it found.
+
+use super::calibration::{EXTRINSICS, WHEELS_DIM, WheelCalibration};
+use nalgebra::SMatrix;
+use serde::Serialize;
+
+/// Counts of intervals between two images, and of readings.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[non_exhaustive]
+pub struct WheelCounts {
+    /// Intervals that corrected the state.
+    pub used: usize,
+    /// Intervals that the gate rejected: slip.
+    pub slipped: usize,
+    /// Intervals whose motion sideways or off the floor the gate rejected.
+    pub off_track: usize,
+    /// Intervals while the wheels were left out.
+    pub left_out: usize,
+    /// Intervals without readings.
+    pub missing: usize,
+    /// Readings that were refused.
+    pub refused_readings: usize,
+}
+
+/// An estimated number with its standard deviation.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Estimated {
+    /// The estimate.
+    pub value: f64,
+    /// Its standard deviation, of the same unit.
+    pub sigma: f64,
+}
+
+/// What wheel odometry did, and the calibration that it found.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct WheelReport {
+    /// Intervals and readings.
+    pub counts: WheelCounts,
+    /// Radius of the left wheel, metres.
+    pub radius_left_m: Estimated,
+    /// Radius of the right wheel, metres.
+    pub radius_right_m: Estimated,
+    /// Distance between the wheels, metres.
+    pub track_m: Estimated,
+    /// Added to the stamp of a reading to obtain the IMU's time, seconds.
+    pub time_offset_s: Estimated,
+    /// Origin of the base in the IMU frame, metres.
+    pub base_position_m: [Estimated; 3],
+    /// Rotation vector of `imu_from_base`, rad; its standard deviations are those of `δθ` in the IMU's frame.
+    pub base_rotation_rad: [Estimated; 3],
+}
+
+impl WheelReport {
+    /// Of a calibration with the covariance of its error.
+    pub(crate) fn new(counts: WheelCounts, learned: &LearnedWheels) -> Self {
+        let LearnedWheels { calibration, covariance } = learned;
+        let estimated = |value: f64, k: usize| Estimated { value, sigma: covariance[(k, k)].max(0.0).sqrt() };
+        let turn = geometry::rotation::log(&calibration.imu_from_base.rotation);
+        let position = calibration.imu_from_base.translation;
+        Self {
+            counts,
+            radius_left_m: estimated(calibration.radius_left_m, 0),
+            radius_right_m: estimated(calibration.radius_right_m, 1),
+            track_m: estimated(calibration.track_m, 2),
+            time_offset_s: estimated(calibration.time_offset_s, 3),
+            base_position_m: std::array::from_fn(|k| estimated(position[k], EXTRINSICS + 3 + k)),
+            base_rotation_rad: std::array::from_fn(|k| estimated(turn[k], EXTRINSICS + k)),
+        }
+    }
+}
+
+/// A calibration of the wheels as a filter learned it, for another filter of the same robot.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LearnedWheels {
+    /// The estimate.
+    pub(crate) calibration: WheelCalibration,
+    /// Covariance of its error.
+    pub(crate) covariance: SMatrix<f64, WHEELS_DIM, WHEELS_DIM>,
+}

@@ -1,0 +1,206 @@
+//! Slip, and wheels that report nonsense.
+//!
+//! A wheel that slips contradicts the state for a moment: its interval is rejected and counted. Wheels whose intervals are
+//! rejected for most of a second are left out until they agree again for two.
+
+use std::collections::VecDeque;
+use std::fmt;
+
+/// Time over which intervals are looked at, nanoseconds.
+const WINDOW_NS: i64 = 1_000_000_000;
+/// Time that the intervals of it must cover before wheels are left out, nanoseconds.
+const MIN_SPAN_NS: i64 = 750_000_000;
+/// Time over which wheels that were left out must agree, nanoseconds.
+const AGAIN_NS: i64 = 2_000_000_000;
+/// Part of the time in which the intervals must be rejected, or must agree.
+const MOST: f64 = 0.7;
+/// Time without a usable reading after which the wheels are silent, nanoseconds.
+const SILENT_NS: i64 = 800_000_000;
+/// One wheel is to blame where its squared residuals are so many times those of the other.
+const BLAME: f64 = 4.0;
+
+/// A wheel.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Wheel {
+    /// The left one.
+    Left,
+    /// The right one.
+    Right,
+    /// Both, or it cannot be told which.
+    Both,
+}
+
+impl fmt::Display for Wheel {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Left => "the left wheel contradicts",
+            Self::Right => "the right wheel contradicts",
+            Self::Both => "the wheels contradict",
+        })
+    }
+}
+
+/// Why the wheels are left out.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum WheelFault {
+    /// What they turn is not how the body moves.
+    #[error(
+        "{wheel} cameras and IMU: wheel odometry is left out until they agree; check encoders, units and signs, radii, track \
+         and base pose, and whether the wheels slip"
+    )]
+    Contradiction {
+        /// Which one.
+        wheel: Wheel,
+    },
+    /// There are no readings that can be used.
+    #[error("no usable readings of the wheels for {seconds:.1} s: check the encoders and their stamps")]
+    Silent {
+        /// For how long, seconds.
+        seconds: f64,
+    },
+}
+
+/// The test of one interval.
+#[derive(Clone, Copy, Debug)]
+struct Tested {
+    from_ns: i64,
+    to_ns: i64,
+    is_accepted: bool,
+    /// Squared residuals of the left and the right wheel, m^2.
+    squares: [f64; 2],
+}
+
+/// The watch over the wheels.
+#[derive(Clone, Debug, Default)]
+pub struct WheelWatch {
+    tested: VecDeque<Tested>,
+    contradicts: Option<Wheel>,
+    /// Since when there are no usable readings, nanoseconds.
+    missing_since_ns: Option<i64>,
+    silent_s: Option<f64>,
+}
+
+impl WheelWatch {
+    /// Takes in the test of an interval.
+    ///
+    /// # Arguments
+    /// * `span_ns`: begin and end, nanoseconds.
+    /// * `residual_m`: of the left and the right wheel, metres.
+    pub fn note(&mut self, span_ns: [i64; 2], is_accepted: bool, residual_m: [f64; 2]) {
+        let [from_ns, to_ns] = span_ns;
+        (self.missing_since_ns, self.silent_s) = (None, None);
+        self.tested.push_back(Tested { from_ns, to_ns, is_accepted, squares: residual_m.map(|r| r * r) });
+        let window_ns = if self.contradicts.is_some() { AGAIN_NS } else { WINDOW_NS };
+        while self.tested.front().is_some_and(|oldest| to_ns - oldest.from_ns > window_ns) {
+            self.tested.pop_front();
+        }
+        match self.contradicts {
+            None if self.covered_ns(|tested| !tested.is_accepted) > MIN_SPAN_NS as f64 * MOST
+                && self.covered_ns(|_| true) >= MIN_SPAN_NS as f64
+                && self.part(|tested| !tested.is_accepted) >= MOST =>
+            {
+                self.contradicts = Some(self.blamed());
+                self.tested.clear();
+            }
+            Some(_)
+                if self.covered_ns(|_| true) >= AGAIN_NS as f64 * 0.9
+                    && self.part(|tested| tested.is_accepted) >= MOST =>
+            {
+                self.contradicts = None;
+                self.tested.clear();
+            }
+            _ => {}
+        }
+    }
+
+    /// Takes in that there are no usable readings for an interval.
+    pub fn note_missing(&mut self, from_ns: i64, to_ns: i64) {
+        let since_ns = *self.missing_since_ns.get_or_insert(from_ns);
+        if to_ns - since_ns >= SILENT_NS {
+            self.silent_s = Some((to_ns - since_ns) as f64 * 1e-9);
+        }
+    }
+
+    /// Whether intervals that pass their test are used.
+    pub fn is_trusted(&self) -> bool {
+        self.contradicts.is_none()
+    }
+
+    /// Why the wheels are left out.
+    pub fn fault(&self) -> Option<WheelFault> {
+        let silent = self.silent_s.map(|seconds| WheelFault::Silent { seconds });
+        silent.or(self.contradicts.map(|wheel| WheelFault::Contradiction { wheel }))
+    }
+
+    fn covered_ns(&self, which: impl Fn(&Tested) -> bool) -> f64 {
+        self.tested
+            .iter()
+            .filter(|tested| which(tested))
+            .map(|tested| (tested.to_ns - tested.from_ns) as f64)
+            .sum()
+    }
+
+    fn part(&self, which: impl Fn(&Tested) -> bool) -> f64 {
+        self.covered_ns(which) / self.covered_ns(|_| true).max(1.0)
+    }
+
+    /// The wheel whose residuals are larger.
+    fn blamed(&self) -> Wheel {
+        let rejected = self.tested.iter().filter(|tested| !tested.is_accepted);
+        let (left, right) = rejected
+            .fold((0.0, 0.0), |(left, right), tested| (left + tested.squares[0], right + tested.squares[1]));
+        if left > BLAME * right {
+            Wheel::Left
+        } else if right > BLAME * left {
+            Wheel::Right
+        } else {
+            Wheel::Both
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const STEP_NS: i64 = 50_000_000;
+
+    /// Intervals of 50 ms, each accepted or not.
+    fn noted(watch: &mut WheelWatch, begin: i64, intervals: impl Iterator<Item = bool>) -> i64 {
+        let mut next = begin;
+        for is_accepted in intervals {
+            watch.note([next * STEP_NS, (next + 1) * STEP_NS], is_accepted, [0.02, 0.001]);
+            next += 1;
+        }
+        next
+    }
+
+    #[test]
+    fn half_a_second_of_slip_is_no_fault_and_a_second_of_nonsense_is() {
+        let mut watch = WheelWatch::default();
+        let now = noted(&mut watch, 0, (0..40).map(|_| true));
+        let now = noted(&mut watch, now, (0..11).map(|_| false));
+        assert!(watch.is_trusted());
+        let now = noted(&mut watch, now, (0..30).map(|_| true));
+        let now = noted(&mut watch, now, (0..19).map(|_| false));
+        assert_eq!(watch.fault(), Some(WheelFault::Contradiction { wheel: Wheel::Left }));
+        let now = noted(&mut watch, now, (0..30).map(|_| true));
+        assert!(!watch.is_trusted(), "they have to agree for two seconds");
+        noted(&mut watch, now, (0..15).map(|_| true));
+        assert!(watch.is_trusted() && watch.fault().is_none());
+    }
+
+    #[test]
+    fn silence_is_a_fault() {
+        let mut watch = WheelWatch::default();
+        let now = noted(&mut watch, 0, (0..40).map(|_| true));
+        for k in now..now + 16 {
+            watch.note_missing(k * STEP_NS, (k + 1) * STEP_NS);
+        }
+        assert!(matches!(watch.fault(), Some(WheelFault::Silent { .. })));
+        noted(&mut watch, now + 16, [true].into_iter());
+        assert_eq!(watch.fault(), None);
+    }
+}
