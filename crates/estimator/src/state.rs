@@ -163,6 +163,7 @@ impl ActiveState {
     /// Becomes a copy of `other` in its own memory.
     pub fn copy_from(&mut self, other: &Self) {
         (self.stamp_ns, self.imu, self.transform) = (other.stamp_ns, other.imu, other.transform);
+        self.wheels = other.wheels;
         self.first_motion = other.first_motion;
         self.calibration.copy_from(&other.calibration);
         self.slam_features.clone_from(&other.slam_features);
