@@ -4,7 +4,7 @@
 //! covariance and its Jacobians with respect to radii, track and time offset, [linearized](linearization) at the motion of the clones. It is a [measurement] of both clones and of the
 //! [calibration] of the wheels, which is a part of the state; all of it is estimated online with its uncertainty, since an
 //! error of a radius is the same in all intervals and is not averaged away as their noise is. Sideways and off the floor the
-//! base does not move, except by what [`WheelNoise`] states.
+//! base does not move, except by what [`WheelNoise`](config::WheelNoise) states.
 //!
 //! A chi-square test rejects intervals with slip; wheels whose readings are nonsense are left out ([watch]). An interval is
 //! used at the first image behind its last reading.
