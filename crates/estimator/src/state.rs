@@ -24,7 +24,7 @@ pub struct ClonedPose {
     pub stamp_ns: i64,
     /// Newest estimate of the body in L.
     pub local_from_imu: Pose,
-    /// Estimate at the time of cloning, before the update with its image (first-estimates Jacobians).
+    /// Where Jacobians are evaluated: the estimate before the updates with the newest image (`first_estimates`).
     pub first_estimate: Pose,
     /// Excluded from marginalization because a map query of its image is pending.
     pub pinned: bool,
@@ -37,7 +37,7 @@ pub struct SlamFeature {
     pub feature_id: u64,
     /// Newest estimate in L, metres.
     pub position: Vector3<f64>,
-    /// Estimate at its initialization, in L (first-estimates Jacobians).
+    /// Where Jacobians are evaluated, in L: see [`ClonedPose::first_estimate`].
     pub first_estimate: Vector3<f64>,
     /// Number of consecutive images in which the gate rejected it.
     pub gated_in_a_row: usize,

@@ -121,7 +121,7 @@ impl WheelMeasurement {
         jacobian.fixed_view_mut::<4, 12>(0, FIRST).copy_from(&by_poses.fixed_columns::<12>(0));
         jacobian.fixed_view_mut::<4, 6>(0, EXTRINSICS).copy_from(&by_poses.fixed_columns::<6>(12));
         jacobian.fixed_view_mut::<3, 4>(0, 0).copy_from(&-motion.wrt_calibration);
-        // Clones that are later than the image moves the interval of the wheels back.
+        // A larger offset of the cameras makes the clones later by the clock of the wheels, as a smaller one of theirs does.
         jacobian.fixed_view_mut::<3, 1>(0, CAMERA_CLOCK).copy_from(&motion.wrt_calibration.column(3));
 
         let mut blocks = vec![
