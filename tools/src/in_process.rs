@@ -29,10 +29,9 @@ pub fn load_map(database: &Path) -> Result<Arc<LoadedMap>> {
     Ok(Arc::new(map))
 }
 
-/// Direction of gravity in a map that was built without reference poses: one of its keyframes defines its frame.
+/// Direction of gravity in a map that defines its own frame.
 pub fn gravity_in_own_frame(map: &LoadedMap) -> Option<Vector3<f64>> {
-    let gravity = map.info().gravity_in_global?;
-    map.keyframes().any(|keyframe| keyframe.defines_frame(&gravity)).then_some(gravity)
+    map.info().gravity_in_global.filter(|_| map.info().own_frame)
 }
 
 /// A running server with its own runtime and session.

@@ -30,6 +30,9 @@ pub struct MapMetadata {
     pub identity: Option<MapIdentity>,
     /// Unit vector of the direction in which gravity points (downwards), in G. `None`: not known.
     pub gravity_in_global: Option<Vector3<f64>>,
+    /// Whether G is defined by the map itself, which was built without reference poses and priors: a truth is to be aligned
+    /// with it.
+    pub own_frame: bool,
     /// The kind of all descriptors of the map.
     pub descriptor_kind: DescriptorKind,
     /// Bytes in each descriptor.
@@ -41,7 +44,7 @@ pub struct MapMetadata {
 }
 
 impl MapMetadata {
-    /// Info of a new map: version 0, no identity, gravity and extractor unknown, [`DEFAULT_SIGMA_PX`].
+    /// Info of a new map: version 0, no identity, gravity and extractor unknown, not its own frame, [`DEFAULT_SIGMA_PX`].
     ///
     /// # Arguments
     /// * `descriptor_width`: bytes in one descriptor.
@@ -57,6 +60,7 @@ impl MapMetadata {
             version: 0,
             identity: None,
             gravity_in_global: None,
+            own_frame: false,
             descriptor_kind,
             descriptor_width,
             sigma_px: DEFAULT_SIGMA_PX,
@@ -81,29 +85,11 @@ pub struct Keyframe {
     pub features: Option<FeatureSet>,
 }
 
-/// How much larger than the sigmas of its definition those of the defining keyframe may be.
-const GAUGE_TOLERANCE: f64 = 1.2;
-
-/// Standard deviations of the keyframe that defines G in a map without reference poses: of its position along an axis (m), and
-/// of its rotation about gravity (rad).
+/// Standard deviations of the frame of a map that defines its own: of positions along an axis (m), and of the rotation about gravity
+/// (rad). They are those of a definition, so small as can be without making its covariance singular.
 pub const GAUGE_SIGMA_P: f64 = 1e-3;
 /// See [`GAUGE_SIGMA_P`].
 pub const GAUGE_SIGMA_YAW: f64 = 1e-4;
-
-impl Keyframe {
-    /// Whether this keyframe defines G: its position and its rotation about gravity are known as nothing but a definition
-    /// makes them.
-    ///
-    /// # Arguments
-    /// * `gravity`: direction of gravity in G, unit vector.
-    pub fn defines_frame(&self, gravity: &Vector3<f64>) -> bool {
-        let covariance = &self.global_from_keyframe.covariance;
-        let yaw = gravity.dot(&(covariance.fixed_view::<3, 3>(0, 0) * gravity));
-        let position = covariance.fixed_view::<3, 3>(3, 3).diagonal().max();
-        let is_defined = |variance: f64, sigma: f64| variance <= (GAUGE_TOLERANCE * sigma).powi(2);
-        is_defined(yaw, GAUGE_SIGMA_YAW) && is_defined(position, GAUGE_SIGMA_P)
-    }
-}
 
 /// One point of the map.
 #[derive(Clone, Debug, PartialEq)]
@@ -201,36 +187,4 @@ pub struct Alias {
     pub keyframe: KeyframeId,
     /// Natural logarithm of its odds over an unknown place, by the image alone.
     pub log_odds: f64,
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use geometry::{Distortion, Pose};
-    use nalgebra::Vector6;
-
-    #[test]
-    fn only_a_keyframe_that_is_known_by_definition_defines_the_frame() {
-        let keyframe = |yaw: f64, tilt: f64, position: f64| {
-            let sigmas = Vector6::new(tilt, tilt, yaw, position, position, position);
-            let covariance = Matrix6::from_diagonal(&sigmas.component_mul(&sigmas));
-            Keyframe {
-                id: 0,
-                stamp_ns: 0,
-                global_from_keyframe: PoseWithCovariance::new(Pose::identity(), covariance),
-                camera: Camera {
-                    width: 752,
-                    height: 480,
-                    focal: [458.0, 457.0],
-                    centre: [367.0, 248.0],
-                    distortion: Distortion::None,
-                },
-                features: None,
-            }
-        };
-        let down = -Vector3::z();
-        assert!(keyframe(GAUGE_SIGMA_YAW, 2e-3, GAUGE_SIGMA_P).defines_frame(&down));
-        assert!(!keyframe(GAUGE_SIGMA_YAW, 2e-3, 5e-3).defines_frame(&down));
-        assert!(!keyframe(1e-3, 1e-3, GAUGE_SIGMA_P).defines_frame(&down));
-    }
 }

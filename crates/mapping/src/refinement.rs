@@ -5,6 +5,7 @@ use adjustment::{
     MeasuredPoses, MountedCamera, PixelModel, PosePrior, Problem, RelativePose, ViewPose,
 };
 use estimator::inertial_chain::InertialChain;
+use nalgebra::Vector3;
 
 use super::error::BuildError;
 use super::joint_covariance::{JointCovariance, joint_covariance};
@@ -48,6 +49,8 @@ pub(super) struct Constraints {
     pub(super) stored: Vec<JointPrior>,
     /// Landmarks that two maps share.
     pub(super) ties: Vec<LandmarkTie>,
+    /// Direction of gravity, unit vector, where nothing else defines the frame: it is that of the map as a whole.
+    pub(super) own_frame: Option<Vector3<f64>>,
 }
 
 impl Constraints {
@@ -157,7 +160,7 @@ pub(super) fn covariance_of(
     let positions: Vec<_> = views.iter().map(|&view| bundle.poses[view].translation).collect();
     let posterior = Posterior::new(&covariance, &bundle.poses, views, stored);
     let show = |done, all| progress(Stage::Covariance, done, all);
-    Ok(joint_covariance(&posterior, views, &positions, show))
+    Ok(joint_covariance(&posterior, views, &positions, constraints.own_frame.as_ref(), show))
 }
 
 /// The pixel noise from the residuals of a refined bundle (px); `None` without landmarks.

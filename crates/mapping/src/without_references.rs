@@ -60,8 +60,8 @@ const SEARCH_SIGMAS: [f64; 2] = [1e-5, 1e-4];
 /// * `progress`: called with the stage and its steps.
 ///
 /// # Returns
-/// The map, sorted and valid, and statistics of it. Without priors its covariance is relative to the first keyframe's position
-/// and yaw.
+/// The map, sorted and valid, and statistics of it. Without priors its covariance is relative to the map as a whole: to the frame in
+/// which positions and yaw of its keyframes have no error in the mean.
 ///
 /// # Errors
 /// [`BuildError`], with what to do.
@@ -90,6 +90,7 @@ pub fn build_map_from_odometry(
     let camera = &cameras[0].camera;
     let mut contents =
         assemble::map_contents(camera, &views, &bundle, Some(&joint), report.sigma_px, &options)?;
+    contents.info.own_frame = constraints.own_frame.is_some();
     check_one_piece(&contents, sequence.frames.first().map_or(0, |frame| frame.stamp_ns))?;
     find_aliases(&mut contents, progress)?;
     assemble::fill_report(&mut report, &cameras, &views, &bundle, &contents);
@@ -293,6 +294,7 @@ impl<'a, 'p> Builder<'a, 'p> {
             }],
             measured: MeasuredPoses::new(&self.known, &bundle.poses),
             inertial: Some(self.inertial(&bundle.motions)),
+            own_frame: self.known.is_empty().then(|| -Vector3::z()),
             ..Constraints::default()
         }
     }

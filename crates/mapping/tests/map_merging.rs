@@ -20,12 +20,12 @@ fn errors_are_as_stated(seeds: std::ops::RangeInclusive<u64>) -> [f64; 2] {
         let (mut parts, whole) = sessions(seed, 2, 1.2);
         let [mut first, mut second] = [0, 1].map(|at| build(&mut parts[at]));
         let stored = first.keyframes.len();
-        let (of_first, freedom, before_m) = nees(&whole, &first, stored);
+        let (of_first, freedom, before_m) = nees(&whole, &first, &first);
         if seed.is_multiple_of(2) {
             [first, second] = [first, second].map(|map| with_common_errors(&map));
         }
         let (merged, report) = merge(&first, &second).unwrap();
-        let (of_both, freedom_of_both, after_m) = nees(&whole, &merged, stored);
+        let (of_both, freedom_of_both, after_m) = nees(&whole, &merged, &first);
         println!(
             "seed {seed}: NEES {:.2}, {before_m:.4} m -> {:.2}, {after_m:.4} m; {report:?}",
             of_first / freedom,

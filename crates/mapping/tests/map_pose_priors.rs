@@ -1,6 +1,6 @@
 //! Maps in the frame of known positions and poses: as accurate and as uncertain as they state.
 
-use crate::common::map_errors::{all_errors, true_pose, true_poses_in};
+use crate::common::map_errors::{errors, true_pose, true_poses_in};
 use geometry::uncertain_pose::isotropic_covariance;
 use geometry::{Pose, rotation};
 use map::contents::MapContents;
@@ -86,7 +86,7 @@ fn build(sequence: &mut Sequence, priors: &PosePriors) -> Result<(MapContents, B
 /// NEES of all keyframes together over its degrees of freedom, and the RMS of their positions (m).
 fn nees(sequence: &Sequence, contents: &MapContents) -> (f64, f64) {
     let truth = true_poses_in(&global_from_truth(), sequence, contents);
-    let (error, covariance) = all_errors(contents, &truth);
+    let (error, covariance) = errors(contents, &truth);
     let nees = error.dot(&covariance.cholesky().unwrap().solve(&error));
     let square: f64 = (0..error.len()).filter(|row| row % 6 >= 3).map(|row| error[row].powi(2)).sum();
     (nees / error.len() as f64, (square / contents.keyframes.len() as f64).sqrt())

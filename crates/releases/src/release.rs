@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
 /// Layout of releases and their segments. One with another number is refused.
-pub const RELEASE_SCHEMA: u16 = 4;
+pub const RELEASE_SCHEMA: u16 = 5;
 
 /// One state of a map, as it is in the store. Never changes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -50,6 +50,8 @@ pub struct ReleasedMap {
     pub digest: MapIdentity,
     /// Unit vector downwards in G, where it is known.
     pub gravity_in_global: Option<[f64; 3]>,
+    /// Whether the map defines G itself.
+    pub own_frame: bool,
     /// Kind of its descriptors.
     pub descriptor_kind: DescriptorKind,
     /// Bytes of a descriptor.
@@ -128,6 +130,7 @@ impl ReleasedMap {
             identity,
             digest,
             gravity_in_global: info.gravity_in_global.map(Into::into),
+            own_frame: info.own_frame,
             descriptor_kind: info.descriptor_kind,
             descriptor_width: info.descriptor_width,
             sigma_px: info.sigma_px,
@@ -141,6 +144,7 @@ impl ReleasedMap {
             version: self.version,
             identity: Some(self.identity),
             gravity_in_global: self.gravity_in_global.map(Vector3::from),
+            own_frame: self.own_frame,
             sigma_px: self.sigma_px,
             extractor: self.extractor.clone(),
             ..MapMetadata::new(

@@ -33,4 +33,4 @@ pub use stored_map::{SavedMap, StoredMap};
 pub use target::MapTarget;
 
 /// Layout of a map on disk. Maps with another number are refused.
-pub const STORE_SCHEMA: u16 = 6;
+pub const STORE_SCHEMA: u16 = 7;

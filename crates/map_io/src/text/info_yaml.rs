@@ -23,6 +23,7 @@ pub(super) struct InfoYaml {
     name: Option<String>,
     created_by: Option<String>,
     gravity_in_global: Option<[f64; 3]>,
+    own_frame: Option<bool>,
     descriptor_kind: Option<String>,
     descriptor_width: Option<u16>,
     #[serde(alias = "pixel_sigma")]
@@ -45,7 +46,7 @@ impl InfoYaml {
             MapFileError::file(
                 path,
                 error.to_string(),
-                "its optional keys are name, created_by, gravity_in_global, descriptor_kind, \
+                "its optional keys are name, created_by, gravity_in_global, own_frame, descriptor_kind, \
                  descriptor_width, sigma_px and extractor",
             )
         })
@@ -70,6 +71,7 @@ impl InfoYaml {
             width,
         );
         info.gravity_in_global = self.gravity_in_global.map(Vector3::from);
+        info.own_frame = self.own_frame.unwrap_or_default();
         info.sigma_px = self.sigma_px.unwrap_or(DEFAULT_SIGMA_PX);
         info.extractor = self.extractor.unwrap_or_default();
         Ok(info)
@@ -93,6 +95,9 @@ pub(super) fn info_text(info: &MapMetadata, observed_width: Option<u16>) -> Opti
     }
     if let Some(gravity) = info.gravity_in_global {
         let _ = writeln!(text, "gravity_in_global: [{}]", list(gravity.as_slice()));
+    }
+    if info.own_frame {
+        let _ = writeln!(text, "own_frame: true");
     }
     if info.descriptor_kind != DescriptorKind::Binary {
         let _ = writeln!(text, "descriptor_kind: {}", info.descriptor_kind.label());

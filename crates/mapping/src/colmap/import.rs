@@ -85,6 +85,7 @@ pub fn import_colmap(
         extraction.extractor.width() as u16,
     );
     info.gravity_in_global = frame.gravity.as_ref().map(|gravity| gravity.in_global);
+    info.own_frame = true;
     info.sigma_px = sigma_px;
     extraction.extractor.name().clone_into(&mut info.extractor);
     let mut descriptors: Vec<Vec<Option<Vec<u8>>>> = Vec::new();

@@ -200,6 +200,7 @@ fn constraints(
         relative_poses,
         stored: vec![stored.prior()],
         ties: Vec::new(),
+        own_frame: None,
     }
 }
 

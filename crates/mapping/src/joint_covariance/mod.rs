@@ -13,11 +13,14 @@
 //! a correlation function `T` of the distance (`taper`). Both terms are covariances, the second one as the product of two
 //! (Schur). The diagonal is that of `P`.
 //!
+//! Of a map that defines its own frame, `P` is relative to the map as a whole ([`frame`]).
+//!
 //! Derivation and figures: `docs/src/derivations/joint-covariance.md`.
 //!
 //! Source: Sang & Huang, "A full scale approximation of covariance functions for large spatial data sets", JRSS B 2012.
 
 mod anchors;
+mod frame;
 mod taper;
 #[cfg(test)]
 mod tests;
@@ -31,6 +34,7 @@ use protocol::KeyframeId;
 
 use super::stored_poses::Posterior;
 use anchors::low_rank_part;
+use frame::WholeMapFrame;
 use taper::Taper;
 
 /// Maps of up to this many keyframes state the cross-covariance of every pair: that takes up to 23 MB.
@@ -86,14 +90,22 @@ impl JointCovariance {
 ///
 /// # Arguments
 /// * `posterior`: of the views, which are at `positions` (m).
+/// * `own_frame`: direction of gravity, unit vector, where the views define the frame.
 pub(super) fn joint_covariance(
     posterior: &Posterior<'_>,
     views: &[usize],
     positions: &[Vector3<f64>],
+    own_frame: Option<&Vector3<f64>>,
     progress: impl FnMut(usize, usize),
 ) -> JointCovariance {
     let column = |j: usize| posterior.column(j);
-    let Blocks { own, common, cross } = stated(FORM, positions, column, progress);
+    let Blocks { own, common, cross } = match own_frame {
+        Some(gravity) => {
+            let frame = WholeMapFrame::new(positions, gravity, column);
+            stated(FORM, positions, |j| frame.column(j), progress)
+        }
+        None => stated(FORM, positions, column, progress),
+    };
     JointCovariance {
         own: views.iter().copied().zip(own).collect(),
         common: views.iter().copied().zip(common).collect(),

@@ -1,6 +1,7 @@
 //! Errors of a map without reference poses.
 
-use geometry::{Pose, rotation};
+use evaluation::{Alignment, align};
+use geometry::Pose;
 use map::contents::MapContents;
 use map::model::{CommonError, Keyframe};
 use nalgebra::{DMatrix, DVector, Matrix6, Matrix6xX, Vector3};
@@ -15,17 +16,25 @@ pub fn true_pose(sequence: &Sequence, stamp_ns: i64) -> Pose {
     before.pose.interpolate(&after.pose, fraction)
 }
 
-/// From the frame of the ground truth to G, by position and yaw of the first keyframe.
+/// Errors that the frame of a map takes away: yaw and position.
+pub const FRAME_DIM: usize = 4;
+
+/// From the frame of the ground truth to G, by positions and yaw of all keyframes.
 pub fn global_from_truth(sequence: &Sequence, contents: &MapContents) -> Pose {
-    let Keyframe { stamp_ns, global_from_keyframe, .. } = &contents.keyframes[0];
-    let truth = true_pose(sequence, *stamp_ns).compose(&sequence.cameras[0].imu_from_camera);
-    let first = &global_from_keyframe.pose;
-    let turn = rotation::log(&(first.rotation * truth.rotation.inverse()));
-    let yaw = rotation::exp(&Vector3::new(0.0, 0.0, turn.z));
-    Pose::new(yaw, first.translation - yaw * truth.translation)
+    let imu_from_camera = sequence.cameras[0].imu_from_camera;
+    let truth =
+        |keyframe: &Keyframe| true_pose(sequence, keyframe.stamp_ns).compose(&imu_from_camera).translation;
+    let positions: Vec<_> = contents
+        .keyframes
+        .iter()
+        .map(|keyframe| (keyframe.global_from_keyframe.pose.translation, truth(keyframe)))
+        .collect();
+    let gravity = -Vector3::z();
+    let yaw = Alignment::Yaw { gravity_in_reference: gravity, gravity_in_estimate: gravity };
+    align(&positions, &yaw).unwrap()
 }
 
-/// The true pose of the camera at the time of each keyframe, in G as the first keyframe defines it.
+/// The true pose of the camera at the time of each keyframe, in G as the map defines it.
 pub fn true_poses(sequence: &Sequence, contents: &MapContents) -> Vec<Pose> {
     true_poses_in(&global_from_truth(sequence, contents), sequence, contents)
 }
@@ -37,15 +46,8 @@ pub fn true_poses_in(global_from_truth: &Pose, sequence: &Sequence, contents: &M
     contents.keyframes.iter().map(|keyframe| global_from_truth.compose(&camera(keyframe))).collect()
 }
 
-/// Errors of all keyframes but the first, which defines G, and their joint covariance.
-pub fn errors(contents: &MapContents, truth: &[Pose]) -> (DVector<f64>, DMatrix<f64>) {
-    let (error, covariance) = all_errors(contents, truth);
-    let rest = error.len() - 6;
-    (error.rows(6, rest).into_owned(), covariance.view((6, 6), (rest, rest)).into_owned())
-}
-
 /// Errors of all keyframes, and their joint covariance.
-pub fn all_errors(contents: &MapContents, truth: &[Pose]) -> (DVector<f64>, DMatrix<f64>) {
+pub fn errors(contents: &MapContents, truth: &[Pose]) -> (DVector<f64>, DMatrix<f64>) {
     let count = contents.keyframes.len();
     let mut covariance = DMatrix::zeros(6 * count, 6 * count);
     let mut error = DVector::zeros(6 * count);

@@ -6,7 +6,7 @@ use mapping::{BuildOptions, PosePriors, build_map_from_odometry};
 use sensors::Sequence;
 use simulation::{Scenario, SimulationOptions, simulate};
 
-use super::map_errors::{errors, true_poses};
+use super::map_errors::{FRAME_DIM, errors, global_from_truth, true_poses_in};
 
 /// Length of a session, of which a loop takes 42 s, ...
 const SESSION_S: f64 = 46.0;
@@ -58,10 +58,15 @@ pub fn build(sequence: &mut Sequence) -> MapContents {
 
 /// NEES of all keyframes together, its degrees of freedom, and the error of the positions of the first session along an
 /// axis (m).
-pub fn nees(whole: &Sequence, map: &MapContents, first_session: usize) -> (f64, f64, f64) {
-    let (error, covariance) = errors(map, &true_poses(whole, map));
+///
+/// # Arguments
+/// * `first`: the map that defines the frame.
+pub fn nees(whole: &Sequence, map: &MapContents, first: &MapContents) -> (f64, f64, f64) {
+    let truth = true_poses_in(&global_from_truth(whole, first), whole, map);
+    let (error, covariance) = errors(map, &truth);
     let nees = error.dot(&covariance.cholesky().unwrap().solve(&error));
-    let positions = error.rows(0, 6 * (first_session - 1));
+    let first_session = first.keyframes.len();
+    let positions = error.rows(0, 6 * first_session);
     let squares: f64 = positions.iter().enumerate().filter(|(at, _)| at % 6 > 2).map(|(_, e)| e * e).sum();
-    (nees, error.len() as f64, (squares / (3 * (first_session - 1)) as f64).sqrt())
+    (nees, (error.len() - FRAME_DIM) as f64, (squares / (3 * first_session) as f64).sqrt())
 }
