@@ -236,9 +236,9 @@ fn a_newer_schema_is_refused_with_both_numbers() {
     replaced(&path, &small_place(9));
     let manifest = path.join("manifest.json");
     let text = std::fs::read_to_string(&manifest).unwrap();
-    std::fs::write(&manifest, text.replace("\"schema\": 6", "\"schema\": 7, \"unknown\": 1")).unwrap();
+    std::fs::write(&manifest, text.replace("\"schema\": 7", "\"schema\": 8, \"unknown\": 1")).unwrap();
     let error = store::load_map(&path).unwrap_err();
-    assert!(matches!(error, StoreError::Schema { found: 7, expected: 6, .. }), "{error}");
+    assert!(matches!(error, StoreError::Schema { found: 8, expected: 7, .. }), "{error}");
     assert!(matches!(store::save_map(&path, &small_place(9), true), Err(StoreError::Schema { .. })));
 }
 

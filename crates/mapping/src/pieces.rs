@@ -1,32 +1,37 @@
 //! Recordings that fall into pieces: parts that no image ties together, but seconds of the IMU alone.
 
-use map::contents::MapContents;
-use map::model::Keyframe;
 use nalgebra::Matrix6;
 
 use super::error::BuildError;
+use super::joint_covariance::JointCovariance;
 
 /// A rotation that is known to less than this (rad) cannot be linearized: a covariance would not say what is known.
 const MAX_SIGMA_RAD: f64 = 0.3;
 
-/// Refuses a map whose later keyframes are hardly known relative to the first one.
+/// Refuses a map in which a keyframe is hardly known relative to the one before.
 ///
 /// # Arguments
+/// * `keyframes`: view and stamp (ns) of each, in the order of time.
 /// * `first_ns`: first frame of the recording.
 ///
 /// # Errors
 /// [`BuildError::Pieces`].
-pub(super) fn check_one_piece(contents: &MapContents, first_ns: i64) -> Result<(), BuildError> {
-    let mut keyframes: Vec<&Keyframe> = contents.keyframes.iter().collect();
-    keyframes.sort_unstable_by_key(|keyframe| keyframe.stamp_ns);
-    let of =
-        |keyframe: &Keyframe, begin: usize| largest_sigma(&keyframe.global_from_keyframe.covariance, begin);
-    let Some(pair) = keyframes.windows(2).find(|pair| of(pair[1], 0) > MAX_SIGMA_RAD) else { return Ok(()) };
-    let middle_ns = pair[0].stamp_ns.midpoint(pair[1].stamp_ns);
+pub(super) fn check_one_piece(
+    joint: &JointCovariance,
+    keyframes: &[(usize, i64)],
+    first_ns: i64,
+) -> Result<(), BuildError> {
+    let views: Vec<usize> = keyframes.iter().map(|(view, _)| *view).collect();
+    let relative = joint.relative_to_the_one_before(&views);
+    let Some(before) = relative.iter().position(|covariance| largest_sigma(covariance, 0) > MAX_SIGMA_RAD)
+    else {
+        return Ok(());
+    };
+    let middle_ns = keyframes[before].1.midpoint(keyframes[before + 1].1);
     Err(BuildError::Pieces {
         at_s: (middle_ns - first_ns) as f64 * 1e-9,
-        sigma_deg: of(pair[1], 0).to_degrees(),
-        sigma_m: of(pair[1], 3),
+        sigma_deg: largest_sigma(&relative[before], 0).to_degrees(),
+        sigma_m: largest_sigma(&relative[before], 3),
     })
 }
 

@@ -85,13 +85,14 @@ pub fn build_map_from_odometry(
     }
     let (bundle, constraints) = builder.build()?;
     let Builder { cameras, options, views, mut report, progress, .. } = builder;
-    let joint =
-        covariance_of(&cameras, &constraints, &bundle, &keyframes(&views), &[], report.sigma_px, progress)?;
+    let keyframes = keyframes(&views);
+    let joint = covariance_of(&cameras, &constraints, &bundle, &keyframes, &[], report.sigma_px, progress)?;
+    let in_time: Vec<(usize, i64)> = keyframes.iter().map(|&view| (view, views[view].stamp_ns)).collect();
+    check_one_piece(&joint, &in_time, sequence.frames.first().map_or(0, |frame| frame.stamp_ns))?;
     let camera = &cameras[0].camera;
     let mut contents =
         assemble::map_contents(camera, &views, &bundle, Some(&joint), report.sigma_px, &options)?;
     contents.info.own_frame = constraints.own_frame.is_some();
-    check_one_piece(&contents, sequence.frames.first().map_or(0, |frame| frame.stamp_ns))?;
     find_aliases(&mut contents, progress)?;
     assemble::fill_report(&mut report, &cameras, &views, &bundle, &contents);
     report.seconds = start.elapsed().as_secs_f64();

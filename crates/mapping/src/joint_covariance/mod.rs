@@ -71,6 +71,23 @@ impl JointCovariance {
         JointCovariance { own, common: BTreeMap::new(), cross: Vec::new() }
     }
 
+    /// Covariance of the difference of the errors of each view but the first to that of the view before, in the order of `views`.
+    pub(super) fn relative_to_the_one_before(&self, views: &[usize]) -> Vec<Matrix6<f64>> {
+        let stated: BTreeMap<(usize, usize), &Matrix6<f64>> =
+            self.cross.iter().map(|(i, j, block)| ((*i, *j), block)).collect();
+        let together = |a: usize, b: usize| {
+            let transposed = || stated.get(&(b, a)).map(|block| block.transpose());
+            let near = stated.get(&(a, b)).map(|block| **block).or_else(transposed);
+            let common = self.common.get(&a).zip(self.common.get(&b)).map(|(a, b)| a * b.transpose());
+            near.unwrap_or_else(Matrix6::zeros) + common.unwrap_or_else(Matrix6::zeros)
+        };
+        let relative = |pair: &[usize]| {
+            let cross = together(pair[0], pair[1]);
+            self.own[&pair[0]] + self.own[&pair[1]] - cross - cross.transpose()
+        };
+        views.windows(2).map(relative).collect()
+    }
+
     /// Cross-covariances and common errors as a map states them, of the views that are keyframes.
     pub(super) fn of_keyframes(
         &self,
