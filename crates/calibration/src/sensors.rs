@@ -43,6 +43,18 @@ pub struct WheelSensor {
     pub sigma_speed_rad_s: Option<f64>,
 }
 
+impl WheelSensor {
+    /// White noise of a velocity of [`Self::of_base_velocity`], m/s.
+    const SIGMA_VELOCITY_M_S: f64 = 0.005;
+
+    /// Wheels that stand for a base whose velocity is measured, ahead (m/s) and about its z axis (rad/s): of 1 m radius, and 1 m apart.
+    /// An error of the radii is one of the measured scale, one of the track is one of the measured turns.
+    pub fn of_base_velocity(imu_from_base: Pose) -> Self {
+        let sigma_speed_rad_s = Some(Self::SIGMA_VELOCITY_M_S);
+        Self { radius_left_m: 1.0, radius_right_m: 1.0, track_m: 1.0, imu_from_base, sigma_speed_rad_s }
+    }
+}
+
 /// Calibration of all sensors of a robot or of a recording.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SensorCalibration {

@@ -76,7 +76,7 @@ pub fn estimator_config(calibration: &SensorCalibration) -> Option<EstimatorConf
 }
 
 /// The default settings of wheels with their geometry and noise.
-fn wheel_config(wheels: &WheelSensor) -> WheelConfig {
+pub fn wheel_config(wheels: &WheelSensor) -> WheelConfig {
     let mut config = WheelConfig::new(wheels.radius_left_m, wheels.track_m);
     config.radius_right_m = wheels.radius_right_m;
     config.base_position_m = wheels.imu_from_base.translation.into();

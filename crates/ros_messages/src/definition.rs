@@ -70,6 +70,10 @@ pub(crate) const IMU: Definition = Definition {
              geometry_msgs/Vector3 linear_acceleration\nfloat64[9] linear_acceleration_covariance\n",
     types: &[HEADER, TIME, QUATERNION, VECTOR3],
 };
+pub(crate) const JOINT_STATE: Definition = Definition {
+    fields: "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort\n",
+    types: &[HEADER, TIME],
+};
 pub(crate) const IMAGE: Definition = Definition {
     fields: "std_msgs/Header header\nuint32 height\nuint32 width\nstring encoding\nuint8 is_bigendian\nuint32 step\n\
              uint8[] data\n",

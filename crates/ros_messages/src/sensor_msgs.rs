@@ -33,6 +33,27 @@ impl RosMessage for Imu {
     const DEFINITION: Definition = definition::IMU;
 }
 
+/// `sensor_msgs/msg/JointState`: what is not measured is an empty list.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct JointState {
+    /// Time.
+    pub header: Header,
+    /// The joints, in the order of the lists below.
+    pub name: Vec<String>,
+    /// rad or m.
+    pub position: Vec<f64>,
+    /// rad/s or m/s.
+    pub velocity: Vec<f64>,
+    /// N m or N.
+    pub effort: Vec<f64>,
+}
+
+impl RosMessage for JointState {
+    const TYPE_NAME: &'static str = "sensor_msgs/msg/JointState";
+    const TYPE_HASH: &'static str = "RIHS01_a13ee3a330e346c9d87b5aa18d24e11690752bd33a0350f11c5882bc9179260e";
+    const DEFINITION: Definition = definition::JOINT_STATE;
+}
+
 /// `sensor_msgs/msg/Image`: pixels by rows.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Image {

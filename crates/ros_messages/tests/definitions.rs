@@ -3,7 +3,7 @@
 use ros_messages::diagnostic_msgs::DiagnosticArray;
 use ros_messages::geometry_msgs::PoseWithCovarianceStamped;
 use ros_messages::nav_msgs::Odometry;
-use ros_messages::sensor_msgs::{CameraInfo, CompressedImage, Image, Imu};
+use ros_messages::sensor_msgs::{CameraInfo, CompressedImage, Image, Imu, JointState};
 use ros_messages::tf2_msgs::TFMessage;
 use ros_messages::{RosMessage, definition};
 use sha2::{Digest as _, Sha256};
@@ -70,6 +70,7 @@ fn is_of_ros<M: RosMessage>() {
 #[test]
 fn every_definition_has_the_hash_of_its_type() {
     is_of_ros::<Imu>();
+    is_of_ros::<JointState>();
     is_of_ros::<Image>();
     is_of_ros::<CompressedImage>();
     is_of_ros::<CameraInfo>();

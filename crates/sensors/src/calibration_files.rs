@@ -33,6 +33,10 @@ pub struct CalibrationFiles {
     /// The topic of the accelerometer in a bag, where it is not that of the gyroscope; without it the only one without
     /// angular velocities.
     pub accelerometer_topic: Option<String>,
+    /// The topic of the wheels in a bag; without it they are not read.
+    pub wheel_topic: Option<String>,
+    /// The joints of the left and of the right wheel in `sensor_msgs/JointState`; without them those that are named so.
+    pub wheel_joints: Option<[String; 2]>,
     /// The topics of camera 0 and camera 1 in a bag; without them those of their type, in order of their names.
     pub camera_topics: Vec<String>,
     /// Largest difference between the stamps of the images of a stereo pair, nanoseconds; without it

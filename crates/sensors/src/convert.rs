@@ -173,7 +173,7 @@ fn to_bag(
     let parts = [
         (contents.tracks, "tracks"),
         (contents.features, "features"),
-        (contents.wheels, "the wheels"),
+        (contents.wheels.is_some(), "the wheels"),
         (recording.has_truth(), "the ground truth"),
     ];
     let left_out = parts.into_iter().filter(|(is_there, _)| *is_there).map(|(_, name)| name).collect();

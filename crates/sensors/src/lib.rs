@@ -109,7 +109,7 @@ pub use pose_columns::{PoseColumns, QuaternionOrder};
 pub use recording::Recording;
 pub use rig_calibration::{read_rig_calibration, states_intrinsics};
 pub use rows::Rows;
-pub use source::{Contents, SensorEvent, SensorSource};
+pub use source::{Contents, SensorEvent, SensorSource, WheelReadings};
 pub use split_imu::SplitImu;
 pub use stereo_check::check_stereo;
 pub use stored::is_recording;

@@ -2,7 +2,7 @@
 
 use super::{
     CameraSensor, Contents, Frame, ImuSample, ImuSensor, PairCounts, ReferencePose, SensorCalibration,
-    TruthRow, WheelReading, WheelSensor,
+    TruthRow, WheelReading, WheelReadings, WheelSensor,
 };
 use nalgebra::Vector3;
 use std::path::PathBuf;
@@ -47,7 +47,7 @@ impl Sequence {
     pub fn contents(&self) -> Contents {
         let mut contents = Contents { frames: Some(0), ..Contents::default() };
         self.frames.iter().for_each(|frame| contents.add(frame));
-        contents.wheels = !self.wheel_readings.is_empty();
+        contents.wheels = (!self.wheel_readings.is_empty()).then_some(WheelReadings::Speeds);
         contents
     }
 

@@ -87,7 +87,7 @@ impl Recording<'static> {
         clocks.finish(root)?;
         for reading in stored.wheel_readings()? {
             reading?;
-            contents.wheels = true;
+            contents.wheels = Some(stored.wheels_are());
         }
         stored.truth()?.try_for_each(|row| row.map(drop))?;
         Ok(Self {

@@ -129,7 +129,6 @@ impl SensorEvent {
 
 /// What a source has beside the IMU.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[expect(clippy::struct_excessive_bools, reason = "each is there or not, whatever the others")]
 pub struct Contents {
     /// Number of frames, where it is known beforehand; for a progress display.
     pub frames: Option<usize>,
@@ -139,8 +138,17 @@ pub struct Contents {
     pub tracks: bool,
     /// Whether there are features for place recognition. Without them they are extracted from the images.
     pub features: bool,
-    /// Whether there are readings of wheels. They are used where the calibration states the geometry of the wheels.
-    pub wheels: bool,
+    /// The readings of wheels, if there are any. They are used where the calibration states the geometry.
+    pub wheels: Option<WheelReadings>,
+}
+
+/// What the readings of wheels are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum WheelReadings {
+    /// Angular speeds of the wheels.
+    Speeds,
+    /// Velocities of the base, as speeds of the wheels that [`WheelSensor::of_base_velocity`](crate::WheelSensor::of_base_velocity) states.
+    BaseVelocities,
 }
 
 impl Contents {

@@ -7,7 +7,7 @@ use super::imu_check::ImuCheck;
 use super::rows::Rows;
 use super::{
     CalibrationFiles, Frame, ImuSample, ImuSensor, PairCounts, ReferencePose, SensorCalibration, Sequence,
-    SequenceError, TruthRow, WheelReading,
+    SequenceError, TruthRow, WheelReading, WheelReadings,
 };
 use std::fmt::Debug;
 use std::path::{Path, PathBuf};
@@ -24,6 +24,11 @@ pub(crate) trait Stored: Debug + Send + Sync {
     /// The readings of the wheels, strictly increasing in time and finite; none without wheels.
     fn wheel_readings(&self) -> Result<Rows<'static, WheelReading>, SequenceError> {
         Ok(Box::new(std::iter::empty()))
+    }
+
+    /// What the readings of the wheels are.
+    fn wheels_are(&self) -> WheelReadings {
+        WheelReadings::Speeds
     }
 
     /// What was added to the recorded stamps of the frames (ns).

@@ -12,6 +12,15 @@ pub struct WheelReading {
 }
 
 impl WheelReading {
+    /// The speeds of wheels of 1 m radius that are 1 m apart, under a base that moves.
+    ///
+    /// # Arguments
+    /// * `ahead`: m/s.
+    /// * `turn`: about the z axis, rad/s.
+    pub fn of_base_velocity(stamp_ns: i64, ahead: f64, turn: f64) -> Self {
+        Self { stamp_ns, left: ahead - 0.5 * turn, right: ahead + 0.5 * turn }
+    }
+
     /// Whether both speeds are finite.
     pub fn is_finite(&self) -> bool {
         self.left.is_finite() && self.right.is_finite()

@@ -3,7 +3,9 @@
 use anyhow::{Result, bail, ensure};
 use clap::Args;
 use estimator::WheelConfig;
-use sensors::Contents;
+use geometry::Pose;
+use robot::wheel_config;
+use sensors::{Contents, WheelReadings, WheelSensor};
 
 /// Heading of these switches in `--help`.
 const HEADING: &str = "Wheels";
@@ -42,27 +44,57 @@ impl WheelArguments {
         if self.no_wheels {
             return Ok(None);
         }
-        let given = self.given(settled)?;
-        if !contents.wheels {
-            ensure!(
-                self.wheel_radius.is_empty(),
-                "--wheel-radius: there are no readings of wheels; a recording has them in mav0/wheels0/data.csv"
-            );
-            return Ok(None);
-        }
+        let (given, lacks) = match contents.wheels {
+            Some(WheelReadings::Speeds) => {
+                let lacks = "wheels whose geometry is not known, and they are not used: give --wheel-radius and --wheel-track (and \
+                             --base-in-imu), or wheels0/sensor.yaml";
+                (self.given(settled)?, lacks)
+            }
+            Some(WheelReadings::BaseVelocities) => {
+                let lacks = "a base whose pose on the IMU is not known, and its velocities are not used: give --base-in-imu, or record \
+                             /tf_static with the frame of the base";
+                (self.of_base_velocities(settled)?, lacks)
+            }
+            None => {
+                ensure!(
+                    self.wheel_radius.is_empty(),
+                    "--wheel-radius: there are no readings of wheels; a folder has them in mav0/wheels0/data.csv, a bag in the topic \
+                     that --wheel-topic names"
+                );
+                return Ok(None);
+            }
+        };
         if given.is_none() {
-            tracing::warn!(
-                "the recording has wheels whose geometry is not known, and they are not used: give --wheel-radius and --wheel-track (and \
-                 --base-in-imu), or wheels0/sensor.yaml"
-            );
+            tracing::warn!("the recording has {lacks}");
         }
         Ok(given)
+    }
+
+    /// The wheels that stand for a base whose velocity is measured.
+    fn of_base_velocities(&self, settled: Option<WheelConfig>) -> Result<Option<WheelConfig>> {
+        ensure!(
+            self.wheel_radius.is_empty(),
+            "--wheel-radius: the topic has velocities of the base (nav_msgs/Odometry), which need no radius: leave it and --wheel-track out"
+        );
+        let Some(position_m) = self.base_position()? else { return Ok(settled) };
+        let stated =
+            settled.unwrap_or_else(|| wheel_config(&WheelSensor::of_base_velocity(Pose::identity())));
+        Ok(Some(with_base_at(stated, position_m)))
+    }
+
+    /// `--base-in-imu`.
+    fn base_position(&self) -> Result<Option<[f64; 3]>> {
+        match *self.base_in_imu.as_slice() {
+            [] => Ok(None),
+            [x, y, z] => Ok(Some([x, y, z])),
+            _ => bail!("--base-in-imu takes three numbers separated by commas, in metres"),
+        }
     }
 
     /// What the switches state, on top of the settings.
     fn given(&self, settled: Option<WheelConfig>) -> Result<Option<WheelConfig>> {
         ensure!(self.wheel_radius.len() <= 2, "--wheel-radius takes one number, or two separated by a comma");
-        let mut wheels = match (self.wheel_radius.as_slice(), self.wheel_track, settled) {
+        let wheels = match (self.wheel_radius.as_slice(), self.wheel_track, settled) {
             ([left, rest @ ..], Some(track), settled) => {
                 let mut wheels = settled.unwrap_or_else(|| WheelConfig::new(*left, track));
                 (wheels.radius_left_m, wheels.radius_right_m) =
@@ -74,13 +106,16 @@ impl WheelArguments {
             _ if self.base_in_imu.is_empty() => return Ok(None),
             _ => bail!("--base-in-imu needs --wheel-radius and --wheel-track, or wheels0/sensor.yaml"),
         };
-        match *self.base_in_imu.as_slice() {
-            [] => {}
-            [x, y, z] => wheels.base_position_m = [x, y, z],
-            _ => bail!("--base-in-imu takes three numbers separated by commas, in metres"),
-        }
-        Ok(Some(wheels))
+        Ok(Some(match self.base_position()? {
+            Some(position_m) => with_base_at(wheels, position_m),
+            None => wheels,
+        }))
     }
+}
+
+fn with_base_at(mut wheels: WheelConfig, position_m: [f64; 3]) -> WheelConfig {
+    wheels.base_position_m = position_m;
+    wheels
 }
 
 #[cfg(test)]
@@ -100,7 +135,7 @@ mod tests {
 
     #[test]
     fn a_switch_overrides_the_calibration_and_wheels_need_readings() {
-        let with = Contents { wheels: true, ..Contents::default() };
+        let with = Contents { wheels: Some(WheelReadings::Speeds), ..Contents::default() };
         let mut stated = WheelConfig::new(0.2, 0.6);
         stated.noise.sigma_speed_rad_s = 0.1;
         assert_eq!(given("").wheels(Some(stated), with).unwrap(), Some(stated));
@@ -115,5 +150,18 @@ mod tests {
         assert!(given("--base-in-imu 1,2,3").wheels(None, with).is_err());
         assert!(given("--base-in-imu 1,2").wheels(Some(stated), with).is_err());
         assert!(Line::try_parse_from(["robot", "--wheel-radius", "0.1"]).is_err());
+    }
+
+    #[test]
+    fn velocities_of_a_base_need_its_pose_and_no_radius() {
+        let velocities = Contents { wheels: Some(WheelReadings::BaseVelocities), ..Contents::default() };
+        assert_eq!(given("").wheels(None, velocities).unwrap(), None);
+        let placed = given("--base-in-imu -0.1,0,-0.2").wheels(None, velocities).unwrap().unwrap();
+        assert_eq!((placed.radius_left_m, placed.track_m), (1.0, 1.0));
+        assert_eq!(placed.base_position_m, [-0.1, 0.0, -0.2]);
+        assert_eq!(given("").wheels(Some(placed), velocities).unwrap(), Some(placed));
+        let line = "--wheel-radius 0.1 --wheel-track 0.5";
+        let error = given(line).wheels(Some(placed), velocities).unwrap_err().to_string();
+        assert!(error.contains("need no radius"), "{error}");
     }
 }

@@ -2,7 +2,8 @@
 
 use super::recorded_calibration::{self as recorded, NotRecorded};
 use super::topics::BagSensors;
-use crate::{CalibrationFiles, CameraSensor, ImuSensor, SensorCalibration, SequenceError};
+use super::wheel_topic::WheelTopic;
+use crate::{CalibrationFiles, CameraSensor, ImuSensor, SensorCalibration, SequenceError, WheelSensor};
 use bags::Bag;
 use calibration::kalibr::{self, CameraChain};
 use calibration::sensor_yaml;
@@ -14,6 +15,7 @@ use std::path::{Path, PathBuf};
 pub(super) struct BagCalibration {
     cameras: Cameras,
     imu: Option<Imu>,
+    wheels: Option<WheelSensor>,
     /// Added to the stamps of the images, nanoseconds.
     pub(super) time_offset_ns: i64,
 }
@@ -46,7 +48,7 @@ impl BagCalibration {
             Cameras::WithoutRates(cameras) => cameras.into_iter().zip(cameras_hz).map(sensor).collect(),
             Cameras::Complete(cameras) => cameras,
         };
-        Ok(SensorCalibration { imu, cameras, wheels: None })
+        Ok(SensorCalibration { imu, cameras, wheels: self.wheels })
     }
 }
 
@@ -57,6 +59,7 @@ impl BagCalibration {
 pub(super) fn read(
     bag: &Bag,
     sensors: &BagSensors,
+    wheels: Option<&WheelTopic>,
     files: &CalibrationFiles,
 ) -> Result<BagCalibration, SequenceError> {
     let path = bag.path();
@@ -83,7 +86,8 @@ pub(super) fn read(
         (Some(_), Some(file)) => Some(Imu::Kalibr(file)),
         (Some(_), None) => Some(Imu::Complete(imu_without_kalibr(bag, &root)?)),
     };
-    Ok(BagCalibration { cameras, imu, time_offset_ns })
+    let wheels = wheels.and_then(|wheels| wheels.calibration(bag, sensors.imu));
+    Ok(BagCalibration { cameras, imu, wheels, time_offset_ns })
 }
 
 /// The offset of a camera chain, which images that Driftless recorded have in their stamps already.

@@ -1,9 +1,10 @@
 //! Messages of a bag: of ROS 1, ROS 2, and Foxglove's images.
 
 use super::foxglove::{self, FoxgloveError};
-use super::topics::{COMPRESSED_IMAGE, IMAGES};
+use super::topics::{COMPRESSED_IMAGE, IMAGES, JOINT_STATE, ODOMETRY};
 use bags::{Bag, BagError, Encoding, Place};
-use ros_messages::sensor_msgs::{CompressedImage, Image, Imu};
+use ros_messages::nav_msgs::Odometry;
+use ros_messages::sensor_msgs::{CompressedImage, Image, Imu, JointState};
 use ros_messages::{CdrError, RosMessage, decode, ros1};
 use std::path::Path;
 use vision::{GrayImage, ImageError, RawImage};
@@ -62,10 +63,12 @@ pub(super) fn read_image(bag: &Bag, topic: usize, place: Place) -> Result<Record
 pub(super) fn unreadable(bag: &Bag, topic: usize) -> Option<MessageError> {
     let mut why = None;
     for message in bag.topics()[topic].messages.iter().take(TRIED) {
-        let read = if IMAGES.contains(&bag.topics()[topic].type_name.as_str()) {
-            read_image(bag, topic, message.place).map(drop)
-        } else {
-            read::<Imu>(bag, topic, message.place).map(drop)
+        let place = message.place;
+        let read = match bag.topics()[topic].type_name.as_str() {
+            image if IMAGES.contains(&image) => read_image(bag, topic, place).map(drop),
+            ODOMETRY => read::<Odometry>(bag, topic, place).map(drop),
+            JOINT_STATE => read::<JointState>(bag, topic, place).map(drop),
+            _ => read::<Imu>(bag, topic, place).map(drop),
         };
         match read {
             Ok(()) => return None,

@@ -15,6 +15,7 @@ mod recording;
 mod rows;
 mod static_transforms;
 mod topics;
+mod wheel_topic;
 
 pub use bags::BagError;
 pub use topics::{BagCamera, BagSensors};

@@ -98,6 +98,7 @@ fn own(bag: &Bag) -> Option<&Metadata> {
     bag.metadata().iter().find(|metadata| metadata.name == METADATA)
 }
 
-fn imu_frame(bag: &Bag, imu: usize) -> String {
+/// The frame of the IMU, as its first message names it.
+pub(super) fn imu_frame(bag: &Bag, imu: usize) -> String {
     messages::first::<Imu>(bag, imu).map(|message| message.header.frame_id).unwrap_or_default()
 }

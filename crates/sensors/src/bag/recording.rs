@@ -6,9 +6,13 @@ use super::index::StampedTopic;
 use super::messages;
 use super::rows::{Cameras, FrameRows, readings};
 use super::topics::{BagSensors, wrong};
+use super::wheel_topic::WheelTopic;
 use crate::rows::Rows;
 use crate::stored::Stored;
-use crate::{CalibrationFiles, Frame, ImuSample, ImuUnits, PairCounts, SensorCalibration, SequenceError};
+use crate::{
+    CalibrationFiles, Frame, ImuSample, ImuUnits, PairCounts, SensorCalibration, SequenceError, WheelReading,
+    WheelReadings,
+};
 use bags::Bag;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -19,6 +23,7 @@ pub(crate) struct BagRecording {
     imu: Option<Arc<StampedTopic>>,
     /// Where it has a topic of its own.
     accelerometer: Option<Arc<StampedTopic>>,
+    wheels: Option<(Arc<StampedTopic>, WheelTopic)>,
     cameras: Arc<Cameras>,
     imu_units: ImuUnits,
     time_offset_ns: i64,
@@ -45,15 +50,22 @@ impl BagRecording {
             }
         }
         // Files that are missing are found before all stamps are read.
-        let calibration = calibration::read(&bag, &sensors, files)?;
+        let wheels = WheelTopic::find(&bag, files)?;
+        let of_wheels = wheels.as_ref().map(|(_, wheels)| wheels);
+        let calibration = calibration::read(&bag, &sensors, of_wheels, files)?;
         let imu = sensors.imu.map(|topic| StampedTopic::read(&bag, topic, &[]));
         let steps = imu.as_ref().map_or(&[][..], |imu| &imu.steps);
         let accelerometer = sensors.accelerometer.map(|topic| StampedTopic::read(&bag, topic, steps));
         let of_imu = imu.iter().chain(&accelerometer);
+        let stamped = |(topic, how)| (StampedTopic::read(&bag, topic, steps), how);
+        let wheels = wheels.map(stamped);
+        let of_wheels = wheels.iter().map(|(topic, _)| topic);
         let camera = |camera: &super::BagCamera| StampedTopic::read(&bag, camera.images, steps);
         let cameras: Vec<Arc<StampedTopic>> = sensors.cameras.iter().map(camera).map(Arc::new).collect();
-        if let Some(topic) =
-            of_imu.chain(cameras.iter().map(Arc::as_ref)).find(|topic| topic.is_stopped(&bag))
+        if let Some(topic) = of_imu
+            .chain(of_wheels)
+            .chain(cameras.iter().map(Arc::as_ref))
+            .find(|topic| topic.is_stopped(&bag))
         {
             let name = &bag.topics()[topic.topic].name;
             let problem = format!(
@@ -68,6 +80,7 @@ impl BagRecording {
             bag: Arc::new(bag),
             imu: imu.filter(|_| calibration.imu.is_some()).map(Arc::new),
             accelerometer: accelerometer.map(Arc::new),
+            wheels: wheels.map(|(topic, how)| (Arc::new(topic), how)),
             cameras: Arc::new(Cameras::new(cameras, files.pair_tolerance_ns())),
             imu_units: files.imu_units,
             time_offset_ns,
@@ -91,6 +104,15 @@ impl Stored for BagRecording {
         };
         let units = self.imu_units;
         Ok(Box::new(readings.map(move |reading| reading.map(|reading| units.in_si(reading)))))
+    }
+
+    fn wheel_readings(&self) -> Result<Rows<'static, WheelReading>, SequenceError> {
+        let Some((topic, how)) = &self.wheels else { return Ok(Box::new(std::iter::empty())) };
+        Ok(Box::new(how.rows(&self.bag, topic)))
+    }
+
+    fn wheels_are(&self) -> WheelReadings {
+        self.wheels.as_ref().map_or(WheelReadings::Speeds, |(_, how)| how.readings())
     }
 
     fn time_offset_ns(&self) -> i64 {

@@ -12,6 +12,9 @@ pub(super) const COMPRESSED_IMAGE: &str = "sensor_msgs/CompressedImage";
 /// Types of images.
 pub(super) const IMAGES: [&str; 4] =
     [IMAGE, COMPRESSED_IMAGE, foxglove::RAW_IMAGE, foxglove::COMPRESSED_IMAGE];
+/// Types of wheels.
+pub(super) const JOINT_STATE: &str = "sensor_msgs/JointState";
+pub(super) const ODOMETRY: &str = "nav_msgs/Odometry";
 pub(super) const CAMERA_INFO: &str = "sensor_msgs/CameraInfo";
 
 /// The sensors of a bag, as indices of [`Bag::topics`].

@@ -65,6 +65,6 @@ impl LiveSettings {
             LiveFrames::Images => (true, false, false),
             LiveFrames::Tracks { features } => (false, true, features),
         };
-        Contents { frames: None, images, tracks, features, wheels: false }
+        Contents { frames: None, images, tracks, features, wheels: None }
     }
 }

@@ -58,14 +58,14 @@ fn wheels_without_geometry_are_read_and_wrong_ones_are_an_error() {
     let folder = tempfile::tempdir().unwrap();
     writer::write(&sequence(2), folder.path()).unwrap();
     let recording = Recording::open(folder.path()).unwrap();
-    assert!(recording.contents().wheels && recording.calibration().wheels.is_some());
+    assert!(recording.contents().wheels.is_some() && recording.calibration().wheels.is_some());
     let wheels = folder.path().join("mav0/wheels0");
     let yaml = std::fs::read_to_string(wheels.join("sensor.yaml")).unwrap();
     std::fs::write(wheels.join("sensor.yaml"), yaml.replace("track: 0.5", "track: -0.5")).unwrap();
     assert!(Recording::open(folder.path()).unwrap_err().to_string().contains("track"));
     std::fs::remove_file(wheels.join("sensor.yaml")).unwrap();
     let recording = Recording::open(folder.path()).unwrap();
-    assert!(recording.contents().wheels && recording.calibration().wheels.is_none());
+    assert!(recording.contents().wheels.is_some() && recording.calibration().wheels.is_none());
     let table = std::fs::read_to_string(wheels.join("data.csv")).unwrap();
     let cut = table.trim_end().rfind(',').unwrap();
     std::fs::write(wheels.join("data.csv"), table[..cut].to_owned() + ",nan\n").unwrap();

@@ -1,8 +1,10 @@
 //! Small recordings, made message by message.
 
 use nalgebra::Vector3;
-use ros_messages::sensor_msgs::{Image, Imu};
+use ros_messages::nav_msgs::Odometry;
+use ros_messages::sensor_msgs::{Image, Imu, JointState};
 use ros_messages::std_msgs::Header;
+use ros_messages::tf2_msgs::TFMessage;
 use ros_messages::{RosMessage, encode};
 use sensors::ros::imu_message;
 use sensors::ros_bag::{RosBagWriter, message_type};
@@ -28,6 +30,9 @@ pub struct Message {
 pub enum Body {
     Imu(Box<Imu>),
     Image(Image),
+    Joints(JointState),
+    Odometry(Box<Odometry>),
+    Transforms(TFMessage),
 }
 
 impl Message {
@@ -36,6 +41,9 @@ impl Message {
         let header = match &mut self.body {
             Body::Imu(imu) => &mut imu.header,
             Body::Image(image) => &mut image.header,
+            Body::Joints(joints) => &mut joints.header,
+            Body::Odometry(odometry) => &mut odometry.header,
+            Body::Transforms(_) => return,
         };
         *header = Header::new(header.stamp.to_nanoseconds() + by_ns, &header.frame_id).unwrap();
     }
@@ -134,6 +142,9 @@ fn write(path: &Path, messages: &[Message]) {
         match body {
             Body::Imu(message) => put(&mut bag, topic, *log_ns, &**message),
             Body::Image(message) => put(&mut bag, topic, *log_ns, message),
+            Body::Joints(message) => put(&mut bag, topic, *log_ns, message),
+            Body::Odometry(message) => put(&mut bag, topic, *log_ns, &**message),
+            Body::Transforms(message) => put(&mut bag, topic, *log_ns, message),
         }
     }
     bag.finish().unwrap();

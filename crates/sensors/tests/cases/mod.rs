@@ -7,3 +7,4 @@ mod making;
 mod stamps;
 mod stereo;
 mod topics;
+mod wheels;
