@@ -123,7 +123,9 @@ fn play_recording(
     arguments: &Arguments,
     runtime: &NetworkRuntime,
 ) -> Result<Outcome> {
-    let recording = Recording::open_with(sequence, &arguments.calibration.files())?;
+    let mut files = arguments.calibration.files();
+    arguments.robot.wheels.name_topic(&mut files);
+    let recording = Recording::open_with(sequence, &files)?;
     let link = opening_link(arguments, runtime)?;
     let bar = progress::frame_bar(recording.contents().frames);
     let show = |frame| bar.set_position(frame as u64);
@@ -189,7 +191,7 @@ fn play_native(stop: &StopSignal, arguments: &Arguments, runtime: &NetworkRuntim
 }
 
 fn play_ros2(stop: &StopSignal, arguments: &Arguments, runtime: &NetworkRuntime) -> Result<Outcome> {
-    let topics = RosTopics::of(&arguments.calibration)?;
+    let topics = RosTopics::of(&arguments.calibration, &arguments.robot.wheels)?;
     let has_intrinsics = states_intrinsics(calibration_path(arguments)?)?;
     // Faults of the files are reported before the session is opened.
     let from_files = has_intrinsics.then(|| live_settings(arguments, &[], &topics.cameras)).transpose()?;

@@ -1,14 +1,15 @@
 //! Sensors that are ROS 2 topics.
 
-use crate::arguments::CalibrationArguments;
+use crate::arguments::{CalibrationArguments, WheelArguments};
 use crate::topic_watch::TopicWatch;
 use anyhow::bail;
 use ros_messages::RosMessage;
-use ros_messages::sensor_msgs::{CompressedImage, Image, Imu};
+use ros_messages::nav_msgs::Odometry;
+use ros_messages::sensor_msgs::{CompressedImage, Image, Imu, JointState};
 use ros2::{Node, NodeOptions, Qos, Received, Reliability, RosError, Subscriber};
-use sensors::SplitImu;
 use sensors::live::{LiveFrames, LiveImage, LiveInputs, LiveSettings, RawPixels, Stream};
-use sensors::ros::{NotMeasured, imu_sample};
+use sensors::ros::{MovesSideways, NotMeasured, WheelJoints, base_velocity, imu_sample};
+use sensors::{SplitImu, WheelReadings};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use tokio::task::JoinHandle;
@@ -16,6 +17,8 @@ use vision::RawImage;
 
 /// Readings that may wait to be handed in: ten seconds at 1 kHz. None is dropped unless the processor stands still.
 const IMU_QUEUE: usize = 10_000;
+/// Readings of the wheels that may wait to be handed in.
+const WHEEL_QUEUE: usize = 1000;
 /// Images that may wait to be handed in. Handing in takes microseconds; the source has a queue of its own.
 const IMAGE_QUEUE: usize = 10;
 /// Angular velocities that wait longer for the accelerometer are said to, nanoseconds.
@@ -34,6 +37,34 @@ pub struct RosTopics {
     pub accelerometer: Option<String>,
     /// One or two cameras: `sensor_msgs/Image`, or `sensor_msgs/CompressedImage` where the name ends in `/compressed`.
     pub cameras: Vec<String>,
+    /// The wheels, if they are used.
+    pub wheels: Option<RosWheels>,
+}
+
+/// The topic of a robot's wheels.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum RosWheels {
+    /// `nav_msgs/Odometry`, of which the velocity is used.
+    Base(String),
+    /// `sensor_msgs/JointState`, and the joints of the wheels; without them those that are named so.
+    Joints(String, Option<WheelJoints>),
+}
+
+impl RosWheels {
+    /// The topic that the switches name: of speeds where they state radii or joints, else of velocities of the base.
+    fn of(arguments: &WheelArguments) -> Option<Self> {
+        let topic = arguments.wheel_topic.clone()?;
+        let joints = arguments.joints().map(WheelJoints::named);
+        let is_joints = joints.is_some() || !arguments.wheel_radius.is_empty();
+        Some(if is_joints { Self::Joints(topic, joints) } else { Self::Base(topic) })
+    }
+
+    fn readings(&self) -> WheelReadings {
+        match self {
+            Self::Base(_) => WheelReadings::BaseVelocities,
+            Self::Joints(..) => WheelReadings::Speeds,
+        }
+    }
 }
 
 impl RosTopics {
@@ -41,7 +72,7 @@ impl RosTopics {
     ///
     /// # Errors
     /// A topic is missing.
-    pub fn of(arguments: &CalibrationArguments) -> anyhow::Result<Self> {
+    pub fn of(arguments: &CalibrationArguments, wheels: &WheelArguments) -> anyhow::Result<Self> {
         let (Some(imu), cameras) = (arguments.imu_topic.clone(), arguments.camera_topic.clone()) else {
             bail!("--imu-topic is missing: name the topic of sensor_msgs/Imu, for example /imu")
         };
@@ -50,7 +81,8 @@ impl RosTopics {
         }
         let accelerometer =
             arguments.accelerometer_topic.clone().filter(|accelerometer| *accelerometer != imu);
-        Ok(Self { imu, accelerometer, cameras })
+        let wheels = RosWheels::of(wheels);
+        Ok(Self { imu, accelerometer, cameras, wheels })
     }
 
     /// Adapts the settings of the source to these topics: fewer topics are fewer cameras.
@@ -66,6 +98,7 @@ impl RosTopics {
             bail!("ROS 2 has no messages for tracks: leave --live-frames out")
         }
         settings.cameras = cameras.len();
+        settings.wheels = self.wheels.as_ref().map(RosWheels::readings);
         Ok(())
     }
 }
@@ -113,6 +146,9 @@ impl RosSensors {
             };
             tasks.push(task);
         }
+        if let Some(wheels) = &topics.wheels {
+            tasks.push(sources.hand_in_wheels(wheels).await?);
+        }
         tasks.push(sources.watch.start(Arc::clone(&node)));
         Ok(Self { tasks, _node: node })
     }
@@ -140,6 +176,35 @@ impl Sources<'_> {
             inputs: self.inputs.clone(),
             heard: self.watch.expect::<M>(&self.node, topic)?,
         })
+    }
+
+    /// Hands in the readings of the wheels.
+    async fn hand_in_wheels(&mut self, wheels: &RosWheels) -> Result<JoinHandle<()>, RosError> {
+        match wheels {
+            RosWheels::Base(topic) => {
+                let messages =
+                    self.node.subscriber::<Odometry>(topic, Qos::sensor_data(), WHEEL_QUEUE).await?;
+                let source = self.source::<Odometry>(topic, Stream::Wheels)?;
+                Ok(hand_in(messages, source, |inputs, message| {
+                    inputs.wheels(base_velocity(&message)?);
+                    Ok(())
+                }))
+            }
+            RosWheels::Joints(topic, joints) => {
+                let messages =
+                    self.node.subscriber::<JointState>(topic, Qos::sensor_data(), WHEEL_QUEUE).await?;
+                let source = self.source::<JointState>(topic, Stream::Wheels)?;
+                let joints = joints.clone();
+                Ok(hand_in(messages, source, move |inputs, message: JointState| {
+                    // Messages of other joints, of an arm, come on the same topic.
+                    let joints = joints.clone().or_else(|| WheelJoints::among(&message.name));
+                    if let Some(reading) = joints.and_then(|joints| joints.reading(&message)) {
+                        inputs.wheels(reading);
+                    }
+                    Ok(())
+                }))
+            }
+        }
     }
 
     /// Hands in the readings of the IMU, or those of gyroscope and accelerometer united.
@@ -231,6 +296,8 @@ fn hand_in<M: RosMessage + Send + 'static>(
 enum Unusable {
     #[error(transparent)]
     NotMeasured(#[from] NotMeasured),
+    #[error(transparent)]
+    MovesSideways(#[from] MovesSideways),
     #[error("nothing comes from the accelerometer, or its clock is another: see --accelerometer-topic")]
     NoAccelerometer,
     #[error("images are {0:?}: set the driver to mono8, rgb8 or bgr8, or use its compressed topic")]
@@ -295,6 +362,7 @@ mod tests {
             imu: "/gyro".into(),
             accelerometer: Some("/accel".into()),
             cameras: vec!["/cam0/image_raw".into()],
+            wheels: None,
         };
         let (node, sensors) = runtime.block_on(async {
             let (node, sensors) = subscribed(&topics, &inputs).await;
@@ -334,8 +402,12 @@ mod tests {
         let size = (calibration.cameras[0].camera.width, calibration.cameras[0].camera.height);
         let (inputs, mut source) =
             LiveSource::new("test", calibration.clone(), &LiveSettings::images(&calibration));
-        let topics =
-            RosTopics { imu: "/imu".into(), accelerometer: None, cameras: vec!["/cam0/image_raw".into()] };
+        let topics = RosTopics {
+            imu: "/imu".into(),
+            accelerometer: None,
+            cameras: vec!["/cam0/image_raw".into()],
+            wheels: None,
+        };
         let (node, sensors, images) = runtime.block_on(async {
             let (node, sensors) = subscribed(&topics, &inputs).await;
             let readings = node.publisher::<Imu>("/imu", Qos::reliable()).await.unwrap();
@@ -371,5 +443,60 @@ mod tests {
             faults.iter().find(|fault| fault.kind == FaultKind::Unreadable).expect("the encoding is named");
         assert!(unreadable.to_string().contains("h264"), "{unreadable}");
         drop((sensors, node));
+    }
+
+    #[test]
+    fn wheels_come_from_the_velocity_of_the_base_or_from_joints() {
+        let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().unwrap();
+        let options = SimulationOptions { duration_s: Some(1.0), ..SimulationOptions::default() };
+        let calibration = simulate(&options).unwrap().live.calibration().clone();
+        let joints = RosWheels::Joints("/wheels".into(), None);
+        for (wheels, kind) in [
+            (RosWheels::Base("/wheels".into()), WheelReadings::BaseVelocities),
+            (joints, WheelReadings::Speeds),
+        ] {
+            let topics = RosTopics {
+                imu: "/imu".into(),
+                accelerometer: None,
+                cameras: vec!["/cam0/image_raw".into()],
+                wheels: Some(wheels),
+            };
+            let mut settings = LiveSettings::images(&calibration);
+            topics.adapt(&mut settings).unwrap();
+            let (inputs, mut source) = LiveSource::new("test", calibration.clone(), &settings);
+            assert_eq!(source.contents().wheels, Some(kind));
+            let kept = runtime.block_on(async {
+                let (node, sensors) = subscribed(&topics, &inputs).await;
+                let bases = node.publisher::<Odometry>("/wheels", Qos::reliable()).await.unwrap();
+                let states = node.publisher::<JointState>("/wheels", Qos::reliable()).await.unwrap();
+                for milliseconds in (0..200).step_by(10) {
+                    let mut base = Odometry { header: header(milliseconds), ..Odometry::default() };
+                    (base.twist.twist.linear.x, base.twist.twist.angular.z) = (1.0, 0.5);
+                    bases.publish(&base).await.unwrap();
+                    let name = vec!["left_wheel".to_owned(), "right_wheel".to_owned()];
+                    let (header, velocity) = (header(milliseconds), vec![0.75, 1.25]);
+                    states
+                        .publish(&JointState { header, name, velocity, ..Default::default() })
+                        .await
+                        .unwrap();
+                    let other = JointState { name: vec!["arm".to_owned()], ..JointState::default() };
+                    states.publish(&other).await.unwrap();
+                }
+                (node, sensors, bases, states)
+            });
+            let begin = Instant::now();
+            let mut readings = Vec::new();
+            while readings.len() < 20 {
+                assert!(begin.elapsed() < TIMEOUT, "{kind:?}: {} readings", readings.len());
+                if let SensorEvent::Wheels(reading) = source.next().unwrap().expect("no end") {
+                    readings.push(reading);
+                }
+            }
+            for (number, reading) in readings.iter().enumerate() {
+                assert_eq!(reading.stamp_ns, header(10 * number as i64).stamp.to_nanoseconds());
+                assert_eq!((reading.left, reading.right), (0.75, 1.25));
+            }
+            drop(kept);
+        }
     }
 }

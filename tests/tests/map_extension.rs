@@ -225,7 +225,8 @@ fn a_recorded_map_is_extended_by_another_flight() {
     let mut whole = first;
     whole.groundtruth.as_mut().unwrap().extend(second.groundtruth.unwrap());
     whole.groundtruth.as_mut().unwrap().sort_by_key(|row| row.stamp_ns);
-    let [(nees_before, before_m), (nees_after, after_m)] = [&map, &extended].map(|map| single(&whole, map));
+    let [(nees_before, before_m), (nees_after, after_m)] =
+        [&map, &extended].map(|extended| single(&whole, extended, &map));
     println!("{report:?}");
     println!("{before_m:.4} m, NEES {nees_before:.2}; extended: {after_m:.4} m, NEES {nees_after:.2}");
     assert!(report.agreeing_places > 50, "{report:?}");

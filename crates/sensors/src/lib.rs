@@ -74,6 +74,8 @@ pub mod ros;
 pub mod ros_bag;
 #[cfg(feature = "ros")]
 mod ros_sensors;
+#[cfg(feature = "ros")]
+mod ros_wheels;
 mod row_order;
 mod rows;
 mod source;

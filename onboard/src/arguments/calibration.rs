@@ -59,17 +59,6 @@ pub struct CalibrationArguments {
     /// in order of their names], or with --source ros2
     #[arg(long, value_name = "TOPIC", help_heading = INPUT)]
     pub camera_topic: Vec<String>,
-    /// Topic of the wheels in a bag: sensor_msgs/JointState with the speeds of two wheels, or nav_msgs/Odometry, of which the velocity is
-    /// used [default: none]
-    ///
-    /// The pose of nav_msgs/Odometry is not used, and its velocity must be that of the encoders: not one that cameras or an IMU have
-    /// improved. Its scale and turns are estimated, from 2 %.
-    #[arg(long, value_name = "TOPIC", help_heading = INPUT)]
-    pub wheel_topic: Option<String>,
-    /// Joints of the left and the right wheel in sensor_msgs/JointState [default: those named wheel, and left or right; several of
-    /// a side count by their mean]
-    #[arg(long, value_name = "LEFT,RIGHT", value_delimiter = ',', num_args = 2, requires = "wheel_topic", help_heading = INPUT)]
-    pub wheel_joints: Vec<String>,
     /// Largest difference between the stamps of the two images of a stereo pair, milliseconds: recorded or live [default: 5]
     ///
     /// Each image is paired with the nearest one of the other camera. A lone image of camera 0 is used as that of one
@@ -93,8 +82,6 @@ impl CalibrationArguments {
         files.imu.clone_from(&self.imu_calibration);
         files.imu_topic.clone_from(&self.imu_topic);
         files.accelerometer_topic.clone_from(&self.accelerometer_topic);
-        files.wheel_topic.clone_from(&self.wheel_topic);
-        files.wheel_joints = <[String; 2]>::try_from(self.wheel_joints.clone()).ok();
         files.camera_topics.clone_from(&self.camera_topic);
         files.pair_tolerance_ns = self.pair_tolerance_ns();
         files.imu_units = self.imu_units();

@@ -5,7 +5,7 @@ use clap::Args;
 use estimator::WheelConfig;
 use geometry::Pose;
 use robot::wheel_config;
-use sensors::{Contents, WheelReadings, WheelSensor};
+use sensors::{CalibrationFiles, Contents, WheelReadings, WheelSensor};
 
 /// Heading of these switches in `--help`.
 const HEADING: &str = "Wheels";
@@ -13,6 +13,18 @@ const HEADING: &str = "Wheels";
 /// Geometry of the wheels of a differential drive.
 #[derive(Args, Clone, Debug, Default)]
 pub struct WheelArguments {
+    /// Topic of the wheels: sensor_msgs/JointState with their speeds, or nav_msgs/Odometry, of which the velocity is used: in a bag, or
+    /// with --source ros2 [default: none]
+    ///
+    /// With --source ros2 it is of sensor_msgs/JointState where --wheel-radius or --wheel-joints is given.
+    /// The pose of nav_msgs/Odometry is not used, and its velocity must be that of the encoders: not one that cameras or an IMU have
+    /// improved. Its scale and turns are estimated, from 2 %.
+    #[arg(long, value_name = "TOPIC", help_heading = HEADING)]
+    pub wheel_topic: Option<String>,
+    /// Joints of the left and the right wheel in sensor_msgs/JointState [default: those named wheel, and left or right; several of
+    /// a side count by their mean]
+    #[arg(long, value_name = "LEFT,RIGHT", value_delimiter = ',', num_args = 2, requires = "wheel_topic", help_heading = HEADING)]
+    pub wheel_joints: Vec<String>,
     /// Radius of the wheels, metres; two of them separated by a comma are the left and the right one [default: that of
     /// wheels0/sensor.yaml]
     ///
@@ -82,6 +94,17 @@ impl WheelArguments {
         Ok(Some(with_base_at(stated, position_m)))
     }
 
+    /// Names the topic and the joints of the wheels in a recording.
+    pub fn name_topic(&self, files: &mut CalibrationFiles) {
+        files.wheel_topic.clone_from(&self.wheel_topic);
+        files.wheel_joints = self.joints();
+    }
+
+    /// The joints of the left and the right wheel.
+    pub fn joints(&self) -> Option<[String; 2]> {
+        self.wheel_joints.clone().try_into().ok()
+    }
+
     /// `--base-in-imu`.
     fn base_position(&self) -> Result<Option<[f64; 3]>> {
         match *self.base_in_imu.as_slice() {
@@ -122,6 +145,7 @@ fn with_base_at(mut wheels: WheelConfig, position_m: [f64; 3]) -> WheelConfig {
 mod tests {
     use super::*;
     use clap::Parser;
+    use nalgebra::Vector3;
 
     #[derive(Parser)]
     struct Line {
@@ -158,7 +182,7 @@ mod tests {
         assert_eq!(given("").wheels(None, velocities).unwrap(), None);
         let placed = given("--base-in-imu -0.1,0,-0.2").wheels(None, velocities).unwrap().unwrap();
         assert_eq!((placed.radius_left_m, placed.track_m), (1.0, 1.0));
-        assert_eq!(placed.base_position_m, [-0.1, 0.0, -0.2]);
+        assert_eq!(placed.imu_from_base().translation, Vector3::new(-0.1, 0.0, -0.2));
         assert_eq!(given("").wheels(Some(placed), velocities).unwrap(), Some(placed));
         let line = "--wheel-radius 0.1 --wheel-track 0.5";
         let error = given(line).wheels(Some(placed), velocities).unwrap_err().to_string();

@@ -44,7 +44,9 @@ pub struct Args {
 /// What the recording, the map or the output folder lacks; a run that ended early.
 pub fn run(args: &Args) -> Result<()> {
     let stop = StopSignal::on_interrupt()?;
-    let recording = Recording::open_with(&args.recording, &args.calibration.files())?;
+    let mut files = args.calibration.files();
+    args.robot.wheels.name_topic(&mut files);
+    let recording = Recording::open_with(&args.recording, &files)?;
     let maps = match (&args.map, args.robot.map_mode()?) {
         (_, MapMode::Odometry) => Vec::new(),
         (None, _) => {

@@ -8,7 +8,7 @@ use super::reorder::Reorder;
 use super::repetition::{Compared, Repetition};
 use super::settings::{LiveFrames, LiveSettings};
 use super::stream::Stream;
-use crate::{ImuSample, ImuUnits, PairCounts, SensorCalibration, TrackObservation};
+use crate::{ImuSample, ImuUnits, PairCounts, SensorCalibration, TrackObservation, WheelReading};
 use protocol::FeatureSet;
 use std::collections::VecDeque;
 use std::sync::mpsc::SyncSender;
@@ -18,6 +18,8 @@ use std::time::Duration;
 const MAX_WAITING_FOR_IMU: usize = 40;
 /// Readings that wait for the estimator: 80 minutes at 200 Hz, 60 MB. Beyond, the reader is taken to be gone.
 const MAX_READINGS: usize = 1 << 20;
+/// Readings of the wheels that wait for the estimator, 100 s at 100 Hz; beyond, the oldest are left out.
+const MAX_WHEEL_READINGS: usize = 10_000;
 /// Stamps are nanoseconds since 1970 or since a start; later ones than in the year 2096 are mistakes.
 const STAMPS_NS: std::ops::RangeInclusive<i64> = 0..=4_000_000_000_000_000_000;
 
@@ -25,6 +27,7 @@ const STAMPS_NS: std::ops::RangeInclusive<i64> = 0..=4_000_000_000_000_000_000;
 #[derive(Debug, PartialEq)]
 pub(super) enum Ready {
     Imu(ImuSample),
+    Wheels(WheelReading),
     Frame(i64, PendingFrame),
 }
 
@@ -37,12 +40,14 @@ pub(super) struct LiveBuffer {
     imu: Lane<ImuSample>,
     cameras: Vec<Lane<LiveImage>>,
     tracks: Option<Lane<PendingFrame>>,
+    wheels: Option<Lane<WheelReading>>,
     repetitions: [Repetition; 2],
     newest_jump: Option<Jump>,
     reorder: Reorder<ImuSample>,
     assembly: Assembly,
     /// In order of time, not returned yet.
     readings: VecDeque<ImuSample>,
+    wheel_readings: VecDeque<WheelReading>,
     frames: VecDeque<(i64, PendingFrame)>,
     /// Time of the newest reading in order.
     imu_until_ns: i64,
@@ -74,11 +79,13 @@ impl LiveBuffer {
             imu: Lane::new(Stream::Imu, calibration.imu.as_ref().map(|imu| imu.rate_hz)),
             cameras,
             tracks,
+            wheels: settings.wheels.map(|_| Lane::new(Stream::Wheels, None)),
             repetitions: Default::default(),
             newest_jump: None,
             reorder: Reorder::new(),
             assembly: Assembly::new(images, settings.pair_tolerance_ns),
             readings: VecDeque::new(),
+            wheel_readings: VecDeque::new(),
             frames: VecDeque::new(),
             imu_until_ns: i64::MIN,
             faults: FaultLog::default(),
@@ -120,6 +127,28 @@ impl LiveBuffer {
             }
         }
         self.sort_readings(now);
+    }
+
+    /// Takes a reading of the wheels. They come out as they come in: the estimator knows which it waits for.
+    pub(super) fn wheels(&mut self, reading: WheelReading, now: Duration) {
+        let Some(lane) = &mut self.wheels else { return };
+        lane.arrived(now);
+        if !reading.is_finite() {
+            let problem =
+                "readings of the wheels are not finite, and are not used; check the encoders".to_owned();
+            return self.faults.note(Stream::Wheels, FaultKind::NotFinite, now, problem);
+        }
+        if !self.is_stamp(Stream::Wheels, reading.stamp_ns, now) {
+            return;
+        }
+        let Some(lane) = &mut self.wheels else { return };
+        let message = (reading.stamp_ns, reading);
+        for (stamp_ns, reading) in lane.admit(message, now, &mut self.newest_jump, &mut self.faults) {
+            if self.wheel_readings.len() == MAX_WHEEL_READINGS {
+                self.wheel_readings.pop_front();
+            }
+            self.wheel_readings.push_back(WheelReading { stamp_ns, ..reading });
+        }
     }
 
     pub(super) fn image(&mut self, camera: usize, stamp_ns: i64, image: LiveImage, now: Duration) {
@@ -179,6 +208,10 @@ impl LiveBuffer {
             }
             Stream::Tracks => {
                 let Some(lane) = &mut self.tracks else { return };
+                lane.arrived(now);
+            }
+            Stream::Wheels => {
+                let Some(lane) = &mut self.wheels else { return };
                 lane.arrived(now);
             }
         }
@@ -241,6 +274,9 @@ impl LiveBuffer {
     pub(super) fn poll(&mut self, now: Duration) -> Option<Ready> {
         self.sort_readings(now);
         self.sort_frames(now);
+        if let Some(reading) = self.wheel_readings.pop_front() {
+            return Some(Ready::Wheels(reading));
+        }
         let frame_ns = self.frames.front().map(|(stamp_ns, _)| *stamp_ns);
         let reading_ns = self.readings.front().map(|reading| reading.stamp_ns);
         let reading_is_next = reading_ns.is_some_and(|ns| frame_ns.is_none_or(|frame_ns| ns <= frame_ns));
@@ -258,7 +294,8 @@ impl LiveBuffer {
     pub(super) fn active_faults(&self, now: Duration) -> Vec<LiveFault> {
         let states = std::iter::once(self.imu.state(now))
             .chain(self.cameras.iter().map(|lane| lane.state(now)))
-            .chain(self.tracks.iter().map(|lane| lane.state(now)));
+            .chain(self.tracks.iter().map(|lane| lane.state(now)))
+            .chain(self.wheels.iter().map(|lane| lane.state(now)));
         states.flatten().chain(self.faults.active(now)).collect()
     }
 

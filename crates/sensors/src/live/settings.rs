@@ -1,7 +1,7 @@
 //! Settings of a live source.
 
 use crate::pairing::PAIR_TOLERANCE_NS;
-use crate::{Contents, FolderCalibration, ImuUnits, SensorCalibration};
+use crate::{Contents, FolderCalibration, ImuUnits, SensorCalibration, WheelReadings};
 
 /// What the frames of a live source are made of.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -32,6 +32,8 @@ pub struct LiveSettings {
     pub camera_offset_ns: i64,
     /// Units of the IMU's readings.
     pub imu_units: ImuUnits,
+    /// What is expected of the wheels.
+    pub wheels: Option<WheelReadings>,
     /// Frames that may wait for the estimator; beyond, the oldest is dropped. Five are a quarter of a second at 20 Hz.
     pub max_waiting_frames: usize,
 }
@@ -46,6 +48,7 @@ impl LiveSettings {
             pair_tolerance_ns: PAIR_TOLERANCE_NS,
             camera_offset_ns: 0,
             imu_units: ImuUnits::default(),
+            wheels: None,
             max_waiting_frames: 5,
         }
     }
@@ -65,6 +68,6 @@ impl LiveSettings {
             LiveFrames::Images => (true, false, false),
             LiveFrames::Tracks { features } => (false, true, features),
         };
-        Contents { frames: None, images, tracks, features, wheels: None }
+        Contents { frames: None, images, tracks, features, wheels: self.wheels }
     }
 }

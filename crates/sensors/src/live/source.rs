@@ -8,7 +8,7 @@ use super::settings::LiveSettings;
 use super::stream::Stream;
 use crate::{
     Contents, Frame, ImuSample, PairCounts, SensorCalibration, SensorError, SensorEvent, SensorSource,
-    TrackObservation,
+    TrackObservation, WheelReading,
 };
 use protocol::FeatureSet;
 use std::fmt::Display;
@@ -57,6 +57,11 @@ impl LiveInputs {
     /// Hands in a reading of the IMU, stamped by the sensor's clock.
     pub fn imu(&self, reading: ImuSample) {
         self.shared.with(|buffer, now| buffer.imu(reading, now));
+    }
+
+    /// Hands in a reading of the wheels, where [`LiveSettings::wheels`] expects them.
+    pub fn wheels(&self, reading: WheelReading) {
+        self.shared.with(|buffer, now| buffer.wheels(reading, now));
     }
 
     /// Hands in an image of a camera.
@@ -211,6 +216,7 @@ impl SensorSource for LiveSource {
         loop {
             match self.wait() {
                 Ok(Some(Ready::Imu(reading))) => return Ok(Some(SensorEvent::Imu(reading))),
+                Ok(Some(Ready::Wheels(reading))) => return Ok(Some(SensorEvent::Wheels(reading))),
                 Ok(Some(Ready::Frame(stamp_ns, pending))) => {
                     if let Some(frame) = self.decode(stamp_ns, pending) {
                         self.last_return = Instant::now();

@@ -12,6 +12,8 @@ pub enum Stream {
     Camera(usize),
     /// Tracks (and features) of a front end that runs elsewhere.
     Tracks,
+    /// Readings of the wheels.
+    Wheels,
 }
 
 impl Stream {
@@ -21,6 +23,7 @@ impl Stream {
             Self::Imu => "readings",
             Self::Camera(_) => "images",
             Self::Tracks => "frames of tracks",
+            Self::Wheels => "readings of the wheels",
         }
     }
 }
@@ -31,6 +34,7 @@ impl fmt::Display for Stream {
             Self::Imu => write!(formatter, "imu"),
             Self::Camera(index) => write!(formatter, "cam{index}"),
             Self::Tracks => write!(formatter, "tracks"),
+            Self::Wheels => write!(formatter, "wheels"),
         }
     }
 }

@@ -5,13 +5,14 @@ mod clocks;
 mod images;
 mod imu;
 mod threads;
+mod wheels;
 
 use super::buffer::{LiveBuffer, Ready};
 use super::fault::FaultKind;
 use super::image::LiveImage;
 use super::settings::LiveSettings;
 use super::stream::Stream;
-use crate::{CameraSensor, ImuNoise, ImuSample, ImuSensor, SensorCalibration};
+use crate::{CameraSensor, ImuNoise, ImuSample, ImuSensor, SensorCalibration, WheelReading, WheelReadings};
 use geometry::camera::{Camera, Distortion};
 use geometry::pose::Pose;
 use nalgebra::Vector3;
@@ -51,6 +52,7 @@ fn image(stamp_ns: i64) -> LiveImage {
 enum Message {
     Imu(ImuSample),
     Image(usize, i64, LiveImage),
+    Wheels(WheelReading),
 }
 
 /// Messages with their arrival, nanoseconds since the start.
@@ -79,6 +81,9 @@ fn shifted(message: Message, by_ns: i64) -> Message {
     match message {
         Message::Imu(reading) => Message::Imu(ImuSample { stamp_ns: reading.stamp_ns + by_ns, ..reading }),
         Message::Image(camera, stamp_ns, image) => Message::Image(camera, stamp_ns + by_ns, image),
+        Message::Wheels(reading) => {
+            Message::Wheels(WheelReading { stamp_ns: reading.stamp_ns + by_ns, ..reading })
+        }
     }
 }
 
@@ -86,6 +91,7 @@ fn shifted(message: Message, by_ns: i64) -> Message {
 #[derive(Debug, Default)]
 struct Played {
     readings: Vec<i64>,
+    wheels: Vec<WheelReading>,
     frames: Vec<i64>,
     /// Frames with both images.
     pairs: usize,
@@ -130,6 +136,7 @@ fn play_with(mut buffer: LiveBuffer, mut script: Script, end_s: i64, busy_ms: i6
         while let Some((_, message)) = script.next_if(|(at, _)| *at <= ms * MS) {
             match message {
                 Message::Imu(reading) => buffer.imu(reading, now),
+                Message::Wheels(reading) => buffer.wheels(reading, now),
                 Message::Image(camera, stamp_ns, image) => buffer.image(camera, stamp_ns, image, now),
             }
         }
@@ -139,6 +146,7 @@ fn play_with(mut buffer: LiveBuffer, mut script: Script, end_s: i64, busy_ms: i6
                     assert!(played.frames.last().is_none_or(|frame_ns| reading.stamp_ns > *frame_ns));
                     played.readings.push(reading.stamp_ns);
                 }
+                Some(Ready::Wheels(reading)) => played.wheels.push(reading),
                 Some(Ready::Frame(stamp_ns, frame)) => {
                     played.frames.push(stamp_ns);
                     played.pairs += usize::from(frame.images.iter().all(Option::is_some));
