@@ -110,6 +110,7 @@ pub fn run_configured(
     let of_sensor = |sensor: &sensors::CameraSensor| CalibratedCamera {
         camera: sensor.camera.clone(),
         imu_from_camera: sensor.imu_from_camera,
+        readout_s: sensor.readout_s,
     };
     let rig: Vec<CalibratedCamera> = sequence.cameras[..cameras].iter().map(of_sensor).collect();
     let mut supervisor = EstimatorSupervisor::initializing(config.clone(), rig);

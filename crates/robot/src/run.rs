@@ -98,6 +98,7 @@ impl<'a> Robot<'a> {
             .map(|sensor| CalibratedCamera {
                 camera: sensor.camera.clone(),
                 imu_from_camera: sensor.imu_from_camera,
+                readout_s: sensor.readout_s,
             })
             .collect();
         let config = settings.estimator.clone();
@@ -437,6 +438,7 @@ impl<'a> Robot<'a> {
         self.report.stereo_pairs = self.events.stereo_pairs().map(PairSummary::from);
         self.report.alarms = self.alarms.kept().to_vec();
         self.report.learned_noise = self.supervisor.learned_noise();
+        self.report.readout_times_s = self.supervisor.estimator().and_then(Estimator::readout_times);
         self.report.wheels = self.supervisor.estimator().and_then(Estimator::wheel_report);
         self.report.final_status = Some(self.status());
         // It publishes through the outputs.

@@ -8,6 +8,7 @@ use crate::motion::{Motion, MotionPredictor};
 use crate::noise_adaptation::{LearnedNoise, NoiseAdaptation};
 use crate::propagation::{ACCELEROMETER_BIAS, GYROSCOPE_BIAS, IMU_DIM, ImuMatrix};
 use crate::state::{Block, CloneId, rotation_adjoint};
+use crate::wheels::report::Estimated;
 use geometry::{Pose, PoseWithCovariance};
 use nalgebra::{DMatrix, Matrix6, Vector3};
 use types::ImuNoise;
@@ -42,6 +43,22 @@ impl Estimator {
             .view()
             .view((range.start, range.start), (range.len(), range.len()))
             .into_owned()
+    }
+
+    /// Readout time of each camera, seconds, with its standard deviation: 0 where it is not estimated. `None` where all shutters are
+    /// global ones.
+    pub fn readout_times(&self) -> Option<Vec<Estimated>> {
+        let calibration = &self.state.calibration;
+        let begin = self.state.range(Block::Calibration).unwrap_or_default().start;
+        let variance = |index: usize| self.covariance.active()[(begin + index, begin + index)];
+        let of_camera = |(camera, calibrated): (usize, &CalibratedCamera)| {
+            let sigma =
+                calibration.readout_index(camera).map_or(0.0, |index| variance(index).max(0.0).sqrt());
+            Estimated { value: calibrated.readout_s, sigma }
+        };
+        calibration
+            .has_rolling_shutter()
+            .then(|| calibration.cameras.iter().enumerate().map(of_camera).collect())
     }
 
     /// IMU pose in L, with the covariance of its error `[δθ, δp]` in L (rad, metres).

@@ -32,7 +32,7 @@ fn pose(rng: &mut StdRng) -> Pose {
 fn camera(rng: &mut StdRng, distortion: Distortion) -> CameraSensor {
     let camera =
         Camera { width: 752, height: 480, focal: [458.654, 457.296], centre: [367.215, 248.375], distortion };
-    CameraSensor { camera, imu_from_camera: pose(rng), rate_hz: 10.0 }
+    CameraSensor::new(camera, pose(rng), 10.0)
 }
 
 /// A small recording with everything in it, and with the gaps that real ones have.
